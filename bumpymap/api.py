@@ -29,6 +29,7 @@ from bumpymap.core import (
     with_pixels,
 )
 from bumpymap.layers import (
+    MapFile,
     import_notebook,
     open_layer,
     read_features,
@@ -140,11 +141,11 @@ class Layers:
             A file of the run is missing or damaged.
         """
         found = [
-            *self._variables("roughness.tif", BANDS),
-            *self._variables("class.tif", (_CLASSES,)),
-            *self._variables("reason.tif", (_REASONS,)),
-            *self._variables("cost.tif", (_COST,)),
-            *self._variables("barred.tif", (_BARRED,)),
+            *self._variables(MapFile.ROUGHNESS, BANDS),
+            *self._variables(MapFile.CLASS, (_CLASSES,)),
+            *self._variables(MapFile.REASON, (_REASONS,)),
+            *self._variables(MapFile.COST, (_COST,)),
+            *self._variables(MapFile.BARRED, (_BARRED,)),
         ]
         for other in found[1:]:
             if not all(other[side].equals(found[0][side]) for side in "xy"):
@@ -176,7 +177,7 @@ class Layers:
                 f"{self._folder} holds no other speeds: the run was not asked for them. Map the survey again with "
                 "`speeds=(0.5, 1, 2)`"
             )
-        found = self._variables("speeds.tif", speed_bands(tuple(asked)))
+        found = self._variables(MapFile.SPEEDS, speed_bands(tuple(asked)))
         return import_notebook("xarray").Dataset({variable.name: variable for variable in found})
 
     def heights(self) -> "xarray.DataArray":
@@ -194,7 +195,7 @@ class Layers:
         BadInputError
             heightmap.tif is missing or damaged.
         """
-        return next(self._variables("heightmap.tif", (_HEIGHT,)))
+        return next(self._variables(MapFile.HEIGHTMAP, (_HEIGHT,)))
 
     def obstacles(self) -> "xarray.DataArray":
         """Open obstacle.tif: 0 free, 1 obstacle, 2 canopy, 3 unknown; 255 outside the tiles with points.
@@ -211,7 +212,7 @@ class Layers:
         BadInputError
             obstacle.tif is missing or damaged.
         """
-        return next(self._variables("obstacle.tif", (_OBSTACLE,)))
+        return next(self._variables(MapFile.OBSTACLE, (_OBSTACLE,)))
 
     def passage(self) -> "xarray.DataArray":
         """Open passage.tif: 0 closed, else the number of the area of its tile; 255 outside the tiles with points.
@@ -219,7 +220,7 @@ class Layers:
         The areas are the nodes of a graph, and where pixels of two of them touch across the border of their tiles is an
         arc. See `obstacles` for the dimensions and errors.
         """
-        return next(self._variables("passage.tif", (_PASSAGE,)))
+        return next(self._variables(MapFile.PASSAGE, (_PASSAGE,)))
 
     def tiles(self) -> "geopandas.GeoDataFrame":
         """Read tiles.parquet.
@@ -236,7 +237,10 @@ class Layers:
         BadInputError
             The file is missing or damaged.
         """
-        return self._table("tiles.parquet")
+        with self._file(MapFile.TILES) as path:
+            require_format(path)
+            require_tiles(path, self._manifest["counts"]["tiles"])
+            return import_notebook("geopandas").read_parquet(path)
 
     def regions(self) -> "geopandas.GeoDataFrame":
         """Read cost.fgb.
@@ -254,7 +258,10 @@ class Layers:
         BadInputError
             The file is missing or damaged.
         """
-        return self._table("cost.fgb")
+        with self._file(MapFile.REGIONS_IN_CRS) as path:
+            table, geopandas = read_features(path), import_notebook("geopandas")
+            geometry = geopandas.GeoSeries.from_wkb(table.geometry)
+            return geopandas.GeoDataFrame(table.columns, geometry=geometry, crs=table.crs)
 
     def route(self, start: "Point", goal: "Point", **settings: Any) -> "PlannedRoute":
         """Find the cheapest way over these layers; see `bumpymap.find_routes` for parameters and errors.
@@ -361,16 +368,15 @@ class Layers:
     def _bounds(self) -> tuple[float, float, float, float] | None:
         """West, south, east and north of the layers in units of their CRS; None if class.tif cannot be read."""
         try:
-            with open_layer(self._folder / "class.tif") as file:
+            with open_layer(self._folder / MapFile.CLASS) as file:
                 return tuple(file.bounds)
         except BadInputError:
             return None
 
-    def _variables(self, name: str, bands: tuple[Band, ...]) -> "Iterator[xarray.DataArray]":
+    def _variables(self, name: MapFile, bands: tuple[Band, ...]) -> "Iterator[xarray.DataArray]":
         """Yield the bands of a raster as named variables with units."""
-        self._require_written(name)
-        rioxarray = import_notebook("rioxarray")
-        with self._file(self._folder / name) as path:
+        with self._file(name) as path:
+            rioxarray = import_notebook("rioxarray")
             with open_layer(path) as checked, rioxarray.open_rasterio(path, cache=False, driver=checked.driver) as file:
                 from bumpymap.layers import lazy_values  # needs the extra
 
@@ -394,20 +400,16 @@ class Layers:
             variable.attrs["_FillValue"] = nodata
             yield variable
 
-    def _require_written(self, name: str) -> None:
-        """Raise BadInputError if a layer is not the one that run.json lists; looked at once."""
+    @contextmanager
+    def _file(self, name: MapFile) -> Iterator[Path]:
+        """Yield the path of a file; errors while the body of the ``with`` reads it become BadInputErrors.
+
+        So is one that is not the file that run.json lists; that is looked at once.
+        """
+        path = self._folder / name
         if name not in self._checked and not self._in_memory:
             require_written(self._folder, self._manifest, (name,))
             self._checked.add(name)
-
-    def _table(self, name: str) -> "geopandas.GeoDataFrame":
-        self._require_written(name)
-        with self._file(self._folder / name) as path:
-            return _read_tiles(path) if name.endswith(".parquet") else _read_features(path)
-
-    @contextmanager
-    def _file(self, path: Path) -> Iterator[Path]:
-        """Yield the path of a file; errors while the body of the ``with`` reads it become BadInputErrors."""
         if not path.exists():
             raise BadInputError(f"{path} is missing: it was not written, or was removed since. Map the survey again")
         try:
@@ -416,17 +418,6 @@ class Layers:
             raise
         except Exception as error:  # the errors of rasterio, pyarrow and pyogrio have no common base class
             raise BadInputError(f"cannot read {path}: {error}. Map the survey again") from error
-
-
-def _read_tiles(path: Path) -> "geopandas.GeoDataFrame":
-    require_format(path)
-    require_tiles(path, read_manifest(path.parent)["counts"]["tiles"])
-    return import_notebook("geopandas").read_parquet(path)
-
-
-def _read_features(path: Path) -> "geopandas.GeoDataFrame":
-    table, geopandas = read_features(path), import_notebook("geopandas")
-    return geopandas.GeoDataFrame(table.columns, geometry=geopandas.GeoSeries.from_wkb(table.geometry), crs=table.crs)
 
 
 def open_layers(folder: str | os.PathLike[str]) -> Layers:

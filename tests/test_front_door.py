@@ -49,7 +49,7 @@ def test_every_public_name_is_there_and_says_what_it_is(name):
 def test_the_dataset_holds_every_band_as_rasterio_reads_it(layers):
     dataset = layers.dataset()
     assert list(dataset.data_vars) == [*(band.name for band in BANDS), "class", "reason", "cost", "barred"]
-    with rasterio.open(layers.folder / "roughness.tif") as file:
+    with rasterio.open(layers.folder / "rasters/roughness.tif") as file:
         assert dataset.rio.crs == file.crs
         assert dataset.rio.transform() == file.transform
         for number, band in enumerate(BANDS, 1):
@@ -57,8 +57,8 @@ def test_the_dataset_holds_every_band_as_rasterio_reads_it(layers):
             np.testing.assert_array_equal(variable.values, file.read(number))
             assert variable.attrs["long_name"] == band.description
             assert variable.attrs["units"] == (band.unit or "1")
-    for name in ("class", "reason", "cost"):
-        with rasterio.open(layers.folder / f"{name}.tif") as file:
+    for name, place in (("class", "rasters/class.tif"), ("reason", "rasters/reason.tif"), ("cost", "cost.tif")):
+        with rasterio.open(layers.folder / place) as file:
             np.testing.assert_array_equal(dataset[name].values, file.read(1))
     np.testing.assert_array_equal(np.isfinite(dataset["cost"].values), dataset["barred"].values == 0)
     assert dataset["class"].dtype == np.uint8
@@ -70,7 +70,7 @@ def test_the_dataset_holds_every_band_as_rasterio_reads_it(layers):
 
 def test_objects_tiles_and_regions_are_those_of_the_files(layers):
     objects, tiles, regions = layers.obstacles(), layers.tiles(), layers.regions()
-    with rasterio.open(layers.folder / "obstacle.tif") as file:
+    with rasterio.open(layers.folder / "rasters/obstacle.tif") as file:
         np.testing.assert_array_equal(objects.values, file.read(1))
         assert objects.rio.transform() == file.transform == layers.heights().rio.transform()
     assert objects.attrs["flag_meanings"] == "free obstacle canopy unknown"
@@ -107,8 +107,8 @@ def test_a_missing_or_damaged_layer_is_said(layers, tmp_path):
     folder = shutil.copytree(layers.folder, tmp_path / "copy")
     opened = bumpymap.open(str(folder))
     for name, call in (
-        ("heightmap.tif", opened.heights),
-        ("class.tif", opened.dataset),
+        ("rasters/heightmap.tif", opened.heights),
+        ("rasters/class.tif", opened.dataset),
         ("tiles.parquet", opened.tiles),
         ("cost.fgb", opened.regions),
     ):

@@ -169,8 +169,8 @@ def test_what_inputs_and_folders_cause_is_told_in_arguments(prepare, tmp_path):
         bumpymap.map_survey(survey, out)
         settings = {"ground": "all"}
     elif prepare == "other":
-        out.mkdir()
-        (out / "class.tif").touch()
+        (out / "rasters").mkdir(parents=True)
+        (out / "rasters/class.tif").touch()
     elif prepare == "file":
         out.touch()
     elif prepare == "no_crs":

@@ -42,8 +42,9 @@ def map_lines(result: MapResult, config: MapConfig) -> Iterator[str | Table]:
     if result.skipped:
         were = "was" if len(result.skipped) == 1 else "were"
         yield f"{count_text(len(result.skipped), 'input')} {were} skipped; run.json lists the reasons"
-    names = ", ".join(path.name for path in result.files if path.suffix != ".qml")  # a style belongs to a layer
-    yield f"Layers in {config.out}: {names}"
+    for folder in sorted({path.parent for path in result.files}):
+        names = (path.name for path in result.files if path.parent == folder and path.suffix != ".qml")
+        yield f"Layers in {folder}: {', '.join(names)}"  # a style belongs to a layer
 
 
 def _passable_line(summary: MapSummary) -> str:
@@ -91,7 +92,7 @@ def map_record(result: MapResult, config: MapConfig) -> dict[str, object]:
     """Return the result of a run as an object of JSON."""
     return {
         "out": str(config.out),
-        "files": [path.name for path in result.files],
+        "files": [path.relative_to(config.out).as_posix() for path in result.files],
         "points": result.points,
         "tiles": result.summary.tiles,
         "classes": result.summary.classes,

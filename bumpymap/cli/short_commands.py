@@ -55,15 +55,15 @@ def compile_command(run: Run) -> None:
 def demo_command(run: Run, out: Path) -> None:
     """Map a synthetic quarry as an example."""
     from bumpymap.cli._summary import map_lines, map_record
-    from bumpymap.layers import REPORT_NAME
+    from bumpymap.layers import MapFile
     from bumpymap.survey import map_surveys
 
     survey = _copy_sample(out / "survey" / _SAMPLE.name)
     config = MapConfig(surveys=(survey,), out=out / "layers", overwrite=True)
     with run.progress() as progress:
         result = map_surveys(config, progress)
-    look = [f"Open {config.out / 'map.qgs'} in QGIS, or the layers in any other GIS."]
-    look += [f"Open {config.out / REPORT_NAME} in a browser."]
+    look = [f"Open {config.out / MapFile.PROJECT} in QGIS, or the layers in any other GIS."]
+    look += [f"Open {config.out / MapFile.REPORT} in a browser."]
     run.show(map_record(result, config), chain([f"Mapped {survey}"], map_lines(result, config), look))
 
 

@@ -13,10 +13,9 @@ import os
 import re
 import shutil
 import stat
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
-from os.path import lexists
 from pathlib import Path
 from typing import Any, BinaryIO
 from uuid import uuid4
@@ -236,7 +235,7 @@ def atomic(target: Path, failures: tuple[type[Exception], ...] = ()) -> Iterator
 
 
 @contextmanager
-def write_together(folder: Path, last: str) -> Iterator[Path]:
+def write_together(folder: Path, last: str, earlier: Collection[str] = ()) -> Iterator[Path]:
     """Yield an empty folder to write files to; at the end all of them move to ``folder``, or none.
 
     Files that they replace stay until all are complete. The file ``last`` moves last, and an old one is removed first,
@@ -249,6 +248,8 @@ def write_together(folder: Path, last: str) -> Iterator[Path]:
         An existing folder.
     last : str
         Name of the file that marks the set as complete.
+    earlier : collection of str
+        Files that an earlier run may have left, relative to ``folder``. Those that are not written again are removed.
 
     Raises
     ------
@@ -261,7 +262,7 @@ def write_together(folder: Path, last: str) -> Iterator[Path]:
             staged.mkdir(mode=0o700)
         with utf8_path(staged) as path:
             yield path
-        move_together(staged, folder, last)
+        move_together(staged, folder, last, earlier)
     finally:
         shutil.rmtree(staged, ignore_errors=True)
 
@@ -328,28 +329,56 @@ def writing_to(folder: Path, options: str = "`out`") -> Iterator[None]:
         ) from error
 
 
-def move_together(staged: Path, folder: Path, last: str) -> None:
-    """Move all files of ``staged`` to ``folder``, or none; see `write_together`. Links are replaced, never followed."""
-    names = sorted((path.name for path in staged.iterdir()), key=lambda name: (name == last, name))
-    old = {target: None for name in names for target in (name, name + _SIDECAR) if lexists(folder / target)}
-    aside = staged / "old"
-    moves = [(folder / name, aside / name) for name in sorted(old, key=lambda name: name != last)]
-    moves += [(staged / name, folder / name) for name in names]
-    done: list[tuple[Path, Path]] = []
+def move_together(staged: Path, folder: Path, last: str, earlier: Collection[str] = ()) -> None:
+    """Move all files of ``staged`` to ``folder``, or none; see `write_together`. Links are replaced, never followed.
+
+    A folder in ``staged`` moves as one. Into a folder that ``earlier`` names files of, which must not be a link, the
+    files move one by one, so that others in it stay.
+    """
+    parts = sorted({Path(), *(Path(name).parent for name in earlier)})
+    new = {path.relative_to(staged) for part in parts for path in (staged / part).glob("*")} - {*parts}
+    every = {name.with_name(name.name + end) for name in (*new, *map(Path, earlier)) for end in ("", _SIDECAR)}
+    aside, final = staged / "old", Path(last)
+    done: list[tuple[str, str, int | None, int | None]] = []
+    with ExitStack() as stack:
+        try:
+            opened, there = {}, set()
+            for part in parts:
+                (aside / part).mkdir()
+                opened[part] = stack.enter_context(_opened_part(folder, part))
+                there |= {part / name for name in os.listdir(opened[part])}  # noqa: PTH208 (takes a descriptor)
+            old = sorted(every & there, key=lambda name: (name != final, name))
+            out = [(name.name, str(aside / name), opened[name.parent], None) for name in old]
+            names = sorted(new, key=lambda name: (name == final, name))
+            into = [(str(staged / name), name.name, None, opened[name.parent]) for name in names]
+            for source, target, source_folder, target_folder in [*out, *into]:
+                os.replace(source, target, src_dir_fd=source_folder, dst_dir_fd=target_folder)
+                done.append((source, target, source_folder, target_folder))
+            for descriptor in opened.values():
+                os.fsync(descriptor)
+        except BaseException as error:
+            for source, target, source_folder, target_folder in reversed(done):
+                os.replace(target, source, src_dir_fd=target_folder, dst_dir_fd=source_folder)
+            if not isinstance(error, OSError):
+                raise
+            raise OutputError(
+                f"cannot move the new files to {folder}: {error}. Nothing was replaced; choose another `out`"
+            ) from error
+
+
+@contextmanager
+def _opened_part(folder: Path, part: Path) -> Iterator[int]:
+    """Yield the descriptor of a folder, or of one in it that is no link, made if missing and removed if left empty."""
+    place, is_inside = folder / part, bool(part.parts)
+    place.mkdir(exist_ok=True)
+    descriptor = os.open(place, os.O_RDONLY | os.O_DIRECTORY | (os.O_NOFOLLOW if is_inside else 0))
     try:
-        aside.mkdir()
-        for source, target in moves:
-            os.replace(source, target)  # noqa: PTH105 (os.replace says that it overwrites)
-            done.append((source, target))
-        _sync_folder(folder)
-    except BaseException as error:
-        for source, target in reversed(done):
-            os.replace(target, source)  # noqa: PTH105
-        if not isinstance(error, OSError):
-            raise
-        raise OutputError(
-            f"cannot move the new files to {folder}: {error}. Nothing was replaced; choose another `out`"
-        ) from error
+        yield descriptor
+    finally:
+        os.close(descriptor)
+        if is_inside:
+            with suppress(OSError):  # it holds files
+                place.rmdir()
 
 
 def _move(temporary: Path, target: Path) -> None:
@@ -360,7 +389,7 @@ def _move(temporary: Path, target: Path) -> None:
     if side.exists():
         _sync(side)
         os.replace(side, old_side)  # noqa: PTH105
-    if not target.parent.name.startswith(STAGED):  # what is staged is moved, and its new folder synced
+    if not any(part.startswith(STAGED) for part in target.parts):  # what is staged is moved, and its new folder synced
         _sync_folder(target.parent)
 
 

@@ -103,6 +103,7 @@ from .products import (
     OTHER_FILES as OTHER_FILES,
     PRODUCT_NAMES as PRODUCT_NAMES,
     REPORT_NAME as REPORT_NAME,
+    MapFile as MapFile,
     OutputFolder as OutputFolder,
     check_folder as check_folder,
     refuse_present as refuse_present,

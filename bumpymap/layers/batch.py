@@ -22,7 +22,7 @@ from bumpymap.core import (
 )
 from bumpymap.layers.manifest import read_manifest
 from bumpymap.layers.map_files import open_raster
-from bumpymap.layers.products import CATALOG_NAME
+from bumpymap.layers.products import CATALOG_NAME, MapFile, require_folder
 
 __all__ = [
     "BATCH_LOG",
@@ -89,7 +89,7 @@ def map_facts(folder: Path) -> dict[str, Any]:
     """
     manifest = read_manifest(folder)
     try:
-        with open_raster(folder, "class.tif") as raster:
+        with open_raster(folder, MapFile.CLASS) as raster:
             bounds = dict(zip(("min_x", "min_y", "max_x", "max_y"), map(float, raster.bounds), strict=True))
         return {**_counted(manifest), **_described(manifest), **bounds}
     except (KeyError, TypeError, AttributeError, ValueError) as error:
@@ -137,8 +137,7 @@ _MOST_LINE = 100_000
 
 def check_batch_out(out: Path) -> None:
     """Raise OutputError if a folder holds files that are not those of a batch, where its own would be written."""
-    if out.exists() and not out.is_dir():
-        raise OutputError(f"cannot write to the folder {out}: it is a file. Choose another `out`")
+    require_folder(out)
     if lexists(out / _MAP):
         raise OutputError(f"{out} holds the layers of one map ({_MAP}). Choose another `out` for a batch of surveys")
     present = [name for name in BATCH_NAMES if lexists(out / name)]

@@ -16,6 +16,7 @@ from bumpymap.layers._imports import import_notebook
 from bumpymap.layers.map_files import require_written
 from bumpymap.layers.map_reader import MapReader, common_window, open_map
 from bumpymap.layers.placement import BandSpec, Placement, RasterSpec, check_extent
+from bumpymap.layers.products import MapFile
 from bumpymap.layers.regions import trace_labels
 from bumpymap.layers.vector import GeoJsonCoordinates, feature, write_features
 from bumpytiles import Grid, TileWindow
@@ -92,7 +93,7 @@ def open_pair(before: Path, after: Path) -> SurveyPair:
     if found := _differences(first, second):  # they would not be differences between the surveys
         raise BadInputError(f"{before} and {after} cannot be compared: {found}. {_MUST_AGREE}")
     for site in (first, second):
-        require_written(site.folder, site.manifest, ("class.tif",))  # `open_map` does not look at it
+        require_written(site.folder, site.manifest, (MapFile.CLASS,))  # `open_map` does not look at it
     window = common_window(first.window, second.window)
     if window is None:
         raise BadInputError(

@@ -21,24 +21,14 @@ from bumpymap.core import (
     SilentProgress,
     describe_crs,
     read_record,
-    remove_path,
     vertical_of,
     write_together,
-    writing_to,
 )
 from bumpymap.layers.colours import class_limits
 from bumpymap.layers.geotiff import write_raster
 from bumpymap.layers.manifest import MANIFEST_NAME, complete_manifest, describe_file, software_versions, write_manifest
 from bumpymap.layers.placement import Placement
-from bumpymap.layers.products import (
-    EVERY_NAME,
-    EVERY_VIEW_NAME,
-    ITEM_NAME,
-    PRODUCT_NAMES,
-    SPEEDS_NAME,
-    SPEEDS_STYLE_NAME,
-    VIEW_NAMES,
-)
+from bumpymap.layers.products import EVERY_NAME, EVERY_VIEW_NAME, PRODUCT_NAMES, VIEW_NAMES, MapFile, every_file
 from bumpymap.layers.regions import dissolve
 from bumpymap.layers.stac import write_item
 from bumpymap.layers.summary import MapSummary, summarise
@@ -242,7 +232,10 @@ def write_products(
     coordinates = GeoJsonCoordinates.of(placement, local=local)
     metadata = layer_metadata(manifest, table.georeference)
     progress = progress or SilentProgress()
-    with write_together(folder, MANIFEST_NAME) as staged, ThreadPoolExecutor(1) as background:
+    earlier = every_file(folder)
+    with write_together(folder, MANIFEST_NAME, earlier) as staged, ThreadPoolExecutor(1) as background:
+        for layer in MapFile:
+            (staged / layer).parent.mkdir(exist_ok=True)
         counting = background.submit(summarise, table, class_limits(manifest))
         try:
             layers = _write_layers(_layers(table, coordinates, staged, metadata), staged, progress)
@@ -253,14 +246,9 @@ def write_products(
         views(staged, record)
         write_item(staged, record)
         record["seconds"] = {**manifest.get("seconds", {}), "write": round(time.perf_counter() - started, 3)}
-        record["files"].append(describe_file(staged / ITEM_NAME) | {"path": ITEM_NAME})
+        record["files"].append(describe_file(staged / MapFile.ITEM) | {"path": MapFile.ITEM})
         write_manifest(record, staged / MANIFEST_NAME)
     _log.info("wrote %d tiles to %s", summary.tiles, folder)
-    if not table.speeds:
-        with writing_to(folder):  # what an earlier run left
-            for name in (SPEEDS_NAME, f"{SPEEDS_NAME}.aux.xml", SPEEDS_STYLE_NAME):
-                if lexists(folder / name):
-                    remove_path(folder / name)
     names = (*EVERY_NAME, *EVERY_VIEW_NAME) if table.speeds else (*PRODUCT_NAMES, *VIEW_NAMES)
     return [folder / name for name in names], summary
 
@@ -276,25 +264,19 @@ def _layers(
     Rasters take turns where GDAL writes them, see `_integrity`; two groups of them save time where it does not.
     """
     tags = as_tags(metadata)
-    fine = ("heightmap.tif", "relief.tif", "obstacle.tif", "passage.tif")
-    coarse = (
-        "roughness.tif",
-        "class.tif",
-        "reason.tif",
-        "cost.tif",
-        "barred.tif",
-        *([SPEEDS_NAME] * bool(table.speeds)),
-    )
+    fine = [MapFile.HEIGHTMAP, MapFile.RELIEF, MapFile.OBSTACLE, MapFile.PASSAGE]
+    coarse = [MapFile.ROUGHNESS, MapFile.CLASS, MapFile.REASON, MapFile.COST, MapFile.BARRED]
+    coarse += [MapFile.SPEEDS] * bool(table.speeds)
 
-    def rasters(names: tuple[str, ...]) -> dict[tuple[str, ...], Callable[[], None]]:
+    def rasters(names: Sequence[MapFile]) -> dict[tuple[str, ...], Callable[[], None]]:
         return {(name,): partial(write_raster, name, table, folder / name, tags) for name in names}
 
     return [
         rasters(fine),
         rasters(coarse),
         {
-            ("cost.geojson", "cost.fgb"): partial(_write_regions, table, coordinates, folder, metadata),
-            ("tiles.parquet",): partial(write_tiles, table, folder / "tiles.parquet", tags),
+            (MapFile.REGIONS, MapFile.REGIONS_IN_CRS): partial(_write_regions, table, coordinates, folder, metadata),
+            (MapFile.TILES,): partial(write_tiles, table, folder / MapFile.TILES, tags),
         },
     ]
 
@@ -330,8 +312,8 @@ def _write_regions(
 ) -> None:
     placement = coordinates.placement
     with (
-        geojson_writer(folder / "cost.geojson", coordinates, metadata) as write_geojson,
-        flatgeobuf_writer(folder / "cost.fgb", placement, as_tags(metadata)) as write_flatgeobuf,
+        geojson_writer(folder / MapFile.REGIONS, coordinates, metadata) as write_geojson,
+        flatgeobuf_writer(folder / MapFile.REGIONS_IN_CRS, placement, as_tags(metadata)) as write_flatgeobuf,
     ):
         for regions in dissolve(table, placement):
             write_geojson(regions)

@@ -29,6 +29,7 @@ from bumpymap.core import (
 from bumpymap.layers._cog import TILE_WINDOW, write_cog
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS, UNKNOWN_OBJECT
 from bumpymap.layers.placement import BandSpec, Placement, RasterSpec, RasterWindow
+from bumpymap.layers.products import MapFile
 from bumpytiles import BLOCK_TILES, TileTable, TileWindow
 
 __all__ = ["box_sum", "write_raster"]
@@ -139,8 +140,8 @@ class _Layer:
     """Fields of its `RasterSpec`."""
 
 
-def _layers(table: CostTable) -> dict[str, _Layer]:
-    """Return the rasters of a map, by file name."""
+def _layers(table: CostTable) -> dict[MapFile, _Layer]:
+    """Return the rasters of a map."""
     rule, names = table.rule, tuple(band.name for band in BANDS)
     pixels: dict[str, Any] = {"pixels": table.tiles.grid.pixels, "block": HEIGHT_BLOCK}
     # On 56 million pixels of heightmap.tif, level 6 took twice the time of level 1 and saved 4 % of the bytes.
@@ -163,25 +164,25 @@ def _layers(table: CostTable) -> dict[str, _Layer]:
     reasons = {int(code): colour for code, colour in REASON_COLOURS.items() if code != Reason.NO_POINTS}
     reasons[NO_CLASS] = REASON_COLOURS[Reason.NO_POINTS]
     return {
-        "roughness.tif": _Layer(
+        MapFile.ROUGHNESS: _Layer(
             "ride cost and roughness of each tile",
             [BandSpec(band.name, band.unit, band.description) for band in BANDS],
             names,
             lambda found, _: [found[name] for name in names],
         ),
-        "class.tif": of_codes(
+        MapFile.CLASS: of_codes(
             "roughness class of each tile",
             "class_id",
             BandSpec("class", text="0 (flattest) to 3 (roughest)", categories=CLASS_NAMES),
             CLASS_COLOURS,
         ),
-        "reason.tif": of_codes(
+        MapFile.REASON: of_codes(
             "why tiles have no class",
             "reason",
             BandSpec("reason", text="why a tile has no class", categories=tuple(REASON_TEXT.values())),
             reasons,
         ),
-        "cost.tif": _Layer(
+        MapFile.COST: _Layer(
             "cost of driving over each tile",
             [BandSpec("cost", text="factor on distance: 1 + ride_weight c_r + fail_weight hazard")],
             ("c_r", "p_fail", "barred"),
@@ -192,20 +193,20 @@ def _layers(table: CostTable) -> dict[str, _Layer]:
                 "slope_limit_deg": f"{rule.slope_limit_deg:g}",
             },
         ),
-        "barred.tif": of_codes(
+        MapFile.BARRED: of_codes(
             "why tiles are not passable",
             "barred",
             BandSpec("barred", text="why the tile is not passable", categories=tuple(BARRED_TEXT.values())),
             BARRED_COLOURS,
         ),
-        "speeds.tif": _Layer(
+        MapFile.SPEEDS: _Layer(
             "pitch, roll and vertical acceleration at several speeds",
             [BandSpec(band.name, band.unit, band.description) for band in speed_bands(table.speeds)],
             ("motion",),
             lambda found, _: found["motion"].T,
             tags={"speeds_m_per_s": " ".join(f"{speed:g}" for speed in table.speeds)},
         ),
-        "heightmap.tif": _Layer(
+        MapFile.HEIGHTMAP: _Layer(
             "height map",
             [BandSpec("height", "m", "mean height of the points in the pixel")],
             ("heights",),
@@ -214,7 +215,7 @@ def _layers(table: CostTable) -> dict[str, _Layer]:
             has_heights=True,
             options=pixels,
         ),
-        "relief.tif": _Layer(
+        MapFile.RELIEF: _Layer(
             "relief for looking at: holes are filled; measure on heightmap.tif",
             [BandSpec("height", "m", "mean height, holes filled from around them; measure on heightmap.tif")],
             (),
@@ -223,7 +224,7 @@ def _layers(table: CostTable) -> dict[str, _Layer]:
             has_heights=True,
             options={"pixels": _PIXELS, "block": HEIGHT_BLOCK},
         ),
-        "obstacle.tif": _Layer(
+        MapFile.OBSTACLE: _Layer(
             "obstacles",
             [BandSpec("obstacle", text="what stands on the ground", categories=OBJECT_NAMES)],
             ("objects", "obstacle"),
@@ -231,7 +232,7 @@ def _layers(table: CostTable) -> dict[str, _Layer]:
             is_fine=True,
             options=codes | pixels | {"colours": OBJECT_COLOURS, "worst": (OBSTACLE, UNKNOWN_OBJECT, CANOPY, FREE)},
         ),
-        "passage.tif": _Layer(
+        MapFile.PASSAGE: _Layer(
             "where the vehicle fits",
             [
                 BandSpec(
@@ -246,12 +247,12 @@ def _layers(table: CostTable) -> dict[str, _Layer]:
     }
 
 
-def write_raster(name: str, table: CostTable, path: Path, about: Mapping[str, str] | None = None) -> None:
+def write_raster(file: MapFile, table: CostTable, path: Path, about: Mapping[str, str] | None = None) -> None:
     """Write a raster of a map as a COG.
 
     Parameters
     ----------
-    name : str
+    file : MapFile
         - ``roughness.tif``: float32, one pixel per tile, a band for each of ``BANDS``, NaN if unknown.
         - ``class.tif``, ``reason.tif``, ``barred.tif``: uint8, one pixel per tile: its class (``NO_CLASS``, nodata, if
           unknown), why it has none, a `Reason`, and why it is not passable, a `Barred`; nodata without points. The
@@ -283,7 +284,7 @@ def write_raster(name: str, table: CostTable, path: Path, about: Mapping[str, st
     BadInputError
         The extent is too large for a raster.
     """
-    place, tiles, layer = Placement.of(table), table.tiles, _layers(table)[name]
+    place, tiles, layer = Placement.of(table), table.tiles, _layers(table)[file]
     tags = {"title": layer.title, "tile_size_m": f"{tiles.grid.tile_size:g}"}
     tags |= {"ride_weight_m_per_rad": f"{table.rule.ride_weight:g}", **layer.tags, **(about or {})}
     crs = place.height_crs if layer.has_heights else place.horizontal_crs

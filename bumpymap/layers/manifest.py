@@ -34,7 +34,6 @@ __all__ = [
     "MANIFEST_FORMAT",
     "MANIFEST_NAME",
     "PLACE_SHAPE",
-    "SHEETS_FORMAT",
     "complete_manifest",
     "describe_file",
     "describe_input",
@@ -47,8 +46,6 @@ __all__ = [
 
 MANIFEST_NAME = "run.json"
 MANIFEST_FORMAT = "bumpymap-run"
-SHEETS_FORMAT = "bumpymap-sheets"
-"""Format of earlier versions: several folders of layers, which each have a run.json of their own, made one map."""
 COUNT = Number(0, 1e15, whole=True)
 PLACE_SHAPE: dict[str, Any] = {
     "crs": Nullable({"name": str, "code": Nullable(str), "wkt": str}),
@@ -91,7 +88,8 @@ _SHAPE: dict[str, Any] = PLACE_SHAPE | {
         "objects?": Each(COUNT),
     },
 }
-_VERSION = 1
+_VERSION = 2
+"""1: all files of a map lay at the top of its folder."""
 _PACKAGES = (
     "bumpymap", "laspy", "lazrs", "numba", "numpy", "onnxruntime", "pyarrow", "pyogrio", "pypcd4", "pyproj",
     "rasterio", "scipy", "shapely",
@@ -288,21 +286,20 @@ def _plain(value: Any) -> Any:
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
-    """Read the manifest of a complete map. Raises BadInputError if there is none, or one in sheets."""
+    """Read the manifest of a complete map. Raises BadInputError if there is none, or one of another version."""
     remedy = "Give the folder that `bumpymap map` wrote"
     if not folder.is_dir():
         what = f"{folder} is a file" if folder.exists() else f"there is no folder {folder}"
         raise BadInputError(f"{what}. {remedy}")
     record = read_record(folder / MANIFEST_NAME)
-    if record is not None and record.get("format") == SHEETS_FORMAT:
-        raise BadInputError(
-            f"{folder} holds a map in sheets, which an earlier version wrote. Give one of the folders in "
-            f"{folder / 'sheets'}, each of which is a map, or map the survey again"
-        )
-    if record is None or record.get("format") != MANIFEST_FORMAT:
+    if record is None or not str(record.get("format")).startswith("bumpymap-"):
         is_scan = (folder / "scan.json").exists()
         hint = f"The map of this drive is in {folder / 'map'}" if is_scan else remedy
         raise BadInputError(f"{folder} holds no complete run: {MANIFEST_NAME} is missing or not that of a map. {hint}")
+    if (record["format"], record.get("version")) != (MANIFEST_FORMAT, _VERSION):
+        raise BadInputError(
+            f"{folder} holds a map of another version of bumpymap, with its files in other places. Map the survey again"
+        )
     if fault := shape_fault(record, _SHAPE):
         raise BadInputError(f"{folder / MANIFEST_NAME} is damaged: {fault}. Map the survey again")
     return record

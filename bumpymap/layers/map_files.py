@@ -4,8 +4,6 @@ A folder of layers may come from anybody. GDAL chooses a driver by what a file h
 are instructions to read other files or to fetch URLs. So rasters are opened by the GeoTIFF driver alone, without the
 files that GDAL looks for beside them. Vector files are read in a process whose GDAL has no drivers but those of their
 formats, under limits of time and memory.
-
-A folder on a server, such as ``s3://bucket/maps/site``, is uploaded whole, run.json last.
 """
 
 import math
@@ -77,14 +75,6 @@ def read_averaged(
 
     found: NDArray[Any] = file.read(1, window=window, out_shape=shape, resampling=Resampling.average)
     return found
-
-
-def _make_folder(files: Any, path: str) -> None:
-    """Make a folder and the one that it is in, where the file system has folders; never a bucket."""
-    parts = path.split("/")
-    for folder in ("/".join(parts[:-1]), path):
-        if "/" in folder.strip("/") and not files.exists(folder):
-            files.mkdir(folder, create_parents=False)
 
 
 _CLOSED = {

@@ -31,6 +31,7 @@ from bumpymap.core import (
 )
 from bumpymap.layers.manifest import read_manifest
 from bumpymap.layers.map_files import KeptRasters, read_averaged, require_written
+from bumpymap.layers.products import MapFile
 from bumpytiles import Grid, TileWindow
 
 if TYPE_CHECKING:
@@ -43,18 +44,18 @@ Coordinate = TypeVar("Coordinate", float, NDArray[np.float64])
 _BANDS = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle")
 
 _DTYPES = {
-    "barred.tif": "uint8",
-    "roughness.tif": "float32",
-    "cost.tif": "float32",
-    "heightmap.tif": "float32",
-    "obstacle.tif": "uint8",
-    "passage.tif": "uint8",
-    "class.tif": "uint8",
+    MapFile.BARRED: "uint8",
+    MapFile.ROUGHNESS: "float32",
+    MapFile.COST: "float32",
+    MapFile.HEIGHTMAP: "float32",
+    MapFile.OBSTACLE: "uint8",
+    MapFile.PASSAGE: "uint8",
+    MapFile.CLASS: "uint8",
 }
-_RASTERS = tuple(name for name in _DTYPES if name != "class.tif")
+_RASTERS = tuple(name for name in _DTYPES if name != MapFile.CLASS)
 """Rasters of a route; a comparison of surveys reads the classes too."""
 _VEHICLE = {"name": str, "width_m": Number(), "speed_mps": Number()}
-_PER_PIXEL = ("heightmap.tif", "obstacle.tif", "passage.tif")
+_PER_PIXEL = (MapFile.HEIGHTMAP, MapFile.OBSTACLE, MapFile.PASSAGE)
 CHECKED_BYTES = 64 << 20
 """The checksum of a larger raster, which takes a second for 1.4 GB, is compared when it is first read."""
 _OFF = 1e-3
@@ -143,17 +144,17 @@ class MapReader:
         part = common_window(window, self.window)
         if part is not None:
             place = _slices(window, part)
-            self._read_into([out["barred"][place]], "barred.tif", part)
+            self._read_into([out["barred"][place]], MapFile.BARRED, part)
             if classes:
-                self._read_into([out["class_id"][place]], "class.tif", part)
+                self._read_into([out["class_id"][place]], MapFile.CLASS, part)
             if bands:
-                self._read_into([out[band][place] for band in bands], "roughness.tif", part, bands)
+                self._read_into([out[band][place] for band in bands], MapFile.ROUGHNESS, part, bands)
         barred = out["barred"]
         if ((barred > max(Barred)) & (barred != NO_TILE)).any():
-            raise BadInputError(f"barred.tif of {self.folder} holds unknown codes. Map the survey again")
+            raise BadInputError(f"{self.folder / MapFile.BARRED} holds unknown codes. Map the survey again")
         for band in set(bands) & {"c_r", "c_r_high", "p_fail"}:
             if (out[band] < 0.0).any() or (band == "p_fail" and (out[band] > 1.0).any()):
-                raise BadInputError(f"roughness.tif of {self.folder} is damaged: {band}. Map the survey again")
+                raise BadInputError(f"{self.folder / MapFile.ROUGHNESS} is damaged: {band}. Map the survey again")
         return out
 
     def heights(self, window: TileWindow) -> NDArray[np.float32]:
@@ -180,14 +181,14 @@ class MapReader:
         BadInputError
             A file is missing or damaged.
         """
-        return self._pixels("heightmap.tif", window, np.full(shape, np.nan, np.float32))
+        return self._pixels(MapFile.HEIGHTMAP, window, np.full(shape, np.nan, np.float32))
 
     def objects(self, window: TileWindow) -> NDArray[np.uint8]:
         """Read what stands on the ground, uint8 (rows * pixels, cols * pixels).
 
         0 free, 1 obstacle, 2 canopy, 3 unknown; 255 outside the tiles with points.
         """
-        return self._pixels("obstacle.tif", window, np.full(self._shape(window), NO_TILE, np.uint8))
+        return self._pixels(MapFile.OBSTACLE, window, np.full(self._shape(window), NO_TILE, np.uint8))
 
     def passage(self, window: TileWindow) -> NDArray[np.bool_]:
         """Read where the middle of the vehicle can be, (rows * pixels, cols * pixels); nowhere outside the map."""
@@ -195,13 +196,13 @@ class MapReader:
 
     def passage_shown(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.bool_]:
         """Read `passage` in ``shape`` pixels that span a window; one of an overview is closed where one of four is."""
-        out = self._pixels("passage.tif", window, np.full(shape, NO_TILE, np.uint8))
+        out = self._pixels(MapFile.PASSAGE, window, np.full(shape, NO_TILE, np.uint8))
         return np.asarray((out > 0) & (out != NO_TILE))
 
     def _shape(self, window: TileWindow) -> tuple[int, int]:
         return window.rows * self.grid.pixels, window.cols * self.grid.pixels
 
-    def _pixels(self, raster: str, window: TileWindow, out: NDArray[Any]) -> NDArray[Any]:
+    def _pixels(self, raster: MapFile, window: TileWindow, out: NDArray[Any]) -> NDArray[Any]:
         """Fill those of the pixels that span a window which lie on the map."""
         rows, cols = out.shape[0] / window.rows, out.shape[1] / window.cols
         part = common_window(window, self.window)
@@ -215,7 +216,9 @@ class MapReader:
                 out[place] = self._read_pixels(raster, part, shape)
         return out
 
-    def _read_into(self, out: Sequence[NDArray[Any]], name: str, window: TileWindow, bands: Sequence[str] = ()) -> None:
+    def _read_into(
+        self, out: Sequence[NDArray[Any]], name: MapFile, window: TileWindow, bands: Sequence[str] = ()
+    ) -> None:
         """Read a window that lies inside the map into arrays, which may be parts of larger ones.
 
         Parameters
@@ -223,8 +226,7 @@ class MapReader:
         out : sequence of arrays
             One for each band, (rows * p, cols * p), north row first; p is the number of pixels along a tile in rasters
             of pixels, else 1.
-        name : str
-            Name of the raster.
+        name : MapFile
         window : TileWindow
         bands : sequence of str
             Names of the bands; none: the first.
@@ -244,7 +246,7 @@ class MapReader:
                 for array, values in zip(out, file.read(numbers, window=part), strict=True):
                     array[_moved(lines, top), _moved(columns, left)] = values
 
-    def _read_pixels(self, name: str, window: TileWindow, shape: tuple[int, int]) -> NDArray[Any]:
+    def _read_pixels(self, name: MapFile, window: TileWindow, shape: tuple[int, int]) -> NDArray[Any]:
         """Read a window of the map of a raster with several pixels a tile, in ``shape`` pixels.
 
         With fewer pixels than the file has they come from the overviews: numbers as means. For errors see `_read_into`.
@@ -262,13 +264,13 @@ class MapReader:
             found: NDArray[Any] = file.read(1, window=part, out_shape=shape)
             return found
 
-    def _place(self, name: str, window: TileWindow) -> tuple[int, int, int, int]:
+    def _place(self, name: MapFile, window: TileWindow) -> tuple[int, int, int, int]:
         """Return top, left, rows and columns of a window in a raster, pixels."""
         own, scale = self.window, self.grid.pixels if name in _PER_PIXEL else 1
         top = own.row + own.rows - window.row - window.rows
         return top * scale, (window.col - own.col) * scale, window.rows * scale, window.cols * scale
 
-    def _require_whole(self, name: str) -> None:
+    def _require_whole(self, name: MapFile) -> None:
         """Raise BadInputError if a raster whose checksum was not compared when the map was opened is damaged."""
         written = {str(file["path"]): file for file in self.manifest["files"]}
         if name in _RASTERS and int(written[name]["bytes"]) > CHECKED_BYTES:
@@ -396,15 +398,15 @@ def _moved(part: slice, by: int) -> slice:
 
 def _common_raster(folder: Path, grid: Grid, georeference: Georeference, rasters: KeptRasters) -> TileWindow:
     """Return the tiles that all rasters of a folder span. Raises BadInputError if they do not agree."""
-    windows = {name: _window_of(folder / name, grid, georeference, rasters) for name in _RASTERS}
+    windows = {name: _window_of(folder, name, grid, georeference, rasters) for name in _RASTERS}
     for name, window in windows.items():
         if window != windows[_RASTERS[0]]:
             raise BadInputError(f"{folder / name} spans other tiles than {folder / _RASTERS[0]}. {_AGAIN}")
     return windows[_RASTERS[0]]
 
 
-def _window_of(path: Path, grid: Grid, georeference: Georeference, rasters: KeptRasters) -> TileWindow:
-    pixels = grid.pixels if path.name in _PER_PIXEL else 1
+def _window_of(folder: Path, name: MapFile, grid: Grid, georeference: Georeference, rasters: KeptRasters) -> TileWindow:
+    path, pixels = folder / name, grid.pixels if name in _PER_PIXEL else 1
     tile = grid.tile_size / georeference.metres_per_unit
     with rasters.opened(path) as file:
         place, width, height = file.transform, file.width, file.height

@@ -1,10 +1,11 @@
-"""The files of a map: their names, and a check of the folder that they will be written to.
+"""The files of a map: where each lies in its folder, and a check of the folder that they will be written to.
 
 Nothing here needs GDAL or Arrow, whose import takes a fifth of a second: a run checks its folder before it reads.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from os.path import lexists
 from pathlib import Path
 from typing import Any
@@ -19,25 +20,22 @@ from bumpymap.core import (
     remove_empty_on_error,
     remove_path,
     write_together,
-    writing_to,
 )
-from bumpymap.layers.manifest import MANIFEST_NAME, SHEETS_FORMAT, describe_file, write_manifest
+from bumpymap.layers.manifest import MANIFEST_NAME, describe_file, write_manifest
 
 __all__ = [
     "CATALOG_NAME",
     "EVERY_NAME",
     "EVERY_VIEW_NAME",
-    "ITEM_NAME",
-    "NAMED_RASTERS",
     "OTHER_FILES",
     "PRODUCT_NAMES",
     "REPORT_NAME",
-    "SPEEDS_NAME",
-    "SPEEDS_STYLE_NAME",
     "VIEW_NAMES",
+    "MapFile",
     "OutputFolder",
     "check_folder",
-    "refuse_blocked",
+    "every_file",
+    "make_folder",
     "refuse_present",
     "require_folder",
 ]
@@ -49,21 +47,19 @@ def require_folder(out: Path) -> None:
         raise OutputError(f"cannot write to the folder {out}: it is a file. Choose another `out`")
 
 
-def refuse_blocked(folder: Path, names: Sequence[str]) -> None:
-    """Raise OutputError if one of some names is neither a file nor a link, so that it cannot be replaced."""
-    for name in names:
-        if lexists(folder / name) and not (folder / name).is_symlink() and not (folder / name).is_file():
-            raise OutputError(f"{folder / name} is not a file, so it cannot be replaced. Choose another `out`")
+def refuse_present(folder: Path, names: Sequence[str], *, overwrite: bool, whose: str = "") -> None:
+    """Raise OutputError if a folder holds some of the files and they must not, or cannot, be replaced.
 
-
-def refuse_present(folder: Path, names: Sequence[str], *, overwrite: bool) -> None:
-    """Raise OutputError if a folder holds some of the files and they must not, or cannot, be replaced."""
-    refuse_blocked(folder, names)
+    ``whose`` ends their list in the message.
+    """
     present = [name for name in names if lexists(folder / name)]
+    for path in (folder / name for name in present):
+        if not path.is_symlink() and not path.is_file():
+            raise OutputError(f"{path} is not a file, so it cannot be replaced. Choose another `out`")
     if present and not overwrite:
         raise OutputError(
-            f"{folder} already holds {', '.join(present)}. Choose another `out`, or pass `overwrite=True` to replace "
-            "them"
+            f"{folder} already holds {', '.join(present)}{whose}. Choose another `out`, or pass `overwrite=True` to "
+            "replace them"
         )
 
 
@@ -74,52 +70,80 @@ OTHER_FILES = frozenset(
     }
 )
 """Suffixes by which a user means a file, not a folder."""
-ITEM_NAME = "item.json"
-"""The map as a STAC item."""
 CATALOG_NAME = "catalog.json"
 """A STAC catalogue of the maps of many surveys."""
-PRODUCT_NAMES: tuple[str, ...] = (
-    "roughness.tif",
-    "class.tif",
-    "reason.tif",
-    "cost.tif",
-    "barred.tif",
-    "heightmap.tif",
-    "relief.tif",
-    "obstacle.tif",
-    "passage.tif",
-    "tiles.parquet",
-    "cost.geojson",
-    "cost.fgb",
-    ITEM_NAME,
-    MANIFEST_NAME,
-)
-"""Files of a run, which its manifest lists with their checksums."""
-SPEEDS_NAME = "speeds.tif"
-"""One more, of a run that was asked for other speeds."""
-EVERY_NAME = (*PRODUCT_NAMES[:-2], SPEEDS_NAME, *PRODUCT_NAMES[-2:])
-"""The files that a run may write, in their order."""
 REPORT_NAME = "report.html"
-"""The page of a map."""
-VIEW_NAMES: tuple[str, ...] = (
-    *(f"{Path(name).stem}.qml" for name in PRODUCT_NAMES if name.endswith((".tif", ".parquet"))),
-    "map.qgs",
-    REPORT_NAME,
+"""The page of a map, or of a comparison."""
+
+
+class MapFile(StrEnum):
+    """Where each file of a map lies in its folder; QGIS and GDAL look for styles and side files beside a layer."""
+
+    ROUGHNESS = "rasters/roughness.tif"
+    CLASS = "rasters/class.tif"
+    REASON = "rasters/reason.tif"
+    COST = "cost.tif"
+    BARRED = "rasters/barred.tif"
+    HEIGHTMAP = "rasters/heightmap.tif"
+    RELIEF = "rasters/relief.tif"
+    OBSTACLE = "rasters/obstacle.tif"
+    PASSAGE = "rasters/passage.tif"
+    TILES = "tiles.parquet"
+    REGIONS = "cost.geojson"
+    REGIONS_IN_CRS = "cost.fgb"
+    SPEEDS = "rasters/speeds.tif"
+    """Of a run that was asked for other speeds."""
+    ITEM = "item.json"
+    """The map as a STAC item."""
+    MANIFEST = MANIFEST_NAME
+    PROJECT = "map.qgs"
+    REPORT = REPORT_NAME
+
+
+EVERY_NAME: tuple[str, ...] = tuple(name for name in MapFile if name not in {MapFile.PROJECT, MapFile.REPORT})
+"""The files that a run may write, in their order; its manifest lists them with their checksums."""
+PRODUCT_NAMES = tuple(name for name in EVERY_NAME if name != MapFile.SPEEDS)
+"""Those that every run writes."""
+EVERY_VIEW_NAME: tuple[str, ...] = (
+    *(str(Path(name).with_suffix(".qml")) for name in MapFile if name.endswith((".tif", ".parquet"))),
+    MapFile.PROJECT,
+    MapFile.REPORT,
 )
 """Files to look at the others with: styles, a project, a page. GIS programs rewrite them, so they have no checksum."""
-SPEEDS_STYLE_NAME = SPEEDS_NAME.replace(".tif", ".qml")
-"""One more, of a run that was asked for other speeds."""
-EVERY_VIEW_NAME = (*VIEW_NAMES, SPEEDS_STYLE_NAME)
-"""The files to look at the others with that a run may write."""
-NAMED_RASTERS = ("class.tif", "reason.tif", "barred.tif", "obstacle.tif")
-"""Rasters with names, colours and counts of their values beside them, in ``class.tif.aux.xml`` and so on."""
+VIEW_NAMES = tuple(name for name in EVERY_VIEW_NAME if Path(name).stem != Path(MapFile.SPEEDS).stem)
+"""Those that every run writes."""
+
+
+def make_folder(folder: Path) -> None:
+    """Create a folder if it is missing, and find out whether files can be written there.
+
+    Half-written files of a killed run are removed; the caller holds the lock of the folder, so no other run is using
+    it.
+
+    Raises
+    ------
+    OutputError
+        The folder cannot be created or written.
+    """
+    require_folder(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / f".bumpymap-{uuid4().hex}"
+        probe.touch()
+        probe.unlink()
+        for left in folder.glob(f"{STAGED}*"):  # of a run that was killed
+            remove_path(left)
+    except OSError as error:
+        raise OutputError(
+            f"cannot write to the folder {folder}: {error.strerror or error}. "
+            "Choose one that can be written, with `out`"
+        ) from error
 
 
 def check_folder(folder: Path, *, overwrite: bool) -> None:
-    """Check that the files of a run can be written to a folder; create the folder if it is missing.
+    """Check that the files of a map can be written to a folder, which is made by `make_folder`.
 
-    Half-written files of a killed run are removed; the caller holds the lock of the folder, so no other run is using
-    it. A file that is a symbolic link will be replaced as a link; its target is not touched.
+    A file that is a symbolic link will be replaced as a link; its target is not touched.
 
     Parameters
     ----------
@@ -131,35 +155,21 @@ def check_folder(folder: Path, *, overwrite: bool) -> None:
     Raises
     ------
     OutputError
-        The folder cannot be created or written, or holds files that must not be replaced.
+        The folder cannot be created or written, holds files that must not be replaced, or a folder in it is a link.
     """
-    if folder.exists() and not folder.is_dir():
-        raise OutputError(f"cannot write to the folder {folder}: it is a file. Choose another `out`")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / f".bumpymap-{uuid4().hex}"
-        probe.touch()
-        probe.unlink()
-        for left in folder.glob(f"{STAGED}*"):  # of a run that was killed
-            remove_path(left)
-        present = [name for name in (*EVERY_NAME, *EVERY_VIEW_NAME) if lexists(folder / name)]
-    except OSError as error:
-        raise OutputError(
-            f"cannot write to the folder {folder}: {error.strerror or error}. "
-            "Choose one that can be written, with `out`"
-        ) from error
-    if (read_record(folder / MANIFEST_NAME) or {}).get("format") == SHEETS_FORMAT:
-        raise OutputError(
-            f"{folder} holds a map in sheets, which an earlier version wrote. Choose another `out`, or remove it"
-        )
-    refuse_blocked(folder, present)
-    finished = MANIFEST_NAME in present
-    if present and not overwrite:
-        unfinished = "" if finished else " of a run that did not end"
-        raise OutputError(
-            f"{folder} already holds {', '.join(present)}{unfinished}. Choose another `out`, "
-            "or pass `overwrite=True` to replace them"
-        )
+    make_folder(folder)
+    for part in sorted({(folder / name).parent for name in MapFile} - {folder}):
+        if lexists(part) and (part.is_symlink() or not part.is_dir()):
+            raise OutputError(f"{part} is a link or no folder, and was not touched. Remove it, or choose another `out`")
+    unfinished = "" if lexists(folder / MANIFEST_NAME) else " of a run that did not end"
+    refuse_present(folder, (*EVERY_NAME, *EVERY_VIEW_NAME), overwrite=overwrite, whose=unfinished)
+
+
+def every_file(folder: Path) -> list[str]:
+    """Return the files that a map may have left in a folder, relative to it; maps of version 1 had all at the top."""
+    names = [*EVERY_NAME, *EVERY_VIEW_NAME]
+    version = (read_record(folder / MANIFEST_NAME) or {}).get("version")
+    return names + [Path(name).name for name in names] if version == 1 else names
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,16 +230,11 @@ class OutputFolder:
             There are files that must not be replaced, or one cannot be written.
         """
         with remove_empty_on_error(out), locked(out):
-            check_folder(out, overwrite=True)
+            make_folder(out)
             refuse_present(out, self.names, overwrite=overwrite)
-            with write_together(out, self.manifest) as staged:
+            with write_together(out, self.manifest, self.names) as staged:
                 for name, write in writers.items():
                     write(staged / name)
                 files = [describe_file(staged / name) | {"path": name} for name in writers if name not in self.views]
                 write_manifest(describe(staged, files), staged / self.manifest)
-                made = {path.name for path in staged.iterdir()}
-            with writing_to(out):
-                for name in self.names:
-                    if name not in made and lexists(out / name):
-                        remove_path(out / name)
         return [out / name for name in (*writers, self.manifest)]

@@ -30,10 +30,11 @@ from bumpymap.core import (
     point_classes,
     remove_path,
     write_remedy,
+    write_together,
 )
 from bumpymap.layers.colours import CLASS_COLOURS
-from bumpymap.layers.manifest import describe_file, describe_input, software_versions, write_manifest
-from bumpymap.layers.products import EVERY_NAME, EVERY_VIEW_NAME, NAMED_RASTERS, check_folder
+from bumpymap.layers.manifest import MANIFEST_NAME, describe_file, describe_input, software_versions, write_manifest
+from bumpymap.layers.products import every_file, make_folder
 
 __all__ = [
     "ACCUMULATED_NAME",
@@ -360,7 +361,6 @@ SCAN_MANIFEST_NAME, SECTOR_TABLE_NAME, ACCUMULATED_NAME, MAP_FOLDER = (
 )
 _NAMES = (FRAME_FOLDER, SECTOR_TABLE_NAME, ACCUMULATED_NAME, MAP_FOLDER, SCAN_MANIFEST_NAME)
 _SYNCED_AT_A_TIME = 8
-_SIDE = tuple(f"{name}.aux.xml" for name in NAMED_RASTERS)
 
 
 def check_scan_folder(folder: Path, inputs: Iterable[Path] = (), *, overwrite: bool, unfinished: bool = False) -> None:
@@ -389,7 +389,7 @@ def check_scan_folder(folder: Path, inputs: Iterable[Path] = (), *, overwrite: b
     inside = next((path for path in inputs if taken in path.resolve().parents), None)
     if inside is not None:
         raise OutputError(f"{inside} is an input of this run, and the output would replace it. Choose another `out`")
-    check_folder(folder, overwrite=True)
+    make_folder(folder)
     present = [name for name in _NAMES if lexists(folder / name)]
     if present and not (overwrite or unfinished):
         raise OutputError(
@@ -414,8 +414,8 @@ def remove_stale_products(folder: Path, kept: Sequence[str]) -> None:
         if name in kept or not lexists(folder / name):
             continue
         if name == MAP_FOLDER and not (folder / name).is_symlink():
-            for layer in (*EVERY_NAME, *EVERY_VIEW_NAME, *_SIDE):
-                (folder / name / layer).unlink(missing_ok=True)
+            with write_together(folder / name, MANIFEST_NAME, every_file(folder / name)):
+                pass  # none of these files is written again
             with suppress(OSError):  # a folder with other files in it stays
                 (folder / name).rmdir()
         else:

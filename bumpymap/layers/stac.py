@@ -14,10 +14,9 @@ import shapely
 from pyproj import CRS
 
 from bumpymap.core import BadInputError, Georeference, OutputError, atomic, stated_crs
-from bumpymap.layers.manifest import MANIFEST_NAME
 from bumpymap.layers.map_files import open_layer
 from bumpymap.layers.placement import Placement
-from bumpymap.layers.products import CATALOG_NAME, EVERY_NAME, EVERY_VIEW_NAME, ITEM_NAME
+from bumpymap.layers.products import CATALOG_NAME, EVERY_NAME, EVERY_VIEW_NAME, MapFile
 from bumpymap.layers.vector import BoundingBox, polygons_in_wgs84, wgs84_transformer
 from bumpytiles import Grid, TileWindow
 
@@ -38,17 +37,17 @@ _TYPES = {
     ".xml": "application/xml",
 }
 _TITLES = {
-    "tiles.parquet": "all values of each tile",
-    "cost.geojson": "regions of one class, with their cost",
-    "cost.fgb": "regions of one class, with their cost, in the CRS of the survey",
-    "run.json": "inputs, settings, versions and checksums of the run",
-    "report.html": "the map as a page",
-    "map.qgs": "all layers as a project of QGIS",
+    MapFile.TILES: "all values of each tile",
+    MapFile.REGIONS: "regions of one class, with their cost",
+    MapFile.REGIONS_IN_CRS: "regions of one class, with their cost, in the CRS of the survey",
+    MapFile.MANIFEST: "inputs, settings, versions and checksums of the run",
+    MapFile.REPORT: "the map as a page",
+    MapFile.PROJECT: "all layers as a project of QGIS",
     ".qml": "style of the layer, for QGIS",
     ".xml": "names of the values, for GDAL",
 }
 _OVERVIEWS = (".html", ".qgs")
-_WITH_HEIGHTS = ("heightmap.tif", "relief.tif", "tiles.parquet")
+_WITH_HEIGHTS = (MapFile.HEIGHTMAP, MapFile.RELIEF, MapFile.TILES)
 """Files in the survey's CRS with its vertical part."""
 
 
@@ -72,7 +71,7 @@ def describe_assets(folder: Path, record: Mapping[str, Any]) -> dict[str, dict[s
         asset |= vertical if name in _WITH_HEIGHTS else {}
         if name in known:
             asset |= {"file:size": known[name]["bytes"], "file:checksum": f"{_SHA256}{known[name]['sha256']}"}
-        assets[name] = asset
+        assets[Path(name).name] = asset
     return assets
 
 
@@ -96,9 +95,9 @@ def describe_grid(path: Path) -> dict[str, Any]:
 
 def _names(folder: Path, known: Mapping[str, Any]) -> list[str]:
     """Return the names of the files of a folder in a lasting order; run.json will be there."""
-    layers = [name for name in EVERY_NAME if name in known and name != ITEM_NAME]
+    layers = [name for name in EVERY_NAME if name in known and name != MapFile.ITEM]
     sides = [f"{name}.aux.xml" for name in layers]
-    return [*layers, MANIFEST_NAME, *(name for name in (*EVERY_VIEW_NAME, *sides) if (folder / name).is_file())]
+    return [*layers, MapFile.MANIFEST, *(name for name in (*EVERY_VIEW_NAME, *sides) if (folder / name).is_file())]
 
 
 def _raster(path: Path, record: Mapping[str, Any]) -> dict[str, Any]:
@@ -169,8 +168,9 @@ def write_catalog(root: Path, folders: Sequence[str], *, title: str) -> None:
     place = root / CATALOG_NAME
     if lexists(place) and (place.is_symlink() or not place.is_file()):
         raise OutputError(f"{place} is a link or no file, and was not touched. Remove it")
-    complete = [each for each in folders if all((root / each / file).is_file() for file in (ITEM_NAME, MANIFEST_NAME))]
-    items = [_link("item", f"./{_quoted(each)}/{ITEM_NAME}", each) for each in complete]
+    needed = MapFile.ITEM, MapFile.MANIFEST
+    complete = [each for each in folders if all((root / each / name).is_file() for name in needed)]
+    items = [_link("item", f"./{_quoted(each)}/{MapFile.ITEM}", each) for each in complete]
     name = valid_text(title)
     document = {
         "type": "Catalog",
@@ -197,8 +197,6 @@ def _link(rel: str, href: str, title: str) -> dict[str, Any]:
 
 _EXTENSIONS = ("projection/v2.0.0", "file/v2.1.0", "processing/v1.1.0")
 _SCHEMA = "https://stac-extensions.github.io/{}/schema.json"
-_TILES = "class.tif"
-"""A raster with one pixel for each tile."""
 _DIGITS = 8
 """Of the checksum of a survey in an id."""
 _ANY_TIME = ("1970-01-01", "2099-12-31")
@@ -226,7 +224,7 @@ def write_item(folder: Path, record: Mapping[str, Any]) -> None:
     name = valid_text(str(_survey(record).get("name") or min((path.stem for path in paths), default="map")))
     # What tells surveys of one name apart.
     digits = str(_survey(record).get("checksum") or "").rpartition(":")[2][:_DIGITS]
-    grid = describe_grid(folder / _TILES)
+    grid = describe_grid(folder / MapFile.CLASS)  # one pixel for each tile
     crs = None if record["crs"] is None else stated_crs(record["crs"]["wkt"])
     unit, tile = record["metres_per_unit"]["horizontal"], record["grid"]["tile_size_m"]
     (rows, cols), (_, _, west, _, _, north, *_) = grid["proj:shape"], grid["proj:transform"]
@@ -254,7 +252,7 @@ def write_item(folder: Path, record: Mapping[str, Any]) -> None:
         "links": [],
         "assets": describe_assets(folder, record),
     }
-    write_document(item, folder / ITEM_NAME)
+    write_document(item, folder / MapFile.ITEM)
 
 
 def _description(record: Mapping[str, Any]) -> str:

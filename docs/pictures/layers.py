@@ -21,15 +21,15 @@ from bumpymap.core.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, Reason
 
 def draw(folder: Path, picture: Path) -> None:
     """Draw four layers of the run in ``folder``."""
-    with rasterio.open(folder / "heightmap.tif") as raster:
+    with rasterio.open(folder / "rasters/heightmap.tif") as raster:
         heights, step = raster.read(1), raster.transform.a
         box = raster.bounds
-    with rasterio.open(folder / "class.tif") as raster:
+    with rasterio.open(folder / "rasters/class.tif") as raster:
         class_id = raster.read(1)
         colours = [tuple(c / 255 for c in raster.colormap(1)[k]) for k in range(4)]
-    with rasterio.open(folder / "reason.tif") as raster:
+    with rasterio.open(folder / "rasters/reason.tif") as raster:
         reason, palette = raster.read(1, masked=True), raster.colormap(1)
-    with rasterio.open(folder / "roughness.tif") as raster:
+    with rasterio.open(folder / "rasters/roughness.tif") as raster:
         c_r = raster.read(raster.descriptions.index("c_r") + 1)
     extent = (0, box.right - box.left, 0, box.top - box.bottom)
     wide = extent[1] > 1.2 * extent[3]

@@ -116,7 +116,7 @@ def test_a_drive_for_machines(scan, tmp_path):
     assert record["frames"] == 2
     assert record["points"] == sum(record["points_by_class"].values())
     assert record["files"] == ["frames", "sectors.parquet", "gathered.laz", "scan.json"]
-    assert Path(record["map"][0]).parent == tmp_path / "out" / "map"
+    assert Path(record["map"][0]) == tmp_path / "out" / "map" / "rasters" / "roughness.tif"
     names = {path.split("/")[0] for path in out_files(tmp_path)}
     assert names == {"frames", "gathered.laz", "map", "scan.json", "sectors.parquet"}
     assert [path for path in out_files(tmp_path) if path.startswith("frames")] == ["frames/10.ply", "frames/2.ply"]

@@ -8,10 +8,18 @@ from pyproj import CRS
 from bumpymap.cli import main
 from bumpymap.layers.products import PRODUCT_NAMES
 
+SIDES = tuple(f"rasters/{name}.tif.aux.xml" for name in ("barred", "class", "obstacle", "reason"))
+"""Files of a map that GDAL looks for: names, colours and counts of the values of a raster."""
+
 
 def run(*arguments):
     """Call bumpymap with words, paths and numbers."""
     return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def files_in(folder):
+    """Bytes of every file in a folder and in those in it, by its path there."""
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def layers_of(folder):

@@ -12,7 +12,10 @@ from corpus.runner import Runner
 
 pytestmark = pytest.mark.slow
 
-LAYERS = ("roughness.tif", "class.tif", "cost.tif", "heightmap.tif", "tiles.parquet", "cost.geojson", "cost.fgb")
+LAYERS = (
+    *("rasters/roughness.tif", "rasters/class.tif", "cost.tif", "rasters/heightmap.tif"),
+    *("tiles.parquet", "cost.geojson", "cost.fgb"),
+)
 BAD = (
     "foreign-lfs_pointer.laz",
     "foreign-empty.laz",

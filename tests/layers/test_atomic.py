@@ -2,6 +2,7 @@ import os
 import resource
 from contextlib import contextmanager, nullcontext
 from itertools import count
+from pathlib import Path
 
 import pytest
 from region_files import regions_of, write_flatgeobuf, write_geojson
@@ -10,6 +11,7 @@ from bumpymap.core.errors import OutputError
 from bumpymap.core.files import atomic, write_together
 from bumpymap.core.types import CostTable
 from bumpymap.layers.geotiff import write_raster
+from bumpymap.layers.products import MapFile
 from bumpymap.layers.tile_table import write_tiles
 
 
@@ -59,8 +61,8 @@ def test_side_file_moves_along_and_a_stale_one_goes(tmp_path):
 
 WRITERS = {
     **{
-        name: lambda cost_map, path, name=name: write_raster(name, CostTable.of(cost_map), path)
-        for name in ("roughness.tif", "class.tif", "heightmap.tif", "relief.tif")
+        Path(file).name: lambda cost_map, path, file=file: write_raster(file, CostTable.of(cost_map), path)
+        for file in (MapFile.ROUGHNESS, MapFile.CLASS, MapFile.HEIGHTMAP, MapFile.RELIEF)
     },
     "tiles.parquet": lambda cost_map, path: write_tiles(CostTable.of(cost_map), path),
     "cost.geojson": lambda cost_map, path: write_geojson(regions_of(cost_map), path, local=False),
@@ -88,16 +90,21 @@ def test_full_disk_is_an_error_and_leaves_nothing(tmp_path, make_field, monkeypa
     assert names(tmp_path) == []
 
 
-OLD = {"a.tif": "old a", "a.tif.aux.xml": "old side", "b.tif": "old b", "run.json": "old run", "notes.txt": "mine"}
+MINE = {"notes.txt": "mine", "in/notes.txt": "mine"}
+OLD = MINE | {"a.tif": "old a", "a.tif.aux.xml": "old side", "b.tif": "old b", "run.json": "old run"}
+OLD |= {"in/a.tif": "old a", "in/gone.tif": "old", "in/gone.tif.aux.xml": "old side"}
 NEW = {"a.tif": "new a", "b.tif": "new b", "b.tif.aux.xml": "new side", "c.tif": "new c", "run.json": "new run"}
+NEW |= {"in/a.tif": "new a", "in/c.tif": "new c"}
+EARLIER = ("a.tif", "in/a.tif", "in/c.tif", "in/gone.tif")
 
 
 def content(folder):
-    return {path.name: path.read_text() for path in folder.iterdir()}
+    return {path.relative_to(folder).as_posix(): path.read_text() for path in folder.rglob("*") if path.is_file()}
 
 
 def write_all(folder, files):
     for name, text in files.items():
+        (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text(text)
 
 
@@ -105,29 +112,45 @@ def test_files_appear_together_and_the_last_one_last(tmp_path, monkeypatch):
     write_all(tmp_path, OLD)
     moved = []
     replace = os.replace
-    monkeypatch.setattr("os.replace", lambda source, target: (moved.append(target), replace(source, target)))
-    with write_together(tmp_path, "run.json") as staged:
+
+    def move(source, target, **folders):
+        moved.append((source, target))
+        replace(source, target, **folders)
+
+    monkeypatch.setattr("os.replace", move)
+    with write_together(tmp_path, "run.json", EARLIER) as staged:
         write_all(staged, NEW)
         assert {name: (tmp_path / name).read_text() for name in OLD} == OLD
-    assert content(tmp_path) == {"notes.txt": "mine", **NEW}
-    assert moved[0].name == "run.json"
-    assert moved[0].parent != tmp_path
-    assert moved[-1] == tmp_path / "run.json"
+    assert content(tmp_path) == MINE | NEW
+    assert moved[0][0] == moved[-1][1] == "run.json"
+
+
+@pytest.mark.parametrize("new", [NEW, {}])
+def test_a_link_in_place_of_a_folder_is_not_followed(tmp_path, new):
+    """Neither to write files there, nor to remove those of an earlier run."""
+    out, mine = tmp_path / "out", tmp_path / "mine"
+    write_all(tmp_path, {"mine/a.tif": "mine", "out/run.json": "old run"})
+    (out / "in").symlink_to(mine)
+    with pytest.raises(OutputError, match="Nothing was replaced"), write_together(out, "run.json", EARLIER) as staged:
+        write_all(staged, new)
+    assert content(mine) == {"a.tif": "mine"}
+    assert (out / "run.json").read_text() == "old run"
+    assert (out / "in").readlink() == mine
 
 
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
 def test_a_move_that_fails_brings_the_old_files_back(tmp_path, monkeypatch, error):
     write_all(tmp_path, OLD)
-    replace, moves = os.replace, len(OLD) - 1 + len(NEW)
+    replace, moves = os.replace, len(OLD) - len(MINE) + len(NEW)
     for number in range(moves + 1):
 
-        def move(source, target, number=number, calls=count()):  # noqa: B008 (one for each number)
+        def move(source, target, number=number, calls=count(), **folders):  # noqa: B008 (one for each number)
             if next(calls) == number:
                 raise error
-            replace(source, target)
+            replace(source, target, **folders)
 
         monkeypatch.setattr("os.replace", move)
         caught = pytest.raises((OutputError, KeyboardInterrupt), match=r"^$|Nothing was replaced")
-        with caught if number < moves else nullcontext(), write_together(tmp_path, "run.json") as staged:
+        with caught if number < moves else nullcontext(), write_together(tmp_path, "run.json", EARLIER) as staged:
             write_all(staged, NEW)
-        assert content(tmp_path) == (OLD if number < moves else {"notes.txt": "mine", **NEW})
+        assert content(tmp_path) == (OLD if number < moves else MINE | NEW)

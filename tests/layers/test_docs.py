@@ -62,7 +62,7 @@ def test_tables_say_what_the_code_writes(page):
 
 
 def test_the_page_about_gis_names_each_style_and_layer():
-    rows = re.findall(r"^\| `(\w+\.qml)` \| (.+?) \|", (PAGES / "gis.md").read_text(encoding="utf-8"), re.MULTILINE)
+    rows = re.findall(r"^\| `([\w/]+\.qml)` \| (.+?) \|", (PAGES / "gis.md").read_text(encoding="utf-8"), re.MULTILINE)
     assert {style for style, _ in rows} >= {name for name in VIEW_NAMES if name.endswith(".qml")}
     assert all(
         Path(layer).stem == Path(style).stem for style, layers in rows for layer in re.findall("`(.+?)`", layers)

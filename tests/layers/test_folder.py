@@ -9,17 +9,22 @@ import pyogrio
 import pytest
 import rasterio
 from cost_maps import part_of
+from small_surveys import SIDES, files_in
 
 from bumpymap.core import SilentProgress
 from bumpymap.core.errors import BadInputError, OutputError
 from bumpymap.core.types import CostTable, Georeference
 from bumpymap.layers import check_extent, check_folder, software_versions, write_products
 from bumpymap.layers.placement import MAX_TILES
-from bumpymap.layers.products import NAMED_RASTERS, PRODUCT_NAMES, VIEW_NAMES
+from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.views import write_map_views
 from bumpytiles import Grid, TileWindow
 
-SIDES = tuple(f"{name}.aux.xml" for name in NAMED_RASTERS)
+TOP = {
+    *("report.html", "map.qgs", "cost.tif", "cost.qml", "cost.geojson", "cost.fgb", "tiles.parquet", "tiles.qml"),
+    *("run.json", "item.json", "rasters"),
+}
+"""What a newcomer finds when he opens the folder of a map: at most a dozen entries."""
 RUN = {"calibration": {"id": "c0ffee", "vehicle": "warthog"}, "model": "m1", "seconds": {"read": 1.5}}
 
 
@@ -30,32 +35,33 @@ def write(cost_map, folder, *, local=False, manifest=RUN, progress=None):
 
 
 def hashes(folder):
-    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir()}
+    return {name: hashlib.sha256(content).hexdigest() for name, content in files_in(folder).items()}
 
 
 def test_all_files_of_a_run(tmp_path, cost_map):
     paths, summary = write(cost_map, tmp_path)
     assert summary.tiles == len(cost_map.class_id)
-    assert [path.name for path in paths] == [*PRODUCT_NAMES, *VIEW_NAMES]
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*PRODUCT_NAMES, *VIEW_NAMES, *SIDES])
+    assert paths == [tmp_path / name for name in (*PRODUCT_NAMES, *VIEW_NAMES)]
+    assert {path.name for path in tmp_path.iterdir()} == TOP
     record = json.loads((tmp_path / "run.json").read_text())
     found = hashes(tmp_path)
+    assert set(found) == {*PRODUCT_NAMES, *VIEW_NAMES, *SIDES}
     assert {entry["path"]: entry["sha256"] for entry in record["files"]} == {
         name: found[name] for name in PRODUCT_NAMES if name != "run.json"
     }
     assert record["seconds"]["read"] == 1.5
     assert record["seconds"]["write"] > 0
     assert record["counts"]["tiles"] == len(cost_map.class_id)
-    newest = max(tmp_path.iterdir(), key=lambda path: path.stat().st_mtime_ns)
-    assert newest.name == "run.json"
+    newest = max(found, key=lambda name: (tmp_path / name).stat().st_mtime_ns)
+    assert newest == "run.json"
 
 
 def said_by_layers(folder):
     """Metadata of every layer, as texts."""
     found = {}
-    for path in folder.glob("*.tif"):
+    for path in folder.rglob("*.tif"):
         with rasterio.open(path) as file:
-            found[path.name] = file.tags()
+            found[path.relative_to(folder).as_posix()] = file.tags()
     schema = pq.read_schema(folder / "tiles.parquet").metadata
     found["tiles.parquet"] = {key.decode(): value.decode() for key, value in schema.items()}
     found["cost.fgb"] = pyogrio.read_info(folder / "cost.fgb")["layer_metadata"]
@@ -120,15 +126,46 @@ def test_scratch_of_a_killed_run_goes_and_nothing_else(tmp_path):
     assert sorted(tmp_path.iterdir()) == sorted(mine)
 
 
-@pytest.mark.parametrize("name", ["run.json", "class.tif", "map.qgs", "class.qml"])
+@pytest.mark.parametrize("name", ["run.json", "rasters/class.tif", "map.qgs", "rasters/class.qml"])
 def test_products_of_a_run_are_not_overwritten_unasked(tmp_path, name):
     (tmp_path / "notes.txt").write_text("not ours")
     check_folder(tmp_path, overwrite=False)
+    (tmp_path / name).parent.mkdir(exist_ok=True)
     (tmp_path / name).write_text("ours")
     with pytest.raises(OutputError, match=f"already holds {name}.*`overwrite=True`"):
         check_folder(tmp_path, overwrite=False)
     check_folder(tmp_path, overwrite=True)
     assert (tmp_path / name).read_text() == "ours"
+
+
+def test_a_map_of_the_first_version_is_replaced_whole(tmp_path, cost_map):
+    """It had all files at the top; a file that is not its own stays."""
+    paths, _ = write(cost_map, tmp_path)
+    whole = files_in(tmp_path)
+    for path in paths[0].parent.iterdir():
+        path.rename(tmp_path / path.name)
+    record = json.loads((tmp_path / "run.json").read_text()) | {"version": 1}
+    (tmp_path / "run.json").write_text(json.dumps(record))
+    (tmp_path / "rasters" / "mine.tif").write_text("mine")
+    check_folder(tmp_path, overwrite=True)
+    write(cost_map, tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == TOP
+    assert set(files_in(tmp_path)) == {*whole, "rasters/mine.tif"}
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_folder_of_rasters_that_is_a_link_is_refused(tmp_path, cost_map, overwrite):
+    out, mine = tmp_path / "out", tmp_path / "mine"
+    for folder in (out, mine):
+        folder.mkdir()
+    (mine / "class.tif").write_text("mine")
+    (out / "rasters").symlink_to(mine)
+    with pytest.raises(OutputError, match="rasters is a link or no folder, and was not touched"):
+        check_folder(out, overwrite=overwrite)
+    with pytest.raises(OutputError, match="Nothing was replaced"):  # one that was put there later
+        write(cost_map, out)
+    assert files_in(mine) == {"class.tif": b"mine"}
+    assert [path.name for path in out.iterdir()] == ["rasters"]
 
 
 def test_no_crs_is_refused_before_any_file(tmp_path, make_field):

@@ -1,6 +1,7 @@
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -31,11 +32,13 @@ from bumpymap.layers import _cog
 from bumpymap.layers._cog import checksum, require_intact
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS
 from bumpymap.layers.geotiff import write_raster
+from bumpymap.layers.products import MapFile
 from bumpytiles import Grid
 
 WRITERS = {
-    name: lambda cost_map, *rest, file=f"{name}.tif": write_raster(file, CostTable.of(cost_map), *rest)
-    for name in ("roughness", "class", "reason", "cost", "barred", "obstacle", "heightmap", "relief")
+    Path(file).stem: lambda cost_map, *rest, file=file: write_raster(file, CostTable.of(cost_map), *rest)
+    for file in MapFile
+    if file.endswith(".tif") and file not in {MapFile.PASSAGE, MapFile.SPEEDS}
 }
 WEIGHTS = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
 US_FOOT = 1200 / 3937
@@ -133,7 +136,7 @@ def test_obstacles_are_pixels_of_the_tiles(cost_map, tmp_path):
     share = np.mean(objects == OBSTACLE, axis=(1, 2)).astype(np.float32)
     share[5] = np.nan  # its free pixels are not known to be free
     stack = ObjectStack(objects, share, share, share, share)
-    write_raster("obstacle.tif", CostTable.of(replace(cost_map, objects=stack)), tmp_path / "obstacle.tif")
+    write_raster(MapFile.OBSTACLE, CostTable.of(replace(cost_map, objects=stack)), tmp_path / "obstacle.tif")
     expected = np.where(objects == UNSEEN, 3, objects)
     expected[5] = np.where(objects[5] == FREE, 3, expected[5])
     found, rest = of_tiles(tmp_path / "obstacle.tif", cost_map)
@@ -298,7 +301,7 @@ def test_threads_do_not_change_the_bytes(tmp_path, make_field, monkeypatch):
 
 def test_the_cache_of_the_process_changes_only_for_the_thread_that_may_write(tmp_path, make_field):
     """A smaller limit makes GDAL flush blocks at once, also those that another thread has not finished."""
-    write, path = partial(write_raster, "class.tif", CostTable.of(make_field(9, 9))), tmp_path / "class.tif"
+    write, path = partial(write_raster, MapFile.CLASS, CostTable.of(make_field(9, 9))), tmp_path / "class.tif"
     write(path)
     path.unlink()
     before = get_gdal_config("GDAL_CACHEMAX")

@@ -126,7 +126,7 @@ PLANTS = [
 def test_a_folder_of_layers_leads_nowhere_else(one, server, tmp_path, plant, read):
     url, asked = server
     folder = copytree(one, tmp_path / "map")
-    for name in ("heightmap.tif", "class.tif", "obstacle.tif"):
+    for name in ("rasters/heightmap.tif", "rasters/class.tif", "rasters/obstacle.tif"):
         plant(folder / name, f"/vsicurl/{url}/{tmp_path.name}/{name}")
     list_anew(folder)
     with nullcontext() if plant is beside else pytest.raises(BadInputError, match=str(folder)):
@@ -160,7 +160,7 @@ def test_a_crs_that_leads_elsewhere_is_refused(one, tmp_path, read):
         read(folder, tmp_path)
 
 
-@pytest.mark.parametrize(("name", "read"), [("class.tif", dataset), ("roughness.tif", export)])
+@pytest.mark.parametrize(("name", "read"), [("rasters/class.tif", dataset), ("rasters/roughness.tif", export)])
 def test_a_layer_that_does_not_fit_is_refused(one, tmp_path, name, read):
     """It lies elsewhere than the others, or the names of its bands are no text."""
     folder = copytree(one, tmp_path / "map")
@@ -178,7 +178,7 @@ def test_a_layer_that_does_not_fit_is_refused(one, tmp_path, name, read):
 def test_values_that_cannot_be_are_refused(one, tmp_path, band, value):
     """A way would be led over them: they would make it cheaper."""
     folder = copytree(one, tmp_path / "map")
-    with rasterio.open(folder / "roughness.tif", "r+", IGNORE_COG_LAYOUT_BREAK="YES") as file:
+    with rasterio.open(folder / "rasters/roughness.tif", "r+", IGNORE_COG_LAYOUT_BREAK="YES") as file:
         number = file.descriptions.index(band) + 1
         file.write(np.full(file.shape, value, np.float32), number)
     list_anew(folder)
@@ -196,8 +196,8 @@ def damage(path):
 @pytest.mark.parametrize(
     ("name", "read"),
     [
-        *(("class.tif", read) for read in (report, dataset, diff)),
-        *(("heightmap.tif", read) for read in (report, dataset, diff, check)),
+        *(("rasters/class.tif", read) for read in (report, dataset, diff)),
+        *(("rasters/heightmap.tif", read) for read in (report, dataset, diff, check)),
         ("tiles.parquet", report),
     ],
 )
@@ -211,7 +211,7 @@ def test_a_layer_that_is_not_the_one_of_the_manifest_is_refused(one, tmp_path, n
 def test_a_large_raster_is_held_against_its_checksum_when_it_is_read(one, tmp_path, monkeypatch):
     monkeypatch.setattr("bumpymap.layers.map_reader.CHECKED_BYTES", 100)
     folder = copytree(one, tmp_path / "map")
-    damage(folder / "heightmap.tif")
+    damage(folder / "rasters/heightmap.tif")
     site = open_map(folder)
     assert site.read(site.window).window == site.window
     for read in (lambda: site.heights(site.window), lambda: site.relief(site.window, (5, 6))):

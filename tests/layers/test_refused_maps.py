@@ -5,8 +5,8 @@ import json
 import pytest
 from route_maps import copy_folder, write_folder
 
-from bumpymap.core import BadInputError, OutputError
-from bumpymap.layers import check_folder, open_map
+from bumpymap.core import BadInputError
+from bumpymap.layers import open_map
 from bumpytiles import Grid
 
 SMALL = Grid(3.0, 4)
@@ -26,7 +26,7 @@ def test_what_is_no_complete_run_is_refused(small, tmp_path):
         open_map(half)
 
 
-@pytest.mark.parametrize("name", ["cost.tif", "heightmap.tif"])
+@pytest.mark.parametrize("name", ["cost.tif", "rasters/heightmap.tif"])
 def test_missing_cut_off_and_damaged_files_are_refused(small, tmp_path, name):
     folder = copy_folder(small, tmp_path / "layers")
     path = folder / name
@@ -38,7 +38,7 @@ def test_missing_cut_off_and_damaged_files_are_refused(small, tmp_path, name):
     with pytest.raises(BadInputError, match=f"{name} is missing"):
         open_map(folder)
     path.write_bytes(content[:-400] + bytes(400))
-    if name == "heightmap.tif":  # compared by size only
+    if name == "rasters/heightmap.tif":  # compared by size only
         return
     with pytest.raises(BadInputError, match=f"{name} is damaged"):
         open_map(folder)
@@ -68,12 +68,17 @@ def test_a_damaged_manifest_is_refused(small, tmp_path, key):
         open_map(folder)
 
 
-def test_a_map_in_sheets_of_an_earlier_version_is_refused(small, tmp_path):
+def test_a_map_in_sheets_of_an_earlier_version_is_refused(tmp_path):
     (tmp_path / "county" / "sheets").mkdir(parents=True)
-    folder = copy_folder(small, tmp_path / "county" / "sheets" / "e0001_n0002", sheet={"name": "e0001_n0002"})
     (tmp_path / "county" / "run.json").write_text(json.dumps({"format": "bumpymap-sheets", "sheets": []}))
-    with pytest.raises(BadInputError, match=r"holds a map in sheets.*Give one of the folders in .*county/sheets"):
+    with pytest.raises(BadInputError, match=r"county holds a map of another version.*Map the survey again"):
         open_map(tmp_path / "county")
-    with pytest.raises(OutputError, match=r"holds a map in sheets.*Choose another `out`"):
-        check_folder(tmp_path / "county", overwrite=True)
-    assert open_map(folder).window == open_map(small).window
+
+
+def test_a_map_of_the_first_version_is_refused(small, tmp_path):
+    """It had all files at the top."""
+    folder = copy_folder(small, tmp_path / "layers", version=1)
+    for path in (folder / "rasters").iterdir():
+        path.rename(folder / path.name)
+    with pytest.raises(BadInputError, match=r"layers holds a map of another version.*other places.*again"):
+        open_map(folder)

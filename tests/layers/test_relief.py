@@ -10,6 +10,7 @@ from cost_maps import make_field, part_of
 from bumpymap.core.types import CostTable
 from bumpymap.layers import geotiff
 from bumpymap.layers.geotiff import write_raster
+from bumpymap.layers.products import MapFile
 from bumpytiles import Grid
 
 
@@ -24,7 +25,7 @@ def thin(cost_map, share, seed=1):
 
 
 def written(cost_map, path, **options):
-    write_raster("relief.tif", CostTable.of(cost_map), path, **options)
+    write_raster(MapFile.RELIEF, CostTable.of(cost_map), path, **options)
     with rasterio.open(path) as file:
         return file.read(1)
 

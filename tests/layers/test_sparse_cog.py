@@ -28,7 +28,7 @@ def files(make_map, tmp_path_factory):
         for writer in ("sparse", "gdal"):
             (folder / writer).mkdir()
             for name in ("heightmap.tif", "obstacle.tif"):
-                write_raster(name, table, folder / writer / name, {"vehicle": "warthog"})
+                write_raster(f"rasters/{name}", table, folder / writer / name, {"vehicle": "warthog"})
             patch.setattr("bumpymap.layers.geotiff._SPARSE", 0.0)
     return {name: (folder / "sparse" / name, folder / "gdal" / name) for name in ("heightmap.tif", "obstacle.tif")}
 

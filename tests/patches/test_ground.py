@@ -77,15 +77,15 @@ def mapped(wood, tmp_path_factory):
 
 
 def ratings(folder):
-    with rasterio.open(folder / "class.tif") as raster:
+    with rasterio.open(folder / "rasters/class.tif") as raster:
         class_id = raster.read(1)
-    with rasterio.open(folder / "roughness.tif") as raster:
+    with rasterio.open(folder / "rasters/roughness.tif") as raster:
         return class_id, raster.read(raster.descriptions.index("c_r") + 1)
 
 
 def standing(folder):
     """Where obstacles are, by tile and pixel."""
-    with rasterio.open(folder / "obstacle.tif") as raster:
+    with rasterio.open(folder / "rasters/obstacle.tif") as raster:
         pixels = raster.read(1) == OBSTACLE
     return pixels.reshape(len(pixels) // 15, 15, -1, 15).swapaxes(1, 2)
 
@@ -105,7 +105,7 @@ def test_the_map_under_trees_is_that_of_the_ground_alone(wood, mapped):
     np.testing.assert_allclose(c_r[bare], wanted_c_r[bare], rtol=5e-3)  # the noise of thin tiles is that of all
     assert set(np.unique(wanted)) >= {0, 2}  # nothing would be held were it all of one class
     # Crowns are part of the relief where nobody takes them away: what stands out of it bars the way.
-    with rasterio.open(mapped / "everything" / "barred.tif") as raster:
+    with rasterio.open(mapped / "everything" / "rasters/barred.tif") as raster:
         assert (raster.read(1)[:, 4:8] != Barred.NO).all()
     assert standing(mapped / "everything")[:, 4:8].mean() > 0.5
     assert (wanted[:, 4:8] == 0).all()
@@ -203,7 +203,7 @@ def test_a_boulder_goes_as_a_tree_does_and_is_an_obstacle(tmp_path):
         class_id[ground] = ratings(tmp_path / ground)[0][8, 7]
         assert standing(tmp_path / ground)[8, 7].mean() == pytest.approx(np.pi * 0.5**2 / 9, rel=0.3)
     assert max(class_id.values()) <= 1  # the ride is that of the ground beside it
-    with rasterio.open(tmp_path / "csf" / "roughness.tif") as raster:
+    with rasterio.open(tmp_path / "csf" / "rasters/roughness.tif") as raster:
         obstacle, height = (raster.read(raster.descriptions.index(name) + 1)[8, 7] for name in names)
     assert obstacle == pytest.approx(np.pi * 0.5**2 / 9, rel=0.2)  # its top too, which is higher than the vehicle
     assert height == pytest.approx(1.38, abs=0.1)  # up to that of the vehicle

@@ -87,9 +87,9 @@ def test_ground_of_the_sample_that_fails_has_no_cost(tmp_path, options):
     assert done.exit_code == 0, done.output
     with rasterio.open(tmp_path / "cost.tif") as file:
         cost = file.read(1)
-    with rasterio.open(tmp_path / "roughness.tif") as file:
+    with rasterio.open(tmp_path / "rasters/roughness.tif") as file:
         bands = dict(zip(file.descriptions, file.read(), strict=True))
-    with rasterio.open(tmp_path / "class.tif") as file:
+    with rasterio.open(tmp_path / "rasters/class.tif") as file:
         class_id = file.read(1)
     never = (bands["p_fail"] >= 0.5) | (bands["slope"] > 30) | (class_id == NO_CLASS)
     assert (bands["p_fail"] >= 0.5).any()

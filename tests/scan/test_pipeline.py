@@ -15,10 +15,11 @@ import rasterio
 from ply_files import read_vertices
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
+from small_surveys import SIDES
 
 from bumpymap.core import PolarSettings, Robot, point_classes
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
-from bumpymap.layers.products import NAMED_RASTERS, PRODUCT_NAMES, VIEW_NAMES
+from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.readers import read_scan
 from bumpymap.scan import classify_filter, polar_sectors
 from bumpymap.scan.config import ScanConfig
@@ -83,7 +84,7 @@ def checksums(folder):
 def test_a_run_writes_every_product_and_nothing_else(mapped):
     out, result, _ = mapped
     frames = [f"frames/{number}.{ending}" for number in (0, 1) for ending in ("json", "ply", "png")]
-    layers = [*PRODUCT_NAMES, *VIEW_NAMES, *(f"{name}.aux.xml" for name in NAMED_RASTERS)]
+    layers = [*PRODUCT_NAMES, *VIEW_NAMES, *SIDES]
     assert files(out) == sorted(
         [
             *frames,
@@ -155,7 +156,7 @@ def test_one_ground_seen_from_two_poses_lands_in_one_place(mapped):
 
 
 def test_the_map_of_a_drive_has_the_ground_at_its_height_and_the_crs_of_the_poses(mapped):
-    with rasterio.open(mapped[0] / "map" / "heightmap.tif") as file:
+    with rasterio.open(mapped[0] / "map" / "rasters/heightmap.tif") as file:
         assert file.crs.to_epsg() == 32614
         heights = file.read(1)
         rows, columns = np.nonzero(np.isfinite(heights))
@@ -164,8 +165,8 @@ def test_the_map_of_a_drive_has_the_ground_at_its_height_and_the_crs_of_the_pose
     off = heights[rows, columns][smooth] - (50.0 + 0.1 * np.sin(x[smooth] / 3.0))
     assert smooth.sum() > 3000
     assert np.abs(off).max() < 0.03
-    assert {path.name for path in (mapped[0] / "map").iterdir()} >= {"class.qml", "roughness.qml", "map.qgs"}
-    with rasterio.open(mapped[0] / "map" / "class.tif") as file:
+    assert set(files(mapped[0] / "map")) >= {"rasters/class.qml", "rasters/roughness.qml", "map.qgs"}
+    with rasterio.open(mapped[0] / "map" / "rasters/class.tif") as file:
         class_id, transform = file.read(1), file.transform
     row, col = np.nonzero(class_id != 255)
     _, north = rasterio.transform.xy(transform, row, col)
@@ -332,7 +333,7 @@ def test_a_failure_of_the_map_leaves_the_frames_and_the_next_run_maps(
     result = scan_frames(config)
     assert done_frames == []
     assert not result.already_done
-    assert checksums(out)["map/roughness.tif"] == checksums(mapped[0])["map/roughness.tif"]
+    assert checksums(out)["map/rasters/roughness.tif"] == checksums(mapped[0])["map/rasters/roughness.tif"]
 
 
 def test_products_that_are_links_are_replaced_and_not_followed(drive, mapped, tmp_path):
@@ -350,7 +351,7 @@ def test_products_that_are_links_are_replaced_and_not_followed(drive, mapped, tm
     scan_frames(replace(config, overwrite=True))
     assert inodes(mine) == before
     assert not [path for path in out.rglob("*") if path.is_symlink()]
-    assert checksums(out)["map/class.tif"] == checksums(mapped[0])["map/class.tif"]
+    assert checksums(out)["map/rasters/class.tif"] == checksums(mapped[0])["map/rasters/class.tif"]
 
 
 def test_bad_frames_are_skipped_with_a_word_and_the_poses_of_the_others_stay_theirs(drive, tmp_path, caplog):

@@ -75,5 +75,5 @@ def test_scan(folder):
     assert {path.name for path in (out / "frames").iterdir()} == {
         f"{name}.{ending}" for name in names for ending in ("json", "ply", "png")
     }
-    assert rasterio.open((out / "map" / "class.tif").open("rb")).width > 0
+    assert rasterio.open((out / "map" / "rasters/class.tif").open("rb")).width > 0
     assert len(geopandas.read_parquet((out / "map" / "tiles.parquet").open("rb")))

@@ -47,9 +47,9 @@ def test_the_middle_of_the_vehicle_keeps_its_distance_from_every_obstacle(tmp_pa
     place = Place(0.0, 10_400 * BLOCK_M, 118_750 * BLOCK_M)  # where four blocks meet
     write_points(survey_scene(scene, 40, noise=0.01, classified=classified, place=place), tmp_path / "survey.las")
     bumpymap.map_survey(tmp_path / "survey.las", tmp_path / "layers")
-    with rasterio.open(tmp_path / "layers" / "passage.tif") as file:
+    with rasterio.open(tmp_path / "layers" / "rasters/passage.tif") as file:
         areas = file.read(1)
-    with rasterio.open(tmp_path / "layers" / "obstacle.tif") as file:
+    with rasterio.open(tmp_path / "layers" / "rasters/obstacle.tif") as file:
         apart = distance_transform_edt(file.read(1) != OBSTACLE) * file.res[0]
     is_free = (areas > 0) & (areas < NODATA)
     assert is_free.any()
@@ -58,5 +58,6 @@ def test_the_middle_of_the_vehicle_keeps_its_distance_from_every_obstacle(tmp_pa
     monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.block_points", 3_000)
     monkeypatch.setattr("bumpymap.survey.second_pass.KEPT_BYTES", 30_000)
     bumpymap.map_survey(tmp_path / "survey.las", tmp_path / "parts")
-    for name in ("roughness.tif", "barred.tif", "obstacle.tif", "passage.tif", "tiles.parquet"):
+    rasters = [f"rasters/{name}.tif" for name in ("roughness", "barred", "obstacle", "passage")]
+    for name in (*rasters, "tiles.parquet"):
         assert (tmp_path / "parts" / name).read_bytes() == (tmp_path / "layers" / name).read_bytes()

@@ -13,7 +13,7 @@ import pytest
 import rasterio
 from made_quarry import tiles_of
 from pyproj import CRS
-from small_surveys import layers_of, run, write_las
+from small_surveys import files_in, layers_of, run, write_las
 
 from bumpymap.core.run_folder import locked
 from bumpymap.layers.products import VIEW_NAMES
@@ -48,11 +48,11 @@ def layers(survey):
 
 
 def test_the_smooth_half_is_smoother_than_the_rubble(layers):
-    with rasterio.open(layers / "roughness.tif") as raster:
+    with rasterio.open(layers / "rasters/roughness.tif") as raster:
         c_r = raster.read(raster.descriptions.index("c_r") + 1)
         assert c_r.shape == (10, 10)
         assert raster.bounds == (500_001, 4_000_002, 500_031, 4_000_032)
-    with rasterio.open(layers / "class.tif") as raster:
+    with rasterio.open(layers / "rasters/class.tif") as raster:
         class_id = raster.read(1)
     assert np.median(c_r[:, 6:]) > 5 * np.median(c_r[:, :4])
     assert class_id[:, 6:].min() > class_id[:, :4].max()
@@ -81,7 +81,7 @@ def test_a_survey_in_feet_gives_the_tiles_of_the_same_survey_in_metres(site, tmp
         assert result.exit_code == 0, result.output
     read = {}
     for name in ("m", "ft", "mixed"):
-        with rasterio.open(tmp_path / name / "roughness.tif") as raster:
+        with rasterio.open(tmp_path / name / "rasters/roughness.tif") as raster:
             read[name] = raster.read()
             unit = us_foot if name != "m" else 1.0
             assert raster.transform.a == pytest.approx(3 / unit)
@@ -101,7 +101,7 @@ def test_ground_points_are_used_where_the_survey_is_classified(site, tmp_path):
         assert run("map", file, "--out", tmp_path / ground, "--ground", ground).exit_code == 0
     under = {}
     for ground in ("auto", "class", "all"):
-        with rasterio.open(tmp_path / ground / "class.tif") as raster:
+        with rasterio.open(tmp_path / ground / "rasters/class.tif") as raster:
             under[ground] = raster.read(1)[7, 2]
     assert under["auto"] == under["class"] < under["all"] == 3
     assert layers_of(tmp_path / "auto") == layers_of(tmp_path / "class")
@@ -148,20 +148,20 @@ def test_layers_that_a_gis_saved_its_styles_and_statistics_beside_are_still_a_co
         if (out / name).suffix in {".qml", ".qgs"}:
             (out / name).write_text("<qgis/>", encoding="utf-8")
     (out / "map.qgs~").write_text("<qgis/>", encoding="utf-8")
-    for raster in out.glob("*.tif"):
+    for raster in out.rglob("*.tif"):
         side = raster.with_name(f"{raster.name}.aux.xml")
         if not side.exists():
             side.write_text("<PAMDataset/>", encoding="utf-8")
-    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    before = files_in(out)
     assert "Already done" in run("map", survey, "--out", out).output
-    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+    assert files_in(out) == before
     for name in VIEW_NAMES:
         (out / name).unlink(missing_ok=True)
     assert "Already done" in run("map", survey, "--out", out).output
     assert run("map", survey, "--out", out, "--overwrite").exit_code == 0
-    for name in ("class.qml", "map.qgs"):
+    for name in ("rasters/class.qml", "map.qgs"):
         assert (out / name).read_bytes() == (layers / name).read_bytes()
-    assert not (out / "roughness.tif.aux.xml").exists()
+    assert not (out / "rasters/roughness.tif.aux.xml").exists()
 
 
 def test_a_complete_run_of_something_else_says_what_differs(site, layers, survey, tmp_path):
@@ -224,19 +224,20 @@ def test_products_that_are_links_are_replaced_and_not_followed(survey, layers, t
     real = tmp_path / "real"
     real.mkdir()
     out.symlink_to(real)  # the user's own choice
-    (out / "roughness.tif").symlink_to(mine / "raster.tif")
-    (out / "class.tif").symlink_to(mine / "none.tif")
+    (real / "rasters").mkdir()
+    (out / "rasters/roughness.tif").symlink_to(mine / "raster.tif")
+    (out / "rasters/class.tif").symlink_to(mine / "none.tif")
     (out / "cost.fgb").symlink_to(mine / "folder")
     (out / ".bumpymap-layers-0").symlink_to(mine / "folder")
-    (out / "class.tif.aux.xml").symlink_to(mine / "raster.tif")
+    (out / "rasters/class.tif.aux.xml").symlink_to(mine / "raster.tif")
     refused = run("map", survey, "--out", out)
     assert refused.exit_code == 3
-    assert "already holds roughness.tif, class.tif, cost.fgb " in refused.output
+    assert "already holds rasters/roughness.tif, rasters/class.tif, cost.fgb " in refused.output
     done = run("map", survey, "--out", out, "--overwrite")
     assert done.exit_code == 0, done.output
     assert inodes(mine) == before
     assert layers_of(real) == layers_of(layers)
-    assert not [path for path in real.iterdir() if path.is_symlink()]
+    assert not [path for path in real.rglob("*") if path.is_symlink()]
 
 
 def test_without_a_crs_the_user_is_told_what_to_pass(site, tmp_path):
@@ -247,7 +248,7 @@ def test_without_a_crs_the_user_is_told_what_to_pass(site, tmp_path):
     assert "--local" in refused.output
     assert list((tmp_path / "layers").glob("*")) == []
     assert run("map", file, "--out", tmp_path / "local", "--local").exit_code == 0
-    with rasterio.open(tmp_path / "local" / "class.tif") as raster:
+    with rasterio.open(tmp_path / "local" / "rasters/class.tif") as raster:
         assert raster.crs is None
     assert run("map", file, "--out", tmp_path / "given", "--crs", "EPSG:32614").exit_code == 0
     assert pyogrio.read_info(tmp_path / "given" / "cost.fgb")["crs"] == "EPSG:32614"
@@ -288,7 +289,7 @@ def test_the_demo_maps_the_sample_survey_and_runs_twice(demo):
     refused = run("demo", "--out", QUARRY)
     assert (refused.exit_code, "cannot write the survey" in refused.output) == (3, True)
     assert str(demo / "layers" / "report.html") in result.output
-    with rasterio.open(demo / "layers" / "class.tif") as raster:
+    with rasterio.open(demo / "layers" / "rasters/class.tif") as raster:
         assert raster.crs.to_epsg() == 32632
         counts = np.bincount(raster.read(1).ravel(), minlength=256)
     assert counts[:4].min() > 50
@@ -296,7 +297,7 @@ def test_the_demo_maps_the_sample_survey_and_runs_twice(demo):
 
 @pytest.mark.later
 def test_zones_of_the_sample_survey_are_rated_as_a_driver_would(demo):
-    with rasterio.open(demo / "layers" / "roughness.tif") as raster:
+    with rasterio.open(demo / "layers" / "rasters/roughness.tif") as raster:
         c_r, west, north = raster.read(1), raster.bounds.left, raster.bounds.top
 
     def median(symbol):
@@ -312,12 +313,12 @@ def test_zones_of_the_sample_survey_are_rated_as_a_driver_would(demo):
 def test_a_refused_overwrite_keeps_the_earlier_run_whole(survey, site, tmp_path):
     out = tmp_path / "layers"
     assert run("map", survey, "--out", out).exit_code == 0
-    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    before = files_in(out)
     nowhere = write_las(tmp_path / "mars.laz", *site, crs=None)
     # A CRS of another planet: no relation to longitude and latitude on Earth.
     result = run("map", nowhere, "--out", out, "--overwrite", "--crs", "IAU_2015:49910")
     assert result.exit_code == 3, result.output
-    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+    assert files_in(out) == before
 
 
 @pytest.fixture

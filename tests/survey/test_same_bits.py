@@ -8,10 +8,10 @@ import pytest
 from alike_surveys import alike_surveys
 from click.testing import CliRunner
 from hypothesis import given, settings, strategies as st
-from small_surveys import write_las
+from small_surveys import SIDES, files_in, write_las
 
 from bumpymap.cli import main
-from bumpymap.layers.products import NAMED_RASTERS, PRODUCT_NAMES, VIEW_NAMES
+from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.survey import Budget
 
 pytestmark = pytest.mark.slow
@@ -48,10 +48,9 @@ def mapped(files, out, *options):
     with alike_surveys():
         result = CliRunner().invoke(main, words)
     assert result.exit_code == 0, result.output
-    assert sorted(path.name for path in out.iterdir()) == sorted(
-        [*PRODUCT_NAMES, *VIEW_NAMES, *(f"{name}.aux.xml" for name in NAMED_RASTERS)]
-    )
-    content = {path.name: path.read_bytes() for path in out.iterdir() if path.name not in NAMING}
+    content = files_in(out)
+    assert set(content) == {*PRODUCT_NAMES, *VIEW_NAMES, *SIDES}
+    content = {name: content[name] for name in content if name not in NAMING}
     run = json.loads((out / "run.json").read_text())
     run["files"] = [file for file in run["files"] if file["path"] != "item.json"]  # it names the survey
     settings_of_the_map = {name: value for name, value in run["settings"].items() if name not in OF_THE_CALL}
@@ -152,5 +151,5 @@ def test_both_ways_to_choose_points_are_tried(whole):
     (auto, auto_run), (everything, run) = whole["auto"], whole["all"]
     assert auto_run["ground_only"]
     assert not run["ground_only"]
-    assert auto["roughness.tif"] != everything["roughness.tif"]
+    assert auto["rasters/roughness.tif"] != everything["rasters/roughness.tif"]
     assert sum(count > 0 for count in auto_run["counts"]["by_class"].values()) > 1

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
-from small_surveys import run, write_las
+from small_surveys import files_in, run, write_las
 
 import bumpymap
 from bumpymap.core import UsageError
@@ -44,36 +44,38 @@ def bands(path):
 
 
 def test_the_other_layers_keep_their_bytes(maps):
-    same = [path.name for path in (maps / "plain").glob("*.tif")]
+    plain, speeds = (files_in(maps / name) for name in ("plain", "speeds"))
+    same = [name for name in plain if name.endswith(".tif")]
     assert len(same) == 9
-    assert all((maps / "plain" / name).read_bytes() == (maps / "speeds" / name).read_bytes() for name in same)
-    assert not (maps / "plain" / "speeds.tif").exists()
+    assert all(plain[name] == speeds[name] for name in same)
+    assert not (maps / "plain" / "rasters/speeds.tif").exists()
 
 
 def test_at_the_speed_of_the_map_c_r_is_that_of_the_map(maps):
     for name, own in (("speeds", "c_r_1"), ("fast", "c_r_2")):
-        felt, map_bands = bands(maps / name / "speeds.tif"), bands(maps / name / "roughness.tif")
+        felt, map_bands = bands(maps / name / "rasters/speeds.tif"), bands(maps / name / "rasters/roughness.tif")
         assert tuple(felt) == NAMES
         np.testing.assert_array_equal(felt[own], map_bands["c_r"])
 
 
 def test_one_map_tells_the_same_as_two(maps):
     """C_r at 2 m/s is the same, whether the map is made at 1 m/s or at 2; tiles of few points and steps nearly."""
-    slow, fast = bands(maps / "speeds" / "speeds.tif")["c_r_2"], bands(maps / "fast" / "roughness.tif")["c_r"]
+    slow = bands(maps / "speeds" / "rasters/speeds.tif")["c_r_2"]
+    fast = bands(maps / "fast" / "rasters/roughness.tif")["c_r"]
     error = np.abs(np.log(slow / fast))
     assert np.nanmedian(error) < 1e-5
     assert np.nanmax(error) < 0.25
 
 
 def test_layers_say_their_speed_and_fail_as_before(maps):
-    with rasterio.open(maps / "fast" / "class.tif") as file:
+    with rasterio.open(maps / "fast" / "rasters/class.tif") as file:
         tags = file.tags()
     assert (tags["speed_m_per_s"], tags["p_fail_speed_m_per_s"]) == ("2.0", "1.0")
     vehicle = json.loads((maps / "fast" / "run.json").read_text())["vehicle"]
     assert (vehicle["speed_mps"], vehicle["drives_mps"]) == (2.0, 1.0)
-    slow, fast = (bands(maps / name / "roughness.tif")["p_fail"] for name in ("plain", "fast"))
+    slow, fast = (bands(maps / name / "rasters/roughness.tif")["p_fail"] for name in ("plain", "fast"))
     np.testing.assert_allclose(fast, slow, rtol=0.1)  # tiles of few points are pulled to their neighbours
-    dense = bands(maps / "plain" / "roughness.tif")["coverage"] > 0.75
+    dense = bands(maps / "plain" / "rasters/roughness.tif")["coverage"] > 0.75
     np.testing.assert_allclose(fast[dense], slow[dense], rtol=1e-5)
 
 
@@ -83,7 +85,7 @@ def test_they_open_in_python(maps):
     assert tuple(speeds) == NAMES
     assert speeds["a_w_0.5"].attrs["units"] == "m/s2"
     tiles = bumpymap.open(maps / "speeds").tiles()
-    known = bands(maps / "speeds" / "speeds.tif")["c_roll_2"]
+    known = bands(maps / "speeds" / "rasters/speeds.tif")["c_roll_2"]
     assert np.sort(tiles["c_roll_2"].dropna()) == pytest.approx(np.sort(known[np.isfinite(known)]))
     with pytest.raises(UsageError, match="was not asked for them"):
         bumpymap.open(maps / "plain").speeds()
@@ -91,7 +93,7 @@ def test_they_open_in_python(maps):
 
 def test_a_run_without_speeds_takes_the_layer_of_an_earlier_one_away(survey, tmp_path):
     assert run("map", survey, "--out", tmp_path / "out", "--set", "speeds=2").exit_code == 0
-    assert (tmp_path / "out" / "speeds.tif").exists()
+    assert (tmp_path / "out" / "rasters/speeds.tif").exists()
     again = run("map", survey, "--out", tmp_path / "out", "--set", "speeds=2")
     assert "Already done" in again.output
     other = run("map", survey, "--out", tmp_path / "out")

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import CANOPY, NO_CLASS, OutputError, UsageError, atomic, remove_path, write_remedy
-from bumpymap.layers import require_written
+from bumpymap.layers import MapFile, require_written
 from bumpymap.views.export.area import FRAME, ExportArea, by_pixel
 from bumpymap.views.page.tiles import block_means
 from bumpytiles import TileWindow
@@ -72,7 +72,7 @@ def make_layers(area: ExportArea) -> dict[str, NDArray[np.float32]]:
     """
     area.require_cells(_MAX_CELLS, "a grid_map")
     site = area.route_map
-    require_written(site.folder, site.manifest, ("class.tif",))  # `open_map` does not look at it
+    require_written(site.folder, site.manifest, (MapFile.CLASS,))  # `open_map` does not look at it
     values = {name: np.empty(area.shape, np.float32) for name in ("elevation", "c_r", "p_fail", "class", "obstacle")}
     for window, lines in area.strips(detail=site.grid.pixels):
         for name, layer in _read(area, window).items():

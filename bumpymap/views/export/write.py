@@ -25,6 +25,7 @@ from bumpymap.layers import (
     geojson_features,
     line_parts,
     refuse_present,
+    require_folder,
     write_manifest,
 )
 from bumpymap.views.export.area import (
@@ -203,8 +204,7 @@ def _check_target(out: Path, to: str, *, overwrite: bool) -> None:
         It is a file, holds the layers of a run or an export in another format, or an earlier export and ``overwrite``
         is False.
     """
-    if lexists(out) and not out.is_dir():
-        raise OutputError(f"cannot write to the folder {out}: it is not a folder. Choose another `out`")
+    require_folder(out)
     if lexists(out / MANIFEST_NAME):
         raise OutputError(f"{out} holds the layers of a run; an export has a folder of its own. Choose another `out`")
     own = EXPORT_FILES[to]

@@ -8,7 +8,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from bumpymap.core import horizontal_of, stated_crs
-from bumpymap.layers import REPORT_NAME, open_layer
+from bumpymap.layers import MapFile, open_layer
 from bumpymap.views.gis.styles import (
     MULTIPLY,
     NORMAL,
@@ -47,10 +47,7 @@ def write_map_views(folder: Path, record: Mapping[str, Any]) -> None:
     """
     write_styles(folder, record)
     write_project(folder, record)
-    write_map_page(Site.read(folder, record), folder / REPORT_NAME)
-
-
-_NAME = "map.qgs"
+    write_map_page(Site.read(folder, record), folder / MapFile.REPORT)
 
 
 class _Tree:
@@ -61,7 +58,7 @@ class _Tree:
         self.layers: list[Style] = []
 
     def layer(
-        self, file: str, title: str, blend: int = NORMAL, *, visible: bool = False, part: str = ""
+        self, file: MapFile, title: str, blend: int = NORMAL, *, visible: bool = False, part: str = ""
     ) -> list[Style]:
         """Return a file as a layer, in a list of one; nothing if the folder has no such file.
 
@@ -73,7 +70,7 @@ class _Tree:
         is_raster = file.endswith(".tif")
         layer = {
             # longer than ten characters: QGIS does not find layers with shorter ids
-            "id": "_".join(filter(None, ("bumpymap", file.replace(".", "_"), part))),
+            "id": "_".join(filter(None, ("bumpymap", Path(file).name.replace(".", "_"), part))),
             "style": f"{file} {part}".strip(),
             "title": title,
             "blend": blend,
@@ -101,25 +98,25 @@ def _groups(tree: _Tree, speeds: Sequence[float]) -> list[Style]:
     """Return the groups of the project, the topmost first; the ride at other speeds [m/s] lies where the map's does."""
     why = tree.group(
         "Why not",
-        tree.layer("barred.tif", "barred"),
-        tree.layer("reason.tif", "reason for no class", MULTIPLY, visible=True),
-        tree.layer("obstacle.tif", "obstacles"),
-        tree.layer("passage.tif", "where the vehicle fits"),
+        tree.layer(MapFile.BARRED, "barred"),
+        tree.layer(MapFile.REASON, "reason for no class", MULTIPLY, visible=True),
+        tree.layer(MapFile.OBSTACLE, "obstacles"),
+        tree.layer(MapFile.PASSAGE, "where the vehicle fits"),
         expanded=False,
     )
-    regions = tree.group("Regions", tree.layer("cost.fgb", "regions", MULTIPLY), expanded=False)
-    classes = tree.layer("class.tif", "roughness class", MULTIPLY, visible=True)
-    fails = tree.layer("roughness.tif", "most drives fail", visible=True, part="p_fail")
-    rides = tree.layer("roughness.tif", "c_r of the drives that get through", MULTIPLY, visible=True)
-    others = [tree.layer("speeds.tif", f"c_r at {speed:g} m/s", MULTIPLY, part=f"{speed:g}") for speed in speeds]
+    regions = tree.group("Regions", tree.layer(MapFile.REGIONS_IN_CRS, "regions", MULTIPLY), expanded=False)
+    classes = tree.layer(MapFile.CLASS, "roughness class", MULTIPLY, visible=True)
+    fails = tree.layer(MapFile.ROUGHNESS, "most drives fail", visible=True, part="p_fail")
+    rides = tree.layer(MapFile.ROUGHNESS, "c_r of the drives that get through", MULTIPLY, visible=True)
+    others = [tree.layer(MapFile.SPEEDS, f"c_r at {speed:g} m/s", MULTIPLY, part=f"{speed:g}") for speed in speeds]
     if speeds:
         rides = tree.group("at one speed", rides, *others, one_of=True)
     c_r = tree.group("ride cost c_r", fails, rides, expanded=False, visible=False)
-    ride = tree.group("Ride", classes, c_r, tree.layer("cost.tif", "cost of driving", MULTIPLY), one_of=True)
+    ride = tree.group("Ride", classes, c_r, tree.layer(MapFile.COST, "cost of driving", MULTIPLY), one_of=True)
     ground = tree.group(
         "Ground",
-        tree.layer("heightmap.tif", "measured heights, with holes"),
-        tree.layer("relief.tif", "relief, holes filled", visible=True),
+        tree.layer(MapFile.HEIGHTMAP, "measured heights, with holes"),
+        tree.layer(MapFile.RELIEF, "relief, holes filled", visible=True),
     )
     return [*why, *regions, *ride, *ground]
 
@@ -143,7 +140,7 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
     groups, styles = _groups(tree, speeds_of(record)), map_styles(record, layered=True)
     raster = next((layer for layer in tree.layers if layer["is_raster"]), None)  # all have the same extent
     write_qgis(
-        folder / _NAME,
+        folder / MapFile.PROJECT,
         "project.xml",
         title=_title(record),
         abstract=_abstract(record),

@@ -32,6 +32,7 @@ from bumpymap.layers import (
     PASSAGE_COLOURS,
     PASSAGE_NAMES,
     REASON_COLOURS,
+    MapFile,
     RideScale,
     class_limits,
 )
@@ -226,8 +227,8 @@ def map_styles(record: Mapping[str, Any], *, layered: bool = False) -> dict[str,
     Returns
     -------
     dict
-        By name of the file; what else a project shows of one, by its name and a part: ``roughness.tif p_fail``, the
-        tiles where at least half of the drives fail, and of speeds.tif the C_r at each speed, ``speeds.tif 0.5``.
+        By `MapFile`; what else a project shows of one, by it and a part: of roughness.tif ``p_fail``, the tiles where
+        at least half of the drives fail, and of speeds.tif the C_r at each speed, such as ``0.5``.
     """
     labels, stops, speeds = class_labels(record), _ride_stops(record), speeds_of(record)
     units = record.get("metres_per_unit")
@@ -252,21 +253,21 @@ def map_styles(record: Mapping[str, Any], *, layered: bool = False) -> dict[str,
     ]
     at_speeds = [band.name for band in speed_bands(tuple(speeds))]
     return {
-        "class.tif": paletted(enumerate(labels), CLASS_COLOURS),
-        "reason.tif": paletted(REASON_TEXT.items(), REASON_COLOURS, clear=[Reason.OK] if layered else ()),
-        "roughness.tif": _ramp(stops, _BAND["c_r"]),
-        "roughness.tif p_fail": _ramp(fails, _BAND["p_fail"], clip=True),
-        "cost.tif": _ramp((value, label, COST_COLOURS[value]) for value, label in costs.items()),
-        "cost.fgb": _vectors(REGION_KIND, looks),
-        "cost.geojson": _vectors(REGION_KIND, looks),
-        "barred.tif": paletted(BARRED_TEXT.items(), bars, clear=[Barred.NO] if layered else ()),
-        "obstacle.tif": paletted(enumerate(OBJECT_NAMES), OBJECT_COLOURS),
-        "passage.tif": paletted(enumerate(PASSAGE_NAMES), PASSAGE_COLOURS),
-        "heightmap.tif": relief,
-        "relief.tif": relief,
-        "speeds.tif": _ramp(stops),
-        **{f"speeds.tif {speed:g}": _ramp(stops, 1 + at_speeds.index(f"c_r_{speed:g}")) for speed in speeds},
-        "tiles.parquet": _vectors(TILE_KIND, looks),
+        MapFile.CLASS: paletted(enumerate(labels), CLASS_COLOURS),
+        MapFile.REASON: paletted(REASON_TEXT.items(), REASON_COLOURS, clear=[Reason.OK] if layered else ()),
+        MapFile.ROUGHNESS: _ramp(stops, _BAND["c_r"]),
+        f"{MapFile.ROUGHNESS} p_fail": _ramp(fails, _BAND["p_fail"], clip=True),
+        MapFile.COST: _ramp((value, label, COST_COLOURS[value]) for value, label in costs.items()),
+        MapFile.REGIONS_IN_CRS: _vectors(REGION_KIND, looks),
+        MapFile.REGIONS: _vectors(REGION_KIND, looks),
+        MapFile.BARRED: paletted(BARRED_TEXT.items(), bars, clear=[Barred.NO] if layered else ()),
+        MapFile.OBSTACLE: paletted(enumerate(OBJECT_NAMES), OBJECT_COLOURS),
+        MapFile.PASSAGE: paletted(enumerate(PASSAGE_NAMES), PASSAGE_COLOURS),
+        MapFile.HEIGHTMAP: relief,
+        MapFile.RELIEF: relief,
+        MapFile.SPEEDS: _ramp(stops),
+        **{f"{MapFile.SPEEDS} {speed:g}": _ramp(stops, 1 + at_speeds.index(f"c_r_{speed:g}")) for speed in speeds},
+        MapFile.TILES: _vectors(TILE_KIND, looks),
     }
 
 
@@ -287,9 +288,10 @@ def write_styles(folder: Path, record: Mapping[str, Any]) -> None:
     OutputError
         A style cannot be written.
     """
-    found: dict[str, dict[str, Style]] = {}
+    found: dict[Path, dict[str, Style]] = {}
     for layer, style in map_styles(record).items():
         if " " not in layer and (folder / layer).is_file():
-            found.setdefault(Path(layer).stem, {})["vectors" if "looks" in style else "pixels"] = style
-    for stem, parts in found.items():
-        write_qgis(folder / f"{stem}.qml", "style.xml", **({"pixels": None, "vectors": None} | parts))
+            path = (folder / layer).with_suffix(".qml")
+            found.setdefault(path, {})["vectors" if "looks" in style else "pixels"] = style
+    for path, parts in found.items():
+        write_qgis(path, "style.xml", **({"pixels": None, "vectors": None} | parts))

@@ -18,6 +18,7 @@ from bumpymap.core import CLASS_NAMES, NO_CLASS, Barred, shares_text, stated_crs
 from bumpymap.layers import (
     BARRED_COLOURS,
     CLASS_COLOURS,
+    MapFile,
     SurveyRow,
     SurveyStatus,
     open_raster,
@@ -136,12 +137,12 @@ def _read(folder: Path, side: int) -> tuple[NDArray[np.intp], NDArray[np.float64
 
     Both have ``side`` pixels along the longer side.
     """
-    with open_raster(folder, "class.tif") as raster:
+    with open_raster(folder, MapFile.CLASS) as raster:
         scale = side / max(raster.height, raster.width)
         shape = max(1, round(raster.height * scale)), max(1, round(raster.width * scale))
         wide, high = raster.bounds.right - raster.bounds.left, raster.bounds.top - raster.bounds.bottom
         class_id = raster.read(1, out_shape=shape)
-    with open_raster(folder, "barred.tif") as raster:
+    with open_raster(folder, MapFile.BARRED) as raster:
         barred = raster.read(1, out_shape=shape)
     # A tile may have a class although it is not known whether it can be crossed.
     unknown = (barred == Barred.UNKNOWN) | (class_id == NO_CLASS)
@@ -152,7 +153,7 @@ def _read(folder: Path, side: int) -> tuple[NDArray[np.intp], NDArray[np.float64
 
 
 def _heights(folder: Path, shape: tuple[int, int]) -> NDArray[np.float64]:
-    with open_raster(folder, "heightmap.tif") as raster:
+    with open_raster(folder, MapFile.HEIGHTMAP) as raster:
         heights: NDArray[np.float64] = read_averaged(raster, shape)
     return heights
 

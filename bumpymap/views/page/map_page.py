@@ -28,6 +28,7 @@ from bumpymap.layers import (
     OFF_COLOURS,
     REPORT_NAME,
     CheckGround,
+    MapFile,
     read_manifest,
     require_written,
 )
@@ -53,7 +54,7 @@ from bumpymap.views.words import (
 __all__ = ["write_check_page", "write_map_page", "write_report"]
 
 _SUFFIXES = {".html", ".htm"}
-_READ = ("class.tif", "heightmap.tif", "obstacle.tif", "tiles.parquet")
+_READ = (MapFile.CLASS, MapFile.HEIGHTMAP, MapFile.OBSTACLE, MapFile.TILES)
 
 
 def write_report(

@@ -26,6 +26,7 @@ from bumpymap.core import (
 from bumpymap.layers import (
     CLASS_COLOURS,
     UNKNOWN_OBJECT,
+    MapFile,
     MapSummary,
     class_limits,
     class_ranges,
@@ -87,7 +88,7 @@ def read_heights(folder: Path, spot: Spot, side: int) -> NDArray[np.float32]:
     while factor > finer(spot, side):  # half and half again: what overviews hold, or a little less
         factor //= 2
     heights = np.full([pixels * factor for pixels in spot.shape], np.nan, np.float32)
-    with open_layer(folder / "heightmap.tif") as file:
+    with open_layer(folder / MapFile.HEIGHTMAP) as file:
         for line, lines, rows in _spans(spot.rows, spot.step):
             for column, columns, cols in _spans(spot.cols, spot.step):
                 high, wide = (
@@ -129,7 +130,7 @@ def object_grid(folder: Path, tiles: PageTiles, side: int) -> NDArray[np.uint8]:
     canvas = np.empty((rows, cols), np.uint8)
     starts = np.arange(cols) * spot.pixels // factor
     lines = max(1, _STRIP_PIXELS // max(1, spot.cols * spot.pixels**2))  # tiles
-    with open_layer(folder / "obstacle.tif") as file:
+    with open_layer(folder / MapFile.OBSTACLE) as file:
         for top in range(0, spot.rows, lines):
             count = min(lines, spot.rows - top)
             window = ((top * spot.pixels, (top + count) * spot.pixels), (0, file.width))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pyproj import Transformer
 
 from bumpymap.core import FREE, NO_CLASS, OBSTACLE, BadInputError, Barred, CostRule, Reason, stated_crs
-from bumpymap.layers import UNKNOWN_OBJECT, open_layer, read_tiles
+from bumpymap.layers import UNKNOWN_OBJECT, MapFile, open_layer, read_tiles
 
 __all__ = [
     "C_R_EDGES",
@@ -140,7 +140,7 @@ class Spot:
     @classmethod
     def of(cls, folder: Path, record: Mapping[str, Any], side: int) -> Self:
         """Read the place of a map from class.tif; the grid has at most ``side`` pixels a side."""
-        with open_layer(folder / "class.tif") as file:
+        with open_layer(folder / MapFile.CLASS) as file:
             place, width, height = file.transform, file.width, file.height
         unit = float(record.get("metres_per_unit", {}).get("horizontal", 1.0))
         grid = record["grid"]
@@ -264,7 +264,7 @@ class PageTiles:
         bins = {"c_r": np.zeros(len(C_R_EDGES) - 1, np.int64), "slope": np.zeros(len(SLOPE_EDGES) - 1, np.int64)}
         rates = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
         rule, calm = CostRule(*(float(record["cost"][name]) for name in rates)), 0
-        for found in read_tiles(folder / "tiles.parquet", record["counts"]["tiles"]):
+        for found in read_tiles(folder / MapFile.TILES, record["counts"]["tiles"]):
             place = _place(found, spot)
             unknown = UNKNOWN_FROM + found["reason"].astype(np.uint8)
             kind = np.where(found["class"] == NO_CLASS, unknown, found["class"]).astype(np.uint8)

@@ -53,7 +53,7 @@ def test_a_file_for_a_folder_and_a_folder_for_a_file_are_refused(tmp_path, name)
 
 def test_older_products_go_and_everything_else_stays(tmp_path):
     fill(tmp_path, "frames/a.png", "gathered.laz", "sectors.parquet", "scan.json", "notes.txt")
-    fill(tmp_path, "map/run.json", "map/class.tif", "map/class.tif.aux.xml", "map/my_style.qml")
+    fill(tmp_path, "map/run.json", "map/rasters/class.tif", "map/rasters/class.tif.aux.xml", "map/my_style.qml")
     remove_stale_products(tmp_path, ("scan.json", "sectors.parquet"))
     assert names(tmp_path) == ["map/my_style.qml", "notes.txt", "scan.json", "sectors.parquet"]
     assert not (tmp_path / "frames").exists()

@@ -4,6 +4,7 @@ import hashlib
 import json
 import shutil
 import socket
+from pathlib import Path
 
 import pystac
 import pytest
@@ -64,7 +65,7 @@ def test_pystac_opens_it_and_finds_every_file(night, monkeypatch):
             if "file:checksum" in asset.extra_fields:
                 assert asset.extra_fields["file:checksum"] == f"1220{hashlib.sha256(content).hexdigest()}"
                 checked += 1
-            assert asset.href == f"./{name}"
+            assert Path(asset.href).name == name
         assert checked >= 9
         assert item.common_metadata.start_datetime.year == 1970
         assert faults(item.to_dict(transform_hrefs=False)) == []

@@ -3,12 +3,14 @@
 import hashlib
 import json
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 import rasterio
 import shapely
 from pyproj import CRS, Transformer
+from small_surveys import files_in
 from stac_check import faults
 
 from bumpymap.core.types import CostTable, Georeference
@@ -62,13 +64,16 @@ def assets_with(item, key):
 def test_an_item_is_valid_and_every_file_an_asset_with_its_size_and_checksum(item, folder):
     assert faults(item) == []
     assert {name.split("/")[3] for name in item["stac_extensions"]} == {"projection", "file", "processing"}
-    present = {path.name for path in folder.iterdir()} - {"item.json"}
-    assert set(item["assets"]) == present
+    present = {path: f"./{path}" for path in files_in(folder) if path != "item.json"}
+    assert {name: asset["href"] for name, asset in item["assets"].items()} == {
+        Path(path).name: href for path, href in present.items()
+    }
     with_checksum = assets_with(item, "file:checksum")
-    assert set(with_checksum) == set(PRODUCT_NAMES) - {"item.json", "run.json"}
-    for name, asset in with_checksum.items():
-        content = (folder / name).read_bytes()
-        assert asset["href"] == f"./{name}"
+    assert {asset["href"] for asset in with_checksum.values()} == {
+        present[path] for path in PRODUCT_NAMES if path not in {"item.json", "run.json"}
+    }
+    for asset in with_checksum.values():
+        content = (folder / asset["href"]).read_bytes()
         assert asset["file:size"] == len(content)
         assert bytes.fromhex(asset["file:checksum"]) == b"\x12\x20" + hashlib.sha256(content).digest()
         assert asset["roles"] == ["data"]
@@ -78,9 +83,10 @@ def test_an_item_is_valid_and_every_file_an_asset_with_its_size_and_checksum(ite
 
 
 def test_rasters_are_described_as_they_are(item, folder):
-    assert set(assets_with(item, "proj:shape")) == {name for name in PRODUCT_NAMES if name.endswith(".tif")}
+    rasters = {Path(name).name: folder / name for name in PRODUCT_NAMES if name.endswith(".tif")}
+    assert set(assets_with(item, "proj:shape")) == set(rasters)
     for name, asset in assets_with(item, "proj:shape").items():
-        with rasterio.open(folder / name) as raster:
+        with rasterio.open(rasters[name]) as raster:
             assert asset["proj:shape"] == list(raster.shape)
             assert asset["proj:transform"] == list(raster.transform)[:6]
             assert asset["proj:bbox"] == list(raster.bounds)
@@ -89,7 +95,7 @@ def test_rasters_are_described_as_they_are(item, folder):
 
 def test_the_footprint_is_the_raster_in_longitude_and_latitude(item, folder):
     outline = shapely.geometry.shape(item["geometry"])
-    with rasterio.open(folder / "class.tif") as raster:
+    with rasterio.open(folder / "rasters/class.tif") as raster:
         edge = shapely.segmentize(shapely.box(*raster.bounds).exterior, 1.0)
         to_degrees = Transformer.from_crs(raster.crs, 4326, always_xy=True)
     found = np.column_stack(to_degrees.transform(*shapely.get_coordinates(edge).T))

@@ -50,7 +50,7 @@ def test_a_scheduler_with_tls_takes_whom_its_authority_signed_and_nobody_else(tm
         assert "distributed.comm.tls" in refused.output
     assert taken.exit_code == 0, taken.output
     assert "Warning" not in taken.output
-    assert (tmp_path / "out" / "class.tif").exists()
+    assert (tmp_path / "out" / "rasters/class.tif").exists()
 
 
 @pytest.mark.parametrize(
@@ -112,4 +112,4 @@ def test_the_commands_of_the_page_work(tmp_path):
             process.wait()
     assert done.returncode == 0, done.stderr
     assert "Warning" not in done.stderr
-    assert (tmp_path / line.partition("--out ")[2].split()[0] / "class.tif").exists()
+    assert (tmp_path / line.partition("--out ")[2].split()[0] / "rasters/class.tif").exists()

@@ -47,7 +47,7 @@ def load_graph(path):
 
 def pixel_factor(route_map):
     """Cost of a metre on each pixel, inf where the middle of the vehicle cannot be, as the files say it."""
-    with rasterio.open(route_map.folder / "passage.tif") as file:
+    with rasterio.open(route_map.folder / "rasters/passage.tif") as file:
         passage = file.read(1)
     field = route_map.read(route_map.window)
     cost = field.rule.cost(field.c_r.astype(float), field.rule.hazard(field.p_fail))

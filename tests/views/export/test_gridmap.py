@@ -71,37 +71,38 @@ def test_every_cell_has_the_value_of_the_layers_bit_for_bit(route_map, folder, t
     pick = np.random.default_rng(0).permutation(len(cells(message, "c_r")[0]))[:2000]
     for name in ("c_r", "p_fail"):
         x, y, value = (part[pick] for part in cells(message, name))
-        expected = sampled(folder, "roughness.tif", name, x, y, record["datum"])
+        expected = sampled(folder, "rasters/roughness.tif", name, x, y, record["datum"])
         np.testing.assert_array_equal(
             value.view(np.uint32)[~np.isnan(expected)], expected.view(np.uint32)[~np.isnan(expected)]
         )
         np.testing.assert_array_equal(np.isnan(value), np.isnan(expected))
     x, y, value = (part[pick] for part in cells(message, "class"))
-    classes = sampled(folder, "class.tif", None, x, y, record["datum"])
+    classes = sampled(folder, "rasters/class.tif", None, x, y, record["datum"])
     np.testing.assert_array_equal(np.nan_to_num(value, nan=255.0), classes)
     x, y, value = (part[pick] for part in cells(message, "obstacle"))
     if resolution == "tile":
-        np.testing.assert_array_equal(value, sampled(folder, "roughness.tif", "obstacle", x, y, record["datum"]))
+        expected = sampled(folder, "rasters/roughness.tif", "obstacle", x, y, record["datum"])
+        np.testing.assert_array_equal(value, expected)
         window, elevation = route_map.window, message.data[message.layers.index("elevation")].data
         heights = route_map.heights(window).reshape(window.rows, 15, window.cols, 15).astype(float)
         with warnings.catch_warnings(action="ignore"):  # tiles without a height
             mean = np.nanmean(heights, axis=(1, 3))[:, ::-1]
         np.testing.assert_allclose(elevation, mean.ravel(), rtol=1e-6)
         return
-    state = sampled(folder, "obstacle.tif", None, x, y, record["datum"])
+    state = sampled(folder, "rasters/obstacle.tif", None, x, y, record["datum"])
     np.testing.assert_array_equal(np.nan_to_num(value, nan=3.0), np.minimum(state, 3))
     x, y, value = (part[pick] for part in cells(message, "elevation"))
-    np.testing.assert_array_equal(value, sampled(folder, "heightmap.tif", None, x, y, record["datum"]))
+    np.testing.assert_array_equal(value, sampled(folder, "rasters/heightmap.tif", None, x, y, record["datum"]))
 
 
 def test_classes_that_were_cut_off(easy_folder, tmp_path):
     shutil.copytree(easy_folder, tmp_path / "site")
     site = open_map(tmp_path / "site")
-    whole = (tmp_path / "site" / "class.tif").read_bytes()
-    (tmp_path / "site" / "class.tif").write_bytes(whole[: len(whole) // 2])
+    whole = (tmp_path / "site" / "rasters/class.tif").read_bytes()
+    (tmp_path / "site" / "rasters/class.tif").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(BadInputError, match=r"class\.tif is cut off"):
         export_map(site, tmp_path / "out", ExportSettings(to="gridmap"))
-    (tmp_path / "site" / "class.tif").unlink()
+    (tmp_path / "site" / "rasters/class.tif").unlink()
     with pytest.raises(BadInputError, match=r"class\.tif"):
         export_map(site, tmp_path / "out", ExportSettings(to="gridmap"))
     assert not (tmp_path / "out").exists()

@@ -94,7 +94,7 @@ def test_a_costmap_keeps_graded_cost_and_knows_what_is_unknown(whole, folder):
     record, params, (grid, _, _) = whole
     settings = params["global_costmap"]["global_costmap"]["ros__parameters"]
     costmap = static_layer(grid, settings)
-    barred, cost = tile_values(folder, "barred.tif"), tile_values(folder, "cost.tif")
+    barred, cost = tile_values(folder, "rasters/barred.tif"), tile_values(folder, "cost.tif")
     assert costmap.shape == barred.shape
     unknown = (barred == Barred.UNKNOWN) | (barred == NO_TILE)
     passable = barred == Barred.NO
@@ -113,7 +113,7 @@ def test_a_costmap_keeps_graded_cost_and_knows_what_is_unknown(whole, folder):
 
 def test_the_keepout_filter_leaves_only_passable_tiles(whole, folder):
     _, params, (_, mask, _) = whole
-    passable = tile_values(folder, "barred.tif") == Barred.NO
+    passable = tile_values(folder, "rasters/barred.tif") == Barred.NO
     for master in (FREE, NO_INFORMATION):
         laid = keepout(mask, np.full(passable.shape, master))
         assert (laid[~passable] == LETHAL).all()
@@ -127,7 +127,7 @@ def test_the_speed_filter_keeps_the_ride_under_the_limit(route_map, folder, tmp_
     _, params, (_, _, mask) = exported(route_map, tmp_path / "out", comfort=0.2)
     info = params["speed_info_server"]["ros__parameters"]
     assert info["type"] == 1
-    c_r = tile_values(folder, "roughness.tif")
+    c_r = tile_values(folder, "rasters/roughness.tif")
     for value, ride in zip(mask.data.ravel().tolist(), c_r.ravel().tolist(), strict=True):
         limit = speed_limit(value, info["base"], info["multiplier"])
         assert limit is not None, "0 would mean: no limit"
@@ -150,9 +150,9 @@ def test_cells_lie_where_the_survey_has_them(route_map, folder, tmp_path, around
     rows, cols = (rng.integers(0, size, 20_000) for size in grid.data.shape)
     x, y = grid.world(rows, cols)
     places = list(zip((x + datum["x"]).tolist(), (y + datum["y"]).tolist(), strict=True))
-    with rasterio.open(folder / "barred.tif") as file:
+    with rasterio.open(folder / "rasters/barred.tif") as file:
         barred = np.array([value[0] for value in file.sample(places)])
-    with rasterio.open(folder / "obstacle.tif") as file:
+    with rasterio.open(folder / "rasters/obstacle.tif") as file:
         pixel = np.array([value[0] for value in file.sample(places)])
     cell, kept = grid.data[rows, cols], mask.data[rows, cols]
     unknown, passable = np.isin(barred, [Barred.UNKNOWN, NO_TILE]), barred == Barred.NO

@@ -65,7 +65,7 @@ def test_other_files_stay_and_layers_are_no_place_for_it(easy_map, easy_folder, 
     with pytest.raises(OutputError, match="holds the layers of a run"):
         export_map(easy_map, easy_folder, GRAPH, overwrite=True)
     assert snapshot(easy_folder) == before
-    with pytest.raises(OutputError, match="not a folder"):
+    with pytest.raises(OutputError, match="it is a file"):
         export_map(easy_map, out / "notes.txt", GRAPH)
     (tmp_path / "odd" / "graph.geojson").mkdir(parents=True)
     with pytest.raises(OutputError, match="is not a file"):

@@ -136,13 +136,14 @@ def main(folder, report):
     application = QgsApplication([], True)
     application.initQgis()
     found = {"qgis": Qgis.QGIS_VERSION, "layers": {}}
-    for path in sorted(folder.iterdir()):
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder).as_posix()
         make = QgsRasterLayer if path.suffix in {".tif", ".vrt"} else QgsVectorLayer
         if path.suffix in {".tif", ".vrt", ".geojson", ".fgb", ".gpkg"}:
             layer = make(str(path), path.stem)
-            found["layers"][path.name] = describe(layer)
+            found["layers"][name] = describe(layer)
             if layer.isValid():
-                found["layers"][path.name]["colours"] = colours_of([layer], layer.extent(), layer.crs())
+                found["layers"][name]["colours"] = colours_of([layer], layer.extent(), layer.crs())
     if (folder / "map.qgs").exists():
         found["project"] = describe_project(folder / "map.qgs")
     report.write_text(json.dumps(found, indent=1), encoding="utf-8")

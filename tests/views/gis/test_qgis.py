@@ -26,15 +26,15 @@ pytestmark = pytest.mark.qgis
 
 SCRIPT = Path(__file__).with_name("load_in_qgis.py")
 RASTERS = {
-    "class.tif": "paletted",
-    "reason.tif": "paletted",
-    "barred.tif": "paletted",
-    "obstacle.tif": "paletted",
-    "passage.tif": "paletted",
-    "roughness.tif": "singlebandpseudocolor",
+    "rasters/class.tif": "paletted",
+    "rasters/reason.tif": "paletted",
+    "rasters/barred.tif": "paletted",
+    "rasters/obstacle.tif": "paletted",
+    "rasters/passage.tif": "paletted",
+    "rasters/roughness.tif": "singlebandpseudocolor",
     "cost.tif": "singlebandpseudocolor",
-    "heightmap.tif": "hillshade",
-    "relief.tif": "hillshade",
+    "rasters/heightmap.tif": "hillshade",
+    "rasters/relief.tif": "hillshade",
 }
 RASTERS = {name: kind for name, kind in RASTERS.items() if name in PRODUCT_NAMES}
 AREAS = ("cost.geojson", "cost.fgb", "tiles.gpkg")
@@ -111,7 +111,8 @@ def test_the_project_opens_as_a_map(seen):
     fails = project["layers"].pop("bumpymap_roughness_tif_p_fail")
     assert fails["values"] == [0.5, 1.0]
     layers = {Path(layer["source"]).name: layer for layer in project["layers"].values()}
-    assert {name: layer["renderer"] for name, layer in layers.items()} == RASTERS | {"cost.fgb": "categorizedSymbol"}
+    renderers = {Path(name).name: kind for name, kind in RASTERS.items()} | {"cost.fgb": "categorizedSymbol"}
+    assert {name: layer["renderer"] for name, layer in layers.items()} == renderers
     assert all(layer["valid"] and layer["crs"] == "EPSG:32614" for layer in layers.values())
     assert layers["class.tif"]["multiply"]
     assert not layers["relief.tif"]["multiply"]

@@ -42,7 +42,8 @@ def folder_fixture(tmp_path_factory, cost_map):
 @pytest.fixture
 def alone(tmp_path):
     """A folder with names of layers, for styles that do not read any."""
-    for name in (*PRODUCT_NAMES, "reason.tif"):
+    (tmp_path / "rasters").mkdir()
+    for name in PRODUCT_NAMES:
         (tmp_path / name).touch()
     return tmp_path
 
@@ -65,17 +66,17 @@ def expected(names, colours):
 
 def styled(folder, **record):
     write_styles(folder, {"calibration": CALIBRATION} | record)
-    return {path.name: read(path) for path in folder.glob("*.qml")}
+    return {path.relative_to(folder).as_posix(): read(path) for path in folder.rglob("*.qml")}
 
 
 def test_every_visible_value_has_the_colour_of_the_table_and_its_name(alone):
     styles = styled(alone)
     labels = [f"{name}: c_r {text}" for name, text in zip(CLASS_NAMES, INTERVALS, strict=True)]
     labels[3] += ", or too steep, or drives fail"
-    assert palette(styles["class.qml"]) == expected(enumerate(labels), CLASS_COLOURS)
-    assert palette(styles["reason.qml"]) == expected(REASON_TEXT.items(), REASON_COLOURS)
-    assert palette(styles["barred.qml"]) == expected(BARRED_TEXT.items(), BARRED_COLOURS)
-    assert palette(styles["obstacle.qml"]) == expected(enumerate(OBJECT_NAMES), OBJECT_COLOURS)
+    assert palette(styles["rasters/class.qml"]) == expected(enumerate(labels), CLASS_COLOURS)
+    assert palette(styles["rasters/reason.qml"]) == expected(REASON_TEXT.items(), REASON_COLOURS)
+    assert palette(styles["rasters/barred.qml"]) == expected(BARRED_TEXT.items(), BARRED_COLOURS)
+    assert palette(styles["rasters/obstacle.qml"]) == expected(enumerate(OBJECT_NAMES), OBJECT_COLOURS)
     for name in ("cost.qml", "tiles.qml"):
         root = styles[name]
         categories = {category.get("value"): category for category in root.iter("category")}
@@ -99,16 +100,16 @@ def test_the_style_of_costs_serves_pixels_and_regions(alone):
     assert set(re.findall(r'"(\w+)"', root.find("renderer-v2").get("attr"))) == {"class_name", "passable"}
     assert [float(item.get("value")) for item in root.iter("item")] == [1, 1.5, 2, 4, 8, 16]
     (alone / "cost.tif").unlink()
-    (alone / "barred.tif").unlink()
-    for path in alone.glob("*.qml"):
+    (alone / "rasters/barred.tif").unlink()
+    for path in alone.rglob("*.qml"):
         path.unlink()
     styles = styled(alone)
     assert styles["cost.qml"].find("pipe") is None
-    assert "barred.qml" not in styles
+    assert "rasters/barred.qml" not in styles
 
 
 def test_the_ride_cost_has_the_colours_of_the_classes_of_the_vehicle(alone):
-    (renderer,) = styled(alone)["roughness.qml"].iter("rasterrenderer")
+    (renderer,) = styled(alone)["rasters/roughness.qml"].iter("rasterrenderer")
     assert (renderer.get("type"), renderer.get("band")) == ("singlebandpseudocolor", "1")
     items = [(float(item.get("value")), item.get("label"), item.get("color")) for item in renderer.iter("item")]
     assert [value for value, _, _ in items] == pytest.approx([0.05, 0.15, 0.3, 0.5])
@@ -121,22 +122,22 @@ def test_the_ride_cost_has_the_colours_of_the_classes_of_the_vehicle(alone):
 @pytest.mark.parametrize("settings", [{"compat": "paper"}, SimpleNamespace(compat="paper")])
 def test_classes_of_the_paper_are_not_said_to_be_intervals_of_ride_cost(alone, settings):
     styles = styled(alone, settings=settings)
-    assert [label for label, _, _ in palette(styles["class.qml"]).values()] == list(CLASS_NAMES)
-    assert "from 0.4 rad/m (very rough)" in {item.get("label") for item in styles["roughness.qml"].iter("item")}
+    assert [label for label, _, _ in palette(styles["rasters/class.qml"]).values()] == list(CLASS_NAMES)
+    assert "from 0.4 rad/m (very rough)" in {item.get("label") for item in styles["rasters/roughness.qml"].iter("item")}
 
 
 def test_the_relief_is_smooth_and_in_the_unit_of_the_crs(alone):
     foot = {"metres_per_unit": {"horizontal": 1200 / 3937, "vertical": 1.0}}
     for record, factor in (({}, 1.0), (foot, 3937 / 1200)):
         styles = styled(alone, **record)
-        root = styles["relief.qml"]
-        assert ET.tostring(styles["heightmap.qml"]) == ET.tostring(root)
+        root = styles["rasters/relief.qml"]
+        assert ET.tostring(styles["rasters/heightmap.qml"]) == ET.tostring(root)
         renderer, sampler = root.find("pipe/rasterrenderer"), root.find("pipe/rasterresampler")
         assert renderer.get("type") == "hillshade"
         assert float(renderer.get("zfactor")) == pytest.approx(factor)
         assert {sampler.get("zoomedInResampler"), sampler.get("zoomedOutResampler")} == {"bilinear"}
     assert root.find("pipe/resamplingStage").text == "resamplingFilter"
-    assert styled(alone)["class.qml"].find("pipe/rasterresampler").get("zoomedInResampler") is None
+    assert styled(alone)["rasters/class.qml"].find("pipe/rasterresampler").get("zoomedInResampler") is None
 
 
 def test_a_project_lists_what_is_there(folder):
@@ -154,10 +155,10 @@ def test_a_project_lists_what_is_there(folder):
         assert CRS.from_wkt(layer.find("srs/spatialrefsys/wkt").text).to_epsg() == 32614
     by_source = {layer.find("datasource").text: layer for layer in layers.values()}
     order = [*by_source]
-    assert order.index("./class.tif") < order.index("./relief.tif")
-    blends = [by_source[f"./{name}.tif"].find("blendMode").text for name in ("class", "reason", "relief")]
+    assert order.index("./rasters/class.tif") < order.index("./rasters/relief.tif")
+    blends = [by_source[f"./rasters/{name}.tif"].find("blendMode").text for name in ("class", "reason", "relief")]
     assert blends == ["6", "6", "0"]  # multiplied with the relief, which unknown ground has too
-    bars = palette(by_source["./barred.tif"])  # drawn over the classes, so that passable tiles stay clear
+    bars = palette(by_source["./rasters/barred.tif"])  # drawn over the classes, so that passable tiles stay clear
     assert set(bars) == {code.value for code in BARRED_TEXT} - {0}
     assert 128 < bars.pop(Barred.UNKNOWN)[2] < 255  # the relief shows through
     assert {alpha for _, _, alpha in bars.values()} == {255}
@@ -171,13 +172,14 @@ def test_other_speeds_have_a_style_and_stand_in_the_project(tmp_path, at_two_spe
     manifest = {"calibration": CALIBRATION, "settings": {"speeds": (0.5, 2.0)}}
     files, _ = write_products(at_two_speeds, tmp_path, views=write_map_views, local=False, manifest=manifest)
     assert all(path.exists() for path in files)
-    assert {"speeds.tif", "speeds.qml"} <= {path.name for path in files}
-    own, other = (read(tmp_path / name).find("pipe/rasterrenderer") for name in ("roughness.qml", "speeds.qml"))
+    assert {tmp_path / "rasters/speeds.tif", tmp_path / "rasters/speeds.qml"} <= set(files)
+    styles = (tmp_path / "rasters" / name for name in ("roughness.qml", "speeds.qml"))
+    own, other = (read(path).find("pipe/rasterrenderer") for path in styles)
     assert ET.tostring(own) == ET.tostring(other)
     root = read(tmp_path / "map.qgs")
     group = next(group for group in root.iter("layer-tree-group") if group.get("name") == "ride cost c_r")
     assert group[0].get("id") == "bumpymap_roughness_tif_p_fail"
-    speeds = [leaf for leaf in root.iter("layer-tree-layer") if leaf.get("source") == "./speeds.tif"]
+    speeds = [leaf for leaf in root.iter("layer-tree-layer") if leaf.get("source") == "./rasters/speeds.tif"]
     assert [(leaf.get("name"), leaf.get("checked")) for leaf in speeds] == [
         ("c_r at 0.5 m/s", "Qt::Unchecked"),
         ("c_r at 2 m/s", "Qt::Unchecked"),
@@ -188,7 +190,7 @@ def test_other_speeds_have_a_style_and_stand_in_the_project(tmp_path, at_two_spe
     write_products(
         CostTable.of(cost_map), tmp_path, views=write_map_views, local=False, manifest={"calibration": CALIBRATION}
     )
-    assert not {"speeds.tif", "speeds.qml"} & {path.name for path in tmp_path.iterdir()}
+    assert not list(tmp_path.rglob("speeds*"))
 
 
 @pytest.mark.parametrize("crs", ["EPSG:32614+5703", None])
@@ -206,7 +208,8 @@ def test_a_project_has_the_horizontal_crs_or_none(tmp_path, make_field, crs):
 def test_a_project_says_survey_vehicle_and_calibration_and_no_name_breaks_its_xml(folder, tmp_path):
     crs = CRS.from_wkt(CRS.from_epsg(32614).to_wkt().replace("WGS 84 / UTM", "mine \x01 / UTM", 1))
     record = {"calibration": CALIBRATION, "survey": {"name": "Pit \x01 <7> \udce9 &"}, "crs": {"wkt": crs.to_wkt()}}
-    for name in ("class.tif", "heightmap.tif"):
+    (tmp_path / "rasters").mkdir()
+    for name in ("rasters/class.tif", "rasters/heightmap.tif"):
         (tmp_path / name).write_bytes((folder / name).read_bytes())
     write_project(tmp_path, record)
     root = read(tmp_path / "map.qgs")
@@ -214,12 +217,14 @@ def test_a_project_says_survey_vehicle_and_calibration_and_no_name_breaks_its_xm
     abstract = root.find("projectMetadata/abstract").text
     for part in ("warthog", "c0ffee", "smooth: c_r 0 to 0.1 rad/m"):
         assert part in abstract
-    assert {layer.find("datasource").text for layer in root.find("projectlayers")} == {"./class.tif", "./heightmap.tif"}
+    sources = {layer.find("datasource").text for layer in root.find("projectlayers")}
+    assert sources == {"./rasters/class.tif", "./rasters/heightmap.tif"}
     known = CRS.from_wkt(root.find("projectCrs/spatialrefsys/wkt").text)
     assert known.name == r"mine \x01 / UTM zone 14N"
 
 
 def test_same_layers_same_bytes_wherever_they_lie(folder, tmp_path):
+    (tmp_path / "rasters").mkdir()
     for name in PRODUCT_NAMES:
         (tmp_path / name).write_bytes((folder / name).read_bytes())
     georeferenced = {"wkt": CRS.from_epsg(32614).to_wkt()}

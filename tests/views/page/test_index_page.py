@@ -99,12 +99,13 @@ def test_places_are_drawn_if_two_are_known():
 
 
 def write_rasters(folder, class_id, barred, heights):
+    (folder / "rasters").mkdir()
     for name, values in (("class.tif", class_id), ("barred.tif", barred), ("heightmap.tif", heights)):
         rows, cols = values.shape
         nodata = NO_CLASS if values.dtype == np.uint8 else np.nan
         how = {"driver": "GTiff", "dtype": values.dtype, "count": 1, "nodata": nodata, "height": rows, "width": cols}
         scale = 3 * class_id.shape[0] / rows
-        with rasterio.open(folder / name, "w", transform=from_origin(0, 0, scale, scale), **how) as file:
+        with rasterio.open(folder / "rasters" / name, "w", transform=from_origin(0, 0, scale, scale), **how) as file:
             file.write(values, 1)
             file.build_overviews([2, 4], Resampling.mode if values.dtype == np.uint8 else Resampling.average)
 
@@ -181,7 +182,8 @@ def test_a_picture_is_as_small_as_asked(tmp_path):
 
 
 def test_a_damaged_layer_is_said(tmp_path):
-    (tmp_path / "class.tif").write_bytes(b"nothing")
+    (tmp_path / "rasters").mkdir()
+    (tmp_path / "rasters/class.tif").write_bytes(b"nothing")
     with pytest.raises(BadInputError, match=r"cannot read .*class\.tif"):
         read_thumbnail(tmp_path, 10_000)
 

@@ -48,15 +48,15 @@ def test_the_page_asks_nobody_and_its_tables_equal_the_counts_of_the_run(site, r
 
 def test_values_of_the_page_are_those_of_the_rasters_within_its_rounding(site, read_page):
     page = read_page(site / "report.html")
-    classes = raster(site, "class.tif")
+    classes = raster(site, "rasters/class.tif")
     ground = page.codes("ground")
     known = classes != NO_CLASS
     assert known.any()
     assert (ground[known] == classes[known]).all()
     assert (ground[~known] >= UNKNOWN_FROM).all()
-    barred = raster(site, "barred.tif")
+    barred = raster(site, "rasters/barred.tif")
     assert (page.codes("barred") == barred).all()
-    with rasterio.open(site / "roughness.tif") as file:
+    with rasterio.open(site / "rasters/roughness.tif") as file:
         bands = {name: file.read(band) for band, name in enumerate(file.descriptions, 1)}
     bands["cost"] = raster(site, "cost.tif")
     for key in ("c_r", "p_fail", "slope", "cost"):
@@ -68,14 +68,14 @@ def test_values_of_the_page_are_those_of_the_rasters_within_its_rounding(site, r
         else:
             off = np.abs(shown - wanted)
         assert np.nanmax(off) <= grid["step"] / 2 + 1e-6, key
-    heights = raster(site, "heightmap.tif")
+    heights = raster(site, "rasters/heightmap.tif")
     shown, grid = page.values("height")
     blocks = heights.reshape(30, 15, 40, 15)
     count = np.isfinite(blocks).sum(axis=(1, 3))
     mean = np.nansum(blocks.astype(float), axis=(1, 3)) / np.maximum(count, 1)
     assert (np.isnan(shown) == (count == 0)).all()
     assert np.abs(shown - mean)[count > 0].max() <= grid["step"] / 2 + 1e-3
-    found, objects = page.objects(), raster(site, "obstacle.tif")
+    found, objects = page.objects(), raster(site, "rasters/obstacle.tif")
     assert np.array_equal(found, objects)
     assert (found == OBSTACLE).any()
 
