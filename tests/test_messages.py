@@ -42,7 +42,7 @@ A_COMMAND = re.compile(r"\b(bumpymap|pdal) [a-z]+ |\bmavlogdump\.py |--(filters|
 
 BAD = [
     ({"tile_size": -1}, "tile_size"),
-    ({"tile_size": 5}, "tile_size=3"),
+    ({"tile_size": 4}, "tile_size=3"),
     ({"pixels": 31}, "pixels=15"),
     ({"ground": "grass"}, "ground"),
     ({"ground": "csf", "csf": {"rigidness": 7}}, "rigidness"),
@@ -214,7 +214,7 @@ def test_a_caller_of_the_classifier_reads_arguments(settings, words):
         (["--resume"], "--resume is gone: the same command continues an interrupted run"),
         (["--sheets", "5"], "--sheets is gone: all files and folders of one command make one map"),
         (["--sheets=5"], "--sheets is gone: all files and folders of one command make one map"),
-        (["--tile-size", "5"], "Use --tile-size 3, --set pixels=15"),
+        (["--tile-size", "4"], "Use --tile-size 3, --set pixels=15"),
         (["--crs", "EPSG:32632", "--local"], "--crs and --local contradict"),
     ],
 )

@@ -38,7 +38,7 @@ if {after_tiles}:
 else:
     def ending(*_, **__):
         os.kill(os.getpid(), signal.{name})
-    run._decide = ending
+    run.decide_ground = ending
 sys.argv[0] = "bumpymap"
 main()
 """
