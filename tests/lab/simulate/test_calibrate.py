@@ -68,6 +68,16 @@ def test_real_calibration_rises_with_z_range_and_reads_back(calibration):
     assert Calibration.from_json(calibration.to_json(), "x") == calibration
 
 
+def test_classes_mean_the_same_for_tiles_of_another_size(fake_drives):
+    like = replace(Calibration.shipped("warthog"), class_limits=(0.05, 0.09, 0.13))
+    made = calibrate_vehicle(SETTINGS, like=like)
+    assert made.class_limits == like.class_limits
+    c_r = np.array([terrain.c_r for terrain in library_terrains(made)])
+    class_id = np.searchsorted(like.class_limits, c_r, side="right")
+    assert made.class_c_r == pytest.approx([c_r[class_id == k].mean() for k in range(4)])
+    assert like.id in made.settings["class_rule"]
+
+
 @pytest.mark.later
 def test_number_of_workers_changes_nothing(calibration):
     assert calibrate_vehicle(SETTINGS, workers=2) == calibration
