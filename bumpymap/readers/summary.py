@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from bumpymap.core import (
     DENSE_COVERAGE,
     GROUND_CLASSES,
+    HOLE_POINTS,
+    HOLE_SHARE,
     POINT_DECK,
     POINT_GROUND,
     SEEN_PER_M2,
@@ -36,8 +38,8 @@ __all__ = ["PointSummary", "PointSummaryBuilder", "thin_rule"]
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
-Rule = Callable[[NDArray[np.bool_]], NDArray[np.bool_]]
-"""Pixels that hold a point, (n, pixels, pixels), in; whether a tile can be rated, (n,), out."""
+Rule = Callable[[NDArray[np.bool_], Ints], NDArray[np.bool_]]
+"""Pixels that hold a point, (n, pixels, pixels), and numbers of points, (n,), in; whether a tile can be rated, out."""
 MOST_PIXELS = 500_000
 """Pixels of the sample at most: more than 2,000 tiles of 15 x 15."""
 GROUP_PIXELS = 4_000_000
@@ -130,16 +132,17 @@ class TileCounts:
     def share_unknown(self, codes: Ints, *rules: Rule) -> float:
         """Return the share of these tiles, of those in the sample, that fulfil none of the rules."""
         px, size = self._grid.pixels, self._grid.pixels**2
-        places, _ = self.pixels.total()
+        places, points = self.pixels.total()
         tiles = np.intersect1d(np.unique(places >> 16), codes, assume_unique=True)
         bad, group = 0, max(1, GROUP_PIXELS // size)
         for first in range(0, tiles.size, group):
             part = tiles[first : first + group]
-            mine = places[np.isin(places >> 16, part)]
+            chosen = np.isin(places >> 16, part)
+            mine, tile = places[chosen], np.searchsorted(part, places[chosen] >> 16)
             known = np.zeros((part.size, size), np.bool_)
-            known[np.searchsorted(part, mine >> 16), mine & 0xFFFF] = True
-            maps = known.reshape(-1, px, px)
-            bad += part.size - int(np.logical_or.reduce([rule(maps) for rule in rules]).sum())
+            known[tile, mine & 0xFFFF] = True
+            maps, held = known.reshape(-1, px, px), np.bincount(tile, points[chosen], part.size)
+            bad += part.size - int(np.logical_or.reduce([rule(maps, held) for rule in rules]).sum())
         return bad / tiles.size if tiles.size else 0.0
 
 
@@ -200,11 +203,13 @@ def dense_rule(settings: FeatureSettings, pixel_size: float) -> Rule:
         m.
     """
     depth = max(1, round(settings.max_hole / pixel_size))
-    return lambda known: (known.mean(axis=(1, 2)) >= settings.min_coverage) & _filled(known, depth)
+    return lambda known, _: (known.mean(axis=(1, 2)) >= settings.min_coverage) & _filled(known, depth)
 
 
-def thin_rule(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which tiles (n, pixels, pixels) fulfil the rule of thin ones: their points span them.
+def thin_rule(known: NDArray[np.bool_], points: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return which tiles (n, pixels, pixels) of so many points fulfil the rule of thin ones: their points span them.
+
+    Of many points, holes are no chance: such a tile is not thin.
 
     The same as the measure ``seen`` of `bumpymap.patches.measure_thin`, from pixels instead of points, which differ
     where a part of the tile is no whole number of pixels.
@@ -214,7 +219,9 @@ def thin_rule(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
     seen = np.logical_or.reduceat(np.logical_or.reduceat(known, first, axis=1), first, axis=2)
     squares = seen[:, 1:, 1:] | seen[:, 1:, :-1] | seen[:, :-1, 1:] | seen[:, :-1, :-1]
     spanned = (seen.mean(axis=(1, 2)) >= THIN_SEEN) & squares.all(axis=(1, 2))
-    return np.asarray(spanned & (known.mean(axis=(1, 2)) < DENSE_COVERAGE))
+    coverage = known.mean(axis=(1, 2))
+    holes = (points >= HOLE_POINTS) & (coverage < -HOLE_SHARE * np.expm1(-points / pixels**2))
+    return np.asarray(spanned & ~holes & (coverage < DENSE_COVERAGE))
 
 
 def _filled(known: NDArray[np.bool_], depth: int) -> NDArray[np.bool_]:

@@ -112,7 +112,10 @@ def test_thin_tiles_are_known_if_their_points_span_them(las):
 def test_a_dense_tile_is_not_thin_whatever_stands_beside_it():
     pixels = np.zeros((2, 15, 15), np.bool_)
     pixels[0] = pixels[1, 2::5, 2::5] = True
-    assert thin_rule(pixels).tolist() == [False, True]
+    assert thin_rule(pixels, np.array([225, 9])).tolist() == [False, True]
+    pixels[1, :8, :8] = True
+    assert thin_rule(pixels, np.array([225, 40])).tolist() == [False, True]
+    assert thin_rule(pixels, np.array([225, 300])).tolist() == [False, False]  # holes among many points are no chance
 
 
 def test_pixels_tell_what_the_measure_of_points_tells():
@@ -129,6 +132,6 @@ def test_pixels_tell_what_the_measure_of_points_tells():
     pairs, _ = measure_thin(points, measure(points, settings, ground_only=False), settings, ground_only=False)
     pixels = np.zeros((256, 15, 15), np.bool_)
     pixels[tile, (y / 0.2).astype(int), (x / 0.2).astype(int)] = True
-    spanned = thin_rule(pixels)[points.row * 16 + points.col]
+    spanned = thin_rule(pixels, np.bincount(tile))[points.row * 16 + points.col]
     assert 50 < spanned.sum() < 200
     assert (spanned == (pairs[:, 1] >= THIN_SEEN)).all()
