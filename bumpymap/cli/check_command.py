@@ -226,7 +226,7 @@ def _calibration_of(site: "MapReader", given: Path | None) -> "Calibration":
     named = given or settings.get("calibration")
     try:
         vehicle = settings.get("vehicle") or site.vehicle.name
-        found = find_calibration(str(vehicle), Path(named) if named else None)
+        found = find_calibration(str(vehicle), Path(named) if named else None, site.grid.tile_size)
     except (BadInputError, UsageError) as error:
         if given:
             raise

@@ -33,6 +33,14 @@ def test_the_calibration_of_the_map_is_moved_and_written(layers, tmp_path):
     assert json.dumps(refit.record(update))
 
 
+def test_a_map_of_larger_tiles_has_its_own_calibration(tmp_path):
+    map_survey(write_survey(tmp_path / "site.laz"), tmp_path / "layers", tile_size=5)
+    refit = prepare_refit(tmp_path / "layers", None, tmp_path / "moved.json", overwrite=False)
+    own = Calibration.shipped("warthog", 5.0)
+    refit.move(driven_stretches(own, 50, shift=0.3), 1.0)
+    assert Calibration.load(tmp_path / "moved.json").settings["moved_to_drives"]["calibration_id"] == own.id
+
+
 def test_drives_that_are_refused_write_nothing(layers, tmp_path):
     out = tmp_path / "my_robot.json"
     refit = prepare_refit(layers, None, out, overwrite=False)
