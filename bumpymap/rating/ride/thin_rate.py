@@ -268,6 +268,9 @@ def rate_thin(
         thin_tiles, shared = _predicted(model, flat, reason == Reason.OK)
         if more := speed_log_sd(calibration):
             thin_tiles = thin_tiles.at_speed(plain_speed_factor(calibration, thin_tiles.log_c_r), more)
+            mean, prior_sd = model.prior
+            mean += float(plain_speed_factor(calibration, np.array([mean]))[0])
+            model = replace(model, prior=(mean, prior_sd))
         mixed = _mixed(thin_tiles, first, weight, calibration.map_floor)
         known = np.where(reason == Reason.OK, mixed.log_c_r, np.nan)
         found = pull_to_neighbours(replace(mixed, log_c_r=known), shared.reshape(2, *weight.shape), weight, model)
