@@ -66,7 +66,7 @@ _VALIDATION_ERROR = 0.045
 """Standard error of ln C_r of a patch in the validation drives; intervals must contain means with that error."""
 _MODEL_ERROR = 0.15
 """Standard deviation of ln C_r between simulations of one vehicle: of a second engine's means about the predictions,
-0.12 (smooth) to 0.20 (middle third) without the scatter of its drives (docs/pages/benchmarks.md, a second simulator);
+0.11 (smooth) to 0.18 (middle third) without the scatter of its drives (docs/pages/benchmarks.md, a second simulator);
 a simulation of another author differed by 12 % in the median."""
 
 
