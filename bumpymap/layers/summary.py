@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from bumpymap.core import (
     BARRED_TEXT,
     CLASS_NAMES,
-    FAIL_SHARE,
     NO_CLASS,
     REASON_TEXT,
     THIN_POINTS,
@@ -155,7 +154,7 @@ def summarise(table: CostTable, limits: Sequence[float] | None = None) -> MapSum
         points += int(found["count"].sum())
         _count(counts, np.zeros_like(group), found["count"].astype(np.float64))
         if limits is not None:
-            fails = (found["class_id"] == len(limits)) & (found["p_fail"] >= FAIL_SHARE) & (found["c_r"] < limits[-1])
+            fails = (found["class_id"] == len(limits)) & (found["c_r"] < np.float32(limits[-1]))
             failing += int(fails.sum())
             found = {**found, "c_r": np.where(fails, np.nan, found["c_r"])}
         for name, step in _STEPS.items():

@@ -338,10 +338,10 @@ class PointSummaryBuilder:
 
     def summary(self) -> PointSummary | None:
         """Return the summary; None if there are no points."""
-        _, counts = self.all_points.tiles.total()
+        codes, counts = self.all_points.tiles.total()
         if counts.size == 0:
             return None
-        _, ground_counts = self.ground.tiles.total()
+        ground_codes, ground_counts = self.ground.tiles.total()
         median, points, low, high = float(np.median(counts)), int(counts.sum()), self.low, self.high
         without = counts.size - ground_counts.size
         return PointSummary(
@@ -358,8 +358,8 @@ class PointSummaryBuilder:
             unknown=self._unknown(self.all_points),
             ground_unknown={Reason.NO_GROUND: float(without)} | self._unknown(self.ground),
             unseen=float(np.mean(counts < SEEN_PER_M2 * self._grid.tile_size**2)),
-            double_few=_few_in_double(*self.all_points.tiles.total(), ground_counts[:0]),
-            ground_double_few=_few_in_double(*self.ground.tiles.total(), self.all_points.tiles.total()[0]),
+            double_few=_few_in_double(codes, codes, counts),
+            ground_double_few=_few_in_double(codes, ground_codes, ground_counts),
             classes=_summarise_classes(*self.classes.total(), counts.size, self._ground_classes),
             never_classified=self._never_classified() if ground_counts.size else 0,
         )
@@ -406,12 +406,15 @@ def _tile_places(codes: Ints) -> tuple[Ints, Ints]:
     return row, col
 
 
-def _few_in_double(codes: Ints, counts: Ints, others: Ints) -> float:
-    """Return the share of tiles of twice the size with too few points; ``others``: tiles that may hold none."""
-    every = np.concatenate([codes, others])
-    whole, place = np.unique((every >> 24) << 23 | (every & _INDEX_MASK) >> 1, return_inverse=True)
-    held = np.bincount(place, np.concatenate([counts, np.zeros(len(others))]), len(whole))
-    return float(np.mean(held < THIN_POINTS)) if len(whole) else 0.0
+def _few_in_double(every: Ints, codes: Ints, counts: Ints) -> float:
+    """Return the share of tiles of twice the size with too few points, of those that hold any point.
+
+    ``every`` (n,) are the codes of tiles with points; ``codes`` and ``counts`` (m,) those of the points that count.
+    """
+    whole, own = ((of >> 24) << 23 | (of & _INDEX_MASK) >> 1 for of in (every, codes))
+    known = np.unique(whole)
+    held = np.bincount(np.searchsorted(known, own), counts, known.size)
+    return float(np.mean(held < THIN_POINTS))
 
 
 def _tile_codes(cloud: PointCloud, grid: Grid) -> Ints:

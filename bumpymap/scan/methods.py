@@ -105,6 +105,9 @@ class SectorRater:
             columns = thin_columns(pairs, relief_map, patches.count, self._ride.operator)
             columns[patches.reason != Reason.OK] = np.nan
             own = rate_thin(self._lay(columns, patches), first, coverage, slope, calibration)
+        # A sector has no bar of its own for slopes: ground that is too steep fails there.
+        too_steep = slope[1:-1, 1:-1] > float(calibration.vehicle["slope_limit_deg"])
+        own = replace(own, p_fail=np.where(too_steep, np.float32(1.0), own.p_fail))
         if calibration.pixels >= _LEAST_STEP_PIXELS:
             share = coverage > 0.0 if calibration.thin is None else dense_share(coverage)
             own = self._with_steps(own, patches, share, coverage[1:-1, 1:-1])

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import laspy
 import numpy as np
@@ -87,6 +88,24 @@ def test_sectors_say_what_a_survey_of_the_ground_says(points, rater, mapped):
     limits = find_calibration("warthog").class_limits
     known = ride.class_id != NO_CLASS
     assert (ride.class_id[known] >= np.searchsorted(limits, ride.c_r[known], side="right")).all()
+
+
+class Slope:
+    """Smooth ground that rises northwards by 8 degrees."""
+
+    def z(self, _x, y):
+        return math.tan(math.radians(8.0)) * y - HIGH_M
+
+
+@pytest.mark.parametrize(("limit", "classes"), [(5.0, {3}), (30.0, {0})])
+def test_smooth_ground_that_is_too_steep_is_of_the_roughest_class(limit, classes):
+    calibration = find_calibration("warthog")
+    rater = SectorRater(replace(calibration, vehicle=calibration.vehicle | {"slope_limit_deg": limit}))
+    scan = Scan(lines_on(Slope(), np.radians(np.linspace(3.0, 50.0, 120))))
+    ride = rater(scan, polar_sectors(scan))
+    known = ride.class_id != NO_CLASS
+    assert known.sum() > 50
+    assert set(ride.class_id[known].tolist()) == classes
 
 
 def test_few_lines_are_no_smooth_ground(ground, rater):

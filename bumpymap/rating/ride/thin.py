@@ -88,8 +88,8 @@ class ThinModel:
     origin: dict[str, Any]
     """The data of the fit, and its errors."""
     prior: tuple[float, float] = (0.0, 1e6)
-    """Mean and standard deviation of ln C_r of the ground of the fit. Predictions of tiles about which the points say
-    little are drawn to this mean; the default takes nothing back."""
+    """Mean and standard deviation of ln C_r of the terrain of the fit, towards whose mean the predictions of tiles with
+    few points are shrunk; the default undoes no shrinkage."""
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> "ThinModel":

@@ -30,7 +30,7 @@ Floats = NDArray[np.float64]
 
 
 _FREEDOM = 4.0
-_MOST_DRAWN = 0.8
+_MOST_SHRUNK = 0.8
 """Most of the variance of the ground of the fit that the error of a tile counts for."""
 _LEAST_VARIANCE = 0.02
 """Of ln C_r between neighbours: even ground differs by 14 % from tile to tile."""
@@ -44,9 +44,9 @@ _SIDES = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 def pull_to_neighbours(found: Prediction, shared: Floats, own_weight: Floats, model: ThinModel) -> Prediction:
     """Combine the prediction of each tile with those of its eight neighbours.
 
-    A regression draws a tile of which its points say little to the mean of the ground that it was fitted to: nine such
-    tiles would be drawn nine times. So that is taken back first, in proportion to the error (of a normal distribution
-    with a normal prior), and the neighbours say what to expect instead. A tile without known neighbours keeps its
+    A regression shrinks the prediction of a tile with few points towards the mean of the terrain that it was fitted to,
+    and an average of nine such tiles stays as biased as each of them. So the shrinkage is undone first, as for a normal
+    error with a normal prior; the neighbours are the prior instead. A tile without known neighbours keeps its
     prediction.
 
     Parameters
@@ -69,25 +69,25 @@ def pull_to_neighbours(found: Prediction, shared: Floats, own_weight: Floats, mo
     mean, prior_sd = model.prior
     model_error = model.own_spread**2
     variance = np.maximum((0.5 * (found.below + found.above)) ** 2 - model_error, _LEAST_ERROR**2)
-    most = _MOST_DRAWN * prior_sd**2
+    most = _MOST_SHRUNK * prior_sd**2
     unsure = np.minimum(variance + np.mean(shared, axis=0) ** 2, most)
-    drawn = (1.0 - own_weight) * unsure / (prior_sd**2 - unsure)
-    log_c_r = found.log_c_r + drawn * (found.log_c_r - mean)
-    variance = np.minimum(variance, most) * (1.0 + drawn)
+    shrinkage = (1.0 - own_weight) * unsure / (prior_sd**2 - unsure)
+    log_c_r = found.log_c_r + shrinkage * (found.log_c_r - mean)
+    variance = np.minimum(variance, most) * (1.0 + shrinkage)
     between = _variance_between(log_c_r, variance)
     middle, sure, unlike = _mean_of_neighbours(log_c_r, 1.0 / (variance + between))
     inner = np.s_[1:-1, 1:-1]
     own, free = found.each(lambda values: values[inner]), 1.0 - own_weight[inner]
-    error, freed, drawn = variance[inner], log_c_r[inner], drawn[inner]
+    error, unshrunk, shrinkage = variance[inner], log_c_r[inner], shrinkage[inner]
     prior = between * np.maximum(unlike, 1.0) + 1.0 / np.maximum(sure, 1e-9)
-    away = (freed - middle) ** 2 / (prior + error)
+    away = (unshrunk - middle) ** 2 / (prior + error)
     prior = prior * (_FREEDOM + away) / (_FREEDOM + 1.0)
     beside = sure > 0
     moved = np.where(beside, free * error / (prior + error), 0.0)
-    by = np.where(beside, freed - own.log_c_r + moved * (middle - freed), 0.0)
-    before = np.where(beside, error / (1.0 + drawn), error)
+    by = np.where(beside, unshrunk - own.log_c_r + moved * (middle - unshrunk), 0.0)
+    before = np.where(beside, error / (1.0 + shrinkage), error)
     narrower = np.sqrt((error * (1.0 - moved) + model_error) / (before + model_error))
-    below, above = shared[:, 1:-1, 1:-1] * free * np.where(beside, 1.0 + drawn, 1.0)
+    below, above = shared[:, 1:-1, 1:-1] * free * np.where(beside, 1.0 + shrinkage, 1.0)
     odds = own.p_fail / np.maximum(1.0 - own.p_fail, _LEAST_WEIGHT)
     odds = odds * np.exp(model.fail_growth * np.clip(by, 0.0, _MOST_RISE))
     return replace(
@@ -275,10 +275,10 @@ def rate_thin(
         known = np.where(reason == Reason.OK, mixed.log_c_r, np.nan)
         found = pull_to_neighbours(replace(mixed, log_c_r=known), shared.reshape(2, *weight.shape), weight, model)
         tangent = flat[:, THIN_COLUMNS.index("slope")].reshape(weight.shape)[1:-1, 1:-1]
-        # Where only the plane of the few points is too steep, drives fail: what bars a tile knows the other alone.
+        # A tile is barred as too steep by ``slope`` alone. Where only the plane of its few points is, drives fail.
         limit = float(calibration.vehicle["slope_limit_deg"])
-        hidden = (np.degrees(np.arctan(tangent)) > limit) & ~(slope[1:-1, 1:-1] > limit)
-        found = replace(found, p_fail=np.where(hidden, 1.0, found.p_fail))
+        only_by_points = (np.degrees(np.arctan(tangent)) > limit) & ~(slope[1:-1, 1:-1] > limit)
+        found = replace(found, p_fail=np.where(only_by_points, 1.0, found.p_fail))
         thin = _as_rating(found, slope[1:-1, 1:-1], reason[1:-1, 1:-1], calibration)
     rated = np.isfinite(found.log_c_r) & (weight[1:-1, 1:-1] < 1.0)
     before = first.inner()

@@ -222,7 +222,7 @@ def test_no_neighbour_makes_a_tile_safer():
     assert (found.p_fail[~rose] == 0.1).all()
 
 
-def test_what_the_library_adds_is_taken_back_where_neighbours_are_known():
+def test_shrinkage_towards_the_library_is_undone_where_neighbours_are_known():
     """Predictions of smooth ground under noise lie between the ground and the mean of the library."""
     rng = np.random.default_rng(4)
     mean, prior_sd, error, truth = -2.0, 1.3, 0.9, -4.5

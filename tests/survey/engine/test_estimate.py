@@ -86,7 +86,7 @@ def test_points_that_wait_take_nearly_what_was_said_and_no_more(tmp_path, monkey
 
 @pytest.mark.later
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs Linux's own account of a process")
-def test_a_run_takes_a_quarter_of_the_memory_that_was_said_at_least_and_no_more(tmp_path):
+def test_a_run_takes_more_than_a_third_of_the_memory_that_was_said_and_no_more(tmp_path):
     # What the system says of a child when it has ended (ru_maxrss) may be the size of the parent that started it.
     code = """
 import re, sys
@@ -95,11 +95,14 @@ main(sys.argv[1:], standalone_mode=False)
 print(re.search(r"VmHWM:\\s*(\\d+) kB", open("/proc/self/status").read())[1])
 """
     survey = str(QUARRY)
-    options = ["map", survey, "--out", str(tmp_path / "layers"), "--local", "--threads", "2", "--quiet"]
-    said = subprocess.run([sys.executable, "-c", code, *options], check=True, capture_output=True, text=True).stdout
-    foretold = json.loads(CliRunner().invoke(main, ["info", survey, "--quick", "--set", "threads=2", "--json"]).stdout)
     # How much is held at once depends on what the threads that write layers do at the same time: up to 160 MB.
-    assert 1 / 4 < int(said) * 1024 / foretold["run"]["memory_bytes_at_most"] <= 1
+    held = []
+    for out in ("first", "second", "third"):
+        options = ["map", survey, "--out", str(tmp_path / out), "--local", "--threads", "2", "--quiet"]
+        run = subprocess.run([sys.executable, "-c", code, *options], check=True, capture_output=True, text=True)
+        held.append(int(run.stdout) * 1024)
+    foretold = json.loads(CliRunner().invoke(main, ["info", survey, "--quick", "--set", "threads=2", "--json"]).stdout)
+    assert 1 / 3 < max(held) / foretold["run"]["memory_bytes_at_most"] <= 1
 
 
 def test_a_survey_larger_than_its_budget_takes_the_budget_and_a_small_one_does_not():
