@@ -1,9 +1,10 @@
 """bumpymap: roughness layers and ride-cost maps from point clouds.
 
 ``map_survey`` maps a survey, ``map_batch`` many, ``open`` opens the layers of a run, ``find_routes`` and ``map_reach``
-plan ways over them, ``check_drives`` compares them with real drives, ``diff_surveys`` finds what has changed between
-two surveys, ``classify_scan`` and ``ScanClassifier`` classify the ground in the scans of a robot; ``points_of`` and
-``GroundGrid`` read and fill the messages of ROS 2. Names are imported on first use.
+plan ways over them, ``ride_along`` tells the ride of a line, ``check_drives`` compares them with real drives,
+``diff_surveys`` finds what has changed between two surveys, ``classify_scan`` and ``ScanClassifier`` classify the
+ground in the scans of a robot; ``points_of`` and ``GroundGrid`` read and fill the messages of ROS 2. Names are imported
+on first use.
 """
 
 TYPE_CHECKING = False  # type checkers assume True; importing typing would take longer than the rest of this file
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from bumpymap.layers import PlannedRoute
     from bumpymap.rating import Calibration, Vehicle
     from bumpymap.readers import points_of
-    from bumpymap.route import find_routes, map_reach
+    from bumpymap.route import LineRide, find_routes, map_reach, ride_along
     from bumpymap.scan import ScanClassifier, ScanResult, classify_scan
     from bumpymap.survey import map_batch
     from bumpymap.views import GroundGrid
@@ -28,6 +29,7 @@ __all__ = [
     "Calibration",
     "GroundGrid",
     "Layers",
+    "LineRide",
     "OutputError",
     "PlannedRoute",
     "ScanClassifier",
@@ -44,6 +46,7 @@ __all__ = [
     "map_survey",
     "open",
     "points_of",
+    "ride_along",
 ]
 
 _PLACES = {
@@ -54,7 +57,7 @@ _PLACES = {
     "layers": ("PlannedRoute",),
     "rating": ("Calibration", "Vehicle"),
     "readers": ("points_of",),
-    "route": ("find_routes", "map_reach"),
+    "route": ("LineRide", "find_routes", "map_reach", "ride_along"),
     "scan": ("ScanClassifier", "ScanResult", "classify_scan"),
     "survey": ("map_batch",),
     "views": ("GroundGrid",),

@@ -28,7 +28,7 @@ ROOMS = {
         {"core", "readers", "patches", "rating", "layers", "views", "survey"},
         {"numpy", "pyproj"},
     ),
-    "route": ({"core", "layers", "views"}, {"numpy", "scipy", "xarray"}),
+    "route": ({"core", "rating", "layers", "views"}, {"numpy", "scipy", "xarray"}),
     "change": ({"core", "layers", "views"}, {"geopandas", "numpy", "scipy"}),
     "check": ({"core", "readers", "layers", "views"}, {"numpy", "scipy"}),
     "lab": (

@@ -4,6 +4,7 @@ Arrays of a window are (rows, cols), north row first. Lengths and coordinates ar
 ``Georeference`` converts to the units of the survey's CRS.
 """
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -104,6 +105,8 @@ class RouteProfile:
     """Cost of the way so far, m."""
     obstacle: NDArray[np.bool_]
     """Where the vehicle touches an obstacle, as it may only if ways through obstacles are allowed."""
+    c_r_line: NDArray[np.float64]
+    """Of the metre of the way itself (`ride_along`), rad/m; NaN if unknown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,6 +139,10 @@ class RouteFigures:
     descent_m: float
     seconds: float
     """Time at the profile's speed, s."""
+    c_r_line: float = math.nan
+    """Mean of the way itself, rolled over the pixels (`ride_along`), rad/m, with its 80 % interval; NaN if unknown."""
+    c_r_line_low: float = math.nan
+    c_r_line_high: float = math.nan
 
     @property
     def p_arrives(self) -> float:

@@ -49,6 +49,7 @@ _DECIMALS = {
     "detour": _SMALL,
     "cost_m": 3,
     **dict.fromkeys(("c_r_mean", "c_r_mean_low", "c_r_mean_high", "c_r_max", "c_r_max_low", "c_r_max_high"), _SMALL),
+    **dict.fromkeys(("c_r_line", "c_r_line_low", "c_r_line_high"), _SMALL),
     "p_arrives": _SMALL,
     "p_fail_max": _SMALL,
     **dict.fromkeys(("unknown_m", "obstacle_m", "climb_m", "descent_m", "seconds"), 3),
@@ -334,10 +335,25 @@ def _text(parent: ET.Element, tag: str, text: str) -> None:
 
 PROFILE_COLUMNS = (
     *("route", "distance_m", "lon", "lat", "x", "y"),
-    *("z_m", "slope_deg", "c_r", "c_r_low", "c_r_high", "p_fail", "cost_m", "obstacle"),
+    *("z_m", "slope_deg", "c_r", "c_r_low", "c_r_high", "p_fail", "cost_m", "obstacle", "c_r_line"),
 )
 """Columns of profile.csv; ``x`` and ``y`` are in units of the survey's CRS."""
-_FORMATS = ("%.3f", "%.7f", "%.7f", "%.3f", "%.3f", "%.3f", "%.3f", "%.6f", "%.6f", "%.6f", "%.6f", "%.3f", "%d")
+_FORMATS = (
+    "%.3f",
+    "%.7f",
+    "%.7f",
+    "%.3f",
+    "%.3f",
+    "%.3f",
+    "%.3f",
+    "%.6f",
+    "%.6f",
+    "%.6f",
+    "%.6f",
+    "%.3f",
+    "%d",
+    "%.6f",
+)
 
 
 def write_profile(routes: Sequence[Route], path: Path) -> None:
@@ -367,6 +383,7 @@ def _rows(route: Route, place: GeoJsonCoordinates) -> Iterator[tuple[str, ...]]:
         *(profile.distance, *degrees.T, *place.in_crs(grid_m).T),
         *(profile.z, profile.slope, profile.c_r, profile.c_r_low, profile.c_r_high, profile.p_fail, profile.cost),
         profile.obstacle,
+        profile.c_r_line,
     )
     texts = [
         [form % value if math.isfinite(value) else "" for value in values.tolist()]

@@ -25,15 +25,21 @@ from .ride.correction import (
     fit_correction as fit_correction,
     subtract_noise as subtract_noise,
 )
+from .ride.line import (
+    felt_along as felt_along,
+    match_tiles as match_tiles,
+)
 from .ride.motion_operator import (
     MotionOperator as MotionOperator,
     Motions as Motions,
     felt_response as felt_response,
+    heave_filter as heave_filter,
     move_over as move_over,
     roll_over as roll_over,
 )
 from .ride.operator import (
     RideOperator as RideOperator,
+    chassis_response as chassis_response,
 )
 from .ride.rate import (
     RideModel as RideModel,
@@ -43,6 +49,7 @@ from .ride.speed import (
     QUANTITIES as QUANTITIES,
     MotionFit as MotionFit,
     MotionModel as MotionModel,
+    SpeedRating as SpeedRating,
     at_speed as at_speed,
     motion_felt as motion_felt,
     motion_terms as motion_terms,
@@ -77,6 +84,10 @@ from .textures import (
     make_textures as make_textures,
     normalise as normalise,
     remove_plane as remove_plane,
+)
+from .vehicle_body import (
+    less_floor as less_floor,
+    with_floor as with_floor,
 )
 from .vehicle_profile import (
     KEYS as KEYS,

@@ -1,3 +1,4 @@
+from .line_ride import LineRide as LineRide, ride_along as ride_along
 from .pipeline import (
     RouteResult as RouteResult,
     find_routes as find_routes,

@@ -170,6 +170,7 @@ def _profile(site: MapReader, line: Floats, pieces: _Pieces) -> RouteProfile:
         **{name: pieces[name][piece] for name in (*_RIDE, "p_fail")},
         cost=np.interp(distance, np.concatenate([[0.0], ends]), spent),
         obstacle=np.zeros(count, np.bool_),
+        c_r_line=np.full(count, np.nan),
     )
 
 

@@ -32,6 +32,7 @@ from bumpymap.core import (
 from bumpymap.layers import PlannedRoute, open_map, read_areas
 from bumpymap.route.alternatives import find_alternatives
 from bumpymap.route.ground import CostGround
+from bumpymap.route.line_ride import with_line_rides
 from bumpymap.route.planner import Planner
 from bumpymap.route.search import BYTES_PER_TILE, MOST_TILES
 from bumpymap.route.settings import CostSettings, RouteConfig
@@ -275,7 +276,8 @@ def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteR
             return _write_reach(ground, stops, config, config.out)
         progress.start("routes", None)
         routes, order = _routes(ground, stops, config)
-        notes = [*stops.notes, *order]
+        routes, without = with_line_rides(ground.site, routes)
+        notes = [*stops.notes, *order, *([without] if without else [])]
         files: list[Path] = []
         if config.out is not None:
             manifest = {"settings": asdict(config), "remarks": notes}

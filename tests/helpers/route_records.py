@@ -34,7 +34,15 @@ def make_route(name="route", corners=CORNERS, *, georeference=UTM, step=2.0, fig
     unknown = [np.where(gap, np.nan, values) for values in (middle, low, high, rng.random(len(distance)) * 0.3)]
     z = np.where(gap, np.nan, 2250.0 + 3.0 * np.sin(distance / 20.0))
     profile = RouteProfile(
-        distance, easting, northing, z, np.gradient(z) if len(z) > 1 else z, *unknown, distance * 1.2, gap
+        distance,
+        easting,
+        northing,
+        z,
+        np.gradient(z) if len(z) > 1 else z,
+        *unknown,
+        distance * 1.2,
+        gap,
+        1.1 * unknown[0],
     )
     stops = corners[[0, -1]] if stops is None else np.asarray(stops, float)
     return Route(name, georeference, Grid(), corners, stops, profile, figures, VEHICLE, 25.0)

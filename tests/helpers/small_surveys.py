@@ -42,11 +42,12 @@ def write_las(path, x, y, z, *, crs="EPSG:32614", offset=(500_000, 4_000_000, 0)
     return path
 
 
-def write_survey(path, *, epsg=32614, points=20_000, seed=0, side=20.0):
-    """Nearly flat ground of some tiles; no CRS if ``epsg`` is None."""
+def write_survey(path, *, epsg=32614, points=20_000, seed=0, side=20.0, height=None):
+    """Ground of some tiles, nearly flat or ``height(x, y)``; no CRS if ``epsg`` is None."""
     rng = np.random.default_rng(seed)
     x, y = rng.uniform(500_001, 500_001 + side, points), rng.uniform(4_000_002, 4_000_002 + side, points)
-    return write_las(path, x, y, 100 + 0.02 * rng.standard_normal(points), crs=epsg)
+    z = 100 + 0.02 * rng.standard_normal(points) if height is None else height(x, y)
+    return write_las(path, x, y, z, crs=epsg)
 
 
 def write_broken(path):

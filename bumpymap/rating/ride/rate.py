@@ -33,7 +33,7 @@ from bumpymap.rating.ride.operator import RideOperator, cosines
 from bumpymap.rating.ride.speed import SpeedRating, plain_speed_factor, require_speeds, speed_log_sd
 from bumpymap.rating.vehicle_body import with_floor
 
-__all__ = ["CleanPatches", "RideModel", "denoise", "interval", "judge"]
+__all__ = ["CleanPatches", "RideModel", "denoise", "interval", "judge", "spectrum_of"]
 
 _STEEPNESS = (2.0, 2.6, 3.2, 3.8, 4.5)
 """Exponents of the ground's spectrum that are tried: Hurst exponents from 0 to beyond 1."""
@@ -56,7 +56,7 @@ class CleanPatches:
 def denoise(patches: PatchStack, operator: RideOperator) -> CleanPatches:
     """Estimate the noise of every patch that can be judged, and take it off its relief."""
     tiles, pixels = len(patches.reason), patches.grid.pixels
-    spectrum = _spectrum(pixels)
+    spectrum = spectrum_of(pixels)
     clean = patches.relief_map.copy()
     noise = np.full((2, tiles), np.nan)
     denoise_patches(
@@ -72,7 +72,7 @@ def denoise(patches: PatchStack, operator: RideOperator) -> CleanPatches:
 
 
 @cache
-def _spectrum(pixels: int) -> Spectrum:
+def spectrum_of(pixels: int) -> Spectrum:
     """Cosines, the band of each coefficient (by its wave number, -1 for the mean), spectra that are tried by band."""
     order = np.arange(pixels)
     wave = np.hypot(order[:, None], order[None, :])

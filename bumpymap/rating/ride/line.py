@@ -1,0 +1,127 @@
+"""The ride of a line: what is felt along it, from the pitch of the rockers at even distances.
+
+The correction that the drives of a calibration taught turns geometric values of a tile into its C_r. It holds for a
+line as well: the values are those of a stretch as long as a tile, about each place of the line, and what is felt at the
+place is its share of the stretch.
+
+A heightmap holds the scan's noise, and a map does not keep how much. But the C_r of a tile was predicted without it:
+the relief is denoised (as for that prediction) just so far that the same prediction comes out of it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.rating.ride._noise_kernels import DenoisedPatches, PatchesToDenoise, denoise_patches, spectrum_scratch
+from bumpymap.rating.ride.correction import Correction
+from bumpymap.rating.ride.motion_operator import Rides, roll_over
+from bumpymap.rating.ride.operator import RideOperator
+from bumpymap.rating.ride.rate import spectrum_of
+
+__all__ = ["MatchedTiles", "felt_along", "match_tiles"]
+
+Floats = NDArray[np.float64]
+
+_ROUNDS = 7
+_NOISE_M = (1e-4, 0.07)
+"""Least and most noise of a pixel that is tried, m."""
+_MANY = 1e3
+"""Points per pixel with which the correction adds nothing for noise."""
+_LEAST = 1e-5
+
+
+class MatchedTiles(NamedTuple):
+    """Tiles whose relief has the ride that their map states."""
+
+    relief_map: NDArray[np.float32]
+    """(n, pixels, pixels) plane-removed relief, m; NaN where a tile has holes."""
+    rides: Rides
+    """(n,) of that relief."""
+
+
+def match_tiles(
+    relief_map: NDArray[np.float32], c_r: Floats, slope_deg: Floats, correction: Correction, operator: RideOperator
+) -> MatchedTiles:
+    """Take as much noise off the relief of n tiles as brings their predicted C_r down to the one that is stated.
+
+    Parameters
+    ----------
+    relief_map : array (n, pixels, pixels) float32
+        Plane-removed relief, m; tiles with NaN are left out.
+    c_r : array (n,)
+        C_r at the profile's speed, without the vehicle's floor, rad/m; where it is NaN, the relief stays.
+    slope_deg : array (n,)
+        Slope of the tiles' planes, degrees.
+    correction, operator
+        Of the calibration.
+    """
+    wanted = np.log(np.maximum(c_r, _LEAST))
+    low, high = (np.full(len(c_r), np.log(end)) for end in _NOISE_M)
+    for _ in range(_ROUNDS):
+        middle = 0.5 * (low + high)
+        rides = roll_over(_without(relief_map, np.exp(middle)), operator)
+        too_rough = _predicted(rides, slope_deg, correction) > wanted
+        low, high = np.where(too_rough, middle, low), np.where(too_rough, high, middle)
+    rough = _predicted(roll_over(relief_map, operator), slope_deg, correction) > wanted
+    clean = np.where(rough[:, None, None], _without(relief_map, np.exp(low)), relief_map)
+    return MatchedTiles(clean, roll_over(clean, operator))
+
+
+def _predicted(rides: Rides, slope_deg: Floats, correction: Correction) -> Floats:
+    none = np.zeros(len(slope_deg))
+    return correction.predict(rides, slope_deg, none, none + _MANY).log_c_r
+
+
+def _without(relief_map: NDArray[np.float32], noise: Floats) -> NDArray[np.float32]:
+    """Denoise n patches whose pixels have a noise [m], (n,): as if each held two points that lie so far apart."""
+    known = np.asarray(np.isfinite(relief_map).all(axis=(1, 2)))
+    spectrum, clean = spectrum_of(relief_map.shape[1]), relief_map.copy()
+    count = np.full(relief_map.shape, 2, np.int32)
+    # The noise of a point is the median of the variances over that of chi-square numbers with one degree of freedom.
+    variance = np.broadcast_to((noise**2 * (7 / 9) ** 3)[:, None, None], relief_map.shape).astype(np.float32)
+    denoise_patches(
+        PatchesToDenoise(known, np.ascontiguousarray(relief_map), count, variance),
+        spectrum,
+        DenoisedPatches(clean, np.empty((2, len(noise)))),
+        spectrum_scratch(relief_map.shape[1], *spectrum.shapes.shape),
+    )
+    return clean
+
+
+def felt_along(
+    pitch: Floats, taps: Floats, way: float, stretch: float, reach: Floats, slope_deg: Floats, correction: Correction
+) -> Floats:
+    """Return what is felt at each sample along a line, (n,) rad/m; its mean over a stretch is the C_r there.
+
+    Parameters
+    ----------
+    pitch : array (n,)
+        Of the rockers, rad.
+    taps : array (k,)
+        How the chassis follows them, of `chassis_response`.
+    way : float
+        Distance between samples, m.
+    stretch : float
+        Length that geometric values are taken over: the side of the tiles that the correction was fitted to, m.
+    reach : array (n,)
+        ``belly_reach`` of the tile that each sample lies in.
+    slope_deg : array (n,)
+        Slope of that tile, degrees.
+    correction : Correction
+        Of the calibration.
+    """
+    from scipy.ndimage import uniform_filter1d
+
+    def mean(values: Floats) -> Floats:
+        return np.asarray(uniform_filter1d(values, max(round(stretch / way), 1), mode="nearest"))
+
+    change = np.diff(pitch, prepend=pitch[:1])
+    change = np.abs(np.convolve(change, taps)[: len(change)]) / way
+    size = np.maximum(mean(change), _LEAST)
+    rms = np.maximum(np.sqrt(np.maximum(mean(change**2), 0.0)), size)
+    about = np.sqrt(np.maximum(mean(pitch**2) - mean(pitch) ** 2, 0.0))
+    none = np.zeros(len(pitch))
+    rides = Rides(size, rms, about, none, none, reach, none, none)
+    felt: Floats = np.exp(_predicted(rides, slope_deg, correction)) * change / size
+    return felt

@@ -1,0 +1,130 @@
+"""The ride of a line: closed forms, directions, what is unknown."""
+
+import json
+import math
+import shutil
+
+import numpy as np
+import pytest
+from small_surveys import write_survey
+
+import bumpymap
+from bumpymap.rating import Calibration
+from bumpymap.route import RouteConfig, plan_routes
+
+WAVE_M, HEIGHT_M, SIDE_M = 3.0, 0.04, 30.0
+WEST, SOUTH = 500_001.0, 4_000_002.0
+
+
+def across(length=20.0, north=15.0):
+    """A line to the east, over the crests of the waves."""
+    return [(WEST + 5.0, SOUTH + north), (WEST + 5.0 + length, SOUTH + north)]
+
+
+def along(length=20.0, east=15.75):
+    """A line to the north, along a crest."""
+    return [(WEST + east, SOUTH + 5.0), (WEST + east, SOUTH + 5.0 + length)]
+
+
+@pytest.fixture(scope="module")
+def waves(tmp_path_factory):
+    """Layers of long even waves that run north, without noise."""
+    folder = tmp_path_factory.mktemp("waves")
+
+    def height(x, _):
+        return 100.0 + HEIGHT_M * np.sin(2 * np.pi * (x - WEST) / WAVE_M)
+
+    survey = write_survey(folder / "waves.las", points=120_000, side=SIDE_M, height=height)
+    return bumpymap.map_survey(survey, folder / "layers")
+
+
+def test_waves_shake_as_the_closed_form_of_their_drives_says(waves):
+    base = 0.92
+    expected = 8 * HEIGHT_M * math.sin(math.pi * base / WAVE_M) / (base * WAVE_M)
+    ride = bumpymap.ride_along(waves, across(), sigma=0.0)
+    c_r, low, high = ride.over(2.0, 18.0)
+    assert c_r == pytest.approx(expected, rel=0.15)
+    assert low < expected < high
+    assert ride.by_line.all()
+    assert (ride.seen > 0.9).all()
+    np.testing.assert_allclose(ride.pitch_rate, ride.c_r * ride.speed_mps)
+
+
+def test_a_line_knows_its_direction_and_its_tiles_do_not(waves):
+    over, beside = (bumpymap.ride_along(waves, line).over(2.0, 18.0)[0] for line in (across(), along()))
+    tiles = float(waves.tiles()["c_r"].median())
+    assert beside < 0.4 * tiles < tiles < over
+    back = bumpymap.ride_along(waves, across()[::-1]).over(2.0, 18.0)[0]
+    assert back == pytest.approx(over, rel=0.05)
+
+
+def test_a_long_line_has_the_ride_of_its_parts(waves):
+    there_and_back = [*across(), across()[0]]
+    ride = bumpymap.ride_along(waves, [across()[0], *(there_and_back[1:] * 52)])
+    assert ride.distance[-1] == pytest.approx(52 * 40.0)
+    passes = ride.c_r.reshape(52, 40)
+    np.testing.assert_allclose(passes[1:-1], np.broadcast_to(passes[1], (50, 40)), rtol=1e-6)
+
+
+def test_beyond_the_map_nothing_is_known(waves):
+    ride = bumpymap.ride_along(waves, across(length=40.0))
+    inside = ride.distance[1:] < 20.0
+    assert np.isfinite(ride.c_r[inside]).all()
+    assert np.isnan(ride.c_r[ride.distance[:-1] > SIDE_M]).all()
+    assert math.isnan(ride.over(30.0, 40.0)[0])
+    assert ride.over(0.0, 40.0)[0] == pytest.approx(ride.over(0.0, 26.0)[0], rel=0.1)
+
+
+def test_an_unsure_place_widens_the_interval_where_it_matters(waves):
+    def width(line, sigma):
+        _, low, high = bumpymap.ride_along(waves, line, sigma=sigma).over(2.0, 18.0)
+        return high / low
+
+    slanting = [(WEST + 5.0, SOUTH + 5.0), (WEST + 8.0, SOUTH + 25.0)]
+    assert width(slanting, 1.0) > width(slanting, 0.0)
+    assert width(across(), 1.0) == pytest.approx(width(across(), 0.0), rel=0.05)
+
+
+def test_other_speeds_shake_the_seat_more(waves):
+    slow, fast = (bumpymap.ride_along(waves, across(), speed=speed) for speed in (0.5, 1.5))
+    assert np.nanmedian(fast.a_w) > 2.0 * np.nanmedian(slow.a_w) > 0.0
+    assert (slow.speed_mps, fast.speed_mps) == (0.5, 1.5)
+
+
+@pytest.mark.parametrize(
+    ("line", "settings", "message"),
+    [
+        ([(WEST, SOUTH)], {}, "two points or more"),
+        ([(WEST, math.nan), (WEST, SOUTH)], {}, "two points or more"),
+        ([(WEST, SOUTH)] * 2, {}, "length is 0"),
+        (across(), {"sigma": -1.0}, "metres from 0 to 5"),
+        (across(), {"speed": 40.0}, "holds from"),
+    ],
+)
+def test_senseless_lines_are_refused(waves, line, settings, message):
+    with pytest.raises(bumpymap.UsageError, match=message):
+        bumpymap.ride_along(waves, line, **settings)
+
+
+def test_another_calibration_is_refused_and_a_route_does_without(waves, tmp_path):
+    other = tmp_path / "husky.json"
+    other.write_text(Calibration.shipped("husky").to_json())
+    with pytest.raises(bumpymap.BadInputError, match="was made with the calibration"):
+        bumpymap.ride_along(waves, across(), calibration=other)
+    layers = tmp_path / "layers"
+    shutil.copytree(waves, layers)
+    manifest = json.loads((layers / "run.json").read_text())
+    manifest["calibration"]["id"] = "of-my-own"
+    (layers / "run.json").write_text(json.dumps(manifest))
+    result = plan_routes(RouteConfig(layers=layers, start="500006,4000017", goal="500026,4000017"))
+    assert math.isnan(result.routes[0].figures.c_r_line)
+    assert "Give the file of that one" in result.notes[-1]
+
+
+def test_a_route_tells_the_ride_of_its_line(waves):
+    start, goal = across()
+    (way,) = bumpymap.find_routes(waves, start, goal)
+    figures = way.figures
+    assert figures.c_r_line_low < figures.c_r_line < figures.c_r_line_high
+    assert figures.c_r_line > 1.1 * figures.c_r_mean
+    assert np.isfinite(way.profile.c_r_line).all()
