@@ -39,7 +39,14 @@ class Start:
 
 def starts():
     """Give every valid survey, of 40 points each."""
-    return [_start(name, data) for name, data in bases(40).items()]
+    made = []
+    for name, data in bases(40).items():
+        if name.endswith((".las", ".laz")):
+            made.append(Start(name, data, tuple(_las_fields(data)), 0))
+            continue
+        end = data.index(b"\n", data.index(b"end_header" if name.endswith(".ply") else b"DATA")) + 1
+        made.append(Start(name, data, ((end, "I"), (end + 4, "I")) if name == "packed.pcd" else (), end))
+    return made
 
 
 def applied(data: bytes, edits) -> bytes:
@@ -65,76 +72,59 @@ def _edit(data, start, others, rng):
         return _field_edit(data, start, rng)
     if start.text_end and kind < 0.6:
         return _word_edit(data, start, rng)
-    if kind < 0.75:
-        return _byte_edit(data, rng)
-    return _block_edit(data, others, rng)
+    return _byte_edit(data, rng) if kind < 0.75 else _block_edit(data, others, rng)
 
 
 def _field_edit(data, start, rng):
-    place, layout = start.fields[int(rng.integers(len(start.fields)))]
+    place, layout = _chosen(start.fields, rng)
     size = struct.calcsize("<" + layout)
     if layout == "d":
-        return place, place + size, struct.pack("<d", _REALS[int(rng.integers(len(_REALS)))])
+        return place, place + size, struct.pack("<d", _chosen(_REALS, rng))
     own = int.from_bytes(data[place : place + size], "little")
     near = (own + 1, own - 1, own * 2, own // 2, len(data), len(data) - 8, own ^ (1 << int(rng.integers(8 * size))))
-    choices = _INTEGERS if rng.random() < 0.5 else near
-    value = choices[int(rng.integers(len(choices)))] % 256**size
+    value = _chosen(_INTEGERS if rng.random() < 0.5 else near, rng) % 256**size
     return place, place + size, value.to_bytes(size, "little")
 
 
 def _word_edit(data, start, rng):
     """Replace, remove or double a word or a line of a text header."""
-    head = data[: start.text_end]
-    line_end = rng.random() < 0.4
-    ends = [i for i, byte in enumerate(head) if byte in (b"\n" if line_end else b" \n")]
+    head, between = data[: start.text_end], b"\n" if rng.random() < 0.4 else b" \n"
+    ends = [i for i, byte in enumerate(head) if byte in between]
     if len(ends) < 2:
         return _byte_edit(data, rng)
     which = int(rng.integers(len(ends) - 1))
     first, last = ends[which] + 1, ends[which + 1]
-    kind = int(rng.integers(3))
-    if kind == 0:
-        return first, last, _WORDS[int(rng.integers(len(_WORDS)))]
-    return (first, last + 1, b"") if kind == 1 else (first, first, data[first : last + 1])
+    edits = (first, last, _chosen(_WORDS, rng)), (first, last + 1, b""), (first, first, data[first : last + 1])
+    return _chosen(edits, rng)
 
 
 def _byte_edit(data, rng):
     place = int(rng.integers(max(len(data), 1)))
-    new = (
-        bytes([int(rng.integers(256))])
-        if rng.random() < 0.5
-        else bytes([(data[place] if data else 0) ^ (1 << int(rng.integers(8)))])
-    )
-    return place, place + 1, new
+    own, bit = (data[place] if data else 0), 1 << int(rng.integers(8))
+    return place, place + 1, bytes([int(rng.integers(256)) if rng.random() < 0.5 else own ^ bit])
 
 
 def _block_edit(data, others, rng):
     """Cut the end off; remove, double, blank or exchange a block; take one from another survey."""
-    place = int(rng.integers(max(len(data), 1)))
-    size = int(2 ** rng.uniform(0, 9))
-    kind = int(rng.integers(6))
-    if kind == 0:
-        return place, len(data), b""
-    if kind == 1:
-        return place, place + size, b""
-    if kind == 2:
-        return place, place, data[place : place + size]
-    if kind == 3:
-        return place, place + size, (b"\0", b"\xff")[int(rng.integers(2))] * size
-    if kind == 4:
-        source = int(rng.integers(max(len(data), 1)))
-        return place, place + size, data[source : source + size]
-    other = others[int(rng.integers(len(others)))].data
-    source = int(rng.integers(len(other)))
-    return place, place + size, other[source : source + size]
+    place, size = int(rng.integers(max(len(data), 1))), int(2 ** rng.uniform(0, 9))
+    own, other = (each[int(rng.integers(max(len(each), 1))) :][:size] for each in (data, _chosen(others, rng).data))
+    end = place + size
+    return _chosen(
+        (
+            (place, len(data), b""),
+            (place, end, b""),
+            (place, place, data[place:end]),
+            (place, end, b"\0" * size),
+            (place, end, b"\xff" * size),
+            (place, end, own),
+            (place, end, other),
+        ),
+        rng,
+    )
 
 
-def _start(name, data):
-    if not name.endswith((".las", ".laz")):
-        mark = b"end_header" if name.endswith(".ply") else b"DATA"
-        end = data.index(b"\n", data.index(mark)) + 1
-        packed = ((end, "I"), (end + 4, "I")) if name == "packed.pcd" else ()
-        return Start(name, data, packed, end)
-    return Start(name, data, tuple(_las_fields(data)), 0)
+def _chosen(choices, rng):
+    return choices[int(rng.integers(len(choices)))]
 
 
 def _las_fields(data):
