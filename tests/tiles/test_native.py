@@ -188,11 +188,9 @@ logging.basicConfig(format="%(message)s")
 
 @pytest.mark.later
 def test_a_user_without_a_home_is_told_once_that_nothing_is_kept(place):
+    (place / "small.py").write_text(SOURCE.replace("weigh(", "small("))
     (place / "__pycache__").write_text("in the way")
-    (place / "other").mkdir()
-    (place / "other" / "small.py").write_text(SOURCE.replace("weigh(", "small("))
-    (place / "other" / "__pycache__").write_text("in the way")
-    other = "\nsys.path.append('other')\nimport small\nsmall.small(np.ones(3), small.Weights(*weights), out)"
+    other = "\nimport small\nsmall.small(np.ones(3), small.Weights(*weights), out)"
     done = ran(place, WITHOUT_HOME + RUN + other, here=place)
     assert done.stdout.startswith(NUMBERS)
     (line,) = done.stderr.strip().splitlines()
@@ -203,13 +201,7 @@ def test_a_user_without_a_home_is_told_once_that_nothing_is_kept(place):
 
 def test_a_kernel_that_allocates_is_refused_by_name(place):
     (place / "tiny.py").write_text(SOURCE + ALLOCATES)
-    code = """
-import numpy as np, tiny
-try:
-    tiny.allocates(np.arange(3.0), np.zeros(3))
-except TypeError as error:
-    print(error)
-"""
+    code = "import numpy as np, tiny\ntry: tiny.allocates(np.arange(3.0), np.zeros(3))\nexcept TypeError as e: print(e)"
     assert "the kernel allocates cannot be kept: it calls NRT_" in run(place, code)
 
 

@@ -1,0 +1,320 @@
+"""Files, folders and URLs: the same survey from wherever it lies, no more bytes than needed, and no mixture of two."""
+
+import os
+import sys
+import threading
+
+import numpy as np
+import pytest
+from range_server import serving
+from survey_kinds import KINDS, STREAMED, write_kind
+
+import bumpymap.readers.las as las_module
+from bumpymap.core import run_spec
+from bumpymap.core.config import FeatureSettings
+from bumpymap.core.errors import BadInputError, UsageError
+from bumpymap.readers import (
+    PointStats,
+    PointSummaryBuilder,
+    ReadOptions,
+    find_surveys,
+    hash_survey,
+    identity,
+    is_url,
+    open_survey,
+    protocol,
+    source,
+)
+from bumpymap.readers.source import read_range
+from bumpytiles import Grid
+
+PLACE = np.array([500_000, 4_000_000, 0])
+
+
+def random_points(count):
+    return np.round(np.random.default_rng(4).uniform(0, 100, (count, 3)), 3) + PLACE
+
+
+@pytest.fixture
+def memory():
+    """Files by name in fsspec's memory; gone afterwards."""
+    files = pytest.importorskip("fsspec").filesystem("memory")
+
+    def put(name, data):
+        files.pipe(f"/surveys/{name}", data)
+        return f"memory://surveys/{name}"
+
+    yield put
+    if files.exists("/surveys"):
+        files.rm("/surveys", recursive=True)
+
+
+@pytest.fixture
+def server(tmp_path):
+    """A folder on the web: its address, and the handler that counts."""
+    pytest.importorskip("aiohttp")
+    with serving(tmp_path) as found:
+        yield found
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_url_gives_the_points_of_the_file(tmp_path, read, memory, kind):
+    path = write_kind(kind, tmp_path, random_points(50))
+    for where in (memory(path.name, path.read_bytes()), path.as_uri()):
+        reader = open_survey(where)
+        assert all(np.array_equal(a, b) for a, b in zip(read(reader, 7), read(open_survey(path), 7), strict=True))
+        assert reader.info.path == where
+        assert reader.info.size_bytes == path.stat().st_size
+
+
+def test_points_come_from_the_web_by_ranges(las, read, server):
+    address, handler = server
+    points = random_points(60_000)
+    path = las.pack(las.write(points=points, version="1.4", fmt=6), 5000)
+    reader = open_survey(f"{address}/{path.name}")
+    opened = handler.sent
+    chunk = reader.chunks(5000)[7]
+    got = reader.convert(chunk, reader.fetch(chunk)).cloud.easting
+    assert handler.sent - opened < path.stat().st_size / 10
+    assert np.array_equal(got, points[chunk.first : chunk.first + chunk.points, 0])
+    assert np.array_equal(read(reader)[0], points)
+
+
+def test_a_file_on_a_server_that_is_written_again_while_it_is_read(las, server):
+    """Told by the headers of each answer: by ETag, by the time of change, by the size."""
+    address, handler = server
+    for key, before, after in [("ETag", '"1"', '"2"'), ("Last-Modified", "monday", "tuesday"), (None, "", "")]:
+        path = las.pack(las.write(points=random_points(20_000), version="1.4", fmt=6), 1000)
+        handler.headers_beside = {key: before} if key else {}
+        chunks, behind = (open_survey(f"{address}/{path.name}").clouds(size) for size in (1000, 100_000))
+        next(chunks)
+        next(behind)
+        handler.headers_beside = {key: after} if key else {}
+        if key is None:
+            path.write_bytes(path.read_bytes() + bytes(10))
+        with pytest.raises(BadInputError, match=rf"{path.name} changed while it was read"):
+            next(chunks)
+        if key == "ETag":  # a change behind the last range is told at the end
+            with pytest.raises(BadInputError, match="the server reports version etag"):
+                next(behind)
+
+
+def test_a_large_file_on_a_server_without_ranges_is_not_fetched(las, server):
+    """It is refused at its first answer, of which no more is read than what the system had taken in by then."""
+    address, handler = server
+    handler.whole_files_alone = True
+    path = las.write()
+    with path.open("ab") as file:
+        file.truncate(200_000_000)
+    with pytest.raises(BadInputError, match="does not support range requests"):
+        open_survey(f"{address}/{path.name}")
+    assert handler.sent < 50_000_000
+
+
+def test_a_server_that_stalls(las, server, monkeypatch):
+    address, handler = server
+    path = las.write()
+    reader = open_survey(f"{address}/{path.name}")
+    monkeypatch.setattr(source, "STALL_S", 0.2)
+    handler.stalled = threading.Event()
+    try:
+        with pytest.raises(BadInputError, match=r"^the server of .*a\.las sent nothing for 0\.2 s"):
+            list(reader.clouds())
+        assert handler.requests == 1
+        with pytest.raises(BadInputError, match="sent nothing"):
+            open_survey(f"{address}/{path.name}")
+    finally:
+        handler.stalled.set()
+
+
+def test_a_server_that_gives_other_bytes(las, server):
+    address, handler = server
+    path = las.write()
+    handler.shift = 5
+    with pytest.raises(BadInputError, match="returned byte 105 instead of byte 100"):
+        read_range(f"{address}/{path.name}", 100, 50)
+
+
+def test_what_is_not_there(memory, tmp_path, monkeypatch):
+    memory("a.laz", b"x")
+    for where in ("memory://surveys/b.laz", (tmp_path / "b.laz").as_uri(), tmp_path / "b.laz", tmp_path):
+        with pytest.raises(BadInputError, match=rf"cannot read .*(b\.laz|{tmp_path.name})"):
+            open_survey(where)
+    with pytest.raises(BadInputError, match="is empty"):
+        open_survey(memory("c.laz", b""))
+    with pytest.raises(UsageError, match="nowhere://a"):
+        open_survey("nowhere://a.laz")
+    monkeypatch.setitem(sys.modules, "fsspec.core", None)
+    with pytest.raises(UsageError, match=r"pip install 'bumpymap\[remote\]'"):
+        open_survey("s3://bucket/a.laz")
+
+
+def test_folders_of_urls(memory, tmp_path):
+    for name in ("b.LAZ", "sub/a.las", "sub/notes.txt", ".git/c.las", "sub/.d.las", "named.bin"):
+        memory(name, b"x")
+    found = find_surveys(["memory://surveys"])
+    assert [str(url).removeprefix("memory://").lstrip("/") for url in found] == ["surveys/b.LAZ", "surveys/sub/a.las"]
+    assert all(is_url(url) for url in found)
+    named = memory("named.bin", b"x")
+    path = tmp_path / "z.las"
+    path.write_bytes(b"x")
+    # Not asked whether it is a folder: a server would be asked for nothing.
+    assert find_surveys([named, path, "s3://bucket/x.copc.laz", named]) == [path, named, "s3://bucket/x.copc.laz"]
+    memory("empty/notes.txt", b"x")
+    with pytest.raises(BadInputError, match="holds no point cloud"):
+        find_surveys(["memory://surveys/empty"])
+
+
+def test_identity_tells_files_and_versions_apart(tmp_path, memory):
+    path = tmp_path / "a"
+    path.write_bytes(bytes(200_000))
+    first = identity(path)
+    assert first == identity(path)
+    assert first["size"] == 200_000
+    os.utime(path, ns=(5, 5))
+    touched = identity(path)
+    assert touched != first
+    assert touched["digest"] == first["digest"]
+    for place in (0, 199_999):
+        data = bytearray(200_000)
+        data[place] = 1
+        path.write_bytes(data)
+        os.utime(path, ns=(5, 5))
+        assert identity(path)["digest"] != first["digest"]
+    url = memory("a", bytes(200_000))
+    assert identity(url)["digest"] == first["digest"]
+    assert identity(url) == identity(url)
+    assert identity(memory("b", bytes(10)))["size"] == 10
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
+def test_a_pipe_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "a.laz")
+    with pytest.raises(BadInputError, match="a pipe or a device"):
+        open_survey(tmp_path / "a.laz")
+
+
+# ---- finding surveys ----
+
+
+@pytest.fixture
+def folder(tmp_path):
+    files = ("b.LAZ", "a.las", "c.copc.laz", "sub/d.Ply", "sub/deep/e.pcd", "notes.txt", ".hidden.las", ".git/f.las")
+    for name in files:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_bytes(b"x")
+    return tmp_path
+
+
+def test_folders_are_searched_with_their_subfolders_and_each_file_counts_once(folder, server):
+    def found(*typed):
+        return [str(path.relative_to(folder)) for path in find_surveys(typed)]
+
+    assert found(folder) == found(str(folder)) == ["a.las", "b.LAZ", "c.copc.laz", "sub/d.Ply", "sub/deep/e.pcd"]
+    assert found(folder / "sub", folder / "a.las", folder / "sub/d.Ply") == ["a.las", "sub/d.Ply", "sub/deep/e.pcd"]
+    (folder / "z.las").symlink_to(folder / "a.las")
+    assert len(found(folder / "a.las", folder / "sub/../a.las", folder / "z.las")) == 1
+    assert found(folder / "notes.txt") == ["notes.txt"]  # a named file is taken whatever its ending
+    address, handler = server
+    assert find_surveys([f"{address}/notes.txt"]) == [f"{address}/notes.txt"]
+    assert handler.sent == 0
+
+
+def test_nothing_to_read(folder, tmp_path):
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    for typed, says in (
+        ([folder / "a.las", empty], "empty holds no point cloud"),
+        ([folder / "nowhere"], "does not exist"),
+        ([], "no survey was given"),
+    ):
+        with pytest.raises(BadInputError, match=says):
+            find_surveys(typed)
+
+
+# ---- a file that does not stay the same while it is read: no mixture comes of it, and no word of damage ----
+
+COUNT = 3000
+POINTS = np.round(np.random.default_rng(1).uniform(0, 50, (COUNT, 3)), 3) + np.array([500_000.0, 4_000_000.0, 0.0])
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "packed pcd"])
+def test_a_survey_that_is_written_again_or_goes_away_between_two_chunks(tmp_path, kind):
+    path = write_kind(kind, tmp_path, POINTS)
+    chunks, before = open_survey(path).clouds(500), path.stat().st_mtime_ns
+    next(chunks)
+    assert write_kind(kind, tmp_path, POINTS + np.array([0.0, 0.0, 5.0])) == path
+    os.utime(path, ns=(0, before + 1_000_000_000))
+    with pytest.raises(BadInputError, match=rf"{path.name} changed while it was read.*Run\s+again"):
+        list(chunks)
+    chunks = open_survey(path).clouds(500)
+    next(chunks)
+    path.unlink()
+    with pytest.raises(BadInputError, match="changed while it was read: it was removed"):
+        list(chunks)
+
+
+def test_a_change_while_the_header_is_read(tmp_path, monkeypatch):
+    path = write_kind("las", tmp_path, POINTS)
+    whole = path.read_bytes()
+
+    def read_and_change(*arguments):
+        path.write_bytes(whole[:200])
+        return original(*arguments)
+
+    original = las_module.read_raw_header
+    monkeypatch.setattr(las_module, "read_raw_header", read_and_change)
+    with pytest.raises(BadInputError, match="changed while it was read"):
+        open_survey(path)
+
+
+def test_one_that_stays_the_same_says_which_version_it_is(tmp_path, read_again):
+    path = write_kind("laz", tmp_path, POINTS)
+    reader = open_survey(path)
+    assert reader.info.version == {"size": path.stat().st_size, "mtime_ns": str(path.stat().st_mtime_ns)}
+    assert PointSummaryBuilder(Grid(3.0, 15), FeatureSettings()).read(reader).summary().points == COUNT
+    assert (reader.checksum, read_again) == (None, [])  # none unless it is asked for
+
+
+@pytest.fixture
+def read_again(monkeypatch):
+    """The number of bytes that were read only for a checksum, of pieces of 1 kB."""
+    monkeypatch.setattr(run_spec, "PIECE", 1 << 10)
+    sizes, original = [], protocol.read_range
+
+    def read_range(path, start, size):
+        sizes.append(size)
+        return original(path, start, size)
+
+    monkeypatch.setattr(protocol, "read_range", read_range)
+    return sizes
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("points", [130, COUNT])
+def test_the_checksum_is_made_while_the_file_is_read_in_any_order(tmp_path, kind, points, read_again):
+    path = write_kind(kind, tmp_path, POINTS)
+    reader = open_survey(path, ReadOptions(checksum=True))
+    assert reader.checksum is None
+    stats = PointStats()
+    for chunk in reader.chunks(points)[::-1]:
+        stats = stats.merge(reader.convert(chunk, reader.fetch(chunk)).stats)
+    reader.verify(stats)
+    assert stats.points == COUNT
+    assert reader.checksum == hash_survey(path)
+    if kind not in {"copc", *STREAMED}:  # parts in the order of the octree; streams are not hashed
+        assert sum(read_again) <= 1 << 13  # header, chunk table
+
+
+def test_a_change_before_the_checksum_is_complete(tmp_path, monkeypatch):
+    path = write_kind("laz", tmp_path, POINTS)
+    reader = open_survey(path, ReadOptions(checksum=True))
+    original = protocol.read_range
+
+    def read_range(*arguments):
+        os.utime(path, ns=(0, path.stat().st_mtime_ns + 1_000_000_000))
+        return original(*arguments)
+
+    monkeypatch.setattr(protocol, "read_range", read_range)
+    with pytest.raises(BadInputError, match="the same size, but was written again"):
+        list(reader.clouds())

@@ -1,0 +1,210 @@
+"""What a survey holds, tile by tile, and what of it was never classified."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from bumpymap.core import THIN_SEEN
+from bumpymap.core.config import FeatureSettings
+from bumpymap.core.types import Reason
+from bumpymap.patches import measure, measure_thin
+from bumpymap.readers import (
+    BLANK,
+    GROUND,
+    PointSummaryBuilder,
+    ReadOptions,
+    UnclassifiedPart,
+    open_survey,
+    summary as module,
+)
+from bumpymap.readers.summary import thin_rule
+from bumpytiles import Grid, TileBuckets
+
+CLASSES = ReadOptions(keep_classes=True)
+
+THREE = FeatureSettings(min_points=3, min_coverage=0.0, max_hole=10.0)
+
+
+def stats(path, settings=THREE, grid=None, *, thin=False):
+    return PointSummaryBuilder(grid or Grid(), settings, thin=thin).read(open_survey(path, CLASSES))
+
+
+def test_hand_counted_tiles(las):
+    # Tiles of 3 m: three points in one, one each in two others; noise and withheld points are in none.
+    points = np.array([[0.5, 0.5, 1], [1, 1, 2], [2.999, 2.999, 3], [3.0, 0.0, 4], [-0.001, 0.0, 5], [90, 90, 6]])
+    path = las.write(points=points, offset=(0, 0, 0), classification=np.array([2, 1, 1, 2, 1, 7], np.uint8))
+    told = []
+    summary = PointSummaryBuilder(Grid(), THREE).read(open_survey(path, CLASSES), told.append).summary()
+    assert (summary.points, summary.tiles, summary.points_per_tile) == (5, 3, 1.0)
+    assert summary.density == pytest.approx(1 / 9)
+    assert summary.unknown == {Reason.TOO_FEW_POINTS: 2.0, Reason.TOO_MANY_HOLES: 0.0}
+    assert summary.ground_unknown == {
+        Reason.NO_GROUND: 1.0, Reason.TOO_FEW_POINTS: 2.0, Reason.TOO_MANY_HOLES: 0.0
+    }  # fmt: skip
+    assert summary.ground_share == pytest.approx(2 / 5)
+    assert (summary.ground_tiles, summary.ground_points_per_tile) == (2, 1.0)
+    assert (summary.z_min, summary.z_max) == (1.0, 5.0)
+    assert (summary.bounds.west, summary.bounds.east) == (-0.001, 3.0)
+    assert sum(told) == 5
+    assert stats(las.write(classification=np.full(7, 18, np.uint8))).summary() is None  # no point counts
+
+
+def test_holes_are_what_the_rule_says(las):
+    # Three tiles of 3 x 3 pixels of 1 m: one point in the middle of a side; one in the middle; nine.
+    middles = np.stack(np.meshgrid([0.5, 1.5, 2.5], [0.5, 1.5, 2.5]), -1).reshape(-1, 2)
+    ground = np.vstack([np.repeat([[0.5, 1.5]], 9, 0), np.repeat([[4.5, 1.5]], 9, 0), middles + np.array([6, 0])])
+    path = las.write(points=np.column_stack([ground, np.zeros(27)]), offset=(0, 0, 0))
+    for max_hole, min_coverage, holes in ((1.0, 0.0, 1), (2.0, 0.0, 0), (1.0, 0.2, 2), (0.1, 0.0, 1)):
+        settings = FeatureSettings(min_points=3, min_coverage=min_coverage, max_hole=max_hole)
+        assert stats(path, settings, Grid(3.0, 3)).summary().unknown[Reason.TOO_MANY_HOLES] == holes
+
+
+def test_merging_on_the_way_and_of_two_files_changes_nothing(las, monkeypatch):
+    points = np.round(np.random.default_rng(4).uniform(-50, 50, (5000, 3)), 3)
+    settings = FeatureSettings(min_points=4)
+    whole = stats(las.write("all.laz", points, offset=(0, 0, 0)), settings).summary()
+    assert 0 < whole.unknown[Reason.TOO_MANY_HOLES] < whole.tiles
+    monkeypatch.setattr(module, "MERGE_AT", 10)
+    monkeypatch.setattr(module, "GROUP_PIXELS", 1000)
+    parts = []
+    for number, part in enumerate((points[:1500], points[1500:])):
+        reader = open_survey(las.write(f"{number}.laz", part, offset=(0, 0, 0)), CLASSES)
+        monkeypatch.setattr(reader, "clouds", partial(reader.clouds, 77))
+        parts.append(PointSummaryBuilder(Grid(), settings, thin=False).read(reader))
+    parts[0].merge(parts[1])
+    assert parts[0].summary() == whole
+
+
+def test_a_sample_is_of_whole_tiles_and_close_to_all(las, monkeypatch):
+    rng = np.random.default_rng(6)
+    path = las.write("a.laz", np.round(rng.uniform(-60, 60, (104_000, 3)), 3), offset=(0, 0, 0))
+    settings = FeatureSettings(min_points=10)
+    whole = stats(path, settings).summary()
+    monkeypatch.setattr(module, "MOST_PIXELS", 5000)
+    sampled = stats(path, settings)
+    summary = sampled.summary()
+    assert sampled.all_points.pixels.step >= 8
+    share, exact = (s.unknown[Reason.TOO_MANY_HOLES] / s.tiles for s in (summary, whole))
+    assert share != exact
+    assert share == pytest.approx(exact, abs=0.1)
+    assert summary.unknown[Reason.TOO_FEW_POINTS] == whole.unknown[Reason.TOO_FEW_POINTS]
+
+
+def test_thin_tiles_are_known_if_their_points_span_them(las):
+    # Tiles of 9 pixels; their points: 3; 10 and 40 in the western three parts; 11 in five around a corner.
+    x, y = np.meshgrid([0.5, 1.5, 2.5], [0.5, 1.5, 2.5])
+    nine = np.column_stack([x.ravel(), y.ravel()])
+    chosen = ((nine, 3), (nine[::3], 10), (nine[[0, 1, 2, 3, 6]], 11), (nine[::3], 40))
+    parts = [np.resize(places, (count, 2)) for places, count in chosen]
+    ground = np.vstack([part + np.array([3 * tile, 0]) for tile, part in enumerate(parts)])
+    path = las.write(points=np.column_stack([ground, np.zeros(len(ground))]), offset=(0, 0, 0))
+    few, holes = Reason.TOO_FEW_POINTS, Reason.TOO_MANY_HOLES
+    grid = Grid(3.0, 9)
+    known_by_pixels = FeatureSettings(min_coverage=0.01, max_hole=5.0)
+    assert stats(path, FeatureSettings(), grid, thin=True).summary().unknown == {few: 2, holes: 1}
+    assert stats(path, FeatureSettings(), grid).summary().unknown == {few: 3, holes: 1}
+    assert stats(path, known_by_pixels, grid, thin=True).summary().unknown == {few: 2, holes: 0}
+    assert stats(path, replace(known_by_pixels, min_points=3), grid, thin=True).summary().unknown == {few: 0, holes: 0}
+
+
+def test_a_dense_tile_is_not_thin_whatever_stands_beside_it():
+    pixels = np.zeros((2, 15, 15), np.bool_)
+    pixels[0] = pixels[1, 2::5, 2::5] = True
+    assert thin_rule(pixels, np.array([225, 9])).tolist() == [False, True]
+    pixels[1, :8, :8] = True
+    assert thin_rule(pixels, np.array([225, 40])).tolist() == [False, True]
+    assert thin_rule(pixels, np.array([225, 300])).tolist() == [False, False]  # holes among many points are no chance
+
+
+def test_pixels_tell_what_the_measure_of_points_tells():
+    rng = np.random.default_rng(8)
+    tile = np.repeat(np.arange(256), rng.integers(4, 25, 256))
+    # Points in one to three spots of a tile, so that many of its parts are empty.
+    spot = rng.uniform(0, 3, (256, 3, 2))[tile, rng.integers(0, 3, tile.size)]
+    x, y = np.clip(spot + rng.normal(0, 0.4, spot.shape), 0.001, 2.999).T
+    col, row = tile % 16, tile // 16
+    buckets = TileBuckets(Grid())
+    buckets.add(x + 3.0 * col, y + 3.0 * row, rng.normal(0, 0.05, tile.size), np.zeros(tile.size, np.bool_))
+    (points,) = buckets.blocks()
+    settings = FeatureSettings()
+    pairs, _ = measure_thin(points, measure(points, settings, ground_only=False), settings, ground_only=False)
+    pixels = np.zeros((256, 15, 15), np.bool_)
+    pixels[tile, (y / 0.2).astype(int), (x / 0.2).astype(int)] = True
+    spanned = thin_rule(pixels, np.bincount(tile))[points.row * 16 + points.col]
+    assert 50 < spanned.sum() < 200
+    assert (spanned == (pairs[:, 1] >= THIN_SEEN)).all()
+
+
+# ---- what was never classified, and what only looks like it: roofs, woods, water ----
+
+SIDE = 64
+"""Tiles along the survey: 192 m."""
+EAST = np.s_[:, 32:]
+
+
+def found(blank, lowest, *, empty=()):
+    """Tiles that count as never classified, of (64, 64), where those of ``blank`` hold only points of class 0 or 1."""
+    marks = np.full((SIDE, SIDE), GROUND, np.uint8)
+    for place in blank:
+        marks[place] = BLANK
+    for place in empty:
+        marks[place] = 0
+    row, col = (index.reshape(-1) for index in np.indices(marks.shape))
+    blocks = {(r, c): marks[16 * r : 16 * r + 16, 16 * c : 16 * c + 16].reshape(-1) for r in range(4) for c in range(4)}
+    blocks = {key: own for key, own in blocks.items() if own.any()}
+    part = UnclassifiedPart.find(blocks, 3.0)
+    out = np.zeros(marks.shape, bool)
+    if part is not None:
+        whole = part.never_classified([(row, col, lowest.reshape(-1), of_ground) for of_ground in (True, False)])
+        north, east = np.nonzero(whole)
+        out[north + part.south, east + part.west] = True
+    return out
+
+
+def ground(slope=0.0):
+    """Lowest points on a plane that rises to the east, with stones and hollows."""
+    rng = np.random.default_rng(2)
+    return 3.0 * slope * np.arange(SIDE) + rng.uniform(-0.1, 0.1, (SIDE, SIDE))
+
+
+@pytest.mark.parametrize(
+    ("place", "slope"), [(EAST, 0.0), (EAST, 0.6), (np.s_[40:, 40:], 0.0), (np.s_[:, 20:40], 0.0)], ids=str
+)
+def test_a_part_whose_ground_goes_on_was_never_classified(place, slope):
+    """A half, a corner and a strip across the survey."""
+    out = found([place], ground(slope))
+    assert out[place].all()
+    assert out.sum() == out[place].sum()
+
+
+def test_a_part_that_lies_apart_from_classified_ground_was_never_classified():
+    out = found([EAST], ground() + 50.0 * (np.arange(SIDE) > 31), empty=[np.s_[:, 28:36]])
+    assert out[:, 36:].all()
+
+
+@pytest.mark.parametrize(
+    ("place", "height"),
+    [
+        pytest.param(np.s_[20:27, 20:27], 0.0, id="a pond of 21 m"),
+        pytest.param(np.s_[20:27, 57:], 6.0, id="a roof of 21 m at the edge"),
+        pytest.param(np.s_[12:50, 12:50], 0.0, id="a lake amid the survey"),
+        pytest.param(np.s_[10:40, 40:], 8.0, id="a hall at the edge"),
+        pytest.param(np.s_[:, 30:], 4.0, id="a wood that is half of the survey"),
+        pytest.param(np.s_[:, 60:], 0.0, id="a strip along the edge"),
+    ],
+)
+def test_what_stands_in_classified_ground_is_not_ground(place, height):
+    lowest = ground()
+    lowest[place] += height
+    assert not found([place], lowest).any()
+
+
+def test_a_hall_beside_the_border_is_none_of_the_part():
+    lowest, hall = ground(), np.s_[20:34, 14:32]
+    lowest[hall] += 7.0
+    out = found([EAST, hall], lowest)
+    assert not out[20:34, 14:28].any()
+    assert out[:14, 33:].all()
+    assert out[:, 33:].mean() > 0.8
