@@ -3,14 +3,17 @@
 import json
 import subprocess
 import sys
+from collections import Counter
 from dataclasses import replace
+from functools import reduce
 
 import laspy
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
-from survey_kinds import KINDS, write_kind
+from hypothesis import given, strategies as st
+from survey_kinds import KINDS, STREAMED, write_kind
 
+from bumpymap.core import run_spec
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.readers import (
     LineCorrection,
@@ -18,8 +21,10 @@ from bumpymap.readers import (
     PointStats,
     ReadOptions,
     cell_indices,
+    hash_survey,
     open_survey,
     point_stats,
+    protocol,
     reopen_survey,
 )
 from bumpymap.readers._kernels import SLOTS, LinedPoints
@@ -58,28 +63,22 @@ def oracle(path, unit=1.0):
 
 def check_extent(stats, table):
     """West, south, east, north and greatest height against numpy's, of (n, 3) with NaN left out."""
-    low, high = (
-        reduce(table, axis=0, initial=start) for reduce, start in ((np.fmin.reduce, np.inf), (np.fmax.reduce, -np.inf))
-    )
+    low = np.fmin.reduce(table, axis=0, initial=np.inf)
+    high = np.fmax.reduce(table, axis=0, initial=-np.inf)
     assert (stats.west, stats.south, stats.east, stats.north) == (*low[:2], *high[:2])
     assert stats.highest == np.fmax.reduce(np.abs(table[:, 2]), initial=0.0)
 
 
 def merged(found):
-    total = PointStats()
-    for batch in found:
-        total = total.merge(batch.stats)
-    return total
+    return reduce(PointStats.merge, [batch.stats for batch in found], PointStats())
 
 
 def in_order(points):
     return points[np.lexsort(points.T)]
 
 
-PACKINGS = [(*made, packing) for made in FORMATS for packing in ("plain", "chunks", "variable")]
-
-
-@pytest.mark.parametrize(("version", "fmt", "packing"), PACKINGS)
+@pytest.mark.parametrize("packing", ["plain", "chunks", "variable"])
+@pytest.mark.parametrize(("version", "fmt"), FORMATS)
 def test_chunks_are_what_laspy_reads(las, batches, table, version, fmt, packing):
     path = survey(las, version=version, fmt=fmt, geokeys={1024: 1, 3072: 2276})
     expected, counts, dropped = oracle(path, 1200 / 3937)
@@ -99,22 +98,42 @@ def test_chunks_are_what_laspy_reads(las, batches, table, version, fmt, packing)
     assert len(chunks) > 3
 
 
+@pytest.fixture
+def read_again(monkeypatch):
+    """The number of bytes that were read only for a checksum, of pieces of 1 kB."""
+    monkeypatch.setattr(run_spec, "PIECE", 1 << 10)
+    sizes, original = [], protocol.read_range
+
+    def read_range(path, start, size):
+        sizes.append(size)
+        return original(path, start, size)
+
+    monkeypatch.setattr(protocol, "read_range", read_range)
+    return sizes
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_any_order_of_chunks_of_any_size_gives_the_same_points(tmp_path, batches, table, kind):
-    rows = np.round(np.random.default_rng(5).uniform(0, 100, (400, 3)), 3) + CORNER
-    reader = open_survey(write_kind(kind, tmp_path, rows))
-    whole = batches(reader)
-    rng = np.random.default_rng(1)
-    for points in (1, 64, 399, 10_000):
-        order = rng.permutation(len(reader.chunks(points)))
-        mixed = batches(reader, points, order)
-        if kind != "copc":  # its nodes come as they stand in the file, inside a chunk
-            assert np.array_equal(table([mixed[i] for i in np.argsort(order)]), table(whole))
-        assert np.array_equal(in_order(table(mixed)), in_order(table(whole)))
-        assert merged(mixed) == merged(whole)
-        back = batches(reader, points, np.argsort(order)[::-1])
-        assert np.array_equal(in_order(table(back)), in_order(table(whole)))
+@pytest.mark.parametrize("points", [1, 64, 399, 10_000])
+def test_any_order_of_chunks_of_any_size_gives_the_same_points_and_the_checksum(
+    tmp_path, batches, table, read_again, kind, points
+):
+    """The checksum is made while the file is read; none is, unless it is asked for."""
+    rng = np.random.default_rng(points)
+    path = write_kind(kind, tmp_path, np.round(rng.uniform(0, 100, (400, 3)), 3) + CORNER)
+    plain, reader = open_survey(path), open_survey(path, ReadOptions(checksum=True))
+    whole = batches(plain)
+    assert (plain.checksum, reader.checksum, read_again) == (None, None, [])
+    order = rng.permutation(len(reader.chunks(points)))
+    mixed = batches(reader, points, order)
+    if kind != "copc":  # its nodes come as they stand in the file, inside a chunk
+        assert np.array_equal(table([mixed[i] for i in np.argsort(order)]), table(whole))
+    assert np.array_equal(in_order(table(mixed)), in_order(table(whole)))
+    assert merged(mixed) == merged(whole)
+    reader.verify(merged(mixed))
+    assert reader.checksum == hash_survey(path)
+    if kind not in {"copc", *STREAMED}:  # parts in the order of the octree; streams are not hashed
+        assert sum(read_again) <= 1 << 13  # header, chunk table
 
 
 def test_long_points_make_small_chunks(las, batches, table):
@@ -181,23 +200,16 @@ def batch(points, *, first=0):
     return convert_points((x, y, z), class_id, first, nan_is_no_return=False, kinds=ReadOptions().kinds)
 
 
-@settings(deadline=None)
 @given(rows, st.data())
 def test_stats_of_parts_add_up_however_they_are_grouped(points, data):
     cut = sorted(data.draw(st.lists(st.integers(0, len(points)), max_size=4)))
-    edges = list(zip([0, *cut], [*cut, len(points)], strict=True))
+    edges = zip([0, *cut], [*cut, len(points)], strict=True)
     parts = [batch(points[low:high], first=low).stats for low, high in edges]
     whole = batch(points).stats
     check_extent(whole, np.array(points, float).reshape(-1, 4))
-    left, right = PointStats(), PointStats()
-    for part in parts:
-        left = left.merge(part)
-    for part in reversed(parts):
-        right = part.merge(right)
-    mixed = PointStats()
-    for i in data.draw(st.permutations(range(len(parts)))):
-        mixed = parts[i].merge(mixed)
-    assert left == right == mixed == whole
+    mixed = data.draw(st.permutations(parts))
+    assert reduce(PointStats.merge, parts, PointStats()) == whole
+    assert reduce(lambda total, part: part.merge(total), mixed, PointStats()) == whole
     assert whole.bad == any(part.bad for part in parts)
 
 
@@ -228,15 +240,11 @@ def test_the_verdict(changes, says, tmp_path):
 # ---- sums of flight lines ----
 
 
-def cloud(n=20_000, side=90.0, lines=3, seed=0, corner=(-41.0, 4_000_000.0)):
-    rng = np.random.default_rng(seed)
-    x, y = rng.uniform(0, side, (2, n)).round(3) + np.array(corner)[:, None]
+def cloud(n=20_000, side=90.0):
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(0, side, (2, n)).round(3) + np.array([[-41.0], [4_000_000.0]])
     z = (2_000 + rng.normal(size=n)).round(3)
-    return LinedPoints(x, y, z, rng.integers(0, 2, n).astype(np.uint8), rng.integers(0, lines, n).astype(np.uint16))
-
-
-def part(points, chosen):
-    return LinedPoints(*(np.ascontiguousarray(array[chosen]) for array in points))
+    return LinedPoints(x, y, z, rng.integers(0, 2, n).astype(np.uint8), rng.integers(0, 3, n).astype(np.uint16))
 
 
 def by_hand(points):
@@ -270,27 +278,21 @@ def test_the_sums_are_those_made_by_hand(points, side, least):
 @pytest.mark.parametrize("most", [50_000, 200, 40])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_any_chunks_in_any_order_give_the_same_sample(monkeypatch, most, seed):
+    """Half of them stored meanwhile."""
     monkeypatch.setattr(point_stats, "MOST_ROWS", most)
     monkeypatch.setattr(point_stats, "_WAITING_ROWS", 2 * most)
     points, rng = cloud(), np.random.default_rng(seed)
     whole = LineSums.of(points).merged()
     assert len(whole.rows()) <= most
     assert (whole.step > 1) == (most < 5_000)
-    chunks = np.array_split(rng.permutation(len(points.x)), rng.integers(2, 30))
     joined = [LineSums(), LineSums()]
-    for number, chosen in enumerate(chunks):
-        joined[number % 2] = joined[number % 2].merge(LineSums.of(part(points, chosen)))
-    again = joined[1].merge(joined[0]).merged()
+    for number, chosen in enumerate(np.array_split(rng.permutation(len(points.x)), rng.integers(2, 30))):
+        part = LinedPoints(*(np.ascontiguousarray(array[chosen]) for array in points))
+        joined[number % 2] = joined[number % 2].merge(LineSums.of(part))
+    stored = LineSums.from_record(json.loads(json.dumps(joined[0].to_record())))
+    again = joined[1].merge(stored).merged()
     assert again.step == whole.step
     assert np.array_equal(again.rows(), whole.rows())
-
-
-def test_sums_survive_storing():
-    sums = LineSums.of(cloud())
-    again = LineSums.from_record(json.loads(json.dumps(sums.to_record())))
-    assert np.array_equal(again.rows(), sums.rows())
-    empty = LineSums.from_record(LineSums().to_record())
-    assert len(empty.rows()) == 0
 
 
 def write(las, fmt, ids, *, source=0):
@@ -307,15 +309,13 @@ def write(las, fmt, ids, *, source=0):
     [*((fmt, packed) for fmt in (0, 1, 3, 6, 7) for packed in ("las", "laz")), (6, "octree"), (7, "octree")],
 )
 def test_lines_of_files(las, fmt, packed):
-    ids = [1, 2, 700, 65535, 0, 0, 0]
-    path = write(las, fmt, ids, source=9)
+    path = write(las, fmt, [1, 2, 700, 65535, 0, 0, 0], source=9)
     path = {"las": lambda: path, "laz": lambda: las.pack(path, chunk=3), "octree": lambda: las.octree(path)}[packed]()
     reader = open_survey(path, ReadOptions(lines=True))
-    clouds = list(reader.clouds(3))
-    assert sum(len(own.easting) for own in clouds) == 7
-    counts = {}
+    assert sum(len(cloud.easting) for cloud in reader.clouds(3)) == 7
+    counts = Counter()
     for (_, _, line, _), sums in as_dict(reader.lines).items():
-        counts[line] = counts.get(line, 0) + sums[0]
+        counts[line] += sums[0]
     assert counts == {1: 1, 2: 1, 700: 1, 65535: 1, 9: 3}
     quiet = open_survey(path)
     list(quiet.clouds())

@@ -44,6 +44,14 @@ def points():
     return np.round(rng.uniform([5e5, 4e6, 0], [500_400, 4_000_400, 40], (4000, 3)), 3)
 
 
+def check_boxes(chunks, found):
+    for chunk, batch in zip(chunks, found, strict=True):
+        box, cloud = chunk.bounds, batch.cloud
+        assert cloud.easting.size == chunk.points
+        assert box.west <= cloud.easting.min() <= cloud.easting.max() <= box.east
+        assert box.south <= cloud.northing.min() <= cloud.northing.max() <= box.north
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("page_levels", "size"), [(None, 1), (1, 300), (3, 100_000)])
 def test_chunks_hold_all_points_each_inside_its_box(tree, batches, table, size, page_levels):
@@ -52,11 +60,7 @@ def test_chunks_hold_all_points_each_inside_its_box(tree, batches, table, size, 
     assert reader.info.format == "COPC (LAZ 1.4, point format 7)"
     chunks = reader.chunks(size)
     found = batches(reader, size)
-    for chunk, batch in zip(chunks, found, strict=True):
-        box, cloud = chunk.bounds, batch.cloud
-        assert cloud.easting.size == chunk.points
-        assert box.west <= cloud.easting.min() <= cloud.easting.max() <= box.east
-        assert box.south <= cloud.northing.min() <= cloud.northing.max() <= box.north
+    check_boxes(chunks, found)
     got = table(found)[:, :3]
     expected = points() * US_FOOT
     assert np.array_equal(got[np.lexsort(got.T)], expected[np.lexsort(expected.T)])
@@ -134,24 +138,19 @@ def sorted_points(reader, size=1_000_000):
 def test_the_points_of_an_ept_are_those_of_the_file_bit_for_bit(made, las, how):
     path = made(**how)
     reader, plain = open_survey(path), open_survey(las.folder / "plain.las")
-    assert reader.info.format.startswith(
-        f"EPT of {len(list((las.folder / 'site/ept-data').iterdir()))} nodes (LAZ 1.4, "
-    )
+    nodes = list((las.folder / "site/ept-data").iterdir())
+    assert reader.info.format.startswith(f"EPT of {len(nodes)} nodes (LAZ 1.4, ")
     assert (reader.info.point_count, reader.info.georeference) == (3000, plain.info.georeference)
     wanted = sorted_points(plain)
     assert np.array_equal(sorted_points(reader), wanted)
     assert np.array_equal(sorted_points(open_survey(path), 100), wanted)
 
 
-def test_nodes_come_depth_first_and_say_where_they_lie(made):
+def test_nodes_come_depth_first_and_say_where_they_lie(made, batches):
     reader = open_survey(made(levels=2))
-    chunks = reader.chunks(1)
-    sides = [chunk.bounds.east - chunk.bounds.west for chunk in chunks]
+    sides = [chunk.bounds.east - chunk.bounds.west for chunk in reader.chunks(1)]
     assert [round(side / sides[0], 3) for side in sides[:3]] == [1.0, 0.5, 0.25]
-    for chunk in chunks:
-        cloud, box = reader.convert(chunk, reader.fetch(chunk)).cloud, chunk.bounds
-        assert box.west <= cloud.easting.min() <= cloud.easting.max() <= box.east
-        assert box.south <= cloud.northing.min() <= cloud.northing.max() <= box.north
+    check_boxes(reader.chunks(1), batches(reader, 1))
 
 
 def test_a_folder_of_surveys_holds_an_ept_as_one(made, las):

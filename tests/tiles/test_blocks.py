@@ -141,25 +141,21 @@ def test_the_order_is_a_fair_sample():
 
 
 def chunks(columns, size):
-    for start in range(0, len(columns[0]), size):
-        yield tuple(column[start : start + size] for column in columns)
+    return [tuple(column[start : start + size] for column in columns) for start in range(0, len(columns[0]), size)]
 
 
 def flat(blocks):
     """Tiles and their points as bytes; a block may come in shares."""
     found = []
     for block in blocks:
-        for t in range(len(block.col)):
-            span = slice(block.starts[t], block.starts[t + 1])
-            points = (block.easting[span], block.northing[span], block.upward[span], block.flag[span])
-            found.append((int(block.col[t]), int(block.row[t]), *(array.tobytes() for array in points)))
+        columns = (block.easting, block.northing, block.upward, block.flag)
+        for col, row, start, end in zip(block.col, block.row, block.starts, block.starts[1:], strict=False):
+            found.append((int(col), int(row), *(column[start:end].tobytes() for column in columns)))
     return sorted(found)
 
 
 def in_memory(columns):
-    buckets = TileBuckets(GRID)
-    buckets.add(*columns)
-    return flat(buckets.blocks())
+    return flat(gather(columns, np.arange(len(columns[0])), []))
 
 
 @settings(max_examples=20)
@@ -219,22 +215,20 @@ def test_complete_blocks_are_finished_instead_of_spilled(tmp_path):
 
 
 def test_one_tile_too_large_for_memory_says_so(tmp_path):
-    n = 500
     buckets = TileBuckets(GRID, MemoryLimits(26 * 100, 400, tmp_path))
-    buckets.add(np.linspace(0, 2.9, n), np.zeros(n), np.zeros(n), np.zeros(n, bool))
+    buckets.add(np.linspace(0, 2.9, 500), *np.zeros((2, 500)), np.zeros(500, bool))
     with pytest.raises(TooManyPointsError, match=r"tile \(0, 0\) holds 500 points"):
         list(buckets.blocks())
 
 
 def test_points_far_apart_are_grouped_too():
-    rng = np.random.default_rng(0)
-    x, y = rng.uniform(-2e9, 2e9, (2, 50))
+    x, y = np.random.default_rng(0).uniform(-2e9, 2e9, (2, 50))
     grouped = group_points(GRID, x, y, np.arange(50.0), np.zeros(50, bool))
     assert grouped.keys == sorted(grouped.keys)
-    for place, (row, col) in enumerate(grouped.keys):
-        part = grouped.block(place, ("easting", "northing"))
-        assert np.all(GRID.index(part.columns["easting"]) // 16 == col)
-        assert np.all(GRID.index(part.columns["northing"]) // 16 == row)
+    for place, key in enumerate(grouped.keys):
+        part = grouped.block(place, ("northing", "easting"))
+        for name, number in zip(("northing", "easting"), key, strict=True):
+            assert np.all(GRID.index(part.columns[name]) // 16 == number)
     assert sorted(grouped.points["upward"].tolist()) == list(range(50))
 
 
@@ -247,33 +241,23 @@ sizes = st.one_of(st.sampled_from([0.1, 0.3, 0.9, 1.5, 3.0, 1 / 3]), st.floats(0
 @given(coordinates, sizes)
 def test_every_coordinate_lies_in_the_half_open_bounds_of_its_tile(coordinate, size):
     grid = Grid(tile_size=size)
-    i = int(grid.index(np.array([coordinate]))[0])
-    bounds = grid.bounds(i, i)
+    (i,) = grid.index(np.array([coordinate]))
+    bounds = grid.bounds(int(i), int(i))
     assert bounds.west <= coordinate < bounds.east
     assert bounds.south <= coordinate < bounds.north
+    assert grid.index(np.array([bounds.west, np.nextafter(bounds.west, -np.inf)])).tolist() == [i, i - 1]
 
 
-@given(st.integers(-10_000_000, 10_000_000), sizes)
-def test_an_edge_belongs_to_the_tile_that_begins_there(i, size):
-    grid = Grid(tile_size=size)
-    edge = np.array([grid.bounds(i, 0).west])
-    assert grid.index(edge)[0] == i
-    assert grid.index(np.nextafter(edge, -np.inf))[0] == i - 1
-
-
-def test_bounds_of_a_tile_and_of_a_window():
+def test_bounds_of_a_tile_and_of_a_window_and_grids_that_cannot_be():
     grid = Grid(tile_size=3.0, pixels=15)
     assert grid.bounds(2, -1) == Bounds(6.0, -3.0, 9.0, 0.0)
     window = TileWindow.around(np.array([2, 4]), np.array([-1, 0]))
     assert window == TileWindow(2, -1, 3, 2)
     assert grid.window_bounds(window) == Bounds(6.0, -3.0, 15.0, 3.0)
     assert grid.pixel_size == pytest.approx(0.2)
-
-
-@pytest.mark.parametrize(("size", "pixels"), [(0.0, 15), (-3.0, 15), (np.nan, 15), (np.inf, 15), (3.0, 0)])
-def test_an_impossible_grid_is_refused(size, pixels):
-    with pytest.raises(ValueError, match="must be"):
-        Grid(tile_size=size, pixels=pixels)
+    for size, pixels in ((0.0, 15), (-3.0, 15), (np.nan, 15), (np.inf, 15), (3.0, 0)):
+        with pytest.raises(ValueError, match="must be"):
+            Grid(tile_size=size, pixels=pixels)
 
 
 # ---- running over blocks ----
@@ -288,15 +272,13 @@ def test_results_come_in_the_order_of_the_blocks(workers):
     assert list(run_blocks(square, range(50), workers)) == [x * x for x in range(50)]
 
 
-def test_blocks_are_drawn_lazily():
+def test_blocks_are_drawn_lazily_and_a_failure_ends_the_work():
     drawn = iter(range(100))
     results = run_blocks(square, drawn, 2)
     next(results)
     assert next(drawn) <= 5
     results.close()
 
-
-def test_a_failure_is_raised_and_ends_the_work():
     def fail_at_three(x):
         started.append(x)
         if x == 3:
