@@ -201,11 +201,10 @@ def test_missing_heights_are_neither_things_nor_foot_and_a_higher_belly_passes(r
 def test_few_points_see_the_same_things_as_many(density):
     # The pixels beside a side that are known lie farther away.
     for heights in (boulder(6.0, 6.0, 0.6, 0.45), np.where(np.maximum(abs(X - 6), abs(Y - 6)) < 0.5, 0.7, 0.0)):
-        seen = [thinned(heights, density, seed) for seed in range(20)]
-        high = sum(np.sum(one > 0.25) for one in seen)
-        marks = [marks_of(one) for one in seen]
-        assert sum(np.sum(mark & (one > 0.25)) for mark, one in zip(marks, seen, strict=True)) > 0.85 * high
-        assert not any(np.any(mark & (heights == 0)) for mark in marks)
+        seen = np.stack([thinned(heights, density, seed) for seed in range(20)])
+        marks = np.stack([marks_of(one) for one in seen])
+        assert np.sum(marks & (seen > 0.25)) > 0.85 * np.sum(seen > 0.25)
+        assert not np.any(marks & (heights == 0))
 
 
 def test_points_of_a_boulder_that_was_taken_for_ground_make_an_obstacle_across_tiles():
@@ -273,24 +272,20 @@ def test_without_the_wall_on_it_a_tile_is_as_rough_as_its_ground(density):
     assert (apart.flag[~of_wall] == 1).mean() > 0.99
 
 
-def test_a_tile_of_which_little_is_left_stays_as_it_is():
-    """Of some tiles of a chequered field, one half stands on the other."""
+def test_tiles_of_which_little_is_left_or_where_the_vehicle_fits_nowhere_stay_as_they_are():
+    # Of some tiles of a chequered field, one half stands on the other.
     things, patches, _, bare = bare_tiles(lambda x, y: 1.0 * ((x // 2.1 + y // 2.1) % 2 < 1), 60)
     left = bare.coverage < patches.coverage
     assert things.any(axis=(1, 2)).sum() > left.sum() > 0
     np.testing.assert_array_equal(bare.relief_map[~left], patches.relief_map[~left])
     assert np.isfinite(bare.relief).all()
-
-
-def test_rubble_between_which_the_vehicle_fits_nowhere_stays_rough():
+    # Rubble.
     things, patches, _, bare = bare_tiles(lambda x, y: 0.25 * np.sin(9 * x) * np.sin(8 * y), 60)
     assert things.mean() > 0.1
     stays = (bare.relief_map == patches.relief_map).all(axis=(1, 2))
     assert stays.mean() > 0.98  # in the outermost tiles, fewer things are seen
-
-
-def test_ground_that_the_edge_of_a_block_cuts_is_no_thing_and_stays():
-    things, patches, _, bare = bare_tiles(lambda x, y: gentle(x, y) + 1.0 * (x > 46.0), 60)  # a terrace of 2 m and more
+    # A terrace of 2 m and more, cut by the edge of the block.
+    things, patches, _, bare = bare_tiles(lambda x, y: gentle(x, y) + 1.0 * (x > 46.0), 60)
     assert not things.any()
     np.testing.assert_array_equal(bare.relief_map, patches.relief_map)
 

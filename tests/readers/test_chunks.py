@@ -1,8 +1,6 @@
 """Chunks: read in any order, at any size, by anyone, they are the file that laspy reads; what is counted on the way."""
 
 import json
-import subprocess
-import sys
 from collections import Counter
 from dataclasses import replace
 from functools import reduce
@@ -28,9 +26,7 @@ from bumpymap.readers import (
     reopen_survey,
 )
 from bumpymap.readers._kernels import SLOTS, LinedPoints
-from bumpymap.readers.point_stats import EARTH_LIMIT, verify
 from bumpymap.readers.point_table import convert_points
-from bumpytiles import Bounds
 
 FORMATS = [("1.2", fmt) for fmt in range(4)] + [("1.3", 4), ("1.3", 5)] + [("1.4", fmt) for fmt in range(11)]
 CORNER = np.array([500_000.0, 4_000_000.0, 0.0])
@@ -175,21 +171,8 @@ def test_workers_open_a_file_again_without_its_notes(las, caplog):
     assert again.chunks() == noted.chunks()
 
 
-def test_las_loads_no_library_that_it_does_not_need(las):
-    path = las.write("a.laz")
-    code = (
-        "import sys; from pathlib import Path; from bumpymap.readers import open_survey\n"
-        "reader = open_survey(Path(sys.argv[1])); chunk = reader.chunks()[0]\n"
-        "print(reader.convert(chunk, reader.fetch(chunk)).stats.points)\n"
-        "print({'laspy', 'fsspec', 'pypcd4'} & set(sys.modules))"
-    )
-    run = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=True)
-    assert run.stdout.split() == ["7", "set()"]
-
-
 # ---- what is counted of points, and the verdict on a file ----
 
-BOX = Bounds(0.0, 0.0, 100.0, 50.0)
 
 numbers = st.one_of(st.floats(-150, 150), st.sampled_from([np.nan, np.inf, -np.inf, 1e12, -1e12, 101.0, -1.0, 51.5]))
 rows = st.lists(st.tuples(numbers, numbers, numbers, st.sampled_from([0, 1, 2, 7, 18])), max_size=40)
@@ -211,30 +194,6 @@ def test_stats_of_parts_add_up_however_they_are_grouped(points, data):
     assert reduce(PointStats.merge, parts, PointStats()) == whole
     assert reduce(lambda total, part: part.merge(total), mixed, PointStats()) == whole
     assert whole.bad == any(part.bad for part in parts)
-
-
-GOOD = PointStats(5, west=1.0, south=1.0, east=99.0, north=49.0, highest=20.0)
-
-
-@pytest.mark.parametrize(
-    ("changes", "says"),
-    [
-        ({"points": 4}, "declares 5 points but holds 4"),
-        ({"not_finite": 2, "first_not_finite": 3}, r"2 points .* not a number or infinite; the first is point 3"),
-        ({"east": EARTH_LIMIT * 2}, "not a location on Earth"),
-        ({"south": -EARTH_LIMIT * 2}, "not a location on Earth"),
-        ({"highest": EARTH_LIMIT * 2}, "heights of up to 6e"),
-        ({"outside": 2, "east": 120.0}, r"2 of 5 points are outside.*`trust_points=True`"),
-        ({"points_outside_node": 3}, r"3 of 5 points .* octree.*`trust_points=True`"),
-    ],
-)
-def test_the_verdict(changes, says, tmp_path):
-    verify(GOOD, tmp_path, 5, BOX)
-    record = GOOD.to_record() | changes
-    with pytest.raises(BadInputError, match=says) as caught:
-        verify(PointStats.from_record(record), tmp_path, 5, BOX)
-    assert str(tmp_path) in str(caught.value)
-    assert PointStats.from_record(record).bad == ("points" not in changes)
 
 
 # ---- sums of flight lines ----

@@ -39,10 +39,10 @@ def fix(stamp_ns, lon, status):
     )
 
 
-def imus(topic="/imu/data", late=3_000_000):
-    """Stored some time after they were measured."""
-    stamps = T0 + (TIMES * 1e9).round().astype(int)
-    return [(topic, int(stamp) + late, imu(int(stamp), rate)) for stamp, rate in zip(stamps, RATES, strict=True)]
+def imus(topic="/imu/data"):
+    """Stored 3 ms after they were measured."""
+    stamps = [T0 + round(t * 1e9) for t in TIMES]
+    return [(topic, stamp + 3_000_000, imu(stamp, rate)) for stamp, rate in zip(stamps, RATES, strict=True)]
 
 
 def fixes():
@@ -52,13 +52,12 @@ def fixes():
 
 
 def moves():
-    made = []
-    for n in range(50):
-        stamp = T0 + n * 40_000_000
-        each = odometry(stamp, (Rotation.from_euler("z", 0.1), np.array([n * 0.06, 0.0, 0.0])))
+    made = [
+        odometry(T0 + n * 40_000_000, (Rotation.from_euler("z", 0.1), np.array([n * 0.06, 0, 0]))) for n in range(50)
+    ]
+    for each in made:
         each.twist.twist.linear.x = 1.5
-        made.append(("/odom", stamp, each))
-    return made
+    return [("/odom", T0 + n * 40_000_000, each) for n, each in enumerate(made)]
 
 
 def bag(tmp_path, *parts, name="drive", **how):
@@ -111,8 +110,8 @@ def test_messages_that_arrive_late_are_sorted_by_their_stamps(tmp_path):
 def test_orientations_stand_in_for_rates(tmp_path):
     turns = Rotation.from_euler("y", 0.1 * np.sin(3.0 * TIMES)[:, None]).as_quat()
     stamps = [T0 + round(t * 1e9) for t in TIMES]
-    made = [imu(stamp, (0, 0, 0), has_rate=False, turn=turn) for stamp, turn in zip(stamps, turns, strict=True)]
-    log = read_drive(bag(tmp_path, [("/imu", stamp, each) for stamp, each in zip(stamps, made, strict=True)]))
+    made = [("/imu", t, imu(t, (0, 0, 0), has_rate=False, turn=turn)) for t, turn in zip(stamps, turns, strict=True)]
+    log = read_drive(bag(tmp_path, made))
     np.testing.assert_allclose(log.imu.rate[:, 1], 0.3 * np.cos(3.0 * (log.imu.time - T0 * 1e-9)), atol=1e-3)
 
 
@@ -127,9 +126,8 @@ def test_a_wrong_length_in_a_bag_is_no_lack_of_memory(tmp_path, read):
 
 
 def test_a_bag_of_ros_1(tmp_path):
-    stamps = [10**9 * each.header.stamp.sec + each.header.stamp.nanosec for _, _, each in imus()]
-    stored = [time_ns for _, time_ns, _ in imus()]
-    write_ros1(tmp_path / "drive.bag", zip(stored, stamps, RATES, strict=True))
+    stamps = [T0 + round(t * 1e9) for t in TIMES]
+    write_ros1(tmp_path / "drive.bag", zip([stamp + 3_000_000 for stamp in stamps], stamps, RATES, strict=True))
     log = read_drive(str(tmp_path / "drive.bag"))
     np.testing.assert_array_equal(log.imu.rate, RATES)
     np.testing.assert_allclose(log.imu.time - T0 * 1e-9, TIMES, atol=1e-6)

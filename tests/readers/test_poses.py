@@ -1,12 +1,12 @@
-"""Poses in every format are the same poses, matched with the frames by time or by order; what is none is refused."""
+"""Poses in every format are the same poses, matched with frames by time or order; deskewing."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from bumpymap.core import LONGEST_GAP_S, NEAREST_S, PoseTrack
+from bumpymap.core import LONGEST_GAP_S, NEAREST_S, PoseTrack, Scan
 from bumpymap.core.errors import BadInputError
-from bumpymap.readers import files_beside_poses, read_poses
+from bumpymap.readers import deskew, files_beside_poses, read_poses
 from bumpymap.readers.frames.poses import _read_file as read_pose_file
 
 TURNS = Rotation.random(6, random_state=3)
@@ -123,13 +123,17 @@ def test_what_is_no_pose_is_refused(tmp_path, text, message):
 # ---- matching ----
 
 
-def drive(count=40, rate=20.0):
-    """Times and poses of a drive along a curve, x forward and z up."""
-    times = np.arange(count) / rate
+def motion(times):
+    """Turns and places on a curve, x forward and z up."""
     angle = 0.4 * times
     turns = Rotation.from_euler("zyx", np.column_stack([angle, 0.02 * np.sin(times), 0.03 * np.cos(times)]))
-    places = np.column_stack([12.0 * np.sin(angle), 12.0 * (1.0 - np.cos(angle)), 0.1 * np.sin(times)])
-    return times, as_poses(turns, places)
+    return turns, np.column_stack([12.0 * np.sin(angle), 12.0 * (1.0 - np.cos(angle)), 0.1 * np.sin(times)])
+
+
+def drive(count=40, rate=20.0):
+    """Times and poses."""
+    times = np.arange(count) / rate
+    return times, as_poses(*motion(times))
 
 
 def tum(path, times, poses):
@@ -231,21 +235,18 @@ def test_without_times_of_the_frames_the_order_counts(tmp_path, digits):
         read_poses(path, frames[:5])
 
 
-def test_frames_without_a_pose_are_counted(tmp_path):
+def test_frames_without_a_pose_are_counted_and_times_that_go_back_refused(tmp_path):
     times, poses = drive(100, rate=10.0)
     keep = (times < 3.0) | (times > 6.0)
     wanted = 1.7e9 + np.array([-1.0, -NEAREST_S / 2, 1.0, 3.05, 4.5, 9.95, 12.0])
     frames = files(tmp_path / "frames", [f"{time:.2f}" for time in wanted])
     with pytest.raises(BadInputError, match="3 of 7 frames have no pose, the first is number 0"):
         read_poses(tum(tmp_path / "p.txt", 1.7e9 + times[keep], poses[keep]), frames)
-
-
-def test_times_that_go_back_are_refused_and_repeated_ones_count_once(tmp_path):
-    times, poses = drive(4)
-    frames = files(tmp_path / "frames", [str(1_700_000_000)])
+    frames = files(tmp_path / "first", ["1700000000"])
     with pytest.raises(BadInputError, match="go back at pose 3"):
-        read_poses(tum(tmp_path / "p.txt", 1.7e9 + times[[0, 1, 3, 2]], poses), frames)
-    found = read_poses(tum(tmp_path / "p.txt", 1.7e9 + times[[0, 0, 1, 2]], poses), frames)
+        read_poses(tum(tmp_path / "p.txt", 1.7e9 + times[[0, 1, 3, 2]], poses[:4]), frames)
+    repeated = [0, 0, 1, 2]  # count once
+    found = read_poses(tum(tmp_path / "p.txt", 1.7e9 + times[repeated], poses[repeated]), frames)
     np.testing.assert_allclose(found.poses, poses[:1], atol=1e-6)
 
 
@@ -302,25 +303,32 @@ def test_camera_poses_without_calib_are_refused(tmp_path):
             read_poses(tmp_path / "poses.txt", frames)
 
 
-@pytest.mark.parametrize("world", [TR, np.diag([1.0, -1.0, -1.0, 1.0])])
-def test_a_world_that_is_not_upright_is_refused(tmp_path, world):
-    path = write(tmp_path / "poses.txt", kitti_rows(world @ drive()[1]), separator=" ")
-    with pytest.raises(BadInputError, match="z axis of the LiDAR does not point up"):
-        read_poses(path, numbered(tmp_path / "velodyne", 40))
+def test_backwards_uphill_and_sideways_are_a_lidar_and_a_world_that_is_not_upright_is_none(tmp_path):
+    frames, path = numbered(tmp_path / "frames", 40), tmp_path / "p.txt"
+    for axis, degrees in (("z", 180), ("z", 90), ("y", -35)):
+        turn = Rotation.from_euler(axis, degrees, degrees=True)
+        poses = as_poses(Rotation.concatenate([turn] * 40), turn.apply(np.outer(np.arange(40.0), [1.0, 0, 0])))
+        assert read_poses(write(path, kitti_rows(poses), separator=" "), frames).calib is None
+    for world in (TR, np.diag([1.0, -1.0, -1.0, 1.0])):
+        with pytest.raises(BadInputError, match="z axis of the LiDAR does not point up"):
+            read_poses(write(path, kitti_rows(world @ drive()[1]), separator=" "), frames)
 
 
-@pytest.mark.parametrize(("axis", "degrees"), [("z", 180), ("z", 90), ("y", -35)])
-def test_backwards_uphill_and_sideways_are_a_lidar(tmp_path, axis, degrees):
-    turn = Rotation.from_euler(axis, degrees, degrees=True)
-    poses = as_poses(Rotation.concatenate([turn] * 40), turn.apply(np.outer(np.arange(40.0), [1.0, 0, 0])))
-    path = write(tmp_path / "p.txt", kitti_rows(poses), separator=" ")
-    assert read_poses(path, numbered(tmp_path / "frames", 40)).calib is None
+# ---- deskewing: what a sensor measures on the way lies where it sees it standing ----
+
+TRACK = PoseTrack(np.arange(-0.5, 1.5, 0.01), as_poses(*motion(np.arange(-0.5, 1.5, 0.01))))
 
 
-@pytest.mark.realdata
-@pytest.mark.parametrize(("robot", "reason"), [("husky", "1666877650.268 to"), ("husky_oru", "1 of 1 frames have no")])
-def test_real_frames_without_a_pose(shared_data, robot, reason):
-    """One frame was taken before the first pose, the other in a gap of 5 s."""
-    folder = shared_data / "scans" / "monoforce" / robot
-    with pytest.raises(BadInputError, match=reason):
-        read_poses(folder / "lidar_poses.csv", list(folder.glob("*.ply")))
+@pytest.mark.parametrize("first", [0.0, -0.1, -0.05])
+def test_points_are_where_the_sensor_sees_them_at_the_time_of_the_frame(first):
+    world = np.random.default_rng(2).uniform(-60.0, 60.0, (20_000, 3)) * [1.0, 1.0, 0.05]
+    time = np.linspace(first, first + 0.1, 20_000).astype(np.float32)
+    (turns, places), (turn, place) = motion(time.astype(np.float64)), motion(np.zeros(1))
+    scan = Scan(turns.inv().apply(world - places).astype(np.float32), time=time)
+    wanted = turn.inv().apply(world - place)
+    assert np.abs(scan.points - wanted).max() > 0.5
+    np.testing.assert_allclose(deskew(scan, TRACK).points, wanted, atol=1e-3)
+    assert deskew(Scan(scan.points), TRACK).points is scan.points  # without times nothing moves
+    assert deskew(scan, PoseTrack(TRACK.times + 9.0, TRACK.poses)) is scan  # nor without poses
+    empty = Scan(np.empty((0, 3), np.float32), time=np.empty(0, np.float32))
+    assert deskew(empty, TRACK) is empty

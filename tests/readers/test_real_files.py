@@ -7,7 +7,7 @@ import pytest
 
 from bumpymap.core import common_georeference, horizontal_of
 from bumpymap.core.errors import BadInputError
-from bumpymap.readers import ReadOptions, find_surveys, open_survey
+from bumpymap.readers import find_surveys, open_survey
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 LAS, PLY = SHARED / "zoo" / "las", SHARED / "zoo" / "ply"
@@ -77,14 +77,6 @@ def test_crs_and_units_of_real_files(name, code, unit, unit_z):
     place = common_georeference([open_survey(path).info for path in find_surveys([LAS / name])])
     assert horizontal_of(place.crs).to_epsg() == code
     assert (place.metres_per_unit, place.metres_per_unit_z) == (unit, unit_z)
-
-
-def test_a_header_a_thousand_times_too_large(read):
-    path = LAS / "laspy" / "simple1_3.las"
-    with pytest.raises(BadInputError, match=r"no place on Earth .* header is wrong, `trust_points=True`"):
-        read(open_survey(path, ReadOptions(crs="EPSG:32632")))
-    points, _ = read(open_survey(path, ReadOptions(crs="EPSG:32632", trust_points=True)))
-    assert len(points) == 999
 
 
 def test_points_of_ply_files_are_those_of_trimesh(read):

@@ -1,16 +1,14 @@
-"""Scans: every format, files that are none, columns of .bin files, deskewing, the order of frames."""
+"""Scans: every format, files that are none, columns of .bin files, times of points, the order of frames."""
 
 from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
-from ply_files import write_ply
-from pypcd4 import Encoding, PointCloud
-from scipy.spatial.transform import Rotation
+from survey_kinds import TABLES, write_table
 
-from bumpymap.core import BadInputError, Dropped, PoseTrack, Robot, Scan, UsageError
-from bumpymap.readers import deskew, find_frames, read_scan
+from bumpymap.core import BadInputError, Dropped, Robot, UsageError
+from bumpymap.readers import find_frames, read_scan
 from bumpymap.readers.frames.raw import point_seconds, start_of_day_time
 
 # ---- formats ----
@@ -33,19 +31,6 @@ KEPT = [0, 5]
 DROPPED = Dropped(no_return=2, not_finite=2, on_robot=1)
 
 
-def table(*, label):
-    names = ["x", "y", "z", "intensity"] + ["label"] * label
-    return np.rec.fromarrays([*ROWS.T, *[LABEL] * label], names=names)
-
-
-def write_pcd(path, encoding, *, label):
-    columns = table(label=label)
-    types = [columns.dtype[name] for name in columns.dtype.names]
-    made = PointCloud.from_points([columns[name] for name in columns.dtype.names], columns.dtype.names, types)
-    made.save(str(path), encoding=encoding)
-    return path
-
-
 def write_kitti(folder, label=None, rows=ROWS):
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "000007.bin"
@@ -54,15 +39,6 @@ def write_kitti(folder, label=None, rows=ROWS):
         label.mkdir(parents=True, exist_ok=True)
         (LABEL.astype("<u4") | 0x50000).tofile(label / "000007.label")
     return path
-
-
-FORMATS = {
-    f"ply {order}": lambda path, label, order=order: write_ply(path, table(label=label), order=order) for order in "<>="
-}
-FORMATS |= {
-    f"pcd {code.value}": lambda path, label, code=code: write_pcd(path, code, label=label)
-    for code in (Encoding.ASCII, Encoding.BINARY, Encoding.BINARY_COMPRESSED)
-}
 
 
 def check(scan, label):
@@ -77,28 +53,27 @@ def check(scan, label):
         assert scan.label is None
 
 
-@pytest.mark.parametrize("form", FORMATS)
+@pytest.mark.parametrize("form", TABLES)
 def test_every_format_gives_the_same_scan_and_is_refused_cut_off(tmp_path, form):
-    path = tmp_path / f"frame 3.{form[:3]}"
-    for label in (True, False):
-        scan = read_scan(FORMATS[form](path, label))
+    path, columns = tmp_path / f"frame 3.{form[:3]}", dict(zip(("x", "y", "z", "intensity"), ROWS.T, strict=True))
+    for label in ({}, {"label": LABEL}):
+        scan = read_scan(write_table(path, form, columns | label))
         assert scan.name == "frame 3"
-        check(scan, label)
+        check(scan, label=bool(label))
     path.write_bytes(path.read_bytes()[:-30])
     with pytest.raises(BadInputError):
         read_scan(path)
 
 
 def test_text_pcd_without_counts_and_with_several_values_a_field(tmp_path):
-    head = "VERSION .7\nFIELDS normal x y z label\nSIZE 4 4 4 4 2\nTYPE F F F F U\nCOUNT 3 1 1 1 1\n"
-    tail = "WIDTH 2\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 2\nDATA ascii\n"
-    (tmp_path / "a.pcd").write_text(head + tail + "9 9 9 1 2 3 4\n9 9 9 5 6 7 8\n")
-    scan = read_scan(tmp_path / "a.pcd")
-    assert scan.points.tolist() == [[1, 2, 3], [5, 6, 7]]
-    assert scan.label.tolist() == [4, 8]
-    bare = head.replace("COUNT 3 1 1 1 1\n", "")
-    (tmp_path / "b.pcd").write_text(bare + tail + "9 1 2 3 4 \n9  5 6 7 8\n")
-    assert read_scan(tmp_path / "b.pcd").label.tolist() == [4, 8]
+    path = tmp_path / "a.pcd"
+    for count, normals in (("COUNT 3 1 1 1 1\n", "9 9 9"), ("", "9")):
+        head = f"VERSION .7\nFIELDS normal x y z label\nSIZE 4 4 4 4 2\nTYPE F F F F U\n{count}WIDTH 2\nHEIGHT 1\n"
+        tail = f"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 2\nDATA ascii\n{normals} 1 2 3 4 \n{normals}  5 6 7 8\n"
+        path.write_text(head + tail)
+        scan = read_scan(path)
+        assert scan.points.tolist() == [[1, 2, 3], [5, 6, 7]]
+        assert scan.label.tolist() == [4, 8]
 
 
 @pytest.mark.parametrize(
@@ -114,7 +89,7 @@ def test_kitti_without_and_with_labels_where_data_sets_put_them(tmp_path, points
     check(read_scan(write_kitti(tmp_path / points, labels and tmp_path / labels)), label=labels is not None)
 
 
-def test_the_robot_is_what_it_is_said_to_be(tmp_path):
+def test_returns_from_the_robot_or_from_nothing_are_left_out(tmp_path):
     path = write_kitti(tmp_path)
     assert read_scan(path, Robot(radius_m=0.0)).dropped.on_robot == 0
     assert read_scan(path, Robot(radius_m=6.0)).dropped.on_robot == 2
@@ -124,13 +99,10 @@ def test_the_robot_is_what_it_is_said_to_be(tmp_path):
     for wrong in ({"radius_m": -1.0}, {"radius_m": NAN}, {"box_m": (1.0, 0.0, 0.0, 1.0)}):
         with pytest.raises(UsageError, match=next(iter(wrong))):
             Robot(**wrong)
-
-
-@pytest.mark.parametrize("row", [[0.0, 0.0, 0.0, 0.0], [NAN, NAN, NAN, 0.0]])
-def test_a_scan_of_nothing_is_empty_and_says_why(tmp_path, row):
-    scan = read_scan(write_kitti(tmp_path, rows=np.tile(np.float32(row), (50, 1))))
-    assert scan.points.shape == (0, 3)
-    assert scan.dropped.no_return + scan.dropped.not_finite == 50
+    for row in ([0.0, 0.0, 0.0, 0.0], [NAN, NAN, NAN, 0.0]):
+        scan = read_scan(write_kitti(tmp_path, rows=np.tile(np.float32(row), (50, 1))))
+        assert scan.points.shape == (0, 3)  # a scan of nothing is empty, and says why
+        assert scan.dropped.no_return + scan.dropped.not_finite == 50
 
 
 def test_something_else_and_labels_of_something_else_are_refused(tmp_path):
@@ -143,9 +115,9 @@ def test_something_else_and_labels_of_something_else_are_refused(tmp_path):
         (tmp_path / name).write_bytes(data)
         with pytest.raises(BadInputError, match=says):
             read_scan(tmp_path / name)
-    rows = np.rec.fromarrays([*np.full((3, 3), 5.0), np.array([1, -2, 3], np.int32)], names="x,y,z,label")
+    columns = dict(zip("xyz", np.full((3, 3), 5.0), strict=True)) | {"label": np.array([1, -2, 3], np.int32)}
     with pytest.raises(BadInputError, match="labels"):
-        read_scan(write_ply(tmp_path / "b.ply", rows))
+        read_scan(write_table(tmp_path / "b.ply", "ply little", columns))
     path = write_kitti(tmp_path)
     for count in (6, 8):
         np.zeros(count, "<u4").tofile(tmp_path / "000007.label")
@@ -287,50 +259,6 @@ def test_real_scans_have_four_columns(shared_data, tmp_path, folder):
         for width in (4, 5, 6):
             scan = read(tmp_path / "a.bin", wide[:, :width])
             np.testing.assert_array_equal(scan.points, seen(rows)[:, :3])
-
-
-# ---- deskewing: what a sensor measures on the way lies where it sees it standing ----
-
-SPEED_MPS, TURN_RADPS = 8.0, 1.2
-
-
-def pose_at(time):
-    """Exact poses on a circle, driven at constant speed and turn rate."""
-    angle, radius = TURN_RADPS * np.atleast_1d(time), SPEED_MPS / TURN_RADPS
-    places = np.column_stack([radius * np.sin(angle), radius * (1.0 - np.cos(angle)), 0.0 * angle])
-    return Rotation.from_euler("z", angle[:, None]), places
-
-
-def track(start=-0.5, end=1.5):
-    times = np.arange(start, end, 0.01)
-    turns, places = pose_at(times)
-    poses = np.tile(np.eye(4), (len(times), 1, 1))
-    poses[:, :3, :3], poses[:, :3, 3] = turns.as_matrix(), places
-    return PoseTrack(times, poses)
-
-
-def spin(first=0.0):
-    """What a sensor measures of fixed points in one turn, and the same points as it would see them at time 0."""
-    world = np.random.default_rng(2).uniform(-60.0, 60.0, (20_000, 3)) * [1.0, 1.0, 0.05]
-    time = np.linspace(first, first + 0.1, 20_000).astype(np.float32)
-    turns, places = pose_at(time.astype(np.float64))
-    turn, place = pose_at(0.0)
-    return Scan(turns.inv().apply(world - places).astype(np.float32), time=time), turn.inv().apply(world - place)
-
-
-@pytest.mark.parametrize("first", [0.0, -0.1, -0.05])
-def test_points_are_where_the_sensor_sees_them_at_the_time_of_the_frame(first):
-    scan, wanted = spin(first)
-    assert np.abs(scan.points - wanted).max() > 0.5
-    np.testing.assert_allclose(deskew(scan, track()).points, wanted, atol=1e-3)
-
-
-def test_without_times_or_poses_nothing_moves():
-    scan, _ = spin()
-    assert deskew(Scan(scan.points), track()).points is scan.points
-    assert deskew(scan, track(start=-3.0, end=-2.0)) is scan
-    empty = Scan(np.empty((0, 3), np.float32), time=np.empty(0, np.float32))
-    assert deskew(empty, track()) is empty
 
 
 # ---- units of time ----

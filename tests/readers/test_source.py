@@ -14,12 +14,10 @@ from bumpymap.core.config import FeatureSettings
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.readers import (
     PointSummaryBuilder,
-    ReadOptions,
     find_surveys,
     identity,
     is_url,
     open_survey,
-    protocol,
     source,
 )
 from bumpymap.readers.source import read_range
@@ -144,22 +142,6 @@ def test_what_is_not_there(memory, tmp_path, monkeypatch):
         open_survey("s3://bucket/a.laz")
 
 
-def test_folders_of_urls(memory, tmp_path):
-    for name in ("b.LAZ", "sub/a.las", "sub/notes.txt", ".git/c.las", "sub/.d.las", "named.bin"):
-        memory(name, b"x")
-    found = find_surveys(["memory://surveys"])
-    assert [str(url).removeprefix("memory://").lstrip("/") for url in found] == ["surveys/b.LAZ", "surveys/sub/a.las"]
-    assert all(is_url(url) for url in found)
-    named = memory("named.bin", b"x")
-    path = tmp_path / "z.las"
-    path.write_bytes(b"x")
-    # Not asked whether it is a folder: a server would be asked for nothing.
-    assert find_surveys([named, path, "s3://bucket/x.copc.laz", named]) == [path, named, "s3://bucket/x.copc.laz"]
-    memory("empty/notes.txt", b"x")
-    with pytest.raises(BadInputError, match="holds no point cloud"):
-        find_surveys(["memory://surveys/empty"])
-
-
 def test_identity_tells_files_and_versions_apart(tmp_path, memory):
     path, data = tmp_path / "a", bytearray(200_000)
     path.write_bytes(data)
@@ -182,31 +164,36 @@ def test_identity_tells_files_and_versions_apart(tmp_path, memory):
 # ---- finding surveys ----
 
 
-@pytest.fixture
-def folder(tmp_path):
+def test_folders_and_urls_are_searched_with_their_subfolders_and_each_file_counts_once(tmp_path, memory, server):
     files = ("b.LAZ", "a.las", "c.copc.laz", "sub/d.Ply", "sub/deep/e.pcd", "notes.txt", ".hidden.las", ".git/f.las")
-    for name in files:
+    for name in (*files, "empty/notes.txt"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_bytes(b"x")
-    return tmp_path
+        memory(name, b"x")
 
-
-def test_folders_are_searched_with_their_subfolders_and_each_file_counts_once(folder, server):
     def found(*typed):
-        return [str(path.relative_to(folder)) for path in find_surveys(typed)]
+        return [str(path.relative_to(tmp_path)) for path in find_surveys(typed)]
 
-    assert found(folder) == found(str(folder)) == ["a.las", "b.LAZ", "c.copc.laz", "sub/d.Ply", "sub/deep/e.pcd"]
-    assert found(folder / "sub", folder / "a.las", folder / "sub/d.Ply") == ["a.las", "sub/d.Ply", "sub/deep/e.pcd"]
-    (folder / "z.las").symlink_to(folder / "a.las")
-    assert len(found(folder / "a.las", folder / "sub/../a.las", folder / "z.las")) == 1
-    assert found(folder / "notes.txt") == ["notes.txt"]  # a named file is taken whatever its ending
-    address, handler = server
-    assert find_surveys([f"{address}/notes.txt"]) == [f"{address}/notes.txt"]
-    assert handler.sent == 0
-    (folder / "empty").mkdir()
+    assert found(tmp_path) == found(str(tmp_path)) == sorted(files[:5])
+    assert found(tmp_path / "sub", tmp_path / "a.las", tmp_path / "sub/d.Ply") == [
+        "a.las",
+        "sub/d.Ply",
+        "sub/deep/e.pcd",
+    ]
+    (tmp_path / "z.las").symlink_to(tmp_path / "a.las")
+    assert len(found(tmp_path / "a.las", tmp_path / "sub/../a.las", tmp_path / "z.las")) == 1
+    assert found(tmp_path / "notes.txt") == ["notes.txt"]  # a named file is taken whatever its ending
+    urls = find_surveys(["memory://surveys"])
+    assert all(is_url(url) for url in urls)
+    assert [str(url).partition("surveys/")[2] for url in urls] == sorted(files[:5])
+    # Not asked whether it is a folder: a server would be asked for nothing.
+    named, path = f"{server[0]}/notes.txt", tmp_path / "a.las"
+    assert find_surveys([named, path, "s3://bucket/x.copc.laz", named]) == [path, named, "s3://bucket/x.copc.laz"]
+    assert server[1].sent == 0
     for typed, says in (
-        ([folder / "a.las", folder / "empty"], "empty holds no point cloud"),
-        ([folder / "nowhere"], "does not exist"),
+        ([tmp_path / "a.las", tmp_path / "empty"], "empty holds no point cloud"),
+        (["memory://surveys/empty"], "holds no point cloud"),
+        ([tmp_path / "nowhere"], "does not exist"),
         ([], "no survey was given"),
     ):
         with pytest.raises(BadInputError, match=says):
@@ -253,17 +240,3 @@ def test_one_that_stays_the_same_says_which_version_it_is(tmp_path):
     reader = open_survey(path)
     assert reader.info.version == {"size": path.stat().st_size, "mtime_ns": str(path.stat().st_mtime_ns)}
     assert PointSummaryBuilder(Grid(3.0, 15), FeatureSettings()).read(reader).summary().points == 3000
-
-
-def test_a_change_before_the_checksum_is_complete(tmp_path, monkeypatch):
-    path = write_kind("laz", tmp_path, POINTS)
-    reader = open_survey(path, ReadOptions(checksum=True))
-    original = protocol.read_range
-
-    def read_range(*arguments):
-        os.utime(path, ns=(0, path.stat().st_mtime_ns + 1_000_000_000))
-        return original(*arguments)
-
-    monkeypatch.setattr(protocol, "read_range", read_range)
-    with pytest.raises(BadInputError, match="the same size, but was written again"):
-        list(reader.clouds())
