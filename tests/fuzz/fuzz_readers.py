@@ -201,19 +201,16 @@ def mutated(start: Start, others: list[Start], rng: np.random.Generator) -> list
     """Return one to four edits."""
     edits, data = [], start.data
     for _ in range(int(rng.integers(1, 5))):
-        edit = _edit(data, start, others, rng)
+        kind = rng.random()
+        if start.fields and kind < 0.55:
+            edit = _field_edit(data, start, rng)
+        elif start.text_end and kind < 0.6:
+            edit = _word_edit(data, start, rng)
+        else:
+            edit = _block_edit(data, others, rng)
         data = applied(data, [edit])
         edits.append(edit)
     return edits
-
-
-def _edit(data, start, others, rng):
-    kind = rng.random()
-    if start.fields and kind < 0.55:
-        return _field_edit(data, start, rng)
-    if start.text_end and kind < 0.6:
-        return _word_edit(data, start, rng)
-    return _block_edit(data, others, rng)
 
 
 def _field_edit(data, start, rng):

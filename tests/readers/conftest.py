@@ -20,14 +20,13 @@ POINTS = np.array(
 )
 CLASSES = np.array([2, 1, 2, 5, 7, 18, 2], np.uint8)
 WITHHELD = np.array([0, 0, 0, 0, 0, 0, 1], bool)
-COUNTING = [0, 1, 2, 3]
-"""Rows of ``POINTS`` that count: not noise (4, 5), not withheld (6)."""
+"""Rows 0 to 3 of ``POINTS`` count: 4 and 5 are noise, 6 is withheld."""
 
 
 class LasMaker:
     """Writes LAS and LAZ files, and spoils them; COPC, and LAZ with chunks of any size."""
 
-    points, classes, withheld, counting = POINTS, CLASSES, WITHHELD, COUNTING
+    points, classes, withheld = POINTS, CLASSES, WITHHELD
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder

@@ -23,7 +23,6 @@ from bumpymap.readers import (
     open_survey,
     point_stats,
     protocol,
-    reopen_survey,
 )
 from bumpymap.readers._kernels import SLOTS, LinedPoints
 from bumpymap.readers.point_table import convert_points
@@ -132,43 +131,26 @@ def test_any_order_of_chunks_of_any_size_gives_the_same_points_and_the_checksum(
         assert sum(read_again) <= 1 << 13  # header, chunk table
 
 
-def test_long_points_make_small_chunks(las, batches, table):
+def test_long_points_make_small_chunks_and_records_that_reads_cut_are_whole_again(las, batches, table, monkeypatch):
     """However long a point is, a chunk fits into memory."""
     path = survey(las, count=200)
-    expected = table(batches(open_survey(path)))
-    start = int.from_bytes(path.read_bytes()[96:100], "little")
-    las.patch(path, 105, "<H", 65_000)
-    data = path.read_bytes()
+    expected, data = table(batches(open_survey(path))), path.read_bytes()
+    for piece in (7, 100, 4096):
+        with monkeypatch.context() as patch:
+            patch.setattr("bumpymap.readers.las._PIECE_BYTES", piece)
+            assert np.array_equal(table(batches(open_survey(path))), expected)
+    start = int.from_bytes(data[96:100], "little")
     wide = np.zeros((200, 65_000), np.uint8)
     wide[:, :30] = np.frombuffer(data[start:], np.uint8).reshape(200, 30)
     path.write_bytes(data[:start] + wide.tobytes())
-    reader = open_survey(path)
+    reader = open_survey(las.patch(path, 105, "<H", 65_000))
     assert all(chunk.points * 65_000 <= 1 << 26 for chunk in reader.chunks())
     assert np.array_equal(table(batches(reader)), expected)
-
-
-def test_records_that_reads_cut_are_whole_again(las, batches, table, monkeypatch):
-    path = survey(las)
-    expected = table(batches(open_survey(path)))
-    for piece in (7, 100, 4096):
-        monkeypatch.setattr("bumpymap.readers.las._PIECE_BYTES", piece)
-        assert np.array_equal(table(batches(open_survey(path))), expected)
-    path.write_bytes(path.read_bytes()[:-40])
+    with pytest.raises(UsageError, match="at least 1"):
+        reader.chunks(0)
+    path.write_bytes(data[:-40])
     with pytest.raises(BadInputError, match="points"):
         batches(open_survey(path))
-    with pytest.raises(UsageError, match="at least 1"):
-        open_survey(las.write("b.las")).chunks(0)
-
-
-def test_workers_open_a_file_again_without_its_notes(las, caplog):
-    path = las.write(points=np.array([[-99.1, 19.4, 10.0]]), scale=1e-7, offset=(0, 0, 0))
-    noted = open_survey(path)
-    assert "degrees" in caplog.text
-    caplog.clear()
-    again = reopen_survey(path, ReadOptions())
-    assert not caplog.text
-    assert again.info == noted.info
-    assert again.chunks() == noted.chunks()
 
 
 # ---- what is counted of points, and the verdict on a file ----

@@ -26,19 +26,6 @@ RATES = np.random.default_rng(5).normal(0.0, 0.2, (COUNT, 3))
 TIMES = np.arange(COUNT) * 0.01
 
 
-def fix(stamp_ns, lon, status):
-    return message(
-        "sensor_msgs/msg/NavSatFix",
-        header=header(stamp_ns, "gps"),
-        status=message("sensor_msgs/msg/NavSatStatus", status=status, service=1),
-        latitude=19.4,
-        longitude=lon,
-        altitude=2240.0,
-        position_covariance=np.diag([0.02**2, 0.02**2, 1.0]).ravel(),
-        position_covariance_type=2,
-    )
-
-
 def imus(topic="/imu/data"):
     """Stored 3 ms after they were measured."""
     stamps = [T0 + round(t * 1e9) for t in TIMES]
@@ -47,8 +34,14 @@ def imus(topic="/imu/data"):
 
 def fixes():
     """10 Hz; the third one without a fix."""
-    stamps = [T0 + n * 10**8 for n in range(20)]
-    return [("/fix", stamp, fix(stamp, -99.1 + n * 1e-6, -1 if n == 2 else 0)) for n, stamp in enumerate(stamps)]
+    common = {"latitude": 19.4, "altitude": 2240.0, "position_covariance_type": 2}
+    common["position_covariance"] = np.diag([0.02**2, 0.02**2, 1.0]).ravel()
+    made = []
+    for n, stamp in enumerate(range(T0, T0 + 20 * 10**8, 10**8)):
+        status = message("sensor_msgs/msg/NavSatStatus", status=-1 if n == 2 else 0, service=1)
+        own = {"header": header(stamp, "gps"), "status": status, "longitude": -99.1 + n * 1e-6}
+        made.append(("/fix", stamp, message("sensor_msgs/msg/NavSatFix", **own, **common)))
+    return made
 
 
 def moves():

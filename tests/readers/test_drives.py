@@ -97,10 +97,6 @@ def test_columns_in_another_form_or_that_are_not_there_are_refused(tmp_path, tex
 
 
 HEADERS = {
-    "phyphox": (
-        "Time (s),Gyroscope x (rad/s),Gyroscope y (rad/s),Gyroscope z (rad/s),Absolute (rad/s)",
-        {"time": "Time (s)", "rate_z": "Gyroscope z (rad/s)"},
-    ),
     "flat odometry": (
         (
             "Time,header.stamp.secs,header.stamp.nsecs,header.frame_id,pose.pose.position.x,pose.pose.position.y,"

@@ -122,17 +122,17 @@ def test_other_elements_are_passed_over_and_lists_in_the_way_refused(tmp_path, r
             open_survey(write(tmp_path / "b.ply", form=form, before=[faces()]))
 
 
-@pytest.mark.parametrize("line_end", ["\n", "\r\n"])
+@pytest.mark.parametrize("line_end", [b"\n", b"\r\n"])
 def test_line_ends_spare_blanks_and_more_digits_than_a_float_has(tmp_path, read, line_end):
-    text = "ply|format ascii 1.0|comment X|element vertex 3|property float x|property float y|property float z|"
-    text += "end_header|1 2 3 |  4   5 6||500000.001 4000000.002 10.003|"
-    (tmp_path / "a.ply").write_bytes(text.replace("|", line_end).encode())
+    text = b"ply|format ascii 1.0|comment X|element vertex 3|property float x|property float y|property float z|"
+    text += b"end_header|1 2 3 |  4   5 6||500000.001 4000000.002 10.003|"
+    path = tmp_path / "a.ply"
+    path.write_bytes(text.replace(b"|", line_end))
     for chunk in (1, 2, 3):
-        points, _ = read(open_survey(tmp_path / "a.ply"), chunk)
+        points, _ = read(open_survey(path), chunk)
         assert points.tolist() == [[1, 2, 3], [4, 5, 6], [500000.001, 4000000.002, 10.003]]
-    head, data = write(tmp_path / "b.ply").read_bytes().split(b"end_header\n")
-    path = tmp_path / "c.ply"
-    path.write_bytes(head.replace(b"\n", line_end.encode()) + b"end_header" + line_end.encode() + data)
+    head, data = write(path).read_bytes().split(b"end_header\n")
+    path.write_bytes(head.replace(b"\n", line_end) + b"end_header" + line_end + data)
     assert np.array_equal(read(open_survey(path))[0], POINTS)
 
 

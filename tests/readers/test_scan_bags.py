@@ -63,9 +63,8 @@ def found_in(path, **topics):
 
 def check_poses(sources, mount=MOUNT):
     for number, source in enumerate(sources):
-        np.testing.assert_allclose(
-            source.pose, matrix(*pose(number * 0.1)) @ matrix(*mount), atol=1e-4
-        )  # 50 ms are a chord
+        expected = matrix(*pose(number * 0.1)) @ matrix(*mount)
+        np.testing.assert_allclose(source.pose, expected, atol=1e-4)  # of the arc, 50 ms are a chord
 
 
 @pytest.mark.parametrize(
@@ -116,9 +115,8 @@ def test_poses_from_transforms_and_of_the_sensor_itself(tmp_path):
     for number, source in enumerate(sources):
         expected = matrix(*base) @ matrix(*pose(number * 0.1)) @ matrix(*MOUNT)
         np.testing.assert_allclose(source.pose, expected, atol=1e-4)
-    check_poses(
-        found_in(bag_of(tmp_path / "own", clouds(), moves(child="lidar"))), mount=(Rotation.identity(), np.zeros(3))
-    )
+    own = bag_of(tmp_path / "own", clouds(), moves(child="lidar"))
+    check_poses(found_in(own), mount=(Rotation.identity(), np.zeros(3)))
 
 
 def test_odometry_that_is_chosen(tmp_path):

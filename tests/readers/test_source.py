@@ -10,10 +10,8 @@ from range_server import serving
 from survey_kinds import KINDS, write_kind
 
 import bumpymap.readers.las as las_module
-from bumpymap.core.config import FeatureSettings
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.readers import (
-    PointSummaryBuilder,
     find_surveys,
     identity,
     is_url,
@@ -21,7 +19,6 @@ from bumpymap.readers import (
     source,
 )
 from bumpymap.readers.source import read_range
-from bumpytiles import Grid
 
 PLACE = np.array([500_000, 4_000_000, 0])
 
@@ -233,10 +230,3 @@ def test_a_change_while_the_header_is_read(tmp_path, monkeypatch):
     monkeypatch.setattr(las_module, "read_raw_header", read_and_change)
     with pytest.raises(BadInputError, match="changed while it was read"):
         open_survey(path)
-
-
-def test_one_that_stays_the_same_says_which_version_it_is(tmp_path):
-    path = write_kind("laz", tmp_path, POINTS)
-    reader = open_survey(path)
-    assert reader.info.version == {"size": path.stat().st_size, "mtime_ns": str(path.stat().st_mtime_ns)}
-    assert PointSummaryBuilder(Grid(3.0, 15), FeatureSettings()).read(reader).summary().points == 3000

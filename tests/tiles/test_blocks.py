@@ -62,7 +62,7 @@ def test_order_and_chunks_of_the_input_change_no_bit(seed, cuts):
     assert flatten(gather(columns, shuffled, sorted(cuts))) == expected
 
 
-def test_every_place_is_in_its_own_tile_once():
+def test_every_place_is_in_its_own_tile_once_and_of_two_points_the_flagged_one_stays():
     columns = survey(5, duplicates=500)
     seen = []
     for block in gather(columns, np.random.default_rng(0).permutation(len(columns[0])), [700]):
@@ -73,9 +73,6 @@ def test_every_place_is_in_its_own_tile_once():
             np.testing.assert_array_equal(np.floor(axis / GRID.tile_size), index[tile])
         seen += zip(*points, strict=True)
     assert sorted(seen) == sorted(set(zip(*columns[:3], strict=True)))
-
-
-def test_of_two_points_of_one_place_the_flagged_one_stays():
     for flags, kept in (([1, 0], 1), ([0, 1], 1), ([3, 2], 2), ([0, 3], 3), ([2, 1], 1)):
         assert one_block([0.0, -0.0], [1.0] * 2, [1.0] * 2, np.array(flags, np.uint8)).flag.tolist() == [kept]
 

@@ -141,10 +141,6 @@ def planted(place, forged):
     return place / "cache" / name
 
 
-def foreign(path):
-    os.chown(path, 4242, -1, follow_symlinks=False)
-
-
 def linked(path):
     path.rename(path.with_name("elsewhere"))
     path.symlink_to("elsewhere")
@@ -159,7 +155,7 @@ needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="root alone gives file
     [
         lambda path: path.chmod(0o775),
         pytest.param(linked, marks=pytest.mark.later),
-        pytest.param(foreign, marks=[pytest.mark.later, needs_root]),
+        pytest.param(lambda path: os.lchown(path, 4242, -1), marks=[pytest.mark.later, needs_root]),
     ],
 )
 def test_code_that_another_may_have_planted_does_not_run(place, planted, forged, of, fault):
