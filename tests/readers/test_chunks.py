@@ -172,6 +172,7 @@ def test_stats_of_parts_add_up_however_they_are_grouped(points, data):
     parts = [batch(points[low:high], first=low).stats for low, high in edges]
     whole = batch(points).stats
     check_extent(whole, np.array(points, float).reshape(-1, 4))
+    assert PointStats.from_record(json.loads(json.dumps(whole.to_record()))) == whole
     mixed = data.draw(st.permutations(parts))
     assert reduce(PointStats.merge, parts, PointStats()) == whole
     assert reduce(lambda total, part: part.merge(total), mixed, PointStats()) == whole

@@ -97,6 +97,7 @@ def test_columns_in_another_form_or_that_are_not_there_are_refused(tmp_path, tex
 
 
 HEADERS = {
+    "arduino": ("millis,ax,ay,az,gx,gy,gz,temp", {"time": "millis", "rate_y": "gy", "acc_z": "az"}),
     "flat odometry": (
         (
             "Time,header.stamp.secs,header.stamp.nsecs,header.frame_id,pose.pose.position.x,pose.pose.position.y,"

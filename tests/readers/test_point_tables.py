@@ -12,8 +12,6 @@ from bumpymap.core.errors import BadInputError
 from bumpymap.readers import ReadOptions, open_survey
 
 POINTS = np.array([[1.5, 2.25, 3.0], [0.0, 0.0, 0.0], [-4.0, 5.5, -6.25], [7.0, 8.0, 9.5], [0.5, 0.25, 1.0]])
-
-
 every_form = pytest.mark.parametrize("form", TABLES)
 PLY = [form for form in TABLES if form.startswith("ply")]
 

@@ -110,6 +110,7 @@ def test_something_else_and_labels_of_something_else_are_refused(tmp_path):
         ("a.ply", b"\x89PNG\r\n\x1a\n" + bytes(200), "not a point cloud"),
         ("a.pcd", b"\x89PNG\r\n\x1a\n" + bytes(200), "not a point cloud"),
         ("a.bin", np.random.default_rng(1).bytes(16_000), "does not hold float32"),
+        ("a.bin", bytes(30), "truncated"),
         ("a.las", b"LASF" + bytes(400), "bumpymap map"),
     ):
         (tmp_path / name).write_bytes(data)

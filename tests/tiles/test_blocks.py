@@ -1,5 +1,7 @@
 """Points to tiles and blocks: in whatever order they came and wherever they wait, the same blocks come out."""
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -260,18 +262,11 @@ def test_bounds_of_a_tile_and_of_a_window_and_grids_that_cannot_be():
 # ---- running over blocks ----
 
 
-def square(x):
-    return x * x
-
-
-@pytest.mark.parametrize("workers", [1, 2, 5])
-def test_results_come_in_the_order_of_the_blocks(workers):
-    assert list(run_blocks(square, range(50), workers)) == [x * x for x in range(50)]
-
-
-def test_blocks_are_drawn_lazily_and_a_failure_ends_the_work():
+def test_results_come_in_the_order_of_the_blocks_which_are_drawn_lazily_until_one_fails():
+    for workers in (1, 2, 5):
+        assert list(run_blocks(math.factorial, range(50), workers)) == [math.factorial(x) for x in range(50)]
     drawn = iter(range(100))
-    results = run_blocks(square, drawn, 2)
+    results = run_blocks(math.factorial, drawn, 2)
     next(results)
     assert next(drawn) <= 5
     results.close()
