@@ -1,15 +1,21 @@
-"""Drives whose pitch, way, clock, mounting and noise are known: what is measured is held against what was put in."""
+"""Drives whose pitch, way, clock, mounting and noise are known, held against what is measured; and the parts alone."""
 
 from dataclasses import replace
 
 import made_drives
 import numpy as np
 import pytest
+from check_records import LIMITS, STRETCH_M, stretches_at
+from pyproj import Geod
+from scipy.stats import spearmanr
 
-from bumpymap.check.measure import measure_drive
-from bumpymap.check.places import metre_places
-from bumpymap.check.stretches import cut_stretches
-from bumpymap.core import BadInputError, ImuTrack, WheelTrack
+from bumpymap.check import CheckConfig
+from bumpymap.check.measure import find_standing, measure_drive, rough_speed
+from bumpymap.check.pipeline import agreement_of
+from bumpymap.check.places import local_metres, metre_places
+from bumpymap.check.signals import even_imu
+from bumpymap.check.stretches import cut_stretches, less_floor
+from bumpymap.core import BadInputError, ImuTrack, UsageError, WheelTrack
 
 
 def measured(log):
@@ -95,7 +101,7 @@ def test_the_same_drive_gives_the_same_bits():
     assert np.array_equal(cut.measured, cut_again.measured)
 
 
-def test_a_gap_of_the_imu_does_not_count(good):
+def test_a_gap_of_the_imu_does_not_count_and_a_drive_without_accelerometer_says_so(good):
     _, log, _, _, _, _ = good
     keep = (log.imu.time < 60.0) | (log.imu.time > 64.0)
     imu = ImuTrack(log.imu.time[keep], log.imu.rate[keep], log.imu.acceleration[keep])
@@ -103,18 +109,10 @@ def test_a_gap_of_the_imu_does_not_count(good):
     inside = (found.time > 60.1) & (found.time < 63.9)
     assert (found.reason[inside] == 1).all()
     assert (cut.label[inside] == -1).all()
-
-
-def test_a_drive_without_accelerometer_is_measured_and_says_so(good):
-    _, log, _, _, _, _ = good
     imu = replace(log.imu, acceleration=np.full_like(log.imu.acceleration, np.nan))
     found, _ = measured(replace(log, imu=imu))
     assert np.isnan(found.mount_deg).all()
     assert any("no accelerometer" in note for note in found.notes)
-
-
-def few_positions(log):
-    return replace(log.places, **{name: getattr(log.places, name)[:5] for name in ("time", "x", "y", "error")})
 
 
 @pytest.mark.parametrize(
@@ -122,12 +120,22 @@ def few_positions(log):
     [
         (lambda log: {"imu": ImuTrack(log.imu.time[::5], log.imu.rate[::5], log.imu.acceleration[::5])}, "`band_hz`"),
         (lambda log: {"imu": replace(log.imu, rate=np.degrees(log.imu.rate))}, "degrees per second"),
-        (lambda log: {"imu": replace(log.imu, rate=np.radians(log.imu.rate))}, "radians per second"),
         (lambda log: {"places": replace(log.places, time=log.places.time + 1e6)}, "in common"),
         (lambda _: {"places": None}, "neither positions nor wheel speeds"),
-        (lambda log: {"places": few_positions(log)}, "5 usable positions"),
+        (
+            lambda log: {
+                "places": replace(
+                    log.places,
+                    time=log.places.time[:5],
+                    x=log.places.x[:5],
+                    y=log.places.y[:5],
+                    error=np.full(5, np.nan),
+                )
+            },
+            "5 usable positions",
+        ),
     ],
-    ids=["slow IMU", "degrees", "radians", "other clock", "no way", "few positions"],
+    ids=["slow IMU", "degrees", "other clock", "no way", "few positions"],
 )
 def test_a_log_that_cannot_be_measured_is_refused(good, damage, told):
     log = good[1]
@@ -135,20 +143,9 @@ def test_a_log_that_cannot_be_measured_is_refused(good, damage, told):
         measured(replace(log, **damage(log)))
 
 
-def test_a_parked_vehicle_is_refused():
-    log, _, _ = made_drives.log_of(made_drives.MadeDrive(speed=0.0, noise=0.01, place_white=0.02, seconds=30.0))
-    with pytest.raises(BadInputError, match="never drives"):
-        measured(log)
-
-
-def test_a_short_way_tells_no_offset_of_the_clocks():
+def test_a_short_way_tells_no_offset_of_the_clocks_and_rough_positions_none_or_its_error():
     log, _, _ = made_drives.log_of(made_drives.MadeDrive(seconds=32.0, offset=0.3, noise=0.01, place_white=0.015))
-    found, _ = measured(log)
-    assert np.abs(found.speed).sum() / found.hertz < 20.0
-    assert np.isnan(found.clock_offset_s)
-
-
-def test_positions_of_metres_tell_no_offset_or_state_its_error():
+    assert np.isnan(measured(log)[0].clock_offset_s)
     made = made_drives.MadeDrive(offset=0.31, noise=0.01, place_white=0.25, place_wander=1.5, turning=0.3, seed=3)
     found, _ = measured(made_drives.log_of(made)[0])
     assert not abs(found.clock_offset_s - made.offset) > 3.0 * found.clock_offset_sd_s
@@ -162,3 +159,71 @@ def test_the_way_of_a_long_drive_is_found_as_well(good, monkeypatch):
     assert np.abs(again.speed).sum() / again.hertz == pytest.approx(way[-1], rel=0.01)
     assert np.median(np.abs(cut_again.measured / true_c_r(log, cut_again, pitch_rate, way) - 1.0)) < 0.03
     assert cut_again.measured_sd == pytest.approx(cut.measured_sd, rel=0.2)
+
+
+def wheels_of(made: made_drives.MadeDrive, *, on_the_spot: bool = False) -> WheelTrack:
+    """Return wheel speeds at 5 Hz; on the spot, the sides turn against each other."""
+    time, speed, *_ = made_drives.motion(made)
+    nothing = np.zeros(len(time[::20]))
+    return WheelTrack(time[::20], *((nothing, 2 * speed[::20]) if on_the_spot else (speed[::20], nothing)))
+
+
+@pytest.mark.parametrize("on_the_spot", [False, True])
+def test_slow_driving_over_even_ground_is_no_standstill(on_the_spot):
+    made = made_drives.MadeDrive(amplitude=0.002, speed=0.1, seconds=60.0, noise=0.01, turning=0.0)
+    log, *_ = made_drives.log_of(made)
+    imu = even_imu(log.imu, "slow", 10.0)
+    standing = find_standing(imu, rough_speed(imu, None, wheels_of(made, on_the_spot=on_the_spot)), 10.0)
+    driven = (imu.time > made.stand + 1.0) & (imu.time < made.seconds - made.stand / 2 - 1.0)
+    assert not standing[driven].any()
+    assert standing[imu.time < made.stand - 1.0].mean() > 0.8
+
+
+def test_without_wheels_positions_tell():
+    made = made_drives.MadeDrive(seconds=60.0, noise=0.01, place_white=0.015)
+    log, *_ = made_drives.log_of(made)
+    imu = even_imu(log.imu, "made", 10.0)
+    places = metre_places(log.places, log.places.x, log.places.y, log.name)
+    standing = find_standing(imu, rough_speed(imu, places, None), 10.0)
+    assert standing[imu.time < made.stand - 1.0].mean() > 0.8
+    assert not standing[(imu.time > made.stand + 2.0) & (imu.time < 50.0)].any()
+    lost = WheelTrack(*np.full((3, 3), np.nan))
+    assert np.array_equal(standing, find_standing(imu, rough_speed(imu, places, lost), 10.0))
+
+
+def test_independent_noise_is_taken_off_in_power():
+    rng = np.random.default_rng(1)
+    signal, noise = rng.normal(0, 0.2, 400_000), rng.normal(0, 0.1, 400_000)
+    read, floor = np.abs(signal + noise).mean(), np.abs(noise).mean()
+    assert less_floor(read, floor) == pytest.approx(np.abs(signal).mean(), rel=5e-3)
+    assert less_floor(np.array([0.01]), np.array([0.02])) == 0.0
+
+
+def test_agreement_by_hand_and_by_scipy_ties_included():
+    measured = np.array([0.10, 0.20, 0.30, 0.40, 0.40, 0.50, 0.0])
+    c_r = np.array([0.11, 0.30, 0.30, 0.42, 0.20, np.nan, 0.2])
+    driven = stretches_at(np.zeros((7, 2)), c_r, 1.0, sd=0.0)
+    classes = np.digitize(measured, LIMITS).astype(np.uint8)
+    driven = replace(driven, measured=measured, measured_sd=np.zeros(7), place_sd=np.zeros(7), measured_class=classes)
+    found = agreement_of(driven)
+    assert (found.stretches, found.way_m) == (5, 5 * STRETCH_M)
+    assert found.spearman == pytest.approx(spearmanr(c_r[:5], measured[:5]).statistic)
+    assert found.median_ratio == pytest.approx(np.median([1.1, 1.5, 1.0, 1.05, 0.5]))
+    assert found.median_error == pytest.approx(np.median([0.1, 0.5, 0.0, 0.05, 0.5]))
+    assert (found.inside, found.same_class) == (3 / 5, 3 / 5)
+    four = agreement_of(driven, np.arange(7) < 4)
+    assert four.stretches == 4
+    assert np.isnan(four.spearman)
+
+
+def test_local_metres_are_those_of_the_ellipsoid():
+    lon, lat = np.array([-99.0, -99.0, -98.99]), np.array([19.0, 19.01, 19.0])
+    east, north = local_metres(lon, lat)
+    _, _, metres = Geod(ellps="WGS84").inv(lon[[0, 0]], lat[[0, 0]], lon[1:], lat[1:])
+    assert np.hypot(east[1:] - east[0], north[1:] - north[0]) == pytest.approx(metres, rel=1e-4)
+
+
+@pytest.mark.parametrize(("drives", "told"), [((), "no drive"), (("a.csv", "b.csv", "a.csv"), "twice")])
+def test_a_check_needs_drives_each_once(drives, told):
+    with pytest.raises(UsageError, match=told):
+        CheckConfig(drives)

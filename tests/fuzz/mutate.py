@@ -7,8 +7,8 @@ import struct
 from dataclasses import dataclass
 
 import numpy as np
-from corpus.bases import bases
-from corpus.las_file import HEADER, HEADER_1_4, layout_of
+from corpus.files import bases
+from corpus.files import HEADER, HEADER_1_4, layout_of
 from las_files import ENTRY
 
 Edit = tuple[int, int, bytes]

@@ -9,7 +9,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from .bases import bases
+from .files import bases
 
 SECONDS = 10.0
 MEMORY = 1_500_000_000

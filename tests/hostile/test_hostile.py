@@ -1,11 +1,12 @@
-"""Every hostile file ends in time, within memory, with one message, and leaves nothing behind."""
+"""Every hostile file ends in time, within memory, with one message, and leaves nothing behind; or is skipped whole."""
 
 import json
 
+import numpy as np
 import pytest
 from alike_surveys import tiles_without_survey
-from corpus import PLACES, Case, hostile_files
-from corpus.bases import bases
+from corpus import PLACES, Case, hostile_files, odd_place
+from corpus.files import bases, cloud, las_file, layout_of, patched, utm
 from corpus.runner import MEMORY, Runner
 
 from bumpymap.core import escape_controls
@@ -113,7 +114,7 @@ def test_what_is_no_regular_file_or_has_an_odd_name(runner, tmp_path, monkeypatc
     place = tmp_path / "place"
     place.mkdir()
     monkeypatch.chdir(place)
-    path = PLACES[name](place)
+    path = odd_place(name, place)
     before = everything(tmp_path, runner.scratch)
     outcome = mapped(runner, path, tmp_path / "out")
     faults = faults_of_ending(outcome)
@@ -130,3 +131,69 @@ def test_what_is_no_regular_file_or_has_an_odd_name(runner, tmp_path, monkeypatc
 def test_the_corpus_is_the_same_every_time_and_names_are_told_apart():
     assert [(case.name, case.data) for case in hostile_files()] == [(case.name, case.data) for case in FILES]
     assert len({case.name for case in FILES}) == len(FILES)
+
+
+LAYERS = (
+    *("rasters/roughness.tif", "rasters/class.tif", "cost.tif", "rasters/heightmap.tif"),
+    *("tiles.parquet", "cost.geojson", "cost.fgb"),
+)
+BAD = (
+    "foreign-lfs_pointer.laz",
+    "foreign-empty.laz",
+    "las12-scale_x-nan.las",
+    "laz12-cut-chunk_3.laz",
+    "laz12-chunk_3-far_point.laz",
+    "las14-evlr_count-2to32.las",
+    "text-count-10to12.ply",
+    "pcd_packed-packed-2to32.pcd",
+)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A folder with one good survey."""
+    place = tmp_path / "surveys"
+    place.mkdir()
+    (place / "good.las").write_bytes(bases()["las12.las"])
+    return place
+
+
+def map_folder(runner, folder, out, *options):
+    return runner.run("map", folder, "--out", out, "--threads", "1", "--quiet", *options)
+
+
+def layers(out):
+    return {name: (out / name).read_bytes() for name in LAYERS}
+
+
+def neighbour():
+    """LAZ in five chunks: other points than those of the good survey, on the same tiles."""
+    return las_file(np.add(cloud(400, seed=1), [0.0, 0.0, 3.0]), minor=4, fmt=7, chunks=80, vlrs=[utm()], wkt_bit=True)
+
+
+def test_bad_files_of_every_kind_are_skipped_and_listed(runner, folder, tmp_path):
+    assert map_folder(runner, folder, tmp_path / "alone").exit == 0
+    held = {case.name: case.data for case in hostile_files()}
+    for name in BAD:
+        (folder / name).write_bytes(held[name])
+    outcome = map_folder(runner, folder, tmp_path / "out", "--skip-bad")
+    assert outcome.exit == 4, outcome.text
+    assert layers(tmp_path / "out") == layers(tmp_path / "alone")
+    record = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert set(record["skipped"]) == {str(folder / name) for name in BAD}
+    assert all(path in message for path, message in record["skipped"].items())
+    assert [entry["path"] for entry in record["inputs"]] == [str(folder / "good.las")]
+
+
+def test_a_file_that_breaks_in_its_middle_leaves_no_point(runner, folder, tmp_path):
+    assert map_folder(runner, folder, tmp_path / "alone").exit == 0
+    data, other = neighbour(), folder / "other.laz"
+    other.write_bytes(data)
+    assert map_folder(runner, folder, tmp_path / "both").exit == 0
+    # Points of the other file would be seen: the layers are others with them.
+    assert layers(tmp_path / "both")["tiles.parquet"] != layers(tmp_path / "alone")["tiles.parquet"]
+    other.write_bytes(patched(data, layout_of(data).chunks[2][0], "i", 2**31 - 1))
+    outcome = map_folder(runner, folder, tmp_path / "out", "--skip-bad")
+    assert outcome.exit == 4, outcome.text
+    assert layers(tmp_path / "out") == layers(tmp_path / "alone")
+    assert list(json.loads((tmp_path / "out" / "run.json").read_text())["skipped"]) == [str(other)]
