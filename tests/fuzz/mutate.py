@@ -7,8 +7,7 @@ import struct
 from dataclasses import dataclass
 
 import numpy as np
-from corpus.files import bases
-from corpus.files import HEADER, HEADER_1_4, layout_of
+from corpus.files import HEADER, HEADER_1_4, bases, layout_of
 from las_files import ENTRY
 
 Edit = tuple[int, int, bytes]

@@ -8,6 +8,7 @@ from alike_surveys import tiles_without_survey
 from corpus import PLACES, Case, hostile_files, odd_place
 from corpus.files import bases, cloud, las_file, layout_of, patched, utm
 from corpus.runner import MEMORY, Runner
+from small_surveys import layers_of
 
 from bumpymap.core import escape_controls
 
@@ -33,15 +34,15 @@ def tiles_of(runner, tmp_path_factory):
         if name not in held:
             place = tmp_path_factory.mktemp("base")
             (place / name).write_bytes(bases()[name])
-            assert mapped(runner, place / name, place / "out").exit == 0
+            assert mapped(runner, place / name, place / "out", "--local").exit == 0
             held[name] = tiles_without_survey(place / "out" / "tiles.parquet")
         return held[name]
 
     return look_up
 
 
-def mapped(runner, path, out):
-    return runner.run("map", "--out", out, "--local", "--threads", "1", "--quiet", "--", path)
+def mapped(runner, path, out, *options):
+    return runner.run("map", "--out", out, *options, "--threads", "1", "--quiet", "--", path)
 
 
 def everything(*folders):
@@ -80,7 +81,7 @@ def cases():
 def test_what_the_damage_starts_from_is_whole(runner, tmp_path, name):
     path = tmp_path / name
     path.write_bytes(bases()[name])
-    outcome = mapped(runner, path, tmp_path / "out")
+    outcome = mapped(runner, path, tmp_path / "out", "--local")
     assert (outcome.exit, faults_of_ending(outcome)) == (0, [])
     assert json.loads((tmp_path / "out" / "run.json").read_text())["counts"]["points"] == 400
 
@@ -93,7 +94,7 @@ def test_hostile_file(runner, tiles_of, tmp_path, case: Case):
     before = everything(tmp_path, runner.scratch)
     told = runner.run("info", path)
     faults = [f"info: {fault}" for fault in faults_of_ending(told)]
-    outcome = mapped(runner, path, out)
+    outcome = mapped(runner, path, out, "--local")
     faults += faults_of_ending(outcome)
     if outcome.exit not in case.exits:
         faults.append(f"exit {outcome.exit!r:.40}, expected one of {sorted(case.exits)}")
@@ -116,7 +117,7 @@ def test_what_is_no_regular_file_or_has_an_odd_name(runner, tmp_path, monkeypatc
     monkeypatch.chdir(place)
     path = odd_place(name, place)
     before = everything(tmp_path, runner.scratch)
-    outcome = mapped(runner, path, tmp_path / "out")
+    outcome = mapped(runner, path, tmp_path / "out", "--local")
     faults = faults_of_ending(outcome)
     if outcome.exit != 3:
         faults.append(f"exit {outcome.exit!r:.40}, expected 3")
@@ -133,10 +134,6 @@ def test_the_corpus_is_the_same_every_time_and_names_are_told_apart():
     assert len({case.name for case in FILES}) == len(FILES)
 
 
-LAYERS = (
-    *("rasters/roughness.tif", "rasters/class.tif", "cost.tif", "rasters/heightmap.tif"),
-    *("tiles.parquet", "cost.geojson", "cost.fgb"),
-)
 BAD = (
     "foreign-lfs_pointer.laz",
     "foreign-empty.laz",
@@ -149,51 +146,26 @@ BAD = (
 )
 
 
-@pytest.fixture
-def folder(tmp_path):
-    """A folder with one good survey."""
-    place = tmp_path / "surveys"
-    place.mkdir()
-    (place / "good.las").write_bytes(bases()["las12.las"])
-    return place
-
-
-def map_folder(runner, folder, out, *options):
-    return runner.run("map", folder, "--out", out, "--threads", "1", "--quiet", *options)
-
-
-def layers(out):
-    return {name: (out / name).read_bytes() for name in LAYERS}
-
-
-def neighbour():
-    """LAZ in five chunks: other points than those of the good survey, on the same tiles."""
-    return las_file(np.add(cloud(400, seed=1), [0.0, 0.0, 3.0]), minor=4, fmt=7, chunks=80, vlrs=[utm()], wkt_bit=True)
-
-
-def test_bad_files_of_every_kind_are_skipped_and_listed(runner, folder, tmp_path):
-    assert map_folder(runner, folder, tmp_path / "alone").exit == 0
-    held = {case.name: case.data for case in hostile_files()}
-    for name in BAD:
-        (folder / name).write_bytes(held[name])
-    outcome = map_folder(runner, folder, tmp_path / "out", "--skip-bad")
+def test_bad_files_and_one_that_breaks_in_its_middle_are_skipped_and_leave_no_point(runner, tmp_path):
+    """One of them is LAZ in five chunks: other points than those of the good survey, on the same tiles."""
+    folder = tmp_path / "surveys"
+    folder.mkdir()
+    (folder / "good.las").write_bytes(bases()["las12.las"])
+    other = np.add(cloud(400, seed=1), [0.0, 0.0, 3.0])
+    data = las_file(other, minor=4, fmt=7, chunks=80, vlrs=[utm()], wkt_bit=True)
+    assert mapped(runner, folder, tmp_path / "alone").exit == 0
+    (folder / "other.laz").write_bytes(data)
+    assert mapped(runner, folder, tmp_path / "both").exit == 0
+    assert layers_of(tmp_path / "both")["tiles.parquet"] != layers_of(tmp_path / "alone")["tiles.parquet"]
+    held = {case.name: case.data for case in FILES}
+    bad = {name: held[name] for name in BAD}
+    bad["other.laz"] = patched(data, layout_of(data).chunks[2][0], "i", 2**31 - 1)
+    for name, content in bad.items():
+        (folder / name).write_bytes(content)
+    outcome = mapped(runner, folder, tmp_path / "out", "--skip-bad")
     assert outcome.exit == 4, outcome.text
-    assert layers(tmp_path / "out") == layers(tmp_path / "alone")
+    assert layers_of(tmp_path / "out") == layers_of(tmp_path / "alone")
     record = json.loads((tmp_path / "out" / "run.json").read_text())
-    assert set(record["skipped"]) == {str(folder / name) for name in BAD}
+    assert set(record["skipped"]) == {str(folder / name) for name in bad}
     assert all(path in message for path, message in record["skipped"].items())
     assert [entry["path"] for entry in record["inputs"]] == [str(folder / "good.las")]
-
-
-def test_a_file_that_breaks_in_its_middle_leaves_no_point(runner, folder, tmp_path):
-    assert map_folder(runner, folder, tmp_path / "alone").exit == 0
-    data, other = neighbour(), folder / "other.laz"
-    other.write_bytes(data)
-    assert map_folder(runner, folder, tmp_path / "both").exit == 0
-    # Points of the other file would be seen: the layers are others with them.
-    assert layers(tmp_path / "both")["tiles.parquet"] != layers(tmp_path / "alone")["tiles.parquet"]
-    other.write_bytes(patched(data, layout_of(data).chunks[2][0], "i", 2**31 - 1))
-    outcome = map_folder(runner, folder, tmp_path / "out", "--skip-bad")
-    assert outcome.exit == 4, outcome.text
-    assert layers(tmp_path / "out") == layers(tmp_path / "alone")
-    assert list(json.loads((tmp_path / "out" / "run.json").read_text())["skipped"]) == [str(other)]

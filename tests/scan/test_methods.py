@@ -312,6 +312,8 @@ def test_sectors_say_what_a_survey_of_the_ground_says(points, rater, mapped):
     assert np.corrcoef(np.log(c_r), np.log(truth))[0, 1] > 0.9
     assert ((low <= truth) & (truth <= high)).mean() > 0.8
     known, limits = ride.class_id != NO_CLASS, find_calibration("warthog").class_limits
+    assert not (known & ~stack.traversable).any()
+    assert (np.isfinite(ride.c_r) == known).all()
     assert (ride.class_id[known] >= np.searchsorted(limits, ride.c_r[known], side="right")).all()
 
 
@@ -336,16 +338,6 @@ def test_few_lines_are_no_smooth_ground(ground, rater):
     assert stack.traversable.sum() > 50
     assert (ride.class_id == NO_CLASS).all()
     assert np.isnan([ride.c_r, ride.c_r_low, ride.c_r_high]).all()
-
-
-def test_nothing_is_known_where_there_is_no_ground(points, rater):
-    wall = points[points[:, 0] < 6.0]
-    beyond = np.array([[6.0, 0.01 * step, 0.02 * high] for step in range(-200, 200) for high in range(-60, 20)])
-    scan = Scan(np.concatenate([wall, beyond.astype(np.float32)]))
-    stack = polar_sectors(scan)
-    ride = rater(scan, stack)
-    assert (ride.class_id[~stack.traversable] == NO_CLASS).all()
-    assert (np.isnan(ride.c_r) == (ride.class_id == NO_CLASS)).all()
 
 
 def test_a_run_writes_what_the_classifier_returns(points, tmp_path):

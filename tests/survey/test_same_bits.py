@@ -1,16 +1,19 @@
-"""The same points give the same bytes in every file, however they come: split, ordered, read in chunks, spilled."""
+"""The same points give the same bytes in every file: split, ordered, read in chunks, spilled, or killed on the way."""
 
 import json
+import os
+import random
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from alike_surveys import alike_surveys
-from click.testing import CliRunner
 from hypothesis import given, settings, strategies as st
-from small_surveys import SIDES, files_in, write_las
+from small_surveys import SIDES, files_in, layers_of, run, write_las, write_survey
 
-from bumpymap.cli import main
 from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.survey import Budget
 
@@ -44,17 +47,16 @@ def write(path, points, offset):
 
 
 def mapped(files, out, *options):
-    words = ["map", *map(str, files), "--out", str(out), *map(str, options)]
     with alike_surveys():
-        result = CliRunner().invoke(main, words)
+        result = run("map", *files, "--out", out, *options)
     assert result.exit_code == 0, result.output
     content = files_in(out)
     assert set(content) == {*PRODUCT_NAMES, *VIEW_NAMES, *SIDES}
     content = {name: content[name] for name in content if name not in NAMING}
-    run = json.loads((out / "run.json").read_text())
-    run["files"] = [file for file in run["files"] if file["path"] != "item.json"]  # it names the survey
-    settings_of_the_map = {name: value for name, value in run["settings"].items() if name not in OF_THE_CALL}
-    kept = {name: value for name, value in run.items() if name not in {"inputs", "seconds", "settings"}}
+    record = json.loads((out / "run.json").read_text())
+    record["files"] = [file for file in record["files"] if file["path"] != "item.json"]  # it names the survey
+    settings_of_the_map = {name: value for name, value in record["settings"].items() if name not in OF_THE_CALL}
+    kept = {name: value for name, value in record.items() if name not in {"inputs", "seconds", "settings"}}
     return content, kept | {"settings": settings_of_the_map}
 
 
@@ -63,7 +65,12 @@ def whole(points, tmp_path_factory):
     """What one LAZ file gives that fits into memory, for each way to choose points."""
     folder = tmp_path_factory.mktemp("whole")
     survey = write(folder / "a.laz", points, CORNER)
-    return {ground: mapped([survey], folder / ground, "--ground", ground) for ground in ("auto", "all")}
+    found = {ground: mapped([survey], folder / ground, "--ground", ground) for ground in ("auto", "all")}
+    (auto, record), (everything, _) = found.values()
+    # The property below would hold little were the two the same, or the site all of one kind.
+    assert auto["rasters/roughness.tif"] != everything["rasters/roughness.tif"]
+    assert sum(count > 0 for count in record["counts"]["by_class"].values()) > 1
+    return found
 
 
 @st.composite
@@ -112,19 +119,11 @@ def test_no_delivery_and_no_budget_changes_a_byte(points, whole, tmp_path_factor
     with pytest.MonkeyPatch.context() as patch:
         for name in ("chunk", "waiting", "block"):
             patch.setattr(Budget, f"{name}_points", way[name])
-        content, run = mapped(
-            files,
-            folder / "layers",
-            "--ground",
-            ground,
-            "--threads",
-            way["threads"],
-            "--set",
-            f"scratch={folder / 'scratch'}",
-        )
-    wanted, wanted_run = whole[ground]
+        options = ("--ground", ground, "--threads", way["threads"], "--set", f"scratch={folder / 'scratch'}")
+        content, record = mapped(files, folder / "layers", *options)
+    wanted, wanted_record = whole[ground]
     assert [name for name in wanted if content[name] != wanted[name]] == []
-    assert run == wanted_run
+    assert record == wanted_record
     assert list(Path(folder / "scratch").iterdir()) == []
 
 
@@ -135,7 +134,7 @@ def test_only_what_names_the_survey_tells_deliveries_apart(points, tmp_path):
     texts = {}
     for name, files in {"two": halves, "one": [one]}.items():
         out = tmp_path / f"{name} layers"
-        assert CliRunner().invoke(main, ["map", *map(str, files), "--out", str(out)]).exit_code == 0
+        assert run("map", *files, "--out", out).exit_code == 0
         survey = json.loads((out / "run.json").read_text())["survey"]
         assert survey["name"] == name
         text = (out / "cost.geojson").read_text()
@@ -146,10 +145,48 @@ def test_only_what_names_the_survey_tells_deliveries_apart(points, tmp_path):
     assert texts["one"] == texts["two"]
 
 
-def test_both_ways_to_choose_points_are_tried(whole):
-    """The property above would hold little were the two the same, or the site all of one kind."""
-    (auto, auto_run), (everything, run) = whole["auto"], whole["all"]
-    assert auto_run["ground_only"]
-    assert not run["ground_only"]
-    assert auto["rasters/roughness.tif"] != everything["rasters/roughness.tif"]
-    assert sum(count > 0 for count in auto_run["counts"]["by_class"].values()) > 1
+# A budget under which the survey is read in many pieces, which wait on disk, and measured block by block.
+TIGHT = """
+import sys
+from bumpymap.cli import main
+from bumpymap.survey import Budget
+Budget.chunk_points, Budget.waiting_points, Budget.block_points = 5_000, 20_000, 20_000
+main(sys.argv[1:])
+"""
+
+
+def begun(survey, folder):
+    """A run in a session of its own, with what it starts."""
+    words = ["map", survey, "--out", folder / "layers", "--set", f"scratch={folder / 'scratch'}", "--quiet"]
+    return subprocess.Popen([sys.executable, "-c", TIGHT, *map(str, words)], start_new_session=True)
+
+
+@pytest.fixture(scope="module")
+def timed(tmp_path_factory):
+    """The survey, its layers, and how long a run takes, s."""
+    folder = tmp_path_factory.mktemp("whole")
+    survey = write_survey(folder / "site.laz", points=150_000, side=120.0)
+    began = time.monotonic()
+    assert begun(survey, folder).wait() == 0
+    return survey, layers_of(folder / "layers"), time.monotonic() - began
+
+
+@pytest.mark.later
+@pytest.mark.skipif(os.name != "posix", reason="kills a group of processes")
+@pytest.mark.parametrize("seed", range(6))
+def test_a_run_killed_at_any_instant_once_or_twice_goes_on_to_the_same_bytes(timed, tmp_path, seed):
+    survey, layers, seconds = timed
+    draw = random.Random(seed)
+    for _ in range(1 + seed % 3 // 2):
+        began = begun(survey, tmp_path)
+        time.sleep(draw.uniform(0.0, seconds))
+        began.kill()
+        began.wait()
+        with pytest.raises(ProcessLookupError):  # noqa: PT012 (its helpers end by themselves)
+            for _ in range(50):
+                os.killpg(began.pid, 0)
+                time.sleep(0.1)
+    assert begun(survey, tmp_path).wait() == 0
+    assert layers_of(tmp_path / "layers") == layers
+    assert not list((tmp_path / "layers").glob(".bumpymap-*"))
+    assert list((tmp_path / "scratch").iterdir()) == []

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from ply_files import write_ply
 from small_surveys import write_las
 
 from bumpymap.cli import main
@@ -35,9 +36,8 @@ def map_and_look(surveys, folder, budget, monkeypatch):
 
     Records of a run that do not grow with the map (settings, lists of what was read) are left out.
     """
-    waiting, chunk = budget
-    monkeypatch.setattr(Budget, "waiting_points", waiting)
-    monkeypatch.setattr(Budget, "chunk_points", chunk)
+    for name, most in zip(("waiting_points", "chunk_points"), budget, strict=True):
+        monkeypatch.setattr(Budget, name, most)
     foretold = estimate([open_survey(path, ReadOptions()).info for path in surveys], Grid(), Budget(1 << 30, 2))
     found = {}
 
@@ -119,25 +119,19 @@ def test_a_survey_larger_than_its_budget_takes_the_budget_and_a_small_one_does_n
 
 def test_info_says_what_a_run_takes(tmp_path):
     def told(*words):
-        return CliRunner().invoke(main, ["info", str(QUARRY), "--quick", *words], env={"COLUMNS": "200"}).output
+        return CliRunner().invoke(main, ["info", *map(str, words)], env={"COLUMNS": "200"}).output
 
-    assert re.search(r"a run with --memory auto \(\d+MB now\) on 3 threads", told("--set", "threads=3"))
-    assert "a run with --memory 1GB on 3 threads" in told("--set", "threads=3", "--set", "memory=1GB")
-    assert "none: all points fit into memory" in told()
-    small = told("--set", "memory=128MB", "--set", "threads=1")
-    assert "on 1 thread\n" in small
-    assert "scratch  none" in small
-    assert "memory is '1MB'" in told("--set", "memory=1MB")
+    quick = (QUARRY, "--quick", "--set", "threads=3")
+    assert re.search(r"a run with --memory auto \(\d+MB now\) on 3 threads", told(*quick))
+    small = told(*quick, "--set", "memory=128MB")
+    assert "a run with --memory 128MB on 3 threads" in small
+    assert "none: all points fit into memory" in small
+    assert "memory is '1MB'" in told(*quick, "--set", "memory=1MB")
     place = np.array([500_001.0, 4_000_002.0, 0.0])
-    cloud = write_points(tmp_path / "a.las", place + np.random.default_rng(0).uniform(0, 9, (100, 3)))
-    ply = tmp_path / "a.ply"
-    axes = "".join(f"property double {axis}\n" for axis in "xyz")
-    ply.write_text(f"ply\nformat ascii 1.0\nelement vertex 1\n{axes}end_header\n1 2 3\n")
-    both = CliRunner().invoke(main, ["info", str(cloud), str(ply), "--quick"], env={"COLUMNS": "200"}).output
-    assert "unknown until the points are read: run without --quick" in both
+    points = place + np.random.default_rng(0).uniform(0, 9, (100, 3))
+    cloud = write_points(tmp_path / "a.las", points)
+    ply = write_ply(tmp_path / "a.ply", np.rec.fromarrays(points[:1].T, names="x,y,z"), order="=")
+    assert "unknown until the points are read: run without --quick" in told(cloud, ply, "--quick")
     read = json.loads(CliRunner().invoke(main, ["info", str(cloud), str(ply), "--json"]).stdout)["run"]
     assert (read["points"], read["scratch_bytes_at_most"]) == (101, 0)
     assert 2 <= read["tiles_at_most"] <= 10
-    bad = tmp_path / "bad.laz"
-    bad.write_bytes(b"nothing")
-    assert json.loads(CliRunner().invoke(main, ["info", str(bad), "--json"]).stdout)["run"] is None
