@@ -91,8 +91,7 @@ def test_a_sensor_upside_down_reads_the_same(good):
     log, pitch_rate, way = made_drives.log_of(made)
     found, cut = measured(log)
     assert abs(found.mount_deg[0]) == pytest.approx(180.0, abs=1.0)
-    true = true_c_r(log, cut, pitch_rate, way)
-    assert np.median(np.abs(cut.measured / true - 1.0)) < 0.03
+    assert np.median(np.abs(cut.measured / true_c_r(log, cut, pitch_rate, way) - 1.0)) < 0.03
 
 
 def test_without_positions_the_way_is_that_of_the_wheels(good):
@@ -172,19 +171,15 @@ def test_the_way_of_a_long_drive_is_found_as_well(good, monkeypatch):
     assert cut_again.measured_sd == pytest.approx(cut.measured_sd, rel=0.2)
 
 
-def wheels_of(made: made_drives.MadeDrive, *, on_the_spot: bool = False) -> WheelTrack:
-    """Return wheel speeds at 5 Hz; on the spot, the sides turn against each other."""
-    time, speed, *_ = made_drives.motion(made)
-    nothing = np.zeros(len(time[::20]))
-    return WheelTrack(time[::20], *((nothing, 2 * speed[::20]) if on_the_spot else (speed[::20], nothing)))
-
-
 @pytest.mark.parametrize("on_the_spot", [False, True])
 def test_slow_driving_over_even_ground_is_no_standstill(on_the_spot):
     made = made_drives.MadeDrive(amplitude=0.002, speed=0.1, seconds=60.0, noise=0.01, turning=0.0)
     log, *_ = made_drives.log_of(made)
     imu = even_imu(log.imu, "slow", 10.0)
-    standing = find_standing(imu, rough_speed(imu, None, wheels_of(made, on_the_spot=on_the_spot)), 10.0)
+    time, speed = (axis[::20] for axis in made_drives.motion(made)[:2])
+    still = np.zeros(len(time))  # on the spot, the sides turn against each other
+    wheels = WheelTrack(time, *((still, 2 * speed) if on_the_spot else (speed, still)))
+    standing = find_standing(imu, rough_speed(imu, None, wheels), 10.0)
     driven = (imu.time > made.stand + 1.0) & (imu.time < made.seconds - made.stand / 2 - 1.0)
     assert not standing[driven].any()
     assert standing[imu.time < made.stand - 1.0].mean() > 0.8

@@ -122,9 +122,8 @@ def test_what_is_no_regular_file_or_has_an_odd_name(runner, tmp_path, monkeypatc
     if outcome.exit != 3:
         faults.append(f"exit {outcome.exit!r:.40}, expected 3")
     # A name with bytes that are no text is shown in some other way; what it ends in is still there.
-    faults += faults_of_refusal(
-        outcome, "laz" if name == "name_not_utf8" else "inner.laz" if "bad_file" in name else path.name
-    )
+    shown = {"name_not_utf8": "laz", "folder_of_a_bad_file": "inner.laz"}.get(name, path.name)
+    faults += faults_of_refusal(outcome, shown)
     faults += [f"left behind: {file.name}" for file in sorted(everything(tmp_path, runner.scratch) - before)]
     assert not faults, outcome.text[:2000]
 

@@ -106,10 +106,7 @@ def test_what_moved_is_gone_and_what_stands_has_stayed(frames, drive):
     assert record["seen"] == sum(len(points) for points in world)
     assert (record["points"], record["ground"]) == (len(xyz), ground.sum())
     assert record["moving"] > 0
-
-
-def test_density_is_even(drive):
-    xyz, ground, _ = drive
+    # Density is even.
     whole = np.round(1000.0 * xyz).astype(np.int64)
     pixels = np.unique(whole[ground, :2] // 200, axis=0, return_counts=True)[1]
     assert pixels.max() == MOST_GROUND
@@ -203,19 +200,13 @@ def test_corrections_are_bounded_and_frames_apart_have_none():
     assert alone.record()["before_m"] is None
 
 
-def scaled(by):
-    poses = way_along()
-    poses[:, :3, 3] *= by
-    return poses
-
-
 @pytest.mark.parametrize(
     ("poses", "words"),
     [
         (np.linalg.inv(way_along()), "see through"),
         (CAMERA @ way_along() @ np.linalg.inv(CAMERA), "same ground differs"),
-        (scaled(100.0), "so far apart"),
-        (scaled(1 / 0.3048), "see through"),
+        (way_along(step=300.0), "so far apart"),
+        (way_along(step=3.0 / 0.3048), "see through"),
         (way_along()[::-1], "see through"),
     ],
 )
@@ -276,9 +267,8 @@ def driven_fixture(tmp_path_factory):
 
 
 def settings(driven, out, **more):
-    return ScanConfig(
-        (driven / "frames",), out, **{"poses": driven / "tum.txt"} | more, method="filter", products=("table",)
-    )
+    how = {"poses": driven / "tum.txt", "method": "filter", "products": ("table",)}
+    return ScanConfig((driven / "frames",), out, **how | more)
 
 
 def off_posts(out):

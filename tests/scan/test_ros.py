@@ -161,13 +161,10 @@ def test_a_bad_message_is_skipped(tmp_path):
     messages = [("/points", stamp, cloud(lidar_rows(seen(stamp)), stamp)) for stamp in STAMPS[:3]]
     messages[1][2].point_step = 5
     folder = write_bag(tmp_path / "drive", messages)
-    config = ScanConfig(
-        (folder,), tmp_path / "out", skip_bad=True, method="filter", products=("table",), bag=tmp_path / "g.mcap"
-    )
+    how = {"skip_bad": True, "method": "filter", "products": ("table",), "bag": tmp_path / "g.mcap"}
+    config = ScanConfig((folder,), tmp_path / "out", **how)
     result = scan_frames(config)
-    ((origin, why),) = result.skipped.items()
-    assert origin == f"{folder}, message 1 of /points"
-    assert "outside of its 5 bytes" in why
+    assert list(result.skipped) == [f"{folder}, message 1 of /points"]
     assert [time for time, _ in messages_of(config.bag)["/ground/occupancy"]] == [STAMPS[0], STAMPS[2]]
     assert scan_frames(config).already_done
     with pytest.raises(UsageError, match="needs the pose of every frame"):

@@ -208,10 +208,8 @@ def test_boxes_are_obstacles_on_ground_and_crowns_are_overhead():
     rng = np.random.default_rng(1)
     xy = rings(1)
     ground = np.column_stack([xy, plane(xy, 5.0) + 0.01 * rng.standard_normal(len(xy))])
-    cars = [
-        box(rng, x, y, 2.0, plane(np.array([[x, y]]), 5.0)[0], plane(np.array([[x, y]]), 5.0)[0] + 1.2)
-        for x, y in ((8, 3), (-6, -9), (0, 15))
-    ]
+    middles = np.array([(8.0, 3.0), (-6.0, -9.0), (0.0, 15.0)])
+    cars = [box(rng, *at, 2.0, low, low + 1.2) for at, low in zip(middles, plane(middles, 5.0), strict=True)]
     crown_xy = np.column_stack([rng.uniform(10, 20, 3000), rng.uniform(-12, -4, 3000)])
     crown = np.column_stack([crown_xy, plane(crown_xy, 5.0) + rng.uniform(3.0, 5.0, 3000)])
     kinds = np.concatenate([np.zeros(len(ground)), np.ones(sum(map(len, cars))), np.full(len(crown), 2)])

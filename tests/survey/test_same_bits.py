@@ -11,11 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from alike_surveys import alike_surveys
-from hypothesis import given, settings, strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from small_surveys import SIDES, files_in, layers_of, run, write_las, write_survey
 
 from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
-from bumpymap.survey import Budget
 
 pytestmark = pytest.mark.slow
 
@@ -23,7 +22,7 @@ CORNER = np.array([500_013.0, 4_000_020.0, 300.0])
 """Not a corner of a block, so that files and blocks overlap anyhow."""
 SPAN = (130.0, 70.0)
 """Some three by two blocks of 48 m."""
-OF_THE_CALL = {"surveys", "out", "scratch", "threads", "memory"}
+OF_THE_CALL = {"surveys", "out", "scratch"}
 
 NAMING = {"run.json", "report.html"}
 """Files that name the files of the survey and the settings."""
@@ -73,54 +72,31 @@ def whole(points, tmp_path_factory):
     return found
 
 
-@st.composite
-def deliveries(draw):
-    """One way to deliver and read a survey."""
-    files = draw(st.integers(1, 5))
-    return {
-        "files": files,
-        "split": draw(st.sampled_from(["at random", "west to east", "south to north"])),
-        "formats": draw(st.lists(st.sampled_from(["las", "laz"]), min_size=files, max_size=files)),
-        "order": draw(st.permutations(range(files))),
-        "shuffled": draw(st.booleans()),
-        "seed": draw(st.integers(0, 99)),
-        "offset": draw(
-            st.sampled_from([(400_000, 3_500_000, 0), (500_000, 4_000_000, 300), (123_456.789, 3_900_000, 17)])
-        ),
-        "threads": draw(st.integers(1, 3)),
-        "chunk": draw(st.integers(2_000, 60_000)),
-        "waiting": draw(st.integers(8_000, 80_000)),
-        "block": draw(st.integers(5_000, 40_000)),
-    }
-
-
-def delivered(points, folder, way):
-    """Write the files of a delivery, in the order in which they are named."""
-    rng = np.random.default_rng(way["seed"])
-    if way["shuffled"]:
+def delivered(points, folder, rng):
+    """Write the files of a delivery: how many, split at random or along an axis; return them as they are named."""
+    count, axis, offsets = rng.integers(1, 6), rng.integers(3), [(400_000, 3_500_000, 0), (123_456.789, 3_900_000, 17)]
+    if rng.random() < 0.5:
         points = rng.permutation(points)
-    axis = {"west to east": 0, "south to north": 1}.get(way["split"])
-    if axis is None:
-        file = rng.integers(way["files"], size=len(points))
+    if axis == 2:
+        file = rng.integers(count, size=len(points))
     else:
-        file = np.minimum(points[:, axis] / SPAN[axis] * way["files"], way["files"] - 1).astype(int)
+        file = np.minimum(points[:, axis] / SPAN[axis] * count, count - 1).astype(int)
     paths = [
-        write(folder / f"{number}.{kind}", points[file == number], way["offset"])
-        for number, kind in enumerate(way["formats"])
+        write(folder / f"{number}.{rng.choice(['las', 'laz'])}", points[file == number], offsets[rng.integers(2)])
+        for number in range(count)
     ]
-    return [paths[number] for number in way["order"]]
+    return [paths[number] for number in rng.permutation(count)]
 
 
-@settings(max_examples=8)
-@given(way=deliveries(), ground=st.sampled_from(["auto", "all"]))
-def test_no_delivery_and_no_budget_changes_a_byte(points, whole, tmp_path_factory, way, ground):
-    folder = tmp_path_factory.mktemp("delivery")
-    files = delivered(points, folder, way)
-    with pytest.MonkeyPatch.context() as patch:
-        for name in ("chunk", "waiting", "block"):
-            patch.setattr(Budget, f"{name}_points", way[name])
-        options = ("--ground", ground, "--threads", way["threads"], "--set", f"scratch={folder / 'scratch'}")
-        content, record = mapped(files, folder / "layers", *options)
+@settings(max_examples=8, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(seed=st.integers(0, 10**6), ground=st.sampled_from(["auto", "all"]))
+def test_no_delivery_and_no_budget_changes_a_byte(points, whole, tmp_path_factory, limit_points, seed, ground):
+    folder, rng = tmp_path_factory.mktemp("delivery"), np.random.default_rng(seed)
+    files = delivered(points, folder, rng)
+    ranges = {"chunk": (2_000, 60_000), "waiting": (8_000, 80_000), "block": (5_000, 40_000)}
+    limit_points(**{name: int(rng.integers(*bounds)) for name, bounds in ranges.items()})
+    options = ("--ground", ground, "--threads", rng.integers(1, 4), "--set", f"scratch={folder / 'scratch'}")
+    content, record = mapped(files, folder / "layers", *options)
     wanted, wanted_record = whole[ground]
     assert [name for name in wanted if content[name] != wanted[name]] == []
     assert record == wanted_record

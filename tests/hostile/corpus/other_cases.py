@@ -163,17 +163,11 @@ def _lines(name):
     data, stem = bases()[name], name.removesuffix(".pcd")
     encoding = {"text": "ascii", "binary": "binary", "packed": "binary_compressed"}[stem]
     body = data[len(pcd_header(400, encoding)) :]
-    made = [
-        Case(f"pcd_{stem}-{line}-{word}.pcd", pcd_header(400, encoding, **{line: value}) + body)
-        for line, choices in _LINES.items()
-        for word, value in choices.items()
-    ]
-    wild = pcd_header(400, encoding, COUNT=f"1 1 1 {_COUNTS[stem]}")
-    made.append(Case(f"pcd_{stem}-COUNT-{_COUNTS[stem]}.pcd", wild + body))
-    loose = _LOOSE if stem == "binary" else {}
-    return made + [
-        Case(f"pcd_{stem}-{line}-{word}.pcd", pcd_header(400, encoding, **{line: value}) + body, EITHER, name)
-        for line, choices in loose.items()
+    wild = {"COUNT": _LINES["COUNT"] | {str(_COUNTS[stem]): f"1 1 1 {_COUNTS[stem]}"}}
+    return [
+        Case(f"pcd_{stem}-{line}-{word}.pcd", pcd_header(400, encoding, **{line: value}) + body, *allowed)
+        for lines, allowed in ((_LINES | wild, ()), (_LOOSE if stem == "binary" else {}, (EITHER, name)))
+        for line, choices in lines.items()
         for word, value in choices.items()
     ]
 

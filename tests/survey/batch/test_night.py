@@ -203,20 +203,6 @@ def test_a_crs_for_all_is_that_of_surveys_without_one_and_warnings_are_everywher
     assert json.loads((tmp_path / "out" / "run.json").read_text())["crs"]["code"] == "EPSG:32615"
 
 
-def test_nothing_in_the_manifest_depends_on_the_machine(tmp_path, monkeypatch):
-    """Other memory, free and given, other threads, a share of a batch: the same run.json, but for its times."""
-    survey = write_survey(tmp_path / "in" / "a.laz")
-    monkeypatch.setattr("os.cpu_count", lambda: 1)
-    monkeypatch.setattr("bumpymap.core.memory.free_memory", lambda: 3 << 30)
-    map_surveys(MapConfig((survey,), tmp_path / "alone", threads=2, memory="1GB"))
-    monkeypatch.setattr("os.cpu_count", lambda: 2)
-    monkeypatch.setattr("bumpymap.core.memory.free_memory", lambda: 6 << 30)
-    run_batch(BatchConfig(survey.parent, tmp_path / "night", jobs=2))
-    runs = [json.loads((tmp_path / at / "run.json").read_text(encoding="utf-8")) for at in ("alone", "night/a")]
-    assert all(run.pop("seconds") for run in runs)
-    assert runs[0] == runs[1]
-
-
 def test_an_interrupted_survey_is_begun_again_with_other_settings(surveys, alone, tmp_path, killed_at):
     (tmp_path / "s.txt").write_text(f"{surveys / 'a.laz'}\n")
     left = tmp_path / "o" / "a"

@@ -67,6 +67,10 @@ def inputs_of(folder):
     return record_of(folder)["inputs"]
 
 
+def map_on(scheduler, surveys, out, *more):
+    return run("map", surveys, "--out", out, "--set", f"scheduler={scheduler}", *more)
+
+
 def write_part(path, columns, chosen, offset):
     *place, kind = (axis[chosen] for axis in columns)
     return write_las(path, *place, offset=offset, classification=kind)
@@ -199,8 +203,7 @@ def test_bad_files_are_skipped_with_the_same_words(surveys, tmp_path, here, monk
     records = [record_of(tmp_path / name) for name in ("one", "many")]
     assert len(records[0]["skipped"]) == 2
     assert records[0]["skipped"].keys() == records[1]["skipped"].keys()
-    for key in ("inputs", "points", "ground_only"):
-        assert records[0][key] == records[1][key], key
+    assert all(records[0][key] == records[1][key] for key in ("inputs", "points", "ground_only"))
 
 
 @pytest.mark.parametrize(("place", "finished"), [("decide_ground", True), ("MeasuredTiles.of", False)])
@@ -290,9 +293,8 @@ def test_a_worker_killed_in_the_middle_changes_no_bit(surveys, plain, tmp_path, 
     monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.chunk_points", 5_000)
     mark = tmp_path / "killed"
     make_deadly(monkeypatch, mark)
-    result = run("map", surveys, "--out", tmp_path / "layers", "--set", f"scheduler={scheduler}", "--ground", "all")
-    assert result.exit_code == 0, result.output
-    assert mark.exists()
+    result = map_on(scheduler, surveys, tmp_path / "layers", "--ground", "all")
+    assert (result.exit_code, mark.exists()) == (0, True), result.output
     assert layers_of(tmp_path / "layers") == layers_of(plain / "all")
     assert not (tmp_path / "layers" / ".bumpymap-run").exists()
 
@@ -300,7 +302,7 @@ def test_a_worker_killed_in_the_middle_changes_no_bit(surveys, plain, tmp_path, 
 @pytest.mark.later
 def test_workers_that_die_over_and_over_end_the_run_with_a_word(surveys, tmp_path, scheduler, monkeypatch):
     make_deadly(monkeypatch, tmp_path / "killed", always=True)
-    result = run("map", surveys, "--out", tmp_path / "layers", "--set", f"scheduler={scheduler}")
+    result = map_on(scheduler, surveys, tmp_path / "layers")
     assert result.exit_code == 2
     assert "2 workers died one after the other over one task" in result.output
     assert "--memory" in result.output
@@ -311,13 +313,11 @@ def test_workers_that_die_over_and_over_end_the_run_with_a_word(surveys, tmp_pat
 def test_a_scheduler_that_is_not_there_is_told_in_time(surveys, distributed, tmp_path, monkeypatch):
     monkeypatch.setattr("bumpymap.survey.engine.cluster._TIMEOUT_S", 0.5)
     for address in ("tcp://127.0.0.1:9", "no such place", "ftp://a:1"):
-        result = run("map", surveys, "--out", tmp_path / "layers", "--set", f"scheduler={address}")
+        result = map_on(address, surveys, tmp_path / "layers")
         assert result.exit_code == 2, (address, result.output, result.exception)
         assert f"no scheduler answers at {address}" in result.output
     with distributed.LocalCluster(n_workers=0, dashboard_address=":0", silence_logs=50) as empty:
-        result = run("map", surveys, "--out", tmp_path / "layers", "--set", f"scheduler={empty.scheduler_address}")
-    assert result.exit_code == 2
-    assert "has no workers" in result.output
+        assert "has no workers" in map_on(empty.scheduler_address, surveys, tmp_path / "layers").output
     assert not (tmp_path / "layers").exists()
 
 
@@ -328,7 +328,7 @@ def test_a_scheduler_that_goes_away_ends_the_run_with_a_word(surveys, distribute
     monkeypatch.setattr("bumpymap.survey.engine.cluster._TIMEOUT_S", 5.0)  # it is tried for so long to reach it again
     with distributed.LocalCluster(**ONE_WORKER) as cluster:
         monkeypatch.setattr("bumpymap.survey.engine.collector.ResultCollector.add", lambda *_: cluster.close())
-        result = run("map", surveys, "--out", tmp_path / "layers", "--set", f"scheduler={cluster.scheduler_address}")
+        result = map_on(cluster.scheduler_address, surveys, tmp_path / "layers")
     assert result.exit_code == 2, result.output
     assert "the connection to the scheduler is lost" in result.output
     assert not (tmp_path / "layers").exists()
@@ -373,13 +373,8 @@ def test_the_missing_package_is_named(surveys, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     monkeypatch.delitem(sys.modules, "bumpytiles._dask", raising=False)
     monkeypatch.delitem(vars(bumpytiles), "workers_at", raising=False)
-    result = run("map", surveys, "--out", tmp_path / "layers", "--set", "scheduler=tcp://127.0.0.1:9")
-    assert result.exit_code == 2
-    assert "pip install 'bumpymap[dask]'" in result.output
-
-
-def map_line(tmp_path, *more):
-    return ["map", SURVEY, "--local", "--out", tmp_path / "out", *more]
+    result = map_on("tcp://127.0.0.1:9", surveys, tmp_path / "layers")
+    assert (result.exit_code, "pip install 'bumpymap[dask]'" in result.output) == (2, True)
 
 
 def certificates_of(security):
@@ -396,11 +391,11 @@ def test_a_scheduler_with_tls_takes_whom_its_authority_signed_and_nobody_else(di
     security = distributed.Security.temporary()
     with distributed.LocalCluster(security=security, **ONE_WORKER) as cluster:
         address = cluster.scheduler_address
-        nobody = run(*map_line(tmp_path, "--set", f"scheduler={address}"))
+        nobody = map_on(address, SURVEY, tmp_path / "out", "--local")
         with distributed.config.set(certificates_of(distributed.Security.temporary())):
-            stranger = run(*map_line(tmp_path, "--set", f"scheduler={address}"))
+            stranger = map_on(address, SURVEY, tmp_path / "out", "--local")
         with distributed.config.set(certificates_of(security)):
-            taken = run(*map_line(tmp_path, "--set", f"scheduler={address}"))
+            taken = map_on(address, SURVEY, tmp_path / "out", "--local")
     for refused in (nobody, stranger):
         assert refused.exit_code == 2
         assert f"no scheduler answers at {address}" in refused.output
@@ -426,9 +421,8 @@ def test_a_scheduler_elsewhere_without_tls_is_warned_about(tmp_path, monkeypatch
         raise ClusterError("nobody")
 
     monkeypatch.setattr("bumpytiles.workers_at", nobody)
-    result = run(*map_line(tmp_path, "--set", f"scheduler={address}"))
-    assert result.exit_code == 2
-    assert ("can run programs as the user" in result.output) is warned
+    result = map_on(address, SURVEY, tmp_path / "out", "--local")
+    assert (result.exit_code, "can run programs as the user" in result.output) == (2, warned)
 
 
 @pytest.mark.later

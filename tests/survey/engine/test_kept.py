@@ -295,13 +295,7 @@ def test_a_kill_during_the_clearing_leaves_nothing_to_go_on_with(tmp_path, monke
 def precious(folder):
     """Somebody else's folder, with files that have the names of a run's."""
     (folder / "cluster-tiles").mkdir(parents=True)
-    for name in (
-        ".profile",
-        "run_spec.json",
-        "tiles-all-000000.pack",
-        "points-00000000-00000001.pack",
-        "cluster-tiles/a",
-    ):
+    for name in ("run_spec.json", "tiles-all-000000.pack", "points-00000000-00000001.pack", "cluster-tiles/a"):
         (folder / name).write_text("mine")
     return folder
 
@@ -337,7 +331,7 @@ def test_links_in_a_work_folder_are_taken_away_and_not_followed(tmp_path, overwr
     (work / "run_spec.json").write_text(json.dumps(ASKED))
     for name in ("cluster-tiles", "points/cluster-points", "points/deep/a"):
         (work / name).symlink_to(mine)
-    (work / ".tiles-all-000000.pack.part").symlink_to(mine / ".profile")
+    (work / ".tiles-all-000000.pack.part").symlink_to(mine / "run_spec.json")
     (work / "tiles-all-000001.pack").symlink_to(mine / "none")
     with Workspace.opened(tmp_path / "out", None, ASKED, overwrite=overwrite) as space:
         assert not [path for path in space.folder.rglob("*") if path.is_symlink()]
