@@ -382,6 +382,7 @@ def test_a_scan_without_ground_gives_empty_products_and_says_why(tmp_path, caplo
         ({"crs": "EPSG:32614"}, "add `poses="),
         ({"products": ("picture",)}, "Pictures of frames are drawn with `pictures`"),
         ({"method": "filter", "model": "a.onnx"}, "give one of them"),
+        ({"poses": "poses.txt", "odometry": "/odom"}, "give one of them"),
     ],
 )
 def test_settings_that_do_not_go_together(tmp_path, settings, words):

@@ -11,7 +11,7 @@ from hypothesis import given, settings as examples, strategies as st
 from bumpymap.core import PolarSettings, Scan, point_classes
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.readers import read_scan
-from bumpymap.scan import classify_filter, polar_sectors
+from bumpymap.scan import ScanConfig, classify_filter, polar_sectors, scan_frames
 from bumpymap.scan.polar import anchor_of
 from bumpymap.views import GroundGrid
 
@@ -146,7 +146,6 @@ def test_labels_are_the_most_frequent_the_smallest_of_equals():
         ({"rings": (2, 4, 4, 4, 0)}, "`rings` is 2, 4, 4, 4, 0; it must be a list of whole numbers, at least 1"),
         ({"rings": (10_000, 4, 4, 4, 2)}, "160,480 cells; a polar grid has at most 32,767"),
         ({"pixels": 2}, "pixels is 2; it must be a whole number from 3 to 64"),
-        ({"overhead_m": math.nan}, "overhead_m is nan"),
     ],
 )
 def test_settings_that_make_no_grid_are_refused(wrong, words):
@@ -266,6 +265,7 @@ def test_a_scan_with_z_down_has_no_ground(height):
     upside_down = stack_of(xy * [1, -1], -z)
     assert not upside_down.traversable.any()
     assert not upside_down.point_ground.any()
+    assert stack_of(xy * [1, -1], -z, overhead_m=math.inf).traversable.any()
 
 
 @pytest.mark.realdata
@@ -287,8 +287,11 @@ def test_low_robots_find_the_ground_around_them(shared_data, name, least):
 
 @pytest.mark.realdata
 @pytest.mark.parametrize("pattern", ["monoforce/husky/*.ply", "monoforce/husky_oru/*.ply", "patchwork_128ch/*.pcd"])
-def test_smooth_sectors_of_a_real_scan_hold_ground_and_nothing_tall(shared_data, pattern):
-    stack = polar_sectors(read_scan(next((shared_data / "scans").glob(pattern))))
+def test_smooth_sectors_of_a_real_scan_hold_ground_and_nothing_tall(shared_data, tmp_path, pattern):
+    path = next((shared_data / "scans").glob(pattern))
+    (report,) = scan_frames(ScanConfig((path,), tmp_path / "out")).frames  # needs no setting
+    assert min(report.sectors[0], report.sectors[3]) > 0
+    stack = polar_sectors(read_scan(path))
     smooth = classify_filter(stack).class_id == 0
     assert smooth.sum() >= 8
     assert stack.residual[smooth].mean() < 0.06

@@ -337,3 +337,12 @@ def test_no_file_of_a_map_holds_the_key_of_its_survey(address, tmp_path):
     assert again.manifest == layers.manifest
     with pytest.raises(OutputError, match="other inputs"):
         bumpymap.map_survey(url.replace("SECRETKEY", "ANOTHER"), out=tmp_path / "out")
+
+
+def test_urls_with_other_keys_are_told_apart_and_others_stay_as_they_are():
+    plain = ["https://example.org/a.laz", "s3://bucket/a.laz", "/data/a.laz?b", Path("a?b.laz"), "memory://a.laz"]
+    assert [recorded_place(place) for place in plain] == [str(place) for place in plain]
+    signed = ["https://example.org/get?file=a", "https://example.org/get?file=b", "https://me:word@example.org/get"]
+    named = {recorded_place(place) for place in signed}
+    assert len(named) == 3
+    assert all(name.startswith("https://example.org/get?left-out=") for name in named)

@@ -173,23 +173,20 @@ def _points():
     far[0, :2] += 2_000_000
     wide[:, 0] += np.arange(100) * 20_000
     kinds = {"minor": 2, "fmt": 1}
+    plain = las_file(xyz, **kinds)
     return [
         Case("las12-points-one.las", las_file(xyz[:1], **kinds), MAPPED),
         Case("las12-points-same.las", las_file(np.tile(xyz[:1], (100, 1)), **kinds), MAPPED),
-        Case("las12-points-trailing_bytes.las", las_file(xyz, **kinds) + b"more", MAPPED),
+        Case("las12-points-trailing_bytes.las", plain + b"more", MAPPED),
         Case("las12-points-all_withheld.las", las_file(xyz, withheld=True, **kinds)),
         Case("las14-points-all_withheld.las", las_file(xyz, minor=4, fmt=6, withheld=True)),
         Case("las12-points-all_noise.las", las_file(xyz, class_id=7, **kinds)),
         Case("las14-points-all_high_noise.las", las_file(xyz, minor=4, fmt=6, class_id=18)),
         Case("las12-points-one_2000_km_away.las", las_file(far, **kinds)),
         Case("las12-points-2000_km_wide.las", las_file(wide, **kinds), EITHER),
-        Case("las12-points-largest.las", _largest(las_file(xyz, **kinds))),
+        # The first point lies 2,147 km east of the header's box.
+        Case("las12-points-largest.las", patched(plain, layout_of(plain).points_at, "i", 2**31 - 1)),
     ]
-
-
-def _largest(data):
-    """Move the first point to the largest integer, 2,147 km east of the header's box."""
-    return patched(data, layout_of(data).points_at, "i", 2**31 - 1)
 
 
 _RECORD = {

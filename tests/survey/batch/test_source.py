@@ -18,11 +18,9 @@ def found(source, survey_per="file"):
 @pytest.fixture
 def flights(tmp_path):
     folder = tmp_path / "flights"
-    for name in ("one/1.laz", "one/deep/2.laz", "two/1.laz"):
+    for name in ("one/1.laz", "one/deep/2.laz", "two/1.laz", "notes/a.pdf"):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).touch()
-    (folder / "notes").mkdir()
-    (folder / "notes" / "a.pdf").touch()
     return folder
 
 
@@ -118,12 +116,8 @@ def test_the_columns_of_a_table_are_settings(tmp_path, separator):
 
 
 def test_the_command_line_is_over_the_table_and_the_table_over_the_file(tmp_path):
-    config = BatchConfig(
-        tmp_path,
-        tmp_path,
-        given={"ground": "all", "crs": "EPSG:1"},
-        defaults={"ground": "class", "align": "off", "vehicle": "car", "rating": "table"},
-    )
+    defaults = {"ground": "class", "align": "off", "vehicle": "car", "rating": "table"}
+    config = BatchConfig(tmp_path, tmp_path, given={"ground": "all", "crs": "EPSG:1"}, defaults=defaults)
     made = config.of_survey({"ground": "csf", "align": "on", "calibration": "c.json", "local": True})
     assert (made.ground, made.align, made.rating) == ("all", "on", "table")
     assert (made.crs, made.local) == ("EPSG:1", False)  # what is typed overrides what contradicts it
