@@ -227,12 +227,6 @@ def test_local_metres_are_those_of_the_ellipsoid():
     assert np.hypot(east[1:] - east[0], north[1:] - north[0]) == pytest.approx(metres, rel=1e-4)
 
 
-@pytest.mark.parametrize(("drives", "told"), [((), "no drive"), (("a.csv", "b.csv", "a.csv"), "twice")])
-def test_a_check_needs_drives_each_once(drives, told):
-    with pytest.raises(UsageError, match=told):
-        CheckConfig(drives)
-
-
 SITE = bare_map(TileWindow(0, 0, 100, 100), crs=None)
 
 
@@ -279,6 +273,9 @@ def test_with_no_usable_drive_there_is_no_check(tmp_path):
     words = [tmp_path / "one.csv", tmp_path / "two.csv"]
     with pytest.raises(BadInputError, match=r"(?s)one\.csv.*two\.csv"):
         check_drives(None, words)
+    for drives, told in (((), "no drive"), (("a.csv", "b.csv", "a.csv"), "twice")):
+        with pytest.raises(UsageError, match=told):
+            CheckConfig(drives)
     command = ["check", *(word for path in words for word in ("--drive", str(path)))]
     assert CliRunner().invoke(main, command).exit_code == 3
     (tmp_path / "out").mkdir()

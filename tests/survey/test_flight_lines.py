@@ -48,6 +48,15 @@ def compared(points):
     return found, steps.step, left_after(steps, found.corrections)
 
 
+@pytest.mark.parametrize(("step", "density"), [(-0.04, 4), (0.3, 60)])
+def test_a_constant_step_is_told_and_taken_off(step, density):
+    found, _, left = compared(strips([constant(0.0), constant(step)], density=density))
+    (pair,) = found.pairs
+    assert abs(pair.step - step) < 0.005
+    assert found.method == "offset"
+    assert abs(np.median(left)) < 0.003
+
+
 def test_a_tilt_is_told_and_taken_off():
     found, before, left = compared(strips([constant(0.0), lambda x, y: 0.02 + 0.003 * (x - 45) + 0 * y]))
     (pair,) = found.pairs
@@ -59,8 +68,7 @@ def test_a_tilt_is_told_and_taken_off():
 
 def test_a_chain_of_four_lines():
     offsets = (0.0, 0.05, -0.03, 0.02)
-    found, _, left = compared(strips([constant(value) for value in offsets], overlap=0.4))
-    assert abs(np.median(left)) < 0.003
+    found, *_ = compared(strips([constant(value) for value in offsets], overlap=0.4))
     assert [pair.lines for pair in found.pairs] == [(1, 2), (2, 3), (3, 4)]
     assert [pair.step for pair in found.pairs] == pytest.approx(np.diff(offsets), abs=0.005)
     taken = [own.offset for own in found.corrections]

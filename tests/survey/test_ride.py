@@ -55,7 +55,6 @@ def test_the_other_layers_keep_their_bytes(maps):
     same = [name for name in plain if name.endswith(".tif")]
     assert len(same) == 9
     assert all(plain[name] == speeds[name] for name in same)
-    assert not (maps / "plain" / "rasters/speeds.tif").exists()
 
 
 def test_at_the_speed_of_the_map_c_r_is_that_of_the_map(maps):

@@ -86,18 +86,13 @@ def test_what_is_foretold_of_real_surveys_is_found(tmp_path, shared_data, name, 
     assert foretold == pytest.approx(found, abs=0.05)
 
 
-def test_a_rating_without_thin_tiles_states_the_rule_of_heightmaps(tmp_path):
-    survey = write_random(tmp_path / "a.laz", 4.5)
-    mapped = answer("map", survey, "--local", "--out", tmp_path / "out", "--set", "rating=table", "--json")
-    assert "less than 25% of the pixels with one" in mapped["advice"]
-
-
 @pytest.mark.parametrize(
     ("reason", "measured", "every", "thin", "words"),
     [
         (Reason.TOO_FEW_POINTS, "points", 20.0, True, "at least 4 are needed"),
         (Reason.NO_GROUND, "ground points", 200.0, False, "--ground csf detects ground points"),
         (Reason.NO_GROUND, "ground points (found by the cloth)", 200.0, True, "vegetation too"),
+        (Reason.TOO_MANY_HOLES, "points", 60.0, False, "or less than 25% of the pixels with one"),
         (Reason.OUTLIER_RELIEF, "points", 200.0, False, "class 7 or 18"),
     ],
 )
