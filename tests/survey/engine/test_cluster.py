@@ -266,9 +266,9 @@ def scheduler(distributed, tmp_path_factory):
     folder = tmp_path_factory.mktemp("helpers")
     (folder / "deadly_helpers.py").write_text(DEADLY)
     sys.path.insert(0, str(folder))
-    paths = {"PYTHONPATH": os.pathsep.join(sys.path)}
+    paths, dask = {"PYTHONPATH": os.pathsep.join(sys.path)}, pytest.importorskip("dask")
     with (
-        distributed.config.set({"distributed.scheduler.allowed-failures": 1}),
+        dask.config.set({"distributed.scheduler.allowed-failures": 1}),
         distributed.LocalCluster(**ONE_WORKER | {"n_workers": 2}, env=paths) as cluster,
     ):
         yield cluster.scheduler_address
@@ -386,15 +386,15 @@ def certificates_of(security):
 @pytest.mark.later
 def test_a_scheduler_with_tls_takes_whom_its_authority_signed_and_nobody_else(distributed, tmp_path, monkeypatch):
     """The certificates are those of dask's own configuration."""
-    pytest.importorskip("cryptography")
+    dask, _ = pytest.importorskip("dask"), pytest.importorskip("cryptography")
     monkeypatch.setattr("bumpymap.survey.engine.cluster._TIMEOUT_S", 5.0)
     security = distributed.Security.temporary()
     with distributed.LocalCluster(security=security, **ONE_WORKER) as cluster:
         address = cluster.scheduler_address
         nobody = map_on(address, SURVEY, tmp_path / "out", "--local")
-        with distributed.config.set(certificates_of(distributed.Security.temporary())):
+        with dask.config.set(certificates_of(distributed.Security.temporary())):
             stranger = map_on(address, SURVEY, tmp_path / "out", "--local")
-        with distributed.config.set(certificates_of(security)):
+        with dask.config.set(certificates_of(security)):
             taken = map_on(address, SURVEY, tmp_path / "out", "--local")
     for refused in (nobody, stranger):
         assert refused.exit_code == 2
