@@ -26,8 +26,7 @@ import numpy as np
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "hostile"))
 
-from corpus.bases import bases
-from corpus.las_file import HEADER, HEADER_1_4, layout_of
+from corpus.files import HEADER, HEADER_1_4, bases, layout_of
 from corpus.runner import MEMORY, Lines
 from driver import serve, text_said
 from las_files import ENTRY

@@ -1,15 +1,19 @@
-"""Merging the frames of a drive: what stays, what goes, and poses that cannot be right."""
+"""Frames of a drive: what a merge keeps and drops, poses that cannot be right, and motion between the frames."""
 
 import json
 
 import laspy
 import numpy as np
 import pytest
+from ply_files import write_ply
+from scipy.spatial.transform import Rotation
 
-from bumpymap.core.errors import BadInputError
+from bumpymap.core import BadInputError
 from bumpymap.layers import open_accumulated
 from bumpymap.scan.align import MOST_METRES, DriveHeights, GroundHeights, align_frames
+from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.merge import MOST_GROUND, MOST_OTHERS, open_merge
+from bumpymap.scan.pipeline import scan_frames
 
 CAMERA = np.array([[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 PARKED, TRUCK = (12.07, 8.57, 0.0, 4.0, 1.8, 1.5), (22.0, -1.5, 0.6, 6.0, 2.4, 3.0)
@@ -102,10 +106,7 @@ def test_what_moved_is_gone_and_what_stands_has_stayed(frames, drive):
     assert record["seen"] == sum(len(points) for points in world)
     assert (record["points"], record["ground"]) == (len(xyz), ground.sum())
     assert record["moving"] > 0
-
-
-def test_density_is_even(drive):
-    xyz, ground, _ = drive
+    # Density is even.
     whole = np.round(1000.0 * xyz).astype(np.int64)
     pixels = np.unique(whole[ground, :2] // 200, axis=0, return_counts=True)[1]
     assert pixels.max() == MOST_GROUND
@@ -116,14 +117,10 @@ def test_density_is_even(drive):
 def test_ground_below_a_truck_is_not_ground_to_drive_on(frames, drive):
     xyz, ground, _ = drive
     x, y, _, long, wide, _ = TRUCK
-    below = (np.abs(xyz[:, 0] - x) < long / 2 - 0.4) & (np.abs(xyz[:, 1] - y) < wide / 2 - 0.4)
-    poses = way_along()
-    world = np.concatenate([p @ pose[:3, :3].T + pose[:3, 3] for (p, _), pose in zip(frames, poses, strict=True)])
-    came = (
-        (np.abs(world[:, 0] - x) < long / 2 - 0.4) & (np.abs(world[:, 1] - y) < wide / 2 - 0.4) & (world[:, 2] < 0.05)
-    )
-    assert came.sum() > 100
-    assert not (below & ground).any()
+    below = (x, y, -0.1, long - 0.9, wide - 0.9, 0.0)
+    world = [points @ pose[:3, :3].T + pose[:3, 3] for (points, _), pose in zip(frames, way_along(), strict=True)]
+    assert in_box(np.concatenate(world), below).sum() > 100
+    assert not (in_box(xyz, below) & ground).any()
 
 
 def test_where_blocks_begin_makes_no_difference(frames, drive, tmp_path):
@@ -163,7 +160,6 @@ def test_poses_with_errors_give_level_ground_again(frames, tmp_path):
     plane = np.column_stack([xyz[near, :2], np.ones(near.sum())])
     rest = xyz[near, 2] - plane @ np.linalg.lstsq(plane, xyz[near, 2], rcond=None)[0]
     assert rest.std() < 0.01
-    json.dumps(record)
 
 
 @pytest.mark.parametrize(("seed", "most"), [(0, 1 << 30), (1, 1 << 30), (0, 4_000)])
@@ -203,19 +199,13 @@ def test_corrections_are_bounded_and_frames_apart_have_none():
     assert alone.record()["before_m"] is None
 
 
-def scaled(by):
-    poses = way_along()
-    poses[:, :3, 3] *= by
-    return poses
-
-
 @pytest.mark.parametrize(
     ("poses", "words"),
     [
         (np.linalg.inv(way_along()), "see through"),
         (CAMERA @ way_along() @ np.linalg.inv(CAMERA), "same ground differs"),
-        (scaled(100.0), "so far apart"),
-        (scaled(1 / 0.3048), "see through"),
+        (way_along(step=300.0), "so far apart"),
+        (way_along(step=3.0 / 0.3048), "see through"),
         (way_along()[::-1], "see through"),
     ],
 )
@@ -227,3 +217,87 @@ def test_wrong_poses_are_refused_with_what_contradicts_them(frames, tmp_path, po
 def test_poses_in_another_order_are_suspect(frames, tmp_path, caplog):
     merged(tmp_path / "out", frames, way_along()[sorted(range(FRAMES), key=str)])
     assert "frames see through 18% of what stands in others" in caplog.text
+
+
+START = 1_700_000_000.0
+SPEED_MPS, TURN_RADPS = 9.0, 1.0
+POSTS = np.random.default_rng(1).uniform(-20.0, 20.0, (40, 2))
+
+
+def motion(times):
+    """Rotations and places of a LiDAR 1.5 m above the ground, on a circle."""
+    angle = TURN_RADPS * (np.asarray(times) - START)
+    radius = SPEED_MPS / TURN_RADPS
+    places = np.column_stack([radius * np.sin(angle), radius * (1.0 - np.cos(angle)), np.full(len(angle), 1.5)])
+    return Rotation.from_euler("z", angle[:, None]), places
+
+
+def sweep(time, seed):
+    """World points of posts and flat ground that one turn of 0.1 s sees, and the time of each after ``time``."""
+    rng = np.random.default_rng(seed)
+    ground = np.column_stack([rng.uniform(-25.0, 25.0, (6_000, 2)), np.zeros(6_000)])
+    posts = np.column_stack([np.repeat(POSTS, 100, axis=0), np.tile(np.linspace(0.1, 2.0, 100), len(POSTS))])
+    world = np.concatenate([ground, posts])
+    _, place = motion([time])
+    azimuth = np.arctan2(*(world - place)[:, 1::-1].T)
+    offset = (azimuth + np.pi) * 0.1 / (2 * np.pi)
+    order = np.argsort(offset)
+    return world[order], offset[order]
+
+
+@pytest.fixture(name="driven", scope="module")
+def driven_fixture(tmp_path_factory):
+    """Five frames with the time of each point in nanoseconds, and poses at 50 Hz."""
+    folder = tmp_path_factory.mktemp("drive")
+    (folder / "frames").mkdir()
+    for number in range(5):
+        time = START + 0.1 * number
+        world, offset = sweep(time, number)
+        turns, places = motion(time + offset)
+        rows = np.zeros(len(world), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("t", "<u4")])
+        for axis, values in zip("xyz", turns.inv().apply(world - places).T, strict=True):
+            rows[axis] = values
+        rows["t"] = np.rint(offset * 1e9)
+        write_ply(folder / "frames" / f"{time:.3f}.ply", rows)
+    times = START + np.arange(-5, 40) / 50.0
+    turns, places = motion(times)
+    np.savetxt(folder / "tum.txt", np.column_stack([times, places, turns.as_quat()]), fmt="%.9f")
+    return folder
+
+
+def settings(driven, out, **more):
+    how = {"poses": driven / "tum.txt", "method": "filter", "products": ("table",)}
+    return ScanConfig((driven / "frames",), out, **how | more)
+
+
+def off_posts(out):
+    """Distance of the points above the ground to the nearest post, m."""
+    points = laspy.read(out / "gathered.laz").xyz
+    high = points[points[:, 2] > 0.3, :2]
+    return np.linalg.norm(high[:, None] - POSTS[None], axis=2).min(axis=1)
+
+
+def test_a_drive_is_deskewed_by_the_poses_between_its_frames(driven, tmp_path):
+    config = settings(driven, tmp_path / "out")
+    scan_frames(config)
+    assert off_posts(config.out).max() < 0.01
+    raw = settings(driven, tmp_path / "raw", deskew=False)
+    scan_frames(raw)
+    assert off_posts(raw.out).max() > 0.5
+    assert not json.loads((raw.out / "scan.json").read_text(encoding="utf-8"))["poses"]["deskew"]
+
+
+def test_wrong_poses_leave_nothing_in_the_way_of_right_ones(driven, tmp_path):
+    """The frames of a refused run are of no use: with the same poses it would be refused again."""
+    table = np.loadtxt(driven / "tum.txt")
+    right = table[:, 3].copy()
+    table[:, 3] += 7.0 * (table[:, 0] - START)
+    np.savetxt(tmp_path / "tum.txt", table, fmt="%.9f")
+    config = settings(driven, tmp_path / "out", poses=tmp_path / "tum.txt", deskew=False)
+    with pytest.raises(BadInputError, match="height of the same ground differs") as refused:
+        scan_frames(config)
+    assert not hasattr(refused.value, "__notes__")
+    assert not config.out.exists()
+    table[:, 3] = right
+    np.savetxt(tmp_path / "tum.txt", table, fmt="%.9f")
+    assert not scan_frames(config).already_done
