@@ -1,27 +1,37 @@
-"""The calibration as a whole, with few and short drives."""
+"""Calibrations: what is made of drives, as a whole with few and short ones, and fitted again."""
 
 import errno
 import json
+import math
 from dataclasses import replace
+from itertools import combinations
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import given, strategies as st
 
-from bumpymap.core.errors import OutputError
+from bumpymap.core.errors import BumpymapError, OutputError, UsageError
 from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.lab.simulate import calibrate as calibrate_module
-from bumpymap.lab.simulate.calibrate import calibrate_vehicle, calibration_journal, class_limits, run_job
+from bumpymap.lab.simulate.calibrate import (
+    calibrate_vehicle,
+    calibration_journal,
+    class_limits,
+    natural_breaks,
+    run_job,
+    summarise,
+)
 from bumpymap.lab.simulate.drive import DriveSettings, PatchDrives
 from bumpymap.lab.simulate.jobs import DriveJob
-from bumpymap.lab.simulate.plan import library_terrains
+from bumpymap.lab.simulate.motion_fit import SPEED_RATIOS, fit_means, motion_jobs
+from bumpymap.lab.simulate.plan import calibrated_settings, library_terrains
+from bumpymap.lab.simulate.refit import refit, run_crossing, step_tile
 from bumpymap.lab.worlds.terrains import KINDS
-from bumpymap.rating.calibration import Calibration, shipped_calibrations
+from bumpymap.rating.calibration import Calibration, DrivenTerrain, shipped_calibrations
 from bumpymap.rating.vehicle_profile import Vehicle, load_profile
 
-pytest.importorskip("dartpy")
-
-pytestmark = pytest.mark.slow
+WARTHOG = Calibration.shipped("warthog")
 SHORT = DriveSettings(settle_s=0.2, ramp_s=0.3, cruise_s=0.0, measure_s=0.6)
 SETTINGS = CalibrationSettings(
     load_profile("warthog"), 4, patches=2, starts=1, z_range=(0.05, 0.4), terrains=1, terrain_starts=2, drive=SHORT
@@ -29,9 +39,58 @@ SETTINGS = CalibrationSettings(
 TABLE, LIBRARY = 16, len(KINDS)
 
 
-@pytest.fixture(scope="module", autouse=True)
+def terrain(c_r, completed=8, failed=0):
+    return DrivenTerrain("kerb", 0, c_r, 0.01, completed, failed, 0)
+
+
+@given(st.lists(st.floats(0.001, 2.0), min_size=5, max_size=10, unique_by=lambda v: round(v, 4)))
+def test_natural_breaks_are_the_best_of_all_splits(values):
+    def spread(groups):
+        return sum(((g - g.mean()) ** 2).sum() for g in groups)
+
+    x = np.sort(values)
+    limits = natural_breaks(np.array(values), 4)
+    found = spread(np.split(x, np.searchsorted(x, limits)))
+    best = min(spread(np.split(x, cuts)) for cuts in combinations(range(1, len(x)), 3))
+    assert found == pytest.approx(best, rel=1e-9, abs=1e-12)
+
+
+def test_failed_drives_count_in_p_fail_and_not_in_c_r():
+    def drives(*c_r):
+        return PatchDrives(tuple("completed" if c is not None else "rolled" for c in c_r), c_r)
+
+    # C_r grows by texture and z range; patches differ. In the last cell, three of six drives failed.
+    cells = {(t, z): [drives(0.02 * 2**t * (1 + 4 * z) * f) for f in (0.8, 1, 1.2)] for t in range(4) for z in (0, 1)}
+    cells[3, 1] = [drives(0.5, None), drives(None, None), drives(1.5, 2.5)]
+    results = {("table", *place, patch): d for place, cell in cells.items() for patch, d in enumerate(cell)}
+    library = [("library", kind, index) for kind in KINDS for index in range(4)]
+    results |= {name: drives(0.01 * (1 + i)) for i, name in enumerate(library)}
+    settings = CalibrationSettings(load_profile("warthog"), patches=3, starts=2, z_range=(0.1, 1.0), terrains=4)
+    calibration = summarise(settings, results)
+    assert calibration.p_fail[3][1] == pytest.approx(3 / 6)
+    assert calibration.c_r[3][1] == pytest.approx((0.5 + 2.0) / 2)
+    assert calibration.c_r_log_sd[3][1] == pytest.approx(math.log(4) / math.sqrt(2))
+
+
+def test_terrains_that_cannot_be_crossed_do_not_move_the_limits():
+    crossed = [terrain(c) for c in (0.1, 0.11, 0.3, 0.31, 0.6, 0.61, 1.0, 1.01)]
+    lost = [terrain(5.0, 5, 3), terrain(None, 0, 8)]
+    kept = [terrain(1.08, 6, 2)]
+    assert class_limits(crossed + lost) == class_limits(crossed) == pytest.approx((0.205, 0.455, 0.805))
+    assert class_limits(crossed + kept) == pytest.approx((0.205, 0.455, 0.8175), abs=0.0006)
+
+
+def test_vehicle_that_fails_everywhere_and_limits_too_close_together_are_refused():
+    with pytest.raises(BumpymapError, match="crosses 3 of 9 terrains"):
+        class_limits([terrain(0.1 * i) for i in (1, 2, 3)] + [terrain(0.1, 1, 7)] * 6)
+    with pytest.raises(BumpymapError, match="too close together"):
+        class_limits([terrain(1e-5 * i) for i in range(1, 20)])
+
+
+@pytest.fixture(scope="module")
 def without_fits():
     """Only table and library: no crossings, no other speeds, no models."""
+    pytest.importorskip("dartpy")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(calibrate_module, "refit", lambda made: made)
         patch.setattr(calibrate_module, "fit_steps", lambda *_: None)
@@ -42,12 +101,12 @@ def without_fits():
 
 
 @pytest.fixture(scope="module")
-def calibration():
+def calibration(without_fits):
     return calibrate_vehicle(SETTINGS)
 
 
 @pytest.fixture
-def fake_drives(monkeypatch):
+def fake_drives(without_fits, monkeypatch):
     """Jobs that cost nothing; returns the list of those that ran."""
     ran = []
 
@@ -61,6 +120,7 @@ def fake_drives(monkeypatch):
     return ran
 
 
+@pytest.mark.slow
 def test_real_calibration_rises_with_z_range_and_reads_back(calibration):
     assert all(low < high for low, high in calibration.c_r)
     assert calibration.drives == ((2, 2),) * 4
@@ -83,6 +143,7 @@ def test_number_of_workers_changes_nothing(calibration):
     assert calibrate_vehicle(SETTINGS, workers=2) == calibration
 
 
+@pytest.mark.slow
 def test_interruption_changes_nothing_and_driven_patches_are_not_driven_again(calibration, tmp_path, monkeypatch):
     path = tmp_path / "out.json.progress.jsonl"
 
@@ -99,6 +160,7 @@ def test_interruption_changes_nothing_and_driven_patches_are_not_driven_again(ca
     assert len(ran) == LIBRARY - 3
 
 
+@pytest.mark.slow
 def test_job_depends_on_nothing_but_the_settings(calibration):
     more = replace(SETTINGS, patches=5, starts=2, terrains=3, terrain_starts=3)
     table, library = DriveJob(("table", 3, 1, 1), 1), DriveJob(("library", "furrows", 0), 2)
@@ -171,6 +233,7 @@ def test_a_full_disk_does_not_cost_what_was_driven(tmp_path, fake_drives, monkey
 @pytest.mark.later
 @pytest.mark.parametrize("name", shipped_calibrations())
 def test_shipped_calibration_is_what_this_code_makes(name):
+    pytest.importorskip("dartpy")
     shipped = Calibration.shipped(name)
     made = shipped.settings
     profile = load_profile(name)
@@ -195,3 +258,68 @@ def test_shipped_class_limits_and_cell_means_follow_from_the_shipped_drives(name
         [np.mean([c for c in cell if c is not None] or np.nan) for cell in z] for z in shipped.settings["patch_c_r"]
     ]
     np.testing.assert_allclose(np.array(shipped.c_r, dtype=float), means, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("spread", "tolerance"), [(0.0, 1e-3), (0.1, 0.1)])
+def test_it_finds_what_was_put_in_and_its_spread_and_leaves_failed_terrains_out(spread, tolerance):
+    settings = replace(calibrated_settings(WARTHOG), terrains=8, terrain_starts=4)
+    # Logarithms are plain functions of C_r and speed, with errors of that spread.
+    c_r = np.geomspace(0.01, 0.4, len(motion_jobs(settings)))[:, None]
+    s = np.log(SPEED_RATIOS)[None, :]
+    logs = np.stack([np.log(c_r) - 0.1 * s, np.log(0.7 * c_r) + 0 * s, np.log(4 * c_r) + 1.3 * s], axis=-1)
+    errors = np.random.default_rng(1).normal(0.0, spread, logs.shape)
+    errors[:, SPEED_RATIOS.index(1.0), 0] = 0.0
+    means = np.exp(logs + errors)
+    means[3, 2] = np.nan
+    model = fit_means(settings, means, 2)
+    told = np.exp(model.plain_log_factors(np.array([0.03, 0.1, 0.3]), (0.5, 1.0, 1.5)))
+    for speed, ratio in enumerate((0.5, 1.0, 1.5)):
+        assert told[:, speed] == pytest.approx(np.tile([ratio**-0.1, 0.7, 4 * ratio**1.3], (3, 1)), rel=tolerance)
+    assert model.origin["used"] == len(means) - 1
+    for fit in (model.c_r, model.c_roll, model.a_w):
+        assert fit.plain_log_sd == pytest.approx(spread, rel=0.3, abs=1e-3)
+
+
+@pytest.mark.later
+@pytest.mark.parametrize("name", shipped_calibrations())
+def test_the_shipped_record_is_what_its_drives_give(name):
+    shipped = Calibration.shipped(name)
+    if shipped.motion is None:
+        pytest.skip("it has one speed")
+    origin = shipped.motion["origin"]
+    made = fit_means(calibrated_settings(shipped), np.array(origin["driven"], np.float64), origin["starts"]).to_record()
+    for key in ("c_r", "c_roll", "a_w"):
+        assert made[key]["plain"] == pytest.approx(shipped.motion[key]["plain"], rel=1e-4, abs=1e-5)
+        assert made[key]["log_sd"] == pytest.approx(shipped.motion[key]["log_sd"], rel=0.01)
+    assert made["origin"] == shipped.motion["origin"]
+
+
+def test_a_calibration_that_was_moved_to_real_drives_or_lacks_the_library_is_refused():
+    settings = WARTHOG.settings | {"moved_to_drives": {"calibration_id": WARTHOG.id}}
+    with pytest.raises(UsageError, match=f"moved to real drives.*Fit the calibration {WARTHOG.id}.*check --refit"):
+        refit(replace(WARTHOG, settings=settings))
+    settings = {key: value for key, value in WARTHOG.settings.items() if key != "library"}
+    with pytest.raises(UsageError, match="holds no drives over the terrain library"):
+        refit(replace(WARTHOG, settings=settings))
+
+
+@pytest.mark.parametrize(("turn", "offset"), [(0, 0.0), (30, -0.2), (45, 0.1)])
+def test_a_tile_has_both_levels_and_their_mean_between(turn, offset):
+    tile = step_tile(turn, offset, 15)
+    assert (tile.min(), tile.max()) == (0, 1)
+    assert ((tile > 0) & (tile < 1)).mean() < 0.25
+    if offset == 0:
+        assert tile.mean() == pytest.approx(0.5, abs=0.005)
+        np.testing.assert_allclose(tile + tile[::-1, ::-1], 1, atol=0.05)
+
+
+@pytest.mark.slow
+def test_a_low_kerb_is_crossed_and_a_high_wall_is_not_and_a_crossing_is_that_of_the_shipped_calibration():
+    pytest.importorskip("dartpy")
+    settings = CalibrationSettings(load_profile("warthog"))
+    for up in (1, 0):
+        assert run_crossing(settings, DriveJob(("crossing", "0.1", 0, up), 1)).outcome == ("completed",)
+    assert run_crossing(settings, DriveJob(("crossing", "0.7", 1, 1), 1)).outcome == ("stuck",)
+    record = WARTHOG.steps["crossing"]
+    failed = run_crossing(settings, DriveJob(("crossing", "0.4", 0, 1), 1)).failed
+    assert failed == record["fail_up"][record["height"].index(0.4)][0]

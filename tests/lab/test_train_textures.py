@@ -1,4 +1,4 @@
-"""Training in seconds: it learns, repeats itself, goes on after a break, and hands over what it learned."""
+"""The texture network: the patches it learns from, and training in seconds."""
 
 import json
 from dataclasses import replace
@@ -7,23 +7,73 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy import ndimage
 
+from bumpymap.cli import main
 from bumpymap.core.errors import OutputError
+from bumpymap.core.shared_kernels import fill_holes as fill_holes_of_features
+from bumpymap.lab.settings import NetworkSettings, TrainSettings
+from bumpymap.lab.train.texture_data import (
+    NONE,
+    blur,
+    epoch_samples,
+    fill_holes,
+    punch_holes,
+    rotate,
+    training_patches,
+    unseen_patches,
+)
+from bumpymap.rating import make_textures
+from bumpymap.rating.textures import TextureModel, infer
 
 torch = pytest.importorskip("torch", reason="torch comes with the extra 'learn'")
-onnx = pytest.importorskip("onnx", reason="onnx comes with the extra 'learn'")
+pytest.importorskip("onnx", reason="onnx comes with the extra 'learn'")
 
-from bumpymap.cli import main  # noqa: E402
-from bumpymap.lab.settings import NetworkSettings, TrainSettings  # noqa: E402
 from bumpymap.lab.train import textures  # noqa: E402
-from bumpymap.lab.train.texture_data import unseen_patches  # noqa: E402
 from bumpymap.lab.train.textures import predict, score, to_onnx, train  # noqa: E402
-from bumpymap.rating.textures import TextureModel, infer  # noqa: E402
 
 pytestmark = pytest.mark.slow
-
 SMALL = TrainSettings(epochs=2, patches_per_texture=16, batch=32)
+
+
+@pytest.fixture
+def patches():
+    return make_textures("low_noise", 30, np.random.default_rng(0))
+
+
+def test_rotation_and_blur_agree_with_scipy_inside(patches):
+    ours = rotate(patches, np.full(30, np.radians(33.0)))
+    theirs = ndimage.rotate(patches, 33.0, axes=(2, 1), reshape=False, order=1, mode="reflect")
+    assert_allclose(ours[:, 4:11, 4:11], theirs[:, 4:11, 4:11], atol=1e-5)
+    theirs = np.stack([ndimage.gaussian_filter(patch, 0.7, truncate=6) for patch in patches])
+    assert_allclose(blur(patches, np.full(30, 0.7))[:, 5:10, 5:10], theirs[:, 5:10, 5:10], atol=1e-4)
+    assert_allclose(blur(np.ones((1, 15, 15)), np.array([2.0])), 1)
+
+
+def test_holes_are_filled_as_the_features_fill_them(patches):
+    holed = punch_holes(patches, np.full(30, 0.6), np.full(30, 2.5), np.random.default_rng(6))
+    expected = holed.copy()
+    for patch in expected:
+        assert fill_holes_of_features(patch, 15, np.empty(patch.size, np.int32), np.empty(patch.size)) == 0
+    assert_allclose(fill_holes(holed), expected, rtol=1e-12)
+
+
+def test_epochs_shuffle_and_alter_anew_but_repeatably():
+    training = training_patches(1, 40, 15)
+    first, again, second = epoch_samples(training, 1, 0), epoch_samples(training, 1, 0), epoch_samples(training, 1, 1)
+    assert_array_equal(first.patches, again.patches)
+    assert_array_equal(first.labels, again.labels)
+    assert (np.diff(first.labels) < 0).any()
+    assert_array_equal(np.sort(first.labels), np.concatenate([training.labels, [3] * 8]))
+    assert np.abs(first.patches - second.patches).mean() > 0.05
+
+
+def test_unseen_patches_share_none_with_training():
+    training, unseen = training_patches(1, 60, 15), unseen_patches(1, 60, 15, NONE)
+    flat = np.concatenate([training.patches, unseen.patches]).reshape(480, -1)
+    assert len(np.unique(flat, axis=0)) == 480
+    assert np.abs(training.patches - unseen.patches).max(axis=(1, 2)).min() > 0.05
 
 
 def bits(net):
@@ -43,22 +93,16 @@ def test_a_short_training_learns():
     assert score(net, unseen_patches(1, 100, 15)).accuracy > 0.8
 
 
-def test_the_seed_decides_every_bit(small):
-    assert bits(train(SMALL)) == bits(small)
-    assert bits(train(replace(SMALL, seed=2)))["conv1.weight"] != bits(small)["conv1.weight"]
-
-
-def test_a_broken_training_goes_on_to_the_same_bits(small, tmp_path):
-    checkpoint = tmp_path / "net.checkpoint"
-
+def test_the_seed_decides_every_bit_and_a_broken_training_goes_on_to_the_same(small, tmp_path):
     def interrupt(report):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train(SMALL, checkpoint, interrupt)
+        train(SMALL, tmp_path / "net.checkpoint", interrupt)
     reports = []
-    assert bits(train(SMALL, checkpoint, reports.append)) == bits(small)
+    assert bits(train(SMALL, tmp_path / "net.checkpoint", reports.append)) == bits(small)
     assert [report.epoch for report in reports] == [2]
+    assert bits(train(replace(SMALL, seed=2)))["conv1.weight"] != bits(small)["conv1.weight"]
 
 
 @pytest.mark.parametrize("pixels", [pytest.param(9, marks=pytest.mark.later), 15])
@@ -77,8 +121,7 @@ def test_onnx_says_what_torch_says(pixels):
 def test_command_writes_model_and_card(tmp_path, monkeypatch):
     monkeypatch.setattr(textures, "UNSEEN_PER_TEXTURE", 10)
     out = tmp_path / "m.onnx"
-    own = ("epochs=1", "patches_per_texture=16", "seed=4", "tile_size=1.5")
-    words = [word for setting in own for word in ("--set", setting)]
+    words = ["--set", "epochs=1", "--set", "patches_per_texture=16", "--set", "seed=4", "--set", "tile_size=1.5"]
     result = CliRunner().invoke(main, ["train", "textures", "--out", str(out), *words])
     assert result.exit_code == 0, result.output
     model = TextureModel.load(out)

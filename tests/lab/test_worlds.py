@@ -1,13 +1,18 @@
-"""The terrain library: same bits of a seed, slopes and shapes as it says; what a survey sees of it is as asked for."""
+"""Made-up ground: the terrain library and what a survey sees of it, and the site of the sample survey."""
 
+from pathlib import Path
+
+import laspy
+import made_quarry
 import numpy as np
 import pytest
+from ply_files import read_vertices
 from scipy.spatial import cKDTree
 
 from bumpymap.core.errors import UsageError
 from bumpymap.lab.worlds.terrains import KINDS, ScanEffects, Terrain, fractal, make_terrain, survey_terrain
 
-pytestmark = pytest.mark.slow
+SAMPLES = Path(__file__).resolve().parents[2] / "sample_data"
 
 
 def plane_of(terrain):
@@ -20,15 +25,11 @@ def plane_of(terrain):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_same_seed_and_index_give_the_same_bits_and_others_do_not(kind):
+def test_a_terrain_belongs_to_its_seed_and_index_and_has_relief_of_its_size(kind):
     first, again, other, seeded = (make_terrain(kind, *which).surface for which in ((1, 3), (1, 3), (1, 4), (2, 3)))
     np.testing.assert_array_equal(first, again)
     assert not np.array_equal(first, other)
     assert not np.array_equal(first, seeded)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_every_terrain_is_finite_has_relief_and_no_more_than_the_ground_of_its_size(kind):
     for index in range(8):
         residual, _ = plane_of(make_terrain(kind, 7, index, slope_limit_deg=30.0))
         assert 0.002 < np.ptp(residual) < 4.5  # NaN is not
@@ -72,11 +73,6 @@ def test_what_cannot_be_made_is_refused():
 LEVEL = Terrain("plane", np.zeros((60, 60)), 3.0)
 
 
-def slope():
-    axis = (np.arange(60) + 0.5) * 0.05
-    return Terrain("plane", np.broadcast_to(0.2 * axis, (60, 60)) - 0.3 * axis[:, None], 3.0)
-
-
 def survey(terrain, seed=1, **effects):
     return survey_terrain(terrain, ScanEffects(**effects), np.random.default_rng(seed))
 
@@ -91,10 +87,11 @@ def test_density_is_that_of_a_poisson_process(density):
 
 
 def test_perfect_points_lie_on_the_surface_north_up():
-    x, y, z = survey(slope(), density=500)
+    axis = (np.arange(60) + 0.5) * 0.05
+    slope = Terrain("plane", np.broadcast_to(0.2 * axis, (60, 60)) - 0.3 * axis[:, None], 3.0)
+    x, y, z = survey(slope, density=500)
     inside = (np.abs(x - 1.5) < 1.4) & (np.abs(y - 1.5) < 1.4)
-    expected = 0.2 * x - 0.3 * (3.0 - y)
-    np.testing.assert_allclose(z[inside], expected[inside], atol=1e-9)
+    np.testing.assert_allclose(z[inside], (0.2 * x - 0.3 * (3.0 - y))[inside], atol=1e-9)
 
 
 @pytest.mark.parametrize("noise", [0.01, 0.05])
@@ -105,3 +102,43 @@ def test_white_noise_has_its_deviation_and_neighbours_do_not_share_it(noise):
     _, nearest = tree.query(tree.data, k=2)
     correlation = np.corrcoef(z, z[nearest[:, 1]])[0, 1]
     assert abs(correlation) < 0.06
+
+
+def residual_deviation(col, row):
+    inner = (np.arange(40) + 0.5) * 3.0 / 40
+    east, north = (axis.ravel() for axis in np.meshgrid(col * 3.0 + inner, row * 3.0 + inner))
+    z = made_quarry.height(east, north)
+    design = np.column_stack((east - col * 3.0, north - row * 3.0, np.ones(z.size)))
+    return np.std(z - design @ np.linalg.lstsq(design, z, rcond=None)[0])
+
+
+def test_zones_of_the_page_are_as_rough_as_their_names():
+    """The symbols on the map of the page: pad, ramp, road, floor, washboard, ruts, step, rubble, bank."""
+    pad, ramp, road, floor, washboard, ruts, step, rubble, bank = (
+        np.median([residual_deviation(*place) for place in np.transpose(made_quarry.tiles_of(symbol))[::4]])
+        for symbol in "P/RfWUSXB"
+    )
+    assert max(pad, ramp) < 1e-9
+    assert 0.0 < road < floor < washboard < ruts < step < rubble < bank
+
+
+@pytest.mark.parametrize(("read", "name"), [(laspy.read, "quarry.laz"), (read_vertices, "quarry_part.ply")])
+def test_heights_of_the_sample_files_are_the_reliefs_within_the_noise(read, name):
+    points = read(SAMPLES / name)
+    if name == "quarry.laz":
+        points = points[np.asarray(points["withheld"]) == 0][::4]
+    ground = np.asarray(points["classification"]) == 2
+    x, y, z = (np.asarray(points[axis], float)[ground] for axis in "xyz")
+    error = z - made_quarry.height(x, y)
+    stray = np.abs(error) > 10.0
+    assert stray.sum() <= 4
+    error = error[~stray]
+    assert abs(error.mean()) < 5.0 * 0.008 / np.sqrt(error.size)
+    assert error.std() == pytest.approx(0.008, rel=0.01)
+    assert np.abs(error).max() < 6.0 * 0.008
+    assert not made_quarry.is_water(x, y).any()
+
+
+def test_the_page_of_the_samples_names_them_all():
+    text = (SAMPLES / "README.md").read_text(encoding="utf-8")
+    assert all(f"`{path.name}`" in text for path in SAMPLES.iterdir() if path.name != "README.md")
