@@ -3,9 +3,9 @@
 from pathlib import Path
 
 import laspy
-import made_quarry
 import numpy as np
 import pytest
+from made_quarry import tiles_of
 from ply_files import read_vertices
 from scipy.spatial import cKDTree
 
@@ -104,39 +104,64 @@ def test_white_noise_has_its_deviation_and_neighbours_do_not_share_it(noise):
     assert abs(correlation) < 0.06
 
 
-def residual_deviation(col, row):
-    inner = (np.arange(40) + 0.5) * 3.0 / 40
-    east, north = (axis.ravel() for axis in np.meshgrid(col * 3.0 + inner, row * 3.0 + inner))
-    z = made_quarry.height(east, north)
-    design = np.column_stack((east - col * 3.0, north - row * 3.0, np.ones(z.size)))
-    return np.std(z - design @ np.linalg.lstsq(design, z, rcond=None)[0])
+@pytest.fixture(scope="module")
+def quarry():
+    return laspy.read(SAMPLES / "quarry.laz")
 
 
-def test_zones_of_the_page_are_as_rough_as_their_names():
-    """The symbols on the map of the page: pad, ramp, road, floor, washboard, ruts, step, rubble, bank."""
-    pad, ramp, road, floor, washboard, ruts, step, rubble, bank = (
-        np.median([residual_deviation(*place) for place in np.transpose(made_quarry.tiles_of(symbol))[::4]])
-        for symbol in "P/RfWUSXB"
+@pytest.fixture(scope="module")
+def patches_in(quarry):
+    """Function of a zone's symbol: x, y, z of the ground points (n, 3) of each of its tiles with points, m."""
+    ground = (np.asarray(quarry.classification) == 2) & (np.asarray(quarry.withheld) == 0)
+    points = quarry.xyz[ground]
+    key = (points[:, 0] // 3) * 1e7 + points[:, 1] // 3
+    order = np.argsort(key, kind="stable")
+    points, key = points[order], key[order]
+
+    def patches(symbol):
+        keys = [col * 1e7 + row for col, row in zip(*tiles_of(symbol), strict=True)]
+        ends = np.searchsorted(key, np.add.outer(keys, [0, 1]))
+        return [points[first:last] for first, last in ends if last > first]
+
+    return patches
+
+
+def plane(points):
+    """Coefficients by least squares (east, north, 1), and what they leave of the heights [m]."""
+    east, north, z = (points - points.mean(axis=0)).T
+    design = np.column_stack([east, north, np.ones(len(z))])
+    found = np.linalg.lstsq(design, z, rcond=None)[0]
+    return found, z - design @ found
+
+
+def test_the_sample_survey_holds_what_its_page_says(quarry, patches_in):
+    """Counts of points; noise of 8 mm on the pad and on the ramp, a plane at 15 degrees; a pond."""
+    marked = np.asarray(quarry.withheld) == 1
+    counts = np.bincount(np.asarray(quarry.classification)[~marked], minlength=8)
+    assert (len(quarry), marked.sum(), *counts[[1, 2, 5, 7]]) == (1_250_248, 40, 4, 1_228_505, 21_639, 60)
+    for symbol in "P/":
+        assert np.median([plane(points)[1].std() for points in patches_in(symbol)]) == pytest.approx(0.008, rel=0.01)
+    slopes = [np.degrees(np.arctan(np.hypot(*plane(points)[0][:2]))) for points in patches_in("/")]
+    assert np.median(slopes) == pytest.approx(15.0, abs=0.02)
+    away = np.hypot((quarry.x - 512_340 - 37) / 5, (quarry.y - 5_403_210 - 61.5) / 4)
+    assert away.min() > 1.0  # the pond
+
+
+def test_zones_of_the_page_are_as_rough_as_their_names(patches_in):
+    """The symbols on the map of the page: ramp, road, floor, washboard, ruts, step, rubble, bank."""
+    rough = [np.median([plane(points)[1].std() for points in patches_in(symbol)]) for symbol in "/RfWUSXB"]
+    assert (np.diff(rough) > 0).all()
+    # The washboard is a sine of 2 cm on the grain of the road.
+    assert rough[3] ** 2 - rough[1] ** 2 == pytest.approx(0.02**2 / 2, rel=0.05)
+
+
+def test_the_part_of_the_samples_is_of_the_whole(quarry):
+    part = read_vertices(SAMPLES / "quarry_part.ply")
+    x, y, z = (
+        np.rint(1000 * np.concatenate([part[axis], np.asarray(quarry[axis])])).astype(np.int64) for axis in "xyz"
     )
-    assert max(pad, ramp) < 1e-9
-    assert 0.0 < road < floor < washboard < ruts < step < rubble < bank
-
-
-@pytest.mark.parametrize(("read", "name"), [(laspy.read, "quarry.laz"), (read_vertices, "quarry_part.ply")])
-def test_heights_of_the_sample_files_are_the_reliefs_within_the_noise(read, name):
-    points = read(SAMPLES / name)
-    if name == "quarry.laz":
-        points = points[np.asarray(points["withheld"]) == 0][::4]
-    ground = np.asarray(points["classification"]) == 2
-    x, y, z = (np.asarray(points[axis], float)[ground] for axis in "xyz")
-    error = z - made_quarry.height(x, y)
-    stray = np.abs(error) > 10.0
-    assert stray.sum() <= 4
-    error = error[~stray]
-    assert abs(error.mean()) < 5.0 * 0.008 / np.sqrt(error.size)
-    assert error.std() == pytest.approx(0.008, rel=0.01)
-    assert np.abs(error).max() < 6.0 * 0.008
-    assert not made_quarry.is_water(x, y).any()
+    points = ((x - x.min() << 20) + y - y.min() << 20) + z - z.min()  # mm, which fit in 20 bits each
+    assert np.isin(points[: len(part)], points[len(part) :]).all()
 
 
 def test_the_page_of_the_samples_names_them_all():

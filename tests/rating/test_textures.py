@@ -156,13 +156,6 @@ def test_level_ground_is_flat_for_certain(model):
     assert rough[0].argmax() == 3
 
 
-def test_a_hole_in_known_ground_is_an_error(model):
-    relief = _textures(1)
-    relief[0, 3, 3] = np.nan
-    with pytest.raises(ValueError, match="has NaN"):
-        classify(stack_of(relief), model)
-
-
 @pytest.mark.parametrize("grid", [Grid(1.5, 15), Grid(3.0, 30)])
 def test_another_grid_is_refused_with_the_remedy(model, grid):
     relief = np.zeros((1, grid.pixels, grid.pixels))
@@ -173,13 +166,6 @@ def test_another_grid_is_refused_with_the_remedy(model, grid):
     )
 
 
-def _with_metadata(model, **changes):
-    onnx = pytest.importorskip("onnx", reason="onnx comes with the extra 'learn'")
-    proto = onnx.load_model_from_string(model.content)
-    onnx.helper.set_model_props(proto, {key: value for key, value in (model.metadata | changes).items() if value})
-    return proto.SerializeToString()
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -188,19 +174,16 @@ def _with_metadata(model, **changes):
         ({"tile_size": "wide"}, "damaged"),
         ({"classes": '["sand", "mud"]'}, "sand, mud"),
         ({"feature_version": "2"}, "version 2"),
-        (lambda content: content[: len(content) // 2], r"odd\.onnx"),
-        (lambda _: b"no model at all", r"odd\.onnx"),
-        (lambda _: b"", r"odd\.onnx"),
     ],
 )
 def test_foreign_and_damaged_networks_are_refused(model, tmp_path, changes, message):
-    content = _with_metadata(model, **changes) if isinstance(changes, dict) else changes(model.content)
-    (tmp_path / "odd.onnx").write_bytes(content)
+    onnx = pytest.importorskip("onnx", reason="onnx comes with the extra 'learn'")
+    proto = onnx.load_model_from_string(model.content)
+    onnx.helper.set_model_props(proto, {key: value for key, value in (model.metadata | changes).items() if value})
+    onnx.save_model(proto, tmp_path / "odd.onnx")
     with pytest.raises(BadInputError, match=message) as refusal:
         TextureModel.load(tmp_path / "odd.onnx")
-    assert "odd.onnx" in str(refusal.value)
-    if isinstance(changes, dict):
-        assert "bumpymap train" in str(refusal.value)
+    assert all(words in str(refusal.value) for words in ("odd.onnx", "bumpymap train"))
 
 
 def test_shipped_file_says_where_it_comes_from(model):
