@@ -10,7 +10,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 
 import psutil
@@ -42,50 +42,35 @@ def run_timed(command: Sequence[str], env: Mapping[str, str] | None = None, *, m
     kernel walks all their pages. Without, ``peak`` is that of the largest process.
     """
     os.sync()  # so that writes of an earlier command do not slow this one down
-    own = {name: value for name, value in os.environ.items() if name not in _NOT_OF_A_USER}
+    own = {name: value for name, value in os.environ.items() if name not in _NOT_OF_A_USER} | dict(env or {})
+    peak, ended = [0.0], threading.Event()
     with tempfile.TemporaryFile() as err:
         started = time.perf_counter()
-        process = subprocess.Popen(
-            command, stdout=subprocess.DEVNULL, stderr=err, stdin=subprocess.DEVNULL, env={**own, **(env or {})}
-        )
-        with _peak_memory(process.pid, wanted=memory) as peak:
-            os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)  # its figures remain until it is waited for
-            wall = time.perf_counter() - started
-            _, status, usage = os.wait4(process.pid, 0)
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=err, stdin=subprocess.DEVNULL, env=own)
+        sampling = threading.Thread(target=_sample, args=(psutil.Process(process.pid), peak, ended), daemon=True)
+        if memory:
+            sampling.start()
+        os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)  # its figures remain until it is waited for
+        wall = time.perf_counter() - started
+        ended.set()
+        if memory:
+            sampling.join()
+        _, status, usage = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
         err.seek(0)
-        return Sample(
-            wall,
-            usage.ru_utime + usage.ru_stime,
-            max(*peak, usage.ru_maxrss * 1024.0),
-            process.returncode,
-            err.read().decode(errors="replace")[-800:],
-        )
+        tail = err.read().decode(errors="replace")[-800:]
+    cpu, largest = usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024.0
+    return Sample(wall, cpu, max(peak[0], largest), process.returncode, tail)
 
 
-@contextmanager
-def _peak_memory(pid, *, wanted):
-    """Hold a list whose last value is the peak of the sum of PSS of a process and its descendants, bytes, so far.
+def _sample(parent, peak, ended):
+    """Keep the peak of the sum of PSS of a process and its descendants [bytes] in ``peak[0]`` until ``ended`` is set.
 
     PSS (proportional set size) divides shared pages among the processes that map them. Reading it is slow, as the
     kernel walks all pages, so it is read only if the sum of resident sizes, which is never smaller, exceeds the peak.
     """
-    peak, ended = [0.0, 0.0], threading.Event()
-
-    def poll():
-        parent = psutil.Process(pid)
-        while not ended.wait(_POLL_SECONDS):
-            with suppress(psutil.Error):  # one of them has ended
-                tree = [parent, *parent.children(recursive=True)]
-                if sum(process.memory_info().rss for process in tree) > peak[-1]:
-                    peak[-1] = max(peak[-1], sum(process.memory_full_info().pss for process in tree))
-
-    thread = threading.Thread(target=poll, daemon=True)
-    if wanted:
-        thread.start()
-    try:
-        yield peak
-    finally:
-        ended.set()
-        if wanted:
-            thread.join()
+    while not ended.wait(_POLL_SECONDS):
+        with suppress(psutil.Error):  # one of them has ended
+            tree = [parent, *parent.children(recursive=True)]
+            if sum(process.memory_info().rss for process in tree) > peak[0]:
+                peak[0] = max(peak[0], sum(process.memory_full_info().pss for process in tree))

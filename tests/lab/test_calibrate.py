@@ -13,20 +13,12 @@ from hypothesis import given, strategies as st
 
 from bumpymap.core.errors import BumpymapError, OutputError, UsageError
 from bumpymap.lab.settings import CalibrationSettings
-from bumpymap.lab.simulate import calibrate as calibrate_module
-from bumpymap.lab.simulate.calibrate import (
-    calibrate_vehicle,
-    calibration_journal,
-    class_limits,
-    natural_breaks,
-    run_job,
-    summarise,
-)
+from bumpymap.lab.simulate import calibrate
 from bumpymap.lab.simulate.drive import DriveSettings, PatchDrives
 from bumpymap.lab.simulate.jobs import DriveJob
 from bumpymap.lab.simulate.motion_fit import SPEED_RATIOS, fit_means, motion_jobs
 from bumpymap.lab.simulate.plan import calibrated_settings, library_terrains
-from bumpymap.lab.simulate.refit import refit, run_crossing, step_tile
+from bumpymap.lab.simulate.refit import refit, run_crossing
 from bumpymap.lab.worlds.terrains import KINDS
 from bumpymap.rating.calibration import Calibration, DrivenTerrain, shipped_calibrations
 from bumpymap.rating.vehicle_profile import Vehicle, load_profile
@@ -49,7 +41,7 @@ def test_natural_breaks_are_the_best_of_all_splits(values):
         return sum(((g - g.mean()) ** 2).sum() for g in groups)
 
     x = np.sort(values)
-    limits = natural_breaks(np.array(values), 4)
+    limits = calibrate.natural_breaks(np.array(values), 4)
     found = spread(np.split(x, np.searchsorted(x, limits)))
     best = min(spread(np.split(x, cuts)) for cuts in combinations(range(1, len(x)), 3))
     assert found == pytest.approx(best, rel=1e-9, abs=1e-12)
@@ -66,7 +58,7 @@ def test_failed_drives_count_in_p_fail_and_not_in_c_r():
     library = [("library", kind, index) for kind in KINDS for index in range(4)]
     results |= {name: drives(0.01 * (1 + i)) for i, name in enumerate(library)}
     settings = CalibrationSettings(load_profile("warthog"), patches=3, starts=2, z_range=(0.1, 1.0), terrains=4)
-    calibration = summarise(settings, results)
+    calibration = calibrate.summarise(settings, results)
     assert calibration.p_fail[3][1] == pytest.approx(3 / 6)
     assert calibration.c_r[3][1] == pytest.approx((0.5 + 2.0) / 2)
     assert calibration.c_r_log_sd[3][1] == pytest.approx(math.log(4) / math.sqrt(2))
@@ -76,15 +68,19 @@ def test_terrains_that_cannot_be_crossed_do_not_move_the_limits():
     crossed = [terrain(c) for c in (0.1, 0.11, 0.3, 0.31, 0.6, 0.61, 1.0, 1.01)]
     lost = [terrain(5.0, 5, 3), terrain(None, 0, 8)]
     kept = [terrain(1.08, 6, 2)]
-    assert class_limits(crossed + lost) == class_limits(crossed) == pytest.approx((0.205, 0.455, 0.805))
-    assert class_limits(crossed + kept) == pytest.approx((0.205, 0.455, 0.8175), abs=0.0006)
+    assert (
+        calibrate.class_limits(crossed + lost)
+        == calibrate.class_limits(crossed)
+        == pytest.approx((0.205, 0.455, 0.805))
+    )
+    assert calibrate.class_limits(crossed + kept) == pytest.approx((0.205, 0.455, 0.8175), abs=0.0006)
 
 
 def test_vehicle_that_fails_everywhere_and_limits_too_close_together_are_refused():
     with pytest.raises(BumpymapError, match="crosses 3 of 9 terrains"):
-        class_limits([terrain(0.1 * i) for i in (1, 2, 3)] + [terrain(0.1, 1, 7)] * 6)
+        calibrate.class_limits([terrain(0.1 * i) for i in (1, 2, 3)] + [terrain(0.1, 1, 7)] * 6)
     with pytest.raises(BumpymapError, match="too close together"):
-        class_limits([terrain(1e-5 * i) for i in range(1, 20)])
+        calibrate.class_limits([terrain(1e-5 * i) for i in range(1, 20)])
 
 
 @pytest.fixture(scope="module")
@@ -92,17 +88,17 @@ def without_fits():
     """Only table and library: no crossings, no other speeds, no models."""
     pytest.importorskip("dartpy")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(calibrate_module, "refit", lambda made: made)
-        patch.setattr(calibrate_module, "fit_steps", lambda *_: None)
-        patch.setattr(calibrate_module, "fit_motion", lambda *_: SimpleNamespace(to_record=lambda: None))
+        patch.setattr(calibrate, "refit", lambda made: made)
+        patch.setattr(calibrate, "fit_steps", lambda *_: None)
+        patch.setattr(calibrate, "fit_motion", lambda *_: SimpleNamespace(to_record=lambda: None))
         for name in ("crossing_jobs", "motion_jobs"):
-            patch.setattr(calibrate_module, name, lambda _: [])
+            patch.setattr(calibrate, name, lambda _: [])
         yield
 
 
 @pytest.fixture(scope="module")
 def calibration(without_fits):
-    return calibrate_vehicle(SETTINGS)
+    return calibrate.calibrate_vehicle(SETTINGS)
 
 
 @pytest.fixture
@@ -116,7 +112,7 @@ def fake_drives(without_fits, monkeypatch):
         c_r = 0.03 * (1 + kind) if job.key[0] == "table" else 0.01 * (1 + KINDS.index(kind))
         return PatchDrives(("completed",) * job.starts, (c_r,) * job.starts)
 
-    monkeypatch.setattr(calibrate_module, "run_job", run)
+    monkeypatch.setattr(calibrate, "run_job", run)
     return ran
 
 
@@ -130,7 +126,7 @@ def test_real_calibration_rises_with_z_range_and_reads_back(calibration):
 
 def test_classes_mean_the_same_for_tiles_of_another_size(fake_drives):
     like = replace(Calibration.shipped("warthog"), class_limits=(0.05, 0.09, 0.13))
-    made = calibrate_vehicle(SETTINGS, like=like)
+    made = calibrate.calibrate_vehicle(SETTINGS, like=like)
     assert made.class_limits == like.class_limits
     c_r = np.array([terrain.c_r for terrain in library_terrains(made)])
     class_id = np.searchsorted(like.class_limits, c_r, side="right")
@@ -140,7 +136,7 @@ def test_classes_mean_the_same_for_tiles_of_another_size(fake_drives):
 
 @pytest.mark.later
 def test_number_of_workers_changes_nothing(calibration):
-    assert calibrate_vehicle(SETTINGS, workers=2) == calibration
+    assert calibrate.calibrate_vehicle(SETTINGS, workers=2) == calibration
 
 
 @pytest.mark.slow
@@ -152,11 +148,11 @@ def test_interruption_changes_nothing_and_driven_patches_are_not_driven_again(ca
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        calibrate_vehicle(SETTINGS, stop, journal=calibration_journal(path, SETTINGS))
+        calibrate.calibrate_vehicle(SETTINGS, stop, journal=calibrate.calibration_journal(path, SETTINGS))
     assert len(path.read_text().splitlines()) == 1 + TABLE + 3
-    ran = []
-    monkeypatch.setattr(calibrate_module, "run_job", lambda s, job: ran.append(job) or run_job(s, job))
-    assert calibrate_vehicle(SETTINGS, journal=calibration_journal(path, SETTINGS)) == calibration
+    ran, run_job = [], calibrate.run_job
+    monkeypatch.setattr(calibrate, "run_job", lambda s, job: ran.append(job) or run_job(s, job))
+    assert calibrate.calibrate_vehicle(SETTINGS, journal=calibrate.calibration_journal(path, SETTINGS)) == calibration
     assert len(ran) == LIBRARY - 3
 
 
@@ -164,20 +160,20 @@ def test_interruption_changes_nothing_and_driven_patches_are_not_driven_again(ca
 def test_job_depends_on_nothing_but_the_settings(calibration):
     more = replace(SETTINGS, patches=5, starts=2, terrains=3, terrain_starts=3)
     table, library = DriveJob(("table", 3, 1, 1), 1), DriveJob(("library", "furrows", 0), 2)
-    assert run_job(more, replace(table, starts=2)).c_r[:1] == run_job(SETTINGS, table).c_r
-    assert calibration.settings["patch_c_r"][3][1][1] == run_job(SETTINGS, table).c_r[0]
-    made = run_job(SETTINGS, library)
-    assert run_job(more, replace(library, starts=3)).c_r[:2] == made.c_r
+    assert calibrate.run_job(more, replace(table, starts=2)).c_r[:1] == calibrate.run_job(SETTINGS, table).c_r
+    assert calibration.settings["patch_c_r"][3][1][1] == calibrate.run_job(SETTINGS, table).c_r[0]
+    made = calibrate.run_job(SETTINGS, library)
+    assert calibrate.run_job(more, replace(library, starts=3)).c_r[:2] == made.c_r
     assert calibration.settings["library"]["furrows"]["c_r"] == [pytest.approx(made.mean_c_r, rel=1e-5)]
 
 
 def test_cut_off_line_is_dropped(fake_drives, tmp_path, caplog):
     path = tmp_path / "progress"
-    whole = calibrate_vehicle(SETTINGS, journal=calibration_journal(path, SETTINGS))
+    whole = calibrate.calibrate_vehicle(SETTINGS, journal=calibrate.calibration_journal(path, SETTINGS))
     lines = path.read_text().splitlines()
     path.write_text("\n".join(lines[:4]) + "\n" + lines[4][:25])
     fake_drives.clear()
-    assert calibrate_vehicle(SETTINGS, journal=calibration_journal(path, SETTINGS)) == whole
+    assert calibrate.calibrate_vehicle(SETTINGS, journal=calibrate.calibration_journal(path, SETTINGS)) == whole
     assert len(fake_drives) == TABLE + LIBRARY - 3
     assert "damaged line" in caplog.text
     assert path.read_text().splitlines() == lines
@@ -185,12 +181,12 @@ def test_cut_off_line_is_dropped(fake_drives, tmp_path, caplog):
 
 def test_progress_of_other_settings_is_refused_unless_told(fake_drives, tmp_path):
     path = tmp_path / "progress"
-    calibrate_vehicle(SETTINGS, journal=calibration_journal(path, SETTINGS))
+    calibrate.calibrate_vehicle(SETTINGS, journal=calibrate.calibration_journal(path, SETTINGS))
     other = replace(SETTINGS, seed=5)
     with pytest.raises(OutputError, match=r"other settings.*--overwrite"):
-        calibrate_vehicle(other, journal=calibration_journal(path, other))
+        calibrate.calibrate_vehicle(other, journal=calibrate.calibration_journal(path, other))
     fake_drives.clear()
-    calibrate_vehicle(other, journal=calibration_journal(path, other), discard_other=True)
+    calibrate.calibrate_vehicle(other, journal=calibrate.calibration_journal(path, other), discard_other=True)
     assert len(fake_drives) == TABLE + LIBRARY
     assert json.loads(path.read_text().splitlines()[0])["settings"]["seed"] == 5
 
@@ -201,9 +197,11 @@ def test_a_progress_file_that_is_a_link_is_left_alone_even_if_it_became_one_duri
     for target in (mine, tmp_path / "none"):
         path.symlink_to(target)
         with pytest.raises(OutputError, match="is a link and was not touched"):
-            calibrate_vehicle(SETTINGS, journal=calibration_journal(path, SETTINGS), discard_other=True)
+            calibrate.calibrate_vehicle(
+                SETTINGS, journal=calibrate.calibration_journal(path, SETTINGS), discard_other=True
+            )
         path.unlink()
-    journal = calibration_journal(path, SETTINGS)
+    journal = calibrate.calibration_journal(path, SETTINGS)
     assert journal.resume(discard_other=False) == {}
     path.unlink()
     path.symlink_to(mine)
@@ -215,7 +213,7 @@ def test_a_progress_file_that_is_a_link_is_left_alone_even_if_it_became_one_duri
 
 def test_a_full_disk_does_not_cost_what_was_driven(tmp_path, fake_drives, monkeypatch):
     path = tmp_path / "progress"
-    calibrate_vehicle(SETTINGS, journal=calibration_journal(path, SETTINGS))
+    calibrate.calibrate_vehicle(SETTINGS, journal=calibrate.calibration_journal(path, SETTINGS))
     before = path.read_text()
 
     def full(file, *_, **__):
@@ -226,7 +224,7 @@ def test_a_full_disk_does_not_cost_what_was_driven(tmp_path, fake_drives, monkey
     with monkeypatch.context() as patch:
         patch.setattr("pathlib.Path.write_text", full)
         with pytest.raises(OutputError, match="No space left"):
-            calibration_journal(path, SETTINGS).resume(discard_other=False)
+            calibrate.calibration_journal(path, SETTINGS).resume(discard_other=False)
     assert path.read_text() == before
 
 
@@ -244,16 +242,16 @@ def test_shipped_calibration_is_what_this_code_makes(name):
     wanted = {name: value for name, value in settings.to_dict().items() if name not in ("versions", "vehicle")}
     assert {name: made[name] for name in wanted} == wanted
     for texture, z in ((0, 5), (3, 2)):
-        drives = run_job(settings, DriveJob(("table", texture, z, 0), settings.starts))
+        drives = calibrate.run_job(settings, DriveJob(("table", texture, z, 0), settings.starts))
         assert drives.mean_c_r == pytest.approx(made["patch_c_r"][texture][z][0], rel=0.01)
-    drives = run_job(settings, DriveJob(("library", "fractal_5", 1), settings.terrain_starts))
+    drives = calibrate.run_job(settings, DriveJob(("library", "fractal_5", 1), settings.terrain_starts))
     assert drives.mean_c_r == pytest.approx(made["library"]["fractal_5"]["c_r"][1], rel=0.01)
 
 
 @pytest.mark.parametrize("name", shipped_calibrations())
 def test_shipped_class_limits_and_cell_means_follow_from_the_shipped_drives(name):
     shipped = Calibration.shipped(name)
-    assert shipped.class_limits == class_limits(library_terrains(shipped))
+    assert shipped.class_limits == calibrate.class_limits(library_terrains(shipped))
     means = [
         [np.mean([c for c in cell if c is not None] or np.nan) for cell in z] for z in shipped.settings["patch_c_r"]
     ]
@@ -301,16 +299,6 @@ def test_a_calibration_that_was_moved_to_real_drives_or_lacks_the_library_is_ref
     settings = {key: value for key, value in WARTHOG.settings.items() if key != "library"}
     with pytest.raises(UsageError, match="holds no drives over the terrain library"):
         refit(replace(WARTHOG, settings=settings))
-
-
-@pytest.mark.parametrize(("turn", "offset"), [(0, 0.0), (30, -0.2), (45, 0.1)])
-def test_a_tile_has_both_levels_and_their_mean_between(turn, offset):
-    tile = step_tile(turn, offset, 15)
-    assert (tile.min(), tile.max()) == (0, 1)
-    assert ((tile > 0) & (tile < 1)).mean() < 0.25
-    if offset == 0:
-        assert tile.mean() == pytest.approx(0.5, abs=0.005)
-        np.testing.assert_allclose(tile + tile[::-1, ::-1], 1, atol=0.05)
 
 
 @pytest.mark.slow

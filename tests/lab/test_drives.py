@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import threading
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +14,8 @@ from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
 from bumpymap.core.errors import BadInputError, BumpymapError, UsageError
-from bumpymap.lab.evaluate.survey_trial import PatchJob, drive_job
-from bumpymap.lab.settings import EvaluateSettings
 from bumpymap.lab.simulate.drive import Drive, DriveSettings, Effort, PatchDrives, drive_patch, follow
-from bumpymap.lab.simulate.jobs import Journal, drive_jobs
+from bumpymap.lab.simulate.jobs import drive_jobs
 from bumpymap.lab.simulate.model import Physics, Pose
 from bumpymap.lab.simulate.terrain import PatchGround, Strip, strip_triangles
 from bumpymap.rating.vehicle_profile import load_profile
@@ -163,13 +160,6 @@ def test_time_step_must_divide_the_time_between_samples():
     assert DriveSettings(physics=Physics(time_step=0.0005)).steps_per_sample == 20
 
 
-def drive_patches(patches, drive=SHORT, **how):
-    """Drive twice over each patch of a survey, as an evaluation does."""
-    settings = EvaluateSettings(min_starts=2, max_starts=2, seed=1, drive=drive)
-    jobs = [PatchJob(key, 2, heights) for key, heights in patches.items()]
-    return drive_jobs(partial(drive_job, WARTHOG, 3.0, settings), jobs, **how)
-
-
 @pytest.fixture
 def fake_drive(monkeypatch):
     """Drives whose C_r is drawn from their seed; returns settings of the draw and the seeds that were driven."""
@@ -198,28 +188,6 @@ def test_drives_go_on_until_the_mean_is_known(fake_drive):
 def test_patch_that_nothing_crosses_is_given_up_after_the_least(fake_drive):
     fake_drive["fails"] = 1.0
     assert drive_patch(WARTHOG, LEVEL, 3.0, 1, Effort(5, 60, 0.05)).failed == 5
-
-
-def test_driven_patches_are_taken_from_the_journal(fake_drive, tmp_path):
-    patches = {(col, -1): LEVEL for col in range(4)}
-    journal = Journal(tmp_path / "j", {"survey": "x"}, PatchDrives.read)
-    first = drive_patches(dict(list(patches.items())[:3]), journal=journal)
-    fake_drive["seeds"].clear()
-    seen = []
-    again = drive_patches(patches, journal=journal, progress=lambda *numbers: seen.append(numbers))
-    assert {key: again[key] for key in first} == first
-    assert len(fake_drive["seeds"]) == 2
-    assert seen == [(6, 8), (8, 8)]
-
-
-@pytest.mark.later
-def test_real_drives_are_the_same_in_a_pool():
-    pytest.importorskip("dartpy")
-    rough = np.random.default_rng(2).normal(0, 0.02, (15, 15))
-    patches = {(0, 0): rough, (0, 1): rough.T.copy()}
-    alone, pooled = (drive_patches(patches, workers=workers) for workers in (1, 2))
-    assert alone == pooled
-    assert alone[0, 0].completed
 
 
 JOBS = """

@@ -12,20 +12,7 @@ from click.testing import CliRunner
 
 from bumpymap.cli import main
 from bumpymap.core import BadInputError, ClassedSectors, Scan, UsageError
-from bumpymap.lab.evaluate.scans import (
-    DEVIATION,
-    ClassedSectorTable,
-    accuracy_of,
-    all_answers,
-    best_limits,
-    class_rows,
-    ground_score,
-    join_sectors,
-    labels_of,
-    mean_ground,
-    obstacle_score,
-    z_deviation,
-)
+from bumpymap.lab.evaluate import scans
 from bumpymap.lab.label_sets import LABEL_SETS, label_set, require_label_set, tell_label_set
 from bumpymap.readers import find_frames, read_scan
 from bumpymap.scan import classify_filter, polar_sectors
@@ -103,7 +90,7 @@ def test_ids_that_exist_in_two_sets_are_told_by_their_ground_and_doubt_is_said()
             tell_label_set(np.array(labels), "a.label")
 
 
-TABLE = ClassedSectorTable(
+TABLE = scans.ClassedSectorTable(
     class_id={"filter": np.array([0, 0, 1, 2, 2, 2, 255], np.uint8)},
     truth=np.array([0, 1, 1, 2, -1, 0, 2], np.int16),
     traversable=np.array([True] * 6 + [False]),
@@ -115,11 +102,11 @@ TABLE = ClassedSectorTable(
 
 
 def test_a_sector_without_ground_is_rough_to_a_method_and_one_without_a_label_is_not_judged():
-    answers = all_answers(TABLE)
+    answers = scans.all_answers(TABLE)
     assert answers["filter"].tolist() == [0, 0, 1, 2, 2, 2, 2]
     assert [answers[f"always {k}"].tolist() for k in range(3)] == [[k] * 7 for k in range(3)]
-    assert answers[DEVIATION].tolist() == [0, 1, 1, 2, 2, 0, 2]
-    found = accuracy_of(TABLE.truth, answers["filter"])
+    assert answers[scans.DEVIATION].tolist() == [0, 1, 1, 2, 2, 0, 2]
+    found = scans.accuracy_of(TABLE.truth, answers["filter"])
     assert found.confusion == [[1, 0, 1], [1, 1, 0], [0, 0, 2]]
     assert found.right == pytest.approx(4 / 6)
     assert found.recall == pytest.approx([1 / 2, 1 / 2, 1])
@@ -131,10 +118,10 @@ def test_no_limits_are_better_than_the_best(seed):
     rng = np.random.default_rng(seed)
     truth = rng.integers(0, 3, 30).astype(np.int16)
     values = truth * 0.5 + rng.normal(0, 0.5, 30)
-    limits = best_limits(values, truth)
+    limits = scans.best_limits(values, truth)
 
     def even(pair):
-        return accuracy_of(truth, np.searchsorted(pair, values, side="right")).even
+        return scans.accuracy_of(truth, np.searchsorted(pair, values, side="right")).even
 
     assert limits[0] <= limits[1]
     # Forty quantiles of thirty values leave few of them out.
@@ -143,7 +130,7 @@ def test_no_limits_are_better_than_the_best(seed):
 
 
 def test_rows_hold_medians_and_means_of_each_class():
-    smooth, middle, rough = class_rows(TABLE, "filter")
+    smooth, middle, rough = scans.class_rows(TABLE, "filter")
     assert (smooth["sectors"], middle["sectors"], rough["sectors"]) == (2, 1, 3)
     assert smooth["share"] == pytest.approx(1 / 3)
     assert (rough["variance"], rough["stripes"], middle["residual"]) == ((7.0, 11.0), (1.0, 1.5), (0.25, 0.25))
@@ -156,15 +143,19 @@ def test_sectors_without_ground_are_gathered_and_have_no_row():
     label = np.where(points[:, 1] > 0, 3, 19).astype(np.uint16)
     stack = polar_sectors(Scan(points.astype(np.float32), label=label))
     scan = Scan(points.astype(np.float32), label=label)
-    table = join_sectors([{"filter": classify_filter(stack)}] * 2, [z_deviation(scan, stack)] * 2, LABEL_SETS["rellis"])
+    table = scans.join_sectors(
+        [{"filter": classify_filter(stack)}] * 2, [scans.z_deviation(scan, stack)] * 2, LABEL_SETS["rellis"]
+    )
     assert 0 < stack.traversable.sum() < len(stack.zone)
     assert len(table.truth) == 2 * len(stack.zone) == len(table.stripes)
     assert set(table.truth) == {0, 1}
     assert table.variance == pytest.approx(np.tile(stack.variance, 2), nan_ok=True)
     for row in (0, len(stack.zone) - 1):
         assert table.deviation[row] == pytest.approx(points[stack.point_sector == row, 2].std(), abs=1e-5)
-    assert sum(row["sectors"] for row in class_rows(table, "filter")) == 2 * stack.traversable.sum()
-    assert (join_sectors([{"filter": classify_filter(stack)}], [np.zeros(len(stack.zone))], None).truth == -1).all()
+    assert sum(row["sectors"] for row in scans.class_rows(table, "filter")) == 2 * stack.traversable.sum()
+    assert (
+        scans.join_sectors([{"filter": classify_filter(stack)}], [np.zeros(len(stack.zone))], None).truth == -1
+    ).all()
 
 
 KITTI = LABEL_SETS["kitti"]
@@ -180,21 +171,21 @@ def _scan(away, label):
 def test_ground_is_counted_between_4_and_80_m_where_points_have_a_label():
     scan = _scan([5, 6, 7, 8, 9, 10, 3, 81], [ROAD, ROAD, ROAD, FENCE, NONE, OTHER, ROAD, ROAD])
     found = np.array([True, True, False, True, True, True, True, True])
-    score = ground_score(scan, found, KITTI)
+    score = scans.ground_score(scan, found, KITTI)
     assert (score["frame"], score["points"]) == ("one", 4)
     assert (score["precision"], score["recall"], score["f1"]) == pytest.approx((2 / 3, 2 / 3, 2 / 3))
 
 
 def test_nothing_found_has_no_precision_and_a_frame_without_ground_no_part_in_the_mean():
     scan = _scan([5, 6], [ROAD, FENCE])
-    score = ground_score(scan, np.zeros(2, np.bool_), KITTI)
+    score = scans.ground_score(scan, np.zeros(2, np.bool_), KITTI)
     assert np.isnan(score["precision"])
     assert (score["recall"], score["f1"]) == (0.0, 0.0)
-    bare = ground_score(_scan([5], [FENCE]), np.zeros(1, np.bool_), KITTI)
+    bare = scans.ground_score(_scan([5], [FENCE]), np.zeros(1, np.bool_), KITTI)
     good = {"frame": "two", "points": 10, "precision": 1.0, "recall": 0.5, "f1": 0.8}
     mean = {"frame": "mean", "points": 12, "precision": 1.0, "recall": 0.25, "f1": 0.4}
-    assert mean_ground([score, good, bare]) == mean
-    assert np.isnan(mean_ground([bare])["f1"])
+    assert scans.mean_ground([score, good, bare]) == mean
+    assert np.isnan(scans.mean_ground([bare])["f1"])
 
 
 def test_points_of_obstacles_are_looked_for_in_free_sectors():
@@ -202,22 +193,18 @@ def test_points_of_obstacles_are_looked_for_in_free_sectors():
     scan = _scan([5, 5, 5, 5, 5, 5, 3, 5], [FENCE] * 7 + [ROAD])
     rng = np.random.default_rng(1)
     around = np.column_stack([rng.uniform(-12, 12, (20_000, 2)), np.zeros(20_000)]).astype(np.float32)
-    full = polar_sectors(Scan(around))
-    rows = {
-        name: getattr(full, name)[:4]
-        for name in full.__slots__
-        if isinstance(getattr(full, name), np.ndarray) and not name.startswith("point_")
-    }
-    rows["obstacle"] = np.array([False, True, False, False])
+    sectors = polar_sectors(Scan(around))
     stack = replace(
-        polar_sectors(Scan(np.zeros((0, 3), np.float32))),
-        **rows,
+        sectors,
+        obstacle=np.arange(len(sectors.zone)) == 1,
         point_ground=np.zeros(8, np.bool_),
         point_sector=np.array([0, 0, 1, 2, 3, -1, 0, 0], np.int32),
         point_height=np.array([0.5, 3.0, 0.5, 0.5, np.nan, np.nan, 0.5, 0.0], np.float32),
     )
-    classed = ClassedSectors(stack, np.array([0, 1, 2, 255], np.uint8), None, "learned")
-    score = obstacle_score(scan, classed, KITTI)
+    class_id = np.full(len(sectors.zone), 255, np.uint8)
+    class_id[:3] = 0, 1, 2
+    classed = ClassedSectors(stack, class_id, None, "learned")
+    score = scans.obstacle_score(scan, classed, KITTI)
     assert score == {"points": 6, "in_free": 2, "in_free_low": 1, "in_free_class": 3}
 
 
@@ -227,14 +214,14 @@ def test_points_of_obstacles_are_looked_for_in_free_sectors():
 )
 def test_labels_are_told_ground_is_found_and_obstacles_lie_in_sectors_that_say_so(shared_data, name, known, least):
     frames = find_frames([shared_data / "scans" / name])
-    labels, ground, total = labels_of(frames, None), [], Counter()
+    labels, ground, total = scans.labels_of(frames, None), [], Counter()
     assert labels.name == known
     for scan in map(read_scan, frames):
         stack = polar_sectors(scan)
-        ground.append(ground_score(scan, stack.point_ground, labels))
+        ground.append(scans.ground_score(scan, stack.point_ground, labels))
         smooth = np.where(stack.traversable, 0, 255).astype(np.uint8)  # the flag alone, without the help of classes
-        total.update(obstacle_score(scan, ClassedSectors(stack, smooth, None, "learned"), labels))
-    assert mean_ground(ground)["f1"] > least
+        total.update(scans.obstacle_score(scan, ClassedSectors(stack, smooth, None, "learned"), labels))
+    assert scans.mean_ground(ground)["f1"] > least
     assert min(score["f1"] for score in ground) > 0.9
     assert total["points"] > 4000
     assert total["in_free"] < 0.05 * total["points"] < total["in_free_class"]
@@ -312,19 +299,16 @@ def test_labels_set_both_methods_beside_constant_answers(drive, evaluate):
         ((500, 501), (), 3, "fit no label set"),
         ((14, 9), ("--labels", "nuscenes"), 2, "it must be kitti"),
         (None, ("--labels", "kitti"), 3, "has no labels"),
+        (None, (), 3, "no scan has a sector"),
     ],
 )
-def test_labels_of_another_set_are_refused(drive, tmp_path, ids, words, code, message):
+def test_labels_of_another_set_and_drives_without_sectors_are_refused(drive, tmp_path, ids, words, code, message):
     if ids:
         label_drive(drive, ids)
+    elif not words:
+        for frame in drive.glob("*.bin"):
+            np.zeros((50, 4), "<f4").tofile(frame)
     run = CliRunner().invoke(main, ["evaluate", "scans", str(drive), *words, "--out", str(tmp_path / "out")])
     assert run.exit_code == code, run.output
     assert re.search(message, run.output.replace("\n", " "))
     assert not (tmp_path / "out" / "report.md").exists()
-
-
-def test_an_empty_drive_says_so(tmp_path):
-    np.zeros((50, 4), "<f4").tofile(tmp_path / "0.bin")
-    run = CliRunner().invoke(main, ["evaluate", "scans", str(tmp_path), "--out", str(tmp_path / "out")])
-    assert run.exit_code == 3
-    assert "no scan has a sector" in run.output

@@ -25,13 +25,10 @@ def warthog():
 def test_a_shipped_profile_has_the_mass_of_its_vehicle(name, mass):
     assert name in shipped_profiles()
     profile = load_profile(name)
-    assert profile.name == name
+    record = profile.to_dict()
+    assert record["name"] == name
+    assert Vehicle.from_dict(json.loads(json.dumps(record)), "x") == profile
     assert profile.mass_kg == pytest.approx(mass, abs=0.1)
-
-
-def test_dictionary_is_its_own_json_and_builds_the_same_profile(warthog):
-    assert json.loads(json.dumps(warthog)) == warthog
-    assert Vehicle.from_dict(warthog, "x") == load_profile("warthog")
 
 
 def test_file_with_a_path_is_read(tmp_path):
@@ -49,7 +46,6 @@ def test_file_with_a_path_is_read(tmp_path):
         ("wheelbase_m", 10**400, ["wheelbase_m is 1000", "metres"]),
         ("wheelbase_m", 0.6, ["touch", "twice the radius"]),
         ("track_m", 0.2, ["track_m 0.2", "wheel width"]),
-        ("speed_mps", 36, ["speed_mps is 36; it must be between", "36 km/h would be 10"]),
         ("description", "a\x1b[31m\n", [r"description is 'a\x1b[31m\n'", "one line"]),
         ("chassis", 3, ["chassis is 3", "table, [chassis], with mass_kg, inertia_kgm2, com_height_m"]),
         ("chassis.mass_kg", 100_000, ["100,160 kg", "between", "masses in kilograms"]),
@@ -180,7 +176,6 @@ def test_what_a_short_profile_gives_stays_and_what_follows_from_it_follows():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"mass_kg": "?"}, ["mass_kg is not filled in: between 0.3"]),
         ({"suspension": "air"}, ["suspension is 'air'; it must be one of rocker, sprung, rigid"]),
         ({"wheel": {"radius_m": 0.3}}, ["missing wheel.width_m: between"]),
         (

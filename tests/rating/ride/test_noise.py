@@ -42,12 +42,8 @@ def test_the_noise_of_level_ground_is_told_and_taken_off(density, noise):
     assert left < 0.4 * raw
     if noise <= 0.03 and density >= 100:
         assert left < 0.02  # smooth
-
-
-def test_what_wheels_feel_of_noise_is_in_step_with_its_size():
-    patches = surveyed([PLANE] * 16, ScanEffects(1000, 0.01))
-    raw = roll_over(patches.relief_map, OPERATOR).pitch_change_rms
-    assert np.median(denoise(patches, OPERATOR).noise_felt) == pytest.approx(np.median(raw), rel=0.1)
+    felt = np.median(roll_over(patches.relief_map, OPERATOR).pitch_change_rms)
+    assert density < 1000 or np.median(clean.noise_felt) == pytest.approx(felt, rel=0.1)
 
 
 def test_the_noise_of_a_slope_is_that_of_level_ground():

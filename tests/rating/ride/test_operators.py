@@ -116,7 +116,7 @@ def fine():
 def waves(wavelength):
     """Cosine waves along x whose mirror images at the patch's edges go on: one patch of them."""
     x = (np.arange(PIXELS) + 0.5) * SIDE_M / PIXELS
-    wave = HEIGHT_M * np.cos(2 * np.pi * x / wavelength)
+    wave = 0.3 + HEIGHT_M * np.cos(2 * np.pi * x / wavelength)
     return np.ascontiguousarray(np.broadcast_to(wave, (1, PIXELS, PIXELS)), np.float32)
 
 
@@ -137,14 +137,6 @@ def test_waves_pitch_and_roll_and_lift_as_the_closed_forms_say(fine, wavelength)
     assert moved.pitch_change[0, 0] == pytest.approx(pitch.mean(), rel=0.05)
     assert moved.roll_change[0] == pytest.approx(roll.mean(), rel=0.05)
     assert moved.heave[0, 0] == pytest.approx(np.sqrt((lift**2 / 2).mean()), rel=0.05)
-
-
-def test_level_ground_moves_nothing_and_its_height_does_not_matter(fine):
-    level = np.full((1, PIXELS, PIXELS), 0.3, np.float32)
-    moved = move_over(level, fine)
-    assert moved.pitch_change[0, 0] < 1e-5
-    assert moved.roll_change[0] < 1e-5
-    assert moved.heave[0, 0] < 1e-3
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0, 2.0, 6.0])
