@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from _measure import Sample, run_timed
+from run import Sample, run_timed
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "worlds"))
 

@@ -167,65 +167,66 @@ def test_job_depends_on_nothing_but_the_settings(calibration):
     assert calibration.settings["library"]["furrows"]["c_r"] == [pytest.approx(made.mean_c_r, rel=1e-5)]
 
 
-def test_cut_off_line_is_dropped(fake_drives, tmp_path, caplog):
-    path = tmp_path / "progress"
-    whole = calibrate.calibrate_vehicle(SETTINGS, journal=calibrate.calibration_journal(path, SETTINGS))
-    lines = path.read_text().splitlines()
-    path.write_text("\n".join(lines[:4]) + "\n" + lines[4][:25])
-    fake_drives.clear()
-    assert calibrate.calibrate_vehicle(SETTINGS, journal=calibrate.calibration_journal(path, SETTINGS)) == whole
-    assert len(fake_drives) == TABLE + LIBRARY - 3
+DRIVEN = {("a", 1): PatchDrives(("completed",), (0.1,)), ("b", 2): PatchDrives(("rolled",), (None,))}
+
+
+@pytest.fixture
+def progress(tmp_path):
+    """A progress file that holds ``DRIVEN``."""
+    journal = calibrate.calibration_journal(tmp_path / "progress", SETTINGS)
+    assert journal.resume(discard_other=False) == {}
+    for key, drives in DRIVEN.items():
+        journal.add(key, drives)
+    return tmp_path / "progress"
+
+
+def resume(path, settings=SETTINGS, *, discard_other=False):
+    return calibrate.calibration_journal(path, settings).resume(discard_other=discard_other)
+
+
+def test_cut_off_line_is_dropped(progress, caplog):
+    lines = progress.read_text().splitlines()
+    progress.write_text("\n".join(lines)[:-9])
+    assert resume(progress) == {("a", 1): DRIVEN["a", 1]}
     assert "damaged line" in caplog.text
-    assert path.read_text().splitlines() == lines
+    assert progress.read_text().splitlines() == lines[:2]
 
 
-def test_progress_of_other_settings_is_refused_unless_told(fake_drives, tmp_path):
-    path = tmp_path / "progress"
-    calibrate.calibrate_vehicle(SETTINGS, journal=calibrate.calibration_journal(path, SETTINGS))
+def test_progress_of_other_settings_is_refused_unless_told(progress):
     other = replace(SETTINGS, seed=5)
     with pytest.raises(OutputError, match=r"other settings.*--overwrite"):
-        calibrate.calibrate_vehicle(other, journal=calibrate.calibration_journal(path, other))
-    fake_drives.clear()
-    calibrate.calibrate_vehicle(other, journal=calibrate.calibration_journal(path, other), discard_other=True)
-    assert len(fake_drives) == TABLE + LIBRARY
-    assert json.loads(path.read_text().splitlines()[0])["settings"]["seed"] == 5
+        resume(progress, other)
+    assert resume(progress) == DRIVEN
+    assert resume(progress, other, discard_other=True) == {}
+    (header,) = progress.read_text().splitlines()
+    assert json.loads(header)["settings"]["seed"] == 5
 
 
-def test_a_progress_file_that_is_a_link_is_left_alone_even_if_it_became_one_during_the_run(tmp_path, fake_drives):
+@pytest.mark.parametrize("target", ["mine", "none"])
+def test_a_progress_file_that_is_a_link_or_became_one_during_the_run_is_left_alone(tmp_path, target):
     path, mine = tmp_path / "progress", tmp_path / "mine"
     mine.write_text("mine")
-    for target in (mine, tmp_path / "none"):
-        path.symlink_to(target)
-        with pytest.raises(OutputError, match="is a link and was not touched"):
-            calibrate.calibrate_vehicle(
-                SETTINGS, journal=calibrate.calibration_journal(path, SETTINGS), discard_other=True
-            )
-        path.unlink()
     journal = calibrate.calibration_journal(path, SETTINGS)
-    assert journal.resume(discard_other=False) == {}
+    journal.resume(discard_other=False)
     path.unlink()
-    path.symlink_to(mine)
-    with pytest.raises(OutputError, match="is a link and was not touched"):
-        journal.add(("a", 1), PatchDrives(("completed",), (0.1,)))
+    path.symlink_to(tmp_path / target)
+    for touch in (lambda: resume(path, discard_other=True), lambda: journal.add(("a", 1), DRIVEN["a", 1])):
+        with pytest.raises(OutputError, match="is a link and was not touched"):
+            touch()
     assert sorted(found.name for found in tmp_path.iterdir()) == ["mine", "progress"]
     assert mine.read_text() == "mine"
 
 
-def test_a_full_disk_does_not_cost_what_was_driven(tmp_path, fake_drives, monkeypatch):
-    path = tmp_path / "progress"
-    calibrate.calibrate_vehicle(SETTINGS, journal=calibrate.calibration_journal(path, SETTINGS))
-    before = path.read_text()
-
+def test_a_full_disk_does_not_cost_what_was_driven(progress, monkeypatch):
     def full(file, *_, **__):
-        with file.open("w") as opened:
-            opened.write("half")
+        file.touch()
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patch:
         patch.setattr("pathlib.Path.write_text", full)
         with pytest.raises(OutputError, match="No space left"):
-            calibrate.calibration_journal(path, SETTINGS).resume(discard_other=False)
-    assert path.read_text() == before
+            resume(progress)
+    assert resume(progress) == DRIVEN
 
 
 @pytest.mark.later

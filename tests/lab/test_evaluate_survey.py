@@ -1,7 +1,7 @@
 """Drives held against ratings: statistics by SciPy and scikit-learn, which patches are driven, whole runs."""
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,15 +17,6 @@ from bumpymap.core.errors import BadInputError
 from bumpymap.core.interrupts import SilentProgress
 from bumpymap.lab.evaluate import agreement, survey_trial
 from bumpymap.lab.evaluate.rated_survey import Subject, Verdict, open_readers
-from bumpymap.lab.evaluate.report import plain_record
-from bumpymap.lab.evaluate.survey_trial import (
-    BINS,
-    TrialOptions,
-    choose_patches,
-    driven_ground,
-    evaluate_survey,
-    strata,
-)
 from bumpymap.lab.settings import EvaluateSettings
 from bumpymap.lab.simulate.drive import DriveSettings, PatchDrives
 from bumpymap.rating import Calibration, TextureModel
@@ -172,20 +163,16 @@ def test_rows_hold_means_medians_and_shares_and_what_does_not_rise_is_named():
     assert falls == {"variance_median", "variance_mean", "c_r_median"}
 
 
-def ground(seed):
-    rng = np.random.default_rng(seed)
-    return np.exp(rng.normal(-1, 1, 2000)), rng.random(2000) ** 3, rng.random(2000)
-
-
 @given(SEEDS)
 def test_every_stratum_gives_as_many_patches_as_it_can_and_more_patches_keep_those_of_before(seed):
-    c_r, p_fail, priority = ground(seed)
-    stratum = strata(c_r, p_fail)
-    few, chosen = (set(choose_patches(stratum, priority, total).tolist()) for total in (120, 300))
+    rng = np.random.default_rng(seed)
+    c_r, p_fail, priority = np.exp(rng.normal(-1, 1, 2000)), rng.random(2000) ** 3, rng.random(2000)
+    stratum = survey_trial.strata(c_r, p_fail)
+    few, chosen = (set(survey_trial.choose_patches(stratum, priority, total).tolist()) for total in (120, 300))
     assert len(chosen) == 300
-    assert np.array_equal(stratum == BINS, p_fail >= 0.5)  # of what is expected to fail
+    assert np.array_equal(stratum == survey_trial.BINS, p_fail >= 0.5)  # of what is expected to fail
     assert few < chosen
-    there, taken = (np.bincount(part, minlength=BINS + 1) for part in (stratum, stratum[list(chosen)]))
+    there, taken = (np.bincount(part, minlength=survey_trial.BINS + 1) for part in (stratum, stratum[list(chosen)]))
     short = taken < taken.max() - 1
     assert np.array_equal(taken[short], there[short])
 
@@ -197,7 +184,7 @@ def test_holes_are_filled_on_the_same_plane(measure_points):
     kept = np.hypot(x - 1.2, y - 1.8) > 0.4
     whole, holed = measure_points(x, y, z), measure_points(x[kept], y[kept], z[kept])
     assert np.isnan(holed.heights[0]).any()
-    apart = driven_ground(holed)[0] - driven_ground(whole)[0]
+    apart = survey_trial.driven_ground(holed)[0] - survey_trial.driven_ground(whole)[0]
     assert np.isfinite(apart).all()
     assert np.ptp(apart) < 0.12
 
@@ -230,8 +217,10 @@ def fake_drives(monkeypatch):
 
 
 def evaluate(subject, settings, out):
-    options, trial = ReadOptions(crs="EPSG:32632"), TrialOptions(out, 1, overwrite=False, progress=SilentProgress())
-    return evaluate_survey(open_readers([QUARRY], options, local=False), options, "all", subject, settings, trial)
+    options = ReadOptions(crs="EPSG:32632")
+    trial = survey_trial.TrialOptions(out, 1, overwrite=False, progress=SilentProgress())
+    readers = open_readers([QUARRY], options, local=False)
+    return survey_trial.evaluate_survey(readers, options, "all", subject, settings, trial)
 
 
 @pytest.mark.slow
@@ -243,19 +232,6 @@ def test_a_survey_is_driven_and_rated(subject, settings, tmp_path):
     assert set(own.agreement) >= {"ride", "table"}
     assert sum(row["tiles"] for row in found.classes["ride"]["rows"]) == found.facts["judged_tiles"]
     assert [path.suffix for path in tmp_path.iterdir()] == [".jsonl"]
-
-
-def test_drives_are_not_made_twice_even_for_another_calibration(subject, settings, tmp_path, fake_drives):
-    first = evaluate(subject, settings, tmp_path)
-    assert len(fake_drives) == 10
-    again = evaluate(subject, settings, tmp_path)
-    assert len(fake_drives) == 10
-    assert plain_record(asdict(again)) == plain_record(asdict(first))
-    other = replace(subject.calibration, class_limits=(0.05, 0.2, 0.4))
-    evaluate(Subject.of(other, subject.textures), settings, tmp_path)
-    assert len(fake_drives) == 10
-    evaluate(subject, replace(settings, total_patches=15), tmp_path)
-    assert len(fake_drives) == 15
 
 
 def test_a_survey_too_sparse_to_judge_says_why(subject, settings, tmp_path):
@@ -277,7 +253,7 @@ def cli(subject, tmp_path):
     return run
 
 
-def test_command_writes_a_report_and_does_not_replace_it(subject, tmp_path, fake_drives, cli):
+def test_command_writes_a_report_and_drives_nothing_twice_for_another_calibration(subject, tmp_path, fake_drives, cli):
     (tmp_path / "own.json").write_text(replace(subject.calibration, ride=None).to_json())
     few = ("--set", "total_patches=10")
     result = cli(QUARRY, *few)
@@ -299,7 +275,11 @@ def test_command_writes_a_report_and_does_not_replace_it(subject, tmp_path, fake
     refused = cli(QUARRY, *few)
     assert refused.exit_code == 3
     assert "--overwrite" in refused.output
-    assert cli(QUARRY, *few, "--overwrite").exit_code == 0
+    other = replace(subject.calibration, class_limits=(0.05, 0.2, 0.4))
+    for calibration, total in ((subject.calibration, 10), (other, 10), (other, 15)):
+        (tmp_path / "own.json").write_text(calibration.to_json())
+        assert cli(QUARRY, "--set", f"total_patches={total}", "--overwrite").exit_code == 0
+        assert len(fake_drives) == total
     gone = cli(tmp_path / "gone.laz", "--out", tmp_path / "none")
     assert (gone.exit_code, (tmp_path / "none").exists()) == (3, False)
     assert "does not exist" in gone.output

@@ -52,11 +52,7 @@ def test_holes_are_filled_as_the_features_fill_them(patches):
 
 def test_epochs_shuffle_and_alter_anew_but_repeatably():
     training = texture_data.training_patches(1, 40, 15)
-    first, again, second = (
-        texture_data.epoch_samples(training, 1, 0),
-        texture_data.epoch_samples(training, 1, 0),
-        texture_data.epoch_samples(training, 1, 1),
-    )
+    first, again, second = (texture_data.epoch_samples(training, 1, epoch) for epoch in (0, 0, 1))
     assert_array_equal(first.patches, again.patches)
     assert_array_equal(first.labels, again.labels)
     assert (np.diff(first.labels) < 0).any()
@@ -65,10 +61,8 @@ def test_epochs_shuffle_and_alter_anew_but_repeatably():
 
 
 def test_unseen_patches_share_none_with_training():
-    training, unseen = (
-        texture_data.training_patches(1, 60, 15),
-        texture_data.unseen_patches(1, 60, 15, texture_data.NONE),
-    )
+    training = texture_data.training_patches(1, 60, 15)
+    unseen = texture_data.unseen_patches(1, 60, 15, texture_data.NONE)
     flat = np.concatenate([training.patches, unseen.patches]).reshape(480, -1)
     assert len(np.unique(flat, axis=0)) == 480
     assert np.abs(training.patches - unseen.patches).max(axis=(1, 2)).min() > 0.05

@@ -215,15 +215,6 @@ def test_predictions_inside_the_range_are_the_moved_ones(name):
     assert np.all(after.below[middle] < 1.5 * before.below[middle])
 
 
-def test_ground_below_the_range_stays_proportional():
-    _, new = moved_by(CALIBRATION)
-    now = Correction.from_record(new.ride)
-    g = np.exp(np.array([now.log_range[0], now.log_range[0] - 1.0]))
-    rides = replace(Rides(**{field.name: g for field in fields(Rides)}), belly_reach=np.zeros(2))
-    found = now.predict(rides, np.zeros(2), np.zeros(2), np.full(2, 10.0))
-    assert found.log_c_r[0] - found.log_c_r[1] == pytest.approx(1.0)
-
-
 @pytest.mark.parametrize("name", shipped_calibrations())
 def test_thin_tiles_steps_and_the_table_move_too(name):
     old = Calibration.shipped(name)
@@ -241,11 +232,7 @@ def test_thin_tiles_steps_and_the_table_move_too(name):
     known = [(a, b) for x, y in zip(old.c_r, new.c_r, strict=True) for a, b in zip(x, y, strict=True) if a is not None]
     assert [b for _, b in known] == pytest.approx([math.exp(move.log(math.log(a))) for a, _ in known])
     assert new.class_limits == old.class_limits
-
-
-def test_classes_hold_the_terrains_that_moved_into_them():
-    _, new = moved_by(CALIBRATION, shift=0.4)
-    edges = [0.0, *CALIBRATION.class_limits, math.inf]
+    edges = [0.0, *old.class_limits, math.inf]
     assert all(a <= mean <= b for a, mean, b in zip(edges, new.class_c_r, edges[1:], strict=False))
 
 

@@ -207,16 +207,12 @@ def test_tiles_without_a_step_unknown_ones_and_those_that_are_rougher_keep_their
         assert felt[name].dtype == columns[name].dtype
 
 
-def test_a_border_is_usable_if_it_is_known_and_low():
+def test_a_border_is_usable_if_it_is_known_and_low_and_without_drives_the_wheel_decides():
     border = np.array([[0.0, 0.05, 2.0, np.nan]])
     for calibration in (SHIPPED, BARE):
         np.testing.assert_array_equal(edge_usable(border, calibration), [[True, True, False, False]])
     assert np.isnan(crossing_fails(border, SHIPPED)[0, 3])
-
-
-def test_without_drives_the_wheel_decides():
-    radius = BARE.vehicle["wheel"]["radius_m"]
-    steps = radius * np.array([0.4, 0.7, 0.8, 1.0])
+    steps = BARE.vehicle["wheel"]["radius_m"] * np.array([0.4, 0.7, 0.8, 1.0])
     np.testing.assert_array_equal(edge_usable(steps, BARE), [True, True, False, False])
     np.testing.assert_allclose(crossing_fails(steps, BARE), [0, 0.4, 0.6, 1], atol=1e-6)
 

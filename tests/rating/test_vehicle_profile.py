@@ -192,13 +192,9 @@ def test_a_faulty_short_profile_is_refused_without_what_would_be_estimated(chang
     assert all(word in str(caught.value) for word in ["my.toml", *words])
     assert "missing chassis" not in str(caught.value)
     assert "inertia" not in str(caught.value)
-
-
-def test_without_a_mass_of_the_whole_every_part_is_asked_for():
-    record = {key: value for key, value in SHORT.items() if key not in {"mass_kg", "suspension"}}
-    with pytest.raises(BadInputError, match=r"missing chassis: a table") as caught:
-        Vehicle.from_dict(record, "my.toml")
-    assert "mass_kg and suspension" in str(caught.value)
+    parts = {key: value for key, value in SHORT.items() if key not in {"mass_kg", "suspension"}}
+    with pytest.raises(BadInputError, match=r"missing chassis: a table[^|]*mass_kg and suspension"):
+        Vehicle.from_dict(parts, "my.toml")
 
 
 def test_the_template_takes_ten_values(tmp_path):
