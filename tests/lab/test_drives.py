@@ -162,11 +162,10 @@ def test_time_step_must_divide_the_time_between_samples():
 
 @pytest.fixture
 def fake_drive(monkeypatch):
-    """Drives whose C_r is drawn from their seed; returns settings of the draw and the seeds that were driven."""
-    state = {"spread": 0.2, "fails": 0.0, "seeds": []}
+    """Drives whose C_r is drawn from their seed; returns the settings of the draw."""
+    state = {"spread": 0.2, "fails": 0.0}
 
     def drive(_profile, _ground, seed, _settings):
-        state["seeds"].append(seed)
         rng = np.random.default_rng(seed)
         failed = rng.random() < state["fails"]
         c_r = math.nan if failed else 0.1 * (1 + state["spread"] * rng.standard_normal())

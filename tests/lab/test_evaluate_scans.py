@@ -141,11 +141,10 @@ def test_sectors_without_ground_are_gathered_and_have_no_row():
     points = np.column_stack([rng.uniform(-15, 15, (40_000, 2)), rng.normal(0, 0.02, 40_000)])
     points[points[:, 0] > 5, 2] += 3 * points[points[:, 0] > 5, 0]
     label = np.where(points[:, 1] > 0, 3, 19).astype(np.uint16)
-    stack = polar_sectors(Scan(points.astype(np.float32), label=label))
     scan = Scan(points.astype(np.float32), label=label)
-    table = scans.join_sectors(
-        [{"filter": classify_filter(stack)}] * 2, [scans.z_deviation(scan, stack)] * 2, LABEL_SETS["rellis"]
-    )
+    stack = polar_sectors(scan)
+    classed, deviation = {"filter": classify_filter(stack)}, scans.z_deviation(scan, stack)
+    table = scans.join_sectors([classed] * 2, [deviation] * 2, LABEL_SETS["rellis"])
     assert 0 < stack.traversable.sum() < len(stack.zone)
     assert len(table.truth) == 2 * len(stack.zone) == len(table.stripes)
     assert set(table.truth) == {0, 1}
@@ -153,9 +152,7 @@ def test_sectors_without_ground_are_gathered_and_have_no_row():
     for row in (0, len(stack.zone) - 1):
         assert table.deviation[row] == pytest.approx(points[stack.point_sector == row, 2].std(), abs=1e-5)
     assert sum(row["sectors"] for row in scans.class_rows(table, "filter")) == 2 * stack.traversable.sum()
-    assert (
-        scans.join_sectors([{"filter": classify_filter(stack)}], [np.zeros(len(stack.zone))], None).truth == -1
-    ).all()
+    assert (scans.join_sectors([classed], [deviation], None).truth == -1).all()
 
 
 KITTI = LABEL_SETS["kitti"]

@@ -77,10 +77,8 @@ def test_crowns_over_the_ground_are_bushes_and_trunks_are_not():
 
 def test_turned_cuts_see_the_same_ground_in_other_sectors():
     scan = _ring(3, 0.05)
-    once, thrice = (
-        scan_sectors.labelled_sectors(scan),
-        scan_sectors.labelled_sectors(scan, [(0.1, PolarSettings()), (1.0, PolarSettings())]),
-    )
+    once = scan_sectors.labelled_sectors(scan)
+    thrice = scan_sectors.labelled_sectors(scan, [(0.1, PolarSettings()), (1.0, PolarSettings())])
     assert len(thrice.class_id) == 3 * len(once.class_id)
     assert_array_equal(thrice.patches[: len(once.class_id)], once.patches)
     others = thrice.patches[len(once.class_id) :]

@@ -255,7 +255,7 @@ def test_steps_are_rated_on_top_of_the_ground_alone():
     np.testing.assert_array_equal(with_it["c_r"][still], raised["c_r"][still])
 
 
-def test_it_is_no_property_of_the_drives(tmp_path):
+def test_a_floor_is_no_property_of_the_drives(tmp_path):
     """A profile may change it without a new calibration, and a calibration without one loads as before."""
     assert floor_of(SHIPPED.vehicle) == SHIPPED.floor == 0.0
     profile = load_profile("warthog").to_dict()
