@@ -63,6 +63,8 @@ def test_a_file_that_is_no_set_is_refused(tmp_path, text):
         label_set(tmp_path / "a.csv")
     with pytest.raises(UsageError, match="kitti, semantic-kitti, rellis, or a file"):
         label_set("semantickitti")
+    with pytest.raises(BadInputError, match="cannot read"):
+        label_set("none/a.csv")
 
 
 @pytest.mark.parametrize(
