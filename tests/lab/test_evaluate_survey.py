@@ -254,7 +254,8 @@ def cli(subject, tmp_path):
 
 
 def test_command_writes_a_report_and_drives_nothing_twice_for_another_calibration(subject, tmp_path, fake_drives, cli):
-    (tmp_path / "own.json").write_text(replace(subject.calibration, ride=None).to_json())
+    own = replace(subject.calibration, ride=None)
+    (tmp_path / "own.json").write_text(own.to_json())
     few = ("--set", "total_patches=10")
     result = cli(QUARRY, *few)
     assert result.exit_code == 0, result.output
@@ -275,8 +276,7 @@ def test_command_writes_a_report_and_drives_nothing_twice_for_another_calibratio
     refused = cli(QUARRY, *few)
     assert refused.exit_code == 3
     assert "--overwrite" in refused.output
-    other = replace(subject.calibration, class_limits=(0.05, 0.2, 0.4))
-    for calibration, total in ((subject.calibration, 10), (other, 10), (other, 15)):
+    for calibration, total in ((own, 10), (replace(own, class_limits=(0.05, 0.2, 0.4)), 10), (own, 15)):
         (tmp_path / "own.json").write_text(calibration.to_json())
         assert cli(QUARRY, "--set", f"total_patches={total}", "--overwrite").exit_code == 0
         assert len(fake_drives) == total
