@@ -225,7 +225,7 @@ def note_same_bits(given, cases, results):
 
 def machine():
     """Describe this machine (without its name) and the versions in use."""
-    there = {name for found in importlib.metadata.packages_distributions().values() for name in found}
+    there = {found.name for found in importlib.metadata.distributions()}
     versions = [f"{name} {importlib.metadata.version(name)}" for name in PACKAGES if name in there]
     if shutil.which("pdal"):
         told = subprocess.run(["pdal", "--version"], capture_output=True, text=True, check=False).stdout
