@@ -96,9 +96,9 @@ def test_a_floor_is_a_rate_in_time():
     fast = at_speed(husky, 2 * own)
     assert fast.map_floor == pytest.approx(husky.floor / 2)
     factors = np.array([[2.0, 3.0, 4.0]], np.float32)
-    driven = 0.05
-    c_r = np.array([np.hypot(driven, husky.floor)], np.float32)
-    (found,) = motion_felt(husky, (2 * own,), factors, c_r)
-    np.testing.assert_allclose(found, [np.hypot(2 * driven, husky.floor / 2), 3 * driven, 4 * driven], rtol=1e-5)
+    for calibration in (husky, fast):
+        c_r = np.array([np.hypot(0.05, calibration.map_floor)], np.float32)
+        (found,) = motion_felt(calibration, (2 * own,), factors, c_r)
+        np.testing.assert_allclose(found, [np.hypot(2 * 0.05, husky.floor / 2), 3 * 0.05, 4 * 0.05], rtol=1e-5)
     (level,) = motion_felt(husky, (2 * own,), factors, np.array([husky.floor], np.float32))
     np.testing.assert_allclose(level, [husky.floor / 2, 0.0, 0.0], atol=1e-4)
