@@ -1,4 +1,7 @@
-"""Draw docs/pages/img/quarry_truth.png: the relief of the sample site, its crowns and its zones. Needs matplotlib."""
+"""Draw docs/pages/img/quarry_zones.png: the ground points of the sample site, its crowns and its zones.
+
+Needs matplotlib.
+"""
 
 import sys
 from pathlib import Path
@@ -10,15 +13,17 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import LightSource
+from scipy import ndimage
+from scipy.stats import binned_statistic_2d
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "worlds"))
 
-from made_quarry import BOUNDS, height, tiles_of
+from made_quarry import BOUNDS, tiles_of
 
 ROOT = Path(__file__).resolve().parents[2]
-STEP = 0.1
+STEP = 0.15
 SYMBOLS = "RWUXSP/BAfmo"
-CROWN_CLASS = 5
+GROUND_CLASS, CROWN_CLASS = 2, 5
 LABELS = {
     "road": (20, 27),
     "washboard": (64, 28),
@@ -34,13 +39,21 @@ LABELS = {
 }
 
 
+def heights_of(survey: laspy.LasData) -> np.ndarray:
+    """Return the median height of the ground points of each pixel of ``STEP`` m, south first, without holes."""
+    ground = (np.asarray(survey.classification) == GROUND_CLASS) & (np.asarray(survey.withheld) == 0)
+    y, x, z = (np.asarray(survey[axis])[ground] for axis in "yxz")
+    edges = (np.arange(BOUNDS.south, BOUNDS.north + STEP, STEP), np.arange(BOUNDS.west, BOUNDS.east + STEP, STEP))
+    heights = binned_statistic_2d(y, x, z, "median", edges).statistic
+    nearest = ndimage.distance_transform_edt(np.isnan(heights), return_distances=False, return_indices=True)
+    return heights[tuple(nearest)]
+
+
 def draw(target: Path) -> None:
     """Draw hillshade and zone outlines side by side."""
     box = BOUNDS
-    easting = np.arange(box.west + STEP / 2, box.east, STEP)
-    northing = np.arange(box.south + STEP / 2, box.north, STEP)
-    east, north = np.meshgrid(easting, northing)
-    shade = LightSource(315, 40).hillshade(height(east, north), vert_exag=2.0, dx=STEP, dy=STEP)
+    survey = laspy.read(ROOT / "sample_data" / "quarry.laz")
+    shade = LightSource(315, 40).hillshade(heights_of(survey), vert_exag=2.0, dx=STEP, dy=STEP)
     zones = np.ma.masked_all((round((box.north - box.south) / 3), round((box.east - box.west) / 3)))
     for number, symbol in enumerate(SYMBOLS):
         col, row = tiles_of(symbol)
@@ -48,11 +61,10 @@ def draw(target: Path) -> None:
     extent = (0.0, box.east - box.west, 0.0, box.north - box.south)
     figure, (left, right) = plt.subplots(1, 2, figsize=(16, 6.9), sharey=True, layout="constrained")
     left.imshow(shade, origin="lower", extent=extent, cmap="gray")
-    left.set_title("relief (hillshade, heights doubled) and tree crowns")
+    left.set_title("ground points (hillshade, heights doubled) and tree crowns")
     right.imshow(shade, origin="lower", extent=extent, cmap="gray")
     right.imshow(zones, origin="lower", extent=extent, cmap="gist_rainbow", alpha=0.35, interpolation="nearest")
     right.set_title("zones, by tiles; grey: one surface fades into the next")
-    survey = laspy.read(ROOT / "sample_data" / "quarry.laz")
     crowns = np.asarray(survey.classification) == CROWN_CLASS
     left.plot(survey.x[crowns] - box.west, survey.y[crowns] - box.south, ",", color="#2e7d32")
     for name, (x, y) in LABELS.items():
@@ -67,4 +79,4 @@ def draw(target: Path) -> None:
 
 
 if __name__ == "__main__":
-    draw(ROOT / "docs" / "pages" / "img" / "quarry_truth.png")
+    draw(ROOT / "docs" / "pages" / "img" / "quarry_zones.png")
