@@ -12,18 +12,9 @@ from small_surveys import write_survey
 
 from bumpymap.cli import main
 
-pytestmark = pytest.mark.slow
-
-
-@pytest.fixture(autouse=True)
-def heard():
-    """A background job of a shell ignores SIGINT, and so would every process that it starts."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
 # The signal arrives at a known place: with early tiles finished, or with none.
+
+
 WITH_TILES = """
 import os, signal, sys
 from bumpymap.cli import main
@@ -47,11 +38,11 @@ main()
 def ended(name, out, survey, *, after_tiles):
     code = WITH_TILES.format(name=name, after_tiles=after_tiles)
     words = ["map", str(survey), "--out", str(out), "--set", f"scratch={out.parent / 'tmp'}"]
-    return subprocess.run(
-        [sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=120, check=False
-    )
+    command = [sys.executable, "-c", code, *words]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "code", "word"),
     [("SIGTERM", 143, "Terminated."), pytest.param("SIGINT", 130, "Interrupted.", marks=pytest.mark.later)],
@@ -114,6 +105,8 @@ for instant in range(1, INSTANTS):
     at = instant * steps // INSTANTS
     print(at, child(at), flush=True)
 """
+
+
 INSTANTS = 12
 
 
@@ -151,6 +144,8 @@ def run_job(settings, job):
     (Path(__file__).parent / f"{os.getpid()}.worker").touch()
     time.sleep(3600)
 """
+
+
 DRIVING = """
 import sys
 sys.path.insert(0, {folder!r})
@@ -164,12 +159,14 @@ from bumpymap.cli import main
 sys.argv[0] = "bumpymap"
 main()
 """
+
+
 KEPT = "No file is half-written. The driven patches are kept: give the same command again to continue."
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "code", "word"), [("SIGTERM", 143, "Terminated."), ("SIGINT", 130, "Interrupted.")])
 @pytest.mark.parametrize("send", [pytest.param("kill", marks=pytest.mark.later), "killpg"])
-@pytest.mark.skipif(sys.platform == "win32", reason="signals are those of POSIX")
 def test_a_signal_ends_the_workers_too_and_keeps_what_was_driven(tmp_path, name, code, word, send):
     (tmp_path / "slow.py").write_text(SLOW)
     progress = tmp_path / "c.json.progress.jsonl"

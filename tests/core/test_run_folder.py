@@ -187,19 +187,6 @@ def test_in_any_order_with_gaps_and_overlaps(seed, monkeypatch):
     assert rest.read >= np.count_nonzero(~seen)
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_parts_in_any_order_are_read_once(seed):
-    data = content(3 * PIECE + 7)
-    cuts = np.sort(np.random.default_rng(seed).choice(len(data), 50, replace=False))
-    spans = list(zip([0, *cuts], [*cuts, len(data)], strict=True))
-    np.random.default_rng(seed).shuffle(spans)
-    made, rest = FileHash(len(data)), Rest(data)
-    for start, stop in spans[1:]:
-        made.add(start, data[start:stop])
-    assert made.finish(rest) == expected(data)
-    assert rest.read in (PIECE, 7 + PIECE, 7)
-
-
 def test_two_readers_share_a_file():
     data = content(SIZES[-1])
     one, two, both = (FileHash(len(data)) for _ in range(3))

@@ -1,21 +1,27 @@
-"""What is told of a run: lines where there is no terminal, events for machines, nothing when it is quiet."""
+"""What is told of a run: lines, a bar, events for machines, nothing when quiet; foreign text is shown, never obeyed."""
 
+import ast
 import io
 import json
 import logging
+import sys
+import unicodedata
 from datetime import datetime
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 from rich.console import Console
-from small_surveys import write_survey
+from small_surveys import run, write_survey
 
-from bumpymap.cli import _progress, main
+from bumpymap.cli import _progress
 from bumpymap.cli._exit_code import exit_code_of
+from bumpymap.cli._text import print_error, print_json, print_line, print_table
+from bumpymap.core import escape_controls
 from bumpymap.core.errors import BadInputError
 
 ROOT = Path(__file__).resolve().parents[2]
+
+
 QUARRY = ROOT / "sample_data" / "quarry.laz"
 
 
@@ -103,23 +109,13 @@ def test_quiet_says_nothing(capsys):
     assert capsys.readouterr() == ("", "")
 
 
-def run(*words):
-    return CliRunner().invoke(main, [str(word) for word in words])
-
-
 def test_a_run_in_events(tmp_path):
     survey = write_survey(tmp_path / "a.laz")
     result = run("map", survey, "--out", tmp_path / "o", "--json")
     assert result.exit_code == 0
     found = events(result.stderr)
-    assert [event["event"] for event in found if event["event"] not in {"info", "compiling"}] == [
-        "start",
-        "stage",
-        "stage",
-        "stage",
-        "stage",
-        "done",
-    ]
+    kinds = [event["event"] for event in found if event["event"] not in {"info", "compiling"}]
+    assert kinds == ["start", *4 * ["stage"], "done"]
     assert found[0]["arguments"] == ["map", str(survey), "--out", str(tmp_path / "o"), "--json"]
     assert found[-1]["exit_code"] == 0
     assert json.loads(result.stdout)["points"] == 20_000
@@ -147,24 +143,17 @@ def test_the_last_event_of_a_failure(tmp_path, monkeypatch, words, code, kind):
     assert last["kind"] == kind or kind.startswith("NoSuch")  # older click has one name for these
 
 
-def test_what_stands_after_two_dashes_is_no_option(tmp_path, capsys):
-    def fail():
-        raise BadInputError("no")
+def test_what_stands_after_two_dashes_is_no_option_and_a_fault_is_an_event_with_its_traceback(capsys):
+    def fail(error):
+        raise error
 
-    assert exit_code_of(fail, ["map", "--", "--json"]) == 3
+    assert exit_code_of(lambda: fail(BadInputError("no")), ["map", "--", "--json"]) == 3
     assert capsys.readouterr().err == "Error: no\n"
-
-
-def test_a_fault_is_an_event_with_its_traceback(capsys):
-    def fail():
-        raise KeyError("x")
-
     with pytest.raises(KeyError):
-        exit_code_of(fail, ["map"])
-    assert exit_code_of(fail, ["map", "--json"]) == 1
+        exit_code_of(lambda: fail(KeyError("x")), ["map"])
+    assert exit_code_of(lambda: fail(KeyError("x")), ["map", "--json"]) == 1
     last = events(capsys.readouterr().err)[-1]
-    assert (last["event"], last["kind"]) == ("error", "KeyError")
-    assert "Traceback" in last["traceback"]
+    assert (last["event"], last["kind"], "Traceback" in last["traceback"]) == ("error", "KeyError", True)
 
 
 def test_a_command_leaves_the_log_of_its_caller_alone(tmp_path):
@@ -173,3 +162,103 @@ def test_a_command_leaves_the_log_of_its_caller_alone(tmp_path):
     for words in (["info", tmp_path / "none.laz"], ["map", "a.laz", "--json"], ["info", QUARRY, "--quick"]):
         run(*words)
         assert (list(log.handlers), log.level, log.propagate) == before
+
+
+# --- foreign text ---
+
+
+WICKED = (
+    "a\x1b[31m\x1b]0;owned\x07 b\nError: c\r\t\x7f\x9b \u202egnp \u2066 \u2028 \u200f \udcff [red]d[/red] :smile: é 道"
+)
+
+
+def nothing_acts(text):
+    """Whether every line holds nothing that a terminal acts on."""
+    return all(unicodedata.category(letter) not in {"Cc", "Cf", "Cs", "Zl", "Zp"} for letter in text.replace("\n", ""))
+
+
+def test_no_letter_acts():
+    for letter in map(chr, [*range(0x3000), *range(0xD800, 0xE000), *range(0xE0000, 0xE0100)]):
+        shown = escape_controls(f"a{letter}b")
+        assert (shown[0], shown[-1]) == ("a", "b")
+        assert nothing_acts(shown) and "\n" not in shown, hex(ord(letter))  # noqa: PT018 (many times)
+
+
+def test_every_way_out_shows_it(capsys):
+    print_line(WICKED, "bold")
+    print_table([(WICKED, WICKED)])
+    print_table([(WICKED, WICKED)], ["one", "two"])
+    print_json({"name": WICKED})
+    print_error(WICKED)
+    out, err = capsys.readouterr()
+    assert nothing_acts(out)
+    assert nothing_acts(err)
+    assert out.splitlines()[0] == err.rstrip("\n") == escape_controls(WICKED)
+    assert "[red]d[/red] :smile:" in err
+    assert json.loads(out.splitlines()[-1])["name"] == WICKED
+
+
+def test_a_line_of_a_table_ends_with_its_last_value(capsys):
+    print_table([("smooth", "2", "0.04"), ("all the others", "13", "")], ["class", "tiles", "c_r"])
+    lines = capsys.readouterr().out.splitlines()
+    assert lines == ["class           tiles   c_r", "smooth              2  0.04", "all the others     13"]
+
+
+def test_an_encoding_without_the_letters(monkeypatch):
+    raw = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(raw, "ascii"))
+    print_line("é 道")
+    assert raw.getvalue() == b"\\xe9 \\u9053\n"
+
+
+def test_no_command_has_a_way_out_of_its_own():
+    """Text goes through `_text` (and bars through rich, with names made safe)."""
+    for file in (ROOT / "bumpymap" / "cli").glob("*.py"):
+        if file.name == "_text.py":
+            continue
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call):
+                name = ast.unparse(node.func)
+                assert name not in {"print", "click.echo", "click.secho", "Console"}, f"{file.name}: {name}"
+            if isinstance(node, ast.Attribute):
+                assert ast.unparse(node) not in {"sys.stdout", "sys.stderr"}, f"{file.name}: {ast.unparse(node)}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("line", "shown"),
+    [
+        ("info WICKED", ["\\x1b[31m", "\\xff"]),
+        ("scan WICKED --out o", ["\\x1b[31m", "\\xff"]),
+        ("map RED --out ERROR --local", ["\\x1b]\\nError: d"]),
+        ("evaluate survey WICKED --out o", []),
+        ("train textures --out WICKED", []),
+    ],
+)
+def test_names_of_files_are_shown(line, shown, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = {
+        "WICKED": f"{WICKED.replace('/', '|')}.laz",
+        "RED": "a\x1b[31m[red]\nError: b.laz",
+        "ERROR": "\x1b]\nError: d",
+    }
+    try:
+        for name in ("WICKED", "RED"):
+            Path(names[name]).symlink_to(QUARRY)
+    except OSError:
+        pytest.skip("the file system refuses such names")
+    result = run(*(names.get(word, word) for word in line.split()))
+    assert not isinstance(result.exception, UnicodeError)
+    assert nothing_acts(result.stdout + result.stderr)
+    assert [part for part in shown if part not in result.stdout + result.stderr] == []
+
+
+def test_lines_of_a_message_stay_lines(tmp_path):
+    for name in ("a.laz", "b\nError: forged.laz"):
+        (tmp_path / name).write_bytes(b"LASFnothing")
+    result = run("map", tmp_path, "--out", tmp_path / "o", "--skip-bad")
+    assert result.exit_code == 3
+    assert "forged" in result.stderr
+    assert not any(line.startswith("Error: forged") for line in result.stderr.splitlines())
+    found = [line for line in result.stderr.splitlines() if line.startswith("Error: ")]
+    assert found == ["Error: none of the inputs could be read:"]
