@@ -5,12 +5,14 @@ import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import is_dataclass
+from functools import partial
 from pathlib import Path
 from types import UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pytest
+from ply_files import write_ply
 
 import bumpymap
 from bumpymap.change import DiffConfig
@@ -31,6 +33,7 @@ from bumpymap.views import ExportSettings
 
 ROOT = Path(__file__).resolve().parents[1]
 QUARRY = ROOT / "sample_data" / "quarry.laz"
+GROUND = np.rec.fromarrays(np.random.default_rng(0).uniform(0, 30, (3, 5000)) * [[1], [1], [0.01]], names="x,y,z")
 COMMANDS_ALONE = {
     *("cli", "lab", "survey/advice.py", "rating/vehicle_profile.py", "rating/vehicle_body.py"),
     "rating/calibration_lookup.py",  # its messages show commands to type
@@ -56,13 +59,22 @@ BAD = [
     ({"memory": "lots"}, "memory"),
     ({"features": {"max_holes": 1}}, "max_holes"),
     ({"features": 3}, "features"),
+    ({"method": "sharp"}, "method"),
+    ({"method": "filter", "model": "a.onnx"}, "`method` is filter"),
+    ({"robot": {"radius": 1}}, "radius"),
+    ({"polar": {"rings": "many"}}, "rings"),
 ]
 
 
 @pytest.mark.parametrize(("settings", "words"), BAD)
-def test_a_python_caller_reads_arguments(settings, words, tmp_path):
+def test_a_python_caller_reads_arguments(settings, words):
+    call = (
+        bumpymap.ScanClassifier
+        if {"method", "robot", "polar"} & set(settings)
+        else partial(bumpymap.map_survey, QUARRY)
+    )
     with pytest.raises(bumpymap.BumpymapError) as caught:
-        bumpymap.map_survey(QUARRY, tmp_path / "out", **settings)
+        call(**settings)
     told = " ".join([str(caught.value), *getattr(caught.value, "__notes__", [])])
     assert words in told
     assert "--" not in re.sub(r"(bumpymap|pdal) (train|calibrate|translate) [^;]*", "", told)
@@ -145,7 +157,7 @@ def test_a_url_where_none_can_be_is_not_taken_for_a_folder(call):
 
 @pytest.mark.parametrize("crs", [32632, np.int64(32632)])
 def test_a_crs_may_be_its_number(tmp_path, crs):
-    survey = _ply(tmp_path / "site.ply")
+    survey = write_ply(tmp_path / "site.ply", GROUND)
     assert bumpymap.map_survey(survey, crs=crs).manifest["crs"]["code"] == "EPSG:32632"
 
 
@@ -166,7 +178,7 @@ def test_a_vehicle_that_is_no_file_leads_to_the_included_calibrations():
     ],
 )
 def test_what_inputs_and_folders_cause_is_told_in_arguments(before, settings, said, tmp_path):
-    out, survey = tmp_path / "out", QUARRY if before else _ply(tmp_path / "site.ply")
+    out, survey = tmp_path / "out", QUARRY if before else write_ply(tmp_path / "site.ply", GROUND)
     if before == "complete":
         bumpymap.map_survey(survey, out)
     elif before == "other":
@@ -178,23 +190,6 @@ def test_what_inputs_and_folders_cause_is_told_in_arguments(before, settings, sa
         bumpymap.map_survey(survey, out, **settings)
     assert said in str(caught.value)
     assert "--" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        ({"method": "sharp"}, "method"),
-        ({"method": "filter", "model": "a.onnx"}, "`method` is filter"),
-        ({"model": "missing.onnx"}, "missing.onnx"),
-        ({"robot": {"radius": 1}}, "radius"),
-        ({"polar": {"rings": "many"}}, "rings"),
-    ],
-)
-def test_a_caller_of_the_classifier_reads_arguments(settings, words):
-    with pytest.raises(bumpymap.BumpymapError) as caught:
-        bumpymap.ScanClassifier(**settings)
-    assert words in str(caught.value)
-    assert "--" not in str(caught.value).partition("bumpymap train")[0]
 
 
 @pytest.mark.parametrize(
@@ -293,11 +288,3 @@ def test_no_message_that_a_python_caller_can_see_names_an_option_and_every_setti
     texts = list(said())
     assert [place for place, text in texts if re.search(r"--[a-z]", A_COMMAND.split(text)[0])] == []
     assert [place for place, text in texts if not set(re.findall(r"`([a-z_]+)(?:=[^`]*)?`", text)) <= known] == []
-
-
-def _ply(path):
-    points = np.random.default_rng(0).uniform(0, 30, (5000, 3)) * (1, 1, 0.01)
-    lines = "\n".join(" ".join(f"{value:.3f}" for value in point) for point in points)
-    header = "ply\nformat ascii 1.0\nelement vertex 5000\nproperty double x\nproperty double y\nproperty double z\n"
-    path.write_text(f"{header}end_header\n{lines}\n", encoding="ascii")
-    return path

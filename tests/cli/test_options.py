@@ -2,18 +2,13 @@
 
 import importlib.util
 import re
-from dataclasses import dataclass
-from typing import Annotated
 
 import click
 import pytest
-from click.testing import CliRunner
 from small_surveys import run
 
 from bumpymap.cli import main
-from bumpymap.cli._options import COMMON_OPTIONS, job, settings_options
-from bumpymap.cli._text import as_options
-from bumpymap.core import Setting, check_settings
+from bumpymap.cli._options import COMMON_OPTIONS
 
 
 def command(name):
@@ -188,48 +183,6 @@ def test_the_stored_command_repeats_the_run(words, reached, tmp_path, monkeypatc
     assert reached["calibrate"][4] == again
 
 
-@dataclass(frozen=True)
-class Walk:
-    origin: Annotated[str | None, Setting("Where to begin", "POINT", option="from-where")] = None
-    tile_size: Annotated[float, Setting("Side of a tile", "M", 0.5, 9.0, "m")] = 3.0
-    deskew: Annotated[bool, Setting("Keep points as measured", option="no-deskew")] = True
-    stops: Annotated[tuple[str, ...], Setting("Where to stop", "POINT")] = ()
-    speeds: Annotated[tuple[float, ...], Setting("Speeds", "LIST", default="all")] = (1.0, 2.5)
-    inner: Annotated[int, Setting(low=1)] = 1
-    depth: Annotated[int, Setting("Depth of the search", "N", 1, rare=True)] = 4
-
-    def __post_init__(self):
-        check_settings(self)
-
-
-def test_options_follow_from_the_declaration():
-    walks = []
-
-    @job("walk", settings_options(Walk, tile_size="Size"), owners=(Walk,))
-    def walk(run):
-        walks.append(Walk(**run.settings))
-
-    shown = CliRunner().invoke(walk, ["--help"]).output
-    assert "--tile-size M" in shown
-    assert "Size [3]." in shown
-    assert "Speeds [all]." in shown
-    assert "inner" not in shown
-    assert "depth" not in shown
-    assert CliRunner().invoke(walk, []).exit_code == 0
-    words = ["--from-where=a", "--tile-size=1.5", "--no-deskew", "--stops=b", "--stops=c", "--speeds=1,2"]
-    assert CliRunner().invoke(walk, words).exit_code == 0
-    assert walks == [Walk(), Walk("a", 1.5, deskew=False, stops=("b", "c"), speeds=(1.0, 2.0))]
-    for words in (["--set", "depth=7", "--set", "origin=b"], ["--set=depth = 7", "--from-where", "b"]):
-        assert CliRunner().invoke(walk, words).exit_code == 0
-        assert walks[-1] == Walk("b", depth=7)
-    moved = CliRunner().invoke(walk, ["--depth", "7"]).exception
-    assert "--depth is no option: write --set depth=7" in str(moved)
-    refused = CliRunner().invoke(walk, ["--tile-size", "10"]).exception
-    assert (
-        as_options(f"{refused}: `origin`") == "--tile-size is 10.0; it must be a number from 0.5 to 9 m: --from-where"
-    )
-
-
 LONG = [name for name in COMMANDS if name != "settings" and not name.startswith("vehicle")]
 
 
@@ -269,8 +222,10 @@ def test_a_set_value_keeps_the_rest_of_a_table(reached, tmp_path):
     config = reached["map"][0]
     assert (config.csf.rigidness, config.csf.cloth_resolution, config.features.min_points) == (1, 1.5, 12)
     assert config.speeds == (0.5, 1.0)
-    run("map", "a.laz", "--out", "o", "--set", "max_unknown=40%", "--set", "speeds=2")
+    run("map", "a.laz", "--out", "o", "--set", "max_unknown = 40%", "--set", "speeds=2")
     assert (reached["map"][0].max_unknown, reached["map"][0].speeds) == (0.4, (2.0,))
+    run("route", *WORDS["route"], "--via", "3,3", "--via", "4,4")
+    assert reached["route"][0].via == ("3,3", "4,4")
 
 
 @pytest.mark.parametrize("name", LONG)

@@ -100,15 +100,6 @@ def test_events_hold_the_same(capsys):
     ]
 
 
-def test_quiet_says_nothing(capsys):
-    for as_json in (False, True):
-        with _progress.show_progress(quiet=True, as_json=as_json) as progress:
-            progress.start("reading", 10)
-            progress.advance(1)
-            progress.note("text", "epoch")
-    assert capsys.readouterr() == ("", "")
-
-
 def test_a_run_in_events(tmp_path):
     survey = write_survey(tmp_path / "a.laz")
     result = run("map", survey, "--out", tmp_path / "o", "--json")

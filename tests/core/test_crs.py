@@ -121,12 +121,6 @@ def test_one_crs_in_every_spelling(code, spelling):
     assert place.metres_per_unit == {2992: 0.3048, 2276: US_FOOT}.get(code, 1.0)
 
 
-def test_us_feet_of_few_digits_are_the_same_unit():
-    text = CRS(2276).to_wkt("WKT1_GDAL").replace("0.304800609601219", "0.3048006096")
-    assert "0.3048006096," in text
-    assert settle(statement_from_wkt(text))[0].metres_per_unit == US_FOOT
-
-
 # What a file states, what is given, and the CRS that counts; the units of the forced ones.
 @pytest.mark.parametrize(
     ("own", "crs", "used"),
@@ -154,45 +148,51 @@ def test_a_given_crs_that_agrees_supplies_heights_and_makes_no_noise(own, crs):
     assert (place.crs, notes) == (CRS("EPSG:32614+5703"), ())
 
 
-@pytest.mark.parametrize(
-    ("own", "force", "unit_z"),
-    [
-        ("EPSG:32614+6360", "EPSG:32614+5703", 1.0),
-        ("EPSG:32614+6360", "EPSG:32613", US_FOOT),
-        ("EPSG:2276+6360", "EPSG:32614", 1.0),
-        ("EPSG:32614+5703", "EPSG:32614+5773", 1.0),
-    ],
-)
-def test_heights_under_a_forced_crs(own, force, unit_z):
-    """The file's unit of height stays, unless the CRS has one, or contradicts the file's horizontal unit."""
-    place, _ = settle(CrsStatement(CRS(own)), force=force)
-    assert (place.crs, place.metres_per_unit, place.metres_per_unit_z) == (CRS(force), 1.0, unit_z)
+FEET = CRS(2276).to_wkt("WKT1_GDAL").replace("0.304800609601219", "0.3048006096")
+BOUND = CRS("+proj=utm +zone=33 +ellps=intl +towgs84=-87,-98,-121 +type=crs").to_wkt()
+CLAUSE = 'TOWGS84[-87,-98,-121,0,0,0,0],AUTHORITY["EPSG","6230"]]'
+CODED = CRS(23033).to_wkt("WKT1_GDAL").replace('AUTHORITY["EPSG","6230"]]', CLAUSE)
+NAVD = "EPSG:32614+5703"
 
 
 @pytest.mark.parametrize(
-    ("statement", "crs", "z_unit", "written"),
+    ("own", "given", "crs", "units", "said"),
     [
-        (CrsStatement(CRS("EPSG:32614+5703")), None, None, "EPSG:32614+5703"),
-        (SILENT, "EPSG:32614+5703", None, "EPSG:32614+5703"),
-        (statement_from_wkt(CRS("EPSG:32614+5703").to_wkt("WKT1_GDAL")), None, None, "EPSG:32614+5703"),
+        (NAVD, {}, NAVD, (1.0, 1.0), ""),
+        (None, {"crs": NAVD}, NAVD, (1.0, 1.0), ""),
+        (CRS(NAVD).to_wkt("WKT1_GDAL"), {}, NAVD, (1.0, 1.0), ""),
         # Heights that are said to be feet are metres in the layers, from the same zero.
-        (CrsStatement(CRS("EPSG:32614+5703")), None, "us-ft", "EPSG:32614+5703"),
-        (CrsStatement(CRS(7405)), None, None, "EPSG:7405"),
+        (NAVD, {"z_unit": "us-ft"}, NAVD, (1.0, US_FOOT), ""),
+        ("EPSG:7405", {}, "EPSG:7405", (1.0, 1.0), ""),
         # Depths, and heights above the ellipsoid, are left out.
-        (CrsStatement(CRS("EPSG:32614+5715")), None, None, "EPSG:32614"),
-        (CrsStatement(CRS(32614).to_3d()), None, None, "EPSG:32614"),
+        ("EPSG:32614+5715", {}, "EPSG:32614", (1.0, 1.0), ""),
+        (CRS(32614).to_3d().to_wkt(), {}, "EPSG:32614", (1.0, 1.0), ""),
+        # The file's unit of height stays, unless the forced CRS has one, or contradicts the file's horizontal unit.
+        ("EPSG:32614+6360", {"force": NAVD}, NAVD, (1.0, 1.0), ""),
+        ("EPSG:32614+6360", {"force": "EPSG:32613"}, "EPSG:32613", (1.0, US_FOOT), ""),
+        ("EPSG:2276+6360", {"force": "EPSG:32614"}, "EPSG:32614", (1.0, 1.0), ""),
+        (NAVD, {"force": "EPSG:32614+5773"}, "EPSG:32614+5773", (1.0, 1.0), ""),
+        (
+            "EPSG:2276+6360",
+            {},
+            "EPSG:2276+6360",
+            (US_FOOT, US_FOOT),
+            "NAVD88 height (ftUS) (EPSG:6360) is not in metres",
+        ),
+        (FEET, {}, FEET, (US_FOOT, US_FOOT), ""),
+        # A clause around a CRS with a code is taken off.
+        (BOUND, {}, BOUND, (1.0, 1.0), ""),
+        (CODED, {}, "EPSG:23033", (1.0, 1.0), ""),
+        # A local CRS is no CRS, but has units.
+        ('LOCAL_CS["pit grid",UNIT["foot",0.3048]]', {}, None, (0.3048, 0.3048), "pit grid"),
     ],
 )
-def test_the_vertical_part_stays(statement, crs, z_unit, written):
-    found, _ = settle(statement, crs, z_unit)
-    assert found.crs == CRS(written)
-    assert found.crs.to_epsg() == CRS(written).to_epsg()
-
-
-def test_heights_in_feet_are_written_without_their_crs_and_that_is_said():
-    place, notes = settle(CrsStatement(CRS("EPSG:2276+6360")))
-    assert (place.metres_per_unit_z, place.crs.is_compound) == (US_FOOT, True)
-    assert [note for note in notes if "NAVD88 height (ftUS) (EPSG:6360) is not in metres" in note]
+def test_the_crs_and_the_units_that_count(own, given, crs, units, said):
+    place, notes = settle(statement_from_wkt(own) if own else SILENT, **given)
+    assert place.crs == (crs and CRS(crs))
+    assert crs is None or place.crs.to_epsg() == CRS(crs).to_epsg()
+    assert (place.metres_per_unit, place.metres_per_unit_z) == units
+    assert said in "".join(notes)
 
 
 def test_trouble_is_refused_or_set_aside():
@@ -202,24 +202,6 @@ def test_trouble_is_refused_or_set_aside():
     place, notes = settle(trouble, "EPSG:32614")
     assert place.crs.to_epsg() == 32614
     assert any("riddle" in note for note in notes)
-
-
-def test_a_clause_around_a_crs_with_a_code_is_taken_off():
-    crs = CRS("+proj=utm +zone=33 +ellps=intl +towgs84=-87,-98,-121 +type=crs")
-    assert settle(CrsStatement(crs))[0].crs.is_bound
-    coded = statement_from_wkt(
-        CRS(23033)
-        .to_wkt("WKT1_GDAL")
-        .replace('AUTHORITY["EPSG","6230"]]', 'TOWGS84[-87,-98,-121,0,0,0,0],AUTHORITY["EPSG","6230"]]')
-    )
-    assert coded.crs.is_bound
-    assert settle(coded)[0].crs.to_epsg() == 23033
-
-
-def test_a_local_crs_is_no_crs_but_has_units():
-    place, notes = settle(statement_from_wkt('LOCAL_CS["pit grid",UNIT["foot",0.3048]]'))
-    assert place == Georeference(None, 0.3048, 0.3048)
-    assert any("pit grid" in note for note in notes)
 
 
 @pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:4979", "EPSG:4269+5703"])
@@ -256,9 +238,7 @@ def test_utm_at_the_ends_of_the_earth():
 @pytest.mark.parametrize("unit", [0, 1e-9, 1e12])
 def test_units_that_are_none(unit):
     wkt = CRS("EPSG:32614").to_wkt("WKT1_GDAL").replace('UNIT["metre",1', f'UNIT["metre",{unit}')
-    with pytest.raises(
-        BadInputError, match=r"the CRS of site\.laz is unclear: .* has an invalid unit of .*`force_crs`"
-    ):
+    with pytest.raises(BadInputError, match=r"CRS of site\.laz is unclear: .* has an invalid unit of .*`force_crs`"):
         settle(statement_from_wkt(wkt))
     with pytest.raises(UsageError, match="has an invalid unit of"):
         settle(crs=wkt)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from bumpymap.core import free_memory, in_threads
-from bumpymap.core.processes import Child, ChildDiedError, ChildError, SharedMemory, allocate_shared
+from bumpymap.core.processes import Child, ChildDiedError, ChildError, SharedMemory
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="no children here")
 
@@ -54,13 +54,6 @@ def test_a_child_that_dies_is_told(child, question, message, name):
         child.call("getpid")
 
 
-def test_a_request_ends_with_its_processor_time():
-    child = Child("to test", "builtins", [])
-    with pytest.raises(ChildDiedError) as error:
-        child.call("sum", range(10**12), seconds=0.05)
-    assert error.value.signal == "SIGPROF"
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="limits are those of Linux")
 def test_a_request_for_more_memory_than_allowed_fails_alone():
     child = Child("to test", "builtins", [])
@@ -75,28 +68,6 @@ def test_signals_are_for_the_parent(child, number):
     child.call("getpid")
     child.process.send_signal(number)
     assert child.call("getpid") == child.process.pid
-
-
-def test_memory_is_seen_by_both(tmp_path):
-    (tmp_path / "fill.py").write_text("def fill(value, memory): memory[:] = bytes([value]) * len(memory)\n")
-    child = Child("to test", "fill", [str(tmp_path)])
-    for size, value in ((5, 7), (10 << 20, 9), (0, 1)):  # the second makes the memory grow
-        memory = allocate_shared(size)
-        child.call("fill", value, shared=(memory,))
-        assert memory.data.size == size
-        assert (memory.data == value).all()
-    child.close()
-
-
-def test_a_fork_leaves_the_children_to_the_old_process(child):
-    pid = child.call("getpid")
-    forked = os.fork()
-    if forked == 0:
-        left = not child.is_alive
-        child.close()
-        os._exit(0 if left else 1)
-    assert os.waitpid(forked, 0)[1] == 0
-    assert child.call("getpid") == pid
 
 
 DAEMON = """

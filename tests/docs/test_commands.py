@@ -10,6 +10,7 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
+import click
 import laspy
 import numpy as np
 import pytest
@@ -18,6 +19,8 @@ from made_drives import MadeDrive, log_of, write_table
 from pypcd4 import Encoding, PointCloud
 from scipy.spatial.transform import Rotation
 from small_surveys import run, write_las
+
+from bumpymap.cli import main
 
 pytestmark = pytest.mark.slow
 
@@ -179,14 +182,16 @@ def test_the_commands_of_a_page_run_one_after_the_other(page, furnished, tmp_pat
         assert done.exit_code == 0, f"{command}\n{done.output}"
 
 
-@pytest.mark.parametrize("page", sorted({page for page, _ in SHOWN}))
-def test_no_command_of_a_page_is_in_the_way_of_a_later_one(page):
-    outs = [
-        words[words.index("--out") + 1]
-        for where, command in SHOWN
-        if where == page and "--overwrite" not in (words := command.split()) and "--out" in words
-    ]
-    assert len(outs) == len(set(outs)), f"two commands write to the same --out: {outs}"
+OWN = [(page, line) for page, line in SHOWN if line.startswith("bumpymap ") and not line.startswith("bumpymap --")]
+
+
+@pytest.mark.parametrize(("page", "line"), OWN)
+def test_every_command_that_is_shown_can_be_given(page, line):
+    _, name, *words = shlex.split(re.sub(r" > \S+", "", line))
+    given = main.get_command(click.Context(main), name)
+    if isinstance(given, click.Group):
+        given = given.commands[words.pop(0)]
+    given.make_context(name, words)
 
 
 @pytest.mark.parametrize("rule", RULES)
@@ -195,9 +200,8 @@ def test_every_rule_is_of_use(rule):
 
 
 def test_what_does_not_run_names_extras_targets_and_scripts_that_are_there():
-    root = ROOT
-    project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    targets = re.findall(r"(?m)^([a-z-]+):", (root / "Makefile").read_text(encoding="utf-8"))
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    targets = re.findall(r"(?m)^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"))
     for page, command in SHOWN:
         for extras in re.findall(r"bumpymap\[([^\]]*)\]", command):
             assert set(extras.split(",")) <= set(project["optional-dependencies"]), f"{page}: {command}"
@@ -205,4 +209,4 @@ def test_what_does_not_run_names_extras_targets_and_scripts_that_are_there():
         if words[0] == "make":
             assert {word for word in words[1:] if "=" not in word} <= set(targets), f"{page}: {command}"
         if words[0].endswith("python") and words[1].endswith(".py"):
-            assert (root / words[1]).is_file(), f"{page}: {command}"
+            assert (ROOT / words[1]).is_file(), f"{page}: {command}"

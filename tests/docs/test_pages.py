@@ -3,7 +3,6 @@
 import importlib.util
 import json
 import re
-import shlex
 import subprocess
 import sys
 import tomllib
@@ -73,24 +72,6 @@ def test_the_reference_is_filled_from_the_declarations():
     assert "| affine | BSD | default |" in filled
     assert re.search(r"--tile-size M +Side of a tile, in metres \[3\]\.", filled)
     assert "#pixels = 15" in filled
-
-
-def shown_commands():
-    """Every line of the README and the pages that starts with bumpymap."""
-    for page in (ROOT / "README.md", *sorted(PAGES.glob("*.md"))):
-        for line in page.read_text(encoding="utf-8").splitlines():
-            found = re.match(r"(?:    )?(?:\$ )?bumpymap ([a-z]+ .*)", line)
-            if found and found[1].split()[0] in COMMANDS:
-                yield pytest.param(found[1], id=f"{page.name}: {found[1]}")
-
-
-@pytest.mark.parametrize("line", list(shown_commands()))
-def test_every_command_that_is_shown_can_be_given(line):
-    name, *words = shlex.split(re.sub(r" > \S+", "", line), comments=True)
-    given = command(name)
-    if isinstance(given, click.Group):
-        given = given.commands[words.pop(0)]
-    given.make_context(name, words)
 
 
 def test_the_settings_of_the_page_are_settings(tmp_path):
