@@ -10,11 +10,11 @@ import sys
 from pathlib import Path
 
 import geopandas
-import made_drives
 import numpy as np
 import pytest
 import rasterio
 import xarray as xr
+from made_drives import write_drive
 
 import bumpymap
 from bumpymap.core.types import BANDS
@@ -88,12 +88,6 @@ def test_the_dataset_is_kept_in_a_netcdf_file(layers, tmp_path):
     back = xr.open_dataset(tmp_path / "layers.nc", engine="scipy", decode_coords="all", mask_and_scale=False)
     assert back.rio.crs == "EPSG:32632"
     np.testing.assert_array_equal(back["c_r"].values, layers.dataset()["c_r"].values)
-
-
-def test_the_text_says_place_size_vehicle_and_classes(layers):
-    text = repr(layers)
-    for part in ("EPSG:32632", "512,340.00", "1,426 tiles of 3 m", "1,228,505 points", "warthog", "smooth 65.5%"):
-        assert part in text
 
 
 def test_a_missing_or_damaged_layer_is_said(layers, tmp_path):
@@ -262,8 +256,6 @@ def test_strings_paths_and_lists_give_the_same(layers, tmp_path):
 
 
 # --- scans ---
-
-
 def ring_of_ground(seed=0, points=60_000):
     rng = np.random.default_rng(seed)
     angle, distance = rng.uniform(0, 2 * math.pi, points), rng.uniform(1, 40, points)
@@ -320,14 +312,6 @@ def test_points_that_are_none_are_refused(points, words):
 
 
 # --- drives ---
-
-
-def write_drive(path):
-    """Write the log of a drive of 40 m over the quarry."""
-    log, _, _ = made_drives.log_of(made_drives.MadeDrive(seconds=60.0, turning=0.0))
-    return made_drives.write_table(path, log, (512350.0, 5403260.0))
-
-
 def test_a_check_takes_layers_and_one_drive_or_several(layers, tmp_path):
     drive, again = (write_drive(tmp_path / name) for name in ("drive.csv", "again.csv"))
     several = bumpymap.check_drives(layers, [str(drive), again])
@@ -341,8 +325,6 @@ def test_a_check_takes_layers_and_one_drive_or_several(layers, tmp_path):
 
 
 # --- examples ---
-
-
 @pytest.mark.parametrize(
     "module",
     [

@@ -36,8 +36,6 @@ def call(words, **options):
 
 
 # --- the end of the process ---
-
-
 PROGRAM = """
 import atexit, sys
 atexit.register(lambda: print("registered", end=""))
@@ -92,8 +90,6 @@ def test_a_reader_that_leaves_is_no_error(words):
 
 
 # --- pipes instead of files: nothing waits for what nobody writes ---
-
-
 class WaitedError(BaseException):
     """Nothing but the test may catch it."""
 
@@ -151,8 +147,6 @@ def test_a_pipe_is_refused_and_not_waited_for(given, tmp_path, monkeypatch, line
 
 
 # --- machines that give little: one message, exit code 3, never a traceback, never "the file is damaged" ---
-
-
 def commands(folder):
     """Words of a command that looks, one that maps and one that classes a scan, by name."""
     points = "".join(f"{x} {y} {(x * y) % 3 * 0.1}\n" for x in range(-20, 20) for y in range(-20, 20))
@@ -247,8 +241,6 @@ def test_what_a_machine_lacks_is_told_from_what_a_file_lacks(error, what, capsys
 
 
 # --- a container's user: a number that no table of users knows, and no HOME ---
-
-
 NOBODY = """
 import os, pwd, sys
 def nobody(_):
@@ -271,8 +263,6 @@ def test_commands_need_no_home(tmp_path, command):
 
 
 # --- modules in the current folder, or beside the surveys, are files of strangers: no command runs one ---
-
-
 COMMANDS = {
     "map": "map surveys/a.laz --out new",
     "map with a filter in a child": "map surveys/a.laz --out new --ground csf",

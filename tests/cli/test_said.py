@@ -118,8 +118,6 @@ def test_a_run_in_events(tmp_path):
         (["map", "--none", "--json"], 2, "NoSuchOption"),
         (["map", "a.laz", "--json"], 2, "UsageError"),
         (["map", "a\x1b\n.laz", "--out", "o", "--json"], 3, "BadInputError"),
-        (["info", "a.laz", "--json"], 3, "BadInputError"),
-        (["train", "textures", "--json"], 2, "MissingParameter"),
         (["calibrate", "--json"], 2, "MissingParameter"),
         (["nothing", "--json"], 2, "NoSuchCommand"),
     ],
@@ -156,8 +154,6 @@ def test_a_command_leaves_the_log_of_its_caller_alone(tmp_path):
 
 
 # --- foreign text ---
-
-
 WICKED = (
     "a\x1b[31m\x1b]0;owned\x07 b\nError: c\r\t\x7f\x9b \u202egnp \u2066 \u2028 \u200f \udcff [red]d[/red] :smile: é 道"
 )

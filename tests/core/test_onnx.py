@@ -77,8 +77,6 @@ def test_a_run_without_a_network_never_asks_for_one(tmp_path, home):
 
 
 # --- networks of others ---
-
-
 LARGE = 1 << 36
 
 

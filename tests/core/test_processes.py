@@ -90,8 +90,6 @@ def test_a_daemonic_process_may_have_children():
 
 
 # --- threads ---
-
-
 @pytest.mark.parametrize("threads", [1, 5])
 def test_results_come_in_order_whatever_is_finished_first(threads):
     later = threading.Event()
@@ -138,8 +136,6 @@ def test_when_the_body_ends_early_nothing_goes_on(threads):
 
 
 # --- signals ---
-
-
 BEGIN = """
 import os, signal, sys, weakref
 from bumpymap.core.interrupts import interruptible, shielded
@@ -214,8 +210,6 @@ def test_the_command_ends_without_a_word_before_it_listens(tmp_path):
 
 
 # --- memory ---
-
-
 SIZES = st.integers(0, 40_000)
 
 

@@ -137,8 +137,6 @@ def test_a_damaged_run_spec_is_not_resumed(tmp_path, spec):
 
 
 # --- the checksum of a file is the same whatever the order in which its bytes are read ---
-
-
 PIECE = 1 << 20
 
 

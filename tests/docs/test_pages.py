@@ -3,30 +3,25 @@
 import importlib.util
 import json
 import re
-import subprocess
 import sys
 import tomllib
 from dataclasses import fields
 from pathlib import Path
 
 import click
-import made_drives
 import pytest
-from cost_maps import make_field
-from PIL import Image
-from route_maps import RUN
+from made_drives import write_drive
 
 import bumpymap
 from bumpymap.cli import main
-from bumpymap.core import BANDS, CostTable, UsageError
+from bumpymap.core import BANDS, UsageError
 from bumpymap.core.config import MapConfig
 from bumpymap.core.settings import read_settings_file
-from bumpymap.layers import SurveyRow, write_products
+from bumpymap.layers import SurveyRow
 from bumpymap.layers.scan_table import COLUMNS
 from bumpymap.readers import hash_survey, parse_columns
 from bumpymap.readers.drives.quantities import QUANTITIES, UNITS, guess_columns
 from bumpymap.survey.batch.source import read_table
-from bumpymap.views import write_map_views
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "docs" / "pages"
@@ -51,8 +46,6 @@ def command(name):
 
 
 # --- the reference and the commands ---
-
-
 def test_the_reference_shows_the_help_of_every_command():
     shown = set(re.findall(r"^<!-- help ([a-z ]+) -->$", text_of("command-line.md"), re.MULTILINE))
     parts = {f"{name} {part}" for name in ("evaluate", "train") for part in command(name).commands}
@@ -93,8 +86,6 @@ def test_the_first_page_lists_the_extras():
 
 
 # --- many surveys ---
-
-
 BATCH = text_of("batch.md")
 
 
@@ -120,8 +111,6 @@ def test_the_columns_of_a_table_are_described_and_the_example_is_one(tmp_path):
 
 
 # --- logs of drives ---
-
-
 LOGS = text_of("check.md")
 TABLE = [line.split("|") for line in LOGS.split("| quantity | what |")[1].split("\n\n")[0].splitlines()[2:]]
 SECOND = {"lon": "lat", "lng": "lat", "longitude": "latitude", "easting": "northing", "east": "north", "E": "N"}
@@ -163,8 +152,6 @@ def test_units_and_examples_of_columns_on_the_page_are_read():
 
 
 # --- the surfaces of real drives ---
-
-
 boreal = script("drives", "borealtc")
 SURFACES = text_of("ride-cost.md")
 
@@ -185,24 +172,7 @@ def test_the_real_drives_give_the_figures_of_the_page(shared_data, capsys):
     assert table in SURFACES
 
 
-@pytest.mark.realdata
-def test_three_of_five_surfaces_are_within_a_tenth_of_the_whole_set(shared_data):
-    """Of ice only slow drives are here, of snow only two drives of nine metres and more."""
-    found = {
-        name: boreal.measure_surface(boreal.read_boreal(shared_data / "drives" / "borealtc" / folder))
-        for name, folder in boreal.FOLDERS.items()
-    }
-    ratio = {name: c_r / boreal.WHOLE_SET[name] for name, (c_r, _, _) in found.items()}
-    for name in ("asphalt", "indoor floor", "silty loam"):
-        assert ratio[name] == pytest.approx(1.0, abs=0.1)
-    low, high = found["snow"][1:]
-    assert low < boreal.WHOLE_SET["snow"] < high
-    assert ratio["ice"] < 1.5
-
-
 # --- Python ---
-
-
 def test_the_checksum_of_an_input_as_the_page_computes_it(tmp_path):
     survey = tmp_path / "survey.las"
     survey.write_bytes(bytes(range(251)) * 10_000)
@@ -247,10 +217,7 @@ def test_the_python_of_the_page_runs(part, site_layers, tmp_path, monkeypatch):
 
 def write_drives(folder):
     """Write a drive of 40 m over the survey as one file, and as one for each sensor."""
-    log, _, _ = made_drives.log_of(made_drives.MadeDrive(seconds=60.0, turning=0.0))
-    names = ("monday.csv", "imu.csv", "gnss.csv")
-    whole = made_drives.write_table(folder / names[0], log, (512350.0, 5403260.0))
-    rows = [line.split(",") for line in whole.read_text("utf-8").splitlines()]
+    rows = [line.split(",") for line in write_drive(folder / "monday.csv").read_text("utf-8").splitlines()]
     for name, columns in (("imu.csv", slice(0, 7)), ("gnss.csv", slice(7, None))):
         lines = [",".join([row[0], *row[columns][columns.start == 0 :]]) for row in rows]
         (folder / name).write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -267,14 +234,3 @@ def check_notebook(names, picture):
     assert set(names["scan"].sector_class.tolist()) > {0, 255}
     assert picture.shape[:2] == (400, 1200)
     assert len({tuple(pixel) for pixel in picture[::4, ::4].reshape(-1, 4).tolist()}) > 50
-
-
-@pytest.mark.slow
-def test_layers_are_drawn(tmp_path):
-    write_products(CostTable.of(make_field(20, 15)), tmp_path, views=write_map_views, local=False, manifest=RUN)
-    picture = tmp_path / "picture.png"
-    command = [sys.executable, str(ROOT / "docs" / "pictures" / "layers.py"), str(tmp_path), str(picture)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    with Image.open(picture) as image:
-        assert len(image.convert("RGB").getcolors(1 << 20)) > 100
