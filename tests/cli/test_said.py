@@ -218,17 +218,14 @@ def test_no_command_has_a_way_out_of_its_own():
         ("info WICKED", ["\\x1b[31m", "\\xff"]),
         ("scan WICKED --out o", ["\\x1b[31m", "\\xff"]),
         ("map RED --out ERROR --local", ["\\x1b]\\nError: d"]),
-        ("evaluate survey WICKED --out o", []),
+        ("evaluate survey GONE --out o", ["\\x1b[31m"]),
         ("train textures --out WICKED", []),
     ],
 )
 def test_names_of_files_are_shown(line, shown, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    names = {
-        "WICKED": f"{WICKED.replace('/', '|')}.laz",
-        "RED": "a\x1b[31m[red]\nError: b.laz",
-        "ERROR": "\x1b]\nError: d",
-    }
+    wicked = f"{WICKED.replace('/', '|')}.laz"
+    names = {"WICKED": wicked, "GONE": f"b{wicked}", "RED": "a\x1b[31m[red]\nError: b.laz", "ERROR": "\x1b]\nError: d"}
     try:
         for name in ("WICKED", "RED"):
             Path(names[name]).symlink_to(QUARRY)
