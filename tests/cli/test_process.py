@@ -149,13 +149,13 @@ def test_a_pipe_is_refused_and_not_waited_for(given, tmp_path, monkeypatch, line
 # --- machines that give little: one message, exit code 3, never a traceback, never "the file is damaged" ---
 def commands(folder):
     """Words of a command that looks, one that maps and one that classes a scan, by name."""
-    points = "".join(f"{x} {y} {(x * y) % 3 * 0.1}\n" for x in range(-20, 20) for y in range(-20, 20))
-    head = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 1600\nHEIGHT 1\nPOINTS 1600\n"
-    (folder / "scan.pcd").write_text(f"{head}DATA ascii\n{points}")
+    place = np.random.default_rng(1).uniform(-18, 18, (60_000, 2))
+    points = np.column_stack([place, -1.5 + 0.01 * np.sin(20 * place[:, 0]), 0 * place[:, 0]])
+    points.astype("<f4").tofile(folder / "scan.bin")
     return {
         "info": ["info", QUARRY],
         "map": ["map", QUARRY, "--out", folder / "layers"],
-        "scan": ["scan", folder / "scan.pcd", "--out", folder / "scanned"],
+        "scan": ["scan", folder / "scan.bin", "--out", folder / "scanned"],
         "batch": ["batch", QUARRY.parent, "--out", folder / "night"],
     }
 
