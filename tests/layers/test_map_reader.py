@@ -1,12 +1,16 @@
+"""Maps read window by window, and folders that are refused."""
+
+import json
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from shutil import rmtree
 
 import numpy as np
 import pytest
 from pyproj import CRS
-from route_maps import bare_map, write_folder
+from route_maps import copy_folder, write_folder
 
-from bumpymap.core import NO_TILE, Georeference
+from bumpymap.core import NO_TILE, BadInputError, Georeference
 from bumpymap.layers import open_map
 from bumpytiles import Grid, TileWindow
 
@@ -76,17 +80,6 @@ def test_a_map_in_feet_lies_on_the_grid_in_metres(tmp_path, make_field):
     assert found.to_crs(*found.to_grid(12.5, -7.0)) == pytest.approx((12.5, -7.0))
 
 
-def test_longitude_and_latitude_of_the_central_meridian():
-    """On the central meridian of a UTM zone the scale is 0.9996 and longitude does not depend on northing."""
-    place = bare_map()
-    longitude, latitude = place.to_lonlat(np.array([500_000.0, 500_000.0]), np.array([0.0, 2_000_000.0]))
-    assert longitude == pytest.approx([-99.0, -99.0], abs=1e-12)
-    assert latitude[0] == pytest.approx(0.0, abs=1e-12)
-    assert 18.0 < latitude[1] < 18.2
-    back = place.from_lonlat(longitude, latitude)
-    assert np.allclose(back, [[500_000.0, 500_000.0], [0.0, 2_000_000.0]], atol=1e-6)
-
-
 def test_passage_in_fewer_pixels(folder):
     """At full size the same; in fewer pixels, what is free there is free on one of those beneath."""
     found = open_map(folder)
@@ -125,10 +118,7 @@ def open_below(folder):
     return sorted(opened)
 
 
-has_descriptors = pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="open files are not listed here")
-
-
-@has_descriptors
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="open files are not listed here")
 def test_files_stay_open_for_as_long_as_wanted(folder):
     found = open_map(folder)
     alone = found.read(found.window)
@@ -146,9 +136,8 @@ def test_files_stay_open_for_as_long_as_wanted(folder):
 def test_threads_read_a_map_that_is_kept_open(folder):
     found = open_map(folder)
     whole = found.window
-    rng = np.random.default_rng(3)
-    corners = rng.integers(0, (whole.cols - 5, whole.rows - 5), (60, 2))
-    windows = [TileWindow(whole.col + int(col), whole.row + int(row), 5, 5) for col, row in corners]
+    corners = np.random.default_rng(3).integers(0, (whole.cols - 5, whole.rows - 5), (60, 2)).tolist()
+    windows = [TileWindow(whole.col + col, whole.row + row, 5, 5) for col, row in corners]
     wanted = [(found.read(window), found.passage(window)) for window in windows]
 
     def read(window):
@@ -156,7 +145,72 @@ def test_threads_read_a_map_that_is_kept_open(folder):
             return found.read(window), found.passage(window)
 
     with ThreadPoolExecutor(4) as pool:
-        read_by_threads = list(pool.map(read, windows))
-    for (field, passage), (own, open_pixels) in zip(wanted, read_by_threads, strict=True):
-        assert same(field, own)
-        assert np.array_equal(passage, open_pixels)
+        for (field, passage), (own, open_pixels) in zip(wanted, pool.map(read, windows), strict=True):
+            assert same(field, own)
+            assert np.array_equal(passage, open_pixels)
+
+
+@pytest.fixture(scope="module")
+def small(make_field, tmp_path_factory):
+    return write_folder(tmp_path_factory.mktemp("route") / "small", make_field(20, 16, grid=SMALL))
+
+
+def first_version(folder):
+    """It had all files at the top."""
+    for path in (folder / "rasters").iterdir():
+        path.rename(folder / path.name)
+
+
+def in_sheets(folder):
+    (folder / "run.json").write_text(json.dumps({"format": "bumpymap-sheets", "sheets": []}))
+
+
+@pytest.mark.parametrize(
+    ("change", "entries", "words"),
+    [
+        (lambda folder: (folder / "run.json").unlink(), {}, "no complete run"),
+        (rmtree, {}, "there is no folder"),
+        *((lambda _: None, {key: {"a": 1}}, r"run\.json is damaged") for key in ("grid", "files", "crs")),
+        (in_sheets, {}, r"layers holds a map of another version.*Map the survey again"),
+        (first_version, {"version": 1}, r"layers holds a map of another version.*other places.*again"),
+    ],
+)
+def test_what_is_no_complete_run_of_this_version_is_refused(small, tmp_path, change, entries, words):
+    folder = copy_folder(small, tmp_path / "layers", **entries)
+    change(folder)
+    with pytest.raises(BadInputError, match=words):
+        open_map(folder)
+
+
+@pytest.mark.parametrize("name", ["cost.tif", "rasters/heightmap.tif"])
+def test_missing_cut_off_and_damaged_files_are_refused(small, tmp_path, name):
+    folder = copy_folder(small, tmp_path / "layers")
+    path = folder / name
+    content = path.read_bytes()
+    damages = {"cut off": content[: len(content) * 2 // 3], "damaged": content[:-400] + bytes(400)}
+    if name == "rasters/heightmap.tif":  # compared by size only
+        del damages["damaged"]
+    for words, damaged in damages.items():
+        path.write_bytes(damaged)
+        with pytest.raises(BadInputError, match=f"{name} is {words}"):
+            open_map(folder)
+    path.unlink()
+    with pytest.raises(BadInputError, match=f"{name} is missing"):
+        open_map(folder)
+
+
+def test_rasters_of_another_place_are_refused(small, tmp_path, make_field):
+    """A raster that was copied from another run; its size and checksum are entered, so only its place is wrong."""
+    folder = copy_folder(small, tmp_path / "layers")
+    other = write_folder(tmp_path / "other", make_field(20, 17, grid=SMALL))
+    record, others = (json.loads((each / "run.json").read_text()) for each in (folder, other))
+    (folder / "cost.tif").write_bytes((other / "cost.tif").read_bytes())
+    kept = [entry for entry in record["files"] if entry["path"] != "cost.tif"]
+    record["files"] = kept + [entry for entry in others["files"] if entry["path"] == "cost.tif"]
+    (folder / "run.json").write_text(json.dumps(record))
+    with pytest.raises(BadInputError, match=r"cost\.tif spans other tiles"):
+        open_map(folder)
+    record["grid"]["tile_size_m"] = 2.5
+    (folder / "run.json").write_text(json.dumps(record))
+    with pytest.raises(BadInputError, match="does not lie on the grid"):
+        open_map(folder)

@@ -1,21 +1,34 @@
-"""Ways over maps in memory: weights of risk, closed tiles, areas, stops."""
+"""Ways over maps in memory: costs of tiles, weights of risk, closed tiles, areas, stones, windows that grow."""
 
 import math
 
 import numpy as np
 import pytest
 import shapely
-from tile_maps import TileMap
+from route_oracles import cheapest_on_pixels, smooth_field
+from tile_maps import WARTHOG, TileMap
 
-from bumpymap.core import Barred
+from bumpymap.core import NO_TILE, Barred, RouteVehicle, UsageError
+from bumpymap.route import CostSettings
 from bumpymap.route.ground import CostGround
+from bumpymap.route.measure import way_cost
 from bumpymap.route.no_way import widest_opening
-from bumpymap.route.planner import Planner
-from bumpymap.route.settings import CostSettings
+from bumpymap.route.places import in_window
+from bumpymap.route.planner import Planner, tile_line
+from bumpymap.route.search import find_way
+from bumpymap.route.straighten import line_cost
+
+
+def ground_of(site, **settings):
+    return CostGround(site, CostSettings(**settings), 10**7)
 
 
 def planner(site, **settings):
-    return Planner(CostGround(site, CostSettings(**settings), 10**7))
+    return Planner(ground_of(site, **settings))
+
+
+def of_field(field, **settings):
+    return ground_of(None, **settings).of_field(field, through=False)
 
 
 def rough_map(seed, rows=60, cols=70, barred_share=0.15):
@@ -42,7 +55,7 @@ def test_a_heavier_risk_costs_more_and_arrives_more_surely():
     assert hazard[-1] < 0.9 * hazard[0]
 
 
-def test_unknown_ground_is_crossed_only_at_a_price():
+def test_unknown_ground_is_crossed_only_at_a_price_and_has_a_length_and_no_ride():
     barred = np.zeros((9, 30), np.uint8)
     barred[:, 14:17] = Barred.UNKNOWN
     site = TileMap(np.full((9, 30), 0.1), barred)
@@ -51,6 +64,10 @@ def test_unknown_ground_is_crossed_only_at_a_price():
     way = planner(site, unknown=4.0).way(stops)
     assert way.figures.unknown_m == pytest.approx(9.0, rel=1e-6)
     assert way.figures.cost_m == pytest.approx(24 * 3 * 1.5 + 9 * 4.0, rel=1e-6)
+    assert way.figures.c_r_mean == pytest.approx(0.1, rel=1e-6)
+    unknown = np.isnan(way.profile.c_r)
+    assert way.profile.distance[unknown].min() == pytest.approx(12.5 * 3.0, abs=1.0)
+    assert unknown.sum() == pytest.approx(9, abs=1)
 
 
 def test_areas_close_tiles():
@@ -76,25 +93,26 @@ def test_a_way_keeps_room_beside_obstacles_where_there_is_room():
     assert way.figures.tight_turns_deg == 0.0
 
 
-def test_turns_between_obstacles_count_against_arriving():
+def lane(*stones):
+    """A lane one tile wide with stones in it, and its ends."""
     barred = np.full((9, 20), Barred.SLOPE)
     barred[4] = Barred.NO
     site = TileMap(np.full((9, 20), 0.1), barred)
-    site.stones = [tuple(site.at(4.37, 10.5)), tuple(site.at(4.63, 12.5))]
-    figures = planner(site).way(np.array([site.at(4.5, 1.5), site.at(4.5, 18.5)])).figures
+    site.stones = [tuple(site.at(*stone)) for stone in stones]
+    return site, np.array([site.at(4.5, 1.5), site.at(4.5, 18.5)])
+
+
+def test_turns_between_obstacles_count_against_arriving():
+    site, stops = lane((4.37, 10.5), (4.63, 12.5))
+    figures = planner(site).way(stops).figures
     assert 10.0 < figures.tight_turns_deg < 180.0
     assert figures.p_arrives == pytest.approx(np.exp(-figures.hazard - figures.tight_turns_deg / 100))
 
 
 def test_where_every_way_touches_an_obstacle_there_is_none_unless_it_is_asked_for():
-    barred = np.full((9, 20), Barred.SLOPE)
-    barred[4] = Barred.NO
-    site = TileMap(np.full((9, 20), 0.1), barred)
-    site.stones = [tuple(site.at(4.5, 10.5))]
-    stops = np.array([site.at(4.5, 1.5), site.at(4.5, 18.5)])
+    site, stops = lane((4.5, 10.5))
     assert planner(site).way(stops) is None
-    plan = planner(site, through_obstacles=True)
-    measured = plan.way(stops)
+    measured = planner(site, through_obstacles=True).way(stops)
     figures, profile = measured.figures, measured.profile
     assert figures.obstacle_m == pytest.approx(2 * site.vehicle.reach_m, abs=0.3)
     assert profile.obstacle.mean() * figures.length_m == pytest.approx(figures.obstacle_m, abs=1.1)
@@ -135,3 +153,148 @@ def test_the_widest_opening_in_a_wall_is_found_and_measured(half, width):
     assert found == pytest.approx(width, abs=0.21)
     site.stones = [(wall, y) for y in line]
     assert widest_opening(planner(site).ground, *stops) is None
+
+
+def made_field(rows=600, cols=40, seed=1):
+    """Random tiles of every kind; more rows than are computed at once."""
+    rng = np.random.default_rng(seed)
+    barred = rng.choice([*Barred, NO_TILE], (rows, cols), p=[0.5, 0.2, 0.05, 0.05, 0.05, 0.05, 0.05, 0.05])
+    unknown = (barred == Barred.UNKNOWN) | (barred == NO_TILE)
+    p_fail = rng.random(barred.shape) * 0.5
+    p_fail[unknown | (rng.random(barred.shape) < 0.1)] = np.nan  # a rating without p_fail
+    c_r = np.where(unknown, np.nan, rng.gamma(2.0, 0.1, barred.shape))
+    obstacle = np.where(rng.random(barred.shape) < 0.3, rng.random(barred.shape), 0.0)
+    site = TileMap(c_r, barred, p_fail, obstacle)
+    return site.read(site.window)
+
+
+def by_hand(field, i, j, *, risk, robust=False, unknown=None):
+    """Cost of one tile in plain Python."""
+    code = int(field.barred[i, j])
+    if code == Barred.UNKNOWN and unknown is not None and not field.obstacle[i, j] > 0:
+        return unknown
+    if code != Barred.NO:
+        return np.inf
+    p_fail = float(field.p_fail[i, j])
+    hazard = 0.0 if np.isnan(p_fail) else -np.log1p(-p_fail) / field.rule.drive_m
+    shaking = float((field.c_r_high if robust else field.c_r)[i, j])
+    return 1.0 + field.rule.ride_weight * shaking + risk * hazard
+
+
+@pytest.mark.parametrize("robust", [False, True])
+@pytest.mark.parametrize("unknown", [None, 12.5])
+@pytest.mark.parametrize("risk", [0.0, 80.0, 4000.0])
+def test_cost_of_every_tile(robust, unknown, risk):
+    field = made_field(300, 7)
+    cost = of_field(field, risk=risk, robust=robust, unknown=unknown)
+    expected = [by_hand(field, i, j, risk=risk, robust=robust, unknown=unknown) for i, j in np.ndindex(cost.shape)]
+    assert cost.dtype == np.float32
+    assert np.array_equal(cost.ravel(), np.float32(expected))
+    assert cost.min() >= 1.0
+
+
+def test_default_risk_is_that_of_the_layers():
+    """The values of cost.tif, as the writer makes them, to the last bit."""
+    field = made_field()
+    factor = field.rule.cost(field.c_r.astype(np.float64), field.rule.hazard(field.p_fail))
+    written = np.where(field.barred == Barred.NO, factor, np.nan).astype(np.float32)
+    assert np.array_equal(of_field(field), np.where(np.isnan(written), np.inf, written))
+    assert np.array_equal(of_field(field), of_field(field, risk=field.rule.fail_weight))
+
+
+ROWS, COLS = 120, 140
+MARGIN = WARTHOG.reach_m / 3.0
+
+
+def map_with_walls(seed):
+    """Walls through most of the map, in a random direction: ways must go far around."""
+    rng = np.random.default_rng(seed)
+    cost = smooth_field(rng, (ROWS, COLS), most=3, width=2)
+    for _ in range(4):
+        row, col, half = rng.integers(5, 115), rng.integers(5, 135), rng.integers(20, 70)
+        if rng.random() < 0.5:
+            cost[row, max(0, col - half) : col + half] = np.inf
+        else:
+            cost[max(0, row - half) : row + half, col] = np.inf
+    start, goal = rng.permutation(np.argwhere(np.isfinite(cost)))[:2] + rng.random((2, 2))
+    return cost, tuple(start), tuple(goal)
+
+
+def plan(cost, start, goal, memory_tiles=10**6):
+    """Plan over tiles of such costs; return the line in field coordinates, and the windows that were read."""
+    site = TileMap((np.where(np.isfinite(cost), cost, 1.0) - 1.0) / 5.0, np.where(np.isfinite(cost), 0, Barred.SLOPE))
+    ground = CostGround(site, CostSettings(), memory_tiles)
+    line = tile_line(ground, site.at(*start), site.at(*goal))
+    return None if line is None else in_window(line, site.grid, site.window), site.windows
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_grown_window_gives_the_way_of_the_whole_map(seed):
+    cost, start, goal = map_with_walls(seed)
+    line, windows = plan(cost, start, goal)
+    whole = find_way(cost, start, goal, margin=MARGIN)
+    assert windows
+    if whole is None:
+        assert line is None
+        return
+    assert line_cost(cost, line) == pytest.approx(whole.cost, rel=1e-6)
+    np.testing.assert_allclose(line[[0, -1]], [start, goal], rtol=0, atol=1e-6)
+
+
+def test_a_start_that_is_walled_in_is_found_without_reading_the_whole_map():
+    cost = np.ones((ROWS, COLS), np.float32)
+    cost[50:61, 50:61] = np.inf
+    cost[51:60, 51:60] = 1.0
+    line, windows = plan(cost, (55.0, 55.0), (80.0, 90.0))
+    assert line is None
+    assert all(each.rows < ROWS for each in windows)
+
+
+def test_a_window_that_memory_does_not_hold_is_refused():
+    cost = np.ones((ROWS, COLS), np.float32)
+    cost[60, :-1] = np.inf  # a way around it leads along the whole map
+    with pytest.raises(UsageError, match=r"tiles or more, .* GB of memory; allowed are 5000 tiles.*via points"):
+        plan(cost, (50.0, 20.0), (70.0, 20.0), memory_tiles=5000)
+    line, windows = plan(cost, (50.0, 20.0), (70.0, 20.0))
+    assert line_cost(cost, line) > 200
+    assert len(windows) > 1
+
+
+CODES = (Barred.SLOPE, Barred.OBSTACLE, Barred.UNKNOWN, Barred.STEP, Barred.SPLIT)
+
+
+def stone_centres(site):
+    """Middles of the pixels that hold stones, m."""
+    return (np.floor(np.array(site.stones) / site.grid.pixel_size) + 0.5) * site.grid.pixel_size
+
+
+def stony_map(seed, size=(26, 34)):
+    """A map with closed tiles and stones, some of them beside the ends; and the ends."""
+    rng = np.random.default_rng(seed)
+    barred = np.where(rng.random(size) < 0.18, rng.choice(CODES, size=size), Barred.NO)
+    vehicle = RouteVehicle("cart", float(rng.choice([1.0, 1.18, 1.38, 2.2])), 1.0)
+    site = TileMap(rng.uniform(0.05, 0.5, size), barred, vehicle=vehicle)
+    site.stones = [tuple(site.at(*place)) for place in rng.uniform(0, size, (140, 2))]
+    free = np.argwhere(site.passage(site.window))
+    ends = [site.at(*(place + 0.5) / site.grid.pixels) for place in free[rng.integers(len(free), size=2)]]
+    return site, np.array(ends)
+
+
+@pytest.mark.parametrize("seed", [3, 5, 6, 13, 14, 28, 34, 50])
+def test_a_way_touches_nothing_and_is_there_wherever_a_search_over_pixels_finds_one(seed):
+    site, ends = stony_map(seed)
+    ground = ground_of(site)
+    line, back = Planner(ground).line(*ends), Planner(ground).line(*ends[::-1])
+    start, goal = np.floor(ground.in_window(ends, site.window)).astype(int)
+    best = cheapest_on_pixels(ground.on_pixels(site.window), start, goal, site.grid.pixel_size)
+    if line is None:
+        assert not np.isfinite(best)
+        assert back is None
+        return
+    np.testing.assert_array_equal(line, back[::-1])
+    assert way_cost(ground, line) <= 1.03 * best
+    way = shapely.LineString(line)
+    along = shapely.get_coordinates(shapely.line_interpolate_point(way, np.arange(0.0, way.length, 0.01)))
+    apart = np.hypot(*(along[:, None] - stone_centres(site)).T).min(axis=0)
+    assert apart.min() > 0.5 * site.vehicle.width_m - 0.01
+    assert ground.is_clear(line)

@@ -1,3 +1,7 @@
+"""Rasters of a map: values by rasterio, tables as GDAL reads them, overviews, and the same bytes for any cut."""
+
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
 from functools import partial
@@ -7,7 +11,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 import rasterio
-from cost_maps import part_of
+from cost_maps import make_field, part_of
 from pyproj import CRS
 from rasterio.env import get_gdal_config
 from rio_cogeo import cog_validate
@@ -28,7 +32,7 @@ from bumpymap.core.types import (
     ObjectStack,
     Reason,
 )
-from bumpymap.layers import _cog
+from bumpymap.layers import _cog, geotiff
 from bumpymap.layers._cog import checksum, require_intact
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS
 from bumpymap.layers.geotiff import write_raster
@@ -122,14 +126,6 @@ def test_cost_is_there_where_a_tile_is_passable_and_nowhere_else(rasters, cost_m
     assert np.isnan(rest).all()
 
 
-def test_heightmap_is_the_heights_side_by_side(rasters, cost_map):
-    with rasterio.open(rasters["heightmap"]) as file:
-        assert (file.descriptions, file.units) == (("height",), ("m",))
-    found, rest = of_tiles(rasters["heightmap"], cost_map)
-    np.testing.assert_array_equal(found[0], cost_map.patches.heights)
-    assert np.isnan(rest).all()
-
-
 def test_obstacles_are_pixels_of_the_tiles(cost_map, tmp_path):
     rng = np.random.default_rng(3)
     objects = rng.choice(np.array([FREE, OBSTACLE, CANOPY, UNSEEN], np.uint8), cost_map.patches.heights.shape)
@@ -180,13 +176,27 @@ def test_gdal_finds_names_colours_and_true_counts_beside_a_raster_of_codes(raste
     check_value_table(rasters[name], name, tmp_path / "seen.vrt")
 
 
-def four_below(path):
-    """The first overview, and the four pixels below each of its pixels; sides are even."""
-    with rasterio.open(path) as file, rasterio.open(path, overview_level=0) as overview:
-        assert file.overviews(1) == [2, 4]
-        full, small = file.read(1), overview.read(1)
-    lines, columns = small.shape
-    return small, full.reshape(lines, 2, columns, 2).swapaxes(1, 2).reshape(lines, columns, 4)
+def levels_of(path):
+    """Band 1, and each of its overviews."""
+    with rasterio.open(path) as file:
+        found, levels = [file.read(1)], len(file.overviews(1))
+    for level in range(levels):
+        with rasterio.open(path, overview_level=level) as file:
+            found.append(file.read(1))
+    return found
+
+
+def each_four(pixels, nodata):
+    """The pixels below each pixel of the next overview, (lines, columns, 4)."""
+    lines, columns = (-(-side // 2) for side in pixels.shape)
+    even = np.full((2 * lines, 2 * columns), nodata, pixels.dtype)
+    even[: pixels.shape[0], : pixels.shape[1]] = pixels
+    return even.reshape(lines, 2, columns, 2).swapaxes(1, 2).reshape(lines, columns, 4)
+
+
+def mean_of_known(four):
+    with np.errstate(invalid="ignore"):
+        return np.nansum(four, axis=2) / np.isfinite(four).sum(axis=2)
 
 
 def test_overviews_average_and_most_frequent(tmp_path, make_field):
@@ -194,13 +204,11 @@ def test_overviews_average_and_most_frequent(tmp_path, make_field):
     for name in ("roughness", "class"):
         WRITERS[name](cost_map, tmp_path / f"{name}.tif")
         assert cog_validate(tmp_path / f"{name}.tif", strict=True)[:2] == (True, [])
-    small, below = four_below(tmp_path / "roughness.tif")
-    with np.errstate(invalid="ignore"):
-        expected = np.nansum(below, axis=2) / np.isfinite(below).sum(axis=2)
-    np.testing.assert_allclose(small, expected, rtol=1e-5)
-    small, below = four_below(tmp_path / "class.tif")
+    full, small, _ = levels_of(tmp_path / "roughness.tif")
+    np.testing.assert_allclose(small, mean_of_known(each_four(full, np.nan)), rtol=1e-5)
+    full, small, _ = levels_of(tmp_path / "class.tif")
     codes = np.array([*range(4), NO_CLASS])
-    counts = (below[..., None] == codes).sum(axis=2)
+    counts = (each_four(full, NO_CLASS)[..., None] == codes).sum(axis=2)
     decided = (counts == counts.max(axis=2, keepdims=True)).sum(axis=2) == 1
     assert decided.mean() > 0.5
     np.testing.assert_array_equal(small[decided], codes[counts.argmax(axis=2)[decided]])
@@ -237,25 +245,25 @@ def test_unknown_ground_is_unknown_in_overviews_too(tmp_path, make_field):
     reason = np.where(known, Reason.OK, Reason.TOO_FEW_POINTS).astype(np.uint8)
     cost_map = replace(cost_map, class_id=class_id, patches=replace(cost_map.patches, reason=reason))
     WRITERS["class"](cost_map, tmp_path / "class.tif")
-    with rasterio.open(tmp_path / "class.tif") as file:
-        assert (file.read(1) == 0).sum() == known.sum()
-        levels = len(file.overviews(1))
-    assert levels == 3
-    for level in range(levels):
-        with rasterio.open(tmp_path / "class.tif", overview_level=level) as file:
-            assert (file.read(1) == NO_CLASS).all()
+    full, *smaller = levels_of(tmp_path / "class.tif")
+    assert (full == 0).sum() == known.sum()
+    assert len(smaller) == 3
+    assert all((level == NO_CLASS).all() for level in smaller)
 
 
-def test_feet_survey_keeps_its_crs_and_place(tmp_path, make_field):
-    cost_map = make_field(20, 10, west=130_000, south=60_000, georeference=FEET)
-    for name, values in (("roughness", cost_map.c_r), ("heightmap", cost_map.patches.heights)):
-        WRITERS[name](cost_map, tmp_path / f"{name}.tif")
-        np.testing.assert_array_equal(np.squeeze(of_tiles(tmp_path / f"{name}.tif", cost_map)[0][0]), values)
-    with rasterio.open(tmp_path / "heightmap.tif") as file:
-        assert file.crs.to_epsg() == 2271
-        assert file.res == pytest.approx((0.2 / US_FOOT, 0.2 / US_FOOT), rel=1e-12)
-        assert file.bounds.left == pytest.approx(cost_map.patches.col.min() * 3.0 / US_FOOT, rel=1e-12)
-        assert file.units == ("m",)
+@pytest.mark.parametrize("georeference", [None, FEET], ids=["metres", "feet"])
+def test_heightmap_is_the_heights_side_by_side(tmp_path, make_field, georeference):
+    cost_map = make_field(20, 10, west=130_000, south=60_000, georeference=georeference)
+    path, unit = tmp_path / "heightmap.tif", cost_map.georeference.metres_per_unit
+    WRITERS["heightmap"](cost_map, path)
+    found, rest = of_tiles(path, cost_map)
+    np.testing.assert_array_equal(found[0], cost_map.patches.heights)
+    assert np.isnan(rest).all()
+    with rasterio.open(path) as file:
+        assert (file.descriptions, file.units) == (("height",), ("m",))
+        assert file.crs.to_epsg() == (2271 if georeference else 32614)
+        assert file.res == pytest.approx((0.2 / unit, 0.2 / unit), rel=1e-12)
+        assert file.bounds.left == pytest.approx(cost_map.patches.col.min() * 3.0 / unit, rel=1e-12)
 
 
 @pytest.mark.parametrize(("code", "unit_z", "heights", "others"), [
@@ -335,3 +343,172 @@ def test_a_raster_that_lost_pixels_is_noticed(rasters, tmp_path):
     blank.close()
     with pytest.raises(OSError, match="disk may be full"):
         require_intact(tmp_path / "blank.tif", painted)
+
+
+@pytest.fixture(scope="module")
+def files(make_map, tmp_path_factory):
+    """heightmap.tif and obstacle.tif with all states, each by the sparse writer and by GDAL's driver.
+
+    40 tiles, one of them in each corner of the extent, three beside each other.
+    """
+    folder, rng = tmp_path_factory.mktemp("sparse"), np.random.default_rng(2)
+    col = [0, 0, 302, 302, 100, 101, 102, *rng.integers(3, 99, 33)]
+    row = [0, 252, 0, 252, 7, 7, 7, *range(20, 53)]
+    made = make_map(col, row, rng.integers(0, 4, 40), np.zeros(40))
+    states = rng.choice([FREE, FREE, FREE, OBSTACLE, CANOPY], made.patches.heights.shape).astype(np.uint8)
+    share = np.where(np.arange(40) % 2, 0.1, np.nan).astype(np.float32)  # NaN: what is free is not known to be
+    table = CostTable.of(replace(made, objects=ObjectStack(states, share, share, share, share)))
+    with pytest.MonkeyPatch.context() as patch:
+        for writer in ("sparse", "gdal"):
+            (folder / writer).mkdir()
+            for name in ("heightmap.tif", "obstacle.tif"):
+                write_raster(f"rasters/{name}", table, folder / writer / name, {"vehicle": "warthog"})
+            patch.setattr("bumpymap.layers.geotiff._SPARSE", 0.0)
+    return {name: (folder / "sparse" / name, folder / "gdal" / name) for name in ("heightmap.tif", "obstacle.tif")}
+
+
+@pytest.mark.parametrize("name", ["heightmap.tif", "obstacle.tif"])
+def test_values_and_tags_are_those_of_gdals_driver_in_a_valid_cog(files, name):
+    assert cog_validate(files[name][0], strict=True)[:3] == (True, [], [])
+    with rasterio.open(files[name][0]) as sparse, rasterio.open(files[name][1]) as gdal:
+        assert sparse.profile["blockxsize"] != gdal.profile["blockxsize"]  # two writers
+        np.testing.assert_array_equal(sparse.read(1), gdal.read(1))
+        for what in ("crs", "transform", "units", "descriptions", "colorinterp"):
+            assert getattr(sparse, what) == getattr(gdal, what)
+        assert (sparse.tags(), sparse.tags(ns="IMAGE_STRUCTURE")) == (gdal.tags(), gdal.tags(ns="IMAGE_STRUCTURE"))
+        np.testing.assert_equal(sparse.nodata, gdal.nodata)
+        ours, theirs = sparse.tags(1), gdal.tags(1)
+        assert list(ours) == list(theirs)
+        for tag in ours:
+            if tag.startswith("STATISTICS"):
+                assert float(ours[tag]) == pytest.approx(float(theirs[tag]), rel=1e-3)
+        if name == "obstacle.tif":
+            assert np.unique(sparse.read(1)).tolist() == [0, 1, 2, 3, NO_CLASS]
+            assert sparse.colormap(1) == gdal.colormap(1)
+            names = [path.with_name(f"{name}.aux.xml").read_text(encoding="utf-8") for path in files[name]]
+            assert names[0] == names[1]
+
+
+def test_overview_is_the_mean_of_the_known_pixels_among_four(files):
+    below, *above = levels_of(files["heightmap.tif"][0])
+    assert len(above) == 4
+    for level in above:
+        np.testing.assert_array_equal(level, mean_of_known(each_four(below.astype(float), np.nan)).astype(np.float32))
+        below = level
+
+
+def test_an_obstacle_stays_in_every_overview(files):
+    order = np.full(256, 9)
+    order[[OBSTACLE, 3, CANOPY, FREE]] = range(4)
+    below, *above = levels_of(files["obstacle.tif"][0])
+    for level in above:
+        np.testing.assert_array_equal(order[level], order[each_four(below, NO_CLASS)].min(axis=2))
+        below = level
+    assert (below == OBSTACLE).any()
+
+
+def thin(cost_map, share, seed=1):
+    """The same map with heights in a share of the pixels, in none of every fifth tile; hills, so that means differ."""
+    rng = np.random.default_rng(seed)
+    heights = cost_map.patches.heights.copy()
+    heights += (3.0 * np.sin(cost_map.patches.col / 4.0) + cost_map.patches.row % 7)[:, None, None].astype(np.float32)
+    heights[rng.random(heights.shape) >= share] = np.nan
+    heights[rng.random(len(heights)) < 0.2] = np.nan
+    return replace(cost_map, patches=replace(cost_map.patches, heights=heights))
+
+
+def relief_of(cost_map, path):
+    write_raster(MapFile.RELIEF, CostTable.of(cost_map), path)
+    with rasterio.open(path) as file:
+        return file.read(1)
+
+
+def means_of_thirds(cost_map):
+    """Means in whole cm, NaN where there are none, and which pixels are in a tile, (rows * 3, cols * 3) each."""
+    patches, third = (
+        cost_map.patches,
+        (np.arange(cost_map.patches.grid.pixels) + 0.5) * 3 // cost_map.patches.grid.pixels,
+    )
+    row = 3 * (patches.row.max() - patches.row)[:, None, None] + third[:, None].astype(int)
+    col = 3 * (patches.col - patches.col.min())[:, None, None] + third.astype(int)
+    total, count, tiles = np.zeros((3, row.max() + 1, col.max() + 1))
+    np.add.at(total, (row, col), np.nan_to_num(patches.heights.astype(float)))
+    np.add.at(count, (row, col), np.isfinite(patches.heights))
+    tiles[row, col] = 1
+    with np.errstate(invalid="ignore"):
+        return np.rint(100 * total / count), tiles > 0
+
+
+def near(values, y, x, half):
+    return values[max(y - half, 0) : y + half + 1, max(x - half, 0) : x + half + 1]
+
+
+@pytest.mark.parametrize("grid", [Grid(), Grid(3.0, 5), Grid(1.5, 16)])
+def test_known_pixels_are_means_and_others_are_filled_from_the_nearest(tmp_path, grid):
+    cost_map = thin(make_field(30, 25, west=-11, south=-9, grid=grid, holes=0.3), 0.02)
+    found = relief_of(cost_map, tmp_path / "relief.tif")
+    means, tiles = means_of_thirds(cost_map)
+    assert found.shape == means.shape
+    known = np.isfinite(means)
+    # half a centimetre may fall to either side
+    np.testing.assert_allclose(found[known], means[known] / 100, atol=0.0101)
+    assert np.mean(np.abs(found[known] - means[known] / 100) < 1e-3) > 0.99
+    assert np.isnan(found[~tiles]).all()
+    filled = 0
+    for y, x in zip(*np.nonzero(tiles & ~known), strict=True):
+        half = next((half for half in (1, 2, 4, 8) if np.isfinite(near(means, y, x, half)).any()), None)
+        if half is None:
+            assert np.isnan(found[y, x])
+            continue
+        around = near(means, y, x, half) / 100
+        assert np.nanmin(around) - 0.011 <= found[y, x] <= np.nanmax(around) + 0.011
+        assert found[y, x] == pytest.approx(np.nanmean(around), abs=0.02)
+        filled += 1
+    assert filled > 100
+
+
+@pytest.mark.parametrize("share", [0.02, 0.8])
+def test_windows_do_not_change_the_bytes(tmp_path, monkeypatch, share):
+    cost_map = thin(make_field(70, 50, grid=Grid(3.0, 5), west=-37, south=-20), share)
+    relief_of(cost_map, tmp_path / "whole.tif")
+    monkeypatch.setattr(geotiff, "_WINDOW_PIXELS", 1)  # one block of tiles
+    monkeypatch.setattr(geotiff, "_READ_TILES", 1)
+    order = np.random.default_rng(2).permutation(len(cost_map.class_id))
+    relief_of(part_of(cost_map, order), tmp_path / "windows.tif")
+    assert (tmp_path / "whole.tif").read_bytes() == (tmp_path / "windows.tif").read_bytes()
+
+
+_WITHOUT_THREADS = """
+import resource, sys, threading
+from pathlib import Path
+from bumpymap.layers import _cog
+from bumpymap.layers.placement import Placement
+from bumpymap.core.types import Georeference
+from bumpytiles import Grid, TileWindow
+import numpy as np
+
+pages = int(Path("/proc/self/statm").read_text().split()[0])
+resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + (128 << 20),) * 2)
+try:
+    threading.Thread(target=print).start()
+    sys.exit("a thread could be started")
+except RuntimeError:
+    pass
+place = Placement(Georeference(None), Grid(), TileWindow(0, 0, 100, 100))
+sheet = _cog.RasterSpec([_cog.BandSpec("height")], None, pixels=15, block=512)
+paint = lambda window: np.full((1, window.tiles.rows * 15, window.tiles.cols * 15), 7, np.float32)
+_cog.write_cog(Path(sys.argv[1]), place, sheet, paint, 100)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="asks Linux how much memory is mapped")
+def test_a_raster_is_written_where_no_thread_can_be_started(tmp_path):
+    """GDAL waits for ever for threads that it could not start; here one has a stack of 512 MB, and 128 MB are left."""
+    path = tmp_path / "a.tif"
+    command = ["bash", "-c", 'ulimit -s 524288 && exec "$@"', "-", sys.executable, "-c", _WITHOUT_THREADS, str(path)]
+    result = subprocess.run(command, capture_output=True, timeout=120, check=False)
+    assert result.returncode == 0, result.stderr.decode()
+    with rasterio.open(path) as file:
+        assert file.overviews(1)
+        assert (file.read(1) == 7).all()

@@ -1,11 +1,13 @@
-"""item.json: valid by the schemas of STAC, true to the files, the same for the same map."""
+"""item.json and catalog.json: valid by the schemas of STAC, opened by pystac, true to the files."""
 
 import hashlib
 import json
 import shutil
+import socket
 from pathlib import Path
 
 import numpy as np
+import pystac
 import pytest
 import rasterio
 import shapely
@@ -13,15 +15,15 @@ from pyproj import CRS, Transformer
 from small_surveys import files_in
 from stac_check import faults
 
+from bumpymap.core import OutputError
 from bumpymap.core.types import CostTable, Georeference
-from bumpymap.layers import write_products
+from bumpymap.layers import write_catalog, write_products
 from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.layers.stac import write_item
 from bumpymap.views import write_map_views
 
-CALIBRATION = {"id": "c0ffee", "vehicle": "warthog", "class_limits": [0.1, 0.2, 0.4]}
 RUN = {
-    "calibration": CALIBRATION,
+    "calibration": {"id": "c0ffee", "vehicle": "warthog", "class_limits": [0.1, 0.2, 0.4]},
     "model": "m1",
     "settings": {"rating": "ride"},
     "inputs": [{"path": "/some/where/old quarry (1).laz"}],
@@ -187,3 +189,66 @@ def test_the_same_map_has_the_same_item_wherever_it_lies(folder, cost_map, tmp_p
     again = write(cost_map, tmp_path / "other place", survey=SURVEY, seconds={"read": 12.5})
     assert (again / "item.json").read_bytes() == (folder / "item.json").read_bytes()
     assert b"/some" not in (again / "item.json").read_bytes()
+
+
+@pytest.fixture(scope="module")
+def night(tmp_path_factory, make_field):
+    root = tmp_path_factory.mktemp("night")
+    for seed, name in enumerate(("a", "Grube Süd")):
+        write(make_field(9, 7, seed=seed), root / name, survey={"name": name, "checksum": None, "dates": None})
+    (root / "failed").mkdir()
+    for name in ("half", "before"):
+        shutil.copytree(root / "a", root / name)
+    (root / "half" / "run.json").unlink()
+    (root / "before" / "item.json").unlink()
+    write_catalog(root, ["a", "Grube Süd", "failed", "half", "before", "missing"], title="Night of May 3")
+    return root
+
+
+def links_of(folder):
+    catalog = json.loads((folder / "catalog.json").read_text(encoding="utf-8"))
+    return catalog, [link["href"] for link in catalog["links"] if link["rel"] == "item"]
+
+
+def test_a_catalogue_is_valid_and_links_to_complete_maps(night, tmp_path):
+    catalog, links = links_of(night)
+    assert faults(catalog) == []
+    assert (catalog["id"], catalog["title"]) == ("Night-of-May-3", "Night of May 3")
+    assert links == ["./a/item.json", "./Grube Süd/item.json"]
+    assert faults({**catalog, "links": [{"rel": "item"}]})
+    names = ["100% #2?", "b\udce9"]  # which a link cannot hold
+    for name in names:
+        shutil.copytree(night / "a", tmp_path / name)
+    write_catalog(tmp_path, names, title="")
+    assert links_of(tmp_path)[1] == ["./100%25 %232%3F/item.json", "./b%E9/item.json"]
+
+
+def test_pystac_opens_it_and_finds_every_file(night, monkeypatch):
+    def refuse(*_):
+        raise AssertionError("something asked for the network")
+
+    monkeypatch.setattr(socket.socket, "connect", refuse)
+    catalog = pystac.Catalog.from_file(str(night / "catalog.json"))
+    items = list(catalog.get_items(recursive=True))
+    assert [item.id for item in items] == ["a_00", "Grube-S-d_00"]
+    for item in items:
+        assert item.get_parent() is catalog
+        assert item.get_root() is catalog
+        checked = 0
+        for name, asset in item.get_assets().items():
+            content = open(asset.get_absolute_href(), "rb").read()  # noqa: PTH123, SIM115
+            if "file:checksum" in asset.extra_fields:
+                assert asset.extra_fields["file:checksum"] == f"1220{hashlib.sha256(content).hexdigest()}"
+                checked += 1
+            assert Path(asset.href).name == name
+        assert checked >= 9
+        assert item.common_metadata.start_datetime.year == 1970
+        assert faults(item.to_dict(transform_hrefs=False)) == []
+
+
+def test_no_link_or_folder_is_replaced(tmp_path):
+    (tmp_path / "mine").write_text("mine")
+    (tmp_path / "catalog.json").symlink_to(tmp_path / "mine")
+    with pytest.raises(OutputError, match=r"catalog\.json is a link or no file.*Remove it"):
+        write_catalog(tmp_path, [], title="x")
+    assert (tmp_path / "mine").read_text() == "mine"

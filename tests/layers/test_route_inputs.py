@@ -1,3 +1,5 @@
+"""Areas and points of users, of any format and CRS."""
+
 import json
 from contextlib import nullcontext
 
@@ -9,7 +11,8 @@ from pyproj import CRS, Transformer
 from route_maps import UTM, bare_map
 
 from bumpymap.core import BadInputError
-from bumpymap.layers import read_areas, tiles_in, tiles_within
+from bumpymap.layers import read_areas, read_points, tiles_in, tiles_within
+from bumpymap.layers.route_inputs import FilePoint
 from bumpytiles import Grid, TileWindow
 
 GRID = Grid(3.0, 15)
@@ -19,9 +22,9 @@ CORNER = np.array([480_000.0, 2_136_000.0])
 """South-west corner of the site, m."""
 
 
-def at(east, north):
-    """A point of the site, in metres from that corner."""
-    return np.add(CORNER, (east, north))
+def on_site(west, south, east, north):
+    """A box, in metres from that corner."""
+    return shapely.box(*np.add(CORNER, (west, south)), *np.add(CORNER, (east, north)))
 
 
 def feature(geometry, **properties):
@@ -42,13 +45,9 @@ def blob(seed, *, middle=(150.0, 120.0), size=90.0, corners=9):
 
 
 def by_hand(areas, window, test):
-    """The relation of every tile of a window to the areas, tile by tile."""
-    whole = shapely.union_all(areas)
-    found = np.zeros((window.rows, window.cols), bool)
-    for i, j in np.ndindex(found.shape):
-        bounds = GRID.bounds(window.col + j, window.row + window.rows - 1 - i)
-        found[i, j] = test(whole, shapely.box(bounds.west, bounds.south, bounds.east, bounds.north))
-    return found
+    """The relation of every tile of a window to the areas."""
+    col, row = np.meshgrid(window.col + np.arange(window.cols), window.row + np.arange(window.rows)[::-1])
+    return test(shapely.union_all(areas), shapely.box(col * 3.0, row * 3.0, col * 3.0 + 3.0, row * 3.0 + 3.0))
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -56,17 +55,19 @@ def test_tiles_in_and_within_areas_tile_by_tile(seed):
     areas = np.array([blob(seed), blob(seed + 50, middle=(250.0, 60.0), size=70.0), blob(seed + 70, size=2.0)])
     for window in (TileWindow(160_010, 712_005, 60, 55), TileWindow(160_045, 712_035, 3, 4)):
         touched, held = tiles_in(areas, window, GRID), tiles_within(areas, window, GRID)
-        assert np.array_equal(touched, by_hand(areas, window, lambda a, b: a.intersects(b) and not a.touches(b)))
+        assert np.array_equal(
+            touched, by_hand(areas, window, lambda a, b: shapely.intersects(a, b) & ~shapely.touches(a, b))
+        )
         assert np.array_equal(held, by_hand(areas, window, shapely.covers))
         assert not (held & ~touched).any()
 
 
 def test_sides_on_the_borders_of_tiles():
     """A polygon drawn along tiles touches no others; two such side by side hold the tiles of both."""
-    area = shapely.box(*at(30.0, 60.0), *at(90.0, 120.0))
+    area = on_site(30.0, 60.0, 90.0, 120.0)
     expected = np.zeros((80, 100), bool)
     expected[40:60, 10:30] = True
-    halves = [shapely.box(*at(30.0, 60.0), *at(61.0, 120.0)), shapely.box(*at(61.0, 60.0), *at(90.0, 120.0))]
+    halves = [on_site(30.0, 60.0, 61.0, 120.0), on_site(61.0, 60.0, 90.0, 120.0)]
     assert np.array_equal(tiles_in(np.array([area]), WINDOW, GRID), expected)
     assert np.array_equal(tiles_within(np.array([area]), WINDOW, GRID), expected)
     assert np.array_equal(tiles_within(np.array(halves), WINDOW, GRID), expected)
@@ -136,7 +137,7 @@ def test_a_map_across_the_antimeridian(tmp_path):
 
 def test_areas_beside_the_map_are_an_error_that_names_them_unless_that_is_allowed(tmp_path, caplog):
     """A way leads through what an area in a wrong place was to close."""
-    on, off = shapely.Point(SITE.to_lonlat(*at(150.0, 120.0))).buffer(1e-4), shapely.Point(11.0, 48.0).buffer(1e-3)
+    on, off = shapely.Point(SITE.to_lonlat(480_150.0, 2_136_120.0)).buffer(1e-4), shapely.Point(11.0, 48.0).buffer(1e-3)
     path = geojson(tmp_path / "a.geojson", feature(on, name="pit"), feature(off, name="pond"), feature(off))
     with pytest.raises(BadInputError, match=r"2 of the 3 areas of .* read in WGS 84 .*: number 2, 3\. .*allow_outside"):
         read_areas(path, SITE)
@@ -167,14 +168,115 @@ def test_a_map_without_a_crs_takes_areas_in_its_own_coordinates(tmp_path):
         read_areas(tmp_path / "a.fgb", SITE)
 
 
-def test_files_that_hold_no_polygons_are_refused(tmp_path):
-    line = geojson(tmp_path / "line.geojson", feature(shapely.LineString([(-99.19, 19.318), (-99.18, 19.319)])))
-    with pytest.raises(BadInputError, match="holds linestring; areas must be polygons"):
-        read_areas(line, SITE)
-    with pytest.raises(BadInputError, match="holds nothing"):
-        read_areas(geojson(tmp_path / "none.geojson"), SITE)
-    (tmp_path / "a.kml").touch()
-    (tmp_path / "a.gpkg").write_bytes(b"no database")
-    for name, words in (("a.kml", "is not a file of polygons"), ("b.shp", "is missing"), ("a.gpkg", "cannot read")):
-        with pytest.raises(BadInputError, match=words):
-            read_areas(tmp_path / name, SITE)
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        (
+            "a.geojson",
+            [shapely.LineString([(-99.19, 19.318), (-99.18, 19.319)])],
+            "holds linestring; areas must be pol",
+        ),
+        ("a.geojson", [], "holds nothing"),
+        ("a.kml", b"", "is not a file of polygons"),
+        ("a.gpkg", b"no database", "cannot read"),
+        ("b.shp", None, "is missing"),
+    ],
+)
+def test_files_that_hold_no_polygons_are_refused(tmp_path, name, content, words):
+    if isinstance(content, bytes):
+        (tmp_path / name).write_bytes(content)
+    elif content is not None:
+        geojson(tmp_path / name, *map(feature, content))
+    with pytest.raises(BadInputError, match=words):
+        read_areas(tmp_path / name, SITE)
+
+
+PLACES = [(-99.19, 19.318), (-99.1885, 19.3191), (-99.1881, 19.3178)]
+
+
+def test_points_of_a_geojson_in_their_order(tmp_path):
+    points = [shapely.Point(*place, 2250.0) for place in PLACES]
+    path = geojson(
+        tmp_path / "stops.geojson",
+        feature(points[0], name="gate"),
+        {"type": "Feature", "properties": {"name": "nowhere"}, "geometry": None},
+        feature(points[1], number=7),
+        feature(points[2], name=" pump "),
+    )
+    assert read_points(path) == [
+        FilePoint("gate", *PLACES[0], "lonlat"),
+        FilePoint("2", *PLACES[1], "lonlat"),
+        FilePoint("pump", *PLACES[2], "lonlat"),
+    ]
+    nameless = geojson(tmp_path / "bare.json", feature(shapely.MultiPoint(PLACES)))
+    assert [(point.name, point.x, point.y) for point in read_points(nameless)] == [
+        (str(number), *place) for number, place in enumerate(PLACES, start=1)
+    ]
+
+
+def test_projected_numbers_and_names_that_are_no_text(tmp_path, caplog):
+    points = [shapely.Point(480_000.0, 2_136_000.0), shapely.Point(480_050.0, 2_136_020.0)]
+    path = geojson(tmp_path / "utm.geojson", feature(points[0], name=["a"]), feature(points[1], name=7))
+    assert read_points(path) == [
+        FilePoint("1", 480_000.0, 2_136_000.0, "crs"),
+        FilePoint("7", 480_050.0, 2_136_020.0, "crs"),
+    ]
+    assert "cannot be degrees" in caplog.text
+
+
+GPX = '<?xml version="1.0"?><gpx version="1.1" creator="t" xmlns="http://www.topografix.com/GPX/1/1">{}</gpx>'
+
+
+def test_waypoints_of_a_gpx_or_else_the_points_of_its_route(tmp_path):
+    path = tmp_path / "tour.gpx"
+    way = "".join(f'<wpt lat="{y}" lon="{x}"><ele>12</ele><name>w{i}</name></wpt>' for i, (x, y) in enumerate(PLACES))
+    route = f'<rte><rtept lat="{PLACES[1][1]}" lon="{PLACES[1][0]}"></rtept></rte>'
+    path.write_text(GPX.format(way + route))
+    assert read_points(path) == [FilePoint(f"w{i}", *place, "lonlat") for i, place in enumerate(PLACES)]
+    path.write_text(GPX.format(route))
+    assert read_points(path) == [FilePoint("1", *PLACES[1], "lonlat")]
+    path.write_text(GPX.format(""))
+    with pytest.raises(BadInputError, match="holds no points"):
+        read_points(path)
+
+
+@pytest.mark.parametrize(
+    ("head", "system", "separator"),
+    [("lon,lat", "lonlat", ","), ("Longitude;Latitude", "lonlat", ";"), ("x\ty", "crs", "\t")],
+)
+def test_columns_of_a_csv(tmp_path, head, system, separator):
+    path = tmp_path / "points.csv"
+    rows = [["id", head, "name"], ["7", "1.5", "-2.25", "the gate"], [""], ["", ""], ["8", " 3e2 ", "4"]]
+    path.write_text("\n".join(map(separator.join, rows)), encoding="utf-8-sig")
+    assert read_points(path) == [FilePoint("the gate", 1.5, -2.25, system), FilePoint("4", 300.0, 4.0, system)]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("a.csv", "lon,height\n1,2\n", r"a\.csv has the columns lon, height; it needs lon,lat"),
+        ("a.csv", "lon,lat\n1,2\n3,north\n", r"a\.csv, line 3: '3,north'"),
+        ("a.csv", "x;y\n1,5;2,5\n", r"'1,5;2,5' has no two numbers .* decimals with a point"),
+        ("a.csv", "lon,lat\n1,nan\n", "has no two numbers"),
+        ("a.csv", "lon,lat\n", "holds no points"),
+        ("a.csv", "", r"columns \(none\)"),
+        ("a.csv", b"\xff\xfe\x00", "cannot read"),
+        ("a.txt", "1,2", r"Give \.geojson, \.gpx or \.csv"),
+        ("a.geojson", "{", r"cannot read .*a\.geojson: .*\. Give"),
+        ("a.geojson", "[1, 2]", "it is no GeoJSON: it is .*; it must be an object with type"),
+        ("a.geojson", '{"type": "FeatureCollection", "features": [5]}', "features.0 is '5'; it must be an object"),
+        ("a.geojson", '{"type": "Feature", "crs": 5}', "crs is '5'; it must be an object with type, properties"),
+        ("a.geojson", '{"type": "Point", "coordinates": ["a", 1]}', "feature 1 has a position that is no two numbers"),
+        ("a.geojson", '{"type": "Point", "coordinates": [1e999, 1]}', "feature 1 has a position that is no two numb"),
+        ("a.geojson", '{"type": "Polygon", "coordinates": [[[1, 2]]]}', "a Polygon of it is damaged"),
+        ("a.gpx", '<gpx><wpt lat="1"/></gpx>', "a point of it is not a place: lat='1'"),
+        ("a.geojson", '{"type": "Point", "coordinates": {"a": 1}}', "cannot read"),
+        ("a.gpx", "<gpx", "cannot read"),
+        ("a.gpx", "<kml><wpt lat='1' lon='2'/></kml>", "it is no GPX"),
+    ],
+)
+def test_files_that_are_no_points_are_refused(tmp_path, name, text, words):
+    path = tmp_path / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(BadInputError, match=words):
+        read_points(path)

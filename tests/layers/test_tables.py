@@ -1,4 +1,7 @@
+"""tiles.parquet, read by GeoPandas; tables of others, refused before they are read; and the summary of a map."""
+
 import json
+from dataclasses import astuple
 
 import geopandas
 import numpy as np
@@ -8,11 +11,16 @@ import pyarrow.parquet as pq
 import pytest
 import shapely
 from geopandas.testing import assert_geodataframe_equal
+from hypothesis import given, settings, strategies as st
 from pyproj import CRS
+from route_maps import write_folder
 
+import bumpymap
+from bumpymap.core import BadInputError
 from bumpymap.core.types import (
     BANDS,
     BARRED_TEXT,
+    CLASS_NAMES,
     NO_CLASS,
     REASON_TEXT,
     SIDES,
@@ -20,14 +28,11 @@ from bumpymap.core.types import (
     CostTable,
     Reason,
 )
+from bumpymap.layers import MapSummary, describe_file, tile_table
+from bumpymap.layers.summary import summarise
 from bumpymap.layers.tile_table import write_tiles
+from bumpymap.views import write_report
 from bumpytiles import Column, Grid, Pack, TileTable, write_pack
-
-COLUMNS = [
-    "col", "row", "geometry", "bbox", *(band.name for band in BANDS),
-    *(f"step_{side}" for side in SIDES), "barred", "count", "z_min", "z_max", "relief", "texture",
-    *(f"p_{texture}" for texture in TEXTURES), "class", "reason", "reason_text", "heights",
-]  # fmt: skip
 
 
 @pytest.fixture(name="written", scope="module")
@@ -39,7 +44,11 @@ def written_fixture(tmp_path_factory, cost_map):
 
 def test_columns_types_and_compression(written):
     schema = pq.read_schema(written)
-    assert schema.names == COLUMNS
+    assert schema.names == [
+        *("col", "row", "geometry", "bbox", *(band.name for band in BANDS), *(f"step_{side}" for side in SIDES)),
+        *("barred", "count", "z_min", "z_max", "relief", "texture", *(f"p_{texture}" for texture in TEXTURES)),
+        *("class", "reason", "reason_text", "heights"),
+    ]
     assert schema.field("class").type == schema.field("reason").type == pa.int8()
     assert schema.field("heights").type == pa.list_(pa.float32(), 225)
     assert schema.field("c_r").metadata[b"unit"] == b"rad/m"
@@ -111,9 +120,8 @@ def test_wide_maps_come_strip_by_strip_whatever_the_packs(tmp_path, make_field):
     table = CostTable.of(cost_map)
     write_tiles(table, tmp_path / "one.parquet")
     found = pq.read_table(tmp_path / "one.parquet", columns=["col", "row"]).to_pandas()
-    assert sorted(zip(found["col"], found["row"], strict=True)) == sorted(
-        zip(cost_map.patches.col, cost_map.patches.row, strict=True)
-    )
+    places = np.column_stack([cost_map.patches.col, cost_map.patches.row]).tolist()
+    assert sorted(found.to_numpy().tolist()) == sorted(places)
     block = -(found["row"] // 16)
     assert block.is_monotonic_increasing
     for _, strip in found.groupby(block):  # each in two pieces: the western one first, both north first
@@ -136,3 +144,116 @@ def test_wide_maps_come_strip_by_strip_whatever_the_packs(tmp_path, make_field):
     twin = CostTable(table.georeference, table.rule, TileTable(table.tiles.grid, packs))
     write_tiles(twin, tmp_path / "two.parquet")
     assert (tmp_path / "one.parquet").read_bytes() == (tmp_path / "two.parquet").read_bytes()
+
+
+@pytest.fixture(name="folder")
+def folder_fixture(make_field, tmp_path):
+    return write_folder(tmp_path / "site", make_field(12, 9))
+
+
+def replace_table(folder, table, **options):
+    """Put another table in its place, and into the list of files, as a run would."""
+    pq.write_table(table, folder / "tiles.parquet", **options)
+    record = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    entry = next(file for file in record["files"] if file["path"] == "tiles.parquet")
+    entry |= describe_file(folder / "tiles.parquet") | {"path": "tiles.parquet"}
+    (folder / "run.json").write_text(json.dumps(record), encoding="utf-8")
+
+
+def repeated(folder, times):
+    """Return the tiles many times over: a small file, since equal rows take next to nothing."""
+    table = pq.read_table(folder / "tiles.parquet").drop_columns(["heights", "geometry", "bbox"])
+    return table.take(pa.array(np.repeat(np.arange(len(table)), times)))
+
+
+@pytest.fixture(name="pool")
+def pool_fixture():
+    """Memory that Arrow takes from here on."""
+    before = pa.default_memory_pool()
+    pool = pa.proxy_memory_pool(before)
+    yield pool
+    pa.set_memory_pool(before)
+
+
+def test_more_rows_than_the_run_counts_are_refused_before_they_are_read(folder, pool):
+    replace_table(folder, repeated(folder, 10_000))
+    pa.set_memory_pool(pool)
+    for read in (lambda: write_report(folder), bumpymap.open(folder).tiles):
+        with pytest.raises(BadInputError, match=r"tiles\.parquet holds [\d,]+ rows, and run\.json counts \d+ tiles"):
+            read()
+    assert pool.max_memory() < 1 << 20
+
+
+def test_a_row_group_larger_than_a_run_writes_is_refused(folder):
+    table = repeated(folder, 1000)
+    record = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    record["counts"]["tiles"] = len(table)
+    (folder / "run.json").write_text(json.dumps(record), encoding="utf-8")
+    replace_table(folder, table, row_group_size=len(table))
+    with pytest.raises(BadInputError, match=r"a group of [\d,]+ rows; at most 65,536 are read at once"):
+        write_report(folder)
+
+
+def test_rows_that_do_not_fit_into_memory_are_refused(folder, monkeypatch):
+    monkeypatch.setattr(tile_table, "free_memory", lambda: 1000)
+    with pytest.raises(BadInputError, match=r"tiles\.parquet takes .* of memory, and .* are free"):
+        write_report(folder)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(st.sampled_from([0, 1, 2, 3, NO_CLASS]), min_size=1, max_size=30), st.integers(0, 9), st.integers(1, 40)
+)
+def test_counts_and_medians_are_those_of_all_tiles(make_map, class_id, seed, cols):
+    tiles = np.arange(len(class_id))
+    cost_map = make_map(tiles % cols, tiles // cols, class_id, [3 if k == NO_CLASS else 0 for k in class_id], seed=seed)
+    summary = summarise(CostTable.of(cost_map))
+    assert summary.tiles == len(class_id)
+    assert summary.points == cost_map.patches.count.sum()
+    assert summary.median_count == np.median(cost_map.patches.count)
+    assert summary.by_class == tuple(class_id.count(k) for k in range(4))
+    free = (cost_map.class_id != NO_CLASS) & (cost_map.p_fail < 0.5)
+    assert summary.passable == (free & (cost_map.patches.slope <= cost_map.rule.slope_limit_deg)).sum()
+    assert summary.by_reason == (0, 0, 0, class_id.count(NO_CLASS), 0, 0)
+    for number, group in enumerate([0, 1, 2, 3, NO_CLASS]):
+        chosen = cost_map.class_id == group
+        for found, values, near in (
+            (summary.median_c_r, cost_map.c_r, 1e-4),
+            (summary.median_slope, cost_map.patches.slope, 1e-3),
+        ):
+            known = values[chosen][np.isfinite(values[chosen])].astype(float)
+            expected = np.median(known) if len(known) else np.nan
+            assert found[number] == pytest.approx(expected, abs=near, nan_ok=True)
+
+
+def test_the_median_of_the_last_class_is_of_the_tiles_that_their_c_r_puts_there(make_map):
+    cost_map = make_map(np.arange(5), np.zeros(5, int), [3, 3, 3, 3, 0], [0] * 5)
+    cost_map.c_r[:] = [0.1, 0.2, 0.5, 0.7, 0.05]
+    cost_map.p_fail[:] = [0.9, 0.02, 0.9, 0.0, 0.0]  # the second is too steep
+    summary = summarise(CostTable.of(cost_map), (0.1, 0.2, 0.4))
+    assert summary.failing == 2
+    assert summary.median_c_r[3] == pytest.approx(0.6, abs=1e-4)
+    assert summary.by_class == (1, 0, 0, 4)
+
+
+def test_unknown_are_the_tiles_without_a_class():
+    """Those with one of which too little was seen are not passable, but not unknown."""
+    counts = {
+        "tiles": 10,
+        "points": 99,
+        "passable": 5,
+        "by_class": dict(zip(CLASS_NAMES, (5, 1, 1, 1), strict=True)),
+        "by_reason": {"too few points": 2},
+        "barred": {"unknown ground": 3, "step": 2},
+    }
+    summary = MapSummary.of(counts)
+    assert summary.unknown == 2
+    assert summary.crossing == {"passable": 5, "unknown ground": 2, "too little seen": 1, "step": 2}
+
+
+def test_strips_do_not_change_the_summary(make_field, monkeypatch):
+    table = CostTable.of(make_field(50, 40))
+    whole = summarise(table)
+    monkeypatch.setattr("bumpymap.layers.summary._STRIP", 1)
+    for found, expected in zip(astuple(summarise(table)), astuple(whole), strict=True):
+        np.testing.assert_array_equal(found, expected)
