@@ -4,6 +4,7 @@ import io
 import json
 import re
 import shutil
+import sys
 from base64 import b64decode
 
 import numpy as np
@@ -18,8 +19,11 @@ from route_maps import VEHICLE, copy_folder, write_folder
 
 import bumpymap
 from bumpymap.core import CLASS_NAMES, NO_CLASS, OBSTACLE, BadInputError, OutputError, UsageError
+from bumpymap.layers import SurveyRow
 from bumpymap.layers.manifest import describe_file
 from bumpymap.views import write_report
+from bumpymap.views.page import page
+from bumpymap.views.page.batch_page import index_page
 from bumpymap.views.page.tiles import NO_POINTS, UNKNOWN_FROM
 from bumpymap.views.words import area, number, share
 
@@ -284,3 +288,43 @@ def test_shares_never_round_to_nothing_or_all():
     ]  # fmt: skip
     assert share(1, 0) == number(None, 2) == number(float("nan"), 1)
     assert [area(one) for one in (9, 25_000, 3.2e6)] == ["9 m²", "2.50 ha", "3.20 km²"]
+
+
+HOSTILE = "<b>'&\udce9\x1b[31m\u202e"
+
+
+@pytest.fixture
+def kept(tmp_path, monkeypatch):
+    """The folder that compiled templates are kept in, and an engine that has none in memory."""
+    monkeypatch.setattr(sys, "pycache_prefix", str(tmp_path))
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    page._engine.cache_clear()
+    yield tmp_path
+    page._engine.cache_clear()
+
+
+def test_compiled_templates_are_kept_and_give_the_same_page(kept):
+    rows = [SurveyRow(HOSTILE, "failed", HOSTILE)]
+    first = index_page(rows, {}, [HOSTILE], HOSTILE, HOSTILE)
+    assert not [sign for sign in ("<b>", "\x1b", "\u202e") if sign in first]
+    assert first.count(r"\x1b[31m\u202e") >= 4
+    found = sorted(kept.rglob("*.cache"))
+    assert len(found) == 2  # the page and its frame
+    times = [file.stat().st_mtime_ns for file in found]
+    page._engine.cache_clear()
+    assert index_page(rows, {}, [HOSTILE], HOSTILE, HOSTILE) == first
+    assert [file.stat().st_mtime_ns for file in found] == times
+    page.compile_pages()
+    names = [*page._HERE.parent.glob("*/templates/*.*ml")]
+    assert len(list(kept.rglob("*.cache"))) == len(names)
+
+
+def test_a_page_is_made_where_nothing_can_be_kept(kept, monkeypatch):
+    (kept / "file").write_text("no folder")
+    monkeypatch.setattr(sys, "pycache_prefix", str(kept / "file"))
+    assert "1 failed" in index_page([SurveyRow("a", "failed")], {}, [], "night")
+
+
+def test_what_a_record_lacks_is_no_empty_text():
+    with pytest.raises(LookupError, match="'title' is undefined"):
+        page.render_page("batch.html", note="", links=[], rows=[], unknown_colour=(0, 0, 0))

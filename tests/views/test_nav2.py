@@ -1,48 +1,45 @@
-"""Maps for Nav2, read by ports of the rules of their readers in Nav2 (github.com/ros-navigation/navigation2):
+"""Maps for Nav2, read by ports of the rules of their readers in Nav2, and what holds for every export.
 
-nav2_map_server/src/map_io.cpp (loadMapYaml, loadMapFromFile, mode raw), nav2_costmap_2d/plugins/static_layer.cpp
-(interpretValue), nav2_costmap_2d/src/costmap_2d.cpp (a costmap of an occupancy grid), plugins/costmap_filters
-(keepout_filter.cpp, speed_filter.cpp), nav2_smac_planner/src/node_2d.cpp (getTraversalCost).
+github.com/ros-navigation/navigation2: nav2_map_server/src/map_io.cpp (loadMapYaml, loadMapFromFile, mode raw),
+nav2_costmap_2d/plugins/static_layer.cpp (interpretValue), nav2_costmap_2d/src/costmap_2d.cpp (a costmap of an
+occupancy grid), plugins/costmap_filters (keepout_filter.cpp, speed_filter.cpp), nav2_smac_planner/src/node_2d.cpp
+(getTraversalCost).
 """
 
+import json
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
 import rasterio
 import yaml
 from PIL import Image
+from pyproj import CRS, Geod
 
-from bumpymap.core import NO_TILE, BadInputError, Barred, UsageError
+from bumpymap.core import NO_TILE, BadInputError, Barred, Georeference, OutputError, UsageError
+from bumpymap.layers import open_map
 from bumpymap.views import ExportSettings, export_map
 
 FREE, LETHAL, INSCRIBED, NO_INFORMATION = 0, 254, 253, 255
 
 
-@dataclass
 class OccupancyGrid:
-    data: np.ndarray  # int8 (rows, cols), row 0 is the south
-    resolution: float
-    x: float
-    y: float
+    """map_io: all keys are required, the image lies beside the file, rows are turned upside down."""
+
+    def __init__(self, path):
+        doc = yaml.safe_load(path.read_text())
+        assert {"image", "resolution", "origin", "free_thresh", "occupied_thresh", "negate"} <= set(doc)
+        assert doc["mode"] == "raw"
+        self.x, self.y, yaw = map(float, doc["origin"])
+        assert yaw == 0.0
+        assert 0.0 < doc["free_thresh"] < doc["occupied_thresh"] < 1.0
+        shade = np.asarray(Image.open(path.parent / doc["image"]).convert("L"), float) / 255.0
+        value = np.round(shade * 255.0)
+        self.data = np.where((value >= 0) & (value <= 100), value, -1).astype(np.int8)[::-1]  # row 0 is the south
+        self.resolution = float(doc["resolution"])
 
     def world(self, row, col):
         return self.x + (col + 0.5) * self.resolution, self.y + (row + 0.5) * self.resolution
-
-
-def load_map(path):
-    """map_io: all keys are required, the image lies beside the file, rows are turned upside down."""
-    doc = yaml.safe_load(path.read_text())
-    assert {"image", "resolution", "origin", "free_thresh", "occupied_thresh", "negate"} <= set(doc)
-    assert doc["mode"] == "raw"
-    assert len(doc["origin"]) == 3
-    assert doc["origin"][2] == 0.0
-    assert 0.0 < doc["free_thresh"] < doc["occupied_thresh"] < 1.0
-    shade = np.asarray(Image.open(path.parent / doc["image"]).convert("L"), float) / 255.0
-    value = np.round(shade * 255.0)
-    cells = np.where((value >= 0) & (value <= 100), value, -1).astype(np.int8)
-    return OccupancyGrid(cells[::-1], float(doc["resolution"]), *map(float, doc["origin"][:2]))
 
 
 def static_layer(grid, params):
@@ -76,7 +73,7 @@ def speed_limit(value, base, multiplier):
 def exported(route_map, out, **settings):
     done = export_map(route_map, out, ExportSettings(to="nav2", **settings))
     params = yaml.safe_load((out / "nav2_params.yaml").read_text())
-    grids = [load_map(out / f"{name}.yaml") for name in ("map", "keepout_mask", "speed_mask")]
+    grids = [OccupancyGrid(out / f"{name}.yaml") for name in ("map", "keepout_mask", "speed_mask")]
     return done.record, params, grids
 
 
@@ -200,9 +197,11 @@ def test_parameters_fit_together(whole):
 
 
 def test_what_cannot_be_exported(route_map, tmp_path, monkeypatch):
-    corner = (110_000.0 * 3 - 500, 680_000.0 * 3)
+    for wrong in ({"to": "ros"}, {"max_cost": 1.0}, {"every": 0}, {"around": (float("inf"), 0.0)}):
+        with pytest.raises(UsageError, match=next(iter(wrong))):
+            ExportSettings(**wrong)
     with pytest.raises(BadInputError, match="nothing of the map lies within"):
-        export_map(route_map, tmp_path / "out", ExportSettings(around=corner))
+        export_map(route_map, tmp_path / "out", ExportSettings(around=(110_000.0 * 3 - 500, 680_000.0 * 3)))
     for to, told in (("nav2", "`around`"), ("gridmap", "`resolution='tile'`")):
         monkeypatch.setattr(f"bumpymap.views.export.{to}._MAX_CELLS", 100)
         with pytest.raises(BadInputError, match=told):
@@ -210,7 +209,76 @@ def test_what_cannot_be_exported(route_map, tmp_path, monkeypatch):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("wrong", [{"to": "ros"}, {"max_cost": 1.0}, {"every": 0}, {"around": (float("inf"), 0.0)}])
-def test_settings_that_mean_nothing(wrong):
-    with pytest.raises(UsageError, match=next(iter(wrong))):
-        ExportSettings(**wrong)
+GRAPH, NAV2 = ExportSettings(to="graph"), ExportSettings(to="nav2")
+
+
+def snapshot(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+
+
+def test_an_earlier_export_is_replaced_only_if_asked(easy_map, route_map, tmp_path):
+    out = tmp_path / "out"
+    export_map(easy_map, out, NAV2)
+    before = snapshot(out)
+    assert sorted(before) == sorted(path.name for path in out.iterdir())
+    with pytest.raises(OutputError, match="`overwrite=True`"):
+        export_map(route_map, out, NAV2)
+    with pytest.raises(OutputError, match="in another format"):
+        export_map(route_map, out, GRAPH, overwrite=True)
+    assert snapshot(out) == before
+    done = export_map(route_map, out, NAV2, overwrite=True)
+    after = snapshot(out)
+    assert set(after) == set(before)
+    assert after["map.pgm"] != before["map.pgm"]
+    assert json.loads(after["datum.json"]) == done.record
+    assert [path.name for path in done.files][-1] == "datum.json"
+
+
+@pytest.mark.parametrize("to", ["nav2", "gridmap", "graph", "cost"])
+def test_the_same_map_has_the_same_bytes(easy_map, tmp_path, to):
+    for name in ("a", "b"):
+        export_map(easy_map, tmp_path / name, ExportSettings(to=to))
+    assert snapshot(tmp_path / "a") == snapshot(tmp_path / "b")
+
+
+def test_other_files_stay_links_are_not_followed_and_layers_are_no_place_for_it(easy_map, easy_folder, tmp_path):
+    out, mine = tmp_path / "out", tmp_path / "mine"
+    out.mkdir()
+    for path in (out / "notes.txt", mine):
+        path.write_text("mine")
+    (out / "map.pgm").symlink_to(mine)
+    with pytest.raises(OutputError, match=r"map\.pgm"):
+        export_map(easy_map, out, NAV2)
+    export_map(easy_map, out, NAV2, overwrite=True)
+    assert mine.read_text() == (out / "notes.txt").read_text() == "mine"
+    assert not (out / "map.pgm").is_symlink()
+    before = snapshot(easy_folder)
+    (tmp_path / "odd" / "graph.geojson").mkdir(parents=True)
+    for place, told in ((easy_folder, "holds the layers of a run"), (mine, "a file"), (tmp_path / "odd", "not a file")):
+        with pytest.raises(OutputError, match=told):
+            export_map(easy_map, place, GRAPH, overwrite=True)
+    assert snapshot(easy_folder) == before
+
+
+def test_the_datum_says_where_the_frame_lies(easy_map, make_field, write_map, tmp_path):
+    """A way to the north and one to the east of the frame, laid on the ellipsoid from the datum; metres on any map."""
+    foot = 1200.0 / 3937.0
+    tennessee = Georeference(CRS.from_epsg(2274), foot, foot)  # US survey feet
+    west, south = int(1_740_000 * foot / 3), int(660_000 * foot / 3)
+    feet_map = write_map(make_field(8, 6, west=west, south=south, georeference=tennessee, easy=True), tmp_path / "feet")
+    for site, code, unit in ((easy_map, "EPSG:32614", 1.0), (open_map(feet_map), "EPSG:2274", foot)):
+        record = export_map(site, tmp_path / code, NAV2).record
+        datum, area, window = record["datum"], record["area"], site.window
+        assert (datum["crs"]["code"], record["resolution_m"]) == (code, 3.0)
+        assert [(datum[axis] * unit + 1e-6) % 3.0 < 1e-5 for axis in "xy"] == [True, True]
+        assert area["east"] - area["west"] == pytest.approx(window.cols * 3.0)
+        corner = (datum["x"] * unit + area["west"], datum["y"] * unit + area["south"])
+        np.testing.assert_allclose(corner, (window.col * 3.0, window.row * 3.0), atol=1e-6)
+        geod = Geod(ellps="WGS84")
+        for east, north in ((0.0, 50.0), (50.0, 0.0)):
+            end = site.to_lonlat(datum["x"] * unit + east, datum["y"] * unit + north)
+            azimuth, _, length = geod.inv(datum["longitude"], datum["latitude"], *end)
+            bearing = math.degrees(math.atan2(east, north)) + datum["grid_convergence_deg"]
+            assert azimuth == pytest.approx(bearing, abs=1e-3)
+            assert length == pytest.approx(50.0 / datum["grid_scale"], rel=1e-5)
+        assert abs(datum["grid_convergence_deg"]) > 0.1
