@@ -24,32 +24,21 @@ from bumpymap.scan import polar_sectors
 from bumpymap.views import ExportSettings, GroundGrid, export_map
 from bumpymap.views.export.grid_bag import sector_occupancy
 
-NUMBER = (int, float)
 
-
-def load_plan(path):
+def load_plan(folder):
     """Return home (lat, lon, altitude) and waypoints (lat, lon, altitude); what the loader requires is there."""
-
-    def refuse(name):
-        raise AssertionError(f"{name} is not JSON")
-
-    plan = json.loads(path.read_text(), parse_constant=refuse)
-    assert plan["fileType"] == "Plan"
-    assert plan["version"] == 1
+    plan = json.loads((folder / "route.plan").read_text(), parse_constant=pytest.fail)
+    assert (plan["fileType"], plan["version"]) == ("Plan", 1)
     assert plan["geoFence"]["version"] == plan["rallyPoints"]["version"] == 2
     mission = plan["mission"]
     assert mission["version"] == 2
-    assert all(
-        isinstance(mission[name], NUMBER) for name in ("firmwareType", "vehicleType", "cruiseSpeed", "hoverSpeed")
-    )
+    for name in ("firmwareType", "vehicleType", "cruiseSpeed", "hoverSpeed"):
+        assert isinstance(mission[name], int | float)
     assert mission["vehicleType"] == 10  # MAV_TYPE_GROUND_ROVER
     assert len(mission["plannedHomePosition"]) == 3
     for number, item in enumerate(mission["items"], start=1):
-        assert item["type"] == "SimpleItem"
-        assert item["doJumpId"] == number
-        assert item["autoContinue"] is True
-        assert (item["command"], item["frame"]) == (16, 3)
-        assert len(item["params"]) == 7
+        assert (item["type"], item["doJumpId"], item["autoContinue"]) == ("SimpleItem", number, True)
+        assert (item["command"], item["frame"], len(item["params"])) == (16, 3, 7)
         assert item["params"][3] is None  # a heading of NaN: as the way goes
         assert item["Altitude"] == item["params"][6]
     return mission["plannedHomePosition"], [item["params"][4:] for item in mission["items"]], mission["cruiseSpeed"]
@@ -62,24 +51,28 @@ def line_on(route_map, seed=0, corners=7):
     return np.stack(route_map.to_lonlat(east, north), axis=1).round(7)
 
 
-def route_file(path, geometry, *, collection=True):
-    feature = {"type": "Feature", "properties": {"name": "route"}, "geometry": geometry}
+def route_file(path, places, *, collection=True, kind="LineString", **about):
+    feature = {"type": "Feature", "properties": {"name": "route"} | about}
+    feature["geometry"] = {"type": kind, "coordinates": places}
     point = {"type": "Feature", "properties": {}, "geometry": {"type": "Point", "coordinates": [0, 0]}}
     record = {"type": "FeatureCollection", "features": [point, feature]} if collection else feature
     path.write_text(json.dumps(record))
     return path
 
 
+def export_plan(site, out, route=None, **options):
+    return export_map(site, out, ExportSettings(to="plan", route=route, **options))
+
+
 @pytest.mark.parametrize("kind", ["collection", "feature", "heights", "parts"])
 def test_the_corners_are_the_waypoints(route_map, tmp_path, kind):
     line = line_on(route_map)
     places = line.tolist() if kind != "heights" else [[*place, 12.5] for place in line.tolist()]
-    geometry = {"type": "LineString", "coordinates": places}
+    about = {"collection": kind == "collection"}
     if kind == "parts":
-        geometry = {"type": "MultiLineString", "coordinates": [places[:3], places[3:]]}
-    route = route_file(tmp_path / "route.geojson", geometry, collection=kind == "collection")
-    done = export_map(route_map, tmp_path / "out", ExportSettings(to="plan", route=route))
-    home, waypoints, speed = load_plan(tmp_path / "out" / "route.plan")
+        about["kind"], places = "MultiLineString", [places[:3], places[3:]]
+    done = export_plan(route_map, tmp_path / "out", route_file(tmp_path / "route.geojson", places, **about))
+    home, waypoints, speed = load_plan(tmp_path / "out")
     np.testing.assert_array_equal(np.array(waypoints)[:, :2], line[:, ::-1])
     assert (np.array(waypoints)[:, 2] == 0).all()
     assert home[:2] == waypoints[0][:2]
@@ -89,46 +82,44 @@ def test_the_corners_are_the_waypoints(route_map, tmp_path, kind):
 
 def test_home_is_as_high_as_the_ground_at_the_start(route_map, tmp_path):
     window = route_map.window
-    barred = route_map.read(window, ()).barred
-    row, col = np.argwhere(barred == 0)[0]
-    middle = (window.col + col + 0.5) * 3.0, (window.row + window.rows - row - 0.5) * 3.0
-    start = route_map.to_lonlat(*middle)
-    route = route_file(tmp_path / "r.json", {"type": "LineString", "coordinates": [start, start]})
-    export_map(route_map, tmp_path / "out", ExportSettings(to="plan", route=route))
-    home, _, _ = load_plan(tmp_path / "out" / "route.plan")
+    row, col = np.argwhere(route_map.read(window, ()).barred == 0)[0]
+    start = route_map.to_lonlat((window.col + col + 0.5) * 3.0, (window.row + window.rows - row - 0.5) * 3.0)
+    export_plan(route_map, tmp_path / "out", route_file(tmp_path / "r.json", [start, start]))
     heights = route_map.heights(window).reshape(window.rows, 15, window.cols, 15)[row, :, col]
-    assert home[2] == pytest.approx(np.nanmean(heights), abs=0.006)
+    assert load_plan(tmp_path / "out")[0][2] == pytest.approx(np.nanmean(heights), abs=0.006)
 
 
 def test_the_route_in_the_folder_of_the_layers_is_taken(easy_folder, tmp_path):
-    easy_map = open_map(easy_folder)
+    folder = shutil.copytree(easy_folder, tmp_path / "site")
+    site = open_map(folder)
     with pytest.raises(BadInputError, match="`route`"):
-        export_map(easy_map, tmp_path / "out", ExportSettings(to="plan"))
-    route = route_file(easy_folder / "route.geojson", {"type": "LineString", "coordinates": line_on(easy_map).tolist()})
-    try:
-        export_map(easy_map, tmp_path / "out", ExportSettings(to="plan"))
-        export_map(easy_map, tmp_path / "given", ExportSettings(to="plan", route=easy_folder))
-    finally:
-        route.unlink()
-    plans = [load_plan(tmp_path / name / "route.plan") for name in ("out", "given")]
+        export_plan(site, tmp_path / "out")
+    route = route_file(folder / "route.geojson", line_on(site).tolist())
+    export_plan(site, tmp_path / "out")
+    export_plan(site, tmp_path / "given", folder)
+    route.unlink()
+    plans = [load_plan(tmp_path / name) for name in ("out", "given")]
     assert len(plans[0][1]) == 7
     assert plans[0] == plans[1]
     with pytest.raises(BadInputError, match="`route`"):  # told before that the folder is occupied
-        export_map(easy_map, tmp_path / "out", ExportSettings(to="plan"))
+        export_plan(site, tmp_path / "out")
+
+
+def geo(kind, coordinates):
+    return f'{{"type": "{kind}", "coordinates": {coordinates}}}'
 
 
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("", "cannot read"),
         ("[]", "cannot read"),
         ('{"type": "FeatureCollection", "features": []}', "it holds no line"),
         ('{"type": "FeatureCollection", "features": [{"type": "Feature", "geometry": null}]}', "no line"),
-        ('{"type": "LineString", "coordinates": [[1, 2]]}', r"route\.geojson"),
-        ('{"type": "LineString", "coordinates": [[1, 2], ["a", 2]]}', "cannot read"),
-        ('{"type": "LineString", "coordinates": [[1, 2], [NaN, 2]]}', "cannot read"),
-        ('{"type": "LineString", "coordinates": [[434100, 5411200], [434110, 5411200]]}', "degrees"),
-        ('{"type": "LineString", "coordinates": [[-99, 19], [9, 48]]}', "point 1 of the route, .* outside of the map"),
+        (geo("LineString", "[[1, 2]]"), r"route\.geojson"),
+        (geo("LineString", '[[1, 2], ["a", 2]]'), "cannot read"),
+        (geo("LineString", "[[1, 2], [NaN, 2]]"), "cannot read"),
+        (geo("LineString", "[[434100, 5411200], [434110, 5411200]]"), "degrees"),
+        (geo("LineString", "[[-99, 19], [9, 48]]"), "point 1 of the route, .* outside of the map"),
         ('{"format": "bumpymap-route", "routes": []}', r"it is no GeoJSON: .* must be an object with type\. Give"),
         ("\0\xff", "cannot read"),
     ],
@@ -136,36 +127,30 @@ def test_the_route_in_the_folder_of_the_layers_is_taken(easy_folder, tmp_path):
 def test_files_that_hold_no_route_on_the_map(route_map, tmp_path, text, told):
     (tmp_path / "route.geojson").write_bytes(text.encode("latin-1"))
     with pytest.raises(BadInputError, match=told):
-        export_map(route_map, tmp_path / "out", ExportSettings(to="plan", route=tmp_path / "route.geojson"))
+        export_plan(route_map, tmp_path / "out", tmp_path / "route.geojson")
     assert not (tmp_path / "out").exists()
 
 
 def test_a_map_without_a_crs_has_no_longitudes(make_field, write_map, tmp_path):
     local = make_field(6, 5, georeference=Georeference(None), easy=True)
     local_map = open_map(write_map(local, tmp_path / "local"))
-    route = route_file(tmp_path / "r.json", {"type": "LineString", "coordinates": [[1, 2], [1, 3]]})
     with pytest.raises(BadInputError, match="a mission is in longitude and latitude, and the map has no CRS"):
-        export_map(local_map, tmp_path / "out", ExportSettings(to="plan", route=route))
-    record = export_map(local_map, tmp_path / "nav2", ExportSettings()).record
-    assert record["datum"]["longitude"] is None
-    assert record["datum"]["crs"] is None
+        export_plan(local_map, tmp_path / "out", route_file(tmp_path / "r.json", [[1, 2], [1, 3]]))
+    datum = export_map(local_map, tmp_path / "nav2", ExportSettings()).record["datum"]
+    assert (datum["longitude"], datum["crs"]) == (None, None)
 
 
 def test_a_route_that_touches_obstacles_is_taken_only_with_the_word_and_recorded(route_map, tmp_path):
-    route = route_file(tmp_path / "route.geojson", {"type": "LineString", "coordinates": line_on(route_map).tolist()})
-    route.write_text(route.read_text().replace('"name": "route"', '"name": "route", "obstacle_m": 3.25'))
-    settings = ExportSettings(to="plan", route=route)
+    route = route_file(tmp_path / "route.geojson", line_on(route_map).tolist(), obstacle_m=3.25)
     with pytest.raises(BadInputError, match=r"touches obstacles on 3\.2 m"):
-        export_map(route_map, tmp_path / "refused", settings)
-    done = export_map(route_map, tmp_path / "out", replace(settings, through_obstacles=True))
+        export_plan(route_map, tmp_path / "refused", route)
+    done = export_plan(route_map, tmp_path / "out", route, through_obstacles=True)
     assert done.record["plan"]["obstacle_m"] == 3.25
-
-
-pytest.importorskip("rosbags")
 
 
 def read_bag(folder):
     """The one message, by the definition that the bag itself holds."""
+    pytest.importorskip("rosbags")
     from rosbags.rosbag2 import Reader
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -214,42 +199,36 @@ def test_every_cell_has_the_value_of_the_layers_bit_for_bit(route_map, folder, t
     assert message.header.frame_id == "map"
     assert message.info.resolution == pytest.approx(3.0 if resolution == "tile" else 0.2)
     pick = np.random.default_rng(0).permutation(len(cells(message, "c_r")[0]))[:2000]
+
+    def both(layer, file, band=None, nothing=np.nan):
+        """Values of the bag and of the raster at the same places."""
+        x, y, value = (part[pick] for part in cells(message, layer))
+        return np.nan_to_num(value, nan=nothing), sampled(folder, file, band, x, y, record["datum"])
+
     for name in ("c_r", "p_fail"):
-        x, y, value = (part[pick] for part in cells(message, name))
-        expected = sampled(folder, "rasters/roughness.tif", name, x, y, record["datum"])
-        np.testing.assert_array_equal(
-            value.view(np.uint32)[~np.isnan(expected)], expected.view(np.uint32)[~np.isnan(expected)]
-        )
-        np.testing.assert_array_equal(np.isnan(value), np.isnan(expected))
-    x, y, value = (part[pick] for part in cells(message, "class"))
-    classes = sampled(folder, "rasters/class.tif", None, x, y, record["datum"])
-    np.testing.assert_array_equal(np.nan_to_num(value, nan=255.0), classes)
-    x, y, value = (part[pick] for part in cells(message, "obstacle"))
-    if resolution == "tile":
-        expected = sampled(folder, "rasters/roughness.tif", "obstacle", x, y, record["datum"])
-        np.testing.assert_array_equal(value, expected)
-        window, elevation = route_map.window, message.data[message.layers.index("elevation")].data
-        heights = route_map.heights(window).reshape(window.rows, 15, window.cols, 15).astype(float)
-        with warnings.catch_warnings(action="ignore"):  # tiles without a height
-            mean = np.nanmean(heights, axis=(1, 3))[:, ::-1]
-        np.testing.assert_allclose(elevation, mean.ravel(), rtol=1e-6)
+        np.testing.assert_array_equal(*both(name, "rasters/roughness.tif", name))
+    np.testing.assert_array_equal(*both("class", "rasters/class.tif", nothing=255.0))
+    if resolution == "pixel":
+        state, wanted = both("obstacle", "rasters/obstacle.tif", nothing=3.0)
+        np.testing.assert_array_equal(state, np.minimum(wanted, 3))
+        np.testing.assert_array_equal(*both("elevation", "rasters/heightmap.tif"))
         return
-    state = sampled(folder, "rasters/obstacle.tif", None, x, y, record["datum"])
-    np.testing.assert_array_equal(np.nan_to_num(value, nan=3.0), np.minimum(state, 3))
-    x, y, value = (part[pick] for part in cells(message, "elevation"))
-    np.testing.assert_array_equal(value, sampled(folder, "rasters/heightmap.tif", None, x, y, record["datum"]))
+    np.testing.assert_array_equal(*both("obstacle", "rasters/roughness.tif", "obstacle"))
+    window, elevation = route_map.window, message.data[message.layers.index("elevation")].data
+    heights = route_map.heights(window).reshape(window.rows, 15, window.cols, 15).astype(float)
+    with warnings.catch_warnings(action="ignore"):  # tiles without a height
+        mean = np.nanmean(heights, axis=(1, 3))[:, ::-1]
+    np.testing.assert_allclose(elevation, mean.ravel(), rtol=1e-6)
 
 
 def test_classes_that_were_cut_off(easy_folder, tmp_path):
-    shutil.copytree(easy_folder, tmp_path / "site")
-    site = open_map(tmp_path / "site")
-    whole = (tmp_path / "site" / "rasters/class.tif").read_bytes()
-    (tmp_path / "site" / "rasters/class.tif").write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(BadInputError, match=r"class\.tif is cut off"):
-        export_map(site, tmp_path / "out", ExportSettings(to="gridmap"))
-    (tmp_path / "site" / "rasters/class.tif").unlink()
-    with pytest.raises(BadInputError, match=r"class\.tif"):
-        export_map(site, tmp_path / "out", ExportSettings(to="gridmap"))
+    folder = shutil.copytree(easy_folder, tmp_path / "site")
+    site, path = open_map(folder), folder / "rasters/class.tif"
+    path.write_bytes(path.read_bytes()[:999])
+    for told in (r"class\.tif is cut off", r"class\.tif"):
+        with pytest.raises(BadInputError, match=told):
+            export_map(site, tmp_path / "out", ExportSettings(to="gridmap"))
+        path.unlink(missing_ok=True)
     assert not (tmp_path / "out").exists()
 
 
@@ -288,19 +267,16 @@ def test_points_and_cells_agree(seed, polar, resolution, reach):
 
 
 def test_occupancy_says_class_and_obstacle(classed):
-    classed = replace(classed, sectors=replace(classed.sectors, obstacle=np.arange(len(classed.class_id)) % 5 == 0))
-    values = sector_occupancy(classed)
-    expected = [
-        100 if obstacle else {0: 0, 1: 33, 2: 66, 255: 100}[class_id]
-        for class_id, obstacle in zip(classed.class_id.tolist(), classed.sectors.obstacle.tolist(), strict=True)
-    ]
-    assert values.tolist() == expected
-    assert {0, 66, 100} <= set(expected)
+    obstacle = np.arange(len(classed.class_id)) % 5 == 0
+    stack = replace(classed.sectors, obstacle=obstacle, ground_end=np.full(1, np.inf, np.float32))
+    classed = replace(classed, sectors=stack)
+    codes = np.array([0, 33, 66, *[100] * 253])[classed.class_id]
+    values = np.where(obstacle, 100, codes)
+    assert sector_occupancy(classed).tolist() == values.tolist()
+    assert {0, 66, 100} <= set(values.tolist())
     grid = GroundGrid()
-    everywhere = replace(classed.sectors, ground_end=np.full(1, np.inf, np.float32))
-    cells, rows = grid.occupancy(replace(classed, sectors=everywhere)), grid.rows(classed.sectors)
-    np.testing.assert_array_equal(cells[rows >= 0], values[rows[rows >= 0]])
-    assert (cells[rows < 0] == -1).all()
+    rows = grid.rows(stack)
+    np.testing.assert_array_equal(grid.occupancy(classed), np.where(rows < 0, -1, values[rows]))
     assert (rows < 0).any()
 
 
@@ -351,14 +327,9 @@ def test_a_message_is_filled_by_its_attributes(classed):
     np.testing.assert_array_equal(np.array(message.data, np.int8).reshape(50, 50), grid.occupancy(classed))
 
 
-@pytest.mark.parametrize(
-    ("resolution", "reach", "said"),
-    [
-        (np.nan, 5.0, "resolution_m is nan; it must be a finite number greater than 0 m"),
-        (2.0, 1.0, "at most 4,000,000"),
-        (0.01, 50.0, "at most 4,000,000"),
-    ],
-)
-def test_grids_without_cells_or_with_too_many(resolution, reach, said):
-    with pytest.raises(UsageError, match=said):
-        GroundGrid(resolution, reach)
+def test_grids_without_cells_or_with_too_many():
+    with pytest.raises(UsageError, match="resolution_m is nan; it must be a finite number greater than 0 m"):
+        GroundGrid(np.nan, 5.0)
+    for resolution, reach in ((2.0, 1.0), (0.01, 50.0)):
+        with pytest.raises(UsageError, match="at most 4,000,000"):
+            GroundGrid(resolution, reach)
