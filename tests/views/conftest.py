@@ -94,17 +94,13 @@ RUN = {
 }
 
 
-def write_map(cost_map, folder):
-    return write_folder(folder, cost_map, **RUN)
-
-
-@pytest.fixture(name="write_map", scope="session")
-def write_map_fixture():
-    return write_map
+@pytest.fixture(scope="session")
+def write_map():
+    return lambda cost_map, folder: write_folder(folder, cost_map, **RUN)
 
 
 @pytest.fixture(scope="session")
-def folder(make_field, tmp_path_factory):
+def folder(make_field, write_map, tmp_path_factory):
     return write_map(with_objects(make_field(21, 16)), tmp_path_factory.mktemp("export") / "site")
 
 
@@ -114,7 +110,7 @@ def route_map(folder):
 
 
 @pytest.fixture(scope="session")
-def easy_folder(make_field, tmp_path_factory):
+def easy_folder(make_field, write_map, tmp_path_factory):
     """Most of it is passable."""
     return write_map(make_field(24, 20, easy=True, holes=0.05), tmp_path_factory.mktemp("export") / "easy")
 
