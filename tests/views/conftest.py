@@ -5,15 +5,18 @@ import re
 import shutil
 import zlib
 from base64 import b64decode
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from check_records import made_up_check
 from classed_site import classed_fixture, nothing_fixture, scan_fixture  # noqa: F401 (found by pytest)
 from cost_maps import with_objects
 from route_maps import write_folder
 from survey_pairs import COLS, ROWS, survey
 
 import bumpymap
+from bumpymap.check.pipeline import write_check
 from bumpymap.layers import open_map
 
 
@@ -86,6 +89,31 @@ def comparison(may):
     later = {"name": "pit <b>", "dates": ["2025-05-02", "2025-05-03"]}
     june = write_folder(may.parent / "june", made, survey=later)
     return bumpymap.diff_surveys(may, june, may.parent / "out").folder
+
+
+@pytest.fixture(scope="session")
+def on_site():
+    """Return a function that lays the stretches of a check over a map."""
+
+    def lay(result, site):
+        ground, n = open_map(site), len(result.stretches.drive)
+        bounds, part = ground.grid.window_bounds(ground.window), np.linspace(0.1, 0.9, n)
+        easting = bounds.west + part * (bounds.east - bounds.west)
+        northing = bounds.south + part * (bounds.north - bounds.south)
+        return replace(result, stretches=replace(result.stretches, easting=easting, northing=northing)), ground
+
+    return lay
+
+
+@pytest.fixture(scope="session")
+def checked(site, on_site, tmp_path_factory):
+    """A check of the map ``site``: its folder and its findings; names are markup."""
+    bad = "<img src=x onerror=alert(1)>\"'</script><script>alert(2)</script>"
+    result, ground = on_site(made_up_check(50, noise=0.35, unknown=[4], drives=2, warnings=[bad]), site)
+    result = replace(result, drives=(replace(result.drives[0], name=bad), result.drives[1]))
+    out = tmp_path_factory.mktemp("checked") / "out"
+    write_check(result, out, ground=ground)
+    return out, result
 
 
 RUN = {

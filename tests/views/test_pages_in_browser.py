@@ -2,8 +2,11 @@
 
 import numpy as np
 import pytest
+from axe_playwright_python.sync_playwright import Axe
 from route_maps import copy_folder
 
+from bumpymap.layers.check_vectors import MapOffset
+from bumpymap.layers.colours import OFF_COLOURS
 from bumpymap.views import write_report
 
 pytestmark = pytest.mark.chromium
@@ -22,7 +25,7 @@ def visit(browser):
         page.complaints, page.requests = [], []
         page.on("console", lambda message: page.complaints.append(message.text))
         page.on("pageerror", lambda error: page.complaints.append(str(error)))
-        page.on("request", lambda request: page.requests.append(request.url))
+        page.on("request", lambda request: request.url.startswith("data:") or page.requests.append(request.url))
         page.goto(path.as_uri())
         if options.get("java_script_enabled", True):
             page.wait_for_selector("html[data-ready]")
@@ -34,33 +37,24 @@ def visit(browser):
 
 
 @pytest.fixture(scope="module")
-def pages(site, comparison, tmp_path_factory):
-    """The page of a map, of one whose names are markup, and of what has changed."""
+def pages(site, comparison, checked, tmp_path_factory):
+    """The page of a map, of one whose names are markup, of what has changed, and of a check."""
     folder = tmp_path_factory.mktemp("pages")
     bad = "<img src=x onerror=alert(1)>\"'</script><script>alert(2)</script>"
     odd = copy_folder(site, folder / "odd", survey={"name": bad, "dates": None}, inputs=[{"path": bad, "format": bad}])
-    return {
-        "one": site / "report.html",
-        "odd": write_report(odd),
-        "change": comparison / "report.html",
-    }
-
-
-def outside(page):
-    return [url for url in page.requests if not url.startswith(("file:", "data:"))]
+    found = {"one": site / "report.html", "odd": write_report(odd), "change": comparison / "report.html"}
+    return found | {"check": checked[0] / "check.html"}
 
 
 @pytest.mark.parametrize("size", [WIDE, PHONE], ids=["wide", "phone"])
-@pytest.mark.parametrize("name", ["one", "odd", "change"])
+@pytest.mark.parametrize("name", ["one", "odd", "change", "check"])
 def test_no_error_no_request_and_axe_finds_nothing(visit, pages, name, size):
-    from axe_playwright_python.sync_playwright import Axe
-
     page = visit(pages[name], size)
+    page.evaluate("document.querySelectorAll('details').forEach(part => { part.open = true; })")
     found = Axe().run(page)
     assert found.violations_count == 0, found.generate_report()
     assert page.complaints == []
-    assert outside(page) == []
-    assert [url for url in page.requests if url.startswith("file:")] == [pages[name].as_uri()]
+    assert page.requests == [pages[name].as_uri()]
     assert page.evaluate("document.documentElement.scrollWidth") == size[0]
 
 
@@ -69,31 +63,31 @@ def test_the_policy_of_the_page_stops_requests(visit, pages):
     page = visit(pages["one"])
     assert page.evaluate("fetch('https://example.invalid/').then(() => 'sent', () => 'refused')") == "refused"
     assert any("Content Security Policy" in text for text in page.complaints)
-    assert outside(page) == []
+    assert page.requests == [pages["one"].as_uri()]
 
 
-def test_the_map_goes_by_keyboard(visit, pages):
+def test_the_map_goes_by_keyboard_and_stands_without_scripts(visit, pages):
     page = visit(pages["one"])
-    view = "(() => { const map = window.reportMaps[0]; return [map.scale, ...map.middle]; })()"
     for _ in range(20):
         page.keyboard.press("Tab")
         if page.evaluate("document.activeElement.tagName") == "CANVAS":
             break
     assert page.evaluate("document.activeElement.tagName") == "CANVAS"
-    start = page.evaluate(view)
-    page.keyboard.press("+")
-    closer = page.evaluate(view)
+
+    def view(*keys):
+        for key in keys:
+            page.keyboard.press(key)
+        return page.evaluate("(() => { const map = window.reportMaps[0]; return [map.scale, ...map.middle]; })()")
+
+    start, closer = view(), view("+")
     assert closer[0] > start[0]
-    page.keyboard.press("ArrowRight")
-    page.keyboard.press("ArrowDown")
-    moved = page.evaluate(view)
-    assert moved[1] > closer[1]
-    assert moved[2] > closer[2]
+    assert (np.array(view("ArrowRight", "ArrowDown"))[1:] > closer[1:]).all()
     assert "class" in page.inner_text(".readout") or "not known" in page.inner_text(".readout")
-    page.keyboard.press("-")
-    assert page.evaluate(view)[0] == pytest.approx(start[0])
-    page.keyboard.press("0")
-    assert page.evaluate(view) == pytest.approx(start)
+    assert view("-")[0] == pytest.approx(start[0])
+    assert view("0") == pytest.approx(start)
+    still = visit(pages["one"], java_script_enabled=False)
+    shown = [still.is_visible(what) for what in ("img.still", "table", "canvas", ".controls")]
+    assert shown == [True, True, False, False]
 
 
 def test_layers_change_by_keyboard_with_their_legends(visit, pages):
@@ -153,14 +147,6 @@ def test_what_cannot_be_crossed_is_hatched_unless_switched_off_and_dark_where_ti
     assert all(here > there + 0.04 for here, there in zip(lines, dark(), strict=True))
 
 
-def test_a_reader_without_scripts_sees_the_map_and_the_tables(visit, pages):
-    page = visit(pages["one"], java_script_enabled=False)
-    assert page.is_visible("img.still")
-    assert not page.is_visible("canvas")
-    assert not page.is_visible(".controls")
-    assert page.is_visible("table")
-
-
 POINT_AT = """([row, col, key]) => { const map = window.reportMaps[0];
     document.querySelector(`input[value=${key}]`).click();
     for (const box of document.querySelectorAll('input[type=checkbox]')) box.checked = false;
@@ -207,3 +193,28 @@ def test_the_pointer_reads_what_has_changed_and_what_is_not_compared_never_looks
         assert max(colour) <= 180, key  # darker than white, which means no difference
         if place == left_out:
             assert "not compared: may have changed or not" in text
+
+
+ON_SCREEN = """at => {
+  const map = window.reportMaps[0], spot = map.about.stretches[at], box = map.canvas.getBoundingClientRect();
+  const right = map.width / 2 + (spot.east - map.about.west - map.middle[0]) * map.scale;
+  const down = map.height / 2 + (map.about.north - spot.north - map.middle[1]) * map.scale;
+  const pixel = [...map.context.getImageData(right * map.dense, down * map.dense, 1, 1).data].slice(0, 3);
+  return { x: box.left + right, y: box.top + down, pixel };
+}"""
+
+
+@pytest.mark.parametrize("size", [WIDE, PHONE], ids=["wide", "phone"])
+def test_stretches_have_their_colour_and_words(visit, pages, checked, size):
+    page = visit(pages["check"], size)
+    page.locator(".stage").first.scroll_into_view_if_needed()
+    stretches, offset = checked[1].stretches, MapOffset.of(checked[1].stretches)
+    worst = int(np.nanargmax(offset.beyond))
+    found = page.evaluate(ON_SCREEN, worst)
+    assert np.abs(np.array(found["pixel"]) - OFF_COLOURS[int(offset.kind[worst])][:3]).max() <= 2
+    page.mouse.move(found["x"], found["y"])
+    assert f"measured {stretches.measured[worst]:.3f} rad/m" in page.locator(".readout").inner_text()
+    page.uncheck("input[value=stretches]")
+    assert page.evaluate(ON_SCREEN, worst)["pixel"] != found["pixel"]
+    page.mouse.move(found["x"] + 1, found["y"])
+    assert "measured" not in page.locator(".readout").inner_text()
