@@ -75,6 +75,10 @@ def export(folder, out):
     export_map(open_map(folder), out / "grids", ExportSettings("nav2", resolution="pixel"))
 
 
+def bag(folder, out):
+    export_map(open_map(folder), out / "bag", ExportSettings("gridmap"))
+
+
 def diff(folder, out):
     diff_surveys(folder, folder, out / "diff")
 
@@ -196,7 +200,7 @@ def damage(path):
 @pytest.mark.parametrize(
     ("name", "read"),
     [
-        *(("rasters/class.tif", read) for read in (report, dataset, diff)),
+        *(("rasters/class.tif", read) for read in (report, dataset, diff, bag)),
         *(("rasters/heightmap.tif", read) for read in (report, dataset, diff, check)),
         ("tiles.parquet", report),
     ],

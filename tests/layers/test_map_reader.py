@@ -7,10 +7,9 @@ from shutil import rmtree
 
 import numpy as np
 import pytest
-from pyproj import CRS
 from route_maps import copy_folder, write_folder
 
-from bumpymap.core import NO_TILE, BadInputError, Georeference
+from bumpymap.core import NO_TILE, BadInputError
 from bumpymap.layers import open_map
 from bumpytiles import Grid, TileWindow
 
@@ -68,16 +67,6 @@ def test_a_window_is_a_piece_of_the_whole_also_beyond_the_map(folder, monkeypatc
         pixels = np.s_[4 * top : 4 * (top + rows), 4 * left : 4 * (left + cols)]
         assert np.array_equal(found.heights(window), heights[pixels], equal_nan=True)
         assert np.array_equal(found.objects(window), objects[pixels])
-
-
-def test_a_map_in_feet_lies_on_the_grid_in_metres(tmp_path, make_field):
-    unit = 1200 / 3937
-    feet = Georeference(CRS.from_epsg(2229), unit, unit)
-    made = make_field(6, 5, grid=SMALL, west=655_000, south=187_000, georeference=feet)
-    found = open_map(write_folder(tmp_path / "feet", made))
-    assert found.window == TileWindow(655_000, 187_000, 6, 5)
-    assert found.to_grid(1000.0, 3937.0) == pytest.approx((304.8006096, 1200.0))
-    assert found.to_crs(*found.to_grid(12.5, -7.0)) == pytest.approx((12.5, -7.0))
 
 
 def test_passage_in_fewer_pixels(folder):

@@ -1,4 +1,4 @@
-"""Files of routes and of what can be reached, read back by others."""
+"""Files of routes, of what can be reached, and of checks, read back by others."""
 
 import json
 from dataclasses import replace
@@ -10,18 +10,20 @@ import pandas as pd
 import pytest
 import rasterio
 import shapely
+from check_records import STRETCH_M, made_up_check, stretches_at
 from hypothesis import given, strategies as st
 from pyogrio.raw import read
 from pyproj import CRS, Geod, Transformer
 from rio_cogeo.cogeo import cog_validate
-from route_records import CORNERS, FIGURES, UTM, make_route
+from route_records import CORNERS, FIGURES, UTM, MadeUpMap, make_route
 
-from bumpymap.core import BadInputError, Georeference
+from bumpymap.check.pipeline import agreement_of
+from bumpymap.core import CLASS_NAMES, BadInputError, Georeference
 from bumpymap.layers import ReachField
+from bumpymap.layers.check_vectors import NOT_COMPARED, OFF_KINDS, MapOffset, place_stretches, write_stretches
 from bumpymap.layers.reach import write_isochrones, write_reach
 from bumpymap.layers.route_lines import (
     PROFILE_COLUMNS,
-    split_at_antimeridian,
     track_points,
     write_gpx,
     write_profile,
@@ -115,13 +117,13 @@ def test_without_a_crs_files_say_what_their_coordinates_are_and_gpx_is_refused(t
 def test_a_way_over_the_antimeridian_is_cut(tmp_path):
     zone = CRS.from_epsg(32660)
     east = Transformer.from_crs(CRS.from_epsg(4326), zone, always_xy=True)
-    corners = np.column_stack(east.transform([179.99, -179.98, 180.0], [-17.0, -17.01, -17.02]))
+    corners = np.column_stack(east.transform([179.99, -179.98, 179.995, 180.0], [-17.0, -17.01, -17.02, -17.03]))
     route = make_route(corners=corners, georeference=Georeference(zone))
     collection = written([route], tmp_path / "route.geojson")
     (line,) = lines_of(collection)
     assert line["geometry"]["type"] == "MultiLineString"
     parts = [np.array(part) for part in line["geometry"]["coordinates"]]
-    assert len(parts) >= 2
+    assert len(parts) == 3
     assert all(np.abs(np.diff(part[:, 0])).max() < 1.0 for part in parts)
     for before, after in pairwise(parts):
         assert before[-1].tolist() == [-after[0, 0], after[0, 1]]
@@ -129,31 +131,9 @@ def test_a_way_over_the_antimeridian_is_cut(tmp_path):
     length = sum(Geod(ellps="WGS84").line_length(*part.T) for part in parts)
     on_grid = np.hypot(*np.diff(corners, axis=0).T).sum()
     assert length == pytest.approx(on_grid, rel=2e-3)  # the scale of the projection at the edge of its zone
-    assert collection["bbox"] == pytest.approx([179.99, -17.02, -179.98, -17.0], abs=1e-6)
+    assert collection["bbox"] == pytest.approx([179.99, -17.03, -179.98, -17.0], abs=1e-6)
     write_gpx([route], tmp_path / "route.gpx")  # a point on the antimeridian is west of it
     checked(tmp_path / "route.gpx")
-
-
-@given(
-    st.lists(st.tuples(st.integers(-60, 60), st.integers(-80, 80)), min_size=1, max_size=12),
-    st.integers(-1800, 1799),
-)
-def test_a_cut_line_is_the_line(steps, first):
-    """Unwrapped, the parts follow the line and end at the antimeridian; taken together they have its corners."""
-    lon = (first + np.cumsum([0, *(step for step, _ in steps)])) / 10.0
-    lat = np.array([0, *(height for _, height in steps)]) / 1.0
-    wrapped = (lon + 180.0) % 360.0 - 180.0
-    line = np.column_stack([wrapped, lat])
-    parts = split_at_antimeridian(line)
-    whole = shapely.linestrings(np.column_stack([lon, lat]))
-    for part in parts:
-        assert len(part) > 1
-        assert np.abs(np.diff(part[:, 0])).max() <= 180.0
-        assert np.abs(part[:, 0]).max() <= 180.0
-        turned = (part[:-1] + part[1:]) / 2 + np.outer([-720, -360, 0, 360, 720], [1, 0])[:, None]
-        assert shapely.distance(shapely.points(turned), whole).min(axis=0).max() < 1e-6
-    length = sum(shapely.length(shapely.linestrings(part)) for part in parts)
-    assert length == pytest.approx(shapely.length(whole), abs=1e-5)
 
 
 NAMESPACE = "{http://www.topografix.com/GPX/1/1}"
@@ -308,3 +288,116 @@ def test_minutes_what_none_can_reach_and_levels_that_mean_nothing(reach, tmp_pat
         with pytest.raises(BadInputError, match="positive"):
             isochrones(reach, levels, tmp_path / "c.geojson")
     assert not (tmp_path / "c.geojson").exists()
+
+
+FEET = CRS.from_epsg(2277)  # Texas Central, US survey feet
+FOOT = FEET.axis_info[0].unit_conversion_factor
+
+
+def stretches_in(result, path, georeference=UTM):
+    """The file, and the positions in it."""
+    ground = replace(MadeUpMap.around(), georeference=georeference)
+    write_stretches(result, place_stretches(result.stretches, ground), path)
+    found = json.loads(path.read_text())
+    return found, np.array([feature["geometry"]["coordinates"] for feature in found["features"]])
+
+
+@pytest.mark.parametrize(
+    ("georeference", "shift"),
+    [(UTM, (0.0, 0.0)), (Georeference(FEET, FOOT), (600_000.0, 1_000_000.0)), (Georeference(None, 0.3048), (0.0, 0.0))],
+)
+def test_stretches_lie_where_they_were_driven(tmp_path, georeference, shift):
+    """Positions of stretches are metres on the grid, files hold the units of the CRS."""
+    made = made_up_check().stretches
+    driven = replace(made, easting=made.easting + shift[0], northing=made.northing + shift[1])
+    found, places = stretches_in(replace(made_up_check(), stretches=driven), tmp_path / "check.geojson", georeference)
+    assert ("local_coordinates" in found) == (georeference.crs is None)
+    assert found["bbox"] == [*places.min(axis=0), *places.max(axis=0)]
+    if georeference.crs is not None:
+        back = Transformer.from_crs("OGC:CRS84", georeference.crs, always_xy=True)
+        places = np.column_stack(back.transform(*places.T))
+    x, y = places.T * georeference.metres_per_unit
+    assert np.hypot(x - driven.easting, y - driven.northing).max() < 0.02
+
+
+def test_stretches_say_what_was_measured_and_what_the_map_says(tmp_path):
+    result = made_up_check(unknown=[2])
+    found, _ = stretches_in(result, tmp_path / "check.geojson")
+    assert [feature["id"] for feature in found["features"]] == list(range(1, 41))
+    about, stretches = found["features"][0]["properties"], result.stretches
+    assert about["measured"] == pytest.approx(stretches.measured[0], abs=1e-6)
+    assert about["ratio"] == pytest.approx(stretches.c_r[0] / stretches.measured[0], abs=1e-4)
+    assert (about["drive"], about["way_m"]) == ("drive 1", STRETCH_M)
+    assert about["class_name"] == CLASS_NAMES[about["class"]]
+    unknown = found["features"][2]["properties"]
+    assert [unknown[name] for name in ("c_r", "ratio", "class", "class_name", "explained")] == [None] * 5
+    assert unknown["off"] == "not compared"
+    assert unknown["measured_class"] is not None
+
+
+def test_stretches_without_a_position_are_left_out(tmp_path):
+    result = made_up_check()
+    result.stretches.easting[5:8] = np.nan
+    found, _ = stretches_in(result, tmp_path / "check.geojson")
+    assert [feature["id"] for feature in found["features"]] == [*range(1, 6), *range(9, 41)]
+
+
+ONE = np.array([[330_000.0, 2_040_000.0]])
+
+
+def offset_of(factor, **changes):
+    return MapOffset.of(replace(stretches_at(ONE, [0.1], np.array([factor])), **changes))
+
+
+@pytest.mark.parametrize(
+    ("factor", "kind"),
+    [
+        (2.01, "map over 2 times too low"),
+        (1.99, "map 1.5 to 2 times too low"),
+        (1.49, "map 1.2 to 1.5 times too low"),
+        (1.19, "map within a factor of 1.2"),
+        (1.0, "map within a factor of 1.2"),
+        (1 / 1.21, "map 1.2 to 1.5 times too high"),
+        (1 / 1.51, "map 1.5 to 2 times too high"),
+        (1 / 2.01, "map over 2 times too high"),
+    ],
+)
+def test_the_kind_is_named_from_the_map(factor, kind):
+    offset = offset_of(factor)
+    assert offset.ratio == pytest.approx(1 / factor)
+    assert OFF_KINDS[int(offset.kind[0])] == kind
+
+
+@given(st.floats(1.01, 20.0), st.floats(1.01, 5.0))
+def test_without_errors_of_measurement_the_interval_decides(factor, side):
+    exact = {"measured_sd": np.zeros(1), "place_sd": np.zeros(1)}
+    above = offset_of(factor, c_r_low=np.array([0.01]), c_r_high=np.array([0.1 * side]), **exact)
+    assert above.beyond == pytest.approx((factor - 1) / (side - 1))
+    below = offset_of(1 / factor, c_r_low=np.array([0.1 / side]), c_r_high=np.array([9.0]), **exact)
+    assert below.beyond == pytest.approx((1 - 1 / factor) / (1 - 1 / side))
+
+
+def test_errors_add_in_power():
+    """80 % half widths, rad/m: 0.03 of the map, 0.04 of the measurement: a difference of 0.05 is just explained."""
+    sd = np.array([0.04]) / 1.2815515655446004
+    for place_sd, beyond in ((np.zeros(1), 1.0), (sd, 0.05 / np.sqrt(0.0041))):
+        offset = offset_of(1.5, c_r_high=np.array([0.13]), measured_sd=sd, place_sd=place_sd)
+        assert offset.beyond == pytest.approx(beyond)
+    unknown = {"c_r_low": np.array([np.nan]), "c_r_high": np.array([np.nan])}  # of the map: the other errors remain
+    assert [offset_of(factor, **unknown).is_off.tolist() for factor in (1.03, 1.3)] == [[False], [True]]
+
+
+def test_the_share_that_errors_explain_is_that_of_the_agreement():
+    stretches = made_up_check(200, noise=0.5, unknown=[3, 7]).stretches
+    offset = MapOffset.of(stretches)
+    explained = ~offset.is_off[np.isfinite(offset.ratio)]
+    assert 0.0 < explained.mean() == agreement_of(stretches).inside < 1.0
+
+
+@pytest.mark.parametrize("changes", [{"c_r": np.array([np.nan])}, {"measured": np.zeros(1)}])
+def test_what_is_not_known_or_under_the_floor_is_not_compared(changes):
+    offset = offset_of(1.0, **changes)
+    assert offset.kind.tolist() == [NOT_COMPARED]
+    assert np.isnan(offset.ratio).all()
+    assert np.isnan(offset.beyond).all()
+    assert not offset.is_off.any()

@@ -16,11 +16,9 @@ from hypothesis.extra.numpy import arrays
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 from region_files import regions_of, write_flatgeobuf, write_geojson
-from scipy import ndimage
 
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, CostTable, Georeference, Reason
-from bumpymap.layers import label
 from bumpymap.layers._cog import raster_lock
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.regions import dissolve
@@ -201,20 +199,6 @@ def test_a_large_map_is_cut_into_windows_from_its_north_west_corner(make_field, 
     assert shapely.equals(own, alone).all()
     assert (shapely.get_num_coordinates(own) >= shapely.get_num_coordinates(alone)).all()
     check_coverage(own, holes_of_tiles(patches.col, patches.row))
-
-
-@settings(max_examples=60)
-@given(keys=arrays(np.uint8, st.tuples(st.integers(1, 7), st.integers(1, 7)), elements=st.integers(0, 2)))
-def test_areas_are_those_of_scipy_in_reading_order(keys):
-    labels, first, last = label(keys)
-    expected = ndimage.label(keys == 1)[0]
-    second = ndimage.label(keys == 2)[0]
-    expected = np.where(second, second + expected.max(), expected)
-    pairs = set(zip(labels.ravel().tolist(), expected.ravel().tolist(), strict=True)) - {(0, 0)}
-    assert len(pairs) == len(first) == expected.max()  # one to one
-    assert (np.diff(first) > 0).all()
-    for number, ends in enumerate(zip(first, last, strict=True), start=1):
-        assert tuple(np.flatnonzero(labels == number)[[0, -1]]) == ends
 
 
 def test_no_raster_is_written_while_outlines_are_traced(make_field, monkeypatch):

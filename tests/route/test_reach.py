@@ -96,17 +96,6 @@ def walled(gap):
     return site, site.at(15.5, 8.5)
 
 
-@pytest.mark.parametrize("gap", [0.0, 1.0])
-def test_nothing_is_reached_through_a_wall(gap):
-    site, start = walled(gap)
-    reach = find_reach(CostGround(site, CostSettings(), 10**6), start)
-    assert np.isfinite(reach.cost[:, :20]).all()
-    assert np.isnan(reach.cost[:, 21:]).all()
-    beside = find_reach(CostGround(site, CostSettings(), 10**6), site.at(15.5, 20.1))  # in a split tile
-    np.testing.assert_array_equal(np.isfinite(beside.cost[:, :20]), np.isfinite(reach.cost[:, :20]))
-    assert np.isnan(beside.cost[:, 21:]).all()
-
-
 def test_what_lies_behind_a_gap_is_reached_at_the_cost_of_a_way_there():
     site, start = walled(2.6)
     ground = CostGround(site, CostSettings(), 10**6)

@@ -93,35 +93,25 @@ def test_one_file_by_its_suffix(suffix, source, tmp_path):
     assert write(out, source, overwrite=True) == [out]
 
 
-def test_files_of_an_earlier_run_are_replaced_only_if_allowed(source, reach, tmp_path):
-    write_reach_files(reach, source, START, tmp_path, levels=[5.0], manifest={})
-    (tmp_path / "notes.txt").write_text("mine")
-    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+def test_files_of_an_earlier_run_are_replaced_only_if_allowed_and_links_are_not_followed(source, reach, tmp_path):
+    out, mine = tmp_path / "out", tmp_path / "mine"
+    write_reach_files(reach, source, START, out, levels=[5.0], manifest={})
+    for path in (mine, out / "notes.txt"):
+        path.write_text("mine")
+    for link in (out / "profile.csv", tmp_path / "way.csv"):
+        link.symlink_to(mine)
+    before = {path: path.read_bytes() for path in out.iterdir()}
     with pytest.raises(OutputError, match="already holds"):
-        check_out(tmp_path, ROUTE_KINDS, overwrite=False)
-    with pytest.raises(OutputError, match="already holds"):
-        write(tmp_path, source)
-    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
-    write(tmp_path, source, overwrite=True)
-    assert names(tmp_path) == sorted([*FOUR, "notes.txt"])  # reach.tif would not belong to the new route.json
-
-
-@pytest.mark.parametrize("name", ["routes", "way.csv"])
-def test_links_are_replaced_never_followed(name, source, tmp_path):
-    precious = tmp_path / "precious"
-    precious.write_text("keep")
-    out = tmp_path / name
-    link = out
-    if name == "routes":
-        out.mkdir()
-        link = out / "profile.csv"
-    link.symlink_to(precious)
-    with pytest.raises(OutputError):
-        write(out, source)
-    write(out, source, overwrite=True)
-    assert precious.read_text() == "keep"
-    assert not link.is_symlink()
-    assert link.stat().st_size > 100
+        check_out(out, ROUTE_KINDS, overwrite=False)
+    for target in (tmp_path / "way.csv", out):
+        with pytest.raises(OutputError, match=r"already holds|exists"):
+            write(target, source)
+        assert {path: path.read_bytes() for path in out.iterdir()} == before
+        write(target, source, overwrite=True)
+    assert not (out / "profile.csv").is_symlink()
+    assert not (tmp_path / "way.csv").is_symlink()
+    assert names(out) == sorted([*FOUR, "notes.txt"])  # reach.tif would not belong to the new route.json
+    assert mine.read_text() == "mine"
 
 
 def test_without_a_crs_gpx_is_left_out_and_said(source, tmp_path, caplog):

@@ -176,18 +176,6 @@ def test_thinning_cuts_nothing_off(seed, corners):
         assert lattice.tiles_left_out == sizes.sum() - sizes.max()
 
 
-def test_ways_over_large_squares_cost_little_more_than_over_tiles():
-    factor = field(0, 0.3)
-    fine, thin = (make_lattice(factor, largest) for largest in (1, 9))
-    assert len(thin.row) < 0.8 * len(fine.row)
-    place = {(row, col): number for number, (row, col) in enumerate(zip(fine.row, fine.col, strict=True))}
-    same = [place[row, col] for row, col in zip(thin.row, thin.col, strict=True)]
-    far = np.hypot(*(axis[:, None] - axis for axis in (thin.row, thin.col))) > 10
-    ratio = ways(thin)[far] / ways(fine)[np.ix_(same, same)][far]
-    assert np.median(ratio) < 1.03
-    assert np.quantile(ratio, 0.99) < 1.15
-
-
 def test_what_gives_no_graph(easy_map, make_map, write_map, tmp_path, monkeypatch):
     lone = open_map(write_map(make_map([5, 9], [5, 9], [0, 0], [0, 0], easy=True), tmp_path / "lone"))
     with pytest.raises(BadInputError, match="no two nodes are connected"):

@@ -221,17 +221,6 @@ def test_every_cell_has_the_value_of_the_layers_bit_for_bit(route_map, folder, t
     np.testing.assert_allclose(elevation, mean.ravel(), rtol=1e-6)
 
 
-def test_classes_that_were_cut_off(easy_folder, tmp_path):
-    folder = shutil.copytree(easy_folder, tmp_path / "site")
-    site, path = open_map(folder), folder / "rasters/class.tif"
-    path.write_bytes(path.read_bytes()[:999])
-    for told in (r"class\.tif is cut off", r"class\.tif"):
-        with pytest.raises(BadInputError, match=told):
-            export_map(site, tmp_path / "out", ExportSettings(to="gridmap"))
-        path.unlink(missing_ok=True)
-    assert not (tmp_path / "out").exists()
-
-
 def test_without_rosbags_the_message_says_what_to_install(route_map, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
     with pytest.raises(UsageError, match=r"bumpymap\[ros\]"):

@@ -20,7 +20,6 @@ from PIL import Image
 from pyproj import Transformer
 from route_maps import VEHICLE, copy_folder, write_folder
 
-import bumpymap
 from bumpymap.core import CLASS_NAMES, NO_CLASS, OBSTACLE, BadInputError, OutputError, UsageError
 from bumpymap.layers import SurveyRow
 from bumpymap.layers.manifest import describe_file
@@ -84,13 +83,6 @@ def test_values_of_the_page_are_those_of_the_rasters_within_its_rounding(site, r
     found = page.objects()
     assert np.array_equal(found, raster(site, "rasters/obstacle.tif"))
     assert (found == OBSTACLE).any()
-
-
-def test_the_page_made_again_has_the_same_bytes_whatever_the_folder_is_called(site, tmp_path):
-    twin = shutil.copytree(site, tmp_path / "caf\udce9")
-    (twin / "report.html").unlink()
-    assert bumpymap.open(twin).report() == twin / "report.html"
-    assert (twin / "report.html").read_bytes() == (site / "report.html").read_bytes()
 
 
 @pytest.mark.parametrize(("limit", "most", "step"), [("_SIDE", 20, 2), ("_TILES", 25, 7)])

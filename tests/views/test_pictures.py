@@ -153,26 +153,16 @@ def test_what_is_unknown_is_drawn_without_complaint(ground, names, recwarn):
     assert not [str(warning.message) for warning in recwarn if "numpy" in str(warning.filename)]
 
 
-def class_colours(*numbers):
-    return 255 + 0.82 * (np.array([CLASS_COLOURS[number][:3] for number in numbers]) - 255.0)
-
-
-def test_the_scale_of_colours_runs_through_those_of_the_classes():
-    scale = RideScale.of({})
-    np.testing.assert_allclose(scale.colours(np.array([0.0, 1 / 3, 2 / 3, 1.0, 9.0])), class_colours(0, 1, 2, 3, 3))
-    limits = RideScale.of({"calibration": {"class_limits": [0.1, 0.3, 0.4]}})
-    middles = np.array([0.0, 0.05, 0.2, 0.35, 0.45, 8.0])
-    np.testing.assert_allclose(limits.colours(middles), class_colours(0, 0, 1, 2, 3, 3))
-    assert limits.end == pytest.approx(0.45)
-
-
-@pytest.mark.parametrize(
-    "limits",
-    [None, "rough", [0.1, 0.2], [0.3, 0.2, 0.1], [0.0, 0.1, 0.2], [0.1, 0.2, float("nan")]],
-)
-def test_limits_that_are_none_give_a_round_scale(limits):
-    for calibration in ({"class_limits": limits}, limits):
-        assert RideScale.of({"calibration": calibration}).end == 1.0
+def test_the_scale_of_colours_runs_through_those_of_the_classes_or_is_round():
+    for limits, values in (
+        ([0.1, 0.3, 0.4], [0.0, 0.05, 0.05, 0.2, 0.35, 0.45, 8.0]),
+        *((bad, [0.0, 0.0, 0.0, 1 / 3, 2 / 3, 1.0, 9.0]) for bad in (None, "rough", [0.1, 0.2], [0.3, 0.2, 0.1])),
+        *((bad, [0.0, 0.0, 0.0, 1 / 3, 2 / 3, 1.0, 9.0]) for bad in ([0.0, 0.1, 0.2], [0.1, 0.2, float("nan")])),
+    ):
+        scale = RideScale.of({"calibration": {"class_limits": limits}})
+        wanted = 255 + 0.82 * (np.array([CLASS_COLOURS[code][:3] for code in (0, 0, 0, 1, 2, 3, 3)]) - 255.0)
+        np.testing.assert_allclose(scale.colours(np.array(values)), wanted)
+        assert scale.end == pytest.approx(values[-2])
 
 
 def test_a_way_of_no_length_has_no_mean_and_no_distances(ground, monkeypatch):
@@ -248,17 +238,6 @@ def test_points_stand_where_they_are_ground_in_the_colour_of_its_class_obstacles
         chosen = styles == style
         assert chosen.sum() > 100
         assert (picture[rows[chosen], columns[chosen]] == SCAN_COLOURS[style]).all(axis=1).mean() > least
-
-
-def test_what_is_ground_decides_the_style_of_a_point_not_its_sector(scan, classed):
-    """Low things and crowns in a sector with ground are not ground, and not obstacles."""
-    stack = classed.sectors
-    inside = np.flatnonzero((stack.point_sector >= 0) & stack.point_ground)[:4]
-    height, ground = stack.point_height.copy(), stack.point_ground.copy()
-    height[inside] = [0.02, 0.1, 0.8, 3.0]
-    ground[inside] = [True, False, False, False]
-    styles = point_styles(with_sectors(classed, point_height=height, point_ground=ground))
-    assert styles[inside].tolist() == [classed.class_id[stack.point_sector[inside[0]]], 4, 3, 4]
 
 
 def test_ground_between_points_has_a_shade_of_its_sector_and_red_lines_over_obstacles(scan, classed):
