@@ -24,16 +24,9 @@ from bumpymap.core import SilentProgress
 from bumpymap.core.errors import BadInputError, OutputError
 from bumpymap.core.files import atomic, write_together
 from bumpymap.core.types import CostTable, Georeference
-from bumpymap.layers import (
-    check_extent,
-    check_folder,
-    describe_file,
-    describe_input,
-    software_versions,
-    write_manifest,
-    write_products,
-)
+from bumpymap.layers import check_extent, check_folder, write_products
 from bumpymap.layers.geotiff import write_raster
+from bumpymap.layers.manifest import describe_file, describe_input, software_versions, write_manifest
 from bumpymap.layers.placement import MAX_TILES
 from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES, MapFile
 from bumpymap.layers.tile_table import write_tiles
@@ -91,21 +84,17 @@ def said_by_layers(folder):
     schema = pq.read_schema(folder / "tiles.parquet").metadata
     found["tiles.parquet"] = {key.decode(): value.decode() for key, value in schema.items()}
     found["cost.fgb"] = pyogrio.read_info(folder / "cost.fgb")["layer_metadata"]
-    collection = json.loads((folder / "cost.geojson").read_text(encoding="utf-8"))
-    limits = collection.pop("class_limits_rad_per_m", [])
-    found["cost.geojson"] = collection | ({"class_limits_rad_per_m": " ".join(map(str, limits))} if limits else {})
+    found["cost.geojson"] = json.loads((folder / "cost.geojson").read_text(encoding="utf-8"))
+    limits = found["cost.geojson"]["class_limits_rad_per_m"]
+    found["cost.geojson"]["class_limits_rad_per_m"] = " ".join(map(str, limits))
     return found
 
 
-FULL_RUN = RUN | {
-    "survey": {"name": "Grünfläche <1> & 2", "checksum": "blake3-1MiB:ab", "dates": ["2024-05-01", "2024-05-03"]},
-    "calibration": {"id": "c0ffee", "vehicle": "warthog", "class_limits": (0.111, 0.25, 0.4)},
-    "settings": {"rating": "ride", "compat": "none"},
-}
-
-
 def test_every_layer_says_which_survey_vehicle_and_version_made_it(tmp_path, cost_map):
-    write(cost_map, tmp_path, manifest=FULL_RUN)
+    about = {"name": "Grünfläche <1> & 2", "checksum": "blake3-1MiB:ab", "dates": ["2024-05-01", "2024-05-03"]}
+    calibration = RUN["calibration"] | {"class_limits": (0.111, 0.25, 0.4)}
+    settings = {"rating": "ride", "compat": "none"}
+    write(cost_map, tmp_path, manifest=RUN | {"survey": about, "calibration": calibration, "settings": settings})
     found = said_by_layers(tmp_path)
     assert set(found) == set(PRODUCT_NAMES) - {"item.json", "run.json"}  # these say more, see their own tests
     wanted = {
@@ -145,11 +134,10 @@ def test_scratch_of_a_killed_run_goes_and_nothing_else(tmp_path):
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False)
     assert len(list(tmp_path.iterdir())) == 1
-    mine = [tmp_path / ".heightmap.notes", tmp_path / ".class.txt", tmp_path / "heightmap.bak"]
-    for path in mine:
-        path.write_text("mine")
+    mine = dict.fromkeys((".heightmap.notes", ".class.txt", "heightmap.bak"), "mine")
+    fill(tmp_path, mine)
     check_folder(tmp_path, overwrite=False)
-    assert sorted(tmp_path.iterdir()) == sorted(mine)
+    assert texts_in(tmp_path) == mine
 
 
 def test_a_map_of_the_first_version_is_replaced_whole(tmp_path, cost_map):

@@ -16,22 +16,8 @@ from pyproj import CRS
 from rasterio.env import get_gdal_config
 from rio_cogeo import cog_validate
 
-from bumpymap.core.types import (
-    BANDS,
-    BARRED_TEXT,
-    CANOPY,
-    CLASS_NAMES,
-    FREE,
-    NO_CLASS,
-    OBJECT_NAMES,
-    OBSTACLE,
-    REASON_TEXT,
-    UNSEEN,
-    CostTable,
-    Georeference,
-    ObjectStack,
-    Reason,
-)
+from bumpymap.core import CANOPY, CLASS_NAMES, FREE, NO_CLASS, OBJECT_NAMES, OBSTACLE, UNSEEN, CostTable, ObjectStack
+from bumpymap.core.types import BANDS, BARRED_TEXT, REASON_TEXT, Georeference, Reason
 from bumpymap.layers import _cog, geotiff
 from bumpymap.layers._cog import checksum, require_intact
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS

@@ -196,22 +196,13 @@ PLACES = [(-99.19, 19.318), (-99.1885, 19.3191), (-99.1881, 19.3178)]
 
 def test_points_of_a_geojson_in_their_order(tmp_path):
     points = [shapely.Point(*place, 2250.0) for place in PLACES]
-    path = geojson(
-        tmp_path / "stops.geojson",
-        feature(points[0], name="gate"),
-        {"type": "Feature", "properties": {"name": "nowhere"}, "geometry": None},
-        feature(points[1], number=7),
-        feature(points[2], name=" pump "),
-    )
-    assert read_points(path) == [
-        FilePoint("gate", *PLACES[0], "lonlat"),
-        FilePoint("2", *PLACES[1], "lonlat"),
-        FilePoint("pump", *PLACES[2], "lonlat"),
+    nowhere = {"type": "Feature", "properties": {"name": "nowhere"}, "geometry": None}
+    features = feature(points[0], name="gate"), nowhere, feature(points[1], number=7), feature(points[2], name=" pump ")
+    assert read_points(geojson(tmp_path / "stops.geojson", *features)) == [
+        FilePoint(name, *place, "lonlat") for name, place in zip(("gate", "2", "pump"), PLACES, strict=True)
     ]
     nameless = geojson(tmp_path / "bare.json", feature(shapely.MultiPoint(PLACES)))
-    assert [(point.name, point.x, point.y) for point in read_points(nameless)] == [
-        (str(number), *place) for number, place in enumerate(PLACES, start=1)
-    ]
+    assert read_points(nameless) == [FilePoint(str(n), *place, "lonlat") for n, place in enumerate(PLACES, start=1)]
 
 
 def test_projected_numbers_and_names_that_are_no_text(tmp_path, caplog):
@@ -257,20 +248,15 @@ def test_columns_of_a_csv(tmp_path, head, system, separator):
         ("a.csv", "lon,height\n1,2\n", r"a\.csv has the columns lon, height; it needs lon,lat"),
         ("a.csv", "lon,lat\n1,2\n3,north\n", r"a\.csv, line 3: '3,north'"),
         ("a.csv", "x;y\n1,5;2,5\n", r"'1,5;2,5' has no two numbers .* decimals with a point"),
-        ("a.csv", "lon,lat\n1,nan\n", "has no two numbers"),
         ("a.csv", "lon,lat\n", "holds no points"),
-        ("a.csv", "", r"columns \(none\)"),
         ("a.csv", b"\xff\xfe\x00", "cannot read"),
         ("a.txt", "1,2", r"Give \.geojson, \.gpx or \.csv"),
         ("a.geojson", "{", r"cannot read .*a\.geojson: .*\. Give"),
-        ("a.geojson", "[1, 2]", "it is no GeoJSON: it is .*; it must be an object with type"),
         ("a.geojson", '{"type": "FeatureCollection", "features": [5]}', "features.0 is '5'; it must be an object"),
         ("a.geojson", '{"type": "Feature", "crs": 5}', "crs is '5'; it must be an object with type, properties"),
-        ("a.geojson", '{"type": "Point", "coordinates": ["a", 1]}', "feature 1 has a position that is no two numbers"),
         ("a.geojson", '{"type": "Point", "coordinates": [1e999, 1]}', "feature 1 has a position that is no two numb"),
         ("a.geojson", '{"type": "Polygon", "coordinates": [[[1, 2]]]}', "a Polygon of it is damaged"),
         ("a.gpx", '<gpx><wpt lat="1"/></gpx>', "a point of it is not a place: lat='1'"),
-        ("a.geojson", '{"type": "Point", "coordinates": {"a": 1}}', "cannot read"),
         ("a.gpx", "<gpx", "cannot read"),
         ("a.gpx", "<kml><wpt lat='1' lon='2'/></kml>", "it is no GPX"),
     ],

@@ -22,13 +22,7 @@ from bumpymap.core import CLASS_NAMES, BadInputError, Georeference
 from bumpymap.layers import ReachField
 from bumpymap.layers.check_vectors import NOT_COMPARED, OFF_KINDS, MapOffset, place_stretches, write_stretches
 from bumpymap.layers.reach import write_isochrones, write_reach
-from bumpymap.layers.route_lines import (
-    PROFILE_COLUMNS,
-    track_points,
-    write_gpx,
-    write_profile,
-    write_route_geojson,
-)
+from bumpymap.layers.route_lines import PROFILE_COLUMNS, track_points, write_gpx, write_profile, write_route_geojson
 from bumpytiles import BLOCK_TILES, Grid, TileWindow
 
 PROPERTIES = {

@@ -19,15 +19,13 @@ from bumpymap.layers import (
     check_scan_folder,
     name_frames,
     open_accumulated,
-    open_table,
     remove_stale_products,
-    scan_table as table,
-    sector_rows,
+    scan_table,
     write_frame,
 )
 from bumpymap.layers.scan_folder import SCAN_CLASS_NAMES, SCAN_COLOURS
 from bumpymap.layers.scan_frame import write_cloud, write_polygons
-from bumpymap.layers.scan_table import COLUMNS
+from bumpymap.layers.scan_table import COLUMNS, open_table, sector_rows
 from bumpymap.scan import classify_filter, polar_sectors
 
 
@@ -163,7 +161,7 @@ def test_rows_are_the_sectors_of_all_frames_in_order(classed, nothing, tmp_path)
 
 
 def test_row_groups_keep_memory_bounded(classed, tmp_path, monkeypatch):
-    monkeypatch.setattr(table, "ROW_GROUP", 100)
+    monkeypatch.setattr(scan_table, "ROW_GROUP", 100)
     path = tmp_path / "a.parquet"
     with open_table(path) as sectors:
         for number in range(9):

@@ -16,18 +16,8 @@ from pyproj import CRS
 from route_maps import write_folder
 
 import bumpymap
-from bumpymap.core import BadInputError
-from bumpymap.core.types import (
-    BANDS,
-    BARRED_TEXT,
-    CLASS_NAMES,
-    NO_CLASS,
-    REASON_TEXT,
-    SIDES,
-    TEXTURES,
-    CostTable,
-    Reason,
-)
+from bumpymap.core import CLASS_NAMES, NO_CLASS, BadInputError, CostTable
+from bumpymap.core.types import BANDS, BARRED_TEXT, REASON_TEXT, SIDES, TEXTURES, Reason
 from bumpymap.layers import MapSummary, describe_file, tile_table
 from bumpymap.layers.summary import summarise
 from bumpymap.layers.tile_table import write_tiles

@@ -127,19 +127,6 @@ def test_a_way_of_no_length_stays_there():
     assert str(figures.descent_m) == "0.0"
 
 
-def test_a_corridor_that_an_obstacle_fills_is_left_for_another_far_away():
-    barred = np.full((24, 20), Barred.SLOPE)
-    barred[2], barred[20] = Barred.NO, Barred.NO
-    barred[:21, 1], barred[:21, 18] = Barred.NO, Barred.NO
-    site = TileMap(np.full((24, 20), 0.1), barred)
-    stops = np.array([site.at(2.5, 1.5), site.at(2.5, 18.5)])
-    assert planner(site).way(stops).figures.detour == pytest.approx(1.0, abs=1e-6)
-    site.stones = [tuple(site.at(2.5, 10.5))]
-    figures = planner(site).way(stops).figures
-    assert figures.obstacle_m == 0.0
-    assert figures.length_m > 2 * 17 * 3.0
-
-
 @pytest.mark.parametrize(("half", "width"), [(0.65, 1.4), (0.45, 1.0)])
 def test_the_widest_opening_in_a_wall_is_found_and_measured(half, width):
     site = TileMap(np.full((20, 20), 0.1))

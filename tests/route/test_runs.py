@@ -20,15 +20,7 @@ import bumpymap
 from bumpymap.core import BadInputError, Georeference, OutputError, UsageError
 from bumpymap.layers import ReachField, open_map
 from bumpymap.route import output as folder_module
-from bumpymap.route.output import (
-    REACH_KINDS,
-    ROUTE_FILES,
-    ROUTE_KINDS,
-    ROUTE_MANIFEST_NAME,
-    check_out,
-    write_reach_files,
-    write_routes,
-)
+from bumpymap.route.output import REACH_KINDS, ROUTE_FILES, ROUTE_KINDS, check_out, write_reach_files, write_routes
 from bumpytiles import Grid, TileWindow
 
 FOUR = ["profile.csv", "route.geojson", "route.gpx", "route.json", "route.png"]
@@ -69,7 +61,7 @@ def test_a_folder_gets_every_file_and_the_manifest(source, tmp_path):
     files = write_routes([make_route(), make_route("two", stops=CORNERS)], source, out, manifest=SETTINGS)
     assert names(out) == FOUR
     assert [path.name for path in files] == [name for name in ROUTE_FILES.names if name in FOUR]
-    record = json.loads((out / ROUTE_MANIFEST_NAME).read_text())
+    record = json.loads((out / "route.json").read_text())
     assert record["format"] == "bumpymap-route"
     assert record["settings"] == SETTINGS["settings"]
     assert record["calibration"] == {"id": "c0ffee"}

@@ -11,7 +11,6 @@ from pathlib import Path
 os.environ["QT_QPA_PLATFORM"] = "offscreen"
 
 from qgis.core import (
-    Qgis,
     QgsApplication,
     QgsExpressionContextUtils,
     QgsMapRendererParallelJob,
@@ -30,39 +29,24 @@ SIZE = 1200, 1000
 
 
 def describe(layer):
-    """Name, renderer, CRS, extent, blending and legend of a layer."""
+    """Renderer, CRS, extent, blending and legend of a layer; how many features each entry of the legend draws."""
     found = {"name": layer.name(), "valid": layer.isValid()}
     if not layer.isValid():
         return found | {"error": layer.error().summary()}
-    found |= {
-        "source": layer.source(),
-        "crs": layer.crs().authid(),
-        "crs_valid": layer.crs().isValid(),
-        "extent": corners(layer.extent()),
-        "renderer": layer.renderer().type(),
-        "multiply": layer.blendMode() == 13,  # QPainter.CompositionMode_Multiply
-    }
-    return found | (describe_raster(layer) if isinstance(layer, QgsRasterLayer) else describe_areas(layer))
-
-
-def describe_raster(layer):
-    renderer = layer.renderer()
-    found = {
-        "bands": renderer.usesBands(),
-        "legend": [[label, colour.name(), colour.alpha()] for label, colour in renderer.legendSymbologyItems()],
-    }
+    renderer, crs = layer.renderer(), layer.crs()
+    found |= {"source": layer.source(), "crs": crs.authid(), "crs_valid": crs.isValid(), "renderer": renderer.type()}
+    found |= {"extent": corners(layer.extent()), "multiply": layer.blendMode() == 13}  # CompositionMode_Multiply
+    if not isinstance(layer, QgsRasterLayer):
+        symbols = [(item.label(), item.symbol()) for item in renderer.legendSymbolItems()]
+        found["legend"] = [[label, symbol.color().name(), symbol.color().alpha()] for label, symbol in symbols]
+        return found | {"features": layer.featureCount(), "drawn": drawn(layer)}
+    items = renderer.legendSymbologyItems()
+    found |= {"bands": renderer.usesBands(), "legend": [[name, one.name(), one.alpha()] for name, one in items]}
     if renderer.type() == "paletted":
         found["values"] = [int(entry.value) for entry in renderer.classes()]
     elif renderer.type() == "singlebandpseudocolor":
-        shader = renderer.shader().rasterShaderFunction()
-        found["values"] = [item.value for item in shader.colorRampItemList()]
+        found["values"] = [item.value for item in renderer.shader().rasterShaderFunction().colorRampItemList()]
     return found
-
-
-def describe_areas(layer):
-    items = layer.renderer().legendSymbolItems()
-    legend = [[item.label(), item.symbol().color().name(), item.symbol().color().alpha()] for item in items]
-    return {"legend": legend, "features": layer.featureCount(), "drawn": drawn(layer)}
 
 
 def drawn(layer):
@@ -135,15 +119,13 @@ def describe_project(path):
 def main(folder, report):
     application = QgsApplication([], True)
     application.initQgis()
-    found = {"qgis": Qgis.QGIS_VERSION, "layers": {}}
+    found = {"layers": {}}
     for path in sorted(folder.rglob("*")):
-        name = path.relative_to(folder).as_posix()
-        make = QgsRasterLayer if path.suffix in {".tif", ".vrt"} else QgsVectorLayer
-        if path.suffix in {".tif", ".vrt", ".geojson", ".fgb", ".gpkg"}:
-            layer = make(str(path), path.stem)
-            found["layers"][name] = describe(layer)
+        if path.suffix in {".tif", ".geojson", ".fgb", ".gpkg"}:
+            layer = (QgsRasterLayer if path.suffix == ".tif" else QgsVectorLayer)(str(path), path.stem)
+            about = found["layers"][path.relative_to(folder).as_posix()] = describe(layer)
             if layer.isValid():
-                found["layers"][name]["colours"] = colours_of([layer], layer.extent(), layer.crs())
+                about["colours"] = colours_of([layer], layer.extent(), layer.crs())
     if (folder / "map.qgs").exists():
         found["project"] = describe_project(folder / "map.qgs")
     report.write_text(json.dumps(found, indent=1), encoding="utf-8")

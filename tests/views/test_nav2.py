@@ -56,13 +56,6 @@ def static_layer(grid, params):
     return scaled
 
 
-def keepout(grid, master):
-    """The mask as a costmap, laid on another where it is known and higher."""
-    mask = np.where(grid.data == -1, NO_INFORMATION, np.rint(grid.data.astype(float) * LETHAL / 100.0))
-    higher = (mask != NO_INFORMATION) & ((mask > master) | (master == NO_INFORMATION))
-    return np.where(higher, mask, master)
-
-
 def speed_limit(value, base, multiplier):
     """Percent of the top speed; None: no limit."""
     assert value != -1, "unknown cells are errors: the last limit stays"
@@ -108,18 +101,6 @@ def test_a_costmap_keeps_graded_cost_and_knows_what_is_unknown(whole, folder):
     assert record["tiles"]["unknown"] == (barred == Barred.UNKNOWN).sum()
 
 
-def test_the_keepout_filter_leaves_only_passable_tiles(whole, folder):
-    _, params, (_, mask, _) = whole
-    passable = tile_values(folder, "rasters/barred.tif") == Barred.NO
-    for master in (FREE, NO_INFORMATION):
-        laid = keepout(mask, np.full(passable.shape, master))
-        assert (laid[~passable] == LETHAL).all()
-        assert (laid[passable] < INSCRIBED).all()
-    info = params["keepout_info_server"]["ros__parameters"]
-    assert (info["type"], info["base"], info["multiplier"]) == (0, 0.0, 1.0)
-    assert info["mask_topic"] == params["keepout_mask_server"]["ros__parameters"]["topic_name"]
-
-
 def test_the_speed_filter_keeps_the_ride_under_the_limit(route_map, folder, tmp_path):
     _, params, (_, _, mask) = exported(route_map, tmp_path / "out", comfort=0.2)
     info = params["speed_info_server"]["ros__parameters"]
@@ -161,7 +142,7 @@ def test_cells_lie_where_the_survey_has_them(route_map, folder, tmp_path, around
     assert (passable & unseen).any() == (resolution == "pixel")
     seen = passable & ~obstacle & ~unseen
     assert ((cell[seen] >= 0) & (cell[seen] <= 98)).all()
-    assert (kept == np.where(seen, 0, 100)).all()
+    assert (kept == np.where(seen, 0, 100)).all()  # keepout_filter.cpp: 100 is lethal, 0 changes nothing
     size = 3.0 if resolution == "tile" else 0.2
     assert grid.resolution == pytest.approx(size, abs=1e-12)
     assert np.fmod(abs(grid.x) + 1e-7, grid.resolution) < 1e-5  # aligned with the origin
@@ -185,6 +166,8 @@ def test_cost_is_scaled_the_same_in_every_crop_if_asked(route_map, tmp_path):
 def test_parameters_fit_together(whole):
     _, params, _ = whole
     servers = {name: part["ros__parameters"] for name, part in params.items() if "ros__parameters" in part}
+    info = servers["keepout_info_server"]
+    assert (info["type"], info["base"], info["multiplier"]) == (0, 0.0, 1.0)
     costmap = params["global_costmap"]["global_costmap"]["ros__parameters"]
     assert costmap["static_layer"]["map_topic"] == servers["map_server"]["topic_name"]
     for name in ("keepout", "speed"):
