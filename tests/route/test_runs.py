@@ -183,10 +183,6 @@ def test_settings_and_alternatives(layers, tmp_path):
     assert [way.name for way in found] == ["route", *(f"alternative {at}" for at in range(1, len(found)))]
     assert found[0].risk_m == 0.0
     assert (tmp_path / "way.geojson").is_file()
-    with pytest.raises(bumpymap.UsageError, match="unknown setting speed"):
-        bumpymap.find_routes(layers, *ends, speed=3)
-    with pytest.raises(bumpymap.UsageError, match="it must be a path"):
-        bumpymap.find_routes([layers.folder, layers.folder], *ends)
 
 
 def test_a_reach_is_a_dataset(layers):

@@ -37,8 +37,9 @@ def describe(layer):
     found |= {"source": layer.source(), "crs": crs.authid(), "crs_valid": crs.isValid(), "renderer": renderer.type()}
     found |= {"extent": corners(layer.extent()), "multiply": layer.blendMode() == 13}  # CompositionMode_Multiply
     if not isinstance(layer, QgsRasterLayer):
-        symbols = [(item.label(), item.symbol()) for item in renderer.legendSymbolItems()]
-        found["legend"] = [[label, symbol.color().name(), symbol.color().alpha()] for label, symbol in symbols]
+        items = renderer.legendSymbolItems()  # which own their symbols
+        colours = [item.symbol().color() for item in items]
+        found["legend"] = [[item.label(), one.name(), one.alpha()] for item, one in zip(items, colours, strict=True)]
         return found | {"features": layer.featureCount(), "drawn": drawn(layer)}
     items = renderer.legendSymbologyItems()
     found |= {"bands": renderer.usesBands(), "legend": [[name, one.name(), one.alpha()] for name, one in items]}
