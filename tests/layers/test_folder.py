@@ -169,17 +169,6 @@ def test_a_folder_of_rasters_that_is_a_link_is_refused(tmp_path, cost_map):
     assert [path.name for path in out.iterdir()] == ["rasters"]
 
 
-@pytest.mark.parametrize("name", ["run.json", "rasters/class.qml"])
-def test_products_of_a_run_are_not_overwritten_unasked(tmp_path, name):
-    fill(tmp_path, {"notes.txt": "not ours"})
-    check_folder(tmp_path, overwrite=False)
-    fill(tmp_path, {name: "ours"})
-    with pytest.raises(OutputError, match=f"already holds {name}.*`overwrite=True`"):
-        check_folder(tmp_path, overwrite=False)
-    check_folder(tmp_path, overwrite=True)
-    assert texts_in(tmp_path) == {"notes.txt": "not ours", name: "ours"}
-
-
 def test_no_crs_is_refused_before_any_file(tmp_path, make_field):
     cost_map = make_field(4, 4, georeference=Georeference(None))
     with pytest.raises(BadInputError, match="`local=True`"):

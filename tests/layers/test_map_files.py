@@ -1,6 +1,5 @@
 """Folders of layers that somebody else made: nothing is fetched or read but their own files, each as it was written."""
 
-import hashlib
 import json
 import os
 import sqlite3
@@ -17,7 +16,7 @@ from cost_maps import make_field
 from made_drives import MadeDrive, log_of, write_table
 from pyogrio.raw import write
 from pyproj import CRS
-from route_maps import bare_map, copy_folder, write_folder
+from route_maps import bare_map, copy_folder, list_anew, write_folder
 
 from bumpymap.api import open_layers
 from bumpymap.change import diff_surveys
@@ -57,15 +56,6 @@ def one(tmp_path_factory):
     calibration = {"id": "c0ffee", "vehicle": "warthog", "class_limits": [0.05, 0.1, 0.2]}
     made = make_field(12, 10, grid=SMALL, easy=True)
     return write_folder(tmp_path_factory.mktemp("one") / "map", made, calibration=calibration)
-
-
-def list_anew(folder):
-    """State the checksums of the files that are there now, as who planted them would."""
-    record = json.loads((folder / "run.json").read_text())
-    for entry in record["files"]:
-        data = (folder / entry["path"]).read_bytes()
-        entry |= {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
-    (folder / "run.json").write_text(json.dumps(record))
 
 
 def report(folder, out):

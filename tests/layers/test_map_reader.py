@@ -7,7 +7,7 @@ from shutil import rmtree
 
 import numpy as np
 import pytest
-from route_maps import copy_folder, write_folder
+from route_maps import copy_folder, list_anew, write_folder
 
 from bumpymap.core import NO_TILE, BadInputError
 from bumpymap.layers import open_map
@@ -192,14 +192,10 @@ def test_rasters_of_another_place_are_refused(small, tmp_path, make_field):
     """A raster that was copied from another run; its size and checksum are entered, so only its place is wrong."""
     folder = copy_folder(small, tmp_path / "layers")
     other = write_folder(tmp_path / "other", make_field(20, 17, grid=SMALL))
-    record, others = (json.loads((each / "run.json").read_text()) for each in (folder, other))
     (folder / "cost.tif").write_bytes((other / "cost.tif").read_bytes())
-    kept = [entry for entry in record["files"] if entry["path"] != "cost.tif"]
-    record["files"] = kept + [entry for entry in others["files"] if entry["path"] == "cost.tif"]
-    (folder / "run.json").write_text(json.dumps(record))
+    list_anew(folder)
     with pytest.raises(BadInputError, match=r"cost\.tif spans other tiles"):
         open_map(folder)
-    record["grid"]["tile_size_m"] = 2.5
-    (folder / "run.json").write_text(json.dumps(record))
+    list_anew(folder, grid=json.loads((folder / "run.json").read_text())["grid"] | {"tile_size_m": 2.5})
     with pytest.raises(BadInputError, match="does not lie on the grid"):
         open_map(folder)

@@ -255,19 +255,6 @@ def back_to_tiles(cost_map, outlines):
     return shapely.transform(outlines, lambda p: np.column_stack(to_crs.transform(p[:, 0], p[:, 1])) * scale)
 
 
-def test_geojson_holds_the_standard_and_the_place(tmp_path, site):
-    regions = regions_of(site)
-    write_geojson(regions, tmp_path / "cost.geojson", local=False, about={"vehicle": "warthog"})
-    collection = check_rfc7946(tmp_path / "cost.geojson")
-    assert collection["vehicle"] == "warthog"
-    numbers = [(feature["id"], feature["properties"]["region"]) for feature in collection["features"]]
-    assert numbers == [(number, number) for number in range(1, len(regions.tiles) + 1)]
-    found = back_to_tiles(site, [shapely.geometry.shape(feature["geometry"]) for feature in collection["features"]])
-    assert (shapely.hausdorff_distance(found, regions.outlines) * 3.0 < 0.02).all()  # m
-    areas = [feature["properties"]["area_m2"] for feature in collection["features"]]
-    np.testing.assert_allclose(shapely.area(found) * 9.0, areas, rtol=0.02)
-
-
 def test_properties(tmp_path, cost_map):
     write_geojson(regions_of(cost_map), tmp_path / "cost.geojson", local=False)
     features = check_rfc7946(tmp_path / "cost.geojson")["features"]
@@ -296,18 +283,22 @@ def test_properties(tmp_path, cost_map):
     assert sum(feature["properties"]["tiles"] for feature in features) == len(cost_map.class_id)
 
 
-def test_geojson_and_flatgeobuf_open_in_geopandas_with_the_same_values(tmp_path, site):
+def test_geojson_and_flatgeobuf_open_in_geopandas_where_the_tiles_are_with_the_same_values(tmp_path, site):
     regions = regions_of(site)
-    write_geojson(regions, tmp_path / "cost.geojson", local=False)
+    write_geojson(regions, tmp_path / "cost.geojson", local=False, about={"vehicle": "warthog"})
     write_flatgeobuf(regions, tmp_path / "cost.fgb")
+    collection = check_rfc7946(tmp_path / "cost.geojson")
+    assert collection["vehicle"] == "warthog"
+    assert [feature["id"] for feature in collection["features"]] == [*range(1, len(regions.tiles) + 1)]
     globe, flat = (geopandas.read_file(tmp_path / name) for name in ("cost.geojson", "cost.fgb"))
-    assert globe.crs.to_epsg() == 4326
-    assert flat.crs.equals(site.georeference.crs)
+    assert (globe.crs.to_epsg(), flat.crs) == (4326, site.georeference.crs)
+    found = back_to_tiles(site, globe.geometry.to_numpy())
+    assert (shapely.hausdorff_distance(found, regions.outlines) * 3.0 < 0.02).all()  # m
+    np.testing.assert_allclose(shapely.area(found) * 9.0, globe["area_m2"], rtol=0.02)
     assert flat.geometry.is_valid.all()
     assert flat.geometry.geom_type.unique().tolist() == ["Polygon"]
     unit = site.georeference.metres_per_unit
     assert flat.area.sum() * unit**2 == pytest.approx(9.0 * len(site.class_id), rel=1e-9)
-    assert len(globe) == len(regions.tiles)
     flat = flat.sort_values("region")  # FlatGeobuf stores features along a Hilbert curve
     boxes = flat.bounds[["minx", "miny", "maxx", "maxy"]].to_numpy() * unit
     np.testing.assert_allclose(boxes, shapely.bounds(regions.outlines) * 3.0, rtol=1e-12)

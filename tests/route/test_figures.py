@@ -2,8 +2,8 @@
 
 import json
 import math
-from dataclasses import dataclass
 from itertools import pairwise, permutations
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -194,19 +194,13 @@ def test_a_start_between_obstacles_does_not_silence_it():
     )
 
 
-@dataclass
-class Figures:
-    cost_m: float
-    hazard: float
-
-
 OWN_RISK = 300.0
 
 
 def way(ride, hazard, row, tiles=10):
     """Return a way along a row of tiles."""
     own = np.column_stack([np.arange(tiles), np.full(tiles, 5 * row)])
-    return MeasuredWay(np.zeros((2, 2)), Figures(ride + OWN_RISK * hazard, hazard), None, own)
+    return MeasuredWay(np.zeros((2, 2)), SimpleNamespace(cost_m=ride + OWN_RISK * hazard, hazard=hazard), None, own)
 
 
 def planner(ways):
@@ -214,13 +208,10 @@ def planner(ways):
 
     def plan(risk, worn):
         def cost(one):
-            figures = one.figures
-            total = figures.cost_m + (risk - OWN_RISK) * figures.hazard
-            if worn is not None:
-                used = {tuple(tile) for tile in worn.tiles}
-                share = np.mean([tuple(tile) in used for tile in one.tiles])
-                total *= 1 + (worn.factor - 1) * share
-            return total
+            used = set(map(tuple, worn.tiles)) if worn is not None else set()
+            share = np.mean([tuple(tile) in used for tile in one.tiles])
+            total = one.figures.cost_m + (risk - OWN_RISK) * one.figures.hazard
+            return total * (1 + (worn.factor - 1) * share if worn is not None else 1)
 
         return min(ways, key=cost)
 

@@ -7,8 +7,8 @@ import pytest
 from route_oracles import gap_to_closed, reach_by_graph, smooth_field, taut_length
 
 from bumpymap.route._search_kernels import FROM_START, NOT_REACHED
-from bumpymap.route.search import MOVES, find_way, follow_back, spread
-from bumpymap.route.straighten import is_clear, line_cost, pull_tight, trace, wide_margin
+from bumpymap.route.search import MOVES, find_way, spread
+from bumpymap.route.straighten import is_clear, line_cost, trace, wide_margin
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -148,44 +148,12 @@ def test_a_margin_bends_the_way_around_a_corner_in_an_arc(margin):
     assert len(way.line) < 12
 
 
-def test_a_start_beside_closed_tiles_leads_away_from_them():
-    cost = EVEN[:12, :12].copy()
-    cost[4, 2:9] = np.inf
-    cost[2:5, 8] = np.inf
-    start, goal = (3.98, 7.99), (8.0, 5.0)
-    way = find_way(cost, start, goal, margin=0.4)
-    np.testing.assert_allclose(way.line[[0, -1]], [start, goal], rtol=0, atol=1e-9)
-    assert gap_to_closed(cost, way.line[1:]) >= 0.4 - 1e-6
-    assert gap_to_closed(cost, way.line[:2]) == pytest.approx(0.01, abs=1e-9)
-
-
 @pytest.mark.parametrize("goal", [(4.5, 4.5), (-0.5, 2.0), (12.0, 3.0), (3.0, 1e9)])
 def test_ends_in_closed_tiles_or_outside_have_no_way(goal):
     cost = EVEN[:12, :12].copy()
     cost[4, 4] = np.inf
     assert find_way(cost, (1.0, 1.0), goal) is None
     assert find_way(cost, goal, (1.0, 1.0)) is None
-
-
-def way_by_moves(cost, start, goal, margin):
-    _, back = spread(cost, start, margin=margin)
-    return np.vstack([start, follow_back(back, *goal)[::-1]])
-
-
-@pytest.mark.parametrize("margin", [0.0, 0.35])
-@pytest.mark.parametrize("seed", range(4))
-def test_never_dearer_and_never_too_near(seed, margin):
-    rng = np.random.default_rng(seed)
-    cost = smooth_field(rng, (60, 60), most=20, width=seed, closed=0.15)
-    reach, _ = spread(cost, (30.2, 30.9), margin=margin)
-    goals = rng.permutation(np.argwhere(np.isfinite(reach)))[:6]
-    for goal in goals:
-        line = way_by_moves(cost, (30.2, 30.9), goal, margin)
-        pulled = pull_tight(cost, line, margin)
-        assert line_cost(cost, pulled) <= line_cost(cost, line)
-        assert is_clear(cost, pulled, margin)
-        assert gap_to_closed(cost, pulled) >= min(margin, gap_to_closed(cost, line[[0, 0]])) - 1e-6
-        np.testing.assert_array_equal(pulled[[0, -1]], line[[0, -1]])
 
 
 def test_around_blocks_the_line_is_taut():

@@ -18,11 +18,10 @@ from cost_maps import make_field
 from page_outline import Outline, require_no_requests
 from PIL import Image
 from pyproj import Transformer
-from route_maps import VEHICLE, copy_folder, write_folder
+from route_maps import VEHICLE, copy_folder, list_anew, write_folder
 
 from bumpymap.core import CLASS_NAMES, NO_CLASS, OBSTACLE, BadInputError, OutputError, UsageError
 from bumpymap.layers import SurveyRow
-from bumpymap.layers.manifest import describe_file
 from bumpymap.views import write_report
 from bumpymap.views.page import page
 from bumpymap.views.page.batch_page import index_page
@@ -153,10 +152,7 @@ def change_bars(folder, code, bar):
     chosen = pc.fill_null(pc.equal(table["class"], code), fill_value=False)
     bars = pc.if_else(chosen, pa.scalar(bar, pa.string()), table["barred"].cast(pa.string()))
     pq.write_table(table.set_column(at, field, bars.cast(field.type)), path)
-    record = json.loads((folder / "run.json").read_text())
-    files = [entry for entry in record["files"] if entry["path"] != path.name]
-    record["files"] = [*files, describe_file(path) | {"path": path.name}]
-    (folder / "run.json").write_text(json.dumps(record))
+    list_anew(folder)
     return folder
 
 
