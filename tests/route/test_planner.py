@@ -15,7 +15,6 @@ from bumpymap.core import NO_TILE, Barred, RouteVehicle, UsageError
 from bumpymap.route import CostSettings
 from bumpymap.route.ground import CostGround
 from bumpymap.route.measure import way_cost
-from bumpymap.route.no_way import widest_opening
 from bumpymap.route.places import in_window
 from bumpymap.route.planner import Planner, tile_line
 from bumpymap.route.reach import find_reach
@@ -121,21 +120,6 @@ def test_a_way_of_no_length_stays_there():
     figures = planner(site).way(np.array([site.at(4.5, 2.5)] * 2)).figures
     assert (figures.length_m, figures.cost_m, figures.obstacle_m) == (0.0, 0.0, 0.0)
     assert str(figures.descent_m) == "0.0"
-
-
-@pytest.mark.parametrize(("half", "width"), [(0.65, 1.4), (0.45, 1.0)])
-def test_the_widest_opening_in_a_wall_is_found_and_measured(half, width):
-    site = TileMap(np.full((20, 20), 0.1))
-    south, north = site.at(20, 10)[1], site.at(0, 10)[1]
-    line, wall = np.arange(south + 0.1, north, 0.2), site.at(0, 10)[0] + 0.1
-    stops = np.array([site.at(15.5, 3.5), site.at(15.5, 16.5)])
-    gap, narrower = site.at(2.2, 10)[1] + 0.1, site.at(15.5, 10)[1]
-    site.stones = [(wall, y) for y in line if abs(y - gap) > half and abs(y - narrower) > 0.25]
-    place, found = widest_opening(planner(site).ground, *stops)
-    assert math.dist(place, (wall, gap)) < 0.5
-    assert found == pytest.approx(width, abs=0.21)
-    site.stones = [(wall, y) for y in line]
-    assert widest_opening(planner(site).ground, *stops) is None
 
 
 def made_field(rows=600, cols=40, seed=1):

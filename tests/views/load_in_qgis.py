@@ -70,17 +70,6 @@ def corners(box):
     return [box.xMinimum(), box.yMinimum(), box.xMaximum(), box.yMaximum()]
 
 
-def leaves(group):
-    """The tree of layers: group, title, id, whether it is shown and whether the layer was found."""
-    found = []
-    for child in group.children():
-        if hasattr(child, "layerId"):
-            found.append([group.name(), child.name(), child.layerId(), child.isVisible(), child.layer() is not None])
-        else:
-            found += leaves(child)
-    return found
-
-
 def colours_of(layers, extent, crs):
     """Draw layers, the topmost first, and return the number of colours."""
     settings = QgsMapSettings()
@@ -110,7 +99,7 @@ def describe_project(path):
         "abstract": project.metadata().abstract(),
         "crs": project.crs().authid(),
         "crs_valid": project.crs().isValid(),
-        "tree": leaves(tree),
+        "tree": [[node.layerId(), node.isVisible(), node.layer() is not None] for node in tree.findLayers()],
         "layers": {layer.id(): describe(layer) for layer in project.mapLayers().values()},
         "extent": corners(canvas.extent()),
         "colours": colours_of(shown, canvas.extent(), project.crs()),

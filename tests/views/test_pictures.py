@@ -19,6 +19,8 @@ from bumpymap.views.pictures.route_picture import paint_route
 from bumpymap.views.pictures.scan_picture import SIDE, paint as paint_image, write_picture
 from bumpytiles import Grid
 
+pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+
 
 @pytest.fixture(scope="module")
 def view():
