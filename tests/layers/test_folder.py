@@ -19,7 +19,6 @@ from cost_maps import part_of
 from region_files import regions_of, write_flatgeobuf, write_geojson
 from small_surveys import SIDES, files_in
 
-from bumpymap.core import SilentProgress
 from bumpymap.core.errors import BadInputError, OutputError
 from bumpymap.core.files import atomic, write_together
 from bumpymap.core.types import CostTable, Georeference
@@ -50,10 +49,8 @@ def fill(folder, files):
         (folder / name).write_text(text)
 
 
-def write(cost_map, folder, *, local=False, manifest=RUN, progress=None):
-    return write_products(
-        CostTable.of(cost_map), folder, views=write_map_views, local=local, manifest=manifest, progress=progress
-    )
+def write(cost_map, folder, *, local=False, manifest=RUN):
+    return write_products(CostTable.of(cost_map), folder, views=write_map_views, local=local, manifest=manifest)
 
 
 def test_all_files_of_a_run(tmp_path, cost_map):
@@ -183,16 +180,6 @@ def test_an_extent_is_limited_in_tiles_and_in_pixels():
         check_extent(Grid(3.0, 1), TileWindow(0, 0, side + 1, side))
     with pytest.raises(BadInputError, match="pixels"):
         check_extent(Grid(3.0, 60), TileWindow(0, 0, side // 3, side // 3))
-
-
-def test_ending_while_writing_leaves_nothing(tmp_path, cost_map):
-    class Impatient(SilentProgress):
-        def advance(self, steps):
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        write(cost_map, tmp_path, progress=Impatient())
-    assert list(tmp_path.iterdir()) == []
 
 
 @contextmanager

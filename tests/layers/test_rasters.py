@@ -33,7 +33,6 @@ WRITERS = {
 }
 WEIGHTS = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
 US_FOOT = 1200 / 3937
-FEET = Georeference(CRS.from_epsg(2271), US_FOOT, US_FOOT)
 
 
 @pytest.fixture(scope="module")
@@ -230,7 +229,9 @@ def test_unknown_ground_is_unknown_in_overviews_too(tmp_path, make_field):
     assert all((level == NO_CLASS).all() for level in smaller)
 
 
-@pytest.mark.parametrize("georeference", [None, FEET], ids=["metres", "feet"])
+@pytest.mark.parametrize(
+    "georeference", [None, Georeference(CRS.from_epsg(2271), US_FOOT, US_FOOT)], ids=["metres", "feet"]
+)
 def test_heightmap_is_the_heights_side_by_side(tmp_path, make_field, georeference):
     cost_map = make_field(20, 10, west=130_000, south=60_000, georeference=georeference)
     path, unit = tmp_path / "heightmap.tif", cost_map.georeference.metres_per_unit

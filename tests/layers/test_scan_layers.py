@@ -15,16 +15,9 @@ from pyproj import CRS
 
 from bumpymap.core import Frame, PolarSettings, point_classes, sector_bounds
 from bumpymap.core.errors import OutputError
-from bumpymap.layers import (
-    check_scan_folder,
-    name_frames,
-    open_accumulated,
-    remove_stale_products,
-    scan_table,
-    write_frame,
-)
+from bumpymap.layers import check_scan_folder, name_frames, open_accumulated, remove_stale_products, scan_table
 from bumpymap.layers.scan_folder import SCAN_CLASS_NAMES, SCAN_COLOURS
-from bumpymap.layers.scan_frame import write_cloud, write_polygons
+from bumpymap.layers.scan_frame import write_cloud, write_frame, write_polygons
 from bumpymap.layers.scan_table import COLUMNS, open_table, sector_rows
 from bumpymap.scan import classify_filter, polar_sectors
 

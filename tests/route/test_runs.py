@@ -331,8 +331,6 @@ def usable(site, row, col, snap=0.0, **areas):
     [
         (Barred.UNKNOWN, "unknown ground; `unknown=COST`"),
         (Barred.SLOPE, r"not passable \(too steep\)"),
-        (Barred.FAILS, r"not passable \(drives fail\)"),
-        (Barred.STEP, r"not passable \(step\)"),
         (NO_TILE, "a tile without points"),
     ],
 )
