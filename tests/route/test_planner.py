@@ -135,28 +135,19 @@ def made_field(rows=600, cols=40, seed=1):
     return site.read(site.window)
 
 
-def by_hand(field, i, j, *, risk, robust=False, unknown=None):
-    """Cost of one tile in plain Python."""
-    code = int(field.barred[i, j])
-    if code == Barred.UNKNOWN and unknown is not None and not field.obstacle[i, j] > 0:
-        return unknown
-    if code != Barred.NO:
-        return np.inf
-    p_fail = float(field.p_fail[i, j])
-    hazard = 0.0 if np.isnan(p_fail) else -np.log1p(-p_fail) / field.rule.drive_m
-    shaking = float((field.c_r_high if robust else field.c_r)[i, j])
-    return 1.0 + field.rule.ride_weight * shaking + risk * hazard
-
-
 @pytest.mark.parametrize("robust", [False, True])
 @pytest.mark.parametrize("unknown", [None, 12.5])
 @pytest.mark.parametrize("risk", [0.0, 80.0, 4000.0])
 def test_cost_of_every_tile(robust, unknown, risk):
     field = made_field(300, 7)
     cost = of_field(field, risk=risk, robust=robust, unknown=unknown)
-    expected = [by_hand(field, i, j, risk=risk, robust=robust, unknown=unknown) for i, j in np.ndindex(cost.shape)]
+    hazard = -np.log1p(-np.nan_to_num(field.p_fail.astype(float))) / field.rule.drive_m
+    ride = (field.c_r_high if robust else field.c_r).astype(float)
+    expected = np.where(field.barred == Barred.NO, 1.0 + field.rule.ride_weight * ride + risk * hazard, np.inf)
+    if unknown is not None:
+        expected[(field.barred == Barred.UNKNOWN) & ~(field.obstacle > 0)] = unknown
     assert cost.dtype == np.float32
-    assert np.array_equal(cost.ravel(), np.float32(expected))
+    assert np.array_equal(cost, np.float32(expected))
     assert cost.min() >= 1.0
 
 

@@ -272,15 +272,6 @@ def test_a_point_outside_the_map_is_refused_with_the_extent_in_both_systems():
         assert stated == pytest.approx([longitude.min(), longitude.max(), latitude.min(), latitude.max()], abs=1e-6)
 
 
-def test_points_near_the_map_are_taken_if_asked():
-    with pytest.raises(BadInputError, match="outside"):
-        parse_point("480304,2136243", SITE, beyond_m=4.9)
-    assert parse_point("480304,2136243", SITE, beyond_m=5.0) == (480_304.0, 2_136_243.0)
-    assert parse_point("480000,2136000", SITE) == (480_000.0, 2_136_000.0)  # the sides in the west and south
-    with pytest.raises(BadInputError, match="outside"):
-        parse_point("480300,2136000", SITE)
-
-
 def test_a_point_that_could_be_meant_both_ways_must_be_named():
     """Near the origin of a CRS around 0 degrees, small numbers are coordinates of both."""
     crs = CRS.from_proj4("+proj=tmerc +lat_0=0 +lon_0=0 +datum=WGS84")

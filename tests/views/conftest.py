@@ -2,7 +2,6 @@
 
 import json
 import re
-import shutil
 import zlib
 from base64 import b64decode
 from dataclasses import replace
@@ -18,17 +17,6 @@ from survey_pairs import COLS, ROWS, survey
 import bumpymap
 from bumpymap.check.pipeline import write_check
 from bumpymap.layers import open_map
-
-
-@pytest.fixture(scope="session")
-def browser():
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as driver:
-        # in a container Chromium cannot make a sandbox of its own
-        browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
-        yield browser
-        browser.close()
 
 
 class ReadPage:

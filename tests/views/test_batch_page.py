@@ -165,17 +165,3 @@ def test_relief_is_lit_from_the_north_west_and_a_picture_is_as_small_as_asked(tm
     (noisy / "rasters/class.tif").write_bytes(b"nothing")
     with pytest.raises(BadInputError, match=r"cannot read .*class\.tif"):
         read_thumbnail(noisy, 10_000)
-
-
-@pytest.mark.chromium
-def test_the_table_is_sorted_in_a_browser(browser, tmp_path):
-    rows = [done("a", points=90), done("b", points=1_000), SurveyRow("c", "failed"), done("d", points=200)]
-    (tmp_path / "index.html").write_text(index_page(rows, {}, [], "night"), encoding="utf-8")
-    page = browser.new_page()
-    page.goto((tmp_path / "index.html").as_uri())
-    assert page.locator("button").count() == 8  # under its own policy
-    page.locator("button").nth(2).click()
-    found = Outline(page.content())
-    page.close()
-    assert names_of(found) == ["a", "d", "b", "c"]
-    assert [head.get("aria-sort") for head in found.elements["th"] if head.get("scope") == "col"][2] == "ascending"

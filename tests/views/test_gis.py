@@ -21,16 +21,8 @@ import bumpymap
 from bumpymap.check.pipeline import write_check
 from bumpymap.core import BARRED_TEXT, CHANGE_KINDS, CLASS_NAMES, NO_CLASS, OBJECT_NAMES, REASON_TEXT
 from bumpymap.core.types import Barred, CostTable, Georeference
-from bumpymap.layers import write_products
+from bumpymap.layers import colours, write_products
 from bumpymap.layers.check_vectors import OFF_KINDS, MapOffset
-from bumpymap.layers.colours import (
-    BARRED_COLOURS,
-    CHANGE_COLOURS,
-    CLASS_COLOURS,
-    OBJECT_COLOURS,
-    OFF_COLOURS,
-    REASON_COLOURS,
-)
 from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.views import write_map_views
 from bumpymap.views.gis.project import write_project
@@ -73,9 +65,11 @@ def palette(style):
     }
 
 
-def expected(names, colours):
-    visible = ((value, name) for value, name in names if colours[value][3])
-    return {value: (name, "#{:02x}{:02x}{:02x}".format(*colours[value]), colours[value][3]) for value, name in visible}
+def expected(names, palette_of):
+    visible = ((value, name) for value, name in names if palette_of[value][3])
+    return {
+        value: (name, "#{:02x}{:02x}{:02x}".format(*palette_of[value]), palette_of[value][3]) for value, name in visible
+    }
 
 
 def styled(folder, **record):
@@ -89,10 +83,10 @@ def test_every_visible_value_has_the_colour_of_the_table_and_its_name(alone):
     styles = styled(alone)
     labels = [f"{name}: c_r {text}" for name, text in zip(CLASS_NAMES, INTERVALS, strict=True)]
     labels[3] += ", or too steep, or drives fail"
-    assert palette(styles["rasters/class.qml"]) == expected(enumerate(labels), CLASS_COLOURS)
-    assert palette(styles["rasters/reason.qml"]) == expected(REASON_TEXT.items(), REASON_COLOURS)
-    assert palette(styles["rasters/barred.qml"]) == expected(BARRED_TEXT.items(), BARRED_COLOURS)
-    assert palette(styles["rasters/obstacle.qml"]) == expected(enumerate(OBJECT_NAMES), OBJECT_COLOURS)
+    assert palette(styles["rasters/class.qml"]) == expected(enumerate(labels), colours.CLASS_COLOURS)
+    assert palette(styles["rasters/reason.qml"]) == expected(REASON_TEXT.items(), colours.REASON_COLOURS)
+    assert palette(styles["rasters/barred.qml"]) == expected(BARRED_TEXT.items(), colours.BARRED_COLOURS)
+    assert palette(styles["rasters/obstacle.qml"]) == expected(enumerate(OBJECT_NAMES), colours.OBJECT_COLOURS)
     for name in ("cost.qml", "tiles.qml"):
         root = styles[name]
         categories = {category.get("value"): category for category in root.iter("category")}
@@ -102,7 +96,7 @@ def test_every_visible_value_has_the_colour_of_the_table_and_its_name(alone):
             colour, pattern = (symbol.find(f".//Option[@name='{key}']").get("value") for key in ("color", "style"))
             if value in CLASS_NAMES:
                 assert category.get("label") == labels[number]
-                assert (colour, pattern) == (",".join(map(str, CLASS_COLOURS[number])), "solid")
+                assert (colour, pattern) == (",".join(map(str, colours.CLASS_COLOURS[number])), "solid")
             else:
                 assert pattern in {"b_diagonal", "diagonal_x"}
 
@@ -127,7 +121,7 @@ def test_the_ride_cost_has_the_colours_of_the_classes_of_the_vehicle(alone):
     for number, (item, value) in enumerate(zip(renderer.iter("item"), (0.05, 0.15, 0.3, 0.5), strict=True)):
         assert float(item.get("value")) == pytest.approx(value)
         assert item.get("label") == f"{INTERVALS[number]} ({CLASS_NAMES[number]})"
-        assert item.get("color") == "#{:02x}{:02x}{:02x}".format(*CLASS_COLOURS[number])
+        assert item.get("color") == "#{:02x}{:02x}{:02x}".format(*colours.CLASS_COLOURS[number])
 
 
 @pytest.mark.parametrize("settings", [{"compat": "paper"}, SimpleNamespace(compat="paper")])
@@ -321,8 +315,8 @@ def test_a_map_without_a_crs_lies_where_its_coordinates_say(tmp_path, make_field
     assert project["colours"] > 100
 
 
-def legend(names, colours):
-    return [[name, "#{:02x}{:02x}{:02x}".format(*colours[code])] for code, name in enumerate(names)]
+def legend(names, palette_of):
+    return [[name, "#{:02x}{:02x}{:02x}".format(*palette_of[code])] for code, name in enumerate(names)]
 
 
 @pytest.mark.qgis
@@ -335,10 +329,10 @@ def test_a_comparison_shows_its_kinds_as_pixels_and_places(tmp_path):
     raster, places = layers["change.tif"], layers["change.geojson"]
     assert (raster["renderer"], raster["bands"], raster["crs"]) == ("paletted", [6], "EPSG:32614")
     assert raster["values"] == [0, 1, 2, 3, 4]
-    assert raster["legend"] == [[*entry, 255] for entry in legend(CHANGE_KINDS, CHANGE_COLOURS)]
+    assert raster["legend"] == [[*entry, 255] for entry in legend(CHANGE_KINDS, colours.CHANGE_COLOURS)]
     assert raster["colours"] >= 3  # unchanged ground, and more than one kind of change
     assert places["renderer"] == "categorizedSymbol"
-    assert [entry[:2] for entry in places["legend"]] == legend(CHANGE_KINDS, CHANGE_COLOURS)[1:]
+    assert [entry[:2] for entry in places["legend"]] == legend(CHANGE_KINDS, colours.CHANGE_COLOURS)[1:]
     assert places["drawn"] == Counter(about["kind"] for about in change.field.regions)
     assert places["features"] == len(change.field.regions) > 0
 
@@ -349,7 +343,7 @@ def test_stretches_are_drawn_by_how_far_the_map_is_off(tmp_path):
     write_check(result, tmp_path / "out", ground=MadeUpMap.around())
     layer = load(tmp_path / "out")["layers"]["check.geojson"]
     assert layer["renderer"] == "categorizedSymbol"
-    assert [entry[:2] for entry in layer["legend"]] == legend(OFF_KINDS, OFF_COLOURS)
+    assert [entry[:2] for entry in layer["legend"]] == legend(OFF_KINDS, colours.OFF_COLOURS)
     assert layer["drawn"] == Counter(OFF_KINDS[kind] for kind in MapOffset.of(result.stretches).kind.tolist())
     assert layer["features"] == 60
     assert layer["colours"] > 6

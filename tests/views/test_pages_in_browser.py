@@ -1,16 +1,32 @@
 """report.html in a real browser: no error, no request, nothing that a screen reader trips over, usable by keyboard."""
 
+import shutil
+
 import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
+from page_outline import Outline
 from route_maps import copy_folder
 
+from bumpymap.layers import SurveyRow
 from bumpymap.layers.check_vectors import MapOffset
 from bumpymap.layers.colours import OFF_COLOURS
 from bumpymap.views import write_report
+from bumpymap.views.page.batch_page import index_page
 
 pytestmark = pytest.mark.chromium
 WIDE, PHONE = (1400, 900), (400, 800)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as driver:
+        # in a container Chromium cannot make a sandbox of its own
+        browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
+        yield browser
+        browser.close()
 
 
 @pytest.fixture
@@ -27,7 +43,7 @@ def visit(browser):
         page.on("pageerror", lambda error: page.complaints.append(str(error)))
         page.on("request", lambda request: request.url.startswith("data:") or page.requests.append(request.url))
         page.goto(path.as_uri())
-        if options.get("java_script_enabled", True):
+        if options.get("java_script_enabled", True) and path.name != "index.html":
             page.wait_for_selector("html[data-ready]")
         return page
 
@@ -218,3 +234,15 @@ def test_stretches_have_their_colour_and_words(visit, pages, checked, size):
     assert page.evaluate(ON_SCREEN, worst)["pixel"] != found["pixel"]
     page.mouse.move(found["x"] + 1, found["y"])
     assert "measured" not in page.locator(".readout").inner_text()
+
+
+def test_the_table_of_a_batch_is_sorted(visit, tmp_path):
+    rows = [SurveyRow(name, "done", points=points) for name, points in (("a", 90), ("b", 1_000), ("d", 200))]
+    page_of = index_page([*rows, SurveyRow("c", "failed")], {}, [], "night")
+    (tmp_path / "index.html").write_text(page_of, encoding="utf-8")
+    page = visit(tmp_path / "index.html")
+    assert page.locator("button").count() == 8  # under its own policy
+    page.locator("button").nth(2).click()
+    found = Outline(page.content()).elements["th"]
+    assert [cell["data-v"] for cell in found if cell.get("scope") == "row"] == ["a", "d", "b", "c"]
+    assert [head.get("aria-sort") for head in found if head.get("scope") == "col"][2] == "ascending"
