@@ -5,17 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from route_maps import write_folder
 
 from bumpymap.core.settings import read_settings_file
-from bumpymap.core.types import BARRED_TEXT, CLASS_NAMES, OBJECT_NAMES, REASON_TEXT, CostTable
-from bumpymap.layers import write_products
+from bumpymap.core.types import BARRED_TEXT, CLASS_NAMES, OBJECT_NAMES, REASON_TEXT
 from bumpymap.layers.colours import CLASS_COLOURS
 from bumpymap.layers.placement import MAX_PIXELS, MAX_TILES
 from bumpymap.layers.products import VIEW_NAMES
 from bumpymap.layers.scan_folder import SCAN_CLASS_NAMES, SCAN_COLOURS
 from bumpymap.scan.config import SCAN_PRODUCTS, ScanConfig
 from bumpymap.scan.pipeline import scan_frames
-from bumpymap.views import write_map_views
 
 pytestmark = pytest.mark.slow
 
@@ -31,10 +30,7 @@ def blocks(page, language="python"):
 
 @pytest.fixture(scope="module")
 def made_map(tmp_path_factory, cost_map):
-    folder = tmp_path_factory.mktemp("docs")
-    (folder / "OUT").mkdir()
-    write_products(CostTable.of(cost_map), folder / "OUT", views=write_map_views, local=False, manifest={})
-    return folder
+    return write_folder(tmp_path_factory.mktemp("docs") / "OUT", cost_map).parent
 
 
 @pytest.fixture(scope="module")

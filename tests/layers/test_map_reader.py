@@ -110,15 +110,8 @@ def test_coarse_relief_holds_means(folder):
 
 def open_below(folder):
     """Names of the files below a folder that this process has open."""
-    opened = []
-    for entry in Path("/proc/self/fd").iterdir():
-        try:
-            target = entry.readlink()
-        except OSError:  # closed meanwhile, such as the listing itself
-            continue
-        if target.is_relative_to(folder):
-            opened.append(target.name)
-    return sorted(opened)
+    targets = (entry.resolve() for entry in Path("/proc/self/fd").iterdir())
+    return sorted(target.name for target in targets if target.is_relative_to(folder.resolve()))
 
 
 @pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="open files are not listed here")

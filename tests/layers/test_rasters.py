@@ -32,7 +32,6 @@ WRITERS = {
     if file.endswith(".tif") and file not in {MapFile.PASSAGE, MapFile.SPEEDS}
 }
 WEIGHTS = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
-US_FOOT = 1200 / 3937
 
 
 @pytest.fixture(scope="module")
@@ -230,7 +229,7 @@ def test_unknown_ground_is_unknown_in_overviews_too(tmp_path, make_field):
 
 
 @pytest.mark.parametrize(
-    "georeference", [None, Georeference(CRS.from_epsg(2271), US_FOOT, US_FOOT)], ids=["metres", "feet"]
+    "georeference", [None, Georeference(CRS.from_epsg(2271), 1200 / 3937, 1200 / 3937)], ids=["metres", "feet"]
 )
 def test_heightmap_is_the_heights_side_by_side(tmp_path, make_field, georeference):
     cost_map = make_field(20, 10, west=130_000, south=60_000, georeference=georeference)
@@ -248,7 +247,7 @@ def test_heightmap_is_the_heights_side_by_side(tmp_path, make_field, georeferenc
 
 @pytest.mark.parametrize(("code", "unit_z", "heights", "others"), [
     ("EPSG:32614+5773", 1.0, True, False),
-    ("EPSG:2271+6360", US_FOOT, False, False),
+    ("EPSG:2271+6360", 1200 / 3937, False, False),
 ])  # fmt: skip
 def test_vertical_crs_stays_where_it_is_true(tmp_path, make_field, code, unit_z, heights, others):
     crs = CRS.from_user_input(code)

@@ -12,6 +12,7 @@ import shapely
 from hypothesis import given, strategies as st
 from ply_files import read_vertices
 from pyproj import CRS
+from small_surveys import files_in
 
 from bumpymap.core import Frame, PolarSettings, point_classes, sector_bounds
 from bumpymap.core.errors import OutputError
@@ -172,10 +173,6 @@ def fill(folder, *names):
         (folder / name).write_text("x")
 
 
-def names(folder):
-    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
-
-
 @pytest.mark.parametrize(
     ("files", "overwrite", "words"),
     [
@@ -190,7 +187,7 @@ def test_a_folder_that_holds_something_else_or_an_earlier_run_is_refused(tmp_pat
     fill(tmp_path, *files)
     with pytest.raises(OutputError, match=words):
         check_scan_folder(tmp_path, overwrite=overwrite)
-    assert names(tmp_path) == sorted(files)
+    assert sorted(files_in(tmp_path)) == sorted(files)
     if not overwrite:
         fill(tmp_path, "scan.json")
         check_scan_folder(tmp_path, overwrite=True)
@@ -209,7 +206,7 @@ def test_older_products_go_and_everything_else_stays(tmp_path):
     fill(tmp_path, "frames/a.png", "gathered.laz", "sectors.parquet", "scan.json", "notes.txt")
     fill(tmp_path, "map/run.json", "map/rasters/class.tif", "map/rasters/class.tif.aux.xml", "map/my_style.qml")
     remove_stale_products(tmp_path, ("scan.json", "sectors.parquet"))
-    assert names(tmp_path) == ["map/my_style.qml", "notes.txt", "scan.json", "sectors.parquet"]
+    assert sorted(files_in(tmp_path)) == ["map/my_style.qml", "notes.txt", "scan.json", "sectors.parquet"]
     assert not (tmp_path / "frames").exists()
     (tmp_path / "map" / "my_style.qml").unlink()
     fill(tmp_path, "map/run.json")

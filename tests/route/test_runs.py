@@ -15,6 +15,7 @@ from ring_maps import SIDE_M, TOOLS, Yard
 from route_maps import bare_map, write_folder
 from route_records import CORNERS, UTM, MadeUpMap, make_route
 from route_sites import COLS, ROWS, SOUTH, WEST, place, site
+from small_surveys import files_in
 from tile_maps import TileMap
 
 import bumpymap
@@ -51,10 +52,6 @@ def reach():
     return ReachField(UTM, Grid(), TileWindow(110_000, 680_000, 4, 3), cost)
 
 
-def names(folder):
-    return sorted(path.name for path in folder.iterdir())
-
-
 def write(out, source, **options):
     return write_routes([make_route()], source, out, manifest=SETTINGS, **options)
 
@@ -64,7 +61,7 @@ def test_a_folder_gets_every_file_and_the_manifest(source, tmp_path):
     check_out(out, ROUTE_KINDS, overwrite=False)
     assert not out.exists()
     files = write_routes([make_route(), make_route("two", stops=CORNERS)], source, out, manifest=SETTINGS)
-    assert names(out) == FOUR
+    assert sorted(files_in(out)) == FOUR
     assert [path.name for path in files] == [name for name in ROUTE_FILES.names if name in FOUR]
     record = json.loads((out / "route.json").read_text())
     assert record["format"] == "bumpymap-route"
@@ -84,7 +81,7 @@ def test_a_folder_gets_every_file_and_the_manifest(source, tmp_path):
 def test_one_file_by_its_suffix(suffix, source, tmp_path):
     out = tmp_path / f"way{suffix}"
     assert write(out, source) == [out]
-    assert names(tmp_path) == [out.name]
+    assert sorted(files_in(tmp_path)) == [out.name]
     with pytest.raises(OutputError, match="exists"):
         write(out, source)
     assert write(out, source, overwrite=True) == [out]
@@ -107,7 +104,7 @@ def test_files_of_an_earlier_run_are_replaced_only_if_allowed_and_links_are_not_
         write(target, source, overwrite=True)
     assert not (out / "profile.csv").is_symlink()
     assert not (tmp_path / "way.csv").is_symlink()
-    assert names(out) == sorted([*FOUR, "notes.txt"])  # reach.tif would not belong to the new route.json
+    assert sorted(files_in(out)) == sorted([*FOUR, "notes.txt"])  # reach.tif would not belong to the new route.json
     assert mine.read_text() == "mine"
 
 
@@ -115,7 +112,7 @@ def test_without_a_crs_gpx_is_left_out_and_said(source, tmp_path, caplog):
     route = make_route(georeference=Georeference(None))
     with caplog.at_level(logging.WARNING):
         files = write_routes([route], source, tmp_path, manifest={})
-    assert names(tmp_path) == [name for name in FOUR if name != "route.gpx"]
+    assert sorted(files_in(tmp_path)) == [name for name in FOUR if name != "route.gpx"]
     assert "route.gpx" not in {path.name for path in files}
     assert "no CRS" in caplog.text
     record = json.loads((tmp_path / "route.json").read_text())
@@ -144,14 +141,14 @@ def test_places_that_cannot_hold_the_files_are_refused(source, tmp_path, kinds, 
     (tmp_path / "route.png").mkdir()
     with pytest.raises(OutputError, match="is not a file"):
         write(tmp_path, source, overwrite=True)
-    assert names(tmp_path) == ["file", "route.png"]
+    assert sorted(files_in(tmp_path)) == ["file"]
 
 
 def test_the_reach_has_files_of_its_own(source, reach, tmp_path):
     check_out(tmp_path / "all", REACH_KINDS, overwrite=False)
     files = write_reach_files(reach, source, START, tmp_path / "all", levels=[5.0, 9.0], manifest=SETTINGS)
     assert [path.name for path in files] == ["reach.tif", "reach.png", "isochrones.geojson", "route.json"]
-    assert names(tmp_path / "all") == sorted(path.name for path in files)
+    assert sorted(files_in(tmp_path / "all")) == sorted(path.name for path in files)
     few = write_reach_files(reach, source, START, tmp_path / "few", manifest=SETTINGS)
     assert [path.name for path in few] == ["reach.tif", "reach.png", "route.json"]
     for name in ("cost.tif", "within.geojson", "minutes.png"):

@@ -187,7 +187,7 @@ def test_the_page_holds_map_figures_and_drives(checked, read_page):
     assert page.text.count("<circle") == 49 + 50
 
 
-def test_the_page_of_drives_without_a_map_has_no_map(tmp_path, read_page):
+def test_the_page_of_drives_alone_or_on_layers_that_cannot_be_drawn_has_no_map(site, on_site, tmp_path, read_page):
     result = made_up_check(8, ground=False, drives=2)
     drives = (replace(result.drives[0], warnings=("drive 1: no standstill", "too fast")), result.drives[1])
     write_check(replace(result, drives=drives), tmp_path)
@@ -197,9 +197,6 @@ def test_the_page_of_drives_without_a_map_has_no_map(tmp_path, read_page):
     assert "Spearman" not in page.text
     assert "<h1>Drives measured: drive 1, drive 2</h1>" in page.text
     assert "<li>drive 1: no standstill</li>\n<li>drive 1: too fast</li>" in page.text
-
-
-def test_layers_that_cannot_be_drawn_leave_a_page_without_a_map(site, on_site, tmp_path, read_page):
     later = copy_folder(site, tmp_path / "later", name="later")
     result, ground = on_site(made_up_check(50), later)
     (later / "tiles.parquet").unlink()

@@ -21,6 +21,7 @@ from pyproj import CRS, Geod
 from scipy.ndimage import gaussian_filter, generate_binary_structure, label
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, dijkstra
+from small_surveys import files_in
 
 from bumpymap.core import NO_TILE, BadInputError, Barred, Georeference, OutputError, UsageError, corners_join
 from bumpymap.layers import open_map
@@ -202,22 +203,17 @@ def test_what_cannot_be_exported(route_map, tmp_path, monkeypatch):
 GRAPH, NAV2 = ExportSettings(to="graph"), ExportSettings(to="nav2")
 
 
-def snapshot(folder):
-    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
-
-
 def test_an_earlier_export_is_replaced_only_if_asked(easy_map, route_map, tmp_path):
     out = tmp_path / "out"
     export_map(easy_map, out, NAV2)
-    before = snapshot(out)
-    assert sorted(before) == sorted(path.name for path in out.iterdir())
+    before = files_in(out)
     with pytest.raises(OutputError, match="`overwrite=True`"):
         export_map(route_map, out, NAV2)
     with pytest.raises(OutputError, match="in another format"):
         export_map(route_map, out, GRAPH, overwrite=True)
-    assert snapshot(out) == before
+    assert files_in(out) == before
     done = export_map(route_map, out, NAV2, overwrite=True)
-    after = snapshot(out)
+    after = files_in(out)
     assert set(after) == set(before)
     assert after["map.pgm"] != before["map.pgm"]
     assert json.loads(after["datum.json"]) == done.record
@@ -228,7 +224,7 @@ def test_an_earlier_export_is_replaced_only_if_asked(easy_map, route_map, tmp_pa
 def test_the_same_map_has_the_same_bytes(easy_map, tmp_path, to):
     for name in ("a", "b"):
         export_map(easy_map, tmp_path / name, ExportSettings(to=to))
-    assert snapshot(tmp_path / "a") == snapshot(tmp_path / "b")
+    assert files_in(tmp_path / "a") == files_in(tmp_path / "b")
 
 
 def test_other_files_stay_links_are_not_followed_and_layers_are_no_place_for_it(easy_map, easy_folder, tmp_path):
@@ -242,12 +238,12 @@ def test_other_files_stay_links_are_not_followed_and_layers_are_no_place_for_it(
     export_map(easy_map, out, NAV2, overwrite=True)
     assert mine.read_text() == (out / "notes.txt").read_text() == "mine"
     assert not (out / "map.pgm").is_symlink()
-    before = snapshot(easy_folder)
+    before = files_in(easy_folder)
     (tmp_path / "odd" / "graph.geojson").mkdir(parents=True)
     for place, told in ((easy_folder, "holds the layers of a run"), (mine, "a file"), (tmp_path / "odd", "not a file")):
         with pytest.raises(OutputError, match=told):
             export_map(easy_map, place, GRAPH, overwrite=True)
-    assert snapshot(easy_folder) == before
+    assert files_in(easy_folder) == before
 
 
 def test_the_datum_says_where_the_frame_lies(easy_map, make_field, write_map, tmp_path):
