@@ -31,7 +31,6 @@ WRITERS = {
     for file in MapFile
     if file.endswith(".tif") and file not in {MapFile.PASSAGE, MapFile.SPEEDS}
 }
-WEIGHTS = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +94,8 @@ def test_cost_is_there_where_a_tile_is_passable_and_nowhere_else(rasters, cost_m
     with rasterio.open(rasters["cost"]) as file:
         assert (file.descriptions, file.dtypes) == (("cost",), ("float32",))
         assert np.isnan(file.nodata)
-        ride, fail, drive, steep = (float(file.tags()[name]) for name in WEIGHTS)
+        names = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
+        ride, fail, drive, steep = (float(file.tags()[name]) for name in names)
     p_fail = cost_map.p_fail.astype(float)
     with np.errstate(divide="ignore"):
         expected = 1 + ride * cost_map.c_r.astype(float) - fail * np.log(1 - p_fail) / drive

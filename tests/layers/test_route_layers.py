@@ -284,10 +284,6 @@ def test_minutes_what_none_can_reach_and_levels_that_mean_nothing(reach, tmp_pat
     assert not (tmp_path / "c.geojson").exists()
 
 
-FEET = CRS.from_epsg(2277)  # Texas Central, US survey feet
-FOOT = FEET.axis_info[0].unit_conversion_factor
-
-
 def stretches_in(result, path, georeference=UTM):
     """The file, and the positions in it."""
     ground = replace(MadeUpMap.around(), georeference=georeference)
@@ -298,7 +294,11 @@ def stretches_in(result, path, georeference=UTM):
 
 @pytest.mark.parametrize(
     ("georeference", "shift"),
-    [(UTM, (0.0, 0.0)), (Georeference(FEET, FOOT), (600_000.0, 1_000_000.0)), (Georeference(None, 0.3048), (0.0, 0.0))],
+    [
+        (UTM, (0.0, 0.0)),
+        (Georeference(CRS.from_epsg(2277), 1200 / 3937), (600_000.0, 1_000_000.0)),
+        (Georeference(None, 0.3048), (0.0, 0.0)),
+    ],
 )
 def test_stretches_lie_where_they_were_driven(tmp_path, georeference, shift):
     """Positions of stretches are metres on the grid, files hold the units of the CRS."""

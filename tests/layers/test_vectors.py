@@ -29,8 +29,6 @@ CHECKERS = np.add.outer(np.arange(6), np.arange(7)).astype(np.uint8) % 2 + 1
 DIAGONALS = np.array([[1, 0, 1], [0, 1, 0], [1, 0, 2], [0, 2, 0]], np.uint8)
 RING_BY_CORNERS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], np.uint8)
 BESIDE_A_LONG_SIDE = np.array([[1, 1, 1, 1], [2, 2, 3, 3], [0, 2, 3, 0]], np.uint8)
-ALONG_ANTIMERIDIAN = "+proj=tmerc +lon_0=180 +k=0.9996 +datum=WGS84 +units=m"
-"""Sides of tiles lie on the antimeridian."""
 
 
 def at_antimeridian(crs, latitude):
@@ -49,7 +47,8 @@ SITES = {
     "no_crs": (Georeference(None), -7, -5),
     "antimeridian": at_antimeridian(32701, -17.0),
     "far_south at the antimeridian": at_antimeridian(32760, -77.0),
-    "along the antimeridian": at_antimeridian(ALONG_ANTIMERIDIAN, -17.0),
+    # sides of tiles lie on it
+    "along the antimeridian": at_antimeridian("+proj=tmerc +lon_0=180 +k=0.9996 +datum=WGS84 +units=m", -17.0),
 }
 
 

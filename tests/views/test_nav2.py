@@ -133,7 +133,7 @@ def test_cells_lie_where_the_survey_has_them(route_map, folder, tmp_path, around
     record, _, (grid, mask, _) = exported(route_map, tmp_path / "out", resolution=resolution, **crop)
     datum = record["datum"]
     rng = np.random.default_rng(1)
-    rows, cols = (rng.integers(0, size, 20_000) for size in grid.data.shape)
+    rows, cols = (rng.integers(0, size, 5_000) for size in grid.data.shape)
     x, y = grid.world(rows, cols)
     places = list(zip((x + datum["x"]).tolist(), (y + datum["y"]).tolist(), strict=True))
     with rasterio.open(folder / "rasters/barred.tif") as file:

@@ -164,14 +164,11 @@ def test_a_way_of_no_length_has_no_mean_and_no_distances(ground, monkeypatch):
     assert "start and goal" in words  # one mark lies under the other
 
 
-RANGE = 40.0
-
-
-def paint(scan, classed, range_m=RANGE):
+def paint(scan, classed, range_m=40.0):
     return np.asarray(paint_image(scan, classed, range_m))
 
 
-def pixel(x, y, reach=RANGE):
+def pixel(x, y, reach=40.0):
     """Forward is up, left is left."""
     return int(np.floor((reach - x) * SIDE / (2 * reach))), int(np.floor((reach - y) * SIDE / (2 * reach)))
 
