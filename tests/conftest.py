@@ -25,8 +25,8 @@ settings.load_profile("bumpymap")
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# Modules that several rooms' tests share, and made-up ground.
-sys.path += [str(Path(__file__).parent / folder) for folder in ("helpers", "worlds")]
+# Modules that several rooms' tests share, made-up ground, and damaged files.
+sys.path += [str(Path(__file__).parent / folder) for folder in ("helpers", "worlds", "hostile")]
 
 
 @cache

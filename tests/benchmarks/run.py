@@ -2,11 +2,12 @@
 
 python tests/benchmarks/run.py --data FOLDER [--survey FILE --crs EPSG:CODE] [--before PATH/bumpymap] [--rounds 5]
 
-Whole commands are timed alternately, round by round: reading, mapping, PDAL. The first run makes the surveys (6 GB on
+Whole commands are timed alternately, round by round: reading, mapping, PDAL. The first run makes the surveys (1 GB on
 disk). The raw figures are written to FOLDER/results.json; a complete run writes the tables into the documentation. The
 cases can be run in parts (--only); figures of other cases in results.json are kept, and ``--rounds 0`` prints the
-tables of them. Cases of 100 and 1,000 million points run only if they are named; those of 200 million and more run
-once, whatever --rounds is.
+tables of them. A case of 1,000 million points runs only if it is named, and once.
+
+Linux includes the memory of the parent process in the peak of a new process, so nothing heavy may be imported here.
 """
 
 import argparse
@@ -20,10 +21,14 @@ import statistics
 import subprocess
 import sys
 import tempfile
-from dataclasses import asdict, replace
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from _measure import run_timed
+import psutil
 
 HERE = Path(__file__).resolve().parent
 FIGURES = HERE.parents[1] / "docs" / "figures" / "speed.md"
@@ -48,20 +53,13 @@ SIDES = {
 """What is timed on a survey; ``before`` is the other version."""
 ALL = ("read", "map", "before", "pdal", "pdal_bin")
 MADE = {
-    "10m-laz": (10, "sorted", "laz", ("map",)),
-    "20m-laz": (20, "sorted", "laz", (*ALL, "map_1gb")),
-    "20m-las": (20, "sorted", "las", (*ALL, "map_1gb", "before_1gb")),
-    "20m-shuffled": (20, "shuffled", "laz", ("map_1gb",)),
-    "200m-laz": (200, "sorted", "laz", ("map_1gb",)),
-    "200m-shuffled": (200, "shuffled", "laz", ("map_1gb",)),
-    "100m-laz": (100, "sorted", "laz", ("map",)),
-    "1000m-laz": (1000, "sorted", "laz", ("map",)),
+    "20m-laz": (20, "laz", (*ALL, "map_1gb")),
+    "20m-las": (20, "las", (*ALL, "map_1gb", "before_1gb")),
+    "1000m-laz": (1000, "laz", ("map",)),
 }
-"""Synthetic surveys: million points, order, format, and what is timed on them."""
-EXTRA = ("100m-laz", "1000m-laz")
-"""Cases that run only if they are named."""
-ONCE = tuple(key for key, (millions, *_) in MADE.items() if millions >= 200)
-"""Cases that run in the first round only."""
+"""Synthetic surveys: million points, format, and what is timed on them."""
+LARGE = "1000m-laz"
+"""The case that runs only if it is named, and only once."""
 GOALS = (
     ("real", "pdal", "map", "wall", "at least", 1.5),
     ("real", "pdal_bin", "map", "wall", "at least", 1.2),
@@ -74,89 +72,136 @@ GOALS = (
     ("20m-las", "map", "read", "wall", "at most", 4.0),
     ("20m-las", "map_1gb", "", "peak", "at most", 0.7),
     ("20m-laz", "map_1gb", "", "peak", "at most", 1.3),
-    ("20m-shuffled", "map_1gb", "", "peak", "at most", 1.3),
-    ("200m-laz", "map_1gb", "", "peak", "at most", 1.3),
-    ("200m-shuffled", "map_1gb", "", "peak", "at most", 1.3),
     ("sample", "map", "before", "wall", "at most", 0.7),
     ("start", "--help", "", "wall", "at most", 0.1),
     ("start", "first run", "second run", "added", "at most", 15.0),
 )
 """Case, program, program that it is compared with (empty: none), figure, and the target: s, GB, or a ratio."""
 PACKAGES = ("bumpymap", "laspy", "lazrs", "numpy", "numba", "onnxruntime", "rasterio", "open3d", "scikit-learn")
+_NOT_OF_A_USER = ("PYTHONDONTWRITEBYTECODE", "PYTHONUNBUFFERED")
+"""Settings of Python that make it slower."""
+_POLL_SECONDS = 0.05
 
 
-def map_command(given, survey, out, side="map", more=()):
-    """Return the command that maps a survey into a folder."""
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """Measurements of one run of one command, with its child processes."""
+
+    wall: float
+    """s."""
+    cpu: float
+    """Processor time, user and system, s."""
+    peak: float
+    """Peak memory of the command and its child processes, with shared memory counted once, bytes; sampled."""
+    exit_code: int
+    stderr_tail: str
+    """End of its standard error."""
+
+
+def run_timed(command: Sequence[str], env: Mapping[str, str] | None = None, *, memory: bool = False) -> Sample:
+    """Run a command to its end, in the environment of a user; ``env`` is added to it.
+
+    With ``memory`` its memory is sampled, child processes included, which slows it down: large processes most, as the
+    kernel walks all their pages. Without, ``peak`` is that of the largest process.
+    """
+    os.sync()  # so that writes of an earlier command do not slow this one down
+    own = {name: value for name, value in os.environ.items() if name not in _NOT_OF_A_USER} | dict(env or {})
+    peak, ended = [0.0], threading.Event()
+    with tempfile.TemporaryFile() as err:
+        started = time.perf_counter()
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=err, stdin=subprocess.DEVNULL, env=own)
+        sampling = threading.Thread(target=_sample, args=(psutil.Process(process.pid), peak, ended), daemon=True)
+        if memory:
+            sampling.start()
+        os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)  # its figures remain until it is waited for
+        wall = time.perf_counter() - started
+        ended.set()
+        if memory:
+            sampling.join()
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        err.seek(0)
+        tail = err.read().decode(errors="replace")[-800:]
+    cpu, largest = usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024.0
+    return Sample(wall, cpu, max(peak[0], largest), process.returncode, tail)
+
+
+def _sample(parent, peak, ended):
+    """Keep the peak of the sum of PSS of a process and its descendants [bytes] in ``peak[0]`` until ``ended`` is set.
+
+    PSS (proportional set size) divides shared pages among the processes that map them. Reading it is slow, as the
+    kernel walks all pages, so it is read only if the sum of resident sizes, which is never smaller, exceeds the peak.
+    """
+    while not ended.wait(_POLL_SECONDS):
+        with suppress(psutil.Error):  # one of them has ended
+            tree = [parent, *parent.children(recursive=True)]
+            if sum(process.memory_info().rss for process in tree) > peak[0]:
+                peak[0] = max(peak[0], sum(process.memory_full_info().pss for process in tree))
+
+
+def command_of(given, key, side, survey):
+    """Return the command of a program on the survey of a case; None if it cannot run here."""
+    out = given.data / "out" / f"{key}_{side}"
+    if side == "--help":
+        return [BUMPYMAP, side]
+    if side == "read":
+        return [sys.executable, "-c", READ_ALL, str(survey)]
+    if side.startswith("pdal"):
+        if shutil.which("pdal") is None:
+            return None
+        out.parent.mkdir(parents=True, exist_ok=True)
+        writer = {"type": "writers.gdal", "filename": str(out.with_suffix(".tif")), "resolution": 3.0}
+        writer |= {"output_type": "mean,stdev,min,max,count"} | ({"binmode": True} if side == "pdal_bin" else {})
+        stages = [{"type": "readers.las", "filename": str(survey)}, writer]
+        out.with_suffix(".json").write_text(json.dumps(stages), encoding="utf-8")
+        return ["pdal", "pipeline", str(out.with_suffix(".json"))]
     command = given.before if side.startswith("before") else BUMPYMAP
-    memory = ["--memory", "1GB"] if side.endswith("_1gb") else []
-    return [command, "map", str(survey), "--out", str(out), "--overwrite", "--quiet", *memory, *more]
-
-
-def pdal_command(survey, out, side):
-    """Return the command that makes a 3 m raster with PDAL, in streaming mode."""
-    out.parent.mkdir(parents=True, exist_ok=True)
-    writer = {"type": "writers.gdal", "filename": str(out.with_suffix(".tif")), "resolution": 3.0}
-    writer |= {"output_type": "mean,stdev,min,max,count"} | ({"binmode": True} if side == "pdal_bin" else {})
-    stages = [{"type": "readers.las", "filename": str(survey)}, writer]
-    out.with_suffix(".json").write_text(json.dumps(stages), encoding="utf-8")
-    return ["pdal", "pipeline", str(out.with_suffix(".json"))]
-
-
-def commands_of(given, key, survey, sides, more=()):
-    """Return the commands of those programs that can run here."""
-    found = {}
-    for side in sides:
-        out = given.data / "out" / f"{key}_{side}"
-        if side == "read":
-            found[side] = [sys.executable, "-c", READ_ALL, str(survey)]
-        elif side.startswith("pdal"):
-            if shutil.which("pdal"):
-                found[side] = pdal_command(survey, out, side)
-        elif given.before or not side.startswith("before"):
-            found[side] = map_command(given, survey, out, side, more)
-    return found
+    more = ["--memory", "1GB"] if side.endswith("_1gb") else []
+    more += ["--crs", given.crs] if key == "real" and given.crs else []
+    return command and [command, "map", str(survey), "--out", str(out), "--overwrite", "--quiet", *more]
 
 
 def prepare(given, wanted):
     """Make the surveys; return title, path and commands of each wanted case."""
+    fixed = {
+        "real": ("real drone survey", given.survey, ALL),
+        "sample": ("sample survey", SAMPLE, ("map", "before")),
+        "start": ("start", SAMPLE, ("first run", "second run", "--help")),
+    }
     cases = {}
     for key in wanted:
         if key in MADE:
-            millions, order, suffix, sides = MADE[key]
-            title = f"{millions * given.scale:g} million points, {order}, {suffix.upper()}"
+            millions, suffix, sides = MADE[key]
+            title = f"{millions * given.scale:g} million points, {suffix.upper()}"
             points = max(1, round(millions * 1_000_000 * given.scale))
-            words = ("--data", given.data, "--points", points, "--order", order, "--format", suffix)
+            words = ("--data", given.data, "--points", points, "--format", suffix)
             make = [sys.executable, HERE / "surveys.py", *words]
             survey = Path(subprocess.run([*map(str, make)], check=True, capture_output=True, text=True).stdout.strip())
-            cases[key] = title, survey, commands_of(given, key, survey, sides)
-        elif key == "real":
-            crs = ["--crs", given.crs] if given.crs else []
-            cases[key] = "real drone survey", given.survey, commands_of(given, key, given.survey, ALL, crs)
-        elif key == "sample":
-            cases[key] = "sample survey", SAMPLE, commands_of(given, key, SAMPLE, ("map", "before"))
         else:
-            run = map_command(given, SAMPLE, given.data / "out" / "start")
-            cases[key] = "start", SAMPLE, {"first run": run, "second run": run, "--help": [BUMPYMAP, "--help"]}
+            title, survey, sides = fixed[key]
+        commands = {side: command_of(given, key, side, survey) for side in sides}
+        cases[key] = title, survey, {side: command for side, command in commands.items() if command}
     return cases
 
 
 def measure(given, cases, results):
     """Run the rounds of the cases; their figures replace earlier ones."""
-    for command in commands_of(given, "warm-up", SAMPLE, ("map", "before")).values():
-        run_timed(command)  # compiles kernels and bytecode before anything is timed
+    for side in ("map", "before"):
+        if command := command_of(given, "warm-up", side, SAMPLE):
+            run_timed(command)  # compiles kernels and bytecode before anything is timed
     results["titles"] |= {key: title for key, (title, _, _) in cases.items()}
     results["samples"] |= {key: {side: [] for side in commands} for key, (_, _, commands) in cases.items()}
     peaks = {}
     for number in range(given.rounds):
         for key, (_, survey, commands) in cases.items():
-            if number and key in ONCE:
+            if number and key == LARGE:
                 continue
             for path in sorted(survey.iterdir()) if survey.is_dir() else [survey]:
                 subprocess.run(["cat", path], stdout=subprocess.DEVNULL, check=True)  # into the page cache
             with tempfile.TemporaryDirectory() as empty:
                 env = {"NUMBA_CACHE_DIR": empty} if key == "start" else {}
                 for side, command in commands.items():
-                    once = bool(env) or key in ONCE
+                    once = bool(env) or key == LARGE
                     if not once and (key, side) not in peaks:
                         peaks[key, side] = run_timed(command, memory=True).peak
                     sample = run_timed(command, env, memory=once)
@@ -180,22 +225,17 @@ def note_same_bits(given, cases, results):
 
 def machine():
     """Describe this machine (without its name) and the versions in use."""
-    versions = {"python": platform.python_version()}
-    for name in PACKAGES:
-        try:
-            versions[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            continue
+    there = {found.name for found in importlib.metadata.distributions()}
+    versions = [f"{name} {importlib.metadata.version(name)}" for name in PACKAGES if name in there]
     if shutil.which("pdal"):
         told = subprocess.run(["pdal", "--version"], capture_output=True, text=True, check=False).stdout
-        versions["PDAL"] = found[1] if (found := re.search(r"pdal (\d[\d.]*)", told)) else "?"
+        versions += re.findall(r"pdal \d[\d.]*", told)
     processor = re.search(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text(encoding="utf-8"))
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
     return (
         f"{processor[1] if processor else platform.machine()}, {len(os.sched_getaffinity(0))} cores, {memory:.1f} GB, "
-        f"{platform.system()} {platform.release().split('-')[0]}. "
-        + ", ".join(f"{name} {version}" for name, version in versions.items())
-        + ". Medians of the runs of each program."
+        f"{platform.system()} {platform.release().split('-')[0]}. python {platform.python_version()}, "
+        f"{', '.join(versions)}. Medians of the runs of each program."
     )
 
 
@@ -263,7 +303,7 @@ def main():
     parser.add_argument("--scale", type=float, default=1.0, help="share of the points, such as 0.01 for a quick test")
     given = parser.parse_args()
     possible = [*(["real"] if given.survey else []), *MADE, "sample", "start"]
-    wanted = given.only.split(",") if given.only else [key for key in possible if key not in EXTRA]
+    wanted = given.only.split(",") if given.only else [key for key in possible if key != LARGE]
     if unknown := sorted(set(wanted) - set(possible)):
         parser.error(f"--only names {', '.join(unknown)}; there are: {', '.join(possible)}")
     given.data.mkdir(parents=True, exist_ok=True)

@@ -1,10 +1,9 @@
-"""Make a large survey for the benchmarks: rough ground in LAS records of numbered points, in any order.
+"""Make a large survey for the benchmarks: rough ground in LAS records of numbered points, swath by swath.
 
-python tests/benchmarks/surveys.py --points 20000000 --order sorted --format laz --data FOLDER
+python tests/benchmarks/surveys.py --points 20000000 --format laz --data FOLDER
 
-The position, height, colour and time of a point are functions of its number and the seed. A survey in swaths and the
-same survey shuffled therefore contain the same points, and 200 million of them need no memory. A thousand million
-points take 6.2 GB as LAZ; to make them takes about as long as to compress them.
+The position, height, colour and time of a point are functions of its number and the seed, so any number of them needs
+no memory. A thousand million take 6.2 GB as LAZ; to make them takes about as long as to compress them.
 """
 
 import argparse
@@ -92,27 +91,6 @@ def _height(x, y, seed):
 
 
 @njit(nogil=True)
-def scramble(first, count, half_bits, total, seed):
-    """Return the numbers below ``total`` at positions ``first`` to ``first + count`` of a random permutation.
-
-    A four-round Feistel network permutes the numbers of ``2 * half_bits`` bits; those not below ``total`` are dropped.
-    The positions from 0 to ``4 ** half_bits`` contain every number once.
-    """
-    mask = np.uint64((1 << half_bits) - 1)
-    found = np.empty(count, np.int64)
-    kept = 0
-    for place in range(first, first + count):
-        left, right = np.uint64(place) >> np.uint64(half_bits), np.uint64(place) & mask
-        for turn in range(4):
-            left, right = right, left ^ (_mix(right ^ (np.uint64(seed * 4 + turn) << np.uint64(32))) & mask)
-        number = (left << np.uint64(half_bits)) | right
-        if number < np.uint64(total):
-            found[kept] = number
-            kept += 1
-    return found[:kept]
-
-
-@njit(nogil=True)
 def fill_records(numbers, lines, seed, out):
     """Write the points of some numbers (n,) to records (n,) of point format 7, relative to the south-west corner.
 
@@ -146,18 +124,7 @@ def fill_records(numbers, lines, seed, out):
         record.blue = np.uint16(35.0 + 150.0 * shade + 6.0 * _share(grain, 32)) << 8
 
 
-def numbered(points, order):
-    """Yield the numbers of the points of a file in its order, in batches."""
-    if order == "sorted":
-        for first in range(0, points, _BATCH):
-            yield np.arange(first, min(first + _BATCH, points))
-        return
-    half_bits = math.ceil((points - 1).bit_length() / 2)
-    for first in range(0, 4**half_bits, _BATCH):
-        yield scramble(first, min(_BATCH, 4**half_bits - first), half_bits, points, SEED)
-
-
-def make(points, order, path):
+def make(points, path):
     """Write a survey to a path ending with .las or .laz; the site is about square, and the file appears whole."""
     header = laspy.LasHeader(version="1.4", point_format=7)
     header.scales, header.offsets = np.full(3, SCALE), np.array(_CORNER)
@@ -167,7 +134,8 @@ def make(points, order, path):
     lines = math.ceil(points / (SWATH * max(1, round(math.sqrt(points) / SWATH))))
     beside, backend = path.with_name(path.name + ".part"), laspy.LazBackend.LazrsParallel
     with laspy.open(beside, "w", header=header, do_compress=path.suffix == ".laz", laz_backend=backend) as writer:
-        for numbers in numbered(points, order):
+        for first in range(0, points, _BATCH):
+            numbers = np.arange(first, min(first + _BATCH, points))
             records = np.zeros(len(numbers), header.point_format.dtype())
             fill_records(numbers, lines, SEED, records)
             writer.write_points(
@@ -181,15 +149,12 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True, help="folder of the surveys")
     parser.add_argument("--points", type=int, default=20_000_000)
-    parser.add_argument(
-        "--order", choices=("sorted", "shuffled"), default="sorted", help="swath by swath, or at random"
-    )
     parser.add_argument("--format", choices=("laz", "las"), default="laz")
     given = parser.parse_args()
-    path = given.data / f"site_{given.points}_{given.order}_{SEED}.{given.format}"
+    path = given.data / f"site_{given.points}_{SEED}.{given.format}"
     if not path.exists():
         given.data.mkdir(parents=True, exist_ok=True)
-        make(given.points, given.order, path)
+        make(given.points, path)
     print(path)
 
 

@@ -38,7 +38,7 @@ RULES = {
     r"^make ": ".ci/run and .ci/fresh-machine run it; the target is held to the Makefile",
     r"^sudo apt-get ": "changes the system; .ci/run installs the same packages",
     r"^dask |scheduler=|^export DASK_": "takes a cluster: tests/survey/engine/test_cluster.py has one",
-    r"^(openssl|chmod) ": "makes keys: tests/survey/engine/test_cluster_security.py runs them",
+    r"^(openssl|chmod) ": "makes keys: tests/survey/engine/test_cluster.py runs them",
     r"^gdal": "takes GDAL's own tools",
     r"^grass ": "takes GRASS",
     r"^(xdg-open|qgis) ": "opens a window",

@@ -2,29 +2,284 @@
 
 ``python tests/fuzz/fuzz_readers.py --minutes 60 --seed 1`` damages valid surveys and prints what became of them;
 ``--inputs 3000`` ends after so many. What the readers cannot deal with is made small and kept in ``seeds/``. The same
-seed gives the same inputs, as far as it gets in the time.
+seed gives the same inputs, as far as it gets in the time. Each input has one verdict, of a process of its own under
+limits of memory and time: with ``--judge FOLDER`` it reads a JSON string a line, the path of an input, and writes one.
+The damage is a list of edits, which can be shortened one by one: that is how a finding becomes small.
 """
 
 import argparse
 import hashlib
 import json
+import logging
+import signal
+import struct
 import sys
 import tempfile
 import time
+import traceback
+import warnings
 from collections import Counter
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from trial import Judge
 
-from mutate import applied, mutated, starts  # isort: skip (trial finds the corpus)
+sys.path.append(str(Path(__file__).resolve().parents[1] / "hostile"))
+
+from corpus.files import HEADER, HEADER_1_4, bases, layout_of
+from corpus.runner import MEMORY, Lines
+from driver import serve, text_said
+from las_files import ENTRY
+
+import bumpymap
+from bumpymap.core.errors import BumpymapError
+from bumpymap.readers import PointStats, open_survey
 
 SEEDS = Path(__file__).parent / "seeds"
+_SECONDS = 15
+"""Of processor time; of time four times as many, for what waits."""
+_HOUSE = str(Path(bumpymap.__file__).parent)
+_SMALL = 16
 
 
-def key_of(verdict):
-    """What tells a fault from others."""
-    return f"{verdict.kind}: {verdict.where}"
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What became of an input."""
+
+    kind: str
+    """``read``, ``refused``, or a fault: ``escaped``, ``memory``, ``short``, ``differs``, ``unnamed``, ``noise``,
+    ``died``, ``hang``."""
+    where: str = ""
+    """Of a fault: what tells it from others."""
+    detail: str = ""
+
+    @property
+    def is_fault(self) -> bool:
+        """Whether the readers failed to deal with the input."""
+        return self.kind not in {"read", "refused"}
+
+    @property
+    def key(self) -> str:
+        """What tells a fault from others."""
+        return f"{self.kind}: {self.where}"
+
+
+class Judge:
+    """Has inputs read by a process of its own; ``folder`` is its scratch."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._lines = Lines([Path(__file__), "--judge", folder], 4.0 * _SECONDS, {}, folder / "said")
+        self.close = self._lines.close
+
+    def verdict(self, name: str, data: bytes) -> Verdict:
+        """Judge an input; a process that dies is the verdict of the input that it died of."""
+        path = self._folder / name
+        path.write_bytes(data)
+        answer = self._lines.ask(str(path))
+        path.unlink()
+        if answer is not None:
+            return Verdict(**answer)
+        said = self._lines.said.read_text(encoding="utf-8", errors="replace")
+        kind = "hang" if self._lines.ended.startswith(("no answer", "SIGPROF")) else "died"
+        return Verdict(kind, f"{self._lines.ended} {_gist(said)}", said[-2000:])
+
+
+def read_whole(path: Path) -> Verdict:
+    """Read a survey front to back, then in small pieces back to front: both must say the same."""
+    points = -1
+    try:
+        reader = open_survey(path)
+        points = sum(cloud.easting.size for cloud in reader.clouds())
+        seen = points + sum(reader.dropped.values())
+        if seen != reader.info.point_count:
+            return Verdict("short", "chunks", f"promised {reader.info.point_count}, saw {seen}")
+        stats, again = PointStats(), 0
+        for chunk in reversed(reader.chunks(_SMALL)):
+            batch = reader.convert(chunk, reader.fetch(chunk))
+            stats, again = batch.stats.merge(stats), again + batch.cloud.easting.size
+        reader.verify(stats)
+    except BumpymapError as error:
+        if points >= 0:
+            return Verdict("differs", f"{path.name.split('.')[-1]} pieces", f"read, and in pieces refused: {error}")
+        return Verdict("refused") if str(path) in str(error) else Verdict("unnamed", str(error)[:60], str(error))
+    except MemoryError:
+        return Verdict("memory", _place(), traceback.format_exc())
+    except BaseException as error:  # noqa: BLE001 (a Rust panic is no Exception)
+        return Verdict("escaped", f"{type(error).__name__} {_place()}", traceback.format_exc())
+    return Verdict("read") if again == points else Verdict("short", "pieces", f"chunks give {points}, pieces {again}")
+
+
+def _place() -> str:
+    """Innermost line of bumpymap that the exception came through."""
+    frames = traceback.extract_tb(sys.exc_info()[2])
+    own = [frame for frame in frames if frame.filename.startswith(_HOUSE)] or list(frames)
+    return f"{Path(own[-1].filename).name} {own[-1].name}"
+
+
+def _gist(said: str) -> str:
+    """Tell a panic by where in the decoder it was raised; other noise by its first line."""
+    line = next((line for line in said.splitlines() if "panicked at" in line), said.strip().partition("\n")[0])
+    panic = line.partition("panicked at ")[2].rpartition("/src/")[2]
+    return panic or line.rpartition("/")[2][:80]
+
+
+def warm(folder: Path) -> None:
+    """Read what is valid, which compiles kernels and loads libraries."""
+    for start in starts():
+        path = folder / f"valid_{start.name}"
+        path.write_bytes(start.data)
+        if (verdict := read_whole(path)).kind != "read":
+            raise RuntimeError(f"{start.name}, which is valid, is {verdict.kind}: {verdict.detail}")
+        path.unlink()
+    # Notes of the readers are no noise; a warning that Python prints is, each time.
+    logging.getLogger("bumpymap").addHandler(logging.NullHandler())
+    for category in (RuntimeWarning, UserWarning):
+        warnings.simplefilter("always", category)
+
+
+def answer(path: str) -> dict[str, str]:
+    """Judge the input at a path, in this process."""
+    signal.setitimer(signal.ITIMER_PROF, _SECONDS)
+    verdict = read_whole(Path(path))
+    signal.setitimer(signal.ITIMER_PROF, 0)
+    noise = text_said()[:4000]
+    if noise and not verdict.is_fault:
+        verdict = Verdict("noise", _gist(noise), noise)
+    return asdict(verdict)
+
+
+# ---- damage: a valid survey and a list of edits, each "these bytes instead of those" ----
+
+Edit = tuple[int, int, bytes]
+"""Start, end and what stands there instead; each edit counts places in what the edits before it left."""
+
+_INTEGERS = (0, 1, 2, 7, 100, *(2**bits - below for bits in (15, 16, 31, 32, 40, 62, 63, 64) for below in (1, 0)))
+_REALS = (0.0, -0.0, 1.0, -1.0, float("nan"), float("inf"), -float("inf"), 1e300, -1e300, 1e-300, 4e9, -4e9, 1e16)
+_WORDS = (
+    b"0", b"1", b"-1", b"2", b"4", b"8", b"41", b"400000", b"4294967295", b"9223372036854775807", b"1e12",
+    b"nan", b"inf",
+    b"x", b"y", b"z", b"class", b"list", b"uchar", b"int", b"float", b"double", b"uint", b"vertex", b"face", b"ascii",
+    b"binary", b"binary_compressed", b"binary_little_endian", b"binary_big_endian", b"property", b"element", b"F", b"U",
+    b"I", b"", b"\xff", b"\n", b"end_header", b"DATA", b"COUNT", b"SIZE", b"POINTS", b"comment",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """A valid survey to damage."""
+
+    name: str
+    data: bytes
+    fields: tuple[tuple[int, str], ...]
+    """Place and layout (little endian) of the numbers that its structure is made of."""
+    text_end: int
+    """Length of the header, where that is text; 0 elsewhere."""
+
+
+def starts():
+    """Give every valid survey, of 40 points each."""
+    made = []
+    for name, data in bases(40).items():
+        if name.endswith((".las", ".laz")):
+            made.append(Start(name, data, tuple(_las_fields(data)), 0))
+            continue
+        end = data.index(b"\n", data.index(b"end_header" if name.endswith(".ply") else b"DATA")) + 1
+        made.append(Start(name, data, ((end, "I"), (end + 4, "I")) if name == "packed.pcd" else (), end))
+    return made
+
+
+def applied(data: bytes, edits) -> bytes:
+    """Make the edits, in order; what lies behind the end is left out."""
+    for start, end, new in edits:
+        data = data[:start] + new + data[end:]
+    return data
+
+
+def mutated(start: Start, others: list[Start], rng: np.random.Generator) -> list[Edit]:
+    """Return one to four edits."""
+    edits, data = [], start.data
+    for _ in range(int(rng.integers(1, 5))):
+        kind = rng.random()
+        if start.fields and kind < 0.55:
+            edit = _field_edit(data, start, rng)
+        elif start.text_end and kind < 0.6:
+            edit = _word_edit(data, start, rng)
+        else:
+            edit = _block_edit(data, others, rng)
+        data = applied(data, [edit])
+        edits.append(edit)
+    return edits
+
+
+def _field_edit(data, start, rng):
+    place, layout = _chosen(start.fields, rng)
+    size = struct.calcsize("<" + layout)
+    if layout == "d":
+        return place, place + size, struct.pack("<d", _chosen(_REALS, rng))
+    own = int.from_bytes(data[place : place + size], "little")
+    near = (own + 1, own - 1, own * 2, own // 2, len(data), len(data) - 8, own ^ (1 << int(rng.integers(8 * size))))
+    value = _chosen(_INTEGERS if rng.random() < 0.5 else near, rng) % 256**size
+    return place, place + size, value.to_bytes(size, "little")
+
+
+def _word_edit(data, start, rng):
+    """Replace, remove or double a word or a line of a text header."""
+    between = b"\n" if rng.random() < 0.4 else b" \n"
+    ends = [i for i, byte in enumerate(data[: start.text_end]) if byte in between]
+    which = int(rng.integers(max(len(ends) - 1, 1)))
+    first, last = (ends[which] + 1, ends[which + 1]) if len(ends) > 1 else (0, len(data))
+    edits = (first, last, _chosen(_WORDS, rng)), (first, last + 1, b""), (first, first, data[first : last + 1])
+    return _chosen(edits, rng)
+
+
+def _block_edit(data, others, rng):
+    """Change a byte; cut the end off; remove, double, blank or exchange a block; take one from another survey."""
+    place, size = int(rng.integers(max(len(data), 1))), int(2 ** rng.uniform(0, 9))
+    own, other = (each[int(rng.integers(max(len(each), 1))) :][:size] for each in (data, _chosen(others, rng).data))
+    end, byte = place + size, data[place] if data else 0
+    return _chosen(
+        (
+            (place, place + 1, bytes([int(rng.integers(256))])),
+            (place, place + 1, bytes([byte ^ (1 << int(rng.integers(8)))])),
+            (place, len(data), b""),
+            (place, end, b""),
+            (place, place, data[place:end]),
+            (place, end, b"\0" * size),
+            (place, end, b"\xff" * size),
+            (place, end, own),
+            (place, end, other),
+        ),
+        rng,
+    )
+
+
+def _chosen(choices, rng):
+    return choices[int(rng.integers(len(choices)))]
+
+
+def _las_fields(data):
+    layout = layout_of(data)
+    known = HEADER | (HEADER_1_4 if data[25] >= 4 else {})
+    yield from ((place, form) for place, form in known.values() if form[-1] in "BHIQd" and form[0] not in "123456789")
+    for start, body, end in layout.vlrs:
+        yield from ((start + 2, "B"), (start + 18, "H"), (start + 20, "H"))
+        yield from ((place, "H") for place in range(body, min(end, body + 64) - 1, 2))
+    for start, body, end in layout.evlrs:
+        yield from ((start + 2, "B"), (start + 18, "H"), (start + 20, "Q"))
+        for entry in range(body, end - ENTRY.size + 1, ENTRY.size):
+            yield from ((entry + at, form) for at, form in zip((0, 4, 8, 12, 16, 24, 28), "IIIIQII", strict=True))
+    if not layout.chunks:
+        yield from ((layout.points_at + at, "I") for at in range(0, 68, 4))
+        return
+    yield layout.points_at, "Q"
+    yield from ((layout.table_at + at, "I") for at in (0, 4))
+    yield from ((place, "B") for place in range(layout.table_at + 8, layout.table_end))
+    for start, _, _ in layout.chunks:
+        yield from ((start + at, "I") for at in (0, 4, 8, 30, 34, 38, *range(36, 80, 4)))
+
+
+# ---- fuzzing ----
 
 
 def keep(judge, start, edits, verdict):
@@ -33,7 +288,7 @@ def keep(judge, start, edits, verdict):
     judge.close()
     for index in reversed(range(len(edits))):
         fewer = edits[:index] + edits[index + 1 :]
-        if key_of(judge.verdict(start.name, applied(start.data, fewer))) == key_of(verdict):
+        if judge.verdict(start.name, applied(start.data, fewer)).key == verdict.key:
             edits = fewer
     data = applied(start.data, edits)
     stem, _, suffix = start.name.partition(".")
@@ -53,8 +308,8 @@ def fuzz(judge, minutes, inputs, seed):
         made += 1
         verdict = judge.verdict(start.name, applied(start.data, edits))
         counts[f"{start.name} {verdict.kind}"] += 1
-        if verdict.is_fault and key_of(verdict) not in faults:
-            faults[key_of(verdict)] = [keep(judge, start, edits, verdict), verdict.detail[-1500:]]
+        if verdict.is_fault and verdict.key not in faults:
+            faults[verdict.key] = [keep(judge, start, edits, verdict), verdict.detail[-1500:]]
     return {"inputs": made, "verdicts": dict(sorted(counts.items())), "faults": faults}
 
 
@@ -64,7 +319,11 @@ def main():
     parser.add_argument("--minutes", type=float, default=1.0)
     parser.add_argument("--inputs", type=int, default=10**9, help="end after so many")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--judge", type=Path, metavar="FOLDER", help="judge inputs instead; FOLDER is scratch")
     given = parser.parse_args()
+    if given.judge:
+        serve(lambda: warm(given.judge), answer, MEMORY)
+        return 0
     with tempfile.TemporaryDirectory() as scratch:
         judge = Judge(Path(scratch))
         try:

@@ -6,11 +6,9 @@ from pathlib import Path
 import pytest
 
 sys.path.append(str(Path(__file__).parent))
-from trial import Judge
+from fuzz_readers import SEEDS, Judge
 
 pytestmark = pytest.mark.later
-
-SEEDS = sorted((Path(__file__).parent / "seeds").iterdir())
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +18,7 @@ def judge(tmp_path_factory):
     made.close()
 
 
-@pytest.mark.parametrize("seed", SEEDS, ids=lambda seed: seed.name)
+@pytest.mark.parametrize("seed", sorted(SEEDS.iterdir()), ids=lambda seed: seed.name)
 def test_seed(judge, seed):
     verdict = judge.verdict(seed.name, seed.read_bytes())
     assert not verdict.is_fault, verdict.where

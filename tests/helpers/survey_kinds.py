@@ -8,19 +8,38 @@ from pypcd4 import Encoding, PointCloud
 KINDS = ("las", "laz", "copc", "ply", "text ply", "pcd", "text pcd", "packed pcd")
 STREAMED = ("text ply", "text pcd", "packed pcd")
 """Kinds that are not read by ranges of bytes."""
-_ENCODINGS = {"pcd": Encoding.BINARY, "text pcd": Encoding.ASCII, "packed pcd": Encoding.BINARY_COMPRESSED}
+TABLES = {
+    "ply ascii": "=",
+    "ply little": "<",
+    "ply big": ">",
+    "pcd ascii": Encoding.ASCII,
+    "pcd binary": Encoding.BINARY,
+    "pcd binary_compressed": Encoding.BINARY_COMPRESSED,
+}
+_FORMS = {
+    "ply": "ply big",
+    "text ply": "ply ascii",
+    "pcd": "pcd binary",
+    "text pcd": "pcd ascii",
+    "packed pcd": "pcd binary_compressed",
+}
+
+
+def write_table(path, form, columns, **how):
+    """Write columns, by their names, in a form of the ``TABLES``; ``how``: see `write_ply`."""
+    names, arrays = [*columns], [*columns.values()]
+    if form.startswith("ply"):
+        return write_ply(path, np.rec.fromarrays(arrays, names=names), order=TABLES[form], **how)
+    PointCloud.from_points(arrays, names, [array.dtype for array in arrays]).save(str(path), TABLES[form])
+    return path
 
 
 def write_kind(kind, folder, points):
     """Write points (n, 3) as a survey of one of the ``KINDS``, always to the same path of a folder; return it."""
     points = np.asarray(points, float)
-    if kind in _ENCODINGS:
-        path = folder / "a.pcd"
-        PointCloud.from_points([*points.T], [*"xyz"], [np.float64] * 3).save(str(path), _ENCODINGS[kind])
-        return path
-    if kind.endswith("ply"):
-        vertex = np.rec.fromarrays(points.T, names="x,y,z")
-        return write_ply(folder / "a.ply", vertex, order="=" if kind == "text ply" else ">")
+    if kind in _FORMS:
+        form = _FORMS[kind]
+        return write_table(folder / f"a.{form[:3]}", form, dict(zip("xyz", points.T, strict=True)))
     data = las_files.las_bytes(points, version="1.4", fmt=7)
     if kind == "laz":
         data = las_files.packed(data, max(len(points) // 10, 1))

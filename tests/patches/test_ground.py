@@ -1,7 +1,6 @@
 """Ground under vegetation: the cloth finds what lies under the trees, the same for the same points."""
 
 import importlib.util
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,9 +10,8 @@ from click.testing import CliRunner
 from small_surveys import write_las
 
 from bumpymap.cli import main
-from bumpymap.core.config import CsfSettings, MapConfig
+from bumpymap.core.config import CsfSettings
 from bumpymap.core.errors import UsageError
-from bumpymap.core.settings import read_settings_file
 from bumpymap.core.types import OBSTACLE, Barred
 from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.patches import close_filter, mark_ground, require_filter
@@ -47,10 +45,11 @@ def wood():
     return np.round(np.column_stack([x, y, z]) * 1024) / 1024, ~crown
 
 
-def blocks(points):
+def block_of(points):
+    """The last of their blocks."""
     buckets = TileBuckets(Grid())
     buckets.add(*(np.ascontiguousarray(axis) for axis in points.T), np.zeros(len(points), bool))
-    return list(buckets.blocks())
+    return list(buckets.blocks())[-1]
 
 
 def write(path, points):
@@ -76,11 +75,14 @@ def mapped(wood, tmp_path_factory):
     return folder
 
 
-def ratings(folder):
-    with rasterio.open(folder / "rasters/class.tif") as raster:
-        class_id = raster.read(1)
+def bands(folder, *names):
     with rasterio.open(folder / "rasters/roughness.tif") as raster:
-        return class_id, raster.read(raster.descriptions.index("c_r") + 1)
+        return [raster.read(raster.descriptions.index(name) + 1) for name in names]
+
+
+def classes(folder):
+    with rasterio.open(folder / "rasters/class.tif") as raster:
+        return raster.read(1)
 
 
 def standing(folder):
@@ -96,7 +98,8 @@ def test_the_map_under_trees_is_that_of_the_ground_alone(wood, mapped):
     alone = write(mapped / "ground.las", points[is_ground])
     for survey, name in ((alone, "alone"), (mapped / "wood.las", "everything")):
         assert run("map", survey, "--ground", "all", "--out", mapped / name).exit_code == 0
-    (class_id, c_r), (wanted, wanted_c_r) = ratings(mapped / "csf"), ratings(mapped / "alone")
+    class_id, wanted = (classes(mapped / name) for name in ("csf", "alone"))
+    (c_r,), (wanted_c_r,) = (bands(mapped / name, "c_r") for name in ("csf", "alone"))
     assert class_id.shape == (16, 32)
     np.testing.assert_array_equal(class_id, wanted)
     # Without other points, a narrow hump of the ground may be a thing that the ride is rated without.
@@ -113,55 +116,46 @@ def test_the_map_under_trees_is_that_of_the_ground_alone(wood, mapped):
 
 @pytest.mark.slow
 @needs_filter
-def test_no_order_of_the_points_and_no_budget_changes_a_byte(wood, mapped, tmp_path, monkeypatch):
-    order = np.random.default_rng(3).permutation(len(wood[0]))
-    survey = write(tmp_path / "other.laz", wood[0][order])
-    monkeypatch.setattr(Budget, "chunk_points", 9_000)
-    monkeypatch.setattr(Budget, "waiting_points", 30_000)
-    result = run("map", survey, "--ground", "csf", "--out", tmp_path / "csf", "--threads", 3)
-    assert result.exit_code == 0, result.output
-    assert layers(tmp_path / "csf") == layers(mapped / "csf")
-
-
-@pytest.mark.later
-@needs_filter
-def test_a_cluster_gives_the_same_bytes(mapped, tmp_path, dask_scheduler):
-    result = run(
-        "map", mapped / "wood.las", "--ground", "csf", "--out", tmp_path / "csf", "--set", f"scheduler={dask_scheduler}"
-    )
+@pytest.mark.parametrize("cluster", [False, pytest.param(True, marks=pytest.mark.later)])
+def test_no_order_of_the_points_no_budget_and_no_cluster_changes_a_byte(
+    wood, mapped, tmp_path, monkeypatch, cluster, request
+):
+    if cluster:
+        survey, how = mapped / "wood.las", ("--set", f"scheduler={request.getfixturevalue('dask_scheduler')}")
+    else:
+        survey, how = write(tmp_path / "other.laz", np.random.default_rng(3).permutation(wood[0])), ("--threads", 3)
+        monkeypatch.setattr(Budget, "chunk_points", 9_000)
+        monkeypatch.setattr(Budget, "waiting_points", 30_000)
+    result = run("map", survey, "--ground", "csf", "--out", tmp_path / "csf", *how)
     assert result.exit_code == 0, result.output
     assert layers(tmp_path / "csf") == layers(mapped / "csf")
 
 
 @needs_filter
-def test_the_environment_changes_no_mark(wood, monkeypatch):
-    """With more than one thread the filter gives other marks each time."""
+def test_neither_the_environment_nor_the_place_on_earth_changes_a_mark(wood, monkeypatch):
+    """With more than one thread the filter gives other marks each time; both places are exact in binary."""
     points = wood[0].copy()
     points[:, 2] += np.random.default_rng(1).exponential(1.0, len(points))  # bushes, so that marks are in doubt
-    block = blocks(points)[1]
-    marks = mark_ground(block, CsfSettings())
+    points = np.round(points * 1024) / 1024
+
+    def marks(place):
+        block = block_of(points + place)
+        there = np.column_stack([block.easting, block.northing, block.upward]) - place
+        return np.column_stack([there, mark_ground(block, CsfSettings())])[np.lexsort(there.T)]
+
+    expected = marks(np.zeros(3))
+    np.testing.assert_array_equal(marks(CORNER), expected)
     for threads in ("1", "4"):
         close_filter()
         monkeypatch.setenv("OMP_NUM_THREADS", threads)
         for _ in range(2):
-            np.testing.assert_array_equal(mark_ground(block, CsfSettings()), marks)
-
-
-@needs_filter
-def test_marks_do_not_depend_on_where_on_earth_the_block_lies(wood):
-    """Coordinates of both places are exact in binary, so not one mark may differ."""
-    marks = []
-    for place in (np.zeros(3), CORNER):
-        block = blocks(wood[0] + place)[1]
-        points = np.column_stack([block.easting, block.northing, block.upward]) - place
-        marks.append(np.column_stack([points, mark_ground(block, CsfSettings())])[np.lexsort(points.T)])
-    np.testing.assert_array_equal(*marks)
+            np.testing.assert_array_equal(marks(np.zeros(3)), expected)
 
 
 @needs_filter
 def test_settings_reach_the_filter(wood):
     """A cloth that marks all within 20 m leaves nothing out; one of 1 cm leaves out what waves rise above it."""
-    block = blocks(wood[0])[1]
+    block = block_of(wood[0])
     everything = mark_ground(block, CsfSettings(class_threshold=10.0))
     usual, little = (mark_ground(block, CsfSettings(class_threshold=limit)) for limit in (0.5, 0.01))
     assert everything.all()
@@ -170,16 +164,16 @@ def test_settings_reach_the_filter(wood):
 
 
 @needs_filter
-@pytest.mark.parametrize("points", [1, 2, 3])
-def test_a_block_may_hold_next_to_nothing(points):
-    marks = mark_ground(blocks(np.arange(3.0 * points).reshape(-1, 3))[0], CsfSettings())
-    assert marks.shape == (points,)
-    assert marks.any()
+def test_a_block_may_hold_next_to_nothing():
+    for points in (1, 2, 3):
+        marks = mark_ground(block_of(np.arange(3.0 * points).reshape(-1, 3)), CsfSettings())
+        assert marks.shape == (points,)
+        assert marks.any()
 
 
 @needs_filter
 def test_a_filter_that_died_is_told_and_replaced(wood):
-    block = blocks(wood[0])[0]
+    block = block_of(wood[0])
     marks = mark_ground(block, CsfSettings())
     (child,) = cloth.idle
     child.process.kill()
@@ -196,53 +190,30 @@ def test_a_boulder_goes_as_a_tree_does_and_is_an_obstacle(tmp_path):
     far = np.hypot(x - 22.5, y - 22.5) / 0.5
     points = np.column_stack([x, y, 2.0 * np.sqrt(np.maximum(0, 1 - far**2)) + 0.004 * rng.normal(size=len(x))])
     survey = write(tmp_path / "boulder.las", np.round(points * 1024) / 1024)
-    class_id, names = {}, ("obstacle", "obstacle_height")
     for ground in ("all", "csf"):
-        result = run("map", survey, "--ground", ground, "--out", tmp_path / ground)
-        assert result.exit_code == 0
-        class_id[ground] = ratings(tmp_path / ground)[0][8, 7]
+        assert run("map", survey, "--ground", ground, "--out", tmp_path / ground).exit_code == 0
         assert standing(tmp_path / ground)[8, 7].mean() == pytest.approx(np.pi * 0.5**2 / 9, rel=0.3)
-    assert max(class_id.values()) <= 1  # the ride is that of the ground beside it
-    with rasterio.open(tmp_path / "csf" / "rasters/roughness.tif") as raster:
-        obstacle, height = (raster.read(raster.descriptions.index(name) + 1)[8, 7] for name in names)
-    assert obstacle == pytest.approx(np.pi * 0.5**2 / 9, rel=0.2)  # its top too, which is higher than the vehicle
-    assert height == pytest.approx(1.38, abs=0.1)  # up to that of the vehicle
+        assert classes(tmp_path / ground)[8, 7] <= 1  # the ride is that of the ground beside it
+    obstacle, height = bands(tmp_path / "csf", "obstacle", "obstacle_height")
+    assert obstacle[8, 7] == pytest.approx(np.pi * 0.5**2 / 9, rel=0.2)  # its top too, which is higher than the vehicle
+    assert height[8, 7] == pytest.approx(1.38, abs=0.1)  # up to that of the vehicle
 
 
 @needs_filter
-def test_a_block_that_would_be_shared_out_is_refused(mapped, tmp_path, monkeypatch):
+def test_blocks_that_would_be_shared_out_or_are_too_large_for_the_cloth_are_refused(mapped, tmp_path, monkeypatch):
     monkeypatch.setattr(Budget, "block_points", 50_000)
     result = run("map", mapped / "wood.las", "--ground", "csf", "--out", tmp_path / "csf")
     assert result.exit_code == 2
     assert "--ground csf takes squares of 48 m as a whole" in result.output
     assert "room for 50,000. Raise --memory" in result.output
-
-
-def test_without_the_filter_the_user_is_told_what_to_install(wood, tmp_path, monkeypatch):
-    monkeypatch.setattr(cloth.importlib.util, "find_spec", lambda _: None)
-    survey = write(tmp_path / "wood.las", wood[0][:5000])
-    result = run("map", survey, "--ground", "csf", "--out", tmp_path / "csf")
-    assert result.exit_code == 2
-    assert "pip install 'bumpymap[csf]'" in result.output
-    assert not (tmp_path / "csf").exists()
-
-
-@needs_filter
-def test_a_cloth_too_fine_for_its_blocks_is_refused():
     require_filter(CsfSettings(), Grid(15.0))
     with pytest.raises(UsageError, match=r"blocks are 320 m wide, it must be at least 0.64 m"):
         require_filter(CsfSettings(), Grid(20.0))
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("cloth_resolution = 0", "cloth_resolution is 0"),
-        ("threshold = 1", r"\[csf\]: unknown setting threshold"),
-    ],
-)
-def test_bad_settings_are_refused(tmp_path, text, message):
-    file = Path(tmp_path / "site.toml")
-    file.write_text(f"[csf]\n{text}\n")
-    with pytest.raises(UsageError, match=message):
-        read_settings_file(file, MapConfig)
+def test_without_the_filter_the_user_is_told_what_to_install(wood, tmp_path, monkeypatch):
+    monkeypatch.setattr(cloth.importlib.util, "find_spec", lambda _: None)
+    result = run("map", write(tmp_path / "wood.las", wood[0][:5000]), "--ground", "csf", "--out", tmp_path / "csf")
+    assert result.exit_code == 2
+    assert "pip install 'bumpymap[csf]'" in result.output
+    assert not (tmp_path / "csf").exists()

@@ -6,13 +6,20 @@ import numpy as np
 import pytest
 
 from bumpymap.core.config import FeatureSettings
-from bumpymap.core.types import CANOPY, FREE, OBSTACLE, UNDECIDED, UNSEEN, VehicleBody
+from bumpymap.core.types import CANOPY, FREE, OBSTACLE, SEEN, UNDECIDED, UNSEEN, VehicleBody
 from bumpymap.patches.features import measure
 from bumpymap.patches.objects import find_objects, settle_solids
+from bumpymap.patches.standing import find_in_relief, find_standing, leave_out_standing, take_off_standing
 from bumpytiles import Grid, TileBuckets
 
 BODY = VehicleBody(clearance_m=0.25, height_m=1.4, width_m=1.4, brush_stem_m=0.25)
+SETTINGS = FeatureSettings()
 EAST, NORTH = 500_001.0, 4_000_002.0  # south-west corner of a tile
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(1)
 
 
 def meadow(rng, density=50, tiles=1, slope=0.1):
@@ -28,17 +35,22 @@ def things(x, y, height, slope=0.1):
     return np.column_stack([axis.ravel() for axis in (x, y, slope * x + height, np.zeros(x.shape))])
 
 
+def block_of(x, y, z, ground):
+    """Points of one block."""
+    buckets = TileBuckets(Grid())
+    buckets.add(x, y, z, ground)
+    (points,) = buckets.blocks()
+    return points
+
+
 def found(*points, body=BODY):
     x, y, z, ground = np.concatenate(points).T
-    buckets = TileBuckets(Grid())
-    buckets.add(EAST + x, NORTH + y, z, ground == 1)
-    (block,) = buckets.blocks()
-    settings = FeatureSettings()
-    stack = find_objects(block, measure(block, settings, ground_only=True), body)
+    block = block_of(EAST + x, NORTH + y, z, ground == 1)
+    stack = find_objects(block, measure(block, SETTINGS, ground_only=True), body)
     col, row = block.col - block.col.min() + 1, block.row.max() - block.row + 1
     mosaic = np.full((3, 15, col.max() + 2, 15), UNSEEN, np.uint8)
     mosaic[row, :, col] = stack.objects
-    settled = settle_solids(mosaic.reshape(45, -1), Grid(), settings.max_hole)
+    settled = settle_solids(mosaic.reshape(45, -1), Grid(), SETTINGS.max_hole)
     states = settled.reshape(mosaic.shape)[row, :, col]
     return replace(stack, objects=states, obstacle=np.mean(states == OBSTACLE, axis=(1, 2)))
 
@@ -51,8 +63,8 @@ def pixel(x, y):
     ("height", "state"),
     [(0.0, FREE), (0.15, FREE), (0.35, OBSTACLE), (1.3, OBSTACLE), (1.5, CANOPY), (9.0, CANOPY)],
 )
-def test_the_height_above_ground_decides(height, state):
-    stack = found(meadow(np.random.default_rng(1)), things([1.5, 1.52, 1.51], [1.1, 1.1, 1.12], height))
+def test_the_height_above_ground_decides(rng, height, state):
+    stack = found(meadow(rng), things([1.5, 1.52, 1.51], [1.1, 1.1, 1.12], height))
     assert stack.objects[0][pixel(1.5, 1.1)] == state
     assert np.count_nonzero(stack.objects[0] != FREE) == (state != FREE)
     assert stack.obstacle[0] == pytest.approx((state == OBSTACLE) / 225)
@@ -65,15 +77,13 @@ def test_the_height_above_ground_decides(height, state):
     ("density", "height", "returns", "free"),
     [(50, 0.8, 1, True), (50, 5.0, 1, True), (1000, 0.8, 6, True), (100, 0.8, 6, False)],
 )
-def test_a_bird_is_no_obstacle_and_no_canopy(density, height, returns, free):
+def test_a_bird_is_no_obstacle_and_no_canopy(rng, density, height, returns, free):
     """In a dense survey, it may return more than once."""
     bird = things([1.5, 1.55, 1.6, 1.5, 1.55, 1.6][:returns], 1.1, height)
-    stack = found(meadow(np.random.default_rng(2), density), bird)
-    assert np.all(stack.objects == FREE) == free
+    assert np.all(found(meadow(rng, density), bird).objects == FREE) == free
 
 
-def test_a_crown_is_canopy_and_under_it_one_return_is_an_obstacle():
-    rng = np.random.default_rng(4)
+def test_a_crown_is_canopy_and_under_it_one_return_is_an_obstacle(rng):
     crown = things(*rng.uniform(0, 3, (2, 600)), rng.uniform(3, 8, 600))
     stack = found(meadow(rng), crown, things(1.5, 1.5, 0.9))
     assert np.argwhere(stack.objects[0] == OBSTACLE).tolist() == [list(pixel(1.5, 1.5))]
@@ -81,74 +91,216 @@ def test_a_crown_is_canopy_and_under_it_one_return_is_an_obstacle():
     assert stack.clearance[0] > 2.9
 
 
-def test_plants_that_are_brushed_aside_are_no_obstacle():
-    rng = np.random.default_rng(6)
-    grass = things(*rng.uniform(0, 3, (2, 300)), rng.uniform(0, 0.4, 300))
-    ground = meadow(rng)
+def test_plants_that_are_brushed_aside_are_no_obstacle_and_a_wire_is_one(rng):
+    ground, grass = meadow(rng), things(*rng.uniform(0, 3, (2, 300)), rng.uniform(0, 0.4, 300))
     assert found(ground, grass).obstacle[0] > 0.2
     assert found(ground, grass, body=VehicleBody(0.25, 1.4, 1.4, brush_stem_m=0.5)).obstacle[0] == 0
+    assert found(ground, things(np.arange(0.1, 3, 0.2), 1.5, 0.8)).obstacle[0] >= 13 / 225
 
 
-def test_a_post_of_30_cm_is_found():
-    rng = np.random.default_rng(7)
+def lifted(ground, x, y, radius, height):
+    """Ground of which a disc is raised, and none of the ground."""
+    disc = np.hypot(ground[:, 0] - x, ground[:, 1] - y) < radius
+    return np.where(disc[:, None], ground + np.array([0, 0, height, -1]), ground)
+
+
+def test_a_post_of_30_cm_is_found(rng):
     hits = 0
     for _ in range(100):
         x, y = rng.uniform(0.4, 2.6, 2)
-        ground = meadow(rng, density=50)
-        post = np.hypot(ground[:, 0] - x, ground[:, 1] - y) < 0.15
-        ground[post, 2] += 1.0
-        ground[post, 3] = 0
         lean = rng.uniform(0, 0.3)  # pulses that lean see the side of the post as well
         sides = rng.poisson(50 * 0.3 * 1.0 * lean)
         side = things(x + 0.15 * np.ones(sides), y, rng.uniform(0, 1, sides))
-        hits += found(ground, side).obstacle[0] > 0
+        hits += found(lifted(meadow(rng, density=50), x, y, 0.15, 1.0), side).obstacle[0] > 0
     assert hits >= 95
 
 
-def test_a_wire_is_found():
-    rng = np.random.default_rng(8)
-    wire = things(np.arange(0.1, 3, 0.2), 1.5, 0.8)
-    assert found(meadow(rng), wire).obstacle[0] >= 13 / 225
-
-
-def test_ground_is_continued_under_a_boulder_and_down_a_slope():
-    rng = np.random.default_rng(9)
-    ground = meadow(rng, slope=0.5)
-    under = np.hypot(ground[:, 0] - 1.5, ground[:, 1] - 1.5) < 0.7
-    ground[under, 2] += 0.6
-    ground[under, 3] = 0
-    stack = found(ground)
+def test_ground_is_continued_under_a_boulder_and_down_a_slope(rng):
+    stack = found(lifted(meadow(rng, slope=0.5), 1.5, 1.5, 0.7, 0.6))
     assert stack.obstacle[0] == pytest.approx(np.pi * 0.7**2 / 9, rel=0.2)
     assert stack.obstacle_height[0] == pytest.approx(0.6, abs=0.12)
 
 
-def test_without_ground_what_is_seen_is_an_obstacle_and_the_rest_is_unseen():
-    rng = np.random.default_rng(11)
+def test_what_is_far_from_all_points_is_unseen_and_without_ground_the_rest_is_an_obstacle(rng):
     stack = found(things(rng.uniform(0, 1.5, 300), rng.uniform(0, 3, 300), 7.0))
     assert np.all(stack.objects[0][:, 8:] == UNSEEN)
     assert np.mean(stack.objects[0][:, :7] == OBSTACLE) > 0.8
     assert np.isnan(stack.canopy[0])
-
-
-def test_a_pixel_far_from_all_points_is_unseen_and_thin_surveys_have_gaps():
-    rng = np.random.default_rng(12)
     ground = meadow(rng)
     half = found(ground[ground[:, 0] < 1.0]).objects[0]
     assert np.all(half[:, 11:] == UNSEEN)
     assert np.all(half[:, :9] == FREE)
-    assert np.all(found(meadow(rng, density=4)).objects == FREE)
+    assert np.all(found(meadow(rng, density=4)).objects == FREE)  # thin surveys have gaps
 
 
-def test_too_few_points_at_a_border_are_left_to_the_neighbour():
-    ground = meadow(np.random.default_rng(13), tiles=2)
-    stack = found(ground, things([2.95, 3.05], 1.5, 0.8))
+def test_too_few_points_at_a_border_are_left_to_the_neighbour(rng):
+    stack = found(meadow(rng, tiles=2), things([2.95, 3.05], 1.5, 0.8))
     assert [np.argwhere(tile == UNDECIDED).tolist() for tile in stack.objects] == [[[7, 14]], [[7, 0]]]
     assert np.all(stack.obstacle == 0)
 
 
-def test_any_order_of_points_gives_the_same_bits():
-    rng = np.random.default_rng(14)
+def test_any_order_of_points_gives_the_same_bits(rng):
     points = np.concatenate([meadow(rng), things(*rng.uniform(0, 3, (2, 200)), rng.uniform(0, 5, 200))])
     one, other = found(points), found(rng.permutation(points))
     for name, column in one.columns().items():
         np.testing.assert_array_equal(column, getattr(other, name))
+
+
+# ---- low things in the ground of a block: what stands out of it, and relief that does not ----
+
+Y, X = (np.mgrid[:60, :60] + 0.5) * 0.2  # 12 m
+
+
+def marks_of(heights, body=BODY):
+    noise = 0.02 * np.random.default_rng(0).normal(size=heights.shape)
+    return find_standing((heights + noise).astype(np.float32), body, 0.2)
+
+
+def boulder(x, y, radius, height):
+    return height * np.sqrt(np.maximum(0, 1 - ((X - x) ** 2 + (Y - y) ** 2) / radius**2))
+
+
+@pytest.mark.parametrize(("slope", "radius", "height"), [(0.0, 0.4, 0.35), (0.5, 0.4, 0.35), (0.5, 0.75, 0.5)])
+def test_a_boulder_stands_anywhere_on_a_slope(slope, radius, height):
+    for x, y in ((6.0, 6.0), (0.3, 6.0), (0.2, 0.2), (4.57, 5.93)):
+        stone = boulder(x, y, radius, height)
+        marks = marks_of(slope * X + stone)
+        assert np.all(marks[stone > 0.25])
+        assert not np.any(marks[stone == 0])
+
+
+def thinned(heights, density, seed):
+    """Leave the pixels that a survey of so many points per m2 fills."""
+    empty = np.random.default_rng(seed).random(heights.shape) < np.exp(-density * 0.2**2)
+    return np.where(empty, np.nan, heights)
+
+
+@pytest.mark.parametrize("density", [np.inf, 20, 6])
+def test_relief_does_not_stand(density):
+    waves = 0.2 * np.sin(2 * np.pi * X / 2.0)  # 0.4 m high, 2 m long
+    bank = np.where(X > 6.0, 0.5, 0.0)
+    ditch = np.where(np.abs(X - 6.0) < 0.7, -0.5, 0.0)
+    swell = 0.3 * np.exp(-((X - 6) ** 2 + (Y - 6) ** 2) / 2 / 0.6**2)
+    hills = 2.0 * np.sin(2 * np.pi * X / 24.0) * np.cos(2 * np.pi * Y / 20.0)
+    dense_alone = (waves, hills) if density == np.inf else ()
+    for relief in (bank, ditch, swell, 1.0 * X, *dense_alone):
+        assert not any(np.any(marks_of(thinned(relief, density, seed))) for seed in range(20))
+
+
+def test_missing_heights_are_neither_things_nor_foot_and_a_higher_belly_passes(rng):
+    heights = boulder(6.0, 6.0, 0.6, 0.45)
+    holes = rng.random(heights.shape) < 0.4
+    marks = marks_of(np.where(holes, np.nan, heights))
+    assert not np.any(marks[holes])
+    assert np.all(marks[(heights > 0.25) & ~holes])
+    assert not np.any(marks_of(np.full_like(heights, np.nan)))
+    assert not np.any(marks_of(heights, VehicleBody(0.5, 1.4, 1.4, brush_stem_m=0.5)))
+
+
+@pytest.mark.parametrize("density", [20, 6])
+def test_few_points_see_the_same_things_as_many(density):
+    # The pixels beside a side that are known lie farther away.
+    for heights in (boulder(6.0, 6.0, 0.6, 0.45), np.where(np.maximum(abs(X - 6), abs(Y - 6)) < 0.5, 0.7, 0.0)):
+        seen = np.stack([thinned(heights, density, seed) for seed in range(20)])
+        marks = np.stack([marks_of(one) for one in seen])
+        assert np.sum(marks & (seen > 0.25)) > 0.85 * np.sum(seen > 0.25)
+        assert not np.any(marks & (heights == 0))
+
+
+def test_points_of_a_boulder_that_was_taken_for_ground_make_an_obstacle_across_tiles():
+    rng = np.random.default_rng(2)
+    x, y = rng.uniform(0, 6, (2, 3600))
+    stone = 0.45 * np.sqrt(np.maximum(0, 1 - ((x - 3.1) ** 2 + (y - 2.9) ** 2) / 0.6**2))
+    # West of the origin, with indices of tiles below zero.
+    z = 0.2 * x + stone + 0.01 * rng.normal(size=len(x))
+    points = block_of(x - 48.0, y - 48.0, z, np.ones(len(x), bool))
+    patches = measure(points, SETTINGS, ground_only=True)
+    stack = find_objects(*take_off_standing(points, patches, BODY), BODY)
+    assert np.all(stack.obstacle > 0)
+    assert stack.obstacle.sum() * 9 == pytest.approx(np.pi * 0.6**2 * (1 - (0.25 / 0.45) ** 2), rel=0.4)
+    assert stack.obstacle_height.max() == pytest.approx(0.45, abs=0.06)
+    assert np.all(find_objects(points, patches, BODY).objects % SEEN != OBSTACLE)
+    bare = replace(points, upward=0.2 * points.easting)
+    apart, _ = take_off_standing(bare, measure(bare, SETTINGS, ground_only=True), BODY)
+    assert np.all(apart.flag == 1)
+
+
+def surveyed(ground, density):
+    """Points of a block of 16 x 16 tiles, without classes, and the block measured."""
+    rng = np.random.default_rng(3)
+    x, y = rng.uniform(0, 48, (2, int(density * 48**2)))
+    points = block_of(x, y, ground(x, y) + 0.01 * rng.normal(size=len(x)), np.zeros(len(x), bool))
+    return points, measure(points, SETTINGS, ground_only=False)
+
+
+def gentle(x, y):
+    return 0.1 * x + 0.03 * np.sin(2 * y)
+
+
+def wall_at(x, y):
+    """A wall across the tiles of a row, over and beside their corners."""
+    return np.abs(y - 12.0 - 0.25 * x) < 0.15
+
+
+def bare_tiles(ground, density):
+    points, patches = surveyed(ground, density)
+    found = find_in_relief(points, patches, BODY)
+    return found.stack.objects == OBSTACLE, patches, *leave_out_standing(points, patches, found, SETTINGS)
+
+
+@pytest.mark.parametrize("density", [20, 60])
+def test_without_the_wall_on_it_a_tile_is_as_rough_as_its_ground(density):
+    things, walled, apart, bare = bare_tiles(lambda x, y: gentle(x, y) + 2.0 * wall_at(x, y), density)
+    ground = surveyed(gentle, density)[1]
+    tiles = things.any(axis=(1, 2))
+    assert 16 <= tiles.sum() <= 48
+    known = tiles & np.isfinite(bare.relief)
+    assert known.sum() >= 16
+    assert (walled.relief[known] > 1.0).all()
+    np.testing.assert_allclose(bare.relief[known], ground.relief[known], atol=0.3)
+    np.testing.assert_allclose(bare.slope[known], ground.slope[known], atol=2.0)
+    assert (bare.spread_count[things] == 0).all()
+    for name in ("heights", "z_max", "z_variance", "density"):
+        np.testing.assert_array_equal(getattr(bare, name), getattr(walled, name))
+    for name in ("relief_map", "slope", "coverage", "count"):
+        np.testing.assert_array_equal(getattr(bare, name)[~tiles], getattr(walled, name)[~tiles])
+    # Thin tiles are rated from their points: those of the wall are none of the ground.
+    of_wall = wall_at(apart.easting, apart.northing) & (apart.upward > gentle(apart.easting, apart.northing) + 1.0)
+    if density == 20:
+        assert (walled.coverage < 0.75).all()
+        assert (apart.flag[of_wall] == 0).mean() > 0.9
+    assert (apart.flag[~of_wall] == 1).mean() > 0.99
+
+
+def test_tiles_of_which_little_is_left_or_where_the_vehicle_fits_nowhere_stay_as_they_are():
+    # Of some tiles of a chequered field, one half stands on the other.
+    things, patches, _, bare = bare_tiles(lambda x, y: 1.0 * ((x // 2.1 + y // 2.1) % 2 < 1), 60)
+    left = bare.coverage < patches.coverage
+    assert things.any(axis=(1, 2)).sum() > left.sum() > 0
+    np.testing.assert_array_equal(bare.relief_map[~left], patches.relief_map[~left])
+    assert np.isfinite(bare.relief).all()
+    # Rubble.
+    things, patches, _, bare = bare_tiles(lambda x, y: 0.25 * np.sin(9 * x) * np.sin(8 * y), 60)
+    assert things.mean() > 0.1
+    stays = (bare.relief_map == patches.relief_map).all(axis=(1, 2))
+    assert stays.mean() > 0.98  # in the outermost tiles, fewer things are seen
+    # A terrace of 2 m and more, cut by the edge of the block.
+    things, patches, _, bare = bare_tiles(lambda x, y: gentle(x, y) + 1.0 * (x > 46.0), 60)
+    assert not things.any()
+    np.testing.assert_array_equal(bare.relief_map, patches.relief_map)
+
+
+@pytest.mark.parametrize(("height", "reason"), [(2.0, 0), (-2.0, 5)])
+def test_a_few_points_of_a_wall_that_ends_in_a_tile_are_no_noise_but_points_below_the_ground_are(height, reason):
+    """Strays of the tile east of a wall's end, where they lie beside it."""
+    rng = np.random.default_rng(5)
+    x, y = rng.uniform(0, 6, (2, 20 * 36))
+    on_wall = (np.abs(y - 4.5) < 0.15) & (x < 3.0)
+    corner = np.array([[3.02, 4.45], [3.05, 4.5], [3.08, 4.55]])
+    z = np.concatenate([0.01 * rng.normal(size=len(x)) + 2.0 * on_wall, np.full(3, height)])
+    points = block_of(np.append(x, corner[:, 0]), np.append(y, corner[:, 1]), z, np.zeros(len(z), bool))
+    patches = measure(points, SETTINGS, ground_only=False)
+    tile = (patches.col == 1) & (patches.row == 1)
+    assert patches.reason[tile] == 5
+    _, bare = leave_out_standing(points, patches, find_in_relief(points, patches, BODY), SETTINGS)
+    assert bare.reason[tile] == reason

@@ -1,26 +1,34 @@
+"""The table and the paper's rule, what bars a tile and what others cost, and the floor of C_r."""
+
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from cost_maps import patch_stack
+from hypothesis import given, strategies as st
 from scipy.special import ndtr
 
+from bumpymap.core.config import FeatureSettings
 from bumpymap.core.errors import UsageError
-from bumpymap.core.types import NO_CLASS, TEXTURES, Georeference, Reason, TextureMap
+from bumpymap.core.types import NO_CLASS, TEXTURES, Barred, CostRule, Georeference, Reason, TextureMap
+from bumpymap.lab.simulate.ride_fit import survey_terrains
+from bumpymap.lab.worlds.terrains import ScanEffects, make_terrain
+from bumpymap.patches.features import measure
+from bumpymap.rating import RideModel, apply_steps, find_calibration, load_profile
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.cost import PAPER_TABLE, rate, rate_as_paper
+from bumpymap.rating.steps import STEP_COLUMNS
+from bumpymap.rating.vehicle_body import floor_of, with_floor
 
 SCALE = {"flat": 0.01, "low_noise": 0.1, "noise_sin": 0.4, "high_noise": 0.8}
 LADDER = (0.02, 0.1, 0.5, 2.5)
 HERE = Georeference(None)
+SHIPPED = Calibration.shipped("warthog")
 
 
 def calibration(**changes):
     """C_r proportional to z range, by a factor of the texture's own."""
     fields = {
-        "vehicle": {"name": "cart", "ride_weight": 5.0, "slope_limit_deg": 25.0, "speed_mps": 1.0, "track_m": 0.8}
-        | {"belly": {"width_m": 0.5, "clearance_m": 0.2}, "wheel": {"radius_m": 0.2, "width_m": 0.1}},
-        "tile_size": 3.0,
-        "pixels": 15,
-        "textures": TEXTURES,
         "z_range": LADDER,
         "c_r": tuple(tuple(SCALE[t] * z for z in LADDER) for t in TEXTURES),
         "c_r_log_sd": ((0.2,) * 4,) * 4,
@@ -29,7 +37,7 @@ def calibration(**changes):
         "class_limits": (0.02, 0.1, 0.3),
         "class_c_r": (0.01, 0.05, 0.2, 0.6),
     }
-    return Calibration(**(fields | changes))
+    return replace(SHIPPED, **(fields | changes))
 
 
 def stack(relief, *, slope=0.0, coverage=1.0, reason=Reason.OK, raw_range=None):
@@ -40,25 +48,16 @@ def stack(relief, *, slope=0.0, coverage=1.0, reason=Reason.OK, raw_range=None):
     return patch_stack(len(relief), relief=relief, **columns)
 
 
-def textures(*rows):
-    return TextureMap(np.array(rows, np.float32))
-
-
 def one_hot(k, n):
     return TextureMap(np.tile(np.eye(4, dtype=np.float32)[k], (n, 1)))
 
 
 @pytest.mark.parametrize("k", range(4))
 def test_a_certain_texture_reads_its_own_ladder_log_log(k):
-    relief = np.array([0.02, 0.03, 0.1, 0.2, 0.5])
-    cost = rate(stack(relief), one_hot(k, 5), calibration(), HERE)
-    np.testing.assert_allclose(cost.c_r, SCALE[TEXTURES[k]] * relief, rtol=1e-6)
-
-
-def test_below_the_ladder_c_r_is_proportional_and_above_it_is_kept():
-    cost = rate(stack([0.0, 0.01, 2.5, 5.0]), one_hot(3, 4), calibration(), HERE)
-    np.testing.assert_allclose(cost.c_r, [0.0, 0.008, 2.0, 2.0], rtol=1e-5, atol=1e-8)
-    assert cost.class_id.tolist() == [0, 0, 3, 3]
+    """Below the ladder C_r is proportional to the z range, above it is kept."""
+    relief = np.array([0.0, 0.01, 0.02, 0.03, 0.1, 0.2, 0.5, 2.5, 5.0])
+    cost = rate(stack(relief), one_hot(k, 9), calibration(), HERE)
+    np.testing.assert_allclose(cost.c_r, SCALE[TEXTURES[k]] * np.minimum(relief, 2.5), rtol=1e-5, atol=1e-8)
 
 
 def test_a_spread_that_is_unknown_throughout_still_gives_an_interval():
@@ -69,20 +68,11 @@ def test_a_spread_that_is_unknown_throughout_still_gives_an_interval():
         assert (cost.c_r < cost.c_r_high).all()
 
 
-def test_confidence_falls_with_coverage_and_near_a_limit():
-    far = rate(stack([0.06]), one_hot(3, 1), calibration(), HERE).confidence[0]
-    near = rate(stack([0.124]), one_hot(3, 1), calibration(), HERE).confidence[0]
-    sparse = rate(stack([0.06], coverage=0.4), one_hot(3, 1), calibration(), HERE).confidence[0]
-    assert near < 0.6
-    assert far > 0.99
-    assert sparse == pytest.approx(0.4 * far)
-
-
 def test_ground_that_stops_the_vehicle_is_class_three_whatever_its_c_r():
     failing = rate(stack([2.5]), one_hot(0, 1), calibration(), HERE)
     assert failing.p_fail[0] == pytest.approx(0.8)
     assert (failing.class_id[0], failing.c_r[0]) == (3, pytest.approx(0.025))
-    steep = rate(stack([0.02], slope=26.0), one_hot(0, 1), calibration(), HERE)
+    steep = rate(stack([0.02], slope=31.0), one_hot(0, 1), calibration(), HERE)
     assert (steep.class_id[0], steep.confidence[0]) == (3, 1.0)
     assert steep.p_fail[0] < 0.5  # that of the drives
 
@@ -125,16 +115,11 @@ def test_the_papers_table(texture, raw_range, class_id):
     assert cost.c_r[0] == pytest.approx(calibration().class_c_r[class_id])
 
 
-def test_the_papers_rule_of_thirty_percent_holes():
-    cost = rate_as_paper(stack([0.1, 0.1]), one_hot(0, 2), calibration(), HERE)
-    holed = rate_as_paper(stack([0.1, 0.1], coverage=0.69), one_hot(0, 2), calibration(), HERE)
-    just = rate_as_paper(stack([0.1, 0.1], coverage=0.7), one_hot(0, 2), calibration(), HERE)
-    assert (cost.class_id.tolist(), holed.class_id.tolist(), just.class_id.tolist()) == ([0, 0], [3, 3], [0, 0])
-
-
-def test_the_paper_calls_what_it_cannot_judge_the_roughest():
-    patches = stack([np.nan], reason=Reason.OUTLIER_RELIEF)
-    assert rate_as_paper(patches, textures([np.nan] * 4), calibration(), HERE).class_id.tolist() == [3]
+def test_the_paper_calls_thirty_percent_of_holes_and_what_it_cannot_judge_the_roughest():
+    patches = stack([0.1, 0.1, np.nan], coverage=[0.7, 0.69, 1.0], reason=[Reason.OK, Reason.OK, Reason.OUTLIER_RELIEF])
+    chance = np.eye(4, dtype=np.float32)[[0, 0, 0]]
+    chance[2] = np.nan
+    assert rate_as_paper(patches, TextureMap(chance), calibration(), HERE).class_id.tolist() == [0, 3, 3]
 
 
 def mixtures(rng, n):
@@ -151,7 +136,8 @@ def mixtures(rng, n):
 
 def test_quantiles_and_confidence_equal_those_of_scipy():
     cal, chance, relief, mean, sd = mixtures(np.random.default_rng(2), 4000)
-    cost = rate(stack(relief), TextureMap(chance), cal, HERE)
+    coverage = np.where(relief < 0.5, 0.4, 1.0)
+    cost = rate(stack(relief, coverage=coverage), TextureMap(chance), cal, HERE)
 
     def below(log_c):
         return np.sum(chance.astype(float) * ndtr((log_c[:, None] - mean) / sd), axis=1)
@@ -171,9 +157,8 @@ def test_quantiles_and_confidence_equal_those_of_scipy():
     class_id = np.digitize(c_r, cal.class_limits)
     np.testing.assert_array_equal(cost.class_id, class_id)
     edges = np.log([1e-300, *cal.class_limits, 1e300])
-    np.testing.assert_allclose(
-        cost.confidence, below(edges[class_id + 1]) - below(edges[class_id]), rtol=1e-6, atol=1e-6
-    )
+    wanted = coverage * (below(edges[class_id + 1]) - below(edges[class_id]))
+    np.testing.assert_allclose(cost.confidence, wanted, rtol=1e-6, atol=1e-6)
 
 
 def test_a_tile_is_rated_alike_alone_and_among_others():
@@ -185,8 +170,105 @@ def test_a_tile_is_rated_alike_alone_and_among_others():
             np.testing.assert_array_equal(getattr(some, name), getattr(whole, name)[order])
 
 
-def test_a_ladder_of_one_rung():
-    one = calibration(z_range=(0.1,), c_r=tuple((SCALE[t],) for t in TEXTURES), c_r_log_sd=((0.2,),) * 4,
-                      p_fail=((0.0,),) * 4, drives=((9,),) * 4)  # fmt: skip
-    cost = rate(stack([0.05, 0.1, 0.7]), one_hot(2, 3), one, HERE)
-    np.testing.assert_allclose(cost.c_r, [0.2, 0.4, 0.4], rtol=1e-6)
+RULE = CostRule(ride_weight=5.0, fail_weight=300.0, drive_m=10.0, slope_limit_deg=30.0)
+
+
+@given(p_fail=st.floats(0, 0.49), drive_m=st.floats(1, 100))
+def test_over_the_length_of_a_drive_as_many_arrive_as_the_calibration_says(p_fail, drive_m):
+    (hazard,) = replace(RULE, drive_m=drive_m).hazard(np.array([p_fail]))
+    assert np.exp(-hazard * drive_m) == pytest.approx(1 - p_fail)
+    assert np.exp(-hazard * 3 * drive_m) == pytest.approx((1 - p_fail) ** 3)
+
+
+def test_a_certain_failure_costs_its_weight_and_one_that_nobody_knows_nothing():
+    np.testing.assert_array_equal(RULE.hazard(np.array([0.0, 1.0, np.nan], np.float32)), [0.0, np.inf, np.nan])
+    # A hazard of 1/m is one expected failure in a metre: the metre itself, the ride, and fail_weight metres.
+    assert RULE.cost(np.array([0.2, 0.2]), np.array([1.0, np.nan])) == pytest.approx([1 + 5 * 0.2 + 300, 1 + 5 * 0.2])
+
+
+@pytest.mark.parametrize(
+    ("tile", "barred"),
+    [
+        ({}, Barred.NO),
+        ({"p_fail": 0.49}, Barred.NO),
+        ({"p_fail": 0.5}, Barred.FAILS),
+        ({"p_fail": 1.0}, Barred.FAILS),
+        ({"slope": 30.0}, Barred.NO),
+        ({"slope": 30.1, "p_fail": 1.0}, Barred.SLOPE),
+        ({"slope": np.nan}, Barred.SLOPE),
+        ({"class_id": NO_CLASS}, Barred.UNKNOWN),
+        ({"c_r": np.nan}, Barred.UNKNOWN),
+        ({"p_fail": np.nan, "class_id": 2}, Barred.NO),
+        ({"p_fail": np.nan, "class_id": 3}, Barred.FAILS),
+    ],
+)
+def test_what_bars_a_tile(tile, barred):
+    told = {"class_id": 3, "c_r": 0.5, "p_fail": 0.1, "slope": 5.0} | tile
+    assert RULE.barred({name: np.array([value]) for name, value in told.items()}).tolist() == [barred]
+
+
+FLOOR = 0.05
+RAISED = replace(SHIPPED, vehicle=SHIPPED.vehicle | {"floor": {"c_r_radpm": FLOOR}})
+RATED = ("c_r", "c_r_low", "c_r_high")
+
+
+@pytest.fixture(scope="module")
+def patches():
+    kinds = ("flat", "low_noise", "noise_sin", "fractal_5", "fractal_2", "stones", "ruts", "high_noise")
+    terrains = [make_terrain(kind, 9, index) for index in (3, 5) for kind in kinds]
+    block = next(iter(survey_terrains(terrains, ScanEffects(200.0, 0.005), 1).blocks()))
+    return measure(block, FeatureSettings(), ground_only=False)
+
+
+RATINGS = {"ride": lambda *given: RideModel(given[2]).rate(*given[:2], HERE)}
+RATINGS |= {"table": lambda *given: rate(*given, HERE), "paper": lambda *given: rate_as_paper(*given, HERE)}
+
+
+@pytest.mark.parametrize("rating", RATINGS)
+def test_every_rating_adds_the_floor_in_power_and_keeps_its_classes(rating, patches):
+    """One of zero changes no bit."""
+    chance = np.random.default_rng(3).dirichlet(np.ones(4), len(patches.reason))
+    textures = TextureMap(chance.astype(np.float32))
+    zero = replace(SHIPPED, vehicle=SHIPPED.vehicle | {"floor": {"c_r_radpm": 0.0}})
+    bare, same, raised = (RATINGS[rating](patches, textures, calibration) for calibration in (SHIPPED, zero, RAISED))
+    assert len(set(bare.class_id.tolist())) >= 3
+    for name in ("class_id", "p_fail", "confidence", *RATED):
+        before = getattr(bare, name)
+        assert getattr(same, name).tobytes() == before.tobytes()
+        wanted = np.hypot(before.astype(float), FLOOR) if name in RATED else before
+        np.testing.assert_allclose(getattr(raised, name), wanted, rtol=1e-6 if name in RATED else 0)
+
+
+def test_steps_are_rated_on_top_of_the_ground_alone():
+    driven = np.geomspace(0.002, 0.5, 40)
+    columns = {name: np.full(40, 0.01, np.float32) for name in STEP_COLUMNS}
+    columns |= {"class_id": np.searchsorted(SHIPPED.class_limits, driven, side="right").astype(np.uint8)}
+    columns |= {"c_r": driven, "c_r_low": driven / 1.3, "c_r_high": driven * 1.3, "coverage": np.ones(40)}
+    raised = columns | {name: with_floor(columns[name], FLOOR) for name in RATED}
+    step = np.tile([0.0, np.nan, 0.03, 0.1, 0.4], 8)
+    felt, with_it = apply_steps(columns, step, SHIPPED), apply_steps(raised, step, RAISED)
+    assert (felt["c_r"] > driven).any()
+    for name in STEP_COLUMNS:
+        expected = with_floor(felt[name], FLOOR) if name in RATED else felt[name]
+        np.testing.assert_allclose(with_it[name], expected, rtol=1e-6)
+    still = np.isnan(step) | (step == 0)
+    np.testing.assert_array_equal(with_it["c_r"][still], raised["c_r"][still])
+
+
+def test_a_floor_is_no_property_of_the_drives(tmp_path):
+    """A profile may change it without a new calibration, and a calibration without one loads as before."""
+    assert floor_of(SHIPPED.vehicle) == SHIPPED.floor == 0.0
+    profile = load_profile("warthog").to_dict()
+    assert profile["floor"] == {"c_r_radpm": 0.0}
+    assert SHIPPED.with_preferences(profile, "x") is SHIPPED
+    given = SHIPPED.with_preferences(profile | {"floor": {"c_r_radpm": 0.03}}, "x")
+    assert given.floor == 0.03
+    assert given.id != SHIPPED.id
+    assert given.without_floor().floor == 0.0
+    assert given.without_floor().id == SHIPPED.id
+    assert given.with_preferences(profile, "x").floor == 0.0
+    without = {key: value for key, value in profile.items() if key != "floor"}
+    assert given.with_preferences(without, "x").floor == 0.0
+    path = tmp_path / "mine.json"
+    path.write_text(given.to_json())
+    assert find_calibration("warthog", path).floor == 0.03

@@ -1,15 +1,20 @@
-"""A calibration moved to drives, from made-up stretches."""
+"""A calibration moved to drives: what counts of them, the posterior, and what the moved one predicts."""
 
 import json
-from dataclasses import replace
+import math
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 from driven_stretches import driven_stretches
 
 from bumpymap.core import BadInputError
-from bumpymap.rating import Calibration, RideModel, update_from_drives
-from bumpymap.rating.drive_posterior import DrivePrior, collect_evidence, fit_move
+from bumpymap.rating import Calibration, Correction, RideModel, drive_posterior as posterior, update_from_drives
+from bumpymap.rating.calibration import shipped_calibrations
+from bumpymap.rating.drive_posterior import DriveEvidence, DrivePrior, collect_evidence, fit_move, respond
+from bumpymap.rating.drive_update import LogMove, moved_calibration
+from bumpymap.rating.ride.motion_operator import Rides
+from bumpymap.rating.ride.thin import THIN_COLUMNS, ThinModel
 
 CALIBRATION = Calibration.shipped("warthog")
 
@@ -42,42 +47,210 @@ def test_the_new_calibration_is_the_old_one_moved_by_the_posterior():
     assert record["posterior"]["mean"] == pytest.approx([shift, tilt])
 
 
-def test_short_drives_are_refused_with_what_counts_and_what_is_asked():
-    with pytest.raises(
-        BadInputError, match=r"100 m of different ground on 10 stretches count\. It takes at least 200 m"
+def test_drives_that_are_short_or_agree_or_moved_it_already_move_nothing():
+    moved, _ = update_from_drives(CALIBRATION, driven_stretches(CALIBRATION))
+    ten, fifty = driven_stretches(CALIBRATION, 10), driven_stretches(CALIBRATION, 50)
+    fifty.speed_mps[10:] = 3.0
+    laps = replace(ten, **{name: np.tile(getattr(ten, name), 10) for name in ten.__slots__})
+    for calibration, made, words in (
+        (CALIBRATION, ten, r"100 m of different ground on 10 stretches count\. It takes at least 200 m"),
+        (CALIBRATION, fifty, r"100 m of .* \(left out: 400 m not near the 1 m/s of the map\)"),
+        (CALIBRATION, laps, "100 m of different ground on 100 stretches"),
+        (CALIBRATION, driven_stretches(CALIBRATION, 60, shift=0.0), r"agree .* room for a factor of 0\.9\d to 1\.0\d"),
+        (moved, driven_stretches(CALIBRATION), f"against a map made with the calibration {CALIBRATION.id}"),
     ):
-        update_from_drives(CALIBRATION, driven_stretches(CALIBRATION, 10))
+        with pytest.raises(BadInputError, match=words):
+            update_from_drives(calibration, made)
+
+
+def test_what_does_not_count_is_named_with_its_length():
     made = driven_stretches(CALIBRATION, 50)
-    made.speed_mps[10:] = 3.0
-    with pytest.raises(BadInputError, match=r"100 m of .* \(left out: 400 m not near the 1 m/s of the map\)"):
-        update_from_drives(CALIBRATION, made)
+    made.c_r[:3] = np.nan
+    made.measured[3] = np.nan
+    made.speed_mps[4:6] = 2.0
+    made.measured_sd[6] = made.c_r[6]
+    evidence, lost = collect_evidence(made, 1.0, 0.0)
+    assert len(evidence.way_m) == 43
+    assert (lost.off_map, lost.other_speed, lost.below_sensor) == (40.0, 20.0, 10.0)
 
 
-def test_one_round_driven_ten_times_is_a_short_drive():
-    one = driven_stretches(CALIBRATION, 10)
-    laps = replace(one, **{name: np.tile(getattr(one, name), 10) for name in one.__slots__})
-    with pytest.raises(BadInputError, match="100 m of different ground on 100 stretches"):
-        update_from_drives(CALIBRATION, laps)
+def test_variances_are_those_of_the_logarithm_and_the_floor_is_taken_off_in_power():
+    made = driven_stretches(CALIBRATION, 50, shift=0.0, sd=1e-9, map_sd=0.2)
+    made.measured[:] = made.c_r
+    made.measured_sd[:], made.place_sd[:] = 0.03 * made.c_r, 0.04 * made.c_r
+    evidence, _ = collect_evidence(made, 1.0, 0.0)
+    assert np.sqrt(evidence.own_variance) == pytest.approx(0.05)
+    assert evidence.map_sd == pytest.approx(0.2, rel=1e-4)
+    before = np.log(made.c_r)
+    made.c_r[:] = np.hypot(made.c_r, 0.03)
+    assert collect_evidence(made, 1.0, 0.03)[0].log_c_r == pytest.approx(before)
 
 
-def test_few_metres_move_a_calibration_by_less_than_many():
-    """A vehicle that pitches 40 % more, measured badly: the mean over ten drives of each length."""
-    prior = DrivePrior(np.log(CALIBRATION.class_limits[1]), (0.2, 0.1), -np.inf)
-    shifts = []
-    for n in (3, 80):
-        made = (driven_stretches(CALIBRATION, n, shift=0.35, sd=0.3, seed=seed) for seed in range(10))
-        shifts.append(np.mean([fit_move(collect_evidence(each, 1.0, 0.0)[0], prior).mean[0] for each in made]))
-    assert 0.0 < shifts[0] < 0.7 * 0.35
-    assert shifts[1] == pytest.approx(0.35, abs=0.05)
+@pytest.mark.parametrize("laps", [1, 3])
+def test_ground_that_was_driven_again_counts_once(laps):
+    made = driven_stretches(CALIBRATION, 40)
+    parts = [replace(made, drive=np.full(40, lap), easting=made.easting + 3.7 * lap) for lap in range(laps)]
+    joined = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(made)}
+    evidence, _ = collect_evidence(replace(made, **joined), 1.0, 0.0)
+    assert evidence.way_m.sum() == 400.0 * laps
+    assert evidence.new_m.sum() == pytest.approx(400.0, rel=0.03)
 
 
-def test_drives_that_agree_move_nothing():
-    with pytest.raises(BadInputError, match=r"agree with the calibration .* room for a factor of 0\.9\d to 1\.0\d"):
-        update_from_drives(CALIBRATION, driven_stretches(CALIBRATION, 60, shift=0.0))
+MIDDLE = np.log(0.25)
+PRIOR = DrivePrior(MIDDLE, (0.2, 0.1), -np.inf)
 
 
-def test_a_moved_calibration_is_not_moved_again():
-    made = driven_stretches(CALIBRATION)
-    new, _ = update_from_drives(CALIBRATION, made)
-    with pytest.raises(BadInputError, match=f"against a map made with the calibration {CALIBRATION.id}"):
-        update_from_drives(new, made)
+def evidence_of(rng, n=45, numbers=(0.2, 0.05), *, prior=PRIOR, scale=1.0, line_sd=0.1):
+    """Stretches in squares of three; what the map is off by is ``scale`` times what it says."""
+    square = np.arange(n) // 3
+    log_c_r = MIDDLE - 0.3 + rng.normal(0, 0.7, n)
+    map_sd, sd = np.full(n, 0.1), np.full(n, 0.05)
+    off = scale * map_sd * rng.normal(size=n)[square] + np.hypot(sd, line_sd) * rng.normal(size=n)
+    measured = respond(np.array(numbers), log_c_r, prior)[0] + off
+    whole = np.zeros(n, np.int64)
+    return DriveEvidence(log_c_r, measured, sd**2, map_sd, square, whole, whole, np.full(n, 10.0), np.full(n, 10.0))
+
+
+def test_normal_errors_give_the_textbook_answer(monkeypatch):
+    """Normal own errors, a map's error and a scatter of lines of known sizes."""
+    for name, value in (("FREEDOM", 1e12), ("TAIL_SCALE", 1.0), ("_SURENESS", 1.0)):
+        monkeypatch.setattr(posterior, name, value)
+    monkeypatch.setattr(posterior, "_SCALES", np.array([1.3]))
+    monkeypatch.setattr(posterior, "_LINES", np.array([0.15]))
+    evidence = evidence_of(np.random.default_rng(1))
+    x = evidence.log_c_r - MIDDLE
+    design = np.column_stack((np.ones(len(x)), x))
+    spread = 1.3 * evidence.map_sd
+    same = evidence.square[:, None] == evidence.square
+    errors = np.diag(evidence.own_variance + 0.15**2) + np.outer(spread, spread) * same
+    inverse = np.linalg.inv(errors)
+    precision = design.T @ inverse @ design + np.diag(1 / np.square(PRIOR.sd))
+    mean = np.linalg.solve(precision, design.T @ inverse @ (evidence.log_measured - evidence.log_c_r))
+    found = fit_move(evidence, PRIOR)
+    assert np.allclose(found.mean, mean, rtol=1e-9, atol=0)
+    assert np.allclose(found.covariance, np.linalg.inv(precision), rtol=1e-9, atol=0)
+
+
+@pytest.mark.parametrize(("options", "low"), [({"line_sd": 0.25}, 0.7), ({"scale": 1.5, "n": 60}, 0.65)])
+def test_the_stated_uncertainty_holds(options, low):
+    """The 80 % interval of both numbers, over drives whose numbers are drawn from the prior."""
+    inside = []
+    for seed in range(60):
+        rng = np.random.default_rng([seed, 5])
+        numbers = rng.normal(0.0, PRIOR.sd)
+        found = fit_move(evidence_of(rng, numbers=numbers, **options), PRIOR)
+        inside.append(np.abs(found.mean - numbers) < 1.2816 * np.sqrt(np.diag(found.covariance)))
+    assert low < np.mean(inside) < 0.92
+
+
+def test_the_maps_error_and_the_scatter_of_lines_are_told_apart():
+    rng = np.random.default_rng(3)
+    for scale, line_sd in ((0.6, 0.1), (2.0, 0.05), (1.0, 0.25)):
+        found = fit_move(evidence_of(rng, 300, scale=scale, line_sd=line_sd), PRIOR)
+        assert found.map_scale == pytest.approx(scale, rel=0.3)
+        assert found.line_sd == pytest.approx(line_sd, abs=0.05)
+
+
+def test_wild_stretches_hardly_move_anything():
+    evidence = evidence_of(np.random.default_rng(4), 60, scale=0.5)
+    calm = fit_move(evidence, PRIOR)
+    evidence.log_measured[::15] += 2.0
+    wild = fit_move(evidence, PRIOR)
+    assert abs(wild.mean[0] - calm.mean[0]) < 0.05
+    assert wild.covariance[0, 0] > calm.covariance[0, 0]
+
+
+def test_ground_driven_again_says_little_more():
+    """Five passes over the same squares, each with its own measurement, where the map's error rules."""
+    once = evidence_of(np.random.default_rng(5), 30, line_sd=0.0)
+    once.own_variance[:] = 0.02**2
+    rows = np.tile(np.arange(30), 5)
+    again = once.chosen(rows)
+    apart = DriveEvidence(**{n: getattr(again, n) for n in again.__slots__} | {"square": np.arange(150) // 3})
+    sd = [np.sqrt(fit_move(each, PRIOR).covariance[0, 0]) for each in (once, again, apart)]
+    assert sd[1] > 0.8 * sd[0]
+    assert sd[2] < 0.6 * sd[0]
+
+
+def test_a_floor_is_found():
+    prior = DrivePrior(MIDDLE, (0.2, 0.1, 1.0), np.log(0.02))
+    numbers = np.array([0.2, 0.05, np.log(0.06)])
+    rng = np.random.default_rng(7)
+    evidence = evidence_of(rng, 200, prior=prior, numbers=numbers, scale=0.5)
+    evidence.log_c_r[:] -= 1.0
+    evidence.log_measured[:] = respond(numbers, evidence.log_c_r, prior)[0] + 0.05 * rng.normal(size=200)
+    assert fit_move(evidence, prior).mean[2] == pytest.approx(np.log(0.06), abs=0.1)
+
+
+def moved_by(calibration, shift=0.3, tilt=0.08, sd=(0.03, 0.04), widening=1.0):
+    move = LogMove(math.log(calibration.class_limits[1]), shift, tilt, np.diag(np.square(sd)), widening)
+    return move, moved_calibration(calibration, move, {"way_m": 512.0})
+
+
+def rides_of(log_g, rng):
+    g = np.exp(log_g)
+    n = len(g)
+    same = Rides(**{field.name: 0.2 * g for field in fields(Rides)})
+    return replace(
+        same, pitch_change=g, pitch_change_rms=g * np.exp(rng.uniform(0, 0.6, n)), belly_reach=np.full(n, 0.5)
+    )
+
+
+@pytest.mark.parametrize("name", shipped_calibrations())
+def test_predictions_inside_the_range_are_the_moved_ones(name):
+    old = Calibration.shipped(name)
+    move, new = moved_by(old)
+    was, now = (Correction.from_record(each.ride) for each in (old, new))
+    low, high = was.log_range
+    rng = np.random.default_rng(1)
+    log_g = rng.uniform(low, high, 200)
+    rides, slope = rides_of(log_g, rng), rng.uniform(0, 25, 200)
+    felt = np.where(np.arange(200) % 3 == 0, np.nan, np.exp(log_g) * rng.uniform(0, 0.5, 200))
+    points = rng.uniform(0.5, 50, 200)
+    before, after = (each.predict(rides, slope, felt, points) for each in (was, now))
+    assert after.log_c_r == pytest.approx(move.log(before.log_c_r), abs=1e-7)
+    assert np.array_equal(after.p_fail, before.p_fail)
+    assert np.all(after.below > before.below)
+    middle = np.abs(before.log_c_r - move.middle) < 0.5
+    assert np.all(after.below[middle] < 1.5 * before.below[middle])
+
+
+@pytest.mark.parametrize("name", shipped_calibrations())
+def test_thin_tiles_steps_and_the_table_move_too(name):
+    old = Calibration.shipped(name)
+    move, new = moved_by(old)
+    relief = np.exp(np.mean(ThinModel.from_record(old.thin).relief))
+    columns = np.full((1, len(THIN_COLUMNS)), 0.3)
+    columns[:, :3] = 30.0, 1.0, relief
+    was, now = (ThinModel.from_record(each.thin).predict(columns, np.array([0.01])) for each in (old, new))
+    assert now.log_c_r == pytest.approx(move.log(was.log_c_r))
+    assert ThinModel.from_record(new.thin).prior[0] == pytest.approx(move.log(ThinModel.from_record(old.thin).prior[0]))
+    assert np.array_equal(now.p_fail, was.p_fail)
+    assert new.steps["tile"]["c_r"] == pytest.approx(np.exp(move.log(np.log(old.steps["tile"]["c_r"]))))
+    assert new.steps["tile"]["p_fail"] == old.steps["tile"]["p_fail"]
+    assert new.steps["crossing"] == old.steps["crossing"]
+    known = [(a, b) for x, y in zip(old.c_r, new.c_r, strict=True) for a, b in zip(x, y, strict=True) if a is not None]
+    assert [b for _, b in known] == pytest.approx([math.exp(move.log(math.log(a))) for a, _ in known])
+    assert new.class_limits == old.class_limits
+    edges = [0.0, *old.class_limits, math.inf]
+    assert all(a <= mean <= b for a, mean, b in zip(edges, new.class_c_r, edges[1:], strict=False))
+
+
+def test_intervals_widen_by_what_is_not_known_and_by_what_drives_scatter():
+    sd = math.exp(np.mean(CALIBRATION.ride["spread"]))
+    for wanted, options in (
+        (math.hypot(sd, 0.05), {"sd": (0.05, 0.0)}),
+        (1.5 * sd, {"sd": (0.0, 0.0), "widening": 1.5}),
+    ):
+        _, new = moved_by(CALIBRATION, tilt=0.0, **options)
+        assert np.exp(np.mean(new.ride["spread"])) == pytest.approx(wanted, rel=0.02)
+
+
+def test_the_file_reads_back_and_fits_the_vehicle():
+    _, new = moved_by(CALIBRATION)
+    again = Calibration.from_json(new.to_json(), "moved.json")
+    assert again.id == new.id != CALIBRATION.id
+    assert again.settings["moved_to_drives"] == {"way_m": 512.0}
+    vehicle = CALIBRATION.vehicle
+    assert again.vehicle == vehicle
+    assert new.with_preferences(vehicle | {"ride_weight": 9.0}, "moved.json").vehicle["ride_weight"] == 9.0

@@ -37,20 +37,6 @@ def only(found):
     return Barred(int(found[0, 0]))
 
 
-def test_free_ground_is_passable_and_canopy_does_not_bar():
-    assert only(judged(free())) == Barred.NO
-    assert only(judged(np.full_like(free(), CANOPY))) == Barred.NO
-
-
-@pytest.mark.parametrize(("gap", "barred"), [(8, Barred.NO), (7, Barred.NO), (4, Barred.OBSTACLE)])
-def test_a_gap_in_a_wall_must_be_wider_than_the_vehicle(gap, barred):
-    # Two walls that leave one way, from west to east: north and south of it is nothing but wall.
-    tile = np.full_like(free(), OBSTACLE)
-    first = (PIXELS - gap) // 2
-    tile[first : first + gap] = FREE
-    assert only(judged(tile)) == barred
-
-
 def test_obstacles_and_missing_tiles_around_count():
     # A wall in the neighbouring tiles, all around: the middle keeps 0.6 m from it, and reaches no side.
     for ring, reason in ((OBSTACLE, Barred.OBSTACLE), (UNSEEN, Barred.UNKNOWN)):

@@ -1,19 +1,28 @@
+"""Where walls, ridges, ditches and ramps are steps of the ground, and what a step does to the rating of tiles."""
+
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from walls import PIXELS, TILE_SIZE, Wall, crossed, mosaic
+from scipy.stats import binned_statistic_2d
+from walls import PIXELS, TILE_SIZE, Wall, crossed, mosaic, rated, surveyed
 
-from bumpymap.rating import find_steps
+from bumpymap.core import BadInputError
+from bumpymap.rating import Calibration, RideModel, apply_steps, crossing_fails, edge_usable, find_steps
+from bumpymap.rating.steps import STEP_COLUMNS
 
 NORTH, EAST, SOUTH, WEST = range(4)
 RNG = np.random.default_rng(7)
 PLACES = [(*RNG.uniform(4.5, 7.5, 2), RNG.uniform(0, 360)) for _ in range(25)]
+SHIPPED = Calibration.shipped("warthog")
+BARE = replace(SHIPPED, steps=None)
 
 
 def highest(steps):
     return np.fmax(steps.inner, steps.edge_step)
 
 
-@pytest.mark.parametrize("height", [0.05, 0.3, -0.4, 2.0])
+@pytest.mark.parametrize("height", [0.05, -0.4, 2.0])
 def test_a_wall_at_any_place_and_angle_is_measured_in_full(height):
     for place in PLACES:
         wall = Wall(height, *place)
@@ -31,6 +40,8 @@ def test_a_wall_on_or_next_to_a_border_belongs_to_both_tiles(shift):
     np.testing.assert_allclose(steps.border[:, 1, WEST], 0.5, rtol=1e-5)
     assert (steps.border[..., [NORTH, SOUTH]] < 1e-6).all()
     np.testing.assert_allclose(steps.unseen, 0.5, rtol=1e-5)
+    sloping = find_steps(mosaic(Wall(0.3, 6 + shift, 6, 12, (0.3, -0.2)), 4), PIXELS)
+    np.testing.assert_allclose(sloping.border[:, 0, EAST], 0.3, rtol=0.05)
 
 
 @pytest.mark.parametrize("offset", [0.9, 1.5, 2.1])
@@ -38,6 +49,18 @@ def test_a_wall_well_inside_a_tile_is_left_to_its_rating(offset):
     steps = find_steps(mosaic(Wall(0.5, 3 + offset, 0, 0), 4), PIXELS)
     np.testing.assert_allclose(steps.inner[:, 0], 0.5, rtol=1e-5)
     assert (steps.unseen < 1e-6).all()
+
+
+def test_without_a_neighbour_the_step_is_unknown():
+    heights = mosaic(Wall(0.3, 4.5, 6, 0), 3)
+    heights[:, 2 * PIXELS :] = np.nan
+    steps = find_steps(heights, PIXELS)
+    assert np.isnan(steps.border[0, 0, EAST])
+    assert np.isfinite(steps.border[0, 0, [NORTH, SOUTH, WEST]]).all()
+    assert steps.inner[0, 0] == pytest.approx(0.3, rel=1e-5)
+    empty = find_steps(np.full_like(heights, np.nan), PIXELS)
+    assert np.isnan(empty.border).all()
+    assert np.isnan(empty.unseen).all()
 
 
 def test_what_stands_on_the_ground_makes_no_step_and_hides_none_beside_it():
@@ -56,26 +79,16 @@ def test_what_stands_on_the_ground_makes_no_step_and_hides_none_beside_it():
     assert (left.inner[:, 1] > 0.3).all()
 
 
-def test_a_wall_on_a_slope_is_measured_in_full():
-    steps = find_steps(mosaic(Wall(0.3, 6.05, 6, 12, (0.3, -0.2)), 4), PIXELS)
-    np.testing.assert_allclose(steps.border[:, 0, EAST], 0.3, rtol=0.05)
-
-
 @pytest.mark.parametrize("noise", [0.005, 0.03])
-def test_noise_has_no_steps(noise):
+def test_noise_has_no_steps_and_a_kerb_stands_out_from_it(noise):
+    """Eight times as high as the noise of a pixel is enough."""
     rng = np.random.default_rng(3)
     found = highest(find_steps(rng.normal(0, noise, (16 * PIXELS, 16 * PIXELS)), PIXELS))
     assert (found > 0).mean() < 0.02
     assert (found > 3 * noise).mean() < 0.005
-
-
-@pytest.mark.parametrize("noise", [0.005, 0.01, 0.02])
-def test_a_kerb_stands_out_from_noise(noise):
-    """Eight times as high as the noise of a pixel is enough."""
-    rng = np.random.default_rng(4)
     heights = mosaic(Wall(8 * noise, 6.02, 6, 3), 4)
-    found = find_steps(heights + rng.normal(0, noise, heights.shape), PIXELS)
-    np.testing.assert_allclose(found.border[:, 0, EAST], 8 * noise, rtol=0.25)
+    kerb = find_steps(heights + rng.normal(0, noise, heights.shape), PIXELS)
+    np.testing.assert_allclose(kerb.border[:, 0, EAST], 8 * noise, rtol=0.25)
 
 
 def test_two_blocks_find_the_same_bits_for_the_border_that_they_share():
@@ -93,15 +106,13 @@ def test_two_blocks_find_the_same_bits_for_the_border_that_they_share():
     np.testing.assert_array_equal(whole.border[:-1, :, SOUTH], whole.border[1:, :, NORTH])
 
 
-def surveyed(ground, density, noise, seed):
+def points_of(ground, density, noise, seed):
     """Return 8 x 8 tiles of ground, a function of x and y, from points at random places; NaN in empty pixels."""
     rng = np.random.default_rng(seed)
     n = 8 * PIXELS
     x, y = rng.uniform(0, 8 * TILE_SIZE, (2, int(density * (8 * TILE_SIZE) ** 2)))
-    at = (n - 1 - (y / TILE_SIZE * PIXELS).astype(int)) * n + (x / TILE_SIZE * PIXELS).astype(int)
-    with np.errstate(invalid="ignore"):
-        mean = np.bincount(at, ground(x, y) + rng.normal(0, noise, len(x)), n * n) / np.bincount(at, minlength=n * n)
-    return mean.reshape(n, n)
+    z = ground(x, y) + rng.normal(0, noise, len(x))
+    return binned_statistic_2d(8 * TILE_SIZE - y, x, z, "mean", n, [(0, 8 * TILE_SIZE)] * 2).statistic
 
 
 def near(wall):
@@ -115,7 +126,7 @@ def share_with_step(rise, width, density):
     share = []
     for number, place in enumerate(PLACES[:12]):
         wall = Wall(rise, 6 + place[0], 6 + place[1], place[2])
-        heights = surveyed(lambda x, y, w=wall: rise * (np.abs(w.distance(x, y)) < width / 2), density, 0.01, number)
+        heights = points_of(lambda x, y, w=wall: rise * (np.abs(w.distance(x, y)) < width / 2), density, 0.01, number)
         share.extend(highest(find_steps(heights, PIXELS))[near(wall)] > 0.7 * abs(rise))
     return np.mean(share)
 
@@ -141,7 +152,7 @@ def test_a_ramp_has_no_step(density, length):
     found = []
     for number, place in enumerate(PLACES[:6]):
         wall = Wall(0.0, 6 + place[0], 6 + place[1], place[2])
-        heights = surveyed(lambda x, y, w=wall: 0.53 * np.clip(w.distance(x, y), 0, length), density, 0.02, number)
+        heights = points_of(lambda x, y, w=wall: 0.53 * np.clip(w.distance(x, y), 0, length), density, 0.02, number)
         found.append(highest(find_steps(heights, PIXELS)))
     assert np.mean(np.nan_to_num(found) > 0.35) < 0.02
 
@@ -154,17 +165,74 @@ def test_few_points_make_no_steps_of_rough_ground():
     def lumps(x, y):
         return 0.07 * np.cos(x[:, None] * waves[0][0] + y[:, None] * waves[0][1] + waves[1]).sum(axis=1)
 
-    dense, thin = (highest(find_steps(surveyed(lumps, density, 0.01, 1), PIXELS)) > 0.35 for density in (100, 10))
+    dense, thin = (highest(find_steps(points_of(lumps, density, 0.01, 1), PIXELS)) > 0.35 for density in (100, 10))
     assert thin[~dense].mean() < 0.1
 
 
-def test_without_a_neighbour_the_step_is_unknown():
-    heights = mosaic(Wall(0.3, 4.5, 6, 0), 3)
-    heights[:, 2 * PIXELS :] = np.nan
-    steps = find_steps(heights, PIXELS)
-    assert np.isnan(steps.border[0, 0, EAST])
-    assert np.isfinite(steps.border[0, 0, [NORTH, SOUTH, WEST]]).all()
-    assert steps.inner[0, 0] == pytest.approx(0.3, rel=1e-5)
-    empty = find_steps(np.full_like(heights, np.nan), PIXELS)
-    assert np.isnan(empty.border).all()
-    assert np.isnan(empty.unseen).all()
+def smooth(n):
+    """Columns of n smooth tiles."""
+    values = {"class_id": 0, "c_r": 0.02, "c_r_low": 0.01, "c_r_high": 0.03, "p_fail": 0.001, "confidence": 0.9}
+    columns = {name: np.full(n, value, np.float32) for name, value in values.items()}
+    return columns | {"class_id": np.zeros(n, np.uint8), "coverage": np.ones(n)}
+
+
+@pytest.mark.parametrize("calibration", [SHIPPED, BARE], ids=["driven", "geometric"])
+def test_higher_steps_are_never_better(calibration):
+    step = np.linspace(0, 3, 400)
+    felt = apply_steps(smooth(400), step, calibration)
+    for name in ("class_id", "c_r", "c_r_low", "c_r_high", "p_fail"):
+        assert (np.diff(felt[name].astype(float)) >= 0).all(), name
+    assert felt["class_id"][0] == 0
+    assert felt["class_id"][-1] == 3
+    assert felt["p_fail"][-1] > 0.9
+    assert (felt["c_r_low"] <= felt["c_r"]).all()
+    assert (felt["c_r"] <= felt["c_r_high"]).all()
+    assert ((felt["confidence"] > 0) & (felt["confidence"] <= 1)).all()
+    fails = crossing_fails(step, calibration)
+    assert (np.diff(fails) >= 0).all()
+    assert fails[0] == 0
+    assert fails[-1] == 1
+
+
+@pytest.mark.parametrize("calibration", [SHIPPED, BARE], ids=["driven", "geometric"])
+def test_tiles_without_a_step_unknown_ones_and_those_that_are_rougher_keep_their_bits(calibration):
+    columns = smooth(5)
+    columns["class_id"][2:] = 3, 3, 255
+    for name in STEP_COLUMNS[1:]:
+        columns[name][2:] = 0.99 if name in {"p_fail", "confidence"} else 5.0
+        columns[name][4] = np.nan
+    felt = apply_steps(columns, np.array([0, np.nan, 0.2, 0.1, 1.0]), calibration)
+    for name in STEP_COLUMNS:
+        np.testing.assert_array_equal(felt[name], columns[name])
+        assert felt[name].dtype == columns[name].dtype
+
+
+def test_a_border_is_usable_if_it_is_known_and_low_and_without_drives_the_wheel_decides():
+    border = np.array([[0.0, 0.05, 2.0, np.nan]])
+    for calibration in (SHIPPED, BARE):
+        np.testing.assert_array_equal(edge_usable(border, calibration), [[True, True, False, False]])
+    assert np.isnan(crossing_fails(border, SHIPPED)[0, 3])
+    steps = BARE.vehicle["wheel"]["radius_m"] * np.array([0.4, 0.7, 0.8, 1.0])
+    np.testing.assert_array_equal(edge_usable(steps, BARE), [True, True, False, False])
+    np.testing.assert_allclose(crossing_fails(steps, BARE), [0, 0.4, 0.6, 1], atol=1e-6)
+
+
+@pytest.mark.parametrize("damage", [{"tile": {}}, {"crossing": {"height": [1, 0.5]}}, {"tile": 3}])
+def test_a_damaged_record_is_named(damage):
+    broken = replace(SHIPPED, steps={**SHIPPED.steps, **damage})
+    with pytest.raises(BadInputError, match="record of steps"):
+        edge_usable(np.zeros(1), broken)
+
+
+@pytest.mark.parametrize(("density", "noise"), [(50, 0.005), (400, 0.02)])
+@pytest.mark.parametrize(("height", "shift", "turn"), [(1.0, 0.0, 0), (0.2, 0.05, 0), (2.0, -0.1, 90), (0.5, 0.15, 40)])
+def test_a_surveyed_wall_is_rated_as_in_the_middle_of_a_tile(height, shift, turn, density, noise):
+    model, rng = RideModel(SHIPPED), np.random.default_rng(int(1000 * height))
+    wall = Wall(height, 6 + shift, 6 + shift, turn)
+    tiles = crossed(wall, 4, 0.05)
+    _, felt, _ = rated(surveyed(wall, 4, density, noise, rng), model, 4)
+    middle, _, _ = rated(surveyed(Wall(height, 4.5, 4.5, turn), 3, density, noise, rng), model, 3)
+    if turn % 90 == 0:  # on or beside a border: both sides of it
+        tiles[:] = True
+    assert (felt["p_fail"][tiles] > middle["p_fail"][0, 0] - 0.1).all()
+    assert (felt["class_id"][tiles] >= middle["class_id"][0, 0]).all()

@@ -6,7 +6,6 @@ from pathlib import Path
 import las_files
 import numpy as np
 import pytest
-from pyproj import CRS
 
 POINTS = np.array(
     [
@@ -21,37 +20,25 @@ POINTS = np.array(
 )
 CLASSES = np.array([2, 1, 2, 5, 7, 18, 2], np.uint8)
 WITHHELD = np.array([0, 0, 0, 0, 0, 0, 1], bool)
-COUNTING = [0, 1, 2, 3]
-"""Rows of ``POINTS`` that count: not noise (4, 5), not withheld (6)."""
+"""Rows 0 to 3 of ``POINTS`` count: 4 and 5 are noise, 6 is withheld."""
 
 
 class LasMaker:
-    """Writes LAS and LAZ files, and spoils them."""
+    """Writes LAS and LAZ files, and spoils them; COPC, and LAZ with chunks of any size."""
 
-    points, classes, withheld, counting = POINTS, CLASSES, WITHHELD, COUNTING
+    points, classes, withheld = POINTS, CLASSES, WITHHELD
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
-    def write(
-        self, name="a.las", points=POINTS, *, classes=None, withheld=None, wkt=None, epsg=None, geokeys=None,
-        wkt_bit=None, evlr_wkt=None, **how,
-    ):  # fmt: skip
+    def write(self, name="a.las", points=POINTS, *, wkt=None, epsg=None, geokeys=None, evlr_wkt=None, **how):
         """A file of the points; ``epsg`` and ``geokeys`` make GeoTIFF keys, ``wkt`` a WKT record."""
         keys = dict(geokeys or {}) | ({1024: 1, 3072: epsg} if epsg else {})
-        columns = {"classification": classes, "withheld": withheld}
+        records = [*[las_files.geokeys(keys)] * bool(keys), *(las_files.wkt(one) for one in (wkt,) if one)]
+        extended = [las_files.wkt(one) for one in (evlr_wkt,) if one]
+        how = {"wkt_bit": bool(wkt), "records": records, "extended": extended} | how
         path = self.folder / name
-        path.write_bytes(
-            las_files.las_bytes(
-                points,
-                records=[*[las_files.geokeys(keys)] * bool(keys), *(las_files.wkt(one) for one in (wkt,) if one)],
-                extended=[las_files.wkt(one) for one in (evlr_wkt,) if one],
-                wkt_bit=bool(wkt) if wkt_bit is None else wkt_bit,
-                compress=name.endswith(".laz"),
-                **{column: values for column, values in columns.items() if values is not None},
-                **how,
-            )
-        )
+        path.write_bytes(las_files.las_bytes(points, compress=name.endswith(".laz"), **how))
         return path
 
     @staticmethod
@@ -62,20 +49,16 @@ class LasMaker:
         path.write_bytes(data)
         return path
 
-
-class LazMaker:
-    """Compresses the points of LAS files in ways that laspy does not offer: chunks of any size, an octree."""
-
     @staticmethod
     def pack(path: Path, chunk=None, counts=None) -> Path:
-        """LAZ with chunks of ``chunk`` points, or of ``counts`` points each."""
+        """LAZ of a LAS file, with chunks of ``chunk`` points, or of ``counts`` points each."""
         out = path.with_suffix(".laz")
         out.write_bytes(las_files.packed(path.read_bytes(), chunk, counts))
         return out
 
     @staticmethod
     def octree(path: Path, **how) -> Path:
-        """COPC, see `las_files.octree`."""
+        """COPC of a LAS file, see `las_files.octree`."""
         out = path.with_suffix(".copc.laz")
         out.write_bytes(las_files.octree(path.read_bytes(), **how))
         return out
@@ -87,13 +70,8 @@ def las(tmp_path):
 
 
 @pytest.fixture
-def laz():
-    return LazMaker()
-
-
-@pytest.fixture
 def batches():
-    """Pieces of a reader as batches, in the order given, or in their own."""
+    """Chunks of a reader as batches, in the order given, or in their own."""
 
     def read_chunks(reader, points=500_000, order=None):
         chunks = reader.chunks(points)
@@ -103,31 +81,24 @@ def batches():
     return read_chunks
 
 
+def joined(clouds):
+    """Easting, northing, upward and kind of points, (n, 4)."""
+    tables = [np.column_stack([cloud.easting, cloud.northing, cloud.upward, cloud.kind]) for cloud in clouds]
+    return np.concatenate([np.zeros((0, 4)), *tables])
+
+
 @pytest.fixture
 def table():
-    """Points that count of some batches, (n, 4): easting, northing, upward, ground."""
-
-    def join(found):
-        clouds = [batch.cloud for batch in found]
-        return np.concatenate([np.column_stack([c.easting, c.northing, c.upward, c.is_ground]) for c in clouds])
-
-    return join
+    """Points that count of some batches: easting, northing, upward and kind, (n, 4)."""
+    return lambda found: joined(batch.cloud for batch in found)
 
 
 @pytest.fixture
 def read():
-    """All points that count, (n, 3) in metres, and which are ground, in one array each."""
+    """All points that count, (n, 3) in metres, and which are ground."""
 
     def read_all(reader, points=1_000_000):
         clouds = list(reader.clouds(points))
-        if not clouds:
-            return np.zeros((0, 3)), np.zeros(0, bool)
-        table = [np.column_stack([c.easting, c.northing, c.upward]) for c in clouds]
-        return np.concatenate(table), np.concatenate([c.is_ground for c in clouds])
+        return joined(clouds)[:, :3], np.concatenate([np.zeros(0, bool), *(cloud.is_ground for cloud in clouds)])
 
     return read_all
-
-
-@pytest.fixture
-def utm_wkt():
-    return CRS("EPSG:32614").to_wkt("WKT1_GDAL")

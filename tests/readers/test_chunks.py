@@ -1,19 +1,31 @@
-"""Pieces: read in any order, at any size, by anyone, they are the file that laspy reads."""
+"""Chunks: read in any order, at any size, by anyone, they are the file that laspy reads; what is counted on the way."""
 
-import subprocess
-import sys
+import json
+from collections import Counter
+from dataclasses import replace
+from functools import reduce
 
 import laspy
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings, strategies as st
-from survey_kinds import KINDS, write_kind
+from hypothesis import given, strategies as st
+from survey_kinds import KINDS, STREAMED, write_kind
 
+from bumpymap.core import run_spec
 from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.readers import Chunk, PointStats, ReadOptions, open_survey, reopen_survey
-from bumpymap.readers.las import convert_records, record_rules
-from bumpymap.readers.point_stats import OUTSIDE, LineRules
-from bumpytiles import Bounds, Scaling
+from bumpymap.readers import (
+    LineCorrection,
+    LineSums,
+    PointStats,
+    ReadOptions,
+    cell_indices,
+    hash_survey,
+    open_survey,
+    point_stats,
+    protocol,
+)
+from bumpymap.readers._kernels import SLOTS, LinedPoints
+from bumpymap.readers.point_table import convert_points
 
 FORMATS = [("1.2", fmt) for fmt in range(4)] + [("1.3", 4), ("1.3", 5)] + [("1.4", fmt) for fmt in range(11)]
 CORNER = np.array([500_000.0, 4_000_000.0, 0.0])
@@ -24,50 +36,54 @@ def survey(las, name="a.las", *, version="1.4", fmt=6, count=N, **more):
     """Random points of random classes, some withheld, on 300 m x 300 m x 30 m."""
     rng = np.random.default_rng(count + fmt)
     points = np.round(rng.uniform(0, [300, 300, 30], (count, 3)), 3) + CORNER
-    classes = rng.choice(np.array([1, 2, 5, 7, 18], np.uint8), count)
-    return las.write(name, points, version=version, fmt=fmt, classes=classes, withheld=rng.random(count) < 0.1, **more)
+    classes = rng.choice(np.array([1, 2, 3, 4, 5, 6, 7, 18], np.uint8), count)
+    return las.write(
+        name, points, version=version, fmt=fmt, classification=classes, withheld=rng.random(count) < 0.1, **more
+    )
 
 
 def oracle(path, unit=1.0):
-    """What laspy reads, rounded, in metres; points that count alone."""
+    """What laspy reads, rounded, in metres: all points, and the kind of those that count; how many are left out."""
     data = laspy.read(path)
     axes = [
         np.round(np.asarray(data[name]) * data.header.scales[i] + data.header.offsets[i], 8) * unit
         for i, name in enumerate("XYZ")
     ]
     class_id, withheld = np.asarray(data.classification), np.asarray(data.withheld).astype(bool)
-    keep = ~withheld & (class_id != 7) & (class_id != 18)
-    return np.column_stack([*axes, class_id == 2])[keep], {
-        "withheld": int(withheld.sum()),
-        "noise": int((~withheld & ((class_id == 7) | (class_id == 18))).sum()),
-        "not_a_number": 0,
-    }
+    noise = ~withheld & np.isin(class_id, (7, 18))
+    kinds = np.select([class_id == code for code in (2, 3, 4, 5, 6)], [1, 3, 3, 3, 2])
+    dropped = {"withheld": int(withheld.sum()), "noise": int(noise.sum()), "not_a_number": 0}
+    return np.column_stack([*axes, kinds]), ~withheld & ~noise, dropped
+
+
+def check_extent(stats, table):
+    """West, south, east, north and greatest height against numpy's, of (n, 3) with NaN left out."""
+    low = np.fmin.reduce(table, axis=0, initial=np.inf)
+    high = np.fmax.reduce(table, axis=0, initial=-np.inf)
+    assert (stats.west, stats.south, stats.east, stats.north) == (*low[:2], *high[:2])
+    assert stats.highest == np.fmax.reduce(np.abs(table[:, 2]), initial=0.0)
 
 
 def merged(found):
-    total = PointStats()
-    for batch in found:
-        total = total.merge(batch.stats)
-    return total
+    return reduce(PointStats.merge, [batch.stats for batch in found], PointStats())
 
 
 def in_order(points):
     return points[np.lexsort(points.T)]
 
 
-PACKINGS = [(*made, packing) for made in FORMATS for packing in ("plain", "chunks", "variable")]
-
-
-@pytest.mark.parametrize(("version", "fmt", "packing"), PACKINGS)
-def test_chunks_are_what_laspy_reads(las, laz, batches, table, version, fmt, packing):
+@pytest.mark.parametrize("packing", ["plain", "chunks", "variable"])
+@pytest.mark.parametrize(("version", "fmt"), FORMATS)
+def test_chunks_are_what_laspy_reads(las, batches, table, version, fmt, packing):
     path = survey(las, version=version, fmt=fmt, geokeys={1024: 1, 3072: 2276})
-    expected, dropped = oracle(path, 1200 / 3937)
+    expected, counts, dropped = oracle(path, 1200 / 3937)
     if packing != "plain":
-        path = laz.pack(path, 256) if packing == "chunks" else laz.pack(path, counts=[1, 700, 299, 1500, 500])
+        path = las.pack(path, 256) if packing == "chunks" else las.pack(path, counts=[1, 700, 299, 1500, 500])
     reader = open_survey(path)
     found = batches(reader, 700)
-    assert np.array_equal(table(found), expected)
+    assert np.array_equal(table(found), expected[counts])
     total = merged(found)
+    check_extent(total, expected)
     assert total.dropped == dropped
     assert total.points == N
     reader.verify(total)
@@ -77,117 +93,186 @@ def test_chunks_are_what_laspy_reads(las, laz, batches, table, version, fmt, pac
     assert len(chunks) > 3
 
 
+@pytest.fixture
+def read_again(monkeypatch):
+    """The number of bytes that were read only for a checksum, of pieces of 1 kB."""
+    monkeypatch.setattr(run_spec, "PIECE", 1 << 10)
+    sizes, original = [], protocol.read_range
+
+    def read_range(path, start, size):
+        sizes.append(size)
+        return original(path, start, size)
+
+    monkeypatch.setattr(protocol, "read_range", read_range)
+    return sizes
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_any_order_of_chunks_of_any_size_gives_the_same_points(tmp_path, batches, table, kind):
-    rows = np.round(np.random.default_rng(5).uniform(0, 100, (400, 3)), 3) + CORNER
-    reader = open_survey(write_kind(kind, tmp_path, rows))
-    whole = batches(reader)
-    rng = np.random.default_rng(1)
-    for points in (1, 64, 399, 10_000):
-        order = rng.permutation(len(reader.chunks(points)))
-        mixed = batches(reader, points, order)
-        if kind != "copc":  # its nodes come as they stand in the file, inside a chunk
-            assert np.array_equal(table([mixed[i] for i in np.argsort(order)]), table(whole))
-        assert np.array_equal(in_order(table(mixed)), in_order(table(whole)))
-        assert merged(mixed) == merged(whole)
-        back = batches(reader, points, np.argsort(order)[::-1])
-        assert np.array_equal(in_order(table(back)), in_order(table(whole)))
+@pytest.mark.parametrize("points", [1, 64, 399, 10_000])
+def test_any_order_of_chunks_of_any_size_gives_the_same_points_and_the_checksum(
+    tmp_path, batches, table, read_again, kind, points
+):
+    """The checksum is made while the file is read; none is, unless it is asked for."""
+    rng = np.random.default_rng(points)
+    path = write_kind(kind, tmp_path, np.round(rng.uniform(0, 100, (400, 3)), 3) + CORNER)
+    plain, reader = open_survey(path), open_survey(path, ReadOptions(checksum=True))
+    whole = batches(plain)
+    assert (plain.checksum, reader.checksum, read_again) == (None, None, [])
+    order = rng.permutation(len(reader.chunks(points)))
+    mixed = batches(reader, points, order)
+    if kind != "copc":  # its nodes come as they stand in the file, inside a chunk
+        assert np.array_equal(table([mixed[i] for i in np.argsort(order)]), table(whole))
+    assert np.array_equal(in_order(table(mixed)), in_order(table(whole)))
+    assert merged(mixed) == merged(whole)
+    reader.verify(merged(mixed))
+    assert reader.checksum == hash_survey(path)
+    if kind not in {"copc", *STREAMED}:  # parts in the order of the octree; streams are not hashed
+        assert sum(read_again) <= 1 << 13  # header, chunk table
 
 
-def test_a_piece_of_no_points(las):
-    with pytest.raises(UsageError, match="at least 1"):
-        open_survey(las.write()).chunks(0)
-
-
-def test_long_points_make_small_chunks(las, laz, batches, table):
+def test_long_points_make_small_chunks_and_records_that_reads_cut_are_whole_again(las, batches, table, monkeypatch):
     """However long a point is, a chunk fits into memory."""
     path = survey(las, count=200)
-    data = bytearray(path.read_bytes())
-    las.patch(path, 105, "<H", 65_000)
+    expected, data = table(batches(open_survey(path))), path.read_bytes()
+    for piece in (7, 100, 4096):
+        with monkeypatch.context() as patch:
+            patch.setattr("bumpymap.readers.las._PIECE_BYTES", piece)
+            assert np.array_equal(table(batches(open_survey(path))), expected)
     start = int.from_bytes(data[96:100], "little")
-    rows = np.frombuffer(data[start:], np.uint8).reshape(200, 30)
     wide = np.zeros((200, 65_000), np.uint8)
-    wide[:, :30] = rows
-    path.write_bytes(path.read_bytes()[:start] + wide.tobytes())
-    reader = open_survey(path)
-    chunks = reader.chunks()
-    assert all(chunk.points * 65_000 <= 1 << 26 for chunk in chunks)
-    small = survey(las, "b.las", count=200)
-    assert np.array_equal(table(batches(reader)), table(batches(open_survey(small))))
-
-
-@pytest.mark.parametrize("piece", [7, 100, 4096])
-def test_records_that_reads_cut_are_whole_again(las, batches, table, monkeypatch, piece):
-    path = survey(las)
-    expected = table(batches(open_survey(path)))
-    monkeypatch.setattr("bumpymap.readers.las._PIECE_BYTES", piece)
-    assert np.array_equal(table(batches(open_survey(path))), expected)
-    whole = path.read_bytes()
-    path.write_bytes(whole[: len(whole) - 40])
+    wide[:, :30] = np.frombuffer(data[start:], np.uint8).reshape(200, 30)
+    path.write_bytes(data[:start] + wide.tobytes())
+    reader = open_survey(las.patch(path, 105, "<H", 65_000))
+    assert all(chunk.points * 65_000 <= 1 << 26 for chunk in reader.chunks())
+    assert np.array_equal(table(batches(reader)), expected)
+    with pytest.raises(UsageError, match="at least 1"):
+        reader.chunks(0)
+    path.write_bytes(data[:-40])
     with pytest.raises(BadInputError, match="points"):
         batches(open_survey(path))
 
 
-@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(
-    integers=st.lists(st.tuples(*[st.integers(-(2**31), 2**31 - 1)] * 3), min_size=1, max_size=9),
-    scale=st.floats(1e-7, 1.0) | st.floats(-1.0, -1e-7),
-    offset=st.floats(-1e7, 1e7),
-    unit=st.sampled_from([1.0, 0.3048, 1200 / 3937]),
-    marks=st.lists(st.tuples(st.sampled_from([0, 2, 7, 18]), st.sampled_from([0, 4])), min_size=9, max_size=9),
-    sides=st.none() | st.tuples(*[st.integers(-(2**31), 2**31 - 1)] * 4),
-    cut=st.integers(0, 9),
+# ---- what is counted of points, and the verdict on a file ----
+
+
+numbers = st.one_of(st.floats(-150, 150), st.sampled_from([np.nan, np.inf, -np.inf, 1e12, -1e12, 101.0, -1.0, 51.5]))
+rows = st.lists(st.tuples(numbers, numbers, numbers, st.sampled_from([0, 1, 2, 7, 18])), max_size=40)
+
+
+def batch(points, *, first=0):
+    x, y, z, class_id = np.array(points, float).reshape(-1, 4).T.copy()
+    return convert_points((x, y, z), class_id, first, nan_is_no_return=False, kinds=ReadOptions().kinds)
+
+
+@given(rows, st.data())
+def test_stats_of_parts_add_up_however_they_are_grouped(points, data):
+    cut = sorted(data.draw(st.lists(st.integers(0, len(points)), max_size=4)))
+    edges = zip([0, *cut], [*cut, len(points)], strict=True)
+    parts = [batch(points[low:high], first=low).stats for low, high in edges]
+    whole = batch(points).stats
+    check_extent(whole, np.array(points, float).reshape(-1, 4))
+    assert PointStats.from_record(json.loads(json.dumps(whole.to_record()))) == whole
+    mixed = data.draw(st.permutations(parts))
+    assert reduce(PointStats.merge, parts, PointStats()) == whole
+    assert reduce(lambda total, part: part.merge(total), mixed, PointStats()) == whole
+    assert whole.bad == any(part.bad for part in parts)
+
+
+# ---- sums of flight lines ----
+
+
+def cloud(n=20_000, side=90.0):
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(0, side, (2, n)).round(3) + np.array([[-41.0], [4_000_000.0]])
+    z = (2_000 + rng.normal(size=n)).round(3)
+    return LinedPoints(x, y, z, rng.integers(0, 2, n).astype(np.uint8), rng.integers(0, 3, n).astype(np.uint16))
+
+
+def by_hand(points):
+    """Dict of (column, row, line, ground) to the ten sums, in Python's own integers."""
+    found = {}
+    for x, y, z, ground, line in zip(*points, strict=True):
+        col, row = int(np.floor(x / 3)), int(np.floor(y / 3))
+        e, n, u = (int(np.rint(value * 1e4)) for value in (x - col * 3.0, y - row * 3.0, z))
+        own = found.setdefault((col, row, int(line), bool(ground)), [0] * 10)
+        for place, value in enumerate((1, e, n, u, e * e, e * n, n * n, e * u, n * u, u * u)):
+            own[place] += value
+    return found
+
+
+def as_dict(sums):
+    rows = sums.rows()
+    cols, own = cell_indices(rows[:, 0] >> 17)
+    keys = zip(cols, own, rows[:, 0] >> 1 & 0xFFFF, rows[:, 0] & 1 == 1, strict=True)
+    return {tuple(key): sums.tolist() for key, sums in zip(keys, rows[:, 1:], strict=True)}
+
+
+@pytest.mark.parametrize(("points", "side", "least"), [(3_000, 20.0, 1), (4 * SLOTS, 3_000.0, 3 * SLOTS)])
+def test_the_sums_are_those_made_by_hand(points, side, least):
+    """Also of more cells than the table holds."""
+    points = cloud(points, side=side)
+    found = as_dict(LineSums.of(points))
+    assert found == by_hand(points)
+    assert len(found) > least
+
+
+@pytest.mark.parametrize("most", [50_000, 200, 40])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_any_chunks_in_any_order_give_the_same_sample(monkeypatch, most, seed):
+    """Half of them stored meanwhile."""
+    monkeypatch.setattr(point_stats, "MOST_ROWS", most)
+    monkeypatch.setattr(point_stats, "_WAITING_ROWS", 2 * most)
+    points, rng = cloud(), np.random.default_rng(seed)
+    whole = LineSums.of(points).merged()
+    assert len(whole.rows()) <= most
+    assert (whole.step > 1) == (most < 5_000)
+    joined = [LineSums(), LineSums()]
+    for number, chosen in enumerate(np.array_split(rng.permutation(len(points.x)), rng.integers(2, 30))):
+        part = LinedPoints(*(np.ascontiguousarray(array[chosen]) for array in points))
+        joined[number % 2] = joined[number % 2].merge(LineSums.of(part))
+    stored = LineSums.from_record(json.loads(json.dumps(joined[0].to_record())))
+    again = joined[1].merge(stored).merged()
+    assert again.step == whole.step
+    assert np.array_equal(again.rows(), whole.rows())
+
+
+def write(las, fmt, ids, *, source=0):
+    path = las.write(version="1.4" if fmt > 5 else "1.2", fmt=fmt)
+    content = laspy.read(path)
+    content.point_source_id = np.array(ids, np.uint16)
+    content.header.file_source_id = source
+    content.write(path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("fmt", "packed"),
+    [*((fmt, packed) for fmt in (0, 1, 3, 6, 7) for packed in ("las", "laz")), (6, "octree"), (7, "octree")],
 )
-def test_records_are_what_numpy_makes_of_them(integers, scale, offset, unit, marks, sides, cut):
-    words = np.array(integers, "<i4")
-    records = np.zeros((len(words), 30), np.uint8)
-    records[:, :12] = words.view(np.uint8)
-    records[:, 16], records[:, 15] = np.array(marks)[: len(words)].T
-    scaling = Scaling((scale,) * 3, (offset,) * 3, (unit,) * 3)
-    expected = np.round(words * np.float64(scale) + offset, 8) * unit
-    box = None if sides is None else Bounds(*(np.round(np.array(sides) * scale + offset, 8) * unit).tolist())
-    pieces = (records[:cut], records[cut:])
-    rules = record_rules(layered=True, line=0, scaling=scaling, bounds=box, kinds=ReadOptions().kinds)
-    lines = LineRules(measure=False, corrections=())
-    batch = convert_records(pieces, Chunk(0, 5, len(words)), rules, scaling, lines)
-    stats = batch.stats
-    assert stats.points == len(words)
-    x, y, z = expected.T
-    assert (stats.west, stats.south, stats.east, stats.north) == (x.min(), y.min(), x.max(), y.max())
-    assert stats.highest == np.abs(z).max()
-    if box is not None:
-        away = (
-            (x < box.west - OUTSIDE) | (x > box.east + OUTSIDE) | (y < box.south - OUTSIDE) | (y > box.north + OUTSIDE)
-        )
-        assert stats.outside == away.sum()
-    withheld, noise = records[:, 15] == 4, np.isin(records[:, 16], (7, 18))
-    assert (stats.withheld, stats.noise) == (withheld.sum(), (noise & ~withheld).sum())
-    kept = ~(withheld | noise) & (not stats.bad)
-    cloud = batch.cloud
-    assert np.array_equal(np.column_stack([cloud.easting, cloud.northing, cloud.upward]), expected[kept])
-    kinds = np.select([records[kept, 16] == code for code in (2, 3, 4, 5, 6)], [1, 3, 3, 3, 2])
-    assert np.array_equal(cloud.kind, kinds)
+def test_lines_of_files(las, fmt, packed):
+    path = write(las, fmt, [1, 2, 700, 65535, 0, 0, 0], source=9)
+    path = {"las": lambda: path, "laz": lambda: las.pack(path, chunk=3), "octree": lambda: las.octree(path)}[packed]()
+    reader = open_survey(path, ReadOptions(lines=True))
+    assert sum(len(cloud.easting) for cloud in reader.clouds(3)) == 7
+    counts = Counter()
+    for (_, _, line, _), sums in as_dict(reader.lines).items():
+        counts[line] += sums[0]
+    assert counts == {1: 1, 2: 1, 700: 1, 65535: 1, 9: 3}
+    quiet = open_survey(path)
+    list(quiet.clouds())
+    assert quiet.lines.size == 0
 
 
-def test_workers_open_a_file_again_without_its_notes(las, caplog):
-    path = las.write(points=np.array([[-99.1, 19.4, 10.0]]), scale=1e-7, offset=(0, 0, 0))
-    noted = open_survey(path)
-    assert "degrees" in caplog.text
-    caplog.clear()
-    again = reopen_survey(path, ReadOptions())
-    assert not caplog.text
-    assert again.info == noted.info
-    assert again.chunks() == noted.chunks()
-
-
-def test_las_loads_no_library_that_it_does_not_need(las):
-    path = las.write("a.laz")
-    code = (
-        "import sys; from pathlib import Path; from bumpymap.readers import open_survey\n"
-        "reader = open_survey(Path(sys.argv[1])); chunk = reader.chunks()[0]\n"
-        "print(reader.convert(chunk, reader.fetch(chunk)).stats.points)\n"
-        "print({'laspy', 'fsspec', 'pypcd4'} & set(sys.modules))"
+def test_corrections_are_subtracted_in_metres(las):
+    path = write(las, 1, [1, 1, 2, 2, 3, 3, 3])
+    corrections = (
+        LineCorrection(1, 0.25, 500_000.0, 4_000_000.0, 0.1, 0.0),
+        LineCorrection(3, -1.0, 0.0, 0.0, 0.0, 0.0),
     )
-    run = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=True)
-    assert run.stdout.split() == ["7", "set()"]
+    options = ReadOptions(crs="EPSG:2276", z_unit="us-ft")
+    (plain,) = open_survey(path, options).clouds()
+    (corrected,) = open_survey(path, replace(options, corrections=corrections)).clouds()
+    slope = 0.1 * (plain.easting[:2] - 500_000)
+    assert np.allclose(plain.upward - corrected.upward, [*(0.25 + slope), 0, 0, -1, -1, -1], atol=1e-9)
+    assert np.array_equal(plain.easting, corrected.easting)

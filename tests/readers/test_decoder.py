@@ -35,12 +35,12 @@ def child(monkeypatch):
 
 
 @pytest.fixture
-def survey(las, laz):
-    """LAZ of 4,000 points in chunks of 300, or of any size."""
+def survey(las):
+    """LAZ of points in chunks of 300, or of any size."""
 
-    def write(name="a.las", seed=0, **chunks):
-        points = np.random.default_rng(seed).uniform(0, 100, (4000, 3))
-        return laz.pack(las.write(name, points + CORNER, version="1.4", fmt=7), **(chunks or {"chunk": 300}))
+    def write(name="a.las", count=4000, **chunks):
+        points = np.random.default_rng(0).uniform(0, 100, (count, 3)) + CORNER
+        return las.pack(las.write(name, points, version="1.4", fmt=7), **(chunks or {"chunk": 300}))
 
     return write
 
@@ -49,13 +49,12 @@ def records(reader, points=700):
     return [reader.fetch(chunk).copy() for chunk in reader.chunks(points)]
 
 
+def same(found, expected):
+    return all(np.array_equal(one, other) for one, other in zip(found, expected, strict=True))
+
+
 def pid_of(child):
     return child.guards[-1].child.process.pid
-
-
-def kill(child):
-    os.kill(pid_of(child), signal.SIGKILL)
-    child.guards[-1].child.process.wait()
 
 
 @pytest.mark.parametrize("chunks", [{"chunk": 300}, {"counts": [1, 1999, 2000]}])
@@ -64,66 +63,58 @@ def test_a_child_decodes_what_this_process_decodes(survey, child, monkeypatch, c
     theirs = records(open_survey(path))
     monkeypatch.setattr(decoder, "current", Decoder(0))
     ours = records(open_survey(path))
-    assert all(np.array_equal(a, b) for a, b in zip(theirs, ours, strict=True))
+    assert same(theirs, ours)
     assert sum(map(len, ours)) == 4000
     assert pid_of(child) != os.getpid()
 
 
-def test_a_file_that_kills_the_decoder_is_refused_and_the_next_is_read(survey, child, monkeypatch):
+@pytest.mark.parametrize(
+    ("number", "error", "message"),
+    [
+        (signal.SIGSEGV, BadInputError, r"bad\.laz: the decoder crashed \(SIGSEGV\).*damaged"),
+        (signal.SIGKILL, UsageError, r"was killed \(SIGKILL\)"),  # from outside: no fault of the file
+    ],
+)
+def test_a_file_that_kills_the_decoder_is_refused_and_the_next_is_read(
+    survey, child, monkeypatch, number, error, message
+):
     bad, good = survey("bad.las"), survey("good.las")
     expected = records(open_survey(good))
     reader = open_survey(bad)
     ask = child._call
 
-    def die(what, *args, **more):
-        os.kill(pid_of(child), signal.SIGSEGV)
-        return ask(what, *args, **more)
+    def die(*args, **more):
+        os.kill(pid_of(child), number)
+        return ask(*args, **more)
 
-    monkeypatch.setattr(Guard, "is_alive", True)  # does not look whether it lives
-    monkeypatch.setattr(child, "_call", die)
-    with pytest.raises(BadInputError, match=r"bad\.laz: the decoder crashed \(SIGSEGV\).*damaged"):
-        reader.fetch(reader.chunks()[0])
-    monkeypatch.undo()
-    monkeypatch.setattr(decoder, "current", child)
-    assert all(np.array_equal(a, b) for a, b in zip(records(open_survey(good)), expected, strict=True))
-
-
-def test_a_kill_from_outside_is_no_fault_of_the_file(survey, child, monkeypatch):
-    reader = open_survey(survey())
-    kill(child)
-    monkeypatch.setattr(Guard, "is_alive", True)
-    with pytest.raises(UsageError, match=r"was killed \(SIGKILL\)"):
-        reader.fetch(reader.chunks()[0])
+    with monkeypatch.context() as patch:
+        patch.setattr(Guard, "is_alive", True)  # does not look whether it lives
+        patch.setattr(child, "_call", die)
+        with pytest.raises(error, match=message):
+            reader.fetch(reader.chunks()[0])
+    assert same(records(open_survey(good)), expected)
 
 
-def test_a_decoder_that_comes_to_no_end_is_ended(las, child, monkeypatch):
+def test_a_decoder_that_comes_to_no_end_or_is_interrupted_leaves_no_answer_for_the_next(survey, child, monkeypatch):
     # So many points that they take several ticks of the clock that counts processor time.
-    points = np.random.default_rng(0).uniform(0, 100, (200_000, 3))
-    reader = open_survey(las.write("a.laz", points + CORNER, version="1.4", fmt=7))
-    (chunk,) = reader.chunks()
-    monkeypatch.setattr(decoder, "SECONDS", 1e-6)
-    monkeypatch.setattr(decoder, "SECONDS_PER_BYTE", 0.0)
-    with pytest.raises(BadInputError, match=r"a\.laz: the decoder did not finish"):
-        reader.fetch(chunk)
-    monkeypatch.undo()
-    monkeypatch.setattr(decoder, "current", child)
-    assert len(reader.fetch(chunk)) == 200_000
-
-
-def test_an_interrupt_in_the_middle_leaves_no_answer_for_the_next(survey, child, monkeypatch):
-    path = survey()
-    expected = records(open_survey(path))
-    reader = open_survey(path)
+    reader = open_survey(survey(count=200_000, chunk=100_000))
+    first, second = reader.chunks(100_000)
+    expected = reader.fetch(second).copy()
+    with monkeypatch.context() as patch:
+        patch.setattr(decoder, "SECONDS", 1e-6)
+        patch.setattr(decoder, "SECONDS_PER_BYTE", 0.0)
+        with pytest.raises(BadInputError, match=r"a\.laz: the decoder did not finish"):
+            reader.fetch(first)
+    assert np.array_equal(reader.fetch(second), expected)
 
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Child, "finish", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        reader.fetch(reader.chunks(700)[1])
-    monkeypatch.undo()
-    monkeypatch.setattr(decoder, "current", child)
-    assert all(np.array_equal(a, b) for a, b in zip(records(reader), expected, strict=True))
+    with monkeypatch.context() as patch:
+        patch.setattr(Child, "finish", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            reader.fetch(first)
+    assert np.array_equal(reader.fetch(second), expected)
 
 
 def test_chunks_that_are_requested_at_once_are_decoded_by_several_children(survey, child, monkeypatch):
@@ -139,12 +130,9 @@ def test_chunks_that_are_requested_at_once_are_decoded_by_several_children(surve
         processes_used.add(used.process.pid)
         return finish(used)
 
-    monkeypatch.setattr(Child, "finish", together)
-    with ThreadPoolExecutor(3) as pool:
-        found = list(pool.map(reader.fetch, chunks))
-    monkeypatch.undo()
-    monkeypatch.setattr(decoder, "current", child)
-    assert all(np.array_equal(a, b) for a, b in zip(found, expected, strict=True))
+    with monkeypatch.context() as patch, ThreadPoolExecutor(3) as pool:
+        patch.setattr(Child, "finish", together)
+        assert same(list(pool.map(reader.fetch, chunks)), expected)
     assert len(processes_used) == 3
     child.close()
     assert all(ended(pid) for pid in processes_used)
@@ -152,24 +140,21 @@ def test_chunks_that_are_requested_at_once_are_decoded_by_several_children(surve
 
 def test_a_fork_has_a_child_of_its_own(survey, child):
     reader = open_survey(survey())
-    expected = reader.fetch(reader.chunks(4000)[0]).copy()
-    mine = pid_of(child)
+    expected, mine = records(reader), pid_of(child)
     forked = os.fork()
     if forked == 0:
-        same = np.array_equal(reader.fetch(reader.chunks(4000)[0]), expected)
-        other = pid_of(decoder.decoder()) != mine
+        right = same(records(reader), expected) and pid_of(decoder.decoder()) != mine
         decoder.close_decoder()
-        os._exit(0 if same and other else 1)
+        os._exit(0 if right else 1)
     assert os.waitpid(forked, 0)[1] == 0
-    assert np.array_equal(reader.fetch(reader.chunks(4000)[0]), expected)
+    assert same(records(reader), expected)
     assert pid_of(child) == mine
 
 
 def test_closing_gives_everything_back_and_costs_nothing_but_time(survey, child):
     reader = open_survey(survey())
     held = reader.fetch(reader.chunks(700)[0])
-    expected = held.copy()
-    process = child.guards[-1].child.process
+    expected, process = held.copy(), child.guards[-1].child.process
     decoder.close_decoder()
     assert process.poll() is not None
     assert processes.MEMORY.size > 0, "an array is still in use"
@@ -202,8 +187,7 @@ def test_no_child_outlives_its_parent(survey, how):
         {f"os.kill(os.getpid(), {how})" if how else ""}
     """
     command = [sys.executable, "-c", textwrap.dedent(code), str(survey())]
-    ran = subprocess.run(command, capture_output=True, text=True, check=False)
-    pid = int(ran.stdout)
+    pid = int(subprocess.run(command, capture_output=True, text=True, check=False).stdout)
     for _ in range(500):
         if ended(pid):
             return

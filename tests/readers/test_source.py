@@ -1,4 +1,4 @@
-"""Files and URLs: the same survey from wherever it lies, no more bytes than needed."""
+"""Files, folders and URLs: the same survey from wherever it lies, no more bytes than needed, and no mixture of two."""
 
 import os
 import sys
@@ -9,17 +9,28 @@ import pytest
 from range_server import serving
 from survey_kinds import KINDS, write_kind
 
+import bumpymap.readers.las as las_module
 from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.readers import find_surveys, identity, is_url, open_survey, source
-from bumpymap.readers.source import read_range, size_of
+from bumpymap.readers import (
+    find_surveys,
+    identity,
+    is_url,
+    open_survey,
+    source,
+)
+from bumpymap.readers.source import read_range
 
-fsspec = pytest.importorskip("fsspec")
+PLACE = np.array([500_000, 4_000_000, 0])
+
+
+def random_points(count):
+    return np.round(np.random.default_rng(4).uniform(0, 100, (count, 3)), 3) + PLACE
 
 
 @pytest.fixture
 def memory():
     """Files by name in fsspec's memory; gone afterwards."""
-    files = fsspec.filesystem("memory")
+    files = pytest.importorskip("fsspec").filesystem("memory")
 
     def put(name, data):
         files.pipe(f"/surveys/{name}", data)
@@ -40,8 +51,7 @@ def server(tmp_path):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_url_gives_the_points_of_the_file(tmp_path, read, memory, kind):
-    points = np.round(np.random.default_rng(4).uniform(0, 100, (50, 3)), 3) + np.array([500_000, 4_000_000, 0])
-    path = write_kind(kind, tmp_path, points)
+    path = write_kind(kind, tmp_path, random_points(50))
     for where in (memory(path.name, path.read_bytes()), path.as_uri()):
         reader = open_survey(where)
         assert all(np.array_equal(a, b) for a, b in zip(read(reader, 7), read(open_survey(path), 7), strict=True))
@@ -49,11 +59,10 @@ def test_a_url_gives_the_points_of_the_file(tmp_path, read, memory, kind):
         assert reader.info.size_bytes == path.stat().st_size
 
 
-def test_points_come_from_the_web_by_ranges(las, laz, read, server):
+def test_points_come_from_the_web_by_ranges(las, read, server):
     address, handler = server
-    rng = np.random.default_rng(4)
-    points = np.round(rng.uniform(0, 100, (60_000, 3)), 3) + np.array([500_000, 4_000_000, 0])
-    path = laz.pack(las.write(points=points, version="1.4", fmt=6), 5000)
+    points = random_points(60_000)
+    path = las.pack(las.write(points=points, version="1.4", fmt=6), 5000)
     reader = open_survey(f"{address}/{path.name}")
     opened = handler.sent
     chunk = reader.chunks(5000)[7]
@@ -63,40 +72,34 @@ def test_points_come_from_the_web_by_ranges(las, laz, read, server):
     assert np.array_equal(read(reader)[0], points)
 
 
-def test_a_file_on_a_server_that_is_written_again_while_it_is_read(las, laz, server):
+def test_a_file_on_a_server_that_is_written_again_while_it_is_read(las, server):
     """Told by the headers of each answer: by ETag, by the time of change, by the size."""
     address, handler = server
-    points = np.round(np.random.default_rng(4).uniform(0, 100, (20_000, 3)), 3) + np.array([500_000, 4_000_000, 0])
     for key, before, after in [("ETag", '"1"', '"2"'), ("Last-Modified", "monday", "tuesday"), (None, "", "")]:
-        path = laz.pack(las.write(points=points, version="1.4", fmt=6), 1000)
+        path = las.pack(las.write(points=random_points(20_000), version="1.4", fmt=6), 1000)
         handler.headers_beside = {key: before} if key else {}
-        chunks = open_survey(f"{address}/{path.name}").clouds(1000)
+        chunks, behind = (open_survey(f"{address}/{path.name}").clouds(size) for size in (1000, 100_000))
         next(chunks)
+        next(behind)
         handler.headers_beside = {key: after} if key else {}
         if key is None:
             path.write_bytes(path.read_bytes() + bytes(10))
         with pytest.raises(BadInputError, match=rf"{path.name} changed while it was read"):
             next(chunks)
+        if key == "ETag":  # a change behind the last range is told at the end
+            with pytest.raises(BadInputError, match="the server reports version etag"):
+                next(behind)
 
 
-def test_a_change_behind_the_last_range_is_told_at_the_end(las, server):
+def test_servers_that_give_other_bytes_or_no_ranges(las, server):
     address, handler = server
     path = las.write()
-    handler.headers_beside = {"ETag": '"1"'}
-    chunks = open_survey(f"{address}/{path.name}").clouds()
-    next(chunks)
-    handler.headers_beside = {"ETag": '"2"'}
-    with pytest.raises(BadInputError, match="the server reports version etag"):
-        next(chunks)
-
-
-def test_a_large_file_on_a_server_without_ranges_is_not_fetched(las, server):
-    """It is refused at its first answer, of which no more is read than what the system had taken in by then."""
-    address, handler = server
+    handler.shift = 5
+    with pytest.raises(BadInputError, match="returned byte 105 instead of byte 100"):
+        read_range(f"{address}/{path.name}", 100, 50)
+    # A large file is refused at the first answer, of which no more is read than what the system had taken in by then.
     handler.whole_files_alone = True
-    path = las.write()
-    with path.open("ab") as file:
-        file.truncate(200_000_000)
+    os.truncate(path, 200_000_000)
     with pytest.raises(BadInputError, match="does not support range requests"):
         open_survey(f"{address}/{path.name}")
     assert handler.sent < 50_000_000
@@ -118,42 +121,17 @@ def test_a_server_that_stalls(las, server, monkeypatch):
         handler.stalled.set()
 
 
-def test_a_server_that_gives_other_bytes(las, server):
-    address, handler = server
-    path = las.write()
-    handler.shift = 5
-    with pytest.raises(BadInputError, match="returned byte 105 instead of byte 100"):
-        read_range(f"{address}/{path.name}", 100, 50)
-
-
-def test_a_url_of_a_web_server_is_a_file_whatever_its_name(server, tmp_path):
-    address, handler = server
-    (tmp_path / "survey").write_bytes(bytes(1_000_000))
-    assert find_surveys([f"{address}/survey"]) == [f"{address}/survey"]
-    assert handler.sent == 0
-
-
-@pytest.mark.parametrize("remote", [False, True])
-def test_ranges_end_where_the_file_does(tmp_path, memory, remote):
-    path = tmp_path / "a"
-    path.write_bytes(bytes(range(100)))
-    where = memory("a", path.read_bytes()) if remote else path
-    assert read_range(where, 10, 5).tolist() == [10, 11, 12, 13, 14]
-    assert read_range(where, 95, 50).tolist() == [95, 96, 97, 98, 99]
-    assert read_range(where, 200, 50).tolist() == []
-    assert size_of(where) == 100
-
-
-def test_what_is_not_there(memory, tmp_path):
+def test_what_is_not_there(memory, tmp_path, monkeypatch):
     memory("a.laz", b"x")
-    for where in ("memory://surveys/b.laz", (tmp_path / "b.laz").as_uri(), tmp_path / "b.laz"):
-        with pytest.raises(BadInputError, match=r"cannot read .*b\.laz"):
+    for where in ("memory://surveys/b.laz", (tmp_path / "b.laz").as_uri(), tmp_path / "b.laz", tmp_path):
+        with pytest.raises(BadInputError, match=rf"cannot read .*(b\.laz|{tmp_path.name})"):
             open_survey(where)
     with pytest.raises(BadInputError, match="is empty"):
         open_survey(memory("c.laz", b""))
-
-
-def test_urls_that_need_more_than_is_there(monkeypatch):
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(tmp_path / "pipe.laz")
+        with pytest.raises(BadInputError, match="a pipe or a device"):  # which is not waited for
+            open_survey(tmp_path / "pipe.laz")
     with pytest.raises(UsageError, match="nowhere://a"):
         open_survey("nowhere://a.laz")
     monkeypatch.setitem(sys.modules, "fsspec.core", None)
@@ -161,30 +139,9 @@ def test_urls_that_need_more_than_is_there(monkeypatch):
         open_survey("s3://bucket/a.laz")
 
 
-def test_folders_of_urls(memory, tmp_path):
-    for name in ("b.LAZ", "sub/a.las", "sub/notes.txt", ".git/c.las", "sub/.d.las", "named.bin"):
-        memory(name, b"x")
-    found = find_surveys(["memory://surveys"])
-    assert [str(url).removeprefix("memory://").lstrip("/") for url in found] == ["surveys/b.LAZ", "surveys/sub/a.las"]
-    assert all(is_url(url) for url in found)
-    named = memory("named.bin", b"x")
-    path = tmp_path / "z.las"
-    path.write_bytes(b"x")
-    # Not asked whether it is a folder: a server would be asked for nothing.
-    assert find_surveys([named, path, "s3://bucket/x.copc.laz", named]) == [path, named, "s3://bucket/x.copc.laz"]
-    memory("empty/notes.txt", b"x")
-    with pytest.raises(BadInputError, match="holds no point cloud"):
-        find_surveys(["memory://surveys/empty"])
-
-
-def test_paths_as_text_are_paths(tmp_path):
-    (tmp_path / "a.las").write_bytes(b"x")
-    assert find_surveys([str(tmp_path)]) == [tmp_path / "a.las"]
-
-
 def test_identity_tells_files_and_versions_apart(tmp_path, memory):
-    path = tmp_path / "a"
-    path.write_bytes(bytes(200_000))
+    path, data = tmp_path / "a", bytearray(200_000)
+    path.write_bytes(data)
     first = identity(path)
     assert first == identity(path)
     assert first["size"] == 200_000
@@ -192,20 +149,84 @@ def test_identity_tells_files_and_versions_apart(tmp_path, memory):
     touched = identity(path)
     assert touched != first
     assert touched["digest"] == first["digest"]
-    for place in (0, 199_999):
-        data = bytearray(200_000)
-        data[place] = 1
-        path.write_bytes(data)
-        os.utime(path, ns=(5, 5))
-        assert identity(path)["digest"] != first["digest"]
-    url = memory("a", bytes(200_000))
+    url = memory("a", bytes(data))
     assert identity(url)["digest"] == first["digest"]
     assert identity(url) == identity(url)
-    assert identity(memory("b", bytes(10)))["size"] == 10
+    for place in (0, 199_999):
+        path.write_bytes(data[:place] + b"\1" + data[place + 1 :])
+        os.utime(path, ns=(5, 5))
+        assert identity(path)["digest"] != first["digest"]
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
-def test_a_pipe_is_not_waited_for(tmp_path):
-    os.mkfifo(tmp_path / "a.laz")
-    with pytest.raises(BadInputError, match="a pipe or a device"):
-        open_survey(tmp_path / "a.laz")
+# ---- finding surveys ----
+
+
+def test_folders_and_urls_are_searched_with_their_subfolders_and_each_file_counts_once(tmp_path, memory, server):
+    files = ("b.LAZ", "a.las", "c.copc.laz", "sub/d.Ply", "sub/deep/e.pcd", "notes.txt", ".hidden.las", ".git/f.las")
+    for name in (*files, "empty/notes.txt"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_bytes(b"x")
+        memory(name, b"x")
+
+    def found(*typed):
+        return [str(path.relative_to(tmp_path)) for path in find_surveys(typed)]
+
+    assert found(tmp_path) == found(str(tmp_path)) == sorted(files[:5])
+    assert found(tmp_path / "sub", tmp_path / "a.las", tmp_path / "sub/d.Ply") == [
+        "a.las",
+        "sub/d.Ply",
+        "sub/deep/e.pcd",
+    ]
+    (tmp_path / "z.las").symlink_to(tmp_path / "a.las")
+    assert len(found(tmp_path / "a.las", tmp_path / "sub/../a.las", tmp_path / "z.las")) == 1
+    assert found(tmp_path / "notes.txt") == ["notes.txt"]  # a named file is taken whatever its ending
+    urls = find_surveys(["memory://surveys"])
+    assert all(is_url(url) for url in urls)
+    assert [str(url).partition("surveys/")[2] for url in urls] == sorted(files[:5])
+    # Not asked whether it is a folder: a server would be asked for nothing.
+    named, path = f"{server[0]}/notes.txt", tmp_path / "a.las"
+    assert find_surveys([named, path, "s3://bucket/x.copc.laz", named]) == [path, named, "s3://bucket/x.copc.laz"]
+    assert server[1].sent == 0
+    for typed, says in (
+        ([tmp_path / "a.las", tmp_path / "empty"], "empty holds no point cloud"),
+        (["memory://surveys/empty"], "holds no point cloud"),
+        ([tmp_path / "nowhere"], "does not exist"),
+        ([], "no survey was given"),
+    ):
+        with pytest.raises(BadInputError, match=says):
+            find_surveys(typed)
+
+
+# ---- a file that does not stay the same while it is read: no mixture comes of it, and no word of damage ----
+
+POINTS = np.round(np.random.default_rng(1).uniform(0, 50, (3000, 3)), 3) + np.array([500_000.0, 4_000_000.0, 0.0])
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "packed pcd"])
+def test_a_survey_that_is_written_again_or_goes_away_between_two_chunks(tmp_path, kind):
+    path = write_kind(kind, tmp_path, POINTS)
+    chunks, before = open_survey(path).clouds(500), path.stat().st_mtime_ns
+    next(chunks)
+    assert write_kind(kind, tmp_path, POINTS + np.array([0.0, 0.0, 5.0])) == path
+    os.utime(path, ns=(0, before + 1_000_000_000))
+    with pytest.raises(BadInputError, match=rf"{path.name} changed while it was read.*Run\s+again"):
+        list(chunks)
+    chunks = open_survey(path).clouds(500)
+    next(chunks)
+    path.unlink()
+    with pytest.raises(BadInputError, match="changed while it was read: it was removed"):
+        list(chunks)
+
+
+def test_a_change_while_the_header_is_read(tmp_path, monkeypatch):
+    path = write_kind("las", tmp_path, POINTS)
+    whole = path.read_bytes()
+
+    def read_and_change(*arguments):
+        path.write_bytes(whole[:200])
+        return original(*arguments)
+
+    original = las_module.read_raw_header
+    monkeypatch.setattr(las_module, "read_raw_header", read_and_change)
+    with pytest.raises(BadInputError, match="changed while it was read"):
+        open_survey(path)

@@ -1,4 +1,7 @@
+"""What a survey holds, tile by tile, and what of it was never classified."""
+
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -7,7 +10,15 @@ from bumpymap.core import THIN_SEEN
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.types import Reason
 from bumpymap.patches import measure, measure_thin
-from bumpymap.readers import PointSummaryBuilder, ReadOptions, open_survey, summary as module
+from bumpymap.readers import (
+    BLANK,
+    GROUND,
+    PointSummaryBuilder,
+    ReadOptions,
+    UnclassifiedPart,
+    open_survey,
+    summary as module,
+)
 from bumpymap.readers.summary import thin_rule
 from bumpytiles import Grid, TileBuckets
 
@@ -23,7 +34,7 @@ def stats(path, settings=THREE, grid=None, *, thin=False):
 def test_hand_counted_tiles(las):
     # Tiles of 3 m: three points in one, one each in two others; noise and withheld points are in none.
     points = np.array([[0.5, 0.5, 1], [1, 1, 2], [2.999, 2.999, 3], [3.0, 0.0, 4], [-0.001, 0.0, 5], [90, 90, 6]])
-    path = las.write(points=points, offset=(0, 0, 0), classes=np.array([2, 1, 1, 2, 1, 7], np.uint8))
+    path = las.write(points=points, offset=(0, 0, 0), classification=np.array([2, 1, 1, 2, 1, 7], np.uint8))
     told = []
     summary = PointSummaryBuilder(Grid(), THREE).read(open_survey(path, CLASSES), told.append).summary()
     assert (summary.points, summary.tiles, summary.points_per_tile) == (5, 3, 1.0)
@@ -37,6 +48,7 @@ def test_hand_counted_tiles(las):
     assert (summary.z_min, summary.z_max) == (1.0, 5.0)
     assert (summary.bounds.west, summary.bounds.east) == (-0.001, 3.0)
     assert sum(told) == 5
+    assert stats(las.write(classification=np.full(7, 18, np.uint8))).summary() is None  # no point counts
 
 
 def test_holes_are_what_the_rule_says(las):
@@ -49,27 +61,20 @@ def test_holes_are_what_the_rule_says(las):
         assert stats(path, settings, Grid(3.0, 3)).summary().unknown[Reason.TOO_MANY_HOLES] == holes
 
 
-def test_merging_on_the_way_changes_nothing(las, monkeypatch):
-    rng = np.random.default_rng(4)
-    path = las.write("a.laz", np.round(rng.uniform(-50, 50, (5000, 3)), 3), offset=(0, 0, 0))
-    whole = stats(path, FeatureSettings(min_points=4)).summary()
+def test_merging_on_the_way_and_of_two_files_changes_nothing(las, monkeypatch):
+    points = np.round(np.random.default_rng(4).uniform(-50, 50, (5000, 3)), 3)
+    settings = FeatureSettings(min_points=4)
+    whole = stats(las.write("all.laz", points, offset=(0, 0, 0)), settings).summary()
     assert 0 < whole.unknown[Reason.TOO_MANY_HOLES] < whole.tiles
     monkeypatch.setattr(module, "MERGE_AT", 10)
     monkeypatch.setattr(module, "GROUP_PIXELS", 1000)
-    reader = open_survey(path, CLASSES)
-    clouds = reader.clouds
-    monkeypatch.setattr(reader, "clouds", lambda: clouds(77))
-    assert PointSummaryBuilder(Grid(), FeatureSettings(min_points=4), thin=False).read(reader).summary() == whole
-
-
-def test_two_files_are_summed_up_as_one(las):
-    rng = np.random.default_rng(5)
-    points = np.round(rng.uniform(-20, 20, (4000, 3)), 3)
-    settings = FeatureSettings(min_points=10)
-    parts = [las.write(f"{n}.laz", part, offset=(0, 0, 0)) for n, part in enumerate((points[:1500], points[1500:]))]
-    first = stats(parts[0], settings)
-    first.merge(stats(parts[1], settings))
-    assert first.summary() == stats(las.write("all.laz", points, offset=(0, 0, 0)), settings).summary()
+    parts = []
+    for number, part in enumerate((points[:1500], points[1500:])):
+        reader = open_survey(las.write(f"{number}.laz", part, offset=(0, 0, 0)), CLASSES)
+        monkeypatch.setattr(reader, "clouds", partial(reader.clouds, 77))
+        parts.append(PointSummaryBuilder(Grid(), settings, thin=False).read(reader))
+    parts[0].merge(parts[1])
+    assert parts[0].summary() == whole
 
 
 def test_a_sample_is_of_whole_tiles_and_close_to_all(las, monkeypatch):
@@ -85,11 +90,6 @@ def test_a_sample_is_of_whole_tiles_and_close_to_all(las, monkeypatch):
     assert share != exact
     assert share == pytest.approx(exact, abs=0.1)
     assert summary.unknown[Reason.TOO_FEW_POINTS] == whole.unknown[Reason.TOO_FEW_POINTS]
-
-
-def test_no_point_that_counts(las):
-    path = las.write(classes=np.full(7, 18, np.uint8))
-    assert stats(path).summary() is None
 
 
 def test_thin_tiles_are_known_if_their_points_span_them(las):
@@ -109,15 +109,6 @@ def test_thin_tiles_are_known_if_their_points_span_them(las):
     assert stats(path, replace(known_by_pixels, min_points=3), grid, thin=True).summary().unknown == {few: 0, holes: 0}
 
 
-def test_a_dense_tile_is_not_thin_whatever_stands_beside_it():
-    pixels = np.zeros((2, 15, 15), np.bool_)
-    pixels[0] = pixels[1, 2::5, 2::5] = True
-    assert thin_rule(pixels, np.array([225, 9])).tolist() == [False, True]
-    pixels[1, :8, :8] = True
-    assert thin_rule(pixels, np.array([225, 40])).tolist() == [False, True]
-    assert thin_rule(pixels, np.array([225, 300])).tolist() == [False, False]  # holes among many points are no chance
-
-
 def test_pixels_tell_what_the_measure_of_points_tells():
     rng = np.random.default_rng(8)
     tile = np.repeat(np.arange(256), rng.integers(4, 25, 256))
@@ -135,3 +126,76 @@ def test_pixels_tell_what_the_measure_of_points_tells():
     spanned = thin_rule(pixels, np.bincount(tile))[points.row * 16 + points.col]
     assert 50 < spanned.sum() < 200
     assert (spanned == (pairs[:, 1] >= THIN_SEEN)).all()
+    pixels[0], pixels[1] = True, False  # a dense tile is not thin, whatever stands beside it
+    pixels[1, 2::5, 2::5] = True
+    assert thin_rule(pixels[:2], np.array([225, 9])).tolist() == [False, True]
+    pixels[1, :8, :8] = True
+    assert thin_rule(pixels[:2], np.array([225, 40])).tolist() == [False, True]
+    assert thin_rule(pixels[:2], np.array([225, 300])).tolist() == [False, False]  # holes among many are no chance
+
+
+# ---- what was never classified, and what only looks like it: roofs, woods, water ----
+
+SIDE = 64
+"""Tiles along the survey: 192 m."""
+EAST = np.s_[:, 32:]
+
+
+def found(blank, lowest, *, empty=()):
+    """Tiles that count as never classified, of (64, 64), where those of ``blank`` hold only points of class 0 or 1."""
+    marks = np.full((SIDE, SIDE), GROUND, np.uint8)
+    for place, mark in [*((place, BLANK) for place in blank), *((place, 0) for place in empty)]:
+        marks[place] = mark
+    blocks = {(r, c): marks[16 * r :, 16 * c :][:16, :16].reshape(-1) for r in range(4) for c in range(4)}
+    part = UnclassifiedPart.find({key: own for key, own in blocks.items() if own.any()}, 3.0)
+    out = np.zeros(marks.shape, bool)
+    if part is not None:
+        row, col = (index.reshape(-1) for index in np.indices(marks.shape))
+        whole = part.never_classified([(row, col, lowest.reshape(-1), of_ground) for of_ground in (True, False)])
+        north, east = np.nonzero(whole)
+        out[north + part.south, east + part.west] = True
+    return out
+
+
+def ground(slope=0.0):
+    """Lowest points on a plane that rises to the east, with stones and hollows."""
+    rng = np.random.default_rng(2)
+    return 3.0 * slope * np.arange(SIDE) + rng.uniform(-0.1, 0.1, (SIDE, SIDE))
+
+
+@pytest.mark.parametrize(
+    ("place", "slope"), [(EAST, 0.0), (EAST, 0.6), (np.s_[40:, 40:], 0.0), (np.s_[:, 20:40], 0.0)], ids=str
+)
+def test_a_part_whose_ground_goes_on_was_never_classified(place, slope):
+    """A half, a corner and a strip across the survey."""
+    out = found([place], ground(slope))
+    assert out[place].all()
+    assert out.sum() == out[place].sum()
+
+
+@pytest.mark.parametrize(
+    ("place", "height"),
+    [
+        pytest.param(np.s_[20:27, 20:27], 0.0, id="a pond of 21 m"),
+        pytest.param(np.s_[20:27, 57:], 6.0, id="a roof of 21 m at the edge"),
+        pytest.param(np.s_[12:50, 12:50], 0.0, id="a lake amid the survey"),
+        pytest.param(np.s_[10:40, 40:], 8.0, id="a hall at the edge"),
+        pytest.param(np.s_[:, 30:], 4.0, id="a wood that is half of the survey"),
+        pytest.param(np.s_[:, 60:], 0.0, id="a strip along the edge"),
+    ],
+)
+def test_what_stands_in_classified_ground_is_not_ground(place, height):
+    lowest = ground()
+    lowest[place] += height
+    assert not found([place], lowest).any()
+
+
+def test_a_part_may_lie_apart_from_classified_ground_and_a_hall_beside_it_is_none_of_it():
+    out = found([EAST], ground() + 50.0 * (np.arange(SIDE) > 31), empty=[np.s_[:, 28:36]])
+    assert out[:, 36:].all()
+    lowest, hall = ground(), np.s_[20:34, 14:32]
+    lowest[hall] += 7.0
+    out = found([EAST, hall], lowest)
+    assert not out[20:34, 14:28].any()
+    assert out[:14, 33:].all()
+    assert out[:, 33:].mean() > 0.8

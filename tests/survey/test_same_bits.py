@@ -1,18 +1,20 @@
-"""The same points give the same bytes in every file, however they come: split, ordered, read in chunks, spilled."""
+"""The same points give the same bytes in every file: split, ordered, read in chunks, spilled, or killed on the way."""
 
 import json
+import os
+import random
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from alike_surveys import alike_surveys
-from click.testing import CliRunner
-from hypothesis import given, settings, strategies as st
-from small_surveys import SIDES, files_in, write_las
+from hypothesis import HealthCheck, given, settings, strategies as st
+from small_surveys import SIDES, files_in, layers_of, run, write_las, write_survey
 
-from bumpymap.cli import main
 from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
-from bumpymap.survey import Budget
 
 pytestmark = pytest.mark.slow
 
@@ -20,7 +22,7 @@ CORNER = np.array([500_013.0, 4_000_020.0, 300.0])
 """Not a corner of a block, so that files and blocks overlap anyhow."""
 SPAN = (130.0, 70.0)
 """Some three by two blocks of 48 m."""
-OF_THE_CALL = {"surveys", "out", "scratch", "threads", "memory"}
+OF_THE_CALL = {"surveys", "out", "scratch"}
 
 NAMING = {"run.json", "report.html"}
 """Files that name the files of the survey and the settings."""
@@ -44,17 +46,16 @@ def write(path, points, offset):
 
 
 def mapped(files, out, *options):
-    words = ["map", *map(str, files), "--out", str(out), *map(str, options)]
     with alike_surveys():
-        result = CliRunner().invoke(main, words)
+        result = run("map", *files, "--out", out, *options)
     assert result.exit_code == 0, result.output
     content = files_in(out)
     assert set(content) == {*PRODUCT_NAMES, *VIEW_NAMES, *SIDES}
     content = {name: content[name] for name in content if name not in NAMING}
-    run = json.loads((out / "run.json").read_text())
-    run["files"] = [file for file in run["files"] if file["path"] != "item.json"]  # it names the survey
-    settings_of_the_map = {name: value for name, value in run["settings"].items() if name not in OF_THE_CALL}
-    kept = {name: value for name, value in run.items() if name not in {"inputs", "seconds", "settings"}}
+    record = json.loads((out / "run.json").read_text())
+    record["files"] = [file for file in record["files"] if file["path"] != "item.json"]  # it names the survey
+    settings_of_the_map = {name: value for name, value in record["settings"].items() if name not in OF_THE_CALL}
+    kept = {name: value for name, value in record.items() if name not in {"inputs", "seconds", "settings"}}
     return content, kept | {"settings": settings_of_the_map}
 
 
@@ -63,68 +64,42 @@ def whole(points, tmp_path_factory):
     """What one LAZ file gives that fits into memory, for each way to choose points."""
     folder = tmp_path_factory.mktemp("whole")
     survey = write(folder / "a.laz", points, CORNER)
-    return {ground: mapped([survey], folder / ground, "--ground", ground) for ground in ("auto", "all")}
+    found = {ground: mapped([survey], folder / ground, "--ground", ground) for ground in ("auto", "all")}
+    (auto, record), (everything, _) = found.values()
+    # The property below would hold little were the two the same, or the site all of one kind.
+    assert auto["rasters/roughness.tif"] != everything["rasters/roughness.tif"]
+    assert sum(count > 0 for count in record["counts"]["by_class"].values()) > 1
+    return found
 
 
-@st.composite
-def deliveries(draw):
-    """One way to deliver and read a survey."""
-    files = draw(st.integers(1, 5))
-    return {
-        "files": files,
-        "split": draw(st.sampled_from(["at random", "west to east", "south to north"])),
-        "formats": draw(st.lists(st.sampled_from(["las", "laz"]), min_size=files, max_size=files)),
-        "order": draw(st.permutations(range(files))),
-        "shuffled": draw(st.booleans()),
-        "seed": draw(st.integers(0, 99)),
-        "offset": draw(
-            st.sampled_from([(400_000, 3_500_000, 0), (500_000, 4_000_000, 300), (123_456.789, 3_900_000, 17)])
-        ),
-        "threads": draw(st.integers(1, 3)),
-        "chunk": draw(st.integers(2_000, 60_000)),
-        "waiting": draw(st.integers(8_000, 80_000)),
-        "block": draw(st.integers(5_000, 40_000)),
-    }
-
-
-def delivered(points, folder, way):
-    """Write the files of a delivery, in the order in which they are named."""
-    rng = np.random.default_rng(way["seed"])
-    if way["shuffled"]:
+def delivered(points, folder, rng):
+    """Write the files of a delivery: how many, split at random or along an axis; return them as they are named."""
+    count, axis, offsets = rng.integers(1, 6), rng.integers(3), [(400_000, 3_500_000, 0), (123_456.789, 3_900_000, 17)]
+    if rng.random() < 0.5:
         points = rng.permutation(points)
-    axis = {"west to east": 0, "south to north": 1}.get(way["split"])
-    if axis is None:
-        file = rng.integers(way["files"], size=len(points))
+    if axis == 2:
+        file = rng.integers(count, size=len(points))
     else:
-        file = np.minimum(points[:, axis] / SPAN[axis] * way["files"], way["files"] - 1).astype(int)
+        file = np.minimum(points[:, axis] / SPAN[axis] * count, count - 1).astype(int)
     paths = [
-        write(folder / f"{number}.{kind}", points[file == number], way["offset"])
-        for number, kind in enumerate(way["formats"])
+        write(folder / f"{number}.{rng.choice(['las', 'laz'])}", points[file == number], offsets[rng.integers(2)])
+        for number in range(count)
     ]
-    return [paths[number] for number in way["order"]]
+    return [paths[number] for number in rng.permutation(count)]
 
 
-@settings(max_examples=8)
-@given(way=deliveries(), ground=st.sampled_from(["auto", "all"]))
-def test_no_delivery_and_no_budget_changes_a_byte(points, whole, tmp_path_factory, way, ground):
-    folder = tmp_path_factory.mktemp("delivery")
-    files = delivered(points, folder, way)
-    with pytest.MonkeyPatch.context() as patch:
-        for name in ("chunk", "waiting", "block"):
-            patch.setattr(Budget, f"{name}_points", way[name])
-        content, run = mapped(
-            files,
-            folder / "layers",
-            "--ground",
-            ground,
-            "--threads",
-            way["threads"],
-            "--set",
-            f"scratch={folder / 'scratch'}",
-        )
-    wanted, wanted_run = whole[ground]
+@settings(max_examples=8, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(seed=st.integers(0, 10**6), ground=st.sampled_from(["auto", "all"]))
+def test_no_delivery_and_no_budget_changes_a_byte(points, whole, tmp_path_factory, limit_points, seed, ground):
+    folder, rng = tmp_path_factory.mktemp("delivery"), np.random.default_rng(seed)
+    files = delivered(points, folder, rng)
+    ranges = {"chunk": (2_000, 60_000), "waiting": (8_000, 80_000), "block": (5_000, 40_000)}
+    limit_points(**{name: int(rng.integers(*bounds)) for name, bounds in ranges.items()})
+    options = ("--ground", ground, "--threads", rng.integers(1, 4), "--set", f"scratch={folder / 'scratch'}")
+    content, record = mapped(files, folder / "layers", *options)
+    wanted, wanted_record = whole[ground]
     assert [name for name in wanted if content[name] != wanted[name]] == []
-    assert run == wanted_run
+    assert record == wanted_record
     assert list(Path(folder / "scratch").iterdir()) == []
 
 
@@ -135,7 +110,7 @@ def test_only_what_names_the_survey_tells_deliveries_apart(points, tmp_path):
     texts = {}
     for name, files in {"two": halves, "one": [one]}.items():
         out = tmp_path / f"{name} layers"
-        assert CliRunner().invoke(main, ["map", *map(str, files), "--out", str(out)]).exit_code == 0
+        assert run("map", *files, "--out", out).exit_code == 0
         survey = json.loads((out / "run.json").read_text())["survey"]
         assert survey["name"] == name
         text = (out / "cost.geojson").read_text()
@@ -146,10 +121,48 @@ def test_only_what_names_the_survey_tells_deliveries_apart(points, tmp_path):
     assert texts["one"] == texts["two"]
 
 
-def test_both_ways_to_choose_points_are_tried(whole):
-    """The property above would hold little were the two the same, or the site all of one kind."""
-    (auto, auto_run), (everything, run) = whole["auto"], whole["all"]
-    assert auto_run["ground_only"]
-    assert not run["ground_only"]
-    assert auto["rasters/roughness.tif"] != everything["rasters/roughness.tif"]
-    assert sum(count > 0 for count in auto_run["counts"]["by_class"].values()) > 1
+# A budget under which the survey is read in many pieces, which wait on disk, and measured block by block.
+TIGHT = """
+import sys
+from bumpymap.cli import main
+from bumpymap.survey import Budget
+Budget.chunk_points, Budget.waiting_points, Budget.block_points = 5_000, 20_000, 20_000
+main(sys.argv[1:])
+"""
+
+
+def begun(survey, folder):
+    """A run in a session of its own, with what it starts."""
+    words = ["map", survey, "--out", folder / "layers", "--set", f"scratch={folder / 'scratch'}", "--quiet"]
+    return subprocess.Popen([sys.executable, "-c", TIGHT, *map(str, words)], start_new_session=True)
+
+
+@pytest.fixture(scope="module")
+def timed(tmp_path_factory):
+    """The survey, its layers, and how long a run takes, s."""
+    folder = tmp_path_factory.mktemp("whole")
+    survey = write_survey(folder / "site.laz", points=150_000, side=120.0)
+    began = time.monotonic()
+    assert begun(survey, folder).wait() == 0
+    return survey, layers_of(folder / "layers"), time.monotonic() - began
+
+
+@pytest.mark.later
+@pytest.mark.skipif(os.name != "posix", reason="kills a group of processes")
+@pytest.mark.parametrize("seed", range(6))
+def test_a_run_killed_at_any_instant_once_or_twice_goes_on_to_the_same_bytes(timed, tmp_path, seed):
+    survey, layers, seconds = timed
+    draw = random.Random(seed)
+    for _ in range(1 + seed % 3 // 2):
+        began = begun(survey, tmp_path)
+        time.sleep(draw.uniform(0.0, seconds))
+        began.kill()
+        began.wait()
+        with pytest.raises(ProcessLookupError):  # noqa: PT012 (its helpers end by themselves)
+            for _ in range(50):
+                os.killpg(began.pid, 0)
+                time.sleep(0.1)
+    assert begun(survey, tmp_path).wait() == 0
+    assert layers_of(tmp_path / "layers") == layers
+    assert not list((tmp_path / "layers").glob(".bumpymap-*"))
+    assert list((tmp_path / "scratch").iterdir()) == []

@@ -37,14 +37,11 @@ def test_a_pack_gives_back_what_was_written(pack):
 def test_blocks_are_read_together_in_any_order_from_any_packs(tmp_path):
     rng = np.random.default_rng(1)
     sizes = [1, 2, 300, 1, 1, 0, 3, 40, 1, 2, 5, 1]
-    blocks = {
-        (number // 4 - 1, number % 4 - 2): columns_of(rng.integers(0, 99, (n, 2))) for number, n in enumerate(sizes)
-    }
+    blocks = {(n // 4 - 1, n % 4 - 2): columns_of(rng.integers(0, 99, (size, 2))) for n, size in enumerate(sizes)}
     packs = [write(tmp_path / str(first), dict(list(blocks.items())[first::3])) for first in range(3)]
-    table = TileTable(Grid(), packs)
+    table, full = TileTable(Grid(), packs), [key for key in blocks if len(blocks[key]["col"])]
     for number in range(20):
-        keys = [key for key in blocks if len(blocks[key]["col"])]
-        keys = [keys[n] for n in rng.permutation(len(keys))[: 1 + number]] if number else keys
+        keys = [full[n] for n in rng.permutation(len(full))[: 1 + number]]
         for names in (["row", "value"], ["col"]):
             found = table.read_blocks(keys, names)
             assert list(found) == names
@@ -63,14 +60,11 @@ def test_added_columns_join_those_that_are_there_and_take_the_place_of_their_nam
     }  # fmt: skip
 
 
-def test_a_pack_appears_whole_or_not_at_all(tmp_path):
+def test_a_pack_appears_whole_or_not_at_all_and_damaged_it_is_refused(tmp_path, pack):
     columns = columns_of([(1, 2)])
     with pytest.raises(ValueError, match="rows need"):
-        write_pack(tmp_path / "a", COLUMNS, {(0, 0): 5}, lambda column: [columns[column.name]], {})
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_cut_or_damaged_pack_is_refused(pack):
+        write_pack(tmp_path / "b", COLUMNS, {(0, 0): 5}, lambda column: [columns[column.name]], {})
+    assert list(tmp_path.iterdir()) == [pack.path]
     content = pack.path.read_bytes()
     flipped = bytearray(content)
     flipped[-60] ^= 1
@@ -106,13 +100,9 @@ def test_a_window_and_its_strips_hold_each_of_its_tiles_once(chosen, col, row, c
     assert table.holds(window) >= bool(held)
 
 
-def test_blocks_without_tiles_do_not_count(tmp_path):
-    pack = write(tmp_path / "a", {(0, 0): columns_of([(1, 2)]), (9, 9): columns_of([])})
-    table = TileTable(Grid(), [pack])
+def test_blocks_without_tiles_do_not_count_and_the_same_tile_twice_is_refused(tmp_path):
+    table = TileTable(Grid(), [write(tmp_path / "a", {(0, 0): columns_of([(1, 2)]), (9, 9): columns_of([])})])
     assert table.window == TileWindow(1, 2, 1, 1)
     assert not table.holds(TileWindow(144, 144, 16, 16))
-
-
-def test_the_same_tile_twice_is_refused():
     with pytest.raises(ValueError, match="same tile"):
         TileTable.of(Grid(), columns_of([(1, 4), (2, 4), (1, 4)])).read([])

@@ -1,14 +1,10 @@
 """Files that lie or are damaged, made from tiny valid surveys."""
 
-from .case import EITHER, MAPPED, REFUSED, Case
-from .copc_cases import copc_cases
-from .foreign_cases import PLACES, foreign_cases
-from .las_cases import las_cases
-from .laz_cases import laz_cases
-from .pcd_cases import pcd_cases
-from .ply_cases import ply_cases
+from .files import Case
+from .las_cases import copc_cases, las_cases, laz_cases
+from .other_cases import PLACES, foreign_cases, odd_place, pcd_cases, ply_cases
 
-__all__ = ["EITHER", "MAPPED", "PLACES", "REFUSED", "Case", "hostile_files"]
+__all__ = ["PLACES", "Case", "hostile_files", "odd_place"]
 
 
 def hostile_files():

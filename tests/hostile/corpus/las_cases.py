@@ -1,11 +1,31 @@
-"""Damage that LAS and LAZ share: headers, records, coordinate systems, and where a file may end."""
+"""Damage to LAS: headers, records, coordinate systems, ends; what LAZ adds, chunks and their table; what COPC adds."""
 
+import io
+import struct
+from functools import partial
+
+import lazrs
 import numpy as np
+from las_files import ENTRY, geokeys, wkt
 from pyproj import CRS
 
-from .bases import bases, geokeys, wkt
-from .case import EITHER, MAPPED, REFUSED, Case, cut, field_cases, flipped, patched, renamed
-from .las_file import HEADER, HEADER_1_4, cloud, las_file, layout_of
+from .files import (
+    EITHER,
+    HEADER,
+    HEADER_1_4,
+    MAPPED,
+    REFUSED,
+    Case,
+    bases,
+    cloud,
+    cut,
+    field_cases,
+    flipped,
+    las_file,
+    layout_of,
+    patched,
+    renamed,
+)
 
 _NAN, _INF = float("nan"), float("inf")
 _WILD = {
@@ -117,27 +137,19 @@ def _systems():
     utm = CRS.from_epsg(32614).to_wkt("WKT1_GDAL")
     texts = {
         "garbage": (b'PROJCS[;;["x",,]]\0', REFUSED),
-        "cut": (utm[:200].encode(), REFUSED),
         "empty": (b"", EITHER),
-        "zeros": (bytes(400), EITHER),
         "not_utf8": (b"\xff\xfe\x80PROJCS\xc3\x28", REFUSED),
-        "megabyte": (b"A" * 60_000, REFUSED),
         "brackets": (b"PROJCS[" * 8_000, REFUSED),
         "geographic": (CRS.from_epsg(4326).to_wkt("WKT1_GDAL").encode(), REFUSED),
         "earth_centred": (CRS.from_epsg(4978).to_wkt().encode(), REFUSED),
-        "vertical_only": (CRS.from_epsg(5703).to_wkt().encode(), REFUSED),
-        "wild_unit": (utm.replace('UNIT["metre",1', 'UNIT["metre",0').encode(), REFUSED),
         "nan_unit": (utm.replace('UNIT["metre",1', 'UNIT["metre",nan').encode(), REFUSED),
         "unknown_authority": (utm.replace('"EPSG"', '"NOBODY"').encode(), EITHER),
     }
     keys = {
         "unknown_code": ({1024: 1, 3072: 1}, REFUSED),
-        "unused_code": ({1024: 1, 3072: 32699}, REFUSED),
-        "geographic": ({1024: 2, 2048: 4326}, REFUSED),
         "geocentric": ({1024: 3}, REFUSED),
         "wild_model": ({1024: 60_000, 3072: 65_535}, EITHER),
         "unit_of_angle": ({1024: 1, 3072: 32614, 3076: 9102}, REFUSED),
-        "unit_unlike_crs": ({1024: 1, 3072: 32614, 3076: 9002}, REFUSED),
     }
     xyz = cloud(100)
     made = [
@@ -161,20 +173,237 @@ def _points():
     far[0, :2] += 2_000_000
     wide[:, 0] += np.arange(100) * 20_000
     kinds = {"minor": 2, "fmt": 1}
+    plain = las_file(xyz, **kinds)
     return [
         Case("las12-points-one.las", las_file(xyz[:1], **kinds), MAPPED),
         Case("las12-points-same.las", las_file(np.tile(xyz[:1], (100, 1)), **kinds), MAPPED),
-        Case("las12-points-trailing_bytes.las", las_file(xyz, **kinds) + b"more", MAPPED),
+        Case("las12-points-trailing_bytes.las", plain + b"more", MAPPED),
         Case("las12-points-all_withheld.las", las_file(xyz, withheld=True, **kinds)),
         Case("las14-points-all_withheld.las", las_file(xyz, minor=4, fmt=6, withheld=True)),
         Case("las12-points-all_noise.las", las_file(xyz, class_id=7, **kinds)),
         Case("las14-points-all_high_noise.las", las_file(xyz, minor=4, fmt=6, class_id=18)),
         Case("las12-points-one_2000_km_away.las", las_file(far, **kinds)),
         Case("las12-points-2000_km_wide.las", las_file(wide, **kinds), EITHER),
-        Case("las12-points-largest.las", _largest(las_file(xyz, **kinds))),
+        # The first point lies 2,147 km east of the header's box.
+        Case("las12-points-largest.las", patched(plain, layout_of(plain).points_at, "i", 2**31 - 1)),
     ]
 
 
-def _largest(data):
-    """Move the first point to the largest integer, 2,147 km east of the header's box."""
-    return patched(data, layout_of(data).points_at, "i", 2**31 - 1)
+_RECORD = {
+    "compressor": (0, "H", {"0": 0, "4": 4, "65535": 65535}),
+    "one_stream": (0, "H", {"1": 1}),
+    "coder": (2, "H", {"1": 1, "65535": 65535}),
+    "chunk_size": (12, "I", {"0": 0, "1": 1, "2to31": 2**31}),
+    "item_count": (32, "H", {"0": 0, "1": 1, "65535": 65535}),
+    "item_type": (34, "H", {"5": 5, "11": 11, "99": 99, "65535": 65535}),
+    "item_size": (36, "H", {"0": 0, "1": 1, "one_more": 21, "65535": 65535}),
+    "item_version": (38, "H", {"0": 0, "4": 4, "65535": 65535}),
+}
+"""Fields of the LASzip record."""
+_LOOSE = dict.fromkeys(("one_stream", "coder", "chunk_size", "item_type"), EITHER)
+"""Where a decoder goes by something else than the field, the points must be the right ones."""
+# Chunks of 2^32 - 1 points are the sign for chunks of any size: in a file of such, no lie. In the other, chunks of
+# other sizes than the record says are one, be it by a little.
+_FIXED = {"chunk_size": (12, "I", {"2to32": 2**32 - 1, "79": 79, "81": 81, "400": 400})}
+_WRONG = dict.fromkeys(("chunk_size-79", "chunk_size-81", "chunk_size-400"), REFUSED)
+_LAYERS = {"0": 0, "2to32": 2**32 - 1}
+
+
+def laz_cases():
+    """Every case of the compression."""
+    made = []
+    for name in ("laz12.laz", "laz14v.laz"):
+        made += _laszip(name) + _table(name) + _entries(name) + _chunks(name)
+    return [*made, _endless()]
+
+
+def _laszip(name):
+    data, stem = bases()[name], name.removesuffix(".laz")
+    at = data.index(b"laszip encoded") - 2
+    made = field_cases(f"{stem}-laszip.laz", data, _RECORD, at + 54, exits=_LOOSE, base=name)
+    if name == "laz12.laz":
+        made += field_cases(f"{stem}-laszip.laz", data, _FIXED, at + 54, exits=_LOOSE | _WRONG, base=name)
+    gone = data.replace(b"laszip encoded", b"laszip nothing")
+    return [
+        *made,
+        Case(f"{stem}-laszip-missing.laz", gone),
+        Case(f"{stem}-laszip-short.laz", patched(data, at + 20, "H", 10)),
+    ]
+
+
+def _endless():
+    """Times that go on and on: each asks the decoder of point formats 1 and 3 for one more, deeper in the stack.
+
+    A large chunk, since how deep it goes follows the bytes of the chunk.
+    """
+    data = bases(20_000)["laz12.laz"]
+    start, end, _ = layout_of(data).chunks[0]
+    at = start + 40
+    return Case("laz12-chunk_1-endless_times.laz", data[:at] + b"\xbe\x04" + b"\xff" * (end - at - 2) + data[end:])
+
+
+def _table(name):
+    """Tables that are not where the file says."""
+    data, stem = bases()[name], name.removesuffix(".laz")
+    layout = layout_of(data)
+    places = {
+        "0": 0,
+        "minus_1": -1,
+        "minus_2to63": -(2**63),
+        "points": layout.points_at,
+        "first_chunk": layout.points_at + 8,
+        "mid_points": (layout.points_at + layout.table_at) // 2,
+        "one_early": layout.table_at - 1,
+        "one_late": layout.table_at + 1,
+        "last_byte": len(data) - 1,
+        "end": len(data),
+        "beyond": 2**40,
+        "2to63": 2**63 - 1,
+    }
+    counts = {"0": 0, "4": 4, "6": 6, "10to7": 10**7, "2to31": 2**31, "2to32": 2**32 - 1}
+    fields = {"table_at": (layout.points_at, "q", places), "table_count": (layout.table_at + 4, "I", counts)}
+    made = field_cases(name, data, fields)
+    for seed in range(6):
+        place = layout.table_at + 8 + seed % (layout.table_end - layout.table_at - 8)
+        made.append(Case(f"{stem}-table-flip_{seed}.laz", flipped(data, [place], seed), EITHER, name))
+    return made
+
+
+def with_table(data, entries):
+    """Replace the chunk table: ``entries`` of (points, bytes), with the coding of a valid table."""
+    layout = layout_of(data)
+    record = next(data[body:end] for start, body, end in layout.vlrs if data[start + 2 :].startswith(b"laszip"))
+    out = io.BytesIO()
+    lazrs.write_chunk_table(out, entries, lazrs.LazVlr(record))
+    return data[: layout.table_at] + out.getvalue() + data[layout.table_end :]
+
+
+def _entries(name):
+    """Tables that say untruths in good form."""
+    data, stem = bases()[name], name.removesuffix(".laz")
+    held = [(points, end - start) for start, end, points in layout_of(data).chunks]
+    (many, size), (_, after) = held[0], held[1]
+    spoilt = {
+        "bytes_0": [(many, 0), *held[1:]],
+        "bytes_one_less": [(many, size - 1), *held[1:]],
+        "bytes_swapped": [(many, after), (held[1][0], size), *held[2:]],
+        "bytes_2to31": [(many, 2**31 - 1), *held[1:]],
+        "bytes_2to32": [(many, 2**32 - 1), *held[1:]],
+        "one_gone": held[:-1],
+        "ten_thousand": held + [(1, 1)] * 10_000,
+    }
+    exits = {"bytes_one_less": EITHER, "bytes_swapped": EITHER}
+    if name == "laz14v.laz":
+        spoilt |= {
+            "points_0": [(0, size), *held[1:]],
+            "points_one_less": [(many - 1, size), *held[1:]],
+            "points_swapped": [(held[1][0], size), (many, after), *held[2:]],
+            "points_2to31": [(2**31 - 1, size), *held[1:]],
+            "points_2to32": [(2**32 - 1, size), *held[1:]],
+            "points_all_2to32": [(2**32 - 1, bytes_) for _, bytes_ in held],
+        }
+    return [
+        Case(f"{stem}-entries-{word}.laz", with_table(data, entries), exits.get(word, REFUSED), name)
+        for word, entries in spoilt.items()
+    ]
+
+
+def _chunks(name):
+    """Spoil chunk 3 of 5: its first point, which is stored plainly, and seeded bytes of its coded rest."""
+    data, stem = bases()[name], name.removesuffix(".laz")
+    start, end, _ = layout_of(data).chunks[2]
+    made = [
+        Case(f"{stem}-chunk_3-far_point.laz", patched(data, start, "i", 2**31 - 1)),
+        # Point formats 0 to 5 code their points without any length: zeros are coded points too.
+        Case(f"{stem}-chunk_3-zeros.laz", data[:start] + bytes(end - start) + data[end:], EITHER),
+        Case(f"{stem}-chunk_3-ones.laz", data[:start] + b"\xff" * (end - start) + data[end:]),
+    ]
+    for seed in range(6):
+        places = np.random.default_rng(seed).integers(start, end, 1 + seed).tolist()
+        made.append(Case(f"{stem}-chunk_3-flip_{seed}.laz", flipped(data, places, seed), EITHER))
+    if name == "laz14v.laz":
+        # Point formats 6 and up: a count, then the bytes of each layer, behind the first point of 36 bytes. Layers that
+        # nobody decodes may lie; those that are decoded must be told from the right ones.
+        fields = {f"layer_{layer}": (40 + 4 * layer, "I", _LAYERS) for layer in range(10)}
+        fields["chunk_points"] = (36, "I", {"0": 0, "more": "+1", "2to32": 2**32 - 1})
+        made += field_cases(name, data, fields, start, default=EITHER, base=name)
+    return made
+
+
+_INFO = {
+    "centre": (0, "d", {"nan": _NAN, "4e9": 4e9}),
+    "half": (24, "d", {"0": 0.0, "negative": -1.0, "nan": _NAN, "inf": _INF, "1e300": 1e300}),
+    "spacing": (32, "d", {"0": 0.0, "nan": _NAN}),
+    "root_at": (40, "Q", {"0": 0, "points": 1500, "beyond": 2**40, "2to63": 2**63 - 1, "2to64": 2**64 - 1}),
+    "root_size": (48, "Q", {"0": 0, "31": 31, "one_less": 127, "2to32": 2**32, "2to63": 2**63 - 1, "2to64": 2**64 - 1}),
+}
+
+
+_NAMES = ("level", "x", "y", "z", "offset", "size", "points")
+
+
+def copc_cases():
+    """Every case of COPC.
+
+    The points of a COPC file can be read without its hierarchy, as those of any LAZ file. A reader that goes by the
+    hierarchy must notice that it lies; either way no point may be lost or won.
+    """
+    data = bases()["copc.copc.laz"]
+    layout = layout_of(data)
+    info, info_at, _ = layout.vlrs[0]
+    make = partial(Case, exits=EITHER, base="copc.copc.laz")
+    made = field_cases("copc-info.copc.laz", data, _INFO, info_at, default=EITHER, base="copc.copc.laz")
+    start, body, end = layout.evlrs[0]
+    made += [make(f"copc-{word}.copc.laz", spoilt) for word, spoilt in _hierarchies(data, info_at, body, end).items()]
+    made += [
+        make("copc-info-not_first.copc.laz", patched(data, info + 2, "4s", b"nocc")),
+        Case("copc-info-length_0.copc.laz", patched(data, info + 20, "H", 0)),
+        make("copc-info-length_159.copc.laz", patched(data, info + 20, "H", 159)),
+        Case("copc-evlr_length-2to63.copc.laz", patched(data, start + 20, "Q", 2**63 - 1), REFUSED),
+    ]
+    places = {"no_evlr": start, "evlr_head": body, "mid_root_page": body + 48, "no_second_page": end - 32}
+    return made + cut("copc.copc.laz", data, places)
+
+
+def _hierarchies(data, info_at, body, end):
+    """Hierarchies that lead nowhere, in circles, or to other points.
+
+    The root page holds the root and an entry for the page of each node below it.
+    """
+    (root_size,) = struct.unpack_from("<Q", data, info_at + 48)
+    entries, first, node = (end - body) // ENTRY.size, 0, root_size // ENTRY.size
+    page, last = node - 1, entries - 1
+
+    def entry(index, **changes):
+        at = body + ENTRY.size * index
+        held = dict(zip(_NAMES, ENTRY.unpack_from(data, at), strict=True)) | changes
+        return data[:at] + ENTRY.pack(*held.values()) + data[at + ENTRY.size :]
+
+    another, (*_, root_bytes, root_points) = (ENTRY.unpack_from(data, body + ENTRY.size * at) for at in (node, first))
+    return {
+        "cycle_root": entry(page, offset=body, size=root_size),
+        "cycle_self": entry(last, offset=end - ENTRY.size, size=ENTRY.size, points=-1),
+        "cycle_both": entry(last, offset=body, size=root_size, points=-1),
+        "page_beyond": entry(page, offset=2**40),
+        "page_in_points": entry(page, offset=2000),
+        "page_size_0": entry(page, size=0),
+        "page_size_negative": entry(page, size=-1),
+        "node_beyond": entry(first, offset=2**40),
+        "node_at_2to64": entry(first, offset=2**64 - 1),
+        "node_in_header": entry(first, offset=0),
+        "node_of_another": entry(first, offset=another[4]),
+        "node_size_0": entry(first, size=0),
+        "node_size_negative": entry(first, size=-1),
+        "node_size_one_less": entry(first, size=root_bytes - 1),
+        "points_0": entry(first, points=0),
+        "points_least": entry(first, points=-(2**31)),
+        "points_largest": entry(first, points=2**31 - 1),
+        "points_one_more": entry(first, points=root_points + 1),
+        "points_one_less": entry(first, points=root_points - 1),
+        "level_largest": entry(node, level=2**31 - 1),
+        "level_negative": entry(node, level=-1),
+        "key_negative": entry(node, y=-7),
+        "key_of_another": entry(node, level=0, x=0, y=0, z=0),
+        "all_zeros": data[:body] + bytes(end - body) + data[end:],
+        "all_ones": data[:body] + b"\xff" * (end - body) + data[end:],
+    }

@@ -9,7 +9,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from .bases import bases
+from .files import bases
 
 SECONDS = 10.0
 MEMORY = 1_500_000_000
@@ -19,16 +19,9 @@ _STARTING = 300.0
 
 
 class Lines:
-    """Asks a process, by lines of JSON; ``said`` is where its standard error goes.
+    """Asks a process of Python, which says when it is ready, by lines of JSON.
 
-    Parameters
-    ----------
-    command : list
-        Of Python; the process writes one line when it is ready.
-    seconds : float
-        Time for each answer.
-    environment : dict
-    said : Path
+    ``seconds``: for each answer; ``said``: where its standard error goes.
     """
 
     def __init__(self, command: list, seconds: float, environment: dict, said: Path) -> None:

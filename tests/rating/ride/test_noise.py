@@ -29,51 +29,42 @@ def surveyed(terrains, effects, seed=1):
     return measure(block, FeatureSettings(), ground_only=False)
 
 
+def pitch_of(relief):
+    return roll_over(relief, OPERATOR).pitch_change
+
+
 @pytest.mark.parametrize(("density", "noise"), [(25, 0.03), (100, 0.01), (100, 0.03), (1000, 0.05)])
 def test_the_noise_of_level_ground_is_told_and_taken_off(density, noise):
     patches = surveyed([PLANE] * 16, ScanEffects(density, noise))
     clean = denoise(patches, OPERATOR)
     assert np.median(clean.point_noise) == pytest.approx(noise, rel=0.08)
-    raw = roll_over(patches.relief_map, OPERATOR).pitch_change
-    left = roll_over(clean.relief_map, OPERATOR).pitch_change
-    assert np.median(left) < 0.4 * np.median(raw)
+    raw, left = np.median(pitch_of(patches.relief_map)), np.median(pitch_of(clean.relief_map))
+    assert left < 0.4 * raw
+    if noise <= 0.03 and density >= 100:
+        assert left < 0.02  # smooth
+    felt = np.median(roll_over(patches.relief_map, OPERATOR).pitch_change_rms)
+    assert density < 1000 or np.median(clean.noise_felt) == pytest.approx(felt, rel=0.1)
 
 
-def test_what_wheels_feel_of_noise_is_in_step_with_its_size():
-    patches = surveyed([PLANE] * 16, ScanEffects(1000, 0.01))
-    raw = roll_over(patches.relief_map, OPERATOR).pitch_change_rms
-    assert np.median(denoise(patches, OPERATOR).noise_felt) == pytest.approx(np.median(raw), rel=0.1)
-
-
-@pytest.mark.parametrize("density", [25, 100])
-def test_the_noise_of_a_slope_is_that_of_level_ground(density):
+def test_the_noise_of_a_slope_is_that_of_level_ground():
     slope = Terrain("slope", 0.6 * np.linspace(0, 3, 60)[None, :].repeat(60, axis=0), 3.0)
-    clean = denoise(surveyed([slope] * 16, ScanEffects(density, 0.01)), OPERATOR)
+    clean = denoise(surveyed([slope] * 16, ScanEffects(25, 0.01)), OPERATOR)
     assert np.median(clean.point_noise) == pytest.approx(0.01, rel=0.15)
     assert clean.point_noise.min() > 0.004
-
-
-def test_three_centimetres_of_noise_do_not_make_smooth_ground_rough():
-    patches = surveyed([PLANE] * 16, ScanEffects(100, 0.03))
-    ride = roll_over(denoise(patches, OPERATOR).relief_map, OPERATOR)
-    assert np.median(ride.pitch_change) < 0.02
 
 
 def test_ground_without_noise_stays_as_it_is():
     terrains = [make_terrain(kind, 3, 1, slope_limit_deg=5) for kind in ("low_noise", "kerb", "stones", "washboard")]
     patches = surveyed(terrains, ScanEffects(1000, 0.0))
-    before = roll_over(patches.relief_map, OPERATOR).pitch_change
-    after = roll_over(denoise(patches, OPERATOR).relief_map, OPERATOR).pitch_change
-    assert after == pytest.approx(before, rel=0.03)
+    after = pitch_of(denoise(patches, OPERATOR).relief_map)
+    assert after == pytest.approx(pitch_of(patches.relief_map), rel=0.03)
 
 
 def test_a_kerb_survives_noise():
     kerb = Terrain("kerb", np.where(np.arange(60) < 30, 0.0, 0.2)[None, :].repeat(60, axis=0), 3.0)
-    truth = surveyed([kerb] * 8, ScanEffects(1000, 0.0))
-    noisy = surveyed([kerb] * 8, ScanEffects(100, 0.03))
-    wanted = np.median(roll_over(truth.relief_map, OPERATOR).pitch_change)
-    raw = np.median(roll_over(noisy.relief_map, OPERATOR).pitch_change)
-    found = np.median(roll_over(denoise(noisy, OPERATOR).relief_map, OPERATOR).pitch_change)
+    truth, noisy = (surveyed([kerb] * 8, effects) for effects in (ScanEffects(1000, 0.0), ScanEffects(100, 0.03)))
+    maps = (truth.relief_map, noisy.relief_map, denoise(noisy, OPERATOR).relief_map)
+    wanted, raw, found = (np.median(pitch_of(relief)) for relief in maps)
     assert 0.9 * wanted < found < wanted + 0.8 * (raw - wanted)
 
 
@@ -86,9 +77,8 @@ def test_noise_that_cannot_be_told_is_not_invented():
     )
 
 
-@pytest.mark.parametrize("count", [1, 8, 13])
-def test_a_patch_gets_the_same_bits_alone_and_among_others(count):
-    rng = np.random.default_rng(count)
+def test_a_patch_gets_the_same_bits_alone_and_among_others():
+    count, rng = 13, np.random.default_rng(13)
     patches = surveyed([Terrain("hills", rng.normal(0, 0.1, (60, 60)), 3.0) for _ in range(count)], DENSE)
     together = denoise(replace(patches, reason=np.where(np.arange(count) % 5 == 3, 3, 0).astype(np.uint8)), OPERATOR)
     for i in (i for i in range(count) if i % 5 != 3):

@@ -1,6 +1,5 @@
 """Rating tiles by the shipped ride model."""
 
-import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -66,12 +65,6 @@ def test_leaves_over_ground_are_not_taken_for_noise():
     buckets.add(x, y, z, np.zeros(900, bool))
     (block,) = buckets.blocks()
     assert rated(measure(block, FeatureSettings(), ground_only=False)).class_id.tolist() == [3]
-
-
-def test_a_model_travels_to_other_processes():
-    patches = patches_of("stones", "ruts")
-    again = pickle.loads(pickle.dumps(MODEL))  # noqa: S301 (our own)
-    assert np.array_equal(rated(patches, again).c_r, rated(patches).c_r)
 
 
 def test_a_calibration_without_a_ride_model_says_what_to_do():

@@ -3,23 +3,21 @@
 import csv
 import json
 import os
-import re
-import shutil
 import signal
 import subprocess
 import sys
 from collections import Counter
+from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
-from small_surveys import write_broken, write_survey
+from small_surveys import run, write_broken, write_survey
 
 import bumpymap
-from bumpymap.cli import main
-from bumpymap.core import OutputError, locked
-from bumpymap.core.config import MapConfig
+from bumpymap.core import MapConfig, OutputError, locked
 from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.survey import BatchConfig, map_surveys, run_batch
+from bumpymap.survey.batch import one_survey
+from bumpymap.survey.batch.one_survey import MapTask
 
 pytestmark = pytest.mark.slow
 
@@ -56,7 +54,7 @@ def layers_in(folder):
 
 
 def batch(*words):
-    return CliRunner().invoke(main, ["batch", *map(str, words)])
+    return run("batch", *words)
 
 
 def table(folder):
@@ -66,10 +64,6 @@ def table(folder):
 
 def statuses(folder):
     return {name: row["status"] for name, row in table(folder).items()}
-
-
-def events(folder):
-    return [json.loads(line) for line in (folder / "log.jsonl").read_text(encoding="utf-8").splitlines()]
 
 
 KILLED = """
@@ -111,14 +105,13 @@ def test_a_night_that_is_killed_twice(surveys, alone, tmp_path):
     found = statuses(night)
     assert {name for name, status in found.items() if status == "already done"} >= set(done[1])
     assert {name for name, status in found.items() if status.endswith("done")} == set(GOOD)
-    assert {name for name, status in found.items() if status == "failed"} == {"broken", "empty", "nothing", "nowhere"}
-    assert sorted(path.name for path in night.iterdir()) == sorted(
-        [*GOOD, "summary.csv", "summary.parquet", "index.html", "catalog.json", "log.jsonl"]
-    )
+    files = {"summary.csv", "summary.parquet", "index.html", "catalog.json", "log.jsonl"}
+    assert {path.name for path in night.iterdir()} == {*GOOD, *files}
     links = json.loads((night / "catalog.json").read_text(encoding="utf-8"))["links"]
     assert [link["href"] for link in links if link["rel"] == "item"] == [f"./{name}/item.json" for name in GOOD]
-    assert [event["event"] for event in events(night)].count("start") == 3
-    assert events(night)[-1]["counts"] == dict(sorted(Counter(found.values()).items()))
+    events = [json.loads(line) for line in (night / "log.jsonl").read_text(encoding="utf-8").splitlines()]
+    assert [event["event"] for event in events].count("start") == 3
+    assert events[-1]["counts"] == dict(sorted(Counter(found.values()).items()))
 
 
 @pytest.fixture(scope="module")
@@ -154,25 +147,25 @@ def test_the_summary_says_what_the_layers_say(night, surveys):
 
 
 def test_what_is_done_is_skipped_and_what_is_mended_is_mapped(tmp_path):
-    write_survey(tmp_path / "in" / "a.laz")
-    write_broken(tmp_path / "in" / "b.laz")
-    assert batch(tmp_path / "in", "--out", tmp_path / "o").exit_code == 4
-    before = (tmp_path / "o" / "a" / "run.json").stat().st_mtime_ns
-    write_survey(tmp_path / "in" / "b.laz", seed=1)
-    assert batch(tmp_path / "in", "--out", tmp_path / "o").exit_code == 0
-    assert statuses(tmp_path / "o") == {"a": "already done", "b": "done"}
-    assert (tmp_path / "o" / "a" / "run.json").stat().st_mtime_ns == before
-
-    other = batch(tmp_path / "in", "--out", tmp_path / "o", "--set", "align=off")
-    assert other.exit_code == 3
-    assert "align was report, is off" in table(tmp_path / "o")["a"]["message"]
+    """One has no CRS: `local`, given for it, keeps the maps of the others."""
+    folder, out = tmp_path / "in", tmp_path / "o"
+    write_survey(folder / "a.laz")
+    write_broken(folder / "b.laz")
+    write_survey(folder / "c.laz", epsg=None)
+    assert batch(folder, "--out", out).exit_code == 4
+    assert statuses(out) == {"a": "done", "b": "failed", "c": "failed"}
+    before = (out / "a" / "run.json").stat().st_mtime_ns
+    write_survey(folder / "b.laz", seed=1)
+    words = (folder, "--out", out, "--set", "local=true")
+    assert batch(*words).exit_code == 0
+    assert statuses(out) == {"a": "already done", "b": "done", "c": "done"}
+    assert (out / "a" / "run.json").stat().st_mtime_ns == before
+    assert batch(*words, "--set", "align=off").exit_code == 3
+    assert "align was report, is off" in table(out)["a"]["message"]
     (tmp_path / "a.toml").write_text('align = "off"')
-    assert (
-        batch(tmp_path / "in", "--out", tmp_path / "o", "--config", tmp_path / "a.toml", "--overwrite").exit_code == 0
-    )
-    assert statuses(tmp_path / "o") == {"a": "done", "b": "done"}
-    assert batch(tmp_path / "in", "--out", tmp_path / "o", "--set", "align=off", "--overwrite").exit_code == 0
-    assert statuses(tmp_path / "o") == {"a": "already done", "b": "already done"}
+    for given, status in (("--config", tmp_path / "a.toml"), "done"), (("--set", "align=off"), "already done"):
+        assert batch(*words, *given, "--overwrite").exit_code == 0
+        assert statuses(out) == dict.fromkeys("abc", status)
 
 
 def test_rows_of_a_table_have_their_own_settings(tmp_path):
@@ -194,58 +187,26 @@ def test_a_crs_for_all_is_that_of_surveys_without_one_and_warnings_are_everywher
     rows = table(tmp_path / "o")
     assert {name: row["crs"] for name, row in rows.items()} == {"own": "EPSG:32614", "silent": "EPSG:32615"}
     assert rows["silent"]["warnings"] == ""
-    warning = (
-        "own.laz: its CRS is WGS 84 / UTM zone 14N (EPSG:32614), and --crs EPSG:32615 is for surveys that have none"
-    )
-    assert warning in rows["own"]["warnings"]
+    warning = "WGS 84 / UTM zone 14N (EPSG:32614), and --crs EPSG:32615 is for surveys that have none"
+    page = (tmp_path / "o" / "index.html").read_text(encoding="utf-8")
+    assert all(warning in text for text in (rows["own"]["warnings"], result.stdout, result.stderr, page))
     assert "2 surveys: 2 done, 1 with warnings" in result.stdout
-    assert warning in result.stdout
-    assert warning in result.stderr
-    assert warning in (tmp_path / "o" / "index.html").read_text(encoding="utf-8")
     page = (tmp_path / "o" / "own" / "report.html").read_text(encoding="utf-8")
     assert "EPSG:32614), and" in page
     assert str(tmp_path) not in page
     again = batch(tmp_path / "in", "--out", tmp_path / "o", "--crs", "EPSG:32615")
     assert "2 already done, 1 with warnings" in again.stdout
-
-    for name, given, expected in (("crs", "--crs=EPSG:32615", 2), ("forced", "--set=force_crs=EPSG:32615", 0)):
-        words = ["map", str(tmp_path / "in" / "own.laz"), "--out", str(tmp_path / name), given]
-        result = CliRunner().invoke(main, words)
-        assert result.exit_code == expected
-        assert "--set force_crs" in result.stderr
-    layers = bumpymap.map_survey(tmp_path / "in" / "own.laz", force_crs="EPSG:32615")
-    assert layers.manifest["crs"]["code"] == "EPSG:32615"
+    words = ("map", tmp_path / "in" / "own.laz", "--out", tmp_path / "out")
+    refused = run(*words, "--crs", "EPSG:32615")
+    assert (refused.exit_code, "--set force_crs" in refused.stderr) == (2, True)
+    assert run(*words, "--set", "force_crs=EPSG:32615").exit_code == 0
+    assert json.loads((tmp_path / "out" / "run.json").read_text())["crs"]["code"] == "EPSG:32615"
 
 
-def test_nothing_in_the_manifest_depends_on_the_machine(tmp_path, monkeypatch):
-    """Other memory, free and given, other threads, a share of a batch: the same run.json, but for its times."""
-    survey = write_survey(tmp_path / "in" / "a.laz")
-    monkeypatch.setattr("os.cpu_count", lambda: 1)
-    monkeypatch.setattr("bumpymap.core.memory.free_memory", lambda: 3 << 30)
-    map_surveys(MapConfig((survey,), tmp_path / "alone", threads=2, memory="1GB"))
-    monkeypatch.setattr("os.cpu_count", lambda: 2)
-    monkeypatch.setattr("bumpymap.core.memory.free_memory", lambda: 6 << 30)
-    run_batch(BatchConfig(survey.parent, tmp_path / "night", jobs=2))
-    runs = [json.loads((tmp_path / at / "run.json").read_text(encoding="utf-8")) for at in ("alone", "night/a")]
-    assert all(run.pop("seconds") for run in runs)
-    assert runs[0] == runs[1]
-
-
-@pytest.mark.parametrize("align", [pytest.param("report", marks=pytest.mark.later), "off"])
-def test_an_interrupted_survey_is_continued_or_begun_again_with_other_settings(
-    surveys, alone, tmp_path, monkeypatch, align
-):
+def test_an_interrupted_survey_is_begun_again_with_other_settings(surveys, alone, tmp_path, killed_at):
     (tmp_path / "s.txt").write_text(f"{surveys / 'a.laz'}\n")
-    whole, left = tmp_path / "whole", tmp_path / "o" / "a"
-
-    def killed(*_):
-        shutil.copytree(whole, left)  # what a kill at this instant leaves
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr("bumpymap.survey.engine.run.decide_ground", killed)
-        with pytest.raises(KeyboardInterrupt):
-            map_surveys(MapConfig((surveys / "a.laz",), whole, align=align))
+    left = tmp_path / "o" / "a"
+    killed_at("survey.engine.run.decide_ground", left, surveys / "a.laz", "--align", "off")
     assert (left / ".bumpymap-run").is_dir()
     assert batch(tmp_path / "s.txt", "--out", tmp_path / "o").exit_code == 0
     assert not (left / ".bumpymap-run").exists()
@@ -279,10 +240,7 @@ def test_nothing_of_others_is_touched(surveys, tmp_path):
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     (mine / "a").symlink_to(elsewhere)
-    result = batch(tmp_path / "s.txt", "--out", mine)
-    assert result.exit_code == 3
-    assert "is a link" in result.output
-    assert not list(elsewhere.iterdir())
+    assert "is a link" in batch(tmp_path / "s.txt", "--out", mine).output
     (mine / "a").unlink()
     (mine / "a").mkdir()
     (mine / "a" / "cost.tif").write_text("my own")
@@ -315,7 +273,6 @@ def test_the_log_goes_on_after_half_a_line(surveys, tmp_path):
 def test_the_page_shows_layers_of_an_earlier_start_that_were_not_reached(surveys, tmp_path):
     (tmp_path / "s.txt").write_text(f"{surveys / 'a.laz'}\n{surveys / 'b.las'}\n")
     assert batch(tmp_path / "s.txt", "--out", tmp_path / "o").exit_code == 0
-    (tmp_path / "o" / "b" / "report.html").touch()
 
     def end(row):
         raise KeyboardInterrupt
@@ -325,10 +282,7 @@ def test_the_page_shows_layers_of_an_earlier_start_that_were_not_reached(surveys
     assert statuses(tmp_path / "o") == {"a": "already done", "b": "not reached"}
     assert "layers of an earlier start" in table(tmp_path / "o")["b"]["message"]
     assert table(tmp_path / "o")["b"]["points"] == "20000"
-    page = (tmp_path / "o" / "index.html").read_text(encoding="utf-8")
-    assert page.count("data:image/png") == 2
-    assert 'href="b/report.html"' in page
-    assert "1 done earlier, 1 not reached" in re.sub("<[^>]*>", "", page)
+    assert (tmp_path / "o" / "index.html").read_text(encoding="utf-8").count("data:image/png") == 2
 
 
 def test_summary_and_page_are_written_during_the_night(surveys, tmp_path, monkeypatch):
@@ -342,20 +296,8 @@ def test_summary_and_page_are_written_during_the_night(surveys, tmp_path, monkey
         seen.append((statuses(tmp_path / "o"), "while the batch was running" in page))
 
     run_batch(BatchConfig(tmp_path / "s.txt", tmp_path / "o"), look)
-    assert seen == [
-        ({"a": "done", "nothing": "not reached"}, True), ({"a": "done", "nothing": "failed"}, True),
-    ]  # fmt: skip
+    assert seen == [({"a": "done", "nothing": status}, True) for status in ("not reached", "failed")]
     assert "while the batch" not in (tmp_path / "o" / "index.html").read_text(encoding="utf-8")
-
-
-def test_settings_that_contradict_each_other_are_refused_before_the_first_survey(surveys, tmp_path):
-    for settings, words in (
-        ({"jobs": 2, "scheduler": "tcp://a:1"}, "Give `jobs=1`, or no `scheduler`"),
-        ({"crs": "EPSG:1", "local": True}, "crs and local"),
-    ):
-        with pytest.raises(bumpymap.UsageError, match=words):
-            bumpymap.map_batch(surveys, tmp_path / "o", **settings)
-    assert not (tmp_path / "o").exists()
 
 
 def test_no_key_of_a_url_is_in_the_files_of_a_night(tmp_path):
@@ -368,3 +310,19 @@ def test_no_key_of_a_url_is_in_the_files_of_a_night(tmp_path):
     held = {path.name: path.read_bytes() for path in (tmp_path / "o").iterdir()}
     assert {"index.html", "log.jsonl", "summary.csv", "summary.parquet"} <= set(held)
     assert [name for name, data in held.items() if b"SECRET" in data] == []
+
+
+@pytest.mark.parametrize("jobs", [pytest.param(1, marks=pytest.mark.later), 2])
+def test_a_process_maps_many_surveys_and_one_that_dies_fails_its_survey_alone(monkeypatch, jobs):
+    monkeypatch.setattr(one_survey, "_MODULE", "worker_of_a_batch")
+    names, begun = ["s", "a", "s2", "dies", "b", "raises", "dies_too", "c"], []
+    tasks = [MapTask(name, MapConfig((Path(f"{name}.laz"),), Path("o"))) for name in names]
+    rows = [end.row for end in one_survey.map_tasks(tasks, jobs, lambda task: begun.append(task.name))]
+    assert begun == names
+    assert sorted(row.name for row in rows) == sorted(names)
+    rows = {row.name: row for row in rows}
+    assert {name for name, row in rows.items() if row.status == "done"} == {"s", "a", "s2", "b", "c"}
+    assert len({rows[name].message for name in ("s", "a", "s2")}) <= jobs  # processes that mapped them
+    assert "SIGKILL" in rows["dies"].message
+    assert rows["dies"].survey == "dies.laz"
+    assert "of no kind that is expected" in rows["raises"].message

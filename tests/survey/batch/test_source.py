@@ -1,11 +1,14 @@
-"""The surveys that a batch finds: in folders, lists and tables; and whose settings count."""
+"""The surveys that a batch finds in folders, lists and tables; whose settings count; and the names of their maps."""
+
+from pathlib import Path
 
 import pytest
+from hypothesis import given, strategies as st
 from small_surveys import write_survey
 
 from bumpymap.core import BadInputError, UsageError
 from bumpymap.survey import BatchConfig, read_batch_settings, run_batch
-from bumpymap.survey.batch.source import list_surveys
+from bumpymap.survey.batch.source import list_surveys, name_surveys, plain_name
 
 
 def found(source, survey_per="file"):
@@ -15,11 +18,9 @@ def found(source, survey_per="file"):
 @pytest.fixture
 def flights(tmp_path):
     folder = tmp_path / "flights"
-    for name in ("one/1.laz", "one/deep/2.laz", "two/1.laz"):
+    for name in ("one/1.laz", "one/deep/2.laz", "two/1.laz", "notes/a.pdf"):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).touch()
-    (folder / "notes").mkdir()
-    (folder / "notes" / "a.pdf").touch()
     return folder
 
 
@@ -49,13 +50,12 @@ def test_each_folder_of_a_folder(flights, caplog):
         ("a.txt", "# nothing\n", BadInputError, "names no survey"),
         ("a.txt", "a.laz\n./a.laz\n", UsageError, "listed twice"),
         ("a.csv", "", UsageError, "no column survey"),
-        ("a.csv", "survey,crss\na.laz,1\n", UsageError, "unknown column crss"),
         ("a.csv", "survey,crs,crs\n", UsageError, "crs is there twice"),
-        ("a.csv", "survey,local\na.laz,maybe\n", UsageError, "local is 'maybe'; it must be true or false"),
+        ("a.csv", "survey,name\na.laz,.b\n", UsageError, "the name is '.b'"),
+        ("a.csv", "survey,crss\na.laz,1\n", UsageError, "unknown column crss"),
         ("a.csv", "survey,local,crs\na.laz,yes,EPSG:1\n", UsageError, "contradict each other"),
         ("a.csv", "survey,crs\n,EPSG:1\n", UsageError, "line 2: the survey is empty"),
         ("a.csv", "survey\na.laz,b\n", UsageError, "it has 2 cells"),
-        ("a.csv", "survey,name\na.laz,.b\n", UsageError, "the name is '.b'"),
         ("a.csv", "survey,name\na.laz,x\nb.laz,X\n", UsageError, "the name x is given twice"),
     ],
 )
@@ -80,13 +80,10 @@ def test_all_faults_of_all_rows_are_said_at_once(tmp_path):
     for said in (
         "11 errors",
         "unknown column colour; there are: survey, name, tile_size",
-        "the name is '../b'; it must be the name of a folder",
         "there is no file or folder",
         "'EPSG:99999' is not a coordinate reference system",
         "no vehicle 'truck'",
-        "none.onnx, given as the model",
         "tile_size is -3.0; it must be a number from 0.05 to 1000 m",
-        "line 2: pixels is '2.5'; it must be a whole number from 3 to 255",
         "line 3: pixels is 'many'",
         "max_unknown is '150%'; it must be a share such as 50% or 0.5",
         "ground is 'CSV'; it must be one of auto, all, class, csf",
@@ -99,6 +96,8 @@ def test_a_fault_of_all_surveys_is_said_before_the_first(tmp_path):
     write_survey(tmp_path / "a.las")
     with pytest.raises(UsageError, match="settings for all surveys"):
         run_batch(BatchConfig(tmp_path, tmp_path / "o", {"vehicle": "truck"}))
+    with pytest.raises(UsageError, match="Give `jobs=1`, or no `scheduler`"):
+        run_batch(BatchConfig(tmp_path, tmp_path / "o", {"scheduler": "tcp://a:1"}, jobs=2))
     assert not (tmp_path / "o").exists()
 
 
@@ -120,22 +119,17 @@ def test_the_columns_of_a_table_are_settings(tmp_path, separator):
 
 
 def test_the_command_line_is_over_the_table_and_the_table_over_the_file(tmp_path):
-    config = BatchConfig(
-        tmp_path,
-        tmp_path,
-        given={"ground": "all", "crs": "EPSG:1"},
-        defaults={"ground": "class", "align": "off", "vehicle": "car", "rating": "table"},
-    )
+    defaults = {"ground": "class", "align": "off", "vehicle": "car", "rating": "table"}
+    config = BatchConfig(tmp_path, tmp_path, given={"ground": "all", "crs": "EPSG:1"}, defaults=defaults)
     made = config.of_survey({"ground": "csf", "align": "on", "calibration": "c.json", "local": True})
     assert (made.ground, made.align, made.rating) == ("all", "on", "table")
     assert (made.crs, made.local) == ("EPSG:1", False)  # what is typed overrides what contradicts it
     assert (made.calibration, made.vehicle) == ("c.json", "warthog")  # and so does the table
 
 
-@pytest.mark.parametrize("line", ['out = "o"', 'surveys = ["a.laz"]'])
-def test_a_file_cannot_set_what_a_batch_decides(tmp_path, line):
-    (tmp_path / "a.toml").write_text(line)
-    with pytest.raises(UsageError, match=f"no setting {line.split()[0]}"):
+def test_a_file_cannot_set_what_a_batch_decides(tmp_path):
+    (tmp_path / "a.toml").write_text('out = "o"')
+    with pytest.raises(UsageError, match="no setting out"):
         read_batch_settings(tmp_path / "a.toml")
 
 
@@ -146,3 +140,44 @@ def test_memory_and_threads_are_shared_out(tmp_path):
     assert config.share(config.of_survey({}), 8).threads == 1
     with pytest.raises(UsageError, match="Give 1152MB or more"):
         BatchConfig(tmp_path, tmp_path, given={"memory": "1GB"}, jobs=9)
+
+
+ROOT = Path("/surveys")
+WORDS = st.sampled_from(["a", "A", "site", "a_site", ".b", "summary.csv", "log.jsonl", "a_2", "site_laz"])
+PATHS = st.lists(
+    st.tuples(st.lists(WORDS, max_size=2), WORDS, st.sampled_from([".laz", ".las", ".copc.laz"])), max_size=12
+)
+
+
+@given(PATHS)
+def test_names_differ_and_can_be_those_of_folders(parts):
+    places = list(dict.fromkeys(ROOT.joinpath(*folders, f"{word}{suffix}") for folders, word, suffix in parts))
+    found = name_surveys(places, [None] * len(places), ROOT)
+    assert len({name.casefold() for name in found}) == len(places)
+    assert not [name for name in found if plain_name(name)]
+
+
+@pytest.mark.parametrize(
+    ("paths", "given", "expected"),
+    [
+        (["north.laz", "deep/south.copc.laz", "x.y.las"], None, ["north", "south", "x.y"]),
+        (["m/site.laz", "t/site.laz", "other.laz"], None, ["m_site", "t_site", "other"]),
+        (["site/ept.json", "m/site/ept.json", "pit/ept.json"], None, ["site", "m_site", "pit"]),
+        (["site.las", "site.laz"], None, ["site", "site_2"]),
+        (["a.laz", "b/a.laz"], ["a", None], ["a", "b_a"]),
+    ],
+)
+def test_a_survey_has_the_name_of_its_file_as_much_of_its_folders_as_it_takes_or_that_which_is_given(
+    paths, given, expected
+):
+    assert name_surveys([ROOT / path for path in paths], given or [None] * len(paths), ROOT) == expected
+
+
+def test_a_url_is_named_after_its_file_and_a_key_in_it_is_in_no_name():
+    urls = [
+        "https://example.org/a/site.copc.laz?sig=ab.cd",
+        "https://me:word@example.org/b/site.laz",
+        "s3://box/site.laz?/k",
+        "https://example.org/a/own.copc.laz",
+    ]
+    assert name_surveys(urls, [None] * 4, ROOT) == ["a_site", "b_site", "box_site", "own"]

@@ -1,11 +1,15 @@
-"""The second engine: the same bits from workers as from one process, whatever happens to them."""
+"""The second engine: the same bits from workers as from one process, whatever happens to them; and its security."""
 
 import json
 import os
 import random
+import re
 import shutil
+import socket
+import subprocess
 import sys
 from contextlib import contextmanager
+from pathlib import Path
 from unittest.mock import Mock
 
 import numpy as np
@@ -26,10 +30,13 @@ from bumpymap.survey.engine.cluster import (
     read_ranges,
 )
 from bumpymap.survey.engine.plan import ChunkRange, ReadTask
-from bumpytiles import Grid
+from bumpytiles import ClusterError, Grid
 
 pytestmark = pytest.mark.slow
 
+ROOT = Path(__file__).resolve().parents[3]
+SURVEY, PAGE = ROOT / "sample_data" / "quarry_part.ply", ROOT / "docs" / "pages" / "big-sites.md"
+ONE_WORKER = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": ":0", "memory_limit": 0, "silence_logs": 50}
 ALL_RANGES = 11
 """Ranges of the three surveys where a task reads 10,000 points at least."""
 TWO_TASKS = 57_000
@@ -51,9 +58,17 @@ class Deadly:
 '''
 
 
+def record_of(folder):
+    return json.loads((folder / "run.json").read_text(encoding="utf-8"))
+
+
 def inputs_of(folder):
     """Checksums and all else that is recorded of the inputs."""
-    return json.loads((folder / "run.json").read_text(encoding="utf-8"))["inputs"]
+    return record_of(folder)["inputs"]
+
+
+def map_on(scheduler, surveys, out, *more):
+    return run("map", surveys, "--out", out, "--set", f"scheduler={scheduler}", *more)
 
 
 def write_part(path, columns, chosen, offset):
@@ -110,7 +125,7 @@ class Here:
 
 
 @pytest.fixture
-def here(monkeypatch):
+def here(monkeypatch, limit_points):
     """Workers that are none, small parts, and no room in memory."""
     workers = Here()
 
@@ -122,9 +137,7 @@ def here(monkeypatch):
     monkeypatch.setitem(vars(bumpytiles), "threads_here", lambda: 2)
     monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", 10_000)
     monkeypatch.setattr("bumpymap.survey.engine.collector.MOST_BLOCKS", 3)
-    monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.chunk_points", 4_000)
-    monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.waiting_points", 9_000)
-    monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.block_points", 5_000)
+    limit_points(chunk=4_000, waiting=9_000, block=5_000)
     return workers
 
 
@@ -144,12 +157,9 @@ def test_tasks_in_any_order_done_once_or_twice_give_the_same_bits(
     assert list((tmp_path / "scratch").iterdir()) == []
     assert here.done.count(read_ranges) == tasks
     assert (mark_tiles in here.done) == (ground == "auto" and tasks > 1)
-    record, single = (json.loads((folder / "run.json").read_text()) for folder in (out, plain / ground))
-    assert record["points"] == single["points"]
-    assert record["inputs"] == single["inputs"]
-    assert [entry["checksum"] for entry in record["inputs"]] == [
-        hash_survey(path) for path in sorted(surveys.iterdir())
-    ]
+    assert record_of(out)["points"] == record_of(plain / ground)["points"]
+    assert inputs_of(out) == inputs_of(plain / ground)
+    assert [entry["checksum"] for entry in inputs_of(out)] == [hash_survey(path) for path in sorted(surveys.iterdir())]
 
 
 def test_workers_find_the_part_that_was_never_classified(tmp_path, here, monkeypatch):
@@ -163,22 +173,10 @@ def test_workers_find_the_part_that_was_never_classified(tmp_path, here, monkeyp
     for name, extra in (("one", ()), ("many", ("--set", "scheduler=here"))):
         result = run("map", tmp_path / "site", "--out", tmp_path / name, *extra)
         assert result.exit_code == 0, result.output
-        records.append(json.loads((tmp_path / name / "run.json").read_text()))
+        records.append(record_of(tmp_path / name))
     assert records[0]["tiles_from_all_points"] == records[1]["tiles_from_all_points"] > 300
     assert here.done.count(finish_group) > 1
     assert layers_of(tmp_path / "many") == layers_of(tmp_path / "one")
-
-
-@pytest.mark.realdata
-@pytest.mark.parametrize("most", [20_000, 10**9])
-def test_parts_of_an_octree_give_the_same_bits(shared_data, tmp_path, here, monkeypatch, most):
-    file = shared_data / "zoo" / "las" / "loadersgl" / "copc_ellipsoid.copc.laz"
-    monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", most)
-    for name, extra in (("one", ()), ("many", ("--set", "scheduler=here"))):
-        result = run("map", file, "--out", tmp_path / name, "--local", *extra)
-        assert result.exit_code == 0, result.output
-    assert layers_of(tmp_path / "many") == layers_of(tmp_path / "one")
-    assert (here.done.count(read_ranges) == 1) == (most == 10**9)
 
 
 @pytest.mark.parametrize(("ground", "least"), [("auto", 10_000), pytest.param("all", 10**7, marks=pytest.mark.later)])
@@ -202,48 +200,32 @@ def test_bad_files_are_skipped_with_the_same_words(surveys, tmp_path, here, monk
     for name, extra in (("one", ()), ("many", ("--set", "scheduler=here"))):
         assert run(*arguments, "--out", tmp_path / name, "--skip-bad", *extra).exit_code == 4
     assert layers_of(tmp_path / "many") == layers_of(tmp_path / "one")
-    records = [json.loads((tmp_path / name / "run.json").read_text()) for name in ("one", "many")]
+    records = [record_of(tmp_path / name) for name in ("one", "many")]
     assert len(records[0]["skipped"]) == 2
     assert records[0]["skipped"].keys() == records[1]["skipped"].keys()
-    for key in ("inputs", "points", "ground_only"):
-        assert records[0][key] == records[1][key], key
+    assert all(records[0][key] == records[1][key] for key in ("inputs", "points", "ground_only"))
 
 
-def killed_at(place, out, left, monkeypatch, arguments):
-    """Run until ``place`` is reached; copy what a kill at that instant leaves."""
-
-    def killed(*_, **__):
-        shutil.copytree(out, left)
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(f"bumpymap.survey.engine.{place}", killed)
-        result = run(*arguments, "--out", out)
-    assert result.exit_code == 130, result.output
-    assert list(left.glob(".bumpymap-run/*"))
-
-
-@pytest.mark.parametrize(("place", "finished"), [("run.decide_ground", True), ("run.MeasuredTiles.of", False)])
-def test_a_killed_run_goes_on_without_reading_again(surveys, plain, tmp_path, here, monkeypatch, place, finished):
-    arguments = ("map", surveys, "--set", "scheduler=here")
-    left = tmp_path / "left"
-    killed_at(place, tmp_path / "layers", left, monkeypatch, arguments)
+@pytest.mark.parametrize(("place", "finished"), [("decide_ground", True), ("MeasuredTiles.of", False)])
+def test_a_killed_run_goes_on_without_reading_again(surveys, plain, tmp_path, here, killed_at, place, finished):
+    arguments, left = (surveys, "--set", "scheduler=here"), tmp_path / "left"
+    killed_at(f"survey.engine.run.{place}", left, *arguments)
     here.done.clear()
-    assert run(*arguments, "--out", left).exit_code == 0
+    assert run("map", *arguments, "--out", left).exit_code == 0
     assert read_ranges not in here.done
     assert (finish_group in here.done) == finished
     assert layers_of(left) == layers_of(plain / "auto")
     assert inputs_of(left) == inputs_of(plain / "auto")
-    assert not (left / ".bumpymap-run").exists()
 
 
-def test_a_killed_run_goes_on_with_another_engine(surveys, plain, tmp_path, here, monkeypatch):
+@pytest.mark.usefixtures("here")
+def test_a_killed_run_goes_on_with_another_engine(surveys, plain, tmp_path, killed_at, monkeypatch):
     monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", TWO_TASKS)
-    one, many = ("map", surveys), ("map", surveys, "--set", "scheduler=here")
-    for before, after, place in ((many, one, "run.ResultCollector.add_tiles"), (one, many, "run.decide_ground")):
-        out, left = (tmp_path / f"{name} {place}" for name in ("out", "left"))
-        killed_at(place, out, left, monkeypatch, before)
-        assert run(*after, "--out", left).exit_code == 0
+    one, many = (surveys,), (surveys, "--set", "scheduler=here")
+    for before, after, place in ((many, one, "ResultCollector.add_tiles"), (one, many, "decide_ground")):
+        left = tmp_path / place
+        killed_at(f"survey.engine.run.{place}", left, *before)
+        assert run("map", *after, "--out", left).exit_code == 0
         assert layers_of(left) == layers_of(plain / "auto")
         assert inputs_of(left) == inputs_of(plain / "auto")
 
@@ -257,7 +239,6 @@ def test_a_worker_that_does_not_fit_says_why(surveys, tmp_path):
     versions = {"numpy": "2.0"}
     assert missing_on_worker(context, versions.copy, versions) is None
     assert "numpy 2.0, not 1.9" in missing_on_worker(context, versions.copy, {"numpy": "1.9"})
-    assert "gdal not at all, not 3" in missing_on_worker(context, versions.copy, {"gdal": "3"})
     file = surveys / "a.laz"
     known = identity(file)
     with pytest.raises(UsageError, match="differs from the file on the client"):
@@ -272,41 +253,36 @@ def test_a_worker_that_does_not_fit_says_why(surveys, tmp_path):
 
 
 @pytest.fixture(scope="module")
-def helpers(tmp_path_factory):
-    """Folder of a module that workers and this process can import."""
-    folder = tmp_path_factory.mktemp("helpers")
-    (folder / "deadly_helpers.py").write_text(DEADLY)
-    sys.path.insert(0, str(folder))
-    yield folder
-    sys.path.remove(str(folder))
+def distributed():
+    return pytest.importorskip("distributed")
 
 
 @pytest.fixture(scope="module")
-def scheduler(helpers):
-    """Address of a real cluster of two processes, which gives a task up when it killed its second worker."""
-    dask, distributed = pytest.importorskip("dask"), pytest.importorskip("distributed")
-    path = os.pathsep.join([str(helpers), *sys.path])
+def scheduler(distributed, tmp_path_factory):
+    """Address of a real cluster of two processes, which gives a task up when it killed its second worker.
+
+    Its workers and this process can import ``deadly_helpers``.
+    """
+    folder = tmp_path_factory.mktemp("helpers")
+    (folder / "deadly_helpers.py").write_text(DEADLY)
+    sys.path.insert(0, str(folder))
+    paths, dask = {"PYTHONPATH": os.pathsep.join(sys.path)}, pytest.importorskip("dask")
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": 1}),
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, dashboard_address=":0", memory_limit=0, silence_logs=50,
-            env={"PYTHONPATH": path},
-        ) as cluster,
-    ):  # fmt: skip
+        distributed.LocalCluster(**ONE_WORKER | {"n_workers": 2}, env=paths) as cluster,
+    ):
         yield cluster.scheduler_address
+    sys.path.remove(str(folder))
 
 
-@contextmanager
-def deadly(monkeypatch, mark, *, always=False):
-    """Runs whose work kills the process that does it."""
+def make_deadly(monkeypatch, mark, *, always=False):
+    """Have the work of runs kill the process that does it."""
     from deadly_helpers import Deadly
 
     def block_work(grid, columns, work, ground, in_relief):
         return BlockWork(grid, columns, Deadly(work, str(mark), always), ground, in_relief)
 
-    with monkeypatch.context() as patch:
-        patch.setattr("bumpymap.survey.pipeline.BlockWork", block_work)
-        yield
+    monkeypatch.setattr("bumpymap.survey.pipeline.BlockWork", block_work)
 
 
 @pytest.mark.later
@@ -316,18 +292,17 @@ def test_a_worker_killed_in_the_middle_changes_no_bit(surveys, plain, tmp_path, 
     monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", least)
     monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.chunk_points", 5_000)
     mark = tmp_path / "killed"
-    with deadly(monkeypatch, mark):
-        result = run("map", surveys, "--out", tmp_path / "layers", "--set", f"scheduler={scheduler}", "--ground", "all")
-    assert result.exit_code == 0, result.output
-    assert mark.exists()
+    make_deadly(monkeypatch, mark)
+    result = map_on(scheduler, surveys, tmp_path / "layers", "--ground", "all")
+    assert (result.exit_code, mark.exists()) == (0, True), result.output
     assert layers_of(tmp_path / "layers") == layers_of(plain / "all")
     assert not (tmp_path / "layers" / ".bumpymap-run").exists()
 
 
 @pytest.mark.later
 def test_workers_that_die_over_and_over_end_the_run_with_a_word(surveys, tmp_path, scheduler, monkeypatch):
-    with deadly(monkeypatch, tmp_path / "killed", always=True):
-        result = run("map", surveys, "--out", tmp_path / "layers", "--set", f"scheduler={scheduler}")
+    make_deadly(monkeypatch, tmp_path / "killed", always=True)
+    result = map_on(scheduler, surveys, tmp_path / "layers")
     assert result.exit_code == 2
     assert "2 workers died one after the other over one task" in result.output
     assert "--memory" in result.output
@@ -335,43 +310,35 @@ def test_workers_that_die_over_and_over_end_the_run_with_a_word(surveys, tmp_pat
 
 
 @pytest.mark.later
-def test_a_scheduler_that_is_not_there_is_told_in_time(surveys, tmp_path, monkeypatch):
-    distributed = pytest.importorskip("distributed")
+def test_a_scheduler_that_is_not_there_is_told_in_time(surveys, distributed, tmp_path, monkeypatch):
     monkeypatch.setattr("bumpymap.survey.engine.cluster._TIMEOUT_S", 0.5)
     for address in ("tcp://127.0.0.1:9", "no such place", "ftp://a:1"):
-        result = run("map", surveys, "--out", tmp_path / "layers", "--set", f"scheduler={address}")
+        result = map_on(address, surveys, tmp_path / "layers")
         assert result.exit_code == 2, (address, result.output, result.exception)
         assert f"no scheduler answers at {address}" in result.output
     with distributed.LocalCluster(n_workers=0, dashboard_address=":0", silence_logs=50) as empty:
-        result = run("map", surveys, "--out", tmp_path / "layers", "--set", f"scheduler={empty.scheduler_address}")
-    assert result.exit_code == 2
-    assert "has no workers" in result.output
+        assert "has no workers" in map_on(empty.scheduler_address, surveys, tmp_path / "layers").output
     assert not (tmp_path / "layers").exists()
 
 
 @pytest.mark.later
-def test_a_scheduler_that_goes_away_ends_the_run_with_a_word(surveys, tmp_path, monkeypatch):
-    distributed = pytest.importorskip("distributed")
+def test_a_scheduler_that_goes_away_ends_the_run_with_a_word(surveys, distributed, tmp_path, monkeypatch):
     monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", 10_000)
     monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.chunk_points", 5_000)
     monkeypatch.setattr("bumpymap.survey.engine.cluster._TIMEOUT_S", 5.0)  # it is tried for so long to reach it again
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, dashboard_address=":0", memory_limit=0, silence_logs=50
-    ) as cluster:
+    with distributed.LocalCluster(**ONE_WORKER) as cluster:
         monkeypatch.setattr("bumpymap.survey.engine.collector.ResultCollector.add", lambda *_: cluster.close())
-        result = run("map", surveys, "--out", tmp_path / "layers", "--set", f"scheduler={cluster.scheduler_address}")
+        result = map_on(cluster.scheduler_address, surveys, tmp_path / "layers")
     assert result.exit_code == 2, result.output
     assert "the connection to the scheduler is lost" in result.output
     assert not (tmp_path / "layers").exists()
 
 
 @pytest.mark.parametrize("when", ["look", "read", "finish"])
+@pytest.mark.usefixtures("distributed")
 def test_workers_that_are_lost_end_the_run_with_a_word_and_nothing_is_read_twice(
     surveys, plain, tmp_path, here, monkeypatch, when
 ):
-    pytest.importorskip("distributed")
-    from bumpytiles import ClusterError
-
     out, whole = tmp_path / "layers", here.run
     arguments = ("map", surveys, "--out", out, "--set", "scheduler=here", "--set", f"scratch={tmp_path / 'scratch'}")
 
@@ -406,6 +373,90 @@ def test_the_missing_package_is_named(surveys, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     monkeypatch.delitem(sys.modules, "bumpytiles._dask", raising=False)
     monkeypatch.delitem(vars(bumpytiles), "workers_at", raising=False)
-    result = run("map", surveys, "--out", tmp_path / "layers", "--set", "scheduler=tcp://127.0.0.1:9")
-    assert result.exit_code == 2
-    assert "pip install 'bumpymap[dask]'" in result.output
+    result = map_on("tcp://127.0.0.1:9", surveys, tmp_path / "layers")
+    assert (result.exit_code, "pip install 'bumpymap[dask]'" in result.output) == (2, True)
+
+
+def certificates_of(security):
+    """The certificates of a client in dask's own configuration."""
+    client = {"key": security.tls_client_key, "cert": security.tls_client_cert}
+    return {"distributed.comm.tls.ca-file": security.tls_ca_file, "distributed.comm.tls.client": client}
+
+
+@pytest.mark.later
+def test_a_scheduler_with_tls_takes_whom_its_authority_signed_and_nobody_else(distributed, tmp_path, monkeypatch):
+    """The certificates are those of dask's own configuration."""
+    dask, _ = pytest.importorskip("dask"), pytest.importorskip("cryptography")
+    monkeypatch.setattr("bumpymap.survey.engine.cluster._TIMEOUT_S", 5.0)
+    security = distributed.Security.temporary()
+    with distributed.LocalCluster(security=security, **ONE_WORKER) as cluster:
+        address = cluster.scheduler_address
+        nobody = map_on(address, SURVEY, tmp_path / "out", "--local")
+        with dask.config.set(certificates_of(distributed.Security.temporary())):
+            stranger = map_on(address, SURVEY, tmp_path / "out", "--local")
+        with dask.config.set(certificates_of(security)):
+            taken = map_on(address, SURVEY, tmp_path / "out", "--local")
+    for refused in (nobody, stranger):
+        assert refused.exit_code == 2
+        assert f"no scheduler answers at {address}" in refused.output
+        assert "distributed.comm.tls" in refused.output
+    assert taken.exit_code == 0, taken.output
+    assert "Warning" not in taken.output
+    assert (tmp_path / "out" / "rasters/class.tif").exists()
+
+
+@pytest.mark.later
+@pytest.mark.parametrize(
+    ("address", "warned"),
+    [
+        ("192.0.2.1:8786", True),
+        ("tcp://127.0.0.1:8786", False),
+        ("tcp://localhost:8786", False),
+        ("tcp://[::1]:8786", False),
+    ],
+)
+@pytest.mark.usefixtures("distributed")
+def test_a_scheduler_elsewhere_without_tls_is_warned_about(tmp_path, monkeypatch, address, warned):
+    def nobody(*_):
+        raise ClusterError("nobody")
+
+    monkeypatch.setattr("bumpytiles.workers_at", nobody)
+    result = map_on(address, SURVEY, tmp_path / "out", "--local")
+    assert (result.exit_code, "can run programs as the user" in result.output) == (2, warned)
+
+
+@pytest.mark.later
+@pytest.mark.usefixtures("distributed")
+def test_the_commands_of_the_page_work(tmp_path):
+    """As a user follows them, in one folder and with addresses of this machine."""
+    if shutil.which("openssl") is None:
+        pytest.skip("needs the program openssl")
+    making, starting, mapping = re.findall(r"```sh\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    (tmp_path / "flights").mkdir()
+    shutil.copy(SURVEY, tmp_path / "flights")
+    programs = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    how = {"cwd": tmp_path, "env": os.environ | {"PATH": programs}, "shell": True}
+    subprocess.run(making, check=True, capture_output=True, **how)
+    with socket.socket() as place:
+        place.bind(("127.0.0.1", 0))
+        port = place.getsockname()[1]
+    scheduler, worker = starting.replace("10.0.0.1:8786", f"127.0.0.1:{port}").splitlines()
+    line = mapping.replace("10.0.0.1:8786", f"127.0.0.1:{port}").strip()
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    begun = [
+        subprocess.Popen(f"exec python -m distributed.cli.dask_{command}", **how, **quiet)
+        for command in (
+            f"{scheduler.removeprefix('dask ')} --host 127.0.0.1 --port {port} --no-dashboard",
+            f"{worker.removeprefix('dask ')} --no-dashboard",
+        )
+    ]
+    try:
+        done = subprocess.run(f"{line} --local", check=False, capture_output=True, text=True, **how)
+    finally:
+        for process in begun:
+            process.terminate()
+        for process in begun:
+            process.wait()
+    assert done.returncode == 0, done.stderr
+    assert "Warning" not in done.stderr
+    assert (tmp_path / line.partition("--out ")[2].split()[0] / "rasters/class.tif").exists()

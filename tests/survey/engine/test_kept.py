@@ -1,23 +1,32 @@
-"""What a run keeps that ends early, by how it ended: finished tiles are not lost to a helper or a disk that fails."""
+"""What a run keeps that ends early, in its folder and in memory; what a kill leaves, and what becomes of that."""
 
 import errno
 import json
 import os
 import shutil
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
+import las_files
 import numpy as np
 import pytest
-from small_surveys import layers_of, run, write_las
+from small_surveys import files_in, layers_of, run, write_las
 
 from bumpymap.cli._text import as_options
-from bumpymap.core import CHECKSUM_METHOD
+from bumpymap.core import MapConfig, UsageError, memory as memory_module, run_folder
 from bumpymap.core.errors import BadInputError, OutputError
 from bumpymap.core.processes import Child
-from bumpymap.core.run_folder import Kept, what_to_keep
-from bumpymap.readers import hash_survey
+from bumpymap.core.run_folder import Kept, RunFolder, is_interrupted, what_to_keep, work_folder
+from bumpymap.layers import check_folder
+from bumpymap.readers import PointStats
 from bumpymap.readers.las import LasSurvey
+from bumpymap.survey import with_memory
 from bumpymap.survey.engine.block_work import TileSink
+from bumpymap.survey.engine.budget import Workspace
 from bumpymap.survey.engine.collector import Checkpoints
+from bumpymap.survey.engine.reading import refuse_no_points
+from bumpytiles import Pack
 
 pytestmark = pytest.mark.slow
 
@@ -44,11 +53,9 @@ def plain(surveys, tmp_path_factory):
 
 
 @pytest.fixture(autouse=True)
-def tight(monkeypatch):
+def tight(limit_points):
     """A budget under which the small surveys are read in many pieces, and their first blocks finished early."""
-    monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.chunk_points", 5_000)
-    monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.waiting_points", 20_000)
-    monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.block_points", 20_000)
+    limit_points(chunk=5_000, waiting=20_000, block=20_000)
 
 
 @pytest.fixture
@@ -65,8 +72,7 @@ def after_tiles(monkeypatch):
 
         monkeypatch.setattr(Checkpoints, "save", saved)
 
-    with monkeypatch.context():
-        yield happen
+    return happen
 
 
 def goes_on(surveys, out, plain, monkeypatch, *options):
@@ -93,7 +99,6 @@ def test_a_decoder_that_is_killed_keeps_everything(surveys, plain, tmp_path, mon
     result = run("map", surveys, "--out", out, "--set", f"scratch={scratch}")
     assert result.exit_code == 2, result.output
     assert "the process that decodes LAZ was killed (SIGKILL)" in result.output
-    assert "Traceback" not in result.output
     assert result.output.endswith(f"\n{GO_ON}\n")
     assert list(out.glob(".bumpymap-run/tiles-*.pack"))
     (waiting,) = scratch.iterdir()
@@ -121,41 +126,17 @@ def test_a_full_disk_keeps_finished_tiles_and_gives_back_what_waits(surveys, pla
 def test_a_run_goes_on_under_other_memory_without_reading_again(surveys, plain, tmp_path, monkeypatch):
     """Under another limit, which `auto` may give any time, files would be cut into other chunks."""
     out = tmp_path / "out"
-
     monkeypatch.setattr("bumpymap.survey.engine.run.decide_ground", lambda *_: 1 / 0)  # a defect keeps everything
     failed = run("map", surveys, "--out", out, "--memory", "128MB")
     assert GO_ON in as_options(failed.output + "".join(getattr(failed.exception, "__notes__", [])))
     monkeypatch.undo()
     fetched, fetch = [], LasSurvey.fetch
-
-    def counted(reader, chunk):
-        fetched.append(chunk.points)
-        return fetch(reader, chunk)
-
-    monkeypatch.setattr(LasSurvey, "fetch", counted)
+    monkeypatch.setattr(LasSurvey, "fetch", lambda self, chunk: fetched.append(chunk.points) or fetch(self, chunk))
     result = run("map", surveys, "--out", out)
     assert result.exit_code == 0, result.output
     assert sum(fetched) <= 60_000, "chunks that are on disk are read again"
     assert layers_of(out) == plain
     assert "memory" not in json.loads((out / "run.json").read_text())["settings"]
-
-
-@pytest.mark.parametrize("method", [CHECKSUM_METHOD, "another-1MiB"])
-def test_digests_by_another_method_are_made_again(surveys, tmp_path, monkeypatch, method):
-    out, wrong = tmp_path / "out", bytes(32).hex()
-    with monkeypatch.context() as patch:
-        patch.setattr("bumpymap.survey.engine.run.decide_ground", lambda *_: 1 / 0)
-        run("map", surveys, "--out", out)
-    records = list(out.glob(".bumpymap-run/**/read-*.json"))
-    for path in records:
-        record = json.loads(path.read_text())
-        record[method] = {file: [[n, wrong] for n, _ in own] for file, own in record.pop(CHECKSUM_METHOD).items()}
-        path.write_text(json.dumps(record))
-    result = run("map", surveys, "--out", out)
-    assert result.exit_code == 0, result.output
-    made = [entry["checksum"] for entry in json.loads((out / "run.json").read_text())["inputs"]]
-    right = [hash_survey(path) for path in sorted(surveys.iterdir())]
-    assert (made == right) == (method != CHECKSUM_METHOD), "what is kept is used, if it is by the same method"
 
 
 def test_a_full_disk_before_any_tile_leaves_nothing(surveys, tmp_path, monkeypatch):
@@ -167,48 +148,24 @@ def test_a_full_disk_before_any_tile_leaves_nothing(surveys, tmp_path, monkeypat
     assert not (tmp_path / "out").exists()
 
 
-def test_a_bad_input_leaves_nothing(surveys, tmp_path, after_tiles):
-    for name in ("a.laz", "b.laz"):
-        shutil.copy(surveys / name, tmp_path)
-    content = bytearray((tmp_path / "b.laz").read_bytes())
-    content[-100_000:-99_000] = bytes(1000)
-    (tmp_path / "b.laz").write_bytes(content)
-    seen = []
-    after_tiles(lambda: seen.append(1))
-    result = run("map", tmp_path / "a.laz", tmp_path / "b.laz", "--out", tmp_path / "out")
-    assert result.exit_code == 3, result.output
-    assert seen
-    assert GO_ON not in result.output
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_killed_run_remembers_the_file_that_it_left_out(surveys, tmp_path, monkeypatch):
-    out, left, fetched, fetch = tmp_path / "out", tmp_path / "left", [], LasSurvey.fetch
+def test_a_killed_run_remembers_the_file_that_it_left_out(surveys, tmp_path, monkeypatch, killed_at):
+    left, fetched, fetch = tmp_path / "left", [], LasSurvey.fetch
     content = bytearray((surveys / "a.laz").read_bytes())
     content[-10_000:-9_000] = bytes(1000)
     (tmp_path / "a.laz").write_bytes(content)
-    words = ("map", tmp_path / "a.laz", surveys / "b.laz", "--skip-bad")
-
-    def killed(*_):
-        shutil.copytree(out, left)
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr("bumpymap.survey.engine.run.decide_ground", killed)
-        assert run(*words, "--out", out).exit_code == 130
+    words = (tmp_path / "a.laz", surveys / "b.laz", "--skip-bad")
+    killed_at("survey.engine.run.decide_ground", left, *words)
     monkeypatch.setattr(LasSurvey, "fetch", lambda self, chunk: fetched.append(self.info.path) or fetch(self, chunk))
-    assert run(*words, "--out", left).exit_code == 4
+    assert run("map", *words, "--out", left).exit_code == 4
     assert tmp_path / "a.laz" not in fetched
     assert list(json.loads((left / "run.json").read_text())["skipped"]) == [str(tmp_path / "a.laz")]
     assert run("map", surveys / "b.laz", "--out", tmp_path / "b").exit_code == 0
     assert layers_of(left) == layers_of(tmp_path / "b")
 
 
-def test_packs_that_a_power_cut_spoilt_are_made_anew(surveys, plain, tmp_path, monkeypatch):
+def test_packs_that_a_power_cut_spoilt_are_made_anew(surveys, plain, tmp_path, monkeypatch, killed_at):
     out = tmp_path / "out"
-    with monkeypatch.context() as patch:
-        patch.setattr("bumpymap.layers.write_products", lambda *_, **__: (_ for _ in ()).throw(OutputError("full")))
-        assert run("map", surveys, "--out", out).exit_code == 3
+    killed_at("layers.write_products", out, surveys)
     packs = sorted(out.glob(".bumpymap-run/tiles-*.pack"))
     assert len(packs) > 1
     packs[0].write_bytes(packs[0].read_bytes()[:-9])
@@ -216,9 +173,13 @@ def test_packs_that_a_power_cut_spoilt_are_made_anew(surveys, plain, tmp_path, m
     goes_on(surveys, out, plain, monkeypatch)
 
 
-def killed_after_points(surveys, out, left, monkeypatch):
-    """Run until points are on disk that were read after the first tiles; copy what a kill leaves then."""
-    save, tiles = Checkpoints.save, []
+@pytest.mark.parametrize("spoilt", [True, False])
+def test_points_without_the_tiles_that_they_leave_out_are_read_again(surveys, plain, tmp_path, monkeypatch, spoilt):
+    """Points of a block that was finished are in no later pack: if a power cut spoils its tiles, no point may miss.
+
+    The run is killed when points are on disk that were read after the first tiles.
+    """
+    out, left, save, tiles = tmp_path / "out", tmp_path / "left", Checkpoints.save, []
 
     def killed(checkpoints, result):
         save(checkpoints, result)
@@ -230,13 +191,6 @@ def killed_after_points(surveys, out, left, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(Checkpoints, "save", killed)
         assert run("map", surveys, "--out", out).exit_code == 130
-
-
-@pytest.mark.parametrize("spoilt", [True, False])
-def test_points_without_the_tiles_that_they_leave_out_are_read_again(surveys, plain, tmp_path, monkeypatch, spoilt):
-    """Points of a block that was finished are in no later pack: if a power cut spoils its tiles, no point may miss."""
-    left = tmp_path / "left"
-    killed_after_points(surveys, tmp_path / "out", left, monkeypatch)
     packs = sorted(left.glob(".bumpymap-run/tiles-*-early-*.pack"))
     assert packs
     for pack in packs if spoilt else []:
@@ -253,3 +207,223 @@ def test_a_server_that_failed_may_answer_the_next_time():
     end = BadInputError("cannot read https://a/b.laz")
     end.__cause__ = TimeoutError()
     assert what_to_keep(end) is Kept.ALL
+
+
+BLOCKS = 10
+POINTS = 30_000
+
+
+@pytest.fixture(scope="module")
+def strip(tmp_path_factory):
+    """COPC of a strip of ten blocks: its coarse nodes reach into all of them."""
+    folder = tmp_path_factory.mktemp("strip")
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(480_000.0, 480_000.0 + 48.0 * BLOCKS, POINTS), rng.uniform(3_840_000.0, 3_840_048.0, POINTS)
+    ground = np.where(rng.random(POINTS) < 0.3, 2, 1)
+    data = las_files.las_bytes(np.column_stack([x, y, np.zeros(POINTS)]), version="1.4", fmt=7, classification=ground)
+    survey = folder / "strip.copc.laz"
+    survey.write_bytes(las_files.octree(data, levels=6))
+    assert run("map", survey, "--out", folder / "whole", "--local").exit_code == 0
+    return survey, layers_of(folder / "whole")
+
+
+@pytest.mark.parametrize(("waiting", "spills"), [(21_000, False), (4_000, True)])
+def test_complete_blocks_are_finished_before_points_go_to_disk(
+    strip, tmp_path, monkeypatch, limit_points, killed_at, waiting, spills
+):
+    """And a run that was killed then reads less again, though the coarse nodes still waited."""
+    survey, layers = strip
+    left, fetched, fetch = tmp_path / "left", [], LasSurvey.fetch
+    limit_points(chunk=500, waiting=waiting)
+    killed_at("survey.engine.run.decide_ground", left, survey, "--local")
+    early, on_disk = (
+        {key for path in left.glob(f".bumpymap-run/**/{name}.pack") for key in Pack(path).keys}
+        for name in ("tiles-*-early-*", "points-*")
+    )
+    assert len(early) >= BLOCKS // 2
+    assert bool(on_disk) == bool(early & on_disk) == spills
+    monkeypatch.setattr(LasSurvey, "fetch", lambda self, chunk: fetched.append(chunk.points) or fetch(self, chunk))
+    assert run("map", survey, "--out", left, "--local").exit_code == 0
+    assert sum(fetched) < (0.25 * POINTS if spills else POINTS)
+    assert layers_of(left) == layers
+
+
+ASKED = {"inputs": {"a.laz": {"bytes": 1}}, "settings": {}, "made with": {}, "cut": {"chunk_points": 100}}
+
+
+def leave_killed(out, scratch):
+    """Leave what a kill would leave; gives the folder in which points wait."""
+    folders = [folder for folder in (out, scratch) if folder]
+    with Workspace.opened(out, scratch, ASKED, overwrite=False) as space:
+        (space.scratch / "points-00000000-00000001.pack").write_bytes(b"")
+        waiting = space.scratch
+        for folder in folders:
+            shutil.copytree(folder, folder.with_name(f"{folder.name} kept"))
+    for folder in folders:
+        shutil.rmtree(folder)
+        shutil.move(folder.with_name(f"{folder.name} kept"), folder)
+    return waiting
+
+
+@pytest.mark.parametrize("overwrite", [True, False])
+def test_points_that_waited_elsewhere_go_away(tmp_path, overwrite):
+    out, one, other = tmp_path / "out", tmp_path / "one", tmp_path / "other"
+    waiting = leave_killed(out, one)
+    assert list(waiting.iterdir())
+    with Workspace.opened(out, other, ASKED, overwrite=overwrite) as space:
+        assert not waiting.exists()
+        assert space.scratch.is_dir()
+    waiting = leave_killed(out, None)
+    assert waiting.parent == work_folder(out)
+    with Workspace.opened(out, other, ASKED, overwrite=overwrite):
+        assert not waiting.exists()
+    assert list(out.iterdir()) == list(one.iterdir()) == list(other.iterdir()) == []
+
+
+def test_a_kill_during_the_clearing_leaves_nothing_to_go_on_with(tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    with monkeypatch.context() as patch, Workspace.opened(out, None, ASKED, overwrite=False) as space:
+        (space.folder / "tiles-all-000000.pack").write_bytes(b"tiles")
+        patch.setattr("bumpymap.core.run_folder.remove_path", lambda *_, **__: None)
+    assert not work_folder(out).exists()
+    (left,) = out.iterdir()
+    assert (left / "tiles-all-000000.pack").exists()
+    check_folder(out, overwrite=False)
+    assert list(out.iterdir()) == []
+
+
+def precious(folder):
+    """Somebody else's folder, with files that have the names of a run's."""
+    (folder / "cluster-tiles").mkdir(parents=True)
+    for name in ("run_spec.json", "tiles-all-000000.pack", "points-00000000-00000001.pack", "cluster-tiles/a"):
+        (folder / name).write_text("mine")
+    return folder
+
+
+def test_the_folders_of_a_run_are_its_users_own(tmp_path):
+    with Workspace.opened(tmp_path / "out", tmp_path / "scratch", ASKED, overwrite=False) as space:
+        for folder in (space.folder, space.scratch):
+            assert folder.stat().st_mode & 0o777 == 0o700
+        first = space.scratch.name
+    with Workspace.opened(tmp_path / "out", tmp_path / "scratch", ASKED, overwrite=False) as space:
+        assert space.scratch.name != first
+
+
+def test_a_work_folder_that_is_a_link_is_left_alone(tmp_path):
+    mine = precious(tmp_path / "mine")
+    before = files_in(mine)
+    (tmp_path / "out").mkdir()
+    work_folder(tmp_path / "out").symlink_to(mine)
+    assert not is_interrupted(tmp_path / "out")
+    for overwrite in (True, False):
+        opened = Workspace.opened(tmp_path / "out", tmp_path / "scratch", ASKED, overwrite=overwrite)
+        with pytest.raises(OutputError, match="is a link"), opened:
+            pass
+    assert files_in(mine) == before
+
+
+@pytest.mark.parametrize("overwrite", [True, False])
+def test_links_in_a_work_folder_are_taken_away_and_not_followed(tmp_path, overwrite):
+    mine = precious(tmp_path / "mine")
+    before = files_in(mine)
+    work = work_folder(tmp_path / "out")
+    (work / "points" / "deep").mkdir(parents=True)
+    (work / "run_spec.json").write_text(json.dumps(ASKED))
+    for name in ("cluster-tiles", "points/cluster-points", "points/deep/a"):
+        (work / name).symlink_to(mine)
+    (work / ".tiles-all-000000.pack.part").symlink_to(mine / "run_spec.json")
+    (work / "tiles-all-000001.pack").symlink_to(mine / "none")
+    with Workspace.opened(tmp_path / "out", None, ASKED, overwrite=overwrite) as space:
+        assert not [path for path in space.folder.rglob("*") if path.is_symlink()]
+    assert files_in(mine) == before
+    assert not work.exists()
+
+
+def test_a_link_that_is_put_in_the_place_of_the_work_folder_meanwhile_is_not_followed(tmp_path, monkeypatch):
+    """Between the look at the folder and its clearing, and again before it is removed."""
+    mine = precious(tmp_path / "mine")
+    before = files_in(mine)
+    work = work_folder(tmp_path / "out")
+    work.mkdir(parents=True)
+    (work / "run_spec.json").write_text(json.dumps(ASKED))
+    listdir = os.listdir
+
+    def swapped(place):
+        work.rename(tmp_path / "away")
+        work.symlink_to(mine)
+        return listdir(place)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(run_folder.os, "listdir", swapped)
+        run_folder.clean_folder(work, everything=True)
+    assert files_in(mine) == before
+    assert list((tmp_path / "away").iterdir()) == []
+    work.unlink()
+    with RunFolder.opened(tmp_path / "out", ASKED, overwrite=False, finished=lambda _: False, advice="") as run:
+        run.path.rename(tmp_path / "elsewhere")
+        run.path.symlink_to(mine)
+    assert files_in(mine) == before
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+@pytest.mark.parametrize("fits", ["nothing", "owner", "all but a link"])
+def test_a_noted_scratch_folder_that_is_not_the_runs_is_left_alone(tmp_path, fits):
+    """What is noted may name any folder: of another run, of another user, a link."""
+    out, mine = tmp_path / "out", precious(tmp_path / "bumpymap-mine")
+    work = work_folder(out)
+    work.mkdir(parents=True)
+    (work / "run_spec.json").write_text(json.dumps(ASKED))
+    place, word = mine, "a word"
+    if fits != "nothing":
+        owner = {"out": str(tmp_path / "other" if fits == "owner" else out), "word": word}
+        (mine / "owner.json").write_text(json.dumps(owner))
+    if fits == "all but a link":
+        place = tmp_path / "scratch" / "bumpymap-link"
+        place.parent.mkdir()
+        place.symlink_to(mine)
+    (work / "scratch.json").write_text(json.dumps({"out": str(out), "word": word, "path": str(place)}))
+    before = files_in(mine)
+    for overwrite in (False, True):
+        with Workspace.opened(out, tmp_path / "scratch", ASKED, overwrite=overwrite) as space:
+            assert space.scratch != place
+        assert files_in(mine) == before
+
+
+CONFIG = MapConfig((Path("a.laz"),), Path("out"))
+
+
+@pytest.mark.parametrize(
+    ("free_gib", "size"), [(16, "4096MB"), (1, "512MB"), (0, "512MB"), (999, "8192MB"), (None, "1024MB")]
+)
+def test_by_default_a_run_takes_a_quarter_of_what_is_free(monkeypatch, free_gib, size):
+    """And workers elsewhere get the same on every machine."""
+    monkeypatch.setattr(memory_module, "free_memory", lambda: free_gib and free_gib << 30)
+    assert with_memory(CONFIG).memory == with_memory(replace(CONFIG, memory=" Auto ")).memory == size
+    assert with_memory(replace(CONFIG, scheduler="tcp://10.0.0.1:8786")).memory == "1024MB"
+
+
+def test_a_size_that_is_given_is_used():
+    config = replace(CONFIG, memory="700 MB")
+    assert with_memory(config) is config
+    with pytest.raises(UsageError, match=r"`memory` is 'automatic'; it must be a size of .* or auto"):
+        with_memory(replace(CONFIG, memory="automatic"))
+
+
+@pytest.mark.parametrize(
+    ("tallies", "says"),
+    [
+        ([PointStats(10, withheld=10)], r"of the 10 points of a, 10 are flagged as withheld\. Clear"),
+        (
+            [PointStats(10, withheld=4, noise=6), PointStats(5, noise=5)],
+            r"of the 15 points of a, b, 4 are flagged as withheld and 11 are of class 7 or 18 \(noise\)\. Clear",
+        ),
+        ([PointStats(1000, not_a_number=1000)], r"of the 1,000 points of a, 1,000 are beams without return\. Is it"),
+        ([PointStats(), PointStats()], r"every input was skipped \(a, b\)"),
+        ([PointStats()] * 7, r"\(a, b, c, d, e and 2 more\)"),
+    ],
+)
+def test_no_point_left(tallies, says):
+    readers = [SimpleNamespace(info=SimpleNamespace(path=name)) for name in "abcdefgh"]
+    with pytest.raises(BadInputError, match=says):
+        refuse_no_points(readers[: len(tallies)], tallies)
+    refuse_no_points(readers[: len(tallies) + 1], [*tallies, PointStats(1)])

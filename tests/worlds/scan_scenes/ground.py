@@ -33,32 +33,22 @@ class Blob:
     """Wheel tracks through it: bearing, distance from the centre [m], depth [m], width of a rut [m]."""
 
     def reach(self, x: Floats, y: Floats) -> Floats:
-        """Distance from the centre divided by the radius in that direction; approximate beyond twice the radius."""
+        """Distance from the centre divided by the radius in that direction."""
         east, north = x - self.centre[0], y - self.centre[1]
-        away: Floats = np.hypot(east, north) / self.radius_m
-        near = away < 2.0 + sum(amplitude for amplitude, _ in self.waves)
-        bearing = np.arctan2(north[near], east[near])
+        bearing = np.arctan2(north, east)
         size = np.ones_like(bearing)
         for number, (amplitude, phase) in enumerate(self.waves, start=2):
             size += amplitude * np.cos(number * bearing + phase)
-        away[near] /= size
-        return away
+        return np.hypot(east, north) / self.radius_m / size
 
     def relief(self, x: Floats, y: Floats) -> Floats:
         """Return the relief of the wheel tracks, m; they fade out at the margin."""
-        whole = np.zeros_like(x)
-        if not self.tracks:
-            return whole
-        reach = self.reach(x, y)
-        near = reach < 1.15
-        x, y = x[near], y[near]
         surface = np.zeros_like(x)
         for bearing, offset, depth, width in self.tracks:
             across = (x - self.centre[0]) * np.cos(bearing) + (y - self.centre[1]) * np.sin(bearing) - offset
             along = (y - self.centre[1]) * np.cos(bearing) - (x - self.centre[0]) * np.sin(bearing)
             surface += ruts(across + 0.8 * np.sin(along / 6.0 + offset), depth, width)
-        whole[near] = surface * np.clip((1.15 - reach[near]) / 0.25, 0.0, 1.0)
-        return whole
+        return surface * np.clip((1.15 - self.reach(x, y)) / 0.25, 0.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)

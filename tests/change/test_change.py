@@ -1,0 +1,332 @@
+"""Changes between two surveys: figures of a tile by hand, what counts as a change, and the files."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+import shapely
+from hypothesis import given, strategies as st
+from route_maps import RUN, VEHICLE, copy_folder, write_folder
+from scipy import ndimage, stats
+from survey_pairs import COLS, ROWS, RUT, survey
+
+from bumpymap.change import DiffConfig, find_changes
+from bumpymap.change.compare import CommonError, GroundChange, compare_heights, decide, hold_false_discoveries, ride_z
+from bumpymap.change.pipeline import CHANGE_FILES, connect, remarks
+from bumpymap.core import CHANGE_KINDS, BadInputError, Georeference, OutputError, UsageError
+from bumpytiles import Grid
+
+LAGS = [(0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0)]
+CHANCES = st.lists(st.one_of(st.floats(0.0, 1.0), st.just(float("nan"))), min_size=0, max_size=40)
+
+
+def by_hand(tile):
+    """z_height and z_shape of one tile, one pixel after the other."""
+
+    def cut(values):
+        return np.clip(values / max(1.4826 * np.nanmedian(np.abs(values)), 1e-3), -1.5, 1.5)
+
+    level = cut(tile)
+    form = cut(tile - np.nanmedian(tile))
+    form = form - np.nanmean(form)
+    products = []
+    for row, col in np.ndindex(form.shape):
+        for down, right in LAGS:
+            if row + down < len(tile) and 0 <= col + right < len(tile):
+                products.append(form[row, col] * form[row + down, col + right])
+    own = level[np.isfinite(level)]
+    t, freedom = stats.ttest_1samp(own, 0.0).statistic, len(own) - 1
+    height = -np.sign(t) * stats.norm.ppf(stats.t.cdf(-abs(t), freedom))
+    return height, np.nansum(products) / np.sqrt(np.nansum(np.square(products)))
+
+
+@given(st.integers(0, 10_000), st.floats(0.2, 1.0))
+def test_figures_of_a_tile_are_those_made_by_hand(seed, seen):
+    rng = np.random.default_rng(seed)
+    tile = rng.normal(0.01, 0.05, (1, 15, 15))
+    tile[rng.random(tile.shape) > seen] = np.nan
+    found = compare_heights(tile)
+    assert found.d_height[0] == pytest.approx(np.nanmean(tile))
+    assert (found.z_height[0], found.z_shape[0]) == pytest.approx(by_hand(tile[0]))
+
+
+def test_without_a_change_both_are_standard_normal_whatever_the_noise():
+    """The size of the noise differs from pixel to pixel: a smooth path through a shrub."""
+    rng = np.random.default_rng(0)
+    size = np.where(np.arange(15) < 9, 0.01, 0.3)[None, :, None] * rng.uniform(0.5, 2.0, (4000, 1, 1))
+    found = compare_heights(rng.standard_t(3, (4000, 15, 15)) * size)
+    for z in (found.z_height, found.z_shape):
+        assert z.mean() == pytest.approx(0.0, abs=0.5)
+        assert z.std() == pytest.approx(1.0, abs=0.08)
+        assert np.mean(z > 3.0) < 0.006
+    assert found.z_height.mean() == pytest.approx(0.0, abs=0.06)
+
+
+@pytest.mark.parametrize(("shared", "floor"), [(0.0, 0.0), (0.1, 0.0), (0.1, 0.05)])
+def test_ride_costs_are_compared_by_their_logarithms_less_what_both_maps_share(shared, floor):
+    own = 0.08
+    tail = 1.2815515655446004 * np.hypot(own, shared)
+
+    def bands(ground):
+        return tuple(np.hypot(np.array(ground) * np.exp(by), floor) for by in (0.0, -tail, tail))
+
+    common = CommonError(shared, floor) if shared else None
+    z = ride_z(bands([0.1, 0.05, 0.102, np.nan]), bands([0.102, 0.051, 0.1, 0.1]), common)
+    expected = np.log(1.02) / (own * np.sqrt(2.0))
+    assert z == pytest.approx([expected, expected, -expected, np.nan], rel=0.05, nan_ok=True)
+
+
+def step_up(chances, share):
+    """Benjamini and Hochberg by the book: sort, go down from the largest, stop at the first that is low enough."""
+    known = sorted(chance for chance in chances if chance == chance)  # noqa: PLR0124 (NaN)
+    for place in range(len(known), 0, -1):
+        if known[place - 1] <= share * place / len(known):
+            return [chance <= known[place - 1] for chance in chances]
+    return [False] * len(chances)
+
+
+@given(CHANCES, st.floats(0.01, 0.5))
+def test_what_counts_as_found_is_the_rule_of_the_book(chances, share):
+    assert hold_false_discoveries(np.array(chances, float), share).tolist() == step_up(chances, share)
+
+
+def made_ground(rng, shape=(20, 30)):
+    height, form = rng.standard_normal((2, *shape))
+    return GroundChange(0.01 * height, height, form)
+
+
+def test_a_ride_that_jumps_over_ground_that_has_not_moved_is_no_change():
+    rng = np.random.default_rng(1)
+    found = made_ground(rng)
+    ride = rng.standard_normal(found.z_height.shape)
+    ride[:5] = 30.0
+    assert not decide(found, ride, 0.05).code.any()
+    found.z_height[:5] = 9.0
+    for jump, kind in ((30.0, 2), (-30.0, 3), (np.nan, 4), (0.5, 1)):
+        code = decide(found, np.where(ride == 30.0, jump, ride), 0.05).code
+        assert (code[:5] == kind).all()
+        assert (code[5:] > 0).mean() < 0.02
+
+
+def test_surveys_that_do_not_fit_each_other_are_widened():
+    """A tenth of the tiles has changed, which widens the middle half of the heights to 1.15."""
+    loose = made_ground(np.random.default_rng(2), (100, 200))
+    loose.z_height[:10] = 500.0
+    loose.z_height[-1] = np.nan
+    loose = GroundChange(loose.d_height, 3.0 * loose.z_height, 2.0 + 2.0 * loose.z_shape)
+    done = decide(loose, np.zeros(loose.z_height.shape), 0.05)
+    assert done.widened == pytest.approx({"height": 3.0 * 1.15, "shape": 2.0, "c_r": 1.0}, rel=0.05)
+    assert (done.code[:10] > 0).all()
+    assert (done.code[10:-1] > 0).mean() < 0.01
+
+
+@given(st.integers(0, 10_000), st.floats(0.05, 0.8), st.integers(1, 6))
+def test_small_changes_are_dropped_and_the_others_numbered(seed, share, least):
+    rng = np.random.default_rng(seed)
+    code = np.where(rng.random((9, 12)) < share, rng.integers(1, 5, (9, 12)), 0).astype(float)
+    code[rng.random(code.shape) < 0.1] = np.nan
+    kept, area, dropped = connect(code, least)
+    labels, count = ndimage.label(np.nan_to_num(code) > 0)
+    sizes = ndimage.sum_labels(np.ones(code.shape), labels, np.arange(1, count + 1))
+    assert area.max() == sum(sizes >= least)
+    assert dropped == sizes[sizes < least].sum()
+    assert np.array_equal(area > 0, np.nan_to_num(kept) > 0)
+    assert np.array_equal(np.isnan(kept), np.isnan(code))
+    pairs = {(int(number), int(found)) for number, found in zip(area[area > 0], labels[area > 0], strict=True)}
+    assert len(pairs) == area.max()
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory):
+    """``again`` is as ``may`` was, but 0.4 m higher; ``june`` has a rut of 10 cm, three times as rough a ride."""
+    folder = tmp_path_factory.mktemp("change")
+    for name, made in {"may": survey(1), "again": survey(2, rise=0.4), "june": survey(3, rut=0.1, c_r=3.0)}.items():
+        write_folder(folder / name, made)
+    return folder
+
+
+def compare(before, after, **options):
+    return find_changes(DiffConfig(before, after, **options))
+
+
+@pytest.fixture(scope="module")
+def rut(root):
+    """What has changed from ``may`` to ``june``, with its files."""
+    return compare(root / "may", root / "june", out=root / "out")
+
+
+def planted():
+    mask = np.zeros((ROWS, COLS), bool)
+    mask[tuple(np.array(RUT).T)] = True
+    return mask
+
+
+def test_without_a_change_next_to_nothing_is_found(root):
+    result = compare(root / "may", root / "again", min_tiles=1)
+    assert result.counts["compared"] == ROWS * COLS
+    assert result.counts["changed"] <= 0.005 * ROWS * COLS
+    assert result.fit["offset_m"] == pytest.approx(0.4, abs=0.002)
+    assert any("lies 0.400 m higher" in note and "taken off" in note for note in result.notes)
+    assert all(factor < 1.2 for factor in result.fit["widened"].values())
+    assert abs(np.nanstd(result.field.z_height) - 1.0) < 0.1
+
+
+def test_a_rut_is_found_and_little_else(rut):
+    found = rut.field.changed > 0
+    assert found[planted()].mean() >= 0.9
+    assert found[~planted()].sum() <= 0.05 * found.sum()
+    assert (rut.field.changed[planted() & found] == 2).mean() > 0.9
+    assert np.nanmedian(rut.field.d_height[planted()]) == pytest.approx(-0.1 * 3 / 15, abs=0.004)
+    assert rut.field.d_c_r[planted()].mean() == pytest.approx(0.2, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("offset", "ratio", "said"),
+    [(-0.001, 1.04, "0.001 m lower"), (-0.0004, None, "level with"), (None, 0.7, "0.70 times")],
+)
+def test_height_and_ride_that_differ_everywhere_are_said(offset, ratio, said):
+    fit = {"offset_m": offset, "offset_taken_off_m": offset, "median_density_m2": (9, 9), "widened": {}}
+    (note,) = remarks(
+        fit | {"median_ratio_c_r": ratio, "versions": (None, None)}, {"changed": 0, "compared": 9, "in_both": 9}
+    )
+    assert said in note
+
+
+def test_the_other_way_round_a_rut_is_filled(root, rut):
+    there, back = rut, compare(root / "june", root / "may")
+    assert back.counts["by_change"]["smoother"] == there.counts["by_change"]["rougher"]
+    assert np.array_equal(there.transitions, back.transitions.T)
+    assert np.allclose(there.field.d_height, -back.field.d_height, atol=1e-6)
+
+
+def test_an_offset_that_is_given_is_the_one_taken_off(root):
+    result = compare(root / "may", root / "again", offset=0.0)
+    assert result.counts["changed"] == ROWS * COLS
+    assert np.median(result.field.d_height) == pytest.approx(0.4, abs=0.01)
+    assert any("as asked" in note for note in result.notes)
+    assert any("too many" in note for note in result.notes)
+
+
+def test_the_error_that_both_maps_share_is_taken_off(root):
+    knows = RUN["calibration"] | {"model_error": 0.08}
+    both = [
+        copy_folder(site, root / f"{site.name}_shared", calibration=knows) for site in (root / "may", root / "june")
+    ]
+    plain, taken, mixed = (
+        compare(*pair).field.z_c_r for pair in ((root / "may", root / "june"), both, (both[0], root / "june"))
+    )
+    assert np.array_equal(mixed, plain)
+    own = np.sqrt((np.log(1.13) / 1.2816) ** 2 - 0.08**2)
+    assert np.median(taken / plain) == pytest.approx(np.log(1.13) / 1.2816 / own, rel=0.05)
+
+
+def test_thin_surveys_are_compared_in_coarser_cells(root):
+    thin = [
+        write_folder(root / f"thin{seed}", survey(seed, seen=0.3, lowered=depth))
+        for seed, depth in ((11, 0.0), (12, 0.3))
+    ]
+    result = compare(*thin)
+    assert result.fit["cell_m"] == pytest.approx(0.6)
+    assert (result.field.changed > 0)[planted()].mean() > 0.9
+    unlike = compare(root / "may", thin[0])
+    assert unlike.fit["cell_m"] == pytest.approx(0.6)
+    assert any("unlike densities, 30 and 100 points" in note for note in unlike.notes)
+
+
+def test_only_tiles_of_both_are_compared(root):
+    half = np.arange(COLS)[None, :] < np.where(np.arange(ROWS) < 10, 25, 22)[:, None]
+    part = write_folder(root / "part", survey(5, tiles=half))
+    result = compare(root / "may", part)
+    assert result.counts["in_both"] == half.sum()
+    assert (result.field.window.cols, result.field.window.rows) == (25, ROWS)
+    assert np.array_equal(np.isfinite(result.field.changed), half[:, :25])
+
+
+def test_files_say_what_the_result_says(rut):
+    assert [path.name for path in rut.files] == [*CHANGE_FILES.names]
+    assert {path.name for path in rut.folder.iterdir() if not path.name.startswith(".")} == {*CHANGE_FILES.names}
+    with rasterio.open(rut.folder / "change.tif") as file:
+        assert file.descriptions == ("d_c_r", "z_c_r", "d_height", "z_height", "z_shape", "changed")
+        assert file.crs.to_epsg() == 32614
+        assert (file.transform.c, file.transform.f) == (160_000 * 3.0, 712_030 * 3.0)
+        for name, band in zip(file.descriptions, file.read(), strict=True):
+            assert np.array_equal(band, getattr(rut.field, name), equal_nan=True)
+    record = json.loads((rut.folder / "change.json").read_text())
+    assert record["counts"] == json.loads(json.dumps(rut.counts))
+    assert np.array_equal(record["classes"]["tiles_before_after"], rut.transitions)
+    assert record["settings"]["fdr"] == 0.05
+    assert len(record["sources"]["before"]["runs"][0]["files"]) > 5
+    assert record["crs"]["code"] == "EPSG:32614"
+    assert record["grid"] == {"tile_size_m": 3.0, "pixels": 15}
+    assert {file["path"] for file in record["files"]} == {"change.tif", "change.geojson"}
+
+
+def test_features_are_the_changes(rut):
+    collection = json.loads((rut.folder / "change.geojson").read_text())
+    features = collection["features"]
+    assert [feature["id"] for feature in features] == list(range(1, rut.counts["regions"] + 1))
+    assert sum(feature["properties"]["tiles"] for feature in features) == rut.counts["changed"]
+    largest = max(features, key=lambda feature: feature["properties"]["tiles"])
+    about = largest["properties"]
+    assert shapely.geometry.shape(largest["geometry"]).is_valid
+    assert about["area_m2"] == about["tiles"] * 9.0
+    assert about["volume_m3"] == pytest.approx(about["d_height"] * about["area_m2"], abs=0.1)
+    assert about["volume_m3"] == pytest.approx(-0.1 * 0.6 * 3.0 * about["tiles"], rel=0.15)
+    assert about["kind"] == "rougher"
+    assert about["rougher"] + about["smoother"] + about["ground_changed_ride_as_before"] == about["tiles"]
+    west, south, east, north = collection["bbox"]
+    assert -180 <= west < east <= 180
+    assert south < north
+
+
+def test_the_page_describes_every_file_band_kind_and_default(rut):
+    page = (Path(__file__).resolve().parents[2] / "docs" / "pages" / "diff.md").read_text(encoding="utf-8")
+    first = {}
+    for title in ("file", "band"):
+        (table,) = re.findall(rf"(?m)^\| {title} \|.*\n\|[-| ]*\n((?:\|.*\n)+)", page)
+        first[title] = [name for line in table.splitlines() for name in re.findall(r"`([^`]+)`", line.split("|")[1])]
+    assert first["file"] == [*CHANGE_FILES.names]
+    with rasterio.open(rut.folder / "change.tif") as file:
+        assert tuple(first["band"]) == file.descriptions
+    for number in range(len(CHANGE_KINDS)):
+        assert re.search(rf"\| `changed` .*\b{number} ", page)
+    config = DiffConfig(Path("a"), Path("b"))
+    assert f"on average ({config.fdr:g})" in page
+    assert f"left out ({config.min_tiles})" in page
+
+
+@pytest.mark.parametrize(
+    ("options", "changes", "word"),
+    [
+        ({}, {"vehicle": VEHICLE | {"name": "car"}}, "vehicle is"),
+        ({}, {"calibration": {"id": "beef", "vehicle": "warthog"}}, "calibration is c0ffee and beef"),
+        ({}, {"settings": {"rating": "table", "compat": "none"}}, "rating is"),
+        ({}, {"ground_only": True}, "ground points only is"),
+        ({"grid": Grid(3.0, 10)}, {}, "pixels along a tile is 15 and 10"),
+        ({"georeference": Georeference(None)}, {}, "CRS is"),
+    ],
+)
+def test_unlike_surveys_are_refused(root, tmp_path, options, changes, word):
+    other = write_folder(tmp_path / "other", survey(6, tiles=np.indices((ROWS, COLS))[0] < 2, **options), **changes)
+    with pytest.raises(BadInputError, match="cannot be compared") as caught:
+        compare(root / "may", other, out=tmp_path / "out")
+    assert all(told in str(caught.value) for told in (word, str(root / "may"), str(other)))
+    assert not (tmp_path / "out").exists()
+
+
+def test_files_are_replaced_only_when_asked(root, rut, tmp_path):
+    out = shutil.copytree(rut.folder, tmp_path / "out")
+    before = (out / "change.json").read_bytes()
+    with pytest.raises(OutputError, match="overwrite=True"):
+        compare(root / "may", root / "june", out=out)
+    assert (out / "change.json").read_bytes() == before
+    compare(root / "may", root / "june", out=out, overwrite=True, fdr=0.2)
+    assert json.loads((out / "change.json").read_text())["settings"]["fdr"] == 0.2
+    with pytest.raises(UsageError, match="layers of a survey"):
+        compare(root / "may", root / "june", out=root / "may", overwrite=True)
+    with pytest.raises(BadInputError, match="there is no folder"):  # told before that the folder is occupied
+        compare(root / "may", tmp_path / "none", out=out)

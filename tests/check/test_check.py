@@ -1,0 +1,420 @@
+"""Drives held against a map: what is measured where pitch and way are known, what is refused, the files of a check."""
+
+import hashlib
+import html
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import made_drives
+import numpy as np
+import pytest
+from check_records import LIMITS, STRETCH_M, made_up_check, stretches_at
+from click.testing import CliRunner
+from pyproj import Geod
+from route_maps import bare_map
+from route_records import MadeUpMap
+from scipy.stats import spearmanr
+
+from bumpymap.check import CheckConfig, check_drives
+from bumpymap.check.measure import find_standing, measure_drive, rough_speed
+from bumpymap.check.pipeline import agreement_of, write_check
+from bumpymap.check.places import local_metres, metre_places, places_on_map
+from bumpymap.check.signals import even_imu
+from bumpymap.check.stretches import cut_stretches, less_floor
+from bumpymap.cli import main
+from bumpymap.core import BadInputError, ImuTrack, OutputError, PlaceTrack, UsageError, WheelTrack
+from bumpymap.layers import check_check_out
+from bumpymap.layers.check_record import CHECK_FILES, CHECK_MANIFEST_NAME, read_check
+from bumpytiles import TileWindow
+
+
+def measured(log):
+    places = None if log.places is None else metre_places(log.places, log.places.x, log.places.y, log.name)
+    found = measure_drive(log, places, 10.0)
+    return found, cut_stretches(found, 10.0)
+
+
+def true_c_r(log, cut, pitch_rate, way):
+    step = log.imu.time[1] - log.imu.time[0]
+    turned = np.concatenate([[0.0], np.cumsum(np.abs(pitch_rate)) * step])
+    at = np.append(log.imu.time, log.imu.time[-1] + step)
+    whole = np.append(way, way[-1])
+    return (np.interp(cut.end_s, at, turned) - np.interp(cut.start_s, at, turned)) / (
+        np.interp(cut.end_s, at, whole) - np.interp(cut.start_s, at, whole)
+    )
+
+
+@pytest.fixture(scope="module")
+def good():
+    made = made_drives.MadeDrive(
+        offset=0.31,
+        mount_deg=(3.0, -4.0, 5.0),
+        noise=0.01,
+        bias=0.01,
+        place_white=0.015,
+        place_wander=0.01,
+        seconds=150.0,
+    )
+    log, pitch_rate, way = made_drives.log_of(made)
+    return made, log, pitch_rate, way, *measured(log)
+
+
+def test_c_r_of_each_stretch_is_that_of_the_drive(good):
+    _, log, pitch_rate, way, _, cut = good
+    true = true_c_r(log, cut, pitch_rate, way)
+    assert len(true) >= 6
+    assert np.median(np.abs(cut.measured / true - 1.0)) < 0.03
+    assert (np.abs(cut.measured - true) < 3.0 * cut.measured_sd).mean() > 0.9
+
+
+def test_clock_mounting_floor_and_way_are_found(good):
+    made, _, _, way, found, _ = good
+    assert found.clock_offset_s == pytest.approx(made.offset, abs=0.04)
+    assert found.mount_deg[:2] == pytest.approx(made.mount_deg[:2], abs=0.5)
+    assert found.mount_deg[2] == pytest.approx(made.mount_deg[2], abs=2.0)
+    in_band = made.noise * np.sqrt(2.0 * found.band_hz / made.hertz)  # of white noise
+    assert found.floor_radps == pytest.approx(in_band * np.sqrt(2.0 / np.pi), rel=0.2)
+    assert np.abs(found.speed).sum() / found.hertz == pytest.approx(way[-1], rel=0.01)
+
+
+def test_noise_of_positions_does_not_lengthen_the_way():
+    log, _, way = made_drives.log_of(made_drives.MadeDrive(noise=0.01, place_white=0.25, place_wander=1.5, seed=5))
+    found, cut = measured(log)
+    assert np.abs(found.speed).sum() / found.hertz == pytest.approx(way[-1], rel=0.06)
+    assert 0.5 < found.track.scatter.wander_m < 4.0
+    assert (cut.measured_sd > 0.02 * cut.measured).all()
+
+
+def test_a_sensor_upside_down_reads_the_same(good):
+    made = replace(good[0], mount_deg=(180.0, 0.0, 0.0), seconds=90.0)
+    log, pitch_rate, way = made_drives.log_of(made)
+    found, cut = measured(log)
+    assert abs(found.mount_deg[0]) == pytest.approx(180.0, abs=1.0)
+    assert np.median(np.abs(cut.measured / true_c_r(log, cut, pitch_rate, way) - 1.0)) < 0.03
+
+
+def test_without_positions_the_way_is_that_of_the_wheels(good):
+    _, log, pitch_rate, way, _, _ = good
+    speed = np.gradient(way, log.imu.time)
+    wheels = WheelTrack(log.imu.time[::5], speed[::5], np.full(len(speed[::5]), np.nan))
+    found, cut = measured(replace(log, places=None, wheels=wheels))
+    assert np.isnan(found.clock_offset_s)
+    assert np.abs(found.speed).sum() / found.hertz == pytest.approx(way[-1], rel=0.02)
+    assert np.median(np.abs(cut.measured / true_c_r(log, cut, pitch_rate, way) - 1.0)) < 0.04
+
+
+def test_the_same_drive_gives_the_same_bits():
+    log, _, _ = made_drives.log_of(made_drives.MadeDrive(seconds=40.0, noise=0.01, place_white=0.015))
+    (found, cut), (again, cut_again) = measured(log), measured(log)
+    assert np.array_equal(found.pitch_rate, again.pitch_rate)
+    assert np.array_equal(cut.measured, cut_again.measured)
+
+
+def test_a_gap_of_the_imu_does_not_count_and_a_drive_without_accelerometer_says_so(good):
+    _, log, _, _, _, _ = good
+    keep = (log.imu.time < 60.0) | (log.imu.time > 64.0)
+    imu = ImuTrack(log.imu.time[keep], log.imu.rate[keep], log.imu.acceleration[keep])
+    found, cut = measured(replace(log, imu=imu))
+    inside = (found.time > 60.1) & (found.time < 63.9)
+    assert (found.reason[inside] == 1).all()
+    assert (cut.label[inside] == -1).all()
+    imu = replace(log.imu, acceleration=np.full_like(log.imu.acceleration, np.nan))
+    found, _ = measured(replace(log, imu=imu))
+    assert np.isnan(found.mount_deg).all()
+    assert any("no accelerometer" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(
+    ("damage", "told"),
+    [
+        (lambda log: {"imu": ImuTrack(log.imu.time[::5], log.imu.rate[::5], log.imu.acceleration[::5])}, "`band_hz`"),
+        (lambda log: {"imu": replace(log.imu, rate=np.degrees(log.imu.rate))}, "in degrees per second, say so"),
+        (lambda log: {"imu": replace(log.imu, rate=np.radians(log.imu.rate))}, "radians per second read as degrees"),
+        (lambda log: {"places": replace(log.places, time=log.places.time + 1e6)}, "in common"),
+        (lambda _: {"places": None}, "neither positions nor wheel speeds"),
+        (
+            lambda log: {
+                "places": replace(
+                    log.places,
+                    time=log.places.time[:5],
+                    x=log.places.x[:5],
+                    y=log.places.y[:5],
+                    error=np.full(5, np.nan),
+                )
+            },
+            "5 usable positions",
+        ),
+    ],
+)
+def test_a_log_that_cannot_be_measured_is_refused(good, damage, told):
+    log = good[1]
+    with pytest.raises(BadInputError, match=told):
+        measured(replace(log, **damage(log)))
+
+
+def test_a_short_way_tells_no_offset_of_the_clocks_and_rough_positions_none_or_its_error():
+    log, _, _ = made_drives.log_of(made_drives.MadeDrive(seconds=32.0, offset=0.3, noise=0.01, place_white=0.015))
+    assert np.isnan(measured(log)[0].clock_offset_s)
+    made = made_drives.MadeDrive(offset=0.31, noise=0.01, place_white=0.25, place_wander=1.5, turning=0.3, seed=3)
+    found, _ = measured(made_drives.log_of(made)[0])
+    assert not abs(found.clock_offset_s - made.offset) > 3.0 * found.clock_offset_sd_s
+
+
+def test_the_way_of_a_long_drive_is_found_as_well(good, monkeypatch):
+    _, log, pitch_rate, way, found, cut = good
+    monkeypatch.setattr("bumpymap.check.track._TRIED_KNOTS", 240)
+    again, cut_again = measured(log)
+    assert again.track.offset_s == pytest.approx(found.clock_offset_s, abs=0.02)
+    assert np.abs(again.speed).sum() / again.hertz == pytest.approx(way[-1], rel=0.01)
+    assert np.median(np.abs(cut_again.measured / true_c_r(log, cut_again, pitch_rate, way) - 1.0)) < 0.03
+    assert cut_again.measured_sd == pytest.approx(cut.measured_sd, rel=0.2)
+
+
+@pytest.mark.parametrize("on_the_spot", [False, True])
+def test_slow_driving_over_even_ground_is_no_standstill(on_the_spot):
+    made = made_drives.MadeDrive(amplitude=0.002, speed=0.1, seconds=60.0, noise=0.01, turning=0.0)
+    log, *_ = made_drives.log_of(made)
+    imu = even_imu(log.imu, "slow", 10.0)
+    time, speed = (axis[::20] for axis in made_drives.motion(made)[:2])
+    still = np.zeros(len(time))  # on the spot, the sides turn against each other
+    wheels = WheelTrack(time, *((still, 2 * speed) if on_the_spot else (speed, still)))
+    standing = find_standing(imu, rough_speed(imu, None, wheels), 10.0)
+    driven = (imu.time > made.stand + 1.0) & (imu.time < made.seconds - made.stand / 2 - 1.0)
+    assert not standing[driven].any()
+    assert standing[imu.time < made.stand - 1.0].mean() > 0.8
+
+
+def test_without_wheels_positions_tell():
+    made = made_drives.MadeDrive(seconds=60.0, noise=0.01, place_white=0.015)
+    log, *_ = made_drives.log_of(made)
+    imu = even_imu(log.imu, "made", 10.0)
+    places = metre_places(log.places, log.places.x, log.places.y, log.name)
+    standing = find_standing(imu, rough_speed(imu, places, None), 10.0)
+    assert standing[imu.time < made.stand - 1.0].mean() > 0.8
+    assert not standing[(imu.time > made.stand + 2.0) & (imu.time < 50.0)].any()
+    lost = WheelTrack(*np.full((3, 3), np.nan))
+    assert np.array_equal(standing, find_standing(imu, rough_speed(imu, places, lost), 10.0))
+
+
+def test_independent_noise_is_taken_off_in_power():
+    rng = np.random.default_rng(1)
+    signal, noise = rng.normal(0, 0.2, 400_000), rng.normal(0, 0.1, 400_000)
+    read, floor = np.abs(signal + noise).mean(), np.abs(noise).mean()
+    assert less_floor(read, floor) == pytest.approx(np.abs(signal).mean(), rel=5e-3)
+    assert less_floor(np.array([0.01]), np.array([0.02])) == 0.0
+
+
+def test_agreement_by_hand_and_by_scipy_ties_included():
+    measured = np.array([0.10, 0.20, 0.30, 0.40, 0.40, 0.50, 0.0])
+    c_r = np.array([0.11, 0.30, 0.30, 0.42, 0.20, np.nan, 0.2])
+    driven = stretches_at(np.zeros((7, 2)), c_r, 1.0, sd=0.0)
+    classes = np.digitize(measured, LIMITS).astype(np.uint8)
+    driven = replace(driven, measured=measured, measured_sd=np.zeros(7), place_sd=np.zeros(7), measured_class=classes)
+    found = agreement_of(driven)
+    assert (found.stretches, found.way_m) == (5, 5 * STRETCH_M)
+    assert found.spearman == pytest.approx(spearmanr(c_r[:5], measured[:5]).statistic)
+    assert found.median_ratio == pytest.approx(np.median([1.1, 1.5, 1.0, 1.05, 0.5]))
+    assert found.median_error == pytest.approx(np.median([0.1, 0.5, 0.0, 0.05, 0.5]))
+    assert (found.inside, found.same_class) == (3 / 5, 3 / 5)
+    assert np.isnan(agreement_of(driven, np.arange(7) < 4).spearman)  # of four
+
+
+def test_local_metres_are_those_of_the_ellipsoid():
+    lon, lat = np.array([-99.0, -99.0, -98.99]), np.array([19.0, 19.01, 19.0])
+    east, north = local_metres(lon, lat)
+    _, _, metres = Geod(ellps="WGS84").inv(lon[[0, 0]], lat[[0, 0]], lon[1:], lat[1:])
+    assert np.hypot(east[1:] - east[0], north[1:] - north[0]) == pytest.approx(metres, rel=1e-4)
+
+
+SITE = bare_map(TileWindow(0, 0, 100, 100), crs=None)
+
+
+def csv_of(path: Path) -> str:
+    """Write the log of a drive as tables; return the place to read it from."""
+    log, _, _ = made_drives.log_of(made_drives.MadeDrive(seconds=60.0, noise=0.01, place_white=0.015))
+    imu = np.column_stack([log.imu.time, log.imu.rate, log.imu.acceleration])
+    head = "time [s],gyro_x [rad/s],gyro_y [rad/s],gyro_z [rad/s],acc_x [m/s2],acc_y [m/s2],acc_z [m/s2]"
+    np.savetxt(path / "imu.csv", imu, delimiter=",", header=head, comments="")
+    lon, lat = -99.0 + log.places.x / 105_000.0, 19.0 + log.places.y / 110_700.0
+    places = np.column_stack([log.places.time, lon, lat])
+    np.savetxt(path / "gnss.csv", places, delimiter=",", header="time [s],longitude [deg],latitude [deg]", comments="")
+    return f"{path / 'imu.csv'},{path / 'gnss.csv'}"
+
+
+def test_drives_are_measured_without_a_map_and_those_that_cannot_be_used_are_named(tmp_path):
+    """One of them is no file of a drive, and one is refused when it is measured."""
+    good, bad, parked = csv_of(tmp_path), str(tmp_path / "bad.csv"), str(tmp_path / "parked.csv")
+    (tmp_path / "bad.csv").write_text("hello")
+    made_drives.write_table(tmp_path / "parked.csv", placed("projected", still=True), (0.0, 0.0))
+    words = ["check", "--drive", bad, "--drive", parked, "--drive", good, "--out", str(tmp_path / "out")]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 4
+    result, _ = read_check(tmp_path / "out")
+    (drive,) = result.drives
+    assert drive.name == "imu,gnss"
+    assert drive.way_m == pytest.approx(drive.used_m + sum(drive.left_out_m.values()))
+    assert drive.speed_mps == pytest.approx(1.0, rel=0.05)
+    assert (result.ground, result.agreement) == (None, None)
+    assert np.isfinite(result.stretches.measured).all()
+    assert np.isnan(result.stretches.c_r).all()
+    assert (result.stretches.class_id == 255).all()
+    page = html.unescape((tmp_path / "out" / "check.html").read_text())
+    for drive, told in ((bad, "no table"), (parked, "never drives")):
+        assert told in result.skipped[drive]
+        assert all(f"{drive} is left out: {result.skipped[drive]}" in text for text in (done.output, page))
+        assert done.output.count(f"{drive} is left out") == 1
+    quiet = CliRunner().invoke(main, [*words[:3], *words[5:7], "--quiet"])
+    assert (quiet.exit_code, quiet.stdout) == (4, "")
+    assert f"{bad} is left out: {result.skipped[bad]}" in quiet.stderr
+
+
+def test_with_no_usable_drive_there_is_no_check(tmp_path):
+    words = [tmp_path / "one.csv", tmp_path / "two.csv"]
+    with pytest.raises(BadInputError, match=r"(?s)one\.csv.*two\.csv"):
+        check_drives(None, words)
+    for drives, told in (((), "no drive"), (("a.csv", "b.csv", "a.csv"), "twice")):
+        with pytest.raises(UsageError, match=told):
+            CheckConfig(drives)
+    command = ["check", *(word for path in words for word in ("--drive", str(path)))]
+    assert CliRunner().invoke(main, command).exit_code == 3
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "check.json").touch()
+    done = CliRunner().invoke(main, [*command, "--out", str(tmp_path / "out")])
+    assert "one.csv" in done.output  # told before that the folder is occupied
+    done = CliRunner().invoke(main, ["check", str(tmp_path / "none"), *command[1:], "--out", str(tmp_path / "out")])
+    assert "there is no folder" in done.output
+
+
+def placed(kind: str, shift: float = 0.0, *, still: bool = False):
+    log, _, _ = made_drives.log_of(made_drives.MadeDrive(seconds=40.0, speed=0.0 if still else 1.0))
+    track = log.places
+    return replace(log, places=PlaceTrack(track.time, track.x + 50 + shift, track.y + 50, track.error, kind))
+
+
+def test_positions_of_the_map_s_crs_are_taken():
+    assert places_on_map(placed("projected"), SITE).place.real.min() > 40
+
+
+@pytest.mark.parametrize(
+    ("log", "told"),
+    [
+        (lambda: placed("projected", 9e5), r"off the map: the drive lies around 9\d{5}.*covers 0\.0 to 300\.0"),
+        (lambda: placed("local"), "odometry"),
+        (lambda: placed("lonlat"), "no CRS"),
+        (lambda: replace(placed("projected"), places=None), "no positions"),
+    ],
+)
+def test_positions_that_cannot_be_placed_are_refused(log, told):
+    with pytest.raises(BadInputError, match=told):
+        places_on_map(log(), SITE)
+
+
+ALL = sorted(CHECK_FILES.names)
+WITHOUT_MAP = ["check.html", "check.json"]
+SETTINGS = {"settings": {"band_hz": 10.0, "window_m": 10.0}}
+
+
+@pytest.fixture(scope="module")
+def ground():
+    return MadeUpMap.around()
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_a_folder_gets_every_file_and_the_manifest(ground, tmp_path):
+    out = tmp_path / "new" / "checked"
+    files = write_check(made_up_check(), out, ground=ground, manifest=SETTINGS)
+    assert names(out) == ALL == sorted(path.name for path in files)
+    record = json.loads((out / CHECK_MANIFEST_NAME).read_text())
+    assert record["format"] == "bumpymap-check"
+    assert record["settings"] == SETTINGS["settings"]
+    assert record["calibration"] == {"id": "c0ffee"}
+    assert record["crs"]["code"] == "EPSG:32614"
+    checksum = hashlib.sha256((ground.folder / "run.json").read_bytes()).hexdigest()
+    assert record["layers"] == [{"path": str(ground.folder), "run_sha256": checksum}]
+    listed = [entry["path"] for entry in record["files"]]
+    assert listed == ["check.html", "check.geojson"]
+    for entry in record["files"]:
+        assert entry["sha256"] == hashlib.sha256((out / entry["path"]).read_bytes()).hexdigest()
+    for again in write_check(made_up_check(), tmp_path / "again", ground=ground, manifest=SETTINGS):
+        assert again.read_bytes() == (out / again.name).read_bytes()
+
+
+@pytest.mark.parametrize("has_map", [True, False])
+def test_without_a_map_or_positions_there_is_nothing_for_gis(ground, tmp_path, has_map):
+    result, nowhere = made_up_check(ground=has_map), np.full(40, np.nan)
+    result = replace(result, stretches=replace(result.stretches, easting=nowhere, northing=nowhere))
+    write_check(result, tmp_path, ground=ground if has_map else None)
+    assert names(tmp_path) == WITHOUT_MAP
+    record = json.loads((tmp_path / "check.json").read_text())
+    assert [bool(record[name]) for name in ("map", "agreement", "by_class")] == [has_map] * 3
+
+
+def test_files_of_an_earlier_check_are_replaced_only_if_asked_and_none_is_left(ground, tmp_path):
+    write_check(made_up_check(), tmp_path, ground=ground)
+    before = (tmp_path / "check.json").read_bytes()
+    with pytest.raises(OutputError, match=r"already holds check\.html.*overwrite=True"):
+        write_check(made_up_check(seed=6), tmp_path, ground=ground)
+    assert (tmp_path / "check.json").read_bytes() == before
+    (tmp_path / "my notes.txt").write_text("mine")
+    write_check(made_up_check(seed=6), tmp_path, ground=ground, overwrite=True)
+    assert (tmp_path / "check.json").read_bytes() != before
+    write_check(made_up_check(ground=False), tmp_path, overwrite=True)
+    assert names(tmp_path) == [*WITHOUT_MAP, "my notes.txt"]
+
+
+def test_the_folder_of_a_map_and_files_are_refused(ground, tmp_path):
+    (tmp_path / "run.json").write_text("{}")
+    with pytest.raises(UsageError, match="holds the layers of a survey"):
+        write_check(made_up_check(), tmp_path, ground=ground, overwrite=True)
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(OutputError, match="it is a file"):
+        check_check_out(tmp_path / "file", overwrite=True)
+    with pytest.raises(UsageError, match=r"named like a \.json file, but a check is a folder"):
+        check_check_out(tmp_path / "check.json", overwrite=False)
+    (tmp_path / "other" / "check.html").mkdir(parents=True)
+    with pytest.raises(OutputError, match=r"check\.html is not a file"):
+        check_check_out(tmp_path / "other", overwrite=True)
+
+
+@pytest.mark.parametrize("options", [{}, {"ground": False}, {"unknown": [0, 3]}, {"drives": 3}])
+def test_what_was_written_is_read_again(ground, tmp_path, options):
+    result = made_up_check(**options)
+    odd = replace(result.drives[0], clock_offset_s=float("nan"), mount_deg=(float("nan"),) * 3, name='"<\n\u00e9')
+    result = replace(result, drives=(odd, *result.drives[1:]))
+    write_check(result, tmp_path, ground=ground if result.ground else None, manifest=SETTINGS)
+    for place in (tmp_path, tmp_path / "check.json"):
+        found, record = read_check(place)
+        np.testing.assert_equal(asdict(found), asdict(result))
+        assert record["settings"] == SETTINGS["settings"]
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda record: record.pop("stretches"),
+        lambda record: record["stretches"]["c_r"].pop(),
+        lambda record: record["stretches"]["drive"].__setitem__(0, 9),
+        lambda record: record["map"].update(class_limits=[0.1]),
+        lambda record: record["stretches"]["measured"].__setitem__(0, float("1e308")),
+        lambda record: record.update(warnings="off"),
+    ],
+)
+def test_a_damaged_record_is_refused(ground, tmp_path, damage):
+    write_check(made_up_check(), tmp_path, ground=ground)
+    path = tmp_path / "check.json"
+    record = json.loads(path.read_text())
+    damage(record)
+    path.write_text(json.dumps(record))
+    with pytest.raises(BadInputError, match=r"check\.json.*Give the folder that `bumpymap check` wrote"):
+        read_check(tmp_path)
+
+
+@pytest.mark.parametrize("content", [b"[]", b"[" * 100_000, b"\xff"])
+def test_a_file_that_is_no_check(tmp_path, content):
+    (tmp_path / "check.json").write_bytes(content)
+    with pytest.raises(BadInputError, match=r"check\.json"):
+        read_check(tmp_path)

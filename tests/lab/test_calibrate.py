@@ -1,0 +1,314 @@
+"""Calibrations: what is made of drives, as a whole with few and short ones, and fitted again."""
+
+import errno
+import json
+import math
+from dataclasses import replace
+from itertools import combinations
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+
+from bumpymap.core.errors import BumpymapError, OutputError, UsageError
+from bumpymap.lab.settings import CalibrationSettings
+from bumpymap.lab.simulate import calibrate
+from bumpymap.lab.simulate.drive import DriveSettings, PatchDrives
+from bumpymap.lab.simulate.jobs import DriveJob
+from bumpymap.lab.simulate.motion_fit import SPEED_RATIOS, fit_means, motion_jobs
+from bumpymap.lab.simulate.plan import calibrated_settings, library_terrains
+from bumpymap.lab.simulate.refit import refit, run_crossing
+from bumpymap.lab.worlds.terrains import KINDS
+from bumpymap.rating.calibration import Calibration, DrivenTerrain, shipped_calibrations
+from bumpymap.rating.vehicle_profile import Vehicle, load_profile
+
+WARTHOG = Calibration.shipped("warthog")
+SHORT = DriveSettings(settle_s=0.2, ramp_s=0.3, cruise_s=0.0, measure_s=0.6)
+SETTINGS = CalibrationSettings(
+    load_profile("warthog"), 4, patches=2, starts=1, z_range=(0.05, 0.4), terrains=1, terrain_starts=2, drive=SHORT
+)
+TABLE, LIBRARY = 16, len(KINDS)
+
+
+def terrain(c_r, completed=8, failed=0):
+    return DrivenTerrain("kerb", 0, c_r, 0.01, completed, failed, 0)
+
+
+@given(st.lists(st.floats(0.001, 2.0), min_size=5, max_size=10, unique_by=lambda v: round(v, 4)))
+def test_natural_breaks_are_the_best_of_all_splits(values):
+    def spread(groups):
+        return sum(((g - g.mean()) ** 2).sum() for g in groups)
+
+    x = np.sort(values)
+    limits = calibrate.natural_breaks(np.array(values), 4)
+    found = spread(np.split(x, np.searchsorted(x, limits)))
+    best = min(spread(np.split(x, cuts)) for cuts in combinations(range(1, len(x)), 3))
+    assert found == pytest.approx(best, rel=1e-9, abs=1e-12)
+
+
+def test_failed_drives_count_in_p_fail_and_not_in_c_r():
+    def drives(*c_r):
+        return PatchDrives(tuple("completed" if c is not None else "rolled" for c in c_r), c_r)
+
+    # C_r grows by texture and z range; patches differ. In the last cell, three of six drives failed.
+    cells = {(t, z): [drives(0.02 * 2**t * (1 + 4 * z) * f) for f in (0.8, 1, 1.2)] for t in range(4) for z in (0, 1)}
+    cells[3, 1] = [drives(0.5, None), drives(None, None), drives(1.5, 2.5)]
+    results = {("table", *place, patch): d for place, cell in cells.items() for patch, d in enumerate(cell)}
+    library = [("library", kind, index) for kind in KINDS for index in range(4)]
+    results |= {name: drives(0.01 * (1 + i)) for i, name in enumerate(library)}
+    settings = CalibrationSettings(load_profile("warthog"), patches=3, starts=2, z_range=(0.1, 1.0), terrains=4)
+    calibration = calibrate.summarise(settings, results)
+    assert calibration.p_fail[3][1] == pytest.approx(3 / 6)
+    assert calibration.c_r[3][1] == pytest.approx((0.5 + 2.0) / 2)
+    assert calibration.c_r_log_sd[3][1] == pytest.approx(math.log(4) / math.sqrt(2))
+
+
+def test_terrains_that_cannot_be_crossed_do_not_move_the_limits():
+    crossed = [terrain(c) for c in (0.1, 0.11, 0.3, 0.31, 0.6, 0.61, 1.0, 1.01)]
+    lost = [terrain(5.0, 5, 3), terrain(None, 0, 8)]
+    kept = [terrain(1.08, 6, 2)]
+    assert (
+        calibrate.class_limits(crossed + lost)
+        == calibrate.class_limits(crossed)
+        == pytest.approx((0.205, 0.455, 0.805))
+    )
+    assert calibrate.class_limits(crossed + kept) == pytest.approx((0.205, 0.455, 0.8175), abs=0.0006)
+
+
+def test_vehicle_that_fails_everywhere_and_limits_too_close_together_are_refused():
+    with pytest.raises(BumpymapError, match="crosses 3 of 9 terrains"):
+        calibrate.class_limits([terrain(0.1 * i) for i in (1, 2, 3)] + [terrain(0.1, 1, 7)] * 6)
+    with pytest.raises(BumpymapError, match="too close together"):
+        calibrate.class_limits([terrain(1e-5 * i) for i in range(1, 20)])
+
+
+@pytest.fixture(scope="module")
+def without_fits():
+    """Only table and library: no crossings, no other speeds, no models."""
+    pytest.importorskip("dartpy")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(calibrate, "refit", lambda made: made)
+        patch.setattr(calibrate, "fit_steps", lambda *_: None)
+        patch.setattr(calibrate, "fit_motion", lambda *_: SimpleNamespace(to_record=lambda: None))
+        for name in ("crossing_jobs", "motion_jobs"):
+            patch.setattr(calibrate, name, lambda _: [])
+        yield
+
+
+@pytest.fixture(scope="module")
+def calibration(without_fits):
+    return calibrate.calibrate_vehicle(SETTINGS)
+
+
+@pytest.fixture
+def fake_drives(without_fits, monkeypatch):
+    """Jobs that cost nothing; returns the list of those that ran."""
+    ran = []
+
+    def run(settings, job):
+        ran.append(job)
+        kind = job.key[1]
+        c_r = 0.03 * (1 + kind) if job.key[0] == "table" else 0.01 * (1 + KINDS.index(kind))
+        return PatchDrives(("completed",) * job.starts, (c_r,) * job.starts)
+
+    monkeypatch.setattr(calibrate, "run_job", run)
+    return ran
+
+
+@pytest.mark.slow
+def test_real_calibration_rises_with_z_range_and_reads_back(calibration):
+    assert all(low < high for low, high in calibration.c_r)
+    assert calibration.drives == ((2, 2),) * 4
+    assert calibration.ride is None
+    assert Calibration.from_json(calibration.to_json(), "x") == calibration
+
+
+def test_classes_mean_the_same_for_tiles_of_another_size(fake_drives):
+    like = replace(Calibration.shipped("warthog"), class_limits=(0.05, 0.09, 0.13))
+    made = calibrate.calibrate_vehicle(SETTINGS, like=like)
+    assert made.class_limits == like.class_limits
+    c_r = np.array([terrain.c_r for terrain in library_terrains(made)])
+    class_id = np.searchsorted(like.class_limits, c_r, side="right")
+    assert made.class_c_r == pytest.approx([c_r[class_id == k].mean() for k in range(4)])
+    assert like.id in made.settings["class_rule"]
+
+
+@pytest.mark.later
+def test_number_of_workers_changes_nothing(calibration):
+    assert calibrate.calibrate_vehicle(SETTINGS, workers=2) == calibration
+
+
+@pytest.mark.slow
+def test_interruption_changes_nothing_and_driven_patches_are_not_driven_again(calibration, tmp_path, monkeypatch):
+    path = tmp_path / "out.json.progress.jsonl"
+
+    def stop(done, _total):
+        if done >= TABLE + 6:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        calibrate.calibrate_vehicle(SETTINGS, stop, journal=calibrate.calibration_journal(path, SETTINGS))
+    assert len(path.read_text().splitlines()) == 1 + TABLE + 3
+    ran, run_job = [], calibrate.run_job
+    monkeypatch.setattr(calibrate, "run_job", lambda s, job: ran.append(job) or run_job(s, job))
+    assert calibrate.calibrate_vehicle(SETTINGS, journal=calibrate.calibration_journal(path, SETTINGS)) == calibration
+    assert len(ran) == LIBRARY - 3
+
+
+@pytest.mark.slow
+def test_job_depends_on_nothing_but_the_settings(calibration):
+    more = replace(SETTINGS, patches=5, starts=2, terrains=3, terrain_starts=3)
+    table, library = DriveJob(("table", 3, 1, 1), 1), DriveJob(("library", "furrows", 0), 2)
+    assert calibrate.run_job(more, replace(table, starts=2)).c_r[:1] == calibrate.run_job(SETTINGS, table).c_r
+    assert calibration.settings["patch_c_r"][3][1][1] == calibrate.run_job(SETTINGS, table).c_r[0]
+    made = calibrate.run_job(SETTINGS, library)
+    assert calibrate.run_job(more, replace(library, starts=3)).c_r[:2] == made.c_r
+    assert calibration.settings["library"]["furrows"]["c_r"] == [pytest.approx(made.mean_c_r, rel=1e-5)]
+
+
+DRIVEN = {("a", 1): PatchDrives(("completed",), (0.1,)), ("b", 2): PatchDrives(("rolled",), (None,))}
+
+
+@pytest.fixture
+def progress(tmp_path):
+    """A progress file that holds ``DRIVEN``."""
+    journal = calibrate.calibration_journal(tmp_path / "progress", SETTINGS)
+    assert journal.resume(discard_other=False) == {}
+    for key, drives in DRIVEN.items():
+        journal.add(key, drives)
+    return tmp_path / "progress"
+
+
+def resume(path, settings=SETTINGS, *, discard_other=False):
+    return calibrate.calibration_journal(path, settings).resume(discard_other=discard_other)
+
+
+def test_cut_off_line_is_dropped(progress, caplog):
+    lines = progress.read_text().splitlines()
+    progress.write_text("\n".join(lines)[:-9])
+    assert resume(progress) == {("a", 1): DRIVEN["a", 1]}
+    assert "damaged line" in caplog.text
+    assert progress.read_text().splitlines() == lines[:2]
+
+
+def test_progress_of_other_settings_is_refused_unless_told(progress):
+    other = replace(SETTINGS, seed=5)
+    with pytest.raises(OutputError, match=r"other settings.*--overwrite"):
+        resume(progress, other)
+    assert resume(progress) == DRIVEN
+    assert resume(progress, other, discard_other=True) == {}
+    (header,) = progress.read_text().splitlines()
+    assert json.loads(header)["settings"]["seed"] == 5
+
+
+@pytest.mark.parametrize("target", ["mine", "none"])
+def test_a_progress_file_that_is_a_link_or_became_one_during_the_run_is_left_alone(tmp_path, target):
+    path, mine = tmp_path / "progress", tmp_path / "mine"
+    mine.write_text("mine")
+    journal = calibrate.calibration_journal(path, SETTINGS)
+    journal.resume(discard_other=False)
+    path.unlink()
+    path.symlink_to(tmp_path / target)
+    for touch in (lambda: resume(path, discard_other=True), lambda: journal.add(("a", 1), DRIVEN["a", 1])):
+        with pytest.raises(OutputError, match="is a link and was not touched"):
+            touch()
+    assert sorted(found.name for found in tmp_path.iterdir()) == ["mine", "progress"]
+    assert mine.read_text() == "mine"
+
+
+def test_a_full_disk_does_not_cost_what_was_driven(progress, monkeypatch):
+    def full(file, *_, **__):
+        file.touch()
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("pathlib.Path.write_text", full)
+        with pytest.raises(OutputError, match="No space left"):
+            resume(progress)
+    assert resume(progress) == DRIVEN
+
+
+@pytest.mark.later
+@pytest.mark.parametrize("name", shipped_calibrations())
+def test_shipped_calibration_is_what_this_code_makes(name):
+    pytest.importorskip("dartpy")
+    shipped = Calibration.shipped(name)
+    made = shipped.settings
+    profile = load_profile(name)
+    assert Vehicle.from_dict(shipped.vehicle, name) == profile
+    settings = CalibrationSettings(
+        profile, **{name: made[name] for name in ("seed", "patches", "starts", "terrains", "terrain_starts")}
+    )
+    wanted = {name: value for name, value in settings.to_dict().items() if name not in ("versions", "vehicle")}
+    assert {name: made[name] for name in wanted} == wanted
+    for texture, z in ((0, 5), (3, 2)):
+        drives = calibrate.run_job(settings, DriveJob(("table", texture, z, 0), settings.starts))
+        assert drives.mean_c_r == pytest.approx(made["patch_c_r"][texture][z][0], rel=0.01)
+    drives = calibrate.run_job(settings, DriveJob(("library", "fractal_5", 1), settings.terrain_starts))
+    assert drives.mean_c_r == pytest.approx(made["library"]["fractal_5"]["c_r"][1], rel=0.01)
+
+
+@pytest.mark.parametrize("name", shipped_calibrations())
+def test_shipped_class_limits_and_cell_means_follow_from_the_shipped_drives(name):
+    shipped = Calibration.shipped(name)
+    assert shipped.class_limits == calibrate.class_limits(library_terrains(shipped))
+    means = [
+        [np.mean([c for c in cell if c is not None] or np.nan) for cell in z] for z in shipped.settings["patch_c_r"]
+    ]
+    np.testing.assert_allclose(np.array(shipped.c_r, dtype=float), means, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("spread", "tolerance"), [(0.0, 1e-3), (0.1, 0.1)])
+def test_it_finds_what_was_put_in_and_its_spread_and_leaves_failed_terrains_out(spread, tolerance):
+    settings = replace(calibrated_settings(WARTHOG), terrains=8, terrain_starts=4)
+    # Logarithms are plain functions of C_r and speed, with errors of that spread.
+    c_r = np.geomspace(0.01, 0.4, len(motion_jobs(settings)))[:, None]
+    s = np.log(SPEED_RATIOS)[None, :]
+    logs = np.stack([np.log(c_r) - 0.1 * s, np.log(0.7 * c_r) + 0 * s, np.log(4 * c_r) + 1.3 * s], axis=-1)
+    errors = np.random.default_rng(1).normal(0.0, spread, logs.shape)
+    errors[:, SPEED_RATIOS.index(1.0), 0] = 0.0
+    means = np.exp(logs + errors)
+    means[3, 2] = np.nan
+    model = fit_means(settings, means, 2)
+    told = np.exp(model.plain_log_factors(np.array([0.03, 0.1, 0.3]), (0.5, 1.0, 1.5)))
+    for speed, ratio in enumerate((0.5, 1.0, 1.5)):
+        assert told[:, speed] == pytest.approx(np.tile([ratio**-0.1, 0.7, 4 * ratio**1.3], (3, 1)), rel=tolerance)
+    assert model.origin["used"] == len(means) - 1
+    for fit in (model.c_r, model.c_roll, model.a_w):
+        assert fit.plain_log_sd == pytest.approx(spread, rel=0.3, abs=1e-3)
+
+
+@pytest.mark.later
+@pytest.mark.parametrize("name", shipped_calibrations())
+def test_the_shipped_record_is_what_its_drives_give(name):
+    shipped = Calibration.shipped(name)
+    if shipped.motion is None:
+        pytest.skip("it has one speed")
+    origin = shipped.motion["origin"]
+    made = fit_means(calibrated_settings(shipped), np.array(origin["driven"], np.float64), origin["starts"]).to_record()
+    for key in ("c_r", "c_roll", "a_w"):
+        assert made[key]["plain"] == pytest.approx(shipped.motion[key]["plain"], rel=1e-4, abs=1e-5)
+        assert made[key]["log_sd"] == pytest.approx(shipped.motion[key]["log_sd"], rel=0.01)
+    assert made["origin"] == shipped.motion["origin"]
+
+
+def test_a_calibration_that_was_moved_to_real_drives_or_lacks_the_library_is_refused():
+    settings = WARTHOG.settings | {"moved_to_drives": {"calibration_id": WARTHOG.id}}
+    with pytest.raises(UsageError, match=f"moved to real drives.*Fit the calibration {WARTHOG.id}.*check --refit"):
+        refit(replace(WARTHOG, settings=settings))
+    settings = {key: value for key, value in WARTHOG.settings.items() if key != "library"}
+    with pytest.raises(UsageError, match="holds no drives over the terrain library"):
+        refit(replace(WARTHOG, settings=settings))
+
+
+@pytest.mark.slow
+def test_a_low_kerb_is_crossed_and_a_high_wall_is_not_and_a_crossing_is_that_of_the_shipped_calibration():
+    pytest.importorskip("dartpy")
+    settings = CalibrationSettings(load_profile("warthog"))
+    for up in (1, 0):
+        assert run_crossing(settings, DriveJob(("crossing", "0.1", 0, up), 1)).outcome == ("completed",)
+    assert run_crossing(settings, DriveJob(("crossing", "0.7", 1, 1), 1)).outcome == ("stuck",)
+    record = WARTHOG.steps["crossing"]
+    failed = run_crossing(settings, DriveJob(("crossing", "0.4", 0, 1), 1)).failed
+    assert failed == record["fail_up"][record["height"].index(0.4)][0]

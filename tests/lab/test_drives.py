@@ -1,0 +1,249 @@
+"""Drives: the ground under them, what is measured of one, over how many starts, and in which processes."""
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+from hypothesis.extra.numpy import arrays
+
+from bumpymap.core.errors import BadInputError, BumpymapError, UsageError
+from bumpymap.lab.simulate.drive import Drive, DriveSettings, Effort, PatchDrives, drive_patch, follow
+from bumpymap.lab.simulate.jobs import drive_jobs
+from bumpymap.lab.simulate.model import Physics, Pose
+from bumpymap.lab.simulate.terrain import PatchGround, Strip, strip_triangles
+from bumpymap.rating.vehicle_profile import load_profile
+
+SIZE = 3.0
+HEIGHTS = np.random.default_rng(5).normal(0, 0.2, (15, 15)) + 7.0
+LEVEL = np.zeros((15, 15))
+WARTHOG = load_profile("warthog")
+SHORT = DriveSettings(settle_s=0.5, ramp_s=0.5, cruise_s=0.0, measure_s=1.0)
+
+
+def pixel_centres(pixels=15):
+    axis = (np.arange(pixels) + 0.5) * SIZE / pixels
+    return np.meshgrid(axis, axis[::-1])  # north row first
+
+
+@pytest.fixture
+def ground():
+    return PatchGround.from_heights(HEIGHTS, SIZE)
+
+
+def test_pixel_centres_keep_their_heights_north_up(ground):
+    np.testing.assert_allclose(ground.height(*pixel_centres()), HEIGHTS, atol=1e-12)
+
+
+@given(
+    st.tuples(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6)),
+    arrays(np.float64, (2, 20), elements=st.floats(-40, 40)),
+)
+def test_a_sloping_patch_goes_on_as_its_plane_and_not_as_a_ridge(slope, points):
+    easting, northing = pixel_centres()
+    ground = PatchGround.from_heights(slope[0] * easting + slope[1] * northing + 2, SIZE)
+    expected = slope[0] * points[0] + slope[1] * points[1] + 2
+    np.testing.assert_allclose(ground.height(*points), expected, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("patch", "words"),
+    [
+        (np.zeros((15, 14)), "must be square"),
+        (np.zeros(15), "must be square"),
+        (np.zeros((1, 1)), "2 x 2"),
+        (np.where(np.eye(15) > 0, np.nan, 0.0), "15 pixels that are NaN"),
+    ],
+)
+def test_patch_that_cannot_be_driven_is_refused(patch, words):
+    with pytest.raises(BadInputError, match=words):
+        PatchGround.from_heights(patch, SIZE)
+
+
+@pytest.mark.parametrize("heading", [0.0, 2.0])
+def test_strip_is_covered_once_and_without_holes(ground, heading):
+    triangles = strip_triangles(ground, Strip(2.0, 4.0, heading, 6.0, 1.0)).astype(float)
+    a, b, c = triangles.transpose(1, 0, 2)
+    area = np.cross(b - a, c - a)[:, 2] / 2  # above 0: every triangle faces up
+    cells = np.floor(triangles.mean(axis=1)[:, :2] / ground.spacing + 1e-6).astype(int)
+    unique, times = np.unique(cells, axis=0, return_counts=True)
+    assert set(times) == {2}
+    np.testing.assert_allclose(area, ground.spacing**2 / 2, rtol=1e-3)
+    forward, left = np.array([np.cos(heading), np.sin(heading)]), np.array([-np.sin(heading), np.cos(heading)])
+    along, across = np.meshgrid(np.linspace(-0.99, 6.99, 40), np.linspace(-0.99, 0.99, 20))
+    inside = np.array([2.0, 4.0]) + along[..., None] * forward + across[..., None] * left
+    wanted = np.floor(inside.reshape(-1, 2) / ground.spacing).astype(int)
+    assert set(map(tuple, wanted)) <= set(map(tuple, unique))
+
+
+STRIP = Strip(3.0, 4.0, 0.5, 10.0, 3.0)
+MADE_UP = DriveSettings(settle_s=0.1, ramp_s=0.2, cruise_s=0.1, measure_s=2.0)
+
+
+class KinematicVehicle:
+    """Goes where its wheels push it, and pitches and tilts as it is told by functions of the time."""
+
+    def __init__(self, pitch_rate=lambda _t: 0.0, tilt=lambda _t: 0.0, grip=lambda _t: 1.0, drift=0.0, beside=0.0):
+        self.pitch_rate, self.tilt, self.grip, self.drift = pitch_rate, tilt, grip, drift
+        self.time, self.heading = 0.0, STRIP.heading
+        self.easting = STRIP.easting - beside * math.sin(STRIP.heading)
+        self.northing = STRIP.northing + beside * math.cos(STRIP.heading)
+        self.commands = []
+
+    def command(self, left_mps, right_mps):
+        self.commands.append((left_mps, right_mps))
+
+    def advance(self, steps):
+        seconds = steps * MADE_UP.physics.time_step
+        self.time += seconds
+        left, right = self.commands[-1]
+        self.heading += (right - left) / WARTHOG.track_m * seconds
+        speed = (left + right) / 2 * self.grip(self.time)
+        self.easting += (speed * math.cos(self.heading) - self.drift * math.sin(STRIP.heading)) * seconds
+        self.northing += (speed * math.sin(self.heading) + self.drift * math.cos(STRIP.heading)) * seconds
+
+    def pose(self):
+        return Pose(self.easting, self.northing, self.heading, self.tilt(self.time), self.pitch_rate(self.time))
+
+
+def run(**motion):
+    vehicle = KinematicVehicle(**motion)
+    return vehicle, follow(vehicle, STRIP, WARTHOG, MADE_UP)
+
+
+def test_c_r_is_the_pitch_per_metre():
+    _, drive = run(pitch_rate=lambda _t: -0.25)
+    assert drive.outcome == "completed"
+    assert drive.c_r == pytest.approx(0.25, rel=1e-9)
+    assert drive.path_m == pytest.approx(2.0, rel=1e-9)
+    assert drive.progress_m == pytest.approx(2.0, rel=1e-9)
+    assert run(pitch_rate=lambda t: 9.0 if t < 0.399 else 0.0)[1].c_r == 0.0  # before the measurement
+    _, aslant = run(pitch_rate=lambda _t: -0.25, beside=0.5)  # of the metres of its path, not of its line
+    assert aslant.path_m > 1.001 * aslant.progress_m
+    assert aslant.c_r * aslant.path_m == pytest.approx(0.25 * 2.0, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("motion", "outcome"),
+    [
+        ({"grip": lambda _t: 0.19, "pitch_rate": lambda _t: 1.0}, "stuck"),  # less than a fifth of its way
+        ({"grip": lambda _t: 0.21}, "completed"),
+        ({"drift": 1.2}, "stuck"),  # off its line
+        ({"tilt": lambda t: math.radians(61) if t > 1.5 else 0.0}, "rolled"),
+        ({"tilt": lambda t: math.radians(61) if t < 0.05 else 0.0}, "rolled"),
+        ({"tilt": lambda _t: math.radians(59)}, "completed"),
+    ],
+)
+def test_a_vehicle_that_gets_nowhere_is_stuck_and_one_past_sixty_degrees_has_rolled_over(motion, outcome):
+    _, drive = run(**motion)
+    assert drive.outcome == outcome
+    assert math.isnan(drive.c_r) == (outcome != "completed")
+
+
+def test_vehicle_beside_its_line_steers_back():
+    vehicle, drive = run(beside=0.5)
+    assert vehicle.commands[30][0] > vehicle.commands[30][1]  # it is to the left, so it turns right
+    east, north = vehicle.easting - STRIP.easting, vehicle.northing - STRIP.northing
+    assert abs(north * math.cos(STRIP.heading) - east * math.sin(STRIP.heading)) < 0.35
+    assert drive.outcome == "completed"
+
+
+def test_time_step_must_divide_the_time_between_samples():
+    with pytest.raises(UsageError, match=r"0\.003 s does not divide"):
+        DriveSettings(physics=Physics(time_step=0.003))
+    assert DriveSettings(physics=Physics(time_step=0.0005)).steps_per_sample == 20
+
+
+@pytest.fixture
+def fake_drive(monkeypatch):
+    """Drives whose C_r is drawn from their seed; returns the settings of the draw."""
+    state = {"spread": 0.2, "fails": 0.0}
+
+    def drive(_profile, _ground, seed, _settings):
+        rng = np.random.default_rng(seed)
+        failed = rng.random() < state["fails"]
+        c_r = math.nan if failed else 0.1 * (1 + state["spread"] * rng.standard_normal())
+        return Drive("rolled" if failed else "completed", c_r, 10.0, 10.0)
+
+    monkeypatch.setattr("bumpymap.lab.simulate.drive.drive", drive)
+    return state
+
+
+def test_drives_go_on_until_the_mean_is_known_or_the_least_have_failed(fake_drive):
+    fake_drive["spread"] = 0.35
+    effort = Effort(least=4, most=200, target_error=0.05)
+    drives = drive_patch(WARTHOG, LEVEL, 3.0, 3, effort)
+    assert drives.standard_error <= 0.05 * drives.mean_c_r
+    one_less = PatchDrives(drives.outcome[:-1], drives.c_r[:-1])
+    assert len(drives.c_r) == 4 or one_less.standard_error > 0.05 * one_less.mean_c_r
+    fake_drive["fails"] = 1.0
+    assert drive_patch(WARTHOG, LEVEL, 3.0, 1, Effort(5, 60, 0.05)).failed == 5
+
+
+JOBS = """
+import os, time
+from dataclasses import dataclass
+
+@dataclass(frozen=True)
+class Job:
+    key: int
+    starts: int = 1
+
+def twice(job): return 2 * job.key
+def die(job): os._exit(1)
+def never(job):
+    print(os.getpid(), flush=True)
+    time.sleep(3600)
+"""
+
+
+@pytest.fixture
+def jobs(tmp_path, monkeypatch):
+    """A module that workers can import."""
+    (tmp_path / "pool_jobs.py").write_text(JOBS)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "pool_jobs", raising=False)
+    return __import__("pool_jobs")
+
+
+def test_results_come_in_order_and_the_process_has_no_thread_for_it(jobs):
+    before, seen = threading.active_count(), []
+
+    def told(done, total):
+        seen.append((done, total, threading.active_count()))
+
+    made = drive_jobs(jobs.twice, [jobs.Job(key) for key in range(7)], told, workers=3)
+    assert list(made.items()) == [(key, 2 * key) for key in range(7)]
+    assert seen == [(done, 7, before) for done in range(8)]
+
+
+@pytest.mark.slow
+def test_a_dead_worker_is_reported_with_what_to_do(jobs):
+    with pytest.raises(BumpymapError, match="run the same command again"):
+        drive_jobs(jobs.die, [jobs.Job(0), jobs.Job(1)], workers=2)
+
+
+@pytest.mark.later
+@pytest.mark.skipif(sys.platform == "win32", reason="kills a process the POSIX way")
+def test_workers_end_with_a_main_process_that_was_killed(jobs):
+    code = (
+        "from bumpymap.lab.simulate.jobs import drive_jobs\n"
+        "import pool_jobs\n"
+        "drive_jobs(pool_jobs.never, [pool_jobs.Job(0), pool_jobs.Job(1)], workers=2)\n"
+    )
+    paths = os.pathsep.join([str(Path(jobs.__file__).parent), *filter(None, sys.path)])
+    pipe, environment = subprocess.PIPE, os.environ | {"PYTHONPATH": paths}
+    main = subprocess.Popen([sys.executable, "-c", code], env=environment, stdout=pipe, stderr=pipe, text=True)
+    workers = {int(main.stdout.readline()) for _ in range(2)}
+    assert main.pid not in workers
+    for worker in workers:
+        os.kill(worker, signal.SIGTERM)  # of the whole group: it is for the main process
+    main.kill()
+    # The workers hold the pipes too: their ends are reached only when all are gone.
+    assert main.communicate(timeout=30) == ("", "")

@@ -1,0 +1,215 @@
+"""The scan network: sectors to learn from, from folders as data sets lay them out, and training in seconds."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from bumpymap.core.errors import BadInputError, OutputError, UsageError
+from bumpymap.core.scan_types import PolarSettings, Scan
+from bumpymap.lab import LABEL_SETS
+from bumpymap.lab.settings import ScanTrainSettings
+from bumpymap.lab.train import scan_sectors
+from bumpymap.scan.learned import CHANNELS, MEASURES, ScanModel, infer
+
+torch = pytest.importorskip("torch", reason="torch comes with the extra 'learn'")
+pytest.importorskip("onnx", reason="onnx comes with the extra 'learn'")
+
+from bumpymap.lab.train.scan_net import evaluate, make_scan_model, to_onnx, train  # noqa: E402
+from bumpymap.lab.train.textures import predict  # noqa: E402
+
+pytestmark = pytest.mark.slow
+CLASSES = LABEL_SETS["rellis"].class_of
+POINTS, LABELS = "os1_cloud_node_kitti_bin", "os1_cloud_node_semantickitti_label_id"
+SMALL = ScanTrainSettings(epochs=2, sectors_per_class=48, batch=32)
+
+
+def write_frame(sequence, number, points, labels):
+    """Write points (n, 3) and their labels (n,) as frame ``number`` of the folder of a sequence."""
+    rows = np.column_stack([points, np.ones(len(points))]).astype("<f4")
+    for folder, suffix, values in ((POINTS, ".bin", rows), (LABELS, ".label", labels.astype("<u4"))):
+        (sequence / folder).mkdir(parents=True, exist_ok=True)
+        values.tofile(sequence / folder / f"{number:06d}{suffix}")
+
+
+def _ring(label, rough, level=0.0):
+    """Ground between 5 and 11 m, of one label, as rough as it is told [m]."""
+    rng = np.random.default_rng(1)
+    away, turn = rng.uniform(5, 11, 8000), rng.uniform(0, 2 * np.pi, 8000)
+    points = np.column_stack([away * np.cos(turn), away * np.sin(turn), rng.normal(level, rough, 8000)])
+    return Scan(points.astype(np.float32), None, np.full(8000, label, np.uint16))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    root = tmp_path_factory.mktemp("rellis") / "Rellis-3D"
+    for sequence, count in (("00000", 6), ("00003", 2)):
+        for number in range(count):
+            scan = _ring(*((3, 0.01), (19, 0.1), (4, 0.4))[number % 3], -1.5)
+            write_frame(root / sequence, number, scan.points, scan.label)
+    return root
+
+
+@pytest.mark.parametrize("label", [3, 19, 4])
+def test_the_most_frequent_label_decides_the_class(label):
+    sectors = scan_sectors.labelled_sectors(_ring(label, 0.01))
+    assert len(sectors.class_id) == 96
+    assert (sectors.class_id == CLASSES[label]).all()
+    assert (sectors.label == label).all()
+    assert sectors.patches.shape == (96, CHANNELS, 15, 15)
+    assert sectors.measures.shape == (96, len(MEASURES))
+
+
+def test_crowns_over_the_ground_are_bushes_and_trunks_are_not():
+    floor = _ring(3, 0.001, -1.5)
+    rng = np.random.default_rng(2)
+    height = np.repeat([0.5, 4.0], 4000)
+    above = floor.points + np.column_stack([np.zeros((8000, 2)), height]).astype(np.float32)
+    label = np.full(8000, 4, np.uint16)
+    points = np.concatenate([floor.points, above[rng.permutation(8000)]])
+    found = scan_sectors.crowns_as_bushes(Scan(points, None, np.concatenate([floor.label, label])))
+    up = points[8000:, 2] + 1.5
+    assert (found.label[:8000] == 3).all()
+    assert (found.label[8000:][up < 1] == 4).mean() > 0.99
+    assert (found.label[8000:][up > 3] == 19).mean() > 0.99
+
+
+def test_turned_cuts_see_the_same_ground_in_other_sectors():
+    scan = _ring(3, 0.05)
+    once = scan_sectors.labelled_sectors(scan)
+    thrice = scan_sectors.labelled_sectors(scan, [(0.1, PolarSettings()), (1.0, PolarSettings())])
+    assert len(thrice.class_id) == 3 * len(once.class_id)
+    assert_array_equal(thrice.patches[: len(once.class_id)], once.patches)
+    others = thrice.patches[len(once.class_id) :]
+    assert not any((patch == others[0]).all() for patch in once.patches)
+    assert_allclose(thrice.measures.mean(axis=0), once.measures.mean(axis=0), atol=0.02)
+
+
+def test_a_folder_of_the_data_set_is_found_and_split_by_time(folder):
+    learn, unseen = scan_sectors.folder_frames(folder)
+    assert [path.stem for path in learn] == ["000000", "000001", "000002", "000003", "000004", "000000"]
+    assert [path.stem for path in unseen] == ["000005", "000001"]
+    assert scan_sectors.folder_frames(folder.parent) == (learn, unseen)
+    assert len(scan_sectors.folder_frames(folder / "00000")[0]) == 5
+    assert not set(learn) & set(unseen)
+
+
+def test_frames_of_a_folder_give_the_sectors_of_their_scans(folder):
+    frames = [folder / "00000" / POINTS / f"00000{k}.bin" for k in range(2)]
+    told = []
+    read = scan_sectors.folder_sectors(frames, progress=lambda *numbers: told.append(numbers))
+    assert told == [(1, 2), (2, 2)]
+    made = [scan_sectors.labelled_sectors(scan) for scan in (_ring(3, 0.01, -1.5), _ring(19, 0.1, -1.5))]
+    assert_array_equal(read.patches, np.concatenate([sectors.patches for sectors in made]))
+    assert_array_equal(read.class_id, np.concatenate([sectors.class_id for sectors in made]))
+    assert set(read.class_id) == {0, 1}
+
+
+def test_folders_without_frames_or_labels_are_refused(folder, tmp_path):
+    with pytest.raises(BadInputError, match="does not exist"):
+        scan_sectors.folder_frames(tmp_path / "nowhere")
+    source = folder / "00000" / POINTS / "000000.bin"
+    lonely = tmp_path / "000000.bin"
+    lonely.write_bytes(source.read_bytes())
+    with pytest.raises(BadInputError, match="training needs 2 or more"):
+        scan_sectors.folder_frames(tmp_path)
+    with pytest.raises(BadInputError, match="has no label file"):
+        scan_sectors.folder_sectors([lonely])
+    np.full(len(np.fromfile(source, "<f4")) // 4, 7, "<u4").tofile(tmp_path / "000000.label")
+    with pytest.raises(BadInputError, match="ids of RELLIS-3D"):
+        scan_sectors.folder_sectors([lonely])
+
+
+def test_an_epoch_is_balanced_mirrored_and_repeats_itself():
+    class_id = np.repeat(np.arange(3), [50, 7, 20])
+    number = np.arange(len(class_id))
+    made = np.zeros((len(class_id), CHANNELS, 15, 15), np.float32)
+    made[:, 0, 0, 0] = number
+    numbered = np.tile(number[:, None], len(MEASURES)).astype("f4")
+    sectors = scan_sectors.Sectors(made.copy(), numbered, class_id, class_id.astype("i2"), class_id.astype("i2"))
+    patches, measures, drawn = scan_sectors.draw_epoch(sectors, 20, np.random.default_rng(1))
+    assert np.bincount(drawn).tolist() == [20, 20, 20]
+    who = measures[:, MEASURES.index("distance")].astype(int)
+    often = np.bincount(who, minlength=77)
+    assert often[:50].max() == 1  # enough of them: none twice
+    assert set(often[50:57]) == {2, 3}
+    assert (often[57:] == 1).all()
+    plain, mirrored = patches[:, 0, 0, 0] == who, patches[:, 0, 0, -1] == who
+    assert (plain | mirrored).all()
+    assert 10 < mirrored.sum() < 50
+    again = scan_sectors.draw_epoch(sectors, 20, np.random.default_rng(1))
+    assert all(map(np.array_equal, again, (patches, measures, drawn)))
+    assert_array_equal(sectors.patches, made)
+
+
+def _sectors(seed, each=60):
+    """Three kinds of relief: level, waves, walls."""
+    rng = np.random.default_rng(seed)
+    class_id = np.repeat(np.arange(3), each)
+    shape = (len(class_id), CHANNELS, 15, 15)
+    column = np.arange(15)
+    wave = np.sin(column[None] * rng.uniform(1, 2, (len(class_id), 1)) + rng.uniform(0, 6, (len(class_id), 1)))
+    wall = np.sign(column[None] - rng.uniform(4, 10, (len(class_id), 1)))
+    relief = np.choose(class_id[:, None], [0 * wave, wave, wall])[:, None, None, :]
+    patches = (relief + rng.normal(0, 0.2, shape)).astype(np.float32)
+    measures = rng.normal(0, 1, (len(class_id), len(MEASURES))).astype(np.float32)
+    return scan_sectors.Sectors(
+        patches, measures, class_id, np.array([3, 19, 4], "i2")[class_id], class_id.astype("i2")
+    )
+
+
+def test_a_short_training_learns():
+    reports = []
+    net = train(ScanTrainSettings(epochs=4, sectors_per_class=150, batch=24), _sectors(1, 150), None, reports.append)
+    assert [report.epoch for report in reports] == [1, 2, 3, 4]
+    assert reports[-1].loss < 0.6 * reports[0].loss
+    scores = evaluate(net, _sectors(2), 7)
+    assert scores.every.accuracy > 0.9
+    assert (scores.every.count, scores.scans, set(scores.labels)) == (180, 7, {3, 4, 19})
+    assert sum(map(sum, scores.labels.values())) == 180
+
+
+def test_a_checkpoint_of_another_training_is_refused(tmp_path):
+    train(replace(SMALL, epochs=1), _sectors(1), tmp_path / "c")
+    with pytest.raises(UsageError, match=r"epochs 1 \(now 2\)"):
+        train(SMALL, _sectors(1), tmp_path / "c")
+    with pytest.raises(UsageError, match="sectors"):
+        train(replace(SMALL, epochs=1), _sectors(1, 61), tmp_path / "c")
+    (tmp_path / "c").write_bytes(b"something else")
+    with pytest.raises(UsageError, match="cannot be read"):
+        train(SMALL, _sectors(1), tmp_path / "c")
+
+
+def test_onnx_says_what_torch_says():
+    net = train(replace(SMALL, epochs=1), _sectors(1))
+    with torch.no_grad():
+        for module in net.modules():
+            if isinstance(module, torch.nn.BatchNorm2d):
+                module.running_mean.uniform_(-0.2, 0.2)
+                module.weight.uniform_(0.5, 2.0)
+                module.bias.uniform_(-0.5, 0.5)
+        net.head.bias.uniform_(-1.0, 1.0)
+    sectors = _sectors(3, 33)
+    content = to_onnx(net, {})
+    said = infer(content, {"patches": sectors.patches, "measures": sectors.measures})
+    assert_allclose(
+        said, predict(net, torch.from_numpy(sectors.patches), torch.from_numpy(sectors.measures)), atol=2e-5
+    )
+    alone = infer(content, {"patches": sectors.patches[7:8], "measures": sectors.measures[7:8]})
+    assert_array_equal(alone[0], said[7])  # whatever stands beside it
+
+
+def test_the_whole_job_on_a_folder_of_the_data_set(folder, tmp_path):
+    told, out = [], tmp_path / "m.onnx"
+    made = make_scan_model(SMALL, out, folder, None, lambda *numbers: told.append(numbers))
+    assert told == [*((number, 6) for number in range(1, 7)), (1, 2), (2, 2)]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["m.md", "m.onnx"]
+    command = ScanModel.load(out).metadata["command"]
+    assert command.startswith("bumpymap train scans RELLIS_FOLDER --set seed=1 --set epochs=2")
+    card = made.card.read_text(encoding="utf-8")
+    assert f"{100 * made.evaluation.every.accuracy:.2f} % of all sectors" in card
+    again = make_scan_model(SMALL, tmp_path / "n.onnx", folder)
+    assert again.model.read_bytes() == out.read_bytes()
+    with pytest.raises(OutputError, match="not a writable folder"):
+        make_scan_model(SMALL, tmp_path / "nowhere" / "m.onnx", folder)

@@ -1,0 +1,422 @@
+"""Classes of sectors: the network, the stripes of the filter method, the ride of a vehicle, and the loop of a robot."""
+
+import copy
+import json
+import math
+import tracemalloc
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from importlib.resources import files
+
+import laspy
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scan_scenes.things import make_field
+from scipy.ndimage import gaussian_filter
+
+import bumpymap
+from bumpymap import GroundGrid, ScanClassifier
+from bumpymap.core import NO_CLASS, NOT_TRAVERSABLE, Scan, cell_numbers, sector_bounds
+from bumpymap.core.errors import BadInputError, UsageError
+from bumpymap.core.scan_types import PolarSettings
+from bumpymap.rating import find_calibration
+from bumpymap.scan import ScanConfig, classify_filter, load_stripes, polar_sectors, scan_frames
+from bumpymap.scan.ground import cell_layout
+from bumpymap.scan.learned import CHANNELS, MEASURES, ScanModel, classify_learned, infer, network_input, probabilities
+from bumpymap.scan.methods import SectorRater
+from bumpymap.scan.stripes import StripeFilter, count_stripes, gabor_bank
+
+
+def _world(seed=1, count=60_000):
+    """Smooth ground ahead, heaps to the left, a thicket behind; (n, 3)."""
+    rng = np.random.default_rng(seed)
+    away, turn = rng.uniform(4, 27, count), rng.uniform(-np.pi, np.pi, count)
+    x, y = away * np.cos(turn), away * np.sin(turn)
+    z = -1.4 + rng.normal(0, 0.008, count)
+    heaps = (y > 3) & (x > -8)
+    blocks = rng.uniform(0, 0.8, (100, 100))  # 30 cm wide, up to 80 cm high
+    z[heaps] += blocks[(x[heaps] / 0.3).astype(int) % 100, (y[heaps] / 0.3).astype(int) % 100]
+    thicket = x < -8
+    z[thicket] += rng.uniform(0, 3, thicket.sum())
+    return np.column_stack([x, y, z]).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def stack():
+    return polar_sectors(Scan(_world()))
+
+
+@pytest.fixture(scope="module")
+def model():
+    return ScanModel.shipped()
+
+
+def test_smooth_ground_is_class_0_and_rough_ground_is_not(stack, model):
+    classed = classify_learned(stack, model)
+    middle = np.array([stack.point_sector == row for row in range(len(stack.zone))]) @ _world() / stack.count[:, None]
+    smooth = (middle[:, 0] > 2) & (middle[:, 1] < -1)
+    heaps = (middle[:, 0] > -5) & (middle[:, 1] > 6)
+    thicket = middle[:, 0] < -11
+    assert (classed.class_id[smooth] == 0).mean() > 0.95
+    assert (classed.class_id[heaps] == 0).mean() < 0.1
+    assert (classed.class_id[thicket] > 0).all()
+
+
+def test_the_gate_comes_first(stack, model):
+    shut = replace(stack, traversable=stack.traversable & (np.arange(len(stack.zone)) % 2 == 0))
+    class_id = classify_learned(shut, model).class_id
+    assert (class_id[1::2] == NOT_TRAVERSABLE).all()
+    assert set(class_id[::2][stack.traversable[::2]]) <= {0, 1, 2}
+
+
+def test_open_sectors_share_smooth_or_fair_with_their_neighbours_and_nothing_else(stack, model):
+    alone = probabilities(stack, model)
+    classed = classify_learned(stack, model)
+    is_open = stack.traversable & (stack.ground_count >= 0.55 * stack.count)
+    assert 0 < is_open.sum() < stack.traversable.sum()
+    covered = stack.traversable & ~is_open
+    assert_array_equal(classed.class_id[covered], alone[covered].argmax(axis=1))
+    rough = stack.traversable & (alone[:, 2] > 0.5)
+    assert (classed.class_id[rough] == 2).all()
+    assert (classed.class_id[stack.traversable & ~rough & (alone[:, 2] < 0.3)] < 2).all()
+    # Log-odds of fair against smooth: its own, and one and a half times the mean of the open sectors around it.
+    near, cell = cell_layout(stack.settings).near, cell_numbers(stack)
+    smooth, fair = np.maximum(alone[:, :2], 1e-3).T
+    odds = dict(zip(cell[is_open].tolist(), np.log(fair / smooth)[is_open].tolist(), strict=True))
+    for row in np.flatnonzero(is_open):
+        beside = [odds[other] for other in near[cell[row]].tolist() if other in odds]
+        share = 1.0 / (1.0 + np.exp(-odds[cell[row]] - 1.5 * np.mean(beside or [0.0])))
+        either = alone[row, 0] + alone[row, 1]
+        most = max(either * share, either * (1.0 - share), alone[row, 2])
+        assert classed.confidence[row] == pytest.approx(most, rel=1e-4)
+
+
+def test_an_answer_does_not_depend_on_its_place_in_the_batch(stack, model):
+    patches, measures = network_input(stack)
+    whole = infer(model.content, {"patches": patches, "measures": measures})
+    for rows in (slice(5, 6), slice(3, 40), slice(None, None, -1)):
+        part = infer(model.content, {"patches": patches[rows], "measures": measures[rows]})
+        assert_array_equal(part, whole[rows])
+
+
+def test_what_the_network_sees(stack):
+    patches, measures = network_input(stack)
+    asked = stack.traversable
+    assert patches.shape == (asked.sum(), CHANNELS, 15, 15)
+    assert measures.shape == (asked.sum(), len(MEASURES))
+    assert np.isfinite(patches).all()
+    assert np.isfinite(measures).all()
+    assert_allclose(patches[:, 0].min(axis=(1, 2)), -1)
+    assert_allclose(patches[:, 0].max(axis=(1, 2)), 1)
+    assert_allclose(0.05 * np.sinh(3 * patches[:, 1]), stack.heights[asked], atol=1e-5)
+    assert_allclose(patches[:, 2] * stack.settings.height_m, stack.things[asked, 0], rtol=1e-5)
+    assert_allclose(np.expm1(3 * patches[:, 3]), stack.things[asked, 1], rtol=1e-4)
+    ground, found = stack.ground_count[asked], dict(zip(MEASURES, measures.T, strict=True))
+    assert_allclose(10 ** found["count"], ground / 200, rtol=1e-5)
+    assert_allclose((found["ground"] + 1) / 2, ground / stack.count[asked], rtol=1e-5)
+    inner = ((stack.zone == 1) & (stack.ring == 0))[asked]
+    beside = ground[inner] / np.median(ground[inner])
+    shape = {"distance": 5.0 / 20, "depth": 2.0 / 4, "width": 5.0 * 2 * np.pi / 24 / 4, "beside": beside}
+    for name, wanted in shape.items():
+        assert_allclose(10 ** found[name][inner], wanted, rtol=1e-5)
+    blocked = (stack.obstacle & asked)[asked]
+    assert blocked.any()
+    height = (found["obstacle_height"] + 1) / 2 * stack.settings.height_m
+    assert_allclose(height[blocked], stack.obstacle_height[asked][blocked], rtol=1e-5)
+    assert_allclose(height[~blocked], 0, atol=1e-6)
+
+
+def test_walls_do_not_make_the_ground_beside_them_look_wet(stack):
+    """However many points obstacles catch, ground is compared with ground."""
+    _, before = network_input(stack)
+    crowded = replace(stack, count=stack.count + 50 * (stack.count - stack.ground_count))
+    column = MEASURES.index("beside")
+    assert_array_equal(network_input(crowded)[1][:, column], before[:, column])
+    first = np.arange(len(stack.zone)) == np.flatnonzero(stack.traversable)[0]
+    lost = replace(stack, ground_count=np.where(first, 1, stack.ground_count))
+    assert network_input(lost)[1][0, column] < -1
+
+
+def test_any_grid_is_classified(model):
+    grid = PolarSettings(zone_starts_m=(2.0, 10.0), end_m=26.0, sectors=(18, 36), rings=(3, 5), anchored=False)
+    classed = classify_learned(polar_sectors(Scan(_world()), grid), model)
+    assert set(classed.class_id.tolist()) >= {0, 2}
+
+
+def test_other_files_are_refused(tmp_path, model):
+    onnx = pytest.importorskip("onnx", reason="onnx comes with the extra 'learn'")
+    old, textures = onnx.load_model_from_string(model.content), files("bumpymap.rating") / "data/models/textures.onnx"
+    next(prop for prop in old.metadata_props if prop.key == "sector_version").value = "0"
+    for content, said in (
+        (b"no model", "is not an ONNX model"),
+        (textures.read_bytes(), "not a scan network"),
+        (old.SerializeToString(), "of version 0; this bumpymap uses version 3"),
+    ):
+        (tmp_path / "a.onnx").write_bytes(content)
+        with pytest.raises(BadInputError, match=said):
+            ScanModel.load(tmp_path / "a.onnx")
+
+
+def relief(rms, smooth, count=40, seed=0):
+    rng = np.random.default_rng(seed)
+    maps = rng.standard_normal((count, 15, 15))
+    maps = np.stack([gaussian_filter(m, smooth) for m in maps]) if smooth else maps
+    maps -= maps.mean(axis=(1, 2), keepdims=True)
+    return (rms * maps / maps.std(axis=(1, 2), keepdims=True)).astype(np.float32)
+
+
+@pytest.mark.parametrize("settings", [StripeFilter(), StripeFilter(wavelength_px=4.0, gamma=0.8, orientations=5)])
+def test_the_filters_are_those_of_scikit_image(settings):
+    gabor_kernel = pytest.importorskip("skimage.filters").gabor_kernel
+    bank, px, many = gabor_bank(15, settings), settings.wavelength_px, settings.orientations
+    sigma = 3.0 * math.sqrt(math.log(2.0) / 2.0) / math.pi * px
+    widths = {"sigma_x": sigma, "sigma_y": sigma / settings.gamma, "n_stds": 10}
+    for number in range(many):
+        kernel = gabor_kernel(1.0 / px, theta=math.pi * number / many, **widths)
+        middle_row, middle_column = (side // 2 for side in kernel.shape)
+        for row, column in ((7, 7), (0, 3), (14, 14)):
+            near = kernel[
+                middle_row - row : middle_row - row + 15, middle_column - column : middle_column - column + 15
+            ]
+            weight = (near.real**2 / np.abs(near)).sum()  # of unbroken stripes: envelope times squared wave
+            mine = bank[row * 15 + column, number, :225].reshape(15, 15)
+            np.testing.assert_allclose(mine, near.real / weight, atol=2e-6)
+    assert not bank[:, :, 225:].any()
+
+
+@pytest.mark.parametrize("count", [1, 63, 64, 130])
+def test_counts_are_those_of_a_plain_loop(count):
+    settings = StripeFilter()
+    heights = relief(np.linspace(0.001, 0.2, count)[:, None, None], 1.0, count)
+    bank = gabor_bank(15, settings)[:, :, :225].astype(float)
+    rows = np.arange(15)[:, None]
+    expected = []
+    for one in heights:
+        moving_bars = np.cos(2 * np.pi * ((rows - 7) / 3.0 + one.astype(float) / 0.25)).ravel()
+        answer = (bank @ moving_bars).max(axis=1).reshape(15, 15)
+        starts = sum((column[i] >= 0.5) and (i == 0 or column[i - 1] < 0.5) for column in answer.T for i in range(15))
+        expected.append(starts / 15)
+    # An answer within a rounding of the threshold may fall on either side.
+    np.testing.assert_allclose(count_stripes(heights, settings), expected, atol=2 / 15 + 1e-6)
+    assert np.mean(np.abs(count_stripes(heights, settings) - expected) > 1e-6) < 0.05
+
+
+def test_even_ground_has_a_stripe_every_wavelength_and_rough_ground_none():
+    assert count_stripes(np.zeros((3, 15, 15), np.float32)).tolist() == [5.0, 5.0, 5.0]
+    assert count_stripes(relief(1.0, 0.0)).max() < 1.0
+
+
+def scans_of_ground(seed):
+    """Even ground to one side, bumps to the other, waves between them."""
+    rng = np.random.default_rng(seed)
+    r, turn = 4.0 + 30.0 * rng.random(60_000), 2 * np.pi * rng.random(60_000)
+    size = np.choose((turn / (2 * np.pi) * 3).astype(int), [0.0, 0.05, 0.4])
+    z = -1.5 + size * rng.standard_normal(60_000)
+    return polar_sectors(Scan(np.column_stack([r * np.cos(turn), r * np.sin(turn), z]).astype(np.float32)))
+
+
+def test_sectors_get_the_class_of_the_nearest_centre_raised_by_what_stands_on_them():
+    stack, model = scans_of_ground(1), load_stripes()
+    classed = classify_filter(stack, model)
+    for row, class_id in enumerate(classed.class_id):
+        things = stack.count[row] - stack.ground_count[row]
+        covered = stack.ground_count[row] < 0.55 * stack.count[row]
+        standing = int(covered) + int(covered and stack.obstacle_count[row] >= 0.45 * things)
+        if not stack.traversable[row]:
+            assert class_id == NOT_TRAVERSABLE
+            assert np.isnan(classed.stripes[row])
+        else:
+            assert class_id == max(standing, min(range(3), key=lambda c: abs(model.centres[c] - classed.stripes[row])))
+    means = [stack.residual[classed.class_id == class_id].mean() for class_id in range(3)]
+    assert means[0] < means[1] < means[2]
+
+
+HIGH_M = 1.7
+HALF_M = 21.0
+
+
+def relief_height():
+    """Height of relief that grows northwards from almost none, a function of x and y [m]."""
+    field = make_field(np.random.default_rng(3), 512, 0.05, 0.6, (0.3, 6.0))
+    return lambda x, y: 0.1 * np.clip((y + 15.0) / 30.0, 0.03, 1.0) * field.at(x, y) - HIGH_M
+
+
+def lines_on(ground, steepness):
+    """Points where lines of a sensor meet the ground, as if it were even."""
+    away = HIGH_M / np.tan(steepness)
+    angle = np.linspace(-np.pi, np.pi, 1500, endpoint=False)
+    x, y = (np.multiply.outer(away, part).ravel() for part in (np.cos(angle), np.sin(angle)))
+    z = ground(x, y) + 0.01 * np.random.default_rng(1).standard_normal(len(x))
+    return np.column_stack([x, y, z]).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def ground():
+    return relief_height()
+
+
+@pytest.fixture(scope="module")
+def points(ground):
+    return lines_on(ground, np.radians(np.linspace(3.0, 50.0, 120)))
+
+
+@pytest.fixture(scope="module")
+def rater():
+    return SectorRater(find_calibration("warthog"))
+
+
+@pytest.fixture(scope="module")
+def mapped(ground, tmp_path_factory):
+    """C_r by column and row of the tiles of a dense survey."""
+    folder = tmp_path_factory.mktemp("survey")
+    x, y = np.random.default_rng(2).uniform(-HALF_M, HALF_M, (2, 150_000))
+    survey = laspy.LasData(laspy.LasHeader(point_format=0, version="1.2"))
+    survey.header.scales = [0.0001] * 3
+    survey.x, survey.y, survey.z = x, y, ground(x, y)
+    survey.write(folder / "survey.las")
+    bumpymap.map_survey(folder / "survey.las", folder / "map", vehicle="warthog", local=True)
+    tiles = pq.read_table(folder / "map" / "tiles.parquet", columns=["col", "row", "c_r"]).to_pydict()
+    return dict(zip(zip(tiles["col"], tiles["row"], strict=True), tiles["c_r"], strict=True))
+
+
+def test_sectors_say_what_a_survey_of_the_ground_says(points, rater, mapped):
+    stack = polar_sectors(Scan(points))
+    ride, bounds = rater(Scan(points), stack), sector_bounds(stack)
+    found = []
+    for number in np.flatnonzero((ride.class_id != NO_CLASS) & (bounds.far < HALF_M - 3.0)):
+        share = (np.arange(12) + 0.5) / 12
+        away = np.sqrt(bounds.near[number] ** 2 * (1 - share) + bounds.far[number] ** 2 * share)[:, None]
+        angle = bounds.right[number] * (1 - share) + bounds.left[number] * share
+        places = (np.floor(away * side / 3.0).astype(int).ravel() for side in (np.cos(angle), np.sin(angle)))
+        truth = np.mean([mapped[tile] for tile in zip(*places, strict=True)])
+        found.append((ride.c_r[number], ride.c_r_low[number], ride.c_r_high[number], truth))
+    c_r, low, high, truth = np.array(found).T
+    assert len(truth) > 100
+    assert truth.max() > 3 * truth.min()
+    assert 0.85 < np.median(c_r / truth) < 1.1
+    assert np.corrcoef(np.log(c_r), np.log(truth))[0, 1] > 0.9
+    assert ((low <= truth) & (truth <= high)).mean() > 0.8
+    known, limits = ride.class_id != NO_CLASS, find_calibration("warthog").class_limits
+    assert not (known & ~stack.traversable).any()
+    assert (np.isfinite(ride.c_r) == known).all()
+    assert (ride.class_id[known] >= np.searchsorted(limits, ride.c_r[known], side="right")).all()
+
+
+@pytest.mark.parametrize(("limit", "classes"), [(5.0, {3}), (30.0, {0})])
+def test_smooth_ground_that_is_too_steep_is_of_the_roughest_class(limit, classes):
+    """It rises northwards by 8 degrees."""
+    calibration = find_calibration("warthog")
+    rater = SectorRater(replace(calibration, vehicle=calibration.vehicle | {"slope_limit_deg": limit}))
+    slope = math.tan(math.radians(8.0))
+    scan = Scan(lines_on(lambda _, y: slope * y - HIGH_M, np.radians(np.linspace(3.0, 50.0, 120))))
+    ride = rater(scan, polar_sectors(scan))
+    known = ride.class_id != NO_CLASS
+    assert known.sum() > 50
+    assert set(ride.class_id[known].tolist()) == classes
+
+
+def test_few_lines_are_no_smooth_ground(ground, rater):
+    """Five lines meet every sector of the second zone, and nothing is known of what lies between them."""
+    points = lines_on(ground, np.arctan(HIGH_M / np.arange(4.5, 28.0, 2.0)))
+    stack = polar_sectors(Scan(points))
+    ride = rater(Scan(points), stack)
+    assert stack.traversable.sum() > 50
+    assert (ride.class_id == NO_CLASS).all()
+    assert np.isnan([ride.c_r, ride.c_r_low, ride.c_r_high]).all()
+
+
+def test_a_run_writes_what_the_classifier_returns(points, tmp_path):
+    np.column_stack([points, np.zeros(len(points))]).astype("<f4").tofile(tmp_path / "a.bin")
+    how = {"vehicle": "car", "products": ("table", "polygons"), "columns": 4}
+    scan_frames(ScanConfig((tmp_path / "a.bin",), tmp_path / "out", **how))
+    result = bumpymap.classify_scan(points, vehicle="car")
+    table = pq.read_table(tmp_path / "out" / "sectors.parquet").to_pydict()
+    c_r = np.array(table["c_r"], np.float32)
+    np.testing.assert_array_equal(c_r, result.sector_c_r)
+    assert np.isfinite(c_r).any()
+    assert [NO_CLASS if value is None else value for value in table["ride_class"]] == result.sector_ride_class.tolist()
+    record = json.loads((tmp_path / "out" / "scan.json").read_text())
+    calibration = find_calibration("car")
+    assert record["calibration"]["id"] == calibration.id
+    counts = record["frames"][0]["sectors_by_ride"]
+    assert counts["unknown"] == int(np.isnan(c_r[np.array(table["traversable"])]).sum())
+    assert result.sectors.sectors.settings.belly_m == calibration.body.lowest_obstacle_m
+    assert result.sectors.sectors.settings.height_m == calibration.body.height_m
+    features = json.loads((tmp_path / "out" / "frames" / "a.json").read_text())["features"]
+    told = np.array([each["properties"]["c_r"] for each in features], float)  # None is NaN
+    np.testing.assert_allclose(told, c_r, 1e-6)
+
+
+def revolution(seed, count=60_000, lost=0.1):
+    """Ground around a sensor; some beams give no return."""
+    rng = np.random.default_rng(seed)
+    angle, distance = rng.uniform(0, 2 * np.pi, count), rng.uniform(0.3, 45, count)
+    z = -1.5 + np.where(angle < np.pi, 0.0, rng.normal(0, 0.15, count))
+    points = np.column_stack([distance * np.cos(angle), distance * np.sin(angle), z]).astype(np.float32)
+    points[rng.random(count) < lost] = np.nan
+    return points
+
+
+@pytest.mark.parametrize("method", ["filter", None])
+def test_memory_neither_grows_nor_varies_from_scan_to_scan(method):
+    classify, grid = ScanClassifier(method=method), GroundGrid()
+    scans = [revolution(seed) for seed in range(8)]
+    for scan in (revolution(0, lost=1e-4), scans[0]):  # buffers grow to the largest scan
+        grid.occupancy(classify(scan).sectors)
+    tracemalloc.start()
+    try:
+        peaks, ends = [], []
+        for scan in (*scans[3:], *scans[3:]):
+            tracemalloc.reset_peak()
+            before = tracemalloc.get_traced_memory()[0]
+            grid.occupancy(classify(scan).sectors)
+            after, peak = tracemalloc.get_traced_memory()
+            peaks.append(peak - before)
+            ends.append(after)
+    finally:
+        tracemalloc.stop()
+    assert max(peaks) < 1.1 * min(peaks)  # sectors come and go at the edge
+    assert max(peaks) < 100 * len(scans[0])  # bytes a point
+    assert ends[-1] - ends[2] < 4 * len(scans[0])  # less than any array with a row per point, over 7 scans
+
+
+@pytest.mark.parametrize("radius_m", [0.0, 0.5])
+def test_a_grid_from_the_sensor_on_leaves_out_beams_without_return(radius_m):
+    polar = {"zone_starts_m": (0.0, 4.0), "sectors": (16, 24), "rings": (2, 4), "end_m": 30.0}
+    classify = ScanClassifier(method="filter", polar=polar, robot={"radius_m": radius_m})
+    points = np.nan_to_num(revolution(0))
+    nothing = (points == 0.0).all(axis=1)
+    result, alone = classify(points), classify(points[~nothing])
+    assert (result.point_class[nothing] == 255).all()
+    np.testing.assert_array_equal(result.point_class[~nothing], alone.point_class)
+    assert (alone.sector_class < 255).sum() > 50
+
+
+@pytest.mark.parametrize("method", [None, "filter"])
+def test_threads_share_a_classifier(method):
+    classify = ScanClassifier(method=method)
+    scans = [revolution(seed, count) for seed, count in enumerate((60_000, 15_000, 40_000, 15_000))]
+    alone = [classify(scan).point_class.copy() for scan in scans]
+
+    def classes(number):
+        return classify(scans[number % len(scans)]).point_class.copy()
+
+    with ThreadPoolExecutor(len(scans)) as threads:
+        for number, found in enumerate(threads.map(classes, range(16))):
+            np.testing.assert_array_equal(found, alone[number % len(scans)])
+
+
+def test_a_classifier_goes_to_another_process_with_its_settings():
+    classify, scan = ScanClassifier(method="filter", robot={"radius_m": 8.0}, vehicle="warthog"), revolution(0)
+    here, there = classify(scan), copy.copy(classify)(scan)  # as pickle does it
+    np.testing.assert_array_equal(here.point_class, there.point_class)
+    np.testing.assert_array_equal(here.sector_c_r, there.sector_c_r)
+
+
+def test_settings_that_contradict_the_vehicle():
+    with pytest.raises(UsageError, match="leave out belly_m, or the vehicle"):
+        bumpymap.ScanClassifier(vehicle="warthog", polar={"belly_m": 0.1})
+    with pytest.raises(UsageError, match="contradict"):
+        bumpymap.ScanClassifier(vehicle="warthog", calibration="c.json")

@@ -1,0 +1,389 @@
+"""The polar grid against a loop over sectors, and its ground: made-up ground of known height, drops, real frames."""
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings as examples, strategies as st
+
+from bumpymap.core import PolarSettings, Scan, point_classes
+from bumpymap.core.errors import BadInputError, UsageError
+from bumpymap.readers import read_scan
+from bumpymap.scan import ScanConfig, classify_filter, polar_sectors, scan_frames
+from bumpymap.scan.polar import anchor_of
+from bumpymap.views import GroundGrid
+
+FIXED = PolarSettings(anchored=False)
+
+
+def made_scan(seed, count=40_000, labels=False):
+    """Bumpy ground on a slope, denser near the sensor, with a few posts and points outside the grid."""
+    rng = np.random.default_rng(seed)
+    r = 2.0 + 110.0 * rng.random(count) ** 2.5
+    turn = 2.0 * np.pi * rng.beta(2.0, 3.0, count)
+    x, y = r * np.cos(turn), r * np.sin(turn)
+    z = 0.08 * x - 1.5 + 0.05 * np.sin(2.0 * x) * np.cos(1.5 * y) + 0.01 * rng.standard_normal(count)
+    z += np.where(rng.random(count) < 0.1 * (turn < 1.0), 3.0 * rng.random(count), 0.0)
+    label = rng.integers(1, 5, count).astype(np.uint16) if labels else None
+    return Scan(np.column_stack([x, y, z]).astype(np.float32), label=label)
+
+
+def cells_by_hand(points, settings, start):
+    """Zone, ring, sector, row and column of each point, the angle by numpy's arctangent; -1 outside."""
+    x, y = points[:, 0].astype(float), points[:, 1].astype(float)
+    r, turn = np.hypot(x, y), (np.arctan2(y, x) - start) / (2.0 * np.pi) % 1.0
+    out = np.full((len(points), 5), -1)
+    edges = [*settings.zone_starts_m, settings.end_m]
+    for zone, (near, far) in enumerate(pairwise(edges)):
+        inside = (r >= near) & (r < far)
+        outward = (r[inside] - near) / (far - near) * settings.rings[zone]
+        around = turn[inside] * settings.sectors[zone]
+        parts = [np.floor(outward), np.floor(around), outward % 1 * settings.pixels, around % 1 * settings.pixels]
+        out[inside] = np.column_stack([np.full(inside.sum(), zone), *np.floor(parts)])
+    return out
+
+
+@pytest.mark.parametrize("settings", [FIXED, replace(FIXED, pixels=9, least_points=50, anchored=True)])
+def test_every_sector_is_that_of_a_loop_by_hand(settings):
+    scan = made_scan(3, 25_000)
+    stack = polar_sectors(scan, settings)
+    cells = cells_by_hand(scan.points, settings, stack.azimuth_start_rad)
+    assert len(stack.zone) > 50
+    listed = set()
+    for place in sorted({tuple(c) for c in cells[:, :3].tolist()} - {(-1, -1, -1)}):
+        mine = (cells[:, :3] == place).all(axis=1)
+        if mine.sum() <= settings.least_points:
+            continue
+        row = len(listed)
+        listed.add(place)
+        assert (stack.zone[row], stack.ring[row], stack.sector[row], stack.count[row]) == (*place, mine.sum())
+        assert (stack.point_sector[mine] == row).all()
+        own = mine & stack.point_ground
+        if own.sum() < 10:
+            assert stack.ground_count[row] == stack.coverage[row] == 0
+            assert np.isnan(stack.variance[row])
+            assert not stack.traversable[row]
+            continue
+        assert stack.ground_count[row] == own.sum()
+        points = scan.points[own].astype(float)
+        values, axes = np.linalg.eigh(np.cov(points.T))
+        axis = axes[:, 0] * (1 if axes[2, 0] >= 0 else -1)
+        assert values[0] >= 0
+        np.testing.assert_allclose(stack.normal[row], axis, atol=2e-5)
+        assert stack.variance[row] == pytest.approx(points[:, 2].var(), rel=1e-5)
+        pixels = cells[own, 3] * settings.pixels + cells[own, 4]
+        assert stack.coverage[row] == pytest.approx(len(set(pixels.tolist())) / settings.pixels**2, rel=1e-6)
+    assert len(listed) == len(stack.zone)
+    assert (stack.point_sector >= 0).sum() == stack.count.sum()
+
+
+def test_heights_stand_over_the_plane_and_holes_take_their_neighbours_mean():
+    settings = replace(FIXED, zone_starts_m=(10.0,), end_m=20.0, sectors=(8,), rings=(1,))
+    rows, columns = np.indices((15, 15))
+    r = 10.0 + 10.0 * (rows + 0.5) / 15
+    turn = (columns + 0.5) / 15 * 2 * np.pi / 8
+    x, y = r * np.cos(turn), r * np.sin(turn)
+    bump = np.where((rows == 7) & (columns == 4), 0.118, 0.0) + np.where((rows == 3) & (columns == 10), 0.112, 0.0)
+    z = 0.2 * x - 0.1 * y - 2.0 + bump
+    kept = ~((rows == 3) & (columns == 9))
+    stack = polar_sectors(Scan(np.stack([x, y, z], axis=-1)[kept].astype(np.float32)), settings)
+    bump[3, 9] = 0.112 / 8
+    np.testing.assert_allclose(stack.heights[0], bump, atol=1e-5)
+    assert stack.coverage[0] == pytest.approx(224 / 225)
+    # All but two points lie on the plane; these stand 11.8 and 11.2 cm over it, seen along its normal.
+    assert stack.residual[0] == pytest.approx(0.23 / math.sqrt(1 + 0.2**2 + 0.1**2) / 224, rel=1e-4)
+    assert stack.traversable.all()
+
+
+@pytest.mark.parametrize("tilt", [0, 36, 40, 90])
+def test_ground_is_as_steep_as_its_points_and_not_steeper_than_38_degrees(tilt):
+    rng = np.random.default_rng(tilt)
+    across, along = rng.uniform(-1, 1, (2, 400))
+    slope = math.radians(tilt)
+    points = np.column_stack([15.0 + across * math.cos(slope), 2.0 + along, across * math.sin(slope) - 1.0])
+    stack = polar_sectors(
+        Scan(points.astype(np.float32)), replace(FIXED, zone_starts_m=(13.0,), end_m=18.0, sectors=(24,), rings=(1,))
+    )
+    assert stack.traversable.tolist() == [tilt < 38]
+    assert float(stack.normal[0, 2]) == pytest.approx(math.cos(slope) if tilt < 38 else 0.0, abs=1e-5)
+
+
+def test_the_anchor_turns_with_the_scan_and_sectors_keep_their_points():
+    scan = made_scan(5)
+    stack = polar_sectors(scan)
+    for angle in (0.03, 2.5):
+        c, s = math.cos(angle), math.sin(angle)
+        turned = (scan.points.astype(float) @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])).astype(np.float32)
+        start = anchor_of(turned, PolarSettings())
+        assert (start - stack.azimuth_start_rad - angle + np.pi) % (2 * np.pi) - np.pi == pytest.approx(0, abs=1e-6)
+        other = polar_sectors(Scan(turned))
+        assert (other.point_sector == stack.point_sector).mean() > 0.995
+        assert (other.point_ground == stack.point_ground).mean() > 0.995
+        before, after = (point_classes(Scan(p), classify_filter(t)) for p, t in ((scan.points, stack), (turned, other)))
+        assert set(before.tolist()) == {0, 255}
+        assert (before == after).mean() >= 0.97
+
+
+def test_labels_are_the_most_frequent_the_smallest_of_equals():
+    scan = made_scan(7, labels=True)
+    stack = polar_sectors(scan)
+    for row in range(len(stack.zone)):
+        ids, counts = np.unique(scan.label[stack.point_sector == row], return_counts=True)
+        assert stack.label[row] == ids[counts.argmax()]
+    assert (polar_sectors(made_scan(7)).label == -1).all()
+    scan.label[3] = 40_000
+    with pytest.raises(BadInputError, match="40000"):
+        polar_sectors(scan)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"zone_starts_m": (1.0, 4.0, 2.0, 28.0, 60.0)}, "grow outwards"),
+        ({"sectors": (24, 32)}, r"for 5 \(ending at 100 m\), 2 and 5"),
+        ({"rings": (2, 4, 4, 4, 0)}, "`rings` is 2, 4, 4, 4, 0; it must be a list of whole numbers, at least 1"),
+        ({"rings": (10_000, 4, 4, 4, 2)}, "160,480 cells; a polar grid has at most 32,767"),
+        ({"pixels": 2}, "pixels is 2; it must be a whole number from 3 to 64"),
+    ],
+)
+def test_settings_that_make_no_grid_are_refused(wrong, words):
+    with pytest.raises(UsageError, match=words):
+        PolarSettings(**wrong)
+
+
+POLAR = PolarSettings()
+
+
+def rings(seed=0, far=50.0, lines=60, columns=900):
+    """Places of the returns of a spinning sensor on open ground, (n, 2) m."""
+    rng = np.random.default_rng(seed)
+    r = 1.2 * (far / 1.2) ** np.linspace(0, 1, lines)[:, None] * np.ones(columns)
+    turn = rng.uniform(0, 2 * np.pi, (lines, columns))
+    return np.column_stack([(r * np.cos(turn)).ravel(), (r * np.sin(turn)).ravel()])
+
+
+def plane(places, slope_deg=0.0, heading=0.0, height=-1.2):
+    slope = math.tan(math.radians(slope_deg))
+    return height + slope * (places[:, 0] * math.cos(heading) + places[:, 1] * math.sin(heading))
+
+
+def stack_of(xy, z, **changes):
+    points = np.column_stack([xy, z]).astype(np.float32)
+    return polar_sectors(Scan(points), PolarSettings(**changes) if changes else None)
+
+
+def box(rng, x, y, side, low, high, count=400):
+    """Points on the sides and the top of a box."""
+    place = rng.uniform(-0.5, 0.5, (count, 2)) * side
+    edge = rng.integers(0, 3, count)
+    place[edge == 0, 0] = np.sign(place[edge == 0, 0]) * side / 2
+    place[edge == 1, 1] = np.sign(place[edge == 1, 1]) * side / 2
+    z = np.where(edge == 2, high, rng.uniform(low, high, count))
+    return np.column_stack([place + np.array([x, y]), z])
+
+
+@examples(max_examples=12, deadline=None)
+@given(
+    slope=st.floats(0, 34),
+    heading=st.floats(0, 6.28),
+    height=st.floats(-2.0, -0.4),
+    noise=st.floats(0, 0.02),
+    seed=st.integers(0, 9),
+)
+def test_a_plane_of_any_slope_that_can_be_driven_is_ground_and_heights_stand_on_it(slope, heading, height, noise, seed):
+    xy = rings(seed)
+    z = plane(xy, slope, heading, height) + noise * np.random.default_rng(seed).standard_normal(len(xy))
+    stack = stack_of(xy, z)
+    own = stack.point_ground
+    assert own.mean() > 0.995
+    assert np.abs(stack.point_height[own] - (z - plane(xy, slope, heading, height))[own]).max() < 0.05
+    assert stack.traversable.mean() > 0.99
+    assert not stack.obstacle.any()
+
+
+def test_boxes_are_obstacles_on_ground_and_crowns_are_overhead():
+    rng = np.random.default_rng(1)
+    xy = rings(1)
+    ground = np.column_stack([xy, plane(xy, 5.0) + 0.01 * rng.standard_normal(len(xy))])
+    middles = np.array([(8.0, 3.0), (-6.0, -9.0), (0.0, 15.0)])
+    cars = [box(rng, *at, 2.0, low, low + 1.2) for at, low in zip(middles, plane(middles, 5.0), strict=True)]
+    crown_xy = np.column_stack([rng.uniform(10, 20, 3000), rng.uniform(-12, -4, 3000)])
+    crown = np.column_stack([crown_xy, plane(crown_xy, 5.0) + rng.uniform(3.0, 5.0, 3000)])
+    kinds = np.concatenate([np.zeros(len(ground)), np.ones(sum(map(len, cars))), np.full(len(crown), 2)])
+    scan = Scan(np.concatenate([ground, *cars, crown]).astype(np.float32))
+    stack = polar_sectors(scan)
+    truth = scan.points[:, 2] - plane(scan.points[:, :2].astype(float), 5.0)
+    assert stack.point_ground[kinds == 0].mean() > 0.985
+    assert stack.point_ground[(kinds == 1) & (truth > 0.2)].mean() < 0.01
+    assert not stack.point_ground[kinds == 2].any()
+    known = np.isfinite(stack.point_height)
+    assert known.mean() > 0.99
+    assert np.quantile(np.abs(stack.point_height - truth)[known], 0.99) < 0.05
+    row = stack.point_sector
+    on_cars = (kinds == 1) & (truth > POLAR.belly_m + 0.05) & (row >= 0)
+    assert stack.obstacle[row[on_cars]].mean() > 0.99
+    held = np.unique(row[on_cars])
+    assert np.abs(stack.obstacle_height[held].max() - 1.2) < 0.1
+    under = np.unique(row[(kinds == 2) & (row >= 0)])
+    without_car = np.setdiff1d(under, held)
+    assert stack.traversable[without_car].mean() > 0.9
+    assert not stack.obstacle[without_car].any()
+    assert np.nanmin(stack.clearance[without_car]) == pytest.approx(3.0, abs=0.1)
+    free = stack.traversable & ~stack.obstacle
+    assert set(classify_filter(stack).class_id[free & (stack.overhead_count == 0)].tolist()) == {0}
+
+
+def test_reflections_below_the_ground_are_left_out_and_move_nothing():
+    rng = np.random.default_rng(3)
+    xy = rings(3)
+    z = plane(xy) + 0.01 * rng.standard_normal(len(xy))
+    deep = rng.uniform(size=len(xy)) < 0.004
+    stack = stack_of(xy, np.where(deep, z - rng.uniform(1.0, 4.0, len(xy)), z))
+    assert not stack.point_ground[deep].any()
+    assert stack.point_ground[~deep].mean() > 0.99
+    assert np.abs(stack.point_height[~deep]).max() < 0.1
+
+
+def test_a_crown_without_ground_below_it_is_no_ground():
+    rng = np.random.default_rng(4)
+    xy = rings(4, far=20.0)
+    crown_xy = np.column_stack([rng.uniform(24, 30, 4000), rng.uniform(-3, 3, 4000)])
+    z = np.concatenate([plane(xy), -1.2 + rng.uniform(2.5, 5.0, 4000)])
+    stack = stack_of(np.concatenate([xy, crown_xy]), z)
+    there = stack.point_sector[len(xy) :]
+    assert not stack.traversable[there[there >= 0]].any()
+    assert not stack.point_ground[len(xy) :].any()
+
+
+@pytest.mark.parametrize("height", [-2.0, -0.6])
+def test_a_scan_with_z_down_has_no_ground(height):
+    xy = rings(7)
+    z = plane(xy, 3.0, 1.0, height)
+    assert stack_of(xy, z).traversable.mean() > 0.99
+    upside_down = stack_of(xy * [1, -1], -z)
+    assert not upside_down.traversable.any()
+    assert not upside_down.point_ground.any()
+    assert stack_of(xy * [1, -1], -z, overhead_m=math.inf).traversable.any()
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize(("name", "least"), [("marv/marv.npz", 35), ("tradr/tradr.npz", 30), ("husky_oru", 60)])
+def test_low_robots_find_the_ground_around_them(shared_data, name, least):
+    path = shared_data / "scans" / "monoforce" / name
+    if path.is_dir():
+        scan = read_scan(next(path.glob("*.ply")))
+    else:
+        cloud = np.load(path)["cloud"].ravel()
+        points = np.stack([cloud[axis] for axis in "xyz"], axis=1)
+        scan = Scan(np.ascontiguousarray(points[np.hypot(points[:, 0], points[:, 1]) > 0.5]))
+    stack = polar_sectors(scan)
+    assert stack.traversable.sum() >= least
+    # Not stretched to reach the number: what is called ground is thin.
+    heights = np.abs(stack.point_height[stack.point_ground])
+    assert np.quantile(heights, 0.95) < 0.3
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("pattern", ["monoforce/husky/*.ply", "monoforce/husky_oru/*.ply", "patchwork_128ch/*.pcd"])
+def test_smooth_sectors_of_a_real_scan_hold_ground_and_nothing_tall(shared_data, tmp_path, pattern):
+    path = next((shared_data / "scans").glob(pattern))
+    (report,) = scan_frames(ScanConfig((path,), tmp_path / "out")).frames  # needs no setting
+    assert min(report.sectors[0], report.sectors[3]) > 0
+    stack = polar_sectors(read_scan(path))
+    smooth = classify_filter(stack).class_id == 0
+    assert smooth.sum() >= 8
+    assert stack.residual[smooth].mean() < 0.06
+    assert np.abs(stack.point_height[stack.point_ground]).max() < 1.2
+    assert (np.abs(stack.heights[smooth]) > 0.5).mean() < 0.01  # over the plane of its sector, pixel by pixel
+
+
+CELLS = GroundGrid(0.25, 20.0)
+
+
+def seen(height_at, sensor_m=1.2, lines=64, seed=0):
+    """Points of a sensor of 64 lines over ground of that height; where it is NaN, there is none."""
+    rng = np.random.default_rng(seed)
+    down = np.radians(np.linspace(-25.0, -1.0, lines))[:, None]
+    turn = np.linspace(-math.pi, math.pi, 720, endpoint=False)[None, :]
+    away = np.full((lines, 720), np.nan)
+    for r in np.arange(0.6, 45.0, 0.02):  # the first place where a beam is below the ground
+        x, y = np.broadcast_arrays(r * np.cos(turn), r * np.sin(turn))
+        below = sensor_m + r * np.tan(down) <= height_at(x, y)
+        away = np.where(np.isnan(away) & below, r, away)
+    away += 0.01 * rng.standard_normal(away.shape)
+    points = np.stack([away * np.cos(turn), away * np.sin(turn), away * np.tan(down)], axis=-1)
+    return points.reshape(-1, 3)[np.isfinite(away).ravel()].astype(np.float32)
+
+
+def occupancy_of(points):
+    return CELLS.occupancy(classify_filter(polar_sectors(Scan(points))))
+
+
+def centres():
+    axis = (np.arange(CELLS.side) + 0.5) * CELLS.resolution_m - CELLS.reach_m
+    return np.meshgrid(axis, axis)
+
+
+def is_free(cells):
+    return (cells >= 0) & (cells <= 33)
+
+
+@pytest.mark.parametrize(("edge", "drop", "origin_m"), [(3.2, 0.4, 1.2), (9.0, 0.6, 1.2), (5.0, 0.6, 0.0)])
+def test_a_step_down_bars_the_way(edge, drop, origin_m):
+    """Where the origin is the sensor, and where it is on the ground below it."""
+    lift = np.float32([0.0, 0.0, 1.2 - origin_m])
+    cells = occupancy_of(seen(lambda x, _: np.where(x > edge, -drop, 0.0)) + lift)
+    x, y = centres()
+    at_edge = (np.abs(x - edge - 0.1) < 0.3) & (np.abs(y) < 5.0)
+    assert is_free(cells)[at_edge].mean() < 0.05
+    level = occupancy_of(seen(lambda x, _: 0.0 * x) + lift)
+    assert (is_free(cells) == is_free(level))[(x < 0.0) | (np.hypot(x, y) < edge - 2.0)].mean() > 0.97
+
+
+@pytest.mark.parametrize(("at", "width", "depth"), [(4.0, 1.2, 0.6), (7.0, 2.5, 5.0)])
+def test_a_ditch_bars_the_way(at, width, depth):
+    cells = occupancy_of(seen(lambda x, _: np.where((x > at) & (x < at + width), -depth, 0.0)))
+    x, y = centres()
+    inside = (x > at) & (x < at + width) & (np.abs(y) < 4.0)
+    barred = ~is_free(cells) & inside
+    assert barred.any(axis=1)[inside.any(axis=1)].all()  # every straight way across
+
+
+def test_nothing_is_free_beyond_the_end_of_the_ground():
+    cells = occupancy_of(seen(lambda x, _: np.where(x > 6.4, np.nan, 0.0)))
+    x, y = centres()
+    assert is_free(cells)[x > 6.9].mean() < 0.001
+    assert is_free(cells)[(x < 5.5) & (np.hypot(x, y) > 4.0) & (np.hypot(x, y) < 9.0)].mean() > 0.95
+
+
+@pytest.mark.parametrize(
+    "height_at",
+    [
+        lambda x, _: -0.25 * x,
+        lambda x, _: np.where(x > 6.0, -0.2 * (x - 6.0), 0.0),
+        lambda x, y: 0.4 * np.sin(x / 9.0) * np.sin(y / 11.0 + 1.0),
+        lambda x, y: np.where(np.abs(y) > 4.0, 0.16, 0.0 * x),
+    ],
+    ids=["down", "ramp", "hills", "kerbs"],
+)
+def test_slopes_hills_and_kerbs_are_no_drops(height_at):
+    stack = polar_sectors(Scan(seen(height_at)))
+    assert stack.traversable.mean() > 0.9
+    assert stack.obstacle.mean() < 0.03
+
+
+def test_heights_of_obstacles_are_not_known_at_a_drop():
+    stack = polar_sectors(Scan(seen(lambda x, _: np.where(x > 5.0, -1.0, 0.0))))
+    assert stack.obstacle.any()
+    assert np.isnan(stack.obstacle_height).all()
+
+
+def test_reflections_in_wet_ground_are_no_drops():
+    points = seen(lambda x, _: 0.0 * x)
+    rng = np.random.default_rng(3)
+    far = (np.hypot(points[:, 0], points[:, 1]) > 4.0) & (rng.uniform(size=len(points)) < 0.02)
+    points[far] *= rng.uniform(1.3, 2.0, (far.sum(), 1)).astype(np.float32)
+    stack = polar_sectors(Scan(points))
+    assert (stack.obstacle & np.isnan(stack.obstacle_height)).mean() < 0.03

@@ -1,0 +1,310 @@
+"""What is said before and after a run: of unknown tiles, of what it takes, at its end, of its survey in run.json."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from datetime import date
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+from blake3 import blake3
+from click.testing import CliRunner
+from ply_files import write_ply
+from small_surveys import run, write_las, write_survey
+
+import bumpymap
+from bumpymap.cli import main
+from bumpymap.core import TooUnknownError
+from bumpymap.core.config import FeatureSettings
+from bumpymap.core.types import Reason
+from bumpymap.layers import MapSummary, write_products as write
+from bumpymap.readers import ReadOptions, open_survey
+from bumpymap.survey import Budget, FlightLines, MapResult, estimate, ground_line
+from bumpymap.survey.advice import Outcome, advise
+from bumpymap.survey.run_record import survey_record
+from bumpytiles import Grid
+
+pytestmark = pytest.mark.slow
+
+
+def write_random(path, density, ground_share=0.0, side=60.0):
+    """Write points at random over a square of 20 x 20 tiles."""
+    rng = np.random.default_rng(3)
+    count = int(density * side**2)
+    x, y = 500001 + rng.uniform(0.001, side - 0.001, count), 4000002 + rng.uniform(0.001, side - 0.001, count)
+    z, kind = rng.normal(0.0, 0.02, count), np.where(rng.random(count) < ground_share, 2, 1).astype(np.uint8)
+    return write_las(path, x, y, z, crs=None, classification=kind)
+
+
+def answer(*words):
+    result = run(*words)
+    assert result.exit_code == 0, result.output
+    return json.loads(result.stdout.strip().splitlines()[-1] if words[0] == "map" else result.stdout)
+
+
+def foretold_and_found(out, *words):
+    """Shares of the tiles that are unknown, and the sentences, of `info` and of `map`."""
+    (record,) = answer("info", *words, "--json")["files"]
+    mapped = answer("map", *words, "--local", "--out", out, "--json")
+    found = sum(mapped["unknown"].values()) / mapped["tiles"]
+    return sum(record["unknown_tiles_about"].values()), found, record["needs"][-1], mapped["advice"]
+
+
+@pytest.mark.parametrize(
+    ("density", "ground_share", "words"),
+    [
+        (0.4, 0.0, "larger tiles: bumpymap info --tile-size 5 (or 6) says how many are unknown then"),
+        (5.0, 0.0, ""),
+        (14.0, 0.02, "--ground all measures every point, 126 per tile"),
+        (0.4, 0.8, "A denser survey would help"),
+        (60.0, 0.5, ""),
+    ],
+)
+def test_what_is_foretold_is_found(tmp_path, density, ground_share, words):
+    survey = write_random(tmp_path / "a.laz", density, ground_share)
+    foretold, found, before, after = foretold_and_found(tmp_path / "out", survey)
+    assert foretold == pytest.approx(found, abs=0.02)
+    assert words in before
+    assert words in after
+    if found > 0.1:
+        assert after.startswith(f"{found:.1%} of the tiles are unknown")
+        assert before == after.replace(f"{found:.1%} of the tiles are", f"about {found:.0%} of the tiles will be")
+    else:
+        assert after.startswith((f"{found:.1%} of the tiles are unknown, mostly", "no tile with points is unknown"))
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("name", ["churo_sparse.laz", "csf_double_xyz.ply", "bcts_adjoining/bcts_1.laz"])
+@pytest.mark.parametrize("ground", ["auto", "all"])
+def test_what_is_foretold_of_real_surveys_is_found(tmp_path, shared_data, name, ground):
+    survey = shared_data / "surveys" / name
+    foretold, found, *_ = foretold_and_found(tmp_path / "out", survey, "--ground", ground)
+    assert foretold == pytest.approx(found, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("reason", "measured", "every", "thin", "words"),
+    [
+        (Reason.TOO_FEW_POINTS, "points", 20.0, True, "at least 4 are needed"),
+        (Reason.NO_GROUND, "ground points", 200.0, False, "--ground csf detects ground points"),
+        (Reason.NO_GROUND, "ground points (found by the cloth)", 200.0, True, "vegetation too"),
+        (Reason.TOO_MANY_HOLES, "points", 60.0, False, "or less than 25% of the pixels with one"),
+        (Reason.OUTLIER_RELIEF, "points", 200.0, False, "class 7 or 18"),
+    ],
+)
+def test_what_would_help(reason, measured, every, thin, words):
+    said = advise(Outcome(100, {reason: 90}, measured, 20.0, every, thin), FeatureSettings(), before_run=False)
+    assert words in said
+    assert ("--ground csf" in said) == (measured == "ground points")
+
+
+QUARRY = Path(__file__).resolve().parents[2] / "sample_data" / "quarry.laz"
+NOTHING = (float("nan"),) * 5
+
+
+def map_result(*, ground_only=False, **objects):
+    summary = MapSummary(100, 20_000, (100, 0, 0, 0), (0,) * 6, 0, NOTHING, NOTHING, 200.0, **objects)
+    return MapResult((), summary, 20_000, ground_only, {}, {}, FlightLines(), rates_thin=True)
+
+
+@pytest.mark.parametrize(
+    ("found", "words"),
+    [
+        (map_result(judged=100, layered=83, tall=90), "`ground='csf'` looks for the ground beneath"),
+        (map_result(judged=100, layered=5, tall=21), "`ground='all'` (as here) keeps them"),
+        (map_result(judged=100, layered=6, tall=5), ""),
+        (map_result(), ""),
+        (map_result(judged=100, layered=83, tall=90, ground_only=True), ""),
+    ],
+)
+def test_which_ground_a_survey_wants(found, words):
+    said = ground_line(found)
+    assert words in said
+    assert bool(said) == bool(words)
+
+
+def test_more_unknown_tiles_than_allowed_are_exit_code_4_and_keep_the_layers(tmp_path):
+    out = tmp_path / "out"
+    words = ("map", QUARRY, "--out", out, "--quiet", "--set")
+    failed = run(*words, "max_unknown=0.1%")
+    assert failed.exit_code == 4
+    assert "tiles are unknown (1.0%), more than the 0.1% that --set max_unknown allows" in failed.output
+    assert "mostly because of too many holes" in failed.output
+    assert json.loads((out / "run.json").read_text())["counts"]["unknown"] > 0
+    assert run(*words, "max_unknown=50%").exit_code == 0  # the same run, already done
+    with pytest.raises(TooUnknownError):
+        bumpymap.map_survey(QUARRY, out, max_unknown=0.001)
+
+
+APART = ["/home/me/a.laz", "/home/me/more/b.laz"]
+SIGNED = "https://me:word@example.org/deep/my%20site.laz?X-Signature=abc#x"
+
+
+@pytest.mark.parametrize(
+    ("given", "files", "name"),
+    [
+        (["flights/site.laz"], ["flights/site.laz"], "site"),
+        (["flights"], ["flights/site.1.copc.laz"], "site.1"),
+        ([".copc.laz"], [".copc.laz"], ".copc.laz"),
+        (["/x/hill"], ["/x/hill/one/a.laz", "/x/hill/two/b.laz"], "hill"),  # though files lie deeper
+        (["/x/hill/a.laz", "/x/hill/b.laz"], ["/x/hill/a.laz", "/x/hill/b.laz"], "hill"),
+        (APART, APART, "2 files"),
+        (["/"], APART, "2 files"),
+        ([SIGNED], [SIGNED], "my site"),  # neither server nor query is told
+        (["s3://bucket/hill/"], ["s3://bucket/hill/a.laz", "s3://bucket/hill/b.laz"], "hill"),
+        (["x"], [os.fsdecode(b"caf\xe9\n\x01.laz")], "caf" + 3 * "\N{REPLACEMENT CHARACTER}"),
+    ],
+)
+def test_a_survey_is_called_after_its_file_or_its_folder(given, files, name):
+    places = [[place if "://" in place else Path(place) for place in some] for some in (given, files)]
+    assert survey_record(*places, ["a:1"] * len(files), [None] * len(files))["name"] == name
+
+
+def test_checksum_and_dates_are_those_of_all_files():
+    def found(checksums, dates=()):
+        record = survey_record(["x"], ["x"] * len(checksums), checksums, dates)
+        return record["checksum"], record["dates"]
+
+    assert found(["blake3-1MiB:12"], [date(2024, 5, 3)]) == ("blake3-1MiB:12", ["2024-05-03", "2024-05-03"])
+    joined = f"blake3-set:{blake3(b'm:a' + bytes([10]) + b'm:b' + bytes([10])).hexdigest()}"
+    days = [date(2024, 5, 3), None, date(2023, 12, 31)]
+    assert found(["m:b", "m:a"], days) == found(["m:a", "m:b"], days) == (joined, ["2023-12-31", "2024-05-03"])
+    assert found(["m:a", "m:a"])[0] != joined
+    assert found(["m:a", None], [None, None]) == (None, None)
+
+
+def test_a_run_and_a_resumed_one_say_the_same_of_a_survey_with_a_bad_file(tmp_path, killed_at):
+    folder = tmp_path / "hill"
+    for name, day in (("a.laz", 3), ("b.las", 1)):
+        las = laspy.read(write_survey(folder / name, seed=day))
+        las.header.creation_date = date(2024, 5, day)
+        las.write(folder / name)
+    (folder / "bad.laz").write_bytes(b"LASF")
+    words = ("map", folder, "--skip-bad", "--out")
+    assert run(*words, tmp_path / "plain").exit_code == 4
+    killed_at("layers.write_products", tmp_path / "again", folder, "--skip-bad")
+    assert run(*words, tmp_path / "again").exit_code == 4
+    record, again = (json.loads((tmp_path / name / "run.json").read_text()) for name in ("plain", "again"))
+    assert record["survey"]["name"] == "hill"
+    assert record["survey"]["dates"] == ["2024-05-01", "2024-05-03"]
+    lines = "".join(f"{checksum}\n" for checksum in sorted(file["checksum"] for file in record["inputs"]))
+    assert record["survey"]["checksum"] == f"blake3-set:{blake3(lines.encode()).hexdigest()}"
+    assert again["survey"] == record["survey"]
+
+
+def write_points(path, points, ground=False):
+    return write_las(path, *points.T, crs=None, classification=np.where(ground, 2, 1) * np.ones(len(points), np.uint8))
+
+
+def bytes_in(folder, names="*"):
+    return sum(path.stat().st_size for path in folder.rglob(names) if path.is_file())
+
+
+def map_and_look(surveys, folder, budget, monkeypatch):
+    """Map; gives what was foretold, and the bytes on disk before the layers were written, and after.
+
+    Records of a run that do not grow with the map (settings, lists of what was read) are left out.
+    """
+    for name, most in zip(("waiting_points", "chunk_points"), budget, strict=True):
+        monkeypatch.setattr(Budget, name, most)
+    foretold = estimate([open_survey(path, ReadOptions()).info for path in surveys], Grid(), Budget(1 << 30, 2))
+    found = {}
+
+    def write_products(*arguments, **options):
+        found["scratch"] = bytes_in(folder / "scratch", "*.pack")
+        found["tiles"] = bytes_in(folder / "layers", "*.pack")
+        return write(*arguments, **options)
+
+    monkeypatch.setattr("bumpymap.layers.write_products", write_products)
+    options = ("--out", folder / "layers", "--set", f"scratch={folder / 'scratch'}", "--local", "--quiet")
+    result = run("map", *surveys, *options)
+    assert result.exit_code == 0, result.output
+    found["layers"] = bytes_in(folder / "layers")
+    found["count"] = json.loads((folder / "layers" / "run.json").read_text())["counts"]["tiles"]
+    return foretold, found
+
+
+def full_tiles(folder, files, west, side, points_a_pixel):
+    """Surveys in a row, 48 m (a block) from one to the next: points in nearly every pixel, some of them ground."""
+    rng = np.random.default_rng(0)
+    surveys = []
+    for number in range(files):
+        count = int(points_a_pixel * (side / 0.2) ** 2)
+        points = rng.uniform(0, 1, (count, 3)) * (side, side, 3) + (west + 48 * number, 4_000_034, 0)
+        surveys.append(write_points(folder / f"{number}.las", points, ground=rng.random(count) < 0.5))
+    return surveys
+
+
+def test_tiles_and_layers_take_nearly_what_was_said_and_no_more(tmp_path, monkeypatch):
+    # Each file fills a block of its own (they begin at multiples of 48 m): it is complete, and measured both for its
+    # ground and for all points, before it is known which will count. Random heights cannot be compressed.
+    surveys = full_tiles(tmp_path, 5, 499_970, 44, 3)
+    foretold, found = map_and_look(surveys, tmp_path, (180_000, 50_000), monkeypatch)
+    assert found["count"] == foretold.tiles == 5 * 16 * 16
+    taken = found["tiles"] + found["layers"]
+    assert 0.76 * foretold.out < taken <= foretold.out
+
+
+def test_points_that_wait_take_nearly_what_was_said_and_no_more(tmp_path, monkeypatch):
+    # Each file reaches into the block of the next one: all points wait for the last file.
+    surveys = [*full_tiles(tmp_path, 3, 499_990, 44, 1)]
+    surveys.append(write_points(tmp_path / "all.las", np.array([[499_990.0, 4_000_034, 0], [500_150.0, 4_000_080, 0]])))
+    foretold, found = map_and_look(surveys, tmp_path, (15_000, 4_000), monkeypatch)
+    assert 0.85 * foretold.scratch < found["scratch"] <= foretold.scratch
+
+
+@pytest.mark.later
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs Linux's own account of a process")
+def test_a_run_takes_more_than_a_third_of_the_memory_that_was_said_and_no_more(tmp_path):
+    # What the system says of a child when it has ended (ru_maxrss) may be the size of the parent that started it.
+    code = """
+import re, sys
+from bumpymap.cli import main
+main(sys.argv[1:], standalone_mode=False)
+print(re.search(r"VmHWM:\\s*(\\d+) kB", open("/proc/self/status").read())[1])
+"""
+    survey = str(QUARRY)
+    # How much is held at once depends on what the threads that write layers do at the same time: up to 160 MB.
+    held = []
+    for out in ("first", "second", "third"):
+        options = ["map", survey, "--out", str(tmp_path / out), "--local", "--threads", "2", "--quiet"]
+        done = subprocess.run([sys.executable, "-c", code, *options], check=True, capture_output=True, text=True)
+        held.append(int(done.stdout) * 1024)
+    foretold = json.loads(run("info", survey, "--quick", "--set", "threads=2", "--json").stdout)
+    assert 1 / 3 < max(held) / foretold["run"]["memory_bytes_at_most"] <= 1
+
+
+def test_a_survey_larger_than_its_budget_takes_the_budget_and_a_small_one_does_not():
+    info = open_survey(QUARRY, ReadOptions()).info
+
+    def memory(files, budget):
+        return estimate([info] * files, Grid(), Budget(budget << 30, 2)).memory
+
+    # What waits in memory and what is put in order take a share of any budget; a chunk that is read does not grow.
+    assert 0.6 * (2 << 30) < memory(10_000, 4) - memory(10_000, 2) <= 2 << 30
+    assert memory(10_000, 4) > 0.6 * (4 << 30)
+    assert memory(1, 4) == memory(1, 2)
+
+
+def test_info_says_what_a_run_takes(tmp_path):
+    def told(*words):
+        return CliRunner().invoke(main, ["info", *map(str, words)], env={"COLUMNS": "200"}).output
+
+    quick = (QUARRY, "--quick", "--set", "threads=3")
+    assert re.search(r"a run with --memory auto \(\d+MB now\) on 3 threads", told(*quick))
+    small = told(*quick, "--set", "memory=128MB")
+    assert "a run with --memory 128MB on 3 threads" in small
+    assert "none: all points fit into memory" in small
+    assert "memory is '1MB'" in told(*quick, "--set", "memory=1MB")
+    place = np.array([500_001.0, 4_000_002.0, 0.0])
+    points = place + np.random.default_rng(0).uniform(0, 9, (100, 3))
+    cloud = write_points(tmp_path / "a.las", points)
+    ply = write_ply(tmp_path / "a.ply", np.rec.fromarrays(points[:1].T, names="x,y,z"), order="=")
+    assert "unknown until the points are read: run without --quick" in told(cloud, ply, "--quick")
+    read = json.loads(run("info", cloud, ply, "--json").stdout)["run"]
+    assert (read["points"], read["scratch_bytes_at_most"]) == (101, 0)
+    assert 2 <= read["tiles_at_most"] <= 10

@@ -1,0 +1,282 @@
+"""Points to tiles and blocks: in whatever order they came and wherever they wait, the same blocks come out."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+
+from bumpytiles import (
+    Bounds,
+    Grid,
+    MemoryLimits,
+    Pack,
+    ScaledPoints,
+    Scaling,
+    TileBuckets,
+    TileWindow,
+    TooManyPointsError,
+    group_points,
+    group_scaled_points,
+    run_blocks,
+)
+from bumpytiles._sort_kernels import sort_tiles
+from bumpytiles.scaling import coordinate
+
+GRID = Grid(tile_size=3.0)
+
+
+def survey(seed, n=3000, span=120.0, corner=(500_000, 4_000_000), *, duplicates=0):
+    rng = np.random.default_rng(seed)
+    # Centimetre coordinates: many points on tile edges, as in real files.
+    x, y = (np.round(rng.uniform(-span / 2, span / 2, n), 2) + start for start in corner)
+    columns = x, y, np.round(rng.normal(size=n), 3), rng.random(n) < 0.4
+    again = rng.integers(0, n, duplicates)
+    return tuple(np.concatenate([column, column[again]]) for column in columns)
+
+
+def gather(columns, order, cuts):
+    """Blocks of a survey that comes in ``order``, in chunks cut at ``cuts``."""
+    buckets = TileBuckets(GRID)
+    for part in np.split(order, cuts):
+        buckets.add(*(column[part] for column in columns))
+    return list(buckets.blocks())
+
+
+def flatten(blocks):
+    names = ("col", "row", "starts", "easting", "northing", "upward", "flag")
+    return [tuple(getattr(block, name).tobytes() for name in names) for block in blocks]
+
+
+def one_block(x, y, z, flag):
+    buckets = TileBuckets(GRID)
+    buckets.add(*(np.asarray(axis, float) for axis in (x, y, z)), np.asarray(flag))
+    (block,) = buckets.blocks()
+    return block
+
+
+@settings(max_examples=25)
+@given(st.integers(0, 1000), st.lists(st.integers(0, 3000), max_size=6))
+def test_order_and_chunks_of_the_input_change_no_bit(seed, cuts):
+    columns = survey(seed)
+    expected = flatten(gather(columns, np.arange(3000), []))
+    shuffled = np.random.default_rng(seed + 1).permutation(3000)
+    assert flatten(gather(columns, shuffled, sorted(cuts))) == expected
+
+
+def test_every_place_is_in_its_own_tile_once_and_of_two_points_the_flagged_one_stays():
+    columns = survey(5, duplicates=500)
+    seen = []
+    for block in gather(columns, np.random.default_rng(0).permutation(len(columns[0])), [700]):
+        points = [block.easting, block.northing, block.upward]
+        tile = np.repeat(np.arange(len(block.col)), np.diff(block.starts))
+        assert (np.diff(block.starts) > 0).all()
+        for axis, index in zip(points, (block.col, block.row), strict=False):
+            np.testing.assert_array_equal(np.floor(axis / GRID.tile_size), index[tile])
+        seen += zip(*points, strict=True)
+    assert sorted(seen) == sorted(set(zip(*columns[:3], strict=True)))
+    for flags, kept in (([1, 0], 1), ([0, 1], 1), ([3, 2], 2), ([0, 3], 3), ([2, 1], 1)):
+        assert one_block([0.0, -0.0], [1.0] * 2, [1.0] * 2, np.array(flags, np.uint8)).flag.tolist() == [kept]
+
+
+def test_points_with_one_hash_are_still_put_in_one_order(monkeypatch):
+    monkeypatch.setattr("bumpytiles._sort_kernels.hash_point", lambda *_: np.uint64(0))
+    monkeypatch.setattr("bumpytiles.grouping.sort_tiles", sort_tiles.plain)
+    columns = tuple(column[:300] for column in survey(6, n=250, span=8.0, duplicates=50))
+    expected = flatten(gather(columns, np.arange(300), []))
+    assert flatten(gather(columns, np.arange(300)[::-1], [50])) == expected
+    assert sum(len(b.easting) for b in gather(columns, np.arange(300), [])) == len(set(zip(*columns[:3], strict=True)))
+
+
+SCALING = Scaling((0.01, 0.001, 0.0005), (500_000.0, -4.0, 123.456), (1.0, 0.3048, 0.9))
+
+
+def scaled_survey(seed, n=3000, scaling=SCALING):
+    rng = np.random.default_rng(seed)
+    east, north = rng.integers(-6000, 6000, (2, n))
+    words = (axis.astype(np.int32) for axis in (east, 20 * north, rng.integers(-500, 500, n)))
+    return ScaledPoints(*words, rng.random(n) < 0.5, scaling)
+
+
+@settings(max_examples=25)
+@given(st.integers(0, 1000), st.booleans())
+def test_points_on_the_grid_of_their_file_give_the_bits_of_points_in_metres(seed, several):
+    other = Scaling((0.02, -0.005, 0.001), (500_000.0, 0.0, 0.0), (1.0, 1.0, 1.0))
+    files = [scaled_survey(seed), *[scaled_survey(seed + 1, 500, other)] * several]
+    scaled, metres = TileBuckets(GRID), TileBuckets(GRID)
+    for points in files:
+        scaled.add_chunk(group_scaled_points(GRID, points))
+        metres.add(*points.coordinates(), points.flag)
+    assert flatten(scaled.blocks()) == flatten(metres.blocks())
+
+
+@given(st.integers(-(1 << 31), (1 << 31) - 1), st.sampled_from([0.01, 0.001, 1e-7, -0.25, 3.0]), st.floats(-1e7, 1e7))
+def test_a_coordinate_has_the_bits_of_numpy(integer, scale, offset):
+    scaling = Scaling((1.0, scale, 1.0), (0.0, offset, 0.0), (1.0, 0.3048006096, 1.0))
+    expected = np.round(np.array([integer]) * scale + offset, 8) * 0.3048006096
+    assert coordinate(integer, scaling.numbers(), 1) == expected[0]
+    assert scaling.coordinates(1, [integer])[0] == expected[0]
+    assert Scaling.of(scaling.numbers().tolist()) == scaling
+
+
+def test_tiles_with_points_and_with_flagged_points_are_counted():
+    buckets = TileBuckets(GRID)
+    assert buckets.flagged_share() == 0.0
+    buckets.add(np.array([0.5, 1.0, 3.5, 100.0]), np.zeros(4), np.zeros(4), np.array([True, False, False, True]))
+    assert buckets.flagged_share() == 2 / 3
+    assert np.argwhere(buckets.flags((0, 0))).tolist() == [[0, 0], [0, 1], [1, 0]]
+    assert buckets.points((0, 0)) == 3
+
+
+def test_the_order_is_a_fair_sample():
+    # The first tenth of a tile's points must spread like all of them; a sort by coordinate would not.
+    x, y = np.random.default_rng(8).uniform(0, 3, (2, 20_000))
+    block = one_block(x, y, x * 0.0, np.zeros(20_000, bool))
+    for axis in (block.easting, block.northing):
+        assert abs(axis[:2000].mean() - 1.5) < 4 * 0.866 / 2000**0.5
+
+
+# ---- whatever waits in memory or on disk ----
+
+
+def chunks(columns, size):
+    return [tuple(column[start : start + size] for column in columns) for start in range(0, len(columns[0]), size)]
+
+
+def flat(blocks):
+    """Tiles and their points as bytes; a block may come in shares."""
+    found = []
+    for block in blocks:
+        columns = (block.easting, block.northing, block.upward, block.flag)
+        for col, row, start, end in zip(block.col, block.row, block.starts, block.starts[1:], strict=False):
+            found.append((int(col), int(row), *(column[start:end].tobytes() for column in columns)))
+    return sorted(found)
+
+
+def in_memory(columns):
+    return flat(gather(columns, np.arange(len(columns[0])), []))
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 99), st.integers(20, 900), st.integers(20, 3000), st.integers(40, 3000))
+def test_spilled_or_not_the_same_points_come_out(tmp_path_factory, seed, size, points, block_points):
+    columns = survey(seed, 2000, 150.0)
+    scratch = tmp_path_factory.mktemp("scratch")
+    buckets = TileBuckets(GRID, MemoryLimits(26 * points, block_points, scratch))
+    for lot, chunk in enumerate(chunks(columns, size)):
+        buckets.add_chunk(group_points(GRID, *chunk), lot)
+        if buckets.is_full:
+            buckets.spill()
+    assert flat(buckets.blocks()) == in_memory(columns)
+    if points < 2000 - size:
+        assert list(scratch.iterdir())
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_points_on_grids_of_files_can_be_spilled(tmp_path, together):
+    """As integers, but in metres if those of several files must stay together."""
+    buckets, plain = TileBuckets(GRID, MemoryLimits(14 * 500, 10_000, tmp_path)), TileBuckets(GRID)
+    for number, offset in enumerate((0.0, 7.5)):
+        points = scaled_survey(number, 1000, Scaling((0.01,) * 3, (offset,) * 3, (1.0,) * 3))
+        buckets.add_chunk(group_scaled_points(GRID, points), 0 if together else number)
+        plain.add(*points.coordinates(), points.flag)
+    while not buckets.is_empty:
+        buckets.spill()
+    buckets.wait()
+    assert len(buckets.packs) == (1 if together else 2)
+    assert {column.dtype for pack in buckets.packs for column in pack.columns[:3]} == {"<f8" if together else "<i4"}
+    again = TileBuckets(GRID, packs=[Pack(pack.path) for pack in buckets.packs])
+    assert flat(again.blocks()) == flat(plain.blocks())
+
+
+def test_complete_blocks_are_finished_instead_of_spilled(tmp_path):
+    west, east = survey(4, 400, 40.0, (0, 0)), survey(5, 800, 40.0, (480, 0))
+    buckets = TileBuckets(GRID, MemoryLimits(26 * 500, 10_000, tmp_path))
+    finished = []
+    for number, chunk in enumerate([*chunks(west, 100), *chunks(east, 100)]):
+        buckets.add_chunk(group_points(GRID, *chunk), number)
+        if buckets.is_full:
+            for key in [key for key in buckets.keys_in_memory() if key[1] < 5]:  # the west is read
+                finished.extend(flat(buckets.block(key)))
+                buckets.finish(key)
+            buckets.compact()
+            if buckets.must_spill:
+                buckets.spill()
+    assert sorted(finished) == in_memory(west)
+    buckets.wait()  # packs are written in the background
+    assert list(tmp_path.iterdir())  # of the east, some must wait
+    for key in list(buckets.keys()):
+        finished.extend(flat(buckets.block(key)))
+        buckets.finish(key)
+    assert sorted(finished) == sorted(in_memory(west) + in_memory(east))
+    assert buckets.is_empty
+    assert buckets.keys() == []
+
+
+def test_one_tile_too_large_for_memory_says_so(tmp_path):
+    buckets = TileBuckets(GRID, MemoryLimits(26 * 100, 400, tmp_path))
+    buckets.add(np.linspace(0, 2.9, 500), *np.zeros((2, 500)), np.zeros(500, bool))
+    with pytest.raises(TooManyPointsError, match=r"tile \(0, 0\) holds 500 points"):
+        list(buckets.blocks())
+
+
+def test_points_far_apart_are_grouped_too():
+    x, y = np.random.default_rng(0).uniform(-2e9, 2e9, (2, 50))
+    grouped = group_points(GRID, x, y, np.arange(50.0), np.zeros(50, bool))
+    assert grouped.keys == sorted(grouped.keys)
+    for place, key in enumerate(grouped.keys):
+        part = grouped.block(place, ("northing", "easting"))
+        for name, number in zip(("northing", "easting"), key, strict=True):
+            assert np.all(GRID.index(part.columns[name]) // 16 == number)
+    assert sorted(grouped.points["upward"].tolist()) == list(range(50))
+
+
+# ---- the grid ----
+
+coordinates = st.floats(-2e7, 2e7, allow_nan=False)
+sizes = st.one_of(st.sampled_from([0.1, 0.3, 0.9, 1.5, 3.0, 1 / 3]), st.floats(0.05, 1000.0))
+
+
+@given(coordinates, sizes)
+def test_every_coordinate_lies_in_the_half_open_bounds_of_its_tile(coordinate, size):
+    grid = Grid(tile_size=size)
+    (i,) = grid.index(np.array([coordinate]))
+    bounds = grid.bounds(int(i), int(i))
+    assert bounds.west <= coordinate < bounds.east
+    assert bounds.south <= coordinate < bounds.north
+    assert grid.index(np.array([bounds.west, np.nextafter(bounds.west, -np.inf)])).tolist() == [i, i - 1]
+
+
+def test_bounds_of_a_tile_and_of_a_window_and_grids_that_cannot_be():
+    grid = Grid(tile_size=3.0, pixels=15)
+    assert grid.bounds(2, -1) == Bounds(6.0, -3.0, 9.0, 0.0)
+    window = TileWindow.around(np.array([2, 4]), np.array([-1, 0]))
+    assert window == TileWindow(2, -1, 3, 2)
+    assert grid.window_bounds(window) == Bounds(6.0, -3.0, 15.0, 3.0)
+    assert grid.pixel_size == pytest.approx(0.2)
+    for size, pixels in ((0.0, 15), (-3.0, 15), (np.nan, 15), (np.inf, 15), (3.0, 0)):
+        with pytest.raises(ValueError, match="must be"):
+            Grid(tile_size=size, pixels=pixels)
+
+
+# ---- running over blocks ----
+
+
+def test_results_come_in_the_order_of_the_blocks_which_are_drawn_lazily_until_one_fails():
+    for workers in (1, 2, 5):
+        assert list(run_blocks(math.factorial, range(50), workers)) == [math.factorial(x) for x in range(50)]
+    drawn = iter(range(100))
+    results = run_blocks(math.factorial, drawn, 2)
+    next(results)
+    assert next(drawn) <= 5
+    results.close()
+
+    def fail_at_three(x):
+        started.append(x)
+        if x == 3:
+            raise RuntimeError("three")
+
+    started = []
+    with pytest.raises(RuntimeError, match="three"):
+        list(run_blocks(fail_at_three, range(1000), 2))
+    assert len(started) < 20
