@@ -30,32 +30,30 @@ sys.path += [str(Path(__file__).parent / folder) for folder in ("helpers", "worl
 
 
 @cache
-def _why_without_open3d():
-    """Even if it is installed, system libraries that it needs may be missing."""
-    try:
-        import open3d  # noqa: F401
-    except (ImportError, OSError) as error:
-        return f"open3d cannot be loaded (Debian: apt-get install libusb-1.0-0 libegl1 libgl1 libx11-6): {error}"
-    return None
-
-
-@cache
-def _why_without_qgis():
-    """QGIS has a Python of its own: that of the system."""
-    command = ["/usr/bin/python3", "-c", "import qgis.core, qgis.gui"]
+def _why_without(mark):
+    """Say why a test with a mark cannot run here; nothing, if it can."""
+    if mark == "chromium":
+        return (
+            ""
+            if shutil.which("chromium")
+            else "there is no chromium on this machine (Debian: apt-get install chromium)"
+        )
+    if mark == "open3d":  # even if it is installed, system libraries that it needs may be missing
+        try:
+            import open3d  # noqa: F401
+        except (ImportError, OSError) as error:
+            return f"open3d cannot be loaded (Debian: apt-get install libusb-1.0-0 libegl1 libgl1 libx11-6): {error}"
+        return ""
+    if mark == "namespaces" and (not hasattr(os, "geteuid") or os.geteuid() != 0):
+        return "only root can make networks and mounts of its own, with unshare"
+    # QGIS has a Python of its own: that of the system.
+    qgis = ["/usr/bin/python3", "-c", "import qgis.core, qgis.gui"]
+    command = {"qgis": qgis, "namespaces": ["unshare", "--mount", "--net", "true"]}[mark]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False)
     except OSError as error:
-        return f"QGIS is missing: {error}"
-    return f"QGIS is missing: {done.stderr.strip().splitlines()[-1]}" if done.returncode else None
-
-
-@cache
-def _why_without_namespaces():
-    if shutil.which("unshare") is None or not hasattr(os, "geteuid") or os.geteuid() != 0:
-        return "only root can make networks and mounts of its own, with unshare"
-    done = subprocess.run(["unshare", "--mount", "--net", "true"], capture_output=True, text=True, check=False)
-    return f"no namespaces here: {done.stderr.strip()}" if done.returncode else None
+        return f"no {mark} here: {error}"
+    return f"no {mark} here: {done.stderr.strip().splitlines()[-1]}" if done.returncode else ""
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -70,14 +68,9 @@ def pytest_collection_modifyitems(items):
 
 def pytest_runtest_setup(item):
     """Skip a test that is marked with what is missing here, and say why."""
-    if item.get_closest_marker("chromium") and shutil.which("chromium") is None:
-        pytest.skip("there is no chromium on this machine (Debian: apt-get install chromium)")
-    if item.get_closest_marker("open3d") and (reason := _why_without_open3d()):
-        pytest.skip(reason)
-    if item.get_closest_marker("qgis") and (reason := _why_without_qgis()):
-        pytest.skip(reason)
-    if item.get_closest_marker("namespaces") and (reason := _why_without_namespaces()):
-        pytest.skip(reason)
+    for mark in ("chromium", "open3d", "qgis", "namespaces"):
+        if item.get_closest_marker(mark) and (reason := _why_without(mark)):
+            pytest.skip(reason)
 
 
 SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"

@@ -7,23 +7,11 @@ import sys
 import time
 
 import pytest
-from click.testing import CliRunner
-from small_surveys import write_survey
-
-from bumpymap.cli import main
-
-pytestmark = pytest.mark.slow
-
-
-@pytest.fixture(autouse=True)
-def heard():
-    """A background job of a shell ignores SIGINT, and so would every process that it starts."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
+from small_surveys import run, write_survey
 
 # The signal arrives at a known place: with early tiles finished, or with none.
+
+
 WITH_TILES = """
 import os, signal, sys
 from bumpymap.cli import main
@@ -44,35 +32,23 @@ main()
 """
 
 
-def ended(name, out, survey, *, after_tiles):
-    code = WITH_TILES.format(name=name, after_tiles=after_tiles)
-    words = ["map", str(survey), "--out", str(out), "--set", f"scratch={out.parent / 'tmp'}"]
-    return subprocess.run(
-        [sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=120, check=False
-    )
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "code", "word"),
     [("SIGTERM", 143, "Terminated."), pytest.param("SIGINT", 130, "Interrupted.", marks=pytest.mark.later)],
 )
 def test_a_signal_ends_a_run_clean_and_keeps_finished_tiles(tmp_path, name, code, word):
     out, survey = tmp_path / "layers", write_survey(tmp_path / "site.laz")
-    early = ended(name, out, survey, after_tiles=False)
-    assert early.returncode == code, early.stderr
-    assert early.stderr.strip() == f"{word} No file is half-written."
-    assert not out.exists()
-    assert list((tmp_path / "tmp").iterdir()) == []
-
-    late = ended(name, out, survey, after_tiles=True)
-    assert late.returncode == code, late.stderr
-    assert late.stderr.strip() == (
-        f"{word} No file is half-written. Run the same again to continue from the finished tiles."
-    )
-    assert [path.name for path in out.iterdir()] == [".bumpymap-run"]
-    assert list((tmp_path / "tmp").iterdir()) == []
-    done = CliRunner().invoke(main, ["map", str(survey), "--out", str(out)])
-    assert done.exit_code == 0, done.output
+    words = ["map", str(survey), "--out", str(out), "--set", f"scratch={tmp_path / 'tmp'}"]
+    for after_tiles in (False, True):
+        command = [sys.executable, "-c", WITH_TILES.format(name=name, after_tiles=after_tiles), *words]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+        assert done.returncode == code, done.stderr
+        more = " Run the same again to continue from the finished tiles." if after_tiles else ""
+        assert done.stderr.strip() == f"{word} No file is half-written.{more}"
+        assert [path.name for path in out.rglob("*") if path.parent == out] == [".bumpymap-run"] * after_tiles
+        assert list((tmp_path / "tmp").iterdir()) == []
+    assert run("map", survey, "--out", out).exit_code == 0
     assert not (out / ".bumpymap-run").exists()
 
 
@@ -114,6 +90,8 @@ for instant in range(1, INSTANTS):
     at = instant * steps // INSTANTS
     print(at, child(at), flush=True)
 """
+
+
 INSTANTS = 12
 
 
@@ -122,9 +100,9 @@ def test_no_instant_gives_a_traceback(tmp_path):
     survey = write_survey(tmp_path / "small.las")
     code = AT_INSTANTS.replace("INSTANTS", str(INSTANTS))
     command = [sys.executable, "-c", code, str(tmp_path), str(survey)]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
-    assert run.returncode == 0, run.stderr
-    (_, whole), *ended = (tuple(map(int, line.split())) for line in run.stdout.splitlines())
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    (_, whole), *ended = (tuple(map(int, line.split())) for line in done.stdout.splitlines())
     assert whole == 0
     assert len(ended) == INSTANTS - 1
     for at, code in ended:
@@ -151,6 +129,8 @@ def run_job(settings, job):
     (Path(__file__).parent / f"{os.getpid()}.worker").touch()
     time.sleep(3600)
 """
+
+
 DRIVING = """
 import sys
 sys.path.insert(0, {folder!r})
@@ -164,17 +144,19 @@ from bumpymap.cli import main
 sys.argv[0] = "bumpymap"
 main()
 """
+
+
 KEPT = "No file is half-written. The driven patches are kept: give the same command again to continue."
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "code", "word"), [("SIGTERM", 143, "Terminated."), ("SIGINT", 130, "Interrupted.")])
 @pytest.mark.parametrize("send", [pytest.param("kill", marks=pytest.mark.later), "killpg"])
-@pytest.mark.skipif(sys.platform == "win32", reason="signals are those of POSIX")
 def test_a_signal_ends_the_workers_too_and_keeps_what_was_driven(tmp_path, name, code, word, send):
     (tmp_path / "slow.py").write_text(SLOW)
     progress = tmp_path / "c.json.progress.jsonl"
     words = ["calibrate", "--vehicle", "warthog", "--out", str(tmp_path / "c.json"), "--jobs", "2"]
-    run = subprocess.Popen(
+    calibrating = subprocess.Popen(
         [sys.executable, "-c", DRIVING.format(folder=str(tmp_path)), *words],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -183,13 +165,13 @@ def test_a_signal_ends_the_workers_too_and_keeps_what_was_driven(tmp_path, name,
     )
     try:
         while len(list(tmp_path.glob("*.worker"))) < 2 or len(progress.read_text().splitlines()) < 2:
-            assert run.poll() is None, run.communicate()[1]
+            assert calibrating.poll() is None, calibrating.communicate()[1]
             time.sleep(0.02)
-        getattr(os, send)(run.pid, getattr(signal, name))
-        stderr = run.communicate(timeout=60)[1]
+        getattr(os, send)(calibrating.pid, getattr(signal, name))
+        stderr = calibrating.communicate(timeout=60)[1]
     finally:
-        run.kill()
-    assert run.returncode == code, stderr
+        calibrating.kill()
+    assert calibrating.returncode == code, stderr
     assert stderr.strip() == f"{word} {KEPT}"
     assert len(progress.read_text().splitlines()) == 2
     assert not (tmp_path / "c.json").exists()
@@ -204,10 +186,10 @@ def test_a_caller_keeps_its_own_say_about_signals(tmp_path):
 
     before = signal.signal(signal.SIGTERM, own)
     try:
-        assert CliRunner().invoke(main, ["info", str(tmp_path)]).exit_code == 3
+        assert run("info", tmp_path).exit_code == 3
         assert signal.getsignal(signal.SIGTERM) is own
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        assert CliRunner().invoke(main, ["info", str(tmp_path)]).exit_code == 3
+        assert run("info", tmp_path).exit_code == 3
         assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
     finally:
         signal.signal(signal.SIGTERM, before)

@@ -1,14 +1,16 @@
-"""Child processes: whatever becomes of one is one clear error, and no start has effects beside it."""
+"""Child processes, threads, signals and memory: one clear error, nothing left running, no effects beside it."""
 
 import os
 import signal
 import subprocess
 import sys
-import textwrap
+import threading
 
 import pytest
+from hypothesis import given, settings, strategies as st
 
-from bumpymap.core.processes import Child, ChildDiedError, ChildError, allocate_shared
+from bumpymap.core import free_memory, in_threads
+from bumpymap.core.processes import Child, ChildDiedError, ChildError, SharedMemory
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="no children here")
 
@@ -22,8 +24,8 @@ def child():
 
 
 def said_by(code, **options):
-    command = [sys.executable, "-c", textwrap.dedent(code)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=True, **options).stdout
+    command = [sys.executable, "-c", code]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, **options)
 
 
 def test_a_child_is_a_process_of_its_own_that_answers(child):
@@ -52,13 +54,6 @@ def test_a_child_that_dies_is_told(child, question, message, name):
         child.call("getpid")
 
 
-def test_a_request_ofends_with_its_processor_time():
-    child = Child("to test", "builtins", [])
-    with pytest.raises(ChildDiedError) as error:
-        child.call("sum", range(10**12), seconds=0.05)
-    assert error.value.signal == "SIGPROF"
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="limits are those of Linux")
 def test_a_request_for_more_memory_than_allowed_fails_alone():
     child = Child("to test", "builtins", [])
@@ -75,40 +70,240 @@ def test_signals_are_for_the_parent(child, number):
     assert child.call("getpid") == child.process.pid
 
 
-def test_memory_is_seen_by_both(tmp_path):
-    (tmp_path / "fill.py").write_text("def fill(value, memory): memory[:] = bytes([value]) * len(memory)\n")
-    child = Child("to test", "fill", [str(tmp_path)])
-    for size, value in ((5, 7), (10 << 20, 9), (0, 1)):  # the second makes the memory grow
-        memory = allocate_shared(size)
-        child.call("fill", value, shared=(memory,))
-        assert memory.data.size == size
-        assert (memory.data == value).all()
-    child.close()
+DAEMON = """
+import multiprocessing, operator, os
+from bumpymap.lab.simulate.jobs import run_in_processes
 
+def work():
+    os._exit(sum(run_in_processes(operator.neg, [-1, -2], 2)))
 
-def test_a_fork_leaves_the_children_to_the_old_process(child):
-    pid = child.call("getpid")
-    forked = os.fork()
-    if forked == 0:
-        left = not child.is_alive
-        child.close()
-        os._exit(0 if left else 1)
-    assert os.waitpid(forked, 0)[1] == 0
-    assert child.call("getpid") == pid
+process = multiprocessing.get_context("fork").Process(target=work, daemon=True)
+process.start()
+process.join()
+print(process.exitcode)
+"""
 
 
 def test_a_daemonic_process_may_have_children():
     """As the workers of Dask are."""
-    code = """
-        import multiprocessing, operator, os
-        from bumpymap.lab.simulate.jobs import run_in_processes
+    assert said_by(DAEMON).stdout == "3\n"
 
-        def work():
-            os._exit(sum(run_in_processes(operator.neg, [-1, -2], 2)))
 
-        process = multiprocessing.get_context("fork").Process(target=work, daemon=True)
-        process.start()
-        process.join()
-        print(process.exitcode)
-    """
-    assert said_by(code) == "3\n"
+# --- threads ---
+@pytest.mark.parametrize("threads", [1, 5])
+def test_results_come_in_order_whatever_is_finished_first(threads):
+    later = threading.Event()
+
+    def work(item):
+        if item == 0 and threads > 1:
+            assert later.wait(20.0)  # item 1 is done before it
+        later.set()
+        return 10 * item
+
+    with in_threads(work, range(20), threads) as results:
+        assert [result() for result in results] == [10 * item for item in range(20)]
+
+
+@settings(max_examples=20)
+@given(st.integers(1, 6), st.integers(0, 40))
+def test_only_a_few_items_are_begun_before_the_first_is_taken(threads, count):
+    begun, taken = [], []
+    items = (begun.append(item) or item for item in range(count))
+    with in_threads(lambda item: item, items, threads) as results:
+        for result in results:
+            assert len(begun) <= len(taken) + 2 * threads
+            taken.append(result())
+    assert taken == list(range(count))
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_an_error_is_raised_where_its_result_is_taken(threads):
+    with in_threads(lambda item: 1 // item, [1, 0, 1], threads) as results:
+        first, second, third = results
+        assert first() == third() == 1
+        with pytest.raises(ZeroDivisionError):
+            second()
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_when_the_body_ends_early_nothing_goes_on(threads):
+    begun, before = [], threading.active_count()
+    with in_threads(begun.append, range(1000), threads) as results:
+        next(results)()
+        next(results)()
+    assert len(begun) <= 2 + 2 * threads
+    assert threading.active_count() == before
+
+
+# --- signals ---
+BEGIN = """
+import os, signal, sys, weakref
+from bumpymap.core.interrupts import interruptible, shielded
+
+def hit(*_):
+    os.kill(os.getpid(), signal.{name})
+    for _ in range(10): pass  # the handler runs between two steps
+"""
+
+
+LOST = {
+    "in a finaliser": "class Dies:\n    __del__ = hit\nDies()",
+    "in a callback of a weak reference": "class Dies: pass\none = Dies()\nref = weakref.ref(one, hit)\ndel one",
+}
+
+
+BODIES = [
+    # A second signal does not break the clearing up; who insists is heard.
+    ("try:\n    hit()\nfinally:\n    hit()\n    print('cleared')", ["cleared", "Terminated"]),
+    (
+        "try:\n    hit()\nfinally:\n    hit()\n    hit()\n    print('deaf')\n    hit()\n    print('never')",
+        ["deaf", "Terminated"],
+    ),
+    # An error that a library makes of a signal is the signal.
+    ("try:\n    hit()\nexcept KeyboardInterrupt:\n    raise ImportError('initialization failed')", ["Terminated"]),
+    (
+        "with shielded():\n    with shielded():\n        hit()\n    print('whole')\nprint('never')",
+        ["whole", "Terminated"],
+    ),
+]
+
+
+def ended(name, body):
+    """Run a body, and give the exit code and what was said."""
+    code = BEGIN.format(name=name) + "\ntry:\n    with interruptible():\n"
+    code += "".join(f"        {line}\n" for line in body.splitlines())
+    done = said_by(f"{code}except KeyboardInterrupt as end:\n    print(type(end).__name__)\n    sys.exit(9)\n")
+    return done.returncode, done.stdout.split(), done.stderr
+
+
+@pytest.mark.parametrize(("name", "word"), [("SIGTERM", "Terminated"), ("SIGINT", "Interrupted")])
+@pytest.mark.parametrize("where", LOST)
+def test_a_signal_that_the_interpreter_loses_comes_again(name, word, where):
+    assert ended(name, LOST[where] + "\nwhile True: pass") == (9, [word], "")
+
+
+@pytest.mark.parametrize(("body", "said"), BODIES)
+def test_a_signal_ends_a_run_once_and_lets_it_clear_up(body, said):
+    assert ended("SIGTERM", body) == (9, said, "")
+
+
+def test_a_run_that_is_over_leaves_signals_as_they_were():
+    code, said, error = ended(
+        "SIGTERM", "class Dies:\n    __del__ = hit\nDies()"
+    )  # lost, and over before it comes again
+    assert (code, said, error) in ((0, [], ""), (9, ["Terminated"], ""))
+    done = said_by(BEGIN.format(name="SIGTERM") + "with interruptible(): pass\nhit()")
+    assert (done.returncode, done.stderr) == (-signal.SIGTERM, "")
+
+
+def test_a_forked_child_ends_as_any_process_does():
+    body = "child = os.fork()\nif not child:\n    hit()\nprint(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))"
+    assert ended("SIGTERM", body) == (0, [str(-signal.SIGTERM)], "")
+
+
+def test_the_command_ends_without_a_word_before_it_listens(tmp_path):
+    (tmp_path / "click.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGINT)\nwhile True: pass")
+    begin = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); sys.argv = ['', '--help']; "
+    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *filter(None, sys.path)])}
+    done = said_by(begin + "from bumpymap.__main__ import run; run()", env=env)
+    assert (done.returncode, done.stderr) == (-signal.SIGINT, "")
+
+
+# --- memory ---
+SIZES = st.integers(0, 40_000)
+
+
+@settings(deadline=None, max_examples=60)
+@given(steps=st.lists(st.one_of(SIZES, st.tuples(SIZES)), max_size=40))
+def test_arrays_keep_their_content_until_they_are_dropped(steps):
+    """A size takes so many bytes; a size in a tuple drops one of those that are held."""
+    memory, held = SharedMemory(), []
+    for number, step in enumerate(steps):
+        if isinstance(step, tuple):
+            if held:
+                held.pop(step[0] % len(held))
+            continue
+        part = memory.allocate(step)
+        part.data[:] = number % 251
+        # A view of a view: the part itself is gone.
+        held.append((part.data[:].reshape(-1)[: step // 2], number % 251))
+    for data, value in held:
+        assert (data == value).all()
+
+
+def test_place_is_used_again_and_trimming_takes_nothing_from_anyone():
+    memory = SharedMemory()
+    for _ in range(100):
+        part = memory.allocate(1 << 20)
+        part.data[:] = 1
+        del part
+    assert memory.size == 1 << 22
+    held = memory.allocate(4)
+    held.data[:] = 7
+    memory.trim()
+    assert held.data.tolist() == [7] * 4
+    del held
+    memory.trim()
+    assert memory.size == 0
+    assert memory.allocate(5).data.size == 5
+
+
+def test_a_map_that_no_memory_is_left_for_leaves_the_one_that_is_there():
+    memory = SharedMemory()
+    held = memory.allocate(1000)
+    for _ in range(2):  # as two threads that ask one after the other
+        with pytest.raises(OSError, match="Cannot allocate memory"):
+            memory.allocate(1 << 60)
+    held.data[:] = 7
+    assert memory.allocate(1 << 20).data.size == 1 << 20
+    assert (held.data == 7).all()
+
+
+GIB = 1 << 30
+ROOT_OF_A_CONTAINER = {"memory.max": f"{2 * GIB}\n", "memory.current": f"{3 * GIB}\n"}
+TWO_GROUPS = {
+    "a/b/memory.max": f"{8 * GIB}",
+    "a/b/memory.current": f"{GIB}",
+    "a/memory.max": f"{6 * GIB}",
+    "a/memory.current": f"{5 * GIB}",
+    "a/memory.stat": f"anon {GIB}\ninactive_file {3 * GIB}\n",
+}
+FIRST_VERSION = {
+    "memory/jobs/memory.limit_in_bytes": f"{3 * GIB}\n",
+    "memory/jobs/memory.usage_in_bytes": f"{2 * GIB}\n",
+    "memory/jobs/memory.stat": f"inactive_file 7\ntotal_inactive_file {GIB}\n",
+}
+
+
+def system(folder, groups, files, available=64 * GIB):
+    """Write what Linux would show, and return the folders: the groups of the process, and files by path."""
+    meminfo = f"MemTotal: 99 kB\nMemAvailable:   {available // 1024} kB\nHugePages_Total: 0\n"
+    files = {f"cgroup/{path}": text for path, text in files.items()}
+    for path, text in {"proc/meminfo": meminfo, "proc/self/cgroup": groups, **files}.items():
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+        (folder / path).write_text(text)
+    return folder / "proc", folder / "cgroup"
+
+
+@pytest.mark.parametrize(
+    ("groups", "files", "available", "free"),
+    [
+        ("0::/user\n", {"user/memory.max": "max\n", "user/memory.current": "5\n"}, 64, 64),  # no limit
+        ("0::/a/b\n", TWO_GROUPS, 64, 4),  # the tightest group counts, and copies of files are no use
+        ("0::/a/b\n", TWO_GROUPS, 2, 2),
+        ("5:cpu,cpuacct:/elsewhere\n4:memory:/jobs/one\n0::/\n", FIRST_VERSION, 64, 2),
+        ("0::/docker/0123\n", ROOT_OF_A_CONTAINER, 64, 0),
+        ("0::/../../other\n", ROOT_OF_A_CONTAINER, 64, 0),
+        ("0::/a\n", {"a/memory.max": "", "a/memory.current": "many"}, 64, 64),  # damaged files are no limits
+    ],
+)
+def test_what_is_free_on_a_machine_or_in_a_container(tmp_path, groups, files, available, free):
+    assert free_memory(*system(tmp_path, groups, files, available * GIB)) == free * GIB
+
+
+def test_a_machine_that_says_nothing_has_what_is_installed(tmp_path):
+    places = system(tmp_path, "0::/a\n", {})
+    (places[0] / "meminfo").write_text("MemTotal: 1 kB\n")
+    installed = free_memory(*places)
+    assert installed is None or installed > 1 << 20
+    assert free_memory(tmp_path / "none", tmp_path / "none") == installed

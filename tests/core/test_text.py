@@ -1,7 +1,14 @@
+"""Text for people and JSON of others: sentences, shares, tables for spreadsheets, URLs without keys, bounded depth."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from bumpymap.core import BumpymapError, count_text, join_lines, share_text, shares_text
+from bumpymap.core import BumpymapError, count_text, join_lines, share_text, shares_text, without_keys, write_csv
+from bumpymap.core.files import Each, Nullable, Number, parse_json, shape_fault
 
 
 @pytest.mark.parametrize(
@@ -47,3 +54,85 @@ def test_a_share_that_is_told_elsewhere_is_the_same_everywhere(counts):
 def test_small_shares_are_not_rounded_to_nothing_nor_large_ones_to_all():
     assert shares_text([1, 9999], (), 1) == ["under 0.1%", "over 99.9%"]
     assert shares_text([0, 5]) == ["0%", "100%"]
+
+
+HOUSE = Path(__file__).resolve().parents[2] / "bumpymap"
+
+
+@pytest.mark.parametrize(
+    ("value", "cell"),
+    [
+        ("=cmd|' /C calc'!A0", "'=cmd|' /C calc'!A0"),
+        ("@SUM(1)", "'@SUM(1)"),
+        ("+1 north", "'+1 north"),
+        (" -x", "' -x"),
+        ("\t=1", "\\t=1"),
+        ("\uff1d1", "'\uff1d1"),
+        ("a\x1b[31m\u202eb\nc\udce9", "a\\x1b[31m\\u202eb\\nc\\xe9"),
+        ("quarry, é 道 = 'a'", "quarry, é 道 = 'a'"),
+        ("-1.50", "-1.50"),
+        (-1.5, "-1.5"),
+        (np.float64(-2.5), "-2.5"),
+        (-3, "-3"),
+        (True, "true"),
+        (None, ""),
+        ("", ""),
+    ],
+)
+def test_cells_are_text_or_numbers_and_no_formulas(tmp_path, value, cell):
+    write_csv(tmp_path / "a.csv", ["one", "two"], [[value, 1]])
+    with (tmp_path / "a.csv").open(encoding="utf-8", newline="") as file:
+        assert list(csv.reader(file)) == [["one", "two"], [cell, "1"]]
+
+
+def test_every_table_is_written_so():
+    for file in HOUSE.rglob("*.py"):
+        text = file.read_text(encoding="utf-8")
+        assert file.match("core/files.py") or not ("csv.writer" in text or "csv.DictWriter" in text), file
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("https://h/a/site.laz?X-Sig=k%2F.y", "https://h/a/site.laz"),
+        (
+            "cannot read https://me:word@h/a.laz?sig=k/2: 404, url='http://h/a.laz?k=1'",
+            "cannot read https://h/a.laz: 404, url='http://h/a.laz'",
+        ),
+        ("the server of http://h:80/a.ply?sig=k does not", "the server of http://h:80/a.ply does not"),
+        ("s3://bucket/night/site @ 3 m (see https://h/x?k=k).", "s3://bucket/night/site @ 3 m (see https://h/x)."),
+        ("/data/what?/a@b.laz", "/data/what?/a@b.laz"),
+    ],
+)
+def test_urls_have_no_user_and_no_query(text, shown):
+    assert without_keys(text) == shown
+
+
+SHAPE = {"a": Number(0, 9, whole=True), "b?": [str], "c?": (Nullable(Number()),) * 2, "d?": Each({"e": bool})}
+
+
+@pytest.mark.parametrize(
+    ("value", "fault"),
+    [
+        ({"a": 9, "more": None}, ""),
+        ({"a": 1, "b": [], "c": [None, 0.5], "d": {"x": {"e": True}}}, ""),
+        ({}, "it is "),
+        ({"a": True}, "a is "),
+        ({"a": 10}, "a is "),
+        ({"a": 1, "b": ["x", 2]}, "b.1 is "),
+        ({"a": 1, "c": [1]}, "c is "),
+        ({"a": 1, "c": [1, float("nan")]}, "c.1 is "),
+        ({"a": 1, "d": {"x": {"e": 1}}}, "d.x.e is "),
+    ],
+)
+def test_the_first_fault_of_a_shape_is_named(value, fault):
+    found = shape_fault(value, SHAPE)
+    assert found.startswith(fault)
+    assert bool(found) == bool(fault)
+
+
+@pytest.mark.parametrize("depth", [51, 200_000])
+@pytest.mark.parametrize(("opening", "closing"), ["[]", ('{"a":', "}")])
+def test_what_is_deep_is_refused(depth, opening, closing):
+    with pytest.raises(ValueError, match="more than 50 deep"):
+        parse_json(opening * depth + "1" + closing * depth)

@@ -10,15 +10,15 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
+import click
 import laspy
 import numpy as np
-import pyproj
 import pytest
 from bags import cloud, lidar_rows, odometry, write_bag
-from click.testing import CliRunner
 from made_drives import MadeDrive, log_of, write_table
 from pypcd4 import Encoding, PointCloud
 from scipy.spatial.transform import Rotation
+from small_surveys import run, write_las
 
 from bumpymap.cli import main
 
@@ -46,13 +46,12 @@ RULES = {
     r"^python tests/tools/faults\.py": "runs tests for every fault, for an hour",
     r"^bumpymap settings |--config map\.toml": "writes a file that is to be edited",
     r"^python tests/fuzz/": "an hour",
-    r"^python docs/models/": "takes open3d, and simulates scenes for hours",
     r"^python docs/pictures/": "draws over a picture of the pages; takes minutes",
     r"^bumpymap vehicle new ": "writes the profile that later commands want filled in",
     r"^bumpymap calibrate ": "hours of drives",
     r"^\S*python \.ci/refresh_constraints\.py": "asks the package index for every file",
-    r"^python docs/drives/": "takes a data set; tests/docs/test_drives.py runs it where that is",
-    r"--refit ": "takes hundreds of metres of drives: tests/cli/test_check_refit.py makes them",
+    r"^python docs/drives/": "takes a data set; tests/docs/test_pages.py runs it where that is",
+    r"--refit ": "takes hundreds of metres of drives: tests/cli/test_lab_commands.py makes them",
     r"--calibration small\.json": "takes a calibration for such tiles: hours of drives",
     r"^python tests/benchmarks/": "measures for minutes or hours, some beside other programs; tests run parts",
     r"^python docs/models/|model=rellis\.onnx": "takes open3d and hours, or a data set",
@@ -100,39 +99,25 @@ def filled(command: str) -> list[str]:
 
 def furnish(folder: Path) -> None:
     """Put the files there that commands name: small surveys, frames of a drive, a vehicle of one's own."""
-    data = ROOT / "bumpymap" / "rating" / "data"
-    survey = laspy.read(ROOT / "sample_data" / "quarry.laz")
-    x, y = np.asarray(survey.x), np.asarray(survey.y)
-    (folder / "flights").mkdir()
-    main(
-        ["map", str(ROOT / "sample_data" / "quarry.laz"), "--out", str(folder / "demo_out" / "layers"), "--quiet"],
-        standalone_mode=False,
-    )
+    data, samples = ROOT / "bumpymap" / "rating" / "data", ROOT / "sample_data"
+    run("map", samples / "quarry.laz", "--out", folder / "demo_out" / "layers", "--quiet")
     (folder / "sample_data").mkdir()
     for name in ("quarry.laz", "quarry_drive_imu.csv", "quarry_drive_gnss.csv"):
-        shutil.copy(ROOT / "sample_data" / name, folder / "sample_data")
-    for name, east in (
-        ("site.laz", 0.0),
-        ("survey.laz", 0.0),
-        ("may.laz", 0.0),
-        ("june.laz", 0.0),
-        ("flights/1.laz", 0.0),
-        ("flights/2.laz", 12.0),
-    ):
-        part = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
+        shutil.copy(samples / name, folder / "sample_data")
+    survey = laspy.read(samples / "quarry.laz")
+    x, y, z = (np.asarray(axis) for axis in (survey.x, survey.y, survey.z))
+    for name, east in (("site.laz", 0.0), ("flights/1.laz", 0.0), ("flights/2.laz", 12.0)):
         near = (abs(x - np.median(x) - east) < 6) & (abs(y - np.median(y)) < 9)
-        part.header.offsets, part.header.scales = survey.header.offsets, survey.header.scales
-        part.x, part.y, part.z = x[near], y[near], np.asarray(survey.z)[near]
-        part.classification = survey.classification[near]
-        part.header.add_crs(pyproj.CRS.from_user_input(CRS))
-        part.write(folder / name)
+        classes = {"classification": np.asarray(survey.classification)[near]}
+        write_las(folder / name, x[near], y[near], z[near], crs=CRS, offset=survey.header.offsets, **classes)
+    for name in ("survey.laz", "may.laz", "june.laz"):
+        shutil.copy(folder / "site.laz", folder / name)
     _drive(folder)
-    shutil.copy(data / "vehicles" / "small_rover.toml", folder / "my_vehicle.toml")
-    shutil.copy(folder / "my_vehicle.toml", folder / "my_robot.toml")
-    shutil.copy(next((ROOT / "bumpymap" / "scan" / "data" / "models").glob("scan*.onnx")), folder / "own.onnx")
-    shutil.copy(folder / "own.onnx", folder / "scan.onnx")
-    for name in ("my_vehicle.json", "my_robot.json"):
-        shutil.copy(data / "calibrations" / "small_rover.json", folder / name)
+    for name in ("my_vehicle", "my_robot"):
+        shutil.copy(data / "vehicles" / "small_rover.toml", folder / f"{name}.toml")
+        shutil.copy(data / "calibrations" / "small_rover.json", folder / f"{name}.json")
+    for name in ("own.onnx", "scan.onnx"):
+        shutil.copy(next((ROOT / "bumpymap" / "scan" / "data" / "models").glob("scan*.onnx")), folder / name)
 
 
 def _drive(folder: Path) -> None:
@@ -171,12 +156,6 @@ SHOWN = [(page.name, command) for page in FILES for command in shown(page)]
 PAGES = sorted({page for page, command in SHOWN if rule_of(command) is None})
 
 
-def test_commands_are_found():
-    assert ("README.md", "make demo") in SHOWN
-    assert ("scans.md", "bumpymap scan frame.pcd --out out") in SHOWN
-    assert len(SHOWN) > 40
-
-
 @pytest.fixture(scope="module")
 def furnished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("furnished")
@@ -193,18 +172,20 @@ def test_the_commands_of_a_page_run_one_after_the_other(page, furnished, tmp_pat
             continue
         program, *words = filled(command)
         assert program == "bumpymap", f"no rule says what to do with: {command}"
-        done = CliRunner().invoke(main, words)
+        done = run(*words)
         assert done.exit_code == 0, f"{command}\n{done.output}"
 
 
-@pytest.mark.parametrize("page", sorted({page for page, _ in SHOWN}))
-def test_no_command_of_a_page_is_in_the_way_of_a_later_one(page):
-    outs = [
-        words[words.index("--out") + 1]
-        for where, command in SHOWN
-        if where == page and "--overwrite" not in (words := command.split()) and "--out" in words
-    ]
-    assert len(outs) == len(set(outs)), f"two commands write to the same --out: {outs}"
+OWN = [(page, line) for page, line in SHOWN if line.startswith("bumpymap ") and not line.startswith("bumpymap --")]
+
+
+@pytest.mark.parametrize(("page", "line"), OWN)
+def test_every_command_that_is_shown_can_be_given(page, line):
+    _, name, *words = shlex.split(re.sub(r" > \S+", "", line))
+    given = main.get_command(click.Context(main), name)
+    if isinstance(given, click.Group):
+        given = given.commands[words.pop(0)]
+    given.make_context(name, words)
 
 
 @pytest.mark.parametrize("rule", RULES)
@@ -213,9 +194,8 @@ def test_every_rule_is_of_use(rule):
 
 
 def test_what_does_not_run_names_extras_targets_and_scripts_that_are_there():
-    root = ROOT
-    project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    targets = re.findall(r"(?m)^([a-z-]+):", (root / "Makefile").read_text(encoding="utf-8"))
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    targets = re.findall(r"(?m)^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"))
     for page, command in SHOWN:
         for extras in re.findall(r"bumpymap\[([^\]]*)\]", command):
             assert set(extras.split(",")) <= set(project["optional-dependencies"]), f"{page}: {command}"
@@ -223,4 +203,4 @@ def test_what_does_not_run_names_extras_targets_and_scripts_that_are_there():
         if words[0] == "make":
             assert {word for word in words[1:] if "=" not in word} <= set(targets), f"{page}: {command}"
         if words[0].endswith("python") and words[1].endswith(".py"):
-            assert (root / words[1]).is_file(), f"{page}: {command}"
+            assert (ROOT / words[1]).is_file(), f"{page}: {command}"

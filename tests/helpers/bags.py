@@ -8,6 +8,7 @@ from rosbags.typesys import Stores, get_typestore
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 CLOUD, ODOMETRY, TF = "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
+FIELD = "sensor_msgs/msg/PointField"
 CODES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 LIDAR = np.dtype(
     {
@@ -20,14 +21,14 @@ LIDAR = np.dtype(
 """A common layout, with padding."""
 
 
-def message(kind, **values):
-    return STORE.types[kind](**values)
+def message(kind, store=STORE, **values):
+    return store.types[kind](**values)
 
 
-def header(stamp_ns, frame):
+def header(stamp_ns, frame, store=STORE, **more):
     sec, nanosec = divmod(stamp_ns, 1_000_000_000)
-    stamp = message("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
-    return message("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
+    stamp = message("builtin_interfaces/msg/Time", store, sec=sec, nanosec=nanosec)
+    return message("std_msgs/msg/Header", store, stamp=stamp, frame_id=frame, **more)
 
 
 def cloud(rows, stamp_ns=0, frame="lidar", row_step=None):
@@ -39,14 +40,9 @@ def cloud(rows, stamp_ns=0, frame="lidar", row_step=None):
     data = np.zeros((height, pitch), np.uint8)
     data[:, : width * step] = np.ascontiguousarray(rows).view(np.uint8).reshape(height, width * step)
     swapped = any(rows.dtype[name].str.startswith(">") for name in rows.dtype.names)
+    placed = rows.dtype.fields
     fields = [
-        message(
-            "sensor_msgs/msg/PointField",
-            name=name,
-            offset=rows.dtype.fields[name][1],
-            datatype=CODES[rows.dtype[name].str[1:]],
-            count=1,
-        )
+        message(FIELD, name=name, offset=placed[name][1], datatype=CODES[rows.dtype[name].str[1:]], count=1)
         for name in rows.dtype.names
     ]
     return message(
@@ -72,9 +68,9 @@ def lidar_rows(points, dtype=LIDAR):
     return rows
 
 
-def _point(kind, place):
-    x, y, z = map(float, place)
-    return message(kind, x=x, y=y, z=z)
+def vector(values, kind="geometry_msgs/msg/Vector3", store=STORE):
+    x, y, z = map(float, values)
+    return message(kind, store, x=x, y=y, z=z)
 
 
 def _turn(rotation):
@@ -85,9 +81,9 @@ def _turn(rotation):
 def odometry(stamp_ns, pose, frame="odom", child="base"):
     """Of a pose: rotation of scipy and place."""
     rotation, place = pose
-    nothing = _point("geometry_msgs/msg/Vector3", np.zeros(3))
+    nothing = vector(np.zeros(3))
     there = message(
-        "geometry_msgs/msg/Pose", position=_point("geometry_msgs/msg/Point", place), orientation=_turn(rotation)
+        "geometry_msgs/msg/Pose", position=vector(place, "geometry_msgs/msg/Point"), orientation=_turn(rotation)
     )
     speed = message("geometry_msgs/msg/Twist", linear=nothing, angular=nothing)
     return message(
@@ -110,7 +106,7 @@ def transforms(stamp_ns, *links):
                 child_frame_id=child,
                 transform=message(
                     "geometry_msgs/msg/Transform",
-                    translation=_point("geometry_msgs/msg/Vector3", place),
+                    translation=vector(place),
                     rotation=_turn(rotation),
                 ),
             )
@@ -119,22 +115,19 @@ def transforms(stamp_ns, *links):
     )
 
 
-def vector(values):
-    x, y, z = map(float, values)
-    return message("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
-
-
-def imu(stamp_ns, rate, *, has_rate=True, turn=(0.0, 0.0, 0.0, 0.0)):
+def imu(stamp_ns, rate, *, has_rate=True, turn=(0.0, 0.0, 0.0, 0.0), store=STORE, **more):
+    """Of an IMU; ``more`` goes to its header."""
     x, y, z, w = map(float, turn)
     unknown = np.r_[-1.0, np.zeros(8)]
     return message(
         "sensor_msgs/msg/Imu",
-        header=header(stamp_ns, "imu"),
-        orientation=message("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w),
+        store,
+        header=header(stamp_ns, "imu", store, **more),
+        orientation=message("geometry_msgs/msg/Quaternion", store, x=x, y=y, z=z, w=w),
         orientation_covariance=np.zeros(9) if any(turn) else unknown,
-        angular_velocity=vector(rate),
+        angular_velocity=vector(rate, store=store),
         angular_velocity_covariance=np.zeros(9) if has_rate else unknown,
-        linear_acceleration=vector((0.1, 0.2, 9.8)),
+        linear_acceleration=vector((0.1, 0.2, 9.8), store=store),
         linear_acceleration_covariance=np.zeros(9),
     )
 
@@ -161,22 +154,10 @@ def write_ros1(path, readings):
     from rosbags.rosbag1 import Writer as Ros1Writer
 
     store = get_typestore(Stores.ROS1_NOETIC)
-    types = store.types
-    vector, nothing = types["geometry_msgs/msg/Vector3"], np.zeros(9)
     with Ros1Writer(path) as writer:
         topic = writer.add_connection("/imu/data", "sensor_msgs/msg/Imu", typestore=store)
         for number, (stored_ns, stamp_ns, rate) in enumerate(readings):
-            sec, nanosec = divmod(stamp_ns, 1_000_000_000)
-            stamp = types["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
-            made = types["sensor_msgs/msg/Imu"](
-                header=types["std_msgs/msg/Header"](seq=number, stamp=stamp, frame_id="imu"),
-                orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
-                orientation_covariance=nothing,
-                angular_velocity=vector(*map(float, rate)),
-                angular_velocity_covariance=nothing,
-                linear_acceleration=vector(0.0, 0.0, 9.8),
-                linear_acceleration_covariance=nothing,
-            )
+            made = imu(stamp_ns, rate, turn=(0, 0, 0, 1), store=store, seq=number)
             writer.write(topic, stored_ns, store.serialize_ros1(made, made.__msgtype__))
     return path
 

@@ -4,15 +4,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import spearmanr
 
+from bumpymap.check.pipeline import agreement_of
 from bumpymap.core import (
     NO_CLASS,
     CheckedDrive,
     CheckedMap,
     CheckResult,
     DrivenStretches,
-    MapAgreement,
 )
 
 LIMITS = (0.05, 0.13, 0.3)
@@ -69,24 +68,6 @@ def stretches_at(points, c_r, factor, *, drives=1, sd=0.05, unknown=()):
         place_sd=0.02 * c_r,
         class_id=by_map,
         measured_class=classes,
-    )
-
-
-def agreement_of(stretches, chosen=None):
-    """Agreement over some stretches, as defined in `MapAgreement`."""
-    on = np.isfinite(stretches.c_r) & (True if chosen is None else chosen)
-    c_r, measured = stretches.c_r[on], stretches.measured[on]
-    ratio = c_r / measured
-    inside = (measured >= stretches.c_r_low[on] * 0.95) & (measured <= stretches.c_r_high[on] * 1.05)
-    rank = spearmanr(c_r, measured).statistic if len(c_r) >= 5 else float("nan")
-    return MapAgreement(
-        stretches=len(c_r),
-        way_m=float(stretches.way_m[on].sum()),
-        spearman=float(rank),
-        median_ratio=float(np.median(ratio)),
-        median_error=float(np.median(np.abs(ratio - 1))),
-        inside=float(inside.mean()),
-        same_class=float((stretches.class_id[on] == stretches.measured_class[on]).mean()),
     )
 
 

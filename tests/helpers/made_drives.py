@@ -90,3 +90,9 @@ def write_table(path: Path, log: DriveLog, corner: tuple[float, float]) -> Path:
     table = np.column_stack([imu.time, imu.rate, imu.acceleration, *at])
     np.savetxt(path, table, delimiter=",", header=f"{head},easting [m],northing [m]", comments="")
     return path
+
+
+def write_drive(path: Path) -> Path:
+    """Write the log of a drive of 40 m straight over the sample survey."""
+    log, _, _ = log_of(MadeDrive(seconds=60.0, turning=0.0))
+    return write_table(path, log, (512350.0, 5403260.0))

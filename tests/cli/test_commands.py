@@ -1,0 +1,484 @@
+"""Commands as a user gives them: what is printed and written, and what is refused with one message."""
+
+import json
+import re
+import shlex
+from dataclasses import replace
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pyarrow.parquet as pq
+import pyogrio
+import pytest
+import rasterio
+from cost_maps import make_field
+from ply_files import write_ply
+from pyproj import Transformer
+from route_maps import write_folder
+from route_sites import ROWS, SOUTH, WEST, lonlat, place, site
+from small_surveys import run, write_las
+from survey_pairs import survey
+
+QUARRY = Path(__file__).resolve().parents[2] / "sample_data" / "quarry.laz"
+
+
+def scanned(count=12_000, seed=0):
+    """Points around a sensor: rough ground on one side, smooth ground on the other."""
+    rng = np.random.default_rng(seed)
+    radius, azimuth = np.sqrt(rng.uniform(1.0, 144.0, count)), rng.uniform(-np.pi, np.pi, count)
+    x, y = radius * np.cos(azimuth), radius * np.sin(azimuth)
+    return np.column_stack([x, y, -1.0 + np.where(y < 0, 0.2, 0.002) * rng.standard_normal(count)])
+
+
+def write_bin(path, points):
+    path.parent.mkdir(exist_ok=True)
+    np.column_stack([points, np.ones(len(points))]).astype("<f4").tofile(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Layers of a field, of a site with a wall, and of two surveys of one place; scans; files of other kinds."""
+    root = tmp_path_factory.mktemp("made")
+    sites = {"field": make_field(6, 6, holes=0.0), "layers": site(), "may": survey(1)}
+    for name, layers in (sites | {"june": survey(2, rut=0.1, c_r=3.0)}).items():
+        write_folder(root / name, layers)
+    write_ply(root / "frame.ply", np.rec.fromarrays(scanned().astype("<f4").T, names="x,y,z"))
+    write_bin(root / "a.bin", scanned())
+    np.random.default_rng(1).uniform(-9.0, 9.0, 60_000).astype("<f4").tofile(root / "doubtful.bin")
+    for name, poses in (("one.txt", 1), ("two.txt", 2)):
+        (root / name).write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * poses)
+    (root / "not.onnx").write_text("no")
+    (root / "none").mkdir()
+    (root / "a.laz").touch()
+    (root / "link.toml").symlink_to(root / "elsewhere.toml")
+    return root
+
+
+@pytest.fixture(autouse=True)
+def _here(made, monkeypatch):
+    monkeypatch.chdir(made)
+    monkeypatch.setenv("COLUMNS", "200")
+
+
+A, B = place(5.5, 5.5), place(5.5, 9.5)
+ALL = "(car, husky, small_rover, warthog)"
+REFUSED = [
+    (2, "mpa site.laz", "Did you mean 'map'?"),
+    (2, f"map {QUARRY} --out OUT --crs EPSG:1", "--crs EPSG:1 is not a coordinate reference system"),
+    (2, f"map {QUARRY} --out OUT --crs EPSG:1 --json", "--crs EPSG:1 is not a coordinate reference system"),
+    (2, "map a.laz --out OUT --resume", "--resume is gone: the same command continues an interrupted run"),
+    (2, "map a.laz --out OUT --sheets=5", "--sheets is gone: all files and folders of one command make one map"),
+    (2, f"map {QUARRY} --out OUT --tile-size 4", "Use --tile-size 3, --set pixels=15"),
+    (2, "map a.laz --out OUT --crs EPSG:32632 --local", "--crs and --local contradict"),
+    (2, "map a.laz --out OUT --calibration c.json --vehicle warthog", "--calibration and --vehicle"),
+    (2, "map a.laz --out OUT --set compat=paper --set rating=ride", "--set compat and --set rating"),
+    (2, "map a.laz --out OUT --set pixels", "give KEY=VALUE"),
+    (2, "map a.laz --out OUT --set pixels=a", "pixels is 'a'; it must be a whole number from 3 to 255"),
+    (2, "map a.laz --out OUT --set csf.rigidness=4", "csf.rigidness is 4; it must be a whole number from 1 to 3"),
+    (2, "map a.laz --out OUT --set resume=true", "the same run continues an interrupted one"),
+    (2, "map a.laz --out s3://bucket/night", "s3://bucket/night is a URL"),
+    (2, "batch . --out s3://bucket/night", "s3://bucket/night is a URL"),
+    (2, "diff may june --out s3://bucket/night", "s3://bucket/night is a URL"),
+    (2, "map a.laz --out OUT --vehicle tank", ALL),
+    (2, "scan a.bin --poses one.txt --out OUT --vehicle tank", ALL),
+    (2, "calibrate --out OUT --vehicle tank", ALL),
+    (2, "vehicle check tank", ALL),
+    (3, "vehicle new mine --out not.onnx", "exists and is not overwritten"),
+    (3, "vehicle new mine --out link.toml", "exists and is not overwritten"),
+    (3, "vehicle new mine --out none/x/a.toml", "none/x"),
+    (2, "calibrate --out OUT", "bumpymap vehicle new"),
+    (3, "diff may none", "holds no complete run"),
+    (2, "export field --out OUT", "Missing option '--to'"),
+    (2, "export field --to rviz --out OUT", "'rviz' is not one of"),
+    (2, "export field --to graph --resolution pixel --out OUT", "--resolution has no effect with --to graph"),
+    (2, "export field --to nav2 --set every=9 --out OUT", "--set every has no effect with --to nav2, only with graph"),
+    (2, "export field --to plan --around 1,2 --out OUT", "--around has no effect with --to plan"),
+    (2, "export field --to nav2 --radius 20 --out OUT", "--radius has no effect without --around"),
+    (2, "export field --to nav2 --set comfort=0 --out OUT", "comfort is 0; it must be a finite number greater than 0"),
+    (2, "export field --to nav2 --around here --out OUT", "'here' is not a point"),
+    (3, "export field --to nav2 --around crs:1,2 --out OUT", "lies outside the map"),
+    (3, "export field --to plan --out OUT", "pass the folder that it wrote with --route"),
+    (3, "export field --to plan --route none.geojson --out OUT", "there is no none.geojson"),
+    (3, "export field --to nav2 --out field", "holds the layers of a run"),
+    (2, "report", "Missing argument 'LAYERS'"),
+    (2, "report may --out a.json", "ends in .html"),
+    (3, "report may --route june", "--route"),
+    (3, "report nothing", "there is no folder"),
+    (2, f"route layers --to {A}", "give either the --from or a file of --points"),
+    (2, f"route layers --from here --to {A}", "'here' is not a point"),
+    (2, f"route layers --from {A} --to {B} --unknown 0.5", "unknown is 0.5"),
+    (2, f"route layers --from {A} --to {B} --risk 1e300", "risk is 1e+300"),
+    (2, f"route layers --from {A} --to {B} --alternatives 99", "--alternatives is 99"),
+    (2, f"route layers --from {A}", "--out DIR"),
+    (2, f"route layers --from {A} --to {B} --isochrones 1", "without a goal"),
+    (2, f"route layers --from {A} --isochrones 1 --set isocosts=50 --out OUT", "--set isocosts are outlines"),
+    (2, f"route layers --from {A} --to {B} --set memory=1MB", "--set memory is '1MB'"),
+    (2, f"route layers --from {A} --isochrones 0 --out OUT", "--isochrones is 0.0; it must be a"),
+    (3, f"route layers --from 1,1 --to {A} --out OUT", "lies outside the map"),
+    (3, f"route layers --from {place(10.5, 15.5)} --to {A} --out OUT", "not passable (too steep). The nearest point"),
+    (3, f"route layers --from {place(20.5, 2.5)} --to {A} --out OUT", "unknown ground; --unknown COST"),
+    (3, f"route layers --from {A} --to {B} --avoid none.geojson --out OUT", "none.geojson is missing"),
+    (3, "route layers --points none.csv --out OUT", "there is no file none.csv"),
+    (
+        2,
+        "scan frame.ply --out OUT --set polar.sectors=24,a",
+        "value 2 of polar.sectors is 'a'; it must be a whole number",
+    ),
+    (2, "scan frame.ply --out OUT --set polar.rings=1,2", "--set polar.rings must be for equally many"),
+    (
+        2,
+        "scan frame.ply --out OUT --set products=cloud,map",
+        "value 2 of products is 'map'; it must be one of polygons",
+    ),
+    (2, "scan frame.ply --out OUT --crs EPSG:32614", "add --poses"),
+    (2, "scan frame.ply --out OUT --fit", "--fit is gone: train a network"),
+    (2, "scan --pictures frame.ply --out OUT", "Name the frames first, or write --pictures 1"),
+    (2, "scan a.bin --out OUT --poses one.txt --calibration c.json --vehicle car", "--calibration"),
+    (3, "scan doubtful.bin --out OUT", "Say which they are with --set columns"),
+    (3, "scan a.bin --out OUT --poses two.txt", "holds 2 poses, but there are 1 frames"),
+    (3, "scan frame.ply --out OUT --set model=not.onnx", "is not an ONNX model"),
+    (3, "scan frame.ply --out OUT --poses one.txt --calibration c.json", "c.json"),
+    (2, "evaluate survey a.laz --out OUT --set model=m.onnx", "model"),
+    (2, "evaluate survey a.laz --out OUT --set crs=EPSG:32614 --set local=true", "--set crs and --set local"),
+    (2, "evaluate survey a.laz --out OUT --set min_starts=60", "--set max_starts, which is 48"),
+    (2, "evaluate survey a.laz --out OUT --local", "--local is no option: write --set local=true"),
+    (2, "evaluate survey --out OUT", "SURVEY"),
+    (2, "evaluate scans drive --out OUT --set total_patches=200", "total_patches"),
+    (2, "evaluate scans drive --out OUT --vehicle car", "--vehicle"),
+    (2, "evaluate scans --out OUT", "FRAME"),
+    (2, "evaluate a.laz --out OUT", "bumpymap evaluate survey or bumpymap evaluate scans"),
+    (2, "evaluate --scans drive --out OUT", "bumpymap evaluate scans"),
+    (2, "train textures --out OUT.onnx --set sectors_per_class=9", "sectors_per_class"),
+    (2, "train textures --out OUT.onnx --tile-size 3", "--tile-size is no option: write --set tile_size=3"),
+    (2, "train scans none --out OUT.onnx --set network.pixels=16", "network"),
+    (2, "train scans '' --out OUT.onnx", "the path is empty"),
+    (2, "train scans none --out OUT.onnx --set epochs=0", "epochs is 0"),
+    (2, "train --scans here --out OUT", "bumpymap train scans"),
+    (3, "train scans nowhere --out OUT.onnx", "nowhere does not exist"),
+    (3, "train scans none --out OUT.onnx", "holds no scans"),
+    (3, "train scans none --out not.onnx", "--overwrite"),
+    (3, "train textures --out not.onnx", "--overwrite"),
+]
+
+
+@pytest.mark.parametrize(("code", "line", "said"), REFUSED)
+def test_what_is_refused_is_one_message_in_options_and_leaves_nothing(code, line, said, made, tmp_path):
+    if line.startswith("train"):
+        pytest.importorskip("torch", reason="torch comes with the extra 'learn'")
+    before = {path: path.lstat().st_mtime_ns for path in made.rglob("*")}
+    done = run(*shlex.split(line.replace("OUT", str(tmp_path / "out"))))
+    assert done.exit_code == code, (done.output, done.exception)
+    assert said in " ".join(done.output.split())
+    assert "`" not in re.sub("`bumpymap [a-z]+`", "", done.output)
+    assert "Traceback" not in done.output
+    assert list(tmp_path.iterdir()) == []
+    assert {path: path.lstat().st_mtime_ns for path in made.rglob("*")} == before
+
+
+# --- diff, report ---
+def test_diff_prints_tables_and_writes_files(tmp_path):
+    done = run("diff", "may", "june", "--out", tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    assert "1,200 tiles are in both surveys, 1,200 compared" in done.output
+    assert "3 very rough" in done.output
+    assert "change.tif, change.geojson, change.json, change.qml, report.html" in done.output
+    assert {path.name for path in (tmp_path / "out").iterdir()} >= {"change.tif", "change.json", "report.html"}
+    assert run("diff", "may", "june", "--out", tmp_path / "out").exit_code == 3
+    assert run("diff", "may", "june", "--out", tmp_path / "out", "--overwrite", "--quiet").output == ""
+
+
+def test_the_record_of_a_diff_for_machines():
+    done = run("diff", "may", "june", "--json", "--set", "min_tiles=3", "--set", "fdr=0.1")
+    (line,) = [text for text in done.stdout.splitlines() if '"counts"' in text]
+    record = json.loads(line)
+    assert record["counts"]["changed"] >= 36
+    assert record["files"] == []
+    assert sum(map(sum, record["classes"]["tiles_before_after"])) == 1_200
+
+
+def test_the_page_of_a_map_or_a_comparison_is_made_again_and_its_place_is_said(tmp_path):
+    assert run("diff", "may", "may", "--out", tmp_path / "d").exit_code == 0
+    for folder in (Path("field"), tmp_path / "d"):
+        page = folder / "report.html"
+        before = page.read_bytes()
+        page.unlink()
+        done = run("report", folder)
+        assert done.exit_code == 0, done.output
+        assert done.output.split() == ["Open", str(page), "in", "a", "browser."]
+        assert page.read_bytes() == before
+        assert run("report", folder, "--quiet").output == ""
+        done = run("report", folder, "--json")
+        assert json.loads(done.stdout.splitlines()[-1]) == {"report": str(page), "bytes": len(before)}
+    done = run("report", tmp_path / "d", "--route", "x")
+    assert (done.exit_code, "--route" in done.output) == (2, True)
+
+
+# --- export ---
+def test_the_summary_of_an_export(tmp_path):
+    out = tmp_path / "out"
+    done = run("export", "field", "--to", "nav2", "--out", out)
+    assert done.exit_code == 0, done.output
+    lines = done.stdout.splitlines()
+    assert lines[0] == "18 m x 18 m, cells of 3 m, frame map"
+    assert lines[1].startswith("origin of the frame: x,y 330009.000,2040009.000 in the survey's CRS, lon,lat -100.6")
+    assert lines[2] == "6 passable, 25 barred, 5 unknown tiles"
+    assert lines[3].startswith("cost per metre: 1 is value 0, ")
+    assert "map.yaml, map.pgm" in done.stdout.replace("\n", "")
+    again = run("export", "field", "--to", "nav2", "--out", out)
+    assert again.exit_code == 3
+    assert re.search("already holds .*Choose another --out, or pass --overwrite", again.stderr)
+    quiet = run("export", "field", "--to", "nav2", "--out", out, "--overwrite", "--quiet")
+    assert (quiet.exit_code, quiet.output) == (0, "")
+
+
+@pytest.mark.parametrize("point", ["crs:330004.5,2040004.5", "330004.5,2040004.5", "lonlat:{0},{1}"])
+def test_a_crop_around_a_point_in_either_system(tmp_path, point):
+    degrees = Transformer.from_crs(32614, 4326, always_xy=True).transform(330004.5, 2040004.5)
+    words = (
+        "--around",
+        point.format(*degrees),
+        "--radius",
+        2,
+        "--datum",
+        "crs:330000,2040000",
+        "--resolution",
+        "pixel",
+    )
+    done = run("export", "field", "--to", "nav2", "--out", tmp_path / "out", *words, "--json")
+    assert done.exit_code == 0, done.output
+    record = json.loads(done.stdout)
+    assert record["area"] == {"west": 0.0, "south": 0.0, "east": 9.0, "north": 9.0}
+    assert record["resolution_m"] == pytest.approx(0.2)
+    assert (tmp_path / "out" / "map.pgm").read_bytes().startswith(b"P5\n45 45\n255\n")
+
+
+# --- route ---
+def test_the_way_goes_through_the_gap_and_all_files_are_there(tmp_path):
+    words = ["route", "layers", "--from", lonlat(20.5, 8.5), "--to", lonlat(20.5, 22.5), "--out", tmp_path / "way"]
+    result = run(*words)
+    assert result.exit_code == 0, result.output
+    files = {path.name: path.read_bytes() for path in (tmp_path / "way").iterdir()}
+    assert set(files) == {"route.geojson", "route.gpx", "profile.csv", "route.png", "route.json"}
+    assert "arrives" in result.stdout
+    lines = pyogrio.read_dataframe(tmp_path / "way" / "route.geojson").to_crs("EPSG:32614")
+    (line,) = lines.geometry[lines.geom_type == "LineString"]
+    assert max(y for _, y in line.coords) > (SOUTH + ROWS - 3) * 3.0
+    properties = json.loads(files["route.geojson"])["features"][0]["properties"]
+    assert properties["length_m"] == pytest.approx(line.length, abs=0.02)  # 7 decimals of a degree
+    again = run(*words)
+    assert again.exit_code == 3
+    assert "--overwrite" in again.output
+    wrong = run(*words, "--avoid", "none.geojson")
+    assert "none.geojson" in wrong.output  # told before that the folder is occupied
+    assert run(*words, "--overwrite").exit_code == 0
+    after = {path.name: path.read_bytes() for path in (tmp_path / "way").iterdir()}
+    assert {name for name in files if files[name] != after[name]} <= {"route.json"}
+
+
+def test_without_a_place_to_write_only_the_summary_is_printed(made):
+    before = sorted(made.rglob("*"))
+    result = run("route", "layers", "--from", place(20.5, 8.5), "--to", place(5.5, 8.5))
+    assert result.exit_code == 0
+    assert sorted(made.rglob("*")) == before
+    assert result.stdout.splitlines()[1].split()[:3] == ["route", "45", "1.00"]
+
+
+def test_where_there_is_no_way_the_message_says_between_which_points_and_what_to_do(tmp_path):
+    open_site = site()
+    slope = np.where(open_site.patches.col == WEST + 15, 60.0, 2.0)
+    write_folder(tmp_path / "closed", replace(open_site, patches=replace(open_site.patches, slope=slope)))
+    result = run("route", tmp_path / "closed", "--from", place(5.5, 5.5), "--to", place(5.5, 25.5))
+    assert result.exit_code == 3
+    text = " ".join(result.output.split())
+    assert f"no way from the start {place(5.5, 5.5)} to the goal {place(5.5, 25.5)}" in text
+    assert "--unknown COST" in text
+
+
+def test_what_can_be_reached_is_a_raster_and_outlines_of_the_map_or_a_part(tmp_path):
+    out = tmp_path / "reach"
+    words = ["route", "layers", "--from", place(20.5, 8.5), "--out", out, "--overwrite"]
+    result = run(*words, "--isochrones", "0.5,1")
+    assert result.exit_code == 0, result.output
+    assert "can be reached from the start" in result.stdout
+    with rasterio.open(out / "reach.tif") as file:
+        assert file.descriptions == ("cost", "minutes")
+        assert file.crs.to_epsg() == 32614
+        (cost,) = file.sample([tuple(float(part) for part in place(20.5, 18.5).split(","))])
+    assert not cost[0] <= 60.0 * 1.6  # only around the wall
+    assert len(pyogrio.read_dataframe(out / "isochrones.geojson")) == 2
+    part = run(*words, "--set", "isocosts=15")
+    assert part.stdout.startswith("Within 15 m of the start to each side, ")
+    found = json.loads(run(*words, "--set", "isocosts=15", "--json").stdout)["reach"]
+    assert f"{found['tiles']:,} tiles ({found['area_ha']:.2f} ha) can be reached, {found['share']:.1%}" in part.stdout
+    assert (found["limit_m"], found["tiles"] < 150) == (15.0, True)
+    whole = json.loads(run(*words, "--json").stdout)["reach"]
+    assert (whole["limit_m"], whole["tiles"] > 600) == (None, True)
+
+
+# --- scan ---
+def out_files(folder):
+    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+
+
+def test_one_scan(tmp_path):
+    out = tmp_path / "out"
+    result = run("scan", "frame.ply", "--method", "filter", "--out", out)
+    assert result.exit_code == 0, result.output
+    rows = [line.split() for line in result.stdout.splitlines()]
+    table = pq.read_table(out / "sectors.parquet").to_pydict()
+    for class_id, name in enumerate(("smooth", "fair", "rough")):
+        row = next(row for row in rows if row[:2] == [str(class_id), name])
+        assert int(row[2]) == table["class"].count(class_id)
+        points = sum(n for n, own in zip(table["points"], table["class"], strict=True) if own == class_id)
+        assert int(row[-1].replace(",", "")) == points
+    free = sum(own in (0, 1) and not held for own, held in zip(table["class"], table["obstacle"], strict=True))
+    assert f"sectors: {free:,} free" in result.stdout
+    assert f"{table['class'].count(None):,} not ground" in result.stdout
+    assert f"Output in {out}: frames, sectors.parquet, scan.json" in result.stdout
+    assert out_files(out) == ["frames/frame.json", "frames/frame.ply", "scan.json", "sectors.parquet"]
+
+
+def test_pictures_of_all_frames_or_of_every_nth_as_far_as_wanted(tmp_path):
+    for number in range(3):
+        write_bin(tmp_path / "drive" / f"{number}.bin", scanned(seed=number))
+    words = ("--method", "filter", "--set", "products=table", "--overwrite", "--out", tmp_path / "out", "--pictures")
+    pictures = {}
+    for more in ((), ("2",), ("1", "--set", "range_m=10")):
+        assert run("scan", tmp_path / "drive", *words, *more).exit_code == 0
+        pictures[more] = {path.name: path.read_bytes() for path in (tmp_path / "out" / "frames").iterdir()}
+    everyone, second, near = pictures.values()
+    assert list(map(sorted, pictures.values())) == [["0.png", "1.png", "2.png"], ["0.png", "2.png"], sorted(everyone)]
+    assert all(everyone[name] == content for name, content in second.items())
+    assert all(near[name] != content for name, content in everyone.items())
+
+
+def test_a_drive_for_machines(tmp_path):
+    drive, out = tmp_path / "drive", tmp_path / "out"
+    for number in (2, 10):
+        write_bin(drive / f"{number}.bin", scanned(seed=number))
+    (tmp_path / "poses.csv").write_text("t,x,y,z,qx,qy,qz,qw\n0,0,0,1,0,0,0,1\n1,1,0,1,0,0,0,1\n")
+    words = ("--out", out, "--method", "filter", "--set", "products=table, cloud")
+    result = run("scan", drive, "--poses", tmp_path / "poses.csv", "--json", *words)
+    assert result.exit_code == 0, result.output
+    record = json.loads(result.stdout)
+    assert record["frames"] == 2
+    assert record["points"] == sum(record["points_by_class"].values())
+    assert record["files"] == ["frames", "sectors.parquet", "gathered.laz", "scan.json"]
+    assert Path(record["map"][0]) == out / "map" / "rasters" / "roughness.tif"
+    assert {path.split("/")[0] for path in out_files(out)} == {*record["files"], "map"}
+    assert list(dict.fromkeys(pq.read_table(out / "sectors.parquet")["frame"].to_pylist())) == ["2", "10"]
+    again = run("scan", drive, "--quiet", "--out", out)
+    assert (again.exit_code, "--overwrite" in again.stderr) == (3, True)
+    last = run("scan", drive, "--quiet", "--overwrite", *words)
+    assert (last.exit_code, last.output) == (0, "")
+    assert out_files(out) == ["frames/10.ply", "frames/2.ply", "scan.json", "sectors.parquet"]
+
+
+def test_a_bad_frame_among_others(tmp_path):
+    bad, out = tmp_path / "bad.ply", tmp_path / "out"
+    bad.write_bytes(b"ply\nnonsense")
+    assert run("scan", "frame.ply", bad, "--out", out, "--set", "threads=1").exit_code == 3
+    assert not out.exists()
+    result = run("scan", "frame.ply", bad, "--out", out, "--skip-bad")
+    assert result.exit_code == 4
+    assert "skipped frames: 1;" in result.stdout
+    assert str(bad) in result.stderr
+    assert "frames/frame.ply" in out_files(out)
+
+
+# --- info ---
+def dense(path, classes=None, *, crs="EPSG:32614", rows=slice(None), north=0.0):
+    """Write 900 points over four full tiles, or some of them."""
+    x, y = (axis.ravel()[rows] for axis in np.meshgrid(*2 * (np.arange(0.1, 6, 0.2),)))
+    columns = {} if classes is None else {"classification": np.broadcast_to(np.uint8(classes), 900)[rows]}
+    return write_las(path, 500001 + x, 4000002 + y + north, np.full(x.size, 10.0), crs=crs, **columns)
+
+
+def test_the_classes_and_what_they_are_taken_for(tmp_path):
+    classes = np.repeat(np.uint8([6, 4, 66, 7, 2]), [90, 90, 90, 9, 621])
+    path = dense(tmp_path / "a.laz", classes)
+    found = json.loads(run("info", path, "--json").stdout)["files"][0]
+    assert found["classes"] == {"2": 621, "4": 90, "6": 90, "66": 90}  # noise is left out
+    assert (found["points_promised"], found["points"], found["tiles"]) == (900, 891, 4)
+    assert found["dropped"] == {"withheld": 0, "noise": 9, "not_a_number": 0}
+    assert found["unknown_tiles_about"] == {}
+    assert found["needs"] == [f"ready, about 0% of the tiles will be unknown: bumpymap map {path} --out DIR"]
+    rows = {line[:18].strip(): line[18:].strip() for line in run("info", path).output.splitlines()}
+    assert rows["class 2"] == "ground: 69.7% of the points, in 100% of the tiles; ground"
+    assert re.fullmatch(r"building: 10.1% of the points, in .*; obstacle", rows["class 6"])
+    assert re.fullmatch(r"10.1% of the points, in .* above the ground \(median\); by height", rows["class 66"])
+
+
+def test_a_good_survey(tmp_path):
+    path = dense(tmp_path / "a.laz", 2)
+    result = run("info", path)
+    assert result.exit_code == 0, result.output
+    for words in (
+        *("LAZ 1.4, point format 6", "900", "WGS 84 / UTM zone 14N (EPSG:32614)", "metre", "500,001.10 to 500,006.90"),
+        "5.8 m x 5.8 m",
+        "25.0 pts/m2: 225 points per 3 m tile (median of 4 tiles)",
+        "100% of the points are ground",
+        f"ready, about 0% of the tiles will be unknown: bumpymap map {path} --out DIR",
+    ):
+        assert words in result.output, words
+
+
+def test_what_is_missing_is_said_and_what_was_given_is_in_the_command(tmp_path):
+    result = run("info", dense(tmp_path / "a.las", crs=None, rows=slice(0, None, 300)))
+    assert result.exit_code == 0
+    assert "no CRS: pass --crs EPSG:CODE, or --local" in result.output
+    assert "about 100% of the tiles will be unknown, mostly because of too few points" in result.output
+    assert "ready" not in result.output
+    path = dense(tmp_path / "a b.las", crs=None)
+    said = run("info", path, "--crs", "EPSG:32614", "--set", "z_unit=m", "--ground", "all", "--quick").output
+    assert f"ready: bumpymap map '{path}' --crs EPSG:32614 --z-unit m --ground all --out DIR" in said
+    result = run("info", path, "--crs", "EPSG:2992", "--set", "z_unit=m", "--json")
+    (record,) = json.loads(result.stdout)["files"]
+    assert record["epsg"] == 2992
+    assert (record["metres_per_unit"], record["metres_per_unit_z"]) == (0.3048, 1.0)
+    assert record["bounds_crs_units"][0] == pytest.approx(500001.1)
+    assert record["bounds_m"][0] == pytest.approx(500001.1 * 0.3048)
+
+
+def test_quick_reads_no_points(tmp_path, monkeypatch):
+    path = dense(tmp_path / "a.laz")
+    monkeypatch.setattr(laspy.LasReader, "read_points", None)
+    result = run("info", path, "--quick")
+    assert result.exit_code == 0, result.output
+    assert "900 according to the header" in result.output
+    assert "26.8 pts/m2 in the header's extent" in result.output  # 900 / 5.8**2
+
+
+def test_several_files_are_told_together_and_a_bad_one_is_an_error(tmp_path):
+    good = dense(tmp_path / "a.laz", 1, rows=slice(0, None, 2))
+    bad = dense(tmp_path / "b.laz", 1, rows=slice(1, None, 2))
+    said = run("info", tmp_path, "--crs", "EPSG:32614").output
+    assert "together: about 0% of the tiles will be unknown" in said
+    assert f"one map: bumpymap map {tmp_path} --crs EPSG:32614 --out DIR" in said
+    bad.write_bytes(bad.read_bytes()[:-50])
+    result = run("info", tmp_path)
+    assert result.exit_code == 3
+    assert re.search(f"ready, about .*: bumpymap map {good}", result.output)
+    assert f"error: {bad}" in result.output
+    assert run("info", "memory://none.laz").output.count("cannot") == 1  # and not "cannot be read: cannot read"
+    record = json.loads(run("info", tmp_path, "--json").stdout)["files"][1]
+    assert record["path"] == str(bad)
+    assert "truncated" in record["error"]
+
+
+@pytest.mark.parametrize("quick", [[], ["--quick"]])
+def test_a_site_larger_than_one_map_is_told_before_and_refused_by_map(tmp_path, quick):
+    folder = tmp_path / "site"
+    south, north = dense(folder / "south.las"), dense(folder / "north.las", north=400_000.0)
+    report = " ".join(run("info", folder, *quick).output.split())
+    assert "too large: the survey spans 0.0 km x 400.0 km" in report
+    assert "separate runs, whose rasters lie on one grid, or give larger tiles with --tile-size" in report
+    assert json.loads(run("info", folder, *quick, "--json").stdout)["too_large"].startswith("the survey spans")
+    assert json.loads(run("info", south, *quick, "--json").stdout)["too_large"] == ""
+    refused = run("map", folder, "--out", tmp_path / "out")
+    assert refused.exit_code == 3
+    said = " ".join(refused.output.split())
+    assert "the survey spans 0.0 km x 400.0 km" in said
+    assert f"The files read are: {north}, {south}" in said

@@ -1,0 +1,356 @@
+"""A command as a process: signals, its end, pipes, little memory, full disks, no home, planted modules."""
+
+import errno
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tomllib
+from itertools import chain
+from pathlib import Path
+from shutil import copytree
+
+import numpy as np
+import pytest
+from cost_maps import make_field
+from packaging.requirements import Requirement
+from route_maps import write_folder
+from small_surveys import run, write_survey
+
+from bumpymap.cli import main
+from bumpymap.cli._exit_code import exit_code_of
+from bumpymap.core.errors import BadInputError, OutputError, missing_resource
+from bumpytiles import Grid
+
+ROOT = Path(__file__).resolve().parents[2]
+QUARRY = ROOT / "sample_data" / "quarry.laz"
+COMMAND = [sys.executable, "-c", "from bumpymap.cli import main; main()"]
+linux = pytest.mark.skipif(sys.platform != "linux", reason="limits are those of Linux")
+
+
+def call(words, **options):
+    options = {"capture_output": True, "text": True, "timeout": 300} | options
+    return subprocess.run([str(word) for word in words], check=False, **options)
+
+
+# --- the end of the process ---
+PROGRAM = """
+import atexit, sys
+atexit.register(lambda: print("registered", end=""))
+from bumpymap.__main__ import run
+sys.argv = ["bumpymap", *sys.argv[1:]]
+"""
+KEPT_UNTIL_THE_END = "class Kept:\n def __del__(self): print('apart')\nkept = Kept()\n"
+TIMEOUT = """
+import bumpymap.cli, os
+bumpymap.cli.main = lambda: print(os.environ['OPENBLAS_THREAD_TIMEOUT'], 'numpy' in sys.modules)
+"""
+
+
+@pytest.mark.parametrize(("words", "code"), [(("--help",), 0), (("map", "--nothing"), 2)])
+def test_functions_for_the_end_run_output_is_flushed_and_the_interpreter_is_not_taken_apart(words, code):
+    done = call([sys.executable, "-c", f"{PROGRAM}{KEPT_UNTIL_THE_END}run()\n", *words])
+    assert done.returncode == code
+    assert done.stdout.endswith("registered")
+    assert "Usage:" in done.stdout + done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("given", [None, "26"])
+def test_threads_of_linear_algebra_do_not_spin_unless_the_user_says_so(given):
+    """Told before numpy is imported, since its library reads the variable once."""
+    env = {name: value for name, value in os.environ.items() if name != "OPENBLAS_THREAD_TIMEOUT"}
+    env |= {} if given is None else {"OPENBLAS_THREAD_TIMEOUT": given}
+    done = call([sys.executable, "-c", f"{PROGRAM}{TIMEOUT}run()\n"], env=env)
+    assert done.stdout.split()[:2] == [given or "4", "False"]
+
+
+@pytest.mark.later
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
+@pytest.mark.parametrize("words", [["--help"], ["map", "--help"], ["--version"], ["info", QUARRY]])
+def test_a_full_output_is_one_message(words):
+    with Path("/dev/full").open("w") as full:
+        done = call([*COMMAND, *words], capture_output=False, stdout=full, stderr=subprocess.PIPE)
+    assert done.returncode == 3
+    assert len(done.stderr.splitlines()) == 1
+    assert done.stderr.startswith("Error: ")
+    assert "No space left on device" in done.stderr
+
+
+@pytest.mark.later
+@pytest.mark.parametrize("words", [["--help"], ["info", QUARRY]])
+def test_a_reader_that_leaves_is_no_error(words):
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = call([*COMMAND, *words], capture_output=False, stdout=writing, stderr=subprocess.PIPE)
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (141, "")
+
+
+# --- pipes instead of files: nothing waits for what nobody writes ---
+class WaitedError(BaseException):
+    """Nothing but the test may catch it."""
+
+
+def wait(*_):
+    raise WaitedError
+
+
+@pytest.fixture(scope="module")
+def given(tmp_path_factory):
+    """A survey, a frame and a map."""
+    folder = tmp_path_factory.mktemp("given")
+    write_survey(folder / "survey.las", points=100)
+    np.zeros((50, 4), np.float32).tofile(folder / "frame.bin")
+    write_folder(folder / "layers", make_field(12, 10, grid=Grid(3.0, 5), easy=True))
+    return folder
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        *(
+            f"map survey.las --out out {option}"
+            for option in ("--set model=p.onnx", "--config p.toml", "--vehicle p.toml")
+        ),
+        *(f"{command} --out out --calibration p.json" for command in ("map survey.las", "scan frame.bin")),
+        *("batch p.csv --out out", "batch p.txt --out out", "batch . --out out --config p.toml"),
+        *(f"scan frame.bin --out out {option}" for option in ("--set model=p.onnx", "--poses p.txt")),
+        *(
+            "scan p.mcap --out out",
+            "scan p.db3 --out out",
+        ),
+        *(f"route layers --points p{suffix}" for suffix in (".csv", ".gpx", ".geojson")),
+        *(f"route layers --from 1,1 --to 2,2 --avoid p{suffix}" for suffix in (".geojson", ".gpkg", ".shp")),
+        *(f"check --drive p{suffix}" for suffix in (".csv", ".ulg", ".bag", ".mcap")),
+        "check layers --drive survey.las --refit new.json --calibration p.json",
+        *("export layers --to plan --out out --route p.geojson", "report layers --out out.html --route p.geojson"),
+        *("report piped --out out.html", "info p.las", "calibrate --vehicle p.toml --out out.json"),
+    ],
+)
+def test_a_pipe_is_refused_and_not_waited_for(given, tmp_path, monkeypatch, line):
+    monkeypatch.chdir(copytree(given, tmp_path / "here"))
+    Path("piped").mkdir()
+    name = next((word for word in re.split("[ =]", line) if word.startswith("p.")), "piped/run.json")
+    os.mkfifo(name)
+    before = signal.signal(signal.SIGALRM, wait)
+    signal.alarm(20)
+    try:
+        done = run(*line.split())
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+    assert done.exit_code in {2, 3}, done.output
+    assert Path(name).name in done.output
+
+
+# --- machines that give little: one message, exit code 3, never a traceback, never "the file is damaged" ---
+def commands(folder):
+    """Words of a command that looks, one that maps and one that classes a scan, by name."""
+    place = np.random.default_rng(1).uniform(-18, 18, (60_000, 2))
+    points = np.column_stack([place, -1.5 + 0.01 * np.sin(20 * place[:, 0]), 0 * place[:, 0]])
+    points.astype("<f4").tofile(folder / "scan.bin")
+    return {
+        "info": ["info", QUARRY],
+        "map": ["map", QUARRY, "--out", folder / "layers"],
+        "scan": ["scan", folder / "scan.bin", "--out", folder / "scanned"],
+        "batch": ["batch", QUARRY.parent, "--out", folder / "night"],
+    }
+
+
+def own_lines(text):
+    """Lines of a command about its work, without how far a slow machine is and what it compiles.
+
+    ONNX Runtime warns on its own where it cannot look at the devices of the machine.
+    """
+    aside = r"\d+:\d\d:\d\d |Warning: the numerical kernels are|.*onnxruntime"
+    return [line for line in text.splitlines() if not re.match(aside, line)]
+
+
+@pytest.mark.later
+@linux
+@pytest.mark.parametrize("command", ["info", "map", "scan"])
+@pytest.mark.parametrize("kilobytes", [200_000, 800_000])
+def test_little_memory(tmp_path, command, kilobytes):
+    limit = ["sh", "-c", f'ulimit -v {kilobytes} && exec "$@"', "sh"]
+    done = call([*limit, *COMMAND, *commands(tmp_path)[command]])
+    assert "Traceback" not in done.stderr
+    assert "damaged" not in done.stderr + done.stdout
+    if done.returncode:
+        assert (done.returncode, [line[:7] for line in own_lines(done.stderr)]) == (3, ["Error: "])
+        assert "no memory left" in done.stderr or "no thread left" in done.stderr
+        assert not (tmp_path / "layers" / "run.json").exists()
+
+
+@pytest.mark.namespaces
+@pytest.mark.parametrize("command", ["info", "map", "scan"])
+def test_no_shared_memory(tmp_path, command):
+    mount = ["unshare", "-m", "sh", "-c", 'mount -t tmpfs -o size=4k tmpfs /dev/shm && exec "$@"', "sh"]
+    done = call([*mount, *COMMAND, *commands(tmp_path)[command]])
+    assert (done.returncode, "Traceback" in done.stderr) == (0, False), done.stderr
+
+
+@pytest.mark.later
+@linux
+@pytest.mark.parametrize("command", ["info", "map", "scan", "batch"])
+def test_a_limit_on_the_size_of_files_is_no_damage_and_no_full_disk(tmp_path, command):
+    done = call(["sh", "-c", 'ulimit -f 1 && exec "$@"', "sh", *COMMAND, *commands(tmp_path)[command]])
+    assert done.returncode == 3
+    first = done.stderr.splitlines()[0]
+    assert "ulimit -f" in first
+    assert "damaged" not in first
+    assert "Free some space" not in first
+
+
+def chained(outer, inner):
+    outer.__cause__ = inner
+    return outer
+
+
+@pytest.mark.parametrize(
+    ("error", "what"),
+    [
+        (MemoryError(), "memory"),
+        (RuntimeError("can't start new thread"), "thread"),
+        (OSError(errno.EMFILE, "Too many open files"), "file that may be opened"),
+        (BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable"), "process"),
+        (ImportError("libx.so: failed to map segment from shared object"), "memory"),
+        (chained(BadInputError("no network"), ImportError("failed to map segment")), "memory"),
+        (chained(OutputError("cannot write"), OSError(errno.ENOMEM, "Cannot allocate memory")), "memory"),
+        (chained(OutputError("cannot write"), OSError(errno.ENOSPC, "No space left on device")), ""),
+        (OSError(errno.EFBIG, "File too large"), ""),
+        (RuntimeError("anything"), ""),
+    ],
+)
+def test_what_a_machine_lacks_is_told_from_what_a_file_lacks(error, what, capsys):
+    assert missing_resource(error) == what
+
+    def fail():
+        raise error
+
+    if type(error) is RuntimeError and not what:
+        with pytest.raises(RuntimeError):
+            exit_code_of(fail, [])
+        return
+    assert exit_code_of(fail, []) == 3
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1
+    assert (f"the machine has no {what} left" in said[0]) == bool(what)
+
+
+# --- a container's user: a number that no table of users knows, and no HOME ---
+NOBODY = """
+import os, pwd, sys
+def nobody(_):
+    raise KeyError("uid not found")
+pwd.getpwuid = pwd.getpwnam = nobody
+for name in ("HOME", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "NUMBA_CACHE_DIR", "USER", "LOGNAME"):
+    os.environ.pop(name, None)
+from bumpymap.cli import main
+main()
+"""
+
+
+@pytest.mark.later
+@pytest.mark.parametrize("command", ["info", "map", "scan"])
+def test_commands_need_no_home(tmp_path, command):
+    env = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    done = call([sys.executable, "-c", NOBODY, *commands(tmp_path)[command]], env=env)
+    assert (done.returncode, own_lines(done.stderr)) == (0, [])
+    assert {"info": "1,250,148", "map": "Layers in", "scan": "Output in"}[command] in done.stdout
+
+
+# --- modules in the current folder, or beside the surveys, are files of strangers: no command runs one ---
+COMMANDS = {
+    "map": "map surveys/a.laz --out new",
+    "map with a filter in a child": "map surveys/a.laz --out new --ground csf",
+    "batch": "batch surveys --out new --jobs 2",
+    "demo": "demo --out new",
+    "info": "info surveys/a.laz",
+    "route": "route layers --from 500005,4000006 --to 500011,4000012 --out way --set cost.robust=true",
+    "diff": "diff layers layers --out new",
+    "report": "report layers --overwrite",
+    "export": "export layers --to nav2 --out new",
+    "check": "check layers --drive surveys/drive.csv --out new",
+    "scan": "scan surveys/frame.bin --out new",
+    "vehicle": "vehicle list",
+    "compile": "compile",
+    "settings": "settings map",
+    "calibrate": "calibrate --out layers",
+    "evaluate": "evaluate scans surveys/frame.bin --out new",
+    "train": "train scans surveys --out n.onnx",
+}
+
+
+FAIL = {"calibrate": 2, "check": 3, "evaluate": 3, "scan": 3, "train": 3}
+"""Commands that have no fit input here, and end once they have imported what they need."""
+
+
+PLANTED = """
+import operator
+import bumpymap
+from bumpymap.lab.simulate.jobs import run_in_processes
+if __name__ == "__main__":
+    assert list(run_in_processes(operator.neg, [1, 2], 2)) == [-1, -2]
+    bumpymap.map_survey("surveys/a.laz", "new", overwrite=True)
+"""
+
+
+@pytest.fixture(scope="module", name="place")
+def place_fixture(tmp_path_factory):
+    """A current folder and one of surveys, in which every module that a command may want is planted."""
+    place = tmp_path_factory.mktemp("planted") / "here"
+    for name in "ab":
+        write_survey(place / "surveys" / f"{name}.laz", points=5000, side=12.0)
+    (place / "surveys" / "drive.csv").write_text("time\n")
+    (place / "surveys" / "frame.bin").write_bytes(b"")
+    (place.parent / "bin").mkdir()
+    shutil.copy(ROOT / "bin" / "bumpymap", place.parent / "bin")
+    (place.parent / "bin" / "program").write_text(PLANTED)
+    assert planted_ends(place, [str(place.parent / "bin" / "bumpymap"), "map", "surveys/a.laz", "--out", "layers"]) == 0
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    needed = chain(project["dependencies"], *project["optional-dependencies"].values())
+    names = {Requirement(line).name.replace("-", "_") for line in needed} | {"PIL", "CSF", "skimage", "sklearn", "dask"}
+    plant(place, {*sys.stdlib_module_names, *names, "bumpymap", "bumpytiles", "sitecustomize", "usercustomize"})
+    return place
+
+
+def plant(place, names):
+    for folder in (place, place / "surveys"):
+        for name in names:
+            code = f"open({str(place.parent / 'ran')!r}, 'a').write(__file__ + '\\n')\nraise ImportError('planted')\n"
+            (folder / f"{name}.py").write_text(code, encoding="utf-8")
+
+
+def planted_ends(place, arguments):
+    done = call([sys.executable, *arguments], cwd=place)
+    assert not (place.parent / "ran").exists(), (place.parent / "ran").read_text()
+    assert "Traceback" not in done.stderr, done.stderr
+    return done.returncode
+
+
+def test_all_commands_are_tried():
+    assert set(main.list_commands(None)) == {words.split()[0] for words in COMMANDS.values()}
+
+
+@pytest.mark.later
+@pytest.mark.parametrize("command", COMMANDS)
+def test_no_command_runs_a_module_of_the_current_folder(place, command):
+    shutil.rmtree(place / "new", ignore_errors=True)
+    assert planted_ends(place, [str(place.parent / "bin" / "bumpymap"), *COMMANDS[command].split()]) == FAIL.get(
+        command, 0
+    )
+
+
+@pytest.mark.later
+def test_no_process_of_a_program_runs_one(place):
+    assert planted_ends(place, [str(place.parent / "bin" / "program")]) == 0
+
+
+@pytest.mark.later
+def test_python_m_runs_none_once_it_has_found_the_package(tmp_path):
+    write_survey(tmp_path / "here" / "surveys" / "a.laz", points=5000, side=12.0)
+    plant(tmp_path / "here", ["numpy", "click", "json", "multiprocessing", "bumpytiles", "rasterio", "distributed"])
+    assert planted_ends(tmp_path / "here", ["-m", "bumpymap", *COMMANDS["map with a filter in a child"].split()]) == 0

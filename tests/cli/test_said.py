@@ -1,0 +1,248 @@
+"""What is told of a run: lines, a bar, events for machines, nothing when quiet; foreign text is shown, never obeyed."""
+
+import ast
+import io
+import json
+import logging
+import sys
+import unicodedata
+from datetime import datetime
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+from small_surveys import run, write_survey
+
+from bumpymap.cli import _progress
+from bumpymap.cli._exit_code import exit_code_of
+from bumpymap.cli._text import print_error, print_json, print_line, print_table
+from bumpymap.core import escape_controls
+from bumpymap.core.errors import BadInputError
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+QUARRY = ROOT / "sample_data" / "quarry.laz"
+
+
+class Clock:
+    """A clock that a test turns."""
+
+    now = 1000.0
+
+    def __call__(self):
+        return self.now
+
+
+def test_a_line_has_time_stage_and_share(capsys):
+    clock = Clock()
+    progress = _progress.TickedProgress(clock)
+    progress.tick()
+    assert capsys.readouterr().err == ""
+    progress.start("reading points", 10_000_000)
+    progress.advance(4_000_000)
+    progress.advance(500_000)
+    clock.now += 90.7
+    progress.tick()
+    progress.start("looking about\x1b", None)
+    progress.advance(7)
+    clock.now += 3600
+    progress.tick()
+    for done in (0, 12, 40):
+        progress.compiling(done, 40)
+    progress.compiling(39, 40)
+    progress.tick()
+    assert capsys.readouterr().err.splitlines() == [
+        "0:01:30 reading points: 45% (4,500,000 of 10,000,000)",
+        "1:01:30 looking about\\x1b: 7",
+        "1:01:30 compiling, once: 0 of 40 kernels",
+        "1:01:30 compiling, once: 40 of 40 kernels",
+        "1:01:30 compiling, once: 39 of 40 kernels",
+    ]
+
+
+def test_a_bar_shows_a_name_as_it_is():
+    shown = io.StringIO()
+    with _progress.moving_bars(Console(file=shown, force_terminal=True, width=120)) as bars:
+        bars.start("reading [red]a[/red]\x1b]0;owned\x07\nError: b.laz", 3)
+        bars.advance(3)
+        bars.compiling(12, 40)
+    assert "12/40" in shown.getvalue()
+    assert "reading [red]a[/red]\\x1b]0;owned\\x07\\nError: b.laz" in shown.getvalue()
+
+
+def events(text):
+    found = [json.loads(line) for line in text.splitlines()]
+    times = [datetime.fromisoformat(event.pop("time")) for event in found]
+    assert all(time.utcoffset().total_seconds() == 0 for time in times)
+    assert times == sorted(times)
+    return found
+
+
+def test_events_hold_the_same(capsys):
+    clock = Clock()
+    progress = _progress.TickedProgress(clock, as_json=True)
+    progress.start("reading points", 1000)
+    progress.advance(250)
+    clock.now += 12.34
+    progress.tick()
+    progress.start("timing", None)
+    progress.tick()
+    progress.note("text", "epoch", epoch=1, loss=0.5)
+    progress.compiling(0, 40)
+    assert events(capsys.readouterr().err) == [
+        {"event": "stage", "stage": "reading points", "total": 1000},
+        {"event": "progress", "stage": "reading points", "done": 250, "total": 1000, "share": 0.25, "seconds": 12.3},
+        {"event": "stage", "stage": "timing", "total": None},
+        {"event": "progress", "stage": "timing", "done": 0, "total": None, "share": None, "seconds": 12.3},
+        {"event": "epoch", "epoch": 1, "loss": 0.5},
+        {"event": "compiling", "done": 0, "total": 40},
+    ]
+
+
+def test_a_run_in_events(tmp_path):
+    survey = write_survey(tmp_path / "a.laz")
+    result = run("map", survey, "--out", tmp_path / "o", "--json")
+    assert result.exit_code == 0
+    found = events(result.stderr)
+    kinds = [event["event"] for event in found if event["event"] not in {"info", "compiling"}]
+    assert kinds == ["start", *4 * ["stage"], "done"]
+    assert found[0]["arguments"] == ["map", str(survey), "--out", str(tmp_path / "o"), "--json"]
+    assert found[-1]["exit_code"] == 0
+    assert json.loads(result.stdout)["points"] == 20_000
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "kind"),
+    [
+        (["map", "--none", "--json"], 2, "NoSuchOption"),
+        (["map", "a.laz", "--json"], 2, "UsageError"),
+        (["map", "a\x1b\n.laz", "--out", "o", "--json"], 3, "BadInputError"),
+        (["calibrate", "--json"], 2, "MissingParameter"),
+        (["nothing", "--json"], 2, "NoSuchCommand"),
+    ],
+)
+def test_the_last_event_of_a_failure(tmp_path, monkeypatch, words, code, kind):
+    monkeypatch.chdir(tmp_path)
+    result = run(*words)
+    assert result.exit_code == code
+    *_, last = events(result.stderr)
+    assert (last["event"], last["exit_code"]) == ("error", code)
+    assert last["message"]
+    assert last["kind"] == kind or kind.startswith("NoSuch")  # older click has one name for these
+
+
+def test_what_stands_after_two_dashes_is_no_option_and_a_fault_is_an_event_with_its_traceback(capsys):
+    def fail(error):
+        raise error
+
+    assert exit_code_of(lambda: fail(BadInputError("no")), ["map", "--", "--json"]) == 3
+    assert capsys.readouterr().err == "Error: no\n"
+    with pytest.raises(KeyError):
+        exit_code_of(lambda: fail(KeyError("x")), ["map"])
+    assert exit_code_of(lambda: fail(KeyError("x")), ["map", "--json"]) == 1
+    last = events(capsys.readouterr().err)[-1]
+    assert (last["event"], last["kind"], "Traceback" in last["traceback"]) == ("error", "KeyError", True)
+
+
+def test_a_command_leaves_the_log_of_its_caller_alone(tmp_path):
+    log = logging.getLogger("bumpymap")
+    before = list(log.handlers), log.level, log.propagate
+    for words in (["info", tmp_path / "none.laz"], ["map", "a.laz", "--json"], ["info", QUARRY, "--quick"]):
+        run(*words)
+        assert (list(log.handlers), log.level, log.propagate) == before
+
+
+# --- foreign text ---
+WICKED = (
+    "a\x1b[31m\x1b]0;owned\x07 b\nError: c\r\t\x7f\x9b \u202egnp \u2066 \u2028 \u200f \udcff [red]d[/red] :smile: é 道"
+)
+
+
+def nothing_acts(text):
+    """Whether every line holds nothing that a terminal acts on."""
+    return all(unicodedata.category(letter) not in {"Cc", "Cf", "Cs", "Zl", "Zp"} for letter in text.replace("\n", ""))
+
+
+def test_no_letter_acts():
+    for letter in map(chr, [*range(0x3000), *range(0xD800, 0xE000), *range(0xE0000, 0xE0100)]):
+        shown = escape_controls(f"a{letter}b")
+        assert (shown[0], shown[-1]) == ("a", "b")
+        assert nothing_acts(shown) and "\n" not in shown, hex(ord(letter))  # noqa: PT018 (many times)
+
+
+def test_every_way_out_shows_it(capsys):
+    print_line(WICKED, "bold")
+    print_table([(WICKED, WICKED)])
+    print_table([(WICKED, WICKED)], ["one", "two"])
+    print_json({"name": WICKED})
+    print_error(WICKED)
+    out, err = capsys.readouterr()
+    assert nothing_acts(out)
+    assert nothing_acts(err)
+    assert out.splitlines()[0] == err.rstrip("\n") == escape_controls(WICKED)
+    assert "[red]d[/red] :smile:" in err
+    assert json.loads(out.splitlines()[-1])["name"] == WICKED
+
+
+def test_a_line_of_a_table_ends_with_its_last_value(capsys):
+    print_table([("smooth", "2", "0.04"), ("all the others", "13", "")], ["class", "tiles", "c_r"])
+    lines = capsys.readouterr().out.splitlines()
+    assert lines == ["class           tiles   c_r", "smooth              2  0.04", "all the others     13"]
+
+
+def test_an_encoding_without_the_letters(monkeypatch):
+    raw = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(raw, "ascii"))
+    print_line("é 道")
+    assert raw.getvalue() == b"\\xe9 \\u9053\n"
+
+
+def test_no_command_has_a_way_out_of_its_own():
+    """Text goes through `_text` (and bars through rich, with names made safe)."""
+    for file in (ROOT / "bumpymap" / "cli").glob("*.py"):
+        if file.name == "_text.py":
+            continue
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call):
+                name = ast.unparse(node.func)
+                assert name not in {"print", "click.echo", "click.secho", "Console"}, f"{file.name}: {name}"
+            if isinstance(node, ast.Attribute):
+                assert ast.unparse(node) not in {"sys.stdout", "sys.stderr"}, f"{file.name}: {ast.unparse(node)}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("line", "shown"),
+    [
+        ("info WICKED", ["\\x1b[31m", "\\xff"]),
+        ("scan WICKED --out o", ["\\x1b[31m", "\\xff"]),
+        ("map RED --out ERROR --local", ["\\x1b]\\nError: d"]),
+        ("evaluate survey GONE --out o", ["\\x1b[31m"]),
+        ("train textures --out WICKED", []),
+    ],
+)
+def test_names_of_files_are_shown(line, shown, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    wicked = f"{WICKED.replace('/', '|')}.laz"
+    names = {"WICKED": wicked, "GONE": f"b{wicked}", "RED": "a\x1b[31m[red]\nError: b.laz", "ERROR": "\x1b]\nError: d"}
+    try:
+        for name in ("WICKED", "RED"):
+            Path(names[name]).symlink_to(QUARRY)
+    except OSError:
+        pytest.skip("the file system refuses such names")
+    result = run(*(names.get(word, word) for word in line.split()))
+    assert not isinstance(result.exception, UnicodeError)
+    assert nothing_acts(result.stdout + result.stderr)
+    assert [part for part in shown if part not in result.stdout + result.stderr] == []
+
+
+def test_lines_of_a_message_stay_lines(tmp_path):
+    for name in ("a.laz", "b\nError: forged.laz"):
+        (tmp_path / name).write_bytes(b"LASFnothing")
+    result = run("map", tmp_path, "--out", tmp_path / "o", "--skip-bad")
+    assert result.exit_code == 3
+    assert "forged" in result.stderr
+    assert not any(line.startswith("Error: forged") for line in result.stderr.splitlines())
+    found = [line for line in result.stderr.splitlines() if line.startswith("Error: ")]
+    assert found == ["Error: none of the inputs could be read:"]
