@@ -7,7 +7,7 @@ from shutil import copytree
 from pyproj import CRS
 
 from bumpymap.core import CostRule, CostTable, Georeference, RouteVehicle
-from bumpymap.layers import MapReader, write_products
+from bumpymap.layers import MapReader, describe_file, write_products
 from bumpymap.views import write_map_views
 from bumpytiles import Grid, TileWindow
 
@@ -43,6 +43,14 @@ def copy_folder(folder, target, **changes):
     record = json.loads((target / "run.json").read_text()) | changes
     (target / "run.json").write_text(json.dumps({key: value for key, value in record.items() if value is not None}))
     return target
+
+
+def list_anew(folder, **changes):
+    """State the files that are there now, as who planted them would; ``changes`` replace entries of the manifest."""
+    record = json.loads((folder / "run.json").read_text()) | changes
+    for entry in record["files"]:
+        entry.update(describe_file(folder / entry["path"]) | {"path": entry["path"]})
+    (folder / "run.json").write_text(json.dumps(record))
 
 
 def bare_map(window=None, *, crs=UTM, unit=1.0, grid=None):

@@ -95,15 +95,6 @@ def taut_length(cost, start, goal):
     return float(dijkstra(graph, directed=False, indices=0)[1])
 
 
-def integral(cost, line, points=20001):
-    """Cost of a line by the midpoint rule: every straight part cut into equal pieces."""
-    total, share = 0.0, (np.arange(points) + 0.5) / points
-    for a, b in pairwise(line):
-        at = np.floor(a + share[:, None] * (b - a)).astype(int)
-        total += np.linalg.norm(b - a) * cost[at[:, 0], at[:, 1]].mean()
-    return total
-
-
 def cheapest_on_pixels(cost, start, goal, pixel):
     """Cost [m] of the cheapest path over pixels in eight directions; inf if there is none.
 

@@ -1,69 +1,82 @@
-"""The pages about files: snippets run, tables say what the code does."""
+"""The pages about files, GIS and scans: snippets run, tables say what the code does."""
 
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
+from route_maps import write_folder
 
-from bumpymap.core.types import BARRED_TEXT, CLASS_NAMES, OBJECT_NAMES, REASON_TEXT, CostTable, Reason
-from bumpymap.layers import write_products
+from bumpymap.core.settings import read_settings_file
+from bumpymap.core.types import BARRED_TEXT, CLASS_NAMES, OBJECT_NAMES, REASON_TEXT
 from bumpymap.layers.colours import CLASS_COLOURS
 from bumpymap.layers.placement import MAX_PIXELS, MAX_TILES
 from bumpymap.layers.products import VIEW_NAMES
-from bumpymap.views import write_map_views
+from bumpymap.layers.scan_folder import SCAN_CLASS_NAMES, SCAN_COLOURS
+from bumpymap.scan.config import SCAN_PRODUCTS, ScanConfig
+from bumpymap.scan.pipeline import scan_frames
 
 pytestmark = pytest.mark.slow
 
-PAGES = Path(__file__).resolve().parents[2] / "docs" / "pages"
-WITH_PYTHON = ("files.md", "gis.md")
+FILES, GIS, SCANS = (
+    (Path(__file__).resolve().parents[2] / "docs" / "pages" / f"{name}.md").read_text("utf-8")
+    for name in ("files", "gis", "scans")
+)
 
 
-@pytest.fixture(name="page", scope="module")
-def page_fixture():
-    return (PAGES / "files.md").read_text(encoding="utf-8")
+def blocks(page, language="python"):
+    return re.findall(rf"```{language}\n(.*?)```", page, re.DOTALL)
 
 
-@pytest.fixture(name="layers", scope="module")
-def layers_fixture(tmp_path_factory, cost_map):
-    folder = tmp_path_factory.mktemp("docs") / "OUT"
-    folder.mkdir()
-    write_products(CostTable.of(cost_map), folder, views=write_map_views, local=False, manifest={})
+@pytest.fixture(scope="module")
+def made_map(tmp_path_factory, cost_map):
+    return write_folder(tmp_path_factory.mktemp("docs") / "OUT", cost_map).parent
+
+
+@pytest.fixture(scope="module")
+def made_scan(tmp_path_factory, scan):
+    folder = tmp_path_factory.mktemp("docs")
+    (folder / "drive").mkdir()
+    np.column_stack([scan.points, scan.intensity]).astype("<f4").tofile(folder / "drive" / "NAME.bin")
+    (folder / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
+    scan_frames(ScanConfig((folder / "drive",), folder / "OUT", poses=folder / "poses.txt"))
     return folder
 
 
-def snippets():
-    """Python of the pages, by page and number."""
-    found = {
-        page: re.findall(r"```python\n(.*?)```", (PAGES / page).read_text("utf-8"), re.DOTALL) for page in WITH_PYTHON
-    }
-    return {f"{page}, snippet {number}": text for page in found for number, text in enumerate(found[page])}
-
-
-@pytest.mark.parametrize("name", snippets())
-def test_snippet_runs(layers, monkeypatch, name):
-    monkeypatch.chdir(layers.parent)
+@pytest.mark.parametrize(
+    ("made", "snippet"),
+    [(made, text) for made, page in (("made_map", FILES + GIS), ("made_scan", SCANS)) for text in blocks(page)],
+)
+def test_snippet_runs(request, monkeypatch, made, snippet):
+    monkeypatch.chdir(request.getfixturevalue(made))
     names = {}
-    exec(compile(snippets()[name], name, "exec"), names)  # noqa: S102 (our own page)
+    exec(compile(snippet, "snippet", "exec"), names)  # noqa: S102 (our own page)
     assert any(not name.startswith("__") for name in names)
 
 
-def test_tables_say_what_the_code_writes(page):
+def test_tables_say_what_the_code_writes():
     for value, name in enumerate(CLASS_NAMES):
-        colour = "#{:02x}{:02x}{:02x}".format(*CLASS_COLOURS[value])
-        assert f"| {value} | {name} | `{colour}` |" in page
-    for reason in Reason:
-        assert f"| {reason.value} | {REASON_TEXT[reason]} |" in page
-    for code, text in BARRED_TEXT.items():
-        assert f"| {code.value} | {text} |" in page
-    for value, text in enumerate(OBJECT_NAMES):
-        assert f"| {value} | {text} |" in page
-    assert f"{MAX_TILES:,} tiles" in page
-    assert f"{MAX_PIXELS:,} heightmap pixels" in page
+        assert f"| {value} | {name} | `#{bytes(CLASS_COLOURS[value][:3]).hex()}` |" in FILES
+    for names in (REASON_TEXT, BARRED_TEXT, dict(enumerate(OBJECT_NAMES))):
+        for value, text in names.items():
+            assert f"| {int(value)} | {text} |" in FILES
+    assert f"{MAX_TILES:,} tiles" in FILES
+    assert f"{MAX_PIXELS:,} heightmap pixels" in FILES
+    for name, colour in zip((*SCAN_CLASS_NAMES[:3], "obstacle", "not ground"), SCAN_COLOURS, strict=True):
+        assert f"| {name} | `#{bytes(colour).hex()}` |" in SCANS
+    assert ", ".join(f"`{product}`" for product in SCAN_PRODUCTS) in SCANS
 
 
 def test_the_page_about_gis_names_each_style_and_layer():
-    rows = re.findall(r"^\| `([\w/]+\.qml)` \| (.+?) \|", (PAGES / "gis.md").read_text(encoding="utf-8"), re.MULTILINE)
-    assert {style for style, _ in rows} >= {name for name in VIEW_NAMES if name.endswith(".qml")}
-    assert all(
-        Path(layer).stem == Path(style).stem for style, layers in rows for layer in re.findall("`(.+?)`", layers)
-    )
+    rows = dict(re.findall(r"^\| `([\w/]+\.qml)` \| (.+?) \|", GIS, re.MULTILINE))
+    assert set(rows) >= {name for name in VIEW_NAMES if name.endswith(".qml")}
+    for style, layers in rows.items():
+        assert {Path(layer).stem for layer in re.findall("`(.+?)`", layers)} == {Path(style).stem}
+
+
+def test_the_settings_of_the_page_are_settings(tmp_path):
+    (text,) = blocks(SCANS, "toml")
+    (tmp_path / "a.toml").write_text(text)
+    config = ScanConfig(**read_settings_file(tmp_path / "a.toml", ScanConfig))
+    assert config.polar == ScanConfig((), tmp_path).polar
+    assert config.robot.box_m == (-1.2, 0.4, -0.5, 0.5)

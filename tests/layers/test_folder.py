@@ -1,7 +1,14 @@
+"""The folder of a map: all files or none, nothing replaced that was not meant, no link followed; and its manifest."""
+
 import hashlib
 import json
+import os
+import resource
 import subprocess
 import sys
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -9,14 +16,18 @@ import pyogrio
 import pytest
 import rasterio
 from cost_maps import part_of
+from region_files import regions_of, write_flatgeobuf, write_geojson
 from small_surveys import SIDES, files_in
 
-from bumpymap.core import SilentProgress
 from bumpymap.core.errors import BadInputError, OutputError
+from bumpymap.core.files import atomic, write_together
 from bumpymap.core.types import CostTable, Georeference
-from bumpymap.layers import check_extent, check_folder, software_versions, write_products
+from bumpymap.layers import check_extent, check_folder, write_products
+from bumpymap.layers.geotiff import write_raster
+from bumpymap.layers.manifest import describe_file, describe_input, software_versions, write_manifest
 from bumpymap.layers.placement import MAX_TILES
-from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
+from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES, MapFile
+from bumpymap.layers.tile_table import write_tiles
 from bumpymap.views import write_map_views
 from bumpytiles import Grid, TileWindow
 
@@ -28,14 +39,18 @@ TOP = {
 RUN = {"calibration": {"id": "c0ffee", "vehicle": "warthog"}, "model": "m1", "seconds": {"read": 1.5}}
 
 
-def write(cost_map, folder, *, local=False, manifest=RUN, progress=None):
-    return write_products(
-        CostTable.of(cost_map), folder, views=write_map_views, local=local, manifest=manifest, progress=progress
-    )
+def texts_in(folder):
+    return {name: content.decode() for name, content in files_in(folder).items()}
 
 
-def hashes(folder):
-    return {name: hashlib.sha256(content).hexdigest() for name, content in files_in(folder).items()}
+def fill(folder, files):
+    for name, text in files.items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text(text)
+
+
+def write(cost_map, folder, *, local=False, manifest=RUN):
+    return write_products(CostTable.of(cost_map), folder, views=write_map_views, local=local, manifest=manifest)
 
 
 def test_all_files_of_a_run(tmp_path, cost_map):
@@ -44,7 +59,7 @@ def test_all_files_of_a_run(tmp_path, cost_map):
     assert paths == [tmp_path / name for name in (*PRODUCT_NAMES, *VIEW_NAMES)]
     assert {path.name for path in tmp_path.iterdir()} == TOP
     record = json.loads((tmp_path / "run.json").read_text())
-    found = hashes(tmp_path)
+    found = {name: hashlib.sha256(content).hexdigest() for name, content in files_in(tmp_path).items()}
     assert set(found) == {*PRODUCT_NAMES, *VIEW_NAMES, *SIDES}
     assert {entry["path"]: entry["sha256"] for entry in record["files"]} == {
         name: found[name] for name in PRODUCT_NAMES if name != "run.json"
@@ -65,21 +80,17 @@ def said_by_layers(folder):
     schema = pq.read_schema(folder / "tiles.parquet").metadata
     found["tiles.parquet"] = {key.decode(): value.decode() for key, value in schema.items()}
     found["cost.fgb"] = pyogrio.read_info(folder / "cost.fgb")["layer_metadata"]
-    collection = json.loads((folder / "cost.geojson").read_text(encoding="utf-8"))
-    limits = collection.pop("class_limits_rad_per_m", [])
-    found["cost.geojson"] = collection | ({"class_limits_rad_per_m": " ".join(map(str, limits))} if limits else {})
+    found["cost.geojson"] = json.loads((folder / "cost.geojson").read_text(encoding="utf-8"))
+    limits = found["cost.geojson"]["class_limits_rad_per_m"]
+    found["cost.geojson"]["class_limits_rad_per_m"] = " ".join(map(str, limits))
     return found
 
 
-FULL_RUN = RUN | {
-    "survey": {"name": "Grünfläche <1> & 2", "checksum": "blake3-1MiB:ab", "dates": ["2024-05-01", "2024-05-03"]},
-    "calibration": {"id": "c0ffee", "vehicle": "warthog", "class_limits": (0.111, 0.25, 0.4)},
-    "settings": {"rating": "ride", "compat": "none"},
-}
-
-
 def test_every_layer_says_which_survey_vehicle_and_version_made_it(tmp_path, cost_map):
-    write(cost_map, tmp_path, manifest=FULL_RUN)
+    about = {"name": "Grünfläche <1> & 2", "checksum": "blake3-1MiB:ab", "dates": ["2024-05-01", "2024-05-03"]}
+    calibration = RUN["calibration"] | {"class_limits": (0.111, 0.25, 0.4)}
+    settings = {"rating": "ride", "compat": "none"}
+    write(cost_map, tmp_path, manifest=RUN | {"survey": about, "calibration": calibration, "settings": settings})
     found = said_by_layers(tmp_path)
     assert set(found) == set(PRODUCT_NAMES) - {"item.json", "run.json"}  # these say more, see their own tests
     wanted = {
@@ -106,7 +117,7 @@ def test_same_map_same_bytes_whatever_the_order_of_its_tiles(tmp_path, make_fiel
     for name, twin in {"a": cost_map, "other_name": shuffled}.items():
         (tmp_path / name).mkdir()
         write(twin, tmp_path / name)
-        seen.append({key: value for key, value in hashes(tmp_path / name).items() if key != "run.json"})
+        seen.append({key: value for key, value in files_in(tmp_path / name).items() if key != "run.json"})
     assert seen[0] == seen[1]
 
 
@@ -119,23 +130,10 @@ def test_scratch_of_a_killed_run_goes_and_nothing_else(tmp_path):
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False)
     assert len(list(tmp_path.iterdir())) == 1
-    mine = [tmp_path / ".heightmap.notes", tmp_path / ".class.txt", tmp_path / "heightmap.bak"]
-    for path in mine:
-        path.write_text("mine")
+    mine = dict.fromkeys((".heightmap.notes", ".class.txt", "heightmap.bak"), "mine")
+    fill(tmp_path, mine)
     check_folder(tmp_path, overwrite=False)
-    assert sorted(tmp_path.iterdir()) == sorted(mine)
-
-
-@pytest.mark.parametrize("name", ["run.json", "rasters/class.tif", "map.qgs", "rasters/class.qml"])
-def test_products_of_a_run_are_not_overwritten_unasked(tmp_path, name):
-    (tmp_path / "notes.txt").write_text("not ours")
-    check_folder(tmp_path, overwrite=False)
-    (tmp_path / name).parent.mkdir(exist_ok=True)
-    (tmp_path / name).write_text("ours")
-    with pytest.raises(OutputError, match=f"already holds {name}.*`overwrite=True`"):
-        check_folder(tmp_path, overwrite=False)
-    check_folder(tmp_path, overwrite=True)
-    assert (tmp_path / name).read_text() == "ours"
+    assert texts_in(tmp_path) == mine
 
 
 def test_a_map_of_the_first_version_is_replaced_whole(tmp_path, cost_map):
@@ -153,18 +151,17 @@ def test_a_map_of_the_first_version_is_replaced_whole(tmp_path, cost_map):
     assert set(files_in(tmp_path)) == {*whole, "rasters/mine.tif"}
 
 
-@pytest.mark.parametrize("overwrite", [False, True])
-def test_a_folder_of_rasters_that_is_a_link_is_refused(tmp_path, cost_map, overwrite):
+def test_a_folder_of_rasters_that_is_a_link_is_refused(tmp_path, cost_map):
     out, mine = tmp_path / "out", tmp_path / "mine"
-    for folder in (out, mine):
-        folder.mkdir()
-    (mine / "class.tif").write_text("mine")
+    fill(tmp_path, {"mine/class.tif": "mine"})
+    out.mkdir()
     (out / "rasters").symlink_to(mine)
-    with pytest.raises(OutputError, match="rasters is a link or no folder, and was not touched"):
-        check_folder(out, overwrite=overwrite)
+    for overwrite in (False, True):
+        with pytest.raises(OutputError, match="rasters is a link or no folder, and was not touched"):
+            check_folder(out, overwrite=overwrite)
     with pytest.raises(OutputError, match="Nothing was replaced"):  # one that was put there later
         write(cost_map, out)
-    assert files_in(mine) == {"class.tif": b"mine"}
+    assert texts_in(mine) == {"class.tif": "mine"}
     assert [path.name for path in out.iterdir()] == ["rasters"]
 
 
@@ -185,11 +182,154 @@ def test_an_extent_is_limited_in_tiles_and_in_pixels():
         check_extent(Grid(3.0, 60), TileWindow(0, 0, side // 3, side // 3))
 
 
-def test_ending_while_writing_leaves_nothing(tmp_path, cost_map):
-    class Impatient(SilentProgress):
-        def advance(self, steps):
-            raise KeyboardInterrupt
+@contextmanager
+def largest_file(size):
+    """No file may grow beyond ``size`` bytes: what a full disk looks like to a program."""
+    old = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, old[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, old)
 
-    with pytest.raises(KeyboardInterrupt):
-        write(cost_map, tmp_path, progress=Impatient())
-    assert list(tmp_path.iterdir()) == []
+
+def test_failure_keeps_the_old_file_and_leaves_no_scratch(tmp_path):
+    target = tmp_path / "a.tif"
+    target.write_text("old")
+
+    def write_half():
+        with atomic(target) as temporary:
+            temporary.write_text("half")
+            temporary.with_name(f"{temporary.stem}.scratch.tif").write_text("scratch")
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        write_half()
+    assert texts_in(tmp_path) == {"a.tif": "old"}
+
+
+def test_side_file_moves_along_and_a_stale_one_goes(tmp_path):
+    fill(tmp_path, {"a.tif.aux.xml": "statistics of other pixels"})
+    for wanted in ({"a.tif": "1"}, {"a.tif": "2", "a.tif.aux.xml": "categories"}):
+        with atomic(tmp_path / "a.tif") as temporary:
+            fill(temporary.parent, {name.replace("a.tif", temporary.name): text for name, text in wanted.items()})
+        assert texts_in(tmp_path) == wanted
+
+
+ALONE = {
+    **{
+        Path(file).name: lambda cost_map, path, file=file: write_raster(file, CostTable.of(cost_map), path)
+        for file in (MapFile.ROUGHNESS, MapFile.CLASS, MapFile.HEIGHTMAP, MapFile.RELIEF)
+    },
+    "tiles.parquet": lambda cost_map, path: write_tiles(CostTable.of(cost_map), path),
+    "cost.geojson": lambda cost_map, path: write_geojson(regions_of(cost_map), path, local=False),
+    "cost.fgb": lambda cost_map, path: write_flatgeobuf(regions_of(cost_map), path),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="file size limits are a POSIX thing")
+@pytest.mark.parametrize("missing", ["half", "1 byte"])
+@pytest.mark.parametrize("small", [True, False])
+@pytest.mark.parametrize("product", ALONE)
+def test_full_disk_is_an_error_and_leaves_nothing(tmp_path, make_field, monkeypatch, product, missing, small):
+    if not small:  # what large layers do
+        monkeypatch.setattr("bumpymap.layers.vector.IN_MEMORY", 0)
+        monkeypatch.setattr("bumpymap.layers._cog.SMALL", 0)
+    cost_map, path = make_field(20, 15), tmp_path / product
+    ALONE[product](cost_map, path)
+    whole = path.stat().st_size
+    for file in tmp_path.iterdir():
+        file.unlink()
+    size = whole // 2 if missing == "half" else whole - 1
+    with pytest.raises(OutputError, match="cannot write"), largest_file(size):
+        ALONE[product](cost_map, path)
+    assert texts_in(tmp_path) == {}
+
+
+MINE = {"notes.txt": "mine", "in/notes.txt": "mine"}
+OLD = MINE | {"a.tif": "old a", "a.tif.aux.xml": "old side", "b.tif": "old b", "run.json": "old run"}
+OLD |= {"in/a.tif": "old a", "in/gone.tif": "old", "in/gone.tif.aux.xml": "old side"}
+NEW = {"a.tif": "new a", "b.tif": "new b", "b.tif.aux.xml": "new side", "c.tif": "new c", "run.json": "new run"}
+NEW |= {"in/a.tif": "new a", "in/c.tif": "new c"}
+EARLIER = ("a.tif", "in/a.tif", "in/c.tif", "in/gone.tif")
+
+
+@pytest.mark.parametrize("new", [NEW, {}])
+def test_a_link_in_place_of_a_folder_is_not_followed(tmp_path, new):
+    """Neither to write files there, nor to remove those of an earlier run."""
+    out, mine = tmp_path / "out", tmp_path / "mine"
+    fill(tmp_path, {"mine/a.tif": "mine", "out/run.json": "old run"})
+    (out / "in").symlink_to(mine)
+    with pytest.raises(OutputError, match="Nothing was replaced"), write_together(out, "run.json", EARLIER) as staged:
+        fill(staged, new)
+    assert texts_in(mine) == {"a.tif": "mine"}
+    assert (out / "run.json").read_text() == "old run"
+    assert (out / "in").readlink() == mine
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+def test_files_appear_together_or_the_old_ones_come_back(tmp_path, monkeypatch, error):
+    """Whichever move fails; run.json goes first and comes last."""
+    fill(tmp_path, OLD)
+    replace, moves = os.replace, len(OLD) - len(MINE) + len(NEW)
+    for number in range(moves + 1):
+        moved = []
+
+        def move(source, target, number=number, moved=moved, **folders):
+            moved.append((source, target))
+            if len(moved) == number + 1:
+                raise error
+            replace(source, target, **folders)
+
+        monkeypatch.setattr("os.replace", move)
+        caught = pytest.raises((OutputError, KeyboardInterrupt), match=r"^$|Nothing was replaced")
+        with caught if number < moves else nullcontext(), write_together(tmp_path, "run.json", EARLIER) as staged:
+            fill(staged, NEW)
+            assert {name: (tmp_path / name).read_text() for name in OLD} == OLD
+        assert texts_in(tmp_path) == (OLD if number < moves else MINE | NEW)
+    assert moved[0][0] == moved[-1][1] == "run.json"
+
+
+@dataclass(frozen=True)
+class Settings:
+    out: Path
+    tile_size: float
+    limit: float
+    crs: str | None
+
+
+def test_anything_becomes_plain_json(tmp_path):
+    write_manifest(
+        {
+            "settings": Settings(Path("a/b"), 3.0, float("nan"), None),
+            "numbers": (np.float32(0.5), np.int64(7), np.array([1.0, np.inf])),
+            3: {"é": True},
+        },
+        tmp_path / "run.json",
+    )
+    text = (tmp_path / "run.json").read_text(encoding="utf-8")
+    assert json.loads(text, parse_constant=pytest.fail) == {
+        "settings": {"out": str(Path("a/b")), "tile_size": 3.0, "limit": None, "crs": None},
+        "numbers": [0.5, 7, [1.0, None]],
+        "3": {"é": True},
+    }
+
+
+def test_inputs_get_a_checksum_if_they_are_unchanged(tmp_path, monkeypatch):
+    survey, made = tmp_path / "survey.laz", hashlib.file_digest
+    survey.write_bytes(b"points" * 1000)
+    digest = hashlib.sha256(b"points" * 1000).hexdigest()
+    record = {"path": survey, "points": 12, "bytes": 6000, "mtime_ns": str(survey.stat().st_mtime_ns)}
+    assert describe_input(record) == record | {"sha256": digest}
+    with pytest.raises(BadInputError, match="changed while"):
+        describe_input(record | {"mtime_ns": "1"})
+
+    def grow(file, method):
+        with survey.open("ab") as more:
+            more.write(b"more")
+        return made(file, method)
+
+    monkeypatch.setattr(hashlib, "file_digest", grow)
+    with pytest.raises(BadInputError, match="changed while"):
+        describe_file(survey)

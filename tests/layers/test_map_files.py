@@ -1,6 +1,5 @@
 """Folders of layers that somebody else made: nothing is fetched or read but their own files, each as it was written."""
 
-import hashlib
 import json
 import os
 import sqlite3
@@ -8,7 +7,6 @@ import threading
 from contextlib import closing, nullcontext
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from shutil import copytree
 
 import numpy as np
 import pytest
@@ -18,7 +16,7 @@ from cost_maps import make_field
 from made_drives import MadeDrive, log_of, write_table
 from pyogrio.raw import write
 from pyproj import CRS
-from route_maps import bare_map, write_folder
+from route_maps import bare_map, copy_folder, list_anew, write_folder
 
 from bumpymap.api import open_layers
 from bumpymap.change import diff_surveys
@@ -55,16 +53,9 @@ def serve():
 
 @pytest.fixture(scope="module")
 def one(tmp_path_factory):
-    return write_folder(tmp_path_factory.mktemp("one") / "map", make_field(12, 10, grid=SMALL, easy=True))
-
-
-def list_anew(folder):
-    """State the checksums of the files that are there now, as who planted them would."""
-    record = json.loads((folder / "run.json").read_text())
-    for entry in record["files"]:
-        data = (folder / entry["path"]).read_bytes()
-        entry |= {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
-    (folder / "run.json").write_text(json.dumps(record))
+    calibration = {"id": "c0ffee", "vehicle": "warthog", "class_limits": [0.05, 0.1, 0.2]}
+    made = make_field(12, 10, grid=SMALL, easy=True)
+    return write_folder(tmp_path_factory.mktemp("one") / "map", made, calibration=calibration)
 
 
 def report(folder, out):
@@ -73,6 +64,10 @@ def report(folder, out):
 
 def export(folder, out):
     export_map(open_map(folder), out / "grids", ExportSettings("nav2", resolution="pixel"))
+
+
+def bag(folder, out):
+    export_map(open_map(folder), out / "bag", ExportSettings("gridmap"))
 
 
 def diff(folder, out):
@@ -86,9 +81,6 @@ def relief(folder, _):
 
 
 def check(folder, out):
-    record = json.loads((folder / "run.json").read_text())
-    record["calibration"] |= {"class_limits": [0.05, 0.1, 0.2]}
-    (folder / "run.json").write_text(json.dumps(record))
     log = log_of(MadeDrive(seconds=60.0, noise=0.01))[0]
     check_drives(folder, write_table(out / "drive.csv", log, (330_005.0, 2_040_012.0)))
 
@@ -125,7 +117,7 @@ PLANTS = [
 @pytest.mark.parametrize(("plant", "read"), PLANTS)
 def test_a_folder_of_layers_leads_nowhere_else(one, server, tmp_path, plant, read):
     url, asked = server
-    folder = copytree(one, tmp_path / "map")
+    folder = copy_folder(one, tmp_path / "map")
     for name in ("rasters/heightmap.tif", "rasters/class.tif", "rasters/obstacle.tif"):
         plant(folder / name, f"/vsicurl/{url}/{tmp_path.name}/{name}")
     list_anew(folder)
@@ -147,12 +139,10 @@ def test_a_raster_is_written_without_the_files_of_the_current_folder(server, tmp
 
 @pytest.mark.parametrize("read", [relief, report, lambda folder, _: read_areas(folder / "a.json", bare_map())])
 def test_a_crs_that_leads_elsewhere_is_refused(one, tmp_path, read):
-    folder = copytree(one, tmp_path / "map")
     named = f"+proj=utm +zone=14 +ellps=clrk66 +nadgrids=@{tmp_path}/pipe +type=crs"
+    crs = json.loads((one / "run.json").read_text())["crs"] | {"wkt": CRS(named).to_wkt()}
+    folder = copy_folder(one, tmp_path / "map", crs=crs)
     os.mkfifo(tmp_path / "pipe")
-    record = json.loads((folder / "run.json").read_text())
-    record["crs"]["wkt"] = CRS(named).to_wkt()
-    (folder / "run.json").write_text(json.dumps(record))
     areas = {"type": "Feature", "geometry": shapely.geometry.mapping(shapely.box(0, 0, 9, 9)), "properties": {}}
     areas |= {"crs": {"type": "name", "properties": {"name": named}}}
     (folder / "a.json").write_text(json.dumps(areas))
@@ -163,7 +153,7 @@ def test_a_crs_that_leads_elsewhere_is_refused(one, tmp_path, read):
 @pytest.mark.parametrize(("name", "read"), [("rasters/class.tif", dataset), ("rasters/roughness.tif", export)])
 def test_a_layer_that_does_not_fit_is_refused(one, tmp_path, name, read):
     """It lies elsewhere than the others, or the names of its bands are no text."""
-    folder = copytree(one, tmp_path / "map")
+    folder = copy_folder(one, tmp_path / "map")
     if read is dataset:
         with rasterio.open(folder / name, "r+", IGNORE_COG_LAYOUT_BREAK="YES") as file:
             file.transform *= file.transform.translation(1, 0)
@@ -177,7 +167,7 @@ def test_a_layer_that_does_not_fit_is_refused(one, tmp_path, name, read):
 @pytest.mark.parametrize(("band", "value"), [("c_r", -1000.0), ("c_r_high", -1.0), ("p_fail", 1.5)])
 def test_values_that_cannot_be_are_refused(one, tmp_path, band, value):
     """A way would be led over them: they would make it cheaper."""
-    folder = copytree(one, tmp_path / "map")
+    folder = copy_folder(one, tmp_path / "map")
     with rasterio.open(folder / "rasters/roughness.tif", "r+", IGNORE_COG_LAYOUT_BREAK="YES") as file:
         number = file.descriptions.index(band) + 1
         file.write(np.full(file.shape, value, np.float32), number)
@@ -196,13 +186,13 @@ def damage(path):
 @pytest.mark.parametrize(
     ("name", "read"),
     [
-        *(("rasters/class.tif", read) for read in (report, dataset, diff)),
+        *(("rasters/class.tif", read) for read in (report, dataset, diff, bag)),
         *(("rasters/heightmap.tif", read) for read in (report, dataset, diff, check)),
         ("tiles.parquet", report),
     ],
 )
 def test_a_layer_that_is_not_the_one_of_the_manifest_is_refused(one, tmp_path, name, read):
-    folder = copytree(one, tmp_path / "map")
+    folder = copy_folder(one, tmp_path / "map")
     damage(folder / name)
     with pytest.raises(BadInputError, match="is damaged: its checksum"):
         read(folder, tmp_path)
@@ -210,7 +200,7 @@ def test_a_layer_that_is_not_the_one_of_the_manifest_is_refused(one, tmp_path, n
 
 def test_a_large_raster_is_held_against_its_checksum_when_it_is_read(one, tmp_path, monkeypatch):
     monkeypatch.setattr("bumpymap.layers.map_reader.CHECKED_BYTES", 100)
-    folder = copytree(one, tmp_path / "map")
+    folder = copy_folder(one, tmp_path / "map")
     damage(folder / "rasters/heightmap.tif")
     site = open_map(folder)
     assert site.read(site.window).window == site.window
@@ -242,7 +232,7 @@ def test_a_vector_file_leads_nowhere_else(server, tmp_path, suffix, read):
 @pytest.mark.parametrize("text", [OGR_VRT, "<OGRWFSDataSource><URL>http://{0}/wfs</URL></OGRWFSDataSource>"])
 def test_a_vector_file_that_is_another_format_too_is_read_as_its_own(one, server, tmp_path, start, text):
     """GDAL would take what follows the first bytes for instructions."""
-    folder = copytree(one, tmp_path / "map")
+    folder = copy_folder(one, tmp_path / "map")
     (folder / "cost.fgb").write_bytes(start + text.format(f"{server[0]}/{tmp_path.name}").encode())
     list_anew(folder)
     for read in (open_layers(folder).regions, lambda: read_areas(folder / "cost.fgb", bare_map())):

@@ -1,16 +1,33 @@
+"""Maps read window by window, folders that are refused; tiles.parquet by GeoPandas; the summary of a map."""
+
+import json
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import astuple
 from pathlib import Path
+from shutil import rmtree
 
+import geopandas
 import numpy as np
+import pyarrow as pa
+import pyarrow.dataset as pads
+import pyarrow.parquet as pq
 import pytest
+import shapely
+from geopandas.testing import assert_geodataframe_equal
+from hypothesis import given, settings, strategies as st
 from pyproj import CRS
-from route_maps import bare_map, write_folder
+from route_maps import copy_folder, list_anew, write_folder
 
-from bumpymap.core import NO_TILE, Georeference
-from bumpymap.layers import open_map
-from bumpytiles import Grid, TileWindow
+import bumpymap
+from bumpymap.core import CLASS_NAMES, NO_CLASS, NO_TILE, BadInputError, CostTable
+from bumpymap.core.types import BANDS, BARRED_TEXT, REASON_TEXT, SIDES, TEXTURES, Reason
+from bumpymap.layers import MapSummary, open_map, tile_table
+from bumpymap.layers.summary import summarise
+from bumpymap.layers.tile_table import write_tiles
+from bumpymap.views import write_report
+from bumpytiles import Column, Grid, Pack, TileTable, TileWindow, write_pack
 
-BANDS = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle")
+READ = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle")
 SMALL = Grid(3.0, 4)
 
 
@@ -25,7 +42,7 @@ def folder(made, tmp_path_factory):
 
 
 def same(first, second):
-    return all(np.array_equal(getattr(first, name), getattr(second, name), equal_nan=True) for name in BANDS) and (
+    return all(np.array_equal(getattr(first, name), getattr(second, name), equal_nan=True) for name in READ) and (
         np.array_equal(first.barred, second.barred)
     )
 
@@ -40,7 +57,7 @@ def test_every_tile_lies_where_it_was_measured(folder, made):
     assert np.array_equal(field.barred == NO_TILE, ~held)
     columns = made.lone_columns()
     assert np.array_equal(field.barred[row, col], columns["barred"])
-    for name in BANDS:
+    for name in READ:
         assert np.array_equal(getattr(field, name)[row, col], columns[name], equal_nan=True), name
         assert np.isnan(getattr(field, name)[~held]).all()
 
@@ -58,33 +75,12 @@ def test_a_window_is_a_piece_of_the_whole_also_beyond_the_map(folder, monkeypatc
         rows, cols = int(rng.integers(1, around.rows - top + 1)), int(rng.integers(1, around.cols - left + 1))
         window = TileWindow(around.col + left, around.row + around.rows - top - rows, cols, rows)
         part = found.read(window)
-        for name in ("barred", *BANDS):
+        for name in ("barred", *READ):
             expected = getattr(field, name)[top : top + rows, left : left + cols]
             assert np.array_equal(getattr(part, name), expected, equal_nan=True)
         pixels = np.s_[4 * top : 4 * (top + rows), 4 * left : 4 * (left + cols)]
         assert np.array_equal(found.heights(window), heights[pixels], equal_nan=True)
         assert np.array_equal(found.objects(window), objects[pixels])
-
-
-def test_a_map_in_feet_lies_on_the_grid_in_metres(tmp_path, make_field):
-    unit = 1200 / 3937
-    feet = Georeference(CRS.from_epsg(2229), unit, unit)
-    made = make_field(6, 5, grid=SMALL, west=655_000, south=187_000, georeference=feet)
-    found = open_map(write_folder(tmp_path / "feet", made))
-    assert found.window == TileWindow(655_000, 187_000, 6, 5)
-    assert found.to_grid(1000.0, 3937.0) == pytest.approx((304.8006096, 1200.0))
-    assert found.to_crs(*found.to_grid(12.5, -7.0)) == pytest.approx((12.5, -7.0))
-
-
-def test_longitude_and_latitude_of_the_central_meridian():
-    """On the central meridian of a UTM zone the scale is 0.9996 and longitude does not depend on northing."""
-    place = bare_map()
-    longitude, latitude = place.to_lonlat(np.array([500_000.0, 500_000.0]), np.array([0.0, 2_000_000.0]))
-    assert longitude == pytest.approx([-99.0, -99.0], abs=1e-12)
-    assert latitude[0] == pytest.approx(0.0, abs=1e-12)
-    assert 18.0 < latitude[1] < 18.2
-    back = place.from_lonlat(longitude, latitude)
-    assert np.allclose(back, [[500_000.0, 500_000.0], [0.0, 2_000_000.0]], atol=1e-6)
 
 
 def test_passage_in_fewer_pixels(folder):
@@ -114,21 +110,11 @@ def test_coarse_relief_holds_means(folder):
 
 def open_below(folder):
     """Names of the files below a folder that this process has open."""
-    opened = []
-    for entry in Path("/proc/self/fd").iterdir():
-        try:
-            target = entry.readlink()
-        except OSError:  # closed meanwhile, such as the listing itself
-            continue
-        if target.is_relative_to(folder):
-            opened.append(target.name)
-    return sorted(opened)
+    targets = (entry.resolve() for entry in Path("/proc/self/fd").iterdir())
+    return sorted(target.name for target in targets if target.is_relative_to(folder.resolve()))
 
 
-has_descriptors = pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="open files are not listed here")
-
-
-@has_descriptors
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="open files are not listed here")
 def test_files_stay_open_for_as_long_as_wanted(folder):
     found = open_map(folder)
     alone = found.read(found.window)
@@ -146,9 +132,8 @@ def test_files_stay_open_for_as_long_as_wanted(folder):
 def test_threads_read_a_map_that_is_kept_open(folder):
     found = open_map(folder)
     whole = found.window
-    rng = np.random.default_rng(3)
-    corners = rng.integers(0, (whole.cols - 5, whole.rows - 5), (60, 2))
-    windows = [TileWindow(whole.col + int(col), whole.row + int(row), 5, 5) for col, row in corners]
+    corners = np.random.default_rng(3).integers(0, (whole.cols - 5, whole.rows - 5), (60, 2)).tolist()
+    windows = [TileWindow(whole.col + col, whole.row + row, 5, 5) for col, row in corners]
     wanted = [(found.read(window), found.passage(window)) for window in windows]
 
     def read(window):
@@ -156,7 +141,279 @@ def test_threads_read_a_map_that_is_kept_open(folder):
             return found.read(window), found.passage(window)
 
     with ThreadPoolExecutor(4) as pool:
-        read_by_threads = list(pool.map(read, windows))
-    for (field, passage), (own, open_pixels) in zip(wanted, read_by_threads, strict=True):
-        assert same(field, own)
-        assert np.array_equal(passage, open_pixels)
+        for (field, passage), (own, open_pixels) in zip(wanted, pool.map(read, windows), strict=True):
+            assert same(field, own)
+            assert np.array_equal(passage, open_pixels)
+
+
+@pytest.fixture(scope="module")
+def small(make_field, tmp_path_factory):
+    return write_folder(tmp_path_factory.mktemp("route") / "small", make_field(20, 16, grid=SMALL))
+
+
+def first_version(folder):
+    """It had all files at the top."""
+    for path in (folder / "rasters").iterdir():
+        path.rename(folder / path.name)
+
+
+def in_sheets(folder):
+    (folder / "run.json").write_text(json.dumps({"format": "bumpymap-sheets", "sheets": []}))
+
+
+@pytest.mark.parametrize(
+    ("change", "entries", "words"),
+    [
+        (lambda folder: (folder / "run.json").unlink(), {}, "no complete run"),
+        (rmtree, {}, "there is no folder"),
+        *((lambda _: None, {key: {"a": 1}}, r"run\.json is damaged") for key in ("grid", "files", "crs")),
+        (in_sheets, {}, r"layers holds a map of another version.*Map the survey again"),
+        (first_version, {"version": 1}, r"layers holds a map of another version.*other places.*again"),
+    ],
+)
+def test_what_is_no_complete_run_of_this_version_is_refused(small, tmp_path, change, entries, words):
+    folder = copy_folder(small, tmp_path / "layers", **entries)
+    change(folder)
+    with pytest.raises(BadInputError, match=words):
+        open_map(folder)
+
+
+@pytest.mark.parametrize("name", ["cost.tif", "rasters/heightmap.tif"])
+def test_missing_cut_off_and_damaged_files_are_refused(small, tmp_path, name):
+    folder = copy_folder(small, tmp_path / "layers")
+    path = folder / name
+    content = path.read_bytes()
+    damages = {"cut off": content[: len(content) * 2 // 3], "damaged": content[:-400] + bytes(400)}
+    if name == "rasters/heightmap.tif":  # compared by size only
+        del damages["damaged"]
+    for words, damaged in damages.items():
+        path.write_bytes(damaged)
+        with pytest.raises(BadInputError, match=f"{name} is {words}"):
+            open_map(folder)
+    path.unlink()
+    with pytest.raises(BadInputError, match=f"{name} is missing"):
+        open_map(folder)
+
+
+def test_rasters_of_another_place_are_refused(small, tmp_path, make_field):
+    """A raster that was copied from another run; its size and checksum are entered, so only its place is wrong."""
+    folder = copy_folder(small, tmp_path / "layers")
+    other = write_folder(tmp_path / "other", make_field(20, 17, grid=SMALL))
+    (folder / "cost.tif").write_bytes((other / "cost.tif").read_bytes())
+    list_anew(folder)
+    with pytest.raises(BadInputError, match=r"cost\.tif spans other tiles"):
+        open_map(folder)
+    list_anew(folder, grid=json.loads((folder / "run.json").read_text())["grid"] | {"tile_size_m": 2.5})
+    with pytest.raises(BadInputError, match="does not lie on the grid"):
+        open_map(folder)
+
+
+@pytest.fixture(name="written", scope="module")
+def written_fixture(tmp_path_factory, cost_map):
+    path = tmp_path_factory.mktemp("table") / "tiles.parquet"
+    write_tiles(CostTable.of(cost_map), path)
+    return path
+
+
+def test_columns_types_and_compression(written):
+    schema = pq.read_schema(written)
+    assert schema.names == [
+        *("col", "row", "geometry", "bbox", *(band.name for band in BANDS), *(f"step_{side}" for side in SIDES)),
+        *("barred", "count", "z_min", "z_max", "relief", "texture", *(f"p_{texture}" for texture in TEXTURES)),
+        *("class", "reason", "reason_text", "heights"),
+    ]
+    assert schema.field("class").type == schema.field("reason").type == pa.int8()
+    assert schema.field("heights").type == pa.list_(pa.float32(), 225)
+    assert schema.field("c_r").metadata[b"unit"] == b"rad/m"
+    group = pq.ParquetFile(written).metadata.row_group(0)
+    assert {group.column(i).compression for i in range(group.num_columns)} == {"ZSTD"}
+
+
+def test_geopandas_reads_every_value_back(written, cost_map):
+    frame = geopandas.read_parquet(written)
+    assert frame.crs.equals(CRS.from_epsg(32614))
+    patches = cost_map.patches
+    order = np.lexsort([patches.col, -patches.row])  # north first, then west
+    for band in BANDS:
+        np.testing.assert_array_equal(frame[band.name].to_numpy(float), cost_map.lone_columns()[band.name][order])
+    for name in ("col", "row", "count", "z_min", "z_max", "relief", "reason"):
+        np.testing.assert_array_equal(frame[name], getattr(patches, name)[order])
+    class_id = np.where(cost_map.class_id == NO_CLASS, np.nan, cost_map.class_id)
+    np.testing.assert_array_equal(frame["class"], class_id[order])
+    for number, texture in enumerate(TEXTURES):
+        np.testing.assert_array_equal(frame[f"p_{texture}"], cost_map.textures.probability[order, number])
+    np.testing.assert_array_equal(np.stack(frame["heights"]).reshape(-1, 15, 15), patches.heights[order])
+    barred = [BARRED_TEXT[code] if code else None for code in cost_map.lone_columns()["barred"][order]]
+    assert frame["barred"].astype(object).where(frame["barred"].notna(), None).tolist() == barred
+    assert frame["passable"].tolist() == [text is None for text in barred]
+    assert frame["reason_text"].tolist() == [REASON_TEXT[Reason(code)] for code in patches.reason[order]]
+
+
+def test_geometry_is_that_of_geoparquet_with_boxes_that_are_the_bounds_of_the_tiles(written):
+    table = pq.read_table(written)
+    geo = json.loads(table.schema.metadata[b"geo"])
+    assert (geo["version"], geo["primary_column"]) == ("1.1.0", "geometry")
+    column, sides = geo["columns"]["geometry"], ("xmin", "ymin", "xmax", "ymax")
+    bounds = shapely.bounds(shapely.from_wkb(table["geometry"].to_numpy()))
+    assert {name: column[name] for name in ("encoding", "geometry_types", "orientation", "bbox", "covering")} == {
+        "encoding": "WKB",
+        "geometry_types": ["Polygon"],
+        "orientation": "counterclockwise",
+        "bbox": [*bounds[:, :2].min(axis=0), *bounds[:, 2:].max(axis=0)],
+        "covering": {"bbox": {side: ["bbox", side] for side in sides}},
+    }
+    assert CRS.from_json_dict(column["crs"]) == CRS.from_epsg(32614)
+    boxes = table["bbox"].combine_chunks()
+    assert boxes.type == pa.struct([pa.field(side, pa.float64(), nullable=False) for side in sides])
+    np.testing.assert_array_equal(np.stack(boxes.flatten()), bounds.T)
+
+
+def test_a_reader_with_a_box_skips_row_groups(tmp_path, make_field):
+    path = tmp_path / "t.parquet"
+    write_tiles(CostTable.of(make_field(400, 200, grid=Grid(3.0, 1))), path)
+    whole = geopandas.read_parquet(path)
+    west, south, _, _ = whole.total_bounds
+    box = (west + 100.5, south + 50.5, west + 130.5, south + 80.5)
+    found = geopandas.read_parquet(path, bbox=box)
+    inside = whole[whole.intersects(shapely.box(*box))]
+    assert len(inside) > 50
+    assert_geodataframe_equal(found.reset_index(drop=True), inside.reset_index(drop=True))
+    low, high = (pads.field("bbox", "xmin") <= box[2]), (pads.field("bbox", "xmax") >= box[0])
+    meets = low & high & (pads.field("bbox", "ymin") <= box[3]) & (pads.field("bbox", "ymax") >= box[1])
+    (fragment,) = pads.dataset(path).get_fragments()
+    groups = [group.id for part in fragment.split_by_row_group(meets) for group in part.row_groups]
+    assert 0 < len(groups) < pq.ParquetFile(path).metadata.num_row_groups == 5
+
+
+@pytest.mark.slow
+def test_wide_maps_come_strip_by_strip_whatever_the_packs(tmp_path, make_field):
+    cost_map = make_field(1500, 40, west=-7, south=5, grid=Grid(3.0, 1))
+    table = CostTable.of(cost_map)
+    write_tiles(table, tmp_path / "one.parquet")
+    found = pq.read_table(tmp_path / "one.parquet", columns=["col", "row"]).to_pandas()
+    places = np.column_stack([cost_map.patches.col, cost_map.patches.row]).tolist()
+    assert sorted(found.to_numpy().tolist()) == sorted(places)
+    block = -(found["row"] // 16)
+    assert block.is_monotonic_increasing
+    for _, strip in found.groupby(block):  # each in two pieces: the western one first, both north first
+        piece = (strip["row"].diff() > 0).cumsum()
+        assert piece.max() <= 1
+        assert strip[piece == 0]["col"].max() < strip[piece == 1]["col"].min() or piece.max() == 0
+        for _, part in strip.groupby(piece):
+            assert part.sort_values(["row", "col"], ascending=[False, True]).index.equals(part.index)
+    columns = cost_map.lone_columns()
+    east = columns["col"] // 16 > 40
+    packs = []
+    for number, chosen in enumerate((east, ~east)):
+        keys = np.stack([columns["row"], columns["col"]], axis=1)[chosen] // 16
+        blocks, place, counts = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
+        order = np.flatnonzero(chosen)[np.argsort(place, kind="stable")]
+        described = [Column(name, array.dtype.str, array.shape[1:]) for name, array in columns.items()]
+        rows = dict(zip(map(tuple, blocks.tolist()), counts.tolist(), strict=True))
+        write_pack(tmp_path / str(number), described, rows, lambda c, order=order: [columns[c.name][order]], {})
+        packs.append(Pack(tmp_path / str(number)))
+    twin = CostTable(table.georeference, table.rule, TileTable(table.tiles.grid, packs))
+    write_tiles(twin, tmp_path / "two.parquet")
+    assert (tmp_path / "one.parquet").read_bytes() == (tmp_path / "two.parquet").read_bytes()
+
+
+@pytest.fixture
+def site(make_field, tmp_path):
+    return write_folder(tmp_path / "site", make_field(12, 9))
+
+
+def repeated(site, times):
+    """Return the tiles many times over: a small file, since equal rows take next to nothing."""
+    table = pq.read_table(site / "tiles.parquet").drop_columns(["heights", "geometry", "bbox"])
+    return table.take(pa.array(np.repeat(np.arange(len(table)), times)))
+
+
+def test_more_rows_than_the_run_counts_are_refused_before_they_are_read(site):
+    pq.write_table(repeated(site, 10_000), site / "tiles.parquet")
+    list_anew(site)
+    before = pa.default_memory_pool()
+    pool = pa.proxy_memory_pool(before)
+    pa.set_memory_pool(pool)
+    try:
+        for read in (lambda: write_report(site), bumpymap.open(site).tiles):
+            with pytest.raises(
+                BadInputError, match=r"tiles\.parquet holds [\d,]+ rows, and run\.json counts \d+ tiles"
+            ):
+                read()
+    finally:
+        pa.set_memory_pool(before)
+    assert pool.max_memory() < 1 << 20
+
+
+def test_a_row_group_larger_than_a_run_writes_is_refused(site):
+    table = repeated(site, 1000)
+    pq.write_table(table, site / "tiles.parquet", row_group_size=len(table))
+    counts = json.loads((site / "run.json").read_text(encoding="utf-8"))["counts"]
+    list_anew(site, counts=counts | {"tiles": len(table)})
+    with pytest.raises(BadInputError, match=r"a group of [\d,]+ rows; at most 65,536 are read at once"):
+        write_report(site)
+
+
+def test_rows_that_do_not_fit_into_memory_are_refused(site, monkeypatch):
+    monkeypatch.setattr(tile_table, "free_memory", lambda: 1000)
+    with pytest.raises(BadInputError, match=r"tiles\.parquet takes .* of memory, and .* are free"):
+        write_report(site)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(st.sampled_from([0, 1, 2, 3, NO_CLASS]), min_size=1, max_size=30), st.integers(0, 9), st.integers(1, 40)
+)
+def test_counts_and_medians_are_those_of_all_tiles(make_map, class_id, seed, cols):
+    tiles = np.arange(len(class_id))
+    cost_map = make_map(tiles % cols, tiles // cols, class_id, [3 if k == NO_CLASS else 0 for k in class_id], seed=seed)
+    summary = summarise(CostTable.of(cost_map))
+    assert summary.tiles == len(class_id)
+    assert summary.points == cost_map.patches.count.sum()
+    assert summary.median_count == np.median(cost_map.patches.count)
+    assert summary.by_class == tuple(class_id.count(k) for k in range(4))
+    free = (cost_map.class_id != NO_CLASS) & (cost_map.p_fail < 0.5)
+    assert summary.passable == (free & (cost_map.patches.slope <= cost_map.rule.slope_limit_deg)).sum()
+    assert summary.by_reason == (0, 0, 0, class_id.count(NO_CLASS), 0, 0)
+    for number, group in enumerate([0, 1, 2, 3, NO_CLASS]):
+        chosen = cost_map.class_id == group
+        for found, values, near in (
+            (summary.median_c_r, cost_map.c_r, 1e-4),
+            (summary.median_slope, cost_map.patches.slope, 1e-3),
+        ):
+            known = values[chosen][np.isfinite(values[chosen])].astype(float)
+            expected = np.median(known) if len(known) else np.nan
+            assert found[number] == pytest.approx(expected, abs=near, nan_ok=True)
+
+
+def test_the_median_of_the_last_class_is_of_the_tiles_that_their_c_r_puts_there(make_map):
+    cost_map = make_map(np.arange(5), np.zeros(5, int), [3, 3, 3, 3, 0], [0] * 5)
+    cost_map.c_r[:] = [0.1, 0.2, 0.5, 0.7, 0.05]
+    cost_map.p_fail[:] = [0.9, 0.02, 0.9, 0.0, 0.0]  # the second is too steep
+    summary = summarise(CostTable.of(cost_map), (0.1, 0.2, 0.4))
+    assert summary.failing == 2
+    assert summary.median_c_r[3] == pytest.approx(0.6, abs=1e-4)
+    assert summary.by_class == (1, 0, 0, 4)
+
+
+def test_unknown_are_the_tiles_without_a_class():
+    """Those with one of which too little was seen are not passable, but not unknown."""
+    counts = {
+        "tiles": 10,
+        "points": 99,
+        "passable": 5,
+        "by_class": dict(zip(CLASS_NAMES, (5, 1, 1, 1), strict=True)),
+        "by_reason": {"too few points": 2},
+        "barred": {"unknown ground": 3, "step": 2},
+    }
+    summary = MapSummary.of(counts)
+    assert summary.unknown == 2
+    assert summary.crossing == {"passable": 5, "unknown ground": 2, "too little seen": 1, "step": 2}
+
+
+def test_strips_do_not_change_the_summary(make_field, monkeypatch):
+    table = CostTable.of(make_field(50, 40))
+    whole = summarise(table)
+    monkeypatch.setattr("bumpymap.layers.summary._STRIP", 1)
+    for found, expected in zip(astuple(summarise(table)), astuple(whole), strict=True):
+        np.testing.assert_array_equal(found, expected)

@@ -1,48 +1,56 @@
-"""Ways over maps in memory: weights of risk, closed tiles, areas, stops."""
+"""Ways over maps in memory and what can be reached: costs, risk, closed tiles, areas, stones, windows that grow."""
 
 import math
+import tracemalloc
+from itertools import pairwise
 
 import numpy as np
 import pytest
 import shapely
-from tile_maps import TileMap
+from route_oracles import cheapest_on_pixels, smooth_field
+from scipy.ndimage import gaussian_filter
+from tile_maps import WARTHOG, TileMap
 
-from bumpymap.core import Barred
+from bumpymap.core import NO_TILE, Barred, RouteVehicle, UsageError
+from bumpymap.route import CostSettings
 from bumpymap.route.ground import CostGround
-from bumpymap.route.no_way import widest_opening
-from bumpymap.route.planner import Planner
-from bumpymap.route.settings import CostSettings
+from bumpymap.route.measure import way_cost
+from bumpymap.route.places import in_window
+from bumpymap.route.planner import Planner, tile_line
+from bumpymap.route.reach import find_reach
+from bumpymap.route.search import BYTES_PER_TILE, NOT_REACHED, find_way, follow_back, spread
+from bumpymap.route.straighten import line_cost
+
+
+def ground_of(site, **settings):
+    return CostGround(site, CostSettings(**settings), 10**7)
 
 
 def planner(site, **settings):
-    return Planner(CostGround(site, CostSettings(**settings), 10**7))
+    return Planner(ground_of(site, **settings))
 
 
-def rough_map(seed, rows=60, cols=70, barred_share=0.15):
-    """Smooth hills of ride cost, and risk where the ride is smooth, so that both pull apart."""
-    rng = np.random.default_rng(seed)
-    relief = rng.normal(size=(rows, cols))
-    for _ in range(4):
-        relief += np.roll(relief, 1, 0) + np.roll(relief, 1, 1) + np.roll(relief, -1, 0) + np.roll(relief, -1, 1)
-    rank = relief.argsort(axis=None).argsort().reshape(relief.shape) / relief.size
-    barred = np.where(rng.random(relief.shape) < barred_share, Barred.SLOPE, Barred.NO)
-    barred[:3], barred[-3:] = Barred.NO, Barred.NO
-    return TileMap(0.02 + 0.5 * rank, barred, p_fail=0.3 * (1 - rank) ** 2)
+def of_field(field, **settings):
+    return ground_of(None, **settings).of_field(field, through=False)
 
 
 def test_a_heavier_risk_costs_more_and_arrives_more_surely():
-    site = rough_map(0)
-    stops = np.array([site.at(1.5, 1.5), site.at(58.5, 68.5)])
-    ways = [planner(site).way(stops, risk) for risk in (0.0, 30.0, 300.0, 3000.0, 30000.0)]
-    hazard = [way.figures.hazard for way in ways]
-    ride = [way.figures.cost_m - 300.0 * way.figures.hazard for way in ways]
-    for first, second in zip(range(4), range(1, 5), strict=True):
-        assert hazard[second] <= hazard[first] * (1 + 1e-3)
-        assert ride[second] >= ride[first] * (1 - 1e-3)
-    assert hazard[-1] < 0.9 * hazard[0]
+    """Smooth hills of ride cost, and risk where the ride is smooth, so that both pull apart."""
+    rng = np.random.default_rng(0)
+    relief = gaussian_filter(rng.normal(size=(40, 50)), 2.0, mode="wrap")
+    rank = relief.argsort(axis=None).argsort().reshape(relief.shape) / relief.size
+    barred = np.where(rng.random(relief.shape) < 0.15, Barred.SLOPE, Barred.NO)
+    barred[:3], barred[-3:] = Barred.NO, Barred.NO
+    site = TileMap(0.02 + 0.5 * rank, barred, p_fail=0.3 * (1 - rank) ** 2)
+    stops = np.array([site.at(1.5, 1.5), site.at(38.5, 48.5)])
+    ways = [planner(site).way(stops, risk).figures for risk in (0.0, 30.0, 300.0, 3000.0, 30000.0)]
+    for lighter, heavier in pairwise(ways):
+        assert heavier.hazard <= lighter.hazard * (1 + 1e-3)
+        assert heavier.cost_m - 300.0 * heavier.hazard >= (lighter.cost_m - 300.0 * lighter.hazard) * (1 - 1e-3)
+    assert ways[-1].hazard < 0.9 * ways[0].hazard
 
 
-def test_unknown_ground_is_crossed_only_at_a_price():
+def test_unknown_ground_is_crossed_only_at_a_price_and_has_a_length_and_no_ride():
     barred = np.zeros((9, 30), np.uint8)
     barred[:, 14:17] = Barred.UNKNOWN
     site = TileMap(np.full((9, 30), 0.1), barred)
@@ -51,6 +59,10 @@ def test_unknown_ground_is_crossed_only_at_a_price():
     way = planner(site, unknown=4.0).way(stops)
     assert way.figures.unknown_m == pytest.approx(9.0, rel=1e-6)
     assert way.figures.cost_m == pytest.approx(24 * 3 * 1.5 + 9 * 4.0, rel=1e-6)
+    assert way.figures.c_r_mean == pytest.approx(0.1, rel=1e-6)
+    unknown = np.isnan(way.profile.c_r)
+    assert way.profile.distance[unknown].min() == pytest.approx(12.5 * 3.0, abs=1.0)
+    assert unknown.sum() == pytest.approx(9, abs=1)
 
 
 def test_areas_close_tiles():
@@ -76,25 +88,26 @@ def test_a_way_keeps_room_beside_obstacles_where_there_is_room():
     assert way.figures.tight_turns_deg == 0.0
 
 
-def test_turns_between_obstacles_count_against_arriving():
+def lane(*stones):
+    """A lane one tile wide with stones in it, and its ends."""
     barred = np.full((9, 20), Barred.SLOPE)
     barred[4] = Barred.NO
     site = TileMap(np.full((9, 20), 0.1), barred)
-    site.stones = [tuple(site.at(4.37, 10.5)), tuple(site.at(4.63, 12.5))]
-    figures = planner(site).way(np.array([site.at(4.5, 1.5), site.at(4.5, 18.5)])).figures
+    site.stones = [tuple(site.at(*stone)) for stone in stones]
+    return site, np.array([site.at(4.5, 1.5), site.at(4.5, 18.5)])
+
+
+def test_turns_between_obstacles_count_against_arriving():
+    site, stops = lane((4.37, 10.5), (4.63, 12.5))
+    figures = planner(site).way(stops).figures
     assert 10.0 < figures.tight_turns_deg < 180.0
     assert figures.p_arrives == pytest.approx(np.exp(-figures.hazard - figures.tight_turns_deg / 100))
 
 
 def test_where_every_way_touches_an_obstacle_there_is_none_unless_it_is_asked_for():
-    barred = np.full((9, 20), Barred.SLOPE)
-    barred[4] = Barred.NO
-    site = TileMap(np.full((9, 20), 0.1), barred)
-    site.stones = [tuple(site.at(4.5, 10.5))]
-    stops = np.array([site.at(4.5, 1.5), site.at(4.5, 18.5)])
+    site, stops = lane((4.5, 10.5))
     assert planner(site).way(stops) is None
-    plan = planner(site, through_obstacles=True)
-    measured = plan.way(stops)
+    measured = planner(site, through_obstacles=True).way(stops)
     figures, profile = measured.figures, measured.profile
     assert figures.obstacle_m == pytest.approx(2 * site.vehicle.reach_m, abs=0.3)
     assert profile.obstacle.mean() * figures.length_m == pytest.approx(figures.obstacle_m, abs=1.1)
@@ -109,29 +122,256 @@ def test_a_way_of_no_length_stays_there():
     assert str(figures.descent_m) == "0.0"
 
 
-def test_a_corridor_that_an_obstacle_fills_is_left_for_another_far_away():
-    barred = np.full((24, 20), Barred.SLOPE)
-    barred[2], barred[20] = Barred.NO, Barred.NO
-    barred[:21, 1], barred[:21, 18] = Barred.NO, Barred.NO
-    site = TileMap(np.full((24, 20), 0.1), barred)
-    stops = np.array([site.at(2.5, 1.5), site.at(2.5, 18.5)])
-    assert planner(site).way(stops).figures.detour == pytest.approx(1.0, abs=1e-6)
-    site.stones = [tuple(site.at(2.5, 10.5))]
-    figures = planner(site).way(stops).figures
-    assert figures.obstacle_m == 0.0
-    assert figures.length_m > 2 * 17 * 3.0
+def made_field(rows=600, cols=40, seed=1):
+    """Random tiles of every kind; more rows than are computed at once."""
+    rng = np.random.default_rng(seed)
+    barred = rng.choice([*Barred, NO_TILE], (rows, cols), p=[0.5, 0.2, 0.05, 0.05, 0.05, 0.05, 0.05, 0.05])
+    unknown = (barred == Barred.UNKNOWN) | (barred == NO_TILE)
+    p_fail = rng.random(barred.shape) * 0.5
+    p_fail[unknown | (rng.random(barred.shape) < 0.1)] = np.nan  # a rating without p_fail
+    c_r = np.where(unknown, np.nan, rng.gamma(2.0, 0.1, barred.shape))
+    obstacle = np.where(rng.random(barred.shape) < 0.3, rng.random(barred.shape), 0.0)
+    site = TileMap(c_r, barred, p_fail, obstacle)
+    return site.read(site.window)
 
 
-@pytest.mark.parametrize(("half", "width"), [(0.65, 1.4), (0.45, 1.0)])
-def test_the_widest_opening_in_a_wall_is_found_and_measured(half, width):
-    site = TileMap(np.full((20, 20), 0.1))
-    south, north = site.at(20, 10)[1], site.at(0, 10)[1]
-    line, wall = np.arange(south + 0.1, north, 0.2), site.at(0, 10)[0] + 0.1
-    stops = np.array([site.at(15.5, 3.5), site.at(15.5, 16.5)])
-    gap, narrower = site.at(2.2, 10)[1] + 0.1, site.at(15.5, 10)[1]
-    site.stones = [(wall, y) for y in line if abs(y - gap) > half and abs(y - narrower) > 0.25]
-    place, found = widest_opening(planner(site).ground, *stops)
-    assert math.dist(place, (wall, gap)) < 0.5
-    assert found == pytest.approx(width, abs=0.21)
-    site.stones = [(wall, y) for y in line]
-    assert widest_opening(planner(site).ground, *stops) is None
+@pytest.mark.parametrize("robust", [False, True])
+@pytest.mark.parametrize("unknown", [None, 12.5])
+@pytest.mark.parametrize("risk", [0.0, 80.0, 4000.0])
+def test_cost_of_every_tile(robust, unknown, risk):
+    field = made_field(300, 7)
+    cost = of_field(field, risk=risk, robust=robust, unknown=unknown)
+    hazard = -np.log1p(-np.nan_to_num(field.p_fail.astype(float))) / field.rule.drive_m
+    ride = (field.c_r_high if robust else field.c_r).astype(float)
+    expected = np.where(field.barred == Barred.NO, 1.0 + field.rule.ride_weight * ride + risk * hazard, np.inf)
+    if unknown is not None:
+        expected[(field.barred == Barred.UNKNOWN) & ~(field.obstacle > 0)] = unknown
+    assert cost.dtype == np.float32
+    assert np.array_equal(cost, np.float32(expected))
+
+
+def test_default_risk_is_that_of_the_layers():
+    """The values of cost.tif, as the writer makes them, to the last bit."""
+    field = made_field()
+    factor = field.rule.cost(field.c_r.astype(np.float64), field.rule.hazard(field.p_fail))
+    written = np.where(field.barred == Barred.NO, factor, np.nan).astype(np.float32)
+    assert np.array_equal(of_field(field), np.where(np.isnan(written), np.inf, written))
+    assert np.array_equal(of_field(field), of_field(field, risk=field.rule.fail_weight))
+
+
+ROWS, COLS = 120, 140
+
+
+def map_with_walls(seed):
+    """Walls through most of the map, in a random direction: ways must go far around."""
+    rng = np.random.default_rng(seed)
+    cost = smooth_field(rng, (ROWS, COLS), most=3, width=2)
+    for _ in range(4):
+        row, col, half = rng.integers(5, 115), rng.integers(5, 135), rng.integers(20, 70)
+        if rng.random() < 0.5:
+            cost[row, max(0, col - half) : col + half] = np.inf
+        else:
+            cost[max(0, row - half) : row + half, col] = np.inf
+    start, goal = rng.permutation(np.argwhere(np.isfinite(cost)))[:2] + rng.random((2, 2))
+    return cost, tuple(start), tuple(goal)
+
+
+def plan(cost, start, goal, memory_tiles=10**6):
+    """Plan over tiles of such costs; return the line in field coordinates, and the windows that were read."""
+    site = TileMap((np.where(np.isfinite(cost), cost, 1.0) - 1.0) / 5.0, np.where(np.isfinite(cost), 0, Barred.SLOPE))
+    ground = CostGround(site, CostSettings(), memory_tiles)
+    line = tile_line(ground, site.at(*start), site.at(*goal))
+    return None if line is None else in_window(line, site.grid, site.window), site.windows
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_grown_window_gives_the_way_of_the_whole_map(seed):
+    cost, start, goal = map_with_walls(seed)
+    line, windows = plan(cost, start, goal)
+    whole = find_way(cost, start, goal, margin=WARTHOG.reach_m / 3.0)
+    assert windows
+    if whole is None:
+        assert line is None
+        return
+    assert line_cost(cost, line) == pytest.approx(whole.cost, rel=1e-6)
+    np.testing.assert_allclose(line[[0, -1]], [start, goal], rtol=0, atol=1e-6)
+
+
+def test_a_start_that_is_walled_in_is_found_without_reading_the_whole_map():
+    cost = np.ones((ROWS, COLS), np.float32)
+    cost[50:61, 50:61] = np.inf
+    cost[51:60, 51:60] = 1.0
+    line, windows = plan(cost, (55.0, 55.0), (80.0, 90.0))
+    assert line is None
+    assert all(each.rows < ROWS for each in windows)
+
+
+def test_a_window_that_memory_does_not_hold_is_refused():
+    cost = np.ones((ROWS, COLS), np.float32)
+    cost[60, :-1] = np.inf  # a way around it leads along the whole map
+    with pytest.raises(UsageError, match=r"tiles or more, .* GB of memory; allowed are 5000 tiles.*via points"):
+        plan(cost, (50.0, 20.0), (70.0, 20.0), memory_tiles=5000)
+    line, windows = plan(cost, (50.0, 20.0), (70.0, 20.0))
+    assert line_cost(cost, line) > 200
+    assert len(windows) > 1
+
+
+CODES = (Barred.SLOPE, Barred.OBSTACLE, Barred.UNKNOWN, Barred.STEP, Barred.SPLIT)
+
+
+def stone_centres(site):
+    """Middles of the pixels that hold stones, m."""
+    return (np.floor(np.array(site.stones) / site.grid.pixel_size) + 0.5) * site.grid.pixel_size
+
+
+def stony_map(seed, size=(26, 34)):
+    """A map with closed tiles and stones, some of them beside the ends; and the ends."""
+    rng = np.random.default_rng(seed)
+    barred = np.where(rng.random(size) < 0.18, rng.choice(CODES, size=size), Barred.NO)
+    vehicle = RouteVehicle("cart", float(rng.choice([1.0, 1.18, 1.38, 2.2])), 1.0)
+    site = TileMap(rng.uniform(0.05, 0.5, size), barred, vehicle=vehicle)
+    site.stones = [tuple(site.at(*place)) for place in rng.uniform(0, size, (140, 2))]
+    free = np.argwhere(site.passage(site.window))
+    ends = [site.at(*(place + 0.5) / site.grid.pixels) for place in free[rng.integers(len(free), size=2)]]
+    return site, np.array(ends)
+
+
+@pytest.mark.parametrize("seed", [3, 5, 6, 13, 14, 28, 34, 50])
+def test_a_way_touches_nothing_and_is_there_wherever_a_search_over_pixels_finds_one(seed):
+    site, ends = stony_map(seed)
+    ground = ground_of(site)
+    line, back = Planner(ground).line(*ends), Planner(ground).line(*ends[::-1])
+    start, goal = np.floor(ground.in_window(ends, site.window)).astype(int)
+    best = cheapest_on_pixels(ground.on_pixels(site.window), start, goal, site.grid.pixel_size)
+    if line is None:
+        assert not np.isfinite(best)
+        assert back is None
+        return
+    np.testing.assert_array_equal(line, back[::-1])
+    assert way_cost(ground, line) <= 1.03 * best
+    way = shapely.LineString(line)
+    along = shapely.get_coordinates(shapely.line_interpolate_point(way, np.arange(0.0, way.length, 0.01)))
+    apart = np.hypot(*(along[:, None] - stone_centres(site)).T).min(axis=0)
+    assert apart.min() > 0.5 * site.vehicle.width_m - 0.01
+    assert ground.is_clear(line)
+
+
+def test_on_even_ground_cost_and_minutes_follow_the_distance():
+    site = TileMap(np.full((41, 41), 0.2))
+    reach = find_reach(ground_of(site), site.at(20.5, 20.5))
+    row, col = np.mgrid[0:41, 0:41]
+    distance = np.hypot(row - 20, col - 20) * 3.0
+    away = distance > 0
+    assert (reach.cost[away] / (2.0 * distance[away])).max() < 1.0076
+    assert (reach.cost[away] / (2.0 * distance[away])).min() > 1.0 - 1e-6
+    np.testing.assert_allclose(reach.minutes, reach.cost / 2.0 / 2.0 / 60.0, rtol=1e-5, atol=1e-6)
+    assert reach.share == 1.0
+    assert reach.area_ha == pytest.approx(41 * 41 * 9 / 1e4)
+
+
+def test_minutes_are_those_of_the_way_by_moves():
+    rng = np.random.default_rng(3)
+    barred = np.where(rng.random((40, 50)) < 0.3, Barred.STEP, Barred.NO)
+    barred[20, 25] = Barred.NO
+    site = TileMap(rng.gamma(2.0, 0.2, (40, 50)), barred)
+    start = site.at(20.3, 25.8)
+    ground = ground_of(site)
+    reach = find_reach(ground, start)
+    _, back = spread(ground.on_tiles(reach.window, through=False), (20.3, 25.8), margin=ground.margin)
+    assert (back == NOT_REACHED).sum() > 100
+    assert np.isnan(reach.cost[back == NOT_REACHED]).all()
+    assert np.isnan(reach.minutes[back == NOT_REACHED]).all()
+    for row, col in rng.permutation(np.argwhere(back != NOT_REACHED))[:40]:
+        line = np.concatenate([follow_back(back, int(row), int(col)), [[20.3, 25.8]]])
+        length = np.hypot(*np.diff(line, axis=0).T).sum() * 3.0
+        assert reach.minutes[row, col] == pytest.approx(length / 2.0 / 60.0, rel=1e-5)
+
+
+def test_a_limit_reads_a_window_and_keeps_what_lies_within():
+    rng = np.random.default_rng(5)
+    site = TileMap(rng.gamma(2.0, 0.1, (120, 150)))
+    start = site.at(60.5, 70.5)
+    whole = find_reach(ground_of(site), start)
+    part = find_reach(ground_of(site), start, most_m=60.0)
+    assert part.cost.size < whole.cost.size / 4
+    top = site.south + 120 - part.window.row - part.window.rows
+    left = part.window.col - site.west
+    same = whole.cost[top : top + part.window.rows, left : left + part.window.cols]
+    near = same <= 60.0
+    assert near.sum() > 100
+    np.testing.assert_array_equal(part.cost[near], same[near])
+
+
+def test_what_does_not_fit_in_memory_is_refused():
+    site = TileMap(np.full((30, 30), 0.1))
+    with pytest.raises(UsageError, match="900 tiles; 500 fit"):
+        find_reach(CostGround(site, CostSettings(), 500), site.at(3.5, 3.5), math.inf)
+
+
+def test_the_field_takes_no_more_memory_than_the_search():
+    """A map may fill the limit."""
+    rng = np.random.default_rng(6)
+    site = TileMap(rng.uniform(0.05, 0.5, (300, 300)), np.where(rng.random((300, 300)) < 0.1, Barred.SLOPE, Barred.NO))
+    ground = ground_of(site)
+    cost = ground.on_tiles(site.window, through=False)
+    start = site.at(*(np.argwhere(site.barred == Barred.NO)[0] + 0.5))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(CostGround, "on_tiles", lambda *_, **__: cost.copy())
+        find_reach(ground, start)  # compiles
+        tracemalloc.start()
+        find_reach(ground, start)
+        most = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    assert most < 1.3 * BYTES_PER_TILE * cost.size
+
+
+def walled():
+    """30 x 40 tiles with a wall from north to south; a gap of 2.6 m in it, in the middle of a tile; and a start."""
+    barred = np.zeros((30, 40), np.uint8)
+    barred[:, 20] = Barred.SPLIT
+    site = TileMap(np.full((30, 40), 0.2), barred)
+    (east, south), (_, middle), (_, north) = (site.at(row, 20.5) for row in (30, 10.5, 0))
+    wall = np.arange(south + 0.1, north, 0.2)
+    site.stones = [(east + 0.1, float(y)) for y in wall if abs(y - middle) >= 1.3]
+    return site, site.at(15.5, 8.5)
+
+
+def test_what_lies_behind_a_gap_is_reached_at_the_cost_of_a_way_there():
+    site, start = walled()
+    ground = ground_of(site)
+    planner, reach = Planner(ground), find_reach(ground, start)
+    assert np.isfinite(reach.cost).all()
+    assert reach.share == 1.0
+    for row, col in ((10, 21), (2, 30), (28, 39), (15, 24)):
+        cost = planner.leg_cost(start, site.at(row + 0.5, col + 0.5))
+        # A way keeps room at the corners of the gap, for which it is up to a few percent longer.
+        assert reach.cost[row, col] == pytest.approx(cost, rel=0.06), (row, col)
+        assert reach.minutes[row, col] == pytest.approx(reach.cost[row, col] / 2.0 / 2.0 / 60.0, rel=1e-4)
+
+
+def test_a_way_leads_over_corners_of_pixels_where_half_the_width_is_free():
+    """Of the pixels of a diagonal corridor in which the middle fits, each touches the next at a corner alone."""
+    barred = np.zeros((10, 10), np.uint8)
+    barred[:, 4:7] = Barred.SPLIT
+    site, along = TileMap(np.full((10, 10), 0.2), barred), np.arange(13)
+    north, south = np.stack([60 + along, 81 + along], 1), np.stack([66 + along, 75 + along], 1)
+    to_north = np.stack(np.broadcast_arrays(np.arange(60), north[0, 1]), 1)
+    to_south = np.stack(np.broadcast_arrays(np.arange(south[-1, 0], 150), south[-1, 1]), 1)
+    pixels = np.concatenate([north, to_north, south, to_south])
+    site.stones = [tuple(map(float, site.at(*((pixel + 0.5) / 15)))) for pixel in pixels]
+    start, goal = site.at(5.5, 1.5), site.at(5.5, 8.5)
+    ground = ground_of(site)
+    way = shapely.LineString(Planner(ground).line(start, goal))
+    gap = shapely.distance(way, shapely.points(np.array(site.stones))).min()
+    assert 0.5 * site.vehicle.width_m < gap < 0.5 * site.vehicle.width_m + 0.2
+    reach = find_reach(ground, start)
+    assert np.isfinite(reach.cost).all()
+    assert reach.cost[5, 8] == pytest.approx(Planner(ground).leg_cost(start, goal), rel=0.15)  # by areas, straight
+
+
+def test_without_the_memory_for_it_only_whole_tiles_are_searched_and_that_is_said():
+    site, start = walled()
+    reach = find_reach(CostGround(site, CostSettings(), 2000), start)
+    assert np.isnan(reach.cost[:, 21:]).all()
+    (note,) = reach.notes
+    assert "between obstacles were not looked for" in note

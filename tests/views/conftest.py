@@ -1,3 +1,136 @@
-"""A made-up scan and its classes as fixtures."""
+"""Made-up maps with pages and exports, a comparison, and a made-up scan with its classes."""
 
+import json
+import re
+import zlib
+from base64 import b64decode
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from check_records import made_up_check
 from classed_site import classed_fixture, nothing_fixture, scan_fixture  # noqa: F401 (found by pytest)
+from cost_maps import with_objects
+from route_maps import write_folder
+from survey_pairs import COLS, ROWS, survey
+
+import bumpymap
+from bumpymap.check.pipeline import write_check
+from bumpymap.layers import open_map
+
+
+class ReadPage:
+    """What a page holds, read as a browser would."""
+
+    def __init__(self, path):
+        self.text = path.read_text(encoding="utf-8")
+        self.data = json.loads(
+            re.search(r'<script type="application/json" id="report-data">(.*?)</script>', self.text)[1]
+        )
+
+    def codes(self, name, at=0):
+        about = self.data["maps"][at]
+        return self.bytes_of(about[name], about)
+
+    def objects(self):
+        about = self.data["maps"][0]["objects"]
+        return self.bytes_of(about["codes"], about)
+
+    @staticmethod
+    def bytes_of(text, about):
+        return np.frombuffer(zlib.decompress(b64decode(text)), np.uint8).reshape(about["rows"], about["cols"])
+
+    def values(self, key, at=0):
+        about = self.data["maps"][at]
+        (grid,) = [grid for grid in about["grids"] if grid["key"] == key]
+        codes = self.bytes_of(grid["codes"], about).astype(float)
+        plain = grid["low"] + grid["step"] * codes
+        values = {"log": np.exp, "root": lambda root: root * np.abs(root)}.get(grid["scale"], np.array)(plain)
+        return np.where(codes == 255, np.nan, values), grid
+
+
+@pytest.fixture(name="read_page", scope="session")
+def read_page_fixture():
+    return ReadPage
+
+
+@pytest.fixture(scope="session")
+def site(tmp_path_factory, make_field):
+    """Layers of 40 x 30 tiles with every class and reason, and objects."""
+    return write_folder(tmp_path_factory.mktemp("report") / "site", with_objects(make_field(40, 30)))
+
+
+@pytest.fixture(scope="session")
+def may(tmp_path_factory):
+    """A survey whose name is markup, with ground that the next one has not."""
+    about = {"name": "pit <b>", "dates": ["2024-05-01", "2024-05-01"]}
+    return write_folder(tmp_path_factory.mktemp("change") / "may", survey(1), survey=about)
+
+
+@pytest.fixture(scope="session")
+def comparison(may):
+    """What has changed a year later: a rut, and a corner that was not flown, ground whose ride is unknown."""
+    row, col = np.mgrid[0:ROWS, 0:COLS]
+    made = survey(3, rut=0.1, c_r=3.0, tiles=(row > 4) | (col > 8))
+    for ride in (made.c_r, made.c_r_low, made.c_r_high):
+        ride[40:60] = np.nan
+    later = {"name": "pit <b>", "dates": ["2025-05-02", "2025-05-03"]}
+    june = write_folder(may.parent / "june", made, survey=later)
+    return bumpymap.diff_surveys(may, june, may.parent / "out").folder
+
+
+@pytest.fixture(scope="session")
+def on_site():
+    """Return a function that lays the stretches of a check over a map."""
+
+    def lay(result, site):
+        ground, n = open_map(site), len(result.stretches.drive)
+        bounds, part = ground.grid.window_bounds(ground.window), np.linspace(0.1, 0.9, n)
+        easting = bounds.west + part * (bounds.east - bounds.west)
+        northing = bounds.south + part * (bounds.north - bounds.south)
+        return replace(result, stretches=replace(result.stretches, easting=easting, northing=northing)), ground
+
+    return lay
+
+
+@pytest.fixture(scope="session")
+def checked(site, on_site, tmp_path_factory):
+    """A check of the map ``site``: its folder and its findings; names are markup."""
+    bad = "<img src=x onerror=alert(1)>\"'</script><script>alert(2)</script>"
+    result, ground = on_site(made_up_check(50, noise=0.35, unknown=[4], drives=2, warnings=[bad]), site)
+    result = replace(result, drives=(replace(result.drives[0], name=bad), result.drives[1]))
+    out = tmp_path_factory.mktemp("checked") / "out"
+    write_check(result, out, ground=ground)
+    return out, result
+
+
+RUN = {
+    "calibration": {"id": "c0ffee", "vehicle": "warthog", "class_limits": [0.1, 0.2, 0.4]},
+    "vehicle": {"name": "warthog", "width_m": 1.4, "height_m": 1.0, "clearance_m": 0.25, "speed_mps": 2.0},
+}
+
+
+@pytest.fixture(scope="session")
+def write_map():
+    return lambda cost_map, folder: write_folder(folder, cost_map, **RUN)
+
+
+@pytest.fixture(scope="session")
+def folder(make_field, write_map, tmp_path_factory):
+    return write_map(with_objects(make_field(21, 16)), tmp_path_factory.mktemp("export") / "site")
+
+
+@pytest.fixture(scope="session")
+def route_map(folder):
+    return open_map(folder)
+
+
+@pytest.fixture(scope="session")
+def easy_folder(make_field, write_map, tmp_path_factory):
+    """Most of it is passable."""
+    return write_map(make_field(24, 20, easy=True, holes=0.05), tmp_path_factory.mktemp("export") / "easy")
+
+
+@pytest.fixture(scope="session")
+def easy_map(easy_folder):
+    return open_map(easy_folder)

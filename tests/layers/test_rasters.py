@@ -1,0 +1,482 @@
+"""Rasters of a map: values by rasterio, tables as GDAL reads them, overviews, and the same bytes for any cut."""
+
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+import rasterio
+from cost_maps import make_field, part_of
+from pyproj import CRS
+from rasterio.env import get_gdal_config
+from rio_cogeo import cog_validate
+from scipy.ndimage import uniform_filter
+
+from bumpymap.core import CANOPY, CLASS_NAMES, FREE, NO_CLASS, OBJECT_NAMES, OBSTACLE, UNSEEN, CostTable, ObjectStack
+from bumpymap.core.types import BANDS, BARRED_TEXT, REASON_TEXT, Georeference, Reason
+from bumpymap.layers import _cog, geotiff
+from bumpymap.layers._cog import checksum, require_intact
+from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS
+from bumpymap.layers.geotiff import write_raster
+from bumpymap.layers.products import MapFile
+from bumpytiles import Grid
+
+WRITERS = {
+    Path(file).stem: lambda cost_map, *rest, file=file: write_raster(file, CostTable.of(cost_map), *rest)
+    for file in MapFile
+    if file.endswith(".tif") and file not in {MapFile.PASSAGE, MapFile.SPEEDS}
+}
+
+
+@pytest.fixture(scope="module")
+def rasters(tmp_path_factory, cost_map):
+    folder = tmp_path_factory.mktemp("rasters")
+    for name, write in WRITERS.items():
+        write(cost_map, folder / f"{name}.tif", {"vehicle": "warthog"})
+    return {name: folder / f"{name}.tif" for name in WRITERS}
+
+
+def of_tiles(path, cost_map):
+    """Pixels of the tiles, (bands, tiles, pixels, pixels), and of what holds none; placed apart from the package."""
+    size = cost_map.patches.grid.tile_size / cost_map.georeference.metres_per_unit
+    with rasterio.open(path) as file:
+        pixels, place, side = file.read(), file.transform, round(size / file.res[0])
+    left = np.rint((cost_map.patches.col * size - place.c) / place.a).astype(int)
+    top = np.rint(((cost_map.patches.row + 1) * size - place.f) / place.e).astype(int)
+    index = top[:, None, None] + np.arange(side)[:, None], left[:, None, None] + np.arange(side)
+    rest = np.ones(pixels.shape[1:], bool)
+    rest[index] = False
+    assert rest.any()
+    return pixels[:, *index], pixels[:, rest]
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_is_a_strictly_valid_cog_in_the_right_place(rasters, cost_map, name):
+    assert cog_validate(rasters[name], strict=True) == (True, [], [])
+    col, row = cost_map.patches.col, cost_map.patches.row
+    with rasterio.open(rasters[name]) as file:
+        assert file.crs.to_epsg() == 32614
+        assert file.bounds == (3.0 * col.min(), 3.0 * row.min(), 3.0 * col.max() + 3.0, 3.0 * row.max() + 3.0)
+        side = {"heightmap": 0.2, "obstacle": 0.2, "relief": 1.0}.get(name, 3.0)
+        assert file.transform == rasterio.Affine(side, 0.0, file.bounds.left, 0.0, -side, file.bounds.top)
+        assert (file.tags()["vehicle"], file.tags()["AREA_OR_POINT"]) == ("warthog", "Area")
+
+
+def test_roughness_of_a_tile_is_its_value(rasters, cost_map):
+    with rasterio.open(rasters["roughness"]) as file:
+        assert file.descriptions == tuple(band.name for band in BANDS)
+        assert file.units == tuple(band.unit or None for band in BANDS)
+        assert set(file.dtypes) == {"float32"}
+        assert np.isnan(file.nodatavals).all()
+    found, rest = of_tiles(rasters["roughness"], cost_map)
+    for band, values in zip(BANDS, found, strict=True):
+        np.testing.assert_array_equal(values.ravel(), cost_map.lone_columns()[band.name].astype(np.float32))
+    assert np.isnan(rest).all()
+
+
+@pytest.mark.parametrize("name", ["class", "reason"])
+def test_classes_and_reasons(rasters, cost_map, name):
+    with rasterio.open(rasters[name]) as file:
+        assert (file.descriptions, file.dtypes, file.nodata) == ((name,), ("uint8",), NO_CLASS)
+        assert [kind.name for kind in file.colorinterp] == ["palette"]
+        assert file.colormap(1)[NO_CLASS][3] == 0
+    found, rest = of_tiles(rasters[name], cost_map)
+    np.testing.assert_array_equal(found.ravel(), cost_map.class_id if name == "class" else cost_map.patches.reason)
+    assert (rest == NO_CLASS).all()  # what holds no points has no reason: nodata, not "ok"
+
+
+def test_cost_is_there_where_a_tile_is_passable_and_nowhere_else(rasters, cost_map):
+    with rasterio.open(rasters["cost"]) as file:
+        assert (file.descriptions, file.dtypes) == (("cost",), ("float32",))
+        assert np.isnan(file.nodata)
+        names = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
+        ride, fail, drive, steep = (float(file.tags()[name]) for name in names)
+    p_fail = cost_map.p_fail.astype(float)
+    with np.errstate(divide="ignore"):
+        expected = 1 + ride * cost_map.c_r.astype(float) - fail * np.log(1 - p_fail) / drive
+    passable = (cost_map.class_id != NO_CLASS) & (p_fail < 0.5) & (cost_map.patches.slope <= steep)
+    assert 0 < passable.sum() < (cost_map.class_id != NO_CLASS).sum()
+    found, rest = of_tiles(rasters["cost"], cost_map)
+    np.testing.assert_allclose(found.ravel(), np.where(passable, expected, np.nan), rtol=1e-6)
+    assert np.isnan(rest).all()
+
+
+def test_obstacles_are_pixels_of_the_tiles(cost_map, tmp_path):
+    rng = np.random.default_rng(3)
+    objects = rng.choice(np.array([FREE, OBSTACLE, CANOPY, UNSEEN], np.uint8), cost_map.patches.heights.shape)
+    share = np.mean(objects == OBSTACLE, axis=(1, 2)).astype(np.float32)
+    share[5] = np.nan  # its free pixels are not known to be free
+    stack = ObjectStack(objects, share, share, share, share)
+    write_raster(MapFile.OBSTACLE, CostTable.of(replace(cost_map, objects=stack)), tmp_path / "obstacle.tif")
+    expected = np.where(objects == UNSEEN, 3, objects)
+    expected[5] = np.where(objects[5] == FREE, 3, expected[5])
+    found, rest = of_tiles(tmp_path / "obstacle.tif", cost_map)
+    np.testing.assert_array_equal(found[0], expected)
+    assert (rest == NO_CLASS).all()
+
+
+VALUES = {
+    "class": (CLASS_NAMES, CLASS_COLOURS),
+    "reason": (tuple(REASON_TEXT.values()), REASON_COLOURS),
+    "barred": (tuple(BARRED_TEXT.values()), BARRED_COLOURS),
+    "obstacle": (OBJECT_NAMES, OBJECT_COLOURS),
+}
+RAT_COLUMNS = {"Value": "5", "Count": "1", "Class": "2", "Red": "6", "Green": "7", "Blue": "8", "Alpha": "9"}
+"""The usages are those of GDAL's GDALRATFieldUsage."""
+
+
+def check_value_table(raster, name, scratch):
+    """Hold names and attribute table of band 1, as GDAL itself reads them, against its pixels and its palette."""
+    rasterio.shutil.copy(raster, scratch, driver="VRT")
+    band = ET.parse(scratch).getroot().find("VRTRasterBand")  # noqa: S314 (GDAL has just written it)
+    wanted, colours = VALUES[name]
+    assert tuple(element.text for element in band.findall("CategoryNames/Category")) == wanted
+    table = band.find("GDALRasterAttributeTable")
+    assert table.get("tableType") == "thematic"
+    columns = {field.findtext("Name"): field.findtext("Usage") for field in table.findall("FieldDefn")}
+    assert columns == RAT_COLUMNS
+    with rasterio.open(raster) as file:
+        counts, palette = np.bincount(file.read(1).ravel(), minlength=256), file.colormap(1)
+    codes = [code for code in range(len(wanted)) if (name, code) != ("reason", Reason.NO_POINTS)]
+    rows = [[cell.text for cell in row.findall("F")] for row in table.findall("Row")]
+    assert rows == [[str(cell) for cell in (code, counts[code], wanted[code], *colours[code])] for code in codes]
+    assert [palette[code][:3] for code in codes] == [colours[code][:3] for code in codes]
+    assert counts[codes].sum() + counts[NO_CLASS] == counts.sum() > counts[NO_CLASS]
+
+
+@pytest.mark.parametrize("name", VALUES)
+def test_gdal_finds_names_colours_and_true_counts_beside_a_raster_of_codes(rasters, tmp_path, name):
+    with rasterio.open(rasters[name]) as file:
+        assert sorted(path.rsplit("/", 1)[-1] for path in file.files) == [f"{name}.tif", f"{name}.tif.aux.xml"]
+    check_value_table(rasters[name], name, tmp_path / "seen.vrt")
+
+
+def levels_of(path):
+    """Band 1, and each of its overviews."""
+    with rasterio.open(path) as file:
+        found, levels = [file.read(1)], len(file.overviews(1))
+    for level in range(levels):
+        with rasterio.open(path, overview_level=level) as file:
+            found.append(file.read(1))
+    return found
+
+
+def each_four(pixels, nodata):
+    """The pixels below each pixel of the next overview, (lines, columns, 4)."""
+    lines, columns = (-(-side // 2) for side in pixels.shape)
+    even = np.full((2 * lines, 2 * columns), nodata, pixels.dtype)
+    even[: pixels.shape[0], : pixels.shape[1]] = pixels
+    return even.reshape(lines, 2, columns, 2).swapaxes(1, 2).reshape(lines, columns, 4)
+
+
+def mean_of_known(four):
+    with np.errstate(invalid="ignore"):
+        return np.nansum(four, axis=2) / np.isfinite(four).sum(axis=2)
+
+
+def test_overviews_average_and_most_frequent(tmp_path, make_field):
+    cost_map = make_field(300, 200, grid=Grid(3.0, 2), holes=0.0)
+    for name in ("roughness", "class"):
+        WRITERS[name](cost_map, tmp_path / f"{name}.tif")
+        assert cog_validate(tmp_path / f"{name}.tif", strict=True)[:2] == (True, [])
+    full, small, _ = levels_of(tmp_path / "roughness.tif")
+    np.testing.assert_allclose(small, mean_of_known(each_four(full, np.nan)), rtol=1e-5)
+    full, small, _ = levels_of(tmp_path / "class.tif")
+    codes = np.array([*range(4), NO_CLASS])
+    counts = (each_four(full, NO_CLASS)[..., None] == codes).sum(axis=2)
+    decided = (counts == counts.max(axis=2, keepdims=True)).sum(axis=2) == 1
+    assert decided.mean() > 0.5
+    np.testing.assert_array_equal(small[decided], codes[counts.argmax(axis=2)[decided]])
+
+
+@pytest.mark.parametrize("small", [0, 1 << 30], ids=["on disk", "in memory"])
+def test_a_large_raster_of_several_bands_has_the_same_overviews(tmp_path, make_field, monkeypatch, small):
+    """They are made before it is converted; blocks without values take no room."""
+    monkeypatch.setattr(_cog, "SMALL", small)
+    cost_map = make_field(520, 260, grid=Grid(3.0, 1))
+    inside = (cost_map.patches.col - cost_map.patches.col.min()) < 64
+    cost_map = part_of(cost_map, inside | (cost_map.patches.col == cost_map.patches.col.max()))
+    one, two = tmp_path / "one.tif", tmp_path / "two.tif"
+    WRITERS["roughness"](cost_map, one)
+    monkeypatch.setattr(_cog, "OVERVIEWS_FIRST_FROM", 0)
+    WRITERS["roughness"](cost_map, two)
+    assert cog_validate(two, strict=True)[:2] == (True, [])
+    assert two.stat().st_size < one.stat().st_size + 1000
+    for options in ({}, {"overview_level": 0}, {"overview_level": 1}):
+        with rasterio.open(one, **options) as first, rasterio.open(two, **options) as second:
+            np.testing.assert_array_equal(first.read(), second.read())
+            assert [first.tags(band) for band in first.indexes] == [second.tags(band) for band in second.indexes]
+            assert first.overviews(1) == second.overviews(1)
+
+
+def test_unknown_ground_is_unknown_in_overviews_too(tmp_path, make_field):
+    # One tile in four has a class. GDAL's own overviews leave nodata out of the count: all of them would have one.
+    cost_map = make_field(700, 60, grid=Grid(3.0, 1), holes=0.0)
+    known = (cost_map.patches.col % 2 == 0) & (cost_map.patches.row % 2 == 0)
+    class_id = np.where(known, 0, NO_CLASS).astype(np.uint8)
+    reason = np.where(known, Reason.OK, Reason.TOO_FEW_POINTS).astype(np.uint8)
+    cost_map = replace(cost_map, class_id=class_id, patches=replace(cost_map.patches, reason=reason))
+    WRITERS["class"](cost_map, tmp_path / "class.tif")
+    full, *smaller = levels_of(tmp_path / "class.tif")
+    assert (full == 0).sum() == known.sum()
+    assert len(smaller) == 3
+    assert all((level == NO_CLASS).all() for level in smaller)
+
+
+@pytest.mark.parametrize(
+    "georeference", [None, Georeference(CRS.from_epsg(2271), 1200 / 3937, 1200 / 3937)], ids=["metres", "feet"]
+)
+def test_heightmap_is_the_heights_side_by_side(tmp_path, make_field, georeference):
+    cost_map = make_field(20, 10, west=130_000, south=60_000, georeference=georeference)
+    path, unit = tmp_path / "heightmap.tif", cost_map.georeference.metres_per_unit
+    WRITERS["heightmap"](cost_map, path)
+    found, rest = of_tiles(path, cost_map)
+    np.testing.assert_array_equal(found[0], cost_map.patches.heights)
+    assert np.isnan(rest).all()
+    with rasterio.open(path) as file:
+        assert (file.descriptions, file.units) == (("height",), ("m",))
+        assert file.crs.to_epsg() == (2271 if georeference else 32614)
+        assert file.res == pytest.approx((0.2 / unit, 0.2 / unit), rel=1e-12)
+        assert file.bounds.left == pytest.approx(cost_map.patches.col.min() * 3.0 / unit, rel=1e-12)
+
+
+@pytest.mark.parametrize(("code", "unit_z", "heights", "others"), [
+    ("EPSG:32614+5773", 1.0, True, False),
+    ("EPSG:2271+6360", 1200 / 3937, False, False),
+])  # fmt: skip
+def test_vertical_crs_stays_where_it_is_true(tmp_path, make_field, code, unit_z, heights, others):
+    crs = CRS.from_user_input(code)
+    unit = crs.axis_info[0].unit_conversion_factor
+    cost_map = make_field(4, 4, georeference=Georeference(crs, unit, unit_z))
+    WRITERS["heightmap"](cost_map, tmp_path / "h.tif")
+    WRITERS["roughness"](cost_map, tmp_path / "r.tif")
+    for name, compound in (("h.tif", heights), ("r.tif", others)):
+        with rasterio.open(tmp_path / name) as file:
+            assert CRS.from_wkt(file.crs.to_wkt()).is_compound is compound
+            assert CRS.from_wkt(file.crs.to_wkt()).to_2d().equals(crs.to_2d(), ignore_axis_order=True)
+
+
+ODD = CRS("+proj=ob_tran +o_proj=tmerc +o_lat_p=30 +o_lon_p=0 +lon_0=5 +type=crs")
+
+
+@pytest.mark.parametrize("name", ["class", "heightmap"])
+def test_a_crs_without_geotiff_keys_is_in_the_side_file_beside_names_and_counts(tmp_path, make_field, name):
+    path = tmp_path / f"{name}.tif"
+    WRITERS[name](make_field(8, 6, georeference=Georeference(ODD)), path)
+    with rasterio.open(path) as file:
+        assert "+proj=ob_tran" in file.crs.to_wkt()
+    if name in VALUES:
+        check_value_table(path, name, tmp_path / "seen.vrt")
+
+
+@pytest.mark.slow
+def test_threads_do_not_change_the_bytes(tmp_path, make_field, monkeypatch):
+    cost_map = make_field(200, 150, grid=Grid(3.0, 5))
+    for name in ("roughness", "class", "heightmap", "relief"):
+        seen = set()
+        for threads in ("1", "5"):
+            monkeypatch.setattr("bumpymap.layers._cog.gdal_threads", lambda threads=threads: threads)
+            WRITERS[name](cost_map, tmp_path / f"{name}.tif")
+            seen.add((tmp_path / f"{name}.tif").read_bytes())
+        assert len(seen) == 1
+
+
+def test_the_cache_of_the_process_changes_only_for_the_thread_that_may_write(tmp_path, make_field):
+    """A smaller limit makes GDAL flush blocks at once, also those that another thread has not finished."""
+    write, path = partial(write_raster, MapFile.CLASS, CostTable.of(make_field(9, 9))), tmp_path / "class.tif"
+    write(path)
+    path.unlink()
+    before = get_gdal_config("GDAL_CACHEMAX")
+    with ThreadPoolExecutor(1) as other:
+        with _cog.raster_lock():
+            written = other.submit(write, path)
+            assert not wait([written], 0.3).done
+            assert get_gdal_config("GDAL_CACHEMAX") == before
+        written.result()
+    assert path.exists()
+    assert get_gdal_config("GDAL_CACHEMAX") == before
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_small_rasters_are_made_in_memory_with_the_same_bytes(rasters, cost_map, tmp_path, monkeypatch, name):
+    monkeypatch.setattr("bumpymap.layers._cog.SMALL", 0)
+    WRITERS[name](cost_map, tmp_path / f"{name}.tif", {"vehicle": "warthog"})
+    made_in_memory = {path.name: path.read_bytes() for path in rasters[name].parent.glob(f"{name}.*")}
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == made_in_memory
+
+
+def test_a_raster_that_lost_pixels_is_noticed(rasters, tmp_path):
+    with rasterio.open(rasters["heightmap"]) as file:
+        windows = [window for _, window in file.block_windows(1)]
+        painted = [(window, checksum(file.read(window=window))) for window in windows]
+        blank = rasterio.open(tmp_path / "blank.tif", "w", **file.profile)
+    require_intact(rasters["heightmap"], painted)
+    blank.close()
+    with pytest.raises(OSError, match="disk may be full"):
+        require_intact(tmp_path / "blank.tif", painted)
+
+
+@pytest.fixture(scope="module")
+def files(make_map, tmp_path_factory):
+    """heightmap.tif and obstacle.tif with all states, each by the sparse writer and by GDAL's driver.
+
+    40 tiles, one of them in each corner of the extent, three beside each other.
+    """
+    folder, rng = tmp_path_factory.mktemp("sparse"), np.random.default_rng(2)
+    col = [0, 0, 302, 302, 100, 101, 102, *rng.integers(3, 99, 33)]
+    row = [0, 252, 0, 252, 7, 7, 7, *range(20, 53)]
+    made = make_map(col, row, rng.integers(0, 4, 40), np.zeros(40))
+    states = rng.choice([FREE, FREE, FREE, OBSTACLE, CANOPY], made.patches.heights.shape).astype(np.uint8)
+    share = np.where(np.arange(40) % 2, 0.1, np.nan).astype(np.float32)  # NaN: what is free is not known to be
+    table = CostTable.of(replace(made, objects=ObjectStack(states, share, share, share, share)))
+    with pytest.MonkeyPatch.context() as patch:
+        for writer in ("sparse", "gdal"):
+            (folder / writer).mkdir()
+            for name in ("heightmap.tif", "obstacle.tif"):
+                write_raster(f"rasters/{name}", table, folder / writer / name, {"vehicle": "warthog"})
+            patch.setattr("bumpymap.layers.geotiff._SPARSE", 0.0)
+    return {name: (folder / "sparse" / name, folder / "gdal" / name) for name in ("heightmap.tif", "obstacle.tif")}
+
+
+@pytest.mark.parametrize("name", ["heightmap.tif", "obstacle.tif"])
+def test_values_and_tags_are_those_of_gdals_driver_in_a_valid_cog(files, name):
+    assert cog_validate(files[name][0], strict=True)[:3] == (True, [], [])
+    with rasterio.open(files[name][0]) as sparse, rasterio.open(files[name][1]) as gdal:
+        assert sparse.profile["blockxsize"] != gdal.profile["blockxsize"]  # two writers
+        np.testing.assert_array_equal(sparse.read(1), gdal.read(1))
+        for what in ("crs", "transform", "units", "descriptions", "colorinterp"):
+            assert getattr(sparse, what) == getattr(gdal, what)
+        assert (sparse.tags(), sparse.tags(ns="IMAGE_STRUCTURE")) == (gdal.tags(), gdal.tags(ns="IMAGE_STRUCTURE"))
+        np.testing.assert_equal(sparse.nodata, gdal.nodata)
+        ours, theirs = sparse.tags(1), gdal.tags(1)
+        assert list(ours) == list(theirs)
+        for tag in ours:
+            if tag.startswith("STATISTICS"):
+                assert float(ours[tag]) == pytest.approx(float(theirs[tag]), rel=1e-3)
+        if name == "obstacle.tif":
+            assert np.unique(sparse.read(1)).tolist() == [0, 1, 2, 3, NO_CLASS]
+            assert sparse.colormap(1) == gdal.colormap(1)
+            names = [path.with_name(f"{name}.aux.xml").read_text(encoding="utf-8") for path in files[name]]
+            assert names[0] == names[1]
+
+
+def test_overview_is_the_mean_of_the_known_pixels_among_four(files):
+    below, *above = levels_of(files["heightmap.tif"][0])
+    assert len(above) == 4
+    for level in above:
+        np.testing.assert_array_equal(level, mean_of_known(each_four(below.astype(float), np.nan)).astype(np.float32))
+        below = level
+
+
+def test_an_obstacle_stays_in_every_overview(files):
+    order = np.full(256, 9)
+    order[[OBSTACLE, 3, CANOPY, FREE]] = range(4)
+    below, *above = levels_of(files["obstacle.tif"][0])
+    for level in above:
+        np.testing.assert_array_equal(order[level], order[each_four(below, NO_CLASS)].min(axis=2))
+        below = level
+    assert (below == OBSTACLE).any()
+
+
+def thin(cost_map, share, seed=1):
+    """The same map with heights in a share of the pixels, in none of every fifth tile; hills, so that means differ."""
+    rng = np.random.default_rng(seed)
+    heights = cost_map.patches.heights.copy()
+    heights += (3.0 * np.sin(cost_map.patches.col / 4.0) + cost_map.patches.row % 7)[:, None, None].astype(np.float32)
+    heights[rng.random(heights.shape) >= share] = np.nan
+    heights[rng.random(len(heights)) < 0.2] = np.nan
+    return replace(cost_map, patches=replace(cost_map.patches, heights=heights))
+
+
+def relief_of(cost_map, path):
+    write_raster(MapFile.RELIEF, CostTable.of(cost_map), path)
+    with rasterio.open(path) as file:
+        return file.read(1)
+
+
+def means_of_thirds(cost_map):
+    """Means in whole cm, NaN where there are none, and which pixels are in a tile, (rows * 3, cols * 3) each."""
+    patches, side = cost_map.patches, cost_map.patches.grid.pixels
+    third = ((np.arange(side) + 0.5) * 3 // side).astype(int)
+    row = 3 * (patches.row.max() - patches.row)[:, None, None] + third[:, None]
+    col = 3 * (patches.col - patches.col.min())[:, None, None] + third
+    total, count, tiles = np.zeros((3, row.max() + 1, col.max() + 1))
+    np.add.at(total, (row, col), np.nan_to_num(patches.heights.astype(float)))
+    np.add.at(count, (row, col), np.isfinite(patches.heights))
+    tiles[row, col] = 1
+    with np.errstate(invalid="ignore"):
+        return np.rint(100 * total / count), tiles > 0
+
+
+@pytest.mark.parametrize("grid", [Grid(), Grid(3.0, 5), Grid(1.5, 16)])
+def test_known_pixels_are_means_and_others_are_filled_from_the_nearest(tmp_path, grid):
+    cost_map = thin(make_field(30, 25, west=-11, south=-9, grid=grid, holes=0.3), 0.02)
+    found = relief_of(cost_map, tmp_path / "relief.tif")
+    means, tiles = means_of_thirds(cost_map)
+    assert found.shape == means.shape
+    known = np.isfinite(means)
+    # half a centimetre may fall to either side
+    np.testing.assert_allclose(found[known], means[known] / 100, atol=0.0101)
+    assert np.mean(np.abs(found[known] - means[known] / 100) < 1e-3) > 0.99
+    assert np.isnan(found[~tiles]).all()
+    filled = np.full(means.shape, np.nan)
+    for half in (8, 4, 2, 1):  # the smallest square around a pixel that holds some
+        share, total = (
+            uniform_filter(part, 2 * half + 1, mode="constant") for part in (1.0 * known, np.nan_to_num(means))
+        )
+        filled = np.where(share > 1e-6, total / np.maximum(share, 1e-6), filled)
+    unknown = tiles & ~known
+    np.testing.assert_allclose(found[unknown], filled[unknown] / 100, atol=0.02)
+    assert np.isfinite(filled[unknown]).sum() > 100
+
+
+@pytest.mark.parametrize("share", [0.02, 0.8])
+def test_windows_do_not_change_the_bytes(tmp_path, monkeypatch, share):
+    cost_map = thin(make_field(70, 50, grid=Grid(3.0, 5), west=-37, south=-20), share)
+    relief_of(cost_map, tmp_path / "whole.tif")
+    monkeypatch.setattr(geotiff, "_WINDOW_PIXELS", 1)  # one block of tiles
+    monkeypatch.setattr(geotiff, "_READ_TILES", 1)
+    order = np.random.default_rng(2).permutation(len(cost_map.class_id))
+    relief_of(part_of(cost_map, order), tmp_path / "windows.tif")
+    assert (tmp_path / "whole.tif").read_bytes() == (tmp_path / "windows.tif").read_bytes()
+
+
+_WITHOUT_THREADS = """
+import resource, sys, threading
+from pathlib import Path
+from bumpymap.layers import _cog
+from bumpymap.layers.placement import Placement
+from bumpymap.core.types import Georeference
+from bumpytiles import Grid, TileWindow
+import numpy as np
+
+pages = int(Path("/proc/self/statm").read_text().split()[0])
+resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + (128 << 20),) * 2)
+try:
+    threading.Thread(target=print).start()
+    sys.exit("a thread could be started")
+except RuntimeError:
+    pass
+place = Placement(Georeference(None), Grid(), TileWindow(0, 0, 100, 100))
+sheet = _cog.RasterSpec([_cog.BandSpec("height")], None, pixels=15, block=512)
+paint = lambda window: np.full((1, window.tiles.rows * 15, window.tiles.cols * 15), 7, np.float32)
+_cog.write_cog(Path(sys.argv[1]), place, sheet, paint, 100)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="asks Linux how much memory is mapped")
+def test_a_raster_is_written_where_no_thread_can_be_started(tmp_path):
+    """GDAL waits for ever for threads that it could not start; here one has a stack of 512 MB, and 128 MB are left."""
+    path = tmp_path / "a.tif"
+    command = ["bash", "-c", 'ulimit -s 524288 && exec "$@"', "-", sys.executable, "-c", _WITHOUT_THREADS, str(path)]
+    result = subprocess.run(command, capture_output=True, timeout=120, check=False)
+    assert result.returncode == 0, result.stderr.decode()
+    with rasterio.open(path) as file:
+        assert file.overviews(1)
+        assert (file.read(1) == 7).all()

@@ -1,0 +1,392 @@
+"""Files of routes, of what can be reached, and of checks, read back by others."""
+
+import json
+from dataclasses import replace
+from itertools import pairwise
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pandas as pd
+import pytest
+import rasterio
+import shapely
+from check_records import STRETCH_M, made_up_check, stretches_at
+from hypothesis import given, strategies as st
+from pyogrio.raw import read
+from pyproj import CRS, Geod, Transformer
+from rio_cogeo.cogeo import cog_validate
+from route_records import CORNERS, FIGURES, UTM, MadeUpMap, make_route
+
+from bumpymap.check.pipeline import agreement_of
+from bumpymap.core import CLASS_NAMES, BadInputError, Georeference
+from bumpymap.layers import ReachField
+from bumpymap.layers.check_vectors import NOT_COMPARED, OFF_KINDS, MapOffset, place_stretches, write_stretches
+from bumpymap.layers.reach import write_isochrones, write_reach
+from bumpymap.layers.route_lines import PROFILE_COLUMNS, track_points, write_gpx, write_profile, write_route_geojson
+from bumpytiles import BLOCK_TILES, Grid, TileWindow
+
+PROPERTIES = {
+    *("name", "vehicle", "length_m", "straight_m", "detour", "cost_m", "c_r_mean", "c_r_mean_low", "c_r_mean_high"),
+    *("c_r_max", "c_r_max_low", "c_r_max_high", "p_arrives", "p_arrives_note", "p_fail_max", "unknown_m", "why"),
+    *("obstacle_m", "tight_turns_deg", "climb_m", "descent_m", "seconds", "risk_m"),
+}
+
+
+def written(routes, path):
+    write_route_geojson(routes, path)
+    text = path.read_text(encoding="utf-8")
+    collection = json.loads(text, parse_constant=pytest.fail)
+    assert collection["type"] == "FeatureCollection"
+    assert ("crs" in collection) == ("local_coordinates" in collection)  # RFC 7946, 4, knows no other than WGS 84
+    return collection
+
+
+def lines_of(collection):
+    return [feature for feature in collection["features"] if "LineString" in feature["geometry"]["type"]]
+
+
+@pytest.mark.parametrize(
+    ("epsg", "unit", "middle"),
+    [
+        (32614, 1.0, (480_000.0, 2_136_000.0)),
+        (2271, 1200 / 3937, (792_481.585, 76_200.152)),
+        (2193, 1.0, (1_590_000.0, 5_190_000.0)),  # northing first
+    ],
+)
+def test_a_line_lies_where_the_way_is(epsg, unit, middle, tmp_path):
+    corners = np.array([[0.0, 0.0], [2_500.0, 700.0], [2_600.0, -900.0]]) + middle
+    route = make_route(corners=corners, georeference=Georeference(CRS.from_epsg(epsg), unit))
+    collection = written([route], tmp_path / "route.geojson")
+    (line,) = lines_of(collection)
+    lonlat = np.array(line["geometry"]["coordinates"])
+    assert np.array_equal(np.round(lonlat, 7), lonlat)
+    back = Transformer.from_crs(CRS.from_epsg(4326), CRS.from_epsg(epsg), always_xy=True)
+    way = shapely.linestrings(corners)
+    for places in (lonlat, (lonlat[:-1] + lonlat[1:]) / 2):  # RFC 7946: straight in degrees between two positions
+        ground = np.column_stack(back.transform(*places.T)) * unit
+        assert shapely.distance(shapely.points(ground), way).max() < 0.015
+    ends = np.column_stack(back.transform(*lonlat[[0, -1]].T)) * unit
+    np.testing.assert_allclose(ends, corners[[0, -1]], atol=0.015)
+    assert collection["bbox"] == pytest.approx([*lonlat.min(axis=0), *lonlat.max(axis=0)])
+
+
+def test_figures_are_those_of_the_route_and_what_is_unknown_is_null(tmp_path):
+    route = replace(make_route(), figures=replace(FIGURES, c_r_mean=float("nan"), p_fail_max=float("nan")))
+    (line,) = lines_of(written([route], tmp_path / "route.geojson"))
+    properties = line["properties"]
+    assert set(properties) == PROPERTIES
+    assert (properties["c_r_mean"], properties["p_fail_max"]) == (None, None)
+    assert properties["p_arrives"] == pytest.approx(np.exp(-0.05 - 0.125) * 0.5**FIGURES.obstacle_m, abs=1e-6)
+    assert properties["detour"] == pytest.approx(261.135 / 241.868, abs=1e-6)
+    assert (properties["vehicle"], properties["risk_m"], properties["climb_m"]) == ("warthog", 25.0, 4.5)
+    assert "estimate" in properties["p_arrives_note"]
+
+
+def test_stops_have_roles_and_shared_ones_are_written_once(tmp_path):
+    routes = [make_route(stops=CORNERS), make_route("alternative 1", CORNERS[[0, 2]])]
+    found = written(routes, tmp_path / "route.geojson")["features"]
+    assert [feature["properties"] for feature in found if feature["geometry"]["type"] == "Point"] == [
+        {"role": "start", "name": "start"},
+        {"role": "via", "name": "via 1"},
+        {"role": "goal", "name": "goal"},
+    ]
+
+
+def test_without_a_crs_files_say_what_their_coordinates_are_and_gpx_is_refused(tmp_path):
+    route = make_route(georeference=Georeference(None, 0.5))
+    collection = written([route], tmp_path / "route.geojson")
+    (line,) = lines_of(collection)
+    np.testing.assert_allclose(line["geometry"]["coordinates"], CORNERS / 0.5, atol=1e-3)
+    assert "not longitude and latitude" in collection["local_coordinates"]
+    assert collection["metres_per_unit"] == 0.5
+    write_profile([route], tmp_path / "profile.csv")
+    table = pd.read_csv(tmp_path / "profile.csv")
+    assert table[["lon", "lat"]].isna().all(axis=None)
+    assert table["x"].notna().all()
+    with pytest.raises(BadInputError, match="no CRS"):
+        write_gpx([route], tmp_path / "route.gpx")
+    assert not (tmp_path / "route.gpx").exists()
+
+
+def test_a_way_over_the_antimeridian_is_cut(tmp_path):
+    zone = CRS.from_epsg(32660)
+    east = Transformer.from_crs(CRS.from_epsg(4326), zone, always_xy=True)
+    corners = np.column_stack(east.transform([179.99, -179.98, 179.995, 180.0], [-17.0, -17.01, -17.02, -17.03]))
+    route = make_route(corners=corners, georeference=Georeference(zone))
+    collection = written([route], tmp_path / "route.geojson")
+    (line,) = lines_of(collection)
+    assert line["geometry"]["type"] == "MultiLineString"
+    parts = [np.array(part) for part in line["geometry"]["coordinates"]]
+    assert len(parts) == 3
+    assert all(np.abs(np.diff(part[:, 0])).max() < 1.0 for part in parts)
+    for before, after in pairwise(parts):
+        assert before[-1].tolist() == [-after[0, 0], after[0, 1]]
+        assert abs(before[-1, 0]) == 180.0
+    length = sum(Geod(ellps="WGS84").line_length(*part.T) for part in parts)
+    on_grid = np.hypot(*np.diff(corners, axis=0).T).sum()
+    assert length == pytest.approx(on_grid, rel=2e-3)  # the scale of the projection at the edge of its zone
+    assert collection["bbox"] == pytest.approx([179.99, -17.03, -179.98, -17.0], abs=1e-6)
+    write_gpx([route], tmp_path / "route.gpx")  # a point on the antimeridian is west of it
+    checked(tmp_path / "route.gpx")
+
+
+NAMESPACE = "{http://www.topografix.com/GPX/1/1}"
+ORDER = {
+    # element: its children in the order of the schema
+    "gpx": ("metadata", "wpt", "rte", "trk", "extensions"),
+    "metadata": ("name", "desc", "author", "copyright", "link", "time", "keywords", "bounds", "extensions"),
+    "trk": ("name", "cmt", "desc", "src", "link", "number", "type", "extensions", "trkseg"),
+    "trkseg": ("trkpt", "extensions"),
+    "wpt": ("ele", "time", "magvar", "geoidheight", "name", "cmt", "desc", "src", "link", "sym", "type", "fix"),
+}
+ORDER["trkpt"] = ORDER["wpt"]
+
+
+def checked(path):
+    """Parse a file and hold every element against the schema's order."""
+    root = ET.parse(path).getroot()  # noqa: S314 (our own file)
+    assert root.tag == f"{NAMESPACE}gpx"
+    assert (root.get("version"), bool(root.get("creator"))) == ("1.1", True)
+    for element in root.iter():
+        name = element.tag.removeprefix(NAMESPACE)
+        children = [child.tag.removeprefix(NAMESPACE) for child in element]
+        places = [ORDER[name].index(child) for child in children] if children else []
+        assert places == sorted(places)
+        if name in {"wpt", "trkpt"}:
+            assert -180.0 <= float(element.get("lon")) < 180.0
+            assert -90.0 <= float(element.get("lat")) <= 90.0
+    return root
+
+
+def test_gdal_reads_the_track_where_the_way_is(tmp_path):
+    route = make_route(stops=CORNERS)
+    write_gpx([route, make_route("two")], tmp_path / "route.gpx")
+    checked(tmp_path / "route.gpx")
+    _, _, geometry, columns = read(tmp_path / "route.gpx", layer="tracks", columns=["name"])
+    assert columns[0].tolist() == ["route", "two"]
+    to_grid = Transformer.from_crs(CRS.from_epsg(4326), UTM.crs, always_xy=True)
+    line = shapely.from_wkb(geometry)[0].geoms[0]
+    ground = np.column_stack(to_grid.transform(*shapely.get_coordinates(line).T))
+    assert shapely.hausdorff_distance(shapely.linestrings(ground), shapely.linestrings(CORNERS)) < 0.015
+    _, _, waypoints, columns = read(tmp_path / "route.gpx", layer="waypoints", columns=["name"])
+    assert columns[0].tolist() == ["start", "via 1", "goal"]
+    stops = shapely.get_coordinates(shapely.from_wkb(waypoints))
+    np.testing.assert_allclose(np.column_stack(to_grid.transform(*stops.T)), CORNERS, atol=0.015)
+    _, _, _, heights = read(tmp_path / "route.gpx", layer="track_points", columns=["ele"])
+    expected = track_points(route)[:, 2]
+    np.testing.assert_allclose(heights[0][: len(expected)], expected, atol=6e-4)
+    assert np.isnan(expected).any()
+
+
+@given(st.integers(2, 12), st.floats(0.5, 40.0), st.integers(0, 1000))
+def test_a_track_has_every_corner_and_every_point_of_the_profile_in_order(corners, step, seed):
+    rng = np.random.default_rng(seed)
+    line = CORNERS[0] + np.cumsum(rng.uniform(-30.0, 30.0, (corners, 2)), axis=0)
+    route = make_route(corners=line, step=step)
+    points = track_points(route)
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points[:, :2], axis=0).T))])
+    length = np.hypot(*np.diff(line, axis=0).T).sum()
+    assert along[-1] == pytest.approx(length)  # no shortcut, no way back
+    for wanted in (line, np.column_stack([route.profile.easting, route.profile.northing])):
+        off = np.hypot(*(wanted[:, None] - points[None, :, :2]).transpose(2, 0, 1)).min(axis=1)
+        assert off.max() < 1e-5
+
+
+def test_characters_that_xml_cannot_hold_are_replaced(tmp_path):
+    write_gpx([make_route("a\x00b\ud800 <&> é")], tmp_path / "route.gpx")
+    assert checked(tmp_path / "route.gpx").findtext(f"{NAMESPACE}trk/{NAMESPACE}name") == "a?b? <&> é"
+
+
+@pytest.mark.parametrize("georeference", [UTM, Georeference(CRS.from_epsg(32614), 0.5)])
+def test_every_number_of_the_profile_is_there(georeference, tmp_path):
+    route = make_route(georeference=georeference)
+    write_profile([route], tmp_path / "profile.csv")
+    found, profile = pd.read_csv(tmp_path / "profile.csv"), route.profile
+    assert tuple(found.columns) == PROFILE_COLUMNS
+    places = np.column_stack([profile.easting, profile.northing]) / georeference.metres_per_unit
+    metres = {"distance_m": profile.distance, "x": places[:, 0], "y": places[:, 1], "z_m": profile.z}
+    metres |= {"slope_deg": profile.slope, "cost_m": profile.cost, "obstacle": profile.obstacle}
+    for name, values in metres.items():
+        np.testing.assert_allclose(found[name], values, atol=6e-4, err_msg=name)
+    for name in ("c_r", "c_r_low", "c_r_high", "p_fail"):
+        np.testing.assert_allclose(found[name], getattr(profile, name), atol=6e-7, err_msg=name)
+    assert found["c_r"].isna().any()
+    back = Transformer.from_crs(CRS.from_epsg(4326), georeference.crs, always_xy=True)
+    np.testing.assert_allclose(np.column_stack(back.transform(found["lon"], found["lat"])), places, atol=0.015)
+
+
+WINDOW = TileWindow(160_003, 680_007, 3 * BLOCK_TILES + 5, 2 * BLOCK_TILES + 3)
+
+
+@pytest.fixture(scope="module")
+def reach():
+    """Cost grows with the distance from a tile; a strip in the east cannot be reached."""
+    rows, cols = np.mgrid[: WINDOW.rows, : WINDOW.cols]
+    cost = (3.0 * np.hypot(rows - 20, cols - 15)).astype(np.float32)
+    cost[:, -7:] = np.nan
+    return ReachField(UTM, Grid(), WINDOW, cost, cost / 60.0)
+
+
+@pytest.mark.parametrize("with_minutes", [True, False])
+def test_another_reader_reads_the_raster_bit_for_bit(reach, with_minutes, tmp_path):
+    reach = reach if with_minutes else replace(reach, minutes=None)
+    path = tmp_path / "reach.tif"
+    write_reach(reach, path, {"vehicle": "warthog"})
+    assert cog_validate(path)[0]
+    with rasterio.open(path) as file:
+        assert file.descriptions == (("cost", "minutes") if with_minutes else ("cost",))
+        assert file.units == (("m", "min") if with_minutes else ("m",))
+        assert (file.crs.to_epsg(), np.isnan(file.nodata), file.tags()["vehicle"]) == (32614, True, "warthog")
+        np.testing.assert_array_equal(file.read(1), reach.cost)
+        if with_minutes:
+            np.testing.assert_array_equal(file.read(2), reach.minutes)
+        assert file.xy(0, 0) == (WINDOW.col * 3.0 + 1.5, (WINDOW.row + WINDOW.rows) * 3.0 - 1.5)
+
+
+def isochrones(reach, levels, path, by="cost"):
+    write_isochrones(reach, levels, path, by=by, about={"vehicle": "warthog"})
+    collection = json.loads(path.read_text(), parse_constant=pytest.fail)
+    geometries = [feature["geometry"] for feature in collection["features"]]
+    return collection, [geometry and shapely.geometry.shape(geometry) for geometry in geometries]
+
+
+def test_isochrones_hold_the_ground_within_their_level(reach, tmp_path):
+    levels = [30.0, 90.0, 60.0, 60.0]
+    collection, shapes = isochrones(reach, levels, tmp_path / "isochrones.geojson")
+    properties = [feature["properties"] for feature in collection["features"]]
+    assert [entry["within"] for entry in properties] == [90.0, 60.0, 30.0]
+    assert (collection["vehicle"], properties[0]["unit"]) == ("warthog", "m")
+    assert collection["bbox"] == pytest.approx(shapes[0].bounds)
+    for level, entry, shape in zip([90.0, 60.0, 30.0], properties, shapes, strict=True):
+        assert shape.is_valid
+        assert shape.geom_type == "MultiPolygon"
+        tiles = int((reach.cost <= level).sum())
+        assert entry["area_m2"] == 9.0 * tiles
+        area = abs(Geod(ellps="WGS84").geometry_area_perimeter(shape)[0])
+        assert area == pytest.approx(9.0 * tiles, rel=2e-3)  # the scale of the projection
+        for polygon in shape.geoms:
+            assert polygon.exterior.is_ccw
+            assert not any(hole.is_ccw for hole in polygon.interiors)
+    assert shapes[0].buffer(1e-7).covers(shapes[1])
+    assert shapes[1].buffer(1e-7).covers(shapes[2])
+
+
+def test_minutes_what_none_can_reach_and_levels_that_mean_nothing(reach, tmp_path):
+    collection, shapes = isochrones(reach, [1.0, 0.5], tmp_path / "a.geojson", by="minutes")
+    assert [feature["properties"]["unit"] for feature in collection["features"]] == ["min", "min"]
+    assert all(shapes)
+    nothing = replace(reach, cost=np.full_like(reach.cost, np.nan))
+    collection, shapes = isochrones(nothing, [5.0], tmp_path / "b.geojson")
+    assert (shapes, "bbox" in collection) == ([None], False)
+    for levels in ([], [0.0, 5.0], [float("nan")]):
+        with pytest.raises(BadInputError, match="positive"):
+            isochrones(reach, levels, tmp_path / "c.geojson")
+    assert not (tmp_path / "c.geojson").exists()
+
+
+def stretches_in(result, path, georeference=UTM):
+    """The file, and the positions in it."""
+    ground = replace(MadeUpMap.around(), georeference=georeference)
+    write_stretches(result, place_stretches(result.stretches, ground), path)
+    found = json.loads(path.read_text())
+    return found, np.array([feature["geometry"]["coordinates"] for feature in found["features"]])
+
+
+@pytest.mark.parametrize(
+    ("georeference", "shift"),
+    [
+        (UTM, (0.0, 0.0)),
+        (Georeference(CRS.from_epsg(2277), 1200 / 3937), (600_000.0, 1_000_000.0)),
+        (Georeference(None, 0.3048), (0.0, 0.0)),
+    ],
+)
+def test_stretches_lie_where_they_were_driven(tmp_path, georeference, shift):
+    """Positions of stretches are metres on the grid, files hold the units of the CRS."""
+    made = made_up_check().stretches
+    driven = replace(made, easting=made.easting + shift[0], northing=made.northing + shift[1])
+    found, places = stretches_in(replace(made_up_check(), stretches=driven), tmp_path / "check.geojson", georeference)
+    assert ("local_coordinates" in found) == (georeference.crs is None)
+    assert found["bbox"] == [*places.min(axis=0), *places.max(axis=0)]
+    if georeference.crs is not None:
+        back = Transformer.from_crs("OGC:CRS84", georeference.crs, always_xy=True)
+        places = np.column_stack(back.transform(*places.T))
+    x, y = places.T * georeference.metres_per_unit
+    assert np.hypot(x - driven.easting, y - driven.northing).max() < 0.02
+
+
+def test_stretches_say_what_was_measured_and_what_the_map_says(tmp_path):
+    result = made_up_check(unknown=[2])
+    found, _ = stretches_in(result, tmp_path / "check.geojson")
+    assert [feature["id"] for feature in found["features"]] == list(range(1, 41))
+    about, stretches = found["features"][0]["properties"], result.stretches
+    assert about["measured"] == pytest.approx(stretches.measured[0], abs=1e-6)
+    assert about["ratio"] == pytest.approx(stretches.c_r[0] / stretches.measured[0], abs=1e-4)
+    assert (about["drive"], about["way_m"]) == ("drive 1", STRETCH_M)
+    assert about["class_name"] == CLASS_NAMES[about["class"]]
+    unknown = found["features"][2]["properties"]
+    assert [unknown[name] for name in ("c_r", "ratio", "class", "class_name", "explained")] == [None] * 5
+    assert unknown["off"] == "not compared"
+    assert unknown["measured_class"] is not None
+
+
+def test_stretches_without_a_position_are_left_out(tmp_path):
+    result = made_up_check()
+    result.stretches.easting[5:8] = np.nan
+    found, _ = stretches_in(result, tmp_path / "check.geojson")
+    assert [feature["id"] for feature in found["features"]] == [*range(1, 6), *range(9, 41)]
+
+
+ONE = np.array([[330_000.0, 2_040_000.0]])
+
+
+def offset_of(factor, **changes):
+    return MapOffset.of(replace(stretches_at(ONE, [0.1], np.array([factor])), **changes))
+
+
+def test_the_kind_is_named_from_the_map():
+    named = {
+        1.19: "map within a factor of 1.2",
+        1.0: "map within a factor of 1.2",
+        1 / 1.19: "map within a factor of 1.2",
+    }
+    for factor, kind in ((2.01, "over 2 times"), (1.99, "1.5 to 2 times"), (1.49, "1.2 to 1.5 times")):
+        named |= {factor: f"map {kind} too low", 1 / factor: f"map {kind} too high"}
+    for factor, kind in named.items():
+        offset = offset_of(factor)
+        assert offset.ratio == pytest.approx(1 / factor)
+        assert OFF_KINDS[int(offset.kind[0])] == kind
+
+
+@given(st.floats(1.01, 20.0), st.floats(1.01, 5.0))
+def test_without_errors_of_measurement_the_interval_decides(factor, side):
+    exact = {"measured_sd": np.zeros(1), "place_sd": np.zeros(1)}
+    above = offset_of(factor, c_r_low=np.array([0.01]), c_r_high=np.array([0.1 * side]), **exact)
+    assert above.beyond == pytest.approx((factor - 1) / (side - 1))
+    below = offset_of(1 / factor, c_r_low=np.array([0.1 / side]), c_r_high=np.array([9.0]), **exact)
+    assert below.beyond == pytest.approx((1 - 1 / factor) / (1 - 1 / side))
+
+
+def test_errors_add_in_power():
+    """80 % half widths, rad/m: 0.03 of the map, 0.04 of the measurement: a difference of 0.05 is just explained."""
+    sd = np.array([0.04]) / 1.2815515655446004
+    for place_sd, beyond in ((np.zeros(1), 1.0), (sd, 0.05 / np.sqrt(0.0041))):
+        offset = offset_of(1.5, c_r_high=np.array([0.13]), measured_sd=sd, place_sd=place_sd)
+        assert offset.beyond == pytest.approx(beyond)
+    unknown = {"c_r_low": np.array([np.nan]), "c_r_high": np.array([np.nan])}  # of the map: the other errors remain
+    assert [offset_of(factor, **unknown).is_off.tolist() for factor in (1.03, 1.3)] == [[False], [True]]
+
+
+def test_the_share_that_errors_explain_is_that_of_the_agreement():
+    stretches = made_up_check(200, noise=0.5, unknown=[3, 7]).stretches
+    offset = MapOffset.of(stretches)
+    explained = ~offset.is_off[np.isfinite(offset.ratio)]
+    assert 0.0 < explained.mean() == agreement_of(stretches).inside < 1.0
+
+
+@pytest.mark.parametrize("changes", [{"c_r": np.array([np.nan])}, {"measured": np.zeros(1)}])
+def test_what_is_not_known_or_under_the_floor_is_not_compared(changes):
+    offset = offset_of(1.0, **changes)
+    assert offset.kind.tolist() == [NOT_COMPARED]
+    assert np.isnan(offset.ratio).all()
+    assert np.isnan(offset.beyond).all()
+    assert not offset.is_off.any()

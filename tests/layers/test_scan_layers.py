@@ -1,0 +1,233 @@
+"""Files of scans, read back by readers that bumpymap does not use for them; what a folder of a run may hold."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import shapely
+from hypothesis import given, strategies as st
+from ply_files import read_vertices
+from pyproj import CRS
+from small_surveys import files_in
+
+from bumpymap.core import Frame, PolarSettings, point_classes, sector_bounds
+from bumpymap.core.errors import OutputError
+from bumpymap.layers import check_scan_folder, name_frames, open_accumulated, remove_stale_products, scan_table
+from bumpymap.layers.scan_folder import SCAN_CLASS_NAMES, SCAN_COLOURS
+from bumpymap.layers.scan_frame import write_cloud, write_frame, write_polygons
+from bumpymap.layers.scan_table import COLUMNS, open_table, sector_rows
+from bumpymap.scan import classify_filter, polar_sectors
+
+
+def test_the_cloud_has_every_point_its_class_and_what_the_sensor_said(scan, classed, tmp_path):
+    write_cloud(scan, classed, tmp_path / "a.ply")
+    vertex = read_vertices(tmp_path / "a.ply")
+    np.testing.assert_array_equal(np.stack([vertex[axis] for axis in "xyz"], axis=1), scan.points)
+    for name, values in (("class", point_classes(scan, classed)), ("intensity", scan.intensity), ("label", scan.label)):
+        np.testing.assert_array_equal(vertex[name], values)
+
+
+def test_points_say_whether_they_are_ground_how_high_and_in_the_colour_of_that(scan, classed, tmp_path):
+    rng = np.random.default_rng(0)
+    height = np.where(rng.uniform(size=len(scan.points)) < 0.2, np.nan, rng.uniform(0, 3, len(scan.points)))
+    stack = replace(classed.sectors, point_height=height.astype(np.float32), point_ground=height < 0.1)
+    write_cloud(replace(scan, intensity=None, label=None), replace(classed, sectors=stack), tmp_path / "a.ply")
+    vertex = read_vertices(tmp_path / "a.ply")
+    assert list(vertex.dtype.names) == ["x", "y", "z", "height", "red", "green", "blue", "class", "ground"]
+    np.testing.assert_array_equal(vertex["height"], stack.point_height)
+    np.testing.assert_array_equal(vertex["ground"], stack.point_ground)
+    colours = np.stack([vertex[name] for name in ("red", "green", "blue")], axis=1)
+    class_id = vertex["class"].astype(int)
+    is_ground, stands = height < 0.1, (height >= 0.25) & (height <= 1.38)
+    for style, chosen in enumerate(
+        [*(is_ground & (class_id == own) for own in range(3)), stands, ~stands & (~is_ground | (class_id == 255))]
+    ):
+        assert chosen.any()
+        assert (colours[chosen] == SCAN_COLOURS[style]).all()
+    assert len(np.unique(SCAN_COLOURS, axis=0)) == 5
+
+
+def rows_of(path, *frames):
+    with open_table(path) as sectors:
+        for name, classed in frames:
+            sectors.add_rows(sector_rows(name, classed))
+    return pq.read_table(path)
+
+
+def polygons_of(classed, folder):
+    write_polygons("site", classed, folder / "a.json")
+    return json.loads((folder / "a.json").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("settings", [PolarSettings(), PolarSettings((0.0, 10.0), 30.0, (3, 7), (1, 2))])
+def test_every_point_lies_in_the_polygon_of_its_sector_and_polygons_do_not_overlap(scan, settings, tmp_path):
+    classed = classify_filter(polar_sectors(scan, settings))
+    stack = classed.sectors
+    record = polygons_of(classed, tmp_path)
+    shapes = [shapely.geometry.shape(feature["geometry"]) for feature in record["features"]]
+    assert len(shapes) == len(stack.zone) > 4
+    assert all(shape.is_valid and shape.exterior.is_ccw for shape in shapes)
+    inside = np.flatnonzero(stack.point_sector >= 0)
+    grown = shapely.buffer(np.array(shapes), 0.02)  # arcs are cut by a centimetre at most
+    points = shapely.points(scan.points[inside, :2])
+    assert shapely.contains(grown[stack.point_sector[inside]], points).all()
+    union = shapely.union_all(shapes)
+    assert sum(shape.area for shape in shapes) == pytest.approx(union.area, rel=1e-4)
+    bounds = sector_bounds(stack)
+    exact = (bounds.left - bounds.right) / 2.0 * (bounds.far**2 - bounds.near**2)
+    np.testing.assert_allclose([shape.area for shape in shapes], exact, rtol=0.004)
+    rows = rows_of(tmp_path / "a.parquet", ("one", classed))
+    for name in ("near", "far", "left", "right"):
+        np.testing.assert_allclose(rows[name], getattr(bounds, name), rtol=1e-6)
+
+
+def test_the_polygons_say_what_is_known_of_their_sectors(scan, classed, tmp_path):
+    place = np.arange(len(classed.class_id))
+    stack = replace(
+        classed.sectors,
+        obstacle=place % 3 == 0,
+        obstacle_height=np.where(place % 3 == 0, 0.3 + place / 100, np.nan).astype(np.float32),
+        clearance=np.where(place % 4 == 0, 1.5 + place / 30, np.nan).astype(np.float32),
+        ground_count=(classed.sectors.count // 2).astype(np.int32),
+    )
+    record = polygons_of(replace(classed, sectors=stack), tmp_path)
+    assert record["frame"] == "site"
+    assert "no longitude and latitude" in record["coordinates_in"]
+    assert record["azimuth_start_rad"] == stack.azimuth_start_rad
+    points = np.bincount(stack.point_sector[stack.point_sector >= 0], minlength=len(place))
+    for number, feature in enumerate(record["features"]):
+        said, class_id = feature["properties"], int(classed.class_id[number])
+        expected = {name: getattr(stack, name)[number] for name in ("zone", "ring", "sector", "obstacle", "label")}
+        expected |= {"points": points[number], "ground_points": stack.ground_count[number]}
+        expected |= {"class": None, "class_name": "not traversable"}
+        if class_id != 255:
+            expected |= {"class": class_id, "class_name": SCAN_CLASS_NAMES[class_id]}
+        assert {name: said[name] for name in expected} == expected
+        known = {name: getattr(stack, name) for name in ("variance", "residual", "coverage", "obstacle_height")}
+        for name, values in (known | {"stripes": classed.stripes, "clearance": stack.clearance}).items():
+            value = np.nan if said[name] is None else said[name]
+            assert value == pytest.approx(float(values[number]), rel=1e-6, nan_ok=True)
+        np.testing.assert_allclose(said["normal"], stack.normal[number], rtol=1e-6, atol=1e-12)
+
+
+def test_a_scan_without_points_has_empty_files(nothing, tmp_path):
+    write_frame("nothing", *nothing, tmp_path, ("polygons", "cloud", "table"))
+    assert sorted(path.name for path in (tmp_path / "frames").iterdir()) == [
+        "nothing.json",
+        "nothing.ply",
+    ]
+    assert json.loads((tmp_path / "frames" / "nothing.json").read_text(encoding="utf-8"))["features"] == []
+    assert len(read_vertices(tmp_path / "frames" / "nothing.ply")) == 0
+
+
+@given(st.lists(st.from_regex(r"\A(f[0-3]|[Aa]|00000[0-2]_a)(\.(ply|bin))\Z"), min_size=1, max_size=8))
+def test_no_two_frames_have_one_name_on_any_disk(names):
+    paths = [Path(f"run{number}") / name for number, name in enumerate(names)]
+    frames = name_frames([Frame(path) for path in paths])
+    assert len({frame.name.casefold() for frame in frames}) == len(paths)
+    assert [frame.path for frame in frames] == paths
+    stems = [path.stem for path in paths]
+    if len({stem.casefold() for stem in stems}) == len(stems):
+        assert [frame.name for frame in frames] == stems
+    else:
+        assert all(frame.name.endswith(f"_{stem}") for frame, stem in zip(frames, stems, strict=True))
+        assert sorted(frame.name for frame in frames) == [frame.name for frame in frames]
+
+
+def test_rows_are_the_sectors_of_all_frames_in_order(classed, nothing, tmp_path):
+    found = rows_of(tmp_path / "a.parquet", ("one", classed), ("empty", nothing[1]), ("two", classed))
+    stack, count = classed.sectors, len(classed.class_id)
+    assert found.column_names == [name for name, *_ in COLUMNS]
+    assert found["frame"].to_pylist() == ["one"] * count + ["two"] * count
+    same = ("zone", "ring", "sector", "traversable", "obstacle", "obstacle_height", "clearance")
+    expected = {name: getattr(stack, name) for name in (*same, "variance", "residual", "coverage", "label")}
+    expected |= {f"normal_{axis}": stack.normal[:, number] for number, axis in enumerate("xyz")}
+    expected |= {"points": stack.count, "ground_points": stack.ground_count, "stripes": classed.stripes}
+    for name, values in expected.items():
+        np.testing.assert_array_equal(found[name].to_numpy(), np.concatenate([values, values]), err_msg=name)
+    class_id = [None if value == 255 else value for value in classed.class_id.tolist()]
+    assert found["class"].to_pylist() == class_id + class_id
+    assert [value is None for value in class_id] == (~stack.traversable).tolist()
+
+
+def test_row_groups_keep_memory_bounded(classed, tmp_path, monkeypatch):
+    monkeypatch.setattr(scan_table, "ROW_GROUP", 100)
+    path = tmp_path / "a.parquet"
+    with open_table(path) as sectors:
+        for number in range(9):
+            sectors.add_rows(sector_rows(str(number), classed))
+            assert sum(part.num_rows for part in sectors.waiting) < 100
+    file = pq.ParquetFile(path)
+    assert file.metadata.num_rows == 9 * len(classed.class_id)
+    assert file.metadata.num_row_groups > 1
+    assert file.read(["frame"])["frame"].to_pylist() == [str(n) for n in range(9) for _ in classed.class_id]
+
+
+def fill(folder, *names):
+    for name in names:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text("x")
+
+
+@pytest.mark.parametrize(
+    ("files", "overwrite", "words"),
+    [
+        *([[name], False, r"already holds .*`overwrite=True`"] for name in ("sectors.parquet", "map/run.json")),
+        (["scan.json", "frames/a.png"], False, r"already holds .*`overwrite=True`"),
+        (["frames/a.png"], True, "frames was not written by a complete scan run"),
+        (["scan.json", "frames/notes.txt"], True, r"notes\.txt was not written by a complete scan run"),
+        *([[name], True, "not what a scan run writes"] for name in ("frames", "scan.json/a")),
+    ],
+)
+def test_a_folder_that_holds_something_else_or_an_earlier_run_is_refused(tmp_path, files, overwrite, words):
+    fill(tmp_path, *files)
+    with pytest.raises(OutputError, match=words):
+        check_scan_folder(tmp_path, overwrite=overwrite)
+    assert sorted(files_in(tmp_path)) == sorted(files)
+    if not overwrite:
+        fill(tmp_path, "scan.json")
+        check_scan_folder(tmp_path, overwrite=True)
+
+
+@pytest.mark.parametrize("ended", [True, False])
+def test_the_scans_that_are_read_are_not_replaced(tmp_path, ended):
+    fill(tmp_path, "drive/frames/0.ply", *(["drive/scan.json"] if ended else []))
+    (tmp_path / "link").symlink_to(tmp_path / "drive")
+    with pytest.raises(OutputError, match="is an input of this run"):
+        check_scan_folder(tmp_path / "drive", [tmp_path / "link" / "frames" / "0.ply"], overwrite=True)
+    check_scan_folder(tmp_path / "out", [tmp_path / "link" / "frames" / "0.ply"], overwrite=True)
+
+
+def test_older_products_go_and_everything_else_stays(tmp_path):
+    fill(tmp_path, "frames/a.png", "gathered.laz", "sectors.parquet", "scan.json", "notes.txt")
+    fill(tmp_path, "map/run.json", "map/rasters/class.tif", "map/rasters/class.tif.aux.xml", "map/my_style.qml")
+    remove_stale_products(tmp_path, ("scan.json", "sectors.parquet"))
+    assert sorted(files_in(tmp_path)) == ["map/my_style.qml", "notes.txt", "scan.json", "sectors.parquet"]
+    assert not (tmp_path / "frames").exists()
+    (tmp_path / "map" / "my_style.qml").unlink()
+    fill(tmp_path, "map/run.json")
+    remove_stale_products(tmp_path, ("scan.json", "sectors.parquet"))
+    assert not (tmp_path / "map").exists()
+
+
+@pytest.mark.parametrize("crs", [CRS.from_epsg(32614), None])
+def test_points_are_written_where_they_are_with_their_classes(tmp_path, crs):
+    rng = np.random.default_rng(1)
+    first = np.eye(4)
+    first[:3, 3] = 500_000.25, 4_000_000.5, 321.0
+    world, ground = first[:3, 3] + rng.uniform(-80.0, 80.0, (500, 3)), rng.uniform(size=500) < 0.5
+    for name in ("a.laz", "b.laz"):
+        with open_accumulated(tmp_path / name, first, crs) as gathered:
+            gathered.add_points(world[:200], ground[:200])
+            gathered.add_points(world[:0], ground[:0])
+            gathered.add_points(world[200:], ground[200:])
+    assert (tmp_path / "a.laz").read_bytes() == (tmp_path / "b.laz").read_bytes()
+    las = laspy.read(tmp_path / "a.laz")
+    assert las.header.parse_crs() == crs
+    np.testing.assert_allclose(las.xyz, world, atol=0.00051)
+    np.testing.assert_array_equal(las.classification, np.where(ground, 2, 1))
+    np.testing.assert_allclose(las.header.mins, world.min(axis=0), atol=0.00051)

@@ -1,0 +1,238 @@
+"""item.json and catalog.json: valid by the schemas of STAC, opened by pystac, true to the files."""
+
+import hashlib
+import json
+import shutil
+import socket
+from pathlib import Path
+
+import numpy as np
+import pystac
+import pytest
+import rasterio
+import shapely
+from pyproj import CRS, Transformer
+from small_surveys import files_in
+from stac_check import faults
+
+from bumpymap.core import OutputError
+from bumpymap.core.types import CostTable, Georeference
+from bumpymap.layers import write_catalog, write_products
+from bumpymap.layers.products import PRODUCT_NAMES
+from bumpymap.layers.stac import write_item
+from bumpymap.views import write_map_views
+
+RUN = {
+    "calibration": {"id": "c0ffee", "vehicle": "warthog", "class_limits": [0.1, 0.2, 0.4]},
+    "model": "m1",
+    "settings": {"rating": "ride"},
+    "inputs": [{"path": "/some/where/old quarry (1).laz"}],
+}
+SURVEY = {"name": "Grube Süd", "checksum": "blake3:00", "dates": ["2024-05-03", "2024-05-04"]}
+
+
+def item_of(folder):
+    return json.loads((folder / "item.json").read_text(encoding="utf-8"))
+
+
+def write(cost_map, folder, *, local=False, **entries):
+    folder.mkdir()
+    write_products(CostTable.of(cost_map), folder, views=write_map_views, local=local, manifest=RUN | entries)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, cost_map):
+    return write(cost_map, tmp_path_factory.mktemp("stac") / "layers", survey=SURVEY)
+
+
+@pytest.fixture(name="item")
+def item_fixture(folder):
+    return item_of(folder)
+
+
+def described(folder, place, **entries):
+    """The item of the same layers where run.json has other entries."""
+    record = json.loads((folder / "run.json").read_text(encoding="utf-8")) | entries
+    shutil.copytree(folder, place)
+    write_item(place, record)
+    return item_of(place)
+
+
+def assets_with(item, key):
+    return {name: asset for name, asset in item["assets"].items() if key in asset}
+
+
+def test_an_item_is_valid_and_every_file_an_asset_with_its_size_and_checksum(item, folder):
+    assert faults(item) == []
+    assert "/some" not in json.dumps(item)  # where the survey lies
+    assert {name.split("/")[3] for name in item["stac_extensions"]} == {"projection", "file", "processing"}
+    present = {path: f"./{path}" for path in files_in(folder) if path != "item.json"}
+    assert {name: asset["href"] for name, asset in item["assets"].items()} == {
+        Path(path).name: href for path, href in present.items()
+    }
+    with_checksum = assets_with(item, "file:checksum")
+    assert {asset["href"] for asset in with_checksum.values()} == {
+        present[path] for path in PRODUCT_NAMES if path not in {"item.json", "run.json"}
+    }
+    for asset in with_checksum.values():
+        content = (folder / asset["href"]).read_bytes()
+        assert asset["file:size"] == len(content)
+        assert bytes.fromhex(asset["file:checksum"]) == b"\x12\x20" + hashlib.sha256(content).digest()
+        assert asset["roles"] == ["data"]
+    roles = {name: asset["roles"] for name, asset in item["assets"].items() if name not in with_checksum}
+    assert roles["run.json"] == roles["class.qml"] == ["metadata"]
+    assert roles["map.qgs"] == roles["report.html"] == ["overview"]
+
+
+def test_rasters_are_described_as_they_are(item, folder):
+    rasters = {Path(name).name: folder / name for name in PRODUCT_NAMES if name.endswith(".tif")}
+    assert set(assets_with(item, "proj:shape")) == set(rasters)
+    for name, asset in assets_with(item, "proj:shape").items():
+        with rasterio.open(rasters[name]) as raster:
+            assert asset["proj:shape"] == list(raster.shape)
+            assert asset["proj:transform"] == list(raster.transform)[:6]
+            assert asset["proj:bbox"] == list(raster.bounds)
+            assert asset["title"] == raster.tags()["title"]
+
+
+def test_the_footprint_is_the_raster_in_longitude_and_latitude(item, folder):
+    outline = shapely.geometry.shape(item["geometry"])
+    with rasterio.open(folder / "rasters/class.tif") as raster:
+        edge = shapely.segmentize(shapely.box(*raster.bounds).exterior, 1.0)
+        to_degrees = Transformer.from_crs(raster.crs, 4326, always_xy=True)
+    found = np.column_stack(to_degrees.transform(*shapely.get_coordinates(edge).T))
+    assert shapely.distance(shapely.points(found), outline.exterior).max() < 1e-6
+    assert item["bbox"] == pytest.approx(outline.bounds, abs=1e-9)
+    assert item["bbox"] == pytest.approx([*found.min(axis=0), *found.max(axis=0)], abs=1e-6)
+    assert item["properties"]["proj:code"] == "EPSG:32614"
+    assert "proj:wkt2" not in item["properties"]
+
+
+def test_name_dates_vehicle_and_software(item):
+    properties = item["properties"]
+    wanted = {"title": "Grube Süd", "gsd": 3, "datetime": None, "bumpymap:dates_known": True}
+    wanted |= {"start_datetime": "2024-05-03T00:00:00Z", "end_datetime": "2024-05-04T23:59:59Z"}
+    wanted |= {"bumpymap:vehicle": "warthog", "bumpymap:calibration": "c0ffee"}
+    wanted |= {"bumpymap:class_limits": [0.1, 0.2, 0.4], "bumpymap:survey_checksum": "blake3:00"}
+    assert {name: properties[name] for name in wanted} == wanted
+    assert {"bumpymap", "GDAL", "PROJ"} == set(properties["processing:software"])
+    assert [item["assets"][name]["gsd"] for name in ("heightmap.tif", "relief.tif")] == [0.2, 1.0]
+
+
+@pytest.mark.parametrize("dates", [None, ["", ""], ["2024-13-01", "2024-01-01"]])
+def test_unknown_dates_are_any_time_and_said_to_be_unknown(folder, tmp_path, dates):
+    item = described(folder, tmp_path / "a", survey=SURVEY | {"dates": dates})
+    properties = item["properties"]
+    assert properties["bumpymap:dates_known"] is False
+    assert properties["start_datetime"] == "1970-01-01T00:00:00Z"
+    assert properties["end_datetime"] == "2099-12-31T23:59:59Z"
+    assert faults(item) == []
+
+
+def test_surveys_of_one_name_have_ids_of_their_own(folder, tmp_path):
+    """A catalogue of them would hold one item, for programs that find items by their ids."""
+    surveys = [SURVEY | {"checksum": f"blake3-1MiB:{digit * 64}"} for digit in "ab"]
+    items = [described(folder, tmp_path / str(number), survey=survey) for number, survey in enumerate(surveys)]
+    assert [item["id"] for item in items] == ["Grube-S-d_aaaaaaaa", "Grube-S-d_bbbbbbbb"]
+    assert [faults(item) for item in items] == [[]] * len(items)
+
+
+def item_at(make_field, folder, crs, west=110_000, south=680_000, unit=1.0):
+    """A valid item of a small map in some place."""
+    place = Georeference(crs and CRS(crs), unit, unit)
+    field = make_field(9, 7, west=west, south=south, georeference=place)
+    item = item_of(write(field, folder / "map", local=crs is None))
+    assert faults(item) == []
+    return item
+
+
+def test_a_survey_without_a_crs_has_no_geometry(make_field, tmp_path):
+    item = item_at(make_field, tmp_path, None)
+    assert item["geometry"] is None
+    assert "bbox" not in item
+    assert item["properties"]["proj:code"] is None
+    assert item["properties"]["proj:shape"] == [7, 9]
+
+
+def test_heights_of_a_compound_crs(make_field, tmp_path):
+    item = item_at(make_field, tmp_path, "EPSG:6339+5703", 166_000, 1_400_000)  # UTM zone 10N, heights in metres
+    assert item["properties"]["proj:code"] == "EPSG:6339"
+    compound = {name: asset for name, asset in item["assets"].items() if "proj:code" in asset}
+    assert set(compound) == {"heightmap.tif", "relief.tif", "tiles.parquet"}
+    for asset in compound.values():
+        assert asset["proj:code"] is None
+        assert CRS.from_wkt(asset["proj:wkt2"]).is_compound
+
+
+def test_feet(make_field, tmp_path):
+    item = item_at(make_field, tmp_path, "EPSG:2263", 100_000, 20_000, 1200 / 3937)
+    assert item["properties"]["gsd"] == item["assets"]["class.tif"]["gsd"] == 3
+    assert item["properties"]["proj:transform"][0] == pytest.approx(3 * 3937 / 1200)
+    assert shapely.geometry.shape(item["geometry"]).area > 0
+
+
+def test_an_outline_across_the_antimeridian_is_cut(make_field, tmp_path):
+    crs = "+proj=tmerc +lat_0=0 +lon_0=180 +x_0=500000 +y_0=0 +ellps=WGS84 +units=m"
+    item = item_at(make_field, tmp_path, crs, 500_000 // 3 - 4, 400_000)
+    assert item["geometry"]["type"] == "MultiPolygon"
+    west, _, east, _ = item["bbox"]
+    assert west > 179
+    assert east < -179
+
+
+@pytest.fixture(scope="module")
+def night(tmp_path_factory, make_field):
+    root = tmp_path_factory.mktemp("night")
+    for seed, name in enumerate(("a", "Grube Süd")):
+        write(make_field(9, 7, seed=seed), root / name, survey={"name": name, "checksum": None, "dates": None})
+    (root / "failed").mkdir()
+    for name in ("half", "before"):
+        shutil.copytree(root / "a", root / name)
+    (root / "half" / "run.json").unlink()
+    (root / "before" / "item.json").unlink()
+    write_catalog(root, ["a", "Grube Süd", "failed", "half", "before", "missing"], title="Night of May 3")
+    return root
+
+
+def links_of(folder):
+    catalog = json.loads((folder / "catalog.json").read_text(encoding="utf-8"))
+    return catalog, [link["href"] for link in catalog["links"] if link["rel"] == "item"]
+
+
+def test_a_catalogue_is_valid_and_links_to_complete_maps(night, tmp_path):
+    catalog, links = links_of(night)
+    assert faults(catalog) == []
+    assert (catalog["id"], catalog["title"]) == ("Night-of-May-3", "Night of May 3")
+    assert links == ["./a/item.json", "./Grube Süd/item.json"]
+    assert faults({**catalog, "links": [{"rel": "item"}]})
+    names = ["100% #2?", "b\udce9"]  # which a link cannot hold
+    for name in names:
+        shutil.copytree(night / "a", tmp_path / name)
+    write_catalog(tmp_path, names, title="")
+    assert links_of(tmp_path)[1] == ["./100%25 %232%3F/item.json", "./b%E9/item.json"]
+
+
+def test_pystac_opens_it_and_finds_every_file(night, monkeypatch):
+    def refuse(*_):
+        raise AssertionError("something asked for the network")
+
+    monkeypatch.setattr(socket.socket, "connect", refuse)
+    catalog = pystac.Catalog.from_file(str(night / "catalog.json"))
+    items = list(catalog.get_items(recursive=True))
+    assert [item.id for item in items] == ["a", "Grube-S-d"]
+    for item in items:
+        assert item.get_parent() is item.get_root() is catalog
+        for name, asset in item.get_assets().items():
+            assert Path(asset.get_absolute_href()).stat().st_size > 0
+            assert Path(asset.href).name == name
+        assert item.common_metadata.start_datetime.year == 1970
+        assert faults(item.to_dict(transform_hrefs=False)) == []
+
+
+def test_no_link_or_folder_is_replaced(tmp_path):
+    (tmp_path / "mine").write_text("mine")
+    (tmp_path / "catalog.json").symlink_to(tmp_path / "mine")
+    with pytest.raises(OutputError, match=r"catalog\.json is a link or no file.*Remove it"):
+        write_catalog(tmp_path, [], title="x")
+    assert (tmp_path / "mine").read_text() == "mine"

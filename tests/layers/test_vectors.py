@@ -1,0 +1,376 @@
+"""Regions of a map and their files: what they cover, borders whose vertices both sides share, and RFC 7946."""
+
+import json
+from dataclasses import replace
+
+import geopandas
+import numpy as np
+import pandas as pd
+import pytest
+import rasterio.features
+import shapely
+from cost_maps import part_of
+from coverages import check_coverage, holes_of_tiles
+from hypothesis import example, given, settings, strategies as st
+from hypothesis.extra.numpy import arrays
+from pyproj import CRS, Transformer
+from region_files import regions_of, write_flatgeobuf, write_geojson
+
+from bumpymap.core.errors import BadInputError
+from bumpymap.core.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, CostTable, Georeference, Reason
+from bumpymap.layers._cog import raster_lock
+from bumpymap.layers.placement import Placement
+from bumpymap.layers.regions import dissolve
+from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojson_writer
+from bumpytiles import Grid
+
+KEYS = arrays(np.uint8, st.tuples(st.integers(1, 8), st.integers(1, 8)), elements=st.integers(0, 3)).filter(np.any)
+CHECKERS = np.add.outer(np.arange(6), np.arange(7)).astype(np.uint8) % 2 + 1
+DIAGONALS = np.array([[1, 0, 1], [0, 1, 0], [1, 0, 2], [0, 2, 0]], np.uint8)
+RING_BY_CORNERS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], np.uint8)
+BESIDE_A_LONG_SIDE = np.array([[1, 1, 1, 1], [2, 2, 3, 3], [0, 2, 3, 0]], np.uint8)
+
+
+def at_antimeridian(crs, latitude):
+    """Georeference and a tile at 180 degrees."""
+    georeference = Georeference(CRS.from_user_input(crs))
+    x, y = Transformer.from_crs(4326, georeference.crs, always_xy=True).transform(180.0, latitude)
+    return georeference, round(x / 3), round(y / 3)
+
+
+SITES = {
+    # name: (georeference, west tile, south tile)
+    "south": (Georeference(CRS.from_epsg(32719)), 166_666, 2_000_000),
+    "feet": (Georeference(CRS.from_epsg(2271), 1200 / 3937, 1200 / 3937), 130_000, 60_000),
+    "northing_first": (Georeference(CRS.from_epsg(2193)), 530_000, 1_730_000),
+    "far_north": (Georeference(CRS.from_epsg(32633)), 160_000, 2_920_000),
+    "no_crs": (Georeference(None), -7, -5),
+    "antimeridian": at_antimeridian(32701, -17.0),
+    "far_south at the antimeridian": at_antimeridian(32760, -77.0),
+    # sides of tiles lie on it
+    "along the antimeridian": at_antimeridian("+proj=tmerc +lon_0=180 +k=0.9996 +datum=WGS84 +units=m", -17.0),
+}
+
+
+def map_of_keys(make_map, keys, site, stretch=1, shift=(0, 0)):
+    """Map with a class for each key, every tile stretched to ``stretch`` tiles side by side."""
+    georeference, west, south = SITES[site]
+    wide = np.repeat(keys, stretch, axis=1)
+    line, col = np.nonzero(wide)
+    place = (col + west + shift[0], south + shift[1] - line)
+    options = {"georeference": georeference, "easy": True, "grid": Grid(3.0, 1)}
+    return make_map(*place, wide[line, col] - 1, np.zeros(len(col)), **options)
+
+
+def vertices_by_hand(keys):
+    """Corners of tiles, (y, x), but for those where one straight border passes, or none."""
+    padded = np.pad(keys, 1)
+    a, b, c, d = padded[:-1, :-1], padded[:-1, 1:], padded[1:, :-1], padded[1:, 1:]
+    return {*zip(*np.nonzero(~(((a == b) & (c == d)) | ((a == c) & (b == d)))), strict=True)}
+
+
+@pytest.mark.parametrize("site", SITES)
+@settings(max_examples=20)
+@given(
+    keys=KEYS,
+    cut=st.sampled_from([(1, 1), (1, 3), (1, 512), (20, 512), (45, 512)]),
+    shift=st.tuples(*[st.integers(-9, 9)] * 2),
+)
+@example(keys=CHECKERS, cut=(1, 512), shift=(-4, 0))
+@example(keys=DIAGONALS, cut=(1, 512), shift=(0, 0))
+@example(keys=RING_BY_CORNERS, cut=(1, 512), shift=(0, 0))
+@example(keys=BESIDE_A_LONG_SIDE, cut=(45, 512), shift=(-80, 0))
+@example(keys=np.ones((7, 8), np.uint8), cut=(1, 2), shift=(0, 0))
+def test_both_vectors_are_a_coverage_with_the_holes_of_the_tiles(make_map, site, keys, cut, shift):
+    stretch, size = cut
+    made = map_of_keys(make_map, keys, site, stretch, shift)
+    table, holes = CostTable.of(made), holes_of_tiles(made.patches.col, made.patches.row)
+    place = GeoJsonCoordinates.of(Placement.of(table), local=True)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("bumpymap.layers.regions.REGION_WINDOW", size)
+        outlines = np.concatenate([regions.outlines for regions in dissolve(table)])
+    check_coverage(shapely.transform(outlines, place.placement.to_crs), holes)
+    if cut == (1, 512):  # no vertices but those that both sides need
+        line, col = np.nonzero(keys)
+        west, north = made.patches.col.min() - col.min(), made.patches.row.max() + 1 + line.min()
+        x, y = shapely.get_coordinates(outlines).T.astype(int)
+        assert {*zip((north - y).tolist(), (x - west).tolist(), strict=True)} == vertices_by_hand(keys)
+    degrees = place.polygons(outlines)
+    assert shapely.is_valid(degrees).all()
+    parts = shapely.get_parts(degrees)
+    assert set(shapely.get_type_id(parts)) == {shapely.GeometryType.POLYGON}
+    if site == "no_crs":
+        check_coverage(parts, holes)
+        return
+    west, _, east, _ = shapely.bounds(parts).T
+    assert (east - west < 1.0).all()
+    sides = [parts[west >= 0], parts[west < 0]] if "antimeridian" in site else [parts]
+    for side in sides:
+        check_coverage(side, holes if len(side) == len(parts) else None)
+
+
+def areas_by_hand(cost_map):
+    """Unions of the boxes of tiles that share sides and what they are, found apart from the package."""
+    patches, known = cost_map.patches, cost_map.class_id != NO_CLASS
+    passable = known & (cost_map.p_fail < 0.5) & (patches.slope <= cost_map.rule.slope_limit_deg)
+    kind = np.stack([cost_map.class_id, np.where(known, 0, patches.reason), passable], axis=1).astype(int)
+    boxes = shapely.box(patches.col, patches.row, patches.col + 1, patches.row + 1)
+    for key in np.unique(kind, axis=0):
+        for area in shapely.get_parts(shapely.union_all(boxes[(kind == key).all(axis=1)])):
+            yield tuple(key.tolist()), area
+
+
+@settings(max_examples=60)
+@given(
+    cells=st.lists(st.sampled_from([None, 0, 1, NO_CLASS]), min_size=1, max_size=36).filter(
+        lambda cells: any(cell is not None for cell in cells)
+    ),
+    cols=st.integers(1, 6),
+)
+def test_any_small_map_gives_valid_right_hand_regions(make_map, cells, cols):
+    present = [(i % cols - 3, i // cols - 3, cell) for i, cell in enumerate(cells) if cell is not None]
+    col, row, class_id = zip(*present, strict=True)
+    cost_map = make_map(col, row, class_id, [3 if cell == NO_CLASS else 0 for cell in class_id])
+    regions = regions_of(cost_map)
+    got = list(zip(regions.class_id, regions.reason, regions.passable, regions.outlines, strict=True))
+    expected = list(areas_by_hand(cost_map))
+    assert len(expected) == len(got)
+    for key, area in expected:
+        assert sum((k, r, p) == key and shapely.equals(area, outline) for k, r, p, outline in got) == 1
+    assert shapely.is_valid(regions.outlines).all()
+    for outline in regions.outlines:
+        assert outline.exterior.is_ccw
+        assert not any(hole.is_ccw for hole in outline.interiors)
+
+
+def test_numbers_are_means_over_the_tiles(make_map):
+    made = make_map([0, 1, 0, 1, 5], [0, 0, 1, 1, 9], [2, 2, NO_CLASS, NO_CLASS, 2], [0, 0, 3, 4, 0])
+    p_fail = np.array([0.1, 0.4, np.nan, np.nan, 0.5], np.float32)
+    cost_map = replace(made, p_fail=p_fail, patches=replace(made.patches, slope=np.zeros(5)))
+    regions = regions_of(cost_map)
+    # North first: the lonely tile, then the two unknown ones (for different reasons), then the pair.
+    rough, none = CLASS_NAMES[2], None
+    for name, wanted in {
+        "tiles": [1, 1, 1, 2],
+        "area_m2": [9.0, 9.0, 9.0, 18.0],
+        "class_id": [2, NO_CLASS, NO_CLASS, 2],
+        "class_name": [rough, "unknown", "unknown", rough],
+        "reason": [0, 3, 4, 0],
+        "reason_text": [REASON_TEXT[Reason(code)] for code in (0, 3, 4, 0)],
+        "passable": [False, False, False, True],
+        "c_r_basis": ["survivors", none, none, "drives"],
+    }.items():
+        assert getattr(regions, name).tolist() == wanted, name
+    for name in ("c_r", "c_r_low", "c_r_high", "p_fail"):
+        values = getattr(cost_map, name).astype(float)
+        assert getattr(regions, name) == pytest.approx([values[4], np.nan, np.nan, values[:2].mean()], nan_ok=True)
+    hazard = (-np.log([0.9, 0.6]) / cost_map.rule.drive_m).mean()
+    cost = 1 + 2.5 * cost_map.c_r[:2].astype(float).mean() + 300 * hazard
+    assert regions.hazard == pytest.approx([np.nan] * 3 + [hazard], nan_ok=True)
+    assert regions.cost == pytest.approx([np.nan] * 3 + [cost], nan_ok=True)
+
+
+def test_a_large_map_is_cut_into_windows_from_its_north_west_corner(make_field, monkeypatch):
+    cost_map = make_field(45, 30, holes=0.3)
+    monkeypatch.setattr("bumpymap.layers.regions.REGION_WINDOW", 20)
+    patches = cost_map.patches
+    cell = np.stack([(patches.row.max() - patches.row) // 20, (patches.col - patches.col.min()) // 20], axis=1)
+    found, expected = list(dissolve(CostTable.of(cost_map))), []
+    for key in np.unique(cell, axis=0):  # each cell as a map of its own
+        expected += dissolve(CostTable.of(part_of(cost_map, (cell == key).all(axis=1))))
+    assert len(expected) == 6
+
+    def both(name):
+        return [np.concatenate([getattr(batch, name) for batch in batches]) for batches in (found, expected)]
+
+    for name in ("class_id", "reason", "tiles", "passable", "c_r", "c_r_low", "c_r_high", "p_fail", "hazard", "cost"):
+        np.testing.assert_array_equal(*both(name))
+    # A region has vertices at the corners of those beyond the cut, which a map of its window alone does not know.
+    own, alone = both("outlines")
+    assert shapely.equals(own, alone).all()
+    assert (shapely.get_num_coordinates(own) >= shapely.get_num_coordinates(alone)).all()
+    check_coverage(own, holes_of_tiles(patches.col, patches.row))
+
+
+def test_no_raster_is_written_while_outlines_are_traced(make_field, monkeypatch):
+    """Blocks of both share GDAL's cache, from which one thread may push those that another has not finished."""
+    trace, held = rasterio.features.shapes, []
+    monkeypatch.setattr(
+        rasterio.features, "shapes", lambda *args, **more: held.append(raster_lock().locked()) or trace(*args, **more)
+    )
+    assert regions_of(make_field(20, 16))
+    assert held
+    assert all(held)
+
+
+def check_rfc7946(path):
+    """Hold a file against RFC 7946; the parsed collection comes back. Written apart from what it checks."""
+    collection = json.loads(path.read_text(), parse_constant=pytest.fail)
+    assert collection["type"] == "FeatureCollection"
+    assert "crs" not in collection
+    corners = []
+    for feature in collection["features"]:
+        assert (feature["type"], type(feature["properties"])) == ("Feature", dict)
+        geometry = feature["geometry"]
+        assert set(geometry) == {"type", "coordinates"}
+        polygons = {"Polygon": [geometry["coordinates"]], "MultiPolygon": geometry["coordinates"]}[geometry["type"]]
+        assert all(ring[0] == ring[-1] for rings in polygons for ring in rings)
+        shape = shapely.geometry.shape(geometry)
+        assert shape.is_valid
+        assert not shape.has_z
+        for part in shapely.get_parts(shape):
+            assert part.exterior.is_ccw
+            assert not any(hole.is_ccw for hole in part.interiors)
+            assert np.ptp(part.exterior.xy[0]) < 180
+        corners.append(shapely.get_coordinates(shape))
+    corners = np.concatenate(corners)
+    np.testing.assert_array_equal(corners, np.round(corners, 7))
+    assert (np.abs(corners) <= [180, 90]).all()
+    lon, lat = corners.T
+    west, south, east, north = collection["bbox"]
+    assert (south, north) == (lat.min(), lat.max())
+    assert (west, east) == ((lon.min(), lon.max()) if west <= east else (lon[lon > 0].min(), lon[lon < 0].max()))
+    return collection
+
+
+@pytest.fixture(name="site", params=["south", "feet", "northing_first", "far_north"])
+def site_fixture(request, make_field):
+    georeference, west, south = SITES[request.param]
+    return make_field(40, 25, west=west, south=south, georeference=georeference)
+
+
+def back_to_tiles(cost_map, outlines):
+    """Longitude and latitude to tiles, by pyproj alone."""
+    place = cost_map.georeference
+    to_crs = Transformer.from_crs("OGC:CRS84", place.crs, always_xy=True)
+    scale = place.metres_per_unit / cost_map.patches.grid.tile_size
+    return shapely.transform(outlines, lambda p: np.column_stack(to_crs.transform(p[:, 0], p[:, 1])) * scale)
+
+
+def test_properties(tmp_path, cost_map):
+    write_geojson(regions_of(cost_map), tmp_path / "cost.geojson", local=False)
+    features = check_rfc7946(tmp_path / "cost.geojson")["features"]
+    rule, seen = cost_map.rule, set()
+    for got in (feature["properties"] for feature in features):
+        assert list(got) == [
+            *("region", "class", "class_name", "reason", "passable", "c_r", "c_r_low", "c_r_high", "c_r_basis"),
+            *("p_fail", "hazard", "cost", "area_m2", "tiles"),
+        ]
+        assert got["area_m2"] == got["tiles"] * 9.0
+        seen.add((got["class"] is None, got["passable"]))
+        if got["class"] is None:
+            assert (got["class_name"], got["c_r"], got["c_r_basis"], got["p_fail"]) == ("unknown", None, None, None)
+            assert got["reason"] in {"too few points", "too many holes", "no ground points", "outlier-only relief"}
+        else:
+            assert (got["class_name"], got["reason"]) == (CLASS_NAMES[got["class"]], None)
+            assert got["c_r_low"] <= got["c_r"] <= got["c_r_high"]
+            assert got["c_r_basis"] == ("survivors" if got["p_fail"] >= 0.5 else "drives")
+        if got["passable"]:
+            assert got["p_fail"] < 0.5
+            cost = 1 + rule.ride_weight * got["c_r"] + rule.fail_weight * got["hazard"]
+            assert got["cost"] == pytest.approx(cost, abs=5e-6)
+        else:
+            assert (got["cost"], got["hazard"]) == (None, None)
+    assert seen == {(True, False), (False, True), (False, False)}
+    assert sum(feature["properties"]["tiles"] for feature in features) == len(cost_map.class_id)
+
+
+def test_geojson_and_flatgeobuf_open_in_geopandas_where_the_tiles_are_with_the_same_values(tmp_path, site):
+    regions = regions_of(site)
+    write_geojson(regions, tmp_path / "cost.geojson", local=False, about={"vehicle": "warthog"})
+    write_flatgeobuf(regions, tmp_path / "cost.fgb")
+    collection = check_rfc7946(tmp_path / "cost.geojson")
+    assert collection["vehicle"] == "warthog"
+    assert [feature["id"] for feature in collection["features"]] == [*range(1, len(regions.tiles) + 1)]
+    globe, flat = (geopandas.read_file(tmp_path / name) for name in ("cost.geojson", "cost.fgb"))
+    assert (globe.crs.to_epsg(), flat.crs) == (4326, site.georeference.crs)
+    found = back_to_tiles(site, globe.geometry.to_numpy())
+    assert (shapely.hausdorff_distance(found, regions.outlines) * 3.0 < 0.02).all()  # m
+    np.testing.assert_allclose(shapely.area(found) * 9.0, globe["area_m2"], rtol=0.02)
+    assert flat.geometry.is_valid.all()
+    assert flat.geometry.geom_type.unique().tolist() == ["Polygon"]
+    unit = site.georeference.metres_per_unit
+    assert flat.area.sum() * unit**2 == pytest.approx(9.0 * len(site.class_id), rel=1e-9)
+    flat = flat.sort_values("region")  # FlatGeobuf stores features along a Hilbert curve
+    boxes = flat.bounds[["minx", "miny", "maxx", "maxy"]].to_numpy() * unit
+    np.testing.assert_allclose(boxes, shapely.bounds(regions.outlines) * 3.0, rtol=1e-12)
+    tables = (pd.DataFrame(frame.drop(columns="geometry")).reset_index(drop=True) for frame in (flat, globe))
+    pd.testing.assert_frame_equal(*tables, check_dtype=False, check_like=True)
+    assert globe["passable"].dtype == flat["passable"].dtype == bool
+
+
+def test_long_sides_follow_the_grid_on_the_globe(tmp_path, make_map):
+    # Far from the central meridian and far north, a strip of 3 km: its sides bend on the way to degrees.
+    col, row = np.meshgrid(np.arange(240_000, 241_000), [2_900_000, 2_900_001])
+    cost_map = make_map(
+        *(col.ravel(), row.ravel(), np.zeros(2000), np.zeros(2000)),
+        georeference=Georeference(CRS.from_epsg(32633)),
+        easy=True,
+    )
+    regions = regions_of(cost_map)
+    write_geojson(regions, tmp_path / "cost.geojson", local=False)
+    (feature,) = check_rfc7946(tmp_path / "cost.geojson")["features"]
+    ring = np.array(feature["geometry"]["coordinates"][0])
+    middles = shapely.LineString((ring[:-1] + ring[1:]) / 2)  # where a straight piece is farthest from the true side
+    found = shapely.get_coordinates(back_to_tiles(cost_map, middles))
+    off = np.abs(found[:, 1] - np.round(found[:, 1])) * 3.0
+    along = np.abs(found[:, 0] - np.round(found[:, 0] / 1000) * 1000) > 1.0
+    assert off[along].max() < 0.012  # m: the rounding to 7 decimals is 1 cm
+
+
+def test_antimeridian_is_cut(tmp_path, make_map):
+    place, middle, row = at_antimeridian(32701, -17.0)  # UTM zone 1 south, with Fiji
+    tiles = (np.arange(middle - 4, middle + 5), [row] * 9, [1] * 8 + [0], [0] * 9)
+    write_geojson(regions_of(make_map(*tiles, georeference=place, easy=True)), tmp_path / "cost.geojson", local=False)
+    collection = check_rfc7946(tmp_path / "cost.geojson")
+    assert [feature["geometry"]["type"] for feature in collection["features"]] == ["MultiPolygon", "Polygon"]
+    west, _, east, _ = collection["bbox"]
+    assert 179.99 < west < 180.0
+    assert -180.0 < east < -179.99
+    parts = shapely.geometry.shape(collection["features"][0]["geometry"]).geoms
+    tile = 3.0 / (111_320 * np.cos(np.radians(17.0)))
+    assert sum(np.ptp(part.exterior.xy[0]) for part in parts) == pytest.approx(8 * tile, rel=0.01)
+
+
+def test_without_crs_only_local_coordinates_are_written(tmp_path, make_field):
+    cost_map = make_field(8, 6, west=-3, south=-2, georeference=Georeference(None))
+    regions, path = regions_of(cost_map), tmp_path / "cost.geojson"
+    with pytest.raises(BadInputError, match=r"no CRS.*`crs='EPSG:CODE'`.*`local=True`"):
+        write_geojson(regions, path, local=False)
+    assert not path.exists()
+    write_geojson(regions, path, local=True)
+    write_flatgeobuf(regions, tmp_path / "cost.fgb")
+    collection = json.loads(path.read_text())
+    assert "not RFC 7946" in collection["local_coordinates"]
+    assert collection["metres_per_unit"] == 1.0
+    globe, flat = geopandas.read_file(path), geopandas.read_file(tmp_path / "cost.fgb")
+    assert flat.crs is None
+    assert flat.area.sum() == 9.0 * len(cost_map.class_id)
+    assert (globe.crs.type_name, globe.crs.name) == ("Engineering CRS", "survey without a CRS")
+    assert globe.crs.axis_info[0].unit_conversion_factor == 1.0
+    bounds = (shapely.total_bounds(regions.outlines) * 3.0).tolist()
+    assert collection["bbox"] == globe.total_bounds.tolist() == flat.total_bounds.tolist() == bounds
+
+
+def test_coordinates_outside_of_the_crs(tmp_path, make_field):
+    regions = regions_of(make_field(5, 5, west=300_000_000, south=300_000_000))
+    with pytest.raises(BadInputError, match=r"outside the area where its CRS.*`force_crs="):
+        write_geojson(regions, tmp_path / "cost.geojson", local=False)
+
+
+def test_regions_fed_bit_by_bit_make_the_same_files(tmp_path, make_field, monkeypatch):
+    table = CostTable.of(make_field(30, 20, west=166_600))
+    for name, most in {"whole": 10_000, "bits": 5}.items():
+        monkeypatch.setattr("bumpymap.layers.regions.BATCH", most)
+        batches = list(dissolve(table))
+        place = batches[0].placement
+        with (
+            geojson_writer(tmp_path / f"{name}.geojson", GeoJsonCoordinates.of(place, local=False)) as to_globe,
+            flatgeobuf_writer(tmp_path / f"{name}.fgb", place) as to_flat,
+        ):
+            for regions in batches:
+                to_globe(regions)
+                to_flat(regions)
+    for kind in ("geojson", "fgb"):
+        assert (tmp_path / f"whole.{kind}").read_bytes() == (tmp_path / f"bits.{kind}").read_bytes()
+    assert len(list(tmp_path.iterdir())) == 4

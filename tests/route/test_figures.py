@@ -1,0 +1,442 @@
+"""Ways over fields of costs, what they cost and why they turn: scipy's graphs, closed forms, lengths by shapely."""
+
+import json
+import math
+from itertools import pairwise, permutations
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import shapely
+from click.testing import CliRunner
+from route_maps import write_folder
+from route_oracles import gap_to_closed, reach_by_graph, smooth_field, taut_length
+from route_sites import place, site
+from tile_maps import TileMap
+
+from bumpymap.cli import main
+from bumpymap.core import Barred
+from bumpymap.route import CostSettings, ground, measure
+from bumpymap.route._search_kernels import FROM_START, NOT_REACHED
+from bumpymap.route.alternatives import find_alternatives
+from bumpymap.route.ground import CostGround, WornTiles, sample_line
+from bumpymap.route.measure import MeasuredWay, measure_way
+from bumpymap.route.no_way import what_closes
+from bumpymap.route.pipeline import best_order
+from bumpymap.route.search import MOVES, find_way, spread
+from bumpymap.route.straighten import is_clear, line_cost, trace, wide_margin
+from bumpymap.route.why import measure_straight_line
+from bumpytiles import TileWindow
+
+SIZE = 3.0
+
+
+def random_map(rows=30, cols=40, seed=0):
+    rng = np.random.default_rng(seed)
+    return TileMap(rng.gamma(2.0, 0.1, (rows, cols)), p_fail=rng.random((rows, cols)) * 0.4)
+
+
+def measured(site, corners, **settings):
+    line = np.array([site.at(*corner) for corner in corners])
+    return measure_way(CostGround(site, CostSettings(**settings), 10**6), line, line[[0, -1]])
+
+
+def lengths_by_shapely(site, corners):
+    """Length [m] of a line inside each tile, (rows, cols)."""
+    rows, cols = site.c_r.shape
+    row, col = np.mgrid[0:rows, 0:cols]
+    line = shapely.LineString(np.array(corners)[:, ::-1])
+    return shapely.length(shapely.intersection(line, shapely.box(col, row, col + 1, row + 1))) * SIZE
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_figures_are_sums_over_the_lengths_in_each_tile(seed):
+    site = random_map(seed=seed)
+    corners = np.random.default_rng(seed).uniform((1, 1), (29, 39), (5, 2))
+    found = measured(site, corners).figures
+    length = lengths_by_shapely(site, corners)
+    hazard = -np.log1p(-site.p_fail.astype(float)) / 10.0
+    assert found.length_m == pytest.approx(length.sum(), rel=1e-9)
+    assert found.c_r_mean == pytest.approx((length * site.c_r).sum() / length.sum(), rel=1e-6)
+    assert found.c_r_mean_low == pytest.approx(0.8 * found.c_r_mean, rel=1e-6)
+    assert found.c_r_max == pytest.approx(site.c_r[length > 1e-9].max(), rel=1e-6)
+    assert found.hazard == pytest.approx((length * hazard).sum(), rel=1e-6)
+    assert found.p_arrives == pytest.approx(math.exp(-found.hazard))
+    assert found.cost_m == pytest.approx((length * (1 + 5 * site.c_r + 300 * hazard)).sum(), rel=1e-6)
+    assert found.seconds == pytest.approx(length.sum() / 2.0, rel=1e-9)
+    assert found.straight_m == pytest.approx(math.dist(corners[0], corners[-1]) * SIZE, rel=1e-9)
+
+
+def test_stretches_do_not_change_the_figures(monkeypatch):
+    site = random_map(60, 300)
+    corners = np.random.default_rng(1).uniform((1, 1), (59, 299), (6, 2))
+    whole = measured(site, corners)
+    site.windows.clear()
+    for room in (measure, ground):
+        monkeypatch.setattr(room, "_STRETCH_TILES", 7)
+    parts = measured(site, corners)
+    assert max(max(window.rows, window.cols) for window in site.windows) <= 11
+    for name in parts.figures.__dataclass_fields__:
+        assert getattr(parts.figures, name) == pytest.approx(getattr(whole.figures, name), rel=1e-9), name
+    for name in parts.profile.__dataclass_fields__:
+        np.testing.assert_allclose(getattr(parts.profile, name), getattr(whole.profile, name), rtol=1e-9, atol=1e-9)
+
+
+def test_a_ramp_climbs_by_its_height_and_the_slope_has_the_sign_of_the_direction():
+    slope = 0.05
+    site = TileMap(np.full((10, 60), 0.1), height=lambda east, north: slope * (east - 160_000 * SIZE) + 0.0 * north)
+    up = measured(site, [(5.5, 2.5), (5.5, 52.5)])
+    down = measured(site, [(5.5, 52.5), (5.5, 2.5)])
+    assert up.figures.climb_m == pytest.approx(150.0 * slope, abs=0.02)
+    assert (up.figures.descent_m, down.figures.climb_m) == pytest.approx((0.0, 0.0), abs=1e-3)
+    assert down.figures.descent_m == pytest.approx(up.figures.climb_m, abs=1e-3)
+    angle = math.degrees(math.atan(slope))
+    inner = slice(3, -3)
+    np.testing.assert_allclose(up.profile.slope[inner], angle, atol=0.1)
+    np.testing.assert_allclose(down.profile.slope[inner], -angle, atol=0.1)
+
+
+OPEN, ROUGH = 1.0 + 5.0 * 0.02, 1.0 + 5.0 * 0.4
+"""Cost of a metre with a ride weight of 5 m/rad."""
+
+
+def ground_of(made):
+    made.has_crs, made.to_crs = False, lambda x, y: (x, y)
+    return CostGround(made, CostSettings(), 10**6)
+
+
+def look(made, *corners):
+    ground = ground_of(made)
+    stops = np.array([made.at(*corner) for corner in corners])
+    return measure_straight_line(ground, stops, measure_way(ground, stops, stops).figures), ground, stops
+
+
+def field(rows=9, cols=40):
+    return np.full((rows, cols), 0.02), np.zeros((rows, cols), np.uint8)
+
+
+def test_a_wall_a_gap_in_the_map_and_rough_ground_are_told_with_their_lengths():
+    c_r, barred = field()
+    barred[:, 10:12], barred[:, 12] = Barred.SLOPE, Barred.FAILS
+    c_r[:, 20] = 0.4
+    made = TileMap(c_r, barred)
+    straight, ground, stops = look(made, (4.5, 3.5), (4.5, 30.5))
+    points, step = sample_line(stops, made.grid)
+    closed = float((~ground.clear_at(points)).sum()) * step  # the wall, and half the vehicle's width before and behind
+    assert straight.closed_m == pytest.approx(closed)
+    assert 9.0 + 1.5 < closed < 9.0 + 2.1
+    assert straight.cost_m == pytest.approx((81.0 - closed - 3.0) * OPEN + 3.0 * ROUGH, rel=1e-5)
+    wall, rough = straight.turns
+    assert (wall.why, wall.closed_m) == ("too steep, drives fail", pytest.approx(closed))
+    assert [wall.easting, wall.northing] == made.at(4.5, 11.5).tolist()
+    assert (rough.closed_m, rough.length_m, "C_r 0.400 rad/m, 3.0 m" in rough.why) == (0.0, pytest.approx(3.0), True)
+    for said in (f"closed on {closed:.1f} m", "81 m,", "too steep", "rough ground", "crs:480034.50"):
+        assert said in straight.words
+
+
+def test_beyond_the_map_nothing_is_known_and_the_three_longest_are_named():
+    c_r, barred = field()
+    for number, col in enumerate((5, 11, 18, 26)):
+        barred[:, col : col + number + 1] = Barred.STEP
+    straight, *_ = look(TileMap(c_r, barred), (4.5, 1.5), (4.5, 35.5))
+    assert [round(turn.closed_m) for turn in straight.turns] == [14, 11, 8]
+    straight, *_ = look(TileMap(*field()), (4.5, 1.5), (-4.5, 1.5), (-4.5, 5.5), (4.5, 5.5))
+    (beyond,) = straight.turns
+    assert "no points" in beyond.why
+
+
+def test_a_stone_on_open_ground_leaves_no_room():
+    made = TileMap(*field())
+    made.stones.append(tuple(made.at(4.5, 12.5)))
+    straight, *_ = look(made, (4.5, 3.5), (4.5, 30.5))
+    (turn,) = straight.turns
+    assert "no room beside an obstacle" in turn.why
+    assert turn.closed_m == pytest.approx(made.vehicle.width_m + 0.2, abs=0.4)
+
+
+def test_an_open_line_says_what_it_costs_and_a_point_nothing():
+    straight, *_ = look(TileMap(*field()), (4.5, 3.5), (4.5, 30.5))
+    assert (straight.closed_m, straight.turns) == (0.0, ())
+    assert "is open and costs 89 m; the way costs 89 m" in straight.words
+    assert look(TileMap(*field()), (4.5, 3.5), (4.5, 3.5))[0].words == ""
+
+
+def test_the_command_its_files_and_the_page_say_it(tmp_path):
+    layers, out = write_folder(tmp_path / "layers", site()), tmp_path / "way"
+    words = ["route", str(layers), "--from", place(12.5, 5.5), "--to", place(12.5, 25.5), "--out", str(out)]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 0, done.output
+    (said,) = [line for line in done.stdout.splitlines() if line.startswith("The straight line, 60 m, is closed")]
+    assert "too steep" in said
+    straight = json.loads((out / "route.json").read_text())["routes"][0]["straight"]
+    assert straight["closed_m"] == pytest.approx(straight["turns"][0]["closed_m"])
+    assert math.dist((straight["turns"][0]["x"], 0.0), (float(place(12.5, 15.5).split(",")[0]), 0.0)) < 1e-6
+    way = json.loads((out / "route.geojson").read_text())["features"][0]["properties"]
+    assert way["why"] == said
+
+
+def no_way(made, first, last):
+    return what_closes(ground_of(made), made.at(*first), made.at(*last))
+
+
+def test_without_a_way_the_place_where_both_sides_come_closest_is_told():
+    c_r, barred = field()
+    barred[:, 18:21] = Barred.SLOPE
+    said = no_way(TileMap(c_r, barred), (4.5, 3.5), (4.5, 30.5))
+    assert "come closest at crs:480058.50" in said
+    assert "12 m from tile to tile, where there is: too steep" in said
+
+
+def test_a_start_between_obstacles_does_not_silence_it():
+    c_r, barred = field()
+    barred[:, 18:21], barred[3:6, 2:5] = Barred.SLOPE, Barred.SPLIT
+    assert "come closest" in no_way(TileMap(c_r, barred), (4.5, 3.5), (4.5, 30.5))
+    barred[:, 18:21], barred[:, 10] = Barred.NO, Barred.OBSTACLE
+    assert "leave no opening as wide as the vehicle needs, 1.6 m" in no_way(
+        TileMap(c_r, barred), (4.5, 3.5), (4.5, 30.5)
+    )
+
+
+OWN_RISK = 300.0
+
+
+def way(ride, hazard, row, tiles=10):
+    """Return a way along a row of tiles."""
+    own = np.column_stack([np.arange(tiles), np.full(tiles, 5 * row)])
+    return MeasuredWay(np.zeros((2, 2)), SimpleNamespace(cost_m=ride + OWN_RISK * hazard, hazard=hazard), None, own)
+
+
+def planner(ways):
+    """Plan among given ways, as a search would."""
+
+    def plan(risk, worn):
+        def cost(one):
+            used = set(map(tuple, worn.tiles)) if worn is not None else set()
+            share = np.mean([tuple(tile) in used for tile in one.tiles])
+            total = one.figures.cost_m + (risk - OWN_RISK) * one.figures.hazard
+            return total * (1 + (worn.factor - 1) * share if worn is not None else 1)
+
+        return min(ways, key=cost)
+
+    return plan
+
+
+def test_the_hull_is_found_whole_and_in_order():
+    hull = [way(100, 0.5, 0), way(120, 0.3, 1), way(160, 0.1, 2), way(250, 0.0, 3)]
+    inside = [way(200, 0.4, 4), way(240, 0.2, 5)]
+    found = find_alternatives(planner([*hull, *inside]), 4, OWN_RISK)
+    assert [each for each, _ in found[:1]] == [hull[2]]
+    assert {id(each) for each, _ in found} == {id(each) for each in hull}
+    weights = {id(each): weight for each, weight in found}
+    assert weights[id(hull[1])] == pytest.approx((160 - 100) / (0.5 - 0.1))  # where its neighbours cost the same
+    costs = [each.figures.cost_m for each, _ in found[1:]]
+    assert costs == sorted(costs)
+
+
+def test_where_the_hull_ends_ways_over_other_ground_follow():
+    ways = [way(100, 0.0, 0), way(110, 0.0, 1), way(120, 0.0, 2), way(900, 0.0, 3)]
+    found = find_alternatives(planner(ways), 4, OWN_RISK)
+    assert [each for each, _ in found] == ways[:3]  # the last is not worth proposing
+
+
+@pytest.mark.parametrize("tile", [(10, 20), (13, 21)])
+def test_worn_tiles_and_those_beside_them_are_dearer(tile):
+    window = TileWindow(10, 20, 4, 3)
+    factors = WornTiles(np.array([tile, (500, 500)]), 2.0).factors(window)
+    rows, cols = np.mgrid[0:3, 0:4]
+    near = np.maximum(abs(window.row + 2 - rows - tile[1]), abs(window.col + cols - tile[0])) <= 1
+    assert factors.dtype == np.float32
+    assert (factors == np.where(near, 2.0, 1.0)).all()
+
+
+@pytest.mark.parametrize("fixed_end", [True, False])
+@pytest.mark.parametrize("seed", range(8))
+def test_no_permutation_is_cheaper(seed, fixed_end):
+    n = 2 + seed % 5
+    costs = np.random.default_rng(seed).uniform(1, 100, (n, n))
+    order = best_order(costs, fixed_end=fixed_end)
+    orders = [(0, *rest) for rest in permutations(range(1, n)) if not fixed_end or rest[-1] == n - 1]
+    assert tuple(order) in orders
+    found, *others = (sum(costs[a, b] for a, b in pairwise(one)) for one in (order, *orders))
+    assert found == pytest.approx(min(others), rel=1e-12)
+    assert best_order(np.full((n, n), np.inf), fixed_end=fixed_end) == list(range(n))  # no order at all
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_pieces_are_in_order_add_up_and_lie_in_their_tiles(seed):
+    rng = np.random.default_rng(seed)
+    cost = smooth_field(rng, (20, 30), width=0)
+    line = rng.uniform(0, 1, (4, 2)) * cost.shape
+    pieces = trace(cost, line)
+    lengths = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    assert pieces.length.sum() == pytest.approx(lengths.sum(), rel=1e-12)
+    assert (pieces.length * cost[pieces.row, pieces.col]).sum() == pytest.approx(line_cost(cost, line), rel=1e-12)
+    middle = np.cumsum(pieces.length) - pieces.length / 2
+    ends = np.concatenate([[0.0], np.cumsum(lengths)])
+    r, c = (np.interp(middle, ends, line[:, axis]) for axis in (0, 1))
+    np.testing.assert_array_equal(pieces.row, np.floor(r))
+    np.testing.assert_array_equal(pieces.col, np.floor(c))
+    step = np.abs(np.diff(pieces.row)) + np.abs(np.diff(pieces.col))
+    assert step.max() <= 1  # from tile to neighbour; random lines go through no corner
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_along_a_border_the_dearer_tile_counts(turned):
+    cost = np.array([[1, 5, 1, 2], [3, 1, 1, 2]], np.float32)
+    line = np.array([[1.0, 0.5], [1.0, 3.5]])
+    cost, line = (cost.T.copy(), line[:, ::-1]) if turned else (cost, line)
+    for way in (line, line[::-1]):
+        assert line_cost(cost, way) == pytest.approx(0.5 * 3 + 5 + 1 + 0.5 * 2)
+        pieces = trace(cost, way)
+        assert (pieces.length * cost[pieces.row, pieces.col]).sum() == pytest.approx(line_cost(cost, way))
+    cost = np.where(cost == 5, np.inf, cost)
+    assert np.isinf(line_cost(cost, line))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_through_corners_and_along_borders_turned_lines_cost_the_same(seed):
+    """Corners at whole and half tiles: every special case of borders, in all turns of the map."""
+    rng = np.random.default_rng(seed)
+    cost = smooth_field(rng, (9, 9), width=0, closed=0.1)
+    for _ in range(100):
+        line = rng.integers(0, 19, (3, 2)) / 2
+        total, clear = line_cost(cost, line), is_clear(cost, line, 0.2)
+        for _ in range(4):
+            cost, line = np.rot90(cost), np.column_stack([9 - line[:, 1], line[:, 0]])
+            for turned, way in ((cost, line[::-1]), (cost[::-1], line * [-1, 1] + [9, 0])):
+                assert line_cost(turned, way) == pytest.approx(total, rel=1e-12)
+                assert is_clear(turned, way, 0.2) == clear
+        if np.isfinite(total):
+            pieces = trace(cost, line)
+            assert (pieces.length * cost[pieces.row, pieces.col]).sum() == pytest.approx(total, rel=1e-12)
+
+
+def test_on_the_edge_of_the_window_the_tile_inside_is_traced():
+    cost = np.ones((3, 4), np.float32)
+    edge = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 4.0], [0.0, 4.0], [0.0, 0.0]])
+    pieces = trace(cost, edge)
+    assert pieces.length.sum() == pytest.approx(14)
+    assert (pieces.row.min(), pieces.row.max(), pieces.col.min(), pieces.col.max()) == (0, 2, 0, 3)
+    with pytest.raises(ValueError, match="leaves the window"):
+        trace(cost, np.array([[1.0, 1.0], [1.0, 4.01]]))
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.2, 0.45])
+def test_clear_is_what_shapely_measures(margin):
+    """Lines whose ends keep the margin, on random maps."""
+    rng, clear = np.random.default_rng(int(100 * margin)), []
+    for _ in range(150):
+        cost = np.pad(smooth_field(rng, (8, 9), width=1, closed=0.25), 1, constant_values=np.inf)
+        line = rng.permutation(np.argwhere(np.isfinite(cost)))[:3] + 0.5 + rng.uniform(-0.04, 0.04, (3, 2))
+        gap = gap_to_closed(cost, line)
+        assert is_clear(cost, line, margin) == (gap > 0 and gap >= margin)
+        clear.append(gap >= margin and gap > 0)
+    assert 0.05 < np.mean(clear) < 0.95
+
+
+def test_ends_may_be_near_closed_tiles_but_the_way_may_come_no_nearer():
+    cost = np.ones((8, 8), np.float32)
+    cost[4:] = np.inf
+    assert is_clear(cost, np.array([[3.9, 4.2], [3.5, 4.5], [2.0, 7.0]]), 0.4)  # straight away from it
+    assert not is_clear(cost, np.array([[3.9, 2.0], [3.9, 6.0]]), 0.4)  # along it
+    assert not is_clear(cost, np.array([[2.0, 2.0], [3.9, 4.0], [2.0, 6.0]]), 0.4)  # in the middle of a line
+    assert is_clear(cost, np.array([[3.999, 4.2], [3.5, 4.5]]), 0.4)
+    assert not is_clear(cost, np.array([[3.9, 4.2], [4.1, 4.5], [3.5, 4.5]]), 0.0)
+
+
+EVEN = np.ones((100, 100), np.float32)
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.25, 0.4999])
+def test_reach_is_that_of_the_same_graph_in_scipy(margin):
+    for seed in range(34):
+        rng = np.random.default_rng([seed, int(100 * margin)])
+        cost = smooth_field(rng, (15, 18), width=seed % 3, closed=rng.uniform(0.0, 0.4))
+        start = rng.permutation(np.argwhere(np.isfinite(cost)))[0]
+        reach, back = spread(cost, tuple(start + 0.5), margin=margin)
+        wanted = reach_by_graph(cost, MOVES, margin, start)
+        np.testing.assert_allclose(reach, wanted, rtol=1e-9)
+        np.testing.assert_array_equal(back == NOT_REACHED, np.isinf(wanted))
+        assert back[tuple(start)] == FROM_START
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_way_by_moves_costs_what_the_graph_says_or_the_straight_line(seed):
+    rng = np.random.default_rng(seed)
+    cost = smooth_field(rng, (40, 30), closed=0.2)
+    start, goal = rng.permutation(np.argwhere(np.isfinite(cost)))[:2]
+    wanted = reach_by_graph(cost, MOVES, wide_margin(0.3), start)[tuple(goal)]
+    straight = np.array([start, goal]) + 0.5
+    if is_clear(cost, straight, wide_margin(0.3)):
+        wanted = min(wanted, line_cost(cost, straight))
+    way = find_way(cost, tuple(start + 0.5), tuple(goal + 0.5), margin=0.3)
+    if way is None:
+        assert math.isinf(wanted)
+        return
+    assert way.graph_cost == pytest.approx(wanted, rel=1e-9)
+    assert way.cost <= way.graph_cost
+    assert way.cost == pytest.approx(line_cost(cost, way.line), rel=1e-9)
+    assert is_clear(cost, way.line, 0.3)
+    assert gap_to_closed(cost, way.line) >= 0.3 - 1e-6
+
+
+@pytest.mark.parametrize("margin", [0.1, 0.3, 0.45])
+def test_a_margin_bends_the_way_around_a_corner_in_an_arc(margin):
+    cost = EVEN[:40, :40].copy()
+    cost[20, :21] = np.inf
+    start, goal = (10.0, 10.0), (33.0, 9.0)
+    way = find_way(cost, start, goal, margin=margin)
+    corners = np.array([[20.0, 21.0], [21.0, 21.0]])
+    length, turned = 1.0, 0.0  # the wall's end is one tile wide
+    for point, corner, towards in ((start, corners[0], 1), (goal, corners[1], -1)):
+        away = np.subtract(corner, point)
+        length += math.sqrt(away @ away - margin**2)
+        heading = math.atan2(away[1], towards * away[0]) + math.asin(margin / math.hypot(*away))
+        turned += heading
+    exact = length + margin * turned
+    assert exact - 1e-6 <= way.cost <= exact * 1.001
+    assert margin - 1e-6 <= gap_to_closed(cost, way.line) <= 1.05 * margin + 1e-4
+    assert len(way.line) < 12
+
+
+@pytest.mark.parametrize(("least", "margin", "words"), [(0.99, 0.0, "at least 1"), (1.0, 0.5, "margin is")])
+def test_costs_and_margins_that_make_no_sense_are_refused(least, margin, words):
+    with pytest.raises(ValueError, match=words):
+        find_way(least * EVEN, (1.0, 1.0), (3.0, 3.0), margin=margin)
+
+
+@pytest.mark.parametrize("goal", [(4.5, 4.5), (-0.5, 2.0), (12.0, 3.0), (3.0, 1e9)])
+def test_ends_in_closed_tiles_or_outside_have_no_way(goal):
+    cost = EVEN[:12, :12].copy()
+    cost[4, 4] = np.inf
+    assert find_way(cost, (1.0, 1.0), goal) is None
+    assert find_way(cost, goal, (1.0, 1.0)) is None
+
+
+def test_around_blocks_the_line_is_taut():
+    """Moves decide on which side of a block the way passes; where both cost nearly the same, that may be the longer."""
+    shares = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        cost = np.ones((40, 40), np.float32)
+        for _ in range(16):
+            r, c = rng.integers(0, 36, 2)
+            cost[r : r + rng.integers(1, 8), c : c + rng.integers(1, 4)] = np.inf
+        start, goal = rng.permutation(np.argwhere(np.isfinite(cost)))[:2] + 0.5
+        way, exact = find_way(cost, tuple(start), tuple(goal)), taut_length(cost, start, goal)
+        assert (way is None) == math.isinf(exact)
+        shares.append(1.0 if way is None else way.cost / exact)
+    assert min(shares) > 1 - 1e-6
+    assert np.mean(np.array(shares) < 1.0003) > 0.8
+    assert max(shares) < 1.03
+
+
+def test_a_lane_is_joined_and_left_where_it_pays():
+    """Closed form: to and from a straight cheap lane at the angle whose cosine is the ratio of the costs."""
+    cost = np.full((60, 100), 4.0, np.float32)
+    cost[40] = 1.0
+    start, goal = (30.0, 10.0), (30.0, 90.0)
+    # Down to the lane's edge at cos = 1 / 4 along it, and through it to its middle or beyond for nothing.
+    down = 40.0 - start[0]
+    exact = 2 * 4.0 * down / math.sqrt(1 - 1 / 16) + (80.0 - 2 * down * (1 / 4) / math.sqrt(1 - 1 / 16)) * 1.0
+    assert exact - 1e-6 <= find_way(cost, start, goal).cost <= 1.001 * exact

@@ -1,0 +1,267 @@
+"""The pages of a comparison and of a check: what their records say, unknown ground apart, no name trusted."""
+
+import json
+import re
+import shutil
+from dataclasses import replace
+from html import unescape
+
+import geopandas
+import numpy as np
+import pytest
+import rasterio
+from check_records import made_up_check, make_check, stretches_at
+from page_outline import Outline
+from pyproj import Transformer
+from route_maps import copy_folder, write_folder
+from survey_pairs import COLS, ROWS, survey
+
+import bumpymap
+from bumpymap.check.pipeline import write_check
+from bumpymap.core import CHANGE_KINDS, CLASS_NAMES, BadInputError, Georeference, UsageError
+from bumpymap.layers.check_vectors import MapOffset
+from bumpymap.views import check_headline, degrees_line, write_report
+from bumpymap.views.page import change_page
+from bumpymap.views.page.change_page import NOT_COMPARED
+from bumpymap.views.page.charts import along_chart, drive_chart
+from bumpymap.views.words import area, check_verdict
+
+
+def band(folder, name):
+    with rasterio.open(folder / "change.tif") as file:
+        return file.read(file.descriptions.index(name) + 1)
+
+
+def places_of(page):
+    """Rows of the table of places, by the number of the place."""
+    return {re.match(r"\d+", row[0])[0]: row for row in Outline(page.text).tables["Places that have changed"][1:]}
+
+
+def test_tables_equal_the_counts_of_the_record(comparison, read_page):
+    record = json.loads((comparison / "change.json").read_text())
+    counts, tables = record["counts"], Outline(read_page(comparison / "report.html").text).tables
+    assert counts["changed"] > 30
+    kinds = tables["Tiles by what became of them"][1:]
+    for name, row in zip(CHANGE_KINDS, kinds, strict=False):
+        assert row[0].startswith(name)
+        assert row[2:] == [area(9 * counts["by_change"][name]), f"{counts['by_change'][name]:,}"]
+    assert [row[3] for row in kinds[5:]] == [
+        f"{counts['compared']:,}",
+        f"{counts['in_both'] - counts['compared']:,}",
+    ]
+    classes = [[int(cell.replace(",", "")) for cell in row[1:]] for row in tables["Tiles by class"][1:]]
+    assert classes == record["classes"]["tiles_before_after"]
+    surveys = {row[0]: row[1:] for row in tables["Before and after"][1:]}
+    assert surveys["name"] == ["pit <b>", "pit <b>"]
+    assert surveys["dates in the files"] == ["2024-05-01", "2025-05-02 to 2025-05-03"]
+
+
+def test_places_are_those_of_the_features(comparison, read_page):
+    page = read_page(comparison / "report.html")
+    features = json.loads((comparison / "change.geojson").read_text())["features"]
+    rows = places_of(page)
+    assert [int(row[2]) for row in rows.values()] == sorted((f["properties"]["tiles"] for f in features), reverse=True)
+    to_lonlat = Transformer.from_crs("EPSG:32614", "OGC:CRS84", always_xy=True)
+    spots = {spot["name"]: spot for spot in page.data["maps"][0]["places"]}
+    assert set(spots) == {str(feature["id"]) for feature in features} == set(rows)
+    for feature in features:
+        about, number = feature["properties"], str(feature["id"])
+        row, spot = rows[number], spots[number]
+        assert f"rougher in {about['rougher']}" in page.text or about["rougher"] in {0, about["tiles"]}
+        assert float(row[3]) == pytest.approx(about["d_height"], abs=0.0051)
+        assert float(row[8]) == pytest.approx(about["d_c_r"], abs=0.00051)
+        assert to_lonlat.transform(spot["east"], spot["north"]) == pytest.approx(tuple(map(float, row[-2:])), abs=1e-3)
+
+
+def test_values_of_the_page_are_those_of_the_raster_within_its_rounding(comparison, read_page):
+    page = read_page(comparison / "report.html")
+    changed, kinds = band(comparison, "changed"), page.codes("ground")
+    compared = np.isfinite(changed)
+    assert 0 < compared.sum() < compared.size
+    np.testing.assert_array_equal(kinds, np.where(compared, changed, NOT_COMPARED))
+    for key in ("d_height", "d_c_r"):
+        shown, grid = page.values(key)
+        roots = [np.sign(values) * np.sqrt(np.abs(values)) for values in (shown, band(comparison, key))]
+        roots[1][~compared] = np.nan
+        np.testing.assert_allclose(*roots, rtol=0, atol=grid["step"] / 2 + 1e-6, err_msg=key)
+
+
+def test_nothing_found_and_nothing_compared_are_not_the_same(may, tmp_path, read_page):
+    same = bumpymap.diff_surveys(may, may, tmp_path / "same")
+    assert same.regions()["kind"].tolist() == []
+    assert same.regions().crs.to_epsg() == 32614
+    assert "No change was found on the 1.08 ha that were compared" in read_page(same.folder / "report.html").text
+    folder = shutil.copytree(same.folder, tmp_path / "none")
+    record = json.loads((folder / "change.json").read_text())
+    record["counts"] |= {"compared": 0}
+    (folder / "change.json").write_text(json.dumps(record))
+    assert "is not known" in read_page(write_report(folder)).text
+
+
+@pytest.mark.parametrize("step", [2, 7])
+def test_a_change_is_seen_in_a_pixel_of_several_tiles(comparison, tmp_path, monkeypatch, read_page, step):
+    fine = read_page(comparison / "report.html").codes("ground")
+    monkeypatch.setattr(change_page, "_SIDE", -(-max(fine.shape) // step))
+    monkeypatch.setattr(change_page, "_STRIP_TILES", 100)
+    page = read_page(write_report(comparison, tmp_path / "coarse.html"))
+    assert page.data["maps"][0]["metres"] == 3 * step
+    kinds, (shown, _) = page.codes("ground"), page.values("d_height")
+    heights = np.where(np.isfinite(band(comparison, "changed")), band(comparison, "d_height"), np.nan)
+    for row, col in np.ndindex(kinds.shape):
+        part = np.s_[row * step : (row + 1) * step, col * step : (col + 1) * step]
+        tiles = fine[part]
+        assert kinds[row, col] == next((code for code in (2, 4, 3, 1) if code in tiles), tiles.max())
+        if kinds[row, col] == NOT_COMPARED:
+            assert np.isnan(shown[row, col])
+        else:
+            assert abs(shown[row, col]) == pytest.approx(np.nanmax(np.abs(heights[part])), abs=0.01)
+
+
+def test_what_cannot_be_made_says_why(comparison, may, tmp_path):
+    with pytest.raises(UsageError, match="`route`"):
+        write_report(comparison, route=may)
+    for name, content, told in (
+        ("change.json", "{", r"change\.json is not that of a comparison"),
+        ("change.json", '{"format": "bumpymap-change"}', r"change\.json is damaged"),
+        ("change.tif", "II*", r"change\.tif is cut off"),
+        ("change.tif", None, r"change\.tif is missing"),
+        ("change.geojson", '{"features": []}', r"change\.geojson is cut off"),
+    ):
+        twin = shutil.copytree(comparison, tmp_path / "twin", dirs_exist_ok=True)
+        (twin / name).unlink()
+        if content:
+            (twin / name).write_text(content)
+        with pytest.raises(BadInputError, match=told):
+            write_report(twin)
+
+
+def test_without_a_crs(tmp_path, read_page):
+    local = {"georeference": Georeference(None)}
+    sides = [write_folder(tmp_path / str(seed), survey(seed, rut=0.1 * (seed - 1), **local)) for seed in (1, 2)]
+    change = bumpymap.diff_surveys(*sides, tmp_path / "out")
+    page = read_page(change.folder / "report.html")
+    number, row = next(iter(places_of(page).items()))
+    (spot,) = [spot for spot in page.data["maps"][0]["places"] if spot["name"] == number]
+    off = np.abs(np.subtract([float(cell) for cell in row[-2:]], [spot["east"], spot["north"]]))
+    assert (off <= np.array(spot["size"]) / 2).all()
+    assert "no place on Earth" in page.text
+    collection = json.loads((change.folder / "change.geojson").read_text())
+    assert "local_coordinates" in collection
+    assert 480_000 <= collection["bbox"][0] < collection["bbox"][2] <= 480_120
+
+
+def test_the_call_of_python_gives_what_the_files_hold(may, comparison):
+    record = json.loads((comparison / "change.json").read_text())
+    change = bumpymap.diff_surveys(bumpymap.open(may), record["settings"]["after"])
+    assert change.folder is None
+    assert json.loads(json.dumps(change.counts)) == record["counts"]
+    table, written = change.regions(), geopandas.read_file(comparison / "change.geojson")
+    assert table.crs.to_epsg() == 32614
+    assert table["kind"].to_dict() == dict(enumerate(written["kind"], start=1))
+    assert np.allclose(table.area, table["area_m2"])
+    assert table.to_crs(4326).geometry.union_all().symmetric_difference(written.union_all()).area < 1e-9
+    assert change.field.changed.shape == (ROWS, COLS)
+
+
+def test_the_page_holds_map_figures_and_drives(checked, read_page):
+    out, result = checked
+    page, stretches, offset = read_page(out / "check.html"), result.stretches, MapOffset.of(result.stretches)
+    (about,) = page.data["maps"]
+    found = about["stretches"]
+    assert [spot["east"] for spot in found] == pytest.approx(stretches.easting, abs=0.01)
+    assert [(spot["kind"], spot["off"]) for spot in found] == [*zip(offset.kind, offset.is_off, strict=True)]
+    assert f"measured {stretches.measured[7]:.3f} rad/m, the map says {stretches.c_r[7]:.3f}" in found[7]["text"]
+    assert found[4]["text"].endswith("rad/m")
+    assert check_headline(result) in unescape(page.text)
+    tables = Outline(page.text).tables
+    rows = tables["Map against drives"]
+    classes = [f"{code} {name}" for code, name in enumerate(CLASS_NAMES) if code in result.by_class]
+    assert [row[0] for row in rows[1:]] == ["all", *classes]
+    assert sum(int(row[1]) for row in rows[2:]) == int(rows[1][1]) == 49
+    (worst,) = (table for title, table in tables.items() if title.startswith("Stretches that are off"))
+    measured, c_r = (np.array([float(row[at].split()[0]) for row in worst[1:]]) for at in (3, 4))
+    assert 0 < len(worst) - 1 <= 10
+    assert np.array([float(row[6]) for row in worst[1:]]) == pytest.approx(c_r / measured, rel=0.03)
+    assert "onerror=alert(1)&gt;" in page.text
+    assert "<img src=x" not in page.text
+    assert page.text.count("<circle") == 49 + 50
+
+
+def test_the_page_of_drives_alone_or_on_layers_that_cannot_be_drawn_has_no_map(site, on_site, tmp_path, read_page):
+    result = made_up_check(8, ground=False, drives=2)
+    drives = (replace(result.drives[0], warnings=("drive 1: no standstill", "too fast")), result.drives[1])
+    write_check(replace(result, drives=drives), tmp_path)
+    page = read_page(tmp_path / "check.html")
+    assert page.data["maps"] == []
+    assert "Map against drives" not in Outline(page.text).tables
+    assert "Spearman" not in page.text
+    assert "<h1>Drives measured: drive 1, drive 2</h1>" in page.text
+    assert "<li>drive 1: no standstill</li>\n<li>drive 1: too fast</li>" in page.text
+    later = copy_folder(site, tmp_path / "later", name="later")
+    result, ground = on_site(made_up_check(50), later)
+    (later / "tiles.parquet").unlink()
+    write_check(result, tmp_path / "out", ground=ground)
+    assert read_page(tmp_path / "out" / "check.html").data["maps"] == []
+
+
+MARK, TICK = r'<circle cx="(.*?)" cy="(.*?)"', r'<text x="([\d.]+)" y="\d+" text-anchor="middle">([\d.]+)</text>'
+
+
+def test_a_mark_lies_at_what_map_and_drive_say():
+    result = make_check(stretches_at(np.zeros((2, 2)), [0.1, 0.4], np.array([1.0, 3.0])))
+    chart, along = ("".join(draw(result).elements) for draw in (drive_chart, along_chart))
+    (x, y), (right, top) = np.array(re.findall(MARK, chart), float)
+    ticks = np.array(re.findall(TICK, chart), float)
+    scale = np.polyfit(np.log(ticks[:, 1]), ticks[:, 0], 1)
+    assert [x, right] == pytest.approx(np.polyval(scale, np.log([0.1, 0.4])), abs=0.2)
+    assert (y - top) / (right - x) == pytest.approx(np.log(12) / np.log(4) * 380 / 484, rel=0.01)
+    first, second = np.array(re.findall(MARK, along), float)
+    zero = float(re.search(r'y="([\d.]+)" text-anchor="end">0</text>', along)[1]) - 4
+    assert (zero - second[1]) / (zero - first[1]) == pytest.approx(12.0, rel=0.01)
+    assert second[0] - first[0] == pytest.approx((1120 - 64 - 12) / 2, abs=0.2)
+
+
+def judged(n=40, **figures):
+    result = made_up_check(n)
+    return replace(result, agreement=replace(result.agreement, **figures))
+
+
+@pytest.mark.parametrize(
+    ("rank", "ratio", "inside", "words"),
+    [
+        (0.95, 1.14, 0.79, "The map holds"),
+        (0.95, 1.16, 0.79, "The map ranks the ground rightly, but its level is off"),
+        (0.95, 0.8, 0.8, "The map ranks the ground rightly, but its level is off by no more than its interval allows"),
+        (0.7, 1.0, 0.79, "The map ranks the ground only roughly"),
+        (0.7, 2.0, 0.79, "The map ranks the ground only roughly, and its level is off"),
+        (-0.9, 1.0, 0.79, "The map does not rank this ground as the vehicle felt it"),
+    ],
+)
+def test_the_verdict_follows_from_rank_and_level(rank, ratio, inside, words):
+    assert check_verdict(judged(spearman=rank, median_ratio=ratio, inside=inside)) == words
+
+
+def test_even_ground_cannot_be_ranked():
+    result = judged(spearman=0.1, median_ratio=0.7, inside=0.3)
+    even = replace(result, stretches=replace(result.stretches, measured=np.full(40, 0.1)))
+    assert check_verdict(even).startswith("The map's level is off; the ground driven is too even to say")
+    held = replace(even, agreement=replace(result.agreement, median_ratio=1.05))
+    assert check_verdict(held).startswith("The level of the map holds; ")
+
+
+def test_the_headline_holds_the_figures():
+    figures = {"spearman": 0.96, "median_ratio": 0.92, "median_error": 0.11, "inside": 0.79, "way_m": 412.3}
+    said = check_headline(judged(**figures))
+    assert said.startswith("The map holds. Over 412 m in 40 stretches it reads 8 % low in the median, and half of ")
+    assert said.endswith("off by less than 11 %. 79 % of the drives' readings lie in its 80 % interval.")
+    assert check_headline(made_up_check(3)).startswith("Too little was driven on the map to judge it: 30 m in 3 str")
+    alone = made_up_check(8, ground=False)
+    mean = f"1 drive measured over 80 m: a ride cost of {np.mean(alone.stretches.measured):.3f} rad/m on average"
+    assert check_headline(alone).startswith(mean)
+
+
+def test_a_summary_says_ride_costs_in_degrees():
+    line = degrees_line([0.1, np.nan, np.radians(20.0), np.nan])
+    assert line.startswith("Median c_r in degrees of pitch per metre: smooth 5.7, rough 20.0; ")
+    assert line.endswith("measured 2.2 on asphalt, 8.4 on snow, 16.2 on silty loam")
+    assert degrees_line([np.nan] * 4) == ""

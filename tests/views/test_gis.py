@@ -1,0 +1,349 @@
+"""Styles and project for GIS as XML, and what QGIS makes of the files of a map, a comparison and a check."""
+
+import json
+import re
+import subprocess
+from collections import Counter
+from pathlib import Path
+from types import SimpleNamespace
+from xml.etree import ElementTree as ET
+
+import geopandas
+import numpy as np
+import pytest
+from check_records import made_up_check
+from pyproj import CRS
+from route_maps import write_folder
+from route_records import MadeUpMap
+from survey_pairs import survey
+
+import bumpymap
+from bumpymap.check.pipeline import write_check
+from bumpymap.core import BARRED_TEXT, CHANGE_KINDS, CLASS_NAMES, NO_CLASS, OBJECT_NAMES, REASON_TEXT
+from bumpymap.core.types import Barred, CostTable, Georeference
+from bumpymap.layers import colours, write_products
+from bumpymap.layers.check_vectors import OFF_KINDS, MapOffset
+from bumpymap.layers.products import PRODUCT_NAMES
+from bumpymap.views import write_map_views
+from bumpymap.views.gis.project import write_project
+from bumpymap.views.gis.styles import write_styles
+
+LIMITS = (0.1, 0.2, 0.4)
+CALIBRATION = {"id": "c0ffee", "vehicle": "warthog", "class_limits": LIMITS}
+INTERVALS = ("0 to 0.1 rad/m", "0.1 to 0.2 rad/m", "0.2 to 0.4 rad/m", "from 0.4 rad/m")
+
+
+def write_layers(table, folder, *, local=False, **manifest):
+    manifest = {"calibration": CALIBRATION} | manifest
+    return write_products(table, folder, views=write_map_views, local=local, manifest=manifest)[0]
+
+
+@pytest.fixture(name="folder", scope="module")
+def folder_fixture(tmp_path_factory, cost_map):
+    folder = tmp_path_factory.mktemp("site of a user")
+    write_layers(CostTable.of(cost_map), folder)
+    return folder
+
+
+@pytest.fixture
+def alone(tmp_path):
+    """A folder with names of layers, for styles that do not read any."""
+    (tmp_path / "rasters").mkdir()
+    for name in PRODUCT_NAMES:
+        (tmp_path / name).touch()
+    return tmp_path
+
+
+def read(path):
+    return ET.parse(path).getroot()  # noqa: S314 (our own file)
+
+
+def palette(style):
+    return {
+        int(entry.get("value")): (entry.get("label"), entry.get("color"), int(entry.get("alpha")))
+        for entry in style.iter("paletteEntry")
+    }
+
+
+def expected(names, palette_of):
+    visible = ((value, name) for value, name in names if palette_of[value][3])
+    return {
+        value: (name, "#{:02x}{:02x}{:02x}".format(*palette_of[value]), palette_of[value][3]) for value, name in visible
+    }
+
+
+def styled(folder, **record):
+    for path in folder.rglob("*.qml"):
+        path.unlink()
+    write_styles(folder, {"calibration": CALIBRATION} | record)
+    return {path.relative_to(folder).as_posix(): read(path) for path in folder.rglob("*.qml")}
+
+
+def test_every_visible_value_has_the_colour_of_the_table_and_its_name(alone):
+    styles = styled(alone)
+    labels = [f"{name}: c_r {text}" for name, text in zip(CLASS_NAMES, INTERVALS, strict=True)]
+    labels[3] += ", or too steep, or drives fail"
+    assert palette(styles["rasters/class.qml"]) == expected(enumerate(labels), colours.CLASS_COLOURS)
+    assert palette(styles["rasters/reason.qml"]) == expected(REASON_TEXT.items(), colours.REASON_COLOURS)
+    assert palette(styles["rasters/barred.qml"]) == expected(BARRED_TEXT.items(), colours.BARRED_COLOURS)
+    assert palette(styles["rasters/obstacle.qml"]) == expected(enumerate(OBJECT_NAMES), colours.OBJECT_COLOURS)
+    for name in ("cost.qml", "tiles.qml"):
+        root = styles[name]
+        categories = {category.get("value"): category for category in root.iter("category")}
+        assert [*categories] == [*CLASS_NAMES, "unknown", "not passable"]
+        for number, (value, category) in enumerate(categories.items()):
+            symbol = root.find(f".//symbol[@name='{category.get('symbol')}']")
+            colour, pattern = (symbol.find(f".//Option[@name='{key}']").get("value") for key in ("color", "style"))
+            if value in CLASS_NAMES:
+                assert category.get("label") == labels[number]
+                assert (colour, pattern) == (",".join(map(str, colours.CLASS_COLOURS[number])), "solid")
+            else:
+                assert pattern in {"b_diagonal", "diagonal_x"}
+
+
+def test_the_style_of_costs_serves_pixels_and_regions(alone):
+    root = styled(alone)["cost.qml"]
+    assert [element.tag for element in root].count("pipe") == 1
+    assert root.find("pipe/rasterrenderer").get("type") == "singlebandpseudocolor"
+    assert root.find("renderer-v2").get("type") == "categorizedSymbol"
+    assert set(re.findall(r'"(\w+)"', root.find("renderer-v2").get("attr"))) == {"class_name", "passable"}
+    assert [float(item.get("value")) for item in root.iter("item")] == [1, 1.5, 2, 4, 8, 16]
+    for name in ("cost.tif", "rasters/barred.tif"):
+        (alone / name).unlink()
+    styles = styled(alone)
+    assert styles["cost.qml"].find("pipe") is None
+    assert "rasters/barred.qml" not in styles
+
+
+def test_the_ride_cost_has_the_colours_of_the_classes_of_the_vehicle(alone):
+    (renderer,) = styled(alone)["rasters/roughness.qml"].iter("rasterrenderer")
+    assert (renderer.get("type"), renderer.get("band")) == ("singlebandpseudocolor", "1")
+    for number, (item, value) in enumerate(zip(renderer.iter("item"), (0.05, 0.15, 0.3, 0.5), strict=True)):
+        assert float(item.get("value")) == pytest.approx(value)
+        assert item.get("label") == f"{INTERVALS[number]} ({CLASS_NAMES[number]})"
+        assert item.get("color") == "#{:02x}{:02x}{:02x}".format(*colours.CLASS_COLOURS[number])
+
+
+@pytest.mark.parametrize("settings", [{"compat": "paper"}, SimpleNamespace(compat="paper")])
+def test_classes_of_the_paper_are_not_said_to_be_intervals_of_ride_cost(alone, settings):
+    styles = styled(alone, settings=settings)
+    assert [label for label, _, _ in palette(styles["rasters/class.qml"]).values()] == list(CLASS_NAMES)
+    assert "from 0.4 rad/m (very rough)" in {item.get("label") for item in styles["rasters/roughness.qml"].iter("item")}
+
+
+def test_the_relief_is_smooth_and_in_the_unit_of_the_crs(alone):
+    foot = {"metres_per_unit": {"horizontal": 1200 / 3937, "vertical": 1.0}}
+    for record, factor in (({}, 1.0), (foot, 3937 / 1200)):
+        styles = styled(alone, **record)
+        root = styles["rasters/relief.qml"]
+        assert ET.tostring(styles["rasters/heightmap.qml"]) == ET.tostring(root)
+        renderer, sampler = root.find("pipe/rasterrenderer"), root.find("pipe/rasterresampler")
+        assert renderer.get("type") == "hillshade"
+        assert float(renderer.get("zfactor")) == pytest.approx(factor)
+        assert {sampler.get("zoomedInResampler"), sampler.get("zoomedOutResampler")} == {"bilinear"}
+    assert root.find("pipe/resamplingStage").text == "resamplingFilter"
+    assert styled(alone)["rasters/class.qml"].find("pipe/rasterresampler").get("zoomedInResampler") is None
+
+
+def test_a_project_lists_what_is_there(folder):
+    root = read(folder / "map.qgs")
+    layers = {layer.find("id").text: layer for layer in root.find("projectlayers")}
+    leaves = {leaf.get("id"): leaf for leaf in root.iter("layer-tree-layer")}
+    assert [*layers] == [*leaves]
+    for name, layer in layers.items():
+        assert leaves[name].get("source") == layer.find("datasource").text
+        assert CRS.from_wkt(layer.find("srs/spatialrefsys/wkt").text).to_epsg() == 32614
+    by_source = {layer.find("datasource").text: layer for layer in layers.values()}
+    rasters = {name for name in PRODUCT_NAMES if name.endswith(".tif")}
+    assert set(by_source) == {f"./{name}" for name in (*rasters, "cost.fgb")}
+    order = [*by_source]
+    assert order.index("./rasters/class.tif") < order.index("./rasters/relief.tif")
+    blends = [by_source[f"./rasters/{name}.tif"].find("blendMode").text for name in ("class", "reason", "relief")]
+    assert blends == ["6", "6", "0"]  # multiplied with the relief, which unknown ground has too
+    bars = palette(by_source["./rasters/barred.tif"])  # drawn over the classes, so that passable tiles stay clear
+    assert set(bars) == {code.value for code in BARRED_TEXT} - {0}
+    assert 128 < bars.pop(Barred.UNKNOWN)[2] < 255  # the relief shows through
+    assert {alpha for _, _, alpha in bars.values()} == {255}
+    checked = {name for name, leaf in leaves.items() if leaf.get("checked") == "Qt::Checked"}
+    shown = {"bumpymap_reason_tif", "bumpymap_class_tif", "bumpymap_relief_tif"}
+    assert checked - shown == {"bumpymap_roughness_tif", "bumpymap_roughness_tif_p_fail"}  # in a group that is not
+
+
+def test_other_speeds_have_a_style_and_stand_in_the_project(tmp_path, at_two_speeds, cost_map):
+    """Each with the colours of the map's own speed, under the tiles where drives fail; a map without removes them."""
+    files = write_layers(at_two_speeds, tmp_path, settings={"speeds": (0.5, 2.0)})
+    assert all(path.exists() for path in files)
+    assert {tmp_path / "rasters/speeds.tif", tmp_path / "rasters/speeds.qml"} <= set(files)
+    styles = (tmp_path / "rasters" / name for name in ("roughness.qml", "speeds.qml"))
+    own, other = (read(path).find("pipe/rasterrenderer") for path in styles)
+    assert ET.tostring(own) == ET.tostring(other)
+    root = read(tmp_path / "map.qgs")
+    group = next(group for group in root.iter("layer-tree-group") if group.get("name") == "ride cost c_r")
+    assert group[0].get("id") == "bumpymap_roughness_tif_p_fail"
+    layers = {layer.find("id").text: layer for layer in root.find("projectlayers")}
+    speeds = [leaf for leaf in root.iter("layer-tree-layer") if leaf.get("source") == "./rasters/speeds.tif"]
+    assert {leaf.get("checked") for leaf in speeds} == {"Qt::Unchecked"}
+    bands = {leaf.get("name"): layers[leaf.get("id")].find("pipe/rasterrenderer").get("band") for leaf in speeds}
+    assert bands == {"c_r at 0.5 m/s": "1", "c_r at 2 m/s": "4"}
+    write_layers(CostTable.of(cost_map), tmp_path)
+    assert not list(tmp_path.rglob("speeds*"))
+
+
+@pytest.mark.parametrize("crs", ["EPSG:32614+5703", None])
+def test_a_project_has_the_horizontal_crs_or_none(tmp_path, make_field, crs):
+    cost_map = make_field(4, 4, georeference=Georeference(crs and CRS.from_user_input(crs)))
+    write_layers(CostTable.of(cost_map), tmp_path, local=crs is None)
+    root = read(tmp_path / "map.qgs")
+    assert (root.find("projectCrs") is None) == (crs is None)
+    assert root.find("properties/SpatialRefSys/ProjectionsEnabled").text == ("0" if crs is None else "1")
+    references = [reference.find("wkt").text for reference in root.iter("spatialrefsys")]
+    assert len(references) > 5
+    assert {text and CRS.from_wkt(text).to_epsg() for text in references} == {crs and 32614}
+
+
+def test_a_project_says_survey_vehicle_and_calibration_and_no_name_breaks_its_xml(folder, tmp_path):
+    crs = CRS.from_wkt(CRS.from_epsg(32614).to_wkt().replace("WGS 84 / UTM", "mine \x01 / UTM", 1))
+    record = {"calibration": CALIBRATION, "survey": {"name": "Pit \x01 <7> \udce9 &"}, "crs": {"wkt": crs.to_wkt()}}
+    (tmp_path / "rasters").mkdir()
+    for name in ("rasters/class.tif", "rasters/heightmap.tif"):
+        (tmp_path / name).write_bytes((folder / name).read_bytes())
+    write_project(tmp_path, record)
+    root = read(tmp_path / "map.qgs")
+    assert root.find("title").text == r"Pit \x01 <7> \xe9 &: ride cost"
+    abstract = root.find("projectMetadata/abstract").text
+    for part in ("warthog", "c0ffee", "smooth: c_r 0 to 0.1 rad/m"):
+        assert part in abstract
+    sources = {layer.find("datasource").text for layer in root.find("projectlayers")}
+    assert sources == {"./rasters/class.tif", "./rasters/heightmap.tif"}
+    known = CRS.from_wkt(root.find("projectCrs/spatialrefsys/wkt").text)
+    assert known.name == r"mine \x01 / UTM zone 14N"
+
+
+SCRIPT = Path(__file__).with_name("load_in_qgis.py")
+RASTERS = {name: "paletted" for name in PRODUCT_NAMES if name.endswith(".tif")}
+RASTERS |= dict.fromkeys(("rasters/roughness.tif", "cost.tif"), "singlebandpseudocolor")
+RASTERS |= dict.fromkeys(("rasters/heightmap.tif", "rasters/relief.tif"), "hillshade")
+AREAS = ("cost.geojson", "cost.fgb", "tiles.gpkg")
+
+
+def seen_by_qgis(folder, cost_map, *, local=False):
+    """Write layers and let QGIS load them; its version here may not read Parquet, so tiles come as GeoPackage."""
+    write_layers(CostTable.of(cost_map), folder, local=local, survey={"name": "Pit 7"})
+    tiles = geopandas.read_parquet(folder / "tiles.parquet", columns=["geometry", "class", "passable", "c_r"])
+    tiles.to_file(folder / "tiles.gpkg", driver="GPKG")
+    return load(folder)
+
+
+def load(folder):
+    """What QGIS makes of the files in a folder."""
+    report = folder.parent / f"{folder.name}.json"
+    command = ["/usr/bin/python3", str(SCRIPT), str(folder), str(report)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return json.loads(report.read_text(encoding="utf-8"))
+
+
+@pytest.fixture(name="seen", scope="module")
+def seen_fixture(tmp_path_factory, cost_map):
+    return seen_by_qgis(tmp_path_factory.mktemp("layers"), cost_map)
+
+
+@pytest.mark.qgis
+def test_every_layer_opens_with_its_renderer(seen):
+    layers = seen["layers"]
+    assert {name: layer["renderer"] for name, layer in layers.items()} == {
+        **RASTERS,
+        **dict.fromkeys(AREAS, "categorizedSymbol"),
+    }
+    assert all(layer["valid"] and layer["crs_valid"] for layer in layers.values())
+    assert {name: layer["crs"] for name, layer in layers.items()} == {
+        name: "EPSG:4326" if name == "cost.geojson" else "EPSG:32614" for name in layers
+    }
+    assert all(layer["name"] == Path(name).stem for name, layer in layers.items())
+    assert all(layer["colours"] > 1 for layer in layers.values())
+
+
+@pytest.mark.qgis
+def test_every_area_is_drawn_and_none_as_what_it_is_not(seen, cost_map):
+    known = cost_map.class_id != NO_CLASS
+    table = CostTable.of(cost_map).tiles.read(("passable",), CostTable.of(cost_map).tiles.window)
+    drawn = seen["layers"]["tiles.gpkg"]["drawn"]
+    assert "nothing" not in drawn
+    assert drawn["unknown"] == int((~known).sum())
+    assert sum(drawn.values()) == len(known)
+    assert drawn["not passable"] == int(known.sum() - table["passable"].sum())
+    regions = seen["layers"]["cost.fgb"]["drawn"]
+    assert regions == seen["layers"]["cost.geojson"]["drawn"]
+    assert "nothing" not in regions
+    assert sum(regions.values()) == seen["layers"]["cost.fgb"]["features"]
+    assert set(regions) == set(drawn)
+
+
+@pytest.mark.qgis
+def test_the_project_opens_as_a_map(seen):
+    project = seen["project"]
+    assert (project["read"], project["error"], project["crs"]) == (True, "", "EPSG:32614")
+    assert project["title"] == "Pit 7: ride cost"
+    assert "warthog" in project["abstract"]
+    fails = project["layers"].pop("bumpymap_roughness_tif_p_fail")
+    assert fails["values"] == [0.5, 1.0]
+    layers = {Path(layer["source"]).name: layer for layer in project["layers"].values()}
+    renderers = {Path(name).name: kind for name, kind in RASTERS.items()} | {"cost.fgb": "categorizedSymbol"}
+    assert {name: layer["renderer"] for name, layer in layers.items()} == renderers
+    assert all(layer["valid"] and layer["crs"] == "EPSG:32614" for layer in layers.values())
+    assert (layers["class.tif"]["multiply"], layers["relief.tif"]["multiply"]) == (True, False)
+    assert all(found for *_, found in project["tree"])
+    shown = {layer_id for layer_id, is_shown, _ in project["tree"] if is_shown}
+    assert shown - {"bumpymap_reason_tif"} == {"bumpymap_class_tif", "bumpymap_relief_tif"}
+    assert project["colours"] > 100  # four classes, each as bright as the relief under it
+    west, south, east, north = layers["class.tif"]["extent"]
+    left, bottom, right, top = project["extent"]
+    assert left < west < east < right
+    assert bottom < south < north < top
+    assert top - bottom < 1.3 * (north - south)
+
+
+@pytest.mark.qgis
+def test_a_map_without_a_crs_lies_where_its_coordinates_say(tmp_path, make_field):
+    project = seen_by_qgis(tmp_path, make_field(20, 15, georeference=Georeference(None)), local=True)["project"]
+    assert not project["crs_valid"]
+    for layer in project["layers"].values():
+        assert layer["valid"]
+        assert not layer["crs_valid"]
+        assert layer["extent"] == pytest.approx([330_000, 2_040_000, 330_060, 2_040_045])
+    assert 329_900 < project["extent"][0] < 330_000
+    assert project["colours"] > 100
+
+
+def legend(names, palette_of):
+    return [[name, "#{:02x}{:02x}{:02x}".format(*palette_of[code])] for code, name in enumerate(names)]
+
+
+@pytest.mark.qgis
+def test_a_comparison_shows_its_kinds_as_pixels_and_places(tmp_path):
+    later = survey(3, rut=0.1, c_r=3.0)
+    later.c_r[600:] = np.nan  # the ride over the end of the rut is not known
+    before, after = write_folder(tmp_path / "may", survey(1)), write_folder(tmp_path / "june", later)
+    change = bumpymap.diff_surveys(before, after, tmp_path / "out")
+    layers = load(change.folder)["layers"]
+    raster, places = layers["change.tif"], layers["change.geojson"]
+    assert (raster["renderer"], raster["bands"], raster["crs"]) == ("paletted", [6], "EPSG:32614")
+    assert raster["values"] == [0, 1, 2, 3, 4]
+    assert raster["legend"] == [[*entry, 255] for entry in legend(CHANGE_KINDS, colours.CHANGE_COLOURS)]
+    assert raster["colours"] >= 3  # unchanged ground, and more than one kind of change
+    assert places["renderer"] == "categorizedSymbol"
+    assert [entry[:2] for entry in places["legend"]] == legend(CHANGE_KINDS, colours.CHANGE_COLOURS)[1:]
+    assert places["drawn"] == Counter(about["kind"] for about in change.field.regions)
+    assert places["features"] == len(change.field.regions) > 0
+
+
+@pytest.mark.qgis
+def test_stretches_are_drawn_by_how_far_the_map_is_off(tmp_path):
+    result = made_up_check(60, noise=0.4, unknown=[4])
+    write_check(result, tmp_path / "out", ground=MadeUpMap.around())
+    layer = load(tmp_path / "out")["layers"]["check.geojson"]
+    assert layer["renderer"] == "categorizedSymbol"
+    assert [entry[:2] for entry in layer["legend"]] == legend(OFF_KINDS, colours.OFF_COLOURS)
+    assert layer["drawn"] == Counter(OFF_KINDS[kind] for kind in MapOffset.of(result.stretches).kind.tolist())
+    assert layer["features"] == 60
+    assert layer["colours"] > 6

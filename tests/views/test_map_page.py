@@ -1,0 +1,295 @@
+"""report.html holds what the layers hold, says it in tables, asks nobody for anything, and trusts no name."""
+
+import io
+import json
+import re
+import shutil
+import sys
+from base64 import b64decode
+from functools import partial
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+import pytest
+import rasterio
+from cost_maps import make_field
+from page_outline import Outline, require_no_requests
+from PIL import Image
+from pyproj import Transformer
+from route_maps import VEHICLE, copy_folder, list_anew, write_folder
+
+from bumpymap.core import CLASS_NAMES, NO_CLASS, OBSTACLE, BadInputError, OutputError, UsageError
+from bumpymap.layers import SurveyRow
+from bumpymap.views import write_report
+from bumpymap.views.page import page
+from bumpymap.views.page.batch_page import index_page
+from bumpymap.views.page.tiles import NO_POINTS, UNKNOWN_FROM
+from bumpymap.views.words import area, number, share
+
+
+def raster(folder, name, band=None):
+    with rasterio.open(folder / name) as file:
+        return file.read(file.descriptions.index(band) + 1 if band else 1)
+
+
+def counted(table):
+    """The counts of a table by the names of its rows."""
+    return {row[0]: row[3] for row in table[1:]}
+
+
+def told(counts):
+    return {name: f"{count:,}" for name, count in counts.items()}
+
+
+def test_the_page_asks_nobody_and_its_tables_equal_the_counts_of_the_run(site, read_page):
+    page = read_page(site / "report.html")
+    require_no_requests(page.text)
+    assert len(page.text.encode()) < 2_000_000
+    counts, tables = json.loads((site / "run.json").read_text())["counts"], Outline(page.text).tables
+    classes = {f"{code} {name}": counts["by_class"][name] for code, name in enumerate(CLASS_NAMES)}
+    classes |= {"not known": counts["unknown"], "all": counts["tiles"]}
+    assert counted(tables["Classes"]) == told(classes)
+    assert counted(tables["What can be crossed"]) == told(counts["barred"] | {"passable": counts["passable"]})
+    assert counted(tables["Why ground is not known"]) == told(counts["by_reason"])
+    assert sum(int(row[1].replace(",", "")) for row in tables["Ride cost C_r of the tiles"][1:]) == counts["classified"]
+
+
+def test_values_of_the_page_are_those_of_the_rasters_within_its_rounding(site, read_page):
+    page = read_page(site / "report.html")
+    classes, ground = raster(site, "rasters/class.tif"), page.codes("ground")
+    known = classes != NO_CLASS
+    assert known.any()
+    assert (ground[known] == classes[known]).all()
+    assert (ground[~known] >= UNKNOWN_FROM).all()
+    assert (page.codes("barred") == raster(site, "rasters/barred.tif")).all()
+    bands = {name: raster(site, "rasters/roughness.tif", name) for name in ("c_r", "p_fail", "slope")}
+    bands["cost"] = raster(site, "cost.tif")
+    for key, band in bands.items():
+        shown, grid = page.values(key)
+        wanted = np.where(known, band, np.nan)
+        assert (np.isnan(shown) == np.isnan(wanted)).all(), key
+        if grid["scale"] == "log":
+            shown, wanted = np.log(shown), np.log(np.maximum(wanted, 1e-4))
+        assert np.nanmax(np.abs(shown - wanted)) <= grid["step"] / 2 + 1e-6, key
+    shown, grid = page.values("height")
+    blocks = raster(site, "rasters/heightmap.tif").reshape(30, 15, 40, 15).astype(float)
+    count = np.isfinite(blocks).sum(axis=(1, 3))
+    assert (np.isnan(shown) == (count == 0)).all()
+    mean = np.nansum(blocks, axis=(1, 3)) / np.maximum(count, 1)
+    assert np.abs(shown - mean)[count > 0].max() <= grid["step"] / 2 + 1e-3
+    found = page.objects()
+    assert np.array_equal(found, raster(site, "rasters/obstacle.tif"))
+    assert (found == OBSTACLE).any()
+
+
+@pytest.mark.parametrize(("limit", "most", "step"), [("_SIDE", 20, 2), ("_TILES", 25, 7)])
+def test_the_worst_tile_decides_a_pixel_of_several(site, tmp_path, monkeypatch, read_page, limit, most, step):
+    import bumpymap.views.page.site as module
+
+    one = read_page(site / "report.html")
+    monkeypatch.setattr(module, limit, most)
+    many = read_page(write_report(site, tmp_path / "coarse.html"))
+    assert many.data["maps"][0]["metres"] == 3 * step
+    assert f"One pixel of the map is {3 * step} m, {step} x {step} tiles of 3 m. The worst tile decides" in many.text
+    grounds, bars = ([page.codes(name) for page in (one, many)] for name in ("ground", "barred"))
+    things, seen = one.objects().reshape(30, 15, 40, 15) == OBSTACLE, many.objects() == OBSTACLE
+    rides, costs = ([page.values(key)[0] for page in (one, many)] for key in ("c_r", "cost"))
+    assert grounds[1].shape == (-(-30 // step), -(-40 // step))
+    for row, col in np.ndindex(grounds[1].shape):
+        part = np.s_[row * step : (row + 1) * step, col * step : (col + 1) * step]
+        ground, barred, found = grounds[0][part], bars[0][part], grounds[1][row, col]
+        if (ground == NO_POINTS).all():
+            assert found == bars[1][row, col] == NO_POINTS
+            continue
+        unknown = ground >= UNKNOWN_FROM
+        assert (found >= UNKNOWN_FROM) == unknown.any()
+        if not unknown.any():
+            assert found == ground.max()
+            assert rides[1][row, col] == pytest.approx(rides[0][part].max(), rel=0.02)
+        assert (bars[1][row, col] == 0) == (barred == 0).all()
+        assert np.isnan(costs[1][row, col]) == (barred != 0).any() or np.isnan(rides[1][row, col])
+        assert seen[row, col] == things[part[0], :, part[1]].any()
+    tables = [Outline(page.text).tables["Ride cost C_r of the tiles"] for page in (one, many)]
+    assert tables[0] == tables[1]
+
+
+def test_names_are_text_and_places_of_the_machine_are_not_in_the_page(tmp_path, read_page):
+    bad = "<script>alert('x')</script>\"&amp;\udce9.laz"
+    plain, file = bad.replace("\udce9", ""), "<img src=x onerror=alert(1)>\"'&amp;\udce9.laz"
+    places = ["/home/me/a b.laz", "C:\\me\\c.laz", "https://example.org/d.laz?key=1"]
+    folder = write_folder(
+        tmp_path / "odd",
+        make_field(6, 5),
+        inputs=[{"path": f"/home/me/{file}", "format": bad, "points": 7, "bytes": 5, "checksum": bad}]
+        + [{"path": path, "format": "LAZ", "points": 1} for path in places],
+        settings={"surveys": [f"/home/me/{file}"], "crs": "</script>"},
+        warnings=[f"{places[0]} is odd"],
+        vehicle=VEHICLE | {"name": plain},
+        calibration={"id": plain, "vehicle": plain, "class_limits": [0.1, 0.2, 0.3]},
+        survey={"name": plain, "dates": [plain, plain]},
+        skipped={bad: "why"},
+        model=plain,
+    )
+    page = read_page(folder / "report.html")
+    outline = Outline(page.text)
+    assert page.text.count("<script") == 2
+    assert page.data["maps"][0]["name"] == plain
+    files = [row[0] for row in outline.tables["Files of the survey"][1:]]
+    assert files == [file.replace("\udce9", "\\xe9"), "a b.laz", "c.laz", "d.laz"]
+    assert "onerror" not in outline.attributes
+    assert "a b.laz is odd" in page.text
+    assert not [private for private in ("key=1", "/home", str(tmp_path)) if private in page.text]
+
+
+def change_bars(folder, code, bar):
+    """Give all tiles of a class another entry in the column ``barred``."""
+    path = folder / "tiles.parquet"
+    table = pq.read_table(path)
+    at = table.schema.get_field_index("barred")
+    field = table.schema.field(at)
+    chosen = pc.fill_null(pc.equal(table["class"], code), fill_value=False)
+    bars = pc.if_else(chosen, pa.scalar(bar, pa.string()), table["barred"].cast(pa.string()))
+    pq.write_table(table.set_column(at, field, bars.cast(field.type)), path)
+    list_anew(folder)
+    return folder
+
+
+def test_smooth_ground_looks_drivable_only_if_it_is_in_the_picture_without_script(tmp_path, read_page):
+    """A steep but smooth slope is hatched; where nobody knows whether there is a way, there is no colour."""
+    folder = write_folder(tmp_path / "easy", make_field(30, 20, easy=True, holes=0.0))
+    blue, dark = {}, {}
+    for bar in (None, "too steep", "unknown ground"):
+        page = read_page(write_report(change_bars(folder, 0, bar)))
+        source = re.search(r'class="still" src="data:image/jpeg;base64,([^"]+)"', page.text)[1]
+        picture = np.asarray(Image.open(io.BytesIO(b64decode(source))).convert("RGB")).astype(int)
+        ground = page.codes("ground")
+        factor = picture.shape[0] // ground.shape[0]
+        tiles = picture.reshape(ground.shape[0], factor, ground.shape[1], factor, 3)[:, 2:-2, :, 2:-2]
+        smooth = tiles.transpose(0, 2, 1, 3, 4)[ground == 0]
+        assert len(smooth) > 20
+        blue[bar] = ((smooth[..., 2] - smooth[..., 0]) / smooth.max(axis=-1) > 0.35).mean(axis=(1, 2))
+        dark[bar] = (smooth.max(axis=-1) < 60).mean(axis=(1, 2))
+    assert blue[None].mean() > 0.9
+    assert blue["unknown ground"].mean() < 0.05
+    assert (dark["too steep"] > dark[None]).mean() > 0.98
+
+
+def test_the_headline_counts_as_smooth_only_what_can_be_crossed(tmp_path, read_page):
+    folder = write_folder(tmp_path / "easy", make_field(30, 20, easy=True))
+    before = json.loads((folder / "run.json").read_text())["counts"]
+    calm = before["by_class"]["smooth"] + before["by_class"]["fair"]
+    wanted = "{} of the ground can be crossed and is smooth or fair to ride on."
+    assert wanted.format(share(calm, before["tiles"])) in read_page(folder / "report.html").text
+    page = read_page(write_report(change_bars(folder, 0, "obstacle")))
+    assert wanted.format(share(before["by_class"]["fair"], before["tiles"])) in page.text
+
+
+def test_a_record_of_little_is_enough(tmp_path):
+    folder = write_folder(
+        tmp_path / "bare", make_field(6, 5), vehicle=None, calibration=None, model=None, settings=None
+    )
+    assert "The vehicle can cross" in (folder / "report.html").read_text()
+
+
+def test_what_cannot_be_made_says_why(site, tmp_path):
+    (tmp_path / "there.html").touch()
+    (tmp_path / "a.html").mkdir()
+    twin = shutil.copytree(site, tmp_path / "twin")
+    (twin / "tiles.parquet").write_bytes(b"PAR1 and no more")
+    for folder, name, error, words in (
+        (site, "run.json", UsageError, r"ends in \.html"),
+        (tmp_path, "b.html", BadInputError, "holds no complete run"),
+        (site, "no/a.html", OutputError, "no folder"),
+        (site, "there.html", OutputError, "exists"),
+        (site, "a.html", OutputError, "is a folder"),
+        (twin, "b.html", BadInputError, r"tiles\.parquet"),
+    ):
+        with pytest.raises(error, match=words):
+            write_report(folder, tmp_path / name)
+    bent = '{"features": [{"properties": {}, "geometry": {"type": "LineString", "coordinates": [[1]]}}]}'
+    for route in (None, '{"features": []}', bent, "[" * 200, "\udcff"):
+        if route is not None:
+            (tmp_path / "route.geojson").write_bytes(route.encode("utf-8", "surrogateescape"))
+        with pytest.raises(BadInputError, match=r"route\.geojson"):
+            write_report(site, tmp_path / "b.html", route=tmp_path)
+    assert not (tmp_path / "b.html").exists()
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"cost": {"slope_limit_deg": None}},
+        {"inputs": [{"points": "many"}]},
+        {"metres_per_unit": {"horizontal": 1e308}},
+        {"format": ["x"]},
+        {"grid": {"tile_size_m": 3.0, "pixels": float("inf")}},
+    ],
+)
+def test_a_damaged_record_is_told(site, tmp_path, damage):
+    folder = copy_folder(site, tmp_path / "layers", **damage)
+    (folder / "report.html").write_text("of before")
+    with pytest.raises(BadInputError, match=r"run\.json is |run.json is missing or not that of a map"):
+        write_report(folder)
+    assert (folder / "report.html").read_text() == "of before"
+
+
+def test_a_way_lies_on_the_map(site, tmp_path, read_page):
+    corners = [(110_002 * 3.0, 680_004 * 3.0), (110_020 * 3.0, 680_022 * 3.0)]
+    to_lonlat = Transformer.from_crs("EPSG:32614", "OGC:CRS84", always_xy=True)
+    line = {"type": "LineString", "coordinates": [to_lonlat.transform(*corner) for corner in corners]}
+    about = {"name": "<b>way</b>", "length_m": 1234.5, "c_r_mean": 0.123456, "p_arrives": 0.998}
+    collection = {"type": "FeatureCollection", "features": [{"type": "Feature", "properties": about, "geometry": line}]}
+    (tmp_path / "route.geojson").write_text(json.dumps(collection))
+    page = read_page(write_report(site, tmp_path / "a.html", route=tmp_path))
+    (way,) = page.data["maps"][0]["ways"]
+    assert np.allclose(way["lines"][0], corners, atol=0.02)
+    table = dict(Outline(page.text).tables["Figures of the way"])
+    wanted = {"figure": "<b>way</b>", "mean C_r": "0.123 rad/m", "length": "1,234 m"}
+    wanted["chance to arrive"] = "over 99\xa0%"
+    assert {name: table[name] for name in wanted} == wanted
+
+
+def test_shares_never_round_to_nothing_or_all():
+    assert [share(part, 10_000).replace("\xa0", " ") for part in (0, 1, 50, 9_940, 9_999, 10_000)] == [
+        "0 %", "under 1 %", "under 1 %", "over 99 %", "over 99 %", "100 %",
+    ]  # fmt: skip
+    assert share(1, 0) == number(None, 2) == number(float("nan"), 1)
+    assert [area(one) for one in (9, 25_000, 3.2e6)] == ["9 m²", "2.50 ha", "3.20 km²"]
+
+
+HOSTILE = "<b>'&\udce9\x1b[31m\u202e"
+
+
+@pytest.fixture
+def kept(tmp_path, monkeypatch):
+    """The folder that compiled templates are kept in, and an engine that has none in memory."""
+    monkeypatch.setattr(sys, "pycache_prefix", str(tmp_path))
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    page._engine.cache_clear()
+    yield tmp_path
+    page._engine.cache_clear()
+
+
+def test_compiled_templates_are_kept_where_they_can_be_and_give_the_same_page(kept, monkeypatch):
+    made = partial(index_page, [SurveyRow(HOSTILE, "failed", HOSTILE)], {}, [HOSTILE], HOSTILE, HOSTILE)
+    first = made()
+    assert not [sign for sign in ("<b>", "\x1b", "\u202e") if sign in first]
+    assert first.count(r"\x1b[31m\u202e") >= 4
+    times = {file: file.stat().st_mtime_ns for file in kept.rglob("*.cache")}
+    assert len(times) == 2  # the page and its frame
+    page._engine.cache_clear()
+    assert made() == first
+    assert {file: file.stat().st_mtime_ns for file in kept.rglob("*.cache")} == times
+    page.compile_pages()
+    assert len([*kept.rglob("*.cache")]) == len([*page._HERE.parent.glob("*/templates/*.*ml")])
+    (kept / "file").write_text("no folder")
+    monkeypatch.setattr(sys, "pycache_prefix", str(kept / "file"))
+    page._engine.cache_clear()
+    assert made() == first
+
+
+def test_what_a_record_lacks_is_no_empty_text():
+    with pytest.raises(LookupError, match="'title' is undefined"):
+        page.render_page("batch.html", note="", links=[], rows=[], unknown_colour=(0, 0, 0))

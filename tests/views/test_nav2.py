@@ -1,0 +1,438 @@
+"""Maps and graphs for Nav2, read by ports of the rules of their readers in Nav2, and what holds for every export.
+
+github.com/ros-navigation/navigation2: nav2_map_server/src/map_io.cpp (loadMapYaml, loadMapFromFile, mode raw),
+nav2_costmap_2d/plugins/static_layer.cpp (interpretValue), nav2_costmap_2d/src/costmap_2d.cpp (a costmap of an
+occupancy grid), plugins/costmap_filters/speed_filter.cpp, nav2_smac_planner/src/node_2d.cpp (getTraversalCost);
+nav2_route: src/plugins/graph_file_loaders/geojson_graph_file_loader.cpp, and src/route_planner.cpp (which cost of an
+edge counts).
+"""
+
+import json
+import math
+
+import numpy as np
+import pytest
+import rasterio
+import shapely
+import yaml
+from hypothesis import given, settings, strategies as st
+from PIL import Image
+from pyproj import CRS, Geod
+from scipy.ndimage import gaussian_filter, generate_binary_structure, label
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components, dijkstra
+from small_surveys import files_in
+
+from bumpymap.core import NO_TILE, BadInputError, Barred, Georeference, OutputError, UsageError, corners_join
+from bumpymap.layers import open_map
+from bumpymap.views import ExportSettings, export_map
+from bumpymap.views.export.graph import SQUARES, FreeGround, join, line_cost, thin
+
+FREE, LETHAL, INSCRIBED, NO_INFORMATION = 0, 254, 253, 255
+
+
+class OccupancyGrid:
+    """map_io: all keys are required, the image lies beside the file, rows are turned upside down."""
+
+    def __init__(self, path):
+        doc = yaml.safe_load(path.read_text())
+        assert {"image", "resolution", "origin", "free_thresh", "occupied_thresh", "negate"} <= set(doc)
+        assert doc["mode"] == "raw"
+        self.x, self.y, yaw = map(float, doc["origin"])
+        assert yaw == 0.0
+        assert 0.0 < doc["free_thresh"] < doc["occupied_thresh"] < 1.0
+        shade = np.asarray(Image.open(path.parent / doc["image"]).convert("L"), float) / 255.0
+        value = np.round(shade * 255.0)
+        self.data = np.where((value >= 0) & (value <= 100), value, -1).astype(np.int8)[::-1]  # row 0 is the south
+        self.resolution = float(doc["resolution"])
+
+    def world(self, row, col):
+        return self.x + (col + 0.5) * self.resolution, self.y + (row + 0.5) * self.resolution
+
+
+def static_layer(grid, params):
+    """interpretValue for each cell, as unsigned char."""
+    value = grid.data.astype(np.uint8).astype(int)
+    threshold = params["lethal_cost_threshold"]
+    scaled = np.floor(value / threshold * LETHAL).astype(int)
+    if params.get("trinary_costmap", True):
+        scaled[:] = FREE
+    scaled[value >= threshold] = LETHAL
+    scaled[value == params.get("inscribed_obstacle_cost_value", 99)] = INSCRIBED
+    unknown = NO_INFORMATION if params["track_unknown_space"] else FREE
+    scaled[value == params["unknown_cost_value"]] = unknown
+    return scaled
+
+
+def speed_limit(value, base, multiplier):
+    """Percent of the top speed; None: no limit."""
+    assert value != -1, "unknown cells are errors: the last limit stays"
+    limit = value * multiplier + base
+    return None if value == 0 or not 0.0 <= limit <= 100.0 else limit
+
+
+def exported(route_map, out, **settings):
+    done = export_map(route_map, out, ExportSettings(to="nav2", **settings))
+    params = yaml.safe_load((out / "nav2_params.yaml").read_text())
+    grids = [OccupancyGrid(out / f"{name}.yaml") for name in ("map", "keepout_mask", "speed_mask")]
+    return done.record, params, grids
+
+
+def tile_values(folder, name):
+    with rasterio.open(folder / name) as file:
+        return file.read(1)[::-1]  # row 0 is the south
+
+
+@pytest.fixture(scope="module")
+def whole(route_map, tmp_path_factory):
+    return exported(route_map, tmp_path_factory.mktemp("nav2") / "out")
+
+
+def test_a_costmap_keeps_graded_cost_and_knows_what_is_unknown(whole, folder):
+    record, params, (grid, _, _) = whole
+    settings = params["global_costmap"]["global_costmap"]["ros__parameters"]
+    costmap = static_layer(grid, settings)
+    barred, cost = tile_values(folder, "rasters/barred.tif"), tile_values(folder, "cost.tif")
+    assert costmap.shape == barred.shape
+    unknown = (barred == Barred.UNKNOWN) | (barred == NO_TILE)
+    passable = barred == Barred.NO
+    assert (costmap[unknown] == NO_INFORMATION).all()
+    assert (costmap[~unknown & ~passable] == LETHAL).all()
+    assert (costmap[passable] < INSCRIBED).all()
+    assert len(np.unique(costmap[passable])) > 10
+    multiplier = params["planner_server"]["ros__parameters"]["GridBased"]["cost_travel_multiplier"]
+    planner = 1.0 + multiplier * costmap[passable] / 252.0
+    step = (record["cost"]["value_98"] - 1.0) / 98.0
+    assert np.abs(planner - cost[passable]).max() < 1.1 * step  # half a step of rounding, and decimals dropped
+    assert record["cost"]["value_98"] == pytest.approx(np.nanmax(cost), rel=1e-6)
+    assert record["tiles"]["passable"] == passable.sum()
+    assert record["tiles"]["unknown"] == (barred == Barred.UNKNOWN).sum()
+
+
+def test_the_speed_filter_keeps_the_ride_under_the_limit(route_map, folder, tmp_path):
+    _, params, (_, _, mask) = exported(route_map, tmp_path / "out", comfort=0.2)
+    info = params["speed_info_server"]["ros__parameters"]
+    assert info["type"] == 1
+    c_r = tile_values(folder, "rasters/roughness.tif")
+    for value, ride in zip(mask.data.ravel().tolist(), c_r.ravel().tolist(), strict=True):
+        limit = speed_limit(value, info["base"], info["multiplier"])
+        assert limit is not None, "0 would mean: no limit"
+        if math.isnan(ride):
+            assert limit == 1
+        elif limit > 1:
+            assert ride * 2.0 * limit / 100.0 <= 0.2 * (1 + 1e-9)
+            assert limit == 100 or ride * 2.0 * (limit + 1) / 100.0 > 0.2
+
+
+@pytest.mark.parametrize(
+    ("resolution", "around"), [("tile", (110_010.0 * 3 + 1.0, 680_008.0 * 3 + 2.0)), ("pixel", None)]
+)
+def test_cells_lie_where_the_survey_has_them(route_map, folder, tmp_path, around, resolution):
+    """Origin at the lower left corner, the first row of the image in the north, shifted by the datum."""
+    crop = {} if around is None else {"around": around, "radius": 9.0}
+    record, _, (grid, mask, _) = exported(route_map, tmp_path / "out", resolution=resolution, **crop)
+    datum = record["datum"]
+    rng = np.random.default_rng(1)
+    rows, cols = (rng.integers(0, size, 5_000) for size in grid.data.shape)
+    x, y = grid.world(rows, cols)
+    places = list(zip((x + datum["x"]).tolist(), (y + datum["y"]).tolist(), strict=True))
+    with rasterio.open(folder / "rasters/barred.tif") as file:
+        barred = np.array([value[0] for value in file.sample(places)])
+    with rasterio.open(folder / "rasters/obstacle.tif") as file:
+        pixel = np.array([value[0] for value in file.sample(places)])
+    cell, kept = grid.data[rows, cols], mask.data[rows, cols]
+    unknown, passable = np.isin(barred, [Barred.UNKNOWN, NO_TILE]), barred == Barred.NO
+    obstacle, unseen = ((pixel == 1), (pixel == 3)) if resolution == "pixel" else (pixel == 9, pixel == 9)
+    assert (cell[~unknown & ~passable] == 100).all()
+    assert (cell[obstacle] == 100).all()
+    assert (cell[unknown & ~obstacle] == -1).all()
+    assert (cell[passable & unseen] == -1).all()
+    assert (passable & unseen).any() == (resolution == "pixel")
+    seen = passable & ~obstacle & ~unseen
+    assert ((cell[seen] >= 0) & (cell[seen] <= 98)).all()
+    assert (kept == np.where(seen, 0, 100)).all()  # keepout_filter.cpp: 100 is lethal, 0 changes nothing
+    size = 3.0 if resolution == "tile" else 0.2
+    assert grid.resolution == pytest.approx(size, abs=1e-12)
+    assert np.fmod(abs(grid.x) + 1e-7, grid.resolution) < 1e-5  # aligned with the origin
+    if around is not None:
+        assert grid.data.shape == (7 * round(3 / size), 7 * round(3 / size))
+
+
+def test_cost_is_scaled_the_same_in_every_crop_if_asked(route_map, tmp_path):
+    middle = ((110_010 + 0.5) * 3, (680_008 + 0.5) * 3)
+    crops = [
+        exported(route_map, tmp_path / str(radius), around=middle, radius=radius, datum=(0.0, 0.0), max_cost=7.0)
+        for radius in (4.0, 13.0)
+    ]
+    (small, large) = (crop[2][0] for crop in crops)
+    off = [round((small.x - large.x) / 3), round((small.y - large.y) / 3)]
+    rows, cols = small.data.shape
+    np.testing.assert_array_equal(small.data, large.data[off[1] : off[1] + rows, off[0] : off[0] + cols])
+    assert crops[0][0]["datum"]["x"] == 0.0
+
+
+def test_parameters_fit_together(whole):
+    _, params, _ = whole
+    servers = {name: part["ros__parameters"] for name, part in params.items() if "ros__parameters" in part}
+    info = servers["keepout_info_server"]
+    assert (info["type"], info["base"], info["multiplier"]) == (0, 0.0, 1.0)
+    costmap = params["global_costmap"]["global_costmap"]["ros__parameters"]
+    assert costmap["static_layer"]["map_topic"] == servers["map_server"]["topic_name"]
+    for name in ("keepout", "speed"):
+        topic = servers[f"{name}_info_server"]["filter_info_topic"]
+        assert costmap[f"{name}_filter"]["filter_info_topic"] == topic
+        assert servers[f"{name}_info_server"]["mask_topic"] == servers[f"{name}_mask_server"]["topic_name"]
+    managed = set(servers["lifecycle_manager_bumpymap"]["node_names"])
+    assert managed == {name for name in servers if name.endswith("_server")} - {"controller_server", "planner_server"}
+    assert costmap["robot_radius"] == 0.7
+
+
+def test_what_cannot_be_exported(route_map, tmp_path, monkeypatch):
+    for wrong in ({"to": "ros"}, {"max_cost": 1.0}, {"every": 0}, {"around": (float("inf"), 0.0)}):
+        with pytest.raises(UsageError, match=next(iter(wrong))):
+            ExportSettings(**wrong)
+    with pytest.raises(BadInputError, match="nothing of the map lies within"):
+        export_map(route_map, tmp_path / "out", ExportSettings(around=(110_000.0 * 3 - 500, 680_000.0 * 3)))
+    for to, told in (("nav2", "`around`"), ("gridmap", "`resolution='tile'`")):
+        monkeypatch.setattr(f"bumpymap.views.export.{to}._MAX_CELLS", 100)
+        with pytest.raises(BadInputError, match=told):
+            export_map(route_map, tmp_path / "out", ExportSettings(to=to, resolution="pixel"))
+    assert not (tmp_path / "out").exists()
+
+
+GRAPH, NAV2 = ExportSettings(to="graph"), ExportSettings(to="nav2")
+
+
+def test_an_earlier_export_is_replaced_only_if_asked(easy_map, route_map, tmp_path):
+    out = tmp_path / "out"
+    export_map(easy_map, out, NAV2)
+    before = files_in(out)
+    with pytest.raises(OutputError, match="`overwrite=True`"):
+        export_map(route_map, out, NAV2)
+    with pytest.raises(OutputError, match="in another format"):
+        export_map(route_map, out, GRAPH, overwrite=True)
+    assert files_in(out) == before
+    done = export_map(route_map, out, NAV2, overwrite=True)
+    after = files_in(out)
+    assert set(after) == set(before)
+    assert after["map.pgm"] != before["map.pgm"]
+    assert json.loads(after["datum.json"]) == done.record
+    assert [path.name for path in done.files][-1] == "datum.json"
+
+
+@pytest.mark.parametrize("to", ["nav2", "gridmap", "graph", "cost"])
+def test_the_same_map_has_the_same_bytes(easy_map, tmp_path, to):
+    for name in ("a", "b"):
+        export_map(easy_map, tmp_path / name, ExportSettings(to=to))
+    assert files_in(tmp_path / "a") == files_in(tmp_path / "b")
+
+
+def test_other_files_stay_links_are_not_followed_and_layers_are_no_place_for_it(easy_map, easy_folder, tmp_path):
+    out, mine = tmp_path / "out", tmp_path / "mine"
+    out.mkdir()
+    for path in (out / "notes.txt", mine):
+        path.write_text("mine")
+    (out / "map.pgm").symlink_to(mine)
+    with pytest.raises(OutputError, match=r"map\.pgm"):
+        export_map(easy_map, out, NAV2)
+    export_map(easy_map, out, NAV2, overwrite=True)
+    assert mine.read_text() == (out / "notes.txt").read_text() == "mine"
+    assert not (out / "map.pgm").is_symlink()
+    before = files_in(easy_folder)
+    (tmp_path / "odd" / "graph.geojson").mkdir(parents=True)
+    for place, told in ((easy_folder, "holds the layers of a run"), (mine, "a file"), (tmp_path / "odd", "not a file")):
+        with pytest.raises(OutputError, match=told):
+            export_map(easy_map, place, GRAPH, overwrite=True)
+    assert files_in(easy_folder) == before
+
+
+def test_the_datum_says_where_the_frame_lies(easy_map, make_field, write_map, tmp_path):
+    """A way to the north and one to the east of the frame, laid on the ellipsoid from the datum; metres on any map."""
+    foot = 1200.0 / 3937.0
+    tennessee = Georeference(CRS.from_epsg(2274), foot, foot)  # US survey feet
+    west, south = int(1_740_000 * foot / 3), int(660_000 * foot / 3)
+    feet_map = write_map(make_field(8, 6, west=west, south=south, georeference=tennessee, easy=True), tmp_path / "feet")
+    for site, code, unit in ((easy_map, "EPSG:32614", 1.0), (open_map(feet_map), "EPSG:2274", foot)):
+        record = export_map(site, tmp_path / code, NAV2).record
+        datum, area, window = record["datum"], record["area"], site.window
+        assert (datum["crs"]["code"], record["resolution_m"]) == (code, 3.0)
+        assert [(datum[axis] * unit + 1e-6) % 3.0 < 1e-5 for axis in "xy"] == [True, True]
+        assert area["east"] - area["west"] == pytest.approx(window.cols * 3.0)
+        corner = (datum["x"] * unit + area["west"], datum["y"] * unit + area["south"])
+        np.testing.assert_allclose(corner, (window.col * 3.0, window.row * 3.0), atol=1e-6)
+        geod = Geod(ellps="WGS84")
+        for east, north in ((0.0, 50.0), (50.0, 0.0)):
+            end = site.to_lonlat(datum["x"] * unit + east, datum["y"] * unit + north)
+            azimuth, _, length = geod.inv(datum["longitude"], datum["latitude"], *end)
+            bearing = math.degrees(math.atan2(east, north)) + datum["grid_convergence_deg"]
+            assert azimuth == pytest.approx(bearing, abs=1e-3)
+            assert length == pytest.approx(50.0 / datum["grid_scale"], rel=1e-5)
+        assert abs(datum["grid_convergence_deg"]) > 0.1
+
+
+def load_graph(path):
+    """Nodes (points) by id, edges (lines) as start, end, cost; what the loader requires is there."""
+    nodes, edges, ids = {}, [], []
+    for feature in json.loads(path.read_text())["features"]:
+        properties, geometry = feature["properties"], feature["geometry"]
+        ids.append(properties["id"])
+        if geometry["type"] == "Point":
+            assert properties["frame"] == "map"
+            nodes[properties["id"]] = tuple(geometry["coordinates"][:2])
+        else:
+            assert geometry["type"] in {"LineString", "MultiLineString"}
+            assert properties["startid"] in nodes
+            assert properties["endid"] in nodes
+            assert properties["cost"] > 0.0
+            assert not properties["overridable"], "scorers would take its place"
+            assert geometry["coordinates"][0] == [list(nodes[properties[end]]) for end in ("startid", "endid")]
+            edges.append((properties["startid"], properties["endid"], properties["cost"]))
+    assert nodes
+    assert edges
+    assert len(set(ids)) == len(ids)
+    assert all(type(one) is int and one >= 0 for one in ids)
+    return nodes, edges
+
+
+def pixel_factor(route_map):
+    """Cost of a metre on each pixel, inf where the middle of the vehicle cannot be, as the files say it."""
+    with rasterio.open(route_map.folder / "rasters/passage.tif") as file:
+        passage = file.read(1)
+    field = route_map.read(route_map.window)
+    cost = field.rule.cost(field.c_r.astype(float), field.rule.hazard(field.p_fail))
+    pixels = route_map.grid.pixels
+    cost = np.repeat(np.repeat(np.where(np.isnan(cost), np.inf, cost), pixels, 0), pixels, 1)
+    return np.where((passage > 0) & (passage < 255), cost, np.inf)
+
+
+def places_of(route_map, nodes):
+    """Row and column of the pixel of each node, (n, 2), in the rasters of a map; the datum is (0, 0)."""
+    window, size = route_map.window, route_map.grid.pixel_size
+    x, y = np.array([nodes[number] for number in range(len(nodes))]).T
+    bounds = route_map.grid.window_bounds(window)
+    return np.floor(np.column_stack([bounds.north - y, x - bounds.west]) / size).astype(int)
+
+
+@pytest.mark.parametrize("every", [1, 9])
+@pytest.mark.parametrize("which", ["easy_map", "route_map"])
+def test_the_graph_joins_what_pixels_join_by_edges_over_free_pixels_at_their_cost(request, tmp_path, which, every):
+    """Of the largest piece of free pixels, over sides and corners, every area has a node, and no other."""
+    site = request.getfixturevalue(which)
+    done = export_map(site, tmp_path / "out", ExportSettings(to="graph", every=every, datum=(0.0, 0.0)))
+    nodes, edges = load_graph(tmp_path / "out" / "graph.geojson")
+    assert done.record["graph"]["nodes"] == len(nodes)
+    assert done.record["graph"]["edges"] == len(edges)
+    width, size = site.vehicle.width_m, site.grid.pixel_size
+    assert corners_join(width, 0.5 * width + 0.1, size)
+    factor, pixels = pixel_factor(site), places_of(site, nodes)
+    start, end, cost = (np.array(part) for part in zip(*edges, strict=True))
+    expected = size * line_cost(factor, pixels[start], pixels[end], corners=True)
+    np.testing.assert_allclose(cost, expected, rtol=1e-6)
+    back = {(one, other): price for one, other, price in edges}
+    assert len(back) == len(edges)
+    assert all(back[other, one] == price for one, other, price in edges)
+    graph = coo_array((np.ones(len(start)), (start, end)), shape=(len(nodes),) * 2)
+    assert connected_components(graph, directed=True, connection="strong")[0] == 1
+    pieces = label(np.isfinite(factor), generate_binary_structure(2, 2))[0]
+    largest = np.bincount(pieces.ravel())[1:].argmax() + 1
+    assert (pieces[tuple(pixels.T)] == largest).all()
+    if every == 1:
+        side = site.grid.pixels
+        reached = np.unique(pixels // side, axis=0)
+        open_tiles = np.argwhere((pieces == largest).reshape(site.window.rows, side, -1, side).any(axis=(1, 3)))
+        assert np.array_equal(reached, open_tiles)
+
+
+def test_strips_and_parts_of_any_size_give_the_same_bytes(route_map, tmp_path, monkeypatch):
+    about = ExportSettings(to="graph", every=9)
+    export_map(route_map, tmp_path / "whole", about)
+    monkeypatch.setattr("bumpymap.views.export.graph._STRIP_PIXELS", 1)
+    monkeypatch.setattr("bumpymap.views.export.graph._CHUNK", 500)
+    export_map(route_map, tmp_path / "parts", about)
+    whole, parts = (tmp_path / name / "graph.geojson" for name in ("whole", "parts"))
+    assert whole.read_bytes() == parts.read_bytes()
+
+
+CELL = st.integers(0, 11)
+
+
+def integral(factor, start, stop):
+    """The cost of a line by cutting it with the square of every tile (GEOS)."""
+    line = shapely.LineString([np.array(start)[::-1] + 0.5, np.array(stop)[::-1] + 0.5])
+    rows, cols = np.indices(factor.shape).reshape(2, -1)
+    squares = shapely.box(cols, rows, cols + 1, rows + 1)
+    touched = shapely.intersects(squares, line)
+    if not np.isfinite(factor.ravel()[touched]).all():
+        return np.inf
+    return float((shapely.length(shapely.intersection(squares[touched], line)) * factor.ravel()[touched]).sum())
+
+
+@given(st.integers(0, 2**32 - 1), CELL, CELL, CELL, CELL, st.sampled_from([0.0, 0.03, 0.15]))
+@settings(max_examples=100)
+def test_the_cost_of_a_line_is_the_integral_over_every_tile(seed, row, col, to_row, to_col, closed):
+    rng = np.random.default_rng(seed)
+    factor = rng.uniform(1.0, 9.0, (12, 12))
+    factor[rng.random(factor.shape) < closed] = np.inf
+    ends = np.array([[row, col]]), np.array([[to_row, to_col]])
+    found = line_cost(factor, *ends)[0]
+    expected = integral(factor, (row, col), (to_row, to_col)) if (row, col) != (to_row, to_col) else 0.0
+    assert found == pytest.approx(expected, rel=1e-9)
+    assert line_cost(factor, *ends[::-1])[0] == pytest.approx(found, rel=1e-12)
+
+
+def make_lattice(factor, largest, origin=(0, 0), *, corners=False):
+    """The graph of tiles of one pixel each that cost ``factor``."""
+    free = np.isfinite(factor)
+    ground = FreeGround(factor, 1, lambda rows, cols: free[rows.start : rows.stop, cols.start : cols.stop], corners)
+    return join(ground, thin(ground, largest, origin)[1])
+
+
+def ways(lattice):
+    """Cost of the cheapest way between any two nodes."""
+    number = len(lattice.row)
+    return dijkstra(coo_array((lattice.cost, (lattice.first, lattice.second)), shape=(number, number)), directed=False)
+
+
+def field(seed, closed, size=(40, 50)):
+    """Smooth costs from 1 upward; patches of closed ground, and single closed tiles."""
+    rng = np.random.default_rng(seed)
+    factor = 1.0 + gaussian_filter(rng.gamma(1.0, 8.0, size), 3.0)
+    patches = gaussian_filter(rng.random(size), 1.0)
+    factor[(patches < np.quantile(patches, closed)) | (rng.random(size) < closed / 10)] = np.inf
+    return factor
+
+
+def test_on_level_ground_a_way_through_the_graph_is_at_most_8_percent_too_long():
+    lattice = make_lattice(np.ones((90, 90)), 9)
+    assert len(lattice.row) == 100
+    straight = np.hypot(*(axis[:, None] - axis for axis in (lattice.row, lattice.col)))
+    ratio = ways(lattice)[straight > 0] / straight[straight > 0]
+    assert ratio.min() >= 1.0 - 1e-12
+    assert ratio.max() <= 1.0 / np.cos(np.pi / 8) + 1e-12  # 8 directions
+
+
+@pytest.mark.parametrize("corners", [False, True])
+@pytest.mark.parametrize("seed", range(3))
+def test_thinning_cuts_nothing_off(seed, corners):
+    """What is connected over sides of tiles, or over corners too, is connected in the graph, and nothing else is."""
+    factor = field(seed, 0.6 if corners else 0.45)
+    parts, count = label(np.isfinite(factor), generate_binary_structure(2, 1 + corners))
+    assert count > 1
+    sizes = np.bincount(parts[parts > 0])
+    for largest in SQUARES:
+        lattice = make_lattice(factor, largest, (3, 8), corners=corners)
+        assert np.unique(parts[lattice.row, lattice.col]).tolist() == [sizes.argmax()]
+        assert lattice.tiles_left_out == sizes.sum() - sizes.max()
+
+
+def test_what_gives_no_graph(easy_map, make_map, write_map, tmp_path, monkeypatch):
+    lone = open_map(write_map(make_map([5, 9], [5, 9], [0, 0], [0, 0], easy=True), tmp_path / "lone"))
+    with pytest.raises(BadInputError, match="no two nodes are connected"):
+        export_map(lone, tmp_path / "out", ExportSettings(to="graph"))
+    monkeypatch.setattr("bumpymap.views.export.graph._MAX_NODES", 10)
+    with pytest.raises(BadInputError, match=r"`every=1`.*larger"):
+        export_map(easy_map, tmp_path / "out", ExportSettings(to="graph", every=1))
+    monkeypatch.setattr("bumpymap.views.export.graph._MAX_TILES", 10)
+    with pytest.raises(BadInputError, match="480 tiles"):
+        export_map(easy_map, tmp_path / "out", ExportSettings(to="graph"))
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,260 @@
+"""Pictures of routes and scans: what is where, in which colour."""
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import rasterio
+from route_records import CORNERS, MadeUpMap, make_route
+
+from bumpymap.core import NO_TILE, Barred, PolarSettings, Scan, sector_bounds
+from bumpymap.layers.colours import CLASS_COLOURS, RideScale
+from bumpymap.layers.scan_folder import SCAN_COLOURS, SECTOR_STATES, point_styles, sector_states
+from bumpymap.scan import classify_filter, polar_sectors
+from bumpymap.views.pictures import drawing
+from bumpymap.views.pictures.drawing import MapView, Pen, hatched, paint_ground
+from bumpymap.views.pictures.route_picture import paint_route
+from bumpymap.views.pictures.scan_picture import SIDE, paint as paint_image, write_picture
+from bumpytiles import Grid
+
+pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+
+
+@pytest.fixture(scope="module")
+def view():
+    return MapView.around(Grid(), CORNERS, 600, (300, 500))
+
+
+@pytest.fixture
+def ground():
+    return MadeUpMap.around()
+
+
+def has_direction(pixels, colours):
+    """Pixels have these colours but for their brightness."""
+    found, wanted = (np.asarray(part, float) for part in (pixels, colours))
+    found, wanted = (part / np.maximum(np.linalg.norm(part, axis=-1, keepdims=True), 1.0) for part in (found, wanted))
+    np.testing.assert_allclose(found, wanted, atol=0.02)
+
+
+def test_level_ground_has_the_colour_of_its_ride_cost(view, ground):
+    pixels, scale = paint_ground(ground, view)
+    row = ground.window.row + ground.window.rows - 1 - np.floor(view.northings / 3.0).astype(int)
+    place = np.ix_(row, np.floor(view.eastings / 3.0).astype(int) - ground.window.col)  # tiles in the middle of pixels
+    barred, c_r = ground.barred[place], ground.c_r[place]
+    passable = np.isin(barred, (Barred.NO, Barred.OBSTACLE))  # the vehicle fits everywhere
+    has_direction(pixels[passable], scale.colours(c_r[passable]))
+    closed = ~passable & ~np.isin(barred, (Barred.UNKNOWN, NO_TILE))
+    lines = hatched(*barred.shape)
+    assert (pixels[closed & lines] == drawing.HATCH).all()
+    for chosen, colour in ((closed & ~lines, drawing.BARRED_SHADE), (barred == Barred.UNKNOWN, drawing.UNKNOWN_SHADE)):
+        shown = np.unique(pixels[chosen], axis=0)
+        assert len(shown) == 1
+        has_direction(shown, [colour])
+    assert (pixels[barred == NO_TILE] == drawing.NO_DATA).all()
+
+
+def test_closed_pixels_are_hatched_and_not_whole_tiles(ground):
+    size, side = 0.2, 15
+    ground.barred[:] = Barred.SPLIT
+    ground.c_r[:] = 0.1
+    ground.fits = np.random.default_rng(2).random((ground.window.rows * side, ground.window.cols * side)) < 0.7
+    corner = ground.grid.window_bounds(ground.window)
+    middle = np.floor(CORNERS.mean(axis=0))
+    view = MapView(ground.grid, middle[0], middle[1], size, 80, 60)
+    pixels, scale = paint_ground(ground, view)
+    row = np.floor((corner.north - view.northings) / size + 1e-6).astype(int)
+    col = np.floor((view.eastings - corner.west) / size + 1e-6).astype(int)
+    fits, lines = ground.fits[np.ix_(row, col)], hatched(60, 80)
+    assert (pixels[~fits & lines] == drawing.HATCH).all()
+    for chosen, colour in ((fits, scale.colours(np.array(0.1))), (~fits & ~lines, drawing.BARRED_SHADE)):
+        has_direction(pixels[chosen], np.broadcast_to(colour, pixels[chosen].shape))
+
+
+def test_reading_strip_by_strip_paints_the_same(view, ground, monkeypatch):
+    whole, _ = paint_ground(ground, view)
+    assert len(ground.windows) == 1
+    monkeypatch.setattr(drawing, "_STRIP_TILES", 300)
+    pieces, _ = paint_ground(ground, view)
+    assert len(ground.windows) > 5
+    np.testing.assert_array_equal(whole, pieces)
+    tallest = max(window.rows for window in ground.windows[1:])
+    assert tallest < ground.windows[0].rows / 3
+
+
+def test_slopes_to_the_north_west_are_bright(view, ground):
+    rows, cols = np.mgrid[: ground.window.rows, : ground.window.cols]
+    ground.barred[:] = 0
+    ground.c_r[:] = 0.3
+    brightness = {}
+    for name, rise in {"north-west": rows + cols, "level": 0 * rows, "south-east": -rows - cols}.items():
+        ground.height = rise.astype(np.float32)  # a plane that faces the side it is named after
+        brightness[name] = paint_ground(ground, view)[0].sum(axis=2).mean()
+    assert brightness["south-east"] + 30 < brightness["level"] < brightness["north-west"] - 30
+
+
+def test_the_way_and_its_ends_stand_where_they_are(ground):
+    picture = np.asarray(paint_route([make_route(stops=CORNERS)], ground)).astype(int)
+    assert picture.shape[1] == 1600
+    view = MapView.around(Grid(), CORNERS, 1200, (520, 900))
+    along = np.linspace(0.0, 1.0, 200)[:, None]
+    for first, last in pairwise(CORNERS):
+        pixels = view.pixels(first + along * (last - first)) + np.array([24, 56])
+        length = np.hypot(*(pixels[-1] - pixels[0]))
+        free = (along[:, 0] * length > 20) & ((1 - along[:, 0]) * length > 20)  # clear of the discs
+        col, row = np.floor(pixels[free]).astype(int).T
+        assert (picture[row, col].max(axis=1) < 60).mean() > 0.98
+    for stop, colour in zip(CORNERS, ([255, 255, 255], [255, 236, 170], [0, 0, 0]), strict=True):
+        col, row = np.floor(view.pixels(stop[None])[0] + np.array([24, 56 - 9])).astype(int)  # above the letter
+        assert picture[row, col].tolist() == colour
+
+
+def test_the_profile_is_filled_with_the_colours_of_the_ride_cost(ground):
+    ground.barred[:] = NO_TILE  # the map itself has no colour
+    base = make_route()
+    length = len(base.profile.distance)
+    rough = np.where(np.arange(length) < length // 2, 0.0, 5.0)
+    profile = replace(base.profile, z=np.full(length, 7.0), c_r=rough, c_r_low=rough, c_r_high=rough)
+    picture = np.asarray(paint_route([replace(base, profile=profile)], ground)).astype(float)
+    below = picture[-70 - 200 : -70 - 130]  # the lower part of the chart of heights
+    left, right = below[:, 200:600].reshape(-1, 3), below[:, 800:1180].reshape(-1, 3)
+    for part, colour in ((left, CLASS_COLOURS[0]), (right, CLASS_COLOURS[3])):
+        middle = np.median(part, axis=0)
+        assert np.argsort(middle).tolist() == np.argsort(colour[:3]).tolist()
+        assert np.ptp(middle) > 60
+
+
+@pytest.mark.parametrize("names", [["z"], ["c_r", "c_r_low", "c_r_high"], ["z", "c_r", "c_r_low", "c_r_high"]])
+def test_what_is_unknown_is_drawn_without_complaint(ground, names, recwarn):
+    base = make_route()
+    nothing = np.full(len(base.profile.distance), np.nan)
+    route = replace(base, profile=replace(base.profile, **dict.fromkeys(names, nothing)))
+    ground.height[:] = np.nan
+    ground.barred[:] = NO_TILE
+    ground.c_r[:] = np.nan
+    assert paint_route([route], ground).width == 1600
+    assert not [str(warning.message) for warning in recwarn if "numpy" in str(warning.filename)]
+
+
+def test_the_scale_of_colours_runs_through_those_of_the_classes_or_is_round():
+    for limits, values in (
+        ([0.1, 0.3, 0.4], [0.0, 0.05, 0.05, 0.2, 0.35, 0.45, 8.0]),
+        *((bad, [0.0, 0.0, 0.0, 1 / 3, 2 / 3, 1.0, 9.0]) for bad in (None, "rough", [0.1, 0.2], [0.3, 0.2, 0.1])),
+        *((bad, [0.0, 0.0, 0.0, 1 / 3, 2 / 3, 1.0, 9.0]) for bad in ([0.0, 0.1, 0.2], [0.1, 0.2, float("nan")])),
+    ):
+        scale = RideScale.of({"calibration": {"class_limits": limits}})
+        wanted = 255 + 0.82 * (np.array([CLASS_COLOURS[code][:3] for code in (0, 0, 0, 1, 2, 3, 3)]) - 255.0)
+        np.testing.assert_allclose(scale.colours(np.array(values)), wanted)
+        assert scale.end == pytest.approx(values[-2])
+
+
+def test_a_way_of_no_length_has_no_mean_and_no_distances(ground, monkeypatch):
+    route = make_route()
+    figures = replace(route.figures, length_m=0.0, c_r_mean=math.nan, climb_m=0.0, descent_m=0.0)
+    profile = replace(route.profile, distance=np.zeros_like(route.profile.distance))
+    still = replace(route, line=route.line[:1], stops=route.stops[[0, 0]], figures=figures, profile=profile)
+    words, text = [], Pen.text
+    monkeypatch.setattr(Pen, "text", lambda *given, **how: words.append(given[2]) or text(*given, **how))
+    paint_route([still], ground)
+    assert "m for warthog" in words[0]
+    assert not any("nan" in word for word in words)
+    assert "0.0005" not in words
+    assert "start and goal" in words  # one mark lies under the other
+
+
+def paint(scan, classed, range_m=40.0):
+    return np.asarray(paint_image(scan, classed, range_m))
+
+
+def pixel(x, y, reach=40.0):
+    """Forward is up, left is left."""
+    return int(np.floor((reach - x) * SIDE / (2 * reach))), int(np.floor((reach - y) * SIDE / (2 * reach)))
+
+
+def with_sectors(classed, **changes):
+    return replace(classed, sectors=replace(classed.sectors, **changes))
+
+
+def with_wall(scan, classed):
+    """The wall ahead stands on ground: points of a known height, an obstacle in each of its sectors."""
+    stack = classed.sectors
+    wall = np.abs(scan.points[:, 0] - 14.0) < 0.1
+    height = np.where(wall, scan.points[:, 2] + 1.5, np.nan).astype(np.float32)
+    inside = stack.point_sector[wall]
+    obstacle = np.isin(np.arange(len(stack.zone)), inside[inside >= 0])
+    ground = stack.point_ground & ~wall
+    return with_sectors(classed, point_height=height, obstacle=obstacle, point_ground=ground), wall
+
+
+def test_the_file_holds_what_was_painted_and_the_same_bytes_every_time(scan, classed, tmp_path):
+    for name in ("a.png", "b.png"):
+        write_picture(scan, classed, tmp_path / name)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    with rasterio.open(tmp_path / "a.png") as file:
+        assert file.driver == "PNG"
+        np.testing.assert_array_equal(file.read().transpose(1, 2, 0), paint(scan, classed))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "b.png"]
+
+
+def test_points_stand_where_they_are_ground_in_the_colour_of_its_class_obstacles_in_red(scan, classed):
+    classed, wall = with_wall(scan, classed)
+    picture, styles = paint(scan, classed), point_styles(classed)
+    rows, columns = np.array([pixel(x, y) for x, y in scan.points[:, :2].astype(float)]).T
+    height = classed.sectors.point_height
+    stands = wall & (height >= 0.25) & (height <= 1.38)
+    np.testing.assert_array_equal(styles == 3, stands)
+    for style, least in ((0, 0.9), (2, 0.9), (3, 0.99), (4, 0.4)):  # obstacles cover others, and all cover what is grey
+        chosen = styles == style
+        assert chosen.sum() > 100
+        assert (picture[rows[chosen], columns[chosen]] == SCAN_COLOURS[style]).all(axis=1).mean() > least
+
+
+def test_ground_between_points_has_a_shade_of_its_sector_and_red_lines_over_obstacles(scan, classed):
+    """Painted without points: around the middle of a sector, off the range rings, is the hue of its class."""
+    nothing = dict.fromkeys(("point_sector", "point_ground", "point_height"), np.zeros(0, np.int32))
+    stack, barred = classed.sectors, with_wall(scan, classed)[0].sectors.obstacle
+    plain, hatched = (
+        paint(Scan(np.zeros((0, 3), np.float32)), with_sectors(classed, obstacle=own, **nothing)).astype(float)
+        for own in (np.zeros_like(barred), barred)
+    )
+    paper = plain[5, SIDE + 5]
+    bounds = sector_bounds(stack)
+    off = 0
+    for number, class_id in enumerate(classed.class_id):
+        distance = 0.4 * bounds.near[number] + 0.6 * bounds.far[number]
+        azimuth = (bounds.left + bounds.right)[number] / 2
+        place = pixel(distance * np.cos(azimuth), distance * np.sin(azimuth))
+        around = tuple(slice(axis - 7, axis + 8) for axis in place)
+        if class_id < 3:
+            wanted = paper + 0.42 * (SCAN_COLOURS[class_id] - paper)
+            off += np.abs(plain[place] - wanted).max() > 1.5
+        changed = (plain[around] != hatched[around]).any()
+        assert changed or not barred[number]
+    assert off <= 0.02 * len(classed.class_id)  # under the words of the range rings
+
+
+def test_the_legend_has_a_swatch_of_every_style_and_says_when_there_is_nothing(scan, classed, nothing):
+    full, empty = (paint(*known)[:, SIDE:] for known in ((scan, classed), nothing))
+    for panel in (full, empty):
+        for colour in SCAN_COLOURS:
+            assert (panel == colour).all(axis=2).sum() >= 28 * 28
+    ink = [(panel[510:] == 235).all(axis=2).sum() for panel in (full, empty)]
+    assert ink[0] == 0
+    assert ink[1] > 0
+
+
+def test_a_sector_is_free_only_if_it_is_smooth_or_fair_ground_with_nothing_on_it(classed):
+    obstacle = np.arange(len(classed.class_id)) % 3 == 0
+    states = np.array(SECTOR_STATES)[sector_states(with_sectors(classed, obstacle=obstacle))]
+    wanted = np.where(obstacle, "obstacle", np.where(classed.class_id == 2, "rough", "free"))
+    assert states.tolist() == np.where(classed.class_id == 255, "not ground", wanted).tolist()
+
+
+def test_far_points_and_strange_grids_are_no_trouble():
+    points = np.array([[1e30, 0, 0], [-1e30, 3, 0], [0, 1e6, 0], [5, 5, 0], [0.1, 0, 9]], np.float32)
+    scan = Scan(points)
+    for far_m, range_m in ((0.5, 1000.0), (9000.0, 1.0)):
+        sectors = polar_sectors(scan, PolarSettings((0.0,), far_m, (3,), (1,)))
+        assert paint(scan, classify_filter(sectors), range_m).shape[0] == SIDE
