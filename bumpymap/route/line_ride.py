@@ -70,7 +70,7 @@ _SIDES = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
 
 @dataclass(frozen=True, slots=True)
 class LineRide:
-    """What a vehicle feels along a line, metre by metre; the last part may be shorter."""
+    """Ride of a vehicle along a line, metre by metre; the last part may be shorter."""
 
     speed_mps: float
     distance: Floats
@@ -114,7 +114,7 @@ class LineRide:
 
 
 class _Vehicle(NamedTuple):
-    """What rolling along a line takes."""
+    """A vehicle and its calibration, ready to roll."""
 
     calibration: Calibration
     correction: Correction
