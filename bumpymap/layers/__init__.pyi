@@ -89,6 +89,7 @@ from .map_files import (
 )
 from .map_reader import (
     MapReader as MapReader,
+    common_window as common_window,
     open_map as open_map,
 )
 from .placement import (

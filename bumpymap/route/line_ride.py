@@ -1,10 +1,10 @@
 """The ride of one line: the vehicle rolled along it over the pixels of a map.
 
-The ride cost of a tile is the mean over all headings and places; a vehicle drives one line. How much rougher or
-smoother that line is than its tile, the pixels tell: the change of the chassis' pitch that wheels feel which roll along
-the line, over the mean of the same in the tile (`roll_over`), from the same heights. The C_r of the tile, which the
-drives of the calibration have corrected, is multiplied by it. Noise of the heights is in both, so where it hides the
-ground the line has the ride cost of its tile; so it has where the tile was rated without a heightmap.
+The ride cost of a tile is the mean over all headings and places; a vehicle drives one line. The heights of the tiles
+that its wheels touch are denoised just so far that their predicted C_r is the one that the map states (`match_tiles`).
+The wheels roll along the line over these heights, across the borders of tiles, and the change of the chassis' pitch is
+turned into C_r by the correction that the drives of the calibration taught (`felt_along`). Where a wheel meets ground
+whose height is not known, the metre has the ride cost of its tile.
 
 The axles follow the line, half a wheelbase before and behind each sample, and the wheels stand beside them at right
 angles to the vehicle. Where the vehicle is across the line is known to ``sigma``: it is rolled at three places, those
@@ -15,6 +15,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import CANOPY, OBSTACLE, BadInputError, UsageError, path_of_call
-from bumpymap.layers import MapReader, PlannedRoute, open_map
+from bumpymap.layers import MapReader, PlannedRoute, common_window, open_map
 from bumpymap.rating import (
     Calibration,
     Correction,
@@ -57,13 +58,18 @@ _ACROSS_NAMES = ("right", "middle", "left")
 _SAMPLED = ("log_sd", "told", "seen", "shaken")
 _STRETCH_M = 90.0
 """Length whose window of the map is read at once."""
-_PIECE_M, _BESIDE_M = 2000.0, 40.0
-"""Length that is computed at once, and more to either side, as far as the suspension and the weighting reach."""
+_PIECE_M = 2000.0
+"""Length that is computed at once."""
+_TILE_LOG_SD = 1.2
+"""Standard deviation of ln C_r of a metre of a line about that of its tile: 0.4 over 10 m. The width that holds 80 % of
+simulated drives along such lines (``tests/benchmarks/line_drives.py``) is 0.39 on the sample, 0.28 on a real survey."""
 _FILL_ROUNDS = 3
 """Holes of up to twice as many pixels are filled with the mean of their neighbours."""
+_LEAST = 1e-5
+"""C_r below this is none, rad/m."""
 _NORMAL_80 = 1.2815515655446004
 _RIDE = ("c_r", "c_r_low", "c_r_high")
-_COLUMNS = ("c_r", "log_sd", "speed", "slope", "reach", "a_w", "heave")
+_COLUMNS = ("c_r", "log_sd", "speed", "slope", "reach", "left", "a_w", "heave")
 _SIDES = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
 """Ahead and to the left: of the wheels front left, front right, rear left, rear right."""
 
@@ -75,13 +81,15 @@ class LineRide:
     speed_mps: float
     distance: Floats
     """(n + 1,) from the start to the ends of the parts, m."""
-    easting: Floats
-    """(n,) middle of each part, m on the grid; so is ``northing``."""
-    northing: Floats
+    floor: float
+    """C_r of the vehicle on even ground, rad/m, which is in ``c_r`` in power."""
+    x: Floats
+    """(n,) middle of each part, in the CRS of the survey; so is ``y``."""
+    y: Floats
     c_r: Floats
     """(n,) pitch motion, rad/m; NaN where the map is unknown."""
     log_sd: Floats
-    """(n,) standard deviation of ln ``c_r`` that the rating of the tiles leaves."""
+    """(n,) standard deviation of ln ``c_r``, less the floor, that the rating of the tiles leaves; NaN as ``c_r``."""
     log_sd_across: Floats
     """(n,) the same that the place across the line leaves."""
     a_w: Floats
@@ -97,20 +105,22 @@ class LineRide:
         return self.c_r * self.speed_mps
 
     def over(self, first: float, last: float) -> tuple[float, float, float]:
-        """Return C_r between two distances [m], and both ends of its 80 % interval, rad/m; NaN if unknown."""
+        """Return C_r of what is known between two distances [m], and both ends of its 80 % interval, rad/m.
+
+        NaN if nothing is known there.
+        """
         part = np.clip(np.minimum(self.distance[1:], last) - np.maximum(self.distance[:-1], first), 0.0, None)
-        weight = part * np.isfinite(self.c_r)
-        total = weight.sum()
-        if total <= 0.0:
+        known = np.isfinite(self.c_r) & (part > 0.0)
+        if not known.any():
             return (np.nan, np.nan, np.nan)
-        parts = weight / total * np.nan_to_num(self.c_r)
-        mean = float(parts.sum())
-        share = parts / mean if mean > 0.0 else weight / total
+        share = part[known] / part[known].sum()
+        bare = less_floor(self.c_r[known], self.floor)
         # The model of the vehicle errs alike in all tiles, the place across differs from metre to metre.
-        of_model = (share * np.nan_to_num(self.log_sd)).sum()
-        of_place = np.sqrt(((share * np.nan_to_num(self.log_sd_across)) ** 2).sum())
-        wide = float(np.exp(_NORMAL_80 * np.hypot(of_model, of_place)))
-        return mean, mean / wide, mean * wide
+        weight = share * bare / max(float((share * bare).sum()), 1e-12)
+        of_place = np.sqrt(((weight * self.log_sd_across[known]) ** 2).sum())
+        wide = np.exp(_NORMAL_80 * np.hypot((weight * self.log_sd[known]).sum(), of_place))
+        mean, low, high = (float((share * with_floor(bare * by, self.floor)).sum()) for by in (1.0, 1.0 / wide, wide))
+        return mean, low, high
 
 
 class _Vehicle(NamedTuple):
@@ -125,6 +135,10 @@ class _Vehicle(NamedTuple):
     """m/s."""
     way: float
     """Distance between samples, m."""
+    taps: Floats
+    """How the chassis follows its rockers."""
+    reach: int
+    """Samples to either side that what is felt depends on."""
 
 
 def ride_along(
@@ -155,19 +169,25 @@ def ride_along(
     BadInputError
         The layers cannot be read, or the calibration is not that of the map.
     UsageError
-        The line has fewer than two points, a length of 0, or numbers that are not finite; or the calibration cannot
-        tell the ride at this speed.
+        The line has fewer than two points, a length of 0, numbers that are not finite, or lies outside the map; the
+        calibration cannot tell the ride at this speed; or the map was rated by texture.
     """
     site = open_map(path_of_call("layers", layers))
-    corners = np.asarray(line, np.float64)
+    try:
+        corners, across = np.asarray(line, np.float64), float(sigma)
+        wanted = None if speed is None else float(speed)
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"line, speed and sigma are numbers: {error}") from error
     if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 2 or not np.isfinite(corners).all():
         raise UsageError("line: give two points or more, each with x and y in the CRS of the survey")
-    if not 0.0 <= sigma <= 5.0:
-        raise UsageError(f"sigma is {sigma}; give metres from 0 to 5")
+    if not 0.0 <= across <= 5.0:
+        raise UsageError(f"sigma is {across}; give metres from 0 to 5")
+    on_grid = np.column_stack(site.to_grid(corners[:, 0], corners[:, 1]))
+    if common_window(site.window, window_around(site, on_grid, 0)) is None:
+        raise UsageError("line: it lies outside the map. Give x and y in the CRS of the survey")
     made = map_calibration(site, None if calibration is None else Path(path_of_call("calibration", calibration)))
     with site.kept_open():
-        on_grid = np.column_stack(site.to_grid(corners[:, 0], corners[:, 1]))
-        return _ride(site, on_grid, _vehicle_at(site, made, speed), sigma)
+        return _ride(site, on_grid, _vehicle_at(site, made, wanted), across)
 
 
 def map_calibration(site: MapReader, file: Path | None) -> Calibration:
@@ -177,7 +197,12 @@ def map_calibration(site: MapReader, file: Path | None) -> Calibration:
     ------
     BadInputError
         It is another one, or no included one.
+    UsageError
+        The tiles were not rated by their ride.
     """
+    rated = site.manifest["settings"]
+    if (rated.get("rating", "ride"), rated.get("compat", "none")) != ("ride", "none"):
+        raise UsageError("the tiles of this map were not rated by their ride; map the survey with `rating='ride'`")
     about: Mapping[str, Any] = site.manifest["vehicle"]
     speed = None if "drives_mps" not in about else float(about["speed_mps"])
     name, side = str(about["name"]), site.grid.tile_size
@@ -195,16 +220,18 @@ def map_calibration(site: MapReader, file: Path | None) -> Calibration:
     return found
 
 
-def with_line_rides(site: MapReader, routes: Sequence[PlannedRoute]) -> tuple[list[PlannedRoute], str]:
-    """Add the ride of each way's own line to its figures and profile.
-
-    Returns the routes, and why there is none where the calibration of the map is not known; else an empty text.
-    """
+def with_line_rides(site: MapReader, routes: Sequence[PlannedRoute]) -> tuple[list[PlannedRoute], str | None]:
+    """Add the ride of each way's own line to its figures and profile; if that cannot be, return why."""
     try:
         vehicle = _vehicle_at(site, map_calibration(site, None), None, motion=False)
-    except (BadInputError, UsageError) as error:
-        return list(routes), f"the ride of the line itself is not computed: {error}"
-    return [_with_line_ride(site, route, vehicle) for route in routes], ""
+    except BadInputError:
+        return list(routes), (
+            "the ride of the line itself needs the calibration of the map, which is not an included one. In Python: "
+            "bumpymap.ride_along(LAYERS, LINE, calibration=FILE)"
+        )
+    except UsageError as error:
+        return list(routes), f"the ride of the line itself is not known: {error}"
+    return [_with_line_ride(site, route, vehicle) for route in routes], None
 
 
 def _with_line_ride(site: MapReader, route: PlannedRoute, vehicle: "_Vehicle") -> PlannedRoute:
@@ -229,47 +256,55 @@ def _ride(site: MapReader, line: Floats, vehicle: "_Vehicle", sigma: float) -> L
     metre = np.minimum(at.astype(np.int64), max(int(np.ceil(length - 1e-9)) - 1, 0))
     count = int(metre[-1]) + 1
     samples, sums = np.bincount(metre, minlength=count), dict.fromkeys((*_ACROSS_NAMES, *_SAMPLED), np.zeros(count))
-    per, beside = int(_PIECE_M / vehicle.way), int(_BESIDE_M / vehicle.way)
+    per, lead = int(_PIECE_M / vehicle.way), vehicle.way * np.arange(1, vehicle.reach + 1)
     for first in range(0, len(at), per):
-        start, stop = max(first - beside, 0), min(first + per + beside, len(at))
-        own = slice(first - start, min(first + per, len(at)) - start)
-        for name, values in _felt(_roll(site, line, at[start:stop], vehicle, sigma), vehicle).items():
-            sums[name] = sums[name] + np.bincount(metre[start:stop][own], values[own], count)
+        own = at[first : first + per]
+        # What is felt depends on the ground before and behind, at the ends of the line too.
+        places = np.concatenate([own[0] - lead[::-1], own, own[-1] + lead])
+        inside = slice(len(lead), len(lead) + len(own))
+        for name, values in _felt(_roll(site, line, places, vehicle, sigma), vehicle).items():
+            sums[name] = sums[name] + np.bincount(metre[first : first + per], values[inside], count)
     mean = {name: total / samples for name, total in sums.items()}
     across = np.array([mean[name] for name in _ACROSS_NAMES])
     c_r = np.average(across, axis=0, weights=_WEIGHTS)
     spread = np.sqrt(np.average((across - c_r) ** 2, axis=0, weights=_WEIGHTS))
     ends = np.minimum(np.arange(count + 1.0), length)
     middle = points_along(line, (ends[1:] + ends[:-1]) / 2)
+    x, y = site.to_crs(middle[:, 0], middle[:, 1])
+    by_line, floor = mean["told"] > 0.5, calibration.floor_at(vehicle.speed)
     return LineRide(
         speed_mps=vehicle.speed,
         distance=ends,
-        easting=middle[:, 0],
-        northing=middle[:, 1],
-        c_r=with_floor(c_r, calibration.floor_at(vehicle.speed)),
+        floor=floor,
+        x=x,
+        y=y,
+        c_r=with_floor(c_r, floor),
         log_sd=mean["log_sd"],
-        log_sd_across=np.where(c_r > 0, spread / np.where(c_r > 0, c_r, 1.0), 0.0),
+        log_sd_across=np.where(by_line, spread / np.maximum(c_r, _LEAST), _TILE_LOG_SD),
         a_w=np.sqrt(mean["shaken"]),
-        by_line=mean["told"] > 0.5,
+        by_line=by_line,
         seen=mean["seen"],
     )
 
 
-def _vehicle_at(
-    site: MapReader, calibration: Calibration, speed: float | None, *, motion: bool = True
-) -> _Vehicle:  # fmt: skip
+def _vehicle_at(site: MapReader, calibration: Calibration, speed: float | None, *, motion: bool = True) -> _Vehicle:
     """Make what rolling takes; without ``motion`` the vertical acceleration is not needed."""
     grid, own = site.grid, float(calibration.vehicle["speed_mps"])
     calibration.require_grid(grid.tile_size, grid.pixels)
     if calibration.ride is None:
         raise UsageError(f"the calibration {calibration.id} holds no ride model. Make one with: bumpymap calibrate")
-    wanted = calibration.map_speed if speed is None else float(speed)
-    at_speed(calibration, wanted)  # refuses what it cannot tell
+    wanted = calibration.map_speed if speed is None else speed
+    if wanted != calibration.map_speed:
+        at_speed(calibration, wanted)  # refuses what it cannot tell
     operator = RideOperator.of(calibration.vehicle, grid.tile_size, grid.pixels)
     needed = calibration.motion is not None and (motion or not wanted == own == calibration.map_speed)
     rating = SpeedRating.of(calibration, tuple(dict.fromkeys((own, wanted)))) if needed else None
     way = grid.pixel_size / operator.fine / 2
-    return _Vehicle(calibration, Correction.from_record(calibration.ride), operator, rating, wanted, way)
+    taps = chassis_response(calibration.vehicle, way)
+    stretch = math.ceil(grid.tile_size / 2 / way)
+    reach = len(taps) + max(stretch, len(heave_filter(wanted, way)[0]) // 2 if rating is not None else 0)
+    correction = Correction.from_record(calibration.ride)
+    return _Vehicle(calibration, correction, operator, rating, wanted, way, taps, reach)
 
 
 class _Rolled(NamedTuple):
@@ -281,7 +316,8 @@ class _Rolled(NamedTuple):
     """(n,) share of the pixels under the wheels that hold points."""
     tile: dict[str, Floats]
     """Of the tile that the middle of the vehicle is in, (n,) each: ``c_r`` at the profile's speed, its ``log_sd``, the
-    ``speed`` asked for over it, ``slope``, ``reach``, ``a_w`` and geometric ``heave`` at the speed."""
+    ``speed`` asked for over it, ``slope``, ``reach``, what denoising has ``left`` to the stated C_r as a factor,
+    ``a_w`` and geometric ``heave`` at the speed."""
 
 
 def _roll(site: MapReader, line: Floats, at: Floats, vehicle: _Vehicle, sigma: float) -> _Rolled:
@@ -293,6 +329,11 @@ def _roll(site: MapReader, line: Floats, at: Floats, vehicle: _Vehicle, sigma: f
         part = slice(first, first + per)
         middle, wheels = _places(line, at[part], vehicle.operator, across)
         window = window_around(site, wheels.reshape(-1, 2), 1)
+        if common_window(site.window, window) is None:
+            heights[:, :, part], seen[part] = np.nan, 0.0
+            for values in tile.values():
+                values[part] = np.nan
+            continue
         # The heights of what stands on the ground are not the ground's.
         stands = np.isin(site.objects(window), (OBSTACLE, CANOPY))
         measured = np.where(stands, np.nan, site.heights(window).astype(np.float64))
@@ -300,7 +341,10 @@ def _roll(site: MapReader, line: Floats, at: Floats, vehicle: _Vehicle, sigma: f
         row, col = np.floor(where * grid.pixels).astype(np.int64).T
         seen[part] = np.isfinite(measured[row, col]).reshape(-1, wheels.shape[2]).mean(axis=0)
         touched = np.zeros((window.rows, window.cols), np.bool_)
-        touched[tuple(np.floor(where).astype(np.int64).T)] = True
+        # A wheel reaches as far as its radius, and the heights between pixels one farther.
+        beside = (vehicle.calibration.vehicle["wheel"]["radius_m"] + grid.pixel_size) / grid.tile_size
+        for row, col in product((-beside, beside), repeat=2):
+            touched[tuple(np.floor(where + np.array([row, col])).astype(np.int64).T)] = True
         clean, columns = _matched(site, window, _filled(measured), touched, vehicle)
         heights[:, :, part] = _envelope(clean, where * grid.pixels, vehicle.operator).reshape(len(across), 4, -1)
         own = tuple(np.floor(in_window(middle, grid, window)).astype(np.int64).T)
@@ -330,14 +374,16 @@ def _matched(
         matched = match_tiles(relief, own, slope, vehicle.correction, vehicle.operator)
         _, factors = vehicle.rating.factors(matched.relief_map, matched.rides.pitch_change)
         felt = motion_felt(calibration, speeds, factors, found["c_r"][touched]).astype(np.float64)
-        ratio = less_floor(felt[:, -3], calibration.floor_at(vehicle.speed)) / own
+        ratio = less_floor(felt[:, -3], calibration.floor_at(vehicle.speed)) / np.maximum(own, _LEAST)
         a_w = felt[:, -1]
         heave = move_over(matched.relief_map, vehicle.rating.operator).heave[:, len(speeds) - 1]
     tiles[touched] += matched.relief_map - relief
-    with np.errstate(divide="ignore", invalid="ignore"):
-        log_sd = np.log(high / low) / (2 * _NORMAL_80)
+    known = (low > 0.0) & (high > 0.0)
+    log_sd = np.where(np.isfinite(c_r), np.log(np.where(known, high / np.where(known, low, 1.0), 1.0)), np.nan)
+    log_sd /= 2 * _NORMAL_80
     columns = {}
-    for name, values in zip(_COLUMNS, (own, log_sd, ratio, slope, matched.rides.belly_reach, a_w, heave), strict=True):
+    values_of = (own, log_sd, ratio, slope, matched.rides.belly_reach, matched.left, a_w, heave)
+    for name, values in zip(_COLUMNS, values_of, strict=True):
         columns[name] = np.full(touched.shape, np.nan)
         columns[name][touched] = values
     return tiles.transpose(0, 2, 1, 3).reshape(heights.shape), columns
@@ -426,15 +472,14 @@ def _felt(rolled: _Rolled, vehicle: _Vehicle) -> dict[str, Floats]:
     tile, calibration = rolled.tile, vehicle.calibration
     front_left, front_right, rear_left, rear_right = np.moveaxis(rolled.heights, 1, 0)
     pitches = (front_left + front_right - rear_left - rear_right) / (2 * vehicle.operator.wheelbase)
-    taps = chassis_response(calibration.vehicle, vehicle.way)
     told = np.isfinite(pitches).all(axis=0) & np.isfinite(tile["c_r"]) & np.isfinite(tile["reach"])
     reach, slope = np.nan_to_num(tile["reach"]), np.nan_to_num(tile["slope"])
     found: dict[str, Floats] = {"log_sd": tile["log_sd"], "told": told.astype(np.float64), "seen": rolled.seen}
     shaken = np.zeros(len(told))
     for name, weight, pitch, lift in zip(_ACROSS_NAMES, _WEIGHTS, pitches, rolled.heights.mean(axis=1), strict=True):
         stretch = calibration.tile_size
-        felt = felt_along(_bridged(pitch), taps, vehicle.way, stretch, reach, slope, vehicle.correction)
-        found[name] = tile["speed"] * np.where(told, felt, tile["c_r"])
+        felt = felt_along(_bridged(pitch), vehicle.taps, vehicle.way, stretch, reach, slope, vehicle.correction)
+        found[name] = tile["speed"] * np.where(told, felt * tile["left"], tile["c_r"])
         if vehicle.rating is not None:
             known = told & (tile["heave"] > 0)
             share = np.where(known, _heave(_bridged(lift), vehicle) / np.where(known, tile["heave"], 1.0), 1.0)

@@ -66,6 +66,23 @@ def test_a_long_line_has_the_ride_of_its_parts(waves):
     np.testing.assert_allclose(passes[1:-1], np.broadcast_to(passes[1], (50, 40)), rtol=1e-6)
 
 
+@pytest.mark.parametrize("length", [0.02, 5.0])
+def test_the_ends_of_a_line_are_felt_as_inside_a_longer_one(waves, length):
+    short, whole = bumpymap.ride_along(waves, across(length)), bumpymap.ride_along(waves, across())
+    inside = bumpymap.ride_along(waves, [(WEST + 2.0, SOUTH + 15.0), across()[1]])
+    assert short.over(0.0, length)[0] == pytest.approx(inside.over(3.0, 3.0 + length)[0], rel=0.3)
+    assert whole.c_r[0] == pytest.approx(inside.c_r[3], rel=0.02)
+    assert whole.a_w[0] == pytest.approx(inside.a_w[3], rel=0.05)
+    np.testing.assert_allclose((whole.x[0], whole.y[0]), (WEST + 5.5, SOUTH + 15.0))
+
+
+def test_the_floor_of_a_vehicle_is_in_the_interval_once(tmp_path):
+    survey = write_survey(tmp_path / "flat.las", points=60_000, height=lambda x, _: 100.0 + 0.001 * np.sin(x))
+    layers = bumpymap.map_survey(survey, tmp_path / "layers", vehicle="husky")
+    c_r, low, high = bumpymap.ride_along(layers, across(10.0)).over(0.0, 10.0)
+    assert Calibration.shipped("husky").floor <= low < c_r < high
+
+
 def test_beyond_the_map_nothing_is_known(waves):
     ride = bumpymap.ride_along(waves, across(length=40.0))
     inside = ride.distance[1:] < 20.0
@@ -97,6 +114,8 @@ def test_other_speeds_shake_the_seat_more(waves):
         ([(WEST, SOUTH)], {}, "two points or more"),
         ([(WEST, math.nan), (WEST, SOUTH)], {}, "two points or more"),
         ([(WEST, SOUTH)] * 2, {}, "length is 0"),
+        ([(9.1, 48.7), (9.2, 48.7)], {}, "outside the map"),
+        ("a line", {}, "are numbers"),
         (across(), {"sigma": -1.0}, "metres from 0 to 5"),
         (across(), {"speed": 40.0}, "holds from"),
     ],
@@ -118,7 +137,7 @@ def test_another_calibration_is_refused_and_a_route_does_without(waves, tmp_path
     (layers / "run.json").write_text(json.dumps(manifest))
     result = plan_routes(RouteConfig(layers=layers, start="500006,4000017", goal="500026,4000017"))
     assert math.isnan(result.routes[0].figures.c_r_line)
-    assert "Give the file of that one" in result.notes[-1]
+    assert "needs the calibration of the map" in result.notes[-1]
 
 
 def test_a_route_tells_the_ride_of_its_line(waves):

@@ -38,6 +38,8 @@ class MatchedTiles(NamedTuple):
     """(n, pixels, pixels) plane-removed relief, m; NaN where a tile has holes."""
     rides: Rides
     """(n,) of that relief."""
+    left: Floats
+    """(n,) stated C_r over that predicted from it; 1 where one of them is unknown."""
 
 
 def match_tiles(
@@ -65,7 +67,9 @@ def match_tiles(
         low, high = np.where(too_rough, middle, low), np.where(too_rough, high, middle)
     rough = _predicted(roll_over(relief_map, operator), slope_deg, correction) > wanted
     clean = np.where(rough[:, None, None], _without(relief_map, np.exp(low)), relief_map)
-    return MatchedTiles(clean, roll_over(clean, operator))
+    rides = roll_over(clean, operator)
+    left = np.exp(wanted - _predicted(rides, slope_deg, correction))
+    return MatchedTiles(clean, rides, np.where(np.isfinite(left), left, 1.0))
 
 
 def _predicted(rides: Rides, slope_deg: Floats, correction: Correction) -> Floats:
