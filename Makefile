@@ -42,7 +42,7 @@ demo: $(VENV)/.installed
 # Kernels that were changed compile first: what a command says while it compiles is not what tests expect of it.
 test: $(VENV)/.installed-dev
 	-$(BIN)/bumpymap compile --quiet
-	$(BIN)/python -m pytest --numprocesses auto -m "not later" $(TESTS)
+	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m "not later" $(TESTS)
 
 test-all: $(VENV)/.installed-dev
 	-$(BIN)/bumpymap compile --quiet

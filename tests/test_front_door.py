@@ -15,6 +15,7 @@ import pytest
 import rasterio
 import xarray as xr
 from made_drives import write_drive
+from small_surveys import write_survey
 
 import bumpymap
 from bumpymap.core.types import BANDS
@@ -196,7 +197,7 @@ part, folder = map(Path, sys.argv[1:])
 
 def two_more(number):
     for out in (None, folder / str(number)):
-        layers = bumpymap.map_survey(part, out, local=True)
+        layers = bumpymap.map_survey(part, out)
         assert np.isfinite(layers.dataset()["c_r"].values).any()
         assert np.isfinite(layers.heights().values).any()
         layers.tiles()
@@ -214,7 +215,8 @@ for number in range(2):
 
 @pytest.mark.skipif(not OPEN_FILES.is_dir(), reason="open files are counted in /proc, which is Linux's")
 def test_a_loop_over_maps_leaves_no_file_open_and_no_memory(tmp_path):
-    command = [sys.executable, "-c", LOOP_OVER_MAPS, PART, tmp_path]
+    survey = write_survey(tmp_path / "small.las", points=5_000, side=12.0)
+    command = [sys.executable, "-c", LOOP_OVER_MAPS, survey, tmp_path]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     (files, memory), (more_files, more_memory) = (map(int, line.split()) for line in done.stdout.splitlines())
     assert more_files == files

@@ -88,7 +88,7 @@ def delivered(points, folder, rng):
     return [paths[number] for number in rng.permutation(count)]
 
 
-@settings(max_examples=8, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=6, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(seed=st.integers(0, 10**6), ground=st.sampled_from(["auto", "all"]))
 def test_no_delivery_and_no_budget_changes_a_byte(points, whole, tmp_path_factory, limit_points, seed, ground):
     folder, rng = tmp_path_factory.mktemp("delivery"), np.random.default_rng(seed)
