@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import CANOPY, OBSTACLE, BadInputError, UsageError, path_of_call
-from bumpymap.layers import MapReader, PlannedRoute, common_window, open_map
+from bumpymap.layers import NORMAL_80, MapReader, PlannedRoute, common_window, open_map
 from bumpymap.rating import (
     Calibration,
     Correction,
@@ -67,7 +67,6 @@ _FILL_ROUNDS = 3
 """Holes of up to twice as many pixels are filled with the mean of their neighbours."""
 _LEAST = 1e-5
 """C_r below this is none, rad/m."""
-_NORMAL_80 = 1.2815515655446004
 _RIDE = ("c_r", "c_r_low", "c_r_high")
 _COLUMNS = ("c_r", "log_sd", "speed", "slope", "reach", "left", "a_w", "heave")
 _SIDES = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
@@ -118,7 +117,7 @@ class LineRide:
         # The model of the vehicle errs alike in all tiles, the place across differs from metre to metre.
         weight = share * bare / max(float((share * bare).sum()), 1e-12)
         of_place = np.sqrt(((weight * self.log_sd_across[known]) ** 2).sum())
-        wide = np.exp(_NORMAL_80 * np.hypot((weight * self.log_sd[known]).sum(), of_place))
+        wide = np.exp(NORMAL_80 * np.hypot((weight * self.log_sd[known]).sum(), of_place))
         mean, low, high = (float((share * with_floor(bare * by, self.floor)).sum()) for by in (1.0, 1.0 / wide, wide))
         return mean, low, high
 
@@ -380,7 +379,7 @@ def _matched(
     tiles[touched] += matched.relief_map - relief
     known = (low > 0.0) & (high > 0.0)
     log_sd = np.where(np.isfinite(c_r), np.log(np.where(known, high / np.where(known, low, 1.0), 1.0)), np.nan)
-    log_sd /= 2 * _NORMAL_80
+    log_sd /= 2 * NORMAL_80
     columns = {}
     values_of = (own, log_sd, ratio, slope, matched.rides.belly_reach, matched.left, a_w, heave)
     for name, values in zip(_COLUMNS, values_of, strict=True):

@@ -79,8 +79,20 @@ def test_the_ends_of_a_line_are_felt_as_inside_a_longer_one(waves, length):
 def test_the_floor_of_a_vehicle_is_in_the_interval_once(tmp_path):
     survey = write_survey(tmp_path / "flat.las", points=60_000, height=lambda x, _: 100.0 + 0.001 * np.sin(x))
     layers = bumpymap.map_survey(survey, tmp_path / "layers", vehicle="husky")
-    c_r, low, high = bumpymap.ride_along(layers, across(10.0)).over(0.0, 10.0)
+    ride = bumpymap.ride_along(layers, across(10.0))
+    c_r, low, high = ride.over(0.0, 10.0)
+    assert c_r == pytest.approx(ride.c_r.mean())
     assert Calibration.shipped("husky").floor <= low < c_r < high
+
+
+def test_wheels_beside_the_border_of_a_tile_do_not_feel_the_noise_of_the_next(tmp_path):
+    layers = bumpymap.map_survey(write_survey(tmp_path / "noisy.las", points=60_000, side=SIDE_M), tmp_path / "layers")
+    border, half_track = 3.0 * math.ceil((SOUTH + 12.0) / 3.0) - SOUTH, 0.56
+    near, far = (
+        bumpymap.ride_along(layers, across(north=border - half_track - beside), sigma=0.0).over(0.0, 20.0)[0]
+        for beside in (0.02, 0.7)
+    )
+    assert near == pytest.approx(far, rel=0.25)
 
 
 def test_beyond_the_map_nothing_is_known(waves):
