@@ -230,15 +230,16 @@ def standing_things(points: NDArray[np.float32], is_ground: NDArray[np.bool_], p
     half = int(_REACH_M / _COLUMN_M)
     row, column = np.floor(at[:, :2].T / _COLUMN_M).astype(np.int64) + half
     key, size = 2 * half * row + column, 4 * half * half
-    low, high, first = np.full(size, np.inf), np.full(size, -np.inf), np.zeros(size, np.int64)
+    low, high = np.full(size, np.inf), np.full(size, -np.inf)
     np.minimum.at(low, key, at[:, 2])
     np.maximum.at(high, key, at[:, 2])
-    first[key[::-1]] = np.arange(len(key))[::-1]
     stands = np.flatnonzero(high - low > _RISES_M)
     stands = stands[:: max(1, len(stands) // _MOST_THINGS)]
-    number = np.bincount(key, minlength=size)[stands]
-    x, y = (np.bincount(key, at[:, axis], size)[stands] / number for axis in (0, 1))
-    return np.column_stack([x, y, at[first[stands], 2]]).astype(np.float32)
+    number = np.maximum(np.bincount(key, minlength=size), 1)
+    x, y, z = (np.bincount(key, at[:, axis], size) / number for axis in range(3))
+    above = np.flatnonzero(at[:, 2] >= z[key] - 1e-6)  # a point about the middle: those at its height may be none
+    z[key[above]] = at[above, 2]
+    return np.column_stack([x[stands], y[stands], z[stands]]).astype(np.float32)
 
 
 def frame_pairs(poses: Floats) -> list[tuple[int, int]]:

@@ -62,9 +62,10 @@ _LOWEST = -0.25
 """Range images go from straight down to straight up."""
 _THICK_M = 0.5
 """Ground that differs by more between frames is refused."""
-_WRONG, _LEAST_AWAY_M, _LEAST_COMPARED = 0.4, 5.0, 300
-"""Share of what stands there that frames so far away or farther see through, above which poses are refused, and fewest
-things that tell. With traffic it is up to 0.2, with inverted, reversed or swapped ones 0.4 to 0.7."""
+_WRONG, _GONE, _LEAST_AWAY_M, _LEAST_COMPARED = 0.5, 0.8, 5.0, 60
+"""Share of things seen through, of those and of those found again, above which poses are refused by all frames so far
+away or farther, and a frame does not fit; fewest things that tell. With traffic it is up to 0.26, with inverted,
+reversed or swapped poses 0.8 to 1."""
 _BESIDE_M, _TURNED_DEG, _HIGHER_M = (0.3, 1.0), (1.5, 2.5), (0.25, 0.5)
 """Misfit of a frame above which it is said, and above which the poses are refused: place and direction where things are
 found, and height of ground; what is refused is that after corrections."""
@@ -117,8 +118,8 @@ class FramePair:
     """The same after corrections."""
     through: int
     """Things of each that the other sees through."""
-    near: int
-    """Things of each where the other sees some."""
+    found: float
+    """Things of each that the other has too."""
     repeated: bool
     """True if both hold the same points, though at different poses."""
 
@@ -133,8 +134,8 @@ class FramePair:
         if abs(self.higher_m) > _HIGHER_M[0]:
             way = "higher" if self.higher_m > 0.0 else "lower"
             said.append(f"the same ground is {abs(self.higher_m):.2f} m {way}")
-        if self.through > 0.5 * (self.through + self.near) and self.through + self.near >= _LEAST_COMPARED:
-            said.append(f"{self.through / (self.through + self.near):.0%} of what stands there is seen through")
+        if self.through > _GONE * (self.through + self.found) and self.through + self.found > _LEAST_COMPARED:
+            said.append(f"{self.through / (self.through + self.found):.0%} of what stands there is seen through")
         return said
 
     def size(self) -> float:
@@ -149,7 +150,7 @@ class FramePair:
 
     def record(self, names: list[str]) -> dict[str, Any]:
         """Return the entry in scan.json."""
-        seen = self.through + self.near
+        seen = self.through + self.found
         return {
             "frame": names[self.later],
             "against": names[self.earlier],
@@ -314,20 +315,18 @@ class DriveMerge:
         for later, earlier in frame_pairs(poses):
             way = poses[later, :3, 3] - poses[earlier, :3, 3]
             fit = matcher.fit(self.things[later], way[:2], self.things[earlier])
-            images, found = [self._image(each) for each in (later, earlier)], np.zeros(4, np.int64)
+            images, through = [self._image(each) for each in (later, earlier)], 0
             for own, other, by, image in ((later, earlier, way, images[1]), (earlier, later, -way, images[0])):
                 back = np.ascontiguousarray(np.column_stack([poses[other, :3, :3].T, np.zeros(3)]))
                 counts = np.zeros((4, len(self.things[own])), np.int32)
-                judge_places(
-                    np.round(1000.0 * (self.things[own] + by)).astype(np.int32), back, _LOWEST, image, _LIMITS, counts
-                )
-                found += counts.sum(axis=1)
+                places = np.clip(np.round(1000.0 * (self.things[own] + by)), -_FAR_MM, _FAR_MM).astype(np.int32)
+                judge_places(places, back, _LOWEST, image, _LIMITS, counts)
+                through += int(counts[0].sum())
             higher = height_between(heights[later], heights[earlier])
             left = height_between(heights[later], heights[earlier], shift[[later, earlier]])
             repeated = later == earlier + 1 and np.linalg.norm(way) > _MOVED_M and np.array_equal(images[0], images[1])
-            pairs.append(
-                FramePair(later, earlier, way, fit, higher, left, int(found[0]), int(found[3]), bool(repeated))
-            )
+            both = 2.0 * fit.found * fit.things
+            pairs.append(FramePair(later, earlier, way, fit, higher, left, through, both, bool(repeated)))
         return pairs
 
     def _whole_offset(self) -> NDArray[np.int64]:
@@ -399,11 +398,11 @@ class DriveMerge:
 def _contradiction(pairs: list[FramePair], given: Alignment) -> str:
     """Return how all frames together contradict the poses, in words; empty if they do not."""
     far = [pair for pair in pairs if np.linalg.norm(pair.way[:2]) >= _LEAST_AWAY_M] or pairs
-    through, near = sum(pair.through for pair in far), sum(pair.near for pair in far)
+    through, found = sum(pair.through for pair in far), sum(pair.found for pair in far)
     if given.before_m > _THICK_M:
         return f"the height of the same ground differs by {given.before_m:.1f} m between frames"
-    if through > _WRONG * (through + near) and through + near >= _LEAST_COMPARED:
-        return f"frames see through {through / (through + near):.0%} of what stands in others"
+    if through > _WRONG * (through + found) and through + found > _LEAST_COMPARED:
+        return f"frames see through {through / (through + found):.0%} of what stands in others"
     if not given.squares and min(np.linalg.norm(pair.way) for pair in pairs) > 2.0 * _REACH_M:
         return "the frames are so far apart that they share no ground"
     return ""
@@ -421,7 +420,7 @@ def _likely(pairs: list[FramePair], poses: NDArray[np.float64]) -> str:
     plan = np.array([pair.way[:2] for pair in pairs if pair.fit.tells(1.0)])
     move = np.array([pair.fit.move for pair in pairs if pair.fit.tells(1.0)])
     longer = np.sum(plan * move) / max(np.sum(plan**2), 1e-9)
-    if abs(longer) > _SCALED and np.sum((move - longer * plan) ** 2) < _LEFT * np.sum(move**2):
+    if _SCALED < abs(longer) < 0.5 and np.sum((move - longer * plan) ** 2) < _LEFT * np.sum(move**2):
         return f", as if all ways were {1.0 / (1.0 + longer):.2f} times as long as in truth"
     return ""
 

@@ -1,6 +1,8 @@
 """Frames of a drive: what a merge keeps and drops, poses that cannot be right, and motion between the frames."""
 
 import json
+import re
+from dataclasses import replace
 
 import laspy
 import numpy as np
@@ -106,6 +108,7 @@ def test_what_moved_is_gone_and_what_stands_has_stayed(frames, drive):
     assert record["seen"] == sum(len(points) for points in world)
     assert (record["points"], record["ground"]) == (len(xyz), ground.sum())
     assert record["moving"] > 0
+    assert record["poses"]["misfits"] == []
     # Density is even.
     whole = np.round(1000.0 * xyz).astype(np.int64)
     pixels = np.unique(whole[ground, :2] // 200, axis=0, return_counts=True)[1]
@@ -199,24 +202,73 @@ def test_corrections_are_bounded_and_frames_apart_have_none():
     assert alone.record()["before_m"] is None
 
 
+def faulty(fault):
+    """Poses of the drive with a fault, from frame 6 on or in all."""
+    poses, half, flip = way_along(), FRAMES // 2, np.diag([1.0, -1.0, 1.0, 1.0])
+    yaw = np.arctan2(poses[:, 1, 0], poses[:, 0, 0])
+    if fault == "jump aside":
+        poses[half:, 1, 3] += 1.5
+    elif fault == "jump up":
+        poses[half:, 2, 3] += 0.5
+    elif fault in {"too long", "too short"}:
+        poses[:, :2, 3] *= 1.1 if fault == "too long" else 0.9
+    elif fault == "leaning":
+        poses[:, :3, :3] = poses[:, :3, :3] @ Rotation.from_euler("y", 4.0, degrees=True).as_matrix()
+    elif fault in {"turning", "degrees"}:
+        yaw = np.degrees(yaw) if fault == "degrees" else yaw + np.radians(np.arange(FRAMES))
+        poses[:, :3, :3] = Rotation.from_euler("z", yaw[:, None]).as_matrix()
+    elif fault == "noisy":
+        poses[:, :3, 3] += np.random.default_rng(5).normal(0.0, 0.3, (FRAMES, 3))
+    elif fault == "x for y":
+        poses[:, [0, 1], 3] = poses[:, [1, 0], 3]
+    order = {
+        "late": [0, *range(FRAMES - 1)],
+        "exchanged": [0, 1, 2, 3, 4, 6, 5, 7, 8, 9, 10, 11],
+        "backwards": range(FRAMES)[::-1],
+        "sorted as text": sorted(range(FRAMES), key=str),
+    }
+    others = {
+        "mirrored": flip @ poses @ flip,
+        "inverted": np.linalg.inv(poses),
+        "of a camera": CAMERA @ poses @ np.linalg.inv(CAMERA),
+        "far apart": way_along(step=300.0),
+        "in feet": way_along(step=3.0 / 0.3048),
+    }
+    return others[fault] if fault in others else poses[order.get(fault, range(FRAMES))]
+
+
 @pytest.mark.parametrize(
-    ("poses", "words"),
+    ("fault", "words", "refused"),
     [
-        (np.linalg.inv(way_along()), "see through"),
-        (CAMERA @ way_along() @ np.linalg.inv(CAMERA), "same ground differs"),
-        (way_along(step=300.0), "so far apart"),
-        (way_along(step=3.0 / 0.3048), "see through"),
-        (way_along()[::-1], "see through"),
+        ("jump aside", "6 against 5: things stand 1.5 m beside", True),
+        ("jump up", "6 against .: the same ground is 0.50 m higher", False),
+        ("too long", "as if all ways were 1.1. times as long", False),
+        ("too short", "as if all ways were 0.9. times as long", False),
+        ("leaning", "as if the LiDAR leaned by 4 degrees", True),
+        ("turning", "things stand turned by 2 degrees", True),
+        ("late", "1 against 0: ", True),
+        ("mirrored", "do not fit", True),
+        ("noisy", "1. of 12 frames do not fit", False),
+        ("x for y", "do not fit", True),
+        ("degrees", "do not fit", True),
+        ("exchanged", "6 against 5: ", True),
+        ("repeated", "6 against 5: it holds the same points", True),
+        ("inverted", "see through", True),
+        ("of a camera", "same ground differs", True),
+        ("far apart", "so far apart", True),
+        ("in feet", "see through", True),
+        ("backwards", "see through", True),
+        ("sorted as text", "do not fit", True),
     ],
 )
-def test_wrong_poses_are_refused_with_what_contradicts_them(frames, tmp_path, poses, words):
-    with pytest.raises(BadInputError, match=f"according to the poses, .*{words}.*`poses`"):
-        merged(tmp_path / "out", frames, poses)
-
-
-def test_poses_in_another_order_are_suspect(frames, tmp_path, caplog):
-    merged(tmp_path / "out", frames, way_along()[sorted(range(FRAMES), key=str)])
-    assert "frames see through 18% of what stands in others" in caplog.text
+def test_wrong_poses_are_named_with_what_contradicts_them(frames, tmp_path, caplog, fault, words, refused):
+    own = [frames[number - (fault == "repeated" and number == 6)] for number in range(FRAMES)]
+    if refused:
+        with pytest.raises(BadInputError, match=f"according to the poses, .*{words}.*`trust_poses=True`"):
+            merged(tmp_path / "out", own, faulty(fault))
+    else:
+        assert merged(tmp_path / "out", own, faulty(fault))[2]["poses"]["misfits"]
+        assert re.search(words, caplog.text)
 
 
 START = 1_700_000_000.0
@@ -298,6 +350,8 @@ def test_wrong_poses_leave_nothing_in_the_way_of_right_ones(driven, tmp_path):
         scan_frames(config)
     assert not hasattr(refused.value, "__notes__")
     assert not config.out.exists()
+    trusted = scan_frames(replace(config, out=tmp_path / "trusted", trust_poses=True))
+    assert trusted.merged["poses"]["misfits"]
     table[:, 3] = right
     np.savetxt(tmp_path / "tum.txt", table, fmt="%.9f")
     assert not scan_frames(config).already_done
