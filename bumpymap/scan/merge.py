@@ -127,9 +127,10 @@ class FramePair:
         """Return what does not fit, in words."""
         said = ["it holds the same points"] if self.repeated else []
         beside = float(np.hypot(*self.fit.move))
-        if self.fit.tells(_FOUND[0]) and (beside > _BESIDE_M[0] or abs(self.fit.turn) > _TURNED_DEG[0]):
+        is_turned = abs(self.fit.turn) > _TURNED_DEG[0]
+        if self.fit.tells(_FOUND[0]) and (beside > _BESIDE_M[0] or is_turned):
             turned = f"turned by {abs(self.fit.turn):.0f} degrees"
-            moved = f"{beside:.1f} m beside their places" + (f", {turned}" if self.fit.turn else "")
+            moved = f"{beside:.1f} m beside their places" + (f", {turned}" if is_turned else "")
             said.append(f"things stand {moved if beside > _BESIDE_M[0] else turned}")
         if abs(self.higher_m) > _HIGHER_M[0]:
             way = "higher" if self.higher_m > 0.0 else "lower"
@@ -289,21 +290,25 @@ class DriveMerge:
         told = sorted((pair for pair in pairs if pair.evidence()), key=FramePair.size)
         worst = {pair.later: pair for pair in told}
         self.misfits = [worst[frame] for frame in sorted(worst)]
-        reasons = [whole] if (whole := _contradiction(pairs, given)) else []
+        whole = _contradiction(pairs, given)
+        reasons = [whole] if whole else []
         is_wrong = bool(reasons) or any(pair.is_wrong for pair in pairs)
         if self.misfits:
             first = "; ".join(
                 f"{self.names[pair.later]} against {self.names[pair.earlier]}: {' and '.join(pair.evidence())}"
                 for pair in self.misfits[:_NAMED]
             )
-            count = f"{len(self.misfits)} of {len(self.poses)} frames do not fit others"
-            reasons.append(f"{count}{_likely(pairs, self.poses)} ({first})")
+            count = (
+                f"{len(self.misfits)} of {len(self.poses)} frames {'do' if len(self.misfits) > 1 else 'does'} not fit"
+            )
+            reasons.append(f"{count} others{_likely(pairs, self.poses)} ({first})")
         if not reasons:
             return
-        message = (
-            f"according to the poses, {', and '.join(reasons)}. Are `poses` those of the LiDAR (not of a camera or of "
-            "the robot's base), one per frame in order of time, in metres, and from the sensor to the world (not "
-            "inverted)?"
+        message = f"according to the poses, {', and '.join(reasons)}. " + (
+            "Look at the poses of these frames."
+            if not whole and 3 * len(self.misfits) < len(self.poses)
+            else "Are `poses` those of the LiDAR (not of a camera or of the robot's base), one per frame in order of time, "
+            "in metres, and from the sensor to the world (not inverted)?"
         )
         if is_wrong and not self.trusted:
             raise WrongPosesError(f"{message} `trust_poses=True` makes a map all the same")
