@@ -298,18 +298,17 @@ class DriveMerge:
                 f"{self.names[pair.later]} against {self.names[pair.earlier]}: {' and '.join(pair.evidence())}"
                 for pair in self.misfits[:_NAMED]
             )
-            count = (
-                f"{len(self.misfits)} of {len(self.poses)} frames {'do' if len(self.misfits) > 1 else 'does'} not fit"
-            )
-            reasons.append(f"{count} others{_likely(pairs, self.poses)} ({first})")
+            verb = "do" if len(self.misfits) > 1 else "does"
+            count = f"{len(self.misfits)} of {len(self.poses)} frames {verb} not fit others"
+            reasons.append(f"{count}{_likely(pairs, self.poses)} ({first})")
         if not reasons:
             return
-        message = f"according to the poses, {', and '.join(reasons)}. " + (
-            "Look at the poses of these frames."
-            if not whole and 3 * len(self.misfits) < len(self.poses)
-            else "Are `poses` those of the LiDAR (not of a camera or of the robot's base), one per frame in order of time, "
-            "in metres, and from the sensor to the world (not inverted)?"
+        few = not whole and 3 * len(self.misfits) < len(self.poses)
+        advice = (
+            "Are `poses` those of the LiDAR (not of a camera or of the robot's base), one per frame in order of time, in "
+            "metres, and from the sensor to the world (not inverted)?"
         )
+        message = f"according to the poses, {', and '.join(reasons)}. {'Look at their poses.' if few else advice}"
         if is_wrong and not self.trusted:
             raise WrongPosesError(f"{message} `trust_poses=True` makes a map all the same")
         _log.warning("%s The map may show things twice, or not where they stand", message)
