@@ -305,8 +305,8 @@ class DriveMerge:
             return
         few = not whole and 3 * len(self.misfits) < len(self.poses)
         advice = (
-            "Are `poses` those of the LiDAR (not of a camera or of the robot's base), one per frame in order of time, in "
-            "metres, and from the sensor to the world (not inverted)?"
+            "Are `poses` those of the LiDAR (not of a camera or of the robot's base), one per frame in order of time, "
+            "in metres, and from the sensor to the world (not inverted)?"
         )
         message = f"according to the poses, {', and '.join(reasons)}. {'Look at their poses.' if few else advice}"
         if is_wrong and not self.trusted:
