@@ -45,7 +45,7 @@ _MOST_HALVED = 32
 _SPREADING = np.uint64(0x9E3779B97F4A7C15)
 
 _COLUMN_M, _RISES_M, _BODY_M, _BELOW_M = 0.2, 0.3, 2.0, 2.0
-"""What stands there fills a column so wide over such a height or more, farther from the sensor than the robot's own
+"""Things fill a column so wide over such a height or more, farther from the sensor than the robot's own
 body, lower than so much above the sensor."""
 _MOST_THINGS = 800
 _CELL_M, _CELLS, _MOVES, _TURNS = 0.25, 256, 9, 4

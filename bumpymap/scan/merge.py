@@ -100,7 +100,7 @@ class PlacedPoints:
     """Nearest ranges by direction, see `range_image`."""
     heights: GroundHeights
     things: NDArray[np.float32]
-    """What stands around, see `standing_things`."""
+    """Things around the sensor, see `standing_things`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +179,7 @@ class DriveMerge:
     """Pose of each, and where its points lie in the file: from, to."""
     names: list[str] = field(default_factory=list)
     things: list[NDArray[np.float32]] = field(default_factory=list)
-    """What stands around each."""
+    """Things around each."""
     misfits: list[FramePair] = field(default_factory=list)
     """The worst of each frame that does not fit."""
     blocks: dict[int, list[tuple[int, int, int]]] = field(default_factory=dict)
