@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bumpymap.scan._place_kernels import turn_of
 from bumpytiles import helper, kernel
 
-__all__ = ["VoxelTable", "gather_points", "judge_places", "move_voxels", "range_image"]
+__all__ = ["VoxelTable", "draw_things", "gather_points", "judge_places", "match_things", "move_voxels", "range_image"]
 
 Millimetres = Annotated[NDArray[np.int32], 2]
 Floats = Annotated[NDArray[np.float64], 2]
@@ -201,3 +201,53 @@ def judge_places(
             found[1, v] += 1
         else:
             found[3, v] += 1
+
+
+@kernel
+def draw_things(
+    things: Annotated[NDArray[np.float32], 2], cell_m: float, drawn: Annotated[NDArray[np.uint8], 2]
+) -> None:
+    """Draw what stands around a sensor, seen from above: 4 in the cell of a thing, 2 beside it, 1 at its corners.
+
+    ``things`` (n, 3): along the axes of the world, m; ``drawn`` (rows, columns): filled, the sensor in its middle; 0 on
+    entry.
+    """
+    rows, columns = drawn.shape
+    for i in range(len(things)):
+        column = math.floor(things[i, 0] / cell_m) + columns // 2
+        row = math.floor(things[i, 1] / cell_m) + rows // 2
+        if 0 < row < rows - 1 and 0 < column < columns - 1:
+            for up in range(-1, 2):
+                for right in range(-1, 2):
+                    ink = 4 >> (abs(up) + abs(right))
+                    if drawn[row + up, column + right] < ink:
+                        drawn[row + up, column + right] = np.uint8(ink)
+
+
+@kernel
+def match_things(
+    things: Annotated[NDArray[np.float32], 2],
+    middle: Annotated[NDArray[np.float64], 1],
+    turns: Floats,
+    cell_m: float,
+    drawn: Annotated[NDArray[np.uint8], 2],
+    found: Annotated[NDArray[np.int32], 3],
+) -> None:
+    """Add up what is drawn at the places of things, for turns about their sensor and moves by whole cells.
+
+    ``things`` (n, 3): around their sensor, m; ``middle`` (2,): where that is from the sensor of `draw_things`, m;
+    ``turns`` (turns, 2): cosine and sine of each; ``found`` (turns, rows, columns): filled, no move in the middle; 0 on
+    entry.
+    """
+    turned, high, wide = found.shape
+    rows, columns = drawn.shape
+    for turn in range(turned):
+        cosine, sine = turns[turn, 0], turns[turn, 1]
+        for i in range(len(things)):
+            x, y = np.float64(things[i, 0]), np.float64(things[i, 1])
+            column = math.floor((middle[0] + cosine * x - sine * y) / cell_m) + columns // 2 - wide // 2
+            row = math.floor((middle[1] + sine * x + cosine * y) / cell_m) + rows // 2 - high // 2
+            if 0 <= row <= rows - high and 0 <= column <= columns - wide:
+                for up in range(high):
+                    for right in range(wide):
+                        found[turn, up, right] += drawn[row + up, column + right]

@@ -10,14 +10,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.scan._merge_kernels import draw_things, match_things
+
 __all__ = [
     "MOST_DEGREES",
     "MOST_METRES",
     "Alignment",
     "DriveHeights",
     "GroundHeights",
+    "ThingFit",
+    "ThingMatcher",
     "align_frames",
+    "frame_pairs",
     "ground_heights",
+    "height_between",
+    "standing_things",
 ]
 
 MOST_METRES, MOST_DEGREES = 0.3, 1.0
@@ -36,6 +43,19 @@ _MOST_SQUARES = 1_000_000
 corrections are found in some seconds; a frame needs a few dozen."""
 _MOST_HALVED = 32
 _SPREADING = np.uint64(0x9E3779B97F4A7C15)
+
+_COLUMN_M, _RISES_M, _BODY_M, _BELOW_M = 0.2, 0.3, 2.0, 2.0
+"""Things fill a column so wide over such a height or more, farther from the sensor than the robot's own
+body, lower than so much above the sensor."""
+_MOST_THINGS = 800
+_CELL_M, _CELLS, _MOVES, _TURNS = 0.25, 256, 9, 4
+"""Things are matched in so many cells about the sensor, and moved by so many cells and turned by so many degrees."""
+_LEAST_THINGS, _LEAST_BEST = 50, 0.2
+"""Fewest things, and least share found at the best place, that tell."""
+_APART_M, _BEFORE, _PATH_M, _FLOOR_M = (5.0, 15.0), 16, 40.0, 2.0
+"""A frame is compared with the last one at such a distance, or that so many frames before, and with the nearest one
+that came so much path before and no more above or below: beyond, it may be on another floor."""
+_LEAST_SQUARES = 30
 
 Floats = NDArray[np.float64]
 
@@ -196,3 +216,105 @@ def align_frames(frames: list[GroundHeights]) -> Alignment:
     if after > before:  # frames that contradict each other beyond any correction
         return Alignment(np.zeros((count, 3)), before, before, len(rows.number))
     return Alignment(shift, before, after, len(rows.number))
+
+
+def standing_things(points: NDArray[np.float32], is_ground: NDArray[np.bool_], pose: Floats) -> NDArray[np.float32]:
+    """Return where things stand around the sensor, (n, 3) along the axes of the world, m: one point of each column.
+
+    ``points``, ``pose``: as of `ground_heights`.
+    """
+    other = points[~is_ground]
+    flat = np.hypot(other[:, 0], other[:, 1])
+    at = np.einsum("nj,ij->ni", other[(flat > _BODY_M) & (flat < _REACH_M)].astype(np.float64), pose[:3, :3])
+    at = at[(np.abs(at[:, :2]).max(axis=1, initial=0.0) < _REACH_M) & (at[:, 2] < _BELOW_M)]
+    half = int(_REACH_M / _COLUMN_M)
+    row, column = np.floor(at[:, :2].T / _COLUMN_M).astype(np.int64) + half
+    key, size = 2 * half * row + column, 4 * half * half
+    low, high = np.full(size, np.inf), np.full(size, -np.inf)
+    np.minimum.at(low, key, at[:, 2])
+    np.maximum.at(high, key, at[:, 2])
+    stands = np.flatnonzero(high - low > _RISES_M)
+    stands = stands[:: max(1, len(stands) // _MOST_THINGS)]
+    number = np.maximum(np.bincount(key, minlength=size), 1)
+    x, y, z = (np.bincount(key, at[:, axis], size) / number for axis in range(3))
+    above = np.flatnonzero(at[:, 2] >= z[key] - 1e-6)  # a point about the middle: those at its height may be none
+    z[key[above]] = at[above, 2]
+    return np.column_stack([x[stands], y[stands], z[stands]]).astype(np.float32)
+
+
+def frame_pairs(poses: Floats) -> list[tuple[int, int]]:
+    """Return which frames are compared, a later one with an earlier one each, in order.
+
+    ``poses`` (frames, 4, 4).
+    """
+    place, pairs = poses[:, :2, 3], []
+    path = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(place, axis=0), axis=1))]
+    for later in range(1, len(poses)):
+        away = np.linalg.norm(place[:later] - place[later], axis=1)
+        apart = np.flatnonzero((away >= _APART_M[0]) & (away <= _APART_M[1]))
+        floor = np.abs(poses[:later, 2, 3] - poses[later, 2, 3]) < _FLOOR_M
+        again = np.flatnonzero((path[later] - path[:later] > _PATH_M) & (away <= _APART_M[1]) & floor)
+        again = again[np.argsort(away[again], kind="stable")]
+        before = apart[-1:].tolist() or [max(0, later - _BEFORE)]
+        pairs += [(later, each) for each in sorted({later - 1, *before, *again[:1].tolist()})]
+    return pairs
+
+
+@dataclass(frozen=True, slots=True)
+class ThingFit:
+    """How the things of a frame fit those of an earlier one."""
+
+    things: int = 0
+    """Of the later frame near enough to the earlier one."""
+    found: float = 0.0
+    """Share found at the poses, 0..1; things beside count by half."""
+    best: float = 0.0
+    """Largest share found at any place near by."""
+    move: tuple[float, float] = (0.0, 0.0)
+    """Where that is from the poses, m along the axes of the world."""
+    turn: float = 0.0
+    """By how much the later frame is turned there, degrees counter-clockwise."""
+
+    def tells(self, share: float) -> bool:
+        """Return True if at the poses less than a share of what is found at the best place is found, not by chance."""
+        by_chance = 3.0 * np.sqrt(self.best / max(1, self.things))
+        enough = self.things >= _LEAST_THINGS and self.best >= _LEAST_BEST
+        return bool(enough and self.found < min(share * self.best, self.best - by_chance))
+
+
+class ThingMatcher:
+    """Looks for the things of frames among those of another, at moves by up to 2.25 m and turns by up to 4 degrees."""
+
+    def __init__(self) -> None:
+        angle = np.radians(np.arange(-_TURNS, _TURNS + 1.0))
+        self._turns = np.column_stack([np.cos(angle), np.sin(angle)])
+        self._drawn = np.zeros((_CELLS, _CELLS), np.uint8)
+        self._found = np.zeros((len(angle), 2 * _MOVES + 1, 2 * _MOVES + 1), np.int32)
+
+    def fit(self, things: NDArray[np.float32], middle: Floats, others: NDArray[np.float32]) -> ThingFit:
+        """Match things (n, 3) of a later frame, whose sensor is at ``middle`` (2,) from the earlier one, to others."""
+        self._drawn[:], self._found[:] = 0, 0
+        draw_things(others, _CELL_M, self._drawn)
+        near = things[np.linalg.norm(things[:, :2] + middle, axis=1) < _REACH_M]
+        match_things(near, middle, self._turns, _CELL_M, self._drawn, self._found)
+        full, here, most = 4.0 * max(1, len(near)), int(self._found[_TURNS, _MOVES, _MOVES]), int(self._found.max())
+        turn, up, right = _TURNS, _MOVES, _MOVES
+        if here < most:
+            turn, up, right = (int(each) for each in np.unravel_index(self._found.argmax(), self._found.shape))
+        move = (_CELL_M * (right - _MOVES), _CELL_M * (up - _MOVES))
+        return ThingFit(len(near), here / full, most / full, move, float(turn - _TURNS))
+
+
+def height_between(later: GroundHeights, earlier: GroundHeights, shift: Floats | None = None) -> float:
+    """Return by how much the later frame has the same ground higher, m; NaN if they share too little.
+
+    ``shift`` (2, 3): corrections of both, as of `Alignment`.
+    """
+    _, *rows = np.intersect1d(later.square, earlier.square, assume_unique=True, return_indices=True)
+    if len(rows[0]) < _LEAST_SQUARES:
+        return float("nan")
+    z = [frame.z[row].astype(np.float64) + frame.up for frame, row in zip((later, earlier), rows, strict=True)]
+    if shift is not None:
+        for number, (frame, row, by) in enumerate(zip((later, earlier), rows, shift, strict=True)):
+            z[number] += by[0] + by[1] * frame.east[row] + by[2] * frame.north[row]
+    return float(np.median(z[0] - z[1]))

@@ -46,6 +46,8 @@ class ScanConfig:
         None
     )
     """File with the pose of the sensor at each frame; the frames are then merged and mapped like a survey."""
+    trust_poses: Annotated[bool, Setting("Map a drive whose poses contradict its frames", rare=True)] = False
+    """Merge the frames even if they show that the poses are wrong; it is said, but not refused."""
     crs: Annotated[
         str | None, Setting("CRS of the poses: EPSG:32614", "CRS", default="local metres", group="Input")
     ] = None

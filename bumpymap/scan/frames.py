@@ -187,7 +187,8 @@ def open_products(
     poses = [frame.pose for frame in frames if frame.pose is not None]
     with ExitStack() as open_files:
         table = open_files.enter_context(open_table(staged / SECTOR_TABLE_NAME)) if "table" in config.products else None
-        merge = open_files.enter_context(open_merge(run_folder, poses[0])) if poses else None
+        trusted = config.trust_poses
+        merge = open_files.enter_context(open_merge(run_folder, poses[0], trusted=trusted)) if poses else None
         grids = None if config.bag is None else GridBag(run_folder, config.grid)
         yield FrameProducts(config, run_folder, staged, table, merge, grids)
         if merge is not None:

@@ -6,8 +6,9 @@ frames give small corrections of the poses, and block after block is read back: 
 or more saw, and more than saw something in it, held something that moved. Memory is bounded by the surfaces in one
 block and by a number of squares of ground.
 
-Poses are refused by how much the height of the same ground differs between frames, and by how much of what stands on it
-in one frame is seen through in another: that also finds poses on level ground that are wrong along it.
+Each frame is held against the one before it, one some metres away, and one of an earlier passage: by how much the
+height of the same ground differs, where what stands on it in one frame is found in the other, and how much of it is
+seen through. What does not fit is said with the frame; far beyond any error of good poses the run is refused.
 """
 
 import logging
@@ -24,7 +25,18 @@ from numpy.typing import NDArray
 from bumpymap.core import BadInputError
 from bumpymap.layers import AccumulatedSurvey
 from bumpymap.scan._merge_kernels import VoxelTable, gather_points, judge_places, move_voxels, range_image
-from bumpymap.scan.align import Alignment, DriveHeights, GroundHeights, align_frames, ground_heights
+from bumpymap.scan.align import (
+    Alignment,
+    DriveHeights,
+    GroundHeights,
+    ThingFit,
+    ThingMatcher,
+    align_frames,
+    frame_pairs,
+    ground_heights,
+    height_between,
+    standing_things,
+)
 
 __all__ = ["MOST_GROUND", "MOST_OTHERS", "DriveMerge", "PlacedPoints", "WrongPosesError", "open_merge"]
 
@@ -50,13 +62,22 @@ _LOWEST = -0.25
 """Range images go from straight down to straight up."""
 _THICK_M = 0.5
 """Ground that differs by more between frames is refused."""
-_SUSPECT, _WRONG = 0.15, 0.4
-"""Share of what stands there that other frames see through, above which poses are suspect, and refused. With traffic it
-is 0.08, with poses that are 1 m off 0.18, inverted, reversed or in feet 0.67 to 0.72."""
-_LEAST_AGREED_M, _MOST_M = 5.0, 30.0
-"""Distance of two frames that are compared."""
-_PAIRS, _POINTS, _LEAST_COMPARED = 24, 3000, 300
-"""Pairs of frames, and points of each, that are compared; fewest points that tell."""
+_WRONG, _GONE, _LEAST_AWAY_M, _LEAST_COMPARED = 0.5, 0.8, 5.0, 60
+"""Share of things seen through, of those and of those found again, above which poses are refused by all frames so far
+away or farther, and a frame does not fit; fewest things that tell. With traffic it is up to 0.26, with inverted,
+reversed or swapped poses 0.8 to 1."""
+_BESIDE_M, _TURNED_DEG, _HIGHER_M = (0.3, 1.0), (1.5, 2.5), (0.25, 0.5)
+"""Misfit of a frame above which it is said, and above which the poses are refused: place and direction where things are
+found, and height of ground; what is refused is that after corrections."""
+_FOUND = (0.8, 0.5)
+"""Things are beside their places if less than such a share of what is found there is found at the poses: to be said,
+and to refuse."""
+_LEANS, _SCALED, _LEFT = 0.026, 0.04, 0.3
+"""Least slope, and least share of a way, that explain misfits, and share of their squares that may be left."""
+_MOVED_M = 0.1
+"""A frame with the points of the one before it is a repeated one if its pose is so far away."""
+_NAMED = 5
+"""Number of frames that a message names."""
 
 
 class WrongPosesError(BadInputError):
@@ -67,6 +88,7 @@ class WrongPosesError(BadInputError):
 class PlacedPoints:
     """The points of a frame in the world."""
 
+    name: str
     pose: NDArray[np.float64]
     rows: NDArray[Any]
     """(n,) points as in the file, sorted by block."""
@@ -77,6 +99,67 @@ class PlacedPoints:
     image: NDArray[np.uint16]
     """Nearest ranges by direction, see `range_image`."""
     heights: GroundHeights
+    things: NDArray[np.float32]
+    """Things around the sensor, see `standing_things`."""
+
+
+@dataclass(frozen=True, slots=True)
+class FramePair:
+    """A frame held against an earlier one, by their numbers."""
+
+    later: int
+    earlier: int
+    way: NDArray[np.float64]
+    """(3,) to the later one, m."""
+    fit: ThingFit
+    higher_m: float
+    """By how much the later one has the same ground higher; NaN if unknown."""
+    left_m: float
+    """The same after corrections."""
+    through: int
+    """Things of each that the other sees through."""
+    found: float
+    """Things of each that the other has too."""
+    repeated: bool
+    """True if both hold the same points, though at different poses."""
+
+    def evidence(self) -> list[str]:
+        """Return what does not fit, in words."""
+        said = ["it holds the same points"] if self.repeated else []
+        beside = float(np.hypot(*self.fit.move))
+        is_turned = abs(self.fit.turn) > _TURNED_DEG[0]
+        if self.fit.tells(_FOUND[0]) and (beside > _BESIDE_M[0] or is_turned):
+            turned = f"turned by {abs(self.fit.turn):.0f} degrees"
+            moved = f"{beside:.1f} m beside their places" + (f", {turned}" if is_turned else "")
+            said.append(f"things stand {moved if beside > _BESIDE_M[0] else turned}")
+        if abs(self.higher_m) > _HIGHER_M[0]:
+            way = "higher" if self.higher_m > 0.0 else "lower"
+            said.append(f"the same ground is {abs(self.higher_m):.2f} m {way}")
+        if self.through > _GONE * (self.through + self.found) and self.through + self.found > _LEAST_COMPARED:
+            said.append(f"{self.through / (self.through + self.found):.0%} of what stands there is seen through")
+        return said
+
+    def size(self) -> float:
+        """Return how far it is from fitting, m."""
+        return float(self.fit.tells(_FOUND[0]) * np.hypot(*self.fit.move) + abs(np.nan_to_num(self.higher_m)))
+
+    @property
+    def is_wrong(self) -> bool:
+        """True if it fits worse than with any good poses."""
+        far = np.hypot(*self.fit.move) >= _BESIDE_M[1] or abs(self.fit.turn) > _TURNED_DEG[1]
+        return bool(abs(self.left_m) > _HIGHER_M[1] or (far and self.fit.tells(_FOUND[1])))
+
+    def record(self, names: list[str]) -> dict[str, Any]:
+        """Return the entry in scan.json."""
+        seen = self.through + self.found
+        return {
+            "frame": names[self.later],
+            "against": names[self.earlier],
+            "beside_m": round(float(np.hypot(*self.fit.move)), 2) if self.fit.tells(_FOUND[0]) else None,
+            "turned_deg": self.fit.turn if self.fit.tells(_FOUND[0]) else None,
+            "higher_m": None if np.isnan(self.higher_m) else round(self.higher_m, 3),
+            "seen_through": round(self.through / seen, 3) if seen else None,
+        }
 
 
 @dataclass
@@ -90,8 +173,15 @@ class DriveMerge:
     points: BinaryIO
     images: BinaryIO
     offset: NDArray[np.float64]
+    trusted: bool = False
+    """True if poses that contradict the frames are used all the same."""
     frames: list[tuple[NDArray[np.float64], int, int]] = field(default_factory=list)
     """Pose of each, and where its points lie in the file: from, to."""
+    names: list[str] = field(default_factory=list)
+    things: list[NDArray[np.float32]] = field(default_factory=list)
+    """Things around each."""
+    misfits: list[FramePair] = field(default_factory=list)
+    """The worst of each frame that does not fit."""
     blocks: dict[int, list[tuple[int, int, int]]] = field(default_factory=dict)
     """Of each block of the world: the frames with points there, and where they lie in the file: from, to."""
     heights: DriveHeights = field(default_factory=DriveHeights)
@@ -110,7 +200,9 @@ class DriveMerge:
 
     def record(self) -> dict[str, Any]:
         """Return the entry in scan.json."""
-        poses = None if self.alignment is None else self.alignment.record()
+        poses: dict[str, Any] | None = None
+        if self.alignment is not None:
+            poses = self.alignment.record() | {"misfits": [pair.record(self.names) for pair in self.misfits]}
         return {
             "seen": self.seen,
             "points": self.written,
@@ -146,7 +238,9 @@ class DriveMerge:
         image = np.zeros((_COLUMNS // 2, _COLUMNS), np.uint16)
         range_image(np.ascontiguousarray(points, np.float32), _LOWEST, image)
         counts = np.bincount(number, minlength=len(blocks))
-        return PlacedPoints(pose, rows[order], blocks, counts, image, ground_heights(points, is_ground, pose))
+        heights = ground_heights(points, is_ground, pose)
+        things = standing_things(points, is_ground, pose)
+        return PlacedPoints(name, pose, rows[order], blocks, counts, image, heights, things)
 
     def add_points(self, placed: PlacedPoints) -> None:
         """Take the points of the next frame."""
@@ -159,7 +253,9 @@ class DriveMerge:
         placed.image.tofile(self.images)
         count = len(placed.rows)
         self.frames.append((placed.pose, self.seen, self.seen + count))
+        self.names.append(placed.name)
         self.heights.add(placed.heights)
+        self.things.append(placed.things)
         self.seen += count
 
     def write(self, survey: AccumulatedSurvey) -> None:
@@ -167,7 +263,7 @@ class DriveMerge:
         self.points.flush()
         self.images.flush()
         self.alignment = align_frames(self.heights.frames)
-        self._refuse_wrong_poses(self.alignment)
+        self._check_poses(self.alignment)
         self.shift = self.alignment.shift
         for block in sorted(self.blocks):
             xyz, is_ground = self._thin(block, self._gather(block))
@@ -186,49 +282,56 @@ class DriveMerge:
         flat = np.fromfile(self.images.name, np.uint16, pixels, offset=2 * pixels * number)
         return flat.reshape(-1, _COLUMNS)
 
-    def _refuse_wrong_poses(self, given: Alignment) -> None:
-        """Raise WrongPosesError if the frames contradict each other; warn if they may."""
+    def _check_poses(self, given: Alignment) -> None:
+        """Say which frames do not fit the others. Raises WrongPosesError: poses that cannot be right."""
         if len(self.poses) < 2:
             return
-        through, reason = self._seen_through(), ""
-        nearest = np.linalg.norm(np.diff(self.poses[:, :3, 3], axis=0), axis=1).min()
-        if through > _SUSPECT:
-            reason = f"frames see through {through:.0%} of what stands in others"
-        wrong = through > _WRONG
-        if given.before_m > _THICK_M:
-            wrong, reason = True, f"the height of the same ground differs by {given.before_m:.1f} m between frames"
-        elif not given.squares and nearest > 2.0 * _REACH_M:
-            wrong, reason = True, "the frames are so far apart that they share no ground"
-        message = (
-            f"according to the poses, {reason}. Are `poses` those of the LiDAR (not of a camera or of the robot's "
-            "base), one per frame in order of time, in metres, and from the sensor to the world (not inverted)?"
+        pairs = self._pairs(given.shift)
+        told = sorted((pair for pair in pairs if pair.evidence()), key=FramePair.size)
+        worst = {pair.later: pair for pair in told}
+        self.misfits = [worst[frame] for frame in sorted(worst)]
+        whole = _contradiction(pairs, given)
+        reasons = [whole] if whole else []
+        is_wrong = bool(reasons) or any(pair.is_wrong for pair in pairs)
+        if self.misfits:
+            first = "; ".join(
+                f"{self.names[pair.later]} against {self.names[pair.earlier]}: {' and '.join(pair.evidence())}"
+                for pair in self.misfits[:_NAMED]
+            )
+            verb = "do" if len(self.misfits) > 1 else "does"
+            count = f"{len(self.misfits)} of {len(self.poses)} frames {verb} not fit others"
+            reasons.append(f"{count}{_likely(pairs, self.poses)} ({first})")
+        if not reasons:
+            return
+        few = not whole and 3 * len(self.misfits) < len(self.poses)
+        advice = (
+            "Are `poses` those of the LiDAR (not of a camera or of the robot's base), one per frame in order of time, "
+            "in metres, and from the sensor to the world (not inverted)?"
         )
-        if wrong:
-            raise WrongPosesError(message)
-        if reason:
-            _log.warning("%s", message)
+        message = f"according to the poses, {', and '.join(reasons)}. {'Look at their poses.' if few else advice}"
+        if is_wrong and not self.trusted:
+            raise WrongPosesError(f"{message} `trust_poses=True` makes a map all the same")
+        _log.warning("%s The map may show things twice, or not where they stand", message)
 
-    def _seen_through(self) -> float:
-        """Return the share of points above the ground through which a frame some metres away sees; NaN if unknown."""
-        through, near, poses = 0, 0, self.poses
-        for first in np.unique(np.linspace(0, len(poses) - 1, _PAIRS).round().astype(int)).tolist():
-            away = np.linalg.norm(poses[first + 1 :, :3, 3] - poses[first, :3, 3], axis=1)
-            far = np.flatnonzero((away >= _LEAST_AGREED_M) & (away <= _MOST_M))
-            if not len(far):
-                continue
-            second = int(first + 1 + far[0])
-            pose, begin, end = self.frames[first]
-            rows = np.fromfile(self.points.name, _POINT, end - begin, offset=begin * _POINT.itemsize)
-            points = (0.001 * rows["place"] + (self.offset - pose[:3, 3])) @ pose[:3, :3]  # in the frame of the sensor
-            standing = points[(rows["kind"] == 0) & (np.linalg.norm(points, axis=1) < _REACH_M)]
-            standing = standing[:: max(1, len(standing) // _POINTS)]
-            found = np.zeros((4, len(standing)), np.int32)
-            way = np.ascontiguousarray((np.linalg.inv(poses[second]) @ poses[first])[:3])
-            places = np.round(1000.0 * standing).astype(np.int32)
-            judge_places(places, way, _LOWEST, self._image(second), _LIMITS, found)
-            through += int(found[0].sum())
-            near += int(found[3].sum())
-        return through / (through + near) if through + near >= _LEAST_COMPARED else float("nan")
+    def _pairs(self, shift: NDArray[np.float64]) -> list[FramePair]:
+        """Hold frames against earlier ones; ``shift``: corrections of all."""
+        pairs, matcher, poses, heights = [], ThingMatcher(), self.poses, self.heights.frames
+        for later, earlier in frame_pairs(poses):
+            way = poses[later, :3, 3] - poses[earlier, :3, 3]
+            fit = matcher.fit(self.things[later], way[:2], self.things[earlier])
+            images, through = [self._image(each) for each in (later, earlier)], 0
+            for own, other, by, image in ((later, earlier, way, images[1]), (earlier, later, -way, images[0])):
+                back = np.ascontiguousarray(np.column_stack([poses[other, :3, :3].T, np.zeros(3)]))
+                counts = np.zeros((4, len(self.things[own])), np.int32)
+                places = np.clip(np.round(1000.0 * (self.things[own] + by)), -_FAR_MM, _FAR_MM).astype(np.int32)
+                judge_places(places, back, _LOWEST, image, _LIMITS, counts)
+                through += int(counts[0].sum())
+            higher = height_between(heights[later], heights[earlier])
+            left = height_between(heights[later], heights[earlier], shift[[later, earlier]])
+            repeated = later == earlier + 1 and np.linalg.norm(way) > _MOVED_M and np.array_equal(images[0], images[1])
+            both = 2.0 * fit.found * fit.things
+            pairs.append(FramePair(later, earlier, way, fit, higher, left, through, both, bool(repeated)))
+        return pairs
 
     def _whole_offset(self) -> NDArray[np.int64]:
         return (1000 * self.offset[:2]).astype(np.int64)
@@ -296,6 +399,36 @@ class DriveMerge:
         return xyz[chosen], ground[chosen]
 
 
+def _contradiction(pairs: list[FramePair], given: Alignment) -> str:
+    """Return how all frames together contradict the poses, in words; empty if they do not."""
+    far = [pair for pair in pairs if np.linalg.norm(pair.way[:2]) >= _LEAST_AWAY_M] or pairs
+    through, found = sum(pair.through for pair in far), sum(pair.found for pair in far)
+    if given.before_m > _THICK_M:
+        return f"the height of the same ground differs by {given.before_m:.1f} m between frames"
+    if through > _WRONG * (through + found) and through + found > _LEAST_COMPARED:
+        return f"frames see through {through / (through + found):.0%} of what stands in others"
+    if not given.squares and min(np.linalg.norm(pair.way) for pair in pairs) > 2.0 * _REACH_M:
+        return "the frames are so far apart that they share no ground"
+    return ""
+
+
+def _likely(pairs: list[FramePair], poses: NDArray[np.float64]) -> str:
+    """Return what would explain most of the misfits of all frames, in words; empty if nothing does."""
+    way = np.array([poses[pair.earlier, :3, :3].T @ pair.way for pair in pairs])[:, :2]
+    higher = np.array([pair.higher_m for pair in pairs])
+    known = np.isfinite(higher)
+    lean = np.linalg.lstsq(way[known], higher[known], rcond=None)[0]
+    rest = np.sum((higher - way @ lean)[known] ** 2) / max(np.sum(higher[known] ** 2), 1e-9)
+    if np.abs(higher[known]).max(initial=0.0) > _HIGHER_M[0] and np.hypot(*lean) > _LEANS and rest < _LEFT:
+        return f", as if the LiDAR leaned by {np.degrees(np.arctan(np.hypot(*lean))):.0f} degrees against its poses"
+    plan = np.array([pair.way[:2] for pair in pairs if pair.fit.tells(1.0)])
+    move = np.array([pair.fit.move for pair in pairs if pair.fit.tells(1.0)])
+    longer = np.sum(plan * move) / max(np.sum(plan**2), 1e-9)
+    if _SCALED < abs(longer) < 0.5 and np.sum((move - longer * plan) ** 2) < _LEFT * np.sum(move**2):
+        return f", as if all ways were {1.0 / (1.0 + longer):.2f} times as long as in truth"
+    return ""
+
+
 def _outvoted(table: VoxelTable) -> NDArray[np.bool_]:
     """Return which rows are ground that more frames did not take for ground."""
     used = int(table.size[0])
@@ -338,15 +471,16 @@ def _with_room(table: VoxelTable, more: int) -> VoxelTable:
 
 
 @contextmanager
-def open_merge(folder: Path, first: NDArray[np.float64]) -> Iterator[DriveMerge]:
+def open_merge(folder: Path, first: NDArray[np.float64], *, trusted: bool = False) -> Iterator[DriveMerge]:
     """Open the files of a merge in the folder of a run, and remove them at the end.
 
-    ``first`` (4, 4): pose of the first frame, m; coordinates in the files count from there.
+    ``first`` (4, 4): pose of the first frame, m; coordinates in the files count from there; ``trusted``: poses that
+    contradict the frames are used all the same.
     """
     paths = [folder / name for name in ("merge.points", "merge.images")]
     try:
         with paths[0].open("wb") as points, paths[1].open("wb") as images:
-            yield DriveMerge(points, images, np.round(first[:3, 3]))
+            yield DriveMerge(points, images, np.round(first[:3, 3]), trusted)
     finally:
         for path in paths:
             path.unlink(missing_ok=True)

@@ -89,7 +89,7 @@ __all__ = ["ScanRun", "scan_frames"]
 
 _log = logging.getLogger(__name__)
 
-_WITHOUT_EFFECT = {"frames", "out", "overwrite", "skip_bad", "threads", "poses"}
+_WITHOUT_EFFECT = {"frames", "out", "overwrite", "skip_bad", "threads", "poses", "trust_poses"}
 """Settings that do not change the files of the frames: a resumed run may use other values. The file of the poses is an
 input."""
 

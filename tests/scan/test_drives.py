@@ -1,6 +1,8 @@
 """Frames of a drive: what a merge keeps and drops, poses that cannot be right, and motion between the frames."""
 
 import json
+import re
+from dataclasses import replace
 
 import laspy
 import numpy as np
@@ -105,7 +107,7 @@ def test_what_moved_is_gone_and_what_stands_has_stayed(frames, drive):
         assert len(voxels & left) > 0.97 * len(voxels) > 50
     assert record["seen"] == sum(len(points) for points in world)
     assert (record["points"], record["ground"]) == (len(xyz), ground.sum())
-    assert record["moving"] > 0
+    assert (record["moving"] > 0, record["poses"]["misfits"]) == (True, [])
     # Density is even.
     whole = np.round(1000.0 * xyz).astype(np.int64)
     pixels = np.unique(whole[ground, :2] // 200, axis=0, return_counts=True)[1]
@@ -199,24 +201,46 @@ def test_corrections_are_bounded_and_frames_apart_have_none():
     assert alone.record()["before_m"] is None
 
 
-@pytest.mark.parametrize(
-    ("poses", "words"),
-    [
-        (np.linalg.inv(way_along()), "see through"),
-        (CAMERA @ way_along() @ np.linalg.inv(CAMERA), "same ground differs"),
-        (way_along(step=300.0), "so far apart"),
-        (way_along(step=3.0 / 0.3048), "see through"),
-        (way_along()[::-1], "see through"),
-    ],
-)
-def test_wrong_poses_are_refused_with_what_contradicts_them(frames, tmp_path, poses, words):
-    with pytest.raises(BadInputError, match=f"according to the poses, .*{words}.*`poses`"):
-        merged(tmp_path / "out", frames, poses)
+def off(by=(0.0, 0.0, 0.0), axis="z", degrees=0.0):
+    """Poses that are moved in the world, then turned about an axis of the sensor; by the same or each."""
+    poses = way_along()
+    poses[:, :3, 3] += by
+    poses[:, :3, :3] = poses[:, :3, :3] @ Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
+    return poses
 
 
-def test_poses_in_another_order_are_suspect(frames, tmp_path, caplog):
-    merged(tmp_path / "out", frames, way_along()[sorted(range(FRAMES), key=str)])
-    assert "frames see through 18% of what stands in others" in caplog.text
+WAY, FLIP, LATER = way_along(), np.diag([1.0, -1.0, 1.0, 1.0]), np.arange(FRAMES)[:, None] >= 6
+PLACE, YAW, NOISE = WAY[:, :3, 3], np.arctan2(WAY[:, 1, 0], WAY[:, 0, 0]), np.random.default_rng(5)
+FAULTS = {
+    "jump aside": (True, "6 against 5: things stand 1.5 m beside", off(LATER * [0.0, 1.5, 0.0])),
+    "jump up": (False, "6 against .: the same ground is 0.50 m higher", off(LATER * [0.0, 0.0, 0.5])),
+    "too long": (False, "as if all ways were 1.11 times as long", off(PLACE * [0.1, 0.1, 0.0])),
+    "too short": (False, "as if all ways were 0.89 times as long", off(PLACE * [-0.1, -0.1, 0.0])),
+    "leaning": (True, "as if the LiDAR leaned by 4 degrees", off(axis="y", degrees=4.0)),
+    "turning": (True, "things stand turned by 2 degrees", off(degrees=np.arange(FRAMES)[:, None])),
+    "degrees": (True, "see through", off(degrees=np.degrees(np.degrees(YAW) - YAW)[:, None])),
+    "a frame late": (True, "1 against 0: ", WAY[[0, *range(FRAMES - 1)]]),
+    "mirrored": (True, "do not fit", FLIP @ WAY @ FLIP),
+    "noisy": (False, "1. of 12 frames do not fit", off(NOISE.normal(0.0, 0.3, (FRAMES, 3)))),
+    "x for y": (True, "do not fit", off(PLACE[:, [1, 0, 2]] - PLACE)),
+    "exchanged": (True, "5 against 4: ", WAY[[0, 1, 2, 3, 4, 6, 5, 7, 8, 9, 10, 11]]),
+    "repeated": (True, "6 against 5: it holds the same points", WAY),
+    "inverted": (True, "see through", np.linalg.inv(WAY)),
+    "of a camera": (True, "same ground differs", CAMERA @ WAY @ np.linalg.inv(CAMERA)),
+    "far apart": (True, "so far apart", way_along(step=300.0)),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_wrong_poses_are_named_with_what_contradicts_them(frames, tmp_path, caplog, fault):
+    refused, words, poses = FAULTS[fault]
+    own = [frames[5 if fault == "repeated" and number == 6 else number] for number in range(FRAMES)]
+    if refused:
+        with pytest.raises(BadInputError, match=f"according to the poses, .*{words}.*`trust_poses=True`"):
+            merged(tmp_path / "out", own, poses)
+    else:
+        assert merged(tmp_path / "out", own, poses)[2]["poses"]["misfits"]
+        assert re.search(words, caplog.text)
 
 
 START = 1_700_000_000.0
@@ -298,6 +322,8 @@ def test_wrong_poses_leave_nothing_in_the_way_of_right_ones(driven, tmp_path):
         scan_frames(config)
     assert not hasattr(refused.value, "__notes__")
     assert not config.out.exists()
+    trusted = scan_frames(replace(config, out=tmp_path / "trusted", trust_poses=True))
+    assert trusted.merged["poses"]["misfits"]
     table[:, 3] = right
     np.savetxt(tmp_path / "tum.txt", table, fmt="%.9f")
     assert not scan_frames(config).already_done
