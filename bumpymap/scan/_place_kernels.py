@@ -365,10 +365,10 @@ def _follow_ray(ray: int, slope_to: tuple[float, float], scan: ClassedPoints, ru
                     thing = ring
             if kind == 0:
                 last, level, home = ring, z, here
-                hidden = at == ray and ring - thing <= rule.beneath and z / away < under
-                hidden = hidden and shadow * away - level >= rule.belly
-                if s.seen[ring, ray] != _FALLS:
-                    s.seen[ring, ray] = _BENEATH if hidden else here
+                dark = shadow * away - level >= rule.belly
+                beneath = dark and ring - thing <= rule.beneath and z / away < under
+                if s.seen[ring, ray] != _FALLS and (at == ray or not dark):
+                    s.seen[ring, ray] = _BENEATH if beneath else here
 
 
 @helper
