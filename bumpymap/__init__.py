@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from bumpymap.route import LineRide, find_routes, map_reach, ride_along
     from bumpymap.scan import ScanClassifier, ScanResult, classify_scan
     from bumpymap.survey import map_batch
-    from bumpymap.views import GroundGrid
 
     __version__: str
 
@@ -53,14 +52,13 @@ _PLACES = {
     "api": ("Layers", "map_survey"),
     "change": ("diff_surveys",),
     "check": ("check_drives",),
-    "core": ("BadInputError", "BumpymapError", "OutputError", "UsageError"),
+    "core": ("BadInputError", "BumpymapError", "GroundGrid", "OutputError", "UsageError"),
     "layers": ("PlannedRoute",),
     "rating": ("Calibration", "Vehicle"),
     "readers": ("points_of",),
     "route": ("LineRide", "find_routes", "map_reach", "ride_along"),
     "scan": ("ScanClassifier", "ScanResult", "classify_scan"),
     "survey": ("map_batch",),
-    "views": ("GroundGrid",),
 }
 """Module of this package: public names that are imported from it."""
 _EXPORTS = {name: (place, name) for place, names in _PLACES.items() for name in names}

@@ -107,7 +107,7 @@ CALLS = {
     "map of a check": lambda value: bumpymap.check_drives(value, "drive.csv"),
     "points": bumpymap.classify_scan,
     "points_of": bumpymap.points_of,
-    "grid": lambda value: bumpymap.GroundGrid(reach_m=value),
+    "grid": lambda value: bumpymap.ScanClassifier(grid={"reach_m": value}),
     "vehicle": bumpymap.Vehicle.load,
     "calibration": bumpymap.Calibration.load,
     "shipped": bumpymap.Calibration.shipped,

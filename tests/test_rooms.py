@@ -42,7 +42,7 @@ ROOMS = {
 }
 ABOVE = {
     "__init__.py": (
-        {"api", "change", "check", "core", "layers", "rating", "readers", "route", "scan", "survey", "views"},
+        {"api", "change", "check", "core", "layers", "rating", "readers", "route", "scan", "survey"},
         set(),
     ),
     "__main__.py": ({"cli"}, set()),

@@ -180,6 +180,7 @@ from .scan_types import (
     ClassedSectors as ClassedSectors,
     Dropped as Dropped,
     Frame as Frame,
+    GroundGrid as GroundGrid,
     PolarCells as PolarCells,
     PoseTrack as PoseTrack,
     Scan as Scan,

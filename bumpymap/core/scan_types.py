@@ -5,8 +5,10 @@ One row of a ``SectorStack`` is one sector with enough points; all its arrays ha
 """
 
 import math
+from array import array
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +27,7 @@ __all__ = [
     "ClassedSectors",
     "Dropped",
     "Frame",
+    "GroundGrid",
     "PolarCells",
     "PoseTrack",
     "Scan",
@@ -266,6 +269,8 @@ class SectorStack:
     obstacle: NDArray[np.bool_]
     """(n,) whether something stands on the sector's ground between ``belly_m`` and ``height_m`` above it, or the ground
     drops by more than ``belly_m``: at a ditch, an edge, a step down."""
+    drop: NDArray[np.bool_]
+    """(n,) whether the ground drops so."""
     obstacle_height: NDArray[np.float32]
     """(n,) top of what stands there, above the ground, m; NaN if nothing does."""
     clearance: NDArray[np.float32]
@@ -279,13 +284,10 @@ class SectorStack:
     """(m,) whether the point is ground."""
     point_height: NDArray[np.float32]
     """(m,) height above the ground of its sector, m; NaN where no ground is known."""
-    ground_end: NDArray[np.float32]
-    """(directions,) distance at which the farthest ground in each direction ends, m; in equal steps from
-    ``azimuth_start_rad`` on."""
 
     def __post_init__(self) -> None:
         count = len(self.zone)
-        for field in fields(self)[2:-4]:
+        for field in fields(self)[2:-3]:
             if len(getattr(self, field.name)) != count:
                 raise ValueError(f"{field.name} has {len(getattr(self, field.name))} rows; the stack has {count}")
 
@@ -327,6 +329,69 @@ class ClassedSectors:
     """(n,) class probability from the learned method, NaN if not traversable; None from the filter method."""
     ride: SectorRide | None = None
     """The ride of a vehicle on them; None if none was named."""
+
+
+Message = TypeVar("Message")
+
+
+@dataclass(frozen=True, slots=True)
+class GroundGrid:
+    """The ground around the sensor in square cells: x forward, y to the left, the sensor in the middle.
+
+    Arrays are (side, side), from the lowest y upwards, and in each row from the lowest x. Unknown values are NaN.
+    """
+
+    __repr__ = brief_repr
+
+    resolution_m: float
+    """Side of a cell."""
+    occupancy: NDArray[np.int8]
+    """0, 33, 66 on known ground of class 0, 1, 2; 100 where an obstacle stands, the ground drops, has a step higher
+    than the belly or is not traversable; -1 where nothing is known: neither ground nor an obstacle was seen, and more
+    than the belly's height of what may stand there is hidden from the sensor."""
+    class_id: NDArray[np.uint8]
+    """Class of the ground of the cell's sector; ``NOT_TRAVERSABLE`` also where no ground is known."""
+    elevation: NDArray[np.float32]
+    """Mean z of the ground points in the cell, m, in the sensor's frame."""
+    step: NDArray[np.float32]
+    """Largest difference in elevation from the cells beside it, m."""
+    obstacle_height: NDArray[np.float32]
+    """Top of what stands in the cell between belly and height of the vehicle, above the ground, m."""
+    clearance: NDArray[np.float32]
+    """Height above the ground of the lowest point in the cell that is higher than the vehicle, m."""
+    c_r: NDArray[np.float32] | None = None
+    """Ride of the vehicle on the cell's sector, rad/m; None without a vehicle."""
+
+    @property
+    def side(self) -> int:
+        """Cells along each side."""
+        return len(self.occupancy)
+
+    @property
+    def reach_m(self) -> float:
+        """Distance from the sensor to each side."""
+        return 0.5 * self.side * self.resolution_m
+
+    def fill(self, message: Message, header: Any) -> Message:
+        """Fill a message ``nav_msgs/OccupancyGrid`` and return it.
+
+        Parameters
+        ----------
+        message : nav_msgs/OccupancyGrid
+            Of any library with the same names of attributes. Its data become an ``array.array``, which rclpy takes
+            without looking at every cell.
+        header : std_msgs/Header
+            Of the point cloud: the grid lies in the sensor's frame at its time.
+        """
+        grid: Any = message
+        grid.header = header
+        grid.info.map_load_time = header.stamp
+        grid.info.resolution = self.resolution_m
+        grid.info.width = grid.info.height = self.side
+        grid.info.origin.position.x = grid.info.origin.position.y = -self.reach_m
+        grid.info.origin.orientation.w = 1.0
+        grid.data = array("b", self.occupancy.tobytes())
+        return message
 
 
 def point_classes(scan: Scan, classed: ClassedSectors) -> NDArray[np.uint8]:

@@ -43,6 +43,8 @@ class DropRule(NamedTuple):
     below: float
     """The beam to what lies below passes the last ground before it above this, against that ground, m. If not, the
     ground goes on, and what is seen below is a reflection in it; -inf where the height of the sensor is not known."""
+    directions: int
+    """In which the ground is followed."""
 
 
 @kernel
@@ -54,14 +56,12 @@ def find_drops(
     lowest_ground: Singles,
     lowest_other: Singles,
     drops: Integers,
-    end: Annotated[NDArray[np.float32], 1],
 ) -> None:
-    """Follow the ground outwards: count the drops in every cell, and find where the ground ends.
+    """Follow the ground outwards: count the drops in every cell.
 
     A drop counts for the last cell before it, and for the cell of what is seen below. ``lowest_ground``,
     ``lowest_other`` (cells, pixels^2): scratch: heights by pixel, m; ``drops`` (cells,): zeros; filled: in how many
-    directions the ground drops in the cell; ``end`` (directions,): filled: distance at which the farthest ground ends,
-    m, from sector 0 on; 0 without any.
+    directions the ground drops in the cell.
     """
     points, pixel, slope = ground.points, ground.pixel, ground.slope
     pixels, zones = grid.pixels, len(grid.sectors)
@@ -74,12 +74,12 @@ def find_drops(
                 lowest_ground[cell, pixel[p]] = min(lowest_ground[cell, pixel[p]], points[p, 2])
             else:
                 lowest_other[cell, pixel[p]] = min(lowest_other[cell, pixel[p]], points[p, 2])
-    for direction in range(len(end)):
-        share = (direction + 0.5) / len(end)
+    for direction in range(rule.directions):
+        share = (direction + 0.5) / rule.directions
         turn = 2.0 * math.pi * (share + grid.start)
         cos, sin = math.cos(turn), math.sin(turn)
         known, last_r, last_z, last_slope = False, 0.0, 0.0, 0.0
-        last_cell, marked, first, farthest = -1, -1, 0, 0.0
+        last_cell, marked, first = -1, -1, 0
         for zone in range(zones):
             around = share * grid.sectors[zone]
             sector = int(around)
@@ -104,6 +104,4 @@ def find_drops(
                     if on_ground:
                         known, last_r, last_z, last_cell = True, r, z, cell
                         last_slope = slope[cell, 0] * cos + slope[cell, 1] * sin
-                        farthest = r + 0.5 * step
             first += grid.sectors[zone] * grid.rings[zone]
-        end[direction] = np.float32(farthest)

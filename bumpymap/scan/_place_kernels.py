@@ -1,7 +1,7 @@
-"""Compiled loops over the points of a scan: where each lies on the polar grid.
+"""Compiled loops over the points of a scan: where each lies on the polar grid, and what square cells say of the ground.
 
 ``place_points`` finds the cell (zone, ring, sector) and the pixel of every point, ``sort_points`` lists the points by
-cell. Nothing here allocates: scratch arrays come from the caller.
+cell; ``lay_cells`` fills a grid of square cells. Nothing here allocates: scratch arrays come from the caller.
 """
 
 import math
@@ -14,8 +14,14 @@ from bumpytiles import helper, kernel
 
 __all__ = [
     "BLOCK",
+    "RAYS",
     "CellOrder",
+    "CellRule",
+    "CellScratch",
+    "ClassedPoints",
+    "SquareCells",
     "ZoneGrid",
+    "lay_cells",
     "place_points",
     "point_directions",
     "sort_points",
@@ -26,6 +32,8 @@ Floats = Annotated[NDArray[np.float64], 1]
 ScanPoints = Annotated[NDArray[np.float32], 2]
 Integers = Annotated[NDArray[np.int32], 1]
 Counts = Annotated[NDArray[np.int64], 1]
+Singles = Annotated[NDArray[np.float32], 1]
+Flags = Annotated[NDArray[np.bool_], 1]
 
 BLOCK = 512
 """Points whose distance and direction are found at once: they stay in the nearest cache."""
@@ -148,3 +156,266 @@ def sort_points(cell: Integers, out: CellOrder) -> None:
         if cell[i] >= 0:
             order[starts[cell[i] + 1]] = np.int32(i)
             starts[cell[i] + 1] += 1
+
+
+RAYS = 180
+"""Rays from the sensor through each side of a grid of square cells: at 30 m they are 0.33 m apart."""
+_LEAST_THINGS = 2
+"""Fewest points of an obstacle in a cell and those around it: a single one may be an insect, or an error."""
+
+
+class SquareCells(NamedTuple):
+    """What a scan says of the square cells around its sensor; filled in place.
+
+    Cells are numbered from the lowest y upwards, and in each row from the lowest x. Unknown heights are NaN.
+    """
+
+    occupancy: Annotated[NDArray[np.int8], 1]
+    """(cells,) of ROS: 0 to 100, -1 unknown."""
+    sector: Integers
+    """(cells,) row of the sector whose ground is known in the cell; -1 without any."""
+    elevation: Singles
+    """(cells,) mean z of the ground points, m."""
+    step: Singles
+    """(cells,) largest difference in elevation from a cell beside it, m."""
+    top: Singles
+    """(cells,) height above the ground of the highest point of an obstacle, m."""
+    clearance: Singles
+    """(cells,) height above the ground of the lowest point that a vehicle passes under, m."""
+
+
+class ClassedPoints(NamedTuple):
+    """A classified scan; arrays by sector have one row more, for points in none."""
+
+    points: ScanPoints
+    """(points, 3) m."""
+    ground: Flags
+    """(points,) whether it is ground."""
+    height: Singles
+    """(points,) above the ground of its sector, m; NaN where none is known."""
+    sector: Integers
+    """(points,) row of its sector; -1 if it is in none."""
+    occupancy: Annotated[NDArray[np.int8], 1]
+    """(sectors + 1,) of its ground."""
+    drops: Flags
+    """(sectors + 1,) whether its ground drops."""
+    slope: Annotated[NDArray[np.float64], 2]
+    """(sectors + 1, 2) of its ground along x and y."""
+
+
+class CellRule(NamedTuple):
+    """The cells, and what stops a vehicle."""
+
+    resolution: float
+    """Side of a cell, m."""
+    half: int
+    """Cells from the sensor to each side of the grid."""
+    belly: float
+    """Lower things and steps pass under a vehicle, m."""
+    height: float
+    """Things from here on pass over it, m."""
+    beneath: int
+    """So many cells behind a thing, ground that is seen beneath it is not known to be free."""
+
+
+class CellScratch(NamedTuple):
+    """Scratch. Rays go from the sensor, counter-clockwise; a ring holds the cells of one distance along x or y."""
+
+    rays: Annotated[NDArray[np.int32], 2]
+    """(cells, 3) given: the first and the last ray through the cell, and its ring."""
+    cell: Integers
+    """(points,) the cell of each; -1 outside."""
+    total: Annotated[NDArray[np.float64], 2]
+    """(cells, 2) number of ground points, and the sum of their z, m."""
+    things: Integers
+    """(cells,) points of obstacles; before, those that are not ground."""
+    level: Floats
+    """(cells,) elevation of the ground in the cell, or the mean of those around it, m; NaN where neither is known."""
+    low: Annotated[NDArray[np.float32], 3]
+    """(half, 4 RAYS, 3) z of the lowest ground, of the lowest and -z of the highest other point, m; inf without any."""
+    home: Annotated[NDArray[np.int32], 2]
+    """(half, 4 RAYS) row of the sector of the lowest ground."""
+    seen: Annotated[NDArray[np.int32], 2]
+    """(half, 4 RAYS) row of the sector whose ground is seen, or goes on; or one of those below."""
+    fell: Flags
+    """(sectors + 1,) whether the ground drops somewhere in the sector."""
+
+
+_UNSEEN, _BENEATH, _FALLS = -1, -2, -3
+"""Nothing is known; the ground is seen beneath a thing that hides what stands on it; the ground drops."""
+
+
+@helper
+def _sort_into_cells(scan: ClassedPoints, rule: CellRule, out: SquareCells, s: CellScratch) -> None:
+    """Find the cell of every point, and the lowest points by ray and ring; sum the ground by cell."""
+    half, side, scale = rule.half, 2 * rule.half, 1.0 / rule.resolution
+    for i in range(len(scan.points)):
+        s.cell[i] = -1
+        x, y, z, h = scan.points[i, 0] * scale, scan.points[i, 1] * scale, scan.points[i, 2], scan.height[i]
+        ahead = abs(x) >= abs(y)
+        far = abs(x) if ahead else abs(y)
+        if far >= half or far == 0.0 or (scan.sector[i] < 0 and math.isnan(h)):
+            continue
+        cell = min(int(y + half), side - 1) * side + min(int(x + half), side - 1)
+        s.cell[i] = np.int32(cell)
+        quarter = (0 if x > 0.0 else 2) if ahead else (1 if y > 0.0 else 3)
+        across = y / x if ahead else -x / y
+        ray, ring = quarter * RAYS + min(int((across + 1.0) * (0.5 * RAYS)), RAYS - 1), int(far)
+        if scan.ground[i]:
+            s.total[cell, 0] += 1.0
+            s.total[cell, 1] += z
+            if out.sector[cell] < 0:
+                out.sector[cell] = scan.sector[i]
+        else:
+            s.things[cell] += 1
+        if scan.ground[i] or abs(h) < rule.belly:
+            if z < s.low[ring, ray, 0]:
+                s.low[ring, ray, 0] = z
+                s.home[ring, ray] = scan.sector[i]
+        elif not h >= rule.height:
+            s.low[ring, ray, 1] = min(s.low[ring, ray, 1], z)
+            s.low[ring, ray, 2] = min(s.low[ring, ray, 2], -z)
+
+
+@helper
+def _level_cells(rule: CellRule, out: SquareCells, s: CellScratch) -> None:
+    """Find the elevation of the ground in every cell, its steps, and the level from which things are measured."""
+    side = 2 * rule.half
+    for cell in range(side * side):
+        s.level[cell] = s.total[cell, 1] / s.total[cell, 0] if s.total[cell, 0] > 0.0 else np.nan
+        out.elevation[cell] = s.level[cell]
+    for cell in range(side * side):
+        row, column = cell // side, cell % side
+        if s.total[cell, 0] > 0.0:
+            most = 0.0
+            for k in range(4):
+                up, right = row + (k == 0) - (k == 1), column + (k == 2) - (k == 3)
+                if 0 <= up < side and 0 <= right < side and s.total[up * side + right, 0] > 0.0:
+                    most = max(most, abs(np.float64(out.elevation[up * side + right]) - out.elevation[cell]))
+            out.step[cell] = most
+        elif s.things[cell] > 0:
+            total = count = 0.0
+            for up in range(max(row - 1, 0), min(row + 2, side)):
+                for right in range(max(column - 1, 0), min(column + 2, side)):
+                    if s.total[up * side + right, 0] > 0.0:
+                        count += 1.0
+                        total += out.elevation[up * side + right]
+            s.level[cell] = total / count
+        s.things[cell] = 0
+
+
+@helper
+def _stand_things(scan: ClassedPoints, rule: CellRule, out: SquareCells, s: CellScratch) -> None:
+    """Find what stands on the ground of every cell, and what hangs over it.
+
+    An obstacle is one above the ground in the cell, or above that of its sector.
+    """
+    for i in range(len(scan.points)):
+        cell = s.cell[i]
+        if cell < 0 or scan.ground[i]:
+            continue
+        h, near = np.float64(scan.height[i]), scan.points[i, 2] - s.level[cell]
+        if not (math.isnan(near) or rule.belly <= h < rule.height):
+            h = near
+        if math.isnan(h):
+            s.things[cell] += 1
+        elif h >= rule.height:
+            out.clearance[cell] = h if math.isnan(out.clearance[cell]) else min(out.clearance[cell], np.float32(h))
+        elif h >= rule.belly:
+            s.things[cell] += 1
+            out.top[cell] = h if math.isnan(out.top[cell]) else max(out.top[cell], np.float32(h))
+        elif h > -rule.belly and out.sector[cell] < 0:
+            out.sector[cell] = scan.sector[i]
+
+
+@helper
+def _follow_ray(ray: int, slope_to: tuple[float, float], scan: ClassedPoints, rule: CellRule, s: CellScratch) -> None:
+    """Follow the ground outwards along a ray: find where it goes on between returns, and where it drops.
+
+    It goes on if the beam to the farther one passes the nearer one lower than the belly, so that no obstacle can hide
+    there, and no obstacle before it hides what may stand on it. A return that is missing is that of a ray beside it.
+    """
+    (half, rays), (x, y) = s.home.shape, slope_to
+    before, after = (ray + rays - 1) % rays, (ray + 1) % rays
+    last, level, home = -1, 0.0, -1
+    thing, under, shadow = -half, np.inf, -np.inf
+    for ring in range(half):
+        at = ray
+        if s.low[ring, ray, 0] == np.inf and s.low[ring, ray, 1] == np.inf:
+            at = before if min(s.low[ring, before, 0], s.low[ring, before, 1]) < np.inf else after
+        for kind in range(2):
+            z = np.float64(s.low[ring, at, kind])
+            if z == np.inf:
+                continue
+            here, away = (s.home[ring, at] if kind == 0 else home), ring + 0.5
+            if last >= 0:
+                above = z - level - (scan.slope[home, 0] * x + scan.slope[home, 1] * y) * (ring - last)
+                if above < -rule.belly:
+                    if scan.drops[home] or scan.drops[here]:
+                        s.fell[home] = s.fell[here] = True
+                        for k in range(last, ring + kind):
+                            s.seen[k, ray] = _FALLS
+                elif (kind == 0 or above < rule.height) and z * (last + 0.5) / away - level < rule.belly:
+                    for k in range(last + 1, ring):
+                        if shadow * (k + 0.5) - level < rule.belly:
+                            s.seen[k, ray] = home if 2 * k < last + ring else here
+                if kind == 1 and rule.belly <= above < rule.height:
+                    shadow = max(shadow, -s.low[ring, at, 2] / away)
+                    under = z / away if ring - thing > rule.beneath else min(under, z / away)
+                    thing = ring
+            if kind == 0:
+                last, level, home = ring, z, here
+                dark = shadow * away - level >= rule.belly
+                beneath = dark and ring - thing <= rule.beneath and z / away < under
+                if s.seen[ring, ray] != _FALLS and (at == ray or not dark):
+                    s.seen[ring, ray] = _BENEATH if beneath else here
+
+
+@helper
+def _judge_cell(cell: int, scan: ClassedPoints, rule: CellRule, out: SquareCells, s: CellScratch) -> None:
+    """Find the occupancy of a cell, and the sector whose ground is known there."""
+    first, last, ring = s.rays[cell, 0], s.rays[cell, 1], s.rays[cell, 2]
+    seen, beneath, falls, home = 0, 0, False, -1
+    for ray in range(first, last + 1):
+        sector = s.seen[ring, ray]
+        falls |= sector == _FALLS
+        beneath += sector == _BENEATH
+        if sector >= 0:
+            seen += 1
+            home = sector if home < 0 or 2 * ray <= first + last else home
+    if out.sector[cell] < 0 and 2 * seen > last - first:
+        out.sector[cell] = home
+    if beneath > seen:
+        out.sector[cell] = -1
+    things, side = 0, 2 * rule.half
+    if s.things[cell] > 0:
+        row, column = cell // side, cell % side
+        for up in range(max(row - 1, 0), min(row + 2, side)):
+            for right in range(max(column - 1, 0), min(column + 2, side)):
+                things += s.things[up * side + right]
+    sector = out.sector[cell]
+    falls |= scan.drops[sector] and not s.fell[sector]
+    if things >= _LEAST_THINGS or falls or out.step[cell] > rule.belly:
+        out.occupancy[cell] = 100
+    else:
+        out.occupancy[cell] = scan.occupancy[sector]
+    if things < _LEAST_THINGS:
+        out.top[cell] = np.nan
+
+
+@kernel
+def lay_cells(scan: ClassedPoints, rule: CellRule, out: SquareCells, scratch: CellScratch) -> None:
+    """Say of every cell how high its ground is, what stands on it and hangs over it, and whether it is free.
+
+    ``out`` and ``scratch`` come as they are without a point: heights NaN, rows -1, the lowest points inf, counts 0.
+    """
+    _sort_into_cells(scan, rule, out, scratch)
+    _level_cells(rule, out, scratch)
+    _stand_things(scan, rule, out, scratch)
+    for ray in range(scratch.home.shape[1]):
+        across = ((ray % RAYS) + 0.5) / (0.5 * RAYS) - 1.0
+        ahead = rule.resolution if ray < 2 * RAYS else -rule.resolution
+        way = (ahead, ahead * across) if ray // RAYS % 2 == 0 else (-ahead * across, ahead)
+        _follow_ray(ray, way, scan, rule, scratch)
+    for cell in range(len(out.occupancy)):
+        _judge_cell(cell, scan, rule, out, scratch)

@@ -1,9 +1,10 @@
 """Classify the ground of scans in memory: a function for one scan, an object for the loop of a robot."""
 
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any, TypeAlias, TypedDict, Unpack
 
@@ -16,6 +17,8 @@ from bumpymap.core import (
     NOT_TRAVERSABLE,
     VEHICLE_OR_CALIBRATION,
     ClassedSectors,
+    GridSettings,
+    GroundGrid,
     PolarSettings,
     Robot,
     Scan,
@@ -30,15 +33,87 @@ from bumpymap.core import (
     settings_of_call,
 )
 from bumpymap.readers import read_scan, scene_points
+from bumpymap.scan._place_kernels import RAYS, CellRule, CellScratch, ClassedPoints, SquareCells, lay_cells
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.methods import choose_method
 
-__all__ = ["ScanClassifier", "ScanResult", "classify_scan"]
+__all__ = ["ScanClassifier", "ScanResult", "classify_scan", "lay_grid"]
 
 _NAMES = {**dict(enumerate(CLASS_NAMES[:CLASSES])), NOT_TRAVERSABLE: "not traversable"}
+_OCCUPANCY = np.array([0, 33, 66, 100, -1], np.int8)
+"""Occupancy of ground of class 0 (smooth), 1 (fair) and 2 (rough), of what is not traversable, and of the unknown."""
+_BENEATH_M = 2.0
+"""Ground that is seen beneath a thing, at most so far behind its side, is not known to be free: it may be a car."""
 
 
-@dataclass(frozen=True, slots=True, repr=False)
+def lay_grid(points: NDArray[np.float32], classed: ClassedSectors, settings: GridSettings) -> GroundGrid:
+    """Lay a grid of square cells over the points (n, 3) of a classified scan, m; see `GroundGrid`."""
+    stack = classed.sectors
+    half = math.ceil(settings.reach_m / settings.resolution_m - 1e-9)
+    side, cells = 2 * half, 4 * half * half
+    kinds = np.append(np.minimum(classed.class_id, CLASSES), np.uint8(CLASSES + 1))
+    slope = np.zeros((len(kinds), 2))
+    level = np.flatnonzero(stack.traversable)
+    slope[level] = -stack.normal[level, :2] / stack.normal[level, 2:]
+    unknown = np.full((4, cells), np.nan, np.float32)
+    out = SquareCells(np.empty(cells, np.int8), np.full(cells, -1, np.int32), *unknown)
+    lay_cells(
+        ClassedPoints(
+            np.ascontiguousarray(points, np.float32),
+            stack.point_ground,
+            stack.point_height,
+            stack.point_sector,
+            _OCCUPANCY[kinds],
+            np.append(stack.drop, np.False_),
+            slope,
+        ),
+        CellRule(
+            settings.resolution_m,
+            half,
+            stack.settings.belly_m,
+            stack.settings.height_m,
+            round(_BENEATH_M / settings.resolution_m),
+        ),
+        out,
+        CellScratch(
+            _rays_of(half),
+            np.empty(len(points), np.int32),
+            np.zeros((cells, 2)),
+            np.zeros(cells, np.int32),
+            np.empty(cells),
+            np.full((half, 4 * RAYS, 3), np.inf, np.float32),
+            np.full((half, 4 * RAYS), -1, np.int32),
+            np.full((half, 4 * RAYS), -1, np.int32),
+            np.zeros(len(kinds), np.bool_),
+        ),
+    )
+
+    def by_cell(values: NDArray[Any]) -> NDArray[Any]:
+        return values[out.sector].reshape(side, side)
+
+    c_r = None if classed.ride is None else by_cell(np.append(classed.ride.c_r, np.float32(np.nan)))
+    class_id = by_cell(np.append(classed.class_id, np.uint8(NOT_TRAVERSABLE)))
+    elevation, step, top, clearance = unknown.reshape(4, side, side)
+    occupancy = out.occupancy.reshape(side, side)
+    return GroundGrid(settings.resolution_m, occupancy, class_id, elevation, step, top, clearance, c_r)
+
+
+@lru_cache(maxsize=1)
+def _rays_of(half: int) -> NDArray[np.int32]:
+    """Return the first and the last ray through every cell, and its ring, (cells, 3), see `CellScratch`."""
+    centre = np.arange(2 * half) + 0.5 - half
+    x, y = np.tile(centre, 2 * half), np.repeat(centre, 2 * half)
+    ahead = np.abs(x) >= np.abs(y)
+    far = np.where(ahead, np.abs(x), np.abs(y))
+    across = np.where(ahead, np.where(x > 0.0, y, -y), np.where(y > 0.0, -x, x))
+    first, end = (
+        np.clip(((across + edge) / far + 1.0) * (0.5 * RAYS), 0, RAYS).astype(np.int32) for edge in (-0.5, 0.5)
+    )
+    begin = np.where(ahead, np.where(x > 0.0, 0, 2), np.where(y > 0.0, 1, 3)) * RAYS
+    return np.column_stack([begin + first, begin + np.maximum(end - 1, first), far]).astype(np.int32)
+
+
+@dataclass(frozen=True, repr=False)
 class ScanResult:
     """The classified ground of one scan: arrays with one row per point, and arrays with one row per sector."""
 
@@ -51,6 +126,14 @@ class ScanResult:
     sectors: ClassedSectors
     """All measures of the sectors; the most important ones are also properties of this object. Where returns were left
     out (not finite, on the robot), its arrays with a row per point have no rows for them."""
+    _scene: NDArray[np.float32]
+    """(m, 3) the points without those, m."""
+    _grid: GridSettings
+
+    @cached_property
+    def grid(self) -> GroundGrid:
+        """The ground in square cells around the sensor; computed when it is first asked for."""
+        return lay_grid(self._scene, self.sectors, self._grid)
 
     @property
     def class_names(self) -> dict[int, str]:
@@ -134,6 +217,7 @@ class ClassifierSettings(TypedDict, total=False):
     robot: Robot | Mapping[str, Any] | None
     vehicle: str | os.PathLike[str] | None
     calibration: str | os.PathLike[str] | None
+    grid: GridSettings | Mapping[str, Any] | None
 
 
 class ScanClassifier:
@@ -157,6 +241,8 @@ class ScanClassifier:
         beside it. Its belly and height say what an obstacle is.
     calibration : path, optional
         A calibration file, instead of ``vehicle``.
+    grid : dict, optional
+        Size of ``ScanResult.grid``, with the names and values of ``[grid]`` in a settings file.
 
     Raises
     ------
@@ -184,7 +270,7 @@ class ScanClassifier:
         refuse_clashes(own, [VEHICLE_OR_CALIBRATION])
         config = ScanConfig(frames=(), out=Path(), **own)  # these two are not used
         self._given: dict[str, Any] = {**settings}
-        self._robot = config.robot
+        self._robot, self._grid = config.robot, config.grid
         nearest = config.polar.zone_starts_m[0]
         self._blind = config.robot.box_m is None and nearest > 0.0 and config.robot.radius_m <= nearest
         self._method = choose_method(config)
@@ -214,7 +300,8 @@ class ScanClassifier:
         if isinstance(points, str | os.PathLike):
             scan = read_scan(Path(path_of_call("points", points)), self._robot)
             classed = self._method.classify(scan)
-            return ScanResult(scan.points, point_classes(scan, classed), classed.sectors.point_sector, classed)
+            classes, sector = point_classes(scan, classed), classed.sectors.point_sector
+            return ScanResult(scan.points, classes, sector, classed, scan.points, self._grid)
         array = _columns(points)
         rows = self._scene(array)
         scan = Scan(array if rows is None else array.take(rows, axis=0))
@@ -225,7 +312,7 @@ class ScanClassifier:
             classes[rows] = found
             held, sector = sector, np.full(len(array), -1, np.int32)
             sector[rows] = held
-        return ScanResult(array, classes, sector, classed)
+        return ScanResult(array, classes, sector, classed, scan.points, self._grid)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the settings; the network and the buffers are made anew."""
@@ -250,7 +337,7 @@ def classify_scan(points: ScanSource, /, **settings: Unpack[ClassifierSettings])
         As for a call of `ScanClassifier`.
     **settings
         As for `ScanClassifier`, which is faster for several scans: ``method``, ``model``, ``polar``,
-        ``robot``, ``vehicle``, ``calibration``.
+        ``robot``, ``vehicle``, ``calibration``, ``grid``.
 
     Returns
     -------

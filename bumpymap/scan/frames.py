@@ -33,6 +33,7 @@ from bumpymap.layers import (
     write_frame,
 )
 from bumpymap.readers import BagReader, deskew, read_message, read_scan
+from bumpymap.scan.classifier import lay_grid
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.merge import DriveMerge, PlacedPoints, open_merge
 from bumpymap.views import GridBag, write_picture
@@ -137,7 +138,7 @@ class FrameProducts:
         for path in frame_files(frame.name, self.staged, {"picture"} & set(products)):
             write_picture(scan, classed, path, self.config.range_m)
         if self.grids is not None:
-            self.grids.add(frame, number, scan, classed)
+            self.grids.add(frame, number, lay_grid(scan.points, classed, self.config.grid))
         kept = slice(None) if self.accumulated is not None else slice(0)
         part = FramePart(
             report,
@@ -189,7 +190,7 @@ def open_products(
         table = open_files.enter_context(open_table(staged / SECTOR_TABLE_NAME)) if "table" in config.products else None
         trusted = config.trust_poses
         merge = open_files.enter_context(open_merge(run_folder, poses[0], trusted=trusted)) if poses else None
-        grids = None if config.bag is None else GridBag(run_folder, config.grid)
+        grids = None if config.bag is None else GridBag(run_folder)
         yield FrameProducts(config, run_folder, staged, table, merge, grids)
         if merge is not None:
             with open_accumulated(staged / ACCUMULATED_NAME, poses[0], crs) as survey:

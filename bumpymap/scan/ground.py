@@ -1,4 +1,4 @@
-"""Find the ground of a scan: which points lie on it, how high the others are above it, and where it drops or ends."""
+"""Find the ground of a scan: which points lie on it, how high the others are above it, and where it drops."""
 
 import math
 import threading
@@ -30,7 +30,7 @@ from bumpymap.scan._ground_kernels import (
 )
 from bumpymap.scan._place_kernels import CellOrder, ZoneGrid
 
-__all__ = ["SectorBuffers", "cell_layout", "find_ground", "ground_ends"]
+__all__ = ["SectorBuffers", "cell_layout", "find_ground", "ground_drops"]
 
 
 class SectorBuffers(threading.local):
@@ -60,33 +60,30 @@ _SENSOR_M = 0.25
 """If the origin is less above the ground than this, it is not where the sensor is, m."""
 _SHARE = 0.2
 """A cell has a drop if it is seen in such a share of its directions."""
-_AROUND = 2
-"""Ground that is missing between such near directions is a lost return, not an end."""
 
 
-def ground_ends(
+def ground_drops(
     ground: GroundPoints,
     by_cell: CellOrder,
     grid: ZoneGrid,
     settings: PolarSettings,
     height_m: float,
     buffers: SectorBuffers,
-) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
-    """Find the cells in which the ground drops by more than the clearance of the belly, and where it ends.
+) -> NDArray[np.bool_]:
+    """Find the cells in which the ground drops by more than the clearance of the belly.
 
-    ``height_m``: of the origin above the ground. Returns ``end`` (directions,): distance at which the farthest ground
-    in each direction ends, m; from sector 0 on, counter-clockwise.
+    ``height_m``: of the origin above the ground.
     """
     cells = len(ground.slope)
     on_ground, others = (
         buffers.empty(name, grid.pixels**2, np.float32, rows=cells) for name in ("lowest_ground", "lowest_other")
     )
-    drops, farthest = np.zeros(cells, np.int32), np.empty(_DIRECTIONS, np.float32)
+    drops = np.zeros(cells, np.int32)
     below = _BELOW_M if height_m > _SENSOR_M else -np.inf
-    find_drops(ground, by_cell, grid, DropRule(settings.belly_m, _SLOPE, below), on_ground, others, drops, farthest)
+    rule = DropRule(settings.belly_m, _SLOPE, below, _DIRECTIONS)
+    find_drops(ground, by_cell, grid, rule, on_ground, others, drops)
     seen = np.repeat(_DIRECTIONS / grid.sectors, grid.sectors * grid.rings)
-    end = np.max([np.roll(farthest, step) for step in range(-_AROUND, _AROUND + 1)], axis=0)
-    return drops >= _SHARE * seen, end
+    return np.asarray(drops >= _SHARE * seen)
 
 
 _REACH_OF_NOISE, _REACH_M, _USUAL_NOISE_M = 4.0, (0.12, 0.25), 0.03

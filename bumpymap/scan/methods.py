@@ -23,6 +23,7 @@ from bumpymap.core import (
     FeatureSettings,
     Georeference,
     PatchStack,
+    PolarCells,
     PolarSettings,
     Reason,
     Scan,
@@ -32,6 +33,7 @@ from bumpymap.core import (
     TextureMap,
     UsageError,
     VehicleBody,
+    cell_numbers,
 )
 from bumpymap.patches import measure, measure_thin
 from bumpymap.rating import (
@@ -50,7 +52,6 @@ from bumpymap.scan.ground import SectorBuffers
 from bumpymap.scan.learned import ScanModel, classify_learned
 from bumpymap.scan.polar import polar_sectors
 from bumpymap.scan.stripes import classify_filter, load_stripes
-from bumpymap.views import GroundGrid
 from bumpytiles import Grid, TilePoints
 
 __all__ = ["Method", "SectorRater", "choose_method"]
@@ -80,7 +81,11 @@ class SectorRater:
         self._ride = RideModel(calibration)
         self._grid = Grid(calibration.tile_size, calibration.pixels)
         self._side = math.ceil(_REACH_M / calibration.tile_size)  # tiles from the sensor to each side
-        self._area = GroundGrid(calibration.tile_size / _CELLS, self._side * calibration.tile_size)
+        centre = (np.arange(2 * self._side * _CELLS) + 0.5) * calibration.tile_size / _CELLS
+        centre -= self._side * calibration.tile_size
+        y, x = np.meshgrid(centre[::-1], centre, indexing="ij")  # the lowest y is last, as in the tiles
+        self._cells = np.hypot(x, y), np.arctan2(y, x) / (2.0 * math.pi)
+        self._places: PolarCells | None = None
 
     def __call__(self, scan: Scan, stack: SectorStack) -> SectorRide:
         """Rate the ground of the sectors of a scan.
@@ -142,11 +147,16 @@ class SectorRater:
 
     def _by_sector(self, tiles: BlockRating, stack: SectorStack) -> SectorRide:
         """Take the mean of tiles over the area of each sector."""
-        sector = self._area.rows(stack)[::-1]  # the lowest y is last, as in the tiles
+        places = self._places
+        if places is None or places.settings != stack.settings:
+            places = self._places = PolarCells.of(stack.settings, *self._cells)
+        table = np.full(int(np.dot(stack.settings.sectors, stack.settings.rings)) + 1, -1)
         count = len(stack.zone)
-        inside = np.flatnonzero(sector.ravel() >= 0)
-        sector = sector.ravel()[inside]
-        line, column = np.divmod(inside, self._area.side)
+        table[cell_numbers(stack)] = np.arange(count)
+        sector = table[places.cells(stack.azimuth_start_rad)].ravel()
+        inside = np.flatnonzero(sector >= 0)
+        sector = sector[inside]
+        line, column = np.divmod(inside, len(self._cells[0]))
         tile = line // _CELLS * (2 * self._side) + column // _CELLS
         known = (tiles.class_id.ravel() != NO_CLASS)[tile]
         sectors, tile = sector[known], tile[known]

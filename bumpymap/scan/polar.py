@@ -22,7 +22,7 @@ from bumpymap.scan._place_kernels import (
     sort_points,
 )
 from bumpymap.scan._sector_kernels import SectorInputs, SectorMeasures, measure_sectors, sector_scratch
-from bumpymap.scan.ground import SectorBuffers, cell_layout, find_ground, ground_ends
+from bumpymap.scan.ground import SectorBuffers, cell_layout, find_ground, ground_drops
 
 __all__ = ["RANSAC_THRESHOLD_M", "anchor_of", "polar_sectors"]
 
@@ -73,7 +73,7 @@ def polar_sectors(
     slope[cells[there][is_level]] = -normal[is_level, :2] / normal[is_level, 2:]
     height = -float(np.median(scalars[is_level, 3])) if is_level.any() else 0.0
     known = GroundPoints(points, pixel, ground.ground, slope)
-    drops, ground_end = ground_ends(known, by_cell, grid, settings, height, buffers)
+    drops = ground_drops(known, by_cell, grid, settings, height, buffers)
     rows = np.full(len(counts) + 1, -1, np.int32)  # the last one is for points outside of the grid
     rows[cells] = np.arange(len(cells), dtype=np.int32)
     point_sector = rows.take(cell, mode="wrap")
@@ -96,13 +96,13 @@ def polar_sectors(
         obstacle_count=obstacles,
         overhead_count=ground.overhead[cells],
         obstacle=stands | there & drops[cells],
+        drop=there & drops[cells],
         obstacle_height=np.where(stands, ground.top[cells], np.float32(np.nan)),
         clearance=np.where(ground.overhead[cells] > 0, ground.clearance[cells], np.float32(np.nan)),
         things=ground.things[cells].reshape(-1, 2, settings.pixels, settings.pixels),
         point_sector=point_sector,
         point_ground=ground.ground,
         point_height=ground.height,
-        ground_end=ground_end,
     )
 
 

@@ -1,6 +1,5 @@
 from .export.grid_bag import (
     GridBag as GridBag,
-    GroundGrid as GroundGrid,
     check_bag_file as check_bag_file,
 )
 from .export.settings import (

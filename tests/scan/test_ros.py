@@ -20,11 +20,10 @@ from bags import as_rclpy, cloud, lidar_rows, odometry, transforms, write_bag
 from rosbags.highlevel import AnyReader
 
 import bumpymap
-from bumpymap import GroundGrid
-from bumpymap.core import OutputError, Scan, UsageError
+from bumpymap.core import GridSettings, OutputError, Scan, UsageError, point_classes
 from bumpymap.readers import BagReader, BagTopics, find_sources
 from bumpymap.scan import ScanConfig, classify_filter, polar_sectors, scan_frames
-from bumpymap.views.export.grid_bag import sector_occupancy
+from bumpymap.scan.classifier import lay_grid
 
 pytestmark = pytest.mark.slow
 
@@ -121,29 +120,30 @@ def test_grids_are_read_back_with_the_values_of_the_sectors(ran):
         points = seen(stamp).astype(np.float32)
         scan = Scan(points[np.hypot(points[:, 0], points[:, 1]) >= 0.5])
         classed = classify_filter(polar_sectors(scan, ran[0].polar))
-        grid, occupancy = GroundGrid(), np.asarray(message.data).reshape(240, 240)
-        np.testing.assert_array_equal(occupancy, grid.occupancy(classed))
+        grid, occupancy = lay_grid(scan.points, classed, GridSettings()), np.asarray(message.data).reshape(240, 240)
+        np.testing.assert_array_equal(occupancy, grid.occupancy)
         assert {-1, 0, 100} <= set(occupancy.ravel().tolist())
-        # The values beside points are those of the points' sectors.
+        # Beside ground points, known cells have the class of the points' sectors.
         corner = [message.info.origin.position.x, message.info.origin.position.y]
         column, row = np.floor((scan.points[:, :2] - corner) / 0.25).astype(int).T
-        sector = classed.sectors.point_sector
-        inside = (np.minimum(column, row) >= 0) & (np.maximum(column, row) < 240) & (sector >= 0)
-        at_points, of_points = occupancy[row[inside], column[inside]], sector_occupancy(classed)[sector[inside]]
-        assert (at_points == of_points)[at_points >= 0].mean() > 0.9  # sectors cut through cells
-        check_grid_map(found["/ground/grid_map"][number], stamp, grid.layers(scan, classed))
+        inside = (np.minimum(column, row) >= 0) & (np.maximum(column, row) < 240) & classed.sectors.point_ground
+        at_points, of_points = grid.class_id[row[inside], column[inside]], point_classes(scan, classed)[inside]
+        assert (at_points == of_points)[at_points < 255].mean() > 0.9  # sectors cut through cells
+        check_grid_map(found["/ground/grid_map"][number], stamp, grid)
 
 
-def check_grid_map(stored, stamp, layers):
+def check_grid_map(stored, stamp, grid):
     """Place the cells by the rules of grid_map: index (0, 0) is the corner at +x, +y."""
     time, message = stored
     assert (time, message.header.frame_id) == (stamp, "lidar")
-    assert message.layers == ["class", "elevation", "obstacle_height", "ground"]
+    assert message.layers == ["class", "elevation", "step", "obstacle_height", "clearance"]
+    layers = {"class": np.where(grid.class_id == 255, np.nan, grid.class_id)}
     assert (message.info.length_x, message.info.length_y, message.info.resolution) == (60.0, 60.0, 0.25)
     assert (message.info.pose.position.x, message.info.pose.position.y) == (0.0, 0.0)
     for name, values in zip(message.layers, message.data, strict=True):
         matrix = np.asarray(values.data).reshape(240, 240).T  # column by column; rows run to -x, columns to -y
-        np.testing.assert_array_equal(matrix[::-1, ::-1].T, layers[name])
+        expected = layers[name] if name in layers else getattr(grid, name)
+        np.testing.assert_array_equal(matrix[::-1, ::-1].T, expected)
 
 
 def test_a_complete_run_is_recognised(ran, bag, tmp_path):
@@ -274,9 +274,7 @@ def test_the_documented_node_classifies_recorded_messages(bag, monkeypatch):
     for stamp, grid, scan in zip(STAMPS, node.published, scans, strict=True):
         side = grid.info.width
         assert (grid.header.frame_id, grid.header.stamp.nanosec) == ("lidar", stamp % 10**9)
-        expected = GroundGrid(grid.info.resolution, side * grid.info.resolution / 2).occupancy(
-            bumpymap.classify_scan(scan).sectors
-        )
+        expected = bumpymap.classify_scan(scan).grid.occupancy
         np.testing.assert_array_equal(np.array(grid.data, np.int8).reshape(side, side), expected)
     (warning,) = node.warnings
     assert "declares 1 x 90,000 points" in warning

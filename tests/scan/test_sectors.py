@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings as examples, strategies as st
 
-from bumpymap.core import PolarSettings, Scan, point_classes
+from bumpymap.core import GridSettings, PolarSettings, Scan, point_classes
 from bumpymap.core.errors import BadInputError, UsageError
+from bumpymap.lab.label_sets import LABEL_SETS
 from bumpymap.readers import read_scan
 from bumpymap.scan import ScanConfig, classify_filter, polar_sectors, scan_frames
+from bumpymap.scan.classifier import lay_grid
 from bumpymap.scan.polar import anchor_of
-from bumpymap.views import GroundGrid
 
 FIXED = PolarSettings(anchored=False)
 
@@ -299,7 +300,7 @@ def test_smooth_sectors_of_a_real_scan_hold_ground_and_nothing_tall(shared_data,
     assert (np.abs(stack.heights[smooth]) > 0.5).mean() < 0.01  # over the plane of its sector, pixel by pixel
 
 
-CELLS = GroundGrid(0.25, 20.0)
+CELLS = GridSettings(0.25, 20.0)
 
 
 def seen(height_at, sensor_m=1.2, lines=64, seed=0):
@@ -317,12 +318,16 @@ def seen(height_at, sensor_m=1.2, lines=64, seed=0):
     return points.reshape(-1, 3)[np.isfinite(away).ravel()].astype(np.float32)
 
 
+def grid_of(points):
+    return lay_grid(points, classify_filter(polar_sectors(Scan(points))), CELLS)
+
+
 def occupancy_of(points):
-    return CELLS.occupancy(classify_filter(polar_sectors(Scan(points))))
+    return grid_of(points).occupancy
 
 
 def centres():
-    axis = (np.arange(CELLS.side) + 0.5) * CELLS.resolution_m - CELLS.reach_m
+    axis = np.arange(0.125 - 20.0, 20.0, 0.25)
     return np.meshgrid(axis, axis)
 
 
@@ -356,6 +361,76 @@ def test_nothing_is_free_beyond_the_end_of_the_ground():
     x, y = centres()
     assert is_free(cells)[x > 6.9].mean() < 0.001
     assert is_free(cells)[(x < 5.5) & (np.hypot(x, y) > 4.0) & (np.hypot(x, y) < 9.0)].mean() > 0.95
+
+
+def held_by(points):
+    """Row and column of the cell of each point."""
+    return tuple(np.floor((points[:, 1::-1].T.astype(float) + 20.0) / 0.25).astype(int))
+
+
+def test_a_trunk_bars_its_own_cells_and_hides_those_behind_it():
+    trunk = (6.2, 0.4, 0.15)
+    points = seen(lambda x, y: np.where(np.hypot(x - trunk[0], y - trunk[1]) < trunk[2], 2.0, 0.0))
+    grid, (x, y) = grid_of(points), centres()
+    on_trunk = (np.hypot(points[:, 0] - trunk[0], points[:, 1] - trunk[1]) < 0.3) & (points[:, 2] > -0.9)
+    held = np.zeros(grid.occupancy.shape, bool)
+    held[held_by(points[on_trunk])] = True
+    np.testing.assert_array_equal(grid.occupancy == 100, held)  # nothing else of the sector
+    assert grid.obstacle_height[held] == pytest.approx(1.2, abs=0.2)  # the highest beam
+    near = np.abs(np.arctan2(y, x) - np.arctan2(trunk[1], trunk[0])) < 0.005
+    assert (grid.occupancy[near & (np.hypot(x, y) > 10.0) & (np.hypot(x, y) < 19.0)] == -1).all()
+    assert is_free(grid.occupancy)[(np.hypot(x, y) > 3.5) & (np.hypot(x, y) < 5.5)].all()
+
+
+def test_elevations_and_steps_are_those_of_the_ground_in_the_cells():
+    points = seen(lambda x, y: np.where(np.abs(y) > 4.0, 0.16, 0.0 * x))
+    grid = grid_of(points)
+    ground = polar_sectors(Scan(points)).point_ground & (np.abs(points[:, :2]) < 20.0).all(axis=1)
+    count, total = np.zeros((2, 160, 160))
+    np.add.at(count, held_by(points[ground]), 1)
+    np.add.at(total, held_by(points[ground]), points[ground, 2])
+    with np.errstate(invalid="ignore"):
+        np.testing.assert_allclose(grid.elevation, total / count, atol=1e-5)
+    x, y = centres()
+    kerb = (np.abs(np.abs(y) - 4.0) < 0.25) & (np.abs(x) < 4.0) & np.isfinite(grid.step)
+    assert 0.06 < np.median(grid.step[kerb]) < 0.18  # some cells hold both its top and its foot
+    assert np.nanmedian(grid.step[np.abs(y) < 3.5]) < 0.03
+    assert (grid.occupancy[count > 0] < 100).all()
+
+
+def test_ground_seen_beneath_a_vehicle_is_not_free():
+    points = seen(lambda x, _: 0.0 * x)
+    front = points * (5.0 / np.maximum(points[:, :1], 5.0))  # where a beam passes the side of a vehicle
+    stopped = (points[:, 0] > 5.0) & (np.abs(front[:, 1]) < 2.0) & (front[:, 2] > -0.85) & (front[:, 2] < 0.2)
+    points[stopped] = front[stopped]
+    cells, (x, y) = occupancy_of(points), centres()
+    assert ((points[:, 0] > 5.3) & (points[:, 0] < 6.8) & (np.abs(points[:, 1]) < 1.5)).sum() > 100
+    assert not is_free(cells)[(x > 5.0) & (x < 6.8) & (np.abs(y) < 1.5)].any()
+    before = cells[(x > 3.5) & (x < 4.7) & (np.abs(y) < 1.5)]
+    assert ((before >= 0) & (before < 100)).all()
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize(("frame", "labels"), [("kitti01_2", "kitti"), ("nerox_09", "semantic-kitti")])
+def test_cells_of_ground_are_free_and_cells_of_obstacles_barred(shared_data, frame, labels):
+    """Cells that hold nothing but labelled ground, and those that hold points of labelled obstacles."""
+    scan, kinds = read_scan(next((shared_data / "scans").glob(f"*/{frame}.bin"))), LABEL_SETS[labels]
+    stack = polar_sectors(scan)
+    grid = lay_grid(scan.points, classify_filter(stack), CELLS)
+    label = scan.label & 0xFFFF if labels == "semantic-kitti" else scan.label
+    inside = (np.abs(scan.points[:, :2]) < 20.0).all(axis=1) & (stack.point_sector >= 0)
+    ground, thing = np.isin(label, [*kinds.ground]), np.isin(label, [*kinds.obstacle])
+    height = stack.point_height
+    thing &= (height > 0.3) & (height < 1.3) & ~stack.point_ground
+
+    def count(chosen):
+        found = np.zeros(grid.occupancy.shape, int)
+        np.add.at(found, held_by(scan.points[inside & chosen]), 1)
+        return found
+
+    bare = (count(ground) > 0) & (count(~ground) == 0)
+    assert ((grid.occupancy[bare] == 100) | (grid.occupancy[bare] == -1)).mean() < 0.05
+    assert (grid.occupancy[count(thing) > 1] == 100).mean() > 0.98
 
 
 @pytest.mark.parametrize(

@@ -18,11 +18,20 @@ import pytest
 import rasterio
 from hypothesis import given, settings, strategies as st
 
-from bumpymap.core import BadInputError, Georeference, PolarSettings, Scan, UsageError
+from bumpymap.core import (
+    BadInputError,
+    Georeference,
+    GridSettings,
+    GroundGrid,
+    PolarCells,
+    PolarSettings,
+    Scan,
+    UsageError,
+    cell_numbers,
+)
 from bumpymap.layers import open_map
 from bumpymap.scan import polar_sectors
-from bumpymap.views import ExportSettings, GroundGrid, export_map
-from bumpymap.views.export.grid_bag import sector_occupancy
+from bumpymap.views import ExportSettings, export_map
 
 
 def load_plan(folder):
@@ -234,89 +243,39 @@ GRIDS = [
 ]
 
 
-def centres(grid):
-    axis = (np.arange(grid.side) + 0.5) * grid.resolution_m - grid.reach_m
-    return np.meshgrid(axis, axis)  # x grows along a row, y from row to row
-
-
 @settings(max_examples=25)
 @given(st.integers(0, 2**31), st.sampled_from(GRIDS), st.floats(0.2, 1.0), st.floats(1.0, 40.0))
-def test_points_and_cells_agree(seed, polar, resolution, reach):
-    """The kernels that sort points into sectors are the oracle: here the points are the centres of the cells."""
-    grid = GroundGrid(resolution, reach)
-    x, y = centres(grid)
-    points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]).astype(np.float32)
-    points[:, 2] = np.random.default_rng(seed).normal(-1.0, 0.01, len(points))
+def test_points_and_places_agree(seed, polar, resolution, reach):
+    """The kernels that sort points into sectors are the oracle: here the points are the places."""
+    centre = np.arange(resolution / 2 - reach, reach, resolution)
+    x, y = (values.ravel() for values in np.meshgrid(centre, centre))
+    points = np.column_stack([x, y, np.random.default_rng(seed).normal(-1.0, 0.01, len(x))]).astype(np.float32)
     stack = polar_sectors(Scan(points), replace(polar, least_points=3))
-    same = grid.rows(stack).ravel() == stack.point_sector
-    # Points are float32, so those on a border may fall to the other side: at most a diagonal or two of the cells.
-    assert (~same).sum() <= 2 * grid.side
+    table = np.full(int(np.dot(polar.sectors, polar.rings)) + 1, -1)
+    table[cell_numbers(stack)] = np.arange(len(stack.zone))
+    places = PolarCells.of(stack.settings, np.hypot(x, y), np.arctan2(y, x) / (2.0 * np.pi))
+    same = table[places.cells(stack.azimuth_start_rad)] == stack.point_sector
+    # Points are float32, so those on a border may fall to the other side: at most a diagonal or two.
+    assert (~same).sum() <= 2 * len(centre)
 
 
-def test_occupancy_says_class_and_obstacle(classed):
-    obstacle = np.arange(len(classed.class_id)) % 5 == 0
-    stack = replace(classed.sectors, obstacle=obstacle, ground_end=np.full(1, np.inf, np.float32))
-    classed = replace(classed, sectors=stack)
-    codes = np.array([0, 33, 66, *[100] * 253])[classed.class_id]
-    values = np.where(obstacle, 100, codes)
-    assert sector_occupancy(classed).tolist() == values.tolist()
-    assert {0, 66, 100} <= set(values.tolist())
-    grid = GroundGrid()
-    rows = grid.rows(stack)
-    np.testing.assert_array_equal(grid.occupancy(classed), np.where(rows < 0, -1, values[rows]))
-    assert (rows < 0).any()
-
-
-def test_beyond_the_end_of_the_ground_only_what_bars_the_way_is_known(scan, classed):
-    grid = GroundGrid()
-    ended = replace(classed, sectors=replace(classed.sectors, ground_end=np.full(4, 8.0, np.float32)))
-    near, bars = np.hypot(*centres(grid)) < 8.0, grid.occupancy(classed) == 100
-    cells = grid.occupancy(ended)
-    beyond = ~near & (np.hypot(*centres(grid)) > 8.5)
-    np.testing.assert_array_equal(cells[near], grid.occupancy(classed)[near])
-    np.testing.assert_array_equal(cells[beyond], np.where(bars, 100, -1)[beyond])
-    assert np.isnan(grid.layers(scan, ended)["class"][beyond]).all()
-
-
-def test_layers_are_those_of_the_sectors_and_the_mean_height_of_ground(scan, classed):
-    grid = GroundGrid(0.5, 20.0)
-    layers, rows = grid.layers(scan, classed), grid.rows(classed.sectors)
-    assert list(layers) == ["class", "elevation", "obstacle_height", "ground"]
-    stack, seen = classed.sectors, rows >= 0
-    known = seen & (np.hypot(*centres(grid)) < 12.0)  # the ground goes on
-    class_id = classed.class_id[rows[known]]
-    np.testing.assert_array_equal(np.nan_to_num(layers["class"][known], nan=255), class_id)
-    share = (stack.ground_count / stack.count).astype(np.float32)
-    np.testing.assert_array_equal(layers["ground"][seen], share[rows[seen]])
-    np.testing.assert_array_equal(layers["obstacle_height"][seen], stack.obstacle_height[rows[seen]])
-    for name in ("class", "ground", "obstacle_height"):
-        assert np.isnan(layers[name][~seen]).all()
-    rng = np.random.default_rng(0)
-    ground = scan.points[stack.point_ground].astype(float)
-    for row, col in rng.integers(0, grid.side, (200, 2)).tolist():
-        low = np.array([col, row]) * 0.5 - 20.0
-        z = ground[((ground[:, :2] >= low) & (ground[:, :2] < low + 0.5)).all(axis=1), 2]
-        found = layers["elevation"][row, col]
-        assert np.isnan(found) if not len(z) else found == pytest.approx(z.mean(), abs=1e-5)
-    assert np.isfinite(layers["elevation"]).mean() > 0.3
-
-
-def test_a_message_is_filled_by_its_attributes(classed):
+def test_a_message_is_filled_by_its_attributes():
     part = SimpleNamespace
     message = part(info=part(origin=part(position=part(x=0.0, y=0.0, z=0.0), orientation=part(w=0.0))))
     header = part(frame_id="lidar", stamp=part(sec=3, nanosec=4))
-    grid = GroundGrid(0.4, 10.0)
-    assert grid.fill(message, classed, header) is message
+    cells = np.random.default_rng(0).integers(-1, 101, (50, 50)).astype(np.int8)
+    grid = GroundGrid(0.4, cells, cells.astype(np.uint8), *[cells.astype(np.float32)] * 4)
+    assert grid.fill(message, header) is message
     assert message.header is header
     assert (message.info.width, message.info.height, message.info.resolution) == (50, 50, 0.4)
     assert (message.info.origin.position.x, message.info.origin.position.y) == (-10.0, -10.0)
     assert message.data.typecode == "b"
-    np.testing.assert_array_equal(np.array(message.data, np.int8).reshape(50, 50), grid.occupancy(classed))
+    np.testing.assert_array_equal(np.array(message.data, np.int8).reshape(50, 50), cells)
 
 
 def test_grids_without_cells_or_with_too_many():
     with pytest.raises(UsageError, match="resolution_m is nan; it must be a finite number greater than 0 m"):
-        GroundGrid(np.nan, 5.0)
+        GridSettings(np.nan, 5.0)
     for resolution, reach in ((2.0, 1.0), (0.01, 50.0)):
         with pytest.raises(UsageError, match="at most 4,000,000"):
-            GroundGrid(resolution, reach)
+            GridSettings(resolution, reach)

@@ -4,181 +4,25 @@ The messages of a frame are written to a file of their own as soon as it is clas
 and are joined to the bag at the end, one frame at a time.
 """
 
-import math
 import shutil
 import struct
-from array import array
 from collections.abc import Iterable
 from os.path import lexists
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bumpymap.core import (
-    NOT_TRAVERSABLE,
-    ClassedSectors,
-    Frame,
-    GridSettings,
-    OutputError,
-    PolarCells,
-    Scan,
-    SectorStack,
-    atomic,
-    cell_numbers,
-    remove_path,
-)
+from bumpymap.core import NOT_TRAVERSABLE, Frame, GroundGrid, OutputError, atomic, remove_path
 from bumpymap.views.export.gridmap import GRID_MAP, grid_map_message, make_header, require_rosbags, typestore
 
-__all__ = ["GridBag", "GroundGrid", "check_bag_file", "sector_occupancy"]
-
-OCCUPANCY = (0, 33, 66, 100)
-"""Occupancy of sectors of class 0 (smooth), 1 (fair) and 2 (rough), and of those that must not be entered."""
-UNKNOWN_OCCUPANCY = -1
-GRID_LAYERS = ("class", "elevation", "obstacle_height", "ground")
-
-Message = TypeVar("Message")
-
-
-class GroundGrid:
-    """Makes grids of classified scans: x forward, y to the left, the sensor in the middle.
-
-    Parameters
-    ----------
-    resolution_m : float
-        Side of a cell.
-    reach_m : float
-        Distance from the sensor to each side of the grid.
-
-    Raises
-    ------
-    UsageError
-        The grid has no cells, or too many.
-    """
-
-    def __init__(self, resolution_m: float = 0.25, reach_m: float = 30.0) -> None:
-        settings = GridSettings(resolution_m, reach_m)
-        half = math.ceil(settings.reach_m / settings.resolution_m - 1e-9)
-        self.resolution_m = settings.resolution_m
-        self.side = 2 * half
-        """Cells along each side."""
-        centre = (np.arange(self.side) + 0.5) * self.resolution_m - self.reach_m
-        x, y = np.tile(centre, self.side), np.repeat(centre, self.side)
-        self._distance, self._turn = np.hypot(x, y), np.arctan2(y, x) / (2.0 * math.pi)
-        self._places: PolarCells | None = None
-
-    @property
-    def reach_m(self) -> float:
-        """Distance from the sensor to each side: whole cells."""
-        return 0.5 * self.side * self.resolution_m
-
-    def rows(self, stack: SectorStack) -> NDArray[np.int32]:
-        """Return the row of the sector that holds the centre of each cell.
-
-        Returns
-        -------
-        (side, side) int32
-            From the lowest y upwards, and in each row from the lowest x; -1 where no measured sector is.
-        """
-        table = np.full(int(np.dot(stack.settings.sectors, stack.settings.rings)) + 1, -1, np.int32)
-        table[cell_numbers(stack)] = np.arange(len(stack.zone))
-        found: NDArray[np.int32] = table[self._placed(stack).cells(stack.azimuth_start_rad)]
-        return found.reshape(self.side, self.side)
-
-    def occupancy(self, classed: ClassedSectors) -> NDArray[np.int8]:
-        """Return the occupancy of the cells, (side, side) int8, ordered as by `rows`.
-
-        That of the sector, see `sector_occupancy`; unknown where no sector is measured, and beyond the end of the
-        ground.
-        """
-        values = np.append(sector_occupancy(classed), np.int8(UNKNOWN_OCCUPANCY))
-        cells: NDArray[np.int8] = values[self.rows(classed.sectors)]
-        beyond = self._beyond_ground(classed.sectors) & (cells != OCCUPANCY[-1])
-        return np.where(beyond, np.int8(UNKNOWN_OCCUPANCY), cells)
-
-    def _beyond_ground(self, stack: SectorStack) -> NDArray[np.bool_]:
-        """Return which cells (side, side) lie farther away than any ground in their direction."""
-        count, share = len(stack.ground_end), self._placed(stack).share(stack.azimuth_start_rad)
-        direction = np.minimum(share * count, count - 1.0).astype(np.int32)
-        beyond: NDArray[np.bool_] = self._distance > stack.ground_end[direction] + 0.5 * self.resolution_m
-        return beyond.reshape(self.side, self.side)
-
-    def fill(self, message: Message, classed: ClassedSectors, header: Any) -> Message:
-        """Fill a message ``nav_msgs/OccupancyGrid`` and return it.
-
-        Parameters
-        ----------
-        message : nav_msgs/OccupancyGrid
-            Of any library with the same names of attributes. Its data become an ``array.array``, which rclpy takes
-            without looking at every cell.
-        classed : ClassedSectors
-        header : std_msgs/Header
-            Of the point cloud: the grid lies in the sensor's frame at its time.
-        """
-        grid: Any = message
-        grid.header = header
-        grid.info.map_load_time = header.stamp
-        grid.info.resolution = self.resolution_m
-        grid.info.width = grid.info.height = self.side
-        grid.info.origin.position.x = grid.info.origin.position.y = -self.reach_m
-        grid.info.origin.orientation.w = 1.0
-        grid.data = array("b", self.occupancy(classed).tobytes())
-        return message
-
-    def layers(self, scan: Scan, classed: ClassedSectors) -> dict[str, NDArray[np.float32]]:
-        """Return layers for a grid_map, (side, side) float32 each, ordered as by `rows`.
-
-        Returns
-        -------
-        dict
-            ``class`` (0 to 2), ``obstacle_height`` (m) and ``ground`` (share of the points that are ground) of the
-            sector; ``elevation``: mean z of the ground points in the cell, m, in the sensor's frame; if a vehicle was
-            named, ``c_r`` (rad/m) of the sector. NaN where unknown.
-        """
-        stack, rows = classed.sectors, self.rows(classed.sectors)
-        class_id = np.where(classed.class_id == NOT_TRAVERSABLE, np.nan, classed.class_id)
-        share = stack.ground_count / np.maximum(stack.count, 1)
-        by_sector = {"class": class_id, "obstacle_height": stack.obstacle_height, "ground": share}
-        if classed.ride is not None:
-            by_sector["c_r"] = classed.ride.c_r
-        found = {name: np.append(values, np.nan).astype(np.float32)[rows] for name, values in by_sector.items()}
-        found["class"][self._beyond_ground(stack)] = np.nan
-        found["elevation"] = self._elevation(scan.points[stack.point_ground])
-        return {name: found[name] for name in (*GRID_LAYERS, "c_r") if name in found}
-
-    def _elevation(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
-        column, row = np.floor((points[:, :2].T.astype(np.float64) + self.reach_m) / self.resolution_m)
-        inside = (column >= 0) & (column < self.side) & (row >= 0) & (row < self.side)
-        cell = (row[inside] * self.side + column[inside]).astype(np.int64)
-        count = np.bincount(cell, minlength=self.side**2)
-        total = np.bincount(cell, points[inside, 2], self.side**2)
-        mean = np.divide(total, count, out=np.full(self.side**2, np.nan), where=count > 0)
-        heights: NDArray[np.float32] = mean.astype(np.float32).reshape(self.side, self.side)
-        return heights
-
-    def _placed(self, stack: SectorStack) -> PolarCells:
-        places = self._places
-        if places is None or places.settings != stack.settings:
-            places = self._places = PolarCells.of(stack.settings, self._distance, self._turn)
-        return places
-
-
-def sector_occupancy(classed: ClassedSectors) -> NDArray[np.int8]:
-    """Return the occupancy of the sectors of a scan.
-
-    Returns
-    -------
-    (n,) int8
-        0, 33, 66 for class 0, 1, 2; 100 where an obstacle stands, the ground drops, or the sector is not traversable.
-    """
-    values = np.array(OCCUPANCY, np.int8)[np.minimum(classed.class_id, len(OCCUPANCY) - 1)]
-    return np.where(classed.sectors.obstacle, np.int8(OCCUPANCY[-1]), values)
-
+__all__ = ["GridBag", "check_bag_file"]
 
 _OCCUPANCY = "nav_msgs/msg/OccupancyGrid"
 GRID_TOPICS = {"/ground/occupancy": _OCCUPANCY, "/ground/grid_map": GRID_MAP}
 """Topics of the bag and their types."""
+GRID_LAYERS = ("elevation", "step", "obstacle_height", "clearance")
+"""Layers of the grid_map beside the class and the ride."""
 _SENSOR = "sensor"
 """Coordinate frame of scans whose file names none."""
 _PERIOD_NS = 100_000_000
@@ -216,27 +60,29 @@ class GridBag:
     ----------
     folder : Path
         Folder of the run, for the messages of the frames.
-    settings : GridSettings
     """
 
-    def __init__(self, folder: Path, settings: GridSettings) -> None:
+    def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._grid = GroundGrid(settings.resolution_m, settings.reach_m)
         self._store = typestore()
 
     def part(self, number: int) -> Path:
         """Return the file with the messages of the frame with that number in the run."""
         return self._folder / f"grids-{number:06d}.cdr"
 
-    def add(self, frame: Frame, number: int, scan: Scan, classed: ClassedSectors) -> None:
-        """Write the grids of a frame to its file, without flushing it to the disk."""
-        grid, stamp_ns, frame_id = self._grid, number * _PERIOD_NS, _SENSOR
+    def add(self, frame: Frame, number: int, grid: GroundGrid) -> None:
+        """Write the grid of a frame to its file, without flushing it to the disk."""
+        stamp_ns, frame_id = number * _PERIOD_NS, _SENSOR
         if frame.message is not None:
             stamp_ns, frame_id = frame.message.stamp_ns, frame.message.frame_id
         header = make_header(self._store, stamp_ns, frame_id)
-        occupancy = grid.fill(self._blank(header), classed, header)
+        occupancy = grid.fill(self._blank(header), header)
         occupancy.data = np.frombuffer(occupancy.data, np.int8)
-        layers = {name: layer[::-1] for name, layer in grid.layers(scan, classed).items()}
+        class_id = np.where(grid.class_id == NOT_TRAVERSABLE, np.nan, grid.class_id).astype(np.float32)
+        layers = {"class": class_id} | {name: getattr(grid, name) for name in GRID_LAYERS}
+        if grid.c_r is not None:
+            layers["c_r"] = grid.c_r
+        layers = {name: layer[::-1] for name, layer in layers.items()}
         grid_map = grid_map_message(self._store, header, (0.0, 0.0), grid.resolution_m, layers)
         with self.part(number).open("wb") as file:
             file.write(struct.pack("<q", stamp_ns))
