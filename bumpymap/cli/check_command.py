@@ -25,7 +25,6 @@ from bumpymap.core import (
 
 if TYPE_CHECKING:
     from bumpymap.core import CheckedDrive, CheckResult, DrivenStretches
-    from bumpymap.layers import MapReader
     from bumpymap.rating import Calibration, DriveUpdate
 
 __all__ = ["Refit", "command", "prepare_refit"]
@@ -172,11 +171,21 @@ def prepare_refit(layers: Path | None, calibration: Path | None, out: Path, *, o
         The file exists.
     """
     from bumpymap.layers import open_map
+    from bumpymap.rating import map_calibration
 
     if layers is None:
         raise UsageError("`refit` moves the calibration of a map to drives over it: give the folder of the map")
     _refuse_replacing(out, overwrite)
-    return Refit(_calibration_of(open_map(layers), calibration), out, overwrite)
+    site = open_map(layers)
+    found = map_calibration(site.manifest, site.grid.tile_size, calibration, follow_paths=True)
+    own, speed = float(found.vehicle["speed_mps"]), found.map_speed
+    if own != speed:  # what moves is the C_r of the calibration's own drives
+        raise BadInputError(
+            f"the map is made for {speed:g} m/s, and the calibration {found.id} rests on drives at {own:g} m/s, which "
+            f"is what a refit moves. Drive at {own:g} m/s over a map at that speed, or calibrate a profile whose speed "
+            f"is {speed:g} m/s"
+        )
+    return Refit(found, out, overwrite)
 
 
 def _make_folder(out: Path) -> None:
@@ -184,17 +193,6 @@ def _make_folder(out: Path) -> None:
         out.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"cannot write {out}: {error}; choose a file in a folder that you may write") from error
-
-
-def _require_own_speed(calibration: "Calibration", site: "MapReader") -> None:
-    """Refuse a map at another speed: what moves is the C_r of the calibration's own drives."""
-    own, speed = float(calibration.vehicle["speed_mps"]), site.vehicle.speed_mps
-    if not math.isclose(own, speed):
-        raise BadInputError(
-            f"the map is made for {speed:g} m/s, and the calibration {calibration.id} rests on drives at {own:g} m/s, "
-            f"which is what a refit moves. Drive at {own:g} m/s over a map at that speed, or calibrate a profile "
-            f"whose speed is {speed:g} m/s"
-        )
 
 
 def _refuse_replacing(out: Path, overwrite: bool) -> None:
@@ -216,32 +214,6 @@ def _is_calibration(path: Path) -> bool:
     except (OSError, ValueError):
         return False
     return isinstance(found, dict) and found.get("format") == "bumpymap-calibration"
-
-
-def _calibration_of(site: "MapReader", given: Path | None) -> "Calibration":
-    """Return the calibration that a map was made with."""
-    from bumpymap.rating import find_calibration
-
-    settings = site.manifest.get("settings", {})
-    named = given or settings.get("calibration")
-    try:
-        vehicle = settings.get("vehicle") or site.vehicle.name
-        found = find_calibration(str(vehicle), Path(named) if named else None, site.grid.tile_size)
-    except (BadInputError, UsageError) as error:
-        if given:
-            raise
-        raise UsageError(
-            f"the calibration {site.calibration_id} of the map is not found ({error}). Give its file with `calibration`"
-        ) from error
-    if found.id != site.calibration_id:
-        if found.vehicle["name"] == site.vehicle.name:
-            _require_own_speed(found, site)
-        raise BadInputError(
-            f"the map was made with the calibration {site.calibration_id} of {site.vehicle.name}; "
-            f"{named or vehicle} holds {found.id}. Give the file of the map's own with `calibration`, or map the "
-            "survey again"
-        )
-    return found
 
 
 def _words(update: "DriveUpdate") -> Iterator[str]:

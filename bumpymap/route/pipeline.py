@@ -276,7 +276,7 @@ def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteR
             return _write_reach(ground, stops, config, config.out)
         progress.start("routes", None)
         routes, order = _routes(ground, stops, config)
-        routes, without = with_line_rides(ground.site, routes)
+        routes, without = with_line_rides(ground.site, routes, config.calibration)
         notes = [*stops.notes, *order, *([without] if without else [])]
         files: list[Path] = []
         if config.out is not None:

@@ -14,12 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.rating.ride._noise_kernels import DenoisedPatches, PatchesToDenoise, denoise_patches, spectrum_scratch
+from bumpymap.rating.ride._ride_kernels import roll_along
 from bumpymap.rating.ride.correction import Correction
 from bumpymap.rating.ride.motion_operator import Rides, roll_over
 from bumpymap.rating.ride.operator import RideOperator
 from bumpymap.rating.ride.rate import spectrum_of
 
-__all__ = ["MatchedTiles", "felt_along", "match_tiles"]
+__all__ = ["MatchedTiles", "felt_along", "match_tiles", "roll_wheels"]
 
 Floats = NDArray[np.float64]
 
@@ -59,15 +60,18 @@ def match_tiles(
         Of the calibration.
     """
     wanted = np.log(np.maximum(c_r, _LEAST))
-    low, high = (np.full(len(c_r), np.log(end)) for end in _NOISE_M)
-    for _ in range(_ROUNDS):
-        middle = 0.5 * (low + high)
-        rides = roll_over(_without(relief_map, np.exp(middle)), operator)
-        too_rough = _predicted(rides, slope_deg, correction) > wanted
+    clean, rides = relief_map.copy(), roll_over(relief_map, operator)
+    rough = np.flatnonzero(_predicted(rides, slope_deg, correction) > wanted)
+    low, high = (np.full(len(rough), np.log(end)) for end in _NOISE_M)
+    for last in [False] * _ROUNDS + [True]:
+        middle = low if last else 0.5 * (low + high)
+        tried = _without(relief_map[rough], np.exp(middle))
+        ridden = roll_over(tried, operator)
+        too_rough = _predicted(ridden, slope_deg[rough], correction) > wanted[rough]
         low, high = np.where(too_rough, middle, low), np.where(too_rough, high, middle)
-    rough = _predicted(roll_over(relief_map, operator), slope_deg, correction) > wanted
-    clean = np.where(rough[:, None, None], _without(relief_map, np.exp(low)), relief_map)
-    rides = roll_over(clean, operator)
+    clean[rough] = tried
+    for name in Rides.__dataclass_fields__:
+        getattr(rides, name)[rough] = getattr(ridden, name)
     left = np.exp(wanted - _predicted(rides, slope_deg, correction))
     return MatchedTiles(clean, rides, np.where(np.isfinite(left), left, 1.0))
 
@@ -93,16 +97,34 @@ def _without(relief_map: NDArray[np.float32], noise: Floats) -> NDArray[np.float
     return clean
 
 
-def felt_along(
-    pitch: Floats, taps: Floats, way: float, stretch: float, reach: Floats, slope_deg: Floats, correction: Correction
-) -> Floats:
-    """Return what is felt at each sample along a line, (n,) rad/m; its mean over a stretch is the C_r there.
+def roll_wheels(heights: Floats, place: Floats, operator: RideOperator) -> Floats:
+    """Return the lowest point of wheels at places, (n,) m; NaN where one meets ground that is not known.
 
     Parameters
     ----------
-    pitch : array (n,)
+    heights : array (rows, cols)
+        Of pixels, m; NaN where unknown.
+    place : array (n, 2)
+        Row and column from the north-west corner, pixels: a wheel and two pixels or more from all edges.
+    operator : RideOperator
+        Of the vehicle.
+    """
+    low, nodes = np.empty(len(place)), (heights.shape[0] * operator.fine + 1, heights.shape[1] * operator.fine + 1)
+    known = np.zeros(nodes, np.bool_)
+    roll_along(heights, np.ascontiguousarray(place), operator.fine, operator.wheel, np.empty(nodes), known, low)
+    return low
+
+
+def felt_along(
+    pitch: Floats, taps: Floats, way: float, stretch: float, reach: Floats, slope_deg: Floats, correction: Correction
+) -> Floats:
+    """Return what is felt at each sample of k lines, (k, n) rad/m; its mean over a stretch is the C_r there.
+
+    Parameters
+    ----------
+    pitch : array (k, n)
         Of the rockers, rad.
-    taps : array (k,)
+    taps : array (t,)
         How the chassis follows them, of `chassis_response`.
     way : float
         Distance between samples, m.
@@ -120,12 +142,14 @@ def felt_along(
     def mean(values: Floats) -> Floats:
         return np.asarray(uniform_filter1d(values, max(round(stretch / way), 1), mode="nearest"))
 
-    change = np.diff(pitch, prepend=pitch[:1])
-    change = np.abs(np.convolve(change, taps)[: len(change)]) / way
+    count = pitch.shape[1]
+    changes = np.diff(pitch, prepend=pitch[:, :1])
+    change = np.abs([np.convolve(each, taps)[:count] for each in changes]) / way
     size = np.maximum(mean(change), _LEAST)
     rms = np.maximum(np.sqrt(np.maximum(mean(change**2), 0.0)), size)
     about = np.sqrt(np.maximum(mean(pitch**2) - mean(pitch) ** 2, 0.0))
-    none = np.zeros(len(pitch))
-    rides = Rides(size, rms, about, none, none, reach, none, none)
-    felt: Floats = np.exp(_predicted(rides, slope_deg, correction)) * change / size
+    reaches, slopes = (np.tile(values, len(pitch)) for values in (reach, slope_deg))
+    none = np.zeros(pitch.size)
+    rides = Rides(size.ravel(), rms.ravel(), about.ravel(), none, none, reaches, none, none)
+    felt: Floats = np.exp(_predicted(rides, slopes, correction)).reshape(pitch.shape) * change / size
     return felt

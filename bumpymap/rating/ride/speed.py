@@ -282,7 +282,10 @@ class SpeedRating:
 
         Both are NaN where the heightmap, without its noise, is as good as level: its form tells nothing then.
         """
-        motions = move_over(relief_map, self.operator)
+        return self.factors_of(move_over(relief_map, self.operator), pitch_change)
+
+    def factors_of(self, motions: Motions, pitch_change: Floats) -> tuple[Floats, NDArray[np.float32]]:
+        """Return `factors` from the motions over patches."""
         logs = _model(self.calibration).log_factors(motions, pitch_change, self.operator.speeds)
         logs[~(pitch_change > _LEVEL)] = np.nan
         own = logs[:, self.operator.speeds.index(self.calibration.map_speed), 0]
