@@ -17,13 +17,15 @@ from bumpymap.check.measure import COUNTS, LEFT_OUT, DriveMeasure, WayStretch
 from bumpymap.check.settings import LEAST_WINDOW_M
 from bumpymap.check.signals import pieces
 from bumpymap.core import NO_TILE, Barred, TileField
-from bumpymap.layers import NORMAL_80
+from bumpymap.layers import NORMAL_80, MapReader
+from bumpymap.route import LineVehicle, ride_line
 
 __all__ = [
     "MapReading",
     "cut_stretches",
     "less_floor",
     "read_along",
+    "read_line",
     "reading_sd",
     "with_ground",
 ]
@@ -215,6 +217,49 @@ def read_along(drive: DriveMeasure, cut: WayStretch, field: TileField) -> MapRea
         for part in (down, up)
     )
     return MapReading(mean, mean * np.exp(-NORMAL_80 * below), mean * np.exp(NORMAL_80 * above), spread)
+
+
+_AROUND_M = 5.0
+"""Of the line before the first stretch and behind the last."""
+_LEAST_SIGMA_M = 0.05
+
+
+def read_line(drive: DriveMeasure, cut: WayStretch, site: MapReader, vehicle: LineVehicle) -> MapReading:
+    """Return what the map says of the driven line of stretches itself: the vehicle rolled along it over the pixels.
+
+    It is rolled at several places across, and each stretch is shifted along the line, as far as positions are off.
+    """
+    travelled, counts = np.cumsum(np.abs(drive.speed)) / drive.hertz, np.flatnonzero(cut.label >= 0)
+    first, last = travelled[counts[[0, -1]]] + (-_AROUND_M, _AROUND_M)
+    at = np.arange(max(first, 0.0), min(last, travelled[-1]), _STEP_M)
+    line = np.column_stack([np.interp(at, travelled, axis) for axis in (drive.easting, drive.northing)])
+    sd = np.maximum(drive.track.place_sd(0.5 * (cut.start_s + cut.end_s)), _LEAST_SIGMA_M)
+    ride = ride_line(site, line, vehicle, float(np.median(sd)))
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    ends = [np.interp(np.interp(time, drive.time, travelled), at, along) for time in (cut.start_s, cut.end_s)]
+    node, shares = np.polynomial.hermite_e.hermegauss(3)
+
+    def total(values: Floats, shift: Floats) -> Floats:
+        """Add up values of each metre over the stretches."""
+        sums = np.concatenate([[0.0], np.cumsum(values * np.diff(ride.distance))])
+        start, end = (np.interp(edge + shift, ride.distance, sums) for edge in ends)
+        return np.asarray(end - start)
+
+    shifts, known = node[:, None] * sd, np.isfinite(ride.c_r_across)
+    metres = np.array([total(part, shifts) for part in known.astype(np.float64)])
+    sums = np.array([total(np.where(part, c_r, 0.0), shifts) for part, c_r in zip(known, ride.c_r_across, strict=True)])
+    chance = ride.weights[:, None, None] * (shares / shares.sum())[:, None] * (metres > _LEAST_KNOWN * cut.way_m)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logs = np.where(chance > 0.0, np.log(sums / metres), 0.0)
+        chance /= chance.sum(axis=(0, 1))
+        log_mean = (chance * logs).sum(axis=(0, 1))
+        mean = np.exp(log_mean)
+        spread = mean * np.sqrt((chance * (logs - log_mean) ** 2).sum(axis=(0, 1)))
+        c_r, log_sd = np.nan_to_num(ride.c_r), np.nan_to_num(ride.log_sd)
+        level = total(c_r, np.zeros(1))
+        by_tile = total((c_r * ride.log_sd_across) ** 2 * ~ride.by_line, np.zeros(1))
+        off = np.exp(NORMAL_80 * np.hypot(total(c_r * log_sd, np.zeros(1)), np.sqrt(by_tile)) / level)
+    return MapReading(mean, mean / off, mean * off, spread)
 
 
 def _steps(drive: DriveMeasure, cut: WayStretch, field: TileField, node: Floats) -> tuple[Integers, Floats, Integers]:

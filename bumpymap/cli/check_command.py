@@ -37,7 +37,7 @@ def _lines(result: "CheckResult", files: Sequence[Path], config: CheckConfig) ->
         yield from _drive_lines(drive)
     yield check_headline(result)
     if result.by_class:
-        titles = ("class of the map", "way", "map / measured", "typical error", "in the interval")
+        titles = ("ground by the map", "way", "map / measured", "typical error", "Spearman", "in the interval")
         yield Table(_classes(result), titles)
     for warning in warnings_of(result):
         yield Styled(f"Warning: {warning}", "yellow")
@@ -76,15 +76,18 @@ def _sensor_words(drive: "CheckedDrive") -> Iterator[str]:
 def _classes(result: "CheckResult") -> Iterator[tuple[str, ...]]:
     from bumpymap.core import CLASS_NAMES
 
-    for number, found in sorted(result.by_class.items()):
-        name = f"{number} {CLASS_NAMES[number]}" if number < len(CLASS_NAMES) else "unknown"
-        yield (
-            name,
-            f"{found.way_m:.0f} m",
-            _number(found.median_ratio),
-            _percent(found.median_error),
-            _percent(found.inside),
-        )
+    whole = (("all, by the driven line", result.agreement_by_line), ("all, by tiles", result.agreement))
+    named = [(f"{number} {CLASS_NAMES[number]}", found) for number, found in sorted(result.by_class.items())]
+    for name, found in (*whole, *named):
+        if found is not None:
+            yield (
+                name,
+                f"{found.way_m:.0f} m",
+                _number(found.median_ratio),
+                _percent(found.median_error),
+                _number(found.spearman),
+                _percent(found.inside),
+            )
 
 
 def _number(value: float) -> str:
@@ -101,7 +104,8 @@ def _record(result: "CheckResult", files: Sequence[Path], config: CheckConfig) -
     from bumpymap.views import check_headline
 
     found = check_entries(result)
-    del found["stretches"]
+    for part in (found, found["line"] or {}):
+        part.pop("stretches", None)
     out = None if config.out is None else str(config.out)
     return {"out": out, "files": [path.name for path in files], "headline": check_headline(result), **found}
 
@@ -250,10 +254,7 @@ def _refit_percent(share: float) -> str:
 @grouped_option(
     "--refit", type=FILE, metavar="FILE", help="Move the calibration to the drives (JSON).", group="Vehicle"
 )
-@grouped_option(
-    "--calibration", type=FILE, metavar="FILE", help="With --refit: that of the map [its own].", group="Vehicle"
-)
-def command(run: Run, refit: Path | None, calibration: Path | None) -> None:
+def command(run: Run, refit: Path | None) -> None:
     """Compare a map with real drives: LAYERS is a folder of `bumpymap map`; without it drives are measured alone.
 
     Drives that cannot be used are left out and named (exit code 4).
@@ -270,11 +271,11 @@ def command(run: Run, refit: Path | None, calibration: Path | None) -> None:
     settings = run.settings
     if settings.get("columns") is not None:
         settings["columns"] = parse_columns(settings["columns"])
-    if calibration is not None and refit is None:
-        raise UsageError("`calibration` is the one that `refit` moves: give `refit` too, or leave it out")
     moved = None  # found before drives are measured
     if refit is not None:
-        moved = prepare_refit(settings.get("layers"), calibration, refit, overwrite="overwrite" in run.given)
+        moved = prepare_refit(
+            settings.get("layers"), settings.get("calibration"), refit, overwrite="overwrite" in run.given
+        )
     config = CheckConfig(**settings)
     with run.progress() as progress:
         result, files = run_check(config, progress)

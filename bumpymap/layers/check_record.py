@@ -60,6 +60,8 @@ def check_check_out(out: Path, *, overwrite: bool) -> None:
 CHECK_FORMAT = "bumpymap-check"
 _Record = TypeVar("_Record", CheckedDrive, CheckedMap, MapAgreement)
 _CLASSES = {"class_id", "measured_class"}
+_OF_MAP = ("c_r", "c_r_low", "c_r_high", "place_sd", "class_id")
+"""Columns that hold what the map says of stretches."""
 _MOST = 1e12
 """Largest number that a check may hold: no length, angle or time of a drive comes near it."""
 _REMEDY = "Give the folder that `bumpymap check` wrote, as `check`"
@@ -70,7 +72,7 @@ def check_entries(result: CheckResult) -> dict[str, Any]:
 
     Arrays become lists of numbers, one for each stretch; `result_of` is the way back.
     """
-    found = {
+    found: dict[str, Any] = {
         "map": result.ground,
         "warnings": result.warnings,
         "skipped": result.skipped,
@@ -81,7 +83,14 @@ def check_entries(result: CheckResult) -> dict[str, Any]:
         ],
         "drives": [_entries(drive) for drive in result.drives],
         "stretches": _columns(result.stretches),
+        "line": None,
     }
+    if result.by_line is not None:
+        columns = _columns(result.by_line)
+        found["line"] = {
+            "agreement": result.agreement_by_line,
+            "stretches": {name: columns[name] for name in _OF_MAP},
+        }
     return plain_manifest(found)
 
 
@@ -112,6 +121,9 @@ def result_of(record: Mapping[str, Any]) -> CheckResult:
     drives = tuple(_read(CheckedDrive, entry) for entry in record["drives"])
     if len(stretches.drive) and not 0 <= stretches.drive.min() <= stretches.drive.max() < len(drives):
         raise ValueError("a stretch belongs to no drive")
+    line, by_line = record.get("line"), None
+    if line is not None:
+        by_line = DrivenStretches(**_arrays(DrivenStretches, {**record["stretches"], **line["stretches"]}))
     return CheckResult(
         ground=None if ground is None else _read(CheckedMap, ground),
         drives=drives,
@@ -120,6 +132,8 @@ def result_of(record: Mapping[str, Any]) -> CheckResult:
         by_class={_class_of(entry["class"]): _read(MapAgreement, entry) for entry in record["by_class"]},
         warnings=_texts(record["warnings"]),
         skipped={str(drive): str(why) for drive, why in record.get("skipped", {}).items()},
+        by_line=by_line,
+        agreement_by_line=None if line is None else _read(MapAgreement, line["agreement"]),
     )
 
 

@@ -22,8 +22,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CANOPY, OBSTACLE, BadInputError, UsageError, path_of_call
-from bumpymap.layers import NORMAL_80, MapReader, PlannedRoute, common_window, open_map
+from bumpymap.core import CANOPY, OBSTACLE, BadInputError, RouteFigures, UsageError, path_of_call
+from bumpymap.layers import NORMAL_80, MapReader, common_window, open_map
 from bumpymap.rating import (
     Calibration,
     Correction,
@@ -42,7 +42,8 @@ from bumpymap.rating import (
     roll_wheels,
     with_floor,
 )
-from bumpymap.route.ground import points_along, window_around
+from bumpymap.route.ground import CostGround, points_along, window_around
+from bumpymap.route.measure import MeasuredWay
 from bumpymap.route.places import in_window
 
 __all__ = ["LineRide", "LineVehicle", "ride_along", "ride_line", "with_line_rides"]
@@ -226,33 +227,51 @@ def ride_along(
 
 
 def with_line_rides(
-    site: MapReader, routes: Sequence[PlannedRoute], calibration: Path | None
-) -> tuple[list[PlannedRoute], str | None]:
-    """Add the ride of each way's own line to its figures and profile; if that cannot be, return why.
+    ground: CostGround, ways: Sequence[tuple[MeasuredWay, float]], calibration: Path | None
+) -> tuple[list[tuple[MeasuredWay, float]], list[str]]:
+    """Add the ride of each way's own line to its figures and profile, and order the ways by it; return remarks too.
 
-    ``calibration``: the file that the map was made with; None: an included one.
+    In the cost of a way by its line the C_r of the line stands for the mean of the tiles. ``calibration``: the file
+    that the map was made with; None: an included one.
     """
+    site = ground.site
     try:
         made = map_calibration(site.manifest, site.grid.tile_size, calibration)
         vehicle = LineVehicle.of(site, made, motion=False)
     except (BadInputError, UsageError) as error:
         if calibration is not None:
             raise
-        return list(routes), f"the ride of the line itself is not known: {error}"
-    return [_with_line_ride(site, route, vehicle) for route in routes], None
-
-
-def _with_line_ride(site: MapReader, route: PlannedRoute, vehicle: LineVehicle) -> PlannedRoute:
-    if route.figures.length_m <= 0.0:
-        return route
-    found = ride_line(site, route.line, vehicle, _SIGMA_M)
-    mean, low, high = found.over(0.0, math.inf)
-    metre = np.clip(np.searchsorted(found.distance, route.profile.distance, side="right") - 1, 0, len(found.c_r) - 1)
-    return replace(
-        route,
-        figures=replace(route.figures, c_r_line=mean, c_r_line_low=low, c_r_line_high=high),
-        profile=replace(route.profile, c_r_line=found.c_r[metre]),
+        return list(ways), [f"the ride of the line itself is not known: {error}"]
+    found = [(_with_line_ride(site, way, vehicle), risk) for way, risk in ways]
+    costs = np.array([_cost_by_line(way.figures, site.rule.ride_weight, ground.settings.robust) for way, _ in found])
+    order = np.argsort(costs, kind="stable").tolist()
+    if not order[0] or not np.isfinite(costs).all():
+        return found, []
+    best, first = found[0][0].figures.cost_m, found[order[0]][0].figures.cost_m
+    remark = (
+        f"the first way is the best by the ride of its line, which costs {costs[order[0]]:,.1f} m ({first:,.1f} m by "
+        f"tiles); the best by tiles costs {costs[0]:,.1f} m by its line ({best:,.1f} m)"
     )
+    return [found[number] for number in order], [remark]
+
+
+def _with_line_ride(site: MapReader, way: MeasuredWay, vehicle: LineVehicle) -> MeasuredWay:
+    if way.figures.length_m <= 0.0:
+        return way
+    found = ride_line(site, way.line, vehicle, _SIGMA_M)
+    mean, low, high = found.over(0.0, math.inf)
+    metre = np.clip(np.searchsorted(found.distance, way.profile.distance, side="right") - 1, 0, len(found.c_r) - 1)
+    return replace(
+        way,
+        figures=replace(way.figures, c_r_line=mean, c_r_line_low=low, c_r_line_high=high),
+        profile=replace(way.profile, c_r_line=found.c_r[metre]),
+    )
+
+
+def _cost_by_line(figures: RouteFigures, ride_weight: float, robust: bool) -> float:
+    """Return the cost of a way with the C_r of its line in the place of that of its tiles, m."""
+    more = figures.c_r_line_high - figures.c_r_mean_high if robust else figures.c_r_line - figures.c_r_mean
+    return figures.cost_m + ride_weight * (figures.length_m - figures.unknown_m) * more
 
 
 def ride_line(site: MapReader, line: Floats, vehicle: LineVehicle, sigma: float) -> LineRide:
@@ -312,7 +331,7 @@ def _across(sigma: float) -> tuple[Floats, Floats]:
 
 
 class _Tiles(NamedTuple):
-    """What is known of tiles, or of the tiles that samples lie in, (n,) each; NaN where it is not."""
+    """Values of tiles, or of the tiles that samples lie in, (n,) each; NaN where unknown."""
 
     c_r: Floats
     """At the profile's speed, less the floor, rad/m."""
@@ -325,14 +344,14 @@ class _Tiles(NamedTuple):
     reach: Floats
     """``belly_reach``."""
     left: Floats
-    """What denoising has left to the stated C_r, as a factor."""
+    """Stated C_r over that of the denoised tile."""
     a_w: Floats
     """m/s2, at the speed asked for."""
     heave: Floats
     """The same of the geometry alone."""
 
 
-class _Window(NamedTuple):
+class _LineWindow(NamedTuple):
     """The map about a stretch of a line."""
 
     heights: Floats
@@ -382,7 +401,7 @@ def _roll(site: MapReader, line: Floats, at: Floats, vehicle: LineVehicle, acros
     return _Rolled(heights, seen, _Tiles(*columns))
 
 
-def _read(site: MapReader, middle: Floats, wheels: Floats, vehicle: LineVehicle) -> _Window:
+def _read(site: MapReader, middle: Floats, wheels: Floats, vehicle: LineVehicle) -> _LineWindow:
     grid = site.grid
     # A wheel reaches as far as its radius, and the heights between pixels one farther.
     beside = (vehicle.calibration.vehicle["wheel"]["radius_m"] + grid.pixel_size) / grid.tile_size
@@ -400,7 +419,7 @@ def _read(site: MapReader, middle: Floats, wheels: Floats, vehicle: LineVehicle)
     found = site.values(window, _BANDS)
     bands = np.array([found[name][touched] for name in _BANDS])
     number = np.cumsum(touched).reshape(touched.shape) - 1
-    return _Window(_filled(measured), touched, bands, number[own], where * grid.pixels, seen)
+    return _LineWindow(_filled(measured), touched, bands, number[own], where * grid.pixels, seen)
 
 
 def _match(heights: Floats, bands: NDArray[np.float32], vehicle: LineVehicle) -> tuple[Floats, _Tiles]:

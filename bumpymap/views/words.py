@@ -173,6 +173,12 @@ def check_headline(result: CheckResult) -> str:
     parts = [f"{check_verdict(result)}. Over {over} it {level_words(agreement)} in the median"]
     parts[0] += f", and half of the stretches are off by less than {percent(agreement.median_error)}."
     parts.append(f"{percent(agreement.inside)} of the drives' readings lie in its 80 % interval.")
+    line = result.agreement_by_line
+    if line is not None and line.stretches >= FEW:
+        parts.append(
+            f"By the driven lines themselves, rolled over its pixels, half are off by less than "
+            f"{percent(line.median_error)} (rank correlation {line.spearman:.2f}; tiles {agreement.spearman:.2f})."
+        )
     return " ".join(parts)
 
 

@@ -30,7 +30,8 @@ def check_charts(result: CheckResult) -> list[Chart]:
 
 def check_tables(result: CheckResult) -> dict[str, list[Any]]:
     """Return the rows of the tables about drives, by what they hold, with the warnings as texts."""
-    entries = [("all", result.agreement)] if result.agreement is not None else []
+    whole = (("all, by the driven line", result.agreement_by_line), ("all, by tiles", result.agreement))
+    entries = [(name, found) for name, found in whole if found is not None]
     entries += [(f"{code} {CLASS_NAMES[code]}", found) for code, found in sorted(result.by_class.items())]
     return {
         "warnings": [*skipped_words(result), *warnings_of(result)],
