@@ -532,30 +532,11 @@ def write_check(
     write are removed: without positions on a map there is nothing for GIS. Except for check.json no file depends on
     the time or on folder names.
 
-    Parameters
-    ----------
-    result : CheckResult
-        With at least one drive.
-    out : Path
-        The folder.
-    ground : CheckGround, optional
-        The map that the drives were checked against, such as `open_map` returns it; None without a map.
-    manifest : mapping, optional
-        The run's own entries for check.json, such as settings.
-    overwrite : bool
-        Allow files of an earlier check to be replaced.
+    ``result``: with at least one drive; ``ground``: the map, such as `open_map` returns it, None without one;
+    ``manifest``: the run's own entries for check.json, such as settings. Returns what was written.
 
-    Returns
-    -------
-    list of Path
-        What was written.
-
-    Raises
-    ------
-    UsageError, OutputError
-        See `check_check_out`; or a file cannot be written.
-    BadInputError
-        The layers cannot be read, or positions have no longitude and latitude.
+    Raises UsageError, OutputError: see `check_check_out`, or a file cannot be written; BadInputError: the layers cannot
+    be read, or positions have no longitude and latitude.
     """
     check_check_out(out, overwrite=overwrite)
     placement = None if ground is None else place_stretches(result.stretches, ground)

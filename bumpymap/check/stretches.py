@@ -18,12 +18,12 @@ from bumpymap.check.settings import LEAST_WINDOW_M
 from bumpymap.check.signals import pieces
 from bumpymap.core import NO_TILE, Barred, TileField
 from bumpymap.layers import NORMAL_80, MapReader
+from bumpymap.rating import less_floor
 from bumpymap.route import LineVehicle, ride_line
 
 __all__ = [
     "MapReading",
     "cut_stretches",
-    "less_floor",
     "read_along",
     "read_line",
     "reading_sd",
@@ -81,11 +81,6 @@ def cut_stretches(drive: DriveMeasure, window_m: float) -> WayStretch:
         easting=total(drive.easting) / np.bincount(number, minlength=count),
         northing=total(drive.northing) / np.bincount(number, minlength=count),
     )
-
-
-def less_floor(raw: Floats, floor: Floats) -> Floats:
-    """Take a floor off in power; both rad/m."""
-    return np.asarray(np.sqrt(np.maximum(raw**2 - floor**2, 0.0)))
 
 
 def reading_sd(drive: DriveMeasure, raw: Floats, measured: Floats, seconds: Floats, way_m: Floats) -> Floats:
@@ -263,17 +258,10 @@ def read_line(drive: DriveMeasure, cut: WayStretch, site: MapReader, vehicle: Li
 
 
 def _steps(drive: DriveMeasure, cut: WayStretch, field: TileField, node: Floats) -> tuple[Integers, Floats, Integers]:
-    """Cut the way into steps of a quarter of a metre or so.
+    """Cut the way into steps of a quarter of a metre or so: return their stretch, (s,), and length, (s,) m.
 
-    Returns
-    -------
-    label : int (s,)
-        Stretch of each step.
-    way_m : float (s,)
-        m.
-    tile : int (s, 25)
-        Number of the tile, row by row in the window, at each place where the step may be: one standard deviation of
-        the position times each pair of nodes beside the way; -1: outside.
+    Third, (s, 25), numbers of tiles, row by row in the window, at each place where the step may be: one standard
+    deviation of the position times each pair of nodes beside the way; -1: outside.
     """
     counts = drive.reason == COUNTS
     usual = float(np.median(np.abs(drive.speed[counts]))) if counts.any() else 1.0

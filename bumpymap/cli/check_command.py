@@ -74,20 +74,11 @@ def _sensor_words(drive: "CheckedDrive") -> Iterator[str]:
 
 
 def _classes(result: "CheckResult") -> Iterator[tuple[str, ...]]:
-    from bumpymap.core import CLASS_NAMES
+    from bumpymap.views import agreements_of
 
-    whole = (("all, by the driven line", result.agreement_by_line), ("all, by tiles", result.agreement))
-    named = [(f"{number} {CLASS_NAMES[number]}", found) for number, found in sorted(result.by_class.items())]
-    for name, found in (*whole, *named):
-        if found is not None:
-            yield (
-                name,
-                f"{found.way_m:.0f} m",
-                _number(found.median_ratio),
-                _percent(found.median_error),
-                _number(found.spearman),
-                _percent(found.inside),
-            )
+    for name, found in agreements_of(result):
+        level, error = _number(found.median_ratio), _percent(found.median_error)
+        yield name, f"{found.way_m:.0f} m", level, error, _number(found.spearman), _percent(found.inside)
 
 
 def _number(value: float) -> str:
@@ -124,12 +115,7 @@ class Refit:
     def move(self, stretches: "DrivenStretches", speed_mps: float) -> "DriveUpdate":
         """Move the calibration to drives over a map at a speed, and write it.
 
-        Raises
-        ------
-        BadInputError
-            The drives are too short, or agree with the calibration.
-        OutputError
-            The file cannot be written.
+        Raises BadInputError: the drives are too short, or agree with it; OutputError: the file cannot be written.
         """
         from bumpymap.rating import UpdateSettings, update_from_drives
 
@@ -152,27 +138,10 @@ class Refit:
 
 
 def prepare_refit(layers: Path | None, calibration: Path | None, out: Path, *, overwrite: bool) -> Refit:
-    """Find the calibration of a map before the drives are measured.
+    """Find the calibration of a map before the drives are measured: ``calibration``, or the one of its run.json.
 
-    Parameters
-    ----------
-    layers : Path or None
-        Folder of the map.
-    calibration : Path, optional
-        Its calibration file; None: the one that its run.json names.
-    out : Path
-        The calibration file to write.
-    overwrite : bool
-        Replace that file.
-
-    Raises
-    ------
-    UsageError
-        There is no map, or its calibration is not found.
-    BadInputError
-        The layers or the calibration cannot be read, or do not belong together.
-    OutputError
-        The file exists.
+    Raises UsageError: there is no map, or its calibration is not found; BadInputError: it cannot be read, or is
+    another; OutputError: the file ``out`` exists and is not to be replaced.
     """
     from bumpymap.layers import open_map
     from bumpymap.rating import map_calibration

@@ -442,23 +442,10 @@ def map_calibration(
 ) -> Calibration:
     """Find the calibration that a map was made with, at the speed of the map.
 
-    Parameters
-    ----------
-    manifest : mapping
-        The content of its run.json.
-    tile_size : float
-        m.
-    file : Path, optional
-        The calibration file; None: an included one.
-    follow_paths : bool
-        Without a file, look where run.json says that it was: a folder that somebody else made may name any path.
+    ``manifest``: the content of its run.json; ``tile_size``: m; ``file``: the calibration, None: an included one, or
+    with ``follow_paths`` where run.json says that it was: a folder that somebody else made may name any path.
 
-    Raises
-    ------
-    UsageError
-        It is not found.
-    BadInputError
-        It is another one, or cannot be read.
+    Raises UsageError: it is not found; BadInputError: it is another one, or cannot be read.
     """
     about, wanted = manifest["vehicle"], manifest.get("calibration", {}).get("id", "")
     settings = manifest.get("settings", {}) if follow_paths else {}

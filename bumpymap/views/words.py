@@ -21,6 +21,7 @@ from bumpymap.core import (
 __all__ = [
     "DASH",
     "FEW",
+    "agreements_of",
     "area",
     "base_name",
     "check_headline",
@@ -201,6 +202,13 @@ def check_verdict(result: CheckResult) -> str:
     if round(rank, 2) >= ROUGHLY:
         return f"The map ranks the ground only roughly{'' if level else f', and its level is off{allowed}'}"
     return "The map does not rank this ground as the vehicle felt it"
+
+
+def agreements_of(result: CheckResult) -> list[tuple[str, MapAgreement]]:
+    """Return the agreement over all stretches, by the driven line and by tiles, and by class of the map, named."""
+    whole = (("all, by the driven line", result.agreement_by_line), ("all, by tiles", result.agreement))
+    by_class = [(f"{code} {CLASS_NAMES[code]}", found) for code, found in sorted(result.by_class.items())]
+    return [*((name, found) for name, found in whole if found is not None), *by_class]
 
 
 def columns_words(drive: CheckedDrive) -> list[str]:

@@ -48,16 +48,8 @@ def match_tiles(
 ) -> MatchedTiles:
     """Take as much noise off the relief of n tiles as brings their predicted C_r down to the one that is stated.
 
-    Parameters
-    ----------
-    relief_map : array (n, pixels, pixels) float32
-        Plane-removed relief, m; tiles with NaN are left out.
-    c_r : array (n,)
-        C_r at the profile's speed, without the vehicle's floor, rad/m; where it is NaN, the relief stays.
-    slope_deg : array (n,)
-        Slope of the tiles' planes, degrees.
-    correction, operator
-        Of the calibration.
+    ``relief_map`` (n, pixels, pixels): plane-removed, m; tiles with NaN are left out. ``c_r`` (n,): at the profile's
+    speed, without the vehicle's floor, rad/m; where it is NaN, the relief stays. ``slope_deg`` (n,): of their planes.
     """
     wanted = np.log(np.maximum(c_r, _LEAST))
     clean, rides = relief_map.copy(), roll_over(relief_map, operator)
@@ -100,14 +92,8 @@ def _without(relief_map: NDArray[np.float32], noise: Floats) -> NDArray[np.float
 def roll_wheels(heights: Floats, place: Floats, operator: RideOperator) -> Floats:
     """Return the lowest point of wheels at places, (n,) m; NaN where one meets ground that is not known.
 
-    Parameters
-    ----------
-    heights : array (rows, cols)
-        Of pixels, m; NaN where unknown.
-    place : array (n, 2)
-        Row and column from the north-west corner, pixels: a wheel and two pixels or more from all edges.
-    operator : RideOperator
-        Of the vehicle.
+    ``heights`` (rows, cols): of pixels, m; NaN where unknown. ``place`` (n, 2): row and column from the north-west
+    corner, pixels: a wheel and two pixels or more from all edges.
     """
     low, nodes = np.empty(len(place)), (heights.shape[0] * operator.fine + 1, heights.shape[1] * operator.fine + 1)
     known = np.zeros(nodes, np.bool_)
@@ -120,22 +106,9 @@ def felt_along(
 ) -> Floats:
     """Return what is felt at each sample of k lines, (k, n) rad/m; its mean over a stretch is the C_r there.
 
-    Parameters
-    ----------
-    pitch : array (k, n)
-        Of the rockers, rad.
-    taps : array (t,)
-        How the chassis follows them, of `chassis_response`.
-    way : float
-        Distance between samples, m.
-    stretch : float
-        Length that geometric values are taken over: the side of the tiles that the correction was fitted to, m.
-    reach : array (n,)
-        ``belly_reach`` of the tile that each sample lies in.
-    slope_deg : array (n,)
-        Slope of that tile, degrees.
-    correction : Correction
-        Of the calibration.
+    ``pitch`` (k, n): of the rockers, rad; ``taps``: how the chassis follows them, of `chassis_response`; ``way``:
+    between samples, m; ``stretch``: length that geometric values are taken over: the side of the tiles that the
+    correction was fitted to, m; ``reach``, ``slope_deg`` (n,): of the tile that each sample lies in.
     """
     from scipy.ndimage import uniform_filter1d
 
