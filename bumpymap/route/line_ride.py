@@ -281,19 +281,20 @@ def ride_line(site: MapReader, line: Floats, vehicle: LineVehicle, sigma: float)
         raise UsageError("line: its length is 0")
     at = np.float64(vehicle.way) * (np.arange(max(int(np.ceil(length / vehicle.way - 1e-9)), 1)) + 0.5)
     metre = np.minimum(at.astype(np.int64), max(int(np.ceil(length - 1e-9)) - 1, 0))
-    count, total = int(metre[-1]) + 1, 0.0
+    count = int(metre[-1]) + 1
     per, lead = int(_PIECE_M / vehicle.way), vehicle.way * np.arange(1, vehicle.reach + 1)
     across, weights = _across(sigma)
+    sums = np.zeros((2 * len(across) + 5, count))
     for first in range(0, len(at), per):
         own, to = at[first : first + per], metre[first : first + per]
         # What is felt depends on the ground before and behind, at the ends of the line too.
         places = np.concatenate([own[0] - lead[::-1], own, own[-1] + lead])
         felt = _felt(_roll(site, line, places, vehicle, across), vehicle, weights)
-        total = total + np.array([np.bincount(to, row[len(lead) : len(lead) + len(own)], count) for row in felt])
-    felt, told, (of_tiles, rated, log_sd, seen, shaken) = np.split(total, [len(across), 2 * len(across)])
+        sums += [np.bincount(to, row[len(lead) : len(lead) + len(own)], count) for row in felt]
+    felt, told, (of_tiles, rated, log_sd, seen, shaken) = np.split(sums, [len(across), 2 * len(across)])
     samples = np.bincount(metre)
     known = told > samples / 2
-    by_line = known.any(axis=0)
+    by_line = np.asarray(known.any(axis=0))
     at_places = np.where(by_line, felt / np.maximum(told, 1.0), of_tiles / samples)
     share = weights[:, None] * (known | ~by_line)
     c_r = np.average(at_places, axis=0, weights=share)
@@ -325,8 +326,8 @@ def _across(sigma: float) -> tuple[Floats, Floats]:
     if sigma <= _ALIKE_M:
         return sigma * np.array(_ACROSS), np.array(_WEIGHTS)
     reach = math.ceil(_MOST_SIGMA * sigma / _ALIKE_M)
-    places = _ALIKE_M * np.arange(-reach, reach + 1)
-    chance = np.exp(-0.5 * (places / sigma) ** 2)
+    places = _ALIKE_M * np.arange(-reach, reach + 1.0)
+    chance: Floats = np.exp(-0.5 * (places / sigma) ** 2)
     return places, chance / chance.sum()
 
 
@@ -445,7 +446,7 @@ def _match(heights: Floats, bands: NDArray[np.float32], vehicle: LineVehicle) ->
     log_sd = np.where(np.isfinite(c_r), np.log(np.where(known, high / np.where(known, low, 1.0), 1.0)), np.nan)
     log_sd /= 2 * NORMAL_80
     tiles = _Tiles(own, log_sd, ratio, slope, matched.rides.belly_reach, matched.left, a_w, heave)
-    return matched.relief_map - relief, tiles
+    return (matched.relief_map - relief).astype(np.float64), tiles
 
 
 def _places(line: Floats, at: Floats, operator: RideOperator, across: Floats) -> tuple[Floats, Floats]:
