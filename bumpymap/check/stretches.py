@@ -14,12 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.check.measure import COUNTS, LEFT_OUT, DriveMeasure, WayStretch
+from bumpymap.check.places import window_around
 from bumpymap.check.settings import LEAST_WINDOW_M
 from bumpymap.check.signals import pieces
 from bumpymap.core import NO_TILE, Barred, TileField
 from bumpymap.layers import NORMAL_80, MapReader
 from bumpymap.rating import less_floor
-from bumpymap.route import LineVehicle, ride_line
+from bumpymap.route import LineRide, LineVehicle, points_along, ride_line
 
 __all__ = [
     "MapReading",
@@ -214,6 +215,20 @@ def read_along(drive: DriveMeasure, cut: WayStretch, field: TileField) -> MapRea
     return MapReading(mean, mean * np.exp(-NORMAL_80 * below), mean * np.exp(NORMAL_80 * above), spread)
 
 
+def _passage(site: MapReader, line: Floats, ride: LineRide) -> NDArray[np.bool_]:
+    """Return where the middle of the vehicle can be at each place across a line, (k, n), metre by metre."""
+    from_, to = (points_along(line, ride.distance[side]) for side in (slice(None, -1), slice(1, None)))
+    ahead = (to - from_) @ (1, 1j)
+    place = (from_ + to) @ (0.5, 0.5j) + 1j * ahead / np.maximum(np.abs(ahead), 1e-9) * ride.across[:, None]
+    window = window_around(site, place.real.ravel(), place.imag.ravel(), 0.0)
+    pixel = site.grid.pixel_size
+    col = np.floor(place.real / pixel).astype(np.int64) - window.col * site.grid.pixels
+    row = (window.row + window.rows) * site.grid.pixels - 1 - np.floor(place.imag / pixel).astype(np.int64)
+    passage = site.passage(window)
+    inside = (row >= 0) & (col >= 0) & (row < passage.shape[0]) & (col < passage.shape[1])
+    return np.asarray(inside & passage[np.where(inside, row, 0), np.where(inside, col, 0)])
+
+
 _AROUND_M = 5.0
 """Of the line before the first stretch and behind the last."""
 _LEAST_SIGMA_M = 0.05
@@ -240,7 +255,10 @@ def read_line(drive: DriveMeasure, cut: WayStretch, site: MapReader, vehicle: Li
         start, end = (np.interp(edge + shift, ride.distance, sums) for edge in ends)
         return np.asarray(end - start)
 
-    shifts, known = node[:, None] * sd, np.isfinite(ride.c_r_across)
+    # The vehicle drove here, so it was not where it cannot be; where the map bars all, it is wrong about that.
+    can_be = _passage(site, line, ride)
+    known = np.isfinite(ride.c_r_across) & (can_be | ~can_be.any(axis=0))
+    shifts = node[:, None] * sd
     metres = np.array([total(part, shifts) for part in known.astype(np.float64)])
     sums = np.array([total(np.where(part, c_r, 0.0), shifts) for part, c_r in zip(known, ride.c_r_across, strict=True)])
     chance = ride.weights[:, None, None] * (shares / shares.sum())[:, None] * (metres > _LEAST_KNOWN * cut.way_m)

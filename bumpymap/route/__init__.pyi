@@ -1,3 +1,4 @@
+from .ground import points_along as points_along
 from .line_ride import (
     LineRide as LineRide,
     LineVehicle as LineVehicle,
