@@ -427,17 +427,18 @@ def _compared(done: list[_Done], site: MapReader | None) -> CheckResult:
     classes = map(int, np.unique(stretches.class_id[on]))
     by_class = {number: agreement_of(stretches, stretches.class_id == number) for number in classes}
     speeds = [(drive.name, drive.speed_mps) for drive in drives]
-    of_lines = [one.of_line for one in done]
-    by_line = None if None in of_lines else _stretches(done, limits, of_lines)
+    told = [one.of_line for one in done]
+    by_line = None if None in told else _stretches(done, limits, told)
+    of_lines = None if by_line is None else agreement_of(by_line)
     return CheckResult(
         ground=ground,
         drives=drives,
         stretches=stretches,
         agreement=agreement,
         by_class=by_class,
-        warnings=tuple(map_warnings(ground, speeds, agreement)),
+        warnings=tuple(map_warnings(ground, speeds, of_lines or agreement)),
         by_line=by_line,
-        agreement_by_line=None if by_line is None else agreement_of(by_line),
+        agreement_by_line=of_lines,
     )
 
 

@@ -158,8 +158,8 @@ EVEN = 1.5
 
 
 def check_headline(result: CheckResult) -> str:
-    """Return the result in two or three sentences: whether the map holds, over how much ground, how well."""
-    agreement = result.agreement
+    """Return the result in a few sentences: whether the map holds, over how much ground, how well; by line if known."""
+    agreement = result.agreement_by_line or result.agreement
     if agreement is None:
         measured, lengths = result.stretches.measured, result.stretches.way_m
         known = np.isfinite(measured) & (lengths > 0.0)
@@ -174,24 +174,23 @@ def check_headline(result: CheckResult) -> str:
     parts = [f"{check_verdict(result)}. Over {over} it {level_words(agreement)} in the median"]
     parts[0] += f", and half of the stretches are off by less than {percent(agreement.median_error)}."
     parts.append(f"{percent(agreement.inside)} of the drives' readings lie in its 80 % interval.")
-    line = result.agreement_by_line
-    if line is not None and line.stretches >= FEW:
+    if (tiles := result.agreement) is not None and result.agreement_by_line is not None:
         parts.append(
-            f"By the driven lines themselves, rolled over its pixels, half are off by less than "
-            f"{percent(line.median_error)} (rank correlation {line.spearman:.2f}; tiles {agreement.spearman:.2f})."
+            f"This is by the driven lines, rolled over its pixels (rank correlation {agreement.spearman:.2f}). By its "
+            f"tiles, which are means over all lines, half are off by less than {percent(tiles.median_error)} "
+            f"({tiles.spearman:.2f})."
         )
     return " ".join(parts)
 
 
 def check_verdict(result: CheckResult) -> str:
     """Return whether the map holds, in one sentence without its full stop; for at least ``FEW`` stretches."""
-    agreement = result.agreement
+    agreement, stretches = result.agreement_by_line or result.agreement, result.by_line or result.stretches
     if agreement is None or not np.isfinite(agreement.median_ratio):
         return "The map cannot be judged"
     level = 1 / LEVEL <= agreement.median_ratio <= LEVEL
     allowed = "" if round(agreement.inside, 2) < INSIDE else " by no more than its interval allows"
     rank = agreement.spearman
-    stretches = result.stretches
     known = stretches.measured[np.isfinite(stretches.c_r) & (stretches.measured > 0.0)]
     low, high = np.quantile(known, [0.1, 0.9]) if len(known) else (1.0, 1.0)
     if high < EVEN * low or not np.isfinite(rank):
