@@ -403,6 +403,8 @@ def _roll(site: MapReader, line: Floats, at: Floats, vehicle: LineVehicle, acros
 
 
 def _read(site: MapReader, middle: Floats, wheels: Floats, vehicle: LineVehicle) -> _LineWindow:
+    from scipy.ndimage import maximum_filter
+
     grid = site.grid
     # A wheel reaches as far as its radius, and the heights between pixels one farther.
     beside = (vehicle.calibration.vehicle["wheel"]["radius_m"] + grid.pixel_size) / grid.tile_size
@@ -420,7 +422,9 @@ def _read(site: MapReader, middle: Floats, wheels: Floats, vehicle: LineVehicle)
     found = site.values(window, _BANDS)
     bands = np.array([found[name][touched] for name in _BANDS])
     number = np.cumsum(touched).reshape(touched.shape) - 1
-    return _LineWindow(_filled(measured), touched, bands, number[own], where * grid.pixels, seen)
+    # Holes in a tile that no wheel touches fill those beside it.
+    near = maximum_filter(touched, 3).repeat(grid.pixels, axis=0).repeat(grid.pixels, axis=1)
+    return _LineWindow(_filled(measured, near), touched, bands, number[own], where * grid.pixels, seen)
 
 
 def _match(heights: Floats, bands: NDArray[np.float32], vehicle: LineVehicle) -> tuple[Floats, _Tiles]:
@@ -474,20 +478,18 @@ def _on_line(line: Floats, at: Floats) -> Floats:
     return inside + beyond
 
 
-def _filled(heights: Floats) -> Floats:
-    """Fill holes with the mean of their neighbours, round by round; larger ones stay NaN."""
-    from scipy.ndimage import uniform_filter
-
-    filled = heights
+def _filled(heights: Floats, near: NDArray[np.bool_]) -> Floats:
+    """Fill the holes ``near`` with the mean of their neighbours, round by round; larger ones stay NaN."""
+    filled = np.pad(heights, 1, mode="edge")
+    row, col = np.nonzero(near & np.isnan(heights))
     for _ in range(_FILL_ROUNDS):
-        hole = np.isnan(filled)
-        if not hole.any():
-            break
-        share = uniform_filter((~hole).astype(np.float64), 3, mode="nearest")
-        total = uniform_filter(np.where(hole, 0.0, filled), 3, mode="nearest")
-        with np.errstate(invalid="ignore", divide="ignore"):
-            filled = np.where(hole & (share > 0.1), total / share, filled)
-    return filled
+        around = np.array([filled[row + down, col + right] for down, right in product(range(3), repeat=2)])
+        known = np.isfinite(around)
+        count = known.sum(axis=0)
+        told = count > 0
+        filled[row[told] + 1, col[told] + 1] = np.where(known, around, 0.0).sum(axis=0)[told] / count[told]
+        row, col = row[~told], col[~told]
+    return filled[1:-1, 1:-1].copy()
 
 
 def _felt(rolled: _Rolled, vehicle: LineVehicle, weights: Floats) -> Floats:

@@ -27,8 +27,6 @@ Floats = NDArray[np.float64]
 _ROUNDS = 7
 _NOISE_M = (1e-4, 0.07)
 """Least and most noise of a pixel that is tried, m."""
-_MANY = 1e3
-"""Points per pixel with which the correction adds nothing for noise."""
 _LEAST = 1e-5
 
 
@@ -53,24 +51,19 @@ def match_tiles(
     """
     wanted = np.log(np.maximum(c_r, _LEAST))
     clean, rides = relief_map.copy(), roll_over(relief_map, operator)
-    rough = np.flatnonzero(_predicted(rides, slope_deg, correction) > wanted)
+    rough = np.flatnonzero(correction.without_noise(rides, slope_deg) > wanted)
     low, high = (np.full(len(rough), np.log(end)) for end in _NOISE_M)
     for last in [False] * _ROUNDS + [True]:
         middle = low if last else 0.5 * (low + high)
         tried = _without(relief_map[rough], np.exp(middle))
         ridden = roll_over(tried, operator)
-        too_rough = _predicted(ridden, slope_deg[rough], correction) > wanted[rough]
+        too_rough = correction.without_noise(ridden, slope_deg[rough]) > wanted[rough]
         low, high = np.where(too_rough, middle, low), np.where(too_rough, high, middle)
     clean[rough] = tried
     for name in Rides.__dataclass_fields__:
         getattr(rides, name)[rough] = getattr(ridden, name)
-    left = np.exp(wanted - _predicted(rides, slope_deg, correction))
+    left = np.exp(wanted - correction.without_noise(rides, slope_deg))
     return MatchedTiles(clean, rides, np.where(np.isfinite(left), left, 1.0))
-
-
-def _predicted(rides: Rides, slope_deg: Floats, correction: Correction) -> Floats:
-    none = np.zeros(len(slope_deg))
-    return correction.predict(rides, slope_deg, none, none + _MANY).log_c_r
 
 
 def _without(relief_map: NDArray[np.float32], noise: Floats) -> NDArray[np.float32]:
@@ -124,5 +117,5 @@ def felt_along(
     reaches, slopes = (np.tile(values, len(pitch)) for values in (reach, slope_deg))
     none = np.zeros(pitch.size)
     rides = Rides(size.ravel(), rms.ravel(), about.ravel(), none, none, reaches, none, none)
-    felt: Floats = np.exp(_predicted(rides, slopes, correction)).reshape(pitch.shape) * change / size
+    felt: Floats = np.exp(correction.without_noise(rides, slopes)).reshape(pitch.shape) * change / size
     return felt
