@@ -151,10 +151,7 @@ class LineVehicle(NamedTuple):
     ) -> "LineVehicle":
         """Make what rolling takes; without ``motion`` the vertical acceleration is not needed.
 
-        Raises
-        ------
-        UsageError
-            The tiles were not rated by their ride, or the calibration cannot tell it at this speed.
+        Raises UsageError: the tiles were not rated by their ride, or the calibration cannot tell it at this speed.
         """
         grid, own = site.grid, float(calibration.vehicle["speed_mps"])
         rated = site.manifest["settings"]

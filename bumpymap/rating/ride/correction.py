@@ -185,18 +185,10 @@ class Correction:
         return plain
 
     def predict(self, rides: Rides, slope_deg: Floats, noise_felt: Floats, pixel_points: Floats) -> Prediction:
-        """Predict C_r and p_fail.
+        """Predict C_r and p_fail of n denoised patches, by their geometric values and slope [degrees].
 
-        Parameters
-        ----------
-        rides : Rides
-            Geometric values of n denoised patches.
-        slope_deg : array (n,)
-            Slope of the patch's plane, degrees.
-        noise_felt : array (n,)
-            Of `CleanPatches`, rad/m. NaN (noise unknown) counts as the largest excess of the tables.
-        pixel_points : array (n,)
-            Mean points per pixel.
+        ``noise_felt`` (n,): of `CleanPatches`, rad/m; NaN (unknown) counts as the largest excess of the tables.
+        ``pixel_points`` (n,): mean points per pixel.
         """
         g, excess = subtract_noise(rides.pitch_change, noise_felt)
         log_g = np.log(g)
