@@ -268,8 +268,8 @@ class SpeedRating:
         """Return ln of C_r at the map's speed over that at the profile's, (n,), and factors on the former, (n, 3 k).
 
         ``relief_map`` (n, pixels, pixels): plane-removed, without holes, m; patches with NaN are left out.
-        ``pitch_change`` (n,): geometric C_r at the profile's speed, rad/m. Factors for each of k speeds: c_r over that of
-        the map; c_roll, and a_w [m/s2 per rad/m], over it.
+        ``pitch_change`` (n,): geometric C_r at the profile's speed, rad/m. Factors for each of k speeds: c_r over that
+        of the map; c_roll, and a_w [m/s2 per rad/m], over it.
 
         Both are NaN where the heightmap, without its noise, is as good as level: its form tells nothing then.
         """
