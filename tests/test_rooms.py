@@ -30,7 +30,7 @@ ROOMS = {
     ),
     "route": ({"core", "rating", "layers", "views"}, {"numpy", "scipy", "xarray"}),
     "change": ({"core", "layers", "views"}, {"geopandas", "numpy", "scipy"}),
-    "check": ({"core", "readers", "layers", "views"}, {"numpy", "scipy"}),
+    "check": ({"core", "rating", "readers", "layers", "route", "views"}, {"numpy", "scipy"}),
     "lab": (
         {"core", "readers", "patches", "rating", "scan"},
         {"dartpy", "numpy", "onnx", "scipy", "torch"},

@@ -5,7 +5,7 @@ Read a drive, put its positions on the map, measure, cut into stretches, read th
 
 import logging
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -22,6 +22,7 @@ from bumpymap.check.stretches import (
     MapReading,
     cut_stretches,
     read_along,
+    read_line,
     with_ground,
 )
 from bumpymap.core import (
@@ -60,7 +61,9 @@ from bumpymap.layers import (
     software_versions,
     write_stretches,
 )
+from bumpymap.rating import map_calibration
 from bumpymap.readers import close_log_reader, drive_files, read_drive
+from bumpymap.route import LineVehicle
 from bumpymap.views import write_check_page, write_check_style
 
 __all__ = [
@@ -203,6 +206,7 @@ class CheckSettings(TypedDict, total=False):
     columns: Mapping[str, str] | None
     band_hz: float
     window_m: float
+    calibration: PathLike | None
     overwrite: bool
 
 
@@ -228,6 +232,8 @@ def check_drives(
         Rates are low-passed at this frequency, Hz; default 10.
     window_m : float
         Length of a stretch, at least 5 m; default 10.
+    calibration : path, optional
+        The calibration that the map was made with, if it is not an included one.
     overwrite : bool
         Replace the files of an earlier check.
 
@@ -286,6 +292,7 @@ class _Done:
     drive: DriveMeasure
     cut: WayStretch
     reading: MapReading | None = None
+    of_line: MapReading | None = None
 
 
 def run_check(config: CheckConfig, progress: Progress | None = None) -> tuple[CheckResult, tuple[Path, ...]]:
@@ -315,18 +322,31 @@ def run_check(config: CheckConfig, progress: Progress | None = None) -> tuple[Ch
     logs = _usable(((place, partial(read, place)) for place in counted(config.drives, progress)), skipped)
     close_log_reader()
     field = None if site is None else _field(site, [places for _, places in logs.values()])
+    vehicle, unknown = (None, None) if site is None else _line_vehicle(site, config)
     progress.start("measuring drives", len(logs))
     left = counted(list(logs.items()), progress)
-    done = _usable(((place, partial(_measured, *log, config, site, field)) for place, log in left), skipped)
+    done = _usable(((place, partial(_measured, *log, config, site, field, vehicle)) for place, log in left), skipped)
     for place, why in skipped.items():
         _log.warning("%s is left out: %s", place, why)
-    result = replace(_compared(list(done.values()), site), skipped=skipped)
+    result = _compared(list(done.values()), site)
+    result = replace(result, skipped=skipped, warnings=(*result.warnings, *([unknown] if unknown else ())))
     files: list[Path] = []
     if config.out is not None:
         progress.start("writing the check", None)
         manifest = {"settings": asdict(config)}
         files = write_check(result, config.out, ground=site, manifest=manifest, overwrite=config.overwrite)
     return result, tuple(files)
+
+
+def _line_vehicle(site: MapReader, config: CheckConfig) -> tuple[LineVehicle | None, str | None]:
+    """Return what rolls along the driven lines; if that cannot be, why."""
+    try:
+        made = map_calibration(site.manifest, site.grid.tile_size, config.calibration)
+        return LineVehicle.of(site, made, motion=False), None
+    except (BadInputError, UsageError) as error:
+        if config.calibration is not None:
+            raise
+        return None, f"the drives are compared with the tiles alone, not with the ride of their own lines: {error}"
 
 
 def _usable(steps: Iterable[tuple[str, Callable[[], Found]]], skipped: dict[str, str]) -> dict[str, Found]:
@@ -365,6 +385,7 @@ def _measured(
     config: CheckConfig,
     site: MapReader | None,
     field: TileField | None,
+    vehicle: LineVehicle | None = None,
 ) -> _Done:
     """Measure one drive, cut it, and read the map along it."""
     slope_at = None
@@ -375,9 +396,10 @@ def _measured(
         drive = with_ground(drive, field)
     cut = cut_stretches(drive, config.window_m)
     refuse_without_stretches(drive, cut)
-    if field is None:
+    if site is None or field is None:
         return _Done(log, drive, cut)
-    return _Done(log, drive, cut, read_along(drive, cut, field))
+    of_line = None if vehicle is None else read_line(drive, cut, site, vehicle)
+    return _Done(log, drive, cut, read_along(drive, cut, field), of_line)
 
 
 def _on_map(places: MetrePlaces, site: MapReader) -> tuple[Floats, Floats]:
@@ -392,7 +414,7 @@ def _compared(done: list[_Done], site: MapReader | None) -> CheckResult:
     """Compare all drives with the map."""
     ground = None if site is None else _ground(site)
     limits = (np.inf,) * 3 if ground is None else ground.class_limits
-    stretches = _stretches(done, limits)
+    stretches = _stretches(done, limits, [one.reading for one in done])
     drives = tuple(_checked(one) for one in done)
     if ground is None:
         return CheckResult(None, drives, stretches, None, {}, ())
@@ -405,13 +427,18 @@ def _compared(done: list[_Done], site: MapReader | None) -> CheckResult:
     classes = map(int, np.unique(stretches.class_id[on]))
     by_class = {number: agreement_of(stretches, stretches.class_id == number) for number in classes}
     speeds = [(drive.name, drive.speed_mps) for drive in drives]
+    told = [one.of_line for one in done]
+    by_line = None if None in told else _stretches(done, limits, told)
+    of_lines = None if by_line is None else agreement_of(by_line)
     return CheckResult(
         ground=ground,
         drives=drives,
         stretches=stretches,
         agreement=agreement,
         by_class=by_class,
-        warnings=tuple(map_warnings(ground, speeds, agreement)),
+        warnings=tuple(map_warnings(ground, speeds, of_lines or agreement)),
+        by_line=by_line,
+        agreement_by_line=of_lines,
     )
 
 
@@ -432,10 +459,10 @@ def _ground(site: MapReader) -> CheckedMap:
     )
 
 
-def _stretches(done: list[_Done], limits: Iterable[float]) -> DrivenStretches:
-    """Return the stretches of all drives, in order."""
-    edges = list(limits)
-    placed = any(one.reading is not None for one in done)
+def _stretches(done: list[_Done], limits: Iterable[float], of_map: Sequence[MapReading | None]) -> DrivenStretches:
+    """Return the stretches of all drives, in order, with what the map says of each."""
+    edges, readings = list(limits), [reading for reading in of_map if reading is not None]
+    placed = bool(readings)
     cut = {
         name: np.concatenate([getattr(one.cut, name) for one in done])
         for name in ("start_s", "end_s", "way_m", "speed_mps", "measured", "measured_sd", "easting", "northing")
@@ -443,7 +470,6 @@ def _stretches(done: list[_Done], limits: Iterable[float]) -> DrivenStretches:
     nothing = np.full_like(cut["measured"], np.nan)
     if not placed:
         cut |= {"easting": nothing, "northing": nothing}
-    readings = [one.reading for one in done if one.reading is not None]
     read = {
         name: np.concatenate([getattr(reading, name) for reading in readings]) if placed else nothing
         for name in ("c_r", "low", "high", "place_sd")
@@ -507,30 +533,11 @@ def write_check(
     write are removed: without positions on a map there is nothing for GIS. Except for check.json no file depends on
     the time or on folder names.
 
-    Parameters
-    ----------
-    result : CheckResult
-        With at least one drive.
-    out : Path
-        The folder.
-    ground : CheckGround, optional
-        The map that the drives were checked against, such as `open_map` returns it; None without a map.
-    manifest : mapping, optional
-        The run's own entries for check.json, such as settings.
-    overwrite : bool
-        Allow files of an earlier check to be replaced.
+    ``result``: with at least one drive; ``ground``: the map, such as `open_map` returns it, None without one;
+    ``manifest``: the run's own entries for check.json, such as settings. Returns what was written.
 
-    Returns
-    -------
-    list of Path
-        What was written.
-
-    Raises
-    ------
-    UsageError, OutputError
-        See `check_check_out`; or a file cannot be written.
-    BadInputError
-        The layers cannot be read, or positions have no longitude and latitude.
+    Raises UsageError, OutputError: see `check_check_out`, or a file cannot be written; BadInputError: the layers cannot
+    be read, or positions have no longitude and latitude.
     """
     check_check_out(out, overwrite=overwrite)
     placement = None if ground is None else place_stretches(result.stretches, ground)

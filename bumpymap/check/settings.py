@@ -50,6 +50,10 @@ class CheckConfig:
         ),
     ] = 10.0
     """Length of a stretch, m."""
+    calibration: Annotated[
+        Path | None, Setting("That of the map, if it is not included; what --refit moves", "FILE", group="Vehicle")
+    ] = None
+    """The calibration that the map was made with; None: an included one."""
     overwrite: Annotated[bool, Setting("Replace the files of an earlier check", group="Output")] = False
 
     def __post_init__(self) -> None:

@@ -14,16 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.check.measure import COUNTS, LEFT_OUT, DriveMeasure, WayStretch
+from bumpymap.check.places import window_around
 from bumpymap.check.settings import LEAST_WINDOW_M
 from bumpymap.check.signals import pieces
 from bumpymap.core import NO_TILE, Barred, TileField
-from bumpymap.layers import NORMAL_80
+from bumpymap.layers import NORMAL_80, MapReader
+from bumpymap.rating import less_floor
+from bumpymap.route import LineRide, LineVehicle, points_along, ride_line
 
 __all__ = [
     "MapReading",
     "cut_stretches",
-    "less_floor",
     "read_along",
+    "read_line",
     "reading_sd",
     "with_ground",
 ]
@@ -79,11 +82,6 @@ def cut_stretches(drive: DriveMeasure, window_m: float) -> WayStretch:
         easting=total(drive.easting) / np.bincount(number, minlength=count),
         northing=total(drive.northing) / np.bincount(number, minlength=count),
     )
-
-
-def less_floor(raw: Floats, floor: Floats) -> Floats:
-    """Take a floor off in power; both rad/m."""
-    return np.asarray(np.sqrt(np.maximum(raw**2 - floor**2, 0.0)))
 
 
 def reading_sd(drive: DriveMeasure, raw: Floats, measured: Floats, seconds: Floats, way_m: Floats) -> Floats:
@@ -217,18 +215,71 @@ def read_along(drive: DriveMeasure, cut: WayStretch, field: TileField) -> MapRea
     return MapReading(mean, mean * np.exp(-NORMAL_80 * below), mean * np.exp(NORMAL_80 * above), spread)
 
 
-def _steps(drive: DriveMeasure, cut: WayStretch, field: TileField, node: Floats) -> tuple[Integers, Floats, Integers]:
-    """Cut the way into steps of a quarter of a metre or so.
+def _passage(site: MapReader, line: Floats, ride: LineRide) -> NDArray[np.bool_]:
+    """Return where the middle of the vehicle can be at each place across a line, (k, n), metre by metre."""
+    from_, to = (points_along(line, ride.distance[side]) for side in (slice(None, -1), slice(1, None)))
+    ahead = (to - from_) @ (1, 1j)
+    place = (from_ + to) @ (0.5, 0.5j) + 1j * ahead / np.maximum(np.abs(ahead), 1e-9) * ride.across[:, None]
+    window = window_around(site, place.real.ravel(), place.imag.ravel(), 0.0)
+    pixel = site.grid.pixel_size
+    col = np.floor(place.real / pixel).astype(np.int64) - window.col * site.grid.pixels
+    row = (window.row + window.rows) * site.grid.pixels - 1 - np.floor(place.imag / pixel).astype(np.int64)
+    passage = site.passage(window)
+    inside = (row >= 0) & (col >= 0) & (row < passage.shape[0]) & (col < passage.shape[1])
+    return np.asarray(inside & passage[np.where(inside, row, 0), np.where(inside, col, 0)])
 
-    Returns
-    -------
-    label : int (s,)
-        Stretch of each step.
-    way_m : float (s,)
-        m.
-    tile : int (s, 25)
-        Number of the tile, row by row in the window, at each place where the step may be: one standard deviation of
-        the position times each pair of nodes beside the way; -1: outside.
+
+_AROUND_M = 5.0
+"""Of the line before the first stretch and behind the last."""
+_LEAST_SIGMA_M = 0.05
+
+
+def read_line(drive: DriveMeasure, cut: WayStretch, site: MapReader, vehicle: LineVehicle) -> MapReading:
+    """Return what the map says of the driven line of stretches itself: the vehicle rolled along it over the pixels.
+
+    It is rolled at several places across, and each stretch is shifted along the line, as far as positions are off.
+    """
+    travelled, counts = np.cumsum(np.abs(drive.speed)) / drive.hertz, np.flatnonzero(cut.label >= 0)
+    first, last = travelled[counts[[0, -1]]] + (-_AROUND_M, _AROUND_M)
+    at = np.arange(max(first, 0.0), min(last, travelled[-1]), _STEP_M)
+    line = np.column_stack([np.interp(at, travelled, axis) for axis in (drive.easting, drive.northing)])
+    sd = np.maximum(drive.track.place_sd(0.5 * (cut.start_s + cut.end_s)), _LEAST_SIGMA_M)
+    ride = ride_line(site, line, vehicle, float(np.median(sd)))
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    ends = [np.interp(np.interp(time, drive.time, travelled), at, along) for time in (cut.start_s, cut.end_s)]
+    node, shares = np.polynomial.hermite_e.hermegauss(3)
+
+    def total(values: Floats, shift: Floats) -> Floats:
+        """Add up values of each metre over the stretches."""
+        sums = np.concatenate([[0.0], np.cumsum(values * np.diff(ride.distance))])
+        start, end = (np.interp(edge + shift, ride.distance, sums) for edge in ends)
+        return np.asarray(end - start)
+
+    # The vehicle drove here, so it was not where it cannot be; where the map bars all, it is wrong about that.
+    can_be = _passage(site, line, ride)
+    known = np.isfinite(ride.c_r_across) & (can_be | ~can_be.any(axis=0))
+    shifts = node[:, None] * sd
+    metres = np.array([total(part, shifts) for part in known.astype(np.float64)])
+    sums = np.array([total(np.where(part, c_r, 0.0), shifts) for part, c_r in zip(known, ride.c_r_across, strict=True)])
+    chance = ride.weights[:, None, None] * (shares / shares.sum())[:, None] * (metres > _LEAST_KNOWN * cut.way_m)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logs = np.where(chance > 0.0, np.log(sums / metres), 0.0)
+        chance /= chance.sum(axis=(0, 1))
+        log_mean = (chance * logs).sum(axis=(0, 1))
+        mean = np.exp(log_mean)
+        spread = mean * np.sqrt((chance * (logs - log_mean) ** 2).sum(axis=(0, 1)))
+        c_r, log_sd = np.nan_to_num(ride.c_r), np.nan_to_num(ride.log_sd)
+        level = total(c_r, np.zeros(1))
+        by_tile = total((c_r * ride.log_sd_across) ** 2 * ~ride.by_line, np.zeros(1))
+        off = np.exp(NORMAL_80 * np.hypot(total(c_r * log_sd, np.zeros(1)), np.sqrt(by_tile)) / level)
+    return MapReading(mean, mean / off, mean * off, spread)
+
+
+def _steps(drive: DriveMeasure, cut: WayStretch, field: TileField, node: Floats) -> tuple[Integers, Floats, Integers]:
+    """Cut the way into steps of a quarter of a metre or so: return their stretch, (s,), and length, (s,) m.
+
+    Third, (s, 25), numbers of tiles, row by row in the window, at each place where the step may be: one standard
+    deviation of the position times each pair of nodes beside the way; -1: outside.
     """
     counts = drive.reason == COUNTS
     usual = float(np.median(np.abs(drive.speed[counts]))) if counts.any() else 1.0

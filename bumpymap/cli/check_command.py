@@ -25,7 +25,6 @@ from bumpymap.core import (
 
 if TYPE_CHECKING:
     from bumpymap.core import CheckedDrive, CheckResult, DrivenStretches
-    from bumpymap.layers import MapReader
     from bumpymap.rating import Calibration, DriveUpdate
 
 __all__ = ["Refit", "command", "prepare_refit"]
@@ -38,7 +37,7 @@ def _lines(result: "CheckResult", files: Sequence[Path], config: CheckConfig) ->
         yield from _drive_lines(drive)
     yield check_headline(result)
     if result.by_class:
-        titles = ("class of the map", "way", "map / measured", "typical error", "in the interval")
+        titles = ("ground by the map", "way", "map / measured", "typical error", "Spearman", "in the interval")
         yield Table(_classes(result), titles)
     for warning in warnings_of(result):
         yield Styled(f"Warning: {warning}", "yellow")
@@ -75,17 +74,11 @@ def _sensor_words(drive: "CheckedDrive") -> Iterator[str]:
 
 
 def _classes(result: "CheckResult") -> Iterator[tuple[str, ...]]:
-    from bumpymap.core import CLASS_NAMES
+    from bumpymap.views import agreements_of
 
-    for number, found in sorted(result.by_class.items()):
-        name = f"{number} {CLASS_NAMES[number]}" if number < len(CLASS_NAMES) else "unknown"
-        yield (
-            name,
-            f"{found.way_m:.0f} m",
-            _number(found.median_ratio),
-            _percent(found.median_error),
-            _percent(found.inside),
-        )
+    for name, found in agreements_of(result):
+        level, error = _number(found.median_ratio), _percent(found.median_error)
+        yield name, f"{found.way_m:.0f} m", level, error, _number(found.spearman), _percent(found.inside)
 
 
 def _number(value: float) -> str:
@@ -102,7 +95,8 @@ def _record(result: "CheckResult", files: Sequence[Path], config: CheckConfig) -
     from bumpymap.views import check_headline
 
     found = check_entries(result)
-    del found["stretches"]
+    for part in (found, found["line"] or {}):
+        part.pop("stretches", None)
     out = None if config.out is None else str(config.out)
     return {"out": out, "files": [path.name for path in files], "headline": check_headline(result), **found}
 
@@ -121,12 +115,7 @@ class Refit:
     def move(self, stretches: "DrivenStretches", speed_mps: float) -> "DriveUpdate":
         """Move the calibration to drives over a map at a speed, and write it.
 
-        Raises
-        ------
-        BadInputError
-            The drives are too short, or agree with the calibration.
-        OutputError
-            The file cannot be written.
+        Raises BadInputError: the drives are too short, or agree with it; OutputError: the file cannot be written.
         """
         from bumpymap.rating import UpdateSettings, update_from_drives
 
@@ -149,34 +138,27 @@ class Refit:
 
 
 def prepare_refit(layers: Path | None, calibration: Path | None, out: Path, *, overwrite: bool) -> Refit:
-    """Find the calibration of a map before the drives are measured.
+    """Find the calibration of a map before the drives are measured: ``calibration``, or the one of its run.json.
 
-    Parameters
-    ----------
-    layers : Path or None
-        Folder of the map.
-    calibration : Path, optional
-        Its calibration file; None: the one that its run.json names.
-    out : Path
-        The calibration file to write.
-    overwrite : bool
-        Replace that file.
-
-    Raises
-    ------
-    UsageError
-        There is no map, or its calibration is not found.
-    BadInputError
-        The layers or the calibration cannot be read, or do not belong together.
-    OutputError
-        The file exists.
+    Raises UsageError: there is no map, or its calibration is not found; BadInputError: it cannot be read, or is
+    another; OutputError: the file ``out`` exists and is not to be replaced.
     """
     from bumpymap.layers import open_map
+    from bumpymap.rating import map_calibration
 
     if layers is None:
         raise UsageError("`refit` moves the calibration of a map to drives over it: give the folder of the map")
     _refuse_replacing(out, overwrite)
-    return Refit(_calibration_of(open_map(layers), calibration), out, overwrite)
+    site = open_map(layers)
+    found = map_calibration(site.manifest, site.grid.tile_size, calibration, follow_paths=True)
+    own, speed = float(found.vehicle["speed_mps"]), found.map_speed
+    if own != speed:  # what moves is the C_r of the calibration's own drives
+        raise BadInputError(
+            f"the map is made for {speed:g} m/s, and the calibration {found.id} rests on drives at {own:g} m/s, which "
+            f"is what a refit moves. Drive at {own:g} m/s over a map at that speed, or calibrate a profile whose speed "
+            f"is {speed:g} m/s"
+        )
+    return Refit(found, out, overwrite)
 
 
 def _make_folder(out: Path) -> None:
@@ -184,17 +166,6 @@ def _make_folder(out: Path) -> None:
         out.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"cannot write {out}: {error}; choose a file in a folder that you may write") from error
-
-
-def _require_own_speed(calibration: "Calibration", site: "MapReader") -> None:
-    """Refuse a map at another speed: what moves is the C_r of the calibration's own drives."""
-    own, speed = float(calibration.vehicle["speed_mps"]), site.vehicle.speed_mps
-    if not math.isclose(own, speed):
-        raise BadInputError(
-            f"the map is made for {speed:g} m/s, and the calibration {calibration.id} rests on drives at {own:g} m/s, "
-            f"which is what a refit moves. Drive at {own:g} m/s over a map at that speed, or calibrate a profile "
-            f"whose speed is {speed:g} m/s"
-        )
 
 
 def _refuse_replacing(out: Path, overwrite: bool) -> None:
@@ -216,32 +187,6 @@ def _is_calibration(path: Path) -> bool:
     except (OSError, ValueError):
         return False
     return isinstance(found, dict) and found.get("format") == "bumpymap-calibration"
-
-
-def _calibration_of(site: "MapReader", given: Path | None) -> "Calibration":
-    """Return the calibration that a map was made with."""
-    from bumpymap.rating import find_calibration
-
-    settings = site.manifest.get("settings", {})
-    named = given or settings.get("calibration")
-    try:
-        vehicle = settings.get("vehicle") or site.vehicle.name
-        found = find_calibration(str(vehicle), Path(named) if named else None, site.grid.tile_size)
-    except (BadInputError, UsageError) as error:
-        if given:
-            raise
-        raise UsageError(
-            f"the calibration {site.calibration_id} of the map is not found ({error}). Give its file with `calibration`"
-        ) from error
-    if found.id != site.calibration_id:
-        if found.vehicle["name"] == site.vehicle.name:
-            _require_own_speed(found, site)
-        raise BadInputError(
-            f"the map was made with the calibration {site.calibration_id} of {site.vehicle.name}; "
-            f"{named or vehicle} holds {found.id}. Give the file of the map's own with `calibration`, or map the "
-            "survey again"
-        )
-    return found
 
 
 def _words(update: "DriveUpdate") -> Iterator[str]:
@@ -278,10 +223,7 @@ def _refit_percent(share: float) -> str:
 @grouped_option(
     "--refit", type=FILE, metavar="FILE", help="Move the calibration to the drives (JSON).", group="Vehicle"
 )
-@grouped_option(
-    "--calibration", type=FILE, metavar="FILE", help="With --refit: that of the map [its own].", group="Vehicle"
-)
-def command(run: Run, refit: Path | None, calibration: Path | None) -> None:
+def command(run: Run, refit: Path | None) -> None:
     """Compare a map with real drives: LAYERS is a folder of `bumpymap map`; without it drives are measured alone.
 
     Drives that cannot be used are left out and named (exit code 4).
@@ -298,11 +240,11 @@ def command(run: Run, refit: Path | None, calibration: Path | None) -> None:
     settings = run.settings
     if settings.get("columns") is not None:
         settings["columns"] = parse_columns(settings["columns"])
-    if calibration is not None and refit is None:
-        raise UsageError("`calibration` is the one that `refit` moves: give `refit` too, or leave it out")
     moved = None  # found before drives are measured
     if refit is not None:
-        moved = prepare_refit(settings.get("layers"), calibration, refit, overwrite="overwrite" in run.given)
+        moved = prepare_refit(
+            settings.get("layers"), settings.get("calibration"), refit, overwrite="overwrite" in run.given
+        )
     config = CheckConfig(**settings)
     with run.progress() as progress:
         result, files = run_check(config, progress)

@@ -212,3 +212,7 @@ class CheckResult:
     warnings: tuple[str, ...]
     skipped: Mapping[str, str] = field(default_factory=dict)
     """Drives that could not be used, as they were given, with the error message."""
+    by_line: DrivenStretches | None = None
+    """The same stretches, where the map's values are those of the driven line itself; None if it cannot tell them."""
+    agreement_by_line: MapAgreement | None = None
+    """Of these."""

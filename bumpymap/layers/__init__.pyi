@@ -29,7 +29,6 @@ from .check_record import (
     CHECK_FORMAT as CHECK_FORMAT,
     check_check_out as check_check_out,
     check_entries as check_entries,
-    read_check as read_check,
 )
 from .check_vectors import (
     NORMAL_80 as NORMAL_80,

@@ -148,11 +148,13 @@ def write_stretches(result: CheckResult, placement: Placement, path: Path) -> No
 def stretch_properties(result: CheckResult) -> dict[str, list[Any]]:
     """Return what files say of each stretch, by name: plain values, None where not known."""
     stretches = result.stretches
-    names = [drive.name for drive in result.drives]
+    names, line = [drive.name for drive in result.drives], result.by_line
+    of_line = {} if line is None else _numbers(line, ("c_r", "c_r_low", "c_r_high"))
     return {
         "drive": [names[number] for number in stretches.drive.tolist()],
         **_numbers(stretches, ("start_s", "end_s", "way_m", "speed_mps", "measured", "measured_sd")),
         **_numbers(stretches, ("c_r", "c_r_low", "c_r_high", "place_sd")),
+        **{name.replace("c_r", "c_r_line"): values for name, values in of_line.items()},
         **_offset(MapOffset.of(stretches)),
         **_class("class", stretches.class_id),
         **_class("measured_class", stretches.measured_class),

@@ -28,6 +28,7 @@ from .ride.correction import (
 from .ride.line import (
     felt_along as felt_along,
     match_tiles as match_tiles,
+    roll_wheels as roll_wheels,
 )
 from .ride.motion_operator import (
     MotionOperator as MotionOperator,
@@ -95,6 +96,7 @@ from .vehicle_profile import (
     estimated_values as estimated_values,
     find_calibration as find_calibration,
     load_profile as load_profile,
+    map_calibration as map_calibration,
     shipped_profiles as shipped_profiles,
     write_profile_template as write_profile_template,
 )

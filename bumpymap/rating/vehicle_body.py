@@ -179,10 +179,10 @@ def with_floor(c_r: NDArray[np.floating], floor: float) -> Floats:
     return values if floor == 0.0 else np.hypot(values, floor)
 
 
-def less_floor(c_r: NDArray[np.floating], floor: float) -> Floats:
+def less_floor(c_r: NDArray[np.floating], floor: float | Floats) -> Floats:
     """Take a floor off in power, rad/m, the inverse of `with_floor`; 0 for values below the floor."""
     values = np.asarray(c_r, np.float64)
-    return values if floor == 0.0 else np.sqrt(np.maximum(values - floor, 0.0) * (values + floor))
+    return values if not np.any(floor) else np.sqrt(np.maximum(values - floor, 0.0) * (values + floor))
 
 
 _TALL = 0.7

@@ -4,7 +4,7 @@ import json
 import math
 import re
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -22,6 +22,7 @@ from bumpymap.core import (
     short_repr,
 )
 from bumpymap.rating.calibration import DEFAULT_FAIL_WEIGHT, Calibration, shipped_calibrations
+from bumpymap.rating.ride.speed import at_speed
 from bumpymap.rating.vehicle_body import Body, Floor, OneLine, Quantity, body_table, plain_lists, profile_keys
 from bumpymap.rating.vehicle_estimate import ESTIMATED, SUSPENSION, Whole, estimate_profile
 
@@ -32,6 +33,7 @@ __all__ = [
     "estimated_values",
     "find_calibration",
     "load_profile",
+    "map_calibration",
     "shipped_profiles",
     "write_profile_template",
 ]
@@ -433,6 +435,36 @@ def find_calibration(vehicle: str | Path, file: Path | None = None, tile_size: f
     raise BadInputError(
         f"there is no calibration of {path}: {beside} does not exist. Make it: {again} (--quick makes a rough one)"
     )
+
+
+def map_calibration(
+    manifest: Mapping[str, Any], tile_size: float, file: Path | None = None, *, follow_paths: bool = False
+) -> Calibration:
+    """Find the calibration that a map was made with, at the speed of the map.
+
+    ``manifest``: the content of its run.json; ``tile_size``: m; ``file``: the calibration, None: an included one, or
+    with ``follow_paths`` where run.json says that it was: a folder that somebody else made may name any path.
+
+    Raises UsageError: it is not found; BadInputError: it is another one, or cannot be read.
+    """
+    about, wanted = manifest["vehicle"], manifest.get("calibration", {}).get("id", "")
+    settings = manifest.get("settings", {}) if follow_paths else {}
+    named, vehicle = file or settings.get("calibration"), str(settings.get("vehicle") or about["name"])
+    try:
+        found = find_calibration(vehicle, Path(named) if named else None, tile_size)
+        found = at_speed(found, float(about["speed_mps"]) if "drives_mps" in about else None)
+    except (BadInputError, UsageError) as error:
+        if file is not None:
+            raise
+        raise UsageError(
+            f"the calibration {wanted} of the map is not found ({error}). Give its file with `calibration`"
+        ) from error
+    if found.id != wanted:
+        raise BadInputError(
+            f"the map was made with the calibration {wanted} of {about['name']}; {named or vehicle} holds {found.id}. "
+            "Give the file of the map's own with `calibration`, or map the survey again"
+        )
+    return found
 
 
 def calibration_beside(profile: Path) -> Path:

@@ -1,4 +1,10 @@
-from .line_ride import LineRide as LineRide, ride_along as ride_along
+from .ground import points_along as points_along
+from .line_ride import (
+    LineRide as LineRide,
+    LineVehicle as LineVehicle,
+    ride_along as ride_along,
+    ride_line as ride_line,
+)
 from .pipeline import (
     RouteResult as RouteResult,
     find_routes as find_routes,

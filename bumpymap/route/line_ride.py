@@ -13,17 +13,17 @@ of Gauss-Hermite quadrature.
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CANOPY, OBSTACLE, BadInputError, UsageError, path_of_call
-from bumpymap.layers import NORMAL_80, MapReader, PlannedRoute, common_window, open_map
+from bumpymap.core import CANOPY, OBSTACLE, BadInputError, RouteFigures, UsageError, path_of_call
+from bumpymap.layers import NORMAL_80, MapReader, common_window, open_map
 from bumpymap.rating import (
     Calibration,
     Correction,
@@ -32,20 +32,21 @@ from bumpymap.rating import (
     at_speed,
     chassis_response,
     felt_along,
-    find_calibration,
     heave_filter,
     less_floor,
+    map_calibration,
     match_tiles,
     motion_felt,
     move_over,
     remove_plane,
+    roll_wheels,
     with_floor,
 )
-from bumpymap.route.ground import points_along, window_around
+from bumpymap.route.ground import CostGround, points_along, window_around
+from bumpymap.route.measure import MeasuredWay
 from bumpymap.route.places import in_window
-from bumpytiles import TileWindow
 
-__all__ = ["LineRide", "ride_along", "with_line_rides"]
+__all__ = ["LineRide", "LineVehicle", "ride_along", "ride_line", "with_line_rides"]
 
 Floats = NDArray[np.float64]
 
@@ -54,8 +55,8 @@ _SIGMA_M = 0.3
 _ACROSS = (-math.sqrt(3.0), 0.0, math.sqrt(3.0))
 """Places across the line, standard deviations, and their weights."""
 _WEIGHTS = (1 / 6, 2 / 3, 1 / 6)
-_ACROSS_NAMES = ("right", "middle", "left")
-_SAMPLED = ("log_sd", "told", "seen", "shaken")
+_ALIKE_M, _MOST_SIGMA = 0.5, 2.0
+"""If the error is larger than ground is alike, m, there is a place at each such distance, up to so many errors."""
 _STRETCH_M = 90.0
 """Length whose window of the map is read at once."""
 _PIECE_M = 2000.0
@@ -67,8 +68,7 @@ _FILL_ROUNDS = 3
 """Holes of up to twice as many pixels are filled with the mean of their neighbours."""
 _LEAST = 1e-5
 """C_r below this is none, rad/m."""
-_RIDE = ("c_r", "c_r_low", "c_r_high")
-_COLUMNS = ("c_r", "log_sd", "speed", "slope", "reach", "left", "a_w", "heave")
+_BANDS = ("c_r", "c_r_low", "c_r_high", "slope")
 _SIDES = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
 """Ahead and to the left: of the wheels front left, front right, rear left, rear right."""
 
@@ -97,6 +97,12 @@ class LineRide:
     """(n,) whether the pixels told it; else it is the value of the tiles."""
     seen: Floats
     """(n,) share of the places of wheels, 0..1, whose pixel holds points."""
+    across: Floats
+    """(k,) places across the line at which the vehicle may be, m to the left."""
+    weights: Floats
+    """(k,) their probabilities; the sum is 1."""
+    c_r_across: Floats
+    """(k, n) C_r at each of them, rad/m; NaN where a wheel meets ground that is not known there alone."""
 
     @property
     def pitch_rate(self) -> Floats:
@@ -122,7 +128,7 @@ class LineRide:
         return mean, low, high
 
 
-class _Vehicle(NamedTuple):
+class LineVehicle(NamedTuple):
     """A vehicle and its calibration, ready to roll."""
 
     calibration: Calibration
@@ -138,6 +144,33 @@ class _Vehicle(NamedTuple):
     """How the chassis follows its rockers."""
     reach: int
     """Samples to either side that what is felt depends on."""
+
+    @classmethod
+    def of(
+        cls, site: MapReader, calibration: Calibration, speed: float | None = None, *, motion: bool = True
+    ) -> "LineVehicle":
+        """Make what rolling takes; without ``motion`` the vertical acceleration is not needed.
+
+        Raises UsageError: the tiles were not rated by their ride, or the calibration cannot tell it at this speed.
+        """
+        grid, own = site.grid, float(calibration.vehicle["speed_mps"])
+        rated = site.manifest["settings"]
+        if (rated.get("rating", "ride"), rated.get("compat", "none")) != ("ride", "none"):
+            raise UsageError("the tiles of this map were not rated by their ride; map the survey with `rating='ride'`")
+        calibration.require_grid(grid.tile_size, grid.pixels)
+        if calibration.ride is None:
+            raise UsageError(f"the calibration {calibration.id} holds no ride model. Make one with: bumpymap calibrate")
+        wanted = calibration.map_speed if speed is None else speed
+        if wanted != calibration.map_speed:
+            at_speed(calibration, wanted)  # refuses what it cannot tell
+        operator = RideOperator.of(calibration.vehicle, grid.tile_size, grid.pixels)
+        needed = calibration.motion is not None and (motion or not wanted == own == calibration.map_speed)
+        rating = SpeedRating.of(calibration, tuple(dict.fromkeys((own, wanted)))) if needed else None
+        way = grid.pixel_size / operator.fine / 2
+        taps = chassis_response(calibration.vehicle, way)
+        stretch = math.ceil(grid.tile_size / 2 / way)
+        reach = len(taps) + max(stretch, len(heave_filter(wanted, way)[0]) // 2 if rating is not None else 0)
+        return cls(calibration, Correction.from_record(calibration.ride), operator, rating, wanted, way, taps, reach)
 
 
 def ride_along(
@@ -184,93 +217,89 @@ def ride_along(
     on_grid = np.column_stack(site.to_grid(corners[:, 0], corners[:, 1]))
     if common_window(site.window, window_around(site, on_grid, 0)) is None:
         raise UsageError("line: it lies outside the map. Give x and y in the CRS of the survey")
-    made = map_calibration(site, None if calibration is None else Path(path_of_call("calibration", calibration)))
+    file = None if calibration is None else Path(path_of_call("calibration", calibration))
+    vehicle = LineVehicle.of(site, map_calibration(site.manifest, site.grid.tile_size, file), wanted)
     with site.kept_open():
-        return _ride(site, on_grid, _vehicle_at(site, made, wanted), across)
+        return ride_line(site, on_grid, vehicle, across)
 
 
-def map_calibration(site: MapReader, file: Path | None) -> Calibration:
-    """Return the calibration that a map was made with: a file, or an included one.
+def with_line_rides(
+    ground: CostGround, ways: Sequence[tuple[MeasuredWay, float]], calibration: Path | None
+) -> tuple[list[tuple[MeasuredWay, float]], list[str]]:
+    """Add the ride of each way's own line to its figures and profile, and order the ways by it; return remarks too.
 
-    Raises
-    ------
-    BadInputError
-        It is another one, or no included one.
-    UsageError
-        The tiles were not rated by their ride.
+    In the cost of a way by its line the C_r of the line stands for the mean of the tiles. ``calibration``: the file
+    that the map was made with; None: an included one.
     """
-    rated = site.manifest["settings"]
-    if (rated.get("rating", "ride"), rated.get("compat", "none")) != ("ride", "none"):
-        raise UsageError("the tiles of this map were not rated by their ride; map the survey with `rating='ride'`")
-    about: Mapping[str, Any] = site.manifest["vehicle"]
-    speed = None if "drives_mps" not in about else float(about["speed_mps"])
-    name, side = str(about["name"]), site.grid.tile_size
+    site = ground.site
     try:
-        found = at_speed(find_calibration(name, file, side), speed)
-    except UsageError as error:
-        if file is not None:
+        made = map_calibration(site.manifest, site.grid.tile_size, calibration)
+        vehicle = LineVehicle.of(site, made, motion=False)
+    except (BadInputError, UsageError) as error:
+        if calibration is not None:
             raise
-        raise BadInputError(f"the map was made for {name}, which is no included vehicle: {error}") from error
-    if found.id != site.calibration_id:
-        raise BadInputError(
-            f"the map was made with the calibration {site.calibration_id}, and {file or name} is {found.id}. "
-            "Give the file of that one as `calibration`, or map the survey again"
-        )
-    return found
+        return list(ways), [f"the ride of the line itself is not known: {error}"]
+    found = [(_with_line_ride(site, way, vehicle), risk) for way, risk in ways]
+    costs = np.array([_cost_by_line(way.figures, site.rule.ride_weight, ground.settings.robust) for way, _ in found])
+    order = np.argsort(costs, kind="stable").tolist()
+    if not order[0] or not np.isfinite(costs).all():
+        return found, []
+    best, first = found[0][0].figures.cost_m, found[order[0]][0].figures.cost_m
+    remark = (
+        f"the first way is the best by the ride of its line, which costs {costs[order[0]]:,.1f} m ({first:,.1f} m by "
+        f"tiles); the best by tiles costs {costs[0]:,.1f} m by its line ({best:,.1f} m)"
+    )
+    return [found[number] for number in order], [remark]
 
 
-def with_line_rides(site: MapReader, routes: Sequence[PlannedRoute]) -> tuple[list[PlannedRoute], str | None]:
-    """Add the ride of each way's own line to its figures and profile; if that cannot be, return why."""
-    try:
-        vehicle = _vehicle_at(site, map_calibration(site, None), None, motion=False)
-    except BadInputError:
-        return list(routes), (
-            "the ride of the line itself needs the calibration of the map, which is not an included one. In Python: "
-            "bumpymap.ride_along(LAYERS, LINE, calibration=FILE)"
-        )
-    except UsageError as error:
-        return list(routes), f"the ride of the line itself is not known: {error}"
-    return [_with_line_ride(site, route, vehicle) for route in routes], None
-
-
-def _with_line_ride(site: MapReader, route: PlannedRoute, vehicle: "_Vehicle") -> PlannedRoute:
-    if route.figures.length_m <= 0.0:
-        return route
-    found = _ride(site, route.line, vehicle, _SIGMA_M)
+def _with_line_ride(site: MapReader, way: MeasuredWay, vehicle: LineVehicle) -> MeasuredWay:
+    if way.figures.length_m <= 0.0:
+        return way
+    found = ride_line(site, way.line, vehicle, _SIGMA_M)
     mean, low, high = found.over(0.0, math.inf)
-    metre = np.clip(np.searchsorted(found.distance, route.profile.distance, side="right") - 1, 0, len(found.c_r) - 1)
+    metre = np.clip(np.searchsorted(found.distance, way.profile.distance, side="right") - 1, 0, len(found.c_r) - 1)
     return replace(
-        route,
-        figures=replace(route.figures, c_r_line=mean, c_r_line_low=low, c_r_line_high=high),
-        profile=replace(route.profile, c_r_line=found.c_r[metre]),
+        way,
+        figures=replace(way.figures, c_r_line=mean, c_r_line_low=low, c_r_line_high=high),
+        profile=replace(way.profile, c_r_line=found.c_r[metre]),
     )
 
 
-def _ride(site: MapReader, line: Floats, vehicle: "_Vehicle", sigma: float) -> LineRide:
-    calibration = vehicle.calibration
+def _cost_by_line(figures: RouteFigures, ride_weight: float, robust: bool) -> float:
+    """Return the cost of a way with the C_r of its line in the place of that of its tiles, m."""
+    more = figures.c_r_line_high - figures.c_r_mean_high if robust else figures.c_r_line - figures.c_r_mean
+    return figures.cost_m + ride_weight * (figures.length_m - figures.unknown_m) * more
+
+
+def ride_line(site: MapReader, line: Floats, vehicle: LineVehicle, sigma: float) -> LineRide:
+    """Roll a vehicle along a line, (m, 2) easting and northing [m]; see `ride_along`."""
     length = float(np.hypot(*np.diff(line, axis=0).T).sum())
     if length <= 0.0:
         raise UsageError("line: its length is 0")
     at = np.float64(vehicle.way) * (np.arange(max(int(np.ceil(length / vehicle.way - 1e-9)), 1)) + 0.5)
     metre = np.minimum(at.astype(np.int64), max(int(np.ceil(length - 1e-9)) - 1, 0))
     count = int(metre[-1]) + 1
-    samples, sums = np.bincount(metre, minlength=count), dict.fromkeys((*_ACROSS_NAMES, *_SAMPLED), np.zeros(count))
     per, lead = int(_PIECE_M / vehicle.way), vehicle.way * np.arange(1, vehicle.reach + 1)
+    across, weights = _across(sigma)
+    sums = np.zeros((2 * len(across) + 5, count))
     for first in range(0, len(at), per):
-        own = at[first : first + per]
+        own, to = at[first : first + per], metre[first : first + per]
         # What is felt depends on the ground before and behind, at the ends of the line too.
         places = np.concatenate([own[0] - lead[::-1], own, own[-1] + lead])
-        inside = slice(len(lead), len(lead) + len(own))
-        for name, values in _felt(_roll(site, line, places, vehicle, sigma), vehicle).items():
-            sums[name] = sums[name] + np.bincount(metre[first : first + per], values[inside], count)
-    mean = {name: total / samples for name, total in sums.items()}
-    across = np.array([mean[name] for name in _ACROSS_NAMES])
-    c_r = np.average(across, axis=0, weights=_WEIGHTS)
-    spread = np.sqrt(np.average((across - c_r) ** 2, axis=0, weights=_WEIGHTS))
+        felt = _felt(_roll(site, line, places, vehicle, across), vehicle, weights)
+        sums += [np.bincount(to, row[len(lead) : len(lead) + len(own)], count) for row in felt]
+    felt, told, (of_tiles, rated, log_sd, seen, shaken) = np.split(sums, [len(across), 2 * len(across)])
+    samples = np.bincount(metre)
+    known = told > samples / 2
+    by_line = np.asarray(known.any(axis=0))
+    at_places = np.where(by_line, felt / np.maximum(told, 1.0), of_tiles / samples)
+    share = weights[:, None] * (known | ~by_line)
+    c_r = np.average(at_places, axis=0, weights=share)
+    spread = np.sqrt(np.average((at_places - c_r) ** 2, axis=0, weights=share))
     ends = np.minimum(np.arange(count + 1.0), length)
     middle = points_along(line, (ends[1:] + ends[:-1]) / 2)
     x, y = site.to_crs(middle[:, 0], middle[:, 1])
-    by_line, floor = mean["told"] > 0.5, calibration.floor_at(vehicle.speed)
+    floor = vehicle.calibration.floor_at(vehicle.speed)
     return LineRide(
         speed_mps=vehicle.speed,
         distance=ends,
@@ -278,114 +307,147 @@ def _ride(site: MapReader, line: Floats, vehicle: "_Vehicle", sigma: float) -> L
         x=x,
         y=y,
         c_r=with_floor(c_r, floor),
-        log_sd=mean["log_sd"],
+        log_sd=np.where(np.isfinite(c_r), log_sd / np.maximum(rated, 1.0), np.nan),
         log_sd_across=np.where(by_line, spread / np.maximum(c_r, _LEAST), _TILE_LOG_SD),
-        a_w=np.sqrt(mean["shaken"]),
+        a_w=np.sqrt(shaken / samples),
         by_line=by_line,
-        seen=mean["seen"],
+        seen=seen / samples,
+        across=across,
+        weights=weights,
+        c_r_across=np.where(share > 0.0, with_floor(at_places, floor), np.nan),
     )
 
 
-def _vehicle_at(site: MapReader, calibration: Calibration, speed: float | None, *, motion: bool = True) -> _Vehicle:
-    """Make what rolling takes; without ``motion`` the vertical acceleration is not needed."""
-    grid, own = site.grid, float(calibration.vehicle["speed_mps"])
-    calibration.require_grid(grid.tile_size, grid.pixels)
-    if calibration.ride is None:
-        raise UsageError(f"the calibration {calibration.id} holds no ride model. Make one with: bumpymap calibrate")
-    wanted = calibration.map_speed if speed is None else speed
-    if wanted != calibration.map_speed:
-        at_speed(calibration, wanted)  # refuses what it cannot tell
-    operator = RideOperator.of(calibration.vehicle, grid.tile_size, grid.pixels)
-    needed = calibration.motion is not None and (motion or not wanted == own == calibration.map_speed)
-    rating = SpeedRating.of(calibration, tuple(dict.fromkeys((own, wanted)))) if needed else None
-    way = grid.pixel_size / operator.fine / 2
-    taps = chassis_response(calibration.vehicle, way)
-    stretch = math.ceil(grid.tile_size / 2 / way)
-    reach = len(taps) + max(stretch, len(heave_filter(wanted, way)[0]) // 2 if rating is not None else 0)
-    correction = Correction.from_record(calibration.ride)
-    return _Vehicle(calibration, correction, operator, rating, wanted, way, taps, reach)
+def _across(sigma: float) -> tuple[Floats, Floats]:
+    """Return places across a line, (k,) m, and their weights, for an error of the place [m]."""
+    if sigma <= _ALIKE_M:
+        return sigma * np.array(_ACROSS), np.array(_WEIGHTS)
+    reach = math.ceil(_MOST_SIGMA * sigma / _ALIKE_M)
+    places = _ALIKE_M * np.arange(-reach, reach + 1.0)
+    chance: Floats = np.exp(-0.5 * (places / sigma) ** 2)
+    return places, chance / chance.sum()
+
+
+class _Tiles(NamedTuple):
+    """Values of tiles, or of the tiles that samples lie in, (n,) each; NaN where unknown."""
+
+    c_r: Floats
+    """At the profile's speed, less the floor, rad/m."""
+    log_sd: Floats
+    """Of ln ``c_r``, by its interval."""
+    speed: Floats
+    """C_r at the speed asked for over ``c_r``."""
+    slope: Floats
+    """Degrees."""
+    reach: Floats
+    """``belly_reach``."""
+    left: Floats
+    """Stated C_r over that of the denoised tile."""
+    a_w: Floats
+    """m/s2, at the speed asked for."""
+    heave: Floats
+    """The same of the geometry alone."""
+
+
+class _LineWindow(NamedTuple):
+    """The map about a stretch of a line."""
+
+    heights: Floats
+    """(rows * pixels, cols * pixels) m; larger holes are NaN."""
+    touched: NDArray[np.bool_]
+    """(rows, cols) tiles that wheels touch, and that the middle of the vehicle is in."""
+    bands: Floats
+    """(4, tiles) of these: ``c_r`` with its interval, slope."""
+    tile: NDArray[np.int64]
+    """(n,) which of these each sample is in."""
+    wheels: Floats
+    """(places across * 4 * n, 2) row and column of wheels, pixels."""
+    seen: Floats
+    """(n,) share of the pixels under the wheels that hold points."""
 
 
 class _Rolled(NamedTuple):
     """Samples along a line."""
 
     heights: Floats
-    """(places, 4, n) lowest point of each wheel at each place across, m; NaN where unknown."""
+    """(places across, 4, n) lowest point of each wheel, m; NaN where unknown."""
     seen: Floats
     """(n,) share of the pixels under the wheels that hold points."""
-    tile: dict[str, Floats]
-    """Of the tile that the middle of the vehicle is in, (n,) each: ``c_r`` at the profile's speed, its ``log_sd``, the
-    ``speed`` asked for over it, ``slope``, ``reach``, what denoising has ``left`` to the stated C_r as a factor,
-    ``a_w`` and geometric ``heave`` at the speed."""
+    tile: _Tiles
+    """Of the tile that the middle of the vehicle is in."""
 
 
-def _roll(site: MapReader, line: Floats, at: Floats, vehicle: _Vehicle, sigma: float) -> _Rolled:
-    across, grid = sigma * np.array(_ACROSS), site.grid
-    heights, seen = np.empty((len(across), 4, len(at))), np.empty(len(at))
-    tile = {name: np.empty(len(at)) for name in _COLUMNS}
-    per = max(int(_STRETCH_M / vehicle.way), 1)
-    for first in range(0, len(at), per):
-        part = slice(first, first + per)
-        middle, wheels = _places(line, at[part], vehicle.operator, across)
-        window = window_around(site, wheels.reshape(-1, 2), 1)
-        if common_window(site.window, window) is None:
-            heights[:, :, part], seen[part] = np.nan, 0.0
-            for values in tile.values():
-                values[part] = np.nan
-            continue
-        # The heights of what stands on the ground are not the ground's.
-        stands = np.isin(site.objects(window), (OBSTACLE, CANOPY))
-        measured = np.where(stands, np.nan, site.heights(window).astype(np.float64))
-        where = in_window(wheels.reshape(-1, 2), grid, window)
-        row, col = np.floor(where * grid.pixels).astype(np.int64).T
-        seen[part] = np.isfinite(measured[row, col]).reshape(-1, wheels.shape[2]).mean(axis=0)
-        touched = np.zeros((window.rows, window.cols), np.bool_)
-        # A wheel reaches as far as its radius, and the heights between pixels one farther.
-        beside = (vehicle.calibration.vehicle["wheel"]["radius_m"] + grid.pixel_size) / grid.tile_size
-        for row, col in product((-beside, beside), repeat=2):
-            touched[tuple(np.floor(where + np.array([row, col])).astype(np.int64).T)] = True
-        clean, columns = _matched(site, window, _filled(measured), touched, vehicle)
-        heights[:, :, part] = _envelope(clean, where * grid.pixels, vehicle.operator).reshape(len(across), 4, -1)
-        own = tuple(np.floor(in_window(middle, grid, window)).astype(np.int64).T)
-        for name, values in columns.items():
-            tile[name][part] = values[own]
-    return _Rolled(heights, seen, tile)
+def _roll(site: MapReader, line: Floats, at: Floats, vehicle: LineVehicle, across: Floats) -> _Rolled:
+    per, pixels = max(int(_STRETCH_M / vehicle.way), 1), site.grid.pixels
+    windows = [
+        _read(site, *_places(line, at[first : first + per], vehicle.operator, across), vehicle)
+        for first in range(0, len(at), per)
+    ]
+    boxes = [
+        window.heights.reshape(len(window.touched), pixels, -1, pixels).transpose(0, 2, 1, 3) for window in windows
+    ]
+    own = [box[window.touched] for box, window in zip(boxes, windows, strict=True)]
+    added, tiles = _match(np.concatenate(own), np.concatenate([window.bands for window in windows], axis=1), vehicle)
+    rolled, first = [], 0
+    for box, window in zip(boxes, windows, strict=True):
+        here = slice(first, first + window.bands.shape[1])
+        box[window.touched] += added[here]
+        low = roll_wheels(window.heights, window.wheels, vehicle.operator).reshape(len(across), 4, -1)
+        rolled.append((low, window.seen, *(values[here][window.tile] for values in tiles)))
+        first = here.stop
+    heights, seen, *columns = (np.concatenate(parts, axis=-1) for parts in zip(*rolled, strict=True))
+    return _Rolled(heights, seen, _Tiles(*columns))
 
 
-def _matched(
-    site: MapReader, window: TileWindow, heights: Floats, touched: NDArray[np.bool_], vehicle: _Vehicle
-) -> tuple[Floats, dict[str, Floats]]:
-    """Take the noise off the tiles that are touched; return heights of the window, and columns of its tiles."""
-    calibration, pixels = vehicle.calibration, site.grid.pixels
-    found = site.values(window, (*_RIDE, "slope"))
-    c_r, low, high = (less_floor(found[name][touched], calibration.map_floor) for name in _RIDE)
-    slope = np.nan_to_num(found["slope"][touched]).astype(np.float64)
-    tiles = heights.reshape(window.rows, pixels, window.cols, pixels).transpose(0, 2, 1, 3).copy()
-    relief = remove_plane(tiles[touched]).astype(np.float32)
-    if vehicle.rating is None:
-        own, ratio, a_w, heave = c_r, np.ones(len(c_r)), np.full(len(c_r), np.nan), np.full(len(c_r), np.nan)
-        matched = match_tiles(relief, own, slope, vehicle.correction, vehicle.operator)
-    else:
-        speeds = vehicle.rating.speeds
-        level = np.full((len(c_r), 3 * len(speeds)), np.nan, np.float32)
-        own = motion_felt(calibration, speeds, level, found["c_r"][touched])[:, 0].astype(np.float64)
+def _read(site: MapReader, middle: Floats, wheels: Floats, vehicle: LineVehicle) -> _LineWindow:
+    from scipy.ndimage import maximum_filter
+
+    grid = site.grid
+    # A wheel reaches as far as its radius, and the heights between pixels one farther.
+    beside = (vehicle.calibration.vehicle["wheel"]["radius_m"] + grid.pixel_size) / grid.tile_size
+    window = window_around(site, wheels.reshape(-1, 2), 1 + int(beside))
+    stands = np.isin(site.objects(window), (OBSTACLE, CANOPY))
+    measured = np.where(stands, np.nan, site.heights(window).astype(np.float64))
+    where = in_window(wheels.reshape(-1, 2), grid, window)
+    row, col = np.floor(where * grid.pixels).astype(np.int64).T
+    seen = np.isfinite(measured[row, col]).reshape(-1, wheels.shape[2]).mean(axis=0)
+    touched = np.zeros((window.rows, window.cols), np.bool_)
+    own = tuple(np.floor(in_window(middle, grid, window)).astype(np.int64).T)
+    touched[own] = True
+    for off in product((-beside, beside), repeat=2):
+        touched[tuple(np.floor(where + off).astype(np.int64).T)] = True
+    found = site.values(window, _BANDS)
+    bands = np.array([found[name][touched] for name in _BANDS])
+    number = np.cumsum(touched).reshape(touched.shape) - 1
+    # Holes in a tile that no wheel touches fill those beside it.
+    near = maximum_filter(touched, 3).repeat(grid.pixels, axis=0).repeat(grid.pixels, axis=1)
+    return _LineWindow(_filled(measured, near), touched, bands, number[own], where * grid.pixels, seen)
+
+
+def _match(heights: Floats, bands: NDArray[np.float32], vehicle: LineVehicle) -> tuple[Floats, _Tiles]:
+    """Take the noise off n tiles: return what is to be added to their heights, and what is known of them."""
+    calibration, rating = vehicle.calibration, vehicle.rating
+    c_r, low, high = (less_floor(values, calibration.map_floor) for values in bands[:3])
+    slope = np.nan_to_num(bands[3]).astype(np.float64)
+    relief = remove_plane(heights).astype(np.float32)
+    ratio, a_w, heave = np.ones(len(c_r)), np.full(len(c_r), np.nan), np.full(len(c_r), np.nan)
+    own = c_r
+    if rating is not None:
+        speeds, nothing = rating.speeds, np.full((len(c_r), 3 * len(rating.speeds)), np.nan, np.float32)
+        own = motion_felt(calibration, speeds, nothing, bands[0])[:, 0].astype(np.float64)
         own = less_floor(own, calibration.floor_at(speeds[0]))
-        matched = match_tiles(relief, own, slope, vehicle.correction, vehicle.operator)
-        _, factors = vehicle.rating.factors(matched.relief_map, matched.rides.pitch_change)
-        felt = motion_felt(calibration, speeds, factors, found["c_r"][touched]).astype(np.float64)
+    matched = match_tiles(relief, own, slope, vehicle.correction, vehicle.operator)
+    if rating is not None:
+        motions = move_over(matched.relief_map, rating.operator)
+        _, factors = rating.factors_of(motions, matched.rides.pitch_change)
+        felt = motion_felt(calibration, speeds, factors, bands[0]).astype(np.float64)
         ratio = less_floor(felt[:, -3], calibration.floor_at(vehicle.speed)) / np.maximum(own, _LEAST)
-        a_w = felt[:, -1]
-        heave = move_over(matched.relief_map, vehicle.rating.operator).heave[:, len(speeds) - 1]
-    tiles[touched] += matched.relief_map - relief
+        a_w, heave = felt[:, -1], motions.heave[:, len(speeds) - 1]
     known = (low > 0.0) & (high > 0.0)
     log_sd = np.where(np.isfinite(c_r), np.log(np.where(known, high / np.where(known, low, 1.0), 1.0)), np.nan)
     log_sd /= 2 * NORMAL_80
-    columns = {}
-    values_of = (own, log_sd, ratio, slope, matched.rides.belly_reach, matched.left, a_w, heave)
-    for name, values in zip(_COLUMNS, values_of, strict=True):
-        columns[name] = np.full(touched.shape, np.nan)
-        columns[name][touched] = values
-    return tiles.transpose(0, 2, 1, 3).reshape(heights.shape), columns
+    tiles = _Tiles(own, log_sd, ratio, slope, matched.rides.belly_reach, matched.left, a_w, heave)
+    return (matched.relief_map - relief).astype(np.float64), tiles
 
 
 def _places(line: Floats, at: Floats, operator: RideOperator, across: Floats) -> tuple[Floats, Floats]:
@@ -413,90 +475,51 @@ def _on_line(line: Floats, at: Floats) -> Floats:
     return inside + beyond
 
 
-def _filled(heights: Floats) -> Floats:
-    """Fill holes with the mean of their neighbours, round by round; larger ones stay NaN."""
-    from scipy.ndimage import uniform_filter
-
-    filled = heights
+def _filled(heights: Floats, near: NDArray[np.bool_]) -> Floats:
+    """Fill the holes ``near`` with the mean of their neighbours, round by round; larger ones stay NaN."""
+    filled = np.pad(heights, 1, mode="edge")
+    row, col = np.nonzero(near & np.isnan(heights))
     for _ in range(_FILL_ROUNDS):
-        hole = np.isnan(filled)
-        if not hole.any():
-            break
-        share = uniform_filter((~hole).astype(np.float64), 3, mode="nearest")
-        total = uniform_filter(np.where(hole, 0.0, filled), 3, mode="nearest")
-        with np.errstate(invalid="ignore", divide="ignore"):
-            filled = np.where(hole & (share > 0.1), total / share, filled)
-    return filled
+        around = np.array([filled[row + down, col + right] for down, right in product(range(3), repeat=2)])
+        known = np.isfinite(around)
+        count = known.sum(axis=0)
+        told = count > 0
+        filled[row[told] + 1, col[told] + 1] = np.where(known, around, 0.0).sum(axis=0)[told] / count[told]
+        row, col = row[~told], col[~told]
+    return filled[1:-1, 1:-1].copy()
 
 
-def _envelope(heights: Floats, where: Floats, operator: RideOperator) -> Floats:
-    """Return the lowest point of wheels at places, (n,), m: row and column in pixels from the north-west corner."""
-    fine, wheel = operator.fine, operator.wheel
-    nodes = _nodes(heights, fine)
-    place = where * fine
-    corner = np.floor(place).astype(np.int64)
-    part = place - corner
-    cols = nodes.shape[1]
-    flat = (corner[:, 0, None] + (0, 0, 1, 1)) * cols + corner[:, 1, None] + (0, 1, 0, 1)
-    values = nodes.ravel()
-    is_touched = np.zeros(len(values), np.bool_)
-    is_touched[flat] = True
-    touched = np.flatnonzero(is_touched)
-    low = np.full(len(touched), -np.inf)
-    for row, col, rise in zip(wheel.row.tolist(), wheel.col.tolist(), wheel.rise.tolist(), strict=True):
-        np.maximum(low, values[touched + (row * cols + col)] + rise, out=low)
-    envelope = np.empty(len(values))
-    envelope[touched] = low
-    corners = envelope[flat]
-    south, east = part[:, 0], part[:, 1]
-    weight = np.column_stack([(1 - south) * (1 - east), (1 - south) * east, south * (1 - east), south * east])
-    low_point: Floats = (corners * weight).sum(axis=1)
-    return low_point
+def _felt(rolled: _Rolled, vehicle: LineVehicle, weights: Floats) -> Floats:
+    """Return what is felt at n samples, (2 k + 5, n): rows that are added up metre by metre.
 
-
-def _nodes(heights: Floats, fine: int) -> Floats:
-    """Return bilinear heights at the corners of pixels and between them, ``fine`` a pixel."""
-    for axis in (0, 1):
-        count = heights.shape[axis]
-        place = np.clip(np.arange(count * fine + 1) / fine - 0.5, 0, count - 1)
-        low = np.minimum(place.astype(np.int64), count - 2)
-        part = (place - low)[(slice(None), None) if axis == 0 else (None, slice(None))]
-        first, second = np.take(heights, low, axis), np.take(heights, low + 1, axis)
-        heights = first + (second - first) * part
-    return heights
-
-
-def _felt(rolled: _Rolled, vehicle: _Vehicle) -> dict[str, Floats]:
-    """Return what is felt at each sample, (n,) each: C_r at each place across, and what `_SAMPLED` names."""
+    C_r at each of k places across, 0 where a wheel meets ground that is not known; where it does not; C_r of the tile;
+    where that is known; the error of its logarithm, else 0; what is seen; the square of the acceleration.
+    """
     tile, calibration = rolled.tile, vehicle.calibration
     front_left, front_right, rear_left, rear_right = np.moveaxis(rolled.heights, 1, 0)
     pitches = (front_left + front_right - rear_left - rear_right) / (2 * vehicle.operator.wheelbase)
-    told = np.isfinite(pitches).all(axis=0) & np.isfinite(tile["c_r"]) & np.isfinite(tile["reach"])
-    reach, slope = np.nan_to_num(tile["reach"]), np.nan_to_num(tile["slope"])
-    found: dict[str, Floats] = {"log_sd": tile["log_sd"], "told": told.astype(np.float64), "seen": rolled.seen}
-    shaken = np.zeros(len(told))
-    for name, weight, pitch, lift in zip(_ACROSS_NAMES, _WEIGHTS, pitches, rolled.heights.mean(axis=1), strict=True):
-        stretch = calibration.tile_size
-        felt = felt_along(_bridged(pitch), vehicle.taps, vehicle.way, stretch, reach, slope, vehicle.correction)
-        found[name] = tile["speed"] * np.where(told, felt * tile["left"], tile["c_r"])
-        if vehicle.rating is not None:
-            known = told & (tile["heave"] > 0)
-            share = np.where(known, _heave(_bridged(lift), vehicle) / np.where(known, tile["heave"], 1.0), 1.0)
-            shaken += weight * (tile["a_w"] * share) ** 2
-    return found | {"shaken": shaken if vehicle.rating is not None else np.full(len(told), np.nan)}
+    told = np.isfinite(pitches) & np.isfinite(tile.c_r) & np.isfinite(tile.reach)
+    reach, slope, stretch = np.nan_to_num(tile.reach), np.nan_to_num(tile.slope), calibration.tile_size
+    felt = felt_along(_bridged(pitches), vehicle.taps, vehicle.way, stretch, reach, slope, vehicle.correction)
+    shaken = np.full_like(tile.c_r, np.nan)
+    if vehicle.rating is not None:
+        taps, _ = heave_filter(vehicle.speed, vehicle.way)
+        lifts = np.pad(_bridged(rolled.heights.mean(axis=1)), ((0, 0), (len(taps) // 2,) * 2), mode="edge")
+        known = told & (tile.heave > 0)
+        heaves = np.abs([np.convolve(lift, taps, "valid") for lift in lifts])
+        share = np.where(known, heaves / np.where(known, tile.heave, 1.0), 1.0)
+        shaken = np.average((tile.a_w * share) ** 2, axis=0, weights=weights)
+    c_r = np.where(told, tile.speed * felt * tile.left, 0.0)
+    rated = np.isfinite(tile.log_sd)
+    log_sd = np.where(rated, tile.log_sd, 0.0)
+    return np.vstack([c_r, told, tile.speed * tile.c_r, rated, log_sd, rolled.seen, shaken])
 
 
-def _bridged(values: Floats) -> Floats:
-    """Interpolate over unknown samples; 0 if none is known."""
-    known = np.isfinite(values)
-    if known.all() or not known.any():
-        return values if known.any() else np.zeros_like(values)
-    at = np.arange(len(values))
-    return np.interp(at, at[known], values[known])
-
-
-def _heave(lift: Floats, vehicle: _Vehicle) -> Floats:
-    """Return the size of the weighted vertical acceleration at each sample, (n,) m/s2."""
-    taps, _ = heave_filter(vehicle.speed, vehicle.way)
-    reach = len(taps) // 2
-    return np.abs(np.convolve(np.pad(lift, reach, mode="edge"), taps, "valid"))
+def _bridged(lines: Floats) -> Floats:
+    """Interpolate over the unknown samples of each line; 0 if none is known."""
+    at, found = np.arange(lines.shape[1]), np.zeros_like(lines)
+    for line, values in zip(found, lines, strict=True):
+        known = np.isfinite(values)
+        if known.any():
+            line[:] = np.interp(at, at[known], values[known])
+    return found

@@ -275,9 +275,8 @@ def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteR
                 raise UsageError("the map of what can be reached is written to a folder: add `out='DIR'`")
             return _write_reach(ground, stops, config, config.out)
         progress.start("routes", None)
-        routes, order = _routes(ground, stops, config)
-        routes, without = with_line_rides(ground.site, routes)
-        notes = [*stops.notes, *order, *([without] if without else [])]
+        routes, remarks = _routes(ground, stops, config)
+        notes = [*stops.notes, *remarks]
         files: list[Path] = []
         if config.out is not None:
             manifest = {"settings": asdict(config), "remarks": notes}
@@ -299,7 +298,7 @@ def _opened(config: RouteConfig) -> Iterator[CostGround]:
 
 
 def _routes(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[list[PlannedRoute], list[str]]:
-    """Plan the best way through the stops, and alternatives; return them and a remark on the order that was found."""
+    """Plan the best way through the stops, and alternatives; return them and remarks."""
     planner = Planner(ground)
     if config.visit:
         stops = _in_best_order(planner, stops, config)
@@ -318,8 +317,10 @@ def _routes(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[list
             f"other points (without a goal, the same command maps what can be reached), {unknown}map the survey for "
             "another vehicle, or drive through what the map takes for an obstacle with `through_obstacles`"
         )
+    ways, remarks = with_line_rides(ground, ways, config.calibration)
     names = ["route", *(f"alternative {number}" for number in range(1, len(ways)))]
-    order = [f"order of the points: {'; '.join(stops.names)}"] if config.visit else []
+    if config.visit:
+        remarks = [f"order of the points: {'; '.join(stops.names)}", *remarks]
     site, straight = ground.site, measure_straight_line(ground, points, ways[0][0].figures)
     routes = [
         PlannedRoute(
@@ -336,7 +337,7 @@ def _routes(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[list
         )
         for name, (way, risk) in zip(names, ways, strict=True)
     ]
-    return routes, order
+    return routes, remarks
 
 
 def _in_best_order(planner: Planner, stops: Stops, config: RouteConfig) -> Stops:

@@ -80,6 +80,10 @@ class RouteConfig:
         "auto"
     )
     """Memory that the search may use, such as ``1GB``; ``auto``: a quarter of what is free, 512 MB to 8 GB."""
+    calibration: Annotated[Path | None, Setting("Calibration of the map, if it is not an included one", rare=True)] = (
+        None
+    )
+    """The file that the map was made with, for the ride of the line; None: an included one."""
     cost: CostSettings = field(default_factory=CostSettings)
 
     def __post_init__(self) -> None:

@@ -20,7 +20,6 @@ from .batch.run import (
 )
 from .batch.settings import (
     BatchConfig as BatchConfig,
-    read_batch_settings as read_batch_settings,
 )
 from .engine.budget import (
     Budget as Budget,

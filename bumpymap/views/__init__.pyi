@@ -40,6 +40,7 @@ from .pictures.scan_picture import (
     write_picture as write_picture,
 )
 from .words import (
+    agreements_of as agreements_of,
     check_headline as check_headline,
     columns_words as columns_words,
     degrees_line as degrees_line,

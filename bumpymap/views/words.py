@@ -21,6 +21,7 @@ from bumpymap.core import (
 __all__ = [
     "DASH",
     "FEW",
+    "agreements_of",
     "area",
     "base_name",
     "check_headline",
@@ -157,8 +158,8 @@ EVEN = 1.5
 
 
 def check_headline(result: CheckResult) -> str:
-    """Return the result in two or three sentences: whether the map holds, over how much ground, how well."""
-    agreement = result.agreement
+    """Return the result in a few sentences: whether the map holds, over how much ground, how well; by line if known."""
+    agreement = result.agreement_by_line or result.agreement
     if agreement is None:
         measured, lengths = result.stretches.measured, result.stretches.way_m
         known = np.isfinite(measured) & (lengths > 0.0)
@@ -173,18 +174,23 @@ def check_headline(result: CheckResult) -> str:
     parts = [f"{check_verdict(result)}. Over {over} it {level_words(agreement)} in the median"]
     parts[0] += f", and half of the stretches are off by less than {percent(agreement.median_error)}."
     parts.append(f"{percent(agreement.inside)} of the drives' readings lie in its 80 % interval.")
+    if (tiles := result.agreement) is not None and result.agreement_by_line is not None:
+        parts.append(
+            f"This is by the driven lines, rolled over its pixels (rank correlation {agreement.spearman:.2f}). By its "
+            f"tiles, which are means over all lines, half are off by less than {percent(tiles.median_error)} "
+            f"({tiles.spearman:.2f})."
+        )
     return " ".join(parts)
 
 
 def check_verdict(result: CheckResult) -> str:
     """Return whether the map holds, in one sentence without its full stop; for at least ``FEW`` stretches."""
-    agreement = result.agreement
+    agreement, stretches = result.agreement_by_line or result.agreement, result.by_line or result.stretches
     if agreement is None or not np.isfinite(agreement.median_ratio):
         return "The map cannot be judged"
     level = 1 / LEVEL <= agreement.median_ratio <= LEVEL
     allowed = "" if round(agreement.inside, 2) < INSIDE else " by no more than its interval allows"
     rank = agreement.spearman
-    stretches = result.stretches
     known = stretches.measured[np.isfinite(stretches.c_r) & (stretches.measured > 0.0)]
     low, high = np.quantile(known, [0.1, 0.9]) if len(known) else (1.0, 1.0)
     if high < EVEN * low or not np.isfinite(rank):
@@ -195,6 +201,13 @@ def check_verdict(result: CheckResult) -> str:
     if round(rank, 2) >= ROUGHLY:
         return f"The map ranks the ground only roughly{'' if level else f', and its level is off{allowed}'}"
     return "The map does not rank this ground as the vehicle felt it"
+
+
+def agreements_of(result: CheckResult) -> list[tuple[str, MapAgreement]]:
+    """Return the agreement over all stretches, by the driven line and by tiles, and by class of the map, named."""
+    whole = (("all, by the driven line", result.agreement_by_line), ("all, by tiles", result.agreement))
+    by_class = [(f"{code} {CLASS_NAMES[code]}", found) for code, found in sorted(result.by_class.items())]
+    return [*((name, found) for name, found in whole if found is not None), *by_class]
 
 
 def columns_words(drive: CheckedDrive) -> list[str]:

@@ -73,6 +73,7 @@ def stretches_at(points, c_r, factor, *, drives=1, sd=0.05, unknown=()):
 
 def make_check(stretches, *, drives=1, warnings=(), ground=True):
     """Everything that a check finds."""
+    by_line = replace(stretches, c_r=np.where(np.isfinite(stretches.c_r), stretches.measured, np.nan))
     codes = [int(code) for code in np.unique(stretches.class_id) if code != NO_CLASS]
     return CheckResult(
         ground=CheckedMap("site", Path("layers"), "warthog", "c0ffee", 2.0, LIMITS) if ground else None,
@@ -81,6 +82,8 @@ def make_check(stretches, *, drives=1, warnings=(), ground=True):
         agreement=agreement_of(stretches) if ground else None,
         by_class={code: agreement_of(stretches, stretches.class_id == code) for code in codes} if ground else {},
         warnings=tuple(warnings),
+        by_line=by_line if ground else None,
+        agreement_by_line=agreement_of(by_line) if ground else None,
     )
 
 

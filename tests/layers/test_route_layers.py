@@ -332,6 +332,7 @@ def test_stretches_say_what_was_measured_and_what_the_map_says(tmp_path):
     assert [feature["id"] for feature in found["features"]] == list(range(1, 41))
     about, stretches = found["features"][0]["properties"], result.stretches
     assert about["measured"] == pytest.approx(stretches.measured[0], abs=1e-6)
+    assert about["c_r_line"] == pytest.approx(result.by_line.c_r[0], abs=1e-6)
     assert about["ratio"] == pytest.approx(stretches.c_r[0] / stretches.measured[0], abs=1e-4)
     assert (about["drive"], about["way_m"]) == ("drive 1", STRETCH_M)
     assert about["class_name"] == CLASS_NAMES[about["class"]]

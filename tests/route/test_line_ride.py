@@ -3,14 +3,21 @@
 import json
 import math
 import shutil
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from small_surveys import write_survey
 
 import bumpymap
-from bumpymap.rating import Calibration
-from bumpymap.route import RouteConfig, plan_routes
+from bumpymap.check.stretches import read_line
+from bumpymap.layers import open_map
+from bumpymap.rating import Calibration, map_calibration
+from bumpymap.route import LineVehicle, RouteConfig, plan_routes
+from bumpymap.route.line_ride import with_line_rides
+from bumpymap.route.measure import measure_way
+from bumpymap.route.pipeline import _opened
 
 WAVE_M, HEIGHT_M, SIDE_M = 3.0, 0.04, 30.0
 WEST, SOUTH = 500_001.0, 4_000_002.0
@@ -120,6 +127,30 @@ def test_other_speeds_shake_the_seat_more(waves):
     assert (slow.speed_mps, fast.speed_mps) == (0.5, 1.5)
 
 
+@pytest.mark.parametrize("off", [0.0, 1.5])
+def test_a_drive_is_held_against_its_own_line_as_far_as_its_positions_are_known(waves, off):
+    def of_drive(line):
+        """Two stretches of 8 m at 1 m/s, ten samples a second."""
+        time, ((x, y), (to_x, to_y)) = np.arange(200) / 10.0, line
+        label = np.where(time < 2.0, -1, np.where(time < 18.0, (time >= 10.0).astype(int), -1))
+        track = SimpleNamespace(place_sd=lambda at: np.full(len(at), off))
+        east, north = (np.interp(time, (0.0, 20.0), ends) for ends in ((x, to_x), (y, to_y)))
+        drive = SimpleNamespace(time=time, hertz=10.0, speed=np.ones(200), easting=east, northing=north, track=track)
+        cut = SimpleNamespace(label=label, start_s=np.array([2.0, 10.0]), end_s=np.array([10.0, 18.0]), way_m=8.0)
+        return read_line(drive, cut, site, vehicle)
+
+    site = open_map(waves)
+    vehicle = LineVehicle.of(site, map_calibration(site.manifest, site.grid.tile_size), motion=False)
+    slanting = [(WEST + 5.0, SOUTH + 5.0), (WEST + 8.0, SOUTH + 24.8)]
+    over, beside = of_drive(across()), of_drive(slanting)
+    for line, found in ((across(), over), (slanting, beside)):
+        ride = bumpymap.ride_along(waves, line, sigma=max(off, 0.05))
+        assert found.c_r == pytest.approx([ride.over(2.0, 10.0)[0], ride.over(10.0, 18.0)[0]], rel=0.1)
+        assert (found.low < found.c_r).all()
+    assert (beside.place_sd > 0.1 * beside.c_r).all() == (off > 1.0)
+    assert (over.place_sd < 0.1 * over.c_r).all()
+
+
 @pytest.mark.parametrize(
     ("line", "settings", "message"),
     [
@@ -149,7 +180,17 @@ def test_another_calibration_is_refused_and_a_route_does_without(waves, tmp_path
     (layers / "run.json").write_text(json.dumps(manifest))
     result = plan_routes(RouteConfig(layers=layers, start="500006,4000017", goal="500026,4000017"))
     assert math.isnan(result.routes[0].figures.c_r_line)
-    assert "needs the calibration of the map" in result.notes[-1]
+    assert (
+        "the ride of the line itself is not known: the map was made with the calibration of-my-own" in result.notes[-1]
+    )
+
+
+def test_of_ways_whose_tiles_cost_alike_the_calm_line_comes_first(waves):
+    with _opened(RouteConfig(layers=Path(waves), start="500006,4000017")) as ground:
+        ways = [(measure_way(ground, np.array(line), np.array(line)), 1.0) for line in (across(), along())]
+        found, (remark,) = with_line_rides(ground, ways, None)
+    assert [way.line.tolist() for way, _ in found] == np.array([along(), across()]).tolist()
+    assert "the first way is the best by the ride of its line" in remark
 
 
 def test_a_route_tells_the_ride_of_its_line(waves):

@@ -35,6 +35,7 @@ __all__ = [
     "normal_shares",
     "ride_patches",
     "ride_scratch",
+    "roll_along",
     "roll_wheel",
     "sample_means",
     "take_group",
@@ -301,3 +302,53 @@ def normal_shares(z: Annotated[Floats, 1], share: Annotated[Floats, 1]) -> None:
     """Fill the share of the standard normal distribution below each z, both (n,)."""
     for i in range(len(z)):
         share[i] = 0.5 * math.erfc(-z[i] / math.sqrt(2.0))
+
+
+@helper
+def _node_height(heights: Floats, fine: int, i: int, j: int) -> float:
+    """Bilinear height between the centres of pixels at a node, ``fine`` of which lie along a pixel, m."""
+    row, col = i / fine - 0.5, j / fine - 0.5
+    top, left = math.floor(row), math.floor(col)
+    south, east = row - top, col - left
+    a, b = heights[top, left], heights[top, left + 1]
+    a, b = a + (heights[top + 1, left] - a) * south, b + (heights[top + 1, left + 1] - b) * south
+    height: float = a + (b - a) * east
+    return height
+
+
+@kernel
+def roll_along(
+    heights: Annotated[Floats, 2],
+    place: Annotated[Floats, 2],
+    fine: int,
+    wheel: WheelShape,
+    envelope: Annotated[Floats, 2],
+    known: Annotated[NDArray[np.bool_], 2],
+    low: Annotated[Floats, 1],
+) -> None:
+    """Fill the lowest point of wheels at n places, m; NaN where one meets ground that is not known.
+
+    ``heights`` (rows, cols): m; ``place`` (n, 2): row and column, pixels, a wheel and two pixels or more from all
+    edges. ``envelope`` and ``known``, at first False, hold the wheel on each of (rows fine + 1, cols fine + 1) nodes.
+    """
+    for k in range(len(place)):
+        row, col = place[k, 0] * fine, place[k, 1] * fine
+        i, j = math.floor(row), math.floor(col)
+        south, east = row - i, col - j
+        total = 0.0
+        for down in range(2):
+            for right in range(2):
+                if not known[i + down, j + right]:
+                    highest = -math.inf
+                    for n in range(len(wheel.row)):
+                        ground = _node_height(heights, fine, i + down + wheel.row[n], j + right + wheel.col[n])
+                        lift = ground + wheel.rise[n]
+                        if math.isnan(lift):
+                            highest = lift
+                            break
+                        highest = max(highest, lift)
+                    known[i + down, j + right] = True
+                    envelope[i + down, j + right] = highest
+                weight = (south if down == 1 else 1.0 - south) * (east if right == 1 else 1.0 - east)
+                total += envelope[i + down, j + right] * weight
+        low[k] = total

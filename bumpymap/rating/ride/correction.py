@@ -185,26 +185,15 @@ class Correction:
         return plain
 
     def predict(self, rides: Rides, slope_deg: Floats, noise_felt: Floats, pixel_points: Floats) -> Prediction:
-        """Predict C_r and p_fail.
+        """Predict C_r and p_fail of n denoised patches, by their geometric values and slope [degrees].
 
-        Parameters
-        ----------
-        rides : Rides
-            Geometric values of n denoised patches.
-        slope_deg : array (n,)
-            Slope of the patch's plane, degrees.
-        noise_felt : array (n,)
-            Of `CleanPatches`, rad/m. NaN (noise unknown) counts as the largest excess of the tables.
-        pixel_points : array (n,)
-            Mean points per pixel.
+        ``noise_felt`` (n,): of `CleanPatches`, rad/m; NaN (unknown) counts as the largest excess of the tables.
+        ``pixel_points`` (n,): mean points per pixel.
         """
         g, excess = subtract_noise(rides.pitch_change, noise_felt)
         log_g = np.log(g)
-        low, high = self.log_range
-        inside = np.clip(log_g, low, high)
-        features = ride_features(inside, rides, slope_deg)
-        log_c_r = _weighted(features, self.c_r) + (log_g - inside)
-        sd = np.hypot(np.exp(np.interp(log_g, (low, high), self.spread)), self.model_error)
+        log_c_r = self._log_c_r(log_g, rides, slope_deg)
+        sd = np.hypot(np.exp(np.interp(log_g, self.log_range, self.spread)), self.model_error)
         shift, down, up = (
             self._interpolate(table, excess, pixel_points)
             for table in (self.noise_middle, self.noise_low, self.noise_high)
@@ -215,6 +204,16 @@ class Correction:
             above=np.hypot(sd, (up - shift) / NORMAL_TAIL),
             p_fail=1 / (1 + np.exp(-np.clip(_weighted(fail_features(rides, slope_deg), self.fail), -40, 40))),
         )
+
+    def without_noise(self, rides: Rides, slope_deg: Floats) -> Floats:
+        """Return ln C_r of n patches that have no noise and many points, (n,); else as `predict`."""
+        log_g = np.log(np.maximum(rides.pitch_change, _MIN_C_R))
+        shift = self._interpolate(self.noise_middle, np.zeros(1), np.full(1, self.pixel_points[-1]))
+        return self._log_c_r(log_g, rides, slope_deg) + shift
+
+    def _log_c_r(self, log_g: Floats, rides: Rides, slope_deg: Floats) -> Floats:
+        inside = np.clip(log_g, *self.log_range)
+        return _weighted(ride_features(inside, rides, slope_deg), self.c_r) + (log_g - inside)
 
     def _interpolate(self, table: tuple[tuple[float, ...], ...], excess: Floats, pixel_points: Floats) -> Floats:
         """Interpolate a noise table linearly; beyond its ends, use the nearest entry."""

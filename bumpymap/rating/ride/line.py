@@ -14,20 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.rating.ride._noise_kernels import DenoisedPatches, PatchesToDenoise, denoise_patches, spectrum_scratch
+from bumpymap.rating.ride._ride_kernels import roll_along
 from bumpymap.rating.ride.correction import Correction
 from bumpymap.rating.ride.motion_operator import Rides, roll_over
 from bumpymap.rating.ride.operator import RideOperator
 from bumpymap.rating.ride.rate import spectrum_of
 
-__all__ = ["MatchedTiles", "felt_along", "match_tiles"]
+__all__ = ["MatchedTiles", "felt_along", "match_tiles", "roll_wheels"]
 
 Floats = NDArray[np.float64]
 
 _ROUNDS = 7
 _NOISE_M = (1e-4, 0.07)
 """Least and most noise of a pixel that is tried, m."""
-_MANY = 1e3
-"""Points per pixel with which the correction adds nothing for noise."""
 _LEAST = 1e-5
 
 
@@ -47,34 +46,24 @@ def match_tiles(
 ) -> MatchedTiles:
     """Take as much noise off the relief of n tiles as brings their predicted C_r down to the one that is stated.
 
-    Parameters
-    ----------
-    relief_map : array (n, pixels, pixels) float32
-        Plane-removed relief, m; tiles with NaN are left out.
-    c_r : array (n,)
-        C_r at the profile's speed, without the vehicle's floor, rad/m; where it is NaN, the relief stays.
-    slope_deg : array (n,)
-        Slope of the tiles' planes, degrees.
-    correction, operator
-        Of the calibration.
+    ``relief_map`` (n, pixels, pixels): plane-removed, m; tiles with NaN are left out. ``c_r`` (n,): at the profile's
+    speed, without the vehicle's floor, rad/m; where it is NaN, the relief stays. ``slope_deg`` (n,): of their planes.
     """
     wanted = np.log(np.maximum(c_r, _LEAST))
-    low, high = (np.full(len(c_r), np.log(end)) for end in _NOISE_M)
-    for _ in range(_ROUNDS):
-        middle = 0.5 * (low + high)
-        rides = roll_over(_without(relief_map, np.exp(middle)), operator)
-        too_rough = _predicted(rides, slope_deg, correction) > wanted
+    clean, rides = relief_map.copy(), roll_over(relief_map, operator)
+    rough = np.flatnonzero(correction.without_noise(rides, slope_deg) > wanted)
+    low, high = (np.full(len(rough), np.log(end)) for end in _NOISE_M)
+    for last in [False] * _ROUNDS + [True]:
+        middle = low if last else 0.5 * (low + high)
+        tried = _without(relief_map[rough], np.exp(middle))
+        ridden = roll_over(tried, operator)
+        too_rough = correction.without_noise(ridden, slope_deg[rough]) > wanted[rough]
         low, high = np.where(too_rough, middle, low), np.where(too_rough, high, middle)
-    rough = _predicted(roll_over(relief_map, operator), slope_deg, correction) > wanted
-    clean = np.where(rough[:, None, None], _without(relief_map, np.exp(low)), relief_map)
-    rides = roll_over(clean, operator)
-    left = np.exp(wanted - _predicted(rides, slope_deg, correction))
+    clean[rough] = tried
+    for name in Rides.__dataclass_fields__:
+        getattr(rides, name)[rough] = getattr(ridden, name)
+    left = np.exp(wanted - correction.without_noise(rides, slope_deg))
     return MatchedTiles(clean, rides, np.where(np.isfinite(left), left, 1.0))
-
-
-def _predicted(rides: Rides, slope_deg: Floats, correction: Correction) -> Floats:
-    none = np.zeros(len(slope_deg))
-    return correction.predict(rides, slope_deg, none, none + _MANY).log_c_r
 
 
 def _without(relief_map: NDArray[np.float32], noise: Floats) -> NDArray[np.float32]:
@@ -93,39 +82,40 @@ def _without(relief_map: NDArray[np.float32], noise: Floats) -> NDArray[np.float
     return clean
 
 
+def roll_wheels(heights: Floats, place: Floats, operator: RideOperator) -> Floats:
+    """Return the lowest point of wheels at places, (n,) m; NaN where one meets ground that is not known.
+
+    ``heights`` (rows, cols): of pixels, m; NaN where unknown. ``place`` (n, 2): row and column from the north-west
+    corner, pixels: a wheel and two pixels or more from all edges.
+    """
+    low, nodes = np.empty(len(place)), (heights.shape[0] * operator.fine + 1, heights.shape[1] * operator.fine + 1)
+    known = np.zeros(nodes, np.bool_)
+    roll_along(heights, np.ascontiguousarray(place), operator.fine, operator.wheel, np.empty(nodes), known, low)
+    return low
+
+
 def felt_along(
     pitch: Floats, taps: Floats, way: float, stretch: float, reach: Floats, slope_deg: Floats, correction: Correction
 ) -> Floats:
-    """Return what is felt at each sample along a line, (n,) rad/m; its mean over a stretch is the C_r there.
+    """Return what is felt at each sample of k lines, (k, n) rad/m; its mean over a stretch is the C_r there.
 
-    Parameters
-    ----------
-    pitch : array (n,)
-        Of the rockers, rad.
-    taps : array (k,)
-        How the chassis follows them, of `chassis_response`.
-    way : float
-        Distance between samples, m.
-    stretch : float
-        Length that geometric values are taken over: the side of the tiles that the correction was fitted to, m.
-    reach : array (n,)
-        ``belly_reach`` of the tile that each sample lies in.
-    slope_deg : array (n,)
-        Slope of that tile, degrees.
-    correction : Correction
-        Of the calibration.
+    ``pitch`` (k, n): of the rockers, rad; ``taps``: how the chassis follows them, of `chassis_response`; ``way``:
+    between samples, m; ``stretch``: length that geometric values are taken over: the side of the tiles that the
+    correction was fitted to, m; ``reach``, ``slope_deg`` (n,): of the tile that each sample lies in.
     """
     from scipy.ndimage import uniform_filter1d
 
     def mean(values: Floats) -> Floats:
         return np.asarray(uniform_filter1d(values, max(round(stretch / way), 1), mode="nearest"))
 
-    change = np.diff(pitch, prepend=pitch[:1])
-    change = np.abs(np.convolve(change, taps)[: len(change)]) / way
+    count = pitch.shape[1]
+    changes = np.diff(pitch, prepend=pitch[:, :1])
+    change = np.abs([np.convolve(each, taps)[:count] for each in changes]) / way
     size = np.maximum(mean(change), _LEAST)
     rms = np.maximum(np.sqrt(np.maximum(mean(change**2), 0.0)), size)
     about = np.sqrt(np.maximum(mean(pitch**2) - mean(pitch) ** 2, 0.0))
-    none = np.zeros(len(pitch))
-    rides = Rides(size, rms, about, none, none, reach, none, none)
-    felt: Floats = np.exp(_predicted(rides, slope_deg, correction)) * change / size
+    reaches, slopes = (np.tile(values, len(pitch)) for values in (reach, slope_deg))
+    none = np.zeros(pitch.size)
+    rides = Rides(size.ravel(), rms.ravel(), about.ravel(), none, none, reaches, none, none)
+    felt: Floats = np.exp(correction.without_noise(rides, slopes)).reshape(pitch.shape) * change / size
     return felt

@@ -267,22 +267,16 @@ class SpeedRating:
     def factors(self, relief_map: NDArray[np.float32], pitch_change: Floats) -> tuple[Floats, NDArray[np.float32]]:
         """Return ln of C_r at the map's speed over that at the profile's, (n,), and factors on the former, (n, 3 k).
 
-        Parameters
-        ----------
-        relief_map : array (n, pixels, pixels) float32
-            Plane-removed relief without holes, m; patches with NaN are left out.
-        pitch_change : array (n,)
-            Geometric C_r at the profile's speed, rad/m.
-
-        Returns
-        -------
-        array (n,)
-        array (n, 3 k) float32
-            For each of k speeds: c_r over that of the map; c_roll, and a_w [m/s2 per rad/m], over it.
+        ``relief_map`` (n, pixels, pixels): plane-removed, without holes, m; patches with NaN are left out.
+        ``pitch_change`` (n,): geometric C_r at the profile's speed, rad/m. Factors for each of k speeds: c_r over that
+        of the map; c_roll, and a_w [m/s2 per rad/m], over it.
 
         Both are NaN where the heightmap, without its noise, is as good as level: its form tells nothing then.
         """
-        motions = move_over(relief_map, self.operator)
+        return self.factors_of(move_over(relief_map, self.operator), pitch_change)
+
+    def factors_of(self, motions: Motions, pitch_change: Floats) -> tuple[Floats, NDArray[np.float32]]:
+        """Return `factors` from the motions over patches."""
         logs = _model(self.calibration).log_factors(motions, pitch_change, self.operator.speeds)
         logs[~(pitch_change > _LEVEL)] = np.nan
         own = logs[:, self.operator.speeds.index(self.calibration.map_speed), 0]

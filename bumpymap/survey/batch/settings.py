@@ -16,12 +16,11 @@ from bumpymap.core import (
     is_auto,
     memory_bytes,
     override_settings,
-    read_settings_file,
     refuse_clashes,
     with_pixels,
 )
 
-__all__ = ["OWN_SETTINGS", "BatchConfig", "SurveyPer", "read_batch_settings"]
+__all__ = ["OWN_SETTINGS", "BatchConfig", "SurveyPer"]
 
 
 SurveyPer: TypeAlias = Literal["file", "folder"]
@@ -35,7 +34,6 @@ OWN_SETTINGS = (
     "scheduler",
 )
 """Settings of a map that a batch decides for each survey, or shares out."""
-_NOT_IN_A_FILE = ("surveys", "out")
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,20 +108,3 @@ class BatchConfig:
                 f"{LEAST_MEMORY * jobs >> 20}MB or more, or fewer `jobs`"
             )
         return replace(config, threads=threads, memory=f"{size >> 20}MB")
-
-
-def read_batch_settings(path: Path) -> dict[str, Any]:
-    """Read the settings of all surveys from a TOML file, which has the form of one for ``map``.
-
-    Raises
-    ------
-    UsageError
-        The file cannot be read, or sets what a batch decides for each survey.
-    """
-    found = read_settings_file(path, MapConfig)
-    if wrong := [name for name in _NOT_IN_A_FILE if name in found]:
-        raise UsageError(
-            f"{path}: a batch has no setting {', '.join(wrong)}: the source names the surveys, and each gets a folder "
-            "in `out`. Remove it from the file"
-        )
-    return found

@@ -19,7 +19,7 @@ from bumpymap.views.words import share, shares, whole
 
 __all__ = ["Chart", "along_chart", "c_r_chart", "drive_chart", "slope_chart"]
 
-_LINES, _FAINT, _DARK, _ERROR, _MARK = "#e2e4e8", "#6b7280", "#1f2937", "#9aa0a8", "#a3261b"
+_LINES, _FAINT, _DARK, _ERROR, _MARK, _LINE = "#e2e4e8", "#6b7280", "#1f2937", "#9aa0a8", "#a3261b", "#2563a8"
 _STEPS = (1, 2, 5)
 _ROOM = 1.15
 """Factor between the outermost value and the end of the axis."""
@@ -246,7 +246,8 @@ def along_chart(result: CheckResult) -> Chart | None:
     caption = "Ride cost along the way"
     title = f"{caption}: {count_text(len(stretches.way_m), 'stretch', 'stretches')}"
     note = "Marks: the drive, with the 80 % error of the measurement."
-    note += " Lines on grey: the map, with its 80 % interval." if len(on_map) else ""
+    note += " Lines on grey: the map by tiles, with its 80 % interval." if len(on_map) else ""
+    note += " Blue: the map by the driven line." if result.by_line is not None else ""
     parts: tuple[Part, Part] = (lambda x: x / length, lambda y: np.clip(y / highest, 0.0, 1.0))
     chart = Chart(title, "along", 1120, 260, _SIDES, *parts, caption, note)
     left, right, top, foot = chart.frame
@@ -263,6 +264,10 @@ def along_chart(result: CheckResult) -> Chart | None:
     boxes = "".join(f"M{a:.1f} {b:.1f}H{c:.1f}V{d:.1f}H{a:.1f}Z" for a, b, c, d in columns)
     chart.elements.append(f'<path d="{boxes}" fill="#d9dce1"/>')
     chart.paths("M{:.1f} {:.1f}H{:.1f}", _DARK, west, chart.y(stretches.c_r[on_map]), east, more=' stroke-width="2"')
+    if result.by_line is not None:
+        told = np.flatnonzero(np.isfinite(result.by_line.c_r))
+        middle = chart.y(result.by_line.c_r[told])
+        chart.paths("M{:.1f} {:.1f}H{:.1f}", _LINE, sides[told], middle, sides[told + 1], more=' stroke-width="2"')
     starts = "".join(f"M{x:.1f} {top}V{foot}" for x in sides[1:-1][np.diff(stretches.drive) != 0].tolist())
     chart.path(starts, _FAINT, ' stroke-width="1.5"')
     offset, measured = MapOffset.of(stretches), np.flatnonzero(np.isfinite(stretches.measured))

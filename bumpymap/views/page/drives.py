@@ -13,6 +13,7 @@ from bumpymap.core import (
 from bumpymap.layers import MapOffset
 from bumpymap.views.page.charts import Chart, along_chart, drive_chart
 from bumpymap.views.words import (
+    agreements_of,
     metres,
     number,
     percent,
@@ -30,11 +31,9 @@ def check_charts(result: CheckResult) -> list[Chart]:
 
 def check_tables(result: CheckResult) -> dict[str, list[Any]]:
     """Return the rows of the tables about drives, by what they hold, with the warnings as texts."""
-    entries = [("all", result.agreement)] if result.agreement is not None else []
-    entries += [(f"{code} {CLASS_NAMES[code]}", found) for code, found in sorted(result.by_class.items())]
     return {
         "warnings": [*skipped_words(result), *warnings_of(result)],
-        "agreement": [_agreement(name, found) for name, found in entries if found.stretches],
+        "agreement": [_agreement(name, found) for name, found in agreements_of(result) if found.stretches],
         "worst": _worst(result),
     }
 

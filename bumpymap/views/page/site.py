@@ -177,6 +177,7 @@ WAY_FIGURES = (
     ("detour", "length over the straight line", 2, ""),
     ("seconds", "time at the vehicle's speed", 0, " s"),
     ("c_r_mean", "mean C_r", 3, " rad/m"),
+    ("c_r_line", "C_r of the line", 3, " rad/m"),
     ("c_r_max", "largest C_r", 3, " rad/m"),
     ("p_arrives", "chance to arrive", 2, ""),
     ("unknown_m", "on ground that is not known", 0, " m"),

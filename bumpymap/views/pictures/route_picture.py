@@ -176,7 +176,7 @@ def _draw_figures(pen: Pen, routes: Sequence[Route], left: int, row: int) -> Non
         name = route.name if route.name.endswith(vehicle) else route.name + vehicle
         pen.text((left + 54, row + 12), shortened(name, 32), INK, size=16)
         # on unknown ground, and over no length, the ride cost is not known
-        ride = {"mean": figures.c_r_mean, "most": figures.c_r_max}.items()
+        ride = {"tiles": figures.c_r_mean, "line": figures.c_r_line, "most": figures.c_r_max}.items()
         known = ", ".join(f"{name} {value:.3f}" for name, value in ride if math.isfinite(value))
         lines = (
             f"{metres(figures.length_m)}, cost {figures.cost_m:,.0f} m",

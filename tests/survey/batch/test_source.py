@@ -7,7 +7,7 @@ from hypothesis import given, strategies as st
 from small_surveys import write_survey
 
 from bumpymap.core import BadInputError, UsageError
-from bumpymap.survey import BatchConfig, read_batch_settings, run_batch
+from bumpymap.survey import BatchConfig, run_batch
 from bumpymap.survey.batch.source import list_surveys, name_surveys, plain_name
 
 
@@ -125,12 +125,6 @@ def test_the_command_line_is_over_the_table_and_the_table_over_the_file(tmp_path
     assert (made.ground, made.align, made.rating) == ("all", "on", "table")
     assert (made.crs, made.local) == ("EPSG:1", False)  # what is typed overrides what contradicts it
     assert (made.calibration, made.vehicle) == ("c.json", "warthog")  # and so does the table
-
-
-def test_a_file_cannot_set_what_a_batch_decides(tmp_path):
-    (tmp_path / "a.toml").write_text('out = "o"')
-    with pytest.raises(UsageError, match="no setting out"):
-        read_batch_settings(tmp_path / "a.toml")
 
 
 def test_memory_and_threads_are_shared_out(tmp_path):
