@@ -1,8 +1,8 @@
 """The vehicle and its ground in DART. No other module uses the physics engine.
 
-The setup uses ODE's collision detector, which drives cylinders over meshes, VELOCITY actuators and no sleeping. Wheels
-are cylinders of their true width: spheres take 0.6 of the time, but sink into holes that a tyre spans. DART loads a terrain only from a file, so the mesh is written to a
-temporary folder and deleted after loading.
+The setup uses ODE's collision detector, VELOCITY actuators and no sleeping. Wheels are cylinders of their true width:
+spheres take 0.6 of the time, but sink into holes that a tyre spans. DART loads a terrain only from a file, so the mesh
+is written to a temporary folder and deleted after loading.
 """
 
 import struct
