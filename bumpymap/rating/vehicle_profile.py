@@ -95,11 +95,11 @@ class Rocker:
 
 @dataclass(frozen=True, slots=True)
 class Wheel:
-    """One of the four wheels: a rigid sphere for contact with the ground, a cylinder for its inertia."""
+    """One of the four wheels: a rigid cylinder."""
 
     mass_kg: Annotated[float, Quantity("kg", 0.005, 2e4, "mass of one wheel")]
-    radius_m: Annotated[float, Quantity("m", 0.02, 3, "radius; in contact with the ground, the wheel is a sphere")]
-    width_m: Annotated[float, Quantity("m", 0.005, 3, "width, used for the moments of inertia of the wheel")]
+    radius_m: Annotated[float, Quantity("m", 0.02, 3, "radius")]
+    width_m: Annotated[float, Quantity("m", 0.005, 3, "width")]
 
 
 @dataclass(frozen=True, slots=True)

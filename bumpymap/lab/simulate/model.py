@@ -1,8 +1,8 @@
 """The vehicle and its ground in DART. No other module uses the physics engine.
 
-The setup uses ODE's collision detector, spheres for wheels (every other pair of detector and wheel is slower, or wrong
-on meshes), VELOCITY actuators and no sleeping. DART loads a terrain only from a file, so the mesh is written to a
-temporary folder and deleted after loading.
+The setup uses ODE's collision detector, VELOCITY actuators and no sleeping. Wheels are cylinders of their true width:
+spheres take 0.6 of the time, but sink into holes that a tyre spans. DART loads a terrain only from a file, so the mesh
+is written to a temporary folder and deleted after loading.
 """
 
 import struct
@@ -181,6 +181,8 @@ class DartVehicle:
         def inertia(mass: float, moments: tuple[float, float, float]) -> Any:
             return self._dart.dynamics.Inertia(mass, [0.0, 0.0, 0.0], np.diag(moments))
 
+        turned = self._dart.math.Isometry3()  # a cylinder's axis is z: to the left, it is the axle
+        turned.set_rotation([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
         _, chassis = robot.createFreeJointAndBodyNodePair()
         chassis.setInertia(inertia(profile.chassis.mass_kg, profile.chassis.inertia_kgm2))
         self._add_belly(chassis, profile, physics)
@@ -198,7 +200,9 @@ class DartVehicle:
                 wheel.setInertia(inertia(profile.wheel.mass_kg, wheel_inertia(profile)))
                 self._hinge(axle, (forward, 0.0, 0.0))
                 axle.setActuatorType(self._dart.dynamics.ActuatorType.VELOCITY)
-                shape = wheel.createShapeNode(self._dart.dynamics.SphereShape(profile.wheel.radius_m))
+                tyre = self._dart.dynamics.CylinderShape(profile.wheel.radius_m, profile.wheel.width_m)
+                shape = wheel.createShapeNode(tyre)
+                shape.setRelativeTransform(turned)
                 shape.createCollisionAspect()
                 shape.createDynamicsAspect()
                 self._set_surface(shape, physics)

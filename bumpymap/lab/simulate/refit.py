@@ -1,8 +1,8 @@
 """Fit what needs no drives again, and write it into calibrations: ``python -m bumpymap.lab.simulate.refit FILE...``.
 
 The files are the shipped calibrations if none is named. The terrain library follows from the seed in the file, and the
-file holds its drives: ride model and model of thin surveys are fitted to them, and tiles with steps are rated anew.
-Class limits and tables stay.
+file holds its drives: ride model, model of thin surveys and that of other speeds are fitted to them, and tiles with
+steps are rated anew. Class limits and tables stay.
 
 *Crossings* lead once over one vertical wall between two levels, up or down, at an angle: the probability of failing
 there. *Tiles* have a step across them, well inside, and are rated by the ride model of the calibration, which was
@@ -27,6 +27,7 @@ from bumpymap.core import UsageError, atomic
 from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.lab.simulate.drive import Drive, PatchDrives, Start, drive_from
 from bumpymap.lab.simulate.jobs import DriveJob, Key
+from bumpymap.lab.simulate.motion_fit import fit_means
 from bumpymap.lab.simulate.plan import calibrated_settings, read_library
 from bumpymap.lab.simulate.ride_fit import fit_ride, fit_thin_surveys
 from bumpymap.lab.simulate.terrain import relief_and_slope
@@ -165,7 +166,7 @@ def cross(settings: CalibrationSettings, ground: WallGround, angle: float, shift
 
 
 def refit(calibration: Calibration) -> Calibration:
-    """Return a calibration with newly fitted models of the ride and of thin surveys.
+    """Return a calibration with newly fitted models of the ride, of thin surveys and of other speeds.
 
     Raises
     ------
@@ -191,6 +192,10 @@ def refit(calibration: Calibration) -> Calibration:
     made = replace(calibration, ride=ride, thin=thin)
     if made.steps is not None:  # its crossings stay
         made = replace(made, steps=made.steps | {"tile": _rated_tiles(made, calibrated_settings(made))})
+    if made.motion is not None:
+        origin = made.motion["origin"]
+        driven = np.array(origin["driven"], np.float64)
+        made = replace(made, motion=fit_means(calibrated_settings(made), driven, origin["starts"]).to_record())
     return made
 
 

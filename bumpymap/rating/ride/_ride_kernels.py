@@ -78,7 +78,7 @@ class RideScratch(NamedTuple):
     wide: Annotated[Singles, 3]
     """(nodes + 2 margin,) twice and group: heights at the nodes with a mirrored margin, m."""
     envelope: Annotated[Singles, 2]
-    """(nodes^2, group) heights of the lowest point of a wheel, m."""
+    """(directions nodes^2, group) heights of the lowest point of a wheel in each direction, m."""
     bare: Annotated[Singles, 2]
     """(nodes^2, group) heights at the nodes, m."""
     members: Annotated[NDArray[np.int64], 1]
@@ -87,13 +87,13 @@ class RideScratch(NamedTuple):
     """(6, group) what a group's rides are."""
 
 
-def ride_scratch(pixels: int, nodes: int, margin: int) -> RideScratch:
-    """Make scratch for patches of so many pixels and nodes along a side."""
+def ride_scratch(pixels: int, nodes: int, margin: int, directions: int) -> RideScratch:
+    """Make scratch for patches of so many pixels and nodes along a side, and wheels in so many directions."""
     wide = nodes + 2 * margin
     return RideScratch(
         np.zeros((pixels, pixels, GROUP), np.float32),
         np.empty((wide, wide, GROUP), np.float32),
-        np.empty((nodes * nodes, GROUP), np.float32),
+        np.empty((directions * nodes * nodes, GROUP), np.float32),
         np.empty((nodes * nodes, GROUP), np.float32),
         np.empty(GROUP, np.int64),
         np.empty((6, GROUP)),
@@ -195,19 +195,22 @@ def lay_nodes(fine: int, nodes: int, scratch: RideScratch) -> None:
 
 @helper
 def roll_wheel(nodes: int, wheel: WheelShape, scratch: RideScratch) -> None:
-    """Height of the lowest point of a wheel that touches the ground, at every node of a group of patches."""
+    """Height of the lowest point of a wheel that touches the ground, for each direction and node of a group."""
     wide, margin = scratch.wide, (scratch.wide.shape[0] - nodes) // 2
-    for r in range(nodes):
-        for c in range(nodes):
-            low = high = same(np.float32(-3e38))
-            for o in range(len(wheel.row)):
-                # Unsigned: without code for negative indices.
-                row, col = np.uintp(r + margin + wheel.row[o]), np.uintp(c + margin + wheel.col[o])
-                ground, lift = wide[row, col], same(wheel.rise[o])
-                low = each3(_higher, low, load(ground, 0), lift)
-                high = each3(_higher, high, load(ground, LANES), lift)
-            store(low, scratch.envelope[r * nodes + c], 0)
-            store(high, scratch.envelope[r * nodes + c], LANES)
+    at = 0
+    for turn in range(len(wheel.starts) - 1):
+        for r in range(nodes):
+            for c in range(nodes):
+                low = high = same(np.float32(-3e38))
+                for o in range(wheel.starts[turn], wheel.starts[turn + 1]):
+                    # Unsigned: without code for negative indices.
+                    row, col = np.uintp(r + margin + wheel.row[o]), np.uintp(c + margin + wheel.col[o])
+                    ground, lift = wide[row, col], same(wheel.rise[o])
+                    low = each3(_higher, low, load(ground, 0), lift)
+                    high = each3(_higher, high, load(ground, LANES), lift)
+                store(low, scratch.envelope[at], 0)
+                store(high, scratch.envelope[at], LANES)
+                at += 1
 
 
 @helper

@@ -187,7 +187,7 @@ class MotionOperator:
             speeds=tuple(speeds),
             fine=fine,
             nodes=lattice.nodes,
-            wheel=wheel_shape(radius, lattice.step),
+            wheel=wheel_shape(radius, float(vehicle["wheel"]["width_m"]), lattice.step),
             samples=_joined(groups),
             bounds=np.concatenate(([0], np.cumsum(counts))).astype(np.int64),
         )
@@ -215,7 +215,7 @@ def _patches_and_scratch(
     patches = np.ascontiguousarray(relief_map, np.float32)
     known = np.asarray(np.isfinite(patches).all(axis=(1, 2)))
     margin = int(max(np.abs(wheel.row).max(), np.abs(wheel.col).max()))
-    return PatchesToRide(known, patches, fine), ride_scratch(patches.shape[1], nodes, margin)
+    return PatchesToRide(known, patches, fine), ride_scratch(patches.shape[1], nodes, margin, len(wheel.starts) - 1)
 
 
 def _heights(patches: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -1,13 +1,13 @@
 """The ride operator: where a vehicle's wheels stand on a patch, and how fast its chassis pitches there.
 
 Strategy. A patch goes on forever, mirrored at its edges, and a wheel's centre rolls on the envelope of that ground
-(grey dilation with the wheel's shape). Everything after that is linear in the envelope: the pitch of a side is the
-height of its front axle less that of its rear axle over the wheelbase, the chassis takes the mean of both sides,
-follows it through its suspension (a spring and a damper), and what counts is the change of its pitch per metre driven.
-So each *sample*, a place and a heading, is one row of a sparse matrix over the nodes of the envelope, the same for
-every patch, and the geometric C_r of a patch is the mean absolute value of matrix times envelope. The samples are
-spread evenly over the patch and all headings and are closed under the symmetries of the square: a patch that is turned
-or mirrored gets the same answer.
+(grey dilation with the wheel's shape: a cylinder, turned to the nearest of four directions). Everything after that is
+linear in the envelope: the pitch of a side is the height of its front axle less that of its rear axle over the
+wheelbase, the chassis takes the mean of both sides, follows it through its suspension (a spring and a damper), and what
+counts is the change of its pitch per metre driven. So each *sample*, a place and a heading, is one row of a sparse
+matrix over the nodes of the envelopes, the same for every patch, and the geometric C_r of a patch is the mean absolute
+value of matrix times envelopes. The samples are spread evenly over the patch and all headings and are closed under the
+symmetries of the square: a patch that is turned or mirrored gets the same answer.
 """
 
 from collections.abc import Mapping
@@ -33,6 +33,7 @@ __all__ = [
     "spread_places",
     "wheel_rows",
     "wheel_shape",
+    "wheel_turn",
 ]
 
 Floats = NDArray[np.float64]
@@ -46,7 +47,7 @@ class PitchSamples(NamedTuple):
     starts: Annotated[NDArray[np.int32], 1]
     """(samples + 1,) where each row begins."""
     node: Annotated[NDArray[np.int32], 1]
-    """(entries,) index into the flat (nodes, nodes) envelope."""
+    """(entries,) index into the flat (directions, nodes, nodes) envelopes."""
     weight: Annotated[NDArray[np.float32], 1]
     """(entries,) rad/m of pitch change per metre of height."""
 
@@ -80,6 +81,12 @@ class NodeLattice:
                 node.append(self._mirrored(row) * self.nodes + self._mirrored(col))
                 weight.append(share_y * share_x)
         return np.stack(node, axis=-1), np.stack(weight, axis=-1)
+
+    def first_node(self, x: Floats, y: Floats, heading: Floats) -> NDArray[np.int64]:
+        """Return the first node of the envelope of wheels that roll at places [m] to headings [rad], of one shape."""
+        side = self.step * (self.nodes - 1)
+        mirrored = (np.floor(x / side) + np.floor(y / side)) % 2 == 1
+        return wheel_turn(np.where(mirrored, -heading, heading)) * self.nodes**2
 
     def _mirrored(self, index: NDArray[np.int64]) -> NDArray[np.int64]:
         """Mirror at the edge nodes, which lie on the patch's edges."""
@@ -121,6 +128,7 @@ def wheel_rows(
         east = x[:, None] + np.cos(heading)[:, None] * along - np.sin(heading)[:, None] * beside
         north = y[:, None] + np.sin(heading)[:, None] * along + np.cos(heading)[:, None] * beside
         node, weight = lattice.read(east, north)
+        node += lattice.first_node(east, north, heading[:, None])[..., None]
         nodes.append(node.reshape(len(x), -1))
         weights.append((weight * (sign * wheels.share)[:, None]).reshape(len(x), -1))
     return _compressed(np.concatenate(nodes, axis=1), np.concatenate(weights, axis=1))
@@ -148,15 +156,19 @@ _RIDE_SAMPLES, _POSE_SAMPLES = 128, 16
 """Samples before the eight symmetries."""
 _MOST_TAPS = 400
 _SETTLED = 0.01
+_TURNS = 4
+"""Directions of wheels in half a turn: 0, 45, 90 and 135 degrees."""
 
 
 class WheelShape(NamedTuple):
-    """The lower half of a wheel (a sphere) on the nodes of the envelope."""
+    """The lower half of a wheel (a cylinder) on the nodes of the envelope, in each of four directions."""
 
+    starts: Annotated[NDArray[np.int32], 1]
+    """(directions + 1,) where the nodes of each begin."""
     row: Annotated[NDArray[np.int32], 1]
-    """(n,) nodes to the north of the centre."""
+    """(n,) nodes from the centre, along the rows."""
     col: Annotated[NDArray[np.int32], 1]
-    """(n,) nodes to the east."""
+    """(n,) nodes from the centre, along the columns."""
     rise: Annotated[NDArray[np.float32], 1]
     """(n,) how much higher than its lowest point the wheel is there, negative, m."""
 
@@ -208,7 +220,7 @@ class RideOperator:
         return cls(
             fine=fine,
             nodes=nodes,
-            wheel=wheel_shape(radius, step),
+            wheel=wheel_shape(radius, float(vehicle["wheel"]["width_m"]), step),
             samples=samples,
             poses=_poses(
                 lattice, spread_places(_POSE_SAMPLES, tile_size), wheelbase, track, float(belly["length_m"]) / 2
@@ -227,15 +239,26 @@ def lattice_of(radius: float, tile_size: float, pixels: int) -> tuple[int, NodeL
     return fine, NodeLattice(pixels * fine + 1, tile_size / (pixels * fine))
 
 
-def wheel_shape(radius: float, step: float) -> WheelShape:
-    """Return the lower half of a wheel on nodes that are ``step`` m apart."""
+def wheel_turn(heading: Floats) -> NDArray[np.int64]:
+    """Return the direction of `WheelShape`, from 0, that is nearest to each heading [rad]."""
+    return np.rint(heading / (np.pi / _TURNS)).astype(np.int64) % _TURNS
+
+
+def wheel_shape(radius: float, width: float, step: float) -> WheelShape:
+    """Return the lower half of a wheel [m] on nodes that are ``step`` m apart, each as wide as that."""
     reach = int(radius / step + 1e-9)
     offset = np.arange(-reach, reach + 1)
     row, col = (axis.ravel() for axis in np.meshgrid(offset, offset, indexing="ij"))
-    away = (row**2 + col**2) * step**2
-    under = away <= radius**2 * (1 + 1e-9)
-    rise = np.sqrt(np.maximum(radius**2 - away[under], 0.0)) - radius
-    return WheelShape(row[under].astype(np.int32), col[under].astype(np.int32), rise.astype(np.float32))
+    turn = np.pi / _TURNS * np.arange(_TURNS)[:, None]
+    along, beside = (
+        step * (col * a + row * b) for a, b in ((np.cos(turn), np.sin(turn)), (-np.sin(turn), np.cos(turn)))
+    )
+    under = (np.abs(along) <= radius * (1 + 1e-9)) & (np.abs(beside) <= (width + step) / 2 * (1 + 1e-9))
+    rise = np.sqrt(np.maximum(radius**2 - along**2, 0.0)) - radius
+    direction, node = np.nonzero(under)
+    starts = np.searchsorted(direction, np.arange(_TURNS + 1))
+    shape = row[node].astype(np.int32), col[node].astype(np.int32), rise[under].astype(np.float32)
+    return WheelShape(starts.astype(np.int32), *shape)
 
 
 def chassis_response(vehicle: Mapping[str, Any], way: float) -> Floats:
@@ -293,7 +316,9 @@ def _poses(lattice: NodeLattice, places: Places, wheelbase: float, track: float,
     cos, sin = np.cos(heading)[:, None], np.sin(heading)[:, None]
     along = np.array([1, 1, -1, -1]) * wheelbase / 2
     beside = np.array([1, -1, 1, -1]) * track / 2
-    node, weight = lattice.read(x[:, None] + cos * along - sin * beside, y[:, None] + sin * along + cos * beside)
+    east, north = x[:, None] + cos * along - sin * beside, y[:, None] + sin * along + cos * beside
+    node, weight = lattice.read(east, north)
+    node += lattice.first_node(east, north, heading[:, None])[..., None]
     ends = np.array([1, 0, -1]) * belly_half
     belly, share = lattice.read(x[:, None] + cos * ends, y[:, None] + sin * ends)
     return Poses(
@@ -311,7 +336,7 @@ def _noise_gain(samples: PitchSamples, pixels: int, fine: int) -> float:
     rows = np.zeros((_RIDE_SAMPLES, nodes * nodes))
     entries = samples.starts[: _RIDE_SAMPLES + 1]
     row = np.repeat(np.arange(_RIDE_SAMPLES), np.diff(entries))
-    rows[row, samples.node[: entries[-1]]] = samples.weight[: entries[-1]]
+    rows[row, samples.node[: entries[-1]] % nodes**2] = samples.weight[: entries[-1]]
     worth = spread.T @ rows.reshape(-1, nodes, nodes) @ spread
     return float(np.sqrt((worth**2).sum() / _RIDE_SAMPLES))
 
