@@ -362,6 +362,8 @@ class _LineWindow(NamedTuple):
     """(n,) which of these each sample is in."""
     wheels: Floats
     """(places across * 4 * n, 2) row and column of wheels, pixels."""
+    ahead: Floats
+    """The same shape: easting and northing of their way."""
     seen: Floats
     """(n,) share of the pixels under the wheels that hold points."""
 
@@ -392,7 +394,7 @@ def _roll(site: MapReader, line: Floats, at: Floats, vehicle: LineVehicle, acros
     for box, window in zip(boxes, windows, strict=True):
         here = slice(first, first + window.bands.shape[1])
         box[window.touched] += added[here]
-        low = roll_wheels(window.heights, window.wheels, vehicle.operator).reshape(len(across), 4, -1)
+        low = roll_wheels(window.heights, window.wheels, window.ahead, vehicle.operator).reshape(len(across), 4, -1)
         rolled.append((low, window.seen, *(values[here][window.tile] for values in tiles)))
         first = here.stop
     heights, seen, *columns = (np.concatenate(parts, axis=-1) for parts in zip(*rolled, strict=True))
@@ -421,7 +423,8 @@ def _read(site: MapReader, middle: Floats, wheels: Floats, vehicle: LineVehicle)
     number = np.cumsum(touched).reshape(touched.shape) - 1
     # Holes in a tile that no wheel touches fill those beside it.
     near = maximum_filter(touched, 3).repeat(grid.pixels, axis=0).repeat(grid.pixels, axis=1)
-    return _LineWindow(_filled(measured, near), touched, bands, number[own], where * grid.pixels, seen)
+    ahead = np.broadcast_to(wheels[:, :1] - wheels[:, 2:3], wheels.shape).reshape(-1, 2)
+    return _LineWindow(_filled(measured, near), touched, bands, number[own], where * grid.pixels, ahead, seen)
 
 
 def _match(heights: Floats, bands: NDArray[np.float32], vehicle: LineVehicle) -> tuple[Floats, _Tiles]:

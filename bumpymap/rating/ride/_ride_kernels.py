@@ -323,35 +323,38 @@ def _node_height(heights: Floats, fine: int, i: int, j: int) -> float:
 def roll_along(
     heights: Annotated[Floats, 2],
     place: Annotated[Floats, 2],
+    turn: Annotated[NDArray[np.int64], 1],
     fine: int,
     wheel: WheelShape,
-    envelope: Annotated[Floats, 2],
-    known: Annotated[NDArray[np.bool_], 2],
+    envelope: Annotated[Floats, 3],
+    known: Annotated[NDArray[np.bool_], 3],
     low: Annotated[Floats, 1],
 ) -> None:
     """Fill the lowest point of wheels at n places, m; NaN where one meets ground that is not known.
 
     ``heights`` (rows, cols): m; ``place`` (n, 2): row and column, pixels, a wheel and two pixels or more from all
-    edges. ``envelope`` and ``known``, at first False, hold the wheel on each of (rows fine + 1, cols fine + 1) nodes.
+    edges; ``turn`` (n,): the direction of ``wheel``. ``envelope`` and ``known``, at first False, hold the wheel in each
+    direction on each of (rows fine + 1, cols fine + 1) nodes.
     """
     for k in range(len(place)):
+        to = turn[k]
         row, col = place[k, 0] * fine, place[k, 1] * fine
         i, j = math.floor(row), math.floor(col)
         south, east = row - i, col - j
         total = 0.0
         for down in range(2):
             for right in range(2):
-                if not known[i + down, j + right]:
+                if not known[to, i + down, j + right]:
                     highest = -math.inf
-                    for n in range(len(wheel.row)):
+                    for n in range(wheel.starts[to], wheel.starts[to + 1]):
                         ground = _node_height(heights, fine, i + down + wheel.row[n], j + right + wheel.col[n])
                         lift = ground + wheel.rise[n]
                         if math.isnan(lift):
                             highest = lift
                             break
                         highest = max(highest, lift)
-                    known[i + down, j + right] = True
-                    envelope[i + down, j + right] = highest
+                    known[to, i + down, j + right] = True
+                    envelope[to, i + down, j + right] = highest
                 weight = (south if down == 1 else 1.0 - south) * (east if right == 1 else 1.0 - east)
-                total += envelope[i + down, j + right] * weight
+                total += envelope[to, i + down, j + right] * weight
         low[k] = total

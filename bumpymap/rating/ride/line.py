@@ -17,7 +17,7 @@ from bumpymap.rating.ride._noise_kernels import DenoisedPatches, PatchesToDenois
 from bumpymap.rating.ride._ride_kernels import roll_along
 from bumpymap.rating.ride.correction import Correction
 from bumpymap.rating.ride.motion_operator import Rides, roll_over
-from bumpymap.rating.ride.operator import RideOperator
+from bumpymap.rating.ride.operator import RideOperator, wheel_turn
 from bumpymap.rating.ride.rate import spectrum_of
 
 __all__ = ["MatchedTiles", "felt_along", "match_tiles", "roll_wheels"]
@@ -82,15 +82,17 @@ def _without(relief_map: NDArray[np.float32], noise: Floats) -> NDArray[np.float
     return clean
 
 
-def roll_wheels(heights: Floats, place: Floats, operator: RideOperator) -> Floats:
+def roll_wheels(heights: Floats, place: Floats, ahead: Floats, operator: RideOperator) -> Floats:
     """Return the lowest point of wheels at places, (n,) m; NaN where one meets ground that is not known.
 
     ``heights`` (rows, cols): of pixels, m; NaN where unknown. ``place`` (n, 2): row and column from the north-west
-    corner, pixels: a wheel and two pixels or more from all edges.
+    corner, pixels: a wheel and two pixels or more from all edges. ``ahead`` (n, 2): easting and northing of the way.
     """
-    low, nodes = np.empty(len(place)), (heights.shape[0] * operator.fine + 1, heights.shape[1] * operator.fine + 1)
-    known = np.zeros(nodes, np.bool_)
-    roll_along(heights, np.ascontiguousarray(place), operator.fine, operator.wheel, np.empty(nodes), known, low)
+    low, nodes = np.empty(len(place)), tuple(size * operator.fine + 1 for size in heights.shape)
+    envelope = np.empty((len(operator.wheel.starts) - 1, *nodes))
+    turn = wheel_turn(np.arctan2(-ahead[:, 1], ahead[:, 0]))  # rows count southwards
+    known = np.zeros(envelope.shape, np.bool_)
+    roll_along(heights, np.ascontiguousarray(place), turn, operator.fine, operator.wheel, envelope, known, low)
     return low
 
 
