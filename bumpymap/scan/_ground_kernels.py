@@ -46,7 +46,7 @@ PARTS = 5
 """Parts of a cell along each side: outwards and around."""
 NEIGHBOURS = 8
 """Most neighbours of a cell: three inwards, two beside it, three outwards."""
-CARRIED, FOUND = 1, 2
+CARRIED, FOUND, GUESSED = 1, 2, 3
 """Kinds of planes: passed on by a neighbour; fitted to the cell's own points. 0: none."""
 THINGS_HEIGHT = 2.0
 """Things on the ground are drawn up to this multiple of the vehicle's height."""
@@ -71,8 +71,12 @@ _MOST_FITTED = 512
 _STEP, _STEP_PER_METRE, _FARTHEST = 0.25, 0.15, 8.0
 """How far a plane may pass from what its neighbours expect, m: at their own points, for each metre from there, and the
 greatest distance that counts."""
-_KEPT_SHARE = 0.3
-"""Least weight of a set of cells against the heaviest one, see `keep_largest`."""
+_WALL_ABOVE, _WALL_SPREAD = 0.5, 0.45
+"""A plane through a wall or a bush: so many points, against those near it, lie over it as deep as its band is, and
+those near it fill the band: their spread is so large, against its half."""
+_WALL_STEP = float(__import__("os").environ.get("WS","0.1"))
+_ROUGH,_ROUGH_M = 2.5,float(__import__("os").environ.get("RM","0.06"))
+_RISE = 0.06
 _BELOW = 0.5
 """Points further below a plane than this are reflections, m."""
 _PART_POINTS, _PART_SPREAD, _PART_LOWEST, _PART_HIGHEST, _PART_STEP, _PART_REACH = 3, 0.07, -0.6, 0.8, 0.2, 0.15
@@ -228,17 +232,29 @@ def gather_points(
 
 
 @helper
+def _height(planes: GroundPlanes, cell: int, x: float, y: float) -> float:
+    """Return the height of the plane of a cell at a place, m."""
+    return planes.plane[cell, 0] * x + planes.plane[cell, 1] * y + planes.plane[cell, 2]
+
+
+@helper
 def _expect(
-    cell: int, last: int, at: tuple[float, float], geometry: CellGeometry, planes: GroundPlanes, scratch: PlaneScratch
+    cell: int,
+    last: int,
+    at: tuple[float, float],
+    geometry: CellGeometry,
+    planes: GroundPlanes,
+    scratch: PlaneScratch,
+    worst: int,
 ) -> tuple[int, float, float]:
     """Return the neighbour whose plane has the median height at a place, that height, and the way to its points."""
     x, y = at
     count = 0
     for s in range(last):
         other = geometry.near[cell, s]
-        if other < 0 or planes.kind[other] == 0:
+        if other < 0 or planes.kind[other] == 0 or planes.kind[other] > worst:
             continue
-        height = planes.plane[other, 0] * x + planes.plane[other, 1] * y + planes.plane[other, 2]
+        height = _height(planes, other, x, y)
         k = count
         while k > 0 and scratch.heights[k - 1] > height:
             scratch.heights[k], scratch.cells[k] = scratch.heights[k - 1], scratch.cells[k - 1]
@@ -400,10 +416,10 @@ def _settle(
 @helper
 def _describe(
     points: CellPoints, some: tuple[int, int, int], plane: Plane3, reach: float
-) -> tuple[float, float, float, float]:
-    """Return number, mean x and y, and spread in height of the points near a plane."""
+) -> tuple[float, float, float, float, bool]:
+    """Return number, mean x and y, spread in height of the points near a plane, and if it is a slice of a wall."""
     a, b, c = plane
-    count = sx = sy = sh = square = 0.0
+    count = sx = sy = sh = square = above = 0.0
     first, last, step = some
     for i in range(first, last, step):
         x, y = points.xyz[0, i], points.xyz[1, i]
@@ -414,9 +430,13 @@ def _describe(
             sy += y
             sh += h
             square += h * h
+        elif reach <= h < 3.0 * reach:
+            above += 1.0
     if count == 0.0:
-        return 0.0, 0.0, 0.0, 0.0
-    return count, sx / count, sy / count, math.sqrt(max(square / count - (sh / count) ** 2, 0.0))
+        return 0.0, 0.0, 0.0, 0.0, False
+    spread = math.sqrt(max(square / count - (sh / count) ** 2, 0.0))
+    is_wall = above > _WALL_ABOVE * count and spread > _WALL_SPREAD * reach
+    return count, sx / count, sy / count, spread, is_wall
 
 
 @helper
@@ -424,23 +444,46 @@ def _accept(
     cell: int,
     last: int,
     plane: Plane3,
-    found: tuple[float, float, float, float],
+    found: tuple[float, float, float, float, bool],
     geometry: CellGeometry,
     planes: GroundPlanes,
     scratch: PlaneScratch,
 ) -> bool:
     """Keep a plane if it has enough points, is not too steep and continues its neighbours'; returns whether it was."""
     a, b, c = plane
-    count, x, y, spread = found
+    count, x, y, spread, is_wall = found
     if count < _LEAST_POINTS or a * a + b * b > _STEEPEST * _STEEPEST:
         return False
-    other, height, away = _expect(cell, last, (x, y), geometry, planes, scratch)
-    if other >= 0 and abs(a * x + b * y + c - height) > _STEP + _STEP_PER_METRE * min(away, _FARTHEST):
-        return False
+    other, height, away = _expect(cell, last, (x, y), geometry, planes, scratch, FOUND)
+    if other < 0:
+        other, height, away = _expect(cell, last, (x, y), geometry, planes, scratch, GUESSED)
+    if other >= 0:
+        over, far = a * x + b * y + c - height, min(away, _FARTHEST)
+        if over > (_WALL_STEP if is_wall else _STEP) + _RISE * far or -over > _STEP + _STEP_PER_METRE * far:
+            return False
     planes.plane[cell, 0], planes.plane[cell, 1], planes.plane[cell, 2] = a, b, c
     planes.centre[cell, 0], planes.centre[cell, 1], planes.centre[cell, 2] = x, y, 0.0
     planes.spread[cell], planes.kind[cell] = spread, FOUND
     return True
+
+
+@helper
+def _carry(
+    cell: int, other: int, away: float, kind: int, geometry: CellGeometry, slope: Floats, planes: GroundPlanes
+) -> None:
+    """Give a cell the plane of another one, ``away`` [m] from the points of that; -1: none."""
+    planes.kind[cell] = kind if other >= 0 else 0
+    if other < 0:
+        return
+    x, y, a, b = geometry.x[cell], geometry.y[cell], planes.plane[other, 0], planes.plane[other, 1]
+    height = a * x + b * y + planes.plane[other, 2]
+    if kind == GUESSED:
+        u, v = planes.centre[other, 0], planes.centre[other, 1]
+        height = _height(planes, other, u, v) + slope[0] * (x - u) + slope[1] * (y - v)
+        a, b = slope[0], slope[1]
+    a, b = 0.5 * (a + slope[0]), 0.5 * (b + slope[1])
+    planes.plane[cell, 0], planes.plane[cell, 1], planes.plane[cell, 2] = a, b, height - a * x - b * y
+    planes.centre[cell, 0], planes.centre[cell, 1], planes.centre[cell, 2] = x, y, away
 
 
 @kernel
@@ -457,12 +500,24 @@ def find_planes(
     """
     neighbours, slope = rule.neighbours, rule.slope
     passes = _PASSES if neighbours else _FIRST_PASSES
+    for k in range(len(geometry.x) if neighbours else 0):
+        cell = len(geometry.x) - 1 - k
+        if planes.kind[cell] == 0:
+            origin = (geometry.x[cell], geometry.y[cell])
+            other, _, away = _expect(cell, neighbours, origin, geometry, planes, scratch, FOUND)
+            if other < 0:
+                other, _, away = _expect(cell, neighbours, origin, geometry, planes, scratch, GUESSED)
+            _carry(cell, other, away, GUESSED, geometry, slope, planes)
     for cell in range(len(geometry.x)):
         first = points.starts[cell]
         n = points.starts[cell + 1] - first
         some = (first, first + n, max(n // _MOST_FITTED, 1))
         origin = (geometry.x[cell], geometry.y[cell])
-        other, _, away = _expect(cell, neighbours, origin, geometry, planes, scratch)
+        other, _, away = _expect(cell, neighbours, origin, geometry, planes, scratch, FOUND)
+        kind = CARRIED
+        if other < 0:
+            other, _, away = _expect(cell, neighbours, origin, geometry, planes, scratch, GUESSED)
+            kind = GUESSED
         a = b = c = 0.0
         if other >= 0:
             a, b, c = planes.plane[other, 0], planes.plane[other, 1], planes.plane[other, 2]
@@ -483,12 +538,7 @@ def find_planes(
                     found = _describe(points, some, plane, near)
                     done = _accept(cell, neighbours, plane, found, geometry, planes, scratch)
         if not done:
-            planes.kind[cell] = CARRIED if other >= 0 else 0
-            height = a * origin[0] + b * origin[1] + c
-            a, b = 0.5 * (a + slope[0]), 0.5 * (b + slope[1])
-            planes.plane[cell, 0], planes.plane[cell, 1] = a, b
-            planes.plane[cell, 2] = height - a * origin[0] - b * origin[1]
-            planes.centre[cell, 0], planes.centre[cell, 1], planes.centre[cell, 2] = origin[0], origin[1], away
+            _carry(cell, other, away, kind, geometry, slope, planes)
 
 
 @helper
@@ -514,20 +564,29 @@ def _continues(cell: int, other: int, planes: GroundPlanes) -> bool:
 
 
 @kernel
-def keep_largest(geometry: CellGeometry, planes: GroundPlanes, of: Integers, weight: Floats) -> None:
-    """Keep the planes of the largest set of cells in which neighbours continue each other; drop small other sets.
+def keep_largest(
+    geometry: CellGeometry, planes: GroundPlanes, noise: Floats, slope: Floats, of: Integers, weight: Floats, fit: Floats
+) -> None:
+    """Keep the planes of the largest set of cells in which neighbours continue each other, and of sets as high as it.
 
-    A cell counts for the inverse of its distance: what lies near the robot is what it stands on.
+    A cell counts for the inverse of its distance: what lies near the robot is what it stands on. A plane whose points
+    spread by much more than the ``noise`` (zones,) [m] of the scan continues nothing: it leans from the road to a roof.
+    Another set is kept if most of its cells are as high as the nearest one of the largest, along the ``slope`` (2,) of
+    the whole ground.
 
-    ``of`` (cells,): scratch; ``weight`` (cells,): scratch.
+    ``of``, ``weight``, ``fit`` (cells,): scratch.
     """
     cells = len(geometry.x)
     for cell in range(cells):
-        of[cell], weight[cell] = cell, 0.0
+        of[cell], weight[cell], fit[cell] = cell, 0.0, 0.0
     for cell in range(cells):
+        if planes.kind[cell] != FOUND or planes.spread[cell] > max(_ROUGH * noise[geometry.zone[cell]], _ROUGH_M):
+            continue
         for k in range(geometry.near.shape[1]):
             other = geometry.near[cell, k]
-            if other < 0 or planes.kind[cell] != FOUND or planes.kind[other] != FOUND:
+            if other < 0 or planes.kind[other] != FOUND:
+                continue
+            if planes.spread[other] > max(_ROUGH * noise[geometry.zone[other]], _ROUGH_M):
                 continue
             if _continues(cell, other, planes):
                 one, two = _root(of, cell), _root(of, other)
@@ -540,7 +599,22 @@ def keep_largest(geometry: CellGeometry, planes: GroundPlanes, of: Integers, wei
             if weight[root] > weight[best]:
                 best = root
     for cell in range(cells):
-        if weight[_root(of, cell)] < _KEPT_SHARE * weight[best]:
+        if planes.kind[cell] != FOUND or _root(of, cell) == best:
+            continue
+        x, y = planes.centre[cell, 0], planes.centre[cell, 1]
+        nearest, over = np.inf, 0.0
+        for other in range(cells):
+            dx, dy = x - planes.centre[other, 0], y - planes.centre[other, 1]
+            square = dx * dx + dy * dy
+            if square < nearest and planes.kind[other] == FOUND and _root(of, other) == best:
+                nearest, over = square, _height(planes, cell, x, y) - slope[0] * dx - slope[1] * dy
+                over -= _height(planes, other, x - dx, y - dy)
+        far = min(math.sqrt(nearest), _FARTHEST)
+        fits = -_STEP - _STEP_PER_METRE * far < over < _STEP + _RISE * far
+        fit[_root(of, cell)] += 1.0 if fits else -1.0
+    for cell in range(cells):
+        root = _root(of, cell)
+        if root != best and fit[root] <= 0.0:
             planes.kind[cell] = 0
 
 
@@ -560,7 +634,7 @@ def _measure_heights(
         first, last = points.starts[cell], points.starts[cell + 1]
         reach = rule.reach[geometry.zone[cell]]
         below = -_BELOW if planes.kind[cell] == FOUND else -reach
-        if planes.kind[cell] == CARRIED and last - first > rule.least_points:
+        if planes.kind[cell] != FOUND and last - first > rule.least_points:
             reach = -np.inf
         held = 0
         for i in range(first, last):

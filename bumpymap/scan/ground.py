@@ -92,6 +92,7 @@ def ground_ends(
 _REACH_OF_NOISE, _REACH_M, _USUAL_NOISE_M = 4.0, (0.12, 0.25), 0.03
 """A point is ground if it lies within so many times the usual spread of ground points, between these limits, m; the
 spread where a zone has no plane."""
+_MANY = 16
 _HIGHEST_M = 0.5
 """Highest ground below the origin, m: frames may have it at the robot's base."""
 
@@ -135,8 +136,9 @@ def find_ground(
     zones = len(settings.sectors)
     level = np.zeros(2)
     find_planes(held, geometry, SearchRule(np.zeros(zones), settings.least_points, 0, level), planes, scratch)
-    keep_largest(geometry, planes, np.empty(cells, np.int32), np.empty(cells))
     noise = _noise(planes, geometry, zones)
+    slope = _median(planes.plane[planes.kind == FOUND, :2]) if planes.kind.any() else level
+    keep_largest(geometry, planes, noise, slope, np.empty(cells, np.int32), np.empty(cells), np.empty(cells))
     reach = np.clip(_REACH_OF_NOISE * noise, *_REACH_M)
     slope = _median(planes.plane[planes.kind == FOUND, :2]) if planes.kind.any() else level
     rule = SearchRule(reach, settings.least_points, NEIGHBOURS, slope)
@@ -180,12 +182,14 @@ def find_ground(
 
 def _noise(planes: GroundPlanes, geometry: CellGeometry, zones: int) -> NDArray[np.float64]:
     """Return the median spread of ground points about their plane in each zone, m."""
-    found = planes.kind == FOUND
+    found, least = planes.kind == FOUND, np.inf
     noise = np.full(zones, _USUAL_NOISE_M)
-    for zone in range(zones):
+    for zone in reversed(range(zones)):
         spread = planes.spread[found & (geometry.zone == zone)]
         if len(spread):
-            noise[zone] = _median(spread)
+            noise[zone] = min(_median(spread), least)
+        if len(spread) >= _MANY:
+            least = noise[zone]
     return noise
 
 
