@@ -580,13 +580,12 @@ def keep_largest(
     for cell in range(cells):
         of[cell], weight[cell], fit[cell] = cell, 0.0, 0.0
     for cell in range(cells):
-        if planes.kind[cell] != FOUND or planes.spread[cell] > max(_ROUGH * noise[geometry.zone[cell]], _ROUGH_M):
-            continue
+        if planes.spread[cell] > max(_ROUGH * noise[geometry.zone[cell]], _ROUGH_M):
+            planes.kind[cell] = 0
+    for cell in range(cells):
         for k in range(geometry.near.shape[1]):
             other = geometry.near[cell, k]
-            if other < 0 or planes.kind[other] != FOUND:
-                continue
-            if planes.spread[other] > max(_ROUGH * noise[geometry.zone[other]], _ROUGH_M):
+            if other < 0 or planes.kind[cell] != FOUND or planes.kind[other] != FOUND:
                 continue
             if _continues(cell, other, planes):
                 one, two = _root(of, cell), _root(of, other)
