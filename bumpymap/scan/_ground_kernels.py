@@ -77,6 +77,8 @@ those near it fill the band: their spread is so large, against its half."""
 _WALL_STEP = float(__import__("os").environ.get("WS","0.1"))
 _ROUGH,_ROUGH_M = 2.5,float(__import__("os").environ.get("RM","0.06"))
 _RISE = 0.06
+_GUESS = 0.1
+_OWN = 0.85
 _BELOW = 0.5
 """Points further below a plane than this are reflections, m."""
 _PART_POINTS, _PART_SPREAD, _PART_LOWEST, _PART_HIGHEST, _PART_STEP, _PART_REACH = 3, 0.07, -0.6, 0.8, 0.2, 0.15
@@ -246,6 +248,7 @@ def _expect(
     planes: GroundPlanes,
     scratch: PlaneScratch,
     worst: int,
+    slope: Floats,
 ) -> tuple[int, float, float]:
     """Return the neighbour whose plane has the median height at a place, that height, and the way to its points."""
     x, y = at
@@ -254,7 +257,9 @@ def _expect(
         other = geometry.near[cell, s]
         if other < 0 or planes.kind[other] == 0 or planes.kind[other] > worst:
             continue
-        height = _height(planes, other, x, y)
+        u, v = planes.centre[other, 0], planes.centre[other, 1]
+        height = _height(planes, other, u + _OWN * (x - u), v + _OWN * (y - v))
+        height += (1.0 - _OWN) * (slope[0] * (x - u) + slope[1] * (y - v))
         k = count
         while k > 0 and scratch.heights[k - 1] > height:
             scratch.heights[k], scratch.cells[k] = scratch.heights[k - 1], scratch.cells[k - 1]
@@ -448,18 +453,23 @@ def _accept(
     geometry: CellGeometry,
     planes: GroundPlanes,
     scratch: PlaneScratch,
+    slope: Floats,
 ) -> bool:
     """Keep a plane if it has enough points, is not too steep and continues its neighbours'; returns whether it was."""
     a, b, c = plane
     count, x, y, spread, is_wall = found
     if count < _LEAST_POINTS or a * a + b * b > _STEEPEST * _STEEPEST:
         return False
-    other, height, away = _expect(cell, last, (x, y), geometry, planes, scratch, FOUND)
+    other, height, away = _expect(cell, last, (x, y), geometry, planes, scratch, FOUND, slope)
     if other < 0:
-        other, height, away = _expect(cell, last, (x, y), geometry, planes, scratch, GUESSED)
+        other, height, away = _expect(cell, last, (x, y), geometry, planes, scratch, GUESSED, slope)
     if other >= 0:
         over, far = a * x + b * y + c - height, min(away, _FARTHEST)
         if over > (_WALL_STEP if is_wall else _STEP) + _RISE * far or -over > _STEP + _STEP_PER_METRE * far:
+            return False
+    if planes.kind[cell] == GUESSED:
+        limit = _STEP + _GUESS * min(planes.centre[cell, 2], _FARTHEST)
+        if a * x + b * y + c - _height(planes, cell, x, y) > limit:
             return False
     planes.plane[cell, 0], planes.plane[cell, 1], planes.plane[cell, 2] = a, b, c
     planes.centre[cell, 0], planes.centre[cell, 1], planes.centre[cell, 2] = x, y, 0.0
@@ -504,19 +514,19 @@ def find_planes(
         cell = len(geometry.x) - 1 - k
         if planes.kind[cell] == 0:
             origin = (geometry.x[cell], geometry.y[cell])
-            other, _, away = _expect(cell, neighbours, origin, geometry, planes, scratch, FOUND)
+            other, _, away = _expect(cell, neighbours, origin, geometry, planes, scratch, FOUND, slope)
             if other < 0:
-                other, _, away = _expect(cell, neighbours, origin, geometry, planes, scratch, GUESSED)
+                other, _, away = _expect(cell, neighbours, origin, geometry, planes, scratch, GUESSED, slope)
             _carry(cell, other, away, GUESSED, geometry, slope, planes)
     for cell in range(len(geometry.x)):
         first = points.starts[cell]
         n = points.starts[cell + 1] - first
         some = (first, first + n, max(n // _MOST_FITTED, 1))
         origin = (geometry.x[cell], geometry.y[cell])
-        other, _, away = _expect(cell, neighbours, origin, geometry, planes, scratch, FOUND)
+        other, _, away = _expect(cell, neighbours, origin, geometry, planes, scratch, FOUND, slope)
         kind = CARRIED
         if other < 0:
-            other, _, away = _expect(cell, neighbours, origin, geometry, planes, scratch, GUESSED)
+            other, _, away = _expect(cell, neighbours, origin, geometry, planes, scratch, GUESSED, slope)
             kind = GUESSED
         a = b = c = 0.0
         if other >= 0:
@@ -529,14 +539,14 @@ def find_planes(
                 there, near, plane = _settle(points, some, plane, width, passes, origin, (a, b))
                 if there:
                     found = _describe(points, some, plane, near)
-                    done = _accept(cell, neighbours, plane, found, geometry, planes, scratch)
+                    done = _accept(cell, neighbours, plane, found, geometry, planes, scratch, slope)
             if not done and other >= 0:
                 there, near, plane = _settle(points, some, (a, b, c), _WIDEST_REACH, 1, origin, (a, b))
                 if there:
                     there, near, plane = _settle(points, some, plane, width, _PASSES - 1, origin, (a, b))
                 if there:
                     found = _describe(points, some, plane, near)
-                    done = _accept(cell, neighbours, plane, found, geometry, planes, scratch)
+                    done = _accept(cell, neighbours, plane, found, geometry, planes, scratch, slope)
         if not done:
             _carry(cell, other, away, kind, geometry, slope, planes)
 
