@@ -77,13 +77,16 @@ those near it fill the band: their spread is so large, against its half."""
 _WALL_STEP = float(__import__("os").environ.get("WS","0.1"))
 _ROUGH,_ROUGH_M = 2.5,float(__import__("os").environ.get("RM","0.06"))
 _RISE = 0.06
-_GUESS = 0.1
+_GUESS = 0.04
 _OWN = 0.85
 _BELOW = 0.5
 """Points further below a plane than this are reflections, m."""
 _PART_POINTS, _PART_SPREAD, _PART_LOWEST, _PART_HIGHEST, _PART_STEP, _PART_REACH = 3, 0.07, -0.6, 0.8, 0.2, 0.15
 """A part beside the plane is ground too if it has so many points, spread less than this, at a height between these, and
 passes a neighbouring part of the ground at less than this; its ground points are so near to their mean, m."""
+_BESIDE_M, _BESIDE, _OTHERS = 0.03, 0.04, 2.0
+"""Returns in pixels next to each other belong together if their heights are so near to each other, m: at the sensor, and
+more for each metre from it."""
 _ROUNDS = 6
 _LAYER = 1.5
 """Points further from a plane than this do not belong to the layer of the ground, m."""
@@ -185,9 +188,11 @@ class GroundLabels(NamedTuple):
     ground: Flags
     """(scan's points,) comes as False."""
     obstacles: Annotated[NDArray[np.int32], 1]
-    """(cells,) points between belly and height; zeros."""
+    """(cells,) points between belly and height that lie beside others; zeros."""
     overhead: Annotated[NDArray[np.int32], 1]
     """(cells,) points from ``height`` on; zeros."""
+    airborne: Annotated[NDArray[np.int32], 1]
+    """(cells,) points of ``things`` that lie alone; zeros."""
     top: Singles
     """(cells,) the highest obstacle point, m; comes as -inf."""
     clearance: Singles
@@ -214,6 +219,8 @@ class LabelScratch(NamedTuple):
     """(parts, 4) number, sum and sum of squares of the heights of its points, and how many are ground."""
     level: Floats
     """(parts,) height of its ground above the plane, m; NaN where it has none."""
+    lowest: Singles
+    """(pixels^2,) lowest of the things in each pixel, m."""
     state: Integers
     """(parts,) 1 may continue the ground, 2 does, 3 is part of it; 4 plants."""
 
@@ -747,6 +754,46 @@ def _mark_plants(points: CellPoints, cell: int, limits: tuple[float, float], s: 
         s.state[part] = 4 if rises and s.sums[part, 1] > least * least * low else 0
 
 
+@helper
+def _count_obstacles(
+    cell: int,
+    points: CellPoints,
+    by_cell: CellOrder,
+    pixel: Integers,
+    geometry: CellGeometry,
+    rule: GroundRule,
+    out: GroundLabels,
+    scratch: LabelScratch,
+) -> None:
+    """Count the points of a cell that stand in the way: those beside others, in their pixel or the next ones.
+
+    The beams of a thing lie side by side, so that its returns do; those from rain, dust or an insect lie alone.
+    """
+    side = int(math.sqrt(len(scratch.lowest)) + 0.5)
+    reach = _BESIDE_M + _BESIDE * math.sqrt(geometry.x[cell] ** 2 + geometry.y[cell] ** 2)
+    things = out.things[cell]
+    for i in range(points.starts[cell], points.starts[cell + 1]):
+        p, h = by_cell.order[i], scratch.heights[i]
+        if out.ground[p] or not 0.0 < h < THINGS_HEIGHT * rule.height:
+            continue
+        place = pixel[p]
+        row, column = place // side, place % side
+        count = things[1, place]
+        beside = count - 1.0 if things[0, place] - scratch.lowest[place] < reach * (count - 1.0) else 0.0
+        for r in range(max(row - 1, 0), min(row + 2, side)):
+            for q in range(max(column - 1, 0), min(column + 2, side)):
+                k = r * side + q
+                if beside < _OTHERS and k != place and things[1, k] > 0.0:
+                    beside += things[1, k] if scratch.lowest[k] - reach < h < things[0, k] + reach else 0.0
+        if beside < _OTHERS:
+            out.airborne[cell] += 1
+            if count == 1.0:
+                things[0, place] = things[1, place] = np.float32(0.0)
+        elif rule.belly <= h < rule.height:
+            out.obstacles[cell] += 1
+            out.top[cell] = max(out.top[cell], h)
+
+
 @kernel
 def label_points(
     points: CellPoints,
@@ -778,15 +825,16 @@ def label_points(
                 out.order[end] = p
                 end += 1
                 continue
-            if rule.belly <= h < rule.height:
-                out.obstacles[cell] += 1
-                out.top[cell] = max(out.top[cell], h)
-            elif h >= rule.height:
+            if h >= rule.height:
                 out.overhead[cell] += 1
                 out.clearance[cell] = min(out.clearance[cell], h)
             if 0.0 < h < THINGS_HEIGHT * rule.height:
                 place = pixel[p]
+                first = out.things[cell, 1, place] == 0.0
+                scratch.lowest[place] = h if first else min(scratch.lowest[place], h)
                 out.things[cell, 0, place] = max(out.things[cell, 0, place], h)
                 out.things[cell, 1, place] += np.float32(1.0)
+        if mixed:
+            _count_obstacles(cell, points, by_cell, pixel, geometry, rule, out, scratch)
     out.starts[len(geometry.x)] = end
     out.starts[len(geometry.x) + 1] = end

@@ -154,6 +154,7 @@ def find_ground(
         np.zeros(len(points), np.bool_),
         np.zeros(cells, np.int32),
         np.zeros(cells, np.int32),
+        np.zeros(cells, np.int32),
         np.full(cells, -np.inf, np.float32),
         np.full(cells, np.inf, np.float32),
         things.reshape(cells, 2, -1),
@@ -174,6 +175,7 @@ def find_ground(
             np.empty(cells, np.bool_),
             buffers.empty("sums", 4, np.float64, rows=parts),
             buffers.empty("level", parts, np.float64),
+            np.empty(settings.pixels**2, np.float32),
             buffers.empty("state", parts, np.int32),
         ),
     )
