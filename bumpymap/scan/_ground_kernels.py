@@ -535,7 +535,7 @@ def find_planes(
         if other < 0:
             other, _, away = _expect(cell, neighbours, origin, geometry, planes, scratch, GUESSED, slope)
             kind = GUESSED
-        a = b = c = 0.0
+        a, b, c = slope[0], slope[1], 0.0
         if other >= 0:
             a, b, c = planes.plane[other, 0], planes.plane[other, 1], planes.plane[other, 2]
         width = rule.reach[geometry.zone[cell]]

@@ -93,8 +93,11 @@ _REACH_OF_NOISE, _REACH_M, _USUAL_NOISE_M = 4.0, (0.12, 0.25), 0.03
 """A point is ground if it lies within so many times the usual spread of ground points, between these limits, m; the
 spread where a zone has no plane."""
 _MANY = 16
-_HIGHEST_M = 0.5
-"""Highest ground below the origin, m: frames may have it at the robot's base."""
+_LEANS = math.tan(math.radians(5.0))
+"""Slope of the whole ground from which it is searched for again along it."""
+_HIGHEST_M, _STANDS_M = 0.5, 0.5
+"""Ground that is higher above the origin, m, is known from what stands on it, so much above it: a frame may have its
+origin below the robot, or z may point down."""
 
 
 def find_ground(
@@ -134,19 +137,20 @@ def find_ground(
         np.empty(NEIGHBOURS, np.int32),
     )
     zones = len(settings.sectors)
-    level = np.zeros(2)
-    find_planes(held, geometry, SearchRule(np.zeros(zones), settings.least_points, 0, level), planes, scratch)
+    slope = np.zeros(2)
+    for _ in range(2):  # again, if the frame leans: the lowest points are then those at its lower side
+        rule = SearchRule(np.zeros(zones), settings.least_points, 0, slope)
+        find_planes(held, geometry, rule, planes, scratch)
+        slope = _slope(planes)
+        if math.hypot(*slope) < _LEANS:
+            break
     noise = _noise(planes, geometry, zones)
-    slope = _median(planes.plane[planes.kind == FOUND, :2]) if planes.kind.any() else level
     keep_largest(geometry, planes, noise, slope, np.empty(cells, np.int32), np.empty(cells), np.empty(cells))
     reach = np.clip(_REACH_OF_NOISE * noise, *_REACH_M)
-    slope = _median(planes.plane[planes.kind == FOUND, :2]) if planes.kind.any() else level
-    rule = SearchRule(reach, settings.least_points, NEIGHBOURS, slope)
+    rule = SearchRule(reach, settings.least_points, NEIGHBOURS, _slope(planes))
     find_planes(held, geometry, rule, planes, scratch)
-    heights = planes.plane[planes.kind == FOUND, 2]  # cells are sorted outwards
-    is_known = math.isfinite(settings.overhead_m) and len(heights) > 0
-    if is_known and _median(heights[: len(heights) // 2 + 1]) > _HIGHEST_M:
-        planes.kind[:] = 0  # by its nearer half, the ground lies above the sensor: z does not point up
+    if math.isfinite(settings.overhead_m) and _is_upside_down(planes, geometry, xyz):
+        planes.kind[:] = 0
     things = buffers.empty("things", 2 * settings.pixels**2, np.float32, rows=cells)
     things[:] = 0.0
     labels = GroundLabels(
@@ -180,6 +184,24 @@ def find_ground(
         ),
     )
     return planes.kind == FOUND, labels
+
+
+def _slope(planes: GroundPlanes) -> NDArray[np.float64]:
+    """Return the median slope of the planes that were found (2,), zeros without any."""
+    found = planes.kind == FOUND
+    return _median(planes.plane[found, :2]) if found.any() else np.zeros(2)
+
+
+def _is_upside_down(planes: GroundPlanes, geometry: CellGeometry, xyz: NDArray[np.float32]) -> bool:
+    """Return whether the nearer half of the ground lies above the origin, and no more stands on it than hangs from it."""
+    found, slope = np.flatnonzero(planes.kind == FOUND), _slope(planes)
+    near = found[: len(found) // 2 + 1]  # cells are sorted outwards
+    x, y = geometry.x[near], geometry.y[near]
+    a, b, c = planes.plane[near].T
+    if not len(near) or (level := _median((a - slope[0]) * x + (b - slope[1]) * y + c)) < _HIGHEST_M:
+        return False
+    height = xyz[2] - (slope[0] * xyz[0] + slope[1] * xyz[1] + level)
+    return int((height > _STANDS_M).sum()) <= int((height < -_STANDS_M).sum())
 
 
 def _noise(planes: GroundPlanes, geometry: CellGeometry, zones: int) -> NDArray[np.float64]:

@@ -66,7 +66,8 @@ def polar_sectors(
         settings,
         buffers,
     )
-    is_level = (normal[:, 2] >= settings.least_normal_z) & (scalars[:, 3] <= settings.overhead_m)
+    over = scalars[:, 3] - max(float(np.median(scalars[: len(scalars) // 2 + 1, 3])) if len(scalars) else 0.0, 0.0)
+    is_level = (normal[:, 2] >= settings.least_normal_z) & (over <= settings.overhead_m)
     obstacles = ground.obstacles[cells]
     stands = there & (obstacles >= _LEAST_OBSTACLE_POINTS)
     slope = np.zeros((len(counts), 2))
