@@ -93,7 +93,7 @@ _REACH_OF_NOISE, _REACH_M, _USUAL_NOISE_M = 4.0, (0.12, 0.25), 0.03
 """A point is ground if it lies within so many times the usual spread of ground points, between these limits, m; the
 spread where a zone has no plane."""
 _MANY = 16
-_LEANS = math.tan(math.radians(5.0))
+_LEANS = math.tan(math.radians(10.0))
 """Slope of the whole ground from which it is searched for again along it."""
 _HIGHEST_M, _STANDS_M = 0.5, 0.5
 """Ground that is higher above the origin, m, is known from what stands on it, so much above it: a frame may have its
@@ -107,7 +107,7 @@ def find_ground(
     settings: PolarSettings,
     start: float,
     buffers: SectorBuffers | None = None,
-) -> tuple[NDArray[np.bool_], GroundLabels]:
+) -> tuple[GroundPlanes, GroundLabels]:
     """Find the ground of a scan that was placed on the polar grid.
 
     A plane is found in every cell by seed and refit, once with what its spread allows, and once more when the noise of
@@ -117,8 +117,8 @@ def find_ground(
     would lie above its sensor has none: its axes are not what they are said to be.
 
     ``points`` (m, 3): m; ``start``: azimuth of sector 0, rad; ``buffers``: hold ``things`` and the order of the ground
-    points until the next call. Returns whether each cell has ground points and a plane of its own (cells,), and what
-    is known of the points and cells.
+    points until the next call. Returns the planes, ``FOUND`` where cells have ground of their own, and what is known of
+    the points and cells.
     """
     buffers = buffers or SectorBuffers()
     layout = cell_layout(settings)
@@ -183,7 +183,7 @@ def find_ground(
             buffers.empty("state", parts, np.int32),
         ),
     )
-    return planes.kind == FOUND, labels
+    return planes, labels
 
 
 def _slope(planes: GroundPlanes) -> NDArray[np.float64]:

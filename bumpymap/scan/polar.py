@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, PolarSettings, Scan, SectorStack
 from bumpymap.scan._drop_kernels import GroundPoints
+from bumpymap.scan._ground_kernels import FOUND
 from bumpymap.scan._place_kernels import (
     BLOCK,
     CellOrder,
@@ -57,15 +58,18 @@ def polar_sectors(
     sort_points(cell, by_cell)
     counts = np.diff(by_cell.starts[:-1])
     cells = np.flatnonzero(counts > settings.least_points)
-    found, ground = find_ground(points, pixel, by_cell, settings, start, buffers)
+    planes, ground = find_ground(points, pixel, by_cell, settings, start, buffers)
     ground_count = np.diff(ground.starts[:-1])[cells]
-    there = found[cells] & (ground_count >= _LEAST_GROUND_POINTS)
+    there = (planes.kind[cells] == FOUND) & (ground_count >= _LEAST_GROUND_POINTS)
     scalars, normal, heights = _measure(
         SectorInputs(points, pixel, cells[there], RANSAC_THRESHOLD_M),
         CellOrder(ground.starts, ground.order),
         settings,
         buffers,
     )
+    steep = normal[:, 2] < settings.least_normal_z  # the axis of few scan lines may be any: their plane is known better
+    fitted = np.column_stack([-planes.plane[cells[there], :2], np.ones(len(normal))])
+    normal[steep] = (fitted / np.linalg.norm(fitted, axis=1, keepdims=True))[steep]
     over = scalars[:, 3] - max(float(np.median(scalars[: len(scalars) // 2 + 1, 3])) if len(scalars) else 0.0, 0.0)
     is_level = (normal[:, 2] >= settings.least_normal_z) & (over <= settings.overhead_m)
     obstacles = ground.obstacles[cells]
