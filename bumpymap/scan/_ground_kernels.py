@@ -84,7 +84,7 @@ _BELOW = 0.5
 _PART_POINTS, _PART_SPREAD, _PART_LOWEST, _PART_HIGHEST, _PART_STEP, _PART_REACH = 3, 0.07, -0.6, 0.8, 0.2, 0.15
 """A part beside the plane is ground too if it has so many points, spread less than this, at a height between these, and
 passes a neighbouring part of the ground at less than this; its ground points are so near to their mean, m."""
-_BESIDE_M, _BESIDE, _OTHERS = 0.03, 0.04, 2.0
+_BESIDE_M, _BESIDE, _TOGETHER = 0.03, 0.04, 3.0
 """Returns in pixels next to each other belong together if their heights are so near to each other, m: at the sensor, and
 more for each metre from it."""
 _ROUNDS = 6
@@ -614,23 +614,28 @@ def keep_largest(
             weight[root] += 1.0 / math.sqrt(geometry.x[cell] ** 2 + geometry.y[cell] ** 2)
             if weight[root] > weight[best]:
                 best = root
+    last = 0
     for cell in range(cells):
-        if planes.kind[cell] != FOUND or _root(of, cell) == best:
+        of[cell] = _root(of, cell)
+        last = cell if of[cell] == best else last
+    for cell in range(cells):
+        if planes.kind[cell] != FOUND or of[cell] == best:
             continue
         x, y = planes.centre[cell, 0], planes.centre[cell, 1]
         nearest, over = np.inf, 0.0
-        for other in range(cells):
+        for other in range(best, last + 1):
+            if of[other] != best:
+                continue
             dx, dy = x - planes.centre[other, 0], y - planes.centre[other, 1]
             square = dx * dx + dy * dy
-            if square < nearest and planes.kind[other] == FOUND and _root(of, other) == best:
+            if square < nearest:
                 nearest, over = square, _height(planes, cell, x, y) - slope[0] * dx - slope[1] * dy
                 over -= _height(planes, other, x - dx, y - dy)
         far = min(math.sqrt(nearest), _FARTHEST)
         fits = -_STEP - _STEP_PER_METRE * far < over < _STEP + _RISE * far
-        fit[_root(of, cell)] += 1.0 if fits else -1.0
+        fit[of[cell]] += 1.0 if fits else -1.0
     for cell in range(cells):
-        root = _root(of, cell)
-        if root != best and fit[root] <= 0.0:
+        if of[cell] != best and fit[of[cell]] <= 0.0:
             planes.kind[cell] = 0
 
 
@@ -755,43 +760,31 @@ def _mark_plants(points: CellPoints, cell: int, limits: tuple[float, float], s: 
 
 
 @helper
-def _count_obstacles(
-    cell: int,
-    points: CellPoints,
-    by_cell: CellOrder,
-    pixel: Integers,
-    geometry: CellGeometry,
-    rule: GroundRule,
-    out: GroundLabels,
-    scratch: LabelScratch,
-) -> None:
-    """Count the points of a cell that stand in the way: those beside others, in their pixel or the next ones.
+def _leave_out_airborne(things: Annotated[NDArray[np.float32], 2], lowest: Singles, reach: float) -> int:
+    """Take returns that lie alone from the things of a cell: fewer than three in a pixel and those next to it.
 
-    The beams of a thing lie side by side, so that its returns do; those from rain, dust or an insect lie alone.
+    The beams of a thing lie side by side, so that its returns do; those from rain, dust or an insect lie alone. Returns
+    how many there were.
     """
-    side = int(math.sqrt(len(scratch.lowest)) + 0.5)
-    reach = _BESIDE_M + _BESIDE * math.sqrt(geometry.x[cell] ** 2 + geometry.y[cell] ** 2)
-    things = out.things[cell]
-    for i in range(points.starts[cell], points.starts[cell + 1]):
-        p, h = by_cell.order[i], scratch.heights[i]
-        if out.ground[p] or not 0.0 < h < THINGS_HEIGHT * rule.height:
+    top, count = things[0], things[1]
+    side, alone = int(math.sqrt(len(lowest)) + 0.5), 0
+    for place in range(len(lowest)):
+        if not 0.0 < count[place] < _TOGETHER:
             continue
-        place = pixel[p]
+        low, high = lowest[place] - reach, top[place] + reach
+        beside = count[place] if high - low < 3.0 * reach else np.float32(1.0)
         row, column = place // side, place % side
-        count = things[1, place]
-        beside = count - 1.0 if things[0, place] - scratch.lowest[place] < reach * (count - 1.0) else 0.0
         for r in range(max(row - 1, 0), min(row + 2, side)):
-            for q in range(max(column - 1, 0), min(column + 2, side)):
-                k = r * side + q
-                if beside < _OTHERS and k != place and things[1, k] > 0.0:
-                    beside += things[1, k] if scratch.lowest[k] - reach < h < things[0, k] + reach else 0.0
-        if beside < _OTHERS:
-            out.airborne[cell] += 1
-            if count == 1.0:
-                things[0, place] = things[1, place] = np.float32(0.0)
-        elif rule.belly <= h < rule.height:
-            out.obstacles[cell] += 1
-            out.top[cell] = max(out.top[cell], h)
+            for k in range(r * side + max(column - 1, 0), r * side + min(column + 2, side)):
+                if k != place and count[k] != 0.0 and lowest[k] < high and top[k] > low:
+                    beside += abs(count[k])
+        if beside < _TOGETHER:
+            alone += int(count[place])
+            count[place] = -count[place]
+    for place in range(len(lowest) if alone else 0):
+        if count[place] < 0.0:
+            top[place] = count[place] = np.float32(0.0)
+    return alone
 
 
 @kernel
@@ -825,7 +818,10 @@ def label_points(
                 out.order[end] = p
                 end += 1
                 continue
-            if h >= rule.height:
+            if rule.belly <= h < rule.height:
+                out.obstacles[cell] += 1
+                out.top[cell] = max(out.top[cell], h)
+            elif h >= rule.height:
                 out.overhead[cell] += 1
                 out.clearance[cell] = min(out.clearance[cell], h)
             if 0.0 < h < THINGS_HEIGHT * rule.height:
@@ -835,6 +831,14 @@ def label_points(
                 out.things[cell, 0, place] = max(out.things[cell, 0, place], h)
                 out.things[cell, 1, place] += np.float32(1.0)
         if mixed:
-            _count_obstacles(cell, points, by_cell, pixel, geometry, rule, out, scratch)
+            reach = _BESIDE_M + _BESIDE * math.sqrt(geometry.x[cell] ** 2 + geometry.y[cell] ** 2)
+            out.airborne[cell] = _leave_out_airborne(out.things[cell], scratch.lowest, reach)
+        if out.airborne[cell] > 0 and out.obstacles[cell] > 0:
+            out.obstacles[cell], out.top[cell] = 0, -np.inf
+            for i in range(points.starts[cell], points.starts[cell + 1]):
+                h, p = scratch.heights[i], by_cell.order[i]
+                if not out.ground[p] and rule.belly <= h < rule.height and out.things[cell, 1, pixel[p]] > 0.0:
+                    out.obstacles[cell] += 1
+                    out.top[cell] = max(out.top[cell], h)
     out.starts[len(geometry.x)] = end
     out.starts[len(geometry.x) + 1] = end

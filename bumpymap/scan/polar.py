@@ -32,6 +32,9 @@ RANSAC_THRESHOLD_M = 0.1
 _LABELS = 32_768
 _LEAST_GROUND_POINTS = 10
 """Fewest ground points of a sector that has ground."""
+_LINE_M = 0.05
+"""Ground points that spread less than this about a plane, and have another principal normal, lie on one or two scan
+lines, m: their plane tells the tilt. Points of a wall spread more."""
 _LEAST_OBSTACLE_POINTS = 2
 """Fewest points that are an obstacle: a single one may be an insect, or an error."""
 
@@ -67,9 +70,9 @@ def polar_sectors(
         settings,
         buffers,
     )
-    steep = normal[:, 2] < settings.least_normal_z  # the axis of few scan lines may be any: their plane is known better
-    fitted = np.column_stack([-planes.plane[cells[there], :2], np.ones(len(normal))])
-    normal[steep] = (fitted / np.linalg.norm(fitted, axis=1, keepdims=True))[steep]
+    lines = (normal[:, 2] < settings.least_normal_z) & (planes.spread[cells[there]] < _LINE_M)
+    fitted = np.insert(-planes.plane[cells[there][lines], :2], 2, 1.0, axis=1)
+    normal[lines] = fitted / np.linalg.norm(fitted, axis=1, keepdims=True)
     over = scalars[:, 3] - max(float(np.median(scalars[: len(scalars) // 2 + 1, 3])) if len(scalars) else 0.0, 0.0)
     is_level = (normal[:, 2] >= settings.least_normal_z) & (over <= settings.overhead_m)
     obstacles = ground.obstacles[cells]
