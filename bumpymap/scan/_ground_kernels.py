@@ -47,7 +47,8 @@ PARTS = 5
 NEIGHBOURS = 8
 """Most neighbours of a cell: three inwards, two beside it, three outwards."""
 CARRIED, FOUND, GUESSED = 1, 2, 3
-"""Kinds of planes: passed on by a neighbour; fitted to the cell's own points. 0: none."""
+"""Kinds of planes: passed on by a neighbour; fitted to the cell's own points; passed on before the second round, for
+where nothing better is known. 0: none."""
 THINGS_HEIGHT = 2.0
 """Things on the ground are drawn up to this multiple of the vehicle's height."""
 TAIL = 32
@@ -72,21 +73,25 @@ _STEP, _STEP_PER_METRE, _FARTHEST = 0.25, 0.15, 8.0
 """How far a plane may pass from what its neighbours expect, m: at their own points, for each metre from there, and the
 greatest distance that counts."""
 _WALL_ABOVE, _WALL_SPREAD = 0.5, 0.45
-"""A plane through a wall or a bush: so many points, against those near it, lie over it as deep as its band is, and
-those near it fill the band: their spread is so large, against its half."""
-_WALL_STEP = float(__import__("os").environ.get("WS","0.1"))
-_ROUGH,_ROUGH_M = 2.5,float(__import__("os").environ.get("RM","0.06"))
-_RISE = 0.06
-_GUESS = 0.04
-_OWN = 0.85
+"""A plane is a slice of a wall or a bush if so many points, against those near it, lie in a band of equal depth above,
+and those near it fill theirs: their spread is so large, against half of its depth."""
+_WALL_STEP = 0.1
+"""How far a slice of a wall may pass above what its neighbours expect at their own points, m: as ground with plants."""
+_RISE, _GUESSED_RISE = 0.06, 0.04
+"""How much farther than at their points a plane may pass above what its neighbours expect, for each metre from there;
+and above a guess. Below them it may pass at ``_STEP_PER_METRE``: a step up is a thing more often than ground."""
+_OWN_SLOPE = 0.85
+"""Weight of a plane's own slope against that of the whole ground, where it is followed to its neighbours."""
+_ROUGH, _ROUGH_M = 2.5, 0.06
+"""A plane whose points spread by more than this multiple of the noise, and by more than this, m, links nothing."""
 _BELOW = 0.5
 """Points further below a plane than this are reflections, m."""
 _PART_POINTS, _PART_SPREAD, _PART_LOWEST, _PART_HIGHEST, _PART_STEP, _PART_REACH = 3, 0.07, -0.6, 0.8, 0.2, 0.15
 """A part beside the plane is ground too if it has so many points, spread less than this, at a height between these, and
 passes a neighbouring part of the ground at less than this; its ground points are so near to their mean, m."""
 _BESIDE_M, _BESIDE, _TOGETHER = 0.03, 0.04, 3.0
-"""Returns in pixels next to each other belong together if their heights are so near to each other, m: at the sensor, and
-more for each metre from it."""
+"""Returns in pixels next to each other lie together if their heights are so near to each other, m, at the sensor, and
+more for each metre from it; so many are a thing."""
 _ROUNDS = 6
 _LAYER = 1.5
 """Points further from a plane than this do not belong to the layer of the ground, m."""
@@ -135,7 +140,7 @@ class GroundPlanes(NamedTuple):
     spread: Floats
     """(cells,) root mean square of its points about it, m."""
     kind: Integers
-    """(cells,) 0, CARRIED or FOUND."""
+    """(cells,) 0, CARRIED, FOUND or GUESSED."""
 
 
 class PlaneScratch(NamedTuple):
@@ -243,7 +248,8 @@ def gather_points(
 @helper
 def _height(planes: GroundPlanes, cell: int, x: float, y: float) -> float:
     """Return the height of the plane of a cell at a place, m."""
-    return planes.plane[cell, 0] * x + planes.plane[cell, 1] * y + planes.plane[cell, 2]
+    height: float = planes.plane[cell, 0] * x + planes.plane[cell, 1] * y + planes.plane[cell, 2]
+    return height
 
 
 @helper
@@ -265,8 +271,8 @@ def _expect(
         if other < 0 or planes.kind[other] == 0 or planes.kind[other] > worst:
             continue
         u, v = planes.centre[other, 0], planes.centre[other, 1]
-        height = _height(planes, other, u + _OWN * (x - u), v + _OWN * (y - v))
-        height += (1.0 - _OWN) * (slope[0] * (x - u) + slope[1] * (y - v))
+        height = _height(planes, other, u + _OWN_SLOPE * (x - u), v + _OWN_SLOPE * (y - v))
+        height += (1.0 - _OWN_SLOPE) * (slope[0] * (x - u) + slope[1] * (y - v))
         k = count
         while k > 0 and scratch.heights[k - 1] > height:
             scratch.heights[k], scratch.cells[k] = scratch.heights[k - 1], scratch.cells[k - 1]
@@ -475,7 +481,7 @@ def _accept(
         if over > (_WALL_STEP if is_wall else _STEP) + _RISE * far or -over > _STEP + _STEP_PER_METRE * far:
             return False
     if planes.kind[cell] == GUESSED:
-        limit = _STEP + _GUESS * min(planes.centre[cell, 2], _FARTHEST)
+        limit = _STEP + _GUESSED_RISE * min(planes.centre[cell, 2], _FARTHEST)
         if a * x + b * y + c - _height(planes, cell, x, y) > limit:
             return False
     planes.plane[cell, 0], planes.plane[cell, 1], planes.plane[cell, 2] = a, b, c
@@ -582,7 +588,13 @@ def _continues(cell: int, other: int, planes: GroundPlanes) -> bool:
 
 @kernel
 def keep_largest(
-    geometry: CellGeometry, planes: GroundPlanes, noise: Floats, slope: Floats, of: Integers, weight: Floats, fit: Floats
+    geometry: CellGeometry,
+    planes: GroundPlanes,
+    noise: Floats,
+    slope: Floats,
+    of: Integers,
+    weight: Floats,
+    fit: Floats,
 ) -> None:
     """Keep the planes of the largest set of cells in which neighbours continue each other, and of sets as high as it.
 

@@ -93,6 +93,7 @@ _REACH_OF_NOISE, _REACH_M, _USUAL_NOISE_M = 4.0, (0.12, 0.25), 0.03
 """A point is ground if it lies within so many times the usual spread of ground points, between these limits, m; the
 spread where a zone has no plane."""
 _MANY = 16
+"""A zone with so many planes bounds the noise of those before it: nearer, ground is seen no less exactly."""
 _LEANS = math.tan(math.radians(10.0))
 """Slope of the whole ground from which it is searched for again along it."""
 _HIGHEST_M, _STANDS_M = 0.5, 0.5
@@ -112,9 +113,10 @@ def find_ground(
 
     A plane is found in every cell by seed and refit, once with what its spread allows, and once more when the noise of
     the scan in each zone is known: a sensor that measures exactly tells ground from low plants better. The second time
-    a plane has to continue those on all sides. Parts of a cell beside its plane, thin and continuing the ground next to
-    them, are ground as well; parts in which points rise from the ground without a gap are plants. A scan whose ground
-    would lie above its sensor has none: its axes are not what they are said to be.
+    a plane has to continue those on all sides, and may step up less than down: cars and walls do. Parts of a cell
+    beside its plane, thin and continuing the ground next to them, are ground as well; parts in which points rise from
+    the ground without a gap are plants. The origin may be at the sensor, the robot's base or below it, and the frame
+    may lean. A scan that hangs from its ground has none: its z axis points down.
 
     ``points`` (m, 3): m; ``start``: azimuth of sector 0, rad; ``buffers``: hold ``things`` and the order of the ground
     points until the next call. Returns the planes, ``FOUND`` where cells have ground of their own, and what is known of
@@ -193,7 +195,7 @@ def _slope(planes: GroundPlanes) -> NDArray[np.float64]:
 
 
 def _is_upside_down(planes: GroundPlanes, geometry: CellGeometry, xyz: NDArray[np.float32]) -> bool:
-    """Return whether the nearer half of the ground lies above the origin, and no more stands on it than hangs from it."""
+    """Return whether the nearer ground lies above the origin, and no more stands on it than hangs from it."""
     found, slope = np.flatnonzero(planes.kind == FOUND), _slope(planes)
     near = found[: len(found) // 2 + 1]  # cells are sorted outwards
     x, y = geometry.x[near], geometry.y[near]

@@ -36,7 +36,7 @@ _LINE_M = 0.05
 """Ground points that spread less than this about a plane, and have another principal normal, lie on one or two scan
 lines, m: their plane tells the tilt. Points of a wall spread more."""
 _LEAST_OBSTACLE_POINTS = 2
-"""Fewest points that are an obstacle: a single one may be an insect, or an error."""
+"""Fewest points that are an obstacle: a single one may be an error."""
 
 
 def polar_sectors(
@@ -103,6 +103,7 @@ def polar_sectors(
         ground_count=np.where(there, ground_count, 0).astype(np.int32),
         obstacle_count=obstacles,
         overhead_count=ground.overhead[cells],
+        airborne_count=ground.airborne[cells],
         obstacle=stands | there & drops[cells],
         obstacle_height=np.where(stands, ground.top[cells], np.float32(np.nan)),
         clearance=np.where(ground.overhead[cells] > 0, ground.clearance[cells], np.float32(np.nan)),
