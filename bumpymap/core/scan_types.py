@@ -263,9 +263,11 @@ class SectorStack:
     ground_count: NDArray[np.int32]
     """(n,) points that are ground."""
     obstacle_count: NDArray[np.int32]
-    """(n,) points between ``belly_m`` and ``height_m`` above the ground."""
+    """(n,) points between ``belly_m`` and ``height_m`` above the ground, without those that are airborne."""
     overhead_count: NDArray[np.int32]
     """(n,) points from ``height_m`` above the ground on."""
+    airborne_count: NDArray[np.int32]
+    """(n,) points up to twice ``height_m`` above the ground that lie alone: rain, dust, insects; no obstacle."""
     obstacle: NDArray[np.bool_]
     """(n,) whether something stands on the sector's ground between ``belly_m`` and ``height_m`` above it, or the ground
     drops by more than ``belly_m``: at a ditch, an edge, a step down."""

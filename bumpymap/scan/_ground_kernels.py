@@ -46,8 +46,9 @@ PARTS = 5
 """Parts of a cell along each side: outwards and around."""
 NEIGHBOURS = 8
 """Most neighbours of a cell: three inwards, two beside it, three outwards."""
-CARRIED, FOUND = 1, 2
-"""Kinds of planes: passed on by a neighbour; fitted to the cell's own points. 0: none."""
+CARRIED, FOUND, GUESSED = 1, 2, 3
+"""Kinds of planes: passed on by a neighbour; fitted to the cell's own points; passed on before the second round, for
+where nothing better is known. 0: none."""
 THINGS_HEIGHT = 2.0
 """Things on the ground are drawn up to this multiple of the vehicle's height."""
 TAIL = 32
@@ -71,13 +72,26 @@ _MOST_FITTED = 512
 _STEP, _STEP_PER_METRE, _FARTHEST = 0.25, 0.15, 8.0
 """How far a plane may pass from what its neighbours expect, m: at their own points, for each metre from there, and the
 greatest distance that counts."""
-_KEPT_SHARE = 0.3
-"""Least weight of a set of cells against the heaviest one, see `keep_largest`."""
+_WALL_ABOVE, _WALL_SPREAD = 0.5, 0.45
+"""A plane is a slice of a wall or a bush if so many points, against those near it, lie in a band of equal depth above,
+and those near it fill theirs: their spread is so large, against half of its depth."""
+_WALL_STEP = 0.1
+"""How far a slice of a wall may pass above what its neighbours expect at their own points, m: as ground with plants."""
+_RISE, _GUESSED_RISE = 0.06, 0.04
+"""How much farther than at their points a plane may pass above what its neighbours expect, for each metre from there;
+and above a guess. Below them it may pass at ``_STEP_PER_METRE``: a step up is a thing more often than ground."""
+_OWN_SLOPE = 0.85
+"""Weight of a plane's own slope against that of the whole ground, where it is followed to its neighbours."""
+_ROUGH, _ROUGH_M = 2.5, 0.06
+"""A plane whose points spread by more than this multiple of the noise, and by more than this, m, links nothing."""
 _BELOW = 0.5
 """Points further below a plane than this are reflections, m."""
 _PART_POINTS, _PART_SPREAD, _PART_LOWEST, _PART_HIGHEST, _PART_STEP, _PART_REACH = 3, 0.07, -0.6, 0.8, 0.2, 0.15
 """A part beside the plane is ground too if it has so many points, spread less than this, at a height between these, and
 passes a neighbouring part of the ground at less than this; its ground points are so near to their mean, m."""
+_BESIDE_M, _BESIDE, _TOGETHER = 0.03, 0.04, 3.0
+"""Returns in pixels next to each other lie together if their heights are so near to each other, m, at the sensor, and
+more for each metre from it; so many are a thing."""
 _ROUNDS = 6
 _LAYER = 1.5
 """Points further from a plane than this do not belong to the layer of the ground, m."""
@@ -126,7 +140,7 @@ class GroundPlanes(NamedTuple):
     spread: Floats
     """(cells,) root mean square of its points about it, m."""
     kind: Integers
-    """(cells,) 0, CARRIED or FOUND."""
+    """(cells,) 0, CARRIED, FOUND or GUESSED."""
 
 
 class PlaneScratch(NamedTuple):
@@ -179,9 +193,11 @@ class GroundLabels(NamedTuple):
     ground: Flags
     """(scan's points,) comes as False."""
     obstacles: Annotated[NDArray[np.int32], 1]
-    """(cells,) points between belly and height; zeros."""
+    """(cells,) points between belly and height that lie beside others; zeros."""
     overhead: Annotated[NDArray[np.int32], 1]
     """(cells,) points from ``height`` on; zeros."""
+    airborne: Annotated[NDArray[np.int32], 1]
+    """(cells,) points of ``things`` that lie alone; zeros."""
     top: Singles
     """(cells,) the highest obstacle point, m; comes as -inf."""
     clearance: Singles
@@ -208,6 +224,8 @@ class LabelScratch(NamedTuple):
     """(parts, 4) number, sum and sum of squares of the heights of its points, and how many are ground."""
     level: Floats
     """(parts,) height of its ground above the plane, m; NaN where it has none."""
+    lowest: Singles
+    """(pixels^2,) lowest of the things in each pixel, m."""
     state: Integers
     """(parts,) 1 may continue the ground, 2 does, 3 is part of it; 4 plants."""
 
@@ -228,17 +246,33 @@ def gather_points(
 
 
 @helper
+def _height(planes: GroundPlanes, cell: int, x: float, y: float) -> float:
+    """Return the height of the plane of a cell at a place, m."""
+    height: float = planes.plane[cell, 0] * x + planes.plane[cell, 1] * y + planes.plane[cell, 2]
+    return height
+
+
+@helper
 def _expect(
-    cell: int, last: int, at: tuple[float, float], geometry: CellGeometry, planes: GroundPlanes, scratch: PlaneScratch
+    cell: int,
+    last: int,
+    at: tuple[float, float],
+    geometry: CellGeometry,
+    planes: GroundPlanes,
+    scratch: PlaneScratch,
+    worst: int,
+    slope: Floats,
 ) -> tuple[int, float, float]:
     """Return the neighbour whose plane has the median height at a place, that height, and the way to its points."""
     x, y = at
     count = 0
     for s in range(last):
         other = geometry.near[cell, s]
-        if other < 0 or planes.kind[other] == 0:
+        if other < 0 or planes.kind[other] == 0 or planes.kind[other] > worst:
             continue
-        height = planes.plane[other, 0] * x + planes.plane[other, 1] * y + planes.plane[other, 2]
+        u, v = planes.centre[other, 0], planes.centre[other, 1]
+        height = _height(planes, other, u + _OWN_SLOPE * (x - u), v + _OWN_SLOPE * (y - v))
+        height += (1.0 - _OWN_SLOPE) * (slope[0] * (x - u) + slope[1] * (y - v))
         k = count
         while k > 0 and scratch.heights[k - 1] > height:
             scratch.heights[k], scratch.cells[k] = scratch.heights[k - 1], scratch.cells[k - 1]
@@ -400,10 +434,10 @@ def _settle(
 @helper
 def _describe(
     points: CellPoints, some: tuple[int, int, int], plane: Plane3, reach: float
-) -> tuple[float, float, float, float]:
-    """Return number, mean x and y, and spread in height of the points near a plane."""
+) -> tuple[float, float, float, float, bool]:
+    """Return number, mean x and y, spread in height of the points near a plane, and if it is a slice of a wall."""
     a, b, c = plane
-    count = sx = sy = sh = square = 0.0
+    count = sx = sy = sh = square = above = 0.0
     first, last, step = some
     for i in range(first, last, step):
         x, y = points.xyz[0, i], points.xyz[1, i]
@@ -414,9 +448,13 @@ def _describe(
             sy += y
             sh += h
             square += h * h
+        elif reach <= h < 3.0 * reach:
+            above += 1.0
     if count == 0.0:
-        return 0.0, 0.0, 0.0, 0.0
-    return count, sx / count, sy / count, math.sqrt(max(square / count - (sh / count) ** 2, 0.0))
+        return 0.0, 0.0, 0.0, 0.0, False
+    spread = math.sqrt(max(square / count - (sh / count) ** 2, 0.0))
+    is_wall = above > _WALL_ABOVE * count and spread > _WALL_SPREAD * reach
+    return count, sx / count, sy / count, spread, is_wall
 
 
 @helper
@@ -424,23 +462,51 @@ def _accept(
     cell: int,
     last: int,
     plane: Plane3,
-    found: tuple[float, float, float, float],
+    found: tuple[float, float, float, float, bool],
     geometry: CellGeometry,
     planes: GroundPlanes,
     scratch: PlaneScratch,
+    slope: Floats,
 ) -> bool:
     """Keep a plane if it has enough points, is not too steep and continues its neighbours'; returns whether it was."""
     a, b, c = plane
-    count, x, y, spread = found
+    count, x, y, spread, is_wall = found
     if count < _LEAST_POINTS or a * a + b * b > _STEEPEST * _STEEPEST:
         return False
-    other, height, away = _expect(cell, last, (x, y), geometry, planes, scratch)
-    if other >= 0 and abs(a * x + b * y + c - height) > _STEP + _STEP_PER_METRE * min(away, _FARTHEST):
-        return False
+    other, height, away = _expect(cell, last, (x, y), geometry, planes, scratch, FOUND, slope)
+    if other < 0:
+        other, height, away = _expect(cell, last, (x, y), geometry, planes, scratch, GUESSED, slope)
+    if other >= 0:
+        over, far = a * x + b * y + c - height, min(away, _FARTHEST)
+        if over > (_WALL_STEP if is_wall else _STEP) + _RISE * far or -over > _STEP + _STEP_PER_METRE * far:
+            return False
+    if planes.kind[cell] == GUESSED:
+        limit = _STEP + _GUESSED_RISE * min(planes.centre[cell, 2], _FARTHEST)
+        if a * x + b * y + c - _height(planes, cell, x, y) > limit:
+            return False
     planes.plane[cell, 0], planes.plane[cell, 1], planes.plane[cell, 2] = a, b, c
     planes.centre[cell, 0], planes.centre[cell, 1], planes.centre[cell, 2] = x, y, 0.0
     planes.spread[cell], planes.kind[cell] = spread, FOUND
     return True
+
+
+@helper
+def _carry(
+    cell: int, other: int, away: float, kind: int, geometry: CellGeometry, slope: Floats, planes: GroundPlanes
+) -> None:
+    """Give a cell the plane of another one, ``away`` [m] from the points of that; -1: none."""
+    planes.kind[cell] = kind if other >= 0 else 0
+    if other < 0:
+        return
+    x, y, a, b = geometry.x[cell], geometry.y[cell], planes.plane[other, 0], planes.plane[other, 1]
+    height = a * x + b * y + planes.plane[other, 2]
+    if kind == GUESSED:
+        u, v = planes.centre[other, 0], planes.centre[other, 1]
+        height = _height(planes, other, u, v) + slope[0] * (x - u) + slope[1] * (y - v)
+        a, b = slope[0], slope[1]
+    a, b = 0.5 * (a + slope[0]), 0.5 * (b + slope[1])
+    planes.plane[cell, 0], planes.plane[cell, 1], planes.plane[cell, 2] = a, b, height - a * x - b * y
+    planes.centre[cell, 0], planes.centre[cell, 1], planes.centre[cell, 2] = x, y, away
 
 
 @kernel
@@ -457,13 +523,25 @@ def find_planes(
     """
     neighbours, slope = rule.neighbours, rule.slope
     passes = _PASSES if neighbours else _FIRST_PASSES
+    for k in range(len(geometry.x) if neighbours else 0):
+        cell = len(geometry.x) - 1 - k
+        if planes.kind[cell] == 0:
+            origin = (geometry.x[cell], geometry.y[cell])
+            other, _, away = _expect(cell, neighbours, origin, geometry, planes, scratch, FOUND, slope)
+            if other < 0:
+                other, _, away = _expect(cell, neighbours, origin, geometry, planes, scratch, GUESSED, slope)
+            _carry(cell, other, away, GUESSED, geometry, slope, planes)
     for cell in range(len(geometry.x)):
         first = points.starts[cell]
         n = points.starts[cell + 1] - first
         some = (first, first + n, max(n // _MOST_FITTED, 1))
         origin = (geometry.x[cell], geometry.y[cell])
-        other, _, away = _expect(cell, neighbours, origin, geometry, planes, scratch)
-        a = b = c = 0.0
+        other, _, away = _expect(cell, neighbours, origin, geometry, planes, scratch, FOUND, slope)
+        kind = CARRIED
+        if other < 0:
+            other, _, away = _expect(cell, neighbours, origin, geometry, planes, scratch, GUESSED, slope)
+            kind = GUESSED
+        a, b, c = slope[0], slope[1], 0.0
         if other >= 0:
             a, b, c = planes.plane[other, 0], planes.plane[other, 1], planes.plane[other, 2]
         width = rule.reach[geometry.zone[cell]]
@@ -474,21 +552,16 @@ def find_planes(
                 there, near, plane = _settle(points, some, plane, width, passes, origin, (a, b))
                 if there:
                     found = _describe(points, some, plane, near)
-                    done = _accept(cell, neighbours, plane, found, geometry, planes, scratch)
+                    done = _accept(cell, neighbours, plane, found, geometry, planes, scratch, slope)
             if not done and other >= 0:
                 there, near, plane = _settle(points, some, (a, b, c), _WIDEST_REACH, 1, origin, (a, b))
                 if there:
                     there, near, plane = _settle(points, some, plane, width, _PASSES - 1, origin, (a, b))
                 if there:
                     found = _describe(points, some, plane, near)
-                    done = _accept(cell, neighbours, plane, found, geometry, planes, scratch)
+                    done = _accept(cell, neighbours, plane, found, geometry, planes, scratch, slope)
         if not done:
-            planes.kind[cell] = CARRIED if other >= 0 else 0
-            height = a * origin[0] + b * origin[1] + c
-            a, b = 0.5 * (a + slope[0]), 0.5 * (b + slope[1])
-            planes.plane[cell, 0], planes.plane[cell, 1] = a, b
-            planes.plane[cell, 2] = height - a * origin[0] - b * origin[1]
-            planes.centre[cell, 0], planes.centre[cell, 1], planes.centre[cell, 2] = origin[0], origin[1], away
+            _carry(cell, other, away, kind, geometry, slope, planes)
 
 
 @helper
@@ -514,16 +587,30 @@ def _continues(cell: int, other: int, planes: GroundPlanes) -> bool:
 
 
 @kernel
-def keep_largest(geometry: CellGeometry, planes: GroundPlanes, of: Integers, weight: Floats) -> None:
-    """Keep the planes of the largest set of cells in which neighbours continue each other; drop small other sets.
+def keep_largest(
+    geometry: CellGeometry,
+    planes: GroundPlanes,
+    noise: Floats,
+    slope: Floats,
+    of: Integers,
+    weight: Floats,
+    fit: Floats,
+) -> None:
+    """Keep the planes of the largest set of cells in which neighbours continue each other, and of sets as high as it.
 
-    A cell counts for the inverse of its distance: what lies near the robot is what it stands on.
+    A cell counts for the inverse of its distance: what lies near the robot is what it stands on. A plane whose points
+    spread by much more than the ``noise`` (zones,) [m] of the scan continues nothing: it leans from the road to a roof.
+    Another set is kept if most of its cells are as high as the nearest one of the largest, along the ``slope`` (2,) of
+    the whole ground.
 
-    ``of`` (cells,): scratch; ``weight`` (cells,): scratch.
+    ``of``, ``weight``, ``fit`` (cells,): scratch.
     """
     cells = len(geometry.x)
     for cell in range(cells):
-        of[cell], weight[cell] = cell, 0.0
+        of[cell], weight[cell], fit[cell] = cell, 0.0, 0.0
+    for cell in range(cells):
+        if planes.spread[cell] > max(_ROUGH * noise[geometry.zone[cell]], _ROUGH_M):
+            planes.kind[cell] = 0
     for cell in range(cells):
         for k in range(geometry.near.shape[1]):
             other = geometry.near[cell, k]
@@ -539,8 +626,28 @@ def keep_largest(geometry: CellGeometry, planes: GroundPlanes, of: Integers, wei
             weight[root] += 1.0 / math.sqrt(geometry.x[cell] ** 2 + geometry.y[cell] ** 2)
             if weight[root] > weight[best]:
                 best = root
+    last = 0
     for cell in range(cells):
-        if weight[_root(of, cell)] < _KEPT_SHARE * weight[best]:
+        of[cell] = _root(of, cell)
+        last = cell if of[cell] == best else last
+    for cell in range(cells):
+        if planes.kind[cell] != FOUND or of[cell] == best:
+            continue
+        x, y = planes.centre[cell, 0], planes.centre[cell, 1]
+        nearest, over = np.inf, 0.0
+        for other in range(best, last + 1):
+            if of[other] != best:
+                continue
+            dx, dy = x - planes.centre[other, 0], y - planes.centre[other, 1]
+            square = dx * dx + dy * dy
+            if square < nearest:
+                nearest, over = square, _height(planes, cell, x, y) - slope[0] * dx - slope[1] * dy
+                over -= _height(planes, other, x - dx, y - dy)
+        far = min(math.sqrt(nearest), _FARTHEST)
+        fits = -_STEP - _STEP_PER_METRE * far < over < _STEP + _RISE * far
+        fit[of[cell]] += 1.0 if fits else -1.0
+    for cell in range(cells):
+        if of[cell] != best and fit[of[cell]] <= 0.0:
             planes.kind[cell] = 0
 
 
@@ -560,7 +667,7 @@ def _measure_heights(
         first, last = points.starts[cell], points.starts[cell + 1]
         reach = rule.reach[geometry.zone[cell]]
         below = -_BELOW if planes.kind[cell] == FOUND else -reach
-        if planes.kind[cell] == CARRIED and last - first > rule.least_points:
+        if planes.kind[cell] != FOUND and last - first > rule.least_points:
             reach = -np.inf
         held = 0
         for i in range(first, last):
@@ -664,6 +771,34 @@ def _mark_plants(points: CellPoints, cell: int, limits: tuple[float, float], s: 
         s.state[part] = 4 if rises and s.sums[part, 1] > least * least * low else 0
 
 
+@helper
+def _leave_out_airborne(things: Annotated[NDArray[np.float32], 2], lowest: Singles, reach: float) -> int:
+    """Take returns that lie alone from the things of a cell: fewer than three in a pixel and those next to it.
+
+    The beams of a thing lie side by side, so that its returns do; those from rain, dust or an insect lie alone. Returns
+    how many there were.
+    """
+    top, count = things[0], things[1]
+    side, alone = int(math.sqrt(len(lowest)) + 0.5), 0
+    for place in range(len(lowest)):
+        if not 0.0 < count[place] < _TOGETHER:
+            continue
+        low, high = lowest[place] - reach, top[place] + reach
+        beside = count[place] if high - low < 3.0 * reach else np.float32(1.0)
+        row, column = place // side, place % side
+        for r in range(max(row - 1, 0), min(row + 2, side)):
+            for k in range(r * side + max(column - 1, 0), r * side + min(column + 2, side)):
+                if k != place and count[k] != 0.0 and lowest[k] < high and top[k] > low:
+                    beside += abs(count[k])
+        if beside < _TOGETHER:
+            alone += int(count[place])
+            count[place] = -count[place]
+    for place in range(len(lowest) if alone else 0):
+        if count[place] < 0.0:
+            top[place] = count[place] = np.float32(0.0)
+    return alone
+
+
 @kernel
 def label_points(
     points: CellPoints,
@@ -703,7 +838,19 @@ def label_points(
                 out.clearance[cell] = min(out.clearance[cell], h)
             if 0.0 < h < THINGS_HEIGHT * rule.height:
                 place = pixel[p]
+                first = out.things[cell, 1, place] == 0.0
+                scratch.lowest[place] = h if first else min(scratch.lowest[place], h)
                 out.things[cell, 0, place] = max(out.things[cell, 0, place], h)
                 out.things[cell, 1, place] += np.float32(1.0)
+        if mixed:
+            reach = _BESIDE_M + _BESIDE * math.sqrt(geometry.x[cell] ** 2 + geometry.y[cell] ** 2)
+            out.airborne[cell] = _leave_out_airborne(out.things[cell], scratch.lowest, reach)
+        if out.airborne[cell] > 0 and out.obstacles[cell] > 0:
+            out.obstacles[cell], out.top[cell] = 0, -np.inf
+            for i in range(points.starts[cell], points.starts[cell + 1]):
+                h, p = scratch.heights[i], by_cell.order[i]
+                if not out.ground[p] and rule.belly <= h < rule.height and out.things[cell, 1, pixel[p]] > 0.0:
+                    out.obstacles[cell] += 1
+                    out.top[cell] = max(out.top[cell], h)
     out.starts[len(geometry.x)] = end
     out.starts[len(geometry.x) + 1] = end

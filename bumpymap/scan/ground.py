@@ -89,8 +89,13 @@ def ground_drops(
 _REACH_OF_NOISE, _REACH_M, _USUAL_NOISE_M = 4.0, (0.12, 0.25), 0.03
 """A point is ground if it lies within so many times the usual spread of ground points, between these limits, m; the
 spread where a zone has no plane."""
-_HIGHEST_M = 0.5
-"""Highest ground below the origin, m: frames may have it at the robot's base."""
+_MANY = 16
+"""A zone with so many planes bounds the noise of those before it: nearer, ground is seen no less exactly."""
+_LEANS = math.tan(math.radians(10.0))
+"""Slope of the whole ground from which it is searched for again along it."""
+_HIGHEST_M, _STANDS_M = 0.5, 0.5
+"""Ground that is higher above the origin, m, is known from what stands on it, so much above it: a frame may have its
+origin below the robot, or z may point down."""
 
 
 def find_ground(
@@ -100,18 +105,19 @@ def find_ground(
     settings: PolarSettings,
     start: float,
     buffers: SectorBuffers | None = None,
-) -> tuple[NDArray[np.bool_], GroundLabels]:
+) -> tuple[GroundPlanes, GroundLabels]:
     """Find the ground of a scan that was placed on the polar grid.
 
     A plane is found in every cell by seed and refit, once with what its spread allows, and once more when the noise of
     the scan in each zone is known: a sensor that measures exactly tells ground from low plants better. The second time
-    a plane has to continue those on all sides. Parts of a cell beside its plane, thin and continuing the ground next to
-    them, are ground as well; parts in which points rise from the ground without a gap are plants. A scan whose ground
-    would lie above its sensor has none: its axes are not what they are said to be.
+    a plane has to continue those on all sides, and may step up less than down: cars and walls do. Parts of a cell
+    beside its plane, thin and continuing the ground next to them, are ground as well; parts in which points rise from
+    the ground without a gap are plants. The origin may be at the sensor, the robot's base or below it, and the frame
+    may lean. A scan that hangs from its ground has none: its z axis points down.
 
     ``points`` (m, 3): m; ``start``: azimuth of sector 0, rad; ``buffers``: hold ``things`` and the order of the ground
-    points until the next call. Returns whether each cell has ground points and a plane of its own (cells,), and what
-    is known of the points and cells.
+    points until the next call. Returns the planes, ``FOUND`` where cells have ground of their own, and what is known of
+    the points and cells.
     """
     buffers = buffers or SectorBuffers()
     layout = cell_layout(settings)
@@ -130,23 +136,26 @@ def find_ground(
         np.empty(NEIGHBOURS, np.int32),
     )
     zones = len(settings.sectors)
-    level = np.zeros(2)
-    find_planes(held, geometry, SearchRule(np.zeros(zones), settings.least_points, 0, level), planes, scratch)
-    keep_largest(geometry, planes, np.empty(cells, np.int32), np.empty(cells))
+    slope = np.zeros(2)
+    for _ in range(2):  # again, if the frame leans: the lowest points are then those at its lower side
+        rule = SearchRule(np.zeros(zones), settings.least_points, 0, slope)
+        find_planes(held, geometry, rule, planes, scratch)
+        slope = _slope(planes)
+        if math.hypot(*slope) < _LEANS:
+            break
     noise = _noise(planes, geometry, zones)
+    keep_largest(geometry, planes, noise, slope, np.empty(cells, np.int32), np.empty(cells), np.empty(cells))
     reach = np.clip(_REACH_OF_NOISE * noise, *_REACH_M)
-    slope = _median(planes.plane[planes.kind == FOUND, :2]) if planes.kind.any() else level
-    rule = SearchRule(reach, settings.least_points, NEIGHBOURS, slope)
+    rule = SearchRule(reach, settings.least_points, NEIGHBOURS, _slope(planes))
     find_planes(held, geometry, rule, planes, scratch)
-    heights = planes.plane[planes.kind == FOUND, 2]  # cells are sorted outwards
-    is_known = math.isfinite(settings.overhead_m) and len(heights) > 0
-    if is_known and _median(heights[: len(heights) // 2 + 1]) > _HIGHEST_M:
-        planes.kind[:] = 0  # by its nearer half, the ground lies above the sensor: z does not point up
+    if math.isfinite(settings.overhead_m) and _is_upside_down(planes, geometry, xyz):
+        planes.kind[:] = 0
     things = buffers.empty("things", 2 * settings.pixels**2, np.float32, rows=cells)
     things[:] = 0.0
     labels = GroundLabels(
         np.full(len(points), np.nan, np.float32),
         np.zeros(len(points), np.bool_),
+        np.zeros(cells, np.int32),
         np.zeros(cells, np.int32),
         np.zeros(cells, np.int32),
         np.full(cells, -np.inf, np.float32),
@@ -169,20 +178,41 @@ def find_ground(
             np.empty(cells, np.bool_),
             buffers.empty("sums", 4, np.float64, rows=parts),
             buffers.empty("level", parts, np.float64),
+            np.empty(settings.pixels**2, np.float32),
             buffers.empty("state", parts, np.int32),
         ),
     )
-    return planes.kind == FOUND, labels
+    return planes, labels
+
+
+def _slope(planes: GroundPlanes) -> NDArray[np.float64]:
+    """Return the median slope of the planes that were found (2,), zeros without any."""
+    found = planes.kind == FOUND
+    return _median(planes.plane[found, :2]) if found.any() else np.zeros(2)
+
+
+def _is_upside_down(planes: GroundPlanes, geometry: CellGeometry, xyz: NDArray[np.float32]) -> bool:
+    """Return whether the nearer ground lies above the origin, and no more stands on it than hangs from it."""
+    found, slope = np.flatnonzero(planes.kind == FOUND), _slope(planes)
+    near = found[: len(found) // 2 + 1]  # cells are sorted outwards
+    x, y = geometry.x[near], geometry.y[near]
+    a, b, c = planes.plane[near].T
+    if not len(near) or (level := _median((a - slope[0]) * x + (b - slope[1]) * y + c)) < _HIGHEST_M:
+        return False
+    height = xyz[2] - (slope[0] * xyz[0] + slope[1] * xyz[1] + level)
+    return int((height > _STANDS_M).sum()) <= int((height < -_STANDS_M).sum())
 
 
 def _noise(planes: GroundPlanes, geometry: CellGeometry, zones: int) -> NDArray[np.float64]:
     """Return the median spread of ground points about their plane in each zone, m."""
-    found = planes.kind == FOUND
+    found, least = planes.kind == FOUND, np.inf
     noise = np.full(zones, _USUAL_NOISE_M)
-    for zone in range(zones):
+    for zone in reversed(range(zones)):
         spread = planes.spread[found & (geometry.zone == zone)]
         if len(spread):
-            noise[zone] = _median(spread)
+            noise[zone] = min(_median(spread), least)
+        if len(spread) >= _MANY:
+            least = noise[zone]
     return noise
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, PolarSettings, Scan, SectorStack
 from bumpymap.scan._drop_kernels import GroundPoints
+from bumpymap.scan._ground_kernels import FOUND
 from bumpymap.scan._place_kernels import (
     BLOCK,
     CellOrder,
@@ -31,8 +32,11 @@ RANSAC_THRESHOLD_M = 0.1
 _LABELS = 32_768
 _LEAST_GROUND_POINTS = 10
 """Fewest ground points of a sector that has ground."""
+_LINE_M = 0.05
+"""Ground points that spread less than this about a plane, and have another principal normal, lie on one or two scan
+lines, m: their plane tells the tilt. Points of a wall spread more."""
 _LEAST_OBSTACLE_POINTS = 2
-"""Fewest points that are an obstacle: a single one may be an insect, or an error."""
+"""Fewest points that are an obstacle: a single one may be an error."""
 
 
 def polar_sectors(
@@ -57,16 +61,20 @@ def polar_sectors(
     sort_points(cell, by_cell)
     counts = np.diff(by_cell.starts[:-1])
     cells = np.flatnonzero(counts > settings.least_points)
-    found, ground = find_ground(points, pixel, by_cell, settings, start, buffers)
+    planes, ground = find_ground(points, pixel, by_cell, settings, start, buffers)
     ground_count = np.diff(ground.starts[:-1])[cells]
-    there = found[cells] & (ground_count >= _LEAST_GROUND_POINTS)
+    there = (planes.kind[cells] == FOUND) & (ground_count >= _LEAST_GROUND_POINTS)
     scalars, normal, heights = _measure(
         SectorInputs(points, pixel, cells[there], RANSAC_THRESHOLD_M),
         CellOrder(ground.starts, ground.order),
         settings,
         buffers,
     )
-    is_level = (normal[:, 2] >= settings.least_normal_z) & (scalars[:, 3] <= settings.overhead_m)
+    lines = (normal[:, 2] < settings.least_normal_z) & (planes.spread[cells[there]] < _LINE_M)
+    fitted = np.insert(-planes.plane[cells[there][lines], :2], 2, 1.0, axis=1)
+    normal[lines] = fitted / np.linalg.norm(fitted, axis=1, keepdims=True)
+    over = scalars[:, 3] - max(float(np.median(scalars[: len(scalars) // 2 + 1, 3])) if len(scalars) else 0.0, 0.0)
+    is_level = (normal[:, 2] >= settings.least_normal_z) & (over <= settings.overhead_m)
     obstacles = ground.obstacles[cells]
     stands = there & (obstacles >= _LEAST_OBSTACLE_POINTS)
     slope = np.zeros((len(counts), 2))
@@ -95,6 +103,7 @@ def polar_sectors(
         ground_count=np.where(there, ground_count, 0).astype(np.int32),
         obstacle_count=obstacles,
         overhead_count=ground.overhead[cells],
+        airborne_count=ground.airborne[cells],
         obstacle=stands | there & drops[cells],
         drop=there & drops[cells],
         obstacle_height=np.where(stands, ground.top[cells], np.float32(np.nan)),

@@ -267,6 +267,44 @@ def test_a_scan_with_z_down_has_no_ground(height):
     assert not upside_down.traversable.any()
     assert not upside_down.point_ground.any()
     assert stack_of(xy * [1, -1], -z, overhead_m=math.inf).traversable.any()
+    post = box(np.random.default_rng(0), 6.0, 2.0, 1.0, 1.2, 2.4)  # on ground above an origin below the robot
+    stack = stack_of(np.concatenate([xy, post[:, :2]]), np.concatenate([plane(xy, 3.0, 1.0, 1.2), post[:, 2]]))
+    assert stack.traversable.mean() > 0.9
+    assert stack.obstacle.any()
+
+
+@pytest.mark.parametrize("side", [1.5, 3.0])
+def test_cars_beside_the_robot_are_no_ground_and_the_street_is(side):
+    """Hoods and roofs 1 and 1.4 m up on both sides, seen from 1.9 m."""
+
+    def street(x, y):
+        beside, along = (np.abs(y) > side) & (np.abs(y) < side + 1.8), x % 6.0
+        return np.where(beside & (along < 4.4), np.where((along > 0.9) & (along < 3.4), 1.4, 1.0), 0.0)
+
+    points = seen(street, 1.9)
+    stack, height = polar_sectors(Scan(points)), points[:, 2] + 1.9
+    r = np.hypot(points[:, 0], points[:, 1])
+    assert stack.point_ground[(height > 0.4) & (r < 6.0)].mean() < 0.02
+    assert stack.point_ground[(height < 0.1) & (r < 20.0)].mean() > 0.9
+
+
+def test_rain_is_airborne_and_a_post_in_it_stands():
+    rng, points = np.random.default_rng(5), seen(lambda x, y: np.where(np.hypot(x - 6.0, y - 1.0) < 0.3, 1.2, 0.0))
+    clear = polar_sectors(Scan(points), FIXED)
+    wet, drops = points.copy(), rng.uniform(size=len(points)) < 0.01
+    wet[drops] *= rng.uniform(0.2, 0.95, (drops.sum(), 1)).astype(np.float32)
+    rainy = polar_sectors(Scan(wet), FIXED)
+    free = clear.traversable & ~clear.obstacle
+    assert rainy.airborne_count.sum() > 0.3 * drops.sum()
+    assert rainy.obstacle.sum() - clear.obstacle.sum() < 0.04 * free.sum()
+    assert rainy.obstacle[rainy.point_sector[(clear.point_height > 0.4) & ~drops]].all()
+
+
+def test_one_scan_line_of_ground_is_traversable():
+    rng, turn = np.random.default_rng(6), np.linspace(0.0, 0.12, 44)
+    xy = np.concatenate([rings(6, far=9.0), np.column_stack([10.5 * np.cos(turn), 10.5 * np.sin(turn)])])
+    stack = stack_of(xy, plane(xy) + 0.02 * rng.standard_normal(len(xy)))
+    assert stack.traversable[stack.point_sector[-44:]].all()
 
 
 @pytest.mark.realdata
