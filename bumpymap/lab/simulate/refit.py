@@ -194,8 +194,8 @@ def refit(calibration: Calibration) -> Calibration:
         made = replace(made, steps=made.steps | {"tile": _rated_tiles(made, calibrated_settings(made))})
     if made.motion is not None:
         origin = made.motion["origin"]
-        driven = np.array(origin["driven"], np.float64)
-        made = replace(made, motion=fit_means(calibrated_settings(made), driven, origin["starts"]).to_record())
+        means = np.array(origin["driven"], np.float64)
+        made = replace(made, motion=fit_means(calibrated_settings(made), means, origin["starts"]).to_record())
     return made
 
 
