@@ -275,12 +275,16 @@ def ride_patches(
     poses: Poses,
     geometry: VehicleGeometry,
     rides: Annotated[Floats, 2],
+    axis_samples: PitchSamples,
+    axis_bounds: Annotated[NDArray[np.int64], 1],
+    by_axis: Annotated[Floats, 2],
     scratch: RideScratch,
 ) -> None:
     """Roll a vehicle over patches.
 
     ``rides`` (tiles, 6) is filled: mean and root mean square of the pitch change [rad/m]; root mean square of pitch,
-    roll and twist [rad]; reach of the ground towards the belly (1: it touches).
+    roll and twist [rad]; reach of the ground towards the belly (1: it touches). ``by_axis`` (tiles, axes) is filled
+    too: the mean pitch change of the samples along each axis.
     """
     nodes = patches.relief.shape[1] * patches.fine + 1
     held = take_group(patches, 0, scratch)
@@ -293,6 +297,11 @@ def ride_patches(
         for lane in range(held):
             for k in range(6):
                 rides[scratch.members[lane], k] = scratch.rides[k, lane]
+        for axis in range(by_axis.shape[1]):
+            first, last = axis_bounds[axis], axis_bounds[axis + 1]
+            sample_means(axis_samples, first, last, scratch.envelope, scratch.rides)
+            for lane in range(held):
+                by_axis[scratch.members[lane], axis] = scratch.rides[0, lane]
         held = take_group(patches, scratch.members[held - 1] + 1, scratch)
 
 

@@ -120,7 +120,7 @@ class Rides:
     """(n,) mean absolute height difference of pixels two apart, m."""
 
 
-def roll_over(relief_map: NDArray[np.float32], operator: RideOperator) -> Rides:
+def roll_over(relief_map: NDArray[np.float32], operator: RideOperator, by_axis: Floats | None = None) -> Rides:
     """Roll a vehicle over patches.
 
     Parameters
@@ -129,11 +129,15 @@ def roll_over(relief_map: NDArray[np.float32], operator: RideOperator) -> Rides:
         Plane-removed relief without holes, m; patches with NaN are left out.
     operator : RideOperator
         Of the vehicle.
+    by_axis : array (n, 8), optional
+        Filled with the geometric C_r along each of ``AXES_DEG``, rad/m; rows of patches with NaN stay.
     """
     patches, scratch = _patches_and_scratch(relief_map, operator.wheel, operator.fine, operator.nodes)
+    by_axis = np.empty((len(relief_map), 0)) if by_axis is None else by_axis
     rides = np.full((len(relief_map), 6), np.nan)
     geometry = VehicleGeometry(operator.wheelbase, operator.track, operator.belly_half, operator.clearance)
-    ride_patches(patches, operator.wheel, operator.samples, operator.poses, geometry, rides, scratch)
+    axes = operator.axis_samples, operator.axis_bounds, by_axis
+    ride_patches(patches, operator.wheel, operator.samples, operator.poses, geometry, rides, *axes, scratch)
     heights = _heights(np.where(patches.known[:, None, None], patches.relief, np.float32(np.nan)))
     return Rides(*(*rides.T.copy(), *heights))
 

@@ -17,6 +17,8 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.core import AXES_DEG
+
 __all__ = [
     "NodeLattice",
     "PitchSamples",
@@ -184,6 +186,10 @@ class RideOperator:
     """Along the side of a patch, both edges among them."""
     wheel: WheelShape
     samples: PitchSamples
+    axis_samples: PitchSamples
+    """The same rows by the nearest of ``AXES_DEG``, one axis after the other."""
+    axis_bounds: Annotated[NDArray[np.int64], 1]
+    """(9,) where the rows of each axis begin."""
     poses: Poses
     wheelbase: float
     track: float
@@ -204,12 +210,15 @@ class RideOperator:
         places = spread_places(_RIDE_SAMPLES, tile_size)
         taps = chassis_response(vehicle, step / 2)
         samples = pitch_change(lattice, places, taps, step / 2, wheelbase, track)
+        axis_samples, axis_bounds = _by_axis(samples, places[2])
         belly = vehicle["belly"]
         return cls(
             fine=fine,
             nodes=nodes,
             wheel=wheel_shape(radius, step),
             samples=samples,
+            axis_samples=axis_samples,
+            axis_bounds=axis_bounds,
             poses=_poses(
                 lattice, spread_places(_POSE_SAMPLES, tile_size), wheelbase, track, float(belly["length_m"]) / 2
             ),
@@ -286,6 +295,21 @@ def pitch_change(
     shares = np.diff(taps, prepend=0.0, append=0.0) / way
     back = way * (np.arange(len(shares)) - 0.5)
     return wheel_rows(lattice, places, WheelShares((1, 1, -1, -1), shares / (2 * wheelbase), back), wheelbase, track)
+
+
+def _by_axis(samples: PitchSamples, heading: Floats) -> tuple[PitchSamples, NDArray[np.int64]]:
+    """Put the samples in the order of their axes, and tell where each begins.
+
+    ``heading`` (samples,) is counted from the east, rad; a way and its opposite are on one axis.
+    """
+    width = AXES_DEG[1] - AXES_DEG[0]
+    axis = np.rint((90.0 - np.degrees(heading)) / width).astype(np.int64) % len(AXES_DEG)
+    order = np.argsort(axis, kind="stable")
+    length = np.diff(samples.starts)[order]
+    starts = np.concatenate(([0], np.cumsum(length)))
+    entry = np.arange(starts[-1]) + np.repeat(samples.starts[order] - starts[:-1], length)
+    rows = PitchSamples(starts.astype(np.int32), samples.node[entry], samples.weight[entry])
+    return rows, np.searchsorted(axis[order], np.arange(len(AXES_DEG) + 1))
 
 
 def _poses(lattice: NodeLattice, places: Places, wheelbase: float, track: float, belly_half: float) -> Poses:
