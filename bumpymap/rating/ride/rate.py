@@ -139,8 +139,8 @@ class RideModel:
         clean = denoise(patches, self.operator)
         rides = roll_over(clean.relief_map, self.operator, by_axis)
         if by_axis is not None:
-            level = ~(rides.pitch_change > LEVEL)
-            by_axis[:] = np.where(level[:, None], np.nan, by_axis / np.where(level, 1.0, rides.pitch_change)[:, None])
+            own = np.where(rides.pitch_change > LEVEL, rides.pitch_change, np.nan)
+            by_axis /= own[:, None]
         pixel_points = patches.count / patches.grid.pixels**2
         found = self.correction.predict(rides, patches.slope.astype(np.float64), clean.noise_felt, pixel_points)
         if self.speeds is None:
