@@ -91,8 +91,8 @@ def _cost_of(cost: Costs, heading: Heading, row: int, col: int) -> float:
     """Cost of a tile in a direction; infinite outside the window."""
     if row < 0 or col < 0 or row >= cost.shape[0] or col >= cost.shape[1]:
         return math.inf
-    first = float(cost[row, col, heading[0]])
-    return first + heading[2] * (float(cost[row, col, heading[1]]) - first) if first < math.inf else first
+    first = np.float64(cost[row, col, heading[0]])
+    return float(first + heading[2] * (np.float64(cost[row, col, heading[1]]) - first) if first < math.inf else first)
 
 
 @helper

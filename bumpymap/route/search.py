@@ -191,7 +191,7 @@ def _rank(cost: NDArray[np.float32], point: Point) -> tuple[float, ...]:
     """Return what tells two ends apart: the same on turned maps, but for the last two numbers."""
     row, col = math.floor(point[0]), math.floor(point[1])
     r, c = abs(point[0] - row - 0.5), abs(point[1] - col - 0.5)
-    return float(cost[row, col].min()), max(r, c), min(r, c), *point
+    return float(np.sort(cost[row, col]).sum()), max(r, c), min(r, c), *point
 
 
 BYTES_PER_TILE = 36
