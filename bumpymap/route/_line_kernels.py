@@ -92,7 +92,9 @@ def _cost_of(cost: Costs, heading: Heading, row: int, col: int) -> float:
     if row < 0 or col < 0 or row >= cost.shape[0] or col >= cost.shape[1]:
         return math.inf
     first = np.float64(cost[row, col, heading[0]])
-    return float(first + heading[2] * (np.float64(cost[row, col, heading[1]]) - first) if first < math.inf else first)
+    if heading[2] == 0.0 or not first < math.inf:
+        return float(first)
+    return float(first + heading[2] * (np.float64(cost[row, col, heading[1]]) - first))
 
 
 @helper

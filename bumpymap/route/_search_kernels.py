@@ -197,8 +197,10 @@ def _closed_around(ground: Ground, tile: int, first: int, last: int) -> int:
 @helper
 def _cost_of(ground: Ground, moves: MoveTables, k: int, tile: int) -> float:
     """Cost of an open tile in the direction of a move."""
-    first = np.float64(ground.cost[tile, moves.axis[k, 0]])
-    return float(first + moves.share[k] * (np.float64(ground.cost[tile, moves.axis[k, 1]]) - first))
+    first, share = np.float64(ground.cost[tile, moves.axis[k, 0]]), moves.share[k]
+    if share == 0.0:
+        return float(first)
+    return float(first + share * (np.float64(ground.cost[tile, moves.axis[k, 1]]) - first))
 
 
 @helper

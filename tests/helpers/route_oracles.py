@@ -1,7 +1,7 @@
 """What ways must be: graphs of scipy, closed forms, and distances of lines to squares by shapely."""
 
 from functools import cache
-from itertools import combinations, pairwise
+from itertools import pairwise
 
 import numpy as np
 import shapely
@@ -94,22 +94,6 @@ def gap_to_closed(cost, line):
     """Least distance of a line to closed tiles of the window."""
     path = shapely.LineString(np.asarray(line)[:, ::-1])
     return float(shapely.distance(path, closed_squares(cost)).min(initial=np.inf))
-
-
-def taut_length(cost, start, goal):
-    """Length of the shortest line around closed tiles: corners that see each other, as a graph."""
-    cost, start, goal = np.pad(cost, 1, constant_values=np.inf), np.add(start, 1), np.add(goal, 1)
-    closed = shapely.union_all(closed_squares(cost))
-    corners = np.unique(shapely.get_coordinates(closed), axis=0)
-    points = np.vstack([[start[::-1], goal[::-1]], corners])
-    first, last = np.array(list(combinations(range(len(points)), 2))).T
-    lines = shapely.linestrings(np.stack([points[first], points[last]], axis=1))
-    inside = shapely.buffer(closed, -1e-7, join_style="mitre")
-    shapely.prepare(inside)
-    seen = ~shapely.intersects(inside, lines)
-    lengths = shapely.length(lines[seen])
-    graph = csr_array((lengths, (first[seen], last[seen])), shape=(len(points), len(points)))
-    return float(dijkstra(graph, directed=False, indices=0)[1])
 
 
 def cheapest_on_pixels(cost, start, goal, pixel):

@@ -18,7 +18,7 @@ from bumpymap.route.measure import way_cost
 from bumpymap.route.places import in_window
 from bumpymap.route.planner import Planner, tile_line
 from bumpymap.route.reach import find_reach
-from bumpymap.route.search import BYTES_PER_TILE, MOVES, NOT_REACHED, find_way, follow_back, spread
+from bumpymap.route.search import BYTES_PER_TILE, MOVES, find_way
 from bumpymap.route.straighten import line_cost
 
 
@@ -176,15 +176,6 @@ def test_cost_of_every_tile(robust, unknown, risk):
     assert np.array_equal(cost, np.float32(expected))
 
 
-def test_default_risk_is_that_of_the_layers():
-    """The values of cost.tif, as the writer makes them, to the last bit."""
-    field = made_field()
-    factor = field.rule.cost(field.c_r.astype(np.float64), field.rule.hazard(field.p_fail))
-    written = np.where(field.barred == Barred.NO, factor, np.nan).astype(np.float32)
-    assert np.array_equal(of_field(field), np.where(np.isnan(written), np.inf, written))
-    assert np.array_equal(of_field(field), of_field(field, risk=field.rule.fail_weight))
-
-
 ROWS, COLS = 120, 140
 
 
@@ -293,24 +284,6 @@ def test_on_even_ground_cost_and_minutes_follow_the_distance():
     np.testing.assert_allclose(reach.minutes, reach.cost / 2.0 / 2.0 / 60.0, rtol=1e-5, atol=1e-6)
     assert reach.share == 1.0
     assert reach.area_ha == pytest.approx(41 * 41 * 9 / 1e4)
-
-
-def test_minutes_are_those_of_the_way_by_moves():
-    rng = np.random.default_rng(3)
-    barred = np.where(rng.random((40, 50)) < 0.3, Barred.STEP, Barred.NO)
-    barred[20, 25] = Barred.NO
-    site = TileMap(rng.gamma(2.0, 0.2, (40, 50)), barred)
-    start = site.at(20.3, 25.8)
-    ground = ground_of(site)
-    reach = find_reach(ground, start)
-    _, back = spread(ground.on_tiles(reach.window, through=False), (20.3, 25.8), margin=ground.margin)
-    assert (back == NOT_REACHED).sum() > 100
-    assert np.isnan(reach.cost[back == NOT_REACHED]).all()
-    assert np.isnan(reach.minutes[back == NOT_REACHED]).all()
-    for row, col in rng.permutation(np.argwhere(back != NOT_REACHED))[:40]:
-        line = np.concatenate([follow_back(back, int(row), int(col)), [[20.3, 25.8]]])
-        length = np.hypot(*np.diff(line, axis=0).T).sum() * 3.0
-        assert reach.minutes[row, col] == pytest.approx(length / 2.0 / 60.0, rel=1e-5)
 
 
 def test_a_limit_reads_a_window_and_keeps_what_lies_within():

@@ -300,10 +300,11 @@ def pitch_change(
 def _by_axis(samples: PitchSamples, heading: Floats) -> tuple[PitchSamples, NDArray[np.int64]]:
     """Put the samples in the order of their axes, and tell where each begins.
 
-    ``heading`` (samples,) is counted from the east, rad; a way and its opposite are on one axis.
+    ``heading`` (samples,) is counted from the columns to the rows, rad; a way and its opposite are on one axis.
     """
     width = AXES_DEG[1] - AXES_DEG[0]
-    axis = np.rint((90.0 - np.degrees(heading)) / width).astype(np.int64) % len(AXES_DEG)
+    # The north row of a patch comes first, so its rows count southwards.
+    axis = np.rint((90.0 + np.degrees(heading)) / width).astype(np.int64) % len(AXES_DEG)
     order = np.argsort(axis, kind="stable")
     length = np.diff(samples.starts)[order]
     starts = np.concatenate(([0], np.cumsum(length)))
