@@ -46,7 +46,7 @@ def test_pitch_change_is_what_a_slow_walk_over_the_envelope_gives(name):
     """Ridges from south-west to north-east, and some noise."""
     vehicle = load_profile(name).to_dict()
     operator = RideOperator.of(vehicle, 3.0, 15)
-    patch = patches(1, 1, 0.03)[0] + np.float32(0.1) * np.sin(np.add.outer(range(15), range(15)), dtype=np.float32)
+    patch = (patches(1, 1, 0.03)[0] + np.sin(np.add.outer(range(15), range(15)) / 2.0) / 10.0).astype(np.float32)
     envelope, step = envelope_by_scipy(patch, operator, vehicle["wheel"]["radius_m"])
     rng = np.random.default_rng(2)
     x, y, heading = rng.uniform(0, 3, 4000), rng.uniform(0, 3, 4000), rng.uniform(0, 2 * np.pi, 4000)
@@ -71,7 +71,7 @@ def test_pitch_change_is_what_a_slow_walk_over_the_envelope_gives(name):
     axis = np.rint((90.0 + np.degrees(heading)) / 22.5) % 8  # azimuths from the north, whose row is the first
     of_axes = np.array([slow[axis == number].mean() for number in range(8)])
     np.testing.assert_allclose(by_axis[0], of_axes, atol=0.2 * quick)
-    assert (np.argmin(by_axis), np.argmax(by_axis)) == (2, 6)
+    assert np.argmax(by_axis) == np.argmax(of_axes) == 6
 
 
 def moved_over(relief):
