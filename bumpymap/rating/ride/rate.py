@@ -47,6 +47,10 @@ __all__ = ["CleanPatches", "RideModel", "denoise", "interval", "judge", "spectru
 
 _STEEPNESS = (2.0, 2.6, 3.2, 3.8, 4.5)
 """Exponents of the ground's spectrum that are tried: Hurst exponents from 0 to beyond 1."""
+_SHARPENED = 1.2
+"""Power of C_r along an axis over the mean. An axis takes samples of 22.5 degrees, and ground that is mirrored at the
+edges of the tile has its mirrored headings there: both even out what a line feels. From 1.15 to 1.3 the errors against
+drives and rides of lines are least, on made-up and on natural ground."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +144,8 @@ class RideModel:
         rides = roll_over(clean.relief_map, self.operator, by_axis)
         if by_axis is not None:
             own = np.where(rides.pitch_change > LEVEL, rides.pitch_change, np.nan)
-            by_axis /= own[:, None]
+            by_axis[:] = (by_axis / own[:, None]) ** _SHARPENED
+            by_axis /= np.average(by_axis, axis=1, weights=np.diff(self.operator.axis_bounds))[:, None]
         pixel_points = patches.count / patches.grid.pixels**2
         found = self.correction.predict(rides, patches.slope.astype(np.float64), clean.noise_felt, pixel_points)
         if self.speeds is None:
