@@ -130,8 +130,8 @@ def roll_over(relief_map: NDArray[np.float32], operator: RideOperator, by_axis: 
     operator : RideOperator
         Of the vehicle.
     by_axis : array (n, 8), optional
-        Filled with the geometric C_r along each of ``AXES_DEG``, rad/m, where the north row of a patch comes first; rows
-        of patches with NaN stay.
+        Filled with the geometric C_r along each of ``AXES_DEG``, rad/m; the north row of a patch comes first. Rows of
+        patches with NaN stay.
     """
     patches, scratch = _patches_and_scratch(relief_map, operator.wheel, operator.fine, operator.nodes)
     by_axis = np.empty((len(relief_map), 0)) if by_axis is None else by_axis
