@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from bumpymap.core import AXES_DEG
 
 __all__ = [
+    "AxisSamples",
     "NodeLattice",
     "PitchSamples",
     "Places",
@@ -51,6 +52,16 @@ class PitchSamples(NamedTuple):
     """(entries,) index into the flat (nodes, nodes) envelope."""
     weight: Annotated[NDArray[np.float32], 1]
     """(entries,) rad/m of pitch change per metre of height."""
+
+
+class AxisSamples(NamedTuple):
+    """The same rows by the nearest of ``AXES_DEG``, one axis after the other."""
+
+    starts: Annotated[NDArray[np.int32], 1]
+    node: Annotated[NDArray[np.int32], 1]
+    weight: Annotated[NDArray[np.float32], 1]
+    bounds: Annotated[NDArray[np.int64], 1]
+    """(9,) where the rows of each axis begin."""
 
 
 class WheelShares(NamedTuple):
@@ -186,10 +197,7 @@ class RideOperator:
     """Along the side of a patch, both edges among them."""
     wheel: WheelShape
     samples: PitchSamples
-    axis_samples: PitchSamples
-    """The same rows by the nearest of ``AXES_DEG``, one axis after the other."""
-    axis_bounds: Annotated[NDArray[np.int64], 1]
-    """(9,) where the rows of each axis begin."""
+    axes: AxisSamples
     poses: Poses
     wheelbase: float
     track: float
@@ -210,15 +218,13 @@ class RideOperator:
         places = spread_places(_RIDE_SAMPLES, tile_size)
         taps = chassis_response(vehicle, step / 2)
         samples = pitch_change(lattice, places, taps, step / 2, wheelbase, track)
-        axis_samples, axis_bounds = _by_axis(samples, places[2])
         belly = vehicle["belly"]
         return cls(
             fine=fine,
             nodes=nodes,
             wheel=wheel_shape(radius, step),
             samples=samples,
-            axis_samples=axis_samples,
-            axis_bounds=axis_bounds,
+            axes=_by_axis(samples, places[2]),
             poses=_poses(
                 lattice, spread_places(_POSE_SAMPLES, tile_size), wheelbase, track, float(belly["length_m"]) / 2
             ),
@@ -297,8 +303,8 @@ def pitch_change(
     return wheel_rows(lattice, places, WheelShares((1, 1, -1, -1), shares / (2 * wheelbase), back), wheelbase, track)
 
 
-def _by_axis(samples: PitchSamples, heading: Floats) -> tuple[PitchSamples, NDArray[np.int64]]:
-    """Put the samples in the order of their axes, and tell where each begins.
+def _by_axis(samples: PitchSamples, heading: Floats) -> AxisSamples:
+    """Put the samples in the order of their axes.
 
     ``heading`` (samples,) is counted from the columns to the rows, rad; a way and its opposite are on one axis.
     """
@@ -309,8 +315,8 @@ def _by_axis(samples: PitchSamples, heading: Floats) -> tuple[PitchSamples, NDAr
     length = np.diff(samples.starts)[order]
     starts = np.concatenate(([0], np.cumsum(length)))
     entry = np.arange(starts[-1]) + np.repeat(samples.starts[order] - starts[:-1], length)
-    rows = PitchSamples(starts.astype(np.int32), samples.node[entry], samples.weight[entry])
-    return rows, np.searchsorted(axis[order], np.arange(len(AXES_DEG) + 1))
+    bounds = np.searchsorted(axis[order], np.arange(len(AXES_DEG) + 1))
+    return AxisSamples(starts.astype(np.int32), samples.node[entry], samples.weight[entry], bounds)
 
 
 def _poses(lattice: NodeLattice, places: Places, wheelbase: float, track: float, belly_half: float) -> Poses:

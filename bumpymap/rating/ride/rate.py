@@ -145,7 +145,7 @@ class RideModel:
         if by_axis is not None:
             own = np.where(rides.pitch_change > LEVEL, rides.pitch_change, np.nan)
             by_axis[:] = (by_axis / own[:, None]) ** _SHARPENED
-            by_axis /= np.average(by_axis, axis=1, weights=np.diff(self.operator.axis_bounds))[:, None]
+            by_axis /= np.average(by_axis, axis=1, weights=np.diff(self.operator.axes.bounds))[:, None]
         pixel_points = patches.count / patches.grid.pixels**2
         found = self.correction.predict(rides, patches.slope.astype(np.float64), clean.noise_felt, pixel_points)
         if self.speeds is None:
