@@ -281,7 +281,7 @@ def ride_patches(
     """Roll a vehicle over patches.
 
     ``rides`` (tiles, 6 or 14) is filled: mean and root mean square of the pitch change [rad/m]; root mean square of
-    pitch, roll and twist [rad]; reach of the ground towards the belly (1: it touches); mean pitch change along each axis.
+    pitch, roll and twist [rad]; reach of the ground towards the belly (1: it touches); mean pitch change by axis.
     """
     nodes = patches.relief.shape[1] * patches.fine + 1
     held = take_group(patches, 0, scratch)
