@@ -223,6 +223,7 @@ from .shared_kernels import (
     fill_holes as fill_holes,
 )
 from .types import (
+    AXES_DEG as AXES_DEG,
     BANDS as BANDS,
     BARRED_TEXT as BARRED_TEXT,
     CANOPY as CANOPY,
@@ -233,6 +234,7 @@ from .types import (
     FAIL_SHARE as FAIL_SHARE,
     FREE as FREE,
     GROUND_SOURCE as GROUND_SOURCE,
+    HEADING_BANDS as HEADING_BANDS,
     HOLE_POINTS as HOLE_POINTS,
     HOLE_SHARE as HOLE_SHARE,
     LONE as LONE,

@@ -177,6 +177,10 @@ class MapConfig:
         Setting("Write pitch, roll and a_w at these speeds, in m/s", "LIST", 0.01, 100.0, "m/s", rare=True),
     ] = None
     """Speeds, m/s, at which c_r, c_roll and a_w are computed too, in speeds.tif; None: it is not written."""
+    headings: Annotated[bool, Setting("Write the ride cost by heading, for routes that know direction", rare=True)] = (
+        False
+    )
+    """Write headings.tif, the ride cost along 8 axes; `route` then costs each move by its own heading."""
     model: Annotated[Path | None, Setting("ONNX file of your own texture network", "FILE", rare=True)] = None
     """The ONNX file of a texture network, used instead of the one that ships with bumpymap."""
     crs: Annotated[str | None, Setting("CRS of surveys that have none: EPSG:32614", "CRS", group="Input")] = None
@@ -232,11 +236,14 @@ class MapConfig:
                 f"`speeds` is {', '.join(map(str, self.speeds)) or 'empty'}; give 1 to {_MOST_SPEEDS} different speeds "
                 "in m/s"
             )
-        given = next((name for name in ("speed", "speeds") if getattr(self, name) is not None), None)
+        given = next(
+            (name for name in ("speed", "speeds", "headings") if getattr(self, name) not in (None, False)), None
+        )
         if given and (self.rating != "ride" or self.compat != "none"):
             name, value = ("rating", self.rating) if self.compat == "none" else ("compat", self.compat)
+            known = "heading" if given == "headings" else "speed"
             raise UsageError(
-                f"`{name}='{value}'` knows no speed: only the ride model does. Leave out `{given}`, or `{name}`"
+                f"`{name}='{value}'` knows no {known}: only the ride model does. Leave out `{given}`, or `{name}`"
             )
 
 

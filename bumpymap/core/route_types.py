@@ -80,6 +80,8 @@ class TracedLine:
     """(n,) column of the tile in the window, from the west."""
     length: NDArray[np.float64]
     """(n,) length of the piece, in tiles. Along a border of two tiles, the piece belongs to the one that costs more."""
+    part: NDArray[np.int64]
+    """(n,) which straight part of the line it belongs to, from 0."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from pyproj import CRS
 
 __all__ = [
+    "AXES_DEG",
     "BANDS",
     "BARRED_TEXT",
     "CANOPY",
@@ -28,6 +29,7 @@ __all__ = [
     "FAIL_SHARE",
     "FREE",
     "GROUND_SOURCE",
+    "HEADING_BANDS",
     "HOLE_POINTS",
     "HOLE_SHARE",
     "LONE",
@@ -439,6 +441,8 @@ class CostMap:
     motion: NDArray[np.float32] | None = None
     """(n, 3 k) for each of k speeds: c_r, c_roll and a_w [m/s2] over this c_r [rad/m]; None if no speed is asked
     for."""
+    headings: NDArray[np.float32] | None = None
+    """(n, 8) C_r along each of ``AXES_DEG`` over this c_r; None if it is not asked for."""
 
     def band(self, name: str) -> NDArray[np.floating]:
         """Return the values of one of ``BANDS``, (n,)."""
@@ -453,7 +457,8 @@ class CostMap:
         own |= objects.columns()
         tiles = len(self.class_id)
         own["thin"] = np.full((tiles, THIN_MEASURES), np.nan, np.float32) if self.thin is None else self.thin
-        own |= {} if self.motion is None else {"motion": self.motion}
+        more = {"motion": self.motion, "headings": self.headings}
+        own |= {name: values for name, values in more.items() if values is not None}
         names = [column.name for column in rated_columns(self.patches.grid.pixels) if column.name not in own]
         return {name: self.band(name) for name in names} | own
 
@@ -489,10 +494,10 @@ class CostTable:
         return cls(cost_map.georeference, cost_map.rule, tiles)
 
 
-def rated_columns(pixels: int, speeds: int = 0) -> tuple[Column, ...]:
+def rated_columns(pixels: int, speeds: int = 0, *, headings: bool = False) -> tuple[Column, ...]:
     """Return the columns of a tile rated by itself, named as in `PatchStack`, `CostMap` and `ObjectStack`.
 
-    ``speeds`` is the number of speeds besides that of the map.
+    ``speeds`` is the number of speeds besides that of the map; with ``headings``, the ride by heading is among them.
     """
     floats = ("z_min", "z_max", "z_variance", "ransac_residual", "slope", "z_range", "density", "coverage", "relief")
     singles = ("c_r", "c_r_low", "c_r_high", "p_fail", "confidence")
@@ -506,23 +511,24 @@ def rated_columns(pixels: int, speeds: int = 0) -> tuple[Column, ...]:
         *(Column(name, "<f4") for name in ("obstacle", "obstacle_height", "clearance", "canopy")),
         Column("objects", "|u1", (pixels, pixels)),
         Column("thin", "<f4", (THIN_MEASURES,)),
-        *_motion_column(speeds),
+        *_asked_columns(speeds, headings),
     )
 
 
-def _motion_column(speeds: int) -> tuple[Column, ...]:
-    """Return the column of what is felt at other speeds; none without them."""
-    return (Column("motion", "<f4", (len(SPEED_BANDS) * speeds,)),) if speeds else ()
+def _asked_columns(speeds: int, headings: bool) -> tuple[Column, ...]:
+    """Return the columns of what is felt at other speeds and by heading, as far as they are asked for."""
+    motion = (Column("motion", "<f4", (len(SPEED_BANDS) * speeds,)),) if speeds else ()
+    return (*motion, *((Column("headings", "<f4", (len(AXES_DEG),)),) if headings else ()))
 
 
-def neighbour_columns(pixels: int, speeds: int = 0) -> tuple[Column, ...]:
+def neighbour_columns(pixels: int, speeds: int = 0, *, headings: bool = False) -> tuple[Column, ...]:
     """Return the columns that depend on the neighbours of a tile; rating and objects are among them: they may change.
 
     ``edge_step`` [m] is the highest of the steps at the four sides, ``step_north`` to ``step_west`` [m]; NaN where
     nothing is known beyond the side. ``inner_step`` [m] is the highest at the pixels of the tile. ``barred`` is a
     `Barred`; ``passable`` is 1 or 0. ``passage`` numbers the areas of a tile in which the middle of the vehicle can
     move, from 1, the largest; 0 where it cannot be. ``motion`` holds the values of `speed_bands`, of so many
-    ``speeds``.
+    ``speeds``; ``headings`` that of `HEADING_BANDS`.
     """
     objects = ("obstacle", "obstacle_height", "clearance")
     singles = ("c_r", "c_r_low", "c_r_high", "p_fail", "confidence", *objects, "edge_step", "inner_step")
@@ -531,12 +537,12 @@ def neighbour_columns(pixels: int, speeds: int = 0) -> tuple[Column, ...]:
         *(Column(name, "<f4") for name in (*singles, *(f"step_{side}" for side in SIDES))),
         Column("objects", "|u1", (pixels, pixels)),
         Column("passage", "|u1", (pixels, pixels)),
-        *_motion_column(speeds),
+        *_asked_columns(speeds, headings),
     )
 
 
 def tile_columns(pixels: int, speeds: int = 0) -> tuple[Column, ...]:
-    """Return all columns of a finished tile, with those of so many ``speeds``."""
+    """Return all columns of a finished tile, with those of so many ``speeds``; without the ride by heading."""
     own = rated_columns(pixels, speeds)
     known = {column.name for column in own}
     return (*own, *(column for column in neighbour_columns(pixels, speeds) if column.name not in known))
@@ -584,6 +590,15 @@ SPEED_BANDS: tuple[Band, ...] = (
     Band("a_w", "m/s2", "weighted vertical acceleration at {} m/s (Wk of ISO 2631-1, 0.4 to 10 Hz)"),
 )
 """Values that are computed at each speed."""
+
+
+AXES_DEG = tuple(22.5 * axis for axis in range(8))
+"""Azimuths from grid north that C_r is told along, degrees; a way and its opposite have the same C_r."""
+HEADING_BANDS = tuple(
+    Band(f"c_r_{axis:g}", "rad/m", f"ride cost at azimuth {axis:g} or {axis + 180:g} degrees from grid north")
+    for axis in AXES_DEG
+)
+"""The bands of headings.tif, in order."""
 
 
 def speed_bands(speeds: tuple[float, ...]) -> tuple[Band, ...]:

@@ -28,7 +28,7 @@ from bumpymap.layers.colours import class_limits
 from bumpymap.layers.geotiff import write_raster
 from bumpymap.layers.manifest import MANIFEST_NAME, complete_manifest, describe_file, software_versions, write_manifest
 from bumpymap.layers.placement import Placement
-from bumpymap.layers.products import EVERY_NAME, EVERY_VIEW_NAME, PRODUCT_NAMES, VIEW_NAMES, MapFile, every_file
+from bumpymap.layers.products import ASKED_NAMES, EVERY_NAME, EVERY_VIEW_NAME, MapFile, every_file
 from bumpymap.layers.regions import dissolve
 from bumpymap.layers.stac import write_item
 from bumpymap.layers.summary import MapSummary, summarise
@@ -249,7 +249,8 @@ def write_products(
         record["files"].append(describe_file(staged / MapFile.ITEM) | {"path": MapFile.ITEM})
         write_manifest(record, staged / MANIFEST_NAME)
     _log.info("wrote %d tiles to %s", summary.tiles, folder)
-    names = (*EVERY_NAME, *EVERY_VIEW_NAME) if table.speeds else (*PRODUCT_NAMES, *VIEW_NAMES)
+    stems = {Path(name).stem for name in set(ASKED_NAMES) - set(_asked(table))}
+    names = [name for name in (*EVERY_NAME, *EVERY_VIEW_NAME) if Path(name).stem not in stems]
     return [folder / name for name in names], summary
 
 
@@ -266,7 +267,7 @@ def _layers(
     tags = as_tags(metadata)
     fine = [MapFile.HEIGHTMAP, MapFile.RELIEF, MapFile.OBSTACLE, MapFile.PASSAGE]
     coarse = [MapFile.ROUGHNESS, MapFile.CLASS, MapFile.REASON, MapFile.COST, MapFile.BARRED]
-    coarse += [MapFile.SPEEDS] * bool(table.speeds)
+    coarse += _asked(table)
 
     def rasters(names: Sequence[MapFile]) -> dict[tuple[str, ...], Callable[[], None]]:
         return {(name,): partial(write_raster, name, table, folder / name, tags) for name in names}
@@ -279,6 +280,11 @@ def _layers(
             (MapFile.TILES,): partial(write_tiles, table, folder / MapFile.TILES, tags),
         },
     ]
+
+
+def _asked(table: CostTable) -> list[MapFile]:
+    """Return the rasters that the run was asked for besides those of every run."""
+    return [MapFile.SPEEDS] * bool(table.speeds) + [MapFile.HEADINGS] * table.tiles.has("headings")
 
 
 def _write_layers(

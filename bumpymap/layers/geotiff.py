@@ -17,6 +17,7 @@ from bumpymap.core import (
     CANOPY,
     CLASS_NAMES,
     FREE,
+    HEADING_BANDS,
     NO_CLASS,
     OBJECT_NAMES,
     OBSTACLE,
@@ -206,6 +207,12 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
             lambda found, _: found["motion"].T,
             tags={"speeds_m_per_s": " ".join(f"{speed:g}" for speed in table.speeds)},
         ),
+        MapFile.HEADINGS: _Layer(
+            "ride cost by heading",
+            [BandSpec(band.name, band.unit, band.description) for band in HEADING_BANDS],
+            ("headings",),
+            lambda found, _: found["headings"].T,
+        ),
         MapFile.HEIGHTMAP: _Layer(
             "height map",
             [BandSpec("height", "m", "mean height of the points in the pixel")],
@@ -260,6 +267,7 @@ def write_raster(file: MapFile, table: CostTable, path: Path, about: Mapping[str
         - ``cost.tif``: float32, one pixel per tile: the factor on distance, NaN if the tile is not passable. Overviews
           average the passable tiles.
         - ``speeds.tif``: float32, one pixel per tile, the bands of `speed_bands`, NaN if unknown.
+        - ``headings.tif``: float32, one pixel per tile, ``HEADING_BANDS``, NaN if unknown.
         - ``heightmap.tif``: float32, the heightmaps of all tiles side by side, NaN in pixels without points.
         - ``relief.tif``: float32, 3 x 3 pixels per tile, the mean height in each. A pixel without heights has the mean
           of those pixels with heights that are at most 1 pixel away along both axes, else at most 2, 4 or 8; NaN if

@@ -16,6 +16,7 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from bumpymap.core import (
+    HEADING_BANDS,
     NO_CLASS,
     NO_TILE,
     BadInputError,
@@ -53,7 +54,7 @@ _DTYPES = {
     MapFile.CLASS: "uint8",
 }
 _RASTERS = tuple(name for name in _DTYPES if name != MapFile.CLASS)
-"""Rasters of a route; a comparison of surveys reads the classes too."""
+"""Rasters of a route; a comparison of surveys reads the classes too, and a route headings.tif where there is one."""
 _VEHICLE = {"name": str, "width_m": Number(), "speed_mps": Number()}
 _PER_PIXEL = (MapFile.HEIGHTMAP, MapFile.OBSTACLE, MapFile.PASSAGE)
 CHECKED_BYTES = 64 << 20
@@ -155,6 +156,28 @@ class MapReader:
         for band in set(bands) & {"c_r", "c_r_high", "p_fail"}:
             if (out[band] < 0.0).any() or (band == "p_fail" and (out[band] > 1.0).any()):
                 raise BadInputError(f"{self.folder / MapFile.ROUGHNESS} is damaged: {band}. Map the survey again")
+        return out
+
+    @property
+    def has_headings(self) -> bool:
+        """True if the map tells C_r by heading."""
+        return MapFile.HEADINGS in _rasters(self.manifest)
+
+    def headings(self, window: TileWindow) -> NDArray[np.float32]:
+        """Read C_r along each of ``AXES_DEG``, rad/m, float32 (rows, cols, 8); NaN where unknown.
+
+        Raises
+        ------
+        BadInputError
+            The file is missing or damaged, or a value is below 0.
+        """
+        out = np.full((window.rows, window.cols, len(HEADING_BANDS)), np.nan, np.float32)
+        part = common_window(window, self.window)
+        if part is not None:
+            inside = np.moveaxis(out[_slices(window, part)], -1, 0)
+            self._read_into(list(inside), MapFile.HEADINGS, part, [band.name for band in HEADING_BANDS])
+        if (out < 0.0).any():
+            raise BadInputError(f"{self.folder / MapFile.HEADINGS} is damaged. {_AGAIN}")
         return out
 
     def heights(self, window: TileWindow) -> NDArray[np.float32]:
@@ -273,7 +296,7 @@ class MapReader:
     def _require_whole(self, name: MapFile) -> None:
         """Raise BadInputError if a raster whose checksum was not compared when the map was opened is damaged."""
         written = {str(file["path"]): file for file in self.manifest["files"]}
-        if name in _RASTERS and int(written[name]["bytes"]) > CHECKED_BYTES:
+        if name in _rasters(self.manifest) and int(written[name]["bytes"]) > CHECKED_BYTES:
             _compare(self.folder, name, int(written[name]["bytes"]), str(written[name]["sha256"]))
 
     def to_grid(self, x: Coordinate, y: Coordinate) -> tuple[Coordinate, Coordinate]:
@@ -345,7 +368,7 @@ def open_map(folder: str | os.PathLike[str]) -> MapReader:
     folder, rasters = Path(folder), _kept_rasters()
     manifest = read_manifest(folder)
     try:
-        require_written(folder, manifest, _RASTERS, most=CHECKED_BYTES)
+        require_written(folder, manifest, _rasters(manifest), most=CHECKED_BYTES)
         crs, unit = manifest["crs"], manifest["metres_per_unit"]
         known = None if crs is None else stated_crs(crs["wkt"])
         cost = manifest["cost"]
@@ -359,8 +382,14 @@ def open_map(folder: str | os.PathLike[str]) -> MapReader:
     except (LookupError, TypeError, ValueError, AttributeError, CRSError) as error:
         raise BadInputError(f"{folder / 'run.json'} is damaged: {error!r}. {_AGAIN}") from error
     grid, georeference, rule, vehicle = parts
-    window = _common_raster(folder, grid, georeference, rasters)
+    window = _common_raster(folder, _rasters(manifest), grid, georeference, rasters)
     return MapReader(folder, manifest, grid, window, georeference, rule, vehicle, rasters)
+
+
+def _rasters(manifest: Mapping[str, Any]) -> tuple[MapFile, ...]:
+    """Return the rasters of a route that a map has."""
+    asked = any(file["path"] == MapFile.HEADINGS for file in manifest["files"])
+    return (*_RASTERS, *((MapFile.HEADINGS,) if asked else ()))
 
 
 @lru_cache(maxsize=1024)
@@ -396,13 +425,15 @@ def _moved(part: slice, by: int) -> slice:
     return slice(part.start - by, part.stop - by)
 
 
-def _common_raster(folder: Path, grid: Grid, georeference: Georeference, rasters: KeptRasters) -> TileWindow:
+def _common_raster(
+    folder: Path, names: Sequence[MapFile], grid: Grid, georeference: Georeference, rasters: KeptRasters
+) -> TileWindow:
     """Return the tiles that all rasters of a folder span. Raises BadInputError if they do not agree."""
-    windows = {name: _window_of(folder, name, grid, georeference, rasters) for name in _RASTERS}
+    windows = {name: _window_of(folder, name, grid, georeference, rasters) for name in names}
     for name, window in windows.items():
-        if window != windows[_RASTERS[0]]:
-            raise BadInputError(f"{folder / name} spans other tiles than {folder / _RASTERS[0]}. {_AGAIN}")
-    return windows[_RASTERS[0]]
+        if window != windows[names[0]]:
+            raise BadInputError(f"{folder / name} spans other tiles than {folder / names[0]}. {_AGAIN}")
+    return windows[names[0]]
 
 
 def _window_of(folder: Path, name: MapFile, grid: Grid, georeference: Georeference, rasters: KeptRasters) -> TileWindow:

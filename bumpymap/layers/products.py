@@ -24,6 +24,7 @@ from bumpymap.core import (
 from bumpymap.layers.manifest import MANIFEST_NAME, describe_file, write_manifest
 
 __all__ = [
+    "ASKED_NAMES",
     "CATALOG_NAME",
     "EVERY_NAME",
     "EVERY_VIEW_NAME",
@@ -93,6 +94,8 @@ class MapFile(StrEnum):
     REGIONS_IN_CRS = "cost.fgb"
     SPEEDS = "rasters/speeds.tif"
     """Of a run that was asked for other speeds."""
+    HEADINGS = "rasters/headings.tif"
+    """Of a run that was asked for the ride by heading."""
     ITEM = "item.json"
     """The map as a STAC item."""
     MANIFEST = MANIFEST_NAME
@@ -102,7 +105,9 @@ class MapFile(StrEnum):
 
 EVERY_NAME: tuple[str, ...] = tuple(name for name in MapFile if name not in {MapFile.PROJECT, MapFile.REPORT})
 """The files that a run may write, in their order; its manifest lists them with their checksums."""
-PRODUCT_NAMES = tuple(name for name in EVERY_NAME if name != MapFile.SPEEDS)
+ASKED_NAMES = (MapFile.SPEEDS, MapFile.HEADINGS)
+"""Those that a run writes if it is asked for them."""
+PRODUCT_NAMES = tuple(name for name in EVERY_NAME if name not in ASKED_NAMES)
 """Those that every run writes."""
 EVERY_VIEW_NAME: tuple[str, ...] = (
     *(str(Path(name).with_suffix(".qml")) for name in MapFile if name.endswith((".tif", ".parquet"))),
@@ -110,7 +115,7 @@ EVERY_VIEW_NAME: tuple[str, ...] = (
     MapFile.REPORT,
 )
 """Files to look at the others with: styles, a project, a page. GIS programs rewrite them, so they have no checksum."""
-VIEW_NAMES = tuple(name for name in EVERY_VIEW_NAME if Path(name).stem != Path(MapFile.SPEEDS).stem)
+VIEW_NAMES = tuple(name for name in EVERY_VIEW_NAME if Path(name).stem not in {Path(each).stem for each in ASKED_NAMES})
 """Those that every run writes."""
 
 

@@ -52,6 +52,7 @@ from .ride.speed import (
     MotionModel as MotionModel,
     SpeedRating as SpeedRating,
     at_speed as at_speed,
+    felt_by_heading as felt_by_heading,
     motion_felt as motion_felt,
     motion_terms as motion_terms,
     plain_terms as plain_terms,
@@ -69,6 +70,7 @@ from .ride.thin_rate import (
     is_rateable as is_rateable,
     pool_noise as pool_noise,
     rate_thin as rate_thin,
+    ride_weight as ride_weight,
 )
 from .steps import (
     TileSteps as TileSteps,

@@ -2,10 +2,14 @@
 
 Field coordinates (r, c) of a window are in tiles: r from its north edge southwards, c from its west edge eastwards. A
 tile is closed where its cost is infinite; everything outside the window is closed.
+
+Costs are (rows, cols, axes): of one axis, alike in all directions, or along the eight of ``AXES_DEG``. Between two axes
+cost is linear in the slope of the segment against the rows or columns, whichever it is nearer to: unlike angles, that
+gives a turned or mirrored map the same bits.
 """
 
 import math
-from typing import Annotated, NamedTuple
+from typing import Annotated, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +20,7 @@ __all__ = [
     "A_END",
     "B_END",
     "LEAST_MARGIN",
+    "TAN",
     "Line",
     "Pieces",
     "check_clear",
@@ -29,6 +34,8 @@ __all__ = [
 
 Costs = NDArray[np.float32]
 Floats = NDArray[np.float64]
+Heading: TypeAlias = tuple[int, int, float]
+"""Two axes, and the share of the second in the cost."""
 
 LEAST_MARGIN = 1e-6
 """Margins below this one, tiles, count as this one: what touches a closed tile may slip between two of them."""
@@ -36,6 +43,8 @@ _SLIVER = 1e-12
 """Pieces below this length, tiles, are rounding errors of a line through a corner of four tiles."""
 _ROUNDING = 1e-9
 """Distances to closed tiles may be shorter than the margin by this, tiles, but not by more than half of it."""
+TAN = math.sqrt(2.0) - 1.0
+"""Of 22.5 degrees."""
 A_END, B_END = 1, 2
 """Bits: which end of a segment is the start or the goal, and may be nearer to closed tiles than the margin."""
 
@@ -43,8 +52,8 @@ A_END, B_END = 1, 2
 class Line(NamedTuple):
     """A line in a window."""
 
-    cost: Annotated[Costs, 2]
-    """(rows, cols) cost per tile of length."""
+    cost: Annotated[Costs, 3]
+    """(rows, cols, axes) cost per tile of length."""
     points: Annotated[Floats, 2]
     """(n, 2) field coordinates of its corners, ends included."""
 
@@ -55,16 +64,42 @@ class Pieces(NamedTuple):
     row: Annotated[NDArray[np.int64], 1]
     col: Annotated[NDArray[np.int64], 1]
     length: Annotated[Floats, 1]
+    part: Annotated[NDArray[np.int64], 1]
+    """The corner of the line before each."""
     pieces: Annotated[NDArray[np.int64], 1]
     """(1,) how many there are."""
 
 
 @helper
-def _cost_of(cost: Costs, row: int, col: int) -> float:
-    """Cost of a tile; infinite outside the window."""
+def _axes_between(axes: int, dr: float, dc: float) -> Heading:
+    """Return the two axes that a direction lies between, and how far it is from the first to the second."""
+    if axes == 1:
+        return 0, 0, 0.0
+    down, right = abs(dr), abs(dc)
+    north_east, more = dr * dc < 0.0, max(down, right)
+    t = min(down, right) / more if more > 0.0 else 0.0
+    diagonal = 2 if north_east else 6
+    straight = 0 if down >= right else 4
+    between = (1 if north_east else 7) if down >= right else (3 if north_east else 5)
+    if t <= TAN:
+        return straight, between, t / TAN
+    return between, diagonal, (t - TAN) / (1.0 - TAN)
+
+
+@helper
+def _cost_of(cost: Costs, heading: Heading, row: int, col: int) -> float:
+    """Cost of a tile in a direction; infinite outside the window."""
     if row < 0 or col < 0 or row >= cost.shape[0] or col >= cost.shape[1]:
         return math.inf
-    return float(cost[row, col])
+    first = np.float64(cost[row, col, heading[0]])
+    if heading[2] == 0.0 or not first < math.inf:
+        return float(first)
+    return float(first + heading[2] * (np.float64(cost[row, col, heading[1]]) - first))
+
+
+@helper
+def _is_open(cost: Costs, row: int, col: int) -> bool:
+    return 0 <= row < cost.shape[0] and 0 <= col < cost.shape[1] and float(cost[row, col, 0]) < math.inf
 
 
 @helper
@@ -83,23 +118,25 @@ def _crossing(a: float, delta: float, tile: int) -> float:
 
 
 @helper
-def _dearer_shift(cost: Costs, r: float, c: float, row: int, col: int) -> tuple[int, int]:
+def _dearer_shift(cost: Costs, heading: Heading, r: float, c: float, row: int, col: int) -> tuple[int, int]:
     """Shift from a tile to the one before it, where a line runs on the border of both and that one is dearer.
 
     ``r`` is the row of a line that keeps it, NaN otherwise; ``c`` likewise.
     """
-    here = _cost_of(cost, row, col)
-    if r == row and _cost_of(cost, row - 1, col) > here:
+    here = _cost_of(cost, heading, row, col)
+    if r == row and _cost_of(cost, heading, row - 1, col) > here:
         return 1, 0
-    if c == col and _cost_of(cost, row, col - 1) > here:
+    if c == col and _cost_of(cost, heading, row, col - 1) > here:
         return 0, 1
     return 0, 0
 
 
 @helper
-def _dearer_beside(cost: Costs, r0: float, c0: float, dr: float, dc: float, row: int, col: int) -> float:
-    up, left = _dearer_shift(cost, r0 if dr == 0.0 else math.nan, c0 if dc == 0.0 else math.nan, row, col)
-    return _cost_of(cost, row - up, col - left)
+def _dearer_beside(
+    cost: Costs, heading: Heading, r0: float, c0: float, dr: float, dc: float, row: int, col: int
+) -> float:
+    up, left = _dearer_shift(cost, heading, r0 if dr == 0.0 else math.nan, c0 if dc == 0.0 else math.nan, row, col)
+    return _cost_of(cost, heading, row - up, col - left)
 
 
 @helper
@@ -110,6 +147,7 @@ def segment_cost(cost: Costs, r0: float, c0: float, r1: float, c1: float, limit:
     """
     dr, dc = r1 - r0, c1 - c0
     length = math.sqrt(dr * dr + dc * dc)
+    heading = _axes_between(cost.shape[2], dr, dc)
     # Whole numbers as floats: to convert each to an integer and back takes longer than a tile.
     north, west = np.floor(r0), np.floor(c0)
     north -= 1.0 if dr < 0.0 and north == r0 else 0.0
@@ -117,7 +155,7 @@ def segment_cost(cost: Costs, r0: float, c0: float, r1: float, c1: float, limit:
     row, col = int(north), int(west)
     keeps = dr == 0.0 or dc == 0.0
     if north <= r1 <= north + 1.0 and west <= c1 <= west + 1.0 and not keeps:  # in one tile: nothing to divide
-        total = length * _cost_of(cost, row, col) if length > _SLIVER else 0.0
+        total = length * _cost_of(cost, heading, row, col) if length > _SLIVER else 0.0
         return total if total <= limit else math.inf
     down, right = 1.0 if dr > 0.0 else -1.0, 1.0 if dc > 0.0 else -1.0
     r_edge, c_edge = north + max(down, 0.0), west + max(right, 0.0)
@@ -127,7 +165,10 @@ def segment_cost(cost: Costs, r0: float, c0: float, r1: float, c1: float, limit:
         end = min(next_r, next_c, 1.0)
         piece = (end - t) * length
         if piece > _SLIVER:
-            total += piece * (_dearer_beside(cost, r0, c0, dr, dc, row, col) if keeps else _cost_of(cost, row, col))
+            if keeps:
+                total += piece * _dearer_beside(cost, heading, r0, c0, dr, dc, row, col)
+            else:
+                total += piece * _cost_of(cost, heading, row, col)
             if not total <= limit:
                 return math.inf
         if end >= 1.0:
@@ -198,7 +239,7 @@ def segment_clear(cost: Costs, r0: float, c0: float, r1: float, c1: float, margi
             first, last = max(0.0, min(t0, t1)), min(1.0, max(t0, t1))
         west, east = c0 + first * dc, c0 + last * dc
         for col in range(math.floor(min(west, east) - margin), math.floor(max(west, east) + margin) + 1):
-            if _cost_of(cost, row, col) < math.inf:
+            if _is_open(cost, row, col):
                 continue
             need = margin
             if ends & A_END:
@@ -234,7 +275,7 @@ def check_clear(line: Line, margin: float, out: Annotated[NDArray[np.bool_], 1])
 
 
 @kernel
-def connect(cost: Annotated[Costs, 2], r: float, c: float, margin: float, out: Annotated[Floats, 2]) -> None:
+def connect(cost: Annotated[Costs, 3], r: float, c: float, margin: float, out: Annotated[Floats, 2]) -> None:
     """Fill (m, m) costs from a start or goal to the middles of the tiles around it; infinite if not clear."""
     reach = out.shape[0] // 2
     top, left = math.floor(r) - reach, math.floor(c) - reach
@@ -242,7 +283,7 @@ def connect(cost: Annotated[Costs, 2], r: float, c: float, margin: float, out: A
         for j in range(out.shape[1]):
             row, col = top + i, left + j
             out[i, j] = math.inf
-            if _cost_of(cost, row, col) < math.inf:
+            if _is_open(cost, row, col):
                 found = segment_cost(cost, r, c, row + 0.5, col + 0.5, math.inf)
                 if found < math.inf and segment_clear(cost, r, c, row + 0.5, col + 0.5, margin, A_END):
                     out[i, j] = found
@@ -262,10 +303,11 @@ def find_near(points: Annotated[Floats, 2], margin: float, out: Annotated[NDArra
 def trace_line(line: Line, out: Pieces) -> None:
     """Cut a line at the borders of tiles; see `segment_cost`, which sums the same pieces."""
     n, points, cost = 0, line.points, line.cost
-    rows, cols = cost.shape
+    rows, cols = cost.shape[0], cost.shape[1]
     for i in range(points.shape[0] - 1):
         r0, c0, dr, dc = points[i, 0], points[i, 1], points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
         length = math.sqrt(dr * dr + dc * dc)
+        heading = _axes_between(cost.shape[2], dr, dc)
         row, col = _first_tile(r0, dr), _first_tile(c0, dc)
         along_r, along_c = r0 if dr == 0.0 else math.nan, c0 if dc == 0.0 else math.nan
         t = 0.0
@@ -273,10 +315,10 @@ def trace_line(line: Line, out: Pieces) -> None:
             next_r, next_c = _crossing(r0, dr, row), _crossing(c0, dc, col)
             end = min(next_r, next_c, 1.0)
             if (end - t) * length > _SLIVER:
-                up, left = _dearer_shift(cost, along_r, along_c, row, col)
+                up, left = _dearer_shift(cost, heading, along_r, along_c, row, col)
                 # On the window's edge the tile inside it counts.
                 out.row[n], out.col[n] = min(max(row - up, 0), rows - 1), min(max(col - left, 0), cols - 1)
-                out.length[n] = (end - t) * length
+                out.length[n], out.part[n] = (end - t) * length, i
                 n += 1
             if next_r <= end:
                 row += 1 if dr > 0.0 else -1

@@ -58,6 +58,10 @@ class MoveTables(NamedTuple):
     """From the tile where the move starts to one that it crosses."""
     piece_length: Annotated[Floats, 1]
     """Length in that tile, tiles."""
+    axis: Annotated[Integers, 2]
+    """(k, 2) the axes that it lies between."""
+    share: Annotated[Floats, 1]
+    """(k,) how far it is from the first of them to the second."""
     near_north: Annotated[Integers, 1]
     """(k,) tiles that must be open, those that it crosses included, as bits of the north half around the start."""
     near_south: Annotated[Integers, 1]
@@ -67,8 +71,8 @@ class MoveTables(NamedTuple):
 class Ground(NamedTuple):
     """A flattened window with its ring."""
 
-    cost: Annotated[NDArray[np.float32], 1]
-    """(n,) per tile of length; infinite where closed."""
+    cost: Annotated[NDArray[np.float32], 2]
+    """(n, axes) per tile of length, see `bumpymap.route._line_kernels`; infinite where closed."""
     closed: Annotated[Bytes, 1]
     """A bit for each tile, from the least of a byte on: whether it is closed; one byte more than these take."""
     width: int
@@ -191,13 +195,23 @@ def _closed_around(ground: Ground, tile: int, first: int, last: int) -> int:
 
 
 @helper
+def _cost_of(ground: Ground, moves: MoveTables, k: int, tile: int) -> float:
+    """Cost of an open tile in the direction of a move."""
+    first, share = np.float64(ground.cost[tile, moves.axis[k, 0]]), moves.share[k]
+    if share == 0.0:
+        return float(first)
+    return float(first + share * (np.float64(ground.cost[tile, moves.axis[k, 1]]) - first))
+
+
+@helper
 def _move_cost(ground: Ground, moves: MoveTables, k: int, tile: int, limit: float) -> float:
     """Exact integral of the cost along a move; infinite if it cannot be below the limit."""
-    total: float = moves.end[k] * ground.cost[tile] + moves.end[k] * ground.cost[tile + moves.step[k]]
+    total: float = moves.end[k] * _cost_of(ground, moves, k, tile)
+    total += moves.end[k] * _cost_of(ground, moves, k, tile + moves.step[k])
     if total + (moves.length[k] - 2.0 * moves.end[k]) * ground.least >= limit:
         return math.inf
     for i in range(moves.first_piece[k], moves.first_piece[k + 1]):
-        total += moves.piece_length[i] * ground.cost[tile + moves.piece[i]]
+        total += moves.piece_length[i] * _cost_of(ground, moves, k, tile + moves.piece[i])
     return total
 
 

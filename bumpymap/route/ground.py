@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bumpymap.core import OBSTACLE, OPEN_THROUGH, Barred, TileField, corners_join
 from bumpymap.layers import MapReader, tiles_in, tiles_within
 from bumpymap.route.places import in_window, on_grid
-from bumpymap.route.search import BYTES_PER_TILE, find_way
+from bumpymap.route.search import BYTES_PER_TILE, BYTES_PER_TILE_BY_HEADING, find_way
 from bumpymap.route.settings import CostSettings
 from bumpymap.route.straighten import is_clear
 from bumpytiles import Grid, TileWindow
@@ -21,6 +21,7 @@ __all__ = [
     "TOUCHING",
     "CostGround",
     "WornTiles",
+    "by_mean",
     "points_along",
     "sample_line",
     "stretches",
@@ -112,18 +113,38 @@ class CostGround:
         return ("c_r_high" if self.settings.robust else "c_r", "p_fail", *obstacle)
 
     @property
+    def knows_headings(self) -> bool:
+        """True if the cost of a metre depends on its heading."""
+        return self.settings.direction and self.site.has_headings
+
+    @property
+    def bytes_per_tile(self) -> int:
+        """Memory that a search takes."""
+        return BYTES_PER_TILE_BY_HEADING if self.knows_headings else BYTES_PER_TILE
+
+    @property
     def memory_bytes(self) -> int:
         """Memory that a search may use."""
-        return self.memory_tiles * BYTES_PER_TILE
+        return self.memory_tiles * self.bytes_per_tile
 
-    def on_tiles(self, window: TileWindow, *, through: bool = True) -> NDArray[np.float32]:
+    def headings(self, window: TileWindow) -> NDArray[np.float32] | None:
+        """Return C_r along each axis, (rows, cols, 8) rad/m; None if the cost does not depend on it."""
+        return self.site.headings(window) if self.knows_headings else None
+
+    def on_tiles(
+        self, window: TileWindow, *, through: bool = True, by_heading: bool = False
+    ) -> NDArray[np.float32]:  # fmt: skip
         """Return the cost per metre of each tile, (rows, cols), infinite where closed.
 
-        Unless ``through``, tiles are closed that obstacles close for what reads tiles alone.
+        Unless ``through``, tiles are closed that obstacles close for what reads tiles alone. ``by_heading``: if it is
+        known, along each axis, (rows, cols, 8).
         """
-        return self.of_field(self.site.read(window, self.bands), through=through)
+        headings = self.headings(window) if by_heading else None
+        return self.of_field(self.site.read(window, self.bands), headings, through=through)
 
-    def of_field(self, tiles: TileField, *, through: bool = True) -> NDArray[np.float32]:
+    def of_field(
+        self, tiles: TileField, headings: NDArray[np.float32] | None = None, *, through: bool = True
+    ) -> NDArray[np.float32]:
         """Return the same for tiles that have been read: ``1 + ride_weight c_r + risk hazard``, at least 1.
 
         Closed are tiles that are not passable, by their ground or, unless ``through``, by what obstacles leave of them,
@@ -131,19 +152,23 @@ class CostGround:
         tiles, which hold points but have no class, are closed unless the settings give their cost; even then, those in
         which an obstacle was seen. Tiles without points are closed in any case: around a survey there are as many of
         them as its bounding rectangle happens to hold, and inside it they are mostly water and shade, of which nothing
-        at all is known. An unknown hazard counts as 0; a robust plan takes the upper end of the interval of c_r.
+        at all is known. An unknown hazard counts as 0; a robust plan takes the upper end of the interval of c_r. With
+        ``headings``, C_r along each axis, (rows, cols, 8), c_r and the ends of its interval are in proportion to it.
         """
         rule, settings = tiles.rule, self.settings
         risk = self.risk if self.risk is not None else settings.risk
         weighed = rule if risk is None else replace(rule, fail_weight=risk)
         shaking = tiles.c_r_high if settings.robust else tiles.c_r
-        cost = np.empty(tiles.barred.shape, np.float32)
+        cost = np.empty((*tiles.barred.shape, 1 if headings is None else headings.shape[2]), np.float32)
         for start in range(0, len(cost), _STRIP):
             rows = slice(start, start + _STRIP)
             barred = tiles.barred[rows]
-            factor = weighed.cost(shaking[rows].astype(np.float64), weighed.hazard(tiles.p_fail[rows]))
+            c_r = shaking[rows, :, None].astype(np.float64)
+            if headings is not None:
+                c_r = c_r * by_mean(headings[rows], tiles.c_r[rows])
+            factor = weighed.cost(c_r, weighed.hazard(tiles.p_fail[rows])[..., None])
             is_open = np.isin(barred, OPEN_THROUGH) if through or self.touching else barred == Barred.NO
-            cost[rows] = np.where(is_open & np.isfinite(factor), factor, np.inf)
+            cost[rows] = np.where(is_open[..., None] & np.isfinite(factor), factor, np.inf)
             if settings.unknown is not None:
                 cost[rows][(barred == Barred.UNKNOWN) & ~(tiles.obstacle[rows] > 0.0)] = settings.unknown
         if self.avoid is not None:
@@ -153,14 +178,17 @@ class CostGround:
         if self.touching and not through:
             cost[np.isin(tiles.barred, (Barred.OBSTACLE, Barred.SPLIT))] *= TOUCHING
         if self.worn is not None:
-            cost *= self.worn.factors(tiles.window)
-        return cost
+            cost *= self.worn.factors(tiles.window)[..., None]
+        return cost[..., 0] if headings is None else cost
 
-    def on_pixels(self, window: TileWindow) -> NDArray[np.float32]:
-        """Return the cost per metre on each pixel, (rows * pixels, cols * pixels); inf where the vehicle cannot be."""
-        cost, pixels = self.on_tiles(window), self.site.grid.pixels
+    def on_pixels(self, window: TileWindow, *, by_heading: bool = False) -> NDArray[np.float32]:
+        """Return the cost per metre on each pixel, (rows * pixels, cols * pixels); inf where the vehicle cannot be.
+
+        ``by_heading`` as in `on_tiles`.
+        """
+        cost, pixels = self.on_tiles(window, by_heading=by_heading), self.site.grid.pixels
         out = np.repeat(np.repeat(cost, pixels, 0), pixels, 1)
-        free = self._free(window, np.isinf(out))
+        free = self._free(window, np.isinf(_along_one(out)))
         if self.touching:
             out[~free] *= np.float32(TOUCHING)
         else:
@@ -171,8 +199,8 @@ class CostGround:
         """Make pixels near closed ones dearer, so that a way keeps away from them where it can."""
         reach = self._room_pixels
         factor = 1 + np.float32(_NARROW) * np.linspace(1, 0, reach + 1, dtype=np.float32)
-        dearer: NDArray[np.float32] = cost * factor[np.maximum(_steps_to_closed(cost, reach + 1) - 1, 0)]
-        return dearer
+        dearer = factor[np.maximum(_steps_to_closed(_along_one(cost), reach + 1) - 1, 0)]
+        return np.asarray(cost * (dearer if cost.ndim == 2 else dearer[..., None]))
 
     @property
     def _room_pixels(self) -> int:
@@ -223,6 +251,7 @@ class CostGround:
         self, window: TileWindow, cost: NDArray[np.float32], line: Floats, *, with_room: bool = False
     ) -> bool:
         """Say the same of a line in a window with the ``cost`` of its pixels; with room, whether some is to spare."""
+        cost = _along_one(cost)
         if with_room:
             is_near = _steps_to_closed(cost, self._room_pixels + 1) <= self._room_pixels
             cost = np.where(is_near, np.float32(np.inf), cost)
@@ -254,6 +283,18 @@ class CostGround:
         turn = np.abs((np.diff(heading) + np.pi) % (2.0 * np.pi) - np.pi)
         tight = ~self.clear_at(line[1:-1], _TIGHT_M / self.site.grid.pixel_size)
         return float(np.degrees(turn[tight].sum()))
+
+
+def by_mean(headings: NDArray[np.float32], c_r: NDArray[np.float32]) -> Floats:
+    """Return C_r along each axis, (..., 8), over that of the tile, (...); 1 where it is unknown or 0."""
+    mean = c_r[..., None].astype(np.float64)
+    known = np.isfinite(headings) & (mean > 0.0)
+    return np.divide(headings, mean, out=np.ones(headings.shape), where=known)
+
+
+def _along_one(cost: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return costs along one axis, (rows, cols): what is closed is closed along all."""
+    return cost if cost.ndim == 2 else cost[..., 0]
 
 
 def _steps_to_closed(cost: NDArray[np.float32], limit: int) -> NDArray[np.int32]:

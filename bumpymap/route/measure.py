@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from bumpymap.core import Barred, RouteFigures, RouteProfile, TracedLine
 from bumpymap.layers import MapReader
-from bumpymap.route.ground import CostGround, points_along, sample_line, stretches, window_around
+from bumpymap.route.ground import CostGround, by_mean, points_along, sample_line, stretches, window_around
 from bumpymap.route.places import in_window
-from bumpymap.route.straighten import trace
+from bumpymap.route.straighten import as_cost, axis_values, trace
 
 __all__ = ["MeasuredWay", "cut_into_tiles", "measure_way", "way_cost"]
 
@@ -49,7 +49,7 @@ class MeasuredWay:
 _Pieces: TypeAlias = dict[str, NDArray[Any]]
 """The pieces of a way inside single tiles, (n,) each: ``col`` and ``row`` on the grid, ``length`` m, ``cost`` and
 ``hazard`` per metre (0 if unknown), ``barred``, ``unknown``, ``c_r``, ``c_r_low``, ``c_r_high`` and ``p_fail`` (NaN if
-unknown)."""
+unknown); cost and ride are those of the heading, if it is known."""
 
 
 def measure_way(ground: CostGround, line: Floats, stops: Floats) -> MeasuredWay:
@@ -105,24 +105,29 @@ def cut_into_tiles(ground: CostGround, line: Floats) -> _Pieces:
 def _pieces(ground: CostGround, line: Floats) -> _Pieces:
     window = window_around(ground.site, line, 1)
     tiles = ground.site.read(window)
-    cost = ground.of_field(tiles)
+    headings = ground.headings(window)
+    cost = as_cost(ground.of_field(tiles, headings))
     place = in_window(line, tiles.grid, window)
-    found = trace(cost, place)
+    found, step = trace(cost, place), np.diff(place, axis=0)
     if not len(found.length):  # a way of no length lies in one tile
         row, col = np.floor(place[:1]).astype(np.int64).T
-        found = TracedLine(row, col, np.zeros(1))
-    at = found.row, found.col
+        found, step = TracedLine(row, col, np.zeros(1), np.zeros(1, np.int64)), np.zeros((1, 2))
+    at, way = (found.row, found.col), step[found.part].T
     unknown = tiles.barred[at] == Barred.UNKNOWN
+    ride = {name: getattr(tiles, name)[at] for name in _RIDE}
+    if headings is not None:
+        ratio = axis_values(by_mean(headings[at], tiles.c_r[at]), *way)
+        ride = {name: values * ratio for name, values in ride.items()}
     hazard = tiles.rule.hazard(tiles.p_fail[at])
     return {
         "col": window.col + found.col,
         "row": window.row + window.rows - 1 - found.row,
         "length": found.length * tiles.grid.tile_size,
-        "cost": cost[at].astype(np.float64),
+        "cost": axis_values(cost[at], *way),
         "barred": tiles.barred[at],
         "hazard": np.where(unknown | np.isnan(hazard), 0.0, hazard),
         "unknown": unknown,
-        **{name: np.where(unknown, np.nan, getattr(tiles, name)[at]) for name in (*_RIDE, "p_fail")},
+        **{name: np.where(unknown, np.nan, values) for name, values in (ride | {"p_fail": tiles.p_fail[at]}).items()},
     }
 
 

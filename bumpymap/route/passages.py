@@ -18,6 +18,7 @@ from scipy.sparse import csgraph
 
 from bumpymap.route.ground import CostGround, points_along, window_around
 from bumpymap.route.places import on_grid, overlap
+from bumpymap.route.straighten import as_cost, axis_values
 from bumpytiles import TileWindow
 
 __all__ = ["BYTES_PER_TILE", "first_pad", "reach_over_areas", "way_over_areas"]
@@ -36,6 +37,8 @@ _CHEAPER, _CORNER_TILES = 0.97, 2.0
 way over whole tiles only if it costs less than this share of it, with so much length added for a corner."""
 BYTES_PER_TILE = 7000
 """Memory that the graph takes."""
+_BY_HEADING = 4
+"""So many times more is taken by searches on pixels whose cost depends on the heading."""
 
 
 class AreaGraph(NamedTuple):
@@ -66,7 +69,8 @@ def way_over_areas(ground: CostGround, start: Floats, goal: Floats) -> Floats | 
     pad = first_pad(ground, start, goal)
     while True:
         window = overlap(window_around(ground.site, ends, pad), ground.site.window)
-        if window.rows * window.cols * BYTES_PER_TILE > ground.memory_bytes:
+        bytes_per_tile = BYTES_PER_TILE * (_BY_HEADING if ground.knows_headings else 1)
+        if window.rows * window.cols * bytes_per_tile > ground.memory_bytes:
             return None
         graph = _graph(ground, window)
         found = _search(graph, *(_node_at(ground, graph, window, end) for end in ends))
@@ -181,8 +185,9 @@ def _graph(ground: CostGround, window: TileWindow) -> AreaGraph:
     a, b = joined.coords
     kept = a != b
     a, b = a[kept], b[kept]
-    cost, middle = ground.on_tiles(window).ravel()[tile].astype(np.float64), np.column_stack(at)
-    weight = np.hypot(*(middle[a] - middle[b]).T) * 0.5 * (cost[a] + cost[b])
+    cost, middle = as_cost(ground.on_tiles(window, by_heading=True)), np.column_stack(at)
+    cost, step = cost.reshape(rows * cols, -1)[tile], (middle[b] - middle[a]).T
+    weight = np.hypot(*step) * 0.5 * (axis_values(cost[a], *step) + axis_values(cost[b], *step))
     return AreaGraph(node, tile, middle, sparse.csr_array((np.maximum(weight, _TINY), (a, b)), joined.shape))
 
 
@@ -268,7 +273,7 @@ def _on_pixels(
             )
         else:
             part = overlap(window_around(ground.site, np.array(ends), _AROUND_TILES), window)
-        cost = ground.with_room(ground.on_pixels(part))
+        cost = ground.with_room(ground.on_pixels(part, by_heading=True))
         top, left = window.row + window.rows - part.row - part.rows, part.col - window.col
         kept = corridor[top : top + part.rows, left : left + part.cols]
         pixels = ground.site.grid.pixels
@@ -289,10 +294,11 @@ def _over_corners(ground: CostGround, cost: NDArray[np.float32], ends: Floats, w
     the middles of the pixels beside them, lines are searched like any other.
     """
     places = np.floor(ground.in_window(ends, window)).astype(np.int64)
-    is_free = np.isfinite(cost)
-    if (places < 0).any() or (places >= cost.shape).any() or not is_free[tuple(places.T)].all():
+    per_pixel = as_cost(cost).mean(axis=2)
+    is_free = np.isfinite(per_pixel)
+    if (places < 0).any() or (places >= is_free.shape).any() or not is_free[tuple(places.T)].all():
         return None
-    number = np.full(cost.shape, -1, np.int64)
+    number = np.full(is_free.shape, -1, np.int64)
     number[is_free] = np.arange(is_free.sum())
     moves = []
     for here, there, length in (
@@ -302,7 +308,7 @@ def _over_corners(ground: CostGround, cost: NDArray[np.float32], ends: Floats, w
         (np.s_[:-1, 1:], np.s_[1:, :-1], math.sqrt(2.0)),
     ):
         both = is_free[here] & is_free[there]
-        spent = 0.5 * length * (cost[here][both] + cost[there][both])
+        spent = 0.5 * length * (per_pixel[here][both] + per_pixel[there][both])
         moves.append((number[here][both], number[there][both], spent.astype(np.float64)))
     first, last, weight = (np.concatenate(each) for each in zip(*moves, strict=True))
     graph = sparse.csr_array((weight, (first, last)), (int(is_free.sum()),) * 2)

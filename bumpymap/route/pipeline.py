@@ -9,7 +9,7 @@ import math
 import os
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import combinations, pairwise
 from pathlib import Path
@@ -34,7 +34,7 @@ from bumpymap.route.alternatives import find_alternatives
 from bumpymap.route.ground import CostGround
 from bumpymap.route.line_ride import with_line_rides
 from bumpymap.route.planner import Planner
-from bumpymap.route.search import BYTES_PER_TILE, MOST_TILES
+from bumpymap.route.search import MOST_TILES
 from bumpymap.route.settings import CostSettings, RouteConfig
 from bumpymap.route.stops import Stops, find_stops
 from bumpymap.route.why import measure_straight_line
@@ -100,6 +100,7 @@ class ReachSettings(TypedDict, total=False):
 
     risk: float | None
     robust: bool
+    direction: bool
     unknown: float | None
     snap: float
     avoid: PathLike | None
@@ -140,8 +141,8 @@ def find_routes(
     out : path, optional
         Folder, or file that ends in .geojson, .gpx, .csv or .png.
     **settings
-        Those of ``bumpymap route``, with underscores: ``alternatives``, ``risk`` [m], ``robust``, ``unknown`` [cost per
-        metre], ``snap`` [m], ``visit``, ``round_trip``, ``avoid``, ``only``, ``allow_outside``,
+        Those of ``bumpymap route``, with underscores: ``alternatives``, ``risk`` [m], ``robust``, ``direction``,
+        ``unknown`` [cost per metre], ``snap`` [m], ``visit``, ``round_trip``, ``avoid``, ``only``, ``allow_outside``,
         ``through_obstacles``, ``memory``, ``overwrite``.
 
     Returns
@@ -190,8 +191,8 @@ def map_reach(
     minutes : float, optional
         Tiles farther away than this are left out where possible, so that less is read.
     **settings
-        ``risk``, ``robust``, ``unknown``, ``snap``, ``avoid``, ``only``, ``allow_outside``, ``memory``, as in
-        `find_routes`.
+        ``risk``, ``robust``, ``direction``, ``unknown``, ``snap``, ``avoid``, ``only``, ``allow_outside``, ``memory``,
+        as in `find_routes`.
 
     Returns
     -------
@@ -293,8 +294,8 @@ def _opened(config: RouteConfig) -> Iterator[CostGround]:
             None if path is None else read_areas(path, site, allow_outside=config.cost.allow_outside)
             for path in (config.cost.avoid, config.cost.only)
         )
-        tiles = min(memory_limit(config.memory) // BYTES_PER_TILE, MOST_TILES)
-        yield CostGround(site, config.cost, tiles, avoid, only)
+        ground = CostGround(site, config.cost, 0, avoid, only)
+        yield replace(ground, memory_tiles=min(memory_limit(config.memory) // ground.bytes_per_tile, MOST_TILES))
 
 
 def _routes(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[list[PlannedRoute], list[str]]:

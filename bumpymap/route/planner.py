@@ -22,7 +22,7 @@ from bumpymap.core import Barred, UsageError
 from bumpymap.route.ground import CostGround, WornTiles, sample_line, window_around
 from bumpymap.route.measure import MeasuredWay, measure_way, way_cost
 from bumpymap.route.places import on_grid, overlap, place_in_window
-from bumpymap.route.search import BYTES_PER_TILE, REACH, Found, seek, settle_point, tight_way
+from bumpymap.route.search import REACH, Found, seek, settle_point, tight_way
 from bumpytiles import TileWindow
 
 __all__ = ["Planner", "steer_clear", "tile_line"]
@@ -51,10 +51,10 @@ def tile_line(ground: CostGround, start: Floats, goal: Floats) -> Floats | None:
     window = TileWindow.around(extent.col + ends[:, 1], extent.row + extent.rows - 1 - ends[:, 0])
     sides, pad = [True] * 4, max(_LEAST_PAD, math.ceil(_PAD_SHARE * math.dist(first, last)))
     while any(sides):
-        window = _grown(window, sides, pad, extent, ground.memory_tiles)
+        window = _grown(window, sides, pad, extent, ground)
         top, left = extent.row + extent.rows - window.row - window.rows, window.col - extent.col
         here, there = ((row - top, col - left) for row, col in (first, last))
-        cost = ground.on_tiles(window, through=False)
+        cost = ground.on_tiles(window, through=False, by_heading=True)
         found = seek(cost, here, there, ground.margin, math.inf if window == extent else 1.0)
         sides, pad = _open_sides(found, window, extent), max(_LEAST_PAD, int(_GROWTH * max(window.rows, window.cols)))
     if found.line is None:
@@ -77,8 +77,9 @@ def _open_sides(found: Found, window: TileWindow, extent: TileWindow) -> list[bo
     return [beyond and bool(edge.any()) for beyond, edge in zip(goes_on, edges, strict=True)]
 
 
-def _grown(window: TileWindow, sides: list[bool], pad: int, extent: TileWindow, memory_tiles: int) -> TileWindow:
+def _grown(window: TileWindow, sides: list[bool], pad: int, extent: TileWindow, ground: CostGround) -> TileWindow:
     """Grow a window by ``pad`` tiles on some sides, within the map, by fewer where memory does not allow them."""
+    memory_tiles, tile_gb = ground.memory_tiles, ground.bytes_per_tile / 1e9
     while True:
         north, west, south, east = (pad if side else 0 for side in sides)
         wider = TileWindow(
@@ -93,8 +94,8 @@ def _grown(window: TileWindow, sides: list[bool], pad: int, extent: TileWindow, 
         pad = max(pad // 2, _LEAST_PAD)
     raise UsageError(
         f"the search for this way needs a window of {tiles} tiles or more, "
-        f"{tiles * BYTES_PER_TILE / 1e9:.2f} GB of memory; allowed are {memory_tiles} tiles, "
-        f"{memory_tiles * BYTES_PER_TILE / 1e9:.2f} GB. Allow more memory, or set via points that cut the way into "
+        f"{tiles * tile_gb:.2f} GB of memory; allowed are {memory_tiles} tiles, "
+        f"{memory_tiles * tile_gb:.2f} GB. Allow more memory, or set via points that cut the way into "
         "shorter ones"
     )
 
@@ -134,7 +135,7 @@ def steer_clear(ground: CostGround, line: Floats) -> Floats | None:
 def _steered(ground: CostGround, section: Floats) -> Floats | None:
     """Return a section of a line, (n, 2), if it has room on all sides, or the cheapest way near it; None if none is."""
     window = window_around(ground.site, section, _AROUND_TILES)
-    cost = ground.on_pixels(window)
+    cost = ground.on_pixels(window, by_heading=True)
     if ground.is_clear_in(window, cost, section, with_room=True):
         return section
     steered = ground.way_on_pixels(ground.with_room(cost), section[[0, -1]], window)

@@ -12,6 +12,7 @@ from bumpymap.layers import ReachField
 from bumpymap.route.ground import CostGround
 from bumpymap.route.places import place_in_window, window_within
 from bumpymap.route.search import MOVES, spread
+from bumpymap.route.straighten import as_cost
 from bumpytiles import kernel
 
 __all__ = ["Reach", "add_up_lengths", "find_reach"]
@@ -110,10 +111,10 @@ def find_reach(ground: CostGround, start: NDArray[np.float64], most_m: float = m
             f"the map of what can be reached spans {window.cols * window.rows:,} tiles; {ground.memory_tiles:,} fit "
             "in the memory limit. Raise `memory`, or limit the map with `isochrones` or `isocosts`"
         )
-    cost = ground.on_tiles(window, through=False)
+    cost = as_cost(ground.on_tiles(window, through=False, by_heading=True))
     place = place_in_window(start, site.grid, window)
     spent, back = spread(cost, place, margin=ground.margin)
-    is_passable = np.isfinite(cost)
+    is_passable = np.isfinite(cost[..., 0])
     del cost  # a map may fill the memory that the search is given: what follows takes no more
     length = np.full(spent.shape, np.nan)
     add_up_lengths(back, MOVES, *place, length)

@@ -14,7 +14,8 @@ southwards more than eastwards, and never northwards or westwards. (Ends in one 
 two such frames, mirror images of each other: there, ways by moves still cost the same on a mirrored map, and pulled
 ways nearly so.)
 
-There and back cost the same to the last bit, and so do ways on turned maps, as a rule; see `SearchFrame`. Moves decide
+Each move costs what the ground does in its own direction, if costs are known by heading. There and back cost the same
+to the last bit, and so do ways on turned maps, as a rule; see `SearchFrame`. Moves decide
 on which side of closed tiles a way passes; where both sides cost nearly the same, the way may be the dearer by a
 percent or two.
 """
@@ -28,6 +29,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.core import AXES_DEG
 from bumpymap.route._line_kernels import connect, find_near
 from bumpymap.route._search_kernels import (
     FROM_START,
@@ -44,6 +46,7 @@ from bumpymap.route._search_kernels import (
 from bumpymap.route.straighten import (
     LEAST_SAVING,
     as_cost,
+    axes_along,
     is_clear,
     line_cost,
     off_borders,
@@ -55,6 +58,7 @@ from bumpymap.route.straighten import (
 
 __all__ = [
     "BYTES_PER_TILE",
+    "BYTES_PER_TILE_BY_HEADING",
     "FROM_START",
     "MOST_TILES",
     "MOVES",
@@ -96,21 +100,24 @@ def _traced_moves(margin: float) -> tuple[MoveTables, NDArray[np.int64]]:
         first_piece=np.cumsum([0, *(len(each.length) - 2 for each in traced)]),
         piece=np.empty(0, np.int64),
         piece_length=np.concatenate([each.length[1:-1] for each in traced]),
+        axis=np.empty((0, 2), np.int64),
+        share=np.empty(0),
         near_north=near[:, REACH::-1].reshape(len(near), -1) @ bits,
         near_south=near[:, :REACH:-1].reshape(len(near), -1) @ bits[: -len(open_ground)],
     )
     return tables, np.concatenate([np.column_stack([each.row, each.col])[1:-1] for each in traced]) - REACH
 
 
-def move_tables(width: int, margin: float) -> MoveTables:
+def move_tables(width: int, margin: float, axes: int = 1) -> MoveTables:
     """Make the tables of the moves for a window.
 
     ``width``: columns of the window, flattened row by row; ``margin``: distance that a way keeps from closed tiles,
-    tiles.
+    tiles; ``axes``: those of its costs.
     """
     tables, tiles = _traced_moves(margin)
-    flat = np.array([width, 1])
-    return tables._replace(step=MOVES @ flat, piece=tiles @ flat)
+    flat, (first, second, share) = np.array([width, 1]), axes_along(axes, *MOVES.T)
+    axis = np.column_stack([first, second])
+    return tables._replace(step=MOVES @ flat, piece=tiles @ flat, axis=axis, share=share)
 
 
 Floats = NDArray[np.float64]
@@ -155,7 +162,14 @@ class SearchFrame(NamedTuple):
     def turn(self, values: NDArray[Number]) -> NDArray[Number]:
         """Turn an array (rows, cols); a view."""
         turned = values[:: -1 if self.flips[0] else 1, :: -1 if self.flips[1] else 1]
-        return turned.T if self.transpose else turned
+        return turned.swapaxes(0, 1) if self.transpose else turned
+
+    def turn_costs(self, cost: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Turn costs (rows, cols, axes): what was along one axis is along another then."""
+        turned, each = self.turn(cost), np.arange(cost.shape[2])
+        for is_turned, axis in ((self.flips[0] != self.flips[1], -each), (self.transpose, len(AXES_DEG) // 2 - each)):
+            turned = turned[..., axis % cost.shape[2]] if is_turned and len(each) > 1 else turned
+        return turned
 
     def turn_back(self, values: NDArray[Number]) -> NDArray[Number]:
         """Undo `turn`; a view."""
@@ -177,11 +191,13 @@ def _rank(cost: NDArray[np.float32], point: Point) -> tuple[float, ...]:
     """Return what tells two ends apart: the same on turned maps, but for the last two numbers."""
     row, col = math.floor(point[0]), math.floor(point[1])
     r, c = abs(point[0] - row - 0.5), abs(point[1] - col - 0.5)
-    return float(cost[row, col]), max(r, c), min(r, c), *point
+    return float(np.sort(cost[row, col]).sum()), max(r, c), min(r, c), *point
 
 
 BYTES_PER_TILE = 36
 """Memory that a search takes at most: the costs that it is given, with and without the ring, and the arrays below."""
+BYTES_PER_TILE_BY_HEADING = 124
+"""The same where costs have axes: those that it is given, turned, and with the ring."""
 MOST_TILES = 2_000_000_000
 """Tiles of a window, which the search numbers with 32 bits; the ring takes the rest."""
 
@@ -197,9 +213,9 @@ def _search(
     least = float(cost.min(initial=math.inf))
     if not least >= 1.0:
         raise ValueError(f"the least cost is {least}; every cost must be a number of at least 1, or infinite")
-    ringed = np.full((cost.shape[0] + 2 * REACH, cost.shape[1] + 2 * REACH), np.inf, np.float32)
+    ringed = np.full((cost.shape[0] + 2 * REACH, cost.shape[1] + 2 * REACH, cost.shape[2]), np.inf, np.float32)
     ringed[REACH:-REACH, REACH:-REACH] = cost
-    margin, width, count = wide_margin(margin), ringed.shape[1], ringed.size
+    margin, width, count = wide_margin(margin), ringed.shape[1], ringed.shape[0] * ringed.shape[1]
 
     def connected(point: Point) -> Floats:
         """Costs straight from a point to the middles of tiles around it."""
@@ -220,10 +236,10 @@ def _search(
         is_straight = is_clear(ringed, straight, margin)
         known = line_cost(ringed, straight) if is_straight else math.inf
         seeds = seeds._replace(exit_cost=connected(goal), best=known)
-    closed = np.append(np.packbits(~(ringed < math.inf), bitorder="little"), np.uint8(0))
+    closed = np.append(np.packbits(~(ringed[..., 0] < math.inf), bitorder="little"), np.uint8(0))
     row_of_goal, col_of_goal = (0.0, 0.0) if goal is None else (goal[0] + REACH, goal[1] + REACH)
     at_least = min(least if least < math.inf else 1.0, bound)
-    ground = Ground(ringed.ravel(), closed, width, row_of_goal, col_of_goal, least, at_least)
+    ground = Ground(ringed.reshape(count, -1), closed, width, row_of_goal, col_of_goal, least, at_least)
     reached = Reached(
         np.full(count, math.inf),
         np.full(count, NOT_REACHED, np.uint8),
@@ -233,8 +249,8 @@ def _search(
         np.zeros(1, np.int64),
         np.zeros(1),
     )
-    search(ground, move_tables(width, margin), seeds, reached)
-    return reached, lambda values: values.reshape(ringed.shape)[REACH:-REACH, REACH:-REACH]
+    search(ground, move_tables(width, margin, cost.shape[2]), seeds, reached)
+    return reached, lambda values: values.reshape(ringed.shape[:2])[REACH:-REACH, REACH:-REACH]
 
 
 _AROUND = 8
@@ -263,7 +279,7 @@ class Found(NamedTuple):
     """(rows, cols) tiles from which the goal might be reached for less by a way that leaves the window."""
     frame: SearchFrame
     ground: NDArray[np.float32]
-    """Costs of the window, in the frame."""
+    """Costs of the window, (rows, cols, axes), in the frame."""
 
 
 def find_way(
@@ -273,8 +289,8 @@ def find_way(
 
     Parameters
     ----------
-    cost : array (rows, cols) float32
-        Cost per length, at least 1; infinite where closed.
+    cost : array (rows, cols) or (rows, cols, 8) float32
+        Cost per length, along each of ``AXES_DEG`` if it has them, at least 1; infinite where closed.
     start, goal : (float, float)
         Field coordinates.
     margin : float
@@ -292,7 +308,7 @@ def find_way(
     ValueError
         A cost below 1 or NaN, a margin or coordinates out of range.
     """
-    found = seek(as_cost(cost), start, goal, margin)
+    found = seek(cost, start, goal, margin)
     return None if found.line is None else tight_way(found, margin, least_saving)
 
 
@@ -314,25 +330,27 @@ def _cut_out(cost: NDArray[np.float32], line: Floats) -> tuple[NDArray[np.float3
     """
     low = np.floor(line.min(axis=0)).astype(np.int64) - _AROUND
     high = np.floor(line.max(axis=0)).astype(np.int64) + _AROUND + 1
-    near = np.full(high - low, np.inf, np.float32)
-    first, last = np.maximum(low, 0), np.minimum(high, cost.shape)
+    near = np.full((*(high - low).tolist(), cost.shape[2]), np.inf, np.float32)
+    first, last = np.maximum(low, 0), np.minimum(high, cost.shape[:2])
     rows, cols = (slice(a, b) for a, b in zip(first - low, last - low, strict=True))
     near[rows, cols] = cost[first[0] : last[0], first[1] : last[1]]
     return near, low
 
 
-def seek(cost: NDArray[np.float32], start: Point, goal: Point, margin: float, bound: float = math.inf) -> Found:
+def seek(cost: NDArray[np.floating], start: Point, goal: Point, margin: float, bound: float = math.inf) -> Found:
     """Find the cheapest way by moves.
 
-    ``bound`` is what no tile costs less than, those outside the window included, if ways may leave it.
+    ``cost`` as in `find_way`; ``bound`` is what no tile costs less than, those outside the window included, if ways may
+    leave it.
     """
+    cost = as_cost(cost)
     start, goal = settle_point(start), settle_point(goal)
     frame = SearchFrame(False, (False, False), False, (cost.shape[0], cost.shape[1]))
     tiles = np.floor([start, goal])
-    if (tiles < 0).any() or (tiles >= cost.shape).any() or np.isinf(cost[tuple(tiles.astype(np.int64).T)]).any():
-        return Found(None, math.inf, np.zeros(cost.shape, np.bool_), frame, cost)
+    if (tiles < 0).any() or (tiles >= cost.shape[:2]).any() or np.isinf(cost[tuple(tiles.astype(np.int64).T)]).any():
+        return Found(None, math.inf, np.zeros(cost.shape[:2], np.bool_), frame, cost)
     frame = SearchFrame.of(cost, start, goal)
-    ground = frame.turn(cost)
+    ground = frame.turn_costs(cost)
     line = frame.turn_line(np.array([start, goal]))
     first, last = ((float(r), float(c)) for r, c in line)
     reached, inner = _search(ground, first, last, margin, bound)
@@ -351,8 +369,8 @@ def spread(cost: NDArray[np.floating], start: Point, *, margin: float = 0.0) -> 
 
     Parameters
     ----------
-    cost : array (rows, cols) float32
-        Cost per length, at least 1; infinite where closed.
+    cost : array (rows, cols) or (rows, cols, 8) float32
+        Cost per length, along each of ``AXES_DEG`` if it has them, at least 1; infinite where closed.
     start : (float, float)
         Field coordinates.
     margin : float

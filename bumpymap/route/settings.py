@@ -22,6 +22,8 @@ class CostSettings:
     ] = None
     """m; None: the ``fail_weight`` of the vehicle profile."""
     robust: Annotated[bool, Setting("Plan on the upper end of the interval of c_r", rare=True)] = False
+    direction: Annotated[bool, Setting("Cost each move by its own heading, if the map tells it", rare=True)] = True
+    """Take the ride cost of headings.tif, where the map has it; else that of the tiles, the mean over headings."""
     unknown: Annotated[
         float | None, Setting("Cross unknown ground at this cost per metre", "COST", 1.0, _MOST_COST, group="Ground")
     ] = None

@@ -21,11 +21,12 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import TracedLine
+from bumpymap.core import AXES_DEG, TracedLine
 from bumpymap.route._line_kernels import (
     A_END,
     B_END,
     LEAST_MARGIN,
+    TAN,
     Line,
     Pieces,
     check_clear,
@@ -42,6 +43,8 @@ __all__ = [
     "Tightening",
     "as_cost",
     "as_margin",
+    "axes_along",
+    "axis_values",
     "is_clear",
     "leave_out",
     "line_cost",
@@ -61,8 +64,8 @@ Integers = NDArray[np.int64]
 class Tightening(NamedTuple):
     """The ground that a line is pulled over, and limits of pulling."""
 
-    cost: Annotated[Costs, 2]
-    """(rows, cols) cost per tile of length."""
+    cost: Annotated[Costs, 3]
+    """(rows, cols, axes) cost per tile of length."""
     margin: float
     """Distance that the line keeps from closed tiles, tiles."""
     gain: float
@@ -140,7 +143,7 @@ def leave_out(
 
 @kernel
 def leave_borders(
-    cost: Annotated[Costs, 2], points: Annotated[Floats, 2], near: float, shift: float
+    cost: Annotated[Costs, 3], points: Annotated[Floats, 2], near: float, shift: float
 ) -> None:  # fmt: skip
     """Move corners that are ``near`` to borders of tiles by ``shift`` from them, to where the line costs least, tiles.
 
@@ -245,10 +248,39 @@ _WIDER = 1.05
 
 
 def as_cost(cost: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Return costs as kernels take them; raises ValueError unless they are two-dimensional."""
-    if cost.ndim != 2:
-        raise ValueError(f"cost has {cost.ndim} dimensions; it must have two: rows and columns")
+    """Return costs as kernels take them, (rows, cols, axes); raises ValueError unless they are that or (rows, cols)."""
+    cost = cost[..., None] if cost.ndim == 2 else cost
+    if cost.ndim != 3 or cost.shape[2] not in (1, len(AXES_DEG)):
+        raise ValueError(f"cost has the shape {cost.shape}; it must be rows and columns, and perhaps 8 axes")
     return np.ascontiguousarray(cost, np.float32)
+
+
+def axis_values(values: NDArray[np.floating], down: NDArray[np.floating], right: NDArray[np.floating]) -> Floats:
+    """Return values along directions, (n,), between those of the axes: as the kernels have them.
+
+    ``values`` (n, 1) or (n, 8); ``down``, ``right`` (n,) or numbers: southwards and eastwards.
+    """
+    first, second, share = axes_along(values.shape[1], *np.broadcast_arrays(down, right, np.empty(len(values)))[:2])
+    each = np.arange(len(values))
+    low = values[each, first].astype(np.float64)
+    with np.errstate(invalid="ignore"):
+        between = low + share * (values[each, second] - low)
+    return np.where(np.isfinite(low), between, low)
+
+
+def axes_along(
+    axes: int, down: NDArray[np.floating], right: NDArray[np.floating]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
+    """Return the two axes that each of n directions lies between, and how far it is from the first, (n,) each."""
+    steep, north_east = np.abs(down) >= np.abs(right), down * right < 0.0
+    less, more = np.sort(np.abs([down, right]), axis=0)
+    t = np.divide(less, more, out=np.zeros(len(more)), where=more > 0.0)
+    straight, diagonal = np.where(steep, 0, 4), np.where(north_east, 2, 6)
+    between = np.where(steep, np.where(north_east, 1, 7), np.where(north_east, 3, 5))
+    near = t <= TAN
+    first, second = np.where(near, straight, between), np.where(near, between, diagonal)
+    share = np.where(near, t / TAN, (t - TAN) / (1.0 - TAN))
+    return (first, second, share) if axes > 1 else (0 * first, 0 * first, 0.0 * share)
 
 
 def as_margin(margin: float) -> float:
@@ -274,25 +306,25 @@ def _as_line(cost: NDArray[np.floating], line: NDArray[np.floating]) -> Line:
 def trace(cost: NDArray[np.floating], line: NDArray[np.floating]) -> TracedLine:
     """Cut a line at the borders of tiles.
 
-    ``cost`` (rows, cols): cost per length; infinite where closed. It decides where a line runs along a border: there
+    ``cost``: as `pull_tight`. It decides where a line runs along a border: there
     the dearer tile counts; ``line`` (n, 2): field coordinates of the corners, within the window. Raises ValueError: the
     line leaves the window.
     """
     checked = _as_line(cost, line)
-    if line.size and ((line < 0.0) | (line > np.array(cost.shape))).any():
+    if line.size and ((line < 0.0) | (line > np.array(cost.shape[:2]))).any():
         raise ValueError(f"the line leaves the window of {cost.shape[0]} x {cost.shape[1]} tiles")
     room = int(np.abs(np.diff(np.floor(checked.points), axis=0)).sum()) + 3 * len(line)
-    integers = np.empty((2, room), np.int64)
-    pieces = Pieces(integers[0], integers[1], np.empty(room), np.zeros(1, np.int64))
+    integers = np.empty((3, room), np.int64)
+    pieces = Pieces(integers[0], integers[1], np.empty(room), integers[2], np.zeros(1, np.int64))
     trace_line(checked, pieces)
     count = int(pieces.pieces[0])
-    return TracedLine(pieces.row[:count], pieces.col[:count], pieces.length[:count])
+    return TracedLine(pieces.row[:count], pieces.col[:count], pieces.length[:count], pieces.part[:count])
 
 
 def line_cost(cost: NDArray[np.floating], line: NDArray[np.floating]) -> float:
     """Return the exact integral of the cost along a line, in tiles; infinite if it crosses a closed tile.
 
-    ``cost`` (rows, cols): cost per length; infinite where closed; ``line`` (n, 2): field coordinates of the corners.
+    ``cost``: as `pull_tight`; ``line`` (n, 2): field coordinates of the corners.
     """
     out = np.empty(1)
     sum_cost(_as_line(cost, line), out)
@@ -340,8 +372,8 @@ def pull_tight(cost: NDArray[np.floating], line: Floats, margin: float = 0.0) ->
 
     Parameters
     ----------
-    cost : array (rows, cols) float32
-        Cost per length, at least 1; infinite where closed.
+    cost : array (rows, cols) or (rows, cols, 8) float32
+        Cost per length, along each of ``AXES_DEG`` if it has them, at least 1; infinite where closed.
     line : array (n, 2) float64
         Field coordinates of a line that keeps the margin; see `bumpymap.route.straighten`.
     margin : float

@@ -97,7 +97,8 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
     rating = TileRating.of(config, models, inputs.georeference)
     speeds = config.speeds or ()
     in_relief = rating.measure_all if config.compat == "none" else None  # the paper knows no obstacles
-    work = BlockWork(grid, rated_columns(grid.pixels, len(speeds)), rating, config.ground, in_relief)
+    columns = rated_columns(grid.pixels, len(speeds), headings=config.headings)
+    work = BlockWork(grid, columns, rating, config.ground, in_relief)
     # Workers first: a failure to connect must not cost what an earlier run has finished.
     with (
         connect(config.scheduler) as workers,

@@ -49,12 +49,14 @@ from bumpymap.rating import (
     crossing_fails,
     dense_share,
     edge_usable,
+    felt_by_heading,
     find_passable,
     find_steps,
     free_areas,
     is_rateable,
     motion_felt,
     rate_thin,
+    ride_weight,
     settle_objects,
 )
 from bumpymap.survey.engine import TileSink
@@ -239,6 +241,8 @@ class NeighbourRating:
     """m, see `settle_solids`."""
     speeds: tuple[float, ...] = ()
     """Speeds besides that of the map, m/s."""
+    headings: bool = False
+    """Tell the ride by heading."""
 
     @classmethod
     def of(cls, config: MapConfig, models: RatingModels) -> "NeighbourRating":
@@ -251,6 +255,7 @@ class NeighbourRating:
             config.compat,
             config.features.max_hole,
             speeds,
+            config.headings,
         )
 
     @property
@@ -261,18 +266,18 @@ class NeighbourRating:
     @property
     def needs(self) -> tuple[str, ...]:
         """Columns of the finished tiles that it reads."""
-        return (*_RATED, "slope", "coverage", "heights", "objects", *_OBJECTS, "thin", *self._motion)
+        return (*_RATED, "slope", "coverage", "heights", "objects", *_OBJECTS, "thin", *self._asked)
 
     @property
     def columns(self) -> tuple[Column, ...]:
         """Columns that it returns."""
-        columns = neighbour_columns(self.grid.pixels, len(self.speeds))
+        columns = neighbour_columns(self.grid.pixels, len(self.speeds), headings=self.headings)
         return (*(column for column in columns if column.name not in ("passable", "passage")), _SIDES)
 
     @property
-    def _motion(self) -> tuple[str, ...]:
-        """The column of other speeds, if they were asked for."""
-        return ("motion",) if self.speeds else ()
+    def _asked(self) -> tuple[str, ...]:
+        """The columns of other speeds and of headings, if they were asked for."""
+        return (*(("motion",) if self.speeds else ()), *(("headings",) if self.headings else ()))
 
     @property
     def rates_thin(self) -> bool:
@@ -296,7 +301,7 @@ class NeighbourRating:
         overhead = np.where((states == CANOPY) | (states == SOLID), np.uint8(CANOPY), np.uint8(UNSEEN))
         objects = np.where(states == OBSTACLE, np.uint8(OBSTACLE), overhead)
         return (
-            {name: own[name] for name in (*_RATED, *_OBJECTS, *self._motion)}
+            {name: own[name] for name in (*_RATED, *_OBJECTS, *self._asked)}
             | dict.fromkeys(("edge_step", "inner_step", *(f"step_{side}" for side in SIDES)), nothing)
             | {"barred": np.full(tiles, Barred.UNKNOWN, np.uint8), _SIDES.name: np.zeros(tiles, np.uint8)}
             | {"objects": objects}
@@ -333,11 +338,19 @@ class NeighbourRating:
             # A roof is an obstacle of unknown height, and nothing that hangs over the way.
             | {"obstacle_height": np.where((height == 0.0) & (obstacle > 0.0), nothing, height)}
             | {"clearance": np.where((states == CANOPY).any(axis=(2, 3)), own["clearance"], nothing)}
-            | {
-                name: motion_felt(self.calibration, self.speeds, window.inner(name), own["c_r"])
-                for name in self._motion
-            }
+            | self._by_speed_and_heading(window, own["c_r"])
         )
+
+    def _by_speed_and_heading(self, window: NeighbourWindow, c_r: NDArray[np.float32]) -> Columns:
+        """Return what is felt at other speeds and by heading in the inner tiles, as far as it is asked for."""
+        found = {}
+        if self.speeds:
+            found["motion"] = motion_felt(self.calibration, self.speeds, window.inner("motion"), c_r)
+        if self.headings:
+            # Of thin tiles the filled heightmap is little known, and so are its headings.
+            weight = ride_weight(_first(window).inner(), window.inner("coverage")) if self.rates_thin else 1.0
+            found["headings"] = felt_by_heading(self.calibration, window.inner("headings"), c_r, weight)
+        return found
 
     def _known(self, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
         """Return which tiles have a class, or will have one."""

@@ -112,7 +112,9 @@ class TileRating:
     def of(cls, config: MapConfig, models: RatingModels, georeference: Georeference) -> "TileRating":
         """Choose the steps that the settings ask for."""
         csf = config.csf if config.ground == "csf" else None
-        ride = RideModel(models.calibration, config.speeds or ()) if _by_ride(config) else None
+        ride = None
+        if _by_ride(config):
+            ride = RideModel(models.calibration, config.speeds or (), headings=config.headings)
         return cls(config.features, csf, config.compat, models, ride, georeference)
 
     def measure_all(self, points: TilePoints) -> PatchStack:

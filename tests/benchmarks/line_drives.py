@@ -21,6 +21,7 @@ from bumpymap.lab.evaluate.agreement import spearman
 from bumpymap.lab.simulate.drive import DriveSettings, Start, drive_from
 from bumpymap.layers import open_map
 from bumpymap.rating import Vehicle, find_calibration
+from bumpymap.route.straighten import axis_values
 
 BEFORE_M, MEASURED_M = 1.0, 10.0
 """Way until a drive is measured, and the measured way, at 1 m/s."""
@@ -98,20 +99,23 @@ def report(given, site):
     """Print how well the tiles and the line itself predict the drives."""
     rows = [row for row in map(json.loads, given.drives.open()) if row["outcome"] == "completed"]
     c_r, found = site.values(site.window, ("c_r",))["c_r"], []
+    headings = site.headings(site.window) if site.has_headings else np.repeat(c_r[..., None], 8, axis=2)
     for row in rows:
         ahead = np.array([np.cos(row["heading"]), np.sin(row["heading"])])
         line = np.array([row["east"], row["north"]]) + np.outer((0.0, BEFORE_M + MEASURED_M + 0.5), ahead)
         ride = bumpymap.ride_along(given.layers, np.column_stack(site.to_crs(*line.T)), sigma=given.sigma)
         tiles, _ = tiles_at(site, row, np.linspace(BEFORE_M, BEFORE_M + MEASURED_M, 200))
-        found.append((row["c_r"], np.nanmean(c_r[tuple(tiles)]), *ride.over(BEFORE_M, BEFORE_M + MEASURED_M)))
-    driven, of_tiles, of_line, low, high = np.array(found).T
+        by_heading = axis_values(headings[tuple(tiles)], -ahead[1], ahead[0])
+        of_tiles = np.nanmean(c_r[tuple(tiles)]), np.nanmean(by_heading)
+        found.append((row["c_r"], *of_tiles, *ride.over(BEFORE_M, BEFORE_M + MEASURED_M)))
+    driven, of_tiles, by_heading, of_line, low, high = np.array(found).T
     third = np.searchsorted(np.quantile(driven, [1 / 3, 2 / 3]), driven)
     print(
         "| predicted by | drives | Spearman | median error | by third | median predicted / driven |",
         "|---|---|---|---|---|---|",
         sep="\n",
     )
-    for name, predicted in (("tiles", of_tiles), ("line", of_line)):
+    for name, predicted in (("tiles", of_tiles), ("tiles by heading", by_heading), ("line", of_line)):
         error = np.abs(np.log(predicted / driven))
         thirds = " / ".join(f"{100 * np.median(error[third == k]):.0f}" for k in range(3))
         rank, middle = f"{spearman(predicted, driven):.3f}", f"{100 * np.median(error):.1f} %"

@@ -1,7 +1,7 @@
 """What ways must be: graphs of scipy, closed forms, and distances of lines to squares by shapely."""
 
 from functools import cache
-from itertools import combinations, pairwise
+from itertools import pairwise
 
 import numpy as np
 import shapely
@@ -18,6 +18,11 @@ def smooth_field(rng, shape, *, most=8.0, width=2, closed=0.0):
     cost = (cost - cost.min()) / (cost.max() - cost.min())
     limit = np.quantile(cost, 1.0 - closed)
     return np.where(cost > limit, np.inf, 1.0 + (most - 1.0) * cost).astype(np.float32)
+
+
+def by_heading(rng, cost):
+    """The same field with a cost of its own along each axis."""
+    return np.maximum(cost[..., None] * rng.uniform(0.5, 2.0, (*cost.shape, 8)), 1.0).astype(np.float32)
 
 
 def crossed(row, col):
@@ -42,14 +47,26 @@ def near_tiles(row, col, margin):
     return np.column_stack([r[near], c[near]])
 
 
+def along(cost, row, col):
+    """Costs of tiles in a direction: (rows, cols, 8) between two axes, by tangents against the nearer main axis."""
+    if cost.ndim == 2:
+        return cost
+    azimuth = np.degrees(np.arctan2(col, -row)) % 180.0
+    lower, main = np.floor(azimuth / 22.5 + 1e-9), 90.0 * np.round(azimuth / 90.0)
+    first, here, last = np.tan(np.radians(np.array([22.5 * lower, azimuth, 22.5 * (lower + 1)]) - main))
+    low, high = (cost[..., int(axis) % 8].astype(np.float64) for axis in (lower, lower + 1))
+    share = (here - first) / (last - first)
+    return low if share == 0.0 else low * (1.0 - share) + high * share
+
+
 def move_graph(cost, moves, margin):
     """All moves of a window as a sparse graph; a move is there if no closed square is nearer than the margin."""
-    rows, cols = cost.shape
+    rows, cols = cost.shape[:2]
     ring = np.full((rows + 10, cols + 10), np.inf)
-    ring[5:-5, 5:-5] = cost
     starts, ends, weights = [], [], []
-    i, j = np.nonzero(np.isfinite(cost))
+    i, j = np.nonzero(np.isfinite(along(cost, 1, 0)))
     for row, col in moves.tolist():
+        ring[5:-5, 5:-5] = along(cost, row, col)
         total = np.hypot(row, col) * sum(share * ring[i + r + 5, j + c + 5] for (r, c), share in crossed(row, col))
         for r, c in near_tiles(row, col, margin):
             total[np.isinf(ring[i + r + 5, j + c + 5])] = np.inf
@@ -58,13 +75,13 @@ def move_graph(cost, moves, margin):
         ends.append(((i + row) * cols + j + col)[kept])
         weights.append(total[kept])
     pairs = np.concatenate(starts), np.concatenate(ends)
-    return csr_array((np.concatenate(weights), pairs), shape=(cost.size, cost.size))
+    return csr_array((np.concatenate(weights), pairs), shape=(rows * cols, rows * cols))
 
 
 def reach_by_graph(cost, moves, margin, tile):
     """(rows, cols) cost from the middle of a tile to all others."""
     graph = move_graph(cost, moves, margin)
-    return dijkstra(graph, indices=tile[0] * cost.shape[1] + tile[1]).reshape(cost.shape)
+    return dijkstra(graph, indices=tile[0] * cost.shape[1] + tile[1]).reshape(cost.shape[:2])
 
 
 def closed_squares(cost):
@@ -77,22 +94,6 @@ def gap_to_closed(cost, line):
     """Least distance of a line to closed tiles of the window."""
     path = shapely.LineString(np.asarray(line)[:, ::-1])
     return float(shapely.distance(path, closed_squares(cost)).min(initial=np.inf))
-
-
-def taut_length(cost, start, goal):
-    """Length of the shortest line around closed tiles: corners that see each other, as a graph."""
-    cost, start, goal = np.pad(cost, 1, constant_values=np.inf), np.add(start, 1), np.add(goal, 1)
-    closed = shapely.union_all(closed_squares(cost))
-    corners = np.unique(shapely.get_coordinates(closed), axis=0)
-    points = np.vstack([[start[::-1], goal[::-1]], corners])
-    first, last = np.array(list(combinations(range(len(points)), 2))).T
-    lines = shapely.linestrings(np.stack([points[first], points[last]], axis=1))
-    inside = shapely.buffer(closed, -1e-7, join_style="mitre")
-    shapely.prepare(inside)
-    seen = ~shapely.intersects(inside, lines)
-    lengths = shapely.length(lines[seen])
-    graph = csr_array((lengths, (first[seen], last[seen])), shape=(len(points), len(points)))
-    return float(dijkstra(graph, directed=False, indices=0)[1])
 
 
 def cheapest_on_pixels(cost, start, goal, pixel):

@@ -47,6 +47,8 @@ class TileMap:
     rule: CostRule = RULE
     vehicle: RouteVehicle = WARTHOG
     has_crs: bool = True
+    by_axis: np.ndarray = None
+    """C_r along each axis, (rows, cols, 8); None: not known."""
     windows: list = field(default_factory=list)
     stones: list = field(default_factory=list)
 
@@ -89,6 +91,13 @@ class TileMap:
             self.rule,
             self.vehicle,
         )
+
+    @property
+    def has_headings(self):
+        return self.by_axis is not None
+
+    def headings(self, window):
+        return np.stack([self._cut(one, window, np.nan) for one in np.moveaxis(self.by_axis, -1, 0)], axis=-1)
 
     def objects(self, window):
         """Chosen pixels with an obstacle: easting and northing, m."""

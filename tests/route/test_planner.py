@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import shapely
-from route_oracles import cheapest_on_pixels, smooth_field
+from route_oracles import cheapest_on_pixels, reach_by_graph, smooth_field
 from scipy.ndimage import gaussian_filter
 from tile_maps import WARTHOG, TileMap
 
@@ -18,7 +18,7 @@ from bumpymap.route.measure import way_cost
 from bumpymap.route.places import in_window
 from bumpymap.route.planner import Planner, tile_line
 from bumpymap.route.reach import find_reach
-from bumpymap.route.search import BYTES_PER_TILE, NOT_REACHED, find_way, follow_back, spread
+from bumpymap.route.search import BYTES_PER_TILE, MOVES, find_way
 from bumpymap.route.straighten import line_cost
 
 
@@ -122,6 +122,32 @@ def test_a_way_of_no_length_stays_there():
     assert str(figures.descent_m) == "0.0"
 
 
+@pytest.mark.parametrize(
+    ("headings", "around", "goal", "detour"),
+    [
+        ((0.1, 0.1, 0.2, 0.4, 0.5, 0.4, 0.2, 0.1), 0.04, (2.5, 37.5), 1.5),  # ridges from north to south
+        ((0.5, 0.45, 0.35, 0.25, 0.04, 0.25, 0.35, 0.45), 0.33, (17.5, 37.5), 1.03),  # ruts from west to east
+    ],
+)
+def test_a_way_knows_direction_as_an_exhaustive_search_does(headings, around, goal, detour):
+    """A field of 20 x 24 tiles, smooth or even ground around it; by the mean over headings the way is straight."""
+    start, by_axis = (2.5, 2.5), np.full((26, 40, 8), around)
+    by_axis[:20, 8:32] = headings
+    site = TileMap(by_axis.mean(axis=2), by_axis=by_axis.astype(np.float32))
+    stops = np.array([site.at(*start), site.at(*goal)])
+    way, plain = planner(site).way(stops), planner(site, direction=False).way(stops)
+    fine = np.repeat(np.repeat((1.0 + 5.0 * by_axis).astype(np.float32), 2, 0), 2, 1)
+    places = [tuple(int(2 * x) for x in place) for place in (start, goal)]
+    best = 1.5 * reach_by_graph(fine, MOVES, 0.0, places[0])[places[1]]
+    assert way.figures.cost_m == pytest.approx(best, rel=0.01)
+    assert way.figures.detour > detour
+    assert plain.figures.detour < 1.01
+    np.testing.assert_array_equal(planner(site).way(stops[::-1]).line, way.line[::-1])
+    assert way_cost(ground_of(site), plain.line) > 1.03 * way.figures.cost_m
+    reach = find_reach(ground_of(site), stops[0])
+    assert reach.cost[int(goal[0]), int(goal[1])] == pytest.approx(way.figures.cost_m, rel=0.01)
+
+
 def made_field(rows=600, cols=40, seed=1):
     """Random tiles of every kind; more rows than are computed at once."""
     rng = np.random.default_rng(seed)
@@ -148,15 +174,6 @@ def test_cost_of_every_tile(robust, unknown, risk):
         expected[(field.barred == Barred.UNKNOWN) & ~(field.obstacle > 0)] = unknown
     assert cost.dtype == np.float32
     assert np.array_equal(cost, np.float32(expected))
-
-
-def test_default_risk_is_that_of_the_layers():
-    """The values of cost.tif, as the writer makes them, to the last bit."""
-    field = made_field()
-    factor = field.rule.cost(field.c_r.astype(np.float64), field.rule.hazard(field.p_fail))
-    written = np.where(field.barred == Barred.NO, factor, np.nan).astype(np.float32)
-    assert np.array_equal(of_field(field), np.where(np.isnan(written), np.inf, written))
-    assert np.array_equal(of_field(field), of_field(field, risk=field.rule.fail_weight))
 
 
 ROWS, COLS = 120, 140
@@ -267,24 +284,6 @@ def test_on_even_ground_cost_and_minutes_follow_the_distance():
     np.testing.assert_allclose(reach.minutes, reach.cost / 2.0 / 2.0 / 60.0, rtol=1e-5, atol=1e-6)
     assert reach.share == 1.0
     assert reach.area_ha == pytest.approx(41 * 41 * 9 / 1e4)
-
-
-def test_minutes_are_those_of_the_way_by_moves():
-    rng = np.random.default_rng(3)
-    barred = np.where(rng.random((40, 50)) < 0.3, Barred.STEP, Barred.NO)
-    barred[20, 25] = Barred.NO
-    site = TileMap(rng.gamma(2.0, 0.2, (40, 50)), barred)
-    start = site.at(20.3, 25.8)
-    ground = ground_of(site)
-    reach = find_reach(ground, start)
-    _, back = spread(ground.on_tiles(reach.window, through=False), (20.3, 25.8), margin=ground.margin)
-    assert (back == NOT_REACHED).sum() > 100
-    assert np.isnan(reach.cost[back == NOT_REACHED]).all()
-    assert np.isnan(reach.minutes[back == NOT_REACHED]).all()
-    for row, col in rng.permutation(np.argwhere(back != NOT_REACHED))[:40]:
-        line = np.concatenate([follow_back(back, int(row), int(col)), [[20.3, 25.8]]])
-        length = np.hypot(*np.diff(line, axis=0).T).sum() * 3.0
-        assert reach.minutes[row, col] == pytest.approx(length / 2.0 / 60.0, rel=1e-5)
 
 
 def test_a_limit_reads_a_window_and_keeps_what_lies_within():

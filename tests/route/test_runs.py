@@ -177,16 +177,6 @@ def test_a_route_is_a_line_with_figures(layers):
     assert f"{way.figures.length_m:,.1f} m" in repr(way)
 
 
-def test_settings_and_alternatives(layers, tmp_path):
-    ends = (pair(20.5, 8.5), pair(20.5, 22.5))
-    found = bumpymap.find_routes(
-        layers.folder, *ends, via=[pair(5.5, 12.5)], alternatives=3, risk=0, out=tmp_path / "way.geojson"
-    )
-    assert [way.name for way in found] == ["route", *(f"alternative {at}" for at in range(1, len(found)))]
-    assert found[0].risk_m == 0.0
-    assert (tmp_path / "way.geojson").is_file()
-
-
 def test_a_reach_is_a_dataset(layers):
     reach = layers.reach(pair(20.5, 8.5))
     assert isinstance(reach, xarray.Dataset)

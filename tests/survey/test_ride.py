@@ -14,6 +14,7 @@ from small_surveys import files_in, run, write_las
 import bumpymap
 from bumpymap.core import INCLUDED_PIXELS, MapConfig, UsageError, with_pixels
 from bumpymap.lab.worlds.terrains import fractal
+from bumpymap.layers import open_map
 from bumpymap.rating import Calibration, RideModel
 from bumpymap.rating.calibration import shipped_calibrations
 from bumpymap.survey.tile_rating import RatingModels
@@ -38,7 +39,8 @@ def survey(tmp_path_factory):
 def maps(survey, tmp_path_factory):
     """The map, the map with three speeds, and that at 2 m/s with them."""
     out = tmp_path_factory.mktemp("maps")
-    wanted = {"plain": (), "speeds": ("--set", "speeds=0.5,1,2"), "fast": ("--speed", 2, "--set", "speeds=0.5,1,2")}
+    asked = ("--set", "speeds=0.5,1,2", "--set", "headings=true")
+    wanted = {"plain": (), "speeds": asked, "fast": ("--speed", 2, "--set", "speeds=0.5,1,2")}
     for name, options in wanted.items():
         made = run("map", survey, "--out", out / name, *options)
         assert made.exit_code == 0, made.output
@@ -55,6 +57,21 @@ def test_the_other_layers_keep_their_bytes(maps):
     same = [name for name in plain if name.endswith(".tif")]
     assert len(same) == 9
     assert all(plain[name] == speeds[name] for name in same)
+
+
+def test_c_r_by_heading_has_the_mean_of_the_tile_which_is_all_that_few_points_tell(maps):
+    found, site = bands(maps / "speeds" / "rasters/headings.tif"), open_map(maps / "speeds")
+    assert tuple(found) == tuple(f"c_r_{azimuth:g}" for azimuth in np.arange(8) * 22.5)
+    by_axis, tiles = np.stack(list(found.values()), axis=-1), bands(maps / "speeds" / "rasters/roughness.tif")
+    np.testing.assert_array_equal(by_axis, site.headings(site.window))
+    c_r, dense = tiles["c_r"], tiles["coverage"] > 0.75
+    counts = np.diff(RideModel(Calibration.shipped("warthog")).operator.axes.bounds)
+    np.testing.assert_allclose(np.average(by_axis, axis=2, weights=counts), c_r, rtol=1e-5)
+    thin = np.isfinite(c_r) & (tiles["coverage"] < 0.35)
+    assert thin.sum() > 10
+    np.testing.assert_array_equal(by_axis[thin], np.repeat(c_r[thin][:, None], 8, axis=1))
+    assert np.median(by_axis[dense].max(axis=1) / by_axis[dense].min(axis=1)) > 1.1
+    assert not open_map(maps / "plain").has_headings
 
 
 def test_at_the_speed_of_the_map_c_r_is_that_of_the_map(maps):
@@ -110,7 +127,7 @@ def test_a_run_without_speeds_takes_the_layer_of_an_earlier_one_away(survey, tmp
     [
         (("--speed", "9"), "holds from 0.4 to 2.5 m/s"),
         (("--set", "speeds=1,,2"), "value 2 of speeds is ''; it must be a number"),
-        (("--set", "speeds=1", "--set", "rating=table"), "--set rating='table' knows no speed"),
+        (("--set", "headings=true", "--set", "rating=table"), "--set rating='table' knows no heading"),
         (("--speed", "1", "--set", "compat=paper"), "--set compat='paper' knows no speed"),
     ],
 )

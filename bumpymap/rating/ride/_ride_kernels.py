@@ -23,7 +23,7 @@ from bumpymap.rating.ride._lanes import (
     same,
     store,
 )
-from bumpymap.rating.ride.operator import PitchSamples, Poses, WheelShape
+from bumpymap.rating.ride.operator import AxisSamples, PitchSamples, Poses, WheelShape
 from bumpytiles import helper, kernel
 
 __all__ = [
@@ -214,7 +214,7 @@ def roll_wheel(nodes: int, wheel: WheelShape, scratch: RideScratch) -> None:
 
 
 @helper
-def sample_means(samples: PitchSamples, first: int, last: int, envelope: Singles, rides: Floats) -> None:
+def sample_means(samples: PitchSamples | AxisSamples, first: int, last: int, envelope: Singles, rides: Floats) -> None:
     """Fill mean absolute value and root mean square of the samples from first to last, for a group of patches."""
     number = last - first
     sizes = more_sizes = squares = more_squares = same(0.0)
@@ -276,6 +276,7 @@ def ride_patches(
     patches: PatchesToRide,
     wheel: WheelShape,
     samples: PitchSamples,
+    axes: AxisSamples,
     poses: Poses,
     geometry: VehicleGeometry,
     rides: Annotated[Floats, 2],
@@ -283,8 +284,8 @@ def ride_patches(
 ) -> None:
     """Roll a vehicle over patches.
 
-    ``rides`` (tiles, 6) is filled: mean and root mean square of the pitch change [rad/m]; root mean square of pitch,
-    roll and twist [rad]; reach of the ground towards the belly (1: it touches).
+    ``rides`` (tiles, 6 or 14) is filled: mean and root mean square of the pitch change [rad/m]; root mean square of
+    pitch, roll and twist [rad]; reach of the ground towards the belly (1: it touches); mean pitch change by axis.
     """
     nodes = patches.relief.shape[1] * patches.fine + 1
     held = take_group(patches, 0, scratch)
@@ -297,6 +298,10 @@ def ride_patches(
         for lane in range(held):
             for k in range(6):
                 rides[scratch.members[lane], k] = scratch.rides[k, lane]
+        for axis in range(rides.shape[1] - 6):
+            sample_means(axes, axes.bounds[axis], axes.bounds[axis + 1], scratch.envelope, scratch.rides)
+            for lane in range(held):
+                rides[scratch.members[lane], 6 + axis] = scratch.rides[0, lane]
         held = take_group(patches, scratch.members[held - 1] + 1, scratch)
 
 

@@ -26,6 +26,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.core import AXES_DEG
 from bumpymap.rating.ride._ride_kernels import (
     PatchesToRide,
     RideScratch,
@@ -120,7 +121,7 @@ class Rides:
     """(n,) mean absolute height difference of pixels two apart, m."""
 
 
-def roll_over(relief_map: NDArray[np.float32], operator: RideOperator) -> Rides:
+def roll_over(relief_map: NDArray[np.float32], operator: RideOperator, by_axis: Floats | None = None) -> Rides:
     """Roll a vehicle over patches.
 
     Parameters
@@ -129,13 +130,17 @@ def roll_over(relief_map: NDArray[np.float32], operator: RideOperator) -> Rides:
         Plane-removed relief without holes, m; patches with NaN are left out.
     operator : RideOperator
         Of the vehicle.
+    by_axis : array (n, 8), optional
+        Filled with the geometric C_r along each of ``AXES_DEG``, rad/m; the north row of a patch comes first.
     """
     patches, scratch = _patches_and_scratch(relief_map, operator.wheel, operator.fine, operator.nodes)
-    rides = np.full((len(relief_map), 6), np.nan)
+    rides = np.full((len(relief_map), 6 if by_axis is None else 6 + len(AXES_DEG)), np.nan)
     geometry = VehicleGeometry(operator.wheelbase, operator.track, operator.belly_half, operator.clearance)
-    ride_patches(patches, operator.wheel, operator.samples, operator.poses, geometry, rides, scratch)
+    ride_patches(patches, operator.wheel, operator.samples, operator.axes, operator.poses, geometry, rides, scratch)
+    if by_axis is not None:
+        by_axis[:] = rides[:, 6:]
     heights = _heights(np.where(patches.known[:, None, None], patches.relief, np.float32(np.nan)))
-    return Rides(*(*rides.T.copy(), *heights))
+    return Rides(*(*rides[:, :6].T.copy(), *heights))
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,10 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.core import AXES_DEG
+
 __all__ = [
+    "AxisSamples",
     "NodeLattice",
     "PitchSamples",
     "Places",
@@ -50,6 +53,16 @@ class PitchSamples(NamedTuple):
     """(entries,) index into the flat (directions, nodes, nodes) envelopes."""
     weight: Annotated[NDArray[np.float32], 1]
     """(entries,) rad/m of pitch change per metre of height."""
+
+
+class AxisSamples(NamedTuple):
+    """The same rows by the nearest of ``AXES_DEG``, one axis after the other."""
+
+    starts: Annotated[NDArray[np.int32], 1]
+    node: Annotated[NDArray[np.int32], 1]
+    weight: Annotated[NDArray[np.float32], 1]
+    bounds: Annotated[NDArray[np.int64], 1]
+    """(9,) where the rows of each axis begin."""
 
 
 class WheelShares(NamedTuple):
@@ -196,6 +209,7 @@ class RideOperator:
     """Along the side of a patch, both edges among them."""
     wheel: WheelShape
     samples: PitchSamples
+    axes: AxisSamples
     poses: Poses
     wheelbase: float
     track: float
@@ -222,6 +236,7 @@ class RideOperator:
             nodes=nodes,
             wheel=wheel_shape(radius, float(vehicle["wheel"]["width_m"]), step),
             samples=samples,
+            axes=_by_axis(samples, places[2]),
             poses=_poses(
                 lattice, spread_places(_POSE_SAMPLES, tile_size), wheelbase, track, float(belly["length_m"]) / 2
             ),
@@ -309,6 +324,22 @@ def pitch_change(
     shares = np.diff(taps, prepend=0.0, append=0.0) / way
     back = way * (np.arange(len(shares)) - 0.5)
     return wheel_rows(lattice, places, WheelShares((1, 1, -1, -1), shares / (2 * wheelbase), back), wheelbase, track)
+
+
+def _by_axis(samples: PitchSamples, heading: Floats) -> AxisSamples:
+    """Put the samples in the order of their axes.
+
+    ``heading`` (samples,) is counted from the columns to the rows, rad; a way and its opposite are on one axis.
+    """
+    width = AXES_DEG[1] - AXES_DEG[0]
+    # The north row of a patch comes first, so its rows count southwards.
+    axis = np.rint((90.0 + np.degrees(heading)) / width).astype(np.int64) % len(AXES_DEG)
+    order = np.argsort(axis, kind="stable")
+    length = np.diff(samples.starts)[order]
+    starts = np.concatenate(([0], np.cumsum(length)))
+    entry = np.arange(starts[-1]) + np.repeat(samples.starts[order] - starts[:-1], length)
+    bounds = np.searchsorted(axis[order], np.arange(len(AXES_DEG) + 1))
+    return AxisSamples(starts.astype(np.int32), samples.node[entry], samples.weight[entry], bounds)
 
 
 def _poses(lattice: NodeLattice, places: Places, wheelbase: float, track: float, belly_half: float) -> Poses:

@@ -17,7 +17,17 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import FAIL_SHARE, NO_CLASS, CostMap, Georeference, PatchStack, Reason, TextureMap, UsageError
+from bumpymap.core import (
+    AXES_DEG,
+    FAIL_SHARE,
+    NO_CLASS,
+    CostMap,
+    Georeference,
+    PatchStack,
+    Reason,
+    TextureMap,
+    UsageError,
+)
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.ride._noise_kernels import (
     DenoisedPatches,
@@ -30,13 +40,17 @@ from bumpymap.rating.ride._ride_kernels import normal_shares
 from bumpymap.rating.ride.correction import NORMAL_TAIL, Correction, Prediction
 from bumpymap.rating.ride.motion_operator import roll_over
 from bumpymap.rating.ride.operator import RideOperator, cosines
-from bumpymap.rating.ride.speed import SpeedRating, plain_speed_factor, require_speeds, speed_log_sd
+from bumpymap.rating.ride.speed import LEVEL, SpeedRating, plain_speed_factor, require_speeds, speed_log_sd
 from bumpymap.rating.vehicle_body import with_floor
 
 __all__ = ["CleanPatches", "RideModel", "denoise", "interval", "judge", "spectrum_of"]
 
 _STEEPNESS = (2.0, 2.6, 3.2, 3.8, 4.5)
 """Exponents of the ground's spectrum that are tried: Hurst exponents from 0 to beyond 1."""
+_SHARPENED = 1.2
+"""Power of C_r along an axis over the mean. An axis takes samples of 22.5 degrees, and ground that is mirrored at the
+edges of the tile has its mirrored headings there: both even out what a line feels. From 1.15 to 1.3 the errors against
+drives and rides of lines are least, on made-up and on natural ground."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +109,8 @@ class RideModel:
         Of the vehicle; it holds the profile and what its drives taught.
     speeds : tuple of float
         Speeds [m/s] to rate the ride at besides; see `CostMap.motion`.
+    headings : bool
+        Tell the ride by heading too; see `CostMap.headings`.
 
     Raises
     ------
@@ -104,7 +120,7 @@ class RideModel:
         Its ride model is damaged.
     """
 
-    def __init__(self, calibration: Calibration, speeds: tuple[float, ...] = ()) -> None:
+    def __init__(self, calibration: Calibration, speeds: tuple[float, ...] = (), *, headings: bool = False) -> None:
         if calibration.ride is None:
             raise UsageError(
                 f"the calibration {calibration.id} holds no ride model. Make one with: bumpymap calibrate, or rate by "
@@ -113,18 +129,23 @@ class RideModel:
         self.calibration = calibration
         self.operator = RideOperator.of(calibration.vehicle, calibration.tile_size, calibration.pixels)
         self.correction = Correction.from_record(calibration.ride)
+        self.headings = headings
         self.speeds: SpeedRating | None = None
         if speeds or calibration.map_speed != float(calibration.vehicle["speed_mps"]):
             require_speeds(calibration, speeds, "speeds")
             self.speeds = SpeedRating.of(calibration, speeds)
 
-    def _predict(self, patches: PatchStack) -> tuple[Prediction, NDArray[np.float32] | None]:
+    def _predict(self, patches: PatchStack, by_axis: Floats | None) -> tuple[Prediction, NDArray[np.float32] | None]:
         """Predict C_r and p_fail of n tiles, NaN where a tile cannot be judged; and the factors of `CostMap.motion`.
 
-        The latter are None without other speeds.
+        The latter are None without other speeds. ``by_axis`` (n, 8) is filled with those of `CostMap.headings`.
         """
         clean = denoise(patches, self.operator)
-        rides = roll_over(clean.relief_map, self.operator)
+        rides = roll_over(clean.relief_map, self.operator, by_axis)
+        if by_axis is not None:
+            own = np.where(rides.pitch_change > LEVEL, rides.pitch_change, np.nan)
+            by_axis[:] = (by_axis / own[:, None]) ** _SHARPENED
+            by_axis /= np.average(by_axis, axis=1, weights=np.diff(self.operator.axes.bounds))[:, None]
         pixel_points = patches.count / patches.grid.pixels**2
         found = self.correction.predict(rides, patches.slope.astype(np.float64), clean.noise_felt, pixel_points)
         if self.speeds is None:
@@ -153,7 +174,8 @@ class RideModel:
         """
         calibration = self.calibration
         calibration.require_grid(patches.grid.tile_size, patches.grid.pixels)
-        found, factors = self._predict(patches)
+        by_axis = np.full((len(patches.reason), len(AXES_DEG)), np.nan) if self.headings else None
+        found, factors = self._predict(patches, by_axis)
         known = (patches.reason == Reason.OK) & np.isfinite(found.log_c_r)
         class_id, chance = judge(found, patches.slope, calibration)
         c_r, low, high = interval(found, calibration.map_floor)
@@ -170,6 +192,7 @@ class RideModel:
             confidence=_where(known, chance * np.sqrt(patches.coverage)),
             rule=calibration.cost_rule,
             motion=factors if factors is not None and factors.shape[1] else None,
+            headings=None if by_axis is None else _where(known[:, None], by_axis),
         )
 
 

@@ -27,11 +27,13 @@ from bumpymap.rating.ride.motion_operator import MotionOperator, Motions, move_o
 from bumpymap.rating.vehicle_body import less_floor, plain_lists, with_floor
 
 __all__ = [
+    "LEVEL",
     "QUANTITIES",
     "MotionFit",
     "MotionModel",
     "SpeedRating",
     "at_speed",
+    "felt_by_heading",
     "motion_felt",
     "motion_terms",
     "plain_factors",
@@ -196,7 +198,7 @@ def _pair(value: Any) -> tuple[float, float]:
     return float(low), float(high)
 
 
-_LEVEL = 5e-4
+LEVEL = 5e-4
 """Geometric C_r of ground that is as good as level, rad/m."""
 
 
@@ -278,7 +280,7 @@ class SpeedRating:
     def factors_of(self, motions: Motions, pitch_change: Floats) -> tuple[Floats, NDArray[np.float32]]:
         """Return `factors` from the motions over patches."""
         logs = _model(self.calibration).log_factors(motions, pitch_change, self.operator.speeds)
-        logs[~(pitch_change > _LEVEL)] = np.nan
+        logs[~(pitch_change > LEVEL)] = np.nan
         own = logs[:, self.operator.speeds.index(self.calibration.map_speed), 0]
         told = np.exp(logs[:, : len(self.speeds)] - own[:, None, None])
         return own, told.reshape(len(logs), -1).astype(np.float32)
@@ -311,6 +313,27 @@ def motion_felt(
         own = number * len(SPEED_BANDS)
         felt[..., own] = with_floor(felt[..., own], calibration.floor_at(speed))
     return felt
+
+
+def felt_by_heading(
+    calibration: Calibration, factors: NDArray[np.float32], c_r: NDArray[np.float32], weight: Floats | float = 1.0
+) -> NDArray[np.float32]:
+    """Return C_r along each of ``AXES_DEG``, (..., 8) rad/m: that of the tile where its heightmap tells no heading.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        At the speed of the map.
+    factors : array (..., 8) float32
+        Of `CostMap.headings`; NaN where the heightmap does not tell.
+    c_r : array (...) float32
+        Of the map, with the vehicle's floor, rad/m.
+    weight : array (...) or float
+        How far the heightmap counts in ``c_r``, 0..1.
+    """
+    more = np.nan_to_num(factors - np.float32(1.0)) * np.asarray(weight, np.float32)[..., None]
+    driven = less_floor(c_r, calibration.map_floor)[..., None]
+    return np.asarray(with_floor(driven * (1.0 + more), calibration.map_floor), np.float32)
 
 
 def plain_factors(calibration: Calibration, speeds: Sequence[float], c_r: Floats) -> NDArray[np.float32]:

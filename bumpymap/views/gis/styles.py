@@ -266,6 +266,7 @@ def map_styles(record: Mapping[str, Any], *, layered: bool = False) -> dict[str,
         MapFile.HEIGHTMAP: relief,
         MapFile.RELIEF: relief,
         MapFile.SPEEDS: _ramp(stops),
+        MapFile.HEADINGS: _ramp(stops),
         **{f"{MapFile.SPEEDS} {speed:g}": _ramp(stops, 1 + at_speeds.index(f"c_r_{speed:g}")) for speed in speeds},
         MapFile.TILES: _vectors(TILE_KIND, looks),
     }

@@ -45,9 +45,10 @@ def envelopes_by_scipy(patch, operator, wheel):
 
 @pytest.mark.parametrize("name", ["warthog", "small_rover"])
 def test_pitch_change_is_what_a_slow_walk_over_the_envelope_gives(name):
+    """Ridges from south-west to north-east, and some noise."""
     vehicle = load_profile(name).to_dict()
     operator = RideOperator.of(vehicle, 3.0, 15)
-    patch = patches(1, 1)[0]
+    patch = (patches(1, 1, 0.03)[0] + np.sin(np.add.outer(range(15), range(15)) / 2.0) / 10.0).astype(np.float32)
     envelopes, step, margin = envelopes_by_scipy(patch, operator, vehicle["wheel"])
     rng = np.random.default_rng(2)
     x, y, heading = rng.uniform(0, 3, 4000), rng.uniform(0, 3, 4000), rng.uniform(0, 2 * np.pi, 4000)
@@ -68,8 +69,13 @@ def test_pitch_change_is_what_a_slow_walk_over_the_envelope_gives(name):
     change = sum(tap * (pitch(step / 2 * i) - pitch(step / 2 * (i + 1))) for i, tap in enumerate(taps)) / (step / 2)
     slow = np.abs(change)
     error = slow.std() / np.sqrt(len(slow))
-    quick = roll_over(patch[None], operator).pitch_change[0]
+    by_axis = np.empty((1, 8))
+    quick = roll_over(patch[None], operator, by_axis).pitch_change[0]
     assert quick == pytest.approx(slow.mean(), abs=4 * error + 0.03 * slow.mean())
+    axis = np.rint((90.0 + np.degrees(heading)) / 22.5) % 8  # azimuths from the north, whose row is the first
+    of_axes = np.array([slow[axis == number].mean() for number in range(8)])
+    np.testing.assert_allclose(by_axis[0], of_axes, atol=0.2 * quick)
+    assert np.argmax(by_axis) == np.argmax(of_axes) == 6
 
 
 def moved_over(relief):
@@ -86,6 +92,14 @@ def test_a_patch_gets_the_same_bits_alone_and_among_others():
         for name, values in moved_over(many[i : i + 1]).items():
             np.testing.assert_array_equal(values[0], together[name][i])
             assert np.isnan(values[0]).all() == (i % 5 == 0)
+
+
+def test_the_axes_of_a_turned_patch_turn_with_it_and_their_mean_is_that_of_all_headings():
+    patch, by_axis, turned = patches(4, 20), np.empty((20, 8)), np.empty((20, 8))
+    mean = roll_over(patch, RIDE, by_axis).pitch_change
+    np.testing.assert_allclose(np.average(by_axis, axis=1, weights=np.diff(RIDE.axes.bounds)), mean, rtol=1e-6)
+    roll_over(np.ascontiguousarray(np.rot90(patch, 1, (1, 2))), RIDE, turned)
+    np.testing.assert_allclose(np.roll(turned, 4, axis=1), by_axis, rtol=1e-4)
 
 
 def test_turning_and_mirroring_a_patch_changes_nothing():
