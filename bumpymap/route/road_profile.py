@@ -9,6 +9,7 @@ of the first is missing in the second cannot be told from noise.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -20,7 +21,7 @@ Floats = NDArray[np.float64]
 Resolution = Literal["resolved", "limited by noise", "not resolvable", "unknown"]
 
 _CAR = np.array([[0, 1, 0, 0], [-63.3, -6.0, 63.3, 6.0], [0, 0, 0, 1], [422.0, 40.0, -(653 + 63.3) / 0.15, -40.0]])
-"""Golden car, 1/s and 1/s2: body and wheel, k2 = 63.3, c = 6, k1 = 653, mu = 0.15; states are slopes and their rates."""
+"""Golden car (k1 653, k2 63.3, mu 0.15 and c 6), 1/s and 1/s2: body and wheel, their slopes and the rates of these."""
 _ROAD = np.array([0, 0, 0, 653 / 0.15])
 _CAR_MPS = 80 / 3.6
 _BASE_M, _BEGIN_M = 0.25, 11.0
@@ -93,7 +94,8 @@ def quarter_car(heights: Floats, spacing: float) -> Floats:
     begin = min(max(round(_BEGIN_M / spacing), 1), len(heights) - 1)
     slope -= (even[begin] - even[0]) / (begin * spacing)
     slope[0] = 0.0
-    return 1000.0 * np.abs(lfilter(top[0], bottom, slope))
+    moved: Floats = 1000.0 * np.abs(lfilter(top[0], bottom, slope))
+    return moved
 
 
 def iso_8608(heights: Floats, spacing: float) -> float:
@@ -112,7 +114,7 @@ def iso_8608(heights: Floats, spacing: float) -> float:
     used = (wave >= _WAVES[0]) & (wave <= _WAVES[1])
     octave = np.floor(np.log2(wave[used] / _WAVES[0])).astype(np.int64)
     flat, bins = power[used] * (wave[used] / _REFERENCE) ** 2, np.bincount(octave)
-    # The logarithm of a mean of few bins, 1.94 of which are as good as one under this window, lies low by half its variance.
+    # The logarithm of a mean lies low by half its relative variance: under this window, that of 1.94 bins is 1.
     per_octave = np.log(np.maximum(np.bincount(octave, flat) / bins, 1e-30)) + 0.97 / bins
     return float(np.exp(per_octave.mean()))
 
@@ -143,7 +145,7 @@ def road_figures(
     motion = [np.stack([quarter_car(path, spacing) for path in both]) for both in filled]
     return tuple(
         _of_stretch(slice(round(first / spacing), round(last / spacing)), filled, motion, known, spacing, track)
-        for first, last in zip(ends[:-1], ends[1:], strict=True)
+        for first, last in pairwise(ends.tolist())
     )
 
 
@@ -151,7 +153,7 @@ def _of_stretch(
     part: slice, filled: list[Floats], motion: list[Floats], known: NDArray[np.bool_], spacing: float, track: float
 ) -> RoadFigures:
     first, last = part.start * spacing, part.stop * spacing
-    if known[:, part].mean() < _LEAST_KNOWN:
+    if known[:, part].mean(axis=1).min() < _LEAST_KNOWN:
         nan = float("nan")
         return RoadFigures(first, last, nan, "unknown", nan, "unknown", nan, nan, nan)
     raw, clean = (float(of_path[:, part].mean()) for of_path in motion)
