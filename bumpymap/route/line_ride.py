@@ -45,6 +45,7 @@ from bumpymap.rating import (
 from bumpymap.route.ground import CostGround, points_along, window_around
 from bumpymap.route.measure import MeasuredWay
 from bumpymap.route.places import in_window
+from bumpymap.route.road_profile import RoadFigures, road_figures
 
 __all__ = ["LineRide", "LineVehicle", "ride_along", "ride_line", "with_line_rides"]
 
@@ -71,6 +72,7 @@ _LEAST = 1e-5
 _BANDS = ("c_r", "c_r_low", "c_r_high", "slope")
 _SIDES = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
 """Ahead and to the left: of the wheels front left, front right, rear left, rear right."""
+_AXLES = ((0, 1), (2, 3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +105,16 @@ class LineRide:
     """(k,) their probabilities; the sum is 1."""
     c_r_across: Floats
     """(k, n) C_r at each of them, rad/m; NaN where a wheel meets ground that is not known there alone."""
+    track: float
+    """Distance between the wheel paths, m."""
+    way: float
+    """Distance between heights of these along the line, m."""
+    ground: Floats
+    """(2, 2, m) heights of the left and the right path, m: as the map holds them, and without noise; NaN: unknown."""
+
+    def road(self, length: float = 100.0) -> tuple[RoadFigures, ...]:
+        """Return IRI, ISO 8608 class, grade and crossfall of each stretch of so many metres."""
+        return road_figures(self.ground[0], self.ground[1], self.way, self.track, length)
 
     @property
     def pitch_rate(self) -> Floats:
@@ -281,13 +293,14 @@ def ride_line(site: MapReader, line: Floats, vehicle: LineVehicle, sigma: float)
     count = int(metre[-1]) + 1
     per, lead = int(_PIECE_M / vehicle.way), vehicle.way * np.arange(1, vehicle.reach + 1)
     across, weights = _across(sigma)
-    sums = np.zeros((2 * len(across) + 5, count))
+    sums, ground = np.zeros((2 * len(across) + 5, count)), []
     for first in range(0, len(at), per):
         own, to = at[first : first + per], metre[first : first + per]
         # What is felt depends on the ground before and behind, at the ends of the line too.
         places = np.concatenate([own[0] - lead[::-1], own, own[-1] + lead])
-        felt = _felt(_roll(site, line, places, vehicle, across), vehicle, weights)
-        sums += [np.bincount(to, row[len(lead) : len(lead) + len(own)], count) for row in felt]
+        rolled, inside = _roll(site, line, places, vehicle, across), slice(len(lead), len(lead) + len(own))
+        sums += [np.bincount(to, row[inside], count) for row in _felt(rolled, vehicle, weights)]
+        ground.append(rolled.ground[..., inside])
     felt, told, (of_tiles, rated, log_sd, seen, shaken) = np.split(sums, [len(across), 2 * len(across)])
     samples = np.bincount(metre)
     known = told > samples / 2
@@ -315,6 +328,9 @@ def ride_line(site: MapReader, line: Floats, vehicle: LineVehicle, sigma: float)
         across=across,
         weights=weights,
         c_r_across=np.where(share > 0.0, with_floor(at_places, floor), np.nan),
+        track=vehicle.operator.track,
+        way=vehicle.way,
+        ground=np.concatenate(ground, axis=-1),
     )
 
 
@@ -375,11 +391,15 @@ class _Rolled(NamedTuple):
     """(places across, 4, n) lowest point of each wheel, m; NaN where unknown."""
     seen: Floats
     """(n,) share of the pixels under the wheels that hold points."""
+    ground: Floats
+    """(2, 2, n) heights beside the middle, m: see `LineRide.ground`."""
     tile: _Tiles
     """Of the tile that the middle of the vehicle is in."""
 
 
 def _roll(site: MapReader, line: Floats, at: Floats, vehicle: LineVehicle, across: Floats) -> _Rolled:
+    from scipy.ndimage import map_coordinates
+
     per, pixels = max(int(_STRETCH_M / vehicle.way), 1), site.grid.pixels
     windows = [
         _read(site, *_places(line, at[first : first + per], vehicle.operator, across), vehicle)
@@ -393,12 +413,16 @@ def _roll(site: MapReader, line: Floats, at: Floats, vehicle: LineVehicle, acros
     rolled, first = [], 0
     for box, window in zip(boxes, windows, strict=True):
         here = slice(first, first + window.bands.shape[1])
+        front, rear = (window.wheels.reshape(len(across), 4, -1, 2)[len(across) // 2, axle] for axle in _AXLES)
+        paths = np.moveaxis((front + rear) / 2, -1, 0) - 0.5
+        noisy = map_coordinates(window.heights, paths, order=1, mode="nearest")
         box[window.touched] += added[here]
+        ground = np.stack([noisy, map_coordinates(window.heights, paths, order=1, mode="nearest")])
         low = roll_wheels(window.heights, window.wheels, window.ahead, vehicle.operator).reshape(len(across), 4, -1)
-        rolled.append((low, window.seen, *(values[here][window.tile] for values in tiles)))
+        rolled.append((low, window.seen, ground, *(values[here][window.tile] for values in tiles)))
         first = here.stop
-    heights, seen, *columns = (np.concatenate(parts, axis=-1) for parts in zip(*rolled, strict=True))
-    return _Rolled(heights, seen, _Tiles(*columns))
+    heights, seen, ground, *columns = (np.concatenate(parts, axis=-1) for parts in zip(*rolled, strict=True))
+    return _Rolled(heights, seen, ground, _Tiles(*columns))
 
 
 def _read(site: MapReader, middle: Floats, wheels: Floats, vehicle: LineVehicle) -> _LineWindow:

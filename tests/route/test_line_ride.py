@@ -65,6 +65,15 @@ def test_a_line_knows_its_direction_and_its_tiles_do_not(waves):
     assert back == pytest.approx(over, rel=0.05)
 
 
+def test_the_road_along_waves_has_their_heights(waves):
+    (over,), (beside,) = (bumpymap.ride_along(waves, line).road(18.0) for line in (across(18.0), along(18.0, 16.5)))
+    assert over.height_rms == pytest.approx(HEIGHT_M / math.sqrt(2), rel=0.1)
+    assert (over.grade, over.crossfall) == pytest.approx((0.0, 0.0), abs=0.003)
+    half = 1.12 / 2  # of the track; the line to the north lies where the waves pass their mean, and fall to the east
+    assert beside.crossfall == pytest.approx(HEIGHT_M * math.sin(2 * math.pi * half / WAVE_M) / half, rel=0.15)
+    assert beside.iri < 0.1 * over.iri
+
+
 def test_a_long_line_has_the_ride_of_its_parts(waves):
     there_and_back = [*across(), across()[0]]
     ride = bumpymap.ride_along(waves, [across()[0], *(there_and_back[1:] * 52)])
