@@ -110,11 +110,11 @@ class LineRide:
     way: float
     """Distance between heights of these along the line, m."""
     ground: Floats
-    """(2, 2, m) heights of the left and the right path, m: as the map holds them, and without noise; NaN: unknown."""
+    """(2, m) heights of the left and the right path, as the map holds them, m; NaN: unknown."""
 
     def road(self, length: float = 100.0) -> tuple[RoadFigures, ...]:
         """Return IRI, ISO 8608 class, grade and crossfall of each stretch of so many metres."""
-        return road_figures(self.ground[0], self.ground[1], self.way, self.track, length)
+        return road_figures(self.ground, self.way, self.track, length)
 
     @property
     def pitch_rate(self) -> Floats:
@@ -392,7 +392,7 @@ class _Rolled(NamedTuple):
     seen: Floats
     """(n,) share of the pixels under the wheels that hold points."""
     ground: Floats
-    """(2, 2, n) heights beside the middle, m: see `LineRide.ground`."""
+    """(2, n) heights beside the middle, m: see `LineRide.ground`."""
     tile: _Tiles
     """Of the tile that the middle of the vehicle is in."""
 
@@ -415,9 +415,8 @@ def _roll(site: MapReader, line: Floats, at: Floats, vehicle: LineVehicle, acros
         here = slice(first, first + window.bands.shape[1])
         front, rear = (window.wheels.reshape(len(across), 4, -1, 2)[len(across) // 2, axle] for axle in _AXLES)
         paths = np.moveaxis((front + rear) / 2, -1, 0) - 0.5
-        noisy = map_coordinates(window.heights, paths, order=1, mode="nearest")
+        ground = map_coordinates(window.heights, paths, order=1, mode="nearest")
         box[window.touched] += added[here]
-        ground = np.stack([noisy, map_coordinates(window.heights, paths, order=1, mode="nearest")])
         low = roll_wheels(window.heights, window.wheels, window.ahead, vehicle.operator).reshape(len(across), 4, -1)
         rolled.append((low, window.seen, ground, *(values[here][window.tile] for values in tiles)))
         first = here.stop

@@ -4,8 +4,8 @@ IRI is the motion of the suspension of a reference quarter car at 80 km/h over t
 Technical Paper 46; ASTM E1926). The class of ISO 8608 follows from the power of the heights at 0.1 cycles per metre, of
 a spectrum that falls with the square of the wave number.
 
-A survey's noise adds to both. They are computed twice, from the heights of the map and from those without noise; what
-of the first is missing in the second cannot be told from noise.
+A survey's noise adds to both. Heights of ground fall off with the wave number, noise does not: the power near the
+shortest waves that pixels hold, over that of waves of one to two metres, tells how much of the latter is noise.
 """
 
 from dataclasses import dataclass
@@ -14,6 +14,8 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+from bumpymap.core import UsageError
 
 __all__ = ["Resolution", "RoadFigures", "iso_8608", "quarter_car", "road_figures"]
 
@@ -32,9 +34,14 @@ _WAVES = (0.05, 1.0)
 """Wave numbers that the power is taken from: those that a map of 0.2 m pixels holds."""
 _CLASS_A = 32e-6
 """Upper limit of class A, m3; each class ends at four times the one before (ISO 8608, table C.1)."""
-_HIDDEN = (0.15, 0.5)
-"""Shares of a figure that noise may be: below the first it is resolved, above the second it cannot be."""
-_LEAST_KNOWN = 0.9
+_SHORT, _FELT = (1.25, 2.0), (0.4, 1.0)
+"""Wave numbers of the shortest waves that pixels of 0.2 m hold, and of those that the wheels of the car feel most."""
+_SHORT_OVER_FELT = (0.08, 0.55)
+"""Power of the first over that of the second, of pixels read bilinearly: of a spectrum that falls with the square, and
+of noise."""
+_NOISE = (0.3, 0.7)
+"""Shares of noise in the power: below the first, figures are resolved, above the second they are not resolvable."""
+_LEAST_KNOWN, _SHORTEST_M = 0.9, 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,10 +53,10 @@ class RoadFigures:
     last: float
     iri: float
     """International Roughness Index, mean of both wheel paths (MRI), m/km."""
-    iri_resolution: Resolution
     iso_power: float
-    """Power of the heights at 0.1 cycles per metre, m3; `iso_class` names it."""
-    iso_resolution: Resolution
+    """Power of the heights at 0.1 cycles per metre, m3; `iso_class` names it. NaN for less than 40 m."""
+    resolution: Resolution
+    """Whether the survey's noise lets IRI and class be told; they are too high where it does not."""
     height_rms: float
     """Root mean square of the heights about the stretch's own line, m."""
     grade: float
@@ -98,88 +105,95 @@ def quarter_car(heights: Floats, spacing: float) -> Floats:
     return moved
 
 
-def iso_8608(heights: Floats, spacing: float) -> float:
-    """Return the power of a profile at 0.1 cycles per metre, m3, of a spectrum that falls with the square.
+def iso_8608(heights: Floats, spacing: float) -> tuple[float, float]:
+    """Return the power of a profile at 0.1 cycles per metre, and the share of noise in waves of one to two metres.
 
-    ``heights`` (n,) are in m, ``spacing`` m apart. NaN for less than 40 m.
+    Parameters
+    ----------
+    heights : array (n,)
+        m, without holes.
+    spacing : float
+        Distance between heights, m.
+
+    Returns
+    -------
+    float
+        m3, of a spectrum that falls with the square of the wave number; NaN for less than 40 m.
+    float
+        0..1.
     """
     from scipy.signal import detrend
 
     count = len(heights)
-    if count * spacing < 2 / _WAVES[0]:
-        return float("nan")
     window = np.hanning(count)
     power = 2 * spacing * np.abs(np.fft.rfft(detrend(heights) * window)) ** 2 / (window**2).sum()
     wave = np.fft.rfftfreq(count, spacing)
+    short, felt = (power[(wave >= low) & (wave < high)].mean() for low, high in (_SHORT, _FELT))
+    least, most = _SHORT_OVER_FELT
+    noise = float(np.clip((short / max(felt, 1e-30) - least) / (most - least), 0.0, 1.0))
+    if count * spacing < 2 / _WAVES[0]:
+        return float("nan"), noise
     used = (wave >= _WAVES[0]) & (wave <= _WAVES[1])
     octave = np.floor(np.log2(wave[used] / _WAVES[0])).astype(np.int64)
     flat, bins = power[used] * (wave[used] / _REFERENCE) ** 2, np.bincount(octave)
     # The logarithm of a mean lies low by half its relative variance: under this window, that of 1.94 bins is 1.
     per_octave = np.log(np.maximum(np.bincount(octave, flat) / bins, 1e-30)) + 0.97 / bins
-    return float(np.exp(per_octave.mean()))
+    return float(np.exp(per_octave.mean())), noise
 
 
-def road_figures(
-    heights: Floats, clean: Floats, spacing: float, track: float, length: float
-) -> tuple[RoadFigures, ...]:  # fmt: skip
+def road_figures(heights: Floats, spacing: float, track: float, length: float) -> tuple[RoadFigures, ...]:
     """Return the figures of each stretch of a line; a last one of less than half the length belongs to that before.
 
     Parameters
     ----------
-    heights, clean : array (2, n)
-        Ground under the left and the right wheels, m, as the map holds it and without its noise; NaN where unknown.
+    heights : array (2, n)
+        Ground under the left and the right wheels, m; NaN where unknown.
     spacing : float
         Distance between heights along the line, m.
     track : float
         Distance between the wheel paths, m.
     length : float
-        Of a stretch, m.
+        Of a stretch, m; 10 or more.
+
+    Raises
+    ------
+    UsageError
+        The stretches, or the line, are shorter than 10 m.
     """
     total = heights.shape[1] * spacing
+    if not min(length, total) >= _SHORTEST_M:
+        raise UsageError(f"figures of roads need stretches of 10 m or more, not {min(length, total):g} m")
     ends = np.arange(max(round(total / length), 1) + 1) * length
     ends[-1] = total
-    known = np.isfinite(heights) & np.isfinite(clean)
-    filled = [
-        np.stack([_bridged(path, has) for path, has in zip(both, known, strict=True)]) for both in (heights, clean)
-    ]
-    motion = [np.stack([quarter_car(path, spacing) for path in both]) for both in filled]
-    return tuple(
-        _of_stretch(slice(round(first / spacing), round(last / spacing)), filled, motion, known, spacing, track)
-        for first, last in pairwise(ends.tolist())
-    )
+    known = np.isfinite(heights)
+    filled = np.stack([_bridged(path, has) for path, has in zip(heights, known, strict=True)])
+    motion = np.stack([quarter_car(path, spacing) for path in filled])
+    parts = [slice(round(first / spacing), round(last / spacing)) for first, last in pairwise(ends.tolist())]
+    return tuple(_of_stretch(part, filled, motion, known, spacing, track) for part in parts)
 
 
 def _of_stretch(
-    part: slice, filled: list[Floats], motion: list[Floats], known: NDArray[np.bool_], spacing: float, track: float
+    part: slice, filled: Floats, motion: Floats, known: NDArray[np.bool_], spacing: float, track: float
 ) -> RoadFigures:
     first, last = part.start * spacing, part.stop * spacing
     if known[:, part].mean(axis=1).min() < _LEAST_KNOWN:
         nan = float("nan")
-        return RoadFigures(first, last, nan, "unknown", nan, "unknown", nan, nan, nan)
-    raw, clean = (float(of_path[:, part].mean()) for of_path in motion)
-    power = [float(np.mean([iso_8608(path, spacing) for path in both[:, part]])) for both in filled]
-    middle = filled[1][:, part].mean(axis=0)
+        return RoadFigures(first, last, nan, nan, "unknown", nan, nan, nan)
+    power, noise = np.mean([iso_8608(path, spacing) for path in filled[:, part]], axis=0)
+    middle = filled[:, part].mean(axis=0)
     at = spacing * np.arange(len(middle))
     grade, start = np.polyfit(at, middle, 1)
-    left, right = filled[1][:, part].mean(axis=1)
+    left, right = filled[:, part].mean(axis=1)
     return RoadFigures(
         first=first,
         last=last,
-        iri=clean,
-        iri_resolution=_resolution(raw, clean),
-        iso_power=power[1],
-        iso_resolution=_resolution(power[0] ** 0.5, power[1] ** 0.5),
+        iri=float(motion[:, part].mean()),
+        iso_power=float(power),
+        resolution="resolved" if noise < _NOISE[0] else "limited by noise" if noise < _NOISE[1] else "not resolvable",
         height_rms=float(np.sqrt(np.mean((middle - start - grade * at) ** 2))),
         grade=float(grade),
         crossfall=float((left - right) / track),
     )
-
-
-def _resolution(raw: float, clean: float) -> Resolution:
-    if not np.isfinite(raw):
-        return "unknown"
-    hidden = 1 - min(clean / max(raw, 1e-12), 1.0)
-    return "resolved" if hidden < _HIDDEN[0] else "limited by noise" if hidden < _HIDDEN[1] else "not resolvable"
 
 
 def _bridged(values: Floats, known: NDArray[np.bool_]) -> Floats:

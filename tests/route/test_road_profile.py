@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from bumpymap.core import UsageError
 from bumpymap.route.road_profile import iso_8608, quarter_car, road_figures
 
 SPACING = 0.05
@@ -55,25 +56,28 @@ def test_iri_of_a_sine_is_the_response_of_its_frequency(wave_m):
 )
 def test_power_class_and_iri_of_made_up_spectra(power, name):
     profile = made_profile(power, 2000, 3)
-    assert iso_8608(profile, SPACING) == pytest.approx(power, rel=0.1)
-    found = road_figures(np.stack([profile, profile]), np.stack([profile, profile]), SPACING, 1.1, 500.0)
+    assert iso_8608(profile, SPACING)[0] == pytest.approx(power, rel=0.1)
+    found = road_figures(np.stack([profile, profile]), SPACING, 1.1, 500.0)
     assert {part.iso_class for part in found} == {name}
     assert len(found) == 4
-    assert {(part.iri_resolution, part.iso_resolution) for part in found} == {("resolved", "resolved")}
+    assert {part.resolution for part in found} == {"resolved"}
     # Known of such spectra: IRI is 2.21 times the root of the power at 1 rad/m, in cm3 (Kropac and Mucka).
     assert np.mean([part.iri for part in found]) == pytest.approx(2.21 * np.sqrt(power / 16e-6), rel=0.05)
 
 
 def test_noise_is_marked_and_holes_are_unknown():
-    smooth = np.stack([made_profile(1e-6, 400, seed, 0.2) for seed in (1, 2)])
+    smooth = np.stack([made_profile(64e-6, 400, seed, 0.2) for seed in (1, 2)])
     smooth[1] -= 0.03
     noise = np.random.default_rng(4).normal(0, 1, smooth.shape)
-    marks = [road_figures(smooth + sd * noise, smooth, 0.2, 1.5, 100.0)[0].iri_resolution for sd in (1e-5, 4e-4, 4e-3)]
+    marks = [road_figures(smooth + sd * noise, 0.2, 1.5, 100.0)[0].resolution for sd in (1e-5, 1e-3, 1e-2)]
     assert marks == ["resolved", "limited by noise", "not resolvable"]
     smooth[0, 600:700] = np.nan
-    first, holed, *_ = road_figures(smooth, smooth, 0.2, 1.5, 100.0)
+    first, holed, *_ = road_figures(smooth, 0.2, 1.5, 100.0)
     assert first.crossfall == pytest.approx(0.02, abs=2e-3)
     assert np.isfinite(first.iri)
-    assert (holed.iri_resolution, holed.iso_class) == ("unknown", "")
+    assert (holed.resolution, holed.iso_class) == ("unknown", "")
     assert np.isnan([holed.iri, holed.grade]).all()
-    assert np.isnan(iso_8608(smooth[1, :100], 0.2))
+    short = road_figures(smooth, 0.2, 1.5, 20.0)[0]
+    assert (short.iso_class, np.isfinite(short.iri)) == ("", True)
+    with pytest.raises(UsageError, match="10 m or more"):
+        road_figures(smooth, 0.2, 1.5, 5.0)
