@@ -475,8 +475,8 @@ def map_survey(
     **settings
         Those of ``bumpymap map``, with underscores: ``tile_size`` [m], ``pixels``, ``ground``,
         ``ground_classes``, ``align``, ``rating``,
-        ``compat``, ``vehicle``, ``calibration``, ``speed`` [m/s], ``speeds`` [m/s], ``model``, ``crs``, ``force_crs``,
-        ``z_unit``, ``local``, ``trust_points``, ``skip_bad``, ``max_unknown``, ``overwrite``,
+        ``compat``, ``vehicle``, ``calibration``, ``speed`` [m/s], ``speeds`` [m/s], ``headings``, ``model``, ``crs``,
+        ``force_crs``, ``z_unit``, ``local``, ``trust_points``, ``skip_bad``, ``max_unknown``, ``overwrite``,
         ``threads``, ``memory``, ``scratch``, ``scheduler``; ``features`` and ``csf`` are dicts, the tables
         of a settings file.
 

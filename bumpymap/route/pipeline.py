@@ -113,6 +113,7 @@ class RouteSettings(ReachSettings, total=False):
     """Settings of `find_routes`."""
 
     alternatives: int
+    calibration: PathLike | None
     through_obstacles: bool
     visit: bool
     round_trip: bool
@@ -143,7 +144,7 @@ def find_routes(
     **settings
         Those of ``bumpymap route``, with underscores: ``alternatives``, ``risk`` [m], ``robust``, ``direction``,
         ``unknown`` [cost per metre], ``snap`` [m], ``visit``, ``round_trip``, ``avoid``, ``only``, ``allow_outside``,
-        ``through_obstacles``, ``memory``, ``overwrite``.
+        ``calibration``, ``through_obstacles``, ``memory``, ``overwrite``.
 
     Returns
     -------

@@ -165,7 +165,7 @@ _LEAST_THINGS = 2
 
 
 class SquareCells(NamedTuple):
-    """What a scan says of the square cells around its sensor; filled in place.
+    """The square cells around a sensor, as a scan shows them; filled in place.
 
     Cells are numbered from the lowest y upwards, and in each row from the lowest x. Unknown heights are NaN.
     """

@@ -42,6 +42,7 @@ class EachSettings(TypedDict, total=False):
     calibration: PathLike | None
     speed: float | None
     speeds: Sequence[float] | None
+    headings: bool
     model: PathLike | None
     crs: str | int | None
     force_crs: str | int | None
