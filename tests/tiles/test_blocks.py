@@ -10,7 +10,6 @@ from bumpytiles import (
     Bounds,
     Grid,
     MemoryLimits,
-    Pack,
     ScaledPoints,
     Scaling,
     TileBuckets,
@@ -170,47 +169,6 @@ def test_spilled_or_not_the_same_points_come_out(tmp_path_factory, seed, size, p
     assert flat(buckets.blocks()) == in_memory(columns)
     if points < 2000 - size:
         assert list(scratch.iterdir())
-
-
-@pytest.mark.parametrize("together", [True, False])
-def test_points_on_grids_of_files_can_be_spilled(tmp_path, together):
-    """As integers, but in metres if those of several files must stay together."""
-    buckets, plain = TileBuckets(GRID, MemoryLimits(14 * 500, 10_000, tmp_path)), TileBuckets(GRID)
-    for number, offset in enumerate((0.0, 7.5)):
-        points = scaled_survey(number, 1000, Scaling((0.01,) * 3, (offset,) * 3, (1.0,) * 3))
-        buckets.add_chunk(group_scaled_points(GRID, points), 0 if together else number)
-        plain.add(*points.coordinates(), points.flag)
-    while not buckets.is_empty:
-        buckets.spill()
-    buckets.wait()
-    assert len(buckets.packs) == (1 if together else 2)
-    assert {column.dtype for pack in buckets.packs for column in pack.columns[:3]} == {"<f8" if together else "<i4"}
-    again = TileBuckets(GRID, packs=[Pack(pack.path) for pack in buckets.packs])
-    assert flat(again.blocks()) == flat(plain.blocks())
-
-
-def test_complete_blocks_are_finished_instead_of_spilled(tmp_path):
-    west, east = survey(4, 400, 40.0, (0, 0)), survey(5, 800, 40.0, (480, 0))
-    buckets = TileBuckets(GRID, MemoryLimits(26 * 500, 10_000, tmp_path))
-    finished = []
-    for number, chunk in enumerate([*chunks(west, 100), *chunks(east, 100)]):
-        buckets.add_chunk(group_points(GRID, *chunk), number)
-        if buckets.is_full:
-            for key in [key for key in buckets.keys_in_memory() if key[1] < 5]:  # the west is read
-                finished.extend(flat(buckets.block(key)))
-                buckets.finish(key)
-            buckets.compact()
-            if buckets.must_spill:
-                buckets.spill()
-    assert sorted(finished) == in_memory(west)
-    buckets.wait()  # packs are written in the background
-    assert list(tmp_path.iterdir())  # of the east, some must wait
-    for key in list(buckets.keys()):
-        finished.extend(flat(buckets.block(key)))
-        buckets.finish(key)
-    assert sorted(finished) == sorted(in_memory(west) + in_memory(east))
-    assert buckets.is_empty
-    assert buckets.keys() == []
 
 
 def test_one_tile_too_large_for_memory_says_so(tmp_path):
