@@ -171,6 +171,30 @@ def test_spilled_or_not_the_same_points_come_out(tmp_path_factory, seed, size, p
         assert list(scratch.iterdir())
 
 
+def test_complete_blocks_are_finished_instead_of_spilled(tmp_path):
+    west, east = survey(4, 400, 40.0, (0, 0)), survey(5, 800, 40.0, (480, 0))
+    buckets = TileBuckets(GRID, MemoryLimits(26 * 500, 10_000, tmp_path))
+    finished = []
+    for number, chunk in enumerate([*chunks(west, 100), *chunks(east, 100)]):
+        buckets.add_chunk(group_points(GRID, *chunk), number)
+        if buckets.is_full:
+            for key in [key for key in buckets.keys_in_memory() if key[1] < 5]:  # the west is read
+                finished.extend(flat(buckets.block(key)))
+                buckets.finish(key)
+            buckets.compact()
+            if buckets.must_spill:
+                buckets.spill()
+    assert sorted(finished) == in_memory(west)
+    buckets.wait()  # packs are written in the background
+    assert list(tmp_path.iterdir())  # of the east, some must wait
+    for key in list(buckets.keys()):
+        finished.extend(flat(buckets.block(key)))
+        buckets.finish(key)
+    assert sorted(finished) == sorted(in_memory(west) + in_memory(east))
+    assert buckets.is_empty
+    assert buckets.keys() == []
+
+
 def test_one_tile_too_large_for_memory_says_so(tmp_path):
     buckets = TileBuckets(GRID, MemoryLimits(26 * 100, 400, tmp_path))
     buckets.add(np.linspace(0, 2.9, 500), *np.zeros((2, 500)), np.zeros(500, bool))
