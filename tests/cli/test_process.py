@@ -118,10 +118,7 @@ def given(tmp_path_factory):
         *(f"{command} --out out --calibration p.json" for command in ("map survey.las", "scan frame.bin")),
         *("batch p.csv --out out", "batch p.txt --out out", "batch . --out out --config p.toml"),
         *(f"scan frame.bin --out out {option}" for option in ("--set model=p.onnx", "--poses p.txt")),
-        *(
-            "scan p.mcap --out out",
-            "scan p.db3 --out out",
-        ),
+        *("scan p.mcap --out out", "scan p.db3 --out out"),
         *(f"route layers --points p{suffix}" for suffix in (".csv", ".gpx", ".geojson")),
         *(f"route layers --from 1,1 --to 2,2 --avoid p{suffix}" for suffix in (".geojson", ".gpkg", ".shp")),
         *(f"check --drive p{suffix}" for suffix in (".csv", ".ulg", ".bag", ".mcap")),

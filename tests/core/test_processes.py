@@ -28,11 +28,6 @@ def said_by(code, **options):
     return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, **options)
 
 
-def test_a_child_is_a_process_of_its_own_that_answers(child):
-    assert child.call("getpid") == child.process.pid != os.getpid()
-    assert child.call("getppid") == os.getpid()
-
-
 def test_what_a_function_raises_is_told_and_the_child_goes_on(child):
     with pytest.raises(ChildError, match="No such file"):
         child.call("listdir", "/none")

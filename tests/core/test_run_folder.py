@@ -185,21 +185,6 @@ def test_in_any_order_with_gaps_and_overlaps(seed, monkeypatch):
     assert rest.read >= np.count_nonzero(~seen)
 
 
-def test_two_readers_share_a_file():
-    data = content(SIZES[-1])
-    one, two, both = (FileHash(len(data)) for _ in range(3))
-    middle = 2 * PIECE + 500_000
-    one.add(0, data[0:middle])
-    two.add(middle, data[middle : len(data)])
-    for made in (one, two):
-        both.put(made.take())
-        assert made.take() == ()
-    assert both.take() == (), "what was put is not new"
-    rest = Rest(data)
-    assert both.finish(rest) == expected(data)
-    assert rest.read == PIECE
-
-
 def test_a_file_that_ends_early():
     data = content(2 * PIECE)
     with pytest.raises(BadInputError, match="ends before byte 2,100,000"):

@@ -12,13 +12,7 @@ import pytest
 from hypothesis import assume, given, strategies as st
 
 from bumpymap.core.errors import UsageError
-from bumpymap.core.settings import (
-    Setting,
-    check_settings,
-    read_settings_file,
-    read_toml,
-    settings_of_call,
-)
+from bumpymap.core.settings import Setting, check_settings, read_settings_file, read_toml, settings_of_call
 
 Colour = Literal["red", "blue"]
 

@@ -27,19 +27,8 @@ from bumpytiles import BLOCK_TILES, Grid, TileWindow
 
 PROPERTIES = {
     *("name", "vehicle", "length_m", "straight_m", "detour", "cost_m", "c_r_mean", "c_r_mean_low", "c_r_mean_high"),
-    *(
-        "c_r_max",
-        "c_r_max_low",
-        "c_r_max_high",
-        "c_r_line",
-        "c_r_line_low",
-        "c_r_line_high",
-        "p_arrives",
-        "p_arrives_note",
-        "p_fail_max",
-        "unknown_m",
-        "why",
-    ),
+    *("c_r_max", "c_r_max_low", "c_r_max_high", "c_r_line", "c_r_line_low", "c_r_line_high"),
+    *("p_arrives", "p_arrives_note", "p_fail_max", "unknown_m", "why"),
     *("obstacle_m", "tight_turns_deg", "climb_m", "descent_m", "seconds", "risk_m"),
 }
 

@@ -116,10 +116,7 @@ def test_the_polygons_say_what_is_known_of_their_sectors(scan, classed, tmp_path
 
 def test_a_scan_without_points_has_empty_files(nothing, tmp_path):
     write_frame("nothing", *nothing, tmp_path, ("polygons", "cloud", "table"))
-    assert sorted(path.name for path in (tmp_path / "frames").iterdir()) == [
-        "nothing.json",
-        "nothing.ply",
-    ]
+    assert sorted(path.name for path in (tmp_path / "frames").iterdir()) == ["nothing.json", "nothing.ply"]
     assert json.loads((tmp_path / "frames" / "nothing.json").read_text(encoding="utf-8"))["features"] == []
     assert len(read_vertices(tmp_path / "frames" / "nothing.ply")) == 0
 

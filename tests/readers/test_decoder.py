@@ -151,20 +151,6 @@ def test_a_fork_has_a_child_of_its_own(survey, child):
     assert pid_of(child) == mine
 
 
-def test_closing_gives_everything_back_and_costs_nothing_but_time(survey, child):
-    reader = open_survey(survey())
-    held = reader.fetch(reader.chunks(700)[0])
-    expected, process = held.copy(), child.guards[-1].child.process
-    decoder.close_decoder()
-    assert process.poll() is not None
-    assert processes.MEMORY.size > 0, "an array is still in use"
-    assert np.array_equal(held, expected)
-    del held
-    decoder.close_decoder()
-    assert processes.MEMORY.size == 0
-    assert np.array_equal(reader.fetch(reader.chunks(700)[0]), expected)
-
-
 def ended(pid):
     try:
         os.kill(pid, 0)

@@ -64,18 +64,6 @@ def test_chunks_hold_all_points_each_inside_its_box(tree, batches, table, size, 
     assert np.array_equal(in_order(table(found)[:, :3]), in_order(points() * US_FOOT))
 
 
-def test_ground_is_complete_long_before_the_end(tree):
-    """What no later chunk can reach is complete; the root alone reaches everywhere, and comes first."""
-    boxes = [chunk.bounds for chunk in open_survey(tree()).chunks(100)]
-    x, y = np.meshgrid(np.arange(8) * 50 + 25 + 5e5, np.arange(8) * 50 + 25 + 4e6)
-    reached = np.array([(box.west <= x) & (x <= box.east) & (box.south <= y) & (y <= box.north) for box in boxes])
-    complete = np.array([1 - reached[k + 1 :].any(axis=0).mean() for k in range(len(boxes))])
-    done = np.arange(1, len(boxes) + 1) / len(boxes)
-    # A quarter of the ground behind, on average, where a file in random order would have none of it.
-    assert np.all(complete >= done - 0.35)
-    assert np.interp(0.5, done, complete) > 0.25
-
-
 def test_an_octree_built_around_another_place(las, tree, read):
     """Regions would be taken for complete while their points are still to come."""
     path = las.patch(tree(), INFO, "<d", 500_300.0)

@@ -11,13 +11,7 @@ from survey_kinds import KINDS, write_kind
 
 import bumpymap.readers.las as las_module
 from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.readers import (
-    find_surveys,
-    identity,
-    is_url,
-    open_survey,
-    source,
-)
+from bumpymap.readers import find_surveys, identity, is_url, open_survey, source
 from bumpymap.readers.source import read_range
 
 PLACE = np.array([500_000, 4_000_000, 0])

@@ -10,7 +10,6 @@ from bumpytiles import (
     Bounds,
     Grid,
     MemoryLimits,
-    Pack,
     ScaledPoints,
     Scaling,
     TileBuckets,
@@ -170,23 +169,6 @@ def test_spilled_or_not_the_same_points_come_out(tmp_path_factory, seed, size, p
     assert flat(buckets.blocks()) == in_memory(columns)
     if points < 2000 - size:
         assert list(scratch.iterdir())
-
-
-@pytest.mark.parametrize("together", [True, False])
-def test_points_on_grids_of_files_can_be_spilled(tmp_path, together):
-    """As integers, but in metres if those of several files must stay together."""
-    buckets, plain = TileBuckets(GRID, MemoryLimits(14 * 500, 10_000, tmp_path)), TileBuckets(GRID)
-    for number, offset in enumerate((0.0, 7.5)):
-        points = scaled_survey(number, 1000, Scaling((0.01,) * 3, (offset,) * 3, (1.0,) * 3))
-        buckets.add_chunk(group_scaled_points(GRID, points), 0 if together else number)
-        plain.add(*points.coordinates(), points.flag)
-    while not buckets.is_empty:
-        buckets.spill()
-    buckets.wait()
-    assert len(buckets.packs) == (1 if together else 2)
-    assert {column.dtype for pack in buckets.packs for column in pack.columns[:3]} == {"<f8" if together else "<i4"}
-    again = TileBuckets(GRID, packs=[Pack(pack.path) for pack in buckets.packs])
-    assert flat(again.blocks()) == flat(plain.blocks())
 
 
 def test_complete_blocks_are_finished_instead_of_spilled(tmp_path):

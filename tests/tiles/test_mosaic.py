@@ -23,17 +23,6 @@ def pack(tmp_path):
     return write(tmp_path / "a.pack", {(0, 0): columns_of([(1, 2), (3, 4)]), (-1, 2): columns_of([(33, -5)])}, {"n": 3})
 
 
-def test_a_pack_gives_back_what_was_written(pack):
-    assert pack.keys == [(-1, 2), (0, 0)]
-    assert pack.meta == {"n": 3}
-    assert pack.rows((0, 0)) == 2
-    assert pack.rows((5, 5)) == 0
-    found = pack.read((0, 0), ["value", "col"])
-    assert found["col"].tolist() == [1, 3]
-    assert found["value"].tolist() == [[1, 2], [3, 4]]
-    assert pack.read((0, 0), ["row"], 1, 2)["row"].tolist() == [4]
-
-
 def test_blocks_are_read_together_in_any_order_from_any_packs(tmp_path):
     rng = np.random.default_rng(1)
     sizes = [1, 2, 300, 1, 1, 0, 3, 40, 1, 2, 5, 1]

@@ -45,10 +45,7 @@ def test_tables_equal_the_counts_of_the_record(comparison, read_page):
     for name, row in zip(CHANGE_KINDS, kinds, strict=False):
         assert row[0].startswith(name)
         assert row[2:] == [area(9 * counts["by_change"][name]), f"{counts['by_change'][name]:,}"]
-    assert [row[3] for row in kinds[5:]] == [
-        f"{counts['compared']:,}",
-        f"{counts['in_both'] - counts['compared']:,}",
-    ]
+    assert [row[3] for row in kinds[5:]] == [f"{counts['compared']:,}", f"{counts['in_both'] - counts['compared']:,}"]
     classes = [[int(cell.replace(",", "")) for cell in row[1:]] for row in tables["Tiles by class"][1:]]
     assert classes == record["classes"]["tiles_before_after"]
     surveys = {row[0]: row[1:] for row in tables["Before and after"][1:]}

@@ -13,8 +13,6 @@ _END_M = 85.0
 """Things stand along the road up to this distance."""
 _NEAREST_M = 2.5
 """Nothing but a crown is nearer to the robot."""
-_BESIDE_M = 0.4
-"""In a lane, nothing is nearer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,32 +263,6 @@ def make_scene(seed: int, index: int, theme: str | None = None) -> Scene:
     wet = float(rng.uniform(0.1, 0.8)) if rng.uniform() < _WET else 0.0
     mirror = log_uniform(rng, 0.01, 0.5) if rng.uniform() < _MIRRORS else 0.0
     return Scene(name, ground, things, (seed, index), wet, mirror)
-
-
-def make_lane(seed: int, index: int) -> Scene:
-    """Draw a street in which the robot passes 0.5 to 6 m from what stands on both sides of it.
-
-    ``seed``, ``index``: as of `make_scene`.
-    """
-    rng = np.random.default_rng([seed, index, 6])
-    ground = _draw_ground(rng, THEMES["street"], "street")
-    road = next(region for region in ground.regions if isinstance(region, Road))
-    things = roadside_things(rng, ROADSIDES["street"], road, ground.height)
-    here = float(road.across(np.zeros(1), np.zeros(1))[0])
-    for way in (-1.0, 1.0):
-        gap, kind, start = log_uniform(rng, 0.5, 6.0), rng.uniform(), rng.uniform(0.0, 6.0)
-        along = np.arange(start - 24.0, 24.0, 6.2 if kind < 0.6 else 1.0 if kind < 0.75 else 3.0)
-        feet = _feet(road, along, here + way * (gap + (1.0 if kind < 0.6 else 0.0)), ground.height)
-        if kind < 0.6:
-            own = [(Label.VEHICLE, make.vehicle(rng, foot[:3], float(foot[3]))) for foot in feet]
-        elif kind < 0.75:
-            own = [(Label.BUSH, make.hedge(rng, feet[:, :3]))]
-        elif kind < 0.9:
-            own = [(Label.BARRIER, make.wall(rng, feet[:, :3]))]
-        else:
-            own = [(Label.BARRIER, make.pole(rng, foot[:3], float(foot[3]))) for foot in feet]
-        things += [thing for thing in own if np.hypot(thing[1][..., 0], thing[1][..., 1]).min() > _BESIDE_M]
-    return Scene("lane", ground, tuple(things), (seed, index))
 
 
 _WET = 0.15
