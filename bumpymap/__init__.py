@@ -3,7 +3,7 @@
 ``map_survey`` maps a survey, ``map_batch`` many, ``open`` opens the layers of a run, ``find_routes`` and ``map_reach``
 plan ways over them, ``ride_along`` tells the ride of a line, ``check_drives`` compares them with real drives,
 ``diff_surveys`` finds what has changed between two surveys, ``classify_scan`` and ``ScanClassifier`` classify the
-ground in the scans of a robot; ``points_of`` and ``GroundGrid`` read and fill the messages of ROS 2. Names are imported
+ground in the scans of a robot; ``points_of`` reads and ``GroundGrid`` fills messages of ROS 2. Names are imported
 on first use.
 """
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from bumpymap.api import Layers, map_survey, open_layers as open  # noqa: A004 (as bumpymap.open)
     from bumpymap.change import diff_surveys
     from bumpymap.check import check_drives
-    from bumpymap.core import BadInputError, BumpymapError, OutputError, UsageError
+    from bumpymap.core import BadInputError, BumpymapError, GroundGrid, OutputError, UsageError
     from bumpymap.layers import PlannedRoute
     from bumpymap.rating import Calibration, Vehicle
     from bumpymap.readers import points_of
