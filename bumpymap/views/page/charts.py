@@ -200,7 +200,7 @@ def drive_chart(result: CheckResult) -> Chart | None:
     def part(values: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.asarray(np.log(np.clip(values, low, high) / low) / np.log(high / low), dtype=np.float64)
 
-    caption = "Ride cost of the map and as the drives measured it"
+    caption = "Ride cost of the tiles and as the drives measured it"
     title = f"{caption}: a mark for each of {count_text(len(shown), 'stretch', 'stretches')}"
     note = (
         "One mark a stretch, both axes logarithmic. Grey bars: the map's 80 % interval, and the 80 % error of the "
@@ -221,7 +221,7 @@ def drive_chart(result: CheckResult) -> Chart | None:
         ends = np.array([max(low, low / factor), min(high, high / factor)])
         (west, east), (foot_y, top_y) = chart.x(ends), chart.y(ends * factor)
         chart.path(f"M{west:.1f} {foot_y:.1f}L{east:.1f} {top_y:.1f}", colour, f' stroke-width="{width}"')
-    chart.names("C_r of the map, rad/m", "C_r measured by the drive, rad/m")
+    chart.names("C_r of the tiles, rad/m", "C_r measured by the drive, rad/m")
     c_r, measured = stretches.c_r[shown], stretches.measured[shown]
     half = NORMAL_80 * np.nan_to_num(stretches.measured_sd[shown])
     sides = [np.where(np.isfinite(end), end, c_r) for end in (stretches.c_r_low[shown], stretches.c_r_high[shown])]
