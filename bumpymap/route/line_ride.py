@@ -45,7 +45,7 @@ from bumpymap.rating import (
 from bumpymap.route.ground import CostGround, points_along, window_around
 from bumpymap.route.measure import MeasuredWay
 from bumpymap.route.places import in_window
-from bumpymap.route.road_profile import RoadFigures, road_figures
+from bumpymap.route.road_profile import RoadFigures, bridged, road_figures
 
 __all__ = ["LineRide", "LineVehicle", "ride_along", "ride_line", "with_line_rides"]
 
@@ -526,11 +526,11 @@ def _felt(rolled: _Rolled, vehicle: LineVehicle, weights: Floats) -> Floats:
     pitches = (front_left + front_right - rear_left - rear_right) / (2 * vehicle.operator.wheelbase)
     told = np.isfinite(pitches) & np.isfinite(tile.c_r) & np.isfinite(tile.reach)
     reach, slope, stretch = np.nan_to_num(tile.reach), np.nan_to_num(tile.slope), calibration.tile_size
-    felt = felt_along(_bridged(pitches), vehicle.taps, vehicle.way, stretch, reach, slope, vehicle.correction)
+    felt = felt_along(bridged(pitches), vehicle.taps, vehicle.way, stretch, reach, slope, vehicle.correction)
     shaken = np.full_like(tile.c_r, np.nan)
     if vehicle.rating is not None:
         taps, _ = heave_filter(vehicle.speed, vehicle.way)
-        lifts = np.pad(_bridged(rolled.heights.mean(axis=1)), ((0, 0), (len(taps) // 2,) * 2), mode="edge")
+        lifts = np.pad(bridged(rolled.heights.mean(axis=1)), ((0, 0), (len(taps) // 2,) * 2), mode="edge")
         known = told & (tile.heave > 0)
         heaves = np.abs([np.convolve(lift, taps, "valid") for lift in lifts])
         share = np.where(known, heaves / np.where(known, tile.heave, 1.0), 1.0)
@@ -539,13 +539,3 @@ def _felt(rolled: _Rolled, vehicle: LineVehicle, weights: Floats) -> Floats:
     rated = np.isfinite(tile.log_sd)
     log_sd = np.where(rated, tile.log_sd, 0.0)
     return np.vstack([c_r, told, tile.speed * tile.c_r, rated, log_sd, rolled.seen, shaken])
-
-
-def _bridged(lines: Floats) -> Floats:
-    """Interpolate over the unknown samples of each line; 0 if none is known."""
-    at, found = np.arange(lines.shape[1]), np.zeros_like(lines)
-    for line, values in zip(found, lines, strict=True):
-        known = np.isfinite(values)
-        if known.any():
-            line[:] = np.interp(at, at[known], values[known])
-    return found

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import UsageError
 
-__all__ = ["Resolution", "RoadFigures", "iso_8608", "quarter_car", "road_figures"]
+__all__ = ["Resolution", "RoadFigures", "bridged", "iso_8608", "quarter_car", "road_figures"]
 
 Floats = NDArray[np.float64]
 Resolution = Literal["resolved", "limited by noise", "not resolvable", "unknown"]
@@ -166,7 +166,7 @@ def road_figures(heights: Floats, spacing: float, track: float, length: float) -
     ends = np.arange(max(round(total / length), 1) + 1) * length
     ends[-1] = total
     known = np.isfinite(heights)
-    filled = np.stack([_bridged(path, has) for path, has in zip(heights, known, strict=True)])
+    filled = bridged(heights)
     motion = np.stack([quarter_car(path, spacing) for path in filled])
     parts = [slice(round(first / spacing), round(last / spacing)) for first, last in pairwise(ends.tolist())]
     return tuple(_of_stretch(part, filled, motion, known, spacing, track) for part in parts)
@@ -196,6 +196,11 @@ def _of_stretch(
     )
 
 
-def _bridged(values: Floats, known: NDArray[np.bool_]) -> Floats:
-    at = np.arange(len(values))
-    return np.interp(at, at[known], values[known]) if known.any() else np.zeros(len(values))
+def bridged(lines: Floats) -> Floats:
+    """Interpolate over the unknown samples of each line, (k, n); 0 if none is known."""
+    at, found = np.arange(lines.shape[1]), np.zeros_like(lines)
+    for line, values in zip(found, lines, strict=True):
+        known = np.isfinite(values)
+        if known.any():
+            line[:] = np.interp(at, at[known], values[known])
+    return found

@@ -190,12 +190,13 @@ def refit(calibration: Calibration) -> Calibration:
     ride = fit_ride(profile, terrains, driven)
     thin = fit_thin_surveys(profile, terrains, ride, calibration.class_limits[0])
     made = replace(calibration, ride=ride, thin=thin)
+    settings = calibrated_settings(made)
     if made.steps is not None:  # its crossings stay
-        made = replace(made, steps=made.steps | {"tile": _rated_tiles(made, calibrated_settings(made))})
+        made = replace(made, steps=made.steps | {"tile": _rated_tiles(made, settings)})
     if made.motion is not None:
         origin = made.motion["origin"]
         means = np.array(origin["driven"], np.float64)
-        made = replace(made, motion=fit_means(calibrated_settings(made), means, origin["starts"]).to_record())
+        made = replace(made, motion=fit_means(settings, means, origin["starts"]).to_record())
     return made
 
 
