@@ -287,8 +287,6 @@ class PolarSettings:
     """Height above the ground from which a point is an obstacle: the clearance of the vehicle's belly."""
     height_m: Annotated[float, Setting(low=0.0, unit="m", exclusive=True)] = 1.38
     """Height of the vehicle: what is higher above the ground is overhead."""
-    anchored: bool = True
-    """True: the azimuth of sector 0 follows from the points, so that the grid turns with the scene; False: x axis."""
 
     def __post_init__(self) -> None:
         check_settings(self)

@@ -217,6 +217,8 @@ class Scan:
     time: NDArray[np.float32] | None = None
     """(n,) s after the time of the frame: as in the file, or after its first return if the file has times of day; None
     if the file has none."""
+    heading_rad: float = 0.0
+    """Of the x axis, counter-clockwise, in a frame that does not turn with the robot: sectors keep their directions."""
 
     def __post_init__(self) -> None:
         count = len(self.points)

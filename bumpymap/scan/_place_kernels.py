@@ -23,7 +23,6 @@ __all__ = [
     "ZoneGrid",
     "lay_cells",
     "place_points",
-    "point_directions",
     "sort_points",
     "turn_of",
 ]
@@ -85,22 +84,6 @@ def turn_of(x: float, y: float) -> float:
     angle = 0.25 - angle if ay > ax else angle
     angle = 0.5 - angle if x < 0.0 else angle
     return -angle if y < 0.0 else angle
-
-
-@kernel
-def point_directions(points: ScanPoints, reach: Floats, total: Floats) -> None:
-    """Sum the horizontal unit vectors of the points whose distance is in ``reach`` (from, below), m.
-
-    ``points`` (points, 3): m; ``reach`` (2,): m; ``total`` (2,): filled: sums of x and of y.
-    """
-    sx = sy = 0.0
-    for i in range(len(points)):
-        x, y = np.float64(points[i, 0]), np.float64(points[i, 1])
-        r = math.sqrt(x * x + y * y)
-        if reach[0] <= r < reach[1] and r > 0.0:  # straight above or below has no direction
-            sx += x / r
-            sy += y / r
-    total[0], total[1] = sx, sy
 
 
 @kernel

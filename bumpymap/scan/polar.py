@@ -1,8 +1,8 @@
 """From a scan to measured sectors of the concentric-zone polar grid.
 
-Sectors are fixed fractions of a turn, so if the robot turned by part of a sector, the ground would be divided
-differently. The grid is therefore anchored to the scan: sector 0 starts in the mean direction of the points, and turns
-with them. When a robot turns on the spot, the sectors of the ground around it stay the same.
+Sectors are fixed fractions of a turn, so the ground is divided differently when the robot turns by part of a sector.
+Where its heading is known, the grid keeps its directions: sector 0 starts at heading 0. A direction that is found from
+the points themselves is no substitute: in a straight street their mean wanders by 20 degrees from frame to frame.
 """
 
 import math
@@ -19,13 +19,12 @@ from bumpymap.scan._place_kernels import (
     CellOrder,
     ZoneGrid,
     place_points,
-    point_directions,
     sort_points,
 )
 from bumpymap.scan._sector_kernels import SectorInputs, SectorMeasures, measure_sectors, sector_scratch
 from bumpymap.scan.ground import SectorBuffers, cell_layout, find_ground, ground_drops
 
-__all__ = ["RANSAC_THRESHOLD_M", "anchor_of", "polar_sectors"]
+__all__ = ["RANSAC_THRESHOLD_M", "polar_sectors"]
 
 RANSAC_THRESHOLD_M = 0.1
 """Points nearer to a plane than this are its inliers; as for the patches of a survey."""
@@ -50,7 +49,7 @@ def polar_sectors(
     """
     settings = settings or PolarSettings()
     points = np.ascontiguousarray(scan.points, np.float32)
-    start = anchor_of(points, settings) if settings.anchored else 0.0
+    start = -scan.heading_rad % (2.0 * math.pi)
     sectors, rings = np.array(settings.sectors, np.int64), np.array(settings.rings, np.int64)
     edges = np.array([*settings.zone_starts_m, settings.end_m])
     grid = ZoneGrid(edges, sectors, rings, start / (2.0 * math.pi), settings.pixels)
@@ -122,13 +121,6 @@ def _spread(values: NDArray[Any], rows: NDArray[np.bool_], gap: float) -> NDArra
     full = np.full((len(rows), *values.shape[1:]), gap, values.dtype)
     full[rows] = values
     return full
-
-
-def anchor_of(points: NDArray[np.float32], settings: PolarSettings) -> float:
-    """Return the mean direction of the points inside the grid, rad from 0 to 2 pi; 0 if it is undefined."""
-    total = np.zeros(2)
-    point_directions(points, np.array([settings.zone_starts_m[0], settings.end_m]), total)
-    return math.atan2(total[1], total[0]) % (2.0 * math.pi)
 
 
 def _measure(

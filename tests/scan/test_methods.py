@@ -140,7 +140,7 @@ def test_walls_do_not_make_the_ground_beside_them_look_wet(stack):
 
 
 def test_any_grid_is_classified(model):
-    grid = PolarSettings(zone_starts_m=(2.0, 10.0), end_m=26.0, sectors=(18, 36), rings=(3, 5), anchored=False)
+    grid = PolarSettings(zone_starts_m=(2.0, 10.0), end_m=26.0, sectors=(18, 36), rings=(3, 5))
     classed = classify_learned(polar_sectors(Scan(_world()), grid), model)
     assert set(classed.class_id.tolist()) >= {0, 2}
 

@@ -14,10 +14,6 @@ from bumpymap.lab.label_sets import LABEL_SETS
 from bumpymap.readers import read_scan
 from bumpymap.scan import ScanConfig, classify_filter, polar_sectors, scan_frames
 from bumpymap.scan.classifier import lay_grid
-from bumpymap.scan.polar import anchor_of
-
-FIXED = PolarSettings(anchored=False)
-
 
 def made_scan(seed, count=40_000, labels=False):
     """Bumpy ground on a slope, denser near the sensor, with a few posts and points outside the grid."""
@@ -46,7 +42,7 @@ def cells_by_hand(points, settings, start):
     return out
 
 
-@pytest.mark.parametrize("settings", [FIXED, replace(FIXED, pixels=9, least_points=50, anchored=True)])
+@pytest.mark.parametrize("settings", [PolarSettings(), PolarSettings(pixels=9, least_points=50)])
 def test_every_sector_is_that_of_a_loop_by_hand(settings):
     scan = made_scan(3, 25_000)
     stack = polar_sectors(scan, settings)
@@ -81,7 +77,7 @@ def test_every_sector_is_that_of_a_loop_by_hand(settings):
 
 
 def test_heights_stand_over_the_plane_and_holes_take_their_neighbours_mean():
-    settings = replace(FIXED, zone_starts_m=(10.0,), end_m=20.0, sectors=(8,), rings=(1,))
+    settings = PolarSettings(zone_starts_m=(10.0,), end_m=20.0, sectors=(8,), rings=(1,))
     rows, columns = np.indices((15, 15))
     r = 10.0 + 10.0 * (rows + 0.5) / 15
     turn = (columns + 0.5) / 15 * 2 * np.pi / 8
@@ -105,21 +101,20 @@ def test_ground_is_as_steep_as_its_points_and_not_steeper_than_38_degrees(tilt):
     slope = math.radians(tilt)
     points = np.column_stack([15.0 + across * math.cos(slope), 2.0 + along, across * math.sin(slope) - 1.0])
     stack = polar_sectors(
-        Scan(points.astype(np.float32)), replace(FIXED, zone_starts_m=(13.0,), end_m=18.0, sectors=(24,), rings=(1,))
+        Scan(points.astype(np.float32)), PolarSettings(zone_starts_m=(13.0,), end_m=18.0, sectors=(24,), rings=(1,))
     )
     assert stack.traversable.tolist() == [tilt < 38]
     assert float(stack.normal[0, 2]) == pytest.approx(math.cos(slope) if tilt < 38 else 0.0, abs=1e-5)
 
 
-def test_the_anchor_turns_with_the_scan_and_sectors_keep_their_points():
+def test_sectors_keep_their_points_when_the_robot_turns_and_its_heading_is_known():
     scan = made_scan(5)
     stack = polar_sectors(scan)
+    assert stack.azimuth_start_rad == 0.0
     for angle in (0.03, 2.5):
         c, s = math.cos(angle), math.sin(angle)
         turned = (scan.points.astype(float) @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])).astype(np.float32)
-        start = anchor_of(turned, PolarSettings())
-        assert (start - stack.azimuth_start_rad - angle + np.pi) % (2 * np.pi) - np.pi == pytest.approx(0, abs=1e-6)
-        other = polar_sectors(Scan(turned))
+        other = polar_sectors(Scan(turned, heading_rad=-angle))
         assert (other.point_sector == stack.point_sector).mean() > 0.995
         assert (other.point_ground == stack.point_ground).mean() > 0.995
         before, after = (point_classes(Scan(p), classify_filter(t)) for p, t in ((scan.points, stack), (turned, other)))
@@ -290,10 +285,10 @@ def test_cars_beside_the_robot_are_no_ground_and_the_street_is(side):
 
 def test_rain_is_airborne_and_a_post_in_it_stands():
     rng, points = np.random.default_rng(5), seen(lambda x, y: np.where(np.hypot(x - 6.0, y - 1.0) < 0.3, 1.2, 0.0))
-    clear = polar_sectors(Scan(points), FIXED)
+    clear = polar_sectors(Scan(points))
     wet, drops = points.copy(), rng.uniform(size=len(points)) < 0.01
     wet[drops] *= rng.uniform(0.2, 0.95, (drops.sum(), 1)).astype(np.float32)
-    rainy = polar_sectors(Scan(wet), FIXED)
+    rainy = polar_sectors(Scan(wet))
     free = clear.traversable & ~clear.obstacle
     assert rainy.airborne_count.sum() > 0.3 * drops.sum()
     assert rainy.obstacle.sum() - clear.obstacle.sum() < 0.04 * free.sum()

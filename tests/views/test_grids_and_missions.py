@@ -237,20 +237,19 @@ def test_without_rosbags_the_message_says_what_to_install(route_map, tmp_path, m
 
 GRIDS = [
     PolarSettings(),
-    PolarSettings(anchored=False),
     PolarSettings((1.0, 4.0, 12.0), 28.0, (16, 24, 40), (2, 4, 4)),
     PolarSettings((0.0,), 25.0, (7,), (3,)),
 ]
 
 
 @settings(max_examples=25)
-@given(st.integers(0, 2**31), st.sampled_from(GRIDS), st.floats(0.2, 1.0), st.floats(1.0, 40.0))
-def test_points_and_places_agree(seed, polar, resolution, reach):
+@given(st.integers(0, 2**31), st.sampled_from(GRIDS), st.floats(0.2, 1.0), st.floats(1.0, 40.0), st.floats(-7.0, 7.0))
+def test_points_and_places_agree(seed, polar, resolution, reach, heading):
     """The kernels that sort points into sectors are the oracle: here the points are the places."""
     centre = np.arange(resolution / 2 - reach, reach, resolution)
     x, y = (values.ravel() for values in np.meshgrid(centre, centre))
     points = np.column_stack([x, y, np.random.default_rng(seed).normal(-1.0, 0.01, len(x))]).astype(np.float32)
-    stack = polar_sectors(Scan(points), replace(polar, least_points=3))
+    stack = polar_sectors(Scan(points, heading_rad=heading), replace(polar, least_points=3))
     table = np.full(int(np.dot(polar.sectors, polar.rings)) + 1, -1)
     table[cell_numbers(stack)] = np.arange(len(stack.zone))
     places = PolarCells.of(stack.settings, np.hypot(x, y), np.arctan2(y, x) / (2.0 * np.pi))

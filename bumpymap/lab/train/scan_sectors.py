@@ -76,7 +76,7 @@ def labelled_sectors(scan: Scan, cuts: Iterable[tuple[float, PolarSettings]] = (
     for turn, grid in cuts:
         cos, sin = np.cos(turn), np.sin(turn)
         about_z = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]], np.float32)
-        stacks.append(polar_sectors(Scan(scan.points @ about_z.T, None, scan.label), replace(grid, anchored=False)))
+        stacks.append(polar_sectors(Scan(scan.points @ about_z.T, None, scan.label), grid))
     parts = []
     for stack in stacks:
         class_id = LABEL_SETS["rellis"].classes_of(stack.label)
