@@ -76,7 +76,8 @@ def polar_sectors(
     is_level = (normal[:, 2] >= settings.least_normal_z) & (over <= settings.overhead_m)
     obstacles = ground.obstacles[cells]
     stands = there & (obstacles >= _LEAST_OBSTACLE_POINTS)
-    slope = np.zeros((len(counts), 2))
+    slope = planes.plane[:, :2].copy()  # passed on where a cell has too few points of its own
+    slope[cells[there]] = 0.0
     slope[cells[there][is_level]] = -normal[is_level, :2] / normal[is_level, 2:]
     height = -float(np.median(scalars[is_level, 3])) if is_level.any() else 0.0
     known = GroundPoints(points, pixel, ground.ground, slope)
