@@ -268,8 +268,6 @@ class SectorStack:
     """(n,) points between ``belly_m`` and ``height_m`` above the ground, without those that are airborne."""
     overhead_count: NDArray[np.int32]
     """(n,) points from ``height_m`` above the ground on."""
-    airborne_count: NDArray[np.int32]
-    """(n,) points up to twice ``height_m`` above the ground that lie alone: rain, dust, insects; no obstacle."""
     obstacle: NDArray[np.bool_]
     """(n,) whether something stands on the sector's ground between ``belly_m`` and ``height_m`` above it, or the ground
     drops by more than ``belly_m``: at a ditch, an edge, a step down."""
@@ -286,12 +284,14 @@ class SectorStack:
     """(m,) row of the sector that holds each point of the scan; -1 if none does."""
     point_ground: NDArray[np.bool_]
     """(m,) whether the point is ground."""
+    point_airborne: NDArray[np.bool_]
+    """(m,) whether it lies alone, up to twice ``height_m`` above the ground: rain, dust, insects; no obstacle."""
     point_height: NDArray[np.float32]
     """(m,) height above the ground of its sector, m; NaN where no ground is known."""
 
     def __post_init__(self) -> None:
         count = len(self.zone)
-        for field in fields(self)[2:-3]:
+        for field in fields(self)[2:-4]:
             if len(getattr(self, field.name)) != count:
                 raise ValueError(f"{field.name} has {len(getattr(self, field.name))} rows; the stack has {count}")
 
@@ -365,6 +365,9 @@ class GroundGrid:
     """Height above the ground of the lowest point in the cell that is higher than the vehicle, m."""
     c_r: NDArray[np.float32] | None = None
     """Ride of the vehicle on the cell's sector, rad/m; None without a vehicle."""
+    corner_m: tuple[float, float] | None = None
+    """x and y of the lowest corner, m, if the cells are those of a frame that does not move with the robot (``odom``):
+    its axes and heights count, and the sensor is within half a cell of the middle. None: of the sensor's frame."""
 
     @property
     def side(self) -> int:
@@ -385,14 +388,16 @@ class GroundGrid:
             Of any library with the same names of attributes. Its data become an ``array.array``, which rclpy takes
             without looking at every cell.
         header : std_msgs/Header
-            Of the point cloud: the grid lies in the sensor's frame at its time.
+            Of the point cloud: the grid lies in the sensor's frame at its time; or in that of the poses, which
+            ``frame_id`` then names.
         """
         grid: Any = message
         grid.header = header
         grid.info.map_load_time = header.stamp
         grid.info.resolution = self.resolution_m
         grid.info.width = grid.info.height = self.side
-        grid.info.origin.position.x = grid.info.origin.position.y = -self.reach_m
+        corner = self.corner_m or (-self.reach_m, -self.reach_m)
+        grid.info.origin.position.x, grid.info.origin.position.y = corner
         grid.info.origin.orientation.w = 1.0
         grid.data = array("b", self.occupancy.tobytes())
         return message

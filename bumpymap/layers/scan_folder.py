@@ -106,7 +106,7 @@ def point_styles(classed: ClassedSectors) -> NDArray[np.uint8]:
     stack, settings = classed.sectors, classed.sectors.settings
     with np.errstate(invalid="ignore"):
         stands = (stack.point_height >= settings.belly_m) & (stack.point_height <= settings.height_m)
-    style = np.where(stands & ~stack.point_ground, np.uint8(OBSTACLE_POINT), np.uint8(OTHER_POINT))
+    style = np.where(stands & ~stack.point_ground & ~stack.point_airborne, np.uint8(OBSTACLE_POINT), np.uint8(OTHER_POINT))
     own = np.append(classed.class_id, np.uint8(NOT_TRAVERSABLE))[stack.point_sector]
     return np.where(stack.point_ground & (own < CLASSES), own, style)
 
@@ -161,8 +161,8 @@ class FrameReport:
     """Points that were kept."""
     dropped: Dropped
     """Returns that were dropped, by reason."""
-    azimuth_start_rad: float
-    """Where sector 0 of every zone starts."""
+    airborne: int
+    """Points that lie alone above the ground: rain, dust, insects."""
     sectors: tuple[int, ...]
     """(4,) sectors of class 0 to 2, then not traversable."""
     states: tuple[int, ...]
@@ -183,7 +183,7 @@ class FrameReport:
             record["sha256"],
             record["points"],
             Dropped(**record["dropped"]),
-            record["azimuth_start_rad"],
+            record["airborne_count"],
             tuple(record["sectors"].values()),
             tuple(record["sector_states"].values()),
             tuple(record["points_by_class"].values()),
@@ -202,7 +202,7 @@ class FrameReport:
             "pose": self.frame.pose,
             "points": self.points,
             "dropped": asdict(self.dropped),
-            "azimuth_start_rad": self.azimuth_start_rad,
+            "airborne_count": self.airborne,
             "sectors": dict(zip(SCAN_CLASS_NAMES, self.sectors, strict=True)),
             "sector_states": dict(zip(SECTOR_STATES, self.states, strict=True)),
             "points_by_class": dict(zip([*SCAN_CLASS_NAMES[:CLASSES], "no class"], self.classed_points, strict=True)),
@@ -248,7 +248,7 @@ def report_frame(
         file["sha256"],
         len(scan.points),
         scan.dropped,
-        classed.sectors.azimuth_start_rad,
+        int(classed.sectors.point_airborne.sum()),
         sectors,
         tuple(np.bincount(sector_states(classed), minlength=len(SECTOR_STATES)).tolist()),
         points,

@@ -196,8 +196,8 @@ class GroundLabels(NamedTuple):
     """(cells,) points between belly and height that lie beside others; zeros."""
     overhead: Annotated[NDArray[np.int32], 1]
     """(cells,) points from ``height`` on; zeros."""
-    airborne: Annotated[NDArray[np.int32], 1]
-    """(cells,) points of ``things`` that lie alone; zeros."""
+    airborne: Flags
+    """(scan's points,) points of ``things`` that lie alone; comes as False."""
     top: Singles
     """(cells,) the highest obstacle point, m; comes as -inf."""
     clearance: Singles
@@ -772,14 +772,14 @@ def _mark_plants(points: CellPoints, cell: int, limits: tuple[float, float], s: 
 
 
 @helper
-def _leave_out_airborne(things: Annotated[NDArray[np.float32], 2], lowest: Singles, reach: float) -> int:
+def _leave_out_airborne(things: Annotated[NDArray[np.float32], 2], lowest: Singles, reach: float) -> bool:
     """Take returns that lie alone from the things of a cell: fewer than three in a pixel and those next to it.
 
     The beams of a thing lie side by side, so that its returns do; those from rain, dust or an insect lie alone. Returns
-    how many there were.
+    whether there were any.
     """
     top, count = things[0], things[1]
-    side, alone = int(math.sqrt(len(lowest)) + 0.5), 0
+    side, alone = int(math.sqrt(len(lowest)) + 0.5), False
     for place in range(len(lowest)):
         if not 0.0 < count[place] < _TOGETHER:
             continue
@@ -791,7 +791,7 @@ def _leave_out_airborne(things: Annotated[NDArray[np.float32], 2], lowest: Singl
                 if k != place and count[k] != 0.0 and lowest[k] < high and top[k] > low:
                     beside += abs(count[k])
         if beside < _TOGETHER:
-            alone += int(count[place])
+            alone = True
             count[place] = -count[place]
     for place in range(len(lowest) if alone else 0):
         if count[place] < 0.0:
@@ -844,12 +844,16 @@ def label_points(
                 out.things[cell, 1, place] += np.float32(1.0)
         if mixed:
             reach = _BESIDE_M + _BESIDE * math.sqrt(geometry.x[cell] ** 2 + geometry.y[cell] ** 2)
-            out.airborne[cell] = _leave_out_airborne(out.things[cell], scratch.lowest, reach)
-        if out.airborne[cell] > 0 and out.obstacles[cell] > 0:
+            if not _leave_out_airborne(out.things[cell], scratch.lowest, reach):
+                continue
             out.obstacles[cell], out.top[cell] = 0, -np.inf
             for i in range(points.starts[cell], points.starts[cell + 1]):
                 h, p = scratch.heights[i], by_cell.order[i]
-                if not out.ground[p] and rule.belly <= h < rule.height and out.things[cell, 1, pixel[p]] > 0.0:
+                if out.ground[p] or not 0.0 < h < THINGS_HEIGHT * rule.height:
+                    continue
+                if out.things[cell, 1, pixel[p]] == 0.0:
+                    out.airborne[p] = True
+                elif rule.belly <= h < rule.height:
                     out.obstacles[cell] += 1
                     out.top[cell] = max(out.top[cell], h)
     out.starts[len(geometry.x)] = end

@@ -143,8 +143,6 @@ def sort_points(cell: Integers, out: CellOrder) -> None:
 
 RAYS = 180
 """Rays from the sensor through each side of a grid of square cells: at 30 m they are 0.33 m apart."""
-_LEAST_THINGS = 2
-"""Fewest points of an obstacle in a cell and those around it: a single one may be an insect, or an error."""
 
 
 class SquareCells(NamedTuple):
@@ -163,6 +161,8 @@ class SquareCells(NamedTuple):
     """(cells,) largest difference in elevation from a cell beside it, m."""
     top: Singles
     """(cells,) height above the ground of the highest point of an obstacle, m."""
+    tip: Singles
+    """(cells,) its z, m."""
     clearance: Singles
     """(cells,) height above the ground of the lowest point that a vehicle passes under, m."""
 
@@ -174,6 +174,8 @@ class ClassedPoints(NamedTuple):
     """(points, 3) m."""
     ground: Flags
     """(points,) whether it is ground."""
+    airborne: Flags
+    """(points,) whether it is left out."""
     height: Singles
     """(points,) above the ground of its sector, m; NaN where none is known."""
     sector: Integers
@@ -237,7 +239,7 @@ def _sort_into_cells(scan: ClassedPoints, rule: CellRule, out: SquareCells, s: C
         x, y, z, h = scan.points[i, 0] * scale, scan.points[i, 1] * scale, scan.points[i, 2], scan.height[i]
         ahead = abs(x) >= abs(y)
         far = abs(x) if ahead else abs(y)
-        if far >= half or far == 0.0 or (scan.sector[i] < 0 and math.isnan(h)):
+        if far >= half or far == 0.0 or (scan.sector[i] < 0 and math.isnan(h)) or scan.airborne[i]:
             continue
         cell = min(int(y + half), side - 1) * side + min(int(x + half), side - 1)
         s.cell[i] = np.int32(cell)
@@ -306,7 +308,8 @@ def _stand_things(scan: ClassedPoints, rule: CellRule, out: SquareCells, s: Cell
             out.clearance[cell] = h if math.isnan(out.clearance[cell]) else min(out.clearance[cell], np.float32(h))
         elif h >= rule.belly:
             s.things[cell] += 1
-            out.top[cell] = h if math.isnan(out.top[cell]) else max(out.top[cell], np.float32(h))
+            if not h <= out.top[cell]:
+                out.top[cell], out.tip[cell] = h, scan.points[i, 2]
         elif h > -rule.belly and out.sector[cell] < 0:
             out.sector[cell] = scan.sector[i]
 
@@ -370,20 +373,10 @@ def _judge_cell(cell: int, scan: ClassedPoints, rule: CellRule, out: SquareCells
         out.sector[cell] = home
     if beneath > seen:
         out.sector[cell] = -1
-    things, side = 0, 2 * rule.half
-    if s.things[cell] > 0:
-        row, column = cell // side, cell % side
-        for up in range(max(row - 1, 0), min(row + 2, side)):
-            for right in range(max(column - 1, 0), min(column + 2, side)):
-                things += s.things[up * side + right]
     sector = out.sector[cell]
     falls |= scan.drops[sector] and not s.fell[sector]
-    if things >= _LEAST_THINGS or falls or out.step[cell] > rule.belly:
-        out.occupancy[cell] = 100
-    else:
-        out.occupancy[cell] = scan.occupancy[sector]
-    if things < _LEAST_THINGS:
-        out.top[cell] = np.nan
+    stops = s.things[cell] > 0 or falls or out.step[cell] > rule.belly
+    out.occupancy[cell] = 100 if stops else scan.occupancy[sector]
 
 
 @kernel

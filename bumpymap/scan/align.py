@@ -10,11 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.scan._merge_kernels import draw_things, match_things
+from bumpymap.scan._merge_kernels import draw_things, judge_places, match_things, range_image
 
 __all__ = [
     "MOST_DEGREES",
     "MOST_METRES",
+    "VIEW_REACH_M",
+    "VIEW_SHAPE",
     "Alignment",
     "DriveHeights",
     "GroundHeights",
@@ -24,6 +26,8 @@ __all__ = [
     "frame_pairs",
     "ground_heights",
     "height_between",
+    "judge_by_view",
+    "nearest_ranges",
     "standing_things",
 ]
 
@@ -56,6 +60,12 @@ _APART_M, _BEFORE, _PATH_M, _FLOOR_M = (5.0, 15.0), 16, 40.0, 2.0
 """A frame is compared with the last one at such a distance, or that so many frames before, and with the nearest one
 that came so much path before and no more above or below: beyond, it may be on another floor."""
 _LEAST_SQUARES = 30
+VIEW_SHAPE, _LOWEST = (240, 480), -0.25
+"""Rows and columns of an image of the nearest ranges, from straight down to straight up."""
+VIEW_REACH_M = 40.0
+"""Places nearer than this are judged by a frame whether it saw through them."""
+_VIEW_LIMITS = np.array([[VIEW_REACH_M, 0.5, 0.02]])
+"""As `judge_places` takes them."""
 
 Floats = NDArray[np.float64]
 
@@ -240,6 +250,25 @@ def standing_things(points: NDArray[np.float32], is_ground: NDArray[np.bool_], p
     above = np.flatnonzero(at[:, 2] >= z[key] - 1e-6)  # a point about the middle: those at its height may be none
     z[key[above]] = at[above, 2]
     return np.column_stack([x[stands], y[stands], z[stands]]).astype(np.float32)
+
+
+def nearest_ranges(points: NDArray[np.float32]) -> NDArray[np.uint16]:
+    """Return the distance of the nearest of a frame's points in every direction, cm, see `range_image`."""
+    image = np.zeros(VIEW_SHAPE, np.uint16)
+    range_image(np.ascontiguousarray(points, np.float32), _LOWEST, image)
+    return image
+
+
+def judge_by_view(
+    places: NDArray[np.int32], pose: Floats, image: NDArray[np.uint16], found: NDArray[np.int32] | None = None
+) -> NDArray[np.int32]:
+    """Tell places (n, 3), mm, that a frame saw through from hidden ones and others, (4, n), see `judge_places`.
+
+    ``pose`` (4, 4): from the sensor to the frame of the places, m; ``found``: counts of other frames, added to.
+    """
+    found = np.zeros((4, len(places)), np.int32) if found is None else found
+    judge_places(places, np.ascontiguousarray(np.linalg.inv(pose)[:3]), _LOWEST, image, _VIEW_LIMITS, found)
+    return found
 
 
 def frame_pairs(poses: Floats) -> list[tuple[int, int]]:

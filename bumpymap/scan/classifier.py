@@ -3,7 +3,8 @@
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any, TypeAlias, TypedDict, Unpack
@@ -34,6 +35,7 @@ from bumpymap.core import (
 )
 from bumpymap.readers import read_scan, scene_points
 from bumpymap.scan._place_kernels import RAYS, CellRule, CellScratch, ClassedPoints, SquareCells, lay_cells
+from bumpymap.scan.align import judge_by_view, nearest_ranges
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.methods import choose_method
 
@@ -42,25 +44,38 @@ __all__ = ["ScanClassifier", "ScanResult", "classify_scan", "lay_grid"]
 _NAMES = {**dict(enumerate(CLASS_NAMES[:CLASSES])), NOT_TRAVERSABLE: "not traversable"}
 _OCCUPANCY = np.array([0, 33, 66, 100, -1], np.int8)
 """Occupancy of ground of class 0 (smooth), 1 (fair) and 2 (rough), of what is not traversable, and of the unknown."""
+_TURN_ERROR = 1e-3
+"""A rotation differs by less from one, in each element of its product with its transpose."""
 _BENEATH_M = 2.0
 """Ground that is seen beneath a thing, at most so far behind its side, is not known to be free: it may be a car."""
 
 
 def lay_grid(points: NDArray[np.float32], classed: ClassedSectors, settings: GridSettings) -> GroundGrid:
     """Lay a grid of square cells over the points (n, 3) of a classified scan, m; see `GroundGrid`."""
+    return _lay_grid(points, classed, classed.sectors.normal, settings)[0]
+
+
+def _lay_grid(
+    points: NDArray[np.float32], classed: ClassedSectors, normal: NDArray[np.floating], settings: GridSettings
+) -> tuple[GroundGrid, NDArray[np.float32]]:
+    """Lay a grid whose axes are those of the points (n, 3) and of the ``normal`` of the sectors, around the sensor.
+
+    Returns it, and z of the tops of obstacles, (side, side), m.
+    """
     stack = classed.sectors
     half = math.ceil(settings.reach_m / settings.resolution_m - 1e-9)
     side, cells = 2 * half, 4 * half * half
     kinds = np.append(np.minimum(classed.class_id, CLASSES), np.uint8(CLASSES + 1))
     slope = np.zeros((len(kinds), 2))
     level = np.flatnonzero(stack.traversable)
-    slope[level] = -stack.normal[level, :2] / stack.normal[level, 2:]
-    unknown = np.full((4, cells), np.nan, np.float32)
+    slope[level] = -normal[level, :2] / normal[level, 2:]
+    unknown = np.full((5, cells), np.nan, np.float32)
     out = SquareCells(np.empty(cells, np.int8), np.full(cells, -1, np.int32), *unknown)
     lay_cells(
         ClassedPoints(
             np.ascontiguousarray(points, np.float32),
             stack.point_ground,
+            stack.point_airborne,
             stack.point_height,
             stack.point_sector,
             _OCCUPANCY[kinds],
@@ -93,9 +108,9 @@ def lay_grid(points: NDArray[np.float32], classed: ClassedSectors, settings: Gri
 
     c_r = None if classed.ride is None else by_cell(np.append(classed.ride.c_r, np.float32(np.nan)))
     class_id = by_cell(np.append(classed.class_id, np.uint8(NOT_TRAVERSABLE)))
-    elevation, step, top, clearance = unknown.reshape(4, side, side)
+    elevation, step, top, tip, clearance = unknown.reshape(5, side, side)
     occupancy = out.occupancy.reshape(side, side)
-    return GroundGrid(settings.resolution_m, occupancy, class_id, elevation, step, top, clearance, c_r)
+    return GroundGrid(settings.resolution_m, occupancy, class_id, elevation, step, top, clearance, c_r), tip
 
 
 @lru_cache(maxsize=1)
@@ -113,6 +128,124 @@ def _rays_of(half: int) -> NDArray[np.int32]:
     return np.column_stack([begin + first, begin + np.maximum(end - 1, first), far]).astype(np.int32)
 
 
+_NEW, _GONE, _MOST = 2, 1, 6
+"""What a frame in which something stands in a cell adds to the evidence for it, what one that sees through it or its
+bare ground takes away, and the most that is kept: what goes is forgotten after six frames."""
+_KEPT = 0.8
+"""Share of the votes for the class of a cell that stays when it is seen again: those of five frames count."""
+_FORGOTTEN = 100
+"""A cell that was not seen in so many frames is unknown again."""
+
+
+class GroundMemory:
+    """What a robot has seen around it, in square cells of its odometry frame that roll with it.
+
+    Frame after frame votes for what the ground of a cell is; each vote fades with later ones. What stood in a cell goes
+    when frames see through its place, or bare ground in its cell, and not because it is out of view. Ground that
+    something hides is unknown again at once, so that nothing that came meanwhile is overlooked; so is all that was not
+    seen for 100 frames.
+    """
+
+    def __init__(self, settings: GridSettings) -> None:
+        self._settings = settings
+        side = 2 * math.ceil(settings.reach_m / settings.resolution_m - 1e-9)
+        self._corner = np.zeros(2, np.int64)
+        self._votes = np.zeros((side, side, CLASSES + 1), np.float32)
+        """For the classes of ground, and for ground that bars the way."""
+        self._stands = np.zeros((side, side), np.int8)
+        """Evidence that something stands there."""
+        self._tip = np.zeros((side, side), np.float32)
+        """Its top, m; z of the odometry frame."""
+        self._unseen = np.zeros((side, side), np.int16)
+        """Frames since it was seen."""
+        self._layers = np.full((side, side, 5), np.nan, np.float32)
+        """Elevation, step, top of an obstacle, clearance and c_r, as last seen."""
+
+    def add(self, points: NDArray[np.float32], classed: ClassedSectors, pose: NDArray[np.float64]) -> GroundGrid:
+        """Add a classified frame; return what is known of the ground around it.
+
+        ``points`` (n, 3): in the sensor's frame, m; ``pose`` (4, 4): from there to the odometry frame, m.
+        """
+        cell, turn, place = self._settings.resolution_m, pose[:3, :3].astype(np.float32), pose[:3, 3]
+        middle = np.round(place[:2] / cell).astype(np.int64)
+        self._roll(middle - len(self._votes) // 2)
+        local = points @ turn.T
+        local[:, :2] += (place[:2] - cell * middle).astype(np.float32)
+        seen, tip = _lay_grid(local, classed, classed.sectors.normal @ turn.T, self._settings)
+        self._clear(points, seen, pose, classed.sectors.settings)
+        there, stands = seen.occupancy >= 0, np.isfinite(tip)
+        self._stands[stands] = np.minimum(self._stands[stands] + _NEW, _MOST)
+        self._tip[stands] = tip[stands] + place[2]
+        voters = there & ~stands
+        self._votes[voters] *= _KEPT
+        rows, columns = np.nonzero(voters)
+        self._votes[rows, columns, np.searchsorted(_OCCUPANCY[: CLASSES + 1], seen.occupancy[voters])] += 1.0
+        self._unseen[there] = 0
+        self._unseen[~there] += 1
+        old = self._unseen > _FORGOTTEN
+        self._stands[old], self._votes[old], self._unseen[old] = 0, 0.0, 0
+        elevation, c_r = seen.elevation + np.float32(place[2]), seen.c_r
+        lost = np.full_like(elevation, np.nan)
+        new = (elevation, seen.step, seen.obstacle_height, seen.clearance, lost if c_r is None else c_r)
+        for number, layer in enumerate(new):
+            known = np.isfinite(layer)
+            self._layers[known, number] = layer[known]
+        return self._grid(has_ride=c_r is not None)
+
+    def _roll(self, corner: NDArray[np.int64]) -> None:
+        """Move the cells so that they begin at a corner, in cells; what comes in is unknown."""
+        (columns, rows), side = corner - self._corner, len(self._votes)
+        self._corner = corner
+        if not (columns or rows):
+            return
+        nothing = (self._votes, 0.0), (self._stands, 0), (self._tip, 0.0), (self._unseen, 0), (self._layers, np.nan)
+        for values, empty in nothing:
+            kept = values[max(rows, 0) : max(side + rows, 0), max(columns, 0) : max(side + columns, 0)].copy()
+            values[:] = empty
+            if kept.size:
+                at = max(-rows, 0), max(-columns, 0)
+                values[at[0] : at[0] + kept.shape[0], at[1] : at[1] + kept.shape[1]] = kept
+
+    def _clear(
+        self, points: NDArray[np.float32], seen: GroundGrid, pose: NDArray[np.float64], body: PolarSettings
+    ) -> None:
+        """Take evidence from what a frame sees through, and forget ground that it cannot see for what hides it."""
+        stands = self._stands > 0
+        hidden = (self._votes.any(axis=2) | stands) & (seen.occupancy < 0)
+        asked = np.flatnonzero(stands | hidden)
+        row, column = np.divmod(asked, len(self._votes))
+        high = np.where(stands, self._tip, self._layers[..., 0] + 0.5 * (body.belly_m + body.height_m)).ravel()[asked]
+        high = np.where(np.isfinite(high), high, pose[2, 3])
+        x, y = ((cell + 0.5) * self._settings.resolution_m for cell in (column, row))
+        here = pose.copy()
+        here[:2, 3] -= self._settings.resolution_m * self._corner
+        here[2, 3] = 0.0
+        places = np.round(1000.0 * np.column_stack([x, y, high - pose[2, 3]])).astype(np.int32)
+        found = np.zeros((4, *stands.shape), np.bool_)
+        found.reshape(4, -1)[:, asked] = judge_by_view(places, here, nearest_ranges(points)) > 0
+        bare = np.isfinite(seen.elevation) & (seen.occupancy >= 0) & (seen.occupancy < _OCCUPANCY[CLASSES])
+        gone = stands & (found[0] | bare)
+        self._stands[gone] -= _GONE
+        self._layers[self._stands == 0, 2] = np.nan
+        self._votes[hidden & ~stands & found[1]] = 0.0
+
+    def _grid(self, *, has_ride: bool) -> GroundGrid:
+        """Return what is known."""
+        votes = self._votes
+        known, bars = votes.any(axis=2), 2.0 * votes[..., CLASSES] >= votes.sum(axis=2)
+        class_id = np.where(votes[..., :CLASSES].any(axis=2), votes[..., :CLASSES].argmax(axis=2), NOT_TRAVERSABLE)
+        kind = np.where(known, np.where(bars, CLASSES, class_id), CLASSES + 1)
+        kind[self._stands > 0] = CLASSES
+        elevation, step, top, clearance, c_r = np.where(
+            (known | (self._stands > 0))[..., None], self._layers, np.float32(np.nan)
+        ).transpose(2, 0, 1)
+        ride, size = (c_r if has_ride else None), self._settings.resolution_m
+        corner = float(size * self._corner[0]), float(size * self._corner[1])
+        return GroundGrid(
+            size, _OCCUPANCY[kind], class_id.astype(np.uint8), elevation, step, top, clearance, ride, corner
+        )
+
+
 @dataclass(frozen=True, repr=False)
 class ScanResult:
     """The classified ground of one scan: arrays with one row per point, and arrays with one row per sector."""
@@ -128,12 +261,15 @@ class ScanResult:
     out (not finite, on the robot), its arrays with a row per point have no rows for them."""
     _scene: NDArray[np.float32]
     """(m, 3) the points without those, m."""
-    _grid: GridSettings
+    _grid: GridSettings | GroundGrid
 
     @cached_property
     def grid(self) -> GroundGrid:
-        """The ground in square cells around the sensor; computed when it is first asked for."""
-        return lay_grid(self._scene, self.sectors, self._grid)
+        """The ground in square cells around the sensor; computed when it is first asked for.
+
+        With a pose: what is remembered, in cells of the odometry frame.
+        """
+        return self._grid if isinstance(self._grid, GroundGrid) else lay_grid(self._scene, self.sectors, self._grid)
 
     @property
     def class_names(self) -> dict[int, str]:
@@ -274,8 +410,9 @@ class ScanClassifier:
         nearest = config.polar.zone_starts_m[0]
         self._blind = config.robot.box_m is None and nearest > 0.0 and config.robot.radius_m <= nearest
         self._method = choose_method(config)
+        self._memory: GroundMemory | None = None
 
-    def __call__(self, points: ScanSource, /) -> ScanResult:
+    def __call__(self, points: ScanSource, /, pose: ArrayLike | None = None) -> ScanResult:
         """Classify the ground of one scan.
 
         Parameters
@@ -284,6 +421,10 @@ class ScanClassifier:
             x forward, y to the left, z up, in the sensor's frame, m; further columns are ignored. Returns at
             (0, 0, 0), those that are not finite and those on the robot get class 255. Or a file: PLY, PCD or
             KITTI-style ``.bin``.
+        pose : array (4, 4), optional
+            Transform from the sensor's frame to one that does not move with the robot (``odom``), m. Sectors then keep
+            their directions, and ``grid`` holds what the frames with poses have seen so far, in that frame. They come
+            in order of time, from one thread.
 
         Returns
         -------
@@ -293,26 +434,33 @@ class ScanClassifier:
         Raises
         ------
         UsageError
-            The array does not have three columns of numbers.
+            The array does not have three columns of numbers, or the pose is no rotation and shift.
         BadInputError
             The file cannot be read.
         """
+        placed = None if pose is None else _rigid(pose)
+        rows = None
         if isinstance(points, str | os.PathLike):
             scan = read_scan(Path(path_of_call("points", points)), self._robot)
-            classed = self._method.classify(scan)
-            classes, sector = point_classes(scan, classed), classed.sectors.point_sector
-            return ScanResult(scan.points, classes, sector, classed, scan.points, self._grid)
-        array = _columns(points)
-        rows = self._scene(array)
-        scan = Scan(array if rows is None else array.take(rows, axis=0))
+            array = scan.points
+        else:
+            array = _columns(points)
+            rows = self._scene(array)
+            scan = Scan(array if rows is None else array.take(rows, axis=0))
+        if placed is not None:
+            scan = replace(scan, heading_rad=math.atan2(placed[1, 0], placed[0, 0]))
         classed = self._method.classify(scan)
         classes, sector = point_classes(scan, classed), classed.sectors.point_sector
+        grid: GridSettings | GroundGrid = self._grid
+        if placed is not None:
+            self._memory = self._memory or GroundMemory(self._grid)
+            grid = self._memory.add(scan.points, classed, placed)
         if rows is not None:
             found, classes = classes, np.full(len(array), NOT_TRAVERSABLE, np.uint8)
             classes[rows] = found
             held, sector = sector, np.full(len(array), -1, np.int32)
             sector[rows] = held
-        return ScanResult(array, classes, sector, classed, scan.points, self._grid)
+        return ScanResult(array, classes, sector, classed, scan.points, grid)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the settings; the network and the buffers are made anew."""
@@ -349,6 +497,20 @@ def classify_scan(points: ScanSource, /, **settings: Unpack[ClassifierSettings])
         Invalid settings or points, or a file that cannot be read.
     """
     return ScanClassifier(**settings)(points)
+
+
+def _rigid(pose: ArrayLike) -> NDArray[np.float64]:
+    """Return a pose as an array (4, 4). Raises UsageError if it is not made of a rotation and a shift."""
+    with suppress(TypeError, ValueError):
+        matrix = np.asarray(pose, np.float64)
+        if matrix.shape == (4, 4) and np.isfinite(matrix).all() and (matrix[3] == (0.0, 0.0, 0.0, 1.0)).all():
+            turn = matrix[:3, :3]
+            if np.abs(turn @ turn.T - np.eye(3)).max() < _TURN_ERROR and np.linalg.det(turn) > 0.0:
+                return matrix
+    raise UsageError(
+        "`pose` must be an array (4, 4): a rotation and a shift in metres, from the sensor's frame to that of the "
+        "odometry, last row 0 0 0 1"
+    )
 
 
 def _columns(points: ArrayLike) -> NDArray[np.float32]:

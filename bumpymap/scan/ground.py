@@ -157,7 +157,7 @@ def find_ground(
         np.zeros(len(points), np.bool_),
         np.zeros(cells, np.int32),
         np.zeros(cells, np.int32),
-        np.zeros(cells, np.int32),
+        np.zeros(len(points), np.bool_),
         np.full(cells, -np.inf, np.float32),
         np.full(cells, np.inf, np.float32),
         things.reshape(cells, 2, -1),

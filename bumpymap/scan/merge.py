@@ -24,8 +24,10 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError
 from bumpymap.layers import AccumulatedSurvey
-from bumpymap.scan._merge_kernels import VoxelTable, gather_points, judge_places, move_voxels, range_image
+from bumpymap.scan._merge_kernels import VoxelTable, gather_points, move_voxels
 from bumpymap.scan.align import (
+    VIEW_REACH_M,
+    VIEW_SHAPE,
     Alignment,
     DriveHeights,
     GroundHeights,
@@ -35,6 +37,8 @@ from bumpymap.scan.align import (
     frame_pairs,
     ground_heights,
     height_between,
+    judge_by_view,
+    nearest_ranges,
     standing_things,
 )
 
@@ -48,18 +52,10 @@ VOXEL_MM = 200
 """Edge of a voxel; a pixel of the map is as wide."""
 _BLOCK_MM, _SIDE = 30_000, 1 << 20
 """Edge of a block, and blocks in a row of the world."""
-_COLUMNS = 480
-"""Directions around a range image; it has half as many rows, from straight down to straight up."""
 _PROBE_MM = 800
 """Height above ground, between belly and top of a vehicle, at which it shows whether the ground can be driven on."""
 _POINT = np.dtype([("place", "<i4", 3), ("range_cm", "<u2"), ("kind", "u1")])
 _FAR_MM = 2_000_000_000
-_REACH_M = 40.0
-"""Places nearer than this are judged by a frame whether it saw through them."""
-_LIMITS = np.array([[_REACH_M, 0.5, 0.02]])
-"""As `judge_places` takes them."""
-_LOWEST = -0.25
-"""Range images go from straight down to straight up."""
 _THICK_M = 0.5
 """Ground that differs by more between frames is refused."""
 _WRONG, _GONE, _LEAST_AWAY_M, _LEAST_COMPARED = 0.5, 0.8, 5.0, 60
@@ -97,7 +93,7 @@ class PlacedPoints:
     counts: NDArray[np.int64]
     """(k,) points in each."""
     image: NDArray[np.uint16]
-    """Nearest ranges by direction, see `range_image`."""
+    """See `nearest_ranges`."""
     heights: GroundHeights
     things: NDArray[np.float32]
     """Things around the sensor, see `standing_things`."""
@@ -235,8 +231,7 @@ class DriveMerge:
         block = (column + _SIDE * row).astype(np.int64)
         blocks, number = np.unique(block, return_inverse=True)
         order = np.argsort(number.astype(np.min_scalar_type(len(blocks))), kind="stable")
-        image = np.zeros((_COLUMNS // 2, _COLUMNS), np.uint16)
-        range_image(np.ascontiguousarray(points, np.float32), _LOWEST, image)
+        image = nearest_ranges(points)
         counts = np.bincount(number, minlength=len(blocks))
         heights = ground_heights(points, is_ground, pose)
         things = standing_things(points, is_ground, pose)
@@ -277,10 +272,9 @@ class DriveMerge:
         return np.array([pose for pose, *_ in self.frames]).reshape(-1, 4, 4)
 
     def _image(self, number: int) -> NDArray[np.uint16]:
-        """Read the range image of a frame, see `range_image`."""
-        pixels = _COLUMNS * _COLUMNS // 2
-        flat = np.fromfile(self.images.name, np.uint16, pixels, offset=2 * pixels * number)
-        return flat.reshape(-1, _COLUMNS)
+        """Read the range image of a frame, see `nearest_ranges`."""
+        pixels = VIEW_SHAPE[0] * VIEW_SHAPE[1]
+        return np.fromfile(self.images.name, np.uint16, pixels, offset=2 * pixels * number).reshape(VIEW_SHAPE)
 
     def _check_poses(self, given: Alignment) -> None:
         """Say which frames do not fit the others. Raises WrongPosesError: poses that cannot be right."""
@@ -321,11 +315,10 @@ class DriveMerge:
             fit = matcher.fit(self.things[later], way[:2], self.things[earlier])
             images, through = [self._image(each) for each in (later, earlier)], 0
             for own, other, by, image in ((later, earlier, way, images[1]), (earlier, later, -way, images[0])):
-                back = np.ascontiguousarray(np.column_stack([poses[other, :3, :3].T, np.zeros(3)]))
-                counts = np.zeros((4, len(self.things[own])), np.int32)
+                turned = np.eye(4)
+                turned[:3, :3] = poses[other, :3, :3]
                 places = np.clip(np.round(1000.0 * (self.things[own] + by)), -_FAR_MM, _FAR_MM).astype(np.int32)
-                judge_places(places, back, _LOWEST, image, _LIMITS, counts)
-                through += int(counts[0].sum())
+                through += int(judge_by_view(places, turned, image)[0].sum())
             higher = height_between(heights[later], heights[earlier])
             left = height_between(heights[later], heights[earlier], shift[[later, earlier]])
             repeated = later == earlier + 1 and np.linalg.norm(way) > _MOVED_M and np.array_equal(images[0], images[1])
@@ -355,17 +348,16 @@ class DriveMerge:
         return table
 
     def _judge(self, block: int, where: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Count for places (n, 3) in a block the frames that `judge_places` tells apart, (4, n)."""
+        """Count for places (n, 3) in a block the frames that `judge_by_view` tells apart, (4, n)."""
         corner = 0.001 * self._corner(block) + self.offset[:2]
         middle = self.poses[:, :2, 3]
         away = np.linalg.norm(middle - np.clip(middle, corner, corner + 0.001 * _BLOCK_MM), axis=1)
         found = np.zeros((4, len(where)), np.int32)
-        for number in np.flatnonzero(away < _REACH_M).tolist():
+        for number in np.flatnonzero(away < VIEW_REACH_M).tolist():
             pose = self.poses[number].copy()
             pose[:3, 3] -= [*corner, self.offset[2]]
             pose[2, 3] += self.shift[number, 0]
-            back = np.ascontiguousarray(np.linalg.inv(pose)[:3])
-            judge_places(where, back, _LOWEST, self._image(number), _LIMITS, found)
+            judge_by_view(where, pose, self._image(number), found)
         return found
 
     def _thin(self, block: int, table: VoxelTable) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
@@ -407,7 +399,7 @@ def _contradiction(pairs: list[FramePair], given: Alignment) -> str:
         return f"the height of the same ground differs by {given.before_m:.1f} m between frames"
     if through > _WRONG * (through + found) and through + found > _LEAST_COMPARED:
         return f"frames see through {through / (through + found):.0%} of what stands in others"
-    if not given.squares and min(np.linalg.norm(pair.way) for pair in pairs) > 2.0 * _REACH_M:
+    if not given.squares and min(np.linalg.norm(pair.way) for pair in pairs) > 2.0 * VIEW_REACH_M:
         return "the frames are so far apart that they share no ground"
     return ""
 

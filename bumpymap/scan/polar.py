@@ -103,7 +103,6 @@ def polar_sectors(
         ground_count=np.where(there, ground_count, 0).astype(np.int32),
         obstacle_count=obstacles,
         overhead_count=ground.overhead[cells],
-        airborne_count=ground.airborne[cells],
         obstacle=stands | there & drops[cells],
         drop=there & drops[cells],
         obstacle_height=np.where(stands, ground.top[cells], np.float32(np.nan)),
@@ -111,6 +110,7 @@ def polar_sectors(
         things=ground.things[cells].reshape(-1, 2, settings.pixels, settings.pixels),
         point_sector=point_sector,
         point_ground=ground.ground,
+        point_airborne=ground.airborne,
         point_height=ground.height,
     )
 

@@ -290,7 +290,7 @@ def test_rain_is_airborne_and_a_post_in_it_stands():
     wet[drops] *= rng.uniform(0.2, 0.95, (drops.sum(), 1)).astype(np.float32)
     rainy = polar_sectors(Scan(wet))
     free = clear.traversable & ~clear.obstacle
-    assert rainy.airborne_count.sum() > 0.3 * drops.sum()
+    assert rainy.point_airborne.sum() > 0.3 * drops.sum()
     assert rainy.obstacle.sum() - clear.obstacle.sum() < 0.04 * free.sum()
     assert rainy.obstacle[rainy.point_sector[(clear.point_height > 0.4) & ~drops]].all()
 

@@ -202,7 +202,7 @@ def test_points_stand_where_they_are_ground_in_the_colour_of_its_class_obstacles
 
 def test_ground_between_points_has_a_shade_of_its_sector_and_red_lines_over_obstacles(scan, classed):
     """Painted without points: around the middle of a sector, off the range rings, is the hue of its class."""
-    nothing = dict.fromkeys(("point_sector", "point_ground", "point_height"), np.zeros(0, np.int32))
+    nothing = dict.fromkeys(("point_sector", "point_ground", "point_airborne", "point_height"), np.zeros(0, np.int32))
     stack, barred = classed.sectors, with_wall(scan, classed)[0].sectors.obstacle
     plain, hatched = (
         paint(Scan(np.zeros((0, 3), np.float32)), with_sectors(classed, obstacle=own, **nothing)).astype(float)

@@ -40,7 +40,7 @@ _LIMITS = 40
 """Number of limits that are tried."""
 _LOOKED_AT = 20
 """Number of frames whose labels decide of which set they are."""
-_OF_POINTS = ("point_sector", "point_ground", "point_height")
+_OF_POINTS = ("point_sector", "point_ground", "point_airborne", "point_height")
 
 
 @dataclass(frozen=True, slots=True)
