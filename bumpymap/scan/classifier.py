@@ -131,10 +131,12 @@ def _rays_of(half: int) -> NDArray[np.int32]:
 _NEW, _GONE, _MOST = 2, 1, 6
 """What a frame in which something stands in a cell adds to the evidence for it, what one that sees through it or its
 bare ground takes away, and the most that is kept: what goes is forgotten after six frames."""
-_KEPT = 0.8
-"""Share of the votes for the class of a cell that stays when it is seen again: those of five frames count."""
+_KEPT, _LEAD = 0.9, 1.25
+"""Share of the votes for the ground of a cell that stays when it is seen again: those of ten frames count. Another
+class than the last one needs so many times its votes."""
 _FORGOTTEN = 100
 """A cell that was not seen in so many frames is unknown again."""
+_ELEVATION, _TOP, _TIP = 0, 2, 4
 
 
 class GroundMemory:
@@ -147,102 +149,110 @@ class GroundMemory:
     """
 
     def __init__(self, settings: GridSettings) -> None:
+        self._cell = settings.resolution_m
         self._settings = settings
         side = 2 * math.ceil(settings.reach_m / settings.resolution_m - 1e-9)
         self._corner = np.zeros(2, np.int64)
-        self._votes = np.zeros((side, side, CLASSES + 1), np.float32)
-        """For the classes of ground, and for ground that bars the way."""
-        self._stands = np.zeros((side, side), np.int8)
+        self._votes = np.zeros((CLASSES + 1, side, side), np.float32)
+        """For the classes of ground, and for ground that bars the way; all zeros where nothing is known."""
+        self._class = np.zeros((1, side, side), np.uint8)
+        """The class with the most of them."""
+        self._stands = np.zeros((1, side, side), np.int8)
         """Evidence that something stands there."""
-        self._tip = np.zeros((side, side), np.float32)
-        """Its top, m; z of the odometry frame."""
-        self._unseen = np.zeros((side, side), np.int16)
+        self._unseen = np.zeros((1, side, side), np.int16)
         """Frames since it was seen."""
-        self._layers = np.full((side, side, 5), np.nan, np.float32)
-        """Elevation, step, top of an obstacle, clearance and c_r, as last seen."""
+        self._layers = np.full((6, side, side), np.nan, np.float32)
+        """As last seen: elevation, step, top of an obstacle, clearance, z of that top, c_r."""
 
     def add(self, points: NDArray[np.float32], classed: ClassedSectors, pose: NDArray[np.float64]) -> GroundGrid:
         """Add a classified frame; return what is known of the ground around it.
 
         ``points`` (n, 3): in the sensor's frame, m; ``pose`` (4, 4): from there to the odometry frame, m.
         """
-        cell, turn, place = self._settings.resolution_m, pose[:3, :3].astype(np.float32), pose[:3, 3]
-        middle = np.round(place[:2] / cell).astype(np.int64)
-        self._roll(middle - len(self._votes) // 2)
-        local = points @ turn.T
-        local[:, :2] += (place[:2] - cell * middle).astype(np.float32)
+        turn, place = pose[:3, :3].astype(np.float32), pose[:3, 3]
+        middle = np.round(place[:2] / self._cell).astype(np.int64)
+        self._roll(middle - len(self._stands[0]) // 2)
+        shift = (*(place[:2] - self._cell * middle).astype(np.float32), np.float32(0.0))
+        x, y, z = np.ascontiguousarray(points.T)
+        local = np.empty_like(points)  # without a product of matrices, whose library would start threads
+        for axis in range(3):
+            local[:, axis] = turn[axis, 0] * x + turn[axis, 1] * y + turn[axis, 2] * z + shift[axis]
         seen, tip = _lay_grid(local, classed, classed.sectors.normal @ turn.T, self._settings)
         self._clear(points, seen, pose, classed.sectors.settings)
-        there, stands = seen.occupancy >= 0, np.isfinite(tip)
-        self._stands[stands] = np.minimum(self._stands[stands] + _NEW, _MOST)
-        self._tip[stands] = tip[stands] + place[2]
-        voters = there & ~stands
-        self._votes[voters] *= _KEPT
-        rows, columns = np.nonzero(voters)
-        self._votes[rows, columns, np.searchsorted(_OCCUPANCY[: CLASSES + 1], seen.occupancy[voters])] += 1.0
-        self._unseen[there] = 0
-        self._unseen[~there] += 1
-        old = self._unseen > _FORGOTTEN
-        self._stands[old], self._votes[old], self._unseen[old] = 0, 0.0, 0
-        elevation, c_r = seen.elevation + np.float32(place[2]), seen.c_r
-        lost = np.full_like(elevation, np.nan)
-        new = (elevation, seen.step, seen.obstacle_height, seen.clearance, lost if c_r is None else c_r)
-        for number, layer in enumerate(new):
-            known = np.isfinite(layer)
-            self._layers[known, number] = layer[known]
-        return self._grid(has_ride=c_r is not None)
+        there, new = seen.occupancy >= 0, np.isfinite(tip)
+        stands, unseen, up = self._stands[0], self._unseen[0], np.float32(place[2])
+        np.minimum(stands + np.int8(_NEW), np.int8(_MOST), out=stands, where=new)
+        voters = there & ~new
+        self._votes *= np.where(voters, np.float32(_KEPT), np.float32(1.0))
+        for number, value in enumerate(_OCCUPANCY[: CLASSES + 1]):
+            self._votes[number] += voters & (seen.occupancy == value)
+        unseen += 1
+        unseen[there] = 0
+        old = unseen > _FORGOTTEN
+        stands[old] = 0
+        self._votes[:, old] = 0.0
+        layers = [seen.elevation + up, seen.step, seen.obstacle_height, seen.clearance, tip + up]
+        for kept, layer in zip(self._layers, layers if seen.c_r is None else [*layers, seen.c_r], strict=False):
+            np.copyto(kept, layer, where=np.isfinite(layer))
+        return self._grid(has_ride=seen.c_r is not None)
 
     def _roll(self, corner: NDArray[np.int64]) -> None:
         """Move the cells so that they begin at a corner, in cells; what comes in is unknown."""
-        (columns, rows), side = corner - self._corner, len(self._votes)
+        (columns, rows), side = (corner - self._corner).tolist(), len(self._stands[0])
         self._corner = corner
         if not (columns or rows):
             return
-        nothing = (self._votes, 0.0), (self._stands, 0), (self._tip, 0.0), (self._unseen, 0), (self._layers, np.nan)
-        for values, empty in nothing:
-            kept = values[max(rows, 0) : max(side + rows, 0), max(columns, 0) : max(side + columns, 0)].copy()
+        rows, columns = max(min(rows, side), -side), max(min(columns, side), -side)
+        here = np.s_[:, max(rows, 0) : side + min(rows, 0), max(columns, 0) : side + min(columns, 0)]
+        there = np.s_[:, max(-rows, 0) : side - max(rows, 0), max(-columns, 0) : side - max(columns, 0)]
+        for values, empty in (
+            (self._votes, 0.0), (self._class, 0), (self._stands, 0), (self._unseen, 0), (self._layers, np.nan)
+        ):  # fmt: skip
+            kept = values[here].copy()
             values[:] = empty
-            if kept.size:
-                at = max(-rows, 0), max(-columns, 0)
-                values[at[0] : at[0] + kept.shape[0], at[1] : at[1] + kept.shape[1]] = kept
+            values[there] = kept
 
     def _clear(
         self, points: NDArray[np.float32], seen: GroundGrid, pose: NDArray[np.float64], body: PolarSettings
     ) -> None:
         """Take evidence from what a frame sees through, and forget ground that it cannot see for what hides it."""
-        stands = self._stands > 0
-        hidden = (self._votes.any(axis=2) | stands) & (seen.occupancy < 0)
+        stands = self._stands[0] > 0
+        hidden = self._votes.any(axis=0) & (seen.occupancy < 0)
         asked = np.flatnonzero(stands | hidden)
-        row, column = np.divmod(asked, len(self._votes))
-        high = np.where(stands, self._tip, self._layers[..., 0] + 0.5 * (body.belly_m + body.height_m)).ravel()[asked]
-        high = np.where(np.isfinite(high), high, pose[2, 3])
-        x, y = ((cell + 0.5) * self._settings.resolution_m for cell in (column, row))
+        row, column = np.divmod(asked, len(stands))
+        over = self._layers[_ELEVATION] + np.float32(0.5 * (body.belly_m + body.height_m))
+        high = np.where(stands, self._layers[_TIP], over).ravel()[asked]
+        high = np.where(np.isfinite(high), high, pose[2, 3]) - pose[2, 3]
         here = pose.copy()
-        here[:2, 3] -= self._settings.resolution_m * self._corner
-        here[2, 3] = 0.0
-        places = np.round(1000.0 * np.column_stack([x, y, high - pose[2, 3]])).astype(np.int32)
-        found = np.zeros((4, *stands.shape), np.bool_)
-        found.reshape(4, -1)[:, asked] = judge_by_view(places, here, nearest_ranges(points)) > 0
+        here[:3, 3] = *(pose[:2, 3] - self._cell * self._corner), 0.0
+        places = np.column_stack([(column + 0.5) * self._cell, (row + 0.5) * self._cell, high])
+        found = judge_by_view(np.round(1000.0 * places).astype(np.int32), here, nearest_ranges(points)) > 0
+        through, covered = np.zeros((2, *stands.shape), np.bool_)
+        through.ravel()[asked], covered.ravel()[asked] = found[:2]
         bare = np.isfinite(seen.elevation) & (seen.occupancy >= 0) & (seen.occupancy < _OCCUPANCY[CLASSES])
-        gone = stands & (found[0] | bare)
-        self._stands[gone] -= _GONE
-        self._layers[self._stands == 0, 2] = np.nan
-        self._votes[hidden & ~stands & found[1]] = 0.0
+        self._stands[0] -= stands & (through | bare)
+        self._layers[_TOP][self._stands[0] == 0] = np.nan
+        self._votes[:, hidden & ~stands & covered] = 0.0
 
     def _grid(self, *, has_ride: bool) -> GroundGrid:
         """Return what is known."""
-        votes = self._votes
-        known, bars = votes.any(axis=2), 2.0 * votes[..., CLASSES] >= votes.sum(axis=2)
-        class_id = np.where(votes[..., :CLASSES].any(axis=2), votes[..., :CLASSES].argmax(axis=2), NOT_TRAVERSABLE)
-        kind = np.where(known, np.where(bars, CLASSES, class_id), CLASSES + 1)
-        kind[self._stands > 0] = CLASSES
-        elevation, step, top, clearance, c_r = np.where(
-            (known | (self._stands > 0))[..., None], self._layers, np.float32(np.nan)
-        ).transpose(2, 0, 1)
-        ride, size = (c_r if has_ride else None), self._settings.resolution_m
-        corner = float(size * self._corner[0]), float(size * self._corner[1])
+        ground, stands, best = self._votes[:CLASSES], self._stands[0] > 0, self._class[0]
+        most = np.take_along_axis(ground, best[None], axis=0)[0]
+        for class_id, votes in enumerate(ground):
+            more = votes > _LEAD * most
+            best[more], most = class_id, np.where(more, votes, most)
+        total = self._votes.sum(axis=0)
+        kind = np.where(2.0 * self._votes[CLASSES] >= total, np.uint8(CLASSES), best)
+        kind[total == 0.0] = CLASSES + 1
+        kind[stands] = CLASSES
+        layers = np.where(kind <= CLASSES, self._layers, np.float32(np.nan))
         return GroundGrid(
-            size, _OCCUPANCY[kind], class_id.astype(np.uint8), elevation, step, top, clearance, ride, corner
+            self._cell,
+            _OCCUPANCY[kind],
+            np.where(most > 0.0, best, np.uint8(NOT_TRAVERSABLE)),
+            *layers[:4],
+            layers[5] if has_ride else None,
+            (float(self._cell * self._corner[0]), float(self._cell * self._corner[1])),
         )
 
 
