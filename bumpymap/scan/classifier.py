@@ -222,13 +222,14 @@ class GroundMemory:
         row, column = np.divmod(asked, len(stands))
         over = self._layers[_ELEVATION] + np.float32(0.5 * (body.belly_m + body.height_m))
         high = np.where(stands, self._layers[_TIP], over).ravel()[asked]
-        high = np.where(np.isfinite(high), high, pose[2, 3]) - pose[2, 3]
+        high = np.nan_to_num(high - pose[2, 3])
         here = pose.copy()
         here[:3, 3] = *(pose[:2, 3] - self._cell * self._corner), 0.0
         places = np.column_stack([(column + 0.5) * self._cell, (row + 0.5) * self._cell, high])
         found = judge_by_view(np.round(1000.0 * places).astype(np.int32), here, nearest_ranges(points)) > 0
         through, covered = np.zeros((2, *stands.shape), np.bool_)
         through.ravel()[asked], covered.ravel()[asked] = found[:2]
+        covered |= np.isnan(over)  # between returns: how high it is was never seen
         bare = np.isfinite(seen.elevation) & (seen.occupancy >= 0) & (seen.occupancy < _OCCUPANCY[CLASSES])
         self._stands[0] -= stands & (through | bare)
         self._layers[_TOP][self._stands[0] == 0] = np.nan
@@ -245,13 +246,16 @@ class GroundMemory:
         kind = np.where(2.0 * self._votes[CLASSES] >= total, np.uint8(CLASSES), best)
         kind[total == 0.0] = CLASSES + 1
         kind[stands] = CLASSES
-        layers = np.where(kind <= CLASSES, self._layers, np.float32(np.nan))
+        elevation, step, top, clearance, _, c_r = np.where(kind <= CLASSES, self._layers, np.float32(np.nan))
         return GroundGrid(
             self._cell,
             _OCCUPANCY[kind],
             np.where(most > 0.0, best, np.uint8(NOT_TRAVERSABLE)),
-            *layers[:4],
-            layers[5] if has_ride else None,
+            elevation,
+            step,
+            top,
+            clearance,
+            c_r if has_ride else None,
             (float(self._cell * self._corner[0]), float(self._cell * self._corner[1])),
         )
 

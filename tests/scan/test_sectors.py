@@ -12,7 +12,7 @@ from bumpymap.core import GridSettings, PolarSettings, Scan, point_classes
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.lab.label_sets import LABEL_SETS
 from bumpymap.readers import read_scan
-from bumpymap.scan import ScanConfig, classify_filter, polar_sectors, scan_frames
+from bumpymap.scan import ScanClassifier, ScanConfig, classify_filter, polar_sectors, scan_frames
 from bumpymap.scan.classifier import lay_grid
 
 def made_scan(seed, count=40_000, labels=False):
@@ -441,6 +441,64 @@ def test_ground_seen_beneath_a_vehicle_is_not_free():
     assert not is_free(cells)[(x > 5.0) & (x < 6.8) & (np.abs(y) < 1.5)].any()
     before = cells[(x > 3.5) & (x < 4.7) & (np.abs(y) < 1.5)]
     assert ((before >= 0) & (before < 100)).all()
+
+
+def at_pose(x=0.0, y=0.0, yaw=0.0, z=0.0):
+    pose = np.eye(4)
+    pose[:2, :2], pose[:3, 3] = [[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]], (x, y, z)
+    return pose
+
+
+def places_of(grid):
+    """x and y of the middles of the cells, in the frame of the poses."""
+    return np.meshgrid(*((np.arange(grid.side) + 0.5) * grid.resolution_m + corner for corner in grid.corner_m))
+
+
+def around(x, y, yaw, height_at):
+    """What a sensor at a place sees of ground of that height."""
+    c, s = math.cos(yaw), math.sin(yaw)
+    return seen(lambda u, v: height_at(x + c * u - s * v, y + s * u + c * v)), at_pose(x, y, yaw, 1.2)
+
+
+def test_a_robot_remembers_what_is_out_of_view_and_not_what_has_left():
+    classify, flat = ScanClassifier(method="filter", grid={"reach_m": 20.0}), lambda x, _: 0.0 * x
+
+    def truck(x, y):
+        return np.where((np.abs(x - 8.0) < 1.0) & (np.abs(y) < 1.0), 1.3, 0.0)
+
+    for step in (0.0, 0.7, 1.4):
+        points, pose = around(step, 0.0, 0.3 * step, truck)
+        grid = classify(points, pose=pose).grid
+    x, y = places_of(grid)
+    side = (np.abs(x - 7.1) < 0.2) & (np.abs(y) < 0.8)
+    before, behind = (np.abs(x - 5.0) < 0.5) & (np.abs(y) < 1.0), (x > 10.0) & (x < 14.0) & (np.abs(y) < 0.2)
+    assert (grid.occupancy[side] == 100).all()
+    assert is_free(grid.occupancy[before]).all()
+    assert (grid.occupancy[behind] == -1).all()
+    assert np.nanmedian(grid.elevation) == pytest.approx(0.0, abs=0.02)
+    points, pose = around(1.4, 0.0, 0.0, truck)
+    for _ in range(5):  # a sensor that looks back
+        grid = classify(points[points[:, 0] < 0.0], pose=pose).grid
+    assert (grid.occupancy[side] == 100).all()
+    assert is_free(grid.occupancy[before]).all()
+    points, pose = around(1.4, 0.0, 0.0, flat)
+    for frame in range(6):  # the truck has left
+        grid = classify(points, pose=pose).grid
+        assert frame > 0 or (grid.occupancy[side] == 100).any()
+    assert is_free(grid.occupancy[side | behind]).all()
+    points, pose = around(1.4, 0.0, 0.0, truck)
+    came = classify(points, pose=pose).grid.occupancy  # it hides what was free
+    assert (came[side] == 100).all()
+    assert (came[behind] == -1).all()
+    nothing = points[:1] + np.float32([0.0, 0.0, 50.0])
+    for _ in range(101):
+        grid = classify(nothing, pose=pose).grid
+    assert (grid.occupancy == -1).all()
+    far = classify(around(0.0, 0.0, 0.0, flat)[0], pose=at_pose(500.0, -300.0)).grid
+    assert far.corner_m == (480.0, -320.0)
+    for wrong in (np.eye(3), np.diag([1.0, 1.0, 2.0, 1.0]), np.diag([1.0, -1.0, 1.0, 1.0]), "odom"):
+        with pytest.raises(UsageError, match="`pose` must be an array"):
+            classify(points, pose=wrong)
 
 
 @pytest.mark.realdata
