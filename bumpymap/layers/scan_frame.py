@@ -118,7 +118,6 @@ def write_polygons(name: str, classed: ClassedSectors, path: Path) -> None:
         "frame": name,
         "coordinates_in": _PLACE,
         "method": classed.method,
-        "azimuth_start_rad": stack.azimuth_start_rad,
         "features": [
             {"type": "Feature", "properties": properties, "geometry": {"type": "Polygon", "coordinates": [ring]}}
             for properties, ring in zip(_properties(classed), rings, strict=True)

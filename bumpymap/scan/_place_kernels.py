@@ -217,11 +217,11 @@ class CellScratch(NamedTuple):
     level: Floats
     """(cells,) elevation of the ground in the cell, or the mean of those around it, m; NaN where neither is known."""
     low: Annotated[NDArray[np.float32], 3]
-    """(half, 4 RAYS, 3) z of the lowest ground, of the lowest and -z of the highest other point, m; inf without any."""
+    """(4 RAYS, half, 3) z of the lowest ground, of the lowest and -z of the highest other point, m; inf without any."""
     home: Annotated[NDArray[np.int32], 2]
-    """(half, 4 RAYS) row of the sector of the lowest ground."""
+    """(4 RAYS, half) row of the sector of the lowest ground."""
     seen: Annotated[NDArray[np.int32], 2]
-    """(half, 4 RAYS) row of the sector whose ground is seen, or goes on; or one of those below."""
+    """(4 RAYS, half) row of the sector whose ground is seen, or goes on; or one of those below."""
     fell: Flags
     """(sectors + 1,) whether the ground drops somewhere in the sector."""
 
@@ -254,12 +254,12 @@ def _sort_into_cells(scan: ClassedPoints, rule: CellRule, out: SquareCells, s: C
         else:
             s.things[cell] += 1
         if scan.ground[i] or abs(h) < rule.belly:
-            if z < s.low[ring, ray, 0]:
-                s.low[ring, ray, 0] = z
-                s.home[ring, ray] = scan.sector[i]
+            if z < s.low[ray, ring, 0]:
+                s.low[ray, ring, 0] = z
+                s.home[ray, ring] = scan.sector[i]
         elif not h >= rule.height:
-            s.low[ring, ray, 1] = min(s.low[ring, ray, 1], z)
-            s.low[ring, ray, 2] = min(s.low[ring, ray, 2], -z)
+            s.low[ray, ring, 1] = min(s.low[ray, ring, 1], z)
+            s.low[ray, ring, 2] = min(s.low[ray, ring, 2], -z)
 
 
 @helper
@@ -321,40 +321,40 @@ def _follow_ray(ray: int, slope_to: tuple[float, float], scan: ClassedPoints, ru
     It goes on if the beam to the farther one passes the nearer one lower than the belly, so that no obstacle can hide
     there, and no obstacle before it hides what may stand on it. A return that is missing is that of a ray beside it.
     """
-    (half, rays), (x, y) = s.home.shape, slope_to
+    (rays, half), (x, y) = s.home.shape, slope_to
     before, after = (ray + rays - 1) % rays, (ray + 1) % rays
     last, level, home = -1, 0.0, -1
     thing, under, shadow = -half, np.inf, -np.inf
     for ring in range(half):
         at = ray
-        if s.low[ring, ray, 0] == np.inf and s.low[ring, ray, 1] == np.inf:
-            at = before if min(s.low[ring, before, 0], s.low[ring, before, 1]) < np.inf else after
+        if s.low[ray, ring, 0] == np.inf and s.low[ray, ring, 1] == np.inf:
+            at = before if min(s.low[before, ring, 0], s.low[before, ring, 1]) < np.inf else after
         for kind in range(2):
-            z = np.float64(s.low[ring, at, kind])
+            z = np.float64(s.low[at, ring, kind])
             if z == np.inf:
                 continue
-            here, away = (s.home[ring, at] if kind == 0 else home), ring + 0.5
+            here, away = (s.home[at, ring] if kind == 0 else home), ring + 0.5
             if last >= 0:
                 above = z - level - (scan.slope[home, 0] * x + scan.slope[home, 1] * y) * (ring - last)
                 if above < -rule.belly:
                     if scan.drops[home] or scan.drops[here]:
                         s.fell[home] = s.fell[here] = True
                         for k in range(last, ring + kind):
-                            s.seen[k, ray] = _FALLS
+                            s.seen[ray, k] = _FALLS
                 elif (kind == 0 or above < rule.height) and z * (last + 0.5) / away - level < rule.belly:
                     for k in range(last + 1, ring):
                         if shadow * (k + 0.5) - level < rule.belly:
-                            s.seen[k, ray] = home if 2 * k < last + ring else here
+                            s.seen[ray, k] = home if 2 * k < last + ring else here
                 if kind == 1 and rule.belly <= above < rule.height:
-                    shadow = max(shadow, -s.low[ring, at, 2] / away)
+                    shadow = max(shadow, -s.low[at, ring, 2] / away)
                     under = z / away if ring - thing > rule.beneath else min(under, z / away)
                     thing = ring
             if kind == 0:
                 last, level, home = ring, z, here
                 dark = shadow * away - level >= rule.belly
                 beneath = dark and ring - thing <= rule.beneath and z / away < under
-                if s.seen[ring, ray] != _FALLS and (at == ray or not dark):
-                    s.seen[ring, ray] = _BENEATH if beneath else here
+                if s.seen[ray, ring] != _FALLS and (at == ray or not dark):
+                    s.seen[ray, ring] = _BENEATH if beneath else here
 
 
 @helper
@@ -363,7 +363,7 @@ def _judge_cell(cell: int, scan: ClassedPoints, rule: CellRule, out: SquareCells
     first, last, ring = s.rays[cell, 0], s.rays[cell, 1], s.rays[cell, 2]
     seen, beneath, falls, home = 0, 0, False, -1
     for ray in range(first, last + 1):
-        sector = s.seen[ring, ray]
+        sector = s.seen[ray, ring]
         falls |= sector == _FALLS
         beneath += sector == _BENEATH
         if sector >= 0:
@@ -388,7 +388,7 @@ def lay_cells(scan: ClassedPoints, rule: CellRule, out: SquareCells, scratch: Ce
     _sort_into_cells(scan, rule, out, scratch)
     _level_cells(rule, out, scratch)
     _stand_things(scan, rule, out, scratch)
-    for ray in range(scratch.home.shape[1]):
+    for ray in range(scratch.home.shape[0]):
         across = ((ray % RAYS) + 0.5) / (0.5 * RAYS) - 1.0
         ahead = rule.resolution if ray < 2 * RAYS else -rule.resolution
         way = (ahead, ahead * across) if ray // RAYS % 2 == 0 else (-ahead * across, ahead)

@@ -96,9 +96,9 @@ def _lay_grid(
             np.zeros((cells, 2)),
             np.zeros(cells, np.int32),
             np.empty(cells),
-            np.full((half, 4 * RAYS, 3), np.inf, np.float32),
-            np.full((half, 4 * RAYS), -1, np.int32),
-            np.full((half, 4 * RAYS), -1, np.int32),
+            np.full((4 * RAYS, half, 3), np.inf, np.float32),
+            np.full((4 * RAYS, half), -1, np.int32),
+            np.full((4 * RAYS, half), -1, np.int32),
             np.zeros(len(kinds), np.bool_),
         ),
     )

@@ -97,7 +97,6 @@ def test_the_polygons_say_what_is_known_of_their_sectors(scan, classed, tmp_path
     record = polygons_of(replace(classed, sectors=stack), tmp_path)
     assert record["frame"] == "site"
     assert "no longitude and latitude" in record["coordinates_in"]
-    assert record["azimuth_start_rad"] == stack.azimuth_start_rad
     points = np.bincount(stack.point_sector[stack.point_sector >= 0], minlength=len(place))
     for number, feature in enumerate(record["features"]):
         said, class_id = feature["properties"], int(classed.class_id[number])

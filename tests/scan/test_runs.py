@@ -13,19 +13,16 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import rasterio
-from ply_files import read_vertices
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from small_surveys import SIDES
 
-from bumpymap.core import PolarSettings, Robot, point_classes
+from bumpymap.core import PolarSettings, Robot
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.layers import part_path
 from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.readers import read_scan
-from bumpymap.scan import classify_filter, polar_sectors
 from bumpymap.scan.config import ScanConfig
-from bumpymap.scan.learned import classify_learned
 from bumpymap.scan.methods import choose_method
 from bumpymap.scan.pipeline import scan_frames
 
@@ -406,19 +403,6 @@ def test_a_frame_that_lies_too_far_away_is_skipped_whole(drive, tmp_path):
     assert set(pq.read_table(tmp_path / "out" / "sectors.parquet")["frame"].to_pylist()) == {"0", "2"}
     record = json.loads((tmp_path / "out" / "scan.json").read_text(encoding="utf-8"))
     assert record["gathered"]["seen"] == sum(frame.points for frame in result.frames)
-
-
-@pytest.mark.parametrize(("method", "classify"), [("filter", classify_filter), (None, classify_learned)])
-def test_points_and_sectors_have_the_classes_that_the_method_gives(drive, tmp_path, method, classify):
-    config = ScanConfig((drive / "frames" / "0.bin",), tmp_path / "out", products=("table", "cloud"), method=method)
-    scan_frames(config)
-    scan = read_scan(config.frames[0])
-    classed = classify(polar_sectors(scan))
-    table = pq.read_table(tmp_path / "out" / "sectors.parquet")
-    assert table["class"].to_pylist() == [None if own == 255 else own for own in classed.class_id.tolist()]
-    vertex = read_vertices(tmp_path / "out" / "frames" / "0.ply")
-    np.testing.assert_array_equal(vertex["class"], point_classes(scan, classed))
-    np.testing.assert_array_equal(vertex["x"], scan.points[:, 0])
 
 
 def test_heightmaps_of_another_size_are_refused_by_both_methods(tmp_path):
