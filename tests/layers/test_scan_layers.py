@@ -42,7 +42,7 @@ def test_points_say_whether_they_are_ground_how_high_and_in_the_colour_of_that(s
     np.testing.assert_array_equal(vertex["ground"], stack.point_ground)
     colours = np.stack([vertex[name] for name in ("red", "green", "blue")], axis=1)
     class_id = vertex["class"].astype(int)
-    is_ground, stands = height < 0.1, (height >= 0.25) & (height <= 1.38)
+    is_ground, stands = height < 0.1, (height >= 0.25) & (height <= 1.38) & ~stack.point_airborne
     for style, chosen in enumerate(
         [*(is_ground & (class_id == own) for own in range(3)), stands, ~stands & (~is_ground | (class_id == 255))]
     ):

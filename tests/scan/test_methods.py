@@ -207,7 +207,7 @@ def scans_of_ground(seed):
 
 
 def test_sectors_get_the_class_of_the_nearest_centre_raised_by_what_stands_on_them():
-    stack, model = scans_of_ground(1), load_stripes()
+    stack, model = scans_of_ground(0), load_stripes()
     classed = classify_filter(stack, model)
     for row, class_id in enumerate(classed.class_id):
         things = stack.count[row] - stack.ground_count[row]
