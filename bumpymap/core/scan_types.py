@@ -481,12 +481,8 @@ class PolarCells:
         around = np.where(inside, sectors[zone], 0).astype(distance.dtype)
         return cls(settings, np.where(inside, first, int(sectors @ rings)).astype(np.int32), around, turn)
 
-    def share(self, azimuth_start_rad: float) -> NDArray[np.floating]:
-        """Return the azimuths from the start of sector 0, as fractions of a turn."""
-        share = self.turn - self.turn.dtype.type(azimuth_start_rad / (2.0 * math.pi))
-        return np.asarray(share - np.floor(share))
-
     def cells(self, azimuth_start_rad: float) -> NDArray[np.int32]:
         """Return the number of the cell of each place; outside of the grid, the number of all cells."""
-        sector = np.minimum(self.share(azimuth_start_rad) * self.sectors, np.maximum(self.sectors - 1, 0))
+        share = self.turn - self.turn.dtype.type(azimuth_start_rad / (2.0 * math.pi))
+        sector = np.minimum((share - np.floor(share)) * self.sectors, np.maximum(self.sectors - 1, 0))
         return np.asarray(self.first + sector.astype(np.int32))
