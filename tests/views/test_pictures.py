@@ -192,7 +192,7 @@ def test_points_stand_where_they_are_ground_in_the_colour_of_its_class_obstacles
     picture, styles = paint(scan, classed), point_styles(classed)
     rows, columns = np.array([pixel(x, y) for x, y in scan.points[:, :2].astype(float)]).T
     height = classed.sectors.point_height
-    stands = wall & (height >= 0.25) & (height <= 1.38)
+    stands = wall & (height >= 0.25) & (height <= 1.38) & ~classed.sectors.point_airborne
     np.testing.assert_array_equal(styles == 3, stands)
     for style, least in ((0, 0.9), (2, 0.9), (3, 0.99), (4, 0.4)):  # obstacles cover others, and all cover what is grey
         chosen = styles == style
