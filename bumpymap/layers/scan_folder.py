@@ -106,8 +106,8 @@ def point_styles(classed: ClassedSectors) -> NDArray[np.uint8]:
     stack, settings = classed.sectors, classed.sectors.settings
     with np.errstate(invalid="ignore"):
         stands = (stack.point_height >= settings.belly_m) & (stack.point_height <= settings.height_m)
-    stands &= ~(stack.point_ground | stack.point_airborne)
-    style = np.where(stands, np.uint8(OBSTACLE_POINT), np.uint8(OTHER_POINT))
+    never = stack.point_ground | stack.point_airborne
+    style = np.where(stands & ~never, np.uint8(OBSTACLE_POINT), np.uint8(OTHER_POINT))
     own = np.append(classed.class_id, np.uint8(NOT_TRAVERSABLE))[stack.point_sector]
     return np.where(stack.point_ground & (own < CLASSES), own, style)
 
