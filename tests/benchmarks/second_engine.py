@@ -1,13 +1,13 @@
 """Drive a vehicle over fresh terrains in a second physics engine, and hold its ride against what a map predicts.
 
     python tests/benchmarks/second_engine.py --out DRIVES.jsonl [--vehicle warthog] [--seed 77] [--terrains 8]
-        [--starts 8] [--part 0/2]
+        [--starts 8] [--torque 4] [--part 0/2]
     python tests/benchmarks/second_engine.py --report DRIVES.jsonl [--densities 100,50,10] [--noise 0.01]
 
-It needs MuJoCo (pip install mujoco), which nothing else uses. Wheels are cylinders of their true width, tyres give way,
-and motors have a finite torque: what the first engine leaves out. The terrains have a seed that no calibration has. An
-interrupted run goes on where it was. The report surveys the terrains, rates them as a map does, and prints rank, median
-error, share of the means inside the 80 % interval by third of C_r, and p_fail by bin.
+It needs MuJoCo (pip install mujoco), which nothing else uses. Tyres give way, which the first engine leaves out, and
+motors are as strong as the grip of the tyres allows, unless --torque says less. The terrains have a seed that no
+calibration has. An interrupted run goes on where it was. The report surveys the terrains, rates them as a map does, and
+prints rank, median error, share of the means inside the 80 % interval by third of C_r, and p_fail by bin.
 """
 
 import argparse
@@ -28,8 +28,6 @@ from bumpymap.patches import measure
 from bumpymap.rating import Calibration, RideModel, Vehicle
 
 STEP_S, SPACING_M = 0.002, 0.1
-TORQUE_PER_LOAD = 1.2
-"""Most torque of a wheel over its share of the weight times its radius."""
 XML = """<mujoco><option timestep="{step}" gravity="0 0 -9.80665" integrator="implicitfast" cone="elliptic"/>
 <asset><hfield name="g" nrow="{rows}" ncol="{cols}" size="{east} {north} {tall} 1"/></asset>
 <worldbody><geom type="hfield" hfield="g" pos="{x} {y} {low}" friction="0.9 0.005 0.0001"/>
@@ -49,7 +47,7 @@ WHEEL = """<body pos="{forward} 0 0"><inertial pos="0 0 0" mass="{mass}" diagine
 class SecondVehicle:
     """The vehicle in the second engine, at the start of a strip of ground."""
 
-    def __init__(self, profile, ground, strip):
+    def __init__(self, profile, ground, strip, torque):
         import mujoco
 
         self._engine, self._radius = mujoco, profile.wheel.radius_m
@@ -61,7 +59,7 @@ class SecondVehicle:
         heights = ground.height(east, north)
         floor, tall = heights.min(), max(float(np.ptp(heights)), 1e-3)
         half = SPACING_M * np.array([cols - 1, rows - 1]) / 2
-        text = self._xml(profile).format(
+        text = self._xml(profile, torque).format(
             step=STEP_S, rows=rows, cols=cols, east=half[0], north=half[1], tall=tall, low=floor,
             x=low[0] + half[0], y=low[1] + half[1],
         )  # fmt: skip
@@ -74,8 +72,8 @@ class SecondVehicle:
         mujoco.mj_forward(self._model, self._data)
 
     @staticmethod
-    def _xml(profile):
-        """Return the model; what depends on the ground is left to fill in."""
+    def _xml(profile, torque):
+        """Return the model, its ground left to fill in; `torque` is over a wheel's share of the weight times radius."""
 
         def words(values):
             return " ".join(f"{value:g}" for value in values)
@@ -84,7 +82,7 @@ class SecondVehicle:
         belly, tall = profile.belly, 0.3 * profile.belly.length_m
         bottom = belly.clearance_m - profile.wheel.radius_m - profile.chassis.com_height_m
         weight = 9.80665 * (profile.chassis.mass_kg + 2 * profile.rocker.mass_kg + 4 * profile.wheel.mass_kg)
-        torque = TORQUE_PER_LOAD * weight / 4 * profile.wheel.radius_m
+        torque *= weight / 4 * profile.wheel.radius_m
         rockers, motors = "", ""
         for side, left in (("l", profile.track_m / 2), ("r", -profile.track_m / 2)):
             wheels = ""
@@ -157,7 +155,7 @@ def drive_all(given):
         for start in range(given.starts):
             rng = np.random.default_rng([given.seed, KINDS.index(kind), index, start])
             strip = drive_strip(profile, draw_start(ground, rng), settings)
-            made.append(follow(SecondVehicle(profile, ground, strip), strip, profile, settings))
+            made.append(follow(SecondVehicle(profile, ground, strip, given.torque), strip, profile, settings))
         row = {
             "vehicle": given.vehicle, "seed": given.seed, "kind": kind, "index": index,
             "c_r": [d.c_r if d.outcome == "completed" else None for d in made], "outcome": [d.outcome for d in made],
@@ -213,6 +211,7 @@ def main():
     parser.add_argument("--seed", type=int, default=77)
     parser.add_argument("--terrains", type=int, default=8)
     parser.add_argument("--starts", type=int, default=8)
+    parser.add_argument("--torque", type=float, default=4.0, help="most torque of a wheel over its load times radius")
     parser.add_argument("--part", default="0/1")
     parser.add_argument("--densities", default="100,50")
     parser.add_argument("--noise", type=float, default=0.01)
