@@ -39,7 +39,7 @@ class ReachField:
     cost: NDArray[np.float32]
     """Cost of the cheapest way to the middle of the tile, m; NaN where none leads (so are the minutes)."""
     minutes: NDArray[np.float32] | None = None
-    """Time along that way at the profile's speed, min."""
+    """Time along that way at the speed made good, min."""
 
     def __post_init__(self) -> None:
         shape = (self.window.rows, self.window.cols)
@@ -76,7 +76,7 @@ def write_reach(reach: ReachField, path: Path, about: Mapping[str, str] | None =
     bands = [BandSpec("cost", "m", "cost of the cheapest way from the start: its length and the detours it is worth")]
     layers = [reach.cost]
     if reach.minutes is not None:
-        bands.append(BandSpec("minutes", "min", "time along the cheapest way at the speed of the vehicle profile"))
+        bands.append(BandSpec("minutes", "min", "time along the cheapest way at the speed made good"))
         layers.append(reach.minutes)
     spec = RasterSpec(
         bands=bands,
