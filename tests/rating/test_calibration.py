@@ -117,7 +117,9 @@ def test_preferences_and_the_outline_are_those_of_the_profile(mine):
     weighed = find_calibration(mine)
     assert weighed.preferences == told
     change(mine, "height_m = 1.84", "height_m = 2.1")
+    change(mine, "[belly]", "[comfort]\na_w_mps2 = 0.8\n\n[belly]")
     found = find_calibration(mine)
+    assert found.vehicle["comfort"] == {"pitch_rate_radps": 0.3, "a_w_mps2": 0.8, "top_speed_mps": 0.0}
     assert (found.body.height_m, found.body.width_m) == (2.1, 1.84)
     assert (found.c_r, found.ride) == (car.c_r, car.ride)
     assert len({found.id, weighed.id, car.id}) == 3

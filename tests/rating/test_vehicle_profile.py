@@ -58,6 +58,7 @@ def test_file_with_a_path_is_read(tmp_path):
         ("belly.length_m", 13, ["belly.length_m is 13", "4 times"]),
         ("body.height_m", 0.5, ["body.height_m is 0.5", "reach up to 0.6"]),
         ("body.width_m", 1.2, ["body.width_m is 1.2", "1.37 wide"]),
+        ("floor", {"c_r_radpm": 0.4}, ["comfort.pitch_rate_radps is 0.3", "0.4 rad/s"]),
         ("body.brush_stem_m", 1.4, ["body.height_m is 1.38 and body.brush_stem_m 1.4"]),
     ],
 )
