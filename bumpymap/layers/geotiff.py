@@ -208,7 +208,7 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
             tags={
                 "top_speed_m_per_s": f"{rule.top_mps:g}",
                 "m_per_s_up_to_c_r_rad_per_m": ", ".join(f"{speed:g} up to {c_r:g}" for c_r, speed in rule.speeds),
-                "not_in_it": "soil, grip, slope, turns, sight",
+                "not_in_it": "soil, grip, slope, turns",
             },
         ),
         MapFile.BARRED: of_codes(

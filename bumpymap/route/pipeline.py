@@ -369,8 +369,8 @@ def _reach(ground: CostGround, stops: Stops, config: RouteConfig) -> "Reach":
     """Return what can be reached from the start, within the largest outline."""
     from bumpymap.route.reach import find_reach
 
-    limits = [*(minutes * 60.0 * ground.site.rule.top_mps for minutes in config.isochrones), *config.isocosts]
-    return find_reach(ground, stops.points[0], max(limits, default=math.inf))
+    most = 60.0 * ground.site.rule.top_mps * max(config.isochrones, default=math.inf)
+    return find_reach(ground, stops.points[0], most)
 
 
 def _write_reach(ground: CostGround, stops: Stops, config: RouteConfig, out: Path) -> RouteResult:
@@ -383,8 +383,7 @@ def _write_reach(ground: CostGround, stops: Stops, config: RouteConfig, out: Pat
         ground.site,
         stops.points[0],
         out,
-        levels=config.isochrones or config.isocosts,
-        by="minutes" if config.isochrones else "cost",
+        levels=config.isochrones,
         manifest={"settings": asdict(config), "start": stops.points[0], "remarks": notes},
         overwrite=config.overwrite,
     )

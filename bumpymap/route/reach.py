@@ -79,7 +79,7 @@ _IN_PART = (Barred.OBSTACLE, Barred.SPLIT, Barred.UNKNOWN)
 """Tiles that are closed as a whole, but in which the vehicle may fit."""
 _ONLY_WHOLE = (
     "ways between obstacles were not looked for, which would take {size} GB of memory: what lies behind a tile that "
-    "obstacles split is not counted. Raise `memory`, or give `isochrones` or `isocosts`"
+    "obstacles split is not counted. Raise `memory`, or give `isochrones`"
 )
 
 
@@ -128,7 +128,7 @@ def find_reach(ground: CostGround, start: NDArray[np.float64], most_m: float = m
     if window.cols * window.rows > ground.memory_tiles:
         raise UsageError(
             f"the map of what can be reached spans {window.cols * window.rows:,} tiles; {ground.memory_tiles:,} fit "
-            "in the memory limit. Raise `memory`, or limit the map with `isochrones` or `isocosts`"
+            "in the memory limit. Raise `memory`, or limit the map with `isochrones`"
         )
     cost = as_cost(ground.on_tiles(window, through=False, by_heading=True))
     place = place_in_window(start, site.grid, window)

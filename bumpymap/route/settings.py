@@ -73,10 +73,6 @@ class RouteConfig:
             "Outlines of what is reached in so many minutes", "LIST", 0.0, unit="minutes", exclusive=True, group="Way"
         ),
     ] = ()
-    isocosts: Annotated[
-        tuple[float, ...],
-        Setting("Outlines of what is reached at these costs, m", "LIST", 0.0, unit="m", exclusive=True, rare=True),
-    ] = ()
     out: Annotated[Path | None, Setting("Folder, or a .geojson, .gpx, .csv or .png file", "PATH", group="Output")] = (
         None
     )
@@ -106,12 +102,8 @@ class RouteConfig:
                 "without a goal the run maps what can be reached from the start; `visit`, `round_trip` and "
                 "`alternatives` belong to a way: add `goal`, `via` or `points`"
             )
-        if self.isochrones and self.isocosts:
-            raise UsageError("`isochrones` and `isocosts` are outlines of one run each: give one of them")
-        if not self.is_reach and (self.isochrones or self.isocosts):
-            raise UsageError(
-                "`isochrones` and `isocosts` are those of a start without a goal: leave out `goal` and `via`"
-            )
+        if not self.is_reach and self.isochrones:
+            raise UsageError("`isochrones` are those of a start without a goal: leave out `goal` and `via`")
 
     @property
     def is_reach(self) -> bool:

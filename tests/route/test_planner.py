@@ -293,7 +293,8 @@ def test_minutes_are_those_at_the_speed_of_each_tile_along_the_way(by):
     goal = reached[0] + 0.5
     ways = {kind: planner(site, by=kind).way(np.array([site.at(*start), site.at(*goal)])) for kind in ("cost", "time")}
     seconds = [way.figures.seconds for way in ways.values()]
-    assert (seconds[1] < seconds[0]) and ways["time"].figures.cost_m == pytest.approx(2.0 * seconds[1], rel=1e-6)
+    assert seconds[1] < seconds[0]
+    assert ways["time"].figures.cost_m == pytest.approx(2.0 * seconds[1], rel=1e-6)
     if by == "time":
         np.testing.assert_allclose(reach.cost, 2.0 * 60.0 * reach.minutes, rtol=1e-5, atol=1e-4)
 

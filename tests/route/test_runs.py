@@ -49,7 +49,7 @@ def no_picture(monkeypatch):
 @pytest.fixture
 def reach():
     cost = np.arange(12, dtype=np.float32).reshape(3, 4)
-    return ReachField(UTM, Grid(), TileWindow(110_000, 680_000, 4, 3), cost)
+    return ReachField(UTM, Grid(), TileWindow(110_000, 680_000, 4, 3), cost, cost)
 
 
 def write(out, source, **options):
@@ -82,9 +82,6 @@ def test_one_file_by_its_suffix(suffix, source, tmp_path):
     out = tmp_path / f"way{suffix}"
     assert write(out, source) == [out]
     assert sorted(files_in(tmp_path)) == [out.name]
-    with pytest.raises(OutputError, match="exists"):
-        write(out, source)
-    assert write(out, source, overwrite=True) == [out]
 
 
 def test_files_of_an_earlier_run_are_replaced_only_if_allowed_and_links_are_not_followed(source, reach, tmp_path):

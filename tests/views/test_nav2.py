@@ -218,13 +218,6 @@ def test_an_earlier_export_is_replaced_only_if_asked(easy_map, route_map, tmp_pa
     assert [path.name for path in done.files][-1] == "datum.json"
 
 
-@pytest.mark.parametrize("to", ["nav2", "gridmap", "graph", "cost"])
-def test_the_same_map_has_the_same_bytes(easy_map, tmp_path, to):
-    for name in ("a", "b"):
-        export_map(easy_map, tmp_path / name, ExportSettings(to=to))
-    assert files_in(tmp_path / "a") == files_in(tmp_path / "b")
-
-
 def test_other_files_stay_links_are_not_followed_and_layers_are_no_place_for_it(easy_map, easy_folder, tmp_path):
     out, mine = tmp_path / "out", tmp_path / "mine"
     out.mkdir()
