@@ -96,11 +96,6 @@ REFUSED = [
     (2, "export field --to nav2 --set every=9 --out OUT", "--set every has no effect with --to nav2, only with graph"),
     (2, "export field --to plan --around 1,2 --out OUT", "--around has no effect with --to plan"),
     (2, "export field --to nav2 --radius 20 --out OUT", "--radius has no effect without --around"),
-    (
-        2,
-        "export field --to nav2 --set max_cost=1 --out OUT",
-        "max_cost is 1; it must be a finite number greater than 1",
-    ),
     (2, "export field --to nav2 --around here --out OUT", "'here' is not a point"),
     (3, "export field --to nav2 --around crs:1,2 --out OUT", "lies outside the map"),
     (3, "export field --to plan --out OUT", "pass the folder that it wrote with --route"),

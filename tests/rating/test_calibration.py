@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from bumpymap.core.errors import BadInputError, UsageError
+from bumpymap.core.errors import BadInputError
 from bumpymap.rating.calibration import Calibration, shipped_calibrations
 from bumpymap.rating.vehicle_profile import find_calibration
 
@@ -144,13 +144,3 @@ def test_without_a_calibration_the_command_that_makes_it_is_said(mine):
     change(mine, "wheelbase_m = 2.7", "wheelbase_m = 2.8")
     with pytest.raises(BadInputError, match=rf"bumpymap calibrate --vehicle {mine} --out {mine.with_suffix('.json')} "):
         find_calibration(mine)
-
-
-def test_neither_name_nor_file(tmp_path):
-    for vehicle in ("tank", str(tmp_path / "none.toml")):
-        with pytest.raises(UsageError, match=r"no vehicle .*\(car, husky, small_rover, warthog\)"):
-            find_calibration(vehicle)
-    with pytest.raises(UsageError, match=r"available are: .*warthog"):
-        Calibration.shipped("bicycle")
-    with pytest.raises(BadInputError, match="cannot read the calibration"):
-        find_calibration("warthog", tmp_path / "none.json")

@@ -295,8 +295,6 @@ def test_minutes_are_those_at_the_speed_of_each_tile_along_the_way(by):
     seconds = [way.figures.seconds for way in ways.values()]
     assert seconds[1] < seconds[0]
     assert ways["time"].figures.cost_m == pytest.approx(2.0 * seconds[1], rel=1e-6)
-    if by == "time":
-        np.testing.assert_allclose(reach.cost, 2.0 * 60.0 * reach.minutes, rtol=1e-5, atol=1e-4)
 
 
 def test_a_limit_reads_a_window_and_keeps_what_lies_within():
