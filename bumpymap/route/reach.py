@@ -14,7 +14,7 @@ from bumpymap.route.ground import CostGround
 from bumpymap.route.places import place_in_window, window_within
 from bumpymap.route.search import FROM_START, MOVES, spread, traced_moves
 from bumpymap.route.straighten import as_cost, line_cost
-from bumpytiles import helper, kernel
+from bumpytiles import TileWindow, helper, kernel
 
 __all__ = ["Reach", "add_up_times", "find_reach"]
 
@@ -75,6 +75,8 @@ def _move_time(
     return float(total)
 
 
+_STRIP = 64
+"""Rows of tiles whose speeds are read at once, so that they take no more memory than the search did."""
 _IN_PART = (Barred.OBSTACLE, Barred.SPLIT, Barred.UNKNOWN)
 """Tiles that are closed as a whole, but in which the vehicle may fit."""
 _ONLY_WHOLE = (
@@ -135,14 +137,18 @@ def find_reach(ground: CostGround, start: NDArray[np.float64], most_m: float = m
     spent, back = spread(cost, place, margin=ground.margin)
     is_passable = np.isfinite(cost[..., 0])
     del cost  # a map may fill the memory that the search is given: what follows takes no more
-    tiles = site.read(window, ("c_r",))
-    slow = ground.slowness(tiles).astype(np.float32)
+    slow, in_part = np.empty(spent.shape, np.float32), False
+    for top in range(0, window.rows, _STRIP):
+        rows = min(_STRIP, window.rows - top)
+        tiles = site.read(TileWindow(window.col, window.row + window.rows - top - rows, window.cols, rows), ("c_r",))
+        slow[top : top + rows] = ground.slowness(tiles)
+        in_part |= bool(np.isin(tiles.barred, _IN_PART).any())
     time = np.full(spent.shape, -1.0)
     for row, col in np.argwhere(back == FROM_START).tolist():
         time[row, col] = line_cost(slow[..., None], np.array([place, (row + 0.5, col + 0.5)]))
     add_up_times(back, MOVES, *traced_moves(ground.margin), slow, time)
     notes: tuple[str, ...] = ()
-    if np.isin(tiles.barred, _IN_PART).any():
+    if in_part:
         from bumpymap.route.passages import BYTES_PER_TILE, reach_over_areas  # with SciPy's graphs, slow to load
 
         if window.rows * window.cols * BYTES_PER_TILE > ground.memory_bytes:
