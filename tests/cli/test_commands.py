@@ -306,11 +306,11 @@ def test_what_can_be_reached_is_a_raster_and_outlines_of_the_map_or_a_part(tmp_p
         (cost,) = file.sample([tuple(float(part) for part in place(20.5, 18.5).split(","))])
     assert not cost[0] <= 60.0 * 1.6  # only around the wall
     assert len(pyogrio.read_dataframe(out / "isochrones.geojson")) == 2
-    part = run(*words, "--isochrones", "0.25")
-    assert part.stdout.startswith("Within 15 m of the start to each side, ")
-    found = json.loads(run(*words, "--isochrones", "0.25", "--json").stdout)["reach"]
+    part = run(*words, "--isochrones", "0.2")
+    assert part.stdout.startswith("Within 18 m of the start to each side, ")
+    found = json.loads(run(*words, "--isochrones", "0.2", "--json").stdout)["reach"]
     assert f"{found['tiles']:,} tiles ({found['area_ha']:.2f} ha) can be reached, {found['share']:.1%}" in part.stdout
-    assert (found["limit_m"], found["tiles"] < 150) == (15.0, True)
+    assert (round(found["limit_m"]), found["tiles"] < 150) == (18, True)
     whole = json.loads(run(*words, "--json").stdout)["reach"]
     assert (whole["limit_m"], whole["tiles"] > 600) == (None, True)
 

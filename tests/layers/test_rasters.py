@@ -106,7 +106,6 @@ def test_cost_and_speed_are_those_of_passable_tiles_and_unknown_ground_has_none(
     assert np.isnan(rest).all()
     with rasterio.open(rasters["speed"]) as file:
         assert (file.descriptions, file.units, file.dtypes) == (("speed",), ("m/s",), ("float32",))
-        assert "soil" in file.tags()["not_in_it"]
     (c_r, slow), c = np.transpose([(c_r, 1.0 / speed) for c_r, speed in SPEEDS]), cost_map.c_r.astype(float)
     speed = 1.0 / (np.interp(c, c_r, slow) * np.maximum(c / c_r[1], 1.0))
     speed = np.where(cost_map.class_id == NO_CLASS, np.nan, np.where(passable, speed, 0.0))

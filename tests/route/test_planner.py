@@ -276,7 +276,6 @@ def test_a_way_touches_nothing_and_is_there_wherever_a_search_over_pixels_finds_
 
 @pytest.mark.parametrize("by", ["cost", "time"])
 def test_minutes_are_those_at_the_speed_of_each_tile_along_the_way(by):
-    """Against the way by moves, every 2 cm of it."""
     rng = np.random.default_rng(9)
     c_r = rng.gamma(2.0, 0.1, (30, 40))
     site, start = TileMap(c_r, np.where(rng.random(c_r.shape) < 0.1, Barred.SLOPE, Barred.NO)), (15.4, 20.7)
