@@ -58,6 +58,7 @@ _MOST_PICKLED = 1 << 28
 _CLASSES = Band("class", "", "roughness class, 0 (smooth) to 3 (very rough)")
 _REASONS = Band("reason", "", "why a tile has no class")
 _COST = Band("cost", "", "factor on distance for a planner; NaN where the tile is not passable")
+_SPEED = Band("speed", "m/s", "highest speed within the comfort limits; 0 where the tile is not passable")
 _BARRED = Band("barred", "", "why the tile is not passable")
 _HEIGHT = Band("height", "m", "mean height of the points in the pixel")
 _OBSTACLE = Band("objects", "", "what stands on the ground")
@@ -122,14 +123,15 @@ class Layers:
         return self._manifest
 
     def dataset(self) -> "xarray.Dataset":
-        """Open roughness.tif, class.tif, reason.tif, cost.tif and barred.tif as one dataset on the grid of tiles.
+        """Open all rasters of every map with one pixel per tile as one dataset on the grid of tiles.
 
         Returns
         -------
         xarray.Dataset
             Dimensions ``y`` (north first) and ``x``, at tile centres. The bands of roughness.tif (``c_r``, ``slope``,
-            ...) and ``cost`` are float32 variables, NaN where unknown; ``class`` (255 where unknown), ``reason`` (0
-            where there is a class) and ``barred`` (0 where passable) are uint8, 255 outside the tiles with points.
+            ...), ``cost`` and ``speed`` (not of earlier versions) are float32 variables, NaN where unknown; ``class``
+            (255 where unknown), ``reason`` (0 where there is a class) and ``barred`` (0 where passable) are uint8, 255
+            outside the tiles with points.
             Each has the attributes ``units`` and ``long_name``; CRS and transform are in ``spatial_ref``. Values are
             read from the files when they are used; those of a run in memory are loaded already.
 
@@ -140,11 +142,13 @@ class Layers:
         BadInputError
             A file of the run is missing or damaged.
         """
+        listed = {file["path"] for file in self.manifest["files"]}
         found = [
             *self._variables(MapFile.ROUGHNESS, BANDS),
             *self._variables(MapFile.CLASS, (_CLASSES,)),
             *self._variables(MapFile.REASON, (_REASONS,)),
             *self._variables(MapFile.COST, (_COST,)),
+            *(self._variables(MapFile.SPEED, (_SPEED,)) if MapFile.SPEED in listed else ()),
             *self._variables(MapFile.BARRED, (_BARRED,)),
         ]
         for other in found[1:]:

@@ -227,7 +227,7 @@ SIGNATURES = [
     (
         RouteSettings,
         [RouteConfig, CostSettings],
-        {*("layers", "start", "goal", "via", "points", "out", "isochrones", "isocosts", "cost")},
+        {*("layers", "start", "goal", "via", "points", "out", "isochrones", "cost")},
         bumpymap.find_routes,
     ),
     (DiffSettings, [DiffConfig], {"before", "after", "out"}, bumpymap.diff_surveys),

@@ -23,7 +23,6 @@ _ONLY_FOR: dict[str, tuple[ExportFormat, ...]] = {
     "radius": ("nav2", "gridmap", "graph", "cost"),
     "datum": ("nav2", "gridmap", "graph"),
     "resolution": ("nav2", "gridmap"),
-    "comfort": ("nav2",),
     "max_cost": ("nav2",),
     "every": ("graph",),
     "route": ("plan",),

@@ -198,10 +198,17 @@ def _meaning(profile: "Vehicle") -> list[tuple[str, str]]:
         ("wheels", f"radius {wheel.radius_m:g} m, {profile.wheelbase_m:g} m from axle to axle"),
         ("belly", f"{belly.length_m:g} m x {belly.width_m:g} m, {belly.clearance_m:g} m above level ground"),
         ("driven at", f"{profile.speed_mps:g} m/s, on slopes up to {profile.slope_limit_deg:g} degrees"),
+        ("comfort", f"{_comfort(profile.comfort)} (speed.tif)"),
         ("floor", _floor(profile.floor.c_r_radpm)),
         ("ride weight", f"{profile.ride_weight:g} m/rad: acceptable detour to avoid one radian of pitch motion"),
         ("fail weight", f"{profile.fail_weight:g} m: acceptable detour to avoid one failure"),
     ]
+
+
+def _comfort(limits: Any) -> str:
+    shaken = f"up to {limits.pitch_rate_radps:g} rad/s of pitch motion"
+    shaken += f" and {limits.a_w_mps2:g} m/s2 of weighted acceleration" if limits.a_w_mps2 else ""
+    return f"{shaken}, up to {limits.top_speed_mps:g} m/s" if limits.top_speed_mps else shaken
 
 
 def _floor(c_r: float) -> str:

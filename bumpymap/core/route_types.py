@@ -109,6 +109,8 @@ class RouteProfile:
     """Where the vehicle touches an obstacle, as it may only if ways through obstacles are allowed."""
     c_r_line: NDArray[np.float64]
     """Of the metre of the way itself (`ride_along`), rad/m; NaN if unknown."""
+    speed: NDArray[np.float64]
+    """Speed made good on the tile, m/s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +142,7 @@ class RouteFigures:
     climb_m: float
     descent_m: float
     seconds: float
-    """Time at the profile's speed, s."""
+    """Time at the speed made good, s."""
     c_r_line: float = math.nan
     """Mean of the way itself, rolled over the pixels (`ride_along`), rad/m, with its 80 % interval; NaN if unknown."""
     c_r_line_low: float = math.nan

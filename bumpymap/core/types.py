@@ -4,8 +4,9 @@ All lengths and coordinates are in metres; ``Georeference`` converts back to the
 record is one tile; all arrays of a record have the same length.
 """
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -335,6 +336,24 @@ class CostRule:
     """Path length of a calibration drive, m: ``p_fail`` is the share of such drives that fail."""
     slope_limit_deg: float
     """Steeper ground is not passable for this vehicle."""
+    speeds: tuple[tuple[float, float], ...] = ()
+    """Speed made good: C_r of the map [rad/m], rising, and the highest speed [m/s] within the comfort limits there. The
+    first is the top speed, and that of smoother ground too; none: not known."""
+
+    @property
+    def top_mps(self) -> float:
+        """The top speed, m/s; NaN if it is not known."""
+        return self.speeds[0][1] if self.speeds else math.nan
+
+    def slowness(self, c_r: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Return the time of a metre of ground with a C_r [rad/m] at the speed made good, s/m; NaN if unknown.
+
+        It is linear in C_r between ``speeds``, and in proportion to it beyond the last.
+        """
+        if not self.speeds:
+            return np.full(np.shape(c_r), math.nan)
+        known, speed = np.array(self.speeds).T
+        return np.asarray(np.interp(c_r, known, 1.0 / speed) * np.maximum(c_r / known[-1], 1.0))
 
     def hazard(self, p_fail: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return failures per metre, ``-ln(1 - p_fail) / drive_m``, 1/m: infinite if all fail, NaN if unknown."""
@@ -368,6 +387,11 @@ class CostRule:
         """Return the factor on distance; an unknown hazard (NaN) counts as 0."""
         known = np.where(np.isnan(hazard) | (self.fail_weight == 0.0), 0.0, hazard)
         return np.asarray(1.0 + self.ride_weight * c_r + self.fail_weight * known)
+
+    def time_cost(self, c_r: NDArray[np.floating], hazard: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Return the same by time: a metre counts as many as are driven at the top speed meanwhile."""
+        slower = np.maximum(self.top_mps * self.slowness(c_r), 1.0)
+        return slower - 1.0 + replace(self, ride_weight=0.0).cost(np.zeros(()), hazard)
 
 
 @dataclass(frozen=True, slots=True)

@@ -266,7 +266,7 @@ def _layers(
     """
     tags = as_tags(metadata)
     fine = [MapFile.HEIGHTMAP, MapFile.RELIEF, MapFile.OBSTACLE, MapFile.PASSAGE]
-    coarse = [MapFile.ROUGHNESS, MapFile.CLASS, MapFile.REASON, MapFile.COST, MapFile.BARRED]
+    coarse = [MapFile.ROUGHNESS, MapFile.CLASS, MapFile.REASON, MapFile.COST, MapFile.SPEED, MapFile.BARRED]
     coarse += _asked(table)
 
     def rasters(names: Sequence[MapFile]) -> dict[tuple[str, ...], Callable[[], None]]:

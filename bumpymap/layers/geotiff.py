@@ -23,6 +23,7 @@ from bumpymap.core import (
     OBSTACLE,
     REASON_TEXT,
     UNSEEN,
+    Barred,
     CostTable,
     Reason,
     speed_bands,
@@ -157,6 +158,11 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
         cost = rule.cost(found["c_r"].astype(np.float64), rule.hazard(found["p_fail"]))
         return [np.where(found["barred"] == 0, cost, np.nan)]
 
+    def speeds(found: _Found, _: RasterWindow) -> list[NDArray[np.float64]]:
+        known = (found["barred"] != Barred.UNKNOWN) & np.isfinite(found["c_r"])
+        speed = 1.0 / rule.slowness(found["c_r"])
+        return [np.where(known, np.where(found["barred"] == Barred.NO, speed, 0.0), np.nan)]
+
     def objects(found: _Found, _: RasterWindow) -> NDArray[np.uint8]:
         state = found["objects"]
         hidden = (state == UNSEEN) | ((state == FREE) & np.isnan(found["obstacle"])[:, None, None])
@@ -192,6 +198,17 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
                 "fail_weight_m": f"{rule.fail_weight:g}",
                 "drive_m": f"{rule.drive_m:g}",
                 "slope_limit_deg": f"{rule.slope_limit_deg:g}",
+            },
+        ),
+        MapFile.SPEED: _Layer(
+            "speed made good: the highest at which the ride stays within the comfort limits of the vehicle profile",
+            [BandSpec("speed", "m/s", "highest within the comfort limits, 0 where not passable; soil is not in it")],
+            ("c_r", "barred"),
+            speeds,
+            tags={
+                "top_speed_m_per_s": f"{rule.top_mps:g}",
+                "m_per_s_up_to_c_r_rad_per_m": ", ".join(f"{speed:g} up to {c_r:g}" for c_r, speed in rule.speeds),
+                "not_in_it": "soil, grip, slope, turns",
             },
         ),
         MapFile.BARRED: of_codes(
@@ -266,6 +283,7 @@ def write_raster(file: MapFile, table: CostTable, path: Path, about: Mapping[str
           colour table is in the TIFF; names, colours and pixel counts are in ``class.tif.aux.xml`` and so on.
         - ``cost.tif``: float32, one pixel per tile: the factor on distance, NaN if the tile is not passable. Overviews
           average the passable tiles.
+        - ``speed.tif``: float32, one pixel per tile: the speed made good, 0 if it is not passable, NaN if unknown.
         - ``speeds.tif``: float32, one pixel per tile, the bands of `speed_bands`, NaN if unknown.
         - ``headings.tif``: float32, one pixel per tile, ``HEADING_BANDS``, NaN if unknown.
         - ``heightmap.tif``: float32, the heightmaps of all tiles side by side, NaN in pixels without points.

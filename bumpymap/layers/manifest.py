@@ -155,6 +155,7 @@ def complete_manifest(
                 "fail_weight_m": table.rule.fail_weight,
                 "drive_m": table.rule.drive_m,
                 "slope_limit_deg": table.rule.slope_limit_deg,
+                "speeds_mps_at_c_r_radpm": [[speed, c_r] for c_r, speed in table.rule.speeds],
             },
             "counts": {
                 "tiles": summary.tiles,

@@ -372,12 +372,14 @@ def open_map(folder: str | os.PathLike[str]) -> MapReader:
         crs, unit = manifest["crs"], manifest["metres_per_unit"]
         known = None if crs is None else stated_crs(crs["wkt"])
         cost = manifest["cost"]
+        vehicle = _vehicle(folder, manifest)
         names = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
+        ride, fail, drive, slope = (float(cost[name]) for name in names)
         parts = (
             Grid(float(manifest["grid"]["tile_size_m"]), int(manifest["grid"]["pixels"])),
             Georeference(known, float(unit["horizontal"]), float(unit["vertical"])),
-            CostRule(*(float(cost[name]) for name in names)),
-            _vehicle(folder, manifest),
+            CostRule(ride, fail, drive, slope, _speeds(cost, vehicle)),
+            vehicle,
         )
     except (LookupError, TypeError, ValueError, AttributeError, CRSError) as error:
         raise BadInputError(f"{folder / 'run.json'} is damaged: {error!r}. {_AGAIN}") from error
@@ -452,6 +454,16 @@ def _window_of(folder: Path, name: MapFile, grid: Grid, georeference: Georeferen
             f"{path} does not lie on the grid of tiles of {grid.tile_size:g} m that run.json states. {_AGAIN}"
         )
     return TileWindow(*whole)
+
+
+def _speeds(cost: Mapping[str, Any], vehicle: RouteVehicle) -> tuple[tuple[float, float], ...]:
+    """Return ``CostRule.speeds``; a map of an earlier version has that of a pitch rate of 0.3 rad/s."""
+    own = [[vehicle.speed_mps, 0.3 / vehicle.speed_mps]]
+    found = tuple((float(c_r), float(speed)) for speed, c_r in cost.get("speeds_mps_at_c_r_radpm") or own)
+    known = np.array(found)
+    if not (np.isfinite(known) & (known > 0.0)).all() or (np.diff(known[:, 0]) <= 0.0).any():
+        raise ValueError("speeds_mps_at_c_r_radpm")
+    return found
 
 
 def _vehicle(folder: Path, manifest: Mapping[str, Any]) -> RouteVehicle:

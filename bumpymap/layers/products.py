@@ -84,6 +84,7 @@ class MapFile(StrEnum):
     CLASS = "rasters/class.tif"
     REASON = "rasters/reason.tif"
     COST = "cost.tif"
+    SPEED = "rasters/speed.tif"
     BARRED = "rasters/barred.tif"
     HEIGHTMAP = "rasters/heightmap.tif"
     RELIEF = "rasters/relief.tif"

@@ -38,15 +38,13 @@ class ReachField:
     window: TileWindow
     cost: NDArray[np.float32]
     """Cost of the cheapest way to the middle of the tile, m; NaN where none leads (so are the minutes)."""
-    minutes: NDArray[np.float32] | None = None
-    """Time along that way at the profile's speed, min."""
+    minutes: NDArray[np.float32]
+    """Time along that way at the speed made good, min."""
 
     def __post_init__(self) -> None:
         shape = (self.window.rows, self.window.cols)
-        found = {name: getattr(self, name) for name in ("cost", "minutes")}
-        wrong = {name: array.shape for name, array in found.items() if array is not None and array.shape != shape}
-        if wrong:
-            raise ValueError(f"the window has (rows, cols) {shape}; these arrays do not: {wrong}")
+        if not self.cost.shape == self.minutes.shape == shape:
+            raise ValueError(f"the window has (rows, cols) {shape}, cost {self.cost.shape} and {self.minutes.shape}")
 
     @property
     def placement(self) -> Placement:
@@ -56,7 +54,7 @@ class ReachField:
 
 
 def write_reach(reach: ReachField, path: Path, about: Mapping[str, str] | None = None) -> None:
-    """Write reach.tif: a float32 COG, one pixel per tile, bands ``cost`` (m) and ``minutes`` if it is known.
+    """Write reach.tif: a float32 COG, one pixel per tile, bands ``cost`` (m) and ``minutes``.
 
     Parameters
     ----------
@@ -73,24 +71,20 @@ def write_reach(reach: ReachField, path: Path, about: Mapping[str, str] | None =
     BadInputError
         The window is too large for a raster.
     """
-    bands = [BandSpec("cost", "m", "cost of the cheapest way from the start: its length and the detours it is worth")]
-    layers = [reach.cost]
-    if reach.minutes is not None:
-        bands.append(BandSpec("minutes", "min", "time along the cheapest way at the speed of the vehicle profile"))
-        layers.append(reach.minutes)
+    bands = [
+        BandSpec("cost", "m", "cost of the cheapest way from the start: its length and the detours it is worth"),
+        BandSpec("minutes", "min", "time along the cheapest way at the speed made good"),
+    ]
     spec = RasterSpec(
         bands=bands,
         crs=reach.placement.horizontal_crs,
         tags={"title": "cost of the cheapest way to each tile"} | dict(about or {}),
     )
-    write_array(path, reach.placement, spec, np.stack(layers).astype(np.float32, copy=False))
-
-
-_UNITS = {"cost": "m", "minutes": "min"}
+    write_array(path, reach.placement, spec, np.stack([reach.cost, reach.minutes]).astype(np.float32, copy=False))
 
 
 def write_isochrones(
-    reach: ReachField, levels: Sequence[float], path: Path, *, by: str, about: Mapping[str, Any] | None = None
+    reach: ReachField, levels: Sequence[float], path: Path, *, about: Mapping[str, Any] | None = None
 ) -> None:
     """Write one multipolygon for each level: all tiles that can be reached within it, so the larger hold the smaller.
 
@@ -102,11 +96,9 @@ def write_isochrones(
     ----------
     reach : ReachField
     levels : sequence of float
-        Positive; m of cost, or minutes.
+        Positive, minutes.
     path : Path
         The file, which appears only when it is complete.
-    by : str
-        ``cost`` or ``minutes``.
     about : mapping, optional
         Further members of the collection, such as vehicle and start.
 
@@ -115,18 +107,15 @@ def write_isochrones(
     OutputError
         The file cannot be written.
     BadInputError
-        A level is not a positive number, or the reach has no minutes.
+        A level is not a positive number.
     """
-    values = reach.cost if by == "cost" else reach.minutes
-    if values is None:
-        raise BadInputError("this reach has no minutes. Give the levels as cost, in m")
     wanted = sorted({float(level) for level in levels}, reverse=True)
     if not wanted or not (np.isfinite(wanted).all() and wanted[-1] > 0):
-        raise BadInputError(f"the levels are {list(levels)}. Give positive numbers of {_UNITS[by]}, at least one")
+        raise BadInputError(f"the levels are {list(levels)}. Give positive numbers of minutes, at least one")
     place = GeoJsonCoordinates.of(reach.placement, local=True)
     features = []
     for level in wanted:
-        inside = values <= level  # NaN is never inside
+        inside = reach.minutes <= level  # NaN is never inside
         geometry = None
         if inside.any():
             # Tiles that touch at a corner only are polygons apart: nothing drives over a corner.
@@ -135,7 +124,7 @@ def write_isochrones(
             polygons = place.polygons(trace_labels(labels, reach.window, slice(0, reach.window.rows), numbers))
             geometry = shapely.multipolygons(shapely.get_parts(polygons))
         area = int(inside.sum()) * reach.grid.tile_size**2
-        features.append(feature({"within": level, "of": by, "unit": _UNITS[by], "area_m2": area}, geometry))
+        features.append(feature({"within": level, "of": "minutes", "unit": "min", "area_m2": area}, geometry))
     write_features(path, "isochrones", place, features, about)
 
 
@@ -153,8 +142,9 @@ def reach_dataset(reach: ReachField) -> "xarray.Dataset":
     window = reach.window
     x = place.to_crs(window.col + 0.5 + np.arange(window.cols))
     y = place.to_crs(window.row + window.rows - 0.5 - np.arange(window.rows))
-    variables = {"cost": (("y", "x"), reach.cost, {"units": "m", "long_name": "cost of the cheapest way"})}
-    if reach.minutes is not None:
-        variables["minutes"] = (("y", "x"), reach.minutes, {"units": "min", "long_name": "time along the cheapest way"})
+    variables = {
+        "cost": (("y", "x"), reach.cost, {"units": "m", "long_name": "cost of the cheapest way"}),
+        "minutes": (("y", "x"), reach.minutes, {"units": "min", "long_name": "time along the cheapest way"}),
+    }
     dataset = xarray.Dataset(variables, {"y": y, "x": x})
     return dataset if place.horizontal_crs is None else dataset.rio.write_crs(place.horizontal_crs.to_wkt())

@@ -335,7 +335,7 @@ def _text(parent: ET.Element, tag: str, text: str) -> None:
 
 PROFILE_COLUMNS = (
     *("route", "distance_m", "lon", "lat", "x", "y"),
-    *("z_m", "slope_deg", "c_r", "c_r_low", "c_r_high", "p_fail", "cost_m", "obstacle", "c_r_line"),
+    *("z_m", "slope_deg", "c_r", "c_r_low", "c_r_high", "p_fail", "cost_m", "obstacle", "c_r_line", "speed_mps"),
 )
 """Columns of profile.csv; ``x`` and ``y`` are in units of the survey's CRS."""
 _FORMATS = (
@@ -353,6 +353,7 @@ _FORMATS = (
     "%.3f",
     "%d",
     "%.6f",
+    "%.3f",
 )
 
 
@@ -384,6 +385,7 @@ def _rows(route: Route, place: GeoJsonCoordinates) -> Iterator[tuple[str, ...]]:
         *(profile.z, profile.slope, profile.c_r, profile.c_r_low, profile.c_r_high, profile.p_fail, profile.cost),
         profile.obstacle,
         profile.c_r_line,
+        profile.speed,
     )
     texts = [
         [form % value if math.isfinite(value) else "" for value in values.tolist()]

@@ -53,6 +53,7 @@ from .ride.speed import (
     SpeedRating as SpeedRating,
     at_speed as at_speed,
     felt_by_heading as felt_by_heading,
+    map_rule as map_rule,
     motion_felt as motion_felt,
     motion_terms as motion_terms,
     plain_terms as plain_terms,

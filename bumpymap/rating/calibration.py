@@ -25,7 +25,7 @@ from bumpymap.core import (
     read_regular,
     short_repr,
 )
-from bumpymap.rating.vehicle_body import Floor, body_of, body_table, floor_of, with_floor
+from bumpymap.rating.vehicle_body import Floor, body_of, body_table, comfort_of, floor_of, with_floor
 
 __all__ = ["DEFAULT_FAIL_WEIGHT", "MAP_SPEED", "Calibration", "DrivenTerrain", "remembered", "shipped_calibrations"]
 
@@ -41,7 +41,7 @@ _OPTIONAL = ("motion", "steps", "thin")
 """Fields that older files do not have."""
 _PREFERENCES = ("name", "description", "ride_weight", "fail_weight")
 """Keys of a vehicle profile that do not affect the simulated drives."""
-_UNDRIVEN = ("body.", "floor.")
+_UNDRIVEN = ("body.", "comfort.", "floor.")
 """Tables that do not either."""
 DEFAULT_FAIL_WEIGHT = 300.0
 """``fail_weight`` of profiles without that key, m."""
@@ -314,7 +314,7 @@ class Calibration:
         }
 
     def with_preferences(self, profile: dict[str, Any], origin: str) -> "Calibration":
-        """Return this calibration with the preferences, ``[body]`` and ``[floor]`` of a vehicle profile.
+        """Return this calibration with the preferences, ``[body]``, ``[comfort]``, ``[floor]`` of a profile.
 
         They change the layers, so a changed preference changes the ``id``.
 
@@ -340,6 +340,8 @@ class Calibration:
         changed = {key: given[key] for key in _PREFERENCES if key in given and given[key] != own.get(key)}
         if (body := body_table(profile)) != body_table(self.vehicle):
             changed["body"] = body
+        if (comfort := comfort_of(profile)) != comfort_of(self.vehicle):
+            changed["comfort"] = asdict(comfort)
         if floor_of(profile) not in (self.floor, self.floor_before):
             changed["floor"] = asdict(Floor(floor_of(profile)))
         return replace(self, vehicle=self.vehicle | changed) if changed else self

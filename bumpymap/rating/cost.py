@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import FAIL_SHARE, NO_CLASS, CostMap, Georeference, PatchStack, Reason, TextureMap
 from bumpymap.rating.calibration import Calibration
+from bumpymap.rating.ride.speed import map_rule
 from bumpymap.rating.vehicle_body import with_floor
 
 __all__ = ["PAPER_TABLE", "rate", "rate_as_paper"]
@@ -84,7 +85,7 @@ def rate(patches: PatchStack, textures: TextureMap, calibration: Calibration, ge
     )
     class_id = np.full(len(known), NO_CLASS, np.uint8)
     class_id[known] = rank
-    return CostMap(georeference, patches, textures, class_id, c_r, low, high, p_fail, sure, calibration.cost_rule)
+    return CostMap(georeference, patches, textures, class_id, c_r, low, high, p_fail, sure, map_rule(calibration))
 
 
 class _Mixture(NamedTuple):
@@ -161,7 +162,7 @@ def rate_as_paper(
         c_r_high=_spread(measured, high[measured]),
         p_fail=_spread(measured, p_fail[measured]),
         confidence=_spread(judged, chance.max(axis=1)[judged]),
-        rule=calibration.cost_rule,
+        rule=map_rule(calibration),
     )
 
 

@@ -12,12 +12,14 @@ from bumpymap.core import VehicleBody, field_rule
 
 __all__ = [
     "Body",
+    "Comfort",
     "Floor",
     "OneLine",
     "ProfileKey",
     "Quantity",
     "body_of",
     "body_table",
+    "comfort_of",
     "floor_of",
     "less_floor",
     "number_tuples",
@@ -31,6 +33,8 @@ _WORDS = {
     "m/s": "metres per second",
     "deg": "degrees",
     "rad": "radians",
+    "rad/s": "radians per second",
+    "m/s2": "m/s2",
     "kg": "kilograms",
     "kg m2": "kg m2",
     "m/rad": "metres per radian",
@@ -162,6 +166,24 @@ class Floor:
     c_r_radpm: Annotated[
         float, Quantity("rad/m", 0, 1, "C_r on even, level ground at `speed_mps`; enters `c_r` in power")
     ] = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Comfort:
+    """Limits of the ride, from which the speed made good of each tile follows."""
+
+    pitch_rate_radps: Annotated[float, Quantity("rad/s", 0.001, 100, "most pitch motion, C_r times the speed")] = 0.3
+    a_w_mps2: Annotated[
+        float, Quantity("m/s2", 0, 1000, "most weighted vertical acceleration; 0: no limit, as nobody sits in it")
+    ] = 0.0
+    top_speed_mps: Annotated[
+        float, Quantity("m/s", 0, 40, "speed on smooth ground; 0: `speed_mps`, or that of the map's `--speed`")
+    ] = 0.0
+
+
+def comfort_of(vehicle: Mapping[str, Any]) -> Comfort:
+    """Return the limits of the ride of a vehicle profile (the nested dictionary of its TOML file)."""
+    return Comfort(**{name: float(value) for name, value in vehicle.get("comfort", {}).items()})
 
 
 def floor_of(vehicle: Mapping[str, Any]) -> float:

@@ -23,7 +23,7 @@ from bumpymap.core import (
 )
 from bumpymap.rating.calibration import DEFAULT_FAIL_WEIGHT, Calibration, shipped_calibrations
 from bumpymap.rating.ride.speed import at_speed
-from bumpymap.rating.vehicle_body import Body, Floor, OneLine, Quantity, body_table, plain_lists, profile_keys
+from bumpymap.rating.vehicle_body import Body, Comfort, Floor, OneLine, Quantity, body_table, plain_lists, profile_keys
 from bumpymap.rating.vehicle_estimate import ESTIMATED, SUSPENSION, Whole, estimate_profile
 
 __all__ = [
@@ -134,6 +134,8 @@ class Vehicle:
     wheel: Wheel
     body: Body = field(default=Body(), kw_only=True)
     """Does not affect the drives; what the profile leaves out follows from the other keys."""
+    comfort: Comfort = field(default=Comfort(), kw_only=True)
+    """Does not affect the drives: how fast a map says that ground is driven."""
     floor: Floor = field(default=Floor(), kw_only=True)
     """Does not affect the drives either; added to what they say."""
 
@@ -281,6 +283,11 @@ def _size_faults(profile: Vehicle) -> Iterator[str]:
         yield f"body.height_m is {body.height_m:g}, and wheels and belly reach up to {under:g}; it must not be lower"
     elif body.height_m <= body.brush_stem_m:
         yield f"body.height_m is {body.height_m:g} and body.brush_stem_m {body.brush_stem_m:g}; it must be higher"
+    if (own := profile.floor.c_r_radpm * profile.speed_mps) >= profile.comfort.pitch_rate_radps:
+        yield (
+            f"comfort.pitch_rate_radps is {profile.comfort.pitch_rate_radps:g}, and [floor] says that even ground "
+            f"takes {own:.3g} rad/s: no speed would be slow enough"
+        )
     if body.width_m < round(wide, 2) - 0.005:  # the default is rounded
         yield f"body.width_m is {body.width_m:g}, and belly and wheels are {wide:.3g} wide; it must not be less"
 

@@ -94,7 +94,9 @@ class CostGround:
     @property
     def risk_m(self) -> float:
         """Weight of the hazard by the settings, m."""
-        return self.site.rule.fail_weight if self.settings.risk is None else self.settings.risk
+        if self.settings.risk is None:
+            return self.site.rule.fail_weight if self.settings.by == "cost" else 0.0
+        return self.settings.risk
 
     @property
     def joins_corners(self) -> bool:
@@ -115,7 +117,7 @@ class CostGround:
     @property
     def knows_headings(self) -> bool:
         """True if the cost of a metre depends on its heading."""
-        return self.settings.direction and self.site.has_headings
+        return self.settings.direction and self.settings.by == "cost" and self.site.has_headings
 
     @property
     def bytes_per_tile(self) -> int:
@@ -145,7 +147,7 @@ class CostGround:
     def of_field(
         self, tiles: TileField, headings: NDArray[np.float32] | None = None, *, through: bool = True
     ) -> NDArray[np.float32]:
-        """Return the same for tiles that have been read: ``1 + ride_weight c_r + risk hazard``, at least 1.
+        """Return the same for tiles that have been read: ``1 + ride_weight c_r + risk hazard``, or that by time.
 
         Closed are tiles that are not passable, by their ground or, unless ``through``, by what obstacles leave of them,
         and those that the areas close. With the risk of the vehicle profile these are the values of cost.tif. Unknown
@@ -156,8 +158,8 @@ class CostGround:
         ``headings``, C_r along each axis, (rows, cols, 8), c_r and the ends of its interval are in proportion to it.
         """
         rule, settings = tiles.rule, self.settings
-        risk = self.risk if self.risk is not None else settings.risk
-        weighed = rule if risk is None else replace(rule, fail_weight=risk)
+        weighed = replace(rule, fail_weight=self.risk_m if self.risk is None else self.risk)
+        of_metre = weighed.cost if settings.by == "cost" else weighed.time_cost
         shaking = tiles.c_r_high if settings.robust else tiles.c_r
         cost = np.empty((*tiles.barred.shape, 1 if headings is None else headings.shape[2]), np.float32)
         for start in range(0, len(cost), _STRIP):
@@ -166,7 +168,7 @@ class CostGround:
             c_r = shaking[rows, :, None].astype(np.float64)
             if headings is not None:
                 c_r = c_r * by_mean(headings[rows], tiles.c_r[rows])
-            factor = weighed.cost(c_r, weighed.hazard(tiles.p_fail[rows])[..., None])
+            factor = of_metre(c_r, weighed.hazard(tiles.p_fail[rows])[..., None])
             is_open = np.isin(barred, OPEN_THROUGH) if through or self.touching else barred == Barred.NO
             cost[rows] = np.where(is_open[..., None] & np.isfinite(factor), factor, np.inf)
             if settings.unknown is not None:
@@ -180,6 +182,11 @@ class CostGround:
         if self.worn is not None:
             cost *= self.worn.factors(tiles.window)[..., None]
         return cost[..., 0] if headings is None else cost
+
+    def slowness(self, tiles: TileField) -> Floats:
+        """Return the time of a metre, (rows, cols) s/m: that of the cost at the top speed on unknown ground; or NaN."""
+        slow, unknown = tiles.rule.slowness(tiles.c_r), (self.settings.unknown or math.nan) / tiles.rule.top_mps
+        return np.where(tiles.barred == Barred.UNKNOWN, unknown, slow)
 
     def on_pixels(self, window: TileWindow, *, by_heading: bool = False) -> NDArray[np.float32]:
         """Return the cost per metre on each pixel, (rows * pixels, cols * pixels); inf where the vehicle cannot be.

@@ -252,6 +252,8 @@ def with_line_rides(
             raise
         return list(ways), [f"the ride of the line itself is not known: {error}"]
     found = [(_with_line_ride(site, way, vehicle), risk) for way, risk in ways]
+    if ground.settings.by == "time":
+        return found, []
     costs = np.array([_cost_by_line(way.figures, site.rule.ride_weight, ground.settings.robust) for way, _ in found])
     order = np.argsort(costs, kind="stable").tolist()
     if not order[0] or not np.isfinite(costs).all():

@@ -48,8 +48,8 @@ class MeasuredWay:
 
 _Pieces: TypeAlias = dict[str, NDArray[Any]]
 """The pieces of a way inside single tiles, (n,) each: ``col`` and ``row`` on the grid, ``length`` m, ``cost`` and
-``hazard`` per metre (0 if unknown), ``barred``, ``unknown``, ``c_r``, ``c_r_low``, ``c_r_high`` and ``p_fail`` (NaN if
-unknown); cost and ride are those of the heading, if it is known."""
+``hazard`` per metre (0 if unknown), ``slow`` s/m, ``barred``, ``unknown``, ``c_r``, ``c_r_low``, ``c_r_high`` and
+``p_fail`` (NaN if unknown); cost and ride are those of the heading, if it is known."""
 
 
 def measure_way(ground: CostGround, line: Floats, stops: Floats) -> MeasuredWay:
@@ -85,7 +85,7 @@ def measure_way(ground: CostGround, line: Floats, stops: Floats) -> MeasuredWay:
         tight_turns_deg=ground.tight_turns_deg(line),
         climb_m=climb[0],
         descent_m=climb[1],
-        seconds=length / ground.site.vehicle.speed_mps,
+        seconds=float((pieces["length"] * pieces["slow"]).sum()),
     )
     return MeasuredWay(line, figures, profile, np.column_stack([pieces["col"], pieces["row"]]))
 
@@ -118,7 +118,7 @@ def _pieces(ground: CostGround, line: Floats) -> _Pieces:
     if headings is not None:
         ratio = axis_values(by_mean(headings[at], tiles.c_r[at]), *way)
         ride = {name: values * ratio for name, values in ride.items()}
-    hazard = tiles.rule.hazard(tiles.p_fail[at])
+    hazard, slow = tiles.rule.hazard(tiles.p_fail[at]), ground.slowness(tiles)[at]
     return {
         "col": window.col + found.col,
         "row": window.row + window.rows - 1 - found.row,
@@ -127,6 +127,7 @@ def _pieces(ground: CostGround, line: Floats) -> _Pieces:
         "barred": tiles.barred[at],
         "hazard": np.where(unknown | np.isnan(hazard), 0.0, hazard),
         "unknown": unknown,
+        "slow": slow,
         **{name: np.where(unknown, np.nan, values) for name, values in (ride | {"p_fail": tiles.p_fail[at]}).items()},
     }
 
@@ -176,6 +177,7 @@ def _profile(site: MapReader, line: Floats, pieces: _Pieces) -> RouteProfile:
         cost=np.interp(distance, np.concatenate([[0.0], ends]), spent),
         obstacle=np.zeros(count, np.bool_),
         c_r_line=np.full(count, np.nan),
+        speed=1.0 / pieces["slow"][piece],
     )
 
 

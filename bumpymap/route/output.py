@@ -158,15 +158,14 @@ def write_reach_files(
     out: Path,
     *,
     levels: Sequence[float] = (),
-    by: str = "cost",
     manifest: Mapping[str, Any],
     overwrite: bool = False,
 ) -> list[Path]:
     """Write reach.tif, reach.png, isochrones.geojson (with levels) and route.json to a folder.
 
-    ``start`` (2,): easting and northing, m. ``out`` may be one file instead, .tif for the cost, .png for the picture or
-    .geojson for the isochrones; ``levels`` of these: m of cost, or minutes, as ``by`` says (``cost``, ``minutes``). For
-    the other parameters, the result and errors see `write_routes`.
+    ``start`` (2,): easting and northing, m. ``out`` may be one file instead, .tif for the raster, .png for the picture
+    or .geojson for the isochrones; ``levels`` of these: minutes. For the other parameters, the result and errors see
+    `write_routes`.
     """
     one_file = check_out(out, REACH_KINDS, overwrite=overwrite)
     vehicle = source.manifest.get("vehicle")
@@ -174,10 +173,10 @@ def write_reach_files(
     about = {"vehicle": name} if isinstance(name, str) else {}
     writers: dict[str, Callable[[Path], None]] = {
         "reach.tif": partial(write_reach, reach, about=about),
-        "reach.png": partial(write_reach_picture, reach, source, start, levels=levels, by=by),
+        "reach.png": partial(write_reach_picture, reach, source, start, levels=levels),
     }
     if levels:
-        writers["isochrones.geojson"] = partial(write_isochrones, reach, levels, by=by, about=about)
+        writers["isochrones.geojson"] = partial(write_isochrones, reach, levels, about=about)
     if one_file is None:
         return _write_folder(writers, out, {**manifest, **_describe_layers(source)}, [], overwrite=overwrite)
     if one_file not in writers:

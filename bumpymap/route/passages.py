@@ -95,31 +95,32 @@ def way_over_areas(ground: CostGround, start: Floats, goal: Floats) -> Floats | 
 
 
 def reach_over_areas(
-    ground: CostGround, window: TileWindow, start: Floats, cost: Floats, length: Floats
+    ground: CostGround, window: TileWindow, start: Floats, cost: Floats, time: Floats, slow: NDArray[np.float32]
 ) -> NDArray[np.bool_]:
     """Extend what is reached over whole tiles by what is reached over the areas of tiles.
 
     ``ground``: the map, with costs; ``window``: it takes ``BYTES_PER_TILE`` of memory for each tile; ``start`` (2,):
-    easting and northing, m; ``cost``, ``length`` (rows, cols): of the cheapest way over whole tiles to each tile, in
-    tiles; the cost is infinite where none leads; both are changed. Returns (rows, cols): tiles in which the vehicle
-    fits somewhere.
+    easting and northing, m; ``cost``, ``time`` (rows, cols): of the cheapest way over whole tiles to each tile, times
+    tiles; the cost is infinite where none leads; both are changed; ``slow``: time of a metre on each. Returns (rows,
+    cols): tiles in which the vehicle fits somewhere.
     """
     graph = _graph(ground, window)
-    count, cost_of_tile, length_of_tile = len(graph.tile), cost.reshape(-1), length.reshape(-1)  # views
+    count, cost_of_tile, time_of_tile = len(graph.tile), cost.reshape(-1), time.reshape(-1)  # views
+    slow_of_node = slow.ravel()[graph.tile].astype(np.float64)
     per_tile = ground.on_tiles(window).ravel()[graph.tile].astype(np.float64)
     # A way over whole tiles ends in the largest area of its tile, from where it goes on.
     size = np.bincount(graph.node.ravel() + 1, minlength=count + 1)[1:]
     seeds = _least_of_each(graph.tile, -size)
     seeds = seeds[np.isfinite(cost_of_tile[graph.tile[seeds]])]
-    seed_cost, seed_length = cost_of_tile[graph.tile[seeds]], length_of_tile[graph.tile[seeds]]
+    seed_cost, seed_time = cost_of_tile[graph.tile[seeds]], time_of_tile[graph.tile[seeds]]
     start_node = _node_at(ground, graph, window, start)
     if start_node >= 0:
         place = ground.in_window(start[None], window)[0] / ground.site.grid.pixels
         straight = math.dist(place, graph.middle[start_node])
-        seeds, seed_length = np.append(seeds, start_node), np.append(seed_length, straight)
+        seeds, seed_time = np.append(seeds, start_node), np.append(seed_time, straight * slow_of_node[start_node])
         seed_cost = np.append(seed_cost, straight * per_tile[start_node])
     kept = _least_of_each(seeds, seed_cost)
-    seeds, seed_cost, seed_length = seeds[kept], np.maximum(seed_cost[kept], _TINY), seed_length[kept]
+    seeds, seed_cost, seed_time = seeds[kept], np.maximum(seed_cost[kept], _TINY), seed_time[kept]
     arcs = graph.arcs
     with_start = sparse.csr_array(  # a node of its own, behind all others, from which the arcs to the seeds go
         (
@@ -134,13 +135,14 @@ def reach_over_areas(
     hop = np.zeros(count)
     follows = before < count
     hop[follows] = np.hypot(*(graph.middle[follows] - graph.middle[before[follows]]).T)
+    hop[follows] *= 0.5 * (slow_of_node[follows] + slow_of_node[before[follows]])
     at_seed = seeds[~follows[seeds]]
-    hop[at_seed] = seed_length[~follows[seeds]]
+    hop[at_seed] = seed_time[~follows[seeds]]
     nearest = _least_of_each(graph.tile, spent)
     tiles = graph.tile[nearest]
     is_cheaper = spent[nearest] + _CORNER_TILES * per_tile[nearest] < _CHEAPER * cost_of_tile[tiles]
     nearest, tiles = nearest[is_cheaper], tiles[is_cheaper]
-    cost_of_tile[tiles], length_of_tile[tiles] = spent[nearest], _sum_along(before, hop)[nearest]
+    cost_of_tile[tiles], time_of_tile[tiles] = spent[nearest], _sum_along(before, hop)[nearest]
     has_room = np.zeros(cost.size, np.bool_)
     has_room[graph.tile] = True
     return has_room.reshape(cost.shape)

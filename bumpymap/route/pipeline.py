@@ -35,7 +35,7 @@ from bumpymap.route.ground import CostGround
 from bumpymap.route.line_ride import with_line_rides
 from bumpymap.route.planner import Planner
 from bumpymap.route.search import MOST_TILES
-from bumpymap.route.settings import CostSettings, RouteConfig
+from bumpymap.route.settings import CostSettings, RouteBy, RouteConfig
 from bumpymap.route.stops import Stops, find_stops
 from bumpymap.route.why import measure_straight_line
 
@@ -98,6 +98,7 @@ Point: TypeAlias = str | tuple[float, float]
 class ReachSettings(TypedDict, total=False):
     """Settings of `map_reach`: fields of ``RouteConfig`` and ``CostSettings``; paths may be strings."""
 
+    by: RouteBy
     risk: float | None
     robust: bool
     direction: bool
@@ -142,9 +143,9 @@ def find_routes(
     out : path, optional
         Folder, or file that ends in .geojson, .gpx, .csv or .png.
     **settings
-        Those of ``bumpymap route``, with underscores: ``alternatives``, ``risk`` [m], ``robust``, ``direction``,
-        ``unknown`` [cost per metre], ``snap`` [m], ``visit``, ``round_trip``, ``avoid``, ``only``, ``allow_outside``,
-        ``calibration``, ``through_obstacles``, ``memory``, ``overwrite``.
+        Those of ``bumpymap route``, with underscores: ``alternatives``, ``by`` (``cost`` or ``time``), ``risk`` [m],
+        ``robust``, ``direction``, ``unknown`` [cost per metre], ``snap`` [m], ``visit``, ``round_trip``, ``avoid``,
+        ``only``, ``allow_outside``, ``calibration``, ``through_obstacles``, ``memory``, ``overwrite``.
 
     Returns
     -------
@@ -192,8 +193,8 @@ def map_reach(
     minutes : float, optional
         Tiles farther away than this are left out where possible, so that less is read.
     **settings
-        ``risk``, ``robust``, ``direction``, ``unknown``, ``snap``, ``avoid``, ``only``, ``allow_outside``, ``memory``,
-        as in `find_routes`.
+        ``by``, ``risk``, ``robust``, ``direction``, ``unknown``, ``snap``, ``avoid``, ``only``, ``allow_outside``,
+        ``memory``, as in `find_routes`.
 
     Returns
     -------
@@ -368,8 +369,8 @@ def _reach(ground: CostGround, stops: Stops, config: RouteConfig) -> "Reach":
     """Return what can be reached from the start, within the largest outline."""
     from bumpymap.route.reach import find_reach
 
-    limits = [*(minutes * 60.0 * ground.site.vehicle.speed_mps for minutes in config.isochrones), *config.isocosts]
-    return find_reach(ground, stops.points[0], max(limits, default=math.inf))
+    most = 60.0 * ground.site.rule.top_mps * max(config.isochrones, default=math.inf)
+    return find_reach(ground, stops.points[0], most)
 
 
 def _write_reach(ground: CostGround, stops: Stops, config: RouteConfig, out: Path) -> RouteResult:
@@ -382,8 +383,7 @@ def _write_reach(ground: CostGround, stops: Stops, config: RouteConfig, out: Pat
         ground.site,
         stops.points[0],
         out,
-        levels=config.isochrones or config.isocosts,
-        by="minutes" if config.isochrones else "cost",
+        levels=config.isochrones,
         manifest={"settings": asdict(config), "start": stops.points[0], "remarks": notes},
         overwrite=config.overwrite,
     )

@@ -9,58 +9,79 @@ from numpy.typing import NDArray
 
 from bumpymap.core import Barred, UsageError
 from bumpymap.layers import ReachField
+from bumpymap.route._search_kernels import MoveTables
 from bumpymap.route.ground import CostGround
 from bumpymap.route.places import place_in_window, window_within
-from bumpymap.route.search import MOVES, spread
-from bumpymap.route.straighten import as_cost
-from bumpytiles import kernel
+from bumpymap.route.search import FROM_START, MOVES, spread, traced_moves
+from bumpymap.route.straighten import as_cost, line_cost
+from bumpytiles import TileWindow, helper, kernel
 
-__all__ = ["Reach", "add_up_lengths", "find_reach"]
+__all__ = ["Reach", "add_up_times", "find_reach"]
 
 
 @kernel
-def add_up_lengths(
+def add_up_times(
     back: Annotated[NDArray[np.uint8], 2],
     moves: Annotated[NDArray[np.int64], 2],
-    row: float,
-    col: float,
+    tables: MoveTables,
+    pieces: Annotated[NDArray[np.int64], 2],
+    slow: Annotated[NDArray[np.float32], 2],
     out: Annotated[NDArray[np.float64], 2],
 ) -> None:
-    """Fill the length of the way to each tile, tiles; 0 where there is none.
+    """Fill the time of the way to each tile, that of a metre times tiles; 0 where there is none.
 
-    Every tile knows the one before it. A way is followed back to a tile whose length is known, and then once more, to
+    Every tile knows the one before it. A way is followed back to a tile whose time is known, and then once more, to
     set what lies between: each tile is visited twice at most, and nothing else has to be held.
 
-    ``back`` is that of `bumpymap.route.search.spread` from the field coordinates (``row``, ``col``); ``out`` comes
-    filled with NaN.
+    ``back`` is that of `bumpymap.route.search.spread`, ``tables`` and ``pieces`` of `traced_moves`, ``slow`` the time
+    of a metre on each tile; ``out`` comes filled with -1, and with the time to the tiles that the start sees.
     """
     for i in range(back.shape[0]):
         for j in range(back.shape[1]):
             r, c, total = i, j, 0.0
-            while math.isnan(out[r, c]):
+            while out[r, c] < 0.0:
                 k = back[r, c]
                 if k >= moves.shape[0]:
-                    straight = math.sqrt((r + 0.5 - row) ** 2 + (c + 0.5 - col) ** 2)
-                    out[r, c] = straight if k < 255 else 0.0
+                    out[r, c] = 0.0
                     break
-                total += math.sqrt(float(moves[k, 0] * moves[k, 0] + moves[k, 1] * moves[k, 1]))
+                total += _move_time(r, c, k, moves, tables, pieces, slow)
                 r -= moves[k, 0]
                 c -= moves[k, 1]
             total += out[r, c]
             r, c = i, j
-            while math.isnan(out[r, c]):
+            while out[r, c] < 0.0:
                 k = back[r, c]
                 out[r, c] = total
-                total -= math.sqrt(float(moves[k, 0] * moves[k, 0] + moves[k, 1] * moves[k, 1]))
+                total -= _move_time(r, c, k, moves, tables, pieces, slow)
                 r -= moves[k, 0]
                 c -= moves[k, 1]
 
 
+@helper
+def _move_time(
+    row: int,
+    col: int,
+    k: int,
+    moves: NDArray[np.int64],
+    tables: MoveTables,
+    pieces: NDArray[np.int64],
+    slow: NDArray[np.float32],
+) -> float:
+    """Exact integral of the time of a metre along move ``k`` to a tile."""
+    r, c = row - moves[k, 0], col - moves[k, 1]
+    total = tables.end[k] * (np.float64(slow[r, c]) + np.float64(slow[row, col]))
+    for i in range(tables.first_piece[k], tables.first_piece[k + 1]):
+        total += tables.piece_length[i] * slow[r + pieces[i, 0], c + pieces[i, 1]]
+    return float(total)
+
+
+_STRIP = 64
+"""Rows of tiles whose speeds are read at once, so that they take no more memory than the search did."""
 _IN_PART = (Barred.OBSTACLE, Barred.SPLIT, Barred.UNKNOWN)
 """Tiles that are closed as a whole, but in which the vehicle may fit."""
 _ONLY_WHOLE = (
     "ways between obstacles were not looked for, which would take {size} GB of memory: what lies behind a tile that "
-    "obstacles split is not counted. Raise `memory`, or give `isochrones` or `isocosts`"
+    "obstacles split is not counted. Raise `memory`, or give `isochrones`"
 )
 
 
@@ -109,33 +130,41 @@ def find_reach(ground: CostGround, start: NDArray[np.float64], most_m: float = m
     if window.cols * window.rows > ground.memory_tiles:
         raise UsageError(
             f"the map of what can be reached spans {window.cols * window.rows:,} tiles; {ground.memory_tiles:,} fit "
-            "in the memory limit. Raise `memory`, or limit the map with `isochrones` or `isocosts`"
+            "in the memory limit. Raise `memory`, or limit the map with `isochrones`"
         )
     cost = as_cost(ground.on_tiles(window, through=False, by_heading=True))
     place = place_in_window(start, site.grid, window)
     spent, back = spread(cost, place, margin=ground.margin)
     is_passable = np.isfinite(cost[..., 0])
     del cost  # a map may fill the memory that the search is given: what follows takes no more
-    length = np.full(spent.shape, np.nan)
-    add_up_lengths(back, MOVES, *place, length)
+    slow, in_part = np.empty(spent.shape, np.float32), False
+    for top in range(0, window.rows, _STRIP):
+        rows = min(_STRIP, window.rows - top)
+        tiles = site.read(TileWindow(window.col, window.row + window.rows - top - rows, window.cols, rows), ("c_r",))
+        slow[top : top + rows] = ground.slowness(tiles)
+        in_part |= bool(np.isin(tiles.barred, _IN_PART).any())
+    time = np.full(spent.shape, -1.0)
+    for row, col in np.argwhere(back == FROM_START).tolist():
+        time[row, col] = line_cost(slow[..., None], np.array([place, (row + 0.5, col + 0.5)]))
+    add_up_times(back, MOVES, *traced_moves(ground.margin), slow, time)
     notes: tuple[str, ...] = ()
-    if np.isin(site.read(window, ()).barred, _IN_PART).any():
+    if in_part:
         from bumpymap.route.passages import BYTES_PER_TILE, reach_over_areas  # with SciPy's graphs, slow to load
 
         if window.rows * window.cols * BYTES_PER_TILE > ground.memory_bytes:
             notes = (_ONLY_WHOLE.format(size=math.ceil(window.rows * window.cols * BYTES_PER_TILE / 1e9)),)
         else:
-            is_passable |= reach_over_areas(ground, window, start, spent, length)
+            is_passable |= reach_over_areas(ground, window, start, spent, time, slow)
     spent[np.isinf(spent)] = np.nan
     spent *= site.grid.tile_size
-    length *= site.grid.tile_size / site.vehicle.speed_mps / 60.0
-    length[np.isnan(spent)] = np.nan
+    time *= site.grid.tile_size / 60.0
+    time[np.isnan(spent)] = np.nan
     return Reach(
         site.georeference,
         site.grid,
         window,
         cost=spent.astype(np.float32),
-        minutes=length.astype(np.float32),
+        minutes=time.astype(np.float32),
         passable=int(is_passable.sum()),
         limit_m=None if window == site.window else most_m,
         notes=notes,

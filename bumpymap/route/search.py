@@ -75,6 +75,7 @@ __all__ = [
     "settle_point",
     "spread",
     "tight_way",
+    "traced_moves",
 ]
 
 MOVES: NDArray[np.int64] = np.array(
@@ -84,7 +85,7 @@ MOVES: NDArray[np.int64] = np.array(
 
 
 @cache
-def _traced_moves(margin: float) -> tuple[MoveTables, NDArray[np.int64]]:
+def traced_moves(margin: float) -> tuple[MoveTables, NDArray[np.int64]]:
     """Trace every move; also return the tiles between their ends, (n, 2) from where each starts."""
     middle = REACH + 0.5
     open_ground = np.ones((2 * REACH + 1, 2 * REACH + 1), np.float32)
@@ -114,7 +115,7 @@ def move_tables(width: int, margin: float, axes: int = 1) -> MoveTables:
     ``width``: columns of the window, flattened row by row; ``margin``: distance that a way keeps from closed tiles,
     tiles; ``axes``: those of its costs.
     """
-    tables, tiles = _traced_moves(margin)
+    tables, tiles = traced_moves(margin)
     flat, (first, second, share) = np.array([width, 1]), axes_along(axes, *MOVES.T)
     axis = np.column_stack([first, second])
     return tables._replace(step=MOVES @ flat, piece=tiles @ flat, axis=axis, share=share)

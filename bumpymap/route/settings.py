@@ -2,11 +2,13 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from bumpymap.core import Setting, UsageError, check_settings, memory_limit
 
-__all__ = ["CostSettings", "RouteConfig"]
+__all__ = ["CostSettings", "RouteBy", "RouteConfig"]
+
+RouteBy = Literal["cost", "time"]
 
 _MOST_COST = 1e9
 """Weights beyond all ground, with which costs can still be added up."""
@@ -16,11 +18,13 @@ _MOST_COST = 1e9
 class CostSettings:
     """Settings of the cost of ground, and of the ground that may be crossed."""
 
+    by: Annotated[RouteBy, Setting("What the way has least of: cost or time", "WHAT", group="Way")] = "cost"
+    """``time``: at the speed made good; a metre costs as many as are driven at the top speed meanwhile."""
     risk: Annotated[
         float | None,
         Setting("Detour that one failure is worth", "M", 0.0, _MOST_COST, "m", default="profile", group="Vehicle"),
     ] = None
-    """m; None: the ``fail_weight`` of the vehicle profile."""
+    """m; None: the ``fail_weight`` of the vehicle profile, or 0 by time."""
     robust: Annotated[bool, Setting("Plan on the upper end of the interval of c_r", rare=True)] = False
     direction: Annotated[bool, Setting("Cost each move by its own heading, if the map tells it", rare=True)] = True
     """Take the ride cost of headings.tif, where the map has it; else that of the tiles, the mean over headings."""
@@ -69,10 +73,6 @@ class RouteConfig:
             "Outlines of what is reached in so many minutes", "LIST", 0.0, unit="minutes", exclusive=True, group="Way"
         ),
     ] = ()
-    isocosts: Annotated[
-        tuple[float, ...],
-        Setting("Outlines of what is reached at these costs, m", "LIST", 0.0, unit="m", exclusive=True, rare=True),
-    ] = ()
     out: Annotated[Path | None, Setting("Folder, or a .geojson, .gpx, .csv or .png file", "PATH", group="Output")] = (
         None
     )
@@ -102,12 +102,8 @@ class RouteConfig:
                 "without a goal the run maps what can be reached from the start; `visit`, `round_trip` and "
                 "`alternatives` belong to a way: add `goal`, `via` or `points`"
             )
-        if self.isochrones and self.isocosts:
-            raise UsageError("`isochrones` and `isocosts` are outlines of one run each: give one of them")
-        if not self.is_reach and (self.isochrones or self.isocosts):
-            raise UsageError(
-                "`isochrones` and `isocosts` are those of a start without a goal: leave out `goal` and `via`"
-            )
+        if not self.is_reach and self.isochrones:
+            raise UsageError("`isochrones` are those of a start without a goal: leave out `goal` and `via`")
 
     @property
     def is_reach(self) -> bool:

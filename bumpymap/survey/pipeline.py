@@ -18,6 +18,7 @@ from bumpymap.core import (
 )
 from bumpymap.layers import check_folder, is_complete
 from bumpymap.patches import close_filter
+from bumpymap.rating import map_rule
 from bumpymap.survey.engine import (
     BlockWork,
     Budget,
@@ -112,7 +113,7 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
         measured = run_engine(aligned.inputs, work, space, budget, executor, progress, clock)
         with clock.stage("neighbours"), engine_errors(budget):
             tiles = finish_tiles(measured.table, neighbours, space.new_tiles, config.threads, progress)
-        table = CostTable(inputs.georeference, models.calibration.cost_rule, tiles, speeds)
+        table = CostTable(inputs.georeference, map_rule(models.calibration), tiles, speeds)
         lines = aligned.outcome(measured.lines)
         manifest = run_manifest(config, inputs, run_spec, measured, models, clock.seconds, lines, warnings)
         with clock.stage("write"):

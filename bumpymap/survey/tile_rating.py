@@ -37,6 +37,7 @@ from bumpymap.rating import (
     at_speed,
     classify,
     find_calibration,
+    map_rule,
     rate,
     rate_as_paper,
     require_speeds,
@@ -78,8 +79,9 @@ class RatingModels:
         calibration.require_grid(config.tile_size, config.pixels)
         calibration = at_speed(calibration, config.speed)
         own = float(calibration.vehicle["speed_mps"])
-        if config.speed is not None and config.speed > own:
-            _log.warning("p_fail is that of drives at %g m/s: at %g m/s more of them may fail", own, config.speed)
+        fastest = max(calibration.map_speed, map_rule(calibration).top_mps)
+        if fastest > own * (1.0 + 1e-5):
+            _log.warning("p_fail is that of drives at %g m/s: at %g m/s more of them may fail", own, fastest)
         if config.speeds is not None:
             require_speeds(calibration, config.speeds, "speeds")
         texture = TextureModel.load(config.model) if config.model else TextureModel.shipped()

@@ -96,7 +96,6 @@ REFUSED = [
     (2, "export field --to nav2 --set every=9 --out OUT", "--set every has no effect with --to nav2, only with graph"),
     (2, "export field --to plan --around 1,2 --out OUT", "--around has no effect with --to plan"),
     (2, "export field --to nav2 --radius 20 --out OUT", "--radius has no effect without --around"),
-    (2, "export field --to nav2 --set comfort=0 --out OUT", "comfort is 0; it must be a finite number greater than 0"),
     (2, "export field --to nav2 --around here --out OUT", "'here' is not a point"),
     (3, "export field --to nav2 --around crs:1,2 --out OUT", "lies outside the map"),
     (3, "export field --to plan --out OUT", "pass the folder that it wrote with --route"),
@@ -113,7 +112,6 @@ REFUSED = [
     (2, f"route layers --from {A} --to {B} --alternatives 99", "--alternatives is 99"),
     (2, f"route layers --from {A}", "--out DIR"),
     (2, f"route layers --from {A} --to {B} --isochrones 1", "without a goal"),
-    (2, f"route layers --from {A} --isochrones 1 --set isocosts=50 --out OUT", "--set isocosts are outlines"),
     (2, f"route layers --from {A} --to {B} --set memory=1MB", "--set memory is '1MB'"),
     (2, f"route layers --from {A} --isochrones 0 --out OUT", "--isochrones is 0.0; it must be a"),
     (3, f"route layers --from 1,1 --to {A} --out OUT", "lies outside the map"),
@@ -308,11 +306,11 @@ def test_what_can_be_reached_is_a_raster_and_outlines_of_the_map_or_a_part(tmp_p
         (cost,) = file.sample([tuple(float(part) for part in place(20.5, 18.5).split(","))])
     assert not cost[0] <= 60.0 * 1.6  # only around the wall
     assert len(pyogrio.read_dataframe(out / "isochrones.geojson")) == 2
-    part = run(*words, "--set", "isocosts=15")
-    assert part.stdout.startswith("Within 15 m of the start to each side, ")
-    found = json.loads(run(*words, "--set", "isocosts=15", "--json").stdout)["reach"]
+    part = run(*words, "--isochrones", "0.2")
+    assert part.stdout.startswith("Within 18 m of the start to each side, ")
+    found = json.loads(run(*words, "--isochrones", "0.2", "--json").stdout)["reach"]
     assert f"{found['tiles']:,} tiles ({found['area_ha']:.2f} ha) can be reached, {found['share']:.1%}" in part.stdout
-    assert (found["limit_m"], found["tiles"] < 150) == (15.0, True)
+    assert (round(found["limit_m"]), found["tiles"] < 150) == (18, True)
     whole = json.loads(run(*words, "--json").stdout)["reach"]
     assert (whole["limit_m"], whole["tiles"] > 600) == (None, True)
 

@@ -10,7 +10,8 @@ from bumpymap.core.types import NO_CLASS, CostMap, CostRule, Georeference, Patch
 from bumpytiles import Grid
 
 UTM = CRS.from_epsg(32614)
-RULE = CostRule(ride_weight=2.5, fail_weight=300.0, drive_m=10.0, slope_limit_deg=25.0)
+SPEEDS = ((0.15, 1.5), (0.4, 0.5))
+RULE = CostRule(ride_weight=2.5, fail_weight=300.0, drive_m=10.0, slope_limit_deg=25.0, speeds=SPEEDS)
 
 
 def patch_stack(count, grid=None, **columns):

@@ -31,7 +31,9 @@ def make_route(name="route", corners=CORNERS, *, georeference=UTM, step=2.0, fig
     rng = np.random.default_rng(seed)
     low, middle, high = np.sort(rng.gamma(2.0, 0.1, (3, len(distance))), axis=0)
     gap = np.arange(len(distance)) % 7 == 3
-    unknown = [np.where(gap, np.nan, values) for values in (middle, low, high, rng.random(len(distance)) * 0.3)]
+    *unknown, speed = [
+        np.where(gap, np.nan, values) for values in (middle, low, high, rng.random(len(distance)) * 0.3, 1.0 + gap)
+    ]
     z = np.where(gap, np.nan, 2250.0 + 3.0 * np.sin(distance / 20.0))
     profile = RouteProfile(
         distance,
@@ -43,6 +45,7 @@ def make_route(name="route", corners=CORNERS, *, georeference=UTM, step=2.0, fig
         distance * 1.2,
         gap,
         1.1 * unknown[0],
+        speed,
     )
     stops = corners[[0, -1]] if stops is None else np.asarray(stops, float)
     return Route(name, georeference, Grid(), corners, stops, profile, figures, VEHICLE, 25.0)

@@ -12,7 +12,7 @@ from bumpytiles import Grid, TileWindow
 GRID = Grid()
 UTM = Georeference(CRS.from_epsg(32614))
 WARTHOG = RouteVehicle("warthog", 1.38, 2.0)
-RULE = CostRule(ride_weight=5.0, fail_weight=300.0, drive_m=10.0, slope_limit_deg=30.0)
+RULE = CostRule(ride_weight=5.0, fail_weight=300.0, drive_m=10.0, slope_limit_deg=30.0, speeds=((0.15, 2.0),))
 
 
 def where_it_fits(site, window):

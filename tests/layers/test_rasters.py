@@ -11,7 +11,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 import rasterio
-from cost_maps import make_field, part_of
+from cost_maps import SPEEDS, make_field, part_of
 from pyproj import CRS
 from rasterio.env import get_gdal_config
 from rio_cogeo import cog_validate
@@ -90,7 +90,7 @@ def test_classes_and_reasons(rasters, cost_map, name):
     assert (rest == NO_CLASS).all()  # what holds no points has no reason: nodata, not "ok"
 
 
-def test_cost_is_there_where_a_tile_is_passable_and_nowhere_else(rasters, cost_map):
+def test_cost_and_speed_are_those_of_passable_tiles_and_unknown_ground_has_none(rasters, cost_map):
     with rasterio.open(rasters["cost"]) as file:
         assert (file.descriptions, file.dtypes) == (("cost",), ("float32",))
         assert np.isnan(file.nodata)
@@ -103,6 +103,14 @@ def test_cost_is_there_where_a_tile_is_passable_and_nowhere_else(rasters, cost_m
     assert 0 < passable.sum() < (cost_map.class_id != NO_CLASS).sum()
     found, rest = of_tiles(rasters["cost"], cost_map)
     np.testing.assert_allclose(found.ravel(), np.where(passable, expected, np.nan), rtol=1e-6)
+    assert np.isnan(rest).all()
+    with rasterio.open(rasters["speed"]) as file:
+        assert (file.descriptions, file.units, file.dtypes) == (("speed",), ("m/s",), ("float32",))
+    (c_r, slow), c = np.transpose([(c_r, 1.0 / speed) for c_r, speed in SPEEDS]), cost_map.c_r.astype(float)
+    speed = 1.0 / (np.interp(c, c_r, slow) * np.maximum(c / c_r[1], 1.0))
+    speed = np.where(cost_map.class_id == NO_CLASS, np.nan, np.where(passable, speed, 0.0))
+    found, rest = of_tiles(rasters["speed"], cost_map)
+    np.testing.assert_allclose(found.ravel(), speed, rtol=1e-6)
     assert np.isnan(rest).all()
 
 

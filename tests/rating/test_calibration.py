@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from bumpymap.core.errors import BadInputError, UsageError
+from bumpymap.core.errors import BadInputError
 from bumpymap.rating.calibration import Calibration, shipped_calibrations
 from bumpymap.rating.vehicle_profile import find_calibration
 
@@ -117,7 +117,9 @@ def test_preferences_and_the_outline_are_those_of_the_profile(mine):
     weighed = find_calibration(mine)
     assert weighed.preferences == told
     change(mine, "height_m = 1.84", "height_m = 2.1")
+    change(mine, "[belly]", "[comfort]\na_w_mps2 = 0.8\n\n[belly]")
     found = find_calibration(mine)
+    assert found.vehicle["comfort"] == {"pitch_rate_radps": 0.3, "a_w_mps2": 0.8, "top_speed_mps": 0.0}
     assert (found.body.height_m, found.body.width_m) == (2.1, 1.84)
     assert (found.c_r, found.ride) == (car.c_r, car.ride)
     assert len({found.id, weighed.id, car.id}) == 3
@@ -142,13 +144,3 @@ def test_without_a_calibration_the_command_that_makes_it_is_said(mine):
     change(mine, "wheelbase_m = 2.7", "wheelbase_m = 2.8")
     with pytest.raises(BadInputError, match=rf"bumpymap calibrate --vehicle {mine} --out {mine.with_suffix('.json')} "):
         find_calibration(mine)
-
-
-def test_neither_name_nor_file(tmp_path):
-    for vehicle in ("tank", str(tmp_path / "none.toml")):
-        with pytest.raises(UsageError, match=r"no vehicle .*\(car, husky, small_rover, warthog\)"):
-            find_calibration(vehicle)
-    with pytest.raises(UsageError, match=r"available are: .*warthog"):
-        Calibration.shipped("bicycle")
-    with pytest.raises(BadInputError, match="cannot read the calibration"):
-        find_calibration("warthog", tmp_path / "none.json")

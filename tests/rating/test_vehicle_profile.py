@@ -1,7 +1,6 @@
 """Profiles of vehicles: what is refused, what follows from a few values, and the template."""
 
 import json
-from pathlib import Path
 
 import pytest
 
@@ -31,13 +30,6 @@ def test_a_shipped_profile_has_the_mass_of_its_vehicle(name, mass):
     assert profile.mass_kg == pytest.approx(mass, abs=0.1)
 
 
-def test_file_with_a_path_is_read(tmp_path):
-    source = Path(__file__).parents[2] / "bumpymap" / "rating" / "data" / "vehicles" / "car.toml"
-    path = tmp_path / "mine.toml"
-    path.write_text("\ufeff" + source.read_text().replace("speed_mps = 3.0", "speed_mps = 2"), encoding="utf-8")
-    assert load_profile(path).speed_mps == load_profile(str(path)).speed_mps == 2.0
-
-
 @pytest.mark.parametrize(
     ("key", "value", "words"),
     [
@@ -50,14 +42,13 @@ def test_file_with_a_path_is_read(tmp_path):
         ("chassis", 3, ["chassis is 3", "table, [chassis], with mass_kg, inertia_kgm2, com_height_m"]),
         ("chassis.mass_kg", 100_000, ["100,160 kg", "between", "masses in kilograms"]),
         ("chassis.com_height_m", -0.31, ["com_height_m", "below the ground"]),
-        ("chassis.inertia_kgm2", [1.0, 1.0], ["three numbers, [roll, pitch, yaw]"]),
         ("chassis.inertia_kgm2", [6.0, 6.0, 12.1], ["sum of the two others"]),
         ("chassis.inertia_kgm2", [542.0, 1333.0, 1608.0], ["chassis.inertia_kgm2 is [542.0, 1333.0, 1608.0]", "box"]),
-        ("rocker.limit_rad", 8, ["rocker.limit_rad is 8; it must be between 0 and 1.2 radians; 8 deg would be 0.14"]),
         ("belly.width_m", 0.9, ["belly.width_m is 0.9", "0.87 apart", "fit between"]),
         ("belly.length_m", 13, ["belly.length_m is 13", "4 times"]),
         ("body.height_m", 0.5, ["body.height_m is 0.5", "reach up to 0.6"]),
         ("body.width_m", 1.2, ["body.width_m is 1.2", "1.37 wide"]),
+        ("floor", {"c_r_radpm": 0.4}, ["comfort.pitch_rate_radps is 0.3", "0.4 rad/s"]),
         ("body.brush_stem_m", 1.4, ["body.height_m is 1.38 and body.brush_stem_m 1.4"]),
     ],
 )
@@ -183,7 +174,6 @@ def test_what_a_short_profile_gives_stays_and_what_follows_from_it_follows():
             ["mass_kg is 260, and rockers and wheels alone weigh that much"],
         ),
         ({"chassis": {"mass_kg": 300}}, ["mass_kg is 260, and chassis, rockers and wheels weigh 404 together"]),
-        ({"tyres": 4}, ["unknown setting tyres"]),
     ],
 )
 def test_a_faulty_short_profile_is_refused_without_what_would_be_estimated(change, words):
@@ -203,7 +193,7 @@ def test_the_template_takes_ten_values(tmp_path):
     assert text.count('= "?"') == 10
     for key, value in (SHORT | SHORT["wheel"] | SHORT["belly"]).items():
         text = text.replace(f'{key} = "?"', f"{key} = {json.dumps(value)}")
-    (tmp_path / "mine.toml").write_text(text)
+    (tmp_path / "mine.toml").write_text("\ufeff" + text, encoding="utf-8")
     assert load_profile(tmp_path / "mine.toml") == Vehicle.from_dict(SHORT, "x")
     assert set(estimated_values(tmp_path / "mine.toml")) == set(ESTIMATED)
     assert estimated_values("warthog") == {}

@@ -63,7 +63,7 @@ def test_figures_are_sums_over_the_lengths_in_each_tile(seed):
     assert found.hazard == pytest.approx((length * hazard).sum(), rel=1e-6)
     assert found.p_arrives == pytest.approx(math.exp(-found.hazard))
     assert found.cost_m == pytest.approx((length * (1 + 5 * site.c_r + 300 * hazard)).sum(), rel=1e-6)
-    assert found.seconds == pytest.approx(length.sum() / 2.0, rel=1e-9)
+    assert found.seconds == pytest.approx((length * np.maximum(site.c_r / 0.15, 1.0)).sum() / 2.0, rel=1e-6)
     assert found.straight_m == pytest.approx(math.dist(corners[0], corners[-1]) * SIZE, rel=1e-9)
 
 

@@ -18,7 +18,7 @@ from bumpymap.route.measure import way_cost
 from bumpymap.route.places import in_window
 from bumpymap.route.planner import Planner, tile_line
 from bumpymap.route.reach import find_reach
-from bumpymap.route.search import BYTES_PER_TILE, MOVES, find_way
+from bumpymap.route.search import BYTES_PER_TILE, MOVES, find_way, follow_back, spread
 from bumpymap.route.straighten import line_cost
 
 
@@ -59,6 +59,7 @@ def test_unknown_ground_is_crossed_only_at_a_price_and_has_a_length_and_no_ride(
     way = planner(site, unknown=4.0).way(stops)
     assert way.figures.unknown_m == pytest.approx(9.0, rel=1e-6)
     assert way.figures.cost_m == pytest.approx(24 * 3 * 1.5 + 9 * 4.0, rel=1e-6)
+    assert way.figures.seconds == pytest.approx((24 * 3 + 9 * 4.0) / 2.0, rel=1e-6)
     assert way.figures.c_r_mean == pytest.approx(0.1, rel=1e-6)
     unknown = np.isnan(way.profile.c_r)
     assert way.profile.distance[unknown].min() == pytest.approx(12.5 * 3.0, abs=1.0)
@@ -273,17 +274,26 @@ def test_a_way_touches_nothing_and_is_there_wherever_a_search_over_pixels_finds_
     assert ground.is_clear(line)
 
 
-def test_on_even_ground_cost_and_minutes_follow_the_distance():
-    site = TileMap(np.full((41, 41), 0.2))
-    reach = find_reach(ground_of(site), site.at(20.5, 20.5))
-    row, col = np.mgrid[0:41, 0:41]
-    distance = np.hypot(row - 20, col - 20) * 3.0
-    away = distance > 0
-    assert (reach.cost[away] / (2.0 * distance[away])).max() < 1.0076
-    assert (reach.cost[away] / (2.0 * distance[away])).min() > 1.0 - 1e-6
-    np.testing.assert_allclose(reach.minutes, reach.cost / 2.0 / 2.0 / 60.0, rtol=1e-5, atol=1e-6)
-    assert reach.share == 1.0
-    assert reach.area_ha == pytest.approx(41 * 41 * 9 / 1e4)
+@pytest.mark.parametrize("by", ["cost", "time"])
+def test_minutes_are_those_at_the_speed_of_each_tile_along_the_way(by):
+    rng = np.random.default_rng(9)
+    c_r = rng.gamma(2.0, 0.1, (30, 40))
+    site, start = TileMap(c_r, np.where(rng.random(c_r.shape) < 0.1, Barred.SLOPE, Barred.NO)), (15.4, 20.7)
+    ground = ground_of(site, by=by)
+    reach, slow = find_reach(ground, site.at(*start)), np.maximum(c_r / 0.15, 1.0) / 2.0
+    _, back = spread(ground.on_tiles(site.window), start, margin=ground.margin)
+    reached = np.argwhere(np.isfinite(reach.minutes))
+    for row, col in rng.permutation(reached)[:60].tolist():
+        way = shapely.LineString([*follow_back(back, row, col), start])
+        steps = math.ceil(way.length / 0.007)
+        tile = shapely.get_coordinates(way.interpolate((np.arange(steps) + 0.5) / steps, normalized=True)).astype(int)
+        assert reach.minutes[row, col] * 20.0 == pytest.approx(slow[*tile.T].mean() * way.length, rel=0.005, abs=0.01)
+    assert (reach.share, reach.area_ha) == (1.0, len(reached) * 9 / 1e4)
+    goal = reached[0] + 0.5
+    ways = {kind: planner(site, by=kind).way(np.array([site.at(*start), site.at(*goal)])) for kind in ("cost", "time")}
+    seconds = [way.figures.seconds for way in ways.values()]
+    assert seconds[1] < seconds[0]
+    assert ways["time"].figures.cost_m == pytest.approx(2.0 * seconds[1], rel=1e-6)
 
 
 def test_a_limit_reads_a_window_and_keeps_what_lies_within():
@@ -345,7 +355,7 @@ def test_what_lies_behind_a_gap_is_reached_at_the_cost_of_a_way_there():
         cost = planner.leg_cost(start, site.at(row + 0.5, col + 0.5))
         # A way keeps room at the corners of the gap, for which it is up to a few percent longer.
         assert reach.cost[row, col] == pytest.approx(cost, rel=0.06), (row, col)
-        assert reach.minutes[row, col] == pytest.approx(reach.cost[row, col] / 2.0 / 2.0 / 60.0, rel=1e-4)
+        assert reach.minutes[row, col] == pytest.approx(reach.cost[row, col] / 2.0 / 1.5 / 60.0, rel=1e-4)
 
 
 def test_a_way_leads_over_corners_of_pixels_where_half_the_width_is_free():

@@ -40,7 +40,7 @@ from bumpymap.rating.ride._ride_kernels import normal_shares
 from bumpymap.rating.ride.correction import NORMAL_TAIL, Correction, Prediction
 from bumpymap.rating.ride.motion_operator import roll_over
 from bumpymap.rating.ride.operator import RideOperator, cosines
-from bumpymap.rating.ride.speed import LEVEL, SpeedRating, plain_speed_factor, require_speeds, speed_log_sd
+from bumpymap.rating.ride.speed import LEVEL, SpeedRating, map_rule, plain_speed_factor, require_speeds, speed_log_sd
 from bumpymap.rating.vehicle_body import with_floor
 
 __all__ = ["CleanPatches", "RideModel", "denoise", "interval", "judge", "spectrum_of"]
@@ -190,7 +190,7 @@ class RideModel:
             p_fail=_where(known, found.p_fail),
             # Filled pixels are a guess; a tile full of them is believed less.
             confidence=_where(known, chance * np.sqrt(patches.coverage)),
-            rule=calibration.cost_rule,
+            rule=map_rule(calibration),
             motion=factors if factors is not None and factors.shape[1] else None,
             headings=None if by_axis is None else _where(known[:, None], by_axis),
         )

@@ -21,10 +21,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import SPEED_BANDS, BadInputError, UsageError
+from bumpymap.core import SPEED_BANDS, BadInputError, CostRule, UsageError
 from bumpymap.rating.calibration import MAP_SPEED, Calibration, remembered
 from bumpymap.rating.ride.motion_operator import MotionOperator, Motions, move_over
-from bumpymap.rating.vehicle_body import less_floor, plain_lists, with_floor
+from bumpymap.rating.vehicle_body import comfort_of, less_floor, plain_lists, with_floor
 
 __all__ = [
     "LEVEL",
@@ -34,6 +34,7 @@ __all__ = [
     "SpeedRating",
     "at_speed",
     "felt_by_heading",
+    "map_rule",
     "motion_felt",
     "motion_terms",
     "plain_factors",
@@ -344,6 +345,48 @@ def plain_factors(calibration: Calibration, speeds: Sequence[float], c_r: Floats
     logs = model.plain_log_factors(at_own, (*speeds, speed))
     found = np.exp(logs[..., :-1, :] - logs[..., -1:, :1])
     return found.reshape(*c_r.shape, -1).astype(np.float32)
+
+
+_STEPS, _SLOWEST = 17, 16.0
+"""Speeds of `map_rule`, from the top speed down to this part of it, evenly spaced in logarithm."""
+_DRIVEN = (1e-5, 10.0, 4001)
+"""Lowest and highest driven C_r, rad/m, that they are found between, and how many."""
+
+
+@remembered
+def map_rule(calibration: Calibration) -> CostRule:
+    """Return the rule of the cost, with the speed made good: the highest within ``[comfort]``, by C_r alone.
+
+    At a speed, C_r and a_w follow from the C_r of the map as in tiles without a heightmap. A limit holds at every lower
+    speed too. Below the calibrated speeds motion per metre stays that of the lowest, and a_w is in proportion to the
+    speed, though it falls faster; above them nothing is known, so none is given. In a calibration without other speeds
+    the profile's is the only one.
+
+    Raises
+    ------
+    UsageError
+        There is a limit of a_w, and the calibration was made without other speeds.
+    """
+    limits, own, model = comfort_of(calibration.vehicle), float(calibration.vehicle["speed_mps"]), calibration.motion
+    if limits.a_w_mps2:
+        require_speeds(calibration, (own,), "comfort.a_w_mps2")
+    low, high = (share * own for share in (_model(calibration).range if model else (1.0, 1.0)))
+    top = min(limits.top_speed_mps or calibration.map_speed, high)
+    speeds = np.geomspace(top, top / _SLOWEST, _STEPS)
+    driven, known = np.geomspace(*_DRIVEN), np.clip(speeds, low, high)
+    felt = np.ones((len(driven), _STEPS, len(SPEED_BANDS)))
+    if model:
+        felt = plain_factors(calibration, known.tolist(), driven).astype(np.float64).reshape(felt.shape)
+    pitch_rate = with_floor(driven[:, None] * felt[..., 0] * speeds, calibration.floor * own)
+    used = pitch_rate / limits.pitch_rate_radps
+    if limits.a_w_mps2:
+        used = np.maximum(used, driven[:, None] * felt[..., 2] * (speeds / known) / limits.a_w_mps2)
+    used = np.maximum.accumulate(used, axis=0)  # rougher ground is not driven faster, nor ground fast and not slowly
+    most = np.array([np.interp(1.0, column, driven) for column in used.T])
+    c_r = with_floor(np.minimum.accumulate(most[::-1])[::-1], calibration.map_floor)
+    first = np.flatnonzero(np.diff(c_r, prepend=-1.0) > 0.0)
+    speeds_made = tuple((float(f"{c_r[at]:.6g}"), float(f"{speeds[at]:.6g}")) for at in first.tolist())
+    return replace(calibration.cost_rule, speeds=speeds_made)
 
 
 @remembered

@@ -105,24 +105,16 @@ def keepout_values(field: TileField) -> NDArray[np.uint8]:
     return np.where(np.isnan(passable_cost(field)), LETHAL, FREE_CELL).astype(np.uint8)
 
 
-def speed_values(field: TileField, comfort: float) -> NDArray[np.uint8]:
-    """Return a speed mask, one cell a tile: percent of the profile's speed at which the ride stays under a limit.
-
-    Parameters
-    ----------
-    field : TileField
-    comfort : float
-        Most pitch motion, rad/s. At v m/s, ground with a ride cost of c_r rad/m gives c_r v rad/s.
+def speed_values(field: TileField) -> NDArray[np.uint8]:
+    """Return a speed mask, one cell a tile: the speed made good in percent of the top speed.
 
     Returns
     -------
     uint8 (rows, cols)
         1..100, rounded down. 1 where c_r is unknown, and where even that is too fast.
     """
-    with np.errstate(divide="ignore"):
-        percent = np.floor(100.0 * comfort / (field.c_r.astype(np.float64) * field.vehicle.speed_mps))
-    limited = np.clip(np.nan_to_num(percent, nan=SLOWEST, posinf=100.0), SLOWEST, 100)
-    return np.asarray(limited, np.uint8)
+    percent = np.floor(100.0 / (field.rule.top_mps * field.rule.slowness(field.c_r)) + 1e-9)
+    return np.asarray(np.clip(np.nan_to_num(percent, nan=SLOWEST), SLOWEST, 100), np.uint8)
 
 
 def by_pixel(values: NDArray[_Value], pixels: int) -> NDArray[_Value]:

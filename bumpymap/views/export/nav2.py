@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from bumpymap.core import NO_TILE, BadInputError, Barred, RouteVehicle
+from bumpymap.core import NO_TILE, BadInputError, Barred
+from bumpymap.layers import MapReader
 from bumpymap.views.export.area import (
     CLOSED_IN_PART,
     FRAME,
@@ -47,13 +48,13 @@ def travel_multiplier(scale: CostScale) -> float:
     return (scale.max_cost - 1.0) * _SMAC_FULL / math.floor(TOP_VALUE / LETHAL * _COSTMAP_LETHAL)
 
 
-def params_text(vehicle: RouteVehicle, scale: CostScale, resolution: float) -> str:
+def params_text(route_map: MapReader, scale: CostScale, resolution: float) -> str:
     """Return the parameters as YAML."""
     about = {
         "frame": FRAME,
-        "speed": vehicle.speed_mps,
+        "speed": route_map.rule.top_mps,
         "resolution": resolution,
-        "radius": round(vehicle.width_m / 2.0, 3),
+        "radius": round(route_map.vehicle.width_m / 2.0, 3),
         "lethal": LETHAL,
         "cost": round(scale.max_cost, 6),
         "top": TOP_VALUE,
@@ -67,14 +68,12 @@ _MAX_CELLS = 100_000_000
 _BANDS = ("c_r", "p_fail")
 
 
-def make_grids(area: ExportArea, comfort: float, max_cost: float | None) -> Callable[[Path], dict[str, Any]]:
+def make_grids(area: ExportArea, max_cost: float | None) -> Callable[[Path], dict[str, Any]]:
     """Make the images of an area, and return what writes the files and says what the sidecar file says of them.
 
     Parameters
     ----------
     area : ExportArea
-    comfort : float
-        See `speed_values`.
     max_cost : float, optional
         Cost per metre that gets the highest value; else that of the costliest passable tile of the area.
 
@@ -91,7 +90,7 @@ def make_grids(area: ExportArea, comfort: float, max_cost: float | None) -> Call
     cost, keepout, speed = (np.empty(area.shape, np.uint8) for _ in range(3))
     for window, lines in area.strips():
         field = area.route_map.read(window, (*_BANDS, *(["obstacle"] if area.split > 1 else [])))
-        coarse = cost_values(field, scale), keepout_values(field), speed_values(field, comfort)
+        coarse = cost_values(field, scale), keepout_values(field), speed_values(field)
         if area.split == 1:
             cost[lines], keepout[lines], speed[lines] = coarse
             continue
@@ -106,14 +105,13 @@ def make_grids(area: ExportArea, comfort: float, max_cost: float | None) -> Call
             cells[lines][between] = by_pixel(values, area.split)[between]
         speed[lines] = by_pixel(coarse[2], area.split)
     images = {"map": cost, "keepout_mask": keepout, "speed_mask": speed}
-    vehicle = area.route_map.vehicle
     about = {
         "cost": {
             "value_0": 1.0,
             f"value_{TOP_VALUE}": scale.max_cost,
             "unit": "cost per metre of level, smooth and safe ground",
         },
-        "speed": {"comfort_rad_per_s": comfort, "value_100_m_per_s": vehicle.speed_mps},
+        "speed": {"value_100_m_per_s": area.route_map.rule.top_mps},
         "tiles": tiles,
     }
 
@@ -122,7 +120,7 @@ def make_grids(area: ExportArea, comfort: float, max_cost: float | None) -> Call
             header = f"P5\n{cells.shape[1]} {cells.shape[0]}\n255\n"
             write_file(folder / f"{name}.pgm", header.encode(), cells.tobytes())
             write_file(folder / f"{name}.yaml", "".join(_map_yaml(f"{name}.pgm", area)).encode())
-        write_file(folder / "nav2_params.yaml", params_text(vehicle, scale, area.resolution).encode())
+        write_file(folder / "nav2_params.yaml", params_text(area.route_map, scale, area.resolution).encode())
         return about
 
     return write

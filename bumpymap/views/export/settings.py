@@ -32,12 +32,6 @@ class ExportSettings:
     resolution: Annotated[
         ExportResolution, Setting("nav2, gridmap: a cell is a tile or a pixel", "SIZE", group="Output")
     ] = "tile"
-    comfort: Annotated[
-        float,
-        Setting(
-            "nav2: most pitch motion for the speed mask, rad/s", "RAD_S", 0.0, unit="rad/s", exclusive=True, rare=True
-        ),
-    ] = 0.3
     max_cost: Annotated[
         float | None,
         Setting(

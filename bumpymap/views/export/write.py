@@ -298,7 +298,7 @@ def _made(area: ExportArea, settings: ExportSettings) -> Callable[[Path], dict[s
     """Make everything that a folder will hold, and return what writes it."""
     match settings.to:
         case "nav2":
-            return make_grids(area, settings.comfort, settings.max_cost)
+            return make_grids(area, settings.max_cost)
         case "gridmap":
             require_rosbags()
             layers = make_layers(area)

@@ -112,7 +112,8 @@ def _groups(tree: _Tree, speeds: Sequence[float]) -> list[Style]:
     if speeds:
         rides = tree.group("at one speed", rides, *others, one_of=True)
     c_r = tree.group("ride cost c_r", fails, rides, expanded=False, visible=False)
-    ride = tree.group("Ride", classes, c_r, tree.layer(MapFile.COST, "cost of driving", MULTIPLY), one_of=True)
+    cost = tree.layer(MapFile.COST, "cost of driving", MULTIPLY)
+    ride = tree.group("Ride", classes, c_r, cost, tree.layer(MapFile.SPEED, "speed made good", MULTIPLY), one_of=True)
     ground = tree.group(
         "Ground",
         tree.layer(MapFile.HEIGHTMAP, "measured heights, with holes"),

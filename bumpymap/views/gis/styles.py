@@ -213,6 +213,14 @@ def _ride_stops(record: Mapping[str, Any]) -> list[tuple[float, str, _Colour]]:
     ]
 
 
+def _speed_stops(record: Mapping[str, Any]) -> list[tuple[float, str, _Colour]]:
+    """Return the colours of the speed made good: those of a cost of as many times the metre at the top speed."""
+    speeds = record.get("cost", {}).get("speeds_mps_at_c_r_radpm") or [[1.0]]
+    top = speeds[0][0]
+    steps = [(top / times, f"{top / times:.3g} m/s", colour) for times, colour in COST_COLOURS.items()]
+    return [(0.0, "0: not passable", BARRED_COLOURS[Barred.OBSTACLE]), *sorted(steps)]
+
+
 def map_styles(record: Mapping[str, Any], *, layered: bool = False) -> dict[str, Style]:
     """Return how QGIS shows each layer of a map.
 
@@ -258,6 +266,7 @@ def map_styles(record: Mapping[str, Any], *, layered: bool = False) -> dict[str,
         MapFile.ROUGHNESS: _ramp(stops, _BAND["c_r"]),
         f"{MapFile.ROUGHNESS} p_fail": _ramp(fails, _BAND["p_fail"], clip=True),
         MapFile.COST: _ramp((value, label, COST_COLOURS[value]) for value, label in costs.items()),
+        MapFile.SPEED: _ramp(_speed_stops(record)),
         MapFile.REGIONS_IN_CRS: _vectors(REGION_KIND, looks),
         MapFile.REGIONS: _vectors(REGION_KIND, looks),
         MapFile.BARRED: paletted(BARRED_TEXT.items(), bars, clear=[Barred.NO] if layered else ()),

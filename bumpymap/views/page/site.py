@@ -175,7 +175,7 @@ class DrawnWay:
 WAY_FIGURES = (
     ("length_m", "length", 0, " m"),
     ("detour", "length over the straight line", 2, ""),
-    ("seconds", "time at the vehicle's speed", 0, " s"),
+    ("seconds", "time at the speed made good", 0, " s"),
     ("c_r_mean", "mean C_r", 3, " rad/m"),
     ("c_r_line", "C_r of the line", 3, " rad/m"),
     ("c_r_max", "largest C_r", 3, " rad/m"),

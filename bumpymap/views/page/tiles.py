@@ -262,8 +262,9 @@ class PageTiles:
         known = np.zeros(shape, np.uint16 if spot.step < 256 else np.uint32)
         numbers = {name: np.full(shape, -1.0, np.float32) for name in (*_NUMBERS, "cost")}
         bins = {"c_r": np.zeros(len(C_R_EDGES) - 1, np.int64), "slope": np.zeros(len(SLOPE_EDGES) - 1, np.int64)}
-        rates = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
-        rule, calm = CostRule(*(float(record["cost"][name]) for name in rates)), 0
+        names = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
+        ride, fail, drive, slope = (float(record["cost"][name]) for name in names)
+        rule, calm = CostRule(ride, fail, drive, slope), 0
         for found in read_tiles(folder / MapFile.TILES, record["counts"]["tiles"]):
             place = _place(found, spot)
             unknown = UNKNOWN_FROM + found["reason"].astype(np.uint8)

@@ -215,11 +215,10 @@ _STEPS: tuple[Colour, ...] = (
 """Colours of what is reached, from the start outwards."""
 _REACH_HEIGHTS, _REACH_STRENGTH = (520, 1100), 0.55
 """Heights of the panel, pixels, and strength of the colours over the ground."""
-_REACH_UNITS = {"cost": "m of cost", "minutes": "min"}
 
 
 def write_reach_picture(
-    reach: ReachField, source: MapSource, start: NDArray[np.float64], path: Path, *, levels: Sequence[float], by: str
+    reach: ReachField, source: MapSource, start: NDArray[np.float64], path: Path, *, levels: Sequence[float]
 ) -> None:
     """Draw what can be reached and write the picture as PNG, 1600 pixels wide.
 
@@ -233,9 +232,7 @@ def write_reach_picture(
     path : Path
         The file, which appears only when it is complete.
     levels : sequence of float
-        Upper ends of the steps, minutes or m of cost; none: round ones are chosen.
-    by : str
-        ``cost`` or ``minutes``.
+        Upper ends of the steps, minutes; none: round ones are chosen.
 
     Raises
     ------
@@ -244,7 +241,7 @@ def write_reach_picture(
     BadInputError
         The layers cannot be read.
     """
-    values = reach.minutes if by == "minutes" and reach.minutes is not None else reach.cost
+    values = reach.minutes
     highest = float(np.nanmax(values, initial=0.0))
     steps = sorted(set(levels)) or [step for step in ticks(0.0, max(highest, 1.0), len(_STEPS) - 1)[0] if step > 0.0]
     row, col = np.nonzero(values <= steps[-1]) if (values <= steps[-1]).any() else np.nonzero(np.isfinite(values))
@@ -273,7 +270,7 @@ def write_reach_picture(
         inside_m2 = float((values <= upper).sum()) * size**2
         place = top + 40 * number
         draw_swatch(pen, left, place, colour)
-        pen.text((left + 54, place + 5), f"within {upper:g} {_REACH_UNITS[by]}", INK, size=16)
+        pen.text((left + 54, place + 5), f"within {upper:g} min", INK, size=16)
         pen.text((left + 54, place + 23), f"{inside_m2 / 1e4:,.2f} ha", FAINT, size=14)
     draw_closed(pen, left, top + 40 * len(steps) + 12)
     with atomic(path) as temporary:

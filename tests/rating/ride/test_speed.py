@@ -8,8 +8,9 @@ import pytest
 
 from bumpymap.core import BadInputError, UsageError
 from bumpymap.rating import Calibration, MotionModel, RideOperator, at_speed, motion_felt, require_speeds, roll_over
-from bumpymap.rating.ride.speed import SpeedRating, plain_factors, plain_speed_factor
+from bumpymap.rating.ride.speed import SpeedRating, map_rule, plain_factors, plain_speed_factor
 from bumpymap.rating.steps import StepEffect, apply_steps
+from bumpymap.rating.vehicle_body import less_floor
 
 WARTHOG = Calibration.shipped("warthog")
 SPEEDS = (0.5, 1.0, 2.0)
@@ -45,6 +46,8 @@ def test_speeds_out_of_range_and_calibrations_with_one_speed_say_what_to_do():
             at_speed(WARTHOG, speed)
     with pytest.raises(UsageError, match=r"`speeds`.*without other speeds than 1 m/s.*bumpymap calibrate"):
         require_speeds(replace(WARTHOG, motion=None), SPEEDS, "speeds")
+    alone = replace(WARTHOG, motion=None, vehicle=WARTHOG.vehicle | {"comfort": {"top_speed_mps": 2.0}})
+    assert map_rule(alone).slowness(np.array([0.2, 0.6])) == pytest.approx([1.0, 2.0], rel=1e-5)
 
 
 def test_at_the_speed_of_the_map_the_factor_is_one_and_c_r_at_a_speed_does_not_depend_on_it(heights):
@@ -64,6 +67,27 @@ def test_faster_shakes_more_and_tiles_without_a_heightmap_get_a_like_answer(heig
     assert np.median(np.abs(np.log(plain / factors))) < 0.5
     np.testing.assert_array_equal(plain[:, 3], np.float32(1.0))
     assert np.isnan(plain_factors(WARTHOG, SPEEDS, np.array([np.nan]))[0]).any()
+
+
+@pytest.mark.parametrize("name", ["warthog", "car", "husky"])
+@pytest.mark.parametrize("comfort", [{}, {"a_w_mps2": 0.8, "top_speed_mps": 9.0}, {"pitch_rate_radps": 0.15}])
+def test_ground_is_driven_as_fast_as_the_limits_let_it(name, comfort):
+    shipped = Calibration.shipped(name)
+    calibration = replace(shipped, vehicle=shipped.vehicle | {"comfort": comfort})
+    own, limits, rule = shipped.map_speed, {"pitch_rate_radps": 0.3} | comfort, map_rule(calibration)
+    assert rule.top_mps == pytest.approx(min(comfort.get("top_speed_mps", own), 2.5 * own), rel=1e-5)
+    speeds = []
+    for c_r in np.hypot(np.geomspace(1e-3, 3.0, 60), shipped.floor):
+        speed = float(1.0 / rule.slowness(c_r))
+        known = max(speed, 0.4 * own)
+        told = motion_felt(calibration, (known,), np.full((1, 3), np.nan, np.float32), np.array([c_r], np.float32))[0]
+        used = np.hypot(less_floor(told[0], shipped.floor_at(known)) * speed, shipped.floor * own)
+        used = max(used / limits["pitch_rate_radps"], told[2] * speed / known / limits.get("a_w_mps2", np.inf))
+        assert used <= 1.01
+        assert used >= 0.98 or speed == pytest.approx(rule.top_mps)
+        speeds.append(speed)
+    assert speeds[-1] < 0.4 * own < speeds[0] == pytest.approx(rule.top_mps)
+    assert (np.diff(speeds) <= 1e-12).all()
 
 
 def test_steps_follow_the_speed_of_the_map():
