@@ -1,4 +1,4 @@
-"""Compiled kernels: straight lines over square tiles; their exact cost, and whether they keep clear of closed tiles.
+"""Compiled kernels: straight lines over square tiles, their exact cost, whether they keep clear of closed tiles; holes.
 
 Field coordinates (r, c) of a window are in tiles: r from its north edge southwards, c from its west edge eastwards. A
 tile is closed where its cost is infinite; everything outside the window is closed.
@@ -25,6 +25,7 @@ __all__ = [
     "Pieces",
     "check_clear",
     "connect",
+    "fill_holes",
     "find_near",
     "segment_clear",
     "segment_cost",
@@ -326,3 +327,41 @@ def trace_line(line: Line, out: Pieces) -> None:
                 col += 1 if dc > 0.0 else -1
             t = max(t, end)
     out.pieces[0] = n
+
+
+@kernel
+def fill_holes(
+    heights: Annotated[Floats, 2],
+    near: Annotated[NDArray[np.bool_], 2],
+    rounds: int,
+    place: Annotated[NDArray[np.int64], 2],
+    mean: Annotated[Floats, 1],
+) -> None:
+    """Fill holes with the mean of their neighbours, all at once in each round.
+
+    ``heights`` (rows * pixels + 2, cols * pixels + 2): m, NaN in holes, with one more pixel at all edges; ``near``
+    (rows, cols): tiles whose holes are filled. ``place`` (2, n) and ``mean`` (n,) are scratch for all their pixels.
+    """
+    rows, cols = near.shape
+    pixels, n = (heights.shape[0] - 2) // rows, 0
+    for row in range(1, rows * pixels + 1):
+        for col in range(1, cols * pixels + 1):
+            if near[(row - 1) // pixels, (col - 1) // pixels] and math.isnan(heights[row, col]):
+                place[0, n], place[1, n] = row, col
+                n += 1
+    for _ in range(rounds):
+        for k in range(n):
+            total, count = 0.0, 0
+            for row in range(place[0, k] - 1, place[0, k] + 2):
+                for col in range(place[1, k] - 1, place[1, k] + 2):
+                    if not math.isnan(heights[row, col]):
+                        total += heights[row, col]
+                        count += 1
+            mean[k] = total / count if count > 0 else math.nan
+        left = 0
+        for k in range(n):
+            heights[place[0, k], place[1, k]] = mean[k]
+            if math.isnan(mean[k]):
+                place[0, left], place[1, left] = place[0, k], place[1, k]
+                left += 1
+        n = left

@@ -11,10 +11,12 @@ angles to the vehicle. Where the vehicle is across the line is known to ``sigma`
 of Gauss-Hermite quadrature.
 """
 
+import json
 import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
@@ -27,6 +29,7 @@ from bumpymap.layers import NORMAL_80, MapReader, common_window, open_map
 from bumpymap.rating import (
     Calibration,
     Correction,
+    MotionOperator,
     RideOperator,
     SpeedRating,
     at_speed,
@@ -42,6 +45,7 @@ from bumpymap.rating import (
     roll_wheels,
     with_floor,
 )
+from bumpymap.route._line_kernels import fill_holes
 from bumpymap.route.ground import CostGround, points_along, window_around
 from bumpymap.route.measure import MeasuredWay
 from bumpymap.route.places import in_window
@@ -175,14 +179,26 @@ class LineVehicle(NamedTuple):
         wanted = calibration.map_speed if speed is None else speed
         if wanted != calibration.map_speed:
             at_speed(calibration, wanted)  # refuses what it cannot tell
-        operator = RideOperator.of(calibration.vehicle, grid.tile_size, grid.pixels)
         needed = calibration.motion is not None and (motion or not wanted == own == calibration.map_speed)
-        rating = SpeedRating.of(calibration, tuple(dict.fromkeys((own, wanted)))) if needed else None
+        speeds = tuple(dict.fromkeys((own, wanted)))
+        every = tuple(dict.fromkeys((*speeds, calibration.map_speed))) if needed else ()
+        operator, moving = _operators(json.dumps(calibration.vehicle), every, grid.tile_size, grid.pixels)
+        rating = None if moving is None else SpeedRating(calibration, speeds, moving)
         way = grid.pixel_size / operator.fine / 2
         taps = chassis_response(calibration.vehicle, way)
         stretch = math.ceil(grid.tile_size / 2 / way)
         reach = len(taps) + max(stretch, len(heave_filter(wanted, way)[0]) // 2 if rating is not None else 0)
         return cls(calibration, Correction.from_record(calibration.ride), operator, rating, wanted, way, taps, reach)
+
+
+@lru_cache(maxsize=4)
+def _operators(
+    vehicle: str, speeds: tuple[float, ...], tile_size: float, pixels: int
+) -> tuple[RideOperator, MotionOperator | None]:
+    """Make the operators of a vehicle profile, JSON: that takes as long as 1 km of a line, and lines are often short."""
+    profile = json.loads(vehicle)
+    moving = MotionOperator.of(profile, tile_size, pixels, speeds) if speeds else None
+    return RideOperator.of(profile, tile_size, pixels), moving
 
 
 def ride_along(
@@ -409,7 +425,9 @@ def _roll(site: MapReader, line: Floats, at: Floats, vehicle: LineVehicle, acros
         window.heights.reshape(len(window.touched), pixels, -1, pixels).transpose(0, 2, 1, 3) for window in windows
     ]
     own = [box[window.touched] for box, window in zip(boxes, windows, strict=True)]
-    added, tiles = _match(np.concatenate(own), np.concatenate([window.bands for window in windows], axis=1), vehicle)
+    inside = [np.isin(np.arange(window.bands.shape[1]), window.tile) for window in windows]
+    bands = np.concatenate([window.bands for window in windows], axis=1)
+    added, tiles = _match(np.concatenate(own), bands, np.concatenate(inside), vehicle)
     rolled, first = [], 0
     for box, window in zip(boxes, windows, strict=True):
         here = slice(first, first + window.bands.shape[1])
@@ -431,27 +449,37 @@ def _read(site: MapReader, middle: Floats, wheels: Floats, vehicle: LineVehicle)
     # A wheel reaches as far as its radius, and the heights between pixels one farther.
     beside = (vehicle.calibration.vehicle["wheel"]["radius_m"] + grid.pixel_size) / grid.tile_size
     window = window_around(site, wheels.reshape(-1, 2), 1 + int(beside))
-    stands = np.isin(site.objects(window), (OBSTACLE, CANOPY))
-    measured = np.where(stands, np.nan, site.heights(window).astype(np.float64))
+    objects = site.objects(window)
+    measured = site.heights(window).astype(np.float64)
+    measured[(objects == OBSTACLE) | (objects == CANOPY)] = np.nan
     where = in_window(wheels.reshape(-1, 2), grid, window)
     row, col = np.floor(where * grid.pixels).astype(np.int64).T
     seen = np.isfinite(measured[row, col]).reshape(-1, wheels.shape[2]).mean(axis=0)
     touched = np.zeros((window.rows, window.cols), np.bool_)
     own = tuple(np.floor(in_window(middle, grid, window)).astype(np.int64).T)
     touched[own] = True
-    for off in product((-beside, beside), repeat=2):
-        touched[tuple(np.floor(where + off).astype(np.int64).T)] = True
+    reached = [np.floor(where + off).astype(np.int64).T for off in (-beside, beside)]
+    for rows, cols in product(*zip(*reached, strict=True)):
+        touched[rows, cols] = True
     found = site.values(window, _BANDS)
     bands = np.array([found[name][touched] for name in _BANDS])
     number = np.cumsum(touched).reshape(touched.shape) - 1
     # Holes in a tile that no wheel touches fill those beside it.
-    near = maximum_filter(touched, 3).repeat(grid.pixels, axis=0).repeat(grid.pixels, axis=1)
+    near = np.asarray(maximum_filter(touched, 3))
+    most = int(near.sum()) * grid.pixels**2
+    filled = np.pad(measured, 1, mode="edge")
+    fill_holes(filled, near, _FILL_ROUNDS, np.empty((2, most), np.int64), np.empty(most))
     ahead = np.broadcast_to(wheels[:, :1] - wheels[:, 2:3], wheels.shape).reshape(-1, 2)
-    return _LineWindow(_filled(measured, near), touched, bands, number[own], where * grid.pixels, ahead, seen)
+    return _LineWindow(filled[1:-1, 1:-1].copy(), touched, bands, number[own], where * grid.pixels, ahead, seen)
 
 
-def _match(heights: Floats, bands: NDArray[np.float32], vehicle: LineVehicle) -> tuple[Floats, _Tiles]:
-    """Take the noise off n tiles: return what is to be added to their heights, and what is known of them."""
+def _match(
+    heights: Floats, bands: NDArray[np.float32], inside: NDArray[np.bool_], vehicle: LineVehicle
+) -> tuple[Floats, _Tiles]:
+    """Take the noise off n tiles: return what is to be added to their heights, and what is known of them.
+
+    ``inside`` (n,): the middle of the vehicle is in them; of the others, speed and acceleration are not needed.
+    """
     calibration, rating = vehicle.calibration, vehicle.rating
     c_r, low, high = (less_floor(values, calibration.map_floor) for values in bands[:3])
     slope = np.nan_to_num(bands[3]).astype(np.float64)
@@ -464,7 +492,7 @@ def _match(heights: Floats, bands: NDArray[np.float32], vehicle: LineVehicle) ->
         own = less_floor(own, calibration.floor_at(speeds[0]))
     matched = match_tiles(relief, own, slope, vehicle.correction, vehicle.operator)
     if rating is not None:
-        motions = move_over(matched.relief_map, rating.operator)
+        motions = move_over(np.where(inside[:, None, None], matched.relief_map, np.float32(np.nan)), rating.operator)
         _, factors = rating.factors_of(motions, matched.rides.pitch_change)
         felt = motion_felt(calibration, speeds, factors, bands[0]).astype(np.float64)
         ratio = less_floor(felt[:, -3], calibration.floor_at(vehicle.speed)) / np.maximum(own, _LEAST)
@@ -499,20 +527,6 @@ def _on_line(line: Floats, at: Floats) -> Floats:
     start, end = (way / np.hypot(*way) for way in (moving[0], moving[-1]))
     beyond: Floats = np.minimum(at, 0.0)[:, None] * start + np.maximum(at - length, 0.0)[:, None] * end
     return inside + beyond
-
-
-def _filled(heights: Floats, near: NDArray[np.bool_]) -> Floats:
-    """Fill the holes ``near`` with the mean of their neighbours, round by round; larger ones stay NaN."""
-    filled = np.pad(heights, 1, mode="edge")
-    row, col = np.nonzero(near & np.isnan(heights))
-    for _ in range(_FILL_ROUNDS):
-        around = np.array([filled[row + down, col + right] for down, right in product(range(3), repeat=2)])
-        known = np.isfinite(around)
-        count = known.sum(axis=0)
-        told = count > 0
-        filled[row[told] + 1, col[told] + 1] = np.where(known, around, 0.0).sum(axis=0)[told] / count[told]
-        row, col = row[~told], col[~told]
-    return filled[1:-1, 1:-1].copy()
 
 
 def _felt(rolled: _Rolled, vehicle: LineVehicle, weights: Floats) -> Floats:

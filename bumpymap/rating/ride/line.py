@@ -53,15 +53,20 @@ def match_tiles(
     clean, rides = relief_map.copy(), roll_over(relief_map, operator)
     rough = np.flatnonzero(correction.without_noise(rides, slope_deg) > wanted)
     low, high = (np.full(len(rough), np.log(end)) for end in _NOISE_M)
+    least, names = low, Rides.__dataclass_fields__
     for last in [False] * _ROUNDS + [True]:
-        middle = low if last else 0.5 * (low + high)
-        tried = _without(relief_map[rough], np.exp(middle))
+        # What is taken off in the end was tried already, but where the least was too much in all rounds.
+        some = np.flatnonzero(low == least) if last else np.arange(len(rough))
+        middle = low[some] if last else 0.5 * (low + high)
+        tried = _without(relief_map[rough[some]], np.exp(middle))
         ridden = roll_over(tried, operator)
-        too_rough = correction.without_noise(ridden, slope_deg[rough]) > wanted[rough]
-        low, high = np.where(too_rough, middle, low), np.where(too_rough, high, middle)
-    clean[rough] = tried
-    for name in Rides.__dataclass_fields__:
-        getattr(rides, name)[rough] = getattr(ridden, name)
+        too_rough = correction.without_noise(ridden, slope_deg[rough[some]]) > wanted[rough[some]]
+        kept = np.full(len(some), last) | too_rough
+        clean[rough[some[kept]]] = tried[kept]
+        for name in names:
+            getattr(rides, name)[rough[some[kept]]] = getattr(ridden, name)[kept]
+        if not last:
+            low, high = np.where(too_rough, middle, low), np.where(too_rough, high, middle)
     left = np.exp(wanted - correction.without_noise(rides, slope_deg))
     return MatchedTiles(clean, rides, np.where(np.isfinite(left), left, 1.0))
 
