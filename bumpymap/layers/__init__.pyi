@@ -132,9 +132,11 @@ from .route_lines import (
     route_coordinates as route_coordinates,
     route_properties as route_properties,
     stop_names as stop_names,
+    stretch_rows as stretch_rows,
     stop_roles as stop_roles,
     write_gpx as write_gpx,
     write_profile as write_profile,
+    write_stretches as write_stretches,
     write_route_geojson as write_route_geojson,
 )
 from .scan_folder import (

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CANOPY, OBSTACLE, BadInputError, RouteFigures, UsageError, path_of_call
+from bumpymap.core import CANOPY, OBSTACLE, BadInputError, RoadFigures, RouteFigures, UsageError, path_of_call
 from bumpymap.layers import NORMAL_80, MapReader, common_window, open_map
 from bumpymap.rating import (
     Calibration,
@@ -49,7 +49,7 @@ from bumpymap.route._line_kernels import fill_holes
 from bumpymap.route.ground import CostGround, points_along, window_around
 from bumpymap.route.measure import MeasuredWay
 from bumpymap.route.places import in_window
-from bumpymap.route.road_profile import RoadFigures, bridged, road_figures
+from bumpymap.route.road_profile import SHORTEST_ROAD_M, bridged, road_figures
 
 __all__ = ["LineRide", "LineVehicle", "ride_along", "ride_line", "with_line_rides"]
 
@@ -66,6 +66,8 @@ _STRETCH_M = 90.0
 """Length whose window of the map is read at once."""
 _PIECE_M = 2000.0
 """Length that is computed at once."""
+_EVERY_M = (10.0, 100.0)
+"""Lengths of the stretches of a way."""
 _TILE_LOG_SD = 1.2
 """Standard deviation of ln C_r of a metre of a line about that of its tile: 0.4 over 10 m. The width that holds 80 % of
 simulated drives along such lines (``tests/benchmarks/line_drives.py``) is 0.39 on the sample, 0.28 on a real survey."""
@@ -115,10 +117,23 @@ class LineRide:
     """Distance between heights of these along the line, m."""
     ground: Floats
     """(2, m) heights of the left and the right path, as the map holds them, m; NaN: unknown."""
+    pixel: float
+    """Side of its pixels, m."""
 
     def road(self, length: float = 100.0) -> tuple[RoadFigures, ...]:
-        """Return IRI, ISO 8608 class, grade and crossfall of each stretch of so many metres."""
-        return road_figures(self.ground, self.way, self.track, length)
+        """Return figures of road practice of each stretch of so many metres, 10 or more, with C_r and acceleration."""
+        found = road_figures(self.ground, self.way, self.track, length, self.pixel)
+        parts, ends = np.diff(self.distance), np.array([(stretch.first, stretch.last) for stretch in found])
+        sums = (np.isfinite(self.a_w) * parts, np.nan_to_num(self.a_w) ** 2 * parts)
+        known, shaken = (
+            np.diff(np.interp(ends, self.distance, np.concatenate([[0.0], np.cumsum(each)])))[:, 0] for each in sums
+        )
+        a_w = np.sqrt(np.divide(shaken, known, out=np.full(len(found), np.nan), where=known > 0.0))
+        rides = zip(found, a_w.tolist(), (self.over(*between) for between in ends.tolist()), strict=True)
+        return tuple(
+            replace(stretch, a_w=shake, c_r=c_r, c_r_low=low, c_r_high=high)
+            for stretch, shake, (c_r, low, high) in rides
+        )
 
     @property
     def pitch_rate(self) -> Floats:
@@ -130,16 +145,18 @@ class LineRide:
 
         NaN if nothing is known there.
         """
-        part = np.clip(np.minimum(self.distance[1:], last) - np.maximum(self.distance[:-1], first), 0.0, None)
-        known = np.isfinite(self.c_r) & (part > 0.0)
-        if not known.any():
+        starts, ends = self.distance[:-1], self.distance[1:]
+        at = np.arange(np.searchsorted(ends, first, "right"), np.searchsorted(starts, last))
+        at = at[np.isfinite(self.c_r[at])]
+        if not len(at):
             return (np.nan, np.nan, np.nan)
-        share = part[known] / part[known].sum()
-        bare = less_floor(self.c_r[known], self.floor)
+        share = np.minimum(ends[at], last) - np.maximum(starts[at], first)
+        share /= share.sum()
+        bare = less_floor(self.c_r[at], self.floor)
         # The model of the vehicle errs alike in all tiles, the place across differs from metre to metre.
         weight = share * bare / max(float((share * bare).sum()), 1e-12)
-        of_place = np.sqrt(((weight * self.log_sd_across[known]) ** 2).sum())
-        wide = np.exp(NORMAL_80 * np.hypot((weight * self.log_sd[known]).sum(), of_place))
+        of_place = np.sqrt(((weight * self.log_sd_across[at]) ** 2).sum())
+        wide = np.exp(NORMAL_80 * np.hypot((weight * self.log_sd[at]).sum(), of_place))
         mean, low, high = (float((share * with_floor(bare * by, self.floor)).sum()) for by in (1.0, 1.0 / wide, wide))
         return mean, low, high
 
@@ -262,7 +279,7 @@ def with_line_rides(
     site = ground.site
     try:
         made = map_calibration(site.manifest, site.grid.tile_size, calibration)
-        vehicle = LineVehicle.of(site, made, motion=False)
+        vehicle = LineVehicle.of(site, made)
     except (BadInputError, UsageError) as error:
         if calibration is not None:
             raise
@@ -285,11 +302,19 @@ def _with_line_ride(site: MapReader, way: MeasuredWay, vehicle: LineVehicle) -> 
         return way
     found = ride_line(site, way.line, vehicle, _SIGMA_M)
     mean, low, high = found.over(0.0, math.inf)
+    has_road = found.ground.shape[1] * found.way >= SHORTEST_ROAD_M
     metre = np.clip(np.searchsorted(found.distance, way.profile.distance, side="right") - 1, 0, len(found.c_r) - 1)
     return replace(
         way,
-        figures=replace(way.figures, c_r_line=mean, c_r_line_low=low, c_r_line_high=high),
+        figures=replace(
+            way.figures,
+            c_r_line=mean,
+            c_r_line_low=low,
+            c_r_line_high=high,
+            road=found.road(math.inf)[0] if has_road else None,
+        ),
         profile=replace(way.profile, c_r_line=found.c_r[metre]),
+        road=tuple(stretch for every in _EVERY_M for stretch in found.road(every)) if has_road else (),
     )
 
 
@@ -347,6 +372,7 @@ def ride_line(site: MapReader, line: Floats, vehicle: LineVehicle, sigma: float)
         track=vehicle.operator.track,
         way=vehicle.way,
         ground=np.concatenate(ground, axis=-1),
+        pixel=site.grid.pixel_size,
     )
 
 
