@@ -43,6 +43,7 @@ from bumpymap.rating import (
     move_over,
     remove_plane,
     roll_wheels,
+    wheel_turn,
     with_floor,
 )
 from bumpymap.route._line_kernels import fill_holes
@@ -419,9 +420,9 @@ class _LineWindow(NamedTuple):
     tile: NDArray[np.int64]
     """(n,) which of these each sample is in."""
     wheels: Floats
-    """(places across * 4 * n, 2) row and column of wheels, pixels."""
-    ahead: Floats
-    """The same shape: easting and northing of their way."""
+    """(places across * 4, n, 2) row and column of wheels, pixels."""
+    turn: NDArray[np.int64]
+    """(places across * 4, n) their direction; see `wheel_turn`."""
     seen: Floats
     """(n,) share of the pixels under the wheels that hold points."""
 
@@ -430,7 +431,7 @@ class _Rolled(NamedTuple):
     """Samples along a line."""
 
     heights: Floats
-    """(places across, 4, n) lowest point of each wheel, m; NaN where unknown."""
+    """(places across, 4, n) lowest point of each wheel, m, without the jumps of their turns; NaN where unknown."""
     seen: Floats
     """(n,) share of the pixels under the wheels that hold points."""
     ground: Floats
@@ -454,18 +455,20 @@ def _roll(site: MapReader, line: Floats, at: Floats, vehicle: LineVehicle, acros
     inside = [np.isin(np.arange(window.bands.shape[1]), window.tile) for window in windows]
     bands = np.concatenate([window.bands for window in windows], axis=1)
     added, tiles = _match(np.concatenate(own), bands, np.concatenate(inside), vehicle)
-    rolled, first = [], 0
+    rolled, first, turn = [], 0, None
     for box, window in zip(boxes, windows, strict=True):
         here = slice(first, first + window.bands.shape[1])
         front, rear = (window.wheels.reshape(len(across), 4, -1, 2)[len(across) // 2, axle] for axle in _AXLES)
         paths = np.moveaxis((front + rear) / 2, -1, 0) - 0.5
         ground = map_coordinates(window.heights, paths, order=1, mode="nearest")
         box[window.touched] += added[here]
-        low = roll_wheels(window.heights, window.wheels, window.ahead, vehicle.operator).reshape(len(across), 4, -1)
-        rolled.append((low, window.seen, ground, *(values[here][window.tile] for values in tiles)))
+        before = np.column_stack([window.turn[:, :1] if turn is None else turn[:, -1:], window.turn[:, :-1]])
+        turn = window.turn
+        low, jump = roll_wheels(window.heights, window.wheels, turn, before, vehicle.operator)
+        rolled.append((low, jump, window.seen, ground, *(values[here][window.tile] for values in tiles)))
         first = here.stop
-    heights, seen, ground, *columns = (np.concatenate(parts, axis=-1) for parts in zip(*rolled, strict=True))
-    return _Rolled(heights, seen, ground, _Tiles(*columns))
+    low, jump, seen, ground, *columns = (np.concatenate(parts, axis=-1) for parts in zip(*rolled, strict=True))
+    return _Rolled((low - np.cumsum(jump, axis=1)).reshape(len(across), 4, -1), seen, ground, _Tiles(*columns))
 
 
 def _read(site: MapReader, middle: Floats, wheels: Floats, vehicle: LineVehicle) -> _LineWindow:
@@ -495,8 +498,11 @@ def _read(site: MapReader, middle: Floats, wheels: Floats, vehicle: LineVehicle)
     most = int(near.sum()) * grid.pixels**2
     filled = np.pad(measured, 1, mode="edge")
     fill_holes(filled, near, _FILL_ROUNDS, np.empty((2, most), np.int64), np.empty(most))
-    ahead = np.broadcast_to(wheels[:, :1] - wheels[:, 2:3], wheels.shape).reshape(-1, 2)
-    return _LineWindow(filled[1:-1, 1:-1].copy(), touched, bands, number[own], where * grid.pixels, ahead, seen)
+    east, north = np.moveaxis(wheels[:, :1] - wheels[:, 2:3], -1, 0)
+    # Rows count southwards.
+    turn = np.broadcast_to(wheel_turn(np.arctan2(-north, east)), wheels.shape[:3]).reshape(-1, wheels.shape[2])
+    pixels = (where * grid.pixels).reshape(*turn.shape, 2)
+    return _LineWindow(filled[1:-1, 1:-1].copy(), touched, bands, number[own], pixels, turn, seen)
 
 
 def _match(
