@@ -136,7 +136,7 @@ from .route_lines import (
     stop_roles as stop_roles,
     write_gpx as write_gpx,
     write_profile as write_profile,
-    write_stretches as write_stretches,
+    write_route_stretches as write_route_stretches,
     write_route_geojson as write_route_geojson,
 )
 from .scan_folder import (

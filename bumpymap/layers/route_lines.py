@@ -41,7 +41,7 @@ __all__ = [
     "write_gpx",
     "write_profile",
     "write_route_geojson",
-    "write_stretches",
+    "write_route_stretches",
 ]
 
 P_ARRIVES_NOTE = "errors of neighbouring tiles go together: an estimate"
@@ -439,7 +439,7 @@ def stretch_rows(route: Route) -> list[dict[str, Any]]:
     ]
 
 
-def write_stretches(routes: Sequence[Route], path: Path) -> None:
+def write_route_stretches(routes: Sequence[Route], path: Path) -> None:
     """Write the figures of the stretches of routes as CSV (RFC 4180, UTF-8); what is unknown is empty.
 
     Parameters

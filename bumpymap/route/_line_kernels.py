@@ -1,4 +1,4 @@
-"""Compiled kernels: straight lines over square tiles, their exact cost, whether they keep clear of closed tiles; holes.
+"""Compiled kernels: straight lines over square tiles, their cost, whether they are clear; holes; the quarter car.
 
 Field coordinates (r, c) of a window are in tiles: r from its north edge southwards, c from its west edge eastwards. A
 tile is closed where its cost is infinite; everything outside the window is closed.
@@ -25,6 +25,7 @@ __all__ = [
     "Pieces",
     "check_clear",
     "connect",
+    "drive_quarter_car",
     "fill_holes",
     "find_near",
     "segment_clear",
@@ -365,3 +366,26 @@ def fill_holes(
                 place[0, left], place[1, left] = place[0, k], place[1, k]
                 left += 1
         n = left
+
+
+@kernel
+def drive_quarter_car(
+    slope: Annotated[Floats, 1],
+    step: Annotated[Floats, 2],
+    push: Annotated[Floats, 1],
+    travel: Annotated[Floats, 1],
+) -> None:
+    """Fill the difference of the slopes of body and wheel of a quarter car after each slope of a profile, (n,).
+
+    ``step`` (4, 4): its state, from rest, after a sample; ``push`` (4,): what a slope adds to that.
+    """
+    a = b = c = d = 0.0
+    for k in range(len(slope)):
+        u = slope[k]
+        a, b, c, d = (
+            step[0, 0] * a + step[0, 1] * b + step[0, 2] * c + step[0, 3] * d + push[0] * u,
+            step[1, 0] * a + step[1, 1] * b + step[1, 2] * c + step[1, 3] * d + push[1] * u,
+            step[2, 0] * a + step[2, 1] * b + step[2, 2] * c + step[2, 3] * d + push[2] * u,
+            step[3, 0] * a + step[3, 1] * b + step[3, 2] * c + step[3, 3] * d + push[3] * u,
+        )
+        travel[k] = a - c

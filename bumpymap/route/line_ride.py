@@ -123,17 +123,18 @@ class LineRide:
 
     def road(self, length: float = 100.0) -> tuple[RoadFigures, ...]:
         """Return figures of road practice of each stretch of so many metres, 10 or more, with C_r and acceleration."""
-        found = road_figures(self.ground, self.way, self.track, length, self.pixel)
-        parts, ends = np.diff(self.distance), np.array([(stretch.first, stretch.last) for stretch in found])
+        found, whole = road_figures(self.ground, self.way, self.track, length, self.pixel), float(self.distance[-1])
+        parts, ends = np.diff(self.distance), np.array([(one.first, min(one.last, whole)) for one in found])
         sums = (np.isfinite(self.a_w) * parts, np.nan_to_num(self.a_w) ** 2 * parts)
         known, shaken = (
             np.diff(np.interp(ends, self.distance, np.concatenate([[0.0], np.cumsum(each)])))[:, 0] for each in sums
         )
         a_w = np.sqrt(np.divide(shaken, known, out=np.full(len(found), np.nan), where=known > 0.0))
-        rides = zip(found, a_w.tolist(), (self.over(*between) for between in ends.tolist()), strict=True)
+        felt = (self.over(*between) for between in ends.tolist())
+        rides = zip(found, ends[:, 1].tolist(), a_w.tolist(), felt, strict=True)
         return tuple(
-            replace(stretch, a_w=shake, c_r=c_r, c_r_low=low, c_r_high=high)
-            for stretch, shake, (c_r, low, high) in rides
+            replace(one, every=min(one.every, whole), last=last, a_w=shake, c_r=c_r, c_r_low=low, c_r_high=high)
+            for one, last, shake, (c_r, low, high) in rides
         )
 
     @property

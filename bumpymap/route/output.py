@@ -31,7 +31,7 @@ from bumpymap.layers import (
     write_profile,
     write_reach,
     write_route_geojson,
-    write_stretches,
+    write_route_stretches,
 )
 from bumpymap.views import write_reach_picture, write_route_picture
 
@@ -143,7 +143,7 @@ def write_routes(
         "route.png": partial(write_route_picture, routes, source),
     }
     if any(route.road for route in routes):
-        writers["stretches.csv"] = partial(write_stretches, routes)
+        writers["stretches.csv"] = partial(write_route_stretches, routes)
     if not place.has_degrees and one_file is None:
         del writers["route.gpx"]
         notes = ["route.gpx was not written: the layers have no CRS, so longitude and latitude are unknown"]

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import Resolution, RoadFigures, UsageError
+from bumpymap.route._line_kernels import drive_quarter_car
 
 __all__ = ["SHORTEST_ROAD_M", "bridged", "iso_8608", "quarter_car", "road_figures"]
 
@@ -59,20 +60,18 @@ def quarter_car(heights: Floats, spacing: float) -> Floats:
     """
     from scipy.linalg import expm
     from scipy.ndimage import uniform_filter1d
-    from scipy.signal import lfilter, ss2tf
 
     step = expm(_CAR * (spacing / _CAR_MPS))
     push = np.linalg.solve(_CAR, (step - np.eye(4)) @ _ROAD)
-    travel = np.array([[1.0, 0.0, -1.0, 0.0]])
-    top, bottom = ss2tf(step, push[:, None], travel @ step, travel @ push[:, None])
     tyre = round(_BASE_M / spacing)
     even = uniform_filter1d(heights, tyre, mode="nearest") if tyre > 1 else heights
     slope = np.diff(even, prepend=even[:1]) / spacing
     begin = min(max(round(_BEGIN_M / spacing), 1), len(heights) - 1)
     slope -= (even[begin] - even[0]) / (begin * spacing)
     slope[0] = 0.0
-    moved: Floats = 1000.0 * np.abs(lfilter(top[0], bottom, slope))
-    return moved
+    travel = np.empty(len(slope))
+    drive_quarter_car(slope, step, push, travel)
+    return np.abs(1000.0 * travel)
 
 
 def iso_8608(heights: Floats, spacing: float, pixel: float = _PIXEL_M) -> tuple[Floats, Floats]:
@@ -94,11 +93,9 @@ def iso_8608(heights: Floats, spacing: float, pixel: float = _PIXEL_M) -> tuple[
     array (...)
         0..1.
     """
-    from scipy.signal import detrend
-
     count = heights.shape[-1]
     window, wave = np.hanning(count), np.fft.rfftfreq(count, spacing)
-    power = 2 * spacing * np.abs(np.fft.rfft(detrend(heights) * window)) ** 2 / (window**2).sum()
+    power = 2 * spacing * np.abs(np.fft.rfft(_less_line(heights, spacing)[0] * window)) ** 2 / (window**2).sum()
     coarse = max(pixel / _PIXEL_M, 1.0)
     short, felt = (
         power[..., (wave >= low / coarse) & (wave < high / coarse)].mean(axis=-1) for low, high in (_SHORT, _FELT)
@@ -164,12 +161,18 @@ def road_figures(
 
 def _shape(heights: Floats, spacing: float, track: float) -> tuple[Floats, Floats, Floats]:
     """Return RMS about the own line [m], grade and crossfall [m/m] of k stretches, (2, k, n)."""
-    middle, count = heights.mean(axis=0), heights.shape[2]
-    along = spacing * (np.arange(count) - (count - 1) / 2)
-    grade = (middle * along).sum(axis=1) / (along**2).sum()
-    rest = middle - middle.mean(axis=1, keepdims=True) - grade[:, None] * along
+    rest, grade = _less_line(heights.mean(axis=0), spacing)
     left, right = heights.mean(axis=2)
-    return np.sqrt((rest**2).mean(axis=1)), grade, (left - right) / track
+    return np.sqrt((rest**2).mean(axis=-1)), grade, (left - right) / track
+
+
+def _less_line(heights: Floats, spacing: float) -> tuple[Floats, Floats]:
+    """Return heights, (..., n), without their line of least squares, and its grade, (...)."""
+    count = heights.shape[-1]
+    along = spacing * (np.arange(count) - (count - 1) / 2)
+    level = heights - heights.mean(axis=-1, keepdims=True)
+    grade = (level * along).sum(axis=-1) / (along**2).sum()
+    return level - grade[..., None] * along, grade
 
 
 def bridged(lines: Floats) -> Floats:

@@ -106,7 +106,11 @@ def roll_wheels(
         roll_along(heights, np.ascontiguousarray(some), to, operator.fine, operator.wheel, envelope, known, low)
         return low
 
-    low, jump, turned = roll(place.reshape(-1, 2), turn.ravel()).reshape(turn.shape), np.zeros(turn.shape), turn != before
+    low, jump, turned = (
+        roll(place.reshape(-1, 2), turn.ravel()).reshape(turn.shape),
+        np.zeros(turn.shape),
+        turn != before,
+    )
     jump[turned] = np.nan_to_num(low[turned] - roll(place[turned], before[turned]))
     return low, jump
 
