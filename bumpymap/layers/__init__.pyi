@@ -132,12 +132,12 @@ from .route_lines import (
     route_coordinates as route_coordinates,
     route_properties as route_properties,
     stop_names as stop_names,
-    stretch_rows as stretch_rows,
     stop_roles as stop_roles,
+    stretch_rows as stretch_rows,
     write_gpx as write_gpx,
     write_profile as write_profile,
-    write_route_stretches as write_route_stretches,
     write_route_geojson as write_route_geojson,
+    write_route_stretches as write_route_stretches,
 )
 from .scan_folder import (
     ACCUMULATED_NAME as ACCUMULATED_NAME,

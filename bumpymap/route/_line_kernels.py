@@ -330,6 +330,18 @@ def trace_line(line: Line, out: Pieces) -> None:
     out.pieces[0] = n
 
 
+@helper
+def _mean_around(heights: Floats, row: int, col: int) -> float:
+    """Mean of what is known in three by three pixels; NaN if nothing is."""
+    total, count = 0.0, 0
+    for r in range(row - 1, row + 2):
+        for c in range(col - 1, col + 2):
+            if not math.isnan(heights[r, c]):
+                total += heights[r, c]
+                count += 1
+    return total / count if count > 0 else math.nan
+
+
 @kernel
 def fill_holes(
     heights: Annotated[Floats, 2],
@@ -352,13 +364,7 @@ def fill_holes(
                 n += 1
     for _ in range(rounds):
         for k in range(n):
-            total, count = 0.0, 0
-            for row in range(place[0, k] - 1, place[0, k] + 2):
-                for col in range(place[1, k] - 1, place[1, k] + 2):
-                    if not math.isnan(heights[row, col]):
-                        total += heights[row, col]
-                        count += 1
-            mean[k] = total / count if count > 0 else math.nan
+            mean[k] = _mean_around(heights, place[0, k], place[1, k])
         left = 0
         for k in range(n):
             heights[place[0, k], place[1, k]] = mean[k]

@@ -214,7 +214,7 @@ class LineVehicle(NamedTuple):
 def _operators(
     vehicle: str, speeds: tuple[float, ...], tile_size: float, pixels: int
 ) -> tuple[RideOperator, MotionOperator | None]:
-    """Make the operators of a vehicle profile, JSON: that takes as long as 1 km of a line, and lines are often short."""
+    """Make the operators of a vehicle profile, in JSON: it takes as long as 1 km of a line; lines are often short."""
     profile = json.loads(vehicle)
     moving = MotionOperator.of(profile, tile_size, pixels, speeds) if speeds else None
     return RideOperator.of(profile, tile_size, pixels), moving

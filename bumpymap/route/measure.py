@@ -133,7 +133,7 @@ def _pieces(ground: CostGround, line: Floats) -> _Pieces:
     }
 
 
-def _ride(pieces: _Pieces) -> dict[str, float]:
+def _ride(pieces: _Pieces) -> dict[str, Any]:
     """Return mean and worst ride cost, with their intervals; NaN where none is known."""
     known = np.isfinite(pieces["c_r"])
     weight = pieces["length"] * known

@@ -151,10 +151,12 @@ def road_figures(
         columns = np.stack([motion[:, at].mean(axis=(0, 2)), power, *_shape(filled[:, at], spacing, track)])
         columns[:, unknown] = np.nan
         ends = (np.stack([at[:, 0], at[:, -1] + 1]) * spacing).T.tolist()
-        grades = np.where(unknown, len(_RESOLUTIONS) - 1, np.searchsorted(_NOISE, noise, side="right")).tolist()
+        marks = np.where(unknown, len(_RESOLUTIONS) - 1, np.searchsorted(_NOISE, noise, side="right")).tolist()
         found += [
-            RoadFigures(every, *between, iri, iso_power, _RESOLUTIONS[grade], *shape)
-            for between, grade, (iri, iso_power, *shape) in zip(ends, grades, columns.T.tolist(), strict=True)
+            RoadFigures(every, first, last, iri, iso_power, _RESOLUTIONS[mark], rms, grade, crossfall)
+            for (first, last), mark, (iri, iso_power, rms, grade, crossfall) in zip(
+                ends, marks, columns.T.tolist(), strict=True
+            )
         ]
     return tuple(found)
 
