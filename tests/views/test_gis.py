@@ -11,6 +11,7 @@ from xml.etree import ElementTree as ET
 import geopandas
 import numpy as np
 import pytest
+import shapely
 from check_records import made_up_check
 from pyproj import CRS
 from route_maps import write_folder
@@ -277,6 +278,24 @@ def test_every_area_is_drawn_and_none_as_what_it_is_not(seen, cost_map):
     assert "nothing" not in regions
     assert sum(regions.values()) == seen["layers"]["cost.fgb"]["features"]
     assert set(regions) == set(drawn)
+
+
+@pytest.mark.qgis
+def test_a_line_shows_the_calm_axis_where_it_matters(tmp_path):
+    def drawn(name, **settings):
+        folder = tmp_path / name
+        folder.mkdir()
+        (folder / "tiles.parquet").touch()
+        write_styles(folder, {"settings": settings})
+        squares = [shapely.box(3 * at, 0, 3 * at + 3, 3) for at in range(2)]
+        columns = {"class": [0, 0], "passable": [True, True], "calm_axis_deg": [90.0, 90.0], "heading_ratio": ratios}
+        geopandas.GeoDataFrame(columns, geometry=squares, crs=32614).to_file(folder / "tiles.gpkg")
+        return load(folder)["layers"]["tiles.gpkg"]["colours"]
+
+    ratios = [1.2, 1.25]
+    assert drawn("even", headings=True) == drawn("plain", headings=False)
+    ratios = [1.2, 1.4]
+    assert drawn("calm", headings=True) > drawn("off", headings=False)
 
 
 @pytest.mark.qgis

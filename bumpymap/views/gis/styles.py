@@ -127,7 +127,7 @@ CALM_RATIO = 1.3
 """From this ratio of the highest to the lowest C_r by heading on, the heading matters."""
 _END = 'project(centroid($geometry), 0.4 * sqrt(area($geometry)), radians("calm_axis_deg" + {turn}))'
 CALM_LINE = f'if("heading_ratio" > {CALM_RATIO}, make_line({_END.format(turn=0)}, {_END.format(turn=180)}), NULL)'
-"""Expression of QGIS: a line through a tile of tiles.parquet along the heading with the lowest C_r, where it matters."""
+"""Expression of QGIS: a line through a tile along the heading with the lowest C_r, where the heading matters."""
 
 
 _UNKNOWN, _CLOSED = "unknown", "not passable"
