@@ -336,7 +336,7 @@ class Site:
             side //= 2
         still, codes = _still(tiles, light), heading_codes(folder, tiles.c_r) if spot.step == 1 else None
         headings = None if codes is None else packed(codes)
-        if headings and taken + len(text) + len(headings) > _BUDGET:
+        if headings and taken + len(text) + len(relief) + len(headings) > _BUDGET:
             headings = None
         shown = (tiles, grids, objects, text, relief, still, headings)
         return cls(survey_name(record), record, summary, *shown, ways, stretches)
