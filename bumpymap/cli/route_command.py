@@ -97,7 +97,8 @@ def _remarks(result: "RouteResult", config: RouteConfig) -> Iterator[str]:
                 "vehicle, where its corners may touch; arrives counts each degree as failing once in a hundred times"
             )
     yield from (
-        f"{route.name} as a road: IRI {road.iri:.1f} m/km" + f", ISO 8608 class {road.iso_class}" * bool(road.iso_class)
+        f"{route.name} as a road: IRI {road.iri:.1f} m/km{', ISO 8608 class ' * bool(road.iso_class)}{road.iso_class} "
+        "(waves that photogrammetry adds count too)"
         for route in result.routes
         if (road := route.figures.road) and road.resolution == "resolved"
     )
