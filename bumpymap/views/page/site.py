@@ -182,6 +182,7 @@ WAY_FIGURES = (
     ("c_r_mean", "mean C_r", 3, " rad/m"),
     ("c_r_line", "C_r of the line", 3, " rad/m"),
     ("c_r_max", "largest C_r", 3, " rad/m"),
+    ("iri", "IRI", 1, " m/km"),
     ("p_arrives", "chance to arrive", 2, ""),
     ("unknown_m", "on ground that is not known", 0, " m"),
     ("obstacle_m", "touching obstacles", 1, " m"),
