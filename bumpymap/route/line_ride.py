@@ -24,7 +24,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CANOPY, OBSTACLE, BadInputError, RoadFigures, RouteFigures, UsageError, path_of_call
+from bumpymap.core import (
+    CANOPY,
+    OBSTACLE,
+    BadInputError,
+    RoadFigures,
+    RouteFigures,
+    UsageError,
+    parse_json,
+    path_of_call,
+)
 from bumpymap.layers import NORMAL_80, MapReader, common_window, open_map
 from bumpymap.rating import (
     Calibration,
@@ -215,7 +224,7 @@ def _operators(
     vehicle: str, speeds: tuple[float, ...], tile_size: float, pixels: int
 ) -> tuple[RideOperator, MotionOperator | None]:
     """Make the operators of a vehicle profile, in JSON: it takes as long as 1 km of a line; lines are often short."""
-    profile = json.loads(vehicle)
+    profile = parse_json(vehicle)
     moving = MotionOperator.of(profile, tile_size, pixels, speeds) if speeds else None
     return RideOperator.of(profile, tile_size, pixels), moving
 
