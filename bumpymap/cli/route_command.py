@@ -96,6 +96,12 @@ def _remarks(result: "RouteResult", config: RouteConfig) -> Iterator[str]:
                 f"{route.name} turns by {route.figures.tight_turns_deg:,.0f} degrees in all close to what stops the "
                 "vehicle, where its corners may touch; arrives counts each degree as failing once in a hundred times"
             )
+    yield from (
+        f"{route.name} as a road: IRI {road.iri:.1f} m/km{', ISO 8608 class ' * bool(road.iso_class)}{road.iso_class} "
+        "(waves that photogrammetry adds count too)"
+        for route in result.routes
+        if (road := route.figures.road) and road.resolution == "resolved"
+    )
     if (straight := result.routes[0].straight) and straight.words:
         yield straight.words
     yield "arrives: if failures on different metres are independent; errors of neighbouring tiles go together"

@@ -138,6 +138,8 @@ from .processes import (
 )
 from .route_types import (
     NO_TILE as NO_TILE,
+    Resolution as Resolution,
+    RoadFigures as RoadFigures,
     Route as Route,
     RouteFigures as RouteFigures,
     RouteProfile as RouteProfile,

@@ -133,9 +133,11 @@ from .route_lines import (
     route_properties as route_properties,
     stop_names as stop_names,
     stop_roles as stop_roles,
+    stretch_rows as stretch_rows,
     write_gpx as write_gpx,
     write_profile as write_profile,
     write_route_geojson as write_route_geojson,
+    write_route_stretches as write_route_stretches,
 )
 from .scan_folder import (
     ACCUMULATED_NAME as ACCUMULATED_NAME,

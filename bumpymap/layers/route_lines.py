@@ -1,4 +1,4 @@
-"""Write route.geojson (RFC 7946), route.gpx (GPX 1.1) and profile.csv: routes, their stops, and what lies along them.
+"""Write route.geojson (RFC 7946), route.gpx (GPX 1.1), profile.csv and stretches.csv: routes, and what lies along them.
 
 Coordinates are in the survey's CRS, and in WGS 84 longitude and latitude where that CRS is known. Elements of GPX stand
 in the order of the schema (http://www.topografix.com/GPX/1/1/gpx.xsd). No time is written: the same routes have the
@@ -7,7 +7,7 @@ same bytes.
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 from xml.etree import ElementTree as ET
@@ -16,7 +16,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, Route, TileField, atomic, write_csv
+from bumpymap.core import BadInputError, RoadFigures, Route, TileField, atomic, write_csv
 from bumpymap.layers._imports import import_notebook
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.vector import DEGREE_DECIMALS, GeoJsonCoordinates, feature, write_features
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 __all__ = [
     "PROFILE_COLUMNS",
     "P_ARRIVES_NOTE",
+    "STRETCH_COLUMNS",
     "MapSource",
     "PlannedRoute",
     "route_coordinates",
@@ -35,10 +36,12 @@ __all__ = [
     "split_at_antimeridian",
     "stop_names",
     "stop_roles",
+    "stretch_rows",
     "window_around",
     "write_gpx",
     "write_profile",
     "write_route_geojson",
+    "write_route_stretches",
 ]
 
 P_ARRIVES_NOTE = "errors of neighbouring tiles go together: an estimate"
@@ -66,9 +69,20 @@ def route_properties(route: Route) -> dict[str, Any]:
         "name": route.name,
         "vehicle": route.vehicle.name,
         **figures,
+        **_road_properties(route.figures.road),
         "p_arrives_note": P_ARRIVES_NOTE,
         "risk_m": round(route.risk_m, 3) if math.isfinite(route.risk_m) else None,
         "why": route.straight.words if route.straight else "",
+    }
+
+
+def _road_properties(road: RoadFigures | None) -> dict[str, Any]:
+    """Return IRI and class of a whole way where the survey's noise lets them be told, else None."""
+    told = road is not None and road.resolution == "resolved"
+    return {
+        "iri": round(road.iri, 2) if road and told else None,
+        "iso_8608": road.iso_class or None if road and told else None,
+        "iri_resolution": road.resolution if road else "unknown",
     }
 
 
@@ -392,6 +406,57 @@ def _rows(route: Route, place: GeoJsonCoordinates) -> Iterator[tuple[str, ...]]:
         for values, form in zip(columns, _FORMATS, strict=True)
     ]
     return zip([route.name] * len(profile.distance), *texts, strict=True)
+
+
+_STRETCHES: Mapping[str, tuple[str, int]] = {
+    "every_m": ("every", 3),
+    "from_m": ("first", 3),
+    "to_m": ("last", 3),
+    "c_r": ("c_r", _SMALL),
+    "c_r_low": ("c_r_low", _SMALL),
+    "c_r_high": ("c_r_high", _SMALL),
+    "a_w": ("a_w", 4),
+    "grade": ("grade", 5),
+    "crossfall": ("crossfall", 5),
+    "height_rms_m": ("height_rms", 5),
+    "iri": ("iri", 3),
+    "iso_8608": ("iso_class", 0),
+    "iri_resolution": ("resolution", 0),
+}
+"""Columns of stretches.csv after the route: attribute of `RoadFigures`, decimals."""
+STRETCH_COLUMNS = ("route", *_STRETCHES)
+
+
+def stretch_rows(route: Route) -> list[dict[str, Any]]:
+    """Return the figures of the stretches of a route, by the names of ``STRETCH_COLUMNS``; None where unknown."""
+
+    def told(value: float | str, decimals: int) -> float | str | None:
+        if isinstance(value, str):
+            return value or None
+        return round(value, decimals) if math.isfinite(value) else None
+
+    return [
+        {name: told(getattr(stretch, key), decimals) for name, (key, decimals) in _STRETCHES.items()}
+        for stretch in route.road
+    ]
+
+
+def write_route_stretches(routes: Sequence[Route], path: Path) -> None:
+    """Write the figures of the stretches of routes as CSV (RFC 4180, UTF-8); what is unknown is empty.
+
+    Parameters
+    ----------
+    routes : sequence of Route
+    path : Path
+        The file, which appears only when it is complete.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    rows = ((route.name, *row.values()) for route in routes for row in stretch_rows(route))
+    write_csv(path, STRETCH_COLUMNS, rows)
 
 
 class PlannedRoute(Route):

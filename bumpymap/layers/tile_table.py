@@ -12,6 +12,7 @@ import shapely
 from numpy.typing import NDArray
 
 from bumpymap.core import (
+    AXES_DEG,
     BANDS,
     BARRED_TEXT,
     GROUND_SOURCE,
@@ -59,6 +60,11 @@ def write_tiles(table: CostTable, path: Path, about: Mapping[str, str] | None = 
     if table.tiles.has(GROUND_SOURCE.name):
         text = "0: measured from points of ground classes, 1: from all points, where the survey is not classified"
         fields.append(_field(GROUND_SOURCE.name, pa.int8(), text, nullable=False))
+    if table.tiles.has("headings"):
+        fields.append(
+            _field("calm_axis_deg", pa.float32(), "azimuth with the lowest c_r, 0 to 180 from grid north", "deg")
+        )
+        fields.append(_field("heading_ratio", pa.float32(), "highest over lowest c_r of eight headings"))
     schema = pa.schema(fields, metadata={**(about or {}), "geo": json.dumps(_geo(place))})
     with (
         atomic(path, (pa.ArrowException,)) as temporary,
@@ -80,7 +86,7 @@ def write_tiles(table: CostTable, path: Path, about: Mapping[str, str] | None = 
 def _groups(tiles: TileTable, speeds: int) -> Iterator[dict[str, NDArray[Any]]]:
     """Yield the columns of each row group, which takes as many strips as fit."""
     names = [column.name for column in (*tile_columns(tiles.grid.pixels, speeds), GROUND_SOURCE)]
-    names = list(filter(tiles.has, names))
+    names = list(filter(tiles.has, (*names, "headings")))
     held: list[dict[str, NDArray[Any]]] = []
     for strip in tiles.strips(_ROW_GROUP):
         found = tiles.read(names, strip)
@@ -165,6 +171,11 @@ def _rows(found: dict[str, NDArray[Any]], place: Placement, schema: pa.Schema, s
     columns |= {name: found[name] for name in (*_NUMBERS, *(band.name for band in BANDS))}
     columns |= {name: found[name] for name in (GROUND_SOURCE.name,) if name in found}
     columns["passable"] = found["passable"] > 0
+    if "headings" in found:
+        rides = found["headings"]
+        known = np.isfinite(rides).all(axis=1) & (rides.min(axis=1) > 0.0)
+        columns["calm_axis_deg"] = np.where(known, np.array(AXES_DEG)[rides.argmin(axis=1)], np.nan)
+        columns["heading_ratio"] = np.where(known, rides.max(axis=1) / np.where(known, rides.min(axis=1), 1.0), np.nan)
     columns |= {band.name: found["motion"][:, number] for number, band in enumerate(speed_bands(speeds))}
     columns |= {f"p_{texture}": chance[:, number] for number, texture in enumerate(TEXTURES)}
     return pa.table([typed_array(columns[field.name], field) for field in schema], schema=schema)

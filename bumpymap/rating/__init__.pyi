@@ -41,6 +41,7 @@ from .ride.motion_operator import (
 from .ride.operator import (
     RideOperator as RideOperator,
     chassis_response as chassis_response,
+    wheel_turn as wheel_turn,
 )
 from .ride.rate import (
     RideModel as RideModel,

@@ -1,4 +1,4 @@
-"""Compiled kernels: straight lines over square tiles; their exact cost, and whether they keep clear of closed tiles.
+"""Compiled kernels: straight lines over square tiles, their cost, whether they are clear; holes; the quarter car.
 
 Field coordinates (r, c) of a window are in tiles: r from its north edge southwards, c from its west edge eastwards. A
 tile is closed where its cost is infinite; everything outside the window is closed.
@@ -25,6 +25,8 @@ __all__ = [
     "Pieces",
     "check_clear",
     "connect",
+    "drive_quarter_car",
+    "fill_holes",
     "find_near",
     "segment_clear",
     "segment_cost",
@@ -326,3 +328,70 @@ def trace_line(line: Line, out: Pieces) -> None:
                 col += 1 if dc > 0.0 else -1
             t = max(t, end)
     out.pieces[0] = n
+
+
+@helper
+def _mean_around(heights: Floats, row: int, col: int) -> float:
+    """Mean of what is known in three by three pixels; NaN if nothing is."""
+    total, count = 0.0, 0
+    for r in range(row - 1, row + 2):
+        for c in range(col - 1, col + 2):
+            if not math.isnan(heights[r, c]):
+                total += heights[r, c]
+                count += 1
+    return total / count if count > 0 else math.nan
+
+
+@kernel
+def fill_holes(
+    heights: Annotated[Floats, 2],
+    near: Annotated[NDArray[np.bool_], 2],
+    rounds: int,
+    place: Annotated[NDArray[np.int64], 2],
+    mean: Annotated[Floats, 1],
+) -> None:
+    """Fill holes with the mean of their neighbours, all at once in each round.
+
+    ``heights`` (rows * pixels + 2, cols * pixels + 2): m, NaN in holes, with one more pixel at all edges; ``near``
+    (rows, cols): tiles whose holes are filled. ``place`` (2, n) and ``mean`` (n,) are scratch for all their pixels.
+    """
+    rows, cols = near.shape
+    pixels, n = (heights.shape[0] - 2) // rows, 0
+    for row in range(1, rows * pixels + 1):
+        for col in range(1, cols * pixels + 1):
+            if near[(row - 1) // pixels, (col - 1) // pixels] and math.isnan(heights[row, col]):
+                place[0, n], place[1, n] = row, col
+                n += 1
+    for _ in range(rounds):
+        for k in range(n):
+            mean[k] = _mean_around(heights, place[0, k], place[1, k])
+        left = 0
+        for k in range(n):
+            heights[place[0, k], place[1, k]] = mean[k]
+            if math.isnan(mean[k]):
+                place[0, left], place[1, left] = place[0, k], place[1, k]
+                left += 1
+        n = left
+
+
+@kernel
+def drive_quarter_car(
+    slope: Annotated[Floats, 1],
+    step: Annotated[Floats, 2],
+    push: Annotated[Floats, 1],
+    travel: Annotated[Floats, 1],
+) -> None:
+    """Fill the difference of the slopes of body and wheel of a quarter car after each slope of a profile, (n,).
+
+    ``step`` (4, 4): its state, from rest, after a sample; ``push`` (4,): what a slope adds to that.
+    """
+    a = b = c = d = 0.0
+    for k in range(len(slope)):
+        u = slope[k]
+        a, b, c, d = (
+            step[0, 0] * a + step[0, 1] * b + step[0, 2] * c + step[0, 3] * d + push[0] * u,
+            step[1, 0] * a + step[1, 1] * b + step[1, 2] * c + step[1, 3] * d + push[1] * u,
+            step[2, 0] * a + step[2, 1] * b + step[2, 2] * c + step[2, 3] * d + push[2] * u,
+            step[3, 0] * a + step[3, 1] * b + step[3, 2] * c + step[3, 3] * d + push[3] * u,
+        )
+        travel[k] = a - c

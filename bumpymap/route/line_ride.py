@@ -11,10 +11,12 @@ angles to the vehicle. Where the vehicle is across the line is known to ``sigma`
 of Gauss-Hermite quadrature.
 """
 
+import json
 import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
@@ -22,11 +24,21 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CANOPY, OBSTACLE, BadInputError, RouteFigures, UsageError, path_of_call
+from bumpymap.core import (
+    CANOPY,
+    OBSTACLE,
+    BadInputError,
+    RoadFigures,
+    RouteFigures,
+    UsageError,
+    parse_json,
+    path_of_call,
+)
 from bumpymap.layers import NORMAL_80, MapReader, common_window, open_map
 from bumpymap.rating import (
     Calibration,
     Correction,
+    MotionOperator,
     RideOperator,
     SpeedRating,
     at_speed,
@@ -40,12 +52,14 @@ from bumpymap.rating import (
     move_over,
     remove_plane,
     roll_wheels,
+    wheel_turn,
     with_floor,
 )
+from bumpymap.route._line_kernels import fill_holes
 from bumpymap.route.ground import CostGround, points_along, window_around
 from bumpymap.route.measure import MeasuredWay
 from bumpymap.route.places import in_window
-from bumpymap.route.road_profile import RoadFigures, bridged, road_figures
+from bumpymap.route.road_profile import SHORTEST_ROAD_M, bridged, road_figures
 
 __all__ = ["LineRide", "LineVehicle", "ride_along", "ride_line", "with_line_rides"]
 
@@ -62,6 +76,8 @@ _STRETCH_M = 90.0
 """Length whose window of the map is read at once."""
 _PIECE_M = 2000.0
 """Length that is computed at once."""
+_EVERY_M = (10.0, 100.0)
+"""Lengths of the stretches of a way."""
 _TILE_LOG_SD = 1.2
 """Standard deviation of ln C_r of a metre of a line about that of its tile: 0.4 over 10 m. The width that holds 80 % of
 simulated drives along such lines (``tests/benchmarks/line_drives.py``) is 0.39 on the sample, 0.28 on a real survey."""
@@ -111,10 +127,24 @@ class LineRide:
     """Distance between heights of these along the line, m."""
     ground: Floats
     """(2, m) heights of the left and the right path, as the map holds them, m; NaN: unknown."""
+    pixel: float
+    """Side of its pixels, m."""
 
     def road(self, length: float = 100.0) -> tuple[RoadFigures, ...]:
-        """Return IRI, ISO 8608 class, grade and crossfall of each stretch of so many metres."""
-        return road_figures(self.ground, self.way, self.track, length)
+        """Return figures of road practice of each stretch of so many metres, 10 or more, with C_r and acceleration."""
+        found, whole = road_figures(self.ground, self.way, self.track, length, self.pixel), float(self.distance[-1])
+        parts, ends = np.diff(self.distance), np.array([(one.first, min(one.last, whole)) for one in found])
+        sums = (np.isfinite(self.a_w) * parts, np.nan_to_num(self.a_w) ** 2 * parts)
+        known, shaken = (
+            np.diff(np.interp(ends, self.distance, np.concatenate([[0.0], np.cumsum(each)])))[:, 0] for each in sums
+        )
+        a_w = np.sqrt(np.divide(shaken, known, out=np.full(len(found), np.nan), where=known > 0.0))
+        felt = (self.over(*between) for between in ends.tolist())
+        rides = zip(found, ends[:, 1].tolist(), a_w.tolist(), felt, strict=True)
+        return tuple(
+            replace(one, every=min(one.every, whole), last=last, a_w=shake, c_r=c_r, c_r_low=low, c_r_high=high)
+            for one, last, shake, (c_r, low, high) in rides
+        )
 
     @property
     def pitch_rate(self) -> Floats:
@@ -126,16 +156,18 @@ class LineRide:
 
         NaN if nothing is known there.
         """
-        part = np.clip(np.minimum(self.distance[1:], last) - np.maximum(self.distance[:-1], first), 0.0, None)
-        known = np.isfinite(self.c_r) & (part > 0.0)
-        if not known.any():
+        starts, ends = self.distance[:-1], self.distance[1:]
+        at = np.arange(np.searchsorted(ends, first, "right"), np.searchsorted(starts, last))
+        at = at[np.isfinite(self.c_r[at])]
+        if not len(at):
             return (np.nan, np.nan, np.nan)
-        share = part[known] / part[known].sum()
-        bare = less_floor(self.c_r[known], self.floor)
+        share = np.minimum(ends[at], last) - np.maximum(starts[at], first)
+        share /= share.sum()
+        bare = less_floor(self.c_r[at], self.floor)
         # The model of the vehicle errs alike in all tiles, the place across differs from metre to metre.
         weight = share * bare / max(float((share * bare).sum()), 1e-12)
-        of_place = np.sqrt(((weight * self.log_sd_across[known]) ** 2).sum())
-        wide = np.exp(NORMAL_80 * np.hypot((weight * self.log_sd[known]).sum(), of_place))
+        of_place = np.sqrt(((weight * self.log_sd_across[at]) ** 2).sum())
+        wide = np.exp(NORMAL_80 * np.hypot((weight * self.log_sd[at]).sum(), of_place))
         mean, low, high = (float((share * with_floor(bare * by, self.floor)).sum()) for by in (1.0, 1.0 / wide, wide))
         return mean, low, high
 
@@ -175,14 +207,26 @@ class LineVehicle(NamedTuple):
         wanted = calibration.map_speed if speed is None else speed
         if wanted != calibration.map_speed:
             at_speed(calibration, wanted)  # refuses what it cannot tell
-        operator = RideOperator.of(calibration.vehicle, grid.tile_size, grid.pixels)
         needed = calibration.motion is not None and (motion or not wanted == own == calibration.map_speed)
-        rating = SpeedRating.of(calibration, tuple(dict.fromkeys((own, wanted)))) if needed else None
+        speeds = tuple(dict.fromkeys((own, wanted)))
+        every = tuple(dict.fromkeys((*speeds, calibration.map_speed))) if needed else ()
+        operator, moving = _operators(json.dumps(calibration.vehicle), every, grid.tile_size, grid.pixels)
+        rating = None if moving is None else SpeedRating(calibration, speeds, moving)
         way = grid.pixel_size / operator.fine / 2
         taps = chassis_response(calibration.vehicle, way)
         stretch = math.ceil(grid.tile_size / 2 / way)
         reach = len(taps) + max(stretch, len(heave_filter(wanted, way)[0]) // 2 if rating is not None else 0)
         return cls(calibration, Correction.from_record(calibration.ride), operator, rating, wanted, way, taps, reach)
+
+
+@lru_cache(maxsize=4)
+def _operators(
+    vehicle: str, speeds: tuple[float, ...], tile_size: float, pixels: int
+) -> tuple[RideOperator, MotionOperator | None]:
+    """Make the operators of a vehicle profile, in JSON: it takes as long as 1 km of a line; lines are often short."""
+    profile = parse_json(vehicle)
+    moving = MotionOperator.of(profile, tile_size, pixels, speeds) if speeds else None
+    return RideOperator.of(profile, tile_size, pixels), moving
 
 
 def ride_along(
@@ -246,7 +290,7 @@ def with_line_rides(
     site = ground.site
     try:
         made = map_calibration(site.manifest, site.grid.tile_size, calibration)
-        vehicle = LineVehicle.of(site, made, motion=False)
+        vehicle = LineVehicle.of(site, made)
     except (BadInputError, UsageError) as error:
         if calibration is not None:
             raise
@@ -271,11 +315,19 @@ def _with_line_ride(site: MapReader, way: MeasuredWay, vehicle: LineVehicle) -> 
         return way
     found = ride_line(site, way.line, vehicle, _SIGMA_M)
     mean, low, high = found.over(0.0, math.inf)
+    has_road = found.ground.shape[1] * found.way >= SHORTEST_ROAD_M
     metre = np.clip(np.searchsorted(found.distance, way.profile.distance, side="right") - 1, 0, len(found.c_r) - 1)
     return replace(
         way,
-        figures=replace(way.figures, c_r_line=mean, c_r_line_low=low, c_r_line_high=high),
+        figures=replace(
+            way.figures,
+            c_r_line=mean,
+            c_r_line_low=low,
+            c_r_line_high=high,
+            road=found.road(math.inf)[0] if has_road else None,
+        ),
         profile=replace(way.profile, c_r_line=found.c_r[metre]),
+        road=tuple(stretch for every in _EVERY_M for stretch in found.road(every)) if has_road else (),
     )
 
 
@@ -333,6 +385,7 @@ def ride_line(site: MapReader, line: Floats, vehicle: LineVehicle, sigma: float)
         track=vehicle.operator.track,
         way=vehicle.way,
         ground=np.concatenate(ground, axis=-1),
+        pixel=site.grid.pixel_size,
     )
 
 
@@ -379,9 +432,9 @@ class _LineWindow(NamedTuple):
     tile: NDArray[np.int64]
     """(n,) which of these each sample is in."""
     wheels: Floats
-    """(places across * 4 * n, 2) row and column of wheels, pixels."""
-    ahead: Floats
-    """The same shape: easting and northing of their way."""
+    """(places across * 4, n, 2) row and column of wheels, pixels."""
+    turn: NDArray[np.int64]
+    """(places across * 4, n) their direction; see `wheel_turn`."""
     seen: Floats
     """(n,) share of the pixels under the wheels that hold points."""
 
@@ -390,7 +443,7 @@ class _Rolled(NamedTuple):
     """Samples along a line."""
 
     heights: Floats
-    """(places across, 4, n) lowest point of each wheel, m; NaN where unknown."""
+    """(places across, 4, n) lowest point of each wheel, m, without the jumps of their turns; NaN where unknown."""
     seen: Floats
     """(n,) share of the pixels under the wheels that hold points."""
     ground: Floats
@@ -411,19 +464,23 @@ def _roll(site: MapReader, line: Floats, at: Floats, vehicle: LineVehicle, acros
         window.heights.reshape(len(window.touched), pixels, -1, pixels).transpose(0, 2, 1, 3) for window in windows
     ]
     own = [box[window.touched] for box, window in zip(boxes, windows, strict=True)]
-    added, tiles = _match(np.concatenate(own), np.concatenate([window.bands for window in windows], axis=1), vehicle)
-    rolled, first = [], 0
+    inside = [np.isin(np.arange(window.bands.shape[1]), window.tile) for window in windows]
+    bands = np.concatenate([window.bands for window in windows], axis=1)
+    added, tiles = _match(np.concatenate(own), bands, np.concatenate(inside), vehicle)
+    rolled, first, turn = [], 0, None
     for box, window in zip(boxes, windows, strict=True):
         here = slice(first, first + window.bands.shape[1])
         front, rear = (window.wheels.reshape(len(across), 4, -1, 2)[len(across) // 2, axle] for axle in _AXLES)
         paths = np.moveaxis((front + rear) / 2, -1, 0) - 0.5
         ground = map_coordinates(window.heights, paths, order=1, mode="nearest")
         box[window.touched] += added[here]
-        low = roll_wheels(window.heights, window.wheels, window.ahead, vehicle.operator).reshape(len(across), 4, -1)
-        rolled.append((low, window.seen, ground, *(values[here][window.tile] for values in tiles)))
+        before = np.column_stack([window.turn[:, :1] if turn is None else turn[:, -1:], window.turn[:, :-1]])
+        turn = window.turn
+        low, jump = roll_wheels(window.heights, window.wheels, turn, before, vehicle.operator)
+        rolled.append((low, jump, window.seen, ground, *(values[here][window.tile] for values in tiles)))
         first = here.stop
-    heights, seen, ground, *columns = (np.concatenate(parts, axis=-1) for parts in zip(*rolled, strict=True))
-    return _Rolled(heights, seen, ground, _Tiles(*columns))
+    low, jump, seen, ground, *columns = (np.concatenate(parts, axis=-1) for parts in zip(*rolled, strict=True))
+    return _Rolled((low - np.cumsum(jump, axis=1)).reshape(len(across), 4, -1), seen, ground, _Tiles(*columns))
 
 
 def _read(site: MapReader, middle: Floats, wheels: Floats, vehicle: LineVehicle) -> _LineWindow:
@@ -433,27 +490,40 @@ def _read(site: MapReader, middle: Floats, wheels: Floats, vehicle: LineVehicle)
     # A wheel reaches as far as its radius, and the heights between pixels one farther.
     beside = (vehicle.calibration.vehicle["wheel"]["radius_m"] + grid.pixel_size) / grid.tile_size
     window = window_around(site, wheels.reshape(-1, 2), 1 + int(beside))
-    stands = np.isin(site.objects(window), (OBSTACLE, CANOPY))
-    measured = np.where(stands, np.nan, site.heights(window).astype(np.float64))
+    objects = site.objects(window)
+    measured = site.heights(window).astype(np.float64)
+    measured[(objects == OBSTACLE) | (objects == CANOPY)] = np.nan
     where = in_window(wheels.reshape(-1, 2), grid, window)
     row, col = np.floor(where * grid.pixels).astype(np.int64).T
     seen = np.isfinite(measured[row, col]).reshape(-1, wheels.shape[2]).mean(axis=0)
     touched = np.zeros((window.rows, window.cols), np.bool_)
     own = tuple(np.floor(in_window(middle, grid, window)).astype(np.int64).T)
     touched[own] = True
-    for off in product((-beside, beside), repeat=2):
-        touched[tuple(np.floor(where + off).astype(np.int64).T)] = True
+    reached = [np.floor(where + off).astype(np.int64).T for off in (-beside, beside)]
+    for rows, cols in product(*zip(*reached, strict=True)):
+        touched[rows, cols] = True
     found = site.values(window, _BANDS)
     bands = np.array([found[name][touched] for name in _BANDS])
     number = np.cumsum(touched).reshape(touched.shape) - 1
     # Holes in a tile that no wheel touches fill those beside it.
-    near = maximum_filter(touched, 3).repeat(grid.pixels, axis=0).repeat(grid.pixels, axis=1)
-    ahead = np.broadcast_to(wheels[:, :1] - wheels[:, 2:3], wheels.shape).reshape(-1, 2)
-    return _LineWindow(_filled(measured, near), touched, bands, number[own], where * grid.pixels, ahead, seen)
+    near = np.asarray(maximum_filter(touched, 3))
+    most = int(near.sum()) * grid.pixels**2
+    filled = np.pad(measured, 1, mode="edge")
+    fill_holes(filled, near, _FILL_ROUNDS, np.empty((2, most), np.int64), np.empty(most))
+    east, north = np.moveaxis(wheels[:, :1] - wheels[:, 2:3], -1, 0)
+    # Rows count southwards.
+    turn = np.broadcast_to(wheel_turn(np.arctan2(-north, east)), wheels.shape[:3]).reshape(-1, wheels.shape[2])
+    pixels = (where * grid.pixels).reshape(*turn.shape, 2)
+    return _LineWindow(filled[1:-1, 1:-1].copy(), touched, bands, number[own], pixels, turn, seen)
 
 
-def _match(heights: Floats, bands: NDArray[np.float32], vehicle: LineVehicle) -> tuple[Floats, _Tiles]:
-    """Take the noise off n tiles: return what is to be added to their heights, and what is known of them."""
+def _match(
+    heights: Floats, bands: NDArray[np.float32], inside: NDArray[np.bool_], vehicle: LineVehicle
+) -> tuple[Floats, _Tiles]:
+    """Take the noise off n tiles: return what is to be added to their heights, and what is known of them.
+
+    ``inside`` (n,): the middle of the vehicle is in them; of the others, speed and acceleration are not needed.
+    """
     calibration, rating = vehicle.calibration, vehicle.rating
     c_r, low, high = (less_floor(values, calibration.map_floor) for values in bands[:3])
     slope = np.nan_to_num(bands[3]).astype(np.float64)
@@ -466,7 +536,7 @@ def _match(heights: Floats, bands: NDArray[np.float32], vehicle: LineVehicle) ->
         own = less_floor(own, calibration.floor_at(speeds[0]))
     matched = match_tiles(relief, own, slope, vehicle.correction, vehicle.operator)
     if rating is not None:
-        motions = move_over(matched.relief_map, rating.operator)
+        motions = move_over(np.where(inside[:, None, None], matched.relief_map, np.float32(np.nan)), rating.operator)
         _, factors = rating.factors_of(motions, matched.rides.pitch_change)
         felt = motion_felt(calibration, speeds, factors, bands[0]).astype(np.float64)
         ratio = less_floor(felt[:, -3], calibration.floor_at(vehicle.speed)) / np.maximum(own, _LEAST)
@@ -501,20 +571,6 @@ def _on_line(line: Floats, at: Floats) -> Floats:
     start, end = (way / np.hypot(*way) for way in (moving[0], moving[-1]))
     beyond: Floats = np.minimum(at, 0.0)[:, None] * start + np.maximum(at - length, 0.0)[:, None] * end
     return inside + beyond
-
-
-def _filled(heights: Floats, near: NDArray[np.bool_]) -> Floats:
-    """Fill the holes ``near`` with the mean of their neighbours, round by round; larger ones stay NaN."""
-    filled = np.pad(heights, 1, mode="edge")
-    row, col = np.nonzero(near & np.isnan(heights))
-    for _ in range(_FILL_ROUNDS):
-        around = np.array([filled[row + down, col + right] for down, right in product(range(3), repeat=2)])
-        known = np.isfinite(around)
-        count = known.sum(axis=0)
-        told = count > 0
-        filled[row[told] + 1, col[told] + 1] = np.where(known, around, 0.0).sum(axis=0)[told] / count[told]
-        row, col = row[~told], col[~told]
-    return filled[1:-1, 1:-1].copy()
 
 
 def _felt(rolled: _Rolled, vehicle: LineVehicle, weights: Floats) -> Floats:

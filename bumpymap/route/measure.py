@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Barred, RouteFigures, RouteProfile, TracedLine
+from bumpymap.core import Barred, RoadFigures, RouteFigures, RouteProfile, TracedLine
 from bumpymap.layers import MapReader
 from bumpymap.route.ground import CostGround, by_mean, points_along, sample_line, stretches, window_around
 from bumpymap.route.places import in_window
@@ -36,6 +36,8 @@ class MeasuredWay:
     profile: RouteProfile
     tiles: NDArray[np.int64]
     """(n, 2) column and row of each tile in order, on the grid; a tile that is crossed twice is there twice."""
+    road: tuple[RoadFigures, ...] = ()
+    """As in `Route`."""
 
     def shared(self, other: "MeasuredWay") -> float:
         """Return the share of this way's tiles that the other crosses too, or passes beside."""
@@ -132,7 +134,7 @@ def _pieces(ground: CostGround, line: Floats) -> _Pieces:
     }
 
 
-def _ride(pieces: _Pieces) -> dict[str, float]:
+def _ride(pieces: _Pieces) -> dict[str, Any]:
     """Return mean and worst ride cost, with their intervals; NaN where none is known."""
     known = np.isfinite(pieces["c_r"])
     weight = pieces["length"] * known

@@ -25,11 +25,13 @@ from bumpymap.layers import (
     route_properties,
     software_versions,
     stop_names,
+    stretch_rows,
     write_gpx,
     write_isochrones,
     write_profile,
     write_reach,
     write_route_geojson,
+    write_route_stretches,
 )
 from bumpymap.views import write_reach_picture, write_route_picture
 
@@ -47,7 +49,7 @@ ROUTE_KINDS = {
 REACH_KINDS = {".tif": "reach.tif", ".geojson": "isochrones.geojson", ".png": "reach.png"}
 """Name of the file that is written alone, by its suffix."""
 ROUTE_FILES = OutputFolder(
-    (*ROUTE_KINDS.values(), *REACH_KINDS.values(), ROUTE_MANIFEST_NAME),
+    (*ROUTE_KINDS.values(), "stretches.csv", *REACH_KINDS.values(), ROUTE_MANIFEST_NAME),
     ROUTE_MANIFEST_NAME,
 )
 
@@ -105,8 +107,8 @@ def write_routes(
     """Write route.geojson, route.gpx, profile.csv, route.png and route.json to a folder, or one of the first four.
 
     All files appear or none; links are replaced, never followed. Files of an earlier run that this one does not write
-    are removed. Without longitude and latitude route.gpx is left out, and route.json says so. Except for route.json no
-    file depends on the time or on folder names.
+    are removed. Without longitude and latitude route.gpx is left out, and route.json says so. Ways whose stretches have
+    figures have stretches.csv too. Except for route.json no file depends on the time or on folder names.
 
     Parameters
     ----------
@@ -140,6 +142,8 @@ def write_routes(
         "profile.csv": partial(write_profile, routes),
         "route.png": partial(write_route_picture, routes, source),
     }
+    if any(route.road for route in routes):
+        writers["stretches.csv"] = partial(write_route_stretches, routes)
     if not place.has_degrees and one_file is None:
         del writers["route.gpx"]
         notes = ["route.gpx was not written: the layers have no CRS, so longitude and latitude are unknown"]
@@ -210,7 +214,7 @@ def _describe_layers(source: MapSource) -> dict[str, Any]:
 
 
 def _describe(route: Route, place: GeoJsonCoordinates) -> dict[str, Any]:
-    """Return figures, stops and corners of a route."""
+    """Return figures, stops, corners and stretches of a route."""
     stops = zip(stop_names(len(route.stops)), place.in_crs(route.stops), place.in_file(route.stops), strict=True)
     return {
         **route_properties(route),
@@ -219,6 +223,7 @@ def _describe(route: Route, place: GeoJsonCoordinates) -> dict[str, Any]:
             for name, (x, y), (lon, lat) in stops
         ],
         "corners": len(route.line),
+        "stretches": stretch_rows(route),
         "straight": None if route.straight is None else _describe_straight(route.straight, place),
     }
 

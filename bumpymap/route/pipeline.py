@@ -337,6 +337,7 @@ def _routes(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[list
             vehicle=site.vehicle,
             risk_m=risk,
             straight=straight,
+            road=way.road,
         )
         for name, (way, risk) in zip(names, ways, strict=True)
     ]

@@ -8,19 +8,15 @@ A survey's noise adds to both. Heights of ground fall off with the wave number, 
 shortest waves that pixels hold, over that of waves of one to two metres, tells how much of the latter is noise.
 """
 
-from dataclasses import dataclass
-from itertools import pairwise
-from typing import Literal
-
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import UsageError
+from bumpymap.core import Resolution, RoadFigures, UsageError
+from bumpymap.route._line_kernels import drive_quarter_car
 
-__all__ = ["Resolution", "RoadFigures", "bridged", "iso_8608", "quarter_car", "road_figures"]
+__all__ = ["SHORTEST_ROAD_M", "bridged", "iso_8608", "quarter_car", "road_figures"]
 
 Floats = NDArray[np.float64]
-Resolution = Literal["resolved", "limited by noise", "not resolvable", "unknown"]
 
 _CAR = np.array([[0, 1, 0, 0], [-63.3, -6.0, 63.3, 6.0], [0, 0, 0, 1], [422.0, 40.0, -(653 + 63.3) / 0.15, -40.0]])
 """Golden car (k1 653, k2 63.3, mu 0.15 and c 6), 1/s and 1/s2: body and wheel, their slopes and the rates of these."""
@@ -32,44 +28,19 @@ _REFERENCE = 0.1
 """Wave number that classes are stated at, cycles per metre."""
 _WAVES = (0.05, 1.0)
 """Wave numbers that the power is taken from: those that a map of 0.2 m pixels holds."""
-_CLASS_A = 32e-6
-"""Upper limit of class A, m3; each class ends at four times the one before (ISO 8608, table C.1)."""
+_PIXEL_M = 0.2
 _SHORT, _FELT = (1.25, 2.0), (0.4, 1.0)
-"""Wave numbers of the shortest waves that pixels of 0.2 m hold, and of those that the wheels of the car feel most."""
+"""Wave numbers of the shortest waves that pixels of 0.2 m hold, and of those that the wheels of the car feel most; with
+larger pixels both are as many pixels long."""
 _SHORT_OVER_FELT = (0.08, 0.55)
 """Power of the first over that of the second, of pixels read bilinearly: of a spectrum that falls with the square, and
 of noise."""
 _NOISE = (0.3, 0.7)
 """Shares of noise in the power: below the first, figures are resolved, above the second they are not resolvable."""
-_LEAST_KNOWN, _SHORTEST_M = 0.9, 10.0
-
-
-@dataclass(frozen=True, slots=True)
-class RoadFigures:
-    """Figures of one stretch of a line; NaN where less than nine tenths of its ground are known."""
-
-    first: float
-    """m along the line; so is ``last``."""
-    last: float
-    iri: float
-    """International Roughness Index, mean of both wheel paths (MRI), m/km."""
-    iso_power: float
-    """Power of the heights at 0.1 cycles per metre, m3; `iso_class` names it. NaN for less than 40 m."""
-    resolution: Resolution
-    """How far the survey's noise lets IRI and class be told; they are too high where it does not."""
-    height_rms: float
-    """Root mean square of the heights about the stretch's own line, m."""
-    grade: float
-    """Rise over length, m/m."""
-    crossfall: float
-    """Fall to the right over the width, m/m."""
-
-    @property
-    def iso_class(self) -> str:
-        """ISO 8608 class, A (smoothest) to H; empty where unknown."""
-        if not self.iso_power > 0.0:
-            return ""
-        return "ABCDEFGH"[int(np.clip(np.ceil(np.log(self.iso_power / _CLASS_A) / np.log(4.0)), 0, 7))]
+_RESOLUTIONS: tuple[Resolution, ...] = ("resolved", "limited by noise", "not resolvable", "unknown")
+SHORTEST_ROAD_M = 10.0
+"""Length of the shortest stretch that has figures, m."""
+_LEAST_KNOWN = 0.9
 
 
 def quarter_car(heights: Floats, spacing: float) -> Floats:
@@ -89,59 +60,61 @@ def quarter_car(heights: Floats, spacing: float) -> Floats:
     """
     from scipy.linalg import expm
     from scipy.ndimage import uniform_filter1d
-    from scipy.signal import lfilter, ss2tf
 
     step = expm(_CAR * (spacing / _CAR_MPS))
     push = np.linalg.solve(_CAR, (step - np.eye(4)) @ _ROAD)
-    travel = np.array([[1.0, 0.0, -1.0, 0.0]])
-    top, bottom = ss2tf(step, push[:, None], travel @ step, travel @ push[:, None])
     tyre = round(_BASE_M / spacing)
     even = uniform_filter1d(heights, tyre, mode="nearest") if tyre > 1 else heights
     slope = np.diff(even, prepend=even[:1]) / spacing
     begin = min(max(round(_BEGIN_M / spacing), 1), len(heights) - 1)
     slope -= (even[begin] - even[0]) / (begin * spacing)
     slope[0] = 0.0
-    moved: Floats = 1000.0 * np.abs(lfilter(top[0], bottom, slope))
-    return moved
+    travel = np.empty(len(slope))
+    drive_quarter_car(slope, step, push, travel)
+    return np.abs(1000.0 * travel)
 
 
-def iso_8608(heights: Floats, spacing: float) -> tuple[float, float]:
-    """Return the power of a profile at 0.1 cycles per metre, and the share of noise in waves of one to two metres.
+def iso_8608(heights: Floats, spacing: float, pixel: float = _PIXEL_M) -> tuple[Floats, Floats]:
+    """Return the power of profiles at 0.1 cycles per metre, and the share of noise in waves of two to five pixels.
 
     Parameters
     ----------
-    heights : array (n,)
+    heights : array (..., n)
         m, without holes.
     spacing : float
         Distance between heights, m.
+    pixel : float
+        Side of the pixels that they were read from, m.
 
     Returns
     -------
-    float
+    array (...)
         m3, of a spectrum that falls with the square of the wave number; NaN for less than 40 m.
-    float
+    array (...)
         0..1.
     """
-    from scipy.signal import detrend
-
-    count = len(heights)
-    window = np.hanning(count)
-    power = 2 * spacing * np.abs(np.fft.rfft(detrend(heights) * window)) ** 2 / (window**2).sum()
-    wave = np.fft.rfftfreq(count, spacing)
-    short, felt = (power[(wave >= low) & (wave < high)].mean() for low, high in (_SHORT, _FELT))
+    count = heights.shape[-1]
+    window, wave = np.hanning(count), np.fft.rfftfreq(count, spacing)
+    power = 2 * spacing * np.abs(np.fft.rfft(_less_line(heights, spacing)[0] * window)) ** 2 / (window**2).sum()
+    coarse = max(pixel / _PIXEL_M, 1.0)
+    short, felt = (
+        power[..., (wave >= low / coarse) & (wave < high / coarse)].mean(axis=-1) for low, high in (_SHORT, _FELT)
+    )
     least, most = _SHORT_OVER_FELT
-    noise = float(np.clip((short / max(felt, 1e-30) - least) / (most - least), 0.0, 1.0))
+    noise = np.clip((short / np.maximum(felt, 1e-30) - least) / (most - least), 0.0, 1.0)
     if count * spacing < 2 / _WAVES[0]:
-        return float("nan"), noise
-    used = (wave >= _WAVES[0]) & (wave <= _WAVES[1])
-    octave = np.floor(np.log2(wave[used] / _WAVES[0])).astype(np.int64)
-    flat, bins = power[used] * (wave[used] / _REFERENCE) ** 2, np.bincount(octave)
+        return np.full(noise.shape, np.nan), noise
+    used = (wave >= _WAVES[0]) & (wave <= _WAVES[1] / coarse)
+    starts = np.flatnonzero(np.diff(np.floor(np.log2(wave[used] / _WAVES[0])), prepend=-1.0))
+    bins = np.diff(starts, append=np.count_nonzero(used))
+    octaves = np.add.reduceat(power[..., used] * (wave[used] / _REFERENCE) ** 2, starts, axis=-1) / bins
     # The logarithm of a mean lies low by half its relative variance: under this window, that of 1.94 bins is 1.
-    per_octave = np.log(np.maximum(np.bincount(octave, flat) / bins, 1e-30)) + 0.97 / bins
-    return float(np.exp(per_octave.mean())), noise
+    return np.exp((np.log(np.maximum(octaves, 1e-30)) + 0.97 / bins).mean(axis=-1)), noise
 
 
-def road_figures(heights: Floats, spacing: float, track: float, length: float) -> tuple[RoadFigures, ...]:
+def road_figures(
+    heights: Floats, spacing: float, track: float, length: float, pixel: float = _PIXEL_M
+) -> tuple[RoadFigures, ...]:
     """Return the figures of each stretch of a line; a last one of less than half the length belongs to that before.
 
     Parameters
@@ -153,47 +126,55 @@ def road_figures(heights: Floats, spacing: float, track: float, length: float) -
     track : float
         Distance between the wheel paths, m.
     length : float
-        Of a stretch, m; 10 or more.
+        Of a stretch, m; 10 or more; infinite for one of the whole line.
+    pixel : float
+        Side of the pixels that the heights were read from, m.
 
     Raises
     ------
     UsageError
         The stretches, or the line, are shorter than 10 m.
     """
-    total = heights.shape[1] * spacing
-    if not min(length, total) >= _SHORTEST_M:
-        raise UsageError(f"figures of roads need stretches of 10 m or more, not {min(length, total):g} m")
-    ends = np.arange(max(round(total / length), 1) + 1) * length
-    ends[-1] = total
-    known = np.isfinite(heights)
+    count = heights.shape[1]
+    if not min(length, count * spacing) >= SHORTEST_ROAD_M:
+        raise UsageError(f"figures of roads need stretches of 10 m or more, not {min(length, count * spacing):g} m")
+    every = min(length, count * spacing)
+    firsts = np.rint(np.arange(max(round(count * spacing / every), 1)) * (every / spacing)).astype(np.int64)
     filled = bridged(heights)
     motion = np.stack([quarter_car(path, spacing) for path in filled])
-    parts = [slice(round(first / spacing), round(last / spacing)) for first, last in pairwise(ends.tolist())]
-    return tuple(_of_stretch(part, filled, motion, known, spacing, track) for part in parts)
+    # All are as long as the first, but the last.
+    groups = (firsts[:-1, None] + np.arange(round(every / spacing)), np.arange(firsts[-1], count)[None])
+    found: list[RoadFigures] = []
+    for at in filter(len, groups):
+        power, noise = np.mean([iso_8608(path[at], spacing, pixel) for path in filled], axis=0)
+        unknown = np.isfinite(heights)[:, at].mean(axis=2).min(axis=0) < _LEAST_KNOWN
+        columns = np.stack([motion[:, at].mean(axis=(0, 2)), power, *_shape(filled[:, at], spacing, track)])
+        columns[:, unknown] = np.nan
+        ends = (np.stack([at[:, 0], at[:, -1] + 1]) * spacing).T.tolist()
+        marks = np.where(unknown, len(_RESOLUTIONS) - 1, np.searchsorted(_NOISE, noise, side="right")).tolist()
+        found += [
+            RoadFigures(every, first, last, iri, iso_power, _RESOLUTIONS[mark], rms, grade, crossfall)
+            for (first, last), mark, (iri, iso_power, rms, grade, crossfall) in zip(
+                ends, marks, columns.T.tolist(), strict=True
+            )
+        ]
+    return tuple(found)
 
 
-def _of_stretch(
-    part: slice, filled: Floats, motion: Floats, known: NDArray[np.bool_], spacing: float, track: float
-) -> RoadFigures:
-    first, last = part.start * spacing, part.stop * spacing
-    if known[:, part].mean(axis=1).min() < _LEAST_KNOWN:
-        nan = float("nan")
-        return RoadFigures(first, last, nan, nan, "unknown", nan, nan, nan)
-    power, noise = np.mean([iso_8608(path, spacing) for path in filled[:, part]], axis=0)
-    middle = filled[:, part].mean(axis=0)
-    at = spacing * np.arange(len(middle))
-    grade, start = np.polyfit(at, middle, 1)
-    left, right = filled[:, part].mean(axis=1)
-    return RoadFigures(
-        first=first,
-        last=last,
-        iri=float(motion[:, part].mean()),
-        iso_power=float(power),
-        resolution="resolved" if noise < _NOISE[0] else "limited by noise" if noise < _NOISE[1] else "not resolvable",
-        height_rms=float(np.sqrt(np.mean((middle - start - grade * at) ** 2))),
-        grade=float(grade),
-        crossfall=float((left - right) / track),
-    )
+def _shape(heights: Floats, spacing: float, track: float) -> tuple[Floats, Floats, Floats]:
+    """Return RMS about the own line [m], grade and crossfall [m/m] of k stretches, (2, k, n)."""
+    rest, grade = _less_line(heights.mean(axis=0), spacing)
+    left, right = heights.mean(axis=2)
+    return np.sqrt((rest**2).mean(axis=-1)), grade, (left - right) / track
+
+
+def _less_line(heights: Floats, spacing: float) -> tuple[Floats, Floats]:
+    """Return heights, (..., n), without their line of least squares, and its grade, (...)."""
+    count = heights.shape[-1]
+    along = spacing * (np.arange(count) - (count - 1) / 2)
+    level = heights - heights.mean(axis=-1, keepdims=True)
+    grade = (level * along).sum(axis=-1) / (along**2).sum()
+    return level - grade[..., None] * along, grade
 
 
 def bridged(lines: Floats) -> Floats:

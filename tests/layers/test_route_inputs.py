@@ -205,16 +205,6 @@ def test_points_of_a_geojson_in_their_order(tmp_path):
     assert read_points(nameless) == [FilePoint(str(n), *place, "lonlat") for n, place in enumerate(PLACES, start=1)]
 
 
-def test_projected_numbers_and_names_that_are_no_text(tmp_path, caplog):
-    points = [shapely.Point(480_000.0, 2_136_000.0), shapely.Point(480_050.0, 2_136_020.0)]
-    path = geojson(tmp_path / "utm.geojson", feature(points[0], name=["a"]), feature(points[1], name=7))
-    assert read_points(path) == [
-        FilePoint("1", 480_000.0, 2_136_000.0, "crs"),
-        FilePoint("7", 480_050.0, 2_136_020.0, "crs"),
-    ]
-    assert "cannot be degrees" in caplog.text
-
-
 GPX = '<?xml version="1.0"?><gpx version="1.1" creator="t" xmlns="http://www.topografix.com/GPX/1/1">{}</gpx>'
 
 

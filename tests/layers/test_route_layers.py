@@ -18,11 +18,18 @@ from rio_cogeo.cogeo import cog_validate
 from route_records import CORNERS, FIGURES, UTM, MadeUpMap, make_route
 
 from bumpymap.check.pipeline import agreement_of
-from bumpymap.core import CLASS_NAMES, BadInputError, Georeference
+from bumpymap.core import CLASS_NAMES, BadInputError, Georeference, RoadFigures
 from bumpymap.layers import ReachField
 from bumpymap.layers.check_vectors import NOT_COMPARED, OFF_KINDS, MapOffset, place_stretches, write_stretches
 from bumpymap.layers.reach import write_isochrones, write_reach
-from bumpymap.layers.route_lines import PROFILE_COLUMNS, track_points, write_gpx, write_profile, write_route_geojson
+from bumpymap.layers.route_lines import (
+    PROFILE_COLUMNS,
+    track_points,
+    write_gpx,
+    write_profile,
+    write_route_geojson,
+    write_route_stretches,
+)
 from bumpytiles import BLOCK_TILES, Grid, TileWindow
 
 PROPERTIES = {
@@ -30,7 +37,9 @@ PROPERTIES = {
     *("c_r_max", "c_r_max_low", "c_r_max_high", "c_r_line", "c_r_line_low", "c_r_line_high"),
     *("p_arrives", "p_arrives_note", "p_fail_max", "unknown_m", "why"),
     *("obstacle_m", "tight_turns_deg", "climb_m", "descent_m", "seconds", "risk_m"),
+    *("iri", "iso_8608", "iri_resolution"),
 }
+STRETCH = RoadFigures(100.0, 0.0, 100.0, 5.5, 256e-6, "resolved", 0.02, 0.1, -0.03, 0.05, 0.04, 0.06, 0.25)
 
 
 def written(routes, path):
@@ -81,6 +90,19 @@ def test_figures_are_those_of_the_route_and_what_is_unknown_is_null(tmp_path):
     assert properties["detour"] == pytest.approx(261.135 / 241.868, abs=1e-6)
     assert (properties["vehicle"], properties["risk_m"], properties["climb_m"]) == ("warthog", 25.0, 4.5)
     assert "estimate" in properties["p_arrives_note"]
+
+
+def test_iri_and_class_are_told_where_noise_lets_them(tmp_path):
+    marks = ("resolved", "limited by noise", "unknown")
+    roads = [replace(STRETCH, resolution=mark) for mark in marks[:2]] + [None]
+    routes = [replace(make_route(), figures=replace(FIGURES, road=road), road=(STRETCH,)) for road in roads]
+    found = [line["properties"] for line in lines_of(written(routes, tmp_path / "route.geojson"))]
+    assert [(one["iri"], one["iso_8608"]) for one in found] == [(5.5, "C"), (None, None), (None, None)]
+    assert tuple(one["iri_resolution"] for one in found) == marks
+    write_route_stretches([replace(routes[0], road=(STRETCH, replace(STRETCH, iso_power=np.nan)))], tmp_path / "s.csv")
+    first, second = pd.read_csv(tmp_path / "s.csv").to_dict("records")
+    assert (first["iri"], first["iso_8608"], first["crossfall"], first["a_w"]) == (5.5, "C", -0.03, 0.25)
+    assert pd.isna(second["iso_8608"])
 
 
 def test_stops_have_roles_and_shared_ones_are_written_once(tmp_path):

@@ -262,24 +262,6 @@ def test_no_permutation_is_cheaper(seed, fixed_end):
     assert best_order(np.full((n, n), np.inf), fixed_end=fixed_end) == list(range(n))  # no order at all
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_pieces_are_in_order_add_up_and_lie_in_their_tiles(seed):
-    rng = np.random.default_rng(seed)
-    cost = smooth_field(rng, (20, 30), width=0)
-    line = rng.uniform(0, 1, (4, 2)) * cost.shape
-    pieces = trace(cost, line)
-    lengths = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    assert pieces.length.sum() == pytest.approx(lengths.sum(), rel=1e-12)
-    assert (pieces.length * cost[pieces.row, pieces.col]).sum() == pytest.approx(line_cost(cost, line), rel=1e-12)
-    middle = np.cumsum(pieces.length) - pieces.length / 2
-    ends = np.concatenate([[0.0], np.cumsum(lengths)])
-    r, c = (np.interp(middle, ends, line[:, axis]) for axis in (0, 1))
-    np.testing.assert_array_equal(pieces.row, np.floor(r))
-    np.testing.assert_array_equal(pieces.col, np.floor(c))
-    step = np.abs(np.diff(pieces.row)) + np.abs(np.diff(pieces.col))
-    assert step.max() <= 1  # from tile to neighbour; random lines go through no corner
-
-
 @pytest.mark.parametrize("turned", [False, True])
 def test_along_a_border_the_dearer_tile_counts(turned):
     cost = np.array([[1, 5, 1, 2], [3, 1, 1, 2]], np.float32)
@@ -309,16 +291,6 @@ def test_through_corners_and_along_borders_turned_lines_cost_the_same(seed):
         if np.isfinite(total):
             pieces = trace(cost, line)
             assert (pieces.length * cost[pieces.row, pieces.col]).sum() == pytest.approx(total, rel=1e-12)
-
-
-def test_on_the_edge_of_the_window_the_tile_inside_is_traced():
-    cost = np.ones((3, 4), np.float32)
-    edge = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 4.0], [0.0, 4.0], [0.0, 0.0]])
-    pieces = trace(cost, edge)
-    assert pieces.length.sum() == pytest.approx(14)
-    assert (pieces.row.min(), pieces.row.max(), pieces.col.min(), pieces.col.max()) == (0, 2, 0, 3)
-    with pytest.raises(ValueError, match="leaves the window"):
-        trace(cost, np.array([[1.0, 1.0], [1.0, 4.01]]))
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.2, 0.45])

@@ -101,6 +101,15 @@ def test_the_floor_of_a_vehicle_is_in_the_interval_once(tmp_path):
     assert Calibration.shipped("husky").floor <= low < c_r < high
 
 
+def test_turning_on_an_even_slope_shakes_nobody(tmp_path):
+    survey = write_survey(
+        tmp_path / "bank.las", points=120_000, side=SIDE_M, height=lambda x, _: 100.0 + 0.3 * (x - WEST)
+    )
+    layers, turn = bumpymap.map_survey(survey, tmp_path / "layers"), np.linspace(0.0, np.pi / 2, 60)
+    arc = np.column_stack([WEST + 5.0 + 15.0 * np.sin(turn), SOUTH + 5.0 + 15.0 * (1.0 - np.cos(turn))])
+    assert bumpymap.ride_along(layers, arc).a_w.max() < 0.01
+
+
 def test_wheels_beside_the_border_of_a_tile_do_not_feel_the_noise_of_the_next(tmp_path):
     layers = bumpymap.map_survey(write_survey(tmp_path / "noisy.las", points=60_000, side=SIDE_M), tmp_path / "layers")
     border, half_track = 3.0 * math.ceil((SOUTH + 12.0) / 3.0) - SOUTH, 0.56
@@ -209,3 +218,7 @@ def test_a_route_tells_the_ride_of_its_line(waves):
     assert figures.c_r_line_low < figures.c_r_line < figures.c_r_line_high
     assert figures.c_r_line > 1.1 * figures.c_r_mean
     assert np.isfinite(way.profile.c_r_line).all()
+    assert figures.road.c_r == pytest.approx(figures.c_r_line)
+    ends = [(part.every, part.first, part.last) for part in way.road]
+    np.testing.assert_allclose(ends, [(10, 0, 10), (10, 10, 20), (20, 0, 20)], atol=1e-3)
+    assert math.hypot(*(part.a_w for part in way.road[:2])) == pytest.approx(math.sqrt(2) * way.road[2].a_w)

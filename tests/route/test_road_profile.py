@@ -65,6 +65,14 @@ def test_power_class_and_iri_of_made_up_spectra(power, name):
     assert np.mean([part.iri for part in found]) == pytest.approx(2.21 * np.sqrt(power / 16e-6), rel=0.05)
 
 
+def test_noise_of_larger_pixels_is_marked_too():
+    smooth, at = made_profile(16e-6, 400, 1, 0.4), np.arange(0, 399, 0.1) / 0.4
+    for noise, mark in ((0.0, "resolved"), (0.03, "not resolvable")):
+        pixels = smooth + np.random.default_rng(2).normal(0, noise, smooth.shape)
+        heights = np.stack([np.interp(at, np.arange(len(pixels)), pixels)] * 2)
+        assert road_figures(heights, 0.1, 1.5, 100.0, 0.4)[0].resolution == mark
+
+
 def test_noise_is_marked_and_holes_are_unknown():
     smooth = np.stack([made_profile(64e-6, 400, seed, 0.2) for seed in (1, 2)])
     smooth[1] -= 0.03

@@ -71,7 +71,12 @@ def test_c_r_by_heading_has_the_mean_of_the_tile_which_is_all_that_few_points_te
     assert thin.sum() > 10
     np.testing.assert_array_equal(by_axis[thin], np.repeat(c_r[thin][:, None], 8, axis=1))
     assert np.median(by_axis[dense].max(axis=1) / by_axis[dense].min(axis=1)) > 1.1
+    table = pq.read_table(maps / "speeds" / "tiles.parquet", columns=["calm_axis_deg", "heading_ratio"]).to_pandas()
+    flat = by_axis[np.isfinite(c_r)]
+    assert sorted(table.heading_ratio.dropna()) == pytest.approx(sorted(flat.max(axis=1) / flat.min(axis=1)), rel=1e-5)
+    assert (table.calm_axis_deg.dropna() == 22.5 * np.round(table.calm_axis_deg.dropna() / 22.5)).all()
     assert not open_map(maps / "plain").has_headings
+    assert not {"calm_axis_deg", "heading_ratio"} & set(pq.read_schema(maps / "plain" / "tiles.parquet").names)
 
 
 def test_at_the_speed_of_the_map_c_r_is_that_of_the_map(maps):

@@ -20,7 +20,7 @@ import bumpymap
 from bumpymap.check.pipeline import write_check
 from bumpymap.core import CHANGE_KINDS, CLASS_NAMES, BadInputError, Georeference, UsageError
 from bumpymap.layers.check_vectors import MapOffset
-from bumpymap.views import check_headline, degrees_line, write_report
+from bumpymap.views import check_headline, write_report
 from bumpymap.views.page import change_page
 from bumpymap.views.page.change_page import NOT_COMPARED
 from bumpymap.views.page.charts import along_chart, drive_chart
@@ -258,10 +258,3 @@ def test_the_headline_holds_the_figures():
     alone = made_up_check(8, ground=False)
     mean = f"1 drive measured over 80 m: a ride cost of {np.mean(alone.stretches.measured):.3f} rad/m on average"
     assert check_headline(alone).startswith(mean)
-
-
-def test_a_summary_says_ride_costs_in_degrees():
-    line = degrees_line([0.1, np.nan, np.radians(20.0), np.nan])
-    assert line.startswith("Median c_r in degrees of pitch per metre: smooth 5.7, rough 20.0; ")
-    assert line.endswith("measured 2.2 on asphalt, 8.4 on snow, 16.2 on silty loam")
-    assert degrees_line([np.nan] * 4) == ""

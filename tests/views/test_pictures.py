@@ -1,6 +1,5 @@
 """Pictures of routes and scans: what is where, in which colour."""
 
-import math
 from dataclasses import replace
 from itertools import pairwise
 
@@ -14,7 +13,7 @@ from bumpymap.layers.colours import CLASS_COLOURS, RideScale
 from bumpymap.layers.scan_folder import SCAN_COLOURS, SECTOR_STATES, point_styles, sector_states
 from bumpymap.scan import classify_filter, polar_sectors
 from bumpymap.views.pictures import drawing
-from bumpymap.views.pictures.drawing import MapView, Pen, hatched, paint_ground
+from bumpymap.views.pictures.drawing import MapView, hatched, paint_ground
 from bumpymap.views.pictures.route_picture import paint_route
 from bumpymap.views.pictures.scan_picture import SIDE, paint as paint_image, write_picture
 from bumpytiles import Grid
@@ -137,20 +136,6 @@ def test_the_scale_of_colours_runs_through_those_of_the_classes_or_is_round():
         wanted = 255 + 0.82 * (np.array([CLASS_COLOURS[code][:3] for code in (0, 0, 0, 1, 2, 3, 3)]) - 255.0)
         np.testing.assert_allclose(scale.colours(np.array(values)), wanted)
         assert scale.end == pytest.approx(values[-2])
-
-
-def test_a_way_of_no_length_has_no_mean_and_no_distances(ground, monkeypatch):
-    route = make_route()
-    figures = replace(route.figures, length_m=0.0, c_r_mean=math.nan, climb_m=0.0, descent_m=0.0)
-    profile = replace(route.profile, distance=np.zeros_like(route.profile.distance))
-    still = replace(route, line=route.line[:1], stops=route.stops[[0, 0]], figures=figures, profile=profile)
-    words, text = [], Pen.text
-    monkeypatch.setattr(Pen, "text", lambda *given, **how: words.append(given[2]) or text(*given, **how))
-    paint_route([still], ground)
-    assert "m for warthog" in words[0]
-    assert not any("nan" in word for word in words)
-    assert "0.0005" not in words
-    assert "start and goal" in words  # one mark lies under the other
 
 
 def paint(scan, classed, range_m=40.0):

@@ -17,7 +17,7 @@ from bumpymap.rating.ride._noise_kernels import DenoisedPatches, PatchesToDenois
 from bumpymap.rating.ride._ride_kernels import roll_along
 from bumpymap.rating.ride.correction import Correction
 from bumpymap.rating.ride.motion_operator import Rides, roll_over
-from bumpymap.rating.ride.operator import RideOperator, wheel_turn
+from bumpymap.rating.ride.operator import RideOperator
 from bumpymap.rating.ride.rate import spectrum_of
 
 __all__ = ["MatchedTiles", "felt_along", "match_tiles", "roll_wheels"]
@@ -53,15 +53,20 @@ def match_tiles(
     clean, rides = relief_map.copy(), roll_over(relief_map, operator)
     rough = np.flatnonzero(correction.without_noise(rides, slope_deg) > wanted)
     low, high = (np.full(len(rough), np.log(end)) for end in _NOISE_M)
+    least, names = low, Rides.__dataclass_fields__
     for last in [False] * _ROUNDS + [True]:
-        middle = low if last else 0.5 * (low + high)
-        tried = _without(relief_map[rough], np.exp(middle))
+        # What is taken off in the end was tried already, but where the least was too much in all rounds.
+        some = np.flatnonzero(low == least) if last else np.arange(len(rough))
+        middle = low[some] if last else 0.5 * (low + high)
+        tried = _without(relief_map[rough[some]], np.exp(middle))
         ridden = roll_over(tried, operator)
-        too_rough = correction.without_noise(ridden, slope_deg[rough]) > wanted[rough]
-        low, high = np.where(too_rough, middle, low), np.where(too_rough, high, middle)
-    clean[rough] = tried
-    for name in Rides.__dataclass_fields__:
-        getattr(rides, name)[rough] = getattr(ridden, name)
+        too_rough = correction.without_noise(ridden, slope_deg[rough[some]]) > wanted[rough[some]]
+        kept = np.full(len(some), last) | too_rough
+        clean[rough[some[kept]]] = tried[kept]
+        for name in names:
+            getattr(rides, name)[rough[some[kept]]] = getattr(ridden, name)[kept]
+        if not last:
+            low, high = np.where(too_rough, middle, low), np.where(too_rough, high, middle)
     left = np.exp(wanted - correction.without_noise(rides, slope_deg))
     return MatchedTiles(clean, rides, np.where(np.isfinite(left), left, 1.0))
 
@@ -82,18 +87,32 @@ def _without(relief_map: NDArray[np.float32], noise: Floats) -> NDArray[np.float
     return clean
 
 
-def roll_wheels(heights: Floats, place: Floats, ahead: Floats, operator: RideOperator) -> Floats:
-    """Return the lowest point of wheels at places, (n,) m; NaN where one meets ground that is not known.
+def roll_wheels(
+    heights: Floats, place: Floats, turn: NDArray[np.int64], before: NDArray[np.int64], operator: RideOperator
+) -> tuple[Floats, Floats]:
+    """Return the lowest point of k wheels along a line, (k, n) m, and how far it jumps where they take another turn.
 
-    ``heights`` (rows, cols): of pixels, m; NaN where unknown. ``place`` (n, 2): row and column from the north-west
-    corner, pixels: a wheel and two pixels or more from all edges. ``ahead`` (n, 2): easting and northing of the way.
+    On a slope, wheels of two of the few directions that they have stand at two heights. NaN: a wheel meets ground that
+    is not known. ``heights`` (rows, cols): of pixels, m; NaN where unknown. ``place`` (k, n, 2): row and column from
+    the north-west corner, pixels: a wheel and two pixels or more from all edges. ``turn`` (k, n): of `wheel_turn`, rows
+    southwards; ``before`` (k, n): those of the samples before.
     """
-    low, nodes = np.empty(len(place)), tuple(size * operator.fine + 1 for size in heights.shape)
+    nodes = tuple(size * operator.fine + 1 for size in heights.shape)
     envelope = np.empty((len(operator.wheel.starts) - 1, *nodes))
-    turn = wheel_turn(np.arctan2(-ahead[:, 1], ahead[:, 0]))  # rows count southwards
     known = np.zeros(envelope.shape, np.bool_)
-    roll_along(heights, np.ascontiguousarray(place), turn, operator.fine, operator.wheel, envelope, known, low)
-    return low
+
+    def roll(some: Floats, to: NDArray[np.int64]) -> Floats:
+        low = np.empty(len(some))
+        roll_along(heights, np.ascontiguousarray(some), to, operator.fine, operator.wheel, envelope, known, low)
+        return low
+
+    low, jump, turned = (
+        roll(place.reshape(-1, 2), turn.ravel()).reshape(turn.shape),
+        np.zeros(turn.shape),
+        turn != before,
+    )
+    jump[turned] = np.nan_to_num(low[turned] - roll(place[turned], before[turned]))
+    return low, jump
 
 
 def felt_along(

@@ -114,12 +114,20 @@ def _ramp(entries: Iterable[tuple[float, str, _Colour]], band: int = 1, *, clip:
     }
 
 
-def _vectors(kind: str, looks: Iterable[tuple[str, str, _Colour, str]], large: str = "") -> Style:
+def _vectors(kind: str, looks: Iterable[tuple[str, str, _Colour, str]], large: str = "", line: str = "") -> Style:
     """Return the style of areas or points: for each value of ``kind`` label, colour and pattern.
 
     ``kind`` is an attribute or an expression of QGIS; so is ``large``, which says which points are drawn larger.
+    ``line`` is an expression for a line over each area, NULL where there is none.
     """
-    return {"kind": kind, "looks": list(looks), "large": large}
+    return {"kind": kind, "looks": list(looks), "large": large, "line": line}
+
+
+CALM_RATIO = 1.3
+"""From this ratio of the highest to the lowest C_r by heading on, the heading matters."""
+_END = 'project(centroid($geometry), 0.4 * sqrt(area($geometry)), radians("calm_axis_deg" + {turn}))'
+CALM_LINE = f'if("heading_ratio" > {CALM_RATIO}, make_line({_END.format(turn=0)}, {_END.format(turn=180)}), NULL)'
+"""Expression of QGIS: a line through a tile along the heading with the lowest C_r, where the heading matters."""
 
 
 _UNKNOWN, _CLOSED = "unknown", "not passable"
@@ -277,7 +285,7 @@ def map_styles(record: Mapping[str, Any], *, layered: bool = False) -> dict[str,
         MapFile.SPEEDS: _ramp(stops),
         MapFile.HEADINGS: _ramp(stops),
         **{f"{MapFile.SPEEDS} {speed:g}": _ramp(stops, 1 + at_speeds.index(f"c_r_{speed:g}")) for speed in speeds},
-        MapFile.TILES: _vectors(TILE_KIND, looks),
+        MapFile.TILES: _vectors(TILE_KIND, looks, line=CALM_LINE if _setting(record, "headings") else ""),
     }
 
 

@@ -37,6 +37,8 @@ from bumpymap.layers import (
 )
 from bumpymap.views.page.charts import Chart, c_r_chart, slope_chart
 from bumpymap.views.page.tiles import (
+    EVEN,
+    HEADING_STEP,
     NO_POINTS,
     UNKNOWN_FROM,
     ByteGrid,
@@ -44,6 +46,7 @@ from bumpymap.views.page.tiles import (
     Spot,
     block_means,
     crs_name,
+    heading_codes,
     map_metres,
     packed,
 )
@@ -179,6 +182,7 @@ WAY_FIGURES = (
     ("c_r_mean", "mean C_r", 3, " rad/m"),
     ("c_r_line", "C_r of the line", 3, " rad/m"),
     ("c_r_max", "largest C_r", 3, " rad/m"),
+    ("iri", "IRI", 1, " m/km"),
     ("p_arrives", "chance to arrive", 2, ""),
     ("unknown_m", "on ground that is not known", 0, " m"),
     ("obstacle_m", "touching obstacles", 1, " m"),
@@ -264,6 +268,8 @@ class Site:
     """Shaded relief, a data URI."""
     still: str
     """The classes over the relief, a data URI: for readers and printers without scripts."""
+    headings: str | None = None
+    """Packed `heading_codes`; None where there are none, a pixel is more than one tile, or they are too many."""
     ways: tuple[DrawnWay, ...] = ()
     stretches: Sequence[Mapping[str, Any]] = ()
     """Stretches of real drives over the map, as the script of the page needs them."""
@@ -329,8 +335,11 @@ class Site:
             if len(text) < 0.2 * _BUDGET or side < 100:
                 break
             side //= 2
-        still = _still(tiles, light)
-        shown = (tiles, grids, objects, text, relief, still)
+        still, codes = _still(tiles, light), heading_codes(folder, tiles.c_r) if spot.step == 1 else None
+        headings = None if codes is None else packed(codes)
+        if headings and taken + len(text) + len(relief) + len(headings) > _BUDGET:
+            headings = None
+        shown = (tiles, grids, objects, text, relief, still, headings)
         return cls(survey_name(record), record, summary, *shown, ways, stretches)
 
     @property
@@ -400,6 +409,7 @@ class Site:
             "barred": packed(self.tiles.barred),
             "grids": [grid.record() for grid in self.grids],
             "objects": {"rows": self.objects.shape[0], "cols": self.objects.shape[1], "codes": self.packed_objects},
+            "headings": self.headings and {"step": HEADING_STEP, "even": EVEN, "codes": self.headings},
             "relief": self.relief,
             "stretches": list(self.stretches),
             "ways": [{"name": way.name, "lines": [line.tolist() for line in way.lines]} for way in self.ways],

@@ -4,6 +4,7 @@
   const codes = data.codes;
   const NONE = 255;
   const LINES = 8;
+  const AXES = ["N-S", "NNE-SSW", "NE-SW", "ENE-WSW", "E-W", "ESE-WNW", "SE-NW", "SSE-NNW"];
   const GREY = [178, 178, 178, 255];
   const BLACK = [0, 0, 0, 255];
 
@@ -69,12 +70,12 @@
   class ReportMap {
     static async of(figure, about) {
       // A page of what has changed has neither bars nor objects nor a relief.
-      const [ground, barred, objects, relief, ...values] = await Promise.all([
+      const [ground, barred, objects, relief, headings, ...values] = await Promise.all([
         unpack(about.ground), about.barred && unpack(about.barred), about.objects && unpack(about.objects.codes),
-        about.relief && picture(about.relief),
+        about.relief && picture(about.relief), about.headings && unpack(about.headings.codes),
         ...about.grids.map((grid) => unpack(grid.codes)),
       ]);
-      return new ReportMap(figure, about, { ground, barred, objects, relief, values });
+      return new ReportMap(figure, about, { ground, barred, objects, relief, headings, values });
     }
 
     constructor(figure, about, content) {
@@ -292,6 +293,8 @@
           const sign = this.about.differences && value > 0 ? "+" : "";
           words.push(`${grid.label} ${sign}${grouped(value, grid.decimals).replace(/^-(?=[0.]*$)/, "")}${grid.unit === "°" ? "°" : grid.unit && ` ${grid.unit}`}`);
         });
+        const rides = this.ridesAt(at);
+        if (rides) words.push(this.headingWords(rides));
         const bar = this.barred?.[at];
         if (this.barred && code < codes.unknownFrom) {
           if (bar === codes.notKnown) words.push("not known whether the vehicle can cross it");
@@ -300,9 +303,38 @@
         const object = this.objects && this.objectAt(right, down);
         if (object === 1 || object === 2) words.push(codes.objects[object]);
       }
+      if (this.headings) this.drawRose(code === NONE ? null : this.ridesAt(at));
       const stretch = this.shows("stretches") && this.stretchAt(right, down);
       if (stretch) words.push(stretch.text);
       this.readout.textContent = words.join(" · ");
+    }
+
+    /** C_r along eight axes and that of the tile, rad/m; null where they are not known. */
+    ridesAt(at) {
+      const { headings: about, rows, cols, grids } = this.about;
+      const mean = this.valuesOf("c_r")?.[at];
+      if (!this.headings || mean === NONE || this.headings[at] === NONE) return null;
+      const { low, step } = grids.find((grid) => grid.key === "c_r");
+      const own = Math.exp(low + step * mean);
+      const axes = AXES.map((_, axis) => own * Math.exp(about.step * (this.headings[axis * rows * cols + at] - about.even)));
+      return { own, axes, least: Math.min(...axes), most: Math.max(...axes) };
+    }
+
+    headingWords({ axes, least, most }) {
+      const name = (value) => `${AXES[axes.indexOf(value)]} (${grouped(value, 3)})`;
+      return `calmest along ${name(least)}, roughest along ${name(most)}`;
+    }
+
+    drawRose(rides) {
+      const rose = this.figure.querySelector(".rose");
+      rose.toggleAttribute("hidden", !rides);
+      if (!rides) return;
+      const points = [...rides.axes, ...rides.axes].map((value, at) => {
+        const [turn, far] = [(at * Math.PI) / AXES.length, (48 * value) / rides.most];
+        return `${(52 + far * Math.sin(turn)).toFixed(1)},${(52 - far * Math.cos(turn)).toFixed(1)}`;
+      });
+      rose.querySelector("polygon").setAttribute("points", points.join(" "));
+      rose.querySelector(".mean").setAttribute("r", ((48 * rides.own) / rides.most).toFixed(1));
     }
 
     /** The stretch of a drive whose mark lies there, the nearest one. */
