@@ -137,7 +137,10 @@ from .processes import (
     trim_shared as trim_shared,
 )
 from .route_types import (
+    MOST_COST as MOST_COST,
     NO_TILE as NO_TILE,
+    TAN as TAN,
+    DirectionSettings as DirectionSettings,
     Route as Route,
     RouteFigures as RouteFigures,
     RouteProfile as RouteProfile,
@@ -146,6 +149,9 @@ from .route_types import (
     TileField as TileField,
     TracedLine as TracedLine,
     Turn as Turn,
+    axes_along as axes_along,
+    axis_values as axis_values,
+    by_mean as by_mean,
 )
 from .run_folder import (
     Holder as Holder,

@@ -6,16 +6,20 @@ Arrays of a window are (rows, cols), north row first. Lengths and coordinates ar
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.core.settings import Setting
 from bumpymap.core.types import CostRule, Georeference, obstacle_reach
 from bumpytiles import Grid, TileWindow
 
 __all__ = [
+    "MOST_COST",
     "NO_TILE",
+    "TAN",
+    "DirectionSettings",
     "Route",
     "RouteFigures",
     "RouteProfile",
@@ -24,6 +28,9 @@ __all__ = [
     "TileField",
     "TracedLine",
     "Turn",
+    "axes_along",
+    "axis_values",
+    "by_mean",
 ]
 
 NO_TILE = 255
@@ -68,6 +75,94 @@ class TileField:
     rule: CostRule
     """How ride and risk become cost."""
     vehicle: RouteVehicle
+
+
+Floats = NDArray[np.float64]
+
+MOST_COST = 1e9
+"""Weights beyond all ground, with which costs can still be added up."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DirectionSettings:
+    """Settings of what a metre costs by the direction in which it is driven."""
+
+    direction: Annotated[bool, Setting("Cost each move by its own heading, if the map tells it", rare=True)] = True
+    climb: Annotated[float, Setting("Detour that a metre of climb is worth", "M", 0.0, MOST_COST, "m", rare=True)] = 0.0
+    descent: Annotated[
+        float, Setting("Detour that a metre of descent is worth", "M", 0.0, MOST_COST, "m", rare=True)
+    ] = 0.0
+    side_slope: Annotated[
+        float, Setting("Detour that a metre across a slope of 100 % is worth", "M", 0.0, MOST_COST, "m", rare=True)
+    ] = 0.0
+    side_limit: Annotated[
+        float | None,
+        Setting("Steepest slope that is driven across", "DEG", 0.0, 90.0, "degrees", exclusive=True, rare=True),
+    ] = None
+
+    @property
+    def knows_slope(self) -> bool:
+        """True if the cost of a metre depends on the slope in its direction."""
+        return self.side_limit is not None or max(self.climb, self.descent, self.side_slope) > 0.0
+
+    @property
+    def steepest(self) -> float:
+        """Tangent of ``side_limit``; infinite if there is none."""
+        return math.inf if self.side_limit is None else math.tan(math.radians(self.side_limit))
+
+    def slope_cost(
+        self, gradient: NDArray[np.floating], down: NDArray[np.floating], right: NDArray[np.floating]
+    ) -> tuple[Floats, NDArray[np.bool_]]:
+        """Return what the slope adds to the cost of a metre, (n,), and where its direction is barred, (n,).
+
+        ``gradient`` (n, 2): rise per length southwards and eastwards; ``down``, ``right`` (n,) or numbers: a direction,
+        southwards and eastwards, of any length.
+        """
+        length = np.hypot(down, right)
+        down, right = (np.divide(x, length, out=np.zeros(len(gradient)), where=length > 0.0) for x in (down, right))
+        south, east = gradient.astype(np.float64).T
+        rise, across = south * down + east * right, np.abs(south * right - east * down)
+        along = np.where(rise > 0.0, self.climb * rise, -self.descent * rise)
+        return along + self.side_slope * across, across > self.steepest
+
+
+TAN = math.sqrt(2.0) - 1.0
+"""Of 22.5 degrees."""
+
+
+def axes_along(
+    axes: int, down: NDArray[np.floating], right: NDArray[np.floating]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
+    """Return the two axes that each of n directions lies between, and how far it is from the first, (n,) each."""
+    steep, north_east = np.abs(down) >= np.abs(right), down * right < 0.0
+    less, more = np.sort(np.abs([down, right]), axis=0)
+    t = np.divide(less, more, out=np.zeros(len(more)), where=more > 0.0)
+    straight, diagonal = np.where(steep, 0, 4), np.where(north_east, 2, 6)
+    between = np.where(steep, np.where(north_east, 1, 7), np.where(north_east, 3, 5))
+    near = t <= TAN
+    first, second = np.where(near, straight, between), np.where(near, between, diagonal)
+    share = np.where(near, t / TAN, (t - TAN) / (1.0 - TAN))
+    return (first, second, share) if axes > 1 else (0 * first, 0 * first, 0.0 * share)
+
+
+def axis_values(values: NDArray[np.floating], down: NDArray[np.floating], right: NDArray[np.floating]) -> Floats:
+    """Return values along directions, (n,), between those of the axes: linear in the slope against rows or columns.
+
+    ``values`` (n, 1) or (n, 8); ``down``, ``right`` (n,) or numbers: southwards and eastwards.
+    """
+    first, second, share = axes_along(values.shape[1], *np.broadcast_arrays(down, right, np.empty(len(values)))[:2])
+    each = np.arange(len(values))
+    low = values[each, first].astype(np.float64)
+    with np.errstate(invalid="ignore"):
+        between = low + share * (values[each, second] - low)
+    return np.where(np.isfinite(low), between, low)
+
+
+def by_mean(headings: NDArray[np.float32], c_r: NDArray[np.float32]) -> Floats:
+    """Return C_r along each axis, (..., 8), over that of the tile, (...); 1 where it is unknown or 0."""
+    mean = c_r[..., None].astype(np.float64)
+    known = np.isfinite(headings) & (mean > 0.0)
+    return np.divide(headings, mean, out=np.ones(headings.shape), where=known)
 
 
 @dataclass(frozen=True, slots=True)

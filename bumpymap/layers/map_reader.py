@@ -67,6 +67,10 @@ for one; a piece of all of them fits into its cache."""
 _CACHE = 32 << 20
 """Decoded blocks that GDAL keeps of all rasters together, bytes."""
 _AGAIN = "Map the survey again"
+_PLANE_PIXELS = 1 << 20
+"""Heights that planes are put through at once."""
+_LEAST_SPREAD = 0.05
+"""Of the pixels that have a height, of that of a whole tile: they tell a plane if they are not all on one line."""
 
 
 def _kept_rasters() -> KeptRasters:
@@ -183,6 +187,31 @@ class MapReader:
     def heights(self, window: TileWindow) -> NDArray[np.float32]:
         """Read heights of the ground, m, float32 (rows * pixels, cols * pixels); NaN where there is none."""
         return self.relief(window, self._shape(window))
+
+    def gradient(self, window: TileWindow) -> NDArray[np.float32]:
+        """Return the gradient of the ground of each tile, that of the plane through the heights of its pixels.
+
+        Returns
+        -------
+        float32 (rows, cols, 2)
+            Rise per metre southwards and eastwards; 0 where too few heights are known for a plane.
+
+        Raises
+        ------
+        BadInputError
+            The file is missing or damaged.
+        """
+        pixels = self.grid.pixels
+        out = np.zeros((window.rows, window.cols, 2), np.float32)
+        at = (np.arange(pixels) + 0.5 - 0.5 * pixels) * self.grid.pixel_size
+        south, east = (x.ravel() for x in np.meshgrid(at, at, indexing="ij"))
+        rows_at_once = max(1, _PLANE_PIXELS // (window.cols * pixels**2))
+        for top in range(0, window.rows, rows_at_once):
+            rows = min(rows_at_once, window.rows - top)
+            part = TileWindow(window.col, window.row + window.rows - top - rows, window.cols, rows)
+            z = self.heights(part).reshape(rows, pixels, window.cols, pixels).swapaxes(1, 2)
+            out[top : top + rows] = _plane(z.reshape(rows * window.cols, -1), south, east).reshape(rows, -1, 2)
+        return out
 
     def relief(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.float32]:
         """Read mean heights of the ground from the overviews of heightmap.tif.
@@ -464,6 +493,32 @@ def _vehicle(folder: Path, manifest: Mapping[str, Any]) -> RouteVehicle:
     if fault := shape_fault(vehicle, _VEHICLE, "vehicle"):
         raise BadInputError(f"{folder / 'run.json'} is damaged: {fault}. {_AGAIN}")
     return RouteVehicle(vehicle["name"], float(vehicle["width_m"]), float(vehicle["speed_mps"]))
+
+
+def _plane(z: NDArray[np.float32], south: NDArray[np.float64], east: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the gradient of the least-squares plane through the heights of tiles, (m, n), NaN where unknown.
+
+    ``south``, ``east`` (n,): place of a height from the middle of its tile, m. Returns (m, 2); 0 if the heights do not
+    tell a plane.
+    """
+    whole, known = np.square(south).sum(), np.isfinite(z)
+    up = z - z[:, :1].astype(np.float64)
+    out: NDArray[np.float64] = np.stack([(up * south).sum(axis=1), (up * east).sum(axis=1)], axis=1) / whole
+    holes = np.flatnonzero(~known.all(axis=1))
+    known, z = known[holes], z[holes]
+    count = np.maximum(known.sum(axis=1, keepdims=True), 1)
+
+    def centred(values: NDArray[np.floating]) -> NDArray[np.float64]:
+        values = np.where(known, values, 0.0).astype(np.float64)
+        return np.where(known, values - values.sum(axis=1, keepdims=True) / count, 0.0)
+
+    down, right, rise = centred(south), centred(east), centred(z)
+    pairs = ((down, down), (down, right), (right, right), (down, rise), (right, rise))
+    a, b, c, d, e = ((x * y).sum(axis=1) for x, y in pairs)
+    det, told = a * c - b * b, np.stack([c * d - b * e, a * e - b * d], axis=1)
+    is_told = (det > _LEAST_SPREAD * whole * whole)[:, None]
+    out[holes] = np.divide(told, det[:, None], out=np.zeros(told.shape), where=is_told)
+    return out
 
 
 def _slices(window: TileWindow, part: TileWindow) -> tuple[slice, slice]:

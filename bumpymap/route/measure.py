@@ -10,11 +10,11 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Barred, RouteFigures, RouteProfile, TracedLine
+from bumpymap.core import Barred, RouteFigures, RouteProfile, TracedLine, axis_values, by_mean
 from bumpymap.layers import MapReader
-from bumpymap.route.ground import CostGround, by_mean, points_along, sample_line, stretches, window_around
+from bumpymap.route.ground import CostGround, points_along, sample_line, stretches, window_around
 from bumpymap.route.places import in_window
-from bumpymap.route.straighten import as_cost, axis_values, trace
+from bumpymap.route.straighten import as_costs, trace
 
 __all__ = ["MeasuredWay", "cut_into_tiles", "measure_way", "way_cost"]
 
@@ -106,7 +106,7 @@ def _pieces(ground: CostGround, line: Floats) -> _Pieces:
     window = window_around(ground.site, line, 1)
     tiles = ground.site.read(window)
     headings = ground.headings(window)
-    cost = as_cost(ground.of_field(tiles, headings))
+    cost = as_costs(ground.with_slope(ground.of_field(tiles, headings), window, barred=False))
     place = in_window(line, tiles.grid, window)
     found, step = trace(cost, place), np.diff(place, axis=0)
     if not len(found.length):  # a way of no length lies in one tile
@@ -118,12 +118,15 @@ def _pieces(ground: CostGround, line: Floats) -> _Pieces:
     if headings is not None:
         ratio = axis_values(by_mean(headings[at], tiles.c_r[at]), *way)
         ride = {name: values * ratio for name, values in ride.items()}
+    per_metre = axis_values(cost.tiles[at], *way)
+    if cost.gradient.size:
+        per_metre += ground.settings.slope_cost(cost.gradient[at], *way)[0]
     hazard = tiles.rule.hazard(tiles.p_fail[at])
     return {
         "col": window.col + found.col,
         "row": window.row + window.rows - 1 - found.row,
         "length": found.length * tiles.grid.tile_size,
-        "cost": axis_values(cost[at], *way),
+        "cost": per_metre,
         "barred": tiles.barred[at],
         "hazard": np.where(unknown | np.isnan(hazard), 0.0, hazard),
         "unknown": unknown,

@@ -10,13 +10,14 @@ import pytest
 import shapely
 from click.testing import CliRunner
 from route_maps import write_folder
-from route_oracles import by_heading, gap_to_closed, reach_by_graph, smooth_field
+from route_oracles import by_heading, gap_to_closed, reach_by_graph, smooth_field, with_slope
 from route_sites import place, site
 from tile_maps import TileMap
 
 from bumpymap.cli import main
-from bumpymap.core import Barred
+from bumpymap.core import Barred, DirectionSettings, axis_values
 from bumpymap.route import CostSettings, ground, measure
+from bumpymap.route._line_kernels import Costs
 from bumpymap.route._search_kernels import FROM_START, NOT_REACHED
 from bumpymap.route.alternatives import find_alternatives
 from bumpymap.route.ground import CostGround, WornTiles, sample_line
@@ -347,14 +348,15 @@ def test_ends_may_be_near_closed_tiles_but_the_way_may_come_no_nearer():
 EVEN = np.ones((100, 100), np.float32)
 
 
-@pytest.mark.parametrize("headings", [False, True])
+@pytest.mark.parametrize("kind", ["level", "headings", "slopes"])
 @pytest.mark.parametrize("margin", [0.0, 0.25, 0.4999])
-def test_reach_is_that_of_the_same_graph_in_scipy(margin, headings):
+def test_reach_is_that_of_the_same_graph_in_scipy(margin, kind):
     for seed in range(34):
         rng = np.random.default_rng([seed, int(100 * margin)])
         cost = smooth_field(rng, (15, 18), width=seed % 3, closed=rng.uniform(0.0, 0.4))
         start = rng.permutation(np.argwhere(np.isfinite(cost)))[0]
-        cost = by_heading(rng, cost) if headings else cost
+        cost = cost if kind == "level" else by_heading(rng, cost)
+        cost = with_slope(rng, cost, steepest=rng.choice([0.2, np.inf])) if kind == "slopes" else cost
         reach, back = spread(cost, tuple(start + 0.5), margin=margin)
         wanted = reach_by_graph(cost, MOVES, margin, start)
         np.testing.assert_allclose(reach, wanted, rtol=1e-9)
@@ -394,9 +396,36 @@ def test_a_way_by_heading_is_the_same_back_on_turned_maps_and_where_all_headings
     ends = [(30 - c, r) for r, c in (start, goal)]  # a quarter turn: east is where north was
     turned = find_way(np.roll(np.rot90(cost), 4, axis=2), *ends, margin=0.3)
     assert (turned.cost, turned.graph_cost) == (way.cost, way.graph_cost)
+    level = Costs(cost, np.zeros((*plain.shape, 2), np.float32), 6.0, 2.0, 3.0, 0.1)
+    np.testing.assert_array_equal(find_way(level, start, goal, margin=0.3).line, way.line)
     alike, even = (find_way(each, start, goal, margin=0.3) for each in (np.repeat(plain[..., None], 8, 2), plain))
     assert alike.cost == even.cost
     np.testing.assert_array_equal(alike.line, even.line)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_on_slopes_there_is_uphill_what_is_downhill_back_and_no_line_lies_in_a_barred_direction(seed):
+    rng = np.random.default_rng(seed)
+    cost = with_slope(rng, by_heading(rng, smooth_field(rng, (40, 30), closed=0.1)))
+    start, goal = rng.permutation(np.argwhere(np.isfinite(cost.tiles[..., 0])))[:2] + 0.5
+    way = find_way(cost, start, goal, margin=0.3)
+    pieces, step = trace(cost, way.line), np.diff(way.line, axis=0)
+    rules = DirectionSettings(climb=6.0, descent=2.0, side_slope=3.0, side_limit=math.degrees(math.atan(0.25 + 1e-6)))
+    down, right = step[pieces.part].T
+    more, barred = rules.slope_cost(cost.gradient[pieces.row, pieces.col], down, right)
+    assert not barred.any()
+    each = axis_values(cost.tiles[pieces.row, pieces.col], down, right) + more
+    assert (pieces.length * each).sum() == pytest.approx(way.cost, rel=1e-9)
+    back = find_way(cost._replace(climb=2.0, descent=6.0), goal, start, margin=0.3)
+    ends = [(30 - c, r) for r, c in (start, goal)]
+    gradient = np.rot90(cost.gradient)[..., ::-1] * np.array([-1, 1], np.float32)
+    turned = cost._replace(tiles=np.roll(np.rot90(cost.tiles), 4, axis=2), gradient=gradient)
+    for other in (back, find_way(turned, *ends, margin=0.3)):
+        assert (other.cost, other.graph_cost) == (way.cost, way.graph_cost)
+    np.testing.assert_array_equal(back.line[::-1], way.line)
+    assert find_way(cost, goal, start, margin=0.3).cost != way.cost
+    even = cost._replace(descent=6.0)
+    assert find_way(even, start, goal, margin=0.3).cost == find_way(even, goal, start, margin=0.3).cost
 
 
 @pytest.mark.parametrize("margin", [0.1, 0.3, 0.45])
