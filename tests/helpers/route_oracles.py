@@ -66,8 +66,8 @@ def along(cost, row, col):
         rise, across = steep * np.cos(off), steep * np.abs(np.sin(off))
         more = np.where(rise > 0.0, cost.climb, -cost.descent) * rise + cost.side * across
         return along(cost.tiles, row, col) + np.where(across > cost.steepest, np.inf, more)
-    if cost.ndim == 2:
-        return cost
+    if cost.ndim == 2 or cost.shape[2] == 1:
+        return cost.reshape(cost.shape[:2])
     azimuth = np.degrees(np.arctan2(col, -row)) % 180.0
     lower, main = np.floor(azimuth / 22.5 + 1e-9), 90.0 * np.round(azimuth / 90.0)
     first, here, last = np.tan(np.radians(np.array([22.5 * lower, azimuth, 22.5 * (lower + 1)]) - main))

@@ -18,15 +18,28 @@ import yaml
 from hypothesis import given, settings, strategies as st
 from PIL import Image
 from pyproj import CRS, Geod
+from route_oracles import by_heading, move_graph, smooth_field, with_slope
 from scipy.ndimage import gaussian_filter, generate_binary_structure, label
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 from small_surveys import files_in
 
-from bumpymap.core import NO_TILE, BadInputError, Barred, Georeference, OutputError, UsageError, corners_join
+from bumpymap.core import (
+    NO_TILE,
+    BadInputError,
+    Barred,
+    DirectionSettings,
+    Georeference,
+    OutputError,
+    UsageError,
+    corners_join,
+)
 from bumpymap.layers import open_map
+from bumpymap.route import CostSettings
+from bumpymap.route.ground import CostGround
+from bumpymap.route.measure import measure_way
 from bumpymap.views import ExportSettings, export_map
-from bumpymap.views.export.graph import SQUARES, FreeGround, join, line_cost, thin
+from bumpymap.views.export.graph import SQUARES, Directions, FreeGround, join, line_cost, thin
 
 FREE, LETHAL, INSCRIBED, NO_INFORMATION = 0, 254, 253, 255
 
@@ -313,6 +326,23 @@ def places_of(route_map, nodes):
     return np.floor(np.column_stack([bounds.north - y, x - bounds.west]) / size).astype(int)
 
 
+def test_edges_of_a_map_cost_what_a_route_along_them_does(route_map, tmp_path):
+    weights = {"climb": 8.0, "descent": 3.0, "side_slope": 2.0}
+    ground = CostGround(route_map, CostSettings(**weights), 10**7)
+    for to, settings in (("sloped", weights), ("plain", {}), ("level", {"direction": False})):
+        export_map(route_map, tmp_path / to, ExportSettings(to="graph", datum=(0.0, 0.0), **settings))
+    nodes, edges = load_graph(tmp_path / "sloped" / "graph.geojson")
+    cost = np.array([cost for _, _, cost in edges[::7]])
+    lines = [np.array([nodes[first], nodes[second]]) for first, second, _ in edges[::7]]
+    wanted = np.array([measure_way(ground, line, line).figures.cost_m for line in lines])
+    whole = np.isfinite(
+        wanted
+    )  # places in metres are rounded: a line over corners may touch the closed tile beside them
+    assert whole.mean() > 0.9
+    np.testing.assert_allclose(cost[whole], wanted[whole], rtol=1e-6)
+    assert (tmp_path / "plain" / "graph.geojson").read_bytes() == (tmp_path / "level" / "graph.geojson").read_bytes()
+
+
 @pytest.mark.parametrize("every", [1, 9])
 @pytest.mark.parametrize("which", ["easy_map", "route_map"])
 def test_the_graph_joins_what_pixels_join_by_edges_over_free_pixels_at_their_cost(request, tmp_path, which, every):
@@ -391,6 +421,31 @@ def ways(lattice):
     """Cost of the cheapest way between any two nodes."""
     number = len(lattice.row)
     return dijkstra(coo_array((lattice.cost, (lattice.first, lattice.second)), shape=(number, number)), directed=False)
+
+
+def test_each_direction_of_an_edge_has_its_own_cost_and_barred_ones_have_no_edge():
+    """On open tiles of one pixel, the cheapest ways are those of a search by the same eight moves."""
+    rng = np.random.default_rng(5)
+    cost = with_slope(rng, by_heading(rng, smooth_field(rng, (14, 17))), steepest=0.25)
+    rules = DirectionSettings(climb=6.0, descent=2.0, side_slope=3.0, side_limit=math.degrees(math.atan(0.25)))
+    ground = FreeGround(
+        cost.tiles[..., 0].astype(float),
+        1,
+        lambda rows, cols: np.ones((rows.stop - rows.start, cols.stop - cols.start), bool),
+        directions=Directions(rules, 1, cost.tiles, cost.gradient),
+    )
+    lattice = join(ground, thin(ground, 1, (0, 0))[1])
+    number = lattice.row * 17 + lattice.col
+    ends = np.concatenate(
+        [[number[lattice.first], number[lattice.second]], [number[lattice.second], number[lattice.first]]], axis=1
+    )
+    found = coo_array((np.concatenate([lattice.cost, lattice.back]), ends), shape=(14 * 17,) * 2)
+    moves = np.array([(row, col) for row in (-1, 0, 1) for col in (-1, 0, 1) if row or col])
+    wanted = move_graph(cost, moves, 0.0)
+    kept = np.isin(np.arange(14 * 17), number)
+    np.testing.assert_allclose(dijkstra(found)[kept][:, kept], dijkstra(wanted)[kept][:, kept], rtol=1e-9)
+    assert wanted.nnz == len(ends.T) < 1600  # of 1,722
+    assert (lattice.cost != lattice.back).all()
 
 
 def field(seed, closed, size=(40, 50)):
