@@ -106,6 +106,11 @@ class DirectionSettings:
         return self.side_limit is not None or max(self.climb, self.descent, self.side_slope) > 0.0
 
     @property
+    def same_back(self) -> bool:
+        """True if a way costs the same there and back."""
+        return self.climb == self.descent
+
+    @property
     def steepest(self) -> float:
         """Tangent of ``side_limit``; infinite if there is none."""
         return math.inf if self.side_limit is None else math.tan(math.radians(self.side_limit))

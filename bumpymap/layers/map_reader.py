@@ -19,6 +19,7 @@ from bumpymap.core import (
     HEADING_BANDS,
     NO_CLASS,
     NO_TILE,
+    OPEN_THROUGH,
     BadInputError,
     Barred,
     CostRule,
@@ -189,7 +190,11 @@ class MapReader:
         return self.relief(window, self._shape(window))
 
     def gradient(self, window: TileWindow) -> NDArray[np.float32]:
-        """Return the gradient of the ground of each tile, that of the plane through the heights of its pixels.
+        """Return the gradient of the ground of each tile: that of its corners, at the mean of the planes around them.
+
+        The plane of a tile goes through the heights of its pixels. Planes of tiles that are closed by their ground do
+        not count at the corners of others. So what one tile rises, the next goes on with, and the rise along a way is
+        that of the ground whichever tiles it crosses.
 
         Returns
         -------
@@ -199,18 +204,17 @@ class MapReader:
         Raises
         ------
         BadInputError
-            The file is missing or damaged.
+            A file is missing or damaged.
         """
         pixels = self.grid.pixels
-        out = np.zeros((window.rows, window.cols, 2), np.float32)
-        at = (np.arange(pixels) + 0.5 - 0.5 * pixels) * self.grid.pixel_size
-        south, east = (x.ravel() for x in np.meshgrid(at, at, indexing="ij"))
-        rows_at_once = max(1, _PLANE_PIXELS // (window.cols * pixels**2))
-        for top in range(0, window.rows, rows_at_once):
-            rows = min(rows_at_once, window.rows - top)
-            part = TileWindow(window.col, window.row + window.rows - top - rows, window.cols, rows)
-            z = self.heights(part).reshape(rows, pixels, window.cols, pixels).swapaxes(1, 2)
-            out[top : top + rows] = _plane(z.reshape(rows * window.cols, -1), south, east).reshape(rows, -1, 2)
+        out = np.empty((window.rows, window.cols, 2), np.float32)
+        at_once = max(1, _PLANE_PIXELS // (window.cols * pixels**2))
+        for top in range(0, window.rows, at_once):
+            rows, cols = min(at_once, window.rows - top) + 2, window.cols + 2
+            around = TileWindow(window.col - 1, window.row + window.rows - top - rows + 1, cols, rows)
+            z = self.heights(around).reshape(rows, pixels, cols, pixels).swapaxes(1, 2).reshape(rows, cols, -1)
+            is_open = np.isin(self.read(around, ()).barred, OPEN_THROUGH)
+            out[top : top + rows - 2] = _corner_gradient(_planes(z), is_open)[1:-1, 1:-1] / self.grid.tile_size
         return out
 
     def relief(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.float32]:
@@ -495,30 +499,52 @@ def _vehicle(folder: Path, manifest: Mapping[str, Any]) -> RouteVehicle:
     return RouteVehicle(vehicle["name"], float(vehicle["width_m"]), float(vehicle["speed_mps"]))
 
 
-def _plane(z: NDArray[np.float32], south: NDArray[np.float64], east: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the gradient of the least-squares plane through the heights of tiles, (m, n), NaN where unknown.
+def _planes(z: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Put planes through the heights of tiles, (rows, cols, pixels * pixels), by least squares; NaN where unknown.
 
-    ``south``, ``east`` (n,): place of a height from the middle of its tile, m. Returns (m, 2); 0 if the heights do not
-    tell a plane.
+    Returns (3, rows, cols): height in the middle, rise over the tile southwards and eastwards; NaN without a plane.
     """
+    side = math.isqrt(z.shape[2])
+    at = (np.arange(side) + 0.5) / side - 0.5
+    south, east = (x.ravel() for x in np.meshgrid(at, at, indexing="ij"))
     whole, known = np.square(south).sum(), np.isfinite(z)
-    up = z - z[:, :1].astype(np.float64)
-    out: NDArray[np.float64] = np.stack([(up * south).sum(axis=1), (up * east).sum(axis=1)], axis=1) / whole
-    holes = np.flatnonzero(~known.all(axis=1))
-    known, z = known[holes], z[holes]
-    count = np.maximum(known.sum(axis=1, keepdims=True), 1)
-
-    def centred(values: NDArray[np.floating]) -> NDArray[np.float64]:
-        values = np.where(known, values, 0.0).astype(np.float64)
-        return np.where(known, values - values.sum(axis=1, keepdims=True) / count, 0.0)
-
-    down, right, rise = centred(south), centred(east), centred(z)
+    low = z[..., :1].astype(np.float64)
+    up = z - low
+    out = np.stack([up.mean(axis=2), (up * south).sum(axis=2) / whole, (up * east).sum(axis=2) / whole])
+    holes = np.nonzero(~known.all(axis=2))
+    known, up = known[holes], z[holes].astype(np.float64)
+    count = np.maximum(known.sum(axis=1), 1)
+    mean = [np.where(known, x, 0.0).sum(axis=1) / count for x in np.broadcast_arrays(south, east, up)]
+    down, right, rise = (np.where(known, x - m[:, None], 0.0) for x, m in zip((south, east, up), mean, strict=True))
     pairs = ((down, down), (down, right), (right, right), (down, rise), (right, rise))
     a, b, c, d, e = ((x * y).sum(axis=1) for x, y in pairs)
-    det, told = a * c - b * b, np.stack([c * d - b * e, a * e - b * d], axis=1)
-    is_told = (det > _LEAST_SPREAD * whole * whole)[:, None]
-    out[holes] = np.divide(told, det[:, None], out=np.zeros(told.shape), where=is_told)
+    det = a * c - b * b
+    det[det < _LEAST_SPREAD * whole * whole] = np.nan
+    slope = (c * d - b * e) / det, (a * e - b * d) / det
+    out[:, *holes] = mean[2] - mean[0] * slope[0] - mean[1] * slope[1], *slope
+    low[holes] = 0.0
+    out[0] += low[..., 0]
     return out
+
+
+def _corner_gradient(planes: NDArray[np.float64], counts: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return the rise of tiles southwards and eastwards, (rows, cols, 2), by the mean heights of their corners.
+
+    ``planes`` as of `_planes`; those that do not count, (rows, cols), keep their own rise; 0 without a plane.
+    """
+    middle, south, east = planes
+    rows, cols = middle.shape
+    counts = counts & np.isfinite(middle)
+    total, number = np.zeros((rows + 1, cols + 1)), np.zeros((rows + 1, cols + 1))
+    ends = ((0, 0), (0, 1), (1, 0), (1, 1))
+    for down, right in ends:
+        height = middle + (down - 0.5) * south + (right - 0.5) * east
+        total[down : rows + down, right : cols + right] += np.where(counts, height, 0.0)
+        number[down : rows + down, right : cols + right] += counts
+    mean = total / np.maximum(number, 1.0)
+    nw, ne, sw, se = (mean[down : rows + down, right : cols + right] for down, right in ends)
+    own = np.nan_to_num(planes[1:])
+    return np.where(counts, 0.5 * np.stack([sw + se - nw - ne, ne + se - nw - sw]), own).transpose(1, 2, 0)
 
 
 def _slices(window: TileWindow, part: TileWindow) -> tuple[slice, slice]:

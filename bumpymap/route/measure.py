@@ -49,7 +49,8 @@ class MeasuredWay:
 _Pieces: TypeAlias = dict[str, NDArray[Any]]
 """The pieces of a way inside single tiles, (n,) each: ``col`` and ``row`` on the grid, ``length`` m, ``cost`` and
 ``hazard`` per metre (0 if unknown), ``barred``, ``unknown``, ``c_r``, ``c_r_low``, ``c_r_high`` and ``p_fail`` (NaN if
-unknown); cost and ride are those of the heading, if it is known."""
+unknown); cost and ride are those of the heading, if it is known. And of the cost what slopes add, ``slope``, and
+``across``: whether it lies across a slope that is steeper than the limit."""
 
 
 def measure_way(ground: CostGround, line: Floats, stops: Floats) -> MeasuredWay:
@@ -118,15 +119,16 @@ def _pieces(ground: CostGround, line: Floats) -> _Pieces:
     if headings is not None:
         ratio = axis_values(by_mean(headings[at], tiles.c_r[at]), *way)
         ride = {name: values * ratio for name, values in ride.items()}
-    per_metre = axis_values(cost.tiles[at], *way)
-    if cost.gradient.size:
-        per_metre += ground.settings.slope_cost(cost.gradient[at], *way)[0]
+    gradient = cost.gradient[at] if cost.gradient.size else np.zeros((len(found.row), 2))
+    slope, across = ground.settings.slope_cost(gradient, *way)
     hazard = tiles.rule.hazard(tiles.p_fail[at])
     return {
         "col": window.col + found.col,
         "row": window.row + window.rows - 1 - found.row,
         "length": found.length * tiles.grid.tile_size,
-        "cost": per_metre,
+        "cost": axis_values(cost.tiles[at], *way) + slope,
+        "slope": slope,
+        "across": across,
         "barred": tiles.barred[at],
         "hazard": np.where(unknown | np.isnan(hazard), 0.0, hazard),
         "unknown": unknown,

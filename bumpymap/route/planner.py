@@ -206,8 +206,7 @@ class Planner:
 
         ``risk``, ``worn`` as in `way`. Without worn tiles, the line is kept for the next question.
         """
-        one_line = self.ground.settings.climb == self.ground.settings.descent  # there and back
-        if one_line and tuple(goal) < tuple(start):
+        if tuple(goal) < tuple(start) and self.ground.settings.same_back:
             back = self.line(goal, start, risk, worn)
             return None if back is None else back[::-1]
         if worn is not None:

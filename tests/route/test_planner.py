@@ -159,7 +159,7 @@ def test_a_way_knows_direction_as_an_exhaustive_search_does(headings, around, go
     ],
 )
 def test_up_a_bank_a_way_goes_straight_or_slanting_as_an_exhaustive_search_does(settings, off_deg):
-    """A bank of 15 degrees, 18 m high on the map, from west to east; searched are all places where it is entered and left."""
+    """A bank of 15 degrees, 18 m wide, from west to east; searched are all places where it is entered and left."""
     tan, rules = math.tan(math.radians(15.0)), CostSettings(**settings)
     site = TileMap(
         np.full((26, 40), 0.04), height=lambda x, y: tan * np.clip(y - site.south * 3.0 - 30.0, 0.0, 18.0) + 0.0 * x

@@ -329,8 +329,8 @@ def places_of(route_map, nodes):
 def test_edges_of_a_map_cost_what_a_route_along_them_does(route_map, tmp_path):
     weights = {"climb": 8.0, "descent": 3.0, "side_slope": 2.0}
     ground = CostGround(route_map, CostSettings(**weights), 10**7)
-    for to, settings in (("sloped", weights), ("plain", {}), ("level", {"direction": False})):
-        export_map(route_map, tmp_path / to, ExportSettings(to="graph", datum=(0.0, 0.0), **settings))
+    for to, more in (("sloped", weights), ("plain", {}), ("level", {"direction": False})):
+        export_map(route_map, tmp_path / to, ExportSettings(to="graph", datum=(0.0, 0.0), **more))
     nodes, edges = load_graph(tmp_path / "sloped" / "graph.geojson")
     cost = np.array([cost for _, _, cost in edges[::7]])
     lines = [np.array([nodes[first], nodes[second]]) for first, second, _ in edges[::7]]

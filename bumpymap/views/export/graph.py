@@ -475,7 +475,7 @@ def join(ground: FreeGround, nodes: _Nodes) -> Lattice:
     if ground.directions is not None:
         lines = places[joined]
         both = np.stack([ground.directions.costs(lines[:, 0], lines[:, 1])] * 2, axis=1)
-        if ground.directions.settings.climb != ground.directions.settings.descent:
+        if not ground.directions.settings.same_back:
             both[:, 1] = ground.directions.costs(lines[:, 1], lines[:, 0])
         joined, both = joined[np.isfinite(both[:, 0])], both[np.isfinite(both[:, 0])]  # barred there, barred back
     return _largest_part(places, nodes, joined, both, ground.pixels)
