@@ -56,10 +56,7 @@ def near_tiles(row, col, margin):
 
 
 def along(cost, row, col):
-    """Costs of tiles in a direction: (rows, cols, 8) between two axes, by tangents against the nearer main axis.
-
-    Slopes add to it what their rise along it and their gradient across it cost.
-    """
+    """Costs of tiles in a direction: (rows, cols, 8) between two axes, by tangents; and what slopes add to them."""
     if isinstance(cost, tuple):
         south, east = np.moveaxis(cost.gradient.astype(np.float64), -1, 0)
         off, steep = np.arctan2(row, col) - np.arctan2(south, east), np.hypot(south, east)

@@ -246,15 +246,6 @@ def test_a_grown_window_gives_the_way_of_the_whole_map(seed):
     np.testing.assert_allclose(line[[0, -1]], [start, goal], rtol=0, atol=1e-6)
 
 
-def test_a_start_that_is_walled_in_is_found_without_reading_the_whole_map():
-    cost = np.ones((ROWS, COLS), np.float32)
-    cost[50:61, 50:61] = np.inf
-    cost[51:60, 51:60] = 1.0
-    line, windows = plan(cost, (55.0, 55.0), (80.0, 90.0))
-    assert line is None
-    assert all(each.rows < ROWS for each in windows)
-
-
 def test_a_window_that_memory_does_not_hold_is_refused():
     cost = np.ones((ROWS, COLS), np.float32)
     cost[60, :-1] = np.inf  # a way around it leads along the whole map
