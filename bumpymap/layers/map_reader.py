@@ -521,7 +521,7 @@ def _planes(z: NDArray[np.float32]) -> NDArray[np.float64]:
     det = a * c - b * b
     det[det < _LEAST_SPREAD * whole * whole] = np.nan
     slope = (c * d - b * e) / det, (a * e - b * d) / det
-    out[:, *holes] = mean[2] - mean[0] * slope[0] - mean[1] * slope[1], *slope
+    out[(slice(None), *holes)] = mean[2] - mean[0] * slope[0] - mean[1] * slope[1], *slope
     low[holes] = 0.0
     out[0] += low[..., 0]
     return out

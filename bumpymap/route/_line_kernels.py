@@ -49,7 +49,7 @@ A_END, B_END = 1, 2
 
 
 class Costs(NamedTuple):
-    """What the ground of a window costs."""
+    """Costs of the ground of a window."""
 
     tiles: Annotated[NDArray[np.float32], 3]
     """(rows, cols, axes) cost per tile of length, at least 1; infinite where closed."""

@@ -159,7 +159,7 @@ _STEPS = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, -1), (-1, 1))
 
 @dataclass(frozen=True, slots=True)
 class Directions:
-    """What a metre costs on the tiles of a window by its direction."""
+    """Costs of a metre on the tiles of a window by its direction."""
 
     settings: DirectionSettings
     pixels: int
