@@ -3,12 +3,14 @@ from .config import (
     DECK_CLASS as DECK_CLASS,
     GROUND_CLASSES as GROUND_CLASSES,
     INCLUDED_PIXELS as INCLUDED_PIXELS,
+    MOST_COST as MOST_COST,
     OF_CRS as OF_CRS,
     VEHICLE_OR_CALIBRATION as VEHICLE_OR_CALIBRATION,
     Align as Align,
     Clash as Clash,
     Compat as Compat,
     CsfSettings as CsfSettings,
+    DirectionSettings as DirectionSettings,
     FeatureSettings as FeatureSettings,
     GridSettings as GridSettings,
     Ground as Ground,
@@ -137,10 +139,8 @@ from .processes import (
     trim_shared as trim_shared,
 )
 from .route_types import (
-    MOST_COST as MOST_COST,
     NO_TILE as NO_TILE,
     TAN as TAN,
-    DirectionSettings as DirectionSettings,
     Route as Route,
     RouteFigures as RouteFigures,
     RouteProfile as RouteProfile,
@@ -152,6 +152,7 @@ from .route_types import (
     axes_along as axes_along,
     axis_values as axis_values,
     by_mean as by_mean,
+    slope_cost as slope_cost,
 )
 from .run_folder import (
     Holder as Holder,

@@ -6,20 +6,18 @@ Arrays of a window are (rows, cols), north row first. Lengths and coordinates ar
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core.settings import Setting
+from bumpymap.core.config import DirectionSettings
 from bumpymap.core.types import CostRule, Georeference, obstacle_reach
 from bumpytiles import Grid, TileWindow
 
 __all__ = [
-    "MOST_COST",
     "NO_TILE",
     "TAN",
-    "DirectionSettings",
     "Route",
     "RouteFigures",
     "RouteProfile",
@@ -31,6 +29,7 @@ __all__ = [
     "axes_along",
     "axis_values",
     "by_mean",
+    "slope_cost",
 ]
 
 NO_TILE = 255
@@ -79,56 +78,24 @@ class TileField:
 
 Floats = NDArray[np.float64]
 
-MOST_COST = 1e9
-"""Weights beyond all ground, with which costs can still be added up."""
 
+def slope_cost(
+    settings: DirectionSettings,
+    gradient: NDArray[np.floating],
+    down: NDArray[np.floating],
+    right: NDArray[np.floating],
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return what the slope adds to the cost of a metre, (n,), and where its direction is barred, (n,).
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DirectionSettings:
-    """Settings of what a metre costs by the direction in which it is driven."""
-
-    direction: Annotated[bool, Setting("Cost each move by its own heading, if the map tells it", rare=True)] = True
-    climb: Annotated[float, Setting("Detour that a metre of climb is worth", "M", 0.0, MOST_COST, "m", rare=True)] = 0.0
-    descent: Annotated[
-        float, Setting("Detour that a metre of descent is worth", "M", 0.0, MOST_COST, "m", rare=True)
-    ] = 0.0
-    side_slope: Annotated[
-        float, Setting("Detour that a metre across a slope of 100 % is worth", "M", 0.0, MOST_COST, "m", rare=True)
-    ] = 0.0
-    side_limit: Annotated[
-        float | None,
-        Setting("Steepest slope that is driven across", "DEG", 0.0, 90.0, "degrees", exclusive=True, rare=True),
-    ] = None
-
-    @property
-    def knows_slope(self) -> bool:
-        """True if the cost of a metre depends on the slope in its direction."""
-        return self.side_limit is not None or max(self.climb, self.descent, self.side_slope) > 0.0
-
-    @property
-    def same_back(self) -> bool:
-        """True if a way costs the same there and back."""
-        return self.climb == self.descent
-
-    @property
-    def steepest(self) -> float:
-        """Tangent of ``side_limit``; infinite if there is none."""
-        return math.inf if self.side_limit is None else math.tan(math.radians(self.side_limit))
-
-    def slope_cost(
-        self, gradient: NDArray[np.floating], down: NDArray[np.floating], right: NDArray[np.floating]
-    ) -> tuple[Floats, NDArray[np.bool_]]:
-        """Return what the slope adds to the cost of a metre, (n,), and where its direction is barred, (n,).
-
-        ``gradient`` (n, 2): rise per length southwards and eastwards; ``down``, ``right`` (n,) or numbers: a direction,
-        southwards and eastwards, of any length.
-        """
-        length = np.hypot(down, right)
-        down, right = (np.divide(x, length, out=np.zeros(len(gradient)), where=length > 0.0) for x in (down, right))
-        south, east = gradient.astype(np.float64).T
-        rise, across = south * down + east * right, np.abs(south * right - east * down)
-        along = np.where(rise > 0.0, self.climb * rise, -self.descent * rise)
-        return along + self.side_slope * across, across > self.steepest
+    ``gradient`` (n, 2): rise per length southwards and eastwards; ``down``, ``right`` (n,) or numbers: a direction,
+    southwards and eastwards, of any length.
+    """
+    length = np.hypot(down, right)
+    down, right = (np.divide(x, length, out=np.zeros(len(gradient)), where=length > 0.0) for x in (down, right))
+    south, east = gradient.astype(np.float64).T
+    rise, across = south * down + east * right, np.abs(south * right - east * down)
+    along = np.where(rise > 0.0, settings.climb * rise, -settings.descent * rise)
+    return along + settings.side_slope * across, across > settings.steepest
 
 
 TAN = math.sqrt(2.0) - 1.0

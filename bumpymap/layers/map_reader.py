@@ -511,8 +511,8 @@ def _planes(z: NDArray[np.float32]) -> NDArray[np.float64]:
     low = z[..., :1].astype(np.float64)
     up = z - low
     out = np.stack([up.mean(axis=2), (up * south).sum(axis=2) / whole, (up * east).sum(axis=2) / whole])
-    holes = np.nonzero(~known.all(axis=2))
-    known, up = known[holes], z[holes].astype(np.float64)
+    row, col = np.nonzero(~known.all(axis=2))
+    known, up = known[row, col], z[row, col].astype(np.float64)
     count = np.maximum(known.sum(axis=1), 1)
     mean = [np.where(known, x, 0.0).sum(axis=1) / count for x in np.broadcast_arrays(south, east, up)]
     down, right, rise = (np.where(known, x - m[:, None], 0.0) for x, m in zip((south, east, up), mean, strict=True))
@@ -521,8 +521,8 @@ def _planes(z: NDArray[np.float32]) -> NDArray[np.float64]:
     det = a * c - b * b
     det[det < _LEAST_SPREAD * whole * whole] = np.nan
     slope = (c * d - b * e) / det, (a * e - b * d) / det
-    out[(slice(None), *holes)] = mean[2] - mean[0] * slope[0] - mean[1] * slope[1], *slope
-    low[holes] = 0.0
+    out[:, row, col] = mean[2] - mean[0] * slope[0] - mean[1] * slope[1], *slope
+    low[row, col] = 0.0
     out[0] += low[..., 0]
     return out
 

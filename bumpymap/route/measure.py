@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Barred, RouteFigures, RouteProfile, TracedLine, axis_values, by_mean
+from bumpymap.core import Barred, RouteFigures, RouteProfile, TracedLine, axis_values, by_mean, slope_cost
 from bumpymap.layers import MapReader
 from bumpymap.route.ground import CostGround, points_along, sample_line, stretches, window_around
 from bumpymap.route.places import in_window
@@ -120,7 +120,7 @@ def _pieces(ground: CostGround, line: Floats) -> _Pieces:
         ratio = axis_values(by_mean(headings[at], tiles.c_r[at]), *way)
         ride = {name: values * ratio for name, values in ride.items()}
     gradient = cost.gradient[at] if cost.gradient.size else np.zeros((len(found.row), 2))
-    slope, across = ground.settings.slope_cost(gradient, *way)
+    slope, across = slope_cost(ground.settings, gradient, *way)
     hazard = tiles.rule.hazard(tiles.p_fail[at])
     return {
         "col": window.col + found.col,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
-from bumpymap.core import axis_values
+from bumpymap.core import axis_values, slope_cost
 from bumpymap.route.ground import CostGround, points_along, window_around
 from bumpymap.route.places import on_grid, overlap
 from bumpymap.route.straighten import as_cost
@@ -192,7 +192,7 @@ def _graph(ground: CostGround, window: TileWindow) -> AreaGraph:
     if ground.settings.knows_slope:
         gradient = ground.site.gradient(window).reshape(-1, 2)[tile]
         for end in (a, b):
-            more, barred = ground.settings.slope_cost(gradient[end], *step)
+            more, barred = slope_cost(ground.settings, gradient[end], *step)
             each += np.where(barred, np.inf, more)
     weight = np.hypot(*step) * 0.5 * each
     kept = np.isfinite(weight)

@@ -15,7 +15,7 @@ from route_sites import place, site
 from tile_maps import TileMap
 
 from bumpymap.cli import main
-from bumpymap.core import Barred, DirectionSettings, axis_values
+from bumpymap.core import Barred, DirectionSettings, axis_values, slope_cost
 from bumpymap.route import CostSettings, ground, measure
 from bumpymap.route._search_kernels import FROM_START, NOT_REACHED
 from bumpymap.route.alternatives import find_alternatives
@@ -380,7 +380,7 @@ def test_a_way_costs_what_its_pieces_do_and_none_lies_in_a_barred_direction(seed
     way = find_way(cost, start, goal, margin=0.3)
     pieces, step = trace(cost, way.line), np.diff(way.line, axis=0)
     rules = DirectionSettings(climb=6.0, descent=2.0, side_slope=3.0, side_limit=math.degrees(math.atan(0.25 + 1e-6)))
-    more, barred = rules.slope_cost(cost.gradient[pieces.row, pieces.col], *step[pieces.part].T)
+    more, barred = slope_cost(rules, cost.gradient[pieces.row, pieces.col], *step[pieces.part].T)
     each = axis_values(cost.tiles[pieces.row, pieces.col], *step[pieces.part].T) + more
     assert (pieces.length * each).sum() == pytest.approx(way.cost, rel=1e-9)
     assert not barred.any()

@@ -38,6 +38,7 @@ from bumpymap.core import (
     axes_along,
     by_mean,
     corners_join,
+    slope_cost,
 )
 from bumpymap.views.export.area import FRAME, ExportArea, by_pixel
 from bumpymap.views.export.settings import ExportSettings, NodeSquare
@@ -179,7 +180,7 @@ class Directions:
         factor = first + share * (second - first)
         if self.gradient is not None:
             down, right = (np.broadcast_to(part[:, None], row.shape).ravel() for part in move.T)
-            more, barred = self.settings.slope_cost(self.gradient[at].reshape(-1, 2), down, right)
+            more, barred = slope_cost(self.settings, self.gradient[at].reshape(-1, 2), down, right)
             factor += np.where(barred, np.inf, more).reshape(row.shape)
         return np.asarray(factor, np.float64)
 
