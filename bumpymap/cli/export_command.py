@@ -9,7 +9,7 @@ import click
 
 from bumpymap.cli._options import PATH, Run, grouped_option, job, settings_options
 from bumpymap.cli._text import option_name
-from bumpymap.core import UsageError
+from bumpymap.core import DirectionSettings, UsageError
 from bumpymap.views import ExportFormat, ExportSettings
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ _ONLY_FOR: dict[str, tuple[ExportFormat, ...]] = {
     "datum": ("nav2", "gridmap", "graph"),
     "resolution": ("nav2", "gridmap"),
     "max_cost": ("nav2",),
-    "every": ("graph",),
+    **dict.fromkeys(("every", *DirectionSettings.__dataclass_fields__), ("graph",)),
     "route": ("plan",),
     "through_obstacles": ("plan",),
 }

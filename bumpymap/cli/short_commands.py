@@ -199,6 +199,10 @@ def _meaning(profile: "Vehicle") -> list[tuple[str, str]]:
         ("belly", f"{belly.length_m:g} m x {belly.width_m:g} m, {belly.clearance_m:g} m above level ground"),
         ("driven at", f"{profile.speed_mps:g} m/s, on slopes up to {profile.slope_limit_deg:g} degrees"),
         ("comfort", f"{_comfort(profile.comfort)} (speed.tif)"),
+        (
+            "tips over",
+            f"across {profile.tips_deg:.0f} degrees, at rest: a `side_limit` of routes is half of it or less",
+        ),
         ("floor", _floor(profile.floor.c_r_radpm)),
         ("ride weight", f"{profile.ride_weight:g} m/rad: acceptable detour to avoid one radian of pitch motion"),
         ("fail weight", f"{profile.fail_weight:g} m: acceptable detour to avoid one failure"),

@@ -16,12 +16,14 @@ __all__ = [
     "DECK_CLASS",
     "GROUND_CLASSES",
     "INCLUDED_PIXELS",
+    "MOST_COST",
     "OF_CRS",
     "VEHICLE_OR_CALIBRATION",
     "Align",
     "Clash",
     "Compat",
     "CsfSettings",
+    "DirectionSettings",
     "FeatureSettings",
     "GridSettings",
     "Ground",
@@ -391,3 +393,40 @@ def decide_ground(ground: Ground, tiles: int, flagged: float) -> bool:
             "Use `ground='all'`"
         )
     return ground in {"class", "csf"} or flagged > _CLASSIFIED_SHARE * tiles
+
+
+MOST_COST = 1e9
+"""Weights beyond all ground, with which costs can still be added up."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DirectionSettings:
+    """Settings of what a metre costs by the direction in which it is driven."""
+
+    direction: Annotated[bool, Setting("Cost each move by its own heading, if the map tells it", rare=True)] = True
+    climb: Annotated[float, Setting("Detour that a metre of climb is worth", "M", 0.0, MOST_COST, "m", rare=True)] = 0.0
+    descent: Annotated[
+        float, Setting("Detour that a metre of descent is worth", "M", 0.0, MOST_COST, "m", rare=True)
+    ] = 0.0
+    side_slope: Annotated[
+        float, Setting("Detour that a metre across a slope of 100 % is worth", "M", 0.0, MOST_COST, "m", rare=True)
+    ] = 0.0
+    side_limit: Annotated[
+        float | None,
+        Setting("Steepest slope that is driven across", "DEG", 0.0, 90.0, "degrees", exclusive=True, rare=True),
+    ] = None
+
+    @property
+    def knows_slope(self) -> bool:
+        """True if the cost of a metre depends on the slope in its direction."""
+        return self.side_limit is not None or max(self.climb, self.descent, self.side_slope) > 0.0
+
+    @property
+    def same_back(self) -> bool:
+        """True if a way costs the same there and back."""
+        return self.climb == self.descent
+
+    @property
+    def steepest(self) -> float:
+        """Tangent of ``side_limit``; infinite if there is none."""
+        return math.inf if self.side_limit is None else math.tan(math.radians(self.side_limit))

@@ -19,6 +19,7 @@ from bumpymap.core import (
     HEADING_BANDS,
     NO_CLASS,
     NO_TILE,
+    OPEN_THROUGH,
     BadInputError,
     Barred,
     CostRule,
@@ -67,6 +68,10 @@ for one; a piece of all of them fits into its cache."""
 _CACHE = 32 << 20
 """Decoded blocks that GDAL keeps of all rasters together, bytes."""
 _AGAIN = "Map the survey again"
+_PLANE_PIXELS = 1 << 20
+"""Heights that planes are put through at once."""
+_LEAST_SPREAD = 0.05
+"""Of the pixels that have a height, of that of a whole tile: they tell a plane if they are not all on one line."""
 
 
 def _kept_rasters() -> KeptRasters:
@@ -183,6 +188,34 @@ class MapReader:
     def heights(self, window: TileWindow) -> NDArray[np.float32]:
         """Read heights of the ground, m, float32 (rows * pixels, cols * pixels); NaN where there is none."""
         return self.relief(window, self._shape(window))
+
+    def gradient(self, window: TileWindow) -> NDArray[np.float32]:
+        """Return the gradient of the ground of each tile: that of its corners, at the mean of the planes around them.
+
+        The plane of a tile goes through the heights of its pixels. Planes of tiles that are closed by their ground do
+        not count at the corners of others. So what one tile rises, the next goes on with, and the rise along a way is
+        that of the ground whichever tiles it crosses.
+
+        Returns
+        -------
+        float32 (rows, cols, 2)
+            Rise per metre southwards and eastwards; 0 where too few heights are known for a plane.
+
+        Raises
+        ------
+        BadInputError
+            A file is missing or damaged.
+        """
+        pixels = self.grid.pixels
+        out = np.empty((window.rows, window.cols, 2), np.float32)
+        at_once = max(1, _PLANE_PIXELS // (window.cols * pixels**2))
+        for top in range(0, window.rows, at_once):
+            rows, cols = min(at_once, window.rows - top) + 2, window.cols + 2
+            around = TileWindow(window.col - 1, window.row + window.rows - top - rows + 1, cols, rows)
+            z = self.heights(around).reshape(rows, pixels, cols, pixels).swapaxes(1, 2).reshape(rows, cols, -1)
+            is_open = np.isin(self.read(around, ()).barred, OPEN_THROUGH)
+            out[top : top + rows - 2] = _corner_gradient(_planes(z), is_open)[1:-1, 1:-1] / self.grid.tile_size
+        return out
 
     def relief(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.float32]:
         """Read mean heights of the ground from the overviews of heightmap.tif.
@@ -476,6 +509,54 @@ def _vehicle(folder: Path, manifest: Mapping[str, Any]) -> RouteVehicle:
     if fault := shape_fault(vehicle, _VEHICLE, "vehicle"):
         raise BadInputError(f"{folder / 'run.json'} is damaged: {fault}. {_AGAIN}")
     return RouteVehicle(vehicle["name"], float(vehicle["width_m"]), float(vehicle["speed_mps"]))
+
+
+def _planes(z: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Put planes through the heights of tiles, (rows, cols, pixels * pixels), by least squares; NaN where unknown.
+
+    Returns (3, rows, cols): height in the middle, rise over the tile southwards and eastwards; NaN without a plane.
+    """
+    side = math.isqrt(z.shape[2])
+    at = (np.arange(side) + 0.5) / side - 0.5
+    south, east = (x.ravel() for x in np.meshgrid(at, at, indexing="ij"))
+    whole, known = np.square(south).sum(), np.isfinite(z)
+    low = z[..., :1].astype(np.float64)
+    up = z - low
+    out = np.stack([up.mean(axis=2), (up * south).sum(axis=2) / whole, (up * east).sum(axis=2) / whole])
+    row, col = np.nonzero(~known.all(axis=2))
+    known, up = known[row, col], z[row, col].astype(np.float64)
+    count = np.maximum(known.sum(axis=1), 1)
+    mean = [np.where(known, x, 0.0).sum(axis=1) / count for x in np.broadcast_arrays(south, east, up)]
+    down, right, rise = (np.where(known, x - m[:, None], 0.0) for x, m in zip((south, east, up), mean, strict=True))
+    pairs = ((down, down), (down, right), (right, right), (down, rise), (right, rise))
+    a, b, c, d, e = ((x * y).sum(axis=1) for x, y in pairs)
+    det = a * c - b * b
+    det[det < _LEAST_SPREAD * whole * whole] = np.nan
+    slope = (c * d - b * e) / det, (a * e - b * d) / det
+    out[:, row, col] = mean[2] - mean[0] * slope[0] - mean[1] * slope[1], *slope
+    low[row, col] = 0.0
+    out[0] += low[..., 0]
+    return out
+
+
+def _corner_gradient(planes: NDArray[np.float64], counts: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return the rise of tiles southwards and eastwards, (rows, cols, 2), by the mean heights of their corners.
+
+    ``planes`` as of `_planes`; those that do not count, (rows, cols), keep their own rise; 0 without a plane.
+    """
+    middle, south, east = planes
+    rows, cols = middle.shape
+    counts = counts & np.isfinite(middle)
+    total, number = np.zeros((rows + 1, cols + 1)), np.zeros((rows + 1, cols + 1))
+    ends = ((0, 0), (0, 1), (1, 0), (1, 1))
+    for down, right in ends:
+        height = middle + (down - 0.5) * south + (right - 0.5) * east
+        total[down : rows + down, right : cols + right] += np.where(counts, height, 0.0)
+        number[down : rows + down, right : cols + right] += counts
+    mean = total / np.maximum(number, 1.0)
+    nw, ne, sw, se = (mean[down : rows + down, right : cols + right] for down, right in ends)
+    own = np.nan_to_num(planes[1:])
+    return np.where(counts, 0.5 * np.stack([sw + se - nw - ne, ne + se - nw - sw]), own).transpose(1, 2, 0)
 
 
 def _slices(window: TileWindow, part: TileWindow) -> tuple[slice, slice]:

@@ -145,6 +145,12 @@ class Vehicle:
         return self.chassis.mass_kg + 2 * self.rocker.mass_kg + 4 * self.wheel.mass_kg
 
     @property
+    def tips_deg(self) -> float:
+        """Slope across which the vehicle at rest tips over: of half the track over the height of the centre of mass."""
+        height = self.wheel.radius_m + self.chassis.com_height_m * self.chassis.mass_kg / self.mass_kg
+        return math.degrees(math.atan2(0.5 * self.track_m, height))
+
+    @property
     def length_m(self) -> float:
         """Length of the whole vehicle in metres, the larger of belly and wheels."""
         return max(self.belly.length_m, self.wheelbase_m + 2 * self.wheel.radius_m)

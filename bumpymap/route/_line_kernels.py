@@ -5,7 +5,8 @@ tile is closed where its cost is infinite; everything outside the window is clos
 
 Costs are (rows, cols, axes): of one axis, alike in all directions, or along the eight of ``AXES_DEG``. Between two axes
 cost is linear in the slope of the segment against the rows or columns, whichever it is nearer to: unlike angles, that
-gives a turned or mirrored map the same bits.
+gives a turned or mirrored map the same bits. What climbing, descending and driving across a slope cost is added for the
+very direction of the segment; the cost of a direction that is too steep across is infinite.
 """
 
 import math
@@ -14,14 +15,14 @@ from typing import Annotated, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.core import TAN
 from bumpytiles import helper, kernel
 
 __all__ = [
     "A_END",
     "B_END",
     "LEAST_MARGIN",
-    "TAN",
-    "Line",
+    "Costs",
     "Pieces",
     "check_clear",
     "connect",
@@ -30,14 +31,14 @@ __all__ = [
     "find_near",
     "segment_clear",
     "segment_cost",
+    "slope_cost",
     "sum_cost",
     "trace_line",
 ]
 
-Costs = NDArray[np.float32]
 Floats = NDArray[np.float64]
-Heading: TypeAlias = tuple[int, int, float]
-"""Two axes, and the share of the second in the cost."""
+Heading: TypeAlias = tuple[int, int, float, float, float]
+"""Two axes, the share of the second in the cost; and southwards and eastwards in a length of 1."""
 
 LEAST_MARGIN = 1e-6
 """Margins below this one, tiles, count as this one: what touches a closed tile may slip between two of them."""
@@ -45,19 +46,25 @@ _SLIVER = 1e-12
 """Pieces below this length, tiles, are rounding errors of a line through a corner of four tiles."""
 _ROUNDING = 1e-9
 """Distances to closed tiles may be shorter than the margin by this, tiles, but not by more than half of it."""
-TAN = math.sqrt(2.0) - 1.0
-"""Of 22.5 degrees."""
 A_END, B_END = 1, 2
 """Bits: which end of a segment is the start or the goal, and may be nearer to closed tiles than the margin."""
 
 
-class Line(NamedTuple):
-    """A line in a window."""
+class Costs(NamedTuple):
+    """Costs of the ground of a window."""
 
-    cost: Annotated[Costs, 3]
-    """(rows, cols, axes) cost per tile of length."""
-    points: Annotated[Floats, 2]
-    """(n, 2) field coordinates of its corners, ends included."""
+    tiles: Annotated[NDArray[np.float32], 3]
+    """(rows, cols, axes) cost per tile of length, at least 1; infinite where closed."""
+    gradient: Annotated[NDArray[np.float32], 3]
+    """(rows, cols, 2) rise per length southwards and eastwards; (0, 0, 2) if slopes cost nothing."""
+    climb: float
+    """Cost of a rise of 1 along the way, tiles."""
+    descent: float
+    """The same downwards."""
+    side: float
+    """Cost of a length of 1 across a gradient of 1."""
+    steepest: float
+    """Directions across a larger gradient are barred."""
 
 
 class Pieces(NamedTuple):
@@ -73,10 +80,22 @@ class Pieces(NamedTuple):
 
 
 @helper
-def _axes_between(axes: int, dr: float, dc: float) -> Heading:
-    """Return the two axes that a direction lies between, and how far it is from the first to the second."""
-    if axes == 1:
-        return 0, 0, 0.0
+def slope_cost(
+    south: float, east: float, down: float, right: float, climb: float, descent: float, side: float, steepest: float
+) -> float:
+    """Return what a gradient adds to the cost of a direction; see `Costs` and `Heading`. Infinite if it is barred."""
+    rise, across = south * down + east * right, abs(south * right - east * down)
+    if across > steepest:
+        return math.inf
+    return (climb * rise if rise > 0.0 else -descent * rise) + side * across
+
+
+@helper
+def _heading(cost: Costs, dr: float, dc: float, length: float) -> Heading:
+    """Return the two axes that a direction lies between, how far it is from the first, and the direction."""
+    south, east = (dr / length, dc / length) if length > 0.0 else (0.0, 0.0)
+    if cost.tiles.shape[2] == 1:
+        return 0, 0, 0.0, south, east
     down, right = abs(dr), abs(dc)
     north_east, more = dr * dc < 0.0, max(down, right)
     t = min(down, right) / more if more > 0.0 else 0.0
@@ -84,24 +103,28 @@ def _axes_between(axes: int, dr: float, dc: float) -> Heading:
     straight = 0 if down >= right else 4
     between = (1 if north_east else 7) if down >= right else (3 if north_east else 5)
     if t <= TAN:
-        return straight, between, t / TAN
-    return between, diagonal, (t - TAN) / (1.0 - TAN)
+        return straight, between, t / TAN, south, east
+    return between, diagonal, (t - TAN) / (1.0 - TAN), south, east
 
 
 @helper
 def _cost_of(cost: Costs, heading: Heading, row: int, col: int) -> float:
     """Cost of a tile in a direction; infinite outside the window."""
-    if row < 0 or col < 0 or row >= cost.shape[0] or col >= cost.shape[1]:
+    if row < 0 or col < 0 or row >= cost.tiles.shape[0] or col >= cost.tiles.shape[1]:
         return math.inf
-    first = np.float64(cost[row, col, heading[0]])
-    if heading[2] == 0.0 or not first < math.inf:
-        return float(first)
-    return float(first + heading[2] * (np.float64(cost[row, col, heading[1]]) - first))
+    total = np.float64(cost.tiles[row, col, heading[0]])
+    if heading[2] != 0.0 and total < math.inf:
+        total += heading[2] * (np.float64(cost.tiles[row, col, heading[1]]) - total)
+    if cost.gradient.shape[0] > 0:
+        south, east = np.float64(cost.gradient[row, col, 0]), np.float64(cost.gradient[row, col, 1])
+        total += slope_cost(south, east, heading[3], heading[4], cost.climb, cost.descent, cost.side, cost.steepest)
+    return float(total)
 
 
 @helper
 def _is_open(cost: Costs, row: int, col: int) -> bool:
-    return 0 <= row < cost.shape[0] and 0 <= col < cost.shape[1] and float(cost[row, col, 0]) < math.inf
+    inside = 0 <= row < cost.tiles.shape[0] and 0 <= col < cost.tiles.shape[1]
+    return inside and float(cost.tiles[row, col, 0]) < math.inf
 
 
 @helper
@@ -149,7 +172,7 @@ def segment_cost(cost: Costs, r0: float, c0: float, r1: float, c1: float, limit:
     """
     dr, dc = r1 - r0, c1 - c0
     length = math.sqrt(dr * dr + dc * dc)
-    heading = _axes_between(cost.shape[2], dr, dc)
+    heading = _heading(cost, dr, dc, length)
     # Whole numbers as floats: to convert each to an integer and back takes longer than a tile.
     north, west = np.floor(r0), np.floor(c0)
     north -= 1.0 if dr < 0.0 and north == r0 else 0.0
@@ -254,30 +277,32 @@ def segment_clear(cost: Costs, r0: float, c0: float, r1: float, c1: float, margi
 
 
 @kernel
-def sum_cost(line: Line, out: Annotated[Floats, 1]) -> None:
-    """Fill ``out[0]`` with the cost of a line."""
-    total, points = 0.0, line.points
+def sum_cost(cost: Costs, points: Annotated[Floats, 2], out: Annotated[Floats, 1]) -> None:
+    """Fill ``out[0]`` with the cost of a line, (n, 2) field coordinates of its corners."""
+    total = 0.0
     for i in range(points.shape[0] - 1):
-        total += segment_cost(line.cost, points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1], math.inf)
+        total += segment_cost(cost, points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1], math.inf)
     out[0] = total
 
 
 @kernel
-def check_clear(line: Line, margin: float, out: Annotated[NDArray[np.bool_], 1]) -> None:
+def check_clear(
+    cost: Costs, points: Annotated[Floats, 2], margin: float, out: Annotated[NDArray[np.bool_], 1]
+) -> None:  # fmt: skip
     """Fill ``out[0]``: whether a line keeps a margin; its first and last point may be nearer to closed tiles."""
-    points, last = line.points, line.points.shape[0] - 2
+    last = points.shape[0] - 2
     out[0] = True
     for i in range(last + 1):
         r0, c0, r1, c1 = points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1]
         ends = (A_END if i == 0 else 0) | (B_END if i == last else 0)
         if out[0]:
-            out[0] = segment_clear(line.cost, r0, c0, r1, c1, margin, ends)
+            out[0] = segment_clear(cost, r0, c0, r1, c1, margin, ends)
         if out[0]:
-            out[0] = segment_cost(line.cost, r0, c0, r1, c1, math.inf) < math.inf
+            out[0] = segment_cost(cost, r0, c0, r1, c1, math.inf) < math.inf
 
 
 @kernel
-def connect(cost: Annotated[Costs, 3], r: float, c: float, margin: float, out: Annotated[Floats, 2]) -> None:
+def connect(cost: Costs, r: float, c: float, margin: float, out: Annotated[Floats, 2]) -> None:
     """Fill (m, m) costs from a start or goal to the middles of the tiles around it; infinite if not clear."""
     reach = out.shape[0] // 2
     top, left = math.floor(r) - reach, math.floor(c) - reach
@@ -302,14 +327,13 @@ def find_near(points: Annotated[Floats, 2], margin: float, out: Annotated[NDArra
 
 
 @kernel
-def trace_line(line: Line, out: Pieces) -> None:
+def trace_line(cost: Costs, points: Annotated[Floats, 2], out: Pieces) -> None:
     """Cut a line at the borders of tiles; see `segment_cost`, which sums the same pieces."""
-    n, points, cost = 0, line.points, line.cost
-    rows, cols = cost.shape[0], cost.shape[1]
+    n, rows, cols = 0, cost.tiles.shape[0], cost.tiles.shape[1]
     for i in range(points.shape[0] - 1):
         r0, c0, dr, dc = points[i, 0], points[i, 1], points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
         length = math.sqrt(dr * dr + dc * dc)
-        heading = _axes_between(cost.shape[2], dr, dc)
+        heading = _heading(cost, dr, dc, length)
         row, col = _first_tile(r0, dr), _first_tile(c0, dc)
         along_r, along_c = r0 if dr == 0.0 else math.nan, c0 if dc == 0.0 else math.nan
         t = 0.0

@@ -13,6 +13,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.route._line_kernels import slope_cost
 from bumpytiles import helper, kernel
 
 __all__ = [
@@ -62,6 +63,8 @@ class MoveTables(NamedTuple):
     """(k, 2) the axes that it lies between."""
     share: Annotated[Floats, 1]
     """(k,) how far it is from the first of them to the second."""
+    direction: Annotated[Floats, 2]
+    """(k, 2) southwards and eastwards in a length of 1."""
     near_north: Annotated[Integers, 1]
     """(k,) tiles that must be open, those that it crosses included, as bits of the north half around the start."""
     near_south: Annotated[Integers, 1]
@@ -73,6 +76,12 @@ class Ground(NamedTuple):
 
     cost: Annotated[NDArray[np.float32], 2]
     """(n, axes) per tile of length, see `bumpymap.route._line_kernels`; infinite where closed."""
+    gradient: Annotated[NDArray[np.float32], 2]
+    """(n, 2) what slopes add, if they do, as in `bumpymap.route._line_kernels.Costs`; so are the next four."""
+    climb: float
+    descent: float
+    side: float
+    steepest: float
     closed: Annotated[Bytes, 1]
     """A bit for each tile, from the least of a byte on: whether it is closed; one byte more than these take."""
     width: int
@@ -197,10 +206,14 @@ def _closed_around(ground: Ground, tile: int, first: int, last: int) -> int:
 @helper
 def _cost_of(ground: Ground, moves: MoveTables, k: int, tile: int) -> float:
     """Cost of an open tile in the direction of a move."""
-    first, share = np.float64(ground.cost[tile, moves.axis[k, 0]]), moves.share[k]
-    if share == 0.0:
-        return float(first)
-    return float(first + share * (np.float64(ground.cost[tile, moves.axis[k, 1]]) - first))
+    total, share = np.float64(ground.cost[tile, moves.axis[k, 0]]), moves.share[k]
+    if share != 0.0:
+        total += share * (np.float64(ground.cost[tile, moves.axis[k, 1]]) - total)
+    if ground.gradient.shape[0] > 0:
+        south, east = np.float64(ground.gradient[tile, 0]), np.float64(ground.gradient[tile, 1])
+        down, right = moves.direction[k, 0], moves.direction[k, 1]
+        total += slope_cost(south, east, down, right, ground.climb, ground.descent, ground.side, ground.steepest)
+    return float(total)
 
 
 @helper

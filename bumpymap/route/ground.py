@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import OBSTACLE, OPEN_THROUGH, Barred, TileField, corners_join
+from bumpymap.core import OBSTACLE, OPEN_THROUGH, Barred, TileField, by_mean, corners_join
 from bumpymap.layers import MapReader, tiles_in, tiles_within
+from bumpymap.route._line_kernels import Costs
 from bumpymap.route.places import in_window, on_grid
-from bumpymap.route.search import BYTES_PER_TILE, BYTES_PER_TILE_BY_HEADING, find_way
+from bumpymap.route.search import BYTES_PER_TILE, BYTES_PER_TILE_BY_HEADING, BYTES_PER_TILE_BY_SLOPE, find_way
 from bumpymap.route.settings import CostSettings
-from bumpymap.route.straighten import is_clear
+from bumpymap.route.straighten import as_cost, is_clear
 from bumpytiles import Grid, TileWindow
 
 __all__ = [
@@ -21,7 +22,6 @@ __all__ = [
     "TOUCHING",
     "CostGround",
     "WornTiles",
-    "by_mean",
     "points_along",
     "sample_line",
     "stretches",
@@ -122,7 +122,8 @@ class CostGround:
     @property
     def bytes_per_tile(self) -> int:
         """Memory that a search takes."""
-        return BYTES_PER_TILE_BY_HEADING if self.knows_headings else BYTES_PER_TILE
+        by_slope = BYTES_PER_TILE_BY_SLOPE if self.settings.knows_slope else 0
+        return by_slope + (BYTES_PER_TILE_BY_HEADING if self.knows_headings else BYTES_PER_TILE)
 
     @property
     def memory_bytes(self) -> int:
@@ -132,6 +133,22 @@ class CostGround:
     def headings(self, window: TileWindow) -> NDArray[np.float32] | None:
         """Return C_r along each axis, (rows, cols, 8) rad/m; None if the cost does not depend on it."""
         return self.site.headings(window) if self.knows_headings else None
+
+    def with_slope(
+        self, cost: NDArray[np.float32], window: TileWindow, *, barred: bool = True
+    ) -> NDArray[np.float32] | Costs:  # fmt: skip
+        """Add what slopes cost, if they do, to the costs of the tiles of a window, or of its pixels.
+
+        The gradient is that of the plane of each tile; a tile without heights counts as level. With ``barred``, no way
+        leads across a slope steeper than the limit.
+        """
+        settings = self.settings
+        if not settings.knows_slope:
+            return cost
+        gradient, pixels = self.site.gradient(window), len(cost) // window.rows
+        gradient = np.repeat(np.repeat(gradient, pixels, 0), pixels, 1) if pixels > 1 else gradient
+        steepest = settings.steepest if barred else math.inf
+        return Costs(as_cost(cost), gradient, settings.climb, settings.descent, settings.side_slope, steepest)
 
     def on_tiles(
         self, window: TileWindow, *, through: bool = True, by_heading: bool = False
@@ -239,7 +256,7 @@ class CostGround:
         grid = self.site.grid
         start, goal = ((float(row), float(col)) for row, col in self.in_window(ends, window))
         saving = LEAST_SAVING_M / grid.pixel_size
-        found = find_way(cost, start, goal, margin=PIXEL_MARGIN, least_saving=saving)
+        found = find_way(self.with_slope(cost, window), start, goal, margin=PIXEL_MARGIN, least_saving=saving)
         if found is None:
             return None
         line = on_grid(found.line / grid.pixels, grid, window)
@@ -290,13 +307,6 @@ class CostGround:
         turn = np.abs((np.diff(heading) + np.pi) % (2.0 * np.pi) - np.pi)
         tight = ~self.clear_at(line[1:-1], _TIGHT_M / self.site.grid.pixel_size)
         return float(np.degrees(turn[tight].sum()))
-
-
-def by_mean(headings: NDArray[np.float32], c_r: NDArray[np.float32]) -> Floats:
-    """Return C_r along each axis, (..., 8), over that of the tile, (...); 1 where it is unknown or 0."""
-    mean = c_r[..., None].astype(np.float64)
-    known = np.isfinite(headings) & (mean > 0.0)
-    return np.divide(headings, mean, out=np.ones(headings.shape), where=known)
 
 
 def _along_one(cost: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -10,11 +10,11 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Barred, RoadFigures, RouteFigures, RouteProfile, TracedLine
+from bumpymap.core import Barred, RoadFigures, RouteFigures, RouteProfile, TracedLine, axis_values, by_mean, slope_cost
 from bumpymap.layers import MapReader
-from bumpymap.route.ground import CostGround, by_mean, points_along, sample_line, stretches, window_around
+from bumpymap.route.ground import CostGround, points_along, sample_line, stretches, window_around
 from bumpymap.route.places import in_window
-from bumpymap.route.straighten import as_cost, axis_values, trace
+from bumpymap.route.straighten import as_costs, trace
 
 __all__ = ["MeasuredWay", "cut_into_tiles", "measure_way", "way_cost"]
 
@@ -51,7 +51,8 @@ class MeasuredWay:
 _Pieces: TypeAlias = dict[str, NDArray[Any]]
 """The pieces of a way inside single tiles, (n,) each: ``col`` and ``row`` on the grid, ``length`` m, ``cost`` and
 ``hazard`` per metre (0 if unknown), ``slow`` s/m, ``barred``, ``unknown``, ``c_r``, ``c_r_low``, ``c_r_high`` and
-``p_fail`` (NaN if unknown); cost and ride are those of the heading, if it is known."""
+``p_fail`` (NaN if unknown); cost and ride are those of the heading, if it is known. And of the cost what slopes add,
+``slope``, and ``across``: whether it lies across a slope that is steeper than the limit."""
 
 
 def measure_way(ground: CostGround, line: Floats, stops: Floats) -> MeasuredWay:
@@ -108,7 +109,7 @@ def _pieces(ground: CostGround, line: Floats) -> _Pieces:
     window = window_around(ground.site, line, 1)
     tiles = ground.site.read(window)
     headings = ground.headings(window)
-    cost = as_cost(ground.of_field(tiles, headings))
+    cost = as_costs(ground.with_slope(ground.of_field(tiles, headings), window, barred=False))
     place = in_window(line, tiles.grid, window)
     found, step = trace(cost, place), np.diff(place, axis=0)
     if not len(found.length):  # a way of no length lies in one tile
@@ -120,12 +121,16 @@ def _pieces(ground: CostGround, line: Floats) -> _Pieces:
     if headings is not None:
         ratio = axis_values(by_mean(headings[at], tiles.c_r[at]), *way)
         ride = {name: values * ratio for name, values in ride.items()}
+    gradient = cost.gradient[at] if cost.gradient.size else np.zeros((len(found.row), 2))
+    slope, across = slope_cost(ground.settings, gradient, *way)
     hazard, slow = tiles.rule.hazard(tiles.p_fail[at]), ground.slowness(tiles)[at]
     return {
         "col": window.col + found.col,
         "row": window.row + window.rows - 1 - found.row,
         "length": found.length * tiles.grid.tile_size,
-        "cost": axis_values(cost[at], *way),
+        "cost": axis_values(cost.tiles[at], *way) + slope,
+        "slope": slope,
+        "across": across,
         "barred": tiles.barred[at],
         "hazard": np.where(unknown | np.isnan(hazard), 0.0, hazard),
         "unknown": unknown,

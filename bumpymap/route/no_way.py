@@ -1,6 +1,7 @@
 """Explain that there is no way between two points: the widest opening, or the place where both sides come closest."""
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,6 +12,7 @@ from bumpymap.core import BARRED_TEXT, OBSTACLE, Barred
 from bumpymap.route.ground import PIXEL_MARGIN, CostGround, window_around
 from bumpymap.route.passages import BYTES_PER_TILE, first_pad
 from bumpymap.route.places import on_grid, overlap, place_in_window
+from bumpymap.route.planner import Planner
 from bumpymap.route.search import find_way, spread
 from bumpymap.route.stops import place_text
 from bumpytiles import TileWindow
@@ -26,8 +28,13 @@ vehicle does not fit, so that a line leads through few of them."""
 def what_closes(ground: CostGround, start: Floats, goal: Floats) -> str:
     """Say where the widest opening between two points [m] is; without one, where the two sides come closest.
 
-    Empty if memory does not allow to look for either.
+    Empty if memory does not allow to look for either. If the limit of slopes across is to blame, that is said instead.
     """
+    if ground.settings.side_limit is not None:
+        flat = replace(ground, settings=replace(ground.settings, side_limit=None))
+        if Planner(flat).line(start, goal) is not None:
+            limit = f"{ground.settings.side_limit:g} degrees"
+            return f"Every way between them crosses slopes of more than {limit}: raise `side_limit` to find one. "
     needed, found = 2.0 * ground.site.vehicle.reach_m, widest_opening(ground, start, goal)
     if found is not None and found[1] < needed:
         place, width = found

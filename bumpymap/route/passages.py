@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
+from bumpymap.core import axis_values, slope_cost
 from bumpymap.route.ground import CostGround, points_along, window_around
 from bumpymap.route.places import on_grid, overlap
-from bumpymap.route.straighten import as_cost, axis_values
+from bumpymap.route.straighten import as_cost
 from bumpytiles import TileWindow
 
 __all__ = ["BYTES_PER_TILE", "first_pad", "reach_over_areas", "way_over_areas"]
@@ -189,7 +190,15 @@ def _graph(ground: CostGround, window: TileWindow) -> AreaGraph:
     a, b = a[kept], b[kept]
     cost, middle = as_cost(ground.on_tiles(window, by_heading=True)), np.column_stack(at)
     cost, step = cost.reshape(rows * cols, -1)[tile], (middle[b] - middle[a]).T
-    weight = np.hypot(*step) * 0.5 * (axis_values(cost[a], *step) + axis_values(cost[b], *step))
+    each = axis_values(cost[a], *step) + axis_values(cost[b], *step)
+    if ground.settings.knows_slope:
+        gradient = ground.site.gradient(window).reshape(-1, 2)[tile]
+        for end in (a, b):
+            more, barred = slope_cost(ground.settings, gradient[end], *step)
+            each += np.where(barred, np.inf, more)
+    weight = np.hypot(*step) * 0.5 * each
+    kept = np.isfinite(weight)
+    a, b, weight = a[kept], b[kept], weight[kept]
     return AreaGraph(node, tile, middle, sparse.csr_array((np.maximum(weight, _TINY), (a, b)), joined.shape))
 
 
@@ -227,7 +236,7 @@ def _search(graph: AreaGraph, start: int, goal: int) -> tuple[list[int], NDArray
     spent, before = csgraph.dijkstra(graph.arcs, indices=start, return_predecessors=True)
     if not np.isfinite(spent[goal]):
         return None
-    left = csgraph.dijkstra(graph.arcs, indices=goal, limit=_DEARER * spent[goal] + 1.0)
+    left = csgraph.dijkstra(graph.arcs.T, indices=goal, limit=_DEARER * spent[goal] + 1.0)
     path = _path(before, start, goal)
     near = np.flatnonzero(spent + left <= _DEARER * spent[goal] + 1.0)
     return path, np.union1d(near, path)

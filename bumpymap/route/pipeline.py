@@ -102,6 +102,10 @@ class ReachSettings(TypedDict, total=False):
     risk: float | None
     robust: bool
     direction: bool
+    climb: float
+    descent: float
+    side_slope: float
+    side_limit: float | None
     unknown: float | None
     snap: float
     avoid: PathLike | None
@@ -144,8 +148,9 @@ def find_routes(
         Folder, or file that ends in .geojson, .gpx, .csv or .png.
     **settings
         Those of ``bumpymap route``, with underscores: ``alternatives``, ``by`` (``cost`` or ``time``), ``risk`` [m],
-        ``robust``, ``direction``, ``unknown`` [cost per metre], ``snap`` [m], ``visit``, ``round_trip``, ``avoid``,
-        ``only``, ``allow_outside``, ``calibration``, ``through_obstacles``, ``memory``, ``overwrite``.
+        ``robust``, ``direction``, ``climb``, ``descent``, ``side_slope`` [m], ``side_limit`` [deg], ``unknown`` [cost per
+        metre], ``snap`` [m], ``visit``, ``round_trip``, ``avoid``, ``only``, ``allow_outside``, ``calibration``,
+        ``through_obstacles``, ``memory``, ``overwrite``.
 
     Returns
     -------
@@ -193,8 +198,8 @@ def map_reach(
     minutes : float, optional
         Tiles farther away than this are left out where possible, so that less is read.
     **settings
-        ``by``, ``risk``, ``robust``, ``direction``, ``unknown``, ``snap``, ``avoid``, ``only``, ``allow_outside``,
-        ``memory``, as in `find_routes`.
+        ``by``, ``risk``, ``robust``, ``direction``, ``climb``, ``descent``, ``side_slope``, ``side_limit``, ``unknown``,
+        ``snap``, ``avoid``, ``only``, ``allow_outside``, ``memory``, as in `find_routes`.
 
     Returns
     -------
@@ -353,6 +358,8 @@ def _in_best_order(planner: Planner, stops: Stops, config: RouteConfig) -> Stops
     costs = np.zeros((len(ring), len(ring)))
     for a, b in combinations(range(len(ring)), 2):
         costs[a, b] = costs[b, a] = planner.leg_cost(ring[a], ring[b])
+        if not config.cost.same_back:
+            costs[b, a] = planner.leg_cost(ring[b], ring[a])
     order = best_order(costs, fixed_end=config.round_trip or config.goal is not None or config.points is not None)
     return stops.in_order(order[: len(points)])
 

@@ -55,7 +55,7 @@ def tile_line(ground: CostGround, start: Floats, goal: Floats) -> Floats | None:
         top, left = extent.row + extent.rows - window.row - window.rows, window.col - extent.col
         here, there = ((row - top, col - left) for row, col in (first, last))
         cost = ground.on_tiles(window, through=False, by_heading=True)
-        found = seek(cost, here, there, ground.margin, math.inf if window == extent else 1.0)
+        found = seek(ground.with_slope(cost, window), here, there, ground.margin, math.inf if window == extent else 1.0)
         sides, pad = _open_sides(found, window, extent), max(_LEAST_PAD, int(_GROWTH * max(window.rows, window.cols)))
     if found.line is None:
         return None
@@ -206,7 +206,7 @@ class Planner:
 
         ``risk``, ``worn`` as in `way`. Without worn tiles, the line is kept for the next question.
         """
-        if tuple(goal) < tuple(start):  # there and back are the same line
+        if tuple(goal) < tuple(start) and self.ground.settings.same_back:
             back = self.line(goal, start, risk, worn)
             return None if back is None else back[::-1]
         if worn is not None:

@@ -134,7 +134,7 @@ def find_reach(ground: CostGround, start: NDArray[np.float64], most_m: float = m
         )
     cost = as_cost(ground.on_tiles(window, through=False, by_heading=True))
     place = place_in_window(start, site.grid, window)
-    spent, back = spread(cost, place, margin=ground.margin)
+    spent, back = spread(ground.with_slope(cost, window), place, margin=ground.margin)
     is_passable = np.isfinite(cost[..., 0])
     del cost  # a map may fill the memory that the search is given: what follows takes no more
     slow, in_part = np.empty(spent.shape, np.float32), False

@@ -14,10 +14,10 @@ southwards more than eastwards, and never northwards or westwards. (Ends in one 
 two such frames, mirror images of each other: there, ways by moves still cost the same on a mirrored map, and pulled
 ways nearly so.)
 
-Each move costs what the ground does in its own direction, if costs are known by heading. There and back cost the same
-to the last bit, and so do ways on turned maps, as a rule; see `SearchFrame`. Moves decide
-on which side of closed tiles a way passes; where both sides cost nearly the same, the way may be the dearer by a
-percent or two.
+Each move costs what the ground does in its own direction, if costs are known by heading, and what slopes add. There and
+back cost the same to the last bit, unless climbing costs other than descending, and so do ways on turned maps, as a
+rule; see `SearchFrame`. Moves decide on which side of closed tiles a way passes; where both sides cost nearly the same,
+the way may be the dearer by a percent or two.
 """
 
 import math
@@ -29,8 +29,8 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import AXES_DEG
-from bumpymap.route._line_kernels import connect, find_near
+from bumpymap.core import AXES_DEG, axes_along
+from bumpymap.route._line_kernels import Costs, connect, find_near
 from bumpymap.route._search_kernels import (
     FROM_START,
     NEW,
@@ -45,8 +45,7 @@ from bumpymap.route._search_kernels import (
 )
 from bumpymap.route.straighten import (
     LEAST_SAVING,
-    as_cost,
-    axes_along,
+    as_costs,
     is_clear,
     line_cost,
     off_borders,
@@ -59,6 +58,7 @@ from bumpymap.route.straighten import (
 __all__ = [
     "BYTES_PER_TILE",
     "BYTES_PER_TILE_BY_HEADING",
+    "BYTES_PER_TILE_BY_SLOPE",
     "FROM_START",
     "MOST_TILES",
     "MOVES",
@@ -103,6 +103,7 @@ def traced_moves(margin: float) -> tuple[MoveTables, NDArray[np.int64]]:
         piece_length=np.concatenate([each.length[1:-1] for each in traced]),
         axis=np.empty((0, 2), np.int64),
         share=np.empty(0),
+        direction=MOVES / np.sqrt((MOVES.astype(np.float64) ** 2).sum(axis=1))[:, None],
         near_north=near[:, REACH::-1].reshape(len(near), -1) @ bits,
         near_south=near[:, :REACH:-1].reshape(len(near), -1) @ bits[: -len(open_ground)],
     )
@@ -154,23 +155,26 @@ class SearchFrame(NamedTuple):
     """Of the window."""
 
     @classmethod
-    def of(cls, cost: NDArray[np.float32], start: Point, goal: Point) -> "SearchFrame":
+    def of(cls, tiles: NDArray[np.float32], start: Point, goal: Point) -> "SearchFrame":
         """Choose the frame for a start and a goal in the window."""
-        back = _rank(cost, start) > _rank(cost, goal)
+        back = _rank(tiles, start) > _rank(tiles, goal)
         down, right = (goal[0] - start[0], goal[1] - start[1]) if not back else (start[0] - goal[0], start[1] - goal[1])
-        return cls(back, (down < 0.0, right < 0.0), abs(down) < abs(right), (cost.shape[0], cost.shape[1]))
+        return cls(back, (down < 0.0, right < 0.0), abs(down) < abs(right), (tiles.shape[0], tiles.shape[1]))
 
     def turn(self, values: NDArray[Number]) -> NDArray[Number]:
         """Turn an array (rows, cols); a view."""
         turned = values[:: -1 if self.flips[0] else 1, :: -1 if self.flips[1] else 1]
         return turned.swapaxes(0, 1) if self.transpose else turned
 
-    def turn_costs(self, cost: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Turn costs (rows, cols, axes): what was along one axis is along another then."""
-        turned, each = self.turn(cost), np.arange(cost.shape[2])
+    def turn_costs(self, cost: Costs) -> Costs:
+        """Turn costs: what was along one axis is along another then, and what was uphill from the goal is downhill."""
+        turned, each = self.turn(cost.tiles), np.arange(cost.tiles.shape[2])
         for is_turned, axis in ((self.flips[0] != self.flips[1], -each), (self.transpose, len(AXES_DEG) // 2 - each)):
-            turned = turned[..., axis % cost.shape[2]] if is_turned and len(each) > 1 else turned
-        return turned
+            turned = turned[..., axis % len(each)] if is_turned and len(each) > 1 else turned
+        signs = np.where(self.flips, np.float32(-1.0), np.float32(1.0))
+        gradient = (self.turn(cost.gradient) * signs)[..., :: -1 if self.transpose else 1]
+        cost = cost._replace(climb=cost.descent, descent=cost.climb) if self.back else cost
+        return cost._replace(tiles=turned, gradient=gradient)
 
     def turn_back(self, values: NDArray[Number]) -> NDArray[Number]:
         """Undo `turn`; a view."""
@@ -199,32 +203,48 @@ BYTES_PER_TILE = 36
 """Memory that a search takes at most: the costs that it is given, with and without the ring, and the arrays below."""
 BYTES_PER_TILE_BY_HEADING = 124
 """The same where costs have axes: those that it is given, turned, and with the ring."""
+BYTES_PER_TILE_BY_SLOPE = 24
+"""So much more where slopes add to it."""
 MOST_TILES = 2_000_000_000
 """Tiles of a window, which the search numbers with 32 bits; the ring takes the rest."""
 
 
+_NEARLY = 1.0 - 1e-9
+"""Of the steepest gradient that is driven across, in a search: the line may be rounded when it is pulled tight."""
+
+
 def _search(
-    cost: NDArray[np.float32], start: Point, goal: Point | None, margin: float, bound: float
+    cost: Costs, start: Point, goal: Point | None, margin: float, bound: float
 ) -> tuple[Reached, Callable[[NDArray[Number]], NDArray[Number]]]:
     """Search a window from a start in an open tile, to a goal or all around.
 
     ``bound`` as in `seek`. Also return what takes one of the flat arrays to (rows, cols). Raises ValueError where a
     cost is below 1 or NaN.
     """
-    least = float(cost.min(initial=math.inf))
+    tiles, has_slope = cost.tiles, cost.gradient.size > 0
+    least = float(tiles.min(initial=math.inf))
     if not least >= 1.0:
         raise ValueError(f"the least cost is {least}; every cost must be a number of at least 1, or infinite")
-    ringed = np.full((cost.shape[0] + 2 * REACH, cost.shape[1] + 2 * REACH, cost.shape[2]), np.inf, np.float32)
-    ringed[REACH:-REACH, REACH:-REACH] = cost
-    margin, width, count = wide_margin(margin), ringed.shape[1], ringed.shape[0] * ringed.shape[1]
+    rows, width = tiles.shape[0] + 2 * REACH, tiles.shape[1] + 2 * REACH
+    margin, count = wide_margin(margin), rows * width
+    ringed = cost._replace(
+        tiles=np.full((rows, width, tiles.shape[2]), np.inf, np.float32),
+        gradient=np.zeros((rows, width, 2) if has_slope else (0, 0, 2), np.float32),
+        steepest=_NEARLY * cost.steepest,
+    )
+    inner = np.s_[REACH:-REACH, REACH:-REACH]
+    ringed.tiles[inner] = tiles
+    if has_slope:
+        ringed.gradient[inner] = cost.gradient
 
-    def connected(point: Point) -> Floats:
-        """Costs straight from a point to the middles of tiles around it."""
+    def connected(point: Point, *, from_it: bool) -> Floats:
+        """Costs straight from a point to the middles of tiles around it, or from these to it."""
         out = np.full((2 * REACH + 1, 2 * REACH + 1), math.inf)
-        connect(ringed, point[0] + REACH, point[1] + REACH, margin, out)
+        ground = ringed if from_it else ringed._replace(climb=ringed.descent, descent=ringed.climb)
+        connect(ground, point[0] + REACH, point[1] + REACH, margin, out)
         return out
 
-    first = connected(start)
+    first = connected(start, from_it=True)
     row, col = np.nonzero(first < math.inf)
     seeds = Seeds(
         (row + math.floor(start[0])) * width + col + math.floor(start[1]),
@@ -236,11 +256,24 @@ def _search(
         straight = np.array([start, goal], np.float64) + REACH
         is_straight = is_clear(ringed, straight, margin)
         known = line_cost(ringed, straight) if is_straight else math.inf
-        seeds = seeds._replace(exit_cost=connected(goal), best=known)
-    closed = np.append(np.packbits(~(ringed[..., 0] < math.inf), bitorder="little"), np.uint8(0))
+        seeds = seeds._replace(exit_cost=connected(goal, from_it=False), best=known)
+    closed = np.append(np.packbits(~(ringed.tiles[..., 0] < math.inf), bitorder="little"), np.uint8(0))
     row_of_goal, col_of_goal = (0.0, 0.0) if goal is None else (goal[0] + REACH, goal[1] + REACH)
     at_least = min(least if least < math.inf else 1.0, bound)
-    ground = Ground(ringed.reshape(count, -1), closed, width, row_of_goal, col_of_goal, least, at_least)
+    ground = Ground(
+        ringed.tiles.reshape(count, -1),
+        ringed.gradient.reshape(-1, 2),
+        ringed.climb,
+        ringed.descent,
+        ringed.side,
+        ringed.steepest,
+        closed,
+        width,
+        row_of_goal,
+        col_of_goal,
+        least,
+        at_least,
+    )
     reached = Reached(
         np.full(count, math.inf),
         np.full(count, NOT_REACHED, np.uint8),
@@ -250,8 +283,8 @@ def _search(
         np.zeros(1, np.int64),
         np.zeros(1),
     )
-    search(ground, move_tables(width, margin, cost.shape[2]), seeds, reached)
-    return reached, lambda values: values.reshape(ringed.shape[:2])[REACH:-REACH, REACH:-REACH]
+    search(ground, move_tables(width, margin, tiles.shape[2]), seeds, reached)
+    return reached, lambda values: values.reshape(rows, width)[inner]
 
 
 _AROUND = 8
@@ -279,19 +312,25 @@ class Found(NamedTuple):
     settled: NDArray[np.bool_]
     """(rows, cols) tiles from which the goal might be reached for less by a way that leaves the window."""
     frame: SearchFrame
-    ground: NDArray[np.float32]
-    """Costs of the window, (rows, cols, axes), in the frame."""
+    ground: Costs
+    """Costs of the window, in the frame."""
 
 
 def find_way(
-    cost: NDArray[np.floating], start: Point, goal: Point, *, margin: float = 0.0, least_saving: float = LEAST_SAVING
+    cost: NDArray[np.floating] | Costs,
+    start: Point,
+    goal: Point,
+    *,
+    margin: float = 0.0,
+    least_saving: float = LEAST_SAVING,
 ) -> Way | None:
     """Find the cheapest way.
 
     Parameters
     ----------
-    cost : array (rows, cols) or (rows, cols, 8) float32
-        Cost per length, along each of ``AXES_DEG`` if it has them, at least 1; infinite where closed.
+    cost : array (rows, cols) or (rows, cols, 8) float32, or Costs
+        Cost per length, along each of ``AXES_DEG`` if it has them, at least 1; infinite where closed. Or with what
+        slopes add.
     start, goal : (float, float)
         Field coordinates.
     margin : float
@@ -323,7 +362,7 @@ def tight_way(found: Found, margin: float, least_saving: float = LEAST_SAVING) -
     return Way(found.frame.turn_line_back(line + corner), line_cost(near, line), found.cost)
 
 
-def _cut_out(cost: NDArray[np.float32], line: Floats) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+def _cut_out(cost: Costs, line: Floats) -> tuple[Costs, NDArray[np.int64]]:
     """Return the costs around a line, and the row and column of the first.
 
     What comes of them depends on the line's place on the map then, and not on the window that it was found in: rounding
@@ -331,26 +370,34 @@ def _cut_out(cost: NDArray[np.float32], line: Floats) -> tuple[NDArray[np.float3
     """
     low = np.floor(line.min(axis=0)).astype(np.int64) - _AROUND
     high = np.floor(line.max(axis=0)).astype(np.int64) + _AROUND + 1
-    near = np.full((*(high - low).tolist(), cost.shape[2]), np.inf, np.float32)
-    first, last = np.maximum(low, 0), np.minimum(high, cost.shape[:2])
+    first, last = np.maximum(low, 0), np.minimum(high, cost.tiles.shape[:2])
     rows, cols = (slice(a, b) for a, b in zip(first - low, last - low, strict=True))
-    near[rows, cols] = cost[first[0] : last[0], first[1] : last[1]]
-    return near, low
+
+    def cut(values: NDArray[np.float32], beyond: float) -> NDArray[np.float32]:
+        near = np.full((*(high - low).tolist(), values.shape[2]), beyond, np.float32)
+        near[rows, cols] = values[first[0] : last[0], first[1] : last[1]]
+        return near
+
+    gradient = cut(cost.gradient, 0.0) if cost.gradient.size else cost.gradient
+    return cost._replace(tiles=cut(cost.tiles, math.inf), gradient=gradient), low
 
 
-def seek(cost: NDArray[np.floating], start: Point, goal: Point, margin: float, bound: float = math.inf) -> Found:
+def seek(
+    cost: NDArray[np.floating] | Costs, start: Point, goal: Point, margin: float, bound: float = math.inf
+) -> Found:  # fmt: skip
     """Find the cheapest way by moves.
 
     ``cost`` as in `find_way`; ``bound`` is what no tile costs less than, those outside the window included, if ways may
     leave it.
     """
-    cost = as_cost(cost)
+    cost = as_costs(cost)
     start, goal = settle_point(start), settle_point(goal)
-    frame = SearchFrame(False, (False, False), False, (cost.shape[0], cost.shape[1]))
-    tiles = np.floor([start, goal])
-    if (tiles < 0).any() or (tiles >= cost.shape[:2]).any() or np.isinf(cost[tuple(tiles.astype(np.int64).T)]).any():
-        return Found(None, math.inf, np.zeros(cost.shape[:2], np.bool_), frame, cost)
-    frame = SearchFrame.of(cost, start, goal)
+    tiles, (rows, cols) = cost.tiles, cost.tiles.shape[:2]
+    at = np.floor([start, goal])
+    if (at < 0).any() or (at >= (rows, cols)).any() or np.isinf(tiles[tuple(at.astype(np.int64).T)]).any():
+        level = SearchFrame(False, (False, False), False, (rows, cols))
+        return Found(None, math.inf, np.zeros((rows, cols), np.bool_), level, cost)
+    frame = SearchFrame.of(tiles, start, goal)
     ground = frame.turn_costs(cost)
     line = frame.turn_line(np.array([start, goal]))
     first, last = ((float(r), float(c)) for r, c in line)
@@ -359,19 +406,22 @@ def seek(cost: NDArray[np.floating], start: Point, goal: Point, margin: float, b
     if not best < math.inf:
         return Found(None, best, settled, frame, ground)
     if reached.last[0] >= 0:
-        row, col = divmod(int(reached.last[0]), ground.shape[1] + 2 * REACH)
+        row, col = divmod(int(reached.last[0]), ground.tiles.shape[1] + 2 * REACH)
         path = follow_back(inner(reached.back), row - REACH, col - REACH)
         line = np.concatenate([line[:1], path[::-1], line[1:]])
     return Found(line, best, settled, frame, ground)
 
 
-def spread(cost: NDArray[np.floating], start: Point, *, margin: float = 0.0) -> tuple[Floats, NDArray[np.uint8]]:
+def spread(
+    cost: NDArray[np.floating] | Costs, start: Point, *, margin: float = 0.0
+) -> tuple[Floats, NDArray[np.uint8]]:  # fmt: skip
     """Find what every tile costs to reach.
 
     Parameters
     ----------
-    cost : array (rows, cols) or (rows, cols, 8) float32
-        Cost per length, along each of ``AXES_DEG`` if it has them, at least 1; infinite where closed.
+    cost : array (rows, cols) or (rows, cols, 8) float32, or Costs
+        Cost per length, along each of ``AXES_DEG`` if it has them, at least 1; infinite where closed. Or with what
+        slopes add.
     start : (float, float)
         Field coordinates.
     margin : float
@@ -390,7 +440,7 @@ def spread(cost: NDArray[np.floating], start: Point, *, margin: float = 0.0) -> 
     ValueError
         As `find_way`.
     """
-    reached, inner = _search(as_cost(cost), settle_point(start), None, margin, 0.0)
+    reached, inner = _search(as_costs(cost), settle_point(start), None, margin, 0.0)
     g, back = reached.g, reached.back
     del reached  # before copies are made
     return np.ascontiguousarray(inner(g)), np.ascontiguousarray(inner(back))

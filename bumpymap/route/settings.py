@@ -4,32 +4,27 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
-from bumpymap.core import Setting, UsageError, check_settings, memory_limit
+from bumpymap.core import MOST_COST, DirectionSettings, Setting, UsageError, check_settings, memory_limit
 
 __all__ = ["CostSettings", "RouteBy", "RouteConfig"]
 
 RouteBy = Literal["cost", "time"]
 
-_MOST_COST = 1e9
-"""Weights beyond all ground, with which costs can still be added up."""
-
 
 @dataclass(frozen=True, slots=True)
-class CostSettings:
+class CostSettings(DirectionSettings):
     """Settings of the cost of ground, and of the ground that may be crossed."""
 
     by: Annotated[RouteBy, Setting("What the way has least of: cost or time", "WHAT", group="Way")] = "cost"
     """``time``: at the speed made good; a metre costs as many as are driven at the top speed meanwhile."""
     risk: Annotated[
         float | None,
-        Setting("Detour that one failure is worth", "M", 0.0, _MOST_COST, "m", default="profile", group="Vehicle"),
+        Setting("Detour that one failure is worth", "M", 0.0, MOST_COST, "m", default="profile", group="Vehicle"),
     ] = None
     """m; None: the ``fail_weight`` of the vehicle profile, or 0 by time."""
     robust: Annotated[bool, Setting("Plan on the upper end of the interval of c_r", rare=True)] = False
-    direction: Annotated[bool, Setting("Cost each move by its own heading, if the map tells it", rare=True)] = True
-    """Take the ride cost of headings.tif, where the map has it; else that of the tiles, the mean over headings."""
     unknown: Annotated[
-        float | None, Setting("Cross unknown ground at this cost per metre", "COST", 1.0, _MOST_COST, group="Ground")
+        float | None, Setting("Cross unknown ground at this cost per metre", "COST", 1.0, MOST_COST, group="Ground")
     ] = None
     """Cost per metre of unknown ground; None: it is not crossed."""
     avoid: Annotated[Path | None, Setting("Polygons that are not entered", "FILE", group="Ground")] = None

@@ -26,8 +26,7 @@ from bumpymap.route._line_kernels import (
     A_END,
     B_END,
     LEAST_MARGIN,
-    TAN,
-    Line,
+    Costs,
     Pieces,
     check_clear,
     segment_clear,
@@ -42,9 +41,8 @@ __all__ = [
     "Corners",
     "Tightening",
     "as_cost",
+    "as_costs",
     "as_margin",
-    "axes_along",
-    "axis_values",
     "is_clear",
     "leave_out",
     "line_cost",
@@ -56,16 +54,13 @@ __all__ = [
     "wide_margin",
 ]
 
-Costs = NDArray[np.float32]
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
 class Tightening(NamedTuple):
-    """The ground that a line is pulled over, and limits of pulling."""
+    """Limits of pulling a line."""
 
-    cost: Annotated[Costs, 3]
-    """(rows, cols, axes) cost per tile of length."""
     margin: float
     """Distance that the line keeps from closed tiles, tiles."""
     gain: float
@@ -96,9 +91,10 @@ def _ends(a: int, b: int, count: int) -> int:
 
 
 @helper
-def _choose(tightening: Tightening, points: Floats, n: int, skips: int, best: Floats, before: Integers) -> None:
+def _choose(
+    cost: Costs, tightening: Tightening, points: Floats, n: int, skips: int, best: Floats, before: Integers
+) -> None:  # fmt: skip
     """Fill the cost up to each of n corners, and the one before it, of the cheapest line through some of them."""
-    cost = tightening.cost
     best[0], before[0] = 0.0, 0
     for j in range(1, n):
         r1, c1 = points[j, 0], points[j, 1]
@@ -115,6 +111,7 @@ def _choose(tightening: Tightening, points: Floats, n: int, skips: int, best: Fl
 
 @kernel
 def leave_out(
+    cost: Costs,
     tightening: Tightening,
     points: Annotated[Floats, 2],
     skips: int,
@@ -130,7 +127,7 @@ def leave_out(
     n, count = 0, points.shape[0]
     while n != count:
         n, count = count, 1
-        _choose(tightening, points, n, skips, best, before)
+        _choose(cost, tightening, points, n, skips, best, before)
         at = n - 1
         while at > 0:  # turn the links round: from each corner that stays to the next one
             best[before[at]], at = at, before[at]
@@ -142,9 +139,7 @@ def leave_out(
 
 
 @kernel
-def leave_borders(
-    cost: Annotated[Costs, 3], points: Annotated[Floats, 2], near: float, shift: float
-) -> None:  # fmt: skip
+def leave_borders(cost: Costs, points: Annotated[Floats, 2], near: float, shift: float) -> None:
     """Move corners that are ``near`` to borders of tiles by ``shift`` from them, to where the line costs least, tiles.
 
     ``points`` (n, 2): changed.
@@ -175,9 +170,9 @@ def _two_segments(cost: Costs, points: Floats, i: int, r: float, c: float, limit
 
 
 @helper
-def _two_clear(tightening: Tightening, points: Floats, i: int, r: float, c: float) -> bool:
+def _two_clear(cost: Costs, margin: float, points: Floats, i: int, r: float, c: float) -> bool:
     """Return whether the line may go from corner ``i - 1`` over a point to ``i + 1``."""
-    cost, margin, n = tightening.cost, tightening.margin, points.shape[0]
+    n = points.shape[0]
     before, after = _ends(i - 1, i, n) & A_END, _ends(i, i + 1, n) & B_END
     return segment_clear(cost, points[i - 1, 0], points[i - 1, 1], r, c, margin, before) and segment_clear(
         cost, r, c, points[i + 1, 0], points[i + 1, 1], margin, after
@@ -192,7 +187,7 @@ def _spend(cost: Costs, corners: Corners, i: int) -> None:
 
 
 @helper
-def _move_corner(tightening: Tightening, corners: Corners, i: int, turn: int) -> bool:
+def _move_corner(cost: Costs, tightening: Tightening, corners: Corners, i: int, turn: int) -> bool:
     """Move a corner to the best of ten places around it: eight directions, and the borders nearest to it."""
     points, step = corners.points, corners.step[i]
     r0, c0 = points[i, 0], points[i, 1]
@@ -209,30 +204,30 @@ def _move_corner(tightening: Tightening, corners: Corners, i: int, turn: int) ->
             c = math.floor(c0 + 0.5)
         if k >= 8 and abs(r - r0) + abs(c - c0) > 2.0 * step:
             continue
-        total = _two_segments(tightening.cost, points, i, r, c, best)
-        if total < best and _two_clear(tightening, points, i, r, c):
+        total = _two_segments(cost, points, i, r, c, best)
+        if total < best and _two_clear(cost, tightening.margin, points, i, r, c):
             best, moved = total, True
             points[i, 0], points[i, 1] = r, c
             # The places that follow are still those around the old one.
     if moved:
-        _spend(tightening.cost, corners, i)
-        _spend(tightening.cost, corners, i + 1)
+        _spend(cost, corners, i)
+        _spend(cost, corners, i + 1)
     return moved
 
 
 @kernel
-def move_corners(tightening: Tightening, corners: Corners, sweeps: int) -> None:
+def move_corners(cost: Costs, tightening: Tightening, corners: Corners, sweeps: int) -> None:
     """Move corners in turn until no step helps any of them, at most ``sweeps`` times all of them."""
     n, turns = corners.points.shape[0], corners.directions.shape[0] // 8
     for i in range(1, n):
-        _spend(tightening.cost, corners, i)
+        _spend(cost, corners, i)
     for turn in range(sweeps):
         active = False
         for i in range(1, n - 1):
             if corners.step[i] < tightening.least_step:
                 continue
             active = True
-            if not _move_corner(tightening, corners, i, turn % turns):
+            if not _move_corner(cost, tightening, corners, i, turn % turns):
                 corners.step[i] *= 0.5
                 continue
             # A step that helped is tried again, a longer one too; and the neighbours may now find something.
@@ -255,32 +250,12 @@ def as_cost(cost: NDArray[np.floating]) -> NDArray[np.float32]:
     return np.ascontiguousarray(cost, np.float32)
 
 
-def axis_values(values: NDArray[np.floating], down: NDArray[np.floating], right: NDArray[np.floating]) -> Floats:
-    """Return values along directions, (n,), between those of the axes: as the kernels have them.
-
-    ``values`` (n, 1) or (n, 8); ``down``, ``right`` (n,) or numbers: southwards and eastwards.
-    """
-    first, second, share = axes_along(values.shape[1], *np.broadcast_arrays(down, right, np.empty(len(values)))[:2])
-    each = np.arange(len(values))
-    low = values[each, first].astype(np.float64)
-    with np.errstate(invalid="ignore"):
-        between = low + share * (values[each, second] - low)
-    return np.where(np.isfinite(low), between, low)
-
-
-def axes_along(
-    axes: int, down: NDArray[np.floating], right: NDArray[np.floating]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
-    """Return the two axes that each of n directions lies between, and how far it is from the first, (n,) each."""
-    steep, north_east = np.abs(down) >= np.abs(right), down * right < 0.0
-    less, more = np.sort(np.abs([down, right]), axis=0)
-    t = np.divide(less, more, out=np.zeros(len(more)), where=more > 0.0)
-    straight, diagonal = np.where(steep, 0, 4), np.where(north_east, 2, 6)
-    between = np.where(steep, np.where(north_east, 1, 7), np.where(north_east, 3, 5))
-    near = t <= TAN
-    first, second = np.where(near, straight, between), np.where(near, between, diagonal)
-    share = np.where(near, t / TAN, (t - TAN) / (1.0 - TAN))
-    return (first, second, share) if axes > 1 else (0 * first, 0 * first, 0.0 * share)
+def as_costs(cost: NDArray[np.floating] | Costs) -> Costs:
+    """Return costs with what slopes add, nothing unless they have it, as kernels take them; see `as_cost`."""
+    if isinstance(cost, Costs):
+        tiles, gradient = as_cost(cost.tiles), np.ascontiguousarray(cost.gradient, np.float32)
+        return cost._replace(tiles=tiles, gradient=gradient)
+    return Costs(as_cost(cost), np.empty((0, 0, 2), np.float32), 0.0, 0.0, 0.0, math.inf)
 
 
 def as_margin(margin: float) -> float:
@@ -296,49 +271,50 @@ def wide_margin(margin: float) -> float:
     return min(_WIDER * least, 0.5 * (least + _MAX_MARGIN))
 
 
-def _as_line(cost: NDArray[np.floating], line: NDArray[np.floating]) -> Line:
+def _as_line(line: NDArray[np.floating]) -> Floats:
     """Return a line as kernels take it."""
     if line.ndim != 2 or line.shape[1] != 2 or not np.isfinite(line).all():
         raise ValueError(f"a line is (n, 2) finite field coordinates, not {line.shape}")
-    return Line(as_cost(cost), np.ascontiguousarray(line, np.float64))
+    return np.ascontiguousarray(line, np.float64)
 
 
-def trace(cost: NDArray[np.floating], line: NDArray[np.floating]) -> TracedLine:
+def trace(cost: NDArray[np.floating] | Costs, line: NDArray[np.floating]) -> TracedLine:
     """Cut a line at the borders of tiles.
 
     ``cost``: as `pull_tight`. It decides where a line runs along a border: there
     the dearer tile counts; ``line`` (n, 2): field coordinates of the corners, within the window. Raises ValueError: the
     line leaves the window.
     """
-    checked = _as_line(cost, line)
-    if line.size and ((line < 0.0) | (line > np.array(cost.shape[:2]))).any():
-        raise ValueError(f"the line leaves the window of {cost.shape[0]} x {cost.shape[1]} tiles")
-    room = int(np.abs(np.diff(np.floor(checked.points), axis=0)).sum()) + 3 * len(line)
+    costs, points = as_costs(cost), _as_line(line)
+    rows, cols = costs.tiles.shape[:2]
+    if line.size and ((line < 0.0) | (line > np.array([rows, cols]))).any():
+        raise ValueError(f"the line leaves the window of {rows} x {cols} tiles")
+    room = int(np.abs(np.diff(np.floor(points), axis=0)).sum()) + 3 * len(line)
     integers = np.empty((3, room), np.int64)
     pieces = Pieces(integers[0], integers[1], np.empty(room), integers[2], np.zeros(1, np.int64))
-    trace_line(checked, pieces)
+    trace_line(costs, points, pieces)
     count = int(pieces.pieces[0])
     return TracedLine(pieces.row[:count], pieces.col[:count], pieces.length[:count], pieces.part[:count])
 
 
-def line_cost(cost: NDArray[np.floating], line: NDArray[np.floating]) -> float:
+def line_cost(cost: NDArray[np.floating] | Costs, line: NDArray[np.floating]) -> float:
     """Return the exact integral of the cost along a line, in tiles; infinite if it crosses a closed tile.
 
     ``cost``: as `pull_tight`; ``line`` (n, 2): field coordinates of the corners.
     """
     out = np.empty(1)
-    sum_cost(_as_line(cost, line), out)
+    sum_cost(as_costs(cost), _as_line(line), out)
     return float(out[0])
 
 
-def is_clear(cost: NDArray[np.floating], line: NDArray[np.floating], margin: float = 0.0) -> bool:
+def is_clear(cost: NDArray[np.floating] | Costs, line: NDArray[np.floating], margin: float = 0.0) -> bool:
     """Say whether a line keeps a margin from all closed tiles; see the module for start and goal.
 
     ``cost`` (rows, cols): infinite where closed; ``line`` (n, 2): field coordinates of the corners; ``margin``: tiles,
     at least 0 and below 0.5.
     """
     out = np.empty(1, np.bool_)
-    check_clear(_as_line(cost, line), as_margin(margin), out)
+    check_clear(as_costs(cost), _as_line(line), as_margin(margin), out)
     return bool(out[0])
 
 
@@ -367,13 +343,14 @@ _LEAST_PART = 1e-3
 """No new corners on straight parts that are shorter, tiles."""
 
 
-def pull_tight(cost: NDArray[np.floating], line: Floats, margin: float = 0.0) -> Floats:
+def pull_tight(cost: NDArray[np.floating] | Costs, line: Floats, margin: float = 0.0) -> Floats:
     """Pull a line tight.
 
     Parameters
     ----------
-    cost : array (rows, cols) or (rows, cols, 8) float32
-        Cost per length, along each of ``AXES_DEG`` if it has them, at least 1; infinite where closed.
+    cost : array (rows, cols) or (rows, cols, 8) float32, or Costs
+        Cost per length, along each of ``AXES_DEG`` if it has them, at least 1; infinite where closed. Or with what
+        slopes add.
     line : array (n, 2) float64
         Field coordinates of a line that keeps the margin; see `bumpymap.route.straighten`.
     margin : float
@@ -389,15 +366,16 @@ def pull_tight(cost: NDArray[np.floating], line: Floats, margin: float = 0.0) ->
     ValueError
         The line has fewer than two corners, or crosses a closed tile.
     """
+    cost = as_costs(cost)
     given = line_cost(cost, line)
     if len(line) < 2 or not given < math.inf:
         raise ValueError(f"a line of {len(line)} corners that costs {given} cannot be pulled tight")
     kept = as_margin(margin) + _SPARE
-    tightening = Tightening(as_cost(cost), kept, _LEAST_MOVE * given, _WORTH * given, _LEAST_STEP)
-    best = _leave_out(tightening, np.ascontiguousarray(line, np.float64))
+    tightening = Tightening(kept, _LEAST_MOVE * given, _WORTH * given, _LEAST_STEP)
+    best = _leave_out(cost, tightening, np.ascontiguousarray(line, np.float64))
     total = line_cost(cost, best)
     for _ in range(_ROUNDS):
-        tried = _leave_out(tightening, _move(tightening, _with_new_corners(best)))
+        tried = _leave_out(cost, tightening, _move(cost, tightening, _with_new_corners(best)))
         reached = line_cost(cost, tried)
         gain = total - reached
         if gain > 0.0:
@@ -408,19 +386,18 @@ def pull_tight(cost: NDArray[np.floating], line: Floats, margin: float = 0.0) ->
 
 
 def thin_out(
-    cost: NDArray[np.floating], line: Floats, margin: float = 0.0, least_saving: float = LEAST_SAVING
+    cost: NDArray[np.floating] | Costs, line: Floats, margin: float = 0.0, least_saving: float = LEAST_SAVING
 ) -> Floats:
     """Leave out corners of a tight line that hardly save anything: of an arc round a corner a few are left.
 
     ``cost``, ``line``: as `pull_tight`; the line keeps more than the margin, or the arcs stay as they are; ``margin``:
     tiles, at least 0 and below 0.5; ``least_saving``: what a corner saves at least, tiles.
     """
-    kept = as_margin(margin) + _SPARE
-    thinning = Tightening(as_cost(cost), kept, 0.0, least_saving, _LEAST_STEP)
-    return _leave_out(thinning, np.ascontiguousarray(line, np.float64))
+    thinning = Tightening(as_margin(margin) + _SPARE, 0.0, least_saving, _LEAST_STEP)
+    return _leave_out(as_costs(cost), thinning, np.ascontiguousarray(line, np.float64))
 
 
-def off_borders(cost: NDArray[np.floating], line: Floats, margin: float = 0.0) -> Floats:
+def off_borders(cost: NDArray[np.floating] | Costs, line: Floats, margin: float = 0.0) -> Floats:
     """Move the corners of a line that lie on borders of tiles to the cheaper side.
 
     A line along a border costs what the dearer side does: there, the last bit of a coordinate would decide.
@@ -428,14 +405,14 @@ def off_borders(cost: NDArray[np.floating], line: Floats, margin: float = 0.0) -
     ``cost``, ``line``, ``margin``: as `pull_tight`.
     """
     moved = np.array(line, np.float64, order="C")
-    leave_borders(as_cost(cost), moved, _ON_BORDER, _OFF_BORDER)
+    leave_borders(as_costs(cost), moved, _ON_BORDER, _OFF_BORDER)
     return moved if is_clear(cost, moved, margin) and line_cost(cost, moved) < math.inf else line
 
 
-def _leave_out(tightening: Tightening, line: Floats) -> Floats:
+def _leave_out(cost: Costs, tightening: Tightening, line: Floats) -> Floats:
     """Leave out corners until none can be."""
     points, before = line.copy(), np.empty(len(line), np.int64)
-    leave_out(tightening, points, _SKIPPED, np.empty(len(line)), before)
+    leave_out(cost, tightening, points, _SKIPPED, np.empty(len(line)), before)
     return points[: before[0]]
 
 
@@ -450,8 +427,8 @@ def _with_new_corners(line: Floats) -> Floats:
     return np.ascontiguousarray(np.concatenate([points[wanted], line[-1:]]))
 
 
-def _move(tightening: Tightening, line: Floats) -> Floats:
+def _move(cost: Costs, tightening: Tightening, line: Floats) -> Floats:
     """Move corners."""
     corners = Corners(line.copy(), np.full(len(line), _FIRST_STEP), np.empty(len(line)), _DIRECTIONS)
-    move_corners(tightening, corners, _SWEEPS)
+    move_corners(cost, tightening, corners, _SWEEPS)
     return corners.points

@@ -44,7 +44,8 @@ def measure_straight_line(ground: CostGround, stops: NDArray[np.float64], best: 
     ends = np.cumsum(length)
     piece = np.minimum(np.searchsorted(ends, (np.arange(len(points)) + 0.5) * step), len(ends) - 1)
     closed = np.minimum(np.bincount(piece, ~ground.clear_at(points), len(ends)) * step, length)
-    closed[np.isinf(cost)] = length[np.isinf(cost)]
+    shut = np.isinf(cost) | pieces["across"]
+    closed[shut] = length[shut]
     is_closed, per_metre = closed > 0.0, np.where(np.isinf(cost), 1.0, cost)
     extra = (length - closed) * (per_metre - 1.0) + closed * TOUCHING
     # Closed tiles one after another are one stretch; any other tile is one of its own.
@@ -79,10 +80,12 @@ def _why(pieces: dict[str, NDArray[Any]], at: int, *, is_closed: bool) -> str:
     if math.isinf(cost):
         return BARRED_TEXT[Barred(barred)] if barred != Barred.NO else "outside the areas that may be used"
     if is_closed:
-        return "no room beside an obstacle"
+        return "across a slope steeper than the limit" if pieces["across"][at] else "no room beside an obstacle"
     if pieces["unknown"][at]:
         return BARRED_TEXT[Barred.UNKNOWN]
-    return f"rough ground, C_r {float(pieces['c_r'][at]):.3f} rad/m, {cost:.1f} m for each metre"
+    is_slope = 2.0 * float(pieces["slope"][at]) > cost - 1.0
+    kind = "slope" if is_slope else f"rough ground, C_r {float(pieces['c_r'][at]):.3f} rad/m"
+    return f"{kind}, {cost:.1f} m for each metre"
 
 
 def _words(

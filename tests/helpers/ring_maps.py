@@ -8,7 +8,6 @@ import numpy as np
 import rasterio
 from scenes import Place, ring, survey_scene
 from scipy.ndimage import distance_transform_edt
-from scipy.sparse import coo_array
 from skimage.graph import MCP_Geometric
 from small_surveys import write_las
 
@@ -91,7 +90,7 @@ class Yard:
                 is_open &= distance_transform_edt(is_open) * cell > 0.5 * site.vehicle.width_m
             step = rasterio.Affine(cell, 0.0, corner.c, 0.0, -cell, corner.f)
             found[name] = self.crossed(is_open, step)
-        places, _ = read_graph(site, layers.parent / "graph")
+        places = read_graph(site, layers.parent / "graph")
         far = np.abs(self.place.in_scene(*places.T)).max(axis=0)
         # All of its nodes are connected.
         found[TOOLS[4]] = bool((far < 0.5 * SIDE_M - 3.0).any() and (far > 0.5 * SIDE_M + 2.0).any())
@@ -115,16 +114,10 @@ class Yard:
 
 
 def read_graph(site, folder):
-    """Export a map as a graph of all its areas; return the places of the nodes, (n, 2), and their costs, (n, n)."""
+    """Export a map as a graph of all its areas; return the places of the nodes, (n, 2)."""
     export_map(site, folder, ExportSettings(to="graph", every=1, datum=(0.0, 0.0)))
-    places, edges = [], []
-    for feature in json.loads((folder / "graph.geojson").read_text())["features"]:
-        if feature["geometry"]["type"] == "Point":
-            places.append(feature["geometry"]["coordinates"])
-        else:
-            edges.append([feature["properties"][name] for name in ("startid", "endid", "cost")])
-    start, end, cost = np.array(edges).T
-    return np.array(places), coo_array((cost, (start.astype(int), end.astype(int))), (len(places),) * 2).tocsr()
+    places = [feature["geometry"] for feature in json.loads((folder / "graph.geojson").read_text())["features"]]
+    return np.array([place["coordinates"] for place in places if place["type"] == "Point"])
 
 
 def write_points(points, path):

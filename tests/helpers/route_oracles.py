@@ -8,6 +8,8 @@ import shapely
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from bumpymap.route._line_kernels import Costs
+
 
 def smooth_field(rng, shape, *, most=8.0, width=2, closed=0.0):
     """Costs from 1 to ``most``, smoothed over ``width`` tiles; the dearest share is closed."""
@@ -23,6 +25,12 @@ def smooth_field(rng, shape, *, most=8.0, width=2, closed=0.0):
 def by_heading(rng, cost):
     """The same field with a cost of its own along each axis."""
     return np.maximum(cost[..., None] * rng.uniform(0.5, 2.0, (*cost.shape, 8)), 1.0).astype(np.float32)
+
+
+def with_slope(rng, cost, climb=6.0, descent=2.0, steepest=0.25):
+    """The same field with slopes of up to a half or so."""
+    gradient = rng.normal(0.0, 0.15, (*cost.shape[:2], 2)).astype(np.float32)
+    return Costs(cost if cost.ndim == 3 else cost[..., None], gradient, climb, descent, 3.0, steepest)
 
 
 def crossed(row, col):
@@ -48,9 +56,15 @@ def near_tiles(row, col, margin):
 
 
 def along(cost, row, col):
-    """Costs of tiles in a direction: (rows, cols, 8) between two axes, by tangents against the nearer main axis."""
-    if cost.ndim == 2:
-        return cost
+    """Costs of tiles in a direction: (rows, cols, 8) between two axes, by tangents; and what slopes add to them."""
+    if isinstance(cost, tuple):
+        south, east = np.moveaxis(cost.gradient.astype(np.float64), -1, 0)
+        off, steep = np.arctan2(row, col) - np.arctan2(south, east), np.hypot(south, east)
+        rise, across = steep * np.cos(off), steep * np.abs(np.sin(off))
+        more = np.where(rise > 0.0, cost.climb, -cost.descent) * rise + cost.side * across
+        return along(cost.tiles, row, col) + np.where(across > cost.steepest, np.inf, more)
+    if cost.ndim == 2 or cost.shape[2] == 1:
+        return cost.reshape(cost.shape[:2])
     azimuth = np.degrees(np.arctan2(col, -row)) % 180.0
     lower, main = np.floor(azimuth / 22.5 + 1e-9), 90.0 * np.round(azimuth / 90.0)
     first, here, last = np.tan(np.radians(np.array([22.5 * lower, azimuth, 22.5 * (lower + 1)]) - main))
@@ -61,15 +75,16 @@ def along(cost, row, col):
 
 def move_graph(cost, moves, margin):
     """All moves of a window as a sparse graph; a move is there if no closed square is nearer than the margin."""
-    rows, cols = cost.shape[:2]
-    ring = np.full((rows + 10, cols + 10), np.inf)
+    is_open = np.isfinite(along(cost.tiles if isinstance(cost, tuple) else cost, 1, 0))
+    rows, cols = is_open.shape
+    ring, closed = np.full((rows + 10, cols + 10), np.inf), np.pad(~is_open, 5, constant_values=True)
     starts, ends, weights = [], [], []
-    i, j = np.nonzero(np.isfinite(along(cost, 1, 0)))
+    i, j = np.nonzero(is_open)
     for row, col in moves.tolist():
         ring[5:-5, 5:-5] = along(cost, row, col)
         total = np.hypot(row, col) * sum(share * ring[i + r + 5, j + c + 5] for (r, c), share in crossed(row, col))
         for r, c in near_tiles(row, col, margin):
-            total[np.isinf(ring[i + r + 5, j + c + 5])] = np.inf
+            total[closed[i + r + 5, j + c + 5]] = np.inf
         kept = np.isfinite(total)
         starts.append((i * cols + j)[kept])
         ends.append(((i + row) * cols + j + col)[kept])
@@ -80,8 +95,8 @@ def move_graph(cost, moves, margin):
 
 def reach_by_graph(cost, moves, margin, tile):
     """(rows, cols) cost from the middle of a tile to all others."""
-    graph = move_graph(cost, moves, margin)
-    return dijkstra(graph, indices=tile[0] * cost.shape[1] + tile[1]).reshape(cost.shape[:2])
+    rows, cols = (cost.tiles if isinstance(cost, tuple) else cost).shape[:2]
+    return dijkstra(move_graph(cost, moves, margin), indices=tile[0] * cols + tile[1]).reshape(rows, cols)
 
 
 def closed_squares(cost):

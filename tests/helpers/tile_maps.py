@@ -7,6 +7,7 @@ from pyproj import CRS
 from scipy.ndimage import distance_transform_edt
 
 from bumpymap.core import NO_TILE, OBSTACLE, Barred, CostRule, Georeference, RouteVehicle, TileField
+from bumpymap.layers import MapReader
 from bumpytiles import Grid, TileWindow
 
 GRID = Grid()
@@ -113,6 +114,8 @@ class TileMap:
 
     def passage(self, window):
         return where_it_fits(self, window)
+
+    gradient = MapReader.gradient
 
     def heights(self, window):
         pixel = self.grid.tile_size / self.grid.pixels

@@ -10,6 +10,9 @@ All edges are straight lines over free pixels. The line between the middles of t
 inside the two: it crosses that side within the smaller square. Where the line between two areas that touch is not free,
 the edge gets bends, which are nodes of their own. So two areas are joined in the graph exactly where they touch, and
 thinning never cuts off ground that can be reached.
+
+Where the map knows the ride by heading, or slopes cost, each direction of an edge has its own cost: the integral of
+what a metre costs in this direction. An edge in a direction that is barred is left out.
 """
 
 import json
@@ -26,13 +29,24 @@ from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from bumpymap.core import OPEN_THROUGH, BadInputError, atomic, corners_join
+from bumpymap.core import (
+    AXES_DEG,
+    OPEN_THROUGH,
+    BadInputError,
+    DirectionSettings,
+    atomic,
+    axes_along,
+    by_mean,
+    corners_join,
+    slope_cost,
+)
 from bumpymap.views.export.area import FRAME, ExportArea, by_pixel
-from bumpymap.views.export.settings import NodeSquare
+from bumpymap.views.export.settings import ExportSettings, NodeSquare
 from bumpytiles import TileWindow
 
 __all__ = [
     "SQUARES",
+    "Directions",
     "FreeGround",
     "Lattice",
     "join",
@@ -46,8 +60,17 @@ _CHUNK, _PART = 4_000_000, 4096
 """Crossings of lines with borders of cells that are held at once, and lines."""
 
 
+Along = Callable[[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]], NDArray[np.float64]]
+"""Gives the factor on rows and columns of cells, (n, k) each, along lines of so many rows and columns, (n, 2)."""
+
+
 def line_cost(
-    factor: NDArray[np.floating], start: NDArray[np.integer], stop: NDArray[np.integer], *, corners: bool = False
+    factor: NDArray[np.floating],
+    start: NDArray[np.integer],
+    stop: NDArray[np.integer],
+    *,
+    corners: bool = False,
+    along: Along | None = None,
 ) -> NDArray[np.float64]:
     """Integrate a factor along straight lines from cell centre to cell centre.
 
@@ -62,6 +85,8 @@ def line_cost(
         Row and column of the cells.
     corners : bool
         Lines at 45 degrees, which go from corner to corner, may slip between two closed cells.
+    along : callable, optional
+        Gives the factor by direction.
 
     Returns
     -------
@@ -75,13 +100,17 @@ def line_cost(
     while first < len(order):  # the longest line of a part sets how much memory it takes
         step = max(1, _CHUNK // (2 * int(spans[order[min(first + _PART, len(order)) - 1]]) + 2))
         part = order[first : first + min(step, _PART)]
-        cost[part] = _integrate(factor, start[part], stop[part], corners=corners)
+        cost[part] = _integrate(factor, start[part], stop[part], corners, along)
         first += len(part)
     return cost
 
 
 def _integrate(
-    factor: NDArray[np.floating], start: NDArray[np.integer], stop: NDArray[np.integer], *, corners: bool
+    factor: NDArray[np.floating],
+    start: NDArray[np.integer],
+    stop: NDArray[np.integer],
+    corners: bool,
+    along: Along | None,
 ) -> NDArray[np.float64]:
     """Cut each line where it crosses a border, as share of its length, and sum up its pieces.
 
@@ -105,7 +134,8 @@ def _integrate(
         np.minimum(np.floor(axis).astype(np.int64), size - 1) for axis, size in zip(place, factor.shape, strict=True)
     )
     # One by one, so that the zeros that fill short lines change no bit.
-    cost = np.cumsum(np.where(length > 0.0, factor[row, col], 0.0) * length, axis=1)[:, -1]
+    each = factor[row, col] if along is None else along(row, col, move)
+    cost = np.cumsum(np.where(length > 0.0, each, 0.0) * length, axis=1)[:, -1]
     cost[line[~np.isfinite(np.stack(around)).all(axis=0)]] = np.inf
     return cost
 
@@ -129,6 +159,51 @@ _STEPS = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, -1), (-1, 1))
 
 
 @dataclass(frozen=True, slots=True)
+class Directions:
+    """Costs of a metre on the tiles of a window by its direction."""
+
+    settings: DirectionSettings
+    pixels: int
+    """Pixels along a side of a tile."""
+    by_axis: NDArray[np.floating]
+    """(rows, cols, axes) cost per unit of length, of one axis or along those of ``AXES_DEG``."""
+    gradient: NDArray[np.float32] | None
+    """(rows, cols, 2) rise per length southwards and eastwards; None if slopes cost nothing."""
+
+    def along(
+        self, row: NDArray[np.int64], col: NDArray[np.int64], move: NDArray[np.int64]
+    ) -> NDArray[np.float64]:  # fmt: skip
+        """Return the factor on pixels along lines; see `Along`. It is infinite where the direction is barred."""
+        at = row // self.pixels, col // self.pixels
+        *axes, share = (each[:, None] for each in axes_along(self.by_axis.shape[2], *move.T))
+        first, second = (self.by_axis[(*at, axis)].astype(np.float64) for axis in axes)
+        factor = first + share * (second - first)
+        if self.gradient is not None:
+            down, right = (np.broadcast_to(part[:, None], row.shape).ravel() for part in move.T)
+            more, barred = slope_cost(self.settings, self.gradient[at].reshape(-1, 2), down, right)
+            factor += np.where(barred, np.inf, more).reshape(row.shape)
+        return np.asarray(factor, np.float64)
+
+    def costs(self, start: NDArray[np.int64], stop: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Integrate the cost along straight lines between middles of pixels over free ground, (n, 2) of the window."""
+        rows, cols, _ = self.by_axis.shape
+        free = np.broadcast_to(1.0, (rows * self.pixels, cols * self.pixels))
+        return line_cost(free, start, stop, along=self.along)
+
+    def dearest(self, factor: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return what tells tiles apart that are alike in ``factor``, (rows, cols): slopes, and whether they bar."""
+        if self.gradient is None:
+            return factor
+        steep, weights = np.hypot(*np.moveaxis(self.gradient, 2, 0)), self.settings
+        most = factor + max(weights.climb, weights.descent, weights.side_slope) * steep
+        return np.asarray(np.where(steep > weights.steepest, _BARRING * most, most), np.float64)
+
+
+_BARRING = 100.0
+"""Tiles on which directions are barred share no square with others: they are told as so many times dearer."""
+
+
+@dataclass(frozen=True, slots=True)
 class FreeGround:
     """The tiles of a window, what a metre costs on them, and on which of their pixels the vehicle can be."""
 
@@ -140,6 +215,8 @@ class FreeGround:
     """Gives the free pixels of some rows and columns of tiles, (rows * pixels, cols * pixels)."""
     joins_corners: bool = False
     """True if the vehicle can go from one free pixel to another that touches it at a corner alone."""
+    directions: Directions | None = None
+    """Cost by direction; None: alike in all."""
 
     def costs(self, rows: slice, cols: slice) -> NDArray[np.float32]:
         """Return the cost of each pixel of some rows and columns of tiles; inf where closed."""
@@ -296,7 +373,9 @@ class Lattice:
     second: NDArray[np.int64]
     """(m,) at the other end."""
     cost: NDArray[np.float64]
-    """(m,) cost of the straight line between them, in sides of a pixel; the same in both directions."""
+    """(m,) cost of the straight line from the first to the second, in sides of a pixel."""
+    back: NDArray[np.float64]
+    """(m,) the same from the second to the first."""
     tiles_left_out: int
     """Free ground that is not connected with the largest part and was left out, in tiles."""
 
@@ -360,7 +439,7 @@ class _Nodes:
         is_full = areas.size == pixels**2
         factor = np.full(ground.factor.shape, np.inf)
         at = tuple(areas.tile[is_full].T)
-        factor[at] = ground.factor[at]
+        factor[at] = (ground.factor if ground.directions is None else ground.directions.dearest(ground.factor))[at]
         tile, side, number = _squares(factor, largest, origin)
         middle = tile * pixels + (pixels - 1) // 2
         of_area = np.empty(len(is_full), np.int64)
@@ -373,7 +452,8 @@ class _Nodes:
 def join(ground: FreeGround, nodes: _Nodes) -> Lattice:
     """Join nodes, from `thin`, by edges where a straight line crosses only free pixels.
 
-    Only the connected part with most ground is kept: from each of its nodes there is a way to every other.
+    Lines in barred directions are left out. Only the connected part with most ground is kept: from each of its nodes
+    there is a way to every other.
     """
     count, squares = len(nodes.place), len(nodes.side)
     pair = nodes.of_area[nodes.areas.pair]
@@ -391,7 +471,15 @@ def join(ground: FreeGround, nodes: _Nodes) -> Lattice:
         place.append(bends)
         ends.append(np.column_stack([numbers[:-1], numbers[1:]]))
         costs.append(part)
-    return _largest_part(np.concatenate(place), nodes, np.concatenate(ends), np.concatenate(costs), ground.pixels)
+    places, joined, cost = np.concatenate(place), np.concatenate(ends), np.concatenate(costs)
+    both = np.stack([cost, cost], axis=1)
+    if ground.directions is not None:
+        lines = places[joined]
+        both = np.stack([ground.directions.costs(lines[:, 0], lines[:, 1])] * 2, axis=1)
+        if not ground.directions.settings.same_back:
+            both[:, 1] = ground.directions.costs(lines[:, 1], lines[:, 0])
+        joined, both = joined[np.isfinite(both[:, 0])], both[np.isfinite(both[:, 0])]  # barred there, barred back
+    return _largest_part(places, nodes, joined, both, ground.pixels)
 
 
 def _two_apart(joined: NDArray[np.int64], nodes: _Nodes, limit_px: int) -> NDArray[np.int64]:
@@ -472,9 +560,9 @@ class _Detours:
 
 
 def _largest_part(
-    place: NDArray[np.int64], nodes: _Nodes, ends: NDArray[np.int64], cost: NDArray[np.float64], pixels: int
+    place: NDArray[np.int64], nodes: _Nodes, ends: NDArray[np.int64], both: NDArray[np.float64], pixels: int
 ) -> Lattice:
-    """Leave out what is not connected with the largest part."""
+    """Leave out what is not connected with the largest part; ``both`` (m, 2) are costs there and back."""
     count, bends = len(place), len(place) - len(nodes.size)
     size = np.append(nodes.size, np.zeros(bends, np.int64))
     side = np.append(nodes.side, np.zeros(count - len(nodes.side), np.int64))
@@ -491,7 +579,8 @@ def _largest_part(
         size[kept],
         first,
         second,
-        cost[inside],
+        both[inside, 0],
+        both[inside, 1],
         tiles_left_out=round(float(size[~kept].sum()) / pixels**2),
     )
 
@@ -514,39 +603,47 @@ _MAX_TILES = 9_000_000
 _USUAL_NODES, _MAX_NODES = 5_000, 100_000
 
 
-def make_graph(area: ExportArea, every: int | None) -> tuple[Lattice, int]:
+def make_graph(area: ExportArea, settings: ExportSettings) -> tuple[Lattice, int]:
     """Thin the free ground of an area to a graph; return it, and the side of its largest squares, tiles.
 
     Parameters
     ----------
     area : ExportArea
         With one cell a tile.
-    every : int, optional
-        Side of the largest squares that hold one node each, one of ``SQUARES``; else the smallest that gives at most
-        5,000 nodes, or 27.
+    settings : ExportSettings
+        ``every``: side of the largest squares that hold one node each, one of ``SQUARES``; if None, the smallest that
+        gives at most 5,000 nodes, or 27. And what direction costs.
 
     Raises
     ------
     BadInputError
         The area is too large, holds no two free areas that are connected, or gives too many nodes.
     """
-    window = area.window
+    window, route_map = area.window, area.route_map
     if window.cols * window.rows > _MAX_TILES:
         raise BadInputError(
             f"the area has {window.cols * window.rows:,} tiles; a graph is made of {_MAX_TILES:,} at most. "
             "Crop it with `around` and `radius`"
         )
-    factor = np.empty(area.shape)
+    factor, by_heading = np.empty(area.shape), settings.direction and route_map.has_headings
+    by_axis = np.empty((*area.shape, len(AXES_DEG)), np.float32) if by_heading else factor[..., None]
     for part, lines in area.strips():
-        field = area.route_map.read(part, ("c_r", "p_fail"))
-        cost = field.rule.cost(field.c_r.astype(np.float64), field.rule.hazard(field.p_fail))
+        field = route_map.read(part, ("c_r", "p_fail"))
+        hazard = field.rule.hazard(field.p_fail)
+        cost = field.rule.cost(field.c_r.astype(np.float64), hazard)
         factor[lines] = np.where(np.isin(field.barred, OPEN_THROUGH) & np.isfinite(cost), cost, np.inf)
+        if by_heading:
+            c_r = field.c_r[..., None] * by_mean(route_map.headings(part), field.c_r)
+            by_axis[lines] = field.rule.cost(c_r, hazard[..., None])
+    gradient = route_map.gradient(window) if settings.knows_slope else None
+    directions = Directions(settings, route_map.grid.pixels, by_axis, gradient)
     origin = (-(window.row + window.rows), window.col)  # both grow along the array: squares keep their place on Earth
-    with area.route_map.kept_open():
-        vehicle, grid = area.route_map.vehicle, area.route_map.grid
+    with route_map.kept_open():
+        vehicle, grid, is_directed = route_map.vehicle, route_map.grid, by_heading or settings.knows_slope
         corners = corners_join(vehicle.width_m, vehicle.reach_m, grid.pixel_size)
-        ground = FreeGround(factor, grid.pixels, partial(_free_pixels, area), corners)
-        every, nodes = thin(ground, every, origin)
+        free = partial(_free_pixels, area)
+        ground = FreeGround(factor, grid.pixels, free, corners, directions if is_directed else None)
+        every, nodes = thin(ground, settings.every, origin)
         if len(nodes.place) > _MAX_NODES:
             larger = f"Pass a larger one, up to {SQUARES[-1]}, or crop" if every < SQUARES[-1] else "Crop"
             raise BadInputError(
@@ -577,7 +674,7 @@ def thin(ground: FreeGround, every: int | None, origin: tuple[int, int]) -> tupl
     ----------
     ground : FreeGround
     every : int, optional
-        As in `make_graph`.
+        As ``settings.every`` of `make_graph`.
     origin : (int, int)
         Position of the first row and column of tiles in the grid of squares: crops of one map share their squares.
     """
@@ -623,10 +720,10 @@ def _features(area: ExportArea, lattice: Lattice) -> Iterator[dict[str, Any]]:
         about = {"kind": "square" if side else "area" if pixels else "bend", "tiles": side, "pixels": pixels}
         properties = {"id": number, "frame": FRAME, "metadata": about}
         yield {"type": "Feature", "properties": properties, "geometry": geometry}
-    ends = zip(lattice.first.tolist(), lattice.second.tolist(), (lattice.cost * size).tolist(), strict=True)
+    costs = np.stack([lattice.cost, lattice.back], axis=1) * size
     number = len(x)
-    for first, second, cost in ends:
-        for start, end in ((first, second), (second, first)):
+    for first, second, both in zip(lattice.first.tolist(), lattice.second.tolist(), costs.tolist(), strict=True):
+        for start, end, cost in zip((first, second), (second, first), both, strict=True):
             properties = {"id": number, "startid": start, "endid": end, "cost": cost, "overridable": False}
             line = [[[x[start], y[start]], [x[end], y[end]]]]
             geometry = {"type": "MultiLineString", "coordinates": line}

@@ -5,7 +5,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Annotated, Literal
 
-from bumpymap.core import Setting, UsageError, check_settings
+from bumpymap.core import DirectionSettings, Setting, UsageError, check_settings
 
 __all__ = ["ExportFormat", "ExportResolution", "ExportSettings", "NodeSquare"]
 
@@ -18,8 +18,8 @@ NodeSquare = Literal[1, 3, 9, 27]
 
 
 @dataclass(frozen=True, slots=True)
-class ExportSettings:
-    """Settings of an export."""
+class ExportSettings(DirectionSettings):
+    """Settings of an export; what it takes from `bumpymap.core.DirectionSettings` is for graphs."""
 
     to: Annotated[ExportFormat, Setting("Format; see above", "FORMAT", default="", group="Output")] = "nav2"
     around: tuple[float, float] | None = None

@@ -304,7 +304,7 @@ def _made(area: ExportArea, settings: ExportSettings) -> Callable[[Path], dict[s
             layers = make_layers(area)
             return lambda folder: write_gridmap(folder, area, layers)
         case "graph":
-            lattice, every = make_graph(area, settings.every)
+            lattice, every = make_graph(area, settings)
             return lambda folder: write_graph(folder, area, lattice, every)
         case "plan":
             return _plan(area.route_map, settings)
