@@ -179,7 +179,7 @@ def open_regular(path: Path, flags: int = 0) -> BinaryIO:
     OSError
         It cannot be read, or is a pipe or a device: that might never end. ``strerror`` says so.
     """
-    more = flags | getattr(os, "O_NONBLOCK", 0)
+    more = flags | os.O_NONBLOCK
     file = open(path, "rb", opener=lambda name, own: os.open(name, own | more))  # noqa: SIM115
     if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
         file.close()
@@ -399,8 +399,6 @@ def _sync(path: Path) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    if os.name != "posix":  # elsewhere a folder cannot be opened
-        return
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

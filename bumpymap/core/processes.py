@@ -44,7 +44,6 @@ __all__ = [
     "SharedBytes",
     "SharedMemory",
     "allocate_shared",
-    "can_start_children",
     "module_folder",
     "trim_shared",
 ]
@@ -159,11 +158,6 @@ def trim_shared() -> None:
     MEMORY.trim()
 
 
-def can_start_children() -> bool:
-    """Return whether child processes can be started: not on Windows, and not from a frozen program."""
-    return os.name == "posix" and bool(sys.executable) and not getattr(sys, "frozen", False)
-
-
 def module_folder(module: str) -> str:
     """Return the folder that a module or package is imported from; raise UsageError if it is not installed."""
     found = find_spec(module)
@@ -205,8 +199,6 @@ class Child:
         folders: Sequence[str] | None = None,
         environment: Mapping[str, str] | None = None,
     ) -> None:
-        if not can_start_children():
-            raise UsageError(f"cannot start a process {purpose} on this system or from a frozen program")
         isolated = folders is not None
         output = subprocess.DEVNULL if isolated else None
         self.link, theirs = Pipe()
@@ -411,5 +403,4 @@ def _abandon_children() -> None:
         child.abandon()
 
 
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_abandon_children)
+os.register_at_fork(after_in_child=_abandon_children)

@@ -209,7 +209,7 @@ def version_of(location: Location) -> Version:
         if not isinstance(location, str):
             _refuse_special(location)
             # Opening makes a network file system ask its server, which stat alone may not do.
-            descriptor = os.open(location, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+            descriptor = os.open(location, os.O_RDONLY | os.O_NONBLOCK)
             try:
                 found = os.fstat(descriptor)
             finally:

@@ -228,7 +228,6 @@ ALONE = {
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(os.name != "posix", reason="file size limits are a POSIX thing")
 @pytest.mark.parametrize("missing", ["half", "1 byte"])
 @pytest.mark.parametrize("small", [True, False])
 @pytest.mark.parametrize("product", ALONE)

@@ -124,5 +124,4 @@ def _start() -> Child:
     return Child("for the cloth simulation filter", "_cloth_child", folders, _ONE_THREAD)
 
 
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=idle.clear)
+os.register_at_fork(after_in_child=idle.clear)
