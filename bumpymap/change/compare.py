@@ -186,7 +186,7 @@ class CommonError:
 
     @classmethod
     def of(cls, manifest: Mapping[str, Any]) -> "CommonError":
-        """Read what run.json says of the calibration; of earlier versions it says nothing."""
+        """Read what run.json says of the calibration."""
         known = manifest.get("calibration")
         found = known if isinstance(known, Mapping) else {}
         return cls(*(_number(found.get(name)) for name in ("model_error", "floor_radpm")))

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import NO_SHEETS, PATH, Run, job, settings_options
+from bumpymap.cli._options import PATH, Run, job, settings_options
 from bumpymap.cli._progress import CommandProgress
 from bumpymap.cli._text import as_options, interrupt_note
 from bumpymap.core import CLASHES, MapConfig, count_text, override_settings
@@ -35,7 +35,6 @@ _MOST_LISTED = 20
         memory="Memory, shared by --jobs",
         overwrite="Replace layers of other inputs or settings",
     ),
-    [NO_SHEETS],
     owners=(MapConfig,),
     clashes=CLASHES,
 )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import PATH, Run, gone_option, grouped_option, job
+from bumpymap.cli._options import PATH, Run, grouped_option, job
 from bumpymap.cli._text import print_line
 from bumpymap.core import BadInputError, MapConfig, OutputError, UsageError, atomic, settings_template
 
@@ -42,7 +42,7 @@ def compile_command(run: Run) -> None:
         raise OutputError(f"the compiled kernels cannot be kept. Set NUMBA_CACHE_DIR to {folder}")
 
 
-@job("demo", [gone_option("--survey", "map your own with: bumpymap map FILE --out DIR")])
+@job("demo")
 @grouped_option(
     "--out",
     group="Output",
@@ -82,7 +82,7 @@ def _copy_sample(survey: Path) -> Path:
     return survey
 
 
-@job("report", [gone_option("--check", "open check.html, which bumpymap check leaves")])
+@job("report")
 @click.argument("layers", type=PATH, metavar="LAYERS")
 @grouped_option("--out", group="Output", type=PATH, metavar="FILE", help="File to write [LAYERS/report.html].")
 @grouped_option(

@@ -475,18 +475,8 @@ def refuse_unknown(given: Iterable[str], known: Collection[str], function: str) 
         raise UsageError(f"{function}: {_unknown_text(unknown, known)}")
 
 
-_GONE = {
-    "resume": "the same run continues an interrupted one: leave it out",
-    "compare": "plan once on the layers of each vehicle",
-}
-"""Settings that there were, and what to do instead."""
-
-
 def _unknown_text(unknown: list[str], known: Collection[str]) -> str:
     from difflib import get_close_matches
-
-    if unknown[0] in _GONE:
-        return f"{unknown[0]} is no setting any more: {_GONE[unknown[0]]}"
 
     near = get_close_matches(unknown[0][:_LONGEST_NAME], known, 1)
     meant = f". Did you mean {near[0]}?" if near else ""

@@ -89,7 +89,6 @@ _SHAPE: dict[str, Any] = PLACE_SHAPE | {
     },
 }
 _VERSION = 2
-"""1: all files of a map lay at the top of its folder."""
 _PACKAGES = (
     "bumpymap", "laspy", "lazrs", "numba", "numpy", "onnxruntime", "pyarrow", "pyogrio", "pypcd4", "pyproj",
     "rasterio", "scipy", "shapely",
@@ -297,9 +296,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         hint = f"The map of this drive is in {folder / 'map'}" if is_scan else remedy
         raise BadInputError(f"{folder} holds no complete run: {MANIFEST_NAME} is missing or not that of a map. {hint}")
     if (record["format"], record.get("version")) != (MANIFEST_FORMAT, _VERSION):
-        raise BadInputError(
-            f"{folder} holds a map of another version of bumpymap, with its files in other places. Map the survey again"
-        )
+        raise BadInputError(f"{folder} holds a map of another version of bumpymap. Map the survey again")
     if fault := shape_fault(record, _SHAPE):
         raise BadInputError(f"{folder / MANIFEST_NAME} is damaged: {fault}. Map the survey again")
     return record

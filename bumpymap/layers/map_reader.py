@@ -362,7 +362,7 @@ def open_map(folder: str | os.PathLike[str]) -> MapReader:
     Raises
     ------
     BadInputError
-        The folder holds no complete run, or one of an earlier version; or a raster is missing, cut off, or does not
+        The folder holds no complete run, or one of another version; or a raster is missing, cut off, or does not
         fit to the others.
     """
     folder, rasters = Path(folder), _kept_rasters()
@@ -412,7 +412,7 @@ def _numbers(path: Path, file: "DatasetReader", bands: Sequence[str]) -> list[in
     names = file.descriptions
     missing = [band for band in bands if band not in names]
     if missing:
-        raise BadInputError(f"{path} has no band {missing[0]}: it was made by an earlier version. {_AGAIN}")
+        raise BadInputError(f"{path} has no band {missing[0]}. {_AGAIN}")
     return [names.index(band) + 1 for band in bands]
 
 
@@ -455,12 +455,7 @@ def _window_of(folder: Path, name: MapFile, grid: Grid, georeference: Georeferen
 
 
 def _vehicle(folder: Path, manifest: Mapping[str, Any]) -> RouteVehicle:
-    vehicle = manifest.get("vehicle")
-    if vehicle is None:
-        raise BadInputError(
-            f"{folder} was made by an earlier version, which did not store the width and speed of the vehicle. Map the "
-            "survey again, with `overwrite=True` to replace these layers"
-        )
+    vehicle: Any = manifest.get("vehicle")
     if fault := shape_fault(vehicle, _VEHICLE, "vehicle"):
         raise BadInputError(f"{folder / 'run.json'} is damaged: {fault}. {_AGAIN}")
     return RouteVehicle(vehicle["name"], float(vehicle["width_m"]), float(vehicle["speed_mps"]))

@@ -34,7 +34,7 @@ from bumpymap.core import (
 )
 from bumpymap.layers.colours import CLASS_COLOURS
 from bumpymap.layers.manifest import MANIFEST_NAME, describe_file, describe_input, software_versions, write_manifest
-from bumpymap.layers.products import every_file, make_folder
+from bumpymap.layers.products import EVERY_FILE, make_folder
 
 __all__ = [
     "ACCUMULATED_NAME",
@@ -414,7 +414,7 @@ def remove_stale_products(folder: Path, kept: Sequence[str]) -> None:
         if name in kept or not lexists(folder / name):
             continue
         if name == MAP_FOLDER and not (folder / name).is_symlink():
-            with write_together(folder / name, MANIFEST_NAME, every_file(folder / name)):
+            with write_together(folder / name, MANIFEST_NAME, EVERY_FILE):
                 pass  # none of these files is written again
             with suppress(OSError):  # a folder with other files in it stays
                 (folder / name).rmdir()

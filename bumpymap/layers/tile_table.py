@@ -209,13 +209,13 @@ def read_tiles(path: Path, tiles: int) -> Iterator[dict[str, NDArray[Any]]]:
     Raises
     ------
     BadInputError
-        The file is missing, damaged, of an earlier version, not of this run, or does not fit into memory.
+        The file is missing, damaged, not of this run, or does not fit into memory.
     """
     try:
         with pq.ParquetFile(path, read_dictionary=["barred"]) as file:
             missing = set(_READ) - set(file.schema_arrow.names)
             if missing:
-                raise BadInputError(f"{path} has no column {min(missing)}: an earlier version wrote it. {_AGAIN}")
+                raise BadInputError(f"{path} has no column {min(missing)}. {_AGAIN}")
             _require_rows(path, file.metadata, tiles)
             for group in range(file.num_row_groups):
                 _require_memory(path, file.metadata, [group], _READ)

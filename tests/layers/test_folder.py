@@ -136,21 +136,6 @@ def test_scratch_of_a_killed_run_goes_and_nothing_else(tmp_path):
     assert texts_in(tmp_path) == mine
 
 
-def test_a_map_of_the_first_version_is_replaced_whole(tmp_path, cost_map):
-    """It had all files at the top; a file that is not its own stays."""
-    paths, _ = write(cost_map, tmp_path)
-    whole = files_in(tmp_path)
-    for path in paths[0].parent.iterdir():
-        path.rename(tmp_path / path.name)
-    record = json.loads((tmp_path / "run.json").read_text()) | {"version": 1}
-    (tmp_path / "run.json").write_text(json.dumps(record))
-    (tmp_path / "rasters" / "mine.tif").write_text("mine")
-    check_folder(tmp_path, overwrite=True)
-    write(cost_map, tmp_path)
-    assert {path.name for path in tmp_path.iterdir()} == TOP
-    assert set(files_in(tmp_path)) == {*whole, "rasters/mine.tif"}
-
-
 def test_a_folder_of_rasters_that_is_a_link_is_refused(tmp_path, cost_map):
     out, mine = tmp_path / "out", tmp_path / "mine"
     fill(tmp_path, {"mine/class.tif": "mine"})

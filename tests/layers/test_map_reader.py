@@ -151,12 +151,6 @@ def small(make_field, tmp_path_factory):
     return write_folder(tmp_path_factory.mktemp("route") / "small", make_field(20, 16, grid=SMALL))
 
 
-def first_version(folder):
-    """It had all files at the top."""
-    for path in (folder / "rasters").iterdir():
-        path.rename(folder / path.name)
-
-
 def in_sheets(folder):
     (folder / "run.json").write_text(json.dumps({"format": "bumpymap-sheets", "sheets": []}))
 
@@ -168,7 +162,6 @@ def in_sheets(folder):
         (rmtree, {}, "there is no folder"),
         *((lambda _: None, {key: {"a": 1}}, r"run\.json is damaged") for key in ("grid", "files", "crs")),
         (in_sheets, {}, r"layers holds a map of another version.*Map the survey again"),
-        (first_version, {"version": 1}, r"layers holds a map of another version.*other places.*again"),
     ],
 )
 def test_what_is_no_complete_run_of_this_version_is_refused(small, tmp_path, change, entries, words):
