@@ -102,4 +102,4 @@ def _lines(result: "BatchResult", out: Path) -> Iterator[str]:
     yield from lines[:_MOST_LISTED]
     if len(lines) > _MOST_LISTED:
         yield (f"  and {len(lines) - _MOST_LISTED} more")
-    yield (f"Look at {out}/index.html; the table is summary.csv, events are in log.jsonl")
+    yield (f"Look at {out}/index.html; the table is summary.csv")
