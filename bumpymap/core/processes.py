@@ -228,16 +228,9 @@ class Child:
         """True while the process is running."""
         return self.process.poll() is None
 
-    def call(
-        self,
-        function: str,
-        *arguments: Any,
-        shared: Sequence[SharedBytes] = (),
-        seconds: float = 0.0,
-        memory: int = 0,
-    ) -> Any:
+    def call(self, function: str, *arguments: Any, **limits: Any) -> Any:
         """Call a function in the child and return its result; see `begin` for the parameters."""
-        self.begin(function, *arguments, shared=shared, seconds=seconds, memory=memory)
+        self.begin(function, *arguments, **limits)
         return self.finish()
 
     def begin(
@@ -328,14 +321,7 @@ class Guard:
         self.child: Child | None = None
         """The process, once there is one."""
 
-    def call(
-        self,
-        function: str,
-        *arguments: Any,
-        shared: Sequence[SharedBytes] = (),
-        seconds: float = 0.0,
-        memory: int = 0,
-    ) -> Any:
+    def call(self, function: str, *arguments: Any, **limits: Any) -> Any:
         """Call a function in the child and return its result; see `Child.begin` for the parameters.
 
         Raises
@@ -346,7 +332,7 @@ class Guard:
             The child cannot be started, or was killed.
         """
         try:
-            return self.live_child().call(function, *arguments, shared=shared, seconds=seconds, memory=memory)
+            return self.live_child().call(function, *arguments, **limits)
         except ChildError as error:
             raise DecoderError(str(error)) from error
         except ChildDiedError as error:
