@@ -462,18 +462,6 @@ class CostMap:
         names = [column.name for column in rated_columns(self.patches.grid.pixels) if column.name not in own]
         return {name: self.band(name) for name in names} | own
 
-    def lone_columns(self) -> dict[str, NDArray[Any]]:
-        """Return the columns of `tile_columns`, each tile judged without its neighbours: no step is known."""
-        columns = self.columns()
-        unknown = np.full(len(self.class_id), np.nan, np.float32)
-        columns |= dict.fromkeys(("edge_step", "inner_step", *(f"step_{side}" for side in SIDES)), unknown)
-        columns["barred"] = self.rule.barred(columns)
-        columns["passable"] = (columns["barred"] == Barred.NO).astype(np.uint8)
-        columns["passage"] = np.where(
-            np.isin(columns["objects"], (OBSTACLE, UNSEEN)), np.uint8(0), columns["passable"][:, None, None]
-        )
-        return columns
-
 
 @dataclass(frozen=True, slots=True)
 class CostTable:
@@ -486,12 +474,6 @@ class CostTable:
     """Columns of `tile_columns`."""
     speeds: tuple[float, ...] = ()
     """Speeds besides that of the map, m/s."""
-
-    @classmethod
-    def of(cls, cost_map: CostMap) -> "CostTable":
-        """Return the table of a map in memory (at least one tile), each tile judged without its neighbours."""
-        tiles = TileTable.of(cost_map.patches.grid, cost_map.lone_columns())
-        return cls(cost_map.georeference, cost_map.rule, tiles)
 
 
 def rated_columns(pixels: int, speeds: int = 0, *, headings: bool = False) -> tuple[Column, ...]:

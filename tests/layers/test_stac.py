@@ -11,11 +11,12 @@ import pystac
 import pytest
 import rasterio
 import shapely
+from cost_maps import table_of
 from pyproj import CRS, Transformer
 from small_surveys import files_in
 from stac_check import faults
 
-from bumpymap.core.types import CostTable, Georeference
+from bumpymap.core.types import Georeference
 from bumpymap.layers import write_catalog, write_products
 from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.layers.stac import write_item
@@ -36,7 +37,7 @@ def item_of(folder):
 
 def write(cost_map, folder, *, local=False, **entries):
     folder.mkdir()
-    write_products(CostTable.of(cost_map), folder, views=write_map_views, local=local, manifest=RUN | entries)
+    write_products(table_of(cost_map), folder, views=write_map_views, local=local, manifest=RUN | entries)
     return folder
 
 
