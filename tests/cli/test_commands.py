@@ -75,7 +75,6 @@ REFUSED = [
     (2, "map a.laz --out OUT --set pixels", "give KEY=VALUE"),
     (2, "map a.laz --out OUT --set pixels=a", "pixels is 'a'; it must be a whole number from 3 to 255"),
     (2, "map a.laz --out OUT --set csf.rigidness=4", "csf.rigidness is 4; it must be a whole number from 1 to 3"),
-    (2, "map a.laz --out OUT --set resume=true", "the same run continues an interrupted one"),
     (2, "map a.laz --out s3://bucket/night", "s3://bucket/night is a URL"),
     (2, "batch . --out s3://bucket/night", "s3://bucket/night is a URL"),
     (2, "diff may june --out s3://bucket/night", "s3://bucket/night is a URL"),
