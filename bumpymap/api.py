@@ -49,8 +49,6 @@ if TYPE_CHECKING:
 
     Point = str | tuple[float, float]
 
-__all__ = ["Layers", "map_survey", "open_layers"]
-
 PathLike: TypeAlias = str | os.PathLike[str]
 
 _CLASSES = Band("class", "", "roughness class, 0 (smooth) to 3 (very rough)")

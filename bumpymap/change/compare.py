@@ -29,24 +29,6 @@ from scipy.special import ndtri, stdtr
 from bumpymap.layers import NORMAL_80, SurveyPair
 from bumpytiles import TileWindow
 
-__all__ = [
-    "LEAST_CELLS",
-    "CommonError",
-    "Decision",
-    "GroundChange",
-    "cell_pixels",
-    "coarsen",
-    "compare_heights",
-    "decide",
-    "ground_changes",
-    "height_offset",
-    "hold_false_discoveries",
-    "ride_z",
-    "two_sided",
-    "upper_sided",
-    "widening",
-]
-
 Floats = NDArray[np.float64]
 _FREEDOM = 30.0
 """Degrees of freedom of the tails."""

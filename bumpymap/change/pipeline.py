@@ -60,8 +60,6 @@ from bumpymap.views import write_change_report, write_change_style
 if TYPE_CHECKING:
     import geopandas
 
-__all__ = ["CHANGE_FILES", "ChangeResult", "connect", "diff_surveys", "find_changes", "remarks"]
-
 CHANGE_FILES = OutputFolder(
     ("change.tif", "change.geojson", "change.json", "change.qml", REPORT_NAME),
     "change.json",

@@ -37,20 +37,6 @@ from bumpymap.core import (
     settings_with_options,
 )
 
-__all__ = [
-    "COMMON_OPTIONS",
-    "FILE",
-    "JOBS",
-    "LOCATION",
-    "PATH",
-    "CommandGroup",
-    "GroupedOption",
-    "Run",
-    "grouped_option",
-    "job",
-    "settings_options",
-]
-
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 

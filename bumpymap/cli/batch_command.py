@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from bumpymap.layers import SurveyRow, SurveyStatus
     from bumpymap.survey import BatchReport, BatchResult
 
-__all__ = ["command"]
-
 _CONTINUE = "Give the same command again to continue."
 _BAD: tuple["SurveyStatus", ...] = ("failed", "incomplete", "not reached")
 _MOST_LISTED = 20

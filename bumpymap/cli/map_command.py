@@ -10,8 +10,6 @@ import click
 from bumpymap.cli._options import LOCATION, Run, job
 from bumpymap.core import CLASHES, MapConfig, Progress, with_pixels
 
-__all__ = ["ImportsAhead", "command", "start_ahead"]
-
 
 def start_ahead(surveys: Iterable[Path | str]) -> None:
     """Start the process that decodes LAZ, if there are such surveys: it starts on another core."""

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from bumpymap.core import Route
     from bumpymap.route import Reach, RouteResult
 
-__all__ = ["command"]
-
 _TIGHT_DEG = 10.0
 """Tight turns from which on they are mentioned."""
 _TITLES = (

@@ -19,8 +19,6 @@ from bumpymap.scan import ScanConfig
 if TYPE_CHECKING:
     from bumpymap.scan import ScanRun
 
-__all__ = ["command"]
-
 
 def _lines(result: "ScanRun", record: Mapping[str, Any], config: ScanConfig) -> Iterator[str | Table]:
     from statistics import median

@@ -17,8 +17,6 @@ from bumpymap.core import BadInputError, MapConfig, OutputError, UsageError, ato
 if TYPE_CHECKING:
     from bumpymap.rating import Vehicle
 
-__all__ = ["compile_command", "demo_command", "report_command", "settings_command", "vehicle_command"]
-
 _SAMPLE = Path("sample_data") / "quarry.laz"
 """In an installed package it lies inside, in the sources beside it."""
 _WITH_SETTINGS = (

@@ -22,28 +22,6 @@ from uuid import uuid4
 
 from bumpymap.core.errors import OutputError, UsageError, escape_controls, write_remedy
 
-__all__ = [
-    "STAGED",
-    "Each",
-    "Nullable",
-    "Number",
-    "atomic",
-    "move_together",
-    "open_regular",
-    "parse_json",
-    "read_regular",
-    "recorded_place",
-    "remote_files",
-    "remove_empty_on_error",
-    "remove_path",
-    "shape_fault",
-    "utf8_path",
-    "without_keys",
-    "write_csv",
-    "write_together",
-    "writing_to",
-]
-
 _MOST_SHOWN = 200
 """Characters of the name of a value that a message shows."""
 _DEEPEST = 50

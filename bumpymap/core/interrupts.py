@@ -17,18 +17,6 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any, Protocol, TypeVar
 
-__all__ = [
-    "Interrupted",
-    "Progress",
-    "SilentProgress",
-    "Steps",
-    "Stopwatch",
-    "Terminated",
-    "counted",
-    "interruptible",
-    "shielded",
-]
-
 _AGAIN_S = 0.01
 _IGNORED = 2
 

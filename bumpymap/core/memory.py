@@ -13,8 +13,6 @@ from typing import TypeVar
 
 from bumpymap.core.errors import UsageError
 
-__all__ = ["LEAST_MEMORY", "auto_memory", "free_memory", "in_threads", "is_auto", "memory_bytes", "memory_limit"]
-
 LEAST_MEMORY = 128 << 20
 """Smallest limit, bytes: one chunk of a file alone needs this much."""
 _AUTO = "auto"

@@ -35,19 +35,6 @@ from numpy.typing import NDArray
 from bumpymap.core.errors import UsageError
 from bumpytiles import blocked_signals, start_python
 
-__all__ = [
-    "Child",
-    "ChildDiedError",
-    "ChildError",
-    "DecoderError",
-    "Guard",
-    "SharedBytes",
-    "SharedMemory",
-    "allocate_shared",
-    "module_folder",
-    "trim_shared",
-]
-
 _PAGE = 4096
 _GROWTH = 1 << 22
 """The memory grows in multiples of this, bytes."""

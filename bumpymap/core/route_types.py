@@ -14,18 +14,6 @@ from numpy.typing import NDArray
 from bumpymap.core.types import CostRule, Georeference, obstacle_reach
 from bumpytiles import Grid, TileWindow
 
-__all__ = [
-    "NO_TILE",
-    "Route",
-    "RouteFigures",
-    "RouteProfile",
-    "RouteVehicle",
-    "StraightLine",
-    "TileField",
-    "TracedLine",
-    "Turn",
-]
-
 NO_TILE = 255
 """Value of ``TileField.barred`` where the map has no tile."""
 

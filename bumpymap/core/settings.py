@@ -27,32 +27,6 @@ from typing import Annotated, Any, Literal, Protocol, Union, get_args, get_origi
 from bumpymap.core.errors import BumpymapError, UsageError
 from bumpymap.core.files import read_regular
 
-__all__ = [
-    "UNFILLED",
-    "FieldRule",
-    "NameOrFile",
-    "Setting",
-    "assigned_settings",
-    "brief_repr",
-    "check_settings",
-    "default_of",
-    "field_rule",
-    "names_a_file",
-    "parse_record",
-    "parse_share",
-    "path_fault",
-    "path_of_call",
-    "read_settings_file",
-    "read_toml",
-    "refuse_faults",
-    "refuse_unknown",
-    "settings_of_call",
-    "settings_template",
-    "settings_with_options",
-    "short_names",
-    "short_repr",
-]
-
 _MOST_BYTES = 256 * 1024
 _MOST_PARTS = 16
 """Parts of a dotted key; no setting has more than two."""

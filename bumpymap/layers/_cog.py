@@ -37,22 +37,8 @@ from rasterio.windows import Window
 
 from bumpymap.core import atomic
 from bumpymap.layers._sparse_cog import Pieces, write_sparse_cog
-from bumpymap.layers.placement import SCRATCH_BLOCK, BandSpec, Placement, RasterSpec, RasterWindow, create_raster
+from bumpymap.layers.placement import SCRATCH_BLOCK, Placement, RasterSpec, RasterWindow, create_raster
 from bumpytiles import BLOCK_TILES
-
-__all__ = [
-    "TILE_WINDOW",
-    "BandSpec",
-    "RasterSpec",
-    "checksum",
-    "count_values",
-    "raster_lock",
-    "require_disk_space",
-    "require_intact",
-    "write_array",
-    "write_cog",
-    "write_value_table",
-]
 
 
 def checksum(pixels: NDArray[np.generic]) -> int:

@@ -24,17 +24,6 @@ from bumpymap.layers.map_files import open_raster
 from bumpymap.layers.products import CATALOG_NAME, MapFile, require_folder
 from bumpymap.layers.stac import write_catalog
 
-__all__ = [
-    "BATCH_LINKS",
-    "BATCH_NAMES",
-    "SurveyRow",
-    "SurveyStatus",
-    "check_batch_out",
-    "map_facts",
-    "write_batch_summary",
-]
-
-
 SurveyStatus: TypeAlias = Literal["done", "already done", "incomplete", "failed", "not reached"]
 """``incomplete``: layers were written, but files were skipped, or too many tiles are unknown."""
 

@@ -35,16 +35,6 @@ from bumpymap.layers.summary import MapSummary, summarise
 from bumpymap.layers.tile_table import write_tiles
 from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojson_writer
 
-__all__ = [
-    "ViewWriter",
-    "as_tags",
-    "is_complete",
-    "layer_metadata",
-    "refuse_replacing",
-    "verified_record",
-    "write_products",
-]
-
 
 def layer_metadata(manifest: Mapping[str, Any], place: Georeference) -> dict[str, Any]:
     """Return the entries that layers carry as metadata, as texts and lists of numbers; what is not known is left out.

@@ -29,21 +29,6 @@ from bumpymap.core import (
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.summary import MapSummary
 
-__all__ = [
-    "COUNT",
-    "MANIFEST_FORMAT",
-    "MANIFEST_NAME",
-    "PLACE_SHAPE",
-    "complete_manifest",
-    "describe_file",
-    "describe_input",
-    "place_entries",
-    "plain_manifest",
-    "read_manifest",
-    "software_versions",
-    "write_manifest",
-]
-
 MANIFEST_NAME = "run.json"
 MANIFEST_FORMAT = "bumpymap-run"
 COUNT = Number(0, 1e15, whole=True)

@@ -38,8 +38,6 @@ from bumpytiles import Grid, TileWindow
 if TYPE_CHECKING:
     from rasterio.io import DatasetReader
 
-__all__ = ["MapReader", "common_window", "open_map"]
-
 Coordinate = TypeVar("Coordinate", float, NDArray[np.float64])
 
 _BANDS = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle")

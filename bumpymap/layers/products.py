@@ -22,24 +22,6 @@ from bumpymap.core import (
 )
 from bumpymap.layers.manifest import MANIFEST_NAME, describe_file, write_manifest
 
-__all__ = [
-    "ASKED_NAMES",
-    "CATALOG_NAME",
-    "EVERY_FILE",
-    "EVERY_NAME",
-    "EVERY_VIEW_NAME",
-    "OTHER_FILES",
-    "PRODUCT_NAMES",
-    "REPORT_NAME",
-    "VIEW_NAMES",
-    "MapFile",
-    "OutputFolder",
-    "check_folder",
-    "make_folder",
-    "refuse_present",
-    "require_folder",
-]
-
 
 def require_folder(out: Path) -> None:
     """Raise OutputError if something else than a folder stands at ``out``."""

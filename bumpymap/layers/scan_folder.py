@@ -36,38 +36,6 @@ from bumpymap.layers.colours import CLASS_COLOURS
 from bumpymap.layers.manifest import MANIFEST_NAME, describe_file, describe_input, software_versions, write_manifest
 from bumpymap.layers.products import EVERY_FILE, make_folder
 
-__all__ = [
-    "ACCUMULATED_NAME",
-    "FRAME_FILES",
-    "FRAME_FOLDER",
-    "MAP_FOLDER",
-    "OBSTACLE_POINT",
-    "OTHER_POINT",
-    "SCAN_CLASS_NAMES",
-    "SCAN_COLOURS",
-    "SCAN_MANIFEST_NAME",
-    "SECTOR_STATES",
-    "SECTOR_TABLE_NAME",
-    "FramePart",
-    "FrameReport",
-    "check_scan_folder",
-    "class_index",
-    "explain_empty_scan",
-    "file_sizes",
-    "has_finished_parts",
-    "load_part",
-    "name_frames",
-    "output_errors",
-    "part_path",
-    "point_styles",
-    "remove_stale_products",
-    "report_frame",
-    "save_part",
-    "sector_states",
-    "sync_to_disk",
-    "write_scan_manifest",
-]
-
 SCAN_CLASS_NAMES: tuple[str, ...] = (*CLASS_NAMES[:CLASSES], "not traversable")
 """Name of each class of a sector; see `class_index`."""
 SECTOR_STATES = ("free", "obstacle", "rough", "not ground")

@@ -19,8 +19,6 @@ from bumpymap.layers.products import CATALOG_NAME, EVERY_NAME, EVERY_VIEW_NAME, 
 from bumpymap.layers.vector import BoundingBox, polygons_in_wgs84, wgs84_transformer
 from bumpytiles import Grid, TileWindow
 
-__all__ = ["write_catalog", "write_item"]
-
 _SHA256 = "1220"
 """First bytes of a multihash: the code of SHA-256 and the length of its digest, 32 bytes."""
 _COG = "image/tiff; application=geotiff; profile=cloud-optimized"

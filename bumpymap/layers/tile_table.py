@@ -31,8 +31,6 @@ from bumpymap.core import (
 from bumpymap.layers.placement import Placement
 from bumpytiles import TileTable
 
-__all__ = ["read_tiles", "require_tiles", "typed_array", "write_tiles"]
-
 _ROW_GROUP = 16_384
 """Most tiles in a row group: 15 MB of heights at 15 x 15 pixels."""
 _SIDES_OF_BOX = ("xmin", "ymin", "xmax", "ymax")

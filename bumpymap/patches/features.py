@@ -28,8 +28,6 @@ from bumpymap.patches.kernels.measure import (
 from bumpymap.patches.kernels.standing import PAIR_MEASURES, PairSettings, measure_pairs, pair_scratch
 from bumpytiles import TilePoints
 
-__all__ = ["join_stacks", "measure", "measure_thin"]
-
 _SCALARS = 9
 
 

@@ -27,8 +27,6 @@ from bumpymap.core import (
     trim_shared,
 )
 
-__all__ = ["Decoder", "close_decoder", "decoder", "start_decoder"]
-
 Bytes = NDArray[np.uint8]
 Table = Sequence[tuple[int, int]]
 """Number of points and bytes of each LAZ chunk."""

@@ -41,17 +41,6 @@ from bumpymap.survey.flight_lines import FlightLines
 from bumpymap.survey.inputs import SurveyInputs
 from bumpymap.survey.tile_rating import RatingModels
 
-__all__ = [
-    "MapResult",
-    "WarningCollector",
-    "collected_warnings",
-    "describe_run",
-    "earlier_result",
-    "run_manifest",
-    "survey_record",
-    "versions",
-]
-
 
 class WarningCollector(logging.Handler):
     """Keeps warnings, those of the thread that made it or of all, as messages."""

@@ -46,18 +46,6 @@ from uuid import uuid4
 
 import numpy as np
 
-__all__ = [
-    "Kernel",
-    "blocked_signals",
-    "compile_loaded",
-    "compile_packages",
-    "compiling_reports",
-    "helper",
-    "kernel",
-    "order_free",
-    "start_python",
-]
-
 _log = logging.getLogger(__name__)
 
 _OPTIONS = {"error_model": "numpy"}

@@ -26,8 +26,6 @@ from bumpymap.readers.drives.tables import find_columns, open_table, table_sampl
 from bumpymap.readers.frames.raw import bag_files, is_bag, is_ros1
 from bumpymap.readers.source import open_source, size_of
 
-__all__ = ["close_log_reader", "drive_files", "read_drive", "read_in_child"]
-
 _ARDUPILOT = b"\xa3\x95"
 """First bytes of every message of its binary logs."""
 SECONDS, SECONDS_PER_BYTE = 10.0, 2e-6

@@ -41,8 +41,6 @@ from bumpymap.survey.run_record import WarningCollector
 from bumpymap.views import SurveyView, read_thumbnail
 from bumpytiles import compile_loaded
 
-__all__ = ["MapTask", "TaskEnd", "look_at", "map_one", "map_tasks"]
-
 _MOST_WAIT_S = 5.0
 
 

@@ -41,9 +41,6 @@ from bumpymap.survey.batch.source import ListedSurvey, list_surveys, settings_fa
 from bumpymap.survey.engine import connect
 from bumpymap.views import SurveyView, index_page
 
-__all__ = ["BatchReport", "BatchResult", "BatchSettings", "Results", "map_batch", "run_batch"]
-
-
 _log = logging.getLogger(__name__)
 _EVERY_S = 60.0
 """After a kill, or while the batch runs, the page is at most so much older than the last survey that ended."""

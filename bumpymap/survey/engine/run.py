@@ -33,8 +33,6 @@ from bumpymap.survey.engine.reading import refuse_no_points
 from bumpymap.survey.inputs import SurveyInputs
 from bumpytiles import BlockKey, Pack, TileTable
 
-__all__ = ["Executor", "ReadPlan", "run_engine"]
-
 
 @dataclass(frozen=True, slots=True)
 class ReadPlan:
