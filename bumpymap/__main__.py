@@ -13,8 +13,6 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import NoReturn
 
-__all__ = ["run"]
-
 _OBJECTS = 200_000
 """New objects after which unused cycles of objects are looked for. At Python's 700, that was a quarter of the time that
 imports take, and at 50,000 still 0.04 s, to find 1,700 objects: a map holds 75,000 at its end, most of them of imports.

@@ -49,12 +49,8 @@ if TYPE_CHECKING:
 
     Point = str | tuple[float, float]
 
-__all__ = ["Layers", "map_survey", "open_layers"]
-
 PathLike: TypeAlias = str | os.PathLike[str]
 
-_MOST_PICKLED = 1 << 28
-"""Bytes of layers in memory that are pickled at most."""
 _CLASSES = Band("class", "", "roughness class, 0 (smooth) to 3 (very rough)")
 _REASONS = Band("reason", "", "why a tile has no class")
 _COST = Band("cost", "", "factor on distance for a planner; NaN where the tile is not passable")
@@ -82,8 +78,8 @@ class Layers:
     folder : path
         The output folder of a complete run.
     in_memory : bool
-        Delete the folder together with this object. Datasets are then loaded at once instead of lazily, and a pickle
-        holds the files, up to 256 MB, instead of the path.
+        Delete the folder together with this object. Datasets are then loaded at once instead of lazily, and it cannot
+        be pickled.
     """
 
     def __init__(self, folder: str | os.PathLike[str], *, in_memory: bool = False) -> None:
@@ -100,17 +96,13 @@ class Layers:
         return os.fspath(self._folder)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the path of the folder; of layers in memory, the files."""
-        if not self._in_memory:
-            return Layers, (self._folder.absolute(),)
-        found = [path for path in self._folder.rglob("*") if path.is_file()]
-        size = sum(path.stat().st_size for path in found)
-        if size > _MOST_PICKLED:
+        """Pickle the path of the folder."""
+        if self._in_memory:
             raise UsageError(
-                f"these layers are in memory, {size / 1e6:,.0f} MB, too large for a pickle. Map the survey with "
-                "`out='DIR'`: layers in a folder are pickled as its path"
+                "these layers are in memory, and no other process can have them. Map the survey with `out='DIR'`: "
+                "layers in a folder are pickled as its path"
             )
-        return _unpickled, ({str(path.relative_to(self._folder)): path.read_bytes() for path in found},)
+        return Layers, (self._folder.absolute(),)
 
     @property
     def folder(self) -> Path:
@@ -449,20 +441,6 @@ def open_layers(folder: str | os.PathLike[str]) -> Layers:
     1426
     """
     return Layers(folder)
-
-
-def _unpickled(files: dict[str, bytes]) -> Layers:
-    """Make layers in memory of their files."""
-    folder = Path(tempfile.mkdtemp(prefix="bumpymap-layers-"))
-    try:
-        for name, content in files.items():
-            path = folder / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(content)
-        return Layers(folder, in_memory=True)
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
 
 
 def map_survey(

@@ -13,7 +13,6 @@ import pytest
 from hypothesis import settings
 
 from bumpymap.core.config import FeatureSettings
-from bumpymap.core.types import CostTable
 from bumpymap.patches.features import join_stacks, measure
 from bumpytiles import Grid, TileBuckets
 
@@ -133,10 +132,12 @@ def cost_map(make_field):
 @pytest.fixture(scope="session")
 def at_two_speeds(make_field):
     """A table with the ride at 0.5 and 2 m/s."""
+    from cost_maps import table_of
+
     field = make_field(12, 10)
     slow = np.stack([field.c_r, field.c_r, field.c_r / 4], axis=1)
     motion = np.hstack([slow, 2 * slow]).astype(np.float32)
-    return replace(CostTable.of(replace(field, motion=motion)), speeds=(0.5, 2.0))
+    return replace(table_of(replace(field, motion=motion)), speeds=(0.5, 2.0))
 
 
 @pytest.fixture(name="make_map", scope="session")

@@ -55,7 +55,6 @@ BAD = [
     ({"crs": "EPSG:1"}, "crs='EPSG:1'"),
     ({"crs": "EPSG:4326"}, "CRS"),
     ({"crs": "EPSG:32632", "local": True}, "crs and local"),
-    ({"resume": True}, "the same run continues an interrupted one"),
     ({"memory": "lots"}, "memory"),
     ({"features": {"max_holes": 1}}, "max_holes"),
     ({"features": 3}, "features"),

@@ -29,24 +29,6 @@ from scipy.special import ndtri, stdtr
 from bumpymap.layers import NORMAL_80, SurveyPair
 from bumpytiles import TileWindow
 
-__all__ = [
-    "LEAST_CELLS",
-    "CommonError",
-    "Decision",
-    "GroundChange",
-    "cell_pixels",
-    "coarsen",
-    "compare_heights",
-    "decide",
-    "ground_changes",
-    "height_offset",
-    "hold_false_discoveries",
-    "ride_z",
-    "two_sided",
-    "upper_sided",
-    "widening",
-]
-
 Floats = NDArray[np.float64]
 _FREEDOM = 30.0
 """Degrees of freedom of the tails."""
@@ -186,7 +168,7 @@ class CommonError:
 
     @classmethod
     def of(cls, manifest: Mapping[str, Any]) -> "CommonError":
-        """Read what run.json says of the calibration; of earlier versions it says nothing."""
+        """Read what run.json says of the calibration."""
         known = manifest.get("calibration")
         found = known if isinstance(known, Mapping) else {}
         return cls(*(_number(found.get(name)) for name in ("model_error", "floor_radpm")))

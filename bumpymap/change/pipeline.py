@@ -60,8 +60,6 @@ from bumpymap.views import write_change_report, write_change_style
 if TYPE_CHECKING:
     import geopandas
 
-__all__ = ["CHANGE_FILES", "ChangeResult", "connect", "diff_surveys", "find_changes", "remarks"]
-
 CHANGE_FILES = OutputFolder(
     ("change.tif", "change.geojson", "change.json", "change.qml", REPORT_NAME),
     "change.json",
@@ -244,7 +242,7 @@ def find_changes(config: DiffConfig, progress: Progress | None = None) -> Change
     offset = height_offset(pair, cell)
     taken = offset if config.offset is None else config.offset
     ground = ground_changes(pair, cell, 0.0 if np.isnan(taken) else taken)
-    # Both have one calibration, or they could not be compared; one may be of an earlier version, and say nothing of it.
+    # Both have one calibration, or they could not be compared; one may say nothing of its error.
     first, second = (CommonError.of(site.manifest) for site in (pair.before, pair.after))
     before, after = ((side.c_r, side.c_r_low, side.c_r_high) for side in surveys)
     ride = ride_z(before, after, first if first == second else CommonError())

@@ -6,8 +6,6 @@ from typing import Annotated
 
 from bumpymap.core import Setting, check_settings
 
-__all__ = ["DiffConfig"]
-
 
 @dataclass(frozen=True, slots=True)
 class DiffConfig:

@@ -31,19 +31,6 @@ from bumpymap.check.signals import (
 from bumpymap.check.track import DrivenTrack, TrackStart, fit_track
 from bumpymap.core import BadInputError, DriveLog, WheelTrack
 
-__all__ = [
-    "COUNTS",
-    "LEFT_OUT",
-    "DriveMeasure",
-    "RoughSpeed",
-    "SlopeAt",
-    "WayStretch",
-    "find_standing",
-    "measure_drive",
-    "rate_bias",
-    "rough_speed",
-]
-
 Floats = NDArray[np.float64]
 
 COUNTS = 0

@@ -20,16 +20,6 @@ from bumpymap.check.places import MetrePlaces, smooth_velocity
 from bumpymap.check.signals import EvenImu, levelling, low_pass, upward_in_sensor
 from bumpymap.core import BadInputError
 
-__all__ = [
-    "ClockFit",
-    "DrivenMotion",
-    "Mounting",
-    "find_mounting",
-    "fit_clock",
-    "level_force",
-    "refuse_wrong_unit",
-]
-
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Mask = NDArray[np.bool_]

@@ -66,18 +66,6 @@ from bumpymap.readers import close_log_reader, drive_files, read_drive
 from bumpymap.route import LineVehicle
 from bumpymap.views import write_check_page, write_check_style
 
-__all__ = [
-    "agreement_of",
-    "check_drives",
-    "drive_warnings",
-    "left_out",
-    "map_warnings",
-    "refuse_without_stretches",
-    "run_check",
-    "spearman",
-    "write_check",
-]
-
 Floats = NDArray[np.float64]
 
 _LEAST_STRETCHES = 5

@@ -10,18 +10,6 @@ from bumpymap.core import BadInputError, DriveLog, PlaceTrack, describe_crs
 from bumpymap.layers import MapReader
 from bumpytiles import TileWindow
 
-__all__ = [
-    "MetrePlaces",
-    "SlopeMap",
-    "local_metres",
-    "metre_places",
-    "places_alone",
-    "places_on_map",
-    "scatter_of",
-    "smooth_velocity",
-    "window_around",
-]
-
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 

@@ -7,8 +7,6 @@ from typing import Annotated
 
 from bumpymap.core import Setting, UsageError, check_settings
 
-__all__ = ["LEAST_WINDOW_M", "CheckConfig"]
-
 LEAST_WINDOW_M = 5.0
 """Shortest stretch that gets a C_r of its own, m."""
 

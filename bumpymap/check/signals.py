@@ -12,18 +12,6 @@ from scipy.spatial.transform import Rotation
 
 from bumpymap.core import BadInputError, ImuTrack
 
-__all__ = [
-    "EvenImu",
-    "even_imu",
-    "heading_of",
-    "levelling",
-    "low_pass",
-    "pieces",
-    "rolling_mean",
-    "turned",
-    "upward_in_sensor",
-]
-
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 

@@ -22,15 +22,6 @@ from bumpymap.layers import NORMAL_80, MapReader
 from bumpymap.rating import less_floor
 from bumpymap.route import LineRide, LineVehicle, points_along, ride_line
 
-__all__ = [
-    "MapReading",
-    "cut_stretches",
-    "read_along",
-    "read_line",
-    "reading_sd",
-    "with_ground",
-]
-
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 

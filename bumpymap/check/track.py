@@ -21,8 +21,6 @@ from bumpymap.check.places import MetrePlaces, Scatter, scatter_of
 from bumpymap.check.signals import EvenImu
 from bumpymap.core import WheelTrack
 
-__all__ = ["DrivenTrack", "TrackStart", "drive_knots", "fit_track"]
-
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 

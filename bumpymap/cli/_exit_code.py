@@ -12,8 +12,6 @@ import click
 from bumpymap.cli._text import BROKEN_PIPE, LostOutputError, emit, flush, print_error, restored_logging
 from bumpymap.core import BumpymapError, error_chain, join_lines, missing_resource, refused_write
 
-__all__ = ["RunInterrupted", "exit_code_of"]
-
 _BAD = 3
 _FAULT = 1
 """A bug of bumpymap: printed with a traceback, so that it can be reported."""

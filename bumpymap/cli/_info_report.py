@@ -45,8 +45,6 @@ from bumpymap.survey import (
 )
 from bumpytiles import Bounds, Grid, TileWindow
 
-__all__ = ["FileReport", "Report"]
-
 
 @dataclass(frozen=True, slots=True)
 class FileReport:

@@ -37,23 +37,6 @@ from bumpymap.core import (
     settings_with_options,
 )
 
-__all__ = [
-    "COMMON_OPTIONS",
-    "FILE",
-    "JOBS",
-    "LOCATION",
-    "NO_SHEETS",
-    "PATH",
-    "RESUME",
-    "CommandGroup",
-    "GroupedOption",
-    "Run",
-    "gone_option",
-    "grouped_option",
-    "job",
-    "settings_options",
-]
-
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
@@ -290,30 +273,12 @@ def job(
         command.owners = known
         declared = [settings_options(part) if isinstance(part, type) else part for part in parts]
         common = COMMON_OPTIONS if known else COMMON_OPTIONS[2:]
-        command.params = [*chain.from_iterable(declared), *command.params, *common, _LOG_JSON]
+        command.params = [*chain.from_iterable(declared), *command.params, *common]
         return command
 
     return make
 
 
-def gone_option(name: str, instead: str) -> GroupedOption:
-    """Return an option that there was, which only says what to do ``instead``."""
-
-    def refuse(_ctx: click.Context, _option: click.Parameter, value: str | None) -> None:
-        if value is not None:
-            raise UsageError(f"{name} is gone: {instead}")
-
-    dest = "gone" + name.replace("-", "_")
-    # with a flag_value, a value may follow or not
-    return GroupedOption([name, dest], is_flag=False, flag_value="", hidden=True, expose_value=False, callback=refuse)
-
-
-RESUME = gone_option("--resume", "the same command continues an interrupted run, so leave it out")
-NO_SHEETS = gone_option(
-    "--sheets",
-    "all files and folders of one command make one map in one folder; map parts of a larger site separately: they lie "
-    "on one grid, and gdalbuildvrt joins their rasters",
-)
 _HELP_OF_SET = "Any setting of `bumpymap settings`, such as pixels=21."
 COMMON_OPTIONS = (
     GroupedOption(["--config", "config_file"], type=PATH, metavar="FILE", help="TOML file with settings."),
@@ -322,7 +287,6 @@ COMMON_OPTIONS = (
     GroupedOption(["--json", "log_json"], is_flag=True, help="Print result, events and errors as JSON."),
 )
 """Options of all commands; the first two of those that have settings. The help page of bumpymap lists them."""
-_LOG_JSON = gone_option("--log-json", "give --json, as to every command")
 JOBS = GroupedOption(
     ["--jobs"], type=click.IntRange(min=1), metavar="N", help="Drives at a time, each a process [one per core]."
 )

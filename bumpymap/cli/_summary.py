@@ -9,8 +9,6 @@ from bumpymap.layers import MapSummary
 from bumpymap.survey import MapResult, describe_lines, ground_line, outcome_of_run, unknown_line
 from bumpymap.views import degrees_line
 
-__all__ = ["map_lines", "map_record"]
-
 _TITLES = ("class", "tiles", "share", "median c_r (rad/m)", "median slope (deg)")
 
 

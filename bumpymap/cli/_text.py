@@ -28,30 +28,6 @@ from bumpymap.core import OutputError, escape_controls
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = [
-    "ALREADY_DONE",
-    "DRIVES_KEPT",
-    "LostOutputError",
-    "Styled",
-    "Table",
-    "about",
-    "as_options",
-    "emit",
-    "error_console",
-    "flush",
-    "interrupt_note",
-    "is_plain",
-    "option_name",
-    "print_error",
-    "print_json",
-    "print_line",
-    "print_lines",
-    "print_table",
-    "restored_logging",
-    "set_up_logging",
-    "spell_settings",
-]
-
 _NAMES: dict[str, str] = {}
 """Setting -> how the command that runs takes it, where that is not ``--setting``: ``--from``, ``--set pixels``."""
 _SETTING = re.compile(r"`([a-z][a-z_]*)(?:=(?:'([^`]*)'|([^`'\s]+)))?`")

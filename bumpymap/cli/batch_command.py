@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import NO_SHEETS, PATH, Run, job, settings_options
+from bumpymap.cli._options import PATH, Run, job, settings_options
 from bumpymap.cli._progress import CommandProgress
 from bumpymap.cli._text import as_options, interrupt_note
 from bumpymap.core import CLASHES, MapConfig, count_text, override_settings
@@ -15,8 +15,6 @@ from bumpymap.survey import BatchConfig
 if TYPE_CHECKING:
     from bumpymap.layers import SurveyRow, SurveyStatus
     from bumpymap.survey import BatchReport, BatchResult
-
-__all__ = ["command"]
 
 _CONTINUE = "Give the same command again to continue."
 _BAD: tuple["SurveyStatus", ...] = ("failed", "incomplete", "not reached")
@@ -35,7 +33,6 @@ _MOST_LISTED = 20
         memory="Memory, shared by --jobs",
         overwrite="Replace layers of other inputs or settings",
     ),
-    [NO_SHEETS],
     owners=(MapConfig,),
     clashes=CLASHES,
 )
@@ -103,4 +100,4 @@ def _lines(result: "BatchResult", out: Path) -> Iterator[str]:
     yield from lines[:_MOST_LISTED]
     if len(lines) > _MOST_LISTED:
         yield (f"  and {len(lines) - _MOST_LISTED} more")
-    yield (f"Look at {out}/index.html; the table is summary.csv, events are in log.jsonl")
+    yield (f"Look at {out}/index.html; the table is summary.csv")

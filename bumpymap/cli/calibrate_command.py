@@ -9,7 +9,7 @@ from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bumpymap.cli._options import FILE, JOBS, Run, gone_option, grouped_option, job
+from bumpymap.cli._options import FILE, JOBS, Run, grouped_option, job
 from bumpymap.cli._progress import CommandProgress
 from bumpymap.cli._text import DRIVES_KEPT, about, interrupt_note, print_line
 from bumpymap.core import BumpymapError, OutputError, Steps, UsageError, atomic, locked, with_pixels
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @job(
     "calibrate",
     CalibrationSettings,
-    [JOBS, gone_option("--check", "the project's tests drive over planes and waves of known C_r")],
+    [JOBS],
 )
 @grouped_option("--vehicle", metavar="NAME|FILE", help="An included vehicle, or a TOML file.", group="Vehicle")
 @grouped_option(

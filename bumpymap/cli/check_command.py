@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from bumpymap.core import CheckedDrive, CheckResult, DrivenStretches
     from bumpymap.rating import Calibration, DriveUpdate
 
-__all__ = ["Refit", "command", "prepare_refit"]
-
 
 def _lines(result: "CheckResult", files: Sequence[Path], config: CheckConfig) -> Iterator[str | Styled | Table]:
     from bumpymap.views import check_headline, warnings_of

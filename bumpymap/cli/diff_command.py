@@ -13,8 +13,6 @@ from bumpymap.core import count_text, share_text, shares_text
 if TYPE_CHECKING:
     from bumpymap.change import ChangeResult
 
-__all__ = ["command"]
-
 
 def _names() -> tuple[str, ...]:
     from bumpymap.core import CLASS_NAMES

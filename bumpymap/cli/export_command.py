@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from bumpymap.layers import MapReader
     from bumpymap.views import Export
 
-__all__ = ["command"]
-
 _ONLY_FOR: dict[str, tuple[ExportFormat, ...]] = {
     "around": ("nav2", "gridmap", "graph", "cost"),
     "radius": ("nav2", "gridmap", "graph", "cost"),

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from bumpymap.readers import PointSummaryBuilder, ReadOptions
     from bumpytiles import Grid
 
-__all__ = ["command"]
-
 _BAD_INPUT = 3
 _TYPED = ("tile_size", "ground", "crs")
 _MOVED = ("ground_classes", "force_crs", "z_unit", "trust_points", "pixels", "memory", "threads")

@@ -7,10 +7,8 @@ from pathlib import Path
 
 import click
 
-from bumpymap.cli._options import LOCATION, NO_SHEETS, RESUME, Run, job
+from bumpymap.cli._options import LOCATION, Run, job
 from bumpymap.core import CLASHES, MapConfig, Progress, with_pixels
-
-__all__ = ["ImportsAhead", "command", "start_ahead"]
 
 
 def start_ahead(surveys: Iterable[Path | str]) -> None:
@@ -52,7 +50,7 @@ def _import() -> None:
         import_without_pandas("pyogrio.raw", "bumpymap.layers.folder")
 
 
-@job("map", MapConfig, [RESUME, NO_SHEETS], clashes=CLASHES)
+@job("map", MapConfig, clashes=CLASHES)
 @click.argument("surveys", nargs=-1, type=LOCATION, metavar="SURVEY...")
 def command(run: Run) -> None:
     """Make roughness layers and a cost map from SURVEY files or folders (LAS, LAZ, COPC, EPT, PLY, PCD).

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import PATH, Run, gone_option, job, settings_options
+from bumpymap.cli._options import PATH, Run, job, settings_options
 from bumpymap.cli._text import Table
 from bumpymap.core import UsageError, count_text
 from bumpymap.route import CostSettings, RouteConfig
@@ -15,8 +15,6 @@ from bumpymap.route import CostSettings, RouteConfig
 if TYPE_CHECKING:
     from bumpymap.core import Route
     from bumpymap.route import Reach, RouteResult
-
-__all__ = ["command"]
 
 _TIGHT_DEG = 10.0
 """Tight turns from which on they are mentioned."""
@@ -143,7 +141,6 @@ def _record(result: "RouteResult", config: RouteConfig) -> dict[str, Any]:
     "route",
     RouteConfig,
     settings_options(CostSettings, table="cost"),
-    [gone_option("--compare", "plan once on the layers of each vehicle")],
 )
 @click.argument("layers", type=PATH, metavar="LAYERS", required=False)
 def command(run: Run) -> None:

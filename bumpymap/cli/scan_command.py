@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import PATH, RESUME, Run, gone_option, grouped_option, job, settings_options
+from bumpymap.cli._options import PATH, Run, grouped_option, job, settings_options
 from bumpymap.cli._text import ALREADY_DONE, Table
 from bumpymap.core import (
     VEHICLE_OR_CALIBRATION,
@@ -18,8 +18,6 @@ from bumpymap.scan import ScanConfig
 
 if TYPE_CHECKING:
     from bumpymap.scan import ScanRun
-
-__all__ = ["command"]
 
 
 def _lines(result: "ScanRun", record: Mapping[str, Any], config: ScanConfig) -> Iterator[str | Table]:
@@ -122,7 +120,6 @@ class _EveryNth(click.types.IntParamType):
     ScanConfig,
     settings_options(PolarSettings, table="polar"),
     settings_options(Robot, table="robot"),
-    [RESUME, gone_option("--fit", "train a network of your own with: bumpymap train scans DIR --out FILE.onnx")],
     clashes=[VEHICLE_OR_CALIBRATION],
 )
 @click.argument("frames", nargs=-1, type=PATH, metavar="FRAME...")

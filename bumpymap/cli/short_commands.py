@@ -10,14 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import PATH, Run, gone_option, grouped_option, job
+from bumpymap.cli._options import PATH, Run, grouped_option, job
 from bumpymap.cli._text import print_line
 from bumpymap.core import BadInputError, MapConfig, OutputError, UsageError, atomic, settings_template
 
 if TYPE_CHECKING:
     from bumpymap.rating import Vehicle
-
-__all__ = ["compile_command", "demo_command", "report_command", "settings_command", "vehicle_command"]
 
 _SAMPLE = Path("sample_data") / "quarry.laz"
 """In an installed package it lies inside, in the sources beside it."""
@@ -42,7 +40,7 @@ def compile_command(run: Run) -> None:
         raise OutputError(f"the compiled kernels cannot be kept. Set NUMBA_CACHE_DIR to {folder}")
 
 
-@job("demo", [gone_option("--survey", "map your own with: bumpymap map FILE --out DIR")])
+@job("demo")
 @grouped_option(
     "--out",
     group="Output",
@@ -82,7 +80,7 @@ def _copy_sample(survey: Path) -> Path:
     return survey
 
 
-@job("report", [gone_option("--check", "open check.html, which bumpymap check leaves")])
+@job("report")
 @click.argument("layers", type=PATH, metavar="LAYERS")
 @grouped_option("--out", group="Output", type=PATH, metavar="FILE", help="File to write [LAYERS/report.html].")
 @grouped_option(

@@ -17,8 +17,6 @@ from bumpymap.lab import NetworkSettings, ScanTrainSettings, TrainSettings
 if TYPE_CHECKING:
     from bumpymap.lab import EpochReport, TrainedModel
 
-__all__ = ["command"]
-
 
 @click.group("train", cls=CommandGroup)
 def command() -> None:

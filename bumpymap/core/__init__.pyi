@@ -134,7 +134,6 @@ from .processes import (
     Guard as Guard,
     SharedBytes as SharedBytes,
     allocate_shared as allocate_shared,
-    can_start_children as can_start_children,
     module_folder as module_folder,
     trim_shared as trim_shared,
 )

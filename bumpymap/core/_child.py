@@ -17,8 +17,6 @@ from importlib import import_module
 from multiprocessing.connection import Connection
 from typing import Any
 
-__all__ = ["serve"]
-
 _LONGEST_TEXT = 1000
 
 

@@ -11,34 +11,6 @@ from typing import Annotated, Any, Literal
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.core.settings import NameOrFile, Setting, check_settings
 
-__all__ = [
-    "CLASHES",
-    "DECK_CLASS",
-    "GROUND_CLASSES",
-    "INCLUDED_PIXELS",
-    "MOST_COST",
-    "OF_CRS",
-    "VEHICLE_OR_CALIBRATION",
-    "Align",
-    "Clash",
-    "Compat",
-    "CsfSettings",
-    "DirectionSettings",
-    "FeatureSettings",
-    "GridSettings",
-    "Ground",
-    "MapConfig",
-    "PolarSettings",
-    "Rating",
-    "Robot",
-    "ScanMethod",
-    "ZUnit",
-    "decide_ground",
-    "override_settings",
-    "refuse_clashes",
-    "with_pixels",
-]
-
 Ground = Literal["auto", "all", "class", "csf"]
 Compat = Literal["none", "paper"]
 Align = Literal["off", "report", "on"]

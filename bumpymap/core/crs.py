@@ -21,28 +21,6 @@ from pyproj.exceptions import CRSError, ProjError
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.core.types import Georeference
 
-__all__ = [
-    "CrsStatement",
-    "GivenCrs",
-    "Place",
-    "common_georeference",
-    "crs_from_epsg",
-    "describe_crs",
-    "georeference",
-    "horizontal_of",
-    "linear_unit",
-    "parse_crs",
-    "place_notes",
-    "reproject_command",
-    "same_crs",
-    "stated_crs",
-    "statement_from_wkt",
-    "unit_name",
-    "utm_epsg",
-    "vertical_of",
-    "with_vertical",
-]
-
 _ZONE = "where ZZ is the UTM zone, (longitude + 180) / 6 + 1 (327ZZ in the south)"
 SAY_CRS = "Say which CRS the coordinates are in with `crs`, such as `crs='EPSG:32614'`"
 FORCE_CRS = "Override it with `force_crs`, such as `force_crs='EPSG:32614'`"

@@ -13,19 +13,6 @@ from numpy.typing import NDArray
 
 from bumpymap.core.settings import brief_repr
 
-__all__ = [
-    "CheckResult",
-    "CheckedDrive",
-    "CheckedMap",
-    "DriveLog",
-    "DrivenStretches",
-    "ImuTrack",
-    "MapAgreement",
-    "PlaceKind",
-    "PlaceTrack",
-    "WheelTrack",
-]
-
 Floats = NDArray[np.float64]
 PlaceKind = Literal["lonlat", "projected", "local"]
 """Positions are degrees of longitude and latitude (WGS 84), in the units of the map's CRS, or metres in a frame of the

@@ -11,23 +11,6 @@ import math
 import unicodedata
 from collections.abc import Collection, Iterable, Iterator, Sequence
 
-__all__ = [
-    "BadInputError",
-    "BumpymapError",
-    "OutputError",
-    "TooUnknownError",
-    "UsageError",
-    "count_text",
-    "error_chain",
-    "escape_controls",
-    "join_lines",
-    "missing_resource",
-    "refused_write",
-    "share_text",
-    "shares_text",
-    "write_remedy",
-]
-
 _SHOWN_ESCAPED = {"Cc", "Cf", "Cs", "Zl", "Zp"}
 """Unicode categories: control characters, format characters (such as text direction), surrogates, line breaks."""
 

@@ -22,28 +22,6 @@ from uuid import uuid4
 
 from bumpymap.core.errors import OutputError, UsageError, escape_controls, write_remedy
 
-__all__ = [
-    "STAGED",
-    "Each",
-    "Nullable",
-    "Number",
-    "atomic",
-    "move_together",
-    "open_regular",
-    "parse_json",
-    "read_regular",
-    "recorded_place",
-    "remote_files",
-    "remove_empty_on_error",
-    "remove_path",
-    "shape_fault",
-    "utf8_path",
-    "without_keys",
-    "write_csv",
-    "write_together",
-    "writing_to",
-]
-
 _MOST_SHOWN = 200
 """Characters of the name of a value that a message shows."""
 _DEEPEST = 50
@@ -179,7 +157,7 @@ def open_regular(path: Path, flags: int = 0) -> BinaryIO:
     OSError
         It cannot be read, or is a pipe or a device: that might never end. ``strerror`` says so.
     """
-    more = flags | getattr(os, "O_NONBLOCK", 0)
+    more = flags | os.O_NONBLOCK
     file = open(path, "rb", opener=lambda name, own: os.open(name, own | more))  # noqa: SIM115
     if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
         file.close()
@@ -399,8 +377,6 @@ def _sync(path: Path) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    if os.name != "posix":  # elsewhere a folder cannot be opened
-        return
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

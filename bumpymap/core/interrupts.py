@@ -17,18 +17,6 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any, Protocol, TypeVar
 
-__all__ = [
-    "Interrupted",
-    "Progress",
-    "SilentProgress",
-    "Steps",
-    "Stopwatch",
-    "Terminated",
-    "counted",
-    "interruptible",
-    "shielded",
-]
-
 _AGAIN_S = 0.01
 _IGNORED = 2
 
@@ -76,7 +64,7 @@ class _SignalState:
 
     def was_lost(self, value: BaseException | None) -> bool:
         """Return whether this is the exception that was raised, and was lost; if so, raise it again in 10 ms."""
-        if value is None or value is not self.raised or os.name != "posix":
+        if value is None or value is not self.raised:
             return False
         self.raised = None
         signal.signal(signal.SIGALRM, lambda *_: self.raise_pending())
@@ -98,7 +86,7 @@ def interruptible() -> Iterator[None]:
         yield
         return
     state = _state = _SignalState()
-    hook, alarm = sys.unraisablehook, signal.getsignal(signal.SIGALRM) if os.name == "posix" else None
+    hook, alarm = sys.unraisablehook, signal.getsignal(signal.SIGALRM)
 
     def ignore_lost(unraisable: Any) -> None:
         if not state.was_lost(unraisable.exc_value):
@@ -115,10 +103,8 @@ def interruptible() -> Iterator[None]:
         raise
     finally:
         state.shields += 1  # the run is over: later signals have nothing to interrupt
-        if os.name == "posix":
-            signal.setitimer(signal.ITIMER_REAL, 0)
-            ours[signal.SIGALRM] = alarm
-        for number, before in ours.items():
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        for number, before in {**ours, signal.SIGALRM: alarm}.items():
             signal.signal(number, before)
         sys.unraisablehook = hook
         _state = None

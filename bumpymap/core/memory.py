@@ -2,6 +2,7 @@
 
 import os
 import re
+import resource
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -11,8 +12,6 @@ from pathlib import Path
 from typing import TypeVar
 
 from bumpymap.core.errors import UsageError
-
-__all__ = ["LEAST_MEMORY", "auto_memory", "free_memory", "in_threads", "is_auto", "memory_bytes", "memory_limit"]
 
 LEAST_MEMORY = 128 << 20
 """Smallest limit, bytes: one chunk of a file alone needs this much."""
@@ -89,9 +88,7 @@ def free_memory(proc: Path = _PROC, cgroups: Path = _CGROUPS) -> int | None:
 
 def _left_in_limits(proc: Path) -> Iterator[int]:
     """Yield the bytes that are left of each limit of this process alone."""
-    with suppress(ImportError, OSError, ValueError, KeyError):  # not on Windows
-        import resource
-
+    with suppress(OSError, ValueError, KeyError):
         for limit, use in ((resource.RLIMIT_AS, "VmSize:"), (resource.RLIMIT_DATA, "VmData:")):
             most = resource.getrlimit(limit)[0]
             if most != resource.RLIM_INFINITY:

@@ -19,8 +19,6 @@ import numpy as np
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.files import read_regular
 
-__all__ = ["check_network", "metadata_of", "onnx_runtime", "read_network", "session", "shipped_network"]
-
 _MOST_NODES = 1000
 _MOST_VALUES = 1 << 28
 """Values of the outputs of all nodes at most, with the windows that a convolution takes from one image."""

@@ -5,8 +5,6 @@ from typing import Any, BinaryIO
 
 from numpy.typing import NDArray
 
-__all__ = ["PLY_TYPES", "write_vertices"]
-
 _NAMES = {
     "i1": ("char", "int8"),
     "u1": ("uchar", "uint8"),

@@ -35,20 +35,6 @@ from numpy.typing import NDArray
 from bumpymap.core.errors import UsageError
 from bumpytiles import blocked_signals, start_python
 
-__all__ = [
-    "Child",
-    "ChildDiedError",
-    "ChildError",
-    "DecoderError",
-    "Guard",
-    "SharedBytes",
-    "SharedMemory",
-    "allocate_shared",
-    "can_start_children",
-    "module_folder",
-    "trim_shared",
-]
-
 _PAGE = 4096
 _GROWTH = 1 << 22
 """The memory grows in multiples of this, bytes."""
@@ -159,11 +145,6 @@ def trim_shared() -> None:
     MEMORY.trim()
 
 
-def can_start_children() -> bool:
-    """Return whether child processes can be started: not on Windows, and not from a frozen program."""
-    return os.name == "posix" and bool(sys.executable) and not getattr(sys, "frozen", False)
-
-
 def module_folder(module: str) -> str:
     """Return the folder that a module or package is imported from; raise UsageError if it is not installed."""
     found = find_spec(module)
@@ -205,8 +186,6 @@ class Child:
         folders: Sequence[str] | None = None,
         environment: Mapping[str, str] | None = None,
     ) -> None:
-        if not can_start_children():
-            raise UsageError(f"cannot start a process {purpose} on this system or from a frozen program")
         isolated = folders is not None
         output = subprocess.DEVNULL if isolated else None
         self.link, theirs = Pipe()
@@ -236,16 +215,9 @@ class Child:
         """True while the process is running."""
         return self.process.poll() is None
 
-    def call(
-        self,
-        function: str,
-        *arguments: Any,
-        shared: Sequence[SharedBytes] = (),
-        seconds: float = 0.0,
-        memory: int = 0,
-    ) -> Any:
+    def call(self, function: str, *arguments: Any, **limits: Any) -> Any:
         """Call a function in the child and return its result; see `begin` for the parameters."""
-        self.begin(function, *arguments, shared=shared, seconds=seconds, memory=memory)
+        self.begin(function, *arguments, **limits)
         return self.finish()
 
     def begin(
@@ -336,14 +308,7 @@ class Guard:
         self.child: Child | None = None
         """The process, once there is one."""
 
-    def call(
-        self,
-        function: str,
-        *arguments: Any,
-        shared: Sequence[SharedBytes] = (),
-        seconds: float = 0.0,
-        memory: int = 0,
-    ) -> Any:
+    def call(self, function: str, *arguments: Any, **limits: Any) -> Any:
         """Call a function in the child and return its result; see `Child.begin` for the parameters.
 
         Raises
@@ -354,7 +319,7 @@ class Guard:
             The child cannot be started, or was killed.
         """
         try:
-            return self.live_child().call(function, *arguments, shared=shared, seconds=seconds, memory=memory)
+            return self.live_child().call(function, *arguments, **limits)
         except ChildError as error:
             raise DecoderError(str(error)) from error
         except ChildDiedError as error:
@@ -411,5 +376,4 @@ def _abandon_children() -> None:
         child.abandon()
 
 
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_abandon_children)
+os.register_at_fork(after_in_child=_abandon_children)

@@ -15,25 +15,6 @@ from bumpymap.core.config import DirectionSettings
 from bumpymap.core.types import CostRule, Georeference, obstacle_reach
 from bumpytiles import Grid, TileWindow
 
-__all__ = [
-    "NO_TILE",
-    "Resolution",
-    "RoadFigures",
-    "TAN",
-    "Route",
-    "RouteFigures",
-    "RouteProfile",
-    "RouteVehicle",
-    "StraightLine",
-    "TileField",
-    "TracedLine",
-    "Turn",
-    "axes_along",
-    "axis_values",
-    "by_mean",
-    "slope_cost",
-]
-
 NO_TILE = 255
 """Value of ``TileField.barred`` where the map has no tile."""
 

@@ -36,22 +36,6 @@ from bumpymap.core.files import (
 )
 from bumpymap.core.run_spec import differences
 
-__all__ = [
-    "LOCK",
-    "WORK_FOLDER",
-    "Holder",
-    "Kept",
-    "RunFolder",
-    "clean_folder",
-    "is_interrupted",
-    "is_own_folder",
-    "lock_for",
-    "locked",
-    "read_record",
-    "what_to_keep",
-    "work_folder",
-]
-
 LOCK = ".bumpymap-lock"
 """Name of the lock file, which exists while a run writes to the folder."""
 _TRIES = 1000

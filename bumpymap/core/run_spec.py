@@ -20,18 +20,6 @@ from blake3 import blake3
 
 from bumpymap.core.errors import BadInputError
 
-__all__ = [
-    "CHECKSUM_METHOD",
-    "FileHash",
-    "PieceRuns",
-    "differences",
-    "flat_settings",
-    "join_checksums",
-    "recorded_settings",
-    "same_content",
-    "spec_of_manifest",
-]
-
 CHECKSUM_METHOD = "blake3-1MiB"
 """Stands before the digest in a checksum: ``blake3-1MiB:12ab...``."""
 _SET_METHOD = "blake3-set"

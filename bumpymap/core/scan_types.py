@@ -17,29 +17,6 @@ from bumpymap.core.config import PolarSettings, ScanMethod
 from bumpymap.core.settings import brief_repr
 from bumpymap.core.types import NO_CLASS
 
-__all__ = [
-    "CLASSES",
-    "LONGEST_GAP_S",
-    "NEAREST_S",
-    "NOT_TRAVERSABLE",
-    "SCAN_S",
-    "BagMessage",
-    "ClassedSectors",
-    "Dropped",
-    "Frame",
-    "GroundGrid",
-    "PolarCells",
-    "PoseTrack",
-    "Scan",
-    "SectorBounds",
-    "SectorRide",
-    "SectorStack",
-    "cell_numbers",
-    "first_cells",
-    "point_classes",
-    "sector_bounds",
-]
-
 NEAREST_S = 0.2
 """A time has a pose if one of the track is as near as this ..."""
 LONGEST_GAP_S = 1.5

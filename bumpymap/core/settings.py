@@ -27,32 +27,6 @@ from typing import Annotated, Any, Literal, Protocol, Union, get_args, get_origi
 from bumpymap.core.errors import BumpymapError, UsageError
 from bumpymap.core.files import read_regular
 
-__all__ = [
-    "UNFILLED",
-    "FieldRule",
-    "NameOrFile",
-    "Setting",
-    "assigned_settings",
-    "brief_repr",
-    "check_settings",
-    "default_of",
-    "field_rule",
-    "names_a_file",
-    "parse_record",
-    "parse_share",
-    "path_fault",
-    "path_of_call",
-    "read_settings_file",
-    "read_toml",
-    "refuse_faults",
-    "refuse_unknown",
-    "settings_of_call",
-    "settings_template",
-    "settings_with_options",
-    "short_names",
-    "short_repr",
-]
-
 _MOST_BYTES = 256 * 1024
 _MOST_PARTS = 16
 """Parts of a dotted key; no setting has more than two."""
@@ -475,18 +449,8 @@ def refuse_unknown(given: Iterable[str], known: Collection[str], function: str) 
         raise UsageError(f"{function}: {_unknown_text(unknown, known)}")
 
 
-_GONE = {
-    "resume": "the same run continues an interrupted one: leave it out",
-    "compare": "plan once on the layers of each vehicle",
-}
-"""Settings that there were, and what to do instead."""
-
-
 def _unknown_text(unknown: list[str], known: Collection[str]) -> str:
     from difflib import get_close_matches
-
-    if unknown[0] in _GONE:
-        return f"{unknown[0]} is no setting any more: {_GONE[unknown[0]]}"
 
     near = get_close_matches(unknown[0][:_LONGEST_NAME], known, 1)
     meant = f". Did you mean {near[0]}?" if near else ""

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from bumpytiles import helper
 
-__all__ = ["NO_PLANE", "Plane", "best_candidate", "fill_holes", "next_random"]
-
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Integers = NDArray[np.int32]

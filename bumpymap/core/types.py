@@ -18,68 +18,6 @@ from bumpytiles import Column, Grid, TileTable
 if TYPE_CHECKING:
     from pyproj import CRS
 
-__all__ = [
-    "AXES_DEG",
-    "BANDS",
-    "BARRED_TEXT",
-    "CANOPY",
-    "CHANGE_KINDS",
-    "CLASS_NAMES",
-    "DENSE_COVERAGE",
-    "EMPTY",
-    "FAIL_SHARE",
-    "FREE",
-    "GROUND_SOURCE",
-    "HEADING_BANDS",
-    "HOLE_POINTS",
-    "HOLE_SHARE",
-    "LONE",
-    "NO_CLASS",
-    "OBJECT_NAMES",
-    "OBSTACLE",
-    "OPEN_THROUGH",
-    "POINT_BUILDING",
-    "POINT_CLASSED",
-    "POINT_DECK",
-    "POINT_GROUND",
-    "POINT_OTHER",
-    "POINT_PLANT",
-    "REASON_TEXT",
-    "SEEN",
-    "SEEN_PER_M2",
-    "SIDES",
-    "SOLID",
-    "SPANNED_POINTS",
-    "SPEED_BANDS",
-    "STEEP",
-    "TEXTURES",
-    "THIN_MEASURES",
-    "THIN_PARTS",
-    "THIN_POINTS",
-    "THIN_SEEN",
-    "UNDECIDED",
-    "UNSEEN",
-    "Band",
-    "Barred",
-    "CostMap",
-    "CostRule",
-    "CostTable",
-    "Georeference",
-    "ObjectStack",
-    "PatchStack",
-    "PointCloud",
-    "Reason",
-    "Texture",
-    "TextureMap",
-    "VehicleBody",
-    "corners_join",
-    "neighbour_columns",
-    "obstacle_reach",
-    "rated_columns",
-    "speed_bands",
-    "tile_columns",
-]
-
 THIN_POINTS = 4
 """A thin tile with fewer points is unknown: three lie on a plane, whatever the ground."""
 
@@ -486,18 +424,6 @@ class CostMap:
         names = [column.name for column in rated_columns(self.patches.grid.pixels) if column.name not in own]
         return {name: self.band(name) for name in names} | own
 
-    def lone_columns(self) -> dict[str, NDArray[Any]]:
-        """Return the columns of `tile_columns`, each tile judged without its neighbours: no step is known."""
-        columns = self.columns()
-        unknown = np.full(len(self.class_id), np.nan, np.float32)
-        columns |= dict.fromkeys(("edge_step", "inner_step", *(f"step_{side}" for side in SIDES)), unknown)
-        columns["barred"] = self.rule.barred(columns)
-        columns["passable"] = (columns["barred"] == Barred.NO).astype(np.uint8)
-        columns["passage"] = np.where(
-            np.isin(columns["objects"], (OBSTACLE, UNSEEN)), np.uint8(0), columns["passable"][:, None, None]
-        )
-        return columns
-
 
 @dataclass(frozen=True, slots=True)
 class CostTable:
@@ -510,12 +436,6 @@ class CostTable:
     """Columns of `tile_columns`."""
     speeds: tuple[float, ...] = ()
     """Speeds besides that of the map, m/s."""
-
-    @classmethod
-    def of(cls, cost_map: CostMap) -> "CostTable":
-        """Return the table of a map in memory (at least one tile), each tile judged without its neighbours."""
-        tiles = TileTable.of(cost_map.patches.grid, cost_map.lone_columns())
-        return cls(cost_map.georeference, cost_map.rule, tiles)
 
 
 def rated_columns(pixels: int, speeds: int = 0, *, headings: bool = False) -> tuple[Column, ...]:

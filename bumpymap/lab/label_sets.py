@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 
 from bumpymap.core import CLASSES, BadInputError, UsageError, read_regular
 
-__all__ = ["LABEL_SETS", "LabelSet", "label_set", "require_label_set", "tell_label_set"]
-
 _NO_CLASS = -1
 _LEAST_KNOWN = 0.5
 """A set is refused if fewer of the labelled points than this have ids of the set."""

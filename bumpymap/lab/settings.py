@@ -12,17 +12,6 @@ if TYPE_CHECKING:
     from bumpymap.lab.simulate.drive import DriveSettings, Effort
     from bumpymap.rating import Vehicle
 
-__all__ = [
-    "CalibrationSettings",
-    "EvaluateSettings",
-    "LoopSettings",
-    "NetworkSettings",
-    "ScanEvaluateSettings",
-    "ScanNetSettings",
-    "ScanTrainSettings",
-    "TrainSettings",
-]
-
 _LIBRARY_WHEEL_M = 0.3
 """The library's heights suit wheels of this radius; for other radii they are scaled."""
 

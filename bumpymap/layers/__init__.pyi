@@ -6,7 +6,7 @@ from ._imports import (
     import_without_pandas as import_without_pandas,
 )
 from .batch import (
-    BATCH_LOG as BATCH_LOG,
+    BATCH_LINKS as BATCH_LINKS,
     BATCH_NAMES as BATCH_NAMES,
     SurveyRow as SurveyRow,
     SurveyStatus as SurveyStatus,

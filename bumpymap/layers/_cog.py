@@ -17,6 +17,7 @@ rasterio cannot write category names and raster attribute tables. The layout of 
 """
 
 import os
+import resource
 import shutil
 import threading
 import zlib
@@ -36,22 +37,8 @@ from rasterio.windows import Window
 
 from bumpymap.core import atomic
 from bumpymap.layers._sparse_cog import Pieces, write_sparse_cog
-from bumpymap.layers.placement import SCRATCH_BLOCK, BandSpec, Placement, RasterSpec, RasterWindow, create_raster
+from bumpymap.layers.placement import SCRATCH_BLOCK, Placement, RasterSpec, RasterWindow, create_raster
 from bumpytiles import BLOCK_TILES
-
-__all__ = [
-    "TILE_WINDOW",
-    "BandSpec",
-    "RasterSpec",
-    "checksum",
-    "count_values",
-    "raster_lock",
-    "require_disk_space",
-    "require_intact",
-    "write_array",
-    "write_cog",
-    "write_value_table",
-]
 
 
 def checksum(pixels: NDArray[np.generic]) -> int:
@@ -145,12 +132,6 @@ def _add_rows(table: ET.Element, rows: Sequence[tuple[int | str, ...]]) -> None:
             ET.SubElement(element, "F").text = str(value)
 
 
-try:
-    import resource
-except ImportError:  # not on Windows
-    resource = None  # type: ignore[assignment]
-
-
 _FAILURES: tuple[type[Exception], ...] = (RasterioError, rasterio._err.CPLE_BaseError, ET.ParseError)  # noqa: SLF001 (no public name)
 _GDAL = {"GDAL_CACHEMAX": 64, "COG_TMP_COMPRESSION": "NONE"}
 """The block cache, bytes, as rasterio takes a whole number: next to none, since every block is written once. A map of
@@ -173,8 +154,7 @@ def _reset_after_fork() -> None:
     _gdal, _is_fork = threading.Lock(), True
 
 
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_reset_after_fork)
+os.register_at_fork(after_in_child=_reset_after_fork)
 
 
 def raster_lock() -> threading.Lock:
@@ -344,7 +324,7 @@ def gdal_threads() -> str:
     started (seen in 3.10), so it gets one thread if address space is limited (with ``ulimit -v``, GDAL's own memory may
     leave no space for a thread's stack), or in a forked process, in which those that it has started are not.
     """
-    limited = resource is not None and resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY
+    limited = resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY
     return "1" if limited or _is_fork else "ALL_CPUS"
 
 

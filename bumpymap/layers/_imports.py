@@ -8,8 +8,6 @@ from typing import Any
 
 from bumpymap.core import UsageError
 
-__all__ = ["import_notebook", "import_without_pandas"]
-
 _HIDDEN = frozenset(
     {
         *("pandas", "geopandas", "cloudpickle"),

@@ -23,8 +23,6 @@ from rasterio.io import MemoryFile
 from bumpymap.layers.placement import Placement, RasterSpec, RasterWindow, create_raster
 from bumpytiles import TileWindow
 
-__all__ = ["write_sparse_cog"]
-
 _BLOCK = 128
 """Side of a block of the file, pixels: smaller ones leave more of the raster out."""
 _HALVINGS = 5

@@ -16,8 +16,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["read", "vector_drivers"]
-
 _PLAIN = re.compile(
     r"CREATE (TABLE|INDEX|UNIQUE INDEX|TRIGGER)\b.*"
     r'|CREATE VIRTUAL TABLE "rtree_([^"]|"")*" USING rtree\([^()]*\)',

@@ -1,7 +1,7 @@
-"""The files of a batch: summary.csv and summary.parquet with one row for each survey, beside its page."""
+"""The files of a batch: summary.csv and summary.parquet with one row for each survey, catalogue, page."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from os.path import lexists
 from pathlib import Path
@@ -14,7 +14,6 @@ from bumpymap.core import (
     OutputError,
     escape_controls,
     open_regular,
-    parse_json,
     utf8_path,
     write_csv,
     write_remedy,
@@ -23,17 +22,7 @@ from bumpymap.core import (
 from bumpymap.layers.manifest import read_manifest
 from bumpymap.layers.map_files import open_raster
 from bumpymap.layers.products import CATALOG_NAME, MapFile, require_folder
-
-__all__ = [
-    "BATCH_LOG",
-    "BATCH_NAMES",
-    "SurveyRow",
-    "SurveyStatus",
-    "check_batch_out",
-    "map_facts",
-    "write_batch_summary",
-]
-
+from bumpymap.layers.stac import write_catalog
 
 SurveyStatus: TypeAlias = Literal["done", "already done", "incomplete", "failed", "not reached"]
 """``incomplete``: layers were written, but files were skipped, or too many tiles are unknown."""
@@ -126,9 +115,10 @@ def _described(manifest: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-BATCH_LOG = "log.jsonl"
 _CSV, _PARQUET, _PAGE = "summary.csv", "summary.parquet", "index.html"
-BATCH_NAMES = (_CSV, _PARQUET, _PAGE, CATALOG_NAME, BATCH_LOG)
+BATCH_LINKS = (_CSV, _PARQUET, CATALOG_NAME)
+"""Files of a batch that its page links to."""
+BATCH_NAMES = (*BATCH_LINKS, _PAGE)
 """Files of a batch in its folder, beside the folders of the surveys."""
 _MAP = "run.json"
 _MOST_LINE = 100_000
@@ -144,38 +134,38 @@ def check_batch_out(out: Path) -> None:
     for name in present:
         if (out / name).is_symlink() or not (out / name).is_file():
             raise OutputError(f"{out / name} is a link or no file, and was not touched. Remove it")
-    if present and not (
-        _is_log(out / BATCH_LOG) or _first_line(out / _CSV) == ",".join(column.name for column in fields(SurveyRow))
-    ):
+    if present and _first_line(out / _CSV) != ",".join(column.name for column in fields(SurveyRow)):
         raise OutputError(
             f"{out} holds {', '.join(present)}, which no batch has written. Choose another `out`, or remove them"
         )
 
 
-def write_batch_summary(rows: Sequence[SurveyRow], folder: Path, page: Callable[[Sequence[str]], str]) -> None:
-    """Write summary.csv, summary.parquet and index.html, all or none.
+def write_batch_summary(rows: Sequence[SurveyRow], folder: Path, title: str, page: str) -> None:
+    """Write summary.csv, summary.parquet, catalog.json and index.html, all or none.
 
     Parameters
     ----------
     rows : sequence of SurveyRow
     folder : Path
         An existing folder.
-    page : callable
-        Returns index.html, given the names of the files beside it to link to: the tables, the log, the catalogue.
+    title : str
+        Of the catalogue.
+    page : str
+        Content of index.html.
 
     Raises
     ------
     OutputError
         The files cannot be written.
     """
-    links = [_CSV, _PARQUET, *(name for name in (BATCH_LOG, CATALOG_NAME) if (folder / name).is_file())]
     try:
         with write_together(folder, _CSV) as staged, utf8_path(staged) as path:
             names = [column.name for column in fields(SurveyRow)]
             table = ([_cell(getattr(row, name)) for name in names] for row in rows)
             write_csv(path / _CSV, names, table, end="\n")
             _write_parquet(rows, path / _PARQUET)
-            (path / _PAGE).write_text(page(links), encoding="utf-8")
+            write_catalog(path / CATALOG_NAME, folder, [row.name for row in rows if row.status != "failed"], title)
+            (path / _PAGE).write_text(page, encoding="utf-8")
     except OSError as error:
         raise OutputError(
             f"cannot write the summary to {folder}: {error}. {write_remedy(error, 'Free some space there')}"
@@ -207,14 +197,6 @@ def _write_parquet(rows: Sequence[SurveyRow], path: Path) -> None:
     values = [[escape_controls(cell) if isinstance(cell, str) else cell for cell in column] for column in cells]
     arrays = [pa.array(own, column.type) for own, column in zip(values, columns, strict=True)]
     pq.write_table(pa.table(arrays, schema=pa.schema(columns)), path, compression="zstd")
-
-
-def _is_log(path: Path) -> bool:
-    try:
-        first = parse_json(_first_line(path))
-    except ValueError:
-        return False
-    return isinstance(first, dict) and {"time", "event"} <= set(first)
 
 
 def _first_line(path: Path) -> str:

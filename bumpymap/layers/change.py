@@ -24,17 +24,6 @@ from bumpytiles import Grid, TileWindow
 if TYPE_CHECKING:
     import geopandas
 
-__all__ = [
-    "CHANGED_BAND",
-    "ChangeField",
-    "SurveyPair",
-    "SurveyTiles",
-    "change_regions",
-    "open_pair",
-    "write_change_raster",
-    "write_change_regions",
-]
-
 _COMPARED_BANDS = ("c_r", "c_r_low", "c_r_high", "density", "coverage")
 _MUST_AGREE = "Map both with the same settings"
 _MOST_TILES = 100_000_000

@@ -8,14 +8,6 @@ from bumpymap.core import CLASS_NAMES, NO_CLASS, CheckResult, UsageError
 from bumpymap.layers.manifest import plain_manifest
 from bumpymap.layers.products import OTHER_FILES, OutputFolder
 
-__all__ = [
-    "CHECK_FILES",
-    "CHECK_FORMAT",
-    "CHECK_MANIFEST_NAME",
-    "check_check_out",
-    "check_entries",
-]
-
 CHECK_MANIFEST_NAME = "check.json"
 CHECK_FILES = OutputFolder(
     ("check.html", "check.geojson", CHECK_MANIFEST_NAME, "check.qml"),

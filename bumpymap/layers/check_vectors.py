@@ -23,17 +23,6 @@ from bumpymap.layers.route_lines import MapSource
 from bumpymap.layers.vector import GeoJsonCoordinates, feature, write_features
 from bumpytiles import Grid, TileWindow
 
-__all__ = [
-    "NORMAL_80",
-    "NOT_COMPARED",
-    "OFF_KINDS",
-    "CheckGround",
-    "MapOffset",
-    "place_stretches",
-    "stretch_properties",
-    "write_stretches",
-]
-
 _EDGES = np.array([1 / 2, 1 / 1.5, 1 / 1.2, 1.2, 1.5, 2.0])
 OFF_KINDS = (
     "map over 2 times too low",

@@ -10,23 +10,6 @@ from numpy.typing import NDArray
 
 from bumpymap.core import CANOPY, CLASS_NAMES, FREE, NO_CLASS, OBSTACLE, Barred, Reason
 
-__all__ = [
-    "BARRED_COLOURS",
-    "CHANGE_COLOURS",
-    "CLASS_COLOURS",
-    "COST_COLOURS",
-    "OBJECT_COLOURS",
-    "OFF_COLOURS",
-    "OR_FAILS",
-    "PASSAGE_COLOURS",
-    "PASSAGE_NAMES",
-    "REASON_COLOURS",
-    "UNKNOWN_OBJECT",
-    "RideScale",
-    "class_limits",
-    "class_ranges",
-]
-
 CLASS_COLOURS: dict[int, tuple[int, int, int, int]] = {
     0: (44, 123, 182, 255),
     1: (171, 217, 233, 255),

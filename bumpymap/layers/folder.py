@@ -28,22 +28,12 @@ from bumpymap.layers.colours import class_limits
 from bumpymap.layers.geotiff import write_raster
 from bumpymap.layers.manifest import MANIFEST_NAME, complete_manifest, describe_file, software_versions, write_manifest
 from bumpymap.layers.placement import Placement
-from bumpymap.layers.products import ASKED_NAMES, EVERY_NAME, EVERY_VIEW_NAME, MapFile, every_file
+from bumpymap.layers.products import ASKED_NAMES, EVERY_FILE, MapFile
 from bumpymap.layers.regions import dissolve
 from bumpymap.layers.stac import write_item
 from bumpymap.layers.summary import MapSummary, summarise
 from bumpymap.layers.tile_table import write_tiles
 from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojson_writer
-
-__all__ = [
-    "ViewWriter",
-    "as_tags",
-    "is_complete",
-    "layer_metadata",
-    "refuse_replacing",
-    "verified_record",
-    "write_products",
-]
 
 
 def layer_metadata(manifest: Mapping[str, Any], place: Georeference) -> dict[str, Any]:
@@ -161,15 +151,9 @@ def refuse_replacing(folder: Path, differences: Sequence[str]) -> None:
 
 
 def _verify(folder: Path, files: Collection[str], listed: dict[str, str]) -> None:
-    unknown = sorted(set(files) - set(listed))
-    if unknown:
-        raise OutputError(
-            f"{folder} already holds a complete run of an earlier version of bumpymap, which did not write "
-            f"{', '.join(unknown)}. {_REMEDY}"
-        )
-    for name, checksum in sorted(listed.items()):
+    for name in sorted({*files, *listed}):
         try:
-            same = describe_file(folder / name)["sha256"] == checksum
+            same = describe_file(folder / name)["sha256"] == listed.get(name)
         except BadInputError as error:
             raise OutputError(f"{folder} already holds a complete run, but {name} is missing. {_REMEDY}") from error
         if not same:
@@ -215,7 +199,7 @@ def write_products(
     Returns
     -------
     list of Path
-        The files, in the order of ``EVERY_NAME`` and ``EVERY_VIEW_NAME``.
+        The files, in the order of ``EVERY_FILE``.
     MapSummary
         Counts and medians of the map.
 
@@ -232,8 +216,7 @@ def write_products(
     coordinates = GeoJsonCoordinates.of(placement, local=local)
     metadata = layer_metadata(manifest, table.georeference)
     progress = progress or SilentProgress()
-    earlier = every_file(folder)
-    with write_together(folder, MANIFEST_NAME, earlier) as staged, ThreadPoolExecutor(1) as background:
+    with write_together(folder, MANIFEST_NAME, EVERY_FILE) as staged, ThreadPoolExecutor(1) as background:
         for layer in MapFile:
             (staged / layer).parent.mkdir(exist_ok=True)
         counting = background.submit(summarise, table, class_limits(manifest))
@@ -250,7 +233,7 @@ def write_products(
         write_manifest(record, staged / MANIFEST_NAME)
     _log.info("wrote %d tiles to %s", summary.tiles, folder)
     stems = {Path(name).stem for name in set(ASKED_NAMES) - set(_asked(table))}
-    names = [name for name in (*EVERY_NAME, *EVERY_VIEW_NAME) if Path(name).stem not in stems]
+    names = [name for name in EVERY_FILE if Path(name).stem not in stems]
     return [folder / name for name in names], summary
 
 
@@ -310,7 +293,7 @@ def _write_layers(
             files = [file for future in as_completed(futures) for file in future.result()]
         finally:
             stop.set()
-    return sorted(files, key=lambda file: EVERY_NAME.index(file["path"]))
+    return sorted(files, key=lambda file: EVERY_FILE.index(file["path"]))
 
 
 def _write_regions(

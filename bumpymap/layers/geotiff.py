@@ -34,8 +34,6 @@ from bumpymap.layers.placement import BandSpec, Placement, RasterSpec, RasterWin
 from bumpymap.layers.products import MapFile
 from bumpytiles import BLOCK_TILES, TileTable, TileWindow
 
-__all__ = ["box_sum", "write_raster"]
-
 _Number = TypeVar("_Number", np.int64, np.float64)
 
 

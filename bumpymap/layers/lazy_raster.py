@@ -17,8 +17,6 @@ from xarray.core import indexing
 from bumpymap.core import BadInputError
 from bumpymap.layers.map_files import closed_gdal, gdal_text
 
-__all__ = ["lazy_values"]
-
 
 class _ValuesOnDisk(BackendArray):  # type: ignore[misc]  # mypy does not read xarray
     def __init__(self, path: Path, driver: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:

@@ -29,21 +29,6 @@ from bumpymap.core import (
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.summary import MapSummary
 
-__all__ = [
-    "COUNT",
-    "MANIFEST_FORMAT",
-    "MANIFEST_NAME",
-    "PLACE_SHAPE",
-    "complete_manifest",
-    "describe_file",
-    "describe_input",
-    "place_entries",
-    "plain_manifest",
-    "read_manifest",
-    "software_versions",
-    "write_manifest",
-]
-
 MANIFEST_NAME = "run.json"
 MANIFEST_FORMAT = "bumpymap-run"
 COUNT = Number(0, 1e15, whole=True)
@@ -89,7 +74,6 @@ _SHAPE: dict[str, Any] = PLACE_SHAPE | {
     },
 }
 _VERSION = 2
-"""1: all files of a map lay at the top of its folder."""
 _PACKAGES = (
     "bumpymap", "laspy", "lazrs", "numba", "numpy", "onnxruntime", "pyarrow", "pyogrio", "pypcd4", "pyproj",
     "rasterio", "scipy", "shapely",
@@ -298,9 +282,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         hint = f"The map of this drive is in {folder / 'map'}" if is_scan else remedy
         raise BadInputError(f"{folder} holds no complete run: {MANIFEST_NAME} is missing or not that of a map. {hint}")
     if (record["format"], record.get("version")) != (MANIFEST_FORMAT, _VERSION):
-        raise BadInputError(
-            f"{folder} holds a map of another version of bumpymap, with its files in other places. Map the survey again"
-        )
+        raise BadInputError(f"{folder} holds a map of another version of bumpymap. Map the survey again")
     if fault := shape_fault(record, _SHAPE):
         raise BadInputError(f"{folder / MANIFEST_NAME} is damaged: {fault}. Map the survey again")
     return record

@@ -34,19 +34,6 @@ if TYPE_CHECKING:
 
 _AGAIN = "Map the survey again"
 
-__all__ = [
-    "FeatureTable",
-    "KeptRasters",
-    "closed_gdal",
-    "gdal_text",
-    "open_layer",
-    "open_raster",
-    "read_averaged",
-    "read_features",
-    "require_format",
-    "require_written",
-]
-
 
 @contextmanager
 def open_raster(folder: Path, name: str) -> Iterator[Any]:

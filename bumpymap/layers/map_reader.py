@@ -39,8 +39,6 @@ from bumpytiles import Grid, TileWindow
 if TYPE_CHECKING:
     from rasterio.io import DatasetReader
 
-__all__ = ["MapReader", "common_window", "open_map"]
-
 Coordinate = TypeVar("Coordinate", float, NDArray[np.float64])
 
 _BANDS = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle")
@@ -395,7 +393,7 @@ def open_map(folder: str | os.PathLike[str]) -> MapReader:
     Raises
     ------
     BadInputError
-        The folder holds no complete run, or one of an earlier version; or a raster is missing, cut off, or does not
+        The folder holds no complete run, or one of another version; or a raster is missing, cut off, or does not
         fit to the others.
     """
     folder, rasters = Path(folder), _kept_rasters()
@@ -447,7 +445,7 @@ def _numbers(path: Path, file: "DatasetReader", bands: Sequence[str]) -> list[in
     names = file.descriptions
     missing = [band for band in bands if band not in names]
     if missing:
-        raise BadInputError(f"{path} has no band {missing[0]}: it was made by an earlier version. {_AGAIN}")
+        raise BadInputError(f"{path} has no band {missing[0]}. {_AGAIN}")
     return [names.index(band) + 1 for band in bands]
 
 
@@ -500,12 +498,7 @@ def _speeds(cost: Mapping[str, Any], vehicle: RouteVehicle) -> tuple[tuple[float
 
 
 def _vehicle(folder: Path, manifest: Mapping[str, Any]) -> RouteVehicle:
-    vehicle = manifest.get("vehicle")
-    if vehicle is None:
-        raise BadInputError(
-            f"{folder} was made by an earlier version, which did not store the width and speed of the vehicle. Map the "
-            "survey again, with `overwrite=True` to replace these layers"
-        )
+    vehicle: Any = manifest.get("vehicle")
     if fault := shape_fault(vehicle, _VEHICLE, "vehicle"):
         raise BadInputError(f"{folder / 'run.json'} is damaged: {fault}. {_AGAIN}")
     return RouteVehicle(vehicle["name"], float(vehicle["width_m"]), float(vehicle["speed_mps"]))

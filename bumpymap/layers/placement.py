@@ -17,19 +17,6 @@ from bumpytiles import Grid, TileWindow
 if TYPE_CHECKING:
     from rasterio.transform import Affine
 
-__all__ = [
-    "MAX_PIXELS",
-    "MAX_SIDE",
-    "MAX_TILES",
-    "SCRATCH_BLOCK",
-    "BandSpec",
-    "Placement",
-    "RasterSpec",
-    "RasterWindow",
-    "check_extent",
-    "create_raster",
-]
-
 MAX_TILES = 400_000_000
 """Most tiles in the bounding window of a map: 60 km x 60 km of 3 m tiles. One of a corridor on the diagonal of it took
 4 minutes of CPU time, 1.1 GB of memory and 1.4 GB of disk space: GDAL visits every tile of rasters of tiles."""

@@ -16,30 +16,11 @@ from bumpymap.core import (
     OutputError,
     UsageError,
     locked,
-    read_record,
     remove_empty_on_error,
     remove_path,
     write_together,
 )
 from bumpymap.layers.manifest import MANIFEST_NAME, describe_file, write_manifest
-
-__all__ = [
-    "ASKED_NAMES",
-    "CATALOG_NAME",
-    "EVERY_NAME",
-    "EVERY_VIEW_NAME",
-    "OTHER_FILES",
-    "PRODUCT_NAMES",
-    "REPORT_NAME",
-    "VIEW_NAMES",
-    "MapFile",
-    "OutputFolder",
-    "check_folder",
-    "every_file",
-    "make_folder",
-    "refuse_present",
-    "require_folder",
-]
 
 
 def require_folder(out: Path) -> None:
@@ -116,6 +97,8 @@ EVERY_VIEW_NAME: tuple[str, ...] = (
     MapFile.REPORT,
 )
 """Files to look at the others with: styles, a project, a page. GIS programs rewrite them, so they have no checksum."""
+EVERY_FILE = (*EVERY_NAME, *EVERY_VIEW_NAME)
+"""The files that a map may have left in its folder, relative to it."""
 VIEW_NAMES = tuple(name for name in EVERY_VIEW_NAME if Path(name).stem not in {Path(each).stem for each in ASKED_NAMES})
 """Those that every run writes."""
 
@@ -168,14 +151,7 @@ def check_folder(folder: Path, *, overwrite: bool) -> None:
         if lexists(part) and (part.is_symlink() or not part.is_dir()):
             raise OutputError(f"{part} is a link or no folder, and was not touched. Remove it, or choose another `out`")
     unfinished = "" if lexists(folder / MANIFEST_NAME) else " of a run that did not end"
-    refuse_present(folder, (*EVERY_NAME, *EVERY_VIEW_NAME), overwrite=overwrite, whose=unfinished)
-
-
-def every_file(folder: Path) -> list[str]:
-    """Return the files that a map may have left in a folder, relative to it; maps of version 1 had all at the top."""
-    names = [*EVERY_NAME, *EVERY_VIEW_NAME]
-    version = (read_record(folder / MANIFEST_NAME) or {}).get("version")
-    return names + [Path(name).name for name in names] if version == 1 else names
+    refuse_present(folder, EVERY_FILE, overwrite=overwrite, whose=unfinished)
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,13 +21,6 @@ from bumpytiles import Grid, TileWindow
 if TYPE_CHECKING:
     import xarray
 
-__all__ = [
-    "ReachField",
-    "reach_dataset",
-    "write_isochrones",
-    "write_reach",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class ReachField:

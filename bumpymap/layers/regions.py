@@ -25,8 +25,6 @@ from bumpymap.layers._cog import raster_lock
 from bumpymap.layers.placement import Placement, RasterWindow
 from bumpytiles import BLOCK_TILES, TileWindow, helper, kernel
 
-__all__ = ["REGION_WINDOW", "Regions", "dissolve", "label", "shared_corners", "trace_labels"]
-
 
 def label(keys: NDArray[np.uint8]) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]]:
     """Give a number to each of the 4-connected areas of equal key, from 1, in the order of their first pixels.

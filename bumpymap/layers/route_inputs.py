@@ -39,18 +39,6 @@ from bumpymap.layers.map_files import read_features
 from bumpymap.layers.map_reader import MapReader
 from bumpytiles import Grid, TileWindow
 
-__all__ = [
-    "FilePoint",
-    "VectorLayer",
-    "geojson_features",
-    "line_parts",
-    "read_areas",
-    "read_points",
-    "read_vectors",
-    "tiles_in",
-    "tiles_within",
-]
-
 _REMEDY = "Give a vector file such as GeoJSON, which a GIS can save"
 
 

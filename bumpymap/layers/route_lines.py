@@ -25,25 +25,6 @@ from bumpytiles import TileWindow
 if TYPE_CHECKING:
     import geopandas
 
-__all__ = [
-    "PROFILE_COLUMNS",
-    "P_ARRIVES_NOTE",
-    "STRETCH_COLUMNS",
-    "MapSource",
-    "PlannedRoute",
-    "route_coordinates",
-    "route_properties",
-    "split_at_antimeridian",
-    "stop_names",
-    "stop_roles",
-    "stretch_rows",
-    "window_around",
-    "write_gpx",
-    "write_profile",
-    "write_route_geojson",
-    "write_route_stretches",
-]
-
 P_ARRIVES_NOTE = "errors of neighbouring tiles go together: an estimate"
 _SMALL = 6
 """Decimals of shares, angles per metre and ratios; lengths and times have 3."""

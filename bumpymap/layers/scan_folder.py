@@ -34,39 +34,7 @@ from bumpymap.core import (
 )
 from bumpymap.layers.colours import CLASS_COLOURS
 from bumpymap.layers.manifest import MANIFEST_NAME, describe_file, describe_input, software_versions, write_manifest
-from bumpymap.layers.products import every_file, make_folder
-
-__all__ = [
-    "ACCUMULATED_NAME",
-    "FRAME_FILES",
-    "FRAME_FOLDER",
-    "MAP_FOLDER",
-    "OBSTACLE_POINT",
-    "OTHER_POINT",
-    "SCAN_CLASS_NAMES",
-    "SCAN_COLOURS",
-    "SCAN_MANIFEST_NAME",
-    "SECTOR_STATES",
-    "SECTOR_TABLE_NAME",
-    "FramePart",
-    "FrameReport",
-    "check_scan_folder",
-    "class_index",
-    "explain_empty_scan",
-    "file_sizes",
-    "has_finished_parts",
-    "load_part",
-    "name_frames",
-    "output_errors",
-    "part_path",
-    "point_styles",
-    "remove_stale_products",
-    "report_frame",
-    "save_part",
-    "sector_states",
-    "sync_to_disk",
-    "write_scan_manifest",
-]
+from bumpymap.layers.products import EVERY_FILE, make_folder
 
 SCAN_CLASS_NAMES: tuple[str, ...] = (*CLASS_NAMES[:CLASSES], "not traversable")
 """Name of each class of a sector; see `class_index`."""
@@ -415,7 +383,7 @@ def remove_stale_products(folder: Path, kept: Sequence[str]) -> None:
         if name in kept or not lexists(folder / name):
             continue
         if name == MAP_FOLDER and not (folder / name).is_symlink():
-            with write_together(folder / name, MANIFEST_NAME, every_file(folder / name)):
+            with write_together(folder / name, MANIFEST_NAME, EVERY_FILE):
                 pass  # none of these files is written again
             with suppress(OSError):  # a folder with other files in it stays
                 (folder / name).rmdir()

@@ -30,15 +30,6 @@ from bumpymap.layers.scan_folder import (
     point_styles,
 )
 
-__all__ = [
-    "frame_files",
-    "has_files",
-    "outlines",
-    "write_cloud",
-    "write_frame",
-    "write_polygons",
-]
-
 _ABOUT = (
     "bumpymap scan: sensor frame, x forward, y left, z up, metres",
     "class 0 smooth, 1 fair, 2 rough: that of the sector; 255 not traversable or in no sector",

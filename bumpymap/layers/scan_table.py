@@ -15,8 +15,6 @@ from pyproj import CRS
 from bumpymap.core import NO_CLASS, NOT_TRAVERSABLE, ClassedSectors, sector_bounds
 from bumpymap.layers.tile_table import typed_array
 
-__all__ = ["COLUMNS", "AccumulatedSurvey", "SectorTable", "open_accumulated", "open_table", "sector_rows"]
-
 _SCALE_M = 0.001
 _GROUND, _UNCLASSIFIED = 2, 1
 """LAS classification codes."""

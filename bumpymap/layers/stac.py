@@ -5,7 +5,6 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from datetime import date
-from os.path import lexists
 from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import quote
@@ -13,14 +12,12 @@ from urllib.parse import quote
 import shapely
 from pyproj import CRS
 
-from bumpymap.core import BadInputError, Georeference, OutputError, atomic, stated_crs
+from bumpymap.core import BadInputError, Georeference, atomic, stated_crs
 from bumpymap.layers.map_files import open_layer
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.products import CATALOG_NAME, EVERY_NAME, EVERY_VIEW_NAME, MapFile
 from bumpymap.layers.vector import BoundingBox, polygons_in_wgs84, wgs84_transformer
 from bumpytiles import Grid, TileWindow
-
-__all__ = ["write_catalog", "write_item"]
 
 _SHA256 = "1220"
 """First bytes of a multihash: the code of SHA-256 and the length of its digest, 32 bytes."""
@@ -146,15 +143,17 @@ _ESCAPED = re.compile("[#?%\\x00-\\x1f\ud800-\udfff]")
 """Characters that a link cannot hold: surrogates stand for bytes of a file name that are not UTF-8."""
 
 
-def write_catalog(root: Path, folders: Sequence[str], *, title: str) -> None:
-    """Write catalog.json: a STAC catalogue with a link to the item of each complete map.
+def write_catalog(path: Path, root: Path, folders: Sequence[str], title: str) -> None:
+    """Write a STAC catalogue with a link to the item of each complete map.
 
     Items do not link back: they are the same whether a map was made alone or with others.
 
     Parameters
     ----------
+    path : Path
+        The file.
     root : Path
-        The folder that holds those of the maps.
+        The folder that holds those of the maps; links start there.
     folders : sequence of str
         Their names in it, in the order of the links. One without a complete map is left out.
     title : str
@@ -163,11 +162,8 @@ def write_catalog(root: Path, folders: Sequence[str], *, title: str) -> None:
     Raises
     ------
     OutputError
-        The file cannot be written, or there is a link or a folder in its place.
+        The file cannot be written.
     """
-    place = root / CATALOG_NAME
-    if lexists(place) and (place.is_symlink() or not place.is_file()):
-        raise OutputError(f"{place} is a link or no file, and was not touched. Remove it")
     needed = MapFile.ITEM, MapFile.MANIFEST
     complete = [each for each in folders if all((root / each / name).is_file() for name in needed)]
     items = [_link("item", f"./{_quoted(each)}/{MapFile.ITEM}", each) for each in complete]
@@ -180,7 +176,7 @@ def write_catalog(root: Path, folders: Sequence[str], *, title: str) -> None:
         "description": "Roughness and ride cost of the ground, from point clouds: one item for each survey",
         "links": [_link("root", f"./{CATALOG_NAME}", title) | {"type": "application/json"}, *items],
     }
-    write_document(document, place)
+    write_document(document, path)
 
 
 def _quoted(name: str) -> str:

@@ -19,8 +19,6 @@ from bumpymap.core import (
     Reason,
 )
 
-__all__ = ["LITTLE_SEEN", "MapSummary", "summarise"]
-
 LITTLE_SEEN = "too little seen"
 """Reason why a tile with a class is not passable: too little of it was seen to tell whether there is a way."""
 

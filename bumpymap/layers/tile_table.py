@@ -32,8 +32,6 @@ from bumpymap.core import (
 from bumpymap.layers.placement import Placement
 from bumpytiles import TileTable
 
-__all__ = ["read_tiles", "require_tiles", "typed_array", "write_tiles"]
-
 _ROW_GROUP = 16_384
 """Most tiles in a row group: 15 MB of heights at 15 x 15 pixels."""
 _SIDES_OF_BOX = ("xmin", "ymin", "xmax", "ymax")
@@ -220,13 +218,13 @@ def read_tiles(path: Path, tiles: int) -> Iterator[dict[str, NDArray[Any]]]:
     Raises
     ------
     BadInputError
-        The file is missing, damaged, of an earlier version, not of this run, or does not fit into memory.
+        The file is missing, damaged, not of this run, or does not fit into memory.
     """
     try:
         with pq.ParquetFile(path, read_dictionary=["barred"]) as file:
             missing = set(_READ) - set(file.schema_arrow.names)
             if missing:
-                raise BadInputError(f"{path} has no column {min(missing)}: an earlier version wrote it. {_AGAIN}")
+                raise BadInputError(f"{path} has no column {min(missing)}. {_AGAIN}")
             _require_rows(path, file.metadata, tiles)
             for group in range(file.num_row_groups):
                 _require_memory(path, file.metadata, [group], _READ)

@@ -27,19 +27,6 @@ from bumpymap.layers.regions import Regions
 if TYPE_CHECKING:
     import pyarrow as pa
 
-__all__ = [
-    "DEGREE_DECIMALS",
-    "BoundingBox",
-    "GeoJsonCoordinates",
-    "feature",
-    "flatgeobuf_writer",
-    "geojson_writer",
-    "outline_of",
-    "polygons_in_wgs84",
-    "wgs84_transformer",
-    "write_features",
-]
-
 _TRIES = 33
 """Points along each side of the raster at which the transformation is tried first."""
 

@@ -1,6 +1,7 @@
 from .features import (
     join_stacks as join_stacks,
     measure as measure,
+    measure_thin as measure_thin,
 )
 from .ground.cloth import (
     close_filter as close_filter,
@@ -18,7 +19,4 @@ from .standing import (
     leave_out_standing as leave_out_standing,
     settle_relief as settle_relief,
     take_off_standing as take_off_standing,
-)
-from .thin import (
-    measure_thin as measure_thin,
 )

@@ -9,8 +9,6 @@ from bumpymap.patches.kernels.measure import PointsByTile
 from bumpymap.patches.kernels.objects import ObjectLimits, TileObjects, find_in_tiles, object_scratch
 from bumpytiles import Grid, TilePoints
 
-__all__ = ["find_objects", "settle_solids"]
-
 _SCALARS = 4
 _SHARE = 0.02
 """Share of a neighbourhood's points that makes an obstacle: at 100 points/m2 and more a bird has more than one."""

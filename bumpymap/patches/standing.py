@@ -43,16 +43,6 @@ from bumpymap.patches.kernels.standing import (
 )
 from bumpytiles import BLOCK_TILES, TilePoints
 
-__all__ = [
-    "ReliefObjects",
-    "decks_as_ground",
-    "find_in_relief",
-    "find_standing",
-    "leave_out_standing",
-    "settle_relief",
-    "take_off_standing",
-]
-
 _WIDTH = 1.8
 """Width of what the ground filter may have left, m; wider things are above its threshold."""
 _WIDEST = 2.6

@@ -10,8 +10,6 @@ import struct
 from collections.abc import Sequence
 from typing import Any
 
-__all__ = ["check_record", "decode_chunks", "read_chunk_table"]
-
 
 def _fields() -> Any:
     """Return the fields to decode of point formats 6 to 10; earlier formats are always decoded completely."""

@@ -12,27 +12,6 @@ from numpy.typing import NDArray
 from bumpymap.core import POINT_GROUND
 from bumpytiles import coordinates, helper, kernel, tile_index
 
-__all__ = [
-    "AXIS_BITS",
-    "CELL",
-    "LINE_BITS",
-    "QUANTA",
-    "SLOTS",
-    "STRIP",
-    "SUMS",
-    "CellTable",
-    "Corrections",
-    "LinedPoints",
-    "RecordCounts",
-    "RecordRules",
-    "ScaledLinedPoints",
-    "StripPlaces",
-    "add_points",
-    "add_scaled_points",
-    "correct_heights",
-    "filter_records",
-]
-
 Floats = Annotated[NDArray[np.float64], 1]
 Bytes = Annotated[NDArray[np.uint8], 1]
 Lines = Annotated[NDArray[np.uint16], 1]

@@ -21,19 +21,6 @@ from bumpymap.readers.point_stats import OUTSIDE
 from bumpymap.readers.source import Location, decoding, refuse_count
 from bumpytiles import Bounds, Scaling
 
-__all__ = [
-    "DEEPEST",
-    "ChunkTable",
-    "check_layers",
-    "count_points_outside_node",
-    "depth_first_order",
-    "laz_record",
-    "node_boxes",
-    "read_octree",
-    "read_table",
-    "refuse_sizes",
-]
-
 _NOT_CHUNKED = 1
 """Value of the "compressor" word of the LASzip record for data without a chunk table (LASzip 1)."""
 _LARGEST_CHUNK = 1 << 28

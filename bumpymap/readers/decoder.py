@@ -2,7 +2,7 @@
 
 A child handles one request at a time, on all cores. A request for few LAZ chunks cannot use them all, so what another
 thread requests meanwhile is decoded by a further child. If a child crashes, the file is refused, and the next request
-starts a new child. If no child can be started, the same functions run in this process.
+starts a new child.
 """
 
 import os
@@ -19,18 +19,13 @@ from numpy.typing import NDArray
 
 from bumpymap.core import (
     Child,
-    DecoderError,
     Guard,
     SharedBytes,
     UsageError,
     allocate_shared,
-    can_start_children,
     module_folder,
     trim_shared,
 )
-from bumpymap.readers import _decoder_child
-
-__all__ = ["Decoder", "close_decoder", "decoder", "start_decoder"]
 
 Bytes = NDArray[np.uint8]
 Table = Sequence[tuple[int, int]]
@@ -49,25 +44,22 @@ class Decoder:
     Parameters
     ----------
     children : int
-        Number of child processes at most; 0: lazrs is called in this process.
+        Number of child processes at most.
     """
 
     def __init__(self, children: int = _MOST_CHILDREN) -> None:
         self.guards = [Guard(_start, "decodes LAZ", "lazrs") for _ in range(children)]
         """Of the children; the last one is used first."""
         # Last in, first out: what one child can do does not start another.
-        self._free: LifoQueue[Guard | None] = LifoQueue()
+        self._free: LifoQueue[Guard] = LifoQueue()
         for guard in self.guards:
             self._free.put(guard)
-        if not children:
-            self._free.put(None)  # lazrs holds the GIL: there is no use in two calls of this process
 
     def start(self) -> None:
         """Start a child now, so that it is ready when it is needed; a failure shows in the first request."""
         guard = self._free.get()
         with suppress(UsageError, OSError):
-            if guard is not None:
-                guard.live_child()
+            guard.live_child()
         self._free.put(guard)
 
     def allocate(self, size: int) -> SharedBytes:
@@ -91,33 +83,20 @@ class Decoder:
 
     def close(self) -> None:
         """End the children and free unused memory, until the next request. Arrays in use stay valid."""
-        idle = [self._free.get() for _ in range(max(len(self.guards), 1))]
+        idle = [self._free.get() for _ in self.guards]
         for guard in reversed(idle):
-            if guard is not None:
-                guard.end()
+            guard.end()
             self._free.put(guard)
         trim_shared()
 
     def _call(self, function: str, *arguments: Any, shared: Sequence[SharedBytes] = ()) -> Any:
-        """Call a function in a child that has nothing to do, or in this process."""
+        """Call a function in a child that has nothing to do."""
         guard = self._free.get()
         try:
-            if guard is None:
-                return _call_here(function, *arguments, *(memory.data for memory in shared))
             seconds = SECONDS + SECONDS_PER_BYTE * sum(memory.data.size for memory in shared)
             return guard.call(function, *arguments, shared=shared, seconds=seconds)
         finally:
             self._free.put(guard)
-
-
-def _call_here(function: str, *arguments: Any) -> Any:
-    try:
-        return getattr(_decoder_child, function)(*arguments)
-    except (KeyboardInterrupt, SystemExit, MemoryError):
-        raise
-    except BaseException as error:
-        # A panic in Rust is not an Exception.
-        raise DecoderError(str(error).strip() or type(error).__name__) from error
 
 
 def _start() -> Child:
@@ -136,7 +115,7 @@ def decoder() -> Decoder:
     global current  # noqa: PLW0603 (one for all readers: they share its children)
     with _lock:
         if current is None:
-            current = Decoder(_MOST_CHILDREN if can_start_children() else 0)
+            current = Decoder()
         return current
 
 
@@ -158,5 +137,4 @@ def _reset_after_fork() -> None:
 
 
 at_exit(close_decoder)
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_reset_after_fork)
+os.register_at_fork(after_in_child=_reset_after_fork)

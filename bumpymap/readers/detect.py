@@ -30,8 +30,6 @@ from bumpymap.readers.source import (
 if TYPE_CHECKING:
     from bumpymap.readers.point_table import PointTable, Wanted
 
-__all__ = ["SUFFIXES", "find_surveys", "hash_survey", "identity", "open_survey", "read_columns", "reopen_survey"]
-
 _log = logging.getLogger(__name__)
 
 Kind = Literal["las", "ply", "pcd"]

@@ -56,8 +56,6 @@ from bumpymap.readers.source import (
     version_of,
 )
 
-__all__ = ["EptFiles", "EptSurvey"]
-
 _KEY = re.compile("-".join(["(0|[1-9][0-9]{0,9})"] * 4))
 _KEY_NAMES = ["level", "x", "y", "z"]
 _NODE = np.dtype([("level", "<i4"), ("x", "<i4"), ("y", "<i4"), ("z", "<i4"), ("points", "<i8")])

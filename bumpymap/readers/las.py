@@ -57,8 +57,6 @@ from bumpymap.readers.source import (
 )
 from bumpytiles import DECIMALS, Bounds, ScaledPoints, Scaling
 
-__all__ = ["LasSurvey", "Records"]
-
 Records = NDArray[np.uint8]
 """Point records, (n, bytes of a point)."""
 _PIECE_BYTES = 1 << 20

@@ -29,8 +29,6 @@ from bumpymap.core import (
 )
 from bumpymap.readers.source import Location
 
-__all__ = ["LAYERED", "RawHeader", "joined_statement", "read_raw_header", "statement_of_las"]
-
 _HEADER_1_0, _HEADER_1_4 = 227, 375
 _FIELDS = struct.Struct("<4xHH16xBB64xHHHIIBHI")
 """File source id, encoding; version; creation day and year; header size, offset to the points, number of records; point

@@ -13,8 +13,6 @@ from bumpymap.core import BadInputError
 from bumpymap.readers.point_table import PointTable, TableInfo, Wanted, refuse_missing_axes
 from bumpymap.readers.source import Location, decoding, open_source, refuse_count
 
-__all__ = ["PcdTable"]
-
 _LINE_LIMIT, _HEADER_LINES = 65_536, 200
 _NO_POSE = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 _DENSEST = 100

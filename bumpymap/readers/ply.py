@@ -11,8 +11,6 @@ from bumpymap.core import PLY_TYPES, BadInputError
 from bumpymap.readers.point_table import PointTable, TableInfo, Wanted, refuse_missing_axes
 from bumpymap.readers.source import Location, decoding, open_source, refuse_count
 
-__all__ = ["PlyTable"]
-
 _LINE_LIMIT, _HEADER_LIMIT = 4096, 4096
 _AXES = "xyz"
 _BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}

@@ -43,20 +43,6 @@ from bumpymap.readers._kernels import (
 from bumpymap.readers.source import TRUST, Location, box_text, refuse_count
 from bumpytiles import Bounds, Scaling
 
-__all__ = [
-    "EARTH_LIMIT",
-    "OUTSIDE",
-    "LineCorrection",
-    "LineRules",
-    "LineSums",
-    "PointStats",
-    "cell_indices",
-    "kinds_of",
-    "sampled",
-    "summed",
-    "verify",
-]
-
 MOST_ROWS = 50_000
 """Rows of the sample at most: 4.4 MB."""
 _WAITING_ROWS = 2 * MOST_ROWS

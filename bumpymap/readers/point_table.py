@@ -25,17 +25,6 @@ from bumpymap.readers.protocol import (
 from bumpymap.readers.source import Location, decoding, open_source, read_range, refuse_count
 from bumpytiles import DECIMALS
 
-__all__ = [
-    "CLASS_COLUMNS",
-    "PointTable",
-    "TableInfo",
-    "TableSurvey",
-    "Wanted",
-    "convert_points",
-    "precision_note",
-    "refuse_missing_axes",
-]
-
 _BLOCK = 100_000
 
 Floats = NDArray[np.float64]

@@ -25,18 +25,6 @@ from bumpymap.readers.point_stats import LineCorrection, LineSums, PointStats, k
 from bumpymap.readers.source import Location, Version, is_url, pinned_version, read_range, require_unchanged, version_of
 from bumpytiles import Bounds, Grid, GroupedPoints, ScaledPoints, group_points, group_scaled_points
 
-__all__ = [
-    "CHUNK_POINTS",
-    "Chunk",
-    "ChunkPoints",
-    "ReadOptions",
-    "SurveyInfo",
-    "SurveyReader",
-    "chunk_capacity",
-    "group_laz_chunks",
-    "split_rows",
-]
-
 CHUNK_POINTS = 500_000
 """Default points of a chunk: enough to keep the decoder busy, few enough to hold dozens of chunks in memory."""
 

@@ -22,29 +22,6 @@ from numpy.typing import NDArray
 from bumpymap.core import BadInputError, BumpymapError, free_memory, missing_resource, refused_write, remote_files
 from bumpytiles import Bounds
 
-__all__ = [
-    "EPT_NAME",
-    "TRUST",
-    "Location",
-    "Version",
-    "asks_too_much",
-    "box_text",
-    "decoding",
-    "file_changed",
-    "is_ept",
-    "is_url",
-    "list_folder",
-    "open_source",
-    "pinned_version",
-    "read_into",
-    "read_range",
-    "refuse_count",
-    "refuse_header_bounds",
-    "require_unchanged",
-    "size_of",
-    "version_of",
-]
-
 Location = Path | str
 """A path, or a URL as a str."""
 Version = dict[str, Any]
@@ -209,7 +186,7 @@ def version_of(location: Location) -> Version:
         if not isinstance(location, str):
             _refuse_special(location)
             # Opening makes a network file system ask its server, which stat alone may not do.
-            descriptor = os.open(location, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+            descriptor = os.open(location, os.O_RDONLY | os.O_NONBLOCK)
             try:
                 found = os.fstat(descriptor)
             finally:

@@ -34,8 +34,6 @@ from bumpymap.readers.protocol import SurveyReader
 from bumpymap.readers.unclassified import UnclassifiedPart, tile_marks
 from bumpytiles import BLOCK_TILES, Bounds, Grid
 
-__all__ = ["PointSummary", "PointSummaryBuilder", "thin_rule"]
-
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
 Rule = Callable[[NDArray[np.bool_], Ints], NDArray[np.bool_]]

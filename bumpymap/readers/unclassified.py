@@ -26,8 +26,6 @@ from numpy.typing import NDArray
 from bumpymap.core import POINT_GROUND, POINT_OTHER
 from bumpytiles import BLOCK_TILES, BlockKey
 
-__all__ = ["BLANK", "GROUND", "REACH", "Lowest", "UnclassifiedPart", "tile_marks"]
-
 NO_POINT, BLANK, CLASSED, GROUND, MIXED = range(5)
 """Marks of a tile: without points; all points of class 0 or 1; of other classes too, but no ground; ground; ground and
 points of class 0 or 1."""

@@ -7,17 +7,6 @@ from typing import Literal
 from bumpymap.core import REASON_TEXT, THIN_POINTS, FeatureSettings, MapConfig, Reason, TooUnknownError
 from bumpymap.survey.run_record import MapResult
 
-__all__ = [
-    "Measured",
-    "Outcome",
-    "advise",
-    "enough_points",
-    "ground_line",
-    "outcome_of_run",
-    "require_known",
-    "unknown_line",
-]
-
 Measured = Literal["points", "ground points", "ground points (found by the cloth)"]
 _FEW_UNKNOWN = 0.1
 """Up to this share of unknown tiles no advice is given: every survey has some at its edge."""

@@ -23,8 +23,6 @@ from bumpymap.core import (
     short_repr,
 )
 
-__all__ = ["EachSettings", "MapSettings", "PathLike", "folder_of_call", "map_settings"]
-
 PathLike: TypeAlias = str | os.PathLike[str]
 
 

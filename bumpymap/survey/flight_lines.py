@@ -21,20 +21,6 @@ from bumpymap.readers import (
 )
 from bumpymap.survey.inputs import SurveyInputs, read_options
 
-__all__ = [
-    "AlignedInputs",
-    "CellSteps",
-    "FlightLines",
-    "LineCells",
-    "LinePair",
-    "adjust_lines",
-    "compare_lines",
-    "describe_lines",
-    "left_after",
-    "steps_between_lines",
-    "weighted_median",
-]
-
 Floats = NDArray[np.float64]
 
 

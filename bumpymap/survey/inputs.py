@@ -12,8 +12,6 @@ from bumpymap.layers import check_extent
 from bumpymap.readers import ReadOptions, SurveyInfo, SurveyReader, find_surveys, open_survey
 from bumpytiles import Grid, TileWindow
 
-__all__ = ["SurveyInputs", "file_doubts", "read_options"]
-
 _log = logging.getLogger(__name__)
 
 _NAMED = 5

@@ -45,8 +45,6 @@ from bumpymap.survey.second_pass import NeighbourRating, finish_tiles
 from bumpymap.survey.tile_rating import RatingModels, TileRating, require_cloth
 from bumpytiles import Grid
 
-__all__ = ["map_surveys"]
-
 
 def map_surveys(config: MapConfig, progress: Progress | None = None, *, in_batch: bool = False) -> MapResult:
     """Map surveys: read, cut into tiles, measure, classify, rate, write.

@@ -41,31 +41,20 @@ from bumpymap.survey.flight_lines import FlightLines
 from bumpymap.survey.inputs import SurveyInputs
 from bumpymap.survey.tile_rating import RatingModels
 
-__all__ = [
-    "MapResult",
-    "WarningCollector",
-    "collected_warnings",
-    "describe_run",
-    "earlier_result",
-    "run_manifest",
-    "survey_record",
-    "versions",
-]
-
 
 class WarningCollector(logging.Handler):
-    """Keeps warnings, those of the thread that made it or of all, as pairs of level and message."""
+    """Keeps warnings, those of the thread that made it or of all, as messages."""
 
     def __init__(self, *, every_thread: bool = False) -> None:
         super().__init__(logging.WARNING)
-        self.kept: list[tuple[str, str]] = []
+        self.kept: list[str] = []
         self._thread = None if every_thread else threading.get_ident()
 
     def emit(self, record: logging.LogRecord) -> None:
         """Keep a record."""
         try:
             if self._thread in {None, record.thread}:
-                self.kept.append((record.levelname.lower(), record.getMessage()))
+                self.kept.append(record.getMessage())
         except Exception:  # noqa: BLE001 (a log call with wrong arguments must not end a run)
             self.handleError(record)
 
@@ -79,7 +68,7 @@ def collected_warnings() -> Iterator[list[str]]:
         yield texts
     finally:
         logger.removeHandler(collector)
-        texts += [message for _, message in collector.kept]
+        texts += collector.kept
 
 
 @dataclass(frozen=True, slots=True)

@@ -63,16 +63,6 @@ from bumpymap.survey.engine import TileSink
 from bumpymap.survey.tile_rating import RatingModels
 from bumpytiles import BLOCK_TILES, BlockKey, Column, Grid, Pack, TileTable, grouped_blocks, run_blocks
 
-__all__ = [
-    "KEPT_BYTES",
-    "NeighbourRater",
-    "NeighbourRating",
-    "NeighbourWindow",
-    "VehicleSweep",
-    "add_neighbours",
-    "finish_tiles",
-]
-
 _GROUP_TILES = 256
 """Most tiles in a group of blocks: as many as a full block has."""
 KEPT_BYTES = 8 << 20

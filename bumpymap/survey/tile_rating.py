@@ -45,8 +45,6 @@ from bumpymap.rating import (
 )
 from bumpytiles import Grid, TilePoints
 
-__all__ = ["RatingModels", "TileRating", "require_cloth"]
-
 _log = logging.getLogger(__name__)
 
 

@@ -12,8 +12,6 @@ from hypothesis import given, settings, strategies as st
 from bumpymap.core import free_memory, in_threads
 from bumpymap.core.processes import Child, ChildDiedError, ChildError, SharedMemory
 
-pytestmark = pytest.mark.skipif(os.name != "posix", reason="no children here")
-
 
 @pytest.fixture
 def child():

@@ -5,9 +5,9 @@ from dataclasses import fields, is_dataclass, replace
 import numpy as np
 from pyproj import CRS
 
-from bumpymap.core import CANOPY, FREE, OBSTACLE, UNSEEN, ObjectStack
+from bumpymap.core import CANOPY, FREE, OBSTACLE, SIDES, UNSEEN, CostTable, ObjectStack
 from bumpymap.core.types import NO_CLASS, CostMap, CostRule, Georeference, PatchStack, Reason, TextureMap
-from bumpytiles import Grid
+from bumpytiles import Grid, TileTable
 
 UTM = CRS.from_epsg(32614)
 SPEEDS = ((0.15, 1.5), (0.4, 0.5))
@@ -18,6 +18,23 @@ def patch_stack(count, grid=None, **columns):
     """Patches of which a test needs a few columns; the others are zero."""
     names = [field.name for field in fields(PatchStack) if field.name != "grid"]
     return PatchStack(grid or Grid(), **{name: np.zeros(count) for name in names} | columns)
+
+
+def lone_columns(cost_map):
+    """The columns of finished tiles, each judged without its neighbours: no step is known."""
+    columns = cost_map.columns()
+    unknown = np.full(len(cost_map.class_id), np.nan, np.float32)
+    columns |= dict.fromkeys(("edge_step", "inner_step", *(f"step_{side}" for side in SIDES)), unknown)
+    columns["barred"] = cost_map.rule.barred(columns)
+    columns["passable"] = passable = (columns["barred"] == 0).astype(np.uint8)
+    closed = np.isin(columns["objects"], (OBSTACLE, UNSEEN))
+    columns["passage"] = np.where(closed, np.uint8(0), passable[:, None, None])
+    return columns
+
+
+def table_of(cost_map):
+    tiles = TileTable.of(cost_map.patches.grid, lone_columns(cost_map))
+    return CostTable(cost_map.georeference, cost_map.rule, tiles)
 
 
 def make_map(col, row, class_id, reason, *, georeference=None, grid=None, seed=5, easy=False):

@@ -1,13 +1,14 @@
 """The regions of small maps and their files."""
 
-from bumpymap.core.types import CostTable
+from cost_maps import table_of
+
 from bumpymap.layers.regions import dissolve
 from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojson_writer
 
 
 def regions_of(cost_map):
     """Regions of a small map, which come at once."""
-    (regions,) = dissolve(CostTable.of(cost_map))
+    (regions,) = dissolve(table_of(cost_map))
     return regions
 
 

@@ -4,9 +4,10 @@ import json
 from pathlib import Path
 from shutil import copytree
 
+from cost_maps import table_of
 from pyproj import CRS
 
-from bumpymap.core import CostRule, CostTable, Georeference, RouteVehicle
+from bumpymap.core import CostRule, Georeference, RouteVehicle
 from bumpymap.layers import MapReader, describe_file, write_products
 from bumpymap.views import write_map_views
 from bumpytiles import Grid, TileWindow
@@ -28,7 +29,7 @@ def write_folder(folder, cost_map, **changes):
     folder.mkdir()
     manifest = {key: value for key, value in (RUN | changes).items() if value is not None}
     write_products(
-        CostTable.of(cost_map),
+        table_of(cost_map),
         folder,
         views=write_map_views,
         local=cost_map.georeference.crs is None,

@@ -230,7 +230,6 @@ def test_a_dead_worker_is_reported_with_what_to_do(jobs):
 
 
 @pytest.mark.later
-@pytest.mark.skipif(sys.platform == "win32", reason="kills a process the POSIX way")
 def test_workers_end_with_a_main_process_that_was_killed(jobs):
     code = (
         "from bumpymap.lab.simulate.jobs import drive_jobs\n"

@@ -15,13 +15,13 @@ import pyarrow.parquet as pq
 import pyogrio
 import pytest
 import rasterio
-from cost_maps import part_of
+from cost_maps import part_of, table_of
 from region_files import regions_of, write_flatgeobuf, write_geojson
 from small_surveys import SIDES, files_in
 
 from bumpymap.core.errors import BadInputError, OutputError
 from bumpymap.core.files import atomic, write_together
-from bumpymap.core.types import CostTable, Georeference
+from bumpymap.core.types import Georeference
 from bumpymap.layers import check_extent, check_folder, write_products
 from bumpymap.layers.geotiff import write_raster
 from bumpymap.layers.manifest import describe_file, describe_input, software_versions, write_manifest
@@ -50,7 +50,7 @@ def fill(folder, files):
 
 
 def write(cost_map, folder, *, local=False, manifest=RUN):
-    return write_products(CostTable.of(cost_map), folder, views=write_map_views, local=local, manifest=manifest)
+    return write_products(table_of(cost_map), folder, views=write_map_views, local=local, manifest=manifest)
 
 
 def test_all_files_of_a_run(tmp_path, cost_map):
@@ -136,21 +136,6 @@ def test_scratch_of_a_killed_run_goes_and_nothing_else(tmp_path):
     assert texts_in(tmp_path) == mine
 
 
-def test_a_map_of_the_first_version_is_replaced_whole(tmp_path, cost_map):
-    """It had all files at the top; a file that is not its own stays."""
-    paths, _ = write(cost_map, tmp_path)
-    whole = files_in(tmp_path)
-    for path in paths[0].parent.iterdir():
-        path.rename(tmp_path / path.name)
-    record = json.loads((tmp_path / "run.json").read_text()) | {"version": 1}
-    (tmp_path / "run.json").write_text(json.dumps(record))
-    (tmp_path / "rasters" / "mine.tif").write_text("mine")
-    check_folder(tmp_path, overwrite=True)
-    write(cost_map, tmp_path)
-    assert {path.name for path in tmp_path.iterdir()} == TOP
-    assert set(files_in(tmp_path)) == {*whole, "rasters/mine.tif"}
-
-
 def test_a_folder_of_rasters_that_is_a_link_is_refused(tmp_path, cost_map):
     out, mine = tmp_path / "out", tmp_path / "mine"
     fill(tmp_path, {"mine/class.tif": "mine"})
@@ -218,17 +203,16 @@ def test_side_file_moves_along_and_a_stale_one_goes(tmp_path):
 
 ALONE = {
     **{
-        Path(file).name: lambda cost_map, path, file=file: write_raster(file, CostTable.of(cost_map), path)
+        Path(file).name: lambda cost_map, path, file=file: write_raster(file, table_of(cost_map), path)
         for file in (MapFile.ROUGHNESS, MapFile.CLASS, MapFile.HEIGHTMAP, MapFile.RELIEF)
     },
-    "tiles.parquet": lambda cost_map, path: write_tiles(CostTable.of(cost_map), path),
+    "tiles.parquet": lambda cost_map, path: write_tiles(table_of(cost_map), path),
     "cost.geojson": lambda cost_map, path: write_geojson(regions_of(cost_map), path, local=False),
     "cost.fgb": lambda cost_map, path: write_flatgeobuf(regions_of(cost_map), path),
 }
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(os.name != "posix", reason="file size limits are a POSIX thing")
 @pytest.mark.parametrize("missing", ["half", "1 byte"])
 @pytest.mark.parametrize("small", [True, False])
 @pytest.mark.parametrize("product", ALONE)

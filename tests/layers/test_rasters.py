@@ -11,13 +11,13 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 import rasterio
-from cost_maps import SPEEDS, make_field, part_of
+from cost_maps import SPEEDS, lone_columns, make_field, part_of, table_of
 from pyproj import CRS
 from rasterio.env import get_gdal_config
 from rio_cogeo import cog_validate
 from scipy.ndimage import uniform_filter
 
-from bumpymap.core import CANOPY, CLASS_NAMES, FREE, NO_CLASS, OBJECT_NAMES, OBSTACLE, UNSEEN, CostTable, ObjectStack
+from bumpymap.core import CANOPY, CLASS_NAMES, FREE, NO_CLASS, OBJECT_NAMES, OBSTACLE, UNSEEN, ObjectStack
 from bumpymap.core.types import BANDS, BARRED_TEXT, REASON_TEXT, Georeference, Reason
 from bumpymap.layers import _cog, geotiff
 from bumpymap.layers._cog import checksum, require_intact
@@ -27,7 +27,7 @@ from bumpymap.layers.products import ASKED_NAMES, MapFile
 from bumpytiles import Grid
 
 WRITERS = {
-    Path(file).stem: lambda cost_map, *rest, file=file: write_raster(file, CostTable.of(cost_map), *rest)
+    Path(file).stem: lambda cost_map, *rest, file=file: write_raster(file, table_of(cost_map), *rest)
     for file in MapFile
     if file.endswith(".tif") and file not in {MapFile.PASSAGE, *ASKED_NAMES}
 }
@@ -75,7 +75,7 @@ def test_roughness_of_a_tile_is_its_value(rasters, cost_map):
         assert np.isnan(file.nodatavals).all()
     found, rest = of_tiles(rasters["roughness"], cost_map)
     for band, values in zip(BANDS, found, strict=True):
-        np.testing.assert_array_equal(values.ravel(), cost_map.lone_columns()[band.name].astype(np.float32))
+        np.testing.assert_array_equal(values.ravel(), lone_columns(cost_map)[band.name].astype(np.float32))
     assert np.isnan(rest).all()
 
 
@@ -120,7 +120,7 @@ def test_obstacles_are_pixels_of_the_tiles(cost_map, tmp_path):
     share = np.mean(objects == OBSTACLE, axis=(1, 2)).astype(np.float32)
     share[5] = np.nan  # its free pixels are not known to be free
     stack = ObjectStack(objects, share, share, share, share)
-    write_raster(MapFile.OBSTACLE, CostTable.of(replace(cost_map, objects=stack)), tmp_path / "obstacle.tif")
+    write_raster(MapFile.OBSTACLE, table_of(replace(cost_map, objects=stack)), tmp_path / "obstacle.tif")
     expected = np.where(objects == UNSEEN, 3, objects)
     expected[5] = np.where(objects[5] == FREE, 3, expected[5])
     found, rest = of_tiles(tmp_path / "obstacle.tif", cost_map)
@@ -296,7 +296,7 @@ def test_threads_do_not_change_the_bytes(tmp_path, make_field, monkeypatch):
 
 def test_the_cache_of_the_process_changes_only_for_the_thread_that_may_write(tmp_path, make_field):
     """A smaller limit makes GDAL flush blocks at once, also those that another thread has not finished."""
-    write, path = partial(write_raster, MapFile.CLASS, CostTable.of(make_field(9, 9))), tmp_path / "class.tif"
+    write, path = partial(write_raster, MapFile.CLASS, table_of(make_field(9, 9))), tmp_path / "class.tif"
     write(path)
     path.unlink()
     before = get_gdal_config("GDAL_CACHEMAX")
@@ -341,7 +341,7 @@ def files(make_map, tmp_path_factory):
     made = make_map(col, row, rng.integers(0, 4, 40), np.zeros(40))
     states = rng.choice([FREE, FREE, FREE, OBSTACLE, CANOPY], made.patches.heights.shape).astype(np.uint8)
     share = np.where(np.arange(40) % 2, 0.1, np.nan).astype(np.float32)  # NaN: what is free is not known to be
-    table = CostTable.of(replace(made, objects=ObjectStack(states, share, share, share, share)))
+    table = table_of(replace(made, objects=ObjectStack(states, share, share, share, share)))
     with pytest.MonkeyPatch.context() as patch:
         for writer in ("sparse", "gdal"):
             (folder / writer).mkdir()
@@ -402,7 +402,7 @@ def thin(cost_map, share, seed=1):
 
 
 def relief_of(cost_map, path):
-    write_raster(MapFile.RELIEF, CostTable.of(cost_map), path)
+    write_raster(MapFile.RELIEF, table_of(cost_map), path)
     with rasterio.open(path) as file:
         return file.read(1)
 
@@ -458,7 +458,7 @@ _WITHOUT_THREADS = """
 import resource, sys, threading
 from pathlib import Path
 from bumpymap.layers import _cog
-from bumpymap.layers.placement import Placement
+from bumpymap.layers.placement import BandSpec, Placement, RasterSpec
 from bumpymap.core.types import Georeference
 from bumpytiles import Grid, TileWindow
 import numpy as np
@@ -471,7 +471,7 @@ try:
 except RuntimeError:
     pass
 place = Placement(Georeference(None), Grid(), TileWindow(0, 0, 100, 100))
-sheet = _cog.RasterSpec([_cog.BandSpec("height")], None, pixels=15, block=512)
+sheet = RasterSpec([BandSpec("height")], None, pixels=15, block=512)
 paint = lambda window: np.full((1, window.tiles.rows * 15, window.tiles.cols * 15), 7, np.float32)
 _cog.write_cog(Path(sys.argv[1]), place, sheet, paint, 100)
 """

@@ -11,12 +11,12 @@ import pystac
 import pytest
 import rasterio
 import shapely
+from cost_maps import table_of
 from pyproj import CRS, Transformer
 from small_surveys import files_in
 from stac_check import faults
 
-from bumpymap.core import OutputError
-from bumpymap.core.types import CostTable, Georeference
+from bumpymap.core.types import Georeference
 from bumpymap.layers import write_catalog, write_products
 from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.layers.stac import write_item
@@ -37,7 +37,7 @@ def item_of(folder):
 
 def write(cost_map, folder, *, local=False, **entries):
     folder.mkdir()
-    write_products(CostTable.of(cost_map), folder, views=write_map_views, local=local, manifest=RUN | entries)
+    write_products(table_of(cost_map), folder, views=write_map_views, local=local, manifest=RUN | entries)
     return folder
 
 
@@ -191,7 +191,8 @@ def night(tmp_path_factory, make_field):
         shutil.copytree(root / "a", root / name)
     (root / "half" / "run.json").unlink()
     (root / "before" / "item.json").unlink()
-    write_catalog(root, ["a", "Grube Süd", "failed", "half", "before", "missing"], title="Night of May 3")
+    names = ["a", "Grube Süd", "failed", "half", "before", "missing"]
+    write_catalog(root / "catalog.json", root, names, "Night of May 3")
     return root
 
 
@@ -209,7 +210,7 @@ def test_a_catalogue_is_valid_and_links_to_complete_maps(night, tmp_path):
     names = ["100% #2?", "b\udce9"]  # which a link cannot hold
     for name in names:
         shutil.copytree(night / "a", tmp_path / name)
-    write_catalog(tmp_path, names, title="")
+    write_catalog(tmp_path / "catalog.json", tmp_path, names, "")
     assert links_of(tmp_path)[1] == ["./100%25 %232%3F/item.json", "./b%E9/item.json"]
 
 
@@ -228,11 +229,3 @@ def test_pystac_opens_it_and_finds_every_file(night, monkeypatch):
             assert Path(asset.href).name == name
         assert item.common_metadata.start_datetime.year == 1970
         assert faults(item.to_dict(transform_hrefs=False)) == []
-
-
-def test_no_link_or_folder_is_replaced(tmp_path):
-    (tmp_path / "mine").write_text("mine")
-    (tmp_path / "catalog.json").symlink_to(tmp_path / "mine")
-    with pytest.raises(OutputError, match=r"catalog\.json is a link or no file.*Remove it"):
-        write_catalog(tmp_path, [], title="x")
-    assert (tmp_path / "mine").read_text() == "mine"

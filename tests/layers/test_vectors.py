@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 import rasterio.features
 import shapely
-from cost_maps import part_of
+from cost_maps import part_of, table_of
 from coverages import check_coverage, holes_of_tiles
 from hypothesis import example, given, settings, strategies as st
 from hypothesis.extra.numpy import arrays
@@ -17,7 +17,7 @@ from pyproj import CRS, Transformer
 from region_files import regions_of, write_flatgeobuf, write_geojson
 
 from bumpymap.core.errors import BadInputError
-from bumpymap.core.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, CostTable, Georeference, Reason
+from bumpymap.core.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, Georeference, Reason
 from bumpymap.layers._cog import raster_lock
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.regions import dissolve
@@ -84,7 +84,7 @@ def vertices_by_hand(keys):
 def test_both_vectors_are_a_coverage_with_the_holes_of_the_tiles(make_map, site, keys, cut, shift):
     stretch, size = cut
     made = map_of_keys(make_map, keys, site, stretch, shift)
-    table, holes = CostTable.of(made), holes_of_tiles(made.patches.col, made.patches.row)
+    table, holes = table_of(made), holes_of_tiles(made.patches.col, made.patches.row)
     place = GeoJsonCoordinates.of(Placement.of(table), local=True)
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr("bumpymap.layers.regions.REGION_WINDOW", size)
@@ -175,9 +175,9 @@ def test_a_large_map_is_cut_into_windows_from_its_north_west_corner(make_field, 
     monkeypatch.setattr("bumpymap.layers.regions.REGION_WINDOW", 20)
     patches = cost_map.patches
     cell = np.stack([(patches.row.max() - patches.row) // 20, (patches.col - patches.col.min()) // 20], axis=1)
-    found, expected = list(dissolve(CostTable.of(cost_map))), []
+    found, expected = list(dissolve(table_of(cost_map))), []
     for key in np.unique(cell, axis=0):  # each cell as a map of its own
-        expected += dissolve(CostTable.of(part_of(cost_map, (cell == key).all(axis=1))))
+        expected += dissolve(table_of(part_of(cost_map, (cell == key).all(axis=1))))
     assert len(expected) == 6
 
     def both(name):
@@ -359,7 +359,7 @@ def test_coordinates_outside_of_the_crs(tmp_path, make_field):
 
 
 def test_regions_fed_bit_by_bit_make_the_same_files(tmp_path, make_field, monkeypatch):
-    table = CostTable.of(make_field(30, 20, west=166_600))
+    table = table_of(make_field(30, 20, west=166_600))
     for name, most in {"whole": 10_000, "bits": 5}.items():
         monkeypatch.setattr("bumpymap.layers.regions.BATCH", most)
         batches = list(dissolve(table))

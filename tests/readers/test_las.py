@@ -2,17 +2,15 @@
 
 import struct
 from datetime import date, timedelta
-from unittest.mock import Mock
 
 import laspy
-import lazrs
 import numpy as np
 import pytest
 from las_files import wkt
 from pyproj import CRS
 
 from bumpymap.core import BadInputError, horizontal_of
-from bumpymap.readers import ReadOptions, decoder, open_survey, reopen_survey
+from bumpymap.readers import ReadOptions, open_survey, reopen_survey
 
 US_FOOT = 1200 / 3937
 
@@ -257,18 +255,6 @@ def test_a_negative_scale_mirrors_the_points_and_their_extent(las, read):
     path = las.patch(las.patch(las.write(), 131, "<d", -0.001), MAX_X, "<dd", east.max(), east.min())
     assert np.allclose(read(open_survey(path))[0][:, 0], east, rtol=0, atol=1e-8)
     refused(las.patch(path, MAX_X, "<d", east.max() - 1.1), "1 of 7 points are outside")
-
-
-def test_a_panic_of_the_decoder_becomes_a_message_and_an_interrupt_passes(las, monkeypatch):
-    path, fail, panic = las.write("a.laz"), Mock(), type("PanicException", (BaseException,), {})  # as pyo3 raises
-    monkeypatch.setattr(decoder, "current", decoder.Decoder(0))
-    monkeypatch.setattr(lazrs, "decompress_points_with_chunk_table", fail)
-    fail.side_effect = panic("index out of bounds: the len is 3\nnote: a backtrace")
-    message = refused(path, "index out of bounds: the len is 3")
-    assert "backtrace" not in message
-    fail.side_effect = KeyboardInterrupt
-    with pytest.raises(KeyboardInterrupt):
-        exhaust(path)
 
 
 def test_chunks_of_fewer_points_than_their_table_promises_and_too_large_ones(las, monkeypatch):

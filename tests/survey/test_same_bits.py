@@ -148,7 +148,6 @@ def timed(tmp_path_factory):
 
 
 @pytest.mark.later
-@pytest.mark.skipif(os.name != "posix", reason="kills a group of processes")
 @pytest.mark.parametrize("seed", range(6))
 def test_a_run_killed_at_any_instant_once_or_twice_goes_on_to_the_same_bytes(timed, tmp_path, seed):
     survey, layers, seconds = timed

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import shapely
 from check_records import made_up_check
+from cost_maps import table_of
 from pyproj import CRS
 from route_maps import write_folder
 from route_records import MadeUpMap
@@ -21,7 +22,7 @@ from survey_pairs import survey
 import bumpymap
 from bumpymap.check.pipeline import write_check
 from bumpymap.core import BARRED_TEXT, CHANGE_KINDS, CLASS_NAMES, NO_CLASS, OBJECT_NAMES, REASON_TEXT
-from bumpymap.core.types import Barred, CostTable, Georeference
+from bumpymap.core.types import Barred, Georeference
 from bumpymap.layers import colours, write_products
 from bumpymap.layers.check_vectors import OFF_KINDS, MapOffset
 from bumpymap.layers.products import PRODUCT_NAMES
@@ -42,7 +43,7 @@ def write_layers(table, folder, *, local=False, **manifest):
 @pytest.fixture(name="folder", scope="module")
 def folder_fixture(tmp_path_factory, cost_map):
     folder = tmp_path_factory.mktemp("site of a user")
-    write_layers(CostTable.of(cost_map), folder)
+    write_layers(table_of(cost_map), folder)
     return folder
 
 
@@ -186,14 +187,14 @@ def test_other_speeds_have_a_style_and_stand_in_the_project(tmp_path, at_two_spe
     assert {leaf.get("checked") for leaf in speeds} == {"Qt::Unchecked"}
     bands = {leaf.get("name"): layers[leaf.get("id")].find("pipe/rasterrenderer").get("band") for leaf in speeds}
     assert bands == {"c_r at 0.5 m/s": "1", "c_r at 2 m/s": "4"}
-    write_layers(CostTable.of(cost_map), tmp_path)
+    write_layers(table_of(cost_map), tmp_path)
     assert not list(tmp_path.rglob("speeds*"))
 
 
 @pytest.mark.parametrize("crs", ["EPSG:32614+5703", None])
 def test_a_project_has_the_horizontal_crs_or_none(tmp_path, make_field, crs):
     cost_map = make_field(4, 4, georeference=Georeference(crs and CRS.from_user_input(crs)))
-    write_layers(CostTable.of(cost_map), tmp_path, local=crs is None)
+    write_layers(table_of(cost_map), tmp_path, local=crs is None)
     root = read(tmp_path / "map.qgs")
     assert (root.find("projectCrs") is None) == (crs is None)
     assert root.find("properties/SpatialRefSys/ProjectionsEnabled").text == ("0" if crs is None else "1")
@@ -229,7 +230,7 @@ AREAS = ("cost.geojson", "cost.fgb", "tiles.gpkg")
 
 def seen_by_qgis(folder, cost_map, *, local=False):
     """Write layers and let QGIS load them; its version here may not read Parquet, so tiles come as GeoPackage."""
-    write_layers(CostTable.of(cost_map), folder, local=local, survey={"name": "Pit 7"})
+    write_layers(table_of(cost_map), folder, local=local, survey={"name": "Pit 7"})
     tiles = geopandas.read_parquet(folder / "tiles.parquet", columns=["geometry", "class", "passable", "c_r"])
     tiles.to_file(folder / "tiles.gpkg", driver="GPKG")
     return load(folder)
@@ -267,7 +268,7 @@ def test_every_layer_opens_with_its_renderer(seen):
 @pytest.mark.qgis
 def test_every_area_is_drawn_and_none_as_what_it_is_not(seen, cost_map):
     known = cost_map.class_id != NO_CLASS
-    table = CostTable.of(cost_map).tiles.read(("passable",), CostTable.of(cost_map).tiles.window)
+    table = table_of(cost_map).tiles.read(("passable",), table_of(cost_map).tiles.window)
     drawn = seen["layers"]["tiles.gpkg"]["drawn"]
     assert "nothing" not in drawn
     assert drawn["unknown"] == int((~known).sum())

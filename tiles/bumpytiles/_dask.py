@@ -16,8 +16,6 @@ from typing import Any
 
 from distributed import Client, Future, KilledWorker, get_worker
 
-__all__ = ["ClusterError", "Workers", "threads_here", "workers_at"]
-
 _TASKS_PER_WORKER = 2
 """Tasks submitted per worker: one that runs, and one that is ready when it ends."""
 _CHECK_S, _CHECKS = 10.0, 30

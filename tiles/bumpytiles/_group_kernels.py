@@ -8,23 +8,6 @@ from numpy.typing import NDArray
 
 from bumpytiles.native import helper, kernel
 
-__all__ = [
-    "BLOCK_TILES",
-    "MAX_CELLS",
-    "BlockWindow",
-    "Coordinates",
-    "GroupScratch",
-    "ScaledCoordinates",
-    "ScaledTiledPoints",
-    "TileBorders",
-    "TiledPoints",
-    "count_points",
-    "count_scaled_points",
-    "scatter_points",
-    "scatter_scaled_points",
-    "tile_index",
-]
-
 BLOCK_TILES = 16
 """Tiles along a side of a block: one unit of work."""
 MAX_CELLS = 1 << 22

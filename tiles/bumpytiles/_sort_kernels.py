@@ -16,17 +16,6 @@ from bumpytiles._group_kernels import BLOCK_TILES, Coordinates, ScaledTiledPoint
 from bumpytiles.native import helper, kernel
 from bumpytiles.scaling import coordinates
 
-__all__ = [
-    "STRIP",
-    "MarkedPoints",
-    "SortScratch",
-    "count_tiles",
-    "hash_point",
-    "place_points",
-    "place_scaled_points",
-    "sort_tiles",
-]
-
 STRIP = 512
 """Points that are turned into metres at once."""
 _KEY_BITS = 56

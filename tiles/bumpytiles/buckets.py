@@ -20,9 +20,6 @@ from bumpytiles.grouping import GroupedPoints, PointPart, TilePoints, columns_of
 from bumpytiles.pack import BlockKey, Column, Pack, write_pack
 from bumpytiles.scaling import Scaling
 
-__all__ = ["MemoryLimits", "TileBuckets", "TooManyPointsError"]
-
-
 _TILES = BLOCK_TILES**2
 _LEAST_ROOM = 0.25
 """Share of the limit that must be free once complete blocks are finished: rarely so often that it takes time."""

@@ -45,18 +45,6 @@ from bumpytiles.grid import Grid
 from bumpytiles.pack import BlockKey, Column
 from bumpytiles.scaling import ScaledPoints, Scaling
 
-__all__ = [
-    "GroupedPoints",
-    "PointColumns",
-    "PointPart",
-    "TilePoints",
-    "columns_of",
-    "group_points",
-    "group_scaled_points",
-    "join_tiles",
-    "sort_block",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class TilePoints:

@@ -46,18 +46,6 @@ from uuid import uuid4
 
 import numpy as np
 
-__all__ = [
-    "Kernel",
-    "blocked_signals",
-    "compile_loaded",
-    "compile_packages",
-    "compiling_reports",
-    "helper",
-    "kernel",
-    "order_free",
-    "start_python",
-]
-
 _log = logging.getLogger(__name__)
 
 _OPTIONS = {"error_model": "numpy"}
@@ -290,9 +278,7 @@ def _globals(function: Callable[..., Any]) -> list[tuple[str, Any]]:
 
 
 def _folders(source: Path) -> list[Path]:
-    """Where to look, in this order: a container's user may have no home. Only on POSIX do files have owners."""
-    if os.name != "posix":
-        return []
+    """Where to look, in this order: a container's user may have no home."""
     own = os.environ.get("NUMBA_CACHE_DIR")
     if own:
         return [Path(own)]
@@ -433,7 +419,7 @@ def _target() -> Any:
 @cache
 def _libm() -> dict[str, int | None]:
     """Return the functions that machine code may call outside itself, and where they are in this process."""
-    process = ctypes.CDLL("ucrtbase" if os.name == "nt" else None)
+    process = ctypes.CDLL(None)
     there = {name: getattr(process, name) for name in _LIBM if hasattr(process, name)}
     return {name: ctypes.cast(function, ctypes.c_void_p).value for name, function in there.items()}
 
@@ -562,8 +548,6 @@ def _report(done: int, total: int) -> None:
 
 def _start(modules: list[str]) -> subprocess.Popen[bytes] | None:
     """Start a child, which writes a byte for each kernel; None where that cannot be done."""
-    if not sys.executable or getattr(sys, "frozen", False):
-        return None
     code = f"import sys; from {__name__} import compile_modules; compile_modules(*sys.argv[1:])"
     # Helpers are optimised once, as parts of a kernel, not by numba before that.
     env = {"PYTHONPATH": os.pathsep.join(str(Path(path).absolute()) for path in sys.path if path), "NUMBA_OPT": "0"}
@@ -605,9 +589,6 @@ def blocked_signals() -> Iterator[None]:
     Both signals reach every process of a terminal or a batch job, but only the main process handles them, and stops
     its workers. A process that receives one while it imports, starts or stops would end with a traceback.
     """
-    if os.name != "posix":
-        yield
-        return
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     try:
         yield

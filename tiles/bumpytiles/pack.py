@@ -22,8 +22,6 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["BlockKey", "Column", "MemoryPack", "Pack", "PackError", "find_key", "key_codes", "keys_of", "write_pack"]
-
 _MAGIC = b"BUMPPAC2"
 _TRAILER = struct.Struct("<QQI8s")
 

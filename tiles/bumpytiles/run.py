@@ -5,8 +5,6 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
 
-__all__ = ["grouped_blocks", "run_blocks"]
-
 Block = TypeVar("Block")
 Result = TypeVar("Result")
 

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 
 from bumpytiles.native import helper
 
-__all__ = ["DECIMALS", "ScaledPoints", "Scaling", "coordinate", "coordinates"]
-
 DECIMALS = 8
 """Decimals that coordinates are rounded to, in the file's unit."""
 _ROUND = 10.0**DECIMALS

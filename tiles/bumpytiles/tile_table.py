@@ -11,8 +11,6 @@ from bumpytiles._group_kernels import BLOCK_TILES
 from bumpytiles.grid import Grid, TileWindow
 from bumpytiles.pack import BlockKey, Column, MemoryPack, Pack, find_key, key_codes, keys_of
 
-__all__ = ["TileTable"]
-
 
 @dataclass(frozen=True, slots=True)
 class _ColumnSource:

@@ -37,9 +37,6 @@ from bumpymap.rating import Vehicle
 from bumpymap.readers import ReadOptions, SurveyReader, identity
 from bumpytiles import Grid
 
-__all__ = ["ComparedPatches", "Findings", "TrialOptions", "evaluate_survey"]
-
-
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 _KEPT = ("col", "row", "count", "z_variance", "ransac_residual")

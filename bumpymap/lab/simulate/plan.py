@@ -16,15 +16,6 @@ from bumpymap.lab.simulate.jobs import Key
 from bumpymap.lab.worlds.terrains import KINDS, Terrain, make_terrain
 from bumpymap.rating import Calibration, DrivenTerrain, Vehicle
 
-__all__ = [
-    "calibrated_settings",
-    "driven_library",
-    "library_record",
-    "library_terrain",
-    "library_terrains",
-    "read_library",
-]
-
 
 def calibrated_settings(calibration: Calibration) -> CalibrationSettings:
     """Return the settings of the vehicle, the seed and the tiles that a calibration was made with."""

@@ -33,8 +33,6 @@ from bumpymap.lab.train.scan_sectors import ScanProgress, Sectors, draw_epoch, f
 from bumpymap.lab.train.textures import predict
 from bumpymap.scan import CHANNELS, MEASURES, SECTOR_VERSION
 
-__all__ = ["make_scan_model"]
-
 
 def convolution(source: int, target: int, size: int, stride: int = 1, groups: int = 1) -> nn.Sequential:
     """Make a convolution without bias, followed by batch normalisation."""

@@ -47,8 +47,6 @@ from bumpymap.lab.train.texture_data import (
 )
 from bumpymap.rating import FEATURE_VERSION
 
-__all__ = ["make_model", "predict"]
-
 
 class TextureNet(nn.Module):
     """Four 3 x 3 convolutions, the last two at half resolution, an average over the patch, and two dense layers.

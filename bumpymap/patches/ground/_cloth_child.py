@@ -2,8 +2,6 @@
 
 import numpy as np
 
-__all__ = ["mark_ground"]
-
 
 def mark_ground(
     cloth_resolution: float,

@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 from bumpymap.core import Child, ChildDiedError, CsfSettings, UsageError, allocate_shared, module_folder, trim_shared
 from bumpytiles import BLOCK_TILES, Grid, TilePoints
 
-__all__ = ["close_filter", "filter_version", "mark_ground", "require_filter"]
-
 _PACKAGE = "cloth-simulation-filter"
 _MAX_CLOTH_CELLS = 500
 """Most cells of the cloth along a side of a block: a quarter of a million cells take 100 MB."""
@@ -124,5 +122,4 @@ def _start() -> Child:
     return Child("for the cloth simulation filter", "_cloth_child", folders, _ONE_THREAD)
 
 
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=idle.clear)
+os.register_at_fork(after_in_child=idle.clear)

@@ -13,23 +13,6 @@ from numpy.typing import NDArray
 from bumpymap.core import Plane, fill_holes
 from bumpytiles import helper, order_free
 
-__all__ = [
-    "LANES",
-    "centre",
-    "detrend",
-    "extremes",
-    "heightmap",
-    "pixel_index",
-    "pixel_sums",
-    "relief_of",
-    "remove_plane",
-    "set_all",
-    "set_map",
-    "shift",
-    "sum_of_sizes",
-    "sum_of_squares",
-]
-
 Floats = NDArray[np.float64]
 
 LANES = 64

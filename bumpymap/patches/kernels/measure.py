@@ -30,21 +30,6 @@ from bumpymap.patches.kernels.heightmap import (
 )
 from bumpytiles import helper, kernel
 
-__all__ = [
-    "SAMPLE",
-    "SUMS",
-    "MeasureScratch",
-    "MeasureSettings",
-    "PointsByTile",
-    "TileMeasures",
-    "fit_plane",
-    "is_plane",
-    "measure_scratch",
-    "measure_tiles",
-    "ransac_plane",
-    "stray_bounds",
-]
-
 Floats = NDArray[np.float64]
 
 

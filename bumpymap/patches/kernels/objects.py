@@ -28,8 +28,6 @@ from bumpymap.patches.kernels.measure import PointsByTile
 from bumpymap.patches.kernels.solids import THIN
 from bumpytiles import helper, kernel
 
-__all__ = ["ObjectLimits", "ObjectScratch", "TileObjects", "find_in_tiles", "object_scratch"]
-
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int32]
 Bytes = NDArray[np.uint8]

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from bumpymap.core import CANOPY, EMPTY, FREE, LONE, OBSTACLE, SEEN, SOLID, STEEP, UNDECIDED, UNSEEN
 from bumpytiles import helper, kernel
 
-__all__ = ["THIN", "SolidScratch", "settle_solids", "solid_scratch"]
-
 Bytes = NDArray[np.uint8]
 Rows = NDArray[np.int32]
 

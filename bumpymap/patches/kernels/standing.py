@@ -15,24 +15,6 @@ from bumpymap.patches.kernels.heightmap import detrend, relief_of, set_all, set_
 from bumpymap.patches.kernels.measure import PointsByTile, stray_bounds
 from bumpytiles import helper, kernel, order_free
 
-__all__ = [
-    "LAGS",
-    "PAIR_MEASURES",
-    "BareScratch",
-    "BareSettings",
-    "BareTiles",
-    "PairScratch",
-    "PairSettings",
-    "StandingLimits",
-    "StandingScratch",
-    "bare_scratch",
-    "leave_out_things",
-    "mark_standing",
-    "measure_pairs",
-    "pair_scratch",
-    "standing_scratch",
-]
-
 Floats = NDArray[np.float64]
 LAGS = 5
 """Groups of distances."""

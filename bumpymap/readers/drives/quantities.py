@@ -12,28 +12,6 @@ from typing import NamedTuple
 
 from bumpymap.core import BadInputError, UsageError
 
-__all__ = [
-    "ACCELERATIONS",
-    "ANGLES",
-    "DIMENSIONS",
-    "DOWN",
-    "EASTING_NORTHING",
-    "LOCAL",
-    "LONLAT",
-    "QUANTITIES",
-    "QUATERNION",
-    "RATES",
-    "SIDES",
-    "TOPICS",
-    "UNITS",
-    "DriveColumn",
-    "chosen_columns",
-    "guess_columns",
-    "parse_columns",
-    "plain_unit",
-    "unknown_quantities",
-]
-
 RATES = ("rate_x", "rate_y", "rate_z")
 ACCELERATIONS = ("acc_x", "acc_y", "acc_z")
 ANGLES = ("roll", "pitch", "yaw")

@@ -16,7 +16,6 @@ from bumpymap.core import (
     DriveLog,
     Guard,
     UsageError,
-    can_start_children,
     free_memory,
     missing_resource,
 )
@@ -26,8 +25,6 @@ from bumpymap.readers.drives.signals import Samples, assemble
 from bumpymap.readers.drives.tables import find_columns, open_table, table_samples
 from bumpymap.readers.frames.raw import bag_files, is_bag, is_ros1
 from bumpymap.readers.source import open_source, size_of
-
-__all__ = ["close_log_reader", "drive_files", "read_drive", "read_in_child"]
 
 _ARDUPILOT = b"\xa3\x95"
 """First bytes of every message of its binary logs."""
@@ -68,8 +65,6 @@ def read_drive(place: str, columns: Mapping[str, str] | None = None) -> DriveLog
     wanted = dict(columns or {})
     unknown_quantities(wanted)
     paths = drive_files(place)
-    if not can_start_children():
-        return _read(paths, wanted)
     size = sum(map(size_of, chain.from_iterable(bag_files(path) if is_bag(path) else [path] for path in paths)))
     seconds, memory = SECONDS + SECONDS_PER_BYTE * size, _MEMORY + _MEMORY_PER_BYTE * size
     enough = (free_memory() or 0) >= memory
@@ -200,5 +195,4 @@ def _reset_after_fork() -> None:
     _lock = threading.Lock()
 
 
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_reset_after_fork)
+os.register_at_fork(after_in_child=_reset_after_fork)

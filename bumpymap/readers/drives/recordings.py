@@ -16,8 +16,6 @@ from bumpymap.readers.drives.tables import refuse_large
 from bumpymap.readers.frames.raw import BagReader
 from bumpymap.readers.source import decoding, open_source
 
-__all__ = ["bag_samples", "is_ulog", "ulog_samples"]
-
 
 def _sorted(values: dict[str, Floats], topic: str, notes: list[str]) -> dict[str, Floats]:
     """Sort messages by their stamps; a recorder stores them as they arrive."""

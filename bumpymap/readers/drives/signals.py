@@ -20,8 +20,6 @@ from bumpymap.readers.drives.quantities import (
     SIDES,
 )
 
-__all__ = ["Floats", "Samples", "Signal", "assemble", "body_rates", "quaternions_of_angles"]
-
 Floats = NDArray[np.float64]
 Track = TypeVar("Track", "Signal", PlaceTrack, WheelTrack)
 

@@ -30,8 +30,6 @@ from bumpymap.readers.drives.quantities import (
 from bumpymap.readers.drives.signals import Floats, Samples
 from bumpymap.readers.source import decoding, open_source, size_of
 
-__all__ = ["DriveTable", "find_columns", "open_table", "refuse_large", "table_samples"]
-
 _MOST_BYTES = 2 << 30
 _MOST_REWRITTEN = 1 << 30
 """Files with blanks between their values are rewritten in memory."""

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from bumpymap.core import PoseTrack, Scan
 from bumpytiles import kernel
 
-__all__ = ["deskew"]
-
 
 @kernel
 def move_points(

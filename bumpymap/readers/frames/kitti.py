@@ -13,8 +13,6 @@ from bumpymap.core import BadInputError
 from bumpymap.readers.frames.raw import RawScan, point_seconds
 from bumpymap.readers.source import pinned_version, read_range, refuse_count, require_unchanged, size_of, version_of
 
-__all__ = ["BIN_COLUMNS", "POINT_FOLDERS", "label_file", "read_kitti"]
-
 BIN_COLUMNS = {
     4: "x, y, z, intensity",
     5: "x, y, z, intensity, ring",

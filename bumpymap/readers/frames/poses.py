@@ -22,8 +22,6 @@ from bumpymap.readers.frames.read import find_frames
 from bumpymap.readers.frames.transforms import ROUNDING, from_quaternions, refuse_poses
 from bumpymap.readers.source import open_source
 
-__all__ = ["FramePoses", "files_beside_poses", "place_sources", "read_poses"]
-
 _log = logging.getLogger(__name__)
 
 _EPOCH = ((1e8, 1e10, 1.0), (1e11, 1e13, 1e-3), (1e14, 1e16, 1e-6), (1e17, 1e19, 1e-9))

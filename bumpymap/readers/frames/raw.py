@@ -18,24 +18,6 @@ from bumpymap.core import BadInputError, BagMessage, UsageError, short_repr
 from bumpymap.readers.detect import read_columns
 from bumpymap.readers.source import Version, asks_too_much, decoding, read_range, require_unchanged, size_of, version_of
 
-__all__ = [
-    "BAG_SUFFIXES",
-    "CLOUD",
-    "TIME_COLUMNS",
-    "BagReader",
-    "BagRecord",
-    "RawScan",
-    "bag_files",
-    "is_bag",
-    "is_ros1",
-    "message_types",
-    "point_seconds",
-    "points_of",
-    "read_cloud",
-    "read_table",
-    "start_of_day_time",
-]
-
 BAG_SUFFIXES = (".mcap", ".db3")
 CLOUD = "sensor_msgs/msg/PointCloud2"
 _METADATA = "metadata.yaml"

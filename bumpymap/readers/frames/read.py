@@ -27,8 +27,6 @@ from bumpymap.readers.frames.raw import (
 from bumpymap.readers.frames.transforms import FIXED_FRAMES, FrameTree, Trajectory, frame_name, seconds_since
 from bumpymap.readers.source import pinned_version, require_unchanged, version_of
 
-__all__ = ["BagTopics", "bags_at", "find_frames", "find_sources", "read_message", "read_scan", "scene_points"]
-
 _log = logging.getLogger(__name__)
 
 _ODOMETRY, _TF = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, PoseTrack
 
-__all__ = ["FIXED_FRAMES", "FrameTree", "Trajectory", "frame_name", "from_quaternions", "refuse_poses", "seconds_since"]
-
 ROUNDING = 0.02
 """Tolerance of rotation matrices and quaternions: some files have only three decimals."""
 

@@ -8,7 +8,7 @@ import logging
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from multiprocessing.connection import wait
@@ -41,8 +41,6 @@ from bumpymap.survey.run_record import WarningCollector
 from bumpymap.views import SurveyView, read_thumbnail
 from bumpytiles import compile_loaded
 
-__all__ = ["MapTask", "TaskEnd", "look_at", "map_one", "map_tasks"]
-
 _MOST_WAIT_S = 5.0
 
 
@@ -64,26 +62,25 @@ class TaskEnd:
     """Result of mapping one survey."""
 
     row: SurveyRow
-    events: tuple[dict[str, Any], ...]
-    """Warnings, and the traceback of an unexpected error: arguments of `BatchLog.write`."""
     view: SurveyView = field(default_factory=SurveyView)
+    traceback: str = ""
+    """Of an unexpected error."""
 
 
 def map_one(task: MapTask) -> TaskEnd:
     """Map a survey, continue its interrupted run, or find that it is done."""
     begin = time.perf_counter()
-    view = SurveyView()
+    view, trace = SurveyView(), ""
     lock_for(task.started_by)
-    with _collected_warnings() as events:
+    with _collected_warnings() as said:
         try:
             row = _mapped(task)
             view = look_at(task.config.out, task.thumbnail_bytes)
         except Exception as error:  # noqa: BLE001 (the other surveys are mapped all the same)
             row = _failed(task, error, time.perf_counter() - begin)
             if not isinstance(error, BumpymapError):
-                events.append({"event": "traceback", "message": traceback.format_exc()})
-    said = [event["message"] for event in events if event["event"] == "warning"]
-    return TaskEnd(replace(row, warnings=tuple(dict.fromkeys([*row.warnings, *said]))), tuple(events), view)
+                trace = traceback.format_exc()
+    return TaskEnd(replace(row, warnings=tuple(dict.fromkeys([*row.warnings, *said]))), view, trace)
 
 
 def look_at(folder: Path, thumbnail_bytes: int) -> SurveyView:
@@ -137,18 +134,16 @@ def _survey(task: MapTask) -> str:
 
 
 @contextmanager
-def _collected_warnings() -> Iterator[list[dict[str, Any]]]:
+def _collected_warnings() -> Iterator[list[str]]:
     """Collect the warnings of bumpymap and its engine during the body, instead of printing them."""
     collector = WarningCollector(every_thread=True)
     loggers = [logging.getLogger(name) for name in ("bumpymap", "bumpytiles")]
     before = [(logger.handlers, logger.propagate) for logger in loggers]
     for logger in loggers:
         logger.handlers, logger.propagate = [collector], False
-    events: list[dict[str, Any]] = []
     try:
-        yield events
+        yield collector.kept
     finally:
-        events[:0] = [{"event": level, "message": message} for level, message in collector.kept]
         for logger, (handlers, propagate) in zip(loggers, before, strict=True):
             logger.handlers, logger.propagate = handlers, propagate
 
@@ -156,9 +151,7 @@ def _collected_warnings() -> Iterator[list[dict[str, Any]]]:
 _MODULE = "bumpymap.survey.batch.one_survey"
 
 
-def map_tasks(
-    tasks: Sequence[MapTask], jobs: int, started: Callable[[MapTask], None]
-) -> Generator[TaskEnd, None, None]:
+def map_tasks(tasks: Sequence[MapTask], jobs: int) -> Generator[TaskEnd, None, None]:
     """Map surveys, up to ``jobs`` at a time; yield the result of each as soon as it is known.
 
     Parameters
@@ -166,8 +159,6 @@ def map_tasks(
     tasks : sequence of MapTask
         They are begun in this order.
     jobs : int
-    started : callable
-        Called when a task is begun.
 
     Raises
     ------
@@ -181,7 +172,6 @@ def map_tasks(
         while waiting or busy:
             while waiting and len(busy) < jobs:
                 task = waiting.popleft()
-                started(task)
                 idle = [child for child in idle if child.is_alive]
                 child = idle.pop() if idle else Child("to map surveys", _MODULE)
                 busy[child.link] = child, task, time.perf_counter()
@@ -198,7 +188,7 @@ def map_tasks(
                         f"its process {error}. If memory ran out, give fewer `jobs` or less `memory`; the next start "
                         "continues this survey"
                     )
-                    end = TaskEnd(_failed_row(task, message, time.perf_counter() - begun), ())
+                    end = TaskEnd(_failed_row(task, message, time.perf_counter() - begun))
                 yield end
     finally:
         # A run that is under way is ended as by a kill; the next start continues it.

@@ -1,14 +1,8 @@
-"""Map the surveys of a batch: find them, map what is not done, note what fails, and summarise.
+"""Map the surveys of a batch: find them, map what is not done, note what fails, and summarise."""
 
-``log.jsonl`` says what happened and when, one JSON object per line; every start appends to it.
-"""
-
-import json
 import logging
-import os
-import stat
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cache, partial
@@ -31,67 +25,21 @@ from bumpymap.core import (
     without_keys,
 )
 from bumpymap.layers import (
-    BATCH_LOG,
+    BATCH_LINKS,
     SurveyRow,
     SurveyStatus,
     check_batch_out,
     is_complete,
     map_facts,
     write_batch_summary,
-    write_catalog,
 )
 from bumpymap.rating import find_calibration
 from bumpymap.survey.api import EachSettings, PathLike, folder_of_call, map_settings
-from bumpymap.survey.batch.one_survey import MapTask, TaskEnd, look_at, map_tasks
+from bumpymap.survey.batch.one_survey import MapTask, look_at, map_tasks
 from bumpymap.survey.batch.settings import BatchConfig, SurveyPer
 from bumpymap.survey.batch.source import ListedSurvey, list_surveys, settings_faults
 from bumpymap.survey.engine import connect
 from bumpymap.views import SurveyView, index_page
-
-__all__ = ["BatchLog", "BatchReport", "BatchResult", "BatchSettings", "Results", "map_batch", "run_batch"]
-
-
-class BatchLog:
-    """Appends events to a file. A full disk does not end a batch: an event that cannot be written is lost."""
-
-    def __init__(self, descriptor: int) -> None:
-        self._descriptor = descriptor
-
-    @classmethod
-    @contextmanager
-    def opened(cls, path: Path) -> Iterator["BatchLog"]:
-        """Open or create the file; a link is not followed.
-
-        Raises
-        ------
-        OutputError
-            It cannot be written, or is no plain file.
-        """
-        flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
-        try:
-            descriptor = os.open(path, flags, 0o666)
-        except OSError as error:
-            raise OutputError(f"cannot write {path}: {error.strerror}. Choose another `out`") from error
-        try:
-            found = os.fstat(descriptor)
-            if not stat.S_ISREG(found.st_mode) or found.st_nlink > 1:
-                raise OutputError(f"{path} is not a plain file of its own, and was not touched. Remove it")
-            if (
-                found.st_size and os.pread(descriptor, 1, found.st_size - 1) != b"\n"
-            ):  # a killed batch wrote half a line
-                os.write(descriptor, b"\n")
-            yield cls(descriptor)
-        finally:
-            os.close(descriptor)
-
-    def write(self, event: str, **facts: Any) -> None:
-        """Append one event with the current time; URLs in its texts without keys."""
-        facts = {name: without_keys(fact) if isinstance(fact, str) else fact for name, fact in facts.items()}
-        time = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-        line = json.dumps({"time": time, "event": event, **facts}) + "\n"
-        with suppress(OSError):
-            os.write(self._descriptor, line.encode())
-
 
 _log = logging.getLogger(__name__)
 _EVERY_S = 60.0
@@ -107,7 +55,7 @@ class Results:
     ----------
     tasks : sequence of MapTask
     folder : Path
-        Gets summary.csv, summary.parquet, index.html and catalog.json.
+        Gets summary.csv, summary.parquet, catalog.json and index.html.
     title : str
         Of the page.
     """
@@ -153,14 +101,12 @@ class Results:
                     facts = map_facts(task.config.out)
                     self._rows[name] = replace(self._rows[name], message=_EARLIER, **facts)
                     self._views[name] = look_at(task.config.out, task.thumbnail_bytes)
-        write_catalog(self._folder, [row.name for row in self.rows if row.status != "failed"], title=self._title)
         self._write()
 
     def _write(self, when: str = "") -> None:
         note = f"Written {datetime.now(UTC):%Y-%m-%d %H:%M} UTC{when}"
-        write_batch_summary(
-            self.rows, self._folder, lambda links: index_page(self.rows, self._views, links, self._title, note)
-        )
+        page = index_page(self.rows, self._views, BATCH_LINKS, self._title, note)
+        write_batch_summary(self.rows, self._folder, self._title, page)
 
 
 _GOOD: tuple[SurveyStatus, ...] = ("done", "already done")
@@ -234,27 +180,22 @@ def run_batch(
     check_batch_out(folder)
     if begin is not None:
         begin(len(surveys))
-    with remove_empty_on_error(folder), locked(folder), BatchLog.opened(folder / BATCH_LOG) as log:
-        log.write("start", source=str(config.source), surveys=len(surveys), jobs=config.jobs)
+    with remove_empty_on_error(folder), locked(folder):
         results = Results(tasks, folder, folder.absolute().name)
-        ends = map_tasks(tasks, config.jobs, lambda task: log.write("survey started", name=task.name))
         try:
-            with closing(ends):
+            with closing(map_tasks(tasks, config.jobs)) as ends:
                 for end in ends:
                     row = end.row
                     message, survey = map(without_keys, (spell(row.message), row.survey))
                     warnings = tuple(without_keys(spell(warning)) for warning in row.warnings)
                     row = replace(row, message=message, warnings=warnings, survey=survey)
-                    _note(log, replace(end, row=row))
+                    _note(row, end.traceback)
                     results.add(row, end.view)
                     if report is not None:
                         report(row)
         finally:
             results.write_last()
-            result = BatchResult(results.rows)
-            counts = {kind: len(result.with_status(kind)) for kind in sorted({row.status for row in result.rows})}
-            log.write("end", counts=counts, exit_code=result.exit_code)
-    return result
+    return BatchResult(results.rows)
 
 
 def _tasks(config: BatchConfig, surveys: list[ListedSurvey]) -> list[MapTask]:
@@ -282,12 +223,10 @@ def _size(place: Path | str) -> int:
     return 0
 
 
-def _note(log: BatchLog, end: TaskEnd) -> None:
-    row = end.row
-    for event in end.events:
-        log.write(**{**event, "name": row.name})
-    facts = {"status": row.status, "seconds": row.seconds, "points": row.points, "message": row.message}
-    log.write("survey ended", name=row.name, **{key: value for key, value in facts.items() if value not in {None, ""}})
+def _note(row: SurveyRow, trace: str) -> None:
+    """Log what is wrong with a survey; the trace of an unexpected error is an event of ``--json``."""
+    if trace:
+        _log.info("%s: %s", row.name, without_keys(trace))
     for warning in row.warnings:
         _log.warning("%s: %s", row.name, warning)
     if row.status in {"failed", "incomplete"}:

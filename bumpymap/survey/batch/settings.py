@@ -20,9 +20,6 @@ from bumpymap.core import (
     with_pixels,
 )
 
-__all__ = ["OWN_SETTINGS", "BatchConfig", "SurveyPer"]
-
-
 SurveyPer: TypeAlias = Literal["file", "folder"]
 OWN_SETTINGS = (
     "surveys",

@@ -33,8 +33,6 @@ from bumpymap.rating import Calibration, find_calibration
 from bumpymap.readers import find_surveys, is_ept
 from bumpymap.survey.batch.settings import OWN_SETTINGS, SurveyPer
 
-__all__ = ["ListedSurvey", "list_surveys", "name_surveys", "plain_name", "read_table", "read_text", "settings_faults"]
-
 _log = logging.getLogger(__name__)
 _LISTS = (".txt", ".csv")
 _TWO_PARTS = ".copc"

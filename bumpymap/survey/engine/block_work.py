@@ -30,8 +30,6 @@ from bumpytiles import (
     write_pack,
 )
 
-__all__ = ["BlockWork", "MeasuredTiles", "TileColumns", "TileSink", "engine_errors"]
-
 _PACK_TILES = 16_384
 """Tiles in a pack: 22 MB at 15 x 15 pixels. A killed run loses no more than that."""
 

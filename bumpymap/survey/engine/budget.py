@@ -42,17 +42,6 @@ from bumpymap.core import (
 from bumpymap.readers import SurveyInfo
 from bumpytiles import BLOCK_TILES, Grid, Pack, PackError
 
-__all__ = [
-    "FLOAT_POINT_BYTES",
-    "POINT_BYTES",
-    "Budget",
-    "Estimate",
-    "Workspace",
-    "estimate",
-    "requests_at_once",
-    "with_memory",
-]
-
 _ADVICE = "Run the same again to continue from the finished tiles."
 _READ, _SCRATCH, _OWNER, _SKIPPED = "read.json", "scratch.json", "owner.json", "skipped.json"
 _POINTS, _NEW_TILES = "points", "new-tiles"

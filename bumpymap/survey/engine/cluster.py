@@ -37,19 +37,6 @@ from bumpytiles import BlockKey
 if TYPE_CHECKING:
     from bumpytiles import Workers
 
-__all__ = [
-    "ALIVE",
-    "ClusterExecutor",
-    "FileSource",
-    "RunContext",
-    "busy",
-    "connect",
-    "finish_group",
-    "mark_tiles",
-    "missing_on_worker",
-    "read_ranges",
-]
-
 _AT_WORK = Lock()
 ALIVE = "alive"
 """Name of a file that exists while the run goes on."""

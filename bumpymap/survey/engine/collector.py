@@ -21,8 +21,6 @@ from bumpymap.survey.engine.budget import Workspace
 from bumpymap.survey.engine.plan import ChunkRange
 from bumpytiles import BLOCK_TILES, BlockKey, Pack, TileWindow
 
-__all__ = ["BlockCatalogue", "BlockGroup", "Checkpoints", "ReadResult", "ResultCollector", "Span"]
-
 _SIDE = 8
 """Blocks along a side of the squares that groups are formed from: neighbouring blocks are in the same packs."""
 MOST_BLOCKS = 64

@@ -12,8 +12,6 @@ from itertools import pairwise
 from bumpymap.readers import Chunk, SurveyReader
 from bumpytiles import BlockKey, Bounds
 
-__all__ = ["ChunkRange", "ReadTask", "Spans", "cut_ranges", "range_points", "shared_tasks"]
-
 Spans = Mapping[int, Sequence[tuple[int, int]]]
 """For each file some ranges of chunks, as (first, last + 1)."""
 LEAST_POINTS, _MOST = 2_000_000, 256_000_000

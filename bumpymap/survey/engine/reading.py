@@ -25,8 +25,6 @@ from bumpymap.survey.engine.collector import ReadResult
 from bumpymap.survey.engine.plan import ChunkRange, ReadTask
 from bumpytiles import BLOCK_TILES, BlockKey, Bounds, Grid, GroupedPoints, Pack, TileBuckets, run_blocks
 
-__all__ = ["BlockCompletion", "OpenRange", "RangeReader", "read_chunks", "refuse_no_points"]
-
 _MARGIN = 1.01
 """Points may lie this far outside their bounds, m (readers accept 1 m)."""
 _MOST_CELLS = 4_000_000

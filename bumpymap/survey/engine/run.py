@@ -13,25 +13,25 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, Progress, Stopwatch, decide_ground
-from bumpymap.readers import BLANK, GROUND, Chunk, SurveyReader, UnclassifiedPart
+from bumpymap.core import GROUND_SOURCE, NO_CLASS, BadInputError, Progress, Stopwatch, decide_ground
+from bumpymap.rating import is_rateable
+from bumpymap.readers import BLANK, GROUND, REACH, Chunk, Lowest, SurveyReader, UnclassifiedPart
 from bumpymap.survey.engine.block_work import (
     ALL_POINTS,
     GROUND_POINTS,
+    JOINED_POINTS,
     BlockWork,
     MeasuredTiles,
+    TileSink,
     engine_errors,
     finished_tiles,
 )
 from bumpymap.survey.engine.budget import Budget, Workspace
 from bumpymap.survey.engine.collector import BlockGroup, Checkpoints, ReadResult, ResultCollector
-from bumpymap.survey.engine.joined import lowest_points, save_joined
 from bumpymap.survey.engine.plan import ChunkRange, cut_ranges
 from bumpymap.survey.engine.reading import refuse_no_points
 from bumpymap.survey.inputs import SurveyInputs
-from bumpytiles import BlockKey, Pack
-
-__all__ = ["Executor", "ReadPlan", "run_engine"]
+from bumpytiles import BlockKey, Pack, TileTable
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,10 +171,10 @@ def _measure(
     both = waiting & part.blocks(1) if ground_only else waiting
     _finish(collector, space, executor, progress, {kinds: both, kinds[:1]: waiting - both})
     ground, every = (finished_tiles(work, space, kind) for kind in kinds)
-    found = part.never_classified(lowest_points(part, ground, every))
+    found = part.never_classified(_lowest_points(part, ground, every))
     if not decide_ground(work.ground, tiles - int(found.sum()), with_ground):
         return False, 0
-    return True, save_joined(part, found, ground, every, work, space) if found.any() else 0
+    return True, _save_joined(part, found, ground, every, work, space) if found.any() else 0
 
 
 def _marks(collector: ResultCollector, executor: Executor) -> dict[BlockKey, NDArray[np.uint8]]:
@@ -206,3 +206,45 @@ def _finish(
             for packs in results:
                 for kind, own in zip(kinds, packs, strict=True):
                     collector.add_tiles(kind, own)
+
+
+Marks = NDArray[np.bool_]
+
+
+def _lowest_points(part: UnclassifiedPart, ground: TileTable, every: TileTable) -> Iterator[Lowest]:
+    """Yield what `UnclassifiedPart.never_classified` needs, from tiles measured by their ground and by all points."""
+    for table, of_ground in ((ground, True), (every, False)):
+        for key in filter(table.count, part.blocks(REACH if of_ground else 0)):
+            tiles = table.read_blocks([key], ("row", "col", "z_min"))
+            yield tiles["row"], tiles["col"], tiles["z_min"], of_ground
+
+
+def _save_joined(
+    part: UnclassifiedPart, found: Marks, ground: TileTable, every: TileTable, work: BlockWork, space: Workspace
+) -> int:
+    """Save the blocks in which tiles are measured from all points, and which tiles these are; return their number.
+
+    They are the ``found`` ones, (rows, cols) of the window of ``part``, and those of the others that lie beside them
+    and hold too little ground to be rated from that alone.
+    """
+    for path in (*space.tiles(JOINED_POINTS), *space.tiles(GROUND_SOURCE.name)):
+        path.unlink()  # of an earlier run, which did not come to its end
+    joined = TileSink(space.folder, JOINED_POINTS, work.columns)
+    source = TileSink(space.folder, GROUND_SOURCE.name, (GROUND_SOURCE,))
+    names, beside, total = [column.name for column in work.columns], part.beside(found), 0
+    near = part.blocks(1)
+    for key in ground.keys:
+        taken = np.zeros(ground.count(key), np.bool_)
+        if key in near:
+            own, other = (table.read_blocks([key], names) for table in (ground, every))
+            at = own["row"] - part.south, own["col"] - part.west
+            unknown = (own["class_id"] == NO_CLASS) & ~is_rateable(own["thin"], own["reason"])
+            taken = found[at] | (beside[at] & unknown)
+            for name in names:
+                own[name][taken] = other[name][taken]
+            joined.add(key, own)
+        source.add(key, {"col": taken, GROUND_SOURCE.name: taken})
+        total += int(taken.sum())
+    joined.flush()
+    source.flush()
+    return total

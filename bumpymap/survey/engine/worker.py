@@ -24,8 +24,6 @@ from bumpymap.survey.engine.reading import OpenRange, RangeReader, blocks_of
 from bumpymap.survey.engine.run import ReadPlan
 from bumpytiles import BlockKey, MemoryLimits, Pack, TileBuckets, run_blocks
 
-__all__ = ["LocalExecutor", "Worker", "new_folder"]
-
 
 def new_folder(parent: Path) -> Path:
     """Make a folder with a unique name and return it."""

@@ -16,32 +16,6 @@ from bumpymap.core import NO_TILE, OPEN_THROUGH, Barred, RouteProfile
 from bumpymap.layers import MapSource, RideScale, box_sum
 from bumpytiles import Grid, TileWindow
 
-__all__ = [
-    "BARRED_SHADE",
-    "FAINT",
-    "HATCH",
-    "INK",
-    "LEVEL",
-    "NO_DATA",
-    "UNKNOWN_SHADE",
-    "Colour",
-    "MapView",
-    "Pen",
-    "Pixels",
-    "bar_length",
-    "draw_closed",
-    "draw_frame",
-    "draw_profile",
-    "draw_swatch",
-    "font",
-    "hatched",
-    "light_of",
-    "paint_ground",
-    "shortened",
-    "tick_step",
-    "ticks",
-]
-
 Colour = tuple[int, int, int]
 _TWICE = 2
 

@@ -26,8 +26,6 @@ from bumpymap.views.pictures.drawing import (
 )
 from bumpymap.views.words import metres
 
-__all__ = ["ROUTE_COLOURS", "paint_route", "write_reach_picture", "write_route_picture"]
-
 WIDTH = 1600
 """Width of the picture, pixels."""
 _EDGE = 24

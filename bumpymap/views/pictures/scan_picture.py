@@ -12,8 +12,6 @@ from bumpymap.core import CLASSES, ClassedSectors, PolarCells, PolarSettings, Sc
 from bumpymap.layers import OBSTACLE_POINT, OTHER_POINT, SCAN_CLASS_NAMES, SCAN_COLOURS, class_index, point_styles
 from bumpymap.views.pictures.drawing import font, shortened
 
-__all__ = ["SIDE", "paint", "write_picture"]
-
 SIDE = 960
 """Side of the scene, pixels."""
 _PANEL = 300

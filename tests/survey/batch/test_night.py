@@ -2,11 +2,9 @@
 
 import csv
 import json
-import os
 import signal
 import subprocess
 import sys
-from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -105,13 +103,10 @@ def test_a_night_that_is_killed_twice(surveys, alone, tmp_path):
     found = statuses(night)
     assert {name for name, status in found.items() if status == "already done"} >= set(done[1])
     assert {name for name, status in found.items() if status.endswith("done")} == set(GOOD)
-    files = {"summary.csv", "summary.parquet", "index.html", "catalog.json", "log.jsonl"}
+    files = {"summary.csv", "summary.parquet", "index.html", "catalog.json"}
     assert {path.name for path in night.iterdir()} == {*GOOD, *files}
     links = json.loads((night / "catalog.json").read_text(encoding="utf-8"))["links"]
     assert [link["href"] for link in links if link["rel"] == "item"] == [f"./{name}/item.json" for name in GOOD]
-    events = [json.loads(line) for line in (night / "log.jsonl").read_text(encoding="utf-8").splitlines()]
-    assert [event["event"] for event in events].count("start") == 3
-    assert events[-1]["counts"] == dict(sorted(Counter(found.values()).items()))
 
 
 @pytest.fixture(scope="module")
@@ -231,7 +226,7 @@ def test_nothing_of_others_is_touched(surveys, tmp_path):
     (tmp_path / "s.txt").write_text(f"{surveys / 'a.laz'}\n")
     mine = tmp_path / "mine"
     mine.mkdir()
-    for name in ("summary.csv", "index.html", "catalog.json", "log.jsonl", "run.json"):
+    for name in ("summary.csv", "index.html", "catalog.json", "run.json"):
         (mine / name).write_text("my own\n")
         assert batch(tmp_path / "s.txt", "--out", mine).exit_code == 3
         assert [(path.name, path.read_text()) for path in mine.iterdir()] == [(name, "my own\n")]
@@ -245,8 +240,8 @@ def test_nothing_of_others_is_touched(surveys, tmp_path):
     (mine / "a" / "cost.tif").write_text("my own")
     assert batch(tmp_path / "s.txt", "--out", mine).exit_code == 3
     assert (mine / "a" / "cost.tif").read_text() == "my own"
-    (mine / "log.jsonl").unlink()
-    (mine / "log.jsonl").symlink_to(elsewhere / "log")
+    (mine / "summary.csv").unlink()
+    (mine / "summary.csv").symlink_to(elsewhere / "table")
     assert batch(tmp_path / "s.txt", "--out", mine).exit_code == 3
     assert not list(elsewhere.iterdir())
 
@@ -255,18 +250,6 @@ def test_one_batch_at_a_time(surveys, tmp_path):
     with locked(tmp_path / "o"), pytest.raises(OutputError, match="another run is writing"):
         run_batch(BatchConfig(surveys, tmp_path / "o"))
     assert not list((tmp_path / "o").iterdir())
-
-
-def test_the_log_goes_on_after_half_a_line(surveys, tmp_path):
-    (tmp_path / "s.txt").write_text(f"{surveys / 'nothing.laz'}\n")
-    assert batch(tmp_path / "s.txt", "--out", tmp_path / "o").exit_code == 3
-    log = tmp_path / "o" / "log.jsonl"
-    whole = log.read_bytes()
-    os.truncate(log, len(whole) - 5)
-    assert batch(tmp_path / "s.txt", "--out", tmp_path / "o", "--quiet").exit_code == 3
-    lines = log.read_text(encoding="utf-8").splitlines()
-    assert lines[: whole.count(b"\n") - 1] == whole.decode().splitlines()[:-1]
-    assert json.loads(lines[whole.count(b"\n")])["event"] == "start"
 
 
 def test_the_page_shows_layers_of_an_earlier_start_that_were_not_reached(surveys, tmp_path):
@@ -307,17 +290,16 @@ def test_no_key_of_a_url_is_in_the_files_of_a_night(tmp_path):
     assert [row.status for row in night.rows] == ["failed", "failed"]
     assert "127.0.0.1:9" in night.rows[0].message
     held = {path.name: path.read_bytes() for path in (tmp_path / "o").iterdir()}
-    assert {"index.html", "log.jsonl", "summary.csv", "summary.parquet"} <= set(held)
+    assert {"index.html", "summary.csv", "summary.parquet"} <= set(held)
     assert [name for name, data in held.items() if b"SECRET" in data] == []
 
 
 @pytest.mark.parametrize("jobs", [pytest.param(1, marks=pytest.mark.later), 2])
 def test_a_process_maps_many_surveys_and_one_that_dies_fails_its_survey_alone(monkeypatch, jobs):
     monkeypatch.setattr(one_survey, "_MODULE", "worker_of_a_batch")
-    names, begun = ["s", "a", "s2", "dies", "b", "raises", "dies_too", "c"], []
+    names = ["s", "a", "s2", "dies", "b", "raises", "dies_too", "c"]
     tasks = [MapTask(name, MapConfig((Path(f"{name}.laz"),), Path("o"))) for name in names]
-    rows = [end.row for end in one_survey.map_tasks(tasks, jobs, lambda task: begun.append(task.name))]
-    assert begun == names
+    rows = [end.row for end in one_survey.map_tasks(tasks, jobs)]
     assert sorted(row.name for row in rows) == sorted(names)
     rows = {row.name: row for row in rows}
     assert {name for name, row in rows.items() if row.status == "done"} == {"s", "a", "s2", "b", "c"}

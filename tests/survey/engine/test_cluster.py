@@ -377,34 +377,6 @@ def test_the_missing_package_is_named(surveys, tmp_path, monkeypatch):
     assert (result.exit_code, "pip install 'bumpymap[dask]'" in result.output) == (2, True)
 
 
-def certificates_of(security):
-    """The certificates of a client in dask's own configuration."""
-    client = {"key": security.tls_client_key, "cert": security.tls_client_cert}
-    return {"distributed.comm.tls.ca-file": security.tls_ca_file, "distributed.comm.tls.client": client}
-
-
-@pytest.mark.later
-def test_a_scheduler_with_tls_takes_whom_its_authority_signed_and_nobody_else(distributed, tmp_path, monkeypatch):
-    """The certificates are those of dask's own configuration."""
-    dask, _ = pytest.importorskip("dask"), pytest.importorskip("cryptography")
-    monkeypatch.setattr("bumpymap.survey.engine.cluster._TIMEOUT_S", 5.0)
-    security = distributed.Security.temporary()
-    with distributed.LocalCluster(security=security, **ONE_WORKER) as cluster:
-        address = cluster.scheduler_address
-        nobody = map_on(address, SURVEY, tmp_path / "out", "--local")
-        with dask.config.set(certificates_of(distributed.Security.temporary())):
-            stranger = map_on(address, SURVEY, tmp_path / "out", "--local")
-        with dask.config.set(certificates_of(security)):
-            taken = map_on(address, SURVEY, tmp_path / "out", "--local")
-    for refused in (nobody, stranger):
-        assert refused.exit_code == 2
-        assert f"no scheduler answers at {address}" in refused.output
-        assert "distributed.comm.tls" in refused.output
-    assert taken.exit_code == 0, taken.output
-    assert "Warning" not in taken.output
-    assert (tmp_path / "out" / "rasters/class.tif").exists()
-
-
 @pytest.mark.later
 @pytest.mark.parametrize(
     ("address", "warned"),

@@ -83,7 +83,6 @@ def goes_on(surveys, out, plain, monkeypatch, *options):
     assert not (out / ".bumpymap-run").exists()
 
 
-@pytest.mark.skipif(os.name != "posix", reason="the decoder is no process of its own here")
 def test_a_decoder_that_is_killed_keeps_everything(surveys, plain, tmp_path, monkeypatch, after_tiles):
     finish = Child.finish
 
