@@ -139,9 +139,9 @@ from .processes import (
 )
 from .route_types import (
     NO_TILE as NO_TILE,
+    TAN as TAN,
     Resolution as Resolution,
     RoadFigures as RoadFigures,
-    TAN as TAN,
     Route as Route,
     RouteFigures as RouteFigures,
     RouteProfile as RouteProfile,

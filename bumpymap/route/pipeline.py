@@ -148,8 +148,8 @@ def find_routes(
         Folder, or file that ends in .geojson, .gpx, .csv or .png.
     **settings
         Those of ``bumpymap route``, with underscores: ``alternatives``, ``by`` (``cost`` or ``time``), ``risk`` [m],
-        ``robust``, ``direction``, ``climb``, ``descent``, ``side_slope`` [m], ``side_limit`` [deg], ``unknown`` [cost per
-        metre], ``snap`` [m], ``visit``, ``round_trip``, ``avoid``, ``only``, ``allow_outside``, ``calibration``,
+        ``robust``, ``direction``, ``climb``, ``descent``, ``side_slope`` [m], ``side_limit`` [deg], ``unknown`` [cost
+        per metre], ``snap`` [m], ``visit``, ``round_trip``, ``avoid``, ``only``, ``allow_outside``, ``calibration``,
         ``through_obstacles``, ``memory``, ``overwrite``.
 
     Returns
@@ -198,8 +198,8 @@ def map_reach(
     minutes : float, optional
         Tiles farther away than this are left out where possible, so that less is read.
     **settings
-        ``by``, ``risk``, ``robust``, ``direction``, ``climb``, ``descent``, ``side_slope``, ``side_limit``, ``unknown``,
-        ``snap``, ``avoid``, ``only``, ``allow_outside``, ``memory``, as in `find_routes`.
+        ``by``, ``risk``, ``robust``, ``direction``, ``climb``, ``descent``, ``side_slope``, ``side_limit``,
+        ``unknown``, ``snap``, ``avoid``, ``only``, ``allow_outside``, ``memory``, as in `find_routes`.
 
     Returns
     -------

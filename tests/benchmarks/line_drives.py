@@ -21,7 +21,6 @@ from bumpymap.lab.evaluate.agreement import spearman
 from bumpymap.lab.simulate.drive import DriveSettings, Start, drive_from
 from bumpymap.layers import open_map
 from bumpymap.rating import Vehicle, find_calibration
-from bumpymap.route.straighten import axis_values
 
 BEFORE_M, MEASURED_M = 1.0, 10.0
 """Way until a drive is measured, and the measured way, at 1 m/s."""
