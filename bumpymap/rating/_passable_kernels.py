@@ -9,18 +9,6 @@ from numpy.typing import NDArray
 from bumpymap.core import FREE, OBSTACLE, UNDECIDED, UNSEEN
 from bumpytiles import helper, kernel
 
-__all__ = [
-    "GrowScratch",
-    "InnerTiles",
-    "Mosaic",
-    "close_split",
-    "find_ways",
-    "grow_obstacles",
-    "grow_scratch",
-    "number_areas",
-    "settle",
-]
-
 Bytes = NDArray[np.uint8]
 Integers = NDArray[np.int32]
 Booleans = NDArray[np.bool_]

@@ -13,21 +13,6 @@ from numpy.typing import NDArray
 
 from bumpytiles import helper, kernel
 
-__all__ = [
-    "REACH",
-    "RUN",
-    "PeakScratch",
-    "RawSteps",
-    "RowScratch",
-    "StepMosaic",
-    "find_gradients",
-    "find_peaks",
-    "find_quantiles",
-    "find_raw_steps",
-    "peak_scratch",
-    "row_scratch",
-]
-
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int32]
 

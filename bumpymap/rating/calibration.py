@@ -27,8 +27,6 @@ from bumpymap.core import (
 )
 from bumpymap.rating.vehicle_body import Floor, body_of, body_table, comfort_of, floor_of, with_floor
 
-__all__ = ["DEFAULT_FAIL_WEIGHT", "MAP_SPEED", "Calibration", "DrivenTerrain", "remembered", "shipped_calibrations"]
-
 T = TypeVar("T")
 
 _DRIVE_S = 10.0

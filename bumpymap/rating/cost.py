@@ -16,8 +16,6 @@ from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.ride.speed import map_rule
 from bumpymap.rating.vehicle_body import with_floor
 
-__all__ = ["PAPER_TABLE", "rate", "rate_as_paper"]
-
 Floats = NDArray[np.float64]
 
 _TAIL = 0.1

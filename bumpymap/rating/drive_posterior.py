@@ -15,18 +15,6 @@ from numpy.typing import NDArray
 
 from bumpymap.core import DrivenStretches
 
-__all__ = [
-    "DriveEvidence",
-    "DrivePrior",
-    "HeldOutScore",
-    "LeftOut",
-    "MovePosterior",
-    "collect_evidence",
-    "fit_move",
-    "hold_out",
-    "respond",
-]
-
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 SQUARE_M = 30.0

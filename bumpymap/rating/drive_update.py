@@ -30,8 +30,6 @@ from bumpymap.rating.drive_posterior import (
 from bumpymap.rating.ride.correction import Correction
 from bumpymap.rating.ride.thin import ThinModel
 
-__all__ = ["DriveUpdate", "LogMove", "UpdateSettings", "moved_calibration", "update_from_drives"]
-
 Floats = NDArray[np.float64]
 _DIGITS = 10
 _POINTS = 31

@@ -15,8 +15,6 @@ from bumpymap.rating._passable_kernels import (
     settle,
 )
 
-__all__ = ["close_split_tiles", "find_passable", "free_areas", "settle_objects"]
-
 _MOST_MARGIN = 0.45
 """Of a tile: what wide vehicles keep from tiles that their ground bars, so that corridors of one tile stay open."""
 _GROUND = (Barred.UNKNOWN, Barred.SLOPE, Barred.FAILS, Barred.STEP)

@@ -67,8 +67,6 @@ from bumpymap.rating.ride.correction import NORMAL_TAIL
 from bumpymap.rating.ride.speed import plain_speed_factor
 from bumpymap.rating.vehicle_body import less_floor, with_floor
 
-__all__ = ["STEP_COLUMNS", "StepEffect", "TileSteps", "apply_steps", "crossing_fails", "edge_usable", "find_steps"]
-
 Floats = NDArray[np.float64]
 
 STEP_COLUMNS = ("class_id", "c_r", "c_r_low", "c_r_high", "p_fail", "confidence")

@@ -39,17 +39,6 @@ from bumpymap.core import (
     shipped_network,
 )
 
-__all__ = [
-    "FEATURE_VERSION",
-    "FLAT_RELIEF",
-    "TextureModel",
-    "classify",
-    "make_short_waves",
-    "make_textures",
-    "normalise",
-    "remove_plane",
-]
-
 FEATURE_VERSION = 1
 """Version of the network's input (plane-removed, hole-filled, min-max scaled relief). If it changes, train again."""
 

@@ -10,24 +10,6 @@ from numpy.typing import NDArray
 
 from bumpymap.core import VehicleBody, field_rule
 
-__all__ = [
-    "Body",
-    "Comfort",
-    "Floor",
-    "OneLine",
-    "ProfileKey",
-    "Quantity",
-    "body_of",
-    "body_table",
-    "comfort_of",
-    "floor_of",
-    "less_floor",
-    "number_tuples",
-    "plain_lists",
-    "profile_keys",
-    "with_floor",
-]
-
 _WORDS = {
     "m": "metres",
     "m/s": "metres per second",

@@ -8,8 +8,6 @@ from typing import Annotated, Any, Literal
 from bumpymap.core import parse_record
 from bumpymap.rating.vehicle_body import Quantity
 
-__all__ = ["ESTIMATED", "SUSPENSION", "CompletedProfile", "Whole", "estimate_profile"]
-
 SUSPENSION = '"rigid": a frame without springs; "rocker": a beam on each side that pivots; "sprung": a spring a wheel.'
 """The choices, for a template."""
 ESTIMATED = (

@@ -26,18 +26,6 @@ from bumpymap.rating.ride.speed import at_speed
 from bumpymap.rating.vehicle_body import Body, Comfort, Floor, OneLine, Quantity, body_table, plain_lists, profile_keys
 from bumpymap.rating.vehicle_estimate import ESTIMATED, SUSPENSION, Whole, estimate_profile
 
-__all__ = [
-    "KEYS",
-    "Vehicle",
-    "calibration_beside",
-    "estimated_values",
-    "find_calibration",
-    "load_profile",
-    "map_calibration",
-    "shipped_profiles",
-    "write_profile_template",
-]
-
 _SHORT = "; or give mass_kg and suspension, from which most other values are estimated"
 _SCHEMA = "`bumpymap vehicle new NAME` writes a file to fill in, with units and ranges"
 _LONGEST_BELLY = 4.0

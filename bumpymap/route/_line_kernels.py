@@ -18,24 +18,6 @@ from numpy.typing import NDArray
 from bumpymap.core import TAN
 from bumpytiles import helper, kernel
 
-__all__ = [
-    "A_END",
-    "B_END",
-    "LEAST_MARGIN",
-    "Costs",
-    "Pieces",
-    "check_clear",
-    "connect",
-    "drive_quarter_car",
-    "fill_holes",
-    "find_near",
-    "segment_clear",
-    "segment_cost",
-    "slope_cost",
-    "sum_cost",
-    "trace_line",
-]
-
 Floats = NDArray[np.float64]
 Heading: TypeAlias = tuple[int, int, float, float, float]
 """Two axes, the share of the second in the cost; and southwards and eastwards in a length of 1."""

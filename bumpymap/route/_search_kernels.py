@@ -16,19 +16,6 @@ from numpy.typing import NDArray
 from bumpymap.route._line_kernels import slope_cost
 from bumpytiles import helper, kernel
 
-__all__ = [
-    "FROM_START",
-    "NEW",
-    "NOT_REACHED",
-    "REACH",
-    "SETTLED",
-    "Ground",
-    "MoveTables",
-    "Reached",
-    "Seeds",
-    "search",
-]
-
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Tiles = NDArray[np.int32]

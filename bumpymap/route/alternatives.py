@@ -16,8 +16,6 @@ import numpy as np
 from bumpymap.route.ground import WornTiles
 from bumpymap.route.measure import MeasuredWay
 
-__all__ = ["find_alternatives"]
-
 Plan = Callable[[float, WornTiles | None], MeasuredWay | None]
 """Plans a way with a weight of the hazard [m]; tiles of earlier ways may be dearer."""
 

@@ -17,17 +17,6 @@ from bumpymap.route.settings import CostSettings
 from bumpymap.route.straighten import as_cost, is_clear
 from bumpytiles import Grid, TileWindow
 
-__all__ = [
-    "PIXEL_MARGIN",
-    "TOUCHING",
-    "CostGround",
-    "WornTiles",
-    "points_along",
-    "sample_line",
-    "stretches",
-    "window_around",
-]
-
 Floats = NDArray[np.float64]
 
 _STRIP = 256

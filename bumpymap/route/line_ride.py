@@ -61,8 +61,6 @@ from bumpymap.route.measure import MeasuredWay
 from bumpymap.route.places import in_window
 from bumpymap.route.road_profile import SHORTEST_ROAD_M, bridged, road_figures
 
-__all__ = ["LineRide", "LineVehicle", "ride_along", "ride_line", "with_line_rides"]
-
 Floats = NDArray[np.float64]
 
 _SIGMA_M = 0.3

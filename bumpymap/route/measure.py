@@ -16,8 +16,6 @@ from bumpymap.route.ground import CostGround, points_along, sample_line, stretch
 from bumpymap.route.places import in_window
 from bumpymap.route.straighten import as_costs, trace
 
-__all__ = ["MeasuredWay", "cut_into_tiles", "measure_way", "way_cost"]
-
 Floats = NDArray[np.float64]
 
 _STRETCH_TILES = 128

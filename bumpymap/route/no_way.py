@@ -17,8 +17,6 @@ from bumpymap.route.search import find_way, spread
 from bumpymap.route.stops import place_text
 from bumpytiles import TileWindow
 
-__all__ = ["what_closes", "widest_opening"]
-
 Floats = NDArray[np.float64]
 _LEAST_OPENING, _TOO_NARROW = 1.5, 100.0
 """Distance from what closes an opening, px: what is narrower is a gap between points. And cost of a pixel in which the

@@ -35,8 +35,6 @@ from bumpymap.layers import (
 )
 from bumpymap.views import write_reach_picture, write_route_picture
 
-__all__ = ["REACH_KINDS", "ROUTE_KINDS", "check_out", "write_reach_files", "write_routes"]
-
 _log = logging.getLogger(__name__)
 
 ROUTE_MANIFEST_NAME = "route.json"

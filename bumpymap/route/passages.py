@@ -22,8 +22,6 @@ from bumpymap.route.places import on_grid, overlap
 from bumpymap.route.straighten import as_cost
 from bumpytiles import TileWindow
 
-__all__ = ["BYTES_PER_TILE", "first_pad", "reach_over_areas", "way_over_areas"]
-
 Floats = NDArray[np.float64]
 
 _PAD_TILES, _PAD_SHARE = 24, 0.25

@@ -44,16 +44,6 @@ if TYPE_CHECKING:
 
     from bumpymap.route.reach import Reach
 
-__all__ = [
-    "MOST_VISITS",
-    "RouteResult",
-    "best_order",
-    "find_routes",
-    "map_reach",
-    "plan_routes",
-    "reach_from",
-]
-
 MOST_VISITS = 12
 """Most points whose order is chosen: the work doubles with each."""
 

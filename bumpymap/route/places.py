@@ -12,17 +12,6 @@ from bumpymap.core import BadInputError, UsageError, describe_crs, unit_name
 from bumpymap.layers import MapReader
 from bumpytiles import Grid, TileWindow
 
-__all__ = [
-    "GridPoint",
-    "in_window",
-    "on_grid",
-    "overlap",
-    "parse_point",
-    "place_in_window",
-    "place_point",
-    "window_within",
-]
-
 System = Literal["lonlat", "crs"]
 Place: TypeAlias = Sequence[float] | NDArray[np.float64]
 """Easting and northing, m."""

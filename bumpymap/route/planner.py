@@ -19,13 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import Barred, UsageError
+from bumpymap.route._search_kernels import REACH
 from bumpymap.route.ground import CostGround, WornTiles, sample_line, window_around
 from bumpymap.route.measure import MeasuredWay, measure_way, way_cost
 from bumpymap.route.places import on_grid, overlap, place_in_window
-from bumpymap.route.search import REACH, Found, seek, settle_point, tight_way
+from bumpymap.route.search import Found, seek, settle_point, tight_way
 from bumpytiles import TileWindow
-
-__all__ = ["Planner", "steer_clear", "tile_line"]
 
 Floats = NDArray[np.float64]
 

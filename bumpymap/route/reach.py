@@ -9,14 +9,12 @@ from numpy.typing import NDArray
 
 from bumpymap.core import Barred, UsageError
 from bumpymap.layers import ReachField
-from bumpymap.route._search_kernels import MoveTables
+from bumpymap.route._search_kernels import FROM_START, MoveTables
 from bumpymap.route.ground import CostGround
 from bumpymap.route.places import place_in_window, window_within
-from bumpymap.route.search import FROM_START, MOVES, spread, traced_moves
+from bumpymap.route.search import MOVES, spread, traced_moves
 from bumpymap.route.straighten import as_cost, line_cost
 from bumpytiles import TileWindow, helper, kernel
-
-__all__ = ["Reach", "add_up_times", "find_reach"]
 
 
 @kernel

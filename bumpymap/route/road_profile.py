@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from bumpymap.core import Resolution, RoadFigures, UsageError
 from bumpymap.route._line_kernels import drive_quarter_car
 
-__all__ = ["SHORTEST_ROAD_M", "bridged", "iso_8608", "quarter_car", "road_figures"]
-
 Floats = NDArray[np.float64]
 
 _CAR = np.array([[0, 1, 0, 0], [-63.3, -6.0, 63.3, 6.0], [0, 0, 0, 1], [422.0, 40.0, -(653 + 63.3) / 0.15, -40.0]])

@@ -32,7 +32,6 @@ from numpy.typing import NDArray
 from bumpymap.core import AXES_DEG, axes_along
 from bumpymap.route._line_kernels import Costs, connect, find_near
 from bumpymap.route._search_kernels import (
-    FROM_START,
     NEW,
     NOT_REACHED,
     REACH,
@@ -54,29 +53,6 @@ from bumpymap.route.straighten import (
     trace,
     wide_margin,
 )
-
-__all__ = [
-    "BYTES_PER_TILE",
-    "BYTES_PER_TILE_BY_HEADING",
-    "BYTES_PER_TILE_BY_SLOPE",
-    "FROM_START",
-    "MOST_TILES",
-    "MOVES",
-    "NOT_REACHED",
-    "REACH",
-    "Found",
-    "Point",
-    "SearchFrame",
-    "Way",
-    "find_way",
-    "follow_back",
-    "move_tables",
-    "seek",
-    "settle_point",
-    "spread",
-    "tight_way",
-    "traced_moves",
-]
 
 MOVES: NDArray[np.int64] = np.array(
     [(row, col) for row in range(-REACH, REACH + 1) for col in range(-REACH, REACH + 1) if gcd(row, col) == 1]

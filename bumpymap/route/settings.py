@@ -6,8 +6,6 @@ from typing import Annotated, Literal
 
 from bumpymap.core import MOST_COST, DirectionSettings, Setting, UsageError, check_settings, memory_limit
 
-__all__ = ["CostSettings", "RouteBy", "RouteConfig"]
-
 RouteBy = Literal["cost", "time"]
 
 

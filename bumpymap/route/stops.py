@@ -14,8 +14,6 @@ from bumpymap.route.places import GridPoint, parse_point, place_in_window, place
 from bumpymap.route.settings import RouteConfig
 from bumpytiles import TileWindow
 
-__all__ = ["Stops", "find_stops", "place_text", "usable_point"]
-
 _ALWAYS_M = 1.0
 """A point that is no farther from where the vehicle fits is moved there without being asked, m."""
 

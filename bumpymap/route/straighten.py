@@ -36,24 +36,6 @@ from bumpymap.route._line_kernels import (
 )
 from bumpytiles import helper, kernel
 
-__all__ = [
-    "LEAST_SAVING",
-    "Corners",
-    "Tightening",
-    "as_cost",
-    "as_costs",
-    "as_margin",
-    "is_clear",
-    "leave_out",
-    "line_cost",
-    "move_corners",
-    "off_borders",
-    "pull_tight",
-    "thin_out",
-    "trace",
-    "wide_margin",
-]
-
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 

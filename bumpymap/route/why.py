@@ -11,8 +11,6 @@ from bumpymap.route.ground import TOUCHING, CostGround, sample_line
 from bumpymap.route.measure import cut_into_tiles
 from bumpymap.route.stops import place_text
 
-__all__ = ["measure_straight_line"]
-
 _NAMED = 3
 """Stretches that are named."""
 _LEAST_M = 1.0

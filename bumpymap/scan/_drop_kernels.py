@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from bumpymap.scan._place_kernels import CellOrder, ZoneGrid
 from bumpytiles import kernel
 
-__all__ = ["DropRule", "GroundPoints", "find_drops"]
-
 Integers = Annotated[NDArray[np.int32], 1]
 Singles = Annotated[NDArray[np.float32], 2]
 

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from bumpytiles import kernel
 
-__all__ = ["LANES", "STEP", "filter_maps"]
-
 Singles = NDArray[np.float32]
 
 LANES = 32

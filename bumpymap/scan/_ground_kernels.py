@@ -14,27 +14,6 @@ from numpy.typing import NDArray
 from bumpymap.scan._place_kernels import CellOrder
 from bumpytiles import helper, kernel
 
-__all__ = [
-    "CARRIED",
-    "FOUND",
-    "NEIGHBOURS",
-    "PARTS",
-    "TAIL",
-    "THINGS_HEIGHT",
-    "CellGeometry",
-    "CellPoints",
-    "GroundLabels",
-    "GroundPlanes",
-    "GroundRule",
-    "LabelScratch",
-    "PlaneScratch",
-    "SearchRule",
-    "find_planes",
-    "gather_points",
-    "keep_largest",
-    "label_points",
-]
-
 Floats = Annotated[NDArray[np.float64], 1]
 Floats2 = Annotated[NDArray[np.float64], 2]
 Singles = Annotated[NDArray[np.float32], 1]

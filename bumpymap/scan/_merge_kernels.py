@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from bumpymap.scan._place_kernels import turn_of
 from bumpytiles import helper, kernel
 
-__all__ = ["VoxelTable", "draw_things", "gather_points", "judge_places", "match_things", "move_voxels", "range_image"]
-
 Millimetres = Annotated[NDArray[np.int32], 2]
 Floats = Annotated[NDArray[np.float64], 2]
 Ranges = Annotated[NDArray[np.uint16], 1]

@@ -12,21 +12,6 @@ from numpy.typing import NDArray
 
 from bumpytiles import helper, kernel
 
-__all__ = [
-    "BLOCK",
-    "RAYS",
-    "CellOrder",
-    "CellRule",
-    "CellScratch",
-    "ClassedPoints",
-    "SquareCells",
-    "ZoneGrid",
-    "lay_cells",
-    "place_points",
-    "sort_points",
-    "turn_of",
-]
-
 Floats = Annotated[NDArray[np.float64], 1]
 ScanPoints = Annotated[NDArray[np.float32], 2]
 Integers = Annotated[NDArray[np.int32], 1]

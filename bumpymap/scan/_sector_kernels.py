@@ -14,8 +14,6 @@ from bumpymap.core import NO_PLANE, Plane, best_candidate
 from bumpymap.scan._place_kernels import CellOrder
 from bumpytiles import helper, kernel
 
-__all__ = ["SectorInputs", "SectorMeasures", "SectorScratch", "measure_sectors", "sector_scratch"]
-
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Integers = NDArray[np.int32]

@@ -12,25 +12,6 @@ from numpy.typing import NDArray
 
 from bumpymap.scan._merge_kernels import draw_things, judge_places, match_things, range_image
 
-__all__ = [
-    "MOST_DEGREES",
-    "MOST_METRES",
-    "VIEW_REACH_M",
-    "VIEW_SHAPE",
-    "Alignment",
-    "DriveHeights",
-    "GroundHeights",
-    "ThingFit",
-    "ThingMatcher",
-    "align_frames",
-    "frame_pairs",
-    "ground_heights",
-    "height_between",
-    "judge_by_view",
-    "nearest_ranges",
-    "standing_things",
-]
-
 MOST_METRES, MOST_DEGREES = 0.3, 1.0
 """A frame is corrected by at most so much in height and in tilt about each axis."""
 _SQUARE_M = 0.5

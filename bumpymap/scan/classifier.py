@@ -39,8 +39,6 @@ from bumpymap.scan.align import judge_by_view, nearest_ranges
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.methods import choose_method
 
-__all__ = ["ScanClassifier", "ScanResult", "classify_scan", "lay_grid"]
-
 _NAMES = {**dict(enumerate(CLASS_NAMES[:CLASSES])), NOT_TRAVERSABLE: "not traversable"}
 _OCCUPANCY = np.array([0, 33, 66, 100, -1], np.int8)
 """Occupancy of ground of class 0 (smooth), 1 (fair) and 2 (rough), of what is not traversable, and of the unknown."""
@@ -129,8 +127,8 @@ def _rays_of(half: int) -> NDArray[np.int32]:
 
 
 _NEW, _GONE, _MOST = 2, 1, 6
-"""What a frame in which something stands in a cell adds to the evidence for it, what one that sees through it or its
-bare ground takes away, and the most that is kept: what goes is forgotten after six frames."""
+"""Evidence for a thing in a cell: added by a frame in which it stands there, taken away by one that sees through it or
+its bare ground, and the most that is kept. So what goes is forgotten after six frames."""
 _KEPT, _LEAD = 0.9, 1.25
 """Share of the votes for the ground of a cell that stays when it is seen again: those of ten frames count. Another
 class than the last one needs so many times its votes."""

@@ -19,8 +19,6 @@ from bumpymap.core import (
 if TYPE_CHECKING:
     from bumpymap.readers import BagTopics
 
-__all__ = ["SCAN_PRODUCTS", "ScanConfig", "ScanProduct"]
-
 ScanProduct = Literal["polygons", "table", "cloud"]
 SCAN_PRODUCTS: tuple[ScanProduct, ...] = get_args(ScanProduct)
 

@@ -38,16 +38,6 @@ from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.merge import DriveMerge, PlacedPoints, open_merge
 from bumpymap.views import GridBag, write_picture
 
-__all__ = [
-    "FrameProducts",
-    "FrameReader",
-    "frame_products",
-    "move_products",
-    "open_products",
-    "present_products",
-    "staging_folder",
-]
-
 _log = logging.getLogger(__name__)
 
 _NAMED = 5

@@ -30,8 +30,6 @@ from bumpymap.scan._ground_kernels import (
 )
 from bumpymap.scan._place_kernels import CellOrder, ZoneGrid
 
-__all__ = ["SectorBuffers", "cell_layout", "find_ground", "ground_drops"]
-
 
 class SectorBuffers(threading.local):
     """Scratch arrays that are reused from scan to scan and grow to the largest one; each thread has its own."""

@@ -34,16 +34,6 @@ from bumpymap.core import (
 from bumpymap.scan.ground import cell_layout
 from bumpymap.scan.stripes import OPEN_SHARE
 
-__all__ = [
-    "CHANNELS",
-    "MEASURES",
-    "SECTOR_VERSION",
-    "ScanModel",
-    "classify_learned",
-    "network_input",
-    "probabilities",
-]
-
 SECTOR_VERSION = 3
 """Version of ``network_input``. After a change networks must be trained again."""
 CHANNELS = 4

@@ -42,8 +42,6 @@ from bumpymap.scan.align import (
     standing_things,
 )
 
-__all__ = ["MOST_GROUND", "MOST_OTHERS", "DriveMerge", "PlacedPoints", "WrongPosesError", "open_merge"]
-
 _log = logging.getLogger(__name__)
 
 MOST_GROUND, MOST_OTHERS = 8, 3

@@ -54,8 +54,6 @@ from bumpymap.scan.polar import polar_sectors
 from bumpymap.scan.stripes import classify_filter, load_stripes
 from bumpytiles import Grid, TilePoints
 
-__all__ = ["Method", "SectorRater", "choose_method"]
-
 _REACH_M = 60.0
 """Farther from the sensor, points are too few for any tile."""
 _LEAST_SHARE = 0.5

@@ -85,8 +85,6 @@ from bumpymap.views import check_bag_file
 if TYPE_CHECKING:
     from bumpymap.survey import MapResult
 
-__all__ = ["ScanRun", "scan_frames"]
-
 _log = logging.getLogger(__name__)
 
 _WITHOUT_EFFECT = {"frames", "out", "overwrite", "skip_bad", "threads", "poses", "trust_poses"}

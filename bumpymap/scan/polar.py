@@ -24,8 +24,6 @@ from bumpymap.scan._place_kernels import (
 from bumpymap.scan._sector_kernels import SectorInputs, SectorMeasures, measure_sectors, sector_scratch
 from bumpymap.scan.ground import SectorBuffers, cell_layout, find_ground, ground_drops
 
-__all__ = ["RANSAC_THRESHOLD_M", "polar_sectors"]
-
 RANSAC_THRESHOLD_M = 0.1
 """Points nearer to a plane than this are its inliers; as for the patches of a survey."""
 _LABELS = 32_768

@@ -33,16 +33,6 @@ from bumpymap.core import (
 )
 from bumpymap.scan._filter_kernels import LANES, STEP, filter_maps
 
-__all__ = [
-    "OPEN_SHARE",
-    "StripeFilter",
-    "StripeModel",
-    "classify_filter",
-    "count_stripes",
-    "gabor_bank",
-    "load_stripes",
-]
-
 OPEN_SHARE, _BLOCKED_SHARE = 0.55, 0.45
 """Least share of ground among the points of a sector whose class is its relief's alone; least share of obstacles among
 the others of a sector of class 2."""

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 import bumpymap
-from bumpymap.core import CANOPY, OBSTACLE
+from bumpymap.core import CANOPY, OBSTACLE, axis_values
 from bumpymap.lab.evaluate.agreement import spearman
 from bumpymap.lab.simulate.drive import DriveSettings, Start, drive_from
 from bumpymap.layers import open_map

@@ -12,21 +12,6 @@ import numpy as np
 
 from bumpytiles import helper
 
-__all__ = [
-    "LANES",
-    "Lanes",
-    "add",
-    "add_part",
-    "add_size",
-    "add_square",
-    "each2",
-    "each3",
-    "each4",
-    "load",
-    "same",
-    "store",
-]
-
 LANES = 8
 """Patches side by side."""
 Lanes = tuple[Any, Any, Any, Any, Any, Any, Any, Any]

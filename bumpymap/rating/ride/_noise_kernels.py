@@ -15,17 +15,6 @@ from numpy.typing import NDArray
 from bumpymap.rating.ride._lanes import LANES, Lanes, add, add_part, add_square, each2, each3, each4, load, same, store
 from bumpytiles import helper, kernel
 
-__all__ = [
-    "DenoisedPatches",
-    "PatchesToDenoise",
-    "Spectrum",
-    "SpectrumScratch",
-    "denoise_patches",
-    "pixel_noise",
-    "point_noise",
-    "spectrum_scratch",
-]
-
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Integers = NDArray[np.int32]

@@ -26,21 +26,6 @@ from bumpymap.rating.ride._lanes import (
 from bumpymap.rating.ride.operator import AxisSamples, PitchSamples, Poses, WheelShape
 from bumpytiles import helper, kernel
 
-__all__ = [
-    "GROUP",
-    "PatchesToRide",
-    "RideScratch",
-    "VehicleGeometry",
-    "lay_nodes",
-    "normal_shares",
-    "ride_patches",
-    "ride_scratch",
-    "roll_along",
-    "roll_wheel",
-    "sample_means",
-    "take_group",
-]
-
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Integers = NDArray[np.int32]

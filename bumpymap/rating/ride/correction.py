@@ -25,21 +25,6 @@ from bumpymap.core import BadInputError, BumpymapError
 from bumpymap.rating.ride.motion_operator import Rides
 from bumpymap.rating.vehicle_body import number_tuples, plain_lists
 
-__all__ = [
-    "MAX_FAILED_SHARE",
-    "NORMAL_TAIL",
-    "TAIL",
-    "Correction",
-    "DrivenPatches",
-    "NoisyPatches",
-    "Prediction",
-    "fail_features",
-    "fit_correction",
-    "fit_logistic",
-    "ride_features",
-    "subtract_noise",
-]
-
 Floats = NDArray[np.float64]
 
 

@@ -20,8 +20,6 @@ from bumpymap.rating.ride.motion_operator import Rides, roll_over
 from bumpymap.rating.ride.operator import RideOperator
 from bumpymap.rating.ride.rate import spectrum_of
 
-__all__ = ["MatchedTiles", "felt_along", "match_tiles", "roll_wheels"]
-
 Floats = NDArray[np.float64]
 
 _ROUNDS = 7

@@ -52,19 +52,6 @@ from bumpymap.rating.ride.operator import (
 )
 from bumpytiles import kernel
 
-__all__ = [
-    "WEIGHTED_BAND_HZ",
-    "MotionOperator",
-    "Motions",
-    "Rides",
-    "felt_response",
-    "heave_filter",
-    "move_over",
-    "move_over_patches",
-    "roll_over",
-    "weighting_wk",
-]
-
 Floats = NDArray[np.float64]
 
 

@@ -19,26 +19,6 @@ from numpy.typing import NDArray
 
 from bumpymap.core import AXES_DEG
 
-__all__ = [
-    "AxisSamples",
-    "NodeLattice",
-    "PitchSamples",
-    "Places",
-    "Poses",
-    "RideOperator",
-    "WheelShape",
-    "WheelShares",
-    "chassis_response",
-    "cosines",
-    "interpolation",
-    "lattice_of",
-    "pitch_change",
-    "spread_places",
-    "wheel_rows",
-    "wheel_shape",
-    "wheel_turn",
-]
-
 Floats = NDArray[np.float64]
 Places = tuple[Floats, Floats, Floats]
 """Easting, northing [m] and heading [rad] of samples, (n,) each."""

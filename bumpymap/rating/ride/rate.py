@@ -43,8 +43,6 @@ from bumpymap.rating.ride.operator import RideOperator, cosines
 from bumpymap.rating.ride.speed import LEVEL, SpeedRating, map_rule, plain_speed_factor, require_speeds, speed_log_sd
 from bumpymap.rating.vehicle_body import with_floor
 
-__all__ = ["CleanPatches", "RideModel", "denoise", "interval", "judge", "spectrum_of"]
-
 _STEEPNESS = (2.0, 2.6, 3.2, 3.8, 4.5)
 """Exponents of the ground's spectrum that are tried: Hurst exponents from 0 to beyond 1."""
 _SHARPENED = 1.2

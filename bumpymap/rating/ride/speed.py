@@ -26,24 +26,6 @@ from bumpymap.rating.calibration import MAP_SPEED, Calibration, remembered
 from bumpymap.rating.ride.motion_operator import MotionOperator, Motions, move_over
 from bumpymap.rating.vehicle_body import comfort_of, less_floor, plain_lists, with_floor
 
-__all__ = [
-    "LEVEL",
-    "QUANTITIES",
-    "MotionFit",
-    "MotionModel",
-    "SpeedRating",
-    "at_speed",
-    "felt_by_heading",
-    "map_rule",
-    "motion_felt",
-    "motion_terms",
-    "plain_factors",
-    "plain_speed_factor",
-    "plain_terms",
-    "require_speeds",
-    "speed_log_sd",
-]
-
 Floats = NDArray[np.float64]
 QUANTITIES = ("c_r", "c_roll", "a_w")
 """Predicted at each speed: rad/m, rad/m, m/s2."""

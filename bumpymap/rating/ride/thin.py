@@ -21,8 +21,6 @@ from bumpymap.rating.ride.motion_operator import roll_over
 from bumpymap.rating.ride.operator import RideOperator
 from bumpymap.rating.vehicle_body import number_tuples, plain_lists
 
-__all__ = ["THIN_COLUMNS", "ThinModel", "fail_terms", "log_points", "ride_terms", "spread_terms", "thin_columns"]
-
 Floats = NDArray[np.float64]
 _LAGS = 5
 THIN_COLUMNS = (

@@ -13,19 +13,6 @@ from bumpymap.rating.ride.speed import plain_speed_factor, speed_log_sd
 from bumpymap.rating.ride.thin import THIN_COLUMNS, ThinModel, fail_terms, log_points, ride_terms, spread_terms
 from bumpymap.rating.vehicle_body import less_floor
 
-__all__ = [
-    "BlockRating",
-    "PooledNoise",
-    "ThinSurveys",
-    "dense_share",
-    "fit_thin",
-    "is_rateable",
-    "pool_noise",
-    "pull_to_neighbours",
-    "rate_thin",
-    "ride_weight",
-]
-
 Floats = NDArray[np.float64]
 
 

@@ -33,28 +33,6 @@ from bumpymap.layers import (
 )
 from bumpytiles import Bounds, TileWindow
 
-__all__ = [
-    "CLOSED_IN_PART",
-    "FRAME",
-    "FREE_CELL",
-    "LETHAL",
-    "SLOWEST",
-    "TOP_VALUE",
-    "UNKNOWN_CELL",
-    "CostScale",
-    "ExportArea",
-    "by_pixel",
-    "choose_area",
-    "cost_values",
-    "keepout_values",
-    "lay_objects",
-    "open_in_part",
-    "passable_cost",
-    "speed_values",
-    "write_file",
-    "write_pixel_cost",
-]
-
 _Value = TypeVar("_Value", bound=np.generic)
 FREE_CELL, LETHAL, UNKNOWN_CELL = 0, 100, 255
 """Cells of an occupancy grid in mode ``raw``; map_server reads all values over 100 as unknown (-1)."""

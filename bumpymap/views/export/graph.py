@@ -44,18 +44,6 @@ from bumpymap.views.export.area import FRAME, ExportArea, by_pixel
 from bumpymap.views.export.settings import ExportSettings, NodeSquare
 from bumpytiles import TileWindow
 
-__all__ = [
-    "SQUARES",
-    "Directions",
-    "FreeGround",
-    "Lattice",
-    "join",
-    "line_cost",
-    "make_graph",
-    "thin",
-    "write_graph",
-]
-
 _CHUNK, _PART = 4_000_000, 4096
 """Crossings of lines with borders of cells that are held at once, and lines."""
 

@@ -16,8 +16,6 @@ import numpy as np
 from bumpymap.core import NOT_TRAVERSABLE, Frame, GroundGrid, OutputError, atomic, remove_path
 from bumpymap.views.export.gridmap import GRID_MAP, grid_map_message, make_header, require_rosbags, typestore
 
-__all__ = ["GridBag", "check_bag_file"]
-
 _OCCUPANCY = "nav_msgs/msg/OccupancyGrid"
 GRID_TOPICS = {"/ground/occupancy": _OCCUPANCY, "/ground/grid_map": GRID_MAP}
 """Topics of the bag and their types."""

@@ -13,17 +13,6 @@ from bumpymap.views.export.area import FRAME, ExportArea, by_pixel
 from bumpymap.views.page.tiles import block_means
 from bumpytiles import TileWindow
 
-__all__ = [
-    "GRID_MAP",
-    "TOPIC",
-    "grid_map_message",
-    "make_header",
-    "make_layers",
-    "require_rosbags",
-    "typestore",
-    "write_gridmap",
-]
-
 TOPIC = "/grid_map"
 GRID_MAP = "grid_map_msgs/msg/GridMap"
 _MAX_CELLS = 5_000_000

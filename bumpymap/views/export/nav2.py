@@ -33,8 +33,6 @@ from bumpymap.views.export.area import (
 )
 from bumpymap.views.page.page import render_text
 
-__all__ = ["make_grids", "params_text", "travel_multiplier"]
-
 _COSTMAP_LETHAL, _SMAC_FULL = 254, 252
 """Cost of a lethal cell of a costmap; the cost by which Smac planners divide."""
 

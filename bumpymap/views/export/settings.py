@@ -7,8 +7,6 @@ from typing import Annotated, Literal
 
 from bumpymap.core import DirectionSettings, Setting, UsageError, check_settings
 
-__all__ = ["ExportFormat", "ExportResolution", "ExportSettings", "NodeSquare"]
-
 ExportFormat = Literal["nav2", "gridmap", "graph", "plan", "cost"]
 """Maps and masks for Nav2; a grid_map message; a graph for Nav2's route server; a mission for QGroundControl."""
 ExportResolution = Literal["tile", "pixel"]

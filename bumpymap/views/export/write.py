@@ -39,8 +39,6 @@ from bumpymap.views.export.nav2 import make_grids
 from bumpymap.views.export.settings import ExportSettings
 from bumpytiles import TileWindow
 
-__all__ = ["Export", "export_map", "make_plan", "read_route_line"]
-
 _WAYPOINT = 16
 """MAV_CMD_NAV_WAYPOINT."""
 _RELATIVE = 3

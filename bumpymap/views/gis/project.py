@@ -22,8 +22,6 @@ from bumpymap.views.gis.styles import (
 from bumpymap.views.page.map_page import write_map_page
 from bumpymap.views.page.site import Site
 
-__all__ = ["write_map_views", "write_project"]
-
 _MARGIN = 0.04
 """Ground around the layers when the project is opened, as a share of their larger side."""
 

@@ -38,19 +38,6 @@ from bumpymap.layers import (
 )
 from bumpymap.views.page.page import render_text
 
-__all__ = [
-    "MULTIPLY",
-    "NORMAL",
-    "Style",
-    "class_labels",
-    "map_styles",
-    "speeds_of",
-    "write_change_style",
-    "write_check_style",
-    "write_qgis",
-    "write_styles",
-]
-
 QGIS_VERSION = "3.22.0"
 """The version of QGIS whose form the files have; newer ones read it too."""
 _DOCTYPE = b"<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n"

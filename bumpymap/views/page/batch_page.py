@@ -27,8 +27,6 @@ from bumpymap.layers import (
 from bumpymap.views.page.page import render_page
 from bumpymap.views.pictures.drawing import LEVEL, bar_length, light_of
 
-__all__ = ["SurveyView", "index_page", "read_thumbnail"]
-
 _LEAST_WIDTH, _WIDTH, _MOST_HEIGHT, _EDGE = 260.0, 640.0, 280.0, 24.0
 _DEGREE_M = 111_320.0
 _LEAST_M = 100.0

@@ -28,8 +28,6 @@ from bumpymap.views.page.site import jpeg
 from bumpymap.views.page.tiles import ByteGrid, Spot, crs_name, map_metres, packed
 from bumpymap.views.words import area, number, share, shares, signed, survey_name, whole
 
-__all__ = ["NOT_COMPARED", "ChangeSite", "is_comparison", "read_comparison", "write_change_report"]
-
 NOT_COMPARED = 16
 """Value of ``kinds`` where the surveys could not be compared."""
 _RANK = (NOT_COMPARED, 1, 3, 4, 2)

@@ -17,8 +17,6 @@ from bumpymap.views.page.tiles import C_R_EDGES, SLOPE_EDGES
 from bumpymap.views.pictures.drawing import tick_step
 from bumpymap.views.words import share, shares, whole
 
-__all__ = ["Chart", "along_chart", "c_r_chart", "drive_chart", "slope_chart"]
-
 _LINES, _FAINT, _DARK, _ERROR, _MARK, _LINE = "#e2e4e8", "#6b7280", "#1f2937", "#9aa0a8", "#a3261b", "#2563a8"
 _STEPS = (1, 2, 5)
 _ROOM = 1.15

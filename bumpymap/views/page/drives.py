@@ -21,8 +21,6 @@ from bumpymap.views.words import (
     warnings_of,
 )
 
-__all__ = ["check_charts", "check_tables", "drawn_stretches"]
-
 
 def check_charts(result: CheckResult) -> list[Chart]:
     """Return the charts of what the drives measured."""

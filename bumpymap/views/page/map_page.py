@@ -51,8 +51,6 @@ from bumpymap.views.words import (
     whole,
 )
 
-__all__ = ["write_check_page", "write_map_page", "write_report"]
-
 _SUFFIXES = {".html", ".htm"}
 _READ = (MapFile.CLASS, MapFile.HEIGHTMAP, MapFile.OBSTACLE, MapFile.TILES)
 

@@ -36,8 +36,6 @@ from bumpymap.views.words import DASH, area, base_name, degrees, number, share, 
 if TYPE_CHECKING:
     import jinja2
 
-__all__ = ["compile_pages", "render_page", "render_text", "write_page"]
-
 _HERE = Path(__file__).parent
 
 

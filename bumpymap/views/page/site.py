@@ -53,16 +53,6 @@ from bumpymap.views.page.tiles import (
 from bumpymap.views.pictures.drawing import LEVEL, light_of
 from bumpymap.views.words import survey_name
 
-__all__ = [
-    "WAY_FIGURES",
-    "DrawnWay",
-    "Site",
-    "jpeg",
-    "object_grid",
-    "read_heights",
-    "read_ways",
-]
-
 _STRIP_PIXELS = 16_000_000
 """Most pixels of obstacle.tif to read at a time."""
 _FLAT = 0.84

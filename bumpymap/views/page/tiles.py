@@ -15,22 +15,6 @@ from pyproj import Transformer
 from bumpymap.core import AXES_DEG, FREE, NO_CLASS, OBSTACLE, BadInputError, Barred, CostRule, Reason, stated_crs
 from bumpymap.layers import UNKNOWN_OBJECT, MapFile, open_layer, read_tiles
 
-__all__ = [
-    "C_R_EDGES",
-    "NOT_KNOWN",
-    "NO_POINTS",
-    "SLOPE_EDGES",
-    "UNKNOWN_FROM",
-    "ByteGrid",
-    "PageTiles",
-    "Spot",
-    "block_means",
-    "crs_name",
-    "heading_codes",
-    "map_metres",
-    "packed",
-]
-
 NOT_KNOWN = 255
 """Byte where a value is not known."""
 _STEPS = 254
