@@ -42,7 +42,7 @@ def test_every_public_name_is_there_and_says_what_it_is(name):
 
 def test_the_dataset_holds_every_band_as_rasterio_reads_it(layers):
     dataset = layers.dataset()
-    assert list(dataset.data_vars) == [*(band.name for band in BANDS), "class", "reason", "cost", "barred"]
+    assert list(dataset.data_vars) == [*(band.name for band in BANDS), "class", "reason", "cost", "speed", "barred"]
     with rasterio.open(layers.folder / "rasters/roughness.tif") as file:
         assert dataset.rio.crs == file.crs
         assert dataset.rio.transform() == file.transform
@@ -51,7 +51,12 @@ def test_the_dataset_holds_every_band_as_rasterio_reads_it(layers):
             np.testing.assert_array_equal(variable.values, file.read(number))
             assert variable.attrs["long_name"] == band.description
             assert variable.attrs["units"] == (band.unit or "1")
-    for name, place in (("class", "rasters/class.tif"), ("reason", "rasters/reason.tif"), ("cost", "cost.tif")):
+    for name, place in (
+        ("class", "rasters/class.tif"),
+        ("reason", "rasters/reason.tif"),
+        ("cost", "cost.tif"),
+        ("speed", "rasters/speed.tif"),
+    ):
         with rasterio.open(layers.folder / place) as file:
             np.testing.assert_array_equal(dataset[name].values, file.read(1))
     np.testing.assert_array_equal(np.isfinite(dataset["cost"].values), dataset["barred"].values == 0)

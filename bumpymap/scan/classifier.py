@@ -138,7 +138,7 @@ _ELEVATION, _TOP, _TIP = 0, 2, 4
 
 
 class GroundMemory:
-    """What a robot has seen around it, in square cells of its odometry frame that roll with it.
+    """The surroundings of a robot as it has seen them, in square cells of its odometry frame that roll with it.
 
     Frame after frame votes for what the ground of a cell is; each vote fades with later ones. What stood in a cell goes
     when frames see through its place, or bare ground in its cell, and not because it is out of view. Ground that
@@ -520,7 +520,7 @@ def _rigid(pose: ArrayLike) -> NDArray[np.float64]:
             if np.abs(turn @ turn.T - np.eye(3)).max() < _TURN_ERROR and np.linalg.det(turn) > 0.0:
                 return matrix
     raise UsageError(
-        "`pose` must be an array (4, 4): a rotation and a shift in metres, from the sensor's frame to that of the "
+        "pose must be an array (4, 4): a rotation and a shift in metres, from the sensor's frame to that of the "
         "odometry, last row 0 0 0 1"
     )
 

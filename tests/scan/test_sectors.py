@@ -468,7 +468,7 @@ def test_a_robot_remembers_what_is_out_of_view_and_not_what_has_left():
     pose[:2, 3] = 500.0, -300.0
     assert classify(points, pose=pose).grid.corner_m == (480.0, -320.0)
     for wrong in (np.eye(3), np.diag([1.0, 1.0, 2.0, 1.0]), np.diag([1.0, -1.0, 1.0, 1.0]), "odom"):
-        with pytest.raises(UsageError, match="`pose` must be an array"):
+        with pytest.raises(UsageError, match="pose must be an array"):
             classify(points, pose=wrong)
 
 
