@@ -208,6 +208,7 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
                 "m_per_s_up_to_c_r_rad_per_m": ", ".join(f"{speed:g} up to {c_r:g}" for c_r, speed in rule.speeds),
                 "not_in_it": "soil, grip, slope, turns",
             },
+            options={"overviews": "NEAREST"},  # a mean with the 0 of barred tiles would look like slow ground
         ),
         MapFile.BARRED: of_codes(
             "why tiles are not passable",

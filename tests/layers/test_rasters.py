@@ -189,7 +189,7 @@ def mean_of_known(four):
 
 def test_overviews_average_and_most_frequent(tmp_path, make_field):
     cost_map = make_field(300, 200, grid=Grid(3.0, 2), holes=0.0)
-    for name in ("roughness", "class"):
+    for name in ("roughness", "class", "speed"):
         WRITERS[name](cost_map, tmp_path / f"{name}.tif")
         assert cog_validate(tmp_path / f"{name}.tif", strict=True)[:2] == (True, [])
     full, small, _ = levels_of(tmp_path / "roughness.tif")
@@ -200,6 +200,9 @@ def test_overviews_average_and_most_frequent(tmp_path, make_field):
     decided = (counts == counts.max(axis=2, keepdims=True)).sum(axis=2) == 1
     assert decided.mean() > 0.5
     np.testing.assert_array_equal(small[decided], codes[counts.argmax(axis=2)[decided]])
+    full, small, _ = levels_of(tmp_path / "speed.tif")
+    assert (full == 0).any()
+    assert (each_four(full, np.nan) == small[..., None]).any(axis=2)[np.isfinite(small)].all()  # none in between
 
 
 @pytest.mark.parametrize("small", [0, 1 << 30], ids=["on disk", "in memory"])
