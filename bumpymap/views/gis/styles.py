@@ -113,8 +113,9 @@ def _vectors(kind: str, looks: Iterable[tuple[str, str, _Colour, str]], large: s
 CALM_RATIO = 1.3
 """From this ratio of the highest to the lowest C_r by heading on, the heading matters."""
 _END = 'project(centroid($geometry), 0.4 * sqrt(area($geometry)), radians("calm_axis_deg" + {turn}))'
-CALM_LINE = f'if("heading_ratio" > {CALM_RATIO}, make_line({_END.format(turn=0)}, {_END.format(turn=180)}), NULL)'
-"""Expression of QGIS: a line through a tile along the heading with the lowest C_r, where the heading matters."""
+_MATTERS = f'"passable" and "heading_ratio" > {CALM_RATIO}'
+CALM_LINE = f"if({_MATTERS}, make_line({_END.format(turn=0)}, {_END.format(turn=180)}), NULL)"
+"""Expression of QGIS: a line through a passable tile along the heading with the lowest C_r, where that matters."""
 
 
 _UNKNOWN, _CLOSED = "unknown", "not passable"
