@@ -2,6 +2,7 @@
 
 import importlib.util
 import re
+from types import SimpleNamespace
 
 import click
 import pytest
@@ -57,6 +58,8 @@ def reached(monkeypatch, tmp_path):
     monkeypatch.setattr("bumpymap.route.plan_routes", ends("route"))
     monkeypatch.setattr("bumpymap.change.find_changes", ends("diff"))
     monkeypatch.setattr("bumpymap.check.run_check", ends("check"))
+    monkeypatch.setattr("bumpymap.layers.open_map", lambda _: SimpleNamespace(has_crs=False))
+    monkeypatch.setattr("bumpymap.views.export_map", ends("export"))
     monkeypatch.setattr("bumpymap.scan.scan_frames", ends("scan"))
     monkeypatch.setattr(bumpymap.readers, "find_surveys", ends("info"))
     monkeypatch.setattr(calibrate_command, "_calibrate", ends("calibrate"))
@@ -86,6 +89,7 @@ WORDS = {
     "diff": ["may_layers", "june_layers"],
     "check": ["--drive", "drive.csv"],
 }
+SLOPES = "climb", "descent", "side_slope"
 # (command, option, value) -> where the value has to arrive.
 MEANT = {
     ("calibrate", "seed", 0): lambda got: got[0].seed,
@@ -100,6 +104,8 @@ MEANT = {
     ("batch", "max_unknown", 0): lambda got: got[0].given["max_unknown"],
     ("diff", "offset", -1): lambda got: got[0].offset,
     ("route", "snap", 0): lambda got: got[0].snap,
+    **{("route", name, 0): lambda got, name=name: getattr(got[0].cost, name) for name in SLOPES},
+    **{("export", name, 0): lambda got, name=name: getattr(got[2], name) for name in SLOPES},
 }
 NUMERIC = {"SIZE", "LIST", "N", "M", "HZ", "COST", "SHARE", "KM", "RAD_S"}
 

@@ -113,7 +113,7 @@ def test_neither_files_nor_budget_change_a_byte_of_it(mixed, tmp_path, limit_poi
 def test_a_run_killed_on_the_way_goes_on(mixed, tmp_path, limit_points, killed_at):
     folder, _ = mixed
     limit_points(chunk=40_000, waiting=100_000)
-    killed_at("survey.engine.run.save_joined", tmp_path / "out", folder / "site.laz")
+    killed_at("survey.engine.run._save_joined", tmp_path / "out", folder / "site.laz")
     assert run("map", folder / "site.laz", "--out", tmp_path / "out").exit_code == 0
     assert layers_of(tmp_path / "out") == layers_of(folder / "auto")
 

@@ -55,7 +55,7 @@ def bands(path):
 def test_the_other_layers_keep_their_bytes(maps):
     plain, speeds = (files_in(maps / name) for name in ("plain", "speeds"))
     same = [name for name in plain if name.endswith(".tif")]
-    assert len(same) == 9
+    assert len(same) == 10
     assert all(plain[name] == speeds[name] for name in same)
 
 

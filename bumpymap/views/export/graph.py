@@ -165,7 +165,8 @@ class Directions:
         at = row // self.pixels, col // self.pixels
         *axes, share = (each[:, None] for each in axes_along(self.by_axis.shape[2], *move.T))
         first, second = (self.by_axis[(*at, axis)].astype(np.float64) for axis in axes)
-        factor = first + share * (second - first)
+        with np.errstate(invalid="ignore"):
+            factor = np.where(np.isfinite(first), first + share * (second - first), first)
         if self.gradient is not None:
             down, right = (np.broadcast_to(part[:, None], row.shape).ravel() for part in move.T)
             more, barred = slope_cost(self.settings, self.gradient[at].reshape(-1, 2), down, right)
