@@ -223,7 +223,7 @@ def test_a_project_says_survey_vehicle_and_calibration_and_no_name_breaks_its_xm
 
 SCRIPT = Path(__file__).with_name("load_in_qgis.py")
 RASTERS = {name: "paletted" for name in PRODUCT_NAMES if name.endswith(".tif")}
-RASTERS |= dict.fromkeys(("rasters/roughness.tif", "cost.tif"), "singlebandpseudocolor")
+RASTERS |= dict.fromkeys(("rasters/roughness.tif", "cost.tif", "rasters/speed.tif"), "singlebandpseudocolor")
 RASTERS |= dict.fromkeys(("rasters/heightmap.tif", "rasters/relief.tif"), "hillshade")
 AREAS = ("cost.geojson", "cost.fgb", "tiles.gpkg")
 
