@@ -44,25 +44,31 @@ _DECIMALS = {
 
 def route_properties(route: Route) -> dict[str, Any]:
     """Return name, vehicle and figures of a route; a number that is not known is None."""
-    values = {name: (float(getattr(route.figures, name)), decimals) for name, decimals in _DECIMALS.items()}
-    figures = {name: round(one, digits) if math.isfinite(one) else None for name, (one, digits) in values.items()}
+    figures = route.figures
     return {
         "name": route.name,
         "vehicle": route.vehicle.name,
-        **figures,
-        **_road_properties(route.figures.road),
+        **{name: _told(float(getattr(figures, name)), decimals) for name, decimals in _DECIMALS.items()},
+        **_road_properties(figures.road),
         "p_arrives_note": P_ARRIVES_NOTE,
-        "risk_m": round(route.risk_m, 3) if math.isfinite(route.risk_m) else None,
+        "risk_m": _told(route.risk_m, 3),
         "why": route.straight.words if route.straight else "",
     }
 
 
+def _told(value: float | str, decimals: int) -> float | str | None:
+    """Round a number; None for one that is not finite, and for an empty text."""
+    if isinstance(value, str):
+        return value or None
+    return round(value, decimals) if math.isfinite(value) else None
+
+
 def _road_properties(road: RoadFigures | None) -> dict[str, Any]:
     """Return IRI and class of a whole way where the survey's noise lets them be told, else None."""
-    told = road is not None and road.resolution == "resolved"
+    resolved = road if road and road.resolution == "resolved" else None
     return {
-        "iri": round(road.iri, 2) if road and told else None,
-        "iso_8608": road.iso_class or None if road and told else None,
+        "iri": _told(resolved.iri, 2) if resolved else None,
+        "iso_8608": _told(resolved.iso_class, 0) if resolved else None,
         "iri_resolution": road.resolution if road else "unknown",
     }
 
@@ -410,14 +416,8 @@ STRETCH_COLUMNS = ("route", *_STRETCHES)
 
 def stretch_rows(route: Route) -> list[dict[str, Any]]:
     """Return the figures of the stretches of a route, by the names of ``STRETCH_COLUMNS``; None where unknown."""
-
-    def told(value: float | str, decimals: int) -> float | str | None:
-        if isinstance(value, str):
-            return value or None
-        return round(value, decimals) if math.isfinite(value) else None
-
     return [
-        {name: told(getattr(stretch, key), decimals) for name, (key, decimals) in _STRETCHES.items()}
+        {name: _told(getattr(stretch, key), decimals) for name, (key, decimals) in _STRETCHES.items()}
         for stretch in route.road
     ]
 

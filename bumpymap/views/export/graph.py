@@ -36,6 +36,7 @@ from bumpymap.core import (
     DirectionSettings,
     atomic,
     axes_along,
+    between_axes,
     by_mean,
     corners_join,
     slope_cost,
@@ -163,10 +164,9 @@ class Directions:
     ) -> NDArray[np.float64]:  # fmt: skip
         """Return the factor on pixels along lines; see `Along`. It is infinite where the direction is barred."""
         at = row // self.pixels, col // self.pixels
-        *axes, share = (each[:, None] for each in axes_along(self.by_axis.shape[2], *move.T))
-        first, second = (self.by_axis[(*at, axis)].astype(np.float64) for axis in axes)
-        with np.errstate(invalid="ignore"):
-            factor = np.where(np.isfinite(first), first + share * (second - first), first)
+        *axes, share = axes_along(self.by_axis.shape[2], *move.T)
+        first, second = (self.by_axis[(*at, axis[:, None])] for axis in axes)
+        factor = between_axes(first, second, share[:, None])
         if self.gradient is not None:
             down, right = (np.broadcast_to(part[:, None], row.shape).ravel() for part in move.T)
             more, barred = slope_cost(self.settings, self.gradient[at].reshape(-1, 2), down, right)
@@ -180,7 +180,7 @@ class Directions:
         return line_cost(free, start, stop, along=self.along)
 
     def dearest(self, factor: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return what tells tiles apart that are alike in ``factor``, (rows, cols): slopes, and whether they bar."""
+        """Return the factor of tiles, (rows, cols), in their dearest direction: tiles of a square are alike in it."""
         if self.gradient is None:
             return factor
         steep, weights = np.hypot(*np.moveaxis(self.gradient, 2, 0)), self.settings
