@@ -74,7 +74,9 @@ _MOST_ON_HULL = 12
 
 
 def _between(plan: Plan, left: MeasuredWay, right: MeasuredWay, risk: float) -> tuple[MeasuredWay, float] | None:
-    """Return a way of the hull between two of its ways; None if they are neighbours."""
+    """Return a way of the hull between two of its ways; None if they are neighbours, or nearly the same way."""
+    if left.shared(right) > _SAME_SHARE:
+        return None
     more_ride = _ride(right, risk) - _ride(left, risk)
     less_hazard = left.figures.hazard - right.figures.hazard
     if more_ride <= 0 or less_hazard <= 0:
