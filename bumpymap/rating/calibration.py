@@ -306,9 +306,10 @@ class Calibration:
 
     @property
     def preferences(self) -> dict[str, Any]:
-        """Name, description and weights of the vehicle, which do not affect the drives."""
+        """Name, description, weights and tables of the vehicle that do not affect the drives."""
+        undriven = (*_PREFERENCES, *(table.rstrip(".") for table in _UNDRIVEN))
         return {"fail_weight": DEFAULT_FAIL_WEIGHT} | {
-            key: value for key, value in self.vehicle.items() if key in _PREFERENCES
+            key: value for key, value in self.vehicle.items() if key in undriven
         }
 
     def with_preferences(self, profile: dict[str, Any], origin: str) -> "Calibration":

@@ -5,6 +5,7 @@ import math
 import re
 import shlex
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -443,17 +444,22 @@ def map_calibration(
 ) -> Calibration:
     """Find the calibration that a map was made with, at the speed of the map.
 
-    ``manifest``: the content of its run.json; ``tile_size``: m; ``file``: the calibration, None: an included one, or
-    with ``follow_paths`` where run.json says that it was: a folder that somebody else made may name any path.
+    ``manifest``: the content of its run.json; ``tile_size``: m; ``file``: the calibration, None: an included one with
+    the preferences in run.json, or with ``follow_paths`` where run.json says that it was: a folder that somebody else
+    made may name any path.
 
     Raises UsageError: it is not found; BadInputError: it is another one, or cannot be read.
     """
     about, wanted = manifest["vehicle"], manifest.get("calibration", {}).get("id", "")
     settings = manifest.get("settings", {}) if follow_paths else {}
     named, vehicle = file or settings.get("calibration"), str(settings.get("vehicle") or about["name"])
+    speed = float(about["speed_mps"]) if "drives_mps" in about else None
+    if not named:
+        for included in _with_preferences(manifest.get("calibration", {}).get("preferences", {}), tile_size, speed):
+            if included.id == wanted:
+                return included
     try:
-        found = find_calibration(vehicle, Path(named) if named else None, tile_size)
-        found = at_speed(found, float(about["speed_mps"]) if "drives_mps" in about else None)
+        found = at_speed(find_calibration(vehicle, Path(named) if named else None, tile_size), speed)
     except (BadInputError, UsageError) as error:
         if file is not None:
             raise
@@ -466,6 +472,16 @@ def map_calibration(
             "Give the file of the map's own with `calibration`, or map the survey again"
         )
     return found
+
+
+def _with_preferences(preferences: Any, tile_size: float, speed: float | None) -> Iterator[Calibration]:
+    """Yield the included calibrations with the preferences and the speed of a run.json, as far as these make sense."""
+    for name in shipped_calibrations():
+        own = Calibration.shipped(name, tile_size)
+        with suppress(BadInputError, UsageError, TypeError):
+            vehicle = {**own.vehicle, **preferences}
+            Vehicle.from_dict(vehicle, name)
+            yield at_speed(own.with_preferences(vehicle, name), speed)
 
 
 def calibration_beside(profile: Path) -> Path:

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from bumpymap.core.errors import BadInputError
+from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.rating.calibration import Calibration, shipped_calibrations
-from bumpymap.rating.vehicle_profile import find_calibration
+from bumpymap.rating.vehicle_profile import find_calibration, map_calibration
 
 VEHICLE = Calibration.shipped("warthog").vehicle
 DATA = Path(__file__).parents[2] / "bumpymap" / "rating" / "data"
@@ -123,6 +123,11 @@ def test_preferences_and_the_outline_are_those_of_the_profile(mine):
     assert (found.body.height_m, found.body.width_m) == (2.1, 1.84)
     assert (found.c_r, found.ride) == (car.c_r, car.ride)
     assert len({found.id, weighed.id, car.id}) == 3
+    made = {"vehicle": {"name": "mine"}, "calibration": {"id": found.id, "preferences": found.preferences}}
+    assert map_calibration(made, 3.0) == found  # of a map that somebody else made, without its TOML file
+    made["calibration"]["preferences"] = {"comfort": [1.0]}
+    with pytest.raises(UsageError, match="is not found"):
+        map_calibration(made, 3.0)
 
 
 def test_another_vehicle_is_refused_with_what_differs(mine):
