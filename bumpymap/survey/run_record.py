@@ -229,8 +229,8 @@ def run_manifest(
     read = [(reader.info, dropped, checksum) for reader, dropped, checksum in every if dropped is not None]
     calibration, skipped = models.calibration, inputs.skipped
     # The part of the intervals that all maps with this calibration share.
-    by_ride = calibration.ride if (config.rating, config.compat) == ("ride", "none") else None
-    error = float((by_ride or {}).get("model_error", 0.0))
+    by_ride = (config.rating, config.compat) == ("ride", "none")
+    error = float(calibration.ride["model_error"]) if by_ride else 0.0
     return {
         "survey": survey_record(
             config.surveys,

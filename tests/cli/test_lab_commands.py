@@ -19,7 +19,7 @@ from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.lab.simulate import calibrate as calibrate_module, refit
 from bumpymap.lab.simulate.drive import PatchDrives
 from bumpymap.lab.simulate.motion_fit import MotionRecord
-from bumpymap.lab.worlds.terrains import KINDS
+from bumpymap.lab.terrains import KINDS
 from bumpymap.rating import Calibration, load_profile
 
 WARTHOG = Calibration.shipped("warthog")

@@ -90,10 +90,7 @@ class Subject:
         def by_table(patches: PatchStack, seen: TextureMap, place: Georeference) -> CostMap:
             return rate(patches, seen, calibration, place)
 
-        ratings: dict[str, Rate] = {}
-        if calibration.ride is not None:
-            ratings["ride"] = RideModel(calibration).rate
-        return cls(calibration, profile, ratings | {"table": by_table}, textures)
+        return cls(calibration, profile, {"ride": RideModel(calibration).rate, "table": by_table}, textures)
 
     @property
     def name(self) -> str:

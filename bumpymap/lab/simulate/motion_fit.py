@@ -20,7 +20,7 @@ from bumpymap.lab.simulate.jobs import DriveJob, Key
 from bumpymap.lab.simulate.model import DartVehicle, Physics
 from bumpymap.lab.simulate.plan import library_terrain, six_digits
 from bumpymap.lab.simulate.terrain import DrivenGround, PatchGround, Strip, relief_and_slope
-from bumpymap.lab.worlds.terrains import KINDS
+from bumpymap.lab.terrains import KINDS
 from bumpymap.rating import (
     QUANTITIES,
     MotionFit,
