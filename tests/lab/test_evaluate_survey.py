@@ -16,7 +16,7 @@ from bumpymap.cli import main
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.interrupts import SilentProgress
 from bumpymap.lab.evaluate import agreement, survey_trial
-from bumpymap.lab.evaluate.rated_survey import Subject, Verdict, open_readers
+from bumpymap.lab.evaluate.survey_trial import Subject, Verdict, open_readers
 from bumpymap.lab.settings import EvaluateSettings
 from bumpymap.lab.simulate.drive import DriveSettings, PatchDrives
 from bumpymap.rating import Calibration, TextureModel

@@ -27,10 +27,10 @@ from bumpymap.core import UsageError, atomic
 from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.lab.simulate.drive import Drive, PatchDrives, Start, drive_from
 from bumpymap.lab.simulate.jobs import DriveJob, Key
+from bumpymap.lab.simulate.model import relief_and_slope
 from bumpymap.lab.simulate.motion_fit import fit_means
 from bumpymap.lab.simulate.plan import calibrated_settings, read_library
 from bumpymap.lab.simulate.ride_fit import fit_ride, fit_thin_surveys
-from bumpymap.lab.simulate.terrain import relief_and_slope
 from bumpymap.rating import Calibration, RideModel, Vehicle, roll_over
 
 _HEIGHTS = (0.02, 0.05, 0.08, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0)

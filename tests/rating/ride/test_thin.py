@@ -7,8 +7,8 @@ import pytest
 
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.types import NO_CLASS, Reason
+from bumpymap.lab.simulate.model import relief_and_slope
 from bumpymap.lab.simulate.ride_fit import survey_columns
-from bumpymap.lab.simulate.terrain import relief_and_slope
 from bumpymap.lab.terrains import FINE, ScanEffects, Terrain, make_terrain
 from bumpymap.rating import BlockRating, RideModel, rate_thin, roll_over
 from bumpymap.rating.calibration import Calibration
