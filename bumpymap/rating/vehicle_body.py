@@ -1,4 +1,4 @@
-"""What a vehicle profile may leave out: its outline, and the estimates of inertia, centre of mass, belly, springs."""
+"""Outline of a vehicle, and estimates of what a short profile leaves out: inertia, centre of mass, belly, springs."""
 
 import math
 from collections.abc import Mapping
