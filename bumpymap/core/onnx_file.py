@@ -15,9 +15,14 @@ import numpy as np
 
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.files import read_regular
+from bumpymap.core.processes import Child, DecoderError, Guard
 
 _MOST_BYTES = 64 << 20
 """Size of the file of a network; the included ones have 0.4 MB."""
+_MOST_SECONDS, _MOST_MEMORY = 20.0, 2 << 30
+"""Processor time and bytes in which a network must run on a batch; the included ones take 0.05 s and 20 MB."""
+_shipped: list[bytes] = []
+"""Networks of the package, which need no limits."""
 
 
 def onnx_runtime() -> Any:
@@ -46,7 +51,8 @@ def session(content: bytes) -> Any:
 @lru_cache(maxsize=2)
 def shipped_network(room: str, name: str) -> bytes:
     """Read a network that ships with a package of bumpymap: ``shipped_network("rating", "textures.onnx")``."""
-    return (files(f"bumpymap.{room}") / "data" / "models" / name).read_bytes()
+    _shipped.append((files(f"bumpymap.{room}") / "data" / "models" / name).read_bytes())
+    return _shipped[-1]
 
 
 def read_network(path: Path, kind: str, remedy: str) -> bytes:
@@ -90,10 +96,7 @@ def metadata_of(content: bytes, format_name: str, origin: str, kind: str, remedy
     BadInputError
         The file is not an ONNX file that ONNX Runtime reads, or not a network of bumpymap.
     """
-    try:
-        metadata: dict[str, str] = session(content).get_modelmeta().custom_metadata_map
-    except Exception as error:  # ONNX Runtime's exceptions have no public base
-        raise BadInputError(f"{origin} is not an ONNX model that bumpymap runs: {error}. {remedy}") from error
+    metadata: dict[str, str] = _tried("read_metadata", content, origin, remedy)
     if metadata.get("format") != format_name:
         raise BadInputError(f"{origin} is an ONNX model, but not a {kind} of bumpymap. {remedy}")
     return metadata
@@ -120,10 +123,34 @@ def check_network(
     BadInputError
         It cannot be run, or gives something else.
     """
+    shape, kind = _tried("run_on_zeros", content, origin, remedy, dict(inputs))
+    expected = (next(iter(inputs.values()))[0], classes)
+    if (shape, kind) != (expected, "float32"):
+        raise BadInputError(
+            f"{origin} is not an ONNX model that bumpymap runs: it gives {kind} of shape {shape}, and not float32 of "
+            f"{expected}. {remedy}"
+        )
+
+
+def _tried(function: str, content: bytes, origin: str, remedy: str, *arguments: Any) -> Any:
+    """Call a function of this module with a network; for one of others in a process with limits on memory and time."""
+    if any(content is known for known in _shipped):
+        return globals()[function](content, *arguments)
+    guard = Guard(lambda: Child("to try a network", __name__), "tries networks", "onnxruntime")
     try:
-        found = session(content).run(None, {name: np.zeros(shape, np.float32) for name, shape in inputs.items()})[0]
-        expected = (next(iter(inputs.values()))[0], classes)
-        if found.shape != expected or found.dtype != np.float32:
-            raise ValueError(f"it gives {found.dtype} of shape {found.shape}, and not float32 of {expected}")  # noqa: TRY301
-    except Exception as error:  # ONNX Runtime's exceptions have no public base
+        return guard.call(function, content, *arguments, seconds=_MOST_SECONDS, memory=_MOST_MEMORY)
+    except DecoderError as error:
         raise BadInputError(f"{origin} is not an ONNX model that bumpymap runs: {error}. {remedy}") from error
+    finally:
+        guard.end()
+
+
+def read_metadata(content: bytes) -> dict[str, str]:
+    """Return the ``metadata_props`` of a network."""
+    return dict(session(content).get_modelmeta().custom_metadata_map)
+
+
+def run_on_zeros(content: bytes, inputs: Mapping[str, tuple[int, ...]]) -> tuple[tuple[int, ...], str]:
+    """Return shape and type of what a network gives for zeros."""
+    found = session(content).run(None, {name: np.zeros(shape, np.float32) for name, shape in inputs.items()})[0]
+    return tuple(found.shape), str(found.dtype)
