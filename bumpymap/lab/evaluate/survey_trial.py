@@ -2,14 +2,10 @@
 
 import hashlib
 import json
-import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields
 from functools import partial
 from importlib.metadata import version
-from itertools import count
-from os.path import lexists
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +19,6 @@ from bumpymap.core import (
     FeatureSettings,
     Georeference,
     Ground,
-    OutputError,
     PatchStack,
     Progress,
     Reason,
@@ -32,7 +27,6 @@ from bumpymap.core import (
     UsageError,
     common_georeference,
     decide_ground,
-    remove_path,
 )
 from bumpymap.lab.evaluate.agreement import (
     Comparison,
@@ -49,7 +43,7 @@ from bumpymap.lab.simulate.model import require_dart
 from bumpymap.patches import decks_as_ground, join_stacks, measure
 from bumpymap.rating import Calibration, RideModel, TextureModel, Vehicle, classify, rate
 from bumpymap.readers import Location, PointStats, ReadOptions, SurveyReader, find_surveys, identity, open_survey
-from bumpytiles import BLOCK_TILES, Grid, MemoryLimits, TileBuckets, TilePoints
+from bumpytiles import BLOCK_TILES, Grid, TileBuckets, TilePoints
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -102,11 +96,6 @@ class Subject:
         return {name: Verdict.of(rating(patches, seen, _PLACELESS)) for name, rating in self.ratings.items()}
 
 
-MOST_BYTES = 260_000_000
-"""Memory for points, bytes; those beyond it are stored on disk."""
-BLOCK_POINTS = 10_000_000
-
-
 def open_readers(surveys: Sequence[Location], options: ReadOptions, *, local: bool) -> list[SurveyReader]:
     """Open survey files and check that they share one CRS.
 
@@ -156,60 +145,35 @@ def take_tiles(patches: PatchStack, rows: NDArray[np.integer] | NDArray[np.bool_
     return PatchStack(patches.grid, *(getattr(patches, f.name)[rows] for f in fields(PatchStack) if f.name != "grid"))
 
 
-@contextmanager
 def load_survey(
-    readers: Sequence[SurveyReader],
-    ground: Ground,
-    grid: Grid,
-    features: FeatureSettings,
-    folder: Path,
-    progress: Progress,
-) -> Iterator[MeasuredSurvey]:
-    """Read surveys in a context manager; points that exceed the memory limit are in ``folder`` until its end.
+    readers: Sequence[SurveyReader], ground: Ground, grid: Grid, features: FeatureSettings, progress: Progress
+) -> MeasuredSurvey:
+    """Read surveys into memory, 14 to 26 bytes a point.
 
     Raises
     ------
     BadInputError
         A file is damaged, or no point is left.
-    OutputError
-        The disk is full.
+    UsageError
+        The ground is that of a cloth.
     """
     if ground == "csf":
         raise UsageError("`ground='csf'` is supported by map only. Use `ground='all'` or `ground='class'` here")
-    try:
-        with _scratch(folder / ".points") as scratch:
-            buckets = TileBuckets(grid, MemoryLimits(MOST_BYTES, BLOCK_POINTS, scratch))
-            progress.start("reading points", sum(reader.info.point_count for reader in readers))
-            number = count()
-            for reader in readers:
-                stats = PointStats()
-                for chunk in reader.chunks():
-                    batch = reader.convert(chunk, reader.fetch(chunk))
-                    stats = stats.merge(batch.stats)
-                    buckets.add_chunk(batch.grouped(grid), next(number))
-                    if buckets.is_full:
-                        buckets.spill()
-                    progress.advance(chunk.points)
-                reader.verify(stats)
-            if not len(buckets):
-                raise BadInputError("no point is left: every point is withheld, noise or without return")
-            # For a single tile, the share of ground points replaces the count of tiles with ground points.
-            ground_only = decide_ground(ground, 1, 0.0 if ground == "all" else buckets.flagged_share())
-            yield MeasuredSurvey(buckets, ground_only, features)
-    except OSError as error:
-        raise OutputError(f"cannot write temporary points to {folder}: {error}. Choose another `out`") from error
-
-
-@contextmanager
-def _scratch(folder: Path) -> Iterator[Path]:
-    """Make an empty folder; delete leftovers of a killed run."""
-    if lexists(folder):
-        remove_path(folder)
-    folder.mkdir(mode=0o700)
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+    buckets = TileBuckets(grid)
+    progress.start("reading points", sum(reader.info.point_count for reader in readers))
+    for reader in readers:
+        stats = PointStats()
+        for chunk in reader.chunks():
+            batch = reader.convert(chunk, reader.fetch(chunk))
+            stats = stats.merge(batch.stats)
+            buckets.add_chunk(batch.grouped(grid))
+            progress.advance(chunk.points)
+        reader.verify(stats)
+    if not len(buckets):
+        raise BadInputError("no point is left: every point is withheld, noise or without return")
+    # For a single tile, the share of ground points replaces the count of tiles with ground points.
+    ground_only = decide_ground(ground, 1, 0.0 if ground == "all" else buckets.flagged_share())
+    return MeasuredSurvey(buckets, ground_only, features)
 
 
 _KEPT = ("col", "row", "count", "z_variance", "ransac_residual")
@@ -366,13 +330,13 @@ def evaluate_survey(
         A file is damaged, or no tile can be classified.
     """
     grid = Grid(subject.calibration.tile_size, subject.calibration.pixels)
-    with load_survey(readers, ground, grid, settings.features, trial.out, trial.progress) as survey:
-        tiles, rated, unknown = _rate(survey, subject, trial.progress)
-        classes = {name: class_table(own, tiles["z_variance"], tiles["ransac_residual"]) for name, own in rated.items()}
-        main = rated[next(iter(rated))]
-        priority = uniform_by_key(settings.seed, tiles["col"], tiles["row"])
-        rows = choose_patches(strata(main.c_r, main.p_fail), priority, settings.total_patches)
-        patches = survey.patches(tiles["col"][rows], tiles["row"][rows])
+    survey = load_survey(readers, ground, grid, settings.features, trial.progress)
+    tiles, rated, unknown = _rate(survey, subject, trial.progress)
+    classes = {name: class_table(own, tiles["z_variance"], tiles["ransac_residual"]) for name, own in rated.items()}
+    main = rated[next(iter(rated))]
+    priority = uniform_by_key(settings.seed, tiles["col"], tiles["row"])
+    rows = choose_patches(strata(main.c_r, main.p_fail), priority, settings.total_patches)
+    patches = survey.patches(tiles["col"][rows], tiles["row"][rows])
     facts = {
         "files": [str(reader.info.path).replace("\\", "/").rpartition("/")[2] for reader in readers],
         "points": sum(reader.info.point_count for reader in readers),
