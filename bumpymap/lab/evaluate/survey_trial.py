@@ -63,7 +63,7 @@ class Subject:
 
     @classmethod
     def of(cls, calibration: Calibration, textures: TextureModel) -> "Subject":
-        """Make the ratings of a calibration; one without a ride model has its table alone.
+        """Make the ratings of a calibration.
 
         Raises
         ------
