@@ -75,6 +75,7 @@ from .errors import (
     write_remedy as write_remedy,
 )
 from .files import (
+    PLY_TYPES as PLY_TYPES,
     STAGED as STAGED,
     Each as Each,
     Nullable as Nullable,
@@ -93,6 +94,7 @@ from .files import (
     without_keys as without_keys,
     write_csv as write_csv,
     write_together as write_together,
+    write_vertices as write_vertices,
     writing_to as writing_to,
 )
 from .interrupts import (
@@ -121,10 +123,6 @@ from .onnx_file import (
     read_network as read_network,
     session as session,
     shipped_network as shipped_network,
-)
-from .ply_file import (
-    PLY_TYPES as PLY_TYPES,
-    write_vertices as write_vertices,
 )
 from .processes import (
     Child as Child,

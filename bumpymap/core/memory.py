@@ -3,15 +3,15 @@
 import os
 import re
 import resource
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from concurrent.futures import Future
+from contextlib import closing, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
 from bumpymap.core.errors import UsageError
+from bumpytiles import run_blocks
 
 LEAST_MEMORY = 128 << 20
 """Smallest limit, bytes: one chunk of a file alone needs this much."""
@@ -141,8 +141,6 @@ def _numbers(path: Path) -> dict[str, int]:
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-_AHEAD = 2
-"""Items under way or waiting to be taken, for each thread."""
 
 
 @contextmanager
@@ -165,19 +163,14 @@ def in_threads(
     if threads == 1:
         yield (partial(work, item) for item in items)
         return
-    with ThreadPoolExecutor(threads) as pool:
+
+    def answer(item: Item) -> Callable[[], Result]:
+        done: Future[Result] = Future()
         try:
-            yield (future.result for future in _ahead(pool, work, items, _AHEAD * threads))
-        finally:
-            pool.shutdown(cancel_futures=True)
+            done.set_result(work(item))
+        except BaseException as error:  # noqa: BLE001 (raised by who asks for the result)
+            done.set_exception(error)
+        return done.result
 
-
-def _ahead(
-    pool: ThreadPoolExecutor, work: Callable[[Item], Result], items: Iterable[Item], most: int
-) -> Iterator[Future[Result]]:
-    waiting: deque[Future[Result]] = deque()
-    for item in items:
-        waiting.append(pool.submit(work, item))
-        if len(waiting) >= most:
-            yield waiting.popleft()
-    yield from waiting
+    with closing(run_blocks(answer, items, threads)) as answers:
+        yield answers

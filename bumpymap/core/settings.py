@@ -3,16 +3,11 @@
 A field's type says what a value is, a `Setting` in it what is allowed and how the command line shows it. From this come
 the options of a command (`bumpymap.cli`), the keys of a TOML file (`read_settings_file`), the keywords of a Python call
 (`settings_of_call`), and what ``__post_init__`` checks (`check_settings`). Vehicle profiles are parsed in the same way.
-
-The time and memory of ``tomllib`` grow with the square of the number of parts of a dotted key: a key of 40 kB took 11 s
-and 0.4 GB. Everything else that was tried grows linearly (nested lists the fastest, 7 s for 1 MB), so two limits
-suffice: the size of the file, and the number of parts of a key.
 """
 
 import json
 import math
 import os
-import re
 import tomllib
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass, replace
@@ -27,13 +22,9 @@ from typing import Annotated, Any, Literal, Protocol, Union, get_args, get_origi
 from bumpymap.core.errors import BumpymapError, UsageError
 from bumpymap.core.files import read_regular
 
-_MOST_BYTES = 256 * 1024
-_MOST_PARTS = 16
-"""Parts of a dotted key; no setting has more than two."""
-_LONG_KEY = re.compile(
-    r"""(?<![\w\\-])(?:(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){%d}""" % _MOST_PARTS  # noqa: UP031
-)
-"""A key with more parts; in a text or a comment, so many words with dots between them would do too."""
+_MOST_BYTES = 16 * 1024
+"""Several times that of every setting with its description. Time and memory of ``tomllib`` grow with the square of the
+parts of a dotted key: one of so many bytes takes 1 s and 0.3 GB."""
 _MESSAGE_CHARACTERS = 300
 """Characters of the parser's message that are shown at most: it may quote a key in full."""
 _NAMED = 8
@@ -45,7 +36,7 @@ _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 80
 
 
 def read_toml(path: Path, what: str, error: type[BumpymapError]) -> dict[str, Any]:
-    """Read a TOML file of at most 256 kB; a byte order mark at its start is skipped.
+    """Read a TOML file of at most 16 kB; a byte order mark at its start is skipped.
 
     Parameters
     ----------
@@ -56,7 +47,7 @@ def read_toml(path: Path, what: str, error: type[BumpymapError]) -> dict[str, An
         Raised if the file cannot be read: it is not a regular file, too large, not UTF-8, or not TOML.
     """
     try:
-        return tomllib.loads(_checked(_text(path)))
+        return tomllib.loads(_text(path))
     except OSError as caught:
         raise error(f"cannot read {what} from {path}: {caught.strerror or caught}") from caught
     except RecursionError as caught:
@@ -96,14 +87,6 @@ def _text(path: Path) -> str:
         return read_regular(path, _MOST_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as caught:
         raise ValueError(f"not UTF-8 text at byte {caught.start}; save it as UTF-8") from caught
-
-
-def _checked(text: str) -> str:
-    """Reject keys with so many parts that parsing would take minutes."""
-    if found := _LONG_KEY.search(text):
-        line = text.count("\n", 0, found.start()) + 1
-        raise ValueError(f"the key in line {line} has more than {_MOST_PARTS} parts")
-    return text
 
 
 UNFILLED = "?"
@@ -404,7 +387,7 @@ def _assigned(text: str) -> Any:
         return share
     for toml in (text, f"[{text}]") if "," in text else (text,):
         try:
-            return tomllib.loads(_checked(f"value = {toml}"))["value"]
+            return tomllib.loads(f"value = {toml}")["value"]
         except (ValueError, RecursionError):
             continue
     return [part.strip() for part in text.split(",")] if "," in text else text

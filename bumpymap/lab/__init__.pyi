@@ -1,4 +1,3 @@
-from .evaluate.rated_survey import Subject as Subject, open_readers as open_readers
 from .evaluate.report import (
     REPORT as REPORT,
     number as number,
@@ -13,8 +12,10 @@ from .evaluate.scans import (
 )
 from .evaluate.survey_trial import (
     Findings as Findings,
+    Subject as Subject,
     TrialOptions as TrialOptions,
     evaluate_survey as evaluate_survey,
+    open_readers as open_readers,
 )
 from .label_sets import LABEL_SETS as LABEL_SETS
 from .settings import (

@@ -409,7 +409,7 @@ def open_map(folder: str | os.PathLike[str]) -> MapReader:
         parts = (
             Grid(float(manifest["grid"]["tile_size_m"]), int(manifest["grid"]["pixels"])),
             Georeference(known, float(unit["horizontal"]), float(unit["vertical"])),
-            CostRule(ride, fail, drive, slope, _speeds(cost, vehicle)),
+            CostRule(ride, fail, drive, slope, _speeds(cost)),
             vehicle,
         )
     except (LookupError, TypeError, ValueError, AttributeError, CRSError) as error:
@@ -487,10 +487,9 @@ def _window_of(folder: Path, name: MapFile, grid: Grid, georeference: Georeferen
     return TileWindow(*whole)
 
 
-def _speeds(cost: Mapping[str, Any], vehicle: RouteVehicle) -> tuple[tuple[float, float], ...]:
-    """Return ``CostRule.speeds``; a map of an earlier version has that of a pitch rate of 0.3 rad/s."""
-    own = [[vehicle.speed_mps, 0.3 / vehicle.speed_mps]]
-    found = tuple((float(c_r), float(speed)) for speed, c_r in cost.get("speeds_mps_at_c_r_radpm") or own)
+def _speeds(cost: Mapping[str, Any]) -> tuple[tuple[float, float], ...]:
+    """Return ``CostRule.speeds``."""
+    found = tuple((float(c_r), float(speed)) for speed, c_r in cost["speeds_mps_at_c_r_radpm"])
     known = np.array(found)
     if not (np.isfinite(known) & (known > 0.0)).all() or (np.diff(known[:, 0]) <= 0.0).any():
         raise ValueError("speeds_mps_at_c_r_radpm")

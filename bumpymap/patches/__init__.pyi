@@ -1,13 +1,13 @@
-from .features import (
-    join_stacks as join_stacks,
-    measure as measure,
-    measure_thin as measure_thin,
-)
-from .ground.cloth import (
+from .cloth import (
     close_filter as close_filter,
     filter_version as filter_version,
     mark_ground as mark_ground,
     require_filter as require_filter,
+)
+from .features import (
+    join_stacks as join_stacks,
+    measure as measure,
+    measure_thin as measure_thin,
 )
 from .objects import (
     find_objects as find_objects,

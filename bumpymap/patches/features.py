@@ -18,14 +18,14 @@ from bumpymap.core import (
     PatchStack,
     Reason,
 )
-from bumpymap.patches.kernels.measure import (
+from bumpymap.patches._measure_kernels import (
     MeasureSettings,
     PointsByTile,
     TileMeasures,
     measure_scratch,
     measure_tiles,
 )
-from bumpymap.patches.kernels.standing import PAIR_MEASURES, PairSettings, measure_pairs, pair_scratch
+from bumpymap.patches._standing_kernels import PAIR_MEASURES, PairSettings, measure_pairs, pair_scratch
 from bumpytiles import TilePoints
 
 _SCALARS = 9
@@ -149,7 +149,7 @@ def measure_thin(
     Returns
     -------
     array (n, 15)
-        Of `bumpymap.patches.kernels.standing.measure_pairs`; NaN where the points span no plane.
+        Of `bumpymap.patches._standing_kernels.measure_pairs`; NaN where the points span no plane.
     array (n, pixels, pixels)
         Plane-removed heights with all holes filled from their neighbours, however wide, m; NaN for tiles that are not
         thin.

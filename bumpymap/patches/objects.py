@@ -4,9 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import ObjectStack, PatchStack, VehicleBody
-from bumpymap.patches.kernels import solids
-from bumpymap.patches.kernels.measure import PointsByTile
-from bumpymap.patches.kernels.objects import ObjectLimits, TileObjects, find_in_tiles, object_scratch
+from bumpymap.patches import _solid_kernels as solids
+from bumpymap.patches._measure_kernels import PointsByTile
+from bumpymap.patches._object_kernels import ObjectLimits, TileObjects, find_in_tiles, object_scratch
 from bumpytiles import Grid, TilePoints
 
 _SCALARS = 4

@@ -30,9 +30,8 @@ from bumpymap.core import (
     Reason,
     VehicleBody,
 )
-from bumpymap.patches.features import measure
-from bumpymap.patches.kernels.solids import THIN
-from bumpymap.patches.kernels.standing import (
+from bumpymap.patches._solid_kernels import THIN
+from bumpymap.patches._standing_kernels import (
     BareSettings,
     BareTiles,
     StandingLimits,
@@ -41,6 +40,7 @@ from bumpymap.patches.kernels.standing import (
     mark_standing,
     standing_scratch,
 )
+from bumpymap.patches.features import measure
 from bumpytiles import BLOCK_TILES, TilePoints
 
 _WIDTH = 1.8

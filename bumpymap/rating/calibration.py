@@ -35,8 +35,8 @@ _FORMAT = "bumpymap-calibration"
 _VERSION = 2
 MAP_SPEED = "map_speed_mps"
 """Key of ``motion``: the speed that a map was asked for."""
-_OPTIONAL = ("motion", "steps", "thin")
-"""Fields that older files do not have."""
+_MODELS = ("ride", "thin", "steps", "motion")
+"""Fields that are fitted to the drives; empty while a calibration is made."""
 _PREFERENCES = ("name", "description", "ride_weight", "fail_weight")
 """Keys of a vehicle profile that do not affect the simulated drives."""
 _UNDRIVEN = ("body.", "comfort.", "floor.")
@@ -108,17 +108,17 @@ class Calibration:
     """C_r between class 0 and 1, 1 and 2, 2 and 3, rad/m."""
     class_c_r: tuple[float, float, float, float]
     """Mean C_r of the driven terrains of each class, rad/m."""
-    ride: dict[str, Any] | None = None
-    """Coefficients of the ride model, fitted to drives over the terrain library; None if none was fitted."""
-    thin: dict[str, Any] | None = None
-    """Coefficients of the model of thin surveys; None if none was fitted."""
+    ride: dict[str, Any] = field(default_factory=dict)
+    """Coefficients of the ride model, fitted to drives over the terrain library."""
+    thin: dict[str, Any] = field(default_factory=dict)
+    """Coefficients of the model of thin surveys."""
     settings: dict[str, Any] = field(default_factory=dict)
     """Everything needed to repeat the calibration: seed, command, versions, integrator settings, rule of the class
     limits. ``library`` holds the results of the drives over the terrain library, to fit a ride model again."""
-    steps: dict[str, Any] | None = None
-    """Effect of steps on the vehicle, see ``bumpymap.rating.steps``; None: made without."""
-    motion: dict[str, Any] | None = None
-    """Ride at other speeds, roll and lift, see ``bumpymap.rating.ride.speed``; None: made without."""
+    steps: dict[str, Any] = field(default_factory=dict)
+    """Effect of steps on the vehicle, see ``bumpymap.rating.steps``."""
+    motion: dict[str, Any] = field(default_factory=dict)
+    """Ride at other speeds, roll and lift, see ``bumpymap.rating.ride.speed``."""
 
     def __post_init__(self) -> None:
         _check_numbers(self)
@@ -133,9 +133,9 @@ class Calibration:
             raise ValueError("z_range must be positive and increasing")
         if list(self.class_limits) != sorted(set(self.class_limits)) or self.class_limits[0] <= 0:
             raise ValueError("class_limits must be positive and increasing")
-        for name in ("ride", *_OPTIONAL):
-            if not isinstance(getattr(self, name), dict | None):
-                raise ValueError(f"{name} is {getattr(self, name)!r}; it must be an object or null")  # noqa: TRY004
+        for name in _MODELS:
+            if not isinstance(getattr(self, name), dict):
+                raise ValueError(f"{name} is {getattr(self, name)!r}; it must be an object")  # noqa: TRY004
         self._hashed_text()  # raises ValueError if a number is not finite
         known = [c for line in self.c_r for c in line if c is not None]
         if any(line[0] is None for line in self.c_r) or min(known) <= 0:
@@ -176,7 +176,7 @@ class Calibration:
     def map_speed(self) -> float:
         """The speed [m/s] that the C_r of a map is for: the profile's, unless `at_speed` has set another."""
         own = float(self.vehicle["speed_mps"])
-        return float((self.motion or {}).get(MAP_SPEED, own))
+        return float(self.motion.get(MAP_SPEED, own))
 
     @property
     def map_floor(self) -> float:
@@ -221,9 +221,7 @@ class Calibration:
         return json.dumps(self._record(), sort_keys=True, allow_nan=False)
 
     def _record(self) -> dict[str, Any]:
-        """Return the fields; optional ones that are None are left out, so that older files keep their ``id``."""
-        known = {each.name: getattr(self, each.name) for each in fields(self)}
-        return {key: value for key, value in known.items() if key not in _OPTIONAL or value is not None}
+        return {each.name: getattr(self, each.name) for each in fields(self)}
 
     def to_json(self) -> str:
         """Return the text of the calibration file."""
@@ -257,8 +255,7 @@ class Calibration:
                     f"{origin} is a calibration of version {record.get('version')}; "
                     f"this bumpymap reads version {_VERSION}. {hint}"
                 )
-            known = {f.name: record[f.name] for f in fields(cls) if f.name not in _OPTIONAL or f.name in record}
-            return cls(**{key: _tuples(value) for key, value in known.items()})
+            return cls(**{each.name: _tuples(record[each.name]) for each in fields(cls)})
         except (LookupError, TypeError, ValueError, AttributeError) as error:
             raise BadInputError(f"{origin} is a damaged calibration: {error!r}. {hint}") from error
 

@@ -88,18 +88,16 @@ def moved_calibration(calibration: Calibration, move: LogMove, record: dict[str,
     record : dict
         What is written to its settings as ``moved_to_drives``; plain JSON.
     """
-    if (steps := calibration.steps) is not None:
-        tile = steps["tile"]
-        log_sd = [move.sd(sd, c_r) for sd, c_r in zip(tile["c_r_log_sd"], tile["c_r"], strict=True)]
-        steps = steps | {"tile": tile | {"c_r": move.c_r(tile["c_r"]), "c_r_log_sd": log_sd}}
+    tile = calibration.steps["tile"]
+    log_sd = [move.sd(sd, c_r) for sd, c_r in zip(tile["c_r_log_sd"], tile["c_r"], strict=True)]
     return replace(
         calibration,
         c_r=move.c_r(calibration.c_r),
         c_r_log_sd=move.sd(calibration.c_r_log_sd, float(np.exp(move.middle))),
         class_c_r=_class_means(calibration, move),
-        ride=None if calibration.ride is None else _moved_ride(calibration.ride, move),
-        thin=None if calibration.thin is None else _moved_thin(calibration.thin, move),
-        steps=steps,
+        ride=_moved_ride(calibration.ride, move),
+        thin=_moved_thin(calibration.thin, move),
+        steps=calibration.steps | {"tile": tile | {"c_r": move.c_r(tile["c_r"]), "c_r_log_sd": log_sd}},
         settings=calibration.settings | {"moved_to_drives": record},
     )
 
@@ -115,9 +113,7 @@ def _moved_ride(record: dict[str, Any], move: LogMove) -> dict[str, Any]:
         noise_high=_each(old.noise_high, lambda value: value * move.slope),
     )
     moved = record | new.to_record()
-    if moved.get("model_error"):
-        moved["model_error"] = _short(move.widening * move.slope * moved["model_error"])
-    return moved
+    return moved | {"model_error": _short(move.widening * move.slope * old.model_error)}
 
 
 def _moved_spread(old: Correction, move: LogMove) -> tuple[float, float]:

@@ -72,10 +72,7 @@ Floats = NDArray[np.float64]
 STEP_COLUMNS = ("class_id", "c_r", "c_r_low", "c_r_high", "p_fail", "confidence")
 """The columns that `apply_steps` changes."""
 _LEAST_LOG_SD = 0.1
-_GEOMETRIC_LOG_SD = 0.5
 _TINY = 1e-9
-_SAFE_SHARE = 0.5
-"""Without such a record: steps up to this share of the wheel radius are safe."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,15 +94,13 @@ class StepEffect:
 
     @classmethod
     def of(cls, calibration: Calibration) -> "StepEffect":
-        """Read the ``steps`` of a calibration; without them, follow the geometry.
+        """Read the ``steps`` of a calibration.
 
         Raises
         ------
         BadInputError
             The record is damaged.
         """
-        if calibration.steps is None:
-            return _geometric(calibration)
         try:
             return _recorded(calibration.steps)
         except (LookupError, TypeError, ValueError) as error:
@@ -223,15 +218,6 @@ def _recorded(record: Mapping[str, Any]) -> StepEffect:
     c_r, fails, up, down = (np.concatenate(([0.0], curve)) for curve in (*curves, up, down))
     sd = np.maximum(np.concatenate((sd[:1], sd)), _LEAST_LOG_SD)
     return StepEffect(np.concatenate(([0.0], height)), c_r, sd, fails, up, down)
-
-
-def _geometric(calibration: Calibration) -> StepEffect:
-    radius = float(calibration.vehicle["wheel"]["radius_m"])
-    base = float(calibration.vehicle["wheelbase_m"])
-    height = np.concatenate(([0.0], radius * np.linspace(0.1, 1.0, 10)))
-    fails = np.clip((height / radius - _SAFE_SHARE) / (1 - _SAFE_SHARE), 0.0, 1.0)
-    c_r = 4 / np.pi * np.arctan(height / base) / calibration.tile_size
-    return StepEffect(height, c_r, np.full(len(height), _GEOMETRIC_LOG_SD), fails, fails, fails)
 
 
 def _sureness(class_id: NDArray[np.integer], c_r: Floats, sd: Floats, limits: tuple[float, ...]) -> Floats:

@@ -24,8 +24,20 @@ from bumpymap.core import (
 )
 from bumpymap.rating.calibration import DEFAULT_FAIL_WEIGHT, Calibration, shipped_calibrations
 from bumpymap.rating.ride.speed import at_speed
-from bumpymap.rating.vehicle_body import Body, Comfort, Floor, OneLine, Quantity, body_table, plain_lists, profile_keys
-from bumpymap.rating.vehicle_estimate import ESTIMATED, SUSPENSION, Whole, estimate_profile
+from bumpymap.rating.vehicle_body import (
+    ESTIMATED,
+    SUSPENSION,
+    Body,
+    Comfort,
+    Floor,
+    OneLine,
+    Quantity,
+    Whole,
+    body_table,
+    estimate_profile,
+    plain_lists,
+    profile_keys,
+)
 
 _SHORT = "; or give mass_kg and suspension, from which most other values are estimated"
 _SCHEMA = "`bumpymap vehicle new NAME` writes a file to fill in, with units and ranges"

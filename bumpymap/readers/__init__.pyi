@@ -1,6 +1,7 @@
 from ._kernels import (
     CELL as CELL,
     QUANTA as QUANTA,
+    deskew as deskew,
 )
 from .decoder import (
     close_decoder as close_decoder,
@@ -19,12 +20,6 @@ from .drives.read import (
     drive_files as drive_files,
     read_drive as read_drive,
 )
-from .frames.deskew_kernels import (
-    deskew as deskew,
-)
-from .frames.kitti import (
-    label_file as label_file,
-)
 from .frames.poses import (
     FramePoses as FramePoses,
     files_beside_poses as files_beside_poses,
@@ -41,6 +36,7 @@ from .frames.read import (
     bags_at as bags_at,
     find_frames as find_frames,
     find_sources as find_sources,
+    label_file as label_file,
     read_message as read_message,
     read_scan as read_scan,
     scene_points as scene_points,
@@ -62,7 +58,6 @@ from .source import (
     Location as Location,
     Version as Version,
     file_changed as file_changed,
-    is_ept as is_ept,
     is_url as is_url,
 )
 from .summary import (

@@ -283,7 +283,7 @@ class PointSummaryBuilder:
     ground_classes : tuple of int
         LAS classes that are ground: readers give classes, with `ReadOptions.keep_classes`.
     thin : bool
-        Thin tiles are rated from their points, as with ``rating = "ride"`` and a calibration that has ``thin``.
+        Thin tiles are rated from their points, as with ``rating = "ride"``.
     """
 
     def __init__(

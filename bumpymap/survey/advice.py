@@ -27,7 +27,7 @@ class Outcome:
     all_points_per_tile: float
     """Mean number of points per tile, of all classes."""
     thin: bool
-    """Thin tiles are rated from their points, as with ``rating = "ride"`` and a calibration that has ``thin``."""
+    """Thin tiles are rated from their points, as with ``rating = "ride"``."""
 
     @property
     def share(self) -> float:

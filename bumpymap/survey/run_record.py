@@ -35,7 +35,7 @@ from bumpymap.layers import (
     verified_record,
 )
 from bumpymap.patches import filter_version
-from bumpymap.readers import Location, SurveyInfo, hash_survey, identity, is_ept, is_url
+from bumpymap.readers import Location, SurveyInfo, hash_survey, identity, is_url
 from bumpymap.survey.engine import Budget, MeasuredTiles
 from bumpymap.survey.flight_lines import FlightLines
 from bumpymap.survey.inputs import SurveyInputs
@@ -136,8 +136,7 @@ def survey_record(
 def _name(given: Sequence[Location], files: Sequence[Location]) -> str:
     paths = [_path(file) for file in files]
     if len(paths) == 1:
-        path = paths[0]
-        return path.parent.name if is_ept(path) else path.stem.removesuffix(".copc") or path.name
+        return paths[0].stem.removesuffix(".copc") or paths[0].name
     folders = {path.parent for path in paths} if len(given) > 1 else {_path(given[0])}
     name = folders.pop().name if len(folders) == 1 else ""
     return name or f"{len(files)} files"
@@ -230,8 +229,8 @@ def run_manifest(
     read = [(reader.info, dropped, checksum) for reader, dropped, checksum in every if dropped is not None]
     calibration, skipped = models.calibration, inputs.skipped
     # The part of the intervals that all maps with this calibration share.
-    by_ride = calibration.ride if (config.rating, config.compat) == ("ride", "none") else None
-    error = float((by_ride or {}).get("model_error", 0.0))
+    by_ride = (config.rating, config.compat) == ("ride", "none")
+    error = float(calibration.ride["model_error"]) if by_ride else 0.0
     return {
         "survey": survey_record(
             config.surveys,

@@ -272,7 +272,7 @@ class NeighbourRating:
     @property
     def rates_thin(self) -> bool:
         """True if thin tiles are rated from their points."""
-        return self.rating == "ride" and self.compat == "none" and self.calibration.thin is not None
+        return self.rating == "ride" and self.compat == "none"
 
     def leaves(self, own: Mapping[str, NDArray[Any]]) -> Columns | None:
         """Return the columns of n tiles of a block if all are unknown and stay so; None if neighbours matter.

@@ -170,7 +170,7 @@ class TileRating:
 
         ``count`` (n,) are their points on the ground.
         """
-        if self.ride is None or self.models.calibration.thin is None:
+        if self.ride is None:
             return None
         pairs, relief_map = measure_thin(points, patches, self.features, ground_only=ground_only)
         return thin_columns(pairs, relief_map, count, self.ride.operator)

@@ -29,8 +29,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 from scipy.signal import butter, sosfiltfilt
 
-from bumpymap.lab.simulate.model import DartVehicle, Physics
-from bumpymap.lab.simulate.terrain import Strip, fit_plane
+from bumpymap.lab.simulate.model import DartVehicle, Physics, Strip, fit_plane
 from bumpymap.rating import Calibration, RideModel, Vehicle, load_profile, roll_over
 
 Floats = NDArray[np.float64]

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bumpymap.lab.simulate.plan import library_terrains
-from bumpymap.lab.worlds.terrains import KINDS
+from bumpymap.lab.terrains import KINDS
 from bumpymap.rating.calibration import Calibration, shipped_calibrations
 
 OUT = Path(__file__).parents[1] / "pages" / "img" / "library_c_r.png"

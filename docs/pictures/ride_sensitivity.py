@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.lab.simulate.drive import DriveSettings, drive
-from bumpymap.lab.simulate.model import Physics
-from bumpymap.lab.simulate.terrain import PatchGround
+from bumpymap.lab.simulate.model import PatchGround, Physics
 from bumpymap.rating import Vehicle, load_profile
 from bumpymap.rating.textures import make_textures
 

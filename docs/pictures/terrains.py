@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.colors import LightSource
 from matplotlib.figure import Figure
 
-from bumpymap.lab.worlds.terrains import KINDS, Terrain, make_terrain
+from bumpymap.lab.terrains import KINDS, Terrain, make_terrain
 
 FOLDER = Path(__file__).parents[1] / "pages" / "img"
 SEED = 1

@@ -20,10 +20,9 @@ import numpy as np
 from bumpymap.core import FeatureSettings, Georeference, Reason, TextureMap
 from bumpymap.lab.evaluate.agreement import spearman
 from bumpymap.lab.simulate.drive import DriveSettings, draw_start, drive_strip, follow
-from bumpymap.lab.simulate.model import Pose, standing_pose, wheel_inertia
+from bumpymap.lab.simulate.model import PatchGround, Pose, standing_pose, wheel_inertia
 from bumpymap.lab.simulate.ride_fit import survey_terrains
-from bumpymap.lab.simulate.terrain import PatchGround
-from bumpymap.lab.worlds.terrains import KINDS, ScanEffects, make_terrain
+from bumpymap.lab.terrains import KINDS, ScanEffects, make_terrain
 from bumpymap.patches import measure
 from bumpymap.rating import Calibration, RideModel, Vehicle
 

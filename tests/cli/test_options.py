@@ -49,7 +49,7 @@ def reached(monkeypatch, tmp_path):
         return end
 
     # Modules that bind a patched name are imported before it is patched, or they would keep it.
-    import bumpymap.lab.evaluate.rated_survey
+    import bumpymap.lab.evaluate.survey_trial
     import bumpymap.readers
     import bumpymap.survey.batch.source
     import bumpymap.survey.engine

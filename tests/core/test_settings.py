@@ -2,14 +2,11 @@
 
 import math
 import os
-import re
-import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
 import pytest
-from hypothesis import assume, given, strategies as st
 
 from bumpymap.core.errors import UsageError
 from bumpymap.core.settings import Setting, check_settings, read_settings_file, read_toml, settings_of_call
@@ -169,14 +166,10 @@ def test_one_declaration_checks_objects_files_and_calls(tmp_path, name, value, t
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"a." * 5000 + b"a = 1", r"the key in line 1 has more than 16 parts"),
-        (b"x = 1\n[" + b" a . " * 4999 + b"a]", r"the key in line 2 has more than 16 parts"),
-        (b"x = '''\n\n''' # a.b\n" + b"'a.b'." * 20 + b"c = 1", r"the key in line 4 has more than 16 parts"),
-        (b"x = [{" + b'"a".' * 20 + b"c = 1}]", r"the key in line 1 has more than 16 parts"),
-        (b"x = 1\n" * 50_000, r"it has more than 256 kB"),
+        (b"x = 1\n" * 50_000, r"it has more than 16 kB"),
         (b"x = " + b"[" * 5000, r"nested too deep"),
         (b"x = " + b"{a=" * 5000, r"nested too deep"),
-        (b'\\"' * 100_000, r"Invalid"),
+        (b'\\"' * 5_000, r"Invalid"),
         (b"x = 1\0", r"invalid|Invalid|Expected"),
         (b"x = '\xff'", r"not UTF-8 text at byte 5; save it as UTF-8"),
         ("x = 1".encode("utf-16"), r"not UTF-8 text at byte 0"),
@@ -191,11 +184,8 @@ def test_what_cannot_be_read_is_said(tmp_path, content, message):
     assert len(str(caught.value)) < 1000
 
 
-def test_dots_in_texts_and_comments_are_no_parts_and_a_mark_of_byte_order_is_skipped(tmp_path):
+def test_a_mark_of_byte_order_is_skipped(tmp_path):
     assert read(tmp_path, b"\xef\xbb\xbfa = 1", None) == {"a": 1}
-    dots = b"1. " * 15 + b"." * 100
-    content = b"a = '" + dots + b'\'\nb = "\\"' + dots + b'" # ' + dots + b"\nc = '''\n'" + dots + b"''''\n"
-    assert read(tmp_path, content + b"d = [1.5,2.5," + b"3.5," * 100 + b"]", None)["c"].startswith("'1.")
 
 
 def test_only_regular_files_are_read(tmp_path):
@@ -206,16 +196,3 @@ def test_only_regular_files_are_read(tmp_path):
     for path in (tmp_path / "none.toml", Path("a\0b")):
         with pytest.raises(UsageError, match="there is no such file"):
             read_toml(path, "settings", UsageError)
-
-
-@given(st.text(st.sampled_from("a.=[]{}'\"\\#,\n 1"), max_size=60))
-def test_the_bound_refuses_nothing_that_has_few_dots(tmp_path_factory, text):
-    assume(text.count(".") < 16)
-    folder = tmp_path_factory.mktemp("toml")
-    try:
-        wanted = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        with pytest.raises(UsageError, match=re.escape(str(error))):
-            read(folder, text, None)
-    else:
-        assert read(folder, text, None) == wanted

@@ -10,9 +10,8 @@ import pytest
 from bumpymap.core.errors import OutputError
 from bumpymap.lab.simulate import model
 from bumpymap.lab.simulate.drive import DriveSettings, Start, drive, drive_from
-from bumpymap.lab.simulate.model import DartVehicle, Physics
+from bumpymap.lab.simulate.model import DartVehicle, PatchGround, Physics, Strip
 from bumpymap.lab.simulate.motion_fit import drive_motion
-from bumpymap.lab.simulate.terrain import PatchGround, Strip
 from bumpymap.rating import felt_response, load_profile, make_textures
 
 pytest.importorskip("dartpy")

@@ -16,8 +16,7 @@ from hypothesis.extra.numpy import arrays
 from bumpymap.core.errors import BadInputError, BumpymapError, UsageError
 from bumpymap.lab.simulate.drive import Drive, DriveSettings, Effort, PatchDrives, drive_patch, follow
 from bumpymap.lab.simulate.jobs import drive_jobs
-from bumpymap.lab.simulate.model import Physics, Pose
-from bumpymap.lab.simulate.terrain import PatchGround, Strip, strip_triangles
+from bumpymap.lab.simulate.model import PatchGround, Physics, Pose, Strip, strip_triangles
 from bumpymap.rating.vehicle_profile import load_profile
 
 SIZE = 3.0

@@ -16,7 +16,7 @@ from bumpymap.cli import main
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.interrupts import SilentProgress
 from bumpymap.lab.evaluate import agreement, survey_trial
-from bumpymap.lab.evaluate.rated_survey import Subject, Verdict, open_readers
+from bumpymap.lab.evaluate.survey_trial import Subject, Verdict, open_readers
 from bumpymap.lab.settings import EvaluateSettings
 from bumpymap.lab.simulate.drive import DriveSettings, PatchDrives
 from bumpymap.rating import Calibration, TextureModel
@@ -254,14 +254,13 @@ def cli(subject, tmp_path):
 
 
 def test_command_writes_a_report_and_drives_nothing_twice_for_another_calibration(subject, tmp_path, fake_drives, cli):
-    own = replace(subject.calibration, ride=None)
-    (tmp_path / "own.json").write_text(own.to_json())
+    own = subject.calibration
     few = ("--set", "total_patches=10")
     result = cli(QUARRY, *few)
     assert result.exit_code == 0, result.output
     text = (tmp_path / "o" / "report.md").read_text()
     record = json.loads((tmp_path / "o" / "report.json").read_text())
-    assert (record["format"], list(record["classes"])) == ("bumpymap-evaluation", ["table"])
+    assert (record["format"], list(record["classes"])) == ("bumpymap-evaluation", ["ride", "table"])
     agreement = record["comparison"]["agreement"]
     assert agreement["z_variance"]["coverage"] is None
     assert len(record["patches"]["names"]) == len(record["patches"]["driven"]["c_r"]) == 10

@@ -10,7 +10,7 @@ from ply_files import read_vertices
 from scipy.spatial import cKDTree
 
 from bumpymap.core.errors import UsageError
-from bumpymap.lab.worlds.terrains import KINDS, ScanEffects, Terrain, fractal, make_terrain, survey_terrain
+from bumpymap.lab.terrains import KINDS, ScanEffects, Terrain, fractal, make_terrain, survey_terrain
 
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_data"
 

@@ -14,7 +14,7 @@ from sklearn.linear_model import RANSACRegressor
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.types import Reason
 from bumpymap.patches import measure, measure_thin
-from bumpymap.patches.kernels.measure import measure_tiles, stray_bounds
+from bumpymap.patches._measure_kernels import measure_tiles, stray_bounds
 from bumpytiles import Grid, TileBuckets
 
 STRAY_BOUNDS = jitted(stray_bounds)

@@ -28,15 +28,11 @@ def test_a_calibration_survives_its_file(record, tmp_path):
 
 def test_the_id_changes_with_any_number(record):
     ids = {record["id"]}
-    for change in ({"tile_size": 2.5}, {"ride": {"c_r": [1.0]}}, {"ride": {"c_r": [1.5]}}, {"ride": None}):
+    for change in ({"tile_size": 2.5}, {"ride": {"c_r": [1.0]}}, {"ride": {"c_r": [1.5]}}):
         ids.add(Calibration.from_json(json.dumps(record | change), "c.json").id)
     record["p_fail"][0][0] += 0.001
     ids.add(Calibration.from_json(json.dumps(record), "c.json").id)
-    del record["steps"]  # as in files of earlier versions
-    bare = Calibration.from_json(json.dumps(record), "c.json")
-    assert "steps" not in json.loads(bare.to_json())
-    assert Calibration.from_json(bare.to_json(), "c.json").id == bare.id
-    assert len(ids | {bare.id}) == 7
+    assert len(ids) == 5
 
 
 @pytest.mark.parametrize("name", shipped_calibrations())
@@ -61,7 +57,7 @@ def test_every_shipped_calibration_knows_its_vehicle_and_has_a_ride_model(name):
     [
         ({"format": "other"}, "is not a bumpymap calibration"),
         ({"version": 1}, "version 1; this bumpymap reads version 2. Make one with: bumpymap calibrate --vehicle"),
-        ({"ride": ...}, "damaged calibration: KeyError"),
+        *(({name: ...}, "damaged calibration: KeyError") for name in ("ride", "thin", "steps", "motion")),
         ({"ride": [1.0]}, "damaged"),
         ({"ride": {"c_r": [float("inf")]}}, "damaged"),
         ({"motion": {"map_speed_mps": 0.0}}, "damaged"),

@@ -12,7 +12,7 @@ from bumpymap.core.config import FeatureSettings
 from bumpymap.core.errors import UsageError
 from bumpymap.core.types import NO_CLASS, TEXTURES, Barred, CostRule, Georeference, Reason, TextureMap
 from bumpymap.lab.simulate.ride_fit import survey_terrains
-from bumpymap.lab.worlds.terrains import ScanEffects, make_terrain
+from bumpymap.lab.terrains import ScanEffects, make_terrain
 from bumpymap.patches.features import measure
 from bumpymap.rating import RideModel, apply_steps, find_calibration, load_profile
 from bumpymap.rating.calibration import Calibration

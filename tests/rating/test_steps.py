@@ -15,7 +15,6 @@ NORTH, EAST, SOUTH, WEST = range(4)
 RNG = np.random.default_rng(7)
 PLACES = [(*RNG.uniform(4.5, 7.5, 2), RNG.uniform(0, 360)) for _ in range(25)]
 SHIPPED = Calibration.shipped("warthog")
-BARE = replace(SHIPPED, steps=None)
 
 
 def highest(steps):
@@ -176,10 +175,9 @@ def smooth(n):
     return columns | {"class_id": np.zeros(n, np.uint8), "coverage": np.ones(n)}
 
 
-@pytest.mark.parametrize("calibration", [SHIPPED, BARE], ids=["driven", "geometric"])
-def test_higher_steps_are_never_better(calibration):
+def test_higher_steps_are_never_better():
     step = np.linspace(0, 3, 400)
-    felt = apply_steps(smooth(400), step, calibration)
+    felt = apply_steps(smooth(400), step, SHIPPED)
     for name in ("class_id", "c_r", "c_r_low", "c_r_high", "p_fail"):
         assert (np.diff(felt[name].astype(float)) >= 0).all(), name
     assert felt["class_id"][0] == 0
@@ -188,33 +186,28 @@ def test_higher_steps_are_never_better(calibration):
     assert (felt["c_r_low"] <= felt["c_r"]).all()
     assert (felt["c_r"] <= felt["c_r_high"]).all()
     assert ((felt["confidence"] > 0) & (felt["confidence"] <= 1)).all()
-    fails = crossing_fails(step, calibration)
+    fails = crossing_fails(step, SHIPPED)
     assert (np.diff(fails) >= 0).all()
     assert fails[0] == 0
     assert fails[-1] == 1
 
 
-@pytest.mark.parametrize("calibration", [SHIPPED, BARE], ids=["driven", "geometric"])
-def test_tiles_without_a_step_unknown_ones_and_those_that_are_rougher_keep_their_bits(calibration):
+def test_tiles_without_a_step_unknown_ones_and_those_that_are_rougher_keep_their_bits():
     columns = smooth(5)
     columns["class_id"][2:] = 3, 3, 255
     for name in STEP_COLUMNS[1:]:
         columns[name][2:] = 0.99 if name in {"p_fail", "confidence"} else 5.0
         columns[name][4] = np.nan
-    felt = apply_steps(columns, np.array([0, np.nan, 0.2, 0.1, 1.0]), calibration)
+    felt = apply_steps(columns, np.array([0, np.nan, 0.2, 0.1, 1.0]), SHIPPED)
     for name in STEP_COLUMNS:
         np.testing.assert_array_equal(felt[name], columns[name])
         assert felt[name].dtype == columns[name].dtype
 
 
-def test_a_border_is_usable_if_it_is_known_and_low_and_without_drives_the_wheel_decides():
+def test_a_border_is_usable_if_it_is_known_and_low():
     border = np.array([[0.0, 0.05, 2.0, np.nan]])
-    for calibration in (SHIPPED, BARE):
-        np.testing.assert_array_equal(edge_usable(border, calibration), [[True, True, False, False]])
+    np.testing.assert_array_equal(edge_usable(border, SHIPPED), [[True, True, False, False]])
     assert np.isnan(crossing_fails(border, SHIPPED)[0, 3])
-    steps = BARE.vehicle["wheel"]["radius_m"] * np.array([0.4, 0.7, 0.8, 1.0])
-    np.testing.assert_array_equal(edge_usable(steps, BARE), [True, True, False, False])
-    np.testing.assert_allclose(crossing_fails(steps, BARE), [0, 0.4, 0.6, 1], atol=1e-6)
 
 
 @pytest.mark.parametrize("damage", [{"tile": {}}, {"crossing": {"height": [1, 0.5]}}, {"tile": 3}])

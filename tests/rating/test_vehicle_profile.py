@@ -5,7 +5,7 @@ import json
 import pytest
 
 from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.rating.vehicle_estimate import ESTIMATED
+from bumpymap.rating.vehicle_body import ESTIMATED
 from bumpymap.rating.vehicle_profile import (
     Vehicle,
     estimated_values,

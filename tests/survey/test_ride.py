@@ -13,7 +13,7 @@ from small_surveys import files_in, run, write_las
 
 import bumpymap
 from bumpymap.core import INCLUDED_PIXELS, MapConfig, UsageError, with_pixels
-from bumpymap.lab.worlds.terrains import fractal
+from bumpymap.lab.terrains import fractal
 from bumpymap.layers import open_map
 from bumpymap.rating import Calibration, RideModel
 from bumpymap.rating.calibration import shipped_calibrations

@@ -19,8 +19,7 @@ from bumpytiles import (
     group_scaled_points,
     run_blocks,
 )
-from bumpytiles._sort_kernels import sort_tiles
-from bumpytiles.scaling import coordinate
+from bumpytiles._kernels import coordinate, sort_tiles
 
 GRID = Grid(tile_size=3.0)
 
@@ -79,7 +78,7 @@ def test_every_place_is_in_its_own_tile_once_and_of_two_points_the_flagged_one_s
 
 
 def test_points_with_one_hash_are_still_put_in_one_order(monkeypatch):
-    monkeypatch.setattr("bumpytiles._sort_kernels.hash_point", lambda *_: np.uint64(0))
+    monkeypatch.setattr("bumpytiles._kernels.hash_point", lambda *_: np.uint64(0))
     monkeypatch.setattr("bumpytiles.grouping.sort_tiles", sort_tiles.plain)
     columns = tuple(column[:300] for column in survey(6, n=250, span=8.0, duplicates=50))
     expected = flatten(gather(columns, np.arange(300), []))

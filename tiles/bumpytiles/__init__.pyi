@@ -4,8 +4,10 @@ from ._dask import (
     threads_here as threads_here,
     workers_at as workers_at,
 )
-from ._group_kernels import (
+from ._kernels import (
     BLOCK_TILES as BLOCK_TILES,
+    DECIMALS as DECIMALS,
+    coordinates as coordinates,
     tile_index as tile_index,
 )
 from .buckets import (
@@ -20,6 +22,8 @@ from .grid import (
 )
 from .grouping import (
     GroupedPoints as GroupedPoints,
+    ScaledPoints as ScaledPoints,
+    Scaling as Scaling,
     TilePoints as TilePoints,
     group_points as group_points,
     group_scaled_points as group_scaled_points,
@@ -45,12 +49,6 @@ from .pack import (
 from .run import (
     grouped_blocks as grouped_blocks,
     run_blocks as run_blocks,
-)
-from .scaling import (
-    DECIMALS as DECIMALS,
-    ScaledPoints as ScaledPoints,
-    Scaling as Scaling,
-    coordinates as coordinates,
 )
 from .tile_table import (
     TileTable as TileTable,

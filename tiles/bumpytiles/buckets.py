@@ -14,11 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpytiles._group_kernels import BLOCK_TILES
+from bumpytiles._kernels import BLOCK_TILES
 from bumpytiles.grid import Grid
-from bumpytiles.grouping import GroupedPoints, PointPart, TilePoints, columns_of, group_points, sort_block
+from bumpytiles.grouping import GroupedPoints, PointPart, Scaling, TilePoints, columns_of, group_points, sort_block
 from bumpytiles.pack import BlockKey, Column, Pack, write_pack
-from bumpytiles.scaling import Scaling
 
 _TILES = BLOCK_TILES**2
 _LEAST_ROOM = 0.25

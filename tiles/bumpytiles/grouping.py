@@ -17,33 +17,81 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpytiles._group_kernels import (
+from bumpytiles._kernels import (
     BLOCK_TILES,
     MAX_CELLS,
+    ROUND,
+    STRIP,
     BlockWindow,
     Coordinates,
     GroupScratch,
+    MarkedPoints,
     ScaledCoordinates,
     ScaledTiledPoints,
+    SortScratch,
     TileBorders,
     TiledPoints,
     count_points,
     count_scaled_points,
-    scatter_points,
-    scatter_scaled_points,
-)
-from bumpytiles._sort_kernels import (
-    STRIP,
-    MarkedPoints,
-    SortScratch,
     count_tiles,
     place_points,
     place_scaled_points,
+    scatter_points,
+    scatter_scaled_points,
     sort_tiles,
 )
 from bumpytiles.grid import Grid
 from bumpytiles.pack import BlockKey, Column
-from bumpytiles.scaling import ScaledPoints, Scaling
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Scaling:
+    """How integers become coordinates: ``integer * scale + offset``, rounded to 1e-8, times the metres of the unit."""
+
+    scales: Triple
+    offsets: Triple
+    units: Triple
+    """m, of x, y and z."""
+
+    def numbers(self) -> NDArray[np.float64]:
+        """Return scales, offsets and units as an array (9,) for kernels."""
+        return np.array([*self.scales, *self.offsets, *self.units])
+
+    @classmethod
+    def of(cls, numbers: Any) -> "Scaling":
+        """Restore it from nine numbers."""
+        x, y, z, *others = (float(number) for number in numbers)
+        return cls((x, y, z), (others[0], others[1], others[2]), (others[3], others[4], others[5]))
+
+    def coordinates(self, axis: int, integers: Any) -> NDArray[np.float64]:
+        """Return coordinates, m, of integers (n,) of an axis; too large ones become infinite or not a number."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            there = np.asarray(integers, np.float64) * self.scales[axis] + self.offsets[axis]
+            found: NDArray[np.float64] = np.rint(there * ROUND) / ROUND * self.units[axis]
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class ScaledPoints:
+    """Points of one file, (n,) each."""
+
+    easting: NDArray[np.int32]
+    """Integers of the file's grid, as the two that follow."""
+    northing: NDArray[np.int32]
+    upward: NDArray[np.int32]
+    flag: NDArray[np.uint8]
+    """A number that travels with each point."""
+    scaling: Scaling
+
+    def coordinates(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return easting, northing and height, m."""
+        east, north, up = (
+            self.scaling.coordinates(axis, values)
+            for axis, values in enumerate((self.easting, self.northing, self.upward))
+        )
+        return east, north, up
 
 
 @dataclass(frozen=True, slots=True)

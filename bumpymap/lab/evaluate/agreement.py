@@ -5,15 +5,14 @@ Patches are rows. Arrays of C_r must not contain NaN; the caller drops such patc
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import PatchStack
-from bumpymap.lab.evaluate.rated_survey import Verdict
+from bumpymap.core import CostMap, PatchStack
 from bumpymap.lab.simulate.drive import PatchDrives
 
 Floats = NDArray[np.float64]
@@ -22,6 +21,33 @@ CLASSES = 4
 MOST_FAILED = 0.25
 """If a larger share of the drives failed, C_r is not compared, because it comes from the completed drives only."""
 RISING = ("variance_median", "residual_median", "c_r_median", "variance_mean", "residual_mean")
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Results of one rating for n tiles, with the fields of `CostMap`."""
+
+    class_id: NDArray[np.uint8]
+    c_r: NDArray[np.float64]
+    c_r_low: NDArray[np.float64]
+    c_r_high: NDArray[np.float64]
+    p_fail: NDArray[np.float64]
+    confidence: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, cost_map: CostMap) -> "Verdict":
+        """Copy the fields from a cost map."""
+        floats = [getattr(cost_map, f.name).astype(np.float64) for f in fields(cls)[1:]]
+        return cls(cost_map.class_id, *floats)
+
+    @classmethod
+    def join(cls, parts: "Sequence[Verdict]") -> "Verdict":
+        """Concatenate the tiles of several verdicts."""
+        return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
+
+    def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> "Verdict":
+        """Select tiles."""
+        return Verdict(*(getattr(self, f.name)[rows] for f in fields(self)))
 
 
 def spearman(first: Floats, second: Floats) -> float:

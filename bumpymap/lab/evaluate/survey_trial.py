@@ -1,9 +1,9 @@
-"""Drive over patches of a survey in the simulation, and compare with what a map of it predicts."""
+"""The map under evaluation, measured block by block and rated; drives over some of its patches; their comparison."""
 
 import hashlib
 import json
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -15,30 +15,167 @@ from numpy.typing import NDArray
 from bumpymap.core import (
     REASON_TEXT,
     BadInputError,
+    CostMap,
+    FeatureSettings,
+    Georeference,
     Ground,
     PatchStack,
     Progress,
     Reason,
     Steps,
+    TextureMap,
+    UsageError,
+    common_georeference,
+    decide_ground,
 )
 from bumpymap.lab.evaluate.agreement import (
     Comparison,
     DriveStats,
+    Verdict,
     class_table,
     compare,
     plain_predictors,
 )
-from bumpymap.lab.evaluate.rated_survey import MeasuredSurvey, Subject, Verdict, load_survey
 from bumpymap.lab.settings import EvaluateSettings
 from bumpymap.lab.simulate.drive import PatchDrives, drive_patch
 from bumpymap.lab.simulate.jobs import DriveJob, Journal, Key, drive_jobs
 from bumpymap.lab.simulate.model import require_dart
-from bumpymap.rating import Vehicle
-from bumpymap.readers import ReadOptions, SurveyReader, identity
-from bumpytiles import Grid
+from bumpymap.patches import decks_as_ground, join_stacks, measure
+from bumpymap.rating import Calibration, RideModel, TextureModel, Vehicle, classify, rate
+from bumpymap.readers import Location, PointStats, ReadOptions, SurveyReader, find_surveys, identity, open_survey
+from bumpytiles import BLOCK_TILES, Grid, TileBuckets, TilePoints
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Rate = Callable[[PatchStack, TextureMap, Georeference], CostMap]
+_PLACELESS = Georeference(None)
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A calibrated vehicle and its ratings."""
+
+    calibration: Calibration
+    profile: Vehicle
+    ratings: Mapping[str, Rate]
+    """Name -> rating: ``ride``, ``table``. Patches are chosen by the first."""
+    textures: TextureModel
+
+    @classmethod
+    def of(cls, calibration: Calibration, textures: TextureModel) -> "Subject":
+        """Make the ratings of a calibration.
+
+        Raises
+        ------
+        UsageError
+            The texture network is for other tiles.
+        """
+        textures.require_grid(calibration.tile_size, calibration.pixels)
+        calibration = calibration.without_floor()  # it is held against simulated drives, which have none
+        profile = Vehicle.from_dict(calibration.vehicle, f"calibration {calibration.id}")
+
+        def by_table(patches: PatchStack, seen: TextureMap, place: Georeference) -> CostMap:
+            return rate(patches, seen, calibration, place)
+
+        return cls(calibration, profile, {"ride": RideModel(calibration).rate, "table": by_table}, textures)
+
+    @property
+    def name(self) -> str:
+        """Name of the vehicle."""
+        return str(self.calibration.vehicle["name"])
+
+    @property
+    def key(self) -> str:
+        """Name of the vehicle and eight digits of the hash of its profile, which determines its drives."""
+        text = json.dumps(self.calibration.vehicle, sort_keys=True)
+        return f"{self.name}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+
+    def judge(self, patches: PatchStack) -> dict[str, Verdict]:
+        """Rate tiles with all ratings."""
+        seen = classify(patches, self.textures)
+        return {name: Verdict.of(rating(patches, seen, _PLACELESS)) for name, rating in self.ratings.items()}
+
+
+def open_readers(surveys: Sequence[Location], options: ReadOptions, *, local: bool) -> list[SurveyReader]:
+    """Open survey files and check that they share one CRS.
+
+    Raises
+    ------
+    BadInputError
+        A file cannot be read, files have different CRS, or there is no CRS and ``local`` is False.
+    """
+    readers = [open_survey(path, options) for path in find_surveys(surveys)]
+    if common_georeference([reader.info for reader in readers]).crs is None and not local:
+        raise BadInputError(
+            f"{readers[0].info.path} has no CRS, so the unit of its coordinates is unknown. Pass `crs='EPSG:CODE'`, "
+            "or `local=True` if they are metres"
+        )
+    return readers
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredSurvey:
+    """All points of a survey, by block."""
+
+    buckets: TileBuckets
+    ground_only: bool
+    """True if only ground points are measured."""
+    features: FeatureSettings
+
+    def measured(self, parts: Iterable[TilePoints]) -> Iterator[PatchStack]:
+        """Measure the tiles of blocks; a dense block comes in several parts."""
+        for points in parts:
+            yield measure(decks_as_ground(points), self.features, ground_only=self.ground_only)
+
+    def patches(self, col: Ints, row: Ints) -> PatchStack:
+        """Measure the given tiles (at least one, all with points), in the given order."""
+        wanted = {tile: i for i, tile in enumerate(zip(col.tolist(), row.tolist(), strict=True))}
+        stacks = []
+        for key in sorted({(row // BLOCK_TILES, col // BLOCK_TILES) for col, row in wanted}):
+            for stack in self.measured(self.buckets.block(key)):
+                tiles = zip(stack.col.tolist(), stack.row.tolist(), strict=True)
+                stacks.append(take_tiles(stack, np.array([tile in wanted for tile in tiles])))
+        joined = join_stacks(stacks)
+        place = {tile: i for i, tile in enumerate(zip(joined.col.tolist(), joined.row.tolist(), strict=True))}
+        return take_tiles(joined, np.array([place[tile] for tile in wanted]))
+
+
+def take_tiles(patches: PatchStack, rows: NDArray[np.integer] | NDArray[np.bool_]) -> PatchStack:
+    """Select tiles of a stack."""
+    return PatchStack(patches.grid, *(getattr(patches, f.name)[rows] for f in fields(PatchStack) if f.name != "grid"))
+
+
+def load_survey(
+    readers: Sequence[SurveyReader], ground: Ground, grid: Grid, features: FeatureSettings, progress: Progress
+) -> MeasuredSurvey:
+    """Read surveys into memory, 14 to 26 bytes a point.
+
+    Raises
+    ------
+    BadInputError
+        A file is damaged, or no point is left.
+    UsageError
+        The ground is that of a cloth.
+    """
+    if ground == "csf":
+        raise UsageError("`ground='csf'` is supported by map only. Use `ground='all'` or `ground='class'` here")
+    buckets = TileBuckets(grid)
+    progress.start("reading points", sum(reader.info.point_count for reader in readers))
+    for reader in readers:
+        stats = PointStats()
+        for chunk in reader.chunks():
+            batch = reader.convert(chunk, reader.fetch(chunk))
+            stats = stats.merge(batch.stats)
+            buckets.add_chunk(batch.grouped(grid))
+            progress.advance(chunk.points)
+        reader.verify(stats)
+    if not len(buckets):
+        raise BadInputError("no point is left: every point is withheld, noise or without return")
+    # For a single tile, the share of ground points replaces the count of tiles with ground points.
+    ground_only = decide_ground(ground, 1, 0.0 if ground == "all" else buckets.flagged_share())
+    return MeasuredSurvey(buckets, ground_only, features)
+
+
 _KEPT = ("col", "row", "count", "z_variance", "ransac_residual")
 """Columns of all tiles that are kept while a survey is rated."""
 _STEP = np.uint64(0x9E3779B97F4A7C15)
@@ -193,13 +330,13 @@ def evaluate_survey(
         A file is damaged, or no tile can be classified.
     """
     grid = Grid(subject.calibration.tile_size, subject.calibration.pixels)
-    with load_survey(readers, ground, grid, settings.features, trial.out, trial.progress) as survey:
-        tiles, rated, unknown = _rate(survey, subject, trial.progress)
-        classes = {name: class_table(own, tiles["z_variance"], tiles["ransac_residual"]) for name, own in rated.items()}
-        main = rated[next(iter(rated))]
-        priority = uniform_by_key(settings.seed, tiles["col"], tiles["row"])
-        rows = choose_patches(strata(main.c_r, main.p_fail), priority, settings.total_patches)
-        patches = survey.patches(tiles["col"][rows], tiles["row"][rows])
+    survey = load_survey(readers, ground, grid, settings.features, trial.progress)
+    tiles, rated, unknown = _rate(survey, subject, trial.progress)
+    classes = {name: class_table(own, tiles["z_variance"], tiles["ransac_residual"]) for name, own in rated.items()}
+    main = rated[next(iter(rated))]
+    priority = uniform_by_key(settings.seed, tiles["col"], tiles["row"])
+    rows = choose_patches(strata(main.c_r, main.p_fail), priority, settings.total_patches)
+    patches = survey.patches(tiles["col"][rows], tiles["row"][rows])
     facts = {
         "files": [str(reader.info.path).replace("\\", "/").rpartition("/")[2] for reader in readers],
         "points": sum(reader.info.point_count for reader in readers),

@@ -26,7 +26,7 @@ from bumpymap.lab.simulate.model import require_dart
 from bumpymap.lab.simulate.motion_fit import MotionRecord, fit_motion, motion_jobs, run_motion
 from bumpymap.lab.simulate.plan import driven_library, library_record, library_terrain
 from bumpymap.lab.simulate.refit import crossing_jobs, fit_steps, refit, run_crossing
-from bumpymap.lab.worlds.terrains import KINDS
+from bumpymap.lab.terrains import KINDS
 from bumpymap.rating import MAX_FAILED_SHARE, Calibration, DrivenTerrain, make_textures
 
 _LIBRARY_STREAM = len(TEXTURES)

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import UsageError
-from bumpymap.lab.simulate.model import DartVehicle, Physics, Pose, VehicleModel
-from bumpymap.lab.simulate.terrain import DrivenGround, PatchGround, Strip
+from bumpymap.lab.simulate.model import DartVehicle, DrivenGround, PatchGround, Physics, Pose, Strip, VehicleModel
 from bumpymap.rating import Vehicle
 
 Outcome = Literal["completed", "stuck", "rolled"]

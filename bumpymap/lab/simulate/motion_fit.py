@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.lab.simulate.drive import DriveSettings, Start, draw_start, drive_strip, follow
 from bumpymap.lab.simulate.jobs import DriveJob, Key
-from bumpymap.lab.simulate.model import DartVehicle, Physics
+from bumpymap.lab.simulate.model import DartVehicle, DrivenGround, PatchGround, Physics, Strip, relief_and_slope
 from bumpymap.lab.simulate.plan import library_terrain, six_digits
-from bumpymap.lab.simulate.terrain import DrivenGround, PatchGround, Strip, relief_and_slope
-from bumpymap.lab.worlds.terrains import KINDS
+from bumpymap.lab.terrains import KINDS
 from bumpymap.rating import (
     QUANTITIES,
     MotionFit,

@@ -13,7 +13,7 @@ from bumpymap.core import BadInputError
 from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.lab.simulate.drive import PatchDrives
 from bumpymap.lab.simulate.jobs import Key
-from bumpymap.lab.worlds.terrains import KINDS, Terrain, make_terrain
+from bumpymap.lab.terrains import KINDS, Terrain, make_terrain
 from bumpymap.rating import Calibration, DrivenTerrain, Vehicle
 
 

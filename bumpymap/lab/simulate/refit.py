@@ -27,10 +27,10 @@ from bumpymap.core import UsageError, atomic
 from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.lab.simulate.drive import Drive, PatchDrives, Start, drive_from
 from bumpymap.lab.simulate.jobs import DriveJob, Key
+from bumpymap.lab.simulate.model import relief_and_slope
 from bumpymap.lab.simulate.motion_fit import fit_means
 from bumpymap.lab.simulate.plan import calibrated_settings, read_library
 from bumpymap.lab.simulate.ride_fit import fit_ride, fit_thin_surveys
-from bumpymap.lab.simulate.terrain import relief_and_slope
 from bumpymap.rating import Calibration, RideModel, Vehicle, roll_over
 
 _HEIGHTS = (0.02, 0.05, 0.08, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0)
@@ -93,11 +93,6 @@ def fit_steps(calibration: Calibration, driven: Mapping[Key, Any]) -> dict[str, 
     """Return the ``steps`` of a calibration with a ride model, as plain JSON: rated tiles, and shares of crossings.
 
     Shares have a row for each height and a column for each angle. ``driven`` holds the drives of `crossing_jobs`.
-
-    Raises
-    ------
-    UsageError
-        The calibration holds no ride model.
     """
     settings = calibrated_settings(calibration)
     heights = _heights(settings.profile, _HEIGHTS)
@@ -191,9 +186,9 @@ def refit(calibration: Calibration) -> Calibration:
     thin = fit_thin_surveys(profile, terrains, ride, calibration.class_limits[0])
     made = replace(calibration, ride=ride, thin=thin)
     settings = calibrated_settings(made)
-    if made.steps is not None:  # its crossings stay
+    if made.steps:  # its crossings stay
         made = replace(made, steps=made.steps | {"tile": _rated_tiles(made, settings)})
-    if made.motion is not None:
+    if made.motion:
         origin = made.motion["origin"]
         means = np.array(origin["driven"], np.float64)
         made = replace(made, motion=fit_means(settings, means, origin["starts"]).to_record())

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import SPANNED_POINTS, THIN_POINTS, FeatureSettings, Reason
-from bumpymap.lab.simulate.terrain import relief_and_slope
-from bumpymap.lab.worlds.terrains import FINE, ScanEffects, Terrain, survey_terrain
+from bumpymap.lab.simulate.model import relief_and_slope
+from bumpymap.lab.terrains import FINE, ScanEffects, Terrain, survey_terrain
 from bumpymap.patches import measure, measure_thin
 from bumpymap.rating import (
     THIN_COLUMNS,

@@ -17,17 +17,17 @@ from bumpymap.lab.settings import ScanNetSettings, ScanTrainSettings
 from bumpymap.lab.train.model_files import (
     EpochData,
     EpochReport,
-    ModelFiles,
     OnnxGraph,
     Score,
     TrainedModel,
     Training,
     count_answers,
-    model_files,
     parameter_count,
     percent,
+    require_writable,
     score_table,
     versions,
+    write_model,
 )
 from bumpymap.lab.train.scan_sectors import ScanProgress, Sectors, draw_epoch, folder_frames, folder_sectors
 from bumpymap.lab.train.textures import predict
@@ -88,26 +88,21 @@ class ScanNet(nn.Module):
 
 
 def train(
-    settings: ScanTrainSettings,
-    sectors: Sectors,
-    checkpoint: Path | None = None,
-    progress: Callable[[EpochReport], None] | None = None,
+    settings: ScanTrainSettings, sectors: Sectors, progress: Callable[[EpochReport], None] | None = None
 ) -> ScanNet:
     """Train a network; see `Training.run`. The same settings and sectors give the same bits on the same machine."""
-    counts = np.bincount(sectors.class_id, minlength=3).tolist()
     loop = Training(
         settings,
         lambda: ScanNet(settings.network),
-        lambda numbers: _epochs(settings, sectors, numbers),
+        lambda: _epochs(settings, sectors),
         lambda share: _learning_rate(share, settings.learning_rate),
         smoothing=settings.smoothing,
-        record={"sectors": counts, "sector_version": SECTOR_VERSION},
     )
-    return loop.run(checkpoint, progress)
+    return loop.run(progress)
 
 
-def _epochs(settings: ScanTrainSettings, sectors: Sectors, numbers: range) -> Iterator[EpochData]:
-    for epoch in numbers:
+def _epochs(settings: ScanTrainSettings, sectors: Sectors) -> Iterator[EpochData]:
+    for epoch in range(settings.epochs):
         rng = np.random.default_rng([settings.seed, 4, epoch])
         drawn = draw_epoch(sectors, settings.sectors_per_class, rng)
         patches, measures, class_id = (torch.from_numpy(values) for values in drawn)
@@ -296,8 +291,7 @@ def make_scan_model(
     settings : ScanTrainSettings
         Together with the scans they determine every byte of the file on one machine.
     out : Path
-        The ONNX file. The model card is written next to it (``.md``), and while the job runs a checkpoint
-        (``.checkpoint``), from which the same call resumes after an interruption.
+        The ONNX file. The model card is written next to it (``.md``).
     scans : Path
         A folder in the layout of RELLIS-3D.
     progress : callable, optional
@@ -311,28 +305,26 @@ def make_scan_model(
         A file cannot be written.
     BadInputError
         The folder contains no scans with labels.
-    UsageError
-        A checkpoint of another training exists.
     """
-    with model_files(out) as files:
-        learn, unseen = folder_frames(scans)
-        data = TrainingData(
-            folder_sectors(learn, settings.turns, settings.seed, scan_progress),
-            folder_sectors(unseen, progress=scan_progress),
-            len(unseen),
-            f"bumpymap train scans RELLIS_FOLDER {settings.options}",
-        )
-        return train_and_write(settings, data, files, progress)
+    require_writable(out)
+    learn, unseen = folder_frames(scans)
+    data = TrainingData(
+        folder_sectors(learn, settings.turns, settings.seed, scan_progress),
+        folder_sectors(unseen, progress=scan_progress),
+        len(unseen),
+        f"bumpymap train scans RELLIS_FOLDER {settings.options}",
+    )
+    return train_and_write(settings, data, out, progress)
 
 
 def train_and_write(
     settings: ScanTrainSettings,
     data: TrainingData,
-    files: ModelFiles,
+    out: Path,
     progress: Callable[[EpochReport], None] | None = None,
 ) -> TrainedModel[ScanEvaluation]:
     """Train on sectors, score, and write network and card; see `make_scan_model`."""
-    net = train(settings, data.learn, files.checkpoint, progress)
+    net = train(settings, data.learn, progress)
     evaluation = evaluate(net, data.unseen, data.unseen_scans)
     network = {"sector_version": SECTOR_VERSION, "pixels": PolarSettings().pixels}
     training = {"parameters": parameter_count(net), "seed": settings.seed, "command": data.command}
@@ -342,5 +334,5 @@ def train_and_write(
         "confusion_unseen": evaluation.every.confusion,
     }
     content = to_onnx(net, {**versions("bumpymap-scan"), **network, **training, **scores})
-    files.write(content, model_card(settings, evaluation, data, (parameter_count(net), len(content))))
-    return TrainedModel(files.model, files.card, evaluation, parameter_count(net))
+    card = write_model(out, content, model_card(settings, evaluation, data, (parameter_count(net), len(content))))
+    return TrainedModel(out, card, evaluation, parameter_count(net))

@@ -12,7 +12,19 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.rating.ride._lanes import LANES, Lanes, add, add_part, add_square, each2, each3, each4, load, same, store
+from bumpymap.rating.ride._ride_kernels import (
+    LANES,
+    Lanes,
+    add,
+    add_part,
+    add_square,
+    each2,
+    each3,
+    each4,
+    load,
+    same,
+    store,
+)
 from bumpytiles import helper, kernel
 
 Floats = NDArray[np.float64]

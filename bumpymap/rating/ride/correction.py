@@ -133,8 +133,8 @@ class Correction:
     """90 % quantile of the same."""
     origin: dict[str, Any]
     """The data of the fit, and its errors."""
-    model_error: float = 0.0
-    """Standard deviation of ln C_r between simulations of the same vehicle; 0 in older calibrations."""
+    model_error: float
+    """Standard deviation of ln C_r between simulations of the same vehicle."""
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> "Correction":
@@ -146,7 +146,7 @@ class Correction:
             A value is missing or has the wrong length.
         """
         try:
-            values = {f.name: record[f.name] for f in fields(cls) if f.name in record or f.name != "model_error"}
+            values = {f.name: record[f.name] for f in fields(cls)}
             numbers: dict[str, Any] = {k: dict(v) if k == "origin" else number_tuples(v) for k, v in values.items()}
             made = cls(**numbers)
             made._check()
@@ -158,9 +158,9 @@ class Correction:
         shapes = {np.shape(table) for table in (self.noise_low, self.noise_middle, self.noise_high)}
         if shapes != {(len(self.pixel_points), len(self.excess))} or (len(self.log_range), len(self.spread)) != (2, 2):
             raise ValueError("tables of different sizes")
-        for name, coefficients, allowed in (("C_r", self.c_r, _C_R_TERMS), ("p_fail", self.fail, _FAIL_TERMS)):
-            if len(coefficients) not in allowed:
-                raise ValueError(f"{len(coefficients)} coefficients of {name}, not {' or '.join(map(str, allowed))}")
+        for name, coefficients, wanted in (("C_r", self.c_r, _C_R_TERMS), ("p_fail", self.fail, _FAIL_TERMS)):
+            if len(coefficients) != wanted:
+                raise ValueError(f"{len(coefficients)} coefficients of {name}, not {wanted}")
         if not 0.0 <= self.model_error < math.inf:
             raise ValueError(f"model_error is {self.model_error}")
 
@@ -187,7 +187,7 @@ class Correction:
             log_c_r=log_c_r + shift,
             below=np.hypot(sd, (shift - down) / NORMAL_TAIL),
             above=np.hypot(sd, (up - shift) / NORMAL_TAIL),
-            p_fail=1 / (1 + np.exp(-np.clip(_weighted(fail_features(rides, slope_deg), self.fail), -40, 40))),
+            p_fail=1 / (1 + np.exp(-np.clip(fail_features(rides, slope_deg) @ np.array(self.fail), -40, 40))),
         )
 
     def without_noise(self, rides: Rides, slope_deg: Floats) -> Floats:
@@ -198,7 +198,8 @@ class Correction:
 
     def _log_c_r(self, log_g: Floats, rides: Rides, slope_deg: Floats) -> Floats:
         inside = np.clip(log_g, *self.log_range)
-        return _weighted(ride_features(inside, rides, slope_deg), self.c_r) + (log_g - inside)
+        fitted: Floats = ride_features(inside, rides, slope_deg) @ np.array(self.c_r)
+        return fitted + (log_g - inside)
 
     def _interpolate(self, table: tuple[tuple[float, ...], ...], excess: Floats, pixel_points: Floats) -> Floats:
         """Interpolate a noise table linearly; beyond its ends, use the nearest entry."""
@@ -414,8 +415,8 @@ _MIN_HEIGHT = 1e-4
 """Smallest height range and height difference, m; less makes no difference."""
 _MOST_REACH = 3.0
 """Reach of the ground towards the belly beyond which more makes no difference."""
-_C_R_TERMS, _FAIL_TERMS = (6, 9), (8, 10)
-"""Numbers of coefficients: those of older calibrations, which lack the last terms, and of present ones."""
+_C_R_TERMS, _FAIL_TERMS = 9, 10
+"""Numbers of coefficients of `ride_features` and `fail_features`."""
 
 
 def subtract_noise(pitch_change: Floats, noise_felt: Floats) -> tuple[Floats, Floats]:
@@ -425,12 +426,6 @@ def subtract_noise(pitch_change: Floats, noise_felt: Floats) -> tuple[Floats, Fl
     """
     g = np.maximum(pitch_change, np.maximum(_MIN_NOISE_SHARE * np.nan_to_num(noise_felt), _MIN_C_R))
     return g, 0.5 * np.log1p((noise_felt / g) ** 2)
-
-
-def _weighted(features: Floats, coefficients: tuple[float, ...]) -> Floats:
-    """Return the sum of the first features, as many as there are coefficients."""
-    total: Floats = features[:, : len(coefficients)] @ np.array(coefficients)
-    return total
 
 
 def ride_features(log_g: Floats, rides: Rides, slope_deg: Floats) -> Floats:

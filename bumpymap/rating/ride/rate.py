@@ -26,7 +26,6 @@ from bumpymap.core import (
     PatchStack,
     Reason,
     TextureMap,
-    UsageError,
 )
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.ride._noise_kernels import (
@@ -113,17 +112,12 @@ class RideModel:
     Raises
     ------
     UsageError
-        The calibration was made without a ride model, or cannot tell the ride at these speeds.
+        The calibration cannot tell the ride at these speeds.
     BadInputError
         Its ride model is damaged.
     """
 
     def __init__(self, calibration: Calibration, speeds: tuple[float, ...] = (), *, headings: bool = False) -> None:
-        if calibration.ride is None:
-            raise UsageError(
-                f"the calibration {calibration.id} holds no ride model. Make one with: bumpymap calibrate, or rate by "
-                "texture and relief: `rating='table'`"
-            )
         self.calibration = calibration
         self.operator = RideOperator.of(calibration.vehicle, calibration.tile_size, calibration.pixels)
         self.correction = Correction.from_record(calibration.ride)

@@ -191,24 +191,19 @@ def at_speed(calibration: Calibration, speed: float | None) -> Calibration:
     Raises
     ------
     UsageError
-        It was made without other speeds, or the speed is out of their range.
+        The speed is out of the range that it holds for.
     """
     if speed is None:
         return calibration
     require_speeds(calibration, (speed,), "speed")
     if speed == float(calibration.vehicle["speed_mps"]):
         return calibration
-    return replace(calibration, motion={**(calibration.motion or {}), MAP_SPEED: float(speed)})
+    return replace(calibration, motion=calibration.motion | {MAP_SPEED: float(speed)})
 
 
 def require_speeds(calibration: Calibration, speeds: Sequence[float], setting: str) -> None:
     """Raise UsageError if a calibration cannot tell the ride at speeds [m/s]; ``setting`` is named in the message."""
     own, name = float(calibration.vehicle["speed_mps"]), calibration.vehicle["name"]
-    if calibration.motion is None:
-        raise UsageError(
-            f"`{setting}`: the calibration {calibration.id} of {name} was made without other speeds than {own:g} m/s. "
-            "Make one that has them with: bumpymap calibrate"
-        )
     low, high = (share * own for share in _model(calibration).range)
     for speed in speeds:
         if not low <= speed <= high:
@@ -244,7 +239,7 @@ class SpeedRating:
 
     @classmethod
     def of(cls, calibration: Calibration, speeds: tuple[float, ...]) -> "SpeedRating":
-        """Make the rating of a calibration with ``motion``."""
+        """Make the rating of a calibration."""
         every = tuple(dict.fromkeys((*speeds, calibration.map_speed)))
         operator = MotionOperator.of(calibration.vehicle, calibration.tile_size, calibration.pixels, every)
         return cls(calibration, speeds, operator)
@@ -341,24 +336,15 @@ def map_rule(calibration: Calibration) -> CostRule:
 
     At a speed, C_r and a_w follow from the C_r of the map as in tiles without a heightmap. A limit holds at every lower
     speed too. Below the calibrated speeds motion per metre stays that of the lowest, and a_w is in proportion to the
-    speed, though it falls faster; above them nothing is known, so none is given. In a calibration without other speeds
-    the profile's is the only one.
-
-    Raises
-    ------
-    UsageError
-        There is a limit of a_w, and the calibration was made without other speeds.
+    speed, though it falls faster; above them nothing is known, so none is given.
     """
-    limits, own, model = comfort_of(calibration.vehicle), float(calibration.vehicle["speed_mps"]), calibration.motion
-    if limits.a_w_mps2:
-        require_speeds(calibration, (own,), "comfort.a_w_mps2")
-    low, high = (share * own for share in (_model(calibration).range if model else (1.0, 1.0)))
+    limits, own = comfort_of(calibration.vehicle), float(calibration.vehicle["speed_mps"])
+    low, high = (share * own for share in _model(calibration).range)
     top = min(limits.top_speed_mps or calibration.map_speed, high)
     speeds = np.geomspace(top, top / _SLOWEST, _STEPS)
     driven, known = np.geomspace(*_DRIVEN), np.clip(speeds, low, high)
-    felt = np.ones((len(driven), _STEPS, len(SPEED_BANDS)))
-    if model:
-        felt = plain_factors(calibration, known.tolist(), driven).astype(np.float64).reshape(felt.shape)
+    factors = plain_factors(calibration, known.tolist(), driven).astype(np.float64)
+    felt = factors.reshape(len(driven), _STEPS, len(SPEED_BANDS))
     pitch_rate = with_floor(driven[:, None] * felt[..., 0] * speeds, calibration.floor * own)
     used = pitch_rate / limits.pitch_rate_radps
     if limits.a_w_mps2:
@@ -373,6 +359,4 @@ def map_rule(calibration: Calibration) -> CostRule:
 
 @remembered
 def _model(calibration: Calibration) -> MotionModel:
-    if calibration.motion is None:
-        raise UsageError(f"the calibration {calibration.id} was made without other speeds")
     return MotionModel.from_record(calibration.motion, float(calibration.vehicle["speed_mps"]))

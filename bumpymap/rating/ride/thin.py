@@ -85,9 +85,9 @@ class ThinModel:
     """Coefficients of `fail_terms`, in logits."""
     origin: dict[str, Any]
     """The data of the fit, and its errors."""
-    prior: tuple[float, float] = (0.0, 1e6)
+    prior: tuple[float, float]
     """Mean and standard deviation of ln C_r of the terrain of the fit, towards whose mean the predictions of tiles with
-    few points are shrunk; the default undoes no shrinkage."""
+    few points are shrunk."""
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> "ThinModel":
@@ -99,7 +99,7 @@ class ThinModel:
             A value is missing or has the wrong length.
         """
         try:
-            values = {f.name: record[f.name] for f in fields(cls) if f.name != "prior" or "prior" in record}
+            values = {f.name: record[f.name] for f in fields(cls)}
             numbers: dict[str, Any] = {k: dict(v) if k == "origin" else number_tuples(v) for k, v in values.items()}
             made = cls(**numbers)
             made.require_lengths()

@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import DENSE_COVERAGE, NO_CLASS, SPANNED_POINTS, THIN_POINTS, THIN_SEEN, Reason, UsageError
+from bumpymap.core import DENSE_COVERAGE, NO_CLASS, SPANNED_POINTS, THIN_POINTS, THIN_SEEN, Reason
 from bumpymap.rating.calibration import Calibration, remembered
 from bumpymap.rating.ride.correction import NORMAL_TAIL, TAIL, Prediction, fit_logistic
 from bumpymap.rating.ride.rate import interval, judge
@@ -240,10 +240,8 @@ def rate_thin(
 
     Raises
     ------
-    UsageError
-        The calibration has no model of thin surveys.
     BadInputError
-        That model is damaged.
+        The model of thin surveys of the calibration is damaged.
     """
     model = _model(calibration)
     flat = columns.reshape(-1, len(THIN_COLUMNS)).astype(np.float64)
@@ -279,10 +277,6 @@ def rate_thin(
 
 @remembered
 def _model(calibration: Calibration) -> ThinModel:
-    if calibration.thin is None:
-        raise UsageError(
-            f"the calibration {calibration.id} holds no model of thin surveys. Make one with: bumpymap calibrate"
-        )
     return ThinModel.from_record(calibration.thin)
 
 

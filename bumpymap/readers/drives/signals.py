@@ -149,30 +149,17 @@ def _attitude(samples: Samples) -> Signal | None:
             samples.notes.append(f"{samples.source} has roll and pitch, but no yaw: turning is left out of its rates")
         values = {"yaw": np.zeros_like(samples.values["roll"]), **samples.values}
         angles = _rows(Samples(samples.source, values, notes=samples.notes), ANGLES, "attitudes")
-        found = None if angles is None else Signal(angles.time, quaternions_of_angles(*angles.values.T))
+        if angles is not None:
+            from scipy.spatial.transform import Rotation
+
+            # They turn by yaw about z, then by pitch about the new y, then by roll about the new x.
+            found = Signal(angles.time, Rotation.from_euler("ZYX", angles.values[:, ::-1]).as_quat())
     if found is None:
         return None
     with np.errstate(invalid="ignore", over="ignore"):
         good = np.abs(np.linalg.norm(found.values, axis=1) - 1.0) < _ROUNDING
     known = good.sum() > 1 and np.ptp(found.values[good], axis=0).any()
     return Signal(found.time[good], found.values[good]) if known else None
-
-
-def quaternions_of_angles(roll: Floats, pitch: Floats, yaw: Floats) -> Floats:
-    """Return quaternions, (n, 4) x, y, z, w, of angles, (n,) rad.
-
-    They turn by yaw about z, then by pitch about the new y, then by roll about the new x.
-    """
-    cr, sr, cp, sp, cy, sy = (f(0.5 * angle) for angle in (roll, pitch, yaw) for f in (np.cos, np.sin))
-    return np.stack(
-        [
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-            cr * cp * cy + sr * sp * sy,
-        ],
-        axis=1,
-    )
 
 
 def body_rates(attitude: Signal) -> Signal:
@@ -189,18 +176,11 @@ def body_rates(attitude: Signal) -> Signal:
         Rates (m, 3), rad/s, constant rotation being assumed from one attitude to the next, in the middle of both. None
         across gaps of more than half a second.
     """
-    q = attitude.values / np.linalg.norm(attitude.values, axis=1, keepdims=True)
-    step = np.diff(attitude.time)
-    before, after = q[:-1], q[1:]
-    # The turn from one to the next in the sensor's axes: conjugate of the first times the second.
-    vector = before[:, 3:] * after[:, :3] - after[:, 3:] * before[:, :3] - np.cross(before[:, :3], after[:, :3])
-    scalar = (before * after).sum(axis=1, keepdims=True)
-    vector, scalar = np.where(scalar < 0.0, -vector, vector), np.abs(scalar)  # q and -q are the same attitude
-    sine = np.linalg.norm(vector, axis=1, keepdims=True)
-    # angle / sine tends to 2 for no turn at all
-    factor = np.where(sine > 1e-9, 2.0 * np.arctan2(sine, scalar) / np.maximum(sine, 1e-9), 2.0)
+    from scipy.spatial.transform import Rotation
+
+    turns, step = Rotation.from_quat(attitude.values), np.diff(attitude.time)
+    rates = (turns[:-1].inv() * turns[1:]).as_rotvec() / step[:, None]
     near = step <= _LONGEST_STEP_S
-    rates = vector * factor / step[:, None]
     return Signal((attitude.time[:-1] + 0.5 * step)[near], rates[near])
 
 

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import LONGEST_GAP_S, NEAREST_S, SCAN_S, BadInputError, Frame, PoseTrack
-from bumpymap.readers.frames.kitti import POINT_FOLDERS
-from bumpymap.readers.frames.read import find_frames
+from bumpymap.readers.frames.read import POINT_FOLDERS, find_frames
 from bumpymap.readers.frames.transforms import ROUNDING, from_quaternions, refuse_poses
 from bumpymap.readers.source import open_source
 

@@ -159,12 +159,10 @@ def from_quaternions(path: Path | str, table: NDArray[np.float64]) -> NDArray[np
     length = np.linalg.norm(table[:, 3:], axis=1)
     far = np.abs(length - 1.0)
     refuse_poses(path, np.isnan(far) | (far > ROUNDING), "a quaternion whose length is not 1")
-    x, y, z, w = (table[:, 3:] / length[:, None]).T
+    from scipy.spatial.transform import Rotation
+
     poses = np.tile(np.eye(4), (len(table), 1, 1))
-    poses[:, :3, 3] = table[:, :3]
-    poses[:, 0, :3] = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], axis=1)
-    poses[:, 1, :3] = np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], axis=1)
-    poses[:, 2, :3] = np.stack([2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], axis=1)
+    poses[:, :3, :3], poses[:, :3, 3] = Rotation.from_quat(table[:, 3:]).as_matrix(), table[:, :3]
     return poses
 
 

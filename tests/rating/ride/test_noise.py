@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bumpymap.core.config import FeatureSettings
-from bumpymap.lab.worlds.terrains import ScanEffects, Terrain, make_terrain, survey_terrain
+from bumpymap.lab.terrains import ScanEffects, Terrain, make_terrain, survey_terrain
 from bumpymap.patches.features import measure
 from bumpymap.rating import RideOperator, denoise, roll_over
 from bumpymap.rating.ride._noise_kernels import point_noise

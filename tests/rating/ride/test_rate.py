@@ -3,13 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from bumpymap.core.config import FeatureSettings
-from bumpymap.core.errors import UsageError
 from bumpymap.core.types import NO_CLASS, Georeference
 from bumpymap.lab.simulate.ride_fit import survey_terrains
-from bumpymap.lab.worlds.terrains import ScanEffects, make_terrain
+from bumpymap.lab.terrains import ScanEffects, make_terrain
 from bumpymap.patches.features import measure
 from bumpymap.rating import RideModel
 from bumpymap.rating.calibration import Calibration
@@ -65,8 +63,3 @@ def test_leaves_over_ground_are_not_taken_for_noise():
     buckets.add(x, y, z, np.zeros(900, bool))
     (block,) = buckets.blocks()
     assert rated(measure(block, FeatureSettings(), ground_only=False)).class_id.tolist() == [3]
-
-
-def test_a_calibration_without_a_ride_model_says_what_to_do():
-    with pytest.raises(UsageError, match="`rating='table'`"):
-        RideModel(replace(CALIBRATION, ride=None))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bumpymap.core import BadInputError, UsageError
-from bumpymap.rating import Calibration, MotionModel, RideOperator, at_speed, motion_felt, require_speeds, roll_over
+from bumpymap.rating import Calibration, MotionModel, RideOperator, at_speed, motion_felt, roll_over
 from bumpymap.rating.ride.speed import SpeedRating, map_rule, plain_factors, plain_speed_factor
 from bumpymap.rating.steps import StepEffect, apply_steps
 from bumpymap.rating.vehicle_body import less_floor
@@ -40,14 +40,10 @@ def test_its_own_speed_changes_nothing_and_another_has_another_id_and_the_same_d
     assert Calibration.from_json(fast.to_json(), "file").id == fast.id
 
 
-def test_speeds_out_of_range_and_calibrations_with_one_speed_say_what_to_do():
+def test_speeds_out_of_range_say_what_to_do():
     for speed in (0.39, 2.51):
         with pytest.raises(UsageError, match=r"holds from 0\.4 to 2\.5 m/s"):
             at_speed(WARTHOG, speed)
-    with pytest.raises(UsageError, match=r"`speeds`.*without other speeds than 1 m/s.*bumpymap calibrate"):
-        require_speeds(replace(WARTHOG, motion=None), SPEEDS, "speeds")
-    alone = replace(WARTHOG, motion=None, vehicle=WARTHOG.vehicle | {"comfort": {"top_speed_mps": 2.0}})
-    assert map_rule(alone).slowness(np.array([0.2, 0.6])) == pytest.approx([1.0, 2.0], rel=1e-5)
 
 
 def test_at_the_speed_of_the_map_the_factor_is_one_and_c_r_at_a_speed_does_not_depend_on_it(heights):

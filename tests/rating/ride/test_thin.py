@@ -5,11 +5,11 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from bumpymap.core.errors import BadInputError, UsageError
+from bumpymap.core.errors import BadInputError
 from bumpymap.core.types import NO_CLASS, Reason
+from bumpymap.lab.simulate.model import relief_and_slope
 from bumpymap.lab.simulate.ride_fit import survey_columns
-from bumpymap.lab.simulate.terrain import relief_and_slope
-from bumpymap.lab.worlds.terrains import FINE, ScanEffects, Terrain, make_terrain
+from bumpymap.lab.terrains import FINE, ScanEffects, Terrain, make_terrain
 from bumpymap.rating import BlockRating, RideModel, rate_thin, roll_over
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.ride.correction import Prediction
@@ -249,11 +249,3 @@ def test_record_is_read_back_and_a_damaged_one_refused():
     for damage in ({"c_r": [1.0]}, {"fail": None}, {"sides": [1.0]}):
         with pytest.raises(BadInputError, match="thin surveys"):
             ThinModel.from_record(MODEL.to_record() | damage)
-
-
-def test_calibration_without_the_model_says_how_to_get_it(unseen):
-    older = replace(CALIBRATION, thin=None)
-    assert '"thin"' not in older.to_json()
-    assert Calibration.from_json(older.to_json(), "older") == older
-    with pytest.raises(UsageError, match="bumpymap calibrate"):
-        rate_thin(block_of(unseen), first_pass(), *maps(), older)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.lab.worlds.terrains import log_uniform
+from bumpymap.lab.terrains import log_uniform
 from scan_scenes.things import Field, Floats, Label, smoothstep
 
 

@@ -14,7 +14,7 @@ import open3d
 from numpy.typing import NDArray
 
 from bumpymap.core import Scan
-from bumpymap.lab.worlds.terrains import log_uniform
+from bumpymap.lab.terrains import log_uniform
 from scan_scenes.ground import ground_mesh
 from scan_scenes.scene import Scene, make_scene
 from scan_scenes.things import REFLECTIONS, Floats, Label

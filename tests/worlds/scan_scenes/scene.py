@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from bumpymap.lab.worlds.terrains import log_uniform
+from bumpymap.lab.terrains import log_uniform
 from scan_scenes import things as make
 from scan_scenes.ground import Bank, Blob, Region, Road, SceneGround, make_blob, make_road
 from scan_scenes.things import Floats, Height, Label, Triangles, make_field

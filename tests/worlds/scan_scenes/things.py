@@ -11,7 +11,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.lab.worlds.terrains import log_uniform
+from bumpymap.lab.terrains import log_uniform
 
 Floats = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.patches.kernels.heightmap import detrend, relief_of, set_all, set_map
-from bumpymap.patches.kernels.measure import PointsByTile, stray_bounds
+from bumpymap.patches._heightmap_kernels import detrend, relief_of, set_all, set_map
+from bumpymap.patches._measure_kernels import PointsByTile, stray_bounds
 from bumpytiles import helper, kernel, order_free
 
 Floats = NDArray[np.float64]

@@ -24,8 +24,8 @@ from bumpymap.core import (
     UNDECIDED,
     UNSEEN,
 )
-from bumpymap.patches.kernels.measure import PointsByTile
-from bumpymap.patches.kernels.solids import THIN
+from bumpymap.patches._measure_kernels import PointsByTile
+from bumpymap.patches._solid_kernels import THIN
 from bumpytiles import helper, kernel
 
 Floats = NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""Run the cloth simulation filter; called in a child process, see `bumpymap.patches.ground.cloth`."""
+"""Run the cloth simulation filter; called in a child process, see `bumpymap.patches.cloth`."""
 
 import numpy as np
 

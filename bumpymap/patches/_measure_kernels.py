@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import NO_PLANE, Plane, best_candidate
-from bumpymap.patches.kernels.heightmap import (
+from bumpymap.patches._heightmap_kernels import (
     LANES,
     centre,
     extremes,

@@ -1,6 +1,6 @@
 """Compiled kernel: what the tiles around one tell about its pixels: canopy that stands on the ground, gaps, lines.
 
-The states of single tiles come from `bumpymap.patches.kernels.objects`. A pixel's answer depends on pixels up to 15
+The states of single tiles come from `bumpymap.patches._object_kernels`. A pixel's answer depends on pixels up to 15
 away, so with a ring of one tile of 15 pixels it is the same wherever a block is cut out.
 """
 

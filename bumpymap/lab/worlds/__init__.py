@@ -1,1 +1,0 @@
-"""Synthetic ground with known truth: terrains, a sample survey, outdoor scenes for scans."""

@@ -1,1 +1,0 @@
-"""Find the ground points of a survey without ground classification."""
