@@ -10,6 +10,7 @@ import click
 
 from bumpymap.cli._options import FILE, PATH, CommandGroup, GroupedOption, Run, job, settings_options
 from bumpymap.cli._progress import CommandProgress
+from bumpymap.cli._text import interrupt_note
 from bumpymap.core import OutputError, Progress, UsageError
 from bumpymap.lab import NetworkSettings, ScanTrainSettings, TrainSettings
 
@@ -37,7 +38,7 @@ _NETWORK = (
 def textures_command(run: Run, out: Path, overwrite: bool) -> None:
     """Train the texture network on synthetic terrain.
 
-    No survey is needed.
+    No survey is needed. To resume an interrupted training after its last complete epoch, give the same command again.
 
     \b
     bumpymap train textures --out textures.onnx
@@ -50,7 +51,8 @@ def textures_command(run: Run, out: Path, overwrite: bool) -> None:
 def scans_command(run: Run, folder: Path, out: Path, overwrite: bool) -> None:
     """Train the scan network on labelled frames.
 
-    FOLDER has the layout of RELLIS-3D.
+    FOLDER has the layout of RELLIS-3D. To resume an interrupted training after its last complete epoch, give the same
+    command again.
 
     \b
     bumpymap train scans Rellis-3D --out scan.onnx
@@ -74,7 +76,8 @@ def _train(
         raise UsageError(f"--out is {out}; its name must end in .onnx")
     if out.exists() and not overwrite:
         raise OutputError(f"{out} exists; give --overwrite to replace it, or another --out")
-    with run.progress() as progress:
+    note = "Give the same command again to continue after the last complete epoch."
+    with interrupt_note(note), run.progress() as progress:
         lines, made = work(progress)
     run.show({"out": str(made.model), "card": str(made.card), "parameters": made.parameters}, lines)
 
@@ -133,6 +136,7 @@ class _Epochs:
         """Count an epoch and report its result."""
         if not self._begun:
             self._progress.start("learning epochs", report.epochs)
+            self._progress.advance(report.epoch - 1)
             self._begun = True
         self._progress.advance(1)
         text = (

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from bumpymap.lab.settings import ScanTrainSettings
-from bumpymap.lab.train.model_files import require_writable
+from bumpymap.lab.train.model_files import model_files
 from bumpymap.lab.train.scan_net import TrainingData, train_and_write
 from bumpymap.lab.train.scan_sectors import Sectors, draw_cuts, join, labelled_sectors
 
@@ -66,18 +66,18 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("scan.onnx"))
     given = parser.parse_args()
     settings = ScanTrainSettings(seed=given.seed, epochs=given.epochs)
-    require_writable(given.out)
-    learn = simulated_sectors(given.seed, range(given.scenes), settings.turns)
-    learn += overhead_sectors(given.seed, range(0, given.scenes - 9, 10))  # every tenth, in every theme
-    data = TrainingData(
-        join(learn),
-        join(simulated_sectors(given.seed, range(UNSEEN, UNSEEN + given.unseen))),
-        given.unseen,
-        f"python docs/models/scan.py --seed {given.seed} --epochs {given.epochs} --scenes {given.scenes}",
-        DESCRIBED.format(scenes=given.scenes),
-        LIMITS,
-    )
-    print(train_and_write(settings, data, given.out, print).evaluation)
+    with model_files(given.out) as files:
+        learn = simulated_sectors(given.seed, range(given.scenes), settings.turns)
+        learn += overhead_sectors(given.seed, range(0, given.scenes - 9, 10))  # every tenth, in every theme
+        data = TrainingData(
+            join(learn),
+            join(simulated_sectors(given.seed, range(UNSEEN, UNSEEN + given.unseen))),
+            given.unseen,
+            f"python docs/models/scan.py --seed {given.seed} --epochs {given.epochs} --scenes {given.scenes}",
+            DESCRIBED.format(scenes=given.scenes),
+            LIMITS,
+        )
+        print(train_and_write(settings, data, files, print).evaluation)
 
 
 if __name__ == "__main__":

@@ -283,3 +283,26 @@ def test_a_network_from_a_folder_classes_scans(frames, tmp_path):
     used = run("scan", frames / "00000" / POINTS / "000002.bin", "--out", "o", "--set", f"model={out}")
     assert used.exit_code == 0, used.output
     assert f"bumpymap scan FRAME --out DIR --set model={out}" in result.stdout
+
+
+@pytest.mark.slow
+def test_ctrl_c_says_how_to_go_on(frames):
+    pytest.importorskip("torch")
+    from bumpymap.lab.train import scan_net
+
+    draw, drawn = scan_net.draw_epoch, []
+
+    def stop_at_the_second(*arguments):
+        drawn.append(arguments)
+        if len(drawn) == 2:
+            raise KeyboardInterrupt
+        return draw(*arguments)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(scan_net, "draw_epoch", stop_at_the_second)
+        ended = train(frames, "--out", "m.onnx")
+    assert ended.exit_code == 130
+    assert ended.stderr.endswith("Give the same command again to continue after the last complete epoch.\n")
+    again = train(frames, "--out", "m.onnx")
+    assert again.exit_code == 0
+    assert [line.split(":")[0] for line in again.stderr.splitlines()] == ["epoch 2/2"]

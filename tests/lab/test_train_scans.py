@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bumpymap.core.errors import BadInputError, OutputError
+from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.core.scan_types import PolarSettings, Scan
 from bumpymap.lab import LABEL_SETS
 from bumpymap.lab.settings import ScanTrainSettings
@@ -161,13 +161,24 @@ def _sectors(seed, each=60):
 
 def test_a_short_training_learns():
     reports = []
-    net = train(ScanTrainSettings(epochs=4, sectors_per_class=150, batch=24), _sectors(1, 150), reports.append)
+    net = train(ScanTrainSettings(epochs=4, sectors_per_class=150, batch=24), _sectors(1, 150), None, reports.append)
     assert [report.epoch for report in reports] == [1, 2, 3, 4]
     assert reports[-1].loss < 0.6 * reports[0].loss
     scores = evaluate(net, _sectors(2), 7)
     assert scores.every.accuracy > 0.9
     assert (scores.every.count, scores.scans, set(scores.labels)) == (180, 7, {3, 4, 19})
     assert sum(map(sum, scores.labels.values())) == 180
+
+
+def test_a_checkpoint_of_another_training_is_refused(tmp_path):
+    train(replace(SMALL, epochs=1), _sectors(1), tmp_path / "c")
+    with pytest.raises(UsageError, match=r"epochs 1 \(now 2\)"):
+        train(SMALL, _sectors(1), tmp_path / "c")
+    with pytest.raises(UsageError, match="sectors"):
+        train(replace(SMALL, epochs=1), _sectors(1, 61), tmp_path / "c")
+    (tmp_path / "c").write_bytes(b"something else")
+    with pytest.raises(UsageError, match="cannot be read"):
+        train(SMALL, _sectors(1), tmp_path / "c")
 
 
 def test_onnx_says_what_torch_says():

@@ -84,8 +84,15 @@ def test_a_short_training_learns():
     assert score(net, textures.unseen_patches(1, 100, 15)).accuracy > 0.8
 
 
-def test_the_seed_decides_every_bit(small):
-    assert bits(train(SMALL)) == bits(small)
+def test_the_seed_decides_every_bit_and_a_broken_training_goes_on_to_the_same(small, tmp_path):
+    def interrupt(report):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(SMALL, tmp_path / "net.checkpoint", interrupt)
+    reports = []
+    assert bits(train(SMALL, tmp_path / "net.checkpoint", reports.append)) == bits(small)
+    assert [report.epoch for report in reports] == [2]
     assert bits(train(replace(SMALL, seed=2)))["conv1.weight"] != bits(small)["conv1.weight"]
 
 
@@ -120,7 +127,7 @@ def test_command_writes_model_and_card(tmp_path, monkeypatch):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["m.md", "m.onnx"]
 
 
-def test_a_failed_write_leaves_nothing(tmp_path, monkeypatch):
+def test_a_failed_write_leaves_nothing_but_the_checkpoint(tmp_path, monkeypatch):
     def full(descriptor):
         if Path(f"/proc/self/fd/{descriptor}").readlink().suffix == ".onnx":
             raise OSError(28, "No space left on device")
@@ -129,7 +136,8 @@ def test_a_failed_write_leaves_nothing(tmp_path, monkeypatch):
     monkeypatch.setattr(textures, "UNSEEN_PER_TEXTURE", 5)
     with pytest.raises(OutputError, match="No space left"):
         textures.make_model(TrainSettings(epochs=1, patches_per_texture=8), tmp_path / "m.onnx")
-    assert list(tmp_path.iterdir()) == []
+    # The training itself is kept, so that the same command can go on.
+    assert [path.name for path in tmp_path.iterdir()] == ["m.onnx.checkpoint"]
 
 
 @pytest.mark.parametrize(("options", "message"), [("--out=m.pt", ".onnx"), ("--set=network.pixels=5", "at least 9")])

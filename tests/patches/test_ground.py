@@ -14,7 +14,8 @@ from bumpymap.core.config import CsfSettings
 from bumpymap.core.errors import UsageError
 from bumpymap.core.types import OBSTACLE, Barred
 from bumpymap.layers.products import PRODUCT_NAMES
-from bumpymap.patches import close_filter, cloth, mark_ground, require_filter
+from bumpymap.patches import close_filter, mark_ground, require_filter
+from bumpymap.patches.ground import cloth
 from bumpymap.survey import Budget
 from bumpytiles import Grid, TileBuckets
 

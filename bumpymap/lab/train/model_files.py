@@ -1,11 +1,12 @@
-"""Train networks (seeded, on the CPU) and write them: ONNX with reproducible bytes."""
+"""Train networks (seeded, on the CPU, resumable from the last epoch) and write them: ONNX with reproducible bytes."""
 
 import json
 import logging
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -17,10 +18,30 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
-from bumpymap.core import OutputError, atomic
+from bumpymap.core import OutputError, UsageError, atomic, locked
 from bumpymap.lab.settings import LoopSettings
 
 _log = logging.getLogger(__name__)
+
+
+def restore(checkpoint: Path, record: dict[str, Any], net: nn.Module, optimizer: torch.optim.Optimizer) -> int:
+    """Load a checkpoint into a network and its optimizer; return the number of completed epochs.
+
+    A checkpoint of another ``record``, the plain values that determine a training, is a UsageError.
+    """
+    remedy = "Delete it, or choose another --out"
+    try:
+        state = torch.load(checkpoint, map_location="cpu", weights_only=True)
+        found, done = state["record"], int(state["epochs_done"])
+    except Exception as error:  # torch raises many kinds of errors for other files
+        raise UsageError(f"{checkpoint} cannot be read as a checkpoint: {error}. {remedy}") from error
+    if found != record:
+        different = ", ".join(f"{k} {found.get(k)} (now {v})" for k, v in record.items() if found.get(k) != v)
+        raise UsageError(f"{checkpoint} belongs to a training with other settings: {different}. {remedy}")
+    net.load_state_dict(state["network"])
+    optimizer.load_state_dict(state["optimizer"])
+    _log.info("continuing after epoch %d of %s", done, checkpoint)
+    return done
 
 
 Net = TypeVar("Net", bound=nn.Module)
@@ -59,18 +80,22 @@ class Training(Generic[Net]):
     settings: LoopSettings
     make: Callable[[], Net]
     """Make the network with random weights."""
-    epochs: Callable[[], Iterator[EpochData]]
-    """Yield the data of the epochs, one after the other."""
+    epochs: Callable[[range], Iterator[EpochData]]
+    """Yield the data of epochs by number; a resumed training gets the same data for the remaining epochs."""
     rate: Callable[[float], float]
     """Completed share of the training, 0..1 -> learning rate."""
     smoothing: float = 0.0
     """Label smoothing: share of each label that is spread over the other classes."""
+    record: dict[str, Any] = field(default_factory=dict)
+    """Plain values that affect the training in addition to its settings."""
 
-    def run(self, progress: Callable[[EpochReport], None] | None = None) -> Net:
+    def run(self, checkpoint: Path | None = None, progress: Callable[[EpochReport], None] | None = None) -> Net:
         """Train the network.
 
         Parameters
         ----------
+        checkpoint : Path, optional
+            Rewritten after every epoch; if it exists, training resumes from it.
         progress : callable, optional
             Called with a report after every epoch.
 
@@ -78,6 +103,13 @@ class Training(Generic[Net]):
         -------
         Module
             In evaluation mode.
+
+        Raises
+        ------
+        UsageError
+            The checkpoint belongs to a training with other settings.
+        OutputError
+            The checkpoint cannot be written.
         """
         threads = torch.get_num_threads()
         torch.set_num_threads(self.settings.threads)
@@ -86,9 +118,15 @@ class Training(Generic[Net]):
                 torch.manual_seed(self.settings.seed)
                 net = self.make()
             optimizer = torch.optim.AdamW(net.parameters(), lr=0.0, weight_decay=self.settings.weight_decay)
-            for epoch, data in enumerate(self.epochs()):
+            record = json.loads(json.dumps(asdict(self.settings) | self.record))  # lists, as a checkpoint returns them
+            done = restore(checkpoint, record, net, optimizer) if checkpoint and checkpoint.exists() else 0
+            for epoch, data in enumerate(self.epochs(range(done, self.settings.epochs)), done):
                 report = self._run_epoch(net, optimizer, data, epoch)
                 _log.info("epoch %d of %d: loss %.4f", report.epoch, report.epochs, report.loss)
+                if checkpoint:
+                    state = {"record": record, "epochs_done": epoch + 1, "network": net.state_dict()}
+                    with atomic(checkpoint, (RuntimeError,)) as part:
+                        torch.save({**state, "optimizer": optimizer.state_dict()}, part)
                 if progress:
                     progress(report)
         finally:
@@ -131,20 +169,45 @@ class TrainedModel(Generic[Scores]):
     """Number of trained parameters."""
 
 
-def require_writable(out: Path) -> None:
-    """Raise OutputError unless a network can be written there: a training takes its time."""
+@dataclass(frozen=True, slots=True)
+class ModelFiles:
+    """Paths of the files of one training."""
+
+    model: Path
+    """The ONNX file."""
+
+    @property
+    def card(self) -> Path:
+        """The model card, in Markdown."""
+        return self.model.with_suffix(".md")
+
+    @property
+    def checkpoint(self) -> Path:
+        """The file from which an interrupted training resumes."""
+        return self.model.with_name(self.model.name + ".checkpoint")
+
+    def write(self, content: bytes, card: str) -> None:
+        """Write network and card; delete the checkpoint."""
+        with atomic(self.model) as beside:
+            beside.write_bytes(content)
+        with atomic(self.card) as beside:
+            beside.write_text(card, encoding="utf-8")
+        self.checkpoint.unlink(missing_ok=True)
+
+
+@contextmanager
+def model_files(out: Path) -> Iterator[ModelFiles]:
+    """Lock the output folder against a second training of the same network.
+
+    Raises
+    ------
+    OutputError
+        The folder cannot be written, or another training holds the lock.
+    """
     if not (out.parent.is_dir() and os.access(out.parent, os.W_OK)):
         raise OutputError(f"cannot write {out}: {out.parent} is not a writable folder. Choose another --out")
-
-
-def write_model(out: Path, content: bytes, card: str) -> Path:
-    """Write a network, and its card beside it, in Markdown; return the place of the card."""
-    beside = out.with_suffix(".md")
-    with atomic(out) as temporary:
-        temporary.write_bytes(content)
-    with atomic(beside) as temporary:
-        temporary.write_text(card, encoding="utf-8")
-    return beside
+    with locked(out.parent, f".{out.name}.lock"):
+        yield ModelFiles(out)
 
 
 def parameter_count(net: nn.Module) -> int:

@@ -17,17 +17,17 @@ from bumpymap.lab.settings import ScanNetSettings, ScanTrainSettings
 from bumpymap.lab.train.model_files import (
     EpochData,
     EpochReport,
+    ModelFiles,
     OnnxGraph,
     Score,
     TrainedModel,
     Training,
     count_answers,
+    model_files,
     parameter_count,
     percent,
-    require_writable,
     score_table,
     versions,
-    write_model,
 )
 from bumpymap.lab.train.scan_sectors import ScanProgress, Sectors, draw_epoch, folder_frames, folder_sectors
 from bumpymap.lab.train.textures import predict
@@ -88,21 +88,26 @@ class ScanNet(nn.Module):
 
 
 def train(
-    settings: ScanTrainSettings, sectors: Sectors, progress: Callable[[EpochReport], None] | None = None
+    settings: ScanTrainSettings,
+    sectors: Sectors,
+    checkpoint: Path | None = None,
+    progress: Callable[[EpochReport], None] | None = None,
 ) -> ScanNet:
     """Train a network; see `Training.run`. The same settings and sectors give the same bits on the same machine."""
+    counts = np.bincount(sectors.class_id, minlength=3).tolist()
     loop = Training(
         settings,
         lambda: ScanNet(settings.network),
-        lambda: _epochs(settings, sectors),
+        lambda numbers: _epochs(settings, sectors, numbers),
         lambda share: _learning_rate(share, settings.learning_rate),
         smoothing=settings.smoothing,
+        record={"sectors": counts, "sector_version": SECTOR_VERSION},
     )
-    return loop.run(progress)
+    return loop.run(checkpoint, progress)
 
 
-def _epochs(settings: ScanTrainSettings, sectors: Sectors) -> Iterator[EpochData]:
-    for epoch in range(settings.epochs):
+def _epochs(settings: ScanTrainSettings, sectors: Sectors, numbers: range) -> Iterator[EpochData]:
+    for epoch in numbers:
         rng = np.random.default_rng([settings.seed, 4, epoch])
         drawn = draw_epoch(sectors, settings.sectors_per_class, rng)
         patches, measures, class_id = (torch.from_numpy(values) for values in drawn)
@@ -291,7 +296,8 @@ def make_scan_model(
     settings : ScanTrainSettings
         Together with the scans they determine every byte of the file on one machine.
     out : Path
-        The ONNX file. The model card is written next to it (``.md``).
+        The ONNX file. The model card is written next to it (``.md``), and while the job runs a checkpoint
+        (``.checkpoint``), from which the same call resumes after an interruption.
     scans : Path
         A folder in the layout of RELLIS-3D.
     progress : callable, optional
@@ -305,26 +311,28 @@ def make_scan_model(
         A file cannot be written.
     BadInputError
         The folder contains no scans with labels.
+    UsageError
+        A checkpoint of another training exists.
     """
-    require_writable(out)
-    learn, unseen = folder_frames(scans)
-    data = TrainingData(
-        folder_sectors(learn, settings.turns, settings.seed, scan_progress),
-        folder_sectors(unseen, progress=scan_progress),
-        len(unseen),
-        f"bumpymap train scans RELLIS_FOLDER {settings.options}",
-    )
-    return train_and_write(settings, data, out, progress)
+    with model_files(out) as files:
+        learn, unseen = folder_frames(scans)
+        data = TrainingData(
+            folder_sectors(learn, settings.turns, settings.seed, scan_progress),
+            folder_sectors(unseen, progress=scan_progress),
+            len(unseen),
+            f"bumpymap train scans RELLIS_FOLDER {settings.options}",
+        )
+        return train_and_write(settings, data, files, progress)
 
 
 def train_and_write(
     settings: ScanTrainSettings,
     data: TrainingData,
-    out: Path,
+    files: ModelFiles,
     progress: Callable[[EpochReport], None] | None = None,
 ) -> TrainedModel[ScanEvaluation]:
     """Train on sectors, score, and write network and card; see `make_scan_model`."""
-    net = train(settings, data.learn, progress)
+    net = train(settings, data.learn, files.checkpoint, progress)
     evaluation = evaluate(net, data.unseen, data.unseen_scans)
     network = {"sector_version": SECTOR_VERSION, "pixels": PolarSettings().pixels}
     training = {"parameters": parameter_count(net), "seed": settings.seed, "command": data.command}
@@ -334,5 +342,5 @@ def train_and_write(
         "confusion_unseen": evaluation.every.confusion,
     }
     content = to_onnx(net, {**versions("bumpymap-scan"), **network, **training, **scores})
-    card = write_model(out, content, model_card(settings, evaluation, data, (parameter_count(net), len(content))))
-    return TrainedModel(out, card, evaluation, parameter_count(net))
+    files.write(content, model_card(settings, evaluation, data, (parameter_count(net), len(content))))
+    return TrainedModel(files.model, files.card, evaluation, parameter_count(net))

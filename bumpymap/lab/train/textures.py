@@ -29,12 +29,11 @@ from bumpymap.lab.train.model_files import (
     TrainedModel,
     Training,
     count_answers,
+    model_files,
     parameter_count,
     percent,
-    require_writable,
     score_table,
     versions,
-    write_model,
 )
 from bumpymap.rating import FEATURE_VERSION, make_short_waves, make_textures, normalise, remove_plane
 
@@ -300,7 +299,9 @@ class TextureNet(nn.Module):
         return self.head(x).flatten(1)  # (n, 4)
 
 
-def train(settings: TrainSettings, progress: Callable[[EpochReport], None] | None = None) -> TextureNet:
+def train(
+    settings: TrainSettings, checkpoint: Path | None = None, progress: Callable[[EpochReport], None] | None = None
+) -> TextureNet:
     """Train a network; see `Training.run`. The same settings give the same bits on the same machine and libraries."""
 
     def network() -> TextureNet:
@@ -311,15 +312,16 @@ def train(settings: TrainSettings, progress: Callable[[EpochReport], None] | Non
     loop = Training(
         settings,
         network,
-        lambda: _epochs(settings),
+        lambda numbers: _epochs(settings, numbers),
         lambda share: _learning_rate(share, settings.learning_rate),
+        record={"feature_version": FEATURE_VERSION},
     )
-    return loop.run(progress)
+    return loop.run(checkpoint, progress)
 
 
-def _epochs(settings: TrainSettings) -> Iterator[EpochData]:
+def _epochs(settings: TrainSettings, numbers: range) -> Iterator[EpochData]:
     training = training_patches(settings.seed, settings.patches_per_texture, settings.network.pixels)
-    for epoch in range(settings.epochs):
+    for epoch in numbers:
         samples = epoch_samples(training, settings.seed, epoch)
         patches = torch.from_numpy(samples.patches)[:, None].contiguous(memory_format=torch.channels_last)
         count = len(samples.labels)
@@ -511,7 +513,8 @@ def make_model(
     settings : TrainSettings
         They determine every byte of the file on one machine.
     out : Path
-        The ONNX file. The model card is written next to it (``.md``).
+        The ONNX file. The model card is written next to it (``.md``), and during training a checkpoint
+        (``.checkpoint``), from which the same call resumes after an interruption.
     progress : callable, optional
         Called with a report after every epoch.
 
@@ -519,26 +522,28 @@ def make_model(
     ------
     OutputError
         A file cannot be written.
+    UsageError
+        A checkpoint with other settings exists.
     """
-    require_writable(out)
-    net = train(settings, progress)
-    evaluation = evaluate(net, settings.seed, settings.patches_per_texture, UNSEEN_PER_TEXTURE)
-    scores = {
-        "accuracy_unseen": evaluation.unseen.accuracy,
-        "confusion_unseen": evaluation.unseen.confusion,
-        "accuracy_altered_copies": evaluation.augmented_copies.accuracy,
-        "confusion_altered_copies": evaluation.augmented_copies.confusion,
-        "accuracy_short_waves": evaluation.short_waves.accuracy,
-    }
-    network = {
-        "classes": list(settings.network.classes),
-        "pixels": settings.network.pixels,
-        "tile_size": settings.tile_size,
-        "feature_version": FEATURE_VERSION,
-        "channels": list(settings.network.channels),
-        "hidden": settings.network.hidden,
-    }
-    training = {"parameters": parameter_count(net), "seed": settings.seed, "command": settings.command}
-    content = to_onnx(net, {**versions("bumpymap-textures"), **network, **training, **scores})
-    card = write_model(out, content, model_card(settings, evaluation, parameter_count(net), len(content)))
-    return TrainedModel(out, card, evaluation, parameter_count(net))
+    with model_files(out) as files:
+        net = train(settings, files.checkpoint, progress)
+        evaluation = evaluate(net, settings.seed, settings.patches_per_texture, UNSEEN_PER_TEXTURE)
+        scores = {
+            "accuracy_unseen": evaluation.unseen.accuracy,
+            "confusion_unseen": evaluation.unseen.confusion,
+            "accuracy_altered_copies": evaluation.augmented_copies.accuracy,
+            "confusion_altered_copies": evaluation.augmented_copies.confusion,
+            "accuracy_short_waves": evaluation.short_waves.accuracy,
+        }
+        network = {
+            "classes": list(settings.network.classes),
+            "pixels": settings.network.pixels,
+            "tile_size": settings.tile_size,
+            "feature_version": FEATURE_VERSION,
+            "channels": list(settings.network.channels),
+            "hidden": settings.network.hidden,
+        }
+        training = {"parameters": parameter_count(net), "seed": settings.seed, "command": settings.command}
+        content = to_onnx(net, {**versions("bumpymap-textures"), **network, **training, **scores})
+        files.write(content, model_card(settings, evaluation, parameter_count(net), len(content)))
+    return TrainedModel(files.model, files.card, evaluation, parameter_count(net))
