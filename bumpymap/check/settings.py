@@ -18,7 +18,7 @@ class CheckConfig:
     drives: Annotated[
         tuple[str, ...],
         Setting(
-            "Log: CSV or bag; files of one drive by commas",
+            "Log: CSV, bag, ULog; files of one drive by commas",
             "LOG",
             option="drive",
             group="Input",

@@ -1,16 +1,12 @@
-"""Read a recorded drive from tables and bags of ROS 2 and ROS 1, in a process of its own."""
+"""Read a recorded drive from files of any format, in a process of its own."""
 
 import os
 import re
 import threading
-from array import array
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import chain, takewhile
 from pathlib import Path
 from traceback import format_exc
-from typing import Any
-
-import numpy as np
 
 from bumpymap.core import (
     BadInputError,
@@ -23,33 +19,15 @@ from bumpymap.core import (
     free_memory,
     missing_resource,
 )
-from bumpymap.readers.drives.quantities import (
-    ACCELERATIONS,
-    LOCAL,
-    LONLAT,
-    QUATERNION,
-    RATES,
-    TOPICS,
-    unknown_quantities,
-)
-from bumpymap.readers.drives.signals import Floats, Samples, assemble
+from bumpymap.readers.drives.quantities import TOPICS, unknown_quantities
+from bumpymap.readers.drives.recordings import bag_samples, is_ulog, ulog_samples
+from bumpymap.readers.drives.signals import Samples, assemble
 from bumpymap.readers.drives.tables import find_columns, open_table, table_samples
-from bumpymap.readers.frames.raw import BagReader, bag_files, is_bag, is_ros1
+from bumpymap.readers.frames.raw import bag_files, is_bag, is_ros1
 from bumpymap.readers.source import open_source, size_of
 
-_BINARY_LOGS = {
-    b"\xa3\x95": (
-        "a binary log of ArduPilot",
-        "mavlogdump.py --format csv --types IMU {name} > {stem}_imu.csv, the same with --types GPS > {stem}_gps.csv",
-        "{stem}_imu.csv,{stem}_gps.csv",
-    ),
-    b"ULog": (
-        "a ULog of PX4",
-        "ulog2csv -m sensor_combined,vehicle_gps_position {name}",
-        "{stem}_sensor_combined_0.csv,{stem}_vehicle_gps_position_0.csv",
-    ),
-}
-"""First bytes of logs that are not read themselves -> what they are, the command that makes CSV of them, its files."""
+_ARDUPILOT = b"\xa3\x95"
+"""First bytes of every message of its binary logs."""
 SECONDS, SECONDS_PER_BYTE = 10.0, 2e-6
 """CPU time limit of reading a drive, and for each byte of its files: ten times what real ones need."""
 _MEMORY, _MEMORY_PER_BYTE = 1 << 30, 30
@@ -67,7 +45,7 @@ def read_drive(place: str, columns: Mapping[str, str] | None = None) -> DriveLog
     ----------
     place : str
         A file, the folder of a bag, or several files of one drive joined by commas, in any order:
-        ``imu.csv,gnss.csv``. CSV and other tables of text, bags of ROS 2 and ROS 1.
+        ``imu.csv,gnss.csv``. CSV and other tables of text, bags of ROS 2 and ROS 1, ULog.
     columns : mapping, optional
         Quantity -> column, perhaps with its unit: ``{"rate_y": "GyrY[deg/s]", "time": "t[ms]"}``; in bags ``imu``,
         ``gnss`` and ``odometry`` -> topic. An empty name: nothing is read for this quantity. What is not named is found
@@ -175,9 +153,10 @@ def drive_files(place: str) -> list[Path]:
 def _sources(paths: Sequence[Path], wanted: Mapping[str, str]) -> list[Samples]:
     """Read the samples of all files."""
     bags = [path for path in paths if is_bag(path) or is_ros1(path)]
-    texts = [path for path in paths if path not in bags]
+    logs = [path for path in paths if is_ulog(path)]
+    texts = [path for path in paths if path not in {*bags, *logs}]
     for path in texts:
-        _refuse_binary_logs(path)
+        _refuse_ardupilot(path)
     tables = [open_table(path) for path in texts]
     topics = {quantity: name for quantity, name in wanted.items() if quantity in TOPICS}
     if topics and not bags:
@@ -192,149 +171,23 @@ def _sources(paths: Sequence[Path], wanted: Mapping[str, str]) -> list[Samples]:
             f"`columns` names {', '.join(missing)}, which is not there. "
             + (f"Columns of {listed}" if tables else "Columns are named for tables of text, topics for bags")
         )
-    return [*map(table_samples, tables, columns), *(_bag_samples(bags, topics) if bags else [])]
+    return [
+        *map(table_samples, tables, columns),
+        *(bag_samples(bags, topics) if bags else []),
+        *(samples for path in logs for samples in ulog_samples(path)),
+    ]
 
 
-def _refuse_binary_logs(path: Path) -> None:
-    """Raise BadInputError for logs that a program of their own makes CSV of."""
+def _refuse_ardupilot(path: Path) -> None:
+    """Raise BadInputError for the binary logs of ArduPilot, whose readers cannot be shipped with bumpymap."""
     with open_source(path) as stream:
-        head = stream.read(4)
-    for magic, (what, command, files) in _BINARY_LOGS.items():
-        if head.startswith(magic):
-            names = {"name": path.name, "stem": path.stem}
-            raise BadInputError(
-                f"{path} is {what}, which is not read itself. Make CSV files of it: {command.format(**names)}, and "
-                f"give {files.format(**names)}"
-            )
-
-
-def _sorted(values: dict[str, Floats], topic: str, notes: list[str]) -> dict[str, Floats]:
-    """Sort messages by their stamps; a recorder stores them as they arrive."""
-    time = values["time"]
-    if late := int((np.diff(time) < 0.0).sum()):
-        notes.append(f"{late:,} messages of {topic} arrived after later ones and are sorted by their stamps")
-    order = np.argsort(time, kind="stable")
-    return {quantity: each[order] for quantity, each in values.items()}
-
-
-def _read_imu(message: Any) -> tuple[float, ...]:
-    rate, force, turn = message.angular_velocity, message.linear_acceleration, message.orientation
-    # The first covariance is -1 where the sensor does not measure a quantity.
-    has_rate = message.angular_velocity_covariance[0] != -1.0
-    has_force = message.linear_acceleration_covariance[0] != -1.0
-    has_turn = message.orientation_covariance[0] != -1.0
-    return (
-        *((rate.x, rate.y, rate.z) if has_rate else _NONE[:3]),
-        *((force.x, force.y, force.z) if has_force else _NONE[:3]),
-        *((turn.x, turn.y, turn.z, turn.w) if has_turn else _NONE),
+        if stream.read(len(_ARDUPILOT)) != _ARDUPILOT:
+            return
+    raise BadInputError(
+        f"{path} is a binary log of ArduPilot, which is not read itself. Make CSV files of it with pymavlink: "
+        f"mavlogdump.py --format csv --types IMU {path.name} > {path.stem}_imu.csv, the same with --types GPS > "
+        f"{path.stem}_gps.csv, and give {path.stem}_imu.csv,{path.stem}_gps.csv"
     )
-
-
-def _read_fix(message: Any) -> tuple[float, ...]:
-    covariance = message.position_covariance
-    known = message.position_covariance_type > 0
-    variance = 0.5 * (covariance[0] + covariance[4]) if known else np.nan
-    return (message.longitude, message.latitude, max(variance, 0.0) ** 0.5, message.status.status)
-
-
-def _read_odometry(message: Any) -> tuple[float, ...]:
-    pose = getattr(message.pose, "pose", message.pose)
-    twist = getattr(message, "twist", None)
-    place, turn = pose.position, pose.orientation
-    speed = np.nan if twist is None else twist.twist.linear.x
-    return (place.x, place.y, turn.x, turn.y, turn.z, turn.w, speed)
-
-
-def _read_twist(message: Any) -> tuple[float, ...]:
-    return (getattr(message.twist, "twist", message.twist).linear.x,)
-
-
-_NONE = (np.nan,) * 4
-_TYPES: Mapping[str, tuple[str, ...]] = {
-    "imu": ("sensor_msgs/msg/Imu",),
-    "gnss": ("sensor_msgs/msg/NavSatFix",),
-    "odometry": (
-        "nav_msgs/msg/Odometry",
-        "geometry_msgs/msg/PoseStamped",
-        "geometry_msgs/msg/PoseWithCovarianceStamped",
-    ),
-    "twist": ("geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/TwistWithCovarianceStamped"),
-}
-"""Purpose of a topic -> types of its messages, the best one first."""
-_READ: Mapping[str, tuple[tuple[str, ...], Callable[[Any], tuple[float, ...]]]] = {
-    "imu": ((*RATES, *ACCELERATIONS, *QUATERNION), _read_imu),
-    "gnss": ((*LONLAT, "error", "fix"), _read_fix),
-    "odometry": ((*LOCAL, *QUATERNION, "speed"), _read_odometry),
-    "twist": (("speed",), _read_twist),
-}
-"""Purpose of a topic -> quantities that are read of its messages, and how."""
-
-
-def _bag_samples(paths: Sequence[Path], columns: Mapping[str, str]) -> list[Samples]:
-    """Read the topics of bags that a drive needs. Several bags are one recording, or hold its topics between them.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        Files or folders.
-    columns : mapping
-        ``imu``, ``gnss``, ``odometry`` and ``twist`` -> topic; an empty name: none.
-
-    Raises
-    ------
-    BadInputError
-        A bag is damaged, a topic is not there, or several may be meant.
-    UsageError
-        The extra ``ros`` is not installed.
-    """
-    name = ", ".join(path.name for path in paths)
-    bags = [BagReader(path) for path in paths]
-    held: dict[str, tuple[str, int]] = {}
-    for bag in bags:
-        for topic, (kind, count) in bag.topics.items():
-            held[topic] = (kind, count + held.get(topic, (kind, 0))[1])
-    roles = {topic: role for role in _TYPES if (topic := _choose(name, held, role, columns.get(role)))}
-    rows: dict[str, array[float]] = {topic: array("d") for topic in roles}
-    for bag in bags:
-        for record in bag.messages(set(roles) & set(bag.topics)):
-            message = bag.decode(record.data, held[record.topic][0])
-            stamp = message.header.stamp
-            nanoseconds = stamp.sec * 1_000_000_000 + stamp.nanosec or record.time_ns
-            rows[record.topic].append(nanoseconds * 1e-9)
-            rows[record.topic].extend(_READ[roles[record.topic]][1](message))
-    listing = f"{name}: {', '.join(f'{topic} ({kind})' for topic, (kind, _) in sorted(held.items())) or 'no topics'}"
-    found = [Samples(name, listing=listing)]
-    for topic, role in roles.items():
-        quantities, notes = ("time", *_READ[role][0]), list[str]()
-        if rows[topic]:
-            table = np.frombuffer(rows[topic], np.float64).reshape(-1, len(quantities))
-            values = _sorted(dict(zip(quantities, table.T, strict=True)), topic, notes)
-            found.append(Samples(topic, values, {role: topic}, notes))
-    return found
-
-
-def _choose(name: str, topics: Mapping[str, tuple[str, int]], role: str, wanted: str | None) -> str | None:
-    """Return the topic to read for a role: the wanted one, or the only one of the best type."""
-    if wanted == "":
-        return None
-    of_type = {
-        kind: sorted(name for name, (each, count) in topics.items() if each == kind and count) for kind in _TYPES[role]
-    }
-    if wanted is not None:
-        if wanted in topics and topics[wanted][0] in of_type:
-            return wanted
-        listed = ", ".join(name for names in of_type.values() for name in names) or "none"
-        raise BadInputError(
-            f"the bag {name} has no topic {wanted} of type {' or '.join(_TYPES[role])}. Topics of this type with "
-            f"messages: {listed}"
-        )
-    kind, names = next(((kind, names) for kind, names in of_type.items() if names), ("", []))
-    if len(names) > 1:
-        raise BadInputError(
-            f"the bag {name} has several topics of type {kind}: {', '.join(names)}. Name the one to read: "
-            f"`columns='{role}={names[0]}'`; with `columns='{role}='` none is read"
-        )
-    return names[0] if names else None
 
 
 def _reset_after_fork() -> None:

@@ -52,8 +52,8 @@ _NULLS = ["", "nan", "NaN", "NAN", "-nan", "null", "NULL", "None", "N/A", "NA", 
 _MOST_BROKEN = 0.01
 """Share of rows with too many or too few values, remarks among them, that may be left out."""
 _FORMATS = (
-    "A drive is a CSV file in UTF-8 with a header line, or a bag of ROS 2 (.mcap, .db3, or its folder) or ROS 1 "
-    "(.bag); ogr2ogr and gpsbabel make CSV of other tracks"
+    "A drive is a CSV file in UTF-8 with a header line, a bag of ROS 2 (.mcap, .db3, or its folder) or ROS 1 (.bag), "
+    "or a ULog (.ulg); ogr2ogr and gpsbabel make CSV of other tracks"
 )
 
 
