@@ -451,7 +451,7 @@ def map_survey(
     Parameters
     ----------
     surveys : path, or several
-        Files and folders (LAS, LAZ, COPC, PLY, PCD), or URLs; strings or path-like objects.
+        Files and folders (LAS, LAZ, COPC, EPT, PLY, PCD), or URLs; strings or path-like objects.
     out : path, optional
         Folder for the layers. Without one they are temporary, and deleted with the returned object.
     **settings

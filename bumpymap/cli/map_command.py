@@ -53,7 +53,7 @@ def _import() -> None:
 @job("map", MapConfig, clashes=CLASHES)
 @click.argument("surveys", nargs=-1, type=LOCATION, metavar="SURVEY...")
 def command(run: Run) -> None:
-    """Make roughness layers and a cost map from SURVEY files or folders (LAS, LAZ, COPC, PLY, PCD).
+    """Make roughness layers and a cost map from SURVEY files or folders (LAS, LAZ, COPC, EPT, PLY, PCD).
 
     \b
     bumpymap map site.laz --out site_layers

@@ -58,6 +58,7 @@ from .source import (
     Location as Location,
     Version as Version,
     file_changed as file_changed,
+    is_ept as is_ept,
     is_url as is_url,
 )
 from .summary import (

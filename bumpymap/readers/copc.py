@@ -117,11 +117,11 @@ def read_table(stream: BinaryIO, path: Location, header: RawHeader, record: byte
     ends = np.cumsum([min(count, header.point_count) for count in counts], dtype=np.int64)
     held = np.diff(np.minimum(ends, header.point_count), prepend=0)
     found = ChunkTable(held, starts, sizes).rows(held > 0)
-    _refuse_sizes(path, header, found)
+    refuse_sizes(path, header, found)
     return found
 
 
-def _refuse_sizes(path: Location, header: RawHeader, table: ChunkTable) -> None:
+def refuse_sizes(path: Location, header: RawHeader, table: ChunkTable) -> None:
     """Refuse LAZ chunks that declare more points than their bytes can hold, or than can be decoded at once."""
     dense = table.counts - _DENSEST * table.sizes
     if (dense > 0).any():
@@ -190,7 +190,7 @@ _ENTRY = np.dtype(
 )
 _ON_ANOTHER_PAGE = -1
 """Value of ``points`` in an entry that refers to another page instead of a node."""
-_DEEPEST = 30
+DEEPEST = 30
 """Levels of the octree at most."""
 _MOST_PAGES = 100_000
 _REBUILD = "Rebuild the file, for example with: pdal translate IN.laz OUT.copc.laz"
@@ -218,9 +218,9 @@ def read_octree(
         )
     nodes = _read_nodes(stream, path, header, page_at, page_size)
     level = nodes["level"].astype(np.int64)
-    sound = (level >= 0) & (level <= _DEEPEST)
+    sound = (level >= 0) & (level <= DEEPEST)
     for axis in "xyz":
-        sound &= (nodes[axis] >= 0) & (nodes[axis] < 1 << np.clip(level, 0, _DEEPEST))
+        sound &= (nodes[axis] >= 0) & (nodes[axis] < 1 << np.clip(level, 0, DEEPEST))
     held = np.column_stack([chunks.starts, chunks.sizes, chunks.counts])
     told = np.column_stack([nodes[name].astype(np.int64) for name in ("offset", "size", "points")])
     if not (sound.all() and np.array_equal(told[np.argsort(told[:, 0])], held)):
@@ -228,14 +228,10 @@ def read_octree(
             f"the octree of {path} has {nodes.size:,} nodes with {told[:, 2].sum():,} points, which are not its "
             f"{len(held):,} LAZ chunks with {held[:, 2].sum():,} points: damaged. {_REBUILD}"
         )
-    nodes = nodes[_depth_first_order(nodes)]
+    nodes = nodes[depth_first_order(nodes)]
     chosen = chunks.rows(np.searchsorted(chunks.starts, nodes["offset"].astype(np.int64)))
-    if metres_per_unit is None:
-        return chosen
-    low, high = np.array([[x - half, y - half], [x + half, y + half]])
-    sides = (high - low) / np.exp2(nodes["level"])[:, None]
-    corners = low + sides * np.column_stack([nodes["x"], nodes["y"]])
-    return replace(chosen, boxes=np.column_stack([corners, corners + sides]) * metres_per_unit)
+    root = np.array([x - half, y - half, x + half, y + half])
+    return replace(chosen, boxes=node_boxes(nodes, root, metres_per_unit))
 
 
 def _read_nodes(
@@ -270,7 +266,21 @@ def _read_page(stream: BinaryIO, path: Location, header: RawHeader, at: int, siz
     return np.frombuffer(data, _ENTRY)
 
 
-def _depth_first_order(nodes: NDArray[np.void]) -> NDArray[np.int64]:
+def node_boxes(
+    nodes: NDArray[np.void], root: NDArray[np.float64], metres_per_unit: float | None
+) -> NDArray[np.float64] | None:
+    """Return west, south, east and north of nodes, (n, 4), m, from those of the root, (4,), in the unit of the file.
+
+    None if there is no ``metres_per_unit``: the bounds of the nodes are to be ignored.
+    """
+    if metres_per_unit is None:
+        return None
+    sides = (root[2:] - root[:2]) / np.exp2(nodes["level"])[:, None]
+    corners = root[:2] + sides * np.column_stack([nodes["x"], nodes["y"]])
+    return np.column_stack([corners, corners + sides]) * metres_per_unit
+
+
+def depth_first_order(nodes: NDArray[np.void]) -> NDArray[np.int64]:
     """Return the depth-first order: by the path from the root, three bits a level, z last; parents before children."""
     level = nodes["level"].astype(np.int64)
     deepest = int(level.max(initial=0))

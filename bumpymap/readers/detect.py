@@ -4,7 +4,7 @@ import hashlib
 import logging
 import os
 from codecs import getincrementaldecoder
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -15,7 +15,10 @@ from numpy.typing import NDArray
 from bumpymap.core import BadInputError, FileHash
 from bumpymap.readers.protocol import ReadOptions, SurveyReader
 from bumpymap.readers.source import (
+    EPT_NAME,
     Location,
+    Version,
+    is_ept,
     is_url,
     list_folder,
     open_source,
@@ -30,7 +33,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 Kind = Literal["las", "ply", "pcd"]
-_READABLE = "bumpymap reads LAS, LAZ, COPC, PLY and PCD; scans are PLY, PCD, KITTI-style .bin or bags of ROS 2"
+_READABLE = "bumpymap reads LAS, LAZ, COPC, EPT, PLY and PCD; scans are PLY, PCD, KITTI-style .bin or bags of ROS 2"
 _HEAD = 1024
 _HEAD_BYTES = 65_536
 """Bytes at each end of a survey that its digest covers."""
@@ -43,10 +46,6 @@ _FOREIGN = (
     (b"SQLite format 3", "an SQLite database. If it is a bag of ROS 2, name it .db3 for bumpymap scan"),
     (b"#ROSBAG", "a bag of ROS 1. Convert it to one of ROS 2 with rosbags-convert, for bumpymap scan"),
     (b"\x1f\x8b", "a gzip archive. Unpack it first"),
-    (
-        b"{",
-        "a file of JSON. An EPT is made one file by: pdal translate --reader readers.ept IN OUT.copc.laz",
-    ),
     (b"<", "an XML or HTML page; did a download give an error page?"),
 )
 """First bytes of other formats that users may pass by mistake."""
@@ -81,6 +80,10 @@ def open_survey(path: Location, options: ReadOptions = ReadOptions()) -> SurveyR
 
 def reopen_survey(path: Location, options: ReadOptions = ReadOptions()) -> SurveyReader:  # noqa: B008 (as above)
     """Open a point cloud as ``open_survey`` does, without logging its notes: for workers that open it again."""
+    if is_ept(path):
+        from bumpymap.readers.ept import EptSurvey
+
+        return EptSurvey(path, options)
     kind = detect_format(path)
     if kind == "las":
         from bumpymap.readers.las import LasSurvey
@@ -98,19 +101,33 @@ def identity(location: Location) -> dict[str, Any]:
     -------
     dict
         A `Version` (``size`` in bytes, and ``mtime_ns`` of a local file or ``version`` of a URL, both as str) and
-        ``digest``: SHA-256 of the first and the last 64 KiB.
+        ``digest``: SHA-256 of the first and the last 64 KiB. All files of an EPT count as one.
     """
-    version = version_of(location)
-    with pinned_version(location, version):
-        ends = [read_range(location, at, _HEAD_BYTES) for at in (0, max(version["size"] - _HEAD_BYTES, 0))]
-    return {**version, "digest": hashlib.sha256(b"".join(end.tobytes() for end in ends)).hexdigest()}
+    version, read = _bytes_of(location)
+    ends = [read(start, _HEAD_BYTES).tobytes() for start in (0, max(version["size"] - _HEAD_BYTES, 0))]
+    return {**version, "digest": hashlib.sha256(b"".join(ends)).hexdigest()}
 
 
 def hash_survey(path: Path) -> str:
     """Return the checksum of a survey, see `FileHash`; raise BadInputError if it cannot be read."""
-    version = version_of(path)
-    with pinned_version(path, version):
-        return FileHash(version["size"]).finish(lambda start, size: read_range(path, start, size))
+    version, read = _bytes_of(path)
+    return FileHash(version["size"]).finish(read)
+
+
+def _bytes_of(location: Location) -> tuple[Version, Callable[[int, int], NDArray[np.uint8]]]:
+    """Return the version of a survey, and what reads some of its bytes; all files of an EPT count as one."""
+    if is_ept(location):
+        from bumpymap.readers.ept import EptFiles
+
+        files = EptFiles.find(location)
+        return files.version, files.read
+    version = version_of(location)
+
+    def read(start: int, size: int) -> NDArray[np.uint8]:
+        with pinned_version(location, version):
+            return read_range(location, start, size)
+
+    return version, read
 
 
 def _open_table(kind: Kind, path: Location, wanted: "Wanted", memory: int, text_type: Any = None) -> "PointTable":
@@ -203,8 +220,6 @@ def _is_text(head: bytes) -> bool:
 
 SUFFIXES = (".las", ".laz", ".ply", ".pcd")
 """File suffixes that a folder is searched for, in any case (``.laz`` includes ``.copc.laz``)."""
-_NODES = "ept-data"
-"""Folder of the nodes of an EPT (Entwine Point Tile), which WebODM leaves beside the same points in one file."""
 
 
 def find_surveys(paths: Sequence[Location]) -> list[Location]:
@@ -213,8 +228,8 @@ def find_surveys(paths: Sequence[Location]) -> list[Location]:
     Parameters
     ----------
     paths : sequence of Path or str
-        Files (with any suffix) and folders, which are searched recursively for files with ``SUFFIXES``, except hidden
-        ones and the nodes of EPTs. URLs, as str, may be files or folders too.
+        Files (with any suffix) and folders, which are searched recursively for files with ``SUFFIXES`` and ``ept.json``
+        of EPTs, except hidden ones and the nodes of EPTs. URLs, as str, may be files or folders too.
 
     Returns
     -------
@@ -244,17 +259,19 @@ def find_surveys(paths: Sequence[Location]) -> list[Location]:
 
 def _urls_of(url: str) -> list[str]:
     # The server is only asked if the suffix does not decide: every request takes time.
-    files = None if url.lower().endswith(SUFFIXES) else list_folder(url)
+    files = None if is_ept(url) or url.lower().endswith(SUFFIXES) else list_folder(url)
     if files is None:
         return [url]
-    return _some([name for name in files if name.lower().endswith(SUFFIXES) and f"/{_NODES}/" not in name], url)
+    nodes = tuple(f"{name.removesuffix(EPT_NAME)}ept-data/" for name in files if is_ept(name))
+    found = [name for name in files if name.lower().endswith(SUFFIXES) and not name.startswith(nodes)]
+    return _some([*filter(is_ept, files), *found], url)
 
 
 def _some(files: list[Any], folder: Location) -> list[Any]:
     if not files:
         raise BadInputError(
-            f"the folder {folder} holds no point cloud; files ending in {', '.join(SUFFIXES)} are searched for, in its "
-            f"subfolders too (but {_NODES}). A file with another suffix can be given by its own path"
+            f"the folder {folder} holds no point cloud; files ending in {', '.join(SUFFIXES)} and {EPT_NAME} are "
+            "searched for, in its subfolders too. A file with another suffix can be given by its own path"
         )
     return files
 
@@ -273,7 +290,8 @@ def _walk(folder: Path) -> Iterator[Path]:
         raise BadInputError(f"cannot list the folder {error.filename}: {error.strerror}")
 
     for parent, folders, names in os.walk(folder, onerror=refuse):
-        folders[:] = [name for name in folders if not name.startswith(".") and name != _NODES]
+        nodes = "ept-data" if EPT_NAME in names else None
+        folders[:] = [name for name in folders if not name.startswith(".") and name != nodes]
         for name in names:
-            if not name.startswith(".") and name.lower().endswith(SUFFIXES):
+            if not name.startswith(".") and name.lower().endswith((*SUFFIXES, EPT_NAME)):
                 yield Path(parent) / name

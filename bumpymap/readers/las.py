@@ -4,15 +4,18 @@ import math
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import (
     BadInputError,
+    CrsStatement,
     Georeference,
     Place,
     PointCloud,
+    SharedBytes,
     georeference,
 )
 from bumpymap.readers._kernels import (
@@ -203,20 +206,18 @@ class LasSurvey(SurveyReader):
     def _open(self, options: ReadOptions) -> SurveyInfo:
         path = self._path
         with decoding(path, "the header"), open_source(path) as stream:
-            self._raw = raw = read_raw_header(stream, path)
+            raw, statement, around = self._read_header(stream)
+            self._raw = raw
             _refuse_numbers(path, raw)
             middle = None if options.trust_points else _middle(raw)
-            place, notes = georeference(Place(path, middle), statement_of_las(raw), options.given_crs, options.z_unit)
+            place, notes = georeference(Place(path, middle), statement, options.given_crs, options.z_unit)
             bounds = None if options.trust_points else _bounds(raw, place)
             if bounds is not None:
                 refuse_header_bounds(path, bounds)
             self._table: ChunkTable | None = None
             if raw.compressed:
                 self._laszip = laz_record(path, raw)
-                self._table = read_table(stream, path, raw, self._laszip)
-                if raw.is_copc:
-                    unit = None if bounds is None else place.metres_per_unit
-                    self._table = read_octree(stream, path, raw, self._table, unit)
+                self._table = self._read_table(stream, raw, None if bounds is None else place.metres_per_unit)
                 self._ends = np.cumsum(self._table.counts)
         units = (place.metres_per_unit, place.metres_per_unit, place.metres_per_unit_z)
         self._scaling = Scaling(raw.scales, raw.offsets, units)
@@ -230,7 +231,7 @@ class LasSurvey(SurveyReader):
         )
         self._lines = LineRules(measure=options.lines, corrections=options.corrections)
         kind = f"{'LAZ' if raw.compressed else 'LAS'} {raw.version}, point format {raw.point_format}"
-        kind = f"COPC ({kind})" if raw.is_copc else kind
+        kind = f"{around} ({kind})" if around else kind
         notes += _degrees_note(place, raw)
         info = SurveyInfo(path, kind, raw.size, raw.point_count, place, bounds, None, notes)
         low, high = (end * place.metres_per_unit_z for end in (raw.mins[2], raw.maxs[2]))
@@ -238,6 +239,16 @@ class LasSurvey(SurveyReader):
         return replace(
             info, parallel=raw.compressed, header_date=raw.created, heights=heights, class_names=raw.class_names
         )
+
+    def _read_header(self, stream: BinaryIO) -> tuple[RawHeader, CrsStatement, str]:
+        """Return the header, what it states of the CRS, and the name of a format around that of the points."""
+        raw = read_raw_header(stream, self._path)
+        return raw, statement_of_las(raw), "COPC" if raw.is_copc else ""
+
+    def _read_table(self, stream: BinaryIO, raw: RawHeader, metres_per_unit: float | None) -> ChunkTable:
+        """Read where the LAZ chunks are; without their bounds if ``metres_per_unit`` is None."""
+        table = read_table(stream, self._path, raw, self._laszip)
+        return read_octree(stream, self._path, raw, table, metres_per_unit) if raw.is_copc else table
 
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
         """Split the file between points, LAZ chunks, or nodes of the octree, whose chunks have bounds."""
@@ -260,20 +271,24 @@ class LasSurvey(SurveyReader):
         return data.reshape(held, raw.point_size)
 
     def _read_laz(self, part: ChunkTable) -> Records:
-        """Read the bytes of LAZ chunks, adjacent ones with one request; check them, and decode them on all cores."""
+        """Read the bytes of LAZ chunks, adjacent ones with one request, and decode them."""
         compressed = decoder().allocate(int(part.sizes.sum()))
         held = 0
         gaps = np.flatnonzero(part.starts[1:] != part.starts[:-1] + part.sizes[:-1]) + 1
         for starts, sizes in zip(np.split(part.starts, gaps), np.split(part.sizes, gaps), strict=True):
             held += read_into(self._path, int(starts[0]), compressed.data[held : held + int(sizes.sum())])
         refuse_count(self._path, compressed.data.size, held, "bytes of LAZ chunks")
+        return self._decode(self._path, part, compressed)
+
+    def _decode(self, path: Location, part: ChunkTable, compressed: SharedBytes) -> Records:
+        """Check adjacent LAZ chunks, and decode them on all cores."""
         table = list(zip(part.counts.tolist(), part.sizes.tolist(), strict=True))
         at = 0
         for points, size in table:
-            check_layers(self._path, self._raw, compressed.data[at : at + size], points)
+            check_layers(path, self._raw, compressed.data[at : at + size], points)
             at += size
         points, size = int(part.counts.sum()), self._raw.point_size
-        with decoding(self._path, "LAZ chunks"):
+        with decoding(path, "LAZ chunks"):
             return decoder().chunks(self._laszip, table, compressed, points * size).reshape(points, size)
 
     def _part(self, chunk: Chunk, table: ChunkTable) -> ChunkTable:

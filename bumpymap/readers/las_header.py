@@ -217,11 +217,11 @@ def statement_of_las(header: RawHeader) -> CrsStatement:
         return CrsStatement(from_wkt.crs, notes=(note,))
     names = ("WKT record", "GeoTIFF keys")
     if header.wkt_bit:
-        return _joined_statement(from_wkt, from_keys, names)
-    return _joined_statement(from_keys, from_wkt, names[::-1])
+        return joined_statement(from_wkt, from_keys, names)
+    return joined_statement(from_keys, from_wkt, names[::-1])
 
 
-def _joined_statement(chosen: CrsStatement, other: CrsStatement, names: Sequence[str]) -> CrsStatement:
+def joined_statement(chosen: CrsStatement, other: CrsStatement, names: Sequence[str]) -> CrsStatement:
     """Return the first of two statements of a file, with what only the other one says of heights.
 
     A note, with ``names`` of both, says if they differ.

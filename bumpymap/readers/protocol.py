@@ -231,12 +231,19 @@ class SurveyReader(ABC):
         BadInputError
             The header and the points disagree, or points are not on Earth.
         """
-        require_unchanged(self._path, self._version)
+        self._require_unchanged()
         verify(stats, self._info.path, self._info.point_count, self._info.bounds)
         if self._hash is not None and self._hash.checksum is None:
-            with pinned_version(self._path, self._version):
-                self._hash.finish(lambda start, size: read_range(self._path, start, size))
-            require_unchanged(self._path, self._version)
+            self._finish_hash(self._hash)
+            self._require_unchanged()
+
+    def _require_unchanged(self) -> None:
+        require_unchanged(self._path, self._version)
+
+    def _finish_hash(self, own: FileHash) -> None:
+        """Read what no chunk has."""
+        with pinned_version(self._path, self._version):
+            own.finish(lambda start, size: read_range(self._path, start, size))
 
     def take_hashed(self) -> PieceRuns:
         """Return what of the checksum is new since the last call, for a reader of the same file elsewhere or later."""
@@ -288,7 +295,7 @@ class SurveyReader(ABC):
 _MOST_BYTES = 1 << 26
 """Bytes of a chunk in memory at most, unless a single LAZ chunk is larger."""
 MOST_LAZ_CHUNKS = 1000
-"""LAZ chunks of a chunk at most: each may take bytes beside its points."""
+"""LAZ chunks, or nodes of an EPT, of a chunk at most: each may take bytes beside its points."""
 
 
 def chunk_capacity(points: int, point_size: int) -> int:

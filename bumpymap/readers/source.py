@@ -94,6 +94,14 @@ def is_url(location: object) -> bool:
     return isinstance(location, str) and "://" in location
 
 
+EPT_NAME = "ept.json"
+
+
+def is_ept(location: Location) -> bool:
+    """Return whether a path or a URL is that of an EPT: of its file ``ept.json``."""
+    return Path(str(location).partition("?")[0] if is_url(location) else location).name == EPT_NAME
+
+
 class RangeFile(io.RawIOBase):
     """A raw stream of the bytes of a URL, which are read by `read_range`."""
 

@@ -35,7 +35,7 @@ from bumpymap.layers import (
     verified_record,
 )
 from bumpymap.patches import filter_version
-from bumpymap.readers import Location, SurveyInfo, hash_survey, identity, is_url
+from bumpymap.readers import Location, SurveyInfo, hash_survey, identity, is_ept, is_url
 from bumpymap.survey.engine import Budget, MeasuredTiles
 from bumpymap.survey.flight_lines import FlightLines
 from bumpymap.survey.inputs import SurveyInputs
@@ -136,7 +136,8 @@ def survey_record(
 def _name(given: Sequence[Location], files: Sequence[Location]) -> str:
     paths = [_path(file) for file in files]
     if len(paths) == 1:
-        return paths[0].stem.removesuffix(".copc") or paths[0].name
+        path = paths[0]
+        return path.parent.name if is_ept(path) else path.stem.removesuffix(".copc") or path.name
     folders = {path.parent for path in paths} if len(given) > 1 else {_path(given[0])}
     name = folders.pop().name if len(folders) == 1 else ""
     return name or f"{len(files)} files"

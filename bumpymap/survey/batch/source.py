@@ -30,7 +30,7 @@ from bumpymap.core import (
 )
 from bumpymap.layers import BATCH_NAMES
 from bumpymap.rating import Calibration, find_calibration
-from bumpymap.readers import find_surveys
+from bumpymap.readers import find_surveys, is_ept
 from bumpymap.survey.batch.settings import OWN_SETTINGS, SurveyPer
 
 _log = logging.getLogger(__name__)
@@ -111,11 +111,14 @@ def plain_name(name: str) -> str:
 
 
 def _path(survey: Path | str) -> PurePosixPath | Path:
-    """Return the path of a survey; of a URL without user and query, which may hold a key."""
+    """Return the path of a survey, which for EPT is a folder; of a URL without user and query, which may hold a key."""
+    path: Path | PurePosixPath
     if isinstance(survey, Path):
-        return survey
-    parts = urlsplit(survey)
-    return PurePosixPath(f"{parts.netloc.rpartition('@')[2]}{parts.path}")
+        path = survey
+    else:
+        parts = urlsplit(survey)
+        path = PurePosixPath(f"{parts.netloc.rpartition('@')[2]}{parts.path}")
+    return path.parent if is_ept(survey) else path
 
 
 def _clean(name: str) -> str:

@@ -156,6 +156,7 @@ def test_names_differ_and_can_be_those_of_folders(parts):
     [
         (["north.laz", "deep/south.copc.laz", "x.y.las"], None, ["north", "south", "x.y"]),
         (["m/site.laz", "t/site.laz", "other.laz"], None, ["m_site", "t_site", "other"]),
+        (["site/ept.json", "m/site/ept.json", "pit/ept.json"], None, ["site", "m_site", "pit"]),
         (["site.las", "site.laz"], None, ["site", "site_2"]),
         (["a.laz", "b/a.laz"], ["a", None], ["a", "b_a"]),
     ],
