@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import rasterio
 from alike_surveys import alike_surveys
+from bumpymap.patches.ground import cloth
 from click.testing import CliRunner
 from small_surveys import write_las
 
@@ -15,7 +16,6 @@ from bumpymap.core.errors import UsageError
 from bumpymap.core.types import OBSTACLE, Barred
 from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.patches import close_filter, mark_ground, require_filter
-from bumpymap.patches.ground import cloth
 from bumpymap.survey import Budget
 from bumpytiles import Grid, TileBuckets
 
