@@ -15,6 +15,8 @@ survey, between which nothing has changed, give |z| > 3 a little more often than
 
 A ride cost may jump although the ground has not moved: a stone lies in or out of a wheel's way, a border step is just
 seen or just not. So a change of the ride counts only where the heights say, by themselves, that the ground has changed.
+There alone it is tested, and what the ride cost does by chance is read off the ground that has not changed: intervals
+hold errors that both surveys make alike. "As before" is a finding too: the ratio is bounded. What is neither is open.
 """
 
 import warnings
@@ -81,8 +83,6 @@ def hold_false_discoveries(probability: Floats, share: float) -> NDArray[np.bool
 
 _STRIP_PIXELS = 1 << 20
 """Most pixels that are compared at once."""
-_SEEN = 0.5
-"""Share of the cells of a tile that both surveys should have seen."""
 _LEAST_SIDE = 5
 """Fewest cells along a tile."""
 
@@ -90,8 +90,8 @@ _LEAST_SIDE = 5
 def cell_pixels(pair: SurveyPair, shared: NDArray[np.bool_], coverage: NDArray[np.floating]) -> int:
     """Return how many pixels make the side of a cell in which heights are compared.
 
-    One, unless the surveys are so thin that few pixels hold points of both: then pixels are taken together, so that
-    most cells do.
+    The number that leaves most pairs of neighbouring cells that hold points of both: thin surveys are compared in
+    squares of several pixels.
 
     ``shared`` (rows, cols): tiles that both surveys have; ``coverage`` (rows, cols): share of the pixels that hold
     points of both, if they fell at random: the product of both coverages.
@@ -99,7 +99,7 @@ def cell_pixels(pair: SurveyPair, shared: NDArray[np.bool_], coverage: NDArray[n
     pixels = pair.before.grid.pixels
     factors = [factor for factor in range(1, pixels // _LEAST_SIDE + 1) if pixels % factor == 0]
     seen = float(np.nanmedian(coverage[shared])) if shared.any() else 1.0
-    return next((factor for factor in factors if 1.0 - (1.0 - seen) ** (factor**2) >= _SEEN), factors[-1])
+    return max(factors, key=lambda factor: (1.0 - (1.0 - seen) ** (factor**2)) / factor)
 
 
 def height_offset(pair: SurveyPair, cell: int) -> float:
@@ -179,17 +179,27 @@ class CommonError:
         return self.model_error * of_ground
 
 
-def ride_z(before: Bands, after: Bands, common: CommonError | None = None) -> Floats:
-    """Return the difference of ln c_r over its combined spread; the spreads are those of the 80 % intervals of ln c_r.
+@dataclass(frozen=True, slots=True)
+class RideChange:
+    """Differences of ln c_r, after minus before; NaN where one of the two is unknown or not positive."""
 
-    ``before``, ``after``: ``c_r``, ``c_r_low`` and ``c_r_high``, rad/m; ``common``: taken off both spreads. Returns NaN
-    where one of the two is unknown or not positive.
-    """
-    shared = common or CommonError()
-    with np.errstate(divide="ignore", invalid="ignore"):
-        (first, of_first), (second, of_second) = (_log_and_spread(bands, shared) for bands in (before, after))
-        z = (second - first) / np.hypot(of_first, of_second)
-    return np.where(np.isfinite(z), z, np.nan)
+    log_ratio: Floats
+    """Any shape."""
+    sd: Floats
+    """Combined spread of both, of the same shape."""
+
+    @classmethod
+    def of(cls, before: Bands, after: Bands, common: CommonError | None = None) -> "RideChange":
+        """Compare ``c_r``, ``c_r_low`` and ``c_r_high`` [rad/m]; the spreads are those of the 80 % intervals of ln c_r.
+
+        ``common``: taken off both spreads.
+        """
+        shared = common or CommonError()
+        with np.errstate(divide="ignore", invalid="ignore"):
+            (first, of_first), (second, of_second) = (_log_and_spread(bands, shared) for bands in (before, after))
+            ratio, sd = second - first, np.hypot(of_first, of_second)
+            known = np.isfinite(ratio / sd)
+        return cls(np.where(known, ratio, np.nan), np.where(known, sd, np.nan))
 
 
 def _log_and_spread(bands: Bands, common: CommonError) -> tuple[Floats, Floats]:
@@ -281,7 +291,11 @@ def _ratio(total: Floats, square: Floats) -> Floats:
     return np.asarray(total / np.sqrt(np.where(square > 0.0, square, 1.0)))
 
 
-_AS_BEFORE, _ROUGHER, _SMOOTHER, _UNKNOWN = range(1, 5)
+_AS_BEFORE, _ROUGHER, _SMOOTHER, _UNKNOWN, _OPEN = range(1, 6)
+_FEW = 100
+"""Fewer unchanged tiles tell no spread of the ride cost: that of the intervals is taken."""
+SAME_RIDE = 1.5
+"""Most ratio of two ride costs that are alike."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,28 +309,32 @@ class Decision:
     code: Floats
     """Position in ``CHANGE_KINDS``."""
     widened: dict[str, float]
-    """By how much the spread of each z was too narrow, at least 1."""
+    """Spread of each z over the expected one: at least 1, of the ride cost at least one half."""
 
 
-def decide(ground: GroundChange, z_c_r: Floats, fdr: float) -> Decision:
+def decide(ground: GroundChange, ride: RideChange, fdr: float) -> Decision:
     """Find the tiles that have changed.
 
-    ``ground``: of all tiles, (rows, cols); ``z_c_r`` (rows, cols): from `ride_z`; NaN where a ride is unknown; ``fdr``:
-    share of false discoveries, for the ground and again for the ride.
+    ``ground``, ``ride``: of all tiles, (rows, cols); ``fdr``: share of false discoveries, for the ground and again for
+    the ride.
     """
-    widened = {"height": widening(ground.z_height), "shape": widening(ground.z_shape), "c_r": widening(z_c_r)}
+    widened = {"height": widening(ground.z_height), "shape": widening(ground.z_shape)}
     height = ground.z_height / widened["height"]
     # What all tiles have in common is no change of any: a shift of one survey makes every shape differ a little.
     known = ground.z_shape[np.isfinite(ground.z_shape)]
     common = max(0.0, float(np.median(known))) if len(known) else 0.0
     shape = (ground.z_shape - common) / widened["shape"]
-    ride = z_c_r / widened["c_r"]
     of_ground = np.minimum(1.0, 2.0 * np.fmin(two_sided(height), upper_sided(shape)))
     moved = hold_false_discoveries(of_ground, fdr)
-    of_ride = np.maximum(of_ground, two_sided(ride))
-    rides = moved & hold_false_discoveries(of_ride, fdr)
-    code = np.where(moved, _AS_BEFORE, 0).astype(np.float64)
-    code[moved & np.isnan(ride)] = _UNKNOWN
-    code[rides] = np.where(ride[rides] > 0.0, _ROUGHER, _SMOOTHER)
+    z = ride.log_ratio / ride.sd
+    still = np.abs(z[np.isfinite(z) & np.isfinite(of_ground) & ~moved])
+    usual = _NORMAL_MAD * float(np.median(still)) if len(still) else 1.0
+    widened["c_r"] = max(usual, 1.0 if len(still) < _FEW else _LEAST_OWN)
+    z = z / widened["c_r"]
+    rides = hold_false_discoveries(np.where(moved, two_sided(z), np.nan), fdr)
+    bounded = np.abs(ride.log_ratio) + NORMAL_80 * widened["c_r"] * ride.sd <= np.log(SAME_RIDE)
+    code = np.where(moved, np.where(bounded, _AS_BEFORE, _OPEN), 0).astype(np.float64)
+    code[moved & np.isnan(z)] = _UNKNOWN
+    code[rides] = np.where(z[rides] > 0.0, _ROUGHER, _SMOOTHER)
     code[np.isnan(of_ground)] = np.nan
-    return Decision(height, shape, ride, code, widened)
+    return Decision(height, shape, z, code, widened)

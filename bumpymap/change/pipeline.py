@@ -18,11 +18,11 @@ from bumpymap.change.compare import (
     CommonError,
     Decision,
     GroundChange,
+    RideChange,
     cell_pixels,
     decide,
     ground_changes,
     height_offset,
-    ride_z,
 )
 from bumpymap.change.settings import DiffConfig
 from bumpymap.core import (
@@ -245,7 +245,7 @@ def find_changes(config: DiffConfig, progress: Progress | None = None) -> Change
     # Both have one calibration, or they could not be compared; one may say nothing of its error.
     first, second = (CommonError.of(site.manifest) for site in (pair.before, pair.after))
     before, after = ((side.c_r, side.c_r_low, side.c_r_high) for side in surveys)
-    ride = ride_z(before, after, first if first == second else CommonError())
+    ride = RideChange.of(before, after, first if first == second else CommonError())
     decision = decide(ground, ride, config.fdr)
     field, dropped = _field(pair, surveys, ground, decision, config.min_tiles)
     fit = _fit(pair, surveys, shared, decision) | {
@@ -441,7 +441,7 @@ def _describe(tiles: Mapping[str, NDArray[Any]], area_m2: float) -> dict[str, An
 
 
 _KINDS = range(1, len(CHANGE_KINDS))
-_FIRST = (2, 4, 3, 1)
+_FIRST = (2, 4, 5, 3, 1)
 """Kinds in the order in which they stand for a place where several have most tiles: rougher, unknown, and so on."""
 
 

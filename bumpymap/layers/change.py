@@ -133,7 +133,7 @@ def _heightmaps(site: MapReader, window: TileWindow) -> NDArray[np.float32]:
     return np.ascontiguousarray(parts.swapaxes(1, 2))
 
 
-_CHANGED = "0 not changed, 1 ground changed but not the ride, 2 ride rougher, 3 ride smoother, 4 unknown in one survey"
+_CHANGED = "0 not changed, 1 ride as before, 2 rougher, 3 smoother, 4 ride unknown in one survey, 5 ride not decided"
 _BANDS = (
     BandSpec("d_c_r", "rad/m", "ride cost after minus before"),
     BandSpec("z_c_r", "", "difference of ln c_r over its combined spread"),
@@ -161,7 +161,8 @@ class ChangeField:
     z_height: NDArray[np.float32]
     z_shape: NDArray[np.float32]
     changed: NDArray[np.float32]
-    """0 not changed; 1 ground changed, ride as before; 2 rougher; 3 smoother; 4 ground changed, one ride unknown."""
+    """0 not changed; 1 ground changed, ride as before; 2 rougher; 3 smoother; 4 ground changed, one ride unknown;
+    5 ground changed, ride not decided."""
     area: NDArray[np.int32]
     """Number of the connected change that a tile belongs to, 1..m; 0: none."""
     regions: tuple[Mapping[str, Any], ...]

@@ -30,7 +30,7 @@ from bumpymap.views.words import area, number, share, shares, signed, survey_nam
 
 NOT_COMPARED = 16
 """Value of ``kinds`` where the surveys could not be compared."""
-_RANK = (NOT_COMPARED, 1, 3, 4, 2)
+_RANK = (NOT_COMPARED, 1, 3, 5, 4, 2)
 """Order of the kinds in a pixel of several tiles: each counts before those to its left and before unchanged tiles."""
 _SIDE = 1_500
 """Most pixels of the grids along a side."""
@@ -309,10 +309,11 @@ def _dates(run: Mapping[str, Any]) -> str | None:
 
 _MEANING = {
     "not changed": "no change was found; one smaller than the noise stays unseen",
-    "ground changed, ride as before": "the ground has another height or shape; no change of the ride was found",
+    "ground changed, ride as before": "the ground has another height or shape; the ride costs differ by less than 1.5 times",
     "rougher": "the ground has changed and is rougher to ride on",
     "smoother": "the ground has changed and is smoother to ride on",
     "ground changed, ride unknown": "the ground has changed; the ride over it is not known in one survey or in both",
+    "ground changed, ride not decided": "the ground has changed; the ride may have, within what the points leave open",
 }
 
 
