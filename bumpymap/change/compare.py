@@ -102,10 +102,268 @@ def cell_pixels(pair: SurveyPair, shared: NDArray[np.bool_], coverage: NDArray[n
     return max(factors, key=lambda factor: (1.0 - (1.0 - seen) ** (factor**2)) / factor)
 
 
-def height_offset(pair: SurveyPair, cell: int) -> float:
+@dataclass(frozen=True, slots=True)
+class Registration:
+    """How the later survey lies to the earlier one: in plan and tilted. Zeros where nothing is taken off it."""
+
+    shift_m: Floats
+    """(2,) eastwards and northwards."""
+    tilt: Floats
+    """(2,) rise of the difference per metre eastwards and northwards."""
+    found_shift_m: Floats
+    """(2,) as measured; NaN if the ground has too little relief to tell."""
+    shift_sd_m: Floats
+    """(2,)"""
+    found_tilt: Floats
+    """(2,) as measured; NaN if it cannot be told."""
+    tilt_sd: float
+    """Of its steeper direction."""
+    stable: int
+    """Tiles that it rests on."""
+
+    @classmethod
+    def none(cls) -> "Registration":
+        """Return what takes nothing off."""
+        unknown = np.full(2, np.nan)
+        return cls(np.zeros(2), np.zeros(2), unknown, unknown, unknown, float("nan"), 0)
+
+
+def register(pair: SurveyPair, shared: NDArray[np.bool_], cell: int) -> Registration:
+    """Find how the later survey is shifted in plan and tilted, from ground that has not changed.
+
+    A shift d makes heights differ by -d times the gradient of the ground (Nuth and Kaab 2011, The Cryosphere 5, in
+    its linear form), a tilt by a plane. Both are found by weighted least squares over all cells of a sample of tiles,
+    again from where whole pixels of the shift put the later survey. A noisy gradient would make shifts too small, so
+    that of one survey is the instrument for that of the other: their noise is independent. Cells that lie far off
+    count less (Huber), and tiles whose median lies far off have changed and count for nothing.
+
+    What is not clearly above its own standard error, from sums over blocks of tiles, is not taken off.
+
+    ``shared`` (rows, cols): tiles that both surveys have; ``cell``: from `cell_pixels`.
+    """
+    blocks = _sample(pair, shared)
+    coarse = 3 if pair.before.grid.pixels % 3 == 0 and pair.before.grid.pixels >= 3 * _LEAST_SIDE else cell
+    found, both = np.zeros(5), np.ones(5, np.bool_)
+    fit = _fit_plane(pair, blocks, max(cell, coarse), found, both, _ROUNDS // 2)
+    if fit is not None and fit.relief > _LEAST_RELIEF:
+        fit = _fit_plane(pair, blocks, cell, fit.values, both, _ROUNDS)
+    shift, shift_sd = np.full(2, np.nan), np.full(2, np.nan)
+    is_sure = False
+    if fit is not None and fit.relief > _LEAST_RELIEF:
+        sd = np.sqrt(np.diag(fit.covariance)[3:])
+        if (sd < _MOST_SHIFT_SD_M).all() and (np.abs(fit.values[3:]) < _MOST_SHIFT_M).all():
+            shift, shift_sd = fit.values[3:], sd
+            is_sure = _is_sure(shift, fit.covariance[3:, 3:])
+    if not is_sure:
+        both[3:] = False
+        fit = _fit_plane(pair, blocks, cell, found, both, _ROUNDS)
+    if fit is None:
+        return Registration.none()
+    tilt, of_tilt = fit.values[1:3], fit.covariance[1:3, 1:3]
+    none = np.zeros(2)
+    return Registration(
+        shift if is_sure else none,
+        tilt if _is_sure(tilt, of_tilt) else none,
+        shift,
+        shift_sd,
+        tilt,
+        float(np.sqrt(np.linalg.eigvalsh(of_tilt)[-1])),
+        fit.stable,
+    )
+
+
+_BLOCK, _MOST_BLOCKS = 4, 128
+"""Tiles along a block of the sample, and most blocks."""
+_ROUNDS = 12
+_LEAST_RELIEF = 5.0
+"""Common part of both gradients over its standard error, in the direction that has least: less tells no shift."""
+_MOST_SHIFT_SD_M, _MOST_SHIFT_M = 0.05, 2.0
+_SURE = 13.8
+"""Chi squared of two unknowns that noise exceeds once in a thousand."""
+_HUBER, _TRIM = 1.5, 3.0
+_FEW_BLOCKS = 30
+"""Fewer blocks tell no standard error: that from tiles is taken."""
+
+
+@dataclass(frozen=True, slots=True)
+class _PlaneFit:
+    values: Floats
+    """(5,) height, rise eastwards and northwards, shift eastwards and northwards."""
+    covariance: Floats
+    relief: float
+    stable: int
+
+
+def _is_sure(values: Floats, covariance: Floats) -> bool:
+    return bool(values.any() and values @ np.linalg.pinv(covariance) @ values > _SURE)
+
+
+def _sample(pair: SurveyPair, shared: NDArray[np.bool_]) -> list[TileWindow]:
+    """Return blocks of tiles that both surveys have, evenly spread."""
+    window = pair.window
+    rows, cols = -(-window.rows // _BLOCK), -(-window.cols // _BLOCK)
+    room = np.zeros((rows * _BLOCK, cols * _BLOCK), np.bool_)
+    room[: window.rows, : window.cols] = shared
+    filled = np.flatnonzero(room.reshape(rows, _BLOCK, cols, _BLOCK).any(axis=(1, 3)).ravel())
+    chosen = filled[np.unique(np.linspace(0, len(filled) - 1, _MOST_BLOCKS).round().astype(np.int64))]
+    top = window.row + window.rows
+    return [
+        TileWindow(window.col + _BLOCK * (one % cols), top - _BLOCK * (one // cols + 1), _BLOCK, _BLOCK)
+        for one in chosen.tolist()
+    ]
+
+
+def _fit_plane(
+    pair: SurveyPair, blocks: list[TileWindow], cell: int, begin: Floats, fitted: NDArray[np.bool_], rounds: int
+) -> _PlaneFit | None:
+    """Fit height, tilt and shift; None if too few cells can be compared. ``fitted`` (5,): which of them."""
+    values, pixel = begin.copy(), pair.before.grid.tile_size / pair.before.grid.pixels
+    limit, names = np.inf, np.flatnonzero(fitted)
+    whole, layers, block = np.full(2, np.nan), np.empty(0), np.empty(0, np.int64)
+    for _ in range(rounds):
+        if not (np.abs(values[3:] - whole) <= _STAY * pixel).all():
+            whole = np.round(values[3:] / pixel) * pixel
+            layers, block = _layers(pair, blocks, cell, whole)
+        sums = _sums(layers, np.concatenate([values[:3], values[3:] - whole]), limit)
+        matrix, vector = (part.sum(axis=0)[names] for part in (sums.normal, sums.right))
+        matrix = matrix[:, names]
+        if np.linalg.matrix_rank(matrix, hermitian=True) < len(names):
+            return None
+        before, values = values, np.zeros(5)
+        values[names] = np.linalg.solve(matrix, vector)
+        rest = values.copy()
+        values = np.clip(values + np.concatenate([np.zeros(3), whole]), -_ENDS, _ENDS)
+        settled, limit = np.isfinite(limit), _TRIM * max(_NORMAL_MAD * float(np.median(np.abs(sums.middle))), _FLOOR_M)
+        if settled and (np.abs(values - before) < _CLOSE).all():
+            break
+    left = (sums.right - sums.normal @ rest)[:, names]
+    if block[-1] >= _FEW_BLOCKS:
+        left = np.stack([np.bincount(block, weights=one) for one in left.T], axis=1)
+    inverse = np.linalg.inv(matrix)
+    covariance = np.zeros((5, 5))
+    covariance[np.ix_(names, names)] = inverse @ (left.T @ left) @ inverse
+    relief = sums.normal[:, 3:, 3:]
+    direction = np.linalg.eigh(relief.sum(axis=0))[1][:, 0]
+    common = np.einsum("i,nij,j->n", direction, relief, direction)
+    return _PlaneFit(
+        values, covariance, float(common.sum() / max(np.sqrt((common**2).sum()), 1e-12)), int(sums.used.sum())
+    )
+
+
+_STAY = 0.6
+"""Shift left over, in pixels, from which the later survey is moved anew: more than one half, or it goes to and fro."""
+_CLOSE = np.array([1e-4, 1e-7, 1e-7, 1e-4, 1e-4])
+"""A step that is smaller, m and m/m, is the last one."""
+_ENDS = np.array([np.inf, np.inf, np.inf, 1.5 * _MOST_SHIFT_M, 1.5 * _MOST_SHIFT_M])
+
+
+def _layers(pair: SurveyPair, blocks: list[TileWindow], cell: int, whole: Floats) -> tuple[Floats, NDArray[np.int64]]:
+    """Return what a fit needs of each cell, tile by tile, and the number of the block of each tile.
+
+    Returns (n, cells, 7): east and north of the middle, m, both gradients (eastwards, northwards) of the earlier and
+    of the later survey, and the difference of the heights, m; and (n,). Tiles with too few cells are left out.
+    """
+    side = pair.before.grid.pixels // cell
+    parts, numbers = [], []
+    for number, block in enumerate(blocks):
+        first, second = _mosaics(pair, block, cell, whole)
+        slopes = (*_gradient(first, pair.cell_m(cell)), *_gradient(second, pair.cell_m(cell)))
+        inner = [one[side:-side, side:-side] for one in (*slopes, second - first)]
+        place = [np.broadcast_to(one, inner[0].shape) for one in _middles(pair, block, cell)]
+        found = np.stack([_tiles(one, side) for one in (*place, *inner)], axis=-1).reshape(-1, side**2, 7)
+        enough = np.isfinite(found).all(axis=-1).sum(axis=1) >= LEAST_CELLS
+        parts.append(found[enough])
+        numbers.append(np.full(int(enough.sum()), number))
+    return np.concatenate(parts), np.concatenate(numbers)
+
+
+@dataclass(frozen=True, slots=True)
+class _Sums:
+    """What each tile adds to the normal equations."""
+
+    middle: Floats
+    """(n,) median residual, m."""
+    used: NDArray[np.bool_]
+    normal: Floats
+    """(n, 5, 5)"""
+    right: Floats
+    """(n, 5)"""
+
+
+def _sums(layers: Floats, at: Floats, limit: float) -> _Sums:
+    known = np.asarray(np.isfinite(layers).all(axis=-1))
+    layers = np.where(known[:, :, None], layers, 0.0)
+    plane = [np.ones_like(layers[:, :, :1]), layers[:, :, :2]]
+    own, other = (np.concatenate([*plane, -layers[:, :, first : first + 2]], axis=-1) for first in (2, 4))
+    residual = np.where(known, layers[:, :, 6] - 0.5 * (own + other) @ at, np.nan)
+    middle = _median(residual)
+    spread = np.maximum(_NORMAL_MAD * _median(np.abs(residual - middle[:, None])), _FLOOR_M)[:, None]
+    used = np.abs(middle) <= limit
+    near = np.minimum(1.0, _HUBER * spread / np.maximum(np.abs(residual), 1e-12))
+    weight = np.where(known & used[:, None], near / spread**2, 0.0)[:, :, None]
+    normal = np.swapaxes(own * weight, 1, 2) @ other
+    # Not the residual: its gradient has the noise of the instrument.
+    right = (0.5 * (own + other) * weight * layers[:, :, 6:]).sum(axis=1)
+    return _Sums(middle, used, 0.5 * (normal + np.swapaxes(normal, 1, 2)), right)
+
+
+def _median(values: Floats) -> Floats:
+    """Return the median of each row, (n, m) -> (n,), NaN left out; each has a value."""
+    ranked, count = np.sort(values, axis=1), np.isfinite(values).sum(axis=1)
+    row = np.arange(len(values))
+    return np.asarray(0.5 * (ranked[row, (count - 1) // 2] + ranked[row, count // 2]))
+
+
+def _middles(pair: SurveyPair, window: TileWindow, cell: int) -> tuple[Floats, Floats]:
+    """Return how far the cells of a window lie east (1, cols) and north (rows, 1) of the middle of the surveys, m."""
+    size, side = pair.before.grid.tile_size, pair.before.grid.pixels // cell
+    west = window.col - (pair.window.col + 0.5 * pair.window.cols)
+    top = window.row + window.rows - (pair.window.row + 0.5 * pair.window.rows)
+    east, south = ((np.arange(count * side) + 0.5) / side for count in (window.cols, window.rows))
+    return size * (west + east)[None, :], size * (top - south)[:, None]
+
+
+def _mosaics(pair: SurveyPair, window: TileWindow, cell: int, shift_m: Floats) -> tuple[Floats, Floats]:
+    """Return the heights of both surveys in cells, with one tile more on each side, (rows, cols).
+
+    The later survey is moved back by ``shift_m``, to the nearest whole pixel.
+    """
+    grid = pair.before.grid
+    east, north = np.round(shift_m * grid.pixels / grid.tile_size).astype(np.int64).tolist()
+    around = TileWindow(window.col - 1, window.row - 1, window.cols + 2, window.rows + 2)
+    before, after = pair.heights(around)
+    if east or north:
+        pad = max(abs(east), abs(north))
+        wide = np.pad(after, pad, constant_values=np.nan)
+        after = wide[pad - north : pad - north + len(after), pad + east : pad + east + after.shape[1]]
+    return coarsen(before, cell), coarsen(after, cell)
+
+
+def _gradient(heights: Floats, size: float) -> tuple[Floats, Floats]:
+    """Return the rise eastwards and northwards, m/m, from the three cells on either side of each; NaN at the edge.
+
+    The cell itself does not count, so that its error is none of the gradient's.
+    """
+    out = []
+    for z in (heights, heights.T):
+        wide = np.pad(z, 1, constant_values=np.nan)
+        rows = np.stack([wide[:-2], wide[1:-1], wide[2:]])
+        count = np.isfinite(rows).sum(axis=0)
+        line = np.nansum(rows, axis=0) / np.where(count > 0, count, np.nan)
+        out.append((line[:, 2:] - line[:, :-2]) / (2.0 * size))
+    return out[0], -out[1].T
+
+
+def _tiles(mosaic: Floats, side: int) -> Floats:
+    """Cut a mosaic into tiles of ``side`` x ``side`` cells, (n, side, side), north row first."""
+    rows, cols = (length // side for length in mosaic.shape)
+    return mosaic.reshape(rows, side, cols, side).swapaxes(1, 2).reshape(-1, side, side)
+
+
+def height_offset(pair: SurveyPair, cell: int, registration: Registration) -> float:
     """Return the median, over the tiles, of the median height difference of a tile, m; NaN if none can be compared."""
     middles = []
-    for _, difference in _differences(pair, cell):
+    for _, difference in _differences(pair, cell, registration):
         enough = np.isfinite(difference).sum(axis=(1, 2)) >= LEAST_CELLS
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # tiles without a value
@@ -120,34 +378,52 @@ class GroundChange:
 
     d_height: Floats
     """(n,) mean difference of the heights, m."""
+    d_largest: Floats
+    """(n,) difference farthest from 0 that two neighbouring pixels both reach, m; 0 if no two have the same sign."""
     z_height: Floats
     """(n,) evidence for another height; standard normal without a change."""
     z_shape: Floats
     """(n,) evidence for another shape, large if there is one; standard normal without a change."""
 
 
-def ground_changes(pair: SurveyPair, cell: int, offset: float) -> GroundChange:
+def ground_changes(pair: SurveyPair, cell: int, offset: float, registration: Registration) -> GroundChange:
     """Compare the heights of all tiles of the common window; arrays are (rows, cols), north row first."""
     window = pair.window
-    out = [np.full((window.rows, window.cols), np.nan) for _ in range(3)]
-    for rows, difference in _differences(pair, cell):
+    out = [np.full((window.rows, window.cols), np.nan) for _ in range(4)]
+    for rows, difference in _differences(pair, cell, registration):
         found = compare_heights(difference - offset)
-        parts: Any = (found.d_height, found.z_height, found.z_shape)
+        parts: Any = (found.d_height, found.d_largest, found.z_height, found.z_shape)
         for array, values in zip(out, parts, strict=True):
             array[rows] = values.reshape(-1, window.cols)
     return GroundChange(*out)
 
 
-def _differences(pair: SurveyPair, cell: int) -> Iterator[tuple[slice, NDArray[np.float64]]]:
-    """Yield rows of the common window, north first, and the difference of their heights, (tiles, cells, cells), m."""
+def _differences(
+    pair: SurveyPair, cell: int, registration: Registration
+) -> Iterator[tuple[slice, NDArray[np.float64]]]:
+    """Yield rows of the common window, north first, and the difference of their heights, (tiles, cells, cells), m.
+
+    Of a shift, whole pixels move the later survey; the rest is taken off by the gradient of the ground, so that the
+    noise of neighbouring cells stays independent.
+    """
     window, pixels = pair.window, pair.before.grid.pixels
+    side, pixel = pixels // cell, pair.before.grid.tile_size / pixels
     step = max(1, _STRIP_PIXELS // (window.cols * pixels**2))
+    rest = registration.shift_m - np.round(registration.shift_m / pixel) * pixel
     for top in range(0, window.rows, step):
         rows = slice(top, min(top + step, window.rows))
         south = window.row + window.rows - rows.stop
         strip = TileWindow(window.col, south, window.cols, rows.stop - rows.start)
-        before, after = (coarsen(side.reshape(-1, pixels, pixels), cell) for side in pair.heights(strip))
-        yield rows, after - before
+        before, after = _mosaics(pair, strip, cell, registration.shift_m)
+        difference = after - before
+        if rest.any():
+            slopes = zip(*(_gradient(one, pair.cell_m(cell)) for one in (before, after)), strict=True)
+            difference += sum(0.5 * far * (own + other) for far, (own, other) in zip(rest, slopes, strict=True))
+        difference = difference[side:-side, side:-side]
+        if registration.tilt.any():
+            east, north = _middles(pair, strip, cell)
+            difference -= registration.tilt[0] * east + registration.tilt[1] * north
+        yield rows, _tiles(difference, side)
 
 
 _LEAST_OWN = 0.5
@@ -229,15 +505,12 @@ _LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))
 
 
 def coarsen(heights: NDArray[np.floating], factor: int) -> Floats:
-    """Return means over squares of ``factor`` x ``factor`` pixels, (n, p, p) -> (n, p / factor, p / factor).
-
-    NaN where a square has no height.
-    """
-    n, side, _ = heights.shape
-    parts = heights.astype(np.float64).reshape(n, side // factor, factor, side // factor, factor)
-    count = np.isfinite(parts).sum(axis=(2, 4))
+    """Return means over squares of ``factor`` x ``factor`` pixels, (rows, cols); NaN where a square has no height."""
+    rows, cols = (length // factor for length in heights.shape)
+    parts = heights.astype(np.float64).reshape(rows, factor, cols, factor)
+    count = np.isfinite(parts).sum(axis=(1, 3))
     with np.errstate(invalid="ignore"):
-        return np.asarray(np.nansum(parts, axis=(2, 4)) / np.where(count > 0, count, np.nan))
+        return np.asarray(np.nansum(parts, axis=(1, 3)) / np.where(count > 0, count, np.nan))
 
 
 def compare_heights(difference: Floats) -> GroundChange:
@@ -257,7 +530,18 @@ def compare_heights(difference: Floats) -> GroundChange:
         form -= np.nanmean(form, axis=(1, 2))[:, None, None]
     sums = np.nansum(level, axis=(1, 2)), np.nansum(level * level, axis=(1, 2))
     height, shape = _student(_ratio(*sums), count), _ratio(*_products(form))
-    return GroundChange(*(np.where(enough, found, np.nan) for found in (mean, height, shape)))
+    return GroundChange(*(np.where(enough, found, np.nan) for found in (mean, _largest(values), height, shape)))
+
+
+def _largest(values: Floats) -> Floats:
+    """Return the value farthest from 0 that two pixels that share a side both reach, (n,)."""
+    out = np.zeros(len(values))
+    for first, second in ((values[:, 1:], values[:, :-1]), (values[:, :, 1:], values[:, :, :-1])):
+        up = np.fmax.reduce(np.minimum(first, second), axis=(1, 2), initial=0.0)
+        down = np.fmin.reduce(np.maximum(first, second), axis=(1, 2), initial=0.0)
+        for each in (up, down):
+            out = np.where(np.abs(each) > np.abs(out), each, out)
+    return out
 
 
 def _cut_off(values: Floats) -> Floats:

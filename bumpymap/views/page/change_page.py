@@ -309,7 +309,7 @@ def _dates(run: Mapping[str, Any]) -> str | None:
 
 _MEANING = {
     "not changed": "no change was found; one smaller than the noise stays unseen",
-    "ground changed, ride as before": "the ground has another height or shape; the ride costs differ by less than 1.5 times",
+    "ground changed, ride as before": "the ground has another height or shape; its ride costs differ by less than half",
     "rougher": "the ground has changed and is rougher to ride on",
     "smoother": "the ground has changed and is smoother to ride on",
     "ground changed, ride unknown": "the ground has changed; the ride over it is not known in one survey or in both",
