@@ -20,9 +20,9 @@ hold errors that both surveys make alike. "As before" is a finding too: the rati
 """
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -198,8 +198,12 @@ def _is_sure(values: Floats, covariance: Floats) -> bool:
     return bool(values.any() and values @ np.linalg.pinv(covariance) @ values > _SURE)
 
 
-def _sample(pair: SurveyPair, shared: NDArray[np.bool_]) -> list[TileWindow]:
-    """Return blocks of tiles that both surveys have, evenly spread."""
+_Block: TypeAlias = tuple[TileWindow, NDArray[np.float32], NDArray[np.float32]]
+"""Tiles, and the heights of both surveys in them and one tile around."""
+
+
+def _sample(pair: SurveyPair, shared: NDArray[np.bool_]) -> list[_Block]:
+    """Read blocks of tiles that both surveys have, evenly spread."""
     window = pair.window
     rows, cols = -(-window.rows // _BLOCK), -(-window.cols // _BLOCK)
     room = np.zeros((rows * _BLOCK, cols * _BLOCK), np.bool_)
@@ -207,17 +211,18 @@ def _sample(pair: SurveyPair, shared: NDArray[np.bool_]) -> list[TileWindow]:
     filled = np.flatnonzero(room.reshape(rows, _BLOCK, cols, _BLOCK).any(axis=(1, 3)).ravel())
     chosen = filled[np.unique(np.linspace(0, len(filled) - 1, _MOST_BLOCKS).round().astype(np.int64))]
     top = window.row + window.rows
-    return [
+    windows = (
         TileWindow(window.col + _BLOCK * (one % cols), top - _BLOCK * (one // cols + 1), _BLOCK, _BLOCK)
         for one in chosen.tolist()
-    ]
+    )
+    return [(one, *pair.heights(_around(one))) for one in windows]
 
 
 def _fit_plane(
-    pair: SurveyPair, blocks: list[TileWindow], cell: int, begin: Floats, fitted: NDArray[np.bool_], rounds: int
+    pair: SurveyPair, blocks: list[_Block], cell: int, begin: Floats, fitted: NDArray[np.bool_], rounds: int
 ) -> _PlaneFit | None:
     """Fit height, tilt and shift; None if too few cells can be compared. ``fitted`` (5,): which of them."""
-    values, pixel = begin.copy(), pair.before.grid.tile_size / pair.before.grid.pixels
+    values, pixel = begin.copy(), pair.cell_m(1)
     limit, names = np.inf, np.flatnonzero(fitted)
     whole, layers, block = np.full(2, np.nan), np.empty(0), np.empty(0, np.int64)
     for _ in range(rounds):
@@ -225,21 +230,24 @@ def _fit_plane(
             whole = np.round(values[3:] / pixel) * pixel
             layers, block = _layers(pair, blocks, cell, whole)
         sums = _sums(layers, np.concatenate([values[:3], values[3:] - whole]), limit)
-        matrix, vector = (part.sum(axis=0)[names] for part in (sums.normal, sums.right))
-        matrix = matrix[:, names]
-        if np.linalg.matrix_rank(matrix, hermitian=True) < len(names):
+        solved = _solve(sums, names)
+        if solved is None:
             return None
-        before, values = values, np.zeros(5)
-        values[names] = np.linalg.solve(matrix, vector)
-        rest = values.copy()
-        values = np.clip(values + np.concatenate([np.zeros(3), whole]), -_ENDS, _ENDS)
+        rest, inverse = solved
+        before, values = values, np.clip(rest + np.concatenate([np.zeros(3), whole]), -_ENDS, _ENDS)
         settled, limit = np.isfinite(limit), _TRIM * max(_NORMAL_MAD * float(np.median(np.abs(sums.middle))), _FLOOR_M)
         if settled and (np.abs(values - before) < _CLOSE).all():
             break
+    beyond = whole + pixel * np.sign(rest[3:])
+    if (beyond != whole).any():  # gradients of cells are smoother than the ground: what is left is between two moves
+        after_it = _layers(pair, blocks, cell, beyond)[0]
+        solved = _solve(_sums(after_it, np.concatenate([values[:3], values[3:] - beyond]), limit), names)
+        if solved is not None and (solved[0][3:] * rest[3:] <= 0.0).all():
+            apart = rest[3:] - solved[0][3:]
+            values[3:] = whole + (beyond - whole) * rest[3:] / np.where(apart == 0.0, 1.0, apart)
     left = (sums.right - sums.normal @ rest)[:, names]
     if block[-1] >= _FEW_BLOCKS:
         left = np.stack([np.bincount(block, weights=one) for one in left.T], axis=1)
-    inverse = np.linalg.inv(matrix)
     covariance = np.zeros((5, 5))
     covariance[np.ix_(names, names)] = inverse @ (left.T @ left) @ inverse
     relief = sums.normal[:, 3:, 3:]
@@ -250,6 +258,15 @@ def _fit_plane(
     )
 
 
+def _solve(sums: "_Sums", names: NDArray[np.int64]) -> tuple[Floats, Floats] | None:
+    """Return the unknowns (5,), and the inverse of the matrix of those ``names``; None if they cannot be told."""
+    matrix, values = sums.normal.sum(axis=0)[np.ix_(names, names)], np.zeros(5)
+    if np.linalg.matrix_rank(matrix, hermitian=True) < len(names):
+        return None
+    values[names] = np.linalg.solve(matrix, sums.right.sum(axis=0)[names])
+    return values, np.linalg.inv(matrix)
+
+
 _STAY = 0.6
 """Shift left over, in pixels, from which the later survey is moved anew: more than one half, or it goes to and fro."""
 _CLOSE = np.array([1e-4, 1e-7, 1e-7, 1e-4, 1e-4])
@@ -257,7 +274,7 @@ _CLOSE = np.array([1e-4, 1e-7, 1e-7, 1e-4, 1e-4])
 _ENDS = np.array([np.inf, np.inf, np.inf, 1.5 * _MOST_SHIFT_M, 1.5 * _MOST_SHIFT_M])
 
 
-def _layers(pair: SurveyPair, blocks: list[TileWindow], cell: int, whole: Floats) -> tuple[Floats, NDArray[np.int64]]:
+def _layers(pair: SurveyPair, blocks: list[_Block], cell: int, whole: Floats) -> tuple[Floats, NDArray[np.int64]]:
     """Return what a fit needs of each cell, tile by tile, and the number of the block of each tile.
 
     Returns (n, cells, 7): east and north of the middle, m, both gradients (eastwards, northwards) of the earlier and
@@ -265,8 +282,8 @@ def _layers(pair: SurveyPair, blocks: list[TileWindow], cell: int, whole: Floats
     """
     side = pair.before.grid.pixels // cell
     parts, numbers = [], []
-    for number, block in enumerate(blocks):
-        first, second = _mosaics(pair, block, cell, whole)
+    for number, (block, *heights) in enumerate(blocks):
+        first, second = _cells(pair, heights, cell, whole)
         slopes = (*_gradient(first, pair.cell_m(cell)), *_gradient(second, pair.cell_m(cell)))
         inner = [one[side:-side, side:-side] for one in (*slopes, second - first)]
         place = [np.broadcast_to(one, inner[0].shape) for one in _middles(pair, block, cell)]
@@ -323,15 +340,16 @@ def _middles(pair: SurveyPair, window: TileWindow, cell: int) -> tuple[Floats, F
     return size * (west + east)[None, :], size * (top - south)[:, None]
 
 
-def _mosaics(pair: SurveyPair, window: TileWindow, cell: int, shift_m: Floats) -> tuple[Floats, Floats]:
-    """Return the heights of both surveys in cells, with one tile more on each side, (rows, cols).
+def _around(window: TileWindow) -> TileWindow:
+    return TileWindow(window.col - 1, window.row - 1, window.cols + 2, window.rows + 2)
 
-    The later survey is moved back by ``shift_m``, to the nearest whole pixel.
-    """
-    grid = pair.before.grid
-    east, north = np.round(shift_m * grid.pixels / grid.tile_size).astype(np.int64).tolist()
-    around = TileWindow(window.col - 1, window.row - 1, window.cols + 2, window.rows + 2)
-    before, after = pair.heights(around)
+
+def _cells(
+    pair: SurveyPair, heights: Sequence[NDArray[np.float32]], cell: int, shift_m: Floats
+) -> tuple[Floats, Floats]:
+    """Return the heights of both surveys in cells, the later one moved back by the whole pixels of a shift."""
+    before, after = heights
+    east, north = np.round(shift_m / pair.cell_m(1)).astype(np.int64).tolist()
     if east or north:
         pad = max(abs(east), abs(north))
         wide = np.pad(after, pad, constant_values=np.nan)
@@ -407,14 +425,14 @@ def _differences(
     noise of neighbouring cells stays independent.
     """
     window, pixels = pair.window, pair.before.grid.pixels
-    side, pixel = pixels // cell, pair.before.grid.tile_size / pixels
+    side, pixel = pixels // cell, pair.cell_m(1)
     step = max(1, _STRIP_PIXELS // (window.cols * pixels**2))
     rest = registration.shift_m - np.round(registration.shift_m / pixel) * pixel
     for top in range(0, window.rows, step):
         rows = slice(top, min(top + step, window.rows))
         south = window.row + window.rows - rows.stop
         strip = TileWindow(window.col, south, window.cols, rows.stop - rows.start)
-        before, after = _mosaics(pair, strip, cell, registration.shift_m)
+        before, after = _cells(pair, pair.heights(_around(strip)), cell, registration.shift_m)
         difference = after - before
         if rest.any():
             slopes = zip(*(_gradient(one, pair.cell_m(cell)) for one in (before, after)), strict=True)
