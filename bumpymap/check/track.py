@@ -223,27 +223,29 @@ class TrackProblem:
 
     def _receiver(self, state: TrackState, places: MetrePlaces) -> tuple[sparse.coo_array, Floats]:
         """Return the equations of the positions; one that lies far off counts less (Huber)."""
-        k, step, first = state.count, self.knots.step_s, self.knots.time[0]
-        since = places.time - 0.5 * (first + self.knots.time[-1])
-        at = places.time + state.whole[OFFSET] + state.whole[DRIFT] * since
-        (knot, share), (own_knot, own_share) = self._between(at), self._between(places.time + self.offset_s)
-        inside = ((at >= first) & (at <= self.knots.time[-1])) / self.scatter.white_m
+        k = state.count
+        since = places.time - 0.5 * (self.knots.time[0] + self.knots.time[-1])
+        # Positions keep their knots while the offset moves them along the speed, which is smooth: the steps from knot
+        # to knot follow the errors of the positions, and as a slope would tell more of the offset than is known.
+        at, moved = places.time + self.offset_s, state.whole[OFFSET] - self.offset_s + state.whole[DRIFT] * since
+        knot, share = self._between(at)
+        inside = ((at >= self.knots.time[0]) & (at <= self.knots.time[-1])) / self.scatter.white_m
         ahead = np.exp(1j * np.interp(at, self.knots.time, self.knots.heading + state.part(3)))
+        velocity = np.interp(at, self.knots.time, state.part(2)) * ahead
         antenna = ahead * (state.whole[AHEAD] + 1j * state.whole[LEFT])
         number, whole = np.arange(len(at)), STATES * k
         entries, left = [], []
-        for axis, (measured, arm, along, across) in enumerate(
-            zip(*((part.real, part.imag) for part in (places.place, antenna, ahead, 1j * ahead)), strict=True)
+        parts = places.place, antenna, ahead, 1j * ahead, velocity
+        for axis, (measured, arm, along, across, speed) in enumerate(
+            zip(*((part.real, part.imag) for part in parts), strict=True)
         ):
-            value, error = state.part(axis), state.part(4 + axis)
-            seen = (1 - own_share) * error[own_knot] + own_share * error[own_knot + 1]
-            miss = (1 - share) * value[knot] + share * value[knot + 1] + seen + arm - measured
+            value = state.part(axis) + state.part(4 + axis)
+            miss = (1 - share) * value[knot] + share * value[knot + 1] + speed * moved + arm - measured
             weight = inside * np.sqrt(np.minimum(1.0, 3.0 / np.maximum(np.abs(miss) * inside, 1e-9)))
             row = number + axis * len(at)
-            for part, here, next_ in ((axis, knot, share), (4 + axis, own_knot, own_share)):
-                entries += [(row, STATES * here + part, (1 - next_) * weight)]
-                entries += [(row, STATES * (here + 1) + part, next_ * weight)]
-            speed = (value[knot + 1] - value[knot]) / step
+            for part in (axis, 4 + axis):
+                entries += [(row, STATES * knot + part, (1 - share) * weight)]
+                entries += [(row, STATES * (knot + 1) + part, share * weight)]
             whole_drive = ((AHEAD, along), (LEFT, across), (OFFSET, speed), (DRIFT, speed * since))
             entries += [(row, np.full(len(at), whole + name), slope * weight) for name, slope in whole_drive]
             left.append(miss * weight)
@@ -304,6 +306,8 @@ _TRIED_KNOTS = 2_400
 _STOP_RAD = 0.5
 """A start or a stop tells as much of the clocks as so much turning."""
 _STEPS = 20
+_MOVED_S = 0.02
+"""Positions that an offset has moved further take other knots."""
 _SPEED_CHANGES = (0.02, 0.06, 0.2, 0.6)
 """Candidates of how fast the speed changes, beside what the acceleration says, m/s/sqrt(s)."""
 _FIRST_CHANGES = (0.06, 0.2)
@@ -486,6 +490,8 @@ def _solve(problem: TrackProblem, state: TrackState) -> tuple[TrackState, SuperL
     """Return the best state, the factor of its normal equations, and minus twice its log likelihood."""
     factor, before = None, 0.0
     for _ in range(_STEPS):
+        if abs(float(state.whole[OFFSET]) - problem.offset_s) > _MOVED_S:
+            problem = replace(problem, offset_s=float(state.whole[OFFSET]))
         matrix, left = problem.linear(state)
         factor = splu(
             sparse.csc_array(matrix.T @ matrix),
