@@ -214,6 +214,18 @@ _SHAPE = PLACE_SHAPE | {
         "versions": (Nullable(str),) * 2,
         "offset_taken_off_m": Number(),
         "offset_m": Nullable(Number()),
+        "registration": Nullable(
+            {
+                "shift_m": Nullable((Number(), Number())),
+                "shift_sd_m": Nullable((Number(), Number())),
+                "shift_taken_off": bool,
+                "tilt_deg": Nullable(Number()),
+                "tilt_sd_deg": Nullable(Number()),
+                "rises_towards_deg": Nullable(Number()),
+                "tilt_taken_off": bool,
+                "stable_tiles": COUNT,
+            }
+        ),
     },
     "counts": {
         **dict.fromkeys(("in_both", "compared", "changed", "regions", "passable_lost", "passable_won"), COUNT),
@@ -283,6 +295,7 @@ def write_change_report(folder: Path, record: Mapping[str, Any], path: Path) -> 
         place_rows=[_place_row(site, place) for place in site.places],
         ramp_colours=_RAMP,
         survey_rows=_survey_rows(record["fit"], runs),
+        registration=_registration(record["fit"]["registration"]),
         data={"maps": [site.map_record()], "codes": codes},
     )
 
@@ -348,6 +361,22 @@ def _survey_rows(fit: Mapping[str, Any], runs: list[Mapping[str, Any]]) -> list[
     ]
 
 
+def _registration(found: Mapping[str, Any] | None) -> tuple[str, str]:
+    """Return what is said of a shift in plan and of a tilt."""
+    if found is None:
+        return ("not looked for, as asked",) * 2
+    taken = {True: "taken off", False: "not taken off"}
+    shift, tilt = "not known: the ground has too little relief to tell", "not known"
+    if found["shift_m"] is not None:
+        east, north = (f"{signed(value, 3)} m" for value in found["shift_m"])
+        error = f"± {max(found['shift_sd_m']):.3f} m"
+        shift = f"{east} east, {north} north ({error}), {taken[found['shift_taken_off']]}"
+    if found["tilt_deg"] is not None:
+        error, towards = f"± {found['tilt_sd_deg']:.4f}°", f"{found['rises_towards_deg']:.0f}° from north"
+        tilt = f"{found['tilt_deg']:.4f}° ({error}), rising towards {towards}, {taken[found['tilt_taken_off']]}"
+    return shift, tilt
+
+
 def _place_row(site: ChangeSite, place: Mapping[str, Any]) -> tuple[Any, ...]:
     """Return the cells of a place: its number with the ride of its tiles, sizes, differences, a point in it."""
     about = place["about"]
@@ -365,6 +394,7 @@ def _place_row(site: ChangeSite, place: Mapping[str, Any]) -> tuple[Any, ...]:
         whole(tiles),
         signed(about["d_height"], 2),
         f"{low} to {high}",
+        signed(about["d_largest"], 2),
         signed(about["volume_m3"], 1),
         number(about["c_r_before"], 3),
         number(about["c_r_after"], 3),
