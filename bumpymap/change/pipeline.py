@@ -364,7 +364,7 @@ def _registration(found: Registration) -> dict[str, Any]:
         "shift_sd_m": None if np.isnan(found.shift_sd_m).any() else found.shift_sd_m.round(4).tolist(),
         "shift_taken_off": bool(found.shift_m.any()),
         "tilt_deg": None if np.isnan(rise) else round(math.degrees(math.atan(rise)), 4),
-        "tilt_sd_deg": None if np.isnan(rise) else round(math.degrees(math.atan(found.tilt_sd)), 4),
+        "tilt_sd_deg": None if np.isnan(rise) else round(math.degrees(math.atan(found.tilt_sd)), 6),
         "rises_towards_deg": None if np.isnan(rise) else azimuth(found.found_tilt),
         "tilt_taken_off": bool(found.tilt.any()),
         "stable_tiles": found.stable,

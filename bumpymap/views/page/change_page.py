@@ -372,7 +372,7 @@ def _registration(found: Mapping[str, Any] | None) -> tuple[str, str]:
         error = f"± {max(found['shift_sd_m']):.3f} m"
         shift = f"{east} east, {north} north ({error}), {taken[found['shift_taken_off']]}"
     if found["tilt_deg"] is not None:
-        error, towards = f"± {found['tilt_sd_deg']:.4f}°", f"{found['rises_towards_deg']:.0f}° from north"
+        error, towards = f"± {max(found['tilt_sd_deg'], 1e-4):.4f}°", f"{found['rises_towards_deg']:.0f}° from north"
         tilt = f"{found['tilt_deg']:.4f}° ({error}), rising towards {towards}, {taken[found['tilt_taken_off']]}"
     return shift, tilt
 
