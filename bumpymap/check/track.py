@@ -117,7 +117,9 @@ class TrackProblem:
     force_change: float
     """The error of the acceleration changes by this in a second, m/s2/sqrt(s)."""
     offset_s: float
-    """First estimate of the offset of the clocks, s."""
+    """Estimate of the offset of the clocks that the positions are laid on the knots with, s."""
+    held: tuple[float, float] | None = None
+    """Offset and its standard deviation where accelerations have told it, s."""
 
     def linear(self, state: TrackState) -> tuple[sparse.csr_array, Floats]:
         """Return derivatives and residuals of all equations, each divided by its standard deviation."""
@@ -213,6 +215,8 @@ class TrackProblem:
         sd = np.concatenate([np.full(k, _WEAK_SPEED * np.sqrt(k)), first, _WEAK])
         guess = np.zeros(len(col))
         guess[[SCALE - GLOBALS, OFFSET - GLOBALS]] = 1.0, self.offset_s
+        if self.held is not None:
+            guess[OFFSET - GLOBALS], sd[OFFSET - GLOBALS] = self.held
         if self.places is None:  # nothing else says where, or how far a turn of the wheels takes the vehicle
             sd[SCALE - GLOBALS] = 1e-3
             col, sd, guess = (
@@ -441,8 +445,14 @@ def _best(
             found.append((badness, problem, state, factor))
     best = min(range(len(found)), key=lambda number: found[number][0])
     badness, problem, state, factor = found[best]
+    with_force = [one for one in found if np.isfinite(one[1].knots.gained).any()]
+    if with_force and not np.isfinite(problem.knots.gained).any():
+        # Steady driving may be told best without accelerations, but those of starts and stops tell the clock.
+        _, _, told, own = min(with_force, key=lambda one: one[0])
+        problem = replace(problem, held=(float(told.whole[OFFSET]), _offset_sd(own)))
+        state, factor, _ = _solve(problem, state)
     odds = np.exp(0.5 * (badness - np.array([one[0] for one in found])))
-    off = np.array([one[2].whole[OFFSET] for one in found]) - state.whole[OFFSET]
+    off = np.array([one[2].whole[OFFSET] for one in found]) - found[best][2].whole[OFFSET]
     spread_s = float(np.sqrt((odds * off**2).sum() / odds.sum()))
     if part.stop - part.start < len(knots.time):
         problem = replace(problem, knots=tries[best % len(tries)][0])
@@ -454,6 +464,13 @@ def _best(
         begun, state, factor, _ = min(whole, key=lambda one: one[-1])
         problem = replace(problem, offset_s=begun.offset_s)
     return problem, state, factor, spread_s
+
+
+def _offset_sd(factor: SuperLU) -> float:
+    """Return the standard deviation of the offset of the clocks by the equations alone, s."""
+    end = np.zeros(factor.shape[0])
+    end[OFFSET - GLOBALS] = 1.0
+    return float(np.sqrt(max(float(factor.solve(end)[OFFSET - GLOBALS]), 0.0)))
 
 
 def _telling_part(knots: Knots) -> slice:
@@ -518,9 +535,8 @@ def _track(problem: TrackProblem, state: TrackState, factor: SuperLU, spread_s: 
     knots = problem.knots
     east, north, speed, turn = (state.part(number) for number in range(4))
     course = knots.heading + turn
-    ends = np.zeros((len(state.values), 2))
-    ends[[OFFSET - GLOBALS, DRIFT - GLOBALS], [0, 1]] = 1.0
-    spread = np.sqrt(np.maximum((ends * factor.solve(ends)).sum(axis=0), 0.0))
+    end = np.zeros(len(state.values))
+    end[DRIFT - GLOBALS] = 1.0
     return DrivenTrack(
         time=knots.time,
         easting=east,
@@ -528,10 +544,10 @@ def _track(problem: TrackProblem, state: TrackState, factor: SuperLU, spread_s: 
         speed=speed,
         course=course,
         offset_s=float(state.whole[OFFSET]),
-        offset_sd_s=float(np.sqrt(spread[0] ** 2 + spread_s**2 + _SLIP_S**2)),
+        offset_sd_s=float(np.sqrt(_offset_sd(factor) ** 2 + spread_s**2 + _SLIP_S**2)),
         offset_spread_s=spread_s,
         drift=float(state.whole[DRIFT]),
-        drift_sd=float(spread[1]),
+        drift_sd=float(np.sqrt(max(float(factor.solve(end)[DRIFT - GLOBALS]), 0.0))),
         scatter=problem.scatter,
         _factor=factor,
     )

@@ -196,18 +196,6 @@ def test_slow_driving_over_even_ground_is_no_standstill(on_the_spot):
     assert standing[imu.time < made.stand - 1.0].mean() > 0.8
 
 
-def test_without_wheels_positions_tell():
-    made = made_drives.MadeDrive(seconds=60.0, noise=0.01, place_white=0.015)
-    log, *_ = made_drives.log_of(made)
-    imu = even_imu(log.imu, "made", 10.0)
-    places = metre_places(log.places, log.places.x, log.places.y, log.name)
-    standing = find_standing(imu, rough_speed(imu, places, None), 10.0)
-    assert standing[imu.time < made.stand - 1.0].mean() > 0.8
-    assert not standing[(imu.time > made.stand + 2.0) & (imu.time < 50.0)].any()
-    lost = WheelTrack(*np.full((3, 3), np.nan))
-    assert np.array_equal(standing, find_standing(imu, rough_speed(imu, places, lost), 10.0))
-
-
 def test_independent_noise_is_taken_off_in_power():
     rng = np.random.default_rng(1)
     signal, noise = rng.normal(0, 0.2, 400_000), rng.normal(0, 0.1, 400_000)
