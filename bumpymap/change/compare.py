@@ -300,7 +300,7 @@ def _layers(pair: SurveyPair, blocks: list[_Block], cell: int, whole: Floats) ->
 
 @dataclass(frozen=True, slots=True)
 class _Sums:
-    """What each tile adds to the normal equations."""
+    """Parts of the normal equations, of each tile."""
 
     middle: Floats
     """(n,) median residual, m."""
