@@ -15,12 +15,14 @@ survey, between which nothing has changed, give |z| > 3 a little more often than
 
 A ride cost may jump although the ground has not moved: a stone lies in or out of a wheel's way, a border step is just
 seen or just not. So a change of the ride counts only where the heights say, by themselves, that the ground has changed.
+There alone it is tested, and what the ride cost does by chance is read off the ground that has not changed: intervals
+hold errors that both surveys make alike. "As before" is a finding too: the ratio is bounded. What is neither is open.
 """
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,8 +83,6 @@ def hold_false_discoveries(probability: Floats, share: float) -> NDArray[np.bool
 
 _STRIP_PIXELS = 1 << 20
 """Most pixels that are compared at once."""
-_SEEN = 0.5
-"""Share of the cells of a tile that both surveys should have seen."""
 _LEAST_SIDE = 5
 """Fewest cells along a tile."""
 
@@ -90,8 +90,8 @@ _LEAST_SIDE = 5
 def cell_pixels(pair: SurveyPair, shared: NDArray[np.bool_], coverage: NDArray[np.floating]) -> int:
     """Return how many pixels make the side of a cell in which heights are compared.
 
-    One, unless the surveys are so thin that few pixels hold points of both: then pixels are taken together, so that
-    most cells do.
+    The number that leaves most pairs of neighbouring cells that hold points of both: thin surveys are compared in
+    squares of several pixels.
 
     ``shared`` (rows, cols): tiles that both surveys have; ``coverage`` (rows, cols): share of the pixels that hold
     points of both, if they fell at random: the product of both coverages.
@@ -99,13 +99,293 @@ def cell_pixels(pair: SurveyPair, shared: NDArray[np.bool_], coverage: NDArray[n
     pixels = pair.before.grid.pixels
     factors = [factor for factor in range(1, pixels // _LEAST_SIDE + 1) if pixels % factor == 0]
     seen = float(np.nanmedian(coverage[shared])) if shared.any() else 1.0
-    return next((factor for factor in factors if 1.0 - (1.0 - seen) ** (factor**2) >= _SEEN), factors[-1])
+    return max(factors, key=lambda factor: (1.0 - (1.0 - seen) ** (factor**2)) / factor)
 
 
-def height_offset(pair: SurveyPair, cell: int) -> float:
+@dataclass(frozen=True, slots=True)
+class Registration:
+    """How the later survey lies to the earlier one: in plan and tilted. Zeros where nothing is taken off it."""
+
+    shift_m: Floats
+    """(2,) eastwards and northwards."""
+    tilt: Floats
+    """(2,) rise of the difference per metre eastwards and northwards."""
+    found_shift_m: Floats
+    """(2,) as measured; NaN if the ground has too little relief to tell."""
+    shift_sd_m: Floats
+    """(2,)"""
+    found_tilt: Floats
+    """(2,) as measured; NaN if it cannot be told."""
+    tilt_sd: float
+    """Of its steeper direction."""
+    stable: int
+    """Tiles that it rests on."""
+
+    @classmethod
+    def none(cls) -> "Registration":
+        """Return what takes nothing off."""
+        unknown = np.full(2, np.nan)
+        return cls(np.zeros(2), np.zeros(2), unknown, unknown, unknown, float("nan"), 0)
+
+
+def register(pair: SurveyPair, shared: NDArray[np.bool_], cell: int) -> Registration:
+    """Find how the later survey is shifted in plan and tilted, from ground that has not changed.
+
+    A shift d makes heights differ by -d times the gradient of the ground (Nuth and Kaab 2011, The Cryosphere 5, in
+    its linear form), a tilt by a plane. Both are found by weighted least squares over all cells of a sample of tiles,
+    again from where whole pixels of the shift put the later survey. A noisy gradient would make shifts too small, so
+    that of one survey is the instrument for that of the other: their noise is independent. Cells that lie far off
+    count less (Huber), and tiles whose median lies far off have changed and count for nothing.
+
+    What is not clearly above its own standard error, from sums over blocks of tiles, is not taken off.
+
+    ``shared`` (rows, cols): tiles that both surveys have; ``cell``: from `cell_pixels`.
+    """
+    blocks = _sample(pair, shared)
+    coarse = 3 if pair.before.grid.pixels % 3 == 0 and pair.before.grid.pixels >= 3 * _LEAST_SIDE else cell
+    found, both = np.zeros(5), np.ones(5, np.bool_)
+    fit = _fit_plane(pair, blocks, max(cell, coarse), found, both, _ROUNDS // 2)
+    if fit is not None and fit.relief > _LEAST_RELIEF:
+        fit = _fit_plane(pair, blocks, cell, fit.values, both, _ROUNDS)
+    shift, shift_sd = np.full(2, np.nan), np.full(2, np.nan)
+    is_sure = False
+    if fit is not None and fit.relief > _LEAST_RELIEF:
+        sd = np.sqrt(np.diag(fit.covariance)[3:])
+        if (sd < _MOST_SHIFT_SD_M).all() and (np.abs(fit.values[3:]) < _MOST_SHIFT_M).all():
+            shift, shift_sd = fit.values[3:], sd
+            is_sure = _is_sure(shift, fit.covariance[3:, 3:])
+            if is_sure:
+                shift_sd = np.hypot(sd, _BETWEEN * pair.cell_m(1))
+    if not is_sure:
+        both[3:] = False
+        fit = _fit_plane(pair, blocks, cell, found, both, _ROUNDS)
+    if fit is None:
+        return Registration.none()
+    tilt, of_tilt = fit.values[1:3], fit.covariance[1:3, 1:3]
+    none = np.zeros(2)
+    return Registration(
+        shift if is_sure else none,
+        tilt if _is_sure(tilt, of_tilt) else none,
+        shift,
+        shift_sd,
+        tilt,
+        float(np.sqrt(np.linalg.eigvalsh(of_tilt)[-1])),
+        fit.stable,
+    )
+
+
+_BLOCK, _MOST_BLOCKS = 4, 128
+"""Tiles along a block of the sample, and most blocks."""
+_ROUNDS = 12
+_LEAST_RELIEF = 5.0
+"""Common part of both gradients over its standard error, in the direction that has least: less tells no shift."""
+_MOST_SHIFT_SD_M, _MOST_SHIFT_M = 0.05, 2.0
+_BETWEEN = 0.05
+"""Error of a shift between two whole pixels, in pixels: 9 mm on a lava field."""
+_SURE = 13.8
+"""Chi squared of two unknowns that noise exceeds once in a thousand."""
+_HUBER, _TRIM = 1.5, 3.0
+_FEW_BLOCKS = 30
+"""Fewer blocks tell no standard error: that from tiles is taken."""
+
+
+@dataclass(frozen=True, slots=True)
+class _PlaneFit:
+    values: Floats
+    """(5,) height, rise eastwards and northwards, shift eastwards and northwards."""
+    covariance: Floats
+    relief: float
+    stable: int
+
+
+def _is_sure(values: Floats, covariance: Floats) -> bool:
+    return bool(values.any() and values @ np.linalg.pinv(covariance) @ values > _SURE)
+
+
+_Block: TypeAlias = tuple[TileWindow, NDArray[np.float32], NDArray[np.float32]]
+"""Tiles, and the heights of both surveys in them and one tile around."""
+
+
+def _sample(pair: SurveyPair, shared: NDArray[np.bool_]) -> list[_Block]:
+    """Read blocks of tiles that both surveys have, evenly spread."""
+    window = pair.window
+    rows, cols = -(-window.rows // _BLOCK), -(-window.cols // _BLOCK)
+    room = np.zeros((rows * _BLOCK, cols * _BLOCK), np.bool_)
+    room[: window.rows, : window.cols] = shared
+    filled = np.flatnonzero(room.reshape(rows, _BLOCK, cols, _BLOCK).any(axis=(1, 3)).ravel())
+    chosen = filled[np.unique(np.linspace(0, len(filled) - 1, _MOST_BLOCKS).round().astype(np.int64))]
+    top = window.row + window.rows
+    windows = (
+        TileWindow(window.col + _BLOCK * (one % cols), top - _BLOCK * (one // cols + 1), _BLOCK, _BLOCK)
+        for one in chosen.tolist()
+    )
+    return [(one, *pair.heights(_around(one))) for one in windows]
+
+
+def _fit_plane(
+    pair: SurveyPair, blocks: list[_Block], cell: int, begin: Floats, fitted: NDArray[np.bool_], rounds: int
+) -> _PlaneFit | None:
+    """Fit height, tilt and shift; None if too few cells can be compared. ``fitted`` (5,): which of them."""
+    values, pixel = begin.copy(), pair.cell_m(1)
+    limit, names = np.inf, np.flatnonzero(fitted)
+    whole, layers, block = np.full(2, np.nan), np.empty(0), np.empty(0, np.int64)
+    for _ in range(rounds):
+        if not (np.abs(values[3:] - whole) <= _STAY * pixel).all():
+            whole = np.round(values[3:] / pixel) * pixel
+            layers, block = _layers(pair, blocks, cell, whole)
+        sums = _sums(layers, np.concatenate([values[:3], values[3:] - whole]), limit)
+        solved = _solve(sums, names)
+        if solved is None:
+            return None
+        rest, inverse = solved
+        before, values = values, np.clip(rest + np.concatenate([np.zeros(3), whole]), -_ENDS, _ENDS)
+        settled, limit = np.isfinite(limit), _TRIM * max(_NORMAL_MAD * float(np.median(np.abs(sums.middle))), _FLOOR_M)
+        if settled and (np.abs(values - before) < _CLOSE).all():
+            break
+    beyond = whole + pixel * np.sign(rest[3:])
+    if (beyond != whole).any():  # gradients of cells are smoother than the ground: what is left is between two moves
+        after_it = _layers(pair, blocks, cell, beyond)[0]
+        solved = _solve(_sums(after_it, np.concatenate([values[:3], values[3:] - beyond]), limit), names)
+        if solved is not None and (solved[0][3:] * rest[3:] <= 0.0).all():
+            apart = rest[3:] - solved[0][3:]
+            values[3:] = whole + (beyond - whole) * rest[3:] / np.where(apart == 0.0, 1.0, apart)
+    left = (sums.right - sums.normal @ rest)[:, names]
+    if block[-1] >= _FEW_BLOCKS:
+        left = np.stack([np.bincount(block, weights=one) for one in left.T], axis=1)
+    covariance = np.zeros((5, 5))
+    covariance[np.ix_(names, names)] = inverse @ (left.T @ left) @ inverse
+    relief = sums.normal[:, 3:, 3:]
+    direction = np.linalg.eigh(relief.sum(axis=0))[1][:, 0]
+    common = np.einsum("i,nij,j->n", direction, relief, direction)
+    return _PlaneFit(
+        values, covariance, float(common.sum() / max(np.sqrt((common**2).sum()), 1e-12)), int(sums.used.sum())
+    )
+
+
+def _solve(sums: "_Sums", names: NDArray[np.int64]) -> tuple[Floats, Floats] | None:
+    """Return the unknowns (5,), and the inverse of the matrix of those ``names``; None if they cannot be told."""
+    matrix, values = sums.normal.sum(axis=0)[np.ix_(names, names)], np.zeros(5)
+    if np.linalg.matrix_rank(matrix, hermitian=True) < len(names):
+        return None
+    values[names] = np.linalg.solve(matrix, sums.right.sum(axis=0)[names])
+    return values, np.linalg.inv(matrix)
+
+
+_STAY = 0.6
+"""Shift left over, in pixels, from which the later survey is moved anew: more than one half, or it goes to and fro."""
+_CLOSE = np.array([1e-4, 1e-7, 1e-7, 1e-4, 1e-4])
+"""A step that is smaller, m and m/m, is the last one."""
+_ENDS = np.array([np.inf, np.inf, np.inf, 1.5 * _MOST_SHIFT_M, 1.5 * _MOST_SHIFT_M])
+
+
+def _layers(pair: SurveyPair, blocks: list[_Block], cell: int, whole: Floats) -> tuple[Floats, NDArray[np.int64]]:
+    """Return what a fit needs of each cell, tile by tile, and the number of the block of each tile.
+
+    Returns (n, cells, 7): east and north of the middle, m, both gradients (eastwards, northwards) of the earlier and
+    of the later survey, and the difference of the heights, m; and (n,). Tiles with too few cells are left out.
+    """
+    side = pair.before.grid.pixels // cell
+    parts, numbers = [], []
+    for number, (block, *heights) in enumerate(blocks):
+        first, second = _cells(pair, heights, cell, whole)
+        slopes = (*_gradient(first, pair.cell_m(cell)), *_gradient(second, pair.cell_m(cell)))
+        inner = [one[side:-side, side:-side] for one in (*slopes, second - first)]
+        place = [np.broadcast_to(one, inner[0].shape) for one in _middles(pair, block, cell)]
+        found = np.stack([_tiles(one, side) for one in (*place, *inner)], axis=-1).reshape(-1, side**2, 7)
+        enough = np.isfinite(found).all(axis=-1).sum(axis=1) >= LEAST_CELLS
+        parts.append(found[enough])
+        numbers.append(np.full(int(enough.sum()), number))
+    return np.concatenate(parts), np.concatenate(numbers)
+
+
+@dataclass(frozen=True, slots=True)
+class _Sums:
+    """Parts of the normal equations, of each tile."""
+
+    middle: Floats
+    """(n,) median residual, m."""
+    used: NDArray[np.bool_]
+    normal: Floats
+    """(n, 5, 5)"""
+    right: Floats
+    """(n, 5)"""
+
+
+def _sums(layers: Floats, at: Floats, limit: float) -> _Sums:
+    known = np.asarray(np.isfinite(layers).all(axis=-1))
+    layers = np.where(known[:, :, None], layers, 0.0)
+    plane = [np.ones_like(layers[:, :, :1]), layers[:, :, :2]]
+    own, other = (np.concatenate([*plane, -layers[:, :, first : first + 2]], axis=-1) for first in (2, 4))
+    residual = np.where(known, layers[:, :, 6] - 0.5 * (own + other) @ at, np.nan)
+    middle = _median(residual)
+    spread = np.maximum(_NORMAL_MAD * _median(np.abs(residual - middle[:, None])), _FLOOR_M)[:, None]
+    used = np.abs(middle) <= limit
+    near = np.minimum(1.0, _HUBER * spread / np.maximum(np.abs(residual), 1e-12))
+    weight = np.where(known & used[:, None], near / spread**2, 0.0)[:, :, None]
+    normal = np.swapaxes(own * weight, 1, 2) @ other
+    # Not the residual: its gradient has the noise of the instrument.
+    right = (0.5 * (own + other) * weight * layers[:, :, 6:]).sum(axis=1)
+    return _Sums(middle, used, 0.5 * (normal + np.swapaxes(normal, 1, 2)), right)
+
+
+def _median(values: Floats) -> Floats:
+    """Return the median of each row, (n, m) -> (n,), NaN left out; each has a value."""
+    ranked, count = np.sort(values, axis=1), np.isfinite(values).sum(axis=1)
+    row = np.arange(len(values))
+    return np.asarray(0.5 * (ranked[row, (count - 1) // 2] + ranked[row, count // 2]))
+
+
+def _middles(pair: SurveyPair, window: TileWindow, cell: int) -> tuple[Floats, Floats]:
+    """Return how far the cells of a window lie east (1, cols) and north (rows, 1) of the middle of the surveys, m."""
+    size, side = pair.before.grid.tile_size, pair.before.grid.pixels // cell
+    west = window.col - (pair.window.col + 0.5 * pair.window.cols)
+    top = window.row + window.rows - (pair.window.row + 0.5 * pair.window.rows)
+    east, south = ((np.arange(count * side) + 0.5) / side for count in (window.cols, window.rows))
+    return size * (west + east)[None, :], size * (top - south)[:, None]
+
+
+def _around(window: TileWindow) -> TileWindow:
+    return TileWindow(window.col - 1, window.row - 1, window.cols + 2, window.rows + 2)
+
+
+def _cells(
+    pair: SurveyPair, heights: Sequence[NDArray[np.float32]], cell: int, shift_m: Floats
+) -> tuple[Floats, Floats]:
+    """Return the heights of both surveys in cells, the later one moved back by the whole pixels of a shift."""
+    before, after = heights
+    east, north = np.round(shift_m / pair.cell_m(1)).astype(np.int64).tolist()
+    if east or north:
+        pad = max(abs(east), abs(north))
+        wide = np.pad(after, pad, constant_values=np.nan)
+        after = wide[pad - north : pad - north + len(after), pad + east : pad + east + after.shape[1]]
+    return coarsen(before, cell), coarsen(after, cell)
+
+
+def _gradient(heights: Floats, size: float) -> tuple[Floats, Floats]:
+    """Return the rise eastwards and northwards, m/m, from the three cells on either side of each; NaN at the edge.
+
+    The cell itself does not count, so that its error is none of the gradient's.
+    """
+    out = []
+    for z in (heights, heights.T):
+        wide = np.pad(z, 1, constant_values=np.nan)
+        rows = np.stack([wide[:-2], wide[1:-1], wide[2:]])
+        count = np.isfinite(rows).sum(axis=0)
+        line = np.nansum(rows, axis=0) / np.where(count > 0, count, np.nan)
+        out.append((line[:, 2:] - line[:, :-2]) / (2.0 * size))
+    return out[0], -out[1].T
+
+
+def _tiles(mosaic: Floats, side: int) -> Floats:
+    """Cut a mosaic into tiles of ``side`` x ``side`` cells, (n, side, side), north row first."""
+    rows, cols = (length // side for length in mosaic.shape)
+    return mosaic.reshape(rows, side, cols, side).swapaxes(1, 2).reshape(-1, side, side)
+
+
+def height_offset(pair: SurveyPair, cell: int, registration: Registration) -> float:
     """Return the median, over the tiles, of the median height difference of a tile, m; NaN if none can be compared."""
     middles = []
-    for _, difference in _differences(pair, cell):
+    for _, difference in _differences(pair, cell, registration):
         enough = np.isfinite(difference).sum(axis=(1, 2)) >= LEAST_CELLS
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # tiles without a value
@@ -120,34 +400,52 @@ class GroundChange:
 
     d_height: Floats
     """(n,) mean difference of the heights, m."""
+    d_largest: Floats
+    """(n,) difference farthest from 0 that two neighbouring pixels both reach, m; 0 if no two have the same sign."""
     z_height: Floats
     """(n,) evidence for another height; standard normal without a change."""
     z_shape: Floats
     """(n,) evidence for another shape, large if there is one; standard normal without a change."""
 
 
-def ground_changes(pair: SurveyPair, cell: int, offset: float) -> GroundChange:
+def ground_changes(pair: SurveyPair, cell: int, offset: float, registration: Registration) -> GroundChange:
     """Compare the heights of all tiles of the common window; arrays are (rows, cols), north row first."""
     window = pair.window
-    out = [np.full((window.rows, window.cols), np.nan) for _ in range(3)]
-    for rows, difference in _differences(pair, cell):
+    out = [np.full((window.rows, window.cols), np.nan) for _ in range(4)]
+    for rows, difference in _differences(pair, cell, registration):
         found = compare_heights(difference - offset)
-        parts: Any = (found.d_height, found.z_height, found.z_shape)
+        parts: Any = (found.d_height, found.d_largest, found.z_height, found.z_shape)
         for array, values in zip(out, parts, strict=True):
             array[rows] = values.reshape(-1, window.cols)
     return GroundChange(*out)
 
 
-def _differences(pair: SurveyPair, cell: int) -> Iterator[tuple[slice, NDArray[np.float64]]]:
-    """Yield rows of the common window, north first, and the difference of their heights, (tiles, cells, cells), m."""
+def _differences(
+    pair: SurveyPair, cell: int, registration: Registration
+) -> Iterator[tuple[slice, NDArray[np.float64]]]:
+    """Yield rows of the common window, north first, and the difference of their heights, (tiles, cells, cells), m.
+
+    Of a shift, whole pixels move the later survey; the rest is taken off by the gradient of the ground, so that the
+    noise of neighbouring cells stays independent.
+    """
     window, pixels = pair.window, pair.before.grid.pixels
+    side, pixel = pixels // cell, pair.cell_m(1)
     step = max(1, _STRIP_PIXELS // (window.cols * pixels**2))
+    rest = registration.shift_m - np.round(registration.shift_m / pixel) * pixel
     for top in range(0, window.rows, step):
         rows = slice(top, min(top + step, window.rows))
         south = window.row + window.rows - rows.stop
         strip = TileWindow(window.col, south, window.cols, rows.stop - rows.start)
-        before, after = (coarsen(side.reshape(-1, pixels, pixels), cell) for side in pair.heights(strip))
-        yield rows, after - before
+        before, after = _cells(pair, pair.heights(_around(strip)), cell, registration.shift_m)
+        difference = after - before
+        if rest.any():
+            slopes = zip(*(_gradient(one, pair.cell_m(cell)) for one in (before, after)), strict=True)
+            difference += sum(0.5 * far * (own + other) for far, (own, other) in zip(rest, slopes, strict=True))
+        difference = difference[side:-side, side:-side]
+        if registration.tilt.any():
+            east, north = _middles(pair, strip, cell)
+            difference -= registration.tilt[0] * east + registration.tilt[1] * north
+        yield rows, _tiles(difference, side)
 
 
 _LEAST_OWN = 0.5
@@ -179,17 +477,27 @@ class CommonError:
         return self.model_error * of_ground
 
 
-def ride_z(before: Bands, after: Bands, common: CommonError | None = None) -> Floats:
-    """Return the difference of ln c_r over its combined spread; the spreads are those of the 80 % intervals of ln c_r.
+@dataclass(frozen=True, slots=True)
+class RideChange:
+    """Differences of ln c_r, after minus before; NaN where one of the two is unknown or not positive."""
 
-    ``before``, ``after``: ``c_r``, ``c_r_low`` and ``c_r_high``, rad/m; ``common``: taken off both spreads. Returns NaN
-    where one of the two is unknown or not positive.
-    """
-    shared = common or CommonError()
-    with np.errstate(divide="ignore", invalid="ignore"):
-        (first, of_first), (second, of_second) = (_log_and_spread(bands, shared) for bands in (before, after))
-        z = (second - first) / np.hypot(of_first, of_second)
-    return np.where(np.isfinite(z), z, np.nan)
+    log_ratio: Floats
+    """Any shape."""
+    sd: Floats
+    """Combined spread of both, of the same shape."""
+
+    @classmethod
+    def of(cls, before: Bands, after: Bands, common: CommonError | None = None) -> "RideChange":
+        """Compare ``c_r``, ``c_r_low`` and ``c_r_high`` [rad/m]; the spreads are those of the 80 % intervals of ln c_r.
+
+        ``common``: taken off both spreads.
+        """
+        shared = common or CommonError()
+        with np.errstate(divide="ignore", invalid="ignore"):
+            (first, of_first), (second, of_second) = (_log_and_spread(bands, shared) for bands in (before, after))
+            ratio, sd = second - first, np.hypot(of_first, of_second)
+            known = np.isfinite(ratio / sd)
+        return cls(np.where(known, ratio, np.nan), np.where(known, sd, np.nan))
 
 
 def _log_and_spread(bands: Bands, common: CommonError) -> tuple[Floats, Floats]:
@@ -219,15 +527,12 @@ _LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))
 
 
 def coarsen(heights: NDArray[np.floating], factor: int) -> Floats:
-    """Return means over squares of ``factor`` x ``factor`` pixels, (n, p, p) -> (n, p / factor, p / factor).
-
-    NaN where a square has no height.
-    """
-    n, side, _ = heights.shape
-    parts = heights.astype(np.float64).reshape(n, side // factor, factor, side // factor, factor)
-    count = np.isfinite(parts).sum(axis=(2, 4))
+    """Return means over squares of ``factor`` x ``factor`` pixels, (rows, cols); NaN where a square has no height."""
+    rows, cols = (length // factor for length in heights.shape)
+    parts = heights.astype(np.float64).reshape(rows, factor, cols, factor)
+    count = np.isfinite(parts).sum(axis=(1, 3))
     with np.errstate(invalid="ignore"):
-        return np.asarray(np.nansum(parts, axis=(2, 4)) / np.where(count > 0, count, np.nan))
+        return np.asarray(np.nansum(parts, axis=(1, 3)) / np.where(count > 0, count, np.nan))
 
 
 def compare_heights(difference: Floats) -> GroundChange:
@@ -247,7 +552,18 @@ def compare_heights(difference: Floats) -> GroundChange:
         form -= np.nanmean(form, axis=(1, 2))[:, None, None]
     sums = np.nansum(level, axis=(1, 2)), np.nansum(level * level, axis=(1, 2))
     height, shape = _student(_ratio(*sums), count), _ratio(*_products(form))
-    return GroundChange(*(np.where(enough, found, np.nan) for found in (mean, height, shape)))
+    return GroundChange(*(np.where(enough, found, np.nan) for found in (mean, _largest(values), height, shape)))
+
+
+def _largest(values: Floats) -> Floats:
+    """Return the value farthest from 0 that two pixels that share a side both reach, (n,)."""
+    out = np.zeros(len(values))
+    for first, second in ((values[:, 1:], values[:, :-1]), (values[:, :, 1:], values[:, :, :-1])):
+        up = np.fmax.reduce(np.minimum(first, second), axis=(1, 2), initial=0.0)
+        down = np.fmin.reduce(np.maximum(first, second), axis=(1, 2), initial=0.0)
+        for each in (up, down):
+            out = np.where(np.abs(each) > np.abs(out), each, out)
+    return out
 
 
 def _cut_off(values: Floats) -> Floats:
@@ -281,7 +597,11 @@ def _ratio(total: Floats, square: Floats) -> Floats:
     return np.asarray(total / np.sqrt(np.where(square > 0.0, square, 1.0)))
 
 
-_AS_BEFORE, _ROUGHER, _SMOOTHER, _UNKNOWN = range(1, 5)
+_AS_BEFORE, _ROUGHER, _SMOOTHER, _UNKNOWN, _OPEN = range(1, 6)
+_FEW = 100
+"""Fewer unchanged tiles tell no spread of the ride cost: that of the intervals is taken."""
+SAME_RIDE = 1.5
+"""Most ratio of two ride costs that are alike."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,28 +615,32 @@ class Decision:
     code: Floats
     """Position in ``CHANGE_KINDS``."""
     widened: dict[str, float]
-    """By how much the spread of each z was too narrow, at least 1."""
+    """Spread of each z over the expected one: at least 1, of the ride cost at least one half."""
 
 
-def decide(ground: GroundChange, z_c_r: Floats, fdr: float) -> Decision:
+def decide(ground: GroundChange, ride: RideChange, fdr: float) -> Decision:
     """Find the tiles that have changed.
 
-    ``ground``: of all tiles, (rows, cols); ``z_c_r`` (rows, cols): from `ride_z`; NaN where a ride is unknown; ``fdr``:
-    share of false discoveries, for the ground and again for the ride.
+    ``ground``, ``ride``: of all tiles, (rows, cols); ``fdr``: share of false discoveries, for the ground and again for
+    the ride.
     """
-    widened = {"height": widening(ground.z_height), "shape": widening(ground.z_shape), "c_r": widening(z_c_r)}
+    widened = {"height": widening(ground.z_height), "shape": widening(ground.z_shape)}
     height = ground.z_height / widened["height"]
     # What all tiles have in common is no change of any: a shift of one survey makes every shape differ a little.
     known = ground.z_shape[np.isfinite(ground.z_shape)]
     common = max(0.0, float(np.median(known))) if len(known) else 0.0
     shape = (ground.z_shape - common) / widened["shape"]
-    ride = z_c_r / widened["c_r"]
     of_ground = np.minimum(1.0, 2.0 * np.fmin(two_sided(height), upper_sided(shape)))
     moved = hold_false_discoveries(of_ground, fdr)
-    of_ride = np.maximum(of_ground, two_sided(ride))
-    rides = moved & hold_false_discoveries(of_ride, fdr)
-    code = np.where(moved, _AS_BEFORE, 0).astype(np.float64)
-    code[moved & np.isnan(ride)] = _UNKNOWN
-    code[rides] = np.where(ride[rides] > 0.0, _ROUGHER, _SMOOTHER)
+    z = ride.log_ratio / ride.sd
+    still = np.abs(z[np.isfinite(z) & np.isfinite(of_ground) & ~moved])
+    usual = _NORMAL_MAD * float(np.median(still)) if len(still) else 1.0
+    widened["c_r"] = max(usual, 1.0 if len(still) < _FEW else _LEAST_OWN)
+    z = z / widened["c_r"]
+    rides = hold_false_discoveries(np.where(moved, two_sided(z), np.nan), fdr)
+    bounded = np.abs(ride.log_ratio) + NORMAL_80 * widened["c_r"] * ride.sd <= np.log(SAME_RIDE)
+    code = np.where(moved, np.where(bounded, _AS_BEFORE, _OPEN), 0).astype(np.float64)
+    code[moved & np.isnan(z)] = _UNKNOWN
+    code[rides] = np.where(z[rides] > 0.0, _ROUGHER, _SMOOTHER)
     code[np.isnan(of_ground)] = np.nan
-    return Decision(height, shape, ride, code, widened)
+    return Decision(height, shape, z, code, widened)

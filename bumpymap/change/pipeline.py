@@ -3,10 +3,11 @@
 Open both, find which tiles both have, compare heights and ride costs, decide, connect, write.
 """
 
+import math
 import os
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict, Unpack
@@ -18,11 +19,13 @@ from bumpymap.change.compare import (
     CommonError,
     Decision,
     GroundChange,
+    Registration,
+    RideChange,
     cell_pixels,
     decide,
     ground_changes,
     height_offset,
-    ride_z,
+    register,
 )
 from bumpymap.change.settings import DiffConfig
 from bumpymap.core import (
@@ -84,6 +87,7 @@ def remarks(fit: Mapping[str, Any], counts: Mapping[str, Any]) -> Iterator[str]:
         lies = "level with the earlier one" if level else f"{abs(fit['offset_m']):.3f} m {side}"
         asked = f"; {taken:+.3f} m was taken off, as asked" if taken != fit["offset_m"] else ""
         yield f"the later survey lies {lies} in the median tile{asked or ('' if level else '; taken off')}"
+    yield from _of_registration(fit.get("registration"))
     low, high = sorted(fit["median_density_m2"])
     if high > _DENSITY * low:
         yield (
@@ -112,6 +116,29 @@ def remarks(fit: Mapping[str, Any], counts: Mapping[str, Any]) -> Iterator[str]:
         yield f"the layers were made by versions {' and '.join(fit['versions'])}; map both with one"
 
 
+def _of_registration(found: Mapping[str, Any] | None) -> Iterator[str]:
+    if found is None:
+        return
+    if found["shift_taken_off"]:
+        shift = np.array(found["shift_m"])
+        yield (
+            f"the later survey lies {np.hypot(*shift):.3f} m off in plan, {shift[0]:+.3f} m east and {shift[1]:+.3f} m "
+            "north, by ground that has not changed; taken off. Ride costs are those of the tiles as they were mapped"
+        )
+    elif found["shift_m"] is None:
+        yield "whether the surveys are shifted in plan cannot be told: the ground that both have has too little relief"
+    if found["tilt_taken_off"]:
+        yield (
+            f"the later survey is tilted by {found['tilt_deg']:.4f} degrees, rising towards "
+            f"{found['rises_towards_deg']:.0f} degrees from north; taken off"
+        )
+
+
+def azimuth(rise: NDArray[np.floating]) -> float:
+    """Return the direction (east, north) as degrees from north, clockwise."""
+    return round(math.degrees(math.atan2(rise[0], rise[1])) % 360.0, 1)
+
+
 PathLike: TypeAlias = str | os.PathLike[str]
 
 
@@ -121,6 +148,7 @@ class DiffSettings(TypedDict, total=False):
     fdr: float
     min_tiles: int
     offset: float | None
+    register: bool
     overwrite: bool
 
 
@@ -183,7 +211,9 @@ def diff_surveys(
     min_tiles : int
         Fewest connected tiles of a change, default 2; smaller ones are left out.
     offset : float, optional
-        Height to take off the later survey, m; by default the median difference.
+        Height to take off the later survey, m; by default a tilt and the median difference.
+    register : bool
+        Find and take off a shift in plan and a tilt of the later survey; default True.
     overwrite : bool
         Replace the files of an earlier comparison.
 
@@ -239,19 +269,23 @@ def find_changes(config: DiffConfig, progress: Progress | None = None) -> Change
     if not shared.any():
         raise BadInputError(f"{config.before} and {config.after} have no tile in common. Give two surveys of one site")
     cell = cell_pixels(pair, shared, surveys[0].coverage * surveys[1].coverage)
-    offset = height_offset(pair, cell)
+    found = register(pair, shared, cell) if config.register else Registration.none()
+    if config.offset is not None:  # heights are what is asked for
+        found = replace(found, tilt=np.zeros(2))
+    offset = height_offset(pair, cell, found)
     taken = offset if config.offset is None else config.offset
-    ground = ground_changes(pair, cell, 0.0 if np.isnan(taken) else taken)
+    ground = ground_changes(pair, cell, 0.0 if np.isnan(taken) else taken, found)
     # Both have one calibration, or they could not be compared; one may say nothing of its error.
     first, second = (CommonError.of(site.manifest) for site in (pair.before, pair.after))
     before, after = ((side.c_r, side.c_r_low, side.c_r_high) for side in surveys)
-    ride = ride_z(before, after, first if first == second else CommonError())
+    ride = RideChange.of(before, after, first if first == second else CommonError())
     decision = decide(ground, ride, config.fdr)
     field, dropped = _field(pair, surveys, ground, decision, config.min_tiles)
     fit = _fit(pair, surveys, shared, decision) | {
         "offset_m": None if np.isnan(offset) else round(offset, 4),
         "offset_taken_off_m": None if np.isnan(taken) else round(taken, 4),
-        "cell_m": cell * pair.before.grid.tile_size / pair.before.grid.pixels,
+        "registration": _registration(found) if config.register else None,
+        "cell_m": pair.cell_m(cell),
     }
     counts = _counts(surveys, field, shared) | {"dropped_as_too_small": dropped}
     transitions = _transitions(*surveys, shared)
@@ -296,6 +330,7 @@ def _field(
         "d_c_r": after.c_r - before.c_r,
         "z_c_r": decision.z_c_r,
         "d_height": ground.d_height,
+        "d_largest": ground.d_largest,
         "z_height": decision.z_height,
         "z_shape": decision.z_shape,
     }
@@ -318,6 +353,21 @@ def _fit(
         "median_ratio_c_r": round(float(np.median(known)), 4) if len(known) else None,
         "median_density_m2": [round(float(np.nanmedian(side.density[shared])), 2) for side in surveys],
         "versions": [None if version is None else str(version) for version in versions],
+    }
+
+
+def _registration(found: Registration) -> dict[str, Any]:
+    """Return what the settings' register found and took off, as it stands in change.json."""
+    rise = float(np.hypot(*found.found_tilt))
+    return {
+        "shift_m": None if np.isnan(found.found_shift_m).any() else found.found_shift_m.round(4).tolist(),
+        "shift_sd_m": None if np.isnan(found.shift_sd_m).any() else found.shift_sd_m.round(4).tolist(),
+        "shift_taken_off": bool(found.shift_m.any()),
+        "tilt_deg": None if np.isnan(rise) else round(math.degrees(math.atan(rise)), 4),
+        "tilt_sd_deg": None if np.isnan(rise) else round(math.degrees(math.atan(found.tilt_sd)), 6),
+        "rises_towards_deg": None if np.isnan(rise) else azimuth(found.found_tilt),
+        "tilt_taken_off": bool(found.tilt.any()),
+        "stable_tiles": found.stable,
     }
 
 
@@ -398,8 +448,8 @@ def describe_regions(
 ) -> tuple[dict[str, Any], ...]:
     """Return the properties of each connected change, as they stand in change.geojson.
 
-    ``area``, ``code`` (rows, cols): from `connect`; ``values``: ``d_height``, ``d_c_r``, ``z_height``, ``z_shape``,
-    ``z_c_r``, each (rows, cols); ``surveys``: before and after; ``tile_size``: m.
+    ``area``, ``code`` (rows, cols): from `connect`; ``values``: ``d_height``, ``d_largest``, ``d_c_r``,
+    ``z_height``, ``z_shape``, ``z_c_r``, each (rows, cols); ``surveys``: before and after; ``tile_size``: m.
     """
     before, after = surveys
     place = np.flatnonzero(area)
@@ -432,6 +482,7 @@ def _describe(tiles: Mapping[str, NDArray[Any]], area_m2: float) -> dict[str, An
         "d_height": _number(heights.mean()),
         "d_height_lowest": _number(heights.min()),
         "d_height_highest": _number(heights.max()),
+        "d_largest": _farthest(tiles["d_largest"]),
         "volume_m3": _number(heights.sum() * area_m2),
         **{name: _mean(tiles[name]) for name in ("d_c_r", "c_r_before", "c_r_after")},
         **{name: _farthest(tiles[name]) for name in ("z_height", "z_shape", "z_c_r")},
@@ -441,7 +492,7 @@ def _describe(tiles: Mapping[str, NDArray[Any]], area_m2: float) -> dict[str, An
 
 
 _KINDS = range(1, len(CHANGE_KINDS))
-_FIRST = (2, 4, 3, 1)
+_FIRST = (2, 4, 5, 3, 1)
 """Kinds in the order in which they stand for a place where several have most tiles: rougher, unknown, and so on."""
 
 

@@ -25,7 +25,8 @@ class DiffConfig:
     offset: Annotated[
         float | None, Setting("Height to take off AFTER", "M", unit="m", default="as measured", rare=True)
     ] = None
-    """Height that is taken off the later survey, m; None: the median difference, as measured."""
+    """Height that is taken off the later survey, m; None: the median difference, as measured, and a tilt before it."""
+    register: Annotated[bool, Setting("Find a shift and a tilt of AFTER and take them off", rare=True)] = True
     overwrite: Annotated[bool, Setting("Replace the files of an earlier run", group="Output")] = False
 
     def __post_init__(self) -> None:

@@ -117,7 +117,9 @@ class TrackProblem:
     force_change: float
     """The error of the acceleration changes by this in a second, m/s2/sqrt(s)."""
     offset_s: float
-    """First estimate of the offset of the clocks, s."""
+    """Estimate of the offset of the clocks that the positions are laid on the knots with, s."""
+    held: tuple[float, float] | None = None
+    """Offset and its standard deviation where accelerations have told it, s."""
 
     def linear(self, state: TrackState) -> tuple[sparse.csr_array, Floats]:
         """Return derivatives and residuals of all equations, each divided by its standard deviation."""
@@ -213,6 +215,8 @@ class TrackProblem:
         sd = np.concatenate([np.full(k, _WEAK_SPEED * np.sqrt(k)), first, _WEAK])
         guess = np.zeros(len(col))
         guess[[SCALE - GLOBALS, OFFSET - GLOBALS]] = 1.0, self.offset_s
+        if self.held is not None:
+            guess[OFFSET - GLOBALS], sd[OFFSET - GLOBALS] = self.held
         if self.places is None:  # nothing else says where, or how far a turn of the wheels takes the vehicle
             sd[SCALE - GLOBALS] = 1e-3
             col, sd, guess = (
@@ -223,27 +227,29 @@ class TrackProblem:
 
     def _receiver(self, state: TrackState, places: MetrePlaces) -> tuple[sparse.coo_array, Floats]:
         """Return the equations of the positions; one that lies far off counts less (Huber)."""
-        k, step, first = state.count, self.knots.step_s, self.knots.time[0]
-        since = places.time - 0.5 * (first + self.knots.time[-1])
-        at = places.time + state.whole[OFFSET] + state.whole[DRIFT] * since
-        (knot, share), (own_knot, own_share) = self._between(at), self._between(places.time + self.offset_s)
-        inside = ((at >= first) & (at <= self.knots.time[-1])) / self.scatter.white_m
+        k = state.count
+        since = places.time - 0.5 * (self.knots.time[0] + self.knots.time[-1])
+        # Positions keep their knots while the offset moves them along the speed, which is smooth: the steps from knot
+        # to knot follow the errors of the positions, and as a slope would tell more of the offset than is known.
+        at, moved = places.time + self.offset_s, state.whole[OFFSET] - self.offset_s + state.whole[DRIFT] * since
+        knot, share = self._between(at)
+        inside = ((at >= self.knots.time[0]) & (at <= self.knots.time[-1])) / self.scatter.white_m
         ahead = np.exp(1j * np.interp(at, self.knots.time, self.knots.heading + state.part(3)))
+        velocity = np.interp(at, self.knots.time, state.part(2)) * ahead
         antenna = ahead * (state.whole[AHEAD] + 1j * state.whole[LEFT])
         number, whole = np.arange(len(at)), STATES * k
         entries, left = [], []
-        for axis, (measured, arm, along, across) in enumerate(
-            zip(*((part.real, part.imag) for part in (places.place, antenna, ahead, 1j * ahead)), strict=True)
+        parts = places.place, antenna, ahead, 1j * ahead, velocity
+        for axis, (measured, arm, along, across, speed) in enumerate(
+            zip(*((part.real, part.imag) for part in parts), strict=True)
         ):
-            value, error = state.part(axis), state.part(4 + axis)
-            seen = (1 - own_share) * error[own_knot] + own_share * error[own_knot + 1]
-            miss = (1 - share) * value[knot] + share * value[knot + 1] + seen + arm - measured
+            value = state.part(axis) + state.part(4 + axis)
+            miss = (1 - share) * value[knot] + share * value[knot + 1] + speed * moved + arm - measured
             weight = inside * np.sqrt(np.minimum(1.0, 3.0 / np.maximum(np.abs(miss) * inside, 1e-9)))
             row = number + axis * len(at)
-            for part, here, next_ in ((axis, knot, share), (4 + axis, own_knot, own_share)):
-                entries += [(row, STATES * here + part, (1 - next_) * weight)]
-                entries += [(row, STATES * (here + 1) + part, next_ * weight)]
-            speed = (value[knot + 1] - value[knot]) / step
+            for part in (axis, 4 + axis):
+                entries += [(row, STATES * knot + part, (1 - share) * weight)]
+                entries += [(row, STATES * (knot + 1) + part, share * weight)]
             whole_drive = ((AHEAD, along), (LEFT, across), (OFFSET, speed), (DRIFT, speed * since))
             entries += [(row, np.full(len(at), whole + name), slope * weight) for name, slope in whole_drive]
             left.append(miss * weight)
@@ -304,6 +310,8 @@ _TRIED_KNOTS = 2_400
 _STOP_RAD = 0.5
 """A start or a stop tells as much of the clocks as so much turning."""
 _STEPS = 20
+_MOVED_S = 0.02
+"""Positions that an offset has moved further take other knots."""
 _SPEED_CHANGES = (0.02, 0.06, 0.2, 0.6)
 """Candidates of how fast the speed changes, beside what the acceleration says, m/s/sqrt(s)."""
 _FIRST_CHANGES = (0.06, 0.2)
@@ -437,8 +445,14 @@ def _best(
             found.append((badness, problem, state, factor))
     best = min(range(len(found)), key=lambda number: found[number][0])
     badness, problem, state, factor = found[best]
+    with_force = [one for one in found if np.isfinite(one[1].knots.gained).any()]
+    if with_force and not np.isfinite(problem.knots.gained).any():
+        # Steady driving may be told best without accelerations, but those of starts and stops tell the clock.
+        _, _, told, own = min(with_force, key=lambda one: one[0])
+        problem = replace(problem, held=(float(told.whole[OFFSET]), _offset_sd(own)))
+        state, factor, _ = _solve(problem, state)
     odds = np.exp(0.5 * (badness - np.array([one[0] for one in found])))
-    off = np.array([one[2].whole[OFFSET] for one in found]) - state.whole[OFFSET]
+    off = np.array([one[2].whole[OFFSET] for one in found]) - found[best][2].whole[OFFSET]
     spread_s = float(np.sqrt((odds * off**2).sum() / odds.sum()))
     if part.stop - part.start < len(knots.time):
         problem = replace(problem, knots=tries[best % len(tries)][0])
@@ -450,6 +464,13 @@ def _best(
         begun, state, factor, _ = min(whole, key=lambda one: one[-1])
         problem = replace(problem, offset_s=begun.offset_s)
     return problem, state, factor, spread_s
+
+
+def _offset_sd(factor: SuperLU) -> float:
+    """Return the standard deviation of the offset of the clocks by the equations alone, s."""
+    end = np.zeros(factor.shape[0])
+    end[OFFSET - GLOBALS] = 1.0
+    return float(np.sqrt(max(float(factor.solve(end)[OFFSET - GLOBALS]), 0.0)))
 
 
 def _telling_part(knots: Knots) -> slice:
@@ -486,6 +507,8 @@ def _solve(problem: TrackProblem, state: TrackState) -> tuple[TrackState, SuperL
     """Return the best state, the factor of its normal equations, and minus twice its log likelihood."""
     factor, before = None, 0.0
     for _ in range(_STEPS):
+        if abs(float(state.whole[OFFSET]) - problem.offset_s) > _MOVED_S:
+            problem = replace(problem, offset_s=float(state.whole[OFFSET]))
         matrix, left = problem.linear(state)
         factor = splu(
             sparse.csc_array(matrix.T @ matrix),
@@ -512,9 +535,8 @@ def _track(problem: TrackProblem, state: TrackState, factor: SuperLU, spread_s: 
     knots = problem.knots
     east, north, speed, turn = (state.part(number) for number in range(4))
     course = knots.heading + turn
-    ends = np.zeros((len(state.values), 2))
-    ends[[OFFSET - GLOBALS, DRIFT - GLOBALS], [0, 1]] = 1.0
-    spread = np.sqrt(np.maximum((ends * factor.solve(ends)).sum(axis=0), 0.0))
+    end = np.zeros(len(state.values))
+    end[DRIFT - GLOBALS] = 1.0
     return DrivenTrack(
         time=knots.time,
         easting=east,
@@ -522,10 +544,10 @@ def _track(problem: TrackProblem, state: TrackState, factor: SuperLU, spread_s: 
         speed=speed,
         course=course,
         offset_s=float(state.whole[OFFSET]),
-        offset_sd_s=float(np.sqrt(spread[0] ** 2 + spread_s**2 + _SLIP_S**2)),
+        offset_sd_s=float(np.sqrt(_offset_sd(factor) ** 2 + spread_s**2 + _SLIP_S**2)),
         offset_spread_s=spread_s,
         drift=float(state.whole[DRIFT]),
-        drift_sd=float(spread[1]),
+        drift_sd=float(np.sqrt(max(float(factor.solve(end)[DRIFT - GLOBALS]), 0.0))),
         scatter=problem.scatter,
         _factor=factor,
     )

@@ -110,6 +110,7 @@ CHANGE_KINDS = (
     "rougher",
     "smoother",
     "ground changed, ride unknown",
+    "ground changed, ride not decided",
 )
 """Changes of a tile between two surveys, by code in change.tif."""
 

@@ -65,8 +65,15 @@ class SurveyPair:
         return first, second
 
     def heights(self, window: TileWindow) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Read the heightmaps of a window, before and after: (rows, cols, p, p), m; NaN where there is no height."""
-        return _heightmaps(self.before, window), _heightmaps(self.after, window)
+        """Read the heights of a window, which may extend beyond both surveys, before and after.
+
+        Returns (rows * p, cols * p) each, m; NaN where there is no height.
+        """
+        return self.before.heights(window), self.after.heights(window)
+
+    def cell_m(self, pixels: int) -> float:
+        """Return how long so many pixels are, m."""
+        return pixels * self.before.grid.tile_size / self.before.grid.pixels
 
 
 def open_pair(before: Path, after: Path) -> SurveyPair:
@@ -127,17 +134,12 @@ def _identity(site: MapReader) -> dict[str, Any]:
     }
 
 
-def _heightmaps(site: MapReader, window: TileWindow) -> NDArray[np.float32]:
-    pixels = site.grid.pixels
-    parts = site.heights(window).reshape(window.rows, pixels, window.cols, pixels)
-    return np.ascontiguousarray(parts.swapaxes(1, 2))
-
-
-_CHANGED = "0 not changed, 1 ground changed but not the ride, 2 ride rougher, 3 ride smoother, 4 unknown in one survey"
+_CHANGED = "0 not changed, 1 ride as before, 2 rougher, 3 smoother, 4 ride unknown in one survey, 5 ride not decided"
 _BANDS = (
     BandSpec("d_c_r", "rad/m", "ride cost after minus before"),
     BandSpec("z_c_r", "", "difference of ln c_r over its combined spread"),
     BandSpec("d_height", "m", "mean height after minus before, the offset taken off"),
+    BandSpec("d_largest", "m", "height difference farthest from 0 that two neighbouring pixels both reach"),
     BandSpec("z_height", "", "evidence for another height, over its spread"),
     BandSpec("z_shape", "", "evidence for another shape, over its spread"),
     BandSpec("changed", "", _CHANGED),
@@ -158,10 +160,13 @@ class ChangeField:
     z_c_r: NDArray[np.float32]
     d_height: NDArray[np.float32]
     """Mean height after minus before, m."""
+    d_largest: NDArray[np.float32]
+    """Difference farthest from 0 that two neighbouring pixels both reach, m."""
     z_height: NDArray[np.float32]
     z_shape: NDArray[np.float32]
     changed: NDArray[np.float32]
-    """0 not changed; 1 ground changed, ride as before; 2 rougher; 3 smoother; 4 ground changed, one ride unknown."""
+    """0 not changed; 1 ground changed, ride as before; 2 rougher; 3 smoother; 4 ground changed, one ride unknown;
+    5 ground changed, ride not decided."""
     area: NDArray[np.int32]
     """Number of the connected change that a tile belongs to, 1..m; 0: none."""
     regions: tuple[Mapping[str, Any], ...]

@@ -65,6 +65,7 @@ CHANGE_COLOURS: dict[int, tuple[int, int, int, int]] = {
     2: (196, 22, 40, 255),
     3: (20, 105, 178, 255),
     4: (64, 60, 68, 255),
+    5: (142, 100, 170, 255),
 }
 """Red, green, blue, alpha of each of ``CHANGE_KINDS``: unchanged ground pale, a change of unknown ride dark."""
 COST_COLOURS: dict[float, tuple[int, int, int, int]] = {

@@ -2,22 +2,31 @@
 
 import json
 import re
-import shutil
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 import rasterio
 import shapely
-from hypothesis import given, strategies as st
+from hypothesis import assume, given, strategies as st
+from las_files import las_bytes
 from route_maps import RUN, VEHICLE, copy_folder, write_folder
 from scipy import ndimage, stats
 from survey_pairs import COLS, ROWS, RUT, survey
 
+import bumpymap
 from bumpymap.change import DiffConfig, find_changes
-from bumpymap.change.compare import CommonError, GroundChange, compare_heights, decide, hold_false_discoveries, ride_z
+from bumpymap.change.compare import (
+    CommonError,
+    GroundChange,
+    RideChange,
+    compare_heights,
+    decide,
+    hold_false_discoveries,
+)
 from bumpymap.change.pipeline import CHANGE_FILES, connect, remarks
-from bumpymap.core import CHANGE_KINDS, BadInputError, Georeference, OutputError, UsageError
+from bumpymap.core import CHANGE_KINDS, BadInputError, Georeference
 from bumpytiles import Grid
 
 LAGS = [(0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0)]
@@ -51,6 +60,9 @@ def test_figures_of_a_tile_are_those_made_by_hand(seed, seen):
     tile[rng.random(tile.shape) > seen] = np.nan
     found = compare_heights(tile)
     assert found.d_height[0] == pytest.approx(np.nanmean(tile))
+    both = [min(pair, key=abs) for turn in (tile[0], tile[0].T) for row in turn for pair in pairwise(row)
+            if np.prod(pair) > 0]  # fmt: skip
+    assert found.d_largest[0] == max(both, key=abs, default=0.0)
     assert (found.z_height[0], found.z_shape[0]) == pytest.approx(by_hand(tile[0]))
 
 
@@ -75,28 +87,27 @@ def test_ride_costs_are_compared_by_their_logarithms_less_what_both_maps_share(s
         return tuple(np.hypot(np.array(ground) * np.exp(by), floor) for by in (0.0, -tail, tail))
 
     common = CommonError(shared, floor) if shared else None
-    z = ride_z(bands([0.1, 0.05, 0.102, np.nan]), bands([0.102, 0.051, 0.1, 0.1]), common)
+    ride = RideChange.of(bands([0.1, 0.05, 0.102, np.nan]), bands([0.102, 0.051, 0.1, 0.1]), common)
     expected = np.log(1.02) / (own * np.sqrt(2.0))
-    assert z == pytest.approx([expected, expected, -expected, np.nan], rel=0.05, nan_ok=True)
-
-
-def step_up(chances, share):
-    """Benjamini and Hochberg by the book: sort, go down from the largest, stop at the first that is low enough."""
-    known = sorted(chance for chance in chances if chance == chance)  # noqa: PLR0124 (NaN)
-    for place in range(len(known), 0, -1):
-        if known[place - 1] <= share * place / len(known):
-            return [chance <= known[place - 1] for chance in chances]
-    return [False] * len(chances)
+    assert ride.log_ratio / ride.sd == pytest.approx([expected, expected, -expected, np.nan], rel=0.05, nan_ok=True)
 
 
 @given(CHANCES, st.floats(0.01, 0.5))
 def test_what_counts_as_found_is_the_rule_of_the_book(chances, share):
-    assert hold_false_discoveries(np.array(chances, float), share).tolist() == step_up(chances, share)
+    chance = np.array(chances, float)
+    known = np.isfinite(chance)
+    adjusted = stats.false_discovery_control(chance[known]) if known.any() else chance[known]
+    assume(not np.isclose(adjusted, share, rtol=1e-9).any())
+    assert hold_false_discoveries(chance, share)[known].tolist() == (adjusted <= share).tolist()
 
 
 def made_ground(rng, shape=(20, 30)):
     height, form = rng.standard_normal((2, *shape))
-    return GroundChange(0.01 * height, height, form)
+    return GroundChange(0.01 * height, 0.02 * height, height, form)
+
+
+def made_ride(z, sd=0.1):
+    return RideChange(sd * z, np.full_like(z, sd))
 
 
 def test_a_ride_that_jumps_over_ground_that_has_not_moved_is_no_change():
@@ -104,12 +115,29 @@ def test_a_ride_that_jumps_over_ground_that_has_not_moved_is_no_change():
     found = made_ground(rng)
     ride = rng.standard_normal(found.z_height.shape)
     ride[:5] = 30.0
-    assert not decide(found, ride, 0.05).code.any()
+    assert not decide(found, made_ride(ride), 0.05).code.any()
     found.z_height[:5] = 9.0
     for jump, kind in ((30.0, 2), (-30.0, 3), (np.nan, 4), (0.5, 1)):
-        code = decide(found, np.where(ride == 30.0, jump, ride), 0.05).code
+        code = decide(found, made_ride(np.where(ride == 30.0, jump, ride)), 0.05).code
         assert (code[:5] == kind).all()
         assert (code[5:] > 0).mean() < 0.02
+
+
+def test_a_ride_on_changed_ground_is_tested_there_alone_by_the_chance_of_unchanged_ground_or_left_open():
+    """Intervals hold errors that both surveys make alike: twice too wide, a z of 2 on a tenth of the tiles is proof."""
+    rng = np.random.default_rng(2)
+    found = made_ground(rng)
+    found.z_height[:2] = 9.0
+    ride = 0.5 * rng.standard_normal(found.z_height.shape)
+    ride[:2] = 2.0
+    done = decide(found, made_ride(ride, 0.3), 0.05)
+    assert (done.code[:2] == 2).all()
+    assert done.widened["c_r"] == pytest.approx(0.5, abs=0.05)
+    ride[:2] = 0.8
+    assert (decide(found, made_ride(ride, 0.3), 0.05).code[:2] == 5).all()  # exp(0.3 (0.8 + 1.28 / 2)) is above 1.5
+    assert (decide(found, made_ride(ride, 0.1), 0.05).code[:2] == 1).all()
+    few = GroundChange(*(part[1:5, :24] for part in (found.d_height, found.d_largest, found.z_height, found.z_shape)))
+    assert decide(few, made_ride(ride[1:5, :24]), 0.05).widened["c_r"] == 1.0
 
 
 def test_surveys_that_do_not_fit_each_other_are_widened():
@@ -117,9 +145,10 @@ def test_surveys_that_do_not_fit_each_other_are_widened():
     loose = made_ground(np.random.default_rng(2), (100, 200))
     loose.z_height[:10] = 500.0
     loose.z_height[-1] = np.nan
-    loose = GroundChange(loose.d_height, 3.0 * loose.z_height, 2.0 + 2.0 * loose.z_shape)
-    done = decide(loose, np.zeros(loose.z_height.shape), 0.05)
-    assert done.widened == pytest.approx({"height": 3.0 * 1.15, "shape": 2.0, "c_r": 1.0}, rel=0.05)
+    loose = GroundChange(loose.d_height, loose.d_largest, 3.0 * loose.z_height, 2.0 + 2.0 * loose.z_shape)
+    ride = 2.0 * np.random.default_rng(3).standard_normal(loose.z_height.shape)
+    done = decide(loose, made_ride(ride), 0.05)
+    assert done.widened == pytest.approx({"height": 3.0 * 1.15, "shape": 2.0, "c_r": 2.0}, rel=0.05)
     assert (done.code[:10] > 0).all()
     assert (done.code[10:-1] > 0).mean() < 0.01
 
@@ -203,6 +232,66 @@ def test_the_other_way_round_a_rut_is_filled(root, rut):
     assert np.allclose(there.field.d_height, -back.field.d_height, atol=1e-6)
 
 
+@pytest.mark.parametrize("seen", [1.0, 0.3])
+def test_a_shift_and_a_tilt_are_found_on_unchanged_ground_and_taken_off(tmp_path, seen):
+    rise = np.tan(np.radians(0.05))
+    moved = {"shift": (0.24, -0.18), "tilt": (0.6 * rise, 0.8 * rise), "rise": 0.1}
+    may = write_folder(tmp_path / "may", survey(21, seen=seen))
+    june = write_folder(tmp_path / "june", survey(22, seen=seen, lowered=0.3, **moved))
+    result, kept = compare(may, june), compare(may, june, register=False)
+    found = result.fit["registration"]
+    assert result.fit["cell_m"] == pytest.approx(0.2 if seen == 1.0 else 0.6)
+    assert found["shift_m"] == pytest.approx(moved["shift"], abs=0.02)
+    assert found["tilt_deg"] == pytest.approx(0.05, abs=0.005)
+    assert found["rises_towards_deg"] == pytest.approx(np.degrees(np.arctan2(0.6, 0.8)), abs=5.0)
+    assert all(factor < 1.3 for factor in result.fit["widened"].values())
+    assert (result.field.changed[planted()] > 0).all()
+    assert (result.field.changed[~planted()] > 0).mean() < 0.005
+    assert sum("taken off" in note for note in result.notes) == 3
+    assert kept.fit["registration"] is None
+    assert kept.fit["widened"]["height"] > 3.0
+
+
+def test_nothing_is_taken_off_that_is_not_above_its_error_or_cannot_be_told(root, tmp_path):
+    same, again = (compare(root / "may", root / name).fit["registration"] for name in ("may", "again"))
+    assert (same["shift_m"], same["tilt_deg"]) == ([0.0, 0.0], 0.0)
+    assert [same["shift_taken_off"], same["tilt_taken_off"], again["shift_taken_off"]] == [False] * 3
+    assert 0.0 < np.hypot(*again["shift_m"]) < 4.0 * max(again["shift_sd_m"])
+    flat = [write_folder(tmp_path / str(seed), survey(seed, relief=0.0)) for seed in (1, 2)]
+    result = compare(*flat)
+    assert result.fit["registration"]["shift_m"] is None
+    assert any("too little relief" in note for note in result.notes)
+
+
+def mapped(path, seed, *, density=100.0, noise=0.02, rut=0.0):
+    """Map made points: rolling, uneven ground, a rut of 0.4 m width through 30 tiles of the row in the middle."""
+    rng, bumps = np.random.default_rng(seed), np.random.default_rng(0)
+    east, north = rng.uniform(0.0, 1.0, (2, rng.poisson(density * 108 * 27))) * [[108.0], [27.0]]
+    waves = bumps.normal(0.0, 1.0, (60, 2)) * np.geomspace(0.2, 6.0, 60)[:, None]
+    height = noise * rng.standard_normal(len(east))
+    for wave, phase in zip(waves, bumps.uniform(0.0, 6.0, 60), strict=True):
+        height += 0.012 / np.hypot(0.5, np.hypot(*wave)) * np.sin(wave[0] * east + wave[1] * north + phase)
+    height -= rut * ((abs(north - 13.5) < 0.2) & (east > 9.0) & (east < 99.0))
+    points = np.column_stack([480_000.0 + east, 2_136_000.0 + north, 2_300.0 + height])
+    path.with_suffix(".las").write_bytes(las_bytes(points, offset=(480_000.0, 2_136_000.0, 2_300.0)))
+    return bumpymap.map_survey(path.with_suffix(".las"), path, crs="EPSG:32614")
+
+
+def test_a_rut_of_10_cm_is_felt_and_unchanged_ground_is_not(tmp_path):
+    """Tested among all tiles, by intervals that hold errors of both surveys alike, no ride had changed."""
+    before = mapped(tmp_path / "before", 1)
+    result = bumpymap.diff_surveys(before, mapped(tmp_path / "rut", 2, rut=0.1))
+    rougher = result.field.changed == 2
+    assert rougher.sum() >= 27
+    assert np.unique(np.nonzero(rougher)[0]).size == 1
+    assert result.field.d_largest[rougher] == pytest.approx(-0.1, abs=0.06)
+    for density, noise in ((100.0, 0.02), (40.0, 0.03)):
+        plain = mapped(tmp_path / f"plain{density:.0f}", 3, density=density, noise=noise)
+        same = bumpymap.diff_surveys(before, plain)
+        assert (same.counts["by_change"]["rougher"], same.counts["by_change"]["smoother"]) == (0, 0)
+    assert any("unlike densities, 40 and 100 points" in note for note in same.notes)
+
+
 def test_an_offset_that_is_given_is_the_one_taken_off(root):
     result = compare(root / "may", root / "again", offset=0.0)
     assert result.counts["changed"] == ROWS * COLS
@@ -216,25 +305,12 @@ def test_the_error_that_both_maps_share_is_taken_off(root):
     both = [
         copy_folder(site, root / f"{site.name}_shared", calibration=knows) for site in (root / "may", root / "june")
     ]
-    plain, taken, mixed = (
-        compare(*pair).field.z_c_r for pair in ((root / "may", root / "june"), both, (both[0], root / "june"))
-    )
+    pairs = (root / "may", root / "june"), both, (both[0], root / "june")
+    results = [compare(*pair) for pair in pairs]
+    plain, taken, mixed = (one.field.z_c_r * one.fit["widened"]["c_r"] for one in results)
     assert np.array_equal(mixed, plain)
     own = np.sqrt((np.log(1.13) / 1.2816) ** 2 - 0.08**2)
     assert np.median(taken / plain) == pytest.approx(np.log(1.13) / 1.2816 / own, rel=0.05)
-
-
-def test_thin_surveys_are_compared_in_coarser_cells(root):
-    thin = [
-        write_folder(root / f"thin{seed}", survey(seed, seen=0.3, lowered=depth))
-        for seed, depth in ((11, 0.0), (12, 0.3))
-    ]
-    result = compare(*thin)
-    assert result.fit["cell_m"] == pytest.approx(0.6)
-    assert (result.field.changed > 0)[planted()].mean() > 0.9
-    unlike = compare(root / "may", thin[0])
-    assert unlike.fit["cell_m"] == pytest.approx(0.6)
-    assert any("unlike densities, 30 and 100 points" in note for note in unlike.notes)
 
 
 def test_only_tiles_of_both_are_compared(root):
@@ -250,7 +326,7 @@ def test_files_say_what_the_result_says(rut):
     assert [path.name for path in rut.files] == [*CHANGE_FILES.names]
     assert {path.name for path in rut.folder.iterdir() if not path.name.startswith(".")} == {*CHANGE_FILES.names}
     with rasterio.open(rut.folder / "change.tif") as file:
-        assert file.descriptions == ("d_c_r", "z_c_r", "d_height", "z_height", "z_shape", "changed")
+        assert file.descriptions == ("d_c_r", "z_c_r", "d_height", "d_largest", "z_height", "z_shape", "changed")
         assert file.crs.to_epsg() == 32614
         assert (file.transform.c, file.transform.f) == (160_000 * 3.0, 712_030 * 3.0)
         for name, band in zip(file.descriptions, file.read(), strict=True):
@@ -316,17 +392,3 @@ def test_unlike_surveys_are_refused(root, tmp_path, options, changes, word):
         compare(root / "may", other, out=tmp_path / "out")
     assert all(told in str(caught.value) for told in (word, str(root / "may"), str(other)))
     assert not (tmp_path / "out").exists()
-
-
-def test_files_are_replaced_only_when_asked(root, rut, tmp_path):
-    out = shutil.copytree(rut.folder, tmp_path / "out")
-    before = (out / "change.json").read_bytes()
-    with pytest.raises(OutputError, match="overwrite=True"):
-        compare(root / "may", root / "june", out=out)
-    assert (out / "change.json").read_bytes() == before
-    compare(root / "may", root / "june", out=out, overwrite=True, fdr=0.2)
-    assert json.loads((out / "change.json").read_text())["settings"]["fdr"] == 0.2
-    with pytest.raises(UsageError, match="layers of a survey"):
-        compare(root / "may", root / "june", out=root / "may", overwrite=True)
-    with pytest.raises(BadInputError, match="there is no folder"):  # told before that the folder is occupied
-        compare(root / "may", tmp_path / "none", out=out)

@@ -32,6 +32,8 @@ class MadeDrive:
     place_wander: float = 0.0
     place_hertz: float = 10.0
     turning: float = 1.0
+    stops: tuple[tuple[float, float], ...] = ()
+    """Beginning and end of each stop on the way, s."""
     seed: int = 0
 
 
@@ -40,6 +42,8 @@ def motion(made: MadeDrive):
     rng = np.random.default_rng(made.seed)
     time = np.arange(0.0, made.seconds, 1.0 / made.hertz)
     ramp = np.clip((time - made.stand) / 1.5, 0, 1) * np.clip((made.seconds - made.stand / 2 - time) / 1.5, 0, 1)
+    for begin, end in made.stops:
+        ramp *= np.clip(np.maximum(begin - time, time - end) / 1.5, 0, 1)
     ramp = ramp * ramp * (3 - 2 * ramp)
     speed = made.speed * ramp
     yaw_rate = made.turning * 0.35 * np.maximum(np.sin(2 * np.pi * time / 37.0), 0.0) ** 3 * ramp

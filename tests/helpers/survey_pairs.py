@@ -15,11 +15,15 @@ RUT = [(14, col) for col in range(40)]
 """Rows (from the north) and columns of the tiles with a rut."""
 
 
-def survey(seed, *, noise=0.03, rise=0.0, rut=0.0, lowered=0.0, seen=1.0, c_r=None, tiles=None, **options):
+def survey(
+    seed, *, noise=0.03, rise=0.0, rut=0.0, lowered=0.0, seen=1.0, c_r=None, tiles=None, shift=(0.0, 0.0),
+    tilt=(0.0, 0.0), relief=1.0, **options,
+):  # fmt: skip
     """One survey.
 
     ``rut`` is the depth, m, of a groove of three pixels along ``RUT``, ``lowered`` that of these tiles as a whole,
-    ``seen`` a share of the pixels, ``c_r`` a factor on the ride cost of these tiles.
+    ``seen`` a share of the pixels, ``c_r`` a factor on the ride cost of these tiles; ``shift`` is how
+    far east and north all lies, m, ``tilt`` the rise eastwards and northwards, ``relief`` a factor on the hills.
     """
     rng = np.random.default_rng(seed)
     row, col = np.mgrid[0:ROWS, 0:COLS]
@@ -30,7 +34,9 @@ def survey(seed, *, noise=0.03, rise=0.0, rut=0.0, lowered=0.0, seen=1.0, c_r=No
     pixel = (np.arange(grid.pixels) + 0.5) / grid.pixels
     north = (SOUTH + ROWS - row)[:, None, None] - pixel[None, :, None]
     east = (WEST + col)[:, None, None] + pixel[None, None, :]
-    heights = 200.0 + np.sin(east / 3.0) + 0.5 * np.cos(north / 2.0) + rise
+    lies_east, lies_north = east - shift[0] / 3.0, north - shift[1] / 3.0  # in tiles
+    heights = 200.0 + relief * (np.sin(lies_east / 3.0) + 0.5 * np.cos(lies_north / 2.0)) + rise
+    heights += 3.0 * (tilt[0] * (east - WEST) + tilt[1] * (north - SOUTH))
     heights += noise * rng.standard_t(4, heights.shape)
     in_rut = np.isin(row * COLS + col, [r * COLS + c for r, c in RUT])
     heights[in_rut, 6:9] -= rut

@@ -45,7 +45,7 @@ def test_tables_equal_the_counts_of_the_record(comparison, read_page):
     for name, row in zip(CHANGE_KINDS, kinds, strict=False):
         assert row[0].startswith(name)
         assert row[2:] == [area(9 * counts["by_change"][name]), f"{counts['by_change'][name]:,}"]
-    assert [row[3] for row in kinds[5:]] == [f"{counts['compared']:,}", f"{counts['in_both'] - counts['compared']:,}"]
+    assert [row[3] for row in kinds[6:]] == [f"{counts['compared']:,}", f"{counts['in_both'] - counts['compared']:,}"]
     classes = [[int(cell.replace(",", "")) for cell in row[1:]] for row in tables["Tiles by class"][1:]]
     assert classes == record["classes"]["tiles_before_after"]
     surveys = {row[0]: row[1:] for row in tables["Before and after"][1:]}
@@ -66,7 +66,8 @@ def test_places_are_those_of_the_features(comparison, read_page):
         row, spot = rows[number], spots[number]
         assert f"rougher in {about['rougher']}" in page.text or about["rougher"] in {0, about["tiles"]}
         assert float(row[3]) == pytest.approx(about["d_height"], abs=0.0051)
-        assert float(row[8]) == pytest.approx(about["d_c_r"], abs=0.00051)
+        assert float(row[5]) == pytest.approx(about["d_largest"], abs=0.0051)
+        assert float(row[9]) == pytest.approx(about["d_c_r"], abs=0.00051)
         assert to_lonlat.transform(spot["east"], spot["north"]) == pytest.approx(tuple(map(float, row[-2:])), abs=1e-3)
 
 
@@ -107,7 +108,7 @@ def test_a_change_is_seen_in_a_pixel_of_several_tiles(comparison, tmp_path, monk
     for row, col in np.ndindex(kinds.shape):
         part = np.s_[row * step : (row + 1) * step, col * step : (col + 1) * step]
         tiles = fine[part]
-        assert kinds[row, col] == next((code for code in (2, 4, 3, 1) if code in tiles), tiles.max())
+        assert kinds[row, col] == next((code for code in (2, 4, 5, 3, 1) if code in tiles), tiles.max())
         if kinds[row, col] == NOT_COMPARED:
             assert np.isnan(shown[row, col])
         else:

@@ -30,7 +30,7 @@ from bumpymap.views.words import area, number, share, shares, signed, survey_nam
 
 NOT_COMPARED = 16
 """Value of ``kinds`` where the surveys could not be compared."""
-_RANK = (NOT_COMPARED, 1, 3, 4, 2)
+_RANK = (NOT_COMPARED, 1, 3, 5, 4, 2)
 """Order of the kinds in a pixel of several tiles: each counts before those to its left and before unchanged tiles."""
 _SIDE = 1_500
 """Most pixels of the grids along a side."""
@@ -214,6 +214,18 @@ _SHAPE = PLACE_SHAPE | {
         "versions": (Nullable(str),) * 2,
         "offset_taken_off_m": Number(),
         "offset_m": Nullable(Number()),
+        "registration": Nullable(
+            {
+                "shift_m": Nullable((Number(), Number())),
+                "shift_sd_m": Nullable((Number(), Number())),
+                "shift_taken_off": bool,
+                "tilt_deg": Nullable(Number()),
+                "tilt_sd_deg": Nullable(Number()),
+                "rises_towards_deg": Nullable(Number()),
+                "tilt_taken_off": bool,
+                "stable_tiles": COUNT,
+            }
+        ),
     },
     "counts": {
         **dict.fromkeys(("in_both", "compared", "changed", "regions", "passable_lost", "passable_won"), COUNT),
@@ -283,6 +295,7 @@ def write_change_report(folder: Path, record: Mapping[str, Any], path: Path) -> 
         place_rows=[_place_row(site, place) for place in site.places],
         ramp_colours=_RAMP,
         survey_rows=_survey_rows(record["fit"], runs),
+        registration=_registration(record["fit"]["registration"]),
         data={"maps": [site.map_record()], "codes": codes},
     )
 
@@ -309,10 +322,11 @@ def _dates(run: Mapping[str, Any]) -> str | None:
 
 _MEANING = {
     "not changed": "no change was found; one smaller than the noise stays unseen",
-    "ground changed, ride as before": "the ground has another height or shape; no change of the ride was found",
+    "ground changed, ride as before": "the ground has another height or shape; its ride costs differ by less than half",
     "rougher": "the ground has changed and is rougher to ride on",
     "smoother": "the ground has changed and is smoother to ride on",
     "ground changed, ride unknown": "the ground has changed; the ride over it is not known in one survey or in both",
+    "ground changed, ride not decided": "the ground has changed; the ride may have, within what the points leave open",
 }
 
 
@@ -347,6 +361,22 @@ def _survey_rows(fit: Mapping[str, Any], runs: list[Mapping[str, Any]]) -> list[
     ]
 
 
+def _registration(found: Mapping[str, Any] | None) -> tuple[str, str]:
+    """Return what is said of a shift in plan and of a tilt."""
+    if found is None:
+        return ("not looked for, as asked",) * 2
+    taken = {True: "taken off", False: "not taken off"}
+    shift, tilt = "not known: the ground has too little relief to tell", "not known"
+    if found["shift_m"] is not None:
+        east, north = (f"{signed(value, 3)} m" for value in found["shift_m"])
+        error = f"± {max(found['shift_sd_m']):.3f} m"
+        shift = f"{east} east, {north} north ({error}), {taken[found['shift_taken_off']]}"
+    if found["tilt_deg"] is not None:
+        error, towards = f"± {max(found['tilt_sd_deg'], 1e-4):.4f}°", f"{found['rises_towards_deg']:.0f}° from north"
+        tilt = f"{found['tilt_deg']:.4f}° ({error}), rising towards {towards}, {taken[found['tilt_taken_off']]}"
+    return shift, tilt
+
+
 def _place_row(site: ChangeSite, place: Mapping[str, Any]) -> tuple[Any, ...]:
     """Return the cells of a place: its number with the ride of its tiles, sizes, differences, a point in it."""
     about = place["about"]
@@ -364,6 +394,7 @@ def _place_row(site: ChangeSite, place: Mapping[str, Any]) -> tuple[Any, ...]:
         whole(tiles),
         signed(about["d_height"], 2),
         f"{low} to {high}",
+        signed(about["d_largest"], 2),
         signed(about["volume_m3"], 1),
         number(about["c_r_before"], 3),
         number(about["c_r_after"], 3),
