@@ -147,6 +147,8 @@ class Frame:
     """(4, 4) transform from the sensor frame to the world frame, m; None if unknown."""
     motion: PoseTrack | None = None
     """Poses around the frame, at times relative to it; None if unknown."""
+    pose_frame: str = "map"
+    """Coordinate frame that the pose leads to."""
     name: str = ""
     """Stem of its output files, unique in a run; empty before the run has named its frames."""
 
@@ -285,12 +287,17 @@ class SectorRide:
     """(n,) upper end, rad/m."""
     class_id: NDArray[np.uint8]
     """(n,) class of a survey's map, 0 (flattest) to 3 (roughest, or the vehicle fails); ``NO_CLASS`` if unknown."""
+    p_fail: NDArray[np.float32]
+    """(n,) share of drives that fail, 0..1; NaN if unknown."""
+    limits: NDArray[np.float32]
+    """(3,) of C_r between the classes, rad/m."""
 
     @classmethod
     def unknown(cls, sectors: int) -> "SectorRide":
         """Return the ride on so many sectors of which none could be rated."""
         nothing = np.full(sectors, np.nan, np.float32)
-        return cls(nothing, nothing, nothing, np.full(sectors, NO_CLASS, np.uint8))
+        no_class, no_limits = np.full(sectors, NO_CLASS, np.uint8), np.full(3, np.nan, np.float32)
+        return cls(nothing, nothing, nothing, no_class, nothing, no_limits)
 
 
 @dataclass(frozen=True, slots=True)
@@ -327,9 +334,11 @@ class GroundGrid:
     resolution_m: float
     """Side of a cell."""
     occupancy: NDArray[np.int8]
-    """0, 33, 66 on known ground of class 0, 1, 2; 100 where an obstacle stands, the ground drops, has a step higher
-    than the belly or is not traversable; -1 where nothing is known: neither ground nor an obstacle was seen, and more
-    than the belly's height of what may stand there is hidden from the sensor."""
+    """0, 33, 66 on known ground of class 0, 1, 2; with a vehicle 0 to 98, in proportion to C_r up to the limit of its
+    class 3, and where C_r is unknown, to the limits of its classes 1, 2, 3 for class 0, 1, 2. 100 where an obstacle
+    stands, the ground drops, has a step higher than the belly or is not traversable, or the vehicle fails; -1 where
+    nothing is known: neither ground nor an obstacle was seen, and more than the belly's height of what may stand there
+    is hidden from the sensor."""
     class_id: NDArray[np.uint8]
     """Class of the ground of the cell's sector; ``NOT_TRAVERSABLE`` also where no ground is known."""
     elevation: NDArray[np.float32]

@@ -65,7 +65,7 @@ _ROUGH, _ROUGH_M = 2.5, 0.06
 """A plane whose points spread by more than this multiple of the noise, and by more than this, m, links nothing."""
 _BELOW = 0.5
 """Points further below a plane than this are reflections, m."""
-_PART_POINTS, _PART_SPREAD, _PART_LOWEST, _PART_HIGHEST, _PART_STEP, _PART_REACH = 3, 0.07, -0.6, 0.8, 0.2, 0.15
+_PART_POINTS, _PART_SPREAD, _PART_LOWEST, _PART_HIGHEST, _PART_STEP, _PART_REACH = 3, 0.12, -0.6, 1.2, 0.2, 0.2
 """A part beside the plane is ground too if it has so many points, spread less than this, at a height between these, and
 passes a neighbouring part of the ground at less than this; its ground points are so near to their mean, m."""
 _BESIDE_M, _BESIDE, _TOGETHER = 0.03, 0.04, 3.0
@@ -74,7 +74,7 @@ more for each metre from it; so many are a thing."""
 _ROUNDS = 6
 _LAYER = 1.5
 """Points further from a plane than this do not belong to the layer of the ground, m."""
-_PLANTS_ABOVE, _PLANTS_SHARE, _PLANTS_SPREAD, _PLANTS_LEAST = 0.8, 0.2, 1.8, 0.03
+_PLANTS_ABOVE, _PLANTS_SHARE, _PLANTS_SPREAD, _PLANTS_LEAST = 0.8, 0.2, 1.8, 0.045
 """Plants stand in a part if so high above its ground at most, m, there are points, as a share of those on it, and those
 on it spread by more than this multiple of the scan's noise and more than this, m."""
 

@@ -18,6 +18,7 @@ Integers = Annotated[NDArray[np.int32], 1]
 Counts = Annotated[NDArray[np.int64], 1]
 Singles = Annotated[NDArray[np.float32], 1]
 Flags = Annotated[NDArray[np.bool_], 1]
+Kinds = Annotated[NDArray[np.uint8], 1]
 
 BLOCK = 512
 """Points whose distance and direction are found at once: they stay in the nearest cache."""
@@ -136,8 +137,8 @@ class SquareCells(NamedTuple):
     Cells are numbered from the lowest y upwards, and in each row from the lowest x. Unknown heights are NaN.
     """
 
-    occupancy: Annotated[NDArray[np.int8], 1]
-    """(cells,) of ROS: 0 to 100, -1 unknown."""
+    kind: Kinds
+    """(cells,) class of the ground; one more than the last where a vehicle cannot go, and one more where unknown."""
     sector: Integers
     """(cells,) row of the sector whose ground is known in the cell; -1 without any."""
     elevation: Singles
@@ -146,10 +147,10 @@ class SquareCells(NamedTuple):
     """(cells,) largest difference in elevation from a cell beside it, m."""
     top: Singles
     """(cells,) height above the ground of the highest point of an obstacle, m."""
-    tip: Singles
-    """(cells,) its z, m."""
     clearance: Singles
     """(cells,) height above the ground of the lowest point that a vehicle passes under, m."""
+    tip: Singles
+    """(cells,) z of that highest point, m."""
 
 
 class ClassedPoints(NamedTuple):
@@ -165,8 +166,8 @@ class ClassedPoints(NamedTuple):
     """(points,) above the ground of its sector, m; NaN where none is known."""
     sector: Integers
     """(points,) row of its sector; -1 if it is in none."""
-    occupancy: Annotated[NDArray[np.int8], 1]
-    """(sectors + 1,) of its ground."""
+    kind: Kinds
+    """(sectors + 1,) of its ground, see `SquareCells`; the last one: unknown."""
     drops: Flags
     """(sectors + 1,) whether its ground drops."""
     slope: Annotated[NDArray[np.float64], 2]
@@ -344,7 +345,7 @@ def _follow_ray(ray: int, slope_to: tuple[float, float], scan: ClassedPoints, ru
 
 @helper
 def _judge_cell(cell: int, scan: ClassedPoints, rule: CellRule, out: SquareCells, s: CellScratch) -> None:
-    """Find the occupancy of a cell, and the sector whose ground is known there."""
+    """Find the kind of a cell, and the sector whose ground is known there."""
     first, last, ring = s.rays[cell, 0], s.rays[cell, 1], s.rays[cell, 2]
     seen, beneath, falls, home = 0, 0, False, -1
     for ray in range(first, last + 1):
@@ -361,7 +362,7 @@ def _judge_cell(cell: int, scan: ClassedPoints, rule: CellRule, out: SquareCells
     sector = out.sector[cell]
     falls |= scan.drops[sector] and not s.fell[sector]
     stops = s.things[cell] > 0 or falls or out.step[cell] > rule.belly
-    out.occupancy[cell] = 100 if stops else scan.occupancy[sector]
+    out.kind[cell] = scan.kind[-1] - 1 if stops else scan.kind[sector]
 
 
 @kernel
@@ -378,5 +379,5 @@ def lay_cells(scan: ClassedPoints, rule: CellRule, out: SquareCells, scratch: Ce
         ahead = rule.resolution if ray < 2 * RAYS else -rule.resolution
         way = (ahead, ahead * across) if ray // RAYS % 2 == 0 else (-ahead * across, ahead)
         _follow_ray(ray, way, scan, rule, scratch)
-    for cell in range(len(out.occupancy)):
+    for cell in range(len(out.kind)):
         _judge_cell(cell, scan, rule, out, scratch)

@@ -32,7 +32,7 @@ class ScanConfig:
     out: Annotated[Path, Setting("Folder for the output", "DIR", group="Output")]
     """Folder for the products."""
     topic: Annotated[
-        str | None, Setting("Topic of the scans in a bag", "NAME", default="the only one", group="Input")
+        str | None, Setting("Topics of the scans in a bag", "NAME[,NAME]", default="the only one", group="Input")
     ] = None
     odometry: Annotated[
         str | None, Setting("Topic of the poses in a bag", "NAME", default="the only one, or tf", group="Input")
@@ -116,7 +116,8 @@ class ScanConfig:
         """Topics of a bag that are read."""
         from bumpymap.readers import BagTopics
 
-        return BagTopics(self.topic, self.odometry, poses=self.poses is None)
+        topics = tuple(filter(None, (self.topic or "").split(",")))
+        return BagTopics(topics, self.odometry, poses=self.poses is None)
 
     def refuse_crs(self) -> None:
         """Raise UsageError if there is a CRS; for runs without poses."""

@@ -220,7 +220,7 @@ def test_what_is_no_bag_or_not_alone(tmp_path):
     broken.width = 5000
     for places, topics, error, says in (
         ([scan, folder], BagTopics(), UsageError, "not both"),
-        ([scan], BagTopics("/points"), UsageError, "`topic` and `odometry`"),
+        ([scan], BagTopics(("/points",)), UsageError, "`topic` and `odometry`"),
         ([none], BagTopics(), BadInputError, "does not exist"),
         ([old], BagTopics(), BadInputError, r"ROS 1.*rosbags-convert"),
         ([empty], BagTopics(), BadInputError, "holds no messages"),
