@@ -168,8 +168,8 @@ def test_the_topic_is_asked_for_where_there_are_several(tmp_path):
     with pytest.raises(BadInputError, match=r"/points \(3 messages\), /rear \(6 messages\).*`topic='NAME'`"):
         found_in(folder)
     with pytest.raises(BadInputError, match="has no topic /front"):
-        found_in(folder, cloud="/front")
-    assert len(found_in(folder, cloud="/rear")) == 6
+        found_in(folder, clouds=("/front",))
+    assert len(found_in(folder, clouds=("/rear",))) == 6
     with pytest.raises(BadInputError, match=r"no topic of type sensor_msgs/msg/PointCloud2; it holds nav_msgs"):
         found_in(write_bag(tmp_path / "other", moves()))
 

@@ -19,10 +19,11 @@ from scipy.ndimage import gaussian_filter
 
 import bumpymap
 from bumpymap import ScanClassifier
-from bumpymap.core import NO_CLASS, NOT_TRAVERSABLE, Scan, cell_numbers, sector_bounds
+from bumpymap.core import NO_CLASS, NOT_TRAVERSABLE, GridSettings, Scan, cell_numbers, sector_bounds
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.rating import find_calibration
 from bumpymap.scan import ScanConfig, classify_filter, load_stripes, polar_sectors, scan_frames
+from bumpymap.scan.classifier import lay_grid
 from bumpymap.scan.ground import cell_layout
 from bumpymap.scan.learned import CHANNELS, MEASURES, ScanModel, classify_learned, infer, network_input, probabilities
 from bumpymap.scan.methods import SectorRater
@@ -300,8 +301,15 @@ def test_smooth_ground_that_is_too_steep_is_of_the_roughest_class(limit, classes
     rater = SectorRater(replace(calibration, vehicle=calibration.vehicle | {"slope_limit_deg": limit}))
     slope = math.tan(math.radians(8.0))
     scan = Scan(lines_on(lambda _, y: slope * y - HIGH_M, np.radians(np.linspace(3.0, 50.0, 120))))
-    ride = rater(scan, polar_sectors(scan))
+    stack = polar_sectors(scan)
+    ride = rater(scan, stack)
     known = ride.class_id != NO_CLASS
+    classed = classify_filter(stack)
+    barred, free = (
+        lay_grid(scan.points, each, GridSettings()).occupancy for each in (replace(classed, ride=ride), classed)
+    )
+    fails = ((barred == 100) & (free < 100)).sum()
+    assert (fails > 500) if limit < 8.0 else (fails == 0)
     assert known.sum() > 50
     assert set(ride.class_id[known].tolist()) == classes
 

@@ -20,10 +20,10 @@ from bags import as_rclpy, cloud, lidar_rows, odometry, transforms, write_bag
 from rosbags.highlevel import AnyReader
 
 import bumpymap
-from bumpymap.core import GridSettings, OutputError, Scan, UsageError, point_classes
+from bumpymap.core import OutputError, UsageError
+from bumpymap.rating import find_calibration
 from bumpymap.readers import BagReader, BagTopics, find_sources
-from bumpymap.scan import ScanConfig, classify_filter, polar_sectors, scan_frames
-from bumpymap.scan.classifier import lay_grid
+from bumpymap.scan import ScanConfig, scan_frames
 
 pytestmark = pytest.mark.slow
 
@@ -63,7 +63,8 @@ def bag_fixture(tmp_path_factory):
 @pytest.fixture(name="ran", scope="module")
 def ran_fixture(bag, tmp_path_factory):
     folder = tmp_path_factory.mktemp("ran")
-    config = ScanConfig((bag,), folder / "out", bag=folder / "grids.mcap", method="filter", products=("table", "cloud"))
+    how = {"bag": folder / "grids.mcap", "method": "filter", "products": ("table", "cloud"), "vehicle": "warthog"}
+    config = ScanConfig((bag,), folder / "out", **how)
     return config, scan_frames(config)
 
 
@@ -109,41 +110,77 @@ def test_a_file_of_poses_is_matched_with_the_times_of_the_bag(bag, tmp_path):
     assert record["poses"] == {"matched_by": "time", "calib": None, "deskew": False}
 
 
-def test_grids_are_read_back_with_the_values_of_the_sectors(ran):
-    found = messages_of(ran[0].bag)
+def test_grids_are_read_back_in_the_frame_of_the_poses_with_what_is_remembered(ran):
+    found, classify = messages_of(ran[0].bag), bumpymap.ScanClassifier(method="filter", vehicle="warthog")
+    limits = find_calibration("warthog").map_limits
     assert set(found) == {"/ground/occupancy", "/ground/grid_map"}
-    for number, stamp in enumerate(STAMPS):
+    for number, (stamp, report) in enumerate(zip(STAMPS, ran[1].frames, strict=True)):
         time, message = found["/ground/occupancy"][number]
         assert time == stamp == message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-        assert (message.header.frame_id, message.info.width, message.info.height) == ("lidar", 240, 240)
+        assert (message.header.frame_id, message.info.width, message.info.height) == ("odom", 240, 240)
         assert message.info.resolution == np.float32(0.25)
-        points = seen(stamp).astype(np.float32)
-        scan = Scan(points[np.hypot(points[:, 0], points[:, 1]) >= 0.5])
-        classed = classify_filter(polar_sectors(scan, ran[0].polar))
-        grid, occupancy = lay_grid(scan.points, classed, GridSettings()), np.asarray(message.data).reshape(240, 240)
+        grid = classify(seen(stamp).astype(np.float32), pose=report.frame.pose).grid
+        assert (message.info.origin.position.x, message.info.origin.position.y) == grid.corner_m
+        occupancy = np.asarray(message.data).reshape(240, 240)
         np.testing.assert_array_equal(occupancy, grid.occupancy)
-        assert {-1, 0, 100} <= set(occupancy.ravel().tolist())
-        # Beside ground points, known cells have the class of the points' sectors.
-        corner = [message.info.origin.position.x, message.info.origin.position.y]
-        column, row = np.floor((scan.points[:, :2] - corner) / 0.25).astype(int).T
-        inside = (np.minimum(column, row) >= 0) & (np.maximum(column, row) < 240) & classed.sectors.point_ground
-        at_points, of_points = grid.class_id[row[inside], column[inside]], point_classes(scan, classed)[inside]
-        assert (at_points == of_points)[at_points < 255].mean() > 0.9  # sectors cut through cells
+        assert {-1, 0, 98, 100} <= set(occupancy.ravel().tolist()) <= {*range(-1, 99), 100}
+        rated = np.isfinite(grid.c_r) & (occupancy < 100)
+        assert rated.sum() > 1000
+        np.testing.assert_allclose(occupancy[rated], 98 * np.minimum(grid.c_r[rated] / limits[2], 1.0), atol=0.51)
+        unrated = (occupancy >= 0) & (occupancy < 100) & ~rated
+        assert set(occupancy[unrated].tolist()) <= {round(98 * limit / limits[2]) for limit in limits}
         check_grid_map(found["/ground/grid_map"][number], stamp, grid)
 
 
 def check_grid_map(stored, stamp, grid):
     """Place the cells by the rules of grid_map: index (0, 0) is the corner at +x, +y."""
     time, message = stored
-    assert (time, message.header.frame_id) == (stamp, "lidar")
-    assert message.layers == ["class", "elevation", "step", "obstacle_height", "clearance"]
+    assert (time, message.header.frame_id) == (stamp, "odom")
+    assert message.layers == ["class", "elevation", "step", "obstacle_height", "clearance", "c_r"]
     layers = {"class": np.where(grid.class_id == 255, np.nan, grid.class_id)}
     assert (message.info.length_x, message.info.length_y, message.info.resolution) == (60.0, 60.0, 0.25)
-    assert (message.info.pose.position.x, message.info.pose.position.y) == (0.0, 0.0)
+    assert (message.info.pose.position.x - 30.0, message.info.pose.position.y - 30.0) == grid.corner_m
     for name, values in zip(message.layers, message.data, strict=True):
         matrix = np.asarray(values.data).reshape(240, 240).T  # column by column; rows run to -x, columns to -y
         expected = layers[name] if name in layers else getattr(grid, name)
         np.testing.assert_array_equal(matrix[::-1, ::-1].T, expected)
+
+
+def test_sensors_on_several_topics_are_one_drive_and_one_grid(tmp_path):
+    mounts = {
+        "front": (Rotation.identity(), np.array([0.5, 0.0, 1.2])),
+        "rear": (Rotation.from_euler("z", 180, degrees=True), np.array([-0.5, 0.0, 1.0])),
+    }
+    messages = [("/tf_static", T0 - 1, transforms(T0, *(("base", name, mount) for name, mount in mounts.items())))]
+    expected, classify = [], bumpymap.ScanClassifier(method="filter")
+    for stamp in STAMPS[:2]:
+        turn, place = pose(stamp)
+        messages.append(("/odom", stamp, odometry(stamp, pose(stamp))))
+        scans = []
+        for name, (on_base, at) in mounts.items():
+            points = on_base.inv().apply(turn.inv().apply(world() - place) - at)
+            scans.append(points[points[:, 0] > 0.0].astype(np.float32))  # it looks ahead
+            messages.append((f"/{name}", stamp + 10_000_000, cloud(lidar_rows(scans[-1]), stamp, name)))
+        base, sensors = np.eye(4), np.tile(np.eye(4), (2, 1, 1))
+        base[:3, :3], base[:3, 3] = turn.as_matrix(), place
+        for sensor, (on_base, at) in zip(sensors, mounts.values(), strict=True):
+            sensor[:3, :3], sensor[:3, 3] = on_base.as_matrix(), at
+        expected.append(classify.together(scans, sensors=sensors, pose=base)[0].grid)
+    folder = write_bag(tmp_path / "drive", messages)
+    how = {"topic": "/front,/rear", "method": "filter", "products": ("table",), "bag": tmp_path / "g.mcap"}
+    result = scan_frames(ScanConfig((folder,), tmp_path / "out", **how))
+    assert [report.frame.message.topic for report in result.frames] == ["/front", "/rear"] * 2
+    assert result.drive is not None
+    grids = messages_of(how["bag"])["/ground/occupancy"]
+    assert len(grids) == 2
+    for (_, message), grid in zip(grids, expected, strict=True):
+        own, other = np.asarray(message.data).reshape(240, 240)[10:-10, 10:-10], grid.occupancy
+        move = np.round((np.array(grid.corner_m) - [getattr(message.info.origin.position, k) for k in "xy"]) / 0.25)
+        x, y = (int(k) for k in 10 - move)
+        both = other[y : y + 220, x : x + 220]
+        assert (own == both).mean() > 0.995  # the window is laid around the first sensor
+        ahead = (own[:, 160:] >= 0).mean(), (own[:, :60] >= 0).mean()
+        assert min(ahead) > 0.3
 
 
 def test_a_complete_run_is_recognised(ran, bag, tmp_path):
@@ -165,7 +202,12 @@ def test_a_bad_message_is_skipped(tmp_path):
     config = ScanConfig((folder,), tmp_path / "out", **how)
     result = scan_frames(config)
     assert list(result.skipped) == [f"{folder}, message 1 of /points"]
-    assert [time for time, _ in messages_of(config.bag)["/ground/occupancy"]] == [STAMPS[0], STAMPS[2]]
+    grids = messages_of(config.bag)["/ground/occupancy"]
+    assert [time for time, _ in grids] == [STAMPS[0], STAMPS[2]]
+    for stamp, (_, message) in zip(STAMPS[::2], grids, strict=True):  # no poses: around the sensor
+        assert (message.header.frame_id, message.info.origin.position.x) == ("lidar", -30.0)
+        expected = bumpymap.classify_scan(seen(stamp).astype(np.float32), method="filter").grid.occupancy
+        np.testing.assert_array_equal(np.asarray(message.data).reshape(240, 240), expected)
     assert scan_frames(config).already_done
     with pytest.raises(UsageError, match="needs the pose of every frame"):
         scan_frames(replace(config, out=tmp_path / "other", bag=None, crs="EPSG:32614"))

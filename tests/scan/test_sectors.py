@@ -472,6 +472,38 @@ def test_a_robot_remembers_what_is_out_of_view_and_not_what_has_left():
             classify(points, pose=wrong)
 
 
+def test_sensors_together_know_what_one_of_them_sees():
+    """A box hides the ground behind it from one of two sensors on either side."""
+    classify = ScanClassifier(method="filter", grid={"reach_m": 20.0})
+
+    def box(x, y):
+        return np.where((np.abs(x - 8.0) < 1.0) & (np.abs(y) < 1.0), 1.3, 0.0)
+
+    scans, sensors = zip(around(0.0, 0.0, 0.0, box), around(16.0, 0.0, math.pi, box), strict=True)
+    alone, (first, second) = classify(scans[0]).grid, classify.together(scans, sensors=sensors)
+    x, y = centres()
+    behind, near = (x > 10.0) & (x < 13.0) & (np.abs(y) < 0.2), (x > 7.2) & (x < 8.8) & (np.abs(y) < 0.8)
+    assert (alone.occupancy[behind] == -1).all()
+    assert is_free(first.grid.occupancy[behind]).all()
+    assert not is_free(first.grid.occupancy[near]).any()
+    barred = alone.occupancy == 100
+    assert (first.grid.occupancy[barred] == 100).all()
+    assert second.grid is first.grid
+    assert first.grid.corner_m == (-20.0, -20.0)
+    assert np.nanmedian(first.grid.elevation) == pytest.approx(0.0, abs=0.02)  # in the frame of the robot
+    np.testing.assert_array_equal(second.points, scans[1])
+    away = np.array([[0, -1, 0, 300.0], [1, 0, 0, 0], [0, 0, 1, 2.0], [0, 0, 0, 1]])
+    for _ in range(2):
+        grid = classify.together(scans, sensors=sensors, pose=away)[0].grid
+    assert grid.corner_m == (280.0, -20.0)
+    turned = np.rot90(grid.occupancy)
+    assert (is_free(turned) == is_free(first.grid.occupancy))[np.hypot(x, y) < 18.0].mean() > 0.97
+    with pytest.raises(UsageError, match="2 scans and 1 sensors"):
+        classify.together(scans, sensors=sensors[:1])
+    with pytest.raises(UsageError, match=r"sensors\[1\] must be an array"):
+        classify.together(scans, sensors=[np.eye(4), np.eye(3)])
+
+
 @pytest.mark.realdata
 @pytest.mark.parametrize(("frame", "labels"), [("kitti01_2", "kitti"), ("nerox_09", "semantic-kitti")])
 def test_cells_of_ground_are_free_and_cells_of_obstacles_barred(shared_data, frame, labels):
