@@ -112,6 +112,7 @@ def test_poses_from_transforms_and_of_the_sensor_itself(tmp_path):
     links = [("/tf", t, transforms(t, ("odom", "base", pose((t - T0) * 1e-9)))) for t in times]
     links += [("/tf", t, transforms(t, ("map", "odom", base))) for t in times[::2]]
     sources = found_in(bag_of(tmp_path / "drive", MOUNTED, clouds(), links))
+    assert {source.pose_frame for source in sources} == {"map"}
     for number, source in enumerate(sources):
         expected = matrix(*base) @ matrix(*pose(number * 0.1)) @ matrix(*MOUNT)
         np.testing.assert_allclose(source.pose, expected, atol=1e-4)

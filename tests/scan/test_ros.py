@@ -20,7 +20,7 @@ from bags import as_rclpy, cloud, lidar_rows, odometry, transforms, write_bag
 from rosbags.highlevel import AnyReader
 
 import bumpymap
-from bumpymap.core import OutputError, UsageError
+from bumpymap.core import OutputError, SilentProgress, UsageError
 from bumpymap.rating import find_calibration
 from bumpymap.readers import BagReader, BagTopics, find_sources
 from bumpymap.scan import ScanConfig, scan_frames
@@ -36,6 +36,10 @@ MOUNT = (Rotation.from_euler("x", 3, degrees=True), np.array([0.4, 0.0, 1.2]))
 def pose(stamp):
     seconds = (stamp - T0) * 1e-9
     return Rotation.from_euler("z", 0.4 * seconds), np.array([3.0 * seconds, 0.0, 0.3])
+
+
+def rigid(turn, place):
+    return np.block([[turn.as_matrix(), place[:, None]], [np.zeros(3), 1.0]])
 
 
 def world():
@@ -82,9 +86,7 @@ def test_frames_have_the_names_of_their_stamps_and_the_poses_of_the_bag(ran):
     assert [report.frame.name for report in result.frames] == [f"1700000000_{n}00000000" for n in range(4)]
     for report, stamp in zip(result.frames, STAMPS, strict=True):
         turn, place = pose(stamp)
-        expected = np.eye(4)
-        expected[:3, :3], expected[:3, 3] = (turn * MOUNT[0]).as_matrix(), turn.apply(MOUNT[1]) + place
-        np.testing.assert_allclose(report.frame.pose, expected, atol=1e-6)
+        np.testing.assert_allclose(report.frame.pose, rigid(turn, place) @ rigid(*MOUNT), atol=1e-6)
     record = json.loads((config.out / "scan.json").read_text(encoding="utf-8"))
     assert [frame["message"]["number"] for frame in record["frames"]] == [0, 1, 2, 3]
     assert {frame["sha256"] for frame in record["frames"]} == {None}
@@ -106,8 +108,6 @@ def test_a_file_of_poses_is_matched_with_the_times_of_the_bag(bag, tmp_path):
         turn, place = pose(stamp)
         np.testing.assert_allclose(report.frame.pose[:3, :3], turn.as_matrix(), atol=1e-5)
         np.testing.assert_allclose(report.frame.pose[:3, 3], np.add(place, (0.0, 500.0, 0.0)), atol=1e-4)
-    record = json.loads((config.out / "scan.json").read_text(encoding="utf-8"))
-    assert record["poses"] == {"matched_by": "time", "calib": None, "deskew": False}
 
 
 def test_grids_are_read_back_in_the_frame_of_the_poses_with_what_is_remembered(ran):
@@ -148,7 +148,7 @@ def check_grid_map(stored, stamp, grid):
 
 def test_sensors_on_several_topics_are_one_drive_and_one_grid(tmp_path):
     mounts = {
-        "front": (Rotation.identity(), np.array([0.5, 0.0, 1.2])),
+        "front": (Rotation.identity(), np.array([0.0, 0.0, 1.2])),
         "rear": (Rotation.from_euler("z", 180, degrees=True), np.array([-0.5, 0.0, 1.0])),
     }
     messages = [("/tf_static", T0 - 1, transforms(T0, *(("base", name, mount) for name, mount in mounts.items())))]
@@ -161,11 +161,8 @@ def test_sensors_on_several_topics_are_one_drive_and_one_grid(tmp_path):
             points = on_base.inv().apply(turn.inv().apply(world() - place) - at)
             scans.append(points[points[:, 0] > 0.0].astype(np.float32))  # it looks ahead
             messages.append((f"/{name}", stamp + 10_000_000, cloud(lidar_rows(scans[-1]), stamp, name)))
-        base, sensors = np.eye(4), np.tile(np.eye(4), (2, 1, 1))
-        base[:3, :3], base[:3, 3] = turn.as_matrix(), place
-        for sensor, (on_base, at) in zip(sensors, mounts.values(), strict=True):
-            sensor[:3, :3], sensor[:3, 3] = on_base.as_matrix(), at
-        expected.append(classify.together(scans, sensors=sensors, pose=base)[0].grid)
+        sensors = [rigid(*mount) for mount in mounts.values()]
+        expected.append(classify.together(scans, sensors=sensors, pose=rigid(turn, place))[0].grid)
     folder = write_bag(tmp_path / "drive", messages)
     how = {"topic": "/front,/rear", "method": "filter", "products": ("table",), "bag": tmp_path / "g.mcap"}
     result = scan_frames(ScanConfig((folder,), tmp_path / "out", **how))
@@ -174,13 +171,9 @@ def test_sensors_on_several_topics_are_one_drive_and_one_grid(tmp_path):
     grids = messages_of(how["bag"])["/ground/occupancy"]
     assert len(grids) == 2
     for (_, message), grid in zip(grids, expected, strict=True):
-        own, other = np.asarray(message.data).reshape(240, 240)[10:-10, 10:-10], grid.occupancy
-        move = np.round((np.array(grid.corner_m) - [getattr(message.info.origin.position, k) for k in "xy"]) / 0.25)
-        x, y = (int(k) for k in 10 - move)
-        both = other[y : y + 220, x : x + 220]
-        assert (own == both).mean() > 0.995  # the window is laid around the first sensor
-        ahead = (own[:, 160:] >= 0).mean(), (own[:, :60] >= 0).mean()
-        assert min(ahead) > 0.3
+        own = np.asarray(message.data).reshape(240, 240)
+        assert (own == grid.occupancy).mean() > 0.999  # poses are interpolated
+        assert min((own[:, 160:] >= 0).mean(), (own[:, :80] >= 0).mean()) > 0.3
 
 
 def test_a_complete_run_is_recognised(ran, bag, tmp_path):
@@ -192,6 +185,18 @@ def test_a_complete_run_is_recognised(ran, bag, tmp_path):
     shutil.move(moved, ran[0].bag)
     with pytest.raises(OutputError, match="topic was not given, is /points"):
         scan_frames(replace(ran[0], topic="/points"))
+
+
+def test_an_interrupted_run_goes_on_with_what_is_remembered(ran, tmp_path):
+    class Ends(SilentProgress):
+        def advance(self, steps):
+            raise KeyboardInterrupt
+
+    config = replace(ran[0], out=tmp_path / "out", bag=tmp_path / "grids.mcap")
+    with pytest.raises(KeyboardInterrupt):
+        scan_frames(config, Ends())
+    scan_frames(config)
+    assert config.bag.read_bytes() == ran[0].bag.read_bytes()
 
 
 def test_a_bad_message_is_skipped(tmp_path):
@@ -206,8 +211,8 @@ def test_a_bad_message_is_skipped(tmp_path):
     assert [time for time, _ in grids] == [STAMPS[0], STAMPS[2]]
     for stamp, (_, message) in zip(STAMPS[::2], grids, strict=True):  # no poses: around the sensor
         assert (message.header.frame_id, message.info.origin.position.x) == ("lidar", -30.0)
-        expected = bumpymap.classify_scan(seen(stamp).astype(np.float32), method="filter").grid.occupancy
-        np.testing.assert_array_equal(np.asarray(message.data).reshape(240, 240), expected)
+        expected = bumpymap.classify_scan(seen(stamp), method="filter").grid.occupancy
+        np.testing.assert_array_equal(message.data, expected.ravel())
     assert scan_frames(config).already_done
     with pytest.raises(UsageError, match="needs the pose of every frame"):
         scan_frames(replace(config, out=tmp_path / "other", bag=None, crs="EPSG:32614"))
@@ -229,11 +234,6 @@ def test_where_the_grids_cannot_be_written(bag, tmp_path):
             scan_frames(replace(config, bag=place, overwrite=True))
     with pytest.raises(UsageError, match=r"ends in \.mcap"):
         replace(config, bag=tmp_path / "g.db3")
-    assert (tmp_path / "g.mcap").read_text() == "mine"
-    shutil.rmtree(tmp_path / "out")
-    (tmp_path / "link.mcap").symlink_to(tmp_path / "g.mcap")
-    scan_frames(replace(config, bag=tmp_path / "link.mcap", overwrite=True))
-    assert not (tmp_path / "link.mcap").is_symlink()
     assert (tmp_path / "g.mcap").read_text() == "mine"
 
 
