@@ -342,7 +342,7 @@ class GroundGrid:
     class_id: NDArray[np.uint8]
     """Class of the ground of the cell's sector; ``NOT_TRAVERSABLE`` also where no ground is known."""
     elevation: NDArray[np.float32]
-    """Mean z of the ground points in the cell, m, in the sensor's frame."""
+    """Mean z of the ground points in the cell, m, in the frame of the cells."""
     step: NDArray[np.float32]
     """Largest difference in elevation from the cells beside it, m."""
     obstacle_height: NDArray[np.float32]
@@ -352,8 +352,9 @@ class GroundGrid:
     c_r: NDArray[np.float32] | None = None
     """Ride of the vehicle on the cell's sector, rad/m; None without a vehicle."""
     corner_m: tuple[float, float] | None = None
-    """x and y of the lowest corner, m, if the cells are those of a frame that does not move with the robot (``odom``):
-    its axes and heights count, and the sensor is within half a cell of the middle. None: of the sensor's frame."""
+    """x and y of the lowest corner, m, if the cells are those of a frame that does not move with the robot (``odom``),
+    or, with several sensors, of the robot: its axes and heights count, and the sensor, or the robot, is within half a
+    cell of the middle. None: of the sensor's frame."""
 
     @property
     def side(self) -> int:

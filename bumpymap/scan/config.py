@@ -99,6 +99,8 @@ class ScanConfig:
             raise UsageError("`model` is a network of the learned method, and `method` is filter; give one of them")
         if self.poses is not None and self.odometry is not None:
             raise UsageError("`poses` and `odometry` both say where the frames were taken: give one of them")
+        if self.poses is not None and len(self.bag_topics.clouds) > 1:
+            raise UsageError(f"`poses` are those of one sensor, and `topic` is {self.topic}; name one topic")
         if self.bag is not None and self.bag.suffix.lower() != ".mcap":
             raise UsageError(f"`bag` is {self.bag}; it is the name of a file that ends in .mcap")
         if not self.may_have_poses:

@@ -36,7 +36,7 @@ from bumpymap.layers import (
 )
 from bumpymap.readers import BagReader, deskew, read_message, read_scan
 from bumpymap.scan.align import nearest_ranges
-from bumpymap.scan.classifier import FrameView, GroundMemory, SeenCells, see_cells
+from bumpymap.scan.cells import FrameView, GroundMemory, SeenCells, see_cells
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.merge import DriveMerge, PlacedPoints, open_merge
 from bumpymap.views import write_picture

@@ -23,7 +23,7 @@ from bumpymap.core import NO_CLASS, NOT_TRAVERSABLE, GridSettings, Scan, cell_nu
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.rating import find_calibration
 from bumpymap.scan import ScanConfig, classify_filter, load_stripes, polar_sectors, scan_frames
-from bumpymap.scan.classifier import lay_grid
+from bumpymap.scan.cells import lay_grid
 from bumpymap.scan.ground import cell_layout
 from bumpymap.scan.learned import CHANNELS, MEASURES, ScanModel, classify_learned, infer, network_input, probabilities
 from bumpymap.scan.methods import SectorRater
@@ -398,5 +398,3 @@ def test_a_classifier_goes_to_another_process_with_its_settings():
 def test_settings_that_contradict_the_vehicle():
     with pytest.raises(UsageError, match="leave out belly_m, or the vehicle"):
         bumpymap.ScanClassifier(vehicle="warthog", polar={"belly_m": 0.1})
-    with pytest.raises(UsageError, match="contradict"):
-        bumpymap.ScanClassifier(vehicle="warthog", calibration="c.json")

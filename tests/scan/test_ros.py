@@ -117,10 +117,10 @@ def test_grids_are_read_back_in_the_frame_of_the_poses_with_what_is_remembered(r
     for number, (stamp, report) in enumerate(zip(STAMPS, ran[1].frames, strict=True)):
         time, message = found["/ground/occupancy"][number]
         assert time == stamp == message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-        assert (message.header.frame_id, message.info.width, message.info.height) == ("odom", 240, 240)
-        assert message.info.resolution == np.float32(0.25)
+        info = message.info
+        assert (message.header.frame_id, info.width, info.height, info.resolution) == ("odom", 240, 240, 0.25)
         grid = classify(seen(stamp).astype(np.float32), pose=report.frame.pose).grid
-        assert (message.info.origin.position.x, message.info.origin.position.y) == grid.corner_m
+        assert (info.origin.position.x, info.origin.position.y) == grid.corner_m
         occupancy = np.asarray(message.data).reshape(240, 240)
         np.testing.assert_array_equal(occupancy, grid.occupancy)
         assert {-1, 0, 98, 100} <= set(occupancy.ravel().tolist()) <= {*range(-1, 99), 100}
@@ -173,7 +173,6 @@ def test_sensors_on_several_topics_are_one_drive_and_one_grid(tmp_path):
     for (_, message), grid in zip(grids, expected, strict=True):
         own = np.asarray(message.data).reshape(240, 240)
         assert (own == grid.occupancy).mean() > 0.999  # poses are interpolated
-        assert min((own[:, 160:] >= 0).mean(), (own[:, :80] >= 0).mean()) > 0.3
 
 
 def test_a_complete_run_is_recognised(ran, bag, tmp_path):
@@ -183,8 +182,6 @@ def test_a_complete_run_is_recognised(ran, bag, tmp_path):
     with pytest.raises(OutputError, match=r"its bag .* is missing"):
         scan_frames(ran[0])
     shutil.move(moved, ran[0].bag)
-    with pytest.raises(OutputError, match="topic was not given, is /points"):
-        scan_frames(replace(ran[0], topic="/points"))
 
 
 def test_an_interrupted_run_goes_on_with_what_is_remembered(ran, tmp_path):

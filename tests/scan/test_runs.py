@@ -374,6 +374,7 @@ def test_a_scan_without_ground_gives_empty_products_and_says_why(tmp_path, caplo
         ({"products": ("picture",)}, "Pictures of frames are drawn with `pictures`"),
         ({"method": "filter", "model": "a.onnx"}, "give one of them"),
         ({"poses": "poses.txt", "odometry": "/odom"}, "give one of them"),
+        ({"poses": "poses.txt", "topic": "/a,/b"}, "those of one sensor"),
     ],
 )
 def test_settings_that_do_not_go_together(tmp_path, settings, words):

@@ -12,7 +12,7 @@ from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.lab.label_sets import LABEL_SETS
 from bumpymap.readers import read_scan
 from bumpymap.scan import ScanClassifier, classify_filter, polar_sectors
-from bumpymap.scan.classifier import lay_grid
+from bumpymap.scan.cells import lay_grid
 
 
 def made_scan(seed, count=40_000, labels=False):

@@ -84,8 +84,9 @@ def _choose(counts: Mapping[str, Mapping[str, int]], kind: str, wanted: str | No
         kinds = ", ".join(sorted(counts)) or "nothing"
         raise BadInputError(f"the bag holds no topic of type {kind}; it holds {kinds}")
     listed = ", ".join(f"{topic} ({count:,} messages)" for topic, count in sorted(found.items()))
+    also = ", or those of several sensors: NAME,NAME" if kind == CLOUD else ""
     what = "holds several topics" if wanted is None else f"has no topic {wanted}"
-    raise BadInputError(f"the bag {what} of type {kind}: {listed}. Name one of these with `{setting}='NAME'`")
+    raise BadInputError(f"the bag {what} of type {kind}: {listed}. Name one of these with `{setting}='NAME'`{also}")
 
 
 def _messages(bag: BagReader, clouds: Collection[str], recorded: "_Poses") -> Iterable[BagMessage]:
