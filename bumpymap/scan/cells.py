@@ -1,4 +1,4 @@
-"""What scans show of the ground in square cells around the sensor, and what a robot remembers of it."""
+"""Square cells around a sensor: the ground that a scan shows in them, and the memory of a robot."""
 
 import math
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ _BENEATH_M = 2.0
 
 
 class SeenCells(NamedTuple):
-    """What a frame shows of the square cells around its sensor; arrays (side, side), as in `GroundGrid`."""
+    """The square cells around a sensor as a frame shows them; arrays (side, side), as in `GroundGrid`."""
 
     kind: NDArray[np.uint8]
     """Row of ``_OCCUPANCY``."""
@@ -161,11 +161,11 @@ _FORGOTTEN = 100
 """A cell that was not seen in so many frames is unknown again."""
 _ELEVATION, _TOP, _TIP = 0, 2, 4
 _RANK = np.array([1, 2, 3, 4, 0], np.uint8)
-"""Which of two kinds of a cell counts where sensors differ."""
+"""The kind of a cell with the highest counts where sensors differ."""
 
 
 class FrameView(NamedTuple):
-    """What a sensor sees from its place, for the memory."""
+    """The view of a sensor from its place, for the memory."""
 
     pose: NDArray[np.float64]
     """(4, 4) from the sensor to the frame of the memory, m."""
