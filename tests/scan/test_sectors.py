@@ -486,8 +486,7 @@ def test_sensors_together_know_what_one_of_them_sees():
     assert is_free(first.grid.occupancy[behind]).all()
     assert not is_free(first.grid.occupancy[near]).any()
     assert (first.grid.occupancy[alone.occupancy == 100] == 100).all()
-    assert second.grid is first.grid
-    assert first.grid.corner_m == (-20.0, -20.0)
+    assert (second.grid is first.grid, first.grid.corner_m) == (True, (-20.0, -20.0))
     assert np.nanmedian(first.grid.elevation) == pytest.approx(0.0, abs=0.02)  # in the frame of the robot
     away = np.array([[0, -1, 0, 300.0], [1, 0, 0, 0], [0, 0, 1, 2.0], [0, 0, 0, 1]])
     grid = classify.together(scans, sensors=sensors, pose=away)[0].grid
