@@ -109,6 +109,8 @@ class Frame:
     """(4, 4) transform from the sensor frame to the world frame, m; None if unknown."""
     motion: PoseTrack | None = None
     """Poses around the frame, at times relative to it; None if unknown."""
+    pose_frame: str = "map"
+    """Coordinate frame that the pose leads to."""
     name: str = ""
     """Stem of its output files, unique in a run; empty before the run has named its frames."""
 
@@ -247,12 +249,17 @@ class SectorRide:
     """(n,) upper end, rad/m."""
     class_id: NDArray[np.uint8]
     """(n,) class of a survey's map, 0 (flattest) to 3 (roughest, or the vehicle fails); ``NO_CLASS`` if unknown."""
+    p_fail: NDArray[np.float32]
+    """(n,) share of drives that fail, 0..1; NaN if unknown."""
+    limits: NDArray[np.float32]
+    """(3,) of C_r between the classes, rad/m."""
 
     @classmethod
     def unknown(cls, sectors: int) -> "SectorRide":
         """Return the ride on so many sectors of which none could be rated."""
         nothing = np.full(sectors, np.nan, np.float32)
-        return cls(nothing, nothing, nothing, np.full(sectors, NO_CLASS, np.uint8))
+        no_class, no_limits = np.full(sectors, NO_CLASS, np.uint8), np.full(3, np.nan, np.float32)
+        return cls(nothing, nothing, nothing, no_class, nothing, no_limits)
 
 
 @dataclass(frozen=True, slots=True)
@@ -289,13 +296,15 @@ class GroundGrid:
     resolution_m: float
     """Side of a cell."""
     occupancy: NDArray[np.int8]
-    """0, 33, 66 on known ground of class 0, 1, 2; 100 where an obstacle stands, the ground drops, has a step higher
-    than the belly or is not traversable; -1 where nothing is known: neither ground nor an obstacle was seen, and more
-    than the belly's height of what may stand there is hidden from the sensor."""
+    """0, 33, 66 on known ground of class 0, 1, 2; with a vehicle 0 to 98, in proportion to C_r up to the limit of its
+    class 3, and where C_r is unknown, to the limits of its classes 1, 2, 3 for class 0, 1, 2. 100 where an obstacle
+    stands, the ground drops, has a step higher than the belly or is not traversable, or the vehicle fails; -1 where
+    nothing is known: neither ground nor an obstacle was seen, and more than the belly's height of what may stand there
+    is hidden from the sensor."""
     class_id: NDArray[np.uint8]
     """Class of the ground of the cell's sector; ``NOT_TRAVERSABLE`` also where no ground is known."""
     elevation: NDArray[np.float32]
-    """Mean z of the ground points in the cell, m, in the sensor's frame."""
+    """Mean z of the ground points in the cell, m, in the frame of the cells."""
     step: NDArray[np.float32]
     """Largest difference in elevation from the cells beside it, m."""
     obstacle_height: NDArray[np.float32]
@@ -305,8 +314,9 @@ class GroundGrid:
     c_r: NDArray[np.float32] | None = None
     """Ride of the vehicle on the cell's sector, rad/m; None without a vehicle."""
     corner_m: tuple[float, float] | None = None
-    """x and y of the lowest corner, m, if the cells are those of a frame that does not move with the robot (``odom``):
-    its axes and heights count, and the sensor is within half a cell of the middle. None: of the sensor's frame."""
+    """x and y of the lowest corner, m, if the cells are those of a frame that does not move with the robot (``odom``),
+    or, with several sensors, of the robot: its axes and heights count, and the sensor, or the robot, is within half a
+    cell of the middle. None: of the sensor's frame."""
 
     @property
     def side(self) -> int:

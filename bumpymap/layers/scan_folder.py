@@ -267,6 +267,8 @@ class FramePart:
     """(n, 3) m, in the sensor frame, for gathered.laz; empty if that is not written."""
     is_ground: NDArray[np.bool_]
     """(n,) whether each of them is ground."""
+    cells: Mapping[str, NDArray[Any]]
+    """Square cells around the sensor, for the grids of a bag; empty if those are not written."""
     files: Mapping[str, int] = field(default_factory=dict)
     """Size of each file of the frame's own by its name, bytes."""
 
@@ -289,6 +291,9 @@ def has_finished_parts(folder: Path) -> bool:
     return next(folder.glob("frame-*.npz"), None) is not None
 
 
+_CELLS = "cells_"
+
+
 def save_part(part: FramePart, path: Path) -> None:
     """Write the checkpoint of a finished frame; the file appears only when it is complete.
 
@@ -304,7 +309,8 @@ def save_part(part: FramePart, path: Path) -> None:
     record = {"report": part.report.record() | {"pose": None}, "files": dict(part.files)}
     known = np.frombuffer(json.dumps(record).encode(), np.uint8)
     temporary = path.with_name(f".{path.name}")  # removed by the next run if this one is killed
-    np.savez(temporary, known=known, rows=rows, points=part.points, is_ground=part.is_ground)
+    cells: dict[str, Any] = {f"{_CELLS}{name}": values for name, values in part.cells.items()}
+    np.savez(temporary, known=known, rows=rows, points=part.points, is_ground=part.is_ground, **cells)
     os.replace(temporary, path)  # noqa: PTH105 (os.replace says that it overwrites)
 
 
@@ -317,7 +323,8 @@ def load_part(path: Path, frame: Frame) -> FramePart | None:
             if record["report"]["name"] != frame.name:
                 return None
             report = FrameReport.of(frame, record["report"])
-            return FramePart(report, rows, saved["points"], saved["is_ground"], record["files"])
+            cells = {name.removeprefix(_CELLS): saved[name] for name in saved.files if name.startswith(_CELLS)}
+            return FramePart(report, rows, saved["points"], saved["is_ground"], cells, record["files"])
     except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile, pa.ArrowException):
         return None
 

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
 from bumpymap.core import (
-    NO_CLASS,
-    NOT_TRAVERSABLE,
     ClassedSectors,
     PolarSettings,
     Scan,
@@ -29,6 +28,7 @@ from bumpymap.layers.scan_folder import (
     class_index,
     point_styles,
 )
+from bumpymap.layers.scan_table import RIDE_COLUMNS, sector_rows
 
 _ABOUT = (
     "bumpymap scan: sensor frame, x forward, y left, z up, metres",
@@ -118,30 +118,16 @@ def write_polygons(name: str, classed: ClassedSectors, path: Path) -> None:
 
 
 def _properties(classed: ClassedSectors) -> list[dict[str, Any]]:
-    stack = classed.sectors
-    count = len(stack.zone)
-    columns: dict[str, list[Any]] = {
-        "zone": stack.zone.tolist(),
-        "ring": stack.ring.tolist(),
-        "sector": stack.sector.tolist(),
-        "points": stack.count.tolist(),
-        "ground_points": stack.ground_count.tolist(),
-        "class": [None if class_id == NOT_TRAVERSABLE else class_id for class_id in classed.class_id.tolist()],
-        "class_name": [SCAN_CLASS_NAMES[place] for place in class_index(classed).tolist()],
-        "traversable": stack.traversable.tolist(),
-        "obstacle": stack.obstacle.tolist(),
-        "obstacle_height": _numbers(stack.obstacle_height),
-        "clearance": _numbers(stack.clearance),
-        "stripes": [None] * count if classed.stripes is None else _numbers(classed.stripes),
-        "normal": list(zip(*(_numbers(stack.normal[:, axis]) for axis in range(3)), strict=True)),
-        "variance": _numbers(stack.variance),
-        "residual": _numbers(stack.residual),
-        "coverage": _numbers(stack.coverage),
-        "label": [None if label < 0 else label for label in stack.label.tolist()],
+    """Return the columns of the table without those that the outlines tell, a dict for each sector."""
+    rows = sector_rows("", classed).drop_columns(["frame", "near", "far", "right", "left"])
+    if classed.ride is None:
+        rows = rows.drop_columns(RIDE_COLUMNS)
+    columns = {
+        name: _numbers(values.to_numpy()) if values.type == pa.float32() else values.to_pylist()
+        for name, values in zip(rows.column_names, rows.columns, strict=True)
     }
-    if classed.ride is not None:
-        columns |= {name: _numbers(getattr(classed.ride, name)) for name in ("c_r", "c_r_low", "c_r_high")}
-        columns["ride_class"] = [None if value == NO_CLASS else value for value in classed.ride.class_id.tolist()]
+    columns["normal"] = list(zip(*(columns.pop(f"normal_{axis}") for axis in "xyz"), strict=True))
+    columns["class_name"] = [SCAN_CLASS_NAMES[place] for place in class_index(classed).tolist()]
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 

@@ -103,21 +103,20 @@ class SectorTable:
     def __init__(self, writer: pq.ParquetWriter) -> None:
         self._writer = writer
         self._rows = 0
-        self.waiting: list[pa.Table] = []
-        """Rows that are not written yet."""
+        self._waiting: list[pa.Table] = []
 
     def add_rows(self, rows: pa.Table) -> None:
         """Append rows from `sector_rows`."""
-        self.waiting.append(rows)
+        self._waiting.append(rows)
         self._rows += rows.num_rows
         if self._rows >= ROW_GROUP:
             self.flush()
 
     def flush(self) -> None:
         """Write the buffered rows."""
-        if self.waiting:
-            self._writer.write_table(pa.concat_tables(self.waiting), row_group_size=2 * ROW_GROUP)
-            self.waiting.clear()
+        if self._waiting:
+            self._writer.write_table(pa.concat_tables(self._waiting), row_group_size=2 * ROW_GROUP)
+            self._waiting.clear()
             self._rows = 0
 
 

@@ -65,7 +65,7 @@ _ROUGH, _ROUGH_M = 2.5, 0.06
 """A plane whose points spread by more than this multiple of the noise, and by more than this, m, links nothing."""
 _BELOW = 0.5
 """Points further below a plane than this are reflections, m."""
-_PART_POINTS, _PART_SPREAD, _PART_LOWEST, _PART_HIGHEST, _PART_STEP, _PART_REACH = 3, 0.07, -0.6, 0.8, 0.2, 0.15
+_PART_POINTS, _PART_SPREAD, _PART_LOWEST, _PART_HIGHEST, _PART_STEP, _PART_REACH = 3, 0.12, -0.6, 1.2, 0.2, 0.2
 """A part beside the plane is ground too if it has so many points, spread less than this, at a height between these, and
 passes a neighbouring part of the ground at less than this; its ground points are so near to their mean, m."""
 _BESIDE_M, _BESIDE, _TOGETHER = 0.03, 0.04, 3.0
@@ -74,7 +74,7 @@ more for each metre from it; so many are a thing."""
 _ROUNDS = 6
 _LAYER = 1.5
 """Points further from a plane than this do not belong to the layer of the ground, m."""
-_PLANTS_ABOVE, _PLANTS_SHARE, _PLANTS_SPREAD, _PLANTS_LEAST = 0.8, 0.2, 1.8, 0.03
+_PLANTS_ABOVE, _PLANTS_SHARE, _PLANTS_SPREAD, _PLANTS_LEAST = 0.8, 0.2, 1.8, 0.045
 """Plants stand in a part if so high above its ground at most, m, there are points, as a share of those on it, and those
 on it spread by more than this multiple of the scan's noise and more than this, m."""
 
@@ -751,14 +751,13 @@ def _mark_plants(points: CellPoints, cell: int, limits: tuple[float, float], s: 
 
 
 @helper
-def _leave_out_airborne(things: Annotated[NDArray[np.float32], 2], lowest: Singles, reach: float) -> bool:
+def _leave_out_airborne(things: Annotated[NDArray[np.float32], 2], lowest: Singles, reach: float) -> None:
     """Take returns that lie alone from the things of a cell: fewer than three in a pixel and those next to it.
 
-    The beams of a thing lie side by side, so that its returns do; those from rain, dust or an insect lie alone. Returns
-    whether there were any.
+    The beams of a thing lie side by side, so that its returns do; those from rain, dust or an insect lie alone.
     """
     top, count = things[0], things[1]
-    side, alone = int(math.sqrt(len(lowest)) + 0.5), False
+    side = int(math.sqrt(len(lowest)) + 0.5)
     for place in range(len(lowest)):
         if not 0.0 < count[place] < _TOGETHER:
             continue
@@ -770,12 +769,10 @@ def _leave_out_airborne(things: Annotated[NDArray[np.float32], 2], lowest: Singl
                 if k != place and count[k] != 0.0 and lowest[k] < high and top[k] > low:
                     beside += abs(count[k])
         if beside < _TOGETHER:
-            alone = True
             count[place] = -count[place]
-    for place in range(len(lowest) if alone else 0):
+    for place in range(len(lowest)):
         if count[place] < 0.0:
             top[place] = count[place] = np.float32(0.0)
-    return alone
 
 
 @kernel
@@ -809,10 +806,7 @@ def label_points(
                 out.order[end] = p
                 end += 1
                 continue
-            if rule.belly <= h < rule.height:
-                out.obstacles[cell] += 1
-                out.top[cell] = max(out.top[cell], h)
-            elif h >= rule.height:
+            if h >= rule.height:
                 out.overhead[cell] += 1
                 out.clearance[cell] = min(out.clearance[cell], h)
             if 0.0 < h < THINGS_HEIGHT * rule.height:
@@ -823,9 +817,7 @@ def label_points(
                 out.things[cell, 1, place] += np.float32(1.0)
         if mixed:
             reach = _BESIDE_M + _BESIDE * math.sqrt(geometry.x[cell] ** 2 + geometry.y[cell] ** 2)
-            if not _leave_out_airborne(out.things[cell], scratch.lowest, reach):
-                continue
-            out.obstacles[cell], out.top[cell] = 0, -np.inf
+            _leave_out_airborne(out.things[cell], scratch.lowest, reach)
             for i in range(points.starts[cell], points.starts[cell + 1]):
                 h, p = scratch.heights[i], by_cell.order[i]
                 if out.ground[p] or not 0.0 < h < THINGS_HEIGHT * rule.height:

@@ -1,7 +1,8 @@
-"""Compiled loops over the points of a scan: where each lies on the polar grid, and what square cells say of the ground.
+"""Compiled loops over the points of a scan: where each lies, where the ground drops, and what square cells say of it.
 
-``place_points`` finds the cell (zone, ring, sector) and the pixel of every point, ``sort_points`` lists the points by
-cell; ``lay_cells`` fills a grid of square cells. Nothing here allocates: scratch arrays come from the caller.
+What lies behind an edge is not seen, and a plane that is fitted to both sides passes over it. Therefore the ground is
+followed outwards: if what is seen next lies too far below where the ground should go on, there is an edge in between.
+Nothing here allocates: scratch arrays come from the caller.
 """
 
 import math
@@ -18,6 +19,7 @@ Integers = Annotated[NDArray[np.int32], 1]
 Counts = Annotated[NDArray[np.int64], 1]
 Singles = Annotated[NDArray[np.float32], 1]
 Flags = Annotated[NDArray[np.bool_], 1]
+Kinds = Annotated[NDArray[np.uint8], 1]
 
 BLOCK = 512
 """Points whose distance and direction are found at once: they stay in the nearest cache."""
@@ -126,6 +128,93 @@ def sort_points(cell: Integers, out: CellOrder) -> None:
             starts[cell[i] + 1] += 1
 
 
+class GroundPoints(NamedTuple):
+    """The points of a scan, and the slope of the ground."""
+
+    points: ScanPoints
+    """(points, 3) m."""
+    pixel: Integers
+    """(points,) as `place_points` gives it."""
+    is_ground: Annotated[NDArray[np.bool_], 1]
+    """(points,)"""
+    slope: Annotated[NDArray[np.float64], 2]
+    """(cells, 2) along x and y; 0 where it is not known."""
+
+
+class DropRule(NamedTuple):
+    """Limits of a drop."""
+
+    least: float
+    """Less is none, m."""
+    slope: float
+    """A drop is steeper than this, against the slope of the ground before it."""
+    below: float
+    """The beam to what lies below passes the last ground before it above this, against that ground, m. If not, the
+    ground goes on, and what is seen below is a reflection in it; -inf where the height of the sensor is not known."""
+    directions: int
+    """In which the ground is followed."""
+
+
+@kernel
+def find_drops(
+    ground: GroundPoints,
+    by_cell: CellOrder,
+    grid: ZoneGrid,
+    rule: DropRule,
+    lowest_ground: ScanPoints,
+    lowest_other: ScanPoints,
+    drops: Integers,
+) -> None:
+    """Follow the ground outwards: count the drops in every cell.
+
+    A drop counts for the last cell before it, and for the cell of what is seen below. ``lowest_ground``,
+    ``lowest_other`` (cells, pixels^2): scratch: heights by pixel, m; ``drops`` (cells,): zeros; filled: in how many
+    directions the ground drops in the cell.
+    """
+    points, pixel, slope = ground.points, ground.pixel, ground.slope
+    pixels, zones = grid.pixels, len(grid.sectors)
+    lowest_ground[:] = np.inf
+    lowest_other[:] = np.inf
+    for cell in range(len(by_cell.starts) - 2):
+        for i in range(by_cell.starts[cell], by_cell.starts[cell + 1]):
+            p = by_cell.order[i]
+            if ground.is_ground[p]:
+                lowest_ground[cell, pixel[p]] = min(lowest_ground[cell, pixel[p]], points[p, 2])
+            else:
+                lowest_other[cell, pixel[p]] = min(lowest_other[cell, pixel[p]], points[p, 2])
+    for direction in range(rule.directions):
+        share = (direction + 0.5) / rule.directions
+        turn = 2.0 * math.pi * (share + grid.start)
+        cos, sin = math.cos(turn), math.sin(turn)
+        known, last_r, last_z, last_slope = False, 0.0, 0.0, 0.0
+        last_cell, marked, first = -1, -1, 0
+        for zone in range(zones):
+            around = share * grid.sectors[zone]
+            sector = int(around)
+            column = int((around - sector) * pixels)
+            step = (grid.edges[zone + 1] - grid.edges[zone]) / (grid.rings[zone] * pixels)
+            for ring in range(grid.rings[zone]):
+                cell = first + ring * grid.sectors[zone] + sector
+                for row in range(pixels):
+                    k = row * pixels + column
+                    r = grid.edges[zone] + (ring * pixels + row + 0.5) * step
+                    on_ground = lowest_ground[cell, k] < np.inf
+                    z = np.float64(lowest_ground[cell, k] if on_ground else lowest_other[cell, k])
+                    if z == np.inf:
+                        continue
+                    if known:
+                        drop = last_z + last_slope * (r - last_r) - z
+                        beam = z * last_r / r - last_z
+                        if drop > rule.least and drop > rule.slope * (r - last_r) and beam > rule.below:
+                            drops[last_cell] += marked != last_cell
+                            drops[cell] += cell not in (last_cell, marked)
+                            marked = cell
+                    if on_ground:
+                        known, last_r, last_z, last_cell = True, r, z, cell
+                        last_slope = slope[cell, 0] * cos + slope[cell, 1] * sin
+            first += grid.sectors[zone] * grid.rings[zone]
+
+
 RAYS = 180
 """Rays from the sensor through each side of a grid of square cells: at 30 m they are 0.33 m apart."""
 
@@ -136,8 +225,8 @@ class SquareCells(NamedTuple):
     Cells are numbered from the lowest y upwards, and in each row from the lowest x. Unknown heights are NaN.
     """
 
-    occupancy: Annotated[NDArray[np.int8], 1]
-    """(cells,) of ROS: 0 to 100, -1 unknown."""
+    kind: Kinds
+    """(cells,) class of the ground; one more than the last where a vehicle cannot go, and one more where unknown."""
     sector: Integers
     """(cells,) row of the sector whose ground is known in the cell; -1 without any."""
     elevation: Singles
@@ -146,10 +235,10 @@ class SquareCells(NamedTuple):
     """(cells,) largest difference in elevation from a cell beside it, m."""
     top: Singles
     """(cells,) height above the ground of the highest point of an obstacle, m."""
-    tip: Singles
-    """(cells,) its z, m."""
     clearance: Singles
     """(cells,) height above the ground of the lowest point that a vehicle passes under, m."""
+    tip: Singles
+    """(cells,) z of that highest point, m."""
 
 
 class ClassedPoints(NamedTuple):
@@ -165,8 +254,8 @@ class ClassedPoints(NamedTuple):
     """(points,) above the ground of its sector, m; NaN where none is known."""
     sector: Integers
     """(points,) row of its sector; -1 if it is in none."""
-    occupancy: Annotated[NDArray[np.int8], 1]
-    """(sectors + 1,) of its ground."""
+    kind: Kinds
+    """(sectors + 1,) of its ground, see `SquareCells`; the last one: unknown."""
     drops: Flags
     """(sectors + 1,) whether its ground drops."""
     slope: Annotated[NDArray[np.float64], 2]
@@ -344,7 +433,7 @@ def _follow_ray(ray: int, slope_to: tuple[float, float], scan: ClassedPoints, ru
 
 @helper
 def _judge_cell(cell: int, scan: ClassedPoints, rule: CellRule, out: SquareCells, s: CellScratch) -> None:
-    """Find the occupancy of a cell, and the sector whose ground is known there."""
+    """Find the kind of a cell, and the sector whose ground is known there."""
     first, last, ring = s.rays[cell, 0], s.rays[cell, 1], s.rays[cell, 2]
     seen, beneath, falls, home = 0, 0, False, -1
     for ray in range(first, last + 1):
@@ -361,7 +450,7 @@ def _judge_cell(cell: int, scan: ClassedPoints, rule: CellRule, out: SquareCells
     sector = out.sector[cell]
     falls |= scan.drops[sector] and not s.fell[sector]
     stops = s.things[cell] > 0 or falls or out.step[cell] > rule.belly
-    out.occupancy[cell] = 100 if stops else scan.occupancy[sector]
+    out.kind[cell] = scan.kind[-1] - 1 if stops else scan.kind[sector]
 
 
 @kernel
@@ -378,5 +467,5 @@ def lay_cells(scan: ClassedPoints, rule: CellRule, out: SquareCells, scratch: Ce
         ahead = rule.resolution if ray < 2 * RAYS else -rule.resolution
         way = (ahead, ahead * across) if ray // RAYS % 2 == 0 else (-ahead * across, ahead)
         _follow_ray(ray, way, scan, rule, scratch)
-    for cell in range(len(out.occupancy)):
+    for cell in range(len(out.kind)):
         _judge_cell(cell, scan, rule, out, scratch)

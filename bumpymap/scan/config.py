@@ -32,7 +32,7 @@ class ScanConfig:
     out: Annotated[Path, Setting("Folder for the output", "DIR", group="Output")]
     """Folder for the products."""
     topic: Annotated[
-        str | None, Setting("Topic of the scans in a bag", "NAME", default="the only one", group="Input")
+        str | None, Setting("Topics of the scans in a bag", "NAME[,NAME]", default="the only one", group="Input")
     ] = None
     odometry: Annotated[
         str | None, Setting("Topic of the poses in a bag", "NAME", default="the only one, or tf", group="Input")
@@ -99,6 +99,8 @@ class ScanConfig:
             raise UsageError("`model` is a network of the learned method, and `method` is filter; give one of them")
         if self.poses is not None and self.odometry is not None:
             raise UsageError("`poses` and `odometry` both say where the frames were taken: give one of them")
+        if self.poses is not None and len(self.bag_topics.clouds) > 1:
+            raise UsageError(f"`poses` are those of one sensor, and `topic` is {self.topic}; name one topic")
         if self.bag is not None and self.bag.suffix.lower() != ".mcap":
             raise UsageError(f"`bag` is {self.bag}; it is the name of a file that ends in .mcap")
         if not self.may_have_poses:
@@ -116,7 +118,8 @@ class ScanConfig:
         """Topics of a bag that are read."""
         from bumpymap.readers import BagTopics
 
-        return BagTopics(self.topic, self.odometry, poses=self.poses is None)
+        topics = tuple(filter(None, (self.topic or "").split(",")))
+        return BagTopics(topics, self.odometry, poses=self.poses is None)
 
     def refuse_crs(self) -> None:
         """Raise UsageError if there is a CRS; for runs without poses."""

@@ -1,17 +1,19 @@
 """The frames of a scan run, bad ones skipped, and their products, moved to their places when all are complete."""
 
 import logging
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from bumpymap.core import BadInputError, ClassedSectors, Frame, Scan, move_together, remove_path
+from bumpymap.core import BadInputError, ClassedSectors, Frame, GroundGrid, Scan, move_together, remove_path
 from bumpymap.layers import (
     ACCUMULATED_NAME,
     FRAME_FOLDER,
@@ -33,10 +35,11 @@ from bumpymap.layers import (
     write_frame,
 )
 from bumpymap.readers import BagReader, deskew, read_message, read_scan
-from bumpymap.scan.classifier import lay_grid
+from bumpymap.scan.align import nearest_ranges
+from bumpymap.scan.cells import FrameView, GroundMemory, SeenCells, see_cells
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.merge import DriveMerge, PlacedPoints, open_merge
-from bumpymap.views import GridBag, write_picture
+from bumpymap.views import write_picture
 
 _log = logging.getLogger(__name__)
 
@@ -51,18 +54,22 @@ class FrameReader:
         self._config = config
         self.skipped: dict[str, str] = {}
         """Origin -> error message of each frame that was skipped."""
-        self._bags: dict[Path, BagReader] = {}
+        self._bags: dict[tuple[Path, str], BagReader] = {}
+        """By bag and topic: each reads on where it was."""
         self._lock = Lock()
 
     def read(self, frame: Frame) -> Scan:
         """Read a frame; deskew it if its points have times. Raises BadInputError if it cannot be read."""
         if frame.message is not None:
+            place = (frame.path, frame.message.topic)
             with self._lock:
-                if frame.path not in self._bags:
-                    self._bags[frame.path] = BagReader(frame.path)
-            scan = read_message(self._bags[frame.path], frame.message, self._config.robot, frame.name)
+                if place not in self._bags:
+                    self._bags[place] = BagReader(frame.path)
+            scan = read_message(self._bags[place], frame.message, self._config.robot, frame.name)
         else:
             scan = replace(read_scan(frame.path, self._config.robot, self._config.columns), name=frame.name)
+        if frame.pose is not None:
+            scan = replace(scan, heading_rad=math.atan2(frame.pose[1, 0], frame.pose[0, 0]))
         return scan if frame.motion is None or not self._config.deskew else deskew(scan, frame.motion)
 
     @contextmanager
@@ -105,8 +112,6 @@ class FrameProducts:
     """None if no table is wanted."""
     accumulated: DriveMerge | None
     """Merges the points of all frames; None without poses."""
-    grids: GridBag | None
-    """Grids of all frames; None if no bag is wanted."""
 
     def load(self, frame: Frame, number: int) -> tuple[FramePart, PlacedPoints | None] | None:
         """Return what `write` returns, of a frame that an earlier run has finished; None if it is not finished."""
@@ -127,14 +132,14 @@ class FrameProducts:
         write_frame(frame.name, scan, classed, self.staged, products)
         for path in frame_files(frame.name, self.staged, {"picture"} & set(products)):
             write_picture(scan, classed, path, self.config.range_m)
-        if self.grids is not None:
-            self.grids.add(frame, number, lay_grid(scan.points, classed, self.config.grid))
+        seen = None if self.config.bag is None else see_cells(scan.points, classed, self.config.grid, frame.pose)
         kept = slice(None) if self.accumulated is not None else slice(0)
         part = FramePart(
             report,
             sector_rows(frame.name, classed) if self.table is not None else None,
             scan.points[kept],
             stack.point_ground[kept],
+            {} if seen is None else {name: np.asarray(values) for name, values in seen._asdict().items()},
             file_sizes(self._files(frame, number)) or {},
         )
         save_part(part, part_path(self.run_folder, number))
@@ -146,6 +151,34 @@ class FrameProducts:
             self.accumulated.add_points(placed)
         if self.table is not None and part.rows is not None:
             self.table.add_rows(part.rows)
+
+    def grids(self, frames: Sequence[Frame]) -> Iterator[tuple[Frame, int, GroundGrid]]:
+        """Yield the grids of the finished ones of all frames, with these and their numbers.
+
+        Those with poses are what is remembered until then, one for what several sensors see in turn.
+        """
+        memory, held = GroundMemory(self.config.grid), dict[str, tuple[Frame, int, FrameView]]()
+
+        def remember() -> Iterator[tuple[Frame, int, GroundGrid]]:
+            if held:
+                (*_, (frame, number, _)), views = held.values(), [view for *_, view in held.values()]
+                yield frame, number, memory.add(views, views[0].pose)
+                held.clear()
+
+        for number, frame in enumerate(frames):
+            part = load_part(part_path(self.run_folder, number), frame)
+            if part is None:  # skipped
+                continue
+            topic = "" if frame.message is None else frame.message.topic
+            if frame.pose is None or topic in held:
+                yield from remember()
+            cells: Any = part.cells
+            seen = SeenCells(**cells)
+            if frame.pose is None:
+                yield frame, number, seen.finish(self.config.grid.resolution_m)
+            else:
+                held[topic] = frame, number, FrameView(frame.pose, seen, nearest_ranges(part.points))
+        yield from remember()
 
     def _place(
         self, frame: Frame, number: int, points: NDArray[np.float32], is_ground: NDArray[np.bool_]
@@ -161,8 +194,7 @@ class FrameProducts:
             raise
 
     def _files(self, frame: Frame, number: int) -> list[Path]:
-        grids = [] if self.grids is None else [self.grids.part(number)]
-        return [*frame_files(frame.name, self.staged, frame_products(self.config, number)), *grids]
+        return frame_files(frame.name, self.staged, frame_products(self.config, number))
 
 
 def frame_products(config: ScanConfig, number: int) -> tuple[str, ...]:
@@ -180,8 +212,7 @@ def open_products(
         table = open_files.enter_context(open_table(staged / SECTOR_TABLE_NAME)) if "table" in config.products else None
         trusted = config.trust_poses
         merge = open_files.enter_context(open_merge(run_folder, poses[0], trusted=trusted)) if poses else None
-        grids = None if config.bag is None else GridBag(run_folder)
-        yield FrameProducts(config, run_folder, staged, table, merge, grids)
+        yield FrameProducts(config, run_folder, staged, table, merge)
         if merge is not None:
             with open_accumulated(staged / ACCUMULATED_NAME, poses[0], crs) as survey:
                 merge.write(survey)

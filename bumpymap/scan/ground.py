@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import PolarSettings, first_cells
-from bumpymap.scan._drop_kernels import DropRule, GroundPoints, find_drops
 from bumpymap.scan._ground_kernels import (
     FOUND,
     NEIGHBOURS,
@@ -28,7 +27,7 @@ from bumpymap.scan._ground_kernels import (
     keep_largest,
     label_points,
 )
-from bumpymap.scan._place_kernels import CellOrder, ZoneGrid
+from bumpymap.scan._place_kernels import CellOrder, DropRule, GroundPoints, ZoneGrid, find_drops
 
 
 class SectorBuffers(threading.local):

@@ -168,9 +168,9 @@ class SectorRater:
         c_r, fails = mean(tiles.c_r), mean(tiles.p_fail)
         limits = np.array(self._calibration.map_limits)
         class_id = np.where(fails >= FAIL_SHARE, len(limits), np.searchsorted(limits, c_r, side="right"))
-        return SectorRide(
-            c_r, mean(tiles.c_r_low), mean(tiles.c_r_high), np.where(rated, class_id, NO_CLASS).astype(np.uint8)
-        )
+        class_id = np.where(rated, class_id, NO_CLASS).astype(np.uint8)
+        low, high = mean(tiles.c_r_low), mean(tiles.c_r_high)
+        return SectorRide(c_r, low, high, class_id, fails, limits.astype(np.float32))
 
 
 def _widened(tiles: BlockRating, coverage: NDArray[np.floating]) -> BlockRating:

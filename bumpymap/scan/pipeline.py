@@ -80,7 +80,7 @@ from bumpymap.scan.frames import (
 )
 from bumpymap.scan.merge import PlacedPoints, WrongPosesError
 from bumpymap.scan.methods import Method, choose_method
-from bumpymap.views import check_bag_file
+from bumpymap.views import check_bag_file, write_grid_bag
 
 if TYPE_CHECKING:
     from bumpymap.survey import MapResult
@@ -303,9 +303,8 @@ def classify_frames(
         accumulated = None if products.accumulated is None else products.accumulated.record()
         manifest = scan_manifest(config, frames, method, run_spec, reader.skipped)
         manifest |= {"gathered": accumulated, "bag": None, "seconds": clock.seconds}
-        if config.bag is not None and products.grids is not None:
-            done = {report.frame.name for report in reports}
-            products.grids.write(config.bag, (n for n, frame in enumerate(frames) if frame.name in done))
+        if config.bag is not None:
+            write_grid_bag(config.bag, run.path, products.grids(frames))
             manifest["bag"] = describe_file(config.bag)
         with suppress(OSError):
             (staged / FRAME_FOLDER).rmdir()  # if no frame has files of its own

@@ -12,15 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, PolarSettings, Scan, SectorStack
-from bumpymap.scan._drop_kernels import GroundPoints
 from bumpymap.scan._ground_kernels import FOUND
-from bumpymap.scan._place_kernels import (
-    BLOCK,
-    CellOrder,
-    ZoneGrid,
-    place_points,
-    sort_points,
-)
+from bumpymap.scan._place_kernels import BLOCK, CellOrder, GroundPoints, ZoneGrid, place_points, sort_points
 from bumpymap.scan._sector_kernels import SectorInputs, SectorMeasures, measure_sectors, sector_scratch
 from bumpymap.scan.ground import SectorBuffers, cell_layout, find_ground, ground_drops
 

@@ -1,6 +1,6 @@
 from .export.grid_bag import (
-    GridBag as GridBag,
     check_bag_file as check_bag_file,
+    write_grid_bag as write_grid_bag,
 )
 from .export.settings import (
     ExportFormat as ExportFormat,

@@ -18,28 +18,23 @@ from bumpymap.core import Frame, PolarSettings, point_classes, sector_bounds
 from bumpymap.core.errors import OutputError
 from bumpymap.layers import check_scan_folder, name_frames, open_accumulated, remove_stale_products, scan_table
 from bumpymap.layers.scan_folder import SCAN_CLASS_NAMES, SCAN_COLOURS
-from bumpymap.layers.scan_frame import write_cloud, write_frame, write_polygons
+from bumpymap.layers.scan_frame import write_cloud, write_polygons
 from bumpymap.layers.scan_table import COLUMNS, open_table, sector_rows
 from bumpymap.scan import classify_filter, polar_sectors
-
-
-def test_the_cloud_has_every_point_its_class_and_what_the_sensor_said(scan, classed, tmp_path):
-    write_cloud(scan, classed, tmp_path / "a.ply")
-    vertex = read_vertices(tmp_path / "a.ply")
-    np.testing.assert_array_equal(np.stack([vertex[axis] for axis in "xyz"], axis=1), scan.points)
-    for name, values in (("class", point_classes(scan, classed)), ("intensity", scan.intensity), ("label", scan.label)):
-        np.testing.assert_array_equal(vertex[name], values)
 
 
 def test_points_say_whether_they_are_ground_how_high_and_in_the_colour_of_that(scan, classed, tmp_path):
     rng = np.random.default_rng(7)
     height = np.where(rng.uniform(size=len(scan.points)) < 0.2, np.nan, rng.uniform(0, 3, len(scan.points)))
     stack = replace(classed.sectors, point_height=height.astype(np.float32), point_ground=height < 0.1)
-    write_cloud(replace(scan, intensity=None, label=None), replace(classed, sectors=stack), tmp_path / "a.ply")
+    write_cloud(replace(scan, label=None), replace(classed, sectors=stack), tmp_path / "b.ply")
+    assert "label" not in read_vertices(tmp_path / "b.ply").dtype.names
+    write_cloud(scan, replace(classed, sectors=stack), tmp_path / "a.ply")
     vertex = read_vertices(tmp_path / "a.ply")
-    assert list(vertex.dtype.names) == ["x", "y", "z", "height", "red", "green", "blue", "class", "ground"]
-    np.testing.assert_array_equal(vertex["height"], stack.point_height)
-    np.testing.assert_array_equal(vertex["ground"], stack.point_ground)
+    np.testing.assert_array_equal(np.stack([vertex[axis] for axis in "xyz"], axis=1), scan.points)
+    own = {"class": point_classes(scan, classed), "intensity": scan.intensity, "label": scan.label}
+    for name, values in (own | {"height": stack.point_height, "ground": stack.point_ground}).items():
+        np.testing.assert_array_equal(vertex[name], values)
     colours = np.stack([vertex[name] for name in ("red", "green", "blue")], axis=1)
     class_id = vertex["class"].astype(int)
     is_ground, stands = height < 0.1, (height >= 0.25) & (height <= 1.38) & ~stack.point_airborne
@@ -85,39 +80,17 @@ def test_every_point_lies_in_the_polygon_of_its_sector_and_polygons_do_not_overl
         np.testing.assert_allclose(rows[name], getattr(bounds, name), rtol=1e-6)
 
 
-def test_the_polygons_say_what_is_known_of_their_sectors(scan, classed, tmp_path):
-    place = np.arange(len(classed.class_id))
-    stack = replace(
-        classed.sectors,
-        obstacle=place % 3 == 0,
-        obstacle_height=np.where(place % 3 == 0, 0.3 + place / 100, np.nan).astype(np.float32),
-        clearance=np.where(place % 4 == 0, 1.5 + place / 30, np.nan).astype(np.float32),
-        ground_count=(classed.sectors.count // 2).astype(np.int32),
-    )
-    record = polygons_of(replace(classed, sectors=stack), tmp_path)
-    assert record["frame"] == "site"
-    assert "no longitude and latitude" in record["coordinates_in"]
-    points = np.bincount(stack.point_sector[stack.point_sector >= 0], minlength=len(place))
-    for number, feature in enumerate(record["features"]):
-        said, class_id = feature["properties"], int(classed.class_id[number])
-        expected = {name: getattr(stack, name)[number] for name in ("zone", "ring", "sector", "obstacle", "label")}
-        expected |= {"points": points[number], "ground_points": stack.ground_count[number]}
-        expected |= {"class": None, "class_name": "not traversable"}
-        if class_id != 255:
-            expected |= {"class": class_id, "class_name": SCAN_CLASS_NAMES[class_id]}
-        assert {name: said[name] for name in expected} == expected
-        known = {name: getattr(stack, name) for name in ("variance", "residual", "coverage", "obstacle_height")}
-        for name, values in (known | {"stripes": classed.stripes, "clearance": stack.clearance}).items():
-            value = np.nan if said[name] is None else said[name]
-            assert value == pytest.approx(float(values[number]), rel=1e-6, nan_ok=True)
-        np.testing.assert_allclose(said["normal"], stack.normal[number], rtol=1e-6, atol=1e-12)
-
-
-def test_a_scan_without_points_has_empty_files(nothing, tmp_path):
-    write_frame("nothing", *nothing, tmp_path, ("polygons", "cloud", "table"))
-    assert sorted(path.name for path in (tmp_path / "frames").iterdir()) == ["nothing.json", "nothing.ply"]
-    assert json.loads((tmp_path / "frames" / "nothing.json").read_text(encoding="utf-8"))["features"] == []
-    assert len(read_vertices(tmp_path / "frames" / "nothing.ply")) == 0
+def test_the_polygons_say_what_the_table_says_of_their_sectors(classed, tmp_path):
+    record = polygons_of(classed, tmp_path)
+    assert (record["frame"], "no longitude and latitude" in record["coordinates_in"]) == ("site", True)
+    rows = rows_of(tmp_path / "a.parquet", ("one", classed)).to_pylist()
+    for row, feature in zip(rows, record["features"], strict=True):
+        said = feature["properties"]
+        assert said.pop("class_name") == SCAN_CLASS_NAMES[3 if row["class"] is None else row["class"]]
+        said |= dict(zip(("normal_x", "normal_y", "normal_z"), said.pop("normal"), strict=True))
+        kept = {name: row[name] if row[name] is None else pytest.approx(row[name], rel=1e-6) for name in said}
+        assert said == kept
+        assert {*row} - {*said} == {"frame", "near", "far", "left", "right", *scan_table.RIDE_COLUMNS}
 
 
 @given(st.lists(st.from_regex(r"\A(f[0-3]|[Aa]|00000[0-2]_a)(\.(ply|bin))\Z"), min_size=1, max_size=8))
@@ -150,17 +123,10 @@ def test_rows_are_the_sectors_of_all_frames_in_order(classed, nothing, tmp_path)
     assert [value is None for value in class_id] == (~stack.traversable).tolist()
 
 
-def test_row_groups_keep_memory_bounded(classed, tmp_path, monkeypatch):
+def test_rows_are_written_group_by_group(classed, tmp_path, monkeypatch):
     monkeypatch.setattr(scan_table, "ROW_GROUP", 100)
-    path = tmp_path / "a.parquet"
-    with open_table(path) as sectors:
-        for number in range(9):
-            sectors.add_rows(sector_rows(str(number), classed))
-            assert sum(part.num_rows for part in sectors.waiting) < 100
-    file = pq.ParquetFile(path)
-    assert file.metadata.num_rows == 9 * len(classed.class_id)
-    assert file.metadata.num_row_groups > 1
-    assert file.read(["frame"])["frame"].to_pylist() == [str(n) for n in range(9) for _ in classed.class_id]
+    rows_of(tmp_path / "a.parquet", *((str(number), classed) for number in range(9)))
+    assert pq.ParquetFile(tmp_path / "a.parquet").metadata.num_row_groups >= 9 * len(classed.class_id) // 250
 
 
 def fill(folder, *names):

@@ -112,6 +112,7 @@ def test_poses_from_transforms_and_of_the_sensor_itself(tmp_path):
     links = [("/tf", t, transforms(t, ("odom", "base", pose((t - T0) * 1e-9)))) for t in times]
     links += [("/tf", t, transforms(t, ("map", "odom", base))) for t in times[::2]]
     sources = found_in(bag_of(tmp_path / "drive", MOUNTED, clouds(), links))
+    assert {source.pose_frame for source in sources} == {"map"}
     for number, source in enumerate(sources):
         expected = matrix(*base) @ matrix(*pose(number * 0.1)) @ matrix(*MOUNT)
         np.testing.assert_allclose(source.pose, expected, atol=1e-4)
@@ -168,8 +169,8 @@ def test_the_topic_is_asked_for_where_there_are_several(tmp_path):
     with pytest.raises(BadInputError, match=r"/points \(3 messages\), /rear \(6 messages\).*`topic='NAME'`"):
         found_in(folder)
     with pytest.raises(BadInputError, match="has no topic /front"):
-        found_in(folder, cloud="/front")
-    assert len(found_in(folder, cloud="/rear")) == 6
+        found_in(folder, clouds=("/front",))
+    assert len(found_in(folder, clouds=("/rear",))) == 6
     with pytest.raises(BadInputError, match=r"no topic of type sensor_msgs/msg/PointCloud2; it holds nav_msgs"):
         found_in(write_bag(tmp_path / "other", moves()))
 
@@ -220,7 +221,7 @@ def test_what_is_no_bag_or_not_alone(tmp_path):
     broken.width = 5000
     for places, topics, error, says in (
         ([scan, folder], BagTopics(), UsageError, "not both"),
-        ([scan], BagTopics("/points"), UsageError, "`topic` and `odometry`"),
+        ([scan], BagTopics(("/points",)), UsageError, "`topic` and `odometry`"),
         ([none], BagTopics(), BadInputError, "does not exist"),
         ([old], BagTopics(), BadInputError, r"ROS 1.*rosbags-convert"),
         ([empty], BagTopics(), BadInputError, "holds no messages"),

@@ -362,6 +362,7 @@ def test_a_scan_without_ground_gives_empty_products_and_says_why(tmp_path, caplo
     assert "no map was made" in caplog.text
     assert result.drive is None
     assert sum(result.frames[0].sectors[:3]) == sum(result.frames[0].classed_points[:3]) == 0
+    assert files(tmp_path / "out" / "frames") == ["a.json", "a.ply"]
     table = pq.read_table(tmp_path / "out" / "sectors.parquet")
     assert table["class"].null_count == table.num_rows
     assert not (tmp_path / "out" / "map").exists()
@@ -370,10 +371,10 @@ def test_a_scan_without_ground_gives_empty_products_and_says_why(tmp_path, caplo
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"crs": "EPSG:32614"}, "add `poses="),
         ({"products": ("picture",)}, "Pictures of frames are drawn with `pictures`"),
         ({"method": "filter", "model": "a.onnx"}, "give one of them"),
         ({"poses": "poses.txt", "odometry": "/odom"}, "give one of them"),
+        ({"poses": "poses.txt", "topic": "/a,/b"}, "those of one sensor"),
     ],
 )
 def test_settings_that_do_not_go_together(tmp_path, settings, words):

@@ -11,7 +11,6 @@ import shutil
 import sys
 import warnings
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,7 +21,6 @@ from bumpymap.core import (
     BadInputError,
     Georeference,
     GridSettings,
-    GroundGrid,
     PolarCells,
     PolarSettings,
     Scan,
@@ -256,20 +254,6 @@ def test_points_and_places_agree(seed, polar, resolution, reach, heading):
     same = table[places.cells(stack.azimuth_start_rad)] == stack.point_sector
     # Points are float32, so those on a border may fall to the other side: at most a diagonal or two.
     assert (~same).sum() <= 2 * len(centre)
-
-
-def test_a_message_is_filled_by_its_attributes():
-    part = SimpleNamespace
-    message = part(info=part(origin=part(position=part(x=0.0, y=0.0, z=0.0), orientation=part(w=0.0))))
-    header = part(frame_id="lidar", stamp=part(sec=3, nanosec=4))
-    cells = np.random.default_rng(0).integers(-1, 101, (50, 50)).astype(np.int8)
-    grid = GroundGrid(0.4, cells, cells.astype(np.uint8), *[cells.astype(np.float32)] * 4)
-    assert grid.fill(message, header) is message
-    assert message.header is header
-    assert (message.info.width, message.info.height, message.info.resolution) == (50, 50, 0.4)
-    assert (message.info.origin.position.x, message.info.origin.position.y) == (-10.0, -10.0)
-    assert message.data.typecode == "b"
-    np.testing.assert_array_equal(np.array(message.data, np.int8).reshape(50, 50), cells)
 
 
 def test_grids_without_cells_or_with_too_many():

@@ -41,8 +41,8 @@ _ODOMETRY, _TF = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
 class BagTopics:
     """Topics of a bag that are read."""
 
-    cloud: str | None = None
-    """Of the scans; None: the only one of its type."""
+    clouds: tuple[str, ...] = ()
+    """Of the scans, one for each sensor; none: the only one of its type."""
     odometry: str | None = None
     """Of the odometry; None: the only one of its type, or else the transforms."""
     poses: bool = True
@@ -66,11 +66,15 @@ def find_messages(paths: Sequence[Path], topics: BagTopics) -> list[Frame]:
     for bag in bags:
         for topic, (kind, count) in bag.topics.items():
             counts.setdefault(kind, Counter())[topic] += count
-    cloud = _choose(counts, CLOUD, topics.cloud, "topic")
+    clouds = [_choose(counts, CLOUD, cloud, "topic") for cloud in topics.clouds or (None,)]
     recorded = _Poses(counts if topics.poses else {}, topics.odometry)
-    sources = [Frame(bag.path, message) for bag in bags for message in _messages(bag, cloud, recorded) if message.bytes]
+    sources = [
+        Frame(bag.path, message) for bag in bags for message in _messages(bag, clouds, recorded) if message.bytes
+    ]
     if not sources:
-        raise BadInputError(f"the topic {cloud} of {paths[0]} holds no messages. Was the sensor switched on?")
+        raise BadInputError(
+            f"the topic {', '.join(clouds)} of {paths[0]} holds no messages. Was the sensor switched on?"
+        )
     return recorded.add_poses(sources) if topics.poses else sources
 
 
@@ -85,19 +89,20 @@ def _choose(counts: Mapping[str, Mapping[str, int]], kind: str, wanted: str | No
         kinds = ", ".join(sorted(counts)) or "nothing"
         raise BadInputError(f"the bag holds no topic of type {kind}; it holds {kinds}")
     listed = ", ".join(f"{topic} ({count:,} messages)" for topic, count in sorted(found.items()))
+    also = ", or those of several sensors: NAME,NAME" if kind == CLOUD else ""
     what = "holds several topics" if wanted is None else f"has no topic {wanted}"
-    raise BadInputError(f"the bag {what} of type {kind}: {listed}. Name one of these with `{setting}='NAME'`")
+    raise BadInputError(f"the bag {what} of type {kind}: {listed}. Name one of these with `{setting}='NAME'`{also}")
 
 
-def _messages(bag: BagReader, cloud: str, recorded: "_Poses") -> Iterable[BagMessage]:
-    number, place, last = 0, 0, -1
-    for record in bag.messages({cloud, *recorded.topics} & set(bag.topics)):
-        if record.topic != cloud:
+def _messages(bag: BagReader, clouds: Collection[str], recorded: "_Poses") -> Iterable[BagMessage]:
+    at = dict.fromkeys(clouds, (-1, 0, -1))  # number, place and time of the last message
+    for record in bag.messages({*clouds, *recorded.topics} & set(bag.topics)):
+        if record.topic not in at:
             recorded.add(bag, record)
             continue
-        place = place + 1 if record.time_ns == last else 0
-        yield _message(bag.path, record, number, place)
-        number, last = number + 1, record.time_ns
+        number, place, last = at[record.topic]
+        at[record.topic] = number + 1, place + 1 if record.time_ns == last else 0, record.time_ns
+        yield _message(bag.path, record, *at[record.topic][:2])
 
 
 def _message(path: Path, record: BagRecord, number: int, place: int) -> BagMessage:
@@ -129,6 +134,7 @@ class _Poses:
         self._transforms = set(counts.get(_TF, {}))
         self._tree, self._trajectory = FrameTree(), Trajectory(str(self._odometry))
         self._base: str | None = None
+        self._fixed = ""
 
     @property
     def topics(self) -> Collection[str]:
@@ -142,27 +148,30 @@ class _Poses:
             self._tree.add(message, static=record.topic.endswith("static"))
             return
         message = bag.decode(record.data, _ODOMETRY)
-        self._base = frame_name(message.child_frame_id)
+        self._base, self._fixed = frame_name(message.child_frame_id), frame_name(message.header.frame_id)
         self._trajectory.add(message.header.stamp, message.pose.pose.position, message.pose.pose.orientation)
 
     def add_poses(self, sources: Sequence[Frame]) -> list[Frame]:
         """Return the sources with their poses and motions, as far as they are known."""
-        messages = [source.message for source in sources if source.message is not None]
-        origin_ns, sensor = messages[0].stamp_ns, messages[0].frame_id
-        times = seconds_since(origin_ns, np.array([message.stamp_ns for message in messages]))
-        try:
-            track = self._track(sensor, origin_ns, times)
-        except BadInputError as error:
-            raise BadInputError(f"the poses in {sources[0].path} cannot be used: {error}") from error
-        if track is None:
-            return list(sources)
-        known, poses = track.covers(times), track.at(times)
-        if not known.all():
-            self._tell_unknown(track, times, known)
-        return [
-            replace(source, pose=pose, motion=track.around(time, SCAN_S)) if ok else source
-            for source, time, pose, ok in zip(sources, times.tolist(), poses, known, strict=True)
-        ]
+        placed, messages = list(sources), [source.message for source in sources if source.message is not None]
+        for sensor in dict.fromkeys(message.frame_id for message in messages):
+            own = [row for row, message in enumerate(messages) if message.frame_id == sensor]
+            origin_ns = messages[own[0]].stamp_ns
+            times = seconds_since(origin_ns, np.array([messages[row].stamp_ns for row in own]))
+            try:
+                track, fixed = self._track(sensor, origin_ns, times)
+            except BadInputError as error:
+                raise BadInputError(f"the poses in {sources[0].path} cannot be used: {error}") from error
+            if track is None:
+                continue
+            known, poses = track.covers(times), track.at(times)
+            if not known.all():
+                self._tell_unknown(track, times, known)
+            for row, time, pose, ok in zip(own, times.tolist(), poses, known, strict=True):
+                if ok:
+                    motion = track.around(time, SCAN_S)
+                    placed[row] = replace(placed[row], pose=pose, motion=motion, pose_frame=fixed)
+        return placed
 
     def _tell_unknown(self, track: PoseTrack, times: NDArray[np.float64], known: NDArray[np.bool_]) -> None:
         """Say that some frames have no pose; raise BadInputError if none has one, and the odometry was named."""
@@ -175,12 +184,12 @@ class _Poses:
             raise BadInputError(f"{what}. Are their headers from different clocks?")
         _log.warning("%s. Frames without a pose are classified, but not mapped", what)
 
-    def _track(self, sensor: str, origin_ns: int, times: NDArray[np.float64]) -> PoseTrack | None:
-        """Return the poses of the sensor by odometry, or else by transforms; None if there are none."""
+    def _track(self, sensor: str, origin_ns: int, times: NDArray[np.float64]) -> tuple[PoseTrack | None, str]:
+        """Return the poses of a sensor by odometry, or else by transforms, and their frame; None if there are none."""
         mount = None if self._base is None else self._tree.mount(self._base, sensor)
         if mount is not None:
             track = self._trajectory.track(origin_ns)
-            return PoseTrack(track.times, track.poses @ mount)
+            return PoseTrack(track.times, track.poses @ mount), self._fixed
         if self._base is not None and self._wanted is not None:
             raise BadInputError(
                 f"{self._odometry} moves the frame '{self._base}', and no static transform (/tf_static) says where the "
@@ -197,7 +206,7 @@ class _Poses:
                 " and ".join(FIXED_FRAMES),
                 ", ".join(self._several) or "none",
             )
-        return found
+        return found, self._tree.fixed_frame(sensor) or ""
 
 
 SUFFIXES = (".ply", ".pcd", ".bin")
@@ -229,7 +238,7 @@ def find_sources(paths: Sequence[Path], topics: BagTopics) -> list[Frame]:
     """
     bags = [bag for path in paths for bag in bags_at(path)]
     if not bags:
-        if (topics.cloud, topics.odometry) != (None, None):
+        if topics.clouds or topics.odometry:
             raise UsageError("`topic` and `odometry` choose topics of a bag, and no bag was given; leave them out")
         return [Frame(path) for path in find_frames(paths)]
     files = [path for path in paths if not bags_at(path)]

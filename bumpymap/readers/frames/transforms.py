@@ -116,8 +116,7 @@ class FrameTree:
             At these times and at those of all transforms between, as far as all of them are known. None if the sensor
             is not connected with a fixed frame, or at no such time.
         """
-        chain = self._ancestors(sensor)
-        fixed = next((frame for frame in FIXED_FRAMES if frame in chain[1:]), None)
+        chain, fixed = self._ancestors(sensor), self.fixed_frame(sensor)
         if fixed is None:
             return None
         links = chain[: chain.index(fixed)]
@@ -129,6 +128,10 @@ class FrameTree:
             return None
         steps = [moving[frame].at(times) if frame in moving else self._fixed(frame) for frame in links]
         return PoseTrack(times, np.broadcast_to(_product(steps), (len(times), 4, 4)))
+
+    def fixed_frame(self, sensor: str) -> str | None:
+        """Return the fixed frame that a sensor is connected with; None without one."""
+        return next((frame for frame in FIXED_FRAMES if frame in self._ancestors(sensor)[1:]), None)
 
     def _ancestors(self, frame: str) -> list[str]:
         """Return a frame, its parent, and so on up to the root."""
