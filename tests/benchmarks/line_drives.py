@@ -1,10 +1,11 @@
 """Drive the simulated vehicle along known lines of a map; hold the ride of the line, and of its tiles, against it.
 
-    python tests/benchmarks/line_drives.py LAYERS DRIVES.jsonl --lines 160 [--seed 5] [--sample]
+    python tests/benchmarks/line_drives.py LAYERS DRIVES.jsonl --lines 160 [--seed 5] [--sample] [--engine second]
     python tests/benchmarks/line_drives.py LAYERS DRIVES.jsonl --report
 
 Lines of 10 m begin anywhere at any heading, on ground that is passable all along. The ground is that of the heightmap,
-without what stands on it, or with --sample the surface in closed form that the sample survey was made from.
+without what stands on it, or with --sample the surface in closed form that the sample survey was made from. The same
+seed takes the same lines in either engine; the second is MuJoCo, see second_engine.py.
 """
 
 import argparse
@@ -18,7 +19,7 @@ from scipy.ndimage import distance_transform_edt, map_coordinates
 import bumpymap
 from bumpymap.core import CANOPY, OBSTACLE, axis_values
 from bumpymap.lab.evaluate.agreement import spearman
-from bumpymap.lab.simulate.drive import DriveSettings, Start, drive_from
+from bumpymap.lab.simulate.drive import DriveSettings, Start, drive_from, drive_strip, follow
 from bumpymap.layers import open_map
 from bumpymap.rating import Vehicle, find_calibration
 
@@ -27,12 +28,13 @@ BEFORE_M, MEASURED_M = 1.0, 10.0
 
 
 class Ground:
-    """The ground about a place, as a drive takes it: coordinates near 0, since meshes are of single precision."""
+    """The ground about a place: coordinates near 0, as meshes are of single precision; pixel centres are vertices."""
 
     extent, spacing, gradient = 1e9, 0.1, (0.0, 0.0)
 
     def __init__(self, surface, place):
-        self._surface, self._place = surface, place
+        self._surface, self._place = surface, np.floor(np.array(place) / self.spacing) * self.spacing
+        self.start = np.array(place) - self._place
 
     def height(self, east, north):
         """Return heights of points, m."""
@@ -69,6 +71,17 @@ def tiles_at(site, row, distance):
     return np.floor(place).astype(int), np.floor(place * grid.pixels).astype(int)
 
 
+def drive_line(vehicle, ground, heading, engine):
+    """Drive along one line from the ground's start."""
+    start, settings = Start(*ground.start, heading), DriveSettings()
+    if engine == "first":
+        return drive_from(vehicle, ground, start, settings)
+    from second_engine import TORQUE, SecondVehicle
+
+    strip = drive_strip(vehicle, start, settings)
+    return follow(SecondVehicle(vehicle, ground, strip, TORQUE), strip, vehicle, settings)
+
+
 def drive_all(given, site):
     """Drive along lines until there are as many as asked for."""
     vehicle = Vehicle.from_dict(find_calibration(site.vehicle.name).vehicle, site.vehicle.name)
@@ -87,8 +100,7 @@ def drive_all(given, site):
             continue
         if not (is_open[tuple(tiles)].all() and passage[tuple(pixels)].all()):
             continue
-        ground = Ground(surface, (row["east"], row["north"]))
-        found = drive_from(vehicle, ground, Start(0.0, 0.0, row["heading"]), DriveSettings())
+        found = drive_line(vehicle, Ground(surface, (row["east"], row["north"])), row["heading"], given.engine)
         with given.drives.open("a") as file:
             file.write(json.dumps(row | {"c_r": found.c_r, "outcome": found.outcome}) + "\n")
         done += 1
@@ -102,7 +114,7 @@ def report(given, site):
     for row in rows:
         ahead = np.array([np.cos(row["heading"]), np.sin(row["heading"])])
         line = np.array([row["east"], row["north"]]) + np.outer((0.0, BEFORE_M + MEASURED_M + 0.5), ahead)
-        ride = bumpymap.ride_along(given.layers, np.column_stack(site.to_crs(*line.T)), sigma=given.sigma)
+        ride = bumpymap.ride_along(given.layers, np.column_stack(site.to_crs(*line.T)), sigma=0.05)
         tiles, _ = tiles_at(site, row, np.linspace(BEFORE_M, BEFORE_M + MEASURED_M, 200))
         by_heading = axis_values(headings[tuple(tiles)], -ahead[1], ahead[0])
         of_tiles = np.nanmean(c_r[tuple(tiles)]), np.nanmean(by_heading)
@@ -133,8 +145,8 @@ def main():
     parser.add_argument("drives", type=Path)
     parser.add_argument("--lines", type=int, default=160)
     parser.add_argument("--seed", type=int, default=5)
-    parser.add_argument("--sigma", type=float, default=0.05)
     parser.add_argument("--sample", action="store_true")
+    parser.add_argument("--engine", choices=("first", "second"), default="first")
     parser.add_argument("--report", action="store_true")
     given = parser.parse_args()
     (report if given.report else drive_all)(given, open_map(given.layers))

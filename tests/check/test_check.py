@@ -46,6 +46,10 @@ def true_c_r(log, cut, pitch_rate, way):
     )
 
 
+def first_of(track, count):
+    return PlaceTrack(*(part[:count] for part in (track.time, track.x, track.y, track.error)), track.kind)
+
+
 @pytest.fixture(scope="module")
 def good():
     made = made_drives.MadeDrive(
@@ -144,18 +148,7 @@ def test_a_gap_of_the_imu_does_not_count_and_a_drive_without_accelerometer_says_
         (lambda log: {"imu": replace(log.imu, rate=np.radians(log.imu.rate))}, "radians per second read as degrees"),
         (lambda log: {"places": replace(log.places, time=log.places.time + 1e6)}, "in common"),
         (lambda _: {"places": None}, "neither positions nor wheel speeds"),
-        (
-            lambda log: {
-                "places": replace(
-                    log.places,
-                    time=log.places.time[:5],
-                    x=log.places.x[:5],
-                    y=log.places.y[:5],
-                    error=np.full(5, np.nan),
-                )
-            },
-            "5 usable positions",
-        ),
+        (lambda log: {"places": first_of(log.places, 5)}, "5 usable positions"),
     ],
 )
 def test_a_log_that_cannot_be_measured_is_refused(good, damage, told):
@@ -289,10 +282,6 @@ def placed(kind: str, shift: float = 0.0, *, still: bool = False):
     log, _, _ = made_drives.log_of(made_drives.MadeDrive(seconds=40.0, speed=0.0 if still else 1.0))
     track = log.places
     return replace(log, places=PlaceTrack(track.time, track.x + 50 + shift, track.y + 50, track.error, kind))
-
-
-def test_positions_of_the_map_s_crs_are_taken():
-    assert places_on_map(placed("projected"), SITE).place.real.min() > 40
 
 
 @pytest.mark.parametrize(
