@@ -29,6 +29,8 @@ BARRED_COLOURS: dict[int, tuple[int, int, int, int]] = {
     NO_CLASS: (0, 0, 0, 0),
 }
 """Red, green, blue, alpha of each `Barred`: passable tiles green, the others by what bars them."""
+UNKNOWN_COLOUR = BARRED_COLOURS[Barred.UNKNOWN]
+"""Of ground that is not known or not compared, under lines that rise to the right: in GIS and on pages."""
 UNKNOWN_OBJECT = 3
 """Value of obstacle.tif where it is not known what stands on the ground."""
 OBJECT_COLOURS: dict[int, tuple[int, int, int, int]] = {
@@ -59,6 +61,13 @@ REASON_COLOURS: dict[int, tuple[int, int, int, int]] = {
     Reason.OUTLIER_RELIEF: (230, 97, 1, 255),
 }
 """Red, green, blue, alpha of each `Reason`: tiles with a class light grey, places without points transparent."""
+REASON_GREYS = REASON_COLOURS | {
+    Reason.TOO_FEW_POINTS: (105, 105, 105, 255),
+    Reason.TOO_MANY_HOLES: UNKNOWN_COLOUR,
+    Reason.NO_GROUND: (58, 58, 58, 255),
+    Reason.OUTLIER_RELIEF: (0, 0, 0, 255),
+}
+"""These in GIS, where they lie over classes: none is the colour of a class to a colour-blind reader."""
 CHANGE_COLOURS: dict[int, tuple[int, int, int, int]] = {
     0: (233, 240, 226, 255),
     1: (246, 178, 72, 255),
@@ -124,9 +133,12 @@ class RideScale:
 
     def colours(self, c_r: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return colours, (..., 3) from 0 to 255, of ride costs in rad/m; NaN as 0."""
+        return 255.0 + _TINT * (self.pure(c_r) - 255.0)
+
+    def pure(self, c_r: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Return `colours` as layers have them, not mixed with the white of a picture."""
         known = np.nan_to_num(c_r)
-        mixed = np.stack([np.interp(known, self.anchors, channel) for channel in _ANCHORS.T], axis=-1)
-        return np.asarray(255.0 + _TINT * (mixed - 255.0), dtype=np.float64)
+        return np.stack([np.interp(known, self.anchors, channel) for channel in _ANCHORS.T], axis=-1)
 
 
 def class_limits(manifest: Mapping[str, Any]) -> list[float] | None:

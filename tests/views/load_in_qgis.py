@@ -60,8 +60,8 @@ def drawn(layer):
     for feature in layer.getFeatures():
         context.expressionContext().setFeature(feature)
         keys = renderer.legendKeysForFeature(feature, context) if renderer.willRenderFeature(feature, context) else ()
-        label = next((labels[key] for key in keys), "nothing")
-        counts[label] = counts.get(label, 0) + 1
+        for label in [labels[key] for key in keys if key in labels] or ["nothing"]:
+            counts[label] = counts.get(label, 0) + 1
     renderer.stopRender(context)
     return counts
 

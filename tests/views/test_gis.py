@@ -4,6 +4,7 @@ import json
 import re
 import subprocess
 from collections import Counter
+from itertools import combinations
 from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree as ET
@@ -17,6 +18,7 @@ from cost_maps import table_of
 from pyproj import CRS
 from route_maps import write_folder
 from route_records import MadeUpMap
+from skimage.color import deltaE_ciede2000, rgb2lab
 from survey_pairs import survey
 
 import bumpymap
@@ -86,29 +88,31 @@ def test_every_visible_value_has_the_colour_of_the_table_and_its_name(alone):
     labels = [f"{name}: c_r {text}" for name, text in zip(CLASS_NAMES, INTERVALS, strict=True)]
     labels[3] += ", or too steep, or drives fail"
     assert palette(styles["rasters/class.qml"]) == expected(enumerate(labels), colours.CLASS_COLOURS)
-    assert palette(styles["rasters/reason.qml"]) == expected(REASON_TEXT.items(), colours.REASON_COLOURS)
+    assert palette(styles["rasters/reason.qml"]) == expected(REASON_TEXT.items(), colours.REASON_GREYS)
     assert palette(styles["rasters/barred.qml"]) == expected(BARRED_TEXT.items(), colours.BARRED_COLOURS)
     assert palette(styles["rasters/obstacle.qml"]) == expected(enumerate(OBJECT_NAMES), colours.OBJECT_COLOURS)
     for name in ("cost.qml", "tiles.qml"):
         root = styles[name]
-        categories = {category.get("value"): category for category in root.iter("category")}
-        assert [*categories] == [*CLASS_NAMES, "unknown", "not passable"]
-        for number, (value, category) in enumerate(categories.items()):
-            symbol = root.find(f".//symbol[@name='{category.get('symbol')}']")
+        rules = {rule.get("label"): rule for rule in root.iter("rule")}
+        assert [*rules] == [*labels, "not known", "not passable"]
+        for number, rule in enumerate(rules.values()):
+            symbol = root.find(f".//symbol[@name='{rule.get('symbol')}']")
             colour, pattern = (symbol.find(f".//Option[@name='{key}']").get("value") for key in ("color", "style"))
-            if value in CLASS_NAMES:
-                assert category.get("label") == labels[number]
-                assert (colour, pattern) == (",".join(map(str, colours.CLASS_COLOURS[number])), "solid")
-            else:
-                assert pattern in {"b_diagonal", "diagonal_x"}
+            angle = symbol.find(".//Option[@name='angle']")
+            found = (pattern, None if angle is None else angle.get("value"))
+            assert found == {4: ("solid", "45"), 5: ("no", "135")}.get(number, ("solid", None))
+            if number < 5:
+                wanted = colours.CLASS_COLOURS[number] if number < 4 else colours.UNKNOWN_COLOUR
+                assert colour == ",".join(map(str, wanted))
 
 
 def test_the_style_of_costs_serves_pixels_and_regions(alone):
     root = styled(alone)["cost.qml"]
     assert [element.tag for element in root].count("pipe") == 1
     assert root.find("pipe/rasterrenderer").get("type") == "singlebandpseudocolor"
-    assert root.find("renderer-v2").get("type") == "categorizedSymbol"
-    assert set(re.findall(r'"(\w+)"', root.find("renderer-v2").get("attr"))) == {"class_name", "passable"}
+    assert root.find("renderer-v2").get("type") == "RuleRenderer"
+    filters = "".join(rule.get("filter") for rule in root.iter("rule"))
+    assert set(re.findall(r'"(\w+)"', filters)) == {"class", "passable"}
     assert [float(item.get("value")) for item in root.iter("item")] == [1, 1.5, 2, 4, 8, 16]
     for name in ("cost.tif", "rasters/barred.tif"):
         (alone / name).unlink()
@@ -167,7 +171,7 @@ def test_a_project_lists_what_is_there(folder):
     assert 128 < bars.pop(Barred.UNKNOWN)[2] < 255  # the relief shows through
     assert {alpha for _, _, alpha in bars.values()} == {255}
     checked = {name for name, leaf in leaves.items() if leaf.get("checked") == "Qt::Checked"}
-    shown = {"bumpymap_reason_tif", "bumpymap_class_tif", "bumpymap_relief_tif"}
+    shown = {"bumpymap_cost_fgb_closed", "bumpymap_class_tif", "bumpymap_relief_tif"}
     assert checked - shown == {"bumpymap_roughness_tif", "bumpymap_roughness_tif_p_fail"}  # in a group that is not
 
 
@@ -255,7 +259,7 @@ def test_every_layer_opens_with_its_renderer(seen):
     layers = seen["layers"]
     assert {name: layer["renderer"] for name, layer in layers.items()} == {
         **RASTERS,
-        **dict.fromkeys(AREAS, "categorizedSymbol"),
+        **dict.fromkeys(AREAS, "RuleRenderer"),
     }
     assert all(layer["valid"] and layer["crs_valid"] for layer in layers.values())
     assert {name: layer["crs"] for name, layer in layers.items()} == {
@@ -271,14 +275,16 @@ def test_every_area_is_drawn_and_none_as_what_it_is_not(seen, cost_map):
     table = table_of(cost_map).tiles.read(("passable",), table_of(cost_map).tiles.window)
     drawn = seen["layers"]["tiles.gpkg"]["drawn"]
     assert "nothing" not in drawn
-    assert drawn["unknown"] == int((~known).sum())
+    closed, named = drawn.pop("not passable"), set(drawn)
+    assert drawn["not known"] == int((~known).sum())
     assert sum(drawn.values()) == len(known)
-    assert drawn["not passable"] == int(known.sum() - table["passable"].sum())
+    assert closed == int(known.sum() - table["passable"].sum())
     regions = seen["layers"]["cost.fgb"]["drawn"]
     assert regions == seen["layers"]["cost.geojson"]["drawn"]
     assert "nothing" not in regions
+    assert regions.pop("not passable") > 0
     assert sum(regions.values()) == seen["layers"]["cost.fgb"]["features"]
-    assert set(regions) == set(drawn)
+    assert set(regions) == named
 
 
 @pytest.mark.qgis
@@ -307,13 +313,13 @@ def test_the_project_opens_as_a_map(seen):
     fails = project["layers"].pop("bumpymap_roughness_tif_p_fail")
     assert fails["values"] == [0.5, 1.0]
     layers = {Path(layer["source"]).name: layer for layer in project["layers"].values()}
-    renderers = {Path(name).name: kind for name, kind in RASTERS.items()} | {"cost.fgb": "categorizedSymbol"}
+    renderers = {Path(name).name: kind for name, kind in RASTERS.items()} | {"cost.fgb": "RuleRenderer"}
     assert {name: layer["renderer"] for name, layer in layers.items()} == renderers
     assert all(layer["valid"] and layer["crs"] == "EPSG:32614" for layer in layers.values())
     assert (layers["class.tif"]["multiply"], layers["relief.tif"]["multiply"]) == (True, False)
     assert all(found for *_, found in project["tree"])
     shown = {layer_id for layer_id, is_shown, _ in project["tree"] if is_shown}
-    assert shown - {"bumpymap_reason_tif"} == {"bumpymap_class_tif", "bumpymap_relief_tif"}
+    assert shown == {"bumpymap_cost_fgb_closed", "bumpymap_class_tif", "bumpymap_relief_tif"}
     assert project["colours"] > 100  # four classes, each as bright as the relief under it
     west, south, east, north = layers["class.tif"]["extent"]
     left, bottom, right, top = project["extent"]
@@ -338,7 +344,7 @@ def test_a_comparison_shows_its_kinds_as_pixels_and_places(tmp_path):
     assert raster["values"] == [0, 1, 2, 3, 4]
     assert raster["legend"] == [[*entry, 255] for entry in legend(CHANGE_KINDS, colours.CHANGE_COLOURS)]
     assert raster["colours"] >= 3  # unchanged ground, and more than one kind of change
-    assert places["renderer"] == "categorizedSymbol"
+    assert places["renderer"] == "RuleRenderer"
     assert [entry[:2] for entry in places["legend"]] == legend(CHANGE_KINDS, colours.CHANGE_COLOURS)[1:]
     assert places["drawn"] == Counter(about["kind"] for about in change.field.regions)
     assert places["features"] == len(change.field.regions) > 0
@@ -349,8 +355,54 @@ def test_stretches_are_drawn_by_how_far_the_map_is_off(tmp_path):
     result = made_up_check(60, noise=0.4, unknown=[4])
     write_check(result, tmp_path / "out", ground=MadeUpMap.around())
     layer = load(tmp_path / "out")["layers"]["check.geojson"]
-    assert layer["renderer"] == "categorizedSymbol"
+    assert layer["renderer"] == "RuleRenderer"
     assert [entry[:2] for entry in layer["legend"]] == legend(OFF_KINDS, colours.OFF_COLOURS)
     assert layer["drawn"] == Counter(OFF_KINDS[kind] for kind in MapOffset.of(result.stretches).kind.tolist())
     assert layer["features"] == 60
     assert layer["colours"] > 6
+
+
+SEEN_BY = {
+    "protanopia": ((0.152286, 1.052583, -0.204868), (0.114503, 0.786281, 0.099216), (-0.003882, -0.048116, 1.051998)),
+    "deuteranopia": ((0.367322, 0.860646, -0.227968), (0.280085, 0.672501, 0.047413), (-0.011820, 0.042940, 0.968881)),
+    "tritanopia": ((1.255528, -0.076749, -0.178779), (-0.078411, 0.930809, 0.147602), (0.004733, 0.691367, 0.303900)),
+}
+"""Linear red, green and blue as seen without one kind of cones (Machado, Oliveira and Fernandes 2009)."""
+
+
+def least_difference(found, seen):
+    """The least CIEDE2000 between two of the colours."""
+    linear = np.array([[int(text[at : at + 2], 16) / 255 for at in (1, 3, 5)] for text in found])
+    linear = np.where(linear <= 0.04045, linear / 12.92, ((linear + 0.055) / 1.055) ** 2.4) @ np.transpose(seen)
+    linear = linear.clip(0, 1)
+    shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    lab = rgb2lab(shown)
+    return min(deltaE_ciede2000(one, other) for one, other in combinations(lab, 2))
+
+
+@pytest.mark.parametrize("seen", SEEN_BY.values(), ids=SEEN_BY)
+def test_colour_blind_readers_tell_classes_and_unknown_ground_apart(folder, seen):
+    classes = [colour for _, colour, _ in palette(read(folder / "rasters/class.qml")).values()]
+    rules = {rule.get("label"): rule.get("symbol") for rule in read(folder / "cost.qml").iter("rule")}
+    symbol = read(folder / "cost.qml").find(f".//symbol[@name='{rules['not known']}']/layer")
+    unknown = "#{:02x}{:02x}{:02x}".format(*map(int, symbol.find(".//Option[@name='color']").get("value").split(",")))
+    reasons = {code: colour for code, (_, colour, _) in palette(read(folder / "rasters/reason.qml")).items()}
+    page = re.search(r'id="report-data">(.*?)</script>', (folder / "report.html").read_text(encoding="utf-8"))
+    codes = json.loads(page[1])["codes"]
+    on_page = ["#{:02x}{:02x}{:02x}".format(*one) for one in (*codes["classColours"], codes["unknownColour"])]
+    assert on_page == [*classes, unknown]
+    assert least_difference(on_page, seen) > 15
+    assert least_difference([*classes, *(reasons[code] for code in reasons if code)], seen) > 15
+
+
+def test_the_ride_cost_has_one_ramp_on_the_page_and_in_qgis(folder):
+    items = list(read(folder / "rasters/roughness.qml").iter("item"))
+    page = re.search(r'id="report-data">(.*?)</script>', (folder / "report.html").read_text(encoding="utf-8"))
+    site = json.loads(page[1])["maps"][0]
+    grid, ramp = next(grid for grid in site["grids"] if grid["key"] == "c_r"), site["ramps"]["c_r"]
+    ends = np.exp(grid["low"] + grid["step"] * np.linspace(0, 254, len(ramp)))
+    parts = np.array([[int(item.get("color")[at : at + 2], 16) for at in (1, 3, 5)] for item in items], float)
+    values = [float(item.get("value")) for item in items]
+    wanted = np.stack([np.interp(ends, values, part) for part in parts.T], axis=1)
+    found = np.array([[int(text[at : at + 2], 16) for at in (1, 3, 5)] for text in ramp])
+    assert np.abs(found - wanted).max() <= 0.5 + 1e-6

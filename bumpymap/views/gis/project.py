@@ -94,10 +94,11 @@ class _Tree:
 
 def _groups(tree: _Tree, speeds: Sequence[float]) -> list[Style]:
     """Return the groups of the project, the topmost first; the ride at other speeds [m/s] lies where the map's does."""
+    closed = tree.layer(MapFile.REGIONS_IN_CRS, "closed ground", MULTIPLY, visible=True, part="closed")
     why = tree.group(
         "Why not",
         tree.layer(MapFile.BARRED, "barred"),
-        tree.layer(MapFile.REASON, "reason for no class", MULTIPLY, visible=True),
+        tree.layer(MapFile.REASON, "reason for no class", MULTIPLY),
         tree.layer(MapFile.OBSTACLE, "obstacles"),
         tree.layer(MapFile.PASSAGE, "where the vehicle fits"),
         expanded=False,
@@ -117,7 +118,7 @@ def _groups(tree: _Tree, speeds: Sequence[float]) -> list[Style]:
         tree.layer(MapFile.HEIGHTMAP, "measured heights, with holes"),
         tree.layer(MapFile.RELIEF, "relief, holes filled", visible=True),
     )
-    return [*why, *regions, *ride, *ground]
+    return [*closed, *why, *regions, *ride, *ground]
 
 
 def write_project(folder: Path, record: Mapping[str, Any]) -> None:

@@ -31,7 +31,8 @@ from bumpymap.layers import (
     OR_FAILS,
     PASSAGE_COLOURS,
     PASSAGE_NAMES,
-    REASON_COLOURS,
+    REASON_GREYS,
+    UNKNOWN_COLOUR,
     MapFile,
     RideScale,
     class_limits,
@@ -73,7 +74,7 @@ def write_qgis(path: Path, template: str, **context: Any) -> None:
 NORMAL, MULTIPLY = 0, 6
 """Blending modes of QGIS."""
 Style = dict[str, Any]
-"""A layer for a template: pixels by `paletted` or `_ramp`, areas and points by `_vectors`."""
+"""A layer for a template: pixels by `paletted` or `_ramp`, areas, lines and points by `vectors`."""
 _Colour = tuple[int, int, int, int]
 """Red, green, blue, alpha from 0 to 255."""
 
@@ -101,13 +102,14 @@ def _ramp(entries: Iterable[tuple[float, str, _Colour]], band: int = 1, *, clip:
     }
 
 
-def _vectors(kind: str, looks: Iterable[tuple[str, str, _Colour, str]], large: str = "", line: str = "") -> Style:
-    """Return the style of areas or points: for each value of ``kind`` label, colour and pattern.
+def vectors(looks: Iterable[tuple[str, str, _Colour, str]], large: str = "", line: str = "") -> Style:
+    """Return the style of areas, lines or points: expression of QGIS that chooses them, label, colour, form of each.
 
-    ``kind`` is an attribute or an expression of QGIS; so is ``large``, which says which points are drawn larger.
-    ``line`` is an expression for a line over each area, NULL where there is none.
+    A form is ``solid``, ``rising`` (solid under lines), ``falling`` (lines alone, over other forms), ``line``, ``mark``
+    (a disc). An expression ``large`` says which marks are drawn larger; ``line`` is a line over each area, NULL where
+    there is none.
     """
-    return {"kind": kind, "looks": list(looks), "large": large, "line": line}
+    return {"looks": list(looks), "large": large, "line": line}
 
 
 CALM_RATIO = 1.3
@@ -118,18 +120,15 @@ CALM_LINE = f"if({_MATTERS}, make_line({_END.format(turn=0)}, {_END.format(turn=
 """Expression of QGIS: a line through a passable tile along the heading with the lowest C_r, where that matters."""
 
 
-_UNKNOWN, _CLOSED = "unknown", "not passable"
-REGION_KIND = (
-    f'CASE WHEN "class_name" = \'{_UNKNOWN}\' THEN \'{_UNKNOWN}\' WHEN "passable" THEN "class_name" '
-    f"ELSE '{_CLOSED}' END"
+_CLOSED_LOOKS = (
+    ('"class" IS NULL', "not known", UNKNOWN_COLOUR, "rising"),
+    ('"class" IS NOT NULL AND NOT coalesce("passable", FALSE)', "not passable", (17, 17, 17, 255), "falling"),
 )
-"""Expression of QGIS: the category of a region of cost.geojson or cost.fgb."""
-_NAMED = " ".join(f"WHEN \"class\" = {number} THEN '{name}'" for number, name in enumerate(CLASS_NAMES))
-TILE_KIND = (
-    f"CASE WHEN \"class\" IS NULL THEN '{_UNKNOWN}' WHEN \"passable\" IS NOT TRUE THEN '{_CLOSED}' "
-    f"{_NAMED} ELSE '{_UNKNOWN}' END"
-)
-"""Expression of QGIS: the category of a tile of tiles.parquet."""
+"""How regions and tiles are drawn that are not known, and what lies over the class of those that are not passable."""
+
+
+def _is(attribute: str, value: str) -> str:
+    return f"\"{attribute}\" = '{value}'"
 
 
 def write_change_style(path: Path, band: int) -> None:
@@ -147,9 +146,9 @@ def write_change_style(path: Path, band: int) -> None:
     OutputError
         The file cannot be written.
     """
-    places = [(name, name, CHANGE_COLOURS[code], "solid") for code, name in enumerate(CHANGE_KINDS) if code]
+    looks = [(_is("kind", name), name, CHANGE_COLOURS[code], "solid") for code, name in enumerate(CHANGE_KINDS)]
     codes = paletted(enumerate(CHANGE_KINDS), CHANGE_COLOURS, band=band)
-    write_qgis(path, "style.xml", pixels=codes, vectors=_vectors("kind", places))
+    write_qgis(path, "style.xml", pixels=codes, vectors=vectors(looks[1:]))
 
 
 def write_check_style(path: Path) -> None:
@@ -160,13 +159,13 @@ def write_check_style(path: Path) -> None:
     OutputError
         The file cannot be written.
     """
-    looks = [(name, name, OFF_COLOURS[code], "") for code, name in enumerate(OFF_KINDS)]
-    write_qgis(path, "style.xml", pixels=None, vectors=_vectors("off", looks, '"explained" = false'))
+    looks = [(_is("off", name), name, OFF_COLOURS[code], "mark") for code, name in enumerate(OFF_KINDS)]
+    write_qgis(path, "style.xml", pixels=None, vectors=vectors(looks, '"explained" = false'))
 
 
 _PALE = 0.6
 """Opacity of the relief under other layers, so that colours over it stay those of their legend."""
-_GREY = (*BARRED_COLOURS[Barred.UNKNOWN][:3], 180)
+_GREY = (*UNKNOWN_COLOUR[:3], 180)
 """Colour of unknown ground over the relief, which shows through; no class is drawn between them."""
 _BAND = {band.name: number for number, band in enumerate(BANDS, 1)}
 
@@ -232,7 +231,8 @@ def map_styles(record: Mapping[str, Any], *, layered: bool = False) -> dict[str,
     -------
     dict
         By `MapFile`; what else a project shows of one, by it and a part: of roughness.tif ``p_fail``, the tiles where
-        at least half of the drives fail, and of speeds.tif the C_r at each speed, such as ``0.5``.
+        at least half of the drives fail, of speeds.tif the C_r at each speed, such as ``0.5``, and of cost.fgb
+        ``closed``, what is not known or not passable.
     """
     labels, stops, speeds = class_labels(record), _ride_stops(record), speeds_of(record)
     units = record.get("metres_per_unit")
@@ -242,15 +242,8 @@ def map_styles(record: Mapping[str, Any], *, layered: bool = False) -> dict[str,
     bars = BARRED_COLOURS | ({Barred.UNKNOWN: _GREY} if layered else {})
     most = max(COST_COLOURS)
     costs = {value: f"{value:g}" for value in COST_COLOURS} | {1.0: "1: level road", most: f"{most:g} and more"}
-    named = (
-        (name, label, CLASS_COLOURS[code], "solid")
-        for code, (name, label) in enumerate(zip(CLASS_NAMES, labels, strict=True))
-    )
-    looks = [
-        *named,
-        (_UNKNOWN, _UNKNOWN, BARRED_COLOURS[Barred.UNKNOWN], "b_diagonal"),
-        (_CLOSED, _CLOSED, BARRED_COLOURS[Barred.OBSTACLE], "diagonal_x"),
-    ]
+    named = ((f'"class" = {code}', label, CLASS_COLOURS[code], "solid") for code, label in enumerate(labels))
+    looks = [*named, *_CLOSED_LOOKS]
     fails = [
         (FAIL_SHARE, "at least half of the drives fail", CLASS_COLOURS[3]),
         (1.0, "all drives fail", CLASS_COLOURS[3]),
@@ -258,13 +251,14 @@ def map_styles(record: Mapping[str, Any], *, layered: bool = False) -> dict[str,
     at_speeds = [band.name for band in speed_bands(tuple(speeds))]
     return {
         MapFile.CLASS: paletted(enumerate(labels), CLASS_COLOURS),
-        MapFile.REASON: paletted(REASON_TEXT.items(), REASON_COLOURS, clear=[Reason.OK] if layered else ()),
+        MapFile.REASON: paletted(REASON_TEXT.items(), REASON_GREYS, clear=[Reason.OK] if layered else ()),
         MapFile.ROUGHNESS: _ramp(stops, _BAND["c_r"]),
         f"{MapFile.ROUGHNESS} p_fail": _ramp(fails, _BAND["p_fail"], clip=True),
         MapFile.COST: _ramp((value, label, COST_COLOURS[value]) for value, label in costs.items()),
         MapFile.SPEED: _ramp(_speed_stops(record)),
-        MapFile.REGIONS_IN_CRS: _vectors(REGION_KIND, looks),
-        MapFile.REGIONS: _vectors(REGION_KIND, looks),
+        MapFile.REGIONS_IN_CRS: vectors(looks),
+        f"{MapFile.REGIONS_IN_CRS} closed": vectors(_CLOSED_LOOKS),
+        MapFile.REGIONS: vectors(looks),
         MapFile.BARRED: paletted(BARRED_TEXT.items(), bars, clear=[Barred.NO] if layered else ()),
         MapFile.OBSTACLE: paletted(enumerate(OBJECT_NAMES), OBJECT_COLOURS),
         MapFile.PASSAGE: paletted(enumerate(PASSAGE_NAMES), PASSAGE_COLOURS),
@@ -273,7 +267,7 @@ def map_styles(record: Mapping[str, Any], *, layered: bool = False) -> dict[str,
         MapFile.SPEEDS: _ramp(stops),
         MapFile.HEADINGS: _ramp(stops),
         **{f"{MapFile.SPEEDS} {speed:g}": _ramp(stops, 1 + at_speeds.index(f"c_r_{speed:g}")) for speed in speeds},
-        MapFile.TILES: _vectors(TILE_KIND, looks, line=CALM_LINE if _setting(record, "headings") else ""),
+        MapFile.TILES: vectors(looks, line=CALM_LINE if _setting(record, "headings") else ""),
     }
 
 
