@@ -97,8 +97,29 @@ OFF_COLOURS: dict[int, tuple[int, int, int, int]] = {
 }
 """Red, green, blue, alpha of how far a map is off a drive: purple where it reads too low, green where too high; neither
 is a colour of a class, and colour-blind readers tell them apart."""
+DIFFERENCE_RAMP = (
+    *("#053061", "#2166ac", "#4393c3", "#92c5de", "#f7f7f7"),
+    *("#f4a582", "#d6604d", "#b2182b", "#67001f"),
+)
+"""Colours from the least over none, white, to the most of a difference."""
+ROUTE_COLOURS: tuple[tuple[int, int, int], ...] = (
+    *((0, 0, 0), (136, 14, 112), (0, 90, 60), (110, 60, 0), (60, 60, 160)),
+)
+"""Colours of ways, dark on their white border: told apart by lightness and by their labels too."""
+_REACH_COLOURS: tuple[tuple[int, int, int], ...] = (
+    *((253, 231, 37), (122, 209, 81), (34, 168, 132)),
+    *((42, 120, 142), (65, 68, 135), (68, 1, 84)),
+)
+"""Colours of what is reached, from the start outwards."""
 OR_FAILS = ", or too steep, or drives fail"
 """Follows the limit of class 3: what else puts ground there."""
+
+
+def reach_colours(count: int) -> list[tuple[int, int, int]]:
+    """Return the colours of ``count`` steps of what is reached, from the start outwards."""
+    last = len(_REACH_COLOURS) - 1
+    return [_REACH_COLOURS[round(step * last / max(count - 1, 1))] for step in range(count)]
+
 
 _CLASSES = len(CLASS_NAMES)
 _ANCHORS = np.array([CLASS_COLOURS[number][:3] for number in range(_CLASSES)], np.float64)

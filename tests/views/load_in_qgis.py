@@ -10,9 +10,12 @@ from pathlib import Path
 
 os.environ["QT_QPA_PLATFORM"] = "offscreen"
 
+import qgis.core
 from qgis.core import (
     QgsApplication,
     QgsExpressionContextUtils,
+    QgsLayoutExporter,
+    QgsLayoutItem,
     QgsMapRendererParallelJob,
     QgsMapSettings,
     QgsProject,
@@ -26,6 +29,7 @@ from qgis.PyQt.QtGui import QColor
 
 SIZE = 1200, 1000
 """Width and height of pictures, pixels."""
+KINDS = [f"QgsLayoutItem{kind}" for kind in ("Map", "Legend", "ScaleBar", "Picture", "Label")]
 
 
 def describe(layer):
@@ -93,6 +97,7 @@ def describe_project(path):
     project.readProject.connect(canvas.readProject)
     found = {"read": project.read(str(path)), "error": project.error()}
     tree = project.layerTreeRoot()
+    pages = [describe_page(page) for page in project.layoutManager().printLayouts()]
     shown = [node.layer() for node in tree.findLayers() if node.isVisible()]
     return found | {
         "title": project.title(),
@@ -103,6 +108,23 @@ def describe_project(path):
         "layers": {layer.id(): describe(layer) for layer in project.mapLayers().values()},
         "extent": corners(canvas.extent()),
         "colours": colours_of(shown, canvas.extent(), project.crs()),
+        "pages": pages,
+    }
+
+
+def describe_page(layout):
+    """What a page to print holds: its items by kind, texts, scale, legend, and how many colours it is drawn in."""
+    items = [item for item in layout.items() if isinstance(item, QgsLayoutItem)]
+    kinds = {kind: [item for item in items if isinstance(item, getattr(qgis.core, kind))] for kind in KINDS}
+    (ground,), (legend,) = kinds["QgsLayoutItemMap"], kinds["QgsLayoutItemLegend"]
+    image = QgsLayoutExporter(layout).renderPageToImage(0, dpi=60)
+    places = ((x, y) for x in range(0, image.width(), 4) for y in range(0, image.height(), 4))
+    return {
+        "items": {kind: len(found) for kind, found in kinds.items()},
+        "texts": [item.text() for item in kinds["QgsLayoutItemLabel"]],
+        "scale": ground.scale(),
+        "legend": [node.layerId() for node in legend.model().rootGroup().findLayers()],
+        "colours": len({image.pixel(*place) for place in places}),
     }
 
 

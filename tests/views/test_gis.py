@@ -17,7 +17,7 @@ from check_records import made_up_check
 from cost_maps import table_of
 from pyproj import CRS
 from route_maps import write_folder
-from route_records import MadeUpMap
+from route_records import CORNERS, UTM, MadeUpMap, make_route
 from skimage.color import deltaE_ciede2000, rgb2lab
 from survey_pairs import survey
 
@@ -25,12 +25,14 @@ import bumpymap
 from bumpymap.check.pipeline import write_check
 from bumpymap.core import BARRED_TEXT, CHANGE_KINDS, CLASS_NAMES, NO_CLASS, OBJECT_NAMES, REASON_TEXT
 from bumpymap.core.types import Barred, Georeference
-from bumpymap.layers import colours, write_products
+from bumpymap.layers import ReachField, colours, open_map, write_products
 from bumpymap.layers.check_vectors import OFF_KINDS, MapOffset
 from bumpymap.layers.products import PRODUCT_NAMES
+from bumpymap.route.output import write_reach_files, write_routes
 from bumpymap.views import write_map_views
 from bumpymap.views.gis.project import write_project
 from bumpymap.views.gis.styles import write_styles
+from bumpytiles import Grid, TileWindow
 
 LIMITS = (0.1, 0.2, 0.4)
 CALIBRATION = {"id": "c0ffee", "vehicle": "warthog", "class_limits": LIMITS}
@@ -326,6 +328,12 @@ def test_the_project_opens_as_a_map(seen):
     assert left < west < east < right
     assert bottom < south < north < top
     assert top - bottom < 1.3 * (north - south)
+    (page,) = project["pages"]
+    assert [*page["items"].values()] == [1, 1, 1, 1, 3]
+    assert {"Pit 7: ride cost", f"1:{page['scale']:.0f} on A4"} < set(page["texts"])
+    assert "Vehicle: warthog." in "\n".join(page["texts"]).split("\n")
+    assert page["legend"] == ["bumpymap_cost_fgb_closed", "bumpymap_class_tif"]
+    assert page["colours"] > 100
 
 
 def legend(names, palette_of):
@@ -338,7 +346,8 @@ def test_a_comparison_shows_its_kinds_as_pixels_and_places(tmp_path):
     later.c_r[600:] = np.nan  # the ride over the end of the rut is not known
     before, after = write_folder(tmp_path / "may", survey(1)), write_folder(tmp_path / "june", later)
     change = bumpymap.diff_surveys(before, after, tmp_path / "out")
-    layers = load(change.folder)["layers"]
+    seen = load(change.folder)
+    layers = seen["layers"]
     raster, places = layers["change.tif"], layers["change.geojson"]
     assert (raster["renderer"], raster["bands"], raster["crs"]) == ("paletted", [6], "EPSG:32614")
     assert raster["values"] == [0, 1, 2, 3, 4]
@@ -348,18 +357,59 @@ def test_a_comparison_shows_its_kinds_as_pixels_and_places(tmp_path):
     assert [entry[:2] for entry in places["legend"]] == legend(CHANGE_KINDS, colours.CHANGE_COLOURS)[1:]
     assert places["drawn"] == Counter(about["kind"] for about in change.field.regions)
     assert places["features"] == len(change.field.regions) > 0
+    hidden = {"change_geojson", "change_tif_d_c_r", "change_tif_d_height", "class_tif"}
+    over_map(seen["project"], {"change_tif", "relief_tif"}, hidden)
+    most = float(np.nanmax(np.abs(change.field.d_c_r)))
+    ends = seen["project"]["layers"]["bumpymap_change_tif_d_c_r"]["values"]
+    assert (ends[0], ends[4], ends[-1]) == pytest.approx((-most, 0, most))
+
+
+def over_map(project, shown, hidden=frozenset()):
+    """Check that a project of a run shows its layers over those of the map, and has a page to print."""
+    assert (project["read"], project["error"], project["crs"]) == (True, "", "EPSG:32614")
+    assert {name for name, is_shown, _ in project["tree"] if is_shown} == {f"bumpymap_{name}" for name in shown}
+    assert {name for name, is_shown, _ in project["tree"] if not is_shown} >= {f"bumpymap_{name}" for name in hidden}
+    assert all(layer["valid"] for layer in project["layers"].values())
+    assert project["colours"] > 10
+    assert [*project["pages"][0]["items"].values()] == [1, 1, 1, 1, 3]
+
+
+@pytest.mark.qgis
+def test_ways_and_what_can_be_reached_are_drawn_over_the_map(tmp_path, site):
+    ways, reach, source = tmp_path / "way", tmp_path / "reach", open_map(site)
+    found = [make_route(), make_route(name="it's another")]
+    write_routes(found, source, ways, manifest={})
+    values = np.arange(12, dtype=np.float32).reshape(3, 4)
+    field = ReachField(UTM, Grid(), TileWindow(110_000, 680_000, 4, 3), values, values / 4)
+    write_reach_files(field, source, CORNERS[0], reach, levels=[1, 0.5], manifest={})
+    seen = load(ways)["project"]
+    over_map(seen, {"route_geojson_stops", "route_geojson_ways", "cost_fgb_closed", "class_tif", "relief_tif"})
+    drawn = [seen["layers"][f"bumpymap_route_geojson_{part}"]["drawn"] for part in ("stops", "ways")]
+    assert drawn[0] == {"start": 1, "goal": 1}
+    assert {label.split(":")[0]: count for label, count in drawn[1].items()} == {way.name: 1 for way in found}
+    seen = load(reach)
+    over_map(seen["project"], {"isochrones_geojson", "reach_tif_minutes", "relief_tif"}, {"reach_tif_cost"})
+    layers = seen["project"]["layers"]
+    assert [layers[f"bumpymap_reach_tif_{part}"]["bands"] for part in ("cost", "minutes")] == [[1], [2]]
+    assert seen["layers"]["reach.tif"]["bands"] == [2]
+    assert seen["layers"]["isochrones.geojson"]["drawn"] == {"within 0.5 min": 1, "within 1 min": 1}
+    assert [entry[0] for entry in seen["layers"]["reach.tif"]["legend"]] == [
+        f"{value:.3g} min" for value in np.linspace(0, 11 / 4, 6)
+    ]
 
 
 @pytest.mark.qgis
 def test_stretches_are_drawn_by_how_far_the_map_is_off(tmp_path):
     result = made_up_check(60, noise=0.4, unknown=[4])
     write_check(result, tmp_path / "out", ground=MadeUpMap.around())
-    layer = load(tmp_path / "out")["layers"]["check.geojson"]
+    seen = load(tmp_path / "out")
+    layer = seen["layers"]["check.geojson"]
     assert layer["renderer"] == "RuleRenderer"
     assert [entry[:2] for entry in layer["legend"]] == legend(OFF_KINDS, colours.OFF_COLOURS)
     assert layer["drawn"] == Counter(OFF_KINDS[kind] for kind in MapOffset.of(result.stretches).kind.tolist())
     assert layer["features"] == 60
     assert layer["colours"] > 6
+    assert seen["project"]["layers"]["bumpymap_check_geojson"]["drawn"] == layer["drawn"]
 
 
 SEEN_BY = {

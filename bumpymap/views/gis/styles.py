@@ -2,10 +2,14 @@
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
+
+import numpy as np
+from numpy.typing import NDArray
 
 from bumpymap.core import (
     BANDS,
@@ -17,14 +21,17 @@ from bumpymap.core import (
     REASON_TEXT,
     Barred,
     Reason,
+    Route,
     atomic,
     speed_bands,
 )
 from bumpymap.layers import (
     BARRED_COLOURS,
     CHANGE_COLOURS,
+    CHANGED_BAND,
     CLASS_COLOURS,
     COST_COLOURS,
+    DIFFERENCE_RAMP,
     OBJECT_COLOURS,
     OFF_COLOURS,
     OFF_KINDS,
@@ -32,10 +39,15 @@ from bumpymap.layers import (
     PASSAGE_COLOURS,
     PASSAGE_NAMES,
     REASON_GREYS,
+    ROUTE_COLOURS,
     UNKNOWN_COLOUR,
+    ChangeField,
     MapFile,
+    ReachField,
     RideScale,
     class_limits,
+    reach_colours,
+    stop_roles,
 )
 from bumpymap.views.page.page import render_text
 
@@ -105,11 +117,11 @@ def _ramp(entries: Iterable[tuple[float, str, _Colour]], band: int = 1, *, clip:
 def vectors(looks: Iterable[tuple[str, str, _Colour, str]], large: str = "", line: str = "") -> Style:
     """Return the style of areas, lines or points: expression of QGIS that chooses them, label, colour, form of each.
 
-    A form is ``solid``, ``rising`` (solid under lines), ``falling`` (lines alone, over other forms), ``line``, ``mark``
-    (a disc). An expression ``large`` says which marks are drawn larger; ``line`` is a line over each area, NULL where
-    there is none.
+    A form is ``solid``, ``rising`` (solid under lines), ``falling`` (lines alone, over other forms), ``outline``,
+    ``line``, ``mark`` (a disc). An expression ``large`` says which marks are drawn larger; ``line`` is a line over each
+    area, NULL where there is none.
     """
-    return {"looks": list(looks), "large": large, "line": line}
+    return {"kind": "vectors", "looks": list(looks), "large": large, "line": line}
 
 
 CALM_RATIO = 1.3
@@ -127,40 +139,116 @@ _CLOSED_LOOKS = (
 """How regions and tiles are drawn that are not known, and what lies over the class of those that are not passable."""
 
 
+@dataclass(frozen=True, slots=True)
+class ViewLayer:
+    """A file, or a part of one, as a layer of a project."""
+
+    file: str
+    """Its path in the folder."""
+    title: str
+    style: Style
+    part: str = ""
+    """Tells layers of one file apart."""
+    visible: bool = True
+    within: str = ""
+    """What chooses features by their geometry in a file of several kinds, for GDAL."""
+
+    @property
+    def geometry(self) -> str:
+        """What QGIS calls its geometries."""
+        return {"mark": "Point", "line": "Line"}.get(self.style["looks"][0][3], "Polygon")
+
+
 def _is(attribute: str, value: str) -> str:
+    value = value.replace("'", "''")
     return f"\"{attribute}\" = '{value}'"
 
 
-def write_change_style(path: Path, band: int) -> None:
-    """Write change.qml: QGIS takes it for change.tif and change.geojson, since both have its name.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    band : int
-        Band of change.tif with the codes, from 1.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    """
+def change_layers(field: ChangeField) -> list[ViewLayer]:
+    """Return the layers of a comparison: its places, its kinds of change, its differences."""
     looks = [(_is("kind", name), name, CHANGE_COLOURS[code], "solid") for code, name in enumerate(CHANGE_KINDS)]
-    codes = paletted(enumerate(CHANGE_KINDS), CHANGE_COLOURS, band=band)
-    write_qgis(path, "style.xml", pixels=codes, vectors=vectors(looks[1:]))
+    codes = paletted(enumerate(CHANGE_KINDS), CHANGE_COLOURS, band=CHANGED_BAND)
+    raster = "change.tif"
+    return [
+        ViewLayer("change.geojson", "places that have changed", vectors(looks[1:]), visible=False),
+        ViewLayer(raster, "what has changed", codes),
+        *(
+            ViewLayer(raster, title, _differences(getattr(field, name), unit, band), name, visible=False)
+            for band, (name, title, unit) in enumerate(_DIFFERENCES, 1)
+            if name
+        ),
+    ]
 
 
-def write_check_style(path: Path) -> None:
-    """Write check.qml, which QGIS takes for check.geojson.
+_DIFFERENCES = (
+    ("d_c_r", "ride cost, after minus before", "rad/m"),
+    ("", "", ""),
+    ("d_height", "height, after minus before", "m"),
+)
+"""Name, title and unit of the first bands of change.tif, of those that a project shows."""
 
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    """
+
+def _differences(values: NDArray[np.float32], unit: str, band: int) -> Style:
+    """Return the style of differences: white for none, as far down as up, most colours for small ones, as on pages."""
+    most = float(np.nanmax(np.abs(values), initial=0.0)) or 1.0
+    parts = np.linspace(-1.0, 1.0, len(DIFFERENCE_RAMP))
+    ends = (most * np.sign(parts) * parts**2).tolist()
+    return _ramp(
+        [(end, f"{end:+.3g} {unit}", _rgba(text)) for end, text in zip(ends, DIFFERENCE_RAMP, strict=True)], band
+    )
+
+
+def _rgba(text: str) -> _Colour:
+    red, green, blue = bytes.fromhex(text[1:])
+    return red, green, blue, 255
+
+
+def check_layers() -> list[ViewLayer]:
+    """Return the stretches of a check."""
     looks = [(_is("off", name), name, OFF_COLOURS[code], "mark") for code, name in enumerate(OFF_KINDS)]
-    write_qgis(path, "style.xml", pixels=None, vectors=vectors(looks, '"explained" = false'))
+    return [ViewLayer("check.geojson", "how far the map is off", vectors(looks, '"explained" = false'))]
+
+
+def route_layers(routes: Sequence[Route]) -> list[ViewLayer]:
+    """Return the stops of routes, and the ways, each with its figures."""
+    colours = {"start": (255, 255, 255, 255), "via": (150, 150, 150, 255), "goal": (0, 0, 0, 255)}
+    roles = {role: None for route in routes for role in stop_roles(len(route.stops))}
+    stops = [(_is("role", role), role, colours[role], "mark") for role in roles]
+    ways = []
+    for number, route in enumerate(routes):
+        found = route.figures
+        label = f"{route.name}: {found.length_m:.0f} m, costs {found.cost_m:.0f} m, arrives {found.p_arrives:.1%}"
+        ways.append((_is("name", route.name), label, (*ROUTE_COLOURS[number % len(ROUTE_COLOURS)], 255), "line"))
+    file = "route.geojson"
+    return [
+        ViewLayer(file, "stops", vectors(stops), "stops", within="|geometrytype=Point"),
+        ViewLayer(file, "ways", vectors(ways[::-1]), "ways", within="|geometrytype=LineString"),
+    ]
+
+
+_REACH_STOPS = 6
+
+
+def reach_layers(reach: ReachField, levels: Sequence[float]) -> list[ViewLayer]:
+    """Return what can be reached: outlines of ``levels`` [min], minutes, cost."""
+    steps = sorted({float(level) for level in levels})
+    looks = [
+        (f'"within" = {level!r}', f"within {level:g} min", (*colour, 255), "outline")
+        for level, colour in zip(steps, reach_colours(len(steps)), strict=True)
+    ]
+    bands = (
+        ("minutes", "minutes from the start", "min", reach.minutes),
+        ("cost", "cost from the start", "m", reach.cost),
+    )
+    raster = []
+    for name, title, unit, values in bands:
+        ends = np.linspace(0.0, float(np.nanmax(values, initial=0.0)) or 1.0, _REACH_STOPS).tolist()
+        shades = zip(ends, reach_colours(_REACH_STOPS), strict=True)
+        stops = [(end, f"{end:.3g} {unit}", (*colour, 255)) for end, colour in shades]
+        style = _ramp(stops, 1 + ("cost", "minutes").index(name))
+        raster.append(ViewLayer("reach.tif", title, style, name, visible=name == "minutes"))
+    outlines = [ViewLayer("isochrones.geojson", "outlines", vectors(looks))] if looks else []
+    return [*outlines, *raster]
 
 
 _PALE = 0.6

@@ -22,7 +22,7 @@ from bumpymap.core import (
     read_regular,
     shape_fault,
 )
-from bumpymap.layers import CHANGE_COLOURS, COUNT, PLACE_SHAPE, UNKNOWN_COLOUR, open_layer, outline_of
+from bumpymap.layers import CHANGE_COLOURS, COUNT, DIFFERENCE_RAMP, PLACE_SHAPE, UNKNOWN_COLOUR, open_layer, outline_of
 from bumpymap.views.page.page import write_page
 from bumpymap.views.page.site import jpeg
 from bumpymap.views.page.tiles import ByteGrid, Spot, crs_name, map_metres, packed
@@ -195,11 +195,6 @@ def _still(kinds: NDArray[np.uint8], spot: Spot) -> str:
     return jpeg(picture, 150_000)
 
 
-_RAMP = (
-    *("#053061", "#2166ac", "#4393c3", "#92c5de", "#f7f7f7"),
-    *("#f4a582", "#d6604d", "#b2182b", "#67001f"),
-)
-"""Colours from the least over none, white, to the most of a difference."""
 _MANIFEST, _FORMAT = "change.json", "bumpymap-change"
 _SURVEY = {"folders": [str], "runs": [Each()]}
 _SHAPE = PLACE_SHAPE | {
@@ -267,7 +262,7 @@ def write_change_report(folder: Path, record: Mapping[str, Any], path: Path) -> 
         "reasons": ["not compared: may have changed or not"],
         "outside": "outside of what the surveys share: not compared",
         "classColours": [CHANGE_COLOURS[code] for code in range(len(CHANGE_KINDS))],
-        "ramp": _RAMP,
+        "ramp": DIFFERENCE_RAMP,
         "unknownColour": UNKNOWN_COLOUR,
     }
     write_page(
@@ -281,7 +276,7 @@ def write_change_report(folder: Path, record: Mapping[str, Any], path: Path) -> 
         ],
         kind_rows=_kind_rows(site),
         place_rows=[_place_row(site, place) for place in site.places],
-        ramp_colours=_RAMP,
+        ramp_colours=DIFFERENCE_RAMP,
         survey_rows=_survey_rows(record["fit"], runs),
         data={"maps": [site.map_record()], "codes": codes},
     )
