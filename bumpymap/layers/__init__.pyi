@@ -185,7 +185,7 @@ from .scan_table import (
     sector_rows as sector_rows,
 )
 from .stac import (
-    write_catalog as write_catalog,
+    write_collection as write_collection,
 )
 from .summary import (
     LITTLE_SEEN as LITTLE_SEEN,

@@ -12,7 +12,7 @@ import numpy as np
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from bumpymap.core import horizontal_of, stated_crs
+from bumpymap.core import atomic, horizontal_of, stated_crs
 from bumpymap.layers import GeoJsonCoordinates, MapFile, MapSource, Placement, open_layer
 from bumpymap.views.gis.styles import (
     MULTIPLY,
@@ -42,7 +42,7 @@ _ARROW = (
 
 
 def write_map_views(folder: Path, record: Mapping[str, Any]) -> None:
-    """Write the styles, map.qgs and report.html of the layers in a folder.
+    """Write the styles, map.qgs, report.html and the thumbnail of the layers in a folder.
 
     Parameters
     ----------
@@ -60,7 +60,10 @@ def write_map_views(folder: Path, record: Mapping[str, Any]) -> None:
     """
     write_styles(folder, record)
     write_project(folder, record)
-    write_map_page(Site.read(folder, record), folder / MapFile.REPORT)
+    site = Site.read(folder, record)
+    write_map_page(site, folder / MapFile.REPORT)
+    with atomic(folder / MapFile.THUMBNAIL) as temporary:
+        temporary.write_bytes(base64.b64decode(site.still.partition(",")[2]))
 
 
 class _Tree:
