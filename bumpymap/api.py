@@ -150,11 +150,8 @@ class Layers:
             if not all(other[side].equals(found[0][side]) for side in "xy"):
                 raise BadInputError(f"the rasters in {self._folder} do not span the same tiles. Map the survey again")
         dataset = import_notebook("xarray").Dataset({variable.name: variable for variable in found})
-        title, rating = (
-            f"ride cost and roughness for {self._vehicle}",
-            self.manifest.get("settings", {}).get("rating", ""),
-        )
-        return dataset.assign_attrs(title=title, **self._about, rating=rating)
+        title, rating = f"ride cost and roughness for {self._vehicle}", self.manifest.get("settings", {}).get("rating")
+        return dataset.assign_attrs(title=title, **self._about, rating=rating or "")
 
     def speeds(self) -> "xarray.Dataset":
         """Open speeds.tif: what is felt at other speeds, on the grid of tiles.
@@ -476,8 +473,8 @@ def map_survey(
         ``ground_classes``, ``align``, ``rating``,
         ``compat``, ``vehicle``, ``calibration``, ``speed`` [m/s], ``speeds`` [m/s], ``headings``, ``model``, ``crs``,
         ``force_crs``, ``z_unit``, ``local``, ``trust_points``, ``skip_bad``, ``max_unknown``, ``overwrite``,
-        ``threads``, ``memory``, ``scratch``, ``scheduler``; ``features`` and ``csf`` are dicts, the tables
-        of a settings file.
+        ``threads``, ``memory``, ``scratch``, ``scheduler``, ``provider``, ``license``; ``features`` and ``csf`` are
+        dicts, the tables of a settings file.
 
     Returns
     -------

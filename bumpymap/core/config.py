@@ -204,7 +204,7 @@ class MapConfig:
         check_settings(self)
         self._check_speeds()
         if not re.fullmatch(r"[\w.+-]*", self.license, re.ASCII):
-            raise UsageError(f"`license` is {self.license!r}; give an SPDX identifier such as CC-BY-4.0, or `other`")
+            raise UsageError(f"`license` is {self.license!r}; give an SPDX identifier such as CC-BY-4.0, or 'other'")
 
     def _check_speeds(self) -> None:
         """Raise UsageError if the speeds are no list of different speeds, or the rating cannot tell them."""
