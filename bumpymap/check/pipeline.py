@@ -544,7 +544,7 @@ def write_check(
     writers: dict[str, Callable[[Path], None]] = {
         "check.html": partial(write_check_page, result, ground if placement is not None else None),
     }
-    if placement is not None:
+    if ground is not None and placement is not None:
         writers["check.geojson"] = partial(write_stretches, result, placement)
         writers |= view_writers(check_layers(), placement, ground, out, "the map against real drives")
     return CHECK_FILES.write(out, writers, describe, overwrite=overwrite)

@@ -111,8 +111,6 @@ _REACH_COLOURS: tuple[tuple[int, int, int], ...] = (
     *((42, 120, 142), (65, 68, 135), (68, 1, 84)),
 )
 """Colours of what is reached, from the start outwards."""
-OR_FAILS = ", or too steep, or drives fail"
-"""Follows the limit of class 3: what else puts ground there."""
 
 
 def reach_colours(count: int) -> list[tuple[int, int, int]]:
@@ -181,4 +179,4 @@ def class_ranges(manifest: Mapping[str, Any]) -> tuple[str, ...]:
         return ()
     first, *_, last = texts = [f"{limit:.3g}" for limit in limits]
     between = [f"{low} to {high}" for low, high in pairwise(texts)]
-    return (f"under {first}", *between, f"{last} and more{OR_FAILS}")
+    return (f"under {first}", *between, f"{last} and more, or too steep, or drives fail")

@@ -31,6 +31,7 @@ from bumpymap.views.pictures.drawing import bar_length
 
 _MARGIN = 0.04
 """Ground around the layers when the project is opened, as a share of their larger side."""
+_CLASSES = "roughness class, c_r in rad/m"
 _PRINT_MM = 190.0, 180.0
 """Width and height of the map on a page of paper."""
 _BAR_MM = 25.0
@@ -132,7 +133,7 @@ def _groups(tree: _Tree, speeds: Sequence[float]) -> list[Style]:
         expanded=False,
     )
     regions = tree.group("Regions", tree.layer(MapFile.REGIONS_IN_CRS, "regions", MULTIPLY), expanded=False)
-    classes = tree.layer(MapFile.CLASS, "roughness class", MULTIPLY, visible=True)
+    classes = tree.layer(MapFile.CLASS, _CLASSES, MULTIPLY, visible=True)
     fails = tree.layer(MapFile.ROUGHNESS, "most drives fail", visible=True, part="p_fail")
     rides = tree.layer(MapFile.ROUGHNESS, "c_r of the drives that get through", MULTIPLY, visible=True)
     others = [tree.layer(MapFile.SPEEDS, f"c_r at {speed:g} m/s", MULTIPLY, part=f"{speed:g}") for speed in speeds]
@@ -180,7 +181,7 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
 
 
 def view_writers(
-    layers: Sequence[ViewLayer], place: Placement, source: MapSource | None, out: Path, title: str
+    layers: Sequence[ViewLayer], place: Placement, source: MapSource, out: Path, title: str
 ) -> dict[str, Callable[[Path], None]]:
     """Return how the styles and the project of a run over maps are written, by name of the file.
 
@@ -190,7 +191,7 @@ def view_writers(
         The files of the run, the topmost first.
     place : Placement
         What the project opens with. GeoJSON is in longitude and latitude where it has a CRS.
-    source : MapSource or None
+    source : MapSource
         The map to lie under them, by a path relative to ``out``.
     out : Path
         The folder of the run.
@@ -211,23 +212,18 @@ def view_writers(
 
 
 def _write_over_map(
-    layers: Sequence[ViewLayer], place: Placement, source: MapSource | None, out: Path, title: str, path: Path
+    layers: Sequence[ViewLayer], place: Placement, source: MapSource, out: Path, title: str, path: Path
 ) -> None:
-    record = {} if source is None else source.manifest
-    folder = out if source is None else source.folder
-    tree = _Tree(folder, record, relpath(folder.resolve(), out.resolve()))
-    crs = place.horizontal_crs
-    tree.wkt = None if crs is None else crs.to_wkt()
+    record = source.manifest
+    tree = _Tree(source.folder, record, relpath(source.folder.resolve(), out.resolve()))
     degrees = CRS.from_epsg(4326).to_wkt() if GeoJsonCoordinates.of(place, local=True).has_degrees else None
-    groups, covers = [], False
+    groups, covers = [], any(layer.file.endswith(".tif") for layer in layers)
     for layer in layers:
-        is_raster = layer.file.endswith(".tif")
-        covers |= is_raster
-        groups += tree.add(layer, tree.wkt if is_raster else degrees, MULTIPLY if is_raster else NORMAL)
-    if source is not None:  # classes would shine through a raster
-        classes = tree.layer(MapFile.CLASS, "roughness class", MULTIPLY, visible=not covers)
-        relief = tree.layer(MapFile.RELIEF, "relief, holes filled", visible=True)
-        groups += tree.group("Map", _closed(tree, visible=not covers), classes, relief)
+        wkt, blend = (tree.wkt, MULTIPLY) if layer.file.endswith(".tif") else (degrees, NORMAL)
+        groups += tree.add(layer, wkt, blend)
+    classes = tree.layer(MapFile.CLASS, _CLASSES, MULTIPLY, visible=not covers)  # they would shine through a raster
+    relief = tree.layer(MapFile.RELIEF, "relief, holes filled", visible=True)
+    groups += tree.group("Map", _closed(tree, visible=not covers), classes, relief)
     window = place.window
     west, east = place.to_crs(np.array([window.col, window.col + window.cols])).tolist()
     south, north = place.to_crs(np.array([window.row, window.row + window.rows])).tolist()

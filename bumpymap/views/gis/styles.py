@@ -3,7 +3,6 @@
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -35,7 +34,6 @@ from bumpymap.layers import (
     OBJECT_COLOURS,
     OFF_COLOURS,
     OFF_KINDS,
-    OR_FAILS,
     PASSAGE_COLOURS,
     PASSAGE_NAMES,
     REASON_GREYS,
@@ -45,7 +43,7 @@ from bumpymap.layers import (
     MapFile,
     ReachField,
     RideScale,
-    class_limits,
+    class_ranges,
     reach_colours,
     stop_roles,
 )
@@ -167,35 +165,22 @@ def _is(attribute: str, value: str) -> str:
 def change_layers(field: ChangeField) -> list[ViewLayer]:
     """Return the layers of a comparison: its places, its kinds of change, its differences."""
     looks = [(_is("kind", name), name, CHANGE_COLOURS[code], "solid") for code, name in enumerate(CHANGE_KINDS)]
-    codes = paletted(enumerate(CHANGE_KINDS), CHANGE_COLOURS, band=CHANGED_BAND)
-    raster = "change.tif"
+    codes, file = paletted(enumerate(CHANGE_KINDS), CHANGE_COLOURS, band=CHANGED_BAND), "change.tif"
+    c_r, height = _differences(field.d_c_r, "rad/m", 1), _differences(field.d_height, "m", 3)
     return [
         ViewLayer("change.geojson", "places that have changed", vectors(looks[1:]), visible=False),
-        ViewLayer(raster, "what has changed", codes),
-        *(
-            ViewLayer(raster, title, _differences(getattr(field, name), unit, band), name, visible=False)
-            for band, (name, title, unit) in enumerate(_DIFFERENCES, 1)
-            if name
-        ),
+        ViewLayer(file, "what has changed", codes),
+        ViewLayer(file, "ride cost c_r, after minus before", c_r, "d_c_r", visible=False),
+        ViewLayer(file, "height, after minus before", height, "d_height", visible=False),
     ]
-
-
-_DIFFERENCES = (
-    ("d_c_r", "ride cost, after minus before", "rad/m"),
-    ("", "", ""),
-    ("d_height", "height, after minus before", "m"),
-)
-"""Name, title and unit of the first bands of change.tif, of those that a project shows."""
 
 
 def _differences(values: NDArray[np.float32], unit: str, band: int) -> Style:
     """Return the style of differences: white for none, as far down as up, most colours for small ones, as on pages."""
-    most = float(np.nanmax(np.abs(values), initial=0.0)) or 1.0
+    most = float(np.abs(np.nan_to_num(values)).max(initial=0.0)) or 1.0
     parts = np.linspace(-1.0, 1.0, len(DIFFERENCE_RAMP))
-    ends = (most * np.sign(parts) * parts**2).tolist()
-    return _ramp(
-        [(end, f"{end:+.3g} {unit}", _rgba(text)) for end, text in zip(ends, DIFFERENCE_RAMP, strict=True)], band
-    )
+    ends = zip((most * np.sign(parts) * parts**2).tolist(), DIFFERENCE_RAMP, strict=True)
+    return _ramp([(end, f"{end:+.3g} {unit}", _rgba(text)) for end, text in ends], band)
 
 
 def _rgba(text: str) -> _Colour:
@@ -236,19 +221,18 @@ def reach_layers(reach: ReachField, levels: Sequence[float]) -> list[ViewLayer]:
         (f'"within" = {level!r}', f"within {level:g} min", (*colour, 255), "outline")
         for level, colour in zip(steps, reach_colours(len(steps)), strict=True)
     ]
-    bands = (
-        ("minutes", "minutes from the start", "min", reach.minutes),
-        ("cost", "cost from the start", "m", reach.cost),
-    )
-    raster = []
-    for name, title, unit, values in bands:
-        ends = np.linspace(0.0, float(np.nanmax(values, initial=0.0)) or 1.0, _REACH_STOPS).tolist()
-        shades = zip(ends, reach_colours(_REACH_STOPS), strict=True)
-        stops = [(end, f"{end:.3g} {unit}", (*colour, 255)) for end, colour in shades]
-        style = _ramp(stops, 1 + ("cost", "minutes").index(name))
-        raster.append(ViewLayer("reach.tif", title, style, name, visible=name == "minutes"))
-    outlines = [ViewLayer("isochrones.geojson", "outlines", vectors(looks))] if looks else []
-    return [*outlines, *raster]
+    cost, minutes = _distances(reach.cost, "m", 1), _distances(reach.minutes, "min", 2)
+    return [
+        *([ViewLayer("isochrones.geojson", "outlines", vectors(looks))] if looks else []),
+        ViewLayer("reach.tif", "minutes from the start", minutes, "minutes"),
+        ViewLayer("reach.tif", "cost from the start", cost, "cost", visible=False),
+    ]
+
+
+def _distances(values: NDArray[np.float32], unit: str, band: int) -> Style:
+    ends = np.linspace(0.0, float(np.nan_to_num(values).max(initial=0.0)) or 1.0, _REACH_STOPS).tolist()
+    shades = zip(ends, reach_colours(_REACH_STOPS), strict=True)
+    return _ramp([(end, f"{end:.3g} {unit}", (*colour, 255)) for end, colour in shades], band)
 
 
 _PALE = 0.6
@@ -259,12 +243,9 @@ _BAND = {band.name: number for number, band in enumerate(BANDS, 1)}
 
 
 def class_labels(record: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return what a legend says for each class: its name and, where that decides, its interval of c_r."""
-    limits = class_limits(record)
-    if limits is None or _setting(record, "compat") == "paper":
-        return CLASS_NAMES
-    named = [f"{name}: c_r {text}" for name, text in zip(CLASS_NAMES, _intervals(limits), strict=True)]
-    return (*named[:-1], f"{named[-1]}{OR_FAILS}")
+    """Return what a legend says for each class: its name and, where that decides, its interval of c_r [rad/m]."""
+    named = zip(CLASS_NAMES, class_ranges(record), strict=False)
+    return tuple(f"{name}: c_r {text}" for name, text in named) or CLASS_NAMES
 
 
 def speeds_of(record: Mapping[str, Any]) -> list[float]:
@@ -272,28 +253,14 @@ def speeds_of(record: Mapping[str, Any]) -> list[float]:
     return [float(speed) for speed in _setting(record, "speeds") or ()]
 
 
-def _intervals(limits: list[float]) -> tuple[str, ...]:
-    texts = [f"{limit:.3g}" for limit in limits]
-    between = [f"{low} to {high} rad/m" for low, high in pairwise(["0", *texts])]
-    return (*between, f"from {texts[-1]} rad/m")
-
-
 def _setting(record: Mapping[str, Any], name: str) -> Any:
-    """Return a setting of a run, or None; settings are a dataclass until they are written, then an object of JSON."""
-    settings = record.get("settings")
-    return settings.get(name) if isinstance(settings, Mapping) else getattr(settings, name, None)
+    return (record.get("settings") or {}).get(name)
 
 
 def _ride_stops(record: Mapping[str, Any]) -> list[tuple[float, str, _Colour]]:
-    """Return the colours of c_r with their labels."""
-    limits = class_limits(record)
-    anchors = RideScale.of(record).anchors
-    labels = [f"{anchor:.3g} rad/m" for anchor in anchors]
-    if limits:
-        labels = [f"{text} ({name})" for name, text in zip(CLASS_NAMES, _intervals(limits), strict=True)]
-    return [
-        (anchor, label, CLASS_COLOURS[code]) for code, (anchor, label) in enumerate(zip(anchors, labels, strict=True))
-    ]
+    """Return the colours of c_r with their labels: those of the classes in the middle of their intervals."""
+    anchors = zip(RideScale.of(record).anchors, CLASS_NAMES, strict=True)
+    return [(at, f"{at:.3g} rad/m ({name})", CLASS_COLOURS[code]) for code, (at, name) in enumerate(anchors)]
 
 
 def _speed_stops(record: Mapping[str, Any]) -> list[tuple[float, str, _Colour]]:
