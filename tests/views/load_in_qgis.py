@@ -10,12 +10,11 @@ from pathlib import Path
 
 os.environ["QT_QPA_PLATFORM"] = "offscreen"
 
-import qgis.core
+from qgis import core
 from qgis.core import (
     QgsApplication,
     QgsExpressionContextUtils,
     QgsLayoutExporter,
-    QgsLayoutItem,
     QgsMapRendererParallelJob,
     QgsMapSettings,
     QgsProject,
@@ -29,7 +28,9 @@ from qgis.PyQt.QtGui import QColor
 
 SIZE = 1200, 1000
 """Width and height of pictures, pixels."""
-KINDS = [f"QgsLayoutItem{kind}" for kind in ("Map", "Legend", "ScaleBar", "Picture", "Label")]
+KINDS = {
+    kind.lower(): getattr(core, f"QgsLayoutItem{kind}") for kind in ("Map", "Legend", "ScaleBar", "Picture", "Label")
+}
 
 
 def describe(layer):
@@ -114,17 +115,14 @@ def describe_project(path):
 
 def describe_page(layout):
     """What a page to print holds: its items by kind, texts, scale, legend, and how many colours it is drawn in."""
-    items = [item for item in layout.items() if isinstance(item, QgsLayoutItem)]
-    kinds = {kind: [item for item in items if isinstance(item, getattr(qgis.core, kind))] for kind in KINDS}
-    (ground,), (legend,) = kinds["QgsLayoutItemMap"], kinds["QgsLayoutItemLegend"]
+    kinds = {name: [item for item in layout.items() if isinstance(item, kind)] for name, kind in KINDS.items()}
     image = QgsLayoutExporter(layout).renderPageToImage(0, dpi=60)
-    places = ((x, y) for x in range(0, image.width(), 4) for y in range(0, image.height(), 4))
     return {
-        "items": {kind: len(found) for kind, found in kinds.items()},
-        "texts": [item.text() for item in kinds["QgsLayoutItemLabel"]],
-        "scale": ground.scale(),
-        "legend": [node.layerId() for node in legend.model().rootGroup().findLayers()],
-        "colours": len({image.pixel(*place) for place in places}),
+        "items": [len(found) for found in kinds.values()],
+        "texts": [item.text() for item in kinds["label"]],
+        "scale": kinds["map"][0].scale(),
+        "legend": [node.layerId() for node in kinds["legend"][0].model().rootGroup().findLayers()],
+        "colours": len({image.pixel(x, y) for x in range(0, image.width(), 4) for y in range(0, image.height(), 4)}),
     }
 
 
