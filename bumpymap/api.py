@@ -10,8 +10,6 @@ from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
 
-import numpy as np
-
 from bumpymap.core import (
     BANDS,
     BARRED_TEXT,
@@ -405,8 +403,8 @@ class Layers:
                     "flag_values": list(range(len(names))),
                     "flag_meanings": " ".join(text.replace(" ", "_") for text in names),
                 }
-            if variable.dtype == np.uint8:  # netCDF 3, which is all that SciPy writes, has no such type
-                variable.encoding["dtype"], nodata = "int16", np.int16(nodata)
+            if variable.dtype == "uint8":  # netCDF 3, which is all that SciPy writes, has no such type
+                variable.encoding["dtype"], nodata = "int16", nodata.astype("int16")
             variable.attrs["_FillValue"] = nodata
             yield variable
 

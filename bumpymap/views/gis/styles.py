@@ -149,11 +149,11 @@ class ViewLayer:
     """Tells layers of one file apart."""
     visible: bool = True
     within: str = ""
-    """What chooses features by their geometry in a file of several kinds, for GDAL."""
+    """For GDAL: the geometries to take from a file of several kinds, such as ``|geometrytype=Point``."""
 
     @property
     def geometry(self) -> str:
-        """What QGIS calls its geometries."""
+        """Kind of its geometries, as QGIS names it."""
         return {"mark": "Point", "line": "Line"}.get(self.style["looks"][0][3], "Polygon")
 
 
