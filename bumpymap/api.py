@@ -124,7 +124,8 @@ class Layers:
             ...), ``cost`` and ``speed`` (not of earlier versions) are float32 variables, NaN where unknown; ``class``
             (255 where unknown), ``reason`` (0 where there is a class) and ``barred`` (0 where passable) are uint8, 255
             outside the tiles with points.
-            Each has the attributes ``units`` and ``long_name``; CRS and transform are in ``spatial_ref``. Values are
+            Each has the attributes ``units`` and ``long_name``, the dataset ``survey``, ``vehicle``, ``calibration``;
+            ``to_netcdf`` needs no other library. CRS and transform are in ``spatial_ref``. Values are
             read from the files when they are used; those of a run in memory are loaded already.
 
         Raises
@@ -147,9 +148,8 @@ class Layers:
             if not all(other[side].equals(found[0][side]) for side in "xy"):
                 raise BadInputError(f"the rasters in {self._folder} do not span the same tiles. Map the survey again")
         dataset = import_notebook("xarray").Dataset({variable.name: variable for variable in found})
-        vehicle, rating = self._vehicle, self.manifest.get("settings", {}).get("rating", "")
-        dataset.attrs = {"title": f"ride cost and roughness for {vehicle}", "vehicle": vehicle, "rating": rating}
-        return dataset
+        title, rating = f"ride cost and roughness for {self._vehicle}", self.manifest.get("settings", {}).get("rating")
+        return dataset.assign_attrs(title=title, **self._about, rating=rating or "")
 
     def speeds(self) -> "xarray.Dataset":
         """Open speeds.tif: what is felt at other speeds, on the grid of tiles.
@@ -174,7 +174,7 @@ class Layers:
                 "`speeds=(0.5, 1, 2)`"
             )
         found = self._variables(MapFile.SPEEDS, speed_bands(tuple(asked)))
-        return import_notebook("xarray").Dataset({variable.name: variable for variable in found})
+        return import_notebook("xarray").Dataset({variable.name: variable for variable in found}, attrs=self._about)
 
     def heights(self) -> "xarray.DataArray":
         """Open heightmap.tif: the mean height of the points in each pixel, in metres; NaN in pixels without points.
@@ -191,7 +191,7 @@ class Layers:
         BadInputError
             heightmap.tif is missing or damaged.
         """
-        return next(self._variables(MapFile.HEIGHTMAP, (_HEIGHT,)))
+        return next(self._variables(MapFile.HEIGHTMAP, (_HEIGHT,))).assign_attrs(self._about)
 
     def obstacles(self) -> "xarray.DataArray":
         """Open obstacle.tif: 0 free, 1 obstacle, 2 canopy, 3 unknown; 255 outside the tiles with points.
@@ -208,7 +208,7 @@ class Layers:
         BadInputError
             obstacle.tif is missing or damaged.
         """
-        return next(self._variables(MapFile.OBSTACLE, (_OBSTACLE,)))
+        return next(self._variables(MapFile.OBSTACLE, (_OBSTACLE,))).assign_attrs(self._about)
 
     def passage(self) -> "xarray.DataArray":
         """Open passage.tif: 0 closed, else the number of the area of its tile; 255 outside the tiles with points.
@@ -216,7 +216,7 @@ class Layers:
         The areas are the nodes of a graph, and where pixels of two of them touch across the border of their tiles is an
         arc. See `obstacles` for the dimensions and errors.
         """
-        return next(self._variables(MapFile.PASSAGE, (_PASSAGE,)))
+        return next(self._variables(MapFile.PASSAGE, (_PASSAGE,))).assign_attrs(self._about)
 
     def tiles(self) -> "geopandas.GeoDataFrame":
         """Read tiles.parquet.
@@ -360,6 +360,16 @@ class Layers:
     def _vehicle(self) -> str:
         return str(self.manifest.get("calibration", {}).get("vehicle", "an unknown vehicle"))
 
+    @property
+    def _about(self) -> dict[str, str]:
+        """Survey, vehicle and calibration, as attributes of arrays."""
+        survey, calibration = (self.manifest.get(key) or {} for key in ("survey", "calibration"))
+        return {
+            "survey": str(survey.get("name") or ""),
+            "vehicle": self._vehicle,
+            "calibration": str(calibration.get("id") or ""),
+        }
+
     @cached_property
     def _bounds(self) -> tuple[float, float, float, float] | None:
         """West, south, east and north of the layers in units of their CRS; None if class.tif cannot be read."""
@@ -393,6 +403,8 @@ class Layers:
                     "flag_values": list(range(len(names))),
                     "flag_meanings": " ".join(text.replace(" ", "_") for text in names),
                 }
+            if variable.dtype == "uint8":  # netCDF 3, which is all that SciPy writes, has no such type
+                variable.encoding["dtype"], nodata = "int16", nodata.astype("int16")
             variable.attrs["_FillValue"] = nodata
             yield variable
 
@@ -459,8 +471,8 @@ def map_survey(
         ``ground_classes``, ``align``, ``rating``,
         ``compat``, ``vehicle``, ``calibration``, ``speed`` [m/s], ``speeds`` [m/s], ``headings``, ``model``, ``crs``,
         ``force_crs``, ``z_unit``, ``local``, ``trust_points``, ``skip_bad``, ``max_unknown``, ``overwrite``,
-        ``threads``, ``memory``, ``scratch``, ``scheduler``; ``features`` and ``csf`` are dicts, the tables
-        of a settings file.
+        ``threads``, ``memory``, ``scratch``, ``scheduler``, ``provider``, ``license``; ``features`` and ``csf`` are
+        dicts, the tables of a settings file.
 
     Returns
     -------

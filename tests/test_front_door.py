@@ -90,10 +90,16 @@ def test_values_are_read_when_they_are_used(layers):
 
 
 def test_the_dataset_is_kept_in_a_netcdf_file(layers, tmp_path):
-    layers.dataset()[["c_r", "cost"]].to_netcdf(tmp_path / "layers.nc", engine="scipy")
+    dataset = layers.dataset()
+    dataset.to_netcdf(tmp_path / "layers.nc", engine="scipy")  # which every installation has
+    layers.obstacles().to_netcdf(tmp_path / "obstacles.nc", engine="scipy")
     back = xr.open_dataset(tmp_path / "layers.nc", engine="scipy", decode_coords="all", mask_and_scale=False)
     assert back.rio.crs == "EPSG:32632"
-    np.testing.assert_array_equal(back["c_r"].values, layers.dataset()["c_r"].values)
+    for name in dataset:
+        np.testing.assert_array_equal(back[name].values, dataset[name].values)
+    about = {"survey": "quarry", "vehicle": "warthog", "calibration": layers.manifest["calibration"]["id"]}
+    assert back.attrs.items() >= about.items()
+    assert layers.obstacles().attrs.items() >= about.items()
 
 
 def test_a_missing_or_damaged_layer_is_said(layers, tmp_path):

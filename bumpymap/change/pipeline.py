@@ -43,9 +43,10 @@ from bumpymap.core import (
     settings_of_call,
 )
 from bumpymap.layers import (
-    CHANGED_BAND,
     REPORT_NAME,
     ChangeField,
+    MapFile,
+    MapReader,
     OutputFolder,
     SurveyPair,
     SurveyTiles,
@@ -58,15 +59,15 @@ from bumpymap.layers import (
     write_change_raster,
     write_change_regions,
 )
-from bumpymap.views import write_change_report, write_change_style
+from bumpymap.views import change_layers, view_writers, write_change_report
 
 if TYPE_CHECKING:
     import geopandas
 
 CHANGE_FILES = OutputFolder(
-    ("change.tif", "change.geojson", "change.json", "change.qml", REPORT_NAME),
+    ("change.tif", "change.geojson", "change.json", "change.qml", MapFile.PROJECT, REPORT_NAME),
     "change.json",
-    views=("change.qml", REPORT_NAME),
+    views=("change.qml", MapFile.PROJECT, REPORT_NAME),
 )
 _DENSITY = 2.0
 """Ratio of the densities from which surveys are unlike."""
@@ -294,12 +295,14 @@ def find_changes(config: DiffConfig, progress: Progress | None = None) -> Change
     if config.out is not None:
         progress.start("writing layers", None)
         own = _manifest(config, pair, fit, counts, transitions) | {"remarks": notes}
-        files = _write(field, config.out, own, overwrite=config.overwrite)
+        files = _write(field, pair.after, config.out, own, overwrite=config.overwrite)
     return ChangeResult(field, counts, transitions, fit, tuple(files), notes)
 
 
-def _write(field: ChangeField, out: Path, manifest: Mapping[str, Any], *, overwrite: bool) -> list[Path]:
-    """Write all files of a comparison, or none; but for change.json, none depends on folder names."""
+def _write(
+    field: ChangeField, after: MapReader, out: Path, manifest: Mapping[str, Any], *, overwrite: bool
+) -> list[Path]:
+    """Write all files of a comparison, or none; but for change.json and map.qgs, none depends on folder names."""
 
     def describe(staged: Path, files: list[dict[str, Any]]) -> dict[str, Any]:
         head = {"format": "bumpymap-change", "version": 1, "versions": software_versions()}
@@ -310,7 +313,7 @@ def _write(field: ChangeField, out: Path, manifest: Mapping[str, Any], *, overwr
     writers: dict[str, Callable[[Path], None]] = {
         "change.tif": partial(write_change_raster, field),
         "change.geojson": partial(write_change_regions, field),
-        "change.qml": partial(write_change_style, band=CHANGED_BAND),
+        **view_writers(change_layers(field), field.placement, after, out, "what has changed"),
     }
     CHANGE_FILES.write(out, writers, describe, overwrite=overwrite)
     return [out / name for name in CHANGE_FILES.names]

@@ -64,7 +64,7 @@ from bumpymap.layers import (
 from bumpymap.rating import map_calibration
 from bumpymap.readers import close_log_reader, drive_files, read_drive
 from bumpymap.route import LineVehicle
-from bumpymap.views import write_check_page, write_check_style
+from bumpymap.views import check_layers, view_writers, write_check_page
 
 Floats = NDArray[np.float64]
 
@@ -544,9 +544,9 @@ def write_check(
     writers: dict[str, Callable[[Path], None]] = {
         "check.html": partial(write_check_page, result, ground if placement is not None else None),
     }
-    if placement is not None:
+    if ground is not None and placement is not None:
         writers["check.geojson"] = partial(write_stretches, result, placement)
-        writers["check.qml"] = write_check_style
+        writers |= view_writers(check_layers(), placement, ground, out, "the map against real drives")
     return CHECK_FILES.write(out, writers, describe, overwrite=overwrite)
 
 

@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -193,12 +194,17 @@ class MapConfig:
     """Folder for temporary files of points that do not fit in memory; None: in the output folder."""
     scheduler: Annotated[str | None, Setting("Run on the workers of this dask scheduler", "ADDRESS", rare=True)] = None
     """Address of a dask.distributed scheduler whose workers are used; None: everything runs in this process."""
+    provider: Annotated[str, Setting("Who made the survey, for catalogues", rare=True)] = ""
+    license: Annotated[str, Setting("Licence of the layers, for catalogues: CC-BY-4.0", rare=True)] = ""
+    """SPDX identifier, or ``other``; empty: none is stated."""
     features: FeatureSettings = field(default_factory=FeatureSettings)
     csf: CsfSettings = field(default_factory=CsfSettings)
 
     def __post_init__(self) -> None:
         check_settings(self)
         self._check_speeds()
+        if not re.fullmatch(r"[\w.+-]*", self.license, re.ASCII):
+            raise UsageError(f"`license` is {self.license!r}; give an SPDX identifier such as CC-BY-4.0, or 'other'")
 
     def _check_speeds(self) -> None:
         """Raise UsageError if the speeds are no list of different speeds, or the rating cannot tell them."""

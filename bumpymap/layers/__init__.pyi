@@ -43,16 +43,19 @@ from .colours import (
     CHANGE_COLOURS as CHANGE_COLOURS,
     CLASS_COLOURS as CLASS_COLOURS,
     COST_COLOURS as COST_COLOURS,
+    DIFFERENCE_RAMP as DIFFERENCE_RAMP,
     OBJECT_COLOURS as OBJECT_COLOURS,
     OFF_COLOURS as OFF_COLOURS,
-    OR_FAILS as OR_FAILS,
     PASSAGE_COLOURS as PASSAGE_COLOURS,
     PASSAGE_NAMES as PASSAGE_NAMES,
-    REASON_COLOURS as REASON_COLOURS,
+    REASON_GREYS as REASON_GREYS,
+    ROUTE_COLOURS as ROUTE_COLOURS,
+    UNKNOWN_COLOUR as UNKNOWN_COLOUR,
     UNKNOWN_OBJECT as UNKNOWN_OBJECT,
     RideScale as RideScale,
     class_limits as class_limits,
     class_ranges as class_ranges,
+    reach_colours as reach_colours,
 )
 from .folder import (
     is_complete as is_complete,
@@ -134,6 +137,7 @@ from .route_lines import (
     stop_names as stop_names,
     stop_roles as stop_roles,
     stretch_rows as stretch_rows,
+    window_around as window_around,
     write_gpx as write_gpx,
     write_profile as write_profile,
     write_route_geojson as write_route_geojson,
@@ -180,7 +184,7 @@ from .scan_table import (
     sector_rows as sector_rows,
 )
 from .stac import (
-    write_catalog as write_catalog,
+    write_collection as write_collection,
 )
 from .summary import (
     LITTLE_SEEN as LITTLE_SEEN,

@@ -21,8 +21,8 @@ from bumpymap.core import (
 )
 from bumpymap.layers.manifest import read_manifest
 from bumpymap.layers.map_files import open_raster
-from bumpymap.layers.products import CATALOG_NAME, MapFile, require_folder
-from bumpymap.layers.stac import write_catalog
+from bumpymap.layers.products import COLLECTION_NAME, MapFile, require_folder
+from bumpymap.layers.stac import write_collection
 
 SurveyStatus: TypeAlias = Literal["done", "already done", "incomplete", "failed", "not reached"]
 """``incomplete``: layers were written, but files were skipped, or too many tiles are unknown."""
@@ -116,7 +116,7 @@ def _described(manifest: dict[str, Any]) -> dict[str, Any]:
 
 
 _CSV, _PARQUET, _PAGE = "summary.csv", "summary.parquet", "index.html"
-BATCH_LINKS = (_CSV, _PARQUET, CATALOG_NAME)
+BATCH_LINKS = (_CSV, _PARQUET, COLLECTION_NAME)
 """Files of a batch that its page links to."""
 BATCH_NAMES = (*BATCH_LINKS, _PAGE)
 """Files of a batch in its folder, beside the folders of the surveys."""
@@ -141,7 +141,7 @@ def check_batch_out(out: Path) -> None:
 
 
 def write_batch_summary(rows: Sequence[SurveyRow], folder: Path, title: str, page: str) -> None:
-    """Write summary.csv, summary.parquet, catalog.json and index.html, all or none.
+    """Write summary.csv, summary.parquet, collection.json and index.html, all or none.
 
     Parameters
     ----------
@@ -164,7 +164,9 @@ def write_batch_summary(rows: Sequence[SurveyRow], folder: Path, title: str, pag
             table = ([_cell(getattr(row, name)) for name in names] for row in rows)
             write_csv(path / _CSV, names, table, end="\n")
             _write_parquet(rows, path / _PARQUET)
-            write_catalog(path / CATALOG_NAME, folder, [row.name for row in rows if row.status != "failed"], title)
+            write_collection(
+                path / COLLECTION_NAME, folder, [row.name for row in rows if row.status != "failed"], title
+            )
             (path / _PAGE).write_text(page, encoding="utf-8")
     except OSError as error:
         raise OutputError(

@@ -6,13 +6,13 @@ from typing import Any
 
 from bumpymap.core import CLASS_NAMES, NO_CLASS, CheckResult, UsageError
 from bumpymap.layers.manifest import plain_manifest
-from bumpymap.layers.products import OTHER_FILES, OutputFolder
+from bumpymap.layers.products import OTHER_FILES, MapFile, OutputFolder
 
 CHECK_MANIFEST_NAME = "check.json"
 CHECK_FILES = OutputFolder(
-    ("check.html", "check.geojson", CHECK_MANIFEST_NAME, "check.qml"),
+    ("check.html", "check.geojson", CHECK_MANIFEST_NAME, "check.qml", MapFile.PROJECT),
     CHECK_MANIFEST_NAME,
-    views=("check.qml",),
+    views=("check.qml", MapFile.PROJECT),
 )
 
 

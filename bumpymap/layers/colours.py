@@ -29,6 +29,8 @@ BARRED_COLOURS: dict[int, tuple[int, int, int, int]] = {
     NO_CLASS: (0, 0, 0, 0),
 }
 """Red, green, blue, alpha of each `Barred`: passable tiles green, the others by what bars them."""
+UNKNOWN_COLOUR = BARRED_COLOURS[Barred.UNKNOWN]
+"""Of ground that is not known or not compared, under lines that rise to the right: in GIS and on pages."""
 UNKNOWN_OBJECT = 3
 """Value of obstacle.tif where it is not known what stands on the ground."""
 OBJECT_COLOURS: dict[int, tuple[int, int, int, int]] = {
@@ -59,6 +61,13 @@ REASON_COLOURS: dict[int, tuple[int, int, int, int]] = {
     Reason.OUTLIER_RELIEF: (230, 97, 1, 255),
 }
 """Red, green, blue, alpha of each `Reason`: tiles with a class light grey, places without points transparent."""
+REASON_GREYS = REASON_COLOURS | {
+    Reason.TOO_FEW_POINTS: (105, 105, 105, 255),
+    Reason.TOO_MANY_HOLES: UNKNOWN_COLOUR,
+    Reason.NO_GROUND: (58, 58, 58, 255),
+    Reason.OUTLIER_RELIEF: (0, 0, 0, 255),
+}
+"""These in GIS, where they lie over classes: none is the colour of a class to a colour-blind reader."""
 CHANGE_COLOURS: dict[int, tuple[int, int, int, int]] = {
     0: (233, 240, 226, 255),
     1: (246, 178, 72, 255),
@@ -89,8 +98,27 @@ OFF_COLOURS: dict[int, tuple[int, int, int, int]] = {
 }
 """Red, green, blue, alpha of how far a map is off a drive: purple where it reads too low, green where too high; neither
 is a colour of a class, and colour-blind readers tell them apart."""
-OR_FAILS = ", or too steep, or drives fail"
-"""Follows the limit of class 3: what else puts ground there."""
+DIFFERENCE_RAMP = (
+    *("#053061", "#2166ac", "#4393c3", "#92c5de", "#f7f7f7"),
+    *("#f4a582", "#d6604d", "#b2182b", "#67001f"),
+)
+"""Colours from the least over none, white, to the most of a difference."""
+ROUTE_COLOURS: tuple[tuple[int, int, int], ...] = (
+    *((0, 0, 0), (136, 14, 112), (0, 90, 60), (110, 60, 0), (60, 60, 160)),
+)
+"""Colours of ways, dark on their white border: told apart by lightness and by their labels too."""
+_REACH_COLOURS: tuple[tuple[int, int, int], ...] = (
+    *((253, 231, 37), (122, 209, 81), (34, 168, 132)),
+    *((42, 120, 142), (65, 68, 135), (68, 1, 84)),
+)
+"""Colours of what is reached, from the start outwards."""
+
+
+def reach_colours(count: int) -> list[tuple[int, int, int]]:
+    """Return the colours of ``count`` steps of what is reached, from the start outwards."""
+    last = len(_REACH_COLOURS) - 1
+    return [_REACH_COLOURS[round(step * last / max(count - 1, 1))] for step in range(count)]
+
 
 _CLASSES = len(CLASS_NAMES)
 _ANCHORS = np.array([CLASS_COLOURS[number][:3] for number in range(_CLASSES)], np.float64)
@@ -125,9 +153,12 @@ class RideScale:
 
     def colours(self, c_r: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return colours, (..., 3) from 0 to 255, of ride costs in rad/m; NaN as 0."""
+        return 255.0 + _TINT * (self.pure(c_r) - 255.0)
+
+    def pure(self, c_r: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Return `colours` as layers have them, not mixed with the white of a picture."""
         known = np.nan_to_num(c_r)
-        mixed = np.stack([np.interp(known, self.anchors, channel) for channel in _ANCHORS.T], axis=-1)
-        return np.asarray(255.0 + _TINT * (mixed - 255.0), dtype=np.float64)
+        return np.stack([np.interp(known, self.anchors, channel) for channel in _ANCHORS.T], axis=-1)
 
 
 def class_limits(manifest: Mapping[str, Any]) -> list[float] | None:
@@ -149,4 +180,4 @@ def class_ranges(manifest: Mapping[str, Any]) -> tuple[str, ...]:
         return ()
     first, *_, last = texts = [f"{limit:.3g}" for limit in limits]
     between = [f"{low} to {high}" for low, high in pairwise(texts)]
-    return (f"under {first}", *between, f"{last} and more{OR_FAILS}")
+    return (f"under {first}", *between, f"{last} and more, or too steep, or drives fail")

@@ -52,8 +52,8 @@ OTHER_FILES = frozenset(
     }
 )
 """Suffixes by which a user means a file, not a folder."""
-CATALOG_NAME = "catalog.json"
-"""A STAC catalogue of the maps of many surveys."""
+COLLECTION_NAME = "collection.json"
+"""The maps of many surveys as a STAC collection."""
 REPORT_NAME = "report.html"
 """The page of a map, or of a comparison."""
 
@@ -83,9 +83,13 @@ class MapFile(StrEnum):
     MANIFEST = MANIFEST_NAME
     PROJECT = "map.qgs"
     REPORT = REPORT_NAME
+    THUMBNAIL = "rasters/thumbnail.jpg"
+    """A small picture of the map, for catalogues."""
 
 
-EVERY_NAME: tuple[str, ...] = tuple(name for name in MapFile if name not in {MapFile.PROJECT, MapFile.REPORT})
+EVERY_NAME: tuple[str, ...] = tuple(
+    name for name in MapFile if name not in {MapFile.PROJECT, MapFile.REPORT, MapFile.THUMBNAIL}
+)
 """The files that a run may write, in their order; its manifest lists them with their checksums."""
 ASKED_NAMES = (MapFile.SPEEDS, MapFile.HEADINGS)
 """Those that a run writes if it is asked for them."""
@@ -95,6 +99,7 @@ EVERY_VIEW_NAME: tuple[str, ...] = (
     *(str(Path(name).with_suffix(".qml")) for name in MapFile if name.endswith((".tif", ".parquet"))),
     MapFile.PROJECT,
     MapFile.REPORT,
+    MapFile.THUMBNAIL,
 )
 """Files to look at the others with: styles, a project, a page. GIS programs rewrite them, so they have no checksum."""
 EVERY_FILE = (*EVERY_NAME, *EVERY_VIEW_NAME)

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 import re
 from collections.abc import Mapping, Sequence
 from datetime import date
@@ -12,10 +13,10 @@ from urllib.parse import quote
 import shapely
 from pyproj import CRS
 
-from bumpymap.core import BadInputError, Georeference, atomic, stated_crs
+from bumpymap.core import BadInputError, Georeference, atomic, read_record, stated_crs
 from bumpymap.layers.map_files import open_layer
 from bumpymap.layers.placement import Placement
-from bumpymap.layers.products import CATALOG_NAME, EVERY_NAME, EVERY_VIEW_NAME, MapFile
+from bumpymap.layers.products import COLLECTION_NAME, EVERY_NAME, EVERY_VIEW_NAME, MapFile
 from bumpymap.layers.vector import BoundingBox, polygons_in_wgs84, wgs84_transformer
 from bumpytiles import Grid, TileWindow
 
@@ -32,6 +33,7 @@ _TYPES = {
     ".qgs": "application/x-qgis-project",
     ".qml": "application/x-qgis-layer-settings",
     ".xml": "application/xml",
+    ".jpg": "image/jpeg",
 }
 _TITLES = {
     MapFile.TILES: "all values of each tile",
@@ -40,26 +42,28 @@ _TITLES = {
     MapFile.MANIFEST: "inputs, settings, versions and checksums of the run",
     MapFile.REPORT: "the map as a page",
     MapFile.PROJECT: "all layers as a project of QGIS",
+    MapFile.THUMBNAIL: "the classes over the relief",
     ".qml": "style of the layer, for QGIS",
     ".xml": "names of the values, for GDAL",
 }
-_OVERVIEWS = (".html", ".qgs")
+_ROLES = {".html": "overview", ".qgs": "overview", ".jpg": "thumbnail"}
 _WITH_HEIGHTS = (MapFile.HEIGHTMAP, MapFile.RELIEF, MapFile.TILES)
 """Files in the survey's CRS with its vertical part."""
 
 
 def describe_assets(folder: Path, record: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the assets of an item: every file of a map by its name; rasters with their grid.
+    """Return the assets of an item: every file of a map; rasters, with their grid and bands, by their stems.
 
-    Files to look at the others with are assets if they are there; they have no size and no checksum, since GIS programs
-    rewrite them. ``record`` is the content of run.json.
+    The others have an underscore for each dot: odc-stac takes what follows one for the number of a band. Files to look
+    at the others with are assets if they are there; they have no size and no checksum, since GIS programs rewrite them.
+    ``record`` is the content of run.json.
     """
     known = {file["path"]: file for file in record["files"]}
     crs = None if record["crs"] is None else stated_crs(record["crs"]["wkt"])
     vertical = describe_crs(crs) if crs is not None and crs.is_compound else {}
     assets = {}
     for name in _names(folder, known):
-        role = "data" if name in known else "overview" if name.endswith(_OVERVIEWS) else "metadata"
+        role = "data" if name in known else _ROLES.get(Path(name).suffix, "metadata")
         asset = {"href": f"./{name}", "type": _TYPES[Path(name).suffix], "roles": [role]}
         if name.endswith(".tif"):
             asset |= _raster(folder / name, record)
@@ -68,7 +72,8 @@ def describe_assets(folder: Path, record: Mapping[str, Any]) -> dict[str, dict[s
         asset |= vertical if name in _WITH_HEIGHTS else {}
         if name in known:
             asset |= {"file:size": known[name]["bytes"], "file:checksum": f"{_SHA256}{known[name]['sha256']}"}
-        assets[Path(name).name] = asset
+        path = Path(name)
+        assets[path.stem if path.suffix in {".tif", ".jpg"} else path.name.replace(".", "_")] = asset
     return assets
 
 
@@ -98,10 +103,24 @@ def _names(folder: Path, known: Mapping[str, Any]) -> list[str]:
 
 
 def _raster(path: Path, record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields of a raster: its title, the size of its pixels and their grid."""
+    """Return the fields of a raster: its title, the size of its pixels and their grid, its bands.
+
+    odc-stac finds bands by the names in ``eo:bands``, other programs by those in ``bands``.
+    """
     with open_layer(path) as raster:
         title, pixel = raster.tags().get("title"), raster.transform.a * record["metres_per_unit"]["horizontal"]
-    return ({"title": title} if title else {}) | {"gsd": round(pixel, 9), **describe_grid(path)}
+        bands = [
+            {"name": name, "description": raster.tags(number).get("long_name", name)} | ({"unit": unit} if unit else {})
+            for number, (name, unit) in enumerate(zip(raster.descriptions, raster.units, strict=True), 1)
+        ]
+        empty = {} if raster.nodata is None else {"nodata": "nan" if math.isnan(raster.nodata) else int(raster.nodata)}
+        values = {
+            "data_type": raster.dtypes[0],
+            **empty,
+            "bands": bands,
+            "eo:bands": [{"name": band["name"]} for band in bands],
+        }
+    return ({"title": title} if title else {}) | {"gsd": round(pixel, 9), **describe_grid(path), **values}
 
 
 STAC_VERSION = "1.1.0"
@@ -143,10 +162,11 @@ _ESCAPED = re.compile("[#?%\\x00-\\x1f\ud800-\udfff]")
 """Characters that a link cannot hold: surrogates stand for bytes of a file name that are not UTF-8."""
 
 
-def write_catalog(path: Path, root: Path, folders: Sequence[str], title: str) -> None:
-    """Write a STAC catalogue with a link to the item of each complete map.
+def write_collection(path: Path, root: Path, folders: Sequence[str], title: str) -> None:
+    """Write a STAC collection with a link to the item of each complete map.
 
-    Items do not link back: they are the same whether a map was made alone or with others.
+    Its licence is the one that all of them state, else ``other``. Items do not link back: they are the same whether a
+    map was made alone or with others.
 
     Parameters
     ----------
@@ -164,19 +184,38 @@ def write_catalog(path: Path, root: Path, folders: Sequence[str], title: str) ->
     OutputError
         The file cannot be written.
     """
-    needed = MapFile.ITEM, MapFile.MANIFEST
-    complete = [each for each in folders if all((root / each / name).is_file() for name in needed)]
-    items = [_link("item", f"./{_quoted(each)}/{MapFile.ITEM}", each) for each in complete]
-    name = valid_text(title)
+    found = {each: read_record(root / each / MapFile.ITEM) for each in folders}
+    items = {each: item for each, item in found.items() if item and (root / each / MapFile.MANIFEST).is_file()}
+    links = [_link("item", f"./{_quoted(each)}/{MapFile.ITEM}", each) for each in items]
+    name, properties = valid_text(title), [item["properties"] for item in items.values()]
+    licences = {about.get("license", "other") for about in properties}
+    providers = {provider["name"]: provider for about in properties for provider in about.get("providers", ())}
     document = {
-        "type": "Catalog",
+        "type": "Collection",
         "stac_version": STAC_VERSION,
         "id": identifier(name),
         "title": name,
         "description": "Roughness and ride cost of the ground, from point clouds: one item for each survey",
-        "links": [_link("root", f"./{CATALOG_NAME}", title) | {"type": "application/json"}, *items],
+        "license": licences.pop() if len(licences) == 1 else "other",
+        **({"providers": list(providers.values())} if providers else {}),
+        "extent": _extent(list(items.values())),
+        "links": [_link("root", f"./{COLLECTION_NAME}", title) | {"type": "application/json"}, *links],
     }
     write_document(document, path)
+
+
+def _extent(items: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the box and the days of items: the whole Earth without a place, any time if no dates are known."""
+    boxes = [item["bbox"] for item in items if "bbox" in item] or [[-180.0, -90.0, 180.0, 90.0]]
+    west, south, east, north = (
+        pick(side) for pick, side in zip((min, min, max, max), zip(*boxes, strict=True), strict=True)
+    )
+    if any(box[0] > box[2] for box in boxes):  # across the antimeridian
+        west, east = -180.0, 180.0
+    dated = [item["properties"] for item in items if item["properties"]["bumpymap:dates_known"]]
+    first = min((about["start_datetime"] for about in dated), default=_ANY_INTERVAL[0])
+    last = max((about["end_datetime"] for about in dated), default=_ANY_INTERVAL[1])
+    return {"spatial": {"bbox": [[west, south, east, north]]}, "temporal": {"interval": [[first, last]]}}
 
 
 def _quoted(name: str) -> str:
@@ -191,11 +230,11 @@ def _link(rel: str, href: str, title: str) -> dict[str, Any]:
     return {"rel": rel, "href": href, "type": "application/geo+json", "title": valid_text(title)}
 
 
-_EXTENSIONS = ("projection/v2.0.0", "file/v2.1.0", "processing/v1.1.0")
+_EXTENSIONS = ("projection/v2.0.0", "file/v2.1.0", "processing/v1.1.0", "eo/v1.1.0")
 _SCHEMA = "https://stac-extensions.github.io/{}/schema.json"
 _DIGITS = 8
 """Of the checksum of a survey in an id."""
-_ANY_TIME = ("1970-01-01", "2099-12-31")
+_ANY_INTERVAL = ("1970-01-01T00:00:00Z", "2099-12-31T23:59:59Z")
 """Dates of a survey whose files have none: STAC wants an interval, and a search for any date shall find it."""
 _SOFTWARE = {"bumpymap": "bumpymap", "gdal": "GDAL", "proj": "PROJ"}
 
@@ -237,6 +276,7 @@ def write_item(folder: Path, record: Mapping[str, Any]) -> None:
             "title": name,
             "description": _description(record),
             **_interval(record),
+            **_rights(record),
             "gsd": place.grid.tile_size,
             **describe_crs(place.horizontal_crs),
             **grid,
@@ -260,16 +300,25 @@ def _description(record: Mapping[str, Any]) -> str:
 def _interval(record: Mapping[str, Any]) -> dict[str, Any]:
     """Return the days of the survey as STAC states an interval; the widest if the files have no dates."""
     try:
-        first, last = sorted(date.fromisoformat(day).isoformat() for day in _survey(record).get("dates") or ())
+        days = sorted(date.fromisoformat(day).isoformat() for day in _survey(record).get("dates") or ())
+        first, last = (f"{day}T{time}Z" for day, time in zip(days, ("00:00:00", "23:59:59"), strict=True))
         known = True
     except (TypeError, ValueError):
-        (first, last), known = _ANY_TIME, False
+        (first, last), known = _ANY_INTERVAL, False
     return {
         "datetime": None,
-        "start_datetime": f"{first}T00:00:00Z",
-        "end_datetime": f"{last}T23:59:59Z",
+        "start_datetime": first,
+        "end_datetime": last,
         "bumpymap:dates_known": known,
     }
+
+
+def _rights(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return who made the survey, and the licence of the layers, if the settings say."""
+    settings = record.get("settings") or {}
+    provider, licence = (str(settings.get(name) or "") for name in ("provider", "license"))
+    found: dict[str, Any] = {"license": licence} if licence else {}
+    return found | ({"providers": [{"name": provider, "roles": ["producer", "licensor"]}]} if provider else {})
 
 
 def _own(record: Mapping[str, Any]) -> dict[str, Any]:

@@ -15,8 +15,10 @@ from bumpymap.layers import (
     MANIFEST_NAME,
     OTHER_FILES,
     GeoJsonCoordinates,
+    MapFile,
     MapSource,
     OutputFolder,
+    Placement,
     ReachField,
     describe_file,
     refuse_present,
@@ -26,6 +28,7 @@ from bumpymap.layers import (
     software_versions,
     stop_names,
     stretch_rows,
+    window_around,
     write_gpx,
     write_isochrones,
     write_profile,
@@ -33,7 +36,7 @@ from bumpymap.layers import (
     write_route_geojson,
     write_route_stretches,
 )
-from bumpymap.views import write_reach_picture, write_route_picture
+from bumpymap.views import reach_layers, route_layers, view_writers, write_reach_picture, write_route_picture
 
 _log = logging.getLogger(__name__)
 
@@ -46,10 +49,14 @@ ROUTE_KINDS = {
 }
 REACH_KINDS = {".tif": "reach.tif", ".geojson": "isochrones.geojson", ".png": "reach.png"}
 """Name of the file that is written alone, by its suffix."""
+_VIEWS = ("route.qml", "reach.qml", "isochrones.qml", MapFile.PROJECT)
 ROUTE_FILES = OutputFolder(
-    (*ROUTE_KINDS.values(), "stretches.csv", *REACH_KINDS.values(), ROUTE_MANIFEST_NAME),
+    (*ROUTE_KINDS.values(), "stretches.csv", *REACH_KINDS.values(), *_VIEWS, ROUTE_MANIFEST_NAME),
     ROUTE_MANIFEST_NAME,
+    views=_VIEWS,
 )
+_AROUND_M = 10.0
+"""Ground around the ways when their project is opened."""
 
 
 ROUTE_MANIFEST_FORMAT = "bumpymap-route"
@@ -102,11 +109,14 @@ def check_out(out: Path, kinds: Mapping[str, str], *, overwrite: bool) -> str | 
 def write_routes(
     routes: Sequence[Route], source: MapSource, out: Path, *, manifest: Mapping[str, Any], overwrite: bool = False
 ) -> list[Path]:
-    """Write route.geojson, route.gpx, profile.csv, route.png and route.json to a folder, or one of the first four.
+    """Write route.geojson, route.gpx, profile.csv, route.png, route.json and a project of QGIS to a folder.
+
+    ``out`` may be a file instead, for one of the first four.
 
     All files appear or none; links are replaced, never followed. Files of an earlier run that this one does not write
     are removed. Without longitude and latitude route.gpx is left out, and route.json says so. Ways whose stretches have
-    figures have stretches.csv too. Except for route.json no file depends on the time or on folder names.
+    figures have stretches.csv too. Except for route.json no file depends on the time, and none but it and map.qgs on
+    folder names.
 
     Parameters
     ----------
@@ -149,6 +159,9 @@ def write_routes(
     if one_file is not None:
         writers[one_file](out)
         return [out]
+    first = routes[0]
+    spot = Placement(first.georeference, first.grid, window_around(routes, _AROUND_M))
+    writers |= view_writers(route_layers(routes), spot, source, out, "ways")
     entries = {**manifest, **_describe_layers(source), "routes": [_describe(route, place) for route in routes]}
     return _write_folder(writers, out, entries, notes, overwrite=overwrite)
 
@@ -163,7 +176,7 @@ def write_reach_files(
     manifest: Mapping[str, Any],
     overwrite: bool = False,
 ) -> list[Path]:
-    """Write reach.tif, reach.png, isochrones.geojson (with levels) and route.json to a folder.
+    """Write reach.tif, reach.png, isochrones.geojson (with levels), route.json and a project of QGIS to a folder.
 
     ``start`` (2,): easting and northing, m. ``out`` may be one file instead, .tif for the raster, .png for the picture
     or .geojson for the isochrones; ``levels`` of these: minutes. For the other parameters, the result and errors see
@@ -180,6 +193,7 @@ def write_reach_files(
     if levels:
         writers["isochrones.geojson"] = partial(write_isochrones, reach, levels, about=about)
     if one_file is None:
+        writers |= view_writers(reach_layers(reach, levels), reach.placement, source, out, "what can be reached")
         return _write_folder(writers, out, {**manifest, **_describe_layers(source)}, [], overwrite=overwrite)
     if one_file not in writers:
         raise UsageError(

@@ -54,6 +54,8 @@ class EachSettings(TypedDict, total=False):
     memory: str
     scratch: PathLike | None
     scheduler: str | None
+    provider: str
+    license: str
     features: FeatureSettings | Mapping[str, Any]
     csf: CsfSettings | Mapping[str, Any]
 

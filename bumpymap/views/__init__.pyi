@@ -11,11 +11,14 @@ from .export.write import (
     export_map as export_map,
 )
 from .gis.project import (
+    view_writers as view_writers,
     write_map_views as write_map_views,
 )
 from .gis.styles import (
-    write_change_style as write_change_style,
-    write_check_style as write_check_style,
+    change_layers as change_layers,
+    check_layers as check_layers,
+    reach_layers as reach_layers,
+    route_layers as route_layers,
 )
 from .page.batch_page import (
     SurveyView as SurveyView,

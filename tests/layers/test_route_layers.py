@@ -374,15 +374,6 @@ def test_the_kind_is_named_from_the_map():
         assert OFF_KINDS[int(offset.kind[0])] == kind
 
 
-@given(st.floats(1.01, 20.0), st.floats(1.01, 5.0))
-def test_without_errors_of_measurement_the_interval_decides(factor, side):
-    exact = {"measured_sd": np.zeros(1), "place_sd": np.zeros(1)}
-    above = offset_of(factor, c_r_low=np.array([0.01]), c_r_high=np.array([0.1 * side]), **exact)
-    assert above.beyond == pytest.approx((factor - 1) / (side - 1))
-    below = offset_of(1 / factor, c_r_low=np.array([0.1 / side]), c_r_high=np.array([9.0]), **exact)
-    assert below.beyond == pytest.approx((1 - 1 / factor) / (1 - 1 / side))
-
-
 def test_errors_add_in_power():
     """80 % half widths, rad/m: 0.03 of the map, 0.04 of the measurement: a difference of 0.05 is just explained."""
     sd = np.array([0.04]) / 1.2815515655446004

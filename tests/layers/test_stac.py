@@ -1,4 +1,4 @@
-"""item.json and catalog.json: valid by the schemas of STAC, opened by pystac, true to the files."""
+"""item.json, and collection.json, a collection: valid by the schemas of STAC, opened by pystac, true to the files."""
 
 import hashlib
 import json
@@ -12,12 +12,13 @@ import pytest
 import rasterio
 import shapely
 from cost_maps import table_of
+from PIL import Image
 from pyproj import CRS, Transformer
 from small_surveys import files_in
 from stac_check import faults
 
 from bumpymap.core.types import Georeference
-from bumpymap.layers import write_catalog, write_products
+from bumpymap.layers import write_collection, write_products
 from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.layers.stac import write_item
 from bumpymap.views import write_map_views
@@ -66,11 +67,10 @@ def assets_with(item, key):
 def test_an_item_is_valid_and_every_file_an_asset_with_its_size_and_checksum(item, folder):
     assert faults(item) == []
     assert "/some" not in json.dumps(item)  # where the survey lies
-    assert {name.split("/")[3] for name in item["stac_extensions"]} == {"projection", "file", "processing"}
+    assert {name.split("/")[3] for name in item["stac_extensions"]} == {"projection", "file", "processing", "eo"}
     present = {path: f"./{path}" for path in files_in(folder) if path != "item.json"}
-    assert {name: asset["href"] for name, asset in item["assets"].items()} == {
-        Path(path).name: href for path, href in present.items()
-    }
+    assert sorted(asset["href"] for asset in item["assets"].values()) == sorted(present.values())
+    assert not any("." in name for name in item["assets"])  # odc-stac takes what follows a dot for a band
     with_checksum = assets_with(item, "file:checksum")
     assert {asset["href"] for asset in with_checksum.values()} == {
         present[path] for path in PRODUCT_NAMES if path not in {"item.json", "run.json"}
@@ -81,12 +81,16 @@ def test_an_item_is_valid_and_every_file_an_asset_with_its_size_and_checksum(ite
         assert bytes.fromhex(asset["file:checksum"]) == b"\x12\x20" + hashlib.sha256(content).digest()
         assert asset["roles"] == ["data"]
     roles = {name: asset["roles"] for name, asset in item["assets"].items() if name not in with_checksum}
-    assert roles["run.json"] == roles["class.qml"] == ["metadata"]
-    assert roles["map.qgs"] == roles["report.html"] == ["overview"]
+    assert roles["run_json"] == roles["class_qml"] == ["metadata"]
+    assert roles["map_qgs"] == roles["report_html"] == ["overview"]
+    assert roles["thumbnail"] == ["thumbnail"]
+    with Image.open(folder / item["assets"]["thumbnail"]["href"]) as picture:
+        assert picture.format == "JPEG"
+        assert 64 < max(picture.size) <= 700
 
 
 def test_rasters_are_described_as_they_are(item, folder):
-    rasters = {Path(name).name: folder / name for name in PRODUCT_NAMES if name.endswith(".tif")}
+    rasters = {Path(name).stem: folder / name for name in PRODUCT_NAMES if name.endswith(".tif")}
     assert set(assets_with(item, "proj:shape")) == set(rasters)
     for name, asset in assets_with(item, "proj:shape").items():
         with rasterio.open(rasters[name]) as raster:
@@ -94,6 +98,11 @@ def test_rasters_are_described_as_they_are(item, folder):
             assert asset["proj:transform"] == list(raster.transform)[:6]
             assert asset["proj:bbox"] == list(raster.bounds)
             assert asset["title"] == raster.tags()["title"]
+            names = [band["name"] for band in asset["bands"]]
+            assert names == [band["name"] for band in asset["eo:bands"]] == list(raster.descriptions)
+            assert [band.get("unit") for band in asset["bands"]] == list(raster.units)
+            assert asset["data_type"] == raster.dtypes[0]
+            assert float(asset["nodata"]) == pytest.approx(raster.nodata, nan_ok=True)
 
 
 def test_the_footprint_is_the_raster_in_longitude_and_latitude(item, folder):
@@ -117,7 +126,7 @@ def test_name_dates_vehicle_and_software(item):
     wanted |= {"bumpymap:class_limits": [0.1, 0.2, 0.4], "bumpymap:survey_checksum": "blake3:00"}
     assert {name: properties[name] for name in wanted} == wanted
     assert {"bumpymap", "GDAL", "PROJ"} == set(properties["processing:software"])
-    assert [item["assets"][name]["gsd"] for name in ("heightmap.tif", "relief.tif")] == [0.2, 1.0]
+    assert [item["assets"][name]["gsd"] for name in ("heightmap", "relief")] == [0.2, 1.0]
 
 
 @pytest.mark.parametrize("dates", [None, ["", ""], ["2024-13-01", "2024-01-01"]])
@@ -159,7 +168,7 @@ def test_heights_of_a_compound_crs(make_field, tmp_path):
     item = item_at(make_field, tmp_path, "EPSG:6339+5703", 166_000, 1_400_000)  # UTM zone 10N, heights in metres
     assert item["properties"]["proj:code"] == "EPSG:6339"
     compound = {name: asset for name, asset in item["assets"].items() if "proj:code" in asset}
-    assert set(compound) == {"heightmap.tif", "relief.tif", "tiles.parquet"}
+    assert set(compound) == {"heightmap", "relief", "tiles_parquet"}
     for asset in compound.values():
         assert asset["proj:code"] is None
         assert CRS.from_wkt(asset["proj:wkt2"]).is_compound
@@ -167,7 +176,7 @@ def test_heights_of_a_compound_crs(make_field, tmp_path):
 
 def test_feet(make_field, tmp_path):
     item = item_at(make_field, tmp_path, "EPSG:2263", 100_000, 20_000, 1200 / 3937)
-    assert item["properties"]["gsd"] == item["assets"]["class.tif"]["gsd"] == 3
+    assert item["properties"]["gsd"] == item["assets"]["class"]["gsd"] == 3
     assert item["properties"]["proj:transform"][0] == pytest.approx(3 * 3937 / 1200)
     assert shapely.geometry.shape(item["geometry"]).area > 0
 
@@ -185,32 +194,38 @@ def test_an_outline_across_the_antimeridian_is_cut(make_field, tmp_path):
 def night(tmp_path_factory, make_field):
     root = tmp_path_factory.mktemp("night")
     for seed, name in enumerate(("a", "Grube Süd")):
-        write(make_field(9, 7, seed=seed), root / name, survey={"name": name, "checksum": None, "dates": None})
+        survey = {"name": name, "checksum": None, "dates": ["2024-05-03"] * 2 if seed else None}
+        rights = {"rating": "ride", "provider": "Pits & Co", "license": "CC-BY-4.0"}
+        write(make_field(9, 7, seed=seed), root / name, survey=survey, settings=rights)
     (root / "failed").mkdir()
     for name in ("half", "before"):
         shutil.copytree(root / "a", root / name)
     (root / "half" / "run.json").unlink()
     (root / "before" / "item.json").unlink()
     names = ["a", "Grube Süd", "failed", "half", "before", "missing"]
-    write_catalog(root / "catalog.json", root, names, "Night of May 3")
+    write_collection(root / "collection.json", root, names, "Night of May 3")
     return root
 
 
 def links_of(folder):
-    catalog = json.loads((folder / "catalog.json").read_text(encoding="utf-8"))
+    catalog = json.loads((folder / "collection.json").read_text(encoding="utf-8"))
     return catalog, [link["href"] for link in catalog["links"] if link["rel"] == "item"]
 
 
-def test_a_catalogue_is_valid_and_links_to_complete_maps(night, tmp_path):
+def test_a_collection_is_valid_and_links_to_complete_maps(night, tmp_path):
     catalog, links = links_of(night)
     assert faults(catalog) == []
+    boxes = np.array([item_of(night / name)["bbox"] for name in ("a", "Grube Süd")])
+    assert catalog["extent"]["spatial"]["bbox"] == [[*boxes[:, :2].min(axis=0), *boxes[:, 2:].max(axis=0)]]
+    assert catalog["extent"]["temporal"]["interval"] == [["2024-05-03T00:00:00Z", "2024-05-03T23:59:59Z"]]
+    assert (catalog["license"], [each["name"] for each in catalog["providers"]]) == ("CC-BY-4.0", ["Pits & Co"])
     assert (catalog["id"], catalog["title"]) == ("Night-of-May-3", "Night of May 3")
     assert links == ["./a/item.json", "./Grube Süd/item.json"]
     assert faults({**catalog, "links": [{"rel": "item"}]})
     names = ["100% #2?", "b\udce9"]  # which a link cannot hold
     for name in names:
         shutil.copytree(night / "a", tmp_path / name)
-    write_catalog(tmp_path / "catalog.json", tmp_path, names, "")
+    write_collection(tmp_path / "collection.json", tmp_path, names, "")
     assert links_of(tmp_path)[1] == ["./100%25 %232%3F/item.json", "./b%E9/item.json"]
 
 
@@ -219,13 +234,15 @@ def test_pystac_opens_it_and_finds_every_file(night, monkeypatch):
         raise AssertionError("something asked for the network")
 
     monkeypatch.setattr(socket.socket, "connect", refuse)
-    catalog = pystac.Catalog.from_file(str(night / "catalog.json"))
+    catalog = pystac.Collection.from_file(str(night / "collection.json"))
     items = list(catalog.get_items(recursive=True))
     assert [item.id for item in items] == ["a", "Grube-S-d"]
     for item in items:
         assert item.get_parent() is item.get_root() is catalog
         for name, asset in item.get_assets().items():
             assert Path(asset.get_absolute_href()).stat().st_size > 0
-            assert Path(asset.href).name == name
-        assert item.common_metadata.start_datetime.year == 1970
+            assert name in {Path(asset.href).stem, Path(asset.href).name.replace(".", "_")}
+        assert item.common_metadata.start_datetime.year in {1970, 2024}
+        assert item.common_metadata.license == "CC-BY-4.0"
+        assert item.common_metadata.providers[0].roles == ["producer", "licensor"]
         assert faults(item.to_dict(transform_hrefs=False)) == []

@@ -7,7 +7,6 @@ import geopandas
 import numpy as np
 import pandas as pd
 import pytest
-import rasterio.features
 import shapely
 from cost_maps import part_of, table_of
 from coverages import check_coverage, holes_of_tiles
@@ -18,7 +17,6 @@ from region_files import regions_of, write_flatgeobuf, write_geojson
 
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, Georeference, Reason
-from bumpymap.layers._cog import raster_lock
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.regions import dissolve
 from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojson_writer
@@ -190,17 +188,6 @@ def test_a_large_map_is_cut_into_windows_from_its_north_west_corner(make_field, 
     assert shapely.equals(own, alone).all()
     assert (shapely.get_num_coordinates(own) >= shapely.get_num_coordinates(alone)).all()
     check_coverage(own, holes_of_tiles(patches.col, patches.row))
-
-
-def test_no_raster_is_written_while_outlines_are_traced(make_field, monkeypatch):
-    """Blocks of both share GDAL's cache, from which one thread may push those that another has not finished."""
-    trace, held = rasterio.features.shapes, []
-    monkeypatch.setattr(
-        rasterio.features, "shapes", lambda *args, **more: held.append(raster_lock().locked()) or trace(*args, **more)
-    )
-    assert regions_of(make_field(20, 16))
-    assert held
-    assert all(held)
 
 
 def check_rfc7946(path):

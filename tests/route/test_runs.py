@@ -29,7 +29,7 @@ from bumpymap.route.planner import Planner
 from bumpymap.route.stops import find_stops, usable_point
 from bumpytiles import Grid, TileWindow
 
-FOUR = ["profile.csv", "route.geojson", "route.gpx", "route.json", "route.png"]
+EVERY = ["map.qgs", "profile.csv", "route.geojson", "route.gpx", "route.json", "route.png", "route.qml"]
 START = np.array([330_004.5, 2_040_004.5])
 SETTINGS = {"settings": {"risk_m": 25.0, "robust": False}}
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
@@ -61,8 +61,8 @@ def test_a_folder_gets_every_file_and_the_manifest(source, tmp_path):
     check_out(out, ROUTE_KINDS, overwrite=False)
     assert not out.exists()
     files = write_routes([make_route(), make_route("two", stops=CORNERS)], source, out, manifest=SETTINGS)
-    assert sorted(files_in(out)) == FOUR
-    assert [path.name for path in files] == [name for name in ROUTE_FILES.names if name in FOUR]
+    assert sorted(files_in(out)) == EVERY
+    assert [path.name for path in files] == [name for name in ROUTE_FILES.names if name in EVERY]
     record = json.loads((out / "route.json").read_text())
     assert record["format"] == "bumpymap-route"
     assert record["settings"] == SETTINGS["settings"]
@@ -101,7 +101,7 @@ def test_files_of_an_earlier_run_are_replaced_only_if_allowed_and_links_are_not_
         write(target, source, overwrite=True)
     assert not (out / "profile.csv").is_symlink()
     assert not (tmp_path / "way.csv").is_symlink()
-    assert sorted(files_in(out)) == sorted([*FOUR, "notes.txt"])  # reach.tif would not belong to the new route.json
+    assert sorted(files_in(out)) == sorted([*EVERY, "notes.txt"])  # reach.tif would not belong to the new route.json
     assert mine.read_text() == "mine"
 
 
@@ -109,7 +109,7 @@ def test_without_a_crs_gpx_is_left_out_and_said(source, tmp_path, caplog):
     route = make_route(georeference=Georeference(None))
     with caplog.at_level(logging.WARNING):
         files = write_routes([route], source, tmp_path, manifest={})
-    assert sorted(files_in(tmp_path)) == [name for name in FOUR if name != "route.gpx"]
+    assert sorted(files_in(tmp_path)) == [name for name in EVERY if name != "route.gpx"]
     assert "route.gpx" not in {path.name for path in files}
     assert "no CRS" in caplog.text
     record = json.loads((tmp_path / "route.json").read_text())
@@ -144,10 +144,13 @@ def test_places_that_cannot_hold_the_files_are_refused(source, tmp_path, kinds, 
 def test_the_reach_has_files_of_its_own(source, reach, tmp_path):
     check_out(tmp_path / "all", REACH_KINDS, overwrite=False)
     files = write_reach_files(reach, source, START, tmp_path / "all", levels=[5.0, 9.0], manifest=SETTINGS)
-    assert [path.name for path in files] == ["reach.tif", "reach.png", "isochrones.geojson", "route.json"]
+    assert [path.name for path in files] == [
+        *("reach.tif", "reach.png", "isochrones.geojson"),
+        *("isochrones.qml", "reach.qml", "map.qgs", "route.json"),
+    ]
     assert sorted(files_in(tmp_path / "all")) == sorted(path.name for path in files)
     few = write_reach_files(reach, source, START, tmp_path / "few", manifest=SETTINGS)
-    assert [path.name for path in few] == ["reach.tif", "reach.png", "route.json"]
+    assert [path.name for path in few] == ["reach.tif", "reach.png", "reach.qml", "map.qgs", "route.json"]
     for name in ("cost.tif", "within.geojson", "minutes.png"):
         out = tmp_path / name
         assert write_reach_files(reach, source, START, out, levels=[5.0], manifest={}) == [out]

@@ -10,9 +10,11 @@ from pathlib import Path
 
 os.environ["QT_QPA_PLATFORM"] = "offscreen"
 
+from qgis import core
 from qgis.core import (
     QgsApplication,
     QgsExpressionContextUtils,
+    QgsLayoutExporter,
     QgsMapRendererParallelJob,
     QgsMapSettings,
     QgsProject,
@@ -26,6 +28,9 @@ from qgis.PyQt.QtGui import QColor
 
 SIZE = 1200, 1000
 """Width and height of pictures, pixels."""
+KINDS = {
+    kind.lower(): getattr(core, f"QgsLayoutItem{kind}") for kind in ("Map", "Legend", "ScaleBar", "Picture", "Label")
+}
 
 
 def describe(layer):
@@ -60,8 +65,8 @@ def drawn(layer):
     for feature in layer.getFeatures():
         context.expressionContext().setFeature(feature)
         keys = renderer.legendKeysForFeature(feature, context) if renderer.willRenderFeature(feature, context) else ()
-        label = next((labels[key] for key in keys), "nothing")
-        counts[label] = counts.get(label, 0) + 1
+        for label in [labels[key] for key in keys if key in labels] or ["nothing"]:
+            counts[label] = counts.get(label, 0) + 1
     renderer.stopRender(context)
     return counts
 
@@ -93,6 +98,7 @@ def describe_project(path):
     project.readProject.connect(canvas.readProject)
     found = {"read": project.read(str(path)), "error": project.error()}
     tree = project.layerTreeRoot()
+    pages = [describe_page(page) for page in project.layoutManager().printLayouts()]
     shown = [node.layer() for node in tree.findLayers() if node.isVisible()]
     return found | {
         "title": project.title(),
@@ -103,6 +109,20 @@ def describe_project(path):
         "layers": {layer.id(): describe(layer) for layer in project.mapLayers().values()},
         "extent": corners(canvas.extent()),
         "colours": colours_of(shown, canvas.extent(), project.crs()),
+        "pages": pages,
+    }
+
+
+def describe_page(layout):
+    """What a page to print holds: its items by kind, texts, scale, legend, and how many colours it is drawn in."""
+    kinds = {name: [item for item in layout.items() if isinstance(item, kind)] for name, kind in KINDS.items()}
+    image = QgsLayoutExporter(layout).renderPageToImage(0, dpi=60)
+    return {
+        "items": [len(found) for found in kinds.values()],
+        "texts": [item.text() for item in kinds["label"]],
+        "scale": kinds["map"][0].scale(),
+        "legend": [node.layerId() for node in kinds["legend"][0].model().rootGroup().findLayers()],
+        "colours": len({image.pixel(x, y) for x in range(0, image.width(), 4) for y in range(0, image.height(), 4)}),
     }
 
 

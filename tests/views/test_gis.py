@@ -4,8 +4,8 @@ import json
 import re
 import subprocess
 from collections import Counter
+from itertools import combinations
 from pathlib import Path
-from types import SimpleNamespace
 from xml.etree import ElementTree as ET
 
 import geopandas
@@ -16,23 +16,26 @@ from check_records import made_up_check
 from cost_maps import table_of
 from pyproj import CRS
 from route_maps import write_folder
-from route_records import MadeUpMap
+from route_records import CORNERS, UTM, MadeUpMap, make_route
+from skimage.color import deltaE_ciede2000, rgb2lab
 from survey_pairs import survey
 
 import bumpymap
 from bumpymap.check.pipeline import write_check
 from bumpymap.core import BARRED_TEXT, CHANGE_KINDS, CLASS_NAMES, NO_CLASS, OBJECT_NAMES, REASON_TEXT
-from bumpymap.core.types import Barred, Georeference
-from bumpymap.layers import colours, write_products
+from bumpymap.core.types import Georeference
+from bumpymap.layers import ReachField, colours, open_map, write_products
 from bumpymap.layers.check_vectors import OFF_KINDS, MapOffset
 from bumpymap.layers.products import PRODUCT_NAMES
+from bumpymap.route.output import write_reach_files, write_routes
 from bumpymap.views import write_map_views
 from bumpymap.views.gis.project import write_project
 from bumpymap.views.gis.styles import write_styles
+from bumpytiles import Grid, TileWindow
 
 LIMITS = (0.1, 0.2, 0.4)
 CALIBRATION = {"id": "c0ffee", "vehicle": "warthog", "class_limits": LIMITS}
-INTERVALS = ("0 to 0.1 rad/m", "0.1 to 0.2 rad/m", "0.2 to 0.4 rad/m", "from 0.4 rad/m")
+INTERVALS = ("under 0.1", "0.1 to 0.2", "0.2 to 0.4", "0.4 and more, or too steep, or drives fail")
 
 
 def write_layers(table, folder, *, local=False, **manifest):
@@ -84,31 +87,32 @@ def styled(folder, **record):
 def test_every_visible_value_has_the_colour_of_the_table_and_its_name(alone):
     styles = styled(alone)
     labels = [f"{name}: c_r {text}" for name, text in zip(CLASS_NAMES, INTERVALS, strict=True)]
-    labels[3] += ", or too steep, or drives fail"
     assert palette(styles["rasters/class.qml"]) == expected(enumerate(labels), colours.CLASS_COLOURS)
-    assert palette(styles["rasters/reason.qml"]) == expected(REASON_TEXT.items(), colours.REASON_COLOURS)
+    assert palette(styles["rasters/reason.qml"]) == expected(REASON_TEXT.items(), colours.REASON_GREYS)
     assert palette(styles["rasters/barred.qml"]) == expected(BARRED_TEXT.items(), colours.BARRED_COLOURS)
     assert palette(styles["rasters/obstacle.qml"]) == expected(enumerate(OBJECT_NAMES), colours.OBJECT_COLOURS)
     for name in ("cost.qml", "tiles.qml"):
         root = styles[name]
-        categories = {category.get("value"): category for category in root.iter("category")}
-        assert [*categories] == [*CLASS_NAMES, "unknown", "not passable"]
-        for number, (value, category) in enumerate(categories.items()):
-            symbol = root.find(f".//symbol[@name='{category.get('symbol')}']")
+        rules = {rule.get("label"): rule for rule in root.iter("rule")}
+        assert [*rules] == [*labels, "not known", "not passable"]
+        for number, rule in enumerate(rules.values()):
+            symbol = root.find(f".//symbol[@name='{rule.get('symbol')}']")
             colour, pattern = (symbol.find(f".//Option[@name='{key}']").get("value") for key in ("color", "style"))
-            if value in CLASS_NAMES:
-                assert category.get("label") == labels[number]
-                assert (colour, pattern) == (",".join(map(str, colours.CLASS_COLOURS[number])), "solid")
-            else:
-                assert pattern in {"b_diagonal", "diagonal_x"}
+            angle = symbol.find(".//Option[@name='angle']")
+            found = (pattern, None if angle is None else angle.get("value"))
+            assert found == {4: ("solid", "45"), 5: ("no", "135")}.get(number, ("solid", None))
+            if number < 5:
+                wanted = colours.CLASS_COLOURS[number] if number < 4 else colours.UNKNOWN_COLOUR
+                assert colour == ",".join(map(str, wanted))
 
 
 def test_the_style_of_costs_serves_pixels_and_regions(alone):
     root = styled(alone)["cost.qml"]
     assert [element.tag for element in root].count("pipe") == 1
     assert root.find("pipe/rasterrenderer").get("type") == "singlebandpseudocolor"
-    assert root.find("renderer-v2").get("type") == "categorizedSymbol"
-    assert set(re.findall(r'"(\w+)"', root.find("renderer-v2").get("attr"))) == {"class_name", "passable"}
+    assert root.find("renderer-v2").get("type") == "RuleRenderer"
+    filters = "".join(rule.get("filter") for rule in root.iter("rule"))
+    assert set(re.findall(r'"(\w+)"', filters)) == {"class", "passable"}
     assert [float(item.get("value")) for item in root.iter("item")] == [1, 1.5, 2, 4, 8, 16]
     for name in ("cost.tif", "rasters/barred.tif"):
         (alone / name).unlink()
@@ -122,15 +126,14 @@ def test_the_ride_cost_has_the_colours_of_the_classes_of_the_vehicle(alone):
     assert (renderer.get("type"), renderer.get("band")) == ("singlebandpseudocolor", "1")
     for number, (item, value) in enumerate(zip(renderer.iter("item"), (0.05, 0.15, 0.3, 0.5), strict=True)):
         assert float(item.get("value")) == pytest.approx(value)
-        assert item.get("label") == f"{INTERVALS[number]} ({CLASS_NAMES[number]})"
+        assert item.get("label") == f"{value} rad/m ({CLASS_NAMES[number]})"
         assert item.get("color") == "#{:02x}{:02x}{:02x}".format(*colours.CLASS_COLOURS[number])
 
 
-@pytest.mark.parametrize("settings", [{"compat": "paper"}, SimpleNamespace(compat="paper")])
-def test_classes_of_the_paper_are_not_said_to_be_intervals_of_ride_cost(alone, settings):
-    styles = styled(alone, settings=settings)
+def test_classes_of_the_paper_are_not_said_to_be_intervals_of_ride_cost(alone):
+    styles = styled(alone, settings={"compat": "paper"})
     assert [label for label, _, _ in palette(styles["rasters/class.qml"]).values()] == list(CLASS_NAMES)
-    assert "from 0.4 rad/m (very rough)" in {item.get("label") for item in styles["rasters/roughness.qml"].iter("item")}
+    assert "0.5 rad/m (very rough)" in {item.get("label") for item in styles["rasters/roughness.qml"].iter("item")}
 
 
 def test_the_relief_is_smooth_and_in_the_unit_of_the_crs(alone):
@@ -145,30 +148,6 @@ def test_the_relief_is_smooth_and_in_the_unit_of_the_crs(alone):
         assert {sampler.get("zoomedInResampler"), sampler.get("zoomedOutResampler")} == {"bilinear"}
     assert root.find("pipe/resamplingStage").text == "resamplingFilter"
     assert styled(alone)["rasters/class.qml"].find("pipe/rasterresampler").get("zoomedInResampler") is None
-
-
-def test_a_project_lists_what_is_there(folder):
-    root = read(folder / "map.qgs")
-    layers = {layer.find("id").text: layer for layer in root.find("projectlayers")}
-    leaves = {leaf.get("id"): leaf for leaf in root.iter("layer-tree-layer")}
-    assert [*layers] == [*leaves]
-    for name, layer in layers.items():
-        assert leaves[name].get("source") == layer.find("datasource").text
-        assert CRS.from_wkt(layer.find("srs/spatialrefsys/wkt").text).to_epsg() == 32614
-    by_source = {layer.find("datasource").text: layer for layer in layers.values()}
-    rasters = {name for name in PRODUCT_NAMES if name.endswith(".tif")}
-    assert set(by_source) == {f"./{name}" for name in (*rasters, "cost.fgb")}
-    order = [*by_source]
-    assert order.index("./rasters/class.tif") < order.index("./rasters/relief.tif")
-    blends = [by_source[f"./rasters/{name}.tif"].find("blendMode").text for name in ("class", "reason", "relief")]
-    assert blends == ["6", "6", "0"]  # multiplied with the relief, which unknown ground has too
-    bars = palette(by_source["./rasters/barred.tif"])  # drawn over the classes, so that passable tiles stay clear
-    assert set(bars) == {code.value for code in BARRED_TEXT} - {0}
-    assert 128 < bars.pop(Barred.UNKNOWN)[2] < 255  # the relief shows through
-    assert {alpha for _, _, alpha in bars.values()} == {255}
-    checked = {name for name, leaf in leaves.items() if leaf.get("checked") == "Qt::Checked"}
-    shown = {"bumpymap_reason_tif", "bumpymap_class_tif", "bumpymap_relief_tif"}
-    assert checked - shown == {"bumpymap_roughness_tif", "bumpymap_roughness_tif_p_fail"}  # in a group that is not
 
 
 def test_other_speeds_have_a_style_and_stand_in_the_project(tmp_path, at_two_speeds, cost_map):
@@ -213,7 +192,7 @@ def test_a_project_says_survey_vehicle_and_calibration_and_no_name_breaks_its_xm
     root = read(tmp_path / "map.qgs")
     assert root.find("title").text == r"Pit \x01 <7> \xe9 &: ride cost"
     abstract = root.find("projectMetadata/abstract").text
-    for part in ("warthog", "c0ffee", "smooth: c_r 0 to 0.1 rad/m"):
+    for part in ("warthog", "c0ffee", "smooth: c_r under 0.1"):
         assert part in abstract
     sources = {layer.find("datasource").text for layer in root.find("projectlayers")}
     assert sources == {"./rasters/class.tif", "./rasters/heightmap.tif"}
@@ -255,7 +234,7 @@ def test_every_layer_opens_with_its_renderer(seen):
     layers = seen["layers"]
     assert {name: layer["renderer"] for name, layer in layers.items()} == {
         **RASTERS,
-        **dict.fromkeys(AREAS, "categorizedSymbol"),
+        **dict.fromkeys(AREAS, "RuleRenderer"),
     }
     assert all(layer["valid"] and layer["crs_valid"] for layer in layers.values())
     assert {name: layer["crs"] for name, layer in layers.items()} == {
@@ -271,14 +250,16 @@ def test_every_area_is_drawn_and_none_as_what_it_is_not(seen, cost_map):
     table = table_of(cost_map).tiles.read(("passable",), table_of(cost_map).tiles.window)
     drawn = seen["layers"]["tiles.gpkg"]["drawn"]
     assert "nothing" not in drawn
-    assert drawn["unknown"] == int((~known).sum())
+    closed, named = drawn.pop("not passable"), set(drawn)
+    assert drawn["not known"] == int((~known).sum())
     assert sum(drawn.values()) == len(known)
-    assert drawn["not passable"] == int(known.sum() - table["passable"].sum())
+    assert closed == int(known.sum() - table["passable"].sum())
     regions = seen["layers"]["cost.fgb"]["drawn"]
     assert regions == seen["layers"]["cost.geojson"]["drawn"]
     assert "nothing" not in regions
+    assert regions.pop("not passable") > 0
     assert sum(regions.values()) == seen["layers"]["cost.fgb"]["features"]
-    assert set(regions) == set(drawn)
+    assert set(regions) == named
 
 
 @pytest.mark.qgis
@@ -307,19 +288,25 @@ def test_the_project_opens_as_a_map(seen):
     fails = project["layers"].pop("bumpymap_roughness_tif_p_fail")
     assert fails["values"] == [0.5, 1.0]
     layers = {Path(layer["source"]).name: layer for layer in project["layers"].values()}
-    renderers = {Path(name).name: kind for name, kind in RASTERS.items()} | {"cost.fgb": "categorizedSymbol"}
+    renderers = {Path(name).name: kind for name, kind in RASTERS.items()} | {"cost.fgb": "RuleRenderer"}
     assert {name: layer["renderer"] for name, layer in layers.items()} == renderers
     assert all(layer["valid"] and layer["crs"] == "EPSG:32614" for layer in layers.values())
     assert (layers["class.tif"]["multiply"], layers["relief.tif"]["multiply"]) == (True, False)
     assert all(found for *_, found in project["tree"])
     shown = {layer_id for layer_id, is_shown, _ in project["tree"] if is_shown}
-    assert shown - {"bumpymap_reason_tif"} == {"bumpymap_class_tif", "bumpymap_relief_tif"}
+    assert shown == {"bumpymap_cost_fgb_closed", "bumpymap_class_tif", "bumpymap_relief_tif"}
     assert project["colours"] > 100  # four classes, each as bright as the relief under it
     west, south, east, north = layers["class.tif"]["extent"]
     left, bottom, right, top = project["extent"]
     assert left < west < east < right
     assert bottom < south < north < top
     assert top - bottom < 1.3 * (north - south)
+    (page,) = project["pages"]
+    assert page["items"] == [1, 1, 1, 1, 3]
+    assert {"Pit 7: ride cost", f"1:{page['scale']:.0f} on A4"} < set(page["texts"])
+    assert "Vehicle: warthog." in "\n".join(page["texts"]).split("\n")
+    assert page["legend"] == ["bumpymap_cost_fgb_closed", "bumpymap_class_tif"]
+    assert page["colours"] > 100
 
 
 def legend(names, palette_of):
@@ -332,25 +319,119 @@ def test_a_comparison_shows_its_kinds_as_pixels_and_places(tmp_path):
     later.c_r[600:] = np.nan  # the ride over the end of the rut is not known
     before, after = write_folder(tmp_path / "may", survey(1)), write_folder(tmp_path / "june", later)
     change = bumpymap.diff_surveys(before, after, tmp_path / "out")
-    layers = load(change.folder)["layers"]
+    seen = load(change.folder)
+    layers = seen["layers"]
     raster, places = layers["change.tif"], layers["change.geojson"]
     assert (raster["renderer"], raster["bands"], raster["crs"]) == ("paletted", [6], "EPSG:32614")
     assert raster["values"] == [0, 1, 2, 3, 4]
     assert raster["legend"] == [[*entry, 255] for entry in legend(CHANGE_KINDS, colours.CHANGE_COLOURS)]
     assert raster["colours"] >= 3  # unchanged ground, and more than one kind of change
-    assert places["renderer"] == "categorizedSymbol"
+    assert places["renderer"] == "RuleRenderer"
     assert [entry[:2] for entry in places["legend"]] == legend(CHANGE_KINDS, colours.CHANGE_COLOURS)[1:]
     assert places["drawn"] == Counter(about["kind"] for about in change.field.regions)
     assert places["features"] == len(change.field.regions) > 0
+    hidden = {"change_geojson", "change_tif_d_c_r", "change_tif_d_height", "class_tif"}
+    over_map(seen["project"], {"change_tif", "relief_tif"}, hidden)
+    most = float(np.nanmax(np.abs(change.field.d_c_r)))
+    ends = seen["project"]["layers"]["bumpymap_change_tif_d_c_r"]["values"]
+    assert (ends[0], ends[4], ends[-1]) == pytest.approx((-most, 0, most))
+
+
+def over_map(project, shown, hidden=frozenset()):
+    """Check that a project of a run shows its layers over those of the map, and has a page to print."""
+    assert (project["read"], project["error"], project["crs"]) == (True, "", "EPSG:32614")
+    assert {name for name, is_shown, _ in project["tree"] if is_shown} == {f"bumpymap_{name}" for name in shown}
+    assert {name for name, is_shown, _ in project["tree"] if not is_shown} >= {f"bumpymap_{name}" for name in hidden}
+    assert all(layer["valid"] for layer in project["layers"].values())
+    assert project["colours"] > 10
+    assert project["pages"][0]["items"] == [1, 1, 1, 1, 3]
+
+
+@pytest.mark.qgis
+def test_ways_and_what_can_be_reached_are_drawn_over_the_map(tmp_path, site):
+    ways, reach, source = tmp_path / "way", tmp_path / "reach", open_map(site)
+    found = [make_route(), make_route(name="it's another")]
+    write_routes(found, source, ways, manifest={})
+    values = np.arange(12, dtype=np.float32).reshape(3, 4)
+    field = ReachField(UTM, Grid(), TileWindow(110_000, 680_000, 4, 3), values, values / 4)
+    write_reach_files(field, source, CORNERS[0], reach, levels=[1, 0.5], manifest={})
+    seen = load(ways)["project"]
+    over_map(seen, {"route_geojson_stops", "route_geojson_ways", "cost_fgb_closed", "class_tif", "relief_tif"})
+    drawn = [seen["layers"][f"bumpymap_route_geojson_{part}"]["drawn"] for part in ("stops", "ways")]
+    assert drawn[0] == {"start": 1, "goal": 1}
+    assert {label.split(":")[0]: count for label, count in drawn[1].items()} == {way.name: 1 for way in found}
+    seen = load(reach)
+    over_map(seen["project"], {"isochrones_geojson", "reach_tif_minutes", "relief_tif"}, {"reach_tif_cost"})
+    layers = seen["project"]["layers"]
+    assert [layers[f"bumpymap_reach_tif_{part}"]["bands"] for part in ("cost", "minutes")] == [[1], [2]]
+    assert seen["layers"]["reach.tif"]["bands"] == [2]
+    assert seen["layers"]["isochrones.geojson"]["drawn"] == {"within 0.5 min": 1, "within 1 min": 1}
+    assert [entry[0] for entry in seen["layers"]["reach.tif"]["legend"]] == [
+        f"{value:.3g} min" for value in np.linspace(0, 11 / 4, 6)
+    ]
 
 
 @pytest.mark.qgis
 def test_stretches_are_drawn_by_how_far_the_map_is_off(tmp_path):
     result = made_up_check(60, noise=0.4, unknown=[4])
     write_check(result, tmp_path / "out", ground=MadeUpMap.around())
-    layer = load(tmp_path / "out")["layers"]["check.geojson"]
-    assert layer["renderer"] == "categorizedSymbol"
+    seen = load(tmp_path / "out")
+    layer = seen["layers"]["check.geojson"]
+    assert layer["renderer"] == "RuleRenderer"
     assert [entry[:2] for entry in layer["legend"]] == legend(OFF_KINDS, colours.OFF_COLOURS)
     assert layer["drawn"] == Counter(OFF_KINDS[kind] for kind in MapOffset.of(result.stretches).kind.tolist())
     assert layer["features"] == 60
     assert layer["colours"] > 6
+    assert seen["project"]["layers"]["bumpymap_check_geojson"]["drawn"] == layer["drawn"]
+
+
+SEEN_BY = {
+    "protanopia": ((0.152286, 1.052583, -0.204868), (0.114503, 0.786281, 0.099216), (-0.003882, -0.048116, 1.051998)),
+    "deuteranopia": ((0.367322, 0.860646, -0.227968), (0.280085, 0.672501, 0.047413), (-0.011820, 0.042940, 0.968881)),
+    "tritanopia": ((1.255528, -0.076749, -0.178779), (-0.078411, 0.930809, 0.147602), (0.004733, 0.691367, 0.303900)),
+}
+"""Linear red, green and blue as seen without one kind of cones (Machado, Oliveira and Fernandes 2009)."""
+
+
+def data_of_page(folder):
+    found = re.search(r'id="report-data">(.*?)</script>', (folder / "report.html").read_text(encoding="utf-8"))
+    return json.loads(found[1])
+
+
+def parts_of(text):
+    return [int(text[at : at + 2], 16) for at in (1, 3, 5)]
+
+
+def least_difference(found, seen):
+    """The least CIEDE2000 between two of the colours."""
+    linear = np.array([parts_of(text) for text in found]) / 255
+    linear = np.where(linear <= 0.04045, linear / 12.92, ((linear + 0.055) / 1.055) ** 2.4) @ np.transpose(seen)
+    linear = linear.clip(0, 1)
+    shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    lab = rgb2lab(shown)
+    return min(deltaE_ciede2000(one, other) for one, other in combinations(lab, 2))
+
+
+@pytest.mark.parametrize("seen", SEEN_BY.values(), ids=SEEN_BY)
+def test_colour_blind_readers_tell_classes_and_unknown_ground_apart(folder, seen):
+    classes = [colour for _, colour, _ in palette(read(folder / "rasters/class.qml")).values()]
+    rules = {rule.get("label"): rule.get("symbol") for rule in read(folder / "cost.qml").iter("rule")}
+    symbol = read(folder / "cost.qml").find(f".//symbol[@name='{rules['not known']}']/layer")
+    unknown = "#{:02x}{:02x}{:02x}".format(*map(int, symbol.find(".//Option[@name='color']").get("value").split(",")))
+    reasons = {code: colour for code, (_, colour, _) in palette(read(folder / "rasters/reason.qml")).items()}
+    codes = data_of_page(folder)["codes"]
+    on_page = ["#{:02x}{:02x}{:02x}".format(*one) for one in (*codes["classColours"], codes["unknownColour"])]
+    assert on_page == [*classes, unknown]
+    assert least_difference(on_page, seen) > 15
+    assert least_difference([*classes, *(reasons[code] for code in reasons if code)], seen) > 15
+
+
+def test_the_ride_cost_has_one_ramp_on_the_page_and_in_qgis(folder):
+    items = list(read(folder / "rasters/roughness.qml").iter("item"))
+    site = data_of_page(folder)["maps"][0]
+    grid, ramp = next(grid for grid in site["grids"] if grid["key"] == "c_r"), site["ramps"]["c_r"]
+    ends = np.exp(grid["low"] + grid["step"] * np.linspace(0, 254, len(ramp)))
+    parts = np.array([parts_of(item.get("color")) for item in items], float)
+    values = [float(item.get("value")) for item in items]
+    wanted = np.stack([np.interp(ends, values, part) for part in parts.T], axis=1)
+    assert np.abs([parts_of(text) for text in ramp] - wanted).max() <= 0.5 + 1e-6

@@ -8,7 +8,6 @@ GridMapMsgHelpers.hpp (layout: dimension 0 is column_index, data column by colum
 
 import json
 import shutil
-import sys
 import warnings
 from dataclasses import replace
 
@@ -224,13 +223,6 @@ def test_every_cell_has_the_value_of_the_layers_bit_for_bit(route_map, folder, t
     with warnings.catch_warnings(action="ignore"):  # tiles without a height
         mean = np.nanmean(heights, axis=(1, 3))[:, ::-1]
     np.testing.assert_allclose(elevation, mean.ravel(), rtol=1e-6)
-
-
-def test_without_rosbags_the_message_says_what_to_install(route_map, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
-    with pytest.raises(UsageError, match=r"bumpymap\[ros\]"):
-        export_map(route_map, tmp_path / "out", ExportSettings(to="gridmap"))
-    assert not (tmp_path / "out").exists()
 
 
 GRIDS = [

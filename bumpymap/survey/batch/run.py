@@ -55,7 +55,7 @@ class Results:
     ----------
     tasks : sequence of MapTask
     folder : Path
-        Gets summary.csv, summary.parquet, catalog.json and index.html.
+        Gets summary.csv, summary.parquet, collection.json and index.html.
     title : str
         Of the page.
     """

@@ -1,18 +1,24 @@
-"""map.qgs, a QGIS project of the layers of a map; and all views of them together."""
+"""map.qgs: a QGIS project of the layers of a map, or of a run over maps; and all views of a map together."""
 
-from collections.abc import Mapping, Sequence
+import base64
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+from os.path import relpath
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from bumpymap.core import horizontal_of, stated_crs
-from bumpymap.layers import MapFile, open_layer
+from bumpymap.core import atomic, horizontal_of, stated_crs
+from bumpymap.layers import GeoJsonCoordinates, MapFile, MapSource, Placement, open_layer
 from bumpymap.views.gis.styles import (
     MULTIPLY,
     NORMAL,
     Style,
+    ViewLayer,
     class_labels,
     map_styles,
     speeds_of,
@@ -21,13 +27,23 @@ from bumpymap.views.gis.styles import (
 )
 from bumpymap.views.page.map_page import write_map_page
 from bumpymap.views.page.site import Site
+from bumpymap.views.pictures.drawing import bar_length
 
 _MARGIN = 0.04
 """Ground around the layers when the project is opened, as a share of their larger side."""
+_CLASSES = "roughness class, c_r in rad/m"
+_PRINT_MM = 190.0, 180.0
+"""Width and height of the map on a page of paper."""
+_BAR_MM = 25.0
+"""Most of a segment of its scale bar."""
+_ARROW = (
+    b'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 24 40"><path d="M12 2 20 24 12 19 4 24Z" fill="#1f2937"/>'
+    b'<path d="M8 38V28L16 38V28" fill="none" stroke="#1f2937" stroke-width="2"/></svg>'
+)
 
 
 def write_map_views(folder: Path, record: Mapping[str, Any]) -> None:
-    """Write the styles, map.qgs and report.html of the layers in a folder.
+    """Write the styles, map.qgs, report.html and the thumbnail of the layers in a folder.
 
     Parameters
     ----------
@@ -45,15 +61,22 @@ def write_map_views(folder: Path, record: Mapping[str, Any]) -> None:
     """
     write_styles(folder, record)
     write_project(folder, record)
-    write_map_page(Site.read(folder, record), folder / MapFile.REPORT)
+    site = Site.read(folder, record)
+    write_map_page(site, folder / MapFile.REPORT)
+    with atomic(folder / MapFile.THUMBNAIL) as temporary:
+        temporary.write_bytes(base64.b64decode(site.still.partition(",")[2]))
 
 
 class _Tree:
     """The layers of a folder in groups, under those that it has: the topmost first."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self.layers: list[Style] = []
+    def __init__(self, folder: Path, record: Mapping[str, Any], place: str = ".") -> None:
+        """Take the folder, the record of the run, and where the folder lies as seen from the project."""
+        self._folder, self._place, crs = folder, place, _horizontal_crs(record)
+        self.wkt = None if crs is None else crs.to_wkt()
+        self._styles = map_styles(record, layered=True)
+        self.styled: list[tuple[Style, Style]] = []
+        """The layers, and how each is drawn."""
 
     def layer(
         self, file: MapFile, title: str, blend: int = NORMAL, *, visible: bool = False, part: str = ""
@@ -65,19 +88,25 @@ class _Tree:
         """
         if not (self._folder / file).is_file():
             return []
-        is_raster = file.endswith(".tif")
+        style = self._styles[f"{file} {part}".strip()]
+        return self.add(ViewLayer(file, title, style, part, visible=visible), self.wkt, blend, self._place)
+
+    def add(self, found: ViewLayer, wkt: str | None, blend: int = NORMAL, place: str = ".") -> list[Style]:
+        """Return a layer in a list of one."""
+        is_raster = found.file.endswith(".tif")
         layer = {
             # longer than ten characters: QGIS does not find layers with shorter ids
-            "id": "_".join(filter(None, ("bumpymap", Path(file).name.replace(".", "_"), part))),
-            "style": f"{file} {part}".strip(),
-            "title": title,
+            "id": "_".join(filter(None, ("bumpymap", Path(found.file).name.replace(".", "_"), found.part))),
+            "title": found.title,
             "blend": blend,
-            "visible": visible,
-            "source": file,
+            "visible": found.visible,
+            "source": f"{place}/{found.file}{found.within}",
             "is_raster": is_raster,
             "provider": "gdal" if is_raster else "ogr",
+            "geometry": "" if is_raster else found.geometry,
+            "wkt": wkt,
         }
-        self.layers.append(layer)
+        self.styled.append((layer, found.style))
         return [layer]
 
     def group(
@@ -94,16 +123,17 @@ class _Tree:
 
 def _groups(tree: _Tree, speeds: Sequence[float]) -> list[Style]:
     """Return the groups of the project, the topmost first; the ride at other speeds [m/s] lies where the map's does."""
+    closed = _closed(tree)
     why = tree.group(
         "Why not",
         tree.layer(MapFile.BARRED, "barred"),
-        tree.layer(MapFile.REASON, "reason for no class", MULTIPLY, visible=True),
+        tree.layer(MapFile.REASON, "reason for no class", MULTIPLY),
         tree.layer(MapFile.OBSTACLE, "obstacles"),
         tree.layer(MapFile.PASSAGE, "where the vehicle fits"),
         expanded=False,
     )
     regions = tree.group("Regions", tree.layer(MapFile.REGIONS_IN_CRS, "regions", MULTIPLY), expanded=False)
-    classes = tree.layer(MapFile.CLASS, "roughness class", MULTIPLY, visible=True)
+    classes = tree.layer(MapFile.CLASS, _CLASSES, MULTIPLY, visible=True)
     fails = tree.layer(MapFile.ROUGHNESS, "most drives fail", visible=True, part="p_fail")
     rides = tree.layer(MapFile.ROUGHNESS, "c_r of the drives that get through", MULTIPLY, visible=True)
     others = [tree.layer(MapFile.SPEEDS, f"c_r at {speed:g} m/s", MULTIPLY, part=f"{speed:g}") for speed in speeds]
@@ -117,7 +147,11 @@ def _groups(tree: _Tree, speeds: Sequence[float]) -> list[Style]:
         tree.layer(MapFile.HEIGHTMAP, "measured heights, with holes"),
         tree.layer(MapFile.RELIEF, "relief, holes filled", visible=True),
     )
-    return [*why, *regions, *ride, *ground]
+    return [*closed, *why, *regions, *ride, *ground]
+
+
+def _closed(tree: _Tree, *, visible: bool = True) -> list[Style]:
+    return tree.layer(MapFile.REGIONS_IN_CRS, "closed ground", MULTIPLY, visible=visible, part="closed")
 
 
 def write_project(folder: Path, record: Mapping[str, Any]) -> None:
@@ -135,46 +169,149 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
     OutputError
         The project cannot be written, or a layer cannot be read.
     """
-    tree, crs = _Tree(folder), _horizontal_crs(record)
-    groups, styles = _groups(tree, speeds_of(record)), map_styles(record, layered=True)
-    raster = next((layer for layer in tree.layers if layer["is_raster"]), None)  # all have the same extent
+    tree = _Tree(folder, record)
+    groups = _groups(tree, speeds_of(record))
+    raster = next((layer["source"] for layer, _ in tree.styled if layer["is_raster"]), None)  # all have the same extent
+    box = None
+    if raster is not None:
+        with open_layer(folder / raster) as file:
+            box = tuple(file.bounds)
+    classes = [f"Class {number}: {label}." for number, label in enumerate(class_labels(record))]
+    _write(folder / MapFile.PROJECT, tree, groups, box, f"{_survey_name(record)}ride cost", _notes(record), classes)
+
+
+def view_writers(
+    layers: Sequence[ViewLayer], place: Placement, source: MapSource, out: Path, title: str
+) -> dict[str, Callable[[Path], None]]:
+    """Return how the styles and the project of a run over maps are written, by name of the file.
+
+    Parameters
+    ----------
+    layers : sequence of ViewLayer
+        The files of the run, the topmost first.
+    place : Placement
+        What the project opens with. GeoJSON is in longitude and latitude where it has a CRS.
+    source : MapSource
+        The map to lie under them, by a path relative to ``out``.
+    out : Path
+        The folder of the run.
+    title : str
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for layer in layers:
+        style = found.setdefault(str(Path(layer.file).with_suffix(".qml")), {"pixels": None, "vectors": None})
+        if "looks" not in layer.style:
+            style["pixels"] = style["pixels"] or layer.style
+        else:  # QGIS takes one style for all of a file
+            before = style["vectors"]["looks"] if style["vectors"] else []
+            style["vectors"] = layer.style | {"looks": [*before, *layer.style["looks"]]}
+    writers: dict[str, Callable[[Path], None]] = {
+        name: partial(write_qgis, template="style.xml", **style) for name, style in found.items()
+    }
+    return writers | {MapFile.PROJECT: partial(_write_over_map, layers, place, source, out, title)}
+
+
+def _write_over_map(
+    layers: Sequence[ViewLayer], place: Placement, source: MapSource, out: Path, title: str, path: Path
+) -> None:
+    record = source.manifest
+    tree = _Tree(source.folder, record, relpath(source.folder.resolve(), out.resolve()))
+    degrees = CRS.from_epsg(4326).to_wkt() if GeoJsonCoordinates.of(place, local=True).has_degrees else None
+    groups, covers = [], any(layer.file.endswith(".tif") for layer in layers)
+    for layer in layers:
+        wkt, blend = (tree.wkt, MULTIPLY) if layer.file.endswith(".tif") else (degrees, NORMAL)
+        groups += tree.add(layer, wkt, blend)
+    classes = tree.layer(MapFile.CLASS, _CLASSES, MULTIPLY, visible=not covers)  # they would shine through a raster
+    relief = tree.layer(MapFile.RELIEF, "relief, holes filled", visible=True)
+    groups += tree.group("Map", _closed(tree, visible=not covers), classes, relief)
+    window = place.window
+    west, east = place.to_crs(np.array([window.col, window.col + window.cols])).tolist()
+    south, north = place.to_crs(np.array([window.row, window.row + window.rows])).tolist()
+    _write(path, tree, groups, (west, south, east, north), f"{_survey_name(record)}{title}", _notes(record))
+
+
+def _write(
+    path: Path,
+    tree: _Tree,
+    groups: list[Style],
+    box: tuple[float, ...] | None,
+    title: str,
+    notes: Sequence[str],
+    more: Iterable[str] = (),
+) -> None:
+    """Write a project that opens with a box, in units of the CRS. What its page says is also in its metadata."""
+    crs = None if tree.wkt is None else CRS.from_wkt(tree.wkt)
+    shown = _visible(groups)
     write_qgis(
-        folder / MapFile.PROJECT,
+        path,
         "project.xml",
-        title=_title(record),
-        abstract=_abstract(record),
-        wkt=None if crs is None else crs.to_wkt(),
+        title=title,
+        abstract="\n".join([*notes, *more]),
+        notes="\n".join(notes),
+        wkt=tree.wkt,
         groups=groups,
-        view=None if raster is None else _view(folder / raster["source"]),
-        styled=[(layer, styles[layer["style"]]) for layer in tree.layers],
+        view=None if box is None else _sides(box, _MARGIN * max(box[2] - box[0], box[3] - box[1])),
+        print=None if box is None else _print(box, 1.0 if crs is None else crs.axis_info[0].unit_conversion_factor),
+        styled=tree.styled,
+        shown=[pair for pair in tree.styled if pair[0]["id"] in shown],
     )
 
 
-def _view(path: Path) -> dict[str, float]:
-    """Return the sides of what QGIS shows first: the extent of a raster, and a margin."""
-    with open_layer(path) as raster:
-        west, south, east, north = raster.bounds
-    margin = _MARGIN * max(east - west, north - south)
+def _visible(groups: Iterable[Style]) -> set[str]:
+    """Return the ids of the layers that are shown when a project opens."""
+    found: set[str] = set()
+    for each in groups:
+        if each["visible"]:
+            found |= _visible(each["layers"]) if "layers" in each else {each["id"]}
+    return found
+
+
+def _sides(box: tuple[float, ...], margin: float) -> dict[str, float]:
+    west, south, east, north = box
     return {"xmin": west - margin, "ymin": south - margin, "xmax": east + margin, "ymax": north + margin}
 
 
-def _title(record: Mapping[str, Any]) -> str:
+def _print(box: tuple[float, ...], metres: float) -> dict[str, Any]:
+    """Return the map of a page: a box around another one, at a round scale, and its scale bar."""
+    west, south, east, north = (side * metres for side in box)
+    needed = 1000 * max((east - west) / _PRINT_MM[0], (north - south) / _PRINT_MM[1])
+    power = 10.0 ** math.floor(math.log10(needed))
+    scale = next(step * power for step in (1, 1.25, 1.5, 2, 2.5, 3, 4, 5, 7.5, 10) if step * power >= needed)
+    half = [side * scale / 2000 / metres for side in _PRINT_MM]
+    x, y = (box[0] + box[2]) / 2, (box[1] + box[3]) / 2
+    segment = bar_length(_BAR_MM * scale / 1000)
+    return {
+        **_sides((x - half[0], y - half[1], x + half[0], y + half[1]), 0.0),
+        "width": _PRINT_MM[0],
+        "height": _PRINT_MM[1],
+        "scale": scale,
+        "segment": segment,
+        "segment_mm": 1000 * segment / scale,
+        "arrow": base64.b64encode(_ARROW).decode(),
+    }
+
+
+def _survey_name(record: Mapping[str, Any]) -> str:
     survey = record.get("survey")
     name = survey.get("name") if isinstance(survey, Mapping) else None
-    return f"{name}: ride cost" if name else "ride cost"
+    return f"{name}: " if name else ""
 
 
-def _abstract(record: Mapping[str, Any]) -> str:
-    """Return for which vehicle and with which calibration the layers were made."""
-    calibration = record.get("calibration")
-    known = calibration if isinstance(calibration, Mapping) else {}
-    lines = ["Roughness and ride cost of the ground, made by bumpymap from a point cloud."]
-    preferences = known.get("preferences")
+def _notes(record: Mapping[str, Any]) -> list[str]:
+    """Return of which survey, for which vehicle and with which calibration a map was made."""
+    calibration, survey, crs = (
+        found if isinstance(found := record.get(key), Mapping) else {} for key in ("calibration", "survey", "crs")
+    )
+    preferences = calibration.get("preferences")
     about = preferences.get("description") if isinstance(preferences, Mapping) else None
-    lines += [f"Vehicle: {known.get('vehicle', 'not known')}{f' ({about})' if about else ''}."]
-    lines += [f"Calibration: {known.get('id', 'not known')}."]
-    lines += [f"Class {number}: {label}." for number, label in enumerate(class_labels(record))]
-    return "\n".join(lines)
+    dates = sorted({str(date) for date in survey.get("dates") or () if date})
+    return [
+        "Roughness and ride cost of the ground, made by bumpymap from a point cloud.",
+        *([f"Survey: {' to '.join(dates)}."] if dates else []),
+        f"Vehicle: {calibration.get('vehicle', 'not known')}{f' ({about})' if about else ''}.",
+        f"Calibration: {calibration.get('id', 'not known')}.",
+        *([f"Coordinates: {crs['name']}."] if crs.get("name") else []),
+    ]
 
 
 def _horizontal_crs(record: Mapping[str, Any]) -> CRS | None:

@@ -2,10 +2,13 @@
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import pairwise
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
+
+import numpy as np
+from numpy.typing import NDArray
 
 from bumpymap.core import (
     BANDS,
@@ -17,24 +20,32 @@ from bumpymap.core import (
     REASON_TEXT,
     Barred,
     Reason,
+    Route,
     atomic,
     speed_bands,
 )
 from bumpymap.layers import (
     BARRED_COLOURS,
     CHANGE_COLOURS,
+    CHANGED_BAND,
     CLASS_COLOURS,
     COST_COLOURS,
+    DIFFERENCE_RAMP,
     OBJECT_COLOURS,
     OFF_COLOURS,
     OFF_KINDS,
-    OR_FAILS,
     PASSAGE_COLOURS,
     PASSAGE_NAMES,
-    REASON_COLOURS,
+    REASON_GREYS,
+    ROUTE_COLOURS,
+    UNKNOWN_COLOUR,
+    ChangeField,
     MapFile,
+    ReachField,
     RideScale,
-    class_limits,
+    class_ranges,
+    reach_colours,
+    stop_roles,
 )
 from bumpymap.views.page.page import render_text
 
@@ -73,7 +84,7 @@ def write_qgis(path: Path, template: str, **context: Any) -> None:
 NORMAL, MULTIPLY = 0, 6
 """Blending modes of QGIS."""
 Style = dict[str, Any]
-"""A layer for a template: pixels by `paletted` or `_ramp`, areas and points by `_vectors`."""
+"""A layer for a template: pixels by `paletted` or `_ramp`, areas, lines and points by `vectors`."""
 _Colour = tuple[int, int, int, int]
 """Red, green, blue, alpha from 0 to 255."""
 
@@ -101,13 +112,14 @@ def _ramp(entries: Iterable[tuple[float, str, _Colour]], band: int = 1, *, clip:
     }
 
 
-def _vectors(kind: str, looks: Iterable[tuple[str, str, _Colour, str]], large: str = "", line: str = "") -> Style:
-    """Return the style of areas or points: for each value of ``kind`` label, colour and pattern.
+def vectors(looks: Iterable[tuple[str, str, _Colour, str]], large: str = "", line: str = "") -> Style:
+    """Return the style of areas, lines or points: expression of QGIS that chooses them, label, colour, form of each.
 
-    ``kind`` is an attribute or an expression of QGIS; so is ``large``, which says which points are drawn larger.
-    ``line`` is an expression for a line over each area, NULL where there is none.
+    A form is ``solid``, ``rising`` (solid under lines), ``falling`` (lines alone, over other forms), ``outline``,
+    ``line``, ``mark`` (a disc). An expression ``large`` says which marks are drawn larger; ``line`` is a line over each
+    area, NULL where there is none.
     """
-    return {"kind": kind, "looks": list(looks), "large": large, "line": line}
+    return {"kind": "vectors", "looks": list(looks), "large": large, "line": line}
 
 
 CALM_RATIO = 1.3
@@ -118,66 +130,122 @@ CALM_LINE = f"if({_MATTERS}, make_line({_END.format(turn=0)}, {_END.format(turn=
 """Expression of QGIS: a line through a passable tile along the heading with the lowest C_r, where that matters."""
 
 
-_UNKNOWN, _CLOSED = "unknown", "not passable"
-REGION_KIND = (
-    f'CASE WHEN "class_name" = \'{_UNKNOWN}\' THEN \'{_UNKNOWN}\' WHEN "passable" THEN "class_name" '
-    f"ELSE '{_CLOSED}' END"
+_CLOSED_LOOKS = (
+    ('"class" IS NULL', "not known", UNKNOWN_COLOUR, "rising"),
+    ('"class" IS NOT NULL AND NOT coalesce("passable", FALSE)', "not passable", (17, 17, 17, 255), "falling"),
 )
-"""Expression of QGIS: the category of a region of cost.geojson or cost.fgb."""
-_NAMED = " ".join(f"WHEN \"class\" = {number} THEN '{name}'" for number, name in enumerate(CLASS_NAMES))
-TILE_KIND = (
-    f"CASE WHEN \"class\" IS NULL THEN '{_UNKNOWN}' WHEN \"passable\" IS NOT TRUE THEN '{_CLOSED}' "
-    f"{_NAMED} ELSE '{_UNKNOWN}' END"
-)
-"""Expression of QGIS: the category of a tile of tiles.parquet."""
+"""How regions and tiles are drawn that are not known, and what lies over the class of those that are not passable."""
 
 
-def write_change_style(path: Path, band: int) -> None:
-    """Write change.qml: QGIS takes it for change.tif and change.geojson, since both have its name.
+@dataclass(frozen=True, slots=True)
+class ViewLayer:
+    """A file, or a part of one, as a layer of a project."""
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    band : int
-        Band of change.tif with the codes, from 1.
+    file: str
+    """Its path in the folder."""
+    title: str
+    style: Style
+    part: str = ""
+    """Tells layers of one file apart."""
+    visible: bool = True
+    within: str = ""
+    """For GDAL: the geometries to take from a file of several kinds, such as ``|geometrytype=Point``."""
 
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    """
-    places = [(name, name, CHANGE_COLOURS[code], "solid") for code, name in enumerate(CHANGE_KINDS) if code]
-    codes = paletted(enumerate(CHANGE_KINDS), CHANGE_COLOURS, band=band)
-    write_qgis(path, "style.xml", pixels=codes, vectors=_vectors("kind", places))
+    @property
+    def geometry(self) -> str:
+        """Kind of its geometries, as QGIS names it."""
+        return {"mark": "Point", "line": "Line"}.get(self.style["looks"][0][3], "Polygon")
 
 
-def write_check_style(path: Path) -> None:
-    """Write check.qml, which QGIS takes for check.geojson.
+def _is(attribute: str, value: str) -> str:
+    value = value.replace("'", "''")
+    return f"\"{attribute}\" = '{value}'"
 
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    """
-    looks = [(name, name, OFF_COLOURS[code], "") for code, name in enumerate(OFF_KINDS)]
-    write_qgis(path, "style.xml", pixels=None, vectors=_vectors("off", looks, '"explained" = false'))
+
+def change_layers(field: ChangeField) -> list[ViewLayer]:
+    """Return the layers of a comparison: its places, its kinds of change, its differences."""
+    looks = [(_is("kind", name), name, CHANGE_COLOURS[code], "solid") for code, name in enumerate(CHANGE_KINDS)]
+    codes, file = paletted(enumerate(CHANGE_KINDS), CHANGE_COLOURS, band=CHANGED_BAND), "change.tif"
+    c_r, height = _differences(field.d_c_r, "rad/m", 1), _differences(field.d_height, "m", 3)
+    return [
+        ViewLayer("change.geojson", "places that have changed", vectors(looks[1:]), visible=False),
+        ViewLayer(file, "what has changed", codes),
+        ViewLayer(file, "ride cost c_r, after minus before", c_r, "d_c_r", visible=False),
+        ViewLayer(file, "height, after minus before", height, "d_height", visible=False),
+    ]
+
+
+def _differences(values: NDArray[np.float32], unit: str, band: int) -> Style:
+    """Return the style of differences: white for none, as far down as up, most colours for small ones, as on pages."""
+    most = float(np.abs(np.nan_to_num(values)).max(initial=0.0)) or 1.0
+    parts = np.linspace(-1.0, 1.0, len(DIFFERENCE_RAMP))
+    ends = zip((most * np.sign(parts) * parts**2).tolist(), DIFFERENCE_RAMP, strict=True)
+    return _ramp([(end, f"{end:+.3g} {unit}", _rgba(text)) for end, text in ends], band)
+
+
+def _rgba(text: str) -> _Colour:
+    red, green, blue = bytes.fromhex(text[1:])
+    return red, green, blue, 255
+
+
+def check_layers() -> list[ViewLayer]:
+    """Return the stretches of a check."""
+    looks = [(_is("off", name), name, OFF_COLOURS[code], "mark") for code, name in enumerate(OFF_KINDS)]
+    return [ViewLayer("check.geojson", "how far the map is off", vectors(looks, '"explained" = false'))]
+
+
+def route_layers(routes: Sequence[Route]) -> list[ViewLayer]:
+    """Return the stops of routes, and the ways, each with its figures."""
+    colours = {"start": (255, 255, 255, 255), "via": (150, 150, 150, 255), "goal": (0, 0, 0, 255)}
+    roles = {role: None for route in routes for role in stop_roles(len(route.stops))}
+    stops = [(_is("role", role), role, colours[role], "mark") for role in roles]
+    ways = []
+    for number, route in enumerate(routes):
+        found = route.figures
+        label = f"{route.name}: {found.length_m:.0f} m, costs {found.cost_m:.0f} m, arrives {found.p_arrives:.1%}"
+        ways.append((_is("name", route.name), label, (*ROUTE_COLOURS[number % len(ROUTE_COLOURS)], 255), "line"))
+    file = "route.geojson"
+    return [
+        ViewLayer(file, "stops", vectors(stops), "stops", within="|geometrytype=Point"),
+        ViewLayer(file, "ways", vectors(ways[::-1]), "ways", within="|geometrytype=LineString"),
+    ]
+
+
+_REACH_STOPS = 6
+
+
+def reach_layers(reach: ReachField, levels: Sequence[float]) -> list[ViewLayer]:
+    """Return what can be reached: outlines of ``levels`` [min], minutes, cost."""
+    steps = sorted({float(level) for level in levels})
+    looks = [
+        (f'"within" = {level!r}', f"within {level:g} min", (*colour, 255), "outline")
+        for level, colour in zip(steps, reach_colours(len(steps)), strict=True)
+    ]
+    cost, minutes = _distances(reach.cost, "m", 1), _distances(reach.minutes, "min", 2)
+    return [
+        *([ViewLayer("isochrones.geojson", "outlines", vectors(looks))] if looks else []),
+        ViewLayer("reach.tif", "minutes from the start", minutes, "minutes"),
+        ViewLayer("reach.tif", "cost from the start", cost, "cost", visible=False),
+    ]
+
+
+def _distances(values: NDArray[np.float32], unit: str, band: int) -> Style:
+    ends = np.linspace(0.0, float(np.nan_to_num(values).max(initial=0.0)) or 1.0, _REACH_STOPS).tolist()
+    shades = zip(ends, reach_colours(_REACH_STOPS), strict=True)
+    return _ramp([(end, f"{end:.3g} {unit}", (*colour, 255)) for end, colour in shades], band)
 
 
 _PALE = 0.6
 """Opacity of the relief under other layers, so that colours over it stay those of their legend."""
-_GREY = (*BARRED_COLOURS[Barred.UNKNOWN][:3], 180)
+_GREY = (*UNKNOWN_COLOUR[:3], 180)
 """Colour of unknown ground over the relief, which shows through; no class is drawn between them."""
 _BAND = {band.name: number for number, band in enumerate(BANDS, 1)}
 
 
 def class_labels(record: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return what a legend says for each class: its name and, where that decides, its interval of c_r."""
-    limits = class_limits(record)
-    if limits is None or _setting(record, "compat") == "paper":
-        return CLASS_NAMES
-    named = [f"{name}: c_r {text}" for name, text in zip(CLASS_NAMES, _intervals(limits), strict=True)]
-    return (*named[:-1], f"{named[-1]}{OR_FAILS}")
+    """Return what a legend says for each class: its name and, where that decides, its interval of c_r [rad/m]."""
+    named = zip(CLASS_NAMES, class_ranges(record), strict=False)
+    return tuple(f"{name}: c_r {text}" for name, text in named) or CLASS_NAMES
 
 
 def speeds_of(record: Mapping[str, Any]) -> list[float]:
@@ -185,28 +253,14 @@ def speeds_of(record: Mapping[str, Any]) -> list[float]:
     return [float(speed) for speed in _setting(record, "speeds") or ()]
 
 
-def _intervals(limits: list[float]) -> tuple[str, ...]:
-    texts = [f"{limit:.3g}" for limit in limits]
-    between = [f"{low} to {high} rad/m" for low, high in pairwise(["0", *texts])]
-    return (*between, f"from {texts[-1]} rad/m")
-
-
 def _setting(record: Mapping[str, Any], name: str) -> Any:
-    """Return a setting of a run, or None; settings are a dataclass until they are written, then an object of JSON."""
-    settings = record.get("settings")
-    return settings.get(name) if isinstance(settings, Mapping) else getattr(settings, name, None)
+    return (record.get("settings") or {}).get(name)
 
 
 def _ride_stops(record: Mapping[str, Any]) -> list[tuple[float, str, _Colour]]:
-    """Return the colours of c_r with their labels."""
-    limits = class_limits(record)
-    anchors = RideScale.of(record).anchors
-    labels = [f"{anchor:.3g} rad/m" for anchor in anchors]
-    if limits:
-        labels = [f"{text} ({name})" for name, text in zip(CLASS_NAMES, _intervals(limits), strict=True)]
-    return [
-        (anchor, label, CLASS_COLOURS[code]) for code, (anchor, label) in enumerate(zip(anchors, labels, strict=True))
-    ]
+    """Return the colours of c_r with their labels: those of the classes in the middle of their intervals."""
+    anchors = zip(RideScale.of(record).anchors, CLASS_NAMES, strict=True)
+    return [(at, f"{at:.3g} rad/m ({name})", CLASS_COLOURS[code]) for code, (at, name) in enumerate(anchors)]
 
 
 def _speed_stops(record: Mapping[str, Any]) -> list[tuple[float, str, _Colour]]:
@@ -232,7 +286,8 @@ def map_styles(record: Mapping[str, Any], *, layered: bool = False) -> dict[str,
     -------
     dict
         By `MapFile`; what else a project shows of one, by it and a part: of roughness.tif ``p_fail``, the tiles where
-        at least half of the drives fail, and of speeds.tif the C_r at each speed, such as ``0.5``.
+        at least half of the drives fail, of speeds.tif the C_r at each speed, such as ``0.5``, and of cost.fgb
+        ``closed``, what is not known or not passable.
     """
     labels, stops, speeds = class_labels(record), _ride_stops(record), speeds_of(record)
     units = record.get("metres_per_unit")
@@ -242,15 +297,8 @@ def map_styles(record: Mapping[str, Any], *, layered: bool = False) -> dict[str,
     bars = BARRED_COLOURS | ({Barred.UNKNOWN: _GREY} if layered else {})
     most = max(COST_COLOURS)
     costs = {value: f"{value:g}" for value in COST_COLOURS} | {1.0: "1: level road", most: f"{most:g} and more"}
-    named = (
-        (name, label, CLASS_COLOURS[code], "solid")
-        for code, (name, label) in enumerate(zip(CLASS_NAMES, labels, strict=True))
-    )
-    looks = [
-        *named,
-        (_UNKNOWN, _UNKNOWN, BARRED_COLOURS[Barred.UNKNOWN], "b_diagonal"),
-        (_CLOSED, _CLOSED, BARRED_COLOURS[Barred.OBSTACLE], "diagonal_x"),
-    ]
+    named = ((f'"class" = {code}', label, CLASS_COLOURS[code], "solid") for code, label in enumerate(labels))
+    looks = [*named, *_CLOSED_LOOKS]
     fails = [
         (FAIL_SHARE, "at least half of the drives fail", CLASS_COLOURS[3]),
         (1.0, "all drives fail", CLASS_COLOURS[3]),
@@ -258,13 +306,14 @@ def map_styles(record: Mapping[str, Any], *, layered: bool = False) -> dict[str,
     at_speeds = [band.name for band in speed_bands(tuple(speeds))]
     return {
         MapFile.CLASS: paletted(enumerate(labels), CLASS_COLOURS),
-        MapFile.REASON: paletted(REASON_TEXT.items(), REASON_COLOURS, clear=[Reason.OK] if layered else ()),
+        MapFile.REASON: paletted(REASON_TEXT.items(), REASON_GREYS, clear=[Reason.OK] if layered else ()),
         MapFile.ROUGHNESS: _ramp(stops, _BAND["c_r"]),
         f"{MapFile.ROUGHNESS} p_fail": _ramp(fails, _BAND["p_fail"], clip=True),
         MapFile.COST: _ramp((value, label, COST_COLOURS[value]) for value, label in costs.items()),
         MapFile.SPEED: _ramp(_speed_stops(record)),
-        MapFile.REGIONS_IN_CRS: _vectors(REGION_KIND, looks),
-        MapFile.REGIONS: _vectors(REGION_KIND, looks),
+        MapFile.REGIONS_IN_CRS: vectors(looks),
+        f"{MapFile.REGIONS_IN_CRS} closed": vectors(_CLOSED_LOOKS),
+        MapFile.REGIONS: vectors(looks),
         MapFile.BARRED: paletted(BARRED_TEXT.items(), bars, clear=[Barred.NO] if layered else ()),
         MapFile.OBSTACLE: paletted(enumerate(OBJECT_NAMES), OBJECT_COLOURS),
         MapFile.PASSAGE: paletted(enumerate(PASSAGE_NAMES), PASSAGE_COLOURS),
@@ -273,7 +322,7 @@ def map_styles(record: Mapping[str, Any], *, layered: bool = False) -> dict[str,
         MapFile.SPEEDS: _ramp(stops),
         MapFile.HEADINGS: _ramp(stops),
         **{f"{MapFile.SPEEDS} {speed:g}": _ramp(stops, 1 + at_speeds.index(f"c_r_{speed:g}")) for speed in speeds},
-        MapFile.TILES: _vectors(TILE_KIND, looks, line=CALM_LINE if _setting(record, "headings") else ""),
+        MapFile.TILES: vectors(looks, line=CALM_LINE if _setting(record, "headings") else ""),
     }
 
 

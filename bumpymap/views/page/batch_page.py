@@ -16,8 +16,8 @@ from pyproj.exceptions import ProjError
 
 from bumpymap.core import CLASS_NAMES, NO_CLASS, Barred, shares_text, stated_crs
 from bumpymap.layers import (
-    BARRED_COLOURS,
     CLASS_COLOURS,
+    UNKNOWN_COLOUR,
     MapFile,
     SurveyRow,
     SurveyStatus,
@@ -88,7 +88,7 @@ _COLOURS = np.array(
     [
         *(CLASS_COLOURS[number][:3] for number in range(len(CLASS_NAMES))),
         *([0.35 * part for part in CLASS_COLOURS[number][:3]] for number in range(len(CLASS_NAMES))),
-        BARRED_COLOURS[Barred.UNKNOWN][:3],
+        UNKNOWN_COLOUR[:3],
     ],
     np.float64,
 )
@@ -201,7 +201,6 @@ def index_page(
         rows=shown,
         shares_of=_shares,
         title=title,
-        unknown_colour=BARRED_COLOURS[Barred.UNKNOWN],
         views=views,
     )
 
@@ -212,6 +211,6 @@ def _shares(row: SurveyRow) -> list[tuple[str, tuple[int, ...], float, str]]:
     known = [share for share in shares if share is not None]
     if len(known) < len(shares):
         return []
-    colours = [*(CLASS_COLOURS[number] for number in range(len(CLASS_NAMES))), BARRED_COLOURS[Barred.UNKNOWN]]
+    colours = [*(CLASS_COLOURS[number] for number in range(len(CLASS_NAMES))), UNKNOWN_COLOUR]
     told = shares_text(known, (len(CLASS_NAMES),), 1)
     return list(zip((*CLASS_NAMES, "unknown"), colours, known, told, strict=True))

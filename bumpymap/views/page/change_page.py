@@ -22,7 +22,7 @@ from bumpymap.core import (
     read_regular,
     shape_fault,
 )
-from bumpymap.layers import CHANGE_COLOURS, COUNT, PLACE_SHAPE, open_layer, outline_of
+from bumpymap.layers import CHANGE_COLOURS, COUNT, DIFFERENCE_RAMP, PLACE_SHAPE, UNKNOWN_COLOUR, open_layer, outline_of
 from bumpymap.views.page.page import write_page
 from bumpymap.views.page.site import jpeg
 from bumpymap.views.page.tiles import ByteGrid, Spot, crs_name, map_metres, packed
@@ -41,7 +41,6 @@ _COMPARED = 400_000
 _STRIP_TILES = 1_000_000
 """Most tiles to read at a time."""
 _STILL_SIDE = 700
-_GREY = (178, 178, 178)
 _MOST_PLACES = 200
 """Most places on the map and in the table, the largest."""
 _BANDS = ("changed", "d_height", "d_c_r")
@@ -188,7 +187,7 @@ def _places(path: Path, record: Mapping[str, Any]) -> tuple[tuple[dict[str, Any]
 def _still(kinds: NDArray[np.uint8], spot: Spot) -> str:
     """Return the kinds as one picture, hatched where not compared."""
     shown = kinds[spot.shown(_STILL_SIDE)]
-    colours = np.full((256, 3), _GREY, np.uint8)
+    colours = np.full((256, 3), UNKNOWN_COLOUR[:3], np.uint8)
     for code, colour in CHANGE_COLOURS.items():
         colours[code] = colour[:3]
     picture = colours[shown]
@@ -196,11 +195,6 @@ def _still(kinds: NDArray[np.uint8], spot: Spot) -> str:
     return jpeg(picture, 150_000)
 
 
-_RAMP = (
-    *("#053061", "#2166ac", "#4393c3", "#92c5de", "#f7f7f7"),
-    *("#f4a582", "#d6604d", "#b2182b", "#67001f"),
-)
-"""Colours from the least over none, white, to the most of a difference."""
 _MANIFEST, _FORMAT = "change.json", "bumpymap-change"
 _SURVEY = {"folders": [str], "runs": [Each()]}
 _SHAPE = PLACE_SHAPE | {
@@ -280,7 +274,8 @@ def write_change_report(folder: Path, record: Mapping[str, Any], path: Path) -> 
         "reasons": ["not compared: may have changed or not"],
         "outside": "outside of what the surveys share: not compared",
         "classColours": [CHANGE_COLOURS[code] for code in range(len(CHANGE_KINDS))],
-        "ramp": _RAMP,
+        "ramp": DIFFERENCE_RAMP,
+        "unknownColour": UNKNOWN_COLOUR,
     }
     write_page(
         path,
@@ -293,7 +288,7 @@ def write_change_report(folder: Path, record: Mapping[str, Any], path: Path) -> 
         ],
         kind_rows=_kind_rows(site),
         place_rows=[_place_row(site, place) for place in site.places],
-        ramp_colours=_RAMP,
+        ramp_colours=DIFFERENCE_RAMP,
         survey_rows=_survey_rows(record["fit"], runs),
         registration=_registration(record["fit"]["registration"]),
         data={"maps": [site.map_record()], "codes": codes},

@@ -27,6 +27,7 @@ from bumpymap.layers import (
     OBJECT_COLOURS,
     OFF_COLOURS,
     REPORT_NAME,
+    UNKNOWN_COLOUR,
     CheckGround,
     MapFile,
     read_manifest,
@@ -172,6 +173,7 @@ _CODES = {
     "objectColours": [OBJECT_COLOURS[code] for code in range(len(OBJECT_NAMES))],
     "offColours": [OFF_COLOURS[code] for code in range(len(OFF_COLOURS))],
     "ramp": _RAMP,
+    "unknownColour": UNKNOWN_COLOUR,
 }
 """Names and colours of the codes in the grids."""
 

@@ -30,6 +30,7 @@ from bumpymap.layers import (
     OFF_COLOURS,
     OFF_KINDS,
     REPORT_NAME,
+    UNKNOWN_COLOUR,
 )
 from bumpymap.views.words import DASH, area, base_name, degrees, number, share, whole
 
@@ -170,5 +171,6 @@ _NAMES = {
     "classes": [(name, CLASS_COLOURS[code]) for code, name in enumerate(CLASS_NAMES)],
     "count_text": count_text,
     "object_colours": OBJECT_COLOURS,
+    "unknown_colour": UNKNOWN_COLOUR,
     "off_kinds": [(name, OFF_COLOURS[code]) for code, name in enumerate(OFF_KINDS)],
 }

@@ -25,9 +25,11 @@ from bumpymap.core import (
 )
 from bumpymap.layers import (
     CLASS_COLOURS,
+    UNKNOWN_COLOUR,
     UNKNOWN_OBJECT,
     MapFile,
     MapSummary,
+    RideScale,
     class_limits,
     class_ranges,
     geojson_features,
@@ -40,6 +42,7 @@ from bumpymap.views.page.tiles import (
     EVEN,
     HEADING_STEP,
     NO_POINTS,
+    STEPS,
     UNKNOWN_FROM,
     ByteGrid,
     PageTiles,
@@ -237,7 +240,9 @@ _DENSE = 0.1
 """From this share of pixels with an obstacle on, as in a forest, they would hide the classes: they start hidden."""
 _LINES = 6
 """Fewest pixels of a tile that lines over ground which is not passable do not miss; smaller ones are all dark."""
-_UNKNOWN_GREY, _BLANK = (150, 150, 150), (255, 255, 255)
+_BLANK = (255, 255, 255)
+_SHADES = 33
+"""Colours of the ramp of C_r."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -376,6 +381,14 @@ class Site:
         return [("class", "Class"), *values, ("barred", "What can be crossed"), ("none", "Relief only")]
 
     @property
+    def ramps(self) -> dict[str, list[str]]:
+        """Colours of C_r, from the least to the most of its scale: those of QGIS and of pictures."""
+        ride = next(grid for grid in self.grids if grid.key == "c_r")
+        c_r = np.exp(ride.low + ride.step * np.linspace(0.0, STEPS, _SHADES))
+        colours = np.rint(RideScale.of(self.record).pure(c_r)).astype(np.uint8)
+        return {ride.key: [f"#{colour.tobytes().hex()}" for colour in colours]}
+
+    @property
     def overlays(self) -> list[tuple[str, str, bool]]:
         """Keys and names of what is drawn over the colours, and whether it is at first."""
         overlays = [("relief", "Relief", True), ("barred", "Not passable", True)]
@@ -398,6 +411,7 @@ class Site:
             "ground": packed(self.tiles.ground),
             "barred": packed(self.tiles.barred),
             "grids": [grid.record() for grid in self.grids],
+            "ramps": self.ramps,
             "objects": {"rows": self.objects.shape[0], "cols": self.objects.shape[1], "codes": self.packed_objects},
             "headings": self.headings and {"step": HEADING_STEP, "even": EVEN, "codes": self.headings},
             "relief": self.relief,
@@ -411,7 +425,7 @@ def _still(tiles: PageTiles, light: NDArray[np.uint8]) -> str:
 
     Unknown ground is grey; nothing is drawn where there are no points.
     """
-    colours = np.full((256, 3), _UNKNOWN_GREY, np.float32)
+    colours = np.full((256, 3), UNKNOWN_COLOUR[:3], np.float32)
     for code, colour in CLASS_COLOURS.items():
         if code != NO_CLASS:
             colours[code] = colour[:3]

@@ -17,7 +17,7 @@ from bumpymap.layers import UNKNOWN_OBJECT, MapFile, open_layer, read_tiles
 
 NOT_KNOWN = 255
 """Byte where a value is not known."""
-_STEPS = 254
+STEPS = 254
 _LEAST = 1e-4
 """Smallest value of a logarithmic scale."""
 
@@ -63,9 +63,9 @@ class ByteGrid:
             most = float(np.abs(plain[known]).max())
             limits = (-most, most)
         low, high = limits or ((float(plain[known].min()), float(plain[known].max())) if known.any() else (0.0, 1.0))
-        step = (high - low) / _STEPS or 1.0
+        step = (high - low) / STEPS or 1.0
         codes = np.full(values.shape, NOT_KNOWN, np.uint8)
-        codes[known] = np.clip(np.rint((plain[known] - low) / step), 0, _STEPS).astype(np.uint8)
+        codes[known] = np.clip(np.rint((plain[known] - low) / step), 0, STEPS).astype(np.uint8)
         return cls(*about, scale, low, step, codes)
 
     @property
@@ -75,7 +75,7 @@ class ByteGrid:
 
     def words(self) -> list[str]:
         """Return the least value of the scale, that in its middle, and the largest, with their unit."""
-        ends = [self.low + self.step * part * _STEPS for part in (0.0, 0.5, 1.0)]
+        ends = [self.low + self.step * part * STEPS for part in (0.0, 0.5, 1.0)]
         plain: dict[str, Callable[[float], float]] = {"log": math.exp, "root": lambda root: root * abs(root)}
         values = [plain.get(self.scale, float)(round(end, 12)) + 0.0 for end in ends]
         return [f"{value:.{self.decimals}f}{self.unit and f' {self.unit}'}" if value else "0" for value in values]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from bumpymap.core import Route, atomic
-from bumpymap.layers import MapSource, ReachField, RideScale, stop_roles
+from bumpymap.layers import ROUTE_COLOURS, MapSource, ReachField, RideScale, reach_colours, stop_roles
 from bumpymap.views.pictures.drawing import (
     FAINT,
     INK,
@@ -36,8 +36,6 @@ _TITLE = 56
 _CHART = 300
 _CHART_LEFT = 104
 _BELOW = 70
-ROUTE_COLOURS: tuple[Colour, ...] = ((0, 0, 0), (136, 14, 112), (0, 90, 60), (110, 60, 0), (60, 60, 160))
-"""Colours of ways, dark on their white border: told apart by lightness and by their labels too."""
 _WHITE = (255, 255, 255)
 _BAR = 250
 """Length of the bar of colours, pixels."""
@@ -206,11 +204,7 @@ def _draw_chart_notes(pen: Pen, route: Route, routes: int, top: int) -> None:
     pen.text((left, below + 34), "of each tile in grey", FAINT, size=15)
 
 
-_STEPS: tuple[Colour, ...] = (
-    *((253, 231, 37), (122, 209, 81), (34, 168, 132)),
-    *((42, 120, 142), (65, 68, 135), (68, 1, 84)),
-)
-"""Colours of what is reached, from the start outwards."""
+_STEPS = 5
 _REACH_HEIGHTS, _REACH_STRENGTH = (520, 1100), 0.55
 """Heights of the panel, pixels, and strength of the colours over the ground."""
 
@@ -241,7 +235,7 @@ def write_reach_picture(
     """
     values = reach.minutes
     highest = float(np.nanmax(values, initial=0.0))
-    steps = sorted(set(levels)) or [step for step in ticks(0.0, max(highest, 1.0), len(_STEPS) - 1)[0] if step > 0.0]
+    steps = sorted(set(levels)) or [step for step in ticks(0.0, max(highest, 1.0), _STEPS)[0] if step > 0.0]
     row, col = np.nonzero(values <= steps[-1]) if (values <= steps[-1]).any() else np.nonzero(np.isfinite(values))
     size, window = reach.grid.tile_size, reach.window
     corners = np.column_stack([window.col + col + 0.5, window.row + window.rows - row - 0.5]) * size
@@ -253,7 +247,7 @@ def write_reach_picture(
     shown = np.full(ground.shape[:2], np.nan)
     shown[inside] = values[np.ix_(at_row[inside[0][:, 0]], at_col[inside[1][0]])]
     step = np.searchsorted(steps, shown)  # NaN comes after all
-    palette = np.array([_STEPS[round(n * (len(_STEPS) - 1) / max(len(steps) - 1, 1))] for n in range(len(steps))])
+    palette = np.array(reach_colours(len(steps)))
     reached = step < len(steps)
     ground[:] = ground.mean(axis=-1, keepdims=True)
     ground[reached] = (1.0 - _REACH_STRENGTH) * ground[reached] + _REACH_STRENGTH * palette[step[reached]]

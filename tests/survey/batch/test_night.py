@@ -103,9 +103,9 @@ def test_a_night_that_is_killed_twice(surveys, alone, tmp_path):
     found = statuses(night)
     assert {name for name, status in found.items() if status == "already done"} >= set(done[1])
     assert {name for name, status in found.items() if status.endswith("done")} == set(GOOD)
-    files = {"summary.csv", "summary.parquet", "index.html", "catalog.json"}
+    files = {"summary.csv", "summary.parquet", "index.html", "collection.json"}
     assert {path.name for path in night.iterdir()} == {*GOOD, *files}
-    links = json.loads((night / "catalog.json").read_text(encoding="utf-8"))["links"]
+    links = json.loads((night / "collection.json").read_text(encoding="utf-8"))["links"]
     assert [link["href"] for link in links if link["rel"] == "item"] == [f"./{name}/item.json" for name in GOOD]
 
 
@@ -226,7 +226,7 @@ def test_nothing_of_others_is_touched(surveys, tmp_path):
     (tmp_path / "s.txt").write_text(f"{surveys / 'a.laz'}\n")
     mine = tmp_path / "mine"
     mine.mkdir()
-    for name in ("summary.csv", "index.html", "catalog.json", "run.json"):
+    for name in ("summary.csv", "index.html", "collection.json", "run.json"):
         (mine / name).write_text("my own\n")
         assert batch(tmp_path / "s.txt", "--out", mine).exit_code == 3
         assert [(path.name, path.read_text()) for path in mine.iterdir()] == [(name, "my own\n")]

@@ -137,7 +137,7 @@ def test_memory_and_threads_are_shared_out(tmp_path):
 
 
 ROOT = Path("/surveys")
-WORDS = st.sampled_from(["a", "A", "site", "a_site", ".b", "summary.csv", "catalog.json", "a_2", "site_laz"])
+WORDS = st.sampled_from(["a", "A", "site", "a_site", ".b", "summary.csv", "collection.json", "a_2", "site_laz"])
 PATHS = st.lists(
     st.tuples(st.lists(WORDS, max_size=2), WORDS, st.sampled_from([".laz", ".las", ".copc.laz"])), max_size=12
 )

@@ -5,7 +5,6 @@
   const NONE = 255;
   const LINES = 8;
   const AXES = ["N-S", "NNE-SSW", "NE-SW", "ENE-WSW", "E-W", "ESE-WNW", "SE-NW", "SSE-NNW"];
-  const GREY = [178, 178, 178, 255];
   const BLACK = [0, 0, 0, 255];
 
   const unpack = async (text) => {
@@ -21,11 +20,14 @@
     image.src = uri;
   });
 
-  const shades = codes.ramp.map((text) => [1, 3, 5].map((at) => parseInt(text.slice(at, at + 2), 16)));
-  const ramp = (part) => {
-    const at = Math.min(Math.max(part, 0), 1) * (shades.length - 1);
-    const low = Math.min(Math.floor(at), shades.length - 2);
-    return [...shades[low].map((value, i) => value + (at - low) * (shades[low + 1][i] - value)), 255];
+  /** The colours of 255 steps, mixed between those of a ramp. */
+  const ramp = (texts) => {
+    const shades = texts.map((text) => [1, 3, 5].map((at) => parseInt(text.slice(at, at + 2), 16)));
+    return Array.from({ length: 255 }, (_, code) => {
+      const at = (code / 254) * (shades.length - 1);
+      const low = Math.min(Math.floor(at), shades.length - 2);
+      return [...shades[low].map((value, i) => value + (at - low) * (shades[low + 1][i] - value)), 255];
+    });
   };
 
   /** A canvas with one pixel for each byte of a grid; colour gives [red, green, blue, alpha] of an index, or null. */
@@ -121,7 +123,7 @@
       if (key === "barred") return known((at) => codes.barredColours[this.barred[at]]);
       if (key === "none") return known(() => [236, 236, 236, 255]);
       const values = this.valuesOf(key);
-      const table = Array.from({ length: 255 }, (_, code) => ramp(code / 254));
+      const table = ramp(this.about.ramps?.[key] ?? codes.ramp);
       // Ground whose value is not known is not given one: white, not the colour of the least.
       return known((at) => (values[at] === NONE ? [225, 225, 225, 255] : table[values[at]]));
     }
@@ -421,7 +423,7 @@
         for (let at = 0; at < rows * cols; at += 1) {
           if (isOn(at)) found[Math.floor(at / cols / step) * wide + Math.floor((at % cols) / step)] = 1;
         }
-        const colour = key === "unknown" ? GREY : BLACK;
+        const colour = key === "unknown" ? codes.unknownColour : BLACK;
         this.masks[name] = paint(high, wide, (at) => found[at] && colour);
       }
       return [this.masks[name], box[0], box[1], (box[2] * wide * step) / cols, (box[3] * high * step) / rows];
