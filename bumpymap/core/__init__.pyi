@@ -287,6 +287,7 @@ from .types import (
     corners_join as corners_join,
     neighbour_columns as neighbour_columns,
     obstacle_reach as obstacle_reach,
+    photo_column as photo_column,
     rated_columns as rated_columns,
     speed_bands as speed_bands,
     tile_columns as tile_columns,

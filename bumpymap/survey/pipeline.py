@@ -13,6 +13,7 @@ from bumpymap.core import (
     is_interrupted,
     locked,
     memory_bytes,
+    photo_column,
     rated_columns,
     remove_empty_on_error,
 )
@@ -44,6 +45,9 @@ from bumpymap.survey.run_record import (
 from bumpymap.survey.second_pass import NeighbourRating, finish_tiles
 from bumpymap.survey.tile_rating import RatingModels, TileRating, require_cloth
 from bumpytiles import Grid
+
+_COLOURED = 0.1
+"""Share of points with a colour from which on there is a photo."""
 
 
 def map_surveys(config: MapConfig, progress: Progress | None = None, *, in_batch: bool = False) -> MapResult:
@@ -97,6 +101,8 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
     speeds = config.speeds or ()
     in_relief = rating.measure_all if config.compat == "none" else None  # the paper knows no obstacles
     columns = rated_columns(grid.pixels, len(speeds), headings=config.headings)
+    if any(reader.has_colour for reader in inputs.readers):
+        columns = (*columns, photo_column(grid.pixels))
     work = BlockWork(grid, columns, rating, config.ground, in_relief)
     # Workers first: a failure to connect must not cost what an earlier run has finished.
     with (
@@ -111,7 +117,13 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
         measured = run_engine(aligned.inputs, work, space, budget, executor, progress, clock)
         with clock.stage("neighbours"), engine_errors(budget):
             tiles = finish_tiles(measured.table, neighbours, space.new_tiles, config.threads, progress)
-        table = CostTable(inputs.georeference, map_rule(models.calibration), tiles, speeds)
+        table = CostTable(
+            inputs.georeference,
+            map_rule(models.calibration),
+            tiles,
+            speeds,
+            has_photo=measured.coloured >= _COLOURED * measured.points,
+        )
         lines = aligned.outcome(measured.lines)
         manifest = run_manifest(config, inputs, run_spec, measured, models, clock.seconds, lines, warnings)
         with clock.stage("write"):

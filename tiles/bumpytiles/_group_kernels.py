@@ -19,6 +19,7 @@ Bytes = Annotated[NDArray[np.uint8], 1]
 Borders = Annotated[NDArray[np.int64], 1]
 Indices = Annotated[NDArray[np.int64], 1]
 Places = Annotated[NDArray[np.int32], 1]
+Colours = Annotated[NDArray[np.uint32], 1]
 
 
 class Coordinates(NamedTuple):
@@ -187,3 +188,12 @@ def scatter_scaled_points(
 ) -> None:
     """Do the same with points of a file's own grid."""
     _scatter(points, flag, found, place, out)
+
+
+@kernel
+def scatter_colours(colour: Colours, cell: Places, place: Indices, out: Colours) -> None:
+    """Put the colours of points block by block, as the other kernels put the points."""
+    for i in range(len(colour)):
+        c = cell[i]
+        out[place[c]] = colour[i]
+        place[c] += 1

@@ -12,7 +12,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpytiles._group_kernels import BLOCK_TILES, Coordinates, ScaledTiledPoints, TiledPoints
+from bumpytiles._group_kernels import BLOCK_TILES, Colours, Coordinates, ScaledTiledPoints, TiledPoints
 from bumpytiles.native import helper, kernel
 from bumpytiles.scaling import coordinates
 
@@ -99,6 +99,60 @@ def place_scaled_points(
         coordinates(points.northing[first:last], scaling, 1, there.northing)
         coordinates(points.upward[first:last], scaling, 2, there.upward)
         _place(there, points.tile[first:last], following, out)
+
+
+class BlockPhoto(NamedTuple):
+    """The picture of a block that points are painted on."""
+
+    corner: Indices
+    """(2,) column and row of its south-west tile."""
+    tile_size: float
+    """m."""
+    pixels: int
+    """Along the side of a tile."""
+    height: Floats
+    """(256 * pixels^2,) height of the point that each pixel shows, m; -inf: none."""
+    colour: Colours
+    """The same, its colour; 0: none."""
+
+
+@helper
+def _paint(points: Coordinates, tile: Bytes, colour: Colours, photo: BlockPhoto) -> None:
+    size, pixels = photo.tile_size, photo.pixels
+    last = np.int64(pixels - 1)
+    for i in range(len(tile)):
+        if colour[i] == 0:
+            continue
+        t = np.int64(tile[i])
+        west = (photo.corner[0] + t % BLOCK_TILES) * size
+        south = (photo.corner[1] + t // BLOCK_TILES) * size
+        c = min(last, np.int64(pixels * (points.easting[i] - west) / size))
+        r = min(last, np.int64(pixels * (points.northing[i] - south) / size))
+        p = (t * pixels + last - r) * pixels + c
+        # Of two at one height the larger number counts: the order of the points does not matter.
+        up = points.upward[i]
+        if up > photo.height[p] or (up == photo.height[p] and colour[i] > photo.colour[p]):
+            photo.height[p], photo.colour[p] = up, colour[i]
+
+
+@kernel
+def paint_points(points: TiledPoints, colour: Colours, photo: BlockPhoto) -> None:
+    """Paint points on the picture of their block: each pixel shows the highest of its coloured points."""
+    _paint(Coordinates(points.easting, points.northing, points.upward), points.tile, colour, photo)
+
+
+@kernel
+def paint_scaled_points(
+    points: ScaledTiledPoints, scaling: Floats, colour: Colours, strip: Coordinates, photo: BlockPhoto
+) -> None:
+    """Do the same with points of a file's own grid; ``strip`` is scratch, (``STRIP``,) each."""
+    for first in range(0, len(points.tile), STRIP):
+        last = min(first + STRIP, len(points.tile))
+        there = Coordinates(strip.easting[: last - first], strip.northing[: last - first], strip.upward[: last - first])
+        coordinates(points.easting[first:last], scaling, 0, there.easting)
+        coordinates(points.northing[first:last], scaling, 1, there.northing)
+        coordinates(points.upward[first:last], scaling, 2, there.upward)
+        _paint(there, points.tile[first:last], colour[first:last], photo)
 
 
 @helper

@@ -73,6 +73,8 @@ class ScaledPoints:
     flag: NDArray[np.uint8]
     """A number that travels with each point."""
     scaling: Scaling
+    colour: NDArray[np.uint32] | None = None
+    """Red, green and blue, 8 bits each, blue lowest; 0: none. None: no point has one."""
 
     def coordinates(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Return easting, northing and height, m."""

@@ -2,7 +2,7 @@
 
 import base64
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
@@ -34,6 +34,7 @@ from bumpymap.layers import (
     line_parts,
     open_layer,
     read_averaged,
+    read_colours,
 )
 from bumpymap.views.page.charts import Chart, c_r_chart, slope_chart
 from bumpymap.views.page.tiles import (
@@ -67,21 +68,24 @@ def finer(spot: Spot, side: int) -> int:
     return 1 if spot.step > 1 else max(1, min(spot.pixels, side // max(spot.cols, spot.rows)))
 
 
-def read_heights(folder: Path, spot: Spot, side: int) -> NDArray[np.float32]:
-    """Read heightmap.tif with at most ``side`` pixels along a side, or one for each pixel of the page's grid.
+def read_pixels(
+    path: Path, spot: Spot, side: int, read: Callable[..., NDArray[Any]] = read_averaged
+) -> NDArray[np.float32]:
+    """Read a raster with the pixels of heightmap.tif with at most ``side`` along a side, or one for each of the page's grid.
 
-    GDAL averages its overviews.
+    ``read`` returns the pixels of a window in another shape, (..., rows, cols), as `read_averaged`.
 
     Returns
     -------
-    float32
-        Metres; NaN where there is no point.
+    float32 (..., rows, cols)
+        NaN where there is no point.
     """
     factor = spot.pixels
     while factor > finer(spot, side):  # half and half again: what overviews hold, or a little less
         factor //= 2
-    heights = np.full([pixels * factor for pixels in spot.shape], np.nan, np.float32)
-    with open_layer(folder / MapFile.HEIGHTMAP) as file:
+    with open_layer(path) as file:
+        bands = read(file, (1, 1)).shape[:-2]
+        found = np.full([*bands, *(pixels * factor for pixels in spot.shape)], np.nan, np.float32)
         for line, lines, rows in _spans(spot.rows, spot.step):
             for column, columns, cols in _spans(spot.cols, spot.step):
                 high, wide = (
@@ -89,9 +93,31 @@ def read_heights(folder: Path, spot: Spot, side: int) -> NDArray[np.float32]:
                     for first, tiles in ((line, rows * lines), (column, cols * columns))
                 )
                 row, col = line // spot.step * factor, column // spot.step * factor
-                place = np.s_[row : row + lines * factor, col : col + columns * factor]
-                heights[place] = read_averaged(file, (lines * factor, columns * factor), (high, wide))
-    return heights
+                place = np.s_[..., row : row + lines * factor, col : col + columns * factor]
+                found[place] = read(file, (lines * factor, columns * factor), (high, wide))
+    return found
+
+
+_HOLE = 8
+"""Side of the squares, pixels, whose mean colour stands for pixels of a photo without one."""
+_PALE = 205.0
+"""Brightness where no colour is near."""
+
+
+def read_photo(folder: Path, spot: Spot, side: int) -> NDArray[np.uint8] | None:
+    """Read photo.tif as `read_pixels`, (rows, cols, 3); holes have the mean around them. None if there is none."""
+    path = folder / MapFile.PHOTO
+    if not path.is_file():
+        return None
+    found = np.moveaxis(read_pixels(path, spot, side, read_colours), 0, -1)
+    rows, cols = (-(-size // _HOLE) for size in found.shape[:2])
+    room = ((0, rows * _HOLE - found.shape[0]), (0, cols * _HOLE - found.shape[1]), (0, 0))
+    squares = np.pad(found, room, constant_values=np.nan).reshape(rows, _HOLE, cols, _HOLE, 3)
+    known = np.isfinite(squares)
+    count = known.sum(axis=(1, 3), keepdims=True)
+    mean = np.where(known, squares, 0.0).sum(axis=(1, 3), keepdims=True) / np.maximum(count, 1)
+    filled = np.where(known, squares, np.where(count > 0, mean, _PALE)).reshape(rows * _HOLE, cols * _HOLE, 3)
+    return np.rint(filled[: found.shape[0], : found.shape[1]]).astype(np.uint8)
 
 
 def _spans(count: int, step: int) -> list[tuple[int, int, int]]:
@@ -224,6 +250,8 @@ def _ways(path: Path, record: Mapping[str, Any]) -> Iterator[DrawnWay]:
             yield DrawnWay(about.get("name") or "way", lines, about)
 
 
+STRENGTH = 0.45
+"""Opacity of the colours of the layers over a photo, unless the reader changes it."""
 _BUDGET = 1_700_000
 """Characters for the map of a page; its text takes some 60,000 more."""
 _SIDE = 1_500
@@ -232,6 +260,8 @@ _RELIEF_SIDE = 1_000
 """Most pixels of the relief along a side: what GDAL reads from an overview then takes half the time of 1500."""
 _TILES = 220_000
 """Most pixels with a tile in the grids: six bytes or so each."""
+_PHOTO_SIDE, _PHOTO_BUDGET = 1_400, 550_000
+"""Most pixels of the photo along a side, and most characters."""
 _STILL_SIDE = 700
 _DENSE = 0.1
 """From this share of pixels with an obstacle on, as in a forest, they would hide the classes: they start hidden."""
@@ -256,6 +286,8 @@ class Site:
     packed_objects: str
     relief: str
     """Shaded relief, a data URI."""
+    photo: str | None
+    """The colours of the points, a data URI; None if they have none."""
     still: str
     """The classes over the relief, a data URI: for readers and printers without scripts."""
     headings: str | None = None
@@ -302,7 +334,7 @@ class Site:
         while True:
             spot = replace(spot, step=step)
             tiles = PageTiles.read(folder, record, spot)
-            heights = read_heights(folder, spot, _RELIEF_SIDE)
+            heights = read_pixels(folder / MapFile.HEIGHTMAP, spot, _RELIEF_SIDE)
             grids = (
                 ByteGrid.of(("c_r", "ride cost C_r", "rad/m", 3), tiles.c_r, "log"),
                 ByteGrid.of(("p_fail", "chance of failure", "", 3), tiles.p_fail, limits=(0.0, 1.0)),
@@ -317,7 +349,8 @@ class Site:
         side_m = spot.metres * spot.shape[0] / heights.shape[0]
         bright = np.clip(light_of(heights, (side_m, side_m)) * (_FLAT / LEVEL), 0.15, 1.0)
         light = np.rint(bright * 255).astype(np.uint8)
-        relief = jpeg(light, int(0.2 * _BUDGET))
+        relief, photo = jpeg(light, int(0.2 * _BUDGET)), read_photo(folder, spot, _PHOTO_SIDE)
+        picture = None if photo is None else jpeg(photo, _PHOTO_BUDGET)
         side = _SIDE
         while True:
             objects = object_grid(folder, tiles, side)
@@ -325,11 +358,11 @@ class Site:
             if len(text) < 0.2 * _BUDGET or side < 100:
                 break
             side //= 2
-        still, codes = _still(tiles, light), heading_codes(folder, tiles.c_r) if spot.step == 1 else None
+        still, codes = _still(tiles, light, photo), heading_codes(folder, tiles.c_r) if spot.step == 1 else None
         headings = None if codes is None else packed(codes)
         if headings and taken + len(text) + len(relief) + len(headings) > _BUDGET:
             headings = None
-        shown = (tiles, grids, objects, text, relief, still, headings)
+        shown = (tiles, grids, objects, text, relief, picture, still, headings)
         return cls(survey_name(record), record, summary, *shown, ways, stretches)
 
     @property
@@ -373,12 +406,13 @@ class Site:
         """Keys and names of the colourings of the map: those of which something is known."""
         named = {grid.key: grid.label[:1].upper() + grid.label[1:] for grid in self.grids if grid.is_known}
         values = [(key, named[key]) for key in ("c_r", "p_fail", "slope", "cost") if key in named]
-        return [("class", "Class"), *values, ("barred", "What can be crossed"), ("none", "Relief only")]
+        return [("class", "Class"), *values, ("barred", "What can be crossed"), ("none", "Ground only")]
 
     @property
     def overlays(self) -> list[tuple[str, str, bool]]:
         """Keys and names of what is drawn over the colours, and whether it is at first."""
-        overlays = [("relief", "Relief", True), ("barred", "Not passable", True)]
+        below = [("photo", "Photo", True)] if self.photo else []
+        overlays = [*below, ("relief", "Relief", not below), ("barred", "Not passable", True)]
         if self.objects_known:
             dense = float(np.mean(self.objects[self.objects != NO_CLASS] == OBSTACLE))
             overlays.append(("objects", "Obstacles and canopy", dense < _DENSE))
@@ -401,13 +435,14 @@ class Site:
             "objects": {"rows": self.objects.shape[0], "cols": self.objects.shape[1], "codes": self.packed_objects},
             "headings": self.headings and {"step": HEADING_STEP, "even": EVEN, "codes": self.headings},
             "relief": self.relief,
+            "photo": self.photo,
             "stretches": list(self.stretches),
             "ways": [{"name": way.name, "lines": [line.tolist() for line in way.lines]} for way in self.ways],
         }
 
 
-def _still(tiles: PageTiles, light: NDArray[np.uint8]) -> str:
-    """Return the classes over the relief as one picture, hatched where the vehicle cannot cross.
+def _still(tiles: PageTiles, light: NDArray[np.uint8], photo: NDArray[np.uint8] | None) -> str:
+    """Return the classes over the relief or the photo as one picture, hatched where the vehicle cannot cross.
 
     Unknown ground is grey; nothing is drawn where there are no points.
     """
@@ -422,6 +457,11 @@ def _still(tiles: PageTiles, light: NDArray[np.uint8]) -> str:
     ground = np.where((barred == Barred.UNKNOWN) & (ground < UNKNOWN_FROM), UNKNOWN_FROM, ground)
     bright = np.asarray(Image.fromarray(light).resize((width, height), Image.Resampling.BOX), np.float32) / 255
     bright = np.where(ground == NO_POINTS, 1.0, np.minimum(1.0, bright + 0.2))
+    picture = colours[ground]
+    if photo is not None:
+        below = np.asarray(Image.fromarray(photo).resize((width, height), Image.Resampling.BOX), np.float32)
+        picture = np.where(ground[..., None] == NO_POINTS, _BLANK, below + STRENGTH * (picture - below))
+        bright = np.ones_like(bright)
     hatch = (ground >= UNKNOWN_FROM) & (ground != NO_POINTS)
     down, right = np.arange(height)[:, None], np.arange(width)[None, :]
     bright[hatch & ((down + right) % 6 < 1)] *= 0.7
@@ -429,4 +469,4 @@ def _still(tiles: PageTiles, light: NDArray[np.uint8]) -> str:
     lines = (down - right) % 6 < 2
     has_room = height >= _LINES * tiles.spot.shape[0]
     bright[closed & lines if has_room else closed] *= 0.25 if has_room else 0.4
-    return jpeg(np.rint(colours[ground] * bright[:, :, None]).astype(np.uint8), 150_000)
+    return jpeg(np.rint(picture * bright[:, :, None]).astype(np.uint8), 150_000)
