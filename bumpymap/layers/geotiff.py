@@ -280,9 +280,15 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
 
 
 def _with_alpha(photo: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return red, green, blue and alpha of colours (..., 3): 0 where all are 0, as points without a colour have it."""
-    alpha = np.where(photo.any(axis=-1, keepdims=True), np.uint8(255), np.uint8(0))
-    return np.concatenate([photo, alpha], axis=-1)
+    """Return red, green, blue and alpha of the colours of tiles, (n, pixels, pixels, 3), of which 0, 0, 0 is none.
+
+    Such pixels have alpha 0 and the mean colour of their tile: JPEG mixes what is hidden into what lies beside it.
+    """
+    known = photo.any(axis=-1, keepdims=True)
+    count = np.maximum(known.sum(axis=(1, 2), keepdims=True), 1)
+    mean = photo.sum(axis=(1, 2), keepdims=True, dtype=np.int64) // count
+    alpha = np.where(known, np.uint8(255), np.uint8(0))
+    return np.concatenate([np.where(known, photo, mean.astype(np.uint8)), alpha], axis=-1)
 
 
 def write_raster(file: MapFile, table: CostTable, path: Path, about: Mapping[str, str] | None = None) -> None:

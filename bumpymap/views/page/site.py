@@ -71,7 +71,7 @@ def finer(spot: Spot, side: int) -> int:
 def read_pixels(
     path: Path, spot: Spot, side: int, read: Callable[..., NDArray[Any]] = read_averaged
 ) -> NDArray[np.float32]:
-    """Read a raster with the pixels of heightmap.tif with at most ``side`` along a side, or one for each of the page's grid.
+    """Read a raster of the pixels of heightmap.tif, ``side`` along a side at most, or one for each of the page's grid.
 
     ``read`` returns the pixels of a window in another shape, (..., rows, cols), as `read_averaged`.
 
