@@ -14,6 +14,7 @@ from bumpymap.core import (
     FeatureSettings,
     Ground,
     MapConfig,
+    PageSettings,
     Rating,
     UsageError,
     ZUnit,
@@ -56,6 +57,7 @@ class EachSettings(TypedDict, total=False):
     scheduler: str | None
     features: FeatureSettings | Mapping[str, Any]
     csf: CsfSettings | Mapping[str, Any]
+    page: PageSettings | Mapping[str, Any]
 
 
 class MapSettings(EachSettings, total=False):

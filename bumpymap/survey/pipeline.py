@@ -7,6 +7,7 @@ from bumpymap.core import (
     CostTable,
     MapConfig,
     OutputError,
+    PageSettings,
     Progress,
     SilentProgress,
     Stopwatch,
@@ -84,6 +85,11 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
             # A continued run may replace what it could replace when it began: if it was killed between moving its
             # layers to their places and clearing up, they are its own.
             check_folder(config.out, overwrite=overwrite or unfinished)
+        header = {}
+        if config.page != PageSettings():
+            from bumpymap.views import page_header
+
+            header = page_header(config.page)
         models, inputs, neighbours = _prepare(config, crs_must_agree=not in_batch)
         # A setting without effect is none of the run: a batch that gives it for one survey begins no other anew.
         config = replace(config, local=config.local and inputs.georeference.crs is None)
@@ -125,7 +131,7 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
             has_photo=measured.coloured >= _COLOURED * measured.points,
         )
         lines = aligned.outcome(measured.lines)
-        manifest = run_manifest(config, inputs, run_spec, measured, models, clock.seconds, lines, warnings)
+        manifest = run_manifest(config, inputs, run_spec, measured, models, clock.seconds, lines, warnings, header)
         with clock.stage("write"):
             # These bring GDAL and Arrow, for which reading need not wait.
             from bumpymap.layers import write_products

@@ -72,11 +72,12 @@ def shares(counts: Sequence[float], alone: Collection[int] = ()) -> list[str]:
     return shares_text(counts, alone, percent=_PERCENT) if sum(counts) else [DASH] * len(counts)
 
 
-def area(square_metres: float) -> str:
-    """Return an area in m2, ha or km2."""
-    if square_metres >= _SQUARE_KILOMETRE:
+def area(square_metres: float, among: float | None = None) -> str:
+    """Return an area in m2, ha or km2; in the unit of ``among``, such as the largest of a column, if that is given."""
+    largest = square_metres if among is None else among
+    if largest >= _SQUARE_KILOMETRE:
         return f"{square_metres / _SQUARE_KILOMETRE:,.2f} km²"
-    if square_metres >= _HECTARE:
+    if largest >= _HECTARE:
         return f"{square_metres / _HECTARE:,.2f} ha"
     return f"{square_metres:,.0f} m²"
 

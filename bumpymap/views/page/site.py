@@ -10,6 +10,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from pyproj import Transformer
 from pyproj.exceptions import ProjError
 
 from bumpymap.core import (
@@ -21,7 +22,10 @@ from bumpymap.core import (
     Barred,
     Nullable,
     Number,
+    PageSettings,
+    read_regular,
     shape_fault,
+    stated_crs,
 )
 from bumpymap.layers import (
     CLASS_COLOURS,
@@ -37,6 +41,7 @@ from bumpymap.layers import (
     read_colours,
 )
 from bumpymap.views.page.charts import Chart, c_r_chart, slope_chart
+from bumpymap.views.page.page import STRENGTH
 from bumpymap.views.page.tiles import (
     EVEN,
     HEADING_STEP,
@@ -160,6 +165,10 @@ def object_grid(folder: Path, tiles: PageTiles, side: int) -> NDArray[np.uint8]:
     return np.array([NO_CLASS, *_WORST], np.uint8)[canvas]
 
 
+def _uri(buffer: io.BytesIO, kind: str) -> str:
+    return f"data:image/{kind};base64,{base64.b64encode(buffer.getvalue()).decode()}"
+
+
 def jpeg(picture: NDArray[np.uint8], most: int) -> str:
     """Return a picture as a data URI of at most ``most`` characters.
 
@@ -170,10 +179,44 @@ def jpeg(picture: NDArray[np.uint8], most: int) -> str:
         for quality in _QUALITIES:
             buffer = io.BytesIO()
             image.save(buffer, "JPEG", quality=quality)
-            text = "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()
+            text = _uri(buffer, "jpeg")
             if len(text) <= most or max(image.size) <= 64:
                 return text
         image = image.resize((max(1, image.width // 2), max(1, image.height // 2)))
+
+
+_MOST_LOGO, _LOGO_SIDES = 5_000_000, (480, 160)
+"""Bytes of the file of a logo, and the largest width and height on the page, pixels."""
+_MOST_LOGO_PIXELS = 50_000_000
+
+
+def page_header(settings: PageSettings) -> dict[str, str]:
+    """Return what the header of a page says: the texts that are given, and the logo as a data URI.
+
+    The logo is made again from its pixels, so that nothing else that is in the file comes with it.
+
+    Raises
+    ------
+    BadInputError
+        The logo is no PNG or JPEG file of at most 5 MB and 50 million pixels; it is a link.
+    """
+    found = {name: text for name in ("title", "client", "operator", "note") if (text := getattr(settings, name))}
+    if (path := settings.logo) is None:
+        return found
+    fault = f"{path} is not taken as a logo: %s. Give a PNG or JPEG of at most {_MOST_LOGO / 1e6:g} MB as `page.logo`"
+    if path.is_symlink():
+        raise BadInputError(fault % "it is a link")
+    try:
+        with Image.open(io.BytesIO(read_regular(path, _MOST_LOGO)), formats=("PNG", "JPEG")) as image:
+            if image.width * image.height > _MOST_LOGO_PIXELS:
+                raise BadInputError(fault % f"it has {image.width} x {image.height} pixels")
+            shown = image.convert("RGBA")
+    except (OSError, ValueError, SyntaxError) as error:
+        raise BadInputError(fault % (getattr(error, "strerror", None) or error)) from error
+    shown.thumbnail(_LOGO_SIDES)
+    buffer = io.BytesIO()
+    shown.save(buffer, "PNG", optimize=True)
+    return found | {"logo": _uri(buffer, "png")}
 
 
 _FILE = "route.geojson"
@@ -189,10 +232,13 @@ class DrawnWay:
     """Each (n, 2), m: easting and northing in the survey's CRS."""
     figures: Mapping[str, Any]
     """The properties of its line in route.geojson."""
+    letter: str = "A"
+    """By which the page names it on the map and in its text."""
 
 
 WAY_FIGURES = (
     ("length_m", "length", 0, " m"),
+    ("cost_m", "cost", 0, " m"),
     ("detour", "length over the straight line", 2, ""),
     ("seconds", "time at the speed made good", 0, " s"),
     ("c_r_mean", "mean C_r", 3, " rad/m"),
@@ -237,7 +283,12 @@ def read_ways(folder: Path, record: Mapping[str, Any]) -> tuple[DrawnWay, ...]:
         raise BadInputError(f"cannot read {path} as a route: {error}. {remedy}") from error
     if not ways:
         raise BadInputError(f"{path} holds no way. {remedy}")
-    return ways
+    return tuple(replace(way, letter=_letter(place)) for place, way in enumerate(ways))
+
+
+def _letter(place: int) -> str:
+    """Return A to Z, then 27, 28, ..."""
+    return chr(ord("A") + place) if place < 26 else str(place + 1)
 
 
 def _ways(path: Path, record: Mapping[str, Any]) -> Iterator[DrawnWay]:
@@ -250,8 +301,6 @@ def _ways(path: Path, record: Mapping[str, Any]) -> Iterator[DrawnWay]:
             yield DrawnWay(about.get("name") or "way", lines, about)
 
 
-STRENGTH = 0.45
-"""Opacity of the colours of the layers over a photo, unless the reader changes it."""
 _BUDGET = 1_700_000
 """Characters for the map of a page; its text takes some 60,000 more."""
 _SIDE = 1_500
@@ -387,6 +436,34 @@ class Site:
         return crs_name(self.record)
 
     @property
+    def header(self) -> Mapping[str, str]:
+        """What `page_header` has found."""
+        return self.record.get("page") or {}
+
+    @property
+    def degrees(self) -> list[list[float]] | None:
+        """Longitude and latitude of the corners of the map: north-west, north-east, south-west, south-east.
+
+        None without a CRS, or where these are not known.
+        """
+        spot, crs = self.tiles.spot, self.record.get("crs")
+        if crs is None:
+            return None
+        west, north = spot.west, spot.north
+        east, south = west + spot.cols * spot.tile_size, north - spot.rows * spot.tile_size
+        try:
+            place = Transformer.from_crs(stated_crs(crs["wkt"]).to_2d(), "OGC:CRS84", always_xy=True)
+            eastings, northings = (
+                np.array(each) / spot.unit for each in ((west, east) * 2, (north,) * 2 + (south,) * 2)
+            )
+            found = np.column_stack(place.transform(eastings, northings))
+        except ProjError:
+            return None
+        return (
+            [[round(value, 7) for value in corner] for corner in found.tolist()] if np.isfinite(found).all() else None
+        )
+
+    @property
     def tile_area(self) -> float:
         """Area of a tile, m2."""
         return self.tiles.spot.tile_size**2
@@ -437,7 +514,8 @@ class Site:
             "relief": self.relief,
             "photo": self.photo,
             "stretches": list(self.stretches),
-            "ways": [{"name": way.name, "lines": [line.tolist() for line in way.lines]} for way in self.ways],
+            "ways": [{"name": way.letter, "lines": [line.tolist() for line in way.lines]} for way in self.ways],
+            "degrees": self.degrees,
         }
 
 
@@ -460,7 +538,7 @@ def _still(tiles: PageTiles, light: NDArray[np.uint8], photo: NDArray[np.uint8] 
     picture = colours[ground]
     if photo is not None:
         below = np.asarray(Image.fromarray(photo).resize((width, height), Image.Resampling.BOX), np.float32)
-        picture = np.where(ground[..., None] == NO_POINTS, _BLANK, below + STRENGTH * (picture - below))
+        picture = np.where(ground[..., None] == NO_POINTS, _BLANK, below + STRENGTH / 100 * (picture - below))
         bright = np.ones_like(bright)
     hatch = (ground >= UNKNOWN_FROM) & (ground != NO_POINTS)
     down, right = np.arange(height)[:, None], np.arange(width)[None, :]
@@ -468,5 +546,5 @@ def _still(tiles: PageTiles, light: NDArray[np.uint8], photo: NDArray[np.uint8] 
     closed = (barred > Barred.UNKNOWN) & (ground < UNKNOWN_FROM)
     lines = (down - right) % 6 < 2
     has_room = height >= _LINES * tiles.spot.shape[0]
-    bright[closed & lines if has_room else closed] *= 0.25 if has_room else 0.4
+    bright[closed & lines if has_room else closed] *= 0.25 if has_room else 0.4 if photo is None else 0.65
     return jpeg(np.rint(picture * bright[:, :, None]).astype(np.uint8), 150_000)

@@ -70,12 +70,12 @@
   class ReportMap {
     static async of(figure, about) {
       // A page of what has changed has neither bars nor objects nor a relief.
-      const [ground, barred, objects, relief, headings, ...values] = await Promise.all([
+      const [ground, barred, objects, relief, photo, headings, ...values] = await Promise.all([
         unpack(about.ground), about.barred && unpack(about.barred), about.objects && unpack(about.objects.codes),
-        about.relief && picture(about.relief), about.headings && unpack(about.headings.codes),
+        about.relief && picture(about.relief), about.photo && picture(about.photo), about.headings && unpack(about.headings.codes),
         ...about.grids.map((grid) => unpack(grid.codes)),
       ]);
-      return new ReportMap(figure, about, { ground, barred, objects, relief, headings, values });
+      return new ReportMap(figure, about, { ground, barred, objects, relief, photo, headings, values });
     }
 
     constructor(figure, about, content) {
@@ -140,6 +140,10 @@
       return this.figure.querySelector("input[type=radio]:checked").value;
     }
 
+    get strength() {
+      return (this.figure.querySelector("input[type=range]")?.value ?? 100) / 100;
+    }
+
     shows(key) {
       return this.figure.querySelector(`input[type=checkbox][value=${key}]`)?.checked ?? false;
     }
@@ -151,7 +155,11 @@
 
     listen() {
       const { canvas, figure } = this;
-      figure.querySelector(".controls").addEventListener("change", () => this.show());
+      figure.querySelector(".controls").addEventListener("input", ({ target }) => {
+        const strength = figure.querySelector("input[type=range]");
+        if (target.value === "photo" && strength) strength.value = target.checked ? strength.dataset.photo : 100;
+        this.show();
+      });
       figure.querySelector(".zoom").addEventListener("click", (event) => {
         const action = event.target.value;
         if (action === "all") this.showAll();
@@ -273,7 +281,7 @@
       const { about } = this;
       const east = (about.west + right) / about.unit;
       const north = (about.north - down) / about.unit;
-      const words = [`E ${grouped(east, 1)}, N ${grouped(north, 1)}`];
+      const words = [`E ${grouped(east, 1)}, N ${grouped(north, 1)}`, ...this.degreesAt(right, down)];
       const col = Math.floor(right / about.metres);
       const row = Math.floor(down / about.metres);
       const inside = col >= 0 && row >= 0 && col < about.cols && row < about.rows;
@@ -307,6 +315,18 @@
       const stretch = this.shows("stretches") && this.stretchAt(right, down);
       if (stretch) words.push(stretch.text);
       this.readout.textContent = words.join(" · ");
+    }
+
+    /** Latitude and longitude, between those of the corners of the map; nothing if they are not known. */
+    degreesAt(right, down) {
+      const corners = this.about.degrees;
+      if (!corners) return [];
+      const [x, y] = [right / this.about.width, down / this.about.height];
+      const [lon, lat] = [0, 1].map((axis) => {
+        const [nw, ne, sw, se] = corners.map((corner) => corner[axis]);
+        return (nw + x * (ne - nw)) * (1 - y) + (sw + x * (se - sw)) * y;
+      });
+      return [`${Math.abs(lat).toFixed(6)}° ${lat < 0 ? "S" : "N"}, ${Math.abs(lon).toFixed(6)}° ${lon < 0 ? "W" : "E"}`];
     }
 
     /** C_r along eight axes and that of the tile, rad/m; null where they are not known. */
@@ -366,9 +386,19 @@
       const layer = (canvas) => context.drawImage(canvas, ...box);
       const sharp = box[2] > about.cols;
       context.imageSmoothingEnabled = !sharp;
-      layer(this.layer(this.chosen));
-      context.imageSmoothingEnabled = false;
-      context.drawImage(...this.worst("unknown", box));
+      const onPhoto = this.photo && this.shows("photo");
+      if (onPhoto) {
+        context.imageSmoothingEnabled = true;
+        layer(this.photo);
+        context.imageSmoothingEnabled = !sharp;
+      }
+      context.globalAlpha = this.strength;
+      if (!onPhoto || this.chosen !== "none") {
+        layer(this.layer(this.chosen));
+        context.imageSmoothingEnabled = false;
+        context.drawImage(...this.worst("unknown", box));
+      }
+      context.globalAlpha = 1;
       if (this.shows("relief")) {
         context.globalCompositeOperation = "multiply";
         context.imageSmoothingEnabled = true;
@@ -380,6 +410,7 @@
       this.hatch(...this.worst("unknown", box), this.unknownPattern);
       if (this.shows("barred")) this.drawBarred(box);
       this.white(box);
+      if (this.shows("grid")) this.drawGrid(left, top);
       if (this.shows("ways")) this.drawWays(left, top);
       if (this.shows("stretches")) this.drawStretches(left, top);
       if (this.shows("places")) this.drawPlaces(left, top);
@@ -400,7 +431,7 @@
         this.hatch(...this.worst("barred", box), this.barredPattern);
         return;
       }
-      context.globalAlpha = 0.6;
+      context.globalAlpha = this.photo && this.shows("photo") ? 0.35 : 0.6;
       context.imageSmoothingEnabled = false;
       context.drawImage(...this.worst("barred", box));
       context.globalAlpha = 1;
@@ -440,6 +471,35 @@
       this.context.drawImage(over, 0, 0);
     }
 
+    /** Lines of round coordinates of the CRS, named where they leave the map above and on the left. */
+    drawGrid(left, top) {
+      const { context, about, dense } = this;
+      const scale = (this.scale * about.unit) * dense;
+      const step = nice((2.2 * 110 * dense) / scale);
+      const [west, north] = [about.west / about.unit - left / scale, about.north / about.unit + top / scale];
+      const { width, height } = this.canvas;
+      context.lineWidth = dense;
+      const line = (from, to) => {
+        for (const [colour, shift] of [["#ffffff99", 0], ["#1f293799", dense]]) {
+          context.strokeStyle = colour;
+          context.beginPath();
+          context.moveTo(from[0] + shift, from[1] + shift);
+          context.lineTo(to[0] + shift, to[1] + shift);
+          context.stroke();
+        }
+      };
+      for (let east = Math.ceil(west / step) * step; (east - west) * scale < width; east += step) {
+        const x = (east - west) * scale;
+        line([x, 0], [x, height]);
+        if (x > 60 * dense && x < width - 150 * dense) this.write(`E ${grouped(east)}`, x + 4 * dense, 15 * dense);
+      }
+      for (let up = Math.floor(north / step) * step; (north - up) * scale < height; up -= step) {
+        const y = (north - up) * scale;
+        line([0, y], [width, y]);
+        if (y > 70 * dense && y < height - 60 * dense) this.write(`N ${grouped(up)}`, 4 * dense, y - 4 * dense);
+      }
+    }
+
     drawWays(left, top) {
       const { context, about, dense } = this;
       const on = ([east, north]) => [
@@ -457,6 +517,9 @@
             context.stroke();
           }
         }
+        const longest = way.lines.reduce((one, other) => (other.length > one.length ? other : one));
+        const [x, y] = on(longest[Math.floor(longest.length / 2)]);
+        if (about.ways.length > 1) this.write(way.name, x + 6 * dense, y - 6 * dense);
         this.label("start", on(way.lines[0][0]));
         this.label("goal", on(way.lines.at(-1).at(-1)));
       }
