@@ -73,11 +73,14 @@ def shares(counts: Sequence[float], alone: Collection[int] = ()) -> list[str]:
 
 
 def area(square_metres: float, among: float | None = None) -> str:
-    """Return an area in m2, ha or km2; in the unit of ``among``, such as the largest of a column, if that is given."""
-    largest = square_metres if among is None else among
-    if largest >= _SQUARE_KILOMETRE:
+    """Return an area in m2, ha or km2; in the one unit of a column, m2 or ha, given its largest with ``among``."""
+    if among is not None:
+        if among < _SQUARE_KILOMETRE:
+            return f"{square_metres:,.0f} m²"
+        return f"{square_metres / _HECTARE:,.2f} ha" if square_metres >= 50.0 or not square_metres else "under 0.01 ha"
+    if square_metres >= _SQUARE_KILOMETRE:
         return f"{square_metres / _SQUARE_KILOMETRE:,.2f} km²"
-    if largest >= _HECTARE:
+    if square_metres >= _HECTARE:
         return f"{square_metres / _HECTARE:,.2f} ha"
     return f"{square_metres:,.0f} m²"
 

@@ -11,11 +11,12 @@ from xml.etree import ElementTree as ET
 import geopandas
 import numpy as np
 import pytest
+import rasterio
 import shapely
 from check_records import made_up_check
 from cost_maps import table_of
 from pyproj import CRS
-from route_maps import write_folder
+from route_maps import copy_folder, write_folder
 from route_records import MadeUpMap
 from survey_pairs import survey
 
@@ -169,6 +170,23 @@ def test_a_project_lists_what_is_there(folder):
     checked = {name for name, leaf in leaves.items() if leaf.get("checked") == "Qt::Checked"}
     shown = {"bumpymap_reason_tif", "bumpymap_class_tif", "bumpymap_relief_tif"}
     assert checked - shown == {"bumpymap_roughness_tif", "bumpymap_roughness_tif_p_fail"}  # in a group that is not
+
+
+def test_a_photo_lies_below_all_layers_in_place_of_the_relief(folder, tmp_path):
+    copy_folder(folder, tmp_path / "layers")
+    with rasterio.open(folder / "rasters/heightmap.tif") as file:
+        profile = {"count": 3, "dtype": "uint8", "nodata": None, "width": file.width, "height": file.height}
+        profile |= {"driver": "GTiff", "crs": file.crs, "transform": file.transform}
+    with rasterio.open(tmp_path / "layers/rasters/photo.tif", "w", **profile) as file:
+        file.write(np.full((3, file.height, file.width), 90, np.uint8))
+    write_project(tmp_path / "layers", json.loads((folder / "run.json").read_text()))
+    root = read(tmp_path / "layers/map.qgs")
+    shown = {leaf.get("source"): leaf.get("checked") for leaf in root.iter("layer-tree-layer")}
+    assert [*shown][-1] == "./rasters/photo.tif"
+    assert (shown["./rasters/photo.tif"], shown["./rasters/relief.tif"]) == ("Qt::Checked", "Qt::Unchecked")
+    layer = next(one for one in root.iter("maplayer") if one.find("datasource").text == "./rasters/photo.tif")
+    renderer = layer.find("pipe/rasterrenderer")
+    assert [renderer.get(key) for key in ("type", "redBand", "blueBand")] == ["multibandcolor", "1", "3"]
 
 
 def test_other_speeds_have_a_style_and_stand_in_the_project(tmp_path, at_two_speeds, cost_map):

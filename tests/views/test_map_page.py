@@ -246,7 +246,7 @@ def test_a_way_lies_on_the_map(site, tmp_path, read_page):
     (way,) = page.data["maps"][0]["ways"]
     assert np.allclose(way["lines"][0], corners, atol=0.02)
     table = dict(Outline(page.text).tables["Figures of the way"])
-    wanted = {"figure": "<b>way</b>", "mean C_r": "0.123 rad/m", "length": "1,234 m"}
+    wanted = {"figure": "A <b>way</b>", "mean C_r, rad/m": "0.123", "length, m": "1,234"}
     wanted["chance to arrive"] = "over 99\xa0%"
     assert {name: table[name] for name in wanted} == wanted
 

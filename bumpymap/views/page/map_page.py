@@ -38,6 +38,7 @@ from bumpymap.views.page.drives import check_charts, check_tables, drawn_stretch
 from bumpymap.views.page.page import write_page
 from bumpymap.views.page.site import WAY_FIGURES, DrawnWay, Site, page_header, read_ways
 from bumpymap.views.page.tiles import UNKNOWN_FROM
+from bumpymap.views.pictures.drawing import STRENGTH
 from bumpymap.views.words import (
     DASH,
     area,
@@ -164,7 +165,11 @@ def write_map_page(site: Site, path: Path) -> None:
 
 def _of_map(site: Site | None) -> dict[str, Any]:
     """Return what the figure of a map needs, with the data of the script."""
-    return {"ramp_colours": _RAMP, "data": {"maps": [site.map_record()] if site else [], "codes": _CODES}}
+    return {
+        "photo_strength": STRENGTH,
+        "ramp_colours": _RAMP,
+        "data": {"maps": [site.map_record()] if site else [], "codes": _CODES},
+    }
 
 
 _RAMP = ("#fcfdbf", "#feca8d", "#fd9668", "#f1605d", "#cd4071", "#9e2f7f", "#721f81", "#440f76", "#180f3d")

@@ -148,8 +148,6 @@ def _printable(value: Any) -> Any:
     return "\n".join(map(escape_controls, value.split("\n")))
 
 
-STRENGTH = 45
-"""Opacity of the colours of the layers over a photo, per cent, unless the reader changes it."""
 _FILTERS: dict[str, Callable[..., str]] = {
     "address": lambda text: quote(os.fsencode(text)),
     "area": area,
@@ -167,7 +165,6 @@ _FILTERS: dict[str, Callable[..., str]] = {
 _NAMES = {
     "DASH": DASH,
     "REPORT_NAME": REPORT_NAME,
-    "photo_strength": STRENGTH,
     "barred": [(code, BARRED_TEXT[code], BARRED_COLOURS[code]) for code in Barred if code != Barred.UNKNOWN],
     "changes": [(name, CHANGE_COLOURS[code]) for code, name in enumerate(CHANGE_KINDS)],
     "classes": [(name, CLASS_COLOURS[code]) for code, name in enumerate(CLASS_NAMES)],

@@ -41,7 +41,6 @@ from bumpymap.layers import (
     read_colours,
 )
 from bumpymap.views.page.charts import Chart, c_r_chart, slope_chart
-from bumpymap.views.page.page import STRENGTH
 from bumpymap.views.page.tiles import (
     EVEN,
     HEADING_STEP,
@@ -56,7 +55,7 @@ from bumpymap.views.page.tiles import (
     map_metres,
     packed,
 )
-from bumpymap.views.pictures.drawing import LEVEL, light_of
+from bumpymap.views.pictures.drawing import LEVEL, STRENGTH, light_of
 from bumpymap.views.words import survey_name
 
 _STRIP_PIXELS = 16_000_000

@@ -478,8 +478,8 @@
       const step = nice((2.2 * 110 * dense) / scale);
       const [west, north] = [about.west / about.unit - left / scale, about.north / about.unit + top / scale];
       const { width, height } = this.canvas;
-      context.lineWidth = dense;
       const line = (from, to) => {
+        context.lineWidth = dense;
         for (const [colour, shift] of [["#ffffff99", 0], ["#1f293799", dense]]) {
           context.strokeStyle = colour;
           context.beginPath();
@@ -517,9 +517,14 @@
             context.stroke();
           }
         }
-        const longest = way.lines.reduce((one, other) => (other.length > one.length ? other : one));
-        const [x, y] = on(longest[Math.floor(longest.length / 2)]);
-        if (about.ways.length > 1) this.write(way.name, x + 6 * dense, y - 6 * dense);
+        const others = about.ways.filter((other) => other !== way).flatMap((other) => other.lines.flat());
+        if (others.length) {
+          // Its letter stands where it is farthest from the others.
+          const apart = ([east, north]) => Math.min(...others.map((corner) => Math.hypot(corner[0] - east, corner[1] - north)));
+          way.marked ??= way.lines.flat().reduce((one, other) => (apart(other) > apart(one) ? other : one));
+          const [x, y] = on(way.marked);
+          this.write(way.name, x + 6 * dense, y - 6 * dense);
+        }
         this.label("start", on(way.lines[0][0]));
         this.label("goal", on(way.lines.at(-1).at(-1)));
       }
