@@ -4,6 +4,9 @@
   const codes = data.codes;
   const NONE = 255;
   const LINES = 8;
+  const PAPER_MM = [178, 125];
+  const PAPER_DENSE = 3;
+  const MM = 96 / 25.4;
   const AXES = ["N-S", "NNE-SSW", "NE-SW", "ENE-WSW", "E-W", "ESE-WNW", "SE-NW", "SSE-NNW"];
   const GREY = [178, 178, 178, 255];
   const BLACK = [0, 0, 0, 255];
@@ -85,6 +88,10 @@
       this.canvas = figure.querySelector("canvas");
       this.readout = figure.querySelector(".readout");
       this.context = this.canvas.getContext("2d");
+      this.paper = document.createElement("img");
+      this.paper.className = "paper";
+      this.paper.alt = this.figure.querySelector(".still").alt;
+      this.canvas.after(this.paper);
       this.layers = {};
       this.pointers = new Map();
       this.masks = {
@@ -181,7 +188,9 @@
       for (const end of ["pointerup", "pointercancel"]) {
         canvas.addEventListener(end, (event) => this.pointers.delete(event.pointerId));
       }
-      new ResizeObserver(() => { this.resize(); this.draw(); }).observe(canvas.parentElement);
+      new ResizeObserver(() => { if (!this.paperScale) { this.resize(); this.draw(); } }).observe(canvas.parentElement);
+      window.addEventListener("beforeprint", () => this.toPaper());
+      window.addEventListener("afterprint", () => this.toScreen());
     }
 
     at(event) {
@@ -230,6 +239,35 @@
       this.unknownPattern = hatching(this.context, "#5b5b5b", true);
       this.barredPattern = hatching(this.context, "#111", false);
       if (this.atAll) this.fit();
+    }
+
+    /**
+     * Draw the whole map at a round scale as a picture for a sheet of A4, to which the print style gives the same room:
+     * Chromium prints a canvas that is drawn now a little smaller than its box.
+     */
+    toPaper() {
+      const { about, canvas } = this;
+      const sheet = document.createElement("canvas");
+      [sheet.width, sheet.height] = PAPER_MM.map((side) => Math.round(side * MM * PAPER_DENSE));
+      const screen = [canvas, this.width, this.height, this.dense, this.scale, this.middle];
+      const [wide, high] = PAPER_MM;
+      const least = Math.max((about.width * 1000) / wide, (about.height * 1000) / high);
+      const power = 10 ** Math.floor(Math.log10(least));
+      this.paperScale = [1, 1.5, 2, 2.5, 3, 4, 5, 7.5, 10].map((digit) => digit * power).find((scale) => scale >= least);
+      this.use(sheet, wide * MM, high * MM, PAPER_DENSE, (MM * 1000) / this.paperScale, [about.width / 2, about.height / 2]);
+      this.paper.src = sheet.toDataURL();
+      [this.canvas, this.width, this.height, this.dense, this.scale, this.middle] = screen;
+      this.context = canvas.getContext("2d");
+    }
+
+    toScreen() {
+      this.paperScale = undefined;
+      this.drawScale();
+    }
+
+    use(canvas, width, height, dense, scale, middle) {
+      Object.assign(this, { canvas, width, height, dense, scale, middle, context: canvas.getContext("2d") });
+      this.draw();
     }
 
     fit() {
@@ -610,7 +648,8 @@
       const length = nice(Math.min(this.width * 0.3, 180) / this.scale);
       this.figure.querySelector(".scale .bar").style.width = `${length * this.scale}px`;
       const text = length >= 1000 ? `${grouped(length / 1000)} km` : `${length >= 1 ? grouped(length) : grouped(length, 2)} m`;
-      this.figure.querySelector(".scale .length").textContent = text;
+      this.figure.querySelector(".scale .length").textContent =
+        text + (this.paperScale ? `, 1 : ${grouped(this.paperScale)} on A4` : "");
     }
   }
 
