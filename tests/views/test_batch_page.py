@@ -71,7 +71,7 @@ def test_what_failed_comes_first_and_names_link_to_reports_that_exist():
     found = Outline(index_page(rows, {"d e": SurveyView(has_report=True)}, ["summary.csv"], "night"))
     assert names_of(found) == ["c", "b", "a", "d e", "e"]
     assert [link["href"] for link in found.elements["a"]] == ["summary.csv", "d%20e/report.html"]
-    assert "5 surveys: 3 done (1 of them earlier), 1 not reached, 1 failed\n" in found.text
+    assert "5 surveys: 3 done (1 of them earlier), 1 not reached, 1 failed; 2.57 ha mapped\n" in found.text
     assert "60% passable, 15.0% unknown, mostly too few points" in found.text
     assert "smooth 50.0%, fair 20.0%, rough 10.0%, very rough 5.0%, unknown 15.0%" in found.text
 
