@@ -25,7 +25,7 @@ from bumpymap.core import (
     write_together,
 )
 from bumpymap.layers.colours import class_limits
-from bumpymap.layers.geotiff import write_raster
+from bumpymap.layers.geotiff import shows_photo, write_raster
 from bumpymap.layers.manifest import MANIFEST_NAME, complete_manifest, describe_file, software_versions, write_manifest
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.products import EVERY_FILE, SOME_NAMES, MapFile
@@ -269,7 +269,7 @@ def _layers(
 
 def _some(table: CostTable) -> list[MapFile]:
     """Return the rasters of the run besides those of every run."""
-    held = (table.speeds, table.tiles.has("headings"), table.has_photo)
+    held = (table.speeds, table.tiles.has("headings"), shows_photo(table))
     return [name for name, there in zip(SOME_NAMES, held, strict=True) if there]
 
 
