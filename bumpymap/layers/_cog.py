@@ -212,7 +212,7 @@ def write_cog(
         pixels = placement.window.cols * placement.window.rows * spec.pixels**2
         size = pixels * len(spec.bands) * np.dtype(spec.dtype).itemsize
         sparse = pieces is not None and size > _SPARSE_FROM
-        overviews_first = spec.counts_nodata or (len(spec.bands) > 1 and size > OVERVIEWS_FIRST_FROM)
+        overviews_first = spec.counts_nodata or spec.is_photo or (len(spec.bands) > 1 and size > OVERVIEWS_FIRST_FROM)
         counts = np.zeros(256, np.int64)
         block = max(spec.block, SCRATCH_BLOCK)
         across, down = (

@@ -119,7 +119,7 @@ _SPARSE = 0.1
 """Below this share of tiles with points in its extent a survey is sparse: then these rasters have smaller blocks, and
 those without values are not made."""
 _MOST_OF_SPARSE = 100_000_000
-"""Most pixels of the photo of a sparse survey: 26 s of CPU time for 10^9, nearly all of them empty, would be too much."""
+"""Most pixels of the photo of a sparse survey: 10^9, nearly all empty, take 26 s of CPU time."""
 _Found: TypeAlias = dict[str, NDArray[Any]]
 
 

@@ -117,7 +117,7 @@ class BlockPhoto(NamedTuple):
 
 
 @helper
-def _paint(points: Coordinates, tile: Bytes, colour: Colours, photo: BlockPhoto) -> None:
+def _paint(points: MarkedPoints, tile: Bytes, colour: Colours, photo: BlockPhoto) -> None:
     size, pixels = photo.tile_size, photo.pixels
     last = np.int64(pixels - 1)
     for i in range(len(tile)):
@@ -136,22 +136,35 @@ def _paint(points: Coordinates, tile: Bytes, colour: Colours, photo: BlockPhoto)
 
 
 @kernel
-def paint_points(points: TiledPoints, colour: Colours, photo: BlockPhoto) -> None:
-    """Paint points on the picture of their block: each pixel shows the highest of its coloured points."""
-    _paint(Coordinates(points.easting, points.northing, points.upward), points.tile, colour, photo)
+def place_painted_points(
+    points: TiledPoints, colour: Colours, following: Indices, out: MarkedPoints, photo: BlockPhoto
+) -> None:
+    """Put points tile by tile, as `place_points`, and paint them: a pixel shows the highest of its coloured points."""
+    if len(points.tile) > 0:
+        marked = MarkedPoints(points.easting, points.northing, points.upward, points.flag)
+        _place(marked, points.tile, following, out)
+        _paint(marked, points.tile, colour, photo)
 
 
 @kernel
-def paint_scaled_points(
-    points: ScaledTiledPoints, scaling: Floats, colour: Colours, strip: Coordinates, photo: BlockPhoto
+def place_painted_scaled_points(
+    points: ScaledTiledPoints,
+    scaling: Floats,
+    colour: Colours,
+    following: Indices,
+    strip: Coordinates,
+    out: MarkedPoints,
+    photo: BlockPhoto,
 ) -> None:
     """Do the same with points of a file's own grid; ``strip`` is scratch, (``STRIP``,) each."""
     for first in range(0, len(points.tile), STRIP):
         last = min(first + STRIP, len(points.tile))
-        there = Coordinates(strip.easting[: last - first], strip.northing[: last - first], strip.upward[: last - first])
+        n = last - first
+        there = MarkedPoints(strip.easting[:n], strip.northing[:n], strip.upward[:n], points.flag[first:last])
         coordinates(points.easting[first:last], scaling, 0, there.easting)
         coordinates(points.northing[first:last], scaling, 1, there.northing)
         coordinates(points.upward[first:last], scaling, 2, there.upward)
+        _place(there, points.tile[first:last], following, out)
         _paint(there, points.tile[first:last], colour[first:last], photo)
 
 

@@ -39,8 +39,8 @@ from bumpytiles._sort_kernels import (
     MarkedPoints,
     SortScratch,
     count_tiles,
-    paint_points,
-    paint_scaled_points,
+    place_painted_points,
+    place_painted_scaled_points,
     place_points,
     place_scaled_points,
     sort_tiles,
@@ -131,16 +131,15 @@ def sort_block(grid: Grid, key: BlockKey, parts: Sequence[PointPart]) -> TilePoi
     for columns, scaling in parts:
         own = {column.name: columns[column.name] for column in POINT_COLUMNS}
         colour = columns.get(_COLOUR.name)
-        if scaling is None:
-            place_points(TiledPoints(**own), following, out)
-        else:
+        if photo is not None and colour is not None and scaling is not None:
+            given = ScaledTiledPoints(**own), scaling.numbers(), colour
+            place_painted_scaled_points(*given, following, strip, out, photo)
+        elif photo is not None and colour is not None:
+            place_painted_points(TiledPoints(**own), colour, following, out, photo)
+        elif scaling is not None:
             place_scaled_points(ScaledTiledPoints(**own), scaling.numbers(), following, strip, out)
-        if photo is None or colour is None:
-            continue
-        if scaling is None:
-            paint_points(TiledPoints(**own), colour, photo)
         else:
-            paint_scaled_points(ScaledTiledPoints(**own), scaling.numbers(), colour, strip, photo)
+            place_points(TiledPoints(**own), following, out)
     scratch = SortScratch(
         key=np.empty(most, np.uint64),
         bucket=np.empty((1 << max(1, (most - 1).bit_length())) + 1, np.int32),
