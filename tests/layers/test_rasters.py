@@ -285,18 +285,6 @@ def test_a_crs_without_geotiff_keys_is_in_the_side_file_beside_names_and_counts(
         check_value_table(path, name, tmp_path / "seen.vrt")
 
 
-@pytest.mark.slow
-def test_threads_do_not_change_the_bytes(tmp_path, make_field, monkeypatch):
-    cost_map = make_field(200, 150, grid=Grid(3.0, 5))
-    for name in ("roughness", "class", "heightmap", "relief"):
-        seen = set()
-        for threads in ("1", "5"):
-            monkeypatch.setattr("bumpymap.layers._cog.gdal_threads", lambda threads=threads: threads)
-            WRITERS[name](cost_map, tmp_path / f"{name}.tif")
-            seen.add((tmp_path / f"{name}.tif").read_bytes())
-        assert len(seen) == 1
-
-
 def test_the_cache_of_the_process_changes_only_for_the_thread_that_may_write(tmp_path, make_field):
     """A smaller limit makes GDAL flush blocks at once, also those that another thread has not finished."""
     write, path = partial(write_raster, MapFile.CLASS, table_of(make_field(9, 9))), tmp_path / "class.tif"

@@ -30,8 +30,7 @@ from bumpymap.readers.point_table import convert_points
 FORMATS = [("1.2", fmt) for fmt in range(4)] + [("1.3", 4), ("1.3", 5)] + [("1.4", fmt) for fmt in range(11)]
 CORNER = np.array([500_000.0, 4_000_000.0, 0.0])
 N = 3000
-DEEP = {3: 257, 7: 257, 10: 257}
-"""Point formats whose colours have 16 bits here; those of others have 8, in the same fields."""
+DEEP = {3: 257, 7: 257, 10: 257}  # point formats whose colours have 16 bits here; others have 8 in the same fields
 
 
 def survey(las, name="a.las", *, version="1.4", fmt=6, count=N, **more):

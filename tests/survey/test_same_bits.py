@@ -92,14 +92,10 @@ def delivered(points, folder, rng):
         file = rng.integers(count, size=len(points))
     else:
         file = np.minimum(points[:, axis] / SPAN[axis] * count, count - 1).astype(int)
+    names = [f"{n}.{rng.choice(['las', 'laz'])}" for n in range(count)]
     paths = [
-        write(
-            folder / f"{number}.{rng.choice(['las', 'laz'])}",
-            points[file == number],
-            offsets[rng.integers(2)],
-            rng.choice([8, 16]),
-        )
-        for number in range(count)
+        write(folder / name, points[file == n], offsets[rng.integers(2)], rng.choice([8, 16]))
+        for n, name in enumerate(names)
     ]
     return [paths[number] for number in rng.permutation(count)]
 

@@ -184,8 +184,7 @@ def test_a_photo_lies_below_all_layers_in_place_of_the_relief(folder, tmp_path):
     shown = {leaf.get("source"): leaf.get("checked") for leaf in root.iter("layer-tree-layer")}
     assert [*shown][-1] == "./rasters/photo.tif"
     assert (shown["./rasters/photo.tif"], shown["./rasters/relief.tif"]) == ("Qt::Checked", "Qt::Unchecked")
-    layer = next(one for one in root.iter("maplayer") if one.find("datasource").text == "./rasters/photo.tif")
-    renderer = layer.find("pipe/rasterrenderer")
+    renderer = root.find("projectlayers")[-1].find("pipe/rasterrenderer")
     assert [renderer.get(key) for key in ("type", "redBand", "blueBand")] == ["multibandcolor", "1", "3"]
 
 

@@ -212,23 +212,6 @@ def test_what_cannot_be_exported(route_map, tmp_path, monkeypatch):
 GRAPH, NAV2 = ExportSettings(to="graph"), ExportSettings(to="nav2")
 
 
-def test_an_earlier_export_is_replaced_only_if_asked(easy_map, route_map, tmp_path):
-    out = tmp_path / "out"
-    export_map(easy_map, out, NAV2)
-    before = files_in(out)
-    with pytest.raises(OutputError, match="`overwrite=True`"):
-        export_map(route_map, out, NAV2)
-    with pytest.raises(OutputError, match="in another format"):
-        export_map(route_map, out, GRAPH, overwrite=True)
-    assert files_in(out) == before
-    done = export_map(route_map, out, NAV2, overwrite=True)
-    after = files_in(out)
-    assert set(after) == set(before)
-    assert after["map.pgm"] != before["map.pgm"]
-    assert json.loads(after["datum.json"]) == done.record
-    assert [path.name for path in done.files][-1] == "datum.json"
-
-
 def test_other_files_stay_links_are_not_followed_and_layers_are_no_place_for_it(easy_map, easy_folder, tmp_path):
     out, mine = tmp_path / "out", tmp_path / "mine"
     out.mkdir()
@@ -238,6 +221,8 @@ def test_other_files_stay_links_are_not_followed_and_layers_are_no_place_for_it(
     with pytest.raises(OutputError, match=r"map\.pgm"):
         export_map(easy_map, out, NAV2)
     export_map(easy_map, out, NAV2, overwrite=True)
+    with pytest.raises(OutputError, match="in another format"):
+        export_map(easy_map, out, GRAPH, overwrite=True)
     assert mine.read_text() == (out / "notes.txt").read_text() == "mine"
     assert not (out / "map.pgm").is_symlink()
     before = files_in(easy_folder)
