@@ -75,32 +75,6 @@ def _place(points: MarkedPoints, tile: Bytes, following: Indices, out: MarkedPoi
     following[t] = p
 
 
-@kernel
-def place_points(points: TiledPoints, following: Indices, out: MarkedPoints) -> None:
-    """Put points tile by tile; ``following`` (256,) is where the next point of each tile goes, and moves on."""
-    if len(points.tile) > 0:
-        marked = MarkedPoints(points.easting, points.northing, points.upward, points.flag)
-        _place(marked, points.tile, following, out)
-
-
-@kernel
-def place_scaled_points(
-    points: ScaledTiledPoints, scaling: Floats, following: Indices, strip: Coordinates, out: MarkedPoints
-) -> None:
-    """Do the same with points of a file's own grid, see `bumpytiles.Scaling.numbers`.
-
-    ``strip`` is scratch, (``STRIP``,) each.
-    """
-    for first in range(0, len(points.tile), STRIP):
-        last = min(first + STRIP, len(points.tile))
-        n = last - first
-        there = MarkedPoints(strip.easting[:n], strip.northing[:n], strip.upward[:n], points.flag[first:last])
-        coordinates(points.easting[first:last], scaling, 0, there.easting)
-        coordinates(points.northing[first:last], scaling, 1, there.northing)
-        coordinates(points.upward[first:last], scaling, 2, there.upward)
-        _place(there, points.tile[first:last], following, out)
-
-
 class BlockPhoto(NamedTuple):
     """The picture of a block that points are painted on."""
 
@@ -136,18 +110,22 @@ def _paint(points: MarkedPoints, tile: Bytes, colour: Colours, photo: BlockPhoto
 
 
 @kernel
-def place_painted_points(
+def place_points(
     points: TiledPoints, colour: Colours, following: Indices, out: MarkedPoints, photo: BlockPhoto
 ) -> None:
-    """Put points tile by tile, as `place_points`, and paint them: a pixel shows the highest of its coloured points."""
+    """Put points tile by tile; ``following`` (256,) is where the next point of each tile goes, and moves on.
+
+    Points with ``colour`` (n,), which is empty for others, are painted: a pixel shows the highest of them.
+    """
     if len(points.tile) > 0:
         marked = MarkedPoints(points.easting, points.northing, points.upward, points.flag)
         _place(marked, points.tile, following, out)
-        _paint(marked, points.tile, colour, photo)
+        if len(colour) > 0:
+            _paint(marked, points.tile, colour, photo)
 
 
 @kernel
-def place_painted_scaled_points(
+def place_scaled_points(
     points: ScaledTiledPoints,
     scaling: Floats,
     colour: Colours,
@@ -156,7 +134,10 @@ def place_painted_scaled_points(
     out: MarkedPoints,
     photo: BlockPhoto,
 ) -> None:
-    """Do the same with points of a file's own grid; ``strip`` is scratch, (``STRIP``,) each."""
+    """Do the same with points of a file's own grid, see `bumpytiles.Scaling.numbers`.
+
+    ``strip`` is scratch, (``STRIP``,) each.
+    """
     for first in range(0, len(points.tile), STRIP):
         last = min(first + STRIP, len(points.tile))
         n = last - first
@@ -165,7 +146,8 @@ def place_painted_scaled_points(
         coordinates(points.northing[first:last], scaling, 1, there.northing)
         coordinates(points.upward[first:last], scaling, 2, there.upward)
         _place(there, points.tile[first:last], following, out)
-        _paint(there, points.tile[first:last], colour[first:last], photo)
+        if len(colour) > 0:
+            _paint(there, points.tile[first:last], colour[first:last], photo)
 
 
 @helper

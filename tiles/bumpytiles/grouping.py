@@ -39,8 +39,6 @@ from bumpytiles._sort_kernels import (
     MarkedPoints,
     SortScratch,
     count_tiles,
-    place_painted_points,
-    place_painted_scaled_points,
     place_points,
     place_scaled_points,
     sort_tiles,
@@ -123,23 +121,18 @@ def sort_block(grid: Grid, key: BlockKey, parts: Sequence[PointPart]) -> TilePoi
     first, most = np.cumsum(counts), int(counts.max())
     n, starts, following = int(first[-1]), np.empty_like(first), first[:-1].copy()
     out, strip = _empty_points(n), Coordinates(*np.empty((3, STRIP)))
-    photo = None
-    if any(_COLOUR.name in part.columns for part in parts):
-        size = BLOCK_TILES**2 * grid.pixels**2
-        corner = np.array([key[1], key[0]]) * BLOCK_TILES
-        photo = BlockPhoto(corner, grid.tile_size, grid.pixels, np.full(size, -np.inf), np.zeros(size, np.uint32))
+    coloured = any(_COLOUR.name in part.columns for part in parts)
+    size = BLOCK_TILES**2 * grid.pixels**2 if coloured else 0
+    corner = np.array([key[1], key[0]]) * BLOCK_TILES
+    photo = BlockPhoto(corner, grid.tile_size, grid.pixels, np.full(size, -np.inf), np.zeros(size, np.uint32))
     for columns, scaling in parts:
         own = {column.name: columns[column.name] for column in POINT_COLUMNS}
-        colour = columns.get(_COLOUR.name)
-        if photo is not None and colour is not None and scaling is not None:
-            given = ScaledTiledPoints(**own), scaling.numbers(), colour
-            place_painted_scaled_points(*given, following, strip, out, photo)
-        elif photo is not None and colour is not None:
-            place_painted_points(TiledPoints(**own), colour, following, out, photo)
-        elif scaling is not None:
-            place_scaled_points(ScaledTiledPoints(**own), scaling.numbers(), following, strip, out)
+        colour = columns.get(_COLOUR.name, np.empty(0, np.uint32))
+        if scaling is None:
+            place_points(TiledPoints(**own), colour, following, out, photo)
         else:
-            place_points(TiledPoints(**own), following, out)
+            given = ScaledTiledPoints(**own), scaling.numbers(), colour
+            place_scaled_points(*given, following, strip, out, photo)
     scratch = SortScratch(
         key=np.empty(most, np.uint64),
         bucket=np.empty((1 << max(1, (most - 1).bit_length())) + 1, np.int32),
@@ -158,7 +151,7 @@ def sort_block(grid: Grid, key: BlockKey, parts: Sequence[PointPart]) -> TilePoi
         northing=out.northing[:kept],
         upward=out.upward[:kept],
         flag=out.flag[:kept],
-        photo=None if photo is None else _red_green_blue(photo, present),
+        photo=_red_green_blue(photo, present) if coloured else None,
     )
 
 
