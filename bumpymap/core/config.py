@@ -99,7 +99,7 @@ class CsfSettings:
 
 @dataclass(frozen=True, slots=True)
 class PageSettings:
-    """What the header of a page says beside the survey's name and date."""
+    """Header of a page, beside the survey's name and date."""
 
     title: str | None = None
     """Heading of the page; None: the name of the survey."""

@@ -131,7 +131,8 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
             has_photo=measured.coloured >= _COLOURED * measured.points,
         )
         lines = aligned.outcome(measured.lines)
-        manifest = run_manifest(config, inputs, run_spec, measured, models, clock.seconds, lines, warnings, header)
+        manifest = run_manifest(config, inputs, run_spec, measured, models, clock.seconds, lines, warnings)
+        manifest |= {"page": header} if header else {}
         with clock.stage("write"):
             # These bring GDAL and Arrow, for which reading need not wait.
             from bumpymap.layers import write_products

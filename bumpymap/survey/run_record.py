@@ -225,12 +225,8 @@ def run_manifest(
     seconds: Mapping[str, float],
     lines: FlightLines,
     warnings: Sequence[str],
-    header: Mapping[str, str],
 ) -> dict[str, Any]:
-    """Return what ``run.json`` says beside the statistics of the tiles.
-
-    ``warnings`` are those before the points; ``header`` is that of the page, see `bumpymap.views.page_header`.
-    """
+    """Return what ``run.json`` says beside the statistics of the tiles; ``warnings`` are those before the points."""
     every = zip(inputs.readers, measured.dropped, measured.checksums, strict=True)
     read = [(reader.info, dropped, checksum) for reader, dropped, checksum in every if dropped is not None]
     calibration, skipped = models.calibration, inputs.skipped
@@ -277,7 +273,6 @@ def run_manifest(
             "speed_mps": calibration.map_speed,
         }
         | ({} if config.speed is None else {"drives_mps": float(calibration.vehicle["speed_mps"])}),
-        **({"page": header} if header else {}),
         "seconds": seconds,
     }
 

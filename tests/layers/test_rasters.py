@@ -23,13 +23,13 @@ from bumpymap.layers import _cog, geotiff
 from bumpymap.layers._cog import checksum, require_intact
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS
 from bumpymap.layers.geotiff import write_raster
-from bumpymap.layers.products import ASKED_NAMES, MapFile
+from bumpymap.layers.products import SOME_NAMES, MapFile
 from bumpytiles import Grid
 
 WRITERS = {
     Path(file).stem: lambda cost_map, *rest, file=file: write_raster(file, table_of(cost_map), *rest)
     for file in MapFile
-    if file.endswith(".tif") and file not in {MapFile.PASSAGE, *ASKED_NAMES}
+    if file.endswith(".tif") and file not in {MapFile.PASSAGE, *SOME_NAMES}
 }
 
 

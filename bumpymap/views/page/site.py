@@ -436,7 +436,7 @@ class Site:
 
     @property
     def header(self) -> Mapping[str, str]:
-        """What `page_header` has found."""
+        """Texts and logo of `page_header`."""
         return self.record.get("page") or {}
 
     @property
