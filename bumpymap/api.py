@@ -471,8 +471,8 @@ def map_survey(
         ``ground_classes``, ``align``, ``rating``,
         ``compat``, ``vehicle``, ``calibration``, ``speed`` [m/s], ``speeds`` [m/s], ``headings``, ``model``, ``crs``,
         ``force_crs``, ``z_unit``, ``local``, ``trust_points``, ``skip_bad``, ``max_unknown``, ``overwrite``,
-        ``threads``, ``memory``, ``scratch``, ``scheduler``, ``provider``, ``license``; ``features`` and ``csf`` are
-        dicts, the tables of a settings file.
+        ``threads``, ``memory``, ``scratch``, ``scheduler``, ``provider``, ``license``; ``features``, ``csf`` and
+        ``page`` are dicts, the tables of a settings file.
 
     Returns
     -------

@@ -12,7 +12,7 @@ import click
 
 from bumpymap.cli._options import PATH, Run, grouped_option, job
 from bumpymap.cli._text import print_line
-from bumpymap.core import BadInputError, MapConfig, OutputError, UsageError, atomic, settings_template
+from bumpymap.core import BadInputError, MapConfig, OutputError, ReportSettings, UsageError, atomic, settings_template
 
 if TYPE_CHECKING:
     from bumpymap.rating import Vehicle
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _SAMPLE = Path("sample_data") / "quarry.laz"
 """In an installed package it lies inside, in the sources beside it."""
 _WITH_SETTINGS = (
-    *("map", "batch", "info", "scan", "route", "check", "diff", "export", "calibrate"),
+    *("map", "batch", "info", "scan", "route", "check", "diff", "export", "calibrate", "report"),
     *("evaluate survey", "evaluate scans", "train textures", "train scans"),
 )
 """Commands that have settings."""
@@ -80,7 +80,7 @@ def _copy_sample(survey: Path) -> Path:
     return survey
 
 
-@job("report")
+@job("report", owners=(ReportSettings,))
 @click.argument("layers", type=PATH, metavar="LAYERS")
 @grouped_option("--out", group="Output", type=PATH, metavar="FILE", help="File to write [LAYERS/report.html].")
 @grouped_option(
@@ -98,10 +98,11 @@ def report_command(run: Run, layers: Path, **settings: Any) -> None:
 
     \b
     bumpymap report layers --route way
+    bumpymap report layers --set page.client="City of Aix" --set page.logo=logo.png
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     from bumpymap.views import write_report
 
-    path = write_report(layers, **settings)
+    path = write_report(layers, page=run.settings.get("page"), **settings)
     run.show({"report": str(path), "bytes": path.stat().st_size}, [f"Open {path} in a browser."])
 
 
@@ -124,7 +125,8 @@ def settings_command(words: tuple[str, ...]) -> None:
     print_line(f"# Settings of `bumpymap {name}`, with their defaults. Remove the # before a line to set it, and give")
     print_line("# the file with --config. Options override it; paths are relative to this file.")
     print_line()
-    command = import_module(f"bumpymap.cli.{words[0]}_command").command
+    module = import_module("bumpymap.cli.short_commands" if name == "report" else f"bumpymap.cli.{words[0]}_command")
+    command = module.report_command if name == "report" else module.command
     for word in words[1:]:
         command = command.commands[word]
     for line in settings_template(command.owners).splitlines():

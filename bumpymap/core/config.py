@@ -98,6 +98,32 @@ class CsfSettings:
         check_settings(self)
 
 
+@dataclass(frozen=True, slots=True)
+class PageSettings:
+    """Header of a page, beside the survey's name and date."""
+
+    title: str | None = None
+    """Heading of the page; None: the name of the survey."""
+    client: str | None = None
+    """For whom the survey was made."""
+    operator: str | None = None
+    """Who made it."""
+    note: str | None = None
+    """A sentence below the header."""
+    logo: Path | None = None
+    """A PNG or JPEG of at most 5 MB, which the page holds; a link is not followed."""
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+@dataclass(frozen=True, slots=True)
+class ReportSettings:
+    """Settings of `bumpymap report`."""
+
+    page: PageSettings = field(default_factory=PageSettings)
+
+
 INCLUDED_PIXELS: Mapping[float, int] = {3.0: 15, 5.0: 25, 6.0: 30}
 """Tile sizes [m] for which calibrations are included, and pixels along such a tile: of 0.2 m."""
 
@@ -199,6 +225,7 @@ class MapConfig:
     """SPDX identifier, or ``other``; empty: none is stated."""
     features: FeatureSettings = field(default_factory=FeatureSettings)
     csf: CsfSettings = field(default_factory=CsfSettings)
+    page: PageSettings = field(default_factory=PageSettings)
 
     def __post_init__(self) -> None:
         check_settings(self)

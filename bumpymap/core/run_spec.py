@@ -161,8 +161,9 @@ def join_checksums(checksums: Iterable[str]) -> str:
     return f"{_SET_METHOD}:{blake3(lines.encode()).hexdigest()}"
 
 
-_OF_THE_MACHINE = {"out", "threads", "memory", "scratch", "scheduler", "overwrite"}
-"""Settings that say where and how a run is carried out: they change no result, so no manifest repeats them."""
+_OF_THE_MACHINE = {"out", "threads", "memory", "scratch", "scheduler", "overwrite", "page"}
+"""Settings that say where and how a run is carried out, or the header of its page: no layer depends on them, and no
+manifest repeats them."""
 
 _MOST_LISTED = 8
 """Differences that a message lists at most."""

@@ -365,6 +365,8 @@ def assigned_settings(
         if not isinstance(place, dict):
             raise UsageError(f"{origin} gives {table[0]} both as a value and as a table")
         place[name] = _assigned(value.strip())
+        if isinstance(place[name], list) and _is_text(owners, *table, name):
+            place[name] = value.strip()  # its commas part nothing
     known = _fields_of(owners)
     for name, field in known.items():
         if name in record and get_origin(_plain_type(field.type)) is tuple and not isinstance(record[name], list):
@@ -379,6 +381,17 @@ def assigned_settings(
     arguments |= parser.table(record, owners, "", complete=False)
     refuse_faults(parser.faults, origin, UsageError)
     return arguments
+
+
+def _is_text(owners: tuple[type, ...], *names: str) -> bool:
+    """Return whether a setting, of a table or of none, is a text."""
+    for name in names:
+        field = _fields_of(owners).get(name)
+        if field is None:
+            return False
+        kind = _plain_type(field.type)
+        owners = (kind,) if is_dataclass(kind) else ()  # type: ignore[assignment]
+    return kind is str
 
 
 def _assigned(text: str) -> Any:

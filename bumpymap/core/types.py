@@ -148,6 +148,8 @@ class PointCloud:
     """(n,) ``POINT_GROUND`` (classes 2 and 11), ``POINT_DECK`` (17), ``POINT_BUILDING`` (6), ``POINT_PLANT`` (3 to 5),
     ``POINT_OTHER`` (0 and 1, and all if the file has no classes), else ``POINT_CLASSED``.
     `MapConfig.ground_classes` may name other ground."""
+    colour: NDArray[np.uint32] | None = None
+    """(n,) red, green and blue as in `bumpytiles.ScaledPoints`; None: no point has one."""
 
     @property
     def is_ground(self) -> NDArray[np.bool_]:
@@ -437,6 +439,13 @@ class CostTable:
     """Columns of `tile_columns`."""
     speeds: tuple[float, ...] = ()
     """Speeds besides that of the map, m/s."""
+    has_photo: bool = False
+    """True if the tiles have the column of `photo_column`, and enough points have a colour."""
+
+
+def photo_column(pixels: int) -> Column:
+    """Return the column of the photo: red, green and blue of the highest coloured point in each pixel; 0: none."""
+    return Column("photo", "|u1", (pixels, pixels, 3))
 
 
 def rated_columns(pixels: int, speeds: int = 0, *, headings: bool = False) -> tuple[Column, ...]:

@@ -53,11 +53,15 @@ def require_disk_space(folder: Path, size: int) -> None:
         raise OSError(f"up to {size / 1e9:.1f} GB are needed and {free / 1e9:.1f} GB are free")
 
 
-def require_intact(path: Path, painted: Iterable[tuple[Window, int]]) -> None:
-    """Read a raster back; raise OSError if a window does not match its `checksum` or an overview is unreadable."""
+def require_intact(path: Path, painted: Iterable[tuple[Window, int]], *, mask_only: bool = False) -> None:
+    """Read a raster back; raise OSError if a window does not match its `checksum` or an overview is unreadable.
+
+    With ``mask_only`` the checksums are of the mask: JPEG changes the colours.
+    """
     with rasterio.open(path) as raster:
         levels = len(raster.overviews(1))
-        if not all(checksum(raster.read(window=window)) == expected for window, expected in painted):
+        read = raster.dataset_mask if mask_only else raster.read
+        if not all(checksum(read(window=window)) == expected for window, expected in painted):
             raise OSError("what was written cannot be read back; the disk may be full")
     for level in range(levels):
         with rasterio.open(path, overview_level=level) as raster:
@@ -157,6 +161,10 @@ def _reset_after_fork() -> None:
 os.register_at_fork(after_in_child=_reset_after_fork)
 
 
+_QUALITY = "85"
+"""Of JPEG."""
+
+
 def raster_lock() -> threading.Lock:
     """Return the lock that every thread holds while it lets GDAL work on pixels, in memory too: see above."""
     return _gdal
@@ -204,7 +212,7 @@ def write_cog(
         pixels = placement.window.cols * placement.window.rows * spec.pixels**2
         size = pixels * len(spec.bands) * np.dtype(spec.dtype).itemsize
         sparse = pieces is not None and size > _SPARSE_FROM
-        overviews_first = spec.counts_nodata or (len(spec.bands) > 1 and size > OVERVIEWS_FIRST_FROM)
+        overviews_first = spec.counts_nodata or spec.is_photo or (len(spec.bands) > 1 and size > OVERVIEWS_FIRST_FROM)
         counts = np.zeros(256, np.int64)
         block = max(spec.block, SCRATCH_BLOCK)
         across, down = (
@@ -228,12 +236,12 @@ def write_cog(
             with _gdal_alone():
                 painted = []
                 for window, canvas in _write_scratch(str(waiting), placement, spec, paint, side):
-                    painted.append((window, checksum(canvas)))
+                    painted.append((window, checksum(_exact(canvas, spec))))
                     _count(canvas, spec, counts)
                 require_disk_space(path.parent, waiting.stat().st_size)
                 _convert(str(waiting), str(temporary), spec, overviews_first=overviews_first)
                 waiting.unlink()
-                require_intact(temporary, painted)
+                require_intact(temporary, painted, mask_only=spec.is_photo)
         side_file = temporary.with_name(f"{temporary.name}.aux.xml")
         if side_file.exists():  # GDAL reports no error when the disk is full
             ET.parse(side_file)  # noqa: S314 (GDAL has just written it; fails if it was cut short)
@@ -254,6 +262,11 @@ def write_array(path: Path, placement: Placement, spec: RasterSpec, layers: NDAr
         return layers[:, rows, window.column : window.column + window.tiles.cols]
 
     write_cog(path, placement, spec, paint, TILE_WINDOW)
+
+
+def _exact(canvas: NDArray[np.generic], spec: RasterSpec) -> NDArray[np.generic]:
+    """Return the pixels that are stored as they are: of a photo its alpha."""
+    return canvas[-1] if spec.is_photo else canvas
 
 
 def _count(pixels: NDArray[np.generic], spec: RasterSpec, counts: NDArray[np.int64]) -> None:
@@ -278,8 +291,10 @@ def _convert(scratch: str, layer: str, spec: RasterSpec, *, overviews_first: boo
     18 bands, however empty.
     """
     options = {"COMPRESS": "DEFLATE", "PREDICTOR": "YES", "LEVEL": str(spec.level), "BIGTIFF": "IF_SAFER"}
+    if spec.is_photo:
+        options = {"COMPRESS": "JPEG", "QUALITY": _QUALITY, "BIGTIFF": "IF_SAFER"}
     options |= {"OVERVIEW_RESAMPLING": spec.overviews, "BLOCKSIZE": str(spec.block)}
-    if not spec.counts_nodata:  # a mean of codes says nothing
+    if not spec.counts_nodata and not spec.is_photo:  # a mean of codes says nothing
         _note_statistics(scratch)
     if overviews_first:
         _build_overviews(scratch, spec)

@@ -25,10 +25,10 @@ from bumpymap.core import (
     write_together,
 )
 from bumpymap.layers.colours import class_limits
-from bumpymap.layers.geotiff import write_raster
+from bumpymap.layers.geotiff import shows_photo, write_raster
 from bumpymap.layers.manifest import MANIFEST_NAME, complete_manifest, describe_file, software_versions, write_manifest
 from bumpymap.layers.placement import Placement
-from bumpymap.layers.products import ASKED_NAMES, EVERY_FILE, MapFile
+from bumpymap.layers.products import EVERY_FILE, SOME_NAMES, MapFile
 from bumpymap.layers.regions import dissolve
 from bumpymap.layers.stac import write_item
 from bumpymap.layers.summary import MapSummary, summarise
@@ -232,7 +232,7 @@ def write_products(
         record["files"].append(describe_file(staged / MapFile.ITEM) | {"path": MapFile.ITEM})
         write_manifest(record, staged / MANIFEST_NAME)
     _log.info("wrote %d tiles to %s", summary.tiles, folder)
-    stems = {Path(name).stem for name in set(ASKED_NAMES) - set(_asked(table))}
+    stems = {Path(name).stem for name in set(SOME_NAMES) - set(_some(table))}
     names = [name for name in EVERY_FILE if Path(name).stem not in stems]
     return [folder / name for name in names], summary
 
@@ -249,8 +249,10 @@ def _layers(
     """
     tags = as_tags(metadata)
     fine = [MapFile.HEIGHTMAP, MapFile.RELIEF, MapFile.OBSTACLE, MapFile.PASSAGE]
+    some = _some(table)
+    fine += [name for name in some if name == MapFile.PHOTO]
     coarse = [MapFile.ROUGHNESS, MapFile.CLASS, MapFile.REASON, MapFile.COST, MapFile.SPEED, MapFile.BARRED]
-    coarse += _asked(table)
+    coarse += [name for name in some if name != MapFile.PHOTO]
 
     def rasters(names: Sequence[MapFile]) -> dict[tuple[str, ...], Callable[[], None]]:
         return {(name,): partial(write_raster, name, table, folder / name, tags) for name in names}
@@ -265,9 +267,10 @@ def _layers(
     ]
 
 
-def _asked(table: CostTable) -> list[MapFile]:
-    """Return the rasters that the run was asked for besides those of every run."""
-    return [MapFile.SPEEDS] * bool(table.speeds) + [MapFile.HEADINGS] * table.tiles.has("headings")
+def _some(table: CostTable) -> list[MapFile]:
+    """Return the rasters of the run besides those of every run."""
+    held = (table.speeds, table.tiles.has("headings"), shows_photo(table))
+    return [name for name, there in zip(SOME_NAMES, held, strict=True) if there]
 
 
 def _write_layers(

@@ -26,6 +26,7 @@ from bumpymap.core import (
     Barred,
     CostTable,
     Reason,
+    photo_column,
     speed_bands,
 )
 from bumpymap.layers._cog import TILE_WINDOW, write_cog
@@ -117,6 +118,8 @@ _WINDOW_PIXELS = 1024
 _SPARSE = 0.1
 """Below this share of tiles with points in its extent a survey is sparse: then these rasters have smaller blocks, and
 those without values are not made."""
+_MOST_OF_SPARSE = 100_000_000
+"""Most pixels of the photo of a sparse survey: 10^9, nearly all empty, take 26 s of CPU time."""
 _Found: TypeAlias = dict[str, NDArray[Any]]
 
 
@@ -130,7 +133,7 @@ class _Layer:
     """Columns of the tiles that ``values`` needs."""
     values: Callable[[_Found, RasterWindow], Sequence[NDArray[Any]] | NDArray[Any]]
     """Returns the values of n tiles, given their columns and the window that they are all of: an array (n,) for each
-    band, or the pixels of the only one, (n, pixels, pixels)."""
+    band, or the pixels of the only one, (n, pixels, pixels), or of several, (n, pixels, pixels, bands)."""
     is_fine: bool = False
     """True if ``values`` returns pixels."""
     has_heights: bool = False
@@ -255,6 +258,14 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
             is_fine=True,
             options=codes | pixels | {"colours": OBJECT_COLOURS, "worst": (OBSTACLE, UNKNOWN_OBJECT, CANOPY, FREE)},
         ),
+        MapFile.PHOTO: _Layer(
+            "colours of the points",
+            [*(BandSpec(name) for name in ("red", "green", "blue")), BandSpec("alpha")],
+            (photo_column(table.tiles.grid.pixels).name,),
+            lambda found, _: _with_alpha(found["photo"]),
+            is_fine=True,
+            options=pixels | {"dtype": "uint8", "nodata": 0, "is_photo": True},
+        ),
         MapFile.PASSAGE: _Layer(
             "where the vehicle fits",
             [
@@ -268,6 +279,25 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
             options=codes | pixels | {"worst": tuple(range(NO_CLASS))},
         ),
     }
+
+
+def shows_photo(table: CostTable) -> bool:
+    """Return whether a map has a photo: enough points have a colour, and its pixels are not nearly all empty."""
+    tiles = table.tiles
+    extent = tiles.window.cols * tiles.window.rows
+    return table.has_photo and (tiles.tiles >= _SPARSE * extent or extent * tiles.grid.pixels**2 <= _MOST_OF_SPARSE)
+
+
+def _with_alpha(photo: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return red, green, blue and alpha of the colours of tiles, (n, pixels, pixels, 3), of which 0, 0, 0 is none.
+
+    Such pixels have alpha 0 and the mean colour of their tile: JPEG mixes what is hidden into what lies beside it.
+    """
+    known = photo.any(axis=-1, keepdims=True)
+    count = np.maximum(known.sum(axis=(1, 2), keepdims=True), 1)
+    mean = photo.sum(axis=(1, 2), keepdims=True, dtype=np.int64) // count
+    alpha = np.where(known, np.uint8(255), np.uint8(0))
+    return np.concatenate([np.where(known, photo, mean.astype(np.uint8)), alpha], axis=-1)
 
 
 def write_raster(file: MapFile, table: CostTable, path: Path, about: Mapping[str, str] | None = None) -> None:
@@ -291,6 +321,8 @@ def write_raster(file: MapFile, table: CostTable, path: Path, about: Mapping[str
           there are none, and in tiles without points. Heights are rounded to 1 cm.
         - ``obstacle.tif``: uint8 with the pixels of heightmap.tif: free, obstacle, canopy or unknown, which they are
           where no ground is known, and where objects are part of the relief because all points were measured as ground.
+        - ``photo.tif``: uint8, the same pixels: red, green and blue of the highest coloured point in each, as JPEG with
+          a mask.
         - ``passage.tif``: uint8, the same pixels: where the middle of the vehicle can be. 0: closed, because an
           obstacle, unseen ground or a tile that the ground bars is nearer than half the vehicle's width and its margin.
           From 1: the areas of a tile whose pixels hang together, the largest first. Areas of two tiles are joined where
@@ -326,9 +358,10 @@ def write_raster(file: MapFile, table: CostTable, path: Path, about: Mapping[str
         line, column, values = pieces(window)
         lines, columns = window.tiles.rows, window.tiles.cols
         if layer.is_fine:
-            canvas = np.full((lines, pixels, columns, pixels), spec.nodata, spec.dtype)
-            canvas[line, :, column, :] = values
-            return canvas.reshape(1, lines * pixels, columns * pixels)
+            canvas = np.full((len(spec.bands), lines, pixels, columns, pixels), spec.nodata, spec.dtype)
+            for number, band in enumerate(canvas):
+                band[line, :, column, :] = values[..., number] if values.ndim > 3 else values
+            return canvas.reshape(len(spec.bands), lines * pixels, columns * pixels)
         canvas = np.full((len(spec.bands), lines, columns), spec.nodata, spec.dtype)
         for band, value in zip(canvas, values, strict=True):
             band[line, column] = value
@@ -339,4 +372,4 @@ def write_raster(file: MapFile, table: CostTable, path: Path, about: Mapping[str
         return
     side = max(1, _WINDOW_PIXELS // (BLOCK_TILES * pixels)) * BLOCK_TILES
     is_sparse = tiles.tiles < _SPARSE * place.window.cols * place.window.rows
-    write_cog(path, place, spec, paint, side, pieces if is_sparse else None)
+    write_cog(path, place, spec, paint, side, pieces if is_sparse and not spec.is_photo else None)

@@ -64,6 +64,18 @@ def read_averaged(
     return found
 
 
+def read_colours(
+    file: "DatasetReader", shape: tuple[int, int], window: tuple[tuple[int, int], tuple[int, int]] | None = None
+) -> "NDArray[Any]":
+    """Do the same with red, green and blue, (3, rows, cols) float32; NaN where the mask of the raster hides them."""
+    import numpy as np
+    from rasterio.enums import Resampling
+
+    found = file.read((1, 2, 3), window=window, out_shape=(3, *shape), resampling=Resampling.average, masked=True)
+    colours: NDArray[Any] = found.astype(np.float32).filled(np.nan)
+    return colours
+
+
 _CLOSED = {
     "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",  # no .ovr and .msk, which GDAL opens by any driver
     "GDAL_PAM_ENABLED": "NO",  # no .aux.xml, which may name other files

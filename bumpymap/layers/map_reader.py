@@ -32,7 +32,7 @@ from bumpymap.core import (
     stated_crs,
 )
 from bumpymap.layers.manifest import read_manifest
-from bumpymap.layers.map_files import KeptRasters, read_averaged, require_written
+from bumpymap.layers.map_files import KeptRasters, read_averaged, read_colours, require_written
 from bumpymap.layers.products import MapFile
 from bumpytiles import Grid, TileWindow
 
@@ -53,9 +53,10 @@ _DTYPES = {
     MapFile.CLASS: "uint8",
 }
 _RASTERS = tuple(name for name in _DTYPES if name != MapFile.CLASS)
-"""Rasters of a route; a comparison of surveys reads the classes too, and a route headings.tif where there is one."""
+"""Rasters of a route; a comparison of surveys reads the classes too, and a route headings.tif and photo.tif where they
+are there."""
 _VEHICLE = {"name": str, "width_m": Number(), "speed_mps": Number()}
-_PER_PIXEL = (MapFile.HEIGHTMAP, MapFile.OBSTACLE, MapFile.PASSAGE)
+_PER_PIXEL = (MapFile.HEIGHTMAP, MapFile.OBSTACLE, MapFile.PASSAGE, MapFile.PHOTO)
 CHECKED_BYTES = 64 << 20
 """The checksum of a larger raster, which takes a second for 1.4 GB, is compared when it is first read."""
 _OFF = 1e-3
@@ -237,6 +238,28 @@ class MapReader:
         """
         return self._pixels(MapFile.HEIGHTMAP, window, np.full(shape, np.nan, np.float32))
 
+    def photo(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.float32] | None:
+        """Read the colours of the points from the overviews of photo.tif; None if the map has no photo.
+
+        Parameters
+        ----------
+        window, shape
+            As for `relief`.
+
+        Returns
+        -------
+        float32 (rows, cols, 3)
+            Red, green and blue, 0 to 255; NaN where there is none.
+
+        Raises
+        ------
+        BadInputError
+            The file is missing or damaged.
+        """
+        if MapFile.PHOTO not in _rasters(self.manifest):
+            return None
+        return self._pixels(MapFile.PHOTO, window, np.full((*shape, 3), np.nan, np.float32))
+
     def objects(self, window: TileWindow) -> NDArray[np.uint8]:
         """Read what stands on the ground, uint8 (rows * pixels, cols * pixels).
 
@@ -306,13 +329,15 @@ class MapReader:
         With fewer pixels than the file has they come from the overviews: numbers as means. For errors see `_read_into`.
         """
         top, left, rows, cols = self._place(name, window)
-        if shape == (rows, cols):
+        if shape == (rows, cols) and name != MapFile.PHOTO:
             whole = np.empty(shape, _DTYPES[name])
             self._read_into([whole], name, window)
             return whole
         part = ((top, top + rows), (left, left + cols))
         self._require_whole(name)
         with self.rasters.opened(self.folder / name) as file:
+            if name == MapFile.PHOTO:
+                return np.moveaxis(read_colours(file, shape, part), 0, -1)
             if _DTYPES[name] == "float32":
                 return read_averaged(file, shape, part)
             found: NDArray[Any] = file.read(1, window=part, out_shape=shape)
@@ -421,8 +446,8 @@ def open_map(folder: str | os.PathLike[str]) -> MapReader:
 
 def _rasters(manifest: Mapping[str, Any]) -> tuple[MapFile, ...]:
     """Return the rasters of a route that a map has."""
-    asked = any(file["path"] == MapFile.HEADINGS for file in manifest["files"])
-    return (*_RASTERS, *((MapFile.HEADINGS,) if asked else ()))
+    written = {file["path"] for file in manifest["files"]}
+    return (*_RASTERS, *(name for name in (MapFile.HEADINGS, MapFile.PHOTO) if name in written))
 
 
 @lru_cache(maxsize=1024)

@@ -168,6 +168,8 @@ class RasterSpec:
     """In overviews nodata is a value among others: for rasters of one pixel a tile whose nodata means unknown."""
     level: int = 6
     """DEFLATE compression level, 1 to 9."""
+    is_photo: bool = False
+    """True: red, green, blue and alpha, stored as JPEG with a mask; nodata is not noted."""
 
 
 def create_raster(
@@ -182,7 +184,7 @@ def create_raster(
         height=size[1],
         count=len(spec.bands),
         dtype=spec.dtype,
-        nodata=spec.nodata,
+        nodata=None if spec.is_photo else spec.nodata,
         crs=None if spec.crs is None else rasterio.crs.CRS.from_wkt(spec.crs.to_wkt()),
         transform=placement.transform(spec.pixels),
         tiled=True,
@@ -191,8 +193,8 @@ def create_raster(
         blockysize=SCRATCH_BLOCK,
         sparse_ok=not spec.counts_nodata,  # overviews would take a block that is not written for zeros
         bigtiff=bigtiff,
-        photometric="MINISBLACK",
-        alpha="NO",
+        photometric="RGB" if spec.is_photo else "MINISBLACK",
+        alpha="YES" if spec.is_photo else "NO",
     )
     _write_metadata(file, spec)
     return file

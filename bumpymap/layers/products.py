@@ -78,6 +78,8 @@ class MapFile(StrEnum):
     """Of a run that was asked for other speeds."""
     HEADINGS = "rasters/headings.tif"
     """Of a run that was asked for the ride by heading."""
+    PHOTO = "rasters/photo.tif"
+    """Of a survey whose points have colours."""
     ITEM = "item.json"
     """The map as a STAC item."""
     MANIFEST = MANIFEST_NAME
@@ -91,12 +93,16 @@ EVERY_NAME: tuple[str, ...] = tuple(
     name for name in MapFile if name not in {MapFile.PROJECT, MapFile.REPORT, MapFile.THUMBNAIL}
 )
 """The files that a run may write, in their order; its manifest lists them with their checksums."""
-ASKED_NAMES = (MapFile.SPEEDS, MapFile.HEADINGS)
-"""Those that a run writes if it is asked for them."""
-PRODUCT_NAMES = tuple(name for name in EVERY_NAME if name not in ASKED_NAMES)
+SOME_NAMES = (MapFile.SPEEDS, MapFile.HEADINGS, MapFile.PHOTO)
+"""Those that only some runs write: if they are asked for, or if points have colours."""
+PRODUCT_NAMES = tuple(name for name in EVERY_NAME if name not in SOME_NAMES)
 """Those that every run writes."""
 EVERY_VIEW_NAME: tuple[str, ...] = (
-    *(str(Path(name).with_suffix(".qml")) for name in MapFile if name.endswith((".tif", ".parquet"))),
+    *(
+        str(Path(name).with_suffix(".qml"))
+        for name in MapFile
+        if name.endswith((".tif", ".parquet")) and name != MapFile.PHOTO  # it has its own colours
+    ),
     MapFile.PROJECT,
     MapFile.REPORT,
     MapFile.THUMBNAIL,
@@ -104,7 +110,7 @@ EVERY_VIEW_NAME: tuple[str, ...] = (
 """Files to look at the others with: styles, a project, a page. GIS programs rewrite them, so they have no checksum."""
 EVERY_FILE = (*EVERY_NAME, *EVERY_VIEW_NAME)
 """The files that a map may have left in its folder, relative to it."""
-VIEW_NAMES = tuple(name for name in EVERY_VIEW_NAME if Path(name).stem not in {Path(each).stem for each in ASKED_NAMES})
+VIEW_NAMES = tuple(name for name in EVERY_VIEW_NAME if Path(name).stem not in {Path(each).stem for each in SOME_NAMES})
 """Those that every run writes."""
 
 

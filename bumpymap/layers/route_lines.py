@@ -90,6 +90,10 @@ class MapSource(Protocol):
         """Read the tiles of a window, which may extend beyond the map; bands that are not asked for are NaN."""
         ...
 
+    def photo(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.float32] | None:
+        """Read the colours of the points, (rows, cols, 3); NaN where there is none. None: the survey has none."""
+        ...
+
     def relief(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.float32]:
         """Read the heights of a window at the resolution of ``shape``, north row first, m; NaN where there is none."""
         ...

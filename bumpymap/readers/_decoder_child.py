@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import Any
 
 
-def _fields() -> Any:
+def _fields(*, colour: bool) -> Any:
     """Return the fields to decode of point formats 6 to 10; earlier formats are always decoded completely."""
     import lazrs
 
@@ -21,6 +21,7 @@ def _fields() -> Any:
         | lazrs.SELECTIVE_DECOMPRESS_CLASSIFICATION
         | lazrs.SELECTIVE_DECOMPRESS_FLAGS
         | lazrs.SELECTIVE_DECOMPRESS_POINT_SOURCE_ID
+        | (lazrs.SELECTIVE_DECOMPRESS_RGB if colour else 0)
     )
 
 
@@ -40,8 +41,8 @@ def read_chunk_table(record: bytes, data: Any) -> list[tuple[int, int]]:
     return table
 
 
-def decode_chunks(record: bytes, table: Sequence[tuple[int, int]], data: Any, out: Any) -> None:
+def decode_chunks(record: bytes, table: Sequence[tuple[int, int]], colour: bool, data: Any, out: Any) -> None:
     """Decode adjacent LAZ chunks on all cores; ``table`` is as from `read_chunk_table`."""
     import lazrs
 
-    lazrs.decompress_points_with_chunk_table(data, record, out, list(table), _fields())
+    lazrs.decompress_points_with_chunk_table(data, record, out, list(table), _fields(colour=colour))

@@ -20,6 +20,7 @@ from bumpytiles import coordinates, helper, kernel, tile_index
 Floats = Annotated[NDArray[np.float64], 1]
 Bytes = Annotated[NDArray[np.uint8], 1]
 Lines = Annotated[NDArray[np.uint16], 1]
+Colours = Annotated[NDArray[np.uint32], 1]
 Counts = Annotated[NDArray[np.int64], 1]
 Records = Annotated[NDArray[np.uint8], 2]
 Words = Annotated[NDArray[np.int32], 1]
@@ -76,6 +77,28 @@ def _word(records: Records, record: int, at: int) -> Any:
         | np.uint32(records[record, at + 2]) << np.uint32(16)
         | np.uint32(records[record, at + 3]) << np.uint32(24)
     )
+
+
+@helper
+def _is_dropped(records: Records, record: int, layout: Counts) -> Any:
+    """Return whether a record is withheld or noise."""
+    code = records[record, layout[0]] & layout[1]
+    return records[record, layout[2]] & layout[3] != 0 or code == 7 or code == 18  # noqa: PLR1714
+
+
+@kernel
+def read_colours(records: Records, rules: RecordRules, at: int, shift: int, out: Colours) -> None:
+    """Read the colours of the records that count, 3 x 16 bits from byte ``at``; they are shifted to 8 bits each."""
+    to = 0
+    for i in range(len(records)):
+        if _is_dropped(records, i, rules.layout):
+            continue
+        colour = np.uint32(0)
+        for k in range(at, at + 6, 2):
+            value = np.uint32(records[i, k]) | np.uint32(records[i, k + 1]) << np.uint32(8)
+            colour = colour << np.uint32(8) | min(value >> np.uint32(shift), np.uint32(255))
+        out[to] = colour
+        to += 1
 
 
 @kernel

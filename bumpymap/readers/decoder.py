@@ -75,10 +75,10 @@ class Decoder:
         table: Table = self._call("read_chunk_table", record, shared=(data,))
         return table[:chunks]
 
-    def chunks(self, record: bytes, table: Table, data: SharedBytes, size: int) -> Bytes:
-        """Decode adjacent LAZ chunks to ``size`` bytes."""
+    def chunks(self, record: bytes, table: Table, data: SharedBytes, size: int, *, colour: bool = False) -> Bytes:
+        """Decode adjacent LAZ chunks to ``size`` bytes; without the colour of point formats 6 to 10 unless asked."""
         out = self.allocate(size)
-        self._call("decode_chunks", record, table, shared=(data, out))
+        self._call("decode_chunks", record, table, colour, shared=(data, out))
         return out.data
 
     def close(self) -> None:

@@ -24,6 +24,7 @@ from bumpymap.readers._kernels import (
     RecordRules,
     ScaledLinedPoints,
     filter_records,
+    read_colours,
 )
 from bumpymap.readers.copc import (
     ChunkTable,
@@ -62,6 +63,10 @@ Records = NDArray[np.uint8]
 _PIECE_BYTES = 1 << 20
 """Bytes of uncompressed points that are read at a time, at most."""
 _LOWEST, _HIGHEST = -(1 << 31), (1 << 31) - 1
+_COLOUR_AT = {2: 20, 3: 28, 5: 28, 7: 30, 8: 30, 10: 30}
+"""Point format -> first byte of red, green and blue."""
+_SAMPLE = 10_000
+"""Points of each of three places, at least, that tell what the colours of a file are; LAZ chunks are read whole."""
 
 
 _buffers = threading.local()
@@ -149,7 +154,12 @@ def _integers_between(scaling: Scaling, axis: int, low: float, high: float) -> t
 
 
 def convert_records(
-    pieces: Iterable[Records], chunk: Chunk, rules: RecordRules, scaling: Scaling, lines: LineRules
+    pieces: Iterable[Records],
+    chunk: Chunk,
+    rules: RecordRules,
+    scaling: Scaling,
+    lines: LineRules,
+    colours: tuple[int, int] | None = None,
 ) -> ChunkPoints:
     """Convert LAS point records to points, drop unusable ones, and count all of them.
 
@@ -163,35 +173,43 @@ def convert_records(
     scaling : Scaling
         Makes finite coordinates of all integers.
     lines : LineRules
+    colours : tuple of int, optional
+        First byte of the colour, and by how many bits its numbers are shifted to have 8; None: colours are not read.
     """
     x, y, z = (np.empty(chunk.points, np.int32) for _ in range(3))
     out = ScaledLinedPoints(x, y, z, np.empty(chunk.points, np.uint8), np.empty(chunk.points, np.uint16))
     seen = RecordCounts(np.array([_HIGHEST, _LOWEST] * 3), np.zeros(4, np.int64))
+    colour = None if colours is None else np.empty(chunk.points, np.uint32)
     number = 0
     for records in pieces:
+        if colour is not None and colours is not None:
+            read_colours(records, rules, *colours, colour[seen.counts[3] :])
         filter_records(records, rules, out, seen)
         number += len(records)
     withheld, noise, outside, kept = seen.counts.tolist()
     stats = PointStats()
+    some = 0 if colour is None else int(np.count_nonzero(colour[:kept]))
     if number:
         # Coordinates grow, or fall, with their integers: the ends are enough.
         (west, east), (south, north), (low, high) = (
             sorted(scaling.coordinates(axis, seen.extremes[2 * axis : 2 * axis + 2]).tolist()) for axis in range(3)
         )
         highest = max(abs(low), abs(high))
-        stats = PointStats(number, withheld, noise, 0, outside, 0, 0, -1, west, south, east, north, highest)
+        stats = PointStats(number, withheld, noise, 0, outside, 0, 0, -1, west, south, east, north, highest, some)
     kept = 0 if stats.bad else kept
     x, y, z, kind, line = out.x[:kept], out.y[:kept], out.z[:kept], out.kind[:kept], out.line[:kept]
+    colour = None if colour is None else colour[:kept]
     if lines.corrects:
         in_metres = LinedPoints(*ScaledPoints(x, y, z, kind, scaling).coordinates(), kind, line)
         lines.correct(in_metres)
-        cloud = PointCloud(in_metres.x, in_metres.y, in_metres.z, kind)
+        cloud = PointCloud(in_metres.x, in_metres.y, in_metres.z, kind, colour)
         return ChunkPoints(cloud, stats, lines.sums(in_metres))
     sums = lines.sums(ScaledLinedPoints(x, y, z, kind, line), scaling)
     if kept < number // 2:
         # A view would keep the memory of the dropped points.
         x, y, z, kind = x.copy(), y.copy(), z.copy(), kind.copy()
-    return ChunkPoints(ScaledPoints(x, y, z, kind, scaling), stats, sums)
+        colour = None if colour is None else colour.copy()
+    return ChunkPoints(ScaledPoints(x, y, z, kind, scaling, colour), stats, sums)
 
 
 class LasSurvey(SurveyReader):
@@ -230,6 +248,9 @@ class LasSurvey(SurveyReader):
             kinds=options.kinds,
         )
         self._lines = LineRules(measure=options.lines, corrections=options.corrections)
+        self._colours: tuple[int, int] | None = None
+        if options.colour:
+            self._colours = self._find_colours()
         kind = f"{'LAZ' if raw.compressed else 'LAS'} {raw.version}, point format {raw.point_format}"
         kind = f"{around} ({kind})" if around else kind
         notes += _degrees_note(place, raw)
@@ -239,6 +260,24 @@ class LasSurvey(SurveyReader):
         return replace(
             info, parallel=raw.compressed, header_date=raw.created, heights=heights, class_names=raw.class_names
         )
+
+    def _find_colours(self) -> tuple[int, int] | None:
+        """Return first byte and shift of the colours, from points at the start, middle and end; None without any."""
+        at = _COLOUR_AT.get(self._raw.point_format, 0)
+        if not at or not self._raw.point_count:
+            return None
+        self._colours = (at, 0)  # so that they are decoded
+        every = self.chunks(_SAMPLE)
+        highest = 0
+        for chunk in (every[0], every[len(every) // 2], every[-1]):
+            try:
+                fetched = self._fetch(chunk)
+                for piece in (fetched,) if isinstance(fetched, np.ndarray) else fetched:
+                    highest = max(highest, int(np.ascontiguousarray(piece[:, at : at + 6]).view("<u2").max(initial=0)))
+            except BadInputError:  # told when the points are read
+                return None
+        # Colours have 16 bits, but many writers leave 8-bit values as they are.
+        return None if not highest else (at, 8) if highest > 255 else (at, 0)
 
     def _read_header(self, stream: BinaryIO) -> tuple[RawHeader, CrsStatement, str]:
         """Return the header, what it states of the CRS, and the name of a format around that of the points."""
@@ -289,7 +328,11 @@ class LasSurvey(SurveyReader):
             at += size
         points, size = int(part.counts.sum()), self._raw.point_size
         with decoding(path, "LAZ chunks"):
-            return decoder().chunks(self._laszip, table, compressed, points * size).reshape(points, size)
+            return (
+                decoder()
+                .chunks(self._laszip, table, compressed, points * size, colour=self._colours is not None)
+                .reshape(points, size)
+            )
 
     def _part(self, chunk: Chunk, table: ChunkTable) -> ChunkTable:
         """Return the LAZ chunks of a chunk, by their offsets in the file."""
@@ -299,7 +342,7 @@ class LasSurvey(SurveyReader):
 
     def _convert(self, chunk: Chunk, fetched: Records | Iterator[Records]) -> ChunkPoints:
         pieces = (fetched,) if isinstance(fetched, np.ndarray) else fetched
-        converted = convert_records(pieces, chunk, self._rules, self._scaling, self._lines)
+        converted = convert_records(pieces, chunk, self._rules, self._scaling, self._lines, self._colours)
         bounds, table = self.info.bounds, self._table
         if table is None or table.boxes is None or bounds is None or not isinstance(fetched, np.ndarray):
             return converted

@@ -234,6 +234,8 @@ class PointStats:
     """Extent of the points, m; inverted (west = inf, east = -inf) if there are none."""
     highest: float = 0.0
     """Largest absolute height, m."""
+    coloured: int = 0
+    """Points with a colour, among those that are not dropped."""
 
     def merge(self, other: "PointStats") -> "PointStats":
         """Return the statistics of both sets of points; the order does not matter."""
@@ -252,6 +254,7 @@ class PointStats:
             max(self.east, other.east),
             max(self.north, other.north),
             max(self.highest, other.highest),
+            self.coloured + other.coloured,
         )
 
     @property

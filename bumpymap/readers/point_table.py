@@ -43,6 +43,7 @@ def convert_points(
     *,
     nan_is_no_return: bool,
     kinds: NDArray[np.uint8],
+    colour: NDArray[np.uint32] | None = None,
 ) -> ChunkPoints:
     """Drop unusable points of a table, and count all of them.
 
@@ -58,6 +59,8 @@ def convert_points(
         Whether a point with NaN is a beam without return, rather than an error.
     kinds : array (256,)
         The kind of the points of each class, see `ReadOptions.kinds`.
+    colour : uint32 (n,), optional
+        Their colours.
     """
     size = len(axes[0])
     codes = np.zeros(size, np.uint8)
@@ -87,9 +90,13 @@ def convert_points(
     kept = ~(noise | no_return)
     if not kept.all():
         axes, codes = (axes[0][kept], axes[1][kept], axes[2][kept]), codes[kept]
+        colour = None if colour is None else colour[kept]
     if stats.bad:
         axes, codes = (axes[0][:0], axes[1][:0], axes[2][:0]), codes[:0]
-    return ChunkPoints(PointCloud(*axes, kinds[codes]), stats)
+        colour = None
+    if colour is not None:
+        stats = replace(stats, coloured=int(np.count_nonzero(colour)))
+    return ChunkPoints(PointCloud(*axes, kinds[codes], colour), stats)
 
 
 def _coordinate(column: Any, unit: float) -> NDArray[np.float64]:
@@ -129,6 +136,7 @@ def precision_note(first: tuple[float, float, float] | None, types: Sequence[Any
 Wanted = dict[str, tuple[str, ...]]
 """Optional quantities beside x, y and z: a key, and names (in lower case) of columns that may hold the quantity."""
 _CLASSES: Wanted = {"class": CLASS_COLUMNS}
+_COLOURS: Wanted = {name: (name, f"diffuse_{name}") for name in ("red", "green", "blue")}
 _PLACE: Wanted = {axis: (axis,) for axis in "xyz"}
 
 
@@ -275,8 +283,12 @@ class TableSurvey(SurveyReader):
 
     def _open(self, options: ReadOptions) -> SurveyInfo:
         self._kinds = options.kinds
-        self._table = table = self._open_table(self._path, _CLASSES, options.memory)
-        head, names = table.info, table.info.find(_CLASSES)
+        wanted = _CLASSES | (_COLOURS if options.colour else {})
+        self._table = table = self._open_table(self._path, wanted, options.memory)
+        head, names = table.info, table.info.find(wanted)
+        self._colours = [names[name] for name in _COLOURS if name in names]
+        if len(self._colours) < len(_COLOURS) or any(head.types[name].kind not in "ui" for name in self._colours):
+            self._colours = []
         self._columns, self._class_column = (names["x"], names["y"], names["z"]), names.get("class")
         first = self._first()
         place, notes = georeference(Place(table.path, first), CrsStatement(), options.given_crs, options.z_unit)
@@ -308,7 +320,16 @@ class TableSurvey(SurveyReader):
             chunk.first,
             nan_is_no_return=self._table.nan_is_no_return,
             kinds=self._kinds,
+            colour=self._colour(fetched) if self._colours else None,
         )
+
+    def _colour(self, rows: Any) -> NDArray[np.uint32]:
+        """Return the colours of rows, 8 bits a channel: the type of their columns tells the range."""
+        colour = np.zeros(len(rows), np.uint32)
+        for name in self._colours:
+            shift = 8 * (self._table.info.types[name].itemsize - 1)
+            colour = colour << np.uint32(8) | (np.asarray(rows[name]).astype(np.int64) >> shift & 255).astype(np.uint32)
+        return colour
 
     def _first(self) -> tuple[float, float, float] | None:
         """Return the first point with finite coordinates among the first ``searched`` rows; None if there is none."""

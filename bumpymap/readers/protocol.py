@@ -55,6 +55,8 @@ class ReadOptions:
     """LAS classes that are ground."""
     keep_classes: bool = False
     """True if the kind of a point is its class."""
+    colour: bool = False
+    """True if the colours of points are read, where a file has some."""
 
     @property
     def kinds(self) -> NDArray[np.uint8]:
@@ -129,14 +131,18 @@ class ChunkPoints:
     def cloud(self) -> PointCloud:
         """The points in metres."""
         points = self.points
-        return PointCloud(*points.coordinates(), points.flag) if isinstance(points, ScaledPoints) else points
+        return (
+            PointCloud(*points.coordinates(), points.flag, points.colour)
+            if isinstance(points, ScaledPoints)
+            else points
+        )
 
     def grouped(self, grid: Grid) -> GroupedPoints:
         """Return the points grouped by block of tiles, in as few bytes as is exact."""
         points = self.points
         if isinstance(points, ScaledPoints):
             return group_scaled_points(grid, points)
-        return group_points(grid, points.easting, points.northing, points.upward, points.kind)
+        return group_points(grid, points.easting, points.northing, points.upward, points.kind, points.colour)
 
 
 class SurveyReader(ABC):
@@ -155,6 +161,8 @@ class SurveyReader(ABC):
     BadInputError
         Here and in ``fetch``, ``convert`` and ``verify``: the file is not what it must be, or was changed or removed.
     """
+
+    _hash: FileHash | None = None
 
     def __init__(self, path: Location, options: ReadOptions) -> None:
         self._path, self._version = path, version_of(path)
@@ -180,6 +188,11 @@ class SurveyReader(ABC):
     def info(self) -> SurveyInfo:
         """Contents of the header."""
         return self._info
+
+    @property
+    def has_colour(self) -> bool:
+        """True if `ReadOptions.colour` asks for colours and a sample of the points has some."""
+        return bool(getattr(self, "_colours", None))
 
     @property
     def dropped(self) -> dict[str, int]:

@@ -14,6 +14,7 @@ from bumpymap.core import (
     FeatureSettings,
     Ground,
     MapConfig,
+    PageSettings,
     Rating,
     UsageError,
     ZUnit,
@@ -58,6 +59,7 @@ class EachSettings(TypedDict, total=False):
     license: str
     features: FeatureSettings | Mapping[str, Any]
     csf: CsfSettings | Mapping[str, Any]
+    page: PageSettings | Mapping[str, Any]
 
 
 class MapSettings(EachSettings, total=False):

@@ -30,6 +30,7 @@ def read_options(config: MapConfig, *, crs_must_agree: bool = False) -> ReadOpti
         force_crs=config.force_crs,
         crs_must_agree=crs_must_agree,
         ground_classes=config.ground_classes,
+        colour=True,
     )
 
 

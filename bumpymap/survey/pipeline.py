@@ -7,12 +7,14 @@ from bumpymap.core import (
     CostTable,
     MapConfig,
     OutputError,
+    PageSettings,
     Progress,
     SilentProgress,
     Stopwatch,
     is_interrupted,
     locked,
     memory_bytes,
+    photo_column,
     rated_columns,
     remove_empty_on_error,
 )
@@ -44,6 +46,9 @@ from bumpymap.survey.run_record import (
 from bumpymap.survey.second_pass import NeighbourRating, finish_tiles
 from bumpymap.survey.tile_rating import RatingModels, TileRating, require_cloth
 from bumpytiles import Grid
+
+_COLOURED = 0.1
+"""Share of points with a colour from which on there is a photo."""
 
 
 def map_surveys(config: MapConfig, progress: Progress | None = None, *, in_batch: bool = False) -> MapResult:
@@ -80,6 +85,11 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
             # A continued run may replace what it could replace when it began: if it was killed between moving its
             # layers to their places and clearing up, they are its own.
             check_folder(config.out, overwrite=overwrite or unfinished)
+        header = {}
+        if config.page != PageSettings():
+            from bumpymap.views import page_header
+
+            header = page_header(config.page)
         models, inputs, neighbours = _prepare(config, crs_must_agree=not in_batch)
         # A setting without effect is none of the run: a batch that gives it for one survey begins no other anew.
         config = replace(config, local=config.local and inputs.georeference.crs is None)
@@ -97,6 +107,8 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
     speeds = config.speeds or ()
     in_relief = rating.measure_all if config.compat == "none" else None  # the paper knows no obstacles
     columns = rated_columns(grid.pixels, len(speeds), headings=config.headings)
+    if any(reader.has_colour for reader in inputs.readers):
+        columns = (*columns, photo_column(grid.pixels))
     work = BlockWork(grid, columns, rating, config.ground, in_relief)
     # Workers first: a failure to connect must not cost what an earlier run has finished.
     with (
@@ -111,9 +123,16 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
         measured = run_engine(aligned.inputs, work, space, budget, executor, progress, clock)
         with clock.stage("neighbours"), engine_errors(budget):
             tiles = finish_tiles(measured.table, neighbours, space.new_tiles, config.threads, progress)
-        table = CostTable(inputs.georeference, map_rule(models.calibration), tiles, speeds)
+        table = CostTable(
+            inputs.georeference,
+            map_rule(models.calibration),
+            tiles,
+            speeds,
+            has_photo=measured.coloured >= _COLOURED * measured.points,
+        )
         lines = aligned.outcome(measured.lines)
         manifest = run_manifest(config, inputs, run_spec, measured, models, clock.seconds, lines, warnings)
+        manifest |= {"page": header} if header else {}
         with clock.stage("write"):
             # These bring GDAL and Arrow, for which reading need not wait.
             from bumpymap.layers import write_products

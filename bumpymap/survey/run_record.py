@@ -164,6 +164,7 @@ _WITHOUT_EFFECT = {
     "memory",
     "scratch",
     "scheduler",
+    "page",
 }
 """Settings that do not change the results: a resumed run may use other values."""
 

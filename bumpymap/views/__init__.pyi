@@ -35,6 +35,9 @@ from .page.map_page import (
 from .page.page import (
     compile_pages as compile_pages,
 )
+from .page.site import (
+    page_header as page_header,
+)
 from .pictures.route_picture import (
     write_reach_picture as write_reach_picture,
     write_route_picture as write_route_picture,

@@ -72,8 +72,12 @@ def shares(counts: Sequence[float], alone: Collection[int] = ()) -> list[str]:
     return shares_text(counts, alone, percent=_PERCENT) if sum(counts) else [DASH] * len(counts)
 
 
-def area(square_metres: float) -> str:
-    """Return an area in m2, ha or km2."""
+def area(square_metres: float, among: float | None = None) -> str:
+    """Return an area in m2, ha or km2; in the one unit of a column, m2 or ha, given its largest with ``among``."""
+    if among is not None:
+        if among < _SQUARE_KILOMETRE:
+            return f"{square_metres:,.0f} m²"
+        return f"{square_metres / _HECTARE:,.2f} ha" if square_metres >= 50.0 or not square_metres else "under 0.01 ha"
     if square_metres >= _SQUARE_KILOMETRE:
         return f"{square_metres / _SQUARE_KILOMETRE:,.2f} km²"
     if square_metres >= _HECTARE:

@@ -81,6 +81,9 @@ class MadeUpMap(TileMap):
     def relief(self, window, shape):
         return _thinned(self._cut(self.height, window, np.nan), shape)
 
+    def photo(self, window, shape):
+        return None
+
     def passage_shown(self, window, shape):
         if self.fits is None:
             return np.ones(shape, bool)

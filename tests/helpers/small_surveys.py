@@ -29,7 +29,7 @@ def layers_of(folder):
 
 def write_las(path, x, y, z, *, crs="EPSG:32614", offset=(500_000, 4_000_000, 0), scales=(0.001,) * 3, **columns):
     """Write points to a LAS or LAZ file with a CRS (None: without one); ``columns`` have the names of laspy."""
-    header = laspy.LasHeader(point_format=6, version="1.4")
+    header = laspy.LasHeader(point_format=7 if "red" in columns else 6, version="1.4")
     header.offsets, header.scales = offset, scales
     if crs:
         header.add_crs(CRS.from_user_input(crs))

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 import pyogrio
 import pytest
 import rasterio
-from cost_maps import part_of, table_of
+from cost_maps import table_of
 from region_files import regions_of, write_flatgeobuf, write_geojson
 from small_surveys import SIDES, files_in
 
@@ -107,18 +107,6 @@ def test_every_layer_says_which_survey_vehicle_and_version_made_it(tmp_path, cos
     }
     for name, entries in found.items():
         assert {key: entries.get(key) for key in wanted} == wanted, name
-
-
-@pytest.mark.slow
-def test_same_map_same_bytes_whatever_the_order_of_its_tiles(tmp_path, make_field):
-    cost_map = make_field(110, 90, grid=Grid(3.0, 5))
-    shuffled = part_of(cost_map, np.random.default_rng(0).permutation(len(cost_map.class_id)))
-    seen = []
-    for name, twin in {"a": cost_map, "other_name": shuffled}.items():
-        (tmp_path / name).mkdir()
-        write(twin, tmp_path / name)
-        seen.append({key: value for key, value in files_in(tmp_path / name).items() if key != "run.json"})
-    assert seen[0] == seen[1]
 
 
 def test_scratch_of_a_killed_run_goes_and_nothing_else(tmp_path):

@@ -23,13 +23,13 @@ from bumpymap.layers import _cog, geotiff
 from bumpymap.layers._cog import checksum, require_intact
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS
 from bumpymap.layers.geotiff import write_raster
-from bumpymap.layers.products import ASKED_NAMES, MapFile
+from bumpymap.layers.products import SOME_NAMES, MapFile
 from bumpytiles import Grid
 
 WRITERS = {
     Path(file).stem: lambda cost_map, *rest, file=file: write_raster(file, table_of(cost_map), *rest)
     for file in MapFile
-    if file.endswith(".tif") and file not in {MapFile.PASSAGE, *ASKED_NAMES}
+    if file.endswith(".tif") and file not in {MapFile.PASSAGE, *SOME_NAMES}
 }
 
 
@@ -283,18 +283,6 @@ def test_a_crs_without_geotiff_keys_is_in_the_side_file_beside_names_and_counts(
         assert "+proj=ob_tran" in file.crs.to_wkt()
     if name in VALUES:
         check_value_table(path, name, tmp_path / "seen.vrt")
-
-
-@pytest.mark.slow
-def test_threads_do_not_change_the_bytes(tmp_path, make_field, monkeypatch):
-    cost_map = make_field(200, 150, grid=Grid(3.0, 5))
-    for name in ("roughness", "class", "heightmap", "relief"):
-        seen = set()
-        for threads in ("1", "5"):
-            monkeypatch.setattr("bumpymap.layers._cog.gdal_threads", lambda threads=threads: threads)
-            WRITERS[name](cost_map, tmp_path / f"{name}.tif")
-            seen.add((tmp_path / f"{name}.tif").read_bytes())
-        assert len(seen) == 1
 
 
 def test_the_cache_of_the_process_changes_only_for_the_thread_that_may_write(tmp_path, make_field):

@@ -30,6 +30,7 @@ from bumpymap.readers.point_table import convert_points
 FORMATS = [("1.2", fmt) for fmt in range(4)] + [("1.3", 4), ("1.3", 5)] + [("1.4", fmt) for fmt in range(11)]
 CORNER = np.array([500_000.0, 4_000_000.0, 0.0])
 N = 3000
+DEEP = {3: 257, 7: 257, 10: 257}  # point formats whose colours have 16 bits here; others have 8 in the same fields
 
 
 def survey(las, name="a.las", *, version="1.4", fmt=6, count=N, **more):
@@ -37,6 +38,8 @@ def survey(las, name="a.las", *, version="1.4", fmt=6, count=N, **more):
     rng = np.random.default_rng(count + fmt)
     points = np.round(rng.uniform(0, [300, 300, 30], (count, 3)), 3) + CORNER
     classes = rng.choice(np.array([1, 2, 3, 4, 5, 6, 7, 18], np.uint8), count)
+    if "red" in laspy.PointFormat(fmt).dimension_names:
+        more |= dict(zip(("red", "green", "blue"), rng.integers(0, 256, (3, count)) * DEEP.get(fmt, 1), strict=True))
     return las.write(
         name, points, version=version, fmt=fmt, classification=classes, withheld=rng.random(count) < 0.1, **more
     )
@@ -79,9 +82,15 @@ def test_chunks_are_what_laspy_reads(las, batches, table, version, fmt, packing)
     expected, counts, dropped = oracle(path, 1200 / 3937)
     if packing != "plain":
         path = las.pack(path, 256) if packing == "chunks" else las.pack(path, counts=[1, 700, 299, 1500, 500])
-    reader = open_survey(path)
+    reader = open_survey(path, ReadOptions(colour=True))
     found = batches(reader, 700)
     assert np.array_equal(table(found), expected[counts])
+    if reader.has_colour:
+        data = laspy.read(path)
+        red, green, blue = (np.asarray(data[name], int) // DEEP.get(fmt, 1) for name in ("red", "green", "blue"))
+        colours = np.concatenate([batch.points.colour for batch in found])
+        np.testing.assert_array_equal(colours, (red << 16 | green << 8 | blue)[counts])
+    assert reader.has_colour == (fmt in {2, 3, 5, 7, 8, 10})
     total = merged(found)
     check_extent(total, expected)
     assert total.dropped == dropped

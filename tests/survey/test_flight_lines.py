@@ -194,15 +194,6 @@ def test_files_order_chunks_and_threads_change_no_byte(aligned, tmp_path, limit_
     assert lines_of(tmp_path / "out") == lines_of(aligned)
 
 
-def test_a_resumed_run_gives_the_same_bytes(aligned, tmp_path, limit_points, killed_at):
-    left, survey = tmp_path / "left", write(tmp_path / "a.las", two_strips(STEP))
-    limit_points(chunk=2_000, waiting=6_000)
-    killed_at("survey.engine.run.decide_ground", left, survey, "--align", "on")
-    mapped(left, survey, "--align", "on")
-    assert layers_of(left) == layers_of(aligned)
-    assert lines_of(left) == lines_of(aligned)
-
-
 def test_info_tells_the_step_of_a_file_and_of_all(stepped, tmp_path):
     (file,) = json.loads(run("info", stepped, "--json").stdout)["files"]
     assert abs(file["flight_lines"]["pairs"][0]["step"] - STEP) < 0.002

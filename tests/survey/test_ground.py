@@ -95,21 +95,6 @@ def test_no_way_leads_over_the_wall_that_stands_on_both_sides_of_the_border(mixe
     assert passable[np.abs(y - 31.0) > 6.0].mean() > 0.5
 
 
-@pytest.mark.parametrize("tight", [False, True])
-def test_neither_files_nor_budget_change_a_byte_of_it(mixed, tmp_path, limit_points, tight):
-    points = np.random.default_rng(1).permutation(made_site(1))
-    halves = [points[points[:, 0] <= SEAM], points[points[:, 0] > SEAM]] if tight else [points[::2], points[1::2]]
-    for number, half in enumerate(halves):
-        write(tmp_path / "files" / f"{number}.las", half)
-    if tight:
-        limit_points(chunk=20_000, waiting=60_000, block=40_000)
-    record, table = mapped([tmp_path / "files"], tmp_path / "out")
-    whole, expected = mixed[1]["auto"]
-    assert same(table, expected, np.ones(len(expected), bool))
-    assert record["counts"] == whole["counts"]
-    assert record["tiles_from_all_points"] == whole["tiles_from_all_points"]
-
-
 def test_a_run_killed_on_the_way_goes_on(mixed, tmp_path, limit_points, killed_at):
     folder, _ = mixed
     limit_points(chunk=40_000, waiting=100_000)

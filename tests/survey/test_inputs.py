@@ -11,7 +11,6 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import rasterio
-from alike_surveys import alike_surveys
 from epts import write_ept
 from range_server import serving
 from small_surveys import layers_of, run, write_las, write_survey
@@ -75,11 +74,6 @@ def refused(result, path, out):
 def test_map_refuses_a_survey_that_changes_while_it_is_read(lifted_when_read, tmp_path):
     out = tmp_path / "layers"
     refused(run("map", lifted_when_read, "--out", out), lifted_when_read, out)
-
-
-def test_info_refuses_it_too(lifted_when_read):
-    result = run("info", lifted_when_read)
-    assert (result.exit_code, "changed while it was read" in result.output) == (3, True)
 
 
 def test_map_goes_on_without_it_where_it_may(lifted_when_read, tmp_path):
@@ -267,14 +261,6 @@ def made(tmp_path_factory):
     z = 0.2 * np.sin(9 * x) * np.sin(8 * y)
     file = write_las(folder / "site.laz", x + 500_016.0, y + 4_000_032.0, z, classification=rng.integers(1, 7, 100_000))
     return file, write_ept(folder / "site", file, levels=2, split=1, offsets=True)
-
-
-def test_the_layers_are_those_of_the_same_points_in_one_file(made, tmp_path, limit_points):
-    limit_points(chunk=5_000, waiting=20_000, block=20_000)
-    with alike_surveys():
-        results = [run("map", place, "--out", tmp_path / str(n)) for n, place in enumerate((made[0], made[1].parent))]
-    assert [result.exit_code for result in results] == [0, 0], results[1].output
-    assert layers_of(tmp_path / "1") == layers_of(tmp_path / "0")
 
 
 def test_an_ept_is_one_input_and_known_again(made, tmp_path):

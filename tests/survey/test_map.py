@@ -260,17 +260,6 @@ def test_zones_of_the_sample_survey_are_rated_as_a_driver_would(demo):
     assert rubble > 0.273  # rough or worse
 
 
-def test_a_refused_overwrite_keeps_the_earlier_run_whole(survey, site, tmp_path):
-    out = tmp_path / "layers"
-    assert run("map", survey, "--out", out).exit_code == 0
-    before = files_in(out)
-    nowhere = write_las(tmp_path / "mars.laz", *site, crs=None)
-    # A CRS of another planet: no relation to longitude and latitude on Earth.
-    result = run("map", nowhere, "--out", out, "--overwrite", "--crs", "IAU_2015:49910")
-    assert result.exit_code == 3, result.output
-    assert files_in(out) == before
-
-
 @pytest.mark.parametrize(
     "place", ["survey.engine.run.decide_ground", "layers.write_products", "core.run_folder._remove"]
 )

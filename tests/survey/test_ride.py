@@ -116,17 +116,6 @@ def test_they_open_in_python(maps):
         bumpymap.open(maps / "plain").speeds()
 
 
-def test_a_run_without_speeds_takes_the_layer_of_an_earlier_one_away(survey, tmp_path):
-    out = tmp_path / "out"
-    assert run("map", survey, "--out", out, "--set", "speeds=2").exit_code == 0
-    assert (out / "rasters/speeds.tif").exists()
-    assert "Already done" in run("map", survey, "--out", out, "--set", "speeds=2").output
-    other = run("map", survey, "--out", out)
-    assert (other.exit_code, "speeds" in other.output) == (3, True)
-    assert run("map", survey, "--out", out, "--overwrite").exit_code == 0
-    assert not (out / "rasters/speeds.tif").exists()
-
-
 @pytest.mark.parametrize(
     ("options", "said"),
     [

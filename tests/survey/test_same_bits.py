@@ -10,11 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rasterio
 from alike_surveys import alike_surveys
 from hypothesis import HealthCheck, given, settings, strategies as st
 from small_surveys import SIDES, files_in, layers_of, run, write_las, write_survey
 
-from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
+from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES, MapFile
 
 pytestmark = pytest.mark.slow
 
@@ -40,9 +41,19 @@ def points():
     return np.concatenate([cloud, cloud[:500]])
 
 
-def write(path, points, offset):
+def colours(points):
+    """Colours of points, 8 bits a channel, (n, 3): smooth over the ground, and darker below; a few points have none."""
+    x, y, z = points[:, :3].T
+    shade = np.clip(0.6 + 0.1 * (z - 0.1 * x), 0.3, 1.0)[:, None]
+    found = np.rint(shade * np.column_stack([40 + x, 90 + y, 200 - x])).astype(int)
+    return np.where((points[:, :1] * 1000 % 50 < 1), 0, found)
+
+
+def write(path, points, offset, bits=16):
+    """Write points, with colours of 16 bits, or of 8 in the same fields."""
     kind = points[:, 3].astype(np.uint8)
-    return write_las(path, *(points[:, :3] + CORNER).T, offset=offset, classification=kind)
+    rgb = dict(zip(("red", "green", "blue"), colours(points).T * (257 if bits == 16 else 1), strict=True))
+    return write_las(path, *(points[:, :3] + CORNER).T, offset=offset, classification=kind, **rgb)
 
 
 def mapped(files, out, *options):
@@ -50,7 +61,7 @@ def mapped(files, out, *options):
         result = run("map", *files, "--out", out, *options)
     assert result.exit_code == 0, result.output
     content = files_in(out)
-    assert set(content) == {*PRODUCT_NAMES, *VIEW_NAMES, *SIDES}
+    assert set(content) == {*PRODUCT_NAMES, MapFile.PHOTO, *VIEW_NAMES, *SIDES}
     content = {name: content[name] for name in content if name not in NAMING}
     record = json.loads((out / "run.json").read_text())
     record["files"] = [file for file in record["files"] if file["path"] != "item.json"]  # it names the survey
@@ -81,9 +92,10 @@ def delivered(points, folder, rng):
         file = rng.integers(count, size=len(points))
     else:
         file = np.minimum(points[:, axis] / SPAN[axis] * count, count - 1).astype(int)
+    names = [f"{n}.{rng.choice(['las', 'laz'])}" for n in range(count)]
     paths = [
-        write(folder / f"{number}.{rng.choice(['las', 'laz'])}", points[file == number], offsets[rng.integers(2)])
-        for number in range(count)
+        write(folder / name, points[file == n], offsets[rng.integers(2)], rng.choice([8, 16]))
+        for n, name in enumerate(names)
     ]
     return [paths[number] for number in rng.permutation(count)]
 
@@ -101,6 +113,40 @@ def test_no_delivery_and_no_budget_changes_a_byte(points, whole, tmp_path_factor
     assert [name for name in wanted if content[name] != wanted[name]] == []
     assert record == wanted_record
     assert list(Path(folder / "scratch").iterdir()) == []
+
+
+def test_the_photo_shows_the_highest_coloured_point_of_each_pixel(points, whole, tmp_path):
+    """Bushes too, from whatever points the ground is measured; JPEG changes the colours a little."""
+    (tmp_path / "photo.tif").write_bytes(whole["auto"][0][MapFile.PHOTO])
+    assert whole["all"][0][MapFile.PHOTO] == whole["auto"][0][MapFile.PHOTO]
+    with rasterio.open(tmp_path / "photo.tif") as file:
+        photo, mask, profile, place = file.read(), file.dataset_mask() > 0, file.profile, file.transform
+    assert (profile["compress"], profile["count"], place.a) == ("jpeg", 3, 0.2)
+    rgb, places = colours(points), points[:, :2] + CORNER[:2]
+    tile = np.floor(places / 3.0)
+    corner = np.array([place.c, place.f - 0.2 * len(mask)])
+    col, up = (15 * tile + np.floor(15 * (places - 3 * tile) / 3) - np.rint(corner / 0.2)).astype(int).T
+    wanted = np.full((3, *mask.shape), -1)
+    for n in np.argsort(points[:, 2])[rgb.any(axis=1)[np.argsort(points[:, 2])]]:
+        wanted[:, len(mask) - 1 - up[n], col[n]] = rgb[n]
+    np.testing.assert_array_equal(mask, wanted[0] >= 0)
+    assert np.abs(photo - wanted)[:, mask].mean() < 5
+
+
+@pytest.mark.parametrize(("share", "written"), [(0.0, False), (0.05, False), (0.2, True)])
+def test_a_tenth_of_the_points_must_have_a_colour(points, whole, tmp_path, share, written):
+    """Without a photo all other layers are the same."""
+    rgb = colours(points) * 257 * (np.arange(len(points)) < share * len(points))[:, None]
+    columns = dict(zip(("red", "green", "blue"), rgb.T, strict=True))
+    survey = write_las(
+        tmp_path / "a.laz", *(points[:, :3] + CORNER).T, classification=points[:, 3].astype(int), **columns
+    )
+    with alike_surveys():
+        assert run("map", survey, "--out", tmp_path / "layers").exit_code == 0
+    found = files_in(tmp_path / "layers")
+    assert (MapFile.PHOTO in found) == written
+    layers = [name for name in PRODUCT_NAMES if name.endswith(".tif") or name == MapFile.TILES]
+    assert [name for name in layers if found[name] != whole["auto"][0][name]] == []
 
 
 def test_only_what_names_the_survey_tells_deliveries_apart(points, tmp_path):

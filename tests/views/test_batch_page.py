@@ -71,7 +71,7 @@ def test_what_failed_comes_first_and_names_link_to_reports_that_exist():
     found = Outline(index_page(rows, {"d e": SurveyView(has_report=True)}, ["summary.csv"], "night"))
     assert names_of(found) == ["c", "b", "a", "d e", "e"]
     assert [link["href"] for link in found.elements["a"]] == ["summary.csv", "d%20e/report.html"]
-    assert "5 surveys: 3 done (1 of them earlier), 1 not reached, 1 failed\n" in found.text
+    assert "5 surveys: 3 done (1 of them earlier), 1 not reached, 1 failed; 2.57 ha mapped\n" in found.text
     assert "60% passable, 15.0% unknown, mostly too few points" in found.text
     assert "smooth 50.0%, fair 20.0%, rough 10.0%, very rough 5.0%, unknown 15.0%" in found.text
 
@@ -117,18 +117,18 @@ def tiles(side, class_id=0):
 
 def test_unknown_ground_is_grey_even_among_known_tiles(tmp_path):
     """Three of four tiles unknown: an overview of class.tif has the class of the fourth."""
-    class_id, barred = tiles(192)
-    mostly = np.zeros((192, 192), bool)
-    mostly[:96, :96] = True
-    mostly[:96:2, :96:2] = False
+    class_id, barred = tiles(480)
+    mostly = np.zeros((480, 480), bool)
+    mostly[:240, :240] = True
+    mostly[:240:2, :240:2] = False
     class_id[mostly], barred[mostly] = NO_CLASS, Barred.UNKNOWN
-    class_id[96:, 96:] = barred[96:, 96:] = NO_CLASS
+    class_id[240:, 240:] = barred[240:, 240:] = NO_CLASS
     found = pixels(tmp_path, class_id, barred)
-    assert found.shape == (96, 96, 3)
-    assert (np.ptp(found[:48, :48], axis=2) < 4).all()
-    assert (found[:48, :48] < 200).all()
-    assert (found[48:, 48:] > 250).all()
-    assert np.abs(found[:48, 48:] - CLASS_COLOURS[0][:3]).max() < 12
+    assert found.shape == (240, 240, 3)
+    assert (np.ptp(found[:120, :120], axis=2) < 4).all()
+    assert (found[:120, :120] < 200).all()
+    assert (found[120:, 120:] > 250).all()
+    assert np.abs(found[:120, 120:] - CLASS_COLOURS[0][:3]).max() < 12
 
 
 @pytest.mark.parametrize("most", [100_000, 300])

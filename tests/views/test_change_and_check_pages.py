@@ -24,7 +24,7 @@ from bumpymap.views import check_headline, write_report
 from bumpymap.views.page import change_page
 from bumpymap.views.page.change_page import NOT_COMPARED
 from bumpymap.views.page.charts import along_chart, drive_chart
-from bumpymap.views.words import area, check_verdict
+from bumpymap.views.words import check_verdict
 
 
 def band(folder, name):
@@ -44,7 +44,7 @@ def test_tables_equal_the_counts_of_the_record(comparison, read_page):
     kinds = tables["Tiles by what became of them"][1:]
     for name, row in zip(CHANGE_KINDS, kinds, strict=False):
         assert row[0].startswith(name)
-        assert row[2:] == [area(9 * counts["by_change"][name]), f"{counts['by_change'][name]:,}"]
+        assert row[2:] == [f"{9 * counts['by_change'][name]:,} m²", f"{counts['by_change'][name]:,}"]
     assert [row[3] for row in kinds[6:]] == [f"{counts['compared']:,}", f"{counts['in_both'] - counts['compared']:,}"]
     classes = [[int(cell.replace(",", "")) for cell in row[1:]] for row in tables["Tiles by class"][1:]]
     assert classes == record["classes"]["tiles_before_after"]

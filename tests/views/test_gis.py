@@ -11,11 +11,12 @@ from xml.etree import ElementTree as ET
 import geopandas
 import numpy as np
 import pytest
+import rasterio
 import shapely
 from check_records import made_up_check
 from cost_maps import table_of
 from pyproj import CRS
-from route_maps import write_folder
+from route_maps import copy_folder, write_folder
 from route_records import CORNERS, UTM, MadeUpMap, make_route
 from skimage.color import deltaE_ciede2000, rgb2lab
 from survey_pairs import survey
@@ -148,6 +149,22 @@ def test_the_relief_is_smooth_and_in_the_unit_of_the_crs(alone):
         assert {sampler.get("zoomedInResampler"), sampler.get("zoomedOutResampler")} == {"bilinear"}
     assert root.find("pipe/resamplingStage").text == "resamplingFilter"
     assert styled(alone)["rasters/class.qml"].find("pipe/rasterresampler").get("zoomedInResampler") is None
+
+
+def test_a_photo_lies_below_all_layers_in_place_of_the_relief(folder, tmp_path):
+    copy_folder(folder, tmp_path / "layers")
+    with rasterio.open(folder / "rasters/heightmap.tif") as file:
+        profile = {"count": 3, "dtype": "uint8", "nodata": None, "width": file.width, "height": file.height}
+        profile |= {"driver": "GTiff", "crs": file.crs, "transform": file.transform}
+    with rasterio.open(tmp_path / "layers/rasters/photo.tif", "w", **profile) as file:
+        file.write(np.full((3, file.height, file.width), 90, np.uint8))
+    write_project(tmp_path / "layers", json.loads((folder / "run.json").read_text()))
+    root = read(tmp_path / "layers/map.qgs")
+    shown = {leaf.get("source"): leaf.get("checked") for leaf in root.iter("layer-tree-layer")}
+    assert [*shown][-1] == "./rasters/photo.tif"
+    assert (shown["./rasters/photo.tif"], shown["./rasters/relief.tif"]) == ("Qt::Checked", "Qt::Unchecked")
+    renderer = root.find("projectlayers")[-1].find("pipe/rasterrenderer")
+    assert [renderer.get(key) for key in ("type", "redBand", "blueBand")] == ["multibandcolor", "1", "3"]
 
 
 def test_other_speeds_have_a_style_and_stand_in_the_project(tmp_path, at_two_speeds, cost_map):

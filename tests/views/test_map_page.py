@@ -17,12 +17,14 @@ import rasterio
 from cost_maps import make_field
 from page_outline import Outline, require_no_requests
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 from pyproj import Transformer
 from route_maps import VEHICLE, copy_folder, list_anew, write_folder
+from small_surveys import run
 
-from bumpymap.core import CLASS_NAMES, NO_CLASS, OBSTACLE, BadInputError, OutputError, UsageError
+from bumpymap.core import CLASS_NAMES, NO_CLASS, OBSTACLE, BadInputError, OutputError, PageSettings, UsageError
 from bumpymap.layers import SurveyRow
-from bumpymap.views import write_report
+from bumpymap.views import page_header, write_report
 from bumpymap.views.page import page
 from bumpymap.views.page.batch_page import index_page
 from bumpymap.views.page.tiles import NO_POINTS, UNKNOWN_FROM
@@ -246,9 +248,29 @@ def test_a_way_lies_on_the_map(site, tmp_path, read_page):
     (way,) = page.data["maps"][0]["ways"]
     assert np.allclose(way["lines"][0], corners, atol=0.02)
     table = dict(Outline(page.text).tables["Figures of the way"])
-    wanted = {"figure": "<b>way</b>", "mean C_r": "0.123 rad/m", "length": "1,234 m"}
+    wanted = {"figure": "A <b>way</b>", "mean C_r, rad/m": "0.123", "length, m": "1,234"}
     wanted["chance to arrive"] = "over 99\xa0%"
     assert {name: table[name] for name in wanted} == wanted
+
+
+def test_the_header_says_what_settings_say_and_holds_a_logo_made_anew(site, tmp_path):
+    """Texts with commas and markup; of the logo the pixels alone. What is no small picture, or a link, is refused."""
+    info = PngInfo()
+    info.add_text("secret", "place")
+    Image.new("RGB", (900, 300), "teal").save(tmp_path / "logo.png", pnginfo=info)
+    words = ("page.client=Aix, <b>&", f"page.logo={tmp_path / 'logo.png'}", "page.title=North slope")
+    made = run("report", site, "--out", tmp_path / "a.html", *(word for text in words for word in ("--set", text)))
+    assert made.exit_code == 0, made.output
+    text = (tmp_path / "a.html").read_text()
+    assert ("<h1>North slope</h1>" in text, "for Aix, &lt;b&gt;&amp;</span>" in text) == (True, True)
+    logo = b64decode(re.search(r'class="logo" src="data:image/png;base64,([^"]+)"', text)[1])
+    picture = Image.open(io.BytesIO(logo))
+    assert (picture.size, picture.text, b"secret" in logo) == ((480, 160), {}, False)
+    (tmp_path / "link.png").symlink_to(tmp_path / "logo.png")
+    (tmp_path / "text.png").write_text("<svg onload='x'/>")
+    for name, why in (("link.png", "it is a link"), ("text.png", "cannot identify"), ("none.png", "No such file")):
+        with pytest.raises(BadInputError, match=why):
+            page_header(PageSettings(logo=tmp_path / name))
 
 
 def test_shares_never_round_to_nothing_or_all():

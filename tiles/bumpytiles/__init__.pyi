@@ -28,6 +28,7 @@ from .grouping import (
     group_points as group_points,
     group_scaled_points as group_scaled_points,
     join_tiles as join_tiles,
+    photo_of as photo_of,
 )
 from .native import (
     blocked_signals as blocked_signals,

@@ -27,6 +27,7 @@ Bytes = Annotated[NDArray[np.uint8], 1]
 Borders = Annotated[NDArray[np.int64], 1]
 Indices = Annotated[NDArray[np.int64], 1]
 Places = Annotated[NDArray[np.int32], 1]
+Colours = Annotated[NDArray[np.uint32], 1]
 
 
 class Coordinates(NamedTuple):
@@ -222,6 +223,15 @@ def scatter_scaled_points(
     _scatter(points, flag, found, place, out)
 
 
+@kernel
+def scatter_colours(colour: Colours, cell: Places, place: Indices, out: Colours) -> None:
+    """Put the colours of points block by block, as the other kernels put the points."""
+    for i in range(len(colour)):
+        c = cell[i]
+        out[place[c]] = colour[i]
+        place[c] += 1
+
+
 STRIP = 512
 """Points that are turned into metres at once."""
 _KEY_BITS = 56
@@ -277,17 +287,64 @@ def _place(points: MarkedPoints, tile: Bytes, following: Indices, out: MarkedPoi
     following[t] = p
 
 
+class BlockPhoto(NamedTuple):
+    """The picture of a block that points are painted on."""
+
+    corner: Indices
+    """(2,) column and row of its south-west tile."""
+    tile_size: float
+    """m."""
+    pixels: int
+    """Along the side of a tile."""
+    height: Floats
+    """(256 * pixels^2,) height of the point that each pixel shows, m; -inf: none."""
+    colour: Colours
+    """The same, its colour; 0: none."""
+
+
+@helper
+def _paint(points: MarkedPoints, tile: Bytes, colour: Colours, photo: BlockPhoto) -> None:
+    size, pixels = photo.tile_size, photo.pixels
+    last = np.int64(pixels - 1)
+    for i in range(len(tile)):
+        if colour[i] == 0:
+            continue
+        t = np.int64(tile[i])
+        west = (photo.corner[0] + t % BLOCK_TILES) * size
+        south = (photo.corner[1] + t // BLOCK_TILES) * size
+        c = min(last, np.int64(pixels * (points.easting[i] - west) / size))
+        r = min(last, np.int64(pixels * (points.northing[i] - south) / size))
+        p = (t * pixels + last - r) * pixels + c
+        # Of two at one height the larger number counts: the order of the points does not matter.
+        up = points.upward[i]
+        if up > photo.height[p] or (up == photo.height[p] and colour[i] > photo.colour[p]):
+            photo.height[p], photo.colour[p] = up, colour[i]
+
+
 @kernel
-def place_points(points: TiledPoints, following: Indices, out: MarkedPoints) -> None:
-    """Put points tile by tile; ``following`` (256,) is where the next point of each tile goes, and moves on."""
+def place_points(
+    points: TiledPoints, colour: Colours, following: Indices, out: MarkedPoints, photo: BlockPhoto
+) -> None:
+    """Put points tile by tile; ``following`` (256,) is where the next point of each tile goes, and moves on.
+
+    Points with ``colour`` (n,), which is empty for others, are painted: a pixel shows the highest of them.
+    """
     if len(points.tile) > 0:
         marked = MarkedPoints(points.easting, points.northing, points.upward, points.flag)
         _place(marked, points.tile, following, out)
+        if len(colour) > 0:
+            _paint(marked, points.tile, colour, photo)
 
 
 @kernel
 def place_scaled_points(
-    points: ScaledTiledPoints, scaling: Floats, following: Indices, strip: Coordinates, out: MarkedPoints
+    points: ScaledTiledPoints,
+    scaling: Floats,
+    colour: Colours,
+    following: Indices,
+    strip: Coordinates,
+    out: MarkedPoints,
+    photo: BlockPhoto,
 ) -> None:
     """Do the same with points of a file's own grid, see `bumpytiles.Scaling.numbers`.
 
@@ -301,6 +358,8 @@ def place_scaled_points(
         coordinates(points.northing[first:last], scaling, 1, there.northing)
         coordinates(points.upward[first:last], scaling, 2, there.upward)
         _place(there, points.tile[first:last], following, out)
+        if len(colour) > 0:
+            _paint(there, points.tile[first:last], colour[first:last], photo)
 
 
 @helper

@@ -57,7 +57,7 @@ class MemoryLimits:
     """How many points may be in memory, and where the others are written."""
 
     waiting_bytes: int
-    """Most memory for points that wait: 14 bytes for one on the grid of its file, 26 for others."""
+    """Most memory for points that wait: 14 bytes for one on the grid of its file, 26 for others, 4 for its colour."""
     block_points: int
     """Most points of one block that are sorted together."""
     scratch: Path
@@ -243,7 +243,7 @@ class TileBuckets:
         TooManyPointsError
             A single tile is too large.
         """
-        names = [column.name for column in columns_of(None)]
+        names = [column.name for column in columns_of(None, coloured=True)]
         if not self.is_divided(key):
             yield sort_block(self.grid, key, list(self._parts(key, names)))
             return
@@ -313,7 +313,9 @@ def _write(path: Path, held: dict[BlockKey, list[tuple[GroupedPoints, int]]], me
     def parts_of(column: Column) -> Iterator[NDArray[Any]]:
         for chunk, place in (entry for entries in held.values() for entry in entries):
             values = chunk.block(place, (column.name,))
-            yield (values if scaling is not None else values.in_metres()).columns[column.name]
+            own = (values if scaling is not None else values.in_metres()).columns
+            yield own[column.name] if own else np.zeros(chunk.count(place), column.dtype)
 
-    write_pack(path, columns_of(scaling), blocks, parts_of, {**meta, "scaling": noted})
+    coloured = any("colour" in chunk.points for entries in held.values() for chunk, _ in entries)
+    write_pack(path, columns_of(scaling, coloured=coloured), blocks, parts_of, {**meta, "scaling": noted})
     return Pack(path)

@@ -22,6 +22,7 @@ from bumpytiles._kernels import (
     MAX_CELLS,
     ROUND,
     STRIP,
+    BlockPhoto,
     BlockWindow,
     Coordinates,
     GroupScratch,
@@ -36,6 +37,7 @@ from bumpytiles._kernels import (
     count_tiles,
     place_points,
     place_scaled_points,
+    scatter_colours,
     scatter_points,
     scatter_scaled_points,
     sort_tiles,
@@ -84,6 +86,8 @@ class ScaledPoints:
     flag: NDArray[np.uint8]
     """A number that travels with each point."""
     scaling: Scaling
+    colour: NDArray[np.uint32] | None = None
+    """Red, green and blue, 8 bits each, blue lowest; 0: none. None: no point has one."""
 
     def coordinates(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Return easting, northing and height, m."""
@@ -113,6 +117,9 @@ class TilePoints:
     """(points,) m."""
     flag: NDArray[np.uint8]
     """(points,) the number that was passed with each point; 1: flagged."""
+    photo: NDArray[np.uint8] | None = None
+    """(tiles, pixels, pixels, 3) red, green, blue of the highest coloured point in each pixel, north up; 0: none.
+    None: no point has a colour."""
 
 
 def join_tiles(parts: Sequence[TilePoints]) -> TilePoints:
@@ -123,7 +130,16 @@ def join_tiles(parts: Sequence[TilePoints]) -> TilePoints:
     }
     counts = np.concatenate([np.diff(part.starts) for part in parts])
     starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    return TilePoints(grid=parts[0].grid, starts=starts, **whole)
+    photo = None
+    if any(part.photo is not None for part in parts):
+        photo = np.concatenate([photo_of(part) for part in parts])
+    return TilePoints(grid=parts[0].grid, starts=starts, **whole, photo=photo)
+
+
+def photo_of(points: TilePoints) -> NDArray[np.uint8]:
+    """Return the photo of tiles; black if no point has a colour."""
+    side = points.grid.pixels
+    return np.zeros((len(points.col), side, side, 3), np.uint8) if points.photo is None else points.photo
 
 
 PointColumns = dict[str, NDArray[Any]]
@@ -155,11 +171,18 @@ def sort_block(grid: Grid, key: BlockKey, parts: Sequence[PointPart]) -> TilePoi
     first, most = np.cumsum(counts), int(counts.max())
     n, starts, following = int(first[-1]), np.empty_like(first), first[:-1].copy()
     out, strip = _empty_points(n), Coordinates(*np.empty((3, STRIP)))
+    coloured = any(_COLOUR.name in part.columns for part in parts)
+    size = BLOCK_TILES**2 * grid.pixels**2 if coloured else 0
+    corner = np.array([key[1], key[0]]) * BLOCK_TILES
+    photo = BlockPhoto(corner, grid.tile_size, grid.pixels, np.full(size, -np.inf), np.zeros(size, np.uint32))
     for columns, scaling in parts:
+        own = {column.name: columns[column.name] for column in POINT_COLUMNS}
+        colour = columns.get(_COLOUR.name, np.empty(0, np.uint32))
         if scaling is None:
-            place_points(TiledPoints(**columns), following, out)
+            place_points(TiledPoints(**own), colour, following, out, photo)
         else:
-            place_scaled_points(ScaledTiledPoints(**columns), scaling.numbers(), following, strip, out)
+            given = ScaledTiledPoints(**own), scaling.numbers(), colour
+            place_scaled_points(*given, following, strip, out, photo)
     scratch = SortScratch(
         key=np.empty(most, np.uint64),
         bucket=np.empty((1 << max(1, (most - 1).bit_length())) + 1, np.int32),
@@ -178,7 +201,14 @@ def sort_block(grid: Grid, key: BlockKey, parts: Sequence[PointPart]) -> TilePoi
         northing=out.northing[:kept],
         upward=out.upward[:kept],
         flag=out.flag[:kept],
+        photo=_red_green_blue(photo, present) if coloured else None,
     )
+
+
+def _red_green_blue(photo: BlockPhoto, present: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Return the photo of some tiles of a block, (tiles, pixels, pixels, 3)."""
+    colour = photo.colour.reshape(-1, photo.pixels, photo.pixels)[present]
+    return np.stack([colour >> 16, colour >> 8, colour], axis=-1).astype(np.uint8)
 
 
 def _empty_points(points: int) -> MarkedPoints:
@@ -195,11 +225,13 @@ POINT_COLUMNS = (*(Column(axis, "<f8") for axis in _AXES), *_MARKS)
 """A waiting point with its coordinates in metres: 26 bytes."""
 SCALED_COLUMNS = (*(Column(axis, "<i4") for axis in _AXES), *_MARKS)
 """The same with integers of the grid of its file: 14 bytes."""
+_COLOUR = Column("colour", "<u4")
+"""Of points that have one, see `bumpytiles.ScaledPoints`."""
 
 
-def columns_of(scaling: Scaling | None) -> tuple[Column, ...]:
+def columns_of(scaling: Scaling | None, *, coloured: bool) -> tuple[Column, ...]:
     """Return the columns of points with a scaling, or in metres."""
-    return POINT_COLUMNS if scaling is None else SCALED_COLUMNS
+    return (*(POINT_COLUMNS if scaling is None else SCALED_COLUMNS), *((_COLOUR,) if coloured else ()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,24 +252,29 @@ class GroupedPoints:
         return int(self.starts[place + 1] - self.starts[place])
 
     def block(self, place: int, names: Iterable[str]) -> PointPart:
-        """Return views of some columns of the points of the block ``keys[place]``."""
+        """Return views of some columns, as far as there are any, of the points of the block ``keys[place]``."""
         span = slice(int(self.starts[place]), int(self.starts[place + 1]))
-        return PointPart({name: self.points[name][span] for name in names}, self.scaling)
+        return PointPart({name: self.points[name][span] for name in names if name in self.points}, self.scaling)
 
     def of_blocks(self, places: Sequence[int]) -> "GroupedPoints":
         """Return a copy with some of the blocks, given by their places in increasing order."""
         spans = [slice(int(self.starts[place]), int(self.starts[place + 1])) for place in places]
         counts = [span.stop - span.start for span in spans]
-        columns = _empty_columns(columns_of(self.scaling), sum(counts))
+        columns = _empty_columns(self.columns, sum(counts))
         for name, array in columns.items():
             np.concatenate([self.points[name][span] for span in spans], out=array)
         starts = np.concatenate(([0], np.cumsum(counts))).astype(np.int64)
         return GroupedPoints([self.keys[place] for place in places], starts, columns, self.scaling)
 
     @property
+    def columns(self) -> tuple[Column, ...]:
+        """Columns of the points."""
+        return columns_of(self.scaling, coloured=_COLOUR.name in self.points)
+
+    @property
     def size_bytes(self) -> int:
         """Memory that the points take."""
-        return len(self) * sum(column.row_bytes for column in columns_of(self.scaling))
+        return len(self) * sum(column.row_bytes for column in self.columns)
 
     def __len__(self) -> int:
         """Return the number of points."""
@@ -250,19 +287,20 @@ def group_points(
     northing: NDArray[np.float64],
     upward: NDArray[np.float64],
     flag: NDArray[np.uint8] | NDArray[np.bool_],
+    colour: NDArray[np.uint32] | None = None,
 ) -> GroupedPoints:
-    """Group a chunk of points by block; coordinates (n,) in metres, ``flag`` (n,) belongs to them."""
+    """Group a chunk of points by block; coordinates (n,) in metres, ``flag`` and ``colour`` (n,) belong to them."""
     x, y, z = (np.ascontiguousarray(column, np.float64) for column in (easting, northing, upward))
     marks = np.ascontiguousarray(flag, np.uint8)
     window = _window(grid, x, y)
     if window is None:
-        return _group_scattered(grid, x, y, z, marks)
+        return _group_scattered(grid, colour, x, y, z, marks)
     found, counts = _empty_scratch(len(x)), np.zeros(window.cells + 1, np.int64)
     points = Coordinates(x, y, z)
     count_points(points, window.blocks, counts, found)
     columns = _empty_columns(POINT_COLUMNS, len(x))
     scatter_points(points, marks, found, np.cumsum(counts), TiledPoints(**columns))
-    return window.grouped(counts, columns, None)
+    return window.grouped(counts, columns | _scattered(colour, found, counts), None)
 
 
 def group_scaled_points(grid: Grid, points: ScaledPoints) -> GroupedPoints:
@@ -273,7 +311,7 @@ def group_scaled_points(grid: Grid, points: ScaledPoints) -> GroupedPoints:
     window = _window(grid, *(scaling.coordinates(axis, span) for axis, span in enumerate(spans)))
     borders = None if window is None else _borders(grid, scaling, spans)
     if window is None or borders is None:
-        return group_points(grid, *points.coordinates(), points.flag)
+        return group_points(grid, *points.coordinates(), points.flag, points.colour)
     found, counts = _empty_scratch(n), np.zeros(window.cells + 1, np.int64)
     given = ScaledCoordinates(points.easting, points.northing, points.upward)
     count_scaled_points(given, borders, window.blocks, counts, found)
@@ -281,7 +319,16 @@ def group_scaled_points(grid: Grid, points: ScaledPoints) -> GroupedPoints:
     scatter_scaled_points(
         given, np.ascontiguousarray(points.flag, np.uint8), found, np.cumsum(counts), ScaledTiledPoints(**columns)
     )
-    return window.grouped(counts, columns, scaling)
+    return window.grouped(counts, columns | _scattered(points.colour, found, counts), scaling)
+
+
+def _scattered(colour: NDArray[np.uint32] | None, found: GroupScratch, counts: NDArray[np.int64]) -> PointColumns:
+    """Return the column of the colours, block by block; none if there are none."""
+    if colour is None:
+        return {}
+    out = np.empty_like(colour)
+    scatter_colours(np.ascontiguousarray(colour), found.cell, np.cumsum(counts), out)
+    return {_COLOUR.name: out}
 
 
 def _borders(grid: Grid, scaling: Scaling, spans: Sequence[tuple[int, int]]) -> TileBorders | None:
@@ -355,7 +402,7 @@ def _empty_columns(columns: Sequence[Column], points: int) -> PointColumns:
     return found
 
 
-def _group_scattered(grid: Grid, *columns: NDArray[Any]) -> GroupedPoints:
+def _group_scattered(grid: Grid, colour: NDArray[np.uint32] | None, *columns: NDArray[Any]) -> GroupedPoints:
     """Group points that are far apart: a table of all blocks between them would be too large."""
     easting, northing, _, _ = columns
     col, row = grid.index(easting), grid.index(northing)
@@ -366,4 +413,5 @@ def _group_scattered(grid: Grid, *columns: NDArray[Any]) -> GroupedPoints:
     tile = ((row % BLOCK_TILES) * BLOCK_TILES + col % BLOCK_TILES).astype(np.uint8)
     names = [column.name for column in POINT_COLUMNS]
     points = {name: array[order] for name, array in zip(names, (*columns[:3], tile, columns[3]), strict=True)}
+    points |= {} if colour is None else {_COLOUR.name: colour[order]}
     return GroupedPoints([(int(r), int(c)) for r, c in block[starts[:-1]]], starts, points)

@@ -112,7 +112,7 @@ class Results:
 _GOOD: tuple[SurveyStatus, ...] = ("done", "already done")
 _WITH_LAYERS: tuple[SurveyStatus, ...] = (*_GOOD, "incomplete")
 _ALL, _SOME, _NONE = 0, 4, 3
-_MOST_THUMBNAIL, _MOST_THUMBNAILS = 12_000, 900_000
+_MOST_THUMBNAIL, _MOST_THUMBNAILS = 30_000, 900_000
 """Bytes of one picture, and of all on the page together."""
 
 BatchReport: TypeAlias = Callable[[SurveyRow], None]

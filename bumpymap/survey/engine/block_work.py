@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import GROUND_SOURCE, Ground, OutputError, PatchStack, UsageError, write_remedy
+from bumpymap.core import GROUND_SOURCE, Ground, OutputError, PatchStack, UsageError, photo_column, write_remedy
 from bumpymap.patches import join_stacks
 from bumpymap.readers import LineSums, tile_marks
 from bumpymap.survey.engine.budget import Budget, Workspace
@@ -26,6 +26,7 @@ from bumpytiles import (
     TooManyPointsError,
     grouped_blocks,
     join_tiles,
+    photo_of,
     run_blocks,
     write_pack,
 )
@@ -136,13 +137,21 @@ class BlockWork:
         elif self.measure_all is not None and ALL_POINTS in kinds and buckets.is_divided(keys[0]):
             # A tile is rated with what stands around it, so the block is measured first.
             whole = (join_stacks([self.measure_all(points) for points in buckets.block(keys[0])]),)
-        rated = [{kind: self.rate(points, kind == GROUND_POINTS, *whole) for kind in kinds} for points in shares]
+        rated = [
+            {kind: self.rate(points, kind == GROUND_POINTS, *whole) | self._photo(points) for kind in kinds}
+            for points in shares
+        ]
         joined = {kind: _joined([share[kind] for share in rated]) for kind in kinds}
         pieces = {kind: {n: np.split(a, ends) for n, a in columns.items()} for kind, columns in joined.items()}
         return [
             (key, {kind: {n: split[number] for n, split in own.items()} for kind, own in pieces.items()})
             for number, key in enumerate(keys)
         ]
+
+    def _photo(self, points: TilePoints) -> TileColumns:
+        """Return the column of the photo if tiles have it."""
+        column = photo_column(self.grid.pixels)
+        return {column.name: photo_of(points)} if column in self.columns else {}
 
     def _points(self, buckets: TileBuckets, key: BlockKey) -> Iterator[TilePoints]:
         """Yield the points of a block: in one piece for the cloth filter, which would find other ground in a part."""
@@ -199,6 +208,8 @@ class MeasuredTiles:
     """Sums to compare the flight lines of these points."""
     checksums: list[str | None]
     """Of each input, see `bumpymap.core.FileHash`; None for a URL, and if it was skipped."""
+    coloured: int
+    """Number of points with a colour among those used."""
 
     @classmethod
     def of(cls, work: BlockWork, space: Workspace, record: Mapping[str, Any]) -> "MeasuredTiles":
@@ -208,7 +219,9 @@ class MeasuredTiles:
         if record["from_all"]:
             table = table.with_columns([Pack(path) for path in space.tiles(GROUND_SOURCE.name)])
         lines, only, joined = LineSums.from_record(record["lines"]), record["ground_only"], record["from_all"]
-        return cls(table, only, joined, record["dropped"], record["points"], lines, record["checksums"])
+        return cls(
+            table, only, joined, record["dropped"], record["points"], lines, record["checksums"], record["coloured"]
+        )
 
 
 @contextmanager

@@ -113,10 +113,11 @@ def _read_and_measure(
     counted = sum(stats.points - sum(stats.dropped.values()) for stats in collector.stats)
     of_files = zip(inputs.readers, collector.stats, strict=True)
     dropped = [None if str(reader.info.path) in inputs.skipped else stats.dropped for reader, stats in of_files]
+    coloured = sum(stats.coloured for stats in collector.stats)
     lines = collector.lines.to_record()
     checksums = [reader.checksum for reader in inputs.readers]
     which = {"ground_only": ground_only, "from_all": from_all}
-    return which | {"dropped": dropped, "points": counted, "lines": lines, "checksums": checksums}
+    return which | {"dropped": dropped, "points": counted, "lines": lines, "checksums": checksums, "coloured": coloured}
 
 
 def _read(

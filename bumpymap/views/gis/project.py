@@ -86,7 +86,7 @@ class _Tree:
         ``part`` is the part of the file that it shows, if not the one that the file itself opens with; see
         `map_styles`.
         """
-        if not (self._folder / file).is_file():
+        if not self.has(file):
             return []
         style = self._styles[f"{file} {part}".strip()]
         return self.add(ViewLayer(file, title, style, part, visible=visible), self.wkt, blend, self._place)
@@ -108,6 +108,10 @@ class _Tree:
         }
         self.styled.append((layer, found.style))
         return [layer]
+
+    def has(self, file: str) -> bool:
+        """Return whether the folder has a file."""
+        return (self._folder / file).is_file()
 
     def group(
         self, title: str, *parts: list[Style], expanded: bool = True, one_of: bool = False, visible: bool = True
@@ -142,10 +146,12 @@ def _groups(tree: _Tree, speeds: Sequence[float]) -> list[Style]:
     c_r = tree.group("ride cost c_r", fails, rides, expanded=False, visible=False)
     cost = tree.layer(MapFile.COST, "cost of driving", MULTIPLY)
     ride = tree.group("Ride", classes, c_r, cost, tree.layer(MapFile.SPEED, "speed made good", MULTIPLY), one_of=True)
+    photo = tree.has(MapFile.PHOTO)
     ground = tree.group(
         "Ground",
         tree.layer(MapFile.HEIGHTMAP, "measured heights, with holes"),
-        tree.layer(MapFile.RELIEF, "relief, holes filled", visible=True),
+        tree.layer(MapFile.RELIEF, "relief, holes filled", visible=not photo),
+        tree.layer(MapFile.PHOTO, "photo: colours of the points", visible=True),
     )
     return [*closed, *why, *regions, *ride, *ground]
 

@@ -280,7 +280,7 @@ def map_styles(record: Mapping[str, Any], *, layered: bool = False) -> dict[str,
         The record of the run, as in run.json.
     layered : bool
         As layers of one project: clear where there is nothing to explain (passable tiles, tiles with a class); a pale
-        relief.
+        relief; the photo, which needs no style of its own.
 
     Returns
     -------
@@ -319,6 +319,7 @@ def map_styles(record: Mapping[str, Any], *, layered: bool = False) -> dict[str,
         MapFile.PASSAGE: paletted(enumerate(PASSAGE_NAMES), PASSAGE_COLOURS),
         MapFile.HEIGHTMAP: relief,
         MapFile.RELIEF: relief,
+        **({MapFile.PHOTO: {"kind": "multibandcolor", "opacity": 1.0}} if layered else {}),
         MapFile.SPEEDS: _ramp(stops),
         MapFile.HEADINGS: _ramp(stops),
         **{f"{MapFile.SPEEDS} {speed:g}": _ramp(stops, 1 + at_speeds.index(f"c_r_{speed:g}")) for speed in speeds},

@@ -82,7 +82,7 @@ def _to_degrees(crs: str) -> Transformer:
     return Transformer.from_crs(stated_crs(crs), "EPSG:4326", always_xy=True)
 
 
-_SIDES = ((96, 12), (96, 5), (64, 5), (48, 3), (32, 2))
+_SIDES = ((240, 12), (160, 12), (96, 12), (96, 5), (64, 5), (48, 3), (32, 2))
 """Pixels of the longer side and shades of each colour: the first that fits is taken."""
 _COLOURS = np.array(
     [
@@ -133,8 +133,10 @@ def read_thumbnail(folder: Path, most_bytes: int) -> bytes:
 def _read(folder: Path, side: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """Return the kind of ground (class, class plus ``_BARRED``, ``_UNKNOWN``, ``_NOTHING``) and its brightness.
 
-    Both have ``side`` pixels along the longer side.
+    Both have ``side`` pixels along the longer side, or as many as the heights.
     """
+    with open_raster(folder, MapFile.HEIGHTMAP) as raster:
+        side = min(side, max(raster.shape))
     with open_raster(folder, MapFile.CLASS) as raster:
         scale = side / max(raster.height, raster.width)
         shape = max(1, round(raster.height * scale)), max(1, round(raster.width * scale))

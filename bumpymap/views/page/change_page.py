@@ -299,13 +299,11 @@ _SIDES = ("before", "after")
 
 
 def _title(runs: list[Mapping[str, Any]]) -> str:
-    """Return what the two surveys are called: by name, with dates if the names are the same."""
-    names = [survey_name(run) for run in runs]
-    if names[0] == names[1]:
-        days = [_dates(run) for run in runs]
-        told = days if None not in days and days[0] != days[1] else _SIDES
-        names = [f"{name} ({what})" for name, what in zip(names, told, strict=True)]
-    return " to ".join(names)
+    """Return what the two surveys are called, by what differs: their names, else their dates."""
+    names, days = [survey_name(run) for run in runs], [_dates(run) for run in runs]
+    if names[0] != names[1]:
+        return " to ".join(names)
+    return f"{names[0]}: {f'{days[0]} to {days[1]}' if None not in days and days[0] != days[1] else 'before to after'}"
 
 
 def _dates(run: Mapping[str, Any]) -> str | None:
@@ -341,7 +339,8 @@ def _kind_rows(site: ChangeSite) -> list[tuple[Any, ...]]:
         ("compared", share(compared, compared), compared),
         ({"text": "in both surveys, not compared", "meaning": _APART}, share(apart, 0), apart),
     ]
-    return [(name, told, area(site.area_of(tiles)), whole(tiles)) for name, told, tiles in entries]
+    most = site.area_of(compared + apart)
+    return [(name, told, area(site.area_of(tiles), most), whole(tiles)) for name, told, tiles in entries]
 
 
 def _survey_rows(fit: Mapping[str, Any], runs: list[Mapping[str, Any]]) -> list[tuple[str, ...]]:
@@ -385,7 +384,7 @@ def _place_row(site: ChangeSite, place: Mapping[str, Any]) -> tuple[Any, ...]:
     low, high = (signed(about[name], 2) for name in ("d_height_lowest", "d_height_highest"))
     return (
         {"text": place["name"], "meaning": ride},
-        area(site.area_of(tiles)),
+        area(site.area_of(tiles), site.area_of(int(site.places[0]["about"]["tiles"]))),
         whole(tiles),
         signed(about["d_height"], 2),
         f"{low} to {high}",

@@ -15,6 +15,7 @@ from bumpymap.core import (
     Barred,
     CheckResult,
     OutputError,
+    PageSettings,
     Reason,
     UsageError,
     utf8_path,
@@ -36,8 +37,9 @@ from bumpymap.layers import (
 from bumpymap.views.page.change_page import is_comparison, read_comparison, write_change_report
 from bumpymap.views.page.drives import check_charts, check_tables, drawn_stretches
 from bumpymap.views.page.page import write_page
-from bumpymap.views.page.site import WAY_FIGURES, DrawnWay, Site, read_ways
+from bumpymap.views.page.site import WAY_FIGURES, DrawnWay, Site, page_header, read_ways
 from bumpymap.views.page.tiles import UNKNOWN_FROM
+from bumpymap.views.pictures.drawing import STRENGTH
 from bumpymap.views.words import (
     DASH,
     area,
@@ -61,6 +63,7 @@ def write_report(
     out: str | os.PathLike[str] | None = None,
     *,
     route: str | os.PathLike[str] | None = None,
+    page: PageSettings | None = None,
     overwrite: bool = False,
 ) -> Path:
     """Write the page of a map or of a comparison again.
@@ -73,6 +76,8 @@ def write_report(
         The file; default is report.html in the folder of the layers, which is replaced, since it can be made again.
     route : path, optional
         A folder that `bumpymap route` wrote: its ways are drawn.
+    page : PageSettings, optional
+        Header of the page of a map; what it does not give is as the map was made with.
     overwrite : bool
         Replace ``out`` if it exists.
 
@@ -96,6 +101,7 @@ def write_report(
     if compared and route is not None:
         raise UsageError("`route` is drawn on the page of a map; this folder holds a comparison of two surveys")
     record = read_comparison(folder) if compared else read_manifest(folder)
+    header = page_header(page or PageSettings())
     _check(path, replace=overwrite or out is None)
     name, of_what, again = _COMPARISON if compared else _MAP
     try:
@@ -106,6 +112,7 @@ def write_report(
             else:
                 require_written(folder, record, _READ)
                 ways = () if route is None else read_ways(Path(route), record)
+                record = {**record, "page": {**(record.get("page") or {}), **header}}
                 write_map_page(Site.read(readable, record, ways), path)
     except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise BadInputError(f"{folder / name} is not that of {of_what} of this version: {error!r}. {again}") from error
@@ -142,6 +149,7 @@ def write_map_page(site: Site, path: Path) -> None:
         "map.html",
         site=site,
         bar_rows=_bar_rows(site),
+        class_bar=_class_bar(site),
         class_rows=_class_rows(site),
         crossed=_crossed(site),
         file_rows=_file_rows(site.record),
@@ -149,6 +157,8 @@ def write_map_page(site: Site, path: Path) -> None:
         reason_rows=_reason_rows(site),
         surface_rows=[(name, f"{c_r:.3f}", degrees(c_r)) for name, c_r in real["c_r"].items()],
         warnings=_warnings_of(site.record),
+        way_heads=[f"{way.letter} {way.name}" for way in site.ways],
+        way_lines=_way_lines(site.ways),
         way_rows=_way_rows(site.ways),
         **_of_map(site),
     )
@@ -156,7 +166,11 @@ def write_map_page(site: Site, path: Path) -> None:
 
 def _of_map(site: Site | None) -> dict[str, Any]:
     """Return what the figure of a map needs, with the data of the script."""
-    return {"ramp_colours": _RAMP, "data": {"maps": [site.map_record()] if site else [], "codes": _CODES}}
+    return {
+        "photo_strength": STRENGTH,
+        "ramp_colours": _RAMP,
+        "data": {"maps": [site.map_record()] if site else [], "codes": _CODES},
+    }
 
 
 _RAMP = ("#fcfdbf", "#feca8d", "#fd9668", "#f1605d", "#cd4071", "#9e2f7f", "#721f81", "#440f76", "#180f3d")
@@ -275,7 +289,7 @@ def _reason_rows(site: Site) -> list[Row]:
         for code, cells in zip(codes, counted, strict=False)
     ]
     none = {"text": "none", "meaning": "every tile with points has a class"}
-    return rows or [(none, share(0, known), area(0.0), whole(0))]
+    return rows or [(none, share(0, known), area(0.0, site.ground), whole(0))]
 
 
 _WHY = {
@@ -301,19 +315,43 @@ _REASONS = {
 def _counted(site: Site, counts: Sequence[int], alone: Collection[int] = ()) -> list[tuple[str, str, str]]:
     """Return share, area and number of all parts of the tiles; see `shares`."""
     told = zip(shares(counts, alone), counts, strict=True)
-    return [(part, area(tiles * site.tile_area), whole(tiles)) for part, tiles in told]
+    return [(part, area(tiles * site.tile_area, site.ground), whole(tiles)) for part, tiles in told]
 
 
 def _way_rows(ways: Sequence[DrawnWay]) -> list[Row]:
+    """Return the figures of ways, a row each, its unit in its name."""
     rows: list[Row] = []
     for key, label, decimals, unit in WAY_FIGURES:
         values = [way.figures.get(key) for way in ways]
         if any(value is not None for value in values):
-            shown = [number(value, decimals, unit) for value in values]
+            shown = [number(value, decimals) for value in values]
             if key == "p_arrives":  # 0.998 is not certain
                 shown = [share(value, 1.0) if isinstance(value, int | float) else DASH for value in values]
-            rows.append((label, *shown))
+            rows.append((f"{label}, {unit.strip()}" if unit else label, *shown))
     return rows
+
+
+def _way_lines(ways: Sequence[DrawnWay]) -> list[tuple[str, str]]:
+    """Return letter and a line of what decides between ways: cost, minutes, chance to arrive, obstacles."""
+    lines = []
+    for way in ways:
+        told = [number(way.figures.get("cost_m"), 0, " m of cost")]
+        seconds, arrives = (way.figures.get(key) for key in ("seconds", "p_arrives"))
+        told += [number(seconds / 60, 1, " minutes")] if isinstance(seconds, int | float) else []
+        told += [f"{share(arrives, 1.0)} to arrive"] if isinstance(arrives, int | float) else []
+        touched = way.figures.get("obstacle_m") or 0.0
+        told += [f"{number(touched, 1, ' m')} touching obstacles" if touched else "touches no obstacle"]
+        lines.append((way.letter, f"{way.name}: {', '.join(text for text in told if not text.startswith(DASH))}"))
+    return lines
+
+
+def _class_bar(site: Site) -> list[tuple[str, tuple[int, ...], str, float]]:
+    """Return name, colour, share in words and share in per cent of the classes and of unknown ground."""
+    counts = [*site.summary.by_class, site.summary.unknown]
+    colours = [*(CLASS_COLOURS[code] for code in range(len(CLASS_NAMES))), BARRED_COLOURS[Barred.UNKNOWN]]
+    told = shares(counts, (len(CLASS_NAMES),))
+    parts = [100.0 * count / max(sum(counts), 1) for count in counts]
+    return list(zip((*CLASS_NAMES, "not known"), colours, told, parts, strict=True))
 
 
 _DIGEST = 16

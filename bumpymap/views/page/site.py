@@ -2,7 +2,7 @@
 
 import base64
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
@@ -10,6 +10,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from pyproj import Transformer
 from pyproj.exceptions import ProjError
 
 from bumpymap.core import (
@@ -21,7 +22,10 @@ from bumpymap.core import (
     Barred,
     Nullable,
     Number,
+    PageSettings,
+    read_regular,
     shape_fault,
+    stated_crs,
 )
 from bumpymap.layers import (
     CLASS_COLOURS,
@@ -36,6 +40,7 @@ from bumpymap.layers import (
     line_parts,
     open_layer,
     read_averaged,
+    read_colours,
 )
 from bumpymap.views.page.charts import Chart, c_r_chart, slope_chart
 from bumpymap.views.page.tiles import (
@@ -53,7 +58,7 @@ from bumpymap.views.page.tiles import (
     map_metres,
     packed,
 )
-from bumpymap.views.pictures.drawing import LEVEL, light_of
+from bumpymap.views.pictures.drawing import LEVEL, STRENGTH, light_of
 from bumpymap.views.words import survey_name
 
 _STRIP_PIXELS = 16_000_000
@@ -70,21 +75,24 @@ def finer(spot: Spot, side: int) -> int:
     return 1 if spot.step > 1 else max(1, min(spot.pixels, side // max(spot.cols, spot.rows)))
 
 
-def read_heights(folder: Path, spot: Spot, side: int) -> NDArray[np.float32]:
-    """Read heightmap.tif with at most ``side`` pixels along a side, or one for each pixel of the page's grid.
+def read_pixels(
+    path: Path, spot: Spot, side: int, read: Callable[..., NDArray[Any]] = read_averaged
+) -> NDArray[np.float32]:
+    """Read a raster of the pixels of heightmap.tif, ``side`` along a side at most, or one for each of the page's grid.
 
-    GDAL averages its overviews.
+    ``read`` returns the pixels of a window in another shape, (..., rows, cols), as `read_averaged`.
 
     Returns
     -------
-    float32
-        Metres; NaN where there is no point.
+    float32 (..., rows, cols)
+        NaN where there is no point.
     """
     factor = spot.pixels
     while factor > finer(spot, side):  # half and half again: what overviews hold, or a little less
         factor //= 2
-    heights = np.full([pixels * factor for pixels in spot.shape], np.nan, np.float32)
-    with open_layer(folder / MapFile.HEIGHTMAP) as file:
+    with open_layer(path) as file:
+        bands = read(file, (1, 1)).shape[:-2]
+        found = np.full([*bands, *(pixels * factor for pixels in spot.shape)], np.nan, np.float32)
         for line, lines, rows in _spans(spot.rows, spot.step):
             for column, columns, cols in _spans(spot.cols, spot.step):
                 high, wide = (
@@ -92,9 +100,31 @@ def read_heights(folder: Path, spot: Spot, side: int) -> NDArray[np.float32]:
                     for first, tiles in ((line, rows * lines), (column, cols * columns))
                 )
                 row, col = line // spot.step * factor, column // spot.step * factor
-                place = np.s_[row : row + lines * factor, col : col + columns * factor]
-                heights[place] = read_averaged(file, (lines * factor, columns * factor), (high, wide))
-    return heights
+                place = np.s_[..., row : row + lines * factor, col : col + columns * factor]
+                found[place] = read(file, (lines * factor, columns * factor), (high, wide))
+    return found
+
+
+_HOLE = 8
+"""Side of the squares, pixels, whose mean colour stands for pixels of a photo without one."""
+_PALE = 205.0
+"""Brightness where no colour is near."""
+
+
+def read_photo(folder: Path, spot: Spot, side: int) -> NDArray[np.uint8] | None:
+    """Read photo.tif as `read_pixels`, (rows, cols, 3); holes have the mean around them. None if there is none."""
+    path = folder / MapFile.PHOTO
+    if not path.is_file():
+        return None
+    found = np.moveaxis(read_pixels(path, spot, side, read_colours), 0, -1)
+    rows, cols = (-(-size // _HOLE) for size in found.shape[:2])
+    room = ((0, rows * _HOLE - found.shape[0]), (0, cols * _HOLE - found.shape[1]), (0, 0))
+    squares = np.pad(found, room, constant_values=np.nan).reshape(rows, _HOLE, cols, _HOLE, 3)
+    known = np.isfinite(squares)
+    count = known.sum(axis=(1, 3), keepdims=True)
+    mean = np.where(known, squares, 0.0).sum(axis=(1, 3), keepdims=True) / np.maximum(count, 1)
+    filled = np.where(known, squares, np.where(count > 0, mean, _PALE)).reshape(rows * _HOLE, cols * _HOLE, 3)
+    return np.rint(filled[: found.shape[0], : found.shape[1]]).astype(np.uint8)
 
 
 def _spans(count: int, step: int) -> list[tuple[int, int, int]]:
@@ -137,6 +167,10 @@ def object_grid(folder: Path, tiles: PageTiles, side: int) -> NDArray[np.uint8]:
     return np.array([NO_CLASS, *_WORST], np.uint8)[canvas]
 
 
+def _uri(buffer: io.BytesIO, kind: str) -> str:
+    return f"data:image/{kind};base64,{base64.b64encode(buffer.getvalue()).decode()}"
+
+
 def jpeg(picture: NDArray[np.uint8], most: int) -> str:
     """Return a picture as a data URI of at most ``most`` characters.
 
@@ -147,10 +181,44 @@ def jpeg(picture: NDArray[np.uint8], most: int) -> str:
         for quality in _QUALITIES:
             buffer = io.BytesIO()
             image.save(buffer, "JPEG", quality=quality)
-            text = "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()
+            text = _uri(buffer, "jpeg")
             if len(text) <= most or max(image.size) <= 64:
                 return text
         image = image.resize((max(1, image.width // 2), max(1, image.height // 2)))
+
+
+_MOST_LOGO, _LOGO_SIDES = 5_000_000, (480, 160)
+"""Bytes of the file of a logo, and the largest width and height on the page, pixels."""
+_MOST_LOGO_PIXELS = 50_000_000
+
+
+def page_header(settings: PageSettings) -> dict[str, str]:
+    """Return what the header of a page says: the texts that are given, and the logo as a data URI.
+
+    The logo is made again from its pixels, so that nothing else that is in the file comes with it.
+
+    Raises
+    ------
+    BadInputError
+        The logo is no PNG or JPEG file of at most 5 MB and 50 million pixels; it is a link.
+    """
+    found = {name: text for name in ("title", "client", "operator", "note") if (text := getattr(settings, name))}
+    if (path := settings.logo) is None:
+        return found
+    fault = f"{path} is not taken as a logo: %s. Give a PNG or JPEG of at most {_MOST_LOGO / 1e6:g} MB as `page.logo`"
+    if path.is_symlink():
+        raise BadInputError(fault % "it is a link")
+    try:
+        with Image.open(io.BytesIO(read_regular(path, _MOST_LOGO)), formats=("PNG", "JPEG")) as image:
+            if image.width * image.height > _MOST_LOGO_PIXELS:
+                raise BadInputError(fault % f"it has {image.width} x {image.height} pixels")
+            shown = image.convert("RGBA")
+    except (OSError, ValueError, SyntaxError) as error:
+        raise BadInputError(fault % (getattr(error, "strerror", None) or error)) from error
+    shown.thumbnail(_LOGO_SIDES)
+    buffer = io.BytesIO()
+    shown.save(buffer, "PNG", optimize=True)
+    return found | {"logo": _uri(buffer, "png")}
 
 
 _FILE = "route.geojson"
@@ -166,10 +234,13 @@ class DrawnWay:
     """Each (n, 2), m: easting and northing in the survey's CRS."""
     figures: Mapping[str, Any]
     """The properties of its line in route.geojson."""
+    letter: str = "A"
+    """By which the page names it on the map and in its text."""
 
 
 WAY_FIGURES = (
     ("length_m", "length", 0, " m"),
+    ("cost_m", "cost", 0, " m"),
     ("detour", "length over the straight line", 2, ""),
     ("seconds", "time at the speed made good", 0, " s"),
     ("c_r_mean", "mean C_r", 3, " rad/m"),
@@ -214,7 +285,12 @@ def read_ways(folder: Path, record: Mapping[str, Any]) -> tuple[DrawnWay, ...]:
         raise BadInputError(f"cannot read {path} as a route: {error}. {remedy}") from error
     if not ways:
         raise BadInputError(f"{path} holds no way. {remedy}")
-    return ways
+    return tuple(replace(way, letter=_letter(place)) for place, way in enumerate(ways))
+
+
+def _letter(place: int) -> str:
+    """Return A to Z, then 27, 28, ..."""
+    return chr(ord("A") + place) if place < 26 else str(place + 1)
 
 
 def _ways(path: Path, record: Mapping[str, Any]) -> Iterator[DrawnWay]:
@@ -235,6 +311,8 @@ _RELIEF_SIDE = 1_000
 """Most pixels of the relief along a side: what GDAL reads from an overview then takes half the time of 1500."""
 _TILES = 220_000
 """Most pixels with a tile in the grids: six bytes or so each."""
+_PHOTO_SIDE, _PHOTO_BUDGET = 1_400, 550_000
+"""Most pixels of the photo along a side, and most characters."""
 _STILL_SIDE = 700
 _DENSE = 0.1
 """From this share of pixels with an obstacle on, as in a forest, they would hide the classes: they start hidden."""
@@ -261,6 +339,8 @@ class Site:
     packed_objects: str
     relief: str
     """Shaded relief, a data URI."""
+    photo: str | None
+    """The colours of the points, a data URI; None if they have none."""
     still: str
     """The classes over the relief, a data URI: for readers and printers without scripts."""
     headings: str | None = None
@@ -307,7 +387,7 @@ class Site:
         while True:
             spot = replace(spot, step=step)
             tiles = PageTiles.read(folder, record, spot)
-            heights = read_heights(folder, spot, _RELIEF_SIDE)
+            heights = read_pixels(folder / MapFile.HEIGHTMAP, spot, _RELIEF_SIDE)
             grids = (
                 ByteGrid.of(("c_r", "ride cost C_r", "rad/m", 3), tiles.c_r, "log"),
                 ByteGrid.of(("p_fail", "chance of failure", "", 3), tiles.p_fail, limits=(0.0, 1.0)),
@@ -322,7 +402,8 @@ class Site:
         side_m = spot.metres * spot.shape[0] / heights.shape[0]
         bright = np.clip(light_of(heights, (side_m, side_m)) * (_FLAT / LEVEL), 0.15, 1.0)
         light = np.rint(bright * 255).astype(np.uint8)
-        relief = jpeg(light, int(0.2 * _BUDGET))
+        relief, photo = jpeg(light, int(0.2 * _BUDGET)), read_photo(folder, spot, _PHOTO_SIDE)
+        picture = None if photo is None else jpeg(photo, _PHOTO_BUDGET)
         side = _SIDE
         while True:
             objects = object_grid(folder, tiles, side)
@@ -330,11 +411,11 @@ class Site:
             if len(text) < 0.2 * _BUDGET or side < 100:
                 break
             side //= 2
-        still, codes = _still(tiles, light), heading_codes(folder, tiles.c_r) if spot.step == 1 else None
+        still, codes = _still(tiles, light, photo), heading_codes(folder, tiles.c_r) if spot.step == 1 else None
         headings = None if codes is None else packed(codes)
         if headings and taken + len(text) + len(relief) + len(headings) > _BUDGET:
             headings = None
-        shown = (tiles, grids, objects, text, relief, still, headings)
+        shown = (tiles, grids, objects, text, relief, picture, still, headings)
         return cls(survey_name(record), record, summary, *shown, ways, stretches)
 
     @property
@@ -359,6 +440,34 @@ class Site:
         return crs_name(self.record)
 
     @property
+    def header(self) -> Mapping[str, str]:
+        """Texts and logo of `page_header`."""
+        return self.record.get("page") or {}
+
+    @property
+    def degrees(self) -> list[list[float]] | None:
+        """Longitude and latitude of the corners of the map: north-west, north-east, south-west, south-east.
+
+        None without a CRS, or where these are not known.
+        """
+        spot, crs = self.tiles.spot, self.record.get("crs")
+        if crs is None:
+            return None
+        west, north = spot.west, spot.north
+        east, south = west + spot.cols * spot.tile_size, north - spot.rows * spot.tile_size
+        try:
+            place = Transformer.from_crs(stated_crs(crs["wkt"]).to_2d(), "OGC:CRS84", always_xy=True)
+            eastings, northings = (
+                np.array(each) / spot.unit for each in ((west, east) * 2, (north,) * 2 + (south,) * 2)
+            )
+            found = np.column_stack(place.transform(eastings, northings))
+        except ProjError:
+            return None
+        return (
+            [[round(value, 7) for value in corner] for corner in found.tolist()] if np.isfinite(found).all() else None
+        )
+
+    @property
     def tile_area(self) -> float:
         """Area of a tile, m2."""
         return self.tiles.spot.tile_size**2
@@ -378,7 +487,7 @@ class Site:
         """Keys and names of the colourings of the map: those of which something is known."""
         named = {grid.key: grid.label[:1].upper() + grid.label[1:] for grid in self.grids if grid.is_known}
         values = [(key, named[key]) for key in ("c_r", "p_fail", "slope", "cost") if key in named]
-        return [("class", "Class"), *values, ("barred", "What can be crossed"), ("none", "Relief only")]
+        return [("class", "Class"), *values, ("barred", "What can be crossed"), ("none", "Ground only")]
 
     @property
     def ramps(self) -> dict[str, list[str]]:
@@ -391,7 +500,8 @@ class Site:
     @property
     def overlays(self) -> list[tuple[str, str, bool]]:
         """Keys and names of what is drawn over the colours, and whether it is at first."""
-        overlays = [("relief", "Relief", True), ("barred", "Not passable", True)]
+        below = [("photo", "Photo", True)] if self.photo else []
+        overlays = [*below, ("relief", "Relief", not below), ("barred", "Not passable", True)]
         if self.objects_known:
             dense = float(np.mean(self.objects[self.objects != NO_CLASS] == OBSTACLE))
             overlays.append(("objects", "Obstacles and canopy", dense < _DENSE))
@@ -415,13 +525,15 @@ class Site:
             "objects": {"rows": self.objects.shape[0], "cols": self.objects.shape[1], "codes": self.packed_objects},
             "headings": self.headings and {"step": HEADING_STEP, "even": EVEN, "codes": self.headings},
             "relief": self.relief,
+            "photo": self.photo,
             "stretches": list(self.stretches),
-            "ways": [{"name": way.name, "lines": [line.tolist() for line in way.lines]} for way in self.ways],
+            "ways": [{"name": way.letter, "lines": [line.tolist() for line in way.lines]} for way in self.ways],
+            "degrees": self.degrees,
         }
 
 
-def _still(tiles: PageTiles, light: NDArray[np.uint8]) -> str:
-    """Return the classes over the relief as one picture, hatched where the vehicle cannot cross.
+def _still(tiles: PageTiles, light: NDArray[np.uint8], photo: NDArray[np.uint8] | None) -> str:
+    """Return the classes over the relief or the photo as one picture, hatched where the vehicle cannot cross.
 
     Unknown ground is grey; nothing is drawn where there are no points.
     """
@@ -436,11 +548,16 @@ def _still(tiles: PageTiles, light: NDArray[np.uint8]) -> str:
     ground = np.where((barred == Barred.UNKNOWN) & (ground < UNKNOWN_FROM), UNKNOWN_FROM, ground)
     bright = np.asarray(Image.fromarray(light).resize((width, height), Image.Resampling.BOX), np.float32) / 255
     bright = np.where(ground == NO_POINTS, 1.0, np.minimum(1.0, bright + 0.2))
+    picture = colours[ground]
+    if photo is not None:
+        below = np.asarray(Image.fromarray(photo).resize((width, height), Image.Resampling.BOX), np.float32)
+        picture = np.where(ground[..., None] == NO_POINTS, _BLANK, below + STRENGTH / 100 * (picture - below))
+        bright = np.ones_like(bright)
     hatch = (ground >= UNKNOWN_FROM) & (ground != NO_POINTS)
     down, right = np.arange(height)[:, None], np.arange(width)[None, :]
     bright[hatch & ((down + right) % 6 < 1)] *= 0.7
     closed = (barred > Barred.UNKNOWN) & (ground < UNKNOWN_FROM)
     lines = (down - right) % 6 < 2
     has_room = height >= _LINES * tiles.spot.shape[0]
-    bright[closed & lines if has_room else closed] *= 0.25 if has_room else 0.4
-    return jpeg(np.rint(colours[ground] * bright[:, :, None]).astype(np.uint8), 150_000)
+    bright[closed & lines if has_room else closed] *= 0.25 if has_room else 0.4 if photo is None else 0.65
+    return jpeg(np.rint(picture * bright[:, :, None]).astype(np.uint8), 150_000)

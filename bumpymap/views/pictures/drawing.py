@@ -136,6 +136,8 @@ _DARKEST = (0.45, 0.62)
 """Brightness of ground that faces away from the light: passable, and other ground, which stays in the background."""
 _TYPICAL_GRADIENT = 0.35
 _EXAGGERATION = (0.5, 6.0)
+STRENGTH = 45
+"""Opacity of the colours of the layers over a photo, per cent; on a page the reader may change it."""
 LEVEL = math.sqrt(0.5)
 """Brightness of level ground; see `light_of`."""
 _GAPS = (1, 3, 7)
@@ -216,6 +218,9 @@ def paint_ground(source: MapSource, view: MapView) -> tuple[Pixels, RideScale]:
     # rows and columns may differ a little in size, since both are whole numbers
     light = light_of(heights, (window.rows * tile / shape[0], window.cols * tile / shape[1]))[place]
     colour *= (darkest + (1 - darkest) * light)[:, :, None]
+    if (photo := source.photo(window, shape)) is not None:
+        below = photo[place]
+        colour = np.where(np.isfinite(below), below + STRENGTH / 100 * (colour - below), colour)
     colour[barred == NO_TILE] = NO_DATA
     closed = ~passable & (barred != Barred.UNKNOWN) & (barred != NO_TILE)
     colour[closed & hatched(view.height, view.width)] = HATCH

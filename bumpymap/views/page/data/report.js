@@ -4,6 +4,9 @@
   const codes = data.codes;
   const NONE = 255;
   const LINES = 8;
+  const PAPER_MM = [178, 125];
+  const PAPER_DENSE = 3;
+  const MM = 96 / 25.4;
   const AXES = ["N-S", "NNE-SSW", "NE-SW", "ENE-WSW", "E-W", "ESE-WNW", "SE-NW", "SSE-NNW"];
   const BLACK = [0, 0, 0, 255];
 
@@ -72,12 +75,12 @@
   class ReportMap {
     static async of(figure, about) {
       // A page of what has changed has neither bars nor objects nor a relief.
-      const [ground, barred, objects, relief, headings, ...values] = await Promise.all([
+      const [ground, barred, objects, relief, photo, headings, ...values] = await Promise.all([
         unpack(about.ground), about.barred && unpack(about.barred), about.objects && unpack(about.objects.codes),
-        about.relief && picture(about.relief), about.headings && unpack(about.headings.codes),
+        about.relief && picture(about.relief), about.photo && picture(about.photo), about.headings && unpack(about.headings.codes),
         ...about.grids.map((grid) => unpack(grid.codes)),
       ]);
-      return new ReportMap(figure, about, { ground, barred, objects, relief, headings, values });
+      return new ReportMap(figure, about, { ground, barred, objects, relief, photo, headings, values });
     }
 
     constructor(figure, about, content) {
@@ -87,6 +90,10 @@
       this.canvas = figure.querySelector("canvas");
       this.readout = figure.querySelector(".readout");
       this.context = this.canvas.getContext("2d");
+      this.paper = document.createElement("img");
+      this.paper.className = "paper";
+      this.paper.alt = this.figure.querySelector(".still").alt;
+      this.canvas.after(this.paper);
       this.layers = {};
       this.pointers = new Map();
       this.masks = {
@@ -142,6 +149,10 @@
       return this.figure.querySelector("input[type=radio]:checked").value;
     }
 
+    get strength() {
+      return (this.figure.querySelector("input[type=range]")?.value ?? 100) / 100;
+    }
+
     shows(key) {
       return this.figure.querySelector(`input[type=checkbox][value=${key}]`)?.checked ?? false;
     }
@@ -153,7 +164,11 @@
 
     listen() {
       const { canvas, figure } = this;
-      figure.querySelector(".controls").addEventListener("change", () => this.show());
+      figure.querySelector(".controls").addEventListener("input", ({ target }) => {
+        const strength = figure.querySelector("input[type=range]");
+        if (target.value === "photo" && strength) strength.value = target.checked ? strength.dataset.photo : 100;
+        this.show();
+      });
       figure.querySelector(".zoom").addEventListener("click", (event) => {
         const action = event.target.value;
         if (action === "all") this.showAll();
@@ -175,7 +190,9 @@
       for (const end of ["pointerup", "pointercancel"]) {
         canvas.addEventListener(end, (event) => this.pointers.delete(event.pointerId));
       }
-      new ResizeObserver(() => { this.resize(); this.draw(); }).observe(canvas.parentElement);
+      new ResizeObserver(() => { if (!this.paperScale) { this.resize(); this.draw(); } }).observe(canvas.parentElement);
+      window.addEventListener("beforeprint", () => this.toPaper());
+      window.addEventListener("afterprint", () => this.toScreen());
     }
 
     at(event) {
@@ -224,6 +241,35 @@
       this.unknownPattern = hatching(this.context, "#5b5b5b", true);
       this.barredPattern = hatching(this.context, "#111", false);
       if (this.atAll) this.fit();
+    }
+
+    /**
+     * Draw the whole map at a round scale as a picture for a sheet of A4, to which the print style gives the same room:
+     * Chromium prints a canvas that is drawn now a little smaller than its box.
+     */
+    toPaper() {
+      const { about, canvas } = this;
+      const sheet = document.createElement("canvas");
+      [sheet.width, sheet.height] = PAPER_MM.map((side) => Math.round(side * MM * PAPER_DENSE));
+      const screen = [canvas, this.width, this.height, this.dense, this.scale, this.middle];
+      const [wide, high] = PAPER_MM;
+      const least = Math.max((about.width * 1000) / wide, (about.height * 1000) / high);
+      const power = 10 ** Math.floor(Math.log10(least));
+      this.paperScale = [1, 1.5, 2, 2.5, 3, 4, 5, 7.5, 10].map((digit) => digit * power).find((scale) => scale >= least);
+      this.use(sheet, wide * MM, high * MM, PAPER_DENSE, (MM * 1000) / this.paperScale, [about.width / 2, about.height / 2]);
+      this.paper.src = sheet.toDataURL();
+      [this.canvas, this.width, this.height, this.dense, this.scale, this.middle] = screen;
+      this.context = canvas.getContext("2d");
+    }
+
+    toScreen() {
+      this.paperScale = undefined;
+      this.drawScale();
+    }
+
+    use(canvas, width, height, dense, scale, middle) {
+      Object.assign(this, { canvas, width, height, dense, scale, middle, context: canvas.getContext("2d") });
+      this.draw();
     }
 
     fit() {
@@ -275,7 +321,7 @@
       const { about } = this;
       const east = (about.west + right) / about.unit;
       const north = (about.north - down) / about.unit;
-      const words = [`E ${grouped(east, 1)}, N ${grouped(north, 1)}`];
+      const words = [`E ${grouped(east, 1)}, N ${grouped(north, 1)}`, ...this.degreesAt(right, down)];
       const col = Math.floor(right / about.metres);
       const row = Math.floor(down / about.metres);
       const inside = col >= 0 && row >= 0 && col < about.cols && row < about.rows;
@@ -309,6 +355,18 @@
       const stretch = this.shows("stretches") && this.stretchAt(right, down);
       if (stretch) words.push(stretch.text);
       this.readout.textContent = words.join(" · ");
+    }
+
+    /** Latitude and longitude, between those of the corners of the map; nothing if they are not known. */
+    degreesAt(right, down) {
+      const corners = this.about.degrees;
+      if (!corners) return [];
+      const [x, y] = [right / this.about.width, down / this.about.height];
+      const [lon, lat] = [0, 1].map((axis) => {
+        const [nw, ne, sw, se] = corners.map((corner) => corner[axis]);
+        return (nw + x * (ne - nw)) * (1 - y) + (sw + x * (se - sw)) * y;
+      });
+      return [`${Math.abs(lat).toFixed(6)}° ${lat < 0 ? "S" : "N"}, ${Math.abs(lon).toFixed(6)}° ${lon < 0 ? "W" : "E"}`];
     }
 
     /** C_r along eight axes and that of the tile, rad/m; null where they are not known. */
@@ -368,9 +426,19 @@
       const layer = (canvas) => context.drawImage(canvas, ...box);
       const sharp = box[2] > about.cols;
       context.imageSmoothingEnabled = !sharp;
-      layer(this.layer(this.chosen));
-      context.imageSmoothingEnabled = false;
-      context.drawImage(...this.worst("unknown", box));
+      const onPhoto = this.photo && this.shows("photo");
+      if (onPhoto) {
+        context.imageSmoothingEnabled = true;
+        layer(this.photo);
+        context.imageSmoothingEnabled = !sharp;
+      }
+      context.globalAlpha = this.strength;
+      if (!onPhoto || this.chosen !== "none") {
+        layer(this.layer(this.chosen));
+        context.imageSmoothingEnabled = false;
+        context.drawImage(...this.worst("unknown", box));
+      }
+      context.globalAlpha = 1;
       if (this.shows("relief")) {
         context.globalCompositeOperation = "multiply";
         context.imageSmoothingEnabled = true;
@@ -382,6 +450,7 @@
       this.hatch(...this.worst("unknown", box), this.unknownPattern);
       if (this.shows("barred")) this.drawBarred(box);
       this.white(box);
+      if (this.shows("grid")) this.drawGrid(left, top);
       if (this.shows("ways")) this.drawWays(left, top);
       if (this.shows("stretches")) this.drawStretches(left, top);
       if (this.shows("places")) this.drawPlaces(left, top);
@@ -402,7 +471,7 @@
         this.hatch(...this.worst("barred", box), this.barredPattern);
         return;
       }
-      context.globalAlpha = 0.6;
+      context.globalAlpha = this.photo && this.shows("photo") ? 0.35 : 0.6;
       context.imageSmoothingEnabled = false;
       context.drawImage(...this.worst("barred", box));
       context.globalAlpha = 1;
@@ -442,6 +511,35 @@
       this.context.drawImage(over, 0, 0);
     }
 
+    /** Lines of round coordinates of the CRS, named where they leave the map above and on the left. */
+    drawGrid(left, top) {
+      const { context, about, dense } = this;
+      const scale = (this.scale * about.unit) * dense;
+      const step = nice((2.2 * 110 * dense) / scale);
+      const [west, north] = [about.west / about.unit - left / scale, about.north / about.unit + top / scale];
+      const { width, height } = this.canvas;
+      const line = (from, to) => {
+        context.lineWidth = dense;
+        for (const [colour, shift] of [["#ffffff99", 0], ["#1f293799", dense]]) {
+          context.strokeStyle = colour;
+          context.beginPath();
+          context.moveTo(from[0] + shift, from[1] + shift);
+          context.lineTo(to[0] + shift, to[1] + shift);
+          context.stroke();
+        }
+      };
+      for (let east = Math.ceil(west / step) * step; (east - west) * scale < width; east += step) {
+        const x = (east - west) * scale;
+        line([x, 0], [x, height]);
+        if (x > 60 * dense && x < width - 150 * dense) this.write(`E ${grouped(east)}`, x + 4 * dense, 15 * dense);
+      }
+      for (let up = Math.floor(north / step) * step; (north - up) * scale < height; up -= step) {
+        const y = (north - up) * scale;
+        line([0, y], [width, y]);
+        if (y > 70 * dense && y < height - 60 * dense) this.write(`N ${grouped(up)}`, 4 * dense, y - 4 * dense);
+      }
+    }
+
     drawWays(left, top) {
       const { context, about, dense } = this;
       const on = ([east, north]) => [
@@ -458,6 +556,14 @@
             line.forEach((corner) => context.lineTo(...on(corner)));
             context.stroke();
           }
+        }
+        const others = about.ways.filter((other) => other !== way).flatMap((other) => other.lines.flat());
+        if (others.length) {
+          // Its letter stands where it is farthest from the others.
+          const apart = ([east, north]) => Math.min(...others.map((corner) => Math.hypot(corner[0] - east, corner[1] - north)));
+          way.marked ??= way.lines.flat().reduce((one, other) => (apart(other) > apart(one) ? other : one));
+          const [x, y] = on(way.marked);
+          this.write(way.name, x + 6 * dense, y - 6 * dense);
         }
         this.label("start", on(way.lines[0][0]));
         this.label("goal", on(way.lines.at(-1).at(-1)));
@@ -544,7 +650,8 @@
       const length = nice(Math.min(this.width * 0.3, 180) / this.scale);
       this.figure.querySelector(".scale .bar").style.width = `${length * this.scale}px`;
       const text = length >= 1000 ? `${grouped(length / 1000)} km` : `${length >= 1 ? grouped(length) : grouped(length, 2)} m`;
-      this.figure.querySelector(".scale .length").textContent = text;
+      this.figure.querySelector(".scale .length").textContent =
+        text + (this.paperScale ? `, 1 : ${grouped(this.paperScale)} on A4` : "");
     }
   }
 
