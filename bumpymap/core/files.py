@@ -17,12 +17,13 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 from uuid import uuid4
 
-from numpy.typing import NDArray
-
 from bumpymap.core.errors import OutputError, UsageError, escape_controls, write_remedy
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 _MOST_SHOWN = 200
 """Characters of the name of a value that a message shows."""
@@ -492,7 +493,7 @@ PLY_TYPES = {name: code for code, names in _PLY_NAMES.items() for name in names}
 """Type name in a header -> NumPy type code without byte order."""
 
 
-def write_vertices(vertex: NDArray[Any], comments: Sequence[str], stream: BinaryIO) -> None:
+def write_vertices(vertex: "NDArray[Any]", comments: Sequence[str], stream: BinaryIO) -> None:
     """Write points as binary little-endian PLY, one element ``vertex``.
 
     Parameters
