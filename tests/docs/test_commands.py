@@ -27,7 +27,7 @@ pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[2]
 FILES = (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs" / "pages").glob("*.md")))
 PROGRAMS = (
-    "bumpymap", "chmod", "dask", "gdal_translate", "gdaldem", "grass", "make", "openssl", "pip", "python", "sudo",
+    "bumpymap", "chmod", "dask", "grass", "make", "openssl", "pip", "python", "sudo",
 )  # fmt: skip
 SHELL = {"", "bash", "console", "sh", "shell"}
 CRS = "EPSG:32614"
@@ -39,7 +39,6 @@ RULES = {
     r"^sudo apt-get ": "changes the system; .ci/run installs the same packages",
     r"^dask |scheduler=|^export DASK_": "takes a cluster: tests/survey/engine/test_cluster.py has one",
     r"^(openssl|chmod) ": "makes keys: tests/survey/engine/test_cluster.py runs them",
-    r"^gdal": "takes GDAL's own tools",
     r"^grass ": "takes GRASS",
     r"^(xdg-open|qgis) ": "opens a window",
     r"^python docs/licences/": "writes a page anew; a test of its own holds it",

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import rasterio
 from alike_surveys import alike_surveys
-from bumpymap.patches.ground import cloth
 from click.testing import CliRunner
 from small_surveys import write_las
 
@@ -15,7 +14,7 @@ from bumpymap.core.config import CsfSettings
 from bumpymap.core.errors import UsageError
 from bumpymap.core.types import OBSTACLE, Barred
 from bumpymap.layers.products import PRODUCT_NAMES
-from bumpymap.patches import close_filter, mark_ground, require_filter
+from bumpymap.patches import close_filter, cloth, mark_ground, require_filter
 from bumpymap.survey import Budget
 from bumpytiles import Grid, TileBuckets
 
