@@ -339,8 +339,8 @@ def test_a_comparison_shows_its_kinds_as_pixels_and_places(tmp_path):
     seen = load(change.folder)
     layers = seen["layers"]
     raster, places = layers["change.tif"], layers["change.geojson"]
-    assert (raster["renderer"], raster["bands"], raster["crs"]) == ("paletted", [6], "EPSG:32614")
-    assert raster["values"] == [0, 1, 2, 3, 4]
+    assert (raster["renderer"], raster["bands"], raster["crs"]) == ("paletted", [7], "EPSG:32614")
+    assert raster["values"] == [0, 1, 2, 3, 4, 5]
     assert raster["legend"] == [[*entry, 255] for entry in legend(CHANGE_KINDS, colours.CHANGE_COLOURS)]
     assert raster["colours"] >= 3  # unchanged ground, and more than one kind of change
     assert places["renderer"] == "RuleRenderer"

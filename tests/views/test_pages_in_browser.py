@@ -146,7 +146,7 @@ def test_what_cannot_be_crossed_is_hatched_unless_switched_off_and_dark_where_ti
           });
         }); }"""
     page, far = visit(pages["one"]), visit(pages["one"], PHONE)
-    for key in ("objects", "relief"):
+    for key in ("objects", "relief", "grid"):
         page.uncheck(f"input[value={key}]")
         far.uncheck(f"input[value={key}]")
     far.evaluate("window.reportMaps[0].zoom(0.4)")

@@ -136,7 +136,7 @@ _DARKEST = (0.45, 0.62)
 """Brightness of ground that faces away from the light: passable, and other ground, which stays in the background."""
 _TYPICAL_GRADIENT = 0.35
 _EXAGGERATION = (0.5, 6.0)
-STRENGTH = 45
+STRENGTH = 65
 """Opacity of the colours of the layers over a photo, per cent; on a page the reader may change it."""
 LEVEL = math.sqrt(0.5)
 """Brightness of level ground; see `light_of`."""
