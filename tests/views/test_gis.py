@@ -164,7 +164,9 @@ def test_a_photo_lies_below_all_layers_in_place_of_the_relief(folder, tmp_path):
     assert [*shown][-1] == "./rasters/photo.tif"
     assert (shown["./rasters/photo.tif"], shown["./rasters/relief.tif"]) == ("Qt::Checked", "Qt::Unchecked")
     renderer = root.find("projectlayers")[-1].find("pipe/rasterrenderer")
-    assert [renderer.get(key) for key in ("type", "redBand", "blueBand")] == ["multibandcolor", "1", "3"]
+    bands = [renderer.get(key) for key in ("type", "redBand", "blueBand", "alphaBand")]
+    assert bands == ["multibandcolor", "1", "3", "4"]  # QGIS takes the mask for a fourth band
+    assert "bumpymap_photo_tif" not in {leaf.get("id") for leaf in root.find("Layouts").iter("layer-tree-layer")}
 
 
 def test_other_speeds_have_a_style_and_stand_in_the_project(tmp_path, at_two_speeds, cost_map):

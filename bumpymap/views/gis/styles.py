@@ -236,7 +236,7 @@ def _distances(values: NDArray[np.float32], unit: str, band: int) -> Style:
 
 
 _PALE = 0.6
-"""Opacity of the relief under other layers, so that colours over it stay those of their legend."""
+"""Opacity of relief and photo under other layers, so that colours over them stay those of their legend."""
 _GREY = (*UNKNOWN_COLOUR[:3], 180)
 """Colour of unknown ground over the relief, which shows through; no class is drawn between them."""
 _BAND = {band.name: number for number, band in enumerate(BANDS, 1)}
@@ -319,7 +319,7 @@ def map_styles(record: Mapping[str, Any], *, layered: bool = False) -> dict[str,
         MapFile.PASSAGE: paletted(enumerate(PASSAGE_NAMES), PASSAGE_COLOURS),
         MapFile.HEIGHTMAP: relief,
         MapFile.RELIEF: relief,
-        **({MapFile.PHOTO: {"kind": "multibandcolor", "opacity": 1.0}} if layered else {}),
+        **({MapFile.PHOTO: {"kind": "multibandcolor", "opacity": _PALE}} if layered else {}),
         MapFile.SPEEDS: _ramp(stops),
         MapFile.HEADINGS: _ramp(stops),
         **{f"{MapFile.SPEEDS} {speed:g}": _ramp(stops, 1 + at_speeds.index(f"c_r_{speed:g}")) for speed in speeds},
