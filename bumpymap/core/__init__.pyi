@@ -86,6 +86,7 @@ from .files import (
     move_together as move_together,
     open_regular as open_regular,
     parse_json as parse_json,
+    plain_json as plain_json,
     read_regular as read_regular,
     recorded_place as recorded_place,
     remote_files as remote_files,
