@@ -76,6 +76,7 @@ REFUSED = [
     (2, "map a.laz --out OUT --set pixels=a", "pixels is 'a'; it must be a whole number from 3 to 255"),
     (2, "map a.laz --out OUT --set csf.rigidness=4", "csf.rigidness is 4; it must be a whole number from 1 to 3"),
     (2, "map a.laz --out s3://bucket/night", "s3://bucket/night is a URL"),
+    (2, "map '' --out OUT", "the path is empty"),
     (2, "batch . --out s3://bucket/night", "s3://bucket/night is a URL"),
     (2, "diff may june --out s3://bucket/night", "s3://bucket/night is a URL"),
     (2, "map a.laz --out OUT --vehicle tank", ALL),

@@ -264,7 +264,7 @@ def test_the_page_shows_layers_of_an_earlier_start_that_were_not_reached(surveys
     assert statuses(tmp_path / "o") == {"a": "already done", "b": "not reached"}
     assert "layers of an earlier start" in table(tmp_path / "o")["b"]["message"]
     assert table(tmp_path / "o")["b"]["points"] == "20000"
-    assert (tmp_path / "o" / "index.html").read_text(encoding="utf-8").count("data:image/png") == 2
+    assert (tmp_path / "o" / "index.html").read_text(encoding="utf-8").count("data:image/jpeg") == 2
 
 
 def test_summary_and_page_are_written_during_the_night(surveys, tmp_path, monkeypatch):
