@@ -178,7 +178,7 @@ def test_diff_prints_tables_and_writes_files(tmp_path):
     assert done.exit_code == 0, done.output
     assert "1,200 tiles are in both surveys, 1,200 compared" in done.output
     assert "3 very rough" in done.output
-    assert "change.tif, change.geojson, change.json, change.qml, report.html" in done.output
+    assert "change.tif, change.geojson, change.json, change.qml, map.qgs, report.html" in done.output
     assert {path.name for path in (tmp_path / "out").iterdir()} >= {"change.tif", "change.json", "report.html"}
     assert run("diff", "may", "june", "--out", tmp_path / "out").exit_code == 3
     assert run("diff", "may", "june", "--out", tmp_path / "out", "--overwrite", "--quiet").output == ""
@@ -255,7 +255,7 @@ def test_the_way_goes_through_the_gap_and_all_files_are_there(tmp_path):
     result = run(*words)
     assert result.exit_code == 0, result.output
     files = {path.name: path.read_bytes() for path in (tmp_path / "way").iterdir()}
-    assert set(files) == {"route.geojson", "route.gpx", "profile.csv", "route.png", "route.json"}
+    assert set(files) == {"route.geojson", "route.gpx", "profile.csv", "route.png", "route.json", "route.qml", "map.qgs"}
     assert "arrives" in result.stdout
     lines = pyogrio.read_dataframe(tmp_path / "way" / "route.geojson").to_crs("EPSG:32614")
     (line,) = lines.geometry[lines.geom_type == "LineString"]
