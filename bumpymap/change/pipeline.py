@@ -40,6 +40,7 @@ from bumpymap.core import (
     brief_repr,
     count_text,
     path_of_call,
+    plain_json,
     settings_of_call,
 )
 from bumpymap.layers import (
@@ -54,7 +55,6 @@ from bumpymap.layers import (
     label,
     open_pair,
     place_entries,
-    plain_manifest,
     software_versions,
     write_change_raster,
     write_change_regions,
@@ -307,7 +307,7 @@ def _write(
     def describe(staged: Path, files: list[dict[str, Any]]) -> dict[str, Any]:
         head = {"format": "bumpymap-change", "version": 1, "versions": software_versions()}
         record = head | place_entries(field.placement) | dict(manifest) | {"files": files}
-        write_change_report(staged, plain_manifest(record), staged / REPORT_NAME)
+        write_change_report(staged, plain_json(record), staged / REPORT_NAME)
         return record
 
     writers: dict[str, Callable[[Path], None]] = {

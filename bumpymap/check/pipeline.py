@@ -48,7 +48,6 @@ from bumpymap.layers import (
     CHECK_FILES,
     CHECK_FORMAT,
     MANIFEST_NAME,
-    CheckGround,
     MapOffset,
     MapReader,
     Placement,
@@ -511,7 +510,7 @@ def write_check(
     result: CheckResult,
     out: Path,
     *,
-    ground: CheckGround | None = None,
+    ground: MapReader | None = None,
     manifest: Mapping[str, Any] | None = None,
     overwrite: bool = False,
 ) -> list[Path]:
@@ -550,7 +549,7 @@ def write_check(
     return CHECK_FILES.write(out, writers, describe, overwrite=overwrite)
 
 
-def _describe_ground(ground: CheckGround | None, placement: Placement | None) -> dict[str, Any]:
+def _describe_ground(ground: MapReader | None, placement: Placement | None) -> dict[str, Any]:
     """Return the layers that drives were checked against: their folder, checksum, place and calibration."""
     if ground is None:
         return {}

@@ -9,13 +9,14 @@ import csv
 import errno
 import hashlib
 import json
+import math
 import os
 import re
 import shutil
 import stat
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 from uuid import uuid4
@@ -55,6 +56,24 @@ def _children(item: Any) -> list[Any]:
     if isinstance(item, dict):
         item = list(item.values())
     return [child for child in item if isinstance(child, dict | list)] if isinstance(item, list) else []
+
+
+def plain_json(value: Any, digits: int | None = None) -> Any:
+    """Convert dataclasses, arrays, paths and CRSs, nested in any way, to types that JSON has.
+
+    Numbers that are not finite become None, others are rounded to so many significant ``digits``.
+    """
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    elif is_dataclass(value) and not isinstance(value, type):
+        value = asdict(value)
+    if isinstance(value, Mapping):
+        return {str(key): plain_json(item, digits) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain_json(item, digits) for item in value]
+    if isinstance(value, float):
+        return None if not math.isfinite(value) else value if digits is None else float(f"{value:.{digits}g}")
+    return value if value is None or isinstance(value, bool | int | str) else str(value)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ forgotten and read again at the end, as are bytes that no reader has asked for.
 """
 
 import hashlib
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from threading import Lock
@@ -19,6 +19,7 @@ from typing import Any
 from blake3 import blake3
 
 from bumpymap.core.errors import BadInputError
+from bumpymap.core.files import plain_json
 
 CHECKSUM_METHOD = "blake3-1MiB"
 """Stands before the digest in a checksum: ``blake3-1MiB:12ab...``."""
@@ -188,9 +189,9 @@ def flat_settings(config: Any, without: Collection[str]) -> dict[str, Any]:
         for key, item in found.items()
         if key not in without
         for name, value in (
-            ((f"{key}.{inner}", _plain(own)) for inner, own in item.items())
+            ((f"{key}.{inner}", plain_json(own)) for inner, own in item.items())
             if isinstance(item, Mapping)
-            else ((key, _plain(item)),)
+            else ((key, plain_json(item)),)
         )
     }
 
@@ -302,15 +303,6 @@ def _inputs(
         elif not same(path, before[path], now[path]):
             found.append(f"{path} has changed since")
     return found
-
-
-def _plain(value: Any) -> Any:
-    """Return a setting as it would be after a round trip through JSON."""
-    if isinstance(value, Mapping):
-        return {name: _plain(item) for name, item in value.items()}
-    if isinstance(value, Sequence) and not isinstance(value, str):
-        return [_plain(item) for item in value]
-    return value if value is None or isinstance(value, bool | int | float | str) else str(value)
 
 
 def _value_text(value: Any) -> str:

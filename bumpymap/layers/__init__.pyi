@@ -33,7 +33,6 @@ from .check_record import (
 from .check_vectors import (
     NORMAL_80 as NORMAL_80,
     OFF_KINDS as OFF_KINDS,
-    CheckGround as CheckGround,
     MapOffset as MapOffset,
     place_stretches as place_stretches,
     write_stretches as write_stretches,
@@ -76,7 +75,6 @@ from .manifest import (
     describe_file as describe_file,
     describe_input as describe_input,
     place_entries as place_entries,
-    plain_manifest as plain_manifest,
     read_manifest as read_manifest,
     software_versions as software_versions,
     write_manifest as write_manifest,
@@ -131,7 +129,6 @@ from .route_inputs import (
     tiles_within as tiles_within,
 )
 from .route_lines import (
-    MapSource as MapSource,
     PlannedRoute as PlannedRoute,
     route_coordinates as route_coordinates,
     route_properties as route_properties,

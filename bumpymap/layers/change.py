@@ -17,7 +17,7 @@ from bumpymap.layers.map_files import require_written
 from bumpymap.layers.map_reader import MapReader, common_window, open_map
 from bumpymap.layers.placement import BandSpec, Placement, RasterSpec, check_extent
 from bumpymap.layers.products import MapFile
-from bumpymap.layers.regions import trace_labels
+from bumpymap.layers.regions import trace_all
 from bumpymap.layers.vector import GeoJsonCoordinates, feature, write_features
 from bumpytiles import Grid, TileWindow
 
@@ -114,7 +114,7 @@ def _differences(first: MapReader, second: MapReader) -> str:
 
 def _identity(site: MapReader) -> dict[str, Any]:
     """Return settings and place that maps must have in common to be compared, by the words that a message uses."""
-    settings, crs = site.manifest.get("settings", {}), site.manifest.get("crs")
+    settings, crs = site.manifest["settings"], site.manifest["crs"]
     return {
         "tile size [m]": site.grid.tile_size,
         "pixels along a tile": site.grid.pixels,
@@ -188,11 +188,10 @@ def change_regions(field: ChangeField, names: Sequence[str]) -> "geopandas.GeoDa
         The extra ``notebook`` is not installed.
     """
     geopandas = import_notebook("geopandas")
-    place, numbers = field.placement, range(1, len(field.regions) + 1)
-    traced = trace_labels(field.area, field.window, slice(0, field.window.rows), numbers) if numbers else ()
-    outlines = [shapely.transform(outline, place.to_crs) for outline in traced]
+    place, count = field.placement, len(field.regions)
+    outlines = [shapely.transform(one, place.to_crs) for one in trace_all(field.area, field.window, count)]
     columns = {name: [about[name] for about in field.regions] for name in names}
-    index = import_notebook("pandas").RangeIndex(1, len(numbers) + 1, name="id")
+    index = import_notebook("pandas").RangeIndex(1, count + 1, name="id")
     return geopandas.GeoDataFrame(columns, geometry=outlines, crs=place.horizontal_crs, index=index)
 
 
@@ -211,9 +210,6 @@ def write_change_raster(field: ChangeField, path: Path) -> None:
 def write_change_regions(field: ChangeField, path: Path) -> None:
     """Write change.geojson: RFC 7946 in WGS 84, or the survey's own coordinates without a CRS; one change a feature."""
     place = GeoJsonCoordinates.of(field.placement, local=True)
-    features: list[dict[str, Any]] = []
-    if field.regions:
-        numbers = range(1, len(field.regions) + 1)
-        polygons = place.polygons(trace_labels(field.area, field.window, slice(0, field.window.rows), numbers))
-        features = [feature(*each) for each in zip(field.regions, polygons, numbers, strict=True)]
+    polygons = place.polygons(trace_all(field.area, field.window, len(field.regions)))
+    features = [feature(*each) for each in zip(field.regions, polygons, range(1, len(polygons) + 1), strict=True)]
     write_features(path, "change", place, features)

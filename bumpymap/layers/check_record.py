@@ -4,8 +4,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from bumpymap.core import CLASS_NAMES, NO_CLASS, CheckResult, UsageError
-from bumpymap.layers.manifest import plain_manifest
+from bumpymap.core import CLASS_NAMES, NO_CLASS, CheckResult, UsageError, plain_json
 from bumpymap.layers.products import OTHER_FILES, MapFile, OutputFolder
 
 CHECK_MANIFEST_NAME = "check.json"
@@ -57,7 +56,8 @@ def check_entries(result: CheckResult) -> dict[str, Any]:
             "agreement": result.agreement_by_line,
             "stretches": {name: columns[name] for name in _OF_MAP},
         }
-    return plain_manifest(found)
+    record: dict[str, Any] = plain_json(found)
+    return record
 
 
 def _entries(record: Any) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import shapely
@@ -15,13 +15,12 @@ from bumpymap.core import (
     NO_CLASS,
     CheckResult,
     DrivenStretches,
-    Georeference,
 )
 from bumpymap.layers.colours import OFF_COLOURS
+from bumpymap.layers.map_reader import MapReader
 from bumpymap.layers.placement import Placement
-from bumpymap.layers.route_lines import MapSource
 from bumpymap.layers.vector import GeoJsonCoordinates, feature, write_features
-from bumpytiles import Grid, TileWindow
+from bumpytiles import TileWindow
 
 _EDGES = np.array([1 / 2, 1 / 1.5, 1 / 1.2, 1.2, 1.5, 2.0])
 OFF_KINDS = (
@@ -77,26 +76,7 @@ class MapOffset:
         return np.asarray(self.beyond > 1.0, dtype=np.bool_)
 
 
-class CheckGround(MapSource, Protocol):
-    """A map whose windows can be read, and where it lies."""
-
-    @property
-    def grid(self) -> Grid:
-        """The grid of tiles."""
-        ...
-
-    @property
-    def georeference(self) -> Georeference:
-        """CRS and units of the survey."""
-        ...
-
-    @property
-    def window(self) -> TileWindow:
-        """The smallest window around all tiles."""
-        ...
-
-
-def place_stretches(stretches: DrivenStretches, ground: CheckGround) -> Placement | None:
+def place_stretches(stretches: DrivenStretches, ground: MapReader) -> Placement | None:
     """Return where the stretches of a check lie, for its files; None if no position of one is known."""
     points = np.column_stack([stretches.easting, stretches.northing])
     known = points[np.isfinite(points).all(axis=1)]

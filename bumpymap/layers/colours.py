@@ -120,8 +120,7 @@ def reach_colours(count: int) -> list[tuple[int, int, int]]:
     return [_REACH_COLOURS[round(step * last / max(count - 1, 1))] for step in range(count)]
 
 
-_CLASSES = len(CLASS_NAMES)
-_ANCHORS = np.array([CLASS_COLOURS[number][:3] for number in range(_CLASSES)], np.float64)
+_ANCHORS = np.array([CLASS_COLOURS[number][:3] for number in range(len(CLASS_NAMES))], np.float64)
 _TINT = 0.82
 """Opacity of the colours over white."""
 
@@ -137,12 +136,9 @@ class RideScale:
     def of(cls, manifest: Mapping[str, Any]) -> "RideScale":
         """Return the scale with the limits of the classes, so that pictures for one vehicle can be compared.
 
-        A class has its own colour in the middle of its interval. If the manifest of the map has no limits, which runs
-        write, the scale ends at 1 rad/m.
+        A class has its own colour in the middle of its interval.
         """
         limits = class_limits(manifest)
-        if limits is None:
-            return cls(tuple(np.linspace(0.0, 1.0, _CLASSES).tolist()))
         edges = [0.0, *limits, 2 * limits[-1] - limits[-2]]
         return cls(tuple((low + high) / 2 for low, high in pairwise(edges)))
 
@@ -161,23 +157,15 @@ class RideScale:
         return np.stack([np.interp(known, self.anchors, channel) for channel in _ANCHORS.T], axis=-1)
 
 
-def class_limits(manifest: Mapping[str, Any]) -> list[float] | None:
-    """Return the three limits of the classes, rad/m, if a manifest has them."""
-    calibration = manifest.get("calibration")
-    found = calibration.get("class_limits") if isinstance(calibration, Mapping) else None
-    if not isinstance(found, list | tuple) or len(found) != _CLASSES - 1:
-        return None
-    if not all(isinstance(limit, int | float) for limit in found):
-        return None
-    limits = [0.0, *map(float, found)]
-    return limits[1:] if all(low < high < np.inf for low, high in pairwise(limits)) else None
+def class_limits(manifest: Mapping[str, Any]) -> list[float]:
+    """Return the three limits of the classes, rad/m, of a map."""
+    return [float(limit) for limit in manifest["calibration"]["class_limits"]]
 
 
 def class_ranges(manifest: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return in words what is in each class, C_r in rad/m; nothing if C_r does not decide or there are no limits."""
-    settings, limits = manifest.get("settings"), class_limits(manifest)
-    if limits is None or (isinstance(settings, Mapping) and settings.get("compat") == "paper"):
+    """Return in words what is in each class, C_r in rad/m; nothing if C_r does not decide."""
+    if manifest["settings"].get("compat") == "paper":
         return ()
-    first, *_, last = texts = [f"{limit:.3g}" for limit in limits]
+    first, *_, last = texts = [f"{limit:.3g}" for limit in class_limits(manifest)]
     between = [f"{low} to {high}" for low, high in pairwise(texts)]
     return (f"under {first}", *between, f"{last} and more, or too steep, or drives fail")

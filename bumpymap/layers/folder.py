@@ -5,7 +5,6 @@ import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
-from dataclasses import asdict, is_dataclass
 from functools import partial
 from os.path import lexists
 from pathlib import Path
@@ -53,23 +52,21 @@ def layer_metadata(manifest: Mapping[str, Any], place: Georeference) -> dict[str
         ``speed_m_per_s`` and ``p_fail_speed_m_per_s`` (of a map at another speed), ``texture_model``, ``rating``,
         ``class_limits_rad_per_m``, ``bumpymap_version``, ``vertical_crs``.
     """
-    survey, calibration = (_entries(manifest.get(name)) for name in ("survey", "calibration"))
-    settings = _entries(manifest.get("settings"))
-    is_papers = settings.get("compat") == "paper"
-    dates, limits = survey.get("dates"), calibration.get("class_limits")
+    survey, calibration, settings = (manifest[name] for name in ("survey", "calibration", "settings"))
+    is_papers, dates = settings.get("compat") == "paper", survey["dates"]
     entries = {
-        "survey": survey.get("name"),
-        "survey_checksum": survey.get("checksum"),
+        "survey": survey["name"],
+        "survey_checksum": survey["checksum"],
         "survey_header_dates": "/".join(dates) if dates else None,
-        "vehicle": calibration.get("vehicle"),
-        "calibration": calibration.get("id"),
+        "vehicle": calibration["vehicle"],
+        "calibration": calibration["id"],
         # Without it the speed is that of the vehicle's profile.
         "speed_m_per_s": settings.get("speed"),
-        "p_fail_speed_m_per_s": _entries(manifest.get("vehicle")).get("drives_mps") if settings.get("speed") else None,
-        "texture_model": manifest.get("model"),
+        "p_fail_speed_m_per_s": manifest["vehicle"].get("drives_mps") if settings.get("speed") else None,
+        "texture_model": manifest["model"],
         "rating": "paper" if is_papers else settings.get("rating"),
         # The paper's classes follow from its table of textures and z ranges.
-        "class_limits_rad_per_m": [float(limit) for limit in limits] if limits and not is_papers else None,
+        "class_limits_rad_per_m": None if is_papers else class_limits(manifest),
         "bumpymap_version": software_versions().get("bumpymap"),
         "vertical_crs": _vertical(place),
     }
@@ -81,13 +78,6 @@ def as_tags(metadata: Mapping[str, Any]) -> dict[str, str]:
     return {
         name: " ".join(map(str, value)) if isinstance(value, list) else str(value) for name, value in metadata.items()
     }
-
-
-def _entries(value: Any) -> Mapping[str, Any]:
-    """Return an entry of a manifest, which may be a mapping or a record; nothing if there is none."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return asdict(value)
-    return value if isinstance(value, Mapping) else {}
 
 
 def _vertical(place: Georeference) -> str:
@@ -228,7 +218,7 @@ def write_products(
         record = complete_manifest(manifest, table, summary, layers)
         views(staged, record)
         write_item(staged, record)
-        record["seconds"] = {**manifest.get("seconds", {}), "write": round(time.perf_counter() - started, 3)}
+        record["seconds"] = {**manifest["seconds"], "write": round(time.perf_counter() - started, 3)}
         record["files"].append(describe_file(staged / MapFile.ITEM) | {"path": MapFile.ITEM})
         write_manifest(record, staged / MANIFEST_NAME)
     _log.info("wrote %d tiles to %s", summary.tiles, folder)

@@ -2,17 +2,14 @@
 
 import hashlib
 import json
-import math
 import os
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, is_dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pyproj import CRS, proj_version_str
 
 from bumpymap.core import (
@@ -23,6 +20,7 @@ from bumpymap.core import (
     Nullable,
     Number,
     atomic,
+    plain_json,
     read_record,
     shape_fault,
 )
@@ -42,17 +40,17 @@ PLACE_SHAPE: dict[str, Any] = {
 _POSITIVE = Number(0, 1e9)
 _INPUT = {"path": str, "bytes?": Nullable(COUNT), "points?": Nullable(COUNT), "checksum?": Nullable(str)}
 _SHAPE: dict[str, Any] = PLACE_SHAPE | {
-    "survey?": Nullable({"name?": Nullable(str), "checksum?": Nullable(str), "dates?": Nullable([Nullable(str)])}),
-    "inputs?": [_INPUT],
+    "survey": {"name": str, "checksum": Nullable(str), "dates": Nullable([str])},
+    "inputs": [_INPUT],
     "skipped?": Each(),
     "skipped_inputs?": [{"path": str}],
-    "settings?": {"surveys?": [str], "speeds?": Nullable([_POSITIVE])},
-    "versions?": Each(str),
-    "points?": Nullable(COUNT),
-    "model?": Nullable(str),
-    "calibration?": Nullable({"id": str, "vehicle": str, "class_limits?": (_POSITIVE,) * 3}),
-    "vehicle?": Nullable({"name": str, "width_m?": _POSITIVE, "height_m?": _POSITIVE, "speed_mps?": _POSITIVE}),
-    "seconds?": Each(_POSITIVE),
+    "settings": {"speeds?": Nullable([_POSITIVE])},
+    "versions": Each(str),
+    "points": COUNT,
+    "model": Nullable(str),
+    "calibration": {"id": str, "vehicle": str, "class_limits": (_POSITIVE,) * 3},
+    "vehicle": {"name": str, "width_m": _POSITIVE, "height_m": _POSITIVE, "speed_mps": _POSITIVE},
+    "seconds": Each(_POSITIVE),
     "cost": {
         "ride_weight_m_per_rad": _POSITIVE,
         "fail_weight_m": _POSITIVE,
@@ -67,10 +65,11 @@ _SHAPE: dict[str, Any] = PLACE_SHAPE | {
         "by_class": dict.fromkeys(CLASS_NAMES, COUNT),
         "by_reason": Each(COUNT),
         "barred": Each(COUNT),
-        "median_c_r?": (Nullable(_POSITIVE),) * 5,
-        "median_slope?": (Nullable(_POSITIVE),) * 5,
-        "median_count?": Nullable(_POSITIVE),
-        "objects?": Each(COUNT),
+        "median_c_r": (Nullable(_POSITIVE),) * 5,
+        "median_slope": (Nullable(_POSITIVE),) * 5,
+        "median_count": Nullable(_POSITIVE),
+        "failing": COUNT,
+        "objects": {"judged": COUNT, "layered": COUNT, "tall": COUNT},
     },
 }
 _VERSION = 2
@@ -92,14 +91,9 @@ def write_manifest(manifest: Mapping[str, Any], path: Path) -> None:
     OutputError
         The file cannot be written.
     """
-    text = json.dumps(_plain(manifest), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    text = json.dumps(plain_json(manifest), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     with atomic(path) as temporary:
         temporary.write_bytes(text.encode("utf-8", "backslashreplace"))
-
-
-def plain_manifest(manifest: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a manifest as it will be read from its file: dataclasses, paths and arrays as plain JSON."""
-    return {str(key): _plain(value) for key, value in manifest.items()}
 
 
 def complete_manifest(
@@ -127,7 +121,7 @@ def complete_manifest(
         Also with ``format``, ``version``, ``versions``, ``crs``, ``grid``, ``cost``, ``counts`` and ``files``; all as
         plain JSON, as it will be read again.
     """
-    return plain_manifest(
+    record: dict[str, Any] = plain_json(
         {
             "format": MANIFEST_FORMAT,
             "version": _VERSION,
@@ -160,6 +154,7 @@ def complete_manifest(
             "files": [dict(file) for file in files],
         }
     )
+    return record
 
 
 def place_entries(placement: Placement) -> dict[str, Any]:
@@ -253,21 +248,6 @@ def _code(crs: CRS) -> str | None:
     if not parts or any(part is None or part[0] != "EPSG" for part in parts):
         return None
     return "EPSG:" + "+".join(part[1] for part in parts)
-
-
-def _plain(value: Any) -> Any:
-    """Convert any value of a manifest to types that JSON has."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if is_dataclass(value) and not isinstance(value, type):
-        return _plain(asdict(value))
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value if value is None or isinstance(value, bool | int | float | str) else str(value)
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:

@@ -24,11 +24,9 @@ from bumpymap.core import (
     Barred,
     CostRule,
     Georeference,
-    Number,
     RouteVehicle,
     TileField,
     describe_crs,
-    shape_fault,
     stated_crs,
 )
 from bumpymap.layers.manifest import read_manifest
@@ -55,7 +53,6 @@ _DTYPES = {
 _RASTERS = tuple(name for name in _DTYPES if name != MapFile.CLASS)
 """Rasters of a route; a comparison of surveys reads the classes too, and a route headings.tif and photo.tif where they
 are there."""
-_VEHICLE = {"name": str, "width_m": Number(), "speed_mps": Number()}
 _PER_PIXEL = (MapFile.HEIGHTMAP, MapFile.OBSTACLE, MapFile.PASSAGE, MapFile.PHOTO)
 CHECKED_BYTES = 64 << 20
 """The checksum of a larger raster, which takes a second for 1.4 GB, is compared when it is first read."""
@@ -99,8 +96,8 @@ class MapReader:
 
     @property
     def calibration_id(self) -> str:
-        """Id of the calibration; empty if the manifest has none."""
-        return str(self.manifest.get("calibration", {}).get("id", ""))
+        """Id of the calibration."""
+        return str(self.manifest["calibration"]["id"])
 
     def kept_open(self) -> AbstractContextManager[None]:
         """Keep its files open from read to read in the body of a ``with``, and close them at its end."""
@@ -427,19 +424,15 @@ def open_map(folder: str | os.PathLike[str]) -> MapReader:
         require_written(folder, manifest, _rasters(manifest), most=CHECKED_BYTES)
         crs, unit = manifest["crs"], manifest["metres_per_unit"]
         known = None if crs is None else stated_crs(crs["wkt"])
-        cost = manifest["cost"]
-        vehicle = _vehicle(folder, manifest)
+        cost, own = manifest["cost"], manifest["vehicle"]
         names = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
         ride, fail, drive, slope = (float(cost[name]) for name in names)
-        parts = (
-            Grid(float(manifest["grid"]["tile_size_m"]), int(manifest["grid"]["pixels"])),
-            Georeference(known, float(unit["horizontal"]), float(unit["vertical"])),
-            CostRule(ride, fail, drive, slope, _speeds(cost)),
-            vehicle,
-        )
+        grid = Grid(float(manifest["grid"]["tile_size_m"]), int(manifest["grid"]["pixels"]))
+        georeference = Georeference(known, float(unit["horizontal"]), float(unit["vertical"]))
+        rule = CostRule(ride, fail, drive, slope, _speeds(cost))
+        vehicle = RouteVehicle(own["name"], float(own["width_m"]), float(own["speed_mps"]))
     except (LookupError, TypeError, ValueError, AttributeError, CRSError) as error:
         raise BadInputError(f"{folder / 'run.json'} is damaged: {error!r}. {_AGAIN}") from error
-    grid, georeference, rule, vehicle = parts
     window = _common_raster(folder, _rasters(manifest), grid, georeference, rasters)
     return MapReader(folder, manifest, grid, window, georeference, rule, vehicle, rasters)
 
@@ -519,13 +512,6 @@ def _speeds(cost: Mapping[str, Any]) -> tuple[tuple[float, float], ...]:
     if not (np.isfinite(known) & (known > 0.0)).all() or (np.diff(known[:, 0]) <= 0.0).any():
         raise ValueError("speeds_mps_at_c_r_radpm")
     return found
-
-
-def _vehicle(folder: Path, manifest: Mapping[str, Any]) -> RouteVehicle:
-    vehicle: Any = manifest.get("vehicle")
-    if fault := shape_fault(vehicle, _VEHICLE, "vehicle"):
-        raise BadInputError(f"{folder / 'run.json'} is damaged: {fault}. {_AGAIN}")
-    return RouteVehicle(vehicle["name"], float(vehicle["width_m"]), float(vehicle["speed_mps"]))
 
 
 def _planes(z: NDArray[np.float32]) -> NDArray[np.float64]:

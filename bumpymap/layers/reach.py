@@ -14,7 +14,7 @@ from bumpymap.core import BadInputError, Georeference
 from bumpymap.layers._cog import write_array
 from bumpymap.layers._imports import import_notebook
 from bumpymap.layers.placement import BandSpec, Placement, RasterSpec, check_extent
-from bumpymap.layers.regions import label, trace_labels
+from bumpymap.layers.regions import label, trace_all
 from bumpymap.layers.vector import GeoJsonCoordinates, feature, write_features
 from bumpytiles import Grid, TileWindow
 
@@ -33,11 +33,6 @@ class ReachField:
     """Cost of the cheapest way to the middle of the tile, m; NaN where none leads (so are the minutes)."""
     minutes: NDArray[np.float32]
     """Time along that way at the speed made good, min."""
-
-    def __post_init__(self) -> None:
-        shape = (self.window.rows, self.window.cols)
-        if not self.cost.shape == self.minutes.shape == shape:
-            raise ValueError(f"the window has (rows, cols) {shape}, cost {self.cost.shape} and {self.minutes.shape}")
 
     @property
     def placement(self) -> Placement:
@@ -113,8 +108,7 @@ def write_isochrones(
         if inside.any():
             # Tiles that touch at a corner only are polygons apart: nothing drives over a corner.
             labels, first, _ = label(inside.astype(np.uint8))
-            numbers = range(1, len(first) + 1)
-            polygons = place.polygons(trace_labels(labels, reach.window, slice(0, reach.window.rows), numbers))
+            polygons = place.polygons(trace_all(labels, reach.window, len(first)))
             geometry = shapely.multipolygons(shapely.get_parts(polygons))
         area = int(inside.sum()) * reach.grid.tile_size**2
         features.append(feature({"within": level, "of": "minutes", "unit": "min", "area_m2": area}, geometry))

@@ -187,6 +187,11 @@ def trace_labels(
     return outlines
 
 
+def trace_all(labels: NDArray[np.int32], window: TileWindow, count: int) -> NDArray[np.object_]:
+    """Trace the outlines of the areas 1 to ``count`` of a window; see `trace_labels`."""
+    return trace_labels(labels, window, slice(0, window.rows), range(1, count + 1)) if count else np.empty(0, object)
+
+
 def _follow(
     points: NDArray[np.int64], sizes: NDArray[np.int64], corners: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -9,14 +9,14 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, RoadFigures, Route, TileField, atomic, write_csv
+from bumpymap.core import BadInputError, RoadFigures, Route, atomic, write_csv
 from bumpymap.layers._imports import import_notebook
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.vector import DEGREE_DECIMALS, GeoJsonCoordinates, feature, write_features
@@ -71,36 +71,6 @@ def _road_properties(road: RoadFigures | None) -> dict[str, Any]:
         "iso_8608": _told(resolved.iso_class, 0) if resolved else None,
         "iri_resolution": road.resolution if road else "unknown",
     }
-
-
-class MapSource(Protocol):
-    """A map whose windows can be read."""
-
-    @property
-    def folder(self) -> Path:
-        """The folder with its layers."""
-        ...
-
-    @property
-    def manifest(self) -> dict[str, Any]:
-        """The content of run.json."""
-        ...
-
-    def read(self, window: TileWindow, bands: Sequence[str] = ...) -> TileField:
-        """Read the tiles of a window, which may extend beyond the map; bands that are not asked for are NaN."""
-        ...
-
-    def photo(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.float32] | None:
-        """Read the colours of the points, (rows, cols, 3); NaN where there is none. None: the survey has none."""
-        ...
-
-    def relief(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.float32]:
-        """Read the heights of a window at the resolution of ``shape``, north row first, m; NaN where there is none."""
-        ...
-
-    def passage_shown(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.bool_]:
-        """Read where the middle of the vehicle can be, at the resolution of ``shape``, north row first."""
-        ...
 
 
 _SEGMENT_M = 96.0

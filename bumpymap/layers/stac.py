@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from datetime import date
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
@@ -255,10 +255,9 @@ def write_item(folder: Path, record: Mapping[str, Any]) -> None:
     OutputError
         The file cannot be written.
     """
-    paths = (PurePosixPath(str(file["path"])) for file in record.get("inputs") or ())
-    name = valid_text(str(_survey(record).get("name") or min((path.stem for path in paths), default="map")))
+    name = valid_text(record["survey"]["name"])
     # What tells surveys of one name apart.
-    digits = str(_survey(record).get("checksum") or "").rpartition(":")[2][:_DIGITS]
+    digits = (record["survey"]["checksum"] or "").rpartition(":")[2][:_DIGITS]
     grid = describe_grid(folder / MapFile.CLASS)  # one pixel for each tile
     crs = None if record["crs"] is None else stated_crs(record["crs"]["wkt"])
     unit, tile = record["metres_per_unit"]["horizontal"], record["grid"]["tile_size_m"]
@@ -292,15 +291,15 @@ def write_item(folder: Path, record: Mapping[str, Any]) -> None:
 
 
 def _description(record: Mapping[str, Any]) -> str:
-    vehicle, tile = _calibration(record).get("vehicle"), record["grid"]["tile_size_m"]
-    whose = f" for the vehicle {vehicle}" if vehicle else ""
-    return f"Roughness and ride cost of the ground{whose}, from a point cloud, in tiles of {tile:g} m"
+    vehicle, tile = record["calibration"]["vehicle"], record["grid"]["tile_size_m"]
+    about = f"Roughness and ride cost of the ground for the vehicle {vehicle}"
+    return f"{about}, from a point cloud, in tiles of {tile:g} m"
 
 
 def _interval(record: Mapping[str, Any]) -> dict[str, Any]:
     """Return the days of the survey as STAC states an interval; the widest if the files have no dates."""
     try:
-        days = sorted(date.fromisoformat(day).isoformat() for day in _survey(record).get("dates") or ())
+        days = sorted(date.fromisoformat(day).isoformat() for day in record["survey"]["dates"] or ())
         first, last = (f"{day}T{time}Z" for day, time in zip(days, ("00:00:00", "23:59:59"), strict=True))
         known = True
     except (TypeError, ValueError):
@@ -315,34 +314,23 @@ def _interval(record: Mapping[str, Any]) -> dict[str, Any]:
 
 def _rights(record: Mapping[str, Any]) -> dict[str, Any]:
     """Return who made the survey, and the licence of the layers, if the settings say."""
-    settings = record.get("settings") or {}
-    provider, licence = (str(settings.get(name) or "") for name in ("provider", "license"))
+    provider, licence = (str(record["settings"].get(name) or "") for name in ("provider", "license"))
     found: dict[str, Any] = {"license": licence} if licence else {}
     return found | ({"providers": [{"name": provider, "roles": ["producer", "licensor"]}]} if provider else {})
 
 
 def _own(record: Mapping[str, Any]) -> dict[str, Any]:
     """Return the properties that no extension has."""
-    calibration = _calibration(record)
+    calibration = record["calibration"]
     fields = {
-        "vehicle": calibration.get("vehicle"),
-        "calibration": calibration.get("id"),
-        "class_limits": calibration.get("class_limits"),
-        "texture_model": record.get("model"),
-        "survey_checksum": _survey(record).get("checksum"),
+        "vehicle": calibration["vehicle"],
+        "calibration": calibration["id"],
+        "class_limits": calibration["class_limits"],
+        "texture_model": record["model"],
+        "survey_checksum": record["survey"]["checksum"],
         "counts": {key: record["counts"][key] for key in ("tiles", "classified", "passable", "by_class")},
     }
     return {f"bumpymap:{key}": value for key, value in fields.items() if value is not None}
-
-
-def _survey(record: Mapping[str, Any]) -> Mapping[str, Any]:
-    survey = record.get("survey")
-    return survey if isinstance(survey, Mapping) else {}
-
-
-def _calibration(record: Mapping[str, Any]) -> Mapping[str, Any]:
-    calibration = record.get("calibration")
-    return calibration if isinstance(calibration, Mapping) else {"id": calibration}
 
 
 def _footprint(place: Placement) -> dict[str, Any]:

@@ -1,6 +1,5 @@
 """Counts and medians of a map, computed in one pass over its tiles."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
@@ -73,26 +72,22 @@ class MapSummary:
 
     @classmethod
     def of(cls, counts: Mapping[str, Any]) -> Self:
-        """Read the entry ``counts`` of run.json; missing medians become NaN."""
-        medians = {
-            name: tuple(math.nan if value is None else value for value in counts.get(name, [None] * 5))
-            for name in ("median_c_r", "median_slope")
-        }
-        count, objects = counts.get("median_count"), counts.get("objects", {})
+        """Read the entry ``counts`` of run.json; medians that are null become NaN."""
+        count, *medians = (
+            np.array(counts[name], np.float64).tolist() for name in ("median_count", "median_c_r", "median_slope")
+        )
         return cls(
             tiles=counts["tiles"],
             points=counts["points"],
             by_class=tuple(counts["by_class"][name] for name in CLASS_NAMES),
             by_reason=tuple(counts["by_reason"].get(REASON_TEXT[code], 0) for code in Reason),
             by_bar=(counts["passable"], *(counts["barred"].get(BARRED_TEXT[code], 0) for code in Barred if code)),
-            median_count=math.nan if count is None else count,
-            median_c_r=medians["median_c_r"],
-            median_slope=medians["median_slope"],
-            failing=counts.get("failing", 0),
+            median_count=count,
+            median_c_r=tuple(medians[0]),
+            median_slope=tuple(medians[1]),
+            failing=counts["failing"],
             by_holes=counts.get("by_holes", 0),
-            judged=objects.get("judged", 0),
-            layered=objects.get("layered", 0),
-            tall=objects.get("tall", 0),
+            **counts["objects"],
         )
 
     @property

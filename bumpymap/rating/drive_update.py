@@ -8,13 +8,13 @@ a stated length of drive on.
 """
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, DrivenStretches
+from bumpymap.core import BadInputError, DrivenStretches, plain_json
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.drive_posterior import (
     DriveEvidence,
@@ -239,7 +239,7 @@ class DriveUpdate:
 
     def to_record(self) -> dict[str, Any]:
         """Return all findings as plain JSON."""
-        plain: dict[str, Any] = _plain(asdict(self))
+        plain: dict[str, Any] = plain_json(self, 6)
         if not math.isfinite(self.prior.log_floor):
             del plain["prior"]["log_floor"]
         return plain
@@ -380,13 +380,3 @@ def _agree(update: DriveUpdate) -> str:
         f"{100 * update.held_out_error[1]:.1f} %, as it is {100 * update.held_out_error[0]:.1f} %). The drives leave "
         f"room for a factor of {low:.2f} to {high:.2f} on C_r; longer ones would tell"
     )
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    return float(f"{value:.6g}") if isinstance(value, float) and math.isfinite(value) else value

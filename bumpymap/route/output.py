@@ -16,7 +16,7 @@ from bumpymap.layers import (
     OTHER_FILES,
     GeoJsonCoordinates,
     MapFile,
-    MapSource,
+    MapReader,
     OutputFolder,
     Placement,
     ReachField,
@@ -107,7 +107,7 @@ def check_out(out: Path, kinds: Mapping[str, str], *, overwrite: bool) -> str | 
 
 
 def write_routes(
-    routes: Sequence[Route], source: MapSource, out: Path, *, manifest: Mapping[str, Any], overwrite: bool = False
+    routes: Sequence[Route], source: MapReader, out: Path, *, manifest: Mapping[str, Any], overwrite: bool = False
 ) -> list[Path]:
     """Write route.geojson, route.gpx, profile.csv, route.png, route.json and a project of QGIS to a folder.
 
@@ -122,7 +122,7 @@ def write_routes(
     ----------
     routes : sequence of Route
         At least one, all on the grid of ``source``; the picture holds the profile of the first.
-    source : MapSource
+    source : MapReader
         The map that they were planned on.
     out : Path
         The folder, which is created if it is missing, or one file: see `check_out`.
@@ -168,7 +168,7 @@ def write_routes(
 
 def write_reach_files(
     reach: ReachField,
-    source: MapSource,
+    source: MapReader,
     start: NDArray[np.float64],
     out: Path,
     *,
@@ -218,7 +218,7 @@ def _write_folder(
     return ROUTE_FILES.write(out, writers, describe, overwrite=overwrite)
 
 
-def _describe_layers(source: MapSource) -> dict[str, Any]:
+def _describe_layers(source: MapReader) -> dict[str, Any]:
     """Return the layers that routes were planned on: their folder, the checksum of run.json, the calibration."""
     layers = {"path": str(source.folder), "run_sha256": describe_file(source.folder / MANIFEST_NAME)["sha256"]}
     kept = "vehicle", "calibration", "cost", "crs"

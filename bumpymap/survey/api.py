@@ -49,7 +49,6 @@ class EachSettings(TypedDict, total=False):
     local: bool
     trust_points: bool
     skip_bad: bool
-    max_unknown: float | None
     overwrite: bool
     threads: int
     memory: str

@@ -158,7 +158,6 @@ def _printable(name: str) -> str:
 _WITHOUT_EFFECT = {
     "surveys",
     "out",
-    "max_unknown",
     "overwrite",
     "threads",
     "memory",

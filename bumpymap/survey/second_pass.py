@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,33 +96,12 @@ class NeighbourWindow:
         return self.columns[name][self.rings : -self.rings, self.rings : -self.rings]
 
 
-class NeighbourRater(Protocol):
-    """Rates the tiles of a block with their neighbours."""
-
-    @property
-    def rings(self) -> int:
-        """How many tiles around the block it reads on each side, at most 16."""
-
-    @property
-    def needs(self) -> Sequence[str]:
-        """Columns of the finished tiles that it reads."""
-
-    @property
-    def columns(self) -> Sequence[Column]:
-        """Columns that it returns."""
-
-    def leaves(self, own: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]] | None:
-        """Return the columns of the tiles of a block, (n, ...) each, if neighbours do not matter to any; else None.
-
-        ``own`` may lack the maps of heights.
-        """
-
-    def __call__(self, window: NeighbourWindow) -> dict[str, NDArray[Any]]:
-        """Return the columns of the inner tiles, (16, 16, ...) each; those of missing tiles are ignored."""
+_Rating: TypeAlias = "NeighbourRating | VehicleSweep"
+"""Rates the tiles of a block with their neighbours."""
 
 
 def add_neighbours(
-    table: TileTable, rating: NeighbourRater, folder: Path, threads: int, progress: Progress, kind: str = "neighbours"
+    table: TileTable, rating: "_Rating", folder: Path, threads: int, progress: Progress, kind: str = "neighbours"
 ) -> TileTable:  # fmt: skip
     """Rate all tiles with their neighbours; return the table with the new columns, whose packs are in ``folder``.
 
@@ -154,7 +133,7 @@ _Read = Callable[[BlockKey], Columns]
 
 
 def _rate_group(
-    table: TileTable, read: _Read, rating: NeighbourRater, keys: Sequence[BlockKey]
+    table: TileTable, read: _Read, rating: "_Rating", keys: Sequence[BlockKey]
 ) -> list[tuple[BlockKey, Columns]]:
     """Return the new columns of some blocks, in the order of their tiles."""
     # Together, blocks are read without the maps of heights.
@@ -184,7 +163,7 @@ def _cells(
     return north - tiles["row"], tiles["col"] - west
 
 
-def _read_window(table: TileTable, read: _Read, rating: NeighbourRater, key: BlockKey) -> NeighbourWindow:
+def _read_window(table: TileTable, read: _Read, rating: "_Rating", key: BlockKey) -> NeighbourWindow:
     """Put the tiles of a block and of the rings around it together."""
     side = BLOCK_TILES + 2 * rating.rings
     columns: dict[str, NDArray[Any]] = {}

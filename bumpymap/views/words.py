@@ -18,32 +18,6 @@ from bumpymap.core import (
     shares_text,
 )
 
-__all__ = [
-    "DASH",
-    "FEW",
-    "agreements_of",
-    "area",
-    "base_name",
-    "check_headline",
-    "check_verdict",
-    "columns_words",
-    "degrees",
-    "degrees_line",
-    "level_words",
-    "metres",
-    "names_of",
-    "number",
-    "percent",
-    "read_surfaces",
-    "share",
-    "shares",
-    "signed",
-    "skipped_words",
-    "survey_name",
-    "warnings_of",
-    "whole",
-]
-
 DASH = "\N{EN DASH}"
 """Stands where nothing is known."""
 _PERCENT = "\N{NO-BREAK SPACE}%"
@@ -140,13 +114,8 @@ def base_name(path: str) -> str:
 
 
 def survey_name(record: Mapping[str, Any]) -> str:
-    """Return the name of a survey: as recorded, else from its files, without their folders."""
-    name = (record.get("survey") or {}).get("name")
-    if not name:
-        given = (record.get("settings") or {}).get("surveys") or [item["path"] for item in record.get("inputs") or ()]
-        stems = [PurePosixPath(PureWindowsPath(path).as_posix()).stem for path in map(str, given) if path]
-        name = (f"{stems[0]} and {len(stems) - 1} more" if len(stems) > 1 else stems[0]) if stems else "Survey"
-    return str(name)
+    """Return the name of the survey of a map."""
+    return str(record["survey"]["name"])
 
 
 FEW = 5

@@ -379,7 +379,7 @@ def test_the_page_describes_every_file_band_kind_and_default(rut):
     ("options", "changes", "word"),
     [
         ({}, {"vehicle": VEHICLE | {"name": "car"}}, "vehicle is"),
-        ({}, {"calibration": {"id": "beef", "vehicle": "warthog"}}, "calibration is c0ffee and beef"),
+        ({}, {"calibration": RUN["calibration"] | {"id": "beef"}}, "calibration is c0ffee and beef"),
         ({}, {"settings": {"rating": "table", "compat": "none"}}, "rating is"),
         ({}, {"ground_only": True}, "ground points only is"),
         ({"grid": Grid(3.0, 10)}, {}, "pixels along a tile is 15 and 10"),

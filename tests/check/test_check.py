@@ -319,7 +319,7 @@ def test_a_folder_gets_every_file_and_the_manifest(ground, tmp_path):
     record = json.loads((out / CHECK_MANIFEST_NAME).read_text())
     assert record["format"] == "bumpymap-check"
     assert record["settings"] == SETTINGS["settings"]
-    assert record["calibration"] == {"id": "c0ffee"}
+    assert record["calibration"]["id"] == "c0ffee"
     assert record["crs"]["code"] == "EPSG:32614"
     checksum = hashlib.sha256((ground.folder / "run.json").read_bytes()).hexdigest()
     assert record["layers"] == [{"path": str(ground.folder), "run_sha256": checksum}]

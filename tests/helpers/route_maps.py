@@ -14,10 +14,13 @@ from bumpytiles import Grid, TileWindow
 
 VEHICLE = {"name": "warthog", "width_m": 1.38, "height_m": 1.3, "clearance_m": 0.25, "speed_mps": 1.0}
 RUN = {
-    "calibration": {"id": "c0ffee", "vehicle": "warthog"},
+    "survey": {"name": "pit", "checksum": None, "dates": None},
+    "inputs": [],
+    "calibration": {"id": "c0ffee", "vehicle": "warthog", "class_limits": [0.1, 0.2, 0.4]},
     "settings": {"rating": "ride", "compat": "none"},
     "vehicle": VEHICLE,
     "model": "m1",
+    "points": 1_000,
     "seconds": {},
 }
 RULE = CostRule(ride_weight=5.0, fail_weight=300.0, drive_m=10.0, slope_limit_deg=30.0, speeds=((0.3, 1.0),))
@@ -25,16 +28,10 @@ UTM = CRS.from_epsg(32614)
 
 
 def write_folder(folder, cost_map, **changes):
-    """Write the layers of a map to a folder; ``changes`` replace entries of the manifest (None: leave out)."""
+    """Write the layers of a map to a folder; ``changes`` replace entries of the manifest."""
     folder.mkdir()
-    manifest = {key: value for key, value in (RUN | changes).items() if value is not None}
-    write_products(
-        table_of(cost_map),
-        folder,
-        views=write_map_views,
-        local=cost_map.georeference.crs is None,
-        manifest=manifest,
-    )
+    local = cost_map.georeference.crs is None
+    write_products(table_of(cost_map), folder, views=write_map_views, local=local, manifest=RUN | changes)
     return folder
 
 

@@ -57,7 +57,7 @@ MADE_UP = Path(__file__).parent / "made_up_map"
 
 @dataclass
 class MadeUpMap(TileMap):
-    """A map in memory, for `MapSource`; ``height`` is one for each tile, (rows, cols) m."""
+    """A map in memory, for `MapReader`; ``height`` is one for each tile, (rows, cols) m."""
 
     fits: np.ndarray | None = None
     """(rows * pixels, cols * pixels) where the middle of the vehicle can be; everywhere if None."""

@@ -17,11 +17,11 @@ import pytest
 import rasterio
 from cost_maps import table_of
 from region_files import regions_of, write_flatgeobuf, write_geojson
+from route_maps import RUN
 from small_surveys import SIDES, files_in
 
 from bumpymap.core.errors import BadInputError, OutputError
 from bumpymap.core.files import atomic, write_together
-from bumpymap.core.types import Georeference
 from bumpymap.layers import check_extent, check_folder, write_products
 from bumpymap.layers.geotiff import write_raster
 from bumpymap.layers.manifest import describe_file, describe_input, software_versions, write_manifest
@@ -36,7 +36,7 @@ TOP = {
     *("run.json", "item.json", "rasters"),
 }
 """What a newcomer finds when he opens the folder of a map: at most a dozen entries."""
-RUN = {"calibration": {"id": "c0ffee", "vehicle": "warthog"}, "model": "m1", "seconds": {"read": 1.5}}
+RUN = RUN | {"seconds": {"read": 1.5}}
 
 
 def texts_in(folder):
@@ -89,8 +89,7 @@ def said_by_layers(folder):
 def test_every_layer_says_which_survey_vehicle_and_version_made_it(tmp_path, cost_map):
     about = {"name": "Grünfläche <1> & 2", "checksum": "blake3-1MiB:ab", "dates": ["2024-05-01", "2024-05-03"]}
     calibration = RUN["calibration"] | {"class_limits": (0.111, 0.25, 0.4)}
-    settings = {"rating": "ride", "compat": "none"}
-    write(cost_map, tmp_path, manifest=RUN | {"survey": about, "calibration": calibration, "settings": settings})
+    write(cost_map, tmp_path, manifest=RUN | {"survey": about, "calibration": calibration})
     found = said_by_layers(tmp_path)
     assert set(found) == set(PRODUCT_NAMES) - {"item.json", "run.json"}  # these say more, see their own tests
     wanted = {
@@ -136,14 +135,6 @@ def test_a_folder_of_rasters_that_is_a_link_is_refused(tmp_path, cost_map):
         write(cost_map, out)
     assert texts_in(mine) == {"class.tif": "mine"}
     assert [path.name for path in out.iterdir()] == ["rasters"]
-
-
-def test_no_crs_is_refused_before_any_file(tmp_path, make_field):
-    cost_map = make_field(4, 4, georeference=Georeference(None))
-    with pytest.raises(BadInputError, match="`local=True`"):
-        write(cost_map, tmp_path, manifest={})
-    assert list(tmp_path.iterdir()) == []
-    assert len(write(cost_map, tmp_path, local=True)[0]) == len(PRODUCT_NAMES) + len(VIEW_NAMES)
 
 
 def test_an_extent_is_limited_in_tiles_and_in_pixels():

@@ -53,9 +53,8 @@ def serve():
 
 @pytest.fixture(scope="module")
 def one(tmp_path_factory):
-    calibration = {"id": "c0ffee", "vehicle": "warthog", "class_limits": [0.05, 0.1, 0.2]}
     made = make_field(12, 10, grid=SMALL, easy=True)
-    return write_folder(tmp_path_factory.mktemp("one") / "map", made, calibration=calibration)
+    return write_folder(tmp_path_factory.mktemp("one") / "map", made)
 
 
 def report(folder, out):

@@ -161,7 +161,10 @@ def in_sheets(folder):
     [
         (lambda folder: (folder / "run.json").unlink(), {}, "no complete run"),
         (rmtree, {}, "there is no folder"),
-        *((lambda _: None, {key: {"a": 1}}, r"run\.json is damaged") for key in ("grid", "files", "crs")),
+        *((lambda _: None, {key: {"a": 1}}, r"run\.json is damaged") for key in ("grid", "files", "crs", "inputs")),
+        (lambda _: None, {"metres_per_unit": {"horizontal": 1e308, "vertical": 1}}, r"run\.json is damaged"),
+        (lambda _: None, {"grid": {"tile_size_m": 3.0, "pixels": float("inf")}}, r"run\.json is damaged"),
+        (lambda _: None, {"format": ["x"]}, "no complete run"),
         (in_sheets, {}, r"layers holds a map of another version.*Map the survey again"),
     ],
 )
@@ -393,6 +396,10 @@ def test_unknown_are_the_tiles_without_a_class():
         "by_class": dict(zip(CLASS_NAMES, (5, 1, 1, 1), strict=True)),
         "by_reason": {"too few points": 2},
         "barred": {"unknown ground": 3, "step": 2},
+        **dict.fromkeys(("median_c_r", "median_slope"), [None] * 5),
+        "median_count": None,
+        "failing": 0,
+        "objects": {},
     }
     summary = MapSummary.of(counts)
     assert summary.unknown == 2

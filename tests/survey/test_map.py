@@ -213,15 +213,6 @@ def test_without_a_crs_the_user_is_told_what_to_pass(site, tmp_path):
     assert pyogrio.read_info(tmp_path / "given" / "cost.fgb")["crs"] == "EPSG:32614"
 
 
-def test_an_empty_path_is_not_the_current_folder(survey, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for arguments in (["map", survey, "--out", ""], ["map", "", "--out", "layers"], ["info", ""]):
-        result = run(*arguments)
-        assert result.exit_code == 2
-        assert "the path is empty" in result.output
-    assert list(tmp_path.iterdir()) == []
-
-
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory):
     """What the demo makes of the sample survey."""

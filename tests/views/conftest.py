@@ -63,7 +63,7 @@ def site(tmp_path_factory, make_field):
 @pytest.fixture(scope="session")
 def may(tmp_path_factory):
     """A survey whose name is markup, with ground that the next one has not."""
-    about = {"name": "pit <b>", "dates": ["2024-05-01", "2024-05-01"]}
+    about = {"name": "pit <b>", "checksum": None, "dates": ["2024-05-01", "2024-05-01"]}
     return write_folder(tmp_path_factory.mktemp("change") / "may", survey(1), survey=about)
 
 
@@ -74,7 +74,7 @@ def comparison(may):
     made = survey(3, rut=0.1, c_r=3.0, tiles=(row > 4) | (col > 8))
     for ride in (made.c_r, made.c_r_low, made.c_r_high):
         ride[40:60] = np.nan
-    later = {"name": "pit <b>", "dates": ["2025-05-02", "2025-05-03"]}
+    later = {"name": "pit <b>", "checksum": None, "dates": ["2025-05-02", "2025-05-03"]}
     june = write_folder(may.parent / "june", made, survey=later)
     return bumpymap.diff_surveys(may, june, may.parent / "out").folder
 
@@ -105,7 +105,6 @@ def checked(site, on_site, tmp_path_factory):
 
 
 RUN = {
-    "calibration": {"id": "c0ffee", "vehicle": "warthog", "class_limits": [0.1, 0.2, 0.4]},
     "vehicle": {"name": "warthog", "width_m": 1.4, "height_m": 1.0, "clearance_m": 0.25, "speed_mps": 2.0},
 }
 

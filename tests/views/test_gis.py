@@ -16,7 +16,7 @@ import shapely
 from check_records import made_up_check
 from cost_maps import table_of
 from pyproj import CRS
-from route_maps import copy_folder, write_folder
+from route_maps import RUN, copy_folder, write_folder
 from route_records import CORNERS, UTM, MadeUpMap, make_route
 from skimage.color import deltaE_ciede2000, rgb2lab
 from survey_pairs import survey
@@ -34,14 +34,12 @@ from bumpymap.views.gis.project import write_project
 from bumpymap.views.gis.styles import write_styles
 from bumpytiles import Grid, TileWindow
 
-LIMITS = (0.1, 0.2, 0.4)
-CALIBRATION = {"id": "c0ffee", "vehicle": "warthog", "class_limits": LIMITS}
+RECORD = RUN | {"metres_per_unit": {"horizontal": 1.0}, "cost": {"speeds_mps_at_c_r_radpm": [[2.0, 0.1]]}}
 INTERVALS = ("under 0.1", "0.1 to 0.2", "0.2 to 0.4", "0.4 and more, or too steep, or drives fail")
 
 
 def write_layers(table, folder, *, local=False, **manifest):
-    manifest = {"calibration": CALIBRATION} | manifest
-    return write_products(table, folder, views=write_map_views, local=local, manifest=manifest)[0]
+    return write_products(table, folder, views=write_map_views, local=local, manifest=RUN | manifest)[0]
 
 
 @pytest.fixture(name="folder", scope="module")
@@ -81,7 +79,7 @@ def expected(names, palette_of):
 def styled(folder, **record):
     for path in folder.rglob("*.qml"):
         path.unlink()
-    write_styles(folder, {"calibration": CALIBRATION} | record)
+    write_styles(folder, RECORD | record)
     return {path.relative_to(folder).as_posix(): read(path) for path in folder.rglob("*.qml")}
 
 
@@ -203,7 +201,8 @@ def test_a_project_has_the_horizontal_crs_or_none(tmp_path, make_field, crs):
 
 def test_a_project_says_survey_vehicle_and_calibration_and_no_name_breaks_its_xml(folder, tmp_path):
     crs = CRS.from_wkt(CRS.from_epsg(32614).to_wkt().replace("WGS 84 / UTM", "mine \x01 / UTM", 1))
-    record = {"calibration": CALIBRATION, "survey": {"name": "Pit \x01 <7> \udce9 &"}, "crs": {"wkt": crs.to_wkt()}}
+    survey = {"name": "Pit \x01 <7> \udce9 &", "dates": None}
+    record = RECORD | {"survey": survey, "crs": {"name": crs.name, "wkt": crs.to_wkt()}}
     (tmp_path / "rasters").mkdir()
     for name in ("rasters/class.tif", "rasters/heightmap.tif"):
         (tmp_path / name).write_bytes((folder / name).read_bytes())
@@ -228,7 +227,7 @@ AREAS = ("cost.geojson", "cost.fgb", "tiles.gpkg")
 
 def seen_by_qgis(folder, cost_map, *, local=False):
     """Write layers and let QGIS load them; its version here may not read Parquet, so tiles come as GeoPackage."""
-    write_layers(table_of(cost_map), folder, local=local, survey={"name": "Pit 7"})
+    write_layers(table_of(cost_map), folder, local=local, survey=RUN["survey"] | {"name": "Pit 7"})
     tiles = geopandas.read_parquet(folder / "tiles.parquet", columns=["geometry", "class", "passable", "c_r"])
     tiles.to_file(folder / "tiles.gpkg", driver="GPKG")
     return load(folder)
@@ -286,7 +285,7 @@ def test_a_line_shows_the_calm_axis_where_it_matters(tmp_path):
     def drawn(name, ratio, *, headings, passable=True):
         (tmp_path / name).mkdir()
         (tmp_path / name / "tiles.parquet").touch()
-        write_styles(tmp_path / name, {"settings": {"headings": headings}})
+        write_styles(tmp_path / name, RECORD | {"settings": {"headings": headings}})
         columns = {"class": [0], "passable": [passable], "calm_axis_deg": [90.0], "heading_ratio": [ratio]}
         tile = geopandas.GeoDataFrame(columns, geometry=[shapely.box(0, 0, 3, 3)], crs=32614)
         tile.to_file(tmp_path / name / "tiles.gpkg")

@@ -126,16 +126,11 @@ def test_what_is_unknown_is_drawn_without_complaint(ground, names, recwarn):
     assert not [str(warning.message) for warning in recwarn if "numpy" in str(warning.filename)]
 
 
-def test_the_scale_of_colours_runs_through_those_of_the_classes_or_is_round():
-    for limits, values in (
-        ([0.1, 0.3, 0.4], [0.0, 0.05, 0.05, 0.2, 0.35, 0.45, 8.0]),
-        *((bad, [0.0, 0.0, 0.0, 1 / 3, 2 / 3, 1.0, 9.0]) for bad in (None, "rough", [0.1, 0.2], [0.3, 0.2, 0.1])),
-        *((bad, [0.0, 0.0, 0.0, 1 / 3, 2 / 3, 1.0, 9.0]) for bad in ([0.0, 0.1, 0.2], [0.1, 0.2, float("nan")])),
-    ):
-        scale = RideScale.of({"calibration": {"class_limits": limits}})
-        wanted = 255 + 0.82 * (np.array([CLASS_COLOURS[code][:3] for code in (0, 0, 0, 1, 2, 3, 3)]) - 255.0)
-        np.testing.assert_allclose(scale.colours(np.array(values)), wanted)
-        assert scale.end == pytest.approx(values[-2])
+def test_the_scale_of_colours_runs_through_those_of_the_classes():
+    scale = RideScale.of({"calibration": {"class_limits": [0.1, 0.3, 0.4]}})
+    wanted = 255 + 0.82 * (np.array([CLASS_COLOURS[code][:3] for code in (0, 0, 1, 2, 3, 3)]) - 255.0)
+    np.testing.assert_allclose(scale.colours(np.array([0.0, 0.05, 0.2, 0.35, 0.45, 8.0])), wanted)
+    assert scale.end == pytest.approx(0.45)
 
 
 def paint(scan, classed, range_m=40.0):

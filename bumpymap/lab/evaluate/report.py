@@ -8,9 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from bumpymap.core import CLASS_NAMES, atomic
+from bumpymap.core import CLASS_NAMES, atomic, plain_json
 from bumpymap.lab.evaluate.agreement import Comparison
 from bumpymap.lab.evaluate.scans import DEVIATION, RANGE_M, Accuracy, ScanFindings
 from bumpymap.lab.evaluate.survey_trial import Findings
@@ -21,7 +19,7 @@ _NONE = "-"
 
 def write_document(out: Path, text: str, kind: str, record: dict[str, Any]) -> list[Path]:
     """Write ``report.json``, nested records of numbers, strings and arrays of a ``kind``, and ``report.md``."""
-    content = json.dumps({"format": kind, "version": 1} | plain_record(record), indent=1, allow_nan=False) + "\n"
+    content = json.dumps({"format": kind, "version": 1} | plain_json(record, 6), indent=1, allow_nan=False) + "\n"
     files = [out / REPORT, out / "report.json"]
     for path, written in zip(reversed(files), (content, text), strict=True):
         with atomic(path) as temporary:
@@ -54,19 +52,6 @@ def number(value: float, digits: int = 3) -> str:
 def percent(share: float) -> str:
     """Format a share of 0..1 as per cent; a dash if it is not finite."""
     return f"{100 * share:.1f} %" if math.isfinite(share) else _NONE
-
-
-def plain_record(value: Any) -> Any:
-    """Convert nested records to plain JSON: six digits, None for non-finite numbers."""
-    if isinstance(value, dict):
-        return {str(key): plain_record(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | list | tuple):
-        return [plain_record(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float):
-        return float(f"{value:.6g}") if math.isfinite(value) else None
-    return value
 
 
 def write_report(findings: Findings, out: Path) -> list[Path]:

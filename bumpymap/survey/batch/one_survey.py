@@ -23,7 +23,6 @@ from bumpymap.core import (
     Holder,
     MapConfig,
     OutputError,
-    TooUnknownError,
     count_text,
     lock_for,
     locked,
@@ -51,8 +50,8 @@ class MapTask:
     name: str
     config: MapConfig
     """Its settings, with its share of threads and memory."""
-    thumbnail_bytes: int = 0
-    """Largest picture of the map to make."""
+    thumbnail: int = 0
+    """Most characters of the picture of the map."""
     started_by: Holder | None = None
     """The batch, for whoever finds the folder locked."""
 
@@ -75,7 +74,7 @@ def map_one(task: MapTask) -> TaskEnd:
     with _collected_warnings() as said:
         try:
             row = _mapped(task)
-            view = look_at(task.config.out, task.thumbnail_bytes)
+            view = look_at(task.config.out, task.thumbnail)
         except Exception as error:  # noqa: BLE001 (the other surveys are mapped all the same)
             row = _failed(task, error, time.perf_counter() - begin)
             if not isinstance(error, BumpymapError):
@@ -83,14 +82,12 @@ def map_one(task: MapTask) -> TaskEnd:
     return TaskEnd(replace(row, warnings=tuple(dict.fromkeys([*row.warnings, *said]))), view, trace)
 
 
-def look_at(folder: Path, thumbnail_bytes: int) -> SurveyView:
-    """Return what the page of a batch shows of a complete map."""
-    return SurveyView(read_thumbnail(folder, thumbnail_bytes), (folder / REPORT_NAME).is_file())
+def look_at(folder: Path, most: int) -> SurveyView:
+    """Return what the page of a batch shows of a complete map, with a picture of at most ``most`` characters."""
+    return SurveyView(read_thumbnail(folder, most), (folder / REPORT_NAME).is_file())
 
 
 def _mapped(task: MapTask) -> SurveyRow:
-    from bumpymap.survey.advice import require_known
-
     out = task.config.out
     if out.is_symlink():
         raise OutputError(f"{out} is a link, which is not followed. Remove it")
@@ -108,10 +105,6 @@ def _mapped(task: MapTask) -> SurveyRow:
     if result.skipped:
         path, why = next(iter(result.skipped.items()))
         message = f"{count_text(len(result.skipped), 'file was', 'files were')} skipped, such as {path}: {why}"
-    try:
-        require_known(result, task.config)
-    except TooUnknownError as error:
-        message, status = f"{message} {error}".strip(), "incomplete"
     return SurveyRow(task.name, status, message, survey=_survey(task), **map_facts(out))
 
 

@@ -36,7 +36,7 @@ from bumpymap.layers import (
 from bumpymap.rating import find_calibration
 from bumpymap.survey.api import EachSettings, PathLike, folder_of_call, map_settings
 from bumpymap.survey.batch.one_survey import MapTask, look_at, map_tasks
-from bumpymap.survey.batch.settings import BatchConfig, SurveyPer
+from bumpymap.survey.batch.settings import BatchConfig
 from bumpymap.survey.batch.source import ListedSurvey, list_surveys, settings_faults
 from bumpymap.survey.engine import connect
 from bumpymap.views import SurveyView, index_page
@@ -100,7 +100,7 @@ class Results:
                 with suppress(BumpymapError):
                     facts = map_facts(task.config.out)
                     self._rows[name] = replace(self._rows[name], message=_EARLIER, **facts)
-                    self._views[name] = look_at(task.config.out, task.thumbnail_bytes)
+                    self._views[name] = look_at(task.config.out, task.thumbnail)
         self._write()
 
     def _write(self, when: str = "") -> None:
@@ -112,8 +112,8 @@ class Results:
 _GOOD: tuple[SurveyStatus, ...] = ("done", "already done")
 _WITH_LAYERS: tuple[SurveyStatus, ...] = (*_GOOD, "incomplete")
 _ALL, _SOME, _NONE = 0, 4, 3
-_MOST_THUMBNAIL, _MOST_THUMBNAILS = 30_000, 900_000
-"""Bytes of one picture, and of all on the page together."""
+_MOST_THUMBNAIL, _MOST_THUMBNAILS = 40_000, 1_200_000
+"""Characters of one picture, and of all on the page together."""
 
 BatchReport: TypeAlias = Callable[[SurveyRow], None]
 """Receives the row of each survey that has ended."""
@@ -172,7 +172,7 @@ def run_batch(
     """
     faults = partial(settings_faults, calibration=cache(find_calibration))
     refuse_faults(faults(config.merged({}), complete=False), "settings for all surveys", UsageError)
-    surveys = list_surveys(config.source, config.survey_per, lambda own: faults(config.merged(own)))
+    surveys = list_surveys(config.source, lambda own: faults(config.merged(own)))
     tasks, folder = _tasks(config, surveys), config.out
     if (scheduler := tasks[0].config.scheduler) is not None:
         with connect(scheduler):  # if it does not answer, each survey would wait for it
@@ -233,13 +233,9 @@ def _note(row: SurveyRow, trace: str) -> None:
         _log.warning("%s %s: %s", row.name, "failed" if row.status == "failed" else "is incomplete", row.message)
 
 
-_OF_BATCH = ("survey_per", "jobs")
-
-
 class BatchSettings(EachSettings, total=False):
     """Settings of `map_batch`: those of ``BatchConfig``, and of ``MapConfig`` for each survey."""
 
-    survey_per: SurveyPer
     jobs: int
 
 
@@ -263,8 +259,7 @@ def map_batch(
     report : callable, optional
         Called with the `SurveyRow` of each survey when it has ended.
     **settings
-        ``survey_per`` and ``jobs``, and those of `map_survey` for all surveys. They override the
-        columns of a CSV.
+        ``jobs``, and those of `map_survey` for all surveys. They override the columns of a CSV.
 
     Returns
     -------
@@ -286,10 +281,10 @@ def map_batch(
     >>> night.exit_code
     4
     """
-    known = [*_OF_BATCH, *EachSettings.__annotations__]
+    known = ["jobs", *EachSettings.__annotations__]
     refuse_unknown(settings, known, "map_batch")
     given: dict[str, Any] = {name: value for name, value in settings.items() if value is not None}
-    own = {name: given.pop(name) for name in _OF_BATCH if name in given}
+    own = {name: given.pop(name) for name in ("jobs",) if name in given}
     if report is not None and not callable(report):
         raise UsageError(f"report is {short_repr(report)}; it must be a function that takes a row")
     config = BatchConfig(

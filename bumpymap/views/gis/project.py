@@ -10,10 +10,9 @@ from typing import Any
 
 import numpy as np
 from pyproj import CRS
-from pyproj.exceptions import CRSError
 
 from bumpymap.core import atomic, horizontal_of, stated_crs
-from bumpymap.layers import GeoJsonCoordinates, MapFile, MapSource, Placement, open_layer
+from bumpymap.layers import GeoJsonCoordinates, MapFile, MapReader, Placement, open_layer
 from bumpymap.views.gis.styles import (
     MULTIPLY,
     NORMAL,
@@ -28,6 +27,7 @@ from bumpymap.views.gis.styles import (
 from bumpymap.views.page.map_page import write_map_page
 from bumpymap.views.page.site import Site
 from bumpymap.views.pictures.drawing import bar_length
+from bumpymap.views.words import survey_name
 
 _MARGIN = 0.04
 """Ground around the layers when the project is opened, as a share of their larger side."""
@@ -183,11 +183,11 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
         with open_layer(folder / raster) as file:
             box = tuple(file.bounds)
     classes = [f"Class {number}: {label}." for number, label in enumerate(class_labels(record))]
-    _write(folder / MapFile.PROJECT, tree, groups, box, f"{_survey_name(record)}ride cost", _notes(record), classes)
+    _write(folder / MapFile.PROJECT, tree, groups, box, f"{survey_name(record)}: ride cost", _notes(record), classes)
 
 
 def view_writers(
-    layers: Sequence[ViewLayer], place: Placement, source: MapSource, out: Path, title: str
+    layers: Sequence[ViewLayer], place: Placement, source: MapReader, out: Path, title: str
 ) -> dict[str, Callable[[Path], None]]:
     """Return how the styles and the project of a run over maps are written, by name of the file.
 
@@ -197,7 +197,7 @@ def view_writers(
         The files of the run, the topmost first.
     place : Placement
         What the project opens with. GeoJSON is in longitude and latitude where it has a CRS.
-    source : MapSource
+    source : MapReader
         The map to lie under them, by a path relative to ``out``.
     out : Path
         The folder of the run.
@@ -218,7 +218,7 @@ def view_writers(
 
 
 def _write_over_map(
-    layers: Sequence[ViewLayer], place: Placement, source: MapSource, out: Path, title: str, path: Path
+    layers: Sequence[ViewLayer], place: Placement, source: MapReader, out: Path, title: str, path: Path
 ) -> None:
     record = source.manifest
     tree = _Tree(source.folder, record, relpath(source.folder.resolve(), out.resolve()))
@@ -233,7 +233,7 @@ def _write_over_map(
     window = place.window
     west, east = place.to_crs(np.array([window.col, window.col + window.cols])).tolist()
     south, north = place.to_crs(np.array([window.row, window.row + window.rows])).tolist()
-    _write(path, tree, groups, (west, south, east, north), f"{_survey_name(record)}{title}", _notes(record))
+    _write(path, tree, groups, (west, south, east, north), f"{survey_name(record)}: {title}", _notes(record))
 
 
 def _write(
@@ -297,36 +297,19 @@ def _print(box: tuple[float, ...], metres: float) -> dict[str, Any]:
     }
 
 
-def _survey_name(record: Mapping[str, Any]) -> str:
-    survey = record.get("survey")
-    name = survey.get("name") if isinstance(survey, Mapping) else None
-    return f"{name}: " if name else ""
-
-
 def _notes(record: Mapping[str, Any]) -> list[str]:
     """Return of which survey, for which vehicle and with which calibration a map was made."""
-    calibration, survey, crs = (
-        found if isinstance(found := record.get(key), Mapping) else {} for key in ("calibration", "survey", "crs")
-    )
-    preferences = calibration.get("preferences")
-    about = preferences.get("description") if isinstance(preferences, Mapping) else None
-    dates = sorted({str(date) for date in survey.get("dates") or () if date})
+    calibration, crs, dates = record["calibration"], record["crs"], sorted(set(record["survey"]["dates"] or ()))
+    about = (calibration.get("preferences") or {}).get("description")
     return [
         "Roughness and ride cost of the ground, made by bumpymap from a point cloud.",
         *([f"Survey: {' to '.join(dates)}."] if dates else []),
-        f"Vehicle: {calibration.get('vehicle', 'not known')}{f' ({about})' if about else ''}.",
-        f"Calibration: {calibration.get('id', 'not known')}.",
-        *([f"Coordinates: {crs['name']}."] if crs.get("name") else []),
+        f"Vehicle: {calibration['vehicle']}{f' ({about})' if about else ''}.",
+        f"Calibration: {calibration['id']}.",
+        *([f"Coordinates: {crs['name']}."] if crs else []),
     ]
 
 
 def _horizontal_crs(record: Mapping[str, Any]) -> CRS | None:
     """Return the horizontal CRS of a map, which is that of all its layers in the project; None without one."""
-    found = record.get("crs")
-    wkt = found.get("wkt") if isinstance(found, Mapping) else None
-    if not isinstance(wkt, str):
-        return None
-    try:
-        return horizontal_of(stated_crs(wkt))
-    except CRSError:
-        return None
+    return None if record["crs"] is None else horizontal_of(stated_crs(record["crs"]["wkt"]))

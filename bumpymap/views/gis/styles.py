@@ -250,11 +250,7 @@ def class_labels(record: Mapping[str, Any]) -> tuple[str, ...]:
 
 def speeds_of(record: Mapping[str, Any]) -> list[float]:
     """Return the speeds of speeds.tif, m/s, in the order of its bands."""
-    return [float(speed) for speed in _setting(record, "speeds") or ()]
-
-
-def _setting(record: Mapping[str, Any], name: str) -> Any:
-    return (record.get("settings") or {}).get(name)
+    return [float(speed) for speed in record["settings"].get("speeds") or ()]
 
 
 def _ride_stops(record: Mapping[str, Any]) -> list[tuple[float, str, _Colour]]:
@@ -265,8 +261,7 @@ def _ride_stops(record: Mapping[str, Any]) -> list[tuple[float, str, _Colour]]:
 
 def _speed_stops(record: Mapping[str, Any]) -> list[tuple[float, str, _Colour]]:
     """Return the colours of the speed made good: those of a cost of as many times the metre at the top speed."""
-    speeds = record.get("cost", {}).get("speeds_mps_at_c_r_radpm") or [[1.0]]
-    top = speeds[0][0]
+    top = record["cost"]["speeds_mps_at_c_r_radpm"][0][0]
     steps = [(top / times, f"{top / times:.3g} m/s", colour) for times, colour in COST_COLOURS.items()]
     return [(0.0, "0: not passable", BARRED_COLOURS[Barred.OBSTACLE]), *sorted(steps)]
 
@@ -290,9 +285,7 @@ def map_styles(record: Mapping[str, Any], *, layered: bool = False) -> dict[str,
         ``closed``, what is not known or not passable.
     """
     labels, stops, speeds = class_labels(record), _ride_stops(record), speeds_of(record)
-    units = record.get("metres_per_unit")
-    metres = units.get("horizontal") if isinstance(units, Mapping) else None
-    units_per_m = 1.0 / metres if isinstance(metres, int | float) and metres > 0 else 1.0
+    units_per_m = 1.0 / record["metres_per_unit"]["horizontal"]
     relief = {"kind": "hillshade", "band": 1, "z_factor": units_per_m, "opacity": _PALE if layered else 1.0}
     bars = BARRED_COLOURS | ({Barred.UNKNOWN: _GREY} if layered else {})
     most = max(COST_COLOURS)
@@ -323,7 +316,7 @@ def map_styles(record: Mapping[str, Any], *, layered: bool = False) -> dict[str,
         MapFile.SPEEDS: _ramp(stops),
         MapFile.HEADINGS: _ramp(stops),
         **{f"{MapFile.SPEEDS} {speed:g}": _ramp(stops, 1 + at_speeds.index(f"c_r_{speed:g}")) for speed in speeds},
-        MapFile.TILES: vectors(looks, line=CALM_LINE if _setting(record, "headings") else ""),
+        MapFile.TILES: vectors(looks, line=CALM_LINE if record["settings"].get("headings") else ""),
     }
 
 

@@ -1,6 +1,5 @@
 """index.html, the page of a batch: a row for each survey, with a thumbnail of its map and its place."""
 
-import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,23 +8,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 from pyproj import Transformer
 from pyproj.exceptions import ProjError
 
-from bumpymap.core import CLASS_NAMES, NO_CLASS, Barred, shares_text, stated_crs
+from bumpymap.core import CLASS_NAMES, BadInputError, shares_text, stated_crs
 from bumpymap.layers import (
     CLASS_COLOURS,
     UNKNOWN_COLOUR,
     MapFile,
     SurveyRow,
     SurveyStatus,
-    open_raster,
-    read_averaged,
 )
 from bumpymap.views.page.page import render_page
-from bumpymap.views.pictures.drawing import LEVEL, bar_length, light_of
+from bumpymap.views.page.site import jpeg
+from bumpymap.views.pictures.drawing import bar_length
 
 _LEAST_WIDTH, _WIDTH, _MOST_HEIGHT, _EDGE = 260.0, 640.0, 280.0, 24.0
 _DEGREE_M = 111_320.0
@@ -82,80 +79,26 @@ def _to_degrees(crs: str) -> Transformer:
     return Transformer.from_crs(stated_crs(crs), "EPSG:4326", always_xy=True)
 
 
-_SIDES = ((240, 12), (160, 12), (96, 12), (96, 5), (64, 5), (48, 3), (32, 2))
-"""Pixels of the longer side and shades of each colour: the first that fits is taken."""
-_COLOURS = np.array(
-    [
-        *(CLASS_COLOURS[number][:3] for number in range(len(CLASS_NAMES))),
-        *([0.35 * part for part in CLASS_COLOURS[number][:3]] for number in range(len(CLASS_NAMES))),
-        UNKNOWN_COLOUR[:3],
-    ],
-    np.float64,
-)
-"""Of the classes, of the same where the ground is not passable, and of unknown ground."""
-_BARRED, _UNKNOWN, _NOTHING = len(CLASS_NAMES), 2 * len(CLASS_NAMES), 2 * len(CLASS_NAMES) + 1
-_DARKEST, _BRIGHTEST = 0.45, 1.2
+_SIDE = 240
+"""Most pixels of a picture along a side."""
 
 
-def read_thumbnail(folder: Path, most_bytes: int) -> bytes:
-    """Return a PNG of a complete map; empty if none is small enough.
-
-    It is made from the overviews, so that memory and time do not grow with the map.
-
-    Parameters
-    ----------
-    folder : Path
-    most_bytes : int
-        Largest size of the PNG.
+def read_thumbnail(folder: Path, most: int) -> str:
+    """Return rasters/thumbnail.jpg of a complete map as a data URI of at most ``most`` characters, or nothing.
 
     Raises
     ------
     BadInputError
-        A layer is missing or damaged.
+        It is missing or damaged.
     """
-    kind, shade = _read(folder, _SIDES[0][0])
-    for side, shades in _SIDES:
-        levels = np.linspace(_DARKEST, _BRIGHTEST, shades)
-        nearest = np.rint((shade - _DARKEST) / (_BRIGHTEST - _DARKEST) * (shades - 1)).astype(np.intp)
-        # A palette of its own: one that fits the picture would mix the colours of rare kinds of ground.
-        palette = np.vstack([(_COLOURS[:, None] * levels[:, None]).reshape(-1, 3), np.full((1, 3), 255.0)])
-        index = np.where(kind == _NOTHING, len(palette) - 1, kind * shades + nearest).astype(np.uint8)
-        picture = Image.fromarray(index, "P")
-        picture.putpalette(np.clip(np.rint(palette), 0, 255).astype(np.uint8).tobytes())
-        picture.thumbnail((side, side), Image.Resampling.NEAREST)
-        packed = io.BytesIO()
-        picture.save(packed, "PNG", optimize=True)
-        if packed.tell() <= most_bytes:
-            return packed.getvalue()
-    return b""
-
-
-def _read(folder: Path, side: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Return the kind of ground (class, class plus ``_BARRED``, ``_UNKNOWN``, ``_NOTHING``) and its brightness.
-
-    Both have ``side`` pixels along the longer side, or as many as the heights.
-    """
-    with open_raster(folder, MapFile.HEIGHTMAP) as raster:
-        side = min(side, max(raster.shape))
-    with open_raster(folder, MapFile.CLASS) as raster:
-        scale = side / max(raster.height, raster.width)
-        shape = max(1, round(raster.height * scale)), max(1, round(raster.width * scale))
-        wide, high = raster.bounds.right - raster.bounds.left, raster.bounds.top - raster.bounds.bottom
-        class_id = raster.read(1, out_shape=shape)
-    with open_raster(folder, MapFile.BARRED) as raster:
-        barred = raster.read(1, out_shape=shape)
-    # A tile may have a class although it is not known whether it can be crossed.
-    unknown = (barred == Barred.UNKNOWN) | (class_id == NO_CLASS)
-    kind = np.where(barred == Barred.NO, class_id, class_id + np.intp(_BARRED))
-    kind = np.where(barred == NO_CLASS, _NOTHING, np.where(unknown, _UNKNOWN, kind)).astype(np.intp)
-    light = light_of(_heights(folder, shape), (high / shape[0], wide / shape[1]))
-    return kind, np.clip(light / LEVEL, _DARKEST, _BRIGHTEST)
-
-
-def _heights(folder: Path, shape: tuple[int, int]) -> NDArray[np.float64]:
-    with open_raster(folder, MapFile.HEIGHTMAP) as raster:
-        heights: NDArray[np.float64] = read_averaged(raster, shape)
-    return heights
+    path = folder / MapFile.THUMBNAIL
+    try:
+        with Image.open(path, formats=("JPEG",)) as image:
+            image.thumbnail((_SIDE, _SIDE))
+            text = jpeg(np.asarray(image), most)
+    except (OSError, ValueError) as error:
+        raise BadInputError(f"cannot read {path}: {error}. Map the survey again") from error
+    return text if len(text) <= most else ""
 
 
 _ORDER: tuple[SurveyStatus, ...] = ("failed", "incomplete", "not reached", "done", "already done")
@@ -166,8 +109,8 @@ _ORDER: tuple[SurveyStatus, ...] = ("failed", "incomplete", "not reached", "done
 class SurveyView:
     """Picture and link of a survey, beside its row."""
 
-    thumbnail: bytes = b""
-    """PNG; empty: there is none."""
+    thumbnail: str = ""
+    """A data URI; empty: there is none."""
     has_report: bool = False
     """True if there is a report.html beside the layers."""
 

@@ -307,7 +307,7 @@ def _title(runs: list[Mapping[str, Any]]) -> str:
 
 
 def _dates(run: Mapping[str, Any]) -> str | None:
-    dates = (run.get("survey") or {}).get("dates")
+    dates = run["survey"]["dates"]
     if not dates:
         return None
     return str(dates[0]) if dates[0] == dates[-1] else f"{dates[0]} to {dates[-1]}"
@@ -344,7 +344,7 @@ def _kind_rows(site: ChangeSite) -> list[tuple[Any, ...]]:
 
 
 def _survey_rows(fit: Mapping[str, Any], runs: list[Mapping[str, Any]]) -> list[tuple[str, ...]]:
-    inputs = [run.get("inputs") or () for run in runs]
+    inputs = [run["inputs"] for run in runs]
     return [
         ("name", *map(survey_name, runs)),
         ("dates in the files", *(_dates(run) or "not stated" for run in runs)),

@@ -120,10 +120,10 @@ def c_r_chart(bins: NDArray[np.int64], limits: Sequence[float]) -> Chart:
     # the first and the last bin have no length of their own on the axis
     edges = np.log10([C_R_EDGES[1] * 10 ** (-1 / 8), *C_R_EDGES[1:-1], C_R_EDGES[-2] * 10 ** (1 / 8)])
     ticks = [(math.log10(value), f"{value:g}") for value in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)]
-    marks = [(math.log10(limit), f"{limit:g}") for limit in limits if limit > 0]
+    marks = [(math.log10(limit), f"{limit:g}") for limit in limits]
     names = [f"{low:.3f} to {high:.3f}" for low, high in pairwise(C_R_EDGES)]
     names[0], names[-1] = f"under {C_R_EDGES[1]:.3f}", f"over {C_R_EDGES[-2]:.3f}"
-    note = f"Red lines: limits of the classes, {', '.join(text for _, text in marks)} rad/m." if marks else ""
+    note = f"Red lines: limits of the classes, {', '.join(text for _, text in marks)} rad/m."
     about = ("Ride cost C_r of the tiles", note, "C_r, rad/m", "ride")
     return _histogram(about, bins[first:last], edges[first : last + 1], names[first:last], ticks, marks)
 

@@ -6,14 +6,18 @@ from os.path import lexists
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from bumpymap.core import (
     BARRED_TEXT,
     CLASS_NAMES,
+    NO_CLASS,
     OBJECT_NAMES,
     REASON_TEXT,
     BadInputError,
     Barred,
     CheckResult,
+    MapAgreement,
     OutputError,
     PageSettings,
     Reason,
@@ -29,28 +33,34 @@ from bumpymap.layers import (
     OFF_COLOURS,
     REPORT_NAME,
     UNKNOWN_COLOUR,
-    CheckGround,
     MapFile,
+    MapOffset,
+    MapReader,
     read_manifest,
     require_written,
 )
 from bumpymap.views.page.change_page import is_comparison, read_comparison, write_change_report
-from bumpymap.views.page.drives import check_charts, check_tables, drawn_stretches
+from bumpymap.views.page.charts import along_chart, drive_chart
 from bumpymap.views.page.page import write_page
 from bumpymap.views.page.site import WAY_FIGURES, DrawnWay, Site, page_header, read_ways
 from bumpymap.views.page.tiles import UNKNOWN_FROM
 from bumpymap.views.pictures.drawing import STRENGTH
 from bumpymap.views.words import (
     DASH,
+    agreements_of,
     area,
     base_name,
     check_headline,
     degrees,
+    metres,
     names_of,
     number,
+    percent,
     read_surfaces,
     share,
     shares,
+    skipped_words,
+    warnings_of,
     whole,
 )
 
@@ -192,7 +202,7 @@ _CODES = {
 """Names and colours of the codes in the grids."""
 
 
-def write_check_page(result: CheckResult, ground: CheckGround | None, path: Path) -> None:
+def write_check_page(result: CheckResult, ground: MapReader | None, path: Path) -> None:
     """Write check.html: the drives over the map they were checked against, charts, tables, how to read them.
 
     Without a map, or where its layers cannot be drawn, the page has no map.
@@ -200,7 +210,7 @@ def write_check_page(result: CheckResult, ground: CheckGround | None, path: Path
     Parameters
     ----------
     result : CheckResult
-    ground : CheckGround or None
+    ground : MapReader or None
         The map; None without one.
     path : Path
         The file, which appears only when it is complete.
@@ -219,14 +229,16 @@ def write_check_page(result: CheckResult, ground: CheckGround | None, path: Path
         title=title,
         headline=check_headline(result),
         result=result,
-        found=check_tables(result),
-        charts=check_charts(result),
+        warnings=[*skipped_words(result), *warnings_of(result)],
+        agreement=[_agreement(name, found) for name, found in agreements_of(result) if found.stretches],
+        worst=_worst(result),
+        charts=[chart for chart in (drive_chart(result), along_chart(result)) if chart is not None],
         site=site,
         **_of_map(site),
     )
 
 
-def _driven_site(result: CheckResult, ground: CheckGround) -> Site | None:
+def _driven_site(result: CheckResult, ground: MapReader) -> Site | None:
     """Return the map; None if no stretch lies on it, or it cannot be drawn."""
     try:
         with utf8_path(ground.folder) as readable:
@@ -237,6 +249,56 @@ def _driven_site(result: CheckResult, ground: CheckGround) -> Site | None:
     east, south = stretches.easting - spot.west, spot.north - stretches.northing
     inside = (east >= 0) & (east < spot.cols * spot.tile_size) & (south >= 0) & (south < spot.rows * spot.tile_size)
     return site if inside.any() else None
+
+
+def drawn_stretches(result: CheckResult) -> list[dict[str, Any]]:
+    """Return each stretch with a position as the script of the page needs it."""
+    stretches, offset, drawn = result.stretches, MapOffset.of(result.stretches), []
+    for at in np.flatnonzero(np.isfinite(stretches.easting) & np.isfinite(stretches.northing)).tolist():
+        text = f"{result.drives[stretches.drive[at]].name} measured {stretches.measured[at]:.3f} rad/m"
+        ratio = float(offset.ratio[at])
+        if np.isfinite(ratio):
+            level = f"{percent(abs(ratio - 1.0))} {'high' if ratio > 1.0 else 'low'}"
+            text += f", the map says {stretches.c_r[at]:.3f} along the stretch ({level})"
+        place = {"east": round(float(stretches.easting[at]), 2), "north": round(float(stretches.northing[at]), 2)}
+        drawn.append(place | {"kind": int(offset.kind[at]), "off": bool(offset.is_off[at]), "text": text})
+    return drawn
+
+
+_WORST = 10
+
+
+def _agreement(name: str, found: MapAgreement) -> tuple[str, ...]:
+    return (
+        name,
+        f"{found.stretches:,}",
+        metres(found.way_m),
+        number(found.median_ratio, 2),
+        percent(found.median_error),
+        number(found.spearman, 2),
+        percent(found.inside),
+        percent(found.same_class),
+    )
+
+
+def _worst(result: CheckResult) -> list[tuple[str, ...]]:
+    """Return the stretches that are farthest off, of those whose difference errors do not explain; at most 10."""
+    stretches, offset = result.stretches, MapOffset.of(result.stretches)
+    order = np.argsort(-np.nan_to_num(offset.beyond, posinf=np.inf), kind="stable")
+    classes = dict(enumerate(CLASS_NAMES)) | {NO_CLASS: "off the map"}
+    return [
+        (
+            result.drives[stretches.drive[at]].name,
+            f"{stretches.start_s[at]:.1f} s",
+            f"{stretches.easting[at]:.1f}, {stretches.northing[at]:.1f}",
+            f"{stretches.measured[at]:.3f} ± {stretches.measured_sd[at]:.3f}",
+            f"{stretches.c_r[at]:.3f} ({classes[int(stretches.class_id[at])]})",
+            f"{number(float(stretches.c_r_low[at]), 3)} to {number(float(stretches.c_r_high[at]), 3)}",
+            f"{offset.ratio[at]:.2f}",
+        )
+        for at in order[:_WORST].tolist()
+        if offset.is_off[at]
+    ]
 
 
 def _crossed(site: Site) -> dict[str, str]:
@@ -360,7 +422,7 @@ _DIGEST = 16
 
 def _file_rows(record: Mapping[str, Any]) -> list[Row]:
     rows = []
-    for item in record.get("inputs") or ():
+    for item in record["inputs"]:
         kind, colon, digits = str(item.get("checksum") or item.get("sha256") or DASH).rpartition(":")
         rows.append(
             (

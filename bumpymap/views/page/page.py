@@ -152,7 +152,6 @@ def _printable(value: Any) -> Any:
 _FILTERS: dict[str, Callable[..., str]] = {
     "address": lambda text: quote(os.fsencode(text)),
     "area": area,
-    "base64": lambda data: base64.b64encode(data).decode(),
     "base_name": base_name,
     "degrees": degrees,
     "digest": lambda text: base64.b64encode(hashlib.sha256(text.encode()).digest()).decode(),

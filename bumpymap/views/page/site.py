@@ -172,7 +172,7 @@ def _uri(buffer: io.BytesIO, kind: str) -> str:
 
 
 def jpeg(picture: NDArray[np.uint8], most: int) -> str:
-    """Return a picture as a data URI of at most ``most`` characters.
+    """Return a picture as a data URI of at most ``most`` characters, or of 64 pixels along a side.
 
     It is stored more coarsely, then halved in size, until it fits.
     """
@@ -182,8 +182,10 @@ def jpeg(picture: NDArray[np.uint8], most: int) -> str:
             buffer = io.BytesIO()
             image.save(buffer, "JPEG", quality=quality)
             text = _uri(buffer, "jpeg")
-            if len(text) <= most or max(image.size) <= 64:
+            if len(text) <= most:
                 return text
+        if max(image.size) <= 64:
+            return text
         image = image.resize((max(1, image.width // 2), max(1, image.height // 2)))
 
 
@@ -369,20 +371,14 @@ class Site:
         ways : tuple of DrawnWay
             Ways to draw.
         stretches : sequence of mapping
-            Stretches of real drives, from `drawn_stretches`.
+            Stretches of real drives, from `write_check_page`.
 
         Raises
         ------
         BadInputError
             A file is missing, damaged, or was written by an earlier version.
         """
-        try:
-            summary = MapSummary.of(record["counts"])
-            spot = Spot.of(folder, record, _SIDE)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise BadInputError(
-                f"run.json of {folder} is not that of a map of this version: {error!r}. Map the survey again"
-            ) from error
+        summary, spot = MapSummary.of(record["counts"]), Spot.of(folder, record, _SIDE)
         step = max(spot.step, int(np.ceil(np.sqrt(summary.tiles / _TILES))))
         while True:
             spot = replace(spot, step=step)
@@ -420,14 +416,8 @@ class Site:
 
     @property
     def vehicle(self) -> str:
-        """Name of the vehicle; ``vehicle`` if the record has none."""
-        known, driven = self.record.get("calibration") or {}, self.record.get("vehicle") or {}
-        return str(known.get("vehicle") or driven.get("name") or "vehicle")
-
-    @property
-    def points(self) -> int:
-        """Points of the survey."""
-        return int(self.record.get("points") or self.summary.points)
+        """Name of the vehicle."""
+        return str(self.record["calibration"]["vehicle"])
 
     @property
     def ground(self) -> float:
@@ -450,7 +440,7 @@ class Site:
 
         None without a CRS, or where these are not known.
         """
-        spot, crs = self.tiles.spot, self.record.get("crs")
+        spot, crs = self.tiles.spot, self.record["crs"]
         if crs is None:
             return None
         west, north = spot.west, spot.north
@@ -510,7 +500,7 @@ class Site:
 
     def charts(self) -> tuple[Chart, Chart]:
         """Return the histograms of the ride cost and of the slope."""
-        ride = c_r_chart(self.tiles.c_r_bins, class_limits(self.record) or ())
+        ride = c_r_chart(self.tiles.c_r_bins, class_limits(self.record))
         return ride, slope_chart(self.tiles.slope_bins, self.record["cost"]["slope_limit_deg"])
 
     def map_record(self) -> dict[str, Any]:

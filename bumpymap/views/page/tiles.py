@@ -149,7 +149,7 @@ class Spot:
         """Read the place of a map from class.tif; the grid has at most ``side`` pixels a side."""
         with open_layer(folder / MapFile.CLASS) as file:
             place, width, height = file.transform, file.width, file.height
-        unit = float(record.get("metres_per_unit", {}).get("horizontal", 1.0))
+        unit = float(record["metres_per_unit"]["horizontal"])
         grid = record["grid"]
         step = math.ceil(max(width, height) / side)
         tile, pixels = float(grid["tile_size_m"]), int(grid["pixels"])
@@ -225,7 +225,7 @@ def map_metres(record: Mapping[str, Any]) -> Callable[[NDArray[np.float64]], NDA
 
 def crs_name(record: Mapping[str, Any]) -> str:
     """Return the name of the CRS of a record."""
-    crs = record.get("crs")
+    crs = record["crs"]
     return "local coordinates, no CRS" if crs is None else str(crs["name"])
 
 

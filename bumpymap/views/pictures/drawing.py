@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from bumpymap.core import NO_TILE, OPEN_THROUGH, Barred, RouteProfile
-from bumpymap.layers import MapSource, RideScale, box_sum
+from bumpymap.layers import MapReader, RideScale, box_sum
 from bumpytiles import Grid, TileWindow
 
 Colour = tuple[int, int, int]
@@ -195,7 +195,7 @@ class MapView:
         return TileWindow.around(cols, lines)
 
 
-def paint_ground(source: MapSource, view: MapView) -> tuple[Pixels, RideScale]:
+def paint_ground(source: MapReader, view: MapView) -> tuple[Pixels, RideScale]:
     """Paint the ground; of tiles that are open, closed pixels are hatched, for that is where ways do not go.
 
     Returns
@@ -245,7 +245,7 @@ def hatched(height: int, width: int) -> NDArray[np.bool_]:
     return np.asarray(across % _HATCH_PERIOD < _HATCH_WIDTH, dtype=np.bool_)
 
 
-def _sample(source: MapSource, view: MapView) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+def _sample(source: MapReader, view: MapView) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
     """Return what bars the tile in the middle of each pixel, and its ride cost, (height, width) each."""
     barred = np.empty((view.height, view.width), np.uint8)
     c_r = np.empty(barred.shape, np.float32)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from bumpymap.core import Route, atomic
-from bumpymap.layers import ROUTE_COLOURS, MapSource, ReachField, RideScale, reach_colours, stop_roles
+from bumpymap.layers import ROUTE_COLOURS, MapReader, ReachField, RideScale, reach_colours, stop_roles
 from bumpymap.views.pictures.drawing import (
     FAINT,
     INK,
@@ -43,14 +43,14 @@ _LEGEND_ROUTES = 3
 """Most ways with figures in the legend."""
 
 
-def write_route_picture(routes: Sequence[Route], source: MapSource, path: Path) -> None:
+def write_route_picture(routes: Sequence[Route], source: MapReader, path: Path) -> None:
     """Draw routes and write the picture as PNG, at most 1600 pixels wide.
 
     Parameters
     ----------
     routes : sequence of Route
         At least one, all on the grid of ``source``; the profile is that of the first.
-    source : MapSource
+    source : MapReader
         The map under them.
     path : Path
         The file, which appears only when it is complete.
@@ -67,14 +67,14 @@ def write_route_picture(routes: Sequence[Route], source: MapSource, path: Path) 
         picture.save(temporary, "PNG", compress_level=4)
 
 
-def paint_route(routes: Sequence[Route], source: MapSource) -> Image.Image:
+def paint_route(routes: Sequence[Route], source: MapReader) -> Image.Image:
     """Draw routes on the map, the legend to its right, the profile of the first below.
 
     Parameters
     ----------
     routes : sequence of Route
         At least one.
-    source : MapSource
+    source : MapReader
 
     Returns
     -------
@@ -210,14 +210,14 @@ _REACH_HEIGHTS, _REACH_STRENGTH = (520, 1100), 0.55
 
 
 def write_reach_picture(
-    reach: ReachField, source: MapSource, start: NDArray[np.float64], path: Path, *, levels: Sequence[float]
+    reach: ReachField, source: MapReader, start: NDArray[np.float64], path: Path, *, levels: Sequence[float]
 ) -> None:
     """Draw what can be reached and write the picture as PNG, 1600 pixels wide.
 
     Parameters
     ----------
     reach : ReachField
-    source : MapSource
+    source : MapReader
         The map under it.
     start : array (2,)
         Easting and northing, m.
