@@ -470,7 +470,7 @@ def map_survey(
         Those of ``bumpymap map``, with underscores: ``tile_size`` [m], ``pixels``, ``ground``,
         ``ground_classes``, ``align``, ``rating``,
         ``compat``, ``vehicle``, ``calibration``, ``speed`` [m/s], ``speeds`` [m/s], ``headings``, ``model``, ``crs``,
-        ``force_crs``, ``z_unit``, ``local``, ``trust_points``, ``skip_bad``, ``overwrite``,
+        ``force_crs``, ``z_unit``, ``local``, ``trust_points``, ``skip_bad``, ``max_unknown``, ``overwrite``,
         ``threads``, ``memory``, ``scratch``, ``scheduler``, ``provider``, ``license``; ``features``, ``csf`` and
         ``page`` are dicts, the tables of a settings file.
 
@@ -482,6 +482,8 @@ def map_survey(
     ------
     BumpymapError
         Bad inputs or settings, or a full disk; no file is left half-written.
+    TooUnknownError
+        More tiles are unknown than ``max_unknown`` allows; the layers in ``out`` are complete.
 
     Examples
     --------
@@ -509,9 +511,9 @@ def map_survey(
 
 
 def _map(config: MapConfig) -> None:
-    from bumpymap.survey import map_surveys
+    from bumpymap.survey import map_surveys, require_known
 
-    map_surveys(config)
+    require_known(map_surveys(config), config)
 
 
 def _places(surveys: PathLike | Iterable[PathLike]) -> tuple[Path | str, ...]:

@@ -63,12 +63,13 @@ def command(run: Run) -> None:
     config = MapConfig(**with_pixels(run.required(surveys="site.laz", out="--out DIR")))
     if run.ctx.obj:  # this process runs nothing else
         start_ahead(config.surveys)
-    from bumpymap.survey import map_surveys
+    from bumpymap.survey import map_surveys, require_known
 
     with run.progress() as progress:
         result = map_surveys(config, ImportsAhead(progress) if run.ctx.obj else progress)
     from bumpymap.cli._summary import map_lines, map_record
 
     run.show(map_record(result, config), map_lines(result, config))
+    require_known(result, config, explain=run.quiet or run.as_json)
     if result.skipped:
         run.end_partly_done()

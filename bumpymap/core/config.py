@@ -197,6 +197,11 @@ class MapConfig:
         bool, Setting("Accept files whose points contradict the extent in the header", rare=True)
     ] = False
     skip_bad: Annotated[bool, Setting("Skip files that cannot be read (exit code 4)", group="Input")] = False
+    max_unknown: Annotated[
+        float | None, Setting("Fail (exit code 4) if more tiles are unknown: 50% or 0.5", "SHARE", 0.0, 1.0, rare=True)
+    ] = None
+    """Largest share of unknown tiles, 0..1, among those with points, with which a run succeeds. The layers are written
+    anyway."""
     overwrite: Annotated[bool, Setting("Replace the layers of an earlier run", group="Output")] = False
     threads: Annotated[int, Setting("Number of threads", "N", 1, default="all cores")] = field(
         default_factory=lambda: os.cpu_count() or 1

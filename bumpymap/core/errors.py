@@ -160,6 +160,12 @@ class OutputError(BumpymapError):
     """An output folder that cannot be written, or holds something that must not be overwritten."""
 
 
+class TooUnknownError(BumpymapError):
+    """A map is complete, but more of its tiles are unknown than ``max_unknown`` allows."""
+
+    exit_code = 4
+
+
 def error_chain(error: BaseException | None) -> Iterator[BaseException]:
     """Yield an error, its cause, the cause of that, and so on."""
     while error is not None:

@@ -395,7 +395,9 @@ def _is_text(owners: tuple[type, ...], *names: str) -> bool:
 
 
 def _assigned(text: str) -> Any:
-    """Return a value of TOML, of which quotes and brackets may be left out."""
+    """Return a value of TOML, of which quotes and brackets may be left out; a percentage as a share."""
+    if text.endswith("%") and (share := parse_share(text)) is not None:
+        return share
     for toml in (text, f"[{text}]") if "," in text else (text,):
         try:
             return tomllib.loads(f"value = {toml}")["value"]
@@ -596,6 +598,15 @@ class _Parser:
         if kind == NameOrFile:
             return str(self._folder / text) if names_a_file(text) else text
         return text if kind is not Path and "://" in text else self._folder / text
+
+
+def parse_share(text: str) -> float | None:
+    """Return a share from 0 to 1, typed as such (``0.5``) or in per cent (``50%``); None if it is none."""
+    try:
+        share = float(text.strip().removesuffix("%")) / (100.0 if text.strip().endswith("%") else 1.0)
+    except ValueError:
+        return None
+    return share if 0.0 <= share <= 1.0 else None
 
 
 def path_fault(text: str) -> str:

@@ -25,7 +25,7 @@ from bumpymap.layers.products import COLLECTION_NAME, MapFile, require_folder
 from bumpymap.layers.stac import write_collection
 
 SurveyStatus: TypeAlias = Literal["done", "already done", "incomplete", "failed", "not reached"]
-"""``incomplete``: layers were written, but files were skipped."""
+"""``incomplete``: layers were written, but files were skipped, or too many tiles are unknown."""
 
 
 def _column(description: str, unit: str = "") -> Any:

@@ -4,6 +4,7 @@ from .advice import (
     enough_points as enough_points,
     ground_line as ground_line,
     outcome_of_run as outcome_of_run,
+    require_known as require_known,
     unknown_line as unknown_line,
 )
 from .api import (

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from bumpymap.core import REASON_TEXT, THIN_POINTS, FeatureSettings, MapConfig, Reason
+from bumpymap.core import REASON_TEXT, THIN_POINTS, FeatureSettings, MapConfig, Reason, TooUnknownError
 from bumpymap.survey.run_record import MapResult
 
 Measured = Literal["points", "ground points", "ground points (found by the cloth)"]
@@ -145,3 +145,19 @@ def ground_line(result: MapResult) -> str:
             "takes them away"
         )
     return ""
+
+
+def require_known(result: MapResult, config: MapConfig, *, explain: bool = True) -> None:
+    """Raise TooUnknownError if more than the share ``max_unknown`` of the tiles with points is unknown.
+
+    The message says why and what would help if ``explain``.
+    """
+    outcome = outcome_of_run(result, config)
+    if config.max_unknown is None or outcome.share <= config.max_unknown:
+        return
+    summary = result.summary
+    raise TooUnknownError(
+        f"{summary.unknown:,} of {summary.tiles:,} tiles are unknown ({outcome.share:.1%}), more than the "
+        f"{100.0 * config.max_unknown:g}% that `max_unknown` allows. The layers in {config.out} are complete",
+        *([unknown_line(result, config)] if explain else []),
+    )

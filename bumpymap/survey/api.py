@@ -49,6 +49,7 @@ class EachSettings(TypedDict, total=False):
     local: bool
     trust_points: bool
     skip_bad: bool
+    max_unknown: float | None
     overwrite: bool
     threads: int
     memory: str

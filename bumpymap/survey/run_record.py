@@ -158,6 +158,7 @@ def _printable(name: str) -> str:
 _WITHOUT_EFFECT = {
     "surveys",
     "out",
+    "max_unknown",
     "overwrite",
     "threads",
     "memory",

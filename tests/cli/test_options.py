@@ -103,6 +103,8 @@ MEANT = {
     ("route", "risk", 0): lambda got: got[0].cost.risk,
     ("scan", "pictures", 0): lambda got: got[0].pictures,
     ("diff", "offset", 0): lambda got: got[0].offset,
+    ("map", "max_unknown", 0): lambda got: got[0].max_unknown,
+    ("batch", "max_unknown", 0): lambda got: got[0].given["max_unknown"],
     ("diff", "offset", -1): lambda got: got[0].offset,
     ("route", "snap", 0): lambda got: got[0].snap,
     **{("route", name, 0): lambda got, name=name: getattr(got[0].cost, name) for name in SLOPES},
@@ -229,8 +231,8 @@ def test_a_set_value_keeps_the_rest_of_a_table(reached, tmp_path):
     config = reached["map"][0]
     assert (config.csf.rigidness, config.csf.cloth_resolution, config.features.min_points) == (1, 1.5, 12)
     assert config.speeds == (0.5, 1.0)
-    run("map", "a.laz", "--out", "o", "--set", "speeds = 2")
-    assert reached["map"][0].speeds == (2.0,)
+    run("map", "a.laz", "--out", "o", "--set", "max_unknown = 40%", "--set", "speeds=2")
+    assert (reached["map"][0].max_unknown, reached["map"][0].speeds) == (0.4, (2.0,))
     run("route", *WORDS["route"], "--via", "3,3", "--via", "4,4")
     assert reached["route"][0].via == ("3,3", "4,4")
 

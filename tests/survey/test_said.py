@@ -16,7 +16,9 @@ from click.testing import CliRunner
 from ply_files import write_ply
 from small_surveys import run, write_las, write_survey
 
+import bumpymap
 from bumpymap.cli import main
+from bumpymap.core import TooUnknownError
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.types import Reason
 from bumpymap.layers import MapSummary, write_products as write
@@ -123,6 +125,19 @@ def test_which_ground_a_survey_wants(found, words):
     said = ground_line(found)
     assert words in said
     assert bool(said) == bool(words)
+
+
+def test_more_unknown_tiles_than_allowed_are_exit_code_4_and_keep_the_layers(tmp_path):
+    out = tmp_path / "out"
+    words = ("map", QUARRY, "--out", out, "--quiet", "--set")
+    failed = run(*words, "max_unknown=0.1%")
+    assert failed.exit_code == 4
+    assert "tiles are unknown (1.0%), more than the 0.1% that --set max_unknown allows" in failed.output
+    assert "mostly because of too many holes" in failed.output
+    assert json.loads((out / "run.json").read_text())["counts"]["unknown"] > 0
+    assert run(*words, "max_unknown=50%").exit_code == 0  # the same run, already done
+    with pytest.raises(TooUnknownError):
+        bumpymap.map_survey(QUARRY, out, max_unknown=0.001)
 
 
 APART = ["/home/me/a.laz", "/home/me/more/b.laz"]

@@ -23,6 +23,7 @@ from bumpymap.core import (
     Holder,
     MapConfig,
     OutputError,
+    TooUnknownError,
     count_text,
     lock_for,
     locked,
@@ -88,6 +89,8 @@ def look_at(folder: Path, most: int) -> SurveyView:
 
 
 def _mapped(task: MapTask) -> SurveyRow:
+    from bumpymap.survey.advice import require_known
+
     out = task.config.out
     if out.is_symlink():
         raise OutputError(f"{out} is a link, which is not followed. Remove it")
@@ -105,6 +108,10 @@ def _mapped(task: MapTask) -> SurveyRow:
     if result.skipped:
         path, why = next(iter(result.skipped.items()))
         message = f"{count_text(len(result.skipped), 'file was', 'files were')} skipped, such as {path}: {why}"
+    try:
+        require_known(result, task.config)
+    except TooUnknownError as error:
+        message, status = f"{message} {error}".strip(), "incomplete"
     return SurveyRow(task.name, status, message, survey=_survey(task), **map_facts(out))
 
 

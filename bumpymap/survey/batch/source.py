@@ -19,6 +19,7 @@ from bumpymap.core import (
     UsageError,
     parse_crs,
     parse_record,
+    parse_share,
     path_fault,
     read_regular,
     refuse_clashes,
@@ -216,6 +217,9 @@ def _row(
 def _setting(name: str, text: str, folder: Path) -> tuple[dict[str, Any], list[str]]:
     """Return what a cell sets, by name, and what is wrong with it."""
     kind, value = _KINDS[name], cast("Any", text)
+    if name == "max_unknown":
+        share = parse_share(text)
+        return {name: share}, [f"{name} is {text!r}; it must be a share such as 50% or 0.5"] if share is None else []
     with suppress(ValueError):  # a text that is no number is left for the message
         if kind is bool:
             value = _WORDS.get(text.lower(), text)

@@ -166,10 +166,11 @@ def test_rows_of_a_table_have_their_own_settings(tmp_path):
     write_survey(tmp_path / "a.laz", epsg=None)
     (tmp_path / "bad.laz").touch()
     (tmp_path / "s.csv").write_text("survey,name,crs,local\na.laz,east,EPSG:32615,\nbad.laz,,,\n")
-    result = batch(tmp_path / "s.csv", "--out", tmp_path / "o")
+    result = batch(tmp_path / "s.csv", "--out", tmp_path / "o", "--set", "max_unknown=0")
     assert result.exit_code == 4, result.output
     row = table(tmp_path / "o")["east"]
-    assert (row["crs"], row["status"]) == ("EPSG:32615", "done")
+    assert (row["crs"], row["status"]) == ("EPSG:32615", "incomplete")
+    assert "more than" in row["message"]
     assert "is empty" in table(tmp_path / "o")["bad"]["message"]
 
 

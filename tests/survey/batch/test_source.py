@@ -63,20 +63,21 @@ def test_faults_of_a_list_are_said(tmp_path, name, text, error, said):
 
 def test_all_faults_of_all_rows_are_said_at_once(tmp_path):
     """A value of the wrong kind, or a column too many, hides neither a value out of bounds nor a missing file."""
-    head = "survey,name,crs,vehicle,model,tile_size,pixels,ground,colour\n"
-    row = "none.laz,../b,EPSG:99999,truck,none.onnx,-3,2.5,CSV,red\n"
+    head = "survey,name,crs,vehicle,model,tile_size,pixels,max_unknown,ground,colour\n"
+    row = "none.laz,../b,EPSG:99999,truck,none.onnx,-3,2.5,150%,CSV,red\n"
     (tmp_path / "b.laz").touch()
-    (tmp_path / "a.csv").write_text(f"{head}{row}b.laz,,,,,,many,,\n")
+    (tmp_path / "a.csv").write_text(f"{head}{row}b.laz,,,,,,many,,,\n")
     with pytest.raises(UsageError) as caught:
         run_batch(BatchConfig(tmp_path / "a.csv", tmp_path / "o"))
     for said in (
-        "10 errors",
+        "11 errors",
         "unknown column colour; there are: survey, name, tile_size",
         "there is no file or folder",
         "'EPSG:99999' is not a coordinate reference system",
         "no vehicle 'truck'",
         "tile_size is -3.0; it must be a number from 0.05 to 1000 m",
         "line 3: pixels is 'many'",
+        "max_unknown is '150%'; it must be a share such as 50% or 0.5",
         "ground is 'CSV'; it must be one of auto, all, class, csf",
     ):
         assert said in str(caught.value)
@@ -94,18 +95,18 @@ def test_a_fault_of_all_surveys_is_said_before_the_first(tmp_path):
 
 @pytest.mark.parametrize("separator", [",", ";"])
 def test_the_columns_of_a_table_are_settings(tmp_path, separator):
-    text = "survey,name,--tile-size,Pixels,local,vehicle,calibration,speeds\n"
-    text += f"a b.laz,n,2.5,11,yes,,own.json,\n{tmp_path}/x/c.laz,,,,no,own.toml,,0.5 1 2\n"
+    text = "survey,name,--tile-size,Pixels,local,vehicle,calibration,max_unknown,speeds\n"
+    text += f"a b.laz,n,2.5,11,yes,,own.json,50%,\n{tmp_path}/x/c.laz,,,,no,own.toml,,0.25,0.5 1 2\n"
     for name in ("a b.laz", "x/c.laz"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
     (tmp_path / "a.csv").write_bytes(b"\xef\xbb\xbf" + text.replace(",", separator).encode())
     second, first = list_surveys(tmp_path / "a.csv")
     assert (first.name, first.place) == ("n", tmp_path / "a b.laz")
-    own = {"tile_size": 2.5, "pixels": 11, "local": True, "calibration": tmp_path / "own.json"}
+    own = {"tile_size": 2.5, "pixels": 11, "local": True, "calibration": tmp_path / "own.json", "max_unknown": 0.5}
     assert first.settings == own
     assert (second.name, second.place) == ("c", tmp_path / "x" / "c.laz")
-    more = {"speeds": (0.5, 1.0, 2.0)}
+    more = {"max_unknown": 0.25, "speeds": (0.5, 1.0, 2.0)}
     assert second.settings == {"local": False, "vehicle": str(tmp_path / "own.toml"), **more}
 
 
