@@ -50,7 +50,7 @@ def command(run: Run, source: Path) -> None:
     from bumpymap.survey import run_batch
 
     given = override_settings(run.assigned, run.given, CLASHES)
-    own = {name: given.pop(name) for name in ("out", "jobs") if name in given}
+    own = {name: given.pop(name) for name in ("out", "survey_per", "jobs") if name in given}
     config = BatchConfig(source, given=given, defaults=run.stored, **own)
     with interrupt_note(_CONTINUE), run.progress() as progress:
         result = run_batch(config, _reporter(progress), lambda total: progress.start("surveys", total), as_options)

@@ -36,7 +36,7 @@ from bumpymap.layers import (
 from bumpymap.rating import find_calibration
 from bumpymap.survey.api import EachSettings, PathLike, folder_of_call, map_settings
 from bumpymap.survey.batch.one_survey import MapTask, look_at, map_tasks
-from bumpymap.survey.batch.settings import BatchConfig
+from bumpymap.survey.batch.settings import BatchConfig, SurveyPer
 from bumpymap.survey.batch.source import ListedSurvey, list_surveys, settings_faults
 from bumpymap.survey.engine import connect
 from bumpymap.views import SurveyView, index_page
@@ -172,7 +172,7 @@ def run_batch(
     """
     faults = partial(settings_faults, calibration=cache(find_calibration))
     refuse_faults(faults(config.merged({}), complete=False), "settings for all surveys", UsageError)
-    surveys = list_surveys(config.source, lambda own: faults(config.merged(own)))
+    surveys = list_surveys(config.source, config.survey_per, lambda own: faults(config.merged(own)))
     tasks, folder = _tasks(config, surveys), config.out
     if (scheduler := tasks[0].config.scheduler) is not None:
         with connect(scheduler):  # if it does not answer, each survey would wait for it
@@ -233,9 +233,13 @@ def _note(row: SurveyRow, trace: str) -> None:
         _log.warning("%s %s: %s", row.name, "failed" if row.status == "failed" else "is incomplete", row.message)
 
 
+_OF_BATCH = ("survey_per", "jobs")
+
+
 class BatchSettings(EachSettings, total=False):
     """Settings of `map_batch`: those of ``BatchConfig``, and of ``MapConfig`` for each survey."""
 
+    survey_per: SurveyPer
     jobs: int
 
 
@@ -259,7 +263,8 @@ def map_batch(
     report : callable, optional
         Called with the `SurveyRow` of each survey when it has ended.
     **settings
-        ``jobs``, and those of `map_survey` for all surveys. They override the columns of a CSV.
+        ``survey_per`` and ``jobs``, and those of `map_survey` for all surveys. They override the
+        columns of a CSV.
 
     Returns
     -------
@@ -281,10 +286,10 @@ def map_batch(
     >>> night.exit_code
     4
     """
-    known = ["jobs", *EachSettings.__annotations__]
+    known = [*_OF_BATCH, *EachSettings.__annotations__]
     refuse_unknown(settings, known, "map_batch")
     given: dict[str, Any] = {name: value for name, value in settings.items() if value is not None}
-    own = {name: given.pop(name) for name in ("jobs",) if name in given}
+    own = {name: given.pop(name) for name in _OF_BATCH if name in given}
     if report is not None and not callable(report):
         raise UsageError(f"report is {short_repr(report)}; it must be a function that takes a row")
     config = BatchConfig(

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, TypeAlias
 
 from bumpymap.core import (
     CLASHES,
@@ -20,6 +20,7 @@ from bumpymap.core import (
     with_pixels,
 )
 
+SurveyPer: TypeAlias = Literal["file", "folder"]
 OWN_SETTINGS = (
     "surveys",
     "out",
@@ -44,6 +45,10 @@ class BatchConfig:
     """Settings of `MapConfig` for all surveys; they override those of the CSV."""
     defaults: Mapping[str, Any] = field(default_factory=dict)
     """The same, of a settings file; the CSV overrides them."""
+    survey_per: Annotated[SurveyPer, Setting("What in SOURCE is one survey: file or folder", "WHAT", group="Input")] = (
+        "file"
+    )
+    """``file``: each file of the source folder is a survey; ``folder``: each folder in it."""
     jobs: Annotated[int, Setting("Surveys mapped at a time", "N", 1)] = 1
 
     def __post_init__(self) -> None:

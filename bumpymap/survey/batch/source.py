@@ -2,6 +2,7 @@
 
 import csv
 import io
+import logging
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -30,8 +31,9 @@ from bumpymap.core import (
 from bumpymap.layers import BATCH_NAMES
 from bumpymap.rating import Calibration, find_calibration
 from bumpymap.readers import find_surveys, is_ept
-from bumpymap.survey.batch.settings import OWN_SETTINGS
+from bumpymap.survey.batch.settings import OWN_SETTINGS, SurveyPer
 
+_log = logging.getLogger(__name__)
 _LISTS = (".txt", ".csv")
 _TWO_PARTS = ".copc"
 """Of ``site.copc.laz``, which is the survey ``site``."""
@@ -265,12 +267,15 @@ def _noted(faults: list[str]) -> Iterator[None]:
         faults.append(str(error).replace("`", ""))  # columns: no options of the command line
 
 
-def list_surveys(source: Path, check: Callable[[Mapping[str, Any]], list[str]] = lambda _: []) -> list[ListedSurvey]:
+def list_surveys(
+    source: Path, survey_per: SurveyPer, check: Callable[[Mapping[str, Any]], list[str]] = lambda _: []
+) -> list[ListedSurvey]:
     """Return the surveys of a batch by name.
 
     Parameters
     ----------
     source : Path
+    survey_per : {"file", "folder"}
     check : callable, optional
         Returns what is wrong with the settings of a row of a table.
 
@@ -282,7 +287,8 @@ def list_surveys(source: Path, check: Callable[[Mapping[str, Any]], list[str]] =
         A list with faults, all of which the message names.
     """
     if source.is_dir():
-        rows: list[Row] = [(place, None, {}) for place in find_surveys([source.absolute()])]
+        places = _folders(source) if survey_per == "folder" else find_surveys([source.absolute()])
+        rows: list[Row] = [(place, None, {}) for place in places]
     else:
         rows = _listed(source, check)
     root = _absolute(source if source.is_dir() else source.parent)
@@ -323,6 +329,26 @@ def _listed(source: Path, check: Callable[[Mapping[str, Any]], list[str]]) -> li
     if not found:
         raise BadInputError(f"{source} names no survey")
     return found
+
+
+def _folders(source: Path) -> list[Path | str]:
+    """Return the folders in the source that hold surveys."""
+    try:
+        inside = sorted(path for path in source.absolute().iterdir() if not path.name.startswith("."))
+    except OSError as error:
+        raise BadInputError(f"cannot list the folder {source}: {error.strerror}") from error
+    every = find_surveys([source.absolute()])
+    loose = [path.name for path in inside if path in every]
+    if loose:
+        raise UsageError(
+            f"`survey_per='folder'`: {source} itself holds {', '.join(loose[:3])}, which would belong to no survey. "
+            "Move them to a folder"
+        )
+    found = [folder for folder in inside if any(folder in Path(file).parents for file in every)]
+    for folder in inside:
+        if folder.is_dir() and folder not in found:
+            _log.warning("%s holds no point cloud, so it is no survey", folder)
+    return list(found)
 
 
 def _absolute(path: Path) -> Path:

@@ -11,8 +11,8 @@ from bumpymap.survey import BatchConfig, run_batch
 from bumpymap.survey.batch.source import list_surveys, name_surveys, plain_name
 
 
-def found(source):
-    return {survey.name: survey.place for survey in list_surveys(source)}
+def found(source, survey_per="file"):
+    return {survey.name: survey.place for survey in list_surveys(source, survey_per)}
 
 
 @pytest.fixture
@@ -32,6 +32,14 @@ def test_each_file_of_a_folder_and_those_of_a_list(flights, tmp_path):
         "2": flights / "one/deep/2.laz",
         "two_1": flights / "two/1.laz",
     }
+
+
+def test_each_folder_of_a_folder(flights, caplog):
+    assert found(flights, "folder") == {"one": flights / "one", "two": flights / "two"}
+    assert "notes holds no point cloud" in caplog.text
+    (flights / "loose.laz").touch()
+    with pytest.raises(UsageError, match=r"itself holds loose\.laz"):
+        found(flights, "folder")
 
 
 @pytest.mark.parametrize(
@@ -57,7 +65,7 @@ def test_faults_of_a_list_are_said(tmp_path, name, text, error, said):
     if text is not None:
         (tmp_path / name).write_text(text)
     with pytest.raises(error) as caught:
-        list_surveys(tmp_path / name)
+        list_surveys(tmp_path / name, "file")
     assert said in str(caught.value)
 
 
@@ -101,7 +109,7 @@ def test_the_columns_of_a_table_are_settings(tmp_path, separator):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
     (tmp_path / "a.csv").write_bytes(b"\xef\xbb\xbf" + text.replace(",", separator).encode())
-    second, first = list_surveys(tmp_path / "a.csv")
+    second, first = list_surveys(tmp_path / "a.csv", "file")
     assert (first.name, first.place) == ("n", tmp_path / "a b.laz")
     own = {"tile_size": 2.5, "pixels": 11, "local": True, "calibration": tmp_path / "own.json", "max_unknown": 0.5}
     assert first.settings == own
