@@ -70,8 +70,9 @@ _ACROSS = (-math.sqrt(3.0), 0.0, math.sqrt(3.0))
 _WEIGHTS = (1 / 6, 2 / 3, 1 / 6)
 _ALIKE_M, _MOST_SIGMA = 0.5, 2.0
 """If the error is larger than ground is alike, m, there is a place at each such distance, up to so many errors."""
-_STRETCH_M = 90.0
-"""Length whose window of the map is read at once."""
+_STRETCH_M, _WINDOW_TILES = 90.0, 2048
+"""Length whose window of the map is read at once; with those after it while the window holds no more tiles than that,
+and no more than twice those of their own windows."""
 _PIECE_M = 2000.0
 """Length that is computed at once."""
 _EVERY_M = (10.0, 100.0)
@@ -453,11 +454,8 @@ class _Rolled(NamedTuple):
 def _roll(site: MapReader, line: Floats, at: Floats, vehicle: LineVehicle, across: Floats) -> _Rolled:
     from scipy.ndimage import map_coordinates
 
-    per, pixels = max(int(_STRETCH_M / vehicle.way), 1), site.grid.pixels
-    windows = [
-        _read(site, *_places(line, at[first : first + per], vehicle.operator, across), vehicle)
-        for first in range(0, len(at), per)
-    ]
+    pixels, parts = site.grid.pixels, _parts(site, line, at, max(int(_STRETCH_M / vehicle.way), 1))
+    windows = [_read(site, *_places(line, part, vehicle.operator, across), vehicle) for part in parts]
     boxes = [
         window.heights.reshape(len(window.touched), pixels, -1, pixels).transpose(0, 2, 1, 3) for window in windows
     ]
@@ -481,13 +479,28 @@ def _roll(site: MapReader, line: Floats, at: Floats, vehicle: LineVehicle, acros
     return _Rolled((low - np.cumsum(jump, axis=1)).reshape(len(across), 4, -1), seen, ground, _Tiles(*columns))
 
 
+def _parts(site: MapReader, line: Floats, at: Floats, per: int) -> list[Floats]:
+    """Cut distances along a line, (n,) m, into parts of some times ``per`` that one window of the map each will do."""
+    firsts, own, spanned = [0], 0, np.empty((0, 2))
+    for first in range(0, len(at), per):
+        ends = _on_line(line, at[first : first + per])
+        ends = np.array([ends.min(axis=0), ends.max(axis=0)])
+        both = np.concatenate([spanned, ends])
+        alone, together = (window.rows * window.cols for window in (window_around(site, x, 1) for x in (ends, both)))
+        own += alone
+        if together > min(_WINDOW_TILES, 2 * own) and first:
+            firsts, own, both = [*firsts, first], alone, ends
+        spanned = both
+    return np.split(at, firsts[1:])
+
+
 def _read(site: MapReader, middle: Floats, wheels: Floats, vehicle: LineVehicle) -> _LineWindow:
     from scipy.ndimage import maximum_filter
 
     grid = site.grid
     # A wheel reaches as far as its radius, and the heights between pixels one farther.
     beside = (vehicle.calibration.vehicle["wheel"]["radius_m"] + grid.pixel_size) / grid.tile_size
-    window = window_around(site, wheels.reshape(-1, 2), 1 + int(beside))
+    window = window_around(site, wheels.reshape(-1, 2), 2 + int(beside))
     objects = site.objects(window)
     measured = site.heights(window).astype(np.float64)
     measured[(objects == OBSTACLE) | (objects == CANOPY)] = np.nan
