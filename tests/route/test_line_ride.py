@@ -54,7 +54,6 @@ def test_waves_shake_as_the_closed_form_of_their_drives_says(waves):
     assert low < expected < high
     assert ride.by_line.all()
     assert (ride.seen > 0.9).all()
-    np.testing.assert_allclose(ride.pitch_rate, ride.c_r * ride.speed_mps)
 
 
 def test_the_road_along_waves_has_their_heights(waves):
@@ -144,7 +143,6 @@ def test_an_unsure_place_widens_the_interval_where_it_matters(waves):
 def test_other_speeds_shake_the_seat_more(waves):
     slow, fast = (bumpymap.ride_along(waves, across(), speed=speed) for speed in (0.5, 1.5))
     assert np.nanmedian(fast.a_w) > 2.0 * np.nanmedian(slow.a_w) > 0.0
-    assert (slow.speed_mps, fast.speed_mps) == (0.5, 1.5)
 
 
 @pytest.mark.parametrize("off", [0.0, 1.5])
