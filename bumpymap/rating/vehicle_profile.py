@@ -467,7 +467,7 @@ def map_calibration(
     named, vehicle = file or settings.get("calibration"), str(settings.get("vehicle") or about["name"])
     speed = float(about["speed_mps"]) if "drives_mps" in about else None
     if not named:
-        for included in _with_preferences(manifest.get("calibration", {}).get("preferences", {}), tile_size, speed):
+        for included in _with_preferences(manifest, tile_size, speed):
             if included.id == wanted:
                 return included
     try:
@@ -486,9 +486,10 @@ def map_calibration(
     return found
 
 
-def _with_preferences(preferences: Any, tile_size: float, speed: float | None) -> Iterator[Calibration]:
+def _with_preferences(manifest: Mapping[str, Any], tile_size: float, speed: float | None) -> Iterator[Calibration]:
     """Yield the included calibrations with the preferences and the speed of a run.json, as far as these make sense."""
-    for name in shipped_calibrations():
+    preferences = manifest.get("calibration", {}).get("preferences", {})
+    for name in sorted(shipped_calibrations(), key=lambda name: name != manifest["vehicle"]["name"]):
         own = Calibration.shipped(name, tile_size)
         with suppress(BadInputError, UsageError, TypeError):
             vehicle = {**own.vehicle, **preferences}

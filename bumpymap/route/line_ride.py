@@ -70,8 +70,9 @@ _ACROSS = (-math.sqrt(3.0), 0.0, math.sqrt(3.0))
 _WEIGHTS = (1 / 6, 2 / 3, 1 / 6)
 _ALIKE_M, _MOST_SIGMA = 0.5, 2.0
 """If the error is larger than ground is alike, m, there is a place at each such distance, up to so many errors."""
-_STRETCH_M = 90.0
-"""Length whose window of the map is read at once."""
+_STRETCH_M, _WINDOW_TILES = 90.0, 1024
+"""Length whose window of the map is read at once; with those after it while the window holds no more tiles than that,
+and no more than twice those of their own windows."""
 _PIECE_M = 2000.0
 """Length that is computed at once."""
 _EVERY_M = (10.0, 100.0)
@@ -200,12 +201,10 @@ class LineVehicle(NamedTuple):
         if (rated.get("rating", "ride"), rated.get("compat", "none")) != ("ride", "none"):
             raise UsageError("the tiles of this map were not rated by their ride; map the survey with `rating='ride'`")
         calibration.require_grid(grid.tile_size, grid.pixels)
-        if calibration.ride is None:
-            raise UsageError(f"the calibration {calibration.id} holds no ride model. Make one with: bumpymap calibrate")
         wanted = calibration.map_speed if speed is None else speed
         if wanted != calibration.map_speed:
             at_speed(calibration, wanted)  # refuses what it cannot tell
-        needed = calibration.motion is not None and (motion or not wanted == own == calibration.map_speed)
+        needed = motion or not wanted == own == calibration.map_speed
         speeds = tuple(dict.fromkeys((own, wanted)))
         every = tuple(dict.fromkeys((*speeds, calibration.map_speed))) if needed else ()
         operator, moving = _operators(json.dumps(calibration.vehicle), every, grid.tile_size, grid.pixels)
@@ -453,11 +452,8 @@ class _Rolled(NamedTuple):
 def _roll(site: MapReader, line: Floats, at: Floats, vehicle: LineVehicle, across: Floats) -> _Rolled:
     from scipy.ndimage import map_coordinates
 
-    per, pixels = max(int(_STRETCH_M / vehicle.way), 1), site.grid.pixels
-    windows = [
-        _read(site, *_places(line, at[first : first + per], vehicle.operator, across), vehicle)
-        for first in range(0, len(at), per)
-    ]
+    pixels, parts = site.grid.pixels, _parts(site, line, at, max(int(_STRETCH_M / vehicle.way), 1))
+    windows = [_read(site, *_places(line, part, vehicle.operator, across), vehicle) for part in parts]
     boxes = [
         window.heights.reshape(len(window.touched), pixels, -1, pixels).transpose(0, 2, 1, 3) for window in windows
     ]
@@ -481,23 +477,37 @@ def _roll(site: MapReader, line: Floats, at: Floats, vehicle: LineVehicle, acros
     return _Rolled((low - np.cumsum(jump, axis=1)).reshape(len(across), 4, -1), seen, ground, _Tiles(*columns))
 
 
+def _parts(site: MapReader, line: Floats, at: Floats, per: int) -> list[Floats]:
+    """Cut distances along a line, (n,) m, into parts of some times ``per`` that one window of the map each will do."""
+    firsts, own, spanned, places = [0], 0, np.empty((0, 2)), _on_line(line, at)
+    for first in range(0, len(at), per):
+        ends = np.column_stack([(axis.min(), axis.max()) for axis in places[first : first + per].T])
+        spanned = np.concatenate([spanned, ends])
+        alone, together = (window.rows * window.cols for window in (window_around(site, x, 1) for x in (ends, spanned)))
+        own += alone
+        if first and together > min(_WINDOW_TILES, 2 * own):
+            firsts, own, spanned = [*firsts, first], alone, ends
+    return np.split(at, firsts[1:])
+
+
 def _read(site: MapReader, middle: Floats, wheels: Floats, vehicle: LineVehicle) -> _LineWindow:
     from scipy.ndimage import maximum_filter
 
     grid = site.grid
     # A wheel reaches as far as its radius, and the heights between pixels one farther.
     beside = (vehicle.calibration.vehicle["wheel"]["radius_m"] + grid.pixel_size) / grid.tile_size
-    window = window_around(site, wheels.reshape(-1, 2), 1 + int(beside))
+    window = window_around(site, wheels.reshape(-1, 2), 2 + int(beside))
     objects = site.objects(window)
     measured = site.heights(window).astype(np.float64)
     measured[(objects == OBSTACLE) | (objects == CANOPY)] = np.nan
     where = in_window(wheels.reshape(-1, 2), grid, window)
-    row, col = np.floor(where * grid.pixels).astype(np.int64).T
-    seen = np.isfinite(measured[row, col]).reshape(-1, wheels.shape[2]).mean(axis=0)
+    # Inside the window no number is below 0, and a whole number is the floor.
+    pixels = where * grid.pixels
+    seen = np.isfinite(measured[tuple(pixels.astype(np.int64).T)]).reshape(-1, wheels.shape[2]).mean(axis=0)
     touched = np.zeros((window.rows, window.cols), np.bool_)
-    own = tuple(np.floor(in_window(middle, grid, window)).astype(np.int64).T)
+    own = tuple(in_window(middle, grid, window).astype(np.int64).T)
     touched[own] = True
-    reached = [np.floor(where + off).astype(np.int64).T for off in (-beside, beside)]
+    reached = [(where + off).astype(np.int64).T for off in (-beside, beside)]
     for rows, cols in product(*zip(*reached, strict=True)):
         touched[rows, cols] = True
     found = site.values(window, _BANDS)
@@ -511,8 +521,8 @@ def _read(site: MapReader, middle: Floats, wheels: Floats, vehicle: LineVehicle)
     east, north = np.moveaxis(wheels[:, :1] - wheels[:, 2:3], -1, 0)
     # Rows count southwards.
     turn = np.broadcast_to(wheel_turn(np.arctan2(-north, east)), wheels.shape[:3]).reshape(-1, wheels.shape[2])
-    pixels = (where * grid.pixels).reshape(*turn.shape, 2)
-    return _LineWindow(filled[1:-1, 1:-1].copy(), touched, bands, number[own], pixels, turn, seen)
+    places = pixels.reshape(*turn.shape, 2)
+    return _LineWindow(filled[1:-1, 1:-1].copy(), touched, bands, number[own], places, turn, seen)
 
 
 def _match(

@@ -54,15 +54,6 @@ def test_waves_shake_as_the_closed_form_of_their_drives_says(waves):
     assert low < expected < high
     assert ride.by_line.all()
     assert (ride.seen > 0.9).all()
-    np.testing.assert_allclose(ride.pitch_rate, ride.c_r * ride.speed_mps)
-
-
-def test_a_line_knows_its_direction_and_its_tiles_do_not(waves):
-    over, beside = (bumpymap.ride_along(waves, line).over(2.0, 18.0)[0] for line in (across(), along()))
-    tiles = float(waves.tiles()["c_r"].median())
-    assert beside < 0.4 * tiles < tiles < over
-    back = bumpymap.ride_along(waves, across()[::-1]).over(2.0, 18.0)[0]
-    assert back == pytest.approx(over, rel=0.05)
 
 
 def test_the_road_along_waves_has_their_heights(waves):
@@ -120,6 +111,16 @@ def test_wheels_beside_the_border_of_a_tile_do_not_feel_the_noise_of_the_next(tm
     assert near == pytest.approx(far, rel=0.25)
 
 
+def test_the_ride_of_a_metre_does_not_hang_on_how_much_of_the_map_is_read_with_it(tmp_path):
+    def posts(x, y):
+        return 100.0 + 0.02 * np.sin(9.0 * x) * np.sin(7.0 * y) + (((y - SOUTH) % 3.0 > 2.6) & ((x - WEST) % 3.0 > 2.6))
+
+    survey = write_survey(tmp_path / "posts.las", points=120_000, side=SIDE_M, height=posts)
+    layers, (start, end) = bumpymap.map_survey(survey, tmp_path / "layers"), across(north=10.9)
+    alone, more = (bumpymap.ride_along(layers, [start, end, *on]) for on in ((), [(end[0], end[1] + 9.0)]))
+    np.testing.assert_allclose(alone.c_r[:15], more.c_r[:15], rtol=1e-9)
+
+
 def test_beyond_the_map_nothing_is_known(waves):
     ride = bumpymap.ride_along(waves, across(length=40.0))
     inside = ride.distance[1:] < 20.0
@@ -142,7 +143,6 @@ def test_an_unsure_place_widens_the_interval_where_it_matters(waves):
 def test_other_speeds_shake_the_seat_more(waves):
     slow, fast = (bumpymap.ride_along(waves, across(), speed=speed) for speed in (0.5, 1.5))
     assert np.nanmedian(fast.a_w) > 2.0 * np.nanmedian(slow.a_w) > 0.0
-    assert (slow.speed_mps, fast.speed_mps) == (0.5, 1.5)
 
 
 @pytest.mark.parametrize("off", [0.0, 1.5])
