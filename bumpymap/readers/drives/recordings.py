@@ -54,10 +54,6 @@ def _read_odometry(message: Any) -> tuple[float, ...]:
     return (place.x, place.y, turn.x, turn.y, turn.z, turn.w, speed)
 
 
-def _read_twist(message: Any) -> tuple[float, ...]:
-    return (getattr(message.twist, "twist", message.twist).linear.x,)
-
-
 _NONE = (np.nan,) * 4
 _TYPES: Mapping[str, tuple[str, ...]] = {
     "imu": ("sensor_msgs/msg/Imu",),
@@ -74,7 +70,7 @@ _READ: Mapping[str, tuple[tuple[str, ...], Callable[[Any], tuple[float, ...]]]] 
     "imu": ((*RATES, *ACCELERATIONS, *QUATERNION), _read_imu),
     "gnss": ((*LONLAT, "error", "fix"), _read_fix),
     "odometry": ((*LOCAL, *QUATERNION, "speed"), _read_odometry),
-    "twist": (("speed",), _read_twist),
+    "twist": (("speed",), lambda message: (getattr(message.twist, "twist", message.twist).linear.x,)),
 }
 """Purpose of a topic -> quantities that are read of its messages, and how."""
 
