@@ -99,7 +99,7 @@ def bag_samples(paths: Sequence[Path], columns: Mapping[str, str]) -> list[Sampl
     roles: dict[str, str] = {}
     for role in _TYPES:
         wanted = columns.get(role)
-        hint = f"Name the one to read, `columns='{role}=NAME'`; with `columns='{role}='` none is read"
+        hint = f"Name the one to read, `columns='{role}={{}}'`; with `columns='{role}='` none is read"
         chosen = None if wanted == "" else choose_topic(held if wanted else filled, _TYPES[role], wanted, hint)
         roles |= {chosen: role} if chosen else {}
     rows: dict[str, array[float]] = {topic: array("d") for topic in roles}

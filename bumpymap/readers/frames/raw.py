@@ -60,7 +60,7 @@ def choose_topic(
 ) -> str | None:
     """Return the wanted topic, or the only one of the first of some types that has any; None if there is none.
 
-    ``hint``: how to name a topic. Raises BadInputError: the wanted one is not there,
+    ``hint``: how to name a topic, ``{}`` in the place of one. Raises BadInputError: the wanted one is not there,
     or several may be meant.
     """
     of_type = {kind: [topic for topic in sorted(held) if held[topic][0] == kind] for kind in kinds}
@@ -72,7 +72,8 @@ def choose_topic(
     what = f"has no topic {wanted}" if wanted is not None else "holds several topics"
     listed = ", ".join(f"{topic} ({held[topic][1]:,} messages)" for topics in of_type.values() for topic in topics)
     raise BadInputError(
-        f"the bag {what} of type {kind if wanted is None else ' or '.join(kinds)}: {listed or 'none'}. {hint}"
+        f"the bag {what} of type {kind if wanted is None else ' or '.join(kinds)}: {listed or 'none'}. "
+        + hint.format(next(iter(found), "NAME"))
     )
 
 

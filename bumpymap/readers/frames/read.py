@@ -82,7 +82,7 @@ def _choose(held: Mapping[str, tuple[str, int]], kind: str, wanted: str | None, 
     if kind not in kinds:
         raise BadInputError(f"the bag holds no topic of type {kind}; it holds {', '.join(sorted(kinds)) or 'nothing'}")
     also = ", or those of several sensors: NAME,NAME" if kind == CLOUD else ""
-    return choose_topic(held, (kind,), wanted, f"Name one of these with `{setting}='NAME'`{also}") or ""
+    return choose_topic(held, (kind,), wanted, f"Name one of these with `{setting}='{{}}'`{also}") or ""
 
 
 def _messages(bag: BagReader, clouds: Collection[str], recorded: "_Poses") -> Iterable[BagMessage]:
