@@ -95,7 +95,7 @@ def test_a_check_says_what_a_profile_means_and_which_calibration_it_has():
     assert "wheelbase_m is 2700; it must be a number from 0.1 to 20 m; 2700 mm would be 2.7" in said.stderr
     Path("a.laz").touch()
     said = run("map", "a.laz", "--out", "o", "--calibration", "mine.json")
-    assert (said.exit_code, "mine.json, vehicle: wheelbase_m is 2700; it must be between" in said.stderr) == (3, True)
+    assert (said.exit_code, "mine.json, vehicle: wheelbase_m is 2700; it must be a number" in said.stderr) == (3, True)
 
 
 # --- calibrate ---
