@@ -35,8 +35,8 @@ def _filled(marker: re.Match[str]) -> str:
         rows = ((str(number), f"`{band.name}`", band.unit, band.description) for number, band in enumerate(BANDS, 1))
         return _table(("band", "name", "unit", "content"), rows)
     if kind == "profile":
-        rules = [(key.name, key.quantity) for key in KEYS]
-        rows = ((f"`{key}`", rule.unit, f"{rule.low:g} to {rule.high:g}", rule.what) for key, rule in rules)
+        rules = [(key.name, key.setting) for key in KEYS]
+        rows = ((f"`{key}`", rule.unit, f"{rule.low:g} to {rule.high:g}", rule.help) for key, rule in rules)
         return _table(("key", "unit", "allowed", "meaning"), rows)
     if kind == "vehicles":
         profiles = [load_profile(vehicle).to_dict() for vehicle in shipped_profiles()]

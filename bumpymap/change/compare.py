@@ -21,7 +21,7 @@ hold errors that both surveys make alike. "As before" is a finding too: the rati
 
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -385,7 +385,7 @@ def _tiles(mosaic: Floats, side: int) -> Floats:
 def height_offset(pair: SurveyPair, cell: int, registration: Registration) -> float:
     """Return the median, over the tiles, of the median height difference of a tile, m; NaN if none can be compared."""
     middles = []
-    for _, difference in _differences(pair, cell, registration):
+    for difference in _differences(pair, cell, registration):
         enough = np.isfinite(difference).sum(axis=(1, 2)) >= LEAST_CELLS
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # tiles without a value
@@ -411,19 +411,13 @@ class GroundChange:
 def ground_changes(pair: SurveyPair, cell: int, offset: float, registration: Registration) -> GroundChange:
     """Compare the heights of all tiles of the common window; arrays are (rows, cols), north row first."""
     window = pair.window
-    out = [np.full((window.rows, window.cols), np.nan) for _ in range(4)]
-    for rows, difference in _differences(pair, cell, registration):
-        found = compare_heights(difference - offset)
-        parts: Any = (found.d_height, found.d_largest, found.z_height, found.z_shape)
-        for array, values in zip(out, parts, strict=True):
-            array[rows] = values.reshape(-1, window.cols)
-    return GroundChange(*out)
+    parts = [compare_heights(each - offset) for each in _differences(pair, cell, registration)]
+    whole = (np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(GroundChange))
+    return GroundChange(*(values.reshape(window.rows, window.cols) for values in whole))
 
 
-def _differences(
-    pair: SurveyPair, cell: int, registration: Registration
-) -> Iterator[tuple[slice, NDArray[np.float64]]]:
-    """Yield rows of the common window, north first, and the difference of their heights, (tiles, cells, cells), m.
+def _differences(pair: SurveyPair, cell: int, registration: Registration) -> Iterator[Floats]:
+    """Yield the differences of the heights in rows of the common window, north first, (tiles, cells, cells), m.
 
     Of a shift, whole pixels move the later survey; the rest is taken off by the gradient of the ground, so that the
     noise of neighbouring cells stays independent.
@@ -433,9 +427,8 @@ def _differences(
     step = max(1, _STRIP_PIXELS // (window.cols * pixels**2))
     rest = registration.shift_m - np.round(registration.shift_m / pixel) * pixel
     for top in range(0, window.rows, step):
-        rows = slice(top, min(top + step, window.rows))
-        south = window.row + window.rows - rows.stop
-        strip = TileWindow(window.col, south, window.cols, rows.stop - rows.start)
+        rows = min(step, window.rows - top)
+        strip = TileWindow(window.col, window.row + window.rows - top - rows, window.cols, rows)
         before, after = _cells(pair, pair.heights(_around(strip)), cell, registration.shift_m)
         difference = after - before
         if rest.any():
@@ -445,7 +438,7 @@ def _differences(
         if registration.tilt.any():
             east, north = _middles(pair, strip, cell)
             difference -= registration.tilt[0] * east + registration.tilt[1] * north
-        yield rows, _tiles(difference, side)
+        yield _tiles(difference, side)
 
 
 _LEAST_OWN = 0.5
@@ -468,13 +461,13 @@ class CommonError:
     def of(cls, manifest: Mapping[str, Any]) -> "CommonError":
         """Read what run.json says of the calibration."""
         known = manifest.get("calibration")
-        found = known if isinstance(known, Mapping) else {}
-        return cls(*(_number(found.get(name)) for name in ("model_error", "floor_radpm")))
+        given = known if isinstance(known, Mapping) else {}
+        found = (given.get(name) for name in ("model_error", "floor_radpm"))
+        return cls(*(float(each) if isinstance(each, int | float) and 0.0 <= each < np.inf else 0.0 for each in found))
 
     def log_sd(self, c_r: Floats) -> Floats:
         """Return its standard deviation in ln c_r, of ride costs [rad/m] of any shape."""
-        of_ground = np.clip(1.0 - (self.floor / c_r) ** 2, 0.0, 1.0) if self.floor else np.ones_like(c_r)
-        return self.model_error * of_ground
+        return self.model_error * np.clip(1.0 - (self.floor / c_r) ** 2, 0.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -508,10 +501,6 @@ def _log_and_spread(bands: Bands, common: CommonError) -> tuple[Floats, Floats]:
     sides = ((middle - np.log(low)) / NORMAL_80, (np.log(high) - middle) / NORMAL_80)
     below, above = (np.sqrt(np.maximum(side**2 - shared**2, (_LEAST_OWN * side) ** 2)) for side in sides)
     return middle, 0.5 * (below + above)
-
-
-def _number(value: object) -> float:
-    return float(value) if isinstance(value, int | float) and 0.0 <= value < np.inf else 0.0
 
 
 LEAST_CELLS = 16

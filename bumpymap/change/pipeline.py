@@ -289,7 +289,9 @@ def find_changes(config: DiffConfig, progress: Progress | None = None) -> Change
         "cell_m": pair.cell_m(cell),
     }
     counts = _counts(surveys, field, shared) | {"dropped_as_too_small": dropped}
-    transitions = _transitions(*surveys, shared)
+    classes = (np.minimum(side.class_id[shared], _CLASSES).astype(np.int64) for side in surveys)
+    transitions = np.zeros((_CLASSES + 1,) * 2, np.int64)
+    np.add.at(transitions, tuple(classes), 1)
     notes = tuple(remarks(fit, counts))
     files: list[Path] = []
     if config.out is not None:
@@ -389,12 +391,6 @@ def _counts(surveys: tuple[SurveyTiles, SurveyTiles], field: ChangeField, shared
     }
 
 
-def _transitions(before: SurveyTiles, after: SurveyTiles, shared: NDArray[np.bool_]) -> NDArray[np.int64]:
-    first, second = (np.minimum(side.class_id[shared], _CLASSES).astype(np.int64) for side in (before, after))
-    pairs = np.bincount(first * (_CLASSES + 1) + second, minlength=(_CLASSES + 1) ** 2)
-    return pairs.reshape(_CLASSES + 1, _CLASSES + 1)
-
-
 def _manifest(
     config: DiffConfig,
     pair: SurveyPair,
@@ -404,10 +400,7 @@ def _manifest(
 ) -> dict[str, Any]:
     kept = "survey", "inputs", "files"  # what identifies the layers of a run
     sources = {
-        name: {
-            "folders": [site.folder],
-            "runs": [{key: site.manifest.get(key) for key in kept}],
-        }
+        name: {"folders": [site.folder], "runs": [{key: site.manifest.get(key) for key in kept}]}
         for name, site in (("before", pair.before), ("after", pair.after))
     }
     return {
@@ -485,10 +478,10 @@ def _describe(tiles: Mapping[str, NDArray[Any]], area_m2: float) -> dict[str, An
         "d_height": _number(heights.mean()),
         "d_height_lowest": _number(heights.min()),
         "d_height_highest": _number(heights.max()),
-        "d_largest": _farthest(tiles["d_largest"]),
+        "d_largest": _of_known(_farthest, tiles["d_largest"]),
         "volume_m3": _number(heights.sum() * area_m2),
-        **{name: _mean(tiles[name]) for name in ("d_c_r", "c_r_before", "c_r_after")},
-        **{name: _farthest(tiles[name]) for name in ("z_height", "z_shape", "z_c_r")},
+        **{name: _of_known(np.mean, tiles[name]) for name in ("d_c_r", "c_r_before", "c_r_after")},
+        **{name: _of_known(_farthest, tiles[name]) for name in ("z_height", "z_shape", "z_c_r")},
         **{name: None if commonest == NO_CLASS else commonest for name, commonest in classes.items()},
         **{name: int(tiles[name].sum()) for name in ("passable_lost", "passable_won")},
     }
@@ -503,12 +496,11 @@ def _number(value: float) -> float | None:
     return round(float(value), _DECIMALS) if np.isfinite(value) else None
 
 
-def _mean(values: NDArray[np.floating]) -> float | None:
+def _of_known(summary: Callable[[Any], Any], values: NDArray[np.floating]) -> float | None:
     known = values[np.isfinite(values)]
-    return _number(known.mean()) if len(known) else None
+    return _number(summary(known)) if len(known) else None
 
 
-def _farthest(values: NDArray[np.floating]) -> float | None:
+def _farthest(values: NDArray[np.floating]) -> Any:
     """Return the value farthest from 0."""
-    known = values[np.isfinite(values)]
-    return _number(known[np.argmax(np.abs(known))]) if len(known) else None
+    return values[np.argmax(np.abs(values))]

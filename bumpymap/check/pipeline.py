@@ -73,12 +73,9 @@ _LEAST_STRETCHES = 5
 
 def spearman(first: Floats, second: Floats) -> float:
     """Return the rank correlation of two series; NaN where one is constant, or with fewer than five values."""
-    if len(first) < _LEAST_STRETCHES:
+    if len(first) < _LEAST_STRETCHES or not (np.ptp(first) and np.ptp(second)):
         return float("nan")
-    ranks = rankdata(first), rankdata(second)
-    one, two = (rank - rank.mean() for rank in ranks)
-    power = float(np.sqrt((one @ one) * (two @ two)))
-    return float(one @ two) / power if power > 0.0 else float("nan")
+    return float(np.corrcoef(rankdata(first), rankdata(second))[0, 1])
 
 
 def agreement_of(stretches: DrivenStretches, chosen: NDArray[np.bool_] | None = None) -> MapAgreement:
@@ -91,8 +88,7 @@ def agreement_of(stretches: DrivenStretches, chosen: NDArray[np.bool_] | None = 
     offset = MapOffset.of(stretches)
     on = np.isfinite(offset.ratio) & (True if chosen is None else chosen)
     if not on.any():
-        nothing = float("nan")
-        return MapAgreement(0, 0.0, nothing, nothing, nothing, nothing, nothing)
+        return MapAgreement(0, 0.0, *[float("nan")] * 5)
     return MapAgreement(
         stretches=int(on.sum()),
         way_m=float(stretches.way_m[on].sum()),
@@ -400,7 +396,7 @@ def _on_map(places: MetrePlaces, site: MapReader) -> tuple[Floats, Floats]:
 def _compared(done: list[_Done], site: MapReader | None) -> CheckResult:
     """Compare all drives with the map."""
     ground = None if site is None else _ground(site)
-    limits = (np.inf,) * 3 if ground is None else ground.class_limits
+    limits = [np.inf] * 3 if ground is None else [*ground.class_limits]
     stretches = _stretches(done, limits, [one.reading for one in done])
     drives = tuple(_checked(one) for one in done)
     if ground is None:
@@ -446,9 +442,9 @@ def _ground(site: MapReader) -> CheckedMap:
     )
 
 
-def _stretches(done: list[_Done], limits: Iterable[float], of_map: Sequence[MapReading | None]) -> DrivenStretches:
+def _stretches(done: list[_Done], edges: list[float], of_map: Sequence[MapReading | None]) -> DrivenStretches:
     """Return the stretches of all drives, in order, with what the map says of each."""
-    edges, readings = list(limits), [reading for reading in of_map if reading is not None]
+    readings = [reading for reading in of_map if reading is not None]
     placed = bool(readings)
     cut = {
         name: np.concatenate([getattr(one.cut, name) for one in done])
@@ -459,15 +455,12 @@ def _stretches(done: list[_Done], limits: Iterable[float], of_map: Sequence[MapR
         cut |= {"easting": nothing, "northing": nothing}
     read = {
         name: np.concatenate([getattr(reading, name) for reading in readings]) if placed else nothing
-        for name in ("c_r", "low", "high", "place_sd")
+        for name in ("c_r", "c_r_low", "c_r_high", "place_sd")
     }
     return DrivenStretches(
         drive=np.repeat(np.arange(len(done)), [len(one.cut.start_s) for one in done]),
         **cut,
-        c_r=read["c_r"],
-        c_r_low=read["low"],
-        c_r_high=read["high"],
-        place_sd=read["place_sd"],
+        **read,
         class_id=_classes(read["c_r"], edges),
         measured_class=_classes(cut["measured"] if placed else nothing, edges),
     )
@@ -480,6 +473,7 @@ def _classes(values: Floats, edges: list[float]) -> NDArray[np.uint8]:
 def _checked(one: _Done) -> CheckedDrive:
     """Return what was found about a drive and its sensors."""
     drive, cut, log = one.drive, one.cut, one.log
+    same = ("band_hz", "clock_offset_s", "clock_offset_sd_s", "clock_drift_ppm", "mount_deg", "floor_radps")
     lost = left_out(drive, cut)
     used = float(cut.way_m.sum())
     counts = (drive.reason == COUNTS) & (cut.label >= 0)
@@ -493,12 +487,7 @@ def _checked(one: _Done) -> CheckedDrive:
         left_out_m=lost,
         speed_mps=float(np.median(np.abs(drive.speed[counts]))),
         rate_hz=drive.hertz,
-        band_hz=drive.band_hz,
-        clock_offset_s=drive.clock_offset_s,
-        clock_offset_sd_s=drive.clock_offset_sd_s,
-        clock_drift_ppm=drive.clock_drift_ppm,
-        mount_deg=drive.mount_deg,
-        floor_radps=drive.floor_radps,
+        **{name: getattr(drive, name) for name in same},
         position_error_m=drive.track.scatter.total_m if has_positions else float("nan"),
         columns=log.columns,
         notes=(*log.notes, *drive.notes),

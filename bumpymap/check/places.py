@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, gaussian_filter1d, map_coordinates
 
+from bumpymap.check.signals import in_order
 from bumpymap.core import BadInputError, DriveLog, PlaceTrack, describe_crs
 from bumpymap.layers import MapReader
 from bumpytiles import TileWindow
@@ -61,9 +62,7 @@ def metre_places(track: PlaceTrack, easting: Floats, northing: Floats, name: str
     Raises BadInputError: there are too few.
     """
     place = easting + 1j * northing
-    order = np.argsort(track.time, kind="stable")
-    order = order[np.isfinite(track.time[order]) & np.isfinite(place[order])]
-    order = order[np.diff(track.time[order], prepend=-np.inf) > 0.0]
+    order = in_order(track.time, np.isfinite(place))
     if len(order) < _LEAST_PLACES:
         raise BadInputError(
             f"{name} has {len(order)} usable positions; a drive needs at least {_LEAST_PLACES}. Did the receiver have "

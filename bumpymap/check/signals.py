@@ -54,9 +54,7 @@ def even_imu(imu: ImuTrack, name: str, band_hz: float) -> EvenImu:
 
     Raises BadInputError: the sensor is too slow for the band, the record too short, or the rates cannot be in rad/s.
     """
-    order = np.argsort(imu.time, kind="stable")
-    order = order[np.isfinite(imu.time[order]) & np.isfinite(imu.rate[order]).all(axis=1)]
-    order = order[np.diff(imu.time[order], prepend=-np.inf) > 0.0]
+    order = in_order(imu.time, np.asarray(np.isfinite(imu.rate).all(axis=1)))
     time, rate, force = imu.time[order], imu.rate[order], imu.acceleration[order]
     if len(time) < _LEAST_SAMPLES:
         raise BadInputError(
@@ -80,6 +78,13 @@ def even_imu(imu: ImuTrack, name: str, band_hz: float) -> EvenImu:
             f"{name}: no {_LEAST_PIECE_S:g} s without a gap in the angular rates. Record the IMU without losses"
         )
     return EvenImu(grid, even[:, :3], even[:, 3:] if has_force else np.full((len(grid), 3), np.nan), known, hertz)
+
+
+def in_order(time: Floats, known: Mask) -> NDArray[np.int64]:
+    """Return the rows that are known and have a time, in its order; of equal times the first."""
+    order = np.argsort(time, kind="stable")
+    order = order[np.isfinite(time[order]) & known[order]]
+    return np.asarray(order[np.diff(time[order], prepend=-np.inf) > 0.0])
 
 
 def _refuse_unfit(rate: Floats, name: str, hertz: float, band_hz: float) -> None:

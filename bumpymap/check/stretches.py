@@ -139,8 +139,8 @@ class MapReading:
     """Values of the map over stretches, (n,) each; NaN where it has none."""
 
     c_r: Floats
-    low: Floats
-    high: Floats
+    c_r_low: Floats
+    c_r_high: Floats
     place_sd: Floats
     """Standard deviation of ``c_r`` over the places where the vehicle may have been, rad/m."""
 

@@ -10,7 +10,7 @@ clocks and its drift. An antenna ahead of the point that the vehicle turns about
 long as the vehicle does not stop: starts and stops tell them apart.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,16 +66,9 @@ class Knots:
 
     def between(self, part: slice) -> "Knots":
         """Return some of the knots, one after another."""
-        steps = slice(part.start, part.stop - 1)
-        return Knots(
-            self.time[part],
-            self.steps[steps],
-            self.heading[part],
-            self.gained[steps],
-            self.standing[part],
-            self.changing[steps],
-            self.wheels[part],
-        )
+        every = len(self.time)
+        values = (getattr(self, each.name) for each in fields(self))
+        return Knots(*(each[part][: None if len(each) == every else part.stop - part.start - 1] for each in values))
 
     @property
     def step_s(self) -> float:
@@ -114,8 +107,6 @@ class TrackProblem:
     scatter: Scatter
     speed_change: float
     """The speed changes by this in a second, m/s/sqrt(s)."""
-    force_change: float
-    """The error of the acceleration changes by this in a second, m/s2/sqrt(s)."""
     offset_s: float
     """Estimate of the offset of the clocks that the positions are laid on the knots with, s."""
     held: tuple[float, float] | None = None
@@ -133,7 +124,7 @@ class TrackProblem:
     def log_spread(self) -> float:
         """Sum of the logarithms of those standard deviations that differ between candidates."""
         faster = np.where(np.isfinite(self.knots.gained), 1.0, np.where(self.knots.changing, _CHANGE, 1.0))
-        return float(np.log(self.speed_change * self.force_change * faster).sum())
+        return float(np.log(self.speed_change * faster).sum())
 
     def _matrix(
         self, count: int, entries: list[tuple[NDArray[np.int64], NDArray[np.int64], Floats]]
@@ -172,7 +163,7 @@ class TrackProblem:
             3: (_TURN_RAD * np.sqrt(step) * faster, 1.0),
             4: (wander, keep),
             5: (wander, keep),
-            6: (self.force_change * np.sqrt(step) * one, 1.0),
+            6: (_FORCE_CHANGE * np.sqrt(step) * one, 1.0),
         }
         entries, left = [], []
         for place, (part, (sd, factor)) in enumerate(spreads.items()):
@@ -419,7 +410,7 @@ def fit_track(
     scatter = Scatter(1.0, 1.0, 60.0) if places is None else scatter_of(places, imu.time, heading, start.offset_s)
     if places is None:
         blind = replace(knots, gained=np.full_like(knots.gained, np.nan))
-        problem = TrackProblem(blind, None, scatter, _SPEED_CHANGES[-2], _FORCE_CHANGE, start.offset_s)
+        problem = TrackProblem(blind, None, scatter, _SPEED_CHANGES[-2], start.offset_s)
         return _track(problem, *_solve(problem, _first(knots, None, start))[:2], 0.0)
     problem, state, factor, spread_s = _best(knots, places, scatter, start)
     return _track(problem, state, factor, float(np.hypot(spread_s, start.spread_s)))
@@ -432,15 +423,15 @@ def _best(
     blind = replace(knots, gained=np.full_like(knots.gained, np.nan))
     felt = bool(np.isfinite(knots.gained).any())
     speeds = _FIRST_CHANGES if start.rough else _SPEED_CHANGES
-    tries = [(own, speed, _FORCE_CHANGE) for own in ([knots] if felt else [blind]) for speed in speeds]
-    tries += [(blind, speed, _FORCE_CHANGE) for speed in speeds if felt and not start.rough]
+    tries = [(knots if felt else blind, speed) for speed in speeds]
+    tries += [(blind, speed) for speed in speeds if felt and not start.rough]
     part = _telling_part(knots)
     found: list[tuple[float, TrackProblem, TrackState, SuperLU]] = []
     for shift in _FIRST_OFFSETS_S if start.rough else (0.0,):
         begun = replace(start, offset_s=start.offset_s + shift)
         first = _first(knots.between(part), places, begun)
-        for own, speed_change, force_change in tries:
-            problem = TrackProblem(own.between(part), places, scatter, speed_change, force_change, begun.offset_s)
+        for own, speed_change in tries:
+            problem = TrackProblem(own.between(part), places, scatter, speed_change, begun.offset_s)
             state, factor, badness = _solve(problem, first)
             found.append((badness, problem, state, factor))
     best = min(range(len(found)), key=lambda number: found[number][0])
@@ -449,7 +440,7 @@ def _best(
     if with_force and not np.isfinite(problem.knots.gained).any():
         # Steady driving may be told best without accelerations, but those of starts and stops tell the clock.
         _, _, told, own = min(with_force, key=lambda one: one[0])
-        problem = replace(problem, held=(float(told.whole[OFFSET]), _offset_sd(own)))
+        problem = replace(problem, held=(float(told.whole[OFFSET]), _sd_of(OFFSET, own)))
         state, factor, _ = _solve(problem, state)
     odds = np.exp(0.5 * (badness - np.array([one[0] for one in found])))
     off = np.array([one[2].whole[OFFSET] for one in found]) - found[best][2].whole[OFFSET]
@@ -466,11 +457,11 @@ def _best(
     return problem, state, factor, spread_s
 
 
-def _offset_sd(factor: SuperLU) -> float:
-    """Return the standard deviation of the offset of the clocks by the equations alone, s."""
+def _sd_of(name: int, factor: SuperLU) -> float:
+    """Return the standard deviation of an unknown of the whole drive by the equations alone."""
     end = np.zeros(factor.shape[0])
-    end[OFFSET - GLOBALS] = 1.0
-    return float(np.sqrt(max(float(factor.solve(end)[OFFSET - GLOBALS]), 0.0)))
+    end[name - GLOBALS] = 1.0
+    return float(np.sqrt(max(float(factor.solve(end)[name - GLOBALS]), 0.0)))
 
 
 def _telling_part(knots: Knots) -> slice:
@@ -534,20 +525,17 @@ def _solve(problem: TrackProblem, state: TrackState) -> tuple[TrackState, SuperL
 def _track(problem: TrackProblem, state: TrackState, factor: SuperLU, spread_s: float) -> DrivenTrack:
     knots = problem.knots
     east, north, speed, turn = (state.part(number) for number in range(4))
-    course = knots.heading + turn
-    end = np.zeros(len(state.values))
-    end[DRIFT - GLOBALS] = 1.0
     return DrivenTrack(
         time=knots.time,
         easting=east,
         northing=north,
         speed=speed,
-        course=course,
+        course=knots.heading + turn,
         offset_s=float(state.whole[OFFSET]),
-        offset_sd_s=float(np.sqrt(_offset_sd(factor) ** 2 + spread_s**2 + _SLIP_S**2)),
+        offset_sd_s=float(np.sqrt(_sd_of(OFFSET, factor) ** 2 + spread_s**2 + _SLIP_S**2)),
         offset_spread_s=spread_s,
         drift=float(state.whole[DRIFT]),
-        drift_sd=float(np.sqrt(max(float(factor.solve(end)[DRIFT - GLOBALS]), 0.0))),
+        drift_sd=_sd_of(DRIFT, factor),
         scatter=problem.scatter,
         _factor=factor,
     )

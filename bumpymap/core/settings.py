@@ -17,7 +17,7 @@ from numbers import Integral, Real
 from pathlib import Path
 from reprlib import Repr
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, Protocol, Union, get_args, get_origin, runtime_checkable
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from bumpymap.core.errors import BumpymapError, UsageError
 from bumpymap.core.files import read_regular
@@ -106,20 +106,16 @@ _WORDS = {
 }
 _TEXT = ("a string", "strings")
 """Names of a type for messages: singular and plural."""
+_MISTAKEN = {
+    "m": ("mm", 0.001),
+    "m/s": ("km/h", 1 / 3.6),
+    "deg": ("rad", math.degrees(1.0)),
+    "rad": ("deg", math.radians(1.0)),
+    "rad/m": ("deg/m", math.radians(1.0)),
+}
+"""The unit that is often used by mistake, and its size in the right one."""
 _WRONG_TYPE = object()
 """Returned for a value that does not have its field's type."""
-
-
-@runtime_checkable
-class FieldRule(Protocol):
-    """A constraint on the values of a field beyond its type, given in the field's ``Annotated`` type."""
-
-    @property
-    def allowed(self) -> str:
-        """Description of the allowed values; continues *it must be*."""
-
-    def fault(self, value: Any) -> str:
-        """Return what is wrong with a value of the field's type, such as *it must be positive*; empty if valid."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,13 +152,19 @@ class Setting:
         within = self.low < value < self.high if self.exclusive else self.low <= value <= self.high
         return within and abs(value) < math.inf
 
+    def suggest_unit(self, value: Any) -> str:
+        """Name the unit in which a number out of bounds would be within them; empty if there is none."""
+        unit, factor = _MISTAKEN.get(self.unit, ("", 0.0))
+        fits = unit and isinstance(value, float) and self.holds(value * factor)
+        return f"; {value:g} {unit} would be {value * factor:.3g}" if fits else ""
+
     @property
     def bounds(self) -> str:
         """Description of the bounds; continues *a number*."""
         unit = self.unit and f" {self.unit}"
         if self.high < math.inf:
             low, high = ("between", "and") if self.exclusive else ("from", "to")
-            return f" {low} {self.low:g} {high} {self.high:g}{unit}{self.why}"
+            return f" {low} {self.low:.7g} {high} {self.high:.7g}{unit}{self.why}"
         if self.low > -math.inf:
             return f"{' greater than' if self.exclusive else ', at least'} {self.low:g}{unit}{self.why}"
         return f"{unit and f' ({self.unit})'}{self.why}"
@@ -186,7 +188,8 @@ def _setting_of(kind: Any) -> Setting | None:
 
 
 @cache
-def _declared(owner: type) -> tuple[Declared, ...]:
+def declared_settings(owner: type) -> tuple[Declared, ...]:
+    """Return the fields of a class that have a `Setting`, in their order."""
     found = []
     for each in fields(owner):
         setting = _setting_of(each.type)
@@ -198,7 +201,7 @@ def _declared(owner: type) -> tuple[Declared, ...]:
 
 def settings_with_options(owner: type) -> tuple[Declared, ...]:
     """Return the fields of a settings class that the command line knows by name, in their order; also rare ones."""
-    return tuple(each for each in _declared(owner) if each.setting.help)
+    return tuple(each for each in declared_settings(owner) if each.setting.help)
 
 
 def settings_template(owners: Sequence[type]) -> str:
@@ -209,7 +212,7 @@ def settings_template(owners: Sequence[type]) -> str:
     while tables:
         table, owner = tables.pop(0)
         lines += ["", f"#[{table}]"] if table else []
-        declared, notes = {each.name: each for each in _declared(owner)}, _notes(owner)
+        declared, notes = {each.name: each for each in declared_settings(owner)}, _notes(owner)
         for each in fields(owner):
             kind, full = _plain_type(each.type), f"{table}.{each.name}"
             if not each.init or full in written or _is_required(each) or _unreadable(kind):
@@ -279,12 +282,12 @@ def check_settings(settings: object) -> None:
         A number is out of bounds, or a value is none of those to choose from.
     """
     owner: type = type(settings)
-    for each in _declared(owner):
+    for each in declared_settings(owner):
         value = getattr(settings, each.name)
         if not (each.optional and value is None) and not _is_allowed(value, each.kind, each.setting):
             name = f"`{each.name}`" if each.setting.help else each.name
             shown = ", ".join(map(str, value))[:_BRIEF] if isinstance(value, tuple) else short_repr(value)
-            raise UsageError(f"{name} is {shown}; it must be {_allowed_of(each.kind, each.setting)}")
+            raise UsageError(f"{name} is {shown}; it must be {allowed_values(each.kind, each.setting)}")
 
 
 def _is_allowed(value: Any, kind: Any, setting: Setting) -> bool:
@@ -488,7 +491,7 @@ def parse_record(
     owner : type or tuple of type
         Dataclass, or several whose fields stand side by side. A field may be a bool, a number, a str, a Path, a
         ``Path | str`` (a URL stays a str), a ``NameOrFile``, a Literal of strings, a tuple of one of these, a dataclass
-        (a table in the file), any of them or None, or any of them ``Annotated`` with a `FieldRule`.
+        (a table in the file), any of them or None, or any of them ``Annotated`` with a `Setting`.
     folder : Path
         Folder at which relative paths start.
     complete : bool
@@ -517,11 +520,6 @@ def refuse_faults(faults: list[str], origin: str, error: type[BumpymapError], mo
         raise error(f"{origin}: {len(faults)} errors{more}", *lines, *([f"  and {left} more"] if left else []))
 
 
-def field_rule(kind: Any) -> FieldRule | None:
-    """Return the rule in the type of a field; None if it has none."""
-    return next((item for item in get_args(kind)[1:] if isinstance(item, FieldRule)), None)
-
-
 class _Parser:
     """Converts values to the types of fields, and collects faults."""
 
@@ -546,20 +544,16 @@ class _Parser:
         return arguments
 
     def _value(self, value: Any, kind: Any, name: str) -> Any:
-        """Convert a value to the type of its field and check its rule."""
-        rule, before = field_rule(kind), len(self.faults)
-        setting = _setting_of(kind)
+        """Convert a value to the type of its field and check it against its `Setting`."""
+        setting, before = _setting_of(kind), len(self.faults)
         found = self._converted(value, _plain_type(kind), name)
         if len(self.faults) > before:
             return found
-        if rule is not None and isinstance(value, str) and value == UNFILLED:
-            self.faults.append(f"{name} is not filled in: {rule.allowed}")
-        elif found is _WRONG_TYPE:
-            self.faults.append(f"{name} is {short_repr(value)}; it must be {_allowed(kind, name)}")
-        elif rule is not None and (fault := rule.fault(found)):
-            self.faults.append(f"{name} is {short_repr(value)}; {fault}")
-        elif setting is not None and not _is_allowed(found, _plain_type(kind), setting):
-            self.faults.append(f"{name} is {short_repr(value)}; it must be {_allowed(kind, name)}")
+        if isinstance(value, str) and value == UNFILLED:
+            self.faults.append(f"{name} is not filled in: {_allowed(kind, name)}")
+        elif found is _WRONG_TYPE or (setting is not None and not _is_allowed(found, _plain_type(kind), setting)):
+            hint = "" if setting is None else setting.suggest_unit(found)
+            self.faults.append(f"{name} is {short_repr(value)}; it must be {_allowed(kind, name)}{hint}")
         return found
 
     def _converted(self, value: Any, kind: Any, name: str) -> Any:
@@ -647,18 +641,17 @@ def _fields_of(owners: tuple[type, ...]) -> "dict[str, Field[Any]]":
 
 def _allowed(kind: Any, name: str) -> str:
     """Describe the values that a field can have."""
-    if rule := field_rule(kind):
-        return rule.allowed
     setting = _setting_of(kind)
     kind = _plain_type(kind)
     return (
         f"a table, [{name}], with {', '.join(each.name for each in fields(kind))}"
         if is_dataclass(kind)
-        else _allowed_of(kind, setting)
+        else allowed_values(kind, setting)
     )
 
 
-def _allowed_of(kind: Any, setting: Setting | None) -> str:
+def allowed_values(kind: Any, setting: Setting | None) -> str:
+    """Describe the values that a type without None and its `Setting` allow, such as ``a number from 0.1 to 20 m``."""
     items, bounds = get_args(kind), setting.bounds if setting else ""
     article = "a finite number" if setting and setting.high == math.inf else "a number"
     if get_origin(kind) is tuple:

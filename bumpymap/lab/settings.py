@@ -125,9 +125,6 @@ class ScanEvaluateSettings:
 
     model: Annotated[Path | None, Setting("Your own scan network", "FILE", rare=True)] = None
 
-    def __post_init__(self) -> None:
-        check_settings(self)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopSettings:

@@ -284,64 +284,34 @@ def number_areas(
 
 
 @helper
-def _meet_down(north: Bytes, upper: int, south: Bytes, lower: int, corners: bool) -> bool:
-    """Return whether an area of a tile and one of its southern neighbour touch across their border."""
-    last, wide = north.shape[0] - 1, 1 if corners else 0
+def _meet(edge: Bytes, one: int, beyond: Bytes, other: int, corners: bool) -> bool:
+    """Return whether areas of two tiles touch across their border; ``edge``, ``beyond``: the pixels on both sides."""
+    last, wide = len(edge) - 1, 1 if corners else 0
     meet = False
-    for c in range(north.shape[0]):
-        for other in range(max(0, c - wide), min(last, c + wide) + 1):
-            meet |= north[last, c] == upper and south[0, other] == lower
+    for k in range(len(edge)):
+        for m in range(max(0, k - wide), min(last, k + wide) + 1):
+            meet |= edge[k] == one and beyond[m] == other
     return meet
 
 
 @helper
-def _meet_across(west: Bytes, left: int, east: Bytes, right: int, corners: bool) -> bool:
-    """Return whether an area of a tile and one of its eastern neighbour touch across their border."""
-    last, wide = west.shape[0] - 1, 1 if corners else 0
-    meet = False
-    for r in range(west.shape[0]):
-        for other in range(max(0, r - wide), min(last, r + wide) + 1):
-            meet |= west[r, last] == left and east[other, 0] == right
-    return meet
+def _joined_over(upper: Bytes, side: Bytes, lower: Bytes, is_south: bool, is_east: bool, corners: bool) -> bool:
+    """Return whether an area of a tile beside ``upper`` and ``lower`` touches the first areas of both.
 
-
-@helper
-def _joined_over(upper: Bytes, side: Bytes, lower: Bytes, is_east: bool, corners: bool) -> bool:
-    """Return whether an area of the tile beside ``upper``, above or below ``lower``, touches the first areas of both.
-
-    ``upper`` lies north of ``lower``, diagonally; ``side`` is the tile south of ``upper`` (and west of ``lower`` if
-    ``is_east``, else east of it).
+    ``upper`` lies north of ``lower``, diagonally, and west of it if ``is_east``; ``side`` is the tile south of
+    ``upper`` if ``is_south``, else the one north of ``lower``.
     """
-    most = 0
+    last, most = len(side) - 1, 0
     for k in range(side.shape[0] * side.shape[0]):
         most = max(most, int(side[k // side.shape[0], k % side.shape[0]]))
+    above, below, across = (last, 0, lower) if is_south else (0, last, upper)
+    up_down = upper if is_south else lower
+    inner, outer = (last, 0) if is_east == is_south else (0, last)
     for number in range(1, most + 1):
-        if _meet_down(upper, 1, side, number, corners):
-            meets = (
-                _meet_across(side, number, lower, 1, corners)
-                if is_east
-                else _meet_across(lower, 1, side, number, corners)
-            )
-            if meets:
-                return True
-    return False
-
-
-@helper
-def _joined_under(upper: Bytes, side: Bytes, lower: Bytes, is_east: bool, corners: bool) -> bool:
-    """Return the same over the tile beside ``upper`` and north of ``lower``."""
-    most = 0
-    for k in range(side.shape[0] * side.shape[0]):
-        most = max(most, int(side[k // side.shape[0], k % side.shape[0]]))
-    for number in range(1, most + 1):
-        if _meet_down(side, number, lower, 1, corners):
-            meets = (
-                _meet_across(upper, 1, side, number, corners)
-                if is_east
-                else _meet_across(side, number, upper, 1, corners)
-            )
-            if meets:
-                return True
+        if _meet(up_down[above], 1, side[below], number, corners) and _meet(
+            side[:, inner], number, across[:, outer], 1, corners
+        ):
+            return True
     return False
 
 
@@ -380,15 +350,15 @@ def close_split(
                     continue
                 here, there = areas[r, c], areas[row, col]
                 if k == 0:
-                    joined = _meet_across(here, 1, there, 1, corners)
+                    joined = _meet(here[:, -1], 1, there[:, 0], 1, corners)
                 elif k == 1:
-                    joined = _meet_down(here, 1, there, 1, corners)
+                    joined = _meet(here[-1], 1, there[0], 1, corners)
                 else:
                     is_east = k == 2
                     joined = (
                         (corners and _meet_at_corner(here, there, is_east))
-                        or _joined_over(here, areas[row, c], there, is_east, corners)
-                        or _joined_under(here, areas[r, col], there, is_east, corners)
+                        or _joined_over(here, areas[row, c], there, True, is_east, corners)
+                        or _joined_over(here, areas[r, col], there, False, is_east, corners)
                     )
                 if not joined:
                     if largest[r, c] < largest[row, col]:

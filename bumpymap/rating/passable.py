@@ -81,10 +81,9 @@ def find_passable(
     found = InnerTiles(
         np.ascontiguousarray(edge_usable, np.bool_), wanted, *(np.empty(alone.shape, np.bool_) for _ in range(3))
     )
-    radius = obstacle_reach(body.width_m) * pixels / tile_size
-    mosaic = Mosaic(np.ascontiguousarray(objects), pixels, radius, _by_corners(body, tile_size / pixels))
-    rows, cols = objects.shape
-    find_ways(mosaic, found, grow_scratch(rows, cols, pixels, radius))
+    radius, corners = _reach(body, tile_size, pixels)
+    scratch = grow_scratch(len(objects), objects.shape[1], pixels, radius)
+    find_ways(Mosaic(np.ascontiguousarray(objects), pixels, radius, corners), found, scratch)
     return np.select(
         [~wanted, found.near_obstacle, found.blocked, ~found.passable],
         [alone, np.uint8(Barred.OBSTACLE), np.uint8(Barred.UNKNOWN), np.uint8(Barred.STEP)],
@@ -114,9 +113,8 @@ def free_areas(
     """
     count = len(barred) + 2
     pixels = len(objects) // count
-    radius = obstacle_reach(body.width_m) * pixels / tile_size
+    radius, corners = _reach(body, tile_size, pixels)
     scratch = grow_scratch(len(objects), objects.shape[1], pixels, radius)
-    corners = _by_corners(body, tile_size / pixels)
     grow_obstacles(Mosaic(np.ascontiguousarray(objects), pixels, radius, corners), scratch)
     tiles = scratch.mask.reshape(count, pixels, count, pixels).swapaxes(1, 2)[1:-1, 1:-1]
     return _numbered((tiles == 0) & ~np.isin(barred, _GROUND)[..., None, None], corners)
@@ -153,18 +151,18 @@ def close_split_tiles(
     pixels = areas.shape[2]
     largest = (areas == 1).sum(axis=(2, 3), dtype=np.int32)
     split = np.zeros(barred.shape, np.bool_)
-    corners = _by_corners(body, tile_size / pixels)
+    radius, corners = _reach(body, tile_size, pixels)
     close_split(np.ascontiguousarray(areas), largest, barred == Barred.NO, corners, split)
-    radius = obstacle_reach(body.width_m) * pixels / tile_size
     near = _beside(np.isin(barred, _GROUND), min(radius, _MOST_MARGIN * pixels), pixels)
     inner = areas[1:-1, 1:-1]
     final = np.where(split, np.uint8(Barred.SPLIT), barred)[1:-1, 1:-1]
     return final, _numbered((inner > 0) & ~near, corners) if (near & (inner > 0)).any() else inner
 
 
-def _by_corners(body: VehicleBody, pixel: float) -> bool:
-    """Say whether free pixels hang together by their corners too; ``pixel``: their side, m."""
-    return corners_join(body.width_m, obstacle_reach(body.width_m), pixel)
+def _reach(body: VehicleBody, tile_size: float, pixels: int) -> tuple[float, bool]:
+    """Return the radius that a vehicle keeps from obstacles, px, and whether free pixels join by their corners too."""
+    reach = obstacle_reach(body.width_m)
+    return reach * pixels / tile_size, corners_join(body.width_m, reach, tile_size / pixels)
 
 
 def _numbered(free: NDArray[np.bool_], corners: bool) -> NDArray[np.uint8]:

@@ -34,10 +34,6 @@ that never fall, with straight lines between the known heights:
 - C_r and p_fail of a tile: the mean, and the 80 % quantile, over steps at several places and directions in the tile;
   C_r is proportional to the height below the lowest. Above the highest known step, the curves stay.
 - p_fail of a crossing, up and down: the mean over the angles.
-
-Calibrations without ``steps`` follow the geometry: a step is safe up to half of the wheel radius and stops the
-vehicle from a whole one, with a straight line in between; C_r is ``4 / pi atan(height / wheelbase) / tile_size`` (the
-vehicle pitches up and back once a tile; 2 / pi is the mean over the headings).
 """
 
 import math

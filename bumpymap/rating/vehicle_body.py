@@ -2,88 +2,14 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import VehicleBody, field_rule, parse_record
-
-_WORDS = {
-    "m": "metres",
-    "m/s": "metres per second",
-    "deg": "degrees",
-    "rad": "radians",
-    "rad/s": "radians per second",
-    "m/s2": "m/s2",
-    "kg": "kilograms",
-    "kg m2": "kg m2",
-    "m/rad": "metres per radian",
-    "rad/m": "radians per metre",
-    "N m/rad": "N m per radian",
-    "N m s/rad": "N m s per radian",
-}
-_MISTAKEN = {
-    "m": ("mm", 0.001),
-    "m/s": ("km/h", 1 / 3.6),
-    "deg": ("rad", math.degrees(1.0)),
-    "rad": ("deg", math.radians(1.0)),
-    "rad/m": ("deg/m", math.radians(1.0)),
-}
-"""The unit that is often used by mistake, and its size in the right one."""
-
-
-@dataclass(frozen=True, slots=True)
-class OneLine:
-    """Rule for a text of one line."""
-
-    @property
-    def allowed(self) -> str:
-        """Describe the allowed values."""
-        return "a text of one line that is not empty"
-
-    def fault(self, value: str) -> str:
-        """Describe what is wrong with a text; return an empty string if it is valid."""
-        return "" if value.strip() and value.isprintable() else f"it must be {self.allowed}"
-
-
-@dataclass(frozen=True, slots=True)
-class Quantity:
-    """Rule for a number with a unit, or for three moments of inertia."""
-
-    unit: str
-    low: float
-    high: float
-    """Lowest and highest allowed value."""
-    what: str
-    """Description in one line."""
-    count: int = 1
-    """How many numbers the key takes: 1, or 3 moments."""
-
-    @property
-    def allowed(self) -> str:
-        """Describe the allowed values, such as ``between 0.1 and 20 metres``."""
-        each = "three numbers, [roll, pitch, yaw], each " if self.count > 1 else ""
-        return f"{each}between {_plain(self.low)} and {_plain(self.high)} {_WORDS[self.unit]}"
-
-    def fault(self, value: float | tuple[float, ...]) -> str:
-        """Describe what is wrong with a value; return an empty string if it is valid."""
-        numbers = value if isinstance(value, tuple) else (value,)
-        if not all(map(self._is_within, numbers)):
-            return f"it must be {self.allowed}{self._suggest_unit(numbers[0]) if self.count == 1 else ''}"
-        if self.count > 1 and 2 * max(numbers) > sum(numbers):
-            return "each moment must be at most the sum of the two others (no rigid body has other moments)"
-        return ""
-
-    def _is_within(self, value: float) -> bool:
-        return self.low <= value <= self.high
-
-    def _suggest_unit(self, value: float) -> str:
-        """Name the unit in which a value outside the bounds would be valid; return an empty string if none."""
-        unit, factor = _MISTAKEN.get(self.unit, ("", 0.0))
-        return f"; {value:g} {unit} would be {value * factor:.3g}" if unit and self._is_within(value * factor) else ""
+from bumpymap.core import Setting, VehicleBody, allowed_values, declared_settings, parse_record
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +18,9 @@ class ProfileKey:
 
     name: str
     """Name with its table, such as ``chassis.mass_kg``."""
-    quantity: Quantity
+    setting: Setting
+    allowed: str
+    """Description of the allowed values, such as ``a number from 0.1 to 20 m``."""
     default: float | None
     """Default of an optional key, NaN if it follows from other keys; None if the key is required."""
 
@@ -114,17 +42,15 @@ class ProfileKey:
 def profile_keys(owner: Any, table: str = "") -> tuple[ProfileKey, ...]:
     """Return the quantities of a dataclass and of its nested dataclasses, in the order of the file."""
     found: list[ProfileKey] = []
+    declared = {each.name: each for each in declared_settings(owner)}
     for field in fields(owner):
-        rule, name = field_rule(field.type), f"{table}.{field.name}".lstrip(".")
-        if isinstance(rule, Quantity):
-            found.append(ProfileKey(name, rule, None if field.default is MISSING else field.default))
+        name, own = f"{table}.{field.name}".lstrip("."), declared.get(field.name)
+        if own is not None:
+            allowed = allowed_values(own.kind, own.setting)
+            found.append(ProfileKey(name, own.setting, allowed, own.default))
         elif is_dataclass(field.type):
             found += profile_keys(field.type, name)
     return tuple(found)
-
-
-def _plain(value: float) -> str:
-    return f"{value:,.0f}" if value >= 1000 else f"{value:g}"
 
 
 def plain_lists(value: Any) -> Any:
@@ -147,7 +73,7 @@ class Floor:
     """Pitch motion that does not come from the ground; 0 where nobody has measured it."""
 
     c_r_radpm: Annotated[
-        float, Quantity("rad/m", 0, 1, "C_r on even, level ground at `speed_mps`; enters `c_r` in power")
+        float, Setting("C_r on even, level ground at `speed_mps`; enters `c_r` in power", None, 0, 1, "rad/m")
     ] = 0.0
 
 
@@ -155,12 +81,14 @@ class Floor:
 class Comfort:
     """Limits of the ride, from which the speed made good of each tile follows."""
 
-    pitch_rate_radps: Annotated[float, Quantity("rad/s", 0.001, 100, "most pitch motion, C_r times the speed")] = 0.3
+    pitch_rate_radps: Annotated[float, Setting("most pitch motion, C_r times the speed", None, 0.001, 100, "rad/s")] = (
+        0.3
+    )
     a_w_mps2: Annotated[
-        float, Quantity("m/s2", 0, 1000, "most weighted vertical acceleration; 0: no limit, as nobody sits in it")
+        float, Setting("most weighted vertical acceleration; 0: no limit, as nobody sits in it", None, 0, 1000, "m/s2")
     ] = 0.0
     top_speed_mps: Annotated[
-        float, Quantity("m/s", 0, 40, "speed on smooth ground; 0: `speed_mps`, or that of the map's `--speed`")
+        float, Setting("speed on smooth ground; 0: `speed_mps`, or that of the map's `--speed`", None, 0, 40, "m/s")
     ] = 0.0
 
 
@@ -199,11 +127,14 @@ class Body:
     """Outline of the vehicle; NaN stands for the default of `body_defaults`."""
 
     height_m: Annotated[
-        float, Quantity("m", 0.02, 15, "height above ground, sensors and load included; what is higher is overhead")
+        float,
+        Setting("height above ground, sensors and load included; what is higher is overhead", None, 0.02, 15, "m"),
     ] = math.nan
-    width_m: Annotated[float, Quantity("m", 0.02, 20, "full width; the gap between obstacles must be wider")] = math.nan
+    width_m: Annotated[float, Setting("full width; the gap between obstacles must be wider", None, 0.02, 20, "m")] = (
+        math.nan
+    )
     brush_stem_m: Annotated[
-        float, Quantity("m", 0, 5, "plants up to this height above ground are brushed aside and no obstacle")
+        float, Setting("plants up to this height above ground are brushed aside and no obstacle", None, 0, 5, "m")
     ] = math.nan
 
 
@@ -264,7 +195,7 @@ ESTIMATED = (
 class Whole:
     """Mass and kind of the whole vehicle, which a short profile gives in the place of its parts."""
 
-    mass_kg: Annotated[float, Quantity("kg", 0.3, 1.2e6, "mass of the whole vehicle, payload included")]
+    mass_kg: Annotated[float, Setting("mass of the whole vehicle, payload included", None, 0.3, 1.2e6, "kg")]
     suspension: Literal["rocker", "sprung", "rigid"]
 
 

@@ -15,6 +15,7 @@ from bumpymap.core import (
     UNFILLED,
     BadInputError,
     OutputError,
+    Setting,
     UsageError,
     parse_record,
     path_of_call,
@@ -30,8 +31,7 @@ from bumpymap.rating.vehicle_body import (
     Body,
     Comfort,
     Floor,
-    OneLine,
-    Quantity,
+    ProfileKey,
     Whole,
     body_table,
     estimate_profile,
@@ -56,12 +56,12 @@ _Moments = tuple[float, float, float]
 class Chassis:
     """The body that carries the pitch-rate sensor."""
 
-    mass_kg: Annotated[float, Quantity("kg", 0.2, 1e6, "everything except rockers and wheels, payload included")]
+    mass_kg: Annotated[float, Setting("everything except rockers and wheels, payload included", None, 0.2, 1e6, "kg")]
     inertia_kgm2: Annotated[
-        _Moments, Quantity("kg m2", 1e-6, 1e8, "moments of inertia about the centre of mass", count=3)
+        _Moments, Setting("moments of inertia [roll, pitch, yaw] about the centre of mass", None, 1e-6, 1e8, "kg m2")
     ]
     com_height_m: Annotated[
-        float, Quantity("m", -2, 6, "height of the centre of mass above the axles; may be negative")
+        float, Setting("height of the centre of mass above the axles; may be negative", None, -2, 6, "m")
     ]
     """Measured with the vehicle on level ground."""
 
@@ -71,11 +71,11 @@ class Belly:
     """The underside of the chassis: a level plate centred between the wheels, with walls above it."""
 
     length_m: Annotated[
-        float, Quantity("m", 0.05, 30, "length along the vehicle, centred between the axles, bumpers included")
+        float, Setting("length along the vehicle, centred between the axles, bumpers included", None, 0.05, 30, "m")
     ]
-    width_m: Annotated[float, Quantity("m", 0.02, 15, "width across the vehicle")]
+    width_m: Annotated[float, Setting("width across the vehicle", None, 0.02, 15, "m")]
     clearance_m: Annotated[
-        float, Quantity("m", 0.005, 5, "height above level ground of the lowest part that could hit a stone")
+        float, Setting("height above level ground of the lowest part that could hit a stone", None, 0.005, 5, "m")
     ]
 
 
@@ -84,23 +84,25 @@ class Rocker:
     """The beam on each side that joins a front and a rear wheel and pivots about the chassis' left axis."""
 
     mass_kg: Annotated[
-        float, Quantity("kg", 0.005, 1e5, "mass of one rocker: the beam that joins a front and a rear wheel")
+        float, Setting("mass of one rocker: the beam that joins a front and a rear wheel", None, 0.005, 1e5, "kg")
     ]
-    inertia_kgm2: Annotated[_Moments, Quantity("kg m2", 1e-8, 1e7, "moments of inertia about its centre", count=3)]
-    limit_rad: Annotated[float, Quantity("rad", 0, 1.2, "end stop, up and down from level")]
+    inertia_kgm2: Annotated[
+        _Moments, Setting("moments of inertia [roll, pitch, yaw] about its centre", None, 1e-8, 1e7, "kg m2")
+    ]
+    limit_rad: Annotated[float, Setting("end stop, up and down from level", None, 0, 1.2, "rad")]
     stiffness_nm_per_rad: Annotated[
-        float, Quantity("N m/rad", 0, 1e9, "stiffness of the spring that returns it to level; 0 for a free rocker")
+        float, Setting("stiffness of the spring that returns it to level; 0 for a free rocker", None, 0, 1e9, "N m/rad")
     ]
-    damping_nms_per_rad: Annotated[float, Quantity("N m s/rad", 0, 1e8, "damping coefficient")]
+    damping_nms_per_rad: Annotated[float, Setting("damping coefficient", None, 0, 1e8, "N m s/rad")]
 
 
 @dataclass(frozen=True, slots=True)
 class Wheel:
     """One of the four wheels: a rigid cylinder."""
 
-    mass_kg: Annotated[float, Quantity("kg", 0.005, 2e4, "mass of one wheel")]
-    radius_m: Annotated[float, Quantity("m", 0.02, 3, "radius")]
-    width_m: Annotated[float, Quantity("m", 0.005, 3, "width")]
+    mass_kg: Annotated[float, Setting("mass of one wheel", None, 0.005, 2e4, "kg")]
+    radius_m: Annotated[float, Setting("radius", None, 0.02, 3, "m")]
+    width_m: Annotated[float, Setting("width", None, 0.005, 3, "m")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,24 +112,30 @@ class Vehicle:
     Attributes have the names of the keys in the TOML file; the page "Describe your vehicle" lists units and bounds.
     """
 
-    name: Annotated[str, OneLine()]
-    description: Annotated[str, OneLine()]
-    wheelbase_m: Annotated[float, Quantity("m", 0.1, 20, "distance between the axles")]
-    track_m: Annotated[float, Quantity("m", 0.05, 15, "distance between the wheel centres of one axle")]
+    name: str
+    description: str
+    wheelbase_m: Annotated[float, Setting("distance between the axles", None, 0.1, 20, "m")]
+    track_m: Annotated[float, Setting("distance between the wheel centres of one axle", None, 0.05, 15, "m")]
     speed_mps: Annotated[
         float,
-        Quantity(
-            "m/s", 0.05, 15, "the speed of every drive; C_r depends on it, so choose the speed at which you will drive"
+        Setting(
+            "the speed of every drive; C_r depends on it, so choose the speed at which you will drive",
+            None,
+            0.05,
+            15,
+            "m/s",
         ),
     ]
-    slope_limit_deg: Annotated[float, Quantity("deg", 3, 60, "steeper tiles are class 3 and not passable")]
+    slope_limit_deg: Annotated[float, Setting("steeper tiles are class 3 and not passable", None, 3, 60, "deg")]
     ride_weight: Annotated[
         float,
-        Quantity("m/rad", 0, 1000, "the detour that is acceptable to avoid one radian of pitch motion; a preference"),
+        Setting(
+            "the detour that is acceptable to avoid one radian of pitch motion; a preference", None, 0, 1000, "m/rad"
+        ),
     ] = field(default=5.0, kw_only=True)
     """cost = 1 + ride_weight * c_r + fail_weight * hazard."""
     fail_weight: Annotated[
-        float, Quantity("m", 0, 100_000, "the detour that is acceptable to avoid one failure; a preference")
+        float, Setting("the detour that is acceptable to avoid one failure; a preference", None, 0, 100_000, "m")
     ] = field(default=DEFAULT_FAIL_WEIGHT, kw_only=True)
     chassis: Chassis
     belly: Belly
@@ -208,7 +216,12 @@ class Vehicle:
         if not faults:
             profile = cls(**arguments)
             profile = replace(profile, body=Body(**body_table(profile.to_dict())))
-            faults = [*_size_faults(profile), *_mass_faults(profile, record.get("mass_kg", profile.mass_kg))]
+            faults = [
+                f"{key} is {short_repr(text)}; it must be a text of one line that is not empty"
+                for key, text in (("name", profile.name), ("description", profile.description))
+                if not (text.strip() and text.isprintable())
+            ]
+            faults += [*_size_faults(profile), *_mass_faults(profile, record.get("mass_kg", profile.mass_kg))]
         lacking = estimate.record is record and any(fault.startswith("missing") for fault in faults)
         refuse_faults(faults, origin, BadInputError, f"; {_SCHEMA}{_SHORT if lacking else ''}")
         return profile
@@ -316,6 +329,11 @@ def _mass_faults(profile: Vehicle, whole: float) -> Iterator[str]:
     size = max(long, wide)
     for table, shares in _GYRATION.items():
         part: Chassis | Rocker = getattr(profile, table)
+        if 2 * max(part.inertia_kgm2) > sum(part.inertia_kgm2):
+            yield (
+                f"{table}.inertia_kgm2 is {short_repr(list(part.inertia_kgm2))}; each moment must be at most the sum "
+                "of the two others (no rigid body has other moments)"
+            )
         low, high = (part.mass_kg * (share * size) ** 2 for share in shares)
         if min(part.inertia_kgm2) < low or max(part.inertia_kgm2) > high:
             yield (
@@ -389,21 +407,21 @@ def profile_template(name: str, like: str | None) -> str:
     lines += [f"name = {json.dumps(name)}", "# A one-line description."]
     lines.append(f"description = {json.dumps(description, ensure_ascii=False)}")
     if like is None:
-        (mass,) = (key.quantity for key in profile_keys(Whole))
+        (mass,) = profile_keys(Whole)
         lines += [_about(mass), f'mass_kg = "{UNFILLED}"', f"# {SUSPENSION}", f'suspension = "{UNFILLED}"']
     table = ""
     for key in keys:
         if key.table != table:
             table = key.table
             lines += ["", f"[{table}]"]
-        lines += [_about(key.quantity), f"{key.short} = {json.dumps(values[key.name])}"]
+        lines += [_about(key), f"{key.short} = {json.dumps(values[key.name])}"]
     return "\n".join(lines) + "\n"
 
 
-def _about(quantity: Quantity) -> str:
+def _about(key: ProfileKey) -> str:
     """Return the comment above a value."""
-    what = quantity.what.replace("`", "")
-    return f"# {what[0].upper()}{what[1:]} ({quantity.allowed})."
+    what = key.setting.help.replace("`", "")
+    return f"# {what[0].upper()}{what[1:]} ({key.allowed})."
 
 
 def find_calibration(vehicle: str | Path, file: Path | None = None, tile_size: float = 3.0) -> Calibration:

@@ -8,8 +8,8 @@ result with the header.
 import base64
 import math
 import zlib
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -240,22 +240,10 @@ class PointStats:
     def merge(self, other: "PointStats") -> "PointStats":
         """Return the statistics of both sets of points; the order does not matter."""
         firsts = [first for first in (self.first_not_finite, other.first_not_finite) if first >= 0]
-        return PointStats(
-            self.points + other.points,
-            self.withheld + other.withheld,
-            self.noise + other.noise,
-            self.not_a_number + other.not_a_number,
-            self.outside + other.outside,
-            self.points_outside_node + other.points_outside_node,
-            self.not_finite + other.not_finite,
-            min(firsts, default=-1),
-            min(self.west, other.west),
-            min(self.south, other.south),
-            max(self.east, other.east),
-            max(self.north, other.north),
-            max(self.highest, other.highest),
-            self.coloured + other.coloured,
-        )
+        join: dict[str, Callable[..., Any]] = {"west": min, "south": min, "east": max, "north": max, "highest": max}
+        both = {f.name: (getattr(self, f.name), getattr(other, f.name)) for f in fields(self)}
+        joined = {name: join[name](*pair) if name in join else sum(pair) for name, pair in both.items()}
+        return PointStats(**joined | {"first_not_finite": min(firsts, default=-1)})
 
     @property
     def dropped(self) -> dict[str, int]:

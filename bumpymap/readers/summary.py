@@ -26,7 +26,6 @@ from bumpymap.core import (
     THIN_POINTS,
     THIN_SEEN,
     FeatureSettings,
-    PointCloud,
     Reason,
 )
 from bumpymap.readers.point_stats import LineSums, kinds_of, sampled, summed
@@ -315,7 +314,8 @@ class PointSummaryBuilder:
             axes = (cloud.easting, cloud.northing, cloud.upward)
             self.low = np.minimum(self.low, [axis.min() for axis in axes])
             self.high = np.maximum(self.high, [axis.max() for axis in axes])
-            codes, ground = _tile_codes(cloud, self._grid), self._is_ground[cloud.kind]
+            col, row = (self._grid.index(axis) & _INDEX_MASK for axis in axes[:2])
+            codes, ground = (col << 23) | row, self._is_ground[cloud.kind]
             self.all_points.add(codes, cloud.easting, cloud.northing)
             self.classes.add_sums((codes << 8) | cloud.kind, np.column_stack([np.ones(len(codes)), cloud.upward]))
             self.lowest.add_sums((codes << 1) | ground, cloud.upward)
@@ -413,9 +413,3 @@ def _few_in_double(every: Ints, codes: Ints, counts: Ints) -> float:
     known = np.unique(whole)
     held = np.bincount(np.searchsorted(known, own), counts, known.size)
     return float(np.mean(held < THIN_POINTS))
-
-
-def _tile_codes(cloud: PointCloud, grid: Grid) -> Ints:
-    """Return 46-bit codes of tiles: column and row in 23 bits each."""
-    col, row = (grid.index(axis) & _INDEX_MASK for axis in (cloud.easting, cloud.northing))
-    return (col << 23) | row

@@ -146,24 +146,20 @@ def road_figures(
     for at in filter(len, groups):
         power, noise = np.mean([iso_8608(path[at], spacing, pixel) for path in filled], axis=0)
         unknown = np.isfinite(heights)[:, at].mean(axis=2).min(axis=0) < _LEAST_KNOWN
-        columns = np.stack([motion[:, at].mean(axis=(0, 2)), power, *_shape(filled[:, at], spacing, track)])
+        stretch = filled[:, at]
+        (rest, grade), (left, right) = _less_line(stretch.mean(axis=0), spacing), stretch.mean(axis=2)
+        rms = np.sqrt((rest**2).mean(axis=-1))
+        columns = np.stack([motion[:, at].mean(axis=(0, 2)), power, rms, grade, (left - right) / track])
         columns[:, unknown] = np.nan
         ends = (np.stack([at[:, 0], at[:, -1] + 1]) * spacing).T.tolist()
         marks = np.where(unknown, len(_RESOLUTIONS) - 1, np.searchsorted(_NOISE, noise, side="right")).tolist()
         found += [
-            RoadFigures(every, first, last, iri, iso_power, _RESOLUTIONS[mark], rms, grade, crossfall)
-            for (first, last), mark, (iri, iso_power, rms, grade, crossfall) in zip(
+            RoadFigures(every, first, last, iri, iso_power, _RESOLUTIONS[mark], height_rms, *grades)
+            for (first, last), mark, (iri, iso_power, height_rms, *grades) in zip(
                 ends, marks, columns.T.tolist(), strict=True
             )
         ]
     return tuple(found)
-
-
-def _shape(heights: Floats, spacing: float, track: float) -> tuple[Floats, Floats, Floats]:
-    """Return RMS about the own line [m], grade and crossfall [m/m] of k stretches, (2, k, n)."""
-    rest, grade = _less_line(heights.mean(axis=0), spacing)
-    left, right = heights.mean(axis=2)
-    return np.sqrt((rest**2).mean(axis=-1)), grade, (left - right) / track
 
 
 def _less_line(heights: Floats, spacing: float) -> tuple[Floats, Floats]:

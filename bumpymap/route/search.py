@@ -274,8 +274,6 @@ class Way(NamedTuple):
     """(n, 2) field coordinates of its corners; it begins and ends within 1e-9 tiles of start and goal."""
     cost: float
     """Exact integral of the cost along it, in tiles."""
-    graph_cost: float
-    """The same of the way by moves from which it was pulled tight; never less."""
 
 
 class Found(NamedTuple):
@@ -335,7 +333,7 @@ def tight_way(found: Found, margin: float, least_saving: float = LEAST_SAVING) -
     near, corner = _cut_out(found.ground, found.line)
     line = thin_out(near, pull_tight(near, found.line - corner, wide_margin(margin)), margin, least_saving)
     line = off_borders(near, line, margin)
-    return Way(found.frame.turn_line_back(line + corner), line_cost(near, line), found.cost)
+    return Way(found.frame.turn_line_back(line + corner), line_cost(near, line))
 
 
 def _cut_out(cost: Costs, line: Floats) -> tuple[Costs, NDArray[np.int64]]:

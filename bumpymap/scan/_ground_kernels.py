@@ -239,31 +239,34 @@ def _expect(
     geometry: CellGeometry,
     planes: GroundPlanes,
     scratch: PlaneScratch,
-    worst: int,
     slope: Floats,
-) -> tuple[int, float, float]:
-    """Return the neighbour whose plane has the median height at a place, that height, and the way to its points."""
+) -> tuple[int, float, float, int]:
+    """Return the neighbour whose plane has the median height at a place, that height, and the way to its points.
+
+    Planes that were guessed count where there are no others: the last value is the kind of the worst that count.
+    """
     x, y = at
-    count = 0
-    for s in range(last):
-        other = geometry.near[cell, s]
-        if other < 0 or planes.kind[other] == 0 or planes.kind[other] > worst:
-            continue
-        u, v = planes.centre[other, 0], planes.centre[other, 1]
-        height = _height(planes, other, u + _OWN_SLOPE * (x - u), v + _OWN_SLOPE * (y - v))
-        height += (1.0 - _OWN_SLOPE) * (slope[0] * (x - u) + slope[1] * (y - v))
-        k = count
-        while k > 0 and scratch.heights[k - 1] > height:
-            scratch.heights[k], scratch.cells[k] = scratch.heights[k - 1], scratch.cells[k - 1]
-            k -= 1
-        scratch.heights[k], scratch.cells[k] = height, other
-        count += 1
-    if count == 0:
-        return -1, 0.0, 0.0
-    middle = (count - 1) // 2
-    other = int(scratch.cells[middle])
-    dx, dy = x - planes.centre[other, 0], y - planes.centre[other, 1]
-    return other, scratch.heights[middle], math.sqrt(dx * dx + dy * dy) + planes.centre[other, 2]
+    for worst in (FOUND, GUESSED):
+        count = 0
+        for s in range(last):
+            other = geometry.near[cell, s]
+            if other < 0 or planes.kind[other] == 0 or planes.kind[other] > worst:
+                continue
+            u, v = planes.centre[other, 0], planes.centre[other, 1]
+            height = _height(planes, other, u + _OWN_SLOPE * (x - u), v + _OWN_SLOPE * (y - v))
+            height += (1.0 - _OWN_SLOPE) * (slope[0] * (x - u) + slope[1] * (y - v))
+            k = count
+            while k > 0 and scratch.heights[k - 1] > height:
+                scratch.heights[k], scratch.cells[k] = scratch.heights[k - 1], scratch.cells[k - 1]
+                k -= 1
+            scratch.heights[k], scratch.cells[k] = height, other
+            count += 1
+        if count > 0:
+            middle = (count - 1) // 2
+            other = int(scratch.cells[middle])
+            dx, dy = x - planes.centre[other, 0], y - planes.centre[other, 1]
+            return other, scratch.heights[middle], math.sqrt(dx * dx + dy * dy) + planes.centre[other, 2], worst
+    return -1, 0.0, 0.0, GUESSED
 
 
 @helper
@@ -452,9 +455,7 @@ def _accept(
     count, x, y, spread, is_wall = found
     if count < _LEAST_POINTS or a * a + b * b > _STEEPEST * _STEEPEST:
         return False
-    other, height, away = _expect(cell, last, (x, y), geometry, planes, scratch, FOUND, slope)
-    if other < 0:
-        other, height, away = _expect(cell, last, (x, y), geometry, planes, scratch, GUESSED, slope)
+    other, height, away, _ = _expect(cell, last, (x, y), geometry, planes, scratch, slope)
     if other >= 0:
         over, far = a * x + b * y + c - height, min(away, _FARTHEST)
         if over > (_WALL_STEP if is_wall else _STEP) + _RISE * far or -over > _STEP + _STEP_PER_METRE * far:
@@ -506,20 +507,15 @@ def find_planes(
         cell = len(geometry.x) - 1 - k
         if planes.kind[cell] == 0:
             origin = (geometry.x[cell], geometry.y[cell])
-            other, _, away = _expect(cell, neighbours, origin, geometry, planes, scratch, FOUND, slope)
-            if other < 0:
-                other, _, away = _expect(cell, neighbours, origin, geometry, planes, scratch, GUESSED, slope)
+            other, _, away, _ = _expect(cell, neighbours, origin, geometry, planes, scratch, slope)
             _carry(cell, other, away, GUESSED, geometry, slope, planes)
     for cell in range(len(geometry.x)):
         first = points.starts[cell]
         n = points.starts[cell + 1] - first
         some = (first, first + n, max(n // _MOST_FITTED, 1))
         origin = (geometry.x[cell], geometry.y[cell])
-        other, _, away = _expect(cell, neighbours, origin, geometry, planes, scratch, FOUND, slope)
-        kind = CARRIED
-        if other < 0:
-            other, _, away = _expect(cell, neighbours, origin, geometry, planes, scratch, GUESSED, slope)
-            kind = GUESSED
+        other, _, away, worst = _expect(cell, neighbours, origin, geometry, planes, scratch, slope)
+        kind = CARRIED if worst == FOUND else GUESSED
         a, b, c = slope[0], slope[1], 0.0
         if other >= 0:
             a, b, c = planes.plane[other, 0], planes.plane[other, 1], planes.plane[other, 2]

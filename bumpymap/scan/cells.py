@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import CLASSES, FAIL_SHARE, NOT_TRAVERSABLE, ClassedSectors, GridSettings, GroundGrid
 from bumpymap.scan._place_kernels import RAYS, CellRule, CellScratch, ClassedPoints, SquareCells, lay_cells
-from bumpymap.scan.align import judge_by_view, nearest_ranges
+from bumpymap.scan.align import judge_by_view
 
 _OCCUPANCY = np.array([0, 33, 66, 100, -1], np.int8)
 """Occupancy of ground of class 0 (smooth), 1 (fair) and 2 (rough), of what is not traversable, and of the unknown."""
@@ -173,13 +173,6 @@ class FrameView(NamedTuple):
     """As `see_cells` lays them at that pose."""
     ranges: NDArray[np.uint16]
     """See `nearest_ranges`."""
-
-    @classmethod
-    def of(
-        cls, points: NDArray[np.float32], classed: ClassedSectors, settings: GridSettings, pose: NDArray[np.float64]
-    ) -> "FrameView":
-        """Return the view of a classified scan, as `see_cells` takes it."""
-        return cls(pose, see_cells(points, classed, settings, pose), nearest_ranges(points))
 
 
 class GroundMemory:

@@ -34,7 +34,8 @@ from bumpymap.core import (
     settings_of_call,
 )
 from bumpymap.readers import read_scan, scene_points
-from bumpymap.scan.cells import FrameView, GroundMemory, lay_grid
+from bumpymap.scan.align import nearest_ranges
+from bumpymap.scan.cells import FrameView, GroundMemory, lay_grid, see_cells
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.methods import choose_method
 
@@ -305,7 +306,8 @@ class ScanClassifier:
         return ScanResult(array, classes, sector, classed, scan.points, self._grid)
 
     def _view(self, result: ScanResult, pose: NDArray[np.float64]) -> FrameView:
-        return FrameView.of(result._scene, result.sectors, self._grid, pose)  # noqa: SLF001 (of this module)
+        scene = result._scene  # noqa: SLF001 (of this module)
+        return FrameView(pose, see_cells(scene, result.sectors, self._grid, pose), nearest_ranges(scene))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the settings; the network and the buffers are made anew."""

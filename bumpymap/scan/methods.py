@@ -70,8 +70,7 @@ _LEAST_STEP_PIXELS = 10
 class SectorRater:
     """Rates the ground of sectors for one vehicle.
 
-    ``calibration``: of the vehicle. Raises UsageError: the calibration was made without a ride model. Raises
-    BadInputError: its ride model is damaged.
+    ``calibration``: of the vehicle. Raises BadInputError: its ride model is damaged.
     """
 
     def __init__(self, calibration: Calibration) -> None:
@@ -102,18 +101,15 @@ class SectorRater:
         laid = {name: self._lay(values, patches, NO_CLASS) for name, values in found.items()}
         first = BlockRating(**laid, reason=self._lay(patches.reason, patches, Reason.NO_POINTS))
         coverage, slope = (self._lay(values, patches) for values in (patches.coverage, patches.slope))
-        own = first.inner()
-        if calibration.thin is not None:
-            pairs, relief_map = measure_thin(points, patches, settings, ground_only=False)
-            columns = thin_columns(pairs, relief_map, patches.count, self._ride.operator)
-            columns[patches.reason != Reason.OK] = np.nan
-            own = rate_thin(self._lay(columns, patches), first, coverage, slope, calibration)
+        pairs, relief_map = measure_thin(points, patches, settings, ground_only=False)
+        columns = thin_columns(pairs, relief_map, patches.count, self._ride.operator)
+        columns[patches.reason != Reason.OK] = np.nan
+        own = rate_thin(self._lay(columns, patches), first, coverage, slope, calibration)
         # A sector has no bar of its own for slopes: ground that is too steep fails there.
         too_steep = slope[1:-1, 1:-1] > float(calibration.vehicle["slope_limit_deg"])
         own = replace(own, p_fail=np.where(too_steep, np.float32(1.0), own.p_fail))
         if calibration.pixels >= _LEAST_STEP_PIXELS:
-            share = coverage > 0.0 if calibration.thin is None else dense_share(coverage)
-            own = self._with_steps(own, patches, share, coverage[1:-1, 1:-1])
+            own = self._with_steps(own, patches, dense_share(coverage)[1:-1, 1:-1], coverage[1:-1, 1:-1])
         return _widened(own, coverage[1:-1, 1:-1])
 
     def _lay(self, values: NDArray[Any], patches: PatchStack, gap: int = 0) -> NDArray[Any]:
@@ -128,7 +124,7 @@ class SectorRater:
         self, own: BlockRating, patches: PatchStack, share: NDArray[Any], coverage: NDArray[Any]
     ) -> BlockRating:
         """Rate dense tiles with steps at their borders as tiles with the same step in their middle."""
-        rows, cols = np.nonzero(share[1:-1, 1:-1] > 0.0)
+        rows, cols = np.nonzero(share > 0.0)
         if not len(rows):
             return own
         inner = np.s_[rows.min() : rows.max() + 1, cols.min() : cols.max() + 1]
@@ -136,7 +132,7 @@ class SectorRater:
         heights = self._lay(patches.heights, patches)[ring]
         pixels = self._calibration.pixels
         joined = heights.swapaxes(1, 2).reshape(len(heights) * pixels, -1)
-        step = find_steps(joined, pixels, self._calibration.wheel_pixels).unseen * share[1:-1, 1:-1][inner]
+        step = find_steps(joined, pixels, self._calibration.wheel_pixels).unseen * share[inner]
         columns = asdict(own)
         near = {name: values[inner] for name, values in columns.items()} | {"coverage": coverage[inner]}
         for name, values in apply_steps(near, step, self._calibration).items():

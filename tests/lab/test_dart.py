@@ -76,7 +76,7 @@ def test_planes_are_crossed_straight_at_the_profiles_speed_and_shake_nothing(deg
     made = drive_from(WARTHOG, slope(degrees), Start(0.5, 0.5, math.radians(heading)), SHORT)
     assert made.outcome == "completed"
     along = 1.0 if heading else math.cos(math.radians(degrees))  # progress is horizontal
-    assert made.progress_m == pytest.approx(2.0 * along, rel=0.02)
+    assert made.path_m == pytest.approx(2.0 * along, rel=0.02)
     assert made.c_r < 0.001
 
 

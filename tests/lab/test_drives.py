@@ -121,11 +121,10 @@ def test_c_r_is_the_pitch_per_metre():
     assert drive.outcome == "completed"
     assert drive.c_r == pytest.approx(0.25, rel=1e-9)
     assert drive.path_m == pytest.approx(2.0, rel=1e-9)
-    assert drive.progress_m == pytest.approx(2.0, rel=1e-9)
     assert run(pitch_rate=lambda t: 9.0 if t < 0.399 else 0.0)[1].c_r == 0.0  # before the measurement
     _, aslant = run(pitch_rate=lambda _t: -0.25, beside=0.5)  # of the metres of its path, not of its line
-    assert aslant.path_m > 1.001 * aslant.progress_m
-    assert aslant.c_r * aslant.path_m == pytest.approx(0.25 * 2.0, rel=1e-9)
+    assert aslant.path_m == pytest.approx(2.0, rel=1e-6)
+    assert aslant.c_r == pytest.approx(0.25, rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -168,7 +167,7 @@ def fake_drive(monkeypatch):
         rng = np.random.default_rng(seed)
         failed = rng.random() < state["fails"]
         c_r = math.nan if failed else 0.1 * (1 + state["spread"] * rng.standard_normal())
-        return Drive("rolled" if failed else "completed", c_r, 10.0, 10.0)
+        return Drive("rolled" if failed else "completed", c_r, 10.0)
 
     monkeypatch.setattr("bumpymap.lab.simulate.drive.drive", drive)
     return state
@@ -177,12 +176,12 @@ def fake_drive(monkeypatch):
 def test_drives_go_on_until_the_mean_is_known_or_the_least_have_failed(fake_drive):
     fake_drive["spread"] = 0.35
     effort = Effort(least=4, most=200, target_error=0.05)
-    drives = drive_patch(WARTHOG, LEVEL, 3.0, 3, effort)
+    drives = drive_patch(WARTHOG, LEVEL, 3.0, 3, effort, DriveSettings())
     assert drives.standard_error <= 0.05 * drives.mean_c_r
     one_less = PatchDrives(drives.outcome[:-1], drives.c_r[:-1])
     assert len(drives.c_r) == 4 or one_less.standard_error > 0.05 * one_less.mean_c_r
     fake_drive["fails"] = 1.0
-    assert drive_patch(WARTHOG, LEVEL, 3.0, 1, Effort(5, 60, 0.05)).failed == 5
+    assert drive_patch(WARTHOG, LEVEL, 3.0, 1, Effort(5, 60, 0.05), DriveSettings()).failed == 5
 
 
 JOBS = """

@@ -33,9 +33,9 @@ def test_a_shipped_profile_has_the_mass_of_its_vehicle(name, mass):
 @pytest.mark.parametrize(
     ("key", "value", "words"),
     [
-        ("wheelbase_m", 920, ["wheelbase_m is 920; it must be between 0.1 and 20 metres; 920 mm would be 0.92"]),
-        ("wheelbase_m", "?", ["wheelbase_m is not filled in: between 0.1 and 20 metres"]),
-        ("wheelbase_m", 10**400, ["wheelbase_m is 1000", "metres"]),
+        ("wheelbase_m", 920, ["wheelbase_m is 920; it must be a number from 0.1 to 20 m; 920 mm would be 0.92"]),
+        ("wheelbase_m", "?", ["wheelbase_m is not filled in: a number from 0.1 to 20 m"]),
+        ("wheelbase_m", 10**400, ["wheelbase_m is 1000", "to 20 m"]),
         ("wheelbase_m", 0.6, ["touch", "twice the radius"]),
         ("track_m", 0.2, ["track_m 0.2", "wheel width"]),
         ("description", "a\x1b[31m\n", [r"description is 'a\x1b[31m\n'", "one line"]),
@@ -79,7 +79,7 @@ def test_all_faults_are_said_at_once(warthog):
     for words in (
         *("unknown setting colour", "wheelbase_m is 920", "slope_limit_deg is 0.52", "missing wheel.radius_m"),
         "[wheel]: unknown setting radius; there are: mass_kg, radius_m, width_m",
-        "missing track_m: between 0.05 and 15 metres",
+        "missing track_m: a number from 0.05 to 15 m",
         "missing belly: a table, [belly], with length_m, width_m, clearance_m",
     ):
         assert words in told
@@ -168,7 +168,7 @@ def test_what_a_short_profile_gives_stays_and_what_follows_from_it_follows():
     ("change", "words"),
     [
         ({"suspension": "air"}, ["suspension is 'air'; it must be one of rocker, sprung, rigid"]),
-        ({"wheel": {"radius_m": 0.3}}, ["missing wheel.width_m: between"]),
+        ({"wheel": {"radius_m": 0.3}}, ["missing wheel.width_m: a number from"]),
         (
             {"wheel": {"radius_m": 0.3, "width_m": 0.25, "mass_kg": 70}},
             ["mass_kg is 260, and rockers and wheels alone weigh that much"],

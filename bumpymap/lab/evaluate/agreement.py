@@ -73,12 +73,12 @@ def monotone_fit(predictor: Floats, c_r: Floats, wanted: Floats) -> Floats:
     return value
 
 
-def cross_validated_fit(predictor: Floats, c_r: Floats, parts: int = 10) -> Floats:
-    """Predict C_r of each patch by a monotone function fitted to the other parts (cross-validation), (n,) rad/m.
+def cross_validated_fit(predictor: Floats, c_r: Floats) -> Floats:
+    """Predict C_r of each patch by a monotone function fitted to nine tenths without it (cross-validation), (n,) rad/m.
 
     A fit that includes the patch itself would be biased towards it.
     """
-    part = np.arange(len(c_r)) % parts
+    part = np.arange(len(c_r)) % 10
     fitted = np.empty(len(c_r))
     for number in np.unique(part):
         own = part == number
@@ -133,11 +133,11 @@ def fail_auc(p_fail: Floats, failed: Floats, completed: Floats) -> float:
     return float(np.sum(bad * (safer + good / 2)) / pairs)
 
 
-def reliability(p_fail: Floats, failed_share: Floats, bins: int = 5) -> list[dict[str, float]]:
-    """Return mean ``predicted`` p_fail, mean ``share_failed`` and number of ``patches`` in bins of p_fail, 0 to 1."""
-    place = np.minimum((p_fail * bins).astype(np.int64), bins - 1)
+def reliability(p_fail: Floats, failed_share: Floats) -> list[dict[str, float]]:
+    """Return mean ``predicted`` p_fail, mean ``share_failed`` and number of ``patches`` in fifths of p_fail, 0 to 1."""
+    place = np.minimum((p_fail * 5).astype(np.int64), 4)
     found = []
-    for number in range(bins):
+    for number in range(5):
         own = place == number
         predicted, driven = (float(v[own].mean()) if own.any() else math.nan for v in (p_fail, failed_share))
         found.append({"predicted": predicted, "share_failed": driven, "patches": int(own.sum())})

@@ -81,11 +81,9 @@ class Drive:
     """rad/m; NaN unless completed."""
     path_m: float
     """Horizontal length of the chassis' path during the measurement."""
-    progress_m: float
-    """Distance along the line during the measurement."""
 
 
-def drive(profile: Vehicle, ground: DrivenGround, seed: int, settings: DriveSettings | None = None) -> Drive:
+def drive(profile: Vehicle, ground: DrivenGround, seed: int, settings: DriveSettings) -> Drive:
     """Drive over unbounded ground from a start and at a heading that are drawn from a seed.
 
     The same seed gives the same bits in any process.
@@ -99,11 +97,8 @@ def draw_start(ground: DrivenGround, rng: np.random.Generator) -> Start:
     return Start(easting * ground.extent, northing * ground.extent, turn * 2 * math.pi)
 
 
-def drive_from(
-    profile: Vehicle, ground: DrivenGround, start: Start, settings: DriveSettings | None = None
-) -> Drive:  # fmt: skip
+def drive_from(profile: Vehicle, ground: DrivenGround, start: Start, settings: DriveSettings) -> Drive:
     """Drive over unbounded ground from a given start."""
-    settings = settings or DriveSettings()
     strip = drive_strip(profile, start, settings)
     return follow(DartVehicle(profile, ground, strip, settings.physics), strip, profile, settings)
 
@@ -144,7 +139,7 @@ def follow(vehicle: VehicleModel, strip: Strip, profile: Vehicle, settings: Driv
             break
     if outcome == "completed" and progress < settings.stuck_share * profile.speed_mps * settings.measure_s:
         outcome = "stuck"
-    return Drive(outcome, pitched / path if outcome == "completed" else math.nan, path, progress)
+    return Drive(outcome, pitched / path if outcome == "completed" else math.nan, path)
 
 
 def _speed_at(seconds: float, profile: Vehicle, settings: DriveSettings) -> float:
@@ -229,7 +224,7 @@ def drive_patch(
     tile_size: float,
     seed: int,
     effort: Effort,
-    settings: DriveSettings | None = None,
+    settings: DriveSettings,
     *,
     stream: tuple[int, ...] = (),
 ) -> PatchDrives:
@@ -248,7 +243,7 @@ def drive_patch(
         Side of the patch, m.
     seed : int
     effort : Effort
-    settings : DriveSettings, optional
+    settings : DriveSettings
     stream : tuple of int
         Distinguishes patches that share a seed.
     """

@@ -10,7 +10,7 @@ import logging
 import os
 import stat
 from collections.abc import Callable, Generator, Sequence
-from contextlib import closing, nullcontext
+from contextlib import closing, nullcontext, suppress
 from dataclasses import asdict, dataclass
 from multiprocessing.connection import wait
 from pathlib import Path
@@ -57,7 +57,9 @@ class Journal(Generic[Record]):
             The file has other settings and ``discard_other`` is False, or the folder cannot be written.
         """
         try:
-            lines = self._lines()
+            lines: list[str] = []
+            with suppress(FileNotFoundError), self._open_file(os.O_RDONLY) as file:
+                lines = file.read().splitlines()
             if lines and lines[0] != self._header:
                 if not discard_other:
                     raise OutputError(
@@ -88,13 +90,6 @@ class Journal(Generic[Record]):
     def remove(self) -> None:
         """Delete the file: the run is complete."""
         self._path.unlink(missing_ok=True)
-
-    def _lines(self) -> list[str]:
-        try:
-            with self._open_file(os.O_RDONLY) as file:
-                return file.read().splitlines()
-        except FileNotFoundError:
-            return []
 
     def _open_file(self, flags: int) -> TextIO:
         """Open the file; raise OutputError for a link, because its target would be overwritten."""

@@ -69,7 +69,7 @@ class _RecordedVehicle(DartVehicle):
 
 
 def drive_motion(
-    profile: Vehicle, ground: DrivenGround, start: Start, speed: float, settings: DriveSettings | None = None
+    profile: Vehicle, ground: DrivenGround, start: Start, speed: float, settings: DriveSettings
 ) -> MotionDrive:
     """Drive from a given start at a given speed and measure pitch, roll and weighted vertical acceleration.
 
@@ -80,10 +80,9 @@ def drive_motion(
     start : Start
     speed : float
         m/s, in the place of the profile's. The measured way is as long as at the profile's speed.
-    settings : DriveSettings, optional
+    settings : DriveSettings
         ``measure_s`` is the time of the measured way at the profile's speed.
     """
-    settings = settings or DriveSettings()
     settings = replace(settings, measure_s=settings.measure_s * profile.speed_mps / speed)
     own = replace(profile, speed_mps=speed)
     strip = drive_strip(own, start, settings)
@@ -157,7 +156,8 @@ def run_motion(settings: CalibrationSettings, job: DriveJob) -> MotionRecord:
         stream = (_STREAM, KINDS.index(kind), index, number)
         rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=stream))
         start = draw_start(ground, rng)
-        made.append([drive_motion(profile, ground, start, ratio * profile.speed_mps) for ratio in SPEED_RATIOS])
+        speeds = [ratio * profile.speed_mps for ratio in SPEED_RATIOS]
+        made.append([drive_motion(profile, ground, start, speed, DriveSettings()) for speed in speeds])
     return MotionRecord.of(made)
 
 

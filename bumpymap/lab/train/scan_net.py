@@ -17,7 +17,6 @@ from bumpymap.lab.settings import ScanNetSettings, ScanTrainSettings
 from bumpymap.lab.train.model_files import (
     EpochData,
     EpochReport,
-    ModelFiles,
     OnnxGraph,
     Score,
     TrainedModel,
@@ -148,30 +147,15 @@ _LABELS = LABEL_SETS["rellis"]
 """Meaning of the labels of data sets to train on."""
 
 
-@dataclass(frozen=True, slots=True)
-class TrainingData:
-    """Sectors to train on and to score with, and what the card says of them."""
-
-    learn: Sectors
-    unseen: Sectors
-    unseen_scans: int
-    """Number of scans that ``unseen`` was cut from."""
-    command: str
-    """The command line of this training, without ``--out``."""
-    described: str = "Labelled frames in the layout of RELLIS-3D; the last fifth of every sequence is unseen.\n"
-    """Origin of the scans, for the card."""
-    limits: str = ""
-    """Lines for the card's list of limits."""
-
-
 def model_card(
-    settings: ScanTrainSettings, evaluation: ScanEvaluation, data: TrainingData, made: tuple[int, int]
+    settings: ScanTrainSettings, evaluation: ScanEvaluation, sectors: Sectors, command: str, made: tuple[int, int]
 ) -> str:
     """Return the text of the card of a training.
 
-    ``made``: number of trained parameters, and size of the ONNX file, bytes.
+    ``sectors``: those of the training; ``command``: its command line, without ``--out``; ``made``: number of trained
+    parameters, and size of the ONNX file, bytes.
     """
-    learned = np.bincount(data.learn.class_id, minlength=CLASSES).tolist()
+    learned = np.bincount(sectors.class_id, minlength=CLASSES).tolist()
     every, widths = evaluation.every, ", ".join(map(str, settings.network.widths))
     classes = "; ".join(
         f"{k}: " + ", ".join(_LABELS.names[label] for label, class_id in _LABELS.class_of.items() if class_id == k)
@@ -199,7 +183,8 @@ Classifies the sectors of one LiDAR scan by roughness: class 0 (smooth) to 2 (ro
 
 ## Data
 
-{data.described}
+Labelled frames in the layout of RELLIS-3D; the last fifth of every sequence is unseen.
+
 Training sectors: {", ".join(f"{n:,} of class {k}" for k, n in enumerate(learned))}. An epoch draws
 {settings.sectors_per_class:,} of each class, half of them mirrored in azimuth; each scan was cut into sectors
 {settings.turns} more times after a random rotation, half of these times on another polar grid.
@@ -221,13 +206,13 @@ By label, number of sectors classified as 0, 1, 2:
 ## Reproduce
 
     pip install 'bumpymap[learn]'
-    {data.command} --out scan.onnx
+    {command} --out scan.onnx
 
 Seed {settings.seed}, {settings.epochs} epochs. The same command gives the same bits on the same machine and libraries.
 
 ## Limits
 
-{data.limits}- A sector has one class. If a kerb, a trunk or the margin of a puddle runs through it, the most
+- A sector has one class. If a kerb, a trunk or the margin of a puddle runs through it, the most
   frequent label counts as true; many of the errors are such sectors.
 - Ground that few beams reach is uncertain: beyond 20 m a sector often contains one or two scan lines.
 """
@@ -316,31 +301,22 @@ def make_scan_model(
     """
     with model_files(out) as files:
         learn, unseen = folder_frames(scans)
-        data = TrainingData(
-            folder_sectors(learn, settings.turns, settings.seed, scan_progress),
-            folder_sectors(unseen, progress=scan_progress),
-            len(unseen),
-            f"bumpymap train scans RELLIS_FOLDER {settings.options}",
-        )
-        return train_and_write(settings, data, files, progress)
-
-
-def train_and_write(
-    settings: ScanTrainSettings,
-    data: TrainingData,
-    files: ModelFiles,
-    progress: Callable[[EpochReport], None] | None = None,
-) -> TrainedModel[ScanEvaluation]:
-    """Train on sectors, score, and write network and card; see `make_scan_model`."""
-    net = train(settings, data.learn, files.checkpoint, progress)
-    evaluation = evaluate(net, data.unseen, data.unseen_scans)
-    network = {"sector_version": SECTOR_VERSION, "pixels": PolarSettings().pixels}
-    training = {"parameters": parameter_count(net), "seed": settings.seed, "command": data.command}
-    scores = {
-        "accuracy_even": evaluation.every.balanced_accuracy,
-        "accuracy_unseen": evaluation.every.accuracy,
-        "confusion_unseen": evaluation.every.confusion,
-    }
-    content = to_onnx(net, {**versions("bumpymap-scan"), **network, **training, **scores})
-    files.write(content, model_card(settings, evaluation, data, (parameter_count(net), len(content))))
-    return TrainedModel(files.model, files.card, evaluation, parameter_count(net))
+        sectors = folder_sectors(learn, settings.turns, settings.seed, scan_progress)
+        others = folder_sectors(unseen, progress=scan_progress)
+        command = f"bumpymap train scans RELLIS_FOLDER {settings.options}"
+        net = train(settings, sectors, files.checkpoint, progress)
+        evaluation, parameters = evaluate(net, others, len(unseen)), parameter_count(net)
+        metadata = {
+            **versions("bumpymap-scan"),
+            "sector_version": SECTOR_VERSION,
+            "pixels": PolarSettings().pixels,
+            "parameters": parameters,
+            "seed": settings.seed,
+            "command": command,
+            "accuracy_even": evaluation.every.balanced_accuracy,
+            "accuracy_unseen": evaluation.every.accuracy,
+            "confusion_unseen": evaluation.every.confusion,
+        }
+        content = to_onnx(net, metadata)
+        files.write(content, model_card(settings, evaluation, sectors, command, (parameters, len(content))))
+    return TrainedModel(files.model, files.card, evaluation, parameters)

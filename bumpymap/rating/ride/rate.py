@@ -58,8 +58,6 @@ class CleanPatches:
     """(n, pixels, pixels) plane-removed relief, holes filled, m; NaN where a tile cannot be judged."""
     point_noise: NDArray[np.float64]
     """(n,) standard deviation of the height of a point, m; NaN where pixels hold too few points to tell."""
-    pixel_noise: NDArray[np.float64]
-    """(n,) the same of the height of a pixel."""
     noise_felt: NDArray[np.float64]
     """(n,) root mean square of the pitch change that such noise makes on level ground, rad/m."""
 
@@ -79,7 +77,7 @@ def denoise(patches: PatchStack, operator: RideOperator) -> CleanPatches:
         spectrum_scratch(pixels, *spectrum.shapes.shape),
     )
     point, pixel = noise
-    return CleanPatches(clean, point, pixel, pixel * operator.noise_gain)
+    return CleanPatches(clean, point, pixel * operator.noise_gain)
 
 
 @cache

@@ -246,7 +246,7 @@ def rate_thin(
     model = _model(calibration)
     flat = columns.reshape(-1, len(THIN_COLUMNS)).astype(np.float64)
     weight = ride_weight(first, coverage)
-    reason = _reasons(columns, first.reason, weight)
+    reason = np.where(is_rateable(columns, first.reason) & (weight < 1.0), np.uint8(Reason.OK), first.reason)
     if not ((reason == Reason.OK) & (weight < 1.0))[1:-1, 1:-1].any():
         return first.inner()
     with np.errstate(all="ignore"):  # of tiles without points
@@ -304,11 +304,6 @@ def is_rateable(columns: NDArray[np.float32], reason: NDArray[np.uint8]) -> NDAr
     spanned = (points < SPANNED_POINTS) | (seen >= THIN_SEEN)
     known = np.isfinite(columns).all(axis=-1) & (points >= THIN_POINTS) & spanned
     return np.asarray(np.isin(reason, _RATEABLE) & known)
-
-
-def _reasons(columns: NDArray[np.float32], reason: NDArray[np.uint8], weight: Floats) -> NDArray[np.uint8]:
-    """Why tiles are unknown, after the rating of thin ones."""
-    return np.where(is_rateable(columns, reason) & (weight < 1.0), np.uint8(Reason.OK), reason)
 
 
 def _predicted(model: ThinModel, columns: Floats, wanted: NDArray[np.bool_]) -> tuple[Prediction, Floats]:

@@ -13,7 +13,7 @@ from bumpymap.core import BadInputError, UsageError
 from bumpymap.readers.drives.quantities import ACCELERATIONS, DOWN, LOCAL, LONLAT, QUATERNION, RATES
 from bumpymap.readers.drives.signals import Floats, Samples
 from bumpymap.readers.drives.tables import refuse_large
-from bumpymap.readers.frames.raw import BagReader
+from bumpymap.readers.frames.raw import BagReader, choose_topic, held_topics
 from bumpymap.readers.source import decoding, open_source
 
 
@@ -54,10 +54,6 @@ def _read_odometry(message: Any) -> tuple[float, ...]:
     return (place.x, place.y, turn.x, turn.y, turn.z, turn.w, speed)
 
 
-def _read_twist(message: Any) -> tuple[float, ...]:
-    return (getattr(message.twist, "twist", message.twist).linear.x,)
-
-
 _NONE = (np.nan,) * 4
 _TYPES: Mapping[str, tuple[str, ...]] = {
     "imu": ("sensor_msgs/msg/Imu",),
@@ -74,7 +70,7 @@ _READ: Mapping[str, tuple[tuple[str, ...], Callable[[Any], tuple[float, ...]]]] 
     "imu": ((*RATES, *ACCELERATIONS, *QUATERNION), _read_imu),
     "gnss": ((*LONLAT, "error", "fix"), _read_fix),
     "odometry": ((*LOCAL, *QUATERNION, "speed"), _read_odometry),
-    "twist": (("speed",), _read_twist),
+    "twist": (("speed",), lambda message: (getattr(message.twist, "twist", message.twist).linear.x,)),
 }
 """Purpose of a topic -> quantities that are read of its messages, and how."""
 
@@ -98,11 +94,14 @@ def bag_samples(paths: Sequence[Path], columns: Mapping[str, str]) -> list[Sampl
     """
     name = ", ".join(path.name for path in paths)
     bags = [BagReader(path) for path in paths]
-    held: dict[str, tuple[str, int]] = {}
-    for bag in bags:
-        for topic, (kind, count) in bag.topics.items():
-            held[topic] = (kind, count + held.get(topic, (kind, 0))[1])
-    roles = {topic: role for role in _TYPES if (topic := _choose(name, held, role, columns.get(role)))}
+    held = held_topics(bags)
+    filled = {topic: own for topic, own in held.items() if own[1]}
+    roles: dict[str, str] = {}
+    for role in _TYPES:
+        wanted = columns.get(role)
+        hint = f"Name the one to read, `columns='{role}={{}}'`; with `columns='{role}='` none is read"
+        chosen = None if wanted == "" else choose_topic(held if wanted else filled, _TYPES[role], wanted, hint)
+        roles |= {chosen: role} if chosen else {}
     rows: dict[str, array[float]] = {topic: array("d") for topic in roles}
     for bag in bags:
         for record in bag.messages(set(roles) & set(bag.topics)):
@@ -120,30 +119,6 @@ def bag_samples(paths: Sequence[Path], columns: Mapping[str, str]) -> list[Sampl
             values = _sorted(dict(zip(quantities, table.T, strict=True)), topic, notes)
             found.append(Samples(topic, values, {role: topic}, notes))
     return found
-
-
-def _choose(name: str, topics: Mapping[str, tuple[str, int]], role: str, wanted: str | None) -> str | None:
-    """Return the topic to read for a role: the wanted one, or the only one of the best type."""
-    if wanted == "":
-        return None
-    of_type = {
-        kind: sorted(name for name, (each, count) in topics.items() if each == kind and count) for kind in _TYPES[role]
-    }
-    if wanted is not None:
-        if wanted in topics and topics[wanted][0] in of_type:
-            return wanted
-        listed = ", ".join(name for names in of_type.values() for name in names) or "none"
-        raise BadInputError(
-            f"the bag {name} has no topic {wanted} of type {' or '.join(_TYPES[role])}. Topics of this type with "
-            f"messages: {listed}"
-        )
-    kind, names = next(((kind, names) for kind, names in of_type.items() if names), ("", []))
-    if len(names) > 1:
-        raise BadInputError(
-            f"the bag {name} has several topics of type {kind}: {', '.join(names)}. Name the one to read: "
-            f"`columns='{role}={names[0]}'`; with `columns='{role}='` none is read"
-        )
-    return names[0] if names else None
 
 
 _MAGIC = b"\x55\x4c\x6f\x67\x01\x12\x35"

@@ -4,7 +4,7 @@ Bags are ``.mcap``, ``.db3``, or a folder with ``metadata.yaml``; their messages
 """
 
 import weakref
-from collections.abc import Collection, Generator, Iterator
+from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,6 +44,37 @@ def bag_files(path: Path) -> list[Path]:
         file for file in there if not file.is_file() or file.name.lower().removesuffix(".zstd").endswith(BAG_SUFFIXES)
     )
     return [path / _METADATA, *sorted(stored)]
+
+
+def held_topics(bags: Sequence["BagReader"]) -> dict[str, tuple[str, int]]:
+    """Return type and number of messages of each topic that any of some bags holds."""
+    held: dict[str, tuple[str, int]] = {}
+    for bag in bags:
+        for topic, (kind, count) in bag.topics.items():
+            held[topic] = (kind, count + held.get(topic, (kind, 0))[1])
+    return held
+
+
+def choose_topic(
+    held: Mapping[str, tuple[str, int]], kinds: Sequence[str], wanted: str | None, hint: str
+) -> str | None:
+    """Return the wanted topic, or the only one of the first of some types that has any; None if there is none.
+
+    ``hint``: how to name a topic, ``{}`` in the place of one. Raises BadInputError: the wanted one is not there,
+    or several may be meant.
+    """
+    of_type = {kind: [topic for topic in sorted(held) if held[topic][0] == kind] for kind in kinds}
+    if wanted is not None and any(wanted in topics for topics in of_type.values()):
+        return wanted
+    kind, found = next(((kind, topics) for kind, topics in of_type.items() if topics), ("", []))
+    if wanted is None and len(found) < 2:
+        return next(iter(found), None)
+    what = f"has no topic {wanted}" if wanted is not None else "holds several topics"
+    listed = ", ".join(f"{topic} ({held[topic][1]:,} messages)" for topics in of_type.values() for topic in topics)
+    raise BadInputError(
+        f"the bag {what} of type {kind if wanted is None else ' or '.join(kinds)}: {listed or 'none'}. "
+        + hint.format(next(iter(found), "NAME"))
+    )
 
 
 def message_types(*, ros1: bool = False) -> Any:

@@ -9,7 +9,6 @@ import logging
 import os
 import re
 import struct
-from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,6 +23,8 @@ from bumpymap.readers.frames.raw import (
     BagReader,
     BagRecord,
     RawScan,
+    choose_topic,
+    held_topics,
     is_bag,
     point_seconds,
     read_cloud,
@@ -62,12 +63,9 @@ def find_messages(paths: Sequence[Path], topics: BagTopics) -> list[Frame]:
         The extra ``ros`` is not installed.
     """
     bags = [BagReader(path) for path in paths]
-    counts: dict[str, Counter[str]] = {}  # messages of all bags: type -> topic -> number
-    for bag in bags:
-        for topic, (kind, count) in bag.topics.items():
-            counts.setdefault(kind, Counter())[topic] += count
-    clouds = [_choose(counts, CLOUD, cloud, "topic") for cloud in topics.clouds or (None,)]
-    recorded = _Poses(counts if topics.poses else {}, topics.odometry)
+    held = held_topics(bags)
+    clouds = [_choose(held, CLOUD, cloud, "topic") for cloud in topics.clouds or (None,)]
+    recorded = _Poses(held if topics.poses else {}, topics.odometry)
     sources = [
         Frame(bag.path, message) for bag in bags for message in _messages(bag, clouds, recorded) if message.bytes
     ]
@@ -78,20 +76,13 @@ def find_messages(paths: Sequence[Path], topics: BagTopics) -> list[Frame]:
     return recorded.add_poses(sources) if topics.poses else sources
 
 
-def _choose(counts: Mapping[str, Mapping[str, int]], kind: str, wanted: str | None, setting: str) -> str:
+def _choose(held: Mapping[str, tuple[str, int]], kind: str, wanted: str | None, setting: str) -> str:
     """Return the topic of a type: the wanted one, or the only one."""
-    found = counts.get(kind, {})
-    if wanted is None and len(found) == 1:
-        return next(iter(found))
-    if wanted is not None and wanted in found:
-        return wanted
-    if not found:
-        kinds = ", ".join(sorted(counts)) or "nothing"
-        raise BadInputError(f"the bag holds no topic of type {kind}; it holds {kinds}")
-    listed = ", ".join(f"{topic} ({count:,} messages)" for topic, count in sorted(found.items()))
+    kinds = {each for each, _ in held.values()}
+    if kind not in kinds:
+        raise BadInputError(f"the bag holds no topic of type {kind}; it holds {', '.join(sorted(kinds)) or 'nothing'}")
     also = ", or those of several sensors: NAME,NAME" if kind == CLOUD else ""
-    what = "holds several topics" if wanted is None else f"has no topic {wanted}"
-    raise BadInputError(f"the bag {what} of type {kind}: {listed}. Name one of these with `{setting}='NAME'`{also}")
+    return choose_topic(held, (kind,), wanted, f"Name one of these with `{setting}='{{}}'`{also}") or ""
 
 
 def _messages(bag: BagReader, clouds: Collection[str], recorded: "_Poses") -> Iterable[BagMessage]:
@@ -125,13 +116,12 @@ def _message(path: Path, record: BagRecord, number: int, place: int) -> BagMessa
 class _Poses:
     """The poses of the sensor, collected while a bag is read."""
 
-    def __init__(self, counts: Mapping[str, Mapping[str, int]], wanted: str | None) -> None:
+    def __init__(self, held: Mapping[str, tuple[str, int]], wanted: str | None) -> None:
         self._wanted = wanted
-        self._odometry = (
-            _choose(counts, _ODOMETRY, wanted, "odometry") if wanted or len(counts.get(_ODOMETRY, {})) == 1 else None
-        )
-        self._several = sorted(counts.get(_ODOMETRY, {}))
-        self._transforms = set(counts.get(_TF, {}))
+        self._several = sorted(topic for topic, (kind, _) in held.items() if kind == _ODOMETRY)
+        is_clear = wanted or len(self._several) == 1
+        self._odometry = _choose(held, _ODOMETRY, wanted, "odometry") if is_clear else None
+        self._transforms = {topic for topic, (kind, _) in held.items() if kind == _TF}
         self._tree, self._trajectory = FrameTree(), Trajectory(str(self._odometry))
         self._base: str | None = None
         self._fixed = ""
