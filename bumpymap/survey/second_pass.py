@@ -163,9 +163,7 @@ def _cells(
     return north - tiles["row"], tiles["col"] - west
 
 
-def _read_window(
-    table: TileTable, read: _Read, rating: "_Rating", key: BlockKey
-) -> NeighbourWindow:
+def _read_window(table: TileTable, read: _Read, rating: "_Rating", key: BlockKey) -> NeighbourWindow:
     """Put the tiles of a block and of the rings around it together."""
     side = BLOCK_TILES + 2 * rating.rings
     columns: dict[str, NDArray[Any]] = {}
