@@ -1,6 +1,6 @@
-"""Draw docs/pages/img/index_page.png: the page of a night of four surveys, the sample and three made-up ones.
+"""Draw report_page.png, the page of the sample survey, and index_page.png, that of a night of it and three made-up ones.
 
-.venv/bin/python docs/pictures/index_page.py PICTURE.png
+.venv/bin/python docs/pictures/pages.py docs/pages/img
 
 It needs Chromium and Pillow (Debian and Ubuntu: chromium).
 """
@@ -19,8 +19,10 @@ from PIL import Image
 import bumpymap
 
 SAMPLE = Path(__file__).parents[2] / "sample_data" / "quarry.laz"
-SIZE = 1200, 1400
-"""Width and height of the browser's window, pixels; empty rows at the end are cut off."""
+SIZE = 1280, 1400
+"""Width and height of the browser's window for a batch, pixels; empty rows at the end are cut off."""
+REPORT_SIZE = 1200, 1080
+"""The same for a map: its page down to the legend."""
 SIDE = 90.0
 """Side of a made-up site, m."""
 
@@ -40,13 +42,10 @@ def write_site(path: Path, density: float, west: float, south: float, epsg: int)
     survey.write(path)
 
 
-def draw(picture: Path) -> None:
-    """Map the surveys with `map_batch` and take a picture of its page."""
-    browser = shutil.which("chromium") or shutil.which("chromium-browser")
-    if browser is None:
-        sys.exit("there is no chromium on this machine (Debian and Ubuntu: apt-get install chromium)")
+def draw(pictures: Path) -> None:
+    """Map the surveys with `map_batch` and take pictures of its page and of that of the sample."""
     with tempfile.TemporaryDirectory() as scratch:
-        flights, night, shot = (Path(scratch) / name for name in ("flights", "night", "shot.png"))
+        flights, night = (Path(scratch) / name for name in ("flights", "night"))
         flights.mkdir()
         shutil.copy(SAMPLE, flights)
         write_site(flights / "field_may.laz", 60, 512_600, 5_403_200, 32632)
@@ -55,14 +54,24 @@ def draw(picture: Path) -> None:
         bumpymap.map_batch(flights, night)
         page = night / "index.html"
         page.write_text(page.read_text(encoding="utf-8").replace(f"{scratch}/", ""), encoding="utf-8")  # where it ran
-        command = [browser, "--headless", "--no-sandbox", "--hide-scrollbars", f"--window-size={SIZE[0]},{SIZE[1]}"]
-        command += [f"--screenshot={shot}", page.as_uri()]
-        subprocess.run(command, check=True, capture_output=True, timeout=120)  # noqa: S603 (no shell, our own page)
-        image = Image.open(shot).convert("RGB")
-        pixels = np.asarray(image)
-        used = np.flatnonzero((pixels != pixels[-1, -1]).any(axis=(1, 2)))
-        image = image.crop((0, 0, SIZE[0], min(SIZE[1], int(used[-1]) + 24)))
-        image.quantize(128, dither=Image.Dither.NONE).save(picture, optimize=True)
+        take(page, SIZE, pictures / "index_page.png")
+        take(night / SAMPLE.stem / "report.html", REPORT_SIZE, pictures / "report_page.png")
+
+
+def take(page: Path, size: tuple[int, int], picture: Path) -> None:
+    """Take a picture of a page in Chromium."""
+    browser = shutil.which("chromium") or shutil.which("chromium-browser")
+    if browser is None:
+        sys.exit("there is no chromium on this machine (Debian and Ubuntu: apt-get install chromium)")
+    shot = page.with_name("shot.png")
+    command = [browser, "--headless", "--no-sandbox", "--hide-scrollbars", f"--window-size={size[0]},{size[1]}"]
+    command += ["--virtual-time-budget=3000", f"--screenshot={shot}", page.as_uri()]
+    subprocess.run(command, check=True, capture_output=True, timeout=120)  # noqa: S603 (no shell, our own page)
+    image = Image.open(shot).convert("RGB")
+    pixels = np.asarray(image)
+    used = np.flatnonzero((pixels != pixels[-1, -1]).any(axis=(1, 2)))
+    image = image.crop((0, 0, size[0], min(size[1], int(used[-1]) + 24)))
+    image.quantize(128, dither=Image.Dither.NONE).save(picture, optimize=True)
 
 
 if __name__ == "__main__":
