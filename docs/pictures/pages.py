@@ -1,4 +1,4 @@
-"""Draw report_page.png, the page of the sample survey, and index_page.png, that of a batch of it and three made-up ones.
+"""Draw report_page.png, the page of the sample survey, and index_page.png, that of a batch of four surveys.
 
 .venv/bin/python docs/pictures/pages.py docs/pages/img
 
