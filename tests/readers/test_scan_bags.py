@@ -127,7 +127,7 @@ def test_odometry_that_is_chosen(tmp_path):
     for source in found_in(folder, odometry="/wheels"):
         np.testing.assert_allclose(source.pose, matrix(*MOUNT), atol=1e-12)
     assert all(source.pose is None for source in found_in(folder))  # neither is the only one
-    with pytest.raises(BadInputError, match=r"/odom \(20 messages\), /wheels \(20 messages\).*`odometry='NAME'`"):
+    with pytest.raises(BadInputError, match=r"/odom \(20 messages\), /wheels \(20 messages\).*`odometry='/odom'`"):
         found_in(folder, odometry="/none")
 
 
@@ -166,7 +166,7 @@ def test_broken_poses_do_no_harm_where_none_are_wanted(tmp_path):
 
 def test_the_topic_is_asked_for_where_there_are_several(tmp_path):
     folder = bag_of(tmp_path / "drive", clouds(3), clouds(6, "/rear"))
-    with pytest.raises(BadInputError, match=r"/points \(3 messages\), /rear \(6 messages\).*`topic='NAME'`"):
+    with pytest.raises(BadInputError, match=r"/points \(3 messages\), /rear \(6 messages\).*`topic='/points'`"):
         found_in(folder)
     with pytest.raises(BadInputError, match="has no topic /front"):
         found_in(folder, clouds=("/front",))

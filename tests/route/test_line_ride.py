@@ -164,7 +164,7 @@ def test_a_drive_is_held_against_its_own_line_as_far_as_its_positions_are_known(
     for line, found in ((across(), over), (slanting, beside)):
         ride = bumpymap.ride_along(waves, line, sigma=max(off, 0.05))
         assert found.c_r == pytest.approx([ride.over(2.0, 10.0)[0], ride.over(10.0, 18.0)[0]], rel=0.1)
-        assert (found.low < found.c_r).all()
+        assert (found.c_r_low < found.c_r).all()
     assert (beside.place_sd > 0.1 * beside.c_r).all() == (off > 1.0)
     assert (over.place_sd < 0.1 * over.c_r).all()
 
