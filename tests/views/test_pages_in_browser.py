@@ -58,7 +58,9 @@ def pages(site, comparison, checked, tmp_path_factory):
     """The page of a map, of one whose names are markup, of what has changed, and of a check."""
     folder = tmp_path_factory.mktemp("pages")
     bad = "<img src=x onerror=alert(1)>\"'</script><script>alert(2)</script>"
-    odd = copy_folder(site, folder / "odd", survey={"name": bad, "dates": None}, inputs=[{"path": bad, "format": bad}])
+    odd = copy_folder(
+        site, folder / "odd", survey={"name": bad, "checksum": bad, "dates": []}, inputs=[{"path": bad, "format": bad}]
+    )
     found = {"one": site / "report.html", "odd": write_report(odd), "change": comparison / "report.html"}
     return found | {"check": checked[0] / "check.html"}
 
