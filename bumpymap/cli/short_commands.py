@@ -2,7 +2,6 @@
 
 import shlex
 import shutil
-from importlib import import_module
 from itertools import chain
 from math import degrees
 from pathlib import Path
@@ -125,10 +124,10 @@ def settings_command(words: tuple[str, ...]) -> None:
     print_line(f"# Settings of `bumpymap {name}`, with their defaults. Remove the # before a line to set it, and give")
     print_line("# the file with --config. Options override it; paths are relative to this file.")
     print_line()
-    module = import_module("bumpymap.cli.short_commands" if name == "report" else f"bumpymap.cli.{words[0]}_command")
-    command = module.report_command if name == "report" else module.command
-    for word in words[1:]:
-        command = command.commands[word]
+    context = click.get_current_context()
+    command: Any = context.find_root().command
+    for word in words:
+        command = command.get_command(context, word)
     for line in settings_template(command.owners).splitlines():
         print_line(line)
 

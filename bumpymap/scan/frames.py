@@ -161,7 +161,8 @@ class FrameProducts:
 
         def remember() -> Iterator[tuple[Frame, int, GroundGrid]]:
             if held:
-                (*_, (frame, number, _)), views = held.values(), [view for *_, view in held.values()]
+                frame, number, _ = [*held.values()][-1]
+                views = [view for _, _, view in held.values()]
                 yield frame, number, memory.add(views, views[0].pose)
                 held.clear()
 

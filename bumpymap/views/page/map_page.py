@@ -410,7 +410,7 @@ def _way_lines(ways: Sequence[DrawnWay]) -> list[tuple[str, str]]:
 def _class_bar(site: Site) -> list[tuple[str, tuple[int, ...], str, float]]:
     """Return name, colour, share in words and share in per cent of the classes and of unknown ground."""
     counts = [*site.summary.by_class, site.summary.unknown]
-    colours = [*(CLASS_COLOURS[code] for code in range(len(CLASS_NAMES))), BARRED_COLOURS[Barred.UNKNOWN]]
+    colours = [*(CLASS_COLOURS[code] for code in range(len(CLASS_NAMES))), UNKNOWN_COLOUR]
     told = shares(counts, (len(CLASS_NAMES),))
     parts = [100.0 * count / max(sum(counts), 1) for count in counts]
     return list(zip((*CLASS_NAMES, "not known"), colours, told, parts, strict=True))
