@@ -53,7 +53,7 @@ _APART_M, _BEFORE, _PATH_M, _FLOOR_M = (5.0, 15.0), 16, 40.0, 2.0
 """A frame is compared with the last one at such a distance, or that so many frames before, and with the nearest one
 that came so much path before and no more above or below: beyond, it may be on another floor."""
 _LEAST_SQUARES = 30
-_THING_M, _NEAR_THINGS, _AROUND_M, _EDGE = 0.05, 9, 0.9, 9.0
+_THING_M, _NEAR_THINGS, _AROUND_M, _EDGE = 0.05, 9, 2.0, 9.0
 """Error of the place of a thing; things near one that tell on which edge it lies, so far away at most; the spread along
 an edge is so many times that across, squared, or more."""
 _STEPS_M = (*4 * (0.6,), *8 * (0.3,))
@@ -387,9 +387,10 @@ def fit_in_plan(pairs: list[tuple[int, int, Floats, ThingFit]], things: list[NDA
             known[earlier] = tree, _edges(tree)
         near = things[later][:, :2].astype(np.float64)
         near = near[np.linalg.norm(near + way, axis=1) < _REACH_M]
-        start = np.array([*found.move, math.radians(found.turn)])
+        starts = [np.zeros(3), np.array([*found.move, math.radians(found.turn)])]
         tree, edges = known[earlier]
-        fits.append(PlanFit(later, earlier, way, *_lay_on(near, way, tree, edges, start)))
+        tried = [_lay_on(near, way, tree, edges, start) for start in starts]
+        fits.append(PlanFit(later, earlier, way, *min(tried, key=lambda each: each[2])[:2]))
     return fits
 
 
@@ -405,15 +406,18 @@ def _edges(tree: "KDTree") -> Floats:
     spread = np.maximum(spread, _THING_M**2)
     weight = 1.0 / spread
     weight[spread[:, 1] > _EDGE * spread[:, 0], 1] = 0.0
-    weight[number < 4] = 1.0 / (2.0 * _THING_M) ** 2
+    weight[number == 1] = 1.0 / (2.0 * _THING_M) ** 2
     inverse: Floats = np.einsum("nik,nk,njk->nij", axes, weight, axes)
     return inverse
 
 
-def _lay_on(things: Floats, way: Floats, tree: "KDTree", edges: Floats, start: Floats) -> tuple[Floats, Floats]:
-    """Return the move of things (n, 2), whose sensor is at ``way`` (2,), onto others, and its weight: see `PlanFit`."""
-    move, others = start.copy(), np.asarray(tree.data)
-    normal = np.zeros((3, 3))
+def _lay_on(things: Floats, way: Floats, tree: "KDTree", edges: Floats, start: Floats) -> tuple[Floats, Floats, float]:
+    """Return the move of things (n, 2), whose sensor is at ``way`` (2,), onto others, its weight, and what is left.
+
+    What is left is twice the negative logarithm of its likelihood; of several moves, that with the least is the best.
+    """
+    move, others, usual = start.copy(), np.asarray(tree.data), np.diag(1.0 / np.square(_LOOSE))
+    normal, left = np.zeros((3, 3)), 0.0
     for reach in _STEPS_M:
         turned = turned_in_plan(things, move[2])
         away, near = tree.query(turned + way + move[:2], distance_upper_bound=reach)
@@ -422,14 +426,16 @@ def _lay_on(things: Floats, way: Floats, tree: "KDTree", edges: Floats, start: F
         rest = turned[there] + way + move[:2] - others[near[there]]
         weight = edges[near[there]]
         error = np.einsum("ni,nij,nj->n", rest, weight, rest)
+        lost = math.log1p((reach / _THING_M) ** 2 / 4.0) * (len(things) - len(x))
+        left = 4.0 * (lost + float(np.log1p(error / 4.0).sum())) / _ALIKE + float(move @ usual @ move)
         weight /= (1.0 + error / 4.0)[:, None, None]
         sides = np.zeros((len(x), 2, 3))
         sides[:, 0, 0] = sides[:, 1, 1] = 1.0
         sides[:, 0, 2], sides[:, 1, 2] = -y, x
         normal = np.einsum("nki,nkl,nlj->ij", sides, weight, sides)
         right = np.einsum("nki,nkl,nl->i", sides, weight, rest)
-        move -= np.linalg.solve(normal + np.diag(1.0 / np.square(_LOOSE)), right)
-    return move, normal / _ALIKE
+        move -= np.linalg.solve(normal + usual, right + usual @ move)  # to the pose, where things tell nothing
+    return move, normal / _ALIKE, left
 
 
 def correct_in_plan(fits: list[PlanFit], count: int) -> Floats:
