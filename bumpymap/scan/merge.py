@@ -202,7 +202,7 @@ class DriveMerge:
     shift: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
     """Its corrections."""
     plan: dict[str, float | None] = field(default_factory=dict)
-    """What was corrected in plan, as in scan.json."""
+    """Corrections in plan, as in scan.json."""
 
     def record(self) -> dict[str, Any]:
         """Return the entry in scan.json."""
