@@ -1,19 +1,31 @@
-"""How well the poses of a drive agree about the ground, and what can be corrected.
+"""How well the poses of a drive agree with what its frames saw, and what can be corrected.
 
 Each frame leaves the mean height of its ground in squares of half a metre near the sensor. Squares that several frames
 have seen tell by how much the poses disagree; small corrections of height and tilt, one set per frame, take most of it
 away: each frame is fitted to the mean of all frames in turn, until they rest.
+
+In plan, what stands around a frame is laid on what stands around an earlier one: points on the edges that others lie
+on, and posts on posts (Segal, Haehnel and Thrun, "Generalized-ICP", RSS 2009, in two dimensions). The moves and turns
+of all pairs, each with the weight that its things give it in each direction, are one system of linear equations for the
+corrections of all frames (a pose graph). Along a bare wall nothing is known, and nothing is moved.
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.scan._merge_kernels import draw_things, judge_places, match_things, range_image
 
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
+
 MOST_METRES, MOST_DEGREES = 0.3, 1.0
 """A frame is corrected by at most so much in height and in tilt about each axis."""
+MOST_BESIDE_M, MOST_TURNED_DEG = 1.0, 2.5
+"""And by so much in plan."""
 _SQUARE_M = 0.5
 _REACH_M = 25.0
 """Ground farther from the sensor is not compared: an angle makes too much of a height there."""
@@ -41,6 +53,15 @@ _APART_M, _BEFORE, _PATH_M, _FLOOR_M = (5.0, 15.0), 16, 40.0, 2.0
 """A frame is compared with the last one at such a distance, or that so many frames before, and with the nearest one
 that came so much path before and no more above or below: beyond, it may be on another floor."""
 _LEAST_SQUARES = 30
+_THING_M, _NEAR_THINGS, _AROUND_M, _EDGE = 0.05, 9, 2.0, 9.0
+"""Error of the place of a thing; things near one that tell on which edge it lies, so far away at most; the spread along
+an edge is so many times that across, squared, or more."""
+_STEPS_M = (*4 * (0.6,), *8 * (0.3,))
+"""Farthest thing that one is laid on, in each step."""
+_LOOSE = (0.3, 0.3, math.radians(0.5))
+"""Usual errors of poses in plan, m, m and rad: corrections stay small where things do not ask for more."""
+_ALIKE = 4.0
+"""Things of two frames err alike: so many count as one."""
 VIEW_SHAPE, _LOWEST = (240, 480), -0.25
 """Rows and columns of an image of the nearest ranges, from straight down to straight up."""
 VIEW_REACH_M = 40.0
@@ -209,6 +230,21 @@ def align_frames(frames: list[GroundHeights]) -> Alignment:
     return Alignment(shift, before, after, len(rows.number))
 
 
+def turned_in_plan(places: Floats, turn: float) -> Floats:
+    """Return places (n, 2) turned about the origin, ``turn`` rad counter-clockwise."""
+    cosine, sine = math.cos(turn), math.sin(turn)
+    return np.stack([cosine * places[:, 0] - sine * places[:, 1], sine * places[:, 0] + cosine * places[:, 1]], axis=1)
+
+
+def moved_heights(heights: GroundHeights, place: Floats, correction: Floats) -> GroundHeights:
+    """Return the ground heights of a frame whose sensor, at ``place`` (2,), was corrected in plan."""
+    side = turned_in_plan(np.stack([heights.east, heights.north], axis=1).astype(np.float64), correction[2])
+    at = np.floor((side + place + correction[:2]) / _SQUARE_M).astype(np.int64)
+    square, first = np.unique(at[:, 0] * _SIDE + at[:, 1], return_index=True)
+    east, north = side[first].T.astype(np.float32)
+    return replace(heights, square=square, east=east, north=north, z=heights.z[first])
+
+
 def standing_things(points: NDArray[np.float32], is_ground: NDArray[np.bool_], pose: Floats) -> NDArray[np.float32]:
     """Return where things stand around the sensor, (n, 3) along the axes of the world, m: one point of each column.
 
@@ -285,11 +321,15 @@ class ThingFit:
     turn: float = 0.0
     """By how much the later frame is turned there, degrees counter-clockwise."""
 
+    @property
+    def is_enough(self) -> bool:
+        """True if enough things are found to tell anything."""
+        return self.things >= _LEAST_THINGS and self.best >= _LEAST_BEST
+
     def tells(self, share: float) -> bool:
         """Return True if at the poses less than a share of what is found at the best place is found, not by chance."""
         by_chance = 3.0 * np.sqrt(self.best / max(1, self.things))
-        enough = self.things >= _LEAST_THINGS and self.best >= _LEAST_BEST
-        return bool(enough and self.found < min(share * self.best, self.best - by_chance))
+        return bool(self.is_enough and self.found < min(share * self.best, self.best - by_chance))
 
 
 class ThingMatcher:
@@ -313,6 +353,129 @@ class ThingMatcher:
             turn, up, right = (int(each) for each in np.unravel_index(self._found.argmax(), self._found.shape))
         move = (_CELL_M * (right - _MOVES), _CELL_M * (up - _MOVES))
         return ThingFit(len(near), here / full, most / full, move, float(turn - _TURNS))
+
+
+@dataclass(frozen=True, slots=True)
+class PlanFit:
+    """How a frame has to move in plan to lie on an earlier one."""
+
+    later: int
+    earlier: int
+    way: Floats
+    """(2,) to the later sensor, m."""
+    move: Floats
+    """(3,) m along the axes of the world, and the turn about its sensor, rad counter-clockwise."""
+    weight: Floats
+    """(3, 3) inverse of the covariance of ``move``."""
+
+
+def fit_in_plan(pairs: list[tuple[int, int, Floats, ThingFit]], things: list[NDArray[np.float32]]) -> list[PlanFit]:
+    """Lay the things of frames on those of earlier ones, starting from where a `ThingMatcher` found them.
+
+    ``pairs``: later and earlier frame, way to the later one (2,), and what was found; ``things``: of each frame.
+    """
+    from scipy.spatial import KDTree
+
+    fits: list[PlanFit] = []
+    known: dict[int, tuple[KDTree, Floats]] = {}
+    for later, earlier, way, found in pairs:
+        if not found.is_enough:
+            continue
+        if earlier not in known:
+            known = {each: those for each, those in known.items() if each >= earlier - _BEFORE}  # bounded
+            tree = KDTree(things[earlier][:, :2].astype(np.float64))
+            known[earlier] = tree, _edges(tree)
+        near = things[later][:, :2].astype(np.float64)
+        near = near[np.linalg.norm(near + way, axis=1) < _REACH_M]
+        starts = [np.zeros(3), np.array([*found.move, math.radians(found.turn)])]
+        tree, edges = known[earlier]
+        tried = [_lay_on(near, way, tree, edges, start) for start in starts]
+        fits.append(PlanFit(later, earlier, way, *min(tried, key=lambda each: each[2])[:2]))
+    return fits
+
+
+def _edges(tree: "KDTree") -> Floats:
+    """Return for each thing the inverse covariance (2, 2) of where another one on the same edge or post is, 1/m2."""
+    places = np.asarray(tree.data)
+    away, near = tree.query(places, k=_NEAR_THINGS, distance_upper_bound=_AROUND_M)
+    there = np.isfinite(away)
+    number = there.sum(axis=1)
+    offset = np.where(there[..., None], places[np.where(there, near, 0)] - places[:, None], 0.0)
+    offset = np.where(there[..., None], offset - (offset.sum(axis=1) / number[:, None])[:, None], 0.0)
+    spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", offset, offset) / number[:, None, None])
+    spread = np.maximum(spread, _THING_M**2)
+    weight = 1.0 / spread
+    weight[spread[:, 1] > _EDGE * spread[:, 0], 1] = 0.0
+    weight[number == 1] = 1.0 / (2.0 * _THING_M) ** 2
+    inverse: Floats = np.einsum("nik,nk,njk->nij", axes, weight, axes)
+    return inverse
+
+
+def _lay_on(things: Floats, way: Floats, tree: "KDTree", edges: Floats, start: Floats) -> tuple[Floats, Floats, float]:
+    """Return the move of things (n, 2), whose sensor is at ``way`` (2,), onto others, its weight, and what is left.
+
+    What is left is twice the negative logarithm of its likelihood; of several moves, that with the least is the best.
+    """
+    move, others, usual = start.copy(), np.asarray(tree.data), np.diag(1.0 / np.square(_LOOSE))
+    normal, left = np.zeros((3, 3)), 0.0
+    for reach in _STEPS_M:
+        turned = turned_in_plan(things, move[2])
+        away, near = tree.query(turned + way + move[:2], distance_upper_bound=reach)
+        there = np.isfinite(away)
+        x, y = turned[there].T
+        rest = turned[there] + way + move[:2] - others[near[there]]
+        weight = edges[near[there]]
+        error = np.einsum("ni,nij,nj->n", rest, weight, rest)
+        lost = math.log1p((reach / _THING_M) ** 2 / 4.0) * (len(things) - len(x))
+        left = 4.0 * (lost + float(np.log1p(error / 4.0).sum())) / _ALIKE + float(move @ usual @ move)
+        weight /= (1.0 + error / 4.0)[:, None, None]
+        sides = np.zeros((len(x), 2, 3))
+        sides[:, 0, 0] = sides[:, 1, 1] = 1.0
+        sides[:, 0, 2], sides[:, 1, 2] = -y, x
+        normal = np.einsum("nki,nkl,nlj->ij", sides, weight, sides)
+        right = np.einsum("nki,nkl,nl->i", sides, weight, rest)
+        move -= np.linalg.solve(normal + usual, right + usual @ move)  # to the pose, where things tell nothing
+    return move, normal / _ALIKE, left
+
+
+def correct_in_plan(fits: list[PlanFit], count: int) -> Floats:
+    """Return the corrections in plan (count, 3) of all frames: m along the axes of the world, and rad about its sensor.
+
+    They are zeros where no frame says anything of another.
+    """
+    from scipy.sparse import csc_matrix
+    from scipy.sparse.linalg import splu
+
+    right = np.zeros((count, 3))
+    blocks = [(each, each, np.diag(1.0 / np.square(_LOOSE))) for each in range(count)]
+    for fit in fits:
+        before = np.eye(3)  # what a correction of the earlier frame moves at the later sensor
+        before[:2, 2] = -fit.way[1], fit.way[0]
+        from_earlier = before.T @ fit.weight
+        right[fit.later] += fit.weight @ fit.move
+        right[fit.earlier] -= from_earlier @ fit.move
+        blocks += [(fit.later, fit.later, fit.weight), (fit.later, fit.earlier, -fit.weight @ before)]
+        blocks += [(fit.earlier, fit.later, -from_earlier), (fit.earlier, fit.earlier, from_earlier @ before)]
+    rows, columns = (3 * np.array([each[axis] for each in blocks])[:, None, None] for axis in (0, 1))
+    inside = np.arange(3)
+    at = np.broadcast_arrays(rows + inside[:, None], columns + inside)
+    values = np.array([each[2] for each in blocks])
+    normal = csc_matrix((values.ravel(), tuple(each.ravel() for each in at)), shape=(3 * count, 3 * count))
+    found = splu(normal).solve(right.ravel()).reshape(count, 3) if fits else right
+    most = np.array([MOST_BESIDE_M, MOST_BESIDE_M, math.radians(MOST_TURNED_DEG)])
+    corrections: Floats = np.clip(found, -most, most)
+    return corrections
+
+
+def misfit_in_plan(fits: list[PlanFit], corrections: Floats) -> float:
+    """Return the median distance in plan between the things of two frames with corrections (frames, 3), m; or NaN."""
+    if not fits:
+        return float("nan")
+    left = []
+    for fit in fits:
+        move, turn = fit.move - corrections[fit.later] + corrections[fit.earlier], corrections[fit.earlier, 2]
+        left.append(math.hypot(move[0] - turn * fit.way[1], move[1] + turn * fit.way[0]))
+    return float(np.median(left))
 
 
 def height_between(later: GroundHeights, earlier: GroundHeights, shift: Floats | None = None) -> float:

@@ -1,10 +1,10 @@
 """Merge the frames of a drive into one survey: points that were seen through go, the others are thinned evenly.
 
 Frames come one after another. Their points are written to a file in the folder of the run, sorted by block of the
-world, with an image of the nearest ranges by direction. When all are there, the heights of the ground in different
-frames give small corrections of the poses, and block after block is read back: a voxel through which two other frames
-or more saw, and more than saw something in it, held something that moved. Memory is bounded by the surfaces in one
-block and by a number of squares of ground.
+world, with an image of the nearest ranges by direction. When all are there, what stands in different frames gives
+corrections of the poses in plan, with which the points are placed again, and their ground those of height and tilt.
+Then block after block is read back: a voxel through which two other frames or more saw, and more than saw something in
+it, held something that moved. Memory is bounded by the surfaces in one block and by a number of squares of ground.
 
 Each frame is held against the one before it, one some metres away, and one of an earlier passage: by how much the
 height of the same ground differs, where what stands on it in one frame is found in the other, and how much of it is
@@ -12,6 +12,7 @@ seen through. What does not fit is said with the frame; far beyond any error of 
 """
 
 import logging
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -26,6 +27,8 @@ from bumpymap.core import BadInputError
 from bumpymap.layers import AccumulatedSurvey
 from bumpymap.scan._merge_kernels import VoxelTable, gather_points, move_voxels
 from bumpymap.scan.align import (
+    MOST_BESIDE_M,
+    MOST_TURNED_DEG,
     VIEW_REACH_M,
     VIEW_SHAPE,
     Alignment,
@@ -34,12 +37,17 @@ from bumpymap.scan.align import (
     ThingFit,
     ThingMatcher,
     align_frames,
+    correct_in_plan,
+    fit_in_plan,
     frame_pairs,
     ground_heights,
     height_between,
     judge_by_view,
+    misfit_in_plan,
+    moved_heights,
     nearest_ranges,
     standing_things,
+    turned_in_plan,
 )
 
 _log = logging.getLogger(__name__)
@@ -60,7 +68,7 @@ _WRONG, _GONE, _LEAST_AWAY_M, _LEAST_COMPARED = 0.5, 0.8, 5.0, 60
 """Share of things seen through, of those and of those found again, above which poses are refused by all frames so far
 away or farther, and a frame does not fit; fewest things that tell. With traffic it is up to 0.26, with inverted,
 reversed or swapped poses 0.8 to 1."""
-_BESIDE_M, _TURNED_DEG, _HIGHER_M = (0.3, 1.0), (1.5, 2.5), (0.25, 0.5)
+_BESIDE_M, _TURNED_DEG, _HIGHER_M = (0.3, MOST_BESIDE_M), (1.5, MOST_TURNED_DEG), (0.25, 0.5)
 """Misfit of a frame above which it is said, and above which the poses are refused: place and direction where things are
 found, and height of ground; what is refused is that after corrections."""
 _FOUND = (0.8, 0.5)
@@ -68,6 +76,8 @@ _FOUND = (0.8, 0.5)
 and to refuse."""
 _LEANS, _SCALED, _LEFT = 0.026, 0.04, 0.3
 """Least slope, and least share of a way, that explain misfits, and share of their squares that may be left."""
+_PLACED_M, _PLACED_RAD = 0.03, math.radians(0.1)
+"""Smaller corrections of place and direction, of all frames, are errors of their own, and none is made."""
 _MOVED_M = 0.1
 """A frame with the points of the one before it is a repeated one if its pose is so far away."""
 _NAMED = 5
@@ -191,12 +201,16 @@ class DriveMerge:
     """None until all frames have come."""
     shift: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
     """Its corrections."""
+    plan: dict[str, float | None] = field(default_factory=dict)
+    """Corrections in plan, as in scan.json."""
 
     def record(self) -> dict[str, Any]:
         """Return the entry in scan.json."""
         poses: dict[str, Any] | None = None
         if self.alignment is not None:
-            poses = self.alignment.record() | {"misfits": [pair.record(self.names) for pair in self.misfits]}
+            poses = (
+                self.alignment.record() | self.plan | {"misfits": [pair.record(self.names) for pair in self.misfits]}
+            )
         return {
             "seen": self.seen,
             "points": self.written,
@@ -225,23 +239,21 @@ class DriveMerge:
         rows["place"] = whole
         rows["range_cm"] = np.minimum(100.0 * np.linalg.norm(points, axis=1), 65_535.0)
         rows["kind"] = is_ground
-        column, row = np.floor((whole[:, :2] + self._whole_offset()) / _BLOCK_MM).T  # whole numbers: exact
-        block = (column + _SIDE * row).astype(np.int64)
-        blocks, number = np.unique(block, return_inverse=True)
-        order = np.argsort(number.astype(np.min_scalar_type(len(blocks))), kind="stable")
         image = nearest_ranges(points)
-        counts = np.bincount(number, minlength=len(blocks))
         heights = ground_heights(points, is_ground, pose)
         things = standing_things(points, is_ground, pose)
-        return PlacedPoints(name, pose, rows[order], blocks, counts, image, heights, things)
+        return PlacedPoints(name, pose, *self._by_block(rows), image, heights, things)
+
+    def _by_block(self, rows: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64], NDArray[np.int64]]:
+        """Return points sorted by block, the blocks that hold any, in order, and the points in each."""
+        column, row = np.floor((rows["place"][:, :2] + self._whole_offset()) / _BLOCK_MM).T  # whole numbers: exact
+        blocks, number = np.unique((column + _SIDE * row).astype(np.int64), return_inverse=True)
+        order = np.argsort(number.astype(np.min_scalar_type(len(blocks))), kind="stable")
+        return rows[order], blocks, np.bincount(number, minlength=len(blocks))
 
     def add_points(self, placed: PlacedPoints) -> None:
         """Take the points of the next frame."""
-        ends = self.seen + np.cumsum(placed.counts)
-        for block, begin, end in zip(
-            placed.blocks.tolist(), (ends - placed.counts).tolist(), ends.tolist(), strict=True
-        ):
-            self.blocks.setdefault(block, []).append((len(self.frames), begin, end))
+        self._list_blocks(len(self.frames), self.seen, placed.blocks, placed.counts)
         placed.rows.tofile(self.points)
         placed.image.tofile(self.images)
         count = len(placed.rows)
@@ -251,12 +263,21 @@ class DriveMerge:
         self.things.append(placed.things)
         self.seen += count
 
+    def _list_blocks(self, frame: int, start: int, blocks: NDArray[np.int64], counts: NDArray[np.int64]) -> None:
+        """Note where the points of a frame, from ``start`` on in the file, lie in blocks (k,), ``counts`` (k,) each."""
+        ends = start + np.cumsum(counts)
+        for block, begin, end in zip(blocks.tolist(), (ends - counts).tolist(), ends.tolist(), strict=True):
+            self.blocks.setdefault(block, []).append((frame, begin, end))
+
     def write(self, survey: AccumulatedSurvey) -> None:
         """Align the frames, and write what is left of their points, block by block."""
         self.points.flush()
         self.images.flush()
         self.alignment = align_frames(self.heights.frames)
-        self._check_poses(self.alignment)
+        pairs, contradiction = self._check_poses(self.alignment)
+        outcome = self._correct_plan(pairs)
+        if contradiction:
+            _log.warning("%s %s", contradiction, outcome)
         self.shift = self.alignment.shift
         for block in sorted(self.blocks):
             xyz, is_ground = self._thin(block, self._gather(block))
@@ -266,7 +287,7 @@ class DriveMerge:
 
     @cached_property
     def poses(self) -> NDArray[np.float64]:
-        """(frames, 4, 4) as they were given, when all have come."""
+        """(frames, 4, 4) when all have come: as they were given, then corrected in plan."""
         return np.array([pose for pose, *_ in self.frames]).reshape(-1, 4, 4)
 
     def _image(self, number: int) -> NDArray[np.uint16]:
@@ -274,10 +295,53 @@ class DriveMerge:
         pixels = VIEW_SHAPE[0] * VIEW_SHAPE[1]
         return np.fromfile(self.images.name, np.uint16, pixels, offset=2 * pixels * number).reshape(VIEW_SHAPE)
 
-    def _check_poses(self, given: Alignment) -> None:
-        """Say which frames do not fit the others. Raises WrongPosesError: poses that cannot be right."""
+    def _correct_plan(self, pairs: list[FramePair]) -> str:
+        """Move and turn the frames in plan to where their things lie on each other; return what that means, in words.
+
+        Poses that are trusted stay.
+        """
+        fits = fit_in_plan([(pair.later, pair.earlier, pair.way[:2], pair.fit) for pair in pairs], self.things)
+        found, none = correct_in_plan(fits, len(self.frames)), np.zeros((len(self.frames), 3))
+        before, after = misfit_in_plan(fits, none), misfit_in_plan(fits, found)
+        moved, turned = np.linalg.norm(found[:, :2], axis=1).max(initial=0.0), np.abs(found[:, 2]).max(initial=0.0)
+        if self.trusted or not after < before or (moved < _PLACED_M and turned < _PLACED_RAD):
+            found, after, moved, turned = none, before, 0.0, 0.0
+        self.plan = {
+            "beside_before_m": None if math.isnan(before) else round(before, 3),
+            "beside_after_m": None if math.isnan(after) else round(after, 3),
+            "largest_move_m": round(float(moved), 3),
+            "largest_turn_deg": round(math.degrees(turned), 3),
+        }
+        if not found.any():
+            return "The map may show things twice, or not where they stand"
+        self.blocks.clear()
+        with open(self.points.name, "r+b") as file:  # noqa: PTH123 (a name of a file that is open)
+            for number, ((given, begin, end), by) in enumerate(zip(self.frames, found, strict=True)):
+                pose, place = given.copy(), given[:2, 3]
+                self.frames[number] = (pose, begin, end)
+                pose[:2, :3] = turned_in_plan(pose[:2, :3].T, by[2]).T
+                pose[:2, 3] += by[:2]
+                self.heights.frames[number] = moved_heights(self.heights.frames[number], place, by)
+                file.seek(begin * _POINT.itemsize)
+                rows = np.fromfile(file, _POINT, end - begin)
+                middle = 1000.0 * (place - self.offset[:2])
+                turned_places = turned_in_plan(rows["place"][:, :2] - middle, by[2]) + middle + 1000.0 * by[:2]
+                rows["place"][:, :2] = np.round(turned_places)
+                rows, blocks, counts = self._by_block(rows)
+                self._list_blocks(number, begin, blocks, counts)
+                file.seek(begin * _POINT.itemsize)
+                rows.tofile(file)
+        del self.poses  # as they are now
+        self.alignment = align_frames(self.heights.frames)
+        return (
+            f"The frames were moved by up to {moved:.2f} m and turned by up to {math.degrees(turned):.1f} degrees: "
+            f"their things lie {after:.2f} m apart in the median, {before:.2f} m before"
+        )
+
+    def _check_poses(self, given: Alignment) -> tuple[list[FramePair], str]:
+        """Return how frames fit others, and what does not, in words. Raises WrongPosesError: poses that are wrong."""
         if len(self.poses) < 2:
-            return
+            return [], ""
         pairs = self._pairs(given.shift)
         told = sorted((pair for pair in pairs if pair.evidence()), key=FramePair.size)
         worst = {pair.later: pair for pair in told}
@@ -294,7 +358,7 @@ class DriveMerge:
             count = f"{len(self.misfits)} of {len(self.poses)} frames {verb} not fit others"
             reasons.append(f"{count}{_likely(pairs, self.poses)} ({first})")
         if not reasons:
-            return
+            return pairs, ""
         few = not whole and 3 * len(self.misfits) < len(self.poses)
         advice = (
             "Are `poses` those of the LiDAR (not of a camera or of the robot's base), one per frame in order of time, "
@@ -303,7 +367,7 @@ class DriveMerge:
         message = f"according to the poses, {', and '.join(reasons)}. {'Look at their poses.' if few else advice}"
         if is_wrong and not self.trusted:
             raise WrongPosesError(f"{message} `trust_poses=True` makes a map all the same")
-        _log.warning("%s The map may show things twice, or not where they stand", message)
+        return pairs, message
 
     def _pairs(self, shift: NDArray[np.float64]) -> list[FramePair]:
         """Hold frames against earlier ones; ``shift``: corrections of all."""

@@ -164,6 +164,25 @@ def test_poses_with_errors_give_level_ground_again(frames, tmp_path):
     assert rest.std() < 0.01
 
 
+def test_poses_with_errors_in_plan_are_moved_to_where_things_stand(frames, drive, tmp_path):
+    rng, given = np.random.default_rng(3), way_along()
+    given[:, :2, 3] += rng.normal(0.0, 0.15, (FRAMES, 2))
+    given[:, :3, :3] = (
+        Rotation.from_euler("z", rng.normal(0.0, 0.4, (FRAMES, 1)), degrees=True).as_matrix() @ given[:, :3, :3]
+    )
+    kept = given.copy()
+    xyz, _, record = merged(tmp_path / "out", frames, given)
+    agree = record["poses"]
+    np.testing.assert_array_equal(given, kept)
+    assert (agree["beside_after_m"] < 0.01, agree["beside_before_m"] > 0.1) == (True, True)
+    assert 0.1 < agree["largest_move_m"] < 1.0
+    # Seen from above, each wall has the area that it has with true poses; all together may have moved.
+    areas = [len(np.unique(np.floor(p[p[:, 2] > 0.5, :2] / 0.1), axis=0)) for p in (xyz, drive[0])]
+    assert areas[0] < 1.15 * areas[1]
+    assert record["moving"] == pytest.approx(drive[2]["moving"], rel=0.1)
+    assert drive[2]["poses"]["largest_move_m"] == 0.0  # good poses stay as they are
+
+
 @pytest.mark.parametrize(("seed", "most"), [(0, 1 << 30), (1, 1 << 30), (0, 4_000)])
 def test_corrections_are_those_that_were_put_in(seed, most):
     """The frames agree with each other; what they have in common cannot be known."""
