@@ -431,7 +431,7 @@ def least_difference(found, seen):
 
 
 @pytest.mark.parametrize("seen", SEEN_BY.values(), ids=SEEN_BY)
-def test_colour_blind_readers_tell_classes_and_unknown_ground_apart(folder, seen):
+def test_colour_blind_readers_tell_classes_reasons_and_bars_apart(folder, seen):
     classes = [colour for _, colour, _ in palette(read(folder / "rasters/class.qml")).values()]
     rules = {rule.get("label"): rule.get("symbol") for rule in read(folder / "cost.qml").iter("rule")}
     symbol = read(folder / "cost.qml").find(f".//symbol[@name='{rules['not known']}']/layer")
@@ -442,6 +442,9 @@ def test_colour_blind_readers_tell_classes_and_unknown_ground_apart(folder, seen
     assert on_page == [*classes, unknown]
     assert least_difference(on_page, seen) > 15
     assert least_difference([*classes, *(reasons[code] for code in reasons if code)], seen) > 15
+    bars = [colour for _, colour, _ in palette(read(folder / "rasters/barred.qml")).values()]
+    assert len(bars) == 7
+    assert least_difference(bars, seen) > 15
 
 
 def test_the_ride_cost_has_one_ramp_on_the_page_and_in_qgis(folder):
