@@ -1,8 +1,10 @@
 """The pages of a comparison and of a check: what their records say, unknown ground apart, no name trusted."""
 
+import io
 import json
 import re
 import shutil
+from base64 import b64decode
 from dataclasses import replace
 from html import unescape
 
@@ -12,8 +14,9 @@ import pytest
 import rasterio
 from check_records import made_up_check, make_check, stretches_at
 from page_outline import Outline
+from PIL import Image
 from pyproj import Transformer
-from route_maps import copy_folder, write_folder
+from route_maps import copy_folder, list_anew, write_folder
 from survey_pairs import COLS, ROWS, survey
 
 import bumpymap
@@ -94,6 +97,39 @@ def test_nothing_found_and_nothing_compared_are_not_the_same(may, tmp_path, read
     record["counts"] |= {"compared": 0}
     (folder / "change.json").write_text(json.dumps(record))
     assert "is not known" in read_page(write_report(folder)).text
+
+
+def test_the_changes_lie_over_the_photo_of_a_survey_or_its_relief_where_the_map_still_is_what_was_compared(
+    may, tmp_path, read_page
+):
+    """The surveys begin at other columns."""
+    folder, (_, col) = copy_folder(may, tmp_path / "may"), np.mgrid[0:ROWS, 0:COLS]
+    with rasterio.open(folder / "rasters/heightmap.tif") as file:
+        about = file.profile | {"driver": "GTiff", "count": 3, "dtype": "uint8", "nodata": None}
+    rows, cols = np.mgrid[0 : about["height"], 0 : about["width"]] // 15
+    with rasterio.open(folder / "rasters/photo.tif", "w", **about) as file:
+        file.write(np.stack([6 * cols, 8 * rows, 9 * (cols % 2)]).astype(np.uint8))
+    files = [{"path": "rasters/photo.tif"}, *json.loads((folder / "run.json").read_text())["files"]]
+    list_anew(folder, files=files)
+    later = write_folder(tmp_path / "june", survey(3, rut=0.1, c_r=3.0, tiles=col > 4))
+    out = bumpymap.diff_surveys(folder, later, tmp_path / "out").folder
+
+    def below(key):
+        text = read_page(out / "report.html").data["maps"][0][key].partition(",")[2]
+        picture = np.asarray(Image.open(io.BytesIO(b64decode(text))), float)
+        high, wide = (size // tiles for size, tiles in zip(picture.shape, (ROWS, COLS - 5), strict=False))
+        return picture.reshape(ROWS, high, COLS - 5, wide, -1).mean(axis=(1, 3))
+
+    row, col = np.mgrid[0:ROWS, 5:COLS]
+    assert np.abs(below("photo")[..., :2] - np.stack([6 * col, 8 * row], axis=2)).mean() < 2
+    with rasterio.open(folder / "rasters/photo.tif", "r+") as file:
+        file.write(np.zeros((3, file.height, file.width), np.uint8))
+    write_report(out)
+    assert "photo" not in read_page(out / "report.html").data["maps"][0]
+    assert np.ptp(below("relief")) > 50
+    shutil.rmtree(later)
+    shutil.rmtree(folder)
+    assert not {"photo", "relief"} & set(read_page(write_report(out)).data["maps"][0])
 
 
 @pytest.mark.parametrize("step", [2, 7])

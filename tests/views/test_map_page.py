@@ -14,6 +14,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 import rasterio
+import shapely
 from cost_maps import make_field
 from page_outline import Outline, require_no_requests
 from PIL import Image
@@ -27,6 +28,7 @@ from bumpymap.layers import SurveyRow
 from bumpymap.views import page_header, write_report
 from bumpymap.views.page import page
 from bumpymap.views.page.batch_page import index_page
+from bumpymap.views.page.charts import locator
 from bumpymap.views.page.tiles import NO_POINTS, UNKNOWN_FROM
 from bumpymap.views.words import area, number, share
 
@@ -246,6 +248,26 @@ def test_the_header_says_what_settings_say_and_holds_a_logo_made_anew(site, tmp_
     for name, why in (("link.png", "it is a link"), ("text.png", "cannot identify"), ("none.png", "No such file")):
         with pytest.raises(BadInputError, match=why):
             page_header(PageSettings(logo=tmp_path / name))
+
+
+@pytest.mark.parametrize(
+    ("place", "beside"),
+    [
+        ((11.5, 48.2), (16.4, 48.2)),  # Munich, Vienna
+        ((28.2, -29.5), (28.0, -26.2)),  # Lesotho, within South Africa
+        ((-170.5, 66.0), (-166.0, 65.5)),  # the end of Russia beyond the antimeridian, Alaska
+        ((100.0, -80.0), (100.0, -50.0)),  # Antarctica, around the pole
+    ],
+)
+def test_the_locator_shows_a_place_in_its_country_and_another_beside_it(place, beside):
+    found = locator(*place)
+    rings = [[[*map(int, each.split())] for each in part.split("L")] for part in found["country"][1:-1].split("ZM")]
+    land = shapely.union_all([shapely.make_valid(shapely.Polygon(ring)) for ring in rings if len(ring) > 2])
+    point = shapely.Point(found["x"], found["y"])
+    assert land.distance(point) < 2
+    assert land.intersection(shapely.box(0, 0, 200, 200)).area > 1_000
+    assert 0 < point.x < 200 > point.y > 0
+    assert locator(*beside)["country"] != found["country"]
 
 
 def test_shares_never_round_to_nothing_or_all():

@@ -146,14 +146,13 @@ def _groups(tree: _Tree, speeds: Sequence[float]) -> list[Style]:
     c_r = tree.group("ride cost c_r", fails, rides, expanded=False, visible=False)
     cost = tree.layer(MapFile.COST, "cost of driving", MULTIPLY)
     ride = tree.group("Ride", classes, c_r, cost, tree.layer(MapFile.SPEED, "speed made good", MULTIPLY), one_of=True)
-    photo = tree.has(MapFile.PHOTO)
-    ground = tree.group(
-        "Ground",
-        tree.layer(MapFile.HEIGHTMAP, "measured heights, with holes"),
-        tree.layer(MapFile.RELIEF, "relief, holes filled", visible=not photo),
-        tree.layer(MapFile.PHOTO, "photo: colours of the points", visible=True),
-    )
-    return [*closed, *why, *regions, *ride, *ground]
+    heights = tree.layer(MapFile.HEIGHTMAP, "measured heights, with holes")
+    return [*closed, *why, *regions, *ride, *tree.group("Ground", heights, *_below(tree))]
+
+
+def _below(tree: _Tree) -> list[list[Style]]:
+    relief = tree.layer(MapFile.RELIEF, "relief, holes filled", visible=not tree.has(MapFile.PHOTO))
+    return [relief, tree.layer(MapFile.PHOTO, "photo: colours of the points", visible=True)]
 
 
 def _closed(tree: _Tree, *, visible: bool = True) -> list[Style]:
@@ -228,8 +227,7 @@ def _write_over_map(
         wkt, blend = (tree.wkt, MULTIPLY) if layer.file.endswith(".tif") else (degrees, NORMAL)
         groups += tree.add(layer, wkt, blend)
     classes = tree.layer(MapFile.CLASS, _CLASSES, MULTIPLY, visible=not covers)  # they would shine through a raster
-    relief = tree.layer(MapFile.RELIEF, "relief, holes filled", visible=True)
-    groups += tree.group("Map", _closed(tree, visible=not covers), classes, relief)
+    groups += tree.group("Map", _closed(tree, visible=not covers), classes, *_below(tree))
     window = place.window
     west, east = place.to_crs(np.array([window.col, window.col + window.cols])).tolist()
     south, north = place.to_crs(np.array([window.row, window.row + window.rows])).tolist()

@@ -312,7 +312,11 @@ def locator(lon: float, lat: float) -> dict[str, Any]:
     here, corners = np.array([lon, lat]), corners.copy()
     lows, highs = np.minimum.reduceat(corners, starts), np.maximum.reduceat(corners, starts)
     turns = 360.0 * np.rint((lon - (lows + highs)[:, 0] / 2) / 360)  # to the nearer side of the antimeridian
-    for places, turn in ((lows, turns), (highs, turns), (corners, np.repeat(turns, np.diff(starts, append=len(corners))))):
+    for places, turn in (
+        (lows, turns),
+        (highs, turns),
+        (corners, np.repeat(turns, np.diff(starts, append=len(corners)))),
+    ):
         places[:, 0] += turn
     lands = np.split(corners, starts[1:])
     around = np.flatnonzero(((lows <= here) & (here <= highs)).all(axis=1)).tolist()
