@@ -313,8 +313,9 @@ def _interval(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _rights(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return who made the survey, and the licence of the layers, if the settings say."""
+    """Return who made the survey, its provider or the operator on the page, and the licence of the layers, if stated."""
     provider, licence = (str(record["settings"].get(name) or "") for name in ("provider", "license"))
+    provider = provider or (record.get("page") or {}).get("operator")
     found: dict[str, Any] = {"license": licence} if licence else {}
     return found | ({"providers": [{"name": provider, "roles": ["producer", "licensor"]}]} if provider else {})
 

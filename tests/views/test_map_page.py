@@ -20,7 +20,7 @@ from page_outline import Outline, require_no_requests
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 from pyproj import Transformer
-from route_maps import VEHICLE, list_anew, write_folder
+from route_maps import VEHICLE, copy_folder, list_anew, write_folder
 from small_surveys import run
 
 from bumpymap.core import CLASS_NAMES, NO_CLASS, OBSTACLE, BadInputError, OutputError, PageSettings, UsageError
@@ -243,6 +243,10 @@ def test_the_header_says_what_settings_say_and_holds_a_logo_made_anew(site, tmp_
     logo = b64decode(re.search(r'class="logo" src="data:image/png;base64,([^"]+)"', text)[1])
     picture = Image.open(io.BytesIO(logo))
     assert (picture.size, picture.text, b"secret" in logo) == ((480, 160), {}, False)
+    for page, by in (({}, "Pits &amp; Co"), ({"operator": "Ann"}, "Ann")):
+        settings = json.loads((site / "run.json").read_text())["settings"] | {"provider": "Pits & Co"}
+        twin = copy_folder(site, tmp_path / by, settings=settings, page=page)
+        assert f"<span>by {by}</span>" in write_report(twin).read_text()
     (tmp_path / "link.png").symlink_to(tmp_path / "logo.png")
     (tmp_path / "text.png").write_text("<svg onload='x'/>")
     for name, why in (("link.png", "it is a link"), ("text.png", "cannot identify"), ("none.png", "No such file")):

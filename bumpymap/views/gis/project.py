@@ -25,6 +25,7 @@ from bumpymap.views.gis.styles import (
     write_styles,
 )
 from bumpymap.views.page.map_page import write_map_page
+from bumpymap.views.page.page import NORTH_ARROW
 from bumpymap.views.page.site import Site
 from bumpymap.views.pictures.drawing import bar_length
 from bumpymap.views.words import survey_name
@@ -36,10 +37,7 @@ _PRINT_MM = 190.0, 180.0
 """Width and height of the map on a page of paper."""
 _BAR_MM = 25.0
 """Most of a segment of its scale bar."""
-_ARROW = (
-    b'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 24 40"><path d="M12 2 20 24 12 19 4 24Z" fill="#1f2937"/>'
-    b'<path d="M8 38V28L16 38V28" fill="none" stroke="#1f2937" stroke-width="2"/></svg>'
-)
+_ARROW = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 24 40">{NORTH_ARROW}</svg>'
 
 
 def write_map_views(folder: Path, record: Mapping[str, Any]) -> None:
@@ -291,7 +289,7 @@ def _print(box: tuple[float, ...], metres: float) -> dict[str, Any]:
         "scale": scale,
         "segment": segment,
         "segment_mm": 1000 * segment / scale,
-        "arrow": base64.b64encode(_ARROW).decode(),
+        "arrow": base64.b64encode(_ARROW.encode()).decode(),
     }
 
 

@@ -437,8 +437,9 @@ class Site:
 
     @property
     def header(self) -> Mapping[str, str]:
-        """Texts and logo of `page_header`."""
-        return self.record.get("page") or {}
+        """Texts and logo of `page_header`; the operator is the provider unless another one is given."""
+        provider = self.record["settings"].get("provider")
+        return ({"operator": provider} if provider else {}) | (self.record.get("page") or {})
 
     @property
     def degrees(self) -> list[list[float]] | None:
