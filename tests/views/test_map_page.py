@@ -243,9 +243,9 @@ def test_the_header_says_what_settings_say_and_holds_a_logo_made_anew(site, tmp_
     logo = b64decode(re.search(r'class="logo" src="data:image/png;base64,([^"]+)"', text)[1])
     picture = Image.open(io.BytesIO(logo))
     assert (picture.size, picture.text, b"secret" in logo) == ((480, 160), {}, False)
-    for page, by in (({}, "Pits &amp; Co"), ({"operator": "Ann"}, "Ann")):
+    for header, by in (({}, "Pits &amp; Co"), ({"operator": "Ann"}, "Ann")):
         settings = json.loads((site / "run.json").read_text())["settings"] | {"provider": "Pits & Co"}
-        twin = copy_folder(site, tmp_path / by, settings=settings, page=page)
+        twin = copy_folder(site, tmp_path / by, settings=settings, page=header)
         assert f"<span>by {by}</span>" in write_report(twin).read_text()
     (tmp_path / "link.png").symlink_to(tmp_path / "logo.png")
     (tmp_path / "text.png").write_text("<svg onload='x'/>")
