@@ -313,7 +313,7 @@ def _interval(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _rights(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return who made the survey, provider or operator of the page, and the licence of the layers, if they are stated."""
+    """Return who made the survey (provider, or operator of the page) and the licence of the layers, if stated."""
     provider, licence = (str(record["settings"].get(name) or "") for name in ("provider", "license"))
     provider = provider or (record.get("page") or {}).get("operator")
     found: dict[str, Any] = {"license": licence} if licence else {}
