@@ -77,6 +77,14 @@ def test_no_error_no_request_and_axe_finds_nothing(visit, pages, name, size):
     assert page.evaluate("document.documentElement.scrollWidth") == size[0]
 
 
+@pytest.mark.parametrize("name", ["one", "change", "check"])
+def test_no_table_is_wider_than_a_sheet_which_would_shrink_the_map_and_its_scale(visit, pages, name):
+    page = visit(pages[name], (673, 900))  # 178 mm
+    page.emulate_media(media="print")
+    widths = page.evaluate("[...document.querySelectorAll('table, .stage')].map(e => e.getBoundingClientRect().right)")
+    assert max(widths) <= page.evaluate("document.body.getBoundingClientRect().right") + 0.5
+
+
 def test_the_policy_of_the_page_stops_requests(visit, pages):
     """That no request is seen means something: one that is tried is refused, and complained about."""
     page = visit(pages["one"])
