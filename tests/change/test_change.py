@@ -355,8 +355,10 @@ def test_features_are_the_changes(rut):
     assert about["kind"] == "rougher"
     assert about["rougher"] + about["smoother"] + about["ground_changed_ride_as_before"] == about["tiles"]
     west, south, east, north = collection["bbox"]
-    assert -180 <= west < east <= 180
-    assert south < north
+    assert -180 <= west < east <= 180 > north > south
+    table = rut.regions()
+    assert (table.crs.to_epsg(), table["kind"].tolist()) == (32614, [each["properties"]["kind"] for each in features])
+    assert np.allclose(table.area, table["area_m2"])
 
 
 def test_the_page_describes_every_file_band_kind_and_default(rut):
