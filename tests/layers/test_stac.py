@@ -232,6 +232,6 @@ def test_pystac_opens_it_and_finds_every_file(night, monkeypatch):
             assert name in {Path(asset.href).stem, Path(asset.href).name.replace(".", "_")}
         assert item.common_metadata.start_datetime.year in {1970, 2024}
         assert item.common_metadata.license == "CC-BY-4.0"
-        (provider,) = item.common_metadata.providers
-        assert (provider.name, provider.roles) == ("Pits & Co", ["producer", "licensor"])
+        said = [(each.name, each.roles) for each in item.common_metadata.providers]
+        assert said == [("Pits & Co", ["producer", "licensor"])]
         assert faults(item.to_dict(transform_hrefs=False)) == []
