@@ -123,15 +123,13 @@ _PALE = 205.0
 
 def read_photo(path: Path, spot: Spot) -> NDArray[np.uint8]:
     """Read photo.tif as `read_pixels`, (rows, cols, 3); holes have the mean around them."""
-    found = np.moveaxis(read_pixels(path, spot, _PHOTO_SIDE, read_colours), 0, -1)
-    rows, cols = (-(-size // _HOLE) for size in found.shape[:2])
-    room = ((0, rows * _HOLE - found.shape[0]), (0, cols * _HOLE - found.shape[1]), (0, 0))
-    squares = np.pad(found, room, constant_values=np.nan).reshape(rows, _HOLE, cols, _HOLE, 3)
-    known = np.isfinite(squares)
-    count = known.sum(axis=(1, 3), keepdims=True)
-    mean = np.where(known, squares, 0.0).sum(axis=(1, 3), keepdims=True) / np.maximum(count, 1)
-    filled = np.where(known, squares, np.where(count > 0, mean, _PALE)).reshape(rows * _HOLE, cols * _HOLE, 3)
-    return np.rint(filled[: found.shape[0], : found.shape[1]]).astype(np.uint8)
+    found = read_pixels(path, spot, _PHOTO_SIDE, read_colours)
+    high, wide = found.shape[1:]
+    rows, cols = (-(-size // _HOLE) for size in (high, wide))
+    padded = np.pad(found, ((0, 0), (0, rows * _HOLE - high), (0, cols * _HOLE - wide)), constant_values=np.nan)
+    near = np.nan_to_num(block_means(padded, (rows, cols)), nan=_PALE).repeat(_HOLE, axis=1).repeat(_HOLE, axis=2)
+    filled = np.where(np.isfinite(found), found, near[:, :high, :wide])
+    return np.rint(np.moveaxis(filled, 0, -1)).astype(np.uint8)
 
 
 def _spans(count: int, step: int) -> list[tuple[int, int, int]]:
