@@ -220,7 +220,7 @@ class MapConfig:
     """Folder for temporary files of points that do not fit in memory; None: in the output folder."""
     scheduler: Annotated[str | None, Setting("Run on the workers of this dask scheduler", "ADDRESS", rare=True)] = None
     """Address of a dask.distributed scheduler whose workers are used; None: everything runs in this process."""
-    provider: Annotated[str, Setting("Who made the survey, for catalogues", rare=True)] = ""
+    provider: Annotated[str, Setting("Who made the survey, in catalogues and on the page", rare=True)] = ""
     license: Annotated[str, Setting("Licence of the layers, for catalogues: CC-BY-4.0", rare=True)] = ""
     """SPDX identifier, or ``other``; empty: none is stated."""
     features: FeatureSettings = field(default_factory=FeatureSettings)

@@ -22,13 +22,14 @@ BARRED_COLOURS: dict[int, tuple[int, int, int, int]] = {
     Barred.NO: (166, 217, 106, 255),
     Barred.UNKNOWN: (150, 150, 150, 255),
     Barred.OBSTACLE: (84, 48, 5, 255),
-    Barred.SLOPE: (128, 115, 172, 255),
-    Barred.FAILS: (215, 25, 28, 255),
-    Barred.STEP: (230, 97, 1, 255),
-    Barred.SPLIT: (191, 129, 45, 255),
+    Barred.SLOPE: (63, 59, 116, 255),
+    Barred.FAILS: (179, 34, 75, 255),
+    Barred.STEP: (193, 127, 0, 255),
+    Barred.SPLIT: (80, 229, 255, 255),
     NO_CLASS: (0, 0, 0, 0),
 }
-"""Red, green, blue, alpha of each `Barred`: passable tiles green, the others by what bars them."""
+"""Red, green, blue, alpha of each `Barred`: passable tiles green, the others by what bars them. Any two are told apart
+by colour-blind readers too."""
 UNKNOWN_COLOUR = BARRED_COLOURS[Barred.UNKNOWN]
 """Of ground that is not known or not compared, under lines that rise to the right: in GIS and on pages."""
 UNKNOWN_OBJECT = 3

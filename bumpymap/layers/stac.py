@@ -313,8 +313,9 @@ def _interval(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _rights(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return who made the survey, and the licence of the layers, if the settings say."""
+    """Return who made the survey (provider, or operator of the page) and the licence of the layers, if stated."""
     provider, licence = (str(record["settings"].get(name) or "") for name in ("provider", "license"))
+    provider = provider or str((record.get("page") or {}).get("operator") or "")
     found: dict[str, Any] = {"license": licence} if licence else {}
     return found | ({"providers": [{"name": provider, "roles": ["producer", "licensor"]}]} if provider else {})
 

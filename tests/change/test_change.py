@@ -200,7 +200,6 @@ def test_without_a_change_next_to_nothing_is_found(root):
     assert result.counts["changed"] <= 0.005 * ROWS * COLS
     assert result.fit["offset_m"] == pytest.approx(0.4, abs=0.002)
     assert any("lies 0.400 m higher" in note and "taken off" in note for note in result.notes)
-    assert all(factor < 1.2 for factor in result.fit["widened"].values())
     assert abs(np.nanstd(result.field.z_height) - 1.0) < 0.1
 
 
@@ -223,13 +222,6 @@ def test_height_and_ride_that_differ_everywhere_are_said(offset, ratio, said):
         fit | {"median_ratio_c_r": ratio, "versions": (None, None)}, {"changed": 0, "compared": 9, "in_both": 9}
     )
     assert said in note
-
-
-def test_the_other_way_round_a_rut_is_filled(root, rut):
-    there, back = rut, compare(root / "june", root / "may")
-    assert back.counts["by_change"]["smoother"] == there.counts["by_change"]["rougher"]
-    assert np.array_equal(there.transitions, back.transitions.T)
-    assert np.allclose(there.field.d_height, -back.field.d_height, atol=1e-6)
 
 
 @pytest.mark.parametrize("seen", [1.0, 0.3])
@@ -334,8 +326,6 @@ def test_files_say_what_the_result_says(rut):
     record = json.loads((rut.folder / "change.json").read_text())
     assert record["counts"] == json.loads(json.dumps(rut.counts))
     assert np.array_equal(record["classes"]["tiles_before_after"], rut.transitions)
-    assert record["settings"]["fdr"] == 0.05
-    assert len(record["sources"]["before"]["runs"][0]["files"]) > 5
     assert record["crs"]["code"] == "EPSG:32614"
     assert record["grid"] == {"tile_size_m": 3.0, "pixels": 15}
     assert {file["path"] for file in record["files"]} == {"change.tif", "change.geojson"}
@@ -349,14 +339,15 @@ def test_features_are_the_changes(rut):
     largest = max(features, key=lambda feature: feature["properties"]["tiles"])
     about = largest["properties"]
     assert shapely.geometry.shape(largest["geometry"]).is_valid
-    assert about["area_m2"] == about["tiles"] * 9.0
     assert about["volume_m3"] == pytest.approx(about["d_height"] * about["area_m2"], abs=0.1)
     assert about["volume_m3"] == pytest.approx(-0.1 * 0.6 * 3.0 * about["tiles"], rel=0.15)
     assert about["kind"] == "rougher"
     assert about["rougher"] + about["smoother"] + about["ground_changed_ride_as_before"] == about["tiles"]
     west, south, east, north = collection["bbox"]
-    assert -180 <= west < east <= 180
-    assert south < north
+    assert -180 <= west < east <= 180 > north > south
+    table = rut.regions()
+    assert (table.crs.to_epsg(), table["kind"].tolist()) == (32614, [each["properties"]["kind"] for each in features])
+    assert np.allclose(table.area, table["area_m2"])
 
 
 def test_the_page_describes_every_file_band_kind_and_default(rut):

@@ -182,8 +182,9 @@ def night(tmp_path_factory, make_field):
     root = tmp_path_factory.mktemp("night")
     for seed, name in enumerate(("a", "Grube Süd")):
         survey = {"name": name, "checksum": None, "dates": ["2024-05-03"] * 2 if seed else None}
-        rights = {"rating": "ride", "provider": "Pits & Co", "license": "CC-BY-4.0"}
-        write(make_field(9, 7, seed=seed), root / name, survey=survey, settings=rights)
+        rights = {"rating": "ride", "provider": "" if seed else "Pits & Co", "license": "CC-BY-4.0"}
+        page = {"operator": "Pits & Co" if seed else "another"}  # says it too
+        write(make_field(9, 7, seed=seed), root / name, survey=survey, settings=rights, page=page)
     (root / "failed").mkdir()
     for name in ("half", "before"):
         shutil.copytree(root / "a", root / name)
@@ -231,5 +232,6 @@ def test_pystac_opens_it_and_finds_every_file(night, monkeypatch):
             assert name in {Path(asset.href).stem, Path(asset.href).name.replace(".", "_")}
         assert item.common_metadata.start_datetime.year in {1970, 2024}
         assert item.common_metadata.license == "CC-BY-4.0"
-        assert item.common_metadata.providers[0].roles == ["producer", "licensor"]
+        said = [(each.name, each.roles) for each in item.common_metadata.providers]
+        assert said == [("Pits & Co", ["producer", "licensor"])]
         assert faults(item.to_dict(transform_hrefs=False)) == []

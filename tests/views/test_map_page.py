@@ -14,12 +14,13 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 import rasterio
+import shapely
 from cost_maps import make_field
 from page_outline import Outline, require_no_requests
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 from pyproj import Transformer
-from route_maps import VEHICLE, list_anew, write_folder
+from route_maps import VEHICLE, copy_folder, list_anew, write_folder
 from small_surveys import run
 
 from bumpymap.core import CLASS_NAMES, NO_CLASS, OBSTACLE, BadInputError, OutputError, PageSettings, UsageError
@@ -27,6 +28,7 @@ from bumpymap.layers import SurveyRow
 from bumpymap.views import page_header, write_report
 from bumpymap.views.page import page
 from bumpymap.views.page.batch_page import index_page
+from bumpymap.views.page.charts import locator
 from bumpymap.views.page.tiles import NO_POINTS, UNKNOWN_FROM
 from bumpymap.views.words import area, number, share
 
@@ -241,6 +243,10 @@ def test_the_header_says_what_settings_say_and_holds_a_logo_made_anew(site, tmp_
     logo = b64decode(re.search(r'class="logo" src="data:image/png;base64,([^"]+)"', text)[1])
     picture = Image.open(io.BytesIO(logo))
     assert (picture.size, picture.text, b"secret" in logo) == ((480, 160), {}, False)
+    for header, by in (({}, "Pits &amp; Co"), ({"operator": "Ann"}, "Ann")):
+        settings = json.loads((site / "run.json").read_text())["settings"] | {"provider": "Pits & Co"}
+        twin = copy_folder(site, tmp_path / by, settings=settings, page=header)
+        assert f"<span>by {by}</span>" in write_report(twin).read_text()
     (tmp_path / "link.png").symlink_to(tmp_path / "logo.png")
     (tmp_path / "text.png").write_text("<svg onload='x'/>")
     for name, why in (("link.png", "it is a link"), ("text.png", "cannot identify"), ("none.png", "No such file")):
@@ -248,10 +254,25 @@ def test_the_header_says_what_settings_say_and_holds_a_logo_made_anew(site, tmp_
             page_header(PageSettings(logo=tmp_path / name))
 
 
-def test_shares_never_round_to_nothing_or_all():
-    assert [share(part, 10_000).replace("\xa0", " ") for part in (0, 1, 50, 9_940, 9_999, 10_000)] == [
-        "0 %", "under 1 %", "under 1 %", "over 99 %", "over 99 %", "100 %",
-    ]  # fmt: skip
+PLACES = [  # Munich and Vienna; Lesotho and the country around it; Russia beyond the antimeridian, Alaska; Antarctica
+    ((11.5, 48.2), (16.4, 48.2)), ((28.2, -29.5), (28.0, -26.2)), ((-170.5, 66.0), (-166.0, 65.5)),
+    ((100.0, -80.0), (100.0, -50.0)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("place", "other"), PLACES)
+def test_the_locator_shows_a_place_in_its_country_and_one_beside_it_in_another(place, other):
+    found = locator(*place)
+    rings = [[[*map(int, each.split())] for each in part.split("L")] for part in found["country"][1:-1].split("ZM")]
+    land = shapely.union_all([shapely.make_valid(shapely.Polygon(ring)) for ring in rings if len(ring) > 2])
+    point, square = shapely.Point(found["x"], found["y"]), shapely.box(0, 0, found["side"], found["side"])
+    assert square.contains(point)
+    assert land.distance(point) < 2
+    assert 0.025 < land.intersection(square).area / square.area < 0.9
+    assert locator(*other)["country"] != found["country"]
+
+
+def test_unknown_numbers_are_dashes_and_areas_have_their_unit():
     assert share(1, 0) == number(None, 2) == number(float("nan"), 1)
     assert [area(one) for one in (9, 25_000, 3.2e6)] == ["9 m²", "2.50 ha", "3.20 km²"]
 

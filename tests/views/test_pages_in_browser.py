@@ -67,7 +67,8 @@ def pages(site, comparison, checked, tmp_path_factory):
 
 @pytest.mark.parametrize("size", [WIDE, PHONE], ids=["wide", "phone"])
 @pytest.mark.parametrize("name", ["one", "odd", "change", "check"])
-def test_no_error_no_request_and_axe_finds_nothing(visit, pages, name, size):
+def test_no_error_no_request_axe_finds_nothing_and_prints_fit_their_sheet(visit, pages, name, size):
+    """What is wider than 178 mm would shrink all of a print, the map and its scale too."""
     page = visit(pages[name], size)
     page.evaluate("document.querySelectorAll('details').forEach(part => { part.open = true; })")
     found = Axe().run(page)
@@ -75,6 +76,10 @@ def test_no_error_no_request_and_axe_finds_nothing(visit, pages, name, size):
     assert page.complaints == []
     assert page.requests == [pages[name].as_uri()]
     assert page.evaluate("document.documentElement.scrollWidth") == size[0]
+    page.set_viewport_size({"width": 673, "height": 900})
+    page.emulate_media(media="print")
+    ends = "[...document.querySelectorAll('body, table, .stage')].map(part => part.getBoundingClientRect().right)"
+    assert max(page.evaluate(ends)) <= 673.5
 
 
 def test_the_policy_of_the_page_stops_requests(visit, pages):

@@ -9,7 +9,7 @@ import rasterio
 from route_records import CORNERS, MadeUpMap, make_route
 
 from bumpymap.core import NO_TILE, Barred, PolarSettings, Scan, sector_bounds
-from bumpymap.layers.colours import CLASS_COLOURS, RideScale
+from bumpymap.layers.colours import CLASS_COLOURS
 from bumpymap.layers.scan_folder import SCAN_COLOURS, SECTOR_STATES, point_styles, sector_states
 from bumpymap.scan import classify_filter, polar_sectors
 from bumpymap.views.pictures import drawing
@@ -124,13 +124,6 @@ def test_what_is_unknown_is_drawn_without_complaint(ground, names, recwarn):
     ground.c_r[:] = np.nan
     assert paint_route([route], ground).width == 1600
     assert not [str(warning.message) for warning in recwarn if "numpy" in str(warning.filename)]
-
-
-def test_the_scale_of_colours_runs_through_those_of_the_classes():
-    scale = RideScale.of({"calibration": {"class_limits": [0.1, 0.3, 0.4]}})
-    wanted = 255 + 0.82 * (np.array([CLASS_COLOURS[code][:3] for code in (0, 0, 1, 2, 3, 3)]) - 255.0)
-    np.testing.assert_allclose(scale.colours(np.array([0.0, 0.05, 0.2, 0.35, 0.45, 8.0])), wanted)
-    assert scale.end == pytest.approx(0.45)
 
 
 def paint(scan, classed, range_m=40.0):

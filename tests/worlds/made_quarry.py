@@ -3,7 +3,7 @@
 Coordinates are local metres, x east and y north from the corner; heights are above the datum. Every value is a formula
 of the coordinates, nothing is stored on a raster, so heights are exact everywhere. A feature has a core, in which its
 surface is exact, and a blend of a few metres around it, which belongs to no zone. Every ``outside_*`` function returns
-the distance from the core in metres: zero or less inside. `height`, `is_water` and ``BOUNDS`` are in coordinates of the
+the distance from the core in metres: zero or less inside. `height` and ``BOUNDS`` are in coordinates of the
 CRS.
 """
 
@@ -358,11 +358,6 @@ def height(easting: Floats, northing: Floats) -> Floats:
     """Return the height of the bare ground at any places, m; continuous except at the kerb of the pad."""
     x, y = _local(easting, northing)
     return relief(x.ravel(), y.ravel()).reshape(x.shape)
-
-
-def is_water(easting: Floats, northing: Floats) -> NDArray[np.bool_]:
-    """Return True in the pond, where surveys have no points."""
-    return outside_pond(*_local(easting, northing)) <= 0.0
 
 
 def tiles_of(symbol: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

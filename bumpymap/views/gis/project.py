@@ -25,6 +25,7 @@ from bumpymap.views.gis.styles import (
     write_styles,
 )
 from bumpymap.views.page.map_page import write_map_page
+from bumpymap.views.page.page import NORTH_ARROW
 from bumpymap.views.page.site import Site
 from bumpymap.views.pictures.drawing import bar_length
 from bumpymap.views.words import survey_name
@@ -36,10 +37,7 @@ _PRINT_MM = 190.0, 180.0
 """Width and height of the map on a page of paper."""
 _BAR_MM = 25.0
 """Most of a segment of its scale bar."""
-_ARROW = (
-    b'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 24 40"><path d="M12 2 20 24 12 19 4 24Z" fill="#1f2937"/>'
-    b'<path d="M8 38V28L16 38V28" fill="none" stroke="#1f2937" stroke-width="2"/></svg>'
-)
+_ARROW = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 24 40">{NORTH_ARROW}</svg>'
 
 
 def write_map_views(folder: Path, record: Mapping[str, Any]) -> None:
@@ -146,14 +144,13 @@ def _groups(tree: _Tree, speeds: Sequence[float]) -> list[Style]:
     c_r = tree.group("ride cost c_r", fails, rides, expanded=False, visible=False)
     cost = tree.layer(MapFile.COST, "cost of driving", MULTIPLY)
     ride = tree.group("Ride", classes, c_r, cost, tree.layer(MapFile.SPEED, "speed made good", MULTIPLY), one_of=True)
-    photo = tree.has(MapFile.PHOTO)
-    ground = tree.group(
-        "Ground",
-        tree.layer(MapFile.HEIGHTMAP, "measured heights, with holes"),
-        tree.layer(MapFile.RELIEF, "relief, holes filled", visible=not photo),
-        tree.layer(MapFile.PHOTO, "photo: colours of the points", visible=True),
-    )
-    return [*closed, *why, *regions, *ride, *ground]
+    heights = tree.layer(MapFile.HEIGHTMAP, "measured heights, with holes")
+    return [*closed, *why, *regions, *ride, *tree.group("Ground", heights, *_below(tree))]
+
+
+def _below(tree: _Tree) -> list[list[Style]]:
+    relief = tree.layer(MapFile.RELIEF, "relief, holes filled", visible=not tree.has(MapFile.PHOTO))
+    return [relief, tree.layer(MapFile.PHOTO, "photo: colours of the points", visible=True)]
 
 
 def _closed(tree: _Tree, *, visible: bool = True) -> list[Style]:
@@ -228,8 +225,7 @@ def _write_over_map(
         wkt, blend = (tree.wkt, MULTIPLY) if layer.file.endswith(".tif") else (degrees, NORMAL)
         groups += tree.add(layer, wkt, blend)
     classes = tree.layer(MapFile.CLASS, _CLASSES, MULTIPLY, visible=not covers)  # they would shine through a raster
-    relief = tree.layer(MapFile.RELIEF, "relief, holes filled", visible=True)
-    groups += tree.group("Map", _closed(tree, visible=not covers), classes, relief)
+    groups += tree.group("Map", _closed(tree, visible=not covers), classes, *_below(tree))
     window = place.window
     west, east = place.to_crs(np.array([window.col, window.col + window.cols])).tolist()
     south, north = place.to_crs(np.array([window.row, window.row + window.rows])).tolist()
@@ -293,7 +289,7 @@ def _print(box: tuple[float, ...], metres: float) -> dict[str, Any]:
         "scale": scale,
         "segment": segment,
         "segment_mm": 1000 * segment / scale,
-        "arrow": base64.b64encode(_ARROW).decode(),
+        "arrow": base64.b64encode(_ARROW.encode()).decode(),
     }
 
 

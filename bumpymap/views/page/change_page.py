@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -21,11 +22,23 @@ from bumpymap.core import (
     read_record,
     read_regular,
     shape_fault,
+    utf8_path,
 )
-from bumpymap.layers import CHANGE_COLOURS, COUNT, DIFFERENCE_RAMP, PLACE_SHAPE, UNKNOWN_COLOUR, open_layer, outline_of
+from bumpymap.layers import (
+    CHANGE_COLOURS,
+    COUNT,
+    DIFFERENCE_RAMP,
+    PLACE_SHAPE,
+    UNKNOWN_COLOUR,
+    MapFile,
+    open_layer,
+    outline_of,
+    require_written,
+)
 from bumpymap.views.page.page import write_page
-from bumpymap.views.page.site import jpeg
+from bumpymap.views.page.site import PHOTO_BUDGET, RELIEF_BUDGET, RELIEF_SIDE, jpeg, read_photo, read_pixels, shaded
 from bumpymap.views.page.tiles import ByteGrid, Spot, crs_name, map_metres, packed
+from bumpymap.views.pictures.drawing import STRENGTH
 from bumpymap.views.words import area, number, share, shares, signed, survey_name, whole
 
 NOT_COMPARED = 16
@@ -65,6 +78,8 @@ class ChangeSite:
     """True if places are given as longitude and latitude; else in the survey's own coordinates."""
     still: str
     """The kinds, a data URI: for readers and printers without scripts."""
+    below: Mapping[str, str]
+    """From `_below`."""
 
     @classmethod
     def read(cls, folder: Path, record: Mapping[str, Any]) -> Self:
@@ -101,12 +116,13 @@ class ChangeSite:
                         break
                     step *= 2
             places, degrees = _places(folder / "change.geojson", record)
+            below = _below(record, spot)
         except (KeyError, TypeError, ValueError, AttributeError, IndexError, ProjError) as error:
             said = error if isinstance(error, ValueError) else repr(error)
             raise BadInputError(f"{folder} holds no comparison of this version: {said}. {_AGAIN}") from error
         except OSError as error:
             raise BadInputError(f"cannot read the files of the comparison in {folder}: {error}. {_AGAIN}") from error
-        return cls(record, spot, kinds, grids, places, degrees, _still(kinds, spot))
+        return cls(record, spot, kinds, grids, places, degrees, _still(kinds, spot), below)
 
     @property
     def crs_name(self) -> str:
@@ -126,7 +142,32 @@ class ChangeSite:
             "ground": packed(self.kinds),
             "grids": [grid.record() for grid in self.grids],
             "places": [{key: place[key] for key in ("name", "east", "north", "size")} for place in self.places],
+            **self.below,
         }
+
+    @property
+    def overlays(self) -> list[tuple[str, str, bool]]:
+        """Keys and names of what is drawn under and over the colours, and whether it is at first."""
+        below = [(key, key.capitalize(), True) for key in self.below]
+        return below + ([("places", "Numbers of the places", True)] if self.places else [])
+
+
+def _below(record: Mapping[str, Any], spot: Spot) -> dict[str, str]:
+    """Return the photo of a survey, else its relief, as a data URI by its key; nothing if the maps are there no more.
+
+    That of the later survey is taken first. A map is the one that was compared if the checksum of the file says so.
+    """
+    spot = replace(spot, pixels=int(record["grid"]["pixels"]))
+    for key, file in (("photo", MapFile.PHOTO), ("relief", MapFile.HEIGHTMAP)):
+        for side in reversed(_SIDES):
+            source = record["sources"][side]
+            folder = Path(source["folders"][0])
+            with suppress(BadInputError), utf8_path(folder) as readable:
+                require_written(readable, source["runs"][0], (file,))
+                if key == "photo":
+                    return {key: jpeg(read_photo(readable / file, spot), PHOTO_BUDGET)}
+                return {key: jpeg(shaded(read_pixels(readable / file, spot, RELIEF_SIDE), spot), RELIEF_BUDGET)}
+    return {}
 
 
 def _read(file: Any, step: int) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]:
@@ -288,6 +329,7 @@ def write_change_report(folder: Path, record: Mapping[str, Any], path: Path) -> 
         ],
         kind_rows=_kind_rows(site),
         place_rows=[_place_row(site, place) for place in site.places],
+        photo_strength=STRENGTH if "photo" in site.below else 100,
         ramp_colours=DIFFERENCE_RAMP,
         survey_rows=_survey_rows(record["fit"], runs),
         registration=_registration(record["fit"]["registration"]),

@@ -40,7 +40,7 @@ from bumpymap.layers import (
     require_written,
 )
 from bumpymap.views.page.change_page import is_comparison, read_comparison, write_change_report
-from bumpymap.views.page.charts import along_chart, drive_chart
+from bumpymap.views.page.charts import along_chart, drive_chart, locator
 from bumpymap.views.page.page import write_page
 from bumpymap.views.page.site import WAY_FIGURES, DrawnWay, Site, page_header, read_ways
 from bumpymap.views.page.tiles import UNKNOWN_FROM
@@ -163,6 +163,7 @@ def write_map_page(site: Site, path: Path) -> None:
         class_rows=_class_rows(site),
         crossed=_crossed(site),
         file_rows=_file_rows(site.record),
+        locator=locator,
         real=real,
         reason_rows=_reason_rows(site),
         surface_rows=[(name, f"{c_r:.3f}", degrees(c_r)) for name, c_r in real["c_r"].items()],

@@ -162,8 +162,14 @@ _FILTERS: dict[str, Callable[..., str]] = {
     "shown": lambda text: escape_controls(" ".join(text.split())),
     "whole": whole,
 }
+NORTH_ARROW = (
+    '<path d="M12 2 20 24 12 19 4 24Z" fill="#1f2937"/>'
+    '<path d="M8 38V28L16 38V28" fill="none" stroke="#1f2937" stroke-width="2"/>'
+)
+"""Within 24 x 40."""
 _NAMES = {
     "DASH": DASH,
+    "NORTH_ARROW": NORTH_ARROW,
     "REPORT_NAME": REPORT_NAME,
     "barred": [(code, BARRED_TEXT[code], BARRED_COLOURS[code]) for code in Barred if code != Barred.UNKNOWN],
     "changes": [(name, CHANGE_COLOURS[code]) for code, name in enumerate(CHANGE_KINDS)],

@@ -80,7 +80,8 @@ def read_pixels(
 ) -> NDArray[np.float32]:
     """Read a raster of the pixels of heightmap.tif, ``side`` along a side at most, or one for each of the page's grid.
 
-    ``read`` returns the pixels of a window in another shape, (..., rows, cols), as `read_averaged`.
+    The page may show a part of the raster. ``read`` returns the pixels of a window in another shape,
+    (..., rows, cols), as `read_averaged`.
 
     Returns
     -------
@@ -91,18 +92,27 @@ def read_pixels(
     while factor > finer(spot, side):  # half and half again: what overviews hold, or a little less
         factor //= 2
     with open_layer(path) as file:
-        bands = read(file, (1, 1)).shape[:-2]
+        place, bands = file.transform, read(file, (1, 1)).shape[:-2]
+        left = round((spot.west / spot.unit - place.c) / place.a)
+        top = round((spot.north / spot.unit - place.f) / place.e)
         found = np.full([*bands, *(pixels * factor for pixels in spot.shape)], np.nan, np.float32)
         for line, lines, rows in _spans(spot.rows, spot.step):
             for column, columns, cols in _spans(spot.cols, spot.step):
                 high, wide = (
-                    (first * spot.pixels, (first + tiles) * spot.pixels)
-                    for first, tiles in ((line, rows * lines), (column, cols * columns))
+                    (start + first * spot.pixels, start + (first + tiles) * spot.pixels)
+                    for start, first, tiles in ((top, line, rows * lines), (left, column, cols * columns))
                 )
                 row, col = line // spot.step * factor, column // spot.step * factor
                 place = np.s_[..., row : row + lines * factor, col : col + columns * factor]
                 found[place] = read(file, (lines * factor, columns * factor), (high, wide))
     return found
+
+
+def shaded(heights: NDArray[np.float32], spot: Spot) -> NDArray[np.uint8]:
+    """Return the light on heights from `read_pixels`."""
+    side_m = spot.metres * spot.shape[0] / heights.shape[0]
+    bright = np.clip(light_of(heights, (side_m, side_m)) * (_FLAT / LEVEL), 0.15, 1.0)
+    return np.rint(bright * 255).astype(np.uint8)
 
 
 _HOLE = 8
@@ -111,20 +121,15 @@ _PALE = 205.0
 """Brightness where no colour is near."""
 
 
-def read_photo(folder: Path, spot: Spot, side: int) -> NDArray[np.uint8] | None:
-    """Read photo.tif as `read_pixels`, (rows, cols, 3); holes have the mean around them. None if there is none."""
-    path = folder / MapFile.PHOTO
-    if not path.is_file():
-        return None
-    found = np.moveaxis(read_pixels(path, spot, side, read_colours), 0, -1)
-    rows, cols = (-(-size // _HOLE) for size in found.shape[:2])
-    room = ((0, rows * _HOLE - found.shape[0]), (0, cols * _HOLE - found.shape[1]), (0, 0))
-    squares = np.pad(found, room, constant_values=np.nan).reshape(rows, _HOLE, cols, _HOLE, 3)
-    known = np.isfinite(squares)
-    count = known.sum(axis=(1, 3), keepdims=True)
-    mean = np.where(known, squares, 0.0).sum(axis=(1, 3), keepdims=True) / np.maximum(count, 1)
-    filled = np.where(known, squares, np.where(count > 0, mean, _PALE)).reshape(rows * _HOLE, cols * _HOLE, 3)
-    return np.rint(filled[: found.shape[0], : found.shape[1]]).astype(np.uint8)
+def read_photo(path: Path, spot: Spot) -> NDArray[np.uint8]:
+    """Read photo.tif as `read_pixels`, (rows, cols, 3); holes have the mean around them."""
+    found = read_pixels(path, spot, _PHOTO_SIDE, read_colours)
+    high, wide = found.shape[1:]
+    rows, cols = (-(-size // _HOLE) for size in (high, wide))
+    padded = np.pad(found, ((0, 0), (0, rows * _HOLE - high), (0, cols * _HOLE - wide)), constant_values=np.nan)
+    near = np.nan_to_num(block_means(padded, (rows, cols)), nan=_PALE).repeat(_HOLE, axis=1).repeat(_HOLE, axis=2)
+    filled = np.where(np.isfinite(found), found, near[:, :high, :wide])
+    return np.rint(np.moveaxis(filled, 0, -1)).astype(np.uint8)
 
 
 def _spans(count: int, step: int) -> list[tuple[int, int, int]]:
@@ -309,11 +314,12 @@ _BUDGET = 1_700_000
 """Characters for the map of a page; its text takes some 60,000 more."""
 _SIDE = 1_500
 """Most pixels of a grid of tiles, or of objects, along a side."""
-_RELIEF_SIDE = 1_000
-"""Most pixels of the relief along a side: what GDAL reads from an overview then takes half the time of 1500."""
+RELIEF_SIDE, RELIEF_BUDGET = 1_000, 340_000
+"""Most pixels of the relief along a side (what GDAL reads from an overview then takes half the time of 1500), and most
+characters."""
 _TILES = 220_000
 """Most pixels with a tile in the grids: six bytes or so each."""
-_PHOTO_SIDE, _PHOTO_BUDGET = 1_400, 550_000
+_PHOTO_SIDE, PHOTO_BUDGET = 1_400, 550_000
 """Most pixels of the photo along a side, and most characters."""
 _STILL_SIDE = 700
 _DENSE = 0.1
@@ -383,7 +389,7 @@ class Site:
         while True:
             spot = replace(spot, step=step)
             tiles = PageTiles.read(folder, record, spot)
-            heights = read_pixels(folder / MapFile.HEIGHTMAP, spot, _RELIEF_SIDE)
+            heights = read_pixels(folder / MapFile.HEIGHTMAP, spot, RELIEF_SIDE)
             grids = (
                 ByteGrid.of(("c_r", "ride cost C_r", "rad/m", 3), tiles.c_r, "log"),
                 ByteGrid.of(("p_fail", "chance of failure", "", 3), tiles.p_fail, limits=(0.0, 1.0)),
@@ -395,11 +401,9 @@ class Site:
             if taken < 0.7 * _BUDGET or max(spot.shape) < 100:
                 break
             step *= 2
-        side_m = spot.metres * spot.shape[0] / heights.shape[0]
-        bright = np.clip(light_of(heights, (side_m, side_m)) * (_FLAT / LEVEL), 0.15, 1.0)
-        light = np.rint(bright * 255).astype(np.uint8)
-        relief, photo = jpeg(light, int(0.2 * _BUDGET)), read_photo(folder, spot, _PHOTO_SIDE)
-        picture = None if photo is None else jpeg(photo, _PHOTO_BUDGET)
+        light, colours = shaded(heights, spot), folder / MapFile.PHOTO
+        photo = read_photo(colours, spot) if colours.is_file() else None
+        relief, picture = jpeg(light, RELIEF_BUDGET), None if photo is None else jpeg(photo, PHOTO_BUDGET)
         side = _SIDE
         while True:
             objects = object_grid(folder, tiles, side)
@@ -431,8 +435,9 @@ class Site:
 
     @property
     def header(self) -> Mapping[str, str]:
-        """Texts and logo of `page_header`."""
-        return self.record.get("page") or {}
+        """Texts and logo of `page_header`; the operator is the provider unless another one is given."""
+        provider = self.record["settings"].get("provider")
+        return ({"operator": provider} if provider else {}) | (self.record.get("page") or {})
 
     @property
     def degrees(self) -> list[list[float]] | None:

@@ -74,7 +74,7 @@
 
   class ReportMap {
     static async of(figure, about) {
-      // A page of what has changed has neither bars nor objects nor a relief.
+      // A page of what has changed has neither bars nor objects.
       const [ground, barred, objects, relief, photo, headings, ...values] = await Promise.all([
         unpack(about.ground), about.barred && unpack(about.barred), about.objects && unpack(about.objects.codes),
         about.relief && picture(about.relief), about.photo && picture(about.photo), about.headings && unpack(about.headings.codes),
@@ -126,6 +126,7 @@
 
     colouring(key) {
       const known = (colour) => (at) => this.ground[at] !== NONE && !this.isUnknown(at) && colour(at);
+      if (key === "changes alone") return known((at) => this.ground[at] && codes.classColours[this.ground[at]]);
       if (key === "class" || key === "changed") return known((at) => codes.classColours[this.ground[at]]);
       if (key === "barred") return known((at) => codes.barredColours[this.barred[at]]);
       if (key === "none") return known(() => [236, 236, 236, 255]);
@@ -434,7 +435,7 @@
       }
       context.globalAlpha = this.strength;
       if (!onPhoto || this.chosen !== "none") {
-        layer(this.layer(this.chosen));
+        layer(this.layer(onPhoto && this.chosen === "changed" ? "changes alone" : this.chosen));
         context.imageSmoothingEnabled = false;
         context.drawImage(...this.worst("unknown", box));
       }
