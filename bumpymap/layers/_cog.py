@@ -212,7 +212,9 @@ def write_cog(
         pixels = placement.window.cols * placement.window.rows * spec.pixels**2
         size = pixels * len(spec.bands) * np.dtype(spec.dtype).itemsize
         sparse = pieces is not None and size > _SPARSE_FROM
-        overviews_first = spec.counts_nodata or spec.is_photo or (len(spec.bands) > 1 and size > OVERVIEWS_FIRST_FROM)
+        # Of a photo GDAL leaves out the overviews that the scratch raster has: it makes a mask of the alpha first.
+        large = len(spec.bands) > 1 and size > OVERVIEWS_FIRST_FROM and not spec.is_photo
+        overviews_first = spec.counts_nodata or large
         counts = np.zeros(256, np.int64)
         block = max(spec.block, SCRATCH_BLOCK)
         across, down = (

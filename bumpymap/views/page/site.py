@@ -39,6 +39,7 @@ from bumpymap.layers import (
     geojson_features,
     line_parts,
     open_layer,
+    raster_lock,
     read_averaged,
     read_colours,
 )
@@ -90,7 +91,7 @@ def read_pixels(
     factor = spot.pixels
     while factor > finer(spot, side):  # half and half again: what overviews hold, or a little less
         factor //= 2
-    with open_layer(path) as file:
+    with raster_lock(), open_layer(path) as file:
         bands = read(file, (1, 1)).shape[:-2]
         found = np.full([*bands, *(pixels * factor for pixels in spot.shape)], np.nan, np.float32)
         for line, lines, rows in _spans(spot.rows, spot.step):
@@ -156,7 +157,7 @@ def object_grid(folder: Path, tiles: PageTiles, side: int) -> NDArray[np.uint8]:
     canvas = np.empty((rows, cols), np.uint8)
     starts = np.arange(cols) * spot.pixels // factor
     lines = max(1, _STRIP_PIXELS // max(1, spot.cols * spot.pixels**2))  # tiles
-    with open_layer(folder / MapFile.OBSTACLE) as file:
+    with raster_lock(), open_layer(folder / MapFile.OBSTACLE) as file:
         for top in range(0, spot.rows, lines):
             count = min(lines, spot.rows - top)
             window = ((top * spot.pixels, (top + count) * spot.pixels), (0, file.width))
@@ -359,6 +360,7 @@ class Site:
         ways: tuple[DrawnWay, ...] = (),
         *,
         stretches: Sequence[Mapping[str, Any]] = (),
+        wait: Callable[..., None] = lambda *_: None,
     ) -> Self:
         """Read a folder of layers.
 
@@ -372,17 +374,21 @@ class Site:
             Ways to draw.
         stretches : sequence of mapping
             Stretches of real drives, from `write_check_page`.
+        wait : callable
+            Waits until layers, given their names, are in the folder.
 
         Raises
         ------
         BadInputError
             A file is missing, damaged, or was written by an earlier version.
         """
+        wait(MapFile.CLASS, MapFile.TILES)
         summary, spot = MapSummary.of(record["counts"]), Spot.of(folder, record, _SIDE)
         step = max(spot.step, int(np.ceil(np.sqrt(summary.tiles / _TILES))))
         while True:
             spot = replace(spot, step=step)
             tiles = PageTiles.read(folder, record, spot)
+            wait(MapFile.HEIGHTMAP)
             heights = read_pixels(folder / MapFile.HEIGHTMAP, spot, _RELIEF_SIDE)
             grids = (
                 ByteGrid.of(("c_r", "ride cost C_r", "rad/m", 3), tiles.c_r, "log"),
@@ -398,9 +404,12 @@ class Site:
         side_m = spot.metres * spot.shape[0] / heights.shape[0]
         bright = np.clip(light_of(heights, (side_m, side_m)) * (_FLAT / LEVEL), 0.15, 1.0)
         light = np.rint(bright * 255).astype(np.uint8)
-        relief, photo = jpeg(light, int(0.2 * _BUDGET)), read_photo(folder, spot, _PHOTO_SIDE)
+        relief = jpeg(light, int(0.2 * _BUDGET))
+        wait(MapFile.PHOTO)
+        photo = read_photo(folder, spot, _PHOTO_SIDE)
         picture = None if photo is None else jpeg(photo, _PHOTO_BUDGET)
         side = _SIDE
+        wait(MapFile.OBSTACLE, MapFile.HEADINGS)
         while True:
             objects = object_grid(folder, tiles, side)
             text = packed(objects)
