@@ -162,9 +162,8 @@ def object_grid(folder: Path, tiles: PageTiles, side: int) -> NDArray[np.uint8]:
             count = min(lines, spot.rows - top)
             window = ((top * spot.pixels, (top + count) * spot.pixels), (0, file.width))
             found = rank[file.read(1, window=window)]
-            across = np.maximum.reduceat(found, starts, axis=1)
-            down = np.arange(count * factor) * spot.pixels // factor
-            canvas[top * factor : (top + count) * factor] = np.maximum.reduceat(across, down, axis=0)
+            down = np.maximum.reduceat(found, np.arange(count * factor) * spot.pixels // factor, axis=0)
+            canvas[top * factor : (top + count) * factor] = np.maximum.reduceat(down, starts, axis=1)
     return np.array([NO_CLASS, *_WORST], np.uint8)[canvas]
 
 
@@ -397,7 +396,7 @@ class Site:
                 ByteGrid.of(("cost", "cost of a metre", "m", 2), tiles.cost, "log"),
                 ByteGrid.of(("height", "height", "m", 1), block_means(heights, spot.shape)),
             )
-            taken = sum(len(packed(grid.codes)) for grid in grids)
+            taken = sum(len(grid.text) for grid in grids)
             if taken < 0.7 * _BUDGET or max(spot.shape) < 100:
                 break
             step *= 2

@@ -39,6 +39,8 @@ class ByteGrid:
     step: float
     codes: NDArray[np.uint8]
     """(rows, cols), north row first; ``NOT_KNOWN`` where there is no value."""
+    text: str
+    """The same, packed."""
 
     @classmethod
     def of(
@@ -66,7 +68,7 @@ class ByteGrid:
         step = (high - low) / STEPS or 1.0
         codes = np.full(values.shape, NOT_KNOWN, np.uint8)
         codes[known] = np.clip(np.rint((plain[known] - low) / step), 0, STEPS).astype(np.uint8)
-        return cls(*about, scale, low, step, codes)
+        return cls(*about, scale, low, step, codes, packed(codes))
 
     @property
     def is_known(self) -> bool:
@@ -83,7 +85,7 @@ class ByteGrid:
     def record(self) -> dict[str, Any]:
         """Return the grid as plain JSON."""
         keys = ("key", "label", "unit", "decimals", "scale", "low", "step")
-        return {key: getattr(self, key) for key in keys} | {"codes": packed(self.codes)}
+        return {key: getattr(self, key) for key in keys} | {"codes": self.text}
 
 
 def packed(codes: NDArray[np.uint8]) -> str:
