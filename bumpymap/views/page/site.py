@@ -117,15 +117,22 @@ def read_photo(folder: Path, spot: Spot, side: int) -> NDArray[np.uint8] | None:
     path = folder / MapFile.PHOTO
     if not path.is_file():
         return None
-    found = np.moveaxis(read_pixels(path, spot, side, read_colours), 0, -1)
-    rows, cols = (-(-size // _HOLE) for size in found.shape[:2])
-    room = ((0, rows * _HOLE - found.shape[0]), (0, cols * _HOLE - found.shape[1]), (0, 0))
-    squares = np.pad(found, room, constant_values=np.nan).reshape(rows, _HOLE, cols, _HOLE, 3)
-    known = np.isfinite(squares)
-    count = known.sum(axis=(1, 3), keepdims=True)
-    mean = np.where(known, squares, 0.0).sum(axis=(1, 3), keepdims=True) / np.maximum(count, 1)
-    filled = np.where(known, squares, np.where(count > 0, mean, _PALE)).reshape(rows * _HOLE, cols * _HOLE, 3)
-    return np.rint(filled[: found.shape[0], : found.shape[1]]).astype(np.uint8)
+    found = read_pixels(path, spot, side, read_colours)
+    known = np.isfinite(found[0])
+    count = _square_sums(known)
+    out = np.empty((*known.shape, 3), np.uint8)
+    for band, values in enumerate(found):
+        values[~known] = 0.0
+        mean = np.where(count > 0, _square_sums(values) / np.maximum(count, 1), _PALE)
+        around = np.rint(mean).astype(np.uint8).repeat(_HOLE, axis=0).repeat(_HOLE, axis=1)
+        out[..., band] = np.where(known, np.rint(values).astype(np.uint8), around[: len(known), : known.shape[1]])
+    return out
+
+
+def _square_sums(values: NDArray[Any]) -> NDArray[Any]:
+    """Return the sums of squares of ``_HOLE`` x ``_HOLE`` pixels; those at the south and east edges may be smaller."""
+    rows, cols = (np.arange(0, size, _HOLE) for size in values.shape)
+    return np.asarray(np.add.reduceat(np.add.reduceat(values, rows, axis=0, dtype=np.float64), cols, axis=1))
 
 
 def _spans(count: int, step: int) -> list[tuple[int, int, int]]:
