@@ -24,7 +24,7 @@ from bumpymap.layers._cog import checksum, require_intact
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS
 from bumpymap.layers.geotiff import write_raster
 from bumpymap.layers.products import SOME_NAMES, MapFile
-from bumpytiles import Grid
+from bumpytiles import Grid, TileTable
 
 WRITERS = {
     Path(file).stem: lambda cost_map, *rest, file=file: write_raster(file, table_of(cost_map), *rest)
@@ -307,6 +307,21 @@ def test_small_rasters_are_made_in_memory_with_the_same_bytes(rasters, cost_map,
     WRITERS[name](cost_map, tmp_path / f"{name}.tif", {"vehicle": "warthog"})
     made_in_memory = {path.name: path.read_bytes() for path in rasters[name].parent.glob(f"{name}.*")}
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == made_in_memory
+
+
+def test_overviews_of_a_photo_show_the_coloured_pixels_alone(tmp_path, make_field):
+    table, colour = table_of(make_field(40, 40, holes=0.0)), np.array([200, 100, 50])
+    found = table.tiles.read(["heights"])
+    found["photo"] = np.where((np.indices((15, 15)).sum(axis=0) % 2)[..., None], colour, 0).astype(np.uint8)
+    found["photo"] = np.repeat(found["photo"][None], len(found["col"]), axis=0)
+    path = tmp_path / "photo.tif"
+    write_raster(MapFile.PHOTO, replace(table, tiles=TileTable.of(table.tiles.grid, found)), path)
+    assert cog_validate(path, strict=True) == (True, [], [])
+    with rasterio.open(path, overview_level=0) as file:
+        assert file.shape == (300, 300)
+        shown = file.dataset_mask() > 0
+        assert shown.mean() > 0.95
+        assert np.abs(file.read()[:, shown] - colour[:, None]).mean() < 3
 
 
 def test_a_raster_that_lost_pixels_is_noticed(rasters, tmp_path):
