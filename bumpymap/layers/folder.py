@@ -210,8 +210,8 @@ def write_products(
         for layer in MapFile:
             (staged / layer).parent.mkdir(exist_ok=True)
         groups = _layers(table, coordinates, staged, metadata)
-        with ThreadPoolExecutor(1) as background, _written(groups, staged, progress) as written:
-            summary = background.submit(summarise, table, class_limits(manifest)).result()
+        with _written(groups, staged, progress) as written:
+            summary = summarise(table, class_limits(manifest))
             record = complete_manifest(manifest, table, summary, [])
 
             def wait(*names: str) -> None:
