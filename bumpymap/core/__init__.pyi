@@ -116,8 +116,10 @@ from .memory import (
     free_memory as free_memory,
     in_threads as in_threads,
     is_auto as is_auto,
+    limit_arenas as limit_arenas,
     memory_bytes as memory_bytes,
     memory_limit as memory_limit,
+    return_memory as return_memory,
 )
 from .onnx_file import (
     check_network as check_network,

@@ -1,5 +1,6 @@
 """Memory and threads of a run: sizes as users type them, what is free, and work on items in threads, in order."""
 
+import ctypes
 import os
 import re
 import resource
@@ -26,6 +27,22 @@ _V1 = ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file")
 _V2 = ("memory.max", "memory.current", "inactive_file")
 """Files of a control group with its limit and its use, bytes, and the entry of ``memory.stat`` with the part of the use
 that is copies of files, which the system gives up when memory is needed."""
+
+
+_ARENA_MAX = -8
+"""Of glibc's ``mallopt``."""
+
+
+def limit_arenas(threads: int) -> None:
+    """Let glibc keep freed memory in as many arenas as threads work at a time, not in eight times as many as cores."""
+    with suppress(OSError, AttributeError):  # another C library
+        ctypes.CDLL(None).mallopt(_ARENA_MAX, threads)
+
+
+def return_memory() -> None:
+    """Give the memory of freed arrays back to the system, which glibc keeps for later ones."""
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def memory_bytes(text: str) -> int:

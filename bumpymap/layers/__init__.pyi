@@ -1,4 +1,5 @@
 from ._cog import (
+    raster_lock as raster_lock,
     write_cog as write_cog,
 )
 from ._imports import (

@@ -24,6 +24,7 @@ import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import TypeAlias
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -143,6 +144,8 @@ _GDAL = {"GDAL_CACHEMAX": 64, "COG_TMP_COMPRESSION": "NONE"}
 took a third of the time of a dense raster and two thirds of that of an empty one."""
 SMALL = 128 << 20
 """Largest scratch raster that is kept in memory, bytes; a file takes twice the time, as it is read back."""
+_PAINTED_BEFORE = 32 << 20
+"""Largest scratch raster whose pixels are made before its thread waits for GDAL, bytes."""
 _SPARSE_FROM = 16 << 20
 """Size as a scratch raster from which a mostly empty raster is written by `write_sparse_cog`, bytes."""
 OVERVIEWS_FIRST_FROM = 128 << 20
@@ -212,16 +215,23 @@ def write_cog(
         pixels = placement.window.cols * placement.window.rows * spec.pixels**2
         size = pixels * len(spec.bands) * np.dtype(spec.dtype).itemsize
         sparse = pieces is not None and size > _SPARSE_FROM
-        overviews_first = spec.counts_nodata or spec.is_photo or (len(spec.bands) > 1 and size > OVERVIEWS_FIRST_FROM)
+        # Of a photo GDAL leaves out the overviews that the scratch raster has: it makes a mask of the alpha first.
+        large = len(spec.bands) > 1 and size > OVERVIEWS_FIRST_FROM and not spec.is_photo
+        overviews_first = spec.counts_nodata or large
         counts = np.zeros(256, np.int64)
         block = max(spec.block, SCRATCH_BLOCK)
         across, down = (
             -(-side * spec.pixels // block) * block for side in (placement.window.cols, placement.window.rows)
         )
-        if across * down * len(spec.bands) * np.dtype(spec.dtype).itemsize <= SMALL and not sparse:
+        scratch_size = across * down * len(spec.bands) * np.dtype(spec.dtype).itemsize
+        painted: Iterable[_Painted] = _painted(placement, spec, paint, side)
+        if scratch_size <= SMALL and not sparse:
+            if scratch_size <= _PAINTED_BEFORE:
+                painted = list(painted)
             with _gdal_alone(), MemoryFile(ext=".tif") as scratch, MemoryFile(ext=".tif") as layer:
-                for _, canvas in _write_scratch(scratch.name, placement, spec, paint, side):
+                for _, canvas in _write_scratch(scratch.name, placement, spec, painted):
                     _count(canvas, spec, counts)  # no checksum: memory loses nothing
+                painted = ()
                 _convert(scratch.name, layer.name, spec, overviews_first=overviews_first)
                 _copy_side_file(layer.name, temporary)
                 temporary.write_bytes(layer.getbuffer())
@@ -234,14 +244,14 @@ def write_cog(
         else:
             waiting = temporary.with_name(f"{temporary.stem}.scratch.tif")
             with _gdal_alone():
-                painted = []
-                for window, canvas in _write_scratch(str(waiting), placement, spec, paint, side):
-                    painted.append((window, checksum(_exact(canvas, spec))))
+                checksums = []
+                for window, canvas in _write_scratch(str(waiting), placement, spec, painted):
+                    checksums.append((window, checksum(_exact(canvas, spec))))
                     _count(canvas, spec, counts)
                 require_disk_space(path.parent, waiting.stat().st_size)
                 _convert(str(waiting), str(temporary), spec, overviews_first=overviews_first)
                 waiting.unlink()
-                require_intact(temporary, painted, mask_only=spec.is_photo)
+                require_intact(temporary, checksums, mask_only=spec.is_photo)
         side_file = temporary.with_name(f"{temporary.name}.aux.xml")
         if side_file.exists():  # GDAL reports no error when the disk is full
             ET.parse(side_file)  # noqa: S314 (GDAL has just written it; fails if it was cut short)
@@ -343,21 +353,26 @@ def gdal_threads() -> str:
     return "1" if limited or _is_fork else "ALL_CPUS"
 
 
+_Painted: TypeAlias = tuple[Window, NDArray[np.generic]]
+"""A window of a raster in pixels, and the pixels in it."""
+
+
+def _painted(
+    placement: Placement, spec: RasterSpec, paint: Callable[[RasterWindow], NDArray[np.generic] | None], side: int
+) -> Iterator[_Painted]:
+    """Yield the windows of a raster that are not empty."""
+    for window in placement.windows(side, aligned=True):
+        if (canvas := paint(window)) is not None:
+            left, top = window.column * spec.pixels, window.line * spec.pixels
+            yield Window(left, top, canvas.shape[2], canvas.shape[1]), canvas
+
+
 def _write_scratch(
-    scratch: str,
-    placement: Placement,
-    spec: RasterSpec,
-    paint: Callable[[RasterWindow], NDArray[np.generic] | None],
-    side: int,
-) -> Iterator[tuple[Window, NDArray[np.generic]]]:
-    """Fill the scratch raster window by window; yield each window that was written, and its pixels."""
-    pixels = spec.pixels
-    size = (placement.window.cols * pixels, placement.window.rows * pixels)
+    scratch: str, placement: Placement, spec: RasterSpec, painted: Iterable[_Painted]
+) -> Iterator[_Painted]:  # fmt: skip
+    """Fill the scratch raster window by window; yield what was written."""
+    size = (placement.window.cols * spec.pixels, placement.window.rows * spec.pixels)
     with create_raster(scratch, placement, spec, size) as file:
-        for window in placement.windows(side, aligned=True):
-            canvas = paint(window)
-            if canvas is not None:
-                across, down = canvas.shape[2], canvas.shape[1]
-                place = Window(window.column * pixels, window.line * pixels, across, down)
-                file.write(canvas, window=place)
-                yield place, canvas
+        for window, canvas in painted:
+            file.write(canvas, window=window)
+            yield window, canvas

@@ -3,12 +3,11 @@
 import logging
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 from os.path import lexists
 from pathlib import Path
-from threading import Event
 from typing import Any, TypeAlias
 
 from bumpymap.core import (
@@ -153,8 +152,9 @@ def _verify(folder: Path, files: Collection[str], listed: dict[str, str]) -> Non
 _log = logging.getLogger(__name__)
 
 
-ViewWriter: TypeAlias = Callable[[Path, Mapping[str, Any]], None]
-"""Writes the files of ``EVERY_VIEW_NAME`` to a folder, from the layers in it and the record of its run."""
+ViewWriter: TypeAlias = Callable[[Path, Mapping[str, Any], Callable[..., None]], None]
+"""Writes the files of ``EVERY_VIEW_NAME`` to a folder, from the layers in it and the record of its run. The layers are
+still being written: the third argument waits for those that it is given the names of, or for all."""
 
 
 def write_products(
@@ -206,17 +206,22 @@ def write_products(
     coordinates = GeoJsonCoordinates.of(placement, local=local)
     metadata = layer_metadata(manifest, table.georeference)
     progress = progress or SilentProgress()
-    with write_together(folder, MANIFEST_NAME, EVERY_FILE) as staged, ThreadPoolExecutor(1) as background:
+    with write_together(folder, MANIFEST_NAME, EVERY_FILE) as staged:
         for layer in MapFile:
             (staged / layer).parent.mkdir(exist_ok=True)
-        counting = background.submit(summarise, table, class_limits(manifest))
-        try:
-            layers = _write_layers(_layers(table, coordinates, staged, metadata), staged, progress)
-            summary = counting.result()
-        finally:
-            background.shutdown(wait=False, cancel_futures=True)
-        record = complete_manifest(manifest, table, summary, layers)
-        views(staged, record)
+        groups = _layers(table, coordinates, staged, metadata)
+        with _written(groups, staged, progress) as written:
+            summary = summarise(table, class_limits(manifest))
+            record = complete_manifest(manifest, table, summary, [])
+
+            def wait(*names: str) -> None:
+                for name in names or written:
+                    if name in written:
+                        written[name].result()
+
+            views(staged, record, wait)
+            files = {file["path"]: file for future in written.values() for file in future.result()}
+        record["files"] = [files[name] for name in EVERY_FILE if name in files]
         write_item(staged, record)
         record["seconds"] = {**manifest["seconds"], "write": round(time.perf_counter() - started, 3)}
         record["files"].append(describe_file(staged / MapFile.ITEM) | {"path": MapFile.ITEM})
@@ -227,32 +232,36 @@ def write_products(
     return [folder / name for name in names], summary
 
 
+_Layers: TypeAlias = dict[tuple[str, ...], Callable[[], None]]
+
+
 def _layers(
     table: CostTable,
     coordinates: GeoJsonCoordinates,
     folder: Path,
     metadata: Mapping[str, Any],
-) -> list[dict[tuple[str, ...], Callable[[], None]]]:
+) -> list[_Layers]:
     """Return groups of functions that write layers, keyed by file names; a group is written one by one.
 
-    Rasters take turns where GDAL writes them, see `_integrity`; two groups of them save time where it does not.
+    Rasters take turns where GDAL writes them, see `raster_lock`; two groups of them save time where it does not. What
+    the page shows comes first.
     """
     tags = as_tags(metadata)
-    fine = [MapFile.HEIGHTMAP, MapFile.RELIEF, MapFile.OBSTACLE, MapFile.PASSAGE]
     some = _some(table)
-    fine += [name for name in some if name == MapFile.PHOTO]
-    coarse = [MapFile.ROUGHNESS, MapFile.CLASS, MapFile.REASON, MapFile.COST, MapFile.SPEED, MapFile.BARRED]
-    coarse += [name for name in some if name != MapFile.PHOTO]
+    fine = [MapFile.HEIGHTMAP, *(name for name in some if name == MapFile.PHOTO), MapFile.OBSTACLE, MapFile.PASSAGE]
+    fine += [MapFile.RELIEF]
+    coarse = [MapFile.CLASS, *(name for name in some if name != MapFile.PHOTO), MapFile.ROUGHNESS, MapFile.REASON]
+    coarse += [MapFile.COST, MapFile.SPEED, MapFile.BARRED]
 
-    def rasters(names: Sequence[MapFile]) -> dict[tuple[str, ...], Callable[[], None]]:
+    def rasters(names: Sequence[MapFile]) -> _Layers:
         return {(name,): partial(write_raster, name, table, folder / name, tags) for name in names}
 
     return [
         rasters(fine),
         rasters(coarse),
         {
-            (MapFile.REGIONS, MapFile.REGIONS_IN_CRS): partial(_write_regions, table, coordinates, folder, metadata),
             (MapFile.TILES,): partial(write_tiles, table, folder / MapFile.TILES, tags),
+            (MapFile.REGIONS, MapFile.REGIONS_IN_CRS): partial(_write_regions, table, coordinates, folder, metadata),
         },
     ]
 
@@ -263,30 +272,34 @@ def _some(table: CostTable) -> list[MapFile]:
     return [name for name, there in zip(SOME_NAMES, held, strict=True) if there]
 
 
-def _write_layers(
-    groups: Sequence[Mapping[tuple[str, ...], Callable[[], None]]], folder: Path, progress: Progress
-) -> list[dict[str, Any]]:
-    """Write groups of layers in parallel; return name, size and checksum of each file in ``EVERY_NAME`` order."""
-    stop = Event()
+@contextmanager
+def _written(
+    groups: Sequence[_Layers], folder: Path, progress: Progress
+) -> Iterator[dict[str, "Future[list[dict[str, Any]]]"]]:
+    """Write groups of layers side by side, each in order; after an error, and at the end of the body, no more begin.
 
-    def write(group: Mapping[tuple[str, ...], Callable[[], None]]) -> list[dict[str, Any]]:
-        files = []
-        for names, layer in group.items():
-            if stop.is_set():
-                break
-            layer()
-            files += [describe_file(folder / name) | {"path": name} for name in names]
-            progress.advance(1)
+    Yields by file name what will hold path, size and checksum of the files of its layer.
+    """
+
+    def write(names: Sequence[str], layer: Callable[[], None]) -> list[dict[str, Any]]:
+        layer()
+        files = [describe_file(folder / name) | {"path": name} for name in names]
+        progress.advance(1)
         return files
 
     progress.start("writing layers", sum(map(len, groups)))
-    with ThreadPoolExecutor(len(groups)) as pool:
-        try:
-            futures = [pool.submit(write, group) for group in groups]
-            files = [file for future in as_completed(futures) for file in future.result()]
-        finally:
-            stop.set()
-    return sorted(files, key=lambda file: EVERY_FILE.index(file["path"]))
+    pools = [ThreadPoolExecutor(1) for _ in groups]
+    try:
+        futures = {
+            names: pool.submit(write, names, layer)
+            for pool, group in zip(pools, groups, strict=True)
+            for names, layer in group.items()
+        }
+        yield {name: future for names, future in futures.items() for name in names}
+    finally:
+        for wait in (False, True):
+            for pool in pools:
+                pool.shutdown(wait=wait, cancel_futures=True)
 
 
 def _write_regions(

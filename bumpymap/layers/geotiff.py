@@ -98,11 +98,11 @@ def _means(tiles: TileTable, window: TileWindow) -> tuple[NDArray[np.int64], NDA
         counted = np.isfinite(heights)
         heights[~counted] = 0.0
         line, column = window.row + window.rows - 1 - found["row"], found["col"] - window.col
-        for down in np.unique(place):
-            for right in np.unique(place):
-                inside = np.ix_(np.arange(len(line)), place == down, place == right)
-                count = counted[inside].sum(axis=(1, 2))
-                total = heights[inside].sum(axis=(1, 2))
+        for down in range(_PIXELS):
+            for right in range(_PIXELS):
+                rows, cols = (slice(*np.searchsorted(place, (at, at + 1)).tolist()) for at in (down, right))
+                count = counted[:, rows, cols].sum(axis=(1, 2))
+                total = heights[:, rows, cols].copy().sum(axis=(1, 2))  # of one piece: sums in the order of the pixels
                 some = count > 0
                 where = line[some], down, column[some], right
                 means[where] = np.rint(total[some] / count[some] / _CENTIMETRE)
@@ -293,11 +293,16 @@ def _with_alpha(photo: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
     Such pixels have alpha 0 and the mean colour of their tile: JPEG mixes what is hidden into what lies beside it.
     """
-    known = photo.any(axis=-1, keepdims=True)
-    count = np.maximum(known.sum(axis=(1, 2), keepdims=True), 1)
-    mean = photo.sum(axis=(1, 2), keepdims=True, dtype=np.int64) // count
-    alpha = np.where(known, np.uint8(255), np.uint8(0))
-    return np.concatenate([np.where(known, photo, mean.astype(np.uint8)), alpha], axis=-1)
+    tiles, side = photo.shape[:2]
+    known = (photo[..., 0] | photo[..., 1] | photo[..., 2]) > 0
+    # Whole numbers, so that sums are exact; a product of matrices takes a third of the time of a sum of bytes.
+    total = np.ones(side * side, np.float32) @ photo.reshape(tiles, side * side, 3).astype(np.float32)
+    mean = (total // np.maximum(known.sum(axis=(1, 2)), 1)[:, None]).astype(np.uint8)
+    out = np.empty((*known.shape, 4), np.uint8)
+    for band in range(3):
+        out[..., band] = np.where(known, photo[..., band], mean[:, band, None, None])
+    out[..., 3] = known * np.uint8(255)
+    return out
 
 
 def write_raster(file: MapFile, table: CostTable, path: Path, about: Mapping[str, str] | None = None) -> None:

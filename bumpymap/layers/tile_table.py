@@ -273,8 +273,9 @@ def _arrays(table: pa.Table) -> dict[str, NDArray[Any]]:
     words = table["barred"].combine_chunks()
     words = words if pa.types.is_dictionary(words.type) else words.dictionary_encode()
     names = np.array([*(codes.get(name, Barred.UNKNOWN) for name in words.dictionary.to_pylist()), Barred.NO], np.uint8)
-    index = words.indices.fill_null(len(names) - 1).to_numpy(zero_copy_only=False)
+    # Numbers with nulls become real ones with NaN: `fill_null` would import all functions of Arrow.
+    index = np.nan_to_num(words.indices.to_numpy(zero_copy_only=False), nan=len(names) - 1).astype(np.intp)
     whole = {name: table[name].to_numpy() for name in ("col", "row", "reason")}
     numbers = {name: table[name].to_numpy().astype(np.float32) for name in _PAGE_NUMBERS}
-    classes = table["class"].cast(pa.int16()).fill_null(NO_CLASS).to_numpy().astype(np.uint8)
+    classes = np.nan_to_num(table["class"].to_numpy(), nan=NO_CLASS).astype(np.uint8)
     return whole | numbers | {"class": classes, "barred": names[index]}

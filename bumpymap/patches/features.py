@@ -96,8 +96,9 @@ def _points_by_tile(points: TilePoints, *, ground_only: bool) -> PointsByTile:
     """Return the points that are measured: all, or those of the ground alone."""
     starts, place = points.starts, (points.easting, points.northing, points.upward)
     if ground_only and not (ground := points.flag == POINT_GROUND).all():
-        starts = np.concatenate(([0], np.cumsum(ground)))[starts]
-        place = (place[0][ground], place[1][ground], place[2][ground])
+        taken = np.flatnonzero(ground)
+        starts = np.searchsorted(taken, starts)
+        place = (place[0][taken], place[1][taken], place[2][taken])
     return PointsByTile(starts, *place, points.col, points.row)
 
 

@@ -308,7 +308,8 @@ def find_steps(
     if standing is not None and standing.any():
         near = _near(standing)
         for raw, hidden in ((across, near), (along, near.T)):
-            raw.least[hidden] = raw.crest[hidden] = np.nan
+            for steps in (raw.least, raw.crest):
+                np.copyto(steps, np.nan, where=hidden)
     noise = _PIXEL_LIMIT / _MEDIAN_DIFFERENCE * 0.5 * (noise_east + noise_south.T)
     limit = np.fmax(_QUANTILE_LIMIT * _usual(across, along), noise)
     west_east = _peaks(upright, across, limit)
@@ -325,7 +326,12 @@ def _near(marks: NDArray[np.bool_]) -> NDArray[np.bool_]:
     out = marks
     for _ in range(2):  # along rows, then along columns
         wide = np.pad(out, ((REACH, REACH), (0, 0)))
-        out = np.logical_or.reduce([wide[k : k + len(out)] for k in range(2 * REACH + 1)]).T
+        length = 1
+        while length <= REACH:  # marked in so many rows from each on
+            wide = wide[:-length] | wide[length:]
+            length *= 2
+        rest = 2 * REACH + 1 - length
+        out = np.ascontiguousarray((wide[:-rest] | wide[rest:]).T)
     return out
 
 

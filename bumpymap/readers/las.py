@@ -276,6 +276,8 @@ class LasSurvey(SurveyReader):
                     highest = max(highest, int(np.ascontiguousarray(piece[:, at : at + 6]).view("<u2").max(initial=0)))
             except BadInputError:  # told when the points are read
                 return None
+            if highest > 255:
+                break
         # Colours have 16 bits, but many writers leave 8-bit values as they are.
         return None if not highest else (at, 8) if highest > 255 else (at, 0)
 

@@ -12,11 +12,13 @@ from bumpymap.core import (
     SilentProgress,
     Stopwatch,
     is_interrupted,
+    limit_arenas,
     locked,
     memory_bytes,
     photo_column,
     rated_columns,
     remove_empty_on_error,
+    return_memory,
 )
 from bumpymap.layers import check_folder, is_complete
 from bumpymap.patches import close_filter
@@ -78,6 +80,7 @@ def map_surveys(config: MapConfig, progress: Progress | None = None, *, in_batch
 def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
     clock = Stopwatch()
     budget = Budget(memory_bytes(config.memory), config.threads)
+    limit_arenas(budget.threads)
     overwrite, unfinished, complete = config.overwrite, is_interrupted(config.out), is_complete(config.out)
     keeps = complete and not unfinished and (in_batch or not overwrite)
     with clock.stage("prepare"), collected_warnings() as warnings:
@@ -121,6 +124,7 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
             fits = partial(versions, config.ground)
             executor = ClusterExecutor(work, space, budget, progress, workers, aligned.options, fits)
         measured = run_engine(aligned.inputs, work, space, budget, executor, progress, clock)
+        return_memory()  # of the points
         with clock.stage("neighbours"), engine_errors(budget):
             tiles = finish_tiles(measured.table, neighbours, space.new_tiles, config.threads, progress)
         table = CostTable(

@@ -176,8 +176,7 @@ def _weighted_line(weight: Floats, x: Floats, y: Floats) -> tuple[float, float, 
     The error is that of means of squared normal numbers, of which each has the variance 2 / weight.
     """
     wx = weight * x
-    n, sx, sxx = float(weight.sum()), float(wx.sum()), float((wx * x).sum())
-    sy, sxy = float((weight * y).sum()), float((wx * y).sum())
+    n, sx, sxx, sy, sxy = np.stack((weight, wx, wx * x, weight * y, wx * y)).sum(axis=1).tolist()
     det = n * sxx - sx * sx
     if det <= 1e-9 * n * sxx:
         return sy / n, 0.0, float(np.sqrt(2.0 / n))

@@ -40,7 +40,9 @@ _BAR_MM = 25.0
 _ARROW = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 24 40">{NORTH_ARROW}</svg>'
 
 
-def write_map_views(folder: Path, record: Mapping[str, Any]) -> None:
+def write_map_views(
+    folder: Path, record: Mapping[str, Any], wait: Callable[..., None] = lambda *_: None
+) -> None:  # fmt: skip
     """Write the styles, map.qgs, report.html and the thumbnail of the layers in a folder.
 
     Parameters
@@ -48,7 +50,9 @@ def write_map_views(folder: Path, record: Mapping[str, Any]) -> None:
     folder : Path
         The layers of a run.
     record : mapping
-        The content of run.json, which need not be there yet.
+        The content of run.json, which need not be there yet; ``files`` may be empty.
+    wait : callable
+        Waits until layers, given their names, are in the folder, or all of them.
 
     Raises
     ------
@@ -57,12 +61,13 @@ def write_map_views(folder: Path, record: Mapping[str, Any]) -> None:
     OutputError
         A file cannot be written.
     """
-    write_styles(folder, record)
-    write_project(folder, record)
-    site = Site.read(folder, record)
+    site = Site.read(folder, record, wait=wait)
     write_map_page(site, folder / MapFile.REPORT)
     with atomic(folder / MapFile.THUMBNAIL) as temporary:
         temporary.write_bytes(base64.b64decode(site.still.partition(",")[2]))
+    wait()
+    write_styles(folder, record)
+    write_project(folder, record)
 
 
 class _Tree:

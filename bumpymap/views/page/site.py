@@ -39,6 +39,7 @@ from bumpymap.layers import (
     geojson_features,
     line_parts,
     open_layer,
+    raster_lock,
     read_averaged,
     read_colours,
 )
@@ -91,7 +92,7 @@ def read_pixels(
     factor = spot.pixels
     while factor > finer(spot, side):  # half and half again: what overviews hold, or a little less
         factor //= 2
-    with open_layer(path) as file:
+    with raster_lock(), open_layer(path) as file:
         place, bands = file.transform, read(file, (1, 1)).shape[:-2]
         left = round((spot.west / spot.unit - place.c) / place.a)
         top = round((spot.north / spot.unit - place.f) / place.e)
@@ -124,12 +125,21 @@ _PALE = 205.0
 def read_photo(path: Path, spot: Spot) -> NDArray[np.uint8]:
     """Read photo.tif as `read_pixels`, (rows, cols, 3); holes have the mean around them."""
     found = read_pixels(path, spot, _PHOTO_SIDE, read_colours)
-    high, wide = found.shape[1:]
-    rows, cols = (-(-size // _HOLE) for size in (high, wide))
-    padded = np.pad(found, ((0, 0), (0, rows * _HOLE - high), (0, cols * _HOLE - wide)), constant_values=np.nan)
-    near = np.nan_to_num(block_means(padded, (rows, cols)), nan=_PALE).repeat(_HOLE, axis=1).repeat(_HOLE, axis=2)
-    filled = np.where(np.isfinite(found), found, near[:, :high, :wide])
-    return np.rint(np.moveaxis(filled, 0, -1)).astype(np.uint8)
+    known = np.isfinite(found[0])
+    count = _square_sums(known)
+    out = np.empty((*known.shape, 3), np.uint8)
+    for band, values in enumerate(found):
+        values[~known] = 0.0
+        mean = np.where(count > 0, _square_sums(values) / np.maximum(count, 1), _PALE)
+        around = np.rint(mean).astype(np.uint8).repeat(_HOLE, axis=0).repeat(_HOLE, axis=1)
+        out[..., band] = np.where(known, np.rint(values).astype(np.uint8), around[: len(known), : known.shape[1]])
+    return out
+
+
+def _square_sums(values: NDArray[Any]) -> NDArray[Any]:
+    """Return the sums of squares of ``_HOLE`` x ``_HOLE`` pixels; those at the south and east edges may be smaller."""
+    rows, cols = (np.arange(0, size, _HOLE) for size in values.shape)
+    return np.asarray(np.add.reduceat(np.add.reduceat(values, rows, axis=0, dtype=np.float64), cols, axis=1))
 
 
 def _spans(count: int, step: int) -> list[tuple[int, int, int]]:
@@ -161,14 +171,13 @@ def object_grid(folder: Path, tiles: PageTiles, side: int) -> NDArray[np.uint8]:
     canvas = np.empty((rows, cols), np.uint8)
     starts = np.arange(cols) * spot.pixels // factor
     lines = max(1, _STRIP_PIXELS // max(1, spot.cols * spot.pixels**2))  # tiles
-    with open_layer(folder / MapFile.OBSTACLE) as file:
+    with raster_lock(), open_layer(folder / MapFile.OBSTACLE) as file:
         for top in range(0, spot.rows, lines):
             count = min(lines, spot.rows - top)
             window = ((top * spot.pixels, (top + count) * spot.pixels), (0, file.width))
             found = rank[file.read(1, window=window)]
-            across = np.maximum.reduceat(found, starts, axis=1)
-            down = np.arange(count * factor) * spot.pixels // factor
-            canvas[top * factor : (top + count) * factor] = np.maximum.reduceat(across, down, axis=0)
+            down = np.maximum.reduceat(found, np.arange(count * factor) * spot.pixels // factor, axis=0)
+            canvas[top * factor : (top + count) * factor] = np.maximum.reduceat(down, starts, axis=1)
     return np.array([NO_CLASS, *_WORST], np.uint8)[canvas]
 
 
@@ -365,6 +374,7 @@ class Site:
         ways: tuple[DrawnWay, ...] = (),
         *,
         stretches: Sequence[Mapping[str, Any]] = (),
+        wait: Callable[..., None] = lambda *_: None,
     ) -> Self:
         """Read a folder of layers.
 
@@ -378,17 +388,21 @@ class Site:
             Ways to draw.
         stretches : sequence of mapping
             Stretches of real drives, from `write_check_page`.
+        wait : callable
+            Waits until layers, given their names, are in the folder.
 
         Raises
         ------
         BadInputError
             A file is missing, damaged, or was written by an earlier version.
         """
+        wait(MapFile.CLASS, MapFile.TILES)
         summary, spot = MapSummary.of(record["counts"]), Spot.of(folder, record, _SIDE)
         step = max(spot.step, int(np.ceil(np.sqrt(summary.tiles / _TILES))))
         while True:
             spot = replace(spot, step=step)
             tiles = PageTiles.read(folder, record, spot)
+            wait(MapFile.HEIGHTMAP)
             heights = read_pixels(folder / MapFile.HEIGHTMAP, spot, RELIEF_SIDE)
             grids = (
                 ByteGrid.of(("c_r", "ride cost C_r", "rad/m", 3), tiles.c_r, "log"),
@@ -397,14 +411,18 @@ class Site:
                 ByteGrid.of(("cost", "cost of a metre", "m", 2), tiles.cost, "log"),
                 ByteGrid.of(("height", "height", "m", 1), block_means(heights, spot.shape)),
             )
-            taken = sum(len(packed(grid.codes)) for grid in grids)
+            taken = sum(len(grid.text) for grid in grids)
             if taken < 0.7 * _BUDGET or max(spot.shape) < 100:
                 break
             step *= 2
-        light, colours = shaded(heights, spot), folder / MapFile.PHOTO
+        light = shaded(heights, spot)
+        relief = jpeg(light, RELIEF_BUDGET)
+        wait(MapFile.PHOTO)
+        colours = folder / MapFile.PHOTO
         photo = read_photo(colours, spot) if colours.is_file() else None
-        relief, picture = jpeg(light, RELIEF_BUDGET), None if photo is None else jpeg(photo, PHOTO_BUDGET)
+        picture = None if photo is None else jpeg(photo, PHOTO_BUDGET)
         side = _SIDE
+        wait(MapFile.OBSTACLE, MapFile.HEADINGS)
         while True:
             objects = object_grid(folder, tiles, side)
             text = packed(objects)
