@@ -141,7 +141,6 @@ from .processes import (
     trim_shared as trim_shared,
 )
 from .route_types import (
-    NO_TILE as NO_TILE,
     TAN as TAN,
     Resolution as Resolution,
     RoadFigures as RoadFigures,
@@ -252,6 +251,7 @@ from .types import (
     HOLE_SHARE as HOLE_SHARE,
     LONE as LONE,
     NO_CLASS as NO_CLASS,
+    NO_TILE as NO_TILE,
     OBJECT_NAMES as OBJECT_NAMES,
     OBSTACLE as OBSTACLE,
     OPEN_THROUGH as OPEN_THROUGH,

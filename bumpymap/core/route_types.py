@@ -15,9 +15,6 @@ from bumpymap.core.config import DirectionSettings
 from bumpymap.core.types import CostRule, Georeference, obstacle_reach
 from bumpytiles import Grid, TileWindow
 
-NO_TILE = 255
-"""Value of ``TileField.barred`` where the map has no tile."""
-
 
 @dataclass(frozen=True, slots=True)
 class RouteVehicle:

@@ -53,6 +53,8 @@ CLASS_NAMES = ("smooth", "fair", "rough", "very rough")
 
 NO_CLASS = 255
 """Value of ``CostMap.class_id`` for unknown tiles."""
+NO_TILE = 255
+"""Value of ``TileField.barred`` where the map has no tile."""
 
 
 class Reason(IntEnum):

@@ -33,7 +33,6 @@ from .check_record import (
 )
 from .check_vectors import (
     NORMAL_80 as NORMAL_80,
-    OFF_KINDS as OFF_KINDS,
     MapOffset as MapOffset,
     place_stretches as place_stretches,
     write_stretches as write_stretches,
@@ -46,6 +45,7 @@ from .colours import (
     DIFFERENCE_RAMP as DIFFERENCE_RAMP,
     OBJECT_COLOURS as OBJECT_COLOURS,
     OFF_COLOURS as OFF_COLOURS,
+    OFF_KINDS as OFF_KINDS,
     PASSAGE_COLOURS as PASSAGE_COLOURS,
     PASSAGE_NAMES as PASSAGE_NAMES,
     REASON_GREYS as REASON_GREYS,

@@ -16,29 +16,16 @@ from bumpymap.core import (
     CheckResult,
     DrivenStretches,
 )
-from bumpymap.layers.colours import OFF_COLOURS
+from bumpymap.layers.colours import OFF_KINDS
 from bumpymap.layers.map_reader import MapReader
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.vector import GeoJsonCoordinates, feature, write_features
 from bumpytiles import TileWindow
 
 _EDGES = np.array([1 / 2, 1 / 1.5, 1 / 1.2, 1.2, 1.5, 2.0])
-OFF_KINDS = (
-    "map over 2 times too low",
-    "map 1.5 to 2 times too low",
-    "map 1.2 to 1.5 times too low",
-    "map within a factor of 1.2",
-    "map 1.2 to 1.5 times too high",
-    "map 1.5 to 2 times too high",
-    "map over 2 times too high",
-    "not compared",
-)
-"""Meaning of each code of ``MapOffset.kind``, from too smooth to too rough."""
 NOT_COMPARED = len(OFF_KINDS) - 1
 NORMAL_80 = 1.2815515655446004
 """Half width of the 80 % interval of a normal variable, in standard deviations."""
-if set(OFF_COLOURS) != set(range(len(OFF_KINDS))):
-    raise ValueError("every kind has a colour")
 
 
 @dataclass(frozen=True, slots=True)

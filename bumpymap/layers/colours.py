@@ -87,6 +87,17 @@ COST_COLOURS: dict[float, tuple[int, int, int, int]] = {
     16.0: (59, 15, 112, 255),
 }
 """Red, green, blue, alpha of costs (factor on distance), from pale (as good as level road) to dark."""
+OFF_KINDS = (
+    "map over 2 times too low",
+    "map 1.5 to 2 times too low",
+    "map 1.2 to 1.5 times too low",
+    "map within a factor of 1.2",
+    "map 1.2 to 1.5 times too high",
+    "map 1.5 to 2 times too high",
+    "map over 2 times too high",
+    "not compared",
+)
+"""Meaning of each code of ``MapOffset.kind``, from too smooth to too rough."""
 OFF_COLOURS: dict[int, tuple[int, int, int, int]] = {
     0: (90, 15, 110, 255),
     1: (153, 86, 176, 255),

@@ -3,20 +3,20 @@
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bumpymap.core import (
     CLASS_NAMES,
-    CheckedDrive,
-    CheckResult,
-    MapAgreement,
     count_text,
     parse_json,
     share_text,
     shares_text,
 )
+
+if TYPE_CHECKING:
+    from bumpymap.core import CheckedDrive, CheckResult, MapAgreement
 
 DASH = "\N{EN DASH}"
 """Stands where nothing is known."""
@@ -130,7 +130,7 @@ EVEN = 1.5
 """Ground is too even to rank if its 90 % quantile is less than this factor above its 10 % quantile."""
 
 
-def check_headline(result: CheckResult) -> str:
+def check_headline(result: "CheckResult") -> str:
     """Return the result in a few sentences: whether the map holds, over how much ground, how well; by line if known."""
     agreement = result.agreement_by_line or result.agreement
     if agreement is None:
@@ -156,7 +156,7 @@ def check_headline(result: CheckResult) -> str:
     return " ".join(parts)
 
 
-def check_verdict(result: CheckResult) -> str:
+def check_verdict(result: "CheckResult") -> str:
     """Return whether the map holds, in one sentence without its full stop; for at least ``FEW`` stretches."""
     agreement, stretches = result.agreement_by_line or result.agreement, result.by_line or result.stretches
     if agreement is None or not np.isfinite(agreement.median_ratio):
@@ -176,14 +176,14 @@ def check_verdict(result: CheckResult) -> str:
     return "The map does not rank this ground as the vehicle felt it"
 
 
-def agreements_of(result: CheckResult) -> list[tuple[str, MapAgreement]]:
+def agreements_of(result: "CheckResult") -> "list[tuple[str, MapAgreement]]":
     """Return the agreement over all stretches, by the driven line and by tiles, and by class of the map, named."""
     whole = (("all, by the driven line", result.agreement_by_line), ("all, by tiles", result.agreement))
     by_class = [(f"{code} {CLASS_NAMES[code]}", found) for code, found in sorted(result.by_class.items())]
     return [*((name, found) for name, found in whole if found is not None), *by_class]
 
 
-def columns_words(drive: CheckedDrive) -> list[str]:
+def columns_words(drive: "CheckedDrive") -> list[str]:
     """Return which columns a drive was read from, and the quantity where its name differs, for each file."""
     found: dict[str, list[str]] = {}
     for quantity, column in drive.columns.items():
@@ -193,7 +193,7 @@ def columns_words(drive: CheckedDrive) -> list[str]:
     return [f"read from {place}: {', '.join(columns)}" for place, columns in found.items()]
 
 
-def level_words(agreement: MapAgreement) -> str:
+def level_words(agreement: "MapAgreement") -> str:
     """Return "reads 8 % low" for a median ratio of 0.92."""
     ratio = agreement.median_ratio
     if not np.isfinite(ratio):
@@ -221,18 +221,18 @@ def names_of(items: Sequence[str], most: int = 3) -> str:
     return shown if len(items) <= most else f"{shown} and {len(items) - most} more"
 
 
-def skipped_words(result: CheckResult) -> list[str]:
+def skipped_words(result: "CheckResult") -> list[str]:
     """Return which drives are left out, and why, a sentence each."""
     return [f"{drive} is left out: {why}" for drive, why in result.skipped.items()]
 
 
-def warnings_of(result: CheckResult) -> list[str]:
+def warnings_of(result: "CheckResult") -> list[str]:
     """Return the warnings of the whole check and of each drive that counts, each once."""
     own = [text for drive in result.drives for text in _named(result, drive, drive.warnings)]
     return list(dict.fromkeys([*result.warnings, *own]))
 
 
-def _named(result: CheckResult, drive: CheckedDrive, texts: Iterable[str]) -> list[str]:
+def _named(result: "CheckResult", drive: "CheckedDrive", texts: Iterable[str]) -> list[str]:
     """Put the name of a drive before texts that do not say it, where there are several drives."""
     several, name = len(result.drives) > 1, drive.name
     return [f"{name}: {text}" if several and not text.startswith(name) else text for text in texts]

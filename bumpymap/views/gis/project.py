@@ -6,13 +6,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from os.path import relpath
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pyproj import CRS
 
 from bumpymap.core import atomic, horizontal_of, stated_crs
-from bumpymap.layers import GeoJsonCoordinates, MapFile, MapReader, Placement, open_layer
+from bumpymap.layers import GeoJsonCoordinates, MapFile, open_layer
 from bumpymap.views.gis.styles import (
     MULTIPLY,
     NORMAL,
@@ -29,6 +29,9 @@ from bumpymap.views.page.page import NORTH_ARROW
 from bumpymap.views.page.site import Site
 from bumpymap.views.pictures.drawing import bar_length
 from bumpymap.views.words import survey_name
+
+if TYPE_CHECKING:
+    from bumpymap.layers import MapReader, Placement
 
 _MARGIN = 0.04
 """Ground around the layers when the project is opened, as a share of their larger side."""
@@ -189,7 +192,7 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
 
 
 def view_writers(
-    layers: Sequence[ViewLayer], place: Placement, source: MapReader, out: Path, title: str
+    layers: Sequence[ViewLayer], place: "Placement", source: "MapReader", out: Path, title: str
 ) -> dict[str, Callable[[Path], None]]:
     """Return how the styles and the project of a run over maps are written, by name of the file.
 
@@ -220,7 +223,7 @@ def view_writers(
 
 
 def _write_over_map(
-    layers: Sequence[ViewLayer], place: Placement, source: MapReader, out: Path, title: str, path: Path
+    layers: Sequence[ViewLayer], place: "Placement", source: "MapReader", out: Path, title: str, path: Path
 ) -> None:
     record = source.manifest
     tree = _Tree(source.folder, record, relpath(source.folder.resolve(), out.resolve()))

@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -20,14 +20,12 @@ from bumpymap.core import (
     REASON_TEXT,
     Barred,
     Reason,
-    Route,
     atomic,
     speed_bands,
 )
 from bumpymap.layers import (
     BARRED_COLOURS,
     CHANGE_COLOURS,
-    CHANGED_BAND,
     CLASS_COLOURS,
     COST_COLOURS,
     DIFFERENCE_RAMP,
@@ -39,15 +37,16 @@ from bumpymap.layers import (
     REASON_GREYS,
     ROUTE_COLOURS,
     UNKNOWN_COLOUR,
-    ChangeField,
     MapFile,
-    ReachField,
     RideScale,
     class_ranges,
     reach_colours,
-    stop_roles,
 )
 from bumpymap.views.page.page import render_text
+
+if TYPE_CHECKING:  # of other jobs
+    from bumpymap.core import Route
+    from bumpymap.layers import ChangeField, ReachField
 
 QGIS_VERSION = "3.22.0"
 """The version of QGIS whose form the files have; newer ones read it too."""
@@ -162,8 +161,10 @@ def _is(attribute: str, value: str) -> str:
     return f"\"{attribute}\" = '{value}'"
 
 
-def change_layers(field: ChangeField) -> list[ViewLayer]:
+def change_layers(field: "ChangeField") -> list[ViewLayer]:
     """Return the layers of a comparison: its places, its kinds of change, its differences."""
+    from bumpymap.layers import CHANGED_BAND
+
     looks = [(_is("kind", name), name, CHANGE_COLOURS[code], "solid") for code, name in enumerate(CHANGE_KINDS)]
     codes, file = paletted(enumerate(CHANGE_KINDS), CHANGE_COLOURS, band=CHANGED_BAND), "change.tif"
     c_r, height = _differences(field.d_c_r, "rad/m", 1), _differences(field.d_height, "m", 3)
@@ -194,8 +195,10 @@ def check_layers() -> list[ViewLayer]:
     return [ViewLayer("check.geojson", "how far the map is off", vectors(looks, '"explained" = false'))]
 
 
-def route_layers(routes: Sequence[Route]) -> list[ViewLayer]:
+def route_layers(routes: "Sequence[Route]") -> list[ViewLayer]:
     """Return the stops of routes, and the ways, each with its figures."""
+    from bumpymap.layers import stop_roles
+
     colours = {"start": (255, 255, 255, 255), "via": (150, 150, 150, 255), "goal": (0, 0, 0, 255)}
     roles = {role: None for route in routes for role in stop_roles(len(route.stops))}
     stops = [(_is("role", role), role, colours[role], "mark") for role in roles]
@@ -214,7 +217,7 @@ def route_layers(routes: Sequence[Route]) -> list[ViewLayer]:
 _REACH_STOPS = 6
 
 
-def reach_layers(reach: ReachField, levels: Sequence[float]) -> list[ViewLayer]:
+def reach_layers(reach: "ReachField", levels: Sequence[float]) -> list[ViewLayer]:
     """Return what can be reached: outlines of ``levels`` [min], minutes, cost."""
     steps = sorted({float(level) for level in levels})
     looks = [

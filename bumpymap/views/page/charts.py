@@ -9,16 +9,20 @@ from dataclasses import dataclass, field
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CheckResult, count_text
-from bumpymap.layers import NORMAL_80, OFF_COLOURS, MapOffset
+from bumpymap.core import count_text
+from bumpymap.layers import OFF_COLOURS
 from bumpymap.views.page.tiles import C_R_EDGES, SLOPE_EDGES
 from bumpymap.views.pictures.drawing import tick_step
 from bumpymap.views.words import share, shares, whole
+
+if TYPE_CHECKING:
+    from bumpymap.core import CheckResult
+    from bumpymap.layers import MapOffset
 
 _LINES, _FAINT, _DARK, _ERROR, _MARK, _LINE = "#e2e4e8", "#6b7280", "#1f2937", "#9aa0a8", "#a3261b", "#2563a8"
 _STEPS = (1, 2, 5)
@@ -97,7 +101,7 @@ class Chart:
             self.elements.append(f'<text {turned} text-anchor="middle">{beside}</text>')
 
     def discs(
-        self, x: NDArray[np.float64], y: NDArray[np.float64], offset: MapOffset, order: NDArray[np.int64], size: float
+        self, x: NDArray[np.float64], y: NDArray[np.float64], offset: "MapOffset", order: NDArray[np.int64], size: float
     ) -> None:
         """Draw the marks of stretches: larger where errors do not explain how far the map is off."""
         marks = zip(x.tolist(), y.tolist(), offset.kind[order].tolist(), offset.is_off[order].tolist(), strict=True)
@@ -185,8 +189,10 @@ _FACTOR = 1.5
 """Thin lines: map and drive differ by this factor."""
 
 
-def drive_chart(result: CheckResult) -> Chart | None:
+def drive_chart(result: "CheckResult") -> Chart | None:
     """Return measured over predicted C_r, one mark a stretch; None if nothing can be compared."""
+    from bumpymap.layers import NORMAL_80, MapOffset
+
     stretches, offset = result.stretches, MapOffset.of(result.stretches)
     shown = np.flatnonzero(np.isfinite(offset.ratio))
     if not len(shown):
@@ -234,8 +240,10 @@ def drive_chart(result: CheckResult) -> Chart | None:
     return chart
 
 
-def along_chart(result: CheckResult) -> Chart | None:
+def along_chart(result: "CheckResult") -> Chart | None:
     """Return what was measured and what the map says, one stretch after another; None if nothing was measured."""
+    from bumpymap.layers import NORMAL_80, MapOffset
+
     stretches = result.stretches
     length = float(np.sum(stretches.way_m))
     values = np.concatenate([stretches.measured, stretches.c_r, stretches.c_r_high])

@@ -4,7 +4,7 @@ import os
 from collections.abc import Collection, Mapping, Sequence
 from os.path import lexists
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,8 +16,6 @@ from bumpymap.core import (
     REASON_TEXT,
     BadInputError,
     Barred,
-    CheckResult,
-    MapAgreement,
     OutputError,
     PageSettings,
     Reason,
@@ -34,12 +32,9 @@ from bumpymap.layers import (
     REPORT_NAME,
     UNKNOWN_COLOUR,
     MapFile,
-    MapOffset,
-    MapReader,
     read_manifest,
     require_written,
 )
-from bumpymap.views.page.change_page import is_comparison, read_comparison, write_change_report
 from bumpymap.views.page.charts import along_chart, drive_chart, locator
 from bumpymap.views.page.page import write_page
 from bumpymap.views.page.site import WAY_FIGURES, DrawnWay, Site, page_header, read_ways
@@ -63,6 +58,10 @@ from bumpymap.views.words import (
     warnings_of,
     whole,
 )
+
+if TYPE_CHECKING:
+    from bumpymap.core import CheckResult, MapAgreement
+    from bumpymap.layers import MapReader
 
 _SUFFIXES = {".html", ".htm"}
 _READ = (MapFile.CLASS, MapFile.HEIGHTMAP, MapFile.OBSTACLE, MapFile.TILES)
@@ -105,6 +104,8 @@ def write_report(
     OutputError
         The page cannot be written, or exists.
     """
+    from bumpymap.views.page.change_page import is_comparison, read_comparison, write_change_report
+
     folder = Path(layers)
     path = folder / REPORT_NAME if out is None else Path(out)
     compared = is_comparison(folder)
@@ -203,7 +204,7 @@ _CODES = {
 """Names and colours of the codes in the grids."""
 
 
-def write_check_page(result: CheckResult, ground: MapReader | None, path: Path) -> None:
+def write_check_page(result: "CheckResult", ground: "MapReader | None", path: Path) -> None:
     """Write check.html: the drives over the map they were checked against, charts, tables, how to read them.
 
     Without a map, or where its layers cannot be drawn, the page has no map.
@@ -239,7 +240,7 @@ def write_check_page(result: CheckResult, ground: MapReader | None, path: Path) 
     )
 
 
-def _driven_site(result: CheckResult, ground: MapReader) -> Site | None:
+def _driven_site(result: "CheckResult", ground: "MapReader") -> Site | None:
     """Return the map; None if no stretch lies on it, or it cannot be drawn."""
     try:
         with utf8_path(ground.folder) as readable:
@@ -252,8 +253,10 @@ def _driven_site(result: CheckResult, ground: MapReader) -> Site | None:
     return site if inside.any() else None
 
 
-def drawn_stretches(result: CheckResult) -> list[dict[str, Any]]:
+def drawn_stretches(result: "CheckResult") -> list[dict[str, Any]]:
     """Return each stretch with a position as the script of the page needs it."""
+    from bumpymap.layers import MapOffset
+
     stretches, offset, drawn = result.stretches, MapOffset.of(result.stretches), []
     for at in np.flatnonzero(np.isfinite(stretches.easting) & np.isfinite(stretches.northing)).tolist():
         text = f"{result.drives[stretches.drive[at]].name} measured {stretches.measured[at]:.3f} rad/m"
@@ -269,7 +272,7 @@ def drawn_stretches(result: CheckResult) -> list[dict[str, Any]]:
 _WORST = 10
 
 
-def _agreement(name: str, found: MapAgreement) -> tuple[str, ...]:
+def _agreement(name: str, found: "MapAgreement") -> tuple[str, ...]:
     return (
         name,
         f"{found.stretches:,}",
@@ -282,8 +285,10 @@ def _agreement(name: str, found: MapAgreement) -> tuple[str, ...]:
     )
 
 
-def _worst(result: CheckResult) -> list[tuple[str, ...]]:
+def _worst(result: "CheckResult") -> list[tuple[str, ...]]:
     """Return the stretches that are farthest off, of those whose difference errors do not explain; at most 10."""
+    from bumpymap.layers import MapOffset
+
     stretches, offset = result.stretches, MapOffset.of(result.stretches)
     order = np.argsort(-np.nan_to_num(offset.beyond, posinf=np.inf), kind="stable")
     classes = dict(enumerate(CLASS_NAMES)) | {NO_CLASS: "off the map"}

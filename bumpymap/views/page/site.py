@@ -36,8 +36,6 @@ from bumpymap.layers import (
     RideScale,
     class_limits,
     class_ranges,
-    geojson_features,
-    line_parts,
     open_layer,
     raster_lock,
     read_averaged,
@@ -310,6 +308,8 @@ def _letter(place: int) -> str:
 
 
 def _ways(path: Path, record: Mapping[str, Any]) -> Iterator[DrawnWay]:
+    from bumpymap.layers import geojson_features, line_parts
+
     metres = map_metres(record)
     for geometry, about in geojson_features(path)[0]:
         if geometry["type"] in {"LineString", "MultiLineString"}:

@@ -7,14 +7,19 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from bumpymap.core import NO_TILE, OPEN_THROUGH, Barred, RouteProfile
-from bumpymap.layers import MapReader, RideScale, box_sum
+from bumpymap.core import NO_TILE, OPEN_THROUGH, Barred
+from bumpymap.layers import RideScale, box_sum
 from bumpytiles import Grid, TileWindow
+
+if TYPE_CHECKING:
+    from bumpymap.core import RouteProfile
+    from bumpymap.layers import MapReader
 
 Colour = tuple[int, int, int]
 _TWICE = 2
@@ -195,7 +200,7 @@ class MapView:
         return TileWindow.around(cols, lines)
 
 
-def paint_ground(source: MapReader, view: MapView) -> tuple[Pixels, RideScale]:
+def paint_ground(source: "MapReader", view: MapView) -> tuple[Pixels, RideScale]:
     """Paint the ground; of tiles that are open, closed pixels are hatched, for that is where ways do not go.
 
     Returns
@@ -245,7 +250,7 @@ def hatched(height: int, width: int) -> NDArray[np.bool_]:
     return np.asarray(across % _HATCH_PERIOD < _HATCH_WIDTH, dtype=np.bool_)
 
 
-def _sample(source: MapReader, view: MapView) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+def _sample(source: "MapReader", view: MapView) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
     """Return what bars the tile in the middle of each pixel, and its ride cost, (height, width) each."""
     barred = np.empty((view.height, view.width), np.uint8)
     c_r = np.empty(barred.shape, np.float32)
@@ -346,7 +351,7 @@ class _Axes:
         return np.asarray(self.top + (1.0 - share) * self.height, dtype=np.float64)
 
 
-def draw_profile(pen: Pen, profile: RouteProfile, box: tuple[int, int, int, int], scale: RideScale) -> None:
+def draw_profile(pen: Pen, profile: "RouteProfile", box: tuple[int, int, int, int], scale: RideScale) -> None:
     """Draw height over distance, filled with the colours of the ride cost, and the ride cost with its interval.
 
     Parameters
@@ -407,7 +412,7 @@ def _distances(pen: Pen, axes: _Axes) -> None:
     pen.text((axes.left + axes.width / 2, bottom + 40), f"distance along the way [{unit}]", INK, size=15, anchor="mm")
 
 
-def _fill_ground(pen: Pen, axes: _Axes, profile: RouteProfile, scale: RideScale) -> None:
+def _fill_ground(pen: Pen, axes: _Axes, profile: "RouteProfile", scale: RideScale) -> None:
     """Fill the ground under the curve of the heights, each column in the colour of its ride cost."""
     # NaN on either side makes what lies between unknown too
     row = axes.rows(np.interp(axes.distances, profile.distance, profile.z)) - axes.top
