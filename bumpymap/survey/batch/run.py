@@ -173,7 +173,7 @@ def run_batch(
     faults = partial(settings_faults, calibration=cache(find_calibration))
     refuse_faults(faults(config.merged({}), complete=False), "settings for all surveys", UsageError)
     surveys = list_surveys(config.source, config.survey_per, lambda own: faults(config.merged(own)))
-    tasks, folder = _tasks(config, surveys), config.out
+    (tasks, jobs), folder = _tasks(config, surveys), config.out
     if (scheduler := tasks[0].config.scheduler) is not None:
         with connect(scheduler):  # if it does not answer, each survey would wait for it
             pass
@@ -183,7 +183,7 @@ def run_batch(
     with remove_empty_on_error(folder), locked(folder):
         results = Results(tasks, folder, folder.absolute().name)
         try:
-            with closing(map_tasks(tasks, config.jobs)) as ends:
+            with closing(map_tasks(tasks, jobs)) as ends:
                 for end in ends:
                     row = end.row
                     message, survey = map(without_keys, (spell(row.message), row.survey))
@@ -198,9 +198,13 @@ def run_batch(
     return BatchResult(results.rows)
 
 
-def _tasks(config: BatchConfig, surveys: list[ListedSurvey]) -> list[MapTask]:
-    """Return the surveys to map: by name, or the largest first if several run at a time, so that none is left alone."""
-    jobs, holder = min(config.jobs, len(surveys)), Holder.here()
+def _tasks(config: BatchConfig, surveys: list[ListedSurvey]) -> tuple[list[MapTask], int]:
+    """Return the surveys to map, and how many at a time.
+
+    They are in the order of their names, or, if several run at a time, the largest first, so that none is left alone.
+    """
+    sizes, holder = [_size(survey.place) for survey in surveys], Holder.here()
+    jobs = config.jobs_for(sizes)
     tasks = [
         MapTask(
             survey.name,
@@ -210,7 +214,9 @@ def _tasks(config: BatchConfig, surveys: list[ListedSurvey]) -> list[MapTask]:
         )
         for survey in surveys
     ]
-    return tasks if jobs == 1 else sorted(tasks, key=lambda task: -_size(task.config.surveys[0]))
+    if jobs > 1:
+        tasks = [tasks[place] for place in sorted(range(len(tasks)), key=lambda place: -sizes[place])]
+    return tasks, jobs
 
 
 def _size(place: Path | str) -> int:

@@ -1,6 +1,6 @@
 """Settings of a batch, and those of the map of each survey: command line over CSV over TOML."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
@@ -15,6 +15,7 @@ from bumpymap.core import (
     check_settings,
     is_auto,
     memory_bytes,
+    memory_limit,
     override_settings,
     refuse_clashes,
     with_pixels,
@@ -31,6 +32,8 @@ OWN_SETTINGS = (
     "scheduler",
 )
 """Settings of a map that a batch decides for each survey, or shares out."""
+_SMALL, _JOB_MEMORY = 20_000_000, 512 << 20
+"""Most bytes of a small survey, some 4 million points as LAZ, and memory of the process that maps it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,18 +52,19 @@ class BatchConfig:
         "file"
     )
     """``file``: each file of the source folder is a survey; ``folder``: each folder in it."""
-    jobs: Annotated[int, Setting("Surveys mapped at a time", "N", 1)] = 1
+    jobs: Annotated[int | None, Setting("Surveys mapped at a time", "N", 1, default="one per core if small")] = None
+    """None: see `jobs_for`."""
 
     def __post_init__(self) -> None:
         check_settings(self)
         refuse_clashes(self.defaults, CLASHES)
         config = self.of_survey({})
-        if self.jobs > 1 and config.scheduler is not None:
+        if (self.jobs or 1) > 1 and config.scheduler is not None:
             raise UsageError(
                 f"jobs is {self.jobs} and scheduler is {config.scheduler!r}; surveys that its workers map are "
                 "mapped one after another, each by all of them. Give `jobs=1`, or no `scheduler`"
             )
-        self.share(config, self.jobs)
+        self.share(config, self.jobs or 1)
 
     def merged(self, own: Mapping[str, Any]) -> dict[str, Any]:
         """Return the settings of one survey, with those that its row in the CSV gives."""
@@ -84,6 +88,18 @@ class BatchConfig:
             A value that is not allowed.
         """
         return MapConfig(surveys=surveys, out=self.out / name, **self.merged(own))
+
+    def jobs_for(self, sizes: Sequence[int]) -> int:
+        """Return how many surveys of ``sizes`` bytes, 0 where that is not known, are mapped at a time.
+
+        Without ``jobs``, and if all are small, which gives one survey little to do on several cores: one per thread, as
+        far as there is memory for them.
+        """
+        most, config = self.jobs, self.of_survey({})
+        if most is None:
+            is_small = config.scheduler is None and min(sizes) > 0 and max(sizes) <= _SMALL
+            most = min(config.threads, memory_limit(config.memory) // _JOB_MEMORY) if is_small else 1
+        return max(1, min(most, len(sizes)))
 
     def share(self, config: MapConfig, jobs: int) -> MapConfig:
         """Return settings with the share of threads and memory that one of so many jobs gets; of workers, all.

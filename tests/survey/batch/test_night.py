@@ -260,7 +260,7 @@ def test_the_page_shows_layers_of_an_earlier_start_that_were_not_reached(surveys
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_batch(BatchConfig(tmp_path / "s.txt", tmp_path / "o"), end)
+        run_batch(BatchConfig(tmp_path / "s.txt", tmp_path / "o", jobs=1), end)
     assert statuses(tmp_path / "o") == {"a": "already done", "b": "not reached"}
     assert "layers of an earlier start" in table(tmp_path / "o")["b"]["message"]
     assert table(tmp_path / "o")["b"]["points"] == "20000"
@@ -277,7 +277,7 @@ def test_summary_and_page_are_written_during_the_night(surveys, tmp_path, monkey
         page = (tmp_path / "o" / "index.html").read_text(encoding="utf-8")
         seen.append((statuses(tmp_path / "o"), "while the batch was running" in page))
 
-    run_batch(BatchConfig(tmp_path / "s.txt", tmp_path / "o"), look)
+    run_batch(BatchConfig(tmp_path / "s.txt", tmp_path / "o", jobs=1), look)
     assert seen == [({"a": "done", "nothing": status}, True) for status in ("not reached", "failed")]
     assert "while the batch" not in (tmp_path / "o" / "index.html").read_text(encoding="utf-8")
 

@@ -134,6 +134,9 @@ def test_memory_and_threads_are_shared_out(tmp_path):
     assert config.share(config.of_survey({}), 8).threads == 1
     with pytest.raises(UsageError, match="Give 1152MB or more"):
         BatchConfig(tmp_path, tmp_path, given={"memory": "1GB"}, jobs=9)
+    given = {"memory": "2GB", "threads": 5}
+    assert [BatchConfig(tmp_path, tmp_path, given).jobs_for(n * [9]) for n in (1, 3, 8)] == [1, 3, 4]
+    assert [BatchConfig(tmp_path, tmp_path, given).jobs_for([9, size]) for size in (0, 10**9)] == [1, 1]
 
 
 ROOT = Path("/surveys")
