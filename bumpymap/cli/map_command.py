@@ -47,7 +47,7 @@ def _import() -> None:
         from bumpymap.layers import import_without_pandas
 
         onnx_runtime()
-        import_without_pandas("pyogrio.raw", "bumpymap.layers.folder")
+        import_without_pandas("pyogrio.raw", "bumpymap.layers.folder", "bumpymap.views.gis.project", "jinja2")
 
 
 @job("map", MapConfig, clashes=CLASHES)

@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from datetime import date
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 import shapely
@@ -19,6 +19,9 @@ from bumpymap.layers.placement import Placement
 from bumpymap.layers.products import COLLECTION_NAME, EVERY_NAME, EVERY_VIEW_NAME, MapFile
 from bumpymap.layers.vector import BoundingBox, polygons_in_wgs84, wgs84_transformer
 from bumpytiles import Grid, TileWindow
+
+if TYPE_CHECKING:
+    from rasterio.io import DatasetReader
 
 _SHA256 = "1220"
 """First bytes of a multihash: the code of SHA-256 and the length of its digest, 32 bytes."""
@@ -88,11 +91,15 @@ def describe_crs(crs: CRS | None) -> dict[str, Any]:
 def describe_grid(path: Path) -> dict[str, Any]:
     """Return the fields of the grid of pixels of a raster: shape, transform and bounds in units of its CRS."""
     with open_layer(path) as raster:
-        return {
-            "proj:shape": list(raster.shape),
-            "proj:transform": list(raster.transform)[:6],
-            "proj:bbox": list(raster.bounds),
-        }
+        return _grid_of(raster)
+
+
+def _grid_of(raster: "DatasetReader") -> dict[str, Any]:
+    return {
+        "proj:shape": list(raster.shape),
+        "proj:transform": list(raster.transform)[:6],
+        "proj:bbox": list(raster.bounds),
+    }
 
 
 def _names(folder: Path, known: Mapping[str, Any]) -> list[str]:
@@ -120,7 +127,7 @@ def _raster(path: Path, record: Mapping[str, Any]) -> dict[str, Any]:
             "bands": bands,
             "eo:bands": [{"name": band["name"]} for band in bands],
         }
-    return ({"title": title} if title else {}) | {"gsd": round(pixel, 9), **describe_grid(path), **values}
+        return ({"title": title} if title else {}) | {"gsd": round(pixel, 9), **_grid_of(raster), **values}
 
 
 STAC_VERSION = "1.1.0"

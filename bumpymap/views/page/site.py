@@ -4,6 +4,7 @@ import base64
 import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Self
 
@@ -463,22 +464,8 @@ class Site:
 
         None without a CRS, or where these are not known.
         """
-        spot, crs = self.tiles.spot, self.record["crs"]
-        if crs is None:
-            return None
-        west, north = spot.west, spot.north
-        east, south = west + spot.cols * spot.tile_size, north - spot.rows * spot.tile_size
-        try:
-            place = Transformer.from_crs(stated_crs(crs["wkt"]).to_2d(), "OGC:CRS84", always_xy=True)
-            eastings, northings = (
-                np.array(each) / spot.unit for each in ((west, east) * 2, (north,) * 2 + (south,) * 2)
-            )
-            found = np.column_stack(place.transform(eastings, northings))
-        except ProjError:
-            return None
-        return (
-            [[round(value, 7) for value in corner] for corner in found.tolist()] if np.isfinite(found).all() else None
-        )
+        crs = self.record["crs"]
+        return None if crs is None else _corners(crs["wkt"], self.tiles.spot)
 
     @property
     def tile_area(self) -> float:
@@ -545,6 +532,20 @@ class Site:
         }
 
 
+@lru_cache(maxsize=2)
+def _corners(wkt: str, spot: Spot) -> list[list[float]] | None:
+    """Return the corners of a map in degrees, see `Site.degrees`: a page asks for them several times."""
+    west, north = spot.west, spot.north
+    east, south = west + spot.cols * spot.tile_size, north - spot.rows * spot.tile_size
+    try:
+        place = Transformer.from_crs(stated_crs(wkt).to_2d(), "OGC:CRS84", always_xy=True)
+        eastings, northings = (np.array(each) / spot.unit for each in ((west, east) * 2, (north,) * 2 + (south,) * 2))
+        found = np.column_stack(place.transform(eastings, northings))
+    except ProjError:
+        return None
+    return [[round(value, 7) for value in corner] for corner in found.tolist()] if np.isfinite(found).all() else None
+
+
 def _still(tiles: PageTiles, light: NDArray[np.uint8], photo: NDArray[np.uint8] | None) -> str:
     """Return the classes over the relief or the photo as one picture, hatched where the vehicle cannot cross.
 
@@ -567,10 +568,11 @@ def _still(tiles: PageTiles, light: NDArray[np.uint8], photo: NDArray[np.uint8] 
         picture = np.where(ground[..., None] == NO_POINTS, _BLANK, below + STRENGTH / 100 * (picture - below))
         bright = np.ones_like(bright)
     hatch = (ground >= UNKNOWN_FROM) & (ground != NO_POINTS)
-    down, right = np.arange(height)[:, None], np.arange(width)[None, :]
-    bright[hatch & ((down + right) % 6 < 1)] *= 0.7
+    down, right = ((np.arange(size) % 6).astype(np.int8) for size in (height, width))
+    bright[hatch & np.isin(np.arange(11), (0, 6))[np.add.outer(down, right)]] *= 0.7
     closed = (barred > Barred.UNKNOWN) & (ground < UNKNOWN_FROM)
-    lines = (down - right) % 6 < 2
+    lines = np.isin(np.arange(11), (0, 5, 6))[np.add.outer(down, 5 - right)]
     has_room = height >= _LINES * tiles.spot.shape[0]
     bright[closed & lines if has_room else closed] *= 0.25 if has_room else 0.4 if photo is None else 0.65
-    return jpeg(np.rint(picture * bright[:, :, None]).astype(np.uint8), 150_000)
+    picture *= bright[:, :, None]
+    return jpeg(np.rint(picture, out=picture).astype(np.uint8), 150_000)
