@@ -1,6 +1,7 @@
 from .calibration import (
     Calibration as Calibration,
     DrivenTerrain as DrivenTerrain,
+    shipped_calibrations as shipped_calibrations,
 )
 from .cost import (
     rate as rate,

@@ -2,6 +2,7 @@
 
 import logging
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,7 @@ from bumpymap.rating import (
     rate,
     rate_as_paper,
     require_speeds,
+    shipped_calibrations,
     thin_columns,
 )
 from bumpytiles import Grid, TilePoints
@@ -52,6 +54,10 @@ def require_cloth(config: MapConfig) -> None:
     """Check that the cloth filter is installed if the settings ask for it."""
     if config.ground == "csf":
         require_filter(config.csf, Grid(config.tile_size, config.pixels))
+
+
+# What is part of the package is read once by a process that maps many surveys.
+_included, _shipped = lru_cache(4)(find_calibration), lru_cache(1)(TextureModel.shipped)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +79,9 @@ class RatingModels:
         BumpymapError
             A file cannot be read, or is for tiles of another size.
         """
-        calibration = find_calibration(config.vehicle, config.calibration, config.tile_size)
+        is_included = config.calibration is None and str(config.vehicle) in shipped_calibrations()
+        find = _included if is_included else find_calibration
+        calibration = find(config.vehicle, config.calibration, config.tile_size)
         calibration.require_grid(config.tile_size, config.pixels)
         calibration = at_speed(calibration, config.speed)
         own = float(calibration.vehicle["speed_mps"])
@@ -82,7 +90,7 @@ class RatingModels:
             _log.warning("p_fail is that of drives at %g m/s: at %g m/s more of them may fail", own, fastest)
         if config.speeds is not None:
             require_speeds(calibration, config.speeds, "speeds")
-        texture = TextureModel.load(config.model) if config.model else TextureModel.shipped()
+        texture = TextureModel.load(config.model) if config.model else _shipped()
         fits = (texture.tile_size, texture.pixels) == (config.tile_size, config.pixels)
         if not fits and config.model is None and _by_ride(config):
             return cls(None, calibration)

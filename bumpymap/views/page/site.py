@@ -562,7 +562,7 @@ def _still(tiles: PageTiles, light: NDArray[np.uint8], photo: NDArray[np.uint8] 
     ground = np.where((barred == Barred.UNKNOWN) & (ground < UNKNOWN_FROM), UNKNOWN_FROM, ground)
     bright = np.asarray(Image.fromarray(light).resize((width, height), Image.Resampling.BOX), np.float32) / 255
     bright = np.where(ground == NO_POINTS, 1.0, np.minimum(1.0, bright + 0.2))
-    picture = colours[ground]
+    picture = np.take(colours, ground, axis=0)  # a third of the time of an index
     if photo is not None:
         below = np.asarray(Image.fromarray(photo).resize((width, height), Image.Resampling.BOX), np.float32)
         picture = np.where(ground[..., None] == NO_POINTS, _BLANK, below + STRENGTH / 100 * (picture - below))
