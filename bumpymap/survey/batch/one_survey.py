@@ -34,6 +34,7 @@ from bumpymap.layers import (
     REPORT_NAME,
     SurveyRow,
     SurveyStatus,
+    import_without_pandas,
     map_facts,
 )
 from bumpymap.survey.pipeline import map_surveys
@@ -68,8 +69,9 @@ class TaskEnd:
 
 
 def map_one(task: MapTask) -> TaskEnd:
-    """Map a survey, continue its interrupted run, or find that it is done."""
+    """Map a survey, continue its interrupted run, or find that it is done; in a process that does nothing else."""
     begin = time.perf_counter()
+    import_without_pandas("pyogrio.raw")
     view, trace = SurveyView(), ""
     lock_for(task.started_by)
     with _collected_warnings() as said:
