@@ -246,7 +246,7 @@ class BatchSettings(EachSettings, total=False):
     """Settings of `map_batch`: those of ``BatchConfig``, and of ``MapConfig`` for each survey."""
 
     survey_per: SurveyPer
-    jobs: int
+    jobs: int | None
 
 
 def map_batch(
