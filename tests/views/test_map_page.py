@@ -30,7 +30,7 @@ from bumpymap.views.page import page
 from bumpymap.views.page.batch_page import index_page
 from bumpymap.views.page.charts import locator
 from bumpymap.views.page.tiles import NO_POINTS, UNKNOWN_FROM
-from bumpymap.views.words import area, number, share
+from bumpymap.views.words import share
 
 
 def raster(folder, name, band=None):
@@ -270,11 +270,6 @@ def test_the_locator_shows_a_place_in_its_country_and_one_beside_it_in_another(p
     assert land.distance(point) < 2
     assert 0.025 < land.intersection(square).area / square.area < 0.9
     assert locator(*other)["country"] != found["country"]
-
-
-def test_unknown_numbers_are_dashes_and_areas_have_their_unit():
-    assert share(1, 0) == number(None, 2) == number(float("nan"), 1)
-    assert [area(one) for one in (9, 25_000, 3.2e6)] == ["9 m²", "2.50 ha", "3.20 km²"]
 
 
 HOSTILE = "<b>'&\udce9\x1b[31m\u202e"

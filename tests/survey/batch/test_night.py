@@ -190,11 +190,6 @@ def test_a_crs_for_all_is_that_of_surveys_without_one_and_warnings_are_everywher
     assert str(tmp_path) not in page
     again = batch(tmp_path / "in", "--out", tmp_path / "o", "--crs", "EPSG:32615")
     assert "2 already done, 1 with warnings" in again.stdout
-    words = ("map", tmp_path / "in" / "own.laz", "--out", tmp_path / "out")
-    refused = run(*words, "--crs", "EPSG:32615")
-    assert (refused.exit_code, "--set force_crs" in refused.stderr) == (2, True)
-    assert run(*words, "--set", "force_crs=EPSG:32615").exit_code == 0
-    assert json.loads((tmp_path / "out" / "run.json").read_text())["crs"]["code"] == "EPSG:32615"
 
 
 def test_an_interrupted_survey_is_begun_again_with_other_settings(surveys, alone, tmp_path, killed_at):
