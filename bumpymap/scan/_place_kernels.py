@@ -41,13 +41,19 @@ class ZoneGrid(NamedTuple):
     """Rows (outwards) and columns (counter-clockwise) of a sector."""
 
 
-class CellOrder(NamedTuple):
-    """The points by cell, in the scan's order inside each."""
+class CellPoints(NamedTuple):
+    """The points by cell, side by side, in the scan's order inside each."""
 
     starts: Counts
-    """(cells + 2,) cell c has ``order[starts[c]:starts[c + 1]]``; the last entry is scratch."""
+    """(cells + 2,) cell c has those from ``starts[c]`` to ``starts[c + 1]``; zeros on entry; the last entry is scratch."""
     order: Integers
-    """(points,)."""
+    """(points,) their numbers in the scan."""
+    xyz: ScanPoints
+    """(3, points) m."""
+    pixel: Integers
+    """(points,) ``row * pixels + column``."""
+    part: Integers
+    """(points,) part of the cell, as ``part_of_pixel`` says."""
 
 
 @helper
@@ -59,7 +65,8 @@ def turn_of(x: float, y: float) -> float:
     wrongly.
     """
     ax, ay = abs(x), abs(y)
-    high, low = max(ax, ay), min(ax, ay)
+    is_steep = ay > ax
+    high, low = (ay, ax) if is_steep else (ax, ay)
     folded = low > _EIGHTH * high
     above, below = (low - high, low + high) if folded else (low, high)
     t = above / (below if below > 0.0 else 1.0)
@@ -68,77 +75,70 @@ def turn_of(x: float, y: float) -> float:
     s = 1 / 11 - q * (1 / 13 - q * (1 / 15 - q * (1 / 17 - q * s)))
     s = 1 / 3 - q * (1 / 5 - q * (1 / 7 - q * (1 / 9 - q * s)))
     angle = t * (1.0 - q * s) * (0.5 / math.pi) + (0.125 if folded else 0.0)
-    angle = 0.25 - angle if ay > ax else angle
+    angle = 0.25 - angle if is_steep else angle
     angle = 0.5 - angle if x < 0.0 else angle
     return -angle if y < 0.0 else angle
 
 
 @kernel
 def place_points(
-    points: ScanPoints, grid: ZoneGrid, cell: Integers, pixel: Integers, polar: Annotated[NDArray[np.float64], 2]
+    points: ScanPoints,
+    grid: ZoneGrid,
+    part_of_pixel: Integers,
+    cell: Integers,
+    pixel: Integers,
+    polar: Annotated[NDArray[np.float64], 2],
+    out: CellPoints,
 ) -> None:
-    """Find the cell and the pixel of every point.
+    """Find the cell and the pixel of every point, and list the points by cell.
 
     ``points`` (points, 3): m; ``cell`` (points,): filled: its number, by zone, ring, sector, -1 outside the grid;
-    ``pixel`` (points,): filled: ``row * pixels + column``; ``polar`` (2, ``BLOCK``): scratch: distance and turn of so
-    many points at a time.
+    ``pixel`` (points,), ``polar`` (4, ``BLOCK``): scratch: x, y, distance and turn of so many points at a time.
     """
     edges, sectors, rings, pixels = grid.edges, grid.sectors, grid.rings, grid.pixels
-    zones = len(sectors)
+    zones, start = len(sectors), grid.start
+    starts, order, xyz = out.starts, out.order, out.xyz
     for begin in range(0, len(points), BLOCK):
-        some = points[begin : begin + BLOCK]
-        distance, turns = polar[0, : len(some)], polar[1, : len(some)]
-        for i in range(len(some)):
-            x, y = np.float64(some[i, 0]), np.float64(some[i, 1])
-            distance[i] = math.sqrt(x * x + y * y)
-            turn = turn_of(x, y) - grid.start
+        count = min(BLOCK, len(points) - begin)
+        for i in range(count):  # side by side, the next loop takes several at once
+            polar[0, i], polar[1, i] = points[begin + i, 0], points[begin + i, 1]
+        for i in range(count):
+            x, y = polar[0, i], polar[1, i]
+            polar[2, i] = math.sqrt(x * x + y * y)
+            turn = turn_of(x, y) - start
             turn = turn + 1.0 if turn < 0.0 else turn
-            turns[i] = turn + 1.0 if turn < 0.0 else turn
-        for i in range(len(some)):
-            r, at = distance[i], begin + i
-            cell[at], pixel[at] = -1, 0
+            polar[3, i] = turn + 1.0 if turn < 0.0 else turn
+        for i in range(count):
+            r, at = polar[2, i], begin + i
             if not edges[0] <= r < edges[zones]:
+                cell[at] = -1
                 continue
-            zone, first = 0, 0
+            zone, home = 0, 0
             while r >= edges[zone + 1]:
-                first += sectors[zone] * rings[zone]
+                home += sectors[zone] * rings[zone]
                 zone += 1
             outward = (r - edges[zone]) / (edges[zone + 1] - edges[zone]) * rings[zone]
             ring = min(int(outward), rings[zone] - 1)
-            around = turns[i] * sectors[zone]
+            around = polar[3, i] * sectors[zone]
             sector = min(int(around), sectors[zone] - 1)
             row = min(int((outward - ring) * pixels), pixels - 1)
             column = min(int((around - sector) * pixels), pixels - 1)
-            cell[at] = np.int32(first + ring * sectors[zone] + sector)
+            home += ring * sectors[zone] + sector
+            cell[at] = np.int32(home)
             pixel[at] = np.int32(row * pixels + column)
-
-
-@kernel
-def sort_points(cell: Integers, out: CellOrder) -> None:
-    """List the points by cell, -1 outside the grid; ``out.starts`` comes as zeros."""
-    starts, order = out.starts, out.order
-    for i in range(len(cell)):
-        if cell[i] >= 0:
-            starts[cell[i] + 2] += 1
+            starts[home + 2] += 1
     for c in range(2, len(starts)):
         starts[c] += starts[c - 1]
-    for i in range(len(cell)):
-        if cell[i] >= 0:
-            order[starts[cell[i] + 1]] = np.int32(i)
-            starts[cell[i] + 1] += 1
-
-
-class GroundPoints(NamedTuple):
-    """The points of a scan, and the slope of the ground."""
-
-    points: ScanPoints
-    """(points, 3) m."""
-    pixel: Integers
-    """(points,) as `place_points` gives it."""
-    is_ground: Annotated[NDArray[np.bool_], 1]
-    """(points,)"""
-    slope: Annotated[NDArray[np.float64], 2]
-    """(cells, 2) along x and y; 0 where it is not known."""
+    for i in range(len(points)):
+        home = cell[i]
+        if home >= 0:
+            order[starts[home + 1]] = np.int32(i)
+            starts[home + 1] += 1
+    for i in range(starts[len(starts) - 2]):
+        p = order[i]
+        xyz[0, i], xyz[1, i], xyz[2, i] = points[p, 0], points[p, 1], points[p, 2]
+        out.pixel[i] = pixel[p]
+        out.part[i] = part_of_pixel[pixel[p]]
 
 
 class DropRule(NamedTuple):
@@ -157,31 +157,21 @@ class DropRule(NamedTuple):
 
 @kernel
 def find_drops(
-    ground: GroundPoints,
-    by_cell: CellOrder,
+    lowest: Annotated[NDArray[np.float32], 3],
+    slope: Annotated[NDArray[np.float64], 2],
+    starts: Counts,
     grid: ZoneGrid,
     rule: DropRule,
-    lowest_ground: ScanPoints,
-    lowest_other: ScanPoints,
     drops: Integers,
 ) -> None:
     """Follow the ground outwards: count the drops in every cell.
 
-    A drop counts for the last cell before it, and for the cell of what is seen below. ``lowest_ground``,
-    ``lowest_other`` (cells, pixels^2): scratch: heights by pixel, m; ``drops`` (cells,): zeros; filled: in how many
-    directions the ground drops in the cell.
+    A drop counts for the last cell before it, and for the cell of what is seen below. ``lowest`` (cells, pixels^2, 2):
+    z of the lowest ground point and of the lowest other one in each pixel, m; inf without any; unknown in cells without
+    points; ``slope`` (cells, 2): of the ground along x and y; 0 where it is not known; ``starts``: as in `CellPoints`;
+    ``drops`` (cells,): zeros; filled: in how many directions the ground drops in the cell.
     """
-    points, pixel, slope = ground.points, ground.pixel, ground.slope
     pixels, zones = grid.pixels, len(grid.sectors)
-    lowest_ground[:] = np.inf
-    lowest_other[:] = np.inf
-    for cell in range(len(by_cell.starts) - 2):
-        for i in range(by_cell.starts[cell], by_cell.starts[cell + 1]):
-            p = by_cell.order[i]
-            if ground.is_ground[p]:
-                lowest_ground[cell, pixel[p]] = min(lowest_ground[cell, pixel[p]], points[p, 2])
-            else:
-                lowest_other[cell, pixel[p]] = min(lowest_other[cell, pixel[p]], points[p, 2])
     for direction in range(rule.directions):
         share = (direction + 0.5) / rule.directions
         turn = 2.0 * math.pi * (share + grid.start)
@@ -195,13 +185,15 @@ def find_drops(
             step = (grid.edges[zone + 1] - grid.edges[zone]) / (grid.rings[zone] * pixels)
             for ring in range(grid.rings[zone]):
                 cell = first + ring * grid.sectors[zone] + sector
+                if starts[cell] == starts[cell + 1]:
+                    continue
                 for row in range(pixels):
                     k = row * pixels + column
-                    r = grid.edges[zone] + (ring * pixels + row + 0.5) * step
-                    on_ground = lowest_ground[cell, k] < np.inf
-                    z = np.float64(lowest_ground[cell, k] if on_ground else lowest_other[cell, k])
+                    on_ground = lowest[cell, k, 0] < np.inf
+                    z = np.float64(lowest[cell, k, 0] if on_ground else lowest[cell, k, 1])
                     if z == np.inf:
                         continue
+                    r = grid.edges[zone] + (ring * pixels + row + 0.5) * step
                     if known:
                         drop = last_z + last_slope * (r - last_r) - z
                         beam = z * last_r / r - last_z
