@@ -699,9 +699,7 @@ def _grow(geometry: CellGeometry, s: LabelScratch) -> None:
 
 
 @helper
-def _mark_plants(
-    points: CellPoints, cell: int, limits: tuple[float, float], is_kept: Flags, s: LabelScratch
-) -> None:
+def _mark_plants(points: CellPoints, cell: int, limits: tuple[float, float], is_kept: Flags, s: LabelScratch) -> None:
     """Add the points of grown parts to the ground of a cell, and find the parts in which plants rise from it."""
     reach, least = limits
     base = cell * PARTS * PARTS
