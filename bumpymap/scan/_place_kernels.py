@@ -45,7 +45,7 @@ class CellPoints(NamedTuple):
     """The points by cell, side by side, in the scan's order inside each."""
 
     starts: Counts
-    """(cells + 2,) cell c has those from ``starts[c]`` to ``starts[c + 1]``; zeros on entry; the last entry is scratch."""
+    """(cells + 2,) cell c has those from ``starts[c]`` to ``starts[c + 1]``; zeros on entry; the last is scratch."""
     order: Integers
     """(points,) their numbers in the scan."""
     xyz: ScanPoints
@@ -287,7 +287,7 @@ class CellScratch(NamedTuple):
     level: Floats
     """(cells,) elevation of the ground in the cell, or the mean of those around it, m; NaN where neither is known."""
     low: Annotated[NDArray[np.float32], 2]
-    """(4 RAYS half, 4), as `_slot` says: z of the lowest ground, of the lowest and -z of the highest other point, m; inf
+    """(4 RAYS half, 4) by `_slot`: z of the lowest ground, of the lowest and -z of the highest other point, m; inf
     without any; and, read with them, the row of the sector of the lowest ground."""
     seen: Annotated[NDArray[np.int32], 2]
     """(4 RAYS, half) row of the sector whose ground is seen, or goes on; or one of those below."""
@@ -319,7 +319,7 @@ def _sort_into_cells(scan: ClassedPoints, rule: CellRule, out: SquareCells, s: C
             ahead = abs(x) >= abs(y)
             lead, beside = (x, y) if ahead else (y, -x)
             far = abs(lead)
-            inside = (0.0 < far < half) & ((scan.sector[p] >= 0) | (scan.height[p] == scan.height[p]))  # noqa: PLR0124
+            inside = (0.0 < far < half) & ((scan.sector[p] >= 0) | (scan.height[p] == scan.height[p]))
             inside &= not scan.airborne[p]
             row, column = min(np.int32(y + half), side - 1), min(np.int32(x + half), side - 1)
             turn = np.int32((beside / (lead if inside else 1.0) + 1.0) * (0.5 * RAYS))

@@ -68,7 +68,7 @@ class SectorScratch(NamedTuple):
     padded: Annotated[Singles, 2]
     """(2, (pixels + 2)^2) zeros at the margin: heights, and 1 where they are known."""
     rows: Annotated[NDArray[np.uint64], 2]
-    """(2, pixels + 2) zeros in the first and the last: a bit for each pixel of a row that is known, and that is next."""
+    """(2, pixels + 2) zeros in the first and the last: bits of the pixels of a row that are known, and of the next."""
 
 
 def sector_scratch(xyz: Floats, pixel: Integers, pixels: int) -> SectorScratch:
@@ -245,7 +245,7 @@ def _heights_of(heights: Singles, scratch: SectorScratch) -> float:
         filled = 0
         for r in range(1, size + 1):
             bits = rows[0, r - 1] | rows[0, r] | rows[0, r + 1]
-            bits = (bits | (bits << one) | (bits >> one)) & ~rows[0, r] & every
+            bits = (bits | (bits << one) | (bits >> one)) & (rows[0, r] ^ every)
             rows[1, r] = bits
             p = r * wide
             while bits != np.uint64(0):
