@@ -177,7 +177,7 @@ class GroundLabels(NamedTuple):
     """(cells, pixels^2, 2) z of the lowest ground point and of the lowest other one, m; inf without any."""
     kept: Flags
     """(points,) by cell: whether it is ground."""
-    count: Annotated[NDArray[np.int32], 1]
+    held: Annotated[NDArray[np.int32], 1]
     """(cells,) ground points; zeros."""
 
 
@@ -795,7 +795,7 @@ def label_points(
                 low[place] = h if first else min(low[place], h)
                 things[0, place] = max(things[0, place], h)
                 things[1, place] += np.float32(1.0)
-        out.count[cell] = count
+        out.held[cell] = count
         if mixed:
             reach = _BESIDE_M + _BESIDE * math.sqrt(geometry.x[cell] ** 2 + geometry.y[cell] ** 2)
             _leave_out_airborne(things, low, reach)

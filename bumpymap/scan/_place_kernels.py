@@ -321,11 +321,11 @@ def _sort_into_cells(scan: ClassedPoints, rule: CellRule, out: SquareCells, s: C
             far = abs(lead)
             inside = (0.0 < far < half) & ((scan.sector[p] >= 0) | (scan.height[p] == scan.height[p]))
             inside &= not scan.airborne[p]
-            row, column = min(np.int32(y + half), side - 1), min(np.int32(x + half), side - 1)
-            turn = np.int32((beside / (lead if inside else 1.0) + 1.0) * (0.5 * RAYS))
+            row, column = min(int(np.int32(y + half)), side - 1), min(int(np.int32(x + half)), side - 1)
+            turn = int(np.int32((beside / (lead if inside else 1.0) + 1.0) * (0.5 * RAYS)))
             quarter = (0 if lead > 0.0 else 2) + (0 if ahead else 1)
             s.cell[p] = np.int32(row * side + column if inside else -1)
-            s.slots[i] = np.int32(_slot(quarter * RAYS + min(turn, RAYS - 1), np.int32(far), half))
+            s.slots[i] = np.int32(_slot(quarter * RAYS + min(turn, RAYS - 1), int(np.int32(far)), half))
         for i in range(count):
             p = begin + i
             cell, slot, z, h = s.cell[p], s.slots[i], points[p, 2], scan.height[p]

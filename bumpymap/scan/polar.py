@@ -54,7 +54,7 @@ def polar_sectors(
     counts = np.diff(by_cell.starts[:-1])
     cells = np.flatnonzero(counts > settings.least_points)
     planes, ground = find_ground(by_cell, size, settings, start, buffers)
-    ground_count = ground.count[cells]
+    ground_count = ground.held[cells]
     there = (planes.kind[cells] == FOUND) & (ground_count >= _LEAST_GROUND_POINTS)
     inputs = SectorInputs(ground.kept, cells[there], RANSAC_THRESHOLD_M)
     scalars, normal, heights = _measure(by_cell, inputs, settings, buffers)
