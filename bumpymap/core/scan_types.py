@@ -364,7 +364,7 @@ def point_classes(scan: Scan, classed: ClassedSectors) -> NDArray[np.uint8]:
     if len(place) != len(scan.points):
         raise ValueError(f"the sectors are those of a scan of {len(place)} points; this one has {len(scan.points)}")
     padded = np.append(classed.class_id, np.uint8(NOT_TRAVERSABLE))
-    class_id: NDArray[np.uint8] = padded[place]
+    class_id: NDArray[np.uint8] = padded.take(place, mode="wrap")
     return class_id
 
 

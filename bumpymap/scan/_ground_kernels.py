@@ -11,7 +11,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.scan._place_kernels import CellOrder
+from bumpymap.scan._place_kernels import CellPoints
 from bumpytiles import helper, kernel
 
 Floats = Annotated[NDArray[np.float64], 1]
@@ -77,17 +77,6 @@ _LAYER = 1.5
 _PLANTS_ABOVE, _PLANTS_SHARE, _PLANTS_SPREAD, _PLANTS_LEAST = 0.8, 0.2, 1.8, 0.045
 """Plants stand in a part if so high above its ground at most, m, there are points, as a share of those on it, and those
 on it spread by more than this multiple of the scan's noise and more than this, m."""
-
-
-class CellPoints(NamedTuple):
-    """Points of a scan by cell, see `gather_points`."""
-
-    xyz: Annotated[NDArray[np.float32], 2]
-    """(3, points) m."""
-    part: Integers
-    """(points,) part of the cell, ``row * PARTS + column``."""
-    starts: Annotated[NDArray[np.int64], 1]
-    """(cells + 2,) as in `CellOrder`."""
 
 
 class CellGeometry(NamedTuple):
@@ -183,19 +172,19 @@ class GroundLabels(NamedTuple):
     """(cells,) lowest point from ``height`` on, m; comes as inf."""
     things: Annotated[NDArray[np.float32], 3]
     """(cells, 2, pixels^2) of the points that are not ground, up to ``THINGS_HEIGHT`` times ``height``: the highest in
-    each pixel above the ground, m, and their number; zeros."""
-    starts: Annotated[NDArray[np.int64], 1]
-    """(cells + 2,) ground points by cell, as in `CellOrder`."""
-    order: Integers
-    """(scan's points,)"""
+    each pixel above the ground, m, and their number. As the next, filled in cells with points."""
+    lowest: Annotated[NDArray[np.float32], 3]
+    """(cells, pixels^2, 2) z of the lowest ground point and of the lowest other one, m; inf without any."""
+    kept: Flags
+    """(points,) by cell: whether it is ground."""
+    held: Annotated[NDArray[np.int32], 1]
+    """(cells,) ground points; zeros."""
 
 
 class LabelScratch(NamedTuple):
     """Scratch of `label_points`; by part: ``cell * PARTS^2 + part``."""
 
     heights: Singles
-    """(points,) by cell."""
-    kept: Flags
     """(points,) by cell."""
     mixed: Flags
     """(cells,) whether some points are not on the plane."""
@@ -207,21 +196,6 @@ class LabelScratch(NamedTuple):
     """(pixels^2,) lowest of the things in each pixel, m."""
     state: Integers
     """(parts,) 1 may continue the ground, 2 does, 3 is part of it; 4 plants."""
-
-
-@kernel
-def gather_points(
-    points: Annotated[NDArray[np.float32], 2],
-    pixel: Integers,
-    part_of_pixel: Integers,
-    by_cell: CellOrder,
-    out: CellPoints,
-) -> None:
-    """Copy points in the order of the cells, so that each cell's lie side by side."""
-    for i in range(by_cell.starts[len(by_cell.starts) - 2]):
-        p = by_cell.order[i]
-        out.xyz[0, i], out.xyz[1, i], out.xyz[2, i] = points[p, 0], points[p, 1], points[p, 2]
-        out.part[i] = part_of_pixel[pixel[p]]
 
 
 @helper
@@ -628,7 +602,7 @@ def keep_largest(
 
 @helper
 def _measure_heights(
-    points: CellPoints, planes: GroundPlanes, geometry: CellGeometry, rule: GroundRule, s: LabelScratch
+    points: CellPoints, planes: GroundPlanes, geometry: CellGeometry, rule: GroundRule, is_kept: Flags, s: LabelScratch
 ) -> None:
     """Find the height of every point above its cell's plane, and which lie on it; where not all do, sum by part."""
     for cell in range(len(geometry.x)):
@@ -649,7 +623,7 @@ def _measure_heights(
             h = points.xyz[2, i] - (a * points.xyz[0, i] + b * points.xyz[1, i] + c)
             s.heights[i] = h
             kept = below < h < reach
-            s.kept[i] = kept
+            is_kept[i] = kept
             held += kept
         s.mixed[cell] = held < last - first
         if held == last - first:
@@ -666,7 +640,7 @@ def _measure_heights(
                 s.sums[part, 0] += 1.0
                 s.sums[part, 1] += h
                 s.sums[part, 2] += h * h
-                s.sums[part, 3] += s.kept[i]
+                s.sums[part, 3] += is_kept[i]
 
 
 @helper
@@ -725,7 +699,7 @@ def _grow(geometry: CellGeometry, s: LabelScratch) -> None:
 
 
 @helper
-def _mark_plants(points: CellPoints, cell: int, limits: tuple[float, float], s: LabelScratch) -> None:
+def _mark_plants(points: CellPoints, cell: int, limits: tuple[float, float], is_kept: Flags, s: LabelScratch) -> None:
     """Add the points of grown parts to the ground of a cell, and find the parts in which plants rise from it."""
     reach, least = limits
     base = cell * PARTS * PARTS
@@ -734,8 +708,8 @@ def _mark_plants(points: CellPoints, cell: int, limits: tuple[float, float], s: 
     for i in range(points.starts[cell], points.starts[cell + 1]):
         part, h = base + points.part[i], s.heights[i]
         if s.state[part] == 3:
-            s.kept[i] = abs(h - s.level[part]) < _PART_REACH
-        if s.kept[i]:
+            is_kept[i] = abs(h - s.level[part]) < _PART_REACH
+        if is_kept[i]:
             s.sums[part, 0] += 1.0
             s.sums[part, 1] += h * h
         elif reach < h < reach + _PLANTS_ABOVE:
@@ -774,8 +748,6 @@ def _leave_out_airborne(things: Annotated[NDArray[np.float32], 2], lowest: Singl
 @kernel
 def label_points(
     points: CellPoints,
-    by_cell: CellOrder,
-    pixel: Integers,
     geometry: CellGeometry,
     planes: GroundPlanes,
     rule: GroundRule,
@@ -783,45 +755,56 @@ def label_points(
     scratch: LabelScratch,
 ) -> None:
     """Find which points are ground, and in each cell what stands on the ground and what hangs over it."""
-    _measure_heights(points, planes, geometry, rule, scratch)
+    kept, low = out.kept, scratch.lowest
+    _measure_heights(points, planes, geometry, rule, kept, scratch)
     _grow(geometry, scratch)
-    end = 0
     for cell in range(len(geometry.x)):
-        out.starts[cell] = end
+        begin, end = points.starts[cell], points.starts[cell + 1]
+        if begin == end:
+            continue
+        lowest, things = out.lowest[cell], out.things[cell]
+        for k in range(len(low)):
+            lowest[k, 0] = lowest[k, 1] = np.float32(np.inf)
+            things[0, k] = things[1, k] = np.float32(0.0)
         if planes.kind[cell] == 0:
+            for i in range(begin, end):
+                place = points.pixel[i]
+                lowest[place, 1] = min(lowest[place, 1], points.xyz[2, i])
+                kept[i] = False
             continue
         zone, base, mixed = geometry.zone[cell], cell * PARTS * PARTS, scratch.mixed[cell]
         if mixed:
             least = max(_PLANTS_SPREAD * rule.noise[zone], _PLANTS_LEAST)
-            _mark_plants(points, cell, (rule.reach[zone], least), scratch)
-        for i in range(points.starts[cell], points.starts[cell + 1]):
-            h, p = scratch.heights[i], by_cell.order[i]
+            _mark_plants(points, cell, (rule.reach[zone], least), kept, scratch)
+        count = 0
+        for i in range(begin, end):
+            h, p, place, z = scratch.heights[i], points.order[i], points.pixel[i], points.xyz[2, i]
             out.height[p] = h
-            if not mixed or (scratch.kept[i] and scratch.state[base + points.part[i]] != 4):
+            if not mixed or (kept[i] and scratch.state[base + points.part[i]] != 4):
                 out.ground[p] = True
-                out.order[end] = p
-                end += 1
+                count += 1
+                lowest[place, 0] = min(lowest[place, 0], z)
                 continue
+            kept[i] = False
+            lowest[place, 1] = min(lowest[place, 1], z)
             if h >= rule.height:
                 out.overhead[cell] += 1
                 out.clearance[cell] = min(out.clearance[cell], h)
             if 0.0 < h < THINGS_HEIGHT * rule.height:
-                place = pixel[p]
-                first = out.things[cell, 1, place] == 0.0
-                scratch.lowest[place] = h if first else min(scratch.lowest[place], h)
-                out.things[cell, 0, place] = max(out.things[cell, 0, place], h)
-                out.things[cell, 1, place] += np.float32(1.0)
+                first = things[1, place] == 0.0
+                low[place] = h if first else min(low[place], h)
+                things[0, place] = max(things[0, place], h)
+                things[1, place] += np.float32(1.0)
+        out.held[cell] = count
         if mixed:
             reach = _BESIDE_M + _BESIDE * math.sqrt(geometry.x[cell] ** 2 + geometry.y[cell] ** 2)
-            _leave_out_airborne(out.things[cell], scratch.lowest, reach)
-            for i in range(points.starts[cell], points.starts[cell + 1]):
-                h, p = scratch.heights[i], by_cell.order[i]
-                if out.ground[p] or not 0.0 < h < THINGS_HEIGHT * rule.height:
+            _leave_out_airborne(things, low, reach)
+            for i in range(begin, end):
+                h = scratch.heights[i]
+                if kept[i] or not 0.0 < h < THINGS_HEIGHT * rule.height:
                     continue
-                if out.things[cell, 1, pixel[p]] == 0.0:
-                    out.airborne[p] = True
+                if things[1, points.pixel[i]] == 0.0:
+                    out.airborne[points.order[i]] = True
                 elif rule.belly <= h < rule.height:
                     out.obstacles[cell] += 1
                     out.top[cell] = max(out.top[cell], h)
-    out.starts[len(geometry.x)] = end
-    out.starts[len(geometry.x) + 1] = end

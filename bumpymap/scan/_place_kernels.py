@@ -41,13 +41,19 @@ class ZoneGrid(NamedTuple):
     """Rows (outwards) and columns (counter-clockwise) of a sector."""
 
 
-class CellOrder(NamedTuple):
-    """The points by cell, in the scan's order inside each."""
+class CellPoints(NamedTuple):
+    """The points by cell, side by side, in the scan's order inside each."""
 
     starts: Counts
-    """(cells + 2,) cell c has ``order[starts[c]:starts[c + 1]]``; the last entry is scratch."""
+    """(cells + 2,) cell c has those from ``starts[c]`` to ``starts[c + 1]``; zeros on entry; the last is scratch."""
     order: Integers
-    """(points,)."""
+    """(points,) their numbers in the scan."""
+    xyz: ScanPoints
+    """(3, points) m."""
+    pixel: Integers
+    """(points,) ``row * pixels + column``."""
+    part: Integers
+    """(points,) part of the cell, as ``part_of_pixel`` says."""
 
 
 @helper
@@ -59,7 +65,8 @@ def turn_of(x: float, y: float) -> float:
     wrongly.
     """
     ax, ay = abs(x), abs(y)
-    high, low = max(ax, ay), min(ax, ay)
+    is_steep = ay > ax
+    high, low = (ay, ax) if is_steep else (ax, ay)
     folded = low > _EIGHTH * high
     above, below = (low - high, low + high) if folded else (low, high)
     t = above / (below if below > 0.0 else 1.0)
@@ -68,77 +75,70 @@ def turn_of(x: float, y: float) -> float:
     s = 1 / 11 - q * (1 / 13 - q * (1 / 15 - q * (1 / 17 - q * s)))
     s = 1 / 3 - q * (1 / 5 - q * (1 / 7 - q * (1 / 9 - q * s)))
     angle = t * (1.0 - q * s) * (0.5 / math.pi) + (0.125 if folded else 0.0)
-    angle = 0.25 - angle if ay > ax else angle
+    angle = 0.25 - angle if is_steep else angle
     angle = 0.5 - angle if x < 0.0 else angle
     return -angle if y < 0.0 else angle
 
 
 @kernel
 def place_points(
-    points: ScanPoints, grid: ZoneGrid, cell: Integers, pixel: Integers, polar: Annotated[NDArray[np.float64], 2]
+    points: ScanPoints,
+    grid: ZoneGrid,
+    part_of_pixel: Integers,
+    cell: Integers,
+    pixel: Integers,
+    polar: Annotated[NDArray[np.float64], 2],
+    out: CellPoints,
 ) -> None:
-    """Find the cell and the pixel of every point.
+    """Find the cell and the pixel of every point, and list the points by cell.
 
     ``points`` (points, 3): m; ``cell`` (points,): filled: its number, by zone, ring, sector, -1 outside the grid;
-    ``pixel`` (points,): filled: ``row * pixels + column``; ``polar`` (2, ``BLOCK``): scratch: distance and turn of so
-    many points at a time.
+    ``pixel`` (points,), ``polar`` (4, ``BLOCK``): scratch: x, y, distance and turn of so many points at a time.
     """
     edges, sectors, rings, pixels = grid.edges, grid.sectors, grid.rings, grid.pixels
-    zones = len(sectors)
+    zones, start = len(sectors), grid.start
+    starts, order, xyz = out.starts, out.order, out.xyz
     for begin in range(0, len(points), BLOCK):
-        some = points[begin : begin + BLOCK]
-        distance, turns = polar[0, : len(some)], polar[1, : len(some)]
-        for i in range(len(some)):
-            x, y = np.float64(some[i, 0]), np.float64(some[i, 1])
-            distance[i] = math.sqrt(x * x + y * y)
-            turn = turn_of(x, y) - grid.start
+        count = min(BLOCK, len(points) - begin)
+        for i in range(count):  # side by side, the next loop takes several at once
+            polar[0, i], polar[1, i] = points[begin + i, 0], points[begin + i, 1]
+        for i in range(count):
+            x, y = polar[0, i], polar[1, i]
+            polar[2, i] = math.sqrt(x * x + y * y)
+            turn = turn_of(x, y) - start
             turn = turn + 1.0 if turn < 0.0 else turn
-            turns[i] = turn + 1.0 if turn < 0.0 else turn
-        for i in range(len(some)):
-            r, at = distance[i], begin + i
-            cell[at], pixel[at] = -1, 0
+            polar[3, i] = turn + 1.0 if turn < 0.0 else turn
+        for i in range(count):
+            r, at = polar[2, i], begin + i
             if not edges[0] <= r < edges[zones]:
+                cell[at] = -1
                 continue
-            zone, first = 0, 0
+            zone, home = 0, 0
             while r >= edges[zone + 1]:
-                first += sectors[zone] * rings[zone]
+                home += sectors[zone] * rings[zone]
                 zone += 1
             outward = (r - edges[zone]) / (edges[zone + 1] - edges[zone]) * rings[zone]
             ring = min(int(outward), rings[zone] - 1)
-            around = turns[i] * sectors[zone]
+            around = polar[3, i] * sectors[zone]
             sector = min(int(around), sectors[zone] - 1)
             row = min(int((outward - ring) * pixels), pixels - 1)
             column = min(int((around - sector) * pixels), pixels - 1)
-            cell[at] = np.int32(first + ring * sectors[zone] + sector)
+            home += ring * sectors[zone] + sector
+            cell[at] = np.int32(home)
             pixel[at] = np.int32(row * pixels + column)
-
-
-@kernel
-def sort_points(cell: Integers, out: CellOrder) -> None:
-    """List the points by cell, -1 outside the grid; ``out.starts`` comes as zeros."""
-    starts, order = out.starts, out.order
-    for i in range(len(cell)):
-        if cell[i] >= 0:
-            starts[cell[i] + 2] += 1
+            starts[home + 2] += 1
     for c in range(2, len(starts)):
         starts[c] += starts[c - 1]
-    for i in range(len(cell)):
-        if cell[i] >= 0:
-            order[starts[cell[i] + 1]] = np.int32(i)
-            starts[cell[i] + 1] += 1
-
-
-class GroundPoints(NamedTuple):
-    """The points of a scan, and the slope of the ground."""
-
-    points: ScanPoints
-    """(points, 3) m."""
-    pixel: Integers
-    """(points,) as `place_points` gives it."""
-    is_ground: Annotated[NDArray[np.bool_], 1]
-    """(points,)"""
-    slope: Annotated[NDArray[np.float64], 2]
-    """(cells, 2) along x and y; 0 where it is not known."""
+    for i in range(len(points)):
+        home = cell[i]
+        if home >= 0:
+            order[starts[home + 1]] = np.int32(i)
+            starts[home + 1] += 1
+    for i in range(starts[len(starts) - 2]):
+        p = order[i]
+        xyz[0, i], xyz[1, i], xyz[2, i] = points[p, 0], points[p, 1], points[p, 2]
+        out.pixel[i] = pixel[p]
+        out.part[i] = part_of_pixel[pixel[p]]
 
 
 class DropRule(NamedTuple):
@@ -157,31 +157,21 @@ class DropRule(NamedTuple):
 
 @kernel
 def find_drops(
-    ground: GroundPoints,
-    by_cell: CellOrder,
+    lowest: Annotated[NDArray[np.float32], 3],
+    slope: Annotated[NDArray[np.float64], 2],
+    starts: Counts,
     grid: ZoneGrid,
     rule: DropRule,
-    lowest_ground: ScanPoints,
-    lowest_other: ScanPoints,
     drops: Integers,
 ) -> None:
     """Follow the ground outwards: count the drops in every cell.
 
-    A drop counts for the last cell before it, and for the cell of what is seen below. ``lowest_ground``,
-    ``lowest_other`` (cells, pixels^2): scratch: heights by pixel, m; ``drops`` (cells,): zeros; filled: in how many
-    directions the ground drops in the cell.
+    A drop counts for the last cell before it, and for the cell of what is seen below. ``lowest`` (cells, pixels^2, 2):
+    z of the lowest ground point and of the lowest other one in each pixel, m; inf without any; unknown in cells without
+    points; ``slope`` (cells, 2): of the ground along x and y; 0 where it is not known; ``starts``: as in `CellPoints`;
+    ``drops`` (cells,): zeros; filled: in how many directions the ground drops in the cell.
     """
-    points, pixel, slope = ground.points, ground.pixel, ground.slope
     pixels, zones = grid.pixels, len(grid.sectors)
-    lowest_ground[:] = np.inf
-    lowest_other[:] = np.inf
-    for cell in range(len(by_cell.starts) - 2):
-        for i in range(by_cell.starts[cell], by_cell.starts[cell + 1]):
-            p = by_cell.order[i]
-            if ground.is_ground[p]:
-                lowest_ground[cell, pixel[p]] = min(lowest_ground[cell, pixel[p]], points[p, 2])
-            else:
-                lowest_other[cell, pixel[p]] = min(lowest_other[cell, pixel[p]], points[p, 2])
     for direction in range(rule.directions):
         share = (direction + 0.5) / rule.directions
         turn = 2.0 * math.pi * (share + grid.start)
@@ -195,13 +185,15 @@ def find_drops(
             step = (grid.edges[zone + 1] - grid.edges[zone]) / (grid.rings[zone] * pixels)
             for ring in range(grid.rings[zone]):
                 cell = first + ring * grid.sectors[zone] + sector
+                if starts[cell] == starts[cell + 1]:
+                    continue
                 for row in range(pixels):
                     k = row * pixels + column
-                    r = grid.edges[zone] + (ring * pixels + row + 0.5) * step
-                    on_ground = lowest_ground[cell, k] < np.inf
-                    z = np.float64(lowest_ground[cell, k] if on_ground else lowest_other[cell, k])
+                    on_ground = lowest[cell, k, 0] < np.inf
+                    z = np.float64(lowest[cell, k, 0] if on_ground else lowest[cell, k, 1])
                     if z == np.inf:
                         continue
+                    r = grid.edges[zone] + (ring * pixels + row + 0.5) * step
                     if known:
                         drop = last_z + last_slope * (r - last_r) - z
                         beam = z * last_r / r - last_z
@@ -284,16 +276,19 @@ class CellScratch(NamedTuple):
     """(cells, 3) given: the first and the last ray through the cell, and its ring."""
     cell: Integers
     """(points,) the cell of each; -1 outside."""
+    block: Annotated[NDArray[np.float64], 2]
+    """(2, BLOCK) x and y of so many points at a time, in cells."""
+    slots: Integers
+    """(BLOCK,) their rows of ``low``."""
     total: Annotated[NDArray[np.float64], 2]
     """(cells, 2) number of ground points, and the sum of their z, m."""
     things: Integers
-    """(cells,) points of obstacles; before, those that are not ground."""
+    """(cells,) points of obstacles; before, 1 if some are not ground."""
     level: Floats
     """(cells,) elevation of the ground in the cell, or the mean of those around it, m; NaN where neither is known."""
-    low: Annotated[NDArray[np.float32], 3]
-    """(4 RAYS, half, 3) z of the lowest ground, of the lowest and -z of the highest other point, m; inf without any."""
-    home: Annotated[NDArray[np.int32], 2]
-    """(4 RAYS, half) row of the sector of the lowest ground."""
+    low: Annotated[NDArray[np.float32], 2]
+    """(4 RAYS half, 4) by `_slot`: z of the lowest ground, of the lowest and -z of the highest other point, m; inf
+    without any; and, read with them, the row of the sector of the lowest ground."""
     seen: Annotated[NDArray[np.int32], 2]
     """(4 RAYS, half) row of the sector whose ground is seen, or goes on; or one of those below."""
     fell: Flags
@@ -305,62 +300,85 @@ _UNSEEN, _BENEATH, _FALLS = -1, -2, -3
 
 
 @helper
+def _slot(ray: int, ring: int, half: int) -> int:
+    """Return the row of a ray and a ring in ``CellScratch.low``: four rays side by side share a line of the cache."""
+    return ((ray >> 2) * half + ring) * 4 + (ray & 3)
+
+
+@helper
 def _sort_into_cells(scan: ClassedPoints, rule: CellRule, out: SquareCells, s: CellScratch) -> None:
     """Find the cell of every point, and the lowest points by ray and ring; sum the ground by cell."""
-    half, side, scale = rule.half, 2 * rule.half, 1.0 / rule.resolution
-    for i in range(len(scan.points)):
-        s.cell[i] = -1
-        x, y, z, h = scan.points[i, 0] * scale, scan.points[i, 1] * scale, scan.points[i, 2], scan.height[i]
-        ahead = abs(x) >= abs(y)
-        far = abs(x) if ahead else abs(y)
-        if far >= half or far == 0.0 or (scan.sector[i] < 0 and math.isnan(h)) or scan.airborne[i]:
-            continue
-        cell = min(int(y + half), side - 1) * side + min(int(x + half), side - 1)
-        s.cell[i] = np.int32(cell)
-        quarter = (0 if x > 0.0 else 2) if ahead else (1 if y > 0.0 else 3)
-        across = y / x if ahead else -x / y
-        ray, ring = quarter * RAYS + min(int((across + 1.0) * (0.5 * RAYS)), RAYS - 1), int(far)
-        if scan.ground[i]:
-            s.total[cell, 0] += 1.0
-            s.total[cell, 1] += z
-            if out.sector[cell] < 0:
-                out.sector[cell] = scan.sector[i]
-        else:
-            s.things[cell] += 1
-        if scan.ground[i] or abs(h) < rule.belly:
-            if z < s.low[ray, ring, 0]:
-                s.low[ray, ring, 0] = z
-                s.home[ray, ring] = scan.sector[i]
-        elif not h >= rule.height:
-            s.low[ray, ring, 1] = min(s.low[ray, ring, 1], z)
-            s.low[ray, ring, 2] = min(s.low[ray, ring, 2], -z)
+    half, side, scale, belly = rule.half, 2 * rule.half, 1.0 / rule.resolution, rule.belly
+    points, low, total = scan.points, s.low, s.total
+    for begin in range(0, len(points), BLOCK):
+        count = min(BLOCK, len(points) - begin)
+        for i in range(count):
+            s.block[0, i], s.block[1, i] = points[begin + i, 0] * scale, points[begin + i, 1] * scale
+        for i in range(count):  # without a branch: several at once
+            x, y, p = s.block[0, i], s.block[1, i], begin + i
+            ahead = abs(x) >= abs(y)
+            lead, beside = (x, y) if ahead else (y, -x)
+            far = abs(lead)
+            inside = (0.0 < far < half) & ((scan.sector[p] >= 0) | (scan.height[p] == scan.height[p]))
+            inside &= not scan.airborne[p]
+            row, column = min(int(np.int32(y + half)), side - 1), min(int(np.int32(x + half)), side - 1)
+            turn = int(np.int32((beside / (lead if inside else 1.0) + 1.0) * (0.5 * RAYS)))
+            quarter = (0 if lead > 0.0 else 2) + (0 if ahead else 1)
+            s.cell[p] = np.int32(row * side + column if inside else -1)
+            s.slots[i] = np.int32(_slot(quarter * RAYS + min(turn, RAYS - 1), int(np.int32(far)), half))
+        for i in range(count):
+            p = begin + i
+            cell, slot, z, h = s.cell[p], s.slots[i], points[p, 2], scan.height[p]
+            if cell < 0:
+                continue
+            is_ground = scan.ground[p]
+            if is_ground:
+                total[cell, 0] += 1.0
+                total[cell, 1] += z
+                if out.sector[cell] < 0:
+                    out.sector[cell] = scan.sector[p]
+            else:
+                s.things[cell] = 1
+            if is_ground or abs(h) < belly:
+                if z < low[slot, 0]:
+                    low[slot, 0], low[slot, 3] = z, np.float32(scan.sector[p])
+            elif not h >= rule.height:
+                low[slot, 1] = min(low[slot, 1], z)
+                low[slot, 2] = min(low[slot, 2], -z)
 
 
 @helper
 def _level_cells(rule: CellRule, out: SquareCells, s: CellScratch) -> None:
     """Find the elevation of the ground in every cell, its steps, and the level from which things are measured."""
-    side = 2 * rule.half
+    side, total, elevation = 2 * rule.half, s.total, out.elevation
     for cell in range(side * side):
-        s.level[cell] = s.total[cell, 1] / s.total[cell, 0] if s.total[cell, 0] > 0.0 else np.nan
-        out.elevation[cell] = s.level[cell]
-    for cell in range(side * side):
-        row, column = cell // side, cell % side
-        if s.total[cell, 0] > 0.0:
-            most = 0.0
-            for k in range(4):
-                up, right = row + (k == 0) - (k == 1), column + (k == 2) - (k == 3)
-                if 0 <= up < side and 0 <= right < side and s.total[up * side + right, 0] > 0.0:
-                    most = max(most, abs(np.float64(out.elevation[up * side + right]) - out.elevation[cell]))
-            out.step[cell] = most
-        elif s.things[cell] > 0:
-            total = count = 0.0
-            for up in range(max(row - 1, 0), min(row + 2, side)):
-                for right in range(max(column - 1, 0), min(column + 2, side)):
-                    if s.total[up * side + right, 0] > 0.0:
-                        count += 1.0
-                        total += out.elevation[up * side + right]
-            s.level[cell] = total / count
-        s.things[cell] = 0
+        s.level[cell] = elevation[cell] = np.nan
+        if total[cell, 0] > 0.0:
+            s.level[cell] = total[cell, 1] / total[cell, 0]
+            elevation[cell] = s.level[cell]
+    for row in range(side):
+        for column in range(side):
+            cell = row * side + column
+            if total[cell, 0] > 0.0:
+                own, most = np.float64(elevation[cell]), 0.0
+                if row > 0 and total[cell - side, 0] > 0.0:
+                    most = max(most, abs(np.float64(elevation[cell - side]) - own))
+                if row + 1 < side and total[cell + side, 0] > 0.0:
+                    most = max(most, abs(np.float64(elevation[cell + side]) - own))
+                if column > 0 and total[cell - 1, 0] > 0.0:
+                    most = max(most, abs(np.float64(elevation[cell - 1]) - own))
+                if column + 1 < side and total[cell + 1, 0] > 0.0:
+                    most = max(most, abs(np.float64(elevation[cell + 1]) - own))
+                out.step[cell] = most
+            elif s.things[cell] > 0:
+                height = count = 0.0
+                for up in range(max(row - 1, 0), min(row + 2, side)):
+                    for right in range(max(column - 1, 0), min(column + 2, side)):
+                        if total[up * side + right, 0] > 0.0:
+                            count += 1.0
+                            height += elevation[up * side + right]
+                s.level[cell] = height / count
+            s.things[cell] = 0
 
 
 @helper
@@ -395,40 +413,43 @@ def _follow_ray(ray: int, slope_to: tuple[float, float], scan: ClassedPoints, ru
     It goes on if the beam to the farther one passes the nearer one lower than the belly, so that no obstacle can hide
     there, and no obstacle before it hides what may stand on it. A return that is missing is that of a ray beside it.
     """
-    (rays, half), (x, y) = s.home.shape, slope_to
+    (rays, half), (x, y) = s.seen.shape, slope_to
+    low, seen, belly = s.low, s.seen, rule.belly
     before, after = (ray + rays - 1) % rays, (ray + 1) % rays
     last, level, home = -1, 0.0, -1
     thing, under, shadow = -half, np.inf, -np.inf
     for ring in range(half):
-        at = ray
-        if s.low[ray, ring, 0] == np.inf and s.low[ray, ring, 1] == np.inf:
-            at = before if min(s.low[before, ring, 0], s.low[before, ring, 1]) < np.inf else after
+        at, slot = ray, _slot(ray, ring, half)
+        if low[slot, 0] == np.inf and low[slot, 1] == np.inf:
+            at, slot = before, _slot(before, ring, half)
+            if not min(low[slot, 0], low[slot, 1]) < np.inf:
+                at, slot = after, _slot(after, ring, half)
         for kind in range(2):
-            z = np.float64(s.low[at, ring, kind])
+            z = np.float64(low[slot, kind])
             if z == np.inf:
                 continue
-            here, away = (s.home[at, ring] if kind == 0 else home), ring + 0.5
+            here, away = (int(low[slot, 3]) if kind == 0 else home), ring + 0.5
             if last >= 0:
                 above = z - level - (scan.slope[home, 0] * x + scan.slope[home, 1] * y) * (ring - last)
-                if above < -rule.belly:
+                if above < -belly:
                     if scan.drops[home] or scan.drops[here]:
                         s.fell[home] = s.fell[here] = True
                         for k in range(last, ring + kind):
-                            s.seen[ray, k] = _FALLS
-                elif (kind == 0 or above < rule.height) and z * (last + 0.5) / away - level < rule.belly:
+                            seen[ray, k] = _FALLS
+                elif (kind == 0 or above < rule.height) and z * (last + 0.5) / away - level < belly:
                     for k in range(last + 1, ring):
-                        if shadow * (k + 0.5) - level < rule.belly:
-                            s.seen[ray, k] = home if 2 * k < last + ring else here
-                if kind == 1 and rule.belly <= above < rule.height:
-                    shadow = max(shadow, -s.low[at, ring, 2] / away)
+                        if shadow * (k + 0.5) - level < belly:
+                            seen[ray, k] = home if 2 * k < last + ring else here
+                if kind == 1 and belly <= above < rule.height:
+                    shadow = max(shadow, -low[slot, 2] / away)
                     under = z / away if ring - thing > rule.beneath else min(under, z / away)
                     thing = ring
             if kind == 0:
                 last, level, home = ring, z, here
-                dark = shadow * away - level >= rule.belly
+                dark = shadow * away - level >= belly
                 beneath = dark and ring - thing <= rule.beneath and z / away < under
-                if s.seen[ray, ring] != _FALLS and (at == ray or not dark):
-                    s.seen[ray, ring] = _BENEATH if beneath else here
+                if seen[ray, ring] != _FALLS and (at == ray or not dark):
+                    seen[ray, ring] = _BENEATH if beneath else here
 
 
 @helper
@@ -462,7 +483,7 @@ def lay_cells(scan: ClassedPoints, rule: CellRule, out: SquareCells, scratch: Ce
     _sort_into_cells(scan, rule, out, scratch)
     _level_cells(rule, out, scratch)
     _stand_things(scan, rule, out, scratch)
-    for ray in range(scratch.home.shape[0]):
+    for ray in range(4 * RAYS):
         across = ((ray % RAYS) + 0.5) / (0.5 * RAYS) - 1.0
         ahead = rule.resolution if ray < 2 * RAYS else -rule.resolution
         way = (ahead, ahead * across) if ray // RAYS % 2 == 0 else (-ahead * across, ahead)

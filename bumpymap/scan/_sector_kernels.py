@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import NO_PLANE, Plane, best_candidate
-from bumpymap.scan._place_kernels import CellOrder
+from bumpymap.scan._place_kernels import CellPoints
 from bumpytiles import helper, kernel
 
 Floats = NDArray[np.float64]
@@ -28,14 +28,12 @@ _LINE = 2e-3
 
 
 class SectorInputs(NamedTuple):
-    """A scan on the polar grid."""
+    """The ground of a scan on the polar grid."""
 
-    points: Annotated[Singles, 2]
-    """(points, 3) m."""
-    pixel: Annotated[Integers, 1]
-    """(points,) as ``place_points`` gives it."""
+    is_ground: Annotated[NDArray[np.bool_], 1]
+    """(points,) by cell: the others do not count."""
     cells: Annotated[NDArray[np.int64], 1]
-    """(sectors,) cells to measure, each with points; their numbers seed RANSAC."""
+    """(sectors,) cells to measure, each with ground; their numbers seed RANSAC."""
     threshold: float
     """RANSAC inlier distance, m."""
 
@@ -56,28 +54,34 @@ class SectorScratch(NamedTuple):
     """Scratch, see `sector_scratch`."""
 
     xyz: Annotated[Floats, 2]
-    """(3, most points of a sector) centred coordinates."""
+    """(3, most points of a sector + 1) centred coordinates."""
+    pixel: Annotated[Integers, 1]
+    """(most points of a sector + 1,) of the same points."""
     sample: Annotated[Singles, 2]
     """(3, ``_SAMPLE``) points that score candidates."""
     sums: Annotated[Floats, 2]
     """(2, pixels^2) count and sum of heights, by pixel."""
     holes: Annotated[Integers, 1]
-    """(pixels^2,) empty pixels."""
+    """(pixels^2,) empty pixels that are filled next."""
     values: Annotated[Singles, 1]
     """(pixels^2,) what fills them."""
     padded: Annotated[Singles, 2]
     """(2, (pixels + 2)^2) zeros at the margin: heights, and 1 where they are known."""
+    rows: Annotated[NDArray[np.uint64], 2]
+    """(2, pixels + 2) zeros in the first and the last: bits of the pixels of a row that are known, and of the next."""
 
 
-def sector_scratch(xyz: Floats, pixels: int) -> SectorScratch:
-    """Make scratch for sectors of at most as many points as ``xyz`` (3, points) holds."""
+def sector_scratch(xyz: Floats, pixel: Integers, pixels: int) -> SectorScratch:
+    """Make scratch for sectors of fewer points than ``xyz`` (3, points) and ``pixel`` (points,) hold."""
     return SectorScratch(
         xyz,
+        pixel,
         np.empty((3, _SAMPLE), np.float32),
         np.empty((2, pixels * pixels)),
         np.empty(pixels * pixels, np.int32),
         np.empty(pixels * pixels, np.float32),
         np.zeros((2, (pixels + 2) ** 2), np.float32),
+        np.zeros((2, pixels + 2), np.uint64),
     )
 
 
@@ -121,27 +125,32 @@ def _least_axis(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float
 
 
 @helper
-def _principal_plane(x: Floats, y: Floats, z: Floats, near: Plane, reach: float) -> Plane:
-    """Plane of the least perpendicular spread of the points within ``reach`` of a plane; zeros where there is none."""
+def _principal_plane(x: Floats, y: Floats, z: Floats, near: Plane, reach: float) -> tuple[Plane, bool]:
+    """Plane of the least perpendicular spread of the points within ``reach`` of a plane; zeros where there is none.
+
+    Returns also whether these points lie on one line, seen from above, if they are centred.
+    """
     a, b, c, d = near
     n = sx = sy = sz = xx = xy = xz = yy = yz = zz = 0.0
     for i in range(len(x)):
-        if abs(a * x[i] + b * y[i] + c * z[i] + d) <= reach:
-            n += 1.0
-            sx += x[i]
-            sy += y[i]
-            sz += z[i]
-            xx += x[i] * x[i]
-            xy += x[i] * y[i]
-            xz += x[i] * z[i]
-            yy += y[i] * y[i]
-            yz += y[i] * z[i]
-            zz += z[i] * z[i]
+        u, v, w = x[i], y[i], z[i]
+        counts = 1.0 if abs(a * u + b * v + c * w + d) <= reach else 0.0  # no branch, for it could not be foreseen
+        p, q, r = counts * u, counts * v, counts * w
+        n += counts
+        sx += p
+        sy += q
+        sz += r
+        xx += p * u
+        xy += p * v
+        xz += p * w
+        yy += q * v
+        yz += q * w
+        zz += r * w
     if n < 3.0:
-        return NO_PLANE
+        return NO_PLANE, False
     mx, my, mz = sx / n, sy / n, sz / n
     a, b, c = _least_axis(xx - sx * mx, xy - sx * my, xz - sx * mz, yy - sy * my, yz - sy * mz, zz - sz * mz)
-    return a, b, c, -(a * mx + b * my + c * mz)
+    return (a, b, c, -(a * mx + b * my + c * mz)), xx * yy - xy * xy < _LINE * (xx + yy) * (xx + yy)
 
 
 @helper
@@ -158,7 +167,7 @@ def ransac_plane(x: Floats, y: Floats, z: Floats, threshold: float, seed: np.uin
     plane = best_candidate(x, y, z, sample, threshold, seed, _MOST_CANDIDATES, True)
     found = plane[0] != 0.0 or plane[1] != 0.0 or plane[2] != 0.0
     for _ in range(2):
-        fitted = _principal_plane(x, y, z, plane, threshold if found else np.inf)
+        fitted, _ = _principal_plane(x, y, z, plane, threshold if found else np.inf)
         if fitted[0] == 0.0 and fitted[1] == 0.0 and fitted[2] == 0.0:
             break
         plane = fitted
@@ -166,98 +175,97 @@ def ransac_plane(x: Floats, y: Floats, z: Floats, threshold: float, seed: np.uin
 
 
 @helper
-def _centre_points(inputs: SectorInputs, by_cell: CellOrder, first: int, scratch: SectorScratch, n: int) -> Plane:
-    """Write the coordinates of n points minus their mean; returns the mean, and the variance of z."""
-    x, y, z = scratch.xyz[0, :n], scratch.xyz[1, :n], scratch.xyz[2, :n]
-    mx = my = mz = 0.0
+def _centre_points(
+    points: CellPoints, is_ground: Annotated[NDArray[np.bool_], 1], cell: int, scratch: SectorScratch
+) -> tuple[int, Plane]:
+    """Write the coordinates of the ground points of a cell minus their mean.
+
+    Returns their number, the mean, and the variance of z.
+    """
+    xyz, n = scratch.xyz, 0
+    for i in range(points.starts[cell], points.starts[cell + 1]):
+        xyz[0, n], xyz[1, n], xyz[2, n] = points.xyz[0, i], points.xyz[1, i], points.xyz[2, i]
+        scratch.pixel[n] = points.pixel[i]
+        n += 1 if is_ground[i] else 0
+    mx = my = mz = square = 0.0
     for i in range(n):
-        p = by_cell.order[first + i]
-        x[i], y[i], z[i] = inputs.points[p, 0], inputs.points[p, 1], inputs.points[p, 2]
-        mx += x[i]
-        my += y[i]
-        mz += z[i]
+        mx += xyz[0, i]
+        my += xyz[1, i]
+        mz += xyz[2, i]
     mx, my, mz = mx / n, my / n, mz / n
-    square = 0.0
     for i in range(n):
-        x[i] -= mx
-        y[i] -= my
-        z[i] -= mz
-        square += z[i] * z[i]
-    return mx, my, mz, square / n
+        xyz[0, i] -= mx
+        xyz[1, i] -= my
+        xyz[2, i] -= mz
+        square += xyz[2, i] * xyz[2, i]
+    return n, (mx, my, mz, square / n)
 
 
 @helper
-def _on_a_line(x: Floats, y: Floats) -> bool:
-    """Return whether centred points lie on one line, seen from above."""
-    xx = xy = yy = 0.0
-    for i in range(len(x)):
-        xx += x[i] * x[i]
-        xy += x[i] * y[i]
-        yy += y[i] * y[i]
-    return xx * yy - xy * xy < _LINE * (xx + yy) * (xx + yy)
-
-
-@helper
-def _sum_by_pixel(
-    inputs: SectorInputs, by_cell: CellOrder, first: int, scratch: SectorScratch, n: int, plane: Plane
-) -> float:
+def _sum_by_pixel(x: Floats, y: Floats, z: Floats, plane: Plane, scratch: SectorScratch) -> float:
     """Sum the heights above a plane by pixel; returns the mean distance of the points from it."""
-    x, y, z = scratch.xyz[0, :n], scratch.xyz[1, :n], scratch.xyz[2, :n]
     a, b, c, d = plane
     east, north, level = (-a / c, -b / c, -d / c) if c > _STEEPEST else (0.0, 0.0, 0.0)
     sums = scratch.sums
     for k in range(sums.shape[1]):
         sums[0, k] = sums[1, k] = 0.0
     total = 0.0
-    for i in range(n):
-        k = inputs.pixel[by_cell.order[first + i]]
+    for i in range(len(x)):
+        k = scratch.pixel[i]
         total += abs(a * x[i] + b * y[i] + c * z[i] + d)
         sums[0, k] += 1.0
         sums[1, k] += z[i] - east * x[i] - north * y[i] - level
-    return total / n
+    return total / len(x)
 
 
 @helper
 def _heights_of(heights: Singles, scratch: SectorScratch) -> float:
     """Write the mean height of every pixel, holes filled; returns the share of pixels with points.
 
-    Holes are filled as `bumpymap.core.fill_holes` does, to the same bits, but in images with a margin of a pixel: all
-    neighbours exist.
+    Holes are filled as `bumpymap.core.fill_holes` does, to the same bits, but in images with a margin of a pixel, where
+    all neighbours exist, and by bits of their rows: only those beside known pixels are looked at.
     """
     size = heights.shape[0]
-    wide = size + 2
-    height, known = scratch.padded[0], scratch.padded[1]
-    missing = 0
+    wide, one = size + 2, np.uint64(1)
+    every = np.uint64(0xFFFFFFFFFFFFFFFF) >> np.uint64(64 - size)
+    height, known, rows = scratch.padded[0], scratch.padded[1], scratch.rows
+    held = 0
     for r in range(size):
+        bits = np.uint64(0)
         for q in range(size):
             count, p = scratch.sums[0, r * size + q], (r + 1) * wide + q + 1
+            height[p] = known[p] = np.float32(0.0)
             if count > 0.0:
                 height[p], known[p] = np.float32(scratch.sums[1, r * size + q] / count), np.float32(1.0)
-            else:
-                height[p] = known[p] = np.float32(0.0)
-                scratch.holes[missing] = p
-                missing += 1
-    held = size * size - missing
-    while missing > 0 and held > 0:
-        for k in range(missing):
-            p = scratch.holes[k]
-            up, down = p - wide, p + wide
-            total = height[up - 1] + height[up] + height[up + 1] + height[p - 1] + height[p + 1]
-            total += height[down - 1]
-            total += height[down]
-            total += height[down + 1]
-            count = known[up - 1] + known[up] + known[up + 1] + known[p - 1] + known[p + 1]
-            count += known[down - 1] + known[down] + known[down + 1]
-            scratch.values[k] = total / count if count > np.float32(0.0) else np.float32(np.nan)
-        left = 0
-        for k in range(missing):
-            p, value = scratch.holes[k], scratch.values[k]
-            if math.isnan(value):
-                scratch.holes[left] = p
-                left += 1
-            else:
-                height[p], known[p] = value, np.float32(1.0)
-        missing = left
+                bits |= one << np.uint64(q)
+                held += 1
+        rows[0, r + 1] = bits
+    missing = size * size - held if held > 0 else 0
+    while missing > 0:
+        filled = 0
+        for r in range(1, size + 1):
+            bits = rows[0, r - 1] | rows[0, r] | rows[0, r + 1]
+            bits = (bits | (bits << one) | (bits >> one)) & (rows[0, r] ^ every)
+            rows[1, r] = bits
+            p = r * wide
+            while bits != np.uint64(0):
+                p += 1
+                if bits & one != np.uint64(0):
+                    up, down = p - wide, p + wide
+                    total = height[up - 1] + height[up] + height[up + 1] + height[p - 1] + height[p + 1]
+                    total += height[down - 1]
+                    total += height[down]
+                    total += height[down + 1]
+                    count = known[up - 1] + known[up] + known[up + 1] + known[p - 1] + known[p + 1]
+                    count += known[down - 1] + known[down] + known[down + 1]
+                    scratch.holes[filled], scratch.values[filled] = p, total / count
+                    filled += 1
+                bits >>= one
+        for r in range(1, size + 1):
+            rows[0, r] |= rows[1, r]
+        for k in range(filled):
+            height[scratch.holes[k]], known[scratch.holes[k]] = scratch.values[k], np.float32(1.0)
+        missing -= filled
     for r in range(size):
         for q in range(size):
             heights[r, q] = height[(r + 1) * wide + q + 1]
@@ -265,19 +273,17 @@ def _heights_of(heights: Singles, scratch: SectorScratch) -> float:
 
 
 @kernel
-def measure_sectors(inputs: SectorInputs, by_cell: CellOrder, out: SectorMeasures, scratch: SectorScratch) -> None:
+def measure_sectors(points: CellPoints, inputs: SectorInputs, out: SectorMeasures, scratch: SectorScratch) -> None:
     """Measure every sector that is listed."""
     for s in range(len(inputs.cells)):
         cell = inputs.cells[s]
-        first = by_cell.starts[cell]
-        n = by_cell.starts[cell + 1] - first
-        mx, my, mz, out.scalars[s, 0] = _centre_points(inputs, by_cell, first, scratch, n)
+        n, (mx, my, mz, out.scalars[s, 0]) = _centre_points(points, inputs.is_ground, cell, scratch)
         x, y, z = scratch.xyz[0, :n], scratch.xyz[1, :n], scratch.xyz[2, :n]
-        a, b, c, _ = _principal_plane(x, y, z, NO_PLANE, np.inf)
+        (a, b, c, _), is_line = _principal_plane(x, y, z, NO_PLANE, np.inf)
         out.normal[s, 0], out.normal[s, 1], out.normal[s, 2] = a, b, c
-        out.scalars[s, 3] = mz if _on_a_line(x, y) else a * mx + b * my + c * mz
+        out.scalars[s, 3] = mz if is_line else a * mx + b * my + c * mz
         plane = ransac_plane(x, y, z, inputs.threshold, np.uint64(cell), scratch.sample)
-        residual = _sum_by_pixel(inputs, by_cell, first, scratch, n, plane)
+        residual = _sum_by_pixel(x, y, z, plane, scratch)
         found = plane[0] != 0.0 or plane[1] != 0.0 or plane[2] != 0.0
         out.scalars[s, 1] = residual if found else np.nan
         out.scalars[s, 2] = _heights_of(out.heights[s], scratch)

@@ -9,13 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import CLASSES, FAIL_SHARE, NOT_TRAVERSABLE, ClassedSectors, GridSettings, GroundGrid
-from bumpymap.scan._place_kernels import RAYS, CellRule, CellScratch, ClassedPoints, SquareCells, lay_cells
+from bumpymap.scan._place_kernels import BLOCK, RAYS, CellRule, CellScratch, ClassedPoints, SquareCells, lay_cells
 from bumpymap.scan.align import judge_by_view
+from bumpymap.scan.ground import SectorBuffers
 
 _OCCUPANCY = np.array([0, 33, 66, 100, -1], np.int8)
 """Occupancy of ground of class 0 (smooth), 1 (fair) and 2 (rough), of what is not traversable, and of the unknown."""
 _MOST_COST = 98
 """Occupancy of ground from the upper limit of C_r on: Nav2 takes 99 for the edge of an obstacle."""
+_kept = SectorBuffers()
 _BENEATH_M = 2.0
 """Ground that is seen beneath a thing, at most so far behind its side, is not known to be free: it may be a car."""
 
@@ -36,7 +38,7 @@ class SeenCells(NamedTuple):
     def finish(self, cell_m: float, corner_m: tuple[float, float] | None = None) -> GroundGrid:
         """Return the cells as users know them."""
         elevation, step, top, clearance, _, c_r = self.layers
-        occupancy, has_ride = _OCCUPANCY[self.kind], len(self.limits) > 0
+        occupancy, has_ride = _OCCUPANCY.take(self.kind), len(self.limits) > 0
         if has_ride:
             ride = np.where(np.isnan(c_r), self.limits[np.minimum(self.kind, CLASSES - 1)], c_r)
             cost = np.rint(_MOST_COST * np.minimum(ride / self.limits[-1], 1.0)).astype(np.int8)
@@ -81,7 +83,7 @@ def see_cells(
     level = np.flatnonzero(stack.traversable)
     slope[level] = -normal[level, :2] / normal[level, 2:]
     layers = np.full((6, cells), np.nan, np.float32)
-    out = SquareCells(np.empty(cells, np.uint8), np.full(cells, -1, np.int32), *layers[:-1])
+    out = SquareCells(np.empty(cells, np.uint8), _filled("sector", cells, np.int32, -1), *layers[:-1])
     lay_cells(
         ClassedPoints(
             np.ascontiguousarray(points, np.float32),
@@ -103,18 +105,20 @@ def see_cells(
         out,
         CellScratch(
             _rays_of(half),
-            np.empty(len(points), np.int32),
-            np.zeros((cells, 2)),
-            np.zeros(cells, np.int32),
-            np.empty(cells),
-            np.full((4 * RAYS, half, 3), np.inf, np.float32),
-            np.full((4 * RAYS, half), -1, np.int32),
-            np.full((4 * RAYS, half), -1, np.int32),
+            _kept.empty("cell", len(points), np.int32),
+            _kept.empty("block", BLOCK, np.float64, rows=2),
+            _kept.empty("slots", BLOCK, np.int32),
+            _filled("total", 2 * cells, np.float64, 0.0).reshape(cells, 2),
+            _filled("things", cells, np.int32, 0),
+            _kept.empty("level", cells, np.float64),
+            _filled("low", 16 * RAYS * half, np.float32, np.inf).reshape(-1, 4),
+            _filled("seen", 4 * RAYS * half, np.int32, -1).reshape(4 * RAYS, half),
             np.zeros(len(kinds), np.bool_),
         ),
     )
-    layers[-1] = c_r[out.sector]
-    class_id = np.append(classed.class_id, np.uint8(NOT_TRAVERSABLE))[out.sector]
+    if classed.ride is not None:
+        layers[-1] = c_r[out.sector]
+    class_id = np.append(classed.class_id, np.uint8(NOT_TRAVERSABLE)).take(out.sector, mode="wrap")
     return SeenCells(
         out.kind.reshape(side, side),
         class_id.reshape(side, side),
@@ -122,6 +126,13 @@ def see_cells(
         0.5 * (stack.settings.belly_m + stack.settings.height_m),
         limits,
     )
+
+
+def _filled(name: str, length: int, dtype: type, value: float) -> NDArray[Any]:
+    """Return kept scratch (length,) with one value."""
+    values = _kept.empty(name, length, dtype)
+    values.fill(value)
+    return values
 
 
 def _cell_of(pose: NDArray[np.float64], cell_m: float) -> NDArray[np.int64]:

@@ -318,9 +318,8 @@ class ScanClassifier:
         if not self._blind:
             return np.flatnonzero(scene_points(points, self._robot))
         # Points nearer than the inner border of the grid are in no sector: only those that are not finite are left out.
-        with np.errstate(over="ignore", invalid="ignore"):
-            finite = np.isfinite(points[:, 0] + points[:, 1] + points[:, 2])
-        return None if finite.all() else np.flatnonzero(finite)
+        finite = np.isfinite(points)
+        return None if finite.all() else np.flatnonzero(finite.all(axis=1))
 
 
 def classify_scan(points: ScanSource, /, **settings: Unpack[ClassifierSettings]) -> ScanResult:

@@ -15,7 +15,6 @@ from bumpymap.scan._ground_kernels import (
     PARTS,
     TAIL,
     CellGeometry,
-    CellPoints,
     GroundLabels,
     GroundPlanes,
     GroundRule,
@@ -23,11 +22,10 @@ from bumpymap.scan._ground_kernels import (
     PlaneScratch,
     SearchRule,
     find_planes,
-    gather_points,
     keep_largest,
     label_points,
 )
-from bumpymap.scan._place_kernels import CellOrder, DropRule, GroundPoints, ZoneGrid, find_drops
+from bumpymap.scan._place_kernels import CellPoints, DropRule, ZoneGrid, find_drops
 
 
 class SectorBuffers(threading.local):
@@ -60,25 +58,21 @@ _SHARE = 0.2
 
 
 def ground_drops(
-    ground: GroundPoints,
-    by_cell: CellOrder,
+    lowest: NDArray[np.float32],
+    slope: NDArray[np.float64],
+    points: CellPoints,
     grid: ZoneGrid,
     settings: PolarSettings,
     height_m: float,
-    buffers: SectorBuffers,
 ) -> NDArray[np.bool_]:
     """Find the cells in which the ground drops by more than the clearance of the belly.
 
-    ``height_m``: of the origin above the ground.
+    ``lowest``, ``slope``: see `find_drops`; ``height_m``: of the origin above the ground.
     """
-    cells = len(ground.slope)
-    on_ground, others = (
-        buffers.empty(name, grid.pixels**2, np.float32, rows=cells) for name in ("lowest_ground", "lowest_other")
-    )
-    drops = np.zeros(cells, np.int32)
+    drops = np.zeros(len(slope), np.int32)
     below = _BELOW_M if height_m > _SENSOR_M else -np.inf
     rule = DropRule(settings.belly_m, _SLOPE, below, _DIRECTIONS)
-    find_drops(ground, by_cell, grid, rule, on_ground, others, drops)
+    find_drops(lowest, slope, points.starts, grid, rule, drops)
     seen = np.repeat(_DIRECTIONS / grid.sectors, grid.sectors * grid.rings)
     return np.asarray(drops >= _SHARE * seen)
 
@@ -96,12 +90,11 @@ origin below the robot, or z may point down."""
 
 
 def find_ground(
-    points: NDArray[np.float32],
-    pixel: NDArray[np.int32],
-    by_cell: CellOrder,
+    points: CellPoints,
+    count: int,
     settings: PolarSettings,
     start: float,
-    buffers: SectorBuffers | None = None,
+    buffers: SectorBuffers,
 ) -> tuple[GroundPlanes, GroundLabels]:
     """Find the ground of a scan that was placed on the polar grid.
 
@@ -112,18 +105,14 @@ def find_ground(
     the ground without a gap are plants. The origin may be at the sensor, the robot's base or below it, and the frame
     may lean. A scan that hangs from its ground has none: its z axis points down.
 
-    ``points`` (m, 3): m; ``start``: azimuth of sector 0, rad; ``buffers``: hold ``things`` and the order of the ground
-    points until the next call. Returns the planes, ``FOUND`` where cells have ground of their own, and what is known of
-    the points and cells.
+    ``count``: points of the scan; ``start``: azimuth of sector 0, rad; ``buffers``: hold ``things``, ``lowest`` and
+    ``kept`` until the next call. Returns the planes, ``FOUND`` where cells have ground of their own, and what is known
+    of the points and cells.
     """
-    buffers = buffers or SectorBuffers()
     layout = cell_layout(settings)
     azimuth = layout.y + start
     geometry = layout._replace(x=layout.x * np.cos(azimuth), y=layout.x * np.sin(azimuth))
-    cells, parts, count = len(geometry.x), len(geometry.x) * PARTS**2, int(by_cell.starts[-2])
-    xyz = buffers.empty("accumulated", count, np.float32, rows=3)
-    held = CellPoints(xyz, buffers.empty("part", count, np.int32), by_cell.starts)
-    gather_points(points, pixel, _part_of_pixel(settings.pixels), by_cell, held)
+    cells, parts, placed = len(geometry.x), len(geometry.x) * PARTS**2, int(points.starts[-2])
     planes = GroundPlanes(np.zeros((cells, 3)), np.zeros((cells, 3)), np.zeros(cells), np.zeros(cells, np.int32))
     scratch = PlaneScratch(
         np.empty(TAIL),
@@ -136,7 +125,7 @@ def find_ground(
     slope = np.zeros(2)
     for _ in range(2):  # again, if the frame leans: the lowest points are then those at its lower side
         rule = SearchRule(np.zeros(zones), settings.least_points, 0, slope)
-        find_planes(held, geometry, rule, planes, scratch)
+        find_planes(points, geometry, rule, planes, scratch)
         slope = _slope(planes)
         if math.hypot(*slope) < _LEANS:
             break
@@ -144,34 +133,32 @@ def find_ground(
     keep_largest(geometry, planes, noise, slope, np.empty(cells, np.int32), np.empty(cells), np.empty(cells))
     reach = np.clip(_REACH_OF_NOISE * noise, *_REACH_M)
     rule = SearchRule(reach, settings.least_points, NEIGHBOURS, _slope(planes))
-    find_planes(held, geometry, rule, planes, scratch)
-    if math.isfinite(settings.overhead_m) and _is_upside_down(planes, geometry, xyz):
+    find_planes(points, geometry, rule, planes, scratch)
+    if math.isfinite(settings.overhead_m) and _is_upside_down(planes, geometry, points.xyz[:, :placed]):
         planes.kind[:] = 0
-    things = buffers.empty("things", 2 * settings.pixels**2, np.float32, rows=cells)
-    things[:] = 0.0
+    images = (buffers.empty(name, 2 * settings.pixels**2, np.float32, rows=cells) for name in ("things", "lowest"))
+    things, lowest = images
     labels = GroundLabels(
-        np.full(len(points), np.nan, np.float32),
-        np.zeros(len(points), np.bool_),
+        np.full(count, np.nan, np.float32),
+        np.zeros(count, np.bool_),
         np.zeros(cells, np.int32),
         np.zeros(cells, np.int32),
-        np.zeros(len(points), np.bool_),
+        np.zeros(count, np.bool_),
         np.full(cells, -np.inf, np.float32),
         np.full(cells, np.inf, np.float32),
         things.reshape(cells, 2, -1),
-        np.zeros(cells + 2, np.int64),
-        buffers.empty("ground", len(points), np.int32),
+        lowest.reshape(cells, -1, 2),
+        buffers.empty("kept", placed, np.bool_),
+        np.zeros(cells, np.int32),
     )
     label_points(
-        held,
-        by_cell,
-        pixel,
+        points,
         geometry,
         planes,
         GroundRule(reach, noise, settings.least_points, settings.belly_m, settings.height_m),
         labels,
         LabelScratch(
-            buffers.empty("heights", count, np.float32),
-            buffers.empty("kept", count, np.bool_),
+            buffers.empty("heights", placed, np.float32),
             np.empty(cells, np.bool_),
             buffers.empty("sums", 4, np.float64, rows=parts),
             buffers.empty("level", parts, np.float64),
@@ -221,7 +208,7 @@ def _median(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @cache
-def _part_of_pixel(pixels: int) -> NDArray[np.int32]:
+def part_of_pixel(pixels: int) -> NDArray[np.int32]:
     """Return the part of the cell that each pixel of its heightmap lies in."""
     line = np.arange(pixels) * PARTS // pixels
     return (line[:, None] * PARTS + line).astype(np.int32).ravel()

@@ -1,8 +1,8 @@
 """The learned method: a small network classifies each sector by the heightmap of its ground and by what stands on it.
 
 The only input that depends on the rest of the scan is ``beside``: the number of ground points against that of other
-sectors in the ring. The network's answer for a sector does not depend on others in the batch: batches have a fixed
-size, the last one is padded, inference runs on one thread, and the graph treats each sector separately. Of open ground
+sectors in the ring. The network's answer for a sector does not depend on others in the batch: inference runs on one
+thread, and the graph treats each sector separately. Of open ground
 a sector shows few points, and much the same ground as the sectors around it: there, what the neighbours say counts
 between smooth and fair.
 """
@@ -60,6 +60,7 @@ MEASURES = (
 _NEIGHBOURS_WEIGHT, _LEAST_PROBABILITY = 1.5, 1e-3
 """Weight of the mean log-odds of the neighbours against the sector's own; least probability that they are taken of."""
 _BATCH = 32
+"""Sectors at once: more would not stay in the cache."""
 _FORMAT = "bumpymap-scan"
 _KIND = "scan network"
 _REMEDY = "Train one with: bumpymap train scans DIR --out MODEL.onnx"
@@ -109,7 +110,8 @@ class ScanModel:
                 f"version {SECTOR_VERSION}. {_REMEDY}"
             )
         pixels = int(metadata["pixels"])
-        inputs = {"patches": (_BATCH, CHANNELS, pixels, pixels), "measures": (_BATCH, len(MEASURES))}
+        some = 2  # a graph for batches of one size alone is refused
+        inputs = {"patches": (some, CHANNELS, pixels, pixels), "measures": (some, len(MEASURES))}
         check_network(content, inputs, CLASSES, origin, _REMEDY)
         return cls(content, metadata, pixels)
 
@@ -132,10 +134,11 @@ def network_input(stack: SectorStack) -> tuple[NDArray[np.float32], NDArray[np.f
     span = heights.max(axis=(1, 2), keepdims=True) - low
     scaled = np.divide(heights - low, span, out=np.full_like(heights, 0.5), where=span > 0)
     patches = np.empty((len(asked), CHANNELS, *heights.shape[1:]), np.float32)
-    patches[:, 0] = 2.0 * scaled - 1.0
-    patches[:, 1] = np.arcsinh(heights / np.float32(0.05)) / np.float32(3.0)
-    patches[:, 2] = stack.things[asked, 0] / np.float32(stack.settings.height_m)
-    patches[:, 3] = np.log1p(stack.things[asked, 1]) / np.float32(3.0)
+    np.subtract(2.0 * scaled, 1.0, out=patches[:, 0])
+    np.divide(np.arcsinh(heights / np.float32(0.05)), np.float32(3.0), out=patches[:, 1])
+    things = stack.things[asked]
+    np.divide(things[:, 0], np.float32(stack.settings.height_m), out=patches[:, 2])
+    np.divide(np.log1p(things[:, 1]), np.float32(3.0), out=patches[:, 3])
     ground, points = stack.ground_count[asked], stack.count[asked]
     bounds = sector_bounds(stack)
     near, far = bounds.near[asked], bounds.far[asked]
@@ -169,11 +172,11 @@ def _usual_count(stack: SectorStack, asked: NDArray[np.int64]) -> NDArray[np.flo
     """
     ring = stack.zone[asked].astype(np.int64) * max(stack.settings.rings) + stack.ring[asked]
     count = stack.ground_count[asked]
-    usual = np.empty(len(ring))
-    for number in np.unique(ring):
-        here = ring == number
-        usual[here] = np.median(count[here])
-    return usual
+    ordered = count[np.lexsort((count, ring))]
+    first = np.flatnonzero(np.diff(ring, prepend=-1))  # sectors are sorted by ring
+    number = np.diff(first, append=len(ring))
+    usual = 0.5 * (ordered[first + (number - 1) // 2] + ordered[first + number // 2])
+    return np.repeat(usual, number)
 
 
 def classify_learned(stack: SectorStack, model: ScanModel | None = None) -> ClassedSectors:
@@ -237,12 +240,9 @@ def probabilities(stack: SectorStack, model: ScanModel) -> NDArray[np.float32]:
 def infer(content: bytes, inputs: Mapping[str, NDArray[np.float32]]) -> NDArray[np.float32]:
     """Run a network on sectors; return probabilities (n, CLASSES)."""
     network = session(content)
-    count = len(inputs["measures"])
-    rows = -(-count // _BATCH) * _BATCH
-    padded = {name: np.concatenate([v, np.zeros((rows - count, *v.shape[1:]), v.dtype)]) for name, v in inputs.items()}
     parts = [
-        network.run(None, {name: values[start : start + _BATCH] for name, values in padded.items()})[0]
-        for start in range(0, rows, _BATCH)
+        network.run(None, {name: values[start : start + _BATCH] for name, values in inputs.items()})[0]
+        for start in range(0, len(inputs["measures"]), _BATCH)
     ]
-    probability: NDArray[np.float32] = np.concatenate(parts)[:count]
+    probability: NDArray[np.float32] = np.concatenate(parts)
     return probability

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, PolarSettings, Scan, SectorStack
 from bumpymap.scan._ground_kernels import FOUND
-from bumpymap.scan._place_kernels import BLOCK, CellOrder, GroundPoints, ZoneGrid, place_points, sort_points
+from bumpymap.scan._place_kernels import BLOCK, CellPoints, ZoneGrid, place_points
 from bumpymap.scan._sector_kernels import SectorInputs, SectorMeasures, measure_sectors, sector_scratch
-from bumpymap.scan.ground import SectorBuffers, cell_layout, find_ground, ground_drops
+from bumpymap.scan.ground import SectorBuffers, cell_layout, find_ground, ground_drops, part_of_pixel
 
 RANSAC_THRESHOLD_M = 0.1
 """Points nearer to a plane than this are its inliers; as for the patches of a survey."""
@@ -45,21 +45,19 @@ def polar_sectors(
     edges = np.array([*settings.zone_starts_m, settings.end_m])
     grid = ZoneGrid(edges, sectors, rings, start / (2.0 * math.pi), settings.pixels)
     buffers = buffers or SectorBuffers()
-    cell, pixel, order = (buffers.empty(name, len(points), np.int32) for name in ("cell", "pixel", "order"))
-    place_points(points, grid, cell, pixel, np.empty((2, BLOCK)))
-    by_cell = CellOrder(np.zeros(int(sectors @ rings) + 2, np.int64), order)
-    sort_points(cell, by_cell)
+    size = len(points)
+    cell, pixel = (buffers.empty(name, size, np.int32) for name in ("cell", "pixel"))
+    order, own_pixel, part = (buffers.empty(name, size, np.int32) for name in ("order", "own_pixel", "part"))
+    xyz = buffers.empty("accumulated", size, np.float32, rows=3)
+    by_cell = CellPoints(np.zeros(int(sectors @ rings) + 2, np.int64), order, xyz, own_pixel, part)
+    place_points(points, grid, part_of_pixel(settings.pixels), cell, pixel, np.empty((4, BLOCK)), by_cell)
     counts = np.diff(by_cell.starts[:-1])
     cells = np.flatnonzero(counts > settings.least_points)
-    planes, ground = find_ground(points, pixel, by_cell, settings, start, buffers)
-    ground_count = np.diff(ground.starts[:-1])[cells]
+    planes, ground = find_ground(by_cell, size, settings, start, buffers)
+    ground_count = ground.held[cells]
     there = (planes.kind[cells] == FOUND) & (ground_count >= _LEAST_GROUND_POINTS)
-    scalars, normal, heights = _measure(
-        SectorInputs(points, pixel, cells[there], RANSAC_THRESHOLD_M),
-        CellOrder(ground.starts, ground.order),
-        settings,
-        buffers,
-    )
+    inputs = SectorInputs(ground.kept, cells[there], RANSAC_THRESHOLD_M)
+    scalars, normal, heights = _measure(by_cell, inputs, settings, buffers)
     lines = (normal[:, 2] < settings.least_normal_z) & (planes.spread[cells[there]] < _LINE_M)
     fitted = np.insert(-planes.plane[cells[there][lines], :2], 2, 1.0, axis=1)
     normal[lines] = fitted / np.linalg.norm(fitted, axis=1, keepdims=True)
@@ -71,8 +69,7 @@ def polar_sectors(
     slope[cells[there]] = 0.0
     slope[cells[there][is_level]] = -normal[is_level, :2] / normal[is_level, 2:]
     height = -float(np.median(scalars[is_level, 3])) if is_level.any() else 0.0
-    known = GroundPoints(points, pixel, ground.ground, slope)
-    drops = ground_drops(known, by_cell, grid, settings, height, buffers)
+    drops = ground_drops(ground.lowest, slope, by_cell, grid, settings, height)
     rows = np.full(len(counts) + 1, -1, np.int32)  # the last one is for points outside of the grid
     rows[cells] = np.arange(len(cells), dtype=np.int32)
     point_sector = rows.take(cell, mode="wrap")
@@ -116,15 +113,15 @@ def _spread(values: NDArray[Any], rows: NDArray[np.bool_], gap: float) -> NDArra
 
 
 def _measure(
-    inputs: SectorInputs, by_cell: CellOrder, settings: PolarSettings, buffers: SectorBuffers
+    points: CellPoints, inputs: SectorInputs, settings: PolarSettings, buffers: SectorBuffers
 ) -> SectorMeasures:
     sectors, pixels = len(inputs.cells), settings.pixels
     out = SectorMeasures(
         np.empty((sectors, 4)), np.empty((sectors, 3), np.float32), np.empty((sectors, pixels, pixels), np.float32)
     )
-    most = int(np.diff(by_cell.starts)[inputs.cells].max(initial=0))
-    xyz = buffers.empty("xyz", most, np.float64, rows=3)
-    measure_sectors(inputs, by_cell, out, sector_scratch(xyz, pixels))
+    most = int(np.diff(points.starts)[inputs.cells].max(initial=0)) + 1
+    xyz, pixel = buffers.empty("xyz", most, np.float64, rows=3), buffers.empty("measured", most, np.int32)
+    measure_sectors(points, inputs, out, sector_scratch(xyz, pixel, pixels))
     return out
 
 

@@ -369,11 +369,13 @@ def _return_kinds(
     points: NDArray[np.float32], robot: Robot
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
     """Return which returns are finite, which are (0, 0, 0), and which of the others are on the robot."""
-    finite = np.asarray(np.isfinite(points).all(axis=1))
-    nothing = np.asarray((points == 0.0).all(axis=1))
-    x, y = points[:, 0], points[:, 1]
+    x, y, z = np.ascontiguousarray(points.T)
+    finite = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
+    nothing = (x == 0.0) & (y == 0.0) & (z == 0.0)
+    on_robot = np.zeros(len(points), np.bool_)
     with np.errstate(over="ignore", invalid="ignore"):
-        on_robot = np.asarray(np.hypot(x, y) < robot.radius_m)
+        near = np.flatnonzero((np.abs(x) <= robot.radius_m) & (np.abs(y) <= robot.radius_m))
+        on_robot[near] = np.hypot(x[near], y[near]) < robot.radius_m
         if robot.box_m is not None:
             rear, front, right, left = robot.box_m
             on_robot = on_robot | ((rear <= x) & (x <= front) & (right <= y) & (y <= left))
