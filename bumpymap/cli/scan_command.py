@@ -35,6 +35,10 @@ def _lines(result: "ScanRun", record: Mapping[str, Any], config: ScanConfig) -> 
         f"excluded: {dropped['no_return']:,} returns at (0, 0, 0) or NaN, {dropped['not_finite']:,} not finite, "
         f"{dropped['on_robot']:,} on the robot"
     )
+    heights = [frame.origin_height for frame in result.frames if frame.origin_height is not None]
+    if heights:
+        ends = f"{min(heights):.2f} to {max(heights):.2f} m"
+        yield f"origin of the frames: {median(heights):.2f} m above the ground (median; {ends})"
     states = record["sector_states"]
     yield (
         f"sectors: {states['free']:,} free (class 0 or 1), {states['obstacle']:,} with an obstacle, "
@@ -70,6 +74,10 @@ def _merged_line(merged: Mapping[str, Any]) -> str:
         agree = (
             f"poses disagree by {100.0 * poses['before_m']:.1f} cm in height, {100.0 * poses['after_m']:.1f} cm after "
             "correction"
+        )
+    if poses.get("beside_before_m") is not None:
+        agree += (
+            f"; in plan by {100.0 * poses['beside_before_m']:.1f} cm, then {100.0 * poses['beside_after_m']:.1f} cm"
         )
     kept = f"{merged['points']:,} of {merged['seen']:,} points, without {merged['moving']:,} of moving things"
     return f"Merged: {kept}; {agree}"

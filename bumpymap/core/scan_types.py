@@ -180,6 +180,8 @@ class SectorStack:
     settings: PolarSettings
     azimuth_start_rad: float
     """Azimuth at which sector 0 of every zone starts, counter-clockwise from the x axis."""
+    origin_height: float
+    """Height of the origin of the frame above the ground near it, m; NaN without level ground."""
     zone: NDArray[np.int16]
     """(n,) 0 is the innermost; rows are sorted by zone, ring, sector."""
     ring: NDArray[np.int16]
@@ -232,7 +234,7 @@ class SectorStack:
 
     def __post_init__(self) -> None:
         count = len(self.zone)
-        for field in fields(self)[2:-4]:
+        for field in fields(self)[3:-4]:
             if len(getattr(self, field.name)) != count:
                 raise ValueError(f"{field.name} has {len(getattr(self, field.name))} rows; the stack has {count}")
 

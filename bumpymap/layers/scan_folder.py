@@ -1,6 +1,7 @@
 """The output folder of a scan run: check it before the run, remove stale files of an earlier run afterwards."""
 
 import json
+import math
 import os
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -132,6 +133,8 @@ class FrameReport:
     """Returns that were dropped, by reason."""
     airborne: int
     """Points that lie alone above the ground: rain, dust, insects."""
+    origin_height: float | None
+    """Height of the frame's origin above the ground, m; None without level ground."""
     sectors: tuple[int, ...]
     """(4,) sectors of class 0 to 2, then not traversable."""
     states: tuple[int, ...]
@@ -153,6 +156,7 @@ class FrameReport:
             record["points"],
             Dropped(**record["dropped"]),
             record["airborne_count"],
+            record["origin_height_m"],
             tuple(record["sectors"].values()),
             tuple(record["sector_states"].values()),
             tuple(record["points_by_class"].values()),
@@ -172,6 +176,7 @@ class FrameReport:
             "points": self.points,
             "dropped": asdict(self.dropped),
             "airborne_count": self.airborne,
+            "origin_height_m": self.origin_height,
             "sectors": dict(zip(SCAN_CLASS_NAMES, self.sectors, strict=True)),
             "sector_states": dict(zip(SECTOR_STATES, self.states, strict=True)),
             "points_by_class": dict(zip([*SCAN_CLASS_NAMES[:CLASSES], "no class"], self.classed_points, strict=True)),
@@ -218,6 +223,7 @@ def report_frame(
         len(scan.points),
         scan.dropped,
         int(classed.sectors.point_airborne.sum()),
+        None if math.isnan(classed.sectors.origin_height) else round(classed.sectors.origin_height, 3),
         sectors,
         tuple(np.bincount(sector_states(classed), minlength=len(SECTOR_STATES)).tolist()),
         points,

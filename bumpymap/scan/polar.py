@@ -69,6 +69,7 @@ def polar_sectors(
     slope[cells[there]] = 0.0
     slope[cells[there][is_level]] = -normal[is_level, :2] / normal[is_level, 2:]
     height = -float(np.median(scalars[is_level, 3])) if is_level.any() else 0.0
+    level = -planes.plane[cells[there][is_level], 2]
     drops = ground_drops(ground.lowest, slope, by_cell, grid, settings, height)
     rows = np.full(len(counts) + 1, -1, np.int32)  # the last one is for points outside of the grid
     rows[cells] = np.arange(len(cells), dtype=np.int32)
@@ -77,6 +78,7 @@ def polar_sectors(
     return SectorStack(
         settings=settings,
         azimuth_start_rad=start,
+        origin_height=float(np.median(level[: len(level) // 4 + 1])) if len(level) else math.nan,  # from the nearest
         zone=layout.zone[cells].astype(np.int16),
         ring=layout.ring[cells].astype(np.int16),
         sector=layout.sector[cells].astype(np.int16),

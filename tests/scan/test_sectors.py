@@ -194,6 +194,7 @@ def test_a_plane_of_any_slope_that_can_be_driven_is_ground_and_heights_stand_on_
     own = stack.point_ground
     assert own.mean() > 0.995
     assert np.abs(stack.point_height[own] - (z - plane(xy, slope, heading, height))[own]).max() < 0.05
+    assert stack.origin_height == pytest.approx(-height, abs=0.1)
     assert stack.traversable.mean() > 0.99
     assert not stack.obstacle.any()
 
