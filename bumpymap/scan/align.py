@@ -11,8 +11,8 @@ corrections of all frames (a pose graph). Along a bare wall nothing is known, an
 """
 
 import math
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
 MOST_METRES, MOST_DEGREES = 0.3, 1.0
 """A frame is corrected by at most so much in height and in tilt about each axis."""
-MOST_BESIDE_M, MOST_TURNED_DEG = 1.0, 2.5
-"""And by so much in plan."""
 _SQUARE_M = 0.5
 _REACH_M = 25.0
 """Ground farther from the sensor is not compared: an angle makes too much of a height there."""
@@ -60,6 +58,7 @@ _STEPS_M = (*4 * (0.6,), *8 * (0.3,))
 """Farthest thing that one is laid on, in each step."""
 _LOOSE = (0.3, 0.3, math.radians(0.5))
 """Usual errors of poses in plan, m, m and rad: corrections stay small where things do not ask for more."""
+_PLAN_ROUNDS = 4
 _ALIKE = 4.0
 """Things of two frames err alike: so many count as one."""
 VIEW_SHAPE, _LOWEST = (240, 480), -0.25
@@ -317,9 +316,11 @@ class ThingFit:
     best: float = 0.0
     """Largest share found at any place near by."""
     move: tuple[float, float] = (0.0, 0.0)
-    """Where that is from the poses, m along the axes of the world."""
+    """How the later frame has to move to lie on the earlier one, m along the axes of the world."""
     turn: float = 0.0
-    """By how much the later frame is turned there, degrees counter-clockwise."""
+    """And to turn, degrees counter-clockwise."""
+    weight: Floats = field(default_factory=lambda: np.zeros((3, 3)))
+    """(3, 3) inverse of the covariance of ``move``, m, and ``turn``, rad."""
 
     @property
     def is_enough(self) -> bool:
@@ -348,50 +349,15 @@ class ThingMatcher:
         near = things[np.linalg.norm(things[:, :2] + middle, axis=1) < _REACH_M]
         match_things(near, middle, self._turns, _CELL_M, self._drawn, self._found)
         full, here, most = 4.0 * max(1, len(near)), int(self._found[_TURNS, _MOVES, _MOVES]), int(self._found.max())
-        turn, up, right = _TURNS, _MOVES, _MOVES
-        if here < most:
-            turn, up, right = (int(each) for each in np.unravel_index(self._found.argmax(), self._found.shape))
-        move = (_CELL_M * (right - _MOVES), _CELL_M * (up - _MOVES))
-        return ThingFit(len(near), here / full, most / full, move, float(turn - _TURNS))
-
-
-@dataclass(frozen=True, slots=True)
-class PlanFit:
-    """How a frame has to move in plan to lie on an earlier one."""
-
-    later: int
-    earlier: int
-    way: Floats
-    """(2,) to the later sensor, m."""
-    move: Floats
-    """(3,) m along the axes of the world, and the turn about its sensor, rad counter-clockwise."""
-    weight: Floats
-    """(3, 3) inverse of the covariance of ``move``."""
-
-
-def fit_in_plan(pairs: list[tuple[int, int, Floats, ThingFit]], things: list[NDArray[np.float32]]) -> list[PlanFit]:
-    """Lay the things of frames on those of earlier ones, starting from where a `ThingMatcher` found them.
-
-    ``pairs``: later and earlier frame, way to the later one (2,), and what was found; ``things``: of each frame.
-    """
-    from scipy.spatial import KDTree
-
-    fits: list[PlanFit] = []
-    known: dict[int, tuple[KDTree, Floats]] = {}
-    for later, earlier, way, found in pairs:
+        found = ThingFit(len(near), here / full, most / full)
         if not found.is_enough:
-            continue
-        if earlier not in known:
-            known = {each: those for each, those in known.items() if each >= earlier - _BEFORE}  # bounded
-            tree = KDTree(things[earlier][:, :2].astype(np.float64))
-            known[earlier] = tree, _edges(tree)
-        near = things[later][:, :2].astype(np.float64)
-        near = near[np.linalg.norm(near + way, axis=1) < _REACH_M]
-        starts = [np.zeros(3), np.array([*found.move, math.radians(found.turn)])]
-        tree, edges = known[earlier]
-        tried = [_lay_on(near, way, tree, edges, start) for start in starts]
-        fits.append(PlanFit(later, earlier, way, *min(tried, key=lambda each: each[2])[:2]))
-    return fits
+            return found
+        turn, up, right = (int(each) for each in np.unravel_index(self._found.argmax(), self._found.shape))
+        best = np.array([_CELL_M * (right - _MOVES), _CELL_M * (up - _MOVES), math.radians(turn - _TURNS)])
+        places, on = (each[:, :2].astype(np.float64) for each in (near, others))
+        tried = [_lay_on(places, middle, on, start) for start in (np.zeros(3), best)]
+        (x, y, angle), weight, _ = min(tried, key=lambda each: each[2])
+        return replace(found, move=(float(x), float(y)), turn=math.degrees(angle), weight=weight)
 
 
 def _edges(tree: "KDTree") -> Floats:
@@ -411,12 +377,16 @@ def _edges(tree: "KDTree") -> Floats:
     return inverse
 
 
-def _lay_on(things: Floats, way: Floats, tree: "KDTree", edges: Floats, start: Floats) -> tuple[Floats, Floats, float]:
-    """Return the move of things (n, 2), whose sensor is at ``way`` (2,), onto others, its weight, and what is left.
+def _lay_on(things: Floats, way: Floats, others: Floats, start: Floats) -> tuple[Floats, Floats, float]:
+    """Return the move of things (n, 2) onto others (m, 2), its weight and what is left.
 
-    What is left is twice the negative logarithm of its likelihood; of several moves, that with the least is the best.
+    ``way`` (2,): to the sensor of the things, m; ``start``, and the move: m, m and rad. What is left is twice the
+    negative logarithm of its likelihood; of several moves, that with the least is the best.
     """
-    move, others, usual = start.copy(), np.asarray(tree.data), np.diag(1.0 / np.square(_LOOSE))
+    from scipy.spatial import KDTree
+
+    tree = KDTree(others)
+    edges, move, usual = _edges(tree), start.copy(), np.diag(1.0 / np.square(_LOOSE))
     normal, left = np.zeros((3, 3)), 0.0
     for reach in _STEPS_M:
         turned = turned_in_plan(things, move[2])
@@ -438,44 +408,53 @@ def _lay_on(things: Floats, way: Floats, tree: "KDTree", edges: Floats, start: F
     return move, normal / _ALIKE, left
 
 
-def correct_in_plan(fits: list[PlanFit], count: int) -> Floats:
+PlanPair: TypeAlias = tuple[int, int, Floats, ThingFit]
+"""A later and an earlier frame, the way to the later sensor (2,), m, and how it fits."""
+
+
+def _moved_beside(pair: PlanPair, corrections: Floats) -> tuple[Floats, Floats]:
+    """Return what is left of the move and the turn of a pair with corrections (3,), and the way corrected (2,)."""
+    later, earlier, way, fit = pair
+    fitting = turned_in_plan((way + fit.move)[None], corrections[earlier, 2])[0]
+    plan = fitting - way - (corrections[later] - corrections[earlier])[:2]
+    return np.append(plan, math.radians(fit.turn) - corrections[later, 2] + corrections[earlier, 2]), fitting
+
+
+def correct_in_plan(pairs: list[PlanPair], count: int) -> Floats:
     """Return the corrections in plan (count, 3) of all frames: m along the axes of the world, and rad about its sensor.
 
-    They are zeros where no frame says anything of another.
+    Found by steps of Gauss and Newton. They are zeros where no frame says anything of another.
     """
     from scipy.sparse import csc_matrix
     from scipy.sparse.linalg import splu
 
-    right = np.zeros((count, 3))
-    blocks = [(each, each, np.diag(1.0 / np.square(_LOOSE))) for each in range(count)]
-    for fit in fits:
-        before = np.eye(3)  # what a correction of the earlier frame moves at the later sensor
-        before[:2, 2] = -fit.way[1], fit.way[0]
-        from_earlier = before.T @ fit.weight
-        right[fit.later] += fit.weight @ fit.move
-        right[fit.earlier] -= from_earlier @ fit.move
-        blocks += [(fit.later, fit.later, fit.weight), (fit.later, fit.earlier, -fit.weight @ before)]
-        blocks += [(fit.earlier, fit.later, -from_earlier), (fit.earlier, fit.earlier, from_earlier @ before)]
-    rows, columns = (3 * np.array([each[axis] for each in blocks])[:, None, None] for axis in (0, 1))
-    inside = np.arange(3)
-    at = np.broadcast_arrays(rows + inside[:, None], columns + inside)
-    values = np.array([each[2] for each in blocks])
-    normal = csc_matrix((values.ravel(), tuple(each.ravel() for each in at)), shape=(3 * count, 3 * count))
-    found = splu(normal).solve(right.ravel()).reshape(count, 3) if fits else right
-    most = np.array([MOST_BESIDE_M, MOST_BESIDE_M, math.radians(MOST_TURNED_DEG)])
-    corrections: Floats = np.clip(found, -most, most)
+    corrections: Floats = np.zeros((count, 3))
+    usual, inside = 1.0 / np.square(_LOOSE), np.arange(3)
+    for _ in range(_PLAN_ROUNDS):
+        right = -usual * corrections
+        blocks = [(each, each, np.diag(usual)) for each in range(count)]
+        for pair in pairs:
+            later, earlier, _, fit = pair
+            left, fitting = _moved_beside(pair, corrections)
+            before = np.eye(3)  # what a correction of the earlier frame moves at the later sensor
+            before[:2, 2] = -fitting[1], fitting[0]
+            from_earlier = before.T @ fit.weight
+            right[later] += fit.weight @ left
+            right[earlier] -= from_earlier @ left
+            blocks += [(later, later, fit.weight), (later, earlier, -fit.weight @ before)]
+            blocks += [(earlier, later, -from_earlier), (earlier, earlier, from_earlier @ before)]
+        rows, columns = (3 * np.array([each[axis] for each in blocks])[:, None, None] for axis in (0, 1))
+        at = np.broadcast_arrays(rows + inside[:, None], columns + inside)
+        values = np.array([each[2] for each in blocks])
+        normal = csc_matrix((values.ravel(), tuple(each.ravel() for each in at)), shape=(3 * count, 3 * count))
+        corrections = corrections + splu(normal).solve(right.ravel()).reshape(count, 3)
     return corrections
 
 
-def misfit_in_plan(fits: list[PlanFit], corrections: Floats) -> float:
+def misfit_in_plan(pairs: list[PlanPair], corrections: Floats) -> float:
     """Return the median distance in plan between the things of two frames with corrections (frames, 3), m; or NaN."""
-    if not fits:
-        return float("nan")
-    left = []
-    for fit in fits:
-        move, turn = fit.move - corrections[fit.later] + corrections[fit.earlier], corrections[fit.earlier, 2]
-        left.append(math.hypot(move[0] - turn * fit.way[1], move[1] + turn * fit.way[0]))
-    return float(np.median(left))
+    left = [math.hypot(*_moved_beside(pair, corrections)[0][:2]) for pair in pairs if pair[3].is_enough]
+    return float(np.median(left)) if left else float("nan")
 
 
 def height_between(later: GroundHeights, earlier: GroundHeights, shift: Floats | None = None) -> float:

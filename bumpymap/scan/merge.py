@@ -27,18 +27,16 @@ from bumpymap.core import BadInputError
 from bumpymap.layers import AccumulatedSurvey
 from bumpymap.scan._merge_kernels import VoxelTable, gather_points, move_voxels
 from bumpymap.scan.align import (
-    MOST_BESIDE_M,
-    MOST_TURNED_DEG,
     VIEW_REACH_M,
     VIEW_SHAPE,
     Alignment,
     DriveHeights,
     GroundHeights,
+    PlanPair,
     ThingFit,
     ThingMatcher,
     align_frames,
     correct_in_plan,
-    fit_in_plan,
     frame_pairs,
     ground_heights,
     height_between,
@@ -68,7 +66,7 @@ _WRONG, _GONE, _LEAST_AWAY_M, _LEAST_COMPARED = 0.5, 0.8, 5.0, 60
 """Share of things seen through, of those and of those found again, above which poses are refused by all frames so far
 away or farther, and a frame does not fit; fewest things that tell. With traffic it is up to 0.26, with inverted,
 reversed or swapped poses 0.8 to 1."""
-_BESIDE_M, _TURNED_DEG, _HIGHER_M = (0.3, MOST_BESIDE_M), (1.5, MOST_TURNED_DEG), (0.25, 0.5)
+_BESIDE_M, _TURNED_DEG, _HIGHER_M = (0.3, 1.0), (1.5, 2.5), (0.25, 0.5)
 """Misfit of a frame above which it is said, and above which the poses are refused: place and direction where things are
 found, and height of ground; what is refused is that after corrections."""
 _FOUND = (0.8, 0.5)
@@ -144,8 +142,12 @@ class FramePair:
         return said
 
     def size(self) -> float:
-        """Return how far it is from fitting, m."""
-        return float(self.fit.tells(_FOUND[0]) * np.hypot(*self.fit.move) + abs(np.nan_to_num(self.higher_m)))
+        """Return how far it is from fitting, m; the same points at another place are no frame of their own."""
+        return (
+            np.inf
+            if self.repeated
+            else float(self.fit.tells(_FOUND[0]) * np.hypot(*self.fit.move) + abs(np.nan_to_num(self.higher_m)))
+        )
 
     @property
     def is_wrong(self) -> bool:
@@ -160,7 +162,7 @@ class FramePair:
             "frame": names[self.later],
             "against": names[self.earlier],
             "beside_m": round(float(np.hypot(*self.fit.move)), 2) if self.fit.tells(_FOUND[0]) else None,
-            "turned_deg": self.fit.turn if self.fit.tells(_FOUND[0]) else None,
+            "turned_deg": round(self.fit.turn, 2) if self.fit.tells(_FOUND[0]) else None,
             "higher_m": None if np.isnan(self.higher_m) else round(self.higher_m, 3),
             "seen_through": round(self.through / seen, 3) if seen else None,
         }
@@ -274,8 +276,10 @@ class DriveMerge:
         self.points.flush()
         self.images.flush()
         self.alignment = align_frames(self.heights.frames)
-        pairs, contradiction = self._check_poses(self.alignment)
-        outcome = self._correct_plan(pairs)
+        pairs = self._pairs(self.alignment.shift) if len(self.poses) > 1 else []
+        fits = [(pair.later, pair.earlier, pair.way[:2], pair.fit) for pair in pairs]
+        contradiction = self._check_poses(pairs, self.alignment) if pairs else ""
+        outcome = self._correct_plan(fits)
         if contradiction:
             _log.warning("%s %s", contradiction, outcome)
         self.shift = self.alignment.shift
@@ -295,21 +299,21 @@ class DriveMerge:
         pixels = VIEW_SHAPE[0] * VIEW_SHAPE[1]
         return np.fromfile(self.images.name, np.uint16, pixels, offset=2 * pixels * number).reshape(VIEW_SHAPE)
 
-    def _correct_plan(self, pairs: list[FramePair]) -> str:
+    def _correct_plan(self, fits: list[PlanPair]) -> str:
         """Move and turn the frames in plan to where their things lie on each other; return what that means, in words.
 
         Poses that are trusted stay.
         """
-        fits = fit_in_plan([(pair.later, pair.earlier, pair.way[:2], pair.fit) for pair in pairs], self.things)
         found, none = correct_in_plan(fits, len(self.frames)), np.zeros((len(self.frames), 3))
         before, after = misfit_in_plan(fits, none), misfit_in_plan(fits, found)
-        moved, turned = np.linalg.norm(found[:, :2], axis=1).max(initial=0.0), np.abs(found[:, 2]).max(initial=0.0)
+        moved = float(np.linalg.norm(found[:, :2], axis=1).max(initial=0.0))
+        turned = float(np.abs(found[:, 2]).max(initial=0.0))
         if self.trusted or not after < before or (moved < _PLACED_M and turned < _PLACED_RAD):
             found, after, moved, turned = none, before, 0.0, 0.0
         self.plan = {
             "beside_before_m": None if math.isnan(before) else round(before, 3),
             "beside_after_m": None if math.isnan(after) else round(after, 3),
-            "largest_move_m": round(float(moved), 3),
+            "largest_move_m": round(moved, 3),
             "largest_turn_deg": round(math.degrees(turned), 3),
         }
         if not found.any():
@@ -338,11 +342,8 @@ class DriveMerge:
             f"their things lie {after:.2f} m apart in the median, {before:.2f} m before"
         )
 
-    def _check_poses(self, given: Alignment) -> tuple[list[FramePair], str]:
-        """Return how frames fit others, and what does not, in words. Raises WrongPosesError: poses that are wrong."""
-        if len(self.poses) < 2:
-            return [], ""
-        pairs = self._pairs(given.shift)
+    def _check_poses(self, pairs: list[FramePair], given: Alignment) -> str:
+        """Return what does not fit, in words. Raises WrongPosesError: poses that cannot be right."""
         told = sorted((pair for pair in pairs if pair.evidence()), key=FramePair.size)
         worst = {pair.later: pair for pair in told}
         self.misfits = [worst[frame] for frame in sorted(worst)]
@@ -358,7 +359,7 @@ class DriveMerge:
             count = f"{len(self.misfits)} of {len(self.poses)} frames {verb} not fit others"
             reasons.append(f"{count}{_likely(pairs, self.poses)} ({first})")
         if not reasons:
-            return pairs, ""
+            return ""
         few = not whole and 3 * len(self.misfits) < len(self.poses)
         advice = (
             "Are `poses` those of the LiDAR (not of a camera or of the robot's base), one per frame in order of time, "
@@ -367,7 +368,7 @@ class DriveMerge:
         message = f"according to the poses, {', and '.join(reasons)}. {'Look at their poses.' if few else advice}"
         if is_wrong and not self.trusted:
             raise WrongPosesError(f"{message} `trust_poses=True` makes a map all the same")
-        return pairs, message
+        return message
 
     def _pairs(self, shift: NDArray[np.float64]) -> list[FramePair]:
         """Hold frames against earlier ones; ``shift``: corrections of all."""
