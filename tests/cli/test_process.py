@@ -153,7 +153,7 @@ def commands(folder):
         "info": ["info", QUARRY],
         "map": ["map", QUARRY, "--out", folder / "layers"],
         "scan": ["scan", folder / "scan.bin", "--out", folder / "scanned"],
-        "batch": ["batch", QUARRY.parent, "--out", folder / "night"],
+        "batch": ["batch", QUARRY.parent, "--out", folder / "night", "--jobs", "1"],
     }
 
 

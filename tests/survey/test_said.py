@@ -259,7 +259,7 @@ def test_points_that_wait_take_nearly_what_was_said_and_no_more(tmp_path, monkey
 
 @pytest.mark.later
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs Linux's own account of a process")
-def test_a_run_takes_more_than_a_third_of_the_memory_that_was_said_and_no_more(tmp_path):
+def test_a_run_takes_more_than_three_tenths_of_the_memory_that_was_said_and_no_more(tmp_path):
     # What the system says of a child when it has ended (ru_maxrss) may be the size of the parent that started it.
     code = """
 import re, sys
@@ -275,7 +275,7 @@ print(re.search(r"VmHWM:\\s*(\\d+) kB", open("/proc/self/status").read())[1])
         done = subprocess.run([sys.executable, "-c", code, *options], check=True, capture_output=True, text=True)
         held.append(int(done.stdout) * 1024)
     foretold = json.loads(run("info", survey, "--quick", "--set", "threads=2", "--json").stdout)
-    assert 1 / 3 < max(held) / foretold["run"]["memory_bytes_at_most"] <= 1
+    assert 0.3 < max(held) / foretold["run"]["memory_bytes_at_most"] <= 1
 
 
 def test_a_survey_larger_than_its_budget_takes_the_budget_and_a_small_one_does_not():
