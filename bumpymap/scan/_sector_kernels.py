@@ -223,7 +223,7 @@ def _heights_of(heights: Singles, scratch: SectorScratch) -> float:
     """Write the mean height of every pixel, holes filled; returns the share of pixels with points.
 
     Holes are filled as `bumpymap.core.fill_holes` does, to the same bits, but in images with a margin of a pixel, where
-    all neighbours exist, and by bits of their rows: only those beside known pixels are looked at.
+    all neighbours exist, and by bits of their rows, of 64 pixels at most: only those beside known pixels are looked at.
     """
     size = heights.shape[0]
     wide, one = size + 2, np.uint64(1)

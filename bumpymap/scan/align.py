@@ -344,6 +344,8 @@ class ThingMatcher:
 
     def fit(self, things: NDArray[np.float32], middle: Floats, others: NDArray[np.float32]) -> ThingFit:
         """Match things (n, 3) of a later frame, whose sensor is at ``middle`` (2,) from the earlier one, to others."""
+        from scipy.spatial import KDTree
+
         self._drawn[:], self._found[:] = 0, 0
         draw_things(others, _CELL_M, self._drawn)
         near = things[np.linalg.norm(things[:, :2] + middle, axis=1) < _REACH_M]
@@ -354,8 +356,9 @@ class ThingMatcher:
             return found
         turn, up, right = (int(each) for each in np.unravel_index(self._found.argmax(), self._found.shape))
         best = np.array([_CELL_M * (right - _MOVES), _CELL_M * (up - _MOVES), math.radians(turn - _TURNS)])
-        places, on = (each[:, :2].astype(np.float64) for each in (near, others))
-        tried = [_lay_on(places, middle, on, start) for start in (np.zeros(3), best)]
+        places, tree = near[:, :2].astype(np.float64), KDTree(others[:, :2].astype(np.float64))
+        edges = _edges(tree)
+        tried = [_lay_on(places, middle, tree, edges, start) for start in (np.zeros(3), best)]
         (x, y, angle), weight, _ = min(tried, key=lambda each: each[2])
         return replace(found, move=(float(x), float(y)), turn=math.degrees(angle), weight=weight)
 
@@ -377,16 +380,13 @@ def _edges(tree: "KDTree") -> Floats:
     return inverse
 
 
-def _lay_on(things: Floats, way: Floats, others: Floats, start: Floats) -> tuple[Floats, Floats, float]:
-    """Return the move of things (n, 2) onto others (m, 2), its weight and what is left.
+def _lay_on(things: Floats, way: Floats, tree: "KDTree", edges: Floats, start: Floats) -> tuple[Floats, Floats, float]:
+    """Return the move of things (n, 2) onto those of a tree, with their `_edges`, its weight and what is left.
 
     ``way`` (2,): to the sensor of the things, m; ``start``, and the move: m, m and rad. What is left is twice the
     negative logarithm of its likelihood; of several moves, that with the least is the best.
     """
-    from scipy.spatial import KDTree
-
-    tree = KDTree(others)
-    edges, move, usual = _edges(tree), start.copy(), np.diag(1.0 / np.square(_LOOSE))
+    move, others, usual = start.copy(), np.asarray(tree.data), np.diag(1.0 / np.square(_LOOSE))
     normal, left = np.zeros((3, 3)), 0.0
     for reach in _STEPS_M:
         turned = turned_in_plan(things, move[2])
@@ -412,7 +412,7 @@ PlanPair: TypeAlias = tuple[int, int, Floats, ThingFit]
 """A later and an earlier frame, the way to the later sensor (2,), m, and how it fits."""
 
 
-def _moved_beside(pair: PlanPair, corrections: Floats) -> tuple[Floats, Floats]:
+def _left_between(pair: PlanPair, corrections: Floats) -> tuple[Floats, Floats]:
     """Return what is left of the move and the turn of a pair with corrections (3,), and the way corrected (2,)."""
     later, earlier, way, fit = pair
     fitting = turned_in_plan((way + fit.move)[None], corrections[earlier, 2])[0]
@@ -435,7 +435,7 @@ def correct_in_plan(pairs: list[PlanPair], count: int) -> Floats:
         blocks = [(each, each, np.diag(usual)) for each in range(count)]
         for pair in pairs:
             later, earlier, _, fit = pair
-            left, fitting = _moved_beside(pair, corrections)
+            left, fitting = _left_between(pair, corrections)
             before = np.eye(3)  # what a correction of the earlier frame moves at the later sensor
             before[:2, 2] = -fitting[1], fitting[0]
             from_earlier = before.T @ fit.weight
@@ -453,7 +453,7 @@ def correct_in_plan(pairs: list[PlanPair], count: int) -> Floats:
 
 def misfit_in_plan(pairs: list[PlanPair], corrections: Floats) -> float:
     """Return the median distance in plan between the things of two frames with corrections (frames, 3), m; or NaN."""
-    left = [math.hypot(*_moved_beside(pair, corrections)[0][:2]) for pair in pairs if pair[3].is_enough]
+    left = [math.hypot(*_left_between(pair, corrections)[0][:2]) for pair in pairs if pair[3].is_enough]
     return float(np.median(left)) if left else float("nan")
 
 

@@ -2,9 +2,8 @@
 
 The only input that depends on the rest of the scan is ``beside``: the number of ground points against that of other
 sectors in the ring. The network's answer for a sector does not depend on others in the batch: inference runs on one
-thread, and the graph treats each sector separately. Of open ground
-a sector shows few points, and much the same ground as the sectors around it: there, what the neighbours say counts
-between smooth and fair.
+thread, and the graph treats each sector separately. Of open ground a sector shows few points, and much the same ground
+as the sectors around it: there, what the neighbours say counts between smooth and fair.
 """
 
 import hashlib
@@ -110,8 +109,8 @@ class ScanModel:
                 f"version {SECTOR_VERSION}. {_REMEDY}"
             )
         pixels = int(metadata["pixels"])
-        some = 2  # a graph for batches of one size alone is refused
-        inputs = {"patches": (some, CHANNELS, pixels, pixels), "measures": (some, len(MEASURES))}
+        # Of another size than `_BATCH`: a graph for batches of one size alone is refused.
+        inputs = {"patches": (2, CHANNELS, pixels, pixels), "measures": (2, len(MEASURES))}
         check_network(content, inputs, CLASSES, origin, _REMEDY)
         return cls(content, metadata, pixels)
 

@@ -43,9 +43,7 @@ _BAR_MM = 25.0
 _ARROW = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 24 40">{NORTH_ARROW}</svg>'
 
 
-def write_map_views(
-    folder: Path, record: Mapping[str, Any], wait: Callable[..., None] = lambda *_: None
-) -> None:  # fmt: skip
+def write_map_views(folder: Path, record: Mapping[str, Any], wait: Callable[..., None]) -> None:
     """Write the styles, map.qgs, report.html and the thumbnail of the layers in a folder.
 
     Parameters

@@ -196,12 +196,12 @@ class Spot:
 
 
 def block_means(values: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Return the means of what is known in each of ``shape`` blocks of (..., rows, cols); NaN where nothing is."""
+    """Return the means of what is known in each of ``shape`` blocks of an array; NaN where nothing is."""
     rows, cols = shape
-    blocks = values.reshape(*values.shape[:-2], rows, values.shape[-2] // rows, cols, values.shape[-1] // cols)
+    blocks = values.reshape(rows, values.shape[0] // rows, cols, values.shape[1] // cols)
     known = np.isfinite(blocks)
-    count = known.sum(axis=(-3, -1))
-    total = np.where(known, blocks, np.float32(0)).sum(axis=(-3, -1), dtype=np.float64)
+    count = known.sum(axis=(1, 3))
+    total = np.where(known, blocks, np.float32(0)).sum(axis=(1, 3), dtype=np.float64)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)
 
 
