@@ -3,9 +3,12 @@
 import ast
 import csv
 import importlib.util
+import os
 import re
+import subprocess
+import sys
 import tomllib
-from importlib.metadata import distributions
+from importlib.metadata import distributions, version
 from pathlib import Path
 
 import pytest
@@ -14,7 +17,7 @@ from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 from packaging.utils import canonicalize_name
 
-from bumpytiles import compile_packages, native
+from bumpytiles.native import _processor, package_kernels
 
 ROOT = Path(__file__).resolve().parents[1]
 CI = ROOT / ".ci"
@@ -66,15 +69,30 @@ def test_the_container_and_make_demo_compile_when_they_install(containerfile):
     assert "bumpymap compile" in make[make.index("$(VENV)/.installed:") : make.index("touch")]
 
 
-def test_all_kernels_are_compiled(monkeypatch):
-    compiled = []
-    monkeypatch.setattr("bumpytiles.native._compile_beside", lambda: compiled.extend(native._kernels))
-    compile_packages("bumpymap", "bumpytiles")
+def test_all_kernels_are_found_and_their_machine_code_is_of_today_s_source():
+    kernels = package_kernels("bumpymap", "bumpytiles")
     sources = [*(ROOT / "bumpymap").rglob("*.py"), *(ROOT / "tiles" / "bumpytiles").rglob("*.py")]
-    assert sorted(name.rpartition(".")[2] for name in compiled if name.startswith("bumpy")) == sorted(
-        path.stem for path in sources if _decorated(path)
-    )
-    assert len(compiled) > 10
+    assert sorted({Path(each.plain.__code__.co_filename) for each in kernels}) == sorted(filter(_decorated, sources))
+    assert len(kernels) > 10
+    if "x86-64-v3" in _processor():
+        shipped = [file for folder in {each.shipped.parent for each in kernels} for file in folder.iterdir()]
+        assert sorted(shipped) == sorted(each.shipped for each in kernels), "run docs/models/kernels.py"
+        stale = [each.symbol for each in kernels if not each.shipped.read_bytes().startswith(each.key)]
+        assert not stale, "run docs/models/kernels.py"
+
+
+@pytest.mark.later
+@pytest.mark.slow
+def test_anybody_can_make_the_machine_code_that_is_shipped_from_the_sources(tmp_path):
+    """In another process, with hashes of names in another order and another processor said to be there."""
+    same = all(version(name) == pins("constraints.txt")[name] for name in ("numba", "llvmlite"))
+    if "x86-64-v3" not in _processor() or sys.version_info[:2] != (3, 11) or not same:
+        pytest.skip("another processor, Python or compiler than that of the shipped code")
+    env = {**os.environ, "PYTHONHASHSEED": "7", "NUMBA_CPU_NAME": "nehalem", "NUMBA_CPU_FEATURES": ""}
+    subprocess.run([sys.executable, ROOT / "docs/models/kernels.py", tmp_path], env=env, check=True)
+    for each in package_kernels("bumpymap", "bumpytiles"):
+        made = tmp_path / each.shipped.parent.parent.name / each.shipped.name
+        assert made.read_bytes() == each.shipped.read_bytes(), each.symbol
 
 
 def _decorated(path):

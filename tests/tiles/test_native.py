@@ -120,6 +120,17 @@ def test_all_loaded_modules_are_compiled_at_once_and_reports_tell_how_far_it_is(
     assert ran(place, "import tiny, third\n" + RUN).stderr == ""
 
 
+def test_what_a_package_ships_is_run_and_a_changed_source_is_not_taken_for_it(place):
+    said = run(place)
+    (place / "cache").rename(place / "kernels")
+    (place / "kernels").chmod(0o775)  # as in a checkout: whoever writes there can write the sources too
+    assert ran(place).stderr == ""
+    assert not (place / "cache").exists()
+    (place / "tiny.py").write_text(SOURCE.replace("x * x", "0.0"))
+    assert run(place) != said
+    kept(place)
+
+
 @pytest.fixture(scope="module")
 def forged(tmp_path_factory):
     """Code of another source that says it is that of ``SOURCE``, its name, and what each of the two prints."""

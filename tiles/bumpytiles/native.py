@@ -8,9 +8,10 @@ numba is the compiler, and importing it and its cache takes longer than many a m
   the kernel a C function (``cfunc``), its documented door for callers that are not numba.
 - LLVM alone optimises that function, writes it to the cache, and loads it in later runs; ctypes calls it.
 
-Compiling happens in processes beside the run, for all kernel modules at once: it takes less time, and the memory that
-a compiler needs is not taken from the run. It takes many seconds, so it is told how far it is (`compiling_reports`);
-where nobody asks for that, a warning says that it has begun.
+A package ships the machine code of its kernels for x86-64 processors since 2013 (x86-64-v3). Only kernels whose source
+was changed, or all of them on another processor, are compiled: in processes beside the run, for all kernel modules at
+once, which takes less time, and the memory that a compiler needs is not taken from the run. It takes many seconds, so
+it is told how far it is (`compiling_reports`); where nobody asks for that, a warning says that it has begun.
 
 What that asks of a kernel: annotated parameters and no result. A parameter is a number, an array
 (``Annotated[NDArray[np.float64], 2]``: two dimensions, C-contiguous) or a NamedTuple of these. No allocation, no
@@ -18,7 +19,8 @@ exceptions, no calls but to helpers and to libm.
 
 *Files of machine code.* Whoever can change a file of machine code decides what its reader runs. So a file counts only
 where nobody but the user or root can have written it: both own it and its folder, nobody else may write to either, and
-neither is a link. All else is as if it were not there, and nothing is kept where it would not count.
+neither is a link. All else is as if it were not there, and nothing is kept where it would not count. What a package
+ships is trusted as its Python code is.
 
 *Processes.* Python puts the current folder, where strangers' files may lie, on the path of ``python -c`` and so of what
 `multiprocessing` starts. No process that is started here has it there, nor has any that those start.
@@ -27,7 +29,6 @@ neither is a link. All else is as if it were not there, and nothing is kept wher
 import ctypes
 import gc
 import hashlib
-import importlib.util
 import logging
 import os
 import signal
@@ -55,6 +56,8 @@ _LIBM = frozenset({"acos", "erfc", "exp", "fmax", "fmin", "log", "memcpy", "memm
 """Functions that machine code may call outside itself."""
 _HEAD = 2 * hashlib.sha256().digest_size
 """Bytes before the machine code in a file: the key of what it must be of, and the digest of the code."""
+_COMMON = {"avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"}
+"""Features that x86-64-v3 adds to older processors."""
 
 P = ParamSpec("P")
 F = TypeVar("F", bound=Callable[..., Any])
@@ -156,21 +159,34 @@ class Kernel(Generic[P]):
         return called
 
     @cached_property
-    def _kept(self) -> tuple[bytes, list[Path]]:
-        """Return what the machine code must be of, and the files that may hold it."""
+    def key(self) -> bytes:
+        """Return a digest of what the machine code must be of."""
         parts = [repr([[tuple(map(str, leaf)) for leaf in leaves] for _, leaves in self._parameters]).encode()]
         for each in self.called:
             numbers = [pair for pair in _globals(each) if isinstance(pair[1], int | float | tuple | np.generic)]
             parts += [Path(each.__code__.co_filename).read_bytes(), repr(numbers).encode()]
-        parts += [Path(__file__).read_bytes(), _compiler(), _processor(), self.symbol.encode()]
-        source = Path(self.plain.__code__.co_filename)
-        name = f"{source.stem}.{self.name}.{hashlib.sha256(_processor()).hexdigest()[:8]}.native"
-        return hashlib.sha256(b"\0".join(parts)).digest(), [folder / name for folder in _folders(source)]
+        parts += [Path(__file__).read_bytes(), repr(_processor()).encode(), self.symbol.encode()]
+        return hashlib.sha256(b"\0".join(parts)).digest()
+
+    @property
+    def shipped(self) -> Path:
+        """The file of machine code that comes with the package."""
+        depth = self.plain.__module__.count(".")
+        return Path(self.plain.__code__.co_filename).parents[max(depth - 1, 0)] / "kernels" / self._file
+
+    @property
+    def _file(self) -> str:
+        return f"{self.symbol}.{hashlib.sha256(repr(_processor()).encode()).hexdigest()[:8]}.native"
+
+    @property
+    def _kept(self) -> list[Path]:
+        """The files that may hold machine code which was compiled here."""
+        return [folder / self._file for folder in _folders(Path(self.plain.__code__.co_filename))]
 
     def can_keep(self) -> bool:
         """Return whether there is a folder for the machine code; where there is none, it is said once why."""
         faults = {}
-        for file in self._kept[1]:
+        for file in self._kept:
             try:
                 with _trusted(file.parent, make=True):
                     if os.access(file.parent, os.W_OK):
@@ -182,22 +198,24 @@ class Kernel(Generic[P]):
         return False
 
     def load(self) -> bytes | None:
-        """Return the machine code, an object file; None where none is kept for this source, compiler and processor."""
-        key, files = self._kept
-        for file in files:
+        """Return the machine code, an object file; None where there is none for this source and processor."""
+        for read, file in [(Path.read_bytes, self.shipped), *((_read, file) for file in self._kept)]:
             with suppress(OSError):
-                content = _read(file)
+                content = read(file)
                 code = content[_HEAD:]
-                if content[:_HEAD] == key + hashlib.sha256(code).digest():
+                if content[:_HEAD] == self.head(code):
                     return code
         return None
 
+    def head(self, code: bytes) -> bytes:
+        """Return what stands before machine code in a file."""
+        return self.key + hashlib.sha256(code).digest()
+
     def save(self, code: bytes) -> None:
         """Keep machine code in the first folder that will do; a file appears whole or not at all."""
-        key, files = self._kept
-        for file in files:
+        for file in self._kept:
             try:
-                _write(file, key + hashlib.sha256(code).digest() + code)
+                _write(file, self.head(code) + code)
             except OSError as error:
                 _log.debug("cannot keep compiled kernels in %s: %s", file.parent, error)
             else:
@@ -360,16 +378,16 @@ def _alone(text: str, symbol: str) -> Any:
     module = llvm.parse_assembly(text)
     # Reference counts of arrays that Python owns stay untouched; the call behind them is never reached.
     module.link_in(llvm.parse_assembly("define void @NRT_MemInfo_call_dtor(ptr %info) { ret void }"))
-    for function in module.functions:
-        if not function.is_declaration and function.name != symbol:
-            function.linkage = "internal"
+    for each in (*module.functions, *module.global_variables):
+        if not each.is_declaration and each.name != symbol:
+            each.linkage = "internal"
     tuning = llvm.create_pipeline_tuning_options(speed_level=3)
     tuning.loop_vectorization = tuning.slp_vectorization = True
     for more in (
         # What numba does with a whole library: bring loops into the form that vectorises, drop pairs of reference
         # counts. Then: a kernel raises nothing; with that known, what would print an exception is dead.
         ("loop_rotate", "instruction_combine"),
-        ("ipsccp", "simplify_cfg", "global_dead_code_eliminate", "strip_dead_prototype"),
+        ("ipsccp", "simplify_cfg", "global_dead_code_eliminate", "strip_dead_prototype", "strip_symbols"),
     ):
         builder = llvm.create_pass_builder(_target(), tuning)
         passes = builder.getModulePassManager()
@@ -390,29 +408,22 @@ def _llvm() -> Any:
 
 
 @cache
-def _processor() -> bytes:
-    """Say which processor this is."""
+def _processor() -> tuple[str, str, str]:
+    """Return platform, processor and features that code is made for: the common ones of x86-64 where this has them."""
     llvm = _llvm()
-    return f"{llvm.get_process_triple()} {llvm.get_host_cpu_name()} {llvm.get_host_cpu_features().flatten()}".encode()
-
-
-@cache
-def _compiler() -> bytes:
-    """Say which compiler would be at work, without importing it."""
-    import llvmlite
-
-    spec = importlib.util.find_spec("numba")
-    stated = Path(spec.origin).with_name("_version.py") if spec is not None and spec.origin else Path()
-    own: bytes = llvmlite.__version__.encode()
-    return own + (stated.read_bytes() if stated.is_file() else b"")
+    platform, features = llvm.get_process_triple(), llvm.get_host_cpu_features()
+    if platform.startswith("x86_64") and all(features.get(name) for name in _COMMON):
+        return platform, "x86-64-v3", ""
+    return platform, llvm.get_host_cpu_name(), features.flatten()
 
 
 @cache
 def _target() -> Any:
-    llvm = _llvm()
-    features = llvm.get_host_cpu_features().flatten()
-    return llvm.Target.from_default_triple().create_target_machine(
-        cpu=llvm.get_host_cpu_name(), features=features, opt=3, codemodel="jitdefault", jit=True
+    platform, cpu, features = _processor()
+    return (
+        _llvm()
+        .Target.from_triple(platform)
+        .create_target_machine(cpu=cpu, features=features, opt=3, codemodel="jitdefault", jit=True)
     )
 
 
@@ -460,13 +471,23 @@ def compile_modules(*modules: str) -> None:
 
 
 def compile_loaded() -> None:
-    """Compile what the cache has not of the kernels that are loaded, before other processes need them."""
-    if all(each.can_keep() for kernels in _kernels.values() for each in kernels):
-        _compile_beside()
+    """Compile what is not at hand of the kernels that are loaded, before other processes need them."""
+    _all_at_hand([each for kernels in _kernels.values() for each in kernels])
 
 
 def compile_packages(*packages: str) -> bool:
-    """Compile what the cache has not of all kernels in some packages; False where nothing can be kept."""
+    """Compile what is not at hand of all kernels in some packages; False where nothing can be kept."""
+    return _all_at_hand(package_kernels(*packages))
+
+
+def _all_at_hand(kernels: list["Kernel[Any]"]) -> bool:
+    if any(each.load() is None for each in kernels) and all(each.can_keep() for each in kernels):
+        _compile_beside()
+    return all(each.load() is not None for each in kernels)
+
+
+def package_kernels(*packages: str) -> list["Kernel[Any]"]:
+    """Import and return all kernels in some packages."""
     names = [
         ".".join((package, *file.relative_to(folder).with_suffix("").parts))
         for package in packages
@@ -476,11 +497,7 @@ def compile_packages(*packages: str) -> bool:
     ]
     for name in names:
         import_module(name)
-    kernels = [each for name in names for each in _kernels[name]]
-    if not all(each.can_keep() for each in kernels):
-        return False
-    _compile_beside()
-    return all(each.load() is not None for each in kernels)
+    return [each for name in names for each in _kernels[name]]
 
 
 _reports: list[Callable[[int, int], None]] = []
