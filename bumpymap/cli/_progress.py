@@ -24,10 +24,6 @@ class CommandProgress(BaseProgress, Protocol):
         """Report the result of a step, as a line of text or as an event."""
 
 
-_COMPILING = "compiling, once"
-"""Stage in which a new installation compiles the numerical kernels, beside the first stage that needs them."""
-
-
 class _Quiet(SilentProgress):
     """Prints nothing."""
 
@@ -41,7 +37,6 @@ class _Bars:
     def __init__(self, bars: "Progress") -> None:
         self._bars = bars
         self._task: TaskID | None = None
-        self._compiling: TaskID | None = None
 
     def start(self, stage: str, total: int | None) -> None:
         """Begin a stage: a new bar."""
@@ -54,28 +49,18 @@ class _Bars:
         if self._task is not None:
             self._bars.advance(self._task, steps)
 
-    def compiling(self, done: int, total: int) -> None:
-        """Show how many kernels are compiled in a bar of their own."""
-        if self._compiling is None:
-            self._compiling = self._bars.add_task(f"{_COMPILING}: kernels", total=total)
-        self._bars.update(self._compiling, completed=done, total=total)
-
     def note(self, text: str, event: str, **facts: Any) -> None:
         """Print a line above the bars."""
         print_error(text)
 
 
 class TickedProgress:
-    """Counts the steps of a stage; each `tick` prints a line with the time since the run began, or an event.
-
-    An event is also printed when a stage begins, and both when the compilation of kernels begins and ends.
-    """
+    """Counts the steps of a stage; each `tick` prints a line with the time since the run began, or an event."""
 
     def __init__(self, clock: Clock = time.monotonic, *, as_json: bool = False) -> None:
         self._clock, self._begun, self._as_json = clock, clock(), as_json
         self._lock = Lock()
         self._stage, self._done, self._total = "", 0, None  # type: tuple[str, int, int | None]
-        self._kernels = 0, 0
 
     def start(self, stage: str, total: int | None) -> None:
         """Begin a stage."""
@@ -89,18 +74,18 @@ class TickedProgress:
         with self._lock:
             self._done += steps
 
-    def compiling(self, done: int, total: int) -> None:
-        """Count kernels; say so at once when it begins and when it ends."""
-        began, self._kernels = self._kernels[1] > 0, (done, total)
-        if not began or done == total:
-            self._tell_compiling(done, total)
-
     def tick(self) -> None:
         """Print what is being done."""
-        if self._kernels[0] < self._kernels[1]:
-            self._tell_compiling(*self._kernels)
-        elif self._stage:
-            self._tell_stage()
+        if not self._stage:
+            return
+        with self._lock:
+            stage, done, total, seconds = self._stage, self._done, self._total, self._clock() - self._begun
+        share = min(done / total, 1.0) if total else None
+        shown = f"{done:,}" if share is None else f"{share:.0%} ({done:,} of {total:,})"
+        facts = {"done": done, "total": total, "share": share and round(share, 4), "seconds": round(seconds, 1)}
+        hours, minutes = divmod(int(seconds) // 60, 60)
+        text = f"{hours}:{minutes:02d}:{int(seconds) % 60:02d} {stage}: {shown}"
+        self.note(text, "progress", stage=stage, **facts)
 
     def note(self, text: str, event: str, **facts: Any) -> None:
         """Print a line, or an event."""
@@ -108,21 +93,6 @@ class TickedProgress:
             emit(event, **facts)
         else:
             print_error(text)
-
-    def _tell_stage(self) -> None:
-        with self._lock:
-            stage, done, total, seconds = self._stage, self._done, self._total, self._clock() - self._begun
-        share = min(done / total, 1.0) if total else None
-        shown = f"{done:,}" if share is None else f"{share:.0%} ({done:,} of {total:,})"
-        facts = {"done": done, "total": total, "share": share and round(share, 4), "seconds": round(seconds, 1)}
-        self._tell(f"{stage}: {shown}", "progress", stage=stage, **facts)
-
-    def _tell_compiling(self, done: int, total: int) -> None:
-        self._tell(f"{_COMPILING}: {done} of {total} kernels", "compiling", done=done, total=total)
-
-    def _tell(self, text: str, event: str, **facts: Any) -> None:
-        minutes, seconds = divmod(int(self._clock() - self._begun), 60)
-        self.note(f"{minutes // 60}:{minutes % 60:02d}:{seconds:02d} {text}", event, **facts)
 
 
 @contextmanager
@@ -136,20 +106,16 @@ def show_progress(*, quiet: bool = False, as_json: bool = False) -> Iterator[Com
     as_json : bool
         Print events; otherwise show bars on a terminal, and print lines if standard error is not a terminal.
     """
-    from bumpytiles import compiling_reports
-
     if quiet:
-        with compiling_reports(lambda _done, _total: None):  # who asks for no reports is warned
-            yield _Quiet()
-        return
-    if as_json or is_plain(error=True):
+        yield _Quiet()
+    elif as_json or is_plain(error=True):
         ticked = TickedProgress(as_json=as_json)
         every = _EVENT_SECONDS if as_json else _LINE_SECONDS
-        with compiling_reports(ticked.compiling), _calling_every(ticked.tick, every):
+        with _calling_every(ticked.tick, every):
             yield ticked
-        return
-    with moving_bars(error_console()) as bars, compiling_reports(bars.compiling):
-        yield bars
+    else:
+        with moving_bars(error_console()) as bars:
+            yield bars
 
 
 @contextmanager

@@ -48,16 +48,9 @@ def test_a_line_has_time_stage_and_share(capsys):
     progress.advance(7)
     clock.now += 3600
     progress.tick()
-    for done in (0, 12, 40):
-        progress.compiling(done, 40)
-    progress.compiling(39, 40)
-    progress.tick()
     assert capsys.readouterr().err.splitlines() == [
         "0:01:30 reading points: 45% (4,500,000 of 10,000,000)",
         "1:01:30 looking about\\x1b: 7",
-        "1:01:30 compiling, once: 0 of 40 kernels",
-        "1:01:30 compiling, once: 40 of 40 kernels",
-        "1:01:30 compiling, once: 39 of 40 kernels",
     ]
 
 
@@ -65,9 +58,8 @@ def test_a_bar_shows_a_name_as_it_is():
     shown = io.StringIO()
     with _progress.moving_bars(Console(file=shown, force_terminal=True, width=120)) as bars:
         bars.start("reading [red]a[/red]\x1b]0;owned\x07\nError: b.laz", 3)
-        bars.advance(3)
-        bars.compiling(12, 40)
-    assert "12/40" in shown.getvalue()
+        bars.advance(2)
+    assert "2/3" in shown.getvalue()
     assert "reading [red]a[/red]\\x1b]0;owned\\x07\\nError: b.laz" in shown.getvalue()
 
 
@@ -89,14 +81,12 @@ def test_events_hold_the_same(capsys):
     progress.start("timing", None)
     progress.tick()
     progress.note("text", "epoch", epoch=1, loss=0.5)
-    progress.compiling(0, 40)
     assert events(capsys.readouterr().err) == [
         {"event": "stage", "stage": "reading points", "total": 1000},
         {"event": "progress", "stage": "reading points", "done": 250, "total": 1000, "share": 0.25, "seconds": 12.3},
         {"event": "stage", "stage": "timing", "total": None},
         {"event": "progress", "stage": "timing", "done": 0, "total": None, "share": None, "seconds": 12.3},
         {"event": "epoch", "epoch": 1, "loss": 0.5},
-        {"event": "compiling", "done": 0, "total": 40},
     ]
 
 
@@ -105,7 +95,7 @@ def test_a_run_in_events(tmp_path):
     result = run("map", survey, "--out", tmp_path / "o", "--json")
     assert result.exit_code == 0
     found = events(result.stderr)
-    kinds = [event["event"] for event in found if event["event"] not in {"info", "compiling"}]
+    kinds = [event["event"] for event in found if event["event"] != "info"]
     assert kinds == ["start", *4 * ["stage"], "done"]
     assert found[0]["arguments"] == ["map", str(survey), "--out", str(tmp_path / "o"), "--json"]
     assert found[-1]["exit_code"] == 0

@@ -53,7 +53,7 @@ RULES = {
     r"--refit ": "takes hundreds of metres of drives: tests/cli/test_lab_commands.py makes them",
     r"--calibration small\.json": "takes a calibration for such tiles: hours of drives",
     r"^python tests/benchmarks/": "measures for minutes or hours, some beside other programs; tests run parts",
-    r"^python docs/models/|model=rellis\.onnx": "takes open3d and hours, or a data set",
+    r"^python docs/models/|model=rellis\.onnx": "takes open3d, a data set or minutes",
     r"^bumpymap (evaluate|train) ": "hours of drives or learning; tests/lab runs short ones",
 }
 """What does not simply run in the suite, as patterns of commands, and why."""

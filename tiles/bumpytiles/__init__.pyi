@@ -34,7 +34,6 @@ from .native import (
     blocked_signals as blocked_signals,
     compile_loaded as compile_loaded,
     compile_packages as compile_packages,
-    compiling_reports as compiling_reports,
     helper as helper,
     kernel as kernel,
     order_free as order_free,

@@ -10,8 +10,7 @@ numba is the compiler, and importing it and its cache takes longer than many a m
 
 A package ships the machine code of its kernels for x86-64 processors since 2013 (x86-64-v3). Only kernels whose source
 was changed, or all of them on another processor, are compiled: in processes beside the run, for all kernel modules at
-once, which takes less time, and the memory that a compiler needs is not taken from the run. It takes many seconds, so
-it is told how far it is (`compiling_reports`); where nobody asks for that, a warning says that it has begun.
+once, which takes less time, and the memory that a compiler needs is not taken from the run. A warning says so.
 
 What that asks of a kernel: annotated parameters and no result. A parameter is a number, an array
 (``Annotated[NDArray[np.float64], 2]``: two dimensions, C-contiguous) or a NamedTuple of these. No allocation, no
@@ -459,15 +458,13 @@ def _link(symbol: str, code: bytes) -> int:
 
 
 def compile_modules(*modules: str) -> None:
-    """Compile what the cache has not of some kernel modules, and keep it: the work of a child, a byte a kernel."""
+    """Compile what the cache has not of some kernel modules, and keep it: the work of a child."""
     gc.disable()  # a compiler makes millions of objects and few cycles: 7 % of the time
     for module in modules:
         import_module(module)
         for each in _kernels.get(module, []):
             if each.load() is None:
                 each.save(each.compile())
-                with suppress(OSError):  # the parent has ended
-                    os.write(1, b".")
 
 
 def compile_loaded() -> None:
@@ -500,19 +497,6 @@ def package_kernels(*packages: str) -> list["Kernel[Any]"]:
     return [each for name in names for each in _kernels[name]]
 
 
-_reports: list[Callable[[int, int], None]] = []
-
-
-@contextmanager
-def compiling_reports(report: Callable[[int, int], None]) -> Iterator[None]:
-    """Call ``report`` with the number of kernels compiled and to compile, from any thread, during the body."""
-    _reports.append(report)
-    try:
-        yield
-    finally:
-        _reports.remove(report)
-
-
 _compiling_beside = threading.Lock()
 _tried: set[str] = set()
 """Modules that were compiled beside this process, or had nothing to compile."""
@@ -520,8 +504,6 @@ _tried: set[str] = set()
 
 def _compile_beside() -> None:
     """Compile the loaded kernel modules in other processes, as many as there are cores; one may fail."""
-    from selectors import EVENT_READ, DefaultSelector
-
     with _compiling_beside:
         missing = {
             name: [each for each in own if each.load() is None] for name, own in _kernels.items() if name not in _tried
@@ -536,39 +518,20 @@ def _compile_beside() -> None:
         for name in sorted(filter(size.get, size), key=lambda name: -size[name]):
             min(shares, key=lambda share: sum(size[held] for held in share)).append(name)
         children = [child for child in map(_start, filter(None, shares)) if child is not None]
-        if not children:
-            return
-        total, done = sum(map(len, missing.values())), 0
-        if not _reports:
+        if children:
+            total = sum(map(len, missing.values()))
             plural = "s" * (total > 1)
-            _log.warning("compiling %d numerical kernel%s, once; this takes many seconds", total, plural)
-        _report(done, total)
-        with DefaultSelector() as pipes:
-            for child in children:
-                pipes.register(child.stdout or -1, EVENT_READ, child)
-            while pipes.get_map():
-                for pipe, _ in pipes.select():
-                    if told := len(os.read(pipe.fd, total)):
-                        done += told
-                        _report(done, total)
-                    else:
-                        pipes.unregister(pipe.fileobj)
-                        pipe.data.communicate()
-        if done < total:  # a child died: this process compiles what it needs
-            _report(total, total)
-
-
-def _report(done: int, total: int) -> None:
-    for report in _reports:
-        report(done, total)
+            _log.warning("compiling %d numerical kernel%s, once; this takes up to two minutes", total, plural)
+        for child in children:
+            child.wait()
 
 
 def _start(modules: list[str]) -> subprocess.Popen[bytes] | None:
-    """Start a child, which writes a byte for each kernel; None where that cannot be done."""
+    """Start a child; None where that cannot be done."""
     code = f"import sys; from {__name__} import compile_modules; compile_modules(*sys.argv[1:])"
     # Helpers are optimised once, as parts of a kernel, not by numba before that.
     env = {"PYTHONPATH": os.pathsep.join(str(Path(path).absolute()) for path in sys.path if path), "NUMBA_OPT": "0"}
-    output: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    output: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     with suppress(OSError):
         # Not in the current folder, where numba would read settings.
         return start_python(["-c", code, *modules], environment=env, cwd=Path(__file__).parent, **output)
