@@ -49,6 +49,7 @@ from bumpymap.layers import (
     MapFile,
     MapReader,
     OutputFolder,
+    Placement,
     SurveyPair,
     SurveyTiles,
     change_regions,
@@ -342,7 +343,8 @@ def _field(
     site = pair.before
     regions = describe_regions(area, code, values, surveys, site.grid.tile_size)
     bands = {name: array.astype(np.float32) for name, array in (values | {"changed": code}).items()}
-    return ChangeField(site.georeference, site.grid, pair.window, **bands, area=area, regions=regions), dropped
+    place = Placement(site.georeference, site.grid, pair.window)
+    return ChangeField(place, **bands, area=area, regions=regions), dropped
 
 
 def _fit(

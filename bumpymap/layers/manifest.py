@@ -127,7 +127,7 @@ def complete_manifest(
             "version": _VERSION,
             **manifest,
             "versions": software_versions() | dict(manifest.get("versions", {})),
-            **place_entries(Placement(table.georeference, table.tiles.grid, table.tiles.window)),
+            **place_entries(Placement.of(table)),
             "cost": {
                 "ride_weight_m_per_rad": table.rule.ride_weight,
                 "fail_weight_m": table.rule.fail_weight,

@@ -67,17 +67,19 @@ class RasterWindow:
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """The raster that a map spans, and its position in the survey's CRS."""
+    """The raster that a map spans, and its position in the survey's CRS; for errors see `check_extent`."""
 
     georeference: Georeference
     grid: Grid
     window: TileWindow
     """The smallest window around all tiles, which the rasters span."""
 
+    def __post_init__(self) -> None:
+        check_extent(self.grid, self.window)
+
     @classmethod
     def of(cls, table: CostTable) -> "Placement":
-        """Return the placement of a map. Raises BadInputError if it is too large for a raster."""
-        check_extent(table.tiles.grid, table.tiles.window)
+        """Return the placement of a map."""
         return cls(table.georeference, table.tiles.grid, table.tiles.window)
 
     @property
