@@ -308,28 +308,18 @@ def _text(parent: ET.Element, tag: str, text: str) -> None:
     ET.SubElement(parent, tag).text = _NOT_XML.sub("?", text)
 
 
-PROFILE_COLUMNS = (
-    *("route", "distance_m", "lon", "lat", "x", "y"),
-    *("z_m", "slope_deg", "c_r", "c_r_low", "c_r_high", "p_fail", "cost_m", "obstacle", "c_r_line", "speed_mps"),
-)
-"""Columns of profile.csv; ``x`` and ``y`` are in units of the survey's CRS."""
-_FORMATS = (
-    "%.3f",
-    "%.7f",
-    "%.7f",
-    "%.3f",
-    "%.3f",
-    "%.3f",
-    "%.3f",
-    "%.6f",
-    "%.6f",
-    "%.6f",
-    "%.6f",
-    "%.3f",
-    "%d",
-    "%.6f",
-    "%.3f",
-)
+_PROFILE = {
+    "distance_m": 3,
+    **dict.fromkeys(("lon", "lat"), DEGREE_DECIMALS),
+    **dict.fromkeys(("x", "y", "z_m", "slope_deg"), 3),
+    **dict.fromkeys(("c_r", "c_r_low", "c_r_high", "p_fail"), _SMALL),
+    "cost_m": 3,
+    "obstacle": 0,
+    "c_r_line": _SMALL,
+    "speed_mps": 3,
+}
+"""Columns of profile.csv after the route, and their decimals; ``x`` and ``y`` are in units of the survey's CRS."""
+PROFILE_COLUMNS = ("route", *_PROFILE)
 
 
 def write_profile(routes: Sequence[Route], path: Path) -> None:
@@ -358,13 +348,11 @@ def _rows(route: Route, place: GeoJsonCoordinates) -> Iterator[tuple[str, ...]]:
     columns = (
         *(profile.distance, *degrees.T, *place.in_crs(grid_m).T),
         *(profile.z, profile.slope, profile.c_r, profile.c_r_low, profile.c_r_high, profile.p_fail, profile.cost),
-        profile.obstacle,
-        profile.c_r_line,
-        profile.speed,
+        *(profile.obstacle, profile.c_r_line, profile.speed),
     )
     texts = [
-        [form % value if math.isfinite(value) else "" for value in values.tolist()]
-        for values, form in zip(columns, _FORMATS, strict=True)
+        [f"{value:.{decimals}f}" if math.isfinite(value) else "" for value in values.tolist()]
+        for values, decimals in zip(columns, _PROFILE.values(), strict=True)
     ]
     return zip([route.name] * len(profile.distance), *texts, strict=True)
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import shapely
@@ -23,9 +23,6 @@ from pyproj.exceptions import ProjError
 from bumpymap.core import NO_CLASS, BadInputError, atomic
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.regions import Regions
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 _TRIES = 33
 """Points along each side of the raster at which the transformation is tried first."""
@@ -46,8 +43,20 @@ def wgs84_transformer(placement: Placement) -> Transformer:
     BadInputError
         There is no CRS, or no known transformation from it to longitude and latitude at this place.
     """
-    transformer = _transformer(placement.horizontal_crs)
-    window = placement.window
+    crs, window = placement.horizontal_crs, placement.window
+    if crs is None:
+        raise BadInputError(
+            "the survey has no CRS, so cost.geojson cannot say where on Earth it is. Pass `crs='EPSG:CODE'`, "
+            "or `local=True` to write it in the survey's own coordinates"
+        )
+    try:
+        transformer = Transformer.from_crs(crs, CRS.from_epsg(4326), always_xy=True)
+    except ProjError as error:
+        raise BadInputError(
+            f"the survey's CRS ({crs.name}) has no known relation to longitude and latitude, so cost.geojson cannot "
+            "say where on Earth it is. Pass another with `force_crs='EPSG:CODE'`, or `local=True` to keep its own "
+            "coordinates"
+        ) from error
     cols, rows = np.meshgrid(
         np.linspace(window.col, window.col + window.cols, _TRIES),
         np.linspace(window.row, window.row + window.rows, _TRIES),
@@ -58,9 +67,9 @@ def wgs84_transformer(placement: Placement) -> Transformer:
 
 
 def polygons_in_wgs84(
-    polygons: NDArray[np.object_], placement: Placement, to_degrees: Transformer, decimals: int = DEGREE_DECIMALS
+    polygons: NDArray[np.object_], placement: Placement, to_degrees: Transformer
 ) -> NDArray[np.object_]:
-    """Return polygons in WGS 84 longitude and latitude, right-hand rings, cut at the antimeridian.
+    """Return polygons in WGS 84 longitude and latitude to 1 cm, right-hand rings, cut at the antimeridian.
 
     Polygons with the same vertices along their common borders keep this property, on either side of the antimeridian.
 
@@ -72,8 +81,6 @@ def polygons_in_wgs84(
         Of a survey with a CRS.
     to_degrees : Transformer
         From `wgs84_transformer`.
-    decimals : int
-        Decimals to round coordinates to; 7 are 1 cm.
 
     Returns
     -------
@@ -87,7 +94,7 @@ def polygons_in_wgs84(
     """
 
     def move(points: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.column_stack(to_degrees.transform(points[:, 0], points[:, 1])).round(decimals)
+        return np.column_stack(to_degrees.transform(points[:, 0], points[:, 1])).round(DEGREE_DECIMALS)
 
     # The points in between are rounded because those of a side in one direction and the other differ in the last bit.
     split = shapely.segmentize(polygons, _SEGMENT)
@@ -95,7 +102,7 @@ def polygons_in_wgs84(
     outlines: NDArray[np.object_] = shapely.transform(placed, move)
     if not np.isfinite(shapely.bounds(outlines)).all():
         raise _outside(placement)
-    return _cut_at_antimeridian(outlines, decimals)
+    return _cut_at_antimeridian(outlines)
 
 
 class BoundingBox:
@@ -129,23 +136,7 @@ def _outside(placement: Placement) -> BadInputError:
     )
 
 
-def _transformer(crs: CRS | None) -> Transformer:
-    if crs is None:
-        raise BadInputError(
-            "the survey has no CRS, so cost.geojson cannot say where on Earth it is. Pass `crs='EPSG:CODE'`, "
-            "or `local=True` to write it in the survey's own coordinates"
-        )
-    try:
-        return Transformer.from_crs(crs, CRS.from_epsg(4326), always_xy=True)
-    except ProjError as error:
-        raise BadInputError(
-            f"the survey's CRS ({crs.name}) has no known relation to longitude and latitude, so cost.geojson cannot "
-            "say where on Earth it is. Pass another with `force_crs='EPSG:CODE'`, or `local=True` to keep its own "
-            "coordinates"
-        ) from error
-
-
-def _cut_at_antimeridian(outlines: NDArray[np.object_], decimals: int) -> NDArray[np.object_]:
+def _cut_at_antimeridian(outlines: NDArray[np.object_]) -> NDArray[np.object_]:
     bounds = shapely.bounds(outlines)
     crossing = bounds[:, 2] - bounds[:, 0] > 180.0
     if not crossing.any():
@@ -157,8 +148,8 @@ def _cut_at_antimeridian(outlines: NDArray[np.object_], decimals: int) -> NDArra
     whole = shapely.transform(outlines[crossing], unwrap)
     west_side = shapely.intersection(whole, shapely.box(0.0, -90.0, 180.0, 90.0))
     east_side = shapely.intersection(whole, shapely.box(180.0, -90.0, 360.0, 90.0))
-    west_side = shapely.transform(west_side, lambda points: points.round(decimals))
-    east_side = shapely.transform(east_side, lambda points: (points - [360.0, 0.0]).round(decimals))
+    west_side = shapely.transform(west_side, lambda points: points.round(DEGREE_DECIMALS))
+    east_side = shapely.transform(east_side, lambda points: (points - [360.0, 0.0]).round(DEGREE_DECIMALS))
     cut = outlines.copy()
     for place, sides in zip(np.flatnonzero(crossing), zip(west_side, east_side, strict=True), strict=True):
         parts = shapely.get_parts(shapely.normalize(np.array(sides)))
@@ -417,7 +408,8 @@ def flatgeobuf_writer(
 
     with atomic(path, (pa.ArrowException,)) as temporary:
         waiting = temporary.with_name(f"{temporary.stem}.arrow")
-        schema, count = _schema(), 0
+        kinds = ((name, pa.type_for_alias(_KINDS.get(name, "float64"))) for name in _PROPERTIES)
+        schema, count = pa.schema([*kinds, (_GEOMETRY, pa.binary())]), 0
         with pa.OSFile(str(waiting), "wb") as file, pa.ipc.new_stream(file, schema) as stream:
 
             def add(regions: Regions) -> None:
@@ -431,13 +423,6 @@ def flatgeobuf_writer(
 
             yield add
         _convert(waiting, count, temporary, placement, about or {})
-
-
-def _schema() -> "pa.Schema":
-    import pyarrow as pa
-
-    kinds = ((name, pa.type_for_alias(_KINDS.get(name, "float64"))) for name in _PROPERTIES)
-    return pa.schema([*kinds, (_GEOMETRY, pa.binary())])
 
 
 def _convert(waiting: Path, regions: int, temporary: Path, placement: Placement, about: Mapping[str, str]) -> None:
