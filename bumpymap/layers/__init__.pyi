@@ -82,7 +82,6 @@ from .manifest import (
 )
 from .map_files import (
     open_layer as open_layer,
-    open_raster as open_raster,
     read_averaged as read_averaged,
     read_colours as read_colours,
     read_features as read_features,

@@ -53,6 +53,8 @@ def layer_metadata(manifest: Mapping[str, Any], place: Georeference) -> dict[str
     """
     survey, calibration, settings = (manifest[name] for name in ("survey", "calibration", "settings"))
     is_papers, dates = settings.get("compat") == "paper", survey["dates"]
+    vertical = None if place.crs is None else vertical_of(place.crs)
+    heights = "none given; heights as in the survey, in metres"
     entries = {
         "survey": survey["name"],
         "survey_checksum": survey["checksum"],
@@ -67,7 +69,7 @@ def layer_metadata(manifest: Mapping[str, Any], place: Georeference) -> dict[str
         # The paper's classes follow from its table of textures and z ranges.
         "class_limits_rad_per_m": None if is_papers else class_limits(manifest),
         "bumpymap_version": software_versions().get("bumpymap"),
-        "vertical_crs": _vertical(place),
+        "vertical_crs": heights if vertical is None else f"{describe_crs(vertical)}; heights in metres",
     }
     return {name: value for name, value in entries.items() if value is not None}
 
@@ -77,13 +79,6 @@ def as_tags(metadata: Mapping[str, Any]) -> dict[str, str]:
     return {
         name: " ".join(map(str, value)) if isinstance(value, list) else str(value) for name, value in metadata.items()
     }
-
-
-def _vertical(place: Georeference) -> str:
-    vertical = None if place.crs is None else vertical_of(place.crs)
-    if vertical is None:
-        return "none given; heights as in the survey, in metres"
-    return f"{describe_crs(vertical)}; heights in metres"
 
 
 _REMEDY = "Choose another `out`, or pass `overwrite=True` to replace it"

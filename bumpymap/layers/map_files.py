@@ -11,7 +11,7 @@ import threading
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +22,6 @@ from bumpymap.core import (
     Guard,
     module_folder,
     open_regular,
-    utf8_path,
 )
 from bumpymap.layers.manifest import MANIFEST_NAME, describe_file
 
@@ -33,22 +32,6 @@ if TYPE_CHECKING:
     from rasterio.io import DatasetReader
 
 _AGAIN = "Map the survey again"
-
-
-@contextmanager
-def open_raster(folder: Path, name: str) -> Iterator[Any]:
-    """Open a raster of a map.
-
-    Raises
-    ------
-    BadInputError
-        It is missing or damaged.
-    """
-    try:
-        with utf8_path(folder) as path, open_layer(path / name) as raster:
-            yield raster
-    except OSError as error:
-        raise BadInputError(f"{folder}/{name} cannot be read: {gdal_text(error)}") from error
 
 
 def read_averaged(
@@ -148,24 +131,23 @@ def _opened(path: Path, remedy: str = _AGAIN) -> "DatasetReader":
     return file
 
 
+_KEPT: dict[str, Any] = {"GDAL_CACHEMAX": 32 << 20}
+"""Decoded blocks that GDAL keeps of all rasters together, bytes."""
+
+
 class KeptRasters:
     """Rasters of one map that stay open from read to read inside `keep`, so that each is opened once.
 
     Threads take turns. Outside of `keep`, a raster is opened for each read. A process that unpickles this starts with
     none open.
-
-    Parameters
-    ----------
-    **options
-        Of GDAL, while a raster is read.
     """
 
-    def __init__(self, **options: Any) -> None:
-        self._options, self._lock, self._keepers = options, threading.RLock(), 0
+    def __init__(self) -> None:
+        self._lock, self._keepers = threading.RLock(), 0
         self._open: dict[Path, DatasetReader] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return partial(KeptRasters, **self._options), ()
+        return KeptRasters, ()
 
     @contextmanager
     def keep(self) -> Iterator[None]:
@@ -183,10 +165,10 @@ class KeptRasters:
     def opened(self, path: Path) -> "Iterator[DatasetReader]":
         """Yield an open raster; for errors see `open_layer`."""
         if not self._keepers:
-            with open_layer(path, **self._options) as file:
+            with open_layer(path, **_KEPT) as file:
                 yield file
             return
-        with self._lock, _reading(path, self._options):
+        with self._lock, _reading(path, _KEPT):
             if path not in self._open:
                 self._open[path] = _opened(path)
             try:

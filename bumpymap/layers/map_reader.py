@@ -61,17 +61,11 @@ _OFF = 1e-3
 _PIECE = 512
 """Side of the pieces that are read at once, raster pixels: roughness.tif keeps 17 bands together, which GDAL decodes
 for one; a piece of all of them fits into its cache."""
-_CACHE = 32 << 20
-"""Decoded blocks that GDAL keeps of all rasters together, bytes."""
 _AGAIN = "Map the survey again"
 _PLANE_PIXELS = 1 << 20
 """Heights that planes are put through at once."""
 _LEAST_SPREAD = 0.05
 """Of the pixels that have a height, of that of a whole tile: they tell a plane if they are not all on one line."""
-
-
-def _kept_rasters() -> KeptRasters:
-    return KeptRasters(GDAL_CACHEMAX=_CACHE)
 
 
 @dataclass(frozen=True)
@@ -91,7 +85,7 @@ class MapReader:
     """How ride and risk became the cost of the layers."""
     vehicle: RouteVehicle
     """The vehicle that the map was made for."""
-    rasters: KeptRasters = field(default_factory=_kept_rasters, repr=False, compare=False)
+    rasters: KeptRasters = field(default_factory=KeptRasters, repr=False, compare=False)
     """Its rasters as they are opened."""
 
     @property
@@ -418,7 +412,7 @@ def open_map(folder: str | os.PathLike[str]) -> MapReader:
         The folder holds no complete run, or one of another version; or a raster is missing, cut off, or does not
         fit to the others.
     """
-    folder, rasters = Path(folder), _kept_rasters()
+    folder, rasters = Path(folder), KeptRasters()
     manifest = read_manifest(folder)
     try:
         require_written(folder, manifest, _rasters(manifest), most=CHECKED_BYTES)

@@ -88,13 +88,8 @@ def describe_crs(crs: CRS | None) -> dict[str, Any]:
     return {"proj:code": None, "proj:wkt2": crs.to_wkt()} if authority is None else {"proj:code": ":".join(authority)}
 
 
-def describe_grid(path: Path) -> dict[str, Any]:
-    """Return the fields of the grid of pixels of a raster: shape, transform and bounds in units of its CRS."""
-    with open_layer(path) as raster:
-        return _grid_of(raster)
-
-
 def _grid_of(raster: "DatasetReader") -> dict[str, Any]:
+    """Return the fields of the grid of pixels of a raster: shape, transform and bounds in units of its CRS."""
     return {
         "proj:shape": list(raster.shape),
         "proj:transform": list(raster.transform)[:6],
@@ -265,7 +260,8 @@ def write_item(folder: Path, record: Mapping[str, Any]) -> None:
     name = valid_text(record["survey"]["name"])
     # What tells surveys of one name apart.
     digits = (record["survey"]["checksum"] or "").rpartition(":")[2][:_DIGITS]
-    grid = describe_grid(folder / MapFile.CLASS)  # one pixel for each tile
+    with open_layer(folder / MapFile.CLASS) as raster:  # one pixel for each tile
+        grid = _grid_of(raster)
     crs = None if record["crs"] is None else stated_crs(record["crs"]["wkt"])
     unit, tile = record["metres_per_unit"]["horizontal"], record["grid"]["tile_size_m"]
     (rows, cols), (_, _, west, _, _, north, *_) = grid["proj:shape"], grid["proj:transform"]
