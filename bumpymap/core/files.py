@@ -383,17 +383,18 @@ def _opened_part(folder: Path, part: Path) -> Iterator[int]:
 
 def _move(temporary: Path, target: Path) -> None:
     side, old_side = (path.with_name(path.name + _SIDECAR) for path in (temporary, target))
-    _sync(temporary)
+    sync_file(temporary)
     old_side.unlink(missing_ok=True)
     os.replace(temporary, target)  # noqa: PTH105 (os.replace says that it overwrites)
     if side.exists():
-        _sync(side)
+        sync_file(side)
         os.replace(side, old_side)  # noqa: PTH105
     if not any(part.startswith(STAGED) for part in target.parts):  # what is staged is moved, and its new folder synced
         _sync_folder(target.parent)
 
 
-def _sync(path: Path) -> None:
+def sync_file(path: Path) -> None:
+    """Flush a file to the disk."""
     with path.open("rb+") as file:
         os.fsync(file.fileno())
 

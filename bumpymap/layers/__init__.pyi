@@ -141,6 +141,16 @@ from .route_lines import (
     write_route_geojson as write_route_geojson,
     write_route_stretches as write_route_stretches,
 )
+from .scan_files import (
+    AccumulatedSurvey as AccumulatedSurvey,
+    SectorTable as SectorTable,
+    frame_files as frame_files,
+    has_files as has_files,
+    open_accumulated as open_accumulated,
+    open_table as open_table,
+    sector_rows as sector_rows,
+    write_frame as write_frame,
+)
 from .scan_folder import (
     ACCUMULATED_NAME as ACCUMULATED_NAME,
     FRAME_FOLDER as FRAME_FOLDER,
@@ -168,18 +178,6 @@ from .scan_folder import (
     save_part as save_part,
     sync_to_disk as sync_to_disk,
     write_scan_manifest as write_scan_manifest,
-)
-from .scan_frame import (
-    frame_files as frame_files,
-    has_files as has_files,
-    write_frame as write_frame,
-)
-from .scan_table import (
-    AccumulatedSurvey as AccumulatedSurvey,
-    SectorTable as SectorTable,
-    open_accumulated as open_accumulated,
-    open_table as open_table,
-    sector_rows as sector_rows,
 )
 from .stac import (
     write_collection as write_collection,

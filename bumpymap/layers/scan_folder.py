@@ -30,6 +30,7 @@ from bumpymap.core import (
     parse_json,
     point_classes,
     remove_path,
+    sync_file,
     write_remedy,
     write_together,
 )
@@ -419,13 +420,8 @@ def output_errors(folder: Path) -> Iterator[None]:
 def sync_to_disk(paths: Iterable[Path]) -> None:
     """Flush files to the disk (fsync), several at a time: the disk then writes them in an order of its own."""
     with ThreadPoolExecutor(_SYNCED_AT_A_TIME) as pool:
-        for _ in pool.map(_sync, paths):
+        for _ in pool.map(sync_file, paths):
             pass
-
-
-def _sync(path: Path) -> None:
-    with path.open("rb+") as file:
-        os.fsync(file.fileno())
 
 
 def _foreign_file(folder: Path, *, unfinished: bool) -> Path | None:
