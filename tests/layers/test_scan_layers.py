@@ -17,8 +17,8 @@ from small_surveys import files_in
 from bumpymap.core import Frame, PolarSettings, point_classes, sector_bounds
 from bumpymap.core.errors import OutputError
 from bumpymap.layers import check_scan_folder, name_frames, open_accumulated, remove_stale_products, scan_files
-from bumpymap.layers.scan_folder import SCAN_CLASS_NAMES, SCAN_COLOURS
 from bumpymap.layers.scan_files import COLUMNS, open_table, sector_rows, write_cloud, write_polygons
+from bumpymap.layers.scan_folder import SCAN_CLASS_NAMES, SCAN_COLOURS
 from bumpymap.scan import classify_filter, polar_sectors
 
 
