@@ -4,7 +4,7 @@ Thinly surveyed tiles are measured from their points too, beyond their pixels; s
 """
 
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ from bumpymap.patches._measure_kernels import (
     measure_tiles,
 )
 from bumpymap.patches._standing_kernels import PAIR_MEASURES, PairSettings, measure_pairs, pair_scratch
-from bumpytiles import TilePoints
+from bumpytiles import Grid, TilePoints
 
 _SCALARS = 9
 
@@ -51,21 +51,7 @@ def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool)
     grid = points.grid
     measured = _points_by_tile(points, ground_only=ground_only)
     count = np.diff(measured.starts)
-    tiles, px, most = len(points.col), grid.pixels, int(count.max(initial=0))
-    maps = [np.empty((tiles, px, px), np.float32) for _ in range(3)]
-    out = TileMeasures(np.empty((tiles, _SCALARS)), maps[0], maps[1], maps[2], np.empty((tiles, px, px), np.int32))
-    thresholds = MeasureSettings(
-        tile_size=grid.tile_size,
-        threshold=settings.ransac_threshold,
-        gap=settings.stray_gap,
-        depth=max(1, round(settings.max_hole / grid.pixel_size)),
-    )
-    measure_tiles(
-        measured,
-        thresholds,
-        out,
-        measure_scratch(most, px, settings.stray_points),
-    )
+    out = _measured(measured, settings, grid, depth=max(1, round(settings.max_hole / grid.pixel_size)))
     scalars, relief_map = out.scalars, out.relief
     reason = _reasons(count, scalars, settings)
     relief_map[reason != Reason.OK] = np.nan
@@ -90,6 +76,25 @@ def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool)
         relief=np.where(reason == Reason.OK, relief, np.nan),
         reason=reason,
     )
+
+
+def _measured(tiles: PointsByTile, settings: FeatureSettings, grid: Grid, depth: int) -> TileMeasures:
+    """Measure tiles; holes of up to ``depth`` pixels are filled."""
+    shape, most = (len(tiles.col), grid.pixels, grid.pixels), int(np.diff(tiles.starts).max(initial=0))
+    heights, variance, relief = (np.empty(shape, np.float32) for _ in range(3))
+    out = TileMeasures(np.empty((shape[0], _SCALARS)), heights, variance, relief, np.empty(shape, np.int32))
+    thresholds = MeasureSettings(grid.tile_size, settings.ransac_threshold, settings.stray_gap, depth)
+    measure_tiles(tiles, thresholds, out, measure_scratch(most, grid.pixels, settings.stray_points))
+    return out
+
+
+def choose_tiles(points: TilePoints, wanted: NDArray[np.bool_]) -> TilePoints:
+    """Return some tiles with their points."""
+    count = np.diff(points.starts)
+    kept = np.repeat(wanted, count)
+    arrays = {name: getattr(points, name)[kept] for name in ("easting", "northing", "upward", "flag")}
+    starts = np.concatenate(([0], np.cumsum(count[wanted])))
+    return replace(points, starts=starts, col=points.col[wanted], row=points.row[wanted], **arrays)
 
 
 def _points_by_tile(points: TilePoints, *, ground_only: bool) -> PointsByTile:
@@ -174,37 +179,6 @@ def measure_thin(
         pairs[patches.count < settings.min_points] = np.nan
     relief_map = np.full((len(points.col), grid.pixels, grid.pixels), np.nan, np.float32)
     if thin.any():
-        relief_map[thin] = _filled(_take(tiles, thin), settings, grid.tile_size, grid.pixels)
+        chosen = _points_by_tile(choose_tiles(points, thin), ground_only=ground_only)
+        relief_map[thin] = _measured(chosen, settings, grid, depth=grid.pixels).relief
     return pairs, relief_map
-
-
-def _take(tiles: PointsByTile, wanted: NDArray[np.bool_]) -> PointsByTile:
-    """Select tiles and their points."""
-    count = np.diff(tiles.starts)
-    kept = np.repeat(wanted, count)
-    starts = np.concatenate(([0], np.cumsum(count[wanted])))
-    return PointsByTile(
-        starts,
-        tiles.easting[kept],
-        tiles.northing[kept],
-        tiles.upward[kept],
-        tiles.col[wanted],
-        tiles.row[wanted],
-    )
-
-
-def _filled(tiles: PointsByTile, settings: FeatureSettings, tile_size: float, pixels: int) -> NDArray[np.float32]:
-    """Return relief maps with holes of any width filled, (n, pixels, pixels) m; NaN where the points span no plane."""
-    shape = (len(tiles.col), pixels, pixels)
-    relief = np.empty(shape, np.float32)
-    out = TileMeasures(
-        np.empty((len(tiles.col), _SCALARS)),
-        np.empty(shape, np.float32),
-        np.empty(shape, np.float32),
-        relief,
-        np.empty(shape, np.int32),
-    )
-    thresholds = MeasureSettings(tile_size, settings.ransac_threshold, settings.stray_gap, depth=pixels)
-    most = int(np.diff(tiles.starts).max())
-    measure_tiles(tiles, thresholds, out, measure_scratch(most, pixels, settings.stray_points))
-    return relief

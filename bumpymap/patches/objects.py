@@ -43,17 +43,11 @@ def find_objects(points: TilePoints, patches: PatchStack, body: VehicleBody) -> 
     tiles, pixels = len(points.col), points.grid.pixels
     state = np.empty((tiles, pixels, pixels), np.uint8)
     scalars = np.empty((tiles, _SCALARS))
-    find_in_tiles(
-        PointsByTile(points.starts, points.easting, points.northing, points.upward, points.col, points.row),
-        ObjectLimits(
-            tile_size=points.grid.tile_size,
-            low=body.lowest_obstacle_m,
-            high=body.height_m,
-            share=_SHARE,
-        ),
-        TileObjects(np.ascontiguousarray(points.flag, np.uint8), patches.heights, patches.spread_count, state, scalars),
-        object_scratch(pixels),
-    )
+    places = PointsByTile(points.starts, points.easting, points.northing, points.upward, points.col, points.row)
+    limits = ObjectLimits(points.grid.tile_size, body.lowest_obstacle_m, body.height_m, _SHARE)
+    kind = np.ascontiguousarray(points.flag, np.uint8)
+    found = TileObjects(kind, patches.heights, patches.spread_count, state, scalars)
+    find_in_tiles(places, limits, found, object_scratch(pixels))
     return ObjectStack(state, *scalars.T.astype(np.float32))
 
 
@@ -81,12 +75,7 @@ def settle_solids(objects: NDArray[np.uint8], grid: Grid, max_hole: float) -> ND
         ``FREE``, ``OBSTACLE``, ``CANOPY``, ``UNSEEN``, and ``UNDECIDED``; in the outer ring of tiles as good as the
         ring tells.
     """
-    out = np.empty_like(objects)
-    solids.settle_solids(
-        np.ascontiguousarray(objects),
-        grid.pixels,
-        max_hole / grid.pixel_size,
-        solids.solid_scratch(*objects.shape),
-        out,
-    )
+    out, hole = np.empty_like(objects), max_hole / grid.pixel_size
+    scratch = solids.solid_scratch(*objects.shape)
+    solids.settle_solids(np.ascontiguousarray(objects), grid.pixels, hole, scratch, out)
     return out
