@@ -7,27 +7,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from bumpymap.check.mounting import (
+from bumpymap.check.inertial import (
     ClockFit,
     DrivenMotion,
+    EvenImu,
     Mounting,
+    even_imu,
     find_mounting,
     fit_clock,
-    level_force,
-    refuse_wrong_unit,
-)
-from bumpymap.check.places import MetrePlaces, near_place, smooth_velocity
-from bumpymap.check.signals import (
-    EvenImu,
-    even_imu,
     heading_of,
+    level_force,
     levelling,
     low_pass,
     pieces,
+    refuse_wrong_unit,
     rolling_mean,
     turned,
     upward_in_sensor,
 )
+from bumpymap.check.places import MetrePlaces, near_place, smooth_velocity
 from bumpymap.check.track import DrivenTrack, TrackStart, fit_track
 from bumpymap.core import BadInputError, DriveLog, WheelTrack
 

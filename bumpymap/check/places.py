@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, gaussian_filter1d, map_coordinates
 
-from bumpymap.check.signals import in_order
 from bumpymap.core import BadInputError, DriveLog, PlaceTrack, describe_crs
 from bumpymap.layers import MapReader
 from bumpytiles import TileWindow
@@ -54,6 +53,13 @@ class Scatter:
     def total_m(self) -> float:
         """Standard deviation along one axis, m."""
         return float(np.hypot(self.white_m, self.wander_m))
+
+
+def in_order(time: Floats, known: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return the rows that are known and have a time, in its order; of equal times the first."""
+    order = np.argsort(time, kind="stable")
+    order = order[np.isfinite(time[order]) & known[order]]
+    return np.asarray(order[np.diff(time[order], prepend=-np.inf) > 0.0])
 
 
 def metre_places(track: PlaceTrack, easting: Floats, northing: Floats, name: str) -> MetrePlaces:

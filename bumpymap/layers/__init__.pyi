@@ -71,8 +71,10 @@ from .lazy_raster import (
 )
 from .manifest import (
     COUNT as COUNT,
+    LITTLE_SEEN as LITTLE_SEEN,
     MANIFEST_NAME as MANIFEST_NAME,
     PLACE_SHAPE as PLACE_SHAPE,
+    MapSummary as MapSummary,
     describe_file as describe_file,
     describe_input as describe_input,
     place_entries as place_entries,
@@ -181,10 +183,6 @@ from .scan_folder import (
 )
 from .stac import (
     write_collection as write_collection,
-)
-from .summary import (
-    LITTLE_SEEN as LITTLE_SEEN,
-    MapSummary as MapSummary,
 )
 from .tile_table import (
     read_tiles as read_tiles,

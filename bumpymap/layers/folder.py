@@ -24,12 +24,19 @@ from bumpymap.core import (
 )
 from bumpymap.layers.colours import class_limits
 from bumpymap.layers.geotiff import shows_photo, write_raster
-from bumpymap.layers.manifest import MANIFEST_NAME, complete_manifest, describe_file, software_versions, write_manifest
+from bumpymap.layers.manifest import (
+    MANIFEST_NAME,
+    MapSummary,
+    complete_manifest,
+    describe_file,
+    software_versions,
+    summarise,
+    write_manifest,
+)
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.products import EVERY_FILE, SOME_NAMES, MapFile
 from bumpymap.layers.regions import dissolve
 from bumpymap.layers.stac import write_item
-from bumpymap.layers.summary import MapSummary, summarise
 from bumpymap.layers.tile_table import write_tiles
 from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojson_writer
 
