@@ -1,7 +1,7 @@
 """Compiled kernel: the points over the ground of tiles in, the state of each pixel out.
 
 A tile is taken by itself: its ground surface (known pixels, a plane and filled holes), the heights of the other points
-above it, and the rules of `bumpymap.patches.objects` for what of that is an obstacle.
+above it, and the rules of `bumpymap.patches.features` for what of that is an obstacle.
 """
 
 import math
