@@ -384,7 +384,6 @@ def decide_ground(ground: Ground, tiles: int, flagged: float) -> bool:
 
     Parameters
     ----------
-    ground : Ground
     tiles : int
         Tiles of the survey that hold points, without those of a part that was never classified.
     flagged : float

@@ -272,7 +272,6 @@ def remove_path(path: Path, folder: int | None = None) -> None:
 
     Parameters
     ----------
-    path : Path
     folder : int, optional
         Descriptor of the folder that ``path`` is relative to.
 
@@ -466,7 +465,6 @@ def write_csv(path: Path, columns: Iterable[str], rows: Iterable[Sequence[Any]],
     ----------
     path : Path
         The file, which appears only when it is complete.
-    columns : iterable of str
     rows : iterable of sequences
         Numbers, and text that is one, stay as they are. Other text is escaped, with an apostrophe before what would be
         a formula. None is an empty cell.
@@ -522,7 +520,6 @@ def write_vertices(vertex: "NDArray[Any]", comments: Sequence[str], stream: Bina
         Each field becomes a property; its type must be one of ``PLY_TYPES``, in any byte order.
     comments : sequence of str
         One line each, ASCII.
-    stream : binary file
     """
     kinds = [(name, vertex.dtype[name].str[1:]) for name in vertex.dtype.names or ()]
     lines = ["ply", "format binary_little_endian 1.0", *(f"comment {text}" for text in comments)]

@@ -174,8 +174,6 @@ def in_threads(
     ----------
     work : callable
         Called by several threads at a time.
-    items : iterable
-    threads : int
     """
     if threads == 1:
         yield (partial(work, item) for item in items)

@@ -179,7 +179,6 @@ def flat_settings(config: Any, without: Collection[str]) -> dict[str, Any]:
 
     Parameters
     ----------
-    config : dataclass, or mapping of its fields
     without : collection of str
         Settings to leave out, because they do not change the results.
     """
@@ -274,7 +273,6 @@ def spec_of_manifest(
 
     Parameters
     ----------
-    record : mapping
     without : collection of str
         Settings to leave out, because they do not change the results.
     made_with : mapping

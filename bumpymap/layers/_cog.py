@@ -93,7 +93,6 @@ def write_value_table(
 
     Parameters
     ----------
-    raster : Path
     names : sequence of str
         Names of the values 0, 1, 2, ...
     colours : mapping

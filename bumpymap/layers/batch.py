@@ -145,7 +145,6 @@ def write_batch_summary(rows: Sequence[SurveyRow], folder: Path, title: str, pag
 
     Parameters
     ----------
-    rows : sequence of SurveyRow
     folder : Path
         An existing folder.
     title : str

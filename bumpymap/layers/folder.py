@@ -106,7 +106,6 @@ def verified_record(
 
     Parameters
     ----------
-    folder : Path
     files : collection of str or None
         Files that must exist; those that the manifest lists are checked in any case. None: no file is checked, since
         the manifest alone is in the folder.

@@ -92,7 +92,6 @@ def open_layer(path: Path, *, remedy: str = _AGAIN, **options: Any) -> "Iterator
 
     Parameters
     ----------
-    path : Path
     remedy : str
         Sentence that ends the message of an error.
     **options
@@ -219,7 +218,6 @@ def read_features(path: Path, columns: Collection[str] | None = None) -> Feature
 
     Parameters
     ----------
-    path : Path
     columns : collection of str, optional
         Names of the columns that are read, where they are there; None: all.
 
@@ -281,10 +279,8 @@ def require_written(
 
     Parameters
     ----------
-    folder : Path
     manifest : mapping
         With ``files``, from `describe_file`.
-    names : iterable of str
     record : str
         File name of the manifest, for messages.
     most : float

@@ -102,7 +102,6 @@ class MapReader:
 
         Parameters
         ----------
-        window : TileWindow
         bands : sequence of str
             Of ``c_r``, ``c_r_low``, ``c_r_high``, ``p_fail`` and ``obstacle``. Arrays of the others are NaN, read-only
             and take no memory.
@@ -294,8 +293,6 @@ class MapReader:
         out : sequence of arrays
             One for each band, (rows * p, cols * p), north row first; p is the number of pixels along a tile in rasters
             of pixels, else 1.
-        name : MapFile
-        window : TileWindow
         bands : sequence of str
             Names of the bands; none: the first.
 

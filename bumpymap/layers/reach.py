@@ -38,7 +38,6 @@ def write_reach(reach: ReachField, path: Path, about: Mapping[str, str] | None =
 
     Parameters
     ----------
-    reach : ReachField
     path : Path
         The file, which appears only when it is complete.
     about : mapping, optional
@@ -72,7 +71,6 @@ def write_isochrones(
 
     Parameters
     ----------
-    reach : ReachField
     levels : sequence of float
         Positive, minutes.
     path : Path

@@ -152,7 +152,6 @@ def trace_labels(
     ----------
     labels : int32 (rows, cols)
         Number of the area of each tile of the window, north row first.
-    window : TileWindow
     rows : slice
         Rows of the window in which the wanted areas lie.
     wanted : range

@@ -351,7 +351,6 @@ def read_areas(
     ----------
     path : path
         GeoJSON, GeoPackage, FlatGeobuf or Shapefile.
-    route_map : MapReader
     allow_outside : bool
         Whether it is no error that an area does not lie on the map.
 
@@ -418,8 +417,6 @@ def tiles_in(areas: NDArray[np.object_], window: TileWindow, grid: Grid) -> NDAr
     ----------
     areas : array (n,) of polygons
         In metres on the grid.
-    window : TileWindow
-    grid : Grid
 
     Returns
     -------

@@ -389,7 +389,6 @@ def write_route_stretches(routes: Sequence[Route], path: Path) -> None:
 
     Parameters
     ----------
-    routes : sequence of Route
     path : Path
         The file, which appears only when it is complete.
 

@@ -67,7 +67,6 @@ def open_accumulated(path: Path, first: NDArray[np.float64], crs: CRS | None) ->
 
     Parameters
     ----------
-    path : Path
     first : (4, 4) float64
         Pose of the first frame, m.
     crs : CRS, optional
@@ -328,9 +327,6 @@ def write_frame(name: str, scan: Scan, classed: ClassedSectors, folder: Path, pr
     ----------
     name : str
         Name of the frame and of its files.
-    scan : Scan
-    classed : ClassedSectors
-    folder : Path
     products : collection of str
         Polygons and cloud; others, such as the picture, are not written here.
     """

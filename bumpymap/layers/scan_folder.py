@@ -195,12 +195,8 @@ def report_frame(
 
     Parameters
     ----------
-    frame : Frame
     version : mapping or None
         ``size`` and ``mtime_ns`` of its file before it was read; not needed for a message.
-    scan : Scan
-    classed : ClassedSectors
-    seconds : float
 
     Raises
     ------
@@ -445,10 +441,8 @@ def write_scan_manifest(
 
     Parameters
     ----------
-    folder : Path
     known : mapping
         The run's own entries: settings, method, skipped frames, seconds. They are kept.
-    frames : iterable of FrameReport
     identities : mapping
         Identity of each input file by its path, see `bumpymap.readers.identity`.
     """

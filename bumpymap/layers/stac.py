@@ -248,7 +248,6 @@ def write_item(folder: Path, record: Mapping[str, Any]) -> None:
 
     Parameters
     ----------
-    folder : Path
     record : mapping
         The content of run.json, which need not be there yet.
 

@@ -45,7 +45,6 @@ def advise(outcome: Outcome, settings: FeatureSettings, *, before_run: bool) -> 
 
     Parameters
     ----------
-    outcome : Outcome
     settings : FeatureSettings
         Limits of the dense rule.
     before_run : bool

@@ -469,7 +469,6 @@ class AlignedInputs:
 
     Parameters
     ----------
-    inputs : SurveyInputs
     options : ReadOptions
         The settings that these were opened with.
     before : FlightLines or None

@@ -58,8 +58,6 @@ def map_surveys(config: MapConfig, progress: Progress | None = None, *, in_batch
 
     Parameters
     ----------
-    config : MapConfig
-    progress : Progress, optional
     in_batch : bool
         The run is one of many. A survey that states another CRS than ``config.crs`` is mapped in its own, with a
         warning, instead of being refused; with ``config.overwrite``, layers of the same inputs and settings are kept;

@@ -181,7 +181,6 @@ def map_tasks(tasks: Sequence[MapTask], jobs: int) -> Generator[TaskEnd, None, N
     ----------
     tasks : sequence of MapTask
         They are begun in this order.
-    jobs : int
 
     Raises
     ------
@@ -231,7 +230,6 @@ class Results:
 
     Parameters
     ----------
-    tasks : sequence of MapTask
     folder : Path
         Gets summary.csv, summary.parquet, collection.json and index.html.
     title : str
@@ -331,7 +329,6 @@ def run_batch(
 
     Parameters
     ----------
-    config : BatchConfig
     report : callable, optional
         Receives the row of each survey when it has ended.
     begin : callable, optional

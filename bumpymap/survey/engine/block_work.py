@@ -43,10 +43,8 @@ class TileSink:
 
     Parameters
     ----------
-    folder : Path
     kind : str
         What was measured, such as ``all`` points, or ``ground-early``: only ground, before reading was complete.
-    columns : sequence of Column
     """
 
     def __init__(self, folder: Path, kind: str, columns: Sequence[Column]) -> None:

@@ -346,8 +346,6 @@ def estimate(infos: Sequence[SurveyInfo], grid: Grid, budget: Budget, tiles: int
     ----------
     infos : sequence of SurveyInfo
         From the headers of its files (at least one).
-    grid : Grid
-    budget : Budget
     tiles : int, optional
         Number of tiles with points, if they were counted.
     """

@@ -247,13 +247,10 @@ class ClusterExecutor:
 
     Parameters
     ----------
-    work : BlockWork
     space : Workspace
         In folders that every worker sees.
     budget : Budget
         Of each worker.
-    progress : Progress
-    workers : Workers
     options : ReadOptions
         The settings that the readers were opened with.
     versions : callable

@@ -162,7 +162,6 @@ class Checkpoints:
 
     Parameters
     ----------
-    space : Workspace
     kinds : sequence of str
         `BlockWork.kinds`: what is measured of blocks that are finished while points are read.
     """
@@ -257,10 +256,8 @@ class ResultCollector:
 
     Parameters
     ----------
-    readers : sequence of SurveyReader
     chunks : sequence of int
         Number of chunks of each file.
-    checkpoints : Checkpoints
     refuse : callable
         Called with the reader of a bad file and the error; raises it, or records that the file is skipped.
     """

@@ -159,7 +159,6 @@ class BlockCompletion:
 
     Parameters
     ----------
-    grid : Grid
     bounds : sequence of Bounds or None
         Bounds of the points of each area, m; None if they are not known.
     """
@@ -316,11 +315,8 @@ class RangeReader:
         The ranges of the task.
     store : TileBuckets
         Receives the points.
-    work : BlockWork
     sinks : mapping of str to TileSink
         For finished tiles, by `BlockWork.kinds`.
-    threads : int
-    progress : Progress
     """
 
     def __init__(

@@ -266,13 +266,10 @@ class Worker:
 
     Parameters
     ----------
-    work : BlockWork
-    budget : Budget
     points : Path
         Folder for packs of waiting points.
     tiles : Path
         Folder for packs of finished tiles.
-    progress : Progress
     """
 
     def __init__(self, work: BlockWork, budget: Budget, points: Path, tiles: Path, progress: Progress) -> None:
@@ -354,15 +351,7 @@ def _by_kind(packs: Sequence[tuple[tuple[Path, ...], ...]]) -> tuple[tuple[Path,
 
 
 class LocalExecutor:
-    """Does every task in this process, file after file; points stay in memory within the budget.
-
-    Parameters
-    ----------
-    work : BlockWork
-    space : Workspace
-    budget : Budget
-    progress : Progress
-    """
+    """Does every task in this process, file after file; points stay in memory within the budget."""
 
     one_group = True
 
