@@ -70,7 +70,10 @@ _LEAST_SPREAD = 0.05
 
 @dataclass(frozen=True)
 class MapReader:
-    """The layers of one map in its folder; from `open_map`."""
+    """The layers of one map in its folder; from `open_map`.
+
+    What reads them raises BadInputError if a file is missing or damaged.
+    """
 
     folder: Path
     manifest: dict[str, Any]
@@ -105,11 +108,6 @@ class MapReader:
         bands : sequence of str
             Of ``c_r``, ``c_r_low``, ``c_r_high``, ``p_fail`` and ``obstacle``. Arrays of the others are NaN, read-only
             and take no memory.
-
-        Raises
-        ------
-        BadInputError
-            A file is missing or damaged.
         """
         found = self.values(window, bands)
         nothing = np.broadcast_to(np.float32(np.nan), (window.rows, window.cols))
@@ -126,11 +124,6 @@ class MapReader:
         dict
             ``barred``, uint8: a `Barred`, or ``NO_TILE``; ``class_id``, uint8: ``NO_CLASS`` where unknown; bands,
             float32, NaN where unknown. Each (rows, cols), north row first.
-
-        Raises
-        ------
-        BadInputError
-            A file is missing or damaged.
         """
         shape = (window.rows, window.cols)
         out: dict[str, NDArray[Any]] = {"barred": np.full(shape, NO_TILE, np.uint8)}
@@ -158,13 +151,7 @@ class MapReader:
         return MapFile.HEADINGS in _rasters(self.manifest)
 
     def headings(self, window: TileWindow) -> NDArray[np.float32]:
-        """Read C_r along each of ``AXES_DEG``, rad/m, float32 (rows, cols, 8); NaN where unknown.
-
-        Raises
-        ------
-        BadInputError
-            The file is missing or damaged, or a value is below 0.
-        """
+        """Read C_r along each of ``AXES_DEG``, rad/m, float32 (rows, cols, 8); NaN where unknown."""
         out = np.full((window.rows, window.cols, len(HEADING_BANDS)), np.nan, np.float32)
         part = common_window(window, self.window)
         if part is not None:
@@ -189,11 +176,6 @@ class MapReader:
         -------
         float32 (rows, cols, 2)
             Rise per metre southwards and eastwards; 0 where too few heights are known for a plane.
-
-        Raises
-        ------
-        BadInputError
-            A file is missing or damaged.
         """
         pixels = self.grid.pixels
         out = np.empty((window.rows, window.cols, 2), np.float32)
@@ -220,11 +202,6 @@ class MapReader:
         -------
         float32 of that shape
             m, north row first; NaN where there is none. The map is placed to the nearest pixel.
-
-        Raises
-        ------
-        BadInputError
-            A file is missing or damaged.
         """
         return self._pixels(MapFile.HEIGHTMAP, window, np.full(shape, np.nan, np.float32))
 
@@ -240,11 +217,6 @@ class MapReader:
         -------
         float32 (rows, cols, 3)
             Red, green and blue, 0 to 255; NaN where there is none.
-
-        Raises
-        ------
-        BadInputError
-            The file is missing or damaged.
         """
         if MapFile.PHOTO not in _rasters(self.manifest):
             return None
@@ -295,11 +267,6 @@ class MapReader:
             of pixels, else 1.
         bands : sequence of str
             Names of the bands; none: the first.
-
-        Raises
-        ------
-        BadInputError
-            The file is missing or damaged.
         """
         top, left, rows, cols = self._place(name, window)
         self._require_whole(name)
@@ -314,7 +281,7 @@ class MapReader:
     def _read_pixels(self, name: MapFile, window: TileWindow, shape: tuple[int, int]) -> NDArray[Any]:
         """Read a window of the map of a raster with several pixels a tile, in ``shape`` pixels.
 
-        With fewer pixels than the file has they come from the overviews: numbers as means. For errors see `_read_into`.
+        With fewer pixels than the file has they come from the overviews: numbers as means.
         """
         top, left, rows, cols = self._place(name, window)
         if shape == (rows, cols) and name != MapFile.PHOTO:

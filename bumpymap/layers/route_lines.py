@@ -2,7 +2,8 @@
 
 Coordinates are in the survey's CRS, and in WGS 84 longitude and latitude where that CRS is known. Elements of GPX stand
 in the order of the schema (http://www.topografix.com/GPX/1/1/gpx.xsd). No time is written: the same routes have the
-same bytes.
+same bytes. Writers take at least one route, all on one grid, and the path of a file that appears only when it is
+complete; they raise OutputError if it cannot be written.
 """
 
 import math
@@ -144,19 +145,7 @@ def write_route_geojson(routes: Sequence[Route], path: Path) -> None:
     Without a CRS the file holds the survey's own coordinates, and a member of the collection says so. A stop that
     several routes share is written once.
 
-    Parameters
-    ----------
-    routes : sequence of Route
-        At least one, all on one grid.
-    path : Path
-        The file, which appears only when it is complete.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    BadInputError
-        A route lies where its CRS has no longitude and latitude.
+    Raises BadInputError: a route lies where its CRS has no longitude and latitude.
     """
     place = route_coordinates(routes)
     lines = [_line(route, place) for route in routes]
@@ -205,19 +194,7 @@ def write_gpx(routes: Sequence[Route], path: Path) -> None:
     A track has the corners of its way and the points of its profile between them. Heights are those of the survey:
     metres, in its vertical datum.
 
-    Parameters
-    ----------
-    routes : sequence of Route
-        At least one, all on one grid.
-    path : Path
-        The file, which appears only when it is complete.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    BadInputError
-        The routes have no longitude and latitude.
+    Raises BadInputError: the routes have no longitude and latitude.
     """
     place = route_coordinates(routes)
     if not place.has_degrees:
@@ -323,20 +300,7 @@ PROFILE_COLUMNS = ("route", *_PROFILE)
 
 
 def write_profile(routes: Sequence[Route], path: Path) -> None:
-    """Write the profiles of routes as CSV (RFC 4180, UTF-8); what is unknown is empty.
-
-    Parameters
-    ----------
-    routes : sequence of Route
-        At least one, all on one grid; the column ``route`` holds their names.
-    path : Path
-        The file, which appears only when it is complete.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    """
+    """Write the profiles of routes as CSV (RFC 4180, UTF-8): their names in the column ``route``; unknown is empty."""
     place = route_coordinates(routes)
     write_csv(path, PROFILE_COLUMNS, (row for route in routes for row in _rows(route, place)))
 
@@ -385,18 +349,7 @@ def stretch_rows(route: Route) -> list[dict[str, Any]]:
 
 
 def write_route_stretches(routes: Sequence[Route], path: Path) -> None:
-    """Write the figures of the stretches of routes as CSV (RFC 4180, UTF-8); what is unknown is empty.
-
-    Parameters
-    ----------
-    path : Path
-        The file, which appears only when it is complete.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    """
+    """Write the figures of the stretches of routes as CSV (RFC 4180, UTF-8); what is unknown is empty."""
     rows = ((route.name, *row.values()) for route in routes for row in stretch_rows(route))
     write_csv(path, STRETCH_COLUMNS, rows)
 

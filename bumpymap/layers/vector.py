@@ -383,26 +383,8 @@ def flatgeobuf_writer(
 ) -> Iterator[Callable[[Regions], None]]:
     """Write cost.fgb: FlatGeobuf with the regions of cost.geojson, in the survey's CRS if it has one.
 
-    FlatGeobuf starts with an index of all features, so regions are first collected in a temporary Arrow file.
-
-    Parameters
-    ----------
-    path : Path
-        The file, which appears when the ``with`` ends without an error.
-    placement : Placement
-        Placement of the map.
-    about : mapping, optional
-        Metadata of the layer, such as vehicle and calibration.
-
-    Yields
-    ------
-    callable
-        Appends `Regions`; call it repeatedly.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    FlatGeobuf starts with an index of all features, so regions are first collected in a temporary Arrow file. ``about``
+    is metadata of the layer, such as vehicle and calibration. For the rest see `geojson_writer`.
     """
     import pyarrow as pa
 
