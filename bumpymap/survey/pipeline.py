@@ -21,7 +21,7 @@ from bumpymap.core import (
     return_memory,
 )
 from bumpymap.layers import check_folder, is_complete
-from bumpymap.patches import close_filter
+from bumpymap.patches import close_filter, require_filter
 from bumpymap.rating import map_rule
 from bumpymap.survey.engine import (
     BlockWork,
@@ -46,7 +46,7 @@ from bumpymap.survey.run_record import (
     versions,
 )
 from bumpymap.survey.second_pass import NeighbourRating, finish_tiles
-from bumpymap.survey.tile_rating import RatingModels, TileRating, require_cloth
+from bumpymap.survey.tile_rating import RatingModels, TileRating
 from bumpytiles import Grid
 
 _COLOURED = 0.1
@@ -152,7 +152,8 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
 
 def _prepare(config: MapConfig, *, crs_must_agree: bool) -> tuple[RatingModels, SurveyInputs, NeighbourRating]:
     """Load the models and open the surveys."""
-    require_cloth(config)
+    if config.ground == "csf":
+        require_filter(config.csf, Grid(config.tile_size, config.pixels))
     models = RatingModels.load(config)
     inputs = SurveyInputs.open(config, crs_must_agree=crs_must_agree)
     return models, inputs, NeighbourRating.of(config, models)

@@ -155,17 +155,7 @@ def _printable(name: str) -> str:
     return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in name)
 
 
-_WITHOUT_EFFECT = {
-    "surveys",
-    "out",
-    "max_unknown",
-    "overwrite",
-    "threads",
-    "memory",
-    "scratch",
-    "scheduler",
-    "page",
-}
+_WITHOUT_EFFECT = {"surveys", "max_unknown"}
 """Settings that do not change the results: a resumed run may use other values."""
 
 

@@ -28,7 +28,6 @@ from bumpymap.patches import (
     mark_ground,
     measure,
     measure_thin,
-    require_filter,
     take_off_standing,
 )
 from bumpymap.rating import (
@@ -45,15 +44,9 @@ from bumpymap.rating import (
     shipped_calibrations,
     thin_columns,
 )
-from bumpytiles import Grid, TilePoints
+from bumpytiles import TilePoints
 
 _log = logging.getLogger(__name__)
-
-
-def require_cloth(config: MapConfig) -> None:
-    """Check that the cloth filter is installed if the settings ask for it."""
-    if config.ground == "csf":
-        require_filter(config.csf, Grid(config.tile_size, config.pixels))
 
 
 # What is part of the package is read once by a process that maps many surveys.
