@@ -10,7 +10,6 @@ import math
 import threading
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -194,18 +193,6 @@ def require_format(path: Path) -> None:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class FeatureTable:
-    """The features of the only layer of geometries that a vector file holds."""
-
-    crs: str | None
-    """As the file states it: code or WKT."""
-    geometry: "NDArray[np.object_]"
-    """(n,) WKB in two dimensions; None for a feature without one."""
-    columns: "dict[str, NDArray[Any]]"
-    """Name -> (n,) values."""
-
-
 _DRIVERS = {".fgb": "FlatGeobuf", ".gpkg": "GPKG", ".shp": "ESRI Shapefile"}
 SECONDS, SECONDS_PER_BYTE = 10.0, 2e-6
 """Limit of the processor time to read a vector file, and for each of its bytes: ten times what real ones need."""
@@ -213,13 +200,24 @@ _MEMORY, _MEMORY_PER_BYTE = 1 << 30, 30
 """Limit of the memory of the process that reads one, likewise."""
 
 
-def read_features(path: Path, columns: Collection[str] | None = None) -> FeatureTable:
-    """Read a FlatGeobuf, GeoPackage or Shapefile by the driver of its format alone.
+def read_features(
+    path: Path, columns: Collection[str] | None = None
+) -> "tuple[str | None, NDArray[np.object_], dict[str, NDArray[Any]]]":
+    """Read the only layer of geometries of a FlatGeobuf, GeoPackage or Shapefile by the driver of its format alone.
 
     Parameters
     ----------
     columns : collection of str, optional
         Names of the columns that are read, where they are there; None: all.
+
+    Returns
+    -------
+    crs : str, optional
+        As the file states it: code or WKT.
+    geometry : array (n,)
+        WKB in two dimensions; None for a feature without one.
+    columns : dict
+        Name -> (n,) values.
 
     Raises
     ------
@@ -235,19 +233,13 @@ def read_features(path: Path, columns: Collection[str] | None = None) -> Feature
     size = sum(part.stat().st_size for part in parts if part.is_file())
     guard = Guard(lambda: _vector_child(_skipped_drivers()), "reads vector files", "pyogrio")
     try:
-        found = guard.call(
-            "read",
-            str(path.absolute()),
-            columns,
-            list(_DRIVERS.values()),
-            seconds=SECONDS + SECONDS_PER_BYTE * size,
-            memory=_MEMORY + _MEMORY_PER_BYTE * size,
-        )
+        limits = {"seconds": SECONDS + SECONDS_PER_BYTE * size, "memory": _MEMORY + _MEMORY_PER_BYTE * size}
+        crs, geometry, values = guard.call("read", str(path.absolute()), columns, list(_DRIVERS.values()), **limits)
     except DecoderError as error:
         raise BadInputError(f"cannot read {path}: {error}. Save it again, as GeoJSON for example") from error
     finally:
         guard.end()
-    return FeatureTable(*found)
+    return crs, geometry, values
 
 
 def _vector_child(skipped: str) -> Child:

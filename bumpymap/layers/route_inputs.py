@@ -194,10 +194,10 @@ def _gpx_points(root: ET.Element, path: str) -> Iterator[tuple[tuple[float, floa
 
 
 def _read_table(path: Path) -> VectorLayer:
-    table = read_features(path, ["name"])
+    crs, geometry, columns = read_features(path, ["name"])
     try:
-        names = table.columns.get("name", [None] * len(table.geometry))
-        return _layer(shapely.from_wkb(table.geometry), names, None if table.crs is None else stated_crs(table.crs))
+        names = columns.get("name", [None] * len(geometry))
+        return _layer(shapely.from_wkb(geometry), names, None if crs is None else stated_crs(crs))
     except (CRSError, ValueError, shapely.errors.GEOSException) as error:
         raise BadInputError(f"cannot read {path}: {str(error).splitlines()[0]}. {_REMEDY}") from error
 

@@ -305,7 +305,8 @@ class Worker:
         while not store.is_empty:
             store.spill()
             store.wait()
-        tiles = _by_kind([*(result.tiles for result in found), early])
+        packs = filter(None, (*(result.tiles for result in found), early))
+        tiles = tuple(tuple(path for paths in alike for path in paths) for alike in zip(*packs, strict=True))
         return replace(ReadResult.merged(found), packs=self._unfinished_packs(), tiles=tiles)
 
     def mark_tiles(self, group: BlockGroup) -> dict[BlockKey, NDArray[np.uint8]]:
@@ -344,10 +345,6 @@ class Worker:
             else:
                 pack.path.unlink()
         return tuple(found)
-
-
-def _by_kind(packs: Sequence[tuple[tuple[Path, ...], ...]]) -> tuple[tuple[Path, ...], ...]:
-    return tuple(tuple(path for paths in alike for path in paths) for alike in zip(*filter(None, packs), strict=True))
 
 
 class LocalExecutor:
