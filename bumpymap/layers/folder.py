@@ -213,7 +213,7 @@ def write_products(
         groups = _layers(table, coordinates, staged, metadata)
         with _written(groups, staged, progress) as written:
             summary = summarise(table, class_limits(manifest))
-            record = complete_manifest(manifest, table, summary, [])
+            record = complete_manifest(manifest, table, summary)
 
             def wait(*names: str) -> None:
                 for name in names or written:

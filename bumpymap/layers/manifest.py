@@ -300,9 +300,8 @@ def complete_manifest(
     manifest: Mapping[str, Any],
     table: CostTable,
     summary: MapSummary,
-    files: Sequence[Mapping[str, Any]],
 ) -> dict[str, Any]:
-    """Add the entries that follow from the map and its files to a run's own entries.
+    """Add the entries that follow from the map to a run's own entries.
 
     Parameters
     ----------
@@ -312,14 +311,12 @@ def complete_manifest(
         The map.
     summary : MapSummary
         Counts and medians of that map.
-    files : sequence of mappings
-        From `describe_file`.
 
     Returns
     -------
     dict
-        Also with ``format``, ``version``, ``versions``, ``crs``, ``grid``, ``cost``, ``counts`` and ``files``; all as
-        plain JSON, as it will be read again.
+        Also with ``format``, ``version``, ``versions``, ``crs``, ``grid``, ``cost``, ``counts`` and ``files``, of
+        which there are none yet; all as plain JSON, as it will be read again.
     """
     record: dict[str, Any] = plain_json(
         {
@@ -351,7 +348,7 @@ def complete_manifest(
                 "median_count": summary.median_count,
                 "objects": {"judged": summary.judged, "layered": summary.layered, "tall": summary.tall},
             },
-            "files": [dict(file) for file in files],
+            "files": [],
         }
     )
     return record

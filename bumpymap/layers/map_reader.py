@@ -391,7 +391,11 @@ def open_map(folder: str | os.PathLike[str]) -> MapReader:
         vehicle = RouteVehicle(own["name"], float(own["width_m"]), float(own["speed_mps"]))
     except (LookupError, TypeError, ValueError, AttributeError, CRSError) as error:
         raise BadInputError(f"{folder / 'run.json'} is damaged: {error!r}. {_AGAIN}") from error
-    window = _common_raster(folder, _rasters(manifest), grid, georeference, rasters)
+    windows = {name: _window_of(folder, name, grid, georeference, rasters) for name in _rasters(manifest)}
+    (first, window), *others = windows.items()
+    for name, own in others:
+        if own != window:
+            raise BadInputError(f"{folder / name} spans other tiles than {folder / first}. {_AGAIN}")
     return MapReader(folder, manifest, grid, window, georeference, rule, vehicle, rasters)
 
 
@@ -432,17 +436,6 @@ def _cut(start: int, stop: int) -> list[slice]:
 
 def _moved(part: slice, by: int) -> slice:
     return slice(part.start - by, part.stop - by)
-
-
-def _common_raster(
-    folder: Path, names: Sequence[MapFile], grid: Grid, georeference: Georeference, rasters: KeptRasters
-) -> TileWindow:
-    """Return the tiles that all rasters of a folder span. Raises BadInputError if they do not agree."""
-    windows = {name: _window_of(folder, name, grid, georeference, rasters) for name in names}
-    for name, window in windows.items():
-        if window != windows[names[0]]:
-            raise BadInputError(f"{folder / name} spans other tiles than {folder / names[0]}. {_AGAIN}")
-    return windows[names[0]]
 
 
 def _window_of(folder: Path, name: MapFile, grid: Grid, georeference: Georeference, rasters: KeptRasters) -> TileWindow:

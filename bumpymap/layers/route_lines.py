@@ -76,7 +76,7 @@ def _road_properties(road: RoadFigures | None) -> dict[str, Any]:
 
 _SEGMENT_M = 96.0
 """Longest straight segment of a line in longitude and latitude, m: its middle is then off by 1.2 mm at most, as for
-the outlines of cost.geojson (see `polygons_in_wgs84`)."""
+the outlines of cost.geojson (see `GeoJsonCoordinates.polygons`)."""
 
 
 def route_coordinates(routes: Sequence[Route]) -> GeoJsonCoordinates:

@@ -66,45 +66,6 @@ def wgs84_transformer(placement: Placement) -> Transformer:
     return transformer
 
 
-def polygons_in_wgs84(
-    polygons: NDArray[np.object_], placement: Placement, to_degrees: Transformer
-) -> NDArray[np.object_]:
-    """Return polygons in WGS 84 longitude and latitude to 1 cm, right-hand rings, cut at the antimeridian.
-
-    Polygons with the same vertices along their common borders keep this property, on either side of the antimeridian.
-
-    Parameters
-    ----------
-    polygons : array (m,) of polygons
-        In grid coordinates (1 = one tile), with sides along the sides of tiles.
-    placement : Placement
-        Of a survey with a CRS.
-    to_degrees : Transformer
-        From `wgs84_transformer`.
-
-    Returns
-    -------
-    array (m,) of polygons
-        A multipolygon for each outline that was cut.
-
-    Raises
-    ------
-    BadInputError
-        A point cannot be transformed to longitude and latitude.
-    """
-
-    def move(points: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.column_stack(to_degrees.transform(points[:, 0], points[:, 1])).round(DEGREE_DECIMALS)
-
-    # The points in between are rounded because those of a side in one direction and the other differ in the last bit.
-    split = shapely.segmentize(polygons, _SEGMENT)
-    placed = shapely.transform(split, lambda points: placement.to_crs(points.round(_GRID_DECIMALS)))
-    outlines: NDArray[np.object_] = shapely.transform(placed, move)
-    if not np.isfinite(shapely.bounds(outlines)).all():
-        raise _outside(placement)
-    return _cut_at_antimeridian(outlines)
-
-
 class BoundingBox:
     """Running bounding box of outlines."""
 
@@ -217,13 +178,35 @@ class GeoJsonCoordinates:
         return {"local_coordinates": _LOCAL, "metres_per_unit": scale, **declared}
 
     def polygons(self, polygons: NDArray[np.object_]) -> NDArray[np.object_]:
-        """Convert polygons (m,) in grid coordinates (1 = one tile) to these; own coordinates are rounded to 1 mm."""
-        if self.to_degrees is not None:
-            return polygons_in_wgs84(polygons, self.placement, self.to_degrees)
-        own: NDArray[np.object_] = shapely.transform(
-            polygons, lambda points: self.placement.to_crs(points).round(_METRE_DECIMALS)
-        )
-        return own
+        """Convert polygons (m,) in grid coordinates (1 = one tile), with sides along the sides of tiles, to these.
+
+        Own coordinates are rounded to 1 mm, degrees to 1 cm; rings in degrees are right-hand and cut at the
+        antimeridian, so that an outline may become a multipolygon. Polygons with the same vertices along their common
+        borders keep this property, on either side of the antimeridian.
+
+        Raises
+        ------
+        BadInputError
+            A point cannot be transformed to longitude and latitude.
+        """
+        place, to_degrees = self.placement, self.to_degrees
+        if to_degrees is None:
+            own: NDArray[np.object_] = shapely.transform(
+                polygons, lambda points: place.to_crs(points).round(_METRE_DECIMALS)
+            )
+            return own
+
+        def move(points: NDArray[np.float64]) -> NDArray[np.float64]:
+            return np.column_stack(to_degrees.transform(points[:, 0], points[:, 1])).round(DEGREE_DECIMALS)
+
+        # The points in between are rounded because those of a side in one direction and the other differ in the last
+        # bit.
+        split = shapely.segmentize(polygons, _SEGMENT)
+        placed = shapely.transform(split, lambda points: place.to_crs(points.round(_GRID_DECIMALS)))
+        outlines: NDArray[np.object_] = shapely.transform(placed, move)
+        if not np.isfinite(shapely.bounds(outlines)).all():
+            raise _outside(place)
+        return _cut_at_antimeridian(outlines)
 
     @property
     def has_degrees(self) -> bool:

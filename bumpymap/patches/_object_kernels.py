@@ -225,16 +225,6 @@ def _clear(scratch: ObjectScratch) -> None:
 
 
 @helper
-def _around(counts: Integers, r: int, c: int) -> int:
-    """Sum of the 3 x 3 pixels around one."""
-    total = 0
-    for row in range(max(0, r - 1), min(counts.shape[0], r + 2)):
-        for column in range(max(0, c - 1), min(counts.shape[1], c + 2)):
-            total += counts[row, column]
-    return total
-
-
-@helper
 def _line_sum(counts: Integers, r: int, c: int, down: int, right: int) -> int:
     """Sum of five pixels in a row around one."""
     total, size = 0, counts.shape[0]
@@ -281,7 +271,7 @@ def _first_states(need: int, reach: int, thin: bool, seen: Integers, state: Byte
         for c in range(size):
             state[r, c] = FREE if seen[r, c] > 0 or scratch.under[r, c] > 0 else EMPTY
             if scratch.body[r, c] > 0:
-                if _around(scratch.company, r, c) >= need:
+                if _box_sum(scratch.company, r, c, 1) >= need:
                     state[r, c] = OBSTACLE
                 elif r == 0 or c == 0 or r == size - 1 or c == size - 1:
                     state[r, c] = UNDECIDED
@@ -303,7 +293,7 @@ def _without_ground(state: Bytes, scalars: Floats, scratch: ObjectScratch) -> No
     for r in range(size):
         for c in range(size):
             # Heights above an unknown ground are NaN, and so all its points count as under.
-            found = scratch.under[r, c] > 0 and _around(scratch.under, r, c) > 1
+            found = scratch.under[r, c] > 0 and _box_sum(scratch.under, r, c, 1) > 1
             state[r, c] = OBSTACLE if found else UNSEEN
             seen += found
     scalars[0] = seen / (size * size) if seen > 0 else np.nan
