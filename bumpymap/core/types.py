@@ -510,12 +510,15 @@ GROUND_SOURCE = Column("ground_source", "|u1")
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """A band of roughness.tif and a column of tiles.parquet."""
+    """A band of a raster; those of roughness.tif are columns of tiles.parquet too."""
 
     name: str
-    unit: str
+    unit: str = ""
     """As GDAL writes units; empty if there is none."""
-    description: str
+    description: str = ""
+    """Written as ``long_name``."""
+    categories: tuple[str, ...] = ()
+    """Names of the values 0, 1, 2, ...; only for the band of a uint8 raster that has one."""
 
 
 BANDS: tuple[Band, ...] = (

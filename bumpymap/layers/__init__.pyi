@@ -96,7 +96,6 @@ from .map_reader import (
     open_map as open_map,
 )
 from .placement import (
-    BandSpec as BandSpec,
     Placement as Placement,
     RasterSpec as RasterSpec,
     RasterWindow as RasterWindow,

@@ -10,12 +10,12 @@ import shapely
 import shapely.geometry
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError
+from bumpymap.core import BadInputError, Band
 from bumpymap.layers._cog import write_array
 from bumpymap.layers._imports import import_notebook
 from bumpymap.layers.map_files import require_written
 from bumpymap.layers.map_reader import MapReader, common_window, open_map
-from bumpymap.layers.placement import BandSpec, Placement, RasterSpec
+from bumpymap.layers.placement import Placement, RasterSpec
 from bumpymap.layers.products import MapFile
 from bumpymap.layers.regions import trace_all
 from bumpymap.layers.vector import GeoJsonCoordinates, feature, write_features
@@ -136,13 +136,13 @@ def _identity(site: MapReader) -> dict[str, Any]:
 
 _CHANGED = "0 not changed, 1 ride as before, 2 rougher, 3 smoother, 4 ride unknown in one survey, 5 ride not decided"
 _BANDS = (
-    BandSpec("d_c_r", "rad/m", "ride cost after minus before"),
-    BandSpec("z_c_r", "", "difference of ln c_r over its combined spread"),
-    BandSpec("d_height", "m", "mean height after minus before, the offset taken off"),
-    BandSpec("d_largest", "m", "height difference farthest from 0 that two neighbouring pixels both reach"),
-    BandSpec("z_height", "", "evidence for another height, over its spread"),
-    BandSpec("z_shape", "", "evidence for another shape, over its spread"),
-    BandSpec("changed", "", _CHANGED),
+    Band("d_c_r", "rad/m", "ride cost after minus before"),
+    Band("z_c_r", "", "difference of ln c_r over its combined spread"),
+    Band("d_height", "m", "mean height after minus before, the offset taken off"),
+    Band("d_largest", "m", "height difference farthest from 0 that two neighbouring pixels both reach"),
+    Band("z_height", "", "evidence for another height, over its spread"),
+    Band("z_shape", "", "evidence for another shape, over its spread"),
+    Band("changed", "", _CHANGED),
 )
 CHANGED_BAND = len(_BANDS)
 """Band of change.tif with the codes, from 1."""

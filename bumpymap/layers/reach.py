@@ -10,10 +10,10 @@ import shapely
 import shapely.geometry
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError
+from bumpymap.core import BadInputError, Band
 from bumpymap.layers._cog import write_array
 from bumpymap.layers._imports import import_notebook
-from bumpymap.layers.placement import BandSpec, Placement, RasterSpec
+from bumpymap.layers.placement import Placement, RasterSpec
 from bumpymap.layers.regions import label, trace_all
 from bumpymap.layers.vector import GeoJsonCoordinates, feature, write_features
 
@@ -49,8 +49,8 @@ def write_reach(reach: ReachField, path: Path, about: Mapping[str, str] | None =
         The file cannot be written.
     """
     bands = [
-        BandSpec("cost", "m", "cost of the cheapest way from the start: its length and the detours it is worth"),
-        BandSpec("minutes", "min", "time along the cheapest way at the speed made good"),
+        Band("cost", "m", "cost of the cheapest way from the start: its length and the detours it is worth"),
+        Band("minutes", "min", "time along the cheapest way at the speed made good"),
     ]
     spec = RasterSpec(
         bands=bands,
