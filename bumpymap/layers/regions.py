@@ -20,7 +20,7 @@ import shapely
 from numpy.typing import NDArray
 from rasterio.transform import Affine
 
-from bumpymap.core import CLASS_NAMES, FAIL_SHARE, NO_CLASS, REASON_TEXT, CostTable, Reason
+from bumpymap.core import NO_CLASS, CostTable
 from bumpymap.layers._cog import raster_lock
 from bumpymap.layers.placement import Placement, RasterWindow
 from bumpytiles import BLOCK_TILES, TileWindow, helper, kernel
@@ -266,32 +266,6 @@ class Regions:
     """(m,) mean over the tiles, 1/m; NaN where not passable, or if the rating has no ``p_fail``."""
     cost: NDArray[np.float64]
     """(m,) factor on distance, mean over the tiles; NaN where not passable."""
-
-    @property
-    def class_name(self) -> NDArray[np.object_]:
-        """(m,) name of the class, or "unknown"."""
-        names = np.array([*CLASS_NAMES, "unknown"], dtype=object)
-        picked: NDArray[np.object_] = names[np.minimum(self.class_id, len(CLASS_NAMES))]
-        return picked
-
-    @property
-    def c_r_basis(self) -> NDArray[np.object_]:
-        """(m,) drives behind ``c_r``: ``drives`` (all), ``survivors`` (``p_fail`` >= ``FAIL_SHARE``), or None."""
-        basis = np.where(self.p_fail >= FAIL_SHARE, "survivors", "drives").astype(object)
-        basis[np.isnan(self.c_r)] = None
-        return basis
-
-    @property
-    def reason_text(self) -> NDArray[np.object_]:
-        """(m,) description of the reason."""
-        names = np.array([REASON_TEXT[code] for code in Reason], dtype=object)
-        picked: NDArray[np.object_] = names[self.reason]
-        return picked
-
-    @property
-    def area_m2(self) -> NDArray[np.float64]:
-        """(m,) area on the grid, m^2."""
-        return np.asarray(self.tiles * self.placement.grid.tile_size**2, dtype=np.float64)
 
 
 def dissolve(table: CostTable, placement: Placement | None = None) -> Iterator[Regions]:

@@ -37,7 +37,7 @@ from bumpymap.layers.scan_folder import (
     class_index,
     point_styles,
 )
-from bumpymap.layers.tile_table import typed_array
+from bumpymap.layers.tile_table import described_field, typed_array
 
 _SCALE_M = 0.001
 _GROUND, _UNCLASSIFIED = 2, 1
@@ -156,15 +156,7 @@ def sector_schema() -> pa.Schema:
     """Return the columns of sectors.parquet, with what describes each."""
     nullable = {"obstacle_height", "clearance", "stripes", "class", "label", "variance", "residual", *RIDE_COLUMNS}
     return pa.schema(
-        [
-            pa.field(
-                name,
-                kind,
-                nullable=name in nullable,
-                metadata={"description": text} | ({"unit": unit} if unit else {}),
-            )
-            for name, kind, unit, text in COLUMNS
-        ]
+        [described_field(name, kind, text, unit, nullable=name in nullable) for name, kind, unit, text in COLUMNS]
     )
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
-from bumpymap.core import NO_CLASS, BadInputError, atomic
+from bumpymap.core import CLASS_NAMES, FAIL_SHARE, NO_CLASS, REASON_TEXT, BadInputError, atomic
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.regions import Regions
 
@@ -424,25 +424,30 @@ def _convert(waiting: Path, regions: int, temporary: Path, placement: Placement,
 
 def _columns(regions: Regions) -> dict[str, list[Any]]:
     """Return the properties of the regions as Python values; None becomes null."""
-    known = regions.class_id != NO_CLASS
+    known, names = regions.class_id != NO_CLASS, (*CLASS_NAMES, "unknown")
+    # The drives behind c_r: all, or those that got through where many fail.
+    basis = np.where(regions.p_fail >= FAIL_SHARE, "survivors", "drives").astype(object)
+    basis[np.isnan(regions.c_r)] = None
     return {
         "region": regions.number.tolist(),
         "class": [int(value) if is_known else None for value, is_known in zip(regions.class_id, known, strict=True)],
-        "class_name": list(regions.class_name),
-        "reason": [None if is_known else text for text, is_known in zip(regions.reason_text, known, strict=True)],
+        "class_name": [names[min(code, len(CLASS_NAMES))] for code in regions.class_id.tolist()],
+        "reason": [
+            None if is_known else REASON_TEXT[code] for code, is_known in zip(regions.reason, known, strict=True)
+        ],
         "passable": regions.passable.tolist(),
         "c_r": _numbers(regions.c_r, 6),
         "c_r_low": _numbers(regions.c_r_low, 6),
         "c_r_high": _numbers(regions.c_r_high, 6),
-        "c_r_basis": list(regions.c_r_basis),
+        "c_r_basis": basis.tolist(),
         "p_fail": _numbers(regions.p_fail, 6),
         "hazard": _numbers(regions.hazard, 9),
         "cost": _numbers(regions.cost, 6),
-        "area_m2": _numbers(regions.area_m2, 3),
+        "area_m2": _numbers(regions.tiles * regions.placement.grid.tile_size**2, 3),
         "tiles": regions.tiles.tolist(),
     }
 
 
-def _numbers(values: NDArray[np.float64], decimals: int) -> list[float | None]:
+def _numbers(values: NDArray[np.floating], decimals: int) -> list[float | None]:
     rounded: list[float] = values.round(decimals).tolist()
     return [value if is_number else None for value, is_number in zip(rounded, np.isfinite(values), strict=True)]
