@@ -123,8 +123,13 @@ def verified_record(
         raise OutputError(unreadable)
     try:
         listed = {str(file["path"]): str(file["sha256"]) for file in record["files"]}
-        if files is not None:
-            _verify(folder, files, listed)
+        for name in sorted({*files, *listed} if files is not None else ()):
+            try:
+                same = describe_file(folder / name)["sha256"] == listed.get(name)
+            except BadInputError as error:
+                raise OutputError(f"{folder} already holds a complete run, but {name} is missing. {_REMEDY}") from error
+            if not same:
+                raise OutputError(f"{folder} already holds a complete run, but {name} has changed since. {_REMEDY}")
         yield record
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise OutputError(unreadable) from error
@@ -138,16 +143,6 @@ def refuse_replacing(folder: Path, differences: Sequence[str]) -> None:
             *(f"  {difference}" for difference in differences),
             _REMEDY,
         )
-
-
-def _verify(folder: Path, files: Collection[str], listed: dict[str, str]) -> None:
-    for name in sorted({*files, *listed}):
-        try:
-            same = describe_file(folder / name)["sha256"] == listed.get(name)
-        except BadInputError as error:
-            raise OutputError(f"{folder} already holds a complete run, but {name} is missing. {_REMEDY}") from error
-        if not same:
-            raise OutputError(f"{folder} already holds a complete run, but {name} has changed since. {_REMEDY}")
 
 
 _log = logging.getLogger(__name__)

@@ -17,7 +17,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, RoadFigures, Route, atomic, write_csv
+from bumpymap.core import BadInputError, Route, atomic, write_csv
 from bumpymap.layers._imports import import_notebook
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.vector import DEGREE_DECIMALS, GeoJsonCoordinates, feature, write_features
@@ -45,12 +45,16 @@ _DECIMALS = {
 
 def route_properties(route: Route) -> dict[str, Any]:
     """Return name, vehicle and figures of a route; a number that is not known is None."""
-    figures = route.figures
+    figures, road = route.figures, route.figures.road
+    # IRI and class are told where the survey's noise lets them be told.
+    resolved = road if road and road.resolution == "resolved" else None
     return {
         "name": route.name,
         "vehicle": route.vehicle.name,
         **{name: _told(float(getattr(figures, name)), decimals) for name, decimals in _DECIMALS.items()},
-        **_road_properties(figures.road),
+        "iri": _told(resolved.iri, 2) if resolved else None,
+        "iso_8608": _told(resolved.iso_class, 0) if resolved else None,
+        "iri_resolution": road.resolution if road else "unknown",
         "p_arrives_note": P_ARRIVES_NOTE,
         "risk_m": _told(route.risk_m, 3),
         "why": route.straight.words if route.straight else "",
@@ -62,16 +66,6 @@ def _told(value: float | str, decimals: int) -> float | str | None:
     if isinstance(value, str):
         return value or None
     return round(value, decimals) if math.isfinite(value) else None
-
-
-def _road_properties(road: RoadFigures | None) -> dict[str, Any]:
-    """Return IRI and class of a whole way where the survey's noise lets them be told, else None."""
-    resolved = road if road and road.resolution == "resolved" else None
-    return {
-        "iri": _told(resolved.iri, 2) if resolved else None,
-        "iso_8608": _told(resolved.iso_class, 0) if resolved else None,
-        "iri_resolution": road.resolution if road else "unknown",
-    }
 
 
 _SEGMENT_M = 96.0

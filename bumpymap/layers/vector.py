@@ -436,18 +436,19 @@ def _columns(regions: Regions) -> dict[str, list[Any]]:
             None if is_known else REASON_TEXT[code] for code, is_known in zip(regions.reason, known, strict=True)
         ],
         "passable": regions.passable.tolist(),
-        "c_r": _numbers(regions.c_r, 6),
-        "c_r_low": _numbers(regions.c_r_low, 6),
-        "c_r_high": _numbers(regions.c_r_high, 6),
+        "c_r": plain_numbers(regions.c_r, 6),
+        "c_r_low": plain_numbers(regions.c_r_low, 6),
+        "c_r_high": plain_numbers(regions.c_r_high, 6),
         "c_r_basis": basis.tolist(),
-        "p_fail": _numbers(regions.p_fail, 6),
-        "hazard": _numbers(regions.hazard, 9),
-        "cost": _numbers(regions.cost, 6),
-        "area_m2": _numbers(regions.tiles * regions.placement.grid.tile_size**2, 3),
+        "p_fail": plain_numbers(regions.p_fail, 6),
+        "hazard": plain_numbers(regions.hazard, 9),
+        "cost": plain_numbers(regions.cost, 6),
+        "area_m2": plain_numbers(regions.tiles * regions.placement.grid.tile_size**2, 3),
         "tiles": regions.tiles.tolist(),
     }
 
 
-def _numbers(values: NDArray[np.floating], decimals: int) -> list[float | None]:
+def plain_numbers(values: NDArray[np.floating], decimals: int) -> list[float | None]:
+    """Round numbers, (n,); what is not finite becomes None, since JSON has no NaN."""
     rounded: list[float] = values.round(decimals).tolist()
     return [value if is_number else None for value, is_number in zip(rounded, np.isfinite(values), strict=True)]
