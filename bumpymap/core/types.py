@@ -233,13 +233,7 @@ class ObjectStack:
     def empty(cls, tiles: int, pixels: int) -> "ObjectStack":
         """Return n tiles where objects are part of the relief: no pixel is known to hold one."""
         unknown = np.full(tiles, np.nan, np.float32)
-        return cls(
-            objects=np.full((tiles, pixels, pixels), FREE, np.uint8),
-            obstacle=unknown,
-            obstacle_height=unknown,
-            clearance=unknown,
-            canopy=unknown,
-        )
+        return cls(np.full((tiles, pixels, pixels), FREE, np.uint8), *[unknown] * 4)
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return the arrays by name, as a run stores them."""

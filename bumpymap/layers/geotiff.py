@@ -135,8 +135,6 @@ class _Layer:
     values: Callable[[_Found, RasterWindow], Sequence[NDArray[Any]] | NDArray[Any]]
     """Returns the values of n tiles, given their columns and the window that they are all of: an array (n,) for each
     band, or the pixels of the only one, (n, pixels, pixels), or of several, (n, pixels, pixels, bands)."""
-    is_fine: bool = False
-    """True if ``values`` returns pixels."""
     has_heights: bool = False
     """True if its CRS has the vertical part."""
     tags: Mapping[str, str] = field(default_factory=dict)
@@ -238,7 +236,6 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
             [Band("height", "m", "mean height of the points in the pixel")],
             ("heights",),
             lambda found, _: found["heights"],
-            is_fine=True,
             has_heights=True,
             options=pixels,
         ),
@@ -247,7 +244,6 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
             [Band("height", "m", "mean height, holes filled from around them; measure on heightmap.tif")],
             (),
             lambda found, window: _filled(table.tiles, window.tiles, found["row"], found["col"]),
-            is_fine=True,
             has_heights=True,
             options={"pixels": _PIXELS, "block": HEIGHT_BLOCK},
         ),
@@ -256,7 +252,6 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
             [Band("obstacle", "", "what stands on the ground", OBJECT_NAMES)],
             ("objects", "obstacle"),
             objects,
-            is_fine=True,
             options=codes | pixels | {"colours": OBJECT_COLOURS, "worst": (OBSTACLE, UNKNOWN_OBJECT, CANOPY, FREE)},
         ),
         MapFile.PHOTO: _Layer(
@@ -264,7 +259,6 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
             [*(Band(name) for name in ("red", "green", "blue")), Band("alpha")],
             (photo_column(table.tiles.grid.pixels).name,),
             lambda found, _: _with_alpha(found["photo"]),
-            is_fine=True,
             options=pixels | {"dtype": "uint8", "nodata": 0, "is_photo": True},
         ),
         MapFile.PASSAGE: _Layer(
@@ -272,7 +266,6 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
             [Band("passage", "", "areas of a tile in which the middle of the vehicle can move; 0 where it cannot be")],
             ("passage",),
             lambda found, _: found["passage"],
-            is_fine=True,
             options=codes | pixels | {"worst": tuple(range(NO_CLASS))},
         ),
     }
@@ -359,7 +352,7 @@ def write_raster(file: MapFile, table: CostTable, path: Path, about: Mapping[str
             return None
         line, column, values = pieces(window)
         lines, columns = window.tiles.rows, window.tiles.cols
-        if layer.is_fine:
+        if pixels > 1:
             canvas = np.full((len(spec.bands), lines, pixels, columns, pixels), spec.nodata, spec.dtype)
             for number, band in enumerate(canvas):
                 band[line, :, column, :] = values[..., number] if values.ndim > 3 else values
@@ -369,7 +362,7 @@ def write_raster(file: MapFile, table: CostTable, path: Path, about: Mapping[str
             band[line, column] = value
         return canvas
 
-    if not layer.is_fine:
+    if pixels == 1:
         write_cog(path, place, spec, paint, TILE_WINDOW)
         return
     side = max(1, _WINDOW_PIXELS // (BLOCK_TILES * pixels)) * BLOCK_TILES

@@ -5,7 +5,7 @@ above it, and the rules of `bumpymap.patches.features` for what of that is an ob
 """
 
 import math
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,21 +113,10 @@ class ObjectScratch(NamedTuple):
 
 def object_scratch(pixels: int) -> ObjectScratch:
     """Make scratch for tiles of so many pixels along a side."""
-    floats = [np.empty((pixels, pixels)) for _ in range(3)]
-    whole = [np.empty((pixels, pixels), np.int32) for _ in range(6)]
-    return ObjectScratch(
-        surface=floats[0],
-        top=floats[1],
-        least=floats[2],
-        body=whole[0],
-        company=whole[1],
-        above=whole[2],
-        under=whole[3],
-        leaves=whole[4],
-        shrubs=whole[5],
-        places=np.empty(pixels * pixels, np.int32),
-        rests=np.empty(pixels * pixels),
-    )
+    maps: list[Any] = [np.empty((pixels, pixels)) for _ in range(3)]
+    maps += [np.empty((pixels, pixels), np.int32) for _ in range(6)]
+    maps += [np.empty(pixels * pixels, np.int32), np.empty(pixels * pixels)]
+    return ObjectScratch(*maps)
 
 
 @helper
