@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.stats import rankdata
 
 from bumpymap.check.measure import COUNTS, LEFT_OUT, DriveMeasure, WayStretch, measure_drive
-from bumpymap.check.places import MetrePlaces, SlopeMap, places_alone, places_on_map, window_around
+from bumpymap.check.places import MetrePlaces, places_alone, places_on_map, read_slopes, window_around
 from bumpymap.check.settings import LEAST_WINDOW_M, CheckConfig
 from bumpymap.check.stretches import (
     MapReading,
@@ -373,7 +373,7 @@ def _measured(
     """Measure one drive, cut it, and read the map along it."""
     slope_at = None
     if site is not None and places is not None:
-        slope_at = SlopeMap.of(site, window_around(site, *_on_map(places, site), _MARGIN_M)).slope_at
+        slope_at = read_slopes(site, window_around(site, *_on_map(places, site), _MARGIN_M))
     drive = measure_drive(log, places, config.band_hz, slope_at)
     if field is not None:
         drive = with_ground(drive, field)

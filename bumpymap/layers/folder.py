@@ -306,6 +306,6 @@ def _write_regions(
         geojson_writer(folder / MapFile.REGIONS, coordinates, metadata) as write_geojson,
         flatgeobuf_writer(folder / MapFile.REGIONS_IN_CRS, placement, as_tags(metadata)) as write_flatgeobuf,
     ):
-        for regions in dissolve(table, placement):
+        for regions in dissolve(table):
             write_geojson(regions)
             write_flatgeobuf(regions)

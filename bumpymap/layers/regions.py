@@ -268,20 +268,13 @@ class Regions:
     """(m,) factor on distance, mean over the tiles; NaN where not passable."""
 
 
-def dissolve(table: CostTable, placement: Placement | None = None) -> Iterator[Regions]:
+def dissolve(table: CostTable) -> Iterator[Regions]:
     """Dissolve tiles that share a side into regions of one class and passability, or of one reason if unknown.
 
     Outlines run along tile sides; vertices are whole numbers of tiles. All of them are a valid coverage: adjacent
     regions have the same vertices along their border. A large map is dissolved in windows of
     `REGION_WINDOW` x `REGION_WINDOW` tiles from its north-west corner: regions are cut at the borders of windows, and
     memory does not depend on the size of the map.
-
-    Parameters
-    ----------
-    table : CostTable
-        The tiles.
-    placement : Placement, optional
-        Placement of the map, if already known.
 
     Yields
     ------
@@ -294,7 +287,7 @@ def dissolve(table: CostTable, placement: Placement | None = None) -> Iterator[R
     BadInputError
         The extent is too large for a raster.
     """
-    place = placement or Placement.of(table)
+    place = Placement.of(table)
     found = 0
     for window in place.windows(REGION_WINDOW, aligned=False):
         if table.tiles.holds(window.tiles):
