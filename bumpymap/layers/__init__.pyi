@@ -127,7 +127,6 @@ from .route_inputs import (
     read_areas as read_areas,
     read_points as read_points,
     tiles_in as tiles_in,
-    tiles_within as tiles_within,
 )
 from .route_lines import (
     PlannedRoute as PlannedRoute,

@@ -410,29 +410,22 @@ def _system(crs: CRS | None, route_map: MapReader) -> str:
     return describe_crs(map_crs.to_2d()) if crs is None else crs.name
 
 
-def tiles_in(areas: NDArray[np.object_], window: TileWindow, grid: Grid) -> NDArray[np.bool_]:
-    """Return which tiles an area touches, be it by a corner; sharing a border is not touching.
+def tiles_in(areas: NDArray[np.object_], window: TileWindow, grid: Grid, *, wholly: bool = False) -> NDArray[np.bool_]:
+    """Return which tiles (rows, cols) an area touches, be it by a corner; sharing a border is not touching.
 
     Parameters
     ----------
     areas : array (n,) of polygons
         In metres on the grid.
-
-    Returns
-    -------
-    bool (rows, cols)
+    wholly : bool
+        Only the tiles that lie wholly in the areas, taken together.
     """
     whole = _local(areas, window, grid)
     inside, rows, cols = _centres_inside(whole, window)
-    inside[rows, cols] = shapely.intersects(whole, _tiles(rows, cols))
-    return inside
-
-
-def tiles_within(areas: NDArray[np.object_], window: TileWindow, grid: Grid) -> NDArray[np.bool_]:
-    """Return which tiles lie wholly in the areas, taken together; for parameters see `tiles_in`."""
-    whole = _local(areas, window, grid)
-    inside, rows, cols = _centres_inside(whole, window)
-    inside[rows, cols] = shapely.covers(whole, _tiles(rows, cols))
+    # Squares of tiles, smaller by what rounding may do.
+    low, high = _ROUNDING, 1.0 - _ROUNDING
+    squares = shapely.box(cols + low, rows + low, cols + high, rows + high)
+    inside[rows, cols] = shapely.covers(whole, squares) if wholly else shapely.intersects(whole, squares)
     return inside
 
 
@@ -469,14 +462,6 @@ def _centres_inside(
     wide[:, :-1] |= near[:, 1:]
     rows, cols = np.nonzero(wide)
     return inside, rows, cols
-
-
-def _tiles(rows: NDArray[np.int64], cols: NDArray[np.int64]) -> NDArray[np.object_]:
-    """Return the squares of tiles, smaller by what rounding may do."""
-    squares: NDArray[np.object_] = shapely.box(
-        cols + _ROUNDING, rows + _ROUNDING, cols + 1.0 - _ROUNDING, rows + 1.0 - _ROUNDING
-    )
-    return squares
 
 
 def _on_grid(path: Path, geometry: NDArray[np.object_], crs: CRS | None, route_map: MapReader) -> NDArray[np.object_]:
