@@ -332,7 +332,7 @@ def geojson_writer(
 
         def add(regions: Regions) -> None:
             nonlocal separator
-            outlines, columns = place.polygons(regions.outlines), _columns(regions)
+            outlines, columns = place.polygons(regions.outlines), region_columns(regions)
             box.add(outlines)
             for number, geometry in enumerate(_geometries(outlines)):
                 properties = {name: values[number] for name, values in columns.items()}
@@ -380,7 +380,7 @@ def flatgeobuf_writer(
             def add(regions: Regions) -> None:
                 nonlocal count
                 count += len(regions.tiles)
-                columns: dict[str, Any] = _columns(regions)
+                columns: dict[str, Any] = region_columns(regions)
                 columns[_GEOMETRY] = shapely.to_wkb(shapely.transform(regions.outlines, placement.to_crs), byte_order=1)
                 stream.write_batch(
                     pa.record_batch([pa.array(columns[field.name], field.type) for field in schema], schema=schema)
@@ -422,7 +422,7 @@ def _convert(waiting: Path, regions: int, temporary: Path, placement: Placement,
             raise OSError(str(error)) from error
 
 
-def _columns(regions: Regions) -> dict[str, list[Any]]:
+def region_columns(regions: Regions) -> dict[str, list[Any]]:
     """Return the properties of the regions as Python values; None becomes null."""
     known, names = regions.class_id != NO_CLASS, (*CLASS_NAMES, "unknown")
     # The drives behind c_r: all, or those that got through where many fail.
