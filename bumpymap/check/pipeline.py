@@ -53,6 +53,7 @@ from bumpymap.layers import (
     Placement,
     check_check_out,
     check_entries,
+    class_limits,
     describe_file,
     open_map,
     place_entries,
@@ -426,14 +427,9 @@ def _compared(done: list[_Done], site: MapReader | None) -> CheckResult:
 
 
 def _ground(site: MapReader) -> CheckedMap:
-    manifest = site.manifest
-    survey = manifest.get("survey", {})
-    limits = manifest.get("calibration", {}).get("class_limits", ())
-    if len(limits) != 3:
-        raise BadInputError(f"{site.folder} does not state its class limits. Map the survey again")
-    first, second, third = map(float, limits)
+    first, second, third = class_limits(site.manifest)
     return CheckedMap(
-        name=str(survey.get("name", site.folder.name)),
+        name=site.manifest["survey"]["name"],
         folder=site.folder,
         vehicle=site.vehicle.name,
         calibration_id=site.calibration_id,
@@ -543,6 +539,5 @@ def _describe_ground(ground: MapReader | None, placement: Placement | None) -> d
     if ground is None:
         return {}
     layers = {"path": str(ground.folder), "run_sha256": describe_file(ground.folder / MANIFEST_NAME)["sha256"]}
-    known = [name for name in ("vehicle", "calibration") if name in ground.manifest]
     place = {} if placement is None else place_entries(placement)
-    return {"layers": [layers], **{name: ground.manifest[name] for name in known}, **place}
+    return {"layers": [layers], **{name: ground.manifest[name] for name in ("vehicle", "calibration")}, **place}
