@@ -299,7 +299,6 @@ def test_what_is_free_on_a_machine_or_in_a_container(monkeypatch, tmp_path, grou
 def test_a_machine_that_says_nothing_has_what_is_installed(monkeypatch, tmp_path):
     system(monkeypatch, tmp_path, "0::/a\n", {})
     (tmp_path / "proc" / "meminfo").write_text("MemTotal: 1 kB\n")
-    installed = free_memory()
-    assert installed is None or installed > 1 << 20
+    assert (installed := free_memory()) is None or installed > 1 << 20
     monkeypatch.setattr("bumpymap.core.memory._PROC", tmp_path / "none")
     assert free_memory() == installed
