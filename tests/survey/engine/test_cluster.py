@@ -29,8 +29,7 @@ from bumpymap.survey.engine.cluster import (
     opened,
     read_ranges,
 )
-from bumpymap.survey.engine.collector import ChunkRange
-from bumpymap.survey.engine.reading import ReadTask
+from bumpymap.survey.engine.reading import ChunkRange, ReadTask
 from bumpytiles import ClusterError, Grid
 
 pytestmark = pytest.mark.slow
