@@ -255,9 +255,8 @@ class Layers:
             The file is missing or damaged.
         """
         with self._file(MapFile.REGIONS_IN_CRS) as path:
-            table, geopandas = read_features(path), import_notebook("geopandas")
-            geometry = geopandas.GeoSeries.from_wkb(table.geometry)
-            return geopandas.GeoDataFrame(table.columns, geometry=geometry, crs=table.crs)
+            (crs, geometry, columns), geopandas = read_features(path), import_notebook("geopandas")
+            return geopandas.GeoDataFrame(columns, geometry=geopandas.GeoSeries.from_wkb(geometry), crs=crs)
 
     def route(self, start: "Point", goal: "Point", **settings: Any) -> "PlannedRoute":
         """Find the cheapest way over these layers; see `bumpymap.find_routes` for parameters and errors.

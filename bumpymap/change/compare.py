@@ -460,9 +460,7 @@ class CommonError:
     @classmethod
     def of(cls, manifest: Mapping[str, Any]) -> "CommonError":
         """Read what run.json says of the calibration."""
-        known = manifest.get("calibration")
-        given = known if isinstance(known, Mapping) else {}
-        found = (given.get(name) for name in ("model_error", "floor_radpm"))
+        found = (manifest["calibration"].get(name) for name in ("model_error", "floor_radpm"))
         return cls(*(float(each) if isinstance(each, int | float) and 0.0 <= each < np.inf else 0.0 for each in found))
 
     def log_sd(self, c_r: Floats) -> Floats:

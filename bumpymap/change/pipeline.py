@@ -49,6 +49,7 @@ from bumpymap.layers import (
     MapFile,
     MapReader,
     OutputFolder,
+    Placement,
     SurveyPair,
     SurveyTiles,
     change_regions,
@@ -342,7 +343,8 @@ def _field(
     site = pair.before
     regions = describe_regions(area, code, values, surveys, site.grid.tile_size)
     bands = {name: array.astype(np.float32) for name, array in (values | {"changed": code}).items()}
-    return ChangeField(site.georeference, site.grid, pair.window, **bands, area=area, regions=regions), dropped
+    place = Placement(site.georeference, site.grid, pair.window)
+    return ChangeField(place, **bands, area=area, regions=regions), dropped
 
 
 def _fit(
@@ -352,12 +354,12 @@ def _fit(
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = after.c_r[shared] / before.c_r[shared]
     known = ratio[np.isfinite(ratio)]
-    versions = [site.manifest.get("versions", {}).get("bumpymap") for site in (pair.before, pair.after)]
+    versions = [site.manifest["versions"].get("bumpymap") for site in (pair.before, pair.after)]
     return {
         "widened": {name: round(factor, 3) for name, factor in decision.widened.items()},
         "median_ratio_c_r": round(float(np.median(known)), 4) if len(known) else None,
         "median_density_m2": [round(float(np.nanmedian(side.density[shared])), 2) for side in surveys],
-        "versions": [None if version is None else str(version) for version in versions],
+        "versions": versions,
     }
 
 

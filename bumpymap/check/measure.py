@@ -1,33 +1,30 @@
 """From the log of a drive to its pitch rate along the way: each step of the measurement in order."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from bumpymap.check.mounting import (
+from bumpymap.check.inertial import (
     ClockFit,
     DrivenMotion,
+    EvenImu,
     Mounting,
+    even_imu,
     find_mounting,
     fit_clock,
-    level_force,
-    refuse_wrong_unit,
-)
-from bumpymap.check.places import MetrePlaces, near_place, smooth_velocity
-from bumpymap.check.signals import (
-    EvenImu,
-    even_imu,
     heading_of,
+    level_force,
     levelling,
     low_pass,
     pieces,
+    refuse_wrong_unit,
     rolling_mean,
     turned,
     upward_in_sensor,
 )
+from bumpymap.check.places import MetrePlaces, SlopeAt, near_place, smooth_velocity
 from bumpymap.check.track import DrivenTrack, TrackStart, fit_track
 from bumpymap.core import BadInputError, DriveLog, WheelTrack
 
@@ -198,9 +195,6 @@ def rate_bias(imu: EvenImu, standing: Mask, upward: Floats) -> Floats:
     mean = np.stack([imu.rate[part].mean(axis=0) for part in stops])
     return np.stack([np.interp(imu.time, middle, mean[:, axis]) for axis in range(3)], axis=1)
 
-
-SlopeAt = Callable[[Floats, Floats, Floats], tuple[Floats, Floats]]
-"""Easting, northing [m] and course [rad] -> rise of the ground ahead and to the left over a metre, NaN if unknown."""
 
 _UNSURE_OFFSET_S = 0.2
 _SURE_OFFSET_S = 0.05

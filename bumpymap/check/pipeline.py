@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.stats import rankdata
 
 from bumpymap.check.measure import COUNTS, LEFT_OUT, DriveMeasure, WayStretch, measure_drive
-from bumpymap.check.places import MetrePlaces, SlopeMap, places_alone, places_on_map, window_around
+from bumpymap.check.places import MetrePlaces, places_alone, places_on_map, read_slopes, window_around
 from bumpymap.check.settings import LEAST_WINDOW_M, CheckConfig
 from bumpymap.check.stretches import (
     MapReading,
@@ -53,6 +53,7 @@ from bumpymap.layers import (
     Placement,
     check_check_out,
     check_entries,
+    class_limits,
     describe_file,
     open_map,
     place_entries,
@@ -373,7 +374,7 @@ def _measured(
     """Measure one drive, cut it, and read the map along it."""
     slope_at = None
     if site is not None and places is not None:
-        slope_at = SlopeMap.of(site, window_around(site, *_on_map(places, site), _MARGIN_M)).slope_at
+        slope_at = read_slopes(site, window_around(site, *_on_map(places, site), _MARGIN_M))
     drive = measure_drive(log, places, config.band_hz, slope_at)
     if field is not None:
         drive = with_ground(drive, field)
@@ -426,14 +427,9 @@ def _compared(done: list[_Done], site: MapReader | None) -> CheckResult:
 
 
 def _ground(site: MapReader) -> CheckedMap:
-    manifest = site.manifest
-    survey = manifest.get("survey", {})
-    limits = manifest.get("calibration", {}).get("class_limits", ())
-    if len(limits) != 3:
-        raise BadInputError(f"{site.folder} does not state its class limits. Map the survey again")
-    first, second, third = map(float, limits)
+    first, second, third = class_limits(site.manifest)
     return CheckedMap(
-        name=str(survey.get("name", site.folder.name)),
+        name=site.manifest["survey"]["name"],
         folder=site.folder,
         vehicle=site.vehicle.name,
         calibration_id=site.calibration_id,
@@ -543,6 +539,5 @@ def _describe_ground(ground: MapReader | None, placement: Placement | None) -> d
     if ground is None:
         return {}
     layers = {"path": str(ground.folder), "run_sha256": describe_file(ground.folder / MANIFEST_NAME)["sha256"]}
-    known = [name for name in ("vehicle", "calibration") if name in ground.manifest]
     place = {} if placement is None else place_entries(placement)
-    return {"layers": [layers], **{name: ground.manifest[name] for name in known}, **place}
+    return {"layers": [layers], **{name: ground.manifest[name] for name in ("vehicle", "calibration")}, **place}

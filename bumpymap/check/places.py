@@ -1,12 +1,12 @@
 """Positions of a drive in metres, how far they scatter, and where they lie on the grid of a map."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, gaussian_filter1d, map_coordinates
 
-from bumpymap.check.signals import in_order
 from bumpymap.core import BadInputError, DriveLog, PlaceTrack, describe_crs
 from bumpymap.layers import MapReader
 from bumpytiles import TileWindow
@@ -54,6 +54,13 @@ class Scatter:
     def total_m(self) -> float:
         """Standard deviation along one axis, m."""
         return float(np.hypot(self.white_m, self.wander_m))
+
+
+def in_order(time: Floats, known: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return the rows that are known and have a time, in its order; of equal times the first."""
+    order = np.argsort(time, kind="stable")
+    order = order[np.isfinite(time[order]) & known[order]]
+    return np.asarray(order[np.diff(time[order], prepend=-np.inf) > 0.0])
 
 
 def metre_places(track: PlaceTrack, easting: Floats, northing: Floats, name: str) -> MetrePlaces:
@@ -224,42 +231,33 @@ _SPREAD_M = 0.6
 _LEAST_KNOWN = 0.5
 
 
-@dataclass(frozen=True, slots=True)
-class SlopeMap:
-    """Rise of the ground eastwards and northwards over a metre, in a window of a map."""
+SlopeAt = Callable[[Floats, Floats, Floats], tuple[Floats, Floats]]
+"""Easting, northing [m on the grid] and course [rad, east 0], (n,) each -> rise of the ground ahead and to the left
+over a metre, (n,) each; NaN where it is not known."""
 
-    west: float
-    north: float
-    pixel_m: float
-    eastward: Floats
-    """(rows, cols), north row first; NaN where unknown."""
-    northward: Floats
 
-    @classmethod
-    def of(cls, site: MapReader, window: TileWindow) -> "SlopeMap":
-        """Read the heights of a window and take their slopes."""
-        size = site.grid.tile_size
-        each = min(_PIXELS, max(_MOST_PIXELS // max(window.rows, window.cols), 1))
-        height = site.relief(window, (window.rows * each, window.cols * each)).astype(np.float64)
-        pixel = size / each
-        known = np.isfinite(height)
-        middle = float(np.median(height[known])) if known.any() else 0.0
-        sigma = _SPREAD_M / pixel
-        weight = gaussian_filter(known.astype(np.float64), sigma)
-        smooth = gaussian_filter(np.where(known, height - middle, 0.0), sigma) / np.maximum(weight, 1e-9)
-        smooth[weight < _LEAST_KNOWN] = np.nan
-        down, across = np.gradient(smooth, pixel) if min(smooth.shape) > 1 else (smooth * np.nan, smooth * np.nan)
-        return cls(window.col * size, (window.row + window.rows) * size, pixel, across, -down)
+def read_slopes(site: MapReader, window: TileWindow) -> SlopeAt:
+    """Read the heights of a window, and take their slopes."""
+    size = site.grid.tile_size
+    each = min(_PIXELS, max(_MOST_PIXELS // max(window.rows, window.cols), 1))
+    height = site.relief(window, (window.rows * each, window.cols * each)).astype(np.float64)
+    pixel = size / each
+    known = np.isfinite(height)
+    middle = float(np.median(height[known])) if known.any() else 0.0
+    sigma = _SPREAD_M / pixel
+    weight = gaussian_filter(known.astype(np.float64), sigma)
+    smooth = gaussian_filter(np.where(known, height - middle, 0.0), sigma) / np.maximum(weight, 1e-9)
+    smooth[weight < _LEAST_KNOWN] = np.nan
+    down, across = np.gradient(smooth, pixel) if min(smooth.shape) > 1 else (smooth * np.nan, smooth * np.nan)
+    west, top = window.col * size, (window.row + window.rows) * size
 
-    def slope_at(self, easting: Floats, northing: Floats, course: Floats) -> tuple[Floats, Floats]:
-        """Return the rise ahead and to the left over a metre, (n,) each; NaN where it is not known.
-
-        ``easting``, ``northing`` (n,): m, on the grid; ``course`` (n,): heading, rad, east 0.
-        """
-        at = np.stack([(self.north - northing) / self.pixel_m - 0.5, (easting - self.west) / self.pixel_m - 0.5])
-        east, north = (map_coordinates(slopes, at, order=1, cval=np.nan) for slopes in (self.eastward, self.northward))
+    def slope_at(easting: Floats, northing: Floats, course: Floats) -> tuple[Floats, Floats]:
+        at = np.stack([(top - northing) / pixel - 0.5, (easting - west) / pixel - 0.5])
+        east, north = (map_coordinates(slopes, at, order=1, cval=np.nan) for slopes in (across, -down))
         cosine, sine = np.cos(course), np.sin(course)
         return east * cosine + north * sine, north * cosine - east * sine
+
+    return slope_at
 
 
 def window_around(site: MapReader, easting: Floats, northing: Floats, margin_m: float) -> TileWindow:

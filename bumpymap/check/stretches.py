@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.check.inertial import pieces
 from bumpymap.check.measure import COUNTS, LEFT_OUT, DriveMeasure, WayStretch
 from bumpymap.check.places import window_around
 from bumpymap.check.settings import LEAST_WINDOW_M
-from bumpymap.check.signals import pieces
 from bumpymap.core import NO_TILE, Barred, TileField
 from bumpymap.layers import NORMAL_80, MapReader
 from bumpymap.rating import less_floor

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
+from bumpymap.check.inertial import EvenImu
 from bumpymap.check.places import MetrePlaces, Scatter, scatter_of
-from bumpymap.check.signals import EvenImu
 from bumpymap.core import WheelTrack
 
 Floats = NDArray[np.float64]

@@ -94,11 +94,6 @@ class Report:
     whole: PointSummaryBuilder | None
     """All files together, if their points were read."""
 
-    @property
-    def grid(self) -> Grid:
-        """Grid of the tiles."""
-        return Grid(self.config.tile_size, self.config.pixels)
-
     def lines(self) -> Iterator[str | Styled | Table]:
         """Yield the report in lines."""
         for file in self.files:
@@ -115,7 +110,7 @@ class Report:
         if forecast is not None:
             threads = count_text(self.budget.threads, "thread")
             yield Styled(f"a run with --memory {self.memory} on {threads}", "bold")
-            yield Table(_run_rows(forecast, self.grid))
+            yield Table(_run_rows(forecast, self.config.grid))
             if why := self._too_large():
                 yield Styled(as_options(why), "yellow", "  too large: ")
 
@@ -150,7 +145,7 @@ class Report:
         if file.dropped is not None and file.summary is None:
             lines.append("no usable points (all are withheld, noise or without return): nothing to map")
         lines += self._unknown(file)
-        grid = self.grid
+        grid = self.config.grid
         if INCLUDED_PIXELS.get(grid.tile_size) != grid.pixels:
             lines.append(
                 f"tiles of {grid.tile_size:g} m with {grid.pixels} pixels need a calibration that drives patches of "
@@ -172,7 +167,7 @@ class Report:
 
     def _unknown(self, file: FileReport) -> list[str]:
         """Return the share of unknown tiles and advice; from a header alone, whether there are enough points."""
-        settings, size = FeatureSettings(), self.grid.tile_size
+        settings, size = FeatureSettings(), self.config.grid.tile_size
         if file.summary is not None and (outcome := self._outcome(file.summary)) is not None:
             advice, lines = advise(outcome, settings, before_run=True), list[str]()
             few = file.summary.double_few if outcome.measured == "points" else file.summary.ground_double_few
@@ -218,14 +213,14 @@ class Report:
 
     def _too_large(self) -> str:
         """Return why one map cannot hold the files; empty if it can, or no bounds are known."""
-        known, size = [file.bounds for file in self.files if file.bounds is not None], self.grid.tile_size
+        known, size = [file.bounds for file in self.files if file.bounds is not None], self.config.grid.tile_size
         if not known:
             return ""
         west, south = (int(min(sides) // size) for sides in ([b.west for b in known], [b.south for b in known]))
         east, north = (int(max(sides) // size) for sides in ([b.east for b in known], [b.north for b in known]))
         window = TileWindow(west, south, east - west + 1, north - south + 1)
         try:
-            check_extent(self.grid, window)
+            check_extent(self.config.grid, window)
         except BadInputError as error:
             return str(error)
         return ""
@@ -273,7 +268,7 @@ class Report:
         if not infos or self._why_not_together():
             return None
         counted = [file.summary.tiles for file in self.files if file.summary is not None]
-        return estimate(infos, self.grid, self.budget, sum(counted) if len(counted) == len(infos) else None)
+        return estimate(infos, self.config.grid, self.budget, sum(counted) if len(counted) == len(infos) else None)
 
     def _record(self, file: FileReport) -> dict[str, Any]:
         """Return everything about one file, for ``--json``."""
@@ -309,7 +304,7 @@ class Report:
             record |= {
                 "points": summary.points,
                 "z_m": [summary.z_min, summary.z_max],
-                "tile_size_m": self.grid.tile_size,
+                "tile_size_m": self.config.grid.tile_size,
                 "tiles": summary.tiles,
                 "points_per_tile": summary.points_per_tile,
                 "ground_points": summary.ground_share,
@@ -364,7 +359,7 @@ class Report:
 
     def _density(self, density: float, summary: PointSummary | None) -> str:
         short = f"{density:.1f}" if density >= 0.1 else f"{density:.1g}"
-        size = self.grid.tile_size
+        size = self.config.grid.tile_size
         if summary is None:
             return f"{short} pts/m2 in the header's extent: {density * size**2:.0f} per {size:g} m tile"
         tiles = count_text(summary.tiles, "tile")

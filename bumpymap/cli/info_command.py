@@ -37,13 +37,12 @@ def command(run: Run, quick: bool) -> None:
     from bumpymap.core import FeatureSettings, memory_bytes
     from bumpymap.readers import PointSummaryBuilder, ReadOptions, find_surveys
     from bumpymap.survey import Budget, with_memory
-    from bumpytiles import Grid
 
     logging.getLogger("bumpymap").setLevel(logging.ERROR)  # warnings of the readers are in the report
     # Checks that the settings are valid for a run.
     config = MapConfig(**{**with_pixels(run.settings), "out": Path()})
     limited = with_memory(config)
-    grid, budget = Grid(config.tile_size, config.pixels), Budget(memory_bytes(limited.memory), config.threads)
+    grid, budget = config.grid, Budget(memory_bytes(limited.memory), config.threads)
     options = ReadOptions(
         config.crs,
         config.z_unit,

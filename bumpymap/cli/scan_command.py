@@ -35,7 +35,7 @@ def _lines(result: "ScanRun", record: Mapping[str, Any], config: ScanConfig) -> 
         f"excluded: {dropped['no_return']:,} returns at (0, 0, 0) or NaN, {dropped['not_finite']:,} not finite, "
         f"{dropped['on_robot']:,} on the robot"
     )
-    heights = [frame.origin_height for frame in result.frames if frame.origin_height is not None]
+    heights = [frame.origin_height_m for frame in result.frames if frame.origin_height_m is not None]
     if heights:
         ends = f"{min(heights):.2f} to {max(heights):.2f} m"
         yield f"origin of the frames: {median(heights):.2f} m above the ground (median; {ends})"

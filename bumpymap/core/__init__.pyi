@@ -93,6 +93,7 @@ from .files import (
     remove_empty_on_error as remove_empty_on_error,
     remove_path as remove_path,
     shape_fault as shape_fault,
+    sync_file as sync_file,
     utf8_path as utf8_path,
     without_keys as without_keys,
     write_csv as write_csv,

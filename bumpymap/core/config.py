@@ -7,10 +7,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.core.settings import NameOrFile, Setting, check_settings
+
+if TYPE_CHECKING:
+    from bumpytiles import Grid
 
 Ground = Literal["auto", "all", "class", "csf"]
 Compat = Literal["none", "paper"]
@@ -233,6 +236,18 @@ class MapConfig:
         if not re.fullmatch(r"[\w.+-]*", self.license, re.ASCII):
             raise UsageError(f"`license` is {self.license!r}; give an SPDX identifier such as CC-BY-4.0, or 'other'")
 
+    @property
+    def grid(self) -> "Grid":
+        """Tiles and their pixels."""
+        from bumpytiles import Grid  # NumPy, which the options of the command line need not wait for
+
+        return Grid(self.tile_size, self.pixels)
+
+    @property
+    def by_ride(self) -> bool:
+        """True if tiles are rated by the ride model: then those with few points are rated from their points."""
+        return self.rating == "ride" and self.compat == "none"
+
     def _check_speeds(self) -> None:
         """Raise UsageError if the speeds are no list of different speeds, or the rating cannot tell them."""
         if (
@@ -246,7 +261,7 @@ class MapConfig:
         given = next(
             (name for name in ("speed", "speeds", "headings") if getattr(self, name) not in (None, False)), None
         )
-        if given and (self.rating != "ride" or self.compat != "none"):
+        if given and not self.by_ride:
             name, value = ("rating", self.rating) if self.compat == "none" else ("compat", self.compat)
             known = "heading" if given == "headings" else "speed"
             raise UsageError(
@@ -384,7 +399,6 @@ def decide_ground(ground: Ground, tiles: int, flagged: float) -> bool:
 
     Parameters
     ----------
-    ground : Ground
     tiles : int
         Tiles of the survey that hold points, without those of a part that was never classified.
     flagged : float

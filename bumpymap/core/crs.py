@@ -48,8 +48,6 @@ def refuse_unprojected(place: Place, crs: CRS, *, from_user: bool) -> None:
 
     Parameters
     ----------
-    place : Place
-    crs : pyproj.CRS
     from_user : bool
         Whether the CRS came from ``--crs``, so that the command that reprojects must name it too.
 
@@ -112,7 +110,6 @@ def reproject_command(path: Path | str, longitude_latitude: tuple[float, float] 
 
     Parameters
     ----------
-    path : Path or str
     longitude_latitude : (float, float) or None
         Location of the file, degrees; None: the user must fill in the UTM zone.
     source : str or None
@@ -283,10 +280,8 @@ def georeference(
 
     Parameters
     ----------
-    place : Place
     statement : CrsStatement
         What the file states.
-    given : GivenCrs
     z_unit : {"m", "ft", "us-ft"} or None
         ``--z-unit``.
 

@@ -74,7 +74,6 @@ def shares_text(
         Size of each part; together they are the whole.
     alone : collection of int
         Parts whose share is shown elsewhere too: they are rounded as `share_text` does.
-    decimals : int
     percent : str
         Follows each number.
 

@@ -272,7 +272,6 @@ def remove_path(path: Path, folder: int | None = None) -> None:
 
     Parameters
     ----------
-    path : Path
     folder : int, optional
         Descriptor of the folder that ``path`` is relative to.
 
@@ -383,17 +382,18 @@ def _opened_part(folder: Path, part: Path) -> Iterator[int]:
 
 def _move(temporary: Path, target: Path) -> None:
     side, old_side = (path.with_name(path.name + _SIDECAR) for path in (temporary, target))
-    _sync(temporary)
+    sync_file(temporary)
     old_side.unlink(missing_ok=True)
     os.replace(temporary, target)  # noqa: PTH105 (os.replace says that it overwrites)
     if side.exists():
-        _sync(side)
+        sync_file(side)
         os.replace(side, old_side)  # noqa: PTH105
     if not any(part.startswith(STAGED) for part in target.parts):  # what is staged is moved, and its new folder synced
         _sync_folder(target.parent)
 
 
-def _sync(path: Path) -> None:
+def sync_file(path: Path) -> None:
+    """Flush a file to the disk."""
     with path.open("rb+") as file:
         os.fsync(file.fileno())
 
@@ -465,7 +465,6 @@ def write_csv(path: Path, columns: Iterable[str], rows: Iterable[Sequence[Any]],
     ----------
     path : Path
         The file, which appears only when it is complete.
-    columns : iterable of str
     rows : iterable of sequences
         Numbers, and text that is one, stay as they are. Other text is escaped, with an apostrophe before what would be
         a formula. None is an empty cell.
@@ -521,7 +520,6 @@ def write_vertices(vertex: "NDArray[Any]", comments: Sequence[str], stream: Bina
         Each field becomes a property; its type must be one of ``PLY_TYPES``, in any byte order.
     comments : sequence of str
         One line each, ASCII.
-    stream : binary file
     """
     kinds = [(name, vertex.dtype[name].str[1:]) for name in vertex.dtype.names or ()]
     lines = ["ply", "format binary_little_endian 1.0", *(f"comment {text}" for text in comments)]

@@ -23,6 +23,7 @@ _LEAST_AUTO, _MOST_AUTO = 512 << 20, 8 << 30
 _UNITS = {"": 1, "b": 1, "kb": 1 << 10, "mb": 1 << 20, "gb": 1 << 30, "tb": 1 << 40}
 
 _PROC, _CGROUPS = Path("/proc"), Path("/sys/fs/cgroup")
+"""Where Linux shows processes, and control groups."""
 _V1 = ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file")
 _V2 = ("memory.max", "memory.current", "inactive_file")
 """Files of a control group with its limit and its use, bytes, and the entry of ``memory.stat`` with the part of the use
@@ -67,14 +68,14 @@ def is_auto(text: str) -> bool:
     return text.strip().lower() == _AUTO
 
 
-def auto_memory(processes: int = 1, otherwise: int = 1 << 30) -> int:
+def auto_memory(processes: int = 1) -> int:
     """Return the limit that ``auto`` means at this moment, for each of some processes, bytes.
 
-    It is a quarter of the free memory, divided by the processes, at least 512 MB and at most 8 GB; ``otherwise`` if the
-    system does not say what is free.
+    It is a quarter of the free memory, divided by the processes, at least 512 MB and at most 8 GB; 1 GB if the system
+    does not say what is free.
     """
     free = free_memory()
-    return otherwise if free is None else min(max(int(_FREE_SHARE * free / processes), _LEAST_AUTO), _MOST_AUTO)
+    return 1 << 30 if free is None else min(max(int(_FREE_SHARE * free / processes), _LEAST_AUTO), _MOST_AUTO)
 
 
 def memory_limit(text: str) -> int:
@@ -82,20 +83,15 @@ def memory_limit(text: str) -> int:
     return auto_memory() if is_auto(text) else memory_bytes(text)
 
 
-def free_memory(proc: Path = _PROC, cgroups: Path = _CGROUPS) -> int | None:
+def free_memory() -> int | None:
     """Return the bytes that this process may still use; None if the system does not say.
 
     This is the least of what Linux calls available, of what is left in each control group of the process, and of what
     its own limits (``ulimit``) leave it. Systems without ``/proc/meminfo`` give their installed memory.
-
-    Parameters
-    ----------
-    proc, cgroups : Path
-        Where Linux shows processes, and control groups.
     """
-    found = [*_left_in_groups(proc, cgroups), *_left_in_limits(proc)]
+    found = [*_left_in_groups(), *_left_in_limits()]
     with suppress(OSError, ValueError, KeyError):
-        found.append(_numbers(proc / "meminfo")["MemAvailable:"] * 1024)
+        found.append(_numbers(_PROC / "meminfo")["MemAvailable:"] * 1024)
     if found:
         return max(min(found), 0)
     with suppress(AttributeError, ValueError, OSError):
@@ -103,18 +99,18 @@ def free_memory(proc: Path = _PROC, cgroups: Path = _CGROUPS) -> int | None:
     return None
 
 
-def _left_in_limits(proc: Path) -> Iterator[int]:
+def _left_in_limits() -> Iterator[int]:
     """Yield the bytes that are left of each limit of this process alone."""
     with suppress(OSError, ValueError, KeyError):
         for limit, use in ((resource.RLIMIT_AS, "VmSize:"), (resource.RLIMIT_DATA, "VmData:")):
             most = resource.getrlimit(limit)[0]
             if most != resource.RLIM_INFINITY:
-                yield most - _numbers(proc / "self" / "status")[use] * 1024
+                yield most - _numbers(_PROC / "self" / "status")[use] * 1024
 
 
-def _left_in_groups(proc: Path, cgroups: Path) -> Iterator[int]:
+def _left_in_groups() -> Iterator[int]:
     """Yield the bytes that are left in each control group of this process that has a limit."""
-    for folder, names in _groups(proc, cgroups):
+    for folder, names in _groups():
         limit, use, files = names
         with suppress(OSError, ValueError):  # no such file, or the limit is "max"
             most = int((folder / limit).read_text("ascii"))
@@ -125,22 +121,22 @@ def _left_in_groups(proc: Path, cgroups: Path) -> Iterator[int]:
             yield most - max(used - reclaimable, 0)
 
 
-def _groups(proc: Path, cgroups: Path) -> Iterator[tuple[Path, tuple[str, str, str]]]:
+def _groups() -> Iterator[tuple[Path, tuple[str, str, str]]]:
     """Yield the folders of the control groups, from that of this process up to the root, and the names of their files.
 
     In a container the folder of the process may not exist, because the path is that on the host; the limits of the
     container are then in the root.
     """
     try:
-        lines = (proc / "self" / "cgroup").read_text("utf-8").splitlines()
+        lines = (_PROC / "self" / "cgroup").read_text("utf-8").splitlines()
     except (OSError, ValueError):
         return
     for line in lines:
         number, controllers, path = line.split(":", 2)
         if "memory" in controllers.split(","):
-            roots, names = [cgroups / "memory"], _V1
+            roots, names = [_CGROUPS / "memory"], _V1
         elif number == "0":
-            roots, names = [cgroups, cgroups / "unified"], _V2
+            roots, names = [_CGROUPS, _CGROUPS / "unified"], _V2
         else:
             continue
         inner = Path(path.lstrip("/"))
@@ -174,8 +170,6 @@ def in_threads(
     ----------
     work : callable
         Called by several threads at a time.
-    items : iterable
-    threads : int
     """
     if threads == 1:
         yield (partial(work, item) for item in items)

@@ -60,7 +60,6 @@ def read_network(path: Path, kind: str, remedy: str) -> bytes:
 
     Parameters
     ----------
-    path : Path
     kind : str
         Kind of network, for messages: ``texture network``.
     remedy : str

@@ -179,15 +179,14 @@ def flat_settings(config: Any, without: Collection[str]) -> dict[str, Any]:
 
     Parameters
     ----------
-    config : dataclass, or mapping of its fields
     without : collection of str
-        Settings to leave out, because they do not change the results.
+        Settings to leave out, because they do not change the results, beside those of the machine.
     """
     found = config if isinstance(config, Mapping) else asdict(config)
     return {
         name: value
         for key, item in found.items()
-        if key not in without
+        if key not in without and key not in _OF_THE_MACHINE
         for name, value in (
             ((f"{key}.{inner}", plain_json(own)) for inner, own in item.items())
             if isinstance(item, Mapping)
@@ -274,7 +273,6 @@ def spec_of_manifest(
 
     Parameters
     ----------
-    record : mapping
     without : collection of str
         Settings to leave out, because they do not change the results.
     made_with : mapping

@@ -40,7 +40,6 @@ def read_toml(path: Path, what: str, error: type[BumpymapError]) -> dict[str, An
 
     Parameters
     ----------
-    path : Path
     what : str
         What the file contains, for messages, such as ``settings``.
     error : exception type

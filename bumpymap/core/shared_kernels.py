@@ -72,7 +72,6 @@ def best_candidate(
         Points to score on; the first ``min(n, room)`` are there.
     threshold : float
         Distance of an inlier, m.
-    seed : uint64
     most : int
         Candidates at most.
     unit : bool

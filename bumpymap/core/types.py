@@ -233,13 +233,7 @@ class ObjectStack:
     def empty(cls, tiles: int, pixels: int) -> "ObjectStack":
         """Return n tiles where objects are part of the relief: no pixel is known to hold one."""
         unknown = np.full(tiles, np.nan, np.float32)
-        return cls(
-            objects=np.full((tiles, pixels, pixels), FREE, np.uint8),
-            obstacle=unknown,
-            obstacle_height=unknown,
-            clearance=unknown,
-            canopy=unknown,
-        )
+        return cls(np.full((tiles, pixels, pixels), FREE, np.uint8), *[unknown] * 4)
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return the arrays by name, as a run stores them."""
@@ -510,12 +504,15 @@ GROUND_SOURCE = Column("ground_source", "|u1")
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """A band of roughness.tif and a column of tiles.parquet."""
+    """A band of a raster; those of roughness.tif are columns of tiles.parquet too."""
 
     name: str
-    unit: str
+    unit: str = ""
     """As GDAL writes units; empty if there is none."""
-    description: str
+    description: str = ""
+    """Written as ``long_name``."""
+    categories: tuple[str, ...] = ()
+    """Names of the values 0, 1, 2, ...; only for the band of a uint8 raster that has one."""
 
 
 BANDS: tuple[Band, ...] = (

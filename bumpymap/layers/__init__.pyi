@@ -71,8 +71,10 @@ from .lazy_raster import (
 )
 from .manifest import (
     COUNT as COUNT,
+    LITTLE_SEEN as LITTLE_SEEN,
     MANIFEST_NAME as MANIFEST_NAME,
     PLACE_SHAPE as PLACE_SHAPE,
+    MapSummary as MapSummary,
     describe_file as describe_file,
     describe_input as describe_input,
     place_entries as place_entries,
@@ -82,7 +84,6 @@ from .manifest import (
 )
 from .map_files import (
     open_layer as open_layer,
-    open_raster as open_raster,
     read_averaged as read_averaged,
     read_colours as read_colours,
     read_features as read_features,
@@ -95,7 +96,6 @@ from .map_reader import (
     open_map as open_map,
 )
 from .placement import (
-    BandSpec as BandSpec,
     Placement as Placement,
     RasterSpec as RasterSpec,
     RasterWindow as RasterWindow,
@@ -127,7 +127,6 @@ from .route_inputs import (
     read_areas as read_areas,
     read_points as read_points,
     tiles_in as tiles_in,
-    tiles_within as tiles_within,
 )
 from .route_lines import (
     PlannedRoute as PlannedRoute,
@@ -141,6 +140,16 @@ from .route_lines import (
     write_profile as write_profile,
     write_route_geojson as write_route_geojson,
     write_route_stretches as write_route_stretches,
+)
+from .scan_files import (
+    AccumulatedSurvey as AccumulatedSurvey,
+    SectorTable as SectorTable,
+    frame_files as frame_files,
+    has_files as has_files,
+    open_accumulated as open_accumulated,
+    open_table as open_table,
+    sector_rows as sector_rows,
+    write_frame as write_frame,
 )
 from .scan_folder import (
     ACCUMULATED_NAME as ACCUMULATED_NAME,
@@ -170,24 +179,8 @@ from .scan_folder import (
     sync_to_disk as sync_to_disk,
     write_scan_manifest as write_scan_manifest,
 )
-from .scan_frame import (
-    frame_files as frame_files,
-    has_files as has_files,
-    write_frame as write_frame,
-)
-from .scan_table import (
-    AccumulatedSurvey as AccumulatedSurvey,
-    SectorTable as SectorTable,
-    open_accumulated as open_accumulated,
-    open_table as open_table,
-    sector_rows as sector_rows,
-)
 from .stac import (
     write_collection as write_collection,
-)
-from .summary import (
-    LITTLE_SEEN as LITTLE_SEEN,
-    MapSummary as MapSummary,
 )
 from .tile_table import (
     read_tiles as read_tiles,

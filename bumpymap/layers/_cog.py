@@ -86,11 +86,6 @@ _LARGEST_INTEGER = 2**31 - 1
 """GDAL's integer columns have 32 bits; larger counts are real numbers, exact up to 2**53."""
 
 
-def count_values(pixels: NDArray[np.generic]) -> NDArray[np.int64]:
-    """Return the number of pixels (256,) that have each value; ``pixels`` are uint8 in any shape."""
-    return np.bincount(pixels.ravel(), minlength=256)
-
-
 def write_value_table(
     raster: Path, names: Sequence[str], colours: Mapping[int, tuple[int, int, int, int]], counts: NDArray[np.int64]
 ) -> None:
@@ -98,7 +93,6 @@ def write_value_table(
 
     Parameters
     ----------
-    raster : Path
     names : sequence of str
         Names of the values 0, 1, 2, ...
     colours : mapping
@@ -280,9 +274,9 @@ def _exact(canvas: NDArray[np.generic], spec: RasterSpec) -> NDArray[np.generic]
 
 
 def _count(pixels: NDArray[np.generic], spec: RasterSpec, counts: NDArray[np.int64]) -> None:
-    """Add pixels that were painted to the counts of each value, if the values have names."""
+    """Add pixels (uint8, any shape) that were painted to the counts (256,) of each value, if the values have names."""
     if any(band.categories for band in spec.bands):
-        counts += count_values(pixels)
+        counts += np.bincount(pixels.ravel(), minlength=256)
 
 
 def _copy_side_file(layer: str, temporary: Path) -> None:

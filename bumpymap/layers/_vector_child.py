@@ -41,7 +41,6 @@ def read(
 
     Parameters
     ----------
-    path : str
     columns : collection of str, optional
         Names of those that are read, where they are there; None: all.
     drivers : collection of str

@@ -20,7 +20,7 @@ from bumpymap.core import (
     write_together,
 )
 from bumpymap.layers.manifest import read_manifest
-from bumpymap.layers.map_files import open_raster
+from bumpymap.layers.map_files import open_layer
 from bumpymap.layers.products import COLLECTION_NAME, MapFile, require_folder
 from bumpymap.layers.stac import write_collection
 
@@ -78,10 +78,10 @@ def map_facts(folder: Path) -> dict[str, Any]:
     """
     manifest = read_manifest(folder)
     try:
-        with open_raster(folder, MapFile.CLASS) as raster:
+        with utf8_path(folder) as path, open_layer(path / MapFile.CLASS) as raster:
             bounds = dict(zip(("min_x", "min_y", "max_x", "max_y"), map(float, raster.bounds), strict=True))
         return {**_counted(manifest), **_described(manifest), **bounds}
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
+    except (OSError, KeyError, TypeError, AttributeError, ValueError) as error:
         raise BadInputError(f"the run.json in {folder} cannot be read as that of a map: {error!r}") from error
 
 
@@ -145,7 +145,6 @@ def write_batch_summary(rows: Sequence[SurveyRow], folder: Path, title: str, pag
 
     Parameters
     ----------
-    rows : sequence of SurveyRow
     folder : Path
         An existing folder.
     title : str

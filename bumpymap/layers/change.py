@@ -10,16 +10,16 @@ import shapely
 import shapely.geometry
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, Georeference
+from bumpymap.core import BadInputError, Band
 from bumpymap.layers._cog import write_array
 from bumpymap.layers._imports import import_notebook
 from bumpymap.layers.map_files import require_written
 from bumpymap.layers.map_reader import MapReader, common_window, open_map
-from bumpymap.layers.placement import BandSpec, Placement, RasterSpec, check_extent
+from bumpymap.layers.placement import Placement, RasterSpec
 from bumpymap.layers.products import MapFile
 from bumpymap.layers.regions import trace_all
 from bumpymap.layers.vector import GeoJsonCoordinates, feature, write_features
-from bumpytiles import Grid, TileWindow
+from bumpytiles import TileWindow
 
 if TYPE_CHECKING:
     import geopandas
@@ -136,13 +136,13 @@ def _identity(site: MapReader) -> dict[str, Any]:
 
 _CHANGED = "0 not changed, 1 ride as before, 2 rougher, 3 smoother, 4 ride unknown in one survey, 5 ride not decided"
 _BANDS = (
-    BandSpec("d_c_r", "rad/m", "ride cost after minus before"),
-    BandSpec("z_c_r", "", "difference of ln c_r over its combined spread"),
-    BandSpec("d_height", "m", "mean height after minus before, the offset taken off"),
-    BandSpec("d_largest", "m", "height difference farthest from 0 that two neighbouring pixels both reach"),
-    BandSpec("z_height", "", "evidence for another height, over its spread"),
-    BandSpec("z_shape", "", "evidence for another shape, over its spread"),
-    BandSpec("changed", "", _CHANGED),
+    Band("d_c_r", "rad/m", "ride cost after minus before"),
+    Band("z_c_r", "", "difference of ln c_r over its combined spread"),
+    Band("d_height", "m", "mean height after minus before, the offset taken off"),
+    Band("d_largest", "m", "height difference farthest from 0 that two neighbouring pixels both reach"),
+    Band("z_height", "", "evidence for another height, over its spread"),
+    Band("z_shape", "", "evidence for another shape, over its spread"),
+    Band("changed", "", _CHANGED),
 )
 CHANGED_BAND = len(_BANDS)
 """Band of change.tif with the codes, from 1."""
@@ -152,9 +152,8 @@ CHANGED_BAND = len(_BANDS)
 class ChangeField:
     """Changes in the tiles of a window. Arrays are (rows, cols), north row first; NaN where not compared."""
 
-    georeference: Georeference
-    grid: Grid
-    window: TileWindow
+    placement: Placement
+    """The raster that the window spans."""
     d_c_r: NDArray[np.float32]
     """Ride cost after minus before, rad/m."""
     z_c_r: NDArray[np.float32]
@@ -172,12 +171,6 @@ class ChangeField:
     regions: tuple[Mapping[str, Any], ...]
     """(m,) properties of each."""
 
-    @property
-    def placement(self) -> Placement:
-        """The raster that the window spans. Raises BadInputError if it is too large for one."""
-        check_extent(self.grid, self.window)
-        return Placement(self.georeference, self.grid, self.window)
-
 
 def change_regions(field: ChangeField, names: Sequence[str]) -> "geopandas.GeoDataFrame":
     """Return the connected changes as a table: outlines in the survey's CRS, and the properties ``names`` of each.
@@ -189,14 +182,14 @@ def change_regions(field: ChangeField, names: Sequence[str]) -> "geopandas.GeoDa
     """
     geopandas = import_notebook("geopandas")
     place, count = field.placement, len(field.regions)
-    outlines = [shapely.transform(one, place.to_crs) for one in trace_all(field.area, field.window, count)]
+    outlines = [shapely.transform(one, place.to_crs) for one in trace_all(field.area, place.window, count)]
     columns = {name: [about[name] for about in field.regions] for name in names}
     index = import_notebook("pandas").RangeIndex(1, count + 1, name="id")
     return geopandas.GeoDataFrame(columns, geometry=outlines, crs=place.horizontal_crs, index=index)
 
 
 def write_change_raster(field: ChangeField, path: Path) -> None:
-    """Write change.tif. Raises BadInputError if the window is too large for a raster, OutputError if it fails."""
+    """Write change.tif. Raises OutputError if it cannot be written."""
     layers = np.stack([getattr(field, band.name) for band in _BANDS]).astype(np.float32, copy=False)
     spec = RasterSpec(
         bands=_BANDS,
@@ -210,6 +203,6 @@ def write_change_raster(field: ChangeField, path: Path) -> None:
 def write_change_regions(field: ChangeField, path: Path) -> None:
     """Write change.geojson: RFC 7946 in WGS 84, or the survey's own coordinates without a CRS; one change a feature."""
     place = GeoJsonCoordinates.of(field.placement, local=True)
-    polygons = place.polygons(trace_all(field.area, field.window, len(field.regions)))
+    polygons = place.polygons(trace_all(field.area, field.placement.window, len(field.regions)))
     features = [feature(*each) for each in zip(field.regions, polygons, range(1, len(polygons) + 1), strict=True)]
     write_features(path, "change", place, features)

@@ -1,10 +1,10 @@
 """The files of a check, and what it found as plain JSON. Nothing here needs GDAL, which is slow to import."""
 
-from dataclasses import fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from bumpymap.core import CLASS_NAMES, NO_CLASS, CheckResult, UsageError, plain_json
+from bumpymap.core import CLASS_NAMES, NO_CLASS, CheckResult, DrivenStretches, UsageError, plain_json
 from bumpymap.layers.products import OTHER_FILES, MapFile, OutputFolder
 
 CHECK_MANIFEST_NAME = "check.json"
@@ -43,10 +43,10 @@ def check_entries(result: CheckResult) -> dict[str, Any]:
         "skipped": result.skipped,
         "agreement": result.agreement,
         "by_class": [
-            {"class": code, "name": CLASS_NAMES[code]} | _entries(agreement)
+            {"class": code, "name": CLASS_NAMES[code]} | asdict(agreement)
             for code, agreement in sorted(result.by_class.items())
         ],
-        "drives": [_entries(drive) for drive in result.drives],
+        "drives": result.drives,
         "stretches": _columns(result.stretches),
         "line": None,
     }
@@ -60,13 +60,9 @@ def check_entries(result: CheckResult) -> dict[str, Any]:
     return record
 
 
-def _entries(record: Any) -> dict[str, Any]:
-    return {field.name: getattr(record, field.name) for field in fields(record)}
-
-
-def _columns(record: Any) -> dict[str, list[Any]]:
+def _columns(record: DrivenStretches) -> dict[str, list[Any]]:
     """Return the arrays of a record as lists; no class is None."""
-    found = {name: values.tolist() for name, values in _entries(record).items()}
+    found = {name: values.tolist() for name, values in asdict(record).items()}
     for name in _CLASSES & set(found):
         found[name] = [None if code == NO_CLASS else code for code in found[name]]
     return found

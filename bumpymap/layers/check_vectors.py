@@ -10,16 +10,11 @@ import shapely
 import shapely.geometry
 from numpy.typing import NDArray
 
-from bumpymap.core import (
-    CLASS_NAMES,
-    NO_CLASS,
-    CheckResult,
-    DrivenStretches,
-)
+from bumpymap.core import CLASS_NAMES, NO_CLASS, CheckResult, DrivenStretches
 from bumpymap.layers.colours import OFF_KINDS
 from bumpymap.layers.map_reader import MapReader
 from bumpymap.layers.placement import Placement
-from bumpymap.layers.vector import GeoJsonCoordinates, feature, write_features
+from bumpymap.layers.vector import GeoJsonCoordinates, feature, plain_numbers, write_features
 from bumpytiles import TileWindow
 
 _EDGES = np.array([1 / 2, 1 / 1.5, 1 / 1.2, 1.2, 1.5, 2.0])
@@ -118,17 +113,13 @@ def stretch_properties(result: CheckResult) -> dict[str, list[Any]]:
 
 
 def _numbers(record: DrivenStretches, names: Sequence[str]) -> dict[str, list[float | None]]:
-    return {name: _rounded(getattr(record, name), _DECIMALS.get(name, _OTHER_DECIMALS)) for name in names}
-
-
-def _rounded(values: NDArray[np.float64], decimals: int) -> list[float | None]:
-    return [value if np.isfinite(value) else None for value in values.round(decimals).tolist()]
+    return {name: plain_numbers(getattr(record, name), _DECIMALS.get(name, _OTHER_DECIMALS)) for name in names}
 
 
 def _offset(offset: MapOffset) -> dict[str, list[Any]]:
     compared = np.isfinite(offset.ratio).tolist()
     return {
-        "ratio": _rounded(offset.ratio, 4),
+        "ratio": plain_numbers(offset.ratio, 4),
         "off": [OFF_KINDS[kind] for kind in offset.kind.tolist()],
         "explained": [not off if known else None for off, known in zip(offset.is_off.tolist(), compared, strict=True)],
     }

@@ -24,12 +24,19 @@ from bumpymap.core import (
 )
 from bumpymap.layers.colours import class_limits
 from bumpymap.layers.geotiff import shows_photo, write_raster
-from bumpymap.layers.manifest import MANIFEST_NAME, complete_manifest, describe_file, software_versions, write_manifest
+from bumpymap.layers.manifest import (
+    MANIFEST_NAME,
+    MapSummary,
+    complete_manifest,
+    describe_file,
+    software_versions,
+    summarise,
+    write_manifest,
+)
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.products import EVERY_FILE, SOME_NAMES, MapFile
 from bumpymap.layers.regions import dissolve
 from bumpymap.layers.stac import write_item
-from bumpymap.layers.summary import MapSummary, summarise
 from bumpymap.layers.tile_table import write_tiles
 from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojson_writer
 
@@ -53,6 +60,8 @@ def layer_metadata(manifest: Mapping[str, Any], place: Georeference) -> dict[str
     """
     survey, calibration, settings = (manifest[name] for name in ("survey", "calibration", "settings"))
     is_papers, dates = settings.get("compat") == "paper", survey["dates"]
+    vertical = None if place.crs is None else vertical_of(place.crs)
+    heights = "none given; heights as in the survey, in metres"
     entries = {
         "survey": survey["name"],
         "survey_checksum": survey["checksum"],
@@ -67,7 +76,7 @@ def layer_metadata(manifest: Mapping[str, Any], place: Georeference) -> dict[str
         # The paper's classes follow from its table of textures and z ranges.
         "class_limits_rad_per_m": None if is_papers else class_limits(manifest),
         "bumpymap_version": software_versions().get("bumpymap"),
-        "vertical_crs": _vertical(place),
+        "vertical_crs": heights if vertical is None else f"{describe_crs(vertical)}; heights in metres",
     }
     return {name: value for name, value in entries.items() if value is not None}
 
@@ -77,13 +86,6 @@ def as_tags(metadata: Mapping[str, Any]) -> dict[str, str]:
     return {
         name: " ".join(map(str, value)) if isinstance(value, list) else str(value) for name, value in metadata.items()
     }
-
-
-def _vertical(place: Georeference) -> str:
-    vertical = None if place.crs is None else vertical_of(place.crs)
-    if vertical is None:
-        return "none given; heights as in the survey, in metres"
-    return f"{describe_crs(vertical)}; heights in metres"
 
 
 _REMEDY = "Choose another `out`, or pass `overwrite=True` to replace it"
@@ -104,7 +106,6 @@ def verified_record(
 
     Parameters
     ----------
-    folder : Path
     files : collection of str or None
         Files that must exist; those that the manifest lists are checked in any case. None: no file is checked, since
         the manifest alone is in the folder.
@@ -122,8 +123,13 @@ def verified_record(
         raise OutputError(unreadable)
     try:
         listed = {str(file["path"]): str(file["sha256"]) for file in record["files"]}
-        if files is not None:
-            _verify(folder, files, listed)
+        for name in sorted({*files, *listed} if files is not None else ()):
+            try:
+                same = describe_file(folder / name)["sha256"] == listed.get(name)
+            except BadInputError as error:
+                raise OutputError(f"{folder} already holds a complete run, but {name} is missing. {_REMEDY}") from error
+            if not same:
+                raise OutputError(f"{folder} already holds a complete run, but {name} has changed since. {_REMEDY}")
         yield record
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise OutputError(unreadable) from error
@@ -137,16 +143,6 @@ def refuse_replacing(folder: Path, differences: Sequence[str]) -> None:
             *(f"  {difference}" for difference in differences),
             _REMEDY,
         )
-
-
-def _verify(folder: Path, files: Collection[str], listed: dict[str, str]) -> None:
-    for name in sorted({*files, *listed}):
-        try:
-            same = describe_file(folder / name)["sha256"] == listed.get(name)
-        except BadInputError as error:
-            raise OutputError(f"{folder} already holds a complete run, but {name} is missing. {_REMEDY}") from error
-        if not same:
-            raise OutputError(f"{folder} already holds a complete run, but {name} has changed since. {_REMEDY}")
 
 
 _log = logging.getLogger(__name__)
@@ -212,7 +208,7 @@ def write_products(
         groups = _layers(table, coordinates, staged, metadata)
         with _written(groups, staged, progress) as written:
             summary = summarise(table, class_limits(manifest))
-            record = complete_manifest(manifest, table, summary, [])
+            record = complete_manifest(manifest, table, summary)
 
             def wait(*names: str) -> None:
                 for name in names or written:
@@ -310,6 +306,6 @@ def _write_regions(
         geojson_writer(folder / MapFile.REGIONS, coordinates, metadata) as write_geojson,
         flatgeobuf_writer(folder / MapFile.REGIONS_IN_CRS, placement, as_tags(metadata)) as write_flatgeobuf,
     ):
-        for regions in dissolve(table, placement):
+        for regions in dissolve(table):
             write_geojson(regions)
             write_flatgeobuf(regions)

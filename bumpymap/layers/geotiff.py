@@ -23,6 +23,7 @@ from bumpymap.core import (
     OBSTACLE,
     REASON_TEXT,
     UNSEEN,
+    Band,
     Barred,
     CostTable,
     Reason,
@@ -31,7 +32,7 @@ from bumpymap.core import (
 )
 from bumpymap.layers._cog import TILE_WINDOW, write_cog
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS, UNKNOWN_OBJECT
-from bumpymap.layers.placement import BandSpec, Placement, RasterSpec, RasterWindow
+from bumpymap.layers.placement import Placement, RasterSpec, RasterWindow
 from bumpymap.layers.products import MapFile
 from bumpytiles import BLOCK_TILES, TileTable, TileWindow
 
@@ -128,14 +129,12 @@ class _Layer:
     """A raster of a map."""
 
     title: str
-    bands: Sequence[BandSpec]
+    bands: Sequence[Band]
     columns: tuple[str, ...]
     """Columns of the tiles that ``values`` needs."""
     values: Callable[[_Found, RasterWindow], Sequence[NDArray[Any]] | NDArray[Any]]
     """Returns the values of n tiles, given their columns and the window that they are all of: an array (n,) for each
     band, or the pixels of the only one, (n, pixels, pixels), or of several, (n, pixels, pixels, bands)."""
-    is_fine: bool = False
-    """True if ``values`` returns pixels."""
     has_heights: bool = False
     """True if its CRS has the vertical part."""
     tags: Mapping[str, str] = field(default_factory=dict)
@@ -151,7 +150,7 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
     pixels["level"] = 1
     codes: dict[str, Any] = {"dtype": "uint8", "nodata": NO_CLASS, "overviews": "MODE"}
 
-    def of_codes(title: str, column: str, band: BandSpec, colours: Mapping[int, tuple[int, int, int, int]]) -> _Layer:
+    def of_codes(title: str, column: str, band: Band, colours: Mapping[int, tuple[int, int, int, int]]) -> _Layer:
         options = codes | {"colours": dict(colours), "counts_nodata": True}
         return _Layer(title, [band], (column,), lambda found, _: [found[column]], options=options)
 
@@ -174,25 +173,25 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
     return {
         MapFile.ROUGHNESS: _Layer(
             "ride cost and roughness of each tile",
-            [BandSpec(band.name, band.unit, band.description) for band in BANDS],
+            BANDS,
             names,
             lambda found, _: [found[name] for name in names],
         ),
         MapFile.CLASS: of_codes(
             "roughness class of each tile",
             "class_id",
-            BandSpec("class", text="0 (flattest) to 3 (roughest)", categories=CLASS_NAMES),
+            Band("class", "", "0 (flattest) to 3 (roughest)", CLASS_NAMES),
             CLASS_COLOURS,
         ),
         MapFile.REASON: of_codes(
             "why tiles have no class",
             "reason",
-            BandSpec("reason", text="why a tile has no class", categories=tuple(REASON_TEXT.values())),
+            Band("reason", "", "why a tile has no class", tuple(REASON_TEXT.values())),
             reasons,
         ),
         MapFile.COST: _Layer(
             "cost of driving over each tile",
-            [BandSpec("cost", text="factor on distance: 1 + ride_weight c_r + fail_weight hazard")],
+            [Band("cost", "", "factor on distance: 1 + ride_weight c_r + fail_weight hazard")],
             ("c_r", "p_fail", "barred"),
             costs,
             tags={
@@ -203,7 +202,7 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
         ),
         MapFile.SPEED: _Layer(
             "speed made good: the highest at which the ride stays within the comfort limits of the vehicle profile",
-            [BandSpec("speed", "m/s", "highest within the comfort limits, 0 where not passable; soil is not in it")],
+            [Band("speed", "m/s", "highest within the comfort limits, 0 where not passable; soil is not in it")],
             ("c_r", "barred"),
             speeds,
             tags={
@@ -216,66 +215,57 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
         MapFile.BARRED: of_codes(
             "why tiles are not passable",
             "barred",
-            BandSpec("barred", text="why the tile is not passable", categories=tuple(BARRED_TEXT.values())),
+            Band("barred", "", "why the tile is not passable", tuple(BARRED_TEXT.values())),
             BARRED_COLOURS,
         ),
         MapFile.SPEEDS: _Layer(
             "pitch, roll and vertical acceleration at several speeds",
-            [BandSpec(band.name, band.unit, band.description) for band in speed_bands(table.speeds)],
+            speed_bands(table.speeds),
             ("motion",),
             lambda found, _: found["motion"].T,
             tags={"speeds_m_per_s": " ".join(f"{speed:g}" for speed in table.speeds)},
         ),
         MapFile.HEADINGS: _Layer(
             "ride cost by heading",
-            [BandSpec(band.name, band.unit, band.description) for band in HEADING_BANDS],
+            HEADING_BANDS,
             ("headings",),
             lambda found, _: found["headings"].T,
         ),
         MapFile.HEIGHTMAP: _Layer(
             "height map",
-            [BandSpec("height", "m", "mean height of the points in the pixel")],
+            [Band("height", "m", "mean height of the points in the pixel")],
             ("heights",),
             lambda found, _: found["heights"],
-            is_fine=True,
             has_heights=True,
             options=pixels,
         ),
         MapFile.RELIEF: _Layer(
             "relief for looking at: holes are filled; measure on heightmap.tif",
-            [BandSpec("height", "m", "mean height, holes filled from around them; measure on heightmap.tif")],
+            [Band("height", "m", "mean height, holes filled from around them; measure on heightmap.tif")],
             (),
             lambda found, window: _filled(table.tiles, window.tiles, found["row"], found["col"]),
-            is_fine=True,
             has_heights=True,
             options={"pixels": _PIXELS, "block": HEIGHT_BLOCK},
         ),
         MapFile.OBSTACLE: _Layer(
             "obstacles",
-            [BandSpec("obstacle", text="what stands on the ground", categories=OBJECT_NAMES)],
+            [Band("obstacle", "", "what stands on the ground", OBJECT_NAMES)],
             ("objects", "obstacle"),
             objects,
-            is_fine=True,
             options=codes | pixels | {"colours": OBJECT_COLOURS, "worst": (OBSTACLE, UNKNOWN_OBJECT, CANOPY, FREE)},
         ),
         MapFile.PHOTO: _Layer(
             "colours of the points",
-            [*(BandSpec(name) for name in ("red", "green", "blue")), BandSpec("alpha")],
+            [*(Band(name) for name in ("red", "green", "blue")), Band("alpha")],
             (photo_column(table.tiles.grid.pixels).name,),
             lambda found, _: _with_alpha(found["photo"]),
-            is_fine=True,
             options=pixels | {"dtype": "uint8", "nodata": 0, "is_photo": True},
         ),
         MapFile.PASSAGE: _Layer(
             "where the vehicle fits",
-            [
-                BandSpec(
-                    "passage", text="areas of a tile in which the middle of the vehicle can move; 0 where it cannot be"
-                )
-            ],
+            [Band("passage", "", "areas of a tile in which the middle of the vehicle can move; 0 where it cannot be")],
             ("passage",),
             lambda found, _: found["passage"],
-            is_fine=True,
             options=codes | pixels | {"worst": tuple(range(NO_CLASS))},
         ),
     }
@@ -362,7 +352,7 @@ def write_raster(file: MapFile, table: CostTable, path: Path, about: Mapping[str
             return None
         line, column, values = pieces(window)
         lines, columns = window.tiles.rows, window.tiles.cols
-        if layer.is_fine:
+        if pixels > 1:
             canvas = np.full((len(spec.bands), lines, pixels, columns, pixels), spec.nodata, spec.dtype)
             for number, band in enumerate(canvas):
                 band[line, :, column, :] = values[..., number] if values.ndim > 3 else values
@@ -372,7 +362,7 @@ def write_raster(file: MapFile, table: CostTable, path: Path, about: Mapping[str
             band[line, column] = value
         return canvas
 
-    if not layer.is_fine:
+    if pixels == 1:
         write_cog(path, place, spec, paint, TILE_WINDOW)
         return
     side = max(1, _WINDOW_PIXELS // (BLOCK_TILES * pixels)) * BLOCK_TILES

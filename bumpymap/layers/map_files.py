@@ -10,8 +10,7 @@ import math
 import threading
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +21,6 @@ from bumpymap.core import (
     Guard,
     module_folder,
     open_regular,
-    utf8_path,
 )
 from bumpymap.layers.manifest import MANIFEST_NAME, describe_file
 
@@ -33,22 +31,6 @@ if TYPE_CHECKING:
     from rasterio.io import DatasetReader
 
 _AGAIN = "Map the survey again"
-
-
-@contextmanager
-def open_raster(folder: Path, name: str) -> Iterator[Any]:
-    """Open a raster of a map.
-
-    Raises
-    ------
-    BadInputError
-        It is missing or damaged.
-    """
-    try:
-        with utf8_path(folder) as path, open_layer(path / name) as raster:
-            yield raster
-    except OSError as error:
-        raise BadInputError(f"{folder}/{name} cannot be read: {gdal_text(error)}") from error
 
 
 def read_averaged(
@@ -109,7 +91,6 @@ def open_layer(path: Path, *, remedy: str = _AGAIN, **options: Any) -> "Iterator
 
     Parameters
     ----------
-    path : Path
     remedy : str
         Sentence that ends the message of an error.
     **options
@@ -148,24 +129,23 @@ def _opened(path: Path, remedy: str = _AGAIN) -> "DatasetReader":
     return file
 
 
+_KEPT: dict[str, Any] = {"GDAL_CACHEMAX": 32 << 20}
+"""Decoded blocks that GDAL keeps of all rasters together, bytes."""
+
+
 class KeptRasters:
     """Rasters of one map that stay open from read to read inside `keep`, so that each is opened once.
 
     Threads take turns. Outside of `keep`, a raster is opened for each read. A process that unpickles this starts with
     none open.
-
-    Parameters
-    ----------
-    **options
-        Of GDAL, while a raster is read.
     """
 
-    def __init__(self, **options: Any) -> None:
-        self._options, self._lock, self._keepers = options, threading.RLock(), 0
+    def __init__(self) -> None:
+        self._lock, self._keepers = threading.RLock(), 0
         self._open: dict[Path, DatasetReader] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return partial(KeptRasters, **self._options), ()
+        return KeptRasters, ()
 
     @contextmanager
     def keep(self) -> Iterator[None]:
@@ -183,10 +163,10 @@ class KeptRasters:
     def opened(self, path: Path) -> "Iterator[DatasetReader]":
         """Yield an open raster; for errors see `open_layer`."""
         if not self._keepers:
-            with open_layer(path, **self._options) as file:
+            with open_layer(path, **_KEPT) as file:
                 yield file
             return
-        with self._lock, _reading(path, self._options):
+        with self._lock, _reading(path, _KEPT):
             if path not in self._open:
                 self._open[path] = _opened(path)
             try:
@@ -213,18 +193,6 @@ def require_format(path: Path) -> None:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class FeatureTable:
-    """The features of the only layer of geometries that a vector file holds."""
-
-    crs: str | None
-    """As the file states it: code or WKT."""
-    geometry: "NDArray[np.object_]"
-    """(n,) WKB in two dimensions; None for a feature without one."""
-    columns: "dict[str, NDArray[Any]]"
-    """Name -> (n,) values."""
-
-
 _DRIVERS = {".fgb": "FlatGeobuf", ".gpkg": "GPKG", ".shp": "ESRI Shapefile"}
 SECONDS, SECONDS_PER_BYTE = 10.0, 2e-6
 """Limit of the processor time to read a vector file, and for each of its bytes: ten times what real ones need."""
@@ -232,14 +200,24 @@ _MEMORY, _MEMORY_PER_BYTE = 1 << 30, 30
 """Limit of the memory of the process that reads one, likewise."""
 
 
-def read_features(path: Path, columns: Collection[str] | None = None) -> FeatureTable:
-    """Read a FlatGeobuf, GeoPackage or Shapefile by the driver of its format alone.
+def read_features(
+    path: Path, columns: Collection[str] | None = None
+) -> "tuple[str | None, NDArray[np.object_], dict[str, NDArray[Any]]]":
+    """Read the only layer of geometries of a FlatGeobuf, GeoPackage or Shapefile by the driver of its format alone.
 
     Parameters
     ----------
-    path : Path
     columns : collection of str, optional
         Names of the columns that are read, where they are there; None: all.
+
+    Returns
+    -------
+    crs : str, optional
+        As the file states it: code or WKT.
+    geometry : array (n,)
+        WKB in two dimensions; None for a feature without one.
+    columns : dict
+        Name -> (n,) values.
 
     Raises
     ------
@@ -255,19 +233,13 @@ def read_features(path: Path, columns: Collection[str] | None = None) -> Feature
     size = sum(part.stat().st_size for part in parts if part.is_file())
     guard = Guard(lambda: _vector_child(_skipped_drivers()), "reads vector files", "pyogrio")
     try:
-        found = guard.call(
-            "read",
-            str(path.absolute()),
-            columns,
-            list(_DRIVERS.values()),
-            seconds=SECONDS + SECONDS_PER_BYTE * size,
-            memory=_MEMORY + _MEMORY_PER_BYTE * size,
-        )
+        limits = {"seconds": SECONDS + SECONDS_PER_BYTE * size, "memory": _MEMORY + _MEMORY_PER_BYTE * size}
+        crs, geometry, values = guard.call("read", str(path.absolute()), columns, list(_DRIVERS.values()), **limits)
     except DecoderError as error:
         raise BadInputError(f"cannot read {path}: {error}. Save it again, as GeoJSON for example") from error
     finally:
         guard.end()
-    return FeatureTable(*found)
+    return crs, geometry, values
 
 
 def _vector_child(skipped: str) -> Child:
@@ -299,10 +271,8 @@ def require_written(
 
     Parameters
     ----------
-    folder : Path
     manifest : mapping
         With ``files``, from `describe_file`.
-    names : iterable of str
     record : str
         File name of the manifest, for messages.
     most : float

@@ -61,8 +61,6 @@ _OFF = 1e-3
 _PIECE = 512
 """Side of the pieces that are read at once, raster pixels: roughness.tif keeps 17 bands together, which GDAL decodes
 for one; a piece of all of them fits into its cache."""
-_CACHE = 32 << 20
-"""Decoded blocks that GDAL keeps of all rasters together, bytes."""
 _AGAIN = "Map the survey again"
 _PLANE_PIXELS = 1 << 20
 """Heights that planes are put through at once."""
@@ -70,13 +68,12 @@ _LEAST_SPREAD = 0.05
 """Of the pixels that have a height, of that of a whole tile: they tell a plane if they are not all on one line."""
 
 
-def _kept_rasters() -> KeptRasters:
-    return KeptRasters(GDAL_CACHEMAX=_CACHE)
-
-
 @dataclass(frozen=True)
 class MapReader:
-    """The layers of one map in its folder; from `open_map`."""
+    """The layers of one map in its folder; from `open_map`.
+
+    What reads them raises BadInputError if a file is missing or damaged.
+    """
 
     folder: Path
     manifest: dict[str, Any]
@@ -91,7 +88,7 @@ class MapReader:
     """How ride and risk became the cost of the layers."""
     vehicle: RouteVehicle
     """The vehicle that the map was made for."""
-    rasters: KeptRasters = field(default_factory=_kept_rasters, repr=False, compare=False)
+    rasters: KeptRasters = field(default_factory=KeptRasters, repr=False, compare=False)
     """Its rasters as they are opened."""
 
     @property
@@ -108,15 +105,9 @@ class MapReader:
 
         Parameters
         ----------
-        window : TileWindow
         bands : sequence of str
             Of ``c_r``, ``c_r_low``, ``c_r_high``, ``p_fail`` and ``obstacle``. Arrays of the others are NaN, read-only
             and take no memory.
-
-        Raises
-        ------
-        BadInputError
-            A file is missing or damaged.
         """
         found = self.values(window, bands)
         nothing = np.broadcast_to(np.float32(np.nan), (window.rows, window.cols))
@@ -133,11 +124,6 @@ class MapReader:
         dict
             ``barred``, uint8: a `Barred`, or ``NO_TILE``; ``class_id``, uint8: ``NO_CLASS`` where unknown; bands,
             float32, NaN where unknown. Each (rows, cols), north row first.
-
-        Raises
-        ------
-        BadInputError
-            A file is missing or damaged.
         """
         shape = (window.rows, window.cols)
         out: dict[str, NDArray[Any]] = {"barred": np.full(shape, NO_TILE, np.uint8)}
@@ -165,13 +151,7 @@ class MapReader:
         return MapFile.HEADINGS in _rasters(self.manifest)
 
     def headings(self, window: TileWindow) -> NDArray[np.float32]:
-        """Read C_r along each of ``AXES_DEG``, rad/m, float32 (rows, cols, 8); NaN where unknown.
-
-        Raises
-        ------
-        BadInputError
-            The file is missing or damaged, or a value is below 0.
-        """
+        """Read C_r along each of ``AXES_DEG``, rad/m, float32 (rows, cols, 8); NaN where unknown."""
         out = np.full((window.rows, window.cols, len(HEADING_BANDS)), np.nan, np.float32)
         part = common_window(window, self.window)
         if part is not None:
@@ -196,11 +176,6 @@ class MapReader:
         -------
         float32 (rows, cols, 2)
             Rise per metre southwards and eastwards; 0 where too few heights are known for a plane.
-
-        Raises
-        ------
-        BadInputError
-            A file is missing or damaged.
         """
         pixels = self.grid.pixels
         out = np.empty((window.rows, window.cols, 2), np.float32)
@@ -227,11 +202,6 @@ class MapReader:
         -------
         float32 of that shape
             m, north row first; NaN where there is none. The map is placed to the nearest pixel.
-
-        Raises
-        ------
-        BadInputError
-            A file is missing or damaged.
         """
         return self._pixels(MapFile.HEIGHTMAP, window, np.full(shape, np.nan, np.float32))
 
@@ -247,11 +217,6 @@ class MapReader:
         -------
         float32 (rows, cols, 3)
             Red, green and blue, 0 to 255; NaN where there is none.
-
-        Raises
-        ------
-        BadInputError
-            The file is missing or damaged.
         """
         if MapFile.PHOTO not in _rasters(self.manifest):
             return None
@@ -300,15 +265,8 @@ class MapReader:
         out : sequence of arrays
             One for each band, (rows * p, cols * p), north row first; p is the number of pixels along a tile in rasters
             of pixels, else 1.
-        name : MapFile
-        window : TileWindow
         bands : sequence of str
             Names of the bands; none: the first.
-
-        Raises
-        ------
-        BadInputError
-            The file is missing or damaged.
         """
         top, left, rows, cols = self._place(name, window)
         self._require_whole(name)
@@ -323,7 +281,7 @@ class MapReader:
     def _read_pixels(self, name: MapFile, window: TileWindow, shape: tuple[int, int]) -> NDArray[Any]:
         """Read a window of the map of a raster with several pixels a tile, in ``shape`` pixels.
 
-        With fewer pixels than the file has they come from the overviews: numbers as means. For errors see `_read_into`.
+        With fewer pixels than the file has they come from the overviews: numbers as means.
         """
         top, left, rows, cols = self._place(name, window)
         if shape == (rows, cols) and name != MapFile.PHOTO:
@@ -418,7 +376,7 @@ def open_map(folder: str | os.PathLike[str]) -> MapReader:
         The folder holds no complete run, or one of another version; or a raster is missing, cut off, or does not
         fit to the others.
     """
-    folder, rasters = Path(folder), _kept_rasters()
+    folder, rasters = Path(folder), KeptRasters()
     manifest = read_manifest(folder)
     try:
         require_written(folder, manifest, _rasters(manifest), most=CHECKED_BYTES)
@@ -433,7 +391,11 @@ def open_map(folder: str | os.PathLike[str]) -> MapReader:
         vehicle = RouteVehicle(own["name"], float(own["width_m"]), float(own["speed_mps"]))
     except (LookupError, TypeError, ValueError, AttributeError, CRSError) as error:
         raise BadInputError(f"{folder / 'run.json'} is damaged: {error!r}. {_AGAIN}") from error
-    window = _common_raster(folder, _rasters(manifest), grid, georeference, rasters)
+    windows = {name: _window_of(folder, name, grid, georeference, rasters) for name in _rasters(manifest)}
+    (first, window), *others = windows.items()
+    for name, own in others:
+        if own != window:
+            raise BadInputError(f"{folder / name} spans other tiles than {folder / first}. {_AGAIN}")
     return MapReader(folder, manifest, grid, window, georeference, rule, vehicle, rasters)
 
 
@@ -474,17 +436,6 @@ def _cut(start: int, stop: int) -> list[slice]:
 
 def _moved(part: slice, by: int) -> slice:
     return slice(part.start - by, part.stop - by)
-
-
-def _common_raster(
-    folder: Path, names: Sequence[MapFile], grid: Grid, georeference: Georeference, rasters: KeptRasters
-) -> TileWindow:
-    """Return the tiles that all rasters of a folder span. Raises BadInputError if they do not agree."""
-    windows = {name: _window_of(folder, name, grid, georeference, rasters) for name in names}
-    for name, window in windows.items():
-        if window != windows[names[0]]:
-            raise BadInputError(f"{folder / name} spans other tiles than {folder / names[0]}. {_AGAIN}")
-    return windows[names[0]]
 
 
 def _window_of(folder: Path, name: MapFile, grid: Grid, georeference: Georeference, rasters: KeptRasters) -> TileWindow:

@@ -11,7 +11,7 @@ import rasterio
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from bumpymap.core import BadInputError, CostTable, Georeference
+from bumpymap.core import BadInputError, Band, CostTable, Georeference
 from bumpytiles import Grid, TileWindow
 
 if TYPE_CHECKING:
@@ -67,17 +67,19 @@ class RasterWindow:
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """The raster that a map spans, and its position in the survey's CRS."""
+    """The raster that a map spans, and its position in the survey's CRS; for errors see `check_extent`."""
 
     georeference: Georeference
     grid: Grid
     window: TileWindow
     """The smallest window around all tiles, which the rasters span."""
 
+    def __post_init__(self) -> None:
+        check_extent(self.grid, self.window)
+
     @classmethod
     def of(cls, table: CostTable) -> "Placement":
-        """Return the placement of a map. Raises BadInputError if it is too large for a raster."""
-        check_extent(table.tiles.grid, table.tiles.window)
+        """Return the placement of a map."""
         return cls(table.georeference, table.tiles.grid, table.tiles.window)
 
     @property
@@ -133,22 +135,10 @@ of 512 pixels, or pixel interleaving, were measured to take up to 3 times as lon
 
 
 @dataclass(frozen=True, slots=True)
-class BandSpec:
-    """Name, unit and description of one band."""
-
-    name: str
-    unit: str = ""
-    text: str = ""
-    """Description, written as ``long_name``."""
-    categories: tuple[str, ...] = ()
-    """Names of the values 0, 1, 2, ...; only for the band of a uint8 raster that has one."""
-
-
-@dataclass(frozen=True, slots=True)
 class RasterSpec:
     """Everything about a raster but its pixels."""
 
-    bands: Sequence[BandSpec]
+    bands: Sequence[Band]
     crs: CRS | None
     dtype: str = "float32"
     nodata: float = math.nan
@@ -205,6 +195,6 @@ def _write_metadata(file: rasterio.io.DatasetWriter, spec: RasterSpec) -> None:
     for number, band in enumerate(spec.bands, start=1):
         file.set_band_description(number, band.name)
         file.set_band_unit(number, band.unit)
-        file.update_tags(number, **({"long_name": band.text} if band.text else {}))
+        file.update_tags(number, **({"long_name": band.description} if band.description else {}))
     if spec.colours:
         file.write_colormap(1, spec.colours)

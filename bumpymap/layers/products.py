@@ -203,7 +203,6 @@ class OutputFolder:
 
         Parameters
         ----------
-        out : Path
         writers : mapping
             How each is written, by name.
         describe : callable

@@ -10,13 +10,12 @@ import shapely
 import shapely.geometry
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, Georeference
+from bumpymap.core import BadInputError, Band
 from bumpymap.layers._cog import write_array
 from bumpymap.layers._imports import import_notebook
-from bumpymap.layers.placement import BandSpec, Placement, RasterSpec, check_extent
+from bumpymap.layers.placement import Placement, RasterSpec
 from bumpymap.layers.regions import label, trace_all
 from bumpymap.layers.vector import GeoJsonCoordinates, feature, write_features
-from bumpytiles import Grid, TileWindow
 
 if TYPE_CHECKING:
     import xarray
@@ -26,19 +25,12 @@ if TYPE_CHECKING:
 class ReachField:
     """Cost of reaching the tiles of a window from one start. Arrays are (rows, cols), north row first."""
 
-    georeference: Georeference
-    grid: Grid
-    window: TileWindow
+    placement: Placement
+    """The raster that the window spans."""
     cost: NDArray[np.float32]
     """Cost of the cheapest way to the middle of the tile, m; NaN where none leads (so are the minutes)."""
     minutes: NDArray[np.float32]
     """Time along that way at the speed made good, min."""
-
-    @property
-    def placement(self) -> Placement:
-        """The raster that the window spans. Raises BadInputError if it is too large for one."""
-        check_extent(self.grid, self.window)
-        return Placement(self.georeference, self.grid, self.window)
 
 
 def write_reach(reach: ReachField, path: Path, about: Mapping[str, str] | None = None) -> None:
@@ -46,7 +38,6 @@ def write_reach(reach: ReachField, path: Path, about: Mapping[str, str] | None =
 
     Parameters
     ----------
-    reach : ReachField
     path : Path
         The file, which appears only when it is complete.
     about : mapping, optional
@@ -56,12 +47,10 @@ def write_reach(reach: ReachField, path: Path, about: Mapping[str, str] | None =
     ------
     OutputError
         The file cannot be written.
-    BadInputError
-        The window is too large for a raster.
     """
     bands = [
-        BandSpec("cost", "m", "cost of the cheapest way from the start: its length and the detours it is worth"),
-        BandSpec("minutes", "min", "time along the cheapest way at the speed made good"),
+        Band("cost", "m", "cost of the cheapest way from the start: its length and the detours it is worth"),
+        Band("minutes", "min", "time along the cheapest way at the speed made good"),
     ]
     spec = RasterSpec(
         bands=bands,
@@ -82,7 +71,6 @@ def write_isochrones(
 
     Parameters
     ----------
-    reach : ReachField
     levels : sequence of float
         Positive, minutes.
     path : Path
@@ -108,9 +96,9 @@ def write_isochrones(
         if inside.any():
             # Tiles that touch at a corner only are polygons apart: nothing drives over a corner.
             labels, first, _ = label(inside.astype(np.uint8))
-            polygons = place.polygons(trace_all(labels, reach.window, len(first)))
+            polygons = place.polygons(trace_all(labels, reach.placement.window, len(first)))
             geometry = shapely.multipolygons(shapely.get_parts(polygons))
-        area = int(inside.sum()) * reach.grid.tile_size**2
+        area = int(inside.sum()) * reach.placement.grid.tile_size**2
         features.append(feature({"within": level, "of": "minutes", "unit": "min", "area_m2": area}, geometry))
     write_features(path, "isochrones", place, features, about)
 
@@ -125,8 +113,7 @@ def reach_dataset(reach: ReachField) -> "xarray.Dataset":
     """
     xarray = import_notebook("xarray")
     import_notebook("rioxarray")
-    place = Placement(reach.georeference, reach.grid, reach.window)
-    window = reach.window
+    place, window = reach.placement, reach.placement.window
     x = place.to_crs(window.col + 0.5 + np.arange(window.cols))
     y = place.to_crs(window.row + window.rows - 0.5 - np.arange(window.rows))
     variables = {

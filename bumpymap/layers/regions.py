@@ -20,7 +20,7 @@ import shapely
 from numpy.typing import NDArray
 from rasterio.transform import Affine
 
-from bumpymap.core import CLASS_NAMES, FAIL_SHARE, NO_CLASS, REASON_TEXT, CostTable, Reason
+from bumpymap.core import NO_CLASS, CostTable
 from bumpymap.layers._cog import raster_lock
 from bumpymap.layers.placement import Placement, RasterWindow
 from bumpytiles import BLOCK_TILES, TileWindow, helper, kernel
@@ -152,7 +152,6 @@ def trace_labels(
     ----------
     labels : int32 (rows, cols)
         Number of the area of each tile of the window, north row first.
-    window : TileWindow
     rows : slice
         Rows of the window in which the wanted areas lie.
     wanted : range
@@ -268,47 +267,14 @@ class Regions:
     cost: NDArray[np.float64]
     """(m,) factor on distance, mean over the tiles; NaN where not passable."""
 
-    @property
-    def class_name(self) -> NDArray[np.object_]:
-        """(m,) name of the class, or "unknown"."""
-        names = np.array([*CLASS_NAMES, "unknown"], dtype=object)
-        picked: NDArray[np.object_] = names[np.minimum(self.class_id, len(CLASS_NAMES))]
-        return picked
 
-    @property
-    def c_r_basis(self) -> NDArray[np.object_]:
-        """(m,) drives behind ``c_r``: ``drives`` (all), ``survivors`` (``p_fail`` >= ``FAIL_SHARE``), or None."""
-        basis = np.where(self.p_fail >= FAIL_SHARE, "survivors", "drives").astype(object)
-        basis[np.isnan(self.c_r)] = None
-        return basis
-
-    @property
-    def reason_text(self) -> NDArray[np.object_]:
-        """(m,) description of the reason."""
-        names = np.array([REASON_TEXT[code] for code in Reason], dtype=object)
-        picked: NDArray[np.object_] = names[self.reason]
-        return picked
-
-    @property
-    def area_m2(self) -> NDArray[np.float64]:
-        """(m,) area on the grid, m^2."""
-        return np.asarray(self.tiles * self.placement.grid.tile_size**2, dtype=np.float64)
-
-
-def dissolve(table: CostTable, placement: Placement | None = None) -> Iterator[Regions]:
+def dissolve(table: CostTable) -> Iterator[Regions]:
     """Dissolve tiles that share a side into regions of one class and passability, or of one reason if unknown.
 
     Outlines run along tile sides; vertices are whole numbers of tiles. All of them are a valid coverage: adjacent
     regions have the same vertices along their border. A large map is dissolved in windows of
     `REGION_WINDOW` x `REGION_WINDOW` tiles from its north-west corner: regions are cut at the borders of windows, and
     memory does not depend on the size of the map.
-
-    Parameters
-    ----------
-    table : CostTable
-        The tiles.
-    placement : Placement, optional
-        Placement of the map, if already known.
 
     Yields
     ------
@@ -321,7 +287,7 @@ def dissolve(table: CostTable, placement: Placement | None = None) -> Iterator[R
     BadInputError
         The extent is too large for a raster.
     """
-    place = placement or Placement.of(table)
+    place = Placement.of(table)
     found = 0
     for window in place.windows(REGION_WINDOW, aligned=False):
         if table.tiles.holds(window.tiles):

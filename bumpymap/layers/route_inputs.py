@@ -194,10 +194,10 @@ def _gpx_points(root: ET.Element, path: str) -> Iterator[tuple[tuple[float, floa
 
 
 def _read_table(path: Path) -> VectorLayer:
-    table = read_features(path, ["name"])
+    crs, geometry, columns = read_features(path, ["name"])
     try:
-        names = table.columns.get("name", [None] * len(table.geometry))
-        return _layer(shapely.from_wkb(table.geometry), names, None if table.crs is None else stated_crs(table.crs))
+        names = columns.get("name", [None] * len(geometry))
+        return _layer(shapely.from_wkb(geometry), names, None if crs is None else stated_crs(crs))
     except (CRSError, ValueError, shapely.errors.GEOSException) as error:
         raise BadInputError(f"cannot read {path}: {str(error).splitlines()[0]}. {_REMEDY}") from error
 
@@ -351,7 +351,6 @@ def read_areas(
     ----------
     path : path
         GeoJSON, GeoPackage, FlatGeobuf or Shapefile.
-    route_map : MapReader
     allow_outside : bool
         Whether it is no error that an area does not lie on the map.
 
@@ -411,31 +410,22 @@ def _system(crs: CRS | None, route_map: MapReader) -> str:
     return describe_crs(map_crs.to_2d()) if crs is None else crs.name
 
 
-def tiles_in(areas: NDArray[np.object_], window: TileWindow, grid: Grid) -> NDArray[np.bool_]:
-    """Return which tiles an area touches, be it by a corner; sharing a border is not touching.
+def tiles_in(areas: NDArray[np.object_], window: TileWindow, grid: Grid, *, wholly: bool = False) -> NDArray[np.bool_]:
+    """Return which tiles (rows, cols) an area touches, be it by a corner; sharing a border is not touching.
 
     Parameters
     ----------
     areas : array (n,) of polygons
         In metres on the grid.
-    window : TileWindow
-    grid : Grid
-
-    Returns
-    -------
-    bool (rows, cols)
+    wholly : bool
+        Only the tiles that lie wholly in the areas, taken together.
     """
     whole = _local(areas, window, grid)
     inside, rows, cols = _centres_inside(whole, window)
-    inside[rows, cols] = shapely.intersects(whole, _tiles(rows, cols))
-    return inside
-
-
-def tiles_within(areas: NDArray[np.object_], window: TileWindow, grid: Grid) -> NDArray[np.bool_]:
-    """Return which tiles lie wholly in the areas, taken together; for parameters see `tiles_in`."""
-    whole = _local(areas, window, grid)
-    inside, rows, cols = _centres_inside(whole, window)
-    inside[rows, cols] = shapely.covers(whole, _tiles(rows, cols))
+    # Squares of tiles, smaller by what rounding may do.
+    low, high = _ROUNDING, 1.0 - _ROUNDING
+    squares = shapely.box(cols + low, rows + low, cols + high, rows + high)
+    inside[rows, cols] = shapely.covers(whole, squares) if wholly else shapely.intersects(whole, squares)
     return inside
 
 
@@ -472,14 +462,6 @@ def _centres_inside(
     wide[:, :-1] |= near[:, 1:]
     rows, cols = np.nonzero(wide)
     return inside, rows, cols
-
-
-def _tiles(rows: NDArray[np.int64], cols: NDArray[np.int64]) -> NDArray[np.object_]:
-    """Return the squares of tiles, smaller by what rounding may do."""
-    squares: NDArray[np.object_] = shapely.box(
-        cols + _ROUNDING, rows + _ROUNDING, cols + 1.0 - _ROUNDING, rows + 1.0 - _ROUNDING
-    )
-    return squares
 
 
 def _on_grid(path: Path, geometry: NDArray[np.object_], crs: CRS | None, route_map: MapReader) -> NDArray[np.object_]:

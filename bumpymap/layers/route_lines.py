@@ -2,7 +2,8 @@
 
 Coordinates are in the survey's CRS, and in WGS 84 longitude and latitude where that CRS is known. Elements of GPX stand
 in the order of the schema (http://www.topografix.com/GPX/1/1/gpx.xsd). No time is written: the same routes have the
-same bytes.
+same bytes. Writers take at least one route, all on one grid, and the path of a file that appears only when it is
+complete; they raise OutputError if it cannot be written.
 """
 
 import math
@@ -16,7 +17,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, RoadFigures, Route, atomic, write_csv
+from bumpymap.core import BadInputError, Route, atomic, write_csv
 from bumpymap.layers._imports import import_notebook
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.vector import DEGREE_DECIMALS, GeoJsonCoordinates, feature, write_features
@@ -44,12 +45,16 @@ _DECIMALS = {
 
 def route_properties(route: Route) -> dict[str, Any]:
     """Return name, vehicle and figures of a route; a number that is not known is None."""
-    figures = route.figures
+    figures, road = route.figures, route.figures.road
+    # IRI and class are told where the survey's noise lets them be told.
+    resolved = road if road and road.resolution == "resolved" else None
     return {
         "name": route.name,
         "vehicle": route.vehicle.name,
         **{name: _told(float(getattr(figures, name)), decimals) for name, decimals in _DECIMALS.items()},
-        **_road_properties(figures.road),
+        "iri": _told(resolved.iri, 2) if resolved else None,
+        "iso_8608": _told(resolved.iso_class, 0) if resolved else None,
+        "iri_resolution": road.resolution if road else "unknown",
         "p_arrives_note": P_ARRIVES_NOTE,
         "risk_m": _told(route.risk_m, 3),
         "why": route.straight.words if route.straight else "",
@@ -63,19 +68,9 @@ def _told(value: float | str, decimals: int) -> float | str | None:
     return round(value, decimals) if math.isfinite(value) else None
 
 
-def _road_properties(road: RoadFigures | None) -> dict[str, Any]:
-    """Return IRI and class of a whole way where the survey's noise lets them be told, else None."""
-    resolved = road if road and road.resolution == "resolved" else None
-    return {
-        "iri": _told(resolved.iri, 2) if resolved else None,
-        "iso_8608": _told(resolved.iso_class, 0) if resolved else None,
-        "iri_resolution": road.resolution if road else "unknown",
-    }
-
-
 _SEGMENT_M = 96.0
 """Longest straight segment of a line in longitude and latitude, m: its middle is then off by 1.2 mm at most, as for
-the outlines of cost.geojson (see `polygons_in_wgs84`)."""
+the outlines of cost.geojson (see `GeoJsonCoordinates.polygons`)."""
 
 
 def route_coordinates(routes: Sequence[Route]) -> GeoJsonCoordinates:
@@ -144,19 +139,7 @@ def write_route_geojson(routes: Sequence[Route], path: Path) -> None:
     Without a CRS the file holds the survey's own coordinates, and a member of the collection says so. A stop that
     several routes share is written once.
 
-    Parameters
-    ----------
-    routes : sequence of Route
-        At least one, all on one grid.
-    path : Path
-        The file, which appears only when it is complete.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    BadInputError
-        A route lies where its CRS has no longitude and latitude.
+    Raises BadInputError: a route lies where its CRS has no longitude and latitude.
     """
     place = route_coordinates(routes)
     lines = [_line(route, place) for route in routes]
@@ -205,19 +188,7 @@ def write_gpx(routes: Sequence[Route], path: Path) -> None:
     A track has the corners of its way and the points of its profile between them. Heights are those of the survey:
     metres, in its vertical datum.
 
-    Parameters
-    ----------
-    routes : sequence of Route
-        At least one, all on one grid.
-    path : Path
-        The file, which appears only when it is complete.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    BadInputError
-        The routes have no longitude and latitude.
+    Raises BadInputError: the routes have no longitude and latitude.
     """
     place = route_coordinates(routes)
     if not place.has_degrees:
@@ -308,45 +279,22 @@ def _text(parent: ET.Element, tag: str, text: str) -> None:
     ET.SubElement(parent, tag).text = _NOT_XML.sub("?", text)
 
 
-PROFILE_COLUMNS = (
-    *("route", "distance_m", "lon", "lat", "x", "y"),
-    *("z_m", "slope_deg", "c_r", "c_r_low", "c_r_high", "p_fail", "cost_m", "obstacle", "c_r_line", "speed_mps"),
-)
-"""Columns of profile.csv; ``x`` and ``y`` are in units of the survey's CRS."""
-_FORMATS = (
-    "%.3f",
-    "%.7f",
-    "%.7f",
-    "%.3f",
-    "%.3f",
-    "%.3f",
-    "%.3f",
-    "%.6f",
-    "%.6f",
-    "%.6f",
-    "%.6f",
-    "%.3f",
-    "%d",
-    "%.6f",
-    "%.3f",
-)
+_PROFILE = {
+    "distance_m": 3,
+    **dict.fromkeys(("lon", "lat"), DEGREE_DECIMALS),
+    **dict.fromkeys(("x", "y", "z_m", "slope_deg"), 3),
+    **dict.fromkeys(("c_r", "c_r_low", "c_r_high", "p_fail"), _SMALL),
+    "cost_m": 3,
+    "obstacle": 0,
+    "c_r_line": _SMALL,
+    "speed_mps": 3,
+}
+"""Columns of profile.csv after the route, and their decimals; ``x`` and ``y`` are in units of the survey's CRS."""
+PROFILE_COLUMNS = ("route", *_PROFILE)
 
 
 def write_profile(routes: Sequence[Route], path: Path) -> None:
-    """Write the profiles of routes as CSV (RFC 4180, UTF-8); what is unknown is empty.
-
-    Parameters
-    ----------
-    routes : sequence of Route
-        At least one, all on one grid; the column ``route`` holds their names.
-    path : Path
-        The file, which appears only when it is complete.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    """
+    """Write the profiles of routes as CSV (RFC 4180, UTF-8): their names in the column ``route``; unknown is empty."""
     place = route_coordinates(routes)
     write_csv(path, PROFILE_COLUMNS, (row for route in routes for row in _rows(route, place)))
 
@@ -358,13 +306,11 @@ def _rows(route: Route, place: GeoJsonCoordinates) -> Iterator[tuple[str, ...]]:
     columns = (
         *(profile.distance, *degrees.T, *place.in_crs(grid_m).T),
         *(profile.z, profile.slope, profile.c_r, profile.c_r_low, profile.c_r_high, profile.p_fail, profile.cost),
-        profile.obstacle,
-        profile.c_r_line,
-        profile.speed,
+        *(profile.obstacle, profile.c_r_line, profile.speed),
     )
     texts = [
-        [form % value if math.isfinite(value) else "" for value in values.tolist()]
-        for values, form in zip(columns, _FORMATS, strict=True)
+        [f"{value:.{decimals}f}" if math.isfinite(value) else "" for value in values.tolist()]
+        for values, decimals in zip(columns, _PROFILE.values(), strict=True)
     ]
     return zip([route.name] * len(profile.distance), *texts, strict=True)
 
@@ -397,19 +343,7 @@ def stretch_rows(route: Route) -> list[dict[str, Any]]:
 
 
 def write_route_stretches(routes: Sequence[Route], path: Path) -> None:
-    """Write the figures of the stretches of routes as CSV (RFC 4180, UTF-8); what is unknown is empty.
-
-    Parameters
-    ----------
-    routes : sequence of Route
-    path : Path
-        The file, which appears only when it is complete.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    """
+    """Write the figures of the stretches of routes as CSV (RFC 4180, UTF-8); what is unknown is empty."""
     rows = ((route.name, *row.values()) for route in routes for row in stretch_rows(route))
     write_csv(path, STRETCH_COLUMNS, rows)
 

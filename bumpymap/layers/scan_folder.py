@@ -7,7 +7,7 @@ import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from os.path import lexists
 from pathlib import Path
 from typing import Any, Self
@@ -30,6 +30,7 @@ from bumpymap.core import (
     parse_json,
     point_classes,
     remove_path,
+    sync_file,
     write_remedy,
     write_together,
 )
@@ -120,7 +121,7 @@ _RIDE_CLASSES = ("0", "1", "2", "3", "unknown")
 
 @dataclass(frozen=True, slots=True)
 class FrameReport:
-    """The file of a frame, and numbers of its points and sectors."""
+    """The file of a frame, and numbers of its points and sectors, by the names that they have in scan.json."""
 
     frame: Frame
     bytes: int
@@ -131,60 +132,33 @@ class FrameReport:
     """Points that were kept."""
     dropped: Dropped
     """Returns that were dropped, by reason."""
-    airborne: int
+    airborne_count: int
     """Points that lie alone above the ground: rain, dust, insects."""
-    origin_height: float | None
+    origin_height_m: float | None
     """Height of the frame's origin above the ground, m; None without level ground."""
-    sectors: tuple[int, ...]
-    """(4,) sectors of class 0 to 2, then not traversable."""
-    states: tuple[int, ...]
-    """(4,) sectors by ``SECTOR_STATES``."""
-    classed_points: tuple[int, ...]
-    """(4,) points of class 0 to 2, then of no class."""
-    ride_classes: tuple[int, ...] | None
-    """(5,) traversable sectors of class 0 to 3 for the vehicle, then unknown; None without a vehicle."""
+    sectors: Mapping[str, int]
+    """Sectors by ``SCAN_CLASS_NAMES``."""
+    sector_states: Mapping[str, int]
+    """Sectors by ``SECTOR_STATES``."""
+    points_by_class: Mapping[str, int]
+    """Points of class 0 to 2, then of no class."""
+    sectors_by_ride: Mapping[str, int] | None
+    """Traversable sectors of class 0 to 3 for the vehicle, then unknown; None without a vehicle."""
     seconds: float
     """Wall time from reading the file to classed sectors."""
 
     @classmethod
     def of(cls, frame: Frame, record: Mapping[str, Any]) -> Self:
         """Restore a report from its `record`."""
-        return cls(
-            frame,
-            record["bytes"],
-            record["sha256"],
-            record["points"],
-            Dropped(**record["dropped"]),
-            record["airborne_count"],
-            record["origin_height_m"],
-            tuple(record["sectors"].values()),
-            tuple(record["sector_states"].values()),
-            tuple(record["points_by_class"].values()),
-            None if record["sectors_by_ride"] is None else tuple(record["sectors_by_ride"].values()),
-            record["seconds"],
-        )
+        own = {each.name: record[each.name] for each in fields(cls)[1:]}
+        return cls(frame, **own | {"dropped": Dropped(**record["dropped"])})
 
     def record(self) -> dict[str, Any]:
         """Return the entry of the frame in scan.json."""
-        return {
-            "name": self.frame.name,
-            "path": str(self.frame.path),
-            "message": None if self.frame.message is None else asdict(self.frame.message),
-            "bytes": self.bytes,
-            "sha256": self.sha256,
-            "pose": self.frame.pose,
-            "points": self.points,
-            "dropped": asdict(self.dropped),
-            "airborne_count": self.airborne,
-            "origin_height_m": self.origin_height,
-            "sectors": dict(zip(SCAN_CLASS_NAMES, self.sectors, strict=True)),
-            "sector_states": dict(zip(SECTOR_STATES, self.states, strict=True)),
-            "points_by_class": dict(zip([*SCAN_CLASS_NAMES[:CLASSES], "no class"], self.classed_points, strict=True)),
-            "sectors_by_ride": None
-            if self.ride_classes is None
-            else dict(zip(_RIDE_CLASSES, self.ride_classes, strict=True)),
-            "seconds": self.seconds,
-        }
+        message = None if self.frame.message is None else asdict(self.frame.message)
+        head = {"name": self.frame.name, "path": str(self.frame.path), "message": message, "bytes": self.bytes}
+        own = {each.name: getattr(self, each.name) for each in fields(self)[1:]}
+        return head | {"sha256": self.sha256, "pose": self.frame.pose} | own | {"dropped": asdict(self.dropped)}
 
 
 def report_frame(
@@ -194,28 +168,25 @@ def report_frame(
 
     Parameters
     ----------
-    frame : Frame
     version : mapping or None
         ``size`` and ``mtime_ns`` of its file before it was read; not needed for a message.
-    scan : Scan
-    classed : ClassedSectors
-    seconds : float
 
     Raises
     ------
     BadInputError
         The file is missing, or has changed since it was read.
     """
-    sectors, points = (
-        tuple(np.bincount(np.where(class_id == NOT_TRAVERSABLE, CLASSES, class_id), minlength=CLASSES + 1).tolist())
-        for class_id in (classed.class_id, point_classes(scan, classed))
-    )
+    points = point_classes(scan, classed)
     file: Mapping[str, Any]
     if frame.message is not None:
         file = {"bytes": frame.message.bytes, "sha256": None}
     else:
         known = version or {}
         file = describe_input({"path": frame.path, "bytes": known.get("size"), "mtime_ns": known.get("mtime_ns")})
+    ride = None
+    if classed.ride is not None:
+        rated = classed.ride.class_id[classed.sectors.traversable]
+        ride = _count(_RIDE_CLASSES, np.minimum(rated, len(_RIDE_CLASSES) - 1))
     return FrameReport(
         frame,
         file["bytes"],
@@ -224,20 +195,17 @@ def report_frame(
         scan.dropped,
         int(classed.sectors.point_airborne.sum()),
         None if math.isnan(classed.sectors.origin_height) else round(classed.sectors.origin_height, 3),
-        sectors,
-        tuple(np.bincount(sector_states(classed), minlength=len(SECTOR_STATES)).tolist()),
-        points,
-        _count_rides(classed),
+        _count(SCAN_CLASS_NAMES, class_index(classed)),
+        _count(SECTOR_STATES, sector_states(classed)),
+        _count((*SCAN_CLASS_NAMES[:CLASSES], "no class"), np.where(points == NOT_TRAVERSABLE, CLASSES, points)),
+        ride,
         round(seconds, 4),
     )
 
 
-def _count_rides(classed: ClassedSectors) -> tuple[int, ...] | None:
-    if classed.ride is None:
-        return None
-    unknown = len(_RIDE_CLASSES) - 1
-    class_id = np.minimum(classed.ride.class_id[classed.sectors.traversable], unknown)
-    return tuple(np.bincount(class_id, minlength=unknown + 1).tolist())
+def _count(names: Sequence[str], places: NDArray[np.integer]) -> dict[str, int]:
+    """Count by name; ``places`` are positions in ``names``."""
+    return dict(zip(names, np.bincount(places, minlength=len(names)).tolist(), strict=True))
 
 
 def explain_empty_scan(scan: Scan, classed: ClassedSectors) -> str:
@@ -419,13 +387,8 @@ def output_errors(folder: Path) -> Iterator[None]:
 def sync_to_disk(paths: Iterable[Path]) -> None:
     """Flush files to the disk (fsync), several at a time: the disk then writes them in an order of its own."""
     with ThreadPoolExecutor(_SYNCED_AT_A_TIME) as pool:
-        for _ in pool.map(_sync, paths):
+        for _ in pool.map(sync_file, paths):
             pass
-
-
-def _sync(path: Path) -> None:
-    with path.open("rb+") as file:
-        os.fsync(file.fileno())
 
 
 def _foreign_file(folder: Path, *, unfinished: bool) -> Path | None:
@@ -449,10 +412,8 @@ def write_scan_manifest(
 
     Parameters
     ----------
-    folder : Path
     known : mapping
         The run's own entries: settings, method, skipped frames, seconds. They are kept.
-    frames : iterable of FrameReport
     identities : mapping
         Identity of each input file by its path, see `bumpymap.readers.identity`.
     """

@@ -17,7 +17,7 @@ from bumpymap.core import BadInputError, Georeference, atomic, read_record, stat
 from bumpymap.layers.map_files import open_layer
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.products import COLLECTION_NAME, EVERY_NAME, EVERY_VIEW_NAME, MapFile
-from bumpymap.layers.vector import BoundingBox, polygons_in_wgs84, wgs84_transformer
+from bumpymap.layers.vector import BoundingBox, GeoJsonCoordinates
 from bumpytiles import Grid, TileWindow
 
 if TYPE_CHECKING:
@@ -88,13 +88,8 @@ def describe_crs(crs: CRS | None) -> dict[str, Any]:
     return {"proj:code": None, "proj:wkt2": crs.to_wkt()} if authority is None else {"proj:code": ":".join(authority)}
 
 
-def describe_grid(path: Path) -> dict[str, Any]:
-    """Return the fields of the grid of pixels of a raster: shape, transform and bounds in units of its CRS."""
-    with open_layer(path) as raster:
-        return _grid_of(raster)
-
-
 def _grid_of(raster: "DatasetReader") -> dict[str, Any]:
+    """Return the fields of the grid of pixels of a raster: shape, transform and bounds in units of its CRS."""
     return {
         "proj:shape": list(raster.shape),
         "proj:transform": list(raster.transform)[:6],
@@ -253,7 +248,6 @@ def write_item(folder: Path, record: Mapping[str, Any]) -> None:
 
     Parameters
     ----------
-    folder : Path
     record : mapping
         The content of run.json, which need not be there yet.
 
@@ -263,9 +257,11 @@ def write_item(folder: Path, record: Mapping[str, Any]) -> None:
         The file cannot be written.
     """
     name = valid_text(record["survey"]["name"])
+    about = f"Roughness and ride cost of the ground for the vehicle {record['calibration']['vehicle']}"
     # What tells surveys of one name apart.
     digits = (record["survey"]["checksum"] or "").rpartition(":")[2][:_DIGITS]
-    grid = describe_grid(folder / MapFile.CLASS)  # one pixel for each tile
+    with open_layer(folder / MapFile.CLASS) as raster:  # one pixel for each tile
+        grid = _grid_of(raster)
     crs = None if record["crs"] is None else stated_crs(record["crs"]["wkt"])
     unit, tile = record["metres_per_unit"]["horizontal"], record["grid"]["tile_size_m"]
     (rows, cols), (_, _, west, _, _, north, *_) = grid["proj:shape"], grid["proj:transform"]
@@ -280,7 +276,7 @@ def write_item(folder: Path, record: Mapping[str, Any]) -> None:
         **_footprint(place),
         "properties": {
             "title": name,
-            "description": _description(record),
+            "description": f"{about}, from a point cloud, in tiles of {tile:g} m",
             **_interval(record),
             **_rights(record),
             "gsd": place.grid.tile_size,
@@ -295,12 +291,6 @@ def write_item(folder: Path, record: Mapping[str, Any]) -> None:
         "assets": describe_assets(folder, record),
     }
     write_document(item, folder / MapFile.ITEM)
-
-
-def _description(record: Mapping[str, Any]) -> str:
-    vehicle, tile = record["calibration"]["vehicle"], record["grid"]["tile_size_m"]
-    about = f"Roughness and ride cost of the ground for the vehicle {vehicle}"
-    return f"{about}, from a point cloud, in tiles of {tile:g} m"
 
 
 def _interval(record: Mapping[str, Any]) -> dict[str, Any]:
@@ -344,10 +334,9 @@ def _own(record: Mapping[str, Any]) -> dict[str, Any]:
 def _footprint(place: Placement) -> dict[str, Any]:
     """Return the outline of the raster and its box, longitude and latitude; no place on Earth is null."""
     try:
-        to_degrees = wgs84_transformer(place)
-        window = place.window
+        coordinates, window = GeoJsonCoordinates.of(place, local=False), place.window
         corners = (window.col, window.row, window.col + window.cols, window.row + window.rows)
-        outlines = polygons_in_wgs84(shapely.polygons([shapely.box(*corners).exterior]), place, to_degrees)
+        outlines = coordinates.polygons(shapely.polygons([shapely.box(*corners).exterior]))
     except BadInputError:
         return {"geometry": None}
     box = BoundingBox()

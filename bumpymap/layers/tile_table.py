@@ -57,12 +57,14 @@ def write_tiles(table: CostTable, path: Path, about: Mapping[str, str] | None = 
     fields = tile_fields(place.grid.pixels, table.speeds)
     if table.tiles.has(GROUND_SOURCE.name):
         text = "0: measured from points of ground classes, 1: from all points, where the survey is not classified"
-        fields.append(_field(GROUND_SOURCE.name, pa.int8(), text, nullable=False))
+        fields.append(described_field(GROUND_SOURCE.name, pa.int8(), text, nullable=False))
     if table.tiles.has("headings"):
         fields.append(
-            _field("calm_axis_deg", pa.float32(), "azimuth with the lowest c_r, 0 to 180 from grid north", "deg")
+            described_field(
+                "calm_axis_deg", pa.float32(), "azimuth with the lowest c_r, 0 to 180 from grid north", "deg"
+            )
         )
-        fields.append(_field("heading_ratio", pa.float32(), "highest over lowest c_r of eight headings"))
+        fields.append(described_field("heading_ratio", pa.float32(), "highest over lowest c_r of eight headings"))
     schema = pa.schema(fields, metadata={**(about or {}), "geo": json.dumps(_geo(place))})
     with (
         atomic(path, (pa.ArrowException,)) as temporary,
@@ -106,28 +108,31 @@ def tile_fields(pixels: int, speeds: tuple[float, ...]) -> list[pa.Field]:
     kinds = {column.name: pa.from_numpy_dtype(column.dtype) for column in tile_columns(pixels)}
     kinds["passable"] = pa.bool_()
     return [
-        _field("col", pa.int32(), "tile column: floor(x / tile_size), x in metres", nullable=False),
-        _field("row", pa.int32(), "tile row: floor(y / tile_size), y in metres; grows to the north", nullable=False),
-        _field("geometry", pa.binary(), "the tile, in the survey's CRS", nullable=False),
-        _field("bbox", _BOX, "bounds of the tile, in the survey's CRS", nullable=False),
-        *(_field(band.name, kinds[band.name], band.description, band.unit) for band in BANDS),
-        *(_field(f"step_{side}", pa.float32(), f"height step at the {side} side", "m") for side in SIDES),
-        _field("barred", pa.string(), "why it is not passable"),
-        _field("count", pa.int64(), "points that were measured", nullable=False),
-        _field("z_min", pa.float64(), "lowest point", "m"),
-        _field("z_max", pa.float64(), "highest point", "m"),
-        _field("relief", pa.float64(), "max - min of the heights with their plane taken off", "m"),
-        _field("texture", pa.string(), "the most probable texture"),
-        *(_field(f"p_{texture}", pa.float32(), f"probability of texture {texture}") for texture in TEXTURES),
-        _field("class", pa.int8(), "0 (flattest) to 3 (roughest)"),
-        _field("reason", pa.int8(), "why there is no class; 0 where there is one", nullable=False),
-        _field("reason_text", pa.string(), "the reason in words", nullable=False),
-        *(_field(band.name, pa.float32(), band.description, band.unit) for band in speed_bands(speeds)),
-        _field("heights", pa.list_(pa.float32(), pixels**2), "mean z of each pixel, north row first", "m"),
+        described_field("col", pa.int32(), "tile column: floor(x / tile_size), x in metres", nullable=False),
+        described_field(
+            "row", pa.int32(), "tile row: floor(y / tile_size), y in metres; grows to the north", nullable=False
+        ),
+        described_field("geometry", pa.binary(), "the tile, in the survey's CRS", nullable=False),
+        described_field("bbox", _BOX, "bounds of the tile, in the survey's CRS", nullable=False),
+        *(described_field(band.name, kinds[band.name], band.description, band.unit) for band in BANDS),
+        *(described_field(f"step_{side}", pa.float32(), f"height step at the {side} side", "m") for side in SIDES),
+        described_field("barred", pa.string(), "why it is not passable"),
+        described_field("count", pa.int64(), "points that were measured", nullable=False),
+        described_field("z_min", pa.float64(), "lowest point", "m"),
+        described_field("z_max", pa.float64(), "highest point", "m"),
+        described_field("relief", pa.float64(), "max - min of the heights with their plane taken off", "m"),
+        described_field("texture", pa.string(), "the most probable texture"),
+        *(described_field(f"p_{texture}", pa.float32(), f"probability of texture {texture}") for texture in TEXTURES),
+        described_field("class", pa.int8(), "0 (flattest) to 3 (roughest)"),
+        described_field("reason", pa.int8(), "why there is no class; 0 where there is one", nullable=False),
+        described_field("reason_text", pa.string(), "the reason in words", nullable=False),
+        *(described_field(band.name, pa.float32(), band.description, band.unit) for band in speed_bands(speeds)),
+        described_field("heights", pa.list_(pa.float32(), pixels**2), "mean z of each pixel, north row first", "m"),
     ]
 
 
-def _field(name: str, kind: pa.DataType, text: str, unit: str = "", *, nullable: bool = True) -> pa.Field:
+def described_field(name: str, kind: pa.DataType, text: str, unit: str = "", *, nullable: bool = True) -> pa.Field:
+    """Return a column with what describes it."""
     notes = {"description": text} | ({"unit": unit} if unit else {})
     return pa.field(name, kind, nullable=nullable, metadata=notes)
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import shapely
@@ -20,12 +20,9 @@ from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
-from bumpymap.core import NO_CLASS, BadInputError, atomic
+from bumpymap.core import CLASS_NAMES, FAIL_SHARE, NO_CLASS, REASON_TEXT, BadInputError, atomic
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.regions import Regions
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 _TRIES = 33
 """Points along each side of the raster at which the transformation is tried first."""
@@ -46,8 +43,20 @@ def wgs84_transformer(placement: Placement) -> Transformer:
     BadInputError
         There is no CRS, or no known transformation from it to longitude and latitude at this place.
     """
-    transformer = _transformer(placement.horizontal_crs)
-    window = placement.window
+    crs, window = placement.horizontal_crs, placement.window
+    if crs is None:
+        raise BadInputError(
+            "the survey has no CRS, so cost.geojson cannot say where on Earth it is. Pass `crs='EPSG:CODE'`, "
+            "or `local=True` to write it in the survey's own coordinates"
+        )
+    try:
+        transformer = Transformer.from_crs(crs, CRS.from_epsg(4326), always_xy=True)
+    except ProjError as error:
+        raise BadInputError(
+            f"the survey's CRS ({crs.name}) has no known relation to longitude and latitude, so cost.geojson cannot "
+            "say where on Earth it is. Pass another with `force_crs='EPSG:CODE'`, or `local=True` to keep its own "
+            "coordinates"
+        ) from error
     cols, rows = np.meshgrid(
         np.linspace(window.col, window.col + window.cols, _TRIES),
         np.linspace(window.row, window.row + window.rows, _TRIES),
@@ -55,47 +64,6 @@ def wgs84_transformer(placement: Placement) -> Transformer:
     if not np.isfinite(transformer.transform(placement.to_crs(cols.ravel()), placement.to_crs(rows.ravel()))).all():
         raise _outside(placement)
     return transformer
-
-
-def polygons_in_wgs84(
-    polygons: NDArray[np.object_], placement: Placement, to_degrees: Transformer, decimals: int = DEGREE_DECIMALS
-) -> NDArray[np.object_]:
-    """Return polygons in WGS 84 longitude and latitude, right-hand rings, cut at the antimeridian.
-
-    Polygons with the same vertices along their common borders keep this property, on either side of the antimeridian.
-
-    Parameters
-    ----------
-    polygons : array (m,) of polygons
-        In grid coordinates (1 = one tile), with sides along the sides of tiles.
-    placement : Placement
-        Of a survey with a CRS.
-    to_degrees : Transformer
-        From `wgs84_transformer`.
-    decimals : int
-        Decimals to round coordinates to; 7 are 1 cm.
-
-    Returns
-    -------
-    array (m,) of polygons
-        A multipolygon for each outline that was cut.
-
-    Raises
-    ------
-    BadInputError
-        A point cannot be transformed to longitude and latitude.
-    """
-
-    def move(points: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.column_stack(to_degrees.transform(points[:, 0], points[:, 1])).round(decimals)
-
-    # The points in between are rounded because those of a side in one direction and the other differ in the last bit.
-    split = shapely.segmentize(polygons, _SEGMENT)
-    placed = shapely.transform(split, lambda points: placement.to_crs(points.round(_GRID_DECIMALS)))
-    outlines: NDArray[np.object_] = shapely.transform(placed, move)
-    if not np.isfinite(shapely.bounds(outlines)).all():
-        raise _outside(placement)
-    return _cut_at_antimeridian(outlines, decimals)
 
 
 class BoundingBox:
@@ -129,23 +97,7 @@ def _outside(placement: Placement) -> BadInputError:
     )
 
 
-def _transformer(crs: CRS | None) -> Transformer:
-    if crs is None:
-        raise BadInputError(
-            "the survey has no CRS, so cost.geojson cannot say where on Earth it is. Pass `crs='EPSG:CODE'`, "
-            "or `local=True` to write it in the survey's own coordinates"
-        )
-    try:
-        return Transformer.from_crs(crs, CRS.from_epsg(4326), always_xy=True)
-    except ProjError as error:
-        raise BadInputError(
-            f"the survey's CRS ({crs.name}) has no known relation to longitude and latitude, so cost.geojson cannot "
-            "say where on Earth it is. Pass another with `force_crs='EPSG:CODE'`, or `local=True` to keep its own "
-            "coordinates"
-        ) from error
-
-
-def _cut_at_antimeridian(outlines: NDArray[np.object_], decimals: int) -> NDArray[np.object_]:
+def _cut_at_antimeridian(outlines: NDArray[np.object_]) -> NDArray[np.object_]:
     bounds = shapely.bounds(outlines)
     crossing = bounds[:, 2] - bounds[:, 0] > 180.0
     if not crossing.any():
@@ -157,8 +109,8 @@ def _cut_at_antimeridian(outlines: NDArray[np.object_], decimals: int) -> NDArra
     whole = shapely.transform(outlines[crossing], unwrap)
     west_side = shapely.intersection(whole, shapely.box(0.0, -90.0, 180.0, 90.0))
     east_side = shapely.intersection(whole, shapely.box(180.0, -90.0, 360.0, 90.0))
-    west_side = shapely.transform(west_side, lambda points: points.round(decimals))
-    east_side = shapely.transform(east_side, lambda points: (points - [360.0, 0.0]).round(decimals))
+    west_side = shapely.transform(west_side, lambda points: points.round(DEGREE_DECIMALS))
+    east_side = shapely.transform(east_side, lambda points: (points - [360.0, 0.0]).round(DEGREE_DECIMALS))
     cut = outlines.copy()
     for place, sides in zip(np.flatnonzero(crossing), zip(west_side, east_side, strict=True), strict=True):
         parts = shapely.get_parts(shapely.normalize(np.array(sides)))
@@ -226,13 +178,35 @@ class GeoJsonCoordinates:
         return {"local_coordinates": _LOCAL, "metres_per_unit": scale, **declared}
 
     def polygons(self, polygons: NDArray[np.object_]) -> NDArray[np.object_]:
-        """Convert polygons (m,) in grid coordinates (1 = one tile) to these; own coordinates are rounded to 1 mm."""
-        if self.to_degrees is not None:
-            return polygons_in_wgs84(polygons, self.placement, self.to_degrees)
-        own: NDArray[np.object_] = shapely.transform(
-            polygons, lambda points: self.placement.to_crs(points).round(_METRE_DECIMALS)
-        )
-        return own
+        """Convert polygons (m,) in grid coordinates (1 = one tile), with sides along the sides of tiles, to these.
+
+        Own coordinates are rounded to 1 mm, degrees to 1 cm; rings in degrees are right-hand and cut at the
+        antimeridian, so that an outline may become a multipolygon. Polygons with the same vertices along their common
+        borders keep this property, on either side of the antimeridian.
+
+        Raises
+        ------
+        BadInputError
+            A point cannot be transformed to longitude and latitude.
+        """
+        place, to_degrees = self.placement, self.to_degrees
+        if to_degrees is None:
+            own: NDArray[np.object_] = shapely.transform(
+                polygons, lambda points: place.to_crs(points).round(_METRE_DECIMALS)
+            )
+            return own
+
+        def move(points: NDArray[np.float64]) -> NDArray[np.float64]:
+            return np.column_stack(to_degrees.transform(points[:, 0], points[:, 1])).round(DEGREE_DECIMALS)
+
+        # The points in between are rounded because those of a side in one direction and the other differ in the last
+        # bit.
+        split = shapely.segmentize(polygons, _SEGMENT)
+        placed = shapely.transform(split, lambda points: place.to_crs(points.round(_GRID_DECIMALS)))
+        outlines: NDArray[np.object_] = shapely.transform(placed, move)
+        if not np.isfinite(shapely.bounds(outlines)).all():
+            raise _outside(place)
+        return _cut_at_antimeridian(outlines)
 
     @property
     def has_degrees(self) -> bool:
@@ -358,7 +332,7 @@ def geojson_writer(
 
         def add(regions: Regions) -> None:
             nonlocal separator
-            outlines, columns = place.polygons(regions.outlines), _columns(regions)
+            outlines, columns = place.polygons(regions.outlines), region_columns(regions)
             box.add(outlines)
             for number, geometry in enumerate(_geometries(outlines)):
                 properties = {name: values[number] for name, values in columns.items()}
@@ -392,38 +366,21 @@ def flatgeobuf_writer(
 ) -> Iterator[Callable[[Regions], None]]:
     """Write cost.fgb: FlatGeobuf with the regions of cost.geojson, in the survey's CRS if it has one.
 
-    FlatGeobuf starts with an index of all features, so regions are first collected in a temporary Arrow file.
-
-    Parameters
-    ----------
-    path : Path
-        The file, which appears when the ``with`` ends without an error.
-    placement : Placement
-        Placement of the map.
-    about : mapping, optional
-        Metadata of the layer, such as vehicle and calibration.
-
-    Yields
-    ------
-    callable
-        Appends `Regions`; call it repeatedly.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    FlatGeobuf starts with an index of all features, so regions are first collected in a temporary Arrow file. ``about``
+    is metadata of the layer, such as vehicle and calibration. For the rest see `geojson_writer`.
     """
     import pyarrow as pa
 
     with atomic(path, (pa.ArrowException,)) as temporary:
         waiting = temporary.with_name(f"{temporary.stem}.arrow")
-        schema, count = _schema(), 0
+        kinds = ((name, pa.type_for_alias(_KINDS.get(name, "float64"))) for name in _PROPERTIES)
+        schema, count = pa.schema([*kinds, (_GEOMETRY, pa.binary())]), 0
         with pa.OSFile(str(waiting), "wb") as file, pa.ipc.new_stream(file, schema) as stream:
 
             def add(regions: Regions) -> None:
                 nonlocal count
                 count += len(regions.tiles)
-                columns: dict[str, Any] = _columns(regions)
+                columns: dict[str, Any] = region_columns(regions)
                 columns[_GEOMETRY] = shapely.to_wkb(shapely.transform(regions.outlines, placement.to_crs), byte_order=1)
                 stream.write_batch(
                     pa.record_batch([pa.array(columns[field.name], field.type) for field in schema], schema=schema)
@@ -431,13 +388,6 @@ def flatgeobuf_writer(
 
             yield add
         _convert(waiting, count, temporary, placement, about or {})
-
-
-def _schema() -> "pa.Schema":
-    import pyarrow as pa
-
-    kinds = ((name, pa.type_for_alias(_KINDS.get(name, "float64"))) for name in _PROPERTIES)
-    return pa.schema([*kinds, (_GEOMETRY, pa.binary())])
 
 
 def _convert(waiting: Path, regions: int, temporary: Path, placement: Placement, about: Mapping[str, str]) -> None:
@@ -472,27 +422,33 @@ def _convert(waiting: Path, regions: int, temporary: Path, placement: Placement,
             raise OSError(str(error)) from error
 
 
-def _columns(regions: Regions) -> dict[str, list[Any]]:
+def region_columns(regions: Regions) -> dict[str, list[Any]]:
     """Return the properties of the regions as Python values; None becomes null."""
-    known = regions.class_id != NO_CLASS
+    known, names = regions.class_id != NO_CLASS, (*CLASS_NAMES, "unknown")
+    # The drives behind c_r: all, or those that got through where many fail.
+    basis = np.where(regions.p_fail >= FAIL_SHARE, "survivors", "drives").astype(object)
+    basis[np.isnan(regions.c_r)] = None
     return {
         "region": regions.number.tolist(),
         "class": [int(value) if is_known else None for value, is_known in zip(regions.class_id, known, strict=True)],
-        "class_name": list(regions.class_name),
-        "reason": [None if is_known else text for text, is_known in zip(regions.reason_text, known, strict=True)],
+        "class_name": [names[min(code, len(CLASS_NAMES))] for code in regions.class_id.tolist()],
+        "reason": [
+            None if is_known else REASON_TEXT[code] for code, is_known in zip(regions.reason, known, strict=True)
+        ],
         "passable": regions.passable.tolist(),
-        "c_r": _numbers(regions.c_r, 6),
-        "c_r_low": _numbers(regions.c_r_low, 6),
-        "c_r_high": _numbers(regions.c_r_high, 6),
-        "c_r_basis": list(regions.c_r_basis),
-        "p_fail": _numbers(regions.p_fail, 6),
-        "hazard": _numbers(regions.hazard, 9),
-        "cost": _numbers(regions.cost, 6),
-        "area_m2": _numbers(regions.area_m2, 3),
+        "c_r": plain_numbers(regions.c_r, 6),
+        "c_r_low": plain_numbers(regions.c_r_low, 6),
+        "c_r_high": plain_numbers(regions.c_r_high, 6),
+        "c_r_basis": basis.tolist(),
+        "p_fail": plain_numbers(regions.p_fail, 6),
+        "hazard": plain_numbers(regions.hazard, 9),
+        "cost": plain_numbers(regions.cost, 6),
+        "area_m2": plain_numbers(regions.tiles * regions.placement.grid.tile_size**2, 3),
         "tiles": regions.tiles.tolist(),
     }
 
 
-def _numbers(values: NDArray[np.float64], decimals: int) -> list[float | None]:
+def plain_numbers(values: NDArray[np.floating], decimals: int) -> list[float | None]:
+    """Round numbers, (n,); what is not finite becomes None, since JSON has no NaN."""
     rounded: list[float] = values.round(decimals).tolist()
     return [value if is_number else None for value, is_number in zip(rounded, np.isfinite(values), strict=True)]

@@ -5,12 +5,10 @@ from .cloth import (
     require_filter as require_filter,
 )
 from .features import (
+    find_objects as find_objects,
     join_stacks as join_stacks,
     measure as measure,
     measure_thin as measure_thin,
-)
-from .objects import (
-    find_objects as find_objects,
     settle_solids as settle_solids,
 )
 from .standing import (

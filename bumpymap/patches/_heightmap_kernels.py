@@ -37,15 +37,7 @@ def set_map(pixels: Any, value: float) -> None:
 
 
 @helper
-def _total(lanes: Floats) -> float:
-    total = 0.0
-    for k in range(LANES):
-        total += lanes[k]
-    return total
-
-
-@helper
-def _sum_from(values: Floats, shift: float, lanes: Floats) -> float:
+def sum_from(values: Floats, shift: float, lanes: Floats) -> float:
     """Sum of ``values - shift``."""
     n = len(values)
     for k in range(LANES):
@@ -57,45 +49,16 @@ def _sum_from(values: Floats, shift: float, lanes: Floats) -> float:
             lanes[k] += part[k] - shift
     for i in range(whole, n):
         lanes[i - whole] += values[i] - shift
-    return _total(lanes)
-
-
-@helper
-def sum_of_squares(values: Floats, lanes: Floats) -> float:
-    """Sum of squares."""
-    n = len(values)
+    total = 0.0
     for k in range(LANES):
-        lanes[k] = 0.0
-    whole = n // LANES * LANES
-    for start in range(0, whole, LANES):
-        part = values[start : start + LANES]
-        for k in range(LANES):
-            lanes[k] += part[k] * part[k]
-    for i in range(whole, n):
-        lanes[i - whole] += values[i] * values[i]
-    return _total(lanes)
-
-
-@helper
-def sum_of_sizes(values: Floats, lanes: Floats) -> float:
-    """Sum of absolute values."""
-    n = len(values)
-    for k in range(LANES):
-        lanes[k] = 0.0
-    whole = n // LANES * LANES
-    for start in range(0, whole, LANES):
-        part = values[start : start + LANES]
-        for k in range(LANES):
-            lanes[k] += abs(part[k])
-    for i in range(whole, n):
-        lanes[i - whole] += abs(values[i])
-    return _total(lanes)
+        total += lanes[k]
+    return total
 
 
 @helper
 def centre(values: Floats, lanes: Floats, out: Floats) -> float:
     """Write ``values`` minus their mean; returns the mean. The sum starts at the first value and so keeps its bits."""
-    mean: float = values[0] + _sum_from(values, values[0], lanes) / len(values)
+    mean: float = values[0] + sum_from(values, values[0], lanes) / len(values)
     for i in range(len(values)):
         out[i] = values[i] - mean
     return mean

@@ -25,8 +25,7 @@ from bumpymap.patches._heightmap_kernels import (
     set_all,
     set_map,
     shift,
-    sum_of_sizes,
-    sum_of_squares,
+    sum_from,
 )
 from bumpytiles import helper, kernel
 
@@ -302,8 +301,10 @@ def _plane_of_tile(n: int, seed: np.uint64, settings: MeasureSettings, scratch: 
     if is_plane(plane):
         a, b, c, d = plane
         for i in range(n):
+            distance[i] = abs(a * x[i] + b * y[i] + c * z[i] + d)
+        out[3] = sum_from(distance, 0.0, scratch.lanes) / n
+        for i in range(n):
             distance[i] = a * x[i] + b * y[i] + c * z[i] + d
-        out[3] = sum_of_sizes(distance, scratch.lanes) / n
         out[4] = math.degrees(math.acos(min(1.0, c)))
     else:
         for i in range(n):
@@ -324,7 +325,9 @@ def _measure_tile(
     shift(points.northing[first:last], y)
     mean = centre(points.upward[first:last], scratch.lanes, z)
     scalars[0], scalars[1] = extremes(points.upward[first:last])
-    scalars[2] = sum_of_squares(z, scratch.lanes) / n
+    for i in range(n):
+        distance[i] = z[i] * z[i]
+    scalars[2] = sum_from(distance, 0.0, scratch.lanes) / n
     seed = (np.uint64(points.col[t]) << np.uint64(32)) ^ np.uint64(points.row[t])
     plane = _plane_of_tile(n, seed, settings, scratch, scalars)
     low, high, strays = stray_bounds(distance, settings.gap, scratch.ends.shape[1] - 1, scratch.ends)

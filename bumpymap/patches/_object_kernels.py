@@ -1,11 +1,11 @@
 """Compiled kernel: the points over the ground of tiles in, the state of each pixel out.
 
 A tile is taken by itself: its ground surface (known pixels, a plane and filled holes), the heights of the other points
-above it, and the rules of `bumpymap.patches.objects` for what of that is an obstacle.
+above it, and the rules of `bumpymap.patches.features` for what of that is an obstacle.
 """
 
 import math
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,21 +113,10 @@ class ObjectScratch(NamedTuple):
 
 def object_scratch(pixels: int) -> ObjectScratch:
     """Make scratch for tiles of so many pixels along a side."""
-    floats = [np.empty((pixels, pixels)) for _ in range(3)]
-    whole = [np.empty((pixels, pixels), np.int32) for _ in range(6)]
-    return ObjectScratch(
-        surface=floats[0],
-        top=floats[1],
-        least=floats[2],
-        body=whole[0],
-        company=whole[1],
-        above=whole[2],
-        under=whole[3],
-        leaves=whole[4],
-        shrubs=whole[5],
-        places=np.empty(pixels * pixels, np.int32),
-        rests=np.empty(pixels * pixels),
-    )
+    maps: list[Any] = [np.empty((pixels, pixels)) for _ in range(3)]
+    maps += [np.empty((pixels, pixels), np.int32) for _ in range(6)]
+    maps += [np.empty(pixels * pixels, np.int32), np.empty(pixels * pixels)]
+    return ObjectScratch(*maps)
 
 
 @helper
@@ -225,16 +214,6 @@ def _clear(scratch: ObjectScratch) -> None:
 
 
 @helper
-def _around(counts: Integers, r: int, c: int) -> int:
-    """Sum of the 3 x 3 pixels around one."""
-    total = 0
-    for row in range(max(0, r - 1), min(counts.shape[0], r + 2)):
-        for column in range(max(0, c - 1), min(counts.shape[1], c + 2)):
-            total += counts[row, column]
-    return total
-
-
-@helper
 def _line_sum(counts: Integers, r: int, c: int, down: int, right: int) -> int:
     """Sum of five pixels in a row around one."""
     total, size = 0, counts.shape[0]
@@ -281,7 +260,7 @@ def _first_states(need: int, reach: int, thin: bool, seen: Integers, state: Byte
         for c in range(size):
             state[r, c] = FREE if seen[r, c] > 0 or scratch.under[r, c] > 0 else EMPTY
             if scratch.body[r, c] > 0:
-                if _around(scratch.company, r, c) >= need:
+                if _box_sum(scratch.company, r, c, 1) >= need:
                     state[r, c] = OBSTACLE
                 elif r == 0 or c == 0 or r == size - 1 or c == size - 1:
                     state[r, c] = UNDECIDED
@@ -303,7 +282,7 @@ def _without_ground(state: Bytes, scalars: Floats, scratch: ObjectScratch) -> No
     for r in range(size):
         for c in range(size):
             # Heights above an unknown ground are NaN, and so all its points count as under.
-            found = scratch.under[r, c] > 0 and _around(scratch.under, r, c) > 1
+            found = scratch.under[r, c] > 0 and _box_sum(scratch.under, r, c, 1) > 1
             state[r, c] = OBSTACLE if found else UNSEEN
             seen += found
     scalars[0] = seen / (size * size) if seen > 0 else np.nan

@@ -64,7 +64,6 @@ def mark_ground(points: TilePoints, settings: CsfSettings) -> NDArray[np.bool_]:
     ----------
     points : TilePoints
         All n points of one block, in canonical order.
-    settings : CsfSettings
 
     Returns
     -------

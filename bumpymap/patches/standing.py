@@ -40,7 +40,7 @@ from bumpymap.patches._standing_kernels import (
     mark_standing,
     standing_scratch,
 )
-from bumpymap.patches.features import measure
+from bumpymap.patches.features import choose_tiles, measure
 from bumpytiles import BLOCK_TILES, TilePoints
 
 _WIDTH = 1.8
@@ -266,7 +266,7 @@ def _without_strays(
     points = replace(points, flag=flag)
     if not kept:
         return points, patches
-    again = measure(_chosen(points, np.array(kept)), settings, ground_only=True)
+    again = measure(choose_tiles(points, np.isin(np.arange(len(near)), kept)), settings, ground_only=True)
     replaced = {f.name: getattr(patches, f.name).copy() for f in fields(PatchStack) if f.name != "grid"}
     for name, values in replaced.items():
         values[kept] = getattr(again, name)
@@ -287,17 +287,6 @@ def _above_plane(
     plane = np.linalg.lstsq(terms, height.astype(np.float64), rcond=None)[0]
     above = points.upward[part] - np.stack([row, col, np.ones(len(row))], axis=1) @ plane
     return row, col, height - terms @ plane, above
-
-
-def _chosen(points: TilePoints, tiles: NDArray[np.int64]) -> TilePoints:
-    """Return some tiles with their points."""
-    count = np.diff(points.starts)
-    wanted = np.zeros(len(count), np.bool_)
-    wanted[tiles] = True
-    kept = np.repeat(wanted, count)
-    arrays = {name: getattr(points, name)[kept] for name in ("easting", "northing", "upward", "flag")}
-    starts = np.concatenate(([0], np.cumsum(count[wanted])))
-    return replace(points, starts=starts, col=points.col[wanted], row=points.row[wanted], **arrays)
 
 
 def _pixels_of(

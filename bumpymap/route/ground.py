@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import OBSTACLE, OPEN_THROUGH, Barred, TileField, by_mean, corners_join
-from bumpymap.layers import MapReader, tiles_in, tiles_within
+from bumpymap.layers import MapReader, tiles_in
 from bumpymap.route._line_kernels import Costs
 from bumpymap.route.places import in_window, on_grid
 from bumpymap.route.search import BYTES_PER_TILE, BYTES_PER_TILE_BY_HEADING, BYTES_PER_TILE_BY_SLOPE, find_way
@@ -182,7 +182,7 @@ class CostGround:
         if self.avoid is not None:
             cost[tiles_in(self.avoid, tiles.window, tiles.grid)] = np.inf
         if self.only is not None:
-            cost[~tiles_within(self.only, tiles.window, tiles.grid)] = np.inf
+            cost[~tiles_in(self.only, tiles.window, tiles.grid, wholly=True)] = np.inf
         if self.touching and not through:
             cost[np.isin(tiles.barred, (Barred.OBSTACLE, Barred.SPLIT))] *= TOUCHING
         if self.worn is not None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import Barred, UsageError
-from bumpymap.layers import ReachField
+from bumpymap.layers import Placement, ReachField
 from bumpymap.route._search_kernels import FROM_START, MoveTables
 from bumpymap.route.ground import CostGround
 from bumpymap.route.places import place_in_window, window_within
@@ -107,7 +107,7 @@ class Reach(ReachField):
     @property
     def area_ha(self) -> float:
         """Area of the tiles that can be reached, ha."""
-        return self.tiles * self.grid.tile_size**2 / 1e4
+        return self.tiles * self.placement.grid.tile_size**2 / 1e4
 
     @property
     def highest_cost(self) -> float:
@@ -158,9 +158,7 @@ def find_reach(ground: CostGround, start: NDArray[np.float64], most_m: float = m
     time *= site.grid.tile_size / 60.0
     time[np.isnan(spent)] = np.nan
     return Reach(
-        site.georeference,
-        site.grid,
-        window,
+        Placement(site.georeference, site.grid, window),
         cost=spent.astype(np.float32),
         minutes=time.astype(np.float32),
         passable=int(is_passable.sum()),

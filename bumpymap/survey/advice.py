@@ -45,7 +45,6 @@ def advise(outcome: Outcome, settings: FeatureSettings, *, before_run: bool) -> 
 
     Parameters
     ----------
-    outcome : Outcome
     settings : FeatureSettings
         Limits of the dense rule.
     before_run : bool
@@ -108,7 +107,7 @@ def outcome_of_run(result: MapResult, config: MapConfig) -> Outcome:
         measured=_MEASURED[config.ground == "csf"] if result.ground_only else "points",
         points_per_tile=summary.median_count,
         all_points_per_tile=result.points / summary.tiles,
-        thin=result.rates_thin,
+        thin=config.by_ride,
     )
 
 

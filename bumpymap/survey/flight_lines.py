@@ -415,15 +415,9 @@ def describe_lines(found: FlightLines, align: Align) -> str:
     if found.largest < MATTERS:
         return ""
     worst = max(found.pairs, key=lambda pair: pair.largest)
-    text = (
-        f"Flight lines: heights of {_both(worst)} differ by {worst.largest * 100:.1f} cm where they overlap, which "
-        "reads as roughness"
-    )
-    return f"{text}. {_remedy(found)}"
-
-
-def _both(pair: LinePair) -> str:
-    return f"{pair.lines[0]} and {pair.lines[1]}"
+    one, two = worst.lines
+    text = f"heights of {one} and {two} differ by {worst.largest * 100:.1f} cm where they overlap"
+    return f"Flight lines: {text}, which reads as roughness. {_remedy(found)}"
 
 
 def _remedy(found: FlightLines) -> str:
@@ -464,20 +458,15 @@ def _tilt(steps: CellSteps, span: slice, middle: float, spread: float) -> tuple[
     return (round(float(fit[1]), 6), round(float(fit[2]), 6)), design @ fit / root
 
 
+@dataclass(frozen=True, slots=True)
 class AlignedInputs:
-    """The inputs of a run, with the corrections of their flight lines.
+    """The inputs of a run, with the corrections of their flight lines."""
 
-    Parameters
-    ----------
-    inputs : SurveyInputs
-    options : ReadOptions
-        The settings that these were opened with.
-    before : FlightLines or None
-        The lines before any correction, with what is taken off; None without ``align="on"``.
-    """
-
-    def __init__(self, inputs: SurveyInputs, options: ReadOptions, before: FlightLines | None) -> None:
-        self.inputs, self.options, self._before = inputs, options, before
+    inputs: SurveyInputs
+    options: ReadOptions
+    """The settings that these were opened with."""
+    before: FlightLines | None
+    """The lines before any correction, with what is taken off; None without ``align="on"``."""
 
     @classmethod
     def of(cls, config: MapConfig, inputs: SurveyInputs, progress: Progress, clock: Stopwatch) -> "AlignedInputs":
@@ -504,7 +493,7 @@ class AlignedInputs:
 
     def outcome(self, sums: LineSums) -> FlightLines:
         """Return the lines as they are in the layers, by the sums of the points that were mapped."""
-        before = self._before
+        before = self.before
         if before is None:
             return compare_lines(sums)
         pairs = compare_lines(sums).pairs if before.corrections else before.pairs

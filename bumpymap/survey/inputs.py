@@ -52,7 +52,6 @@ class SurveyInputs:
 
         Parameters
         ----------
-        config : MapConfig
         crs_must_agree : bool
             Whether an input that states another CRS than ``config.crs`` is refused; else its own is used.
 

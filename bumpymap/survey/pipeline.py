@@ -21,7 +21,7 @@ from bumpymap.core import (
     return_memory,
 )
 from bumpymap.layers import check_folder, is_complete
-from bumpymap.patches import close_filter
+from bumpymap.patches import close_filter, require_filter
 from bumpymap.rating import map_rule
 from bumpymap.survey.engine import (
     BlockWork,
@@ -46,8 +46,7 @@ from bumpymap.survey.run_record import (
     versions,
 )
 from bumpymap.survey.second_pass import NeighbourRating, finish_tiles
-from bumpymap.survey.tile_rating import RatingModels, TileRating, require_cloth
-from bumpytiles import Grid
+from bumpymap.survey.tile_rating import RatingModels, TileRating
 
 _COLOURED = 0.1
 """Share of points with a colour from which on there is a photo."""
@@ -58,8 +57,6 @@ def map_surveys(config: MapConfig, progress: Progress | None = None, *, in_batch
 
     Parameters
     ----------
-    config : MapConfig
-    progress : Progress, optional
     in_batch : bool
         The run is one of many. A survey that states another CRS than ``config.crs`` is mapped in its own, with a
         warning, instead of being refused; with ``config.overwrite``, layers of the same inputs and settings are kept;
@@ -99,13 +96,13 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
         run_spec = describe_run(config, inputs, models, budget)
     if keeps:
         try:
-            return earlier_result(config, run_spec, rates_thin=neighbours.rates_thin)
+            return earlier_result(config, run_spec)
         except OutputError:
             if not overwrite:
                 raise
         check_folder(config.out, overwrite=True)
     discard = overwrite or (in_batch and not complete)
-    grid = Grid(config.tile_size, config.pixels)
+    grid = config.grid
     rating = TileRating.of(config, models, inputs.georeference)
     speeds = config.speeds or ()
     in_relief = rating.measure_all if config.compat == "none" else None  # the paper knows no obstacles
@@ -145,16 +142,14 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
             files, summary = write_products(
                 table, config.out, local=config.local, manifest=manifest, views=write_map_views, progress=progress
             )
-    points, only = measured.points, measured.ground_only
-    thin = neighbours.rates_thin
-    return MapResult(
-        tuple(files), summary, points, only, inputs.skipped, clock.seconds, lines, thin, from_all=measured.from_all
-    )
+    points, only, every = measured.points, measured.ground_only, measured.from_all
+    return MapResult(tuple(files), summary, points, only, inputs.skipped, clock.seconds, lines, from_all=every)
 
 
 def _prepare(config: MapConfig, *, crs_must_agree: bool) -> tuple[RatingModels, SurveyInputs, NeighbourRating]:
     """Load the models and open the surveys."""
-    require_cloth(config)
+    if config.ground == "csf":
+        require_filter(config.csf, config.grid)
     models = RatingModels.load(config)
     inputs = SurveyInputs.open(config, crs_must_agree=crs_must_agree)
-    return models, inputs, NeighbourRating.of(config, models)
+    return models, inputs, NeighbourRating(config, models.calibration)

@@ -89,8 +89,6 @@ class MapResult:
     """Wall time by stage."""
     lines: FlightLines
     """Steps between flight lines, and what was taken off."""
-    rates_thin: bool
-    """Thin tiles were rated from their points."""
     already_done: bool = False
     """An earlier run with the same inputs and settings is complete: nothing was written, and these are its results."""
     from_all: int = 0
@@ -155,17 +153,7 @@ def _printable(name: str) -> str:
     return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in name)
 
 
-_WITHOUT_EFFECT = {
-    "surveys",
-    "out",
-    "max_unknown",
-    "overwrite",
-    "threads",
-    "memory",
-    "scratch",
-    "scheduler",
-    "page",
-}
+_WITHOUT_EFFECT = {"surveys", "max_unknown"}
 """Settings that do not change the results: a resumed run may use other values."""
 
 
@@ -187,7 +175,7 @@ def describe_run(config: MapConfig, inputs: SurveyInputs, models: RatingModels, 
     }
 
 
-def earlier_result(config: MapConfig, run_spec: Mapping[str, Any], *, rates_thin: bool) -> MapResult:
+def earlier_result(config: MapConfig, run_spec: Mapping[str, Any]) -> MapResult:
     """Return the recorded result of the complete run in ``config.out``, whose layers are verified.
 
     Raises
@@ -213,7 +201,7 @@ def earlier_result(config: MapConfig, run_spec: Mapping[str, Any], *, rates_thin
     # Views may be deleted, or rewritten by other programs.
     views = [name for name in EVERY_VIEW_NAME if (config.out / name).exists()]
     files = tuple(config.out / name for name in (*names, MANIFEST_NAME, *views))
-    return MapResult(files, summary, points, ground_only, skipped, seconds, lines, rates_thin, True, from_all)
+    return MapResult(files, summary, points, ground_only, skipped, seconds, lines, True, from_all)
 
 
 def run_manifest(
@@ -231,8 +219,7 @@ def run_manifest(
     read = [(reader.info, dropped, checksum) for reader, dropped, checksum in every if dropped is not None]
     calibration, skipped = models.calibration, inputs.skipped
     # The part of the intervals that all maps with this calibration share.
-    by_ride = (config.rating, config.compat) == ("ride", "none")
-    error = float(calibration.ride["model_error"]) if by_ride else 0.0
+    error = float(calibration.ride["model_error"]) if config.by_ride else 0.0
     return {
         "survey": survey_record(
             config.surveys,

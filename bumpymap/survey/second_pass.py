@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,11 +30,8 @@ from bumpymap.core import (
     SOLID,
     UNSEEN,
     Barred,
-    Compat,
-    FeatureSettings,
     MapConfig,
     Progress,
-    Rating,
     Reason,
     SilentProgress,
     neighbour_columns,
@@ -60,8 +57,7 @@ from bumpymap.rating import (
     settle_objects,
 )
 from bumpymap.survey.engine import TileSink
-from bumpymap.survey.tile_rating import RatingModels
-from bumpytiles import BLOCK_TILES, BlockKey, Column, Grid, Pack, TileTable, grouped_blocks, run_blocks
+from bumpytiles import BLOCK_TILES, BlockKey, Column, Pack, TileTable, grouped_blocks, run_blocks
 
 _GROUP_TILES = 256
 """Most tiles in a group of blocks: as many as a full block has."""
@@ -202,35 +198,10 @@ class NeighbourRating:
     What it returns in ``barred`` is what the ground of a tile bars; `VehicleSweep` adds what stands on it.
     """
 
-    grid: Grid
+    config: MapConfig
     calibration: Calibration
-    rating: Rating
-    compat: Compat
-    max_hole: float = FeatureSettings().max_hole
-    """m, see `settle_solids`."""
-    speeds: tuple[float, ...] = ()
-    """Speeds besides that of the map, m/s."""
-    headings: bool = False
-    """Tell the ride by heading."""
-
-    @classmethod
-    def of(cls, config: MapConfig, models: RatingModels) -> "NeighbourRating":
-        """Choose the steps that the settings ask for."""
-        speeds = config.speeds or ()
-        return cls(
-            Grid(config.tile_size, config.pixels),
-            models.calibration,
-            config.rating,
-            config.compat,
-            config.features.max_hole,
-            speeds,
-            config.headings,
-        )
-
-    @property
-    def rings(self) -> int:
-        """Tiles around a block that it reads."""
-        return 1
+    rings: ClassVar = 1
+    """Tiles around a block that it reads."""
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -240,18 +211,14 @@ class NeighbourRating:
     @property
     def columns(self) -> tuple[Column, ...]:
         """Columns that it returns."""
-        columns = neighbour_columns(self.grid.pixels, len(self.speeds), headings=self.headings)
+        config = self.config
+        columns = neighbour_columns(config.pixels, len(config.speeds or ()), headings=config.headings)
         return (*(column for column in columns if column.name not in ("passable", "passage")), _SIDES)
 
     @property
     def _asked(self) -> tuple[str, ...]:
         """The columns of other speeds and of headings, if they were asked for."""
-        return (*(("motion",) if self.speeds else ()), *(("headings",) if self.headings else ()))
-
-    @property
-    def rates_thin(self) -> bool:
-        """True if thin tiles are rated from their points."""
-        return self.rating == "ride" and self.compat == "none"
+        return (*(("motion",) if self.config.speeds else ()), *(("headings",) if self.config.headings else ()))
 
     def leaves(self, own: Mapping[str, NDArray[Any]]) -> Columns | None:
         """Return the columns of n tiles of a block if all are unknown and stay so; None if neighbours matter.
@@ -261,7 +228,7 @@ class NeighbourRating:
         own : mapping
             ``needs`` without ``heights``, (n, ...) each.
         """
-        if (own["class_id"] != NO_CLASS).any() or (self.rates_thin and self._known(own).any()):
+        if (own["class_id"] != NO_CLASS).any() or (self.config.by_ride and self._known(own).any()):
             return None
         tiles = len(own["class_id"])
         nothing = np.full(tiles, np.nan, np.float32)
@@ -278,21 +245,21 @@ class NeighbourRating:
 
     def __call__(self, window: NeighbourWindow) -> Columns:
         """Return `neighbour_columns` of the inner tiles."""
-        own = {name: window.inner(name) for name in (*_RATED, "slope", "coverage", *_OBJECTS)}
+        own, grid = {name: window.inner(name) for name in (*_RATED, "slope", "coverage", *_OBJECTS)}, self.config.grid
         known = self._known(window.columns) & self._seen(window)
-        if self.rates_thin:
+        if self.config.by_ride:
             own |= asdict(
                 rate_thin(window["thin"], _first(window), window["coverage"], window["slope"], self.calibration)
             )
         objects = window.mosaic("objects")
-        if self.compat == "none":
+        if self.config.compat == "none":
             objects = self._out_of_relief(window, objects)
-        objects = settle_objects(settle_solids(objects, self.grid, self.max_hole), self.grid.pixels)
+        objects = settle_objects(settle_solids(objects, grid, self.config.features.max_hole), grid.pixels)
         objects[(objects == FREE) & ~self._pixels(known)] = UNSEEN
         steps = self._steps(window)
-        if self.compat == "none":
+        if self.config.compat == "none":
             # Few points make steps of rough ground: in thin tiles they bar the way, but do not change the ride.
-            share = dense_share(own["coverage"]) if self.rates_thin else 1.0
+            share = dense_share(own["coverage"]) if self.config.by_ride else 1.0
             own |= apply_steps(own, steps.unseen * share, self.calibration)
         states = self._inner(objects)
         share = np.mean(states == OBSTACLE, axis=(2, 3), dtype=np.float32)
@@ -313,38 +280,38 @@ class NeighbourRating:
     def _by_speed_and_heading(self, window: NeighbourWindow, c_r: NDArray[np.float32]) -> Columns:
         """Return what is felt at other speeds and by heading in the inner tiles, as far as it is asked for."""
         found = {}
-        if self.speeds:
-            found["motion"] = motion_felt(self.calibration, self.speeds, window.inner("motion"), c_r)
-        if self.headings:
+        if self.config.speeds:
+            found["motion"] = motion_felt(self.calibration, self.config.speeds, window.inner("motion"), c_r)
+        if self.config.headings:
             # Of thin tiles the filled heightmap is little known, and so are its headings.
-            weight = ride_weight(_first(window).inner(), window.inner("coverage")) if self.rates_thin else 1.0
+            weight = ride_weight(_first(window).inner(), window.inner("coverage")) if self.config.by_ride else 1.0
             found["headings"] = felt_by_heading(self.calibration, window.inner("headings"), c_r, weight)
         return found
 
     def _known(self, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
         """Return which tiles have a class, or will have one."""
         known: NDArray[np.bool_] = columns["class_id"] != NO_CLASS
-        return known | is_rateable(columns["thin"], columns["reason"]) if self.rates_thin else known
+        return known | is_rateable(columns["thin"], columns["reason"]) if self.config.by_ride else known
 
     def _seen(self, window: NeighbourWindow) -> NDArray[np.bool_]:
         """Return which tiles show enough for a way: of few points the ride may be known, but not what stands there."""
         states = window["objects"]
         held = np.sum((states != UNSEEN) & (states % SEEN != EMPTY), axis=(2, 3))
-        return np.asarray((window["class_id"] != NO_CLASS) | (held >= SEEN_PER_M2 * self.grid.tile_size**2))
+        return np.asarray((window["class_id"] != NO_CLASS) | (held >= SEEN_PER_M2 * self.config.tile_size**2))
 
     def _out_of_relief(self, window: NeighbourWindow, objects: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return the pixels with what stands out of the relief of tiles whose points all count as ground."""
         relief = _is_relief(window)
         if not relief.any():
             return objects
-        settled = settle_relief(objects, window.mosaic("heights"), self.calibration.body, self.grid.pixel_size)
+        settled = settle_relief(objects, window.mosaic("heights"), self.calibration.body, self.config.grid.pixel_size)
         return np.where(self._pixels(relief), settled, objects)
 
     def _steps(self, window: NeighbourWindow) -> TileSteps:
-        if self.grid.pixels >= _LEAST_PIXELS:
+        if self.config.pixels >= _LEAST_PIXELS:
             # Only what the first pass found: it is the same for all blocks that look at a border.
             standing = self._pixels(_is_relief(window)) & (window.mosaic("objects") == OBSTACLE)
-            return find_steps(window.mosaic("heights"), self.grid.pixels, self.calibration.wheel_pixels, standing)
+            return find_steps(window.mosaic("heights"), self.config.pixels, self.calibration.wheel_pixels, standing)
         rows, cols = window.inner("class_id").shape
         shapes = ((rows, cols, len(SIDES)), (rows, cols), (rows, cols))
         return TileSteps(*(np.full(shape, np.nan, np.float32) for shape in shapes))
@@ -360,11 +327,11 @@ class NeighbourRating:
 
     def _pixels(self, of_tiles: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Give every pixel of a mosaic the value of its tile."""
-        return np.repeat(np.repeat(of_tiles, self.grid.pixels, axis=0), self.grid.pixels, axis=1)
+        return np.repeat(np.repeat(of_tiles, self.config.pixels, axis=0), self.config.pixels, axis=1)
 
     def _inner(self, mosaic: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Cut the inner tiles out of a mosaic, (16, 16, pixels, pixels)."""
-        px = self.grid.pixels
+        px = self.config.pixels
         tiles = len(mosaic) // px
         apart = mosaic.reshape(tiles, px, tiles, px).swapaxes(1, 2)
         return apart[self.rings : -self.rings, self.rings : -self.rings]
@@ -379,25 +346,18 @@ class VehicleSweep:
     ring are needed to tell where an obstacle splits tiles, and depend on the obstacles in the outer one.
     """
 
-    grid: Grid
+    config: MapConfig
     calibration: Calibration
-    compat: Compat
-
-    @property
-    def rings(self) -> int:
-        """Tiles around a block that it reads."""
-        return 2
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        """Columns that it reads."""
-        return ("barred", "objects", _SIDES.name)
+    rings: ClassVar = 2
+    """Tiles around a block that it reads."""
+    needs: ClassVar = ("barred", "objects", _SIDES.name)
+    """Columns that it reads."""
 
     @property
     def columns(self) -> tuple[Column, ...]:
         """Columns that it returns."""
         names = ("barred", "passable", "passage")
-        return tuple(column for column in neighbour_columns(self.grid.pixels) if column.name in names)
+        return tuple(column for column in neighbour_columns(self.config.pixels) if column.name in names)
 
     def leaves(self, own: Mapping[str, NDArray[Any]]) -> Columns | None:
         """Return the columns of n tiles of a block if the ground bars all of them; else None."""
@@ -408,17 +368,17 @@ class VehicleSweep:
 
     def __call__(self, window: NeighbourWindow) -> Columns:
         """Return the columns of the inner tiles."""
-        body, size = self.calibration.body, self.grid.tile_size
+        body, size = self.calibration.body, self.config.tile_size
         objects = window.mosaic("objects")
         alone = np.where(window.present, window["barred"], np.uint8(Barred.UNKNOWN))[1:-1, 1:-1]
         sides = window[_SIDES.name][1:-1, 1:-1, None]
         bits = np.unpackbits(np.where(window.present[1:-1, 1:-1, None], sides, 0), axis=-1, bitorder="little")
         barred = alone
-        if self.compat == "none":
+        if self.config.compat == "none":
             barred = find_passable(objects, alone, bits[..., : len(SIDES)].astype(np.bool_), body, size)
             barred[(barred == Barred.NO) & (bits[..., len(SIDES)] > 0)] = Barred.STEP
         closed, areas = close_split_tiles(free_areas(objects, barred, body, size), barred, body, size)
-        if self.compat != "none":
+        if self.config.compat != "none":
             closed = barred[1:-1, 1:-1]
         return {"barred": closed, "passable": (closed == Barred.NO).astype(np.uint8), "passage": areas}
 
@@ -434,7 +394,7 @@ def finish_tiles(
         The packs cannot be written.
     """
     rated = add_neighbours(table, rating, folder, threads, progress)
-    sweep = VehicleSweep(rating.grid, rating.calibration, rating.compat)
+    sweep = VehicleSweep(rating.config, rating.calibration)
     return add_neighbours(rated, sweep, folder, threads, SilentProgress(), "swept")
 
 

@@ -11,9 +11,6 @@ from numpy.typing import NDArray
 from bumpymap.core import (
     POINT_GROUND,
     POINT_OTHER,
-    Compat,
-    CsfSettings,
-    FeatureSettings,
     Georeference,
     MapConfig,
     ObjectStack,
@@ -28,7 +25,6 @@ from bumpymap.patches import (
     mark_ground,
     measure,
     measure_thin,
-    require_filter,
     take_off_standing,
 )
 from bumpymap.rating import (
@@ -45,15 +41,9 @@ from bumpymap.rating import (
     shipped_calibrations,
     thin_columns,
 )
-from bumpytiles import Grid, TilePoints
+from bumpytiles import TilePoints
 
 _log = logging.getLogger(__name__)
-
-
-def require_cloth(config: MapConfig) -> None:
-    """Check that the cloth filter is installed if the settings ask for it."""
-    if config.ground == "csf":
-        require_filter(config.csf, Grid(config.tile_size, config.pixels))
 
 
 # What is part of the package is read once by a process that maps many surveys.
@@ -92,7 +82,7 @@ class RatingModels:
             require_speeds(calibration, config.speeds, "speeds")
         texture = TextureModel.load(config.model) if config.model else _shipped()
         fits = (texture.tile_size, texture.pixels) == (config.tile_size, config.pixels)
-        if not fits and config.model is None and _by_ride(config):
+        if not fits and config.model is None and config.by_ride:
             return cls(None, calibration)
         texture.require_grid(config.tile_size, config.pixels)
         return cls(texture, calibration)
@@ -107,10 +97,7 @@ class RatingModels:
 class TileRating:
     """Rates the points of tiles; picklable, because other threads and machines run it."""
 
-    features: FeatureSettings
-    csf: CsfSettings | None
-    """None: the classes in the survey say what is ground."""
-    compat: Compat
+    config: MapConfig
     models: RatingModels
     ride: RideModel | None
     """None: rate by texture and relief."""
@@ -119,15 +106,12 @@ class TileRating:
     @classmethod
     def of(cls, config: MapConfig, models: RatingModels, georeference: Georeference) -> "TileRating":
         """Choose the steps that the settings ask for."""
-        csf = config.csf if config.ground == "csf" else None
-        ride = None
-        if _by_ride(config):
-            ride = RideModel(models.calibration, config.speeds or (), headings=config.headings)
-        return cls(config.features, csf, config.compat, models, ride, georeference)
+        ride = RideModel(models.calibration, config.speeds or (), headings=config.headings) if config.by_ride else None
+        return cls(config, models, ride, georeference)
 
     def measure_all(self, points: TilePoints) -> PatchStack:
         """Measure tiles from all of their points."""
-        return measure(points, self.features, ground_only=False)
+        return measure(points, self.config.features, ground_only=False)
 
     def __call__(
         self, points: TilePoints, ground_only: bool, block: PatchStack | None = None
@@ -136,20 +120,18 @@ class TileRating:
 
         ``block`` are all tiles of their block, of `measure_all`, if these are only some of them.
         """
-        points = decks_as_ground(points)
-        if self.csf is not None:
-            ground, of_file = (
-                mark_ground(points, self.csf),
-                np.where(points.flag == POINT_GROUND, POINT_OTHER, points.flag),
-            )
+        points, config = decks_as_ground(points), self.config
+        if config.ground == "csf":
+            ground = mark_ground(points, config.csf)
+            of_file = np.where(points.flag == POINT_GROUND, POINT_OTHER, points.flag)
             points = replace(points, flag=np.where(ground, POINT_GROUND, of_file).astype(np.uint8))
-        patches = measure(points, self.features, ground_only=ground_only)
+        patches = measure(points, config.features, ground_only=ground_only)
         objects, bare, on_ground = None, patches, ground_only
         if ground_only:
             objects = self._objects(points, patches)
-        elif self.compat == "none":  # the paper knows none
+        elif config.compat == "none":  # the paper knows none
             found = find_in_relief(points, patches, self.models.calibration.body, block)
-            points, bare = leave_out_standing(points, patches, found, self.features)
+            points, bare = leave_out_standing(points, patches, found, config.features)
             objects = found.stack
             on_ground = True
         network = self.models.texture
@@ -158,7 +140,7 @@ class TileRating:
         if self.ride is not None:
             rated = self.ride.rate(bare, textures, self.georeference)
         else:
-            rating = rate_as_paper if self.compat == "paper" else rate
+            rating = rate_as_paper if config.compat == "paper" else rate
             rated = rating(bare, textures, calibration, self.georeference)
         # How thin a tile is, and whether it has holes, its survey tells, and not what stands on it.
         thin = self._thin(points, patches, on_ground, bare.count)
@@ -168,7 +150,7 @@ class TileRating:
     def _objects(self, points: TilePoints, patches: PatchStack) -> ObjectStack:
         """Find what stands on the ground; the cloth takes low things for ground."""
         body = self.models.calibration.body
-        apart = (points, patches) if self.csf is None else take_off_standing(points, patches, body)
+        apart = take_off_standing(points, patches, body) if self.config.ground == "csf" else (points, patches)
         return find_objects(*apart, body)
 
     def _thin(
@@ -180,10 +162,5 @@ class TileRating:
         """
         if self.ride is None:
             return None
-        pairs, relief_map = measure_thin(points, patches, self.features, ground_only=ground_only)
+        pairs, relief_map = measure_thin(points, patches, self.config.features, ground_only=ground_only)
         return thin_columns(pairs, relief_map, count, self.ride.operator)
-
-
-def _by_ride(config: MapConfig) -> bool:
-    """Return whether tiles are rated by the ride model."""
-    return config.rating == "ride" and config.compat == "none"

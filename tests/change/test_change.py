@@ -310,7 +310,7 @@ def test_only_tiles_of_both_are_compared(root):
     part = write_folder(root / "part", survey(5, tiles=half))
     result = compare(root / "may", part)
     assert result.counts["in_both"] == half.sum()
-    assert (result.field.window.cols, result.field.window.rows) == (25, ROWS)
+    assert (result.field.placement.window.cols, result.field.placement.window.rows) == (25, ROWS)
     assert np.array_equal(np.isfinite(result.field.changed), half[:, :25])
 
 

@@ -17,10 +17,10 @@ from route_records import MadeUpMap
 from scipy.stats import spearmanr
 
 from bumpymap.check import CheckConfig, check_drives
+from bumpymap.check.inertial import even_imu
 from bumpymap.check.measure import find_standing, measure_drive, rough_speed
 from bumpymap.check.pipeline import agreement_of, write_check
 from bumpymap.check.places import local_metres, metre_places, places_on_map
-from bumpymap.check.signals import even_imu
 from bumpymap.check.stretches import cut_stretches
 from bumpymap.cli import main
 from bumpymap.core import BadInputError, ImuTrack, OutputError, PlaceTrack, UsageError, WheelTrack

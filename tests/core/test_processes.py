@@ -268,14 +268,15 @@ FIRST_VERSION = {
 }
 
 
-def system(folder, groups, files, available=64 * GIB):
-    """Write what Linux would show, and return the folders: the groups of the process, and files by path."""
+def system(monkeypatch, folder, groups, files, available=64 * GIB):
+    """Write what Linux would show: the groups of the process, and files by path."""
     meminfo = f"MemTotal: 99 kB\nMemAvailable:   {available // 1024} kB\nHugePages_Total: 0\n"
     files = {f"cgroup/{path}": text for path, text in files.items()}
     for path, text in {"proc/meminfo": meminfo, "proc/self/cgroup": groups, **files}.items():
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
         (folder / path).write_text(text)
-    return folder / "proc", folder / "cgroup"
+    monkeypatch.setattr("bumpymap.core.memory._PROC", folder / "proc")
+    monkeypatch.setattr("bumpymap.core.memory._CGROUPS", folder / "cgroup")
 
 
 @pytest.mark.parametrize(
@@ -290,13 +291,14 @@ def system(folder, groups, files, available=64 * GIB):
         ("0::/a\n", {"a/memory.max": "", "a/memory.current": "many"}, 64, 64),  # damaged files are no limits
     ],
 )
-def test_what_is_free_on_a_machine_or_in_a_container(tmp_path, groups, files, available, free):
-    assert free_memory(*system(tmp_path, groups, files, available * GIB)) == free * GIB
+def test_what_is_free_on_a_machine_or_in_a_container(monkeypatch, tmp_path, groups, files, available, free):
+    system(monkeypatch, tmp_path, groups, files, available * GIB)
+    assert free_memory() == free * GIB
 
 
-def test_a_machine_that_says_nothing_has_what_is_installed(tmp_path):
-    places = system(tmp_path, "0::/a\n", {})
-    (places[0] / "meminfo").write_text("MemTotal: 1 kB\n")
-    installed = free_memory(*places)
-    assert installed is None or installed > 1 << 20
-    assert free_memory(tmp_path / "none", tmp_path / "none") == installed
+def test_a_machine_that_says_nothing_has_what_is_installed(monkeypatch, tmp_path):
+    system(monkeypatch, tmp_path, "0::/a\n", {})
+    (tmp_path / "proc" / "meminfo").write_text("MemTotal: 1 kB\n")
+    assert (installed := free_memory()) is None or installed > 1 << 20
+    monkeypatch.setattr("bumpymap.core.memory._PROC", tmp_path / "none")
+    assert free_memory() == installed

@@ -18,7 +18,7 @@ from bumpymap.core import BANDS, UsageError
 from bumpymap.core.config import MapConfig
 from bumpymap.core.settings import read_settings_file
 from bumpymap.layers import SurveyRow
-from bumpymap.layers.scan_table import COLUMNS
+from bumpymap.layers.scan_files import COLUMNS
 from bumpymap.readers import hash_survey, parse_columns
 from bumpymap.readers.drives.quantities import QUANTITIES, UNITS, guess_columns
 from bumpymap.survey.batch.source import read_table

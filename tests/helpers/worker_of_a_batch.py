@@ -4,7 +4,7 @@ import os
 import signal
 
 from bumpymap.layers import SurveyRow
-from bumpymap.survey.batch.one_survey import TaskEnd
+from bumpymap.survey.batch.run import TaskEnd
 
 
 def map_one(task):

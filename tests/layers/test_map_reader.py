@@ -23,7 +23,7 @@ import bumpymap
 from bumpymap.core import CLASS_NAMES, NO_CLASS, NO_TILE, BadInputError, CostTable
 from bumpymap.core.types import BANDS, BARRED_TEXT, REASON_TEXT, SIDES, TEXTURES, Reason
 from bumpymap.layers import MapSummary, open_map, tile_table
-from bumpymap.layers.summary import summarise
+from bumpymap.layers.manifest import summarise
 from bumpymap.layers.tile_table import write_tiles
 from bumpymap.views import write_report
 from bumpytiles import Column, Grid, Pack, TileTable, TileWindow, write_pack
@@ -409,6 +409,6 @@ def test_unknown_are_the_tiles_without_a_class():
 def test_strips_do_not_change_the_summary(make_field, monkeypatch):
     table = table_of(make_field(50, 40))
     whole = summarise(table)
-    monkeypatch.setattr("bumpymap.layers.summary._STRIP", 1)
+    monkeypatch.setattr("bumpymap.layers.manifest._STRIP", 1)
     for found, expected in zip(astuple(summarise(table)), astuple(whole), strict=True):
         np.testing.assert_array_equal(found, expected)

@@ -457,8 +457,8 @@ _WITHOUT_THREADS = """
 import resource, sys, threading
 from pathlib import Path
 from bumpymap.layers import _cog
-from bumpymap.layers.placement import BandSpec, Placement, RasterSpec
-from bumpymap.core.types import Georeference
+from bumpymap.layers.placement import Placement, RasterSpec
+from bumpymap.core.types import Band, Georeference
 from bumpytiles import Grid, TileWindow
 import numpy as np
 
@@ -470,7 +470,7 @@ try:
 except RuntimeError:
     pass
 place = Placement(Georeference(None), Grid(), TileWindow(0, 0, 100, 100))
-sheet = RasterSpec([BandSpec("height")], None, pixels=15, block=512)
+sheet = RasterSpec([Band("height")], None, pixels=15, block=512)
 paint = lambda window: np.full((1, window.tiles.rows * 15, window.tiles.cols * 15), 7, np.float32)
 _cog.write_cog(Path(sys.argv[1]), place, sheet, paint, 100)
 """

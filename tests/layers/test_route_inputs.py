@@ -11,7 +11,7 @@ from pyproj import CRS, Transformer
 from route_maps import UTM, bare_map
 
 from bumpymap.core import BadInputError
-from bumpymap.layers import read_areas, read_points, tiles_in, tiles_within
+from bumpymap.layers import read_areas, read_points, tiles_in
 from bumpymap.layers.route_inputs import FilePoint
 from bumpytiles import Grid, TileWindow
 
@@ -54,7 +54,7 @@ def by_hand(areas, window, test):
 def test_tiles_in_and_within_areas_tile_by_tile(seed):
     areas = np.array([blob(seed), blob(seed + 50, middle=(250.0, 60.0), size=70.0), blob(seed + 70, size=2.0)])
     for window in (TileWindow(160_010, 712_005, 60, 55), TileWindow(160_045, 712_035, 3, 4)):
-        touched, held = tiles_in(areas, window, GRID), tiles_within(areas, window, GRID)
+        touched, held = tiles_in(areas, window, GRID), tiles_in(areas, window, GRID, wholly=True)
         assert np.array_equal(
             touched, by_hand(areas, window, lambda a, b: shapely.intersects(a, b) & ~shapely.touches(a, b))
         )
@@ -69,12 +69,12 @@ def test_sides_on_the_borders_of_tiles():
     expected[40:60, 10:30] = True
     halves = [on_site(30.0, 60.0, 61.0, 120.0), on_site(61.0, 60.0, 90.0, 120.0)]
     assert np.array_equal(tiles_in(np.array([area]), WINDOW, GRID), expected)
-    assert np.array_equal(tiles_within(np.array([area]), WINDOW, GRID), expected)
-    assert np.array_equal(tiles_within(np.array(halves), WINDOW, GRID), expected)
-    for function in (tiles_in, tiles_within):
-        assert not function(np.array([], object), WINDOW, GRID).any()
-        assert not function(np.array([area]), TileWindow(0, 0, 4, 4), GRID).any()
-        assert function(np.array([shapely.box(0, 0, 1e7, 1e7)]), WINDOW, GRID).all()
+    assert np.array_equal(tiles_in(np.array([area]), WINDOW, GRID, wholly=True), expected)
+    assert np.array_equal(tiles_in(np.array(halves), WINDOW, GRID, wholly=True), expected)
+    for how in ({}, {"wholly": True}):
+        assert not tiles_in(np.array([], object), WINDOW, GRID, **how).any()
+        assert not tiles_in(np.array([area]), TileWindow(0, 0, 4, 4), GRID, **how).any()
+        assert tiles_in(np.array([shapely.box(0, 0, 1e7, 1e7)]), WINDOW, GRID, **how).all()
 
 
 def save(path, area, crs):
@@ -131,7 +131,7 @@ def test_a_map_across_the_antimeridian(tmp_path):
     areas = read_areas(geojson(tmp_path / "b.geojson", feature(world)), place)
     assert len(areas) == 2
     assert tiles_in(areas, place.window, GRID).all()
-    halves = [tiles_within(areas[[side]], place.window, GRID) for side in (0, 1)]
+    halves = [tiles_in(areas[[side]], place.window, GRID, wholly=True) for side in (0, 1)]
     assert (halves[0] ^ halves[1]).sum() > 0.998 * halves[0].size  # but for tiles on the line itself
 
 

@@ -19,7 +19,7 @@ from route_records import CORNERS, FIGURES, UTM, MadeUpMap, make_route
 
 from bumpymap.check.pipeline import agreement_of
 from bumpymap.core import CLASS_NAMES, BadInputError, Georeference, RoadFigures
-from bumpymap.layers import ReachField
+from bumpymap.layers import Placement, ReachField
 from bumpymap.layers.check_vectors import NOT_COMPARED, OFF_KINDS, MapOffset, place_stretches, write_stretches
 from bumpymap.layers.reach import write_isochrones, write_reach
 from bumpymap.layers.route_lines import (
@@ -247,7 +247,7 @@ def reach():
     rows, cols = np.mgrid[: WINDOW.rows, : WINDOW.cols]
     cost = (3.0 * np.hypot(rows - 20, cols - 15)).astype(np.float32)
     cost[:, -7:] = np.nan
-    return ReachField(UTM, Grid(), WINDOW, cost, cost / 60.0)
+    return ReachField(Placement(UTM, Grid(), WINDOW), cost, cost / 60.0)
 
 
 def test_another_reader_reads_the_raster_bit_for_bit(reach, tmp_path):

@@ -16,10 +16,9 @@ from small_surveys import files_in
 
 from bumpymap.core import Frame, PolarSettings, point_classes, sector_bounds
 from bumpymap.core.errors import OutputError
-from bumpymap.layers import check_scan_folder, name_frames, open_accumulated, remove_stale_products, scan_table
+from bumpymap.layers import check_scan_folder, name_frames, open_accumulated, remove_stale_products, scan_files
+from bumpymap.layers.scan_files import COLUMNS, open_table, sector_rows, write_cloud, write_polygons
 from bumpymap.layers.scan_folder import SCAN_CLASS_NAMES, SCAN_COLOURS
-from bumpymap.layers.scan_frame import write_cloud, write_polygons
-from bumpymap.layers.scan_table import COLUMNS, open_table, sector_rows
 from bumpymap.scan import classify_filter, polar_sectors
 
 
@@ -90,7 +89,7 @@ def test_the_polygons_say_what_the_table_says_of_their_sectors(classed, tmp_path
         said |= dict(zip(("normal_x", "normal_y", "normal_z"), said.pop("normal"), strict=True))
         kept = {name: row[name] if row[name] is None else pytest.approx(row[name], rel=1e-6) for name in said}
         assert said == kept
-        assert {*row} - {*said} == {"frame", "near", "far", "left", "right", *scan_table.RIDE_COLUMNS}
+        assert {*row} - {*said} == {"frame", "near", "far", "left", "right", *scan_files.RIDE_COLUMNS}
 
 
 @given(st.lists(st.from_regex(r"\A(f[0-3]|[Aa]|00000[0-2]_a)(\.(ply|bin))\Z"), min_size=1, max_size=8))
@@ -124,7 +123,7 @@ def test_rows_are_the_sectors_of_all_frames_in_order(classed, nothing, tmp_path)
 
 
 def test_rows_are_written_group_by_group(classed, tmp_path, monkeypatch):
-    monkeypatch.setattr(scan_table, "ROW_GROUP", 100)
+    monkeypatch.setattr(scan_files, "ROW_GROUP", 100)
     rows_of(tmp_path / "a.parquet", *((str(number), classed) for number in range(9)))
     assert pq.ParquetFile(tmp_path / "a.parquet").metadata.num_row_groups >= 9 * len(classed.class_id) // 250
 

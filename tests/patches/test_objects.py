@@ -7,8 +7,7 @@ import pytest
 
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.types import CANOPY, FREE, OBSTACLE, SEEN, UNDECIDED, UNSEEN, VehicleBody
-from bumpymap.patches.features import measure
-from bumpymap.patches.objects import find_objects, settle_solids
+from bumpymap.patches.features import find_objects, measure, settle_solids
 from bumpymap.patches.standing import find_in_relief, find_standing, leave_out_standing, take_off_standing
 from bumpytiles import Grid, TileBuckets
 

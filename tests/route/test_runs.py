@@ -20,7 +20,7 @@ from tile_maps import TileMap
 
 import bumpymap
 from bumpymap.core import NO_TILE, BadInputError, Barred, Georeference, OutputError, UsageError
-from bumpymap.layers import ReachField, open_map
+from bumpymap.layers import Placement, ReachField, open_map
 from bumpymap.route import CostSettings, RouteConfig, output as folder_module, parse_point, plan_routes
 from bumpymap.route.ground import CostGround
 from bumpymap.route.output import REACH_KINDS, ROUTE_FILES, ROUTE_KINDS, check_out, write_reach_files, write_routes
@@ -49,7 +49,7 @@ def no_picture(monkeypatch):
 @pytest.fixture
 def reach():
     cost = np.arange(12, dtype=np.float32).reshape(3, 4)
-    return ReachField(UTM, Grid(), TileWindow(110_000, 680_000, 4, 3), cost, cost)
+    return ReachField(Placement(UTM, Grid(), TileWindow(110_000, 680_000, 4, 3)), cost, cost)
 
 
 def write(out, source, **options):

@@ -108,7 +108,7 @@ NOTHING = (float("nan"),) * 5
 
 def map_result(*, ground_only=False, **objects):
     summary = MapSummary(100, 20_000, (100, 0, 0, 0), (0,) * 6, 0, NOTHING, NOTHING, 200.0, **objects)
-    return MapResult((), summary, 20_000, ground_only, {}, {}, FlightLines(), rates_thin=True)
+    return MapResult((), summary, 20_000, ground_only, {}, {}, FlightLines())
 
 
 @pytest.mark.parametrize(

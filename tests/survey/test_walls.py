@@ -51,7 +51,8 @@ def rated(models, points, folder):
     blocks = [rating(block, False) for block in buckets.blocks()]
     columns = {c.name: np.concatenate([block[c.name] for block in blocks]) for c in rated_columns(grid.pixels)}
     folder.mkdir()
-    table = finish_tiles(TileTable.of(grid, columns), NeighbourRating.of(config, loaded), folder, 1, SilentProgress())
+    neighbours = NeighbourRating(config, loaded.calibration)
+    table = finish_tiles(TileTable.of(grid, columns), neighbours, folder, 1, SilentProgress())
     return table.read(("barred", "class_id", "p_fail", "c_r"))
 
 

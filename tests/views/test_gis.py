@@ -25,7 +25,7 @@ import bumpymap
 from bumpymap.check.pipeline import write_check
 from bumpymap.core import BARRED_TEXT, CHANGE_KINDS, CLASS_NAMES, NO_CLASS, OBJECT_NAMES, REASON_TEXT
 from bumpymap.core.types import Georeference
-from bumpymap.layers import ReachField, colours, open_map, write_products
+from bumpymap.layers import Placement, ReachField, colours, open_map, write_products
 from bumpymap.layers.check_vectors import OFF_KINDS, MapOffset
 from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.route.output import write_reach_files, write_routes
@@ -368,7 +368,7 @@ def test_ways_and_what_can_be_reached_are_drawn_over_the_map(tmp_path, site):
     found = [make_route(), make_route(name="it's another")]
     write_routes(found, source, ways, manifest={})
     values = np.arange(12, dtype=np.float32).reshape(3, 4)
-    field = ReachField(UTM, Grid(), TileWindow(110_000, 680_000, 4, 3), values, values / 4)
+    field = ReachField(Placement(UTM, Grid(), TileWindow(110_000, 680_000, 4, 3)), values, values / 4)
     write_reach_files(field, source, CORNERS[0], reach, levels=[1, 0.5], manifest={})
     seen = load(ways)["project"]
     over_map(seen, {"route_geojson_stops", "route_geojson_ways", "cost_fgb_closed", "class_tif", "relief_tif"})

@@ -274,7 +274,6 @@ def list_surveys(
 
     Parameters
     ----------
-    source : Path
     survey_per : {"file", "folder"}
     check : callable, optional
         Returns what is wrong with the settings of a row of a table.

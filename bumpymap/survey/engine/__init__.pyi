@@ -15,6 +15,6 @@ from .cluster import (
 )
 from .run import (
     Executor as Executor,
+    LocalExecutor as LocalExecutor,
     run_engine as run_engine,
 )
-from .worker import LocalExecutor as LocalExecutor

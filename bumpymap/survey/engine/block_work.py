@@ -43,10 +43,8 @@ class TileSink:
 
     Parameters
     ----------
-    folder : Path
     kind : str
         What was measured, such as ``all`` points, or ``ground-early``: only ground, before reading was complete.
-    columns : sequence of Column
     """
 
     def __init__(self, folder: Path, kind: str, columns: Sequence[Column]) -> None:
@@ -218,10 +216,7 @@ class MeasuredTiles:
         table = finished_tiles(work, space, kind, *([JOINED_POINTS] if record["from_all"] else []))
         if record["from_all"]:
             table = table.with_columns([Pack(path) for path in space.tiles(GROUND_SOURCE.name)])
-        lines, only, joined = LineSums.from_record(record["lines"]), record["ground_only"], record["from_all"]
-        return cls(
-            table, only, joined, record["dropped"], record["points"], lines, record["checksums"], record["coloured"]
-        )
+        return cls(table, **{**record, "lines": LineSums.from_record(record["lines"])})
 
 
 @contextmanager

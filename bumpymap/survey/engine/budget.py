@@ -59,8 +59,6 @@ class Workspace:
     run_spec: dict[str, Any]
     """Everything that the results depend on, see `RunFolder`; and ``cut``, how files are cut into chunks: a resumed run
     uses that of the earlier one."""
-    resumed: bool = False
-    """True: the work of an interrupted run is continued."""
 
     @classmethod
     @contextmanager
@@ -97,7 +95,7 @@ class Workspace:
                 # A signal between making a folder and noting its name would leave the folder behind.
                 with shielded(), writing_to(scratch or run.path, "`out` or `scratch`"):
                     waiting = _choose_points_folder(run, out, scratch)
-                space = cls(run.path, waiting, run.run_spec, run.resumed)
+                space = cls(run.path, waiting, run.run_spec)
                 shutil.rmtree(space.new_tiles, ignore_errors=True)  # leftovers of an earlier run
                 for folder in (space.new_tiles, space.points_folder):
                     folder.mkdir(mode=0o700, exist_ok=True)
@@ -346,8 +344,6 @@ def estimate(infos: Sequence[SurveyInfo], grid: Grid, budget: Budget, tiles: int
     ----------
     infos : sequence of SurveyInfo
         From the headers of its files (at least one).
-    grid : Grid
-    budget : Budget
     tiles : int, optional
         Number of tiles with points, if they were counted.
     """

@@ -27,11 +27,9 @@ from bumpymap.core import BadInputError, OutputError, Progress, UsageError
 from bumpymap.readers import Location, ReadOptions, SurveyReader, close_decoder, identity, reopen_survey
 from bumpymap.survey.engine.block_work import BlockWork, engine_errors
 from bumpymap.survey.engine.budget import Budget, Workspace
-from bumpymap.survey.engine.collector import BlockGroup, ReadResult
-from bumpymap.survey.engine.plan import ChunkRange, ReadTask, range_points, shared_tasks
-from bumpymap.survey.engine.reading import OpenRange
-from bumpymap.survey.engine.run import ReadPlan
-from bumpymap.survey.engine.worker import Worker, new_folder
+from bumpymap.survey.engine.collector import BlockGroup, ChunkRange, ReadResult
+from bumpymap.survey.engine.reading import OpenRange, ReadTask, range_points, shared_tasks
+from bumpymap.survey.engine.run import ReadPlan, Worker, new_folder
 from bumpytiles import BlockKey
 
 if TYPE_CHECKING:
@@ -249,13 +247,10 @@ class ClusterExecutor:
 
     Parameters
     ----------
-    work : BlockWork
     space : Workspace
         In folders that every worker sees.
     budget : Budget
         Of each worker.
-    progress : Progress
-    workers : Workers
     options : ReadOptions
         The settings that the readers were opened with.
     versions : callable

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from bumpymap.core import CHECKSUM_METHOD, BadInputError, PieceRuns, atomic, parse_json
 from bumpymap.readers import LineSums, PointStats, SurveyReader, Version, file_changed
 from bumpymap.survey.engine.budget import Workspace
-from bumpymap.survey.engine.plan import ChunkRange
-from bumpytiles import BLOCK_TILES, BlockKey, Pack, TileWindow
+from bumpytiles import BLOCK_TILES, BlockKey, Bounds, Pack, TileWindow
 
 _SIDE = 8
 """Blocks along a side of the squares that groups are formed from: neighbouring blocks are in the same packs."""
@@ -88,6 +87,23 @@ class BlockCatalogue:
         return np.concatenate([np.empty((0, 4), np.int64), *self._entries])
 
 
+@dataclass(frozen=True, slots=True)
+class ChunkRange:
+    """Consecutive chunks of a file."""
+
+    file: int
+    """Index of its reader."""
+    first: int
+    """Its first chunk."""
+    stop: int
+    """Its last chunk + 1."""
+    points: int
+    bounds: Bounds | None
+    """Bounds of its points, m; None if they are not known."""
+    is_whole: bool
+    """True if the range is the whole file."""
+
+
 Span = tuple[int, int, int]
 """Index of the file, first chunk, last chunk + 1."""
 
@@ -146,7 +162,6 @@ class Checkpoints:
 
     Parameters
     ----------
-    space : Workspace
     kinds : sequence of str
         `BlockWork.kinds`: what is measured of blocks that are finished while points are read.
     """
@@ -241,10 +256,8 @@ class ResultCollector:
 
     Parameters
     ----------
-    readers : sequence of SurveyReader
     chunks : sequence of int
         Number of chunks of each file.
-    checkpoints : Checkpoints
     refuse : callable
         Called with the reader of a bad file and the error; raises it, or records that the file is skipped.
     """

@@ -18,13 +18,13 @@ from bumpymap.core import (
     OBSTACLE,
     OPEN_THROUGH,
     BadInputError,
+    Band,
     Barred,
     TileField,
     atomic,
 )
 from bumpymap.layers import (
     UNKNOWN_OBJECT,
-    BandSpec,
     MapReader,
     Placement,
     RasterSpec,
@@ -280,7 +280,7 @@ def write_pixel_cost(folder: Path, area: ExportArea) -> dict[str, Any]:
 
     place = Placement(site.georeference, site.grid, area.window)
     spec = RasterSpec(
-        bands=[BandSpec("cost", text="factor on distance where the middle of the vehicle can be")],
+        bands=[Band("cost", "", "factor on distance where the middle of the vehicle can be")],
         pixels=pixels,
         crs=place.horizontal_crs,
         block=_BLOCK,

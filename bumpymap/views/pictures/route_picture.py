@@ -237,12 +237,12 @@ def write_reach_picture(
     highest = float(np.nanmax(values, initial=0.0))
     steps = sorted(set(levels)) or [step for step in ticks(0.0, max(highest, 1.0), _STEPS)[0] if step > 0.0]
     row, col = np.nonzero(values <= steps[-1]) if (values <= steps[-1]).any() else np.nonzero(np.isfinite(values))
-    size, window = reach.grid.tile_size, reach.window
-    corners = np.column_stack([window.col + col + 0.5, window.row + window.rows - row - 0.5]) * size
-    view = MapView.around(reach.grid, np.concatenate([corners, start[None]]), _PANEL, _REACH_HEIGHTS)
+    grid, window = reach.placement.grid, reach.placement.window
+    corners = np.column_stack([window.col + col + 0.5, window.row + window.rows - row - 0.5]) * grid.tile_size
+    view = MapView.around(grid, np.concatenate([corners, start[None]]), _PANEL, _REACH_HEIGHTS)
     ground, _ = paint_ground(source, view)
-    at_row = window.row + window.rows - 1 - reach.grid.index(view.northings)
-    at_col = reach.grid.index(view.eastings) - window.col
+    at_row = window.row + window.rows - 1 - grid.index(view.northings)
+    at_col = grid.index(view.eastings) - window.col
     inside = np.ix_((at_row >= 0) & (at_row < window.rows), (at_col >= 0) & (at_col < window.cols))
     shown = np.full(ground.shape[:2], np.nan)
     shown[inside] = values[np.ix_(at_row[inside[0][:, 0]], at_col[inside[1][0]])]
@@ -259,7 +259,7 @@ def write_reach_picture(
     draw_frame(pen, view, _EDGE, _TITLE)
     left, top = _EDGE + _PANEL + 24, _TITLE + 12
     for number, (upper, colour) in enumerate(zip(steps, palette, strict=True)):
-        inside_m2 = float((values <= upper).sum()) * size**2
+        inside_m2 = float((values <= upper).sum()) * grid.tile_size**2
         place = top + 40 * number
         draw_swatch(pen, left, place, colour)
         pen.text((left + 54, place + 5), f"within {upper:g} min", INK, size=16)

@@ -14,8 +14,7 @@ import bumpymap
 from bumpymap.core import MapConfig, OutputError, locked
 from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.survey import BatchConfig, map_surveys, run_batch
-from bumpymap.survey.batch import one_survey
-from bumpymap.survey.batch.one_survey import MapTask
+from bumpymap.survey.batch.run import MapTask, map_tasks
 
 pytestmark = pytest.mark.slow
 
@@ -291,10 +290,10 @@ def test_no_key_of_a_url_is_in_the_files_of_a_night(tmp_path):
 
 @pytest.mark.parametrize("jobs", [pytest.param(1, marks=pytest.mark.later), 2])
 def test_a_process_maps_many_surveys_and_one_that_dies_fails_its_survey_alone(monkeypatch, jobs):
-    monkeypatch.setattr(one_survey, "_MODULE", "worker_of_a_batch")
+    monkeypatch.setattr("bumpymap.survey.batch.run._MODULE", "worker_of_a_batch")
     names = ["s", "a", "s2", "dies", "b", "raises", "dies_too", "c"]
     tasks = [MapTask(name, MapConfig((Path(f"{name}.laz"),), Path("o"))) for name in names]
-    rows = [end.row for end in one_survey.map_tasks(tasks, jobs)]
+    rows = [end.row for end in map_tasks(tasks, jobs)]
     assert sorted(row.name for row in rows) == sorted(names)
     rows = {row.name: row for row in rows}
     assert {name for name, row in rows.items() if row.status == "done"} == {"s", "a", "s2", "b", "c"}

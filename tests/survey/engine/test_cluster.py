@@ -29,7 +29,7 @@ from bumpymap.survey.engine.cluster import (
     opened,
     read_ranges,
 )
-from bumpymap.survey.engine.plan import ChunkRange, ReadTask
+from bumpymap.survey.engine.reading import ChunkRange, ReadTask
 from bumpytiles import ClusterError, Grid
 
 pytestmark = pytest.mark.slow
@@ -135,7 +135,7 @@ def here(monkeypatch, limit_points):
 
     monkeypatch.setattr("bumpymap.survey.pipeline.connect", connect)
     monkeypatch.setitem(vars(bumpytiles), "threads_here", lambda: 2)
-    monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", 10_000)
+    monkeypatch.setattr("bumpymap.survey.engine.reading.LEAST_POINTS", 10_000)
     monkeypatch.setattr("bumpymap.survey.engine.collector.MOST_BLOCKS", 3)
     limit_points(chunk=4_000, waiting=9_000, block=5_000)
     return workers
@@ -148,7 +148,7 @@ def test_tasks_in_any_order_done_once_or_twice_give_the_same_bits(
     surveys, plain, tmp_path, here, ground, least, tasks, monkeypatch
 ):
     """A task reads a part of a file, or several files: then it has blocks that no other task reaches."""
-    monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", least)
+    monkeypatch.setattr("bumpymap.survey.engine.reading.LEAST_POINTS", least)
     out = tmp_path / "layers"
     scratch = ("--set", "scheduler=here", "--set", f"scratch={tmp_path / 'scratch'}")
     result = run("map", surveys, "--out", out, "--ground", ground, *scratch)
@@ -168,7 +168,7 @@ def test_workers_find_the_part_that_was_never_classified(tmp_path, here, monkeyp
     columns = (x + 500_001, y + 4_000_002, 0.02 * x + 0.01 * rng.normal(size=len(x)), np.where(x < 61, 2, 1))
     for number, chosen in enumerate((np.flatnonzero(x < 80), np.flatnonzero(x > 50))):
         write_part(tmp_path / "site" / f"{number}.las", columns, chosen, (500_000, 4_000_000, 0))
-    monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", 10_000)
+    monkeypatch.setattr("bumpymap.survey.engine.reading.LEAST_POINTS", 10_000)
     records = []
     for name, extra in (("one", ()), ("many", ("--set", "scheduler=here"))):
         result = run("map", tmp_path / "site", "--out", tmp_path / name, *extra)
@@ -182,7 +182,7 @@ def test_workers_find_the_part_that_was_never_classified(tmp_path, here, monkeyp
 @pytest.mark.parametrize(("ground", "least"), [("auto", 10_000), pytest.param("all", 10**7, marks=pytest.mark.later)])
 def test_bad_files_are_skipped_with_the_same_words(surveys, tmp_path, here, monkeypatch, ground, least):
     """Those that share a task with good files too."""
-    monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", least)
+    monkeypatch.setattr("bumpymap.survey.engine.reading.LEAST_POINTS", least)
     for file in surveys.iterdir():
         shutil.copy(file, tmp_path)
     cut = bytearray((surveys / "a.laz").read_bytes())
@@ -220,7 +220,7 @@ def test_a_killed_run_goes_on_without_reading_again(surveys, plain, tmp_path, he
 
 @pytest.mark.usefixtures("here")
 def test_a_killed_run_goes_on_with_another_engine(surveys, plain, tmp_path, killed_at, monkeypatch):
-    monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", TWO_TASKS)
+    monkeypatch.setattr("bumpymap.survey.engine.reading.LEAST_POINTS", TWO_TASKS)
     one, many = (surveys,), (surveys, "--set", "scheduler=here")
     for before, after, place in ((many, one, "ResultCollector.add_tiles"), (one, many, "decide_ground")):
         left = tmp_path / place
@@ -289,7 +289,7 @@ def make_deadly(monkeypatch, mark, *, always=False):
 @pytest.mark.parametrize("least", [10_000, 10**7])
 def test_a_worker_killed_in_the_middle_changes_no_bit(surveys, plain, tmp_path, scheduler, monkeypatch, least):
     """In one task, blocks are finished while the files are read; in parts, all of them later."""
-    monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", least)
+    monkeypatch.setattr("bumpymap.survey.engine.reading.LEAST_POINTS", least)
     monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.chunk_points", 5_000)
     mark = tmp_path / "killed"
     make_deadly(monkeypatch, mark)
@@ -323,7 +323,7 @@ def test_a_scheduler_that_is_not_there_is_told_in_time(surveys, distributed, tmp
 
 @pytest.mark.later
 def test_a_scheduler_that_goes_away_ends_the_run_with_a_word(surveys, distributed, tmp_path, monkeypatch):
-    monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", 10_000)
+    monkeypatch.setattr("bumpymap.survey.engine.reading.LEAST_POINTS", 10_000)
     monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.chunk_points", 5_000)
     monkeypatch.setattr("bumpymap.survey.engine.cluster._TIMEOUT_S", 5.0)  # it is tried for so long to reach it again
     with distributed.LocalCluster(**ONE_WORKER) as cluster:

@@ -1,0 +1,330 @@
+"""Write the data of scans: one row per sector of all frames, an accumulated survey, and the files of each frame.
+
+Of a frame these are its sectors as polygons, and its points with their classes.
+"""
+
+import json
+import math
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import laspy
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from bumpymap.core import (
+    NO_CLASS,
+    NOT_TRAVERSABLE,
+    ClassedSectors,
+    PolarSettings,
+    Scan,
+    SectorStack,
+    point_classes,
+    sector_bounds,
+    write_vertices,
+)
+from bumpymap.layers.scan_folder import (
+    FRAME_FILES,
+    FRAME_FOLDER,
+    SCAN_CLASS_NAMES,
+    SCAN_COLOURS,
+    class_index,
+    point_styles,
+)
+from bumpymap.layers.tile_table import described_field, typed_array
+
+_SCALE_M = 0.001
+_GROUND, _UNCLASSIFIED = 2, 1
+"""LAS classification codes."""
+
+
+class AccumulatedSurvey:
+    """Writer of the accumulated survey."""
+
+    def __init__(self, writer: laspy.LasWriter) -> None:
+        self._writer = writer
+
+    def add_points(self, world: NDArray[np.float64], is_ground: NDArray[np.bool_]) -> None:
+        """Append points (n, 3) in the frame of the world, m: class 2 where ``is_ground`` (n,), else class 1."""
+        if not len(world):
+            return
+        record = laspy.ScaleAwarePointRecord.zeros(len(world), header=self._writer.header)
+        record.x, record.y, record.z = world.T
+        record.classification = np.where(is_ground, _GROUND, _UNCLASSIFIED).astype(np.uint8)
+        record.return_number = record.number_of_returns = np.ones(len(world), np.uint8)
+        self._writer.write_points(record)
+
+
+@contextmanager
+def open_accumulated(path: Path, first: NDArray[np.float64], crs: CRS | None) -> Iterator[AccumulatedSurvey]:
+    """Open gathered.laz for writing: LAZ 1.4, point format 6, scale 1 mm, offset near the first pose.
+
+    Parameters
+    ----------
+    first : (4, 4) float64
+        Pose of the first frame, m.
+    crs : CRS, optional
+        CRS of the world frame; None: the file gets none.
+    """
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    header.scales, header.offsets = np.full(3, _SCALE_M), np.round(first[:3, 3])
+    header.creation_date = None  # the same drive gives the same bytes on any day
+    header.generating_software = "bumpymap scan"
+    if crs is not None:
+        header.add_crs(crs)
+    with path.open("w+b") as stream:
+        writer = laspy.LasWriter(stream, header, do_compress=True, laz_backend=laspy.LazBackend.Lazrs, closefd=False)
+        yield AccumulatedSurvey(writer)
+        writer.close()
+
+
+ROW_GROUP = 65_536
+"""Rows that are buffered before a row group is written."""
+COLUMNS: tuple[tuple[str, pa.DataType, str, str], ...] = (
+    ("frame", pa.string(), "", "name of the frame"),
+    ("zone", pa.int16(), "", "zone of the polar grid, 0 is the innermost"),
+    ("ring", pa.int16(), "", "ring inside the zone, 0 is the innermost"),
+    ("sector", pa.int16(), "", "sector around the zone, counter-clockwise"),
+    ("near", pa.float32(), "m", "horizontal distance from the sensor where the sector starts"),
+    ("far", pa.float32(), "m", "horizontal distance where it ends"),
+    ("right", pa.float32(), "rad", "azimuth where the sector starts, counter-clockwise from the x axis"),
+    ("left", pa.float32(), "rad", "azimuth where it ends"),
+    ("points", pa.int32(), "", "points in the sector"),
+    ("ground_points", pa.int32(), "", "those of them that are ground"),
+    ("normal_x", pa.float32(), "", "axis of the least spread of the ground points, in the frame of the sensor"),
+    ("normal_y", pa.float32(), "", "the same, to the left"),
+    ("normal_z", pa.float32(), "", "the same, upwards"),
+    ("traversable", pa.bool_(), "", "whether there is ground, not too steep and not overhead"),
+    ("obstacle", pa.bool_(), "", "whether something stands on the ground below vehicle height, or it drops"),
+    ("obstacle_height", pa.float32(), "m", "top of it above the ground; null without an obstacle, at a drop"),
+    ("clearance", pa.float32(), "m", "lowest thing above vehicle height, above the ground; null if there is none"),
+    ("stripes", pa.float32(), "", "stripe count of the filter method; null from the learned one"),
+    ("class", pa.int8(), "", "0 smooth, 1 fair, 2 rough; null where not traversable"),
+    ("c_r", pa.float32(), "rad/m", "ride of the vehicle, as in a survey's map; null where unknown"),
+    ("c_r_low", pa.float32(), "rad/m", "lower end of its 80 % interval"),
+    ("c_r_high", pa.float32(), "rad/m", "upper end"),
+    ("ride_class", pa.int8(), "", "0 (flattest) to 3 (roughest) for the vehicle, as in a survey's map"),
+    ("variance", pa.float32(), "m2", "population variance of z over the ground points"),
+    ("residual", pa.float32(), "m", "mean perpendicular distance of the ground points to the RANSAC plane"),
+    ("coverage", pa.float32(), "", "share of the pixels of the heightmap that hold a ground point"),
+    ("label", pa.int16(), "", "most frequent label of the points; null where the frame has none"),
+)
+"""Name, type, unit and description of each column."""
+RIDE_COLUMNS = ("c_r", "c_r_low", "c_r_high", "ride_class")
+"""Columns of the ride of a vehicle; null without one."""
+
+
+class SectorTable:
+    """Writer of sectors.parquet; buffers about one row group in memory."""
+
+    def __init__(self, writer: pq.ParquetWriter) -> None:
+        self._writer = writer
+        self._rows = 0
+        self._waiting: list[pa.Table] = []
+
+    def add_rows(self, rows: pa.Table) -> None:
+        """Append rows from `sector_rows`."""
+        self._waiting.append(rows)
+        self._rows += rows.num_rows
+        if self._rows >= ROW_GROUP:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write the buffered rows."""
+        if self._waiting:
+            self._writer.write_table(pa.concat_tables(self._waiting), row_group_size=2 * ROW_GROUP)
+            self._waiting.clear()
+            self._rows = 0
+
+
+@contextmanager
+def open_table(path: Path) -> Iterator[SectorTable]:
+    """Open sectors.parquet for writing."""
+    with pq.ParquetWriter(path, sector_schema(), compression="zstd") as writer:
+        table = SectorTable(writer)
+        yield table
+        table.flush()
+
+
+def sector_schema() -> pa.Schema:
+    """Return the columns of sectors.parquet, with what describes each."""
+    nullable = {"obstacle_height", "clearance", "stripes", "class", "label", "variance", "residual", *RIDE_COLUMNS}
+    return pa.schema(
+        [described_field(name, kind, text, unit, nullable=name in nullable) for name, kind, unit, text in COLUMNS]
+    )
+
+
+def sector_rows(name: str, classed: ClassedSectors) -> pa.Table:
+    """Return the rows of a frame."""
+    stack, bounds = classed.sectors, sector_bounds(classed.sectors)
+    count = len(stack.zone)
+    columns: dict[str, Any] = {
+        "frame": [name] * count,
+        "points": stack.count,
+        "ground_points": stack.ground_count,
+        "class": pa.array(classed.class_id, pa.int8(), mask=classed.class_id == NOT_TRAVERSABLE),
+        "label": pa.array(stack.label, pa.int16(), mask=stack.label < 0),
+        "stripes": np.full(count, np.nan, np.float32) if classed.stripes is None else classed.stripes,
+    }
+    if classed.ride is None:
+        columns |= {name: pa.nulls(count) for name in RIDE_COLUMNS}
+    else:
+        class_id = classed.ride.class_id
+        columns |= {name: getattr(classed.ride, name) for name in RIDE_COLUMNS[:3]}
+        columns["ride_class"] = pa.array(class_id, pa.int8(), mask=class_id == NO_CLASS)
+    columns |= {f"normal_{axis}": stack.normal[:, number] for number, axis in enumerate("xyz")}
+    columns |= {side: getattr(bounds, side).astype(np.float32) for side in ("near", "far", "right", "left")}
+    schema = sector_schema()
+    columns |= {name: getattr(stack, name) for name in schema.names if name not in columns}
+    return pa.table([typed_array(columns[field.name], field) for field in schema], schema=schema)
+
+
+_ABOUT = (
+    "bumpymap scan: sensor frame, x forward, y left, z up, metres",
+    "class 0 smooth, 1 fair, 2 rough: that of the sector; 255 not traversable or in no sector",
+    "ground 1: the point is ground; height: above the ground of its sector, nan where no ground is known",
+)
+_COLOURS, _FLAGS = ("red", "green", "blue"), ("class", "ground")
+
+
+def write_cloud(scan: Scan, classed: ClassedSectors, path: Path) -> None:
+    """Write binary little-endian PLY.
+
+    Each vertex has x, y, z, height, red, green, blue, class, ground; intensity and label if the scan has them.
+    """
+    stack = classed.sectors
+    kinds = [(name, "<f4") for name in (*"xyz", "height")] + [(name, "u1") for name in (*_COLOURS, *_FLAGS)]
+    beside = {
+        name: values for name, values in (("intensity", scan.intensity), ("label", scan.label)) if values is not None
+    }
+    kinds += [(name, values.dtype.newbyteorder("<").str) for name, values in beside.items()]
+    vertex = np.empty(len(scan.points), kinds)
+    colours = SCAN_COLOURS[point_styles(classed)]
+    for number, (axis, colour) in enumerate(zip("xyz", _COLOURS, strict=True)):
+        vertex[axis], vertex[colour] = scan.points[:, number], colours[:, number]
+    vertex["height"], vertex["ground"] = stack.point_height, stack.point_ground
+    vertex["class"] = point_classes(scan, classed)
+    for name, values in beside.items():
+        vertex[name] = values
+    with path.open("wb") as stream:
+        write_vertices(vertex, _ABOUT, stream)
+
+
+_MAX_DEVIATION_M = 0.01
+"""Largest distance between an arc and the line segments that approximate it."""
+
+
+def outlines(stack: SectorStack) -> list[NDArray[np.float64]]:
+    """Return the outline of each sector: (k, 2) x and y, m, counter-clockwise, last vertex equal to the first.
+
+    Adjacent sectors of a zone share their vertices.
+    """
+    bounds = sector_bounds(stack)
+    found: list[NDArray[np.float64]] = []
+    for zone, steps in enumerate(_steps(stack.settings)):
+        here = stack.zone == zone
+        azimuth = np.linspace(bounds.right[here], bounds.left[here], steps + 1, axis=1)
+        arc = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=2)
+        near, far = bounds.near[here][:, None, None], bounds.far[here][:, None, None]
+        outline = np.concatenate([far * arc, near * arc[:, ::-1], far * arc[:, :1]], axis=1)
+        # A sector that starts at the sensor has one vertex there.
+        tip = np.r_[: steps + 2, 2 * steps + 2]
+        found += [one if start > 0.0 else one[tip] for one, start in zip(outline, bounds.near[here], strict=True)]
+    return found
+
+
+def _steps(settings: PolarSettings) -> list[int]:
+    """Return the number of line segments per arc in each zone."""
+    ends = [*settings.zone_starts_m[1:], settings.end_m]
+    pairs = zip(ends, settings.sectors, strict=True)
+    return [math.ceil(math.pi / sectors / math.acos(max(1.0 - _MAX_DEVIATION_M / end, -1.0))) for end, sectors in pairs]
+
+
+_PLACE = (
+    "metres in the frame of the sensor, x forward, y to the left; no longitude and latitude, so this is not a file of "
+    "RFC 7946"
+)
+
+
+def write_polygons(name: str, classed: ClassedSectors, path: Path) -> None:
+    """Write the sectors of the frame ``name`` in the order of the stack, with coordinates rounded to 1 mm."""
+    stack = classed.sectors
+    found = outlines(stack)
+    # All are rounded and converted at once, which takes a tenth of the time.
+    vertices = iter(np.round(np.concatenate([*found, np.empty((0, 2))]), 3).tolist())
+    rings = [list(islice(vertices, len(outline))) for outline in found]
+    record = {
+        "type": "FeatureCollection",
+        "frame": name,
+        "coordinates_in": _PLACE,
+        "method": classed.method,
+        "features": [
+            {"type": "Feature", "properties": properties, "geometry": {"type": "Polygon", "coordinates": [ring]}}
+            for properties, ring in zip(_properties(classed), rings, strict=True)
+        ],
+    }
+    path.write_text(json.dumps(record, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _properties(classed: ClassedSectors) -> list[dict[str, Any]]:
+    """Return the columns of the table without those that the outlines tell, a dict for each sector."""
+    rows = sector_rows("", classed).drop_columns(["frame", "near", "far", "right", "left"])
+    if classed.ride is None:
+        rows = rows.drop_columns(RIDE_COLUMNS)
+    columns = {
+        name: _numbers(values.to_numpy()) if values.type == pa.float32() else values.to_pylist()
+        for name, values in zip(rows.column_names, rows.columns, strict=True)
+    }
+    columns["normal"] = list(zip(*(columns.pop(f"normal_{axis}") for axis in "xyz"), strict=True))
+    columns["class_name"] = [SCAN_CLASS_NAMES[place] for place in class_index(classed).tolist()]
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+
+
+def _numbers(values: NDArray[np.float32]) -> list[float | None]:
+    """Round to the seven digits of a float32; what is not finite becomes None, since JSON has no NaN."""
+    exact = values.astype(np.float64)
+    known = np.isfinite(exact)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        digits = 6 - np.floor(np.log10(np.abs(exact)))
+    # Above 10^22 a power of ten is not exact; such numbers stay as they are.
+    scaled = known & (exact != 0.0) & (np.abs(digits) <= 22)
+    power = 10.0 ** np.abs(digits, where=scaled, out=np.zeros_like(exact))
+    up = digits >= 0
+    whole = np.rint(np.where(up, exact * power, exact / power))
+    rounded = np.where(scaled, np.where(up, whole / power, whole * power), exact)
+    return [value if ok else None for value, ok in zip(rounded.tolist(), known.tolist(), strict=True)]
+
+
+def frame_files(name: str, folder: Path, products: Collection[str]) -> list[Path]:
+    """Return the files of a frame's own."""
+    endings = [ending for product, ending in FRAME_FILES.items() if product in products]
+    return [folder / FRAME_FOLDER / f"{name}{ending}" for ending in endings]
+
+
+def has_files(name: str, folder: Path, products: Collection[str]) -> bool:
+    """Return whether all files of a frame's own exist."""
+    return all(path.is_file() for path in frame_files(name, folder, products))
+
+
+def write_frame(name: str, scan: Scan, classed: ClassedSectors, folder: Path, products: Collection[str]) -> None:
+    """Write those ``products`` that are data of a frame to ``folder / "frames"``, without flushing them to the disk.
+
+    Parameters
+    ----------
+    name : str
+        Name of the frame and of its files.
+    products : collection of str
+        Polygons and cloud; others, such as the picture, are not written here.
+    """
+    for path in frame_files(name, folder, products):
+        path.parent.mkdir(exist_ok=True)
+        if path.suffix == FRAME_FILES["polygons"]:
+            write_polygons(name, classed, path)
+        elif path.suffix == FRAME_FILES["cloud"]:
+            write_cloud(scan, classed, path)
