@@ -20,7 +20,7 @@ from bumpymap.lab.simulate import calibrate as calibrate_module, refit
 from bumpymap.lab.simulate.drive import PatchDrives
 from bumpymap.lab.simulate.motion_fit import MotionRecord
 from bumpymap.lab.terrains import KINDS
-from bumpymap.rating import Calibration, load_profile
+from bumpymap.rating import Calibration, Vehicle
 
 WARTHOG = Calibration.shipped("warthog")
 
@@ -69,7 +69,7 @@ def test_a_new_profile_passes_only_when_it_is_filled_in_and_what_was_estimated_i
 def test_a_new_profile_like_another_says_so_and_passes(tmp_path):
     assert "change what differs" in run("vehicle", "new", "mine", "--like", "car", "--out", "a.toml").stdout
     assert "numbers are those of car" in Path("a.toml").read_text()
-    made, car = load_profile(tmp_path / "a.toml").to_dict(), load_profile("car").to_dict()
+    made, car = Vehicle.load(tmp_path / "a.toml").to_dict(), Vehicle.load("car").to_dict()
     assert made == car | {"name": "mine", "description": "like car"}
     assert run("vehicle", "check", "a.toml").exit_code == 0
 
