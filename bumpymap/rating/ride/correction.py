@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, BumpymapError
+from bumpymap.rating.ride._ride_kernels import normal_shares
 from bumpymap.rating.ride.motion_operator import Rides
 from bumpymap.rating.vehicle_body import number_tuples, plain_lists
 
@@ -107,6 +108,20 @@ class Prediction:
         return Prediction(
             self.log_c_r + log_ratio, np.hypot(self.below, log_sd), np.hypot(self.above, log_sd), self.p_fail
         )
+
+
+def class_chance(
+    class_id: NDArray[np.integer], log_c_r: Floats, sides: tuple[Floats, Floats], limits: tuple[float, ...]
+) -> Floats:
+    """Return the probability that a log-normal C_r lies between the limits of a class [rad/m]; all of one shape.
+
+    ``log_c_r``: median of ln C_r; ``sides``: its standard deviations below and above the median.
+    """
+    edges = np.concatenate(([-np.inf], np.log(limits), [np.inf]))
+    shares = np.empty((2, log_c_r.size))
+    for edge, share in zip((edges[class_id], edges[class_id + 1]), shares, strict=True):
+        normal_shares(((edge - log_c_r) / np.where(edge < log_c_r, *sides)).ravel(), share)
+    return np.asarray((shares[1] - shares[0]).reshape(log_c_r.shape))
 
 
 @dataclass(frozen=True, slots=True)
