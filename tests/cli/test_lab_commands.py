@@ -13,7 +13,7 @@ from small_surveys import run, write_survey
 
 from bumpymap.api import map_survey
 from bumpymap.cli import train_command
-from bumpymap.cli.check_command import prepare_refit
+from bumpymap.cli.check_command import prepare_refit, refit_lines
 from bumpymap.core import BadInputError, OutputError, UsageError
 from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.lab.simulate import calibrate as calibrate_module, refit
@@ -180,10 +180,10 @@ def test_the_calibration_of_the_map_is_moved_and_written(layers, tmp_path):
     update = moving.move(driven_stretches(WARTHOG, 50, shift=0.3), 1.0)
     assert Calibration.load(out).settings["moved_to_drives"]["calibration_id"] == WARTHOG.id
     assert [path.name for path in out.parent.iterdir() if not path.name.startswith(".")] == ["my_robot.json"]
-    said = "\n".join(moving.lines(update))
+    said = "\n".join(refit_lines(update, out))
     assert "500 m of driving on 50 stretches, 500 m of it on different ground: this vehicle pitches 3" in said
     assert f"--calibration {out}" in said
-    assert json.dumps(moving.record(update))
+    assert json.dumps(update.to_record())
 
 
 def test_a_map_of_larger_tiles_has_its_own_calibration(tmp_path):
