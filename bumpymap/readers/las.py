@@ -16,6 +16,7 @@ from bumpymap.core import (
     Place,
     PointCloud,
     SharedBytes,
+    allocate_shared,
     georeference,
 )
 from bumpymap.readers._kernels import (
@@ -313,7 +314,7 @@ class LasSurvey(SurveyReader):
 
     def _read_laz(self, part: ChunkTable) -> Records:
         """Read the bytes of LAZ chunks, adjacent ones with one request, and decode them."""
-        compressed = decoder().allocate(int(part.sizes.sum()))
+        compressed = allocate_shared(int(part.sizes.sum()))
         held = 0
         gaps = np.flatnonzero(part.starts[1:] != part.starts[:-1] + part.sizes[:-1]) + 1
         for starts, sizes in zip(np.split(part.starts, gaps), np.split(part.sizes, gaps), strict=True):
