@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import DrivenStretches
+from bumpymap.rating.ride.correction import NORMAL_TAIL
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -26,7 +27,7 @@ MOST_SENSOR_SHARE = 0.5
 _FOLD_M = 50.0
 _FOLDS = 10
 _LEAST_DRIVES = 3
-_INTERVAL_SD = 2 * 1.2815515655446004
+_INTERVAL_SD = 2 * NORMAL_TAIL
 """Width of an 80 % interval in standard deviations."""
 _LEAST_MAP_SD = 0.03
 _LEAST_STRETCHES = 8

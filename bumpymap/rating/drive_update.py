@@ -27,7 +27,7 @@ from bumpymap.rating.drive_posterior import (
     hold_out,
     respond,
 )
-from bumpymap.rating.ride.correction import Correction
+from bumpymap.rating.ride.correction import NORMAL_TAIL, Correction
 from bumpymap.rating.ride.thin import ThinModel
 
 Floats = NDArray[np.float64]
@@ -180,7 +180,6 @@ _MIDDLE_LIMIT = 1
 """The class limit at which the shift is told."""
 _DECIMALS = 4
 """Of the moved numbers: what is below differs between machines."""
-_NORMAL_TAIL = 1.2815515655446004
 _USUAL_FLOOR = 0.03
 """Centre of the floor [rad/m] before any drive, where the profile has none: wheeled vehicles on paved ground."""
 _FLOOR_LOG_SD = 0.5, 1.0
@@ -334,7 +333,13 @@ def _described(
     prior: DrivePrior,
     held_out: tuple[HeldOutScore, HeldOutScore],
 ) -> DriveUpdate:
-    posterior = _rounded(fit_move(evidence, prior))
+    found = fit_move(evidence, prior)
+    posterior = MovePosterior(
+        np.round(found.mean, _DECIMALS),
+        np.round(found.covariance, 2 * _DECIMALS),
+        round(found.map_scale, _DECIMALS),
+        round(found.line_sd, _DECIMALS),
+    )
     before, after = held_out
     fitted = respond(posterior.mean, evidence.log_c_r, prior)[0]
     middle = np.array([np.median(evidence.log_c_r)])
@@ -354,20 +359,11 @@ def _described(
         prior=prior,
         posterior=posterior,
         floor=(floor, round(math.exp(posterior.mean[2]), _DECIMALS) if len(posterior.mean) > 2 else floor),
-        factor=(math.exp(by - _NORMAL_TAIL * sd), math.exp(by), math.exp(by + _NORMAL_TAIL * sd)),
+        factor=(math.exp(by - NORMAL_TAIL * sd), math.exp(by), math.exp(by + NORMAL_TAIL * sd)),
         ratio=(before.median_ratio, float(np.exp(np.median(fitted - evidence.log_measured)))),
         held_out_error=(before.error, after.error),
         gain=after.gain_over(before),
         parts=after.parts,
-    )
-
-
-def _rounded(found: MovePosterior) -> MovePosterior:
-    return MovePosterior(
-        np.round(found.mean, _DECIMALS),
-        np.round(found.covariance, 2 * _DECIMALS),
-        round(found.map_scale, _DECIMALS),
-        round(found.line_sd, _DECIMALS),
     )
 
 

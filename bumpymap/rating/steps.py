@@ -298,7 +298,10 @@ def find_steps(
             for steps in (raw.least, raw.crest):
                 np.copyto(steps, np.nan, where=hidden)
     noise = _PIXEL_LIMIT / _MEDIAN_DIFFERENCE * 0.5 * (noise_east + noise_south.T)
-    limit = np.fmax(_QUANTILE_LIMIT * _usual(across, along), noise)
+    rows, cols, inside = across.inside.shape
+    usual = np.empty((rows, cols))  # a low quantile of the steps whose support lies in the tile; NaN with too few
+    find_quantiles(across.inside, along.inside, _QUANTILE, _LEAST_STEPS, usual, np.empty(2 * inside + 1))
+    limit = np.fmax(_QUANTILE_LIMIT * usual, noise)
     west_east = _peaks(upright, across, limit)
     north_south = _peaks(lying, along, np.ascontiguousarray(limit.T))
     rim, inner = np.moveaxis(np.fmax(west_east, north_south.swapaxes(0, 1))[1:-1, 1:-1, 2:], -1, 0)
@@ -350,14 +353,6 @@ def _raw(mosaic: StepMosaic, side: int) -> RawSteps:
     least, crest = (np.empty((tiles * pixels, cols)) for _ in range(2))
     found = RawSteps(least, crest, np.empty((tiles, cols // pixels, inside)))
     find_raw_steps(mosaic, side, found, row_scratch(cols))
-    return found
-
-
-def _usual(across: RawSteps, along: RawSteps) -> Floats:
-    """Return a low quantile of the size of the steps in each tile whose support lies in the tile; NaN with too few."""
-    rows, cols, steps = across.inside.shape
-    found = np.empty((rows, cols))
-    find_quantiles(across.inside, along.inside, _QUANTILE, _LEAST_STEPS, found, np.empty(2 * steps + 1))
     return found
 
 

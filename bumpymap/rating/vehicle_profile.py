@@ -438,7 +438,7 @@ def find_calibration(vehicle: str | Path, file: Path | None = None, tile_size: f
     if str(vehicle) in shipped_calibrations():
         return Calibration.shipped(str(vehicle), tile_size)
     path = Path(vehicle)
-    beside = calibration_beside(path)
+    beside = path.with_suffix(".json")
     again = f"bumpymap calibrate --vehicle {shlex.quote(str(path))} --out {shlex.quote(str(beside))}"
     if beside.exists():
         calibration = _checked(Calibration.load(beside), str(beside))
@@ -472,9 +472,15 @@ def map_calibration(
     named, vehicle = file or settings.get("calibration"), str(settings.get("vehicle") or about["name"])
     speed = float(about["speed_mps"]) if "drives_mps" in about else None
     if not named:
-        for included in _with_preferences(manifest, tile_size, speed):
-            if included.id == wanted:
-                return included
+        preferences = manifest.get("calibration", {}).get("preferences", {})
+        for name in sorted(shipped_calibrations(), key=lambda name: name != about["name"]):
+            own = Calibration.shipped(name, tile_size)
+            with suppress(BadInputError, UsageError, TypeError):  # another vehicle, or preferences that make no sense
+                profile = {**own.vehicle, **preferences}
+                Vehicle.from_dict(profile, name)
+                included = at_speed(own.with_preferences(profile, name), speed)
+                if included.id == wanted:
+                    return included
     try:
         found = at_speed(find_calibration(vehicle, Path(named) if named else None, tile_size), speed)
     except (BadInputError, UsageError) as error:
@@ -489,22 +495,6 @@ def map_calibration(
             "Give the file of the map's own with `calibration`, or map the survey again"
         )
     return found
-
-
-def _with_preferences(manifest: Mapping[str, Any], tile_size: float, speed: float | None) -> Iterator[Calibration]:
-    """Yield the included calibrations with the preferences and the speed of a run.json, as far as these make sense."""
-    preferences = manifest.get("calibration", {}).get("preferences", {})
-    for name in sorted(shipped_calibrations(), key=lambda name: name != manifest["vehicle"]["name"]):
-        own = Calibration.shipped(name, tile_size)
-        with suppress(BadInputError, UsageError, TypeError):
-            vehicle = {**own.vehicle, **preferences}
-            Vehicle.from_dict(vehicle, name)
-            yield at_speed(own.with_preferences(vehicle, name), speed)
-
-
-def calibration_beside(profile: Path) -> Path:
-    """Return the path of the calibration file that belongs to a TOML file."""
-    return profile.with_suffix(".json")
 
 
 def _checked(calibration: Calibration, origin: str) -> Calibration:
