@@ -54,7 +54,8 @@ def cost_values(field: TileField, max_cost: float) -> NDArray[np.uint8]:
     Returns
     -------
     uint8 (rows, cols)
-        0..98 by cost, linearly: 0 is 1 (smooth and safe), 98 is ``max_cost`` and all above; 100 where the tile is known not to be passable, 255 where it is unknown or there is no tile.
+        0..98 by cost, linearly: 0 is 1 (smooth and safe), 98 is ``max_cost`` and all above; 100 where the tile is known
+        not to be passable, 255 where it is unknown or there is no tile.
     """
     cost = passable_cost(field)
     span = max(max_cost - 1.0, np.finfo(np.float64).tiny)
