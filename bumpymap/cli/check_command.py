@@ -11,7 +11,7 @@ import click
 
 from bumpymap.check import CheckConfig
 from bumpymap.cli._options import FILE, PATH, Run, grouped_option, job, settings_options
-from bumpymap.cli._text import Styled, Table
+from bumpymap.cli._text import Styled, Table, cell
 from bumpymap.core import (
     BadInputError,
     BumpymapError,
@@ -75,16 +75,9 @@ def _classes(result: "CheckResult") -> Iterator[tuple[str, ...]]:
     from bumpymap.views import agreements_of
 
     for name, found in agreements_of(result):
-        level, error = _number(found.median_ratio), _percent(found.median_error)
-        yield name, f"{found.way_m:.0f} m", level, error, _number(found.spearman), _percent(found.inside)
-
-
-def _number(value: float) -> str:
-    return f"{value:.2f}" if math.isfinite(value) else "-"
-
-
-def _percent(value: float) -> str:
-    return f"{value:.0%}" if math.isfinite(value) else "-"
+        values = (found.median_ratio, found.median_error, found.spearman, found.inside)
+        told = (cell(value, form, "-") for value, form in zip(values, (".2f", ".0%") * 2, strict=True))
+        yield name, f"{found.way_m:.0f} m", *told
 
 
 def _record(result: "CheckResult", files: Sequence[Path], config: CheckConfig) -> dict[str, Any]:
