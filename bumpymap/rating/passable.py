@@ -1,9 +1,11 @@
 """Tiles that a vehicle can pass: between obstacles, over edges, on slopes and ground that it survives."""
 
+from itertools import product
+
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Barred, VehicleBody, corners_join, obstacle_reach
+from bumpymap.core import FREE, OBSTACLE, UNDECIDED, Barred, VehicleBody, corners_join, obstacle_reach
 from bumpymap.rating._passable_kernels import (
     InnerTiles,
     Mosaic,
@@ -12,7 +14,6 @@ from bumpymap.rating._passable_kernels import (
     grow_obstacles,
     grow_scratch,
     number_areas,
-    settle,
 )
 
 _MOST_MARGIN = 0.45
@@ -36,9 +37,14 @@ def settle_objects(objects: NDArray[np.uint8], pixels: int) -> NDArray[np.uint8]
     uint8 (rows, cols)
         The same without ``UNDECIDED``: obstacle beside an obstacle or another such pixel across the border, else free.
     """
-    out = np.empty_like(objects)
-    settle(np.ascontiguousarray(objects), pixels, out)
-    return out
+    undecided, near = objects == UNDECIDED, np.zeros(objects.shape, np.bool_)
+    holds = np.pad((objects == OBSTACLE) | undecided, 1)
+    rows, cols = (np.arange(size) % pixels for size in objects.shape)
+    last = {-1: 0, 0: -1, 1: pixels - 1}  # the row or column of a tile beside which another tile begins
+    for (down, row), (right, col) in product(last.items(), repeat=2):
+        other = (rows == row)[:, None] | (cols == col)
+        near |= other & holds[1 + down :, 1 + right :][: len(rows), : len(cols)]
+    return np.where(undecided, np.where(near, np.uint8(OBSTACLE), np.uint8(FREE)), objects)
 
 
 def find_passable(
@@ -83,7 +89,9 @@ def find_passable(
     )
     radius, corners = _reach(body, tile_size, pixels)
     scratch = grow_scratch(len(objects), objects.shape[1], pixels, radius)
-    find_ways(Mosaic(np.ascontiguousarray(objects), pixels, radius, corners), found, scratch)
+    mosaic = Mosaic(np.ascontiguousarray(objects), pixels, radius, corners)
+    grow_obstacles(mosaic, scratch)
+    find_ways(mosaic, found, scratch)
     return np.select(
         [~wanted, found.near_obstacle, found.blocked, ~found.passable],
         [alone, np.uint8(Barred.OBSTACLE), np.uint8(Barred.UNKNOWN), np.uint8(Barred.STEP)],
