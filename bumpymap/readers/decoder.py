@@ -39,16 +39,10 @@ _MALLOC = {"MALLOC_TRIM_THRESHOLD_": str(1 << 26), "MALLOC_MMAP_THRESHOLD_": str
 
 
 class Decoder:
-    """Calls lazrs. Thread-safe. Methods except ``start`` and ``close`` may raise DecoderError.
+    """Calls lazrs. Thread-safe. Methods except ``start`` and ``close`` may raise DecoderError."""
 
-    Parameters
-    ----------
-    children : int
-        Number of child processes at most.
-    """
-
-    def __init__(self, children: int = _MOST_CHILDREN) -> None:
-        self.guards = [Guard(_start, "decodes LAZ", "lazrs") for _ in range(children)]
+    def __init__(self) -> None:
+        self.guards = [Guard(_start, "decodes LAZ", "lazrs") for _ in range(_MOST_CHILDREN)]
         """Of the children; the last one is used first."""
         # Last in, first out: what one child can do does not start another.
         self._free: LifoQueue[Guard] = LifoQueue()
