@@ -58,13 +58,11 @@ class GrowScratch(NamedTuple):
     """(pixels^2,) of a tile."""
 
 
-def grow_scratch(rows: int, cols: int, pixels: int, radius: float) -> GrowScratch:
-    """Make scratch for a mosaic of so many pixels, a tile of ``pixels`` squared, and a radius [px]."""
-    return GrowScratch(
-        np.empty((rows, cols), np.uint8),
-        np.empty((rows, cols + 2 * math.ceil(radius)), np.uint16),
-        np.empty(pixels * pixels, np.int32),
-    )
+def grow_scratch(mosaic: Mosaic) -> GrowScratch:
+    """Make scratch for a mosaic."""
+    rows, cols = mosaic.objects.shape
+    near = np.empty((rows, cols + 2 * math.ceil(mosaic.radius)), np.uint16)
+    return GrowScratch(np.empty((rows, cols), np.uint8), near, np.empty(mosaic.pixels**2, np.int32))
 
 
 @helper

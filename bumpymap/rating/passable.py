@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import FREE, OBSTACLE, UNDECIDED, Barred, VehicleBody, corners_join, obstacle_reach
 from bumpymap.rating._passable_kernels import (
+    GrowScratch,
     InnerTiles,
     Mosaic,
     close_split,
@@ -87,10 +88,7 @@ def find_passable(
     found = InnerTiles(
         np.ascontiguousarray(edge_usable, np.bool_), wanted, *(np.empty(alone.shape, np.bool_) for _ in range(3))
     )
-    radius, corners = _reach(body, tile_size, pixels)
-    scratch = grow_scratch(len(objects), objects.shape[1], pixels, radius)
-    mosaic = Mosaic(np.ascontiguousarray(objects), pixels, radius, corners)
-    grow_obstacles(mosaic, scratch)
+    mosaic, scratch = _grown(objects, body, tile_size, pixels)
     find_ways(mosaic, found, scratch)
     return np.select(
         [~wanted, found.near_obstacle, found.blocked, ~found.passable],
@@ -121,11 +119,9 @@ def free_areas(
     """
     count = len(barred) + 2
     pixels = len(objects) // count
-    radius, corners = _reach(body, tile_size, pixels)
-    scratch = grow_scratch(len(objects), objects.shape[1], pixels, radius)
-    grow_obstacles(Mosaic(np.ascontiguousarray(objects), pixels, radius, corners), scratch)
+    mosaic, scratch = _grown(objects, body, tile_size, pixels)
     tiles = scratch.mask.reshape(count, pixels, count, pixels).swapaxes(1, 2)[1:-1, 1:-1]
-    return _numbered((tiles == 0) & ~np.isin(barred, _GROUND)[..., None, None], corners)
+    return _numbered((tiles == 0) & ~np.isin(barred, _GROUND)[..., None, None], mosaic.corners)
 
 
 def close_split_tiles(
@@ -171,6 +167,16 @@ def _reach(body: VehicleBody, tile_size: float, pixels: int) -> tuple[float, boo
     """Return the radius that a vehicle keeps from obstacles, px, and whether free pixels join by their corners too."""
     reach = obstacle_reach(body.width_m)
     return reach * pixels / tile_size, corners_join(body.width_m, reach, tile_size / pixels)
+
+
+def _grown(
+    objects: NDArray[np.uint8], body: VehicleBody, tile_size: float, pixels: int
+) -> tuple[Mosaic, GrowScratch]:  # fmt: skip
+    """Return a mosaic for kernels, and in the mask of the scratch where the middle of the vehicle cannot be."""
+    mosaic = Mosaic(np.ascontiguousarray(objects), pixels, *_reach(body, tile_size, pixels))
+    scratch = grow_scratch(mosaic)
+    grow_obstacles(mosaic, scratch)
+    return mosaic, scratch
 
 
 def _numbered(free: NDArray[np.bool_], corners: bool) -> NDArray[np.uint8]:
