@@ -20,7 +20,6 @@ from bumpymap.rating.drive_posterior import (
     DriveEvidence,
     DrivePrior,
     HeldOutScore,
-    LeftOut,
     MovePosterior,
     collect_evidence,
     fit_move,
@@ -218,7 +217,7 @@ class DriveUpdate:
     """Their length, m."""
     new_m: float
     """The same, with ground that was driven more than once counted once, m."""
-    left_out: LeftOut
+    left_out: dict[str, float]
     c_r_range: tuple[float, float]
     """10 and 90 % quantile of the calibration's C_r over them, rad/m."""
     prior: DrivePrior
@@ -309,16 +308,13 @@ def _best_prior(
     return (floored, free) if gain > settings.least_floor_gain * error else (plain, fixed)
 
 
-def _require_enough(evidence: DriveEvidence, lost: LeftOut, speed: float, settings: UpdateSettings) -> None:
+def _require_enough(evidence: DriveEvidence, lost: dict[str, float], speed: float, settings: UpdateSettings) -> None:
     number, new_m = len(evidence.way_m), float(evidence.new_m.sum())
     if number >= settings.least_stretches and new_m >= settings.least_m:
         return
-    reasons = {
-        "off the map": lost.off_map,
-        f"not near the {speed:g} m/s of the map": lost.other_speed,
-        "with less motion than the sensor tells": lost.below_sensor,
-    }
-    named = ", ".join(f"{length:.0f} m {reason}" for reason, length in reasons.items() if length >= 0.5)
+    reasons = ("off the map", f"not near the {speed:g} m/s of the map", "with less motion than the sensor tells")
+    parts = zip(reasons, lost.values(), strict=True)
+    named = ", ".join(f"{length:.0f} m {reason}" for reason, length in parts if length >= 0.5)
     raise BadInputError(
         f"the drives are too short to move a calibration: {new_m:.0f} m of different ground on {number} stretches count"
         f"{f' (left out: {named})' if named else ''}. It takes at least {settings.least_m:.0f} m on "
@@ -329,7 +325,7 @@ def _require_enough(evidence: DriveEvidence, lost: LeftOut, speed: float, settin
 def _described(
     calibration: Calibration,
     evidence: DriveEvidence,
-    lost: LeftOut,
+    lost: dict[str, float],
     prior: DrivePrior,
     held_out: tuple[HeldOutScore, HeldOutScore],
 ) -> DriveUpdate:
