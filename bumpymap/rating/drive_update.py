@@ -218,6 +218,7 @@ class DriveUpdate:
     new_m: float
     """The same, with ground that was driven more than once counted once, m."""
     left_out: dict[str, float]
+    """Lengths of stretches that do not count by `LEFT_OUT`, m."""
     c_r_range: tuple[float, float]
     """10 and 90 % quantile of the calibration's C_r over them, rad/m."""
     prior: DrivePrior

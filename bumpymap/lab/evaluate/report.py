@@ -22,10 +22,8 @@ def write_document(
 ) -> list[Path]:
     """Write ``report.json``, nested records of numbers, strings and arrays with their ``format``, and ``report.md``."""
     lines = [f"# {title}", "", *opening, *(line for part in sections for line in part)]
-    text, content = (
-        "\n".join(lines).rstrip() + "\n",
-        json.dumps(plain_json(record, 6), indent=1, allow_nan=False) + "\n",
-    )
+    text = "\n".join(lines).rstrip() + "\n"
+    content = json.dumps(plain_json(record, 6), indent=1, allow_nan=False) + "\n"
     files = [out / REPORT, out / "report.json"]
     for path, written in zip(reversed(files), (content, text), strict=True):
         with atomic(path) as temporary:
