@@ -95,8 +95,8 @@ def _train_textures(
     made = make_model(TrainSettings(**options), out, _Epochs(progress))
     scores = made.evaluation
     lines = [
-        f"accuracy on unseen seeds, all alterations:    {100 * scores.unseen.accuracy:.2f} %",
-        f"accuracy on altered copies (as in the paper): {100 * scores.augmented_copies.accuracy:.2f} %",
+        f"accuracy on unseen seeds, all alterations:    {100 * scores.unseen.right:.2f} %",
+        f"accuracy on altered copies (as in the paper): {100 * scores.augmented_copies.right:.2f} %",
     ]
     return lines, made
 
@@ -108,10 +108,10 @@ def _train_scans(
 
     made = make_scan_model(ScanTrainSettings(**options), out, folder, _Epochs(progress), _show_sectors(progress))
     scores = made.evaluation
-    even = 100 * scores.every.balanced_accuracy
+    even = 100 * scores.every.even
     lines = [
         f"accuracy on {scores.scans} unseen scans, classes weighted evenly: {even:.2f} %",
-        f"accuracy on all {scores.every.count:,} of their sectors:        {100 * scores.every.accuracy:.2f} %",
+        f"accuracy on all {scores.every.count:,} of their sectors:        {100 * scores.every.right:.2f} %",
     ]
     return lines, made
 

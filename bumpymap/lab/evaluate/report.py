@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from bumpymap.core import CLASS_NAMES, atomic, plain_json
-from bumpymap.lab.evaluate.agreement import Comparison
-from bumpymap.lab.evaluate.scans import DEVIATION, RANGE_M, Accuracy, ScanFindings
+from bumpymap.lab.evaluate.agreement import Accuracy, Comparison
+from bumpymap.lab.evaluate.scans import DEVIATION, RANGE_M, ScanFindings
 from bumpymap.lab.evaluate.survey_trial import Findings
 
 REPORT = "report.md"
