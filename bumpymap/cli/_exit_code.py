@@ -43,12 +43,15 @@ def exit_code_of(run: Callable[[], object], words: Sequence[str]) -> int:
     as_json = "--json" in options
     begin = time.monotonic()
     if as_json:
-        emit("start", arguments=list(words), version=_version())
+        from importlib.metadata import version
+
+        emit("start", arguments=list(words), version=version("bumpymap"))
     try:
         with restored_logging():
             code = _call(run)
     except Exception as error:
-        code, lines = _describe(error)
+        code, lines = _message(error)
+        lines += getattr(error, "__notes__", [])
         if code == _FAULT and not as_json:
             raise
         if as_json:
@@ -83,13 +86,8 @@ def _call(run: Callable[[], object]) -> int:
     return code if isinstance(code, int) else 0
 
 
-def _describe(error: Exception) -> tuple[int, list[str]]:
-    """Return exit code and message of a failure; the last lines of the message say how to continue."""
-    code, lines = _message(error)
-    return code, [*lines, *getattr(error, "__notes__", [])]
-
-
 def _message(error: Exception) -> tuple[int, list[str]]:
+    """Return exit code and message of a failure; its notes say how to continue."""
     if what := missing_resource(error):
         return _BAD, [_WANT.format(what=what)]
     if isinstance(error, BumpymapError | RunInterrupted):
@@ -137,9 +135,3 @@ def _reader_left() -> bool:
         return bool(poll.poll(0))
     except (AttributeError, OSError, ValueError):  # not supported on this system
         return False
-
-
-def _version() -> str:
-    from importlib.metadata import version
-
-    return version("bumpymap")

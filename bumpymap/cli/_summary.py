@@ -1,9 +1,8 @@
 """The summary that ``map`` and ``demo`` print."""
 
-import math
 from collections.abc import Iterator
 
-from bumpymap.cli._text import ALREADY_DONE, Table, as_options
+from bumpymap.cli._text import ALREADY_DONE, Table, as_options, cell
 from bumpymap.core import CLASS_NAMES, MapConfig, count_text, share_text, shares_text
 from bumpymap.layers import MapSummary
 from bumpymap.survey import MapResult, describe_lines, ground_line, outcome_of_run, unknown_line
@@ -65,7 +64,7 @@ def _rows(summary: MapSummary) -> Iterator[tuple[str, ...]]:
             yield "  only too steep or drives fail", *_part(summary.failing, summary)
         if name == "unknown" and summary.by_holes:
             yield "  only by the paper's rule of holes", *_part(summary.by_holes, summary)
-        yield name, f"{count:,}", share, _number(c_r, 3), _number(slope, 1)
+        yield name, f"{count:,}", share, cell(c_r, ".3f"), cell(slope, ".1f")
     reasons = summary.reasons
     shares = shares_text([*reasons.values(), summary.tiles - summary.unknown], (len(reasons),), 1)
     for (reason, count), share in zip(reasons.items(), shares, strict=False):
@@ -75,10 +74,6 @@ def _rows(summary: MapSummary) -> Iterator[tuple[str, ...]]:
 def _part(count: int, summary: MapSummary) -> tuple[str, str, str, str]:
     """Return the cells of a part of class 3: tiles and their share of all."""
     return f"{count:,}", share_text(count / summary.tiles, 1), "", ""
-
-
-def _number(value: float, decimals: int) -> str:
-    return "" if math.isnan(value) else f"{value:.{decimals}f}"
 
 
 def _steps(result: MapResult, config: MapConfig) -> str:

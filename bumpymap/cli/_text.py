@@ -10,6 +10,7 @@ prints one line.
 import errno
 import json
 import logging
+import math
 import os
 import re
 import shlex
@@ -207,6 +208,11 @@ def _silence(stream: TextIO) -> None:
         os.close(nothing)
     except (OSError, ValueError):  # a stream of a caller, without a file
         pass
+
+
+def cell(value: float, form: str, unknown: str = "") -> str:
+    """Return a number for a table in a form such as ``.1f``; ``unknown`` where it is not known."""
+    return format(value, form) if math.isfinite(value) else unknown
 
 
 def about(seconds: float) -> str:

@@ -35,7 +35,7 @@ def command(run: Run, vehicle: str | None, out: Path, jobs: int | None, quick: b
 
     To resume an interrupted run, give the same command again.
     """
-    from bumpymap.rating import load_profile, shipped_profiles
+    from bumpymap.rating import Vehicle, shipped_profiles
 
     if vehicle is None:  # hours of drives are for a vehicle that was named
         raise UsageError(
@@ -44,7 +44,7 @@ def command(run: Run, vehicle: str | None, out: Path, jobs: int | None, quick: b
             "vehicle new my_robot.toml, fill it in, and give --vehicle my_robot.toml"
         )
     workers = jobs or os.cpu_count() or 1
-    settings = CalibrationSettings(load_profile(vehicle))
+    settings = CalibrationSettings(Vehicle.load(vehicle))
     settings = replace(settings.quick() if quick else settings, **with_pixels(run.settings))
     again = _command_line(settings, vehicle, out, quick)
     with run.progress() as progress:

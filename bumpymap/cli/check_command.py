@@ -11,7 +11,7 @@ import click
 
 from bumpymap.check import CheckConfig
 from bumpymap.cli._options import FILE, PATH, Run, grouped_option, job, settings_options
-from bumpymap.cli._text import Styled, Table
+from bumpymap.cli._text import Styled, Table, cell
 from bumpymap.core import (
     BadInputError,
     BumpymapError,
@@ -75,16 +75,9 @@ def _classes(result: "CheckResult") -> Iterator[tuple[str, ...]]:
     from bumpymap.views import agreements_of
 
     for name, found in agreements_of(result):
-        level, error = _number(found.median_ratio), _percent(found.median_error)
-        yield name, f"{found.way_m:.0f} m", level, error, _number(found.spearman), _percent(found.inside)
-
-
-def _number(value: float) -> str:
-    return f"{value:.2f}" if math.isfinite(value) else "-"
-
-
-def _percent(value: float) -> str:
-    return f"{value:.0%}" if math.isfinite(value) else "-"
+        values = (found.median_ratio, found.median_error, found.spearman, found.inside)
+        told = (cell(value, form, "-") for value, form in zip(values, (".2f", ".0%") * 2, strict=True))
+        yield name, f"{found.way_m:.0f} m", *told
 
 
 def _record(result: "CheckResult", files: Sequence[Path], config: CheckConfig) -> dict[str, Any]:
@@ -118,21 +111,17 @@ class Refit:
         from bumpymap.rating import UpdateSettings, update_from_drives
 
         moved, update = update_from_drives(self.calibration, stretches, UpdateSettings(speed_mps=speed_mps))
-        _make_folder(self.out)
+        try:
+            self.out.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(
+                f"cannot write {self.out}: {error}; choose a file in a folder that you may write"
+            ) from error
         with locked(self.out.parent, f".{self.out.name}.lock"):
             _refuse_replacing(self.out, self.overwrite)
             with atomic(self.out) as beside:
                 beside.write_text(moved.to_json(), encoding="utf-8")
         return update
-
-    def lines(self, update: "DriveUpdate") -> Iterator[str]:
-        """Say what was found, in words."""
-        yield from _words(update)
-        yield f"Calibration: {self.out}. Map with it: bumpymap map SURVEY --out DIR --calibration {self.out}"
-
-    def record(self, update: "DriveUpdate") -> dict[str, Any]:
-        """Return what was found, as plain JSON."""
-        return {"out": str(self.out), **update.to_record()}
 
 
 def prepare_refit(layers: Path | None, calibration: Path | None, out: Path, *, overwrite: bool) -> Refit:
@@ -159,13 +148,6 @@ def prepare_refit(layers: Path | None, calibration: Path | None, out: Path, *, o
     return Refit(found, out, overwrite)
 
 
-def _make_folder(out: Path) -> None:
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"cannot write {out}: {error}; choose a file in a folder that you may write") from error
-
-
 def _refuse_replacing(out: Path, overwrite: bool) -> None:
     above = next(folder for folder in out.absolute().parents if folder.exists())
     if not above.is_dir():
@@ -187,7 +169,8 @@ def _is_calibration(path: Path) -> bool:
     return isinstance(found, dict) and found.get("format") == "bumpymap-calibration"
 
 
-def _words(update: "DriveUpdate") -> Iterator[str]:
+def refit_lines(update: "DriveUpdate", out: Path) -> Iterator[str]:
+    """Say how a calibration was moved, and how to use the one that was written to ``out``."""
     low, middle, high = (factor - 1.0 for factor in update.factor)
     more = "more" if middle >= 0 else "less"
     ends = sorted((abs(low), abs(high))) if low * high > 0 else (low, high)
@@ -207,6 +190,7 @@ def _words(update: "DriveUpdate") -> Iterator[str]:
             f"Over the same ground the drives are off the map {update.posterior.map_scale:.1f} times as far as its "
             "intervals say; those of the new calibration are wider by that"
         )
+    yield f"Calibration: {out}. Map with it: bumpymap map SURVEY --out DIR --calibration {out}"
 
 
 def _refit_percent(share: float) -> str:
@@ -246,22 +230,17 @@ def command(run: Run, refit: Path | None) -> None:
     config = CheckConfig(**settings)
     with run.progress() as progress:
         result, files = run_check(config, progress)
-    update, refused = _moved(moved, result)
-    record, lines = _record(result, files, config), _lines(result, files, config)
-    if moved is not None and update is not None:
-        record, lines = record | {"refit": moved.record(update)}, chain(lines, moved.lines(update))
+    record, lines, refused = _record(result, files, config), _lines(result, files, config), None
+    if moved is not None and result.ground is not None:
+        try:
+            update = moved.move(result.stretches, result.ground.speed_mps)
+        except BumpymapError as error:  # reasons against it follow the findings of the check
+            refused = error
+        else:
+            record["refit"] = {"out": str(refit), **update.to_record()}
+            lines = chain(lines, refit_lines(update, moved.out))
     run.show(record, lines)
     if refused is not None:
         raise refused
     if result.skipped:
         run.end_partly_done()
-
-
-def _moved(refit: "Refit | None", result: "CheckResult") -> "tuple[DriveUpdate | None, BumpymapError | None]":
-    """Move the calibration; reasons against it follow the findings of the check."""
-    if refit is None or result.ground is None:
-        return None, None
-    try:
-        return refit.move(result.stretches, result.ground.speed_mps), None
-    except BumpymapError as error:
-        return None, error

@@ -29,7 +29,8 @@ def _lines(result: "ChangeResult", config: DiffConfig) -> Iterator[str | Table]:
     )
     yield Table(_changes(result), ("change", "tiles", "share"))
     yield "Classes before (rows) and after (columns), tiles:"
-    yield Table(_classes(result), ("before", *_names()))
+    rows = ((name, *(f"{tiles:,}" for tiles in row)) for name, row in zip(_names(), result.transitions, strict=True))
+    yield Table(rows, ("before", *_names()))
     if counts["passable_lost"] or counts["passable_won"]:
         yield (
             f"of the changed tiles, {count_text(counts['passable_lost'], 'is', 'are')} no longer passable and "
@@ -44,11 +45,6 @@ def _changes(result: "ChangeResult") -> Iterator[tuple[str, ...]]:
     tiles = result.counts["by_change"]
     for (text, count), share in zip(tiles.items(), shares_text(list(tiles.values()), (0,), 1), strict=True):
         yield text, f"{count:,}", share
-
-
-def _classes(result: "ChangeResult") -> Iterator[tuple[str, ...]]:
-    for name, row in zip(_names(), result.transitions, strict=True):
-        yield name, *(f"{tiles:,}" for tiles in row)
 
 
 def _record(result: "ChangeResult", config: DiffConfig) -> dict[str, Any]:

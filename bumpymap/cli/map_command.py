@@ -1,21 +1,12 @@
 """``bumpymap map``: make roughness layers and a cost map from surveys; slow libraries start beside other work."""
 
 import threading
-from collections.abc import Iterable
 from contextlib import suppress
-from pathlib import Path
 
 import click
 
 from bumpymap.cli._options import LOCATION, Run, job
 from bumpymap.core import CLASHES, MapConfig, Progress, with_pixels
-
-
-def start_ahead(surveys: Iterable[Path | str]) -> None:
-    """Start the process that decodes LAZ, if there are such surveys: it starts on another core."""
-    from bumpymap.readers import start_decoder
-
-    start_decoder(surveys)
 
 
 class ImportsAhead:
@@ -62,7 +53,9 @@ def command(run: Run) -> None:
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     config = MapConfig(**with_pixels(run.required(surveys="site.laz", out="--out DIR")))
     if run.ctx.obj:  # this process runs nothing else
-        start_ahead(config.surveys)
+        from bumpymap.readers import start_decoder
+
+        start_decoder(config.surveys)  # LAZ is decoded by a process of its own, which starts on another core
     from bumpymap.survey import map_surveys, require_known
 
     with run.progress() as progress:

@@ -1,6 +1,5 @@
 """``bumpymap route``: the cheapest way over mapped ground, and what can be reached."""
 
-import math
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -8,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bumpymap.cli._options import PATH, Run, job, settings_options
-from bumpymap.cli._text import Table
+from bumpymap.cli._text import Table, cell
 from bumpymap.core import UsageError, count_text
 from bumpymap.route import CostSettings, RouteConfig
 
@@ -62,9 +61,9 @@ def _row(route: "Route") -> tuple[str, ...]:
         f"{found.length_m:,.0f}",
         f"{found.detour:.2f}",
         f"{found.cost_m:,.0f}",
-        _number(found.c_r_mean),
-        _number(found.c_r_line),
-        _number(found.c_r_max),
+        cell(found.c_r_mean, ".3f"),
+        cell(found.c_r_line, ".3f"),
+        cell(found.c_r_max, ".3f"),
         f"{found.p_arrives:.1%}",
         f"{found.unknown_m:,.0f}",
         f"{found.climb_m:.0f}/{found.descent_m:.0f}",
@@ -103,10 +102,6 @@ def _remarks(result: "RouteResult", config: RouteConfig) -> Iterator[str]:
     if (straight := result.routes[0].straight) and straight.words:
         yield straight.words
     yield "arrives: if failures on different metres are independent; errors of neighbouring tiles go together"
-
-
-def _number(value: float) -> str:
-    return "" if math.isnan(value) else f"{value:.3f}"
 
 
 def _time(seconds: float) -> str:

@@ -146,10 +146,10 @@ def vehicle_command() -> None:
 @vehicle_command.command("list")
 def list_command() -> None:
     """List the included vehicles."""
-    from bumpymap.rating import load_profile, shipped_profiles
+    from bumpymap.rating import Vehicle, shipped_profiles
 
     for name in shipped_profiles():
-        print_line(f"{name:12s} {load_profile(name).description}")
+        print_line(f"{name:12s} {Vehicle.load(name).description}")
 
 
 @vehicle_command.command("check")
@@ -159,9 +159,9 @@ def check_command(vehicle: str) -> None:
 
     NAME_OR_FILE is a TOML file or the name of an included vehicle. The exit code is 3 if the profile has errors.
     """
-    from bumpymap.rating import estimated_values, load_profile
+    from bumpymap.rating import Vehicle, estimated_values
 
-    profile = load_profile(vehicle)
+    profile = Vehicle.load(vehicle)
     for name, value in (*_meaning(profile), ("calibration", _calibration(vehicle))):
         print_line(f"{name:13s} {value}")  # one line each, so that a command in it can be copied
     estimates = estimated_values(vehicle)

@@ -43,7 +43,7 @@ def textures_command(run: Run, out: Path, overwrite: bool) -> None:
     \b
     bumpymap train textures --out textures.onnx
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    _train(run, out, overwrite, lambda progress: _train_textures(run.changed(), out, progress))
+    _train(run, out, overwrite, lambda progress: _train_textures(run.changed(), out, progress), "map SURVEY")
 
 
 @job("scans", ScanTrainSettings, _NETWORK)
@@ -57,7 +57,7 @@ def scans_command(run: Run, folder: Path, out: Path, overwrite: bool) -> None:
     \b
     bumpymap train scans Rellis-3D --out scan.onnx
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    _train(run, out, overwrite, lambda progress: _train_scans(run.changed(), out, folder, progress))
+    _train(run, out, overwrite, lambda progress: _train_scans(run.changed(), out, folder, progress), "scan FRAME")
 
 
 command.add_command(textures_command)
@@ -69,8 +69,9 @@ def _train(
     out: Path,
     overwrite: bool,
     work: Callable[[CommandProgress], "tuple[list[str], TrainedModel[Any]]"],
+    use: str,
 ) -> None:
-    """Train a network, unless ``out`` is taken, and print its accuracy."""
+    """Train a network, unless ``out`` is taken, and print its accuracy, and the command that uses it."""
     _require_libraries()
     if out.suffix != ".onnx":
         raise UsageError(f"--out is {out}; its name must end in .onnx")
@@ -79,6 +80,10 @@ def _train(
     note = "Give the same command again to continue after the last complete epoch."
     with interrupt_note(note), run.progress() as progress:
         lines, made = work(progress)
+    lines += [
+        f"{made.model} ({made.parameters:,} trained numbers), {made.card}",
+        f"use it with: bumpymap {use} --out DIR --set model={made.model}",
+    ]
     run.show({"out": str(made.model), "card": str(made.card), "parameters": made.parameters}, lines)
 
 
@@ -90,10 +95,8 @@ def _train_textures(
     made = make_model(TrainSettings(**options), out, _Epochs(progress))
     scores = made.evaluation
     lines = [
-        f"accuracy on unseen seeds, all alterations:    {100 * scores.unseen.accuracy:.2f} %",
-        f"accuracy on altered copies (as in the paper): {100 * scores.augmented_copies.accuracy:.2f} %",
-        f"{made.model} ({made.parameters:,} trained numbers), {made.card}",
-        f"use it with: bumpymap map SURVEY --out DIR --set model={made.model}",
+        f"accuracy on unseen seeds, all alterations:    {100 * scores.unseen.right:.2f} %",
+        f"accuracy on altered copies (as in the paper): {100 * scores.augmented_copies.right:.2f} %",
     ]
     return lines, made
 
@@ -105,12 +108,10 @@ def _train_scans(
 
     made = make_scan_model(ScanTrainSettings(**options), out, folder, _Epochs(progress), _show_sectors(progress))
     scores = made.evaluation
-    even = 100 * scores.every.balanced_accuracy
+    even = 100 * scores.every.even
     lines = [
         f"accuracy on {scores.scans} unseen scans, classes weighted evenly: {even:.2f} %",
-        f"accuracy on all {scores.every.count:,} of their sectors:        {100 * scores.every.accuracy:.2f} %",
-        f"{made.model} ({made.parameters:,} trained numbers), {made.card}",
-        f"use it with: bumpymap scan FRAME --out DIR --set model={made.model}",
+        f"accuracy on all {scores.every.count:,} of their sectors:        {100 * scores.every.right:.2f} %",
     ]
     return lines, made
 

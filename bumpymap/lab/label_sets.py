@@ -72,7 +72,7 @@ class LabelSet:
         return bool(is_ground and self.is_known(labelled).all())
 
 
-def _built_in(name: str, *groups: tuple[int, str, Mapping[int, str]]) -> LabelSet:
+def _from_groups(name: str, *groups: tuple[int, str, Mapping[int, str]]) -> LabelSet:
     """Return a set from groups of ids: class, kind, and the names of the ids."""
     class_of = {number: class_id for class_id, _, names in groups for number in names}
     kinds = {kind: frozenset(number for _, own, names in groups if own == kind for number in names) for kind in _KINDS}
@@ -80,7 +80,7 @@ def _built_in(name: str, *groups: tuple[int, str, Mapping[int, str]]) -> LabelSe
     return LabelSet(name, class_of, kinds["ground"], kinds["obstacle"], all_names)
 
 
-_KITTI = _built_in(
+_KITTI = _from_groups(
     "kitti",
     (_NO_CLASS, "", {0: "unlabelled"}),
     (0, "ground", {9: "road", 10: "parking", 11: "sidewalk", 12: "other ground", 17: "terrain"}),
@@ -94,7 +94,7 @@ _KITTI = _built_in(
         },
     ),
 )  # fmt: skip
-_SEMANTIC_KITTI = _built_in(
+_SEMANTIC_KITTI = _from_groups(
     "semantic-kitti",
     (_NO_CLASS, "", {0: "unlabelled", 1: "outlier", 52: "other structure", 99: "other object"}),
     (
@@ -115,7 +115,7 @@ _SEMANTIC_KITTI = _built_in(
         },
     ),
 )  # fmt: skip
-_RELLIS = _built_in(
+_RELLIS = _from_groups(
     "rellis",
     (_NO_CLASS, "", {0: "void", 7: "sky"}),
     (_NO_CLASS, "obstacle", {5: "pole", 9: "object", 12: "building", 15: "log"}),
@@ -162,9 +162,7 @@ def _read_set(path: Path) -> LabelSet:
             f"{path} is not a label set: its first line is '{','.join(head)[:80]}', with {len(rows)} lines below; it "
             "must be id,class or id,class,name,kind, with one line per id below"
         )
-    class_of: dict[int, int] = {}
-    kinds: dict[str, set[int]] = {kind: set() for kind in _KINDS}
-    names: dict[int, str] = {}
+    groups: dict[int, tuple[int, str, Mapping[int, str]]] = {}
     for row in rows:
         found = dict(zip(head, row, strict=False))
         try:
@@ -172,15 +170,13 @@ def _read_set(path: Path) -> LabelSet:
             is_valid = 0 <= number <= 65_535 and _NO_CLASS <= class_id < CLASSES and len(row) == len(head)
         except (KeyError, ValueError):
             is_valid = False
-        if not is_valid or number in class_of or kind not in _KINDS:
+        if not is_valid or number in groups or kind not in _KINDS:
             raise BadInputError(
                 f"{path}: the line {','.join(row)[:80]} is not one of a label set. Each id (0 to 65,535) stands once, "
                 "with a class from -1 to 2 and, if wanted, name and kind (ground, obstacle, or empty)"
             )
-        class_of[number] = class_id
-        kinds[kind].add(number)
-        names[number] = found.get("name") or f"id {number}"
-    return LabelSet(str(path), class_of, frozenset(kinds["ground"]), frozenset(kinds["obstacle"]), names)
+        groups[number] = class_id, kind, {number: found.get("name") or f"id {number}"}
+    return _from_groups(str(path), *groups.values())
 
 
 def require_label_set(labels: NDArray[np.integer[Any]], known: LabelSet, origin: str) -> None:

@@ -100,7 +100,6 @@ from .vehicle_profile import (
     Vehicle as Vehicle,
     estimated_values as estimated_values,
     find_calibration as find_calibration,
-    load_profile as load_profile,
     map_calibration as map_calibration,
     shipped_profiles as shipped_profiles,
     write_profile_template as write_profile_template,

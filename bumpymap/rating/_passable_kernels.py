@@ -6,7 +6,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import FREE, OBSTACLE, UNDECIDED, UNSEEN
+from bumpymap.core import OBSTACLE, UNSEEN
 from bumpytiles import helper, kernel
 
 Bytes = NDArray[np.uint8]
@@ -15,6 +15,8 @@ Booleans = NDArray[np.bool_]
 
 _NORTH, _EAST, _SOUTH, _WEST = 1, 2, 4, 8
 _FAR = 0xFFFF - 1
+_FREE = 255
+"""In the place of the number of an area: free, and not numbered yet."""
 
 
 class Mosaic(NamedTuple):
@@ -56,35 +58,11 @@ class GrowScratch(NamedTuple):
     """(pixels^2,) of a tile."""
 
 
-def grow_scratch(rows: int, cols: int, pixels: int, radius: float) -> GrowScratch:
-    """Make scratch for a mosaic of so many pixels, a tile of ``pixels`` squared, and a radius [px]."""
-    return GrowScratch(
-        np.empty((rows, cols), np.uint8),
-        np.empty((rows, cols + 2 * math.ceil(radius)), np.uint16),
-        np.empty(pixels * pixels, np.int32),
-    )
-
-
-@helper
-def _has_company(objects: Bytes, pixels: int, r: int, c: int) -> bool:
-    """Return whether a pixel of another tile among the eight around one holds points of an obstacle."""
-    for row in range(max(0, r - 1), min(objects.shape[0], r + 2)):
-        for col in range(max(0, c - 1), min(objects.shape[1], c + 2)):
-            other = row // pixels != r // pixels or col // pixels != c // pixels
-            if other and (objects[row, col] == OBSTACLE or objects[row, col] == UNDECIDED):
-                return True
-    return False
-
-
-@kernel
-def settle(objects: Annotated[Bytes, 2], pixels: int, out: Annotated[Bytes, 2]) -> None:
-    """Copy the states; undecided pixels become obstacles where the neighbouring tile has company for them."""
-    for r in range(objects.shape[0]):
-        for c in range(objects.shape[1]):
-            state = objects[r, c]
-            if state == UNDECIDED:
-                state = np.uint8(OBSTACLE) if _has_company(objects, pixels, r, c) else np.uint8(FREE)
-            out[r, c] = state
+def grow_scratch(mosaic: Mosaic) -> GrowScratch:
+    """Make scratch for a mosaic."""
+    rows, cols = mosaic.objects.shape
+    near = np.empty((rows, cols + 2 * math.ceil(mosaic.radius)), np.uint16)
+    return GrowScratch(np.empty((rows, cols), np.uint8), near, np.empty(mosaic.pixels**2, np.int32))
 
 
 @helper
@@ -108,8 +86,8 @@ def _fill_near(objects: Bytes, margin: int, near: NDArray[np.uint16]) -> None:
             line[c] = min(line[c], np.uint16(behind[c] + step))
 
 
-@helper
-def _grow(mosaic: Mosaic, scratch: GrowScratch) -> None:
+@kernel
+def grow_obstacles(mosaic: Mosaic, scratch: GrowScratch) -> None:
     """Mark in ``scratch.mask`` where the middle of the vehicle cannot be: within a disc of what it cannot touch."""
     rows, cols = mosaic.objects.shape
     reach = math.ceil(mosaic.radius)
@@ -140,24 +118,29 @@ def _beside(k: int) -> tuple[int, int]:
 
 
 @helper
-def _sides_reached(mask: Bytes, start: int, corners: bool, stack: Integers) -> int:
-    """Walk over the free pixels that hang together with one, marking them; returns the sides that they touch."""
-    size, sides, depth = mask.shape[0], 0, 1
+def _flood(cells: Bytes, start: int, value: int, corners: bool, stack: Integers) -> tuple[int, int]:
+    """Give the pixels of a tile that are as one of them, and hang together with it, another value.
+
+    Returns how many there are, and the sides of the tile that they touch.
+    """
+    size, count, sides, depth = cells.shape[0], 0, 0, 1
+    before = cells[start // size, start % size]
     stack[0] = start
-    mask[start // size, start % size] = 2
+    cells[start // size, start % size] = value
     while depth > 0:
         depth -= 1
+        count += 1
         r, c = stack[depth] // size, stack[depth] % size
         sides |= (_NORTH if r == 0 else 0) | (_SOUTH if r == size - 1 else 0)
         sides |= (_WEST if c == 0 else 0) | (_EAST if c == size - 1 else 0)
         for k in range(8 if corners else 4):
             down, right = _beside(k)
             row, col = r + down, c + right
-            if 0 <= row < size and 0 <= col < size and mask[row, col] == 0:
-                mask[row, col] = 2
+            if 0 <= row < size and 0 <= col < size and cells[row, col] == before:
+                cells[row, col] = value
                 stack[depth] = row * size + col
                 depth += 1
-    return sides
+    return count, sides
 
 
 @helper
@@ -202,7 +185,7 @@ def _find_way(mosaic: Mosaic, row: int, col: int, tiles: InnerTiles, scratch: Gr
     passable, blocked = False, True
     for start in range(pixels * pixels):
         if mask[start // pixels, start % pixels] == 0:
-            sides = _sides_reached(mask, start, mosaic.corners, scratch.stack)
+            _, sides = _flood(mask, start, 2, mosaic.corners, scratch.stack)
             passable = passable or _count(sides & usable) >= least
             blocked = blocked and _count(sides) < least
     tiles.passable[row, col], tiles.blocked[row, col] = passable, blocked
@@ -210,58 +193,28 @@ def _find_way(mosaic: Mosaic, row: int, col: int, tiles: InnerTiles, scratch: Gr
 
 
 @helper
-def _fill_area(free: Bytes, start: int, number: int, corners: bool, areas: Bytes, stack: Integers) -> int:
-    """Give the free pixels of a tile that hang together with one a number; returns how many there are."""
-    size, depth, count = free.shape[0], 1, 0
-    stack[0] = start
-    areas[start // size, start % size] = number
-    while depth > 0:
-        depth -= 1
-        count += 1
-        r, c = stack[depth] // size, stack[depth] % size
-        for k in range(8 if corners else 4):
-            down, right = _beside(k)
-            row, col = r + down, c + right
-            if 0 <= row < size and 0 <= col < size and free[row, col] != 0 and areas[row, col] == 0:
-                areas[row, col] = number
-                stack[depth] = row * size + col
-                depth += 1
-    return count
-
-
-@helper
-def _copy(free: Bytes, areas: Bytes) -> int:
-    """Make all free pixels of a tile one area; returns how many there are."""
-    count = 0
-    for r in range(free.shape[0]):
-        for c in range(free.shape[0]):
-            areas[r, c] = free[r, c]
-            count += free[r, c]
-    return count
-
-
-@helper
 def _number_tile(free: Bytes, corners: bool, areas: Bytes, stack: Integers, sizes: Integers) -> None:
     """Give the areas of one tile their numbers."""
-    pixels = free.shape[0] * free.shape[0]
-    found = 0
-    for r in range(free.shape[0]):
-        for c in range(free.shape[0]):
-            areas[r, c] = 0
-    for k in range(pixels):
-        r, c = k // free.shape[0], k % free.shape[0]
-        if free[r, c] != 0 and areas[r, c] == 0:
-            found = min(found + 1, 254)
-            sizes[found] = _fill_area(free, k, found, corners, areas, stack)
+    size, count, found = free.shape[0], 0, 0
+    for k in range(size * size):
+        r, c = k // size, k % size
+        areas[r, c] = _FREE * free[r, c]
+        count += free[r, c]
+    if count == size * size:  # one area
+        areas[:, :] = 1
+        return
+    for k in range(size * size):
+        if areas[k // size, k % size] == _FREE:
+            found = min(found + 1, _FREE - 1)
+            sizes[found], _ = _flood(areas, k, found, corners, stack)
     first = 1
     for number in range(2, found + 1):
         if sizes[number] > sizes[first]:
             first = number
     if first > 1:
-        for k in range(pixels):
-            r, c = k // free.shape[0], k % free.shape[0]
-            number = areas[r, c]
-            areas[r, c] = 1 if number == first else (first if number == 1 else number)
+        for k in range(size * size):
+            number = areas[k // size, k % size]
+            areas[k // size, k % size] = 1 if number == first else (first if number == 1 else number)
 
 
 @kernel
@@ -279,8 +232,7 @@ def number_areas(
     """
     for row in range(free.shape[0]):
         for col in range(free.shape[1]):
-            if 0 < _copy(free[row, col], areas[row, col]) < free.shape[2] * free.shape[2]:
-                _number_tile(free[row, col], corners, areas[row, col], stack, sizes)
+            _number_tile(free[row, col], corners, areas[row, col], stack, sizes)
 
 
 @helper
@@ -368,15 +320,11 @@ def close_split(
 
 
 @kernel
-def grow_obstacles(mosaic: Mosaic, scratch: GrowScratch) -> None:
-    """Mark in ``scratch.mask`` where the middle of the vehicle cannot be."""
-    _grow(mosaic, scratch)
-
-
-@kernel
 def find_ways(mosaic: Mosaic, tiles: InnerTiles, scratch: GrowScratch) -> None:
-    """Fill ``passable``, ``blocked`` and ``near_obstacle`` of the inner tiles that are wanted."""
-    _grow(mosaic, scratch)
+    """Fill ``passable``, ``blocked`` and ``near_obstacle`` of the inner tiles that are wanted.
+
+    ``scratch`` comes from `grow_obstacles`; its mask is changed.
+    """
     for row in range(tiles.passable.shape[0]):
         for col in range(tiles.passable.shape[1]):
             if tiles.wanted[row, col]:

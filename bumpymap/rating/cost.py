@@ -13,15 +13,12 @@ from numpy.typing import NDArray
 
 from bumpymap.core import FAIL_SHARE, NO_CLASS, CostMap, Georeference, PatchStack, Reason, TextureMap
 from bumpymap.rating.calibration import Calibration
+from bumpymap.rating.ride.correction import NORMAL_TAIL, TAIL
 from bumpymap.rating.ride.speed import map_rule
 from bumpymap.rating.vehicle_body import with_floor
 
 Floats = NDArray[np.float64]
 
-_TAIL = 0.1
-"""Probability below c_r_low and above c_r_high."""
-_NORMAL_TAIL = -1.2815515655446004
-"""That quantile of the standard normal."""
 _MIN_LOG_SD = 0.05
 _ROUNDS, _CLOSE = 100, 1e-10
 """Newton's steps at most, and how close they come; most need six."""
@@ -65,7 +62,7 @@ def rate(patches: PatchStack, textures: TextureMap, calibration: Calibration, ge
     too_steep = patches.slope[known] > float(calibration.vehicle["slope_limit_deg"])
     mixture = _Mixture(chance, log_mean - 0.5 * log_sd**2, log_sd)  # the tables hold the logarithm of the mean
     low, high = (
-        np.exp(mixture.quantile(share, normal)) for share, normal in ((_TAIL, _NORMAL_TAIL), (1 - _TAIL, -_NORMAL_TAIL))
+        np.exp(mixture.quantile(share, normal)) for share, normal in ((TAIL, -NORMAL_TAIL), (1 - TAIL, NORMAL_TAIL))
     )
     edges = np.concatenate(([-np.inf], np.log(calibration.class_limits), [np.inf]))
     failing = too_steep | (p_fail >= FAIL_SHARE)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import DrivenStretches
+from bumpymap.rating.ride.correction import NORMAL_TAIL
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -23,10 +24,13 @@ SPEED_FACTOR = 1.3
 """Stretches that were driven faster or slower than the calibration by more than this factor do not count."""
 MOST_SENSOR_SHARE = 0.5
 """Stretches whose measurement has a larger standard error than this share of what the map says do not count."""
+LEFT_OUT = ("off_map", "other_speed", "below_sensor")
+"""Why a stretch does not count: the map does not know the ground, or nothing was measured; it was driven at another
+speed; the sensor cannot tell so little motion."""
 _FOLD_M = 50.0
 _FOLDS = 10
 _LEAST_DRIVES = 3
-_INTERVAL_SD = 2 * 1.2815515655446004
+_INTERVAL_SD = 2 * NORMAL_TAIL
 """Width of an 80 % interval in standard deviations."""
 _LEAST_MAP_SD = 0.03
 _LEAST_STRETCHES = 8
@@ -64,19 +68,10 @@ class DriveEvidence:
         return DriveEvidence(**parts | {"square": _numbered(parts["square"])})
 
 
-@dataclass(frozen=True, slots=True)
-class LeftOut:
-    """Lengths of stretches that do not count, m."""
-
-    off_map: float
-    """The map does not know the ground, or nothing was measured."""
-    other_speed: float
-    below_sensor: float
-    """The sensor cannot tell so little motion."""
-
-
-def collect_evidence(stretches: DrivenStretches, speed_mps: float, floor: float) -> tuple[DriveEvidence, LeftOut]:
-    """Return what stretches say, and what does not count.
+def collect_evidence(
+    stretches: DrivenStretches, speed_mps: float, floor: float
+) -> tuple[DriveEvidence, dict[str, float]]:
+    """Return what stretches say, and the lengths of those that do not count by `LEFT_OUT`, m.
 
     Parameters
     ----------
@@ -98,7 +93,7 @@ def collect_evidence(stretches: DrivenStretches, speed_mps: float, floor: float)
     low = known & ~fast & (sd > MOST_SENSOR_SHARE * scale)
     rows = known & ~fast & ~low
     way = s.way_m
-    lost = LeftOut(*(float(way[each].sum()) for each in (~known, fast, low)))
+    lost = {name: float(way[each].sum()) for name, each in zip(LEFT_OUT, (~known, fast, low), strict=True)}
     return _evidence(s, rows, sd[rows] / scale[rows], floor), lost
 
 

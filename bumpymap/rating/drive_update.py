@@ -20,14 +20,13 @@ from bumpymap.rating.drive_posterior import (
     DriveEvidence,
     DrivePrior,
     HeldOutScore,
-    LeftOut,
     MovePosterior,
     collect_evidence,
     fit_move,
     hold_out,
     respond,
 )
-from bumpymap.rating.ride.correction import Correction
+from bumpymap.rating.ride.correction import NORMAL_TAIL, Correction
 from bumpymap.rating.ride.thin import ThinModel
 
 Floats = NDArray[np.float64]
@@ -180,7 +179,6 @@ _MIDDLE_LIMIT = 1
 """The class limit at which the shift is told."""
 _DECIMALS = 4
 """Of the moved numbers: what is below differs between machines."""
-_NORMAL_TAIL = 1.2815515655446004
 _USUAL_FLOOR = 0.03
 """Centre of the floor [rad/m] before any drive, where the profile has none: wheeled vehicles on paved ground."""
 _FLOOR_LOG_SD = 0.5, 1.0
@@ -219,7 +217,8 @@ class DriveUpdate:
     """Their length, m."""
     new_m: float
     """The same, with ground that was driven more than once counted once, m."""
-    left_out: LeftOut
+    left_out: dict[str, float]
+    """Lengths of stretches that do not count by `LEFT_OUT`, m."""
     c_r_range: tuple[float, float]
     """10 and 90 % quantile of the calibration's C_r over them, rad/m."""
     prior: DrivePrior
@@ -310,16 +309,13 @@ def _best_prior(
     return (floored, free) if gain > settings.least_floor_gain * error else (plain, fixed)
 
 
-def _require_enough(evidence: DriveEvidence, lost: LeftOut, speed: float, settings: UpdateSettings) -> None:
+def _require_enough(evidence: DriveEvidence, lost: dict[str, float], speed: float, settings: UpdateSettings) -> None:
     number, new_m = len(evidence.way_m), float(evidence.new_m.sum())
     if number >= settings.least_stretches and new_m >= settings.least_m:
         return
-    reasons = {
-        "off the map": lost.off_map,
-        f"not near the {speed:g} m/s of the map": lost.other_speed,
-        "with less motion than the sensor tells": lost.below_sensor,
-    }
-    named = ", ".join(f"{length:.0f} m {reason}" for reason, length in reasons.items() if length >= 0.5)
+    reasons = ("off the map", f"not near the {speed:g} m/s of the map", "with less motion than the sensor tells")
+    parts = zip(reasons, lost.values(), strict=True)
+    named = ", ".join(f"{length:.0f} m {reason}" for reason, length in parts if length >= 0.5)
     raise BadInputError(
         f"the drives are too short to move a calibration: {new_m:.0f} m of different ground on {number} stretches count"
         f"{f' (left out: {named})' if named else ''}. It takes at least {settings.least_m:.0f} m on "
@@ -330,11 +326,17 @@ def _require_enough(evidence: DriveEvidence, lost: LeftOut, speed: float, settin
 def _described(
     calibration: Calibration,
     evidence: DriveEvidence,
-    lost: LeftOut,
+    lost: dict[str, float],
     prior: DrivePrior,
     held_out: tuple[HeldOutScore, HeldOutScore],
 ) -> DriveUpdate:
-    posterior = _rounded(fit_move(evidence, prior))
+    found = fit_move(evidence, prior)
+    posterior = MovePosterior(
+        np.round(found.mean, _DECIMALS),
+        np.round(found.covariance, 2 * _DECIMALS),
+        round(found.map_scale, _DECIMALS),
+        round(found.line_sd, _DECIMALS),
+    )
     before, after = held_out
     fitted = respond(posterior.mean, evidence.log_c_r, prior)[0]
     middle = np.array([np.median(evidence.log_c_r)])
@@ -354,20 +356,11 @@ def _described(
         prior=prior,
         posterior=posterior,
         floor=(floor, round(math.exp(posterior.mean[2]), _DECIMALS) if len(posterior.mean) > 2 else floor),
-        factor=(math.exp(by - _NORMAL_TAIL * sd), math.exp(by), math.exp(by + _NORMAL_TAIL * sd)),
+        factor=(math.exp(by - NORMAL_TAIL * sd), math.exp(by), math.exp(by + NORMAL_TAIL * sd)),
         ratio=(before.median_ratio, float(np.exp(np.median(fitted - evidence.log_measured)))),
         held_out_error=(before.error, after.error),
         gain=after.gain_over(before),
         parts=after.parts,
-    )
-
-
-def _rounded(found: MovePosterior) -> MovePosterior:
-    return MovePosterior(
-        np.round(found.mean, _DECIMALS),
-        np.round(found.covariance, 2 * _DECIMALS),
-        round(found.map_scale, _DECIMALS),
-        round(found.line_sd, _DECIMALS),
     )
 
 

@@ -1,10 +1,13 @@
 """Tiles that a vehicle can pass: between obstacles, over edges, on slopes and ground that it survives."""
 
+from itertools import product
+
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Barred, VehicleBody, corners_join, obstacle_reach
+from bumpymap.core import FREE, OBSTACLE, UNDECIDED, Barred, VehicleBody, corners_join, obstacle_reach
 from bumpymap.rating._passable_kernels import (
+    GrowScratch,
     InnerTiles,
     Mosaic,
     close_split,
@@ -12,7 +15,6 @@ from bumpymap.rating._passable_kernels import (
     grow_obstacles,
     grow_scratch,
     number_areas,
-    settle,
 )
 
 _MOST_MARGIN = 0.45
@@ -36,9 +38,14 @@ def settle_objects(objects: NDArray[np.uint8], pixels: int) -> NDArray[np.uint8]
     uint8 (rows, cols)
         The same without ``UNDECIDED``: obstacle beside an obstacle or another such pixel across the border, else free.
     """
-    out = np.empty_like(objects)
-    settle(np.ascontiguousarray(objects), pixels, out)
-    return out
+    undecided, near = objects == UNDECIDED, np.zeros(objects.shape, np.bool_)
+    holds = np.pad((objects == OBSTACLE) | undecided, 1)
+    rows, cols = (np.arange(size) % pixels for size in objects.shape)
+    last = {-1: 0, 0: -1, 1: pixels - 1}  # the row or column of a tile beside which another tile begins
+    for (down, row), (right, col) in product(last.items(), repeat=2):
+        other = (rows == row)[:, None] | (cols == col)
+        near |= other & holds[1 + down :, 1 + right :][: len(rows), : len(cols)]
+    return np.where(undecided, np.where(near, np.uint8(OBSTACLE), np.uint8(FREE)), objects)
 
 
 def find_passable(
@@ -81,9 +88,8 @@ def find_passable(
     found = InnerTiles(
         np.ascontiguousarray(edge_usable, np.bool_), wanted, *(np.empty(alone.shape, np.bool_) for _ in range(3))
     )
-    radius, corners = _reach(body, tile_size, pixels)
-    scratch = grow_scratch(len(objects), objects.shape[1], pixels, radius)
-    find_ways(Mosaic(np.ascontiguousarray(objects), pixels, radius, corners), found, scratch)
+    mosaic, scratch = _grown(objects, body, tile_size, pixels)
+    find_ways(mosaic, found, scratch)
     return np.select(
         [~wanted, found.near_obstacle, found.blocked, ~found.passable],
         [alone, np.uint8(Barred.OBSTACLE), np.uint8(Barred.UNKNOWN), np.uint8(Barred.STEP)],
@@ -113,11 +119,9 @@ def free_areas(
     """
     count = len(barred) + 2
     pixels = len(objects) // count
-    radius, corners = _reach(body, tile_size, pixels)
-    scratch = grow_scratch(len(objects), objects.shape[1], pixels, radius)
-    grow_obstacles(Mosaic(np.ascontiguousarray(objects), pixels, radius, corners), scratch)
+    mosaic, scratch = _grown(objects, body, tile_size, pixels)
     tiles = scratch.mask.reshape(count, pixels, count, pixels).swapaxes(1, 2)[1:-1, 1:-1]
-    return _numbered((tiles == 0) & ~np.isin(barred, _GROUND)[..., None, None], corners)
+    return _numbered((tiles == 0) & ~np.isin(barred, _GROUND)[..., None, None], mosaic.corners)
 
 
 def close_split_tiles(
@@ -163,6 +167,16 @@ def _reach(body: VehicleBody, tile_size: float, pixels: int) -> tuple[float, boo
     """Return the radius that a vehicle keeps from obstacles, px, and whether free pixels join by their corners too."""
     reach = obstacle_reach(body.width_m)
     return reach * pixels / tile_size, corners_join(body.width_m, reach, tile_size / pixels)
+
+
+def _grown(
+    objects: NDArray[np.uint8], body: VehicleBody, tile_size: float, pixels: int
+) -> tuple[Mosaic, GrowScratch]:  # fmt: skip
+    """Return a mosaic for kernels, and in the mask of the scratch where the middle of the vehicle cannot be."""
+    mosaic = Mosaic(np.ascontiguousarray(objects), pixels, *_reach(body, tile_size, pixels))
+    scratch = grow_scratch(mosaic)
+    grow_obstacles(mosaic, scratch)
+    return mosaic, scratch
 
 
 def _numbered(free: NDArray[np.bool_], corners: bool) -> NDArray[np.uint8]:

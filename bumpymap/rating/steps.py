@@ -58,8 +58,7 @@ from bumpymap.rating._step_kernels import (
     row_scratch,
 )
 from bumpymap.rating.calibration import Calibration, remembered
-from bumpymap.rating.ride._ride_kernels import normal_shares
-from bumpymap.rating.ride.correction import NORMAL_TAIL
+from bumpymap.rating.ride.correction import NORMAL_TAIL, class_chance
 from bumpymap.rating.ride.speed import plain_speed_factor
 from bumpymap.rating.vehicle_body import less_floor, with_floor
 
@@ -158,8 +157,9 @@ def apply_steps(
     class_id = np.maximum(own["class_id"], np.searchsorted(np.array(calibration.class_limits), driven, side="right"))
     class_id = np.where(lost, len(calibration.class_limits), class_id)
     changed = known & (raised | (lost & ~(own["p_fail"] >= FAIL_SHARE)))
-    without = less_floor(felt["c_r"], calibration.map_floor)
-    sure = np.where(lost, fails, _sureness(class_id, without, sd, calibration.class_limits))
+    log_c_r = np.log(np.maximum(np.nan_to_num(less_floor(felt["c_r"], calibration.map_floor)), 1e-9))
+    rank = np.minimum(class_id, len(calibration.class_limits)).astype(np.int64)
+    sure = np.where(lost, fails, class_chance(rank, log_c_r, (sd, sd), calibration.class_limits))
     felt["confidence"] = np.where(changed, sure * np.sqrt(columns["coverage"]), own["confidence"])
     felt["class_id"] = class_id
     return {name: np.where(known, felt[name], own[name]).astype(own[name].dtype) for name in STEP_COLUMNS}
@@ -214,19 +214,6 @@ def _recorded(record: Mapping[str, Any]) -> StepEffect:
     c_r, fails, up, down = (np.concatenate(([0.0], curve)) for curve in (*curves, up, down))
     sd = np.maximum(np.concatenate((sd[:1], sd)), _LEAST_LOG_SD)
     return StepEffect(np.concatenate(([0.0], height)), c_r, sd, fails, up, down)
-
-
-def _sureness(class_id: NDArray[np.integer], c_r: Floats, sd: Floats, limits: tuple[float, ...]) -> Floats:
-    """Return the probability that a log-normal C_r lies between the limits of a class."""
-    edges = np.concatenate(([-np.inf], np.log(limits), [np.inf]))
-    rank = np.minimum(class_id, len(limits)).astype(np.int64)
-    middle = np.log(np.maximum(np.nan_to_num(c_r), 1e-9))
-    shares = []
-    for edge in (edges[rank], edges[rank + 1]):
-        share = np.empty(middle.size)
-        normal_shares(((edge - middle) / sd).ravel(), share)
-        shares.append(share.reshape(middle.shape))
-    return np.asarray(shares[1] - shares[0])
 
 
 _QUANTILE, _QUANTILE_LIMIT = 0.2, 12.0
@@ -311,7 +298,10 @@ def find_steps(
             for steps in (raw.least, raw.crest):
                 np.copyto(steps, np.nan, where=hidden)
     noise = _PIXEL_LIMIT / _MEDIAN_DIFFERENCE * 0.5 * (noise_east + noise_south.T)
-    limit = np.fmax(_QUANTILE_LIMIT * _usual(across, along), noise)
+    rows, cols, inside = across.inside.shape
+    usual = np.empty((rows, cols))  # a low quantile of the steps whose support lies in the tile; NaN with too few
+    find_quantiles(across.inside, along.inside, _QUANTILE, _LEAST_STEPS, usual, np.empty(2 * inside + 1))
+    limit = np.fmax(_QUANTILE_LIMIT * usual, noise)
     west_east = _peaks(upright, across, limit)
     north_south = _peaks(lying, along, np.ascontiguousarray(limit.T))
     rim, inner = np.moveaxis(np.fmax(west_east, north_south.swapaxes(0, 1))[1:-1, 1:-1, 2:], -1, 0)
@@ -363,14 +353,6 @@ def _raw(mosaic: StepMosaic, side: int) -> RawSteps:
     least, crest = (np.empty((tiles * pixels, cols)) for _ in range(2))
     found = RawSteps(least, crest, np.empty((tiles, cols // pixels, inside)))
     find_raw_steps(mosaic, side, found, row_scratch(cols))
-    return found
-
-
-def _usual(across: RawSteps, along: RawSteps) -> Floats:
-    """Return a low quantile of the size of the steps in each tile whose support lies in the tile; NaN with too few."""
-    rows, cols, steps = across.inside.shape
-    found = np.empty((rows, cols))
-    find_quantiles(across.inside, along.inside, _QUANTILE, _LEAST_STEPS, found, np.empty(2 * steps + 1))
     return found
 
 

@@ -185,7 +185,7 @@ class Vehicle:
         BadInputError
             The file is not TOML, or a value is missing or not plausible.
         """
-        return load_profile(name_or_path)
+        return cls.from_dict(*_profile_record(name_or_path))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the profile as a nested dictionary, as in its TOML file."""
@@ -231,19 +231,6 @@ KEYS = profile_keys(Vehicle)
 """All numeric keys of a profile, in the order of the file."""
 
 
-def load_profile(name_or_path: str | Path) -> Vehicle:
-    """Read a vehicle profile: an included one by name (``warthog``), anything else as a TOML file.
-
-    Raises
-    ------
-    UsageError
-        There is no such vehicle or file.
-    BadInputError
-        The file is not TOML, or a value is missing or not plausible.
-    """
-    return Vehicle.from_dict(*_profile_record(name_or_path))
-
-
 def _profile_record(name_or_path: str | Path) -> tuple[dict[str, Any], str]:
     """Return a profile as its file has it, and what to call it in messages."""
     if str(name_or_path) in shipped_profiles():
@@ -266,7 +253,7 @@ def shipped_profiles() -> list[str]:
 
 
 def estimated_values(name_or_path: str | Path) -> dict[str, Any]:
-    """Return what a short profile leaves out and `load_profile` estimates, by key, such as ``chassis.com_height_m``."""
+    """Return what a short profile leaves out and `Vehicle.load` estimates, by key, such as ``chassis.com_height_m``."""
     return estimate_profile(_profile_record(name_or_path)[0]).values
 
 
@@ -400,7 +387,7 @@ def profile_template(name: str, like: str | None) -> str:
         keys = tuple(key for key in KEYS if key.default is None and key.name not in ESTIMATED)
         values, description = {key.name: UNFILLED for key in keys}, UNFILLED
     else:
-        model = load_profile(like).to_dict()
+        model = Vehicle.load(like).to_dict()
         lines.append(f"# The numbers are those of {model['name']}: change whatever differs.")
         keys, description = KEYS, f"like {model['name']}"
         values = {key.name: key.value_in(model) for key in KEYS}
@@ -447,11 +434,11 @@ def find_calibration(vehicle: str | Path, file: Path | None = None, tile_size: f
     """
     if file is not None:
         return _checked(Calibration.load(file), str(file))
-    profile = load_profile(vehicle)
+    profile = Vehicle.load(vehicle)
     if str(vehicle) in shipped_calibrations():
         return Calibration.shipped(str(vehicle), tile_size)
     path = Path(vehicle)
-    beside = calibration_beside(path)
+    beside = path.with_suffix(".json")
     again = f"bumpymap calibrate --vehicle {shlex.quote(str(path))} --out {shlex.quote(str(beside))}"
     if beside.exists():
         calibration = _checked(Calibration.load(beside), str(beside))
@@ -485,9 +472,15 @@ def map_calibration(
     named, vehicle = file or settings.get("calibration"), str(settings.get("vehicle") or about["name"])
     speed = float(about["speed_mps"]) if "drives_mps" in about else None
     if not named:
-        for included in _with_preferences(manifest, tile_size, speed):
-            if included.id == wanted:
-                return included
+        preferences = manifest.get("calibration", {}).get("preferences", {})
+        for name in sorted(shipped_calibrations(), key=lambda name: name != about["name"]):
+            own = Calibration.shipped(name, tile_size)
+            with suppress(BadInputError, UsageError, TypeError):  # another vehicle, or preferences that make no sense
+                profile = {**own.vehicle, **preferences}
+                Vehicle.from_dict(profile, name)
+                included = at_speed(own.with_preferences(profile, name), speed)
+                if included.id == wanted:
+                    return included
     try:
         found = at_speed(find_calibration(vehicle, Path(named) if named else None, tile_size), speed)
     except (BadInputError, UsageError) as error:
@@ -502,22 +495,6 @@ def map_calibration(
             "Give the file of the map's own with `calibration`, or map the survey again"
         )
     return found
-
-
-def _with_preferences(manifest: Mapping[str, Any], tile_size: float, speed: float | None) -> Iterator[Calibration]:
-    """Yield the included calibrations with the preferences and the speed of a run.json, as far as these make sense."""
-    preferences = manifest.get("calibration", {}).get("preferences", {})
-    for name in sorted(shipped_calibrations(), key=lambda name: name != manifest["vehicle"]["name"]):
-        own = Calibration.shipped(name, tile_size)
-        with suppress(BadInputError, UsageError, TypeError):
-            vehicle = {**own.vehicle, **preferences}
-            Vehicle.from_dict(vehicle, name)
-            yield at_speed(own.with_preferences(vehicle, name), speed)
-
-
-def calibration_beside(profile: Path) -> Path:
-    """Return the path of the calibration file that belongs to a TOML file."""
-    return profile.with_suffix(".json")
 
 
 def _checked(calibration: Calibration, origin: str) -> Calibration:

@@ -156,15 +156,6 @@ Places = Annotated[NDArray[np.int32], 1]
 Numbers = Annotated[NDArray[np.float64], 2]
 
 
-class StripPlaces(NamedTuple):
-    """Scratch for coordinates, (``STRIP``,) each."""
-
-    x: Floats
-    """m, as the two that follow."""
-    y: Floats
-    z: Floats
-
-
 class CellTable(NamedTuple):
     """A hash table of cells, (``SLOTS``,) rows."""
 
@@ -252,15 +243,14 @@ def add_points(points: LinedPoints, table: CellTable) -> None:
 
 
 @kernel
-def add_scaled_points(points: ScaledLinedPoints, scaling: Floats, strip: StripPlaces, table: CellTable) -> None:
-    """Do the same with points of a file's own grid, see `bumpytiles.Scaling.numbers`; ``strip`` is scratch."""
+def add_scaled_points(points: ScaledLinedPoints, scaling: Floats, strip: Numbers, table: CellTable) -> None:
+    """Do the same with points of a file's own grid, see `bumpytiles.Scaling.numbers`; ``strip`` (3, STRIP): scratch."""
     first, added, wanted = table.state[0], 0, 0
     while added == wanted and first < len(points.x):
         wanted = min(STRIP, len(points.x) - first)
         last = first + wanted
-        there = LinedPoints(
-            strip.x[:wanted], strip.y[:wanted], strip.z[:wanted], points.kind[first:last], points.line[first:last]
-        )
+        x, y, z = strip[0][:wanted], strip[1][:wanted], strip[2][:wanted]
+        there = LinedPoints(x, y, z, points.kind[first:last], points.line[first:last])
         coordinates(points.x[first:last], scaling, 0, there.x)
         coordinates(points.y[first:last], scaling, 1, there.y)
         coordinates(points.z[first:last], scaling, 2, there.z)

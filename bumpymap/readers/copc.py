@@ -14,7 +14,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, DecoderError
+from bumpymap.core import BadInputError, DecoderError, allocate_shared
 from bumpymap.readers.decoder import decoder
 from bumpymap.readers.las_header import LAYERED, RawHeader
 from bumpymap.readers.point_stats import OUTSIDE
@@ -95,7 +95,7 @@ def laz_record(path: Location, header: RawHeader) -> bytes:
 def read_table(stream: BinaryIO, path: Location, header: RawHeader, record: bytes) -> ChunkTable:
     """Read the chunk table and check it against the size of the file and the point count in the header."""
     table_at, chunks = _table_place(stream, path, header)
-    encoded = decoder().allocate(min(header.size - table_at, 8 + _ENTRY_BYTES * (chunks + 1)))
+    encoded = allocate_shared(min(header.size - table_at, 8 + _ENTRY_BYTES * (chunks + 1)))
     stream.seek(table_at)
     data = stream.read(encoded.data.size)
     refuse_count(path, encoded.data.size, len(data), "bytes of a LAZ chunk table")

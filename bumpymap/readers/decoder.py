@@ -39,16 +39,10 @@ _MALLOC = {"MALLOC_TRIM_THRESHOLD_": str(1 << 26), "MALLOC_MMAP_THRESHOLD_": str
 
 
 class Decoder:
-    """Calls lazrs. Thread-safe. Methods except ``start``, ``allocate`` and ``close`` may raise DecoderError.
+    """Calls lazrs. Thread-safe. Methods except ``start`` and ``close`` may raise DecoderError."""
 
-    Parameters
-    ----------
-    children : int
-        Number of child processes at most.
-    """
-
-    def __init__(self, children: int = _MOST_CHILDREN) -> None:
-        self.guards = [Guard(_start, "decodes LAZ", "lazrs") for _ in range(children)]
+    def __init__(self) -> None:
+        self.guards = [Guard(_start, "decodes LAZ", "lazrs") for _ in range(_MOST_CHILDREN)]
         """Of the children; the last one is used first."""
         # Last in, first out: what one child can do does not start another.
         self._free: LifoQueue[Guard] = LifoQueue()
@@ -62,10 +56,6 @@ class Decoder:
             guard.live_child()
         self._free.put(guard)
 
-    def allocate(self, size: int) -> SharedBytes:
-        """Allocate memory for bytes that the decoder will read."""
-        return allocate_shared(size)
-
     def check(self, record: bytes) -> None:
         """Raise DecoderError if lazrs cannot decode data with this LASzip record."""
         self._call("check_record", record)
@@ -77,7 +67,7 @@ class Decoder:
 
     def chunks(self, record: bytes, table: Table, data: SharedBytes, size: int, *, colour: bool = False) -> Bytes:
         """Decode adjacent LAZ chunks to ``size`` bytes; without the colour of point formats 6 to 10 unless asked."""
-        out = self.allocate(size)
+        out = allocate_shared(size)
         self._call("decode_chunks", record, table, colour, shared=(data, out))
         return out.data
 

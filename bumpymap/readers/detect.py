@@ -4,7 +4,7 @@ import hashlib
 import logging
 import os
 from codecs import getincrementaldecoder
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -243,18 +243,30 @@ def find_surveys(paths: Sequence[Location]) -> list[Location]:
     """
     if not paths:
         raise BadInputError("no survey was given; name a point cloud file or a folder of them")
-    found: dict[Path, Path] = {}
-    remote: set[str] = set()
+    urls = [path for path in paths if isinstance(path, str) and is_url(path)]
+    remote = {url for path in urls for url in _urls_of(path)}
+    local = [Path(path) for path in paths if path not in urls]
+    found = files_at(local, lambda folder: _some(sorted(_walk(folder)), folder), "a point cloud file")
+    return [*sorted(found), *sorted(remote)]
+
+
+def files_at(paths: Iterable[Path], list_folder: Callable[[Path], list[Path]], what: str) -> list[Path]:
+    """Return the files at some paths, each once: those that are given, and those that ``list_folder`` finds in folders.
+
+    Raises BadInputError: a path does not exist, is neither file nor folder, or cannot be listed; it is told to name
+    ``what`` instead, such as "a file of a scan".
+    """
+    found: dict[str, Path] = {}
     for path in paths:
-        if isinstance(path, str) and is_url(path):
-            remote.update(_urls_of(path))
-            continue
         try:
-            for file in _files_of(Path(path)):
-                found.setdefault(Path(os.path.realpath(file)), file)
+            if not (path.is_file() or path.is_dir()):
+                fault = "is neither a file nor a folder" if path.exists() else "does not exist"
+                raise BadInputError(f"{path} {fault}; name {what} or a folder of them")
+            for file in [path] if path.is_file() else list_folder(path):
+                found.setdefault(os.path.realpath(file), file)
         except OSError as error:
             raise BadInputError(f"cannot access {path}: {error.strerror}") from error
-    return [*sorted(found.values()), *sorted(remote)]
+    return [*found.values()]
 
 
 def _urls_of(url: str) -> list[str]:
@@ -274,15 +286,6 @@ def _some(files: list[Any], folder: Location) -> list[Any]:
             "searched for, in its subfolders too. A file with another suffix can be given by its own path"
         )
     return files
-
-
-def _files_of(path: Path) -> list[Path]:
-    if path.is_file():
-        return [path]
-    if not path.is_dir():
-        what = "is neither a file nor a folder" if path.exists() else "does not exist"
-        raise BadInputError(f"{path} {what}; name a point cloud file or a folder of them")
-    return _some(sorted(_walk(path)), path)
 
 
 def _walk(folder: Path) -> Iterator[Path]:

@@ -31,13 +31,13 @@ from bumpymap.core import (
     FileHash,
     Nullable,
     Number,
+    allocate_shared,
     parse_json,
     shape_fault,
     statement_from_wkt,
     with_vertical,
 )
 from bumpymap.readers.copc import DEEPEST, ChunkTable, depth_first_order, node_boxes, read_table, refuse_sizes
-from bumpymap.readers.decoder import decoder
 from bumpymap.readers.las import LasSurvey, Records
 from bumpymap.readers.las_header import RawHeader, joined_statement, read_raw_header, statement_of_las
 from bumpymap.readers.protocol import Chunk
@@ -248,7 +248,7 @@ class EptSurvey(LasSurvey):
         return _Node(place, steps, table, data[table.starts[0] : table.starts[-1] + table.sizes[-1]])
 
     def _decode_nodes(self, place: Location, nodes: Sequence[_Node]) -> Records:
-        compressed = decoder().allocate(sum(node.data.size for node in nodes))
+        compressed = allocate_shared(sum(node.data.size for node in nodes))
         np.concatenate([node.data for node in nodes], out=compressed.data)
         columns = zip(*((node.table.counts, node.table.starts, node.table.sizes) for node in nodes), strict=True)
         return self._decode(place, ChunkTable(*map(np.concatenate, columns)), compressed)

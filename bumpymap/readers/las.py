@@ -16,6 +16,7 @@ from bumpymap.core import (
     Place,
     PointCloud,
     SharedBytes,
+    allocate_shared,
     georeference,
 )
 from bumpymap.readers._kernels import (
@@ -102,39 +103,6 @@ def _read_pieces(path: Location, header: RawHeader, chunk: Chunk) -> Iterator[Re
             yield buffer[: whole * size].reshape(whole, size)
         buffer[:rest] = buffer[whole * size : whole * size + rest].copy()
         held = rest
-
-
-def record_rules(
-    *,
-    layered: bool,
-    line: int,
-    scaling: Scaling,
-    bounds: Bounds | None,
-    kinds: NDArray[np.uint8],
-) -> RecordRules:
-    """Return what records are held to: LAS 1.4 R15, tables 7 and 10.
-
-    Parameters
-    ----------
-    layered : bool
-        Whether the point format is 6 or higher, with a separate class byte.
-    line : int
-        Flight line of points whose point source id is 0: the id of the file.
-    scaling : Scaling
-    bounds : Bounds or None
-        Extent in the header, m; points more than ``OUTSIDE`` beyond it are counted.
-    kinds : array (256,)
-        The kind of the points of each class, see `ReadOptions.kinds`.
-    """
-    fields = [16, 255, 15, 4, 20, line] if layered else [15, 31, 15, 128, 18, line]
-    limits = ((-math.inf, math.inf), (-math.inf, math.inf))
-    if bounds is not None:
-        limits = (
-            (bounds.west - OUTSIDE, bounds.east + OUTSIDE),
-            (bounds.south - OUTSIDE, bounds.north + OUTSIDE),
-        )
-    box = [_integers_between(scaling, axis, low, high) for axis, (low, high) in enumerate(limits)]
-    return RecordRules(np.array(fields), np.array(box).reshape(-1), kinds)
 
 
 def _integers_between(scaling: Scaling, axis: int, low: float, high: float) -> tuple[int, int]:
@@ -239,14 +207,13 @@ class LasSurvey(SurveyReader):
                 self._ends = np.cumsum(self._table.counts)
         units = (place.metres_per_unit, place.metres_per_unit, place.metres_per_unit_z)
         self._scaling = Scaling(raw.scales, raw.offsets, units)
-        layered = raw.point_format >= LAYERED
-        self._rules = record_rules(
-            layered=layered,
-            line=raw.source_id,
-            scaling=self._scaling,
-            bounds=bounds,
-            kinds=options.kinds,
-        )
+        # Records are held to LAS 1.4 R15, tables 7 and 10; the flight line of points that name none is the file's id.
+        line, limits = raw.source_id, ((-math.inf, math.inf),) * 2
+        fields = [16, 255, 15, 4, 20, line] if raw.point_format >= LAYERED else [15, 31, 15, 128, 18, line]
+        if bounds is not None:
+            limits = ((bounds.west - OUTSIDE, bounds.east + OUTSIDE), (bounds.south - OUTSIDE, bounds.north + OUTSIDE))
+        box = [_integers_between(self._scaling, axis, *ends) for axis, ends in enumerate(limits)]
+        self._rules = RecordRules(np.array(fields), np.array(box).reshape(-1), options.kinds)
         self._lines = LineRules(measure=options.lines, corrections=options.corrections)
         self._colours: tuple[int, int] | None = None
         if options.colour:
@@ -313,7 +280,7 @@ class LasSurvey(SurveyReader):
 
     def _read_laz(self, part: ChunkTable) -> Records:
         """Read the bytes of LAZ chunks, adjacent ones with one request, and decode them."""
-        compressed = decoder().allocate(int(part.sizes.sum()))
+        compressed = allocate_shared(int(part.sizes.sum()))
         held = 0
         gaps = np.flatnonzero(part.starts[1:] != part.starts[:-1] + part.sizes[:-1]) + 1
         for starts, sizes in zip(np.split(part.starts, gaps), np.split(part.sizes, gaps), strict=True):

@@ -27,7 +27,7 @@ from bumpymap.core import (
     vertical_of,
     with_vertical,
 )
-from bumpymap.readers.source import Location
+from bumpymap.readers.source import Location, refuse_points
 
 _HEADER_1_0, _HEADER_1_4 = 227, 375
 _FIELDS = struct.Struct("<4xHH16xBB64xHHHIIBHI")
@@ -121,7 +121,8 @@ def read_raw_header(stream: BinaryIO, path: Location) -> RawHeader:
             f"{path} says that its points start at byte {offset:,}, after a header of {header_size:,} bytes, and is "
             f"{size:,} bytes long. {_AGAIN}"
         )
-    _refuse_points(path, count, None if compressed else (size - offset) // point_size, point_size)
+    held = count if compressed else (size - offset) // point_size
+    refuse_points(path, count, held, f"points of {point_size} bytes")
     plain = list(_walk(stream, path, records, header_size, offset))
     far = list(_walk(stream, path, extended, first_extended, size, extended=True))
     # COPC: its record is the first, directly after a header of LAS 1.4.
@@ -155,16 +156,6 @@ def _refuse_format(path: Location, point_format: int, point_size: int) -> None:
         raise BadInputError(
             f"{path} declares {point_size} bytes per point, and format {point_format} needs "
             f"{_POINT_SIZES[point_format]}. {_AGAIN}"
-        )
-
-
-def _refuse_points(path: Location, count: int, most: int | None, point_size: int) -> None:
-    if count == 0:
-        raise BadInputError(f"{path} holds no points (its header declares 0): nothing to map. Was it exported fully?")
-    if most is not None and most < count:
-        raise BadInputError(
-            f"{path} declares {count:,} points of {point_size} bytes but can hold {most:,}: truncated? Copy or "
-            "download it again"
         )
 
 

@@ -11,7 +11,7 @@ from pypcd4 import Encoding, MetaData, PointCloud
 
 from bumpymap.core import BadInputError
 from bumpymap.readers.point_table import PointTable, TableInfo, Wanted, refuse_missing_axes
-from bumpymap.readers.source import Location, decoding, open_source, refuse_count
+from bumpymap.readers.source import Location, decoding, open_source, refuse_count, refuse_points
 
 _LINE_LIMIT, _HEADER_LINES = 65_536, 200
 _NO_POSE = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
@@ -51,8 +51,7 @@ class PcdTable(PointTable):
             data_at = stream.tell()
             row: np.dtype[np.void] = head.build_dtype()
             refuse_missing_axes(path, row.names or ())
-            _refuse_size(stream, path, head, size - data_at)
-            _refuse_unpacking(stream, path, data_at, head, memory)
+            _refuse_size(stream, path, head, size - data_at, memory)
         is_text = head.data is Encoding.ASCII
         pose_note = ("its header gives the pose of the sensor (VIEWPOINT), which is not applied",)
         notes = pose_note if head.viewpoint != _NO_POSE else ()
@@ -103,36 +102,31 @@ def _read_header(stream: BinaryIO, path: Location) -> Any:
             f"the header of {path} declares {sum(head.count):,} values per point (COUNT); at most {_MOST_VALUES:,} are "
             "read. The file is damaged; export it again"
         )
-    if head.points == 0:
-        raise BadInputError(f"{path} holds no points (its header declares 0): nothing to map. Was it exported fully?")
     return head
 
 
-def _refuse_size(stream: BinaryIO, path: Location, head: Any, room: int) -> None:
-    """Check the declared point count against the size of the file, before memory is allocated for it."""
+def _refuse_size(stream: BinaryIO, path: Location, head: Any, room: int, memory: int) -> None:
+    """Check the declared point count against the size of the file and the memory, before any is allocated for it."""
     row = head.build_dtype().itemsize
     if head.data is Encoding.ASCII:
-        refuse_count(path, head.points, (room + 1) // (2 * sum(head.count)))
+        refuse_points(path, head.points, (room + 1) // (2 * sum(head.count)))
     elif head.data is Encoding.BINARY:
-        refuse_count(path, head.points, room // row)
+        refuse_points(path, head.points, room // row)
     else:
         packed, unpacked = struct.unpack("<II", stream.read(8)) if room >= 8 else (0, 0)
         refuse_count(path, packed, max(room - 8, 0), "bytes of packed points")
         refuse_count(path, unpacked, _DENSEST * packed, "bytes of unpacked points")
-        refuse_count(path, head.points, unpacked // row)
+        refuse_points(path, head.points, unpacked // row)
         if unpacked != head.points * row:
             raise BadInputError(
                 f"{path} declares {unpacked:,} bytes of unpacked points, and {head.points:,} points of {row} bytes. "
                 "The file is damaged: copy or download it again"
             )
+        _refuse_unpacking(path, packed, unpacked, memory)
 
 
-def _refuse_unpacking(stream: BinaryIO, path: Location, data_at: int, head: Any, memory: int) -> None:
+def _refuse_unpacking(path: Location, packed: int, unpacked: int, memory: int) -> None:
     """Refuse a compressed file that does not fit in memory unpacked, before unpacking it."""
-    if head.data is not Encoding.BINARY_COMPRESSED:
-        return
-    stream.seek(data_at)
-    packed, unpacked = struct.unpack("<II", stream.read(8))
     needed = _UNPACKED_COPIES * unpacked + _PACKED_COPIES * packed
     remedy = (
         "Write it uncompressed (DATA binary), which is read in chunks: pcl_convert_pcd_ascii_binary IN.pcd OUT.pcd 1"

@@ -9,7 +9,7 @@ import numpy as np
 
 from bumpymap.core import PLY_TYPES, BadInputError
 from bumpymap.readers.point_table import PointTable, TableInfo, Wanted, refuse_missing_axes
-from bumpymap.readers.source import Location, decoding, open_source, refuse_count
+from bumpymap.readers.source import Location, decoding, open_source, refuse_count, refuse_points
 
 _LINE_LIMIT, _HEADER_LIMIT = 4096, 4096
 _AXES = "xyz"
@@ -121,9 +121,11 @@ class PlyTable(PointTable):
         for element in (*before, vertex):
             row = element.dtype(order)
             least = max(2 * len(element.properties) - 1 if is_text else row.itemsize, 1)
-            if room // least < element.count:
-                what = "points" if element is vertex else f"'{element.name}'"
-                refuse_count(path, element.count, max(room // least, 0), what)
+            held = max(room // least, 0)
+            if element is vertex:
+                refuse_points(path, element.count, held)
+            else:
+                refuse_count(path, element.count, held, f"'{element.name}'")
             room -= element.count * least
         types = " ".join(dict.fromkeys(row[name].name for name in row.names or () if name.lower() in _AXES))
         info = TableInfo(
@@ -142,8 +144,6 @@ def _vertices(path: Location, elements: list[PlyElement]) -> PlyElement:
         held = ", ".join(head.name for head in elements) or "nothing"
         raise BadInputError(f"{path} is a PLY file without a 'vertex' element (it holds {held}): no points to map")
     refuse_missing_axes(path, [name for name, code in vertex.properties.items() if code is not None])
-    if vertex.count == 0:
-        raise BadInputError(f"{path} holds no points (0 vertices): nothing to map. Was it exported fully?")
     return vertex
 
 

@@ -35,7 +35,6 @@ from bumpymap.readers._kernels import (
     Corrections,
     LinedPoints,
     ScaledLinedPoints,
-    StripPlaces,
     add_points,
     add_scaled_points,
     correct_heights,
@@ -135,7 +134,7 @@ class LineSums:
             if isinstance(points, LinedPoints):
                 add_points(points, table)
             elif scaling is not None:
-                add_scaled_points(points, scaling.numbers(), StripPlaces(*np.empty((3, STRIP))), table)
+                add_scaled_points(points, scaling.numbers(), np.empty((3, STRIP)), table)
             done = int(table.state[0])
             held = np.flatnonzero(table.keys >= 0)
             held = held[np.argsort(table.keys[held])]

@@ -423,6 +423,13 @@ def refuse_count(path: Location, declared: int, held: int, unit: str = "points")
         )
 
 
+def refuse_points(path: Location, declared: int, held: int, unit: str = "points") -> None:
+    """Do the same for the points of a whole file, and raise BadInputError too if its header declares none."""
+    if declared == 0:
+        raise BadInputError(f"{path} holds no points (its header declares 0): nothing to map. Was it exported fully?")
+    refuse_count(path, declared, held, unit)
+
+
 def refuse_header_bounds(path: Location, bounds: Bounds) -> None:
     """Raise BadInputError if the bounds in a header are not finite or inverted."""
     sides = (bounds.west, bounds.south, bounds.east, bounds.north)

@@ -248,7 +248,7 @@ class CostGround:
         found = find_way(self.with_slope(cost, window), start, goal, margin=PIXEL_MARGIN, least_saving=saving)
         if found is None:
             return None
-        line = on_grid(found.line / grid.pixels, grid, window)
+        line = on_grid(found / grid.pixels, grid, window)
         line[0], line[-1] = ends
         return line
 
@@ -308,21 +308,12 @@ def _steps_to_closed(cost: NDArray[np.float32], limit: int) -> NDArray[np.int32]
 
     It is at most ``limit``. Beyond the window nothing is closed.
     """
-    near = np.isinf(cost)
-    steps = np.where(near, np.int32(0), np.int32(limit))
-    if not near.any():
-        return steps
-    for step in range(1, limit):
-        near = _with_rows_beside(_with_rows_beside(near).T).T
-        steps[near & (steps == limit)] = step
-    return steps
+    closed = np.isinf(cost)
+    if not closed.any():
+        return np.full(cost.shape, limit, np.int32)
+    from scipy.ndimage import distance_transform_cdt
 
-
-def _with_rows_beside(near: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    grown = near.copy()
-    grown[1:] |= near[:-1]
-    grown[:-1] |= near[1:]
-    return grown
+    return np.asarray(np.minimum(distance_transform_cdt(~closed, "chessboard"), limit))
 
 
 def _apart(marked: NDArray[np.bool_], reach: float) -> NDArray[np.bool_]:

@@ -107,7 +107,7 @@ def widest_opening(ground: CostGround, start: Floats, goal: Floats) -> tuple[Flo
     found = find_way(cost, *ends, margin=PIXEL_MARGIN)
     if found is None:
         return None
-    steps = [np.linspace(a, b, 2 + math.ceil(2.0 * math.dist(a, b))) for a, b in pairwise(found.line)]
+    steps = [np.linspace(a, b, 2 + math.ceil(2.0 * math.dist(a, b))) for a, b in pairwise(found)]
     places = np.floor(np.concatenate(steps)).astype(np.int64)
     narrowest = places[room[places[:, 0], places[:, 1]].argmin()]
     width = (2.0 * room[tuple(narrowest)] - 1.0) * pixel

@@ -183,9 +183,7 @@ def write_reach_files(
     `write_routes`.
     """
     one_file = check_out(out, REACH_KINDS, overwrite=overwrite)
-    vehicle = source.manifest.get("vehicle")
-    name = vehicle.get("name") if isinstance(vehicle, Mapping) else vehicle
-    about = {"vehicle": name} if isinstance(name, str) else {}
+    about = {"vehicle": source.vehicle.name}
     writers: dict[str, Callable[[Path], None]] = {
         "reach.tif": partial(write_reach, reach, about=about),
         "reach.png": partial(write_reach_picture, reach, source, start, levels=levels),

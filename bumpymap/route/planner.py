@@ -58,7 +58,7 @@ def tile_line(ground: CostGround, start: Floats, goal: Floats) -> Floats | None:
         sides, pad = _open_sides(found, window, extent), max(_LEAST_PAD, int(_GROWTH * max(window.rows, window.cols)))
     if found.line is None:
         return None
-    line = on_grid(tight_way(found, ground.margin).line + np.array([top, left], np.float64), grid, extent)
+    line = on_grid(tight_way(found, ground.margin) + np.array([top, left], np.float64), grid, extent)
     line[0], line[-1] = start, goal
     return line
 

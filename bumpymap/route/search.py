@@ -267,22 +267,11 @@ _AROUND = 8
 """Tiles around a line by moves within which it is pulled tight."""
 
 
-class Way(NamedTuple):
-    """A way between two points."""
-
-    line: Floats
-    """(n, 2) field coordinates of its corners; it begins and ends within 1e-9 tiles of start and goal."""
-    cost: float
-    """Exact integral of the cost along it, in tiles."""
-
-
 class Found(NamedTuple):
     """Result of a search."""
 
     line: Floats | None
     """(n, 2) the cheapest way by moves, in the frame; None if there is none."""
-    cost: float
-    """Its cost; infinite if there is none."""
     settled: NDArray[np.bool_]
     """(rows, cols) tiles from which the goal might be reached for less by a way that leaves the window."""
     frame: SearchFrame
@@ -297,7 +286,7 @@ def find_way(
     *,
     margin: float = 0.0,
     least_saving: float = LEAST_SAVING,
-) -> Way | None:
+) -> Floats | None:
     """Find the cheapest way.
 
     Parameters
@@ -314,8 +303,9 @@ def find_way(
 
     Returns
     -------
-    Way or None
-        None if there is no way, or start or goal lie in a closed tile or outside the window.
+    array (n, 2) or None
+        Field coordinates of its corners; it begins and ends within 1e-9 tiles of start and goal. None if there is no
+        way, or start or goal lie in a closed tile or outside the window.
 
     Raises
     ------
@@ -326,14 +316,14 @@ def find_way(
     return None if found.line is None else tight_way(found, margin, least_saving)
 
 
-def tight_way(found: Found, margin: float, least_saving: float = LEAST_SAVING) -> Way:
-    """Pull a way that has been found tight."""
+def tight_way(found: Found, margin: float, least_saving: float = LEAST_SAVING) -> Floats:
+    """Pull a way that has been found tight; return its corners, (n, 2) field coordinates."""
     if found.line is None:
         raise ValueError("no way has been found")
     near, corner = _cut_out(found.ground, found.line)
     line = thin_out(near, pull_tight(near, found.line - corner, wide_margin(margin)), margin, least_saving)
     line = off_borders(near, line, margin)
-    return Way(found.frame.turn_line_back(line + corner), line_cost(near, line))
+    return found.frame.turn_line_back(line + corner)
 
 
 def _cut_out(cost: Costs, line: Floats) -> tuple[Costs, NDArray[np.int64]]:
@@ -370,20 +360,20 @@ def seek(
     at = np.floor([start, goal])
     if (at < 0).any() or (at >= (rows, cols)).any() or np.isinf(tiles[tuple(at.astype(np.int64).T)]).any():
         level = SearchFrame(False, (False, False), False, (rows, cols))
-        return Found(None, math.inf, np.zeros((rows, cols), np.bool_), level, cost)
+        return Found(None, np.zeros((rows, cols), np.bool_), level, cost)
     frame = SearchFrame.of(tiles, start, goal)
     ground = frame.turn_costs(cost)
     line = frame.turn_line(np.array([start, goal]))
     first, last = ((float(r), float(c)) for r, c in line)
     reached, inner = _search(ground, first, last, margin, bound)
-    settled, best = frame.turn_back(inner(reached.place) == SETTLED), float(reached.best[0])
-    if not best < math.inf:
-        return Found(None, best, settled, frame, ground)
+    settled = frame.turn_back(inner(reached.place) == SETTLED)
+    if not reached.best[0] < math.inf:
+        return Found(None, settled, frame, ground)
     if reached.last[0] >= 0:
         row, col = divmod(int(reached.last[0]), ground.tiles.shape[1] + 2 * REACH)
         path = follow_back(inner(reached.back), row - REACH, col - REACH)
         line = np.concatenate([line[:1], path[::-1], line[1:]])
-    return Found(line, best, settled, frame, ground)
+    return Found(line, settled, frame, ground)
 
 
 def spread(

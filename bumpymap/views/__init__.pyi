@@ -1,4 +1,4 @@
-from .export.grid_bag import (
+from .export.gridmap import (
     check_bag_file as check_bag_file,
     write_grid_bag as write_grid_bag,
 )

@@ -30,7 +30,7 @@ from scipy.ndimage import uniform_filter
 from scipy.signal import butter, sosfiltfilt
 
 from bumpymap.lab.simulate.model import DartVehicle, Physics, Strip, fit_plane
-from bumpymap.rating import Calibration, RideModel, Vehicle, load_profile, roll_over
+from bumpymap.rating import Calibration, RideModel, Vehicle, roll_over
 
 Floats = NDArray[np.float64]
 STEP_M, SIZE = 0.02, 1024
@@ -238,7 +238,7 @@ def main() -> None:
     options = parser.parse_args()
     if options.calibration:
         calibration = Calibration.load(options.calibration)
-        calibration = calibration.with_preferences(load_profile("husky").to_dict(), options.calibration)
+        calibration = calibration.with_preferences(Vehicle.load("husky").to_dict(), options.calibration)
     else:
         calibration = Calibration.shipped("husky")
     print(

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from bumpymap.lab.simulate.drive import DriveSettings, drive
 from bumpymap.lab.simulate.model import PatchGround, Physics
-from bumpymap.rating import Vehicle, load_profile
+from bumpymap.rating import Vehicle
 from bumpymap.rating.textures import make_textures
 
 PATCHES = 24
@@ -25,7 +25,7 @@ def mean_c_r(profile: Vehicle, settings: DriveSettings, patches: NDArray[np.floa
 
 def main() -> None:
     """Change one thing at a time."""
-    warthog, settings = load_profile("warthog"), DriveSettings()
+    warthog, settings = Vehicle.load("warthog"), DriveSettings()
     rough = make_textures("high_noise", PATCHES, np.random.default_rng(1)).astype(np.float64) * Z_RANGE_M
     cases = [(f"speed {v:g} m/s", replace(warthog, speed_mps=v), settings) for v in (0.5, 1.0, 2.0, 3.0)]
     cases += [

@@ -13,14 +13,14 @@ from small_surveys import run, write_survey
 
 from bumpymap.api import map_survey
 from bumpymap.cli import train_command
-from bumpymap.cli.check_command import prepare_refit
+from bumpymap.cli.check_command import prepare_refit, refit_lines
 from bumpymap.core import BadInputError, OutputError, UsageError
 from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.lab.simulate import calibrate as calibrate_module, refit
 from bumpymap.lab.simulate.drive import PatchDrives
 from bumpymap.lab.simulate.motion_fit import MotionRecord
 from bumpymap.lab.terrains import KINDS
-from bumpymap.rating import Calibration, load_profile
+from bumpymap.rating import Calibration, Vehicle
 
 WARTHOG = Calibration.shipped("warthog")
 
@@ -69,7 +69,7 @@ def test_a_new_profile_passes_only_when_it_is_filled_in_and_what_was_estimated_i
 def test_a_new_profile_like_another_says_so_and_passes(tmp_path):
     assert "change what differs" in run("vehicle", "new", "mine", "--like", "car", "--out", "a.toml").stdout
     assert "numbers are those of car" in Path("a.toml").read_text()
-    made, car = load_profile(tmp_path / "a.toml").to_dict(), load_profile("car").to_dict()
+    made, car = Vehicle.load(tmp_path / "a.toml").to_dict(), Vehicle.load("car").to_dict()
     assert made == car | {"name": "mine", "description": "like car"}
     assert run("vehicle", "check", "a.toml").exit_code == 0
 
@@ -180,10 +180,10 @@ def test_the_calibration_of_the_map_is_moved_and_written(layers, tmp_path):
     update = moving.move(driven_stretches(WARTHOG, 50, shift=0.3), 1.0)
     assert Calibration.load(out).settings["moved_to_drives"]["calibration_id"] == WARTHOG.id
     assert [path.name for path in out.parent.iterdir() if not path.name.startswith(".")] == ["my_robot.json"]
-    said = "\n".join(moving.lines(update))
+    said = "\n".join(refit_lines(update, out))
     assert "500 m of driving on 50 stretches, 500 m of it on different ground: this vehicle pitches 3" in said
     assert f"--calibration {out}" in said
-    assert json.dumps(moving.record(update))
+    assert json.dumps(update.to_record())
 
 
 def test_a_map_of_larger_tiles_has_its_own_calibration(tmp_path):

@@ -21,12 +21,12 @@ from bumpymap.lab.simulate.plan import calibrated_settings, library_terrains
 from bumpymap.lab.simulate.refit import refit, run_crossing
 from bumpymap.lab.terrains import KINDS
 from bumpymap.rating.calibration import Calibration, DrivenTerrain, shipped_calibrations
-from bumpymap.rating.vehicle_profile import Vehicle, load_profile
+from bumpymap.rating.vehicle_profile import Vehicle
 
 WARTHOG = Calibration.shipped("warthog")
 SHORT = DriveSettings(settle_s=0.2, ramp_s=0.3, cruise_s=0.0, measure_s=0.6)
 SETTINGS = CalibrationSettings(
-    load_profile("warthog"), 4, patches=2, starts=1, z_range=(0.05, 0.4), terrains=1, terrain_starts=2, drive=SHORT
+    Vehicle.load("warthog"), 4, patches=2, starts=1, z_range=(0.05, 0.4), terrains=1, terrain_starts=2, drive=SHORT
 )
 TABLE, LIBRARY = 16, len(KINDS)
 
@@ -57,7 +57,7 @@ def test_failed_drives_count_in_p_fail_and_not_in_c_r():
     results = {("table", *place, patch): d for place, cell in cells.items() for patch, d in enumerate(cell)}
     library = [("library", kind, index) for kind in KINDS for index in range(4)]
     results |= {name: drives(0.01 * (1 + i)) for i, name in enumerate(library)}
-    settings = CalibrationSettings(load_profile("warthog"), patches=3, starts=2, z_range=(0.1, 1.0), terrains=4)
+    settings = CalibrationSettings(Vehicle.load("warthog"), patches=3, starts=2, z_range=(0.1, 1.0), terrains=4)
     calibration = calibrate.summarise(settings, results)
     assert calibration.p_fail[3][1] == pytest.approx(3 / 6)
     assert calibration.c_r[3][1] == pytest.approx((0.5 + 2.0) / 2)
@@ -235,7 +235,7 @@ def test_shipped_calibration_is_what_this_code_makes(name):
     pytest.importorskip("dartpy")
     shipped = Calibration.shipped(name)
     made = shipped.settings
-    profile = load_profile(name)
+    profile = Vehicle.load(name)
     assert Vehicle.from_dict(shipped.vehicle, name) == profile
     settings = CalibrationSettings(
         profile, **{name: made[name] for name in ("seed", "patches", "starts", "terrains", "terrain_starts")}
@@ -303,7 +303,7 @@ def test_a_calibration_that_was_moved_to_real_drives_or_lacks_the_library_is_ref
 @pytest.mark.slow
 def test_a_low_kerb_is_crossed_and_a_high_wall_is_not_and_a_crossing_is_that_of_the_shipped_calibration():
     pytest.importorskip("dartpy")
-    settings = CalibrationSettings(load_profile("warthog"))
+    settings = CalibrationSettings(Vehicle.load("warthog"))
     for up in (1, 0):
         assert run_crossing(settings, DriveJob(("crossing", "0.1", 0, up), 1)).outcome == ("completed",)
     assert run_crossing(settings, DriveJob(("crossing", "0.7", 1, 1), 1)).outcome == ("stuck",)

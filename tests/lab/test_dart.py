@@ -12,12 +12,12 @@ from bumpymap.lab.simulate import model
 from bumpymap.lab.simulate.drive import DriveSettings, Start, drive, drive_from
 from bumpymap.lab.simulate.model import DartVehicle, PatchGround, Physics, Strip
 from bumpymap.lab.simulate.motion_fit import drive_motion
-from bumpymap.rating import felt_response, load_profile, make_textures
+from bumpymap.rating import Vehicle, felt_response, make_textures
 
 pytest.importorskip("dartpy")
 
 pytestmark = pytest.mark.slow
-WARTHOG = load_profile("warthog")
+WARTHOG = Vehicle.load("warthog")
 BASE, TRACK, HEIGHT_M = WARTHOG.wheelbase_m, WARTHOG.track_m, 0.01
 SHORT, LONG = DriveSettings(measure_s=2.0), DriveSettings(measure_s=5.0)
 

@@ -17,12 +17,12 @@ from bumpymap.core.errors import BadInputError, BumpymapError, UsageError
 from bumpymap.lab.simulate.drive import Drive, DriveSettings, Effort, PatchDrives, drive_patch, follow
 from bumpymap.lab.simulate.jobs import drive_jobs
 from bumpymap.lab.simulate.model import PatchGround, Physics, Pose, Strip, strip_triangles
-from bumpymap.rating.vehicle_profile import load_profile
+from bumpymap.rating.vehicle_profile import Vehicle
 
 SIZE = 3.0
 HEIGHTS = np.random.default_rng(5).normal(0, 0.2, (15, 15)) + 7.0
 LEVEL = np.zeros((15, 15))
-WARTHOG = load_profile("warthog")
+WARTHOG = Vehicle.load("warthog")
 SHORT = DriveSettings(settle_s=0.5, ramp_s=0.5, cruise_s=0.0, measure_s=1.0)
 
 

@@ -108,7 +108,7 @@ def test_a_sector_without_ground_is_rough_to_a_method_and_one_without_a_label_is
     assert answers["filter"].tolist() == [0, 0, 1, 2, 2, 2, 2]
     assert [answers[f"always {k}"].tolist() for k in range(3)] == [[k] * 7 for k in range(3)]
     assert answers[scans.DEVIATION].tolist() == [0, 1, 1, 2, 2, 0, 2]
-    found = scans.accuracy_of(TABLE.truth, answers["filter"])
+    found = scans.accuracy_of(TABLE.truth, answers["filter"], 3)
     assert found.confusion == [[1, 0, 1], [1, 1, 0], [0, 0, 2]]
     assert found.right == pytest.approx(4 / 6)
     assert found.recall == pytest.approx([1 / 2, 1 / 2, 1])
@@ -123,7 +123,7 @@ def test_no_limits_are_better_than_the_best(seed):
     limits = scans.best_limits(values, truth)
 
     def even(pair):
-        return scans.accuracy_of(truth, np.searchsorted(pair, values, side="right")).even
+        return scans.accuracy_of(truth, np.searchsorted(pair, values, side="right"), 3).even
 
     assert limits[0] <= limits[1]
     # Forty quantiles of thirty values leave few of them out.

@@ -81,7 +81,7 @@ def test_a_short_training_learns():
     net = train(TrainSettings(epochs=4, patches_per_texture=250, batch=32), progress=reports.append)
     assert [report.epoch for report in reports] == [1, 2, 3, 4]
     assert reports[-1].loss < 0.5 * reports[0].loss
-    assert score(net, textures.unseen_patches(1, 100, 15)).accuracy > 0.8
+    assert score(net, textures.unseen_patches(1, 100, 15)).right > 0.8
 
 
 def test_the_seed_decides_every_bit_and_a_broken_training_goes_on_to_the_same(small, tmp_path):

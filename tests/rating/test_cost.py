@@ -14,7 +14,7 @@ from bumpymap.core.types import NO_CLASS, TEXTURES, Barred, CostRule, Georeferen
 from bumpymap.lab.simulate.ride_fit import survey_terrains
 from bumpymap.lab.terrains import ScanEffects, make_terrain
 from bumpymap.patches.features import measure
-from bumpymap.rating import RideModel, apply_steps, find_calibration, load_profile
+from bumpymap.rating import RideModel, Vehicle, apply_steps, find_calibration
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.cost import PAPER_TABLE, rate, rate_as_paper
 from bumpymap.rating.steps import STEP_COLUMNS
@@ -258,7 +258,7 @@ def test_steps_are_rated_on_top_of_the_ground_alone():
 def test_a_floor_is_no_property_of_the_drives(tmp_path):
     """A profile may change it without a new calibration, and a calibration without one loads as before."""
     assert floor_of(SHIPPED.vehicle) == SHIPPED.floor == 0.0
-    profile = load_profile("warthog").to_dict()
+    profile = Vehicle.load("warthog").to_dict()
     assert profile["floor"] == {"c_r_radpm": 0.0}
     assert SHIPPED.with_preferences(profile, "x") is SHIPPED
     given = SHIPPED.with_preferences(profile | {"floor": {"c_r_radpm": 0.03}}, "x")

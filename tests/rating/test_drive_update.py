@@ -71,7 +71,7 @@ def test_what_does_not_count_is_named_with_its_length():
     made.measured_sd[6] = made.c_r[6]
     evidence, lost = collect_evidence(made, 1.0, 0.0)
     assert len(evidence.way_m) == 43
-    assert (lost.off_map, lost.other_speed, lost.below_sensor) == (40.0, 20.0, 10.0)
+    assert lost == {"off_map": 40.0, "other_speed": 20.0, "below_sensor": 10.0}
 
 
 def test_variances_are_those_of_the_logarithm_and_the_floor_is_taken_off_in_power():

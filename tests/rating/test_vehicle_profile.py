@@ -9,7 +9,6 @@ from bumpymap.rating.vehicle_body import ESTIMATED
 from bumpymap.rating.vehicle_profile import (
     Vehicle,
     estimated_values,
-    load_profile,
     shipped_profiles,
     write_profile_template,
 )
@@ -17,13 +16,13 @@ from bumpymap.rating.vehicle_profile import (
 
 @pytest.fixture
 def warthog():
-    return load_profile("warthog").to_dict()
+    return Vehicle.load("warthog").to_dict()
 
 
 @pytest.mark.parametrize(("name", "mass"), [("warthog", 260), ("small_rover", 20), ("car", 1900), ("husky", 56.5)])
 def test_a_shipped_profile_has_the_mass_of_its_vehicle(name, mass):
     assert name in shipped_profiles()
-    profile = load_profile(name)
+    profile = Vehicle.load(name)
     record = profile.to_dict()
     assert record["name"] == name
     assert Vehicle.from_dict(json.loads(json.dumps(record)), "x") == profile
@@ -90,7 +89,7 @@ def test_fail_weight_and_an_outline_may_be_left_out(warthog):
     assert (given.height_m, given.width_m, given.brush_stem_m) == (1.38, 1.37, 0.6)
     del warthog["fail_weight"], warthog["body"]
     vehicle = Vehicle.from_dict(warthog, "x")
-    assert vehicle.fail_weight == load_profile("warthog").fail_weight
+    assert vehicle.fail_weight == Vehicle.load("warthog").fail_weight
     # 2 * 0.3 + 0.7 * 1.12; 1.12 + 0.25
     assert (vehicle.body.height_m, vehicle.body.width_m, vehicle.body.brush_stem_m) == (1.38, 1.37, 0.25)
     assert Vehicle.from_dict(warthog | {"fail_weight": 40}, "x").fail_weight == 40.0
@@ -98,10 +97,10 @@ def test_fail_weight_and_an_outline_may_be_left_out(warthog):
 
 def test_an_unknown_name_lists_the_shipped_profiles_and_what_is_not_toml_is_refused(tmp_path):
     with pytest.raises(UsageError, match="car, husky, small_rover, warthog"):
-        load_profile("tank")
+        Vehicle.load("tank")
     (tmp_path / "mine.toml").write_text("name = ")
     with pytest.raises(BadInputError, match="cannot read the vehicle profile"):
-        load_profile(tmp_path / "mine.toml")
+        Vehicle.load(tmp_path / "mine.toml")
 
 
 SHORT = {
@@ -130,13 +129,13 @@ def test_ten_values_make_a_whole_profile_of_2_kg_or_155_tonnes(change):
     assert vehicle.wheelbase_m == given["wheelbase_m"]
     assert (vehicle.wheel.radius_m, vehicle.wheel.width_m) == (given["wheel"]["radius_m"], given["wheel"]["width_m"])
     assert vehicle.belly.clearance_m == given["belly"]["clearance_m"]
-    assert vehicle.ride_weight == load_profile("warthog").ride_weight
+    assert vehicle.ride_weight == Vehicle.load("warthog").ride_weight
     assert Vehicle.from_dict(vehicle.to_dict(), "x") == vehicle  # what a calibration keeps is a profile as well
 
 
 @pytest.mark.parametrize("name", KINDS)
 def test_estimates_are_near_the_values_of_the_included_vehicles(name):
-    own = load_profile(name)
+    own = Vehicle.load(name)
     record = SHORT | {key: getattr(own, key) for key in ("mass_kg", "wheelbase_m", "track_m", "speed_mps")}
     record |= {"suspension": KINDS[name], "belly": {"clearance_m": own.belly.clearance_m}}
     record["wheel"] = {"radius_m": own.wheel.radius_m, "width_m": own.wheel.width_m}
@@ -194,6 +193,6 @@ def test_the_template_takes_ten_values(tmp_path):
     for key, value in (SHORT | SHORT["wheel"] | SHORT["belly"]).items():
         text = text.replace(f'{key} = "?"', f"{key} = {json.dumps(value)}")
     (tmp_path / "mine.toml").write_text("\ufeff" + text, encoding="utf-8")
-    assert load_profile(tmp_path / "mine.toml") == Vehicle.from_dict(SHORT, "x")
+    assert Vehicle.load(tmp_path / "mine.toml") == Vehicle.from_dict(SHORT, "x")
     assert set(estimated_values(tmp_path / "mine.toml")) == set(ESTIMATED)
     assert estimated_values("warthog") == {}

@@ -17,9 +17,7 @@ REFUSED = {
     "pdrf10-1.5.laz": "cannot be decoded",
     "pdrf7-v4-1.4.laz": "cannot be decoded",
     "pdrf9-1.5.laz": "cannot be decoded",
-    "empty.ply": "0 vertices",
-    "emptyIO_ply_empty_ascii.ply": "0 vertices",
-    "emptyIO_ply_empty_bin.ply": "0 vertices",
+    **dict.fromkeys(("empty.ply", "emptyIO_ply_empty_ascii.ply", "emptyIO_ply_empty_bin.ply"), "holds no points"),
     "emptyIO_ply_empty_header.ply": "vertex",
 }
 FILES = find_surveys([SHARED]) if SHARED.is_dir() else []

@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import rasterio
+from PIL import Image
 from route_records import CORNERS, MadeUpMap, make_route
 
 from bumpymap.core import NO_TILE, Barred, PolarSettings, Scan, sector_bounds
@@ -14,7 +15,7 @@ from bumpymap.layers.scan_folder import SCAN_COLOURS, SECTOR_STATES, point_style
 from bumpymap.scan import classify_filter, polar_sectors
 from bumpymap.views.pictures import drawing
 from bumpymap.views.pictures.drawing import MapView, hatched, paint_ground
-from bumpymap.views.pictures.route_picture import paint_route
+from bumpymap.views.pictures.route_picture import write_route_picture
 from bumpymap.views.pictures.scan_picture import SIDE, paint as paint_image, write_picture
 from bumpytiles import Grid
 
@@ -83,8 +84,13 @@ def test_reading_strip_by_strip_paints_the_same(view, ground, monkeypatch):
     assert tallest < ground.windows[0].rows / 3
 
 
-def test_the_way_and_its_ends_stand_where_they_are(ground):
-    picture = np.asarray(paint_route([make_route(stops=CORNERS)], ground)).astype(int)
+def painted(route, ground, folder):
+    write_route_picture([route], ground, folder / "way.png")
+    return np.asarray(Image.open(folder / "way.png"))
+
+
+def test_the_way_and_its_ends_stand_where_they_are(ground, tmp_path):
+    picture = painted(make_route(stops=CORNERS), ground, tmp_path).astype(int)
     assert picture.shape[1] == 1600
     view = MapView.around(Grid(), CORNERS, 1200, (520, 900))
     along = np.linspace(0.0, 1.0, 200)[:, None]
@@ -99,13 +105,13 @@ def test_the_way_and_its_ends_stand_where_they_are(ground):
         assert picture[row, col].tolist() == colour
 
 
-def test_the_profile_is_filled_with_the_colours_of_the_ride_cost(ground):
+def test_the_profile_is_filled_with_the_colours_of_the_ride_cost(ground, tmp_path):
     ground.barred[:] = NO_TILE  # the map itself has no colour
     base = make_route()
     length = len(base.profile.distance)
     rough = np.where(np.arange(length) < length // 2, 0.0, 5.0)
     profile = replace(base.profile, z=np.full(length, 7.0), c_r=rough, c_r_low=rough, c_r_high=rough)
-    picture = np.asarray(paint_route([replace(base, profile=profile)], ground)).astype(float)
+    picture = painted(replace(base, profile=profile), ground, tmp_path).astype(float)
     below = picture[-70 - 200 : -70 - 130]  # the lower part of the chart of heights
     left, right = below[:, 200:600].reshape(-1, 3), below[:, 800:1180].reshape(-1, 3)
     for part, colour in ((left, CLASS_COLOURS[0]), (right, CLASS_COLOURS[3])):
@@ -115,14 +121,14 @@ def test_the_profile_is_filled_with_the_colours_of_the_ride_cost(ground):
 
 
 @pytest.mark.parametrize("names", [["z"], ["c_r", "c_r_low", "c_r_high"], ["z", "c_r", "c_r_low", "c_r_high"]])
-def test_what_is_unknown_is_drawn_without_complaint(ground, names, recwarn):
+def test_what_is_unknown_is_drawn_without_complaint(ground, names, recwarn, tmp_path):
     base = make_route()
     nothing = np.full(len(base.profile.distance), np.nan)
     route = replace(base, profile=replace(base.profile, **dict.fromkeys(names, nothing)))
     ground.height[:] = np.nan
     ground.barred[:] = NO_TILE
     ground.c_r[:] = np.nan
-    assert paint_route([route], ground).width == 1600
+    assert painted(route, ground, tmp_path).shape[1] == 1600
     assert not [str(warning.message) for warning in recwarn if "numpy" in str(warning.filename)]
 
 

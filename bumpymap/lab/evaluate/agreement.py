@@ -104,6 +104,37 @@ def confusion(driven: Ints, predicted: Ints, classes: int) -> Ints:
     return table
 
 
+@dataclass(frozen=True, slots=True)
+class Accuracy:
+    """Agreement of classes with labels."""
+
+    confusion: list[list[int]]
+    """``[true class][predicted class]``, number of sectors or patches."""
+    right: float
+    """Accuracy; NaN without labels."""
+    even: float
+    """Balanced accuracy over the classes that occur; NaN without labels."""
+    recall: list[float]
+    """Share of each class that is found, 0..1; NaN for a class that does not occur."""
+
+    @property
+    def count(self) -> int:
+        """Number of sectors or patches."""
+        return sum(map(sum, self.confusion))
+
+
+def accuracy_of(truth: NDArray[np.integer], answer: NDArray[np.integer], classes: int) -> Accuracy:
+    """Compare answers (n,) with the truth (n,) where it is known: 0 or above."""
+    known = truth >= 0
+    counts = confusion(truth[known].astype(np.int64), answer[known].astype(np.int64), classes)
+    totals = counts.sum(axis=1)
+    there = totals > 0
+    recall = np.divide(np.diag(counts), totals, out=np.full(classes, np.nan), where=there)
+    right = float(np.trace(counts) / totals.sum()) if there.any() else math.nan
+    even = float(recall[there].mean()) if there.any() else math.nan
+    return Accuracy(counts.tolist(), right, even, recall.tolist())
+
+
 def class_shift(table: Ints) -> dict[str, float]:
     """Return the shares of the patches of a confusion matrix whose class is the same, one off, and further off."""
     away = np.abs(np.subtract.outer(np.arange(len(table)), np.arange(len(table))))

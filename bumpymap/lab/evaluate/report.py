@@ -9,28 +9,26 @@ from pathlib import Path
 from typing import Any
 
 from bumpymap.core import CLASS_NAMES, atomic, plain_json
-from bumpymap.lab.evaluate.agreement import Comparison
-from bumpymap.lab.evaluate.scans import DEVIATION, RANGE_M, Accuracy, ScanFindings
+from bumpymap.lab.evaluate.agreement import Accuracy, Comparison
+from bumpymap.lab.evaluate.scans import DEVIATION, RANGE_M, ScanFindings
 from bumpymap.lab.evaluate.survey_trial import Findings
 
 REPORT = "report.md"
 _NONE = "-"
 
 
-def write_document(out: Path, text: str, kind: str, record: dict[str, Any]) -> list[Path]:
-    """Write ``report.json``, nested records of numbers, strings and arrays of a ``kind``, and ``report.md``."""
-    content = json.dumps({"format": kind, "version": 1} | plain_json(record, 6), indent=1, allow_nan=False) + "\n"
+def write_document(
+    out: Path, title: str, opening: Sequence[str], sections: Iterable[list[str]], record: dict[str, Any]
+) -> list[Path]:
+    """Write ``report.json``, nested records of numbers, strings and arrays with their ``format``, and ``report.md``."""
+    lines = [f"# {title}", "", *opening, *(line for part in sections for line in part)]
+    text = "\n".join(lines).rstrip() + "\n"
+    content = json.dumps(plain_json(record, 6), indent=1, allow_nan=False) + "\n"
     files = [out / REPORT, out / "report.json"]
     for path, written in zip(reversed(files), (content, text), strict=True):
         with atomic(path) as temporary:
             temporary.write_text(written, encoding="utf-8")
     return files
-
-
-def report_text(title: str, opening: Sequence[str], sections: Iterable[list[str]]) -> str:
-    """Assemble the text of a report."""
-    lines = [f"# {title}", "", *opening, *(line for part in sections for line in part)]
-    return "\n".join(lines).rstrip() + "\n"
 
 
 def section(title: str, intro: str, lines: Sequence[str]) -> list[str]:
@@ -62,8 +60,9 @@ def write_report(findings: Findings, out: Path) -> list[Path]:
         section("Statistics of the classes", "The paper's Table I, over all classified tiles.", classes),
         section(f"Predicted and driven: {findings.vehicle['vehicle']}", _method(found), _driven(found)),
     ]
-    text = report_text("Can the map be trusted?", [*_opening(findings), *_conclusion(findings)], sections)
-    return write_document(out, text, "bumpymap-evaluation", asdict(findings))
+    opening = [*_opening(findings), *_conclusion(findings)]
+    record = {"format": "bumpymap-evaluation", "version": 1, **asdict(findings)}
+    return write_document(out, "Can the map be trusted?", opening, sections, record)
 
 
 _PAPER_CLASSES = (
@@ -251,8 +250,8 @@ def write_scan_report(findings: ScanFindings, out: Path) -> list[Path]:
         section("Obstacles in sectors called free", _OBSTACLES, table(free, obstacles) if obstacles else []),
         section("Statistics of the classes", "The paper's Tables IV and V.", _scan_class_lines(findings)),
     ]
-    text = report_text("Can the classes of scans be trusted?", [opening, ""], sections)
-    return write_document(out, text, "bumpymap-scan-evaluation", asdict(findings))
+    record = {"format": "bumpymap-scan-evaluation", "version": 1, **asdict(findings)}
+    return write_document(out, "Can the classes of scans be trusted?", [opening, ""], sections, record)
 
 
 def _accuracy_lines(findings: ScanFindings) -> list[str]:

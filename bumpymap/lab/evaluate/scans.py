@@ -22,7 +22,7 @@ from bumpymap.core import (
     Scan,
     SectorStack,
 )
-from bumpymap.lab.evaluate.agreement import confusion
+from bumpymap.lab.evaluate.agreement import Accuracy, accuracy_of
 from bumpymap.lab.label_sets import LabelSet, label_set, require_label_set, tell_label_set
 from bumpymap.lab.settings import ScanEvaluateSettings
 from bumpymap.readers import read_scan
@@ -118,20 +118,6 @@ def class_rows(table: ClassedSectorTable, method: str) -> list[dict[str, Any]]:
     return rows
 
 
-@dataclass(frozen=True, slots=True)
-class Accuracy:
-    """Agreement of classes with labels."""
-
-    confusion: list[list[int]]
-    """``[class of the label][predicted class]``, number of sectors."""
-    right: float
-    """Accuracy; NaN without labels."""
-    even: float
-    """Balanced accuracy over the classes that occur; NaN without labels."""
-    recall: list[float]
-    """Share of the sectors of each class that are found, 0..1; NaN for a class that does not occur."""
-
-
 def all_answers(table: ClassedSectorTable) -> dict[str, Ints]:
     """Return the class (n,) of every sector by each method, and by rules that need none.
 
@@ -164,18 +150,6 @@ def best_limits(values: NDArray[np.float64], truth: NDArray[np.int16]) -> NDArra
     even = share[0, low] + share[1, high] - share[1, low] - share[2, high]
     best = int(np.argmax(even))
     return limits[[low[best], high[best]]]
-
-
-def accuracy_of(truth: NDArray[np.integer], answer: NDArray[np.integer]) -> Accuracy:
-    """Compare answers (n,) with the truth (n,) over the sectors that have one (0 or above)."""
-    known = truth >= 0
-    counts = confusion(truth[known].astype(np.int64), answer[known].astype(np.int64), CLASSES)
-    totals = counts.sum(axis=1)
-    there = totals > 0
-    recall = np.divide(np.diag(counts), totals, out=np.full(CLASSES, np.nan), where=there)
-    right = float(np.trace(counts) / totals.sum()) if there.any() else math.nan
-    even = float(recall[there].mean()) if there.any() else math.nan
-    return Accuracy(counts.tolist(), right, even, recall.tolist())
 
 
 def _judged(scan: Scan, labels: LabelSet) -> tuple[NDArray[np.bool_], NDArray[np.uint16]]:
@@ -338,8 +312,10 @@ def evaluate_scans(
         facts=facts,
         settings=asdict(settings),
         classes={name: class_rows(table, name) for name in table.class_id},
-        accuracy={name: accuracy_of(table.truth[drivable], answer[drivable]) for name, answer in answers.items()},
-        accuracy_all={name: accuracy_of(table.truth, answer) for name, answer in answers.items()},
+        accuracy={
+            name: accuracy_of(table.truth[drivable], answer[drivable], CLASSES) for name, answer in answers.items()
+        },
+        accuracy_all={name: accuracy_of(table.truth, answer, CLASSES) for name, answer in answers.items()},
         ground=[*ground, mean_ground(ground)] if ground else [],
         obstacles={name: dict(scores) for name, scores in obstacles.items()},
     )

@@ -228,16 +228,6 @@ def choose_patches(stratum: Ints, priority: Floats, count: int) -> Ints:
 
 
 @dataclass(frozen=True, slots=True)
-class ComparedPatches:
-    """The patches behind a comparison."""
-
-    names: list[Key]
-    """Tiles ``(col, row)``."""
-    driven: DriveStats
-    verdicts: dict[str, Verdict]
-
-
-@dataclass(frozen=True, slots=True)
 class Findings:
     """All results of an evaluation."""
 
@@ -251,8 +241,9 @@ class Findings:
     """Rating -> Table I, see `class_table`."""
     comparison: Comparison
     """Predictions and drives."""
-    patches: ComparedPatches
-    """Patches of the comparison."""
+    patches: dict[str, Any]
+    """Patches of the comparison: their ``names``, tiles ``(col, row)``, their `DriveStats` as ``driven``, and their
+    ``verdicts`` by rating."""
 
 
 def driven_ground(patches: PatchStack) -> Floats:
@@ -394,7 +385,7 @@ def _rate(
 
 def _compare_drives(
     patches: PatchStack, subject: Subject, settings: EvaluateSettings, trial: TrialOptions, origin: dict[str, Any]
-) -> tuple[Comparison, ComparedPatches]:
+) -> tuple[Comparison, dict[str, Any]]:
     """Drive the vehicle over all patches and compare.
 
     ``origin`` is everything that affects the ground, as JSON. Choice and rating of patches do not affect their drives,
@@ -427,4 +418,4 @@ def _compare_drives(
     driven, verdicts = DriveStats.of(list(results.values())), subject.judge(patches)
     too_steep = patches.slope > subject.profile.slope_limit_deg
     found = compare(verdicts, plain_predictors(patches), driven, too_steep, subject.calibration.class_limits)
-    return found, ComparedPatches(keys, driven, verdicts)
+    return found, {"names": keys, "driven": driven, "verdicts": verdicts}

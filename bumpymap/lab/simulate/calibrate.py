@@ -75,7 +75,7 @@ def run_job(settings: CalibrationSettings, job: DriveJob) -> PatchDrives | Motio
         kind, index = str(place[0]), int(place[1])
         stream = (_LIBRARY_STREAM, KINDS.index(kind), index)
         heights = library_terrain(settings, kind, index).heights
-    effort = Effort.fixed(job.starts)
+    effort = Effort(least=job.starts, most=job.starts)
     return drive_patch(
         settings.profile, heights, settings.tile_size, settings.seed, effort, settings.drive, stream=stream
     )

@@ -174,11 +174,6 @@ class Effort:
     target_error: float = 0.05
     """Drives stop once the standard error of the mean C_r is below this share of it."""
 
-    @classmethod
-    def fixed(cls, starts: int) -> "Effort":
-        """Return an effort of exactly this many drives."""
-        return cls(starts, starts)
-
 
 @dataclass(frozen=True, slots=True)
 class PatchDrives:

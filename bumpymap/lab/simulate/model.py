@@ -165,14 +165,6 @@ def strip_triangles(ground: DrivenGround, strip: Strip) -> NDArray[np.float32]:
     along, across = middle @ forward, middle @ np.array([-forward[1], forward[0]])
     reach = strip.half_width + step
     keep = (along >= -reach) & (along <= strip.length + reach) & (np.abs(across) <= reach)
-    return cell_triangles(vertices, keep)
-
-
-def cell_triangles(vertices: NDArray[np.float32], keep: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Triangulate the cells ``keep`` (rows, cols) of a grid, south row first, as `strip_triangles` does.
-
-    ``vertices`` (rows + 1, cols + 1, 3) float32 are easting, northing and upward, m.
-    """
     south_west, south_east = vertices[:-1, :-1][keep], vertices[:-1, 1:][keep]
     north_west, north_east = vertices[1:, :-1][keep], vertices[1:, 1:][keep]
     lower = np.stack([south_west, south_east, north_east], axis=1)
@@ -260,24 +252,13 @@ class DartVehicle:
     ground : DrivenGround
     strip : Strip
     physics : Physics
-    triangles : array (n, 3, 3) float32, optional
-        The mesh of the ground, as from `strip_triangles`, if it is not that of the strip; then only start and heading
-        of the strip are used.
     """
 
-    def __init__(
-        self,
-        profile: Vehicle,
-        ground: DrivenGround,
-        strip: Strip,
-        physics: Physics,
-        triangles: NDArray[np.float32] | None = None,
-    ) -> None:
+    def __init__(self, profile: Vehicle, ground: DrivenGround, strip: Strip, physics: Physics) -> None:
         self._dart = require_dart()
         self._radius = profile.wheel.radius_m
         self._world = self._make_world(physics)
-        mesh = strip_triangles(ground, strip) if triangles is None else triangles
-        self._world.addSkeleton(self._load_ground(mesh, physics))
+        self._world.addSkeleton(self._load_ground(strip_triangles(ground, strip), physics))
         robot = self._dart.dynamics.Skeleton("vehicle")
         self._wheels: dict[str, list[Any]] = {"left": [], "right": []}
         self.chassis = self._build(robot, profile, physics)

@@ -148,7 +148,7 @@ def _surveys(
         for group in range(_GROUPS):
             own = tile % _GROUPS == group
             first, pairs = THIN_COLUMNS.index("squares_1"), THIN_COLUMNS.index("pairs_1")
-            pooled[own] = pool_noise(columns[own, first], columns[own, pairs], columns[own, 2] ** 2).middle
+            pooled[own] = pool_noise(columns[own, first], columns[own, pairs], columns[own, 2] ** 2)[1]
         yield columns[known], pooled[known], tile[known]
 
 

@@ -12,16 +12,15 @@ import torch
 from torch import nn
 
 from bumpymap.core import CLASSES, PolarSettings
+from bumpymap.lab.evaluate.agreement import Accuracy, accuracy_of
 from bumpymap.lab.label_sets import LABEL_SETS
 from bumpymap.lab.settings import ScanNetSettings, ScanTrainSettings
 from bumpymap.lab.train.model_files import (
     EpochData,
     EpochReport,
     OnnxGraph,
-    Score,
     TrainedModel,
     Training,
-    count_answers,
     model_files,
     parameter_count,
     percent,
@@ -123,7 +122,7 @@ def _learning_rate(share: float, peak: float) -> float:
 class ScanEvaluation:
     """All scores of the model card, on unseen scans."""
 
-    every: Score
+    every: Accuracy
     """All sectors with a class and ground, which are the ones classified in use."""
     labels: dict[int, tuple[int, ...]]
     """RELLIS-3D id -> number of sectors classified as 0, 1, 2."""
@@ -139,7 +138,7 @@ def evaluate(net: ScanNet, unseen: Sectors, scans: int) -> ScanEvaluation:
         int(label): tuple(np.bincount(predicted[unseen.label == label], minlength=CLASSES).tolist())
         for label in np.unique(unseen.label)
     }
-    return ScanEvaluation(count_answers(unseen.class_id, predicted, CLASSES), labels, scans)
+    return ScanEvaluation(accuracy_of(unseen.class_id, predicted, CLASSES), labels, scans)
 
 
 _CLASS_NAMES = tuple(map(str, range(CLASSES)))
@@ -192,8 +191,8 @@ Training sectors: {", ".join(f"{n:,} of class {k}" for k, n in enumerate(learned
 ## Accuracy
 
 On {every.count:,} sectors with ground of {evaluation.scans} **unseen scans:
-{percent(every.balanced_accuracy)} balanced accuracy** (training is balanced in the same way),
-{percent(every.accuracy)} of all sectors. The paper reports 83.24 % on its own patches, which are not these.
+{percent(every.even)} balanced accuracy** (training is balanced in the same way),
+{percent(every.right)} of all sectors. The paper reports 83.24 % on its own patches, which are not these.
 
 {score_table(every, _CLASS_NAMES)}
 
@@ -313,8 +312,8 @@ def make_scan_model(
             "parameters": parameters,
             "seed": settings.seed,
             "command": command,
-            "accuracy_even": evaluation.every.balanced_accuracy,
-            "accuracy_unseen": evaluation.every.accuracy,
+            "accuracy_even": evaluation.every.even,
+            "accuracy_unseen": evaluation.every.right,
             "confusion_unseen": evaluation.every.confusion,
         }
         content = to_onnx(net, metadata)

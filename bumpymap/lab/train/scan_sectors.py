@@ -41,8 +41,6 @@ class Sectors:
     """(n,) 0..2"""
     label: NDArray[np.int16]
     """(n,) the RELLIS-3D id behind the class."""
-    zone: NDArray[np.int16]
-    """(n,)"""
 
 
 def join(parts: Sequence[Sectors]) -> Sectors:
@@ -89,7 +87,6 @@ def labelled_sectors(scan: Scan, cuts: Iterable[tuple[float, PolarSettings]] = (
                 measures[chosen],
                 class_id[known].astype(np.int64),
                 stack.label[known],
-                stack.zone[known],
             )
         )
     return join(parts)

@@ -20,15 +20,14 @@ from numpy.typing import NDArray
 from torch import nn
 
 from bumpymap.core import TEXTURES
+from bumpymap.lab.evaluate.agreement import Accuracy, accuracy_of
 from bumpymap.lab.settings import NetworkSettings, TrainSettings
 from bumpymap.lab.train.model_files import (
     EpochData,
     EpochReport,
     OnnxGraph,
-    Score,
     TrainedModel,
     Training,
-    count_answers,
     model_files,
     parameter_count,
     percent,
@@ -344,13 +343,13 @@ _BATCH = 1024
 class Evaluation:
     """All scores of the model card."""
 
-    unseen: Score
+    unseen: Accuracy
     """Patches from other seeds, fully augmented."""
-    augmented_copies: Score
+    augmented_copies: Accuracy
     """Augmented copies of the training patches, the paper's validation."""
-    single: dict[str, Score]
+    single: dict[str, Accuracy]
     """Patches from other seeds, without augmentation (``none``) and with one effect each."""
-    short_waves: Score
+    short_waves: Accuracy
     """Short regular waves from other seeds, fully augmented; ``high_noise`` is the right answer."""
 
 
@@ -381,10 +380,10 @@ def predict(net: nn.Module, *inputs: torch.Tensor) -> NDArray[np.float32]:
     return probability
 
 
-def score(net: TextureNet, samples: LabelledPatches) -> Score:
+def score(net: TextureNet, samples: LabelledPatches) -> Accuracy:
     """Count right and wrong answers."""
     answer = predict(net, torch.from_numpy(samples.patches)[:, None]).argmax(axis=1)
-    return count_answers(samples.labels, answer, len(TEXTURES))
+    return accuracy_of(samples.labels, answer, len(TEXTURES))
 
 
 _EFFECTS = {
@@ -403,7 +402,7 @@ def model_card(settings: TrainSettings, evaluation: Evaluation, parameters: int,
     side = f"{network.pixels} x {network.pixels}"
     numbers = f"{parameters:,} trained parameters; {size:,} bytes of ONNX, opset 17"
     names = ", ".join(f"`{texture}`" for texture in TEXTURES)
-    single = "\n".join(f"| {text} | {percent(evaluation.single[key].accuracy)} |" for key, text in _EFFECTS.items())
+    single = "\n".join(f"| {text} | {percent(evaluation.single[key].right)} |" for key, text in _EFFECTS.items())
     return f"""# Texture network
 
 Classifies the heightmap of one tile as one of the four terrain forms of the BumpyPatch paper: {names}.
@@ -427,11 +426,11 @@ random brightness, rotation, blur, noise and holes; one patch in {LIGHT_EVERY} g
 
 ## Accuracy
 
-On {evaluation.unseen.count:,} **patches from unseen seeds, fully augmented: {percent(evaluation.unseen.accuracy)}**
+On {evaluation.unseen.count:,} **patches from unseen seeds, fully augmented: {percent(evaluation.unseen.right)}**
 
 {score_table(evaluation.unseen, TEXTURES)}
 
-On {copies.count:,} **augmented copies of the training patches: {percent(copies.accuracy)}**
+On {copies.count:,} **augmented copies of the training patches: {percent(copies.right)}**
 (the paper's validation method; it reports 92.42 % for its own patches and augmentation, which are not these)
 
 {score_table(copies, TEXTURES)}
@@ -443,7 +442,7 @@ On unseen seeds with one effect at a time:
 {single}
 
 Of {evaluation.short_waves.count:,} short regular waves from unseen seeds, fully augmented,
-{percent(evaluation.short_waves.accuracy)} are classified as `high_noise`, the right answer.
+{percent(evaluation.short_waves.right)} are classified as `high_noise`, the right answer.
 
 ## Reproduce
 
@@ -529,11 +528,11 @@ def make_model(
         net = train(settings, files.checkpoint, progress)
         evaluation = evaluate(net, settings.seed, settings.patches_per_texture, UNSEEN_PER_TEXTURE)
         scores = {
-            "accuracy_unseen": evaluation.unseen.accuracy,
+            "accuracy_unseen": evaluation.unseen.right,
             "confusion_unseen": evaluation.unseen.confusion,
-            "accuracy_altered_copies": evaluation.augmented_copies.accuracy,
+            "accuracy_altered_copies": evaluation.augmented_copies.right,
             "confusion_altered_copies": evaluation.augmented_copies.confusion,
-            "accuracy_short_waves": evaluation.short_waves.accuracy,
+            "accuracy_short_waves": evaluation.short_waves.right,
         }
         network = {
             "classes": list(settings.network.classes),

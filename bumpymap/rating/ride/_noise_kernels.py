@@ -22,6 +22,7 @@ from bumpymap.rating.ride._ride_kernels import (
     each3,
     each4,
     load,
+    over,
     same,
     store,
 )
@@ -303,12 +304,7 @@ def _band_powers(waves: Patches, band: Integers, scratch: SpectrumScratch) -> No
                 store(add_square(load(powers[b], 0), load(waves[i, j], 0)), powers[b], 0)
                 number[b] += 1.0
     for b in range(len(number)):
-        store(each2(_ratio, load(powers[b], 0), same(number[b])), powers[b], 0)
-
-
-@helper
-def _ratio(a: Any, b: Any) -> Any:
-    return a / b
+        store(each2(over, load(powers[b], 0), same(number[b])), powers[b], 0)
 
 
 @helper

@@ -232,7 +232,8 @@ def _sum(fl: Any, fr: Any, rl: Any, rr: Any) -> Any:
 
 
 @helper
-def _over(a: Any, b: Any) -> Any:
+def over(a: Any, b: Any) -> Any:
+    """One number over another, for `each2`."""
     return a / b
 
 
@@ -354,11 +355,11 @@ def _pose_numbers(poses: Poses, geometry: VehicleGeometry, scratch: RideScratch,
         fr = _read(poses.wheel_node[p, 1], poses.wheel_weight[p, 1], envelope, first)
         rl = _read(poses.wheel_node[p, 2], poses.wheel_weight[p, 2], envelope, first)
         rr = _read(poses.wheel_node[p, 3], poses.wheel_weight[p, 3], envelope, first)
-        pitch = each2(_over, each4(_pitch, fl, fr, rl, rr), same(2.0 * geometry.wheelbase))
-        roll = each2(_over, each4(_roll, fl, fr, rl, rr), same(2.0 * geometry.track))
-        twist = each2(_over, each4(_twist, fl, fr, rl, rr), same(2.0 * geometry.wheelbase))
+        pitch = each2(over, each4(_pitch, fl, fr, rl, rr), same(2.0 * geometry.wheelbase))
+        roll = each2(over, each4(_roll, fl, fr, rl, rr), same(2.0 * geometry.track))
+        twist = each2(over, each4(_twist, fl, fr, rl, rr), same(2.0 * geometry.wheelbase))
         pitches, rolls, twists = add_square(pitches, pitch), add_square(rolls, roll), add_square(twists, twist)
-        level = each2(_over, each4(_sum, fl, fr, rl, rr), same(4.0))
+        level = each2(over, each4(_sum, fl, fr, rl, rr), same(4.0))
         for place in range(3):
             ground = _read(poses.belly_node[p, place], poses.belly_weight[p, place], scratch.bare, first)
             ahead = same((1 - place) * geometry.belly_half)

@@ -16,12 +16,13 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
-from typing import Any
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, BumpymapError
+from bumpymap.rating.ride._ride_kernels import normal_shares
 from bumpymap.rating.ride.motion_operator import Rides
 from bumpymap.rating.vehicle_body import number_tuples, plain_lists
 
@@ -109,9 +110,59 @@ class Prediction:
         )
 
 
+def class_chance(
+    class_id: NDArray[np.integer], log_c_r: Floats, sides: tuple[Floats, Floats], limits: tuple[float, ...]
+) -> Floats:
+    """Return the probability that a log-normal C_r lies between the limits of a class [rad/m]; all of one shape.
+
+    ``log_c_r``: median of ln C_r; ``sides``: its standard deviations below and above the median.
+    """
+    edges = np.concatenate(([-np.inf], np.log(limits), [np.inf]))
+    shares = np.empty((2, log_c_r.size))
+    for edge, share in zip((edges[class_id], edges[class_id + 1]), shares, strict=True):
+        normal_shares(((edge - log_c_r) / np.where(edge < log_c_r, *sides)).ravel(), share)
+    return np.asarray((shares[1] - shares[0]).reshape(log_c_r.shape))
+
+
 @dataclass(frozen=True, slots=True)
-class Correction:
+class Coefficients:
+    """Coefficients of a fitted model, as a calibration holds them: numbers, tables of numbers, and ``origin``."""
+
+    model: ClassVar[str]
+    """The model in error messages."""
+
+    @classmethod
+    def from_record(cls, record: Mapping[str, Any]) -> Self:
+        """Read the mapping that `to_record` returned.
+
+        Raises
+        ------
+        BadInputError
+            A value is missing or has the wrong length.
+        """
+        try:
+            values = {f.name: record[f.name] for f in fields(cls)}
+            made = cls(**{k: dict(v) if k == "origin" else number_tuples(v) for k, v in values.items()})
+            made.require_lengths()
+        except (LookupError, TypeError, ValueError) as error:
+            raise BadInputError(f"{cls.model} of the calibration is damaged: {error!r}") from error
+        return made
+
+    def to_record(self) -> dict[str, Any]:
+        """Return the coefficients as plain numbers for JSON."""
+        plain: dict[str, Any] = plain_lists(asdict(self))
+        return plain
+
+    def require_lengths(self) -> None:
+        """Raise ValueError if there are too few or too many coefficients."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, slots=True)
+class Correction(Coefficients):
     """Coefficients that turn geometric values into predictions, fitted to the drives of a calibration."""
+
+    model = "the ride model"
 
     log_range: tuple[float, float]
     """Lowest and highest ln g of the driven patches."""
@@ -136,25 +187,8 @@ class Correction:
     model_error: float
     """Standard deviation of ln C_r between simulations of the same vehicle."""
 
-    @classmethod
-    def from_record(cls, record: Mapping[str, Any]) -> "Correction":
-        """Read the mapping that `to_record` returned.
-
-        Raises
-        ------
-        BadInputError
-            A value is missing or has the wrong length.
-        """
-        try:
-            values = {f.name: record[f.name] for f in fields(cls)}
-            numbers: dict[str, Any] = {k: dict(v) if k == "origin" else number_tuples(v) for k, v in values.items()}
-            made = cls(**numbers)
-            made._check()
-        except (LookupError, TypeError, ValueError) as error:
-            raise BadInputError(f"the ride model of the calibration is damaged: {error!r}") from error
-        return made
-
-    def _check(self) -> None:
+    def require_lengths(self) -> None:
+        """Raise ValueError if tables or coefficients do not fit."""
         shapes = {np.shape(table) for table in (self.noise_low, self.noise_middle, self.noise_high)}
         if shapes != {(len(self.pixel_points), len(self.excess))} or (len(self.log_range), len(self.spread)) != (2, 2):
             raise ValueError("tables of different sizes")
@@ -163,11 +197,6 @@ class Correction:
                 raise ValueError(f"{len(coefficients)} coefficients of {name}, not {wanted}")
         if not 0.0 <= self.model_error < math.inf:
             raise ValueError(f"model_error is {self.model_error}")
-
-    def to_record(self) -> dict[str, Any]:
-        """Return the coefficients as plain numbers for JSON."""
-        plain: dict[str, Any] = plain_lists(asdict(self))
-        return plain
 
     def predict(self, rides: Rides, slope_deg: Floats, noise_felt: Floats, pixel_points: Floats) -> Prediction:
         """Predict C_r and p_fail of n denoised patches, by their geometric values and slope [degrees].

@@ -120,7 +120,7 @@ def roll_over(relief_map: NDArray[np.float32], operator: RideOperator, by_axis: 
     by_axis : array (n, 8), optional
         Filled with the geometric C_r along each of ``AXES_DEG``, rad/m; the north row of a patch comes first.
     """
-    patches, scratch = _patches_and_scratch(relief_map, operator.wheel, operator.fine, operator.nodes)
+    patches, scratch = _patches_and_scratch(relief_map, operator)
     rides = np.full((len(relief_map), 6 if by_axis is None else 6 + len(AXES_DEG)), np.nan)
     geometry = VehicleGeometry(operator.wheelbase, operator.track, operator.belly_half, operator.clearance)
     ride_patches(patches, operator.wheel, operator.samples, operator.axes, operator.poses, geometry, rides, scratch)
@@ -195,19 +195,20 @@ def move_over(relief_map: NDArray[np.float32], operator: MotionOperator) -> Moti
     operator : MotionOperator
         Of the vehicle.
     """
-    patches, scratch = _patches_and_scratch(relief_map, operator.wheel, operator.fine, operator.nodes)
+    patches, scratch = _patches_and_scratch(relief_map, operator)
     motions = np.full((len(relief_map), len(operator.bounds) - 1, 2), np.nan)
     move_over_patches(patches, operator.wheel, operator.samples, operator.bounds, motions, scratch)
     return Motions(motions[:, 0, 0], motions[:, 1::2, 0], motions[:, 2::2, 1])
 
 
 def _patches_and_scratch(
-    relief_map: NDArray[np.float32], wheel: WheelShape, fine: int, nodes: int
+    relief_map: NDArray[np.float32], operator: RideOperator | MotionOperator
 ) -> tuple[PatchesToRide, RideScratch]:
-    patches = np.ascontiguousarray(relief_map, np.float32)
+    patches, wheel = np.ascontiguousarray(relief_map, np.float32), operator.wheel
     known = np.asarray(np.isfinite(patches).all(axis=(1, 2)))
     margin = int(max(np.abs(wheel.row).max(), np.abs(wheel.col).max()))
-    return PatchesToRide(known, patches, fine), ride_scratch(patches.shape[1], nodes, margin, len(wheel.starts) - 1)
+    scratch = ride_scratch(patches.shape[1], operator.nodes, margin, len(wheel.starts) - 1)
+    return PatchesToRide(known, patches, operator.fine), scratch
 
 
 def _heights(patches: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -35,8 +35,7 @@ from bumpymap.rating.ride._noise_kernels import (
     denoise_patches,
     spectrum_scratch,
 )
-from bumpymap.rating.ride._ride_kernels import normal_shares
-from bumpymap.rating.ride.correction import NORMAL_TAIL, Correction, Prediction
+from bumpymap.rating.ride.correction import NORMAL_TAIL, Correction, Prediction, class_chance
 from bumpymap.rating.ride.motion_operator import roll_over
 from bumpymap.rating.ride.operator import RideOperator, cosines
 from bumpymap.rating.ride.speed import LEVEL, SpeedRating, map_rule, plain_speed_factor, require_speeds, speed_log_sd
@@ -199,22 +198,12 @@ def judge(found: Prediction, slope: NDArray[np.floating], calibration: Calibrati
     Where the ground is steeper than the vehicle's limit (``slope``, (n,) degrees), or at least ``FAIL_SHARE`` of the
     drives fail, the class is the roughest. The floor plays no part: predictions and limits are those of drives.
     """
-    class_id, chance = _class_chance(found, calibration.class_limits)
+    class_id = np.searchsorted(np.log(calibration.class_limits), found.log_c_r, side="right")
+    chance = class_chance(class_id, found.log_c_r, (found.below, found.above), calibration.class_limits)
     failing = np.where(slope > float(calibration.vehicle["slope_limit_deg"]), 1.0, found.p_fail)
     lost = failing >= FAIL_SHARE
     last = len(calibration.class_limits)
     return np.where(lost, last, class_id), np.where(lost, np.maximum(failing, chance), chance)
-
-
-def _class_chance(found: Prediction, limits: tuple[float, ...]) -> tuple[NDArray[np.int64], Floats]:
-    """Class of the median of each tile, and its probability under the two-sided distribution."""
-    log_limits = np.log(np.array(limits))
-    class_id = np.searchsorted(log_limits, found.log_c_r, side="right")
-    edges = np.concatenate(([-np.inf], log_limits, [np.inf]))
-    shares = np.empty((2, len(class_id)))
-    for edge, share in zip((edges[class_id], edges[class_id + 1]), shares, strict=True):
-        normal_shares((edge - found.log_c_r) / np.where(edge < found.log_c_r, found.below, found.above), share)
-    return class_id, shares[1] - shares[0]
 
 
 def _where(known: NDArray[np.bool_], values: Floats) -> NDArray[np.float32]:

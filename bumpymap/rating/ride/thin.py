@@ -8,18 +8,15 @@ simulated surveys of the terrain library. p_fail is a logistic regression on tho
 given what is measured, so that it rises where a tile is little known.
 """
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError
-from bumpymap.rating.ride.correction import Prediction
+from bumpymap.rating.ride.correction import Coefficients, Prediction
 from bumpymap.rating.ride.motion_operator import roll_over
 from bumpymap.rating.ride.operator import RideOperator
-from bumpymap.rating.vehicle_body import number_tuples, plain_lists
 
 Floats = NDArray[np.float64]
 _LAGS = 5
@@ -66,8 +63,10 @@ def thin_columns(
 
 
 @dataclass(frozen=True, slots=True)
-class ThinModel:
+class ThinModel(Coefficients):
     """Coefficients of the prediction for thin tiles."""
+
+    model = "the model of thin surveys"
 
     relief: tuple[float, float]
     """Lowest and highest ln of the relief [m] that was trained; beyond, C_r grows as the relief does."""
@@ -88,29 +87,6 @@ class ThinModel:
     prior: tuple[float, float]
     """Mean and standard deviation of ln C_r of the terrain of the fit, towards whose mean the predictions of tiles with
     few points are shrunk."""
-
-    @classmethod
-    def from_record(cls, record: Mapping[str, Any]) -> "ThinModel":
-        """Read the mapping that `to_record` returned.
-
-        Raises
-        ------
-        BadInputError
-            A value is missing or has the wrong length.
-        """
-        try:
-            values = {f.name: record[f.name] for f in fields(cls)}
-            numbers: dict[str, Any] = {k: dict(v) if k == "origin" else number_tuples(v) for k, v in values.items()}
-            made = cls(**numbers)
-            made.require_lengths()
-        except (LookupError, TypeError, ValueError) as error:
-            raise BadInputError(f"the model of thin surveys of the calibration is damaged: {error!r}") from error
-        return made
-
-    def to_record(self) -> dict[str, Any]:
-        """Return the coefficients as plain numbers for JSON."""
-        plain: dict[str, Any] = plain_lists(asdict(self))
-        return plain
 
     def require_lengths(self) -> None:
         """Raise ValueError if there are too few or too many coefficients."""

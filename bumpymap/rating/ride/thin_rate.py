@@ -128,19 +128,8 @@ _MOST_SHARE = 0.9
 _TINY = 1e-10
 
 
-@dataclass(frozen=True, slots=True)
-class PooledNoise:
-    """Standard deviation of the height of a point, m."""
-
-    middle: float
-    low: float
-    """One standard error lower."""
-    high: float
-    """One standard error higher."""
-
-
-def pool_noise(close_sum: Floats, close_pairs: Floats, variance: Floats) -> PooledNoise:
-    """Estimate the noise that n tiles share.
+def pool_noise(close_sum: Floats, close_pairs: Floats, variance: Floats) -> tuple[float, float, float]:
+    """Estimate the noise that n tiles share: the standard deviation of the height of a point.
 
     Parameters
     ----------
@@ -150,11 +139,16 @@ def pool_noise(close_sum: Floats, close_pairs: Floats, variance: Floats) -> Pool
         Number of these pairs.
     variance : array (n,)
         Variance of the points about the tile's plane, m^2.
+
+    Returns
+    -------
+    tuple of float
+        One standard error lower, the estimate, and one higher, m.
     """
     known = (close_pairs > 0) & np.isfinite(close_sum) & (variance > _TINY)
     pairs, twice = close_pairs[known], 2.0 * variance[known]
     if pairs.sum() < _LEAST_PAIRS:
-        return PooledNoise(_UNKNOWN_M, 0.0, 2.0 * _UNKNOWN_M)
+        return 0.0, _UNKNOWN_M, 2.0 * _UNKNOWN_M
     squares = close_sum[known] / pairs
     floor, share = float(np.quantile(squares, 0.1)), 0.3
     error = floor
@@ -167,7 +161,7 @@ def pool_noise(close_sum: Floats, close_pairs: Floats, variance: Floats) -> Pool
     low, middle, high = (
         float(min(np.sqrt(max(value, 0.0)), _MOST_NOISE_M)) for value in (found - error, found, found + error)
     )
-    return PooledNoise(middle, low, high)
+    return low, middle, high
 
 
 def _weighted_line(weight: Floats, x: Floats, y: Floats) -> tuple[float, float, float]:
@@ -312,10 +306,9 @@ def _predicted(model: ThinModel, columns: Floats, wanted: NDArray[np.bool_]) -> 
     """
     names = ("squares_1", "pairs_1", "spread")
     squares, pairs, spread = (columns[:, THIN_COLUMNS.index(name)] for name in names)
-    noise = pool_noise(squares, pairs, spread**2)
     usable = wanted.ravel() & np.isfinite(columns).all(axis=1)
     number = int(usable.sum())
-    values = np.repeat([noise.low, noise.middle, noise.high], number)
+    values = np.repeat(pool_noise(squares, pairs, spread**2), number)
     at_noise = model.predict(np.tile(columns[usable], (3, 1)), values)
     low, middle, high = at_noise.log_c_r.reshape(3, number)
     own = np.s_[number : 2 * number]

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import SCAN_S, BadInputError, BagMessage, Dropped, Frame, PoseTrack, Robot, Scan, UsageError
+from bumpymap.readers.detect import files_at
 from bumpymap.readers.frames.raw import (
     BAG_SUFFIXES,
     CLOUD,
@@ -270,14 +271,7 @@ def find_frames(paths: Sequence[Path]) -> list[Path]:
     """
     if not paths:
         raise BadInputError("no scan was given; name a file of a scan, or a folder of them")
-    found: dict[str, Path] = {}
-    for path in paths:
-        try:
-            for file in _files_of(path):
-                found.setdefault(os.path.realpath(file), file)
-        except OSError as error:
-            raise BadInputError(f"cannot access {path}: {error.strerror}") from error
-    return sorted(found.values(), key=natural_key)
+    return sorted(files_at(paths, _scans_in, "a file of a scan"), key=natural_key)
 
 
 def natural_key(path: Path) -> tuple[tuple[tuple[int, int | str], ...], ...]:
@@ -288,12 +282,7 @@ def natural_key(path: Path) -> tuple[tuple[tuple[int, int | str], ...], ...]:
     )
 
 
-def _files_of(path: Path) -> list[Path]:
-    if path.is_file():
-        return [path]
-    if not path.is_dir():
-        what = "is neither a file nor a folder" if path.exists() else "does not exist"
-        raise BadInputError(f"{path} {what}; name a file of a scan or a folder of them")
+def _scans_in(path: Path) -> list[Path]:
     for folder in (path, *(path / name for name in POINT_FOLDERS)):
         files = _scans(folder)
         kinds = sorted({file.suffix.lower() for file in files})

@@ -42,34 +42,25 @@ SLOWEST = 1
 """Least speed limit, percent. Not 0: the speed filter reads that as no limit."""
 
 
-@dataclass(frozen=True, slots=True)
-class CostScale:
-    """How cost per metre becomes 0..98, linearly: 0 is cost 1 (smooth and safe), 98 is ``max_cost`` and all above."""
-
-    max_cost: float
-
-    def values(self, cost: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the values of costs, rounded; NaN where the cost is."""
-        span = max(self.max_cost - 1.0, np.finfo(np.float64).tiny)
-        return np.clip(np.rint(TOP_VALUE * (np.clip(cost, 1.0, self.max_cost) - 1.0) / span), FREE_CELL, TOP_VALUE)
-
-
 def passable_cost(field: TileField) -> NDArray[np.float64]:
     """Return the cost per metre of passable tiles, (rows, cols), at the weights of the layers; NaN elsewhere."""
     cost = field.rule.cost(field.c_r.astype(np.float64), field.rule.hazard(field.p_fail))
     return np.where(field.barred == Barred.NO, cost, np.nan)
 
 
-def cost_values(field: TileField, scale: CostScale) -> NDArray[np.uint8]:
+def cost_values(field: TileField, max_cost: float) -> NDArray[np.uint8]:
     """Return cells for an occupancy grid in mode ``raw``, one a tile.
 
     Returns
     -------
     uint8 (rows, cols)
-        0..98 by cost, 100 where the tile is known not to be passable, 255 where it is unknown or there is no tile.
+        0..98 by cost, linearly: 0 is 1 (smooth and safe), 98 is ``max_cost`` and all above; 100 where the tile is known
+        not to be passable, 255 where it is unknown or there is no tile.
     """
     cost = passable_cost(field)
-    graded = np.where(np.isnan(cost), UNKNOWN_CELL, scale.values(cost)).astype(np.uint8)
+    span = max(max_cost - 1.0, np.finfo(np.float64).tiny)
+    scaled = np.clip(np.rint(TOP_VALUE * (np.clip(cost, 1.0, max_cost) - 1.0) / span), FREE_CELL, TOP_VALUE)
+    graded = np.where(np.isnan(cost), UNKNOWN_CELL, scaled).astype(np.uint8)
     unknown = (field.barred == Barred.UNKNOWN) | (field.barred == NO_TILE)
     choices = [np.uint8(UNKNOWN_CELL), np.uint8(LETHAL)]
     return np.select([unknown, field.barred != Barred.NO], choices, graded)

@@ -1,13 +1,26 @@
-"""A grid_map message in a ROS 2 bag (MCAP): elevation, c_r, p_fail, class, obstacle. No ROS is needed to write it."""
+"""Bags of ROS 2 (MCAP): a map as one grid_map message, and the grids of scans. No ROS is needed to write them."""
 
-from collections.abc import Mapping
+import shutil
+from collections.abc import Iterable, Mapping
+from os.path import lexists
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CANOPY, NO_CLASS, OutputError, UsageError, atomic, remove_path, write_remedy
+from bumpymap.core import (
+    CANOPY,
+    NO_CLASS,
+    NOT_TRAVERSABLE,
+    Frame,
+    GroundGrid,
+    OutputError,
+    UsageError,
+    atomic,
+    remove_path,
+    write_remedy,
+)
 from bumpymap.layers import MapFile, require_written
 from bumpymap.views.export.area import FRAME, ExportArea, by_pixel
 from bumpymap.views.page.tiles import block_means
@@ -167,13 +180,11 @@ def grid_map_message(
     """
     types = store.types
     rows, cols = layers["elevation"].shape
-    point = types["geometry_msgs/msg/Point"](x=middle[0], y=middle[1], z=0.0)
-    upright = types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
     info = types["grid_map_msgs/msg/GridMapInfo"](
         resolution=resolution,
         length_x=cols * resolution,
         length_y=rows * resolution,
-        pose=types["geometry_msgs/msg/Pose"](position=point, orientation=upright),
+        pose=_upright_pose(types, *middle),
     )
     return types[GRID_MAP](
         header=header,
@@ -186,6 +197,13 @@ def grid_map_message(
     )
 
 
+def _upright_pose(types: Any, x: float, y: float) -> Any:
+    return types["geometry_msgs/msg/Pose"](
+        position=types["geometry_msgs/msg/Point"](x=x, y=y, z=0.0),
+        orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
+    )
+
+
 def _array(types: Any, layer: NDArray[np.float32]) -> Any:
     """Pack a layer: rows of the matrix run from east to west, its columns from north to south, columns one by one."""
     rows, cols = layer.shape
@@ -194,3 +212,100 @@ def _array(types: Any, layer: NDArray[np.float32]) -> Any:
     inner = dimension(label="row_index", size=cols, stride=cols)
     layout = types["std_msgs/msg/MultiArrayLayout"](dim=[outer, inner], data_offset=0)
     return types["std_msgs/msg/Float32MultiArray"](layout=layout, data=layer[:, ::-1].ravel())
+
+
+_OCCUPANCY = "nav_msgs/msg/OccupancyGrid"
+GRID_TOPICS = {"/ground/occupancy": _OCCUPANCY, "/ground/grid_map": GRID_MAP}
+"""Topics of the bag and their types."""
+GRID_LAYERS = ("elevation", "step", "obstacle_height", "clearance")
+"""Layers of the grid_map beside the class and the ride."""
+_SENSOR = "sensor"
+"""Coordinate frame of scans whose file names none."""
+_PERIOD_NS = 100_000_000
+"""Time between scans whose files hold no time."""
+
+
+def check_bag_file(path: Path, out: Path, inputs: Iterable[Path], *, overwrite: bool) -> None:
+    """Check that a bag can be written, before the long work.
+
+    A bag that is a symbolic link will be replaced as a link; its target is not touched.
+
+    Raises
+    ------
+    OutputError
+        The file exists and ``overwrite`` is False, is a folder, is or lies in an input, would lie in a folder of
+        ``out`` that is replaced, or its folder does not exist.
+    UsageError
+        The extra ``ros`` is not installed.
+    """
+    require_rosbags()
+    if any(path.resolve() == own.resolve() or own.resolve() in path.resolve().parents for own in inputs):
+        raise OutputError(f"{path} is an input of this run, or inside of one. Choose another `bag`")
+    if out.resolve() in path.resolve().parent.parents:
+        raise OutputError(f"{path} lies in a folder inside of {out}, which the run replaces. Choose another `bag`")
+    if lexists(path) and (not overwrite or path.is_dir()):
+        raise OutputError(f"{path} exists already. Choose another `bag`, or pass `overwrite=True` to replace it")
+    if not path.parent.is_dir():
+        raise OutputError(f"cannot write {path}: there is no folder {path.parent}. Choose another `bag`")
+
+
+def write_grid_bag(path: Path, folder: Path, grids: Iterable[tuple[Frame, int, GroundGrid]]) -> None:
+    """Write grids to a bag, which appears when it is complete.
+
+    Parameters
+    ----------
+    path : Path
+    folder : Path
+        Folder of the run, for the bag until then.
+    grids : iterable of Frame, int and GroundGrid
+        Frames, their numbers in the run, their grids, in order of time.
+
+    Raises
+    ------
+    OutputError
+        The bag cannot be written.
+    """
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+    store, bag = typestore(), folder / "grids"
+    if lexists(bag):
+        remove_path(bag)
+    writer = Writer(bag, version=8, storage_plugin=StoragePlugin.MCAP)
+    writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    with writer:
+        topics = [writer.add_connection(topic, kind, typestore=store) for topic, kind in GRID_TOPICS.items()]
+        for frame, number, grid in grids:
+            stamp_ns, messages = _messages_of(store, frame, number, grid)
+            for topic, message, kind in zip(topics, messages, GRID_TOPICS.values(), strict=True):
+                writer.write(topic, stamp_ns, store.serialize_cdr(message, kind))
+    with atomic(path) as temporary:
+        shutil.move(bag / "grids.mcap", temporary)
+    remove_path(bag)
+
+
+def _messages_of(store: Any, frame: Frame, number: int, grid: GroundGrid) -> tuple[int, tuple[Any, Any]]:
+    """Return the time of a frame, ns, and its OccupancyGrid and GridMap."""
+    stamp_ns, frame_id = number * _PERIOD_NS, _SENSOR
+    if frame.message is not None:
+        stamp_ns, frame_id = frame.message.stamp_ns, frame.message.frame_id
+    middle = (0.0, 0.0)
+    if grid.corner_m is not None:
+        frame_id, middle = frame.pose_frame, (grid.corner_m[0] + grid.reach_m, grid.corner_m[1] + grid.reach_m)
+    header = make_header(store, stamp_ns, frame_id)
+    occupancy = grid.fill(_blank(store, header), header)
+    occupancy.data = np.frombuffer(occupancy.data, np.int8)
+    class_id = np.where(grid.class_id == NOT_TRAVERSABLE, np.nan, grid.class_id).astype(np.float32)
+    layers = {"class": class_id} | {name: getattr(grid, name) for name in GRID_LAYERS}
+    if grid.c_r is not None:
+        layers["c_r"] = grid.c_r
+    layers = {name: layer[::-1] for name, layer in layers.items()}
+    return stamp_ns, (occupancy, grid_map_message(store, header, middle, grid.resolution_m, layers))
+
+
+def _blank(store: Any, header: Any) -> Any:
+    """Return an OccupancyGrid with nothing in it."""
+    types = store.types
+    info = types["nav_msgs/msg/MapMetaData"](
+        map_load_time=header.stamp, resolution=0.0, width=0, height=0, origin=_upright_pose(types, 0.0, 0.0)
+    )
+    return types[_OCCUPANCY](header=header, info=info, data=np.empty(0, np.int8))

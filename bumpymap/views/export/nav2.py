@@ -20,7 +20,6 @@ from bumpymap.views.export.area import (
     LETHAL,
     TOP_VALUE,
     UNKNOWN_CELL,
-    CostScale,
     ExportArea,
     by_pixel,
     cost_values,
@@ -37,26 +36,22 @@ _COSTMAP_LETHAL, _SMAC_FULL = 254, 252
 """Cost of a lethal cell of a costmap; the cost by which Smac planners divide."""
 
 
-def travel_multiplier(scale: CostScale) -> float:
-    """Return the ``cost_travel_multiplier`` with which the Smac 2D planner counts cost per metre as the map does.
+def params_text(route_map: MapReader, max_cost: float, resolution: float) -> str:
+    """Return the parameters as YAML.
 
-    The costmap scales 0..100 to 0..254 and drops decimals; the planner's cost of a step is
-    ``length * (1 + multiplier * cell / 252)``.
+    With its ``cost_travel_multiplier`` the Smac 2D planner counts cost per metre as the map does. The costmap scales
+    0..100 to 0..254 and drops decimals; the planner's cost of a step is ``length * (1 + multiplier * cell / 252)``.
     """
-    return (scale.max_cost - 1.0) * _SMAC_FULL / math.floor(TOP_VALUE / LETHAL * _COSTMAP_LETHAL)
-
-
-def params_text(route_map: MapReader, scale: CostScale, resolution: float) -> str:
-    """Return the parameters as YAML."""
+    multiplier = (max_cost - 1.0) * _SMAC_FULL / math.floor(TOP_VALUE / LETHAL * _COSTMAP_LETHAL)
     about = {
         "frame": FRAME,
         "speed": route_map.rule.top_mps,
         "resolution": resolution,
         "radius": round(route_map.vehicle.width_m / 2.0, 3),
         "lethal": LETHAL,
-        "cost": round(scale.max_cost, 6),
+        "cost": round(max_cost, 6),
         "top": TOP_VALUE,
-        "multiplier": round(travel_multiplier(scale), 6),
+        "multiplier": round(multiplier, 6),
     }
     return render_text("nav2_params.yaml", **about) + "\n"
 
@@ -84,11 +79,11 @@ def make_grids(area: ExportArea, max_cost: float | None) -> Callable[[Path], dic
     highest, tiles = _survey(area)
     if not tiles["passable"]:
         raise BadInputError("no tile of the area is passable, so no robot can drive there. Choose another area")
-    scale = CostScale(max_cost or highest)
+    most = max_cost or highest
     cost, keepout, speed = (np.empty(area.shape, np.uint8) for _ in range(3))
     for window, lines in area.strips():
         field = area.route_map.read(window, (*_BANDS, *(["obstacle"] if area.split > 1 else [])))
-        coarse = cost_values(field, scale), keepout_values(field), speed_values(field)
+        coarse = cost_values(field, most), keepout_values(field), speed_values(field)
         if area.split == 1:
             cost[lines], keepout[lines], speed[lines] = coarse
             continue
@@ -99,14 +94,14 @@ def make_grids(area: ExportArea, max_cost: float | None) -> Callable[[Path], dic
         opened = replace(field, barred=barred)
         cost[lines] = lay_objects(coarse[0], objects, judged, UNKNOWN_CELL)
         keepout[lines] = lay_objects(coarse[1], objects, judged, LETHAL)
-        for cells, values in ((cost, cost_values(opened, scale)), (keepout, keepout_values(opened))):
+        for cells, values in ((cost, cost_values(opened, most)), (keepout, keepout_values(opened))):
             cells[lines][between] = by_pixel(values, area.split)[between]
         speed[lines] = by_pixel(coarse[2], area.split)
     images = {"map": cost, "keepout_mask": keepout, "speed_mask": speed}
     about = {
         "cost": {
             "value_0": 1.0,
-            f"value_{TOP_VALUE}": scale.max_cost,
+            f"value_{TOP_VALUE}": most,
             "unit": "cost per metre of level, smooth and safe ground",
         },
         "speed": {"value_100_m_per_s": area.route_map.rule.top_mps},
@@ -118,7 +113,7 @@ def make_grids(area: ExportArea, max_cost: float | None) -> Callable[[Path], dic
             header = f"P5\n{cells.shape[1]} {cells.shape[0]}\n255\n"
             write_file(folder / f"{name}.pgm", header.encode(), cells.tobytes())
             write_file(folder / f"{name}.yaml", "".join(_map_yaml(f"{name}.pgm", area)).encode())
-        write_file(folder / "nav2_params.yaml", params_text(area.route_map, scale, area.resolution).encode())
+        write_file(folder / "nav2_params.yaml", params_text(area.route_map, most, area.resolution).encode())
         return about
 
     return write

@@ -76,7 +76,8 @@ class _Tree:
 
     def __init__(self, folder: Path, record: Mapping[str, Any], place: str = ".") -> None:
         """Take the folder, the record of the run, and where the folder lies as seen from the project."""
-        self._folder, self._place, crs = folder, place, _horizontal_crs(record)
+        self._folder, self._place, stated = folder, place, record["crs"]
+        crs = None if stated is None else horizontal_of(stated_crs(stated["wkt"]))  # of all layers in the project
         self.wkt = None if crs is None else crs.to_wkt()
         self._styles = map_styles(record, layered=True)
         self.styled: list[tuple[Style, Style]] = []
@@ -310,8 +311,3 @@ def _notes(record: Mapping[str, Any]) -> list[str]:
         f"Calibration: {calibration['id']}.",
         *([f"Coordinates: {crs['name']}."] if crs else []),
     ]
-
-
-def _horizontal_crs(record: Mapping[str, Any]) -> CRS | None:
-    """Return the horizontal CRS of a map, which is that of all its layers in the project; None without one."""
-    return None if record["crs"] is None else horizontal_of(stated_crs(record["crs"]["wkt"]))

@@ -256,12 +256,6 @@ def speeds_of(record: Mapping[str, Any]) -> list[float]:
     return [float(speed) for speed in record["settings"].get("speeds") or ()]
 
 
-def _ride_stops(record: Mapping[str, Any]) -> list[tuple[float, str, _Colour]]:
-    """Return the colours of c_r with their labels: those of the classes in the middle of their intervals."""
-    anchors = zip(RideScale.of(record).anchors, CLASS_NAMES, strict=True)
-    return [(at, f"{at:.3g} rad/m ({name})", CLASS_COLOURS[code]) for code, (at, name) in enumerate(anchors)]
-
-
 def _speed_stops(record: Mapping[str, Any]) -> list[tuple[float, str, _Colour]]:
     """Return the colours of the speed made good: those of a cost of as many times the metre at the top speed."""
     top = record["cost"]["speeds_mps_at_c_r_radpm"][0][0]
@@ -287,7 +281,9 @@ def map_styles(record: Mapping[str, Any], *, layered: bool = False) -> dict[str,
         at least half of the drives fail, of speeds.tif the C_r at each speed, such as ``0.5``, and of cost.fgb
         ``closed``, what is not known or not passable.
     """
-    labels, stops, speeds = class_labels(record), _ride_stops(record), speeds_of(record)
+    labels, speeds = class_labels(record), speeds_of(record)
+    anchors = zip(RideScale.of(record).anchors, CLASS_NAMES, strict=True)
+    stops = [(at, f"{at:.3g} rad/m ({name})", CLASS_COLOURS[code]) for code, (at, name) in enumerate(anchors)]
     units_per_m = 1.0 / record["metres_per_unit"]["horizontal"]
     relief = {"kind": "hillshade", "band": 1, "z_factor": units_per_m, "opacity": _PALE if layered else 1.0}
     bars = BARRED_COLOURS | ({Barred.UNKNOWN: _GREY} if layered else {})

@@ -83,18 +83,9 @@ class Pen:
         *,
         size: int = 16,
         anchor: str = "lm",
-        halo: Colour | None = None,
     ) -> None:
-        """Write one line; ``anchor`` as Pillow names it, ``halo`` the colour of an outline of 2 pixels."""
-        self._draw.text(
-            (place[0] * _TWICE, place[1] * _TWICE),
-            text,
-            colour,
-            font(size * _TWICE),
-            anchor,
-            stroke_width=2 * _TWICE if halo else 0,
-            stroke_fill=halo,
-        )
+        """Write one line; ``anchor`` as Pillow names it."""
+        self._draw.text((place[0] * _TWICE, place[1] * _TWICE), text, colour, font(size * _TWICE), anchor)
 
     def upright_text(self, place: tuple[float, float], text: str, colour: Colour, size: int = 16) -> None:
         """Write one line from bottom to top, its middle at a point."""

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from bumpymap.core import Route, atomic
 from bumpymap.layers import ROUTE_COLOURS, MapReader, ReachField, RideScale, reach_colours, stop_roles
@@ -44,7 +43,7 @@ _LEGEND_ROUTES = 3
 
 
 def write_route_picture(routes: Sequence[Route], source: MapReader, path: Path) -> None:
-    """Draw routes and write the picture as PNG, at most 1600 pixels wide.
+    """Draw routes on the map, the legend to its right, the profile of the first below; write PNG, 1600 pixels wide.
 
     Parameters
     ----------
@@ -61,25 +60,6 @@ def write_route_picture(routes: Sequence[Route], source: MapReader, path: Path) 
         The file cannot be written.
     BadInputError
         The layers cannot be read.
-    """
-    picture = paint_route(routes, source)
-    with atomic(path) as temporary:
-        picture.save(temporary, "PNG", compress_level=4)
-
-
-def paint_route(routes: Sequence[Route], source: MapReader) -> Image.Image:
-    """Draw routes on the map, the legend to its right, the profile of the first below.
-
-    Parameters
-    ----------
-    routes : sequence of Route
-        At least one.
-    source : MapReader
-
-    Returns
-    -------
-    Image
-        RGB.
     """
     first = routes[0]
     points = np.concatenate([part for route in routes for part in (route.line, route.stops)])
@@ -101,7 +81,12 @@ def paint_route(routes: Sequence[Route], source: MapReader) -> Image.Image:
     top = _TITLE + view.height + 40
     draw_profile(pen, first.profile, (_CHART_LEFT, top, _EDGE + _PANEL - _CHART_LEFT, _CHART), scale)
     _draw_chart_notes(pen, first, len(routes), top)
-    return pen.finished()
+    _save(pen, path)
+
+
+def _save(pen: Pen, path: Path) -> None:
+    with atomic(path) as temporary:
+        pen.finished().save(temporary, "PNG", compress_level=4)
 
 
 def _title(routes: Sequence[Route]) -> str:
@@ -265,5 +250,4 @@ def write_reach_picture(
         pen.text((left + 54, place + 5), f"within {upper:g} min", INK, size=16)
         pen.text((left + 54, place + 23), f"{inside_m2 / 1e4:,.2f} ha", FAINT, size=14)
     draw_closed(pen, left, top + 40 * len(steps) + 12)
-    with atomic(path) as temporary:
-        pen.finished().save(temporary, "PNG", compress_level=4)
+    _save(pen, path)

@@ -10,10 +10,10 @@ from bumpymap.lab.terrains import ScanEffects, Terrain, make_terrain, survey_ter
 from bumpymap.patches.features import measure
 from bumpymap.rating import RideOperator, denoise, roll_over
 from bumpymap.rating.ride._noise_kernels import point_noise
-from bumpymap.rating.vehicle_profile import load_profile
+from bumpymap.rating.vehicle_profile import Vehicle
 from bumpytiles import Grid, TileBuckets
 
-OPERATOR = RideOperator.of(load_profile("warthog").to_dict(), 3.0, 15)
+OPERATOR = RideOperator.of(Vehicle.load("warthog").to_dict(), 3.0, 15)
 DENSE = ScanEffects(1000, 0.02)
 PLANE = Terrain("plane", np.zeros((60, 60)), 3.0)
 

@@ -10,9 +10,9 @@ from scipy.signal import butter, freqs
 from bumpymap.rating import MotionOperator, RideOperator, felt_response, move_over, roll_over
 from bumpymap.rating.ride.motion_operator import heave_filter, weighting_wk
 from bumpymap.rating.ride.operator import chassis_response, interpolation
-from bumpymap.rating.vehicle_profile import load_profile
+from bumpymap.rating.vehicle_profile import Vehicle
 
-WARTHOG = load_profile("warthog").to_dict()
+WARTHOG = Vehicle.load("warthog").to_dict()
 RIDE, MOTION = RideOperator.of(WARTHOG, 3.0, 15), MotionOperator.of(WARTHOG, 3.0, 15, (0.5, 2.0))
 STIFF = {**WARTHOG, "rocker": {**WARTHOG["rocker"], "stiffness_nm_per_rad": 0.0}}
 BASE, TRACK = WARTHOG["wheelbase_m"], WARTHOG["track_m"]
@@ -46,7 +46,7 @@ def envelopes_by_scipy(patch, operator, wheel):
 @pytest.mark.parametrize("name", ["warthog", "small_rover"])
 def test_pitch_change_is_what_a_slow_walk_over_the_envelope_gives(name):
     """Ridges from south-west to north-east, and some noise."""
-    vehicle = load_profile(name).to_dict()
+    vehicle = Vehicle.load(name).to_dict()
     operator = RideOperator.of(vehicle, 3.0, 15)
     patch = (patches(1, 1, 0.03)[0] + np.sin(np.add.outer(range(15), range(15)) / 2.0) / 10.0).astype(np.float32)
     envelopes, step, margin = envelopes_by_scipy(patch, operator, vehicle["wheel"])
