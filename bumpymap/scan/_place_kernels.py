@@ -248,6 +248,8 @@ class ClassedPoints(NamedTuple):
     """(points,) row of its sector; -1 if it is in none."""
     kind: Kinds
     """(sectors + 1,) of its ground, see `SquareCells`; the last one: unknown."""
+    bare_kind: Kinds
+    """(sectors + 1,) of its ground where nothing is beside it."""
     drops: Flags
     """(sectors + 1,) whether its ground drops."""
     slope: Annotated[NDArray[np.float64], 2]
@@ -267,6 +269,8 @@ class CellRule(NamedTuple):
     """Things from here on pass over it, m."""
     beneath: int
     """So many cells behind a thing, ground that is seen beneath it is not known to be free."""
+    beside: int
+    """What stands so many cells away is beside a cell."""
 
 
 class CellScratch(NamedTuple):
@@ -283,7 +287,7 @@ class CellScratch(NamedTuple):
     total: Annotated[NDArray[np.float64], 2]
     """(cells, 2) number of ground points, and the sum of their z, m."""
     things: Integers
-    """(cells,) points of obstacles; before, 1 if some are not ground."""
+    """(cells,) twice the points of obstacles, and one more if there are lower ones; before, 1 if some are not ground."""
     level: Floats
     """(cells,) elevation of the ground in the cell, or the mean of those around it, m; NaN where neither is known."""
     low: Annotated[NDArray[np.float32], 2]
@@ -395,15 +399,17 @@ def _stand_things(scan: ClassedPoints, rule: CellRule, out: SquareCells, s: Cell
         if not (math.isnan(near) or rule.belly <= h < rule.height):
             h = near
         if math.isnan(h):
-            s.things[cell] += 1
+            s.things[cell] += 2
         elif h >= rule.height:
             out.clearance[cell] = h if math.isnan(out.clearance[cell]) else min(out.clearance[cell], np.float32(h))
         elif h >= rule.belly:
-            s.things[cell] += 1
+            s.things[cell] += 2
             if not h <= out.top[cell]:
                 out.top[cell], out.tip[cell] = h, scan.points[i, 2]
-        elif h > -rule.belly and out.sector[cell] < 0:
-            out.sector[cell] = scan.sector[i]
+        else:
+            s.things[cell] |= 1
+            if h > -rule.belly and out.sector[cell] < 0:
+                out.sector[cell] = scan.sector[i]
 
 
 @helper
@@ -453,6 +459,18 @@ def _follow_ray(ray: int, slope_to: tuple[float, float], scan: ClassedPoints, ru
 
 
 @helper
+def _is_bare(cell: int, rule: CellRule, things: Integers) -> bool:
+    """Return whether nothing is beside a cell, or in it, that is lower than the vehicle and not ground."""
+    side, wide = 2 * rule.half, rule.beside
+    row, column = cell // side, cell % side
+    for k in range(max(row - wide, 0), min(row + wide + 1, side)):
+        for i in range(max(column - wide, 0), min(column + wide + 1, side)):
+            if things[k * side + i] > 0:
+                return False
+    return True
+
+
+@helper
 def _judge_cell(cell: int, scan: ClassedPoints, rule: CellRule, out: SquareCells, s: CellScratch) -> None:
     """Find the kind of a cell, and the sector whose ground is known there."""
     first, last, ring = s.rays[cell, 0], s.rays[cell, 1], s.rays[cell, 2]
@@ -470,8 +488,11 @@ def _judge_cell(cell: int, scan: ClassedPoints, rule: CellRule, out: SquareCells
         out.sector[cell] = -1
     sector = out.sector[cell]
     falls |= scan.drops[sector] and not s.fell[sector]
-    stops = s.things[cell] > 0 or falls or out.step[cell] > rule.belly
-    out.kind[cell] = scan.kind[-1] - 1 if stops else scan.kind[sector]
+    stops = s.things[cell] > 1 or falls or out.step[cell] > rule.belly
+    kind = scan.kind[-1] - 1 if stops else scan.kind[sector]
+    if kind == scan.kind[sector] != scan.bare_kind[sector] and _is_bare(cell, rule, s.things):
+        kind = scan.bare_kind[sector]
+    out.kind[cell] = kind
 
 
 @kernel

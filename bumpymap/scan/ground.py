@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import PolarSettings, first_cells
+from bumpymap.core import PolarSettings, SectorStack, cell_numbers, first_cells
 from bumpymap.scan._ground_kernels import (
     FOUND,
     NEIGHBOURS,
@@ -205,6 +205,19 @@ def _median(values: NDArray[np.float64]) -> NDArray[np.float64]:
     ordered = np.sort(values, axis=0)
     middle: NDArray[np.float64] = 0.5 * (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
     return middle
+
+
+OPEN_SHARE = 0.55
+"""Least share of ground among the points of an open sector: what it is, its ground says."""
+
+
+def open_neighbours(stack: SectorStack) -> tuple[NDArray[np.bool_], NDArray[np.int32]]:
+    """Return which sectors are open (n,), and the rows of the open ones around each (n, NEIGHBOURS); n where none is."""
+    layout, cell = cell_layout(stack.settings), cell_numbers(stack)
+    is_open: NDArray[np.bool_] = stack.traversable & (stack.ground_count >= OPEN_SHARE * stack.count)
+    row = np.full(len(layout.zone) + 1, len(cell), np.int32)  # the last one is for neighbours that do not exist
+    row[cell[is_open]] = np.flatnonzero(is_open)
+    return is_open, row[layout.near[cell]]
 
 
 @cache

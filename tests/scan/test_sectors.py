@@ -401,6 +401,14 @@ def test_a_trunk_bars_its_own_cells_and_hides_those_behind_it():
     assert is_free(grid.occupancy)[(np.hypot(x, y) > 3.5) & (np.hypot(x, y) < 5.5)].all()
 
 
+def test_ground_in_front_of_a_wall_is_as_the_open_ground_around():
+    grid, (x, y) = grid_of(seen(lambda x, y: np.where((np.abs(x - 7.2) < 0.2) & (np.abs(y) < 3.0), 1.0, 0.0))), centres()
+    for near, occupancy in ((6.0, 0), (6.5, 66), (7.0, 100)):
+        there = (x > near) & (x < near + 0.25) & (np.abs(y) < 1.5)
+        assert (grid.occupancy[there] == occupancy).mean() > 0.9
+        assert occupancy == 100 or (grid.class_id[there] == occupancy // 33).mean() > 0.9
+
+
 def test_elevations_and_steps_are_those_of_the_ground_in_the_cells():
     points = seen(lambda x, y: np.where(np.abs(y) > 4.0, 0.16, 0.0 * x))
     grid = grid_of(points)
