@@ -151,6 +151,9 @@ class DropRule(NamedTuple):
     below: float
     """The beam to what lies below passes the last ground before it above this, against that ground, m. If not, the
     ground goes on, and what is seen below is a reflection in it; -inf where the height of the sensor is not known."""
+    slope_x: float
+    """Of the whole ground, as the next: what lies below it by less than half of ``least`` is no drop, but a terrace."""
+    slope_y: float
     directions: int
     """In which the ground is followed."""
 
@@ -176,6 +179,7 @@ def find_drops(
         share = (direction + 0.5) / rule.directions
         turn = 2.0 * math.pi * (share + grid.start)
         cos, sin = math.cos(turn), math.sin(turn)
+        level = rule.slope_x * cos + rule.slope_y * sin
         known, last_r, last_z, last_slope = False, 0.0, 0.0, 0.0
         last_cell, marked, first = -1, -1, 0
         for zone in range(zones):
@@ -195,9 +199,10 @@ def find_drops(
                         continue
                     r = grid.edges[zone] + (ring * pixels + row + 0.5) * step
                     if known:
-                        drop = last_z + last_slope * (r - last_r) - z
-                        beam = z * last_r / r - last_z
-                        if drop > rule.least and drop > rule.slope * (r - last_r) and beam > rule.below:
+                        way = r - last_r
+                        drop, beam = last_z + last_slope * way - z, z * last_r / r - last_z
+                        is_below = last_z + level * way - z > 0.5 * rule.least and drop > max(rule.least, rule.slope * way)
+                        if is_below and beam > rule.below:
                             drops[last_cell] += marked != last_cell
                             drops[cell] += cell not in (last_cell, marked)
                             marked = cell
@@ -253,7 +258,7 @@ class ClassedPoints(NamedTuple):
     drops: Flags
     """(sectors + 1,) whether its ground drops."""
     slope: Annotated[NDArray[np.float64], 2]
-    """(sectors + 1, 2) of its ground along x and y."""
+    """(sectors + 1, 2) of its ground along x and y; the last one: of the whole ground."""
 
 
 class CellRule(NamedTuple):
@@ -437,7 +442,8 @@ def _follow_ray(ray: int, slope_to: tuple[float, float], scan: ClassedPoints, ru
             here, away = (int(low[slot, 3]) if kind == 0 else home), ring + 0.5
             if last >= 0:
                 above = z - level - (scan.slope[home, 0] * x + scan.slope[home, 1] * y) * (ring - last)
-                if above < -belly:
+                whole = (scan.slope[-1, 0] * x + scan.slope[-1, 1] * y) * (ring - last)
+                if above < -belly and z - level - whole < -0.5 * belly:
                     if scan.drops[home] or scan.drops[here]:
                         s.fell[home] = s.fell[here] = True
                         for k in range(last, ring + kind):

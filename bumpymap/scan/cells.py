@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bumpymap.core import CLASSES, FAIL_SHARE, NOT_TRAVERSABLE, ClassedSectors, GridSettings, GroundGrid
 from bumpymap.scan._place_kernels import BLOCK, RAYS, CellRule, CellScratch, ClassedPoints, SquareCells, lay_cells
 from bumpymap.scan.align import judge_by_view
-from bumpymap.scan.ground import SectorBuffers, open_neighbours
+from bumpymap.scan.ground import SectorBuffers, median, open_neighbours
 
 _OCCUPANCY = np.array([0, 33, 66, 100, -1], np.int8)
 """Occupancy of ground of class 0 (smooth), 1 (fair) and 2 (rough), of what is not traversable, and of the unknown."""
@@ -85,6 +85,8 @@ def see_cells(
     slope = np.zeros((len(kinds), 2))
     level = np.flatnonzero(stack.traversable)
     slope[level] = -normal[level, :2] / normal[level, 2:]
+    if len(level):
+        slope[-1] = median(slope[level])
     layers = np.full((6, cells), np.nan, np.float32)
     out = SquareCells(np.empty(cells, np.uint8), _filled("sector", cells, np.int32, -1), *layers[:-1])
     lay_cells(

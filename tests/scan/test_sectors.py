@@ -535,10 +535,11 @@ def test_cells_of_ground_are_free_and_cells_of_obstacles_barred(shared_data, fra
         lambda x, _: np.where(x > 6.0, -0.2 * (x - 6.0), 0.0),
         lambda x, y: 0.4 * np.sin(x / 9.0) * np.sin(y / 11.0 + 1.0),
         lambda x, y: np.where(np.abs(y) > 4.0, 0.16, 0.0 * x),
+        lambda x, _: np.clip(0.25 * (x - 4.0), 0.0, 0.9),
     ],
-    ids=["ramp", "hills", "kerbs"],
+    ids=["ramp", "hills", "kerbs", "terrace"],
 )
-def test_slopes_hills_and_kerbs_are_no_drops(height_at):
+def test_slopes_hills_kerbs_and_terraces_are_no_drops(height_at):
     stack = polar_sectors(Scan(seen(height_at)))
     assert stack.traversable.mean() > 0.9
     assert stack.obstacle.mean() < 0.03
