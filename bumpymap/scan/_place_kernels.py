@@ -201,8 +201,8 @@ def find_drops(
                     if known:
                         way = r - last_r
                         drop, beam = last_z + last_slope * way - z, z * last_r / r - last_z
-                        is_below = last_z + level * way - z > 0.5 * rule.least and drop > max(rule.least, rule.slope * way)
-                        if is_below and beam > rule.below:
+                        is_lower = drop > max(rule.least, rule.slope * way) and beam > rule.below
+                        if is_lower and last_z + level * way - z > 0.5 * rule.least:
                             drops[last_cell] += marked != last_cell
                             drops[cell] += cell not in (last_cell, marked)
                             marked = cell
@@ -254,7 +254,7 @@ class ClassedPoints(NamedTuple):
     kind: Kinds
     """(sectors + 1,) of its ground, see `SquareCells`; the last one: unknown."""
     bare_kind: Kinds
-    """(sectors + 1,) of its ground where nothing is beside it."""
+    """(sectors + 1,) of its ground where all within ``CellRule.beside`` is ground or higher than the vehicle."""
     drops: Flags
     """(sectors + 1,) whether its ground drops."""
     slope: Annotated[NDArray[np.float64], 2]
@@ -292,7 +292,7 @@ class CellScratch(NamedTuple):
     total: Annotated[NDArray[np.float64], 2]
     """(cells, 2) number of ground points, and the sum of their z, m."""
     things: Integers
-    """(cells,) twice the points of obstacles, and one more if there are lower ones; before, 1 if some are not ground."""
+    """(cells,) twice the points of obstacles, one more if some are lower; before, 1 if some are not ground."""
     level: Floats
     """(cells,) elevation of the ground in the cell, or the mean of those around it, m; NaN where neither is known."""
     low: Annotated[NDArray[np.float32], 2]
@@ -369,16 +369,11 @@ def _level_cells(rule: CellRule, out: SquareCells, s: CellScratch) -> None:
         for column in range(side):
             cell = row * side + column
             if total[cell, 0] > 0.0:
-                own, most = np.float64(elevation[cell]), 0.0
-                if row > 0 and total[cell - side, 0] > 0.0:
-                    most = max(most, abs(np.float64(elevation[cell - side]) - own))
-                if row + 1 < side and total[cell + side, 0] > 0.0:
-                    most = max(most, abs(np.float64(elevation[cell + side]) - own))
-                if column > 0 and total[cell - 1, 0] > 0.0:
-                    most = max(most, abs(np.float64(elevation[cell - 1]) - own))
-                if column + 1 < side and total[cell + 1, 0] > 0.0:
-                    most = max(most, abs(np.float64(elevation[cell + 1]) - own))
-                out.step[cell] = most
+                out.step[cell] = 0.0
+                for up, right in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+                    other = cell + up * side + right
+                    if 0 <= row + up < side and 0 <= column + right < side and total[other, 0] > 0.0:
+                        out.step[cell] = max(out.step[cell], abs(elevation[other] - elevation[cell]))
             elif s.things[cell] > 0:
                 height = count = 0.0
                 for up in range(max(row - 1, 0), min(row + 2, side)):

@@ -213,7 +213,7 @@ OPEN_SHARE = 0.55
 
 
 def open_neighbours(stack: SectorStack) -> tuple[NDArray[np.bool_], NDArray[np.int32]]:
-    """Return which sectors are open (n,), and the rows of the open ones around each (n, NEIGHBOURS); n where none is."""
+    """Return which sectors are open (n,), and rows of the open ones around each (n, NEIGHBOURS); n where none is."""
     layout, cell = cell_layout(stack.settings), cell_numbers(stack)
     is_open: NDArray[np.bool_] = stack.traversable & (stack.ground_count >= OPEN_SHARE * stack.count)
     row = np.full(len(layout.zone) + 1, len(cell), np.int32)  # the last one is for neighbours that do not exist
