@@ -51,11 +51,6 @@ _MOST_FITTED = 512
 _STEP, _STEP_PER_METRE, _FARTHEST = 0.25, 0.15, 8.0
 """How far a plane may pass from what its neighbours expect, m: at their own points, for each metre from there, and the
 greatest distance that counts."""
-_WALL_ABOVE, _WALL_SPREAD = 0.5, 0.45
-"""A plane is a slice of a wall or a bush if so many points, against those near it, lie in a band of equal depth above,
-and those near it fill theirs: their spread is so large, against half of its depth."""
-_WALL_STEP = 0.1
-"""How far a slice of a wall may pass above what its neighbours expect at their own points, m: as ground with plants."""
 _RISE, _GUESSED_RISE = 0.06, 0.04
 """How much farther than at their points a plane may pass above what its neighbours expect, for each metre from there;
 and above a guess. Below them it may pass at ``_STEP_PER_METRE``: a step up is a thing more often than ground."""
@@ -390,10 +385,10 @@ def _settle(
 @helper
 def _describe(
     points: CellPoints, some: tuple[int, int, int], plane: Plane3, reach: float
-) -> tuple[float, float, float, float, bool]:
-    """Return number, mean x and y, spread in height of the points near a plane, and if it is a slice of a wall."""
+) -> tuple[float, float, float, float]:
+    """Return number, mean x and y, spread in height of the points near a plane."""
     a, b, c = plane
-    count = sx = sy = sh = square = above = 0.0
+    count = sx = sy = sh = square = 0.0
     first, last, step = some
     for i in range(first, last, step):
         x, y = points.xyz[0, i], points.xyz[1, i]
@@ -404,13 +399,9 @@ def _describe(
             sy += y
             sh += h
             square += h * h
-        elif reach <= h < 3.0 * reach:
-            above += 1.0
     if count == 0.0:
-        return 0.0, 0.0, 0.0, 0.0, False
-    spread = math.sqrt(max(square / count - (sh / count) ** 2, 0.0))
-    is_wall = above > _WALL_ABOVE * count and spread > _WALL_SPREAD * reach
-    return count, sx / count, sy / count, spread, is_wall
+        return 0.0, 0.0, 0.0, 0.0
+    return count, sx / count, sy / count, math.sqrt(max(square / count - (sh / count) ** 2, 0.0))
 
 
 @helper
@@ -418,7 +409,7 @@ def _accept(
     cell: int,
     last: int,
     plane: Plane3,
-    found: tuple[float, float, float, float, bool],
+    found: tuple[float, float, float, float],
     geometry: CellGeometry,
     planes: GroundPlanes,
     scratch: PlaneScratch,
@@ -426,13 +417,13 @@ def _accept(
 ) -> bool:
     """Keep a plane if it has enough points, is not too steep and continues its neighbours'; returns whether it was."""
     a, b, c = plane
-    count, x, y, spread, is_wall = found
+    count, x, y, spread = found
     if count < _LEAST_POINTS or a * a + b * b > _STEEPEST * _STEEPEST:
         return False
     other, height, away, _ = _expect(cell, last, (x, y), geometry, planes, scratch, slope)
     if other >= 0:
         over, far = a * x + b * y + c - height, min(away, _FARTHEST)
-        if over > (_WALL_STEP if is_wall else _STEP) + _RISE * far or -over > _STEP + _STEP_PER_METRE * far:
+        if over > _STEP + _RISE * far or -over > _STEP + _STEP_PER_METRE * far:
             return False
     if planes.kind[cell] == GUESSED:
         limit = _STEP + _GUESSED_RISE * min(planes.centre[cell, 2], _FARTHEST)

@@ -151,6 +151,9 @@ class DropRule(NamedTuple):
     below: float
     """The beam to what lies below passes the last ground before it above this, against that ground, m. If not, the
     ground goes on, and what is seen below is a reflection in it; -inf where the height of the sensor is not known."""
+    slope_x: float
+    """Of the whole ground, as the next: what lies below it by less than half of ``least`` is no drop, but a terrace."""
+    slope_y: float
     directions: int
     """In which the ground is followed."""
 
@@ -176,6 +179,7 @@ def find_drops(
         share = (direction + 0.5) / rule.directions
         turn = 2.0 * math.pi * (share + grid.start)
         cos, sin = math.cos(turn), math.sin(turn)
+        level = rule.slope_x * cos + rule.slope_y * sin
         known, last_r, last_z, last_slope = False, 0.0, 0.0, 0.0
         last_cell, marked, first = -1, -1, 0
         for zone in range(zones):
@@ -195,9 +199,10 @@ def find_drops(
                         continue
                     r = grid.edges[zone] + (ring * pixels + row + 0.5) * step
                     if known:
-                        drop = last_z + last_slope * (r - last_r) - z
-                        beam = z * last_r / r - last_z
-                        if drop > rule.least and drop > rule.slope * (r - last_r) and beam > rule.below:
+                        way = r - last_r
+                        drop, beam = last_z + last_slope * way - z, z * last_r / r - last_z
+                        is_lower = drop > max(rule.least, rule.slope * way) and beam > rule.below
+                        if is_lower and last_z + level * way - z > 0.5 * rule.least:
                             drops[last_cell] += marked != last_cell
                             drops[cell] += cell not in (last_cell, marked)
                             marked = cell
@@ -248,10 +253,12 @@ class ClassedPoints(NamedTuple):
     """(points,) row of its sector; -1 if it is in none."""
     kind: Kinds
     """(sectors + 1,) of its ground, see `SquareCells`; the last one: unknown."""
+    bare_kind: Kinds
+    """(sectors + 1,) of its ground where all within ``CellRule.beside`` is ground or higher than the vehicle."""
     drops: Flags
     """(sectors + 1,) whether its ground drops."""
     slope: Annotated[NDArray[np.float64], 2]
-    """(sectors + 1, 2) of its ground along x and y."""
+    """(sectors + 1, 2) of its ground along x and y; the last one: of the whole ground."""
 
 
 class CellRule(NamedTuple):
@@ -267,6 +274,8 @@ class CellRule(NamedTuple):
     """Things from here on pass over it, m."""
     beneath: int
     """So many cells behind a thing, ground that is seen beneath it is not known to be free."""
+    beside: int
+    """What stands so many cells away is beside a cell."""
 
 
 class CellScratch(NamedTuple):
@@ -283,7 +292,7 @@ class CellScratch(NamedTuple):
     total: Annotated[NDArray[np.float64], 2]
     """(cells, 2) number of ground points, and the sum of their z, m."""
     things: Integers
-    """(cells,) points of obstacles; before, 1 if some are not ground."""
+    """(cells,) twice the points of obstacles, one more if some are lower; before, 1 if some are not ground."""
     level: Floats
     """(cells,) elevation of the ground in the cell, or the mean of those around it, m; NaN where neither is known."""
     low: Annotated[NDArray[np.float32], 2]
@@ -360,16 +369,11 @@ def _level_cells(rule: CellRule, out: SquareCells, s: CellScratch) -> None:
         for column in range(side):
             cell = row * side + column
             if total[cell, 0] > 0.0:
-                own, most = np.float64(elevation[cell]), 0.0
-                if row > 0 and total[cell - side, 0] > 0.0:
-                    most = max(most, abs(np.float64(elevation[cell - side]) - own))
-                if row + 1 < side and total[cell + side, 0] > 0.0:
-                    most = max(most, abs(np.float64(elevation[cell + side]) - own))
-                if column > 0 and total[cell - 1, 0] > 0.0:
-                    most = max(most, abs(np.float64(elevation[cell - 1]) - own))
-                if column + 1 < side and total[cell + 1, 0] > 0.0:
-                    most = max(most, abs(np.float64(elevation[cell + 1]) - own))
-                out.step[cell] = most
+                out.step[cell] = 0.0
+                for up, right in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+                    other = cell + up * side + right
+                    if 0 <= row + up < side and 0 <= column + right < side and total[other, 0] > 0.0:
+                        out.step[cell] = max(out.step[cell], abs(elevation[other] - elevation[cell]))
             elif s.things[cell] > 0:
                 height = count = 0.0
                 for up in range(max(row - 1, 0), min(row + 2, side)):
@@ -395,15 +399,17 @@ def _stand_things(scan: ClassedPoints, rule: CellRule, out: SquareCells, s: Cell
         if not (math.isnan(near) or rule.belly <= h < rule.height):
             h = near
         if math.isnan(h):
-            s.things[cell] += 1
+            s.things[cell] += 2
         elif h >= rule.height:
             out.clearance[cell] = h if math.isnan(out.clearance[cell]) else min(out.clearance[cell], np.float32(h))
         elif h >= rule.belly:
-            s.things[cell] += 1
+            s.things[cell] += 2
             if not h <= out.top[cell]:
                 out.top[cell], out.tip[cell] = h, scan.points[i, 2]
-        elif h > -rule.belly and out.sector[cell] < 0:
-            out.sector[cell] = scan.sector[i]
+        else:
+            s.things[cell] |= 1
+            if h > -rule.belly and out.sector[cell] < 0:
+                out.sector[cell] = scan.sector[i]
 
 
 @helper
@@ -431,7 +437,8 @@ def _follow_ray(ray: int, slope_to: tuple[float, float], scan: ClassedPoints, ru
             here, away = (int(low[slot, 3]) if kind == 0 else home), ring + 0.5
             if last >= 0:
                 above = z - level - (scan.slope[home, 0] * x + scan.slope[home, 1] * y) * (ring - last)
-                if above < -belly:
+                whole = (scan.slope[-1, 0] * x + scan.slope[-1, 1] * y) * (ring - last)
+                if above < -belly and z - level - whole < -0.5 * belly:
                     if scan.drops[home] or scan.drops[here]:
                         s.fell[home] = s.fell[here] = True
                         for k in range(last, ring + kind):
@@ -453,6 +460,18 @@ def _follow_ray(ray: int, slope_to: tuple[float, float], scan: ClassedPoints, ru
 
 
 @helper
+def _is_bare(cell: int, rule: CellRule, things: Integers) -> bool:
+    """Return whether nothing is beside a cell, or in it, that is lower than the vehicle and not ground."""
+    side, wide = 2 * rule.half, rule.beside
+    row, column = cell // side, cell % side
+    for k in range(max(row - wide, 0), min(row + wide + 1, side)):
+        for i in range(max(column - wide, 0), min(column + wide + 1, side)):
+            if things[k * side + i] > 0:
+                return False
+    return True
+
+
+@helper
 def _judge_cell(cell: int, scan: ClassedPoints, rule: CellRule, out: SquareCells, s: CellScratch) -> None:
     """Find the kind of a cell, and the sector whose ground is known there."""
     first, last, ring = s.rays[cell, 0], s.rays[cell, 1], s.rays[cell, 2]
@@ -470,8 +489,11 @@ def _judge_cell(cell: int, scan: ClassedPoints, rule: CellRule, out: SquareCells
         out.sector[cell] = -1
     sector = out.sector[cell]
     falls |= scan.drops[sector] and not s.fell[sector]
-    stops = s.things[cell] > 0 or falls or out.step[cell] > rule.belly
-    out.kind[cell] = scan.kind[-1] - 1 if stops else scan.kind[sector]
+    stops = s.things[cell] > 1 or falls or out.step[cell] > rule.belly
+    kind = scan.kind[-1] - 1 if stops else scan.kind[sector]
+    if kind == scan.kind[sector] != scan.bare_kind[sector] and _is_bare(cell, rule, s.things):
+        kind = scan.bare_kind[sector]
+    out.kind[cell] = kind
 
 
 @kernel

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bumpymap.core import CLASSES, FAIL_SHARE, NOT_TRAVERSABLE, ClassedSectors, GridSettings, GroundGrid
 from bumpymap.scan._place_kernels import BLOCK, RAYS, CellRule, CellScratch, ClassedPoints, SquareCells, lay_cells
 from bumpymap.scan.align import judge_by_view
-from bumpymap.scan.ground import SectorBuffers
+from bumpymap.scan.ground import SectorBuffers, median, open_neighbours
 
 _OCCUPANCY = np.array([0, 33, 66, 100, -1], np.int8)
 """Occupancy of ground of class 0 (smooth), 1 (fair) and 2 (rough), of what is not traversable, and of the unknown."""
@@ -20,6 +20,8 @@ _MOST_COST = 98
 _kept = SectorBuffers()
 _BENEATH_M = 2.0
 """Ground that is seen beneath a thing, at most so far behind its side, is not known to be free: it may be a car."""
+_BESIDE_M = 0.5
+"""What is nearer than this stands beside the ground of a cell."""
 
 
 class SeenCells(NamedTuple):
@@ -79,9 +81,12 @@ def see_cells(
     if classed.ride is not None:
         c_r[:-1], limits = classed.ride.c_r, classed.ride.limits
         kinds[:-1][classed.ride.p_fail >= FAIL_SHARE] = CLASSES
+    bare_kinds = _kinds_between_things(classed, kinds)
     slope = np.zeros((len(kinds), 2))
     level = np.flatnonzero(stack.traversable)
     slope[level] = -normal[level, :2] / normal[level, 2:]
+    if len(level):
+        slope[-1] = median(slope[level])
     layers = np.full((6, cells), np.nan, np.float32)
     out = SquareCells(np.empty(cells, np.uint8), _filled("sector", cells, np.int32, -1), *layers[:-1])
     lay_cells(
@@ -92,6 +97,7 @@ def see_cells(
             stack.point_height,
             stack.point_sector,
             kinds,
+            bare_kinds,
             np.append(stack.drop, np.False_),
             slope,
         ),
@@ -101,6 +107,7 @@ def see_cells(
             stack.settings.belly_m,
             stack.settings.height_m,
             round(_BENEATH_M / settings.resolution_m),
+            round(_BESIDE_M / settings.resolution_m),
         ),
         out,
         CellScratch(
@@ -119,6 +126,7 @@ def see_cells(
     if classed.ride is not None:
         layers[-1] = c_r[out.sector]
     class_id = np.append(classed.class_id, np.uint8(NOT_TRAVERSABLE)).take(out.sector, mode="wrap")
+    np.copyto(class_id, out.kind, where=out.kind < CLASSES)
     return SeenCells(
         out.kind.reshape(side, side),
         class_id.reshape(side, side),
@@ -126,6 +134,17 @@ def see_cells(
         0.5 * (stack.settings.belly_m + stack.settings.height_m),
         limits,
     )
+
+
+def _kinds_between_things(classed: ClassedSectors, kinds: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the kinds of sectors (n + 1,) where nothing stands: of rough ones full of things, of open ones around."""
+    is_open, near = open_neighbours(classed.sectors)
+    full = np.flatnonzero((kinds[:-1] == CLASSES - 1) & ~is_open)
+    around = np.sort(kinds[near[full]], axis=1)
+    count = (near[full] < len(is_open)).sum(axis=1)
+    found = kinds.copy()
+    found[full] = np.where(count > 0, around[np.arange(len(full)), count // 2], kinds[full])
+    return found
 
 
 def _filled(name: str, length: int, dtype: type, value: float) -> NDArray[Any]:

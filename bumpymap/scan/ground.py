@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import PolarSettings, first_cells
+from bumpymap.core import PolarSettings, SectorStack, cell_numbers, first_cells
 from bumpymap.scan._ground_kernels import (
     FOUND,
     NEIGHBOURS,
@@ -63,15 +63,16 @@ def ground_drops(
     points: CellPoints,
     grid: ZoneGrid,
     settings: PolarSettings,
+    planes: GroundPlanes,
     height_m: float,
 ) -> NDArray[np.bool_]:
     """Find the cells in which the ground drops by more than the clearance of the belly.
 
-    ``lowest``, ``slope``: see `find_drops`; ``height_m``: of the origin above the ground.
+    ``lowest``, ``slope``: see `find_drops`; ``height_m``: of the origin above the ground, of the ``planes``.
     """
     drops = np.zeros(len(slope), np.int32)
     below = _BELOW_M if height_m > _SENSOR_M else -np.inf
-    rule = DropRule(settings.belly_m, _SLOPE, below, _DIRECTIONS)
+    rule = DropRule(settings.belly_m, _SLOPE, below, *_slope(planes).tolist(), _DIRECTIONS)
     find_drops(lowest, slope, points.starts, grid, rule, drops)
     seen = np.repeat(_DIRECTIONS / grid.sectors, grid.sectors * grid.rings)
     return np.asarray(drops >= _SHARE * seen)
@@ -172,7 +173,7 @@ def find_ground(
 def _slope(planes: GroundPlanes) -> NDArray[np.float64]:
     """Return the median slope of the planes that were found (2,), zeros without any."""
     found = planes.kind == FOUND
-    return _median(planes.plane[found, :2]) if found.any() else np.zeros(2)
+    return median(planes.plane[found, :2]) if found.any() else np.zeros(2)
 
 
 def _is_upside_down(planes: GroundPlanes, geometry: CellGeometry, xyz: NDArray[np.float32]) -> bool:
@@ -181,7 +182,7 @@ def _is_upside_down(planes: GroundPlanes, geometry: CellGeometry, xyz: NDArray[n
     near = found[: len(found) // 2 + 1]  # cells are sorted outwards
     x, y = geometry.x[near], geometry.y[near]
     a, b, c = planes.plane[near].T
-    if not len(near) or (level := _median((a - slope[0]) * x + (b - slope[1]) * y + c)) < _HIGHEST_M:
+    if not len(near) or (level := median((a - slope[0]) * x + (b - slope[1]) * y + c)) < _HIGHEST_M:
         return False
     height = xyz[2] - (slope[0] * xyz[0] + slope[1] * xyz[1] + level)
     return int((height > _STANDS_M).sum()) <= int((height < -_STANDS_M).sum())
@@ -194,17 +195,30 @@ def _noise(planes: GroundPlanes, geometry: CellGeometry, zones: int) -> NDArray[
     for zone in reversed(range(zones)):
         spread = planes.spread[found & (geometry.zone == zone)]
         if len(spread):
-            noise[zone] = min(_median(spread), least)
+            noise[zone] = min(median(spread), least)
         if len(spread) >= _MANY:
             least = noise[zone]
     return noise
 
 
-def _median(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def median(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the median along the first axis, as ``numpy.median`` does, whose checks take longer than its work."""
     ordered = np.sort(values, axis=0)
     middle: NDArray[np.float64] = 0.5 * (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
     return middle
+
+
+OPEN_SHARE = 0.55
+"""Least share of ground among the points of an open sector: what it is, its ground says."""
+
+
+def open_neighbours(stack: SectorStack) -> tuple[NDArray[np.bool_], NDArray[np.int32]]:
+    """Return which sectors are open (n,), and rows of the open ones around each (n, NEIGHBOURS); n where none is."""
+    layout, cell = cell_layout(stack.settings), cell_numbers(stack)
+    is_open: NDArray[np.bool_] = stack.traversable & (stack.ground_count >= OPEN_SHARE * stack.count)
+    row = np.full(len(layout.zone) + 1, len(cell), np.int32)  # the last one is for neighbours that do not exist
+    row[cell[is_open]] = np.flatnonzero(is_open)
+    return is_open, row[layout.near[cell]]
 
 
 @cache

@@ -22,7 +22,6 @@ from bumpymap.core import (
     PolarSettings,
     SectorStack,
     UsageError,
-    cell_numbers,
     check_network,
     metadata_of,
     read_network,
@@ -30,8 +29,7 @@ from bumpymap.core import (
     session,
     shipped_network,
 )
-from bumpymap.scan.ground import cell_layout
-from bumpymap.scan.stripes import OPEN_SHARE
+from bumpymap.scan.ground import open_neighbours
 
 SECTOR_VERSION = 3
 """Version of ``network_input``. After a change networks must be trained again."""
@@ -209,19 +207,14 @@ def _with_neighbours(stack: SectorStack, probability: NDArray[np.float32]) -> ND
 
     The odds of class 2 stay: a single obstacle must not be outvoted.
     """
-    layout = cell_layout(stack.settings)
-    cell = cell_numbers(stack)
-    smooth, fair = np.maximum(probability[:, :2], _LEAST_PROBABILITY).T
-    own = np.log(fair / smooth)
-    is_open = stack.traversable & (stack.ground_count >= OPEN_SHARE * stack.count)
-    odds = np.zeros(len(layout.zone) + 1, np.float32)  # the last one is for neighbours that do not exist
-    counts = np.zeros(len(odds), np.bool_)
-    odds[cell[is_open]], counts[cell[is_open]] = own[is_open], True
-    near = layout.near[cell[is_open]]
-    mean = odds[near].sum(axis=1) / np.maximum(counts[near].sum(axis=1), 1)
+    is_open, near = open_neighbours(stack)
+    smooth, fair = np.maximum(probability[is_open, :2], _LEAST_PROBABILITY).T
+    own, odds = np.log(fair / smooth), np.zeros(len(is_open) + 1, np.float32)
+    odds[:-1][is_open], near = own, near[is_open]
+    mean = odds[near].sum(axis=1) / np.maximum((near < len(is_open)).sum(axis=1), 1)
     shared = probability.copy()
     either = probability[is_open, 0] + probability[is_open, 1]
-    shared[is_open, 0] = either / (1.0 + np.exp(own[is_open] + _NEIGHBOURS_WEIGHT * mean))
+    shared[is_open, 0] = either / (1.0 + np.exp(own + _NEIGHBOURS_WEIGHT * mean))
     shared[is_open, 1] = either - shared[is_open, 0]
     return shared
 

@@ -70,7 +70,7 @@ def polar_sectors(
     slope[cells[there][is_level]] = -normal[is_level, :2] / normal[is_level, 2:]
     height = -float(np.median(scalars[is_level, 3])) if is_level.any() else 0.0
     level = -planes.plane[cells[there][is_level], 2]
-    drops = ground_drops(ground.lowest, slope, by_cell, grid, settings, height)
+    drops = ground_drops(ground.lowest, slope, by_cell, grid, settings, planes, height)
     rows = np.full(len(counts) + 1, -1, np.int32)  # the last one is for points outside of the grid
     rows[cells] = np.arange(len(cells), dtype=np.int32)
     point_sector = rows.take(cell, mode="wrap")

@@ -32,10 +32,10 @@ from bumpymap.core import (
     parse_json,
 )
 from bumpymap.scan._filter_kernels import LANES, STEP, filter_maps
+from bumpymap.scan.ground import OPEN_SHARE
 
-OPEN_SHARE, _BLOCKED_SHARE = 0.55, 0.45
-"""Least share of ground among the points of a sector whose class is its relief's alone; least share of obstacles among
-the others of a sector of class 2."""
+_BLOCKED_SHARE = 0.45
+"""Least share of obstacles among the points that are not ground of a sector of class 2 that is not open."""
 _OCTAVE = 3.0 * math.sqrt(math.log(2.0) / 2.0) / math.pi
 """Standard deviation of a Gabor filter of one octave, in wavelengths."""
 

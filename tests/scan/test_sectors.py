@@ -401,6 +401,15 @@ def test_a_trunk_bars_its_own_cells_and_hides_those_behind_it():
     assert is_free(grid.occupancy)[(np.hypot(x, y) > 3.5) & (np.hypot(x, y) < 5.5)].all()
 
 
+def test_ground_in_front_of_a_wall_is_as_the_open_ground_around():
+    grid = grid_of(seen(lambda x, y: np.where((np.abs(x - 7.2) < 0.2) & (np.abs(y) < 3.0), 1.0, 0.0)))
+    x, y = centres()
+    for near, occupancy in ((6.0, 0), (6.5, 66), (7.0, 100)):
+        there = (x > near) & (x < near + 0.25) & (np.abs(y) < 1.5)
+        assert (grid.occupancy[there] == occupancy).mean() > 0.9
+        assert occupancy == 100 or (grid.class_id[there] == occupancy // 33).mean() > 0.9
+
+
 def test_elevations_and_steps_are_those_of_the_ground_in_the_cells():
     points = seen(lambda x, y: np.where(np.abs(y) > 4.0, 0.16, 0.0 * x))
     grid = grid_of(points)
@@ -527,10 +536,11 @@ def test_cells_of_ground_are_free_and_cells_of_obstacles_barred(shared_data, fra
         lambda x, _: np.where(x > 6.0, -0.2 * (x - 6.0), 0.0),
         lambda x, y: 0.4 * np.sin(x / 9.0) * np.sin(y / 11.0 + 1.0),
         lambda x, y: np.where(np.abs(y) > 4.0, 0.16, 0.0 * x),
+        lambda x, _: np.clip(0.25 * (x - 4.0), 0.0, 0.9),
     ],
-    ids=["ramp", "hills", "kerbs"],
+    ids=["ramp", "hills", "kerbs", "terrace"],
 )
-def test_slopes_hills_and_kerbs_are_no_drops(height_at):
+def test_slopes_hills_kerbs_and_terraces_are_no_drops(height_at):
     stack = polar_sectors(Scan(seen(height_at)))
     assert stack.traversable.mean() > 0.9
     assert stack.obstacle.mean() < 0.03
