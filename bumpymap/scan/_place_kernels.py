@@ -275,7 +275,7 @@ class CellRule(NamedTuple):
     beneath: int
     """So many cells behind a thing, ground that is seen beneath it is not known to be free."""
     beside: int
-    """What stands so many cells away is beside a cell."""
+    """Things so many cells away are beside a cell."""
 
 
 class CellScratch(NamedTuple):

@@ -21,7 +21,7 @@ _kept = SectorBuffers()
 _BENEATH_M = 2.0
 """Ground that is seen beneath a thing, at most so far behind its side, is not known to be free: it may be a car."""
 _BESIDE_M = 0.5
-"""What is nearer than this stands beside the ground of a cell."""
+"""Things nearer than this stand beside the ground of a cell."""
 
 
 class SeenCells(NamedTuple):
@@ -143,7 +143,7 @@ def _kinds_between_things(classed: ClassedSectors, kinds: NDArray[np.uint8]) -> 
     around = np.sort(kinds[near[full]], axis=1)
     count = (near[full] < len(is_open)).sum(axis=1)
     found = kinds.copy()
-    found[full] = np.where(count > 0, around[np.arange(len(full)), count // 2], kinds[full])
+    found[full] = np.minimum(kinds[full], around[np.arange(len(full)), count // 2])
     return found
 
 

@@ -72,7 +72,8 @@ def ground_drops(
     """
     drops = np.zeros(len(slope), np.int32)
     below = _BELOW_M if height_m > _SENSOR_M else -np.inf
-    rule = DropRule(settings.belly_m, _SLOPE, below, *_slope(planes).tolist(), _DIRECTIONS)
+    x, y = _slope(planes).tolist()
+    rule = DropRule(settings.belly_m, _SLOPE, below, x, y, _DIRECTIONS)
     find_drops(lowest, slope, points.starts, grid, rule, drops)
     seen = np.repeat(_DIRECTIONS / grid.sectors, grid.sectors * grid.rings)
     return np.asarray(drops >= _SHARE * seen)
