@@ -326,9 +326,9 @@ def test_a_limit_reads_a_window_and_keeps_what_lies_within():
     whole = find_reach(ground_of(site), start)
     part = find_reach(ground_of(site), start, most_m=60.0)
     assert part.cost.size < whole.cost.size / 4
-    top = site.south + 120 - part.window.row - part.window.rows
-    left = part.window.col - site.west
-    same = whole.cost[top : top + part.window.rows, left : left + part.window.cols]
+    top = site.south + 120 - part.placement.window.row - part.placement.window.rows
+    left = part.placement.window.col - site.west
+    same = whole.cost[top : top + part.placement.window.rows, left : left + part.placement.window.cols]
     near = same <= 60.0
     assert near.sum() > 100
     np.testing.assert_array_equal(part.cost[near], same[near])
