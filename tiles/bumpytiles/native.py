@@ -177,7 +177,7 @@ class Kernel(Generic[P]):
     def _file(self) -> str:
         return f"{self.symbol}.{hashlib.sha256(repr(_processor()).encode()).hexdigest()[:8]}.native"
 
-    @property
+    @cached_property
     def _kept(self) -> list[Path]:
         """The files that may hold machine code which was compiled here."""
         return [folder / self._file for folder in _folders(Path(self.plain.__code__.co_filename))]
@@ -478,9 +478,10 @@ def compile_packages(*packages: str) -> bool:
 
 
 def _all_at_hand(kernels: list["Kernel[Any]"]) -> bool:
-    if any(each.load() is None for each in kernels) and all(each.can_keep() for each in kernels):
+    missing = [each for each in kernels if each.load() is None]
+    if missing and all(each.can_keep() for each in missing):
         _compile_beside()
-    return all(each.load() is not None for each in kernels)
+    return all(each.load() is not None for each in missing)
 
 
 def package_kernels(*packages: str) -> list["Kernel[Any]"]:
