@@ -57,9 +57,8 @@ def test_the_container_copies_what_the_wheel_is_built_from(project, containerfil
     assert all((ROOT / name).exists() for name in copied)
     own = project["project"]
     wheel = project["tool"]["hatch"]["build"]["targets"]["wheel"]
-    packages = [*wheel["packages"], *wheel["shared-scripts"]]
     assert {"pyproject.toml", own["readme"], *own["license-files"], ".ci/hashes.txt", ".ci/install"} <= set(copied)
-    assert {package.split("/")[0] for package in packages} <= set(copied)
+    assert {package.split("/")[0] for package in wheel["packages"]} <= set(copied)
     assert set(project["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]) <= set(copied)
 
 

@@ -17,7 +17,7 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-PARTS = ("bin", "bumpymap", "docs", "sample_data", "tests", "tiles", "pyproject.toml", "README.md")
+PARTS = ("bumpymap", "docs", "sample_data", "tests", "tiles", "pyproject.toml", "README.md")
 
 
 def faults():
