@@ -47,7 +47,7 @@ def command(run: Run, layers: Path, out: Path, overwrite: bool) -> None:
 
     \b
     nav2     maps with cost, keepout and speed limits for Nav2, and the parameters that load them
-    gridmap  a grid_map message in a ROS 2 bag; needs pip install 'bumpymap[ros]'
+    gridmap  a grid_map message in a ROS 2 bag; needs the extra `ros`
     graph    a graph of ways for Nav2's route server
     plan     a mission for QGroundControl, from a route
     cost     cost of driving with 0.2 m pixels, what stops the vehicle grown by half its width

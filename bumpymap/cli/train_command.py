@@ -11,7 +11,7 @@ import click
 from bumpymap.cli._options import FILE, PATH, CommandGroup, GroupedOption, Run, job, settings_options
 from bumpymap.cli._progress import CommandProgress
 from bumpymap.cli._text import interrupt_note
-from bumpymap.core import OutputError, Progress, UsageError
+from bumpymap.core import OutputError, Progress, UsageError, install_command
 from bumpymap.lab import NetworkSettings, ScanTrainSettings, TrainSettings
 
 if TYPE_CHECKING:
@@ -150,4 +150,4 @@ class _Epochs:
 def _require_libraries() -> None:
     """Raise UsageError if a library is missing, before the hours of work."""
     if missing := [name for name in ("torch", "onnx") if find_spec(name) is None]:
-        raise UsageError(f"training needs {' and '.join(missing)}. Install with: pip install 'bumpymap[learn]'")
+        raise UsageError(f"training needs {' and '.join(missing)}. Install with: {install_command('learn')}")

@@ -83,6 +83,7 @@ from .files import (
     Nullable as Nullable,
     Number as Number,
     atomic as atomic,
+    install_command as install_command,
     move_together as move_together,
     open_regular as open_regular,
     parse_json as parse_json,

@@ -12,13 +12,16 @@ import json
 import math
 import os
 import re
+import shlex
 import shutil
 import stat
+import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
+from urllib.parse import unquote, urlsplit
 from uuid import uuid4
 
 from bumpymap.core.errors import OutputError, UsageError, escape_controls, write_remedy
@@ -406,9 +409,26 @@ def _sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-_INSTALL = "pip install 'bumpymap[remote]'"
 _URL = re.compile(r"""(\w+://)(?:[^/\s@'"]*@)?([^\s?'"]*)(?:\?[^\s'"]*[^\s'":.,)])?""")
 """Protocol, user, server and path, query."""
+
+
+def install_command(extra: str) -> str:
+    """Return the command that adds an extra of this package to this environment, from where the package came."""
+    from importlib.metadata import PackageNotFoundError, distribution
+    from importlib.util import find_spec
+
+    origin: dict[str, Any] = {}
+    with suppress(PackageNotFoundError, ValueError):
+        origin = parse_json(distribution("bumpymap").read_text("direct_url.json") or "{}")
+    url = urlsplit(origin.get("url", ""))
+    folder = unquote(url.path) if url.scheme == "file" else ""
+    known = bool(folder) and Path(folder).exists()
+    python = shlex.quote(sys.executable)
+    pip = f"{python} -m pip install" if find_spec("pip") else f"python3 -m pip --python {python} install"
+    editable = " --editable" if known and origin.get("dir_info", {}).get("editable") else ""
+    source = shlex.quote(f"{folder if known else '.'}[{extra}]")
+    return f"{pip}{editable} {source}{'' if known else ' in the folder of the repository'}"
 
 
 def remote_files(url: str) -> tuple[Any, str]:
@@ -422,12 +442,12 @@ def remote_files(url: str) -> tuple[Any, str]:
     try:
         from fsspec.core import url_to_fs  # type: ignore[import-untyped, unused-ignore]
     except ImportError as error:
-        raise UsageError(f"{url} is a URL, which needs: {_INSTALL}") from error
+        raise UsageError(f"{url} is a URL, which needs an extra: {install_command('remote')}") from error
     try:
         files, name = url_to_fs(url)
     except ImportError as error:
         kind = url.split("://", 1)[0]
-        raise UsageError(f"{kind}:// needs more ({error}). Install it: {_INSTALL}") from error
+        raise UsageError(f"{kind}:// needs more ({error}). Install it: {install_command('remote')}") from error
     except ValueError as error:
         raise UsageError(
             f"{url} is not a URL that can be used ({error}). Supported are s3://, https://, gs:// and other protocols "

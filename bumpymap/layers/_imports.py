@@ -6,7 +6,7 @@ from importlib import import_module
 from importlib.abc import MetaPathFinder
 from typing import Any
 
-from bumpymap.core import UsageError
+from bumpymap.core import UsageError, install_command
 
 _HIDDEN = frozenset(
     {
@@ -57,5 +57,5 @@ def import_notebook(package: str) -> Any:
         return import_module(package)
     except ImportError as error:
         raise UsageError(
-            f"this needs {package}, which cannot be imported ({error}): pip install 'bumpymap[notebook]'"
+            f"this needs {package}, which cannot be imported ({error}): {install_command('notebook')}"
         ) from error

@@ -16,7 +16,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Child, ChildDiedError, CsfSettings, UsageError, allocate_shared, module_folder, trim_shared
+from bumpymap.core import (
+    Child,
+    ChildDiedError,
+    CsfSettings,
+    UsageError,
+    allocate_shared,
+    install_command,
+    module_folder,
+    trim_shared,
+)
 from bumpytiles import BLOCK_TILES, Grid, TilePoints
 
 _PACKAGE = "cloth-simulation-filter"
@@ -47,7 +56,7 @@ def require_filter(settings: CsfSettings, grid: Grid) -> None:
     if importlib.util.find_spec("CSF") is None:
         raise UsageError(
             "`ground='csf'` needs the cloth simulation filter (cloth-simulation-filter), which is not installed. "
-            "Install it: pip install 'bumpymap[csf]'"
+            f"Install it: {install_command('csf')}"
         )
     side = grid.tile_size * BLOCK_TILES
     if side > _MAX_CLOTH_CELLS * settings.cloth_resolution:

@@ -14,7 +14,7 @@ from small_surveys import run, write_survey
 from bumpymap.api import map_survey
 from bumpymap.cli import train_command
 from bumpymap.cli.check_command import prepare_refit, refit_lines
-from bumpymap.core import BadInputError, OutputError, UsageError
+from bumpymap.core import BadInputError, OutputError, UsageError, install_command
 from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.lab.simulate import calibrate as calibrate_module, refit
 from bumpymap.lab.simulate.drive import PatchDrives
@@ -158,8 +158,8 @@ def test_missing_libraries_are_named_with_their_extra(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "dartpy", None)
     monkeypatch.setattr(train_command, "find_spec", lambda _: None)
     for words, said in (
-        (["calibrate", "--vehicle", "warthog"], "pip install 'bumpymap[sim]'"),
-        (["train", "scans", tmp_path], "training needs torch and onnx. Install with: pip install 'bumpymap[learn]'"),
+        (["calibrate", "--vehicle", "warthog"], install_command("sim")),
+        (["train", "scans", tmp_path], install_command("learn")),
     ):
         result = run(*words, "--out", "c")
         assert (result.exit_code, said in result.stderr) == (2, True)

@@ -35,6 +35,7 @@ CRS = "EPSG:32614"
 
 RULES = {
     r"^(\S*python -m )?pip install": "downloads; the extras that it names are held to pyproject.toml",
+    r"^\. \.venv/bin/activate$": "changes the shell; `make demo` makes the environment",
     r"^make ": ".ci/run and .ci/fresh-machine run it; the target is held to the Makefile",
     r"^sudo apt-get ": "changes the system; .ci/run installs the same packages",
     r"^dask |scheduler=|^export DASK_": "takes a cluster: tests/survey/engine/test_cluster.py has one",
@@ -196,7 +197,7 @@ def test_what_does_not_run_names_extras_targets_and_scripts_that_are_there():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     targets = re.findall(r"(?m)^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"))
     for page, command in SHOWN:
-        for extras in re.findall(r"bumpymap\[([^\]]*)\]", command):
+        for extras in re.findall(r"'\.\[([^\]]*)\]'", command):
             assert set(extras.split(",")) <= set(project["optional-dependencies"]), f"{page}: {command}"
         words = command.split()
         if words[0] == "make":

@@ -10,6 +10,7 @@ from click.testing import CliRunner
 from small_surveys import write_las
 
 from bumpymap.cli import main
+from bumpymap.core import install_command
 from bumpymap.core.config import CsfSettings
 from bumpymap.core.errors import UsageError
 from bumpymap.core.types import OBSTACLE, Barred
@@ -214,5 +215,5 @@ def test_without_the_filter_the_user_is_told_what_to_install(wood, tmp_path, mon
     monkeypatch.setattr(cloth.importlib.util, "find_spec", lambda _: None)
     result = run("map", write(tmp_path / "wood.las", wood[0][:5000]), "--ground", "csf", "--out", tmp_path / "csf")
     assert result.exit_code == 2
-    assert "pip install 'bumpymap[csf]'" in result.output
+    assert install_command("csf") in result.output
     assert not (tmp_path / "csf").exists()

@@ -21,7 +21,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, OutputError, UsageError
+from bumpymap.core import BadInputError, OutputError, UsageError, install_command
 from bumpymap.rating import Vehicle
 
 _Floats = NDArray[np.float64]
@@ -238,7 +238,7 @@ def require_dart() -> Any:
         import dartpy
     except ImportError as error:
         raise UsageError(
-            "driving a vehicle needs the DART physics engine, which is not installed; pip install 'bumpymap[sim]'"
+            f"driving a vehicle needs the DART physics engine, which is not installed: {install_command('sim')}"
         ) from error
     return dartpy
 

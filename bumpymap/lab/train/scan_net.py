@@ -204,7 +204,7 @@ By label, number of sectors classified as 0, 1, 2:
 
 ## Reproduce
 
-    pip install 'bumpymap[learn]'
+    pip install '.[learn]'
     {command} --out scan.onnx
 
 Seed {settings.seed}, {settings.epochs} epochs. The same command gives the same bits on the same machine and libraries.

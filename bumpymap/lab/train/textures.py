@@ -446,7 +446,7 @@ Of {evaluation.short_waves.count:,} short regular waves from unseen seeds, fully
 
 ## Reproduce
 
-    pip install 'bumpymap[learn]'
+    pip install '.[learn]'
     {settings.command} --out textures.onnx
 
 Seed {settings.seed}, {settings.epochs} epochs. The same command gives the same bits on the same machine and libraries.

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bumpymap.core import BadInputError, UsageError
+from bumpymap.core import BadInputError, UsageError, install_command
 from bumpymap.readers.drives.quantities import ACCELERATIONS, DOWN, LOCAL, LONLAT, QUATERNION, RATES
 from bumpymap.readers.drives.signals import Floats, Samples
 from bumpymap.readers.drives.tables import refuse_large
@@ -176,7 +176,7 @@ def ulog_samples(path: Path) -> list[Samples]:
         from pyulog import ULog
     except ImportError as error:
         raise UsageError(
-            f"ULog files are read with pyulog, which cannot be imported ({error}): pip install 'bumpymap[drives]'"
+            f"ULog files are read with pyulog, which cannot be imported ({error}): {install_command('drives')}"
         ) from error
     refuse_large(path)
     with open_source(path) as stream:

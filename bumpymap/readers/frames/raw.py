@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, BagMessage, UsageError, short_repr
+from bumpymap.core import BadInputError, BagMessage, UsageError, install_command, short_repr
 from bumpymap.readers.detect import read_columns
 from bumpymap.readers.source import Version, asks_too_much, decoding, read_range, require_unchanged, size_of, version_of
 
@@ -89,7 +89,7 @@ def message_types(*, ros1: bool = False) -> Any:
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
         raise UsageError(
-            f"bags are read with rosbags, which cannot be imported ({error}): pip install 'bumpymap[ros]'"
+            f"bags are read with rosbags, which cannot be imported ({error}): {install_command('ros')}"
         ) from error
     return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
 

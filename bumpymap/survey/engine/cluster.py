@@ -23,7 +23,7 @@ from uuid import uuid4
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, OutputError, Progress, UsageError
+from bumpymap.core import BadInputError, OutputError, Progress, UsageError, install_command
 from bumpymap.readers import Location, ReadOptions, SurveyReader, close_decoder, identity, reopen_survey
 from bumpymap.survey.engine.block_work import BlockWork, engine_errors
 from bumpymap.survey.engine.budget import Budget, Workspace
@@ -203,7 +203,7 @@ def connect(scheduler: str | None) -> Iterator["Workers | None"]:
         from bumpytiles import workers_at
     except ImportError as error:
         raise UsageError(
-            f"`scheduler` needs dask.distributed ({error}). Install it: pip install 'bumpymap[dask]'"
+            f"`scheduler` needs dask.distributed ({error}). Install it: {install_command('dask')}"
         ) from error
     _warn_without_tls(scheduler)
     remedy = (

@@ -18,6 +18,7 @@ from bumpymap.core import (
     OutputError,
     UsageError,
     atomic,
+    install_command,
     remove_path,
     write_remedy,
 )
@@ -57,7 +58,7 @@ def require_rosbags() -> None:
         import rosbags.typesys  # noqa: F401 (tried)
     except ImportError as error:
         raise UsageError(
-            f"a bag is written with rosbags, which cannot be imported ({error}): pip install 'bumpymap[ros]'"
+            f"a bag is written with rosbags, which cannot be imported ({error}): {install_command('ros')}"
         ) from error
 
 
