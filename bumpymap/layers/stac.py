@@ -13,7 +13,7 @@ from urllib.parse import quote
 import shapely
 from pyproj import CRS
 
-from bumpymap.core import BadInputError, Georeference, atomic, read_record, stated_crs
+from bumpymap.core import BadInputError, Georeference, atomic, escape_controls, read_record, stated_crs
 from bumpymap.layers.map_files import open_layer
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.products import COLLECTION_NAME, EVERY_NAME, EVERY_VIEW_NAME, MapFile
@@ -137,11 +137,6 @@ def identifier(name: str) -> str:
     return text or f"survey-{hashlib.sha256(name.encode('utf-8', 'surrogateescape')).hexdigest()[:8]}"
 
 
-def valid_text(name: str) -> str:
-    """Return text as valid UTF-8: bytes of a file name that are not are written escaped, as in run.json."""
-    return name.encode("utf-8", "backslashreplace").decode()
-
-
 def write_document(document: Mapping[str, Any], path: Path) -> None:
     """Write JSON; lists of numbers stand in one line.
 
@@ -189,7 +184,7 @@ def write_collection(path: Path, root: Path, folders: Sequence[str], title: str)
     found = {each: read_record(root / each / MapFile.ITEM) for each in folders}
     items = {each: item for each, item in found.items() if item and (root / each / MapFile.MANIFEST).is_file()}
     links = [_link("item", f"./{_quoted(each)}/{MapFile.ITEM}", each) for each in items]
-    name, properties = valid_text(title), [item["properties"] for item in items.values()]
+    name, properties = escape_controls(title), [item["properties"] for item in items.values()]
     licences = {about.get("license", "other") for about in properties}
     providers = {provider["name"]: provider for about in properties for provider in about.get("providers", ())}
     document = {
@@ -229,7 +224,7 @@ def _quoted(name: str) -> str:
 
 
 def _link(rel: str, href: str, title: str) -> dict[str, Any]:
-    return {"rel": rel, "href": href, "type": "application/geo+json", "title": valid_text(title)}
+    return {"rel": rel, "href": href, "type": "application/geo+json", "title": escape_controls(title)}
 
 
 _EXTENSIONS = ("projection/v2.0.0", "file/v2.1.0", "processing/v1.1.0", "eo/v1.1.0")
@@ -256,7 +251,7 @@ def write_item(folder: Path, record: Mapping[str, Any]) -> None:
     OutputError
         The file cannot be written.
     """
-    name = valid_text(record["survey"]["name"])
+    name = escape_controls(record["survey"]["name"])
     about = f"Roughness and ride cost of the ground for the vehicle {record['calibration']['vehicle']}"
     # What tells surveys of one name apart.
     digits = (record["survey"]["checksum"] or "").rpartition(":")[2][:_DIGITS]

@@ -210,11 +210,14 @@ def test_a_collection_is_valid_and_links_to_complete_maps(night, tmp_path):
     assert (catalog["id"], catalog["title"]) == ("Night-of-May-3", "Night of May 3")
     assert links == ["./a/item.json", "./Grube Süd/item.json"]
     assert faults({**catalog, "links": [{"rel": "item"}]})
-    names = ["100% #2?", "b\udce9"]  # which a link cannot hold
+    names = ["100% #2?", "b\udce9", "c\x1b[31m\u202e"]  # which a link cannot hold, or would show as something else
     for name in names:
         shutil.copytree(night / "a", tmp_path / name)
-    write_collection(tmp_path / "collection.json", tmp_path, names, "")
-    assert links_of(tmp_path)[1] == ["./100%25 %232%3F/item.json", "./b%E9/item.json"]
+    write_collection(tmp_path / "collection.json", tmp_path, names, names[-1])
+    found, links = links_of(tmp_path)
+    assert links[:2] == ["./100%25 %232%3F/item.json", "./b%E9/item.json"]
+    titles = [found["title"], *(link["title"] for link in found["links"] if link["rel"] == "item")]
+    assert titles == [r"c\x1b[31m\u202e", "100% #2?", r"b\xe9", r"c\x1b[31m\u202e"]
 
 
 def test_pystac_opens_it_and_finds_every_file(night, monkeypatch):

@@ -99,6 +99,7 @@ def describe_project(path):
     found = {"read": project.read(str(path)), "error": project.error()}
     tree = project.layerTreeRoot()
     pages = [describe_page(page) for page in project.layoutManager().printLayouts()]
+    vectors = [layer for layer in project.mapLayers().values() if isinstance(layer, QgsVectorLayer)]
     shown = [node.layer() for node in tree.findLayers() if node.isVisible()]
     return found | {
         "title": project.title(),
@@ -110,18 +111,23 @@ def describe_project(path):
         "extent": corners(canvas.extent()),
         "colours": colours_of(shown, canvas.extent(), project.crs()),
         "pages": pages,
+        "templates": [layer.mapTipTemplate() for layer in vectors if layer.mapTipTemplate()],
     }
 
 
 def describe_page(layout):
-    """What a page to print holds: its items by kind, texts, scale, legend, and how many colours it is drawn in."""
+    """What a page to print holds: its items by kind, texts as drawn, scale, legend, how many colours it is drawn in."""
     kinds = {name: [item for item in layout.items() if isinstance(item, kind)] for name, kind in KINDS.items()}
     image = QgsLayoutExporter(layout).renderPageToImage(0, dpi=60)
+    tree = kinds["legend"][0].model()
+    layers = tree.rootGroup().findLayers()
+    titles = [tree.data(tree.node2index(layer), 0) for layer in layers]
+    entries = [node.data(0) for layer in layers for node in tree.layerLegendNodes(layer)]
     return {
         "items": [len(found) for found in kinds.values()],
-        "texts": [item.text() for item in kinds["label"]],
+        "texts": [*(item.currentText() for item in kinds["label"]), *titles, *entries],
         "scale": kinds["map"][0].scale(),
-        "legend": [node.layerId() for node in kinds["legend"][0].model().rootGroup().findLayers()],
+        "legend": [layer.layerId() for layer in layers],
         "colours": len({image.pixel(x, y) for x in range(0, image.width(), 4) for y in range(0, image.height(), 4)}),
     }
 

@@ -4,6 +4,7 @@ import json
 import re
 import subprocess
 from collections import Counter
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -19,6 +20,7 @@ from pyproj import CRS
 from route_maps import RUN, copy_folder, write_folder
 from route_records import CORNERS, UTM, MadeUpMap, make_route
 from skimage.color import deltaE_ciede2000, rgb2lab
+from small_surveys import run, write_survey
 from survey_pairs import survey
 
 import bumpymap
@@ -28,6 +30,7 @@ from bumpymap.core.types import Georeference
 from bumpymap.layers import Placement, ReachField, colours, open_map, write_products
 from bumpymap.layers.check_vectors import OFF_KINDS, MapOffset
 from bumpymap.layers.products import PRODUCT_NAMES
+from bumpymap.rating import Calibration
 from bumpymap.route.output import write_reach_files, write_routes
 from bumpymap.views import write_map_views
 from bumpymap.views.gis.project import write_project
@@ -350,6 +353,66 @@ def test_a_comparison_shows_its_kinds_as_pixels_and_places(tmp_path):
     most = float(np.nanmax(np.abs(change.field.d_c_r)))
     ends = seen["project"]["layers"]["bumpymap_change_tif_d_c_r"]["values"]
     assert (ends[0], ends[4], ends[-1]) == pytest.approx((-most, 0, most))
+
+
+STRANGE = "[% 6*7 %] it's [[% env('SECRET') %]% \\' OR 1=1 -- $CURRENT_DATE %]"
+"""A name that QGIS would evaluate in a label, and that would end a text in an expression."""
+INVISIBLE = "\N{WORD JOINER}"
+STRANGE_CRS = CRS.from_wkt(UTM.crs.to_wkt().replace(UTM.crs.name, STRANGE))
+
+
+@pytest.fixture(name="strange", scope="module")
+def strange_fixture(tmp_path_factory, on_site):
+    """Folders with a project; every text in them that a stranger may give is that name."""
+    root = tmp_path_factory.mktemp("strange")
+    calibration = RUN["calibration"] | {"vehicle": STRANGE, "preferences": {"description": STRANGE}}
+    about = {"survey": RUN["survey"] | {"name": STRANGE}, "calibration": calibration}
+    pair = [replace(made, georeference=Georeference(STRANGE_CRS)) for made in (survey(1), survey(3, rut=0.1, c_r=3.0))]
+    maps = [write_folder(root / name, made, **about) for name, made in zip(("before", "map"), pair, strict=True)]
+    found, ground = on_site(made_up_check(50), maps[1])
+    write_routes([make_route(STRANGE), make_route("another")], ground, root / "route", manifest={})
+    write_check(found, root / "check", ground=ground)
+    bumpymap.diff_surveys(*maps, root / "diff")
+    return root
+
+
+def evaluated(label):
+    """A label of a page as QGIS shows it: no date may be in it, and as expressions only texts in quotes."""
+    assert "$CURRENT_DATE" not in label
+    parts = re.split(r"\[%(.*?)%\]", label, flags=re.DOTALL)
+    parts[1::2] = [re.fullmatch(r" *'(\w*)' *", part)[1] for part in parts[1::2]]
+    return "".join(parts)
+
+
+@pytest.mark.parametrize("name", ["map", "route", "diff", "check"])
+def test_labels_hold_no_expression_of_strangers(strange, name):
+    root = read(strange / name / "map.qgs")
+    labels = "".join(evaluated(item.get("labelText")) for item in root.iter("LayoutItem"))
+    assert labels.count(STRANGE) == 4
+    legend = "".join(entry.get("label") for entry in root.iterfind(".//*[@label]"))
+    assert "[%" not in legend
+    assert legend.replace(INVISIBLE, "").count(STRANGE) == (name == "route")
+    assert not [one for one in root.iterfind(".//*[@name]") if "[%" in one.get("name")]
+
+
+@pytest.mark.qgis
+def test_qgis_evaluates_no_text_of_strangers(strange, monkeypatch):
+    monkeypatch.setenv("SECRET", "hunter2")
+    vehicle = json.loads(Calibration.shipped("warthog").to_json())
+    vehicle["vehicle"] |= {"name": STRANGE, "description": STRANGE}
+    (strange / "vehicle.json").write_text(json.dumps(vehicle))
+    write_survey(strange / "flights" / f"{STRANGE}.las", epsg=STRANGE_CRS)
+    run("batch", strange / "flights", "--out", strange / "night", "--set", f"calibration={strange / 'vehicle.json'}")
+    (night,) = (strange / "night").glob("*/map.qgs")
+    for folder in (*(strange / name for name in ("map", "route", "diff", "check")), night.parent):
+        project = load(folder)["project"]
+        texts = "\n".join(project["pages"][0]["texts"]).replace(INVISIBLE, "")
+        assert texts.count(STRANGE) == 4 + (folder.name == "route")
+        assert project["title"].startswith(f"{STRANGE}: ")
+        assert "hunter2" not in json.dumps(project)
+        assert not project["templates"]
+        if folder.name == "route":
+            assert [*project["layers"]["bumpymap_route_geojson_ways"]["drawn"].values()] == [1, 1]
 
 
 def over_map(project, shown, hidden=frozenset()):

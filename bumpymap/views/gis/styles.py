@@ -52,12 +52,18 @@ QGIS_VERSION = "3.22.0"
 """The version of QGIS whose form the files have; newer ones read it too."""
 _DOCTYPE = b"<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n"
 _NOT_XML = re.compile("[\ufffe\uffff]")
+_EVALUATED = re.compile(r"\[(?=%)|\$(?=CURRENT_DATE)")
+"""Where what QGIS evaluates in a label begins: ``[% expression %]``, or the date."""
+_DIVIDED = {"labelText": "[% '' %]", "label": "\N{WORD JOINER}"}
+"""What makes it text again: in labels of a page an expression that shows nothing; in legends, which QGIS evaluates if
+the name of the layer holds an expression, a letter without width."""
 
 
 def write_qgis(path: Path, template: str, **context: Any) -> None:
     """Write a style or a project, whole or not at all.
 
-    Control characters and bytes that are not UTF-8, as in the name of a CRS, are shown as escapes, as on pages.
+    Control characters and bytes that are not UTF-8, as in the name of a CRS, are shown as escapes, as on pages. Labels
+    are shown as they are: QGIS evaluates no expression that a name or description holds.
 
     Parameters
     ----------
@@ -75,6 +81,9 @@ def write_qgis(path: Path, template: str, **context: Any) -> None:
     """
     text = render_text(template, version=QGIS_VERSION, **context)
     root = ET.fromstring(_NOT_XML.sub("\ufffd", text).strip())  # noqa: S314 (of a template of our own)
+    for element in root.iter():
+        for name in _DIVIDED.keys() & element.attrib.keys():
+            element.set(name, _EVALUATED.sub(rf"\g<0>{_DIVIDED[name]}", element.attrib[name]))
     ET.indent(root, " ")
     with atomic(path) as temporary:
         temporary.write_bytes(_DOCTYPE + ET.tostring(root, encoding="unicode").encode() + b"\n")
@@ -157,7 +166,7 @@ class ViewLayer:
 
 
 def _is(attribute: str, value: str) -> str:
-    value = value.replace("'", "''")
+    value = value.replace("\\", r"\\").replace("'", "''")
     return f"\"{attribute}\" = '{value}'"
 
 
