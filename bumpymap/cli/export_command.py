@@ -9,7 +9,7 @@ import click
 
 from bumpymap.cli._options import PATH, Run, grouped_option, job, settings_options
 from bumpymap.cli._text import option_name
-from bumpymap.core import DirectionSettings, UsageError
+from bumpymap.core import DirectionSettings, UsageError, share_text
 from bumpymap.views import ExportFormat, ExportSettings
 
 if TYPE_CHECKING:
@@ -99,10 +99,14 @@ def _summary(done: "Export") -> Iterator[str]:
         )
         lonlat = "" if place["longitude"] is None else f", lon,lat {place['longitude']:.7f},{place['latitude']:.7f}"
         yield f"origin of the frame: x,y {place['x']:.3f},{place['y']:.3f} in the survey's CRS{lonlat}"
-    if tiles := record.get("tiles"):
-        yield ", ".join(f"{count:,} {name}" for name, count in tiles.items()) + " tiles"
-        max_cost = record["cost"]["value_98"]
-        yield f"cost per metre: 1 is value 0, {max_cost:.3f} is value 98, in steps of {(max_cost - 1.0) / 98:.3f}"
+    if cells := record.get("cells"):
+        whole = sum(cells.values())
+        yield ", ".join(f"{count:,} {name} ({share_text(count / whole)})" for name, count in cells.items()) + " cells"
+        cost = record["cost"]
+        yield (
+            f"cost per metre: 1 is value 0, {cost['value_98']:.3f} is value 98, in steps of "
+            f"{(cost['value_98'] - 1.0) / 98:.3f}; the highest of a free cell is {cost['highest']:.3f}"
+        )
     if graph := record.get("graph"):
         largest = graph["largest_square"]
         yield (

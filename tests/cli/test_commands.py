@@ -215,10 +215,10 @@ def test_the_summary_of_an_export(tmp_path):
     done = run("export", "field", "--to", "nav2", "--out", out)
     assert done.exit_code == 0, done.output
     lines = done.stdout.splitlines()
-    assert lines[0] == "18 m x 18 m, cells of 3 m, frame map"
+    assert lines[0] == "18 m x 18 m, cells of 0.2 m, frame map"
     assert lines[1].startswith("origin of the frame: x,y 330009.000,2040009.000 in the survey's CRS, lon,lat -100.6")
-    assert lines[2] == "6 passable, 25 barred, 5 unknown tiles"
-    assert lines[3].startswith("cost per metre: 1 is value 0, ")
+    assert lines[2] == "1,350 free (17%), 5,625 lethal (69%), 1,125 unknown (14%) cells"
+    assert re.match(r"cost per metre: 1 is value 0, \d+\.\d+ is value 98, .*; the highest of a free cell is ", lines[3])
     assert "map.yaml, map.pgm" in done.stdout.replace("\n", "")
     again = run("export", "field", "--to", "nav2", "--out", out)
     assert again.exit_code == 3
@@ -237,8 +237,6 @@ def test_a_crop_around_a_point_in_either_system(tmp_path, point):
         2,
         "--datum",
         "crs:330000,2040000",
-        "--resolution",
-        "pixel",
     )
     done = run("export", "field", "--to", "nav2", "--out", tmp_path / "out", *words, "--json")
     assert done.exit_code == 0, done.output

@@ -62,7 +62,7 @@ def report(folder, out):
 
 
 def export(folder, out):
-    export_map(open_map(folder), out / "grids", ExportSettings("nav2", resolution="pixel"))
+    export_map(open_map(folder), out / "grids", ExportSettings("nav2"))
 
 
 def bag(folder, out):

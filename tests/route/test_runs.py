@@ -11,7 +11,7 @@ import pytest
 import shapely
 import xarray
 from pyproj import CRS, Proj, Transformer
-from ring_maps import SIDE_M, TOOLS, Yard
+from ring_maps import SIDE_M, Yard
 from route_maps import bare_map, write_folder
 from route_records import CORNERS, UTM, MadeUpMap, make_route
 from route_sites import COLS, ROWS, SOUTH, WEST, place, site
@@ -205,7 +205,9 @@ def test_a_wall_is_a_wall_for_all_that_read_the_map(tmp_path, gap, thickness, de
         assert abs(np.interp(0.5 * SIDE_M, *line.T)) < 0.5 * gap - 0.4
         assert obstacle_m == 0.0
     assert yard.is_reached(layers) == fits
-    assert yard.crossed_by_tools(layers) == dict.fromkeys(TOOLS, fits)
+    crossed = yard.crossed_by_tools(layers)
+    assert crossed.pop("Nav2, tiles") <= fits  # a cell of 3 m with a part of the wall in it is closed as a whole
+    assert crossed == dict.fromkeys(crossed, fits)
 
 
 @pytest.mark.slow

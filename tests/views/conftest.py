@@ -11,7 +11,9 @@ import pytest
 from check_records import made_up_check
 from classed_site import classed_fixture, nothing_fixture, scan_fixture  # noqa: F401 (found by pytest)
 from cost_maps import with_objects
+from ring_maps import write_points
 from route_maps import write_folder
+from scenes import Place, Scene, Solid, survey_scene
 from survey_pairs import COLS, ROWS, survey
 
 import bumpymap
@@ -133,3 +135,35 @@ def easy_folder(make_field, write_map, tmp_path_factory):
 @pytest.fixture(scope="session")
 def easy_map(easy_folder):
     return open_map(easy_folder)
+
+
+def _things(rng):
+    """Posts, boxes and walls, each somewhere in its tile."""
+    shapes = [
+        {"length": 0.2, "width": 0.2, "top": 1.5},
+        {"length": 0.0, "width": 0.2, "top": 1.0, "is_round": True},
+        {"length": 0.3, "width": 0.3, "top": 4.0},
+        {"length": 0.6, "width": 0.6, "top": 0.6},
+        {"length": 1.2, "width": 0.8, "top": 1.2},
+        {"length": 4.0, "width": 0.2, "top": 2.0},
+        {"length": 4.0, "width": 0.3, "top": 1.0},
+    ]
+    places = np.stack(np.meshgrid(*[np.arange(-15.0, 16.0, 7.5)] * 2), axis=-1).reshape(-1, 2)
+    places += rng.uniform(-1.5, 1.5, places.shape)
+    turns = rng.choice([0.0, 45.0, 70.0], len(places))
+    return [Solid(x, y, turn=turn, **shapes[n % 7]) for n, ((x, y), turn) in enumerate(zip(places, turns, strict=True))]
+
+
+@pytest.fixture(scope="session", params=[True, False], ids=["classes", "no classes"])
+def thing_site(request, tmp_path_factory):
+    """A map of level ground with things on it, and the middles of the pixels that they stand on, (n, 2), m."""
+    folder, rng = tmp_path_factory.mktemp("things"), np.random.default_rng(7)
+    scene = Scene("things", tuple(_things(rng)), half=18.0)
+    place = Place(0.0, 500_000 + rng.uniform(0.0, 3.0), 5_700_000 + rng.uniform(0.0, 3.0))
+    points = survey_scene(scene, 400.0, classified=request.param, sides=True, place=place, noise=0.01, margin=3.0)
+    write_points(points, folder / "things.las")
+    bumpymap.map_survey(folder / "things.las", folder / "layers")
+    middles = np.stack(np.meshgrid(*(low + np.arange(0.1, 48.0, 0.2) for low in (499_977.0, 5_699_977.0))), axis=-1)
+    x, y = place.in_scene(*np.moveaxis(middles, -1, 0))
+    under = np.any([solid.inside(x, y) for solid in scene.solids], axis=0)
+    return open_map(folder / "layers"), middles[under]

@@ -17,7 +17,9 @@ import rasterio
 from hypothesis import given, settings, strategies as st
 
 from bumpymap.core import (
+    NO_TILE,
     BadInputError,
+    Barred,
     Georeference,
     GridSettings,
     PolarCells,
@@ -213,16 +215,31 @@ def test_every_cell_has_the_value_of_the_layers_bit_for_bit(route_map, folder, t
         np.testing.assert_array_equal(*both(name, "rasters/roughness.tif", name))
     np.testing.assert_array_equal(*both("class", "rasters/class.tif", nothing=255.0))
     if resolution == "pixel":
-        state, wanted = both("obstacle", "rasters/obstacle.tif", nothing=3.0)
-        np.testing.assert_array_equal(state, np.minimum(wanted, 3))
+        state, pixel = both("obstacle", "rasters/obstacle.tif", nothing=3.0)
+        _, barred = both("obstacle", "rasters/barred.tif")
+        unknown = np.isin(barred, [Barred.UNKNOWN, NO_TILE])
+        wanted = np.select([pixel == 1, unknown, barred != Barred.NO], [1.0, 3.0, 1.0], np.minimum(pixel, 3.0))
+        np.testing.assert_array_equal(state, wanted)
+        assert set(np.unique(state)) == {0.0, 1.0, 2.0, 3.0}
         np.testing.assert_array_equal(*both("elevation", "rasters/heightmap.tif"))
         return
-    np.testing.assert_array_equal(*both("obstacle", "rasters/roughness.tif", "obstacle"))
     window, elevation = route_map.window, message.data[message.layers.index("elevation")].data
     heights = route_map.heights(window).reshape(window.rows, 15, window.cols, 15).astype(float)
     with warnings.catch_warnings(action="ignore"):  # tiles without a height
         mean = np.nanmean(heights, axis=(1, 3))[:, ::-1]
     np.testing.assert_allclose(elevation, mean.ravel(), rtol=1e-6)
+
+
+@pytest.mark.parametrize("resolution", ["pixel", "tile"])
+def test_no_obstacle_lies_in_a_free_cell_of_a_grid_map(thing_site, tmp_path, resolution):
+    site, on_things = thing_site
+    export_map(site, tmp_path / "out", ExportSettings(to="gridmap", resolution=resolution, datum=(0.0, 0.0)))
+    message = read_bag(tmp_path / "out")
+    x, y, state = cells(message, "obstacle")
+    size = message.info.resolution
+    state_of = dict(zip(zip(np.floor(x / size), np.floor(y / size), strict=True), state, strict=True))
+    assert {state_of[tuple(place)] for place in np.floor(on_things / size + 1e-6)} == {1.0}
+    assert (state == 0.0).mean() > 0.4
 
 
 GRIDS = [

@@ -20,8 +20,9 @@ from route_oracles import by_heading, move_graph, smooth_field, with_slope
 from scipy.ndimage import gaussian_filter, generate_binary_structure, label
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, dijkstra
-from small_surveys import files_in
+from small_surveys import files_in, write_survey
 
+import bumpymap
 from bumpymap.core import (
     NO_TILE,
     BadInputError,
@@ -89,9 +90,11 @@ def exported(route_map, out, **settings):
     return done.record, params, grids
 
 
-def tile_values(folder, name):
+def pixel_values(folder, name):
+    """Values of a raster on its pixels; row 0 is the south."""
     with rasterio.open(folder / name) as file:
-        return file.read(1)[::-1]  # row 0 is the south
+        values = file.read(1)[::-1]
+    return values if name.endswith("obstacle.tif") else np.kron(values, np.ones((15, 15), values.dtype))
 
 
 @pytest.fixture(scope="module")
@@ -103,28 +106,31 @@ def test_a_costmap_keeps_graded_cost_and_knows_what_is_unknown(whole, folder):
     record, params, (grid, _, _) = whole
     settings = params["global_costmap"]["global_costmap"]["ros__parameters"]
     costmap = static_layer(grid, settings)
-    barred, cost = tile_values(folder, "rasters/barred.tif"), tile_values(folder, "cost.tif")
+    barred, cost = pixel_values(folder, "rasters/barred.tif"), pixel_values(folder, "cost.tif")
+    objects = pixel_values(folder, "rasters/obstacle.tif")
     assert costmap.shape == barred.shape
-    unknown = (barred == Barred.UNKNOWN) | (barred == NO_TILE)
-    passable = barred == Barred.NO
+    unknown = ((barred == Barred.UNKNOWN) | (barred == NO_TILE)) & (objects != 1)
+    passable = (barred == Barred.NO) & np.isin(objects, (0, 2))
     assert (costmap[unknown] == NO_INFORMATION).all()
-    assert (costmap[~unknown & ~passable] == LETHAL).all()
+    assert (costmap[~unknown & (barred != Barred.NO)] == LETHAL).all()
     assert (costmap[passable] < INSCRIBED).all()
     assert len(np.unique(costmap[passable])) > 10
     multiplier = params["planner_server"]["ros__parameters"]["GridBased"]["cost_travel_multiplier"]
-    planner = 1.0 + multiplier * costmap[passable] / 252.0
-    step = (record["cost"]["value_98"] - 1.0) / 98.0
-    assert np.abs(planner - cost[passable]).max() < 1.1 * step  # half a step of rounding, and decimals dropped
-    assert record["cost"]["value_98"] == pytest.approx(np.nanmax(cost), rel=1e-6)
-    assert record["tiles"]["passable"] == passable.sum()
-    assert record["tiles"]["unknown"] == (barred == Barred.UNKNOWN).sum()
+    planner, top = 1.0 + multiplier * costmap[passable] / 252.0, record["cost"]["value_98"]
+    # Half a step of rounding, and decimals dropped.
+    assert np.abs(planner - cost[passable].clip(1.0, top)).max() < 1.1 * (top - 1.0) / 98.0
+    assert record["cost"]["highest"] == pytest.approx(np.nanmax(cost[passable]), rel=1e-6)
+    assert record["cells"] == {
+        name: int(np.isin(costmap, values).sum())
+        for name, values in (("free", range(INSCRIBED)), ("lethal", [LETHAL]), ("unknown", [NO_INFORMATION]))
+    }
 
 
 def test_the_speed_filter_keeps_to_the_speed_made_good(whole, folder):
     record, params, (_, _, mask) = whole
     info = params["speed_info_server"]["ros__parameters"]
     assert info["type"] == 1
-    speed, top = tile_values(folder, "rasters/speed.tif"), record["speed"]["value_100_m_per_s"]
+    speed, top = pixel_values(folder, "rasters/speed.tif"), record["speed"]["value_100_m_per_s"]
     limit = np.vectorize(speed_limit, otypes=[float])(mask.data, info["base"], info["multiplier"])
     assert np.isfinite(limit).all(), "0 would mean: no limit"
     assert (limit[np.isnan(speed)] == 1).all()
@@ -133,13 +139,11 @@ def test_the_speed_filter_keeps_to_the_speed_made_good(whole, folder):
     np.testing.assert_array_equal(limit[passable], np.clip(np.floor(100 * speed[passable] / top * (1 + 1e-6)), 1, 100))
 
 
-@pytest.mark.parametrize(
-    ("resolution", "around"), [("tile", (110_010.0 * 3 + 1.0, 680_008.0 * 3 + 2.0)), ("pixel", None)]
-)
-def test_cells_lie_where_the_survey_has_them(route_map, folder, tmp_path, around, resolution):
+@pytest.mark.parametrize("around", [(110_010.0 * 3 + 1.0, 680_008.0 * 3 + 2.0), None])
+def test_cells_lie_where_the_survey_has_them(route_map, folder, tmp_path, around):
     """Origin at the lower left corner, the first row of the image in the north, shifted by the datum."""
     crop = {} if around is None else {"around": around, "radius": 9.0}
-    record, _, (grid, mask, _) = exported(route_map, tmp_path / "out", resolution=resolution, **crop)
+    record, _, (grid, mask, _) = exported(route_map, tmp_path / "out", **crop)
     datum = record["datum"]
     rng = np.random.default_rng(1)
     rows, cols = (rng.integers(0, size, 5_000) for size in grid.data.shape)
@@ -151,33 +155,70 @@ def test_cells_lie_where_the_survey_has_them(route_map, folder, tmp_path, around
         pixel = np.array([value[0] for value in file.sample(places)])
     cell, kept = grid.data[rows, cols], mask.data[rows, cols]
     unknown, passable = np.isin(barred, [Barred.UNKNOWN, NO_TILE]), barred == Barred.NO
-    obstacle, unseen = ((pixel == 1), (pixel == 3)) if resolution == "pixel" else (pixel == 9, pixel == 9)
+    obstacle, unseen = pixel == 1, pixel == 3
     assert (cell[~unknown & ~passable] == 100).all()
     assert (cell[obstacle] == 100).all()
     assert (cell[unknown & ~obstacle] == -1).all()
     assert (cell[passable & unseen] == -1).all()
-    assert (passable & unseen).any() == (resolution == "pixel")
+    assert (passable & unseen).any()
     seen = passable & ~obstacle & ~unseen
     assert ((cell[seen] >= 0) & (cell[seen] <= 98)).all()
     assert (kept == np.where(seen, 0, 100)).all()  # keepout_filter.cpp: 100 is lethal, 0 changes nothing
-    size = 3.0 if resolution == "tile" else 0.2
-    assert grid.resolution == pytest.approx(size, abs=1e-12)
+    assert grid.resolution == pytest.approx(0.2, abs=1e-12)
     assert np.fmod(abs(grid.x) + 1e-7, grid.resolution) < 1e-5  # aligned with the origin
     if around is not None:
-        assert grid.data.shape == (7 * round(3 / size), 7 * round(3 / size))
+        assert grid.data.shape == (105, 105)
 
 
-def test_cost_is_scaled_the_same_in_every_crop_if_asked(route_map, tmp_path):
+@pytest.mark.parametrize("resolution", ["pixel", "tile"])
+def test_no_obstacle_lies_in_a_free_cell(thing_site, tmp_path, resolution):
+    """Posts and walls from 0.2 m on, and boxes, anywhere in their cells, with classes of points and without."""
+    site, on_things = thing_site
+    _, _, (grid, mask, _) = exported(site, tmp_path / "out", resolution=resolution, datum=(0.0, 0.0))
+    row, col = (
+        np.floor((on_things[:, axis] - low) / grid.resolution + 1e-6).astype(int)
+        for axis, low in ((1, grid.y), (0, grid.x))
+    )
+    assert (grid.data[row, col] == 100).all()
+    assert (mask.data[row, col] == 100).all()
+    assert (grid.data >= 0)[mask.data == 0].all()
+    assert (mask.data == 0).mean() > 0.4
+
+
+def test_a_coarse_cell_is_as_the_worst_of_its_pixels(thing_site, tmp_path):
+    site, _ = thing_site
+    fine, coarse = (exported(site, tmp_path / name, resolution=name)[2][0].data for name in ("pixel", "tile"))
+    inside = fine.reshape(coarse.shape[0], 15, coarse.shape[1], 15)
+    worst = np.select([(inside == 100).any(axis=(1, 3)), (inside == -1).any(axis=(1, 3))], [100, -1], 0)
+    np.testing.assert_array_equal(np.where(coarse <= 98, np.minimum(coarse, 0), coarse), worst)
+    assert set(np.unique(worst)) == {-1, 0, 100}
+
+
+def test_costs_have_one_scale_for_a_vehicle(whole, tmp_path):
+    """Very rough ground is 98: C_r at the limit of class 3, half of the drives fail; a level site stays far below."""
+    assert whole[0]["cost"]["value_98"] == pytest.approx(1.0 + 2.5 * 0.4 + 300.0 * math.log(2.0) / 10.0)
+    bumpymap.map_survey(write_survey(tmp_path / "level.las"), tmp_path / "level")
+    for resolution in ("pixel", "tile"):
+        record, _, (grid, _, _) = exported(open_map(tmp_path / "level"), tmp_path / resolution, resolution=resolution)
+        cost, top = record["cost"]["highest"], record["cost"]["value_98"]
+        assert grid.data[grid.data < 100].max() == round(98 * (cost - 1.0) / (top - 1.0)) < 10
+        assert f"98: {top:.3f}" in (tmp_path / resolution / "map.yaml").read_text()
+
+
+def test_cost_is_scaled_the_same_in_every_crop(route_map, tmp_path):
     middle = ((110_010 + 0.5) * 3, (680_008 + 0.5) * 3)
-    crops = [
-        exported(route_map, tmp_path / str(radius), around=middle, radius=radius, datum=(0.0, 0.0), max_cost=7.0)
-        for radius in (4.0, 13.0)
-    ]
-    (small, large) = (crop[2][0] for crop in crops)
-    off = [round((small.x - large.x) / 3), round((small.y - large.y) / 3)]
-    rows, cols = small.data.shape
-    np.testing.assert_array_equal(small.data, large.data[off[1] : off[1] + rows, off[0] : off[0] + cols])
-    assert crops[0][0]["datum"]["x"] == 0.0
+    for scale in ({}, {"max_cost": 7.0}):
+        crops = [
+            exported(
+                route_map, tmp_path / f"{radius}{len(scale)}", around=middle, radius=radius, datum=(0.0, 0.0), **scale
+            )
+            for radius in (4.0, 13.0)
+        ]
+        (small, large) = (crop[2][0] for crop in crops)
+        off = [round((small.x - large.x) / 0.2), round((small.y - large.y) / 0.2)]
+        rows, cols = small.data.shape
+        np.testing.assert_array_equal(small.data, large.data[off[1] : off[1] + rows, off[0] : off[0] + cols])
+        assert crops[0][0]["datum"]["x"] == 0.0
 
 
 def test_parameters_fit_together(whole):
@@ -202,10 +243,10 @@ def test_what_cannot_be_exported(route_map, tmp_path, monkeypatch):
             ExportSettings(**wrong)
     with pytest.raises(BadInputError, match="nothing of the map lies within"):
         export_map(route_map, tmp_path / "out", ExportSettings(around=(110_000.0 * 3 - 500, 680_000.0 * 3)))
-    for to, told in (("nav2", "`around`"), ("gridmap", "`resolution='tile'`")):
-        monkeypatch.setattr(f"bumpymap.views.export.{to}._MAX_CELLS", 100)
-        with pytest.raises(BadInputError, match=told):
-            export_map(route_map, tmp_path / "out", ExportSettings(to=to, resolution="pixel"))
+    for to in ("nav2", "gridmap"):
+        monkeypatch.setattr(f"bumpymap.views.export.{to}._MAX_CELLS", 8_100)
+        with pytest.raises(BadInputError, match=r"`around` and `radius=6` or less, .*`resolution='tile'`"):
+            export_map(route_map, tmp_path / "out", ExportSettings(to=to))
     assert not (tmp_path / "out").exists()
 
 
@@ -246,7 +287,7 @@ def test_the_datum_says_where_the_frame_lies(easy_map, make_field, write_map, tm
     for site, code, unit in ((easy_map, "EPSG:32614", 1.0), (open_map(feet_map), "EPSG:2274", foot)):
         record = export_map(site, tmp_path / code, NAV2).record
         datum, area, window = record["datum"], record["area"], site.window
-        assert (datum["crs"]["code"], record["resolution_m"]) == (code, 3.0)
+        assert (datum["crs"]["code"], record["resolution_m"]) == (code, 0.2)
         assert [(datum[axis] * unit + 1e-6) % 3.0 < 1e-5 for axis in "xy"] == [True, True]
         assert area["east"] - area["west"] == pytest.approx(window.cols * 3.0)
         corner = (datum["x"] * unit + area["west"], datum["y"] * unit + area["south"])

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from bumpymap.core import (
+    CANOPY,
     NO_TILE,
     OBSTACLE,
     OPEN_THROUGH,
@@ -37,41 +38,9 @@ _Value = TypeVar("_Value", bound=np.generic)
 FREE_CELL, LETHAL, UNKNOWN_CELL = 0, 100, 255
 """Cells of an occupancy grid in mode ``raw``; map_server reads all values over 100 as unknown (-1)."""
 TOP_VALUE = 98
-"""Value of the costliest passable tile. Not 99: newer costmaps read that as the inscribed radius of an obstacle."""
+"""Value of the costliest ground. Not 99: newer costmaps read that as the inscribed radius of an obstacle."""
 SLOWEST = 1
 """Least speed limit, percent. Not 0: the speed filter reads that as no limit."""
-
-
-def passable_cost(field: TileField) -> NDArray[np.float64]:
-    """Return the cost per metre of passable tiles, (rows, cols), at the weights of the layers; NaN elsewhere."""
-    cost = field.rule.cost(field.c_r.astype(np.float64), field.rule.hazard(field.p_fail))
-    return np.where(field.barred == Barred.NO, cost, np.nan)
-
-
-def cost_values(field: TileField, max_cost: float) -> NDArray[np.uint8]:
-    """Return cells for an occupancy grid in mode ``raw``, one a tile.
-
-    Returns
-    -------
-    uint8 (rows, cols)
-        0..98 by cost, linearly: 0 is 1 (smooth and safe), 98 is ``max_cost`` and all above; 100 where the tile is known
-        not to be passable, 255 where it is unknown or there is no tile.
-    """
-    cost = passable_cost(field)
-    span = max(max_cost - 1.0, np.finfo(np.float64).tiny)
-    scaled = np.clip(np.rint(TOP_VALUE * (np.clip(cost, 1.0, max_cost) - 1.0) / span), FREE_CELL, TOP_VALUE)
-    graded = np.where(np.isnan(cost), UNKNOWN_CELL, scaled).astype(np.uint8)
-    unknown = (field.barred == Barred.UNKNOWN) | (field.barred == NO_TILE)
-    choices = [np.uint8(UNKNOWN_CELL), np.uint8(LETHAL)]
-    return np.select([unknown, field.barred != Barred.NO], choices, graded)
-
-
-def keepout_values(field: TileField) -> NDArray[np.uint8]:
-    """Return a keepout mask, one cell a tile: 0 where the tile is passable, 100 elsewhere.
-
-    Unknown tiles are 100 too: the keepout filter skips cells of a mask that are unknown.
-    """
-    return np.where(np.isnan(passable_cost(field)), LETHAL, FREE_CELL).astype(np.uint8)
 
 
 def speed_values(field: TileField) -> NDArray[np.uint8]:
@@ -91,58 +60,52 @@ def by_pixel(values: NDArray[_Value], pixels: int) -> NDArray[_Value]:
     return np.asarray(np.repeat(np.repeat(values, pixels, axis=0), pixels, axis=1))
 
 
-def lay_objects(
-    cells: NDArray[np.uint8], objects: NDArray[np.uint8], judged: NDArray[np.bool_], unknown: int
-) -> NDArray[np.uint8]:
-    """Split the cells of tiles into pixels, and lay obstacles and unseen ground on them.
+def cell_states(area: "ExportArea", field: TileField) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    """Return what a robot may do in the cells of some tiles of an area, north row first.
 
-    Parameters
-    ----------
-    cells : uint8 (rows, cols)
-        Of the tiles.
-    objects : uint8 (rows * pixels, cols * pixels)
-        Of obstacle.tif.
-    judged : bool (rows, cols)
-        Where objects were told apart from ground. Elsewhere they are part of the relief and in the ride cost, and
-        pixels keep the value of the tile.
-    unknown : int
-        Value of pixels of passable tiles where neither ground nor anything else was seen.
+    It is decided on pixels, and a larger cell is as the worst of its pixels: a planner goes anywhere in a free cell.
 
     Returns
     -------
-    uint8 (rows * pixels, cols * pixels)
-        100 at obstacles, of unknown tiles too. Canopy is free: the vehicle fits under it.
+    states : uint8 (rows * split, cols * split)
+        ``LETHAL`` where an obstacle stands, of unknown tiles too, and where the ground bars the tile; ``UNKNOWN_CELL``
+        in unknown tiles, outside of the tiles, and where objects were told apart from ground and neither was seen; else
+        ``FREE_CELL``. Where only obstacles close a tile, it is free where the vehicle passes between them.
+    canopy : bool, of the same shape
+        True where a free cell is in part under canopy that the vehicle fits under.
     """
-    pixels = objects.shape[0] // cells.shape[0]
-    fine, told = by_pixel(cells, pixels), by_pixel(judged, pixels)
-    fine[(objects == UNKNOWN_OBJECT) & told & (fine < LETHAL)] = unknown
-    fine[objects == OBSTACLE] = LETHAL
-    return fine
+    pixels, barred = area.route_map.grid.pixels, field.barred
+    objects = area.route_map.objects(field.window)
+    closed = np.where(np.isin(barred, (Barred.UNKNOWN, NO_TILE)), np.uint8(UNKNOWN_CELL), np.uint8(LETHAL))
+    states = by_pixel(np.where(barred == Barred.NO, np.uint8(FREE_CELL), closed), pixels)
+    # Where objects were not told apart they are part of the relief, and in the ride cost.
+    judged = by_pixel(~np.isnan(field.obstacle), pixels)
+    states[(objects == UNKNOWN_OBJECT) & judged & (states == FREE_CELL)] = UNKNOWN_CELL
+    states[objects == OBSTACLE] = LETHAL
+    states[_open_in_part(area.route_map, field)] = FREE_CELL
+    canopy = objects == CANOPY
+    if area.split < pixels:
+        lethal, unseen, canopy = (
+            _any_of(where, pixels // area.split) for where in (states == LETHAL, states == UNKNOWN_CELL, canopy)
+        )
+        states = np.select([lethal, unseen], [np.uint8(LETHAL), np.uint8(UNKNOWN_CELL)], np.uint8(FREE_CELL))
+    return states, canopy & (states == FREE_CELL)
 
 
-CLOSED_IN_PART = (Barred.OBSTACLE, Barred.SPLIT)
-"""Tiles that what stands on them closes for what reads tiles alone."""
+def _any_of(where: NDArray[np.bool_], side: int) -> NDArray[np.bool_]:
+    """Return for each square of ``side`` x ``side`` pixels if any of them is True."""
+    rows, cols = (length // side for length in where.shape)
+    return np.asarray(where.reshape(rows, side, cols, side).any(axis=(1, 3)))
 
 
-def open_in_part(route_map: MapReader, field: TileField) -> NDArray[np.bool_]:
-    """Return the pixels of tiles that obstacles close or split over which the vehicle passes between these obstacles.
+def _open_in_part(route_map: MapReader, field: TileField) -> NDArray[np.bool_]:
+    """Return the pixels of tiles that obstacles alone close or split over which the vehicle passes between these.
 
     They lie nearer than half its width to where its middle can be, so they hold no obstacle and nothing unseen.
-
-    Parameters
-    ----------
-    route_map : MapReader
-        The map, for ``passage.tif``.
-    field : TileField
-        (rows, cols) tiles of it.
-
-    Returns
-    -------
-    bool (rows * pixels, cols * pixels)
     """
     grid, window = route_map.grid, field.window
     pixels, reach = grid.pixels, 0.5 * route_map.vehicle.width_m / grid.pixel_size
-    closed = np.isin(field.barred, CLOSED_IN_PART)
+    closed = np.isin(field.barred, (Barred.OBSTACLE, Barred.SPLIT)) & np.isfinite(field.c_r)
     ring = math.ceil(reach / pixels)
     wide = TileWindow(window.col - ring, window.row - ring, window.cols + 2 * ring, window.rows + 2 * ring)
     free = route_map.passage(wide) if closed.any() else np.zeros((0, 0), np.bool_)
@@ -201,9 +164,15 @@ class ExportArea:
         """Raise BadInputError if it has more cells than a kind of map may have."""
         rows, cols = self.shape
         if rows * cols > most:
+            within = math.floor(0.5 * math.sqrt(most) * self.resolution - self.route_map.grid.tile_size)
             raise BadInputError(
-                f"the area has {rows * cols:,} cells of {self.resolution:g} m; {kind} may have {most:,}. "
-                "Crop it with `around` and `radius`" + ("" if self.split == 1 else ", or pass `resolution='tile'`")
+                f"the area has {rows * cols:,} cells of {self.resolution:g} m; {kind} may have {most:,}. Crop it "
+                f"with `around` and `radius={max(within, 1)}` or less"
+                + (
+                    ""
+                    if self.split == 1
+                    else ", or pass `resolution='tile'`: then a cell with an obstacle in it is closed as a whole"
+                )
             )
 
     def describe(self) -> dict[str, Any]:

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import (
-    CANOPY,
     NO_CLASS,
     NOT_TRAVERSABLE,
     Frame,
@@ -23,9 +22,8 @@ from bumpymap.core import (
     write_remedy,
 )
 from bumpymap.layers import MapFile, require_written
-from bumpymap.views.export.area import FRAME, ExportArea, by_pixel
+from bumpymap.views.export.area import FRAME, FREE_CELL, LETHAL, ExportArea, by_pixel, cell_states
 from bumpymap.views.page.tiles import block_means
-from bumpytiles import TileWindow
 
 TOPIC = "/grid_map"
 GRID_MAP = "grid_map_msgs/msg/GridMap"
@@ -65,8 +63,8 @@ def require_rosbags() -> None:
 def make_layers(area: ExportArea) -> dict[str, NDArray[np.float32]]:
     """Read the layers of an area by name, (rows, cols) each, north row first; NaN where unknown.
 
-    With one cell a tile, elevation is the mean of the tile's heights and obstacle the share of its pixels; else
-    elevation is the heightmap and obstacle the state of the pixel: 0 free, 1 obstacle, 2 canopy, NaN unknown.
+    Obstacle is 0 where a cell is free, 1 where it is not passable, 2 where it is free under canopy. With one cell a
+    tile, elevation is the mean of the tile's heights.
 
     Raises
     ------
@@ -76,25 +74,19 @@ def make_layers(area: ExportArea) -> dict[str, NDArray[np.float32]]:
     area.require_cells(_MAX_CELLS, "a grid_map")
     site = area.route_map
     require_written(site.folder, site.manifest, (MapFile.CLASS,))  # `open_map` does not look at it
-    values = {name: np.empty(area.shape, np.float32) for name in ("elevation", "c_r", "p_fail", "class", "obstacle")}
+    layers = {name: np.empty(area.shape, np.float32) for name in ("elevation", "c_r", "p_fail", "class", "obstacle")}
     for window, lines in area.strips(detail=site.grid.pixels):
-        for name, layer in _read(area, window).items():
-            values[name][lines] = layer
-    return values
-
-
-def _read(area: ExportArea, window: TileWindow) -> dict[str, NDArray[np.float32]]:
-    values = area.route_map.values(window, ("c_r", "p_fail", "obstacle"), classes=True)
-    heights = area.route_map.heights(window)
-    classes = np.where(values["class_id"] == NO_CLASS, np.nan, values["class_id"]).astype(np.float32)
-    layers = {"c_r": values["c_r"], "p_fail": values["p_fail"], "class": classes}
-    if area.split == 1:
-        means = block_means(heights, (window.rows, window.cols))
-        return layers | {"elevation": means, "obstacle": values["obstacle"]}
-    objects = area.route_map.objects(window)
-    state = np.where(objects > CANOPY, np.nan, objects).astype(np.float32)
-    fine = {name: by_pixel(layer, area.split) for name, layer in layers.items()}
-    return fine | {"elevation": heights, "obstacle": state}
+        values = site.values(window, ("c_r", "p_fail"), classes=True)
+        layers["class"][lines] = by_pixel(values["class_id"], area.split)
+        for name in ("c_r", "p_fail"):
+            layers[name][lines] = by_pixel(values[name], area.split)
+        heights = site.heights(window)
+        layers["elevation"][lines] = block_means(heights, (window.rows, window.cols)) if area.split == 1 else heights
+        states, canopy = cell_states(area, site.read(window, ("c_r", "obstacle")))
+        state = np.select([canopy, states == LETHAL, states == FREE_CELL], [2.0, 1.0, 0.0], np.nan)
+        layers["obstacle"][lines] = state
+    layers["class"][layers["class"] == NO_CLASS] = np.nan
+    return layers
 
 
 def typestore() -> Any:

@@ -6,27 +6,22 @@ robots, and held by the tests.
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bumpymap.core import NO_TILE, BadInputError, Barred
-from bumpymap.layers import MapReader
+from bumpymap.core import FAIL_SHARE, BadInputError
+from bumpymap.layers import MapReader, class_limits
 from bumpymap.views.export.area import (
-    CLOSED_IN_PART,
     FRAME,
+    FREE_CELL,
     LETHAL,
     TOP_VALUE,
     UNKNOWN_CELL,
     ExportArea,
     by_pixel,
-    cost_values,
-    keepout_values,
-    lay_objects,
-    open_in_part,
-    passable_cost,
+    cell_states,
     speed_values,
     write_file,
 )
@@ -58,7 +53,13 @@ def params_text(route_map: MapReader, max_cost: float, resolution: float) -> str
 
 _MAX_CELLS = 100_000_000
 """Most cells of an occupancy grid: every node of Nav2 that uses it keeps a copy."""
-_BANDS = ("c_r", "p_fail")
+_TINY = float(np.finfo(np.float64).tiny)
+_SCALES = {
+    "map": "0: cost 1 a metre, smooth and safe. {top}: {most:.3f} or more, very rough. {lethal}: lethal. 255: unknown.",
+    "keepout_mask": "0: free. {lethal}: not passable, or unknown.",
+    "speed_mask": "Percent of {speed:g} m/s.",
+}
+"""Comments on what the values of the images mean."""
 
 
 def make_grids(area: ExportArea, max_cost: float | None) -> Callable[[Path], dict[str, Any]]:
@@ -68,73 +69,65 @@ def make_grids(area: ExportArea, max_cost: float | None) -> Callable[[Path], dic
     ----------
     area : ExportArea
     max_cost : float, optional
-        Cost per metre that gets the highest value; else that of the costliest passable tile of the area.
+        Cost per metre that gets the highest value; else that of very rough ground, so that values mean the same in
+        every map for a vehicle: C_r at the limit of class 3, and the share of failing drives that bars ground.
 
     Raises
     ------
     BadInputError
-        There are too many cells, or no tile of the area is passable.
+        There are too many cells, or none of them is free.
     """
     area.require_cells(_MAX_CELLS, "a map for Nav2")
-    highest, tiles = _survey(area)
-    if not tiles["passable"]:
-        raise BadInputError("no tile of the area is passable, so no robot can drive there. Choose another area")
-    most = max_cost or highest
+    site, highest = area.route_map, 1.0
+    very_rough = site.rule.cost(np.array(class_limits(site.manifest)[-1]), site.rule.hazard(np.array(FAIL_SHARE)))
+    most = max_cost or float(very_rough)
     cost, keepout, speed = (np.empty(area.shape, np.uint8) for _ in range(3))
-    for window, lines in area.strips():
-        field = area.route_map.read(window, (*_BANDS, *(["obstacle"] if area.split > 1 else [])))
-        coarse = cost_values(field, most), keepout_values(field), speed_values(field)
-        if area.split == 1:
-            cost[lines], keepout[lines], speed[lines] = coarse
-            continue
-        objects = area.route_map.objects(window)
-        judged = ~np.isnan(field.obstacle)
-        between = open_in_part(area.route_map, field)
-        barred = np.where(np.isin(field.barred, CLOSED_IN_PART), np.uint8(Barred.NO), field.barred)
-        opened = replace(field, barred=barred)
-        cost[lines] = lay_objects(coarse[0], objects, judged, UNKNOWN_CELL)
-        keepout[lines] = lay_objects(coarse[1], objects, judged, LETHAL)
-        for cells, values in ((cost, cost_values(opened, most)), (keepout, keepout_values(opened))):
-            cells[lines][between] = by_pixel(values, area.split)[between]
-        speed[lines] = by_pixel(coarse[2], area.split)
+    for window, lines in area.strips(detail=site.grid.pixels):
+        field = site.read(window, ("c_r", "p_fail", "obstacle"))
+        states, _ = cell_states(area, field)
+        of_tile = field.rule.cost(field.c_r.astype(np.float64), field.rule.hazard(field.p_fail))
+        values = np.rint(TOP_VALUE * (np.nan_to_num(of_tile, nan=most).clip(1.0, most) - 1.0) / max(most - 1.0, _TINY))
+        is_free = states == FREE_CELL
+        cost[lines] = np.where(is_free, by_pixel(values.astype(np.uint8), area.split), states)
+        keepout[lines] = np.where(is_free, np.uint8(FREE_CELL), np.uint8(LETHAL))
+        speed[lines] = by_pixel(speed_values(field), area.split)
+        used = is_free.reshape(window.rows, area.split, window.cols, area.split).any(axis=(1, 3))
+        highest = max(highest, float(np.nanmax(of_tile[used], initial=1.0)))
+    counts = {
+        "free": int((keepout == FREE_CELL).sum()),
+        "lethal": int((cost == LETHAL).sum()),
+        "unknown": int((cost == UNKNOWN_CELL).sum()),
+    }
+    if not counts["free"]:
+        raise BadInputError("no cell of the area is free, so no robot can drive there. Choose another area")
     images = {"map": cost, "keepout_mask": keepout, "speed_mask": speed}
     about = {
         "cost": {
             "value_0": 1.0,
             f"value_{TOP_VALUE}": most,
+            "highest": highest,
             "unit": "cost per metre of level, smooth and safe ground",
         },
-        "speed": {"value_100_m_per_s": area.route_map.rule.top_mps},
-        "tiles": tiles,
+        "speed": {"value_100_m_per_s": site.rule.top_mps},
+        "cells": counts,
     }
 
     def write(folder: Path) -> dict[str, Any]:
         for name, cells in images.items():
             header = f"P5\n{cells.shape[1]} {cells.shape[0]}\n255\n"
             write_file(folder / f"{name}.pgm", header.encode(), cells.tobytes())
-            write_file(folder / f"{name}.yaml", "".join(_map_yaml(f"{name}.pgm", area)).encode())
-        write_file(folder / "nav2_params.yaml", params_text(area.route_map, most, area.resolution).encode())
+            scale = _SCALES[name].format(most=most, top=TOP_VALUE, lethal=LETHAL, speed=site.rule.top_mps)
+            write_file(folder / f"{name}.yaml", "".join(_map_yaml(scale, f"{name}.pgm", area)).encode())
+        write_file(folder / "nav2_params.yaml", params_text(site, most, area.resolution).encode())
         return about
 
     return write
 
 
-def _survey(area: ExportArea) -> tuple[float, dict[str, int]]:
-    """Return the highest cost of a passable tile, and the numbers of tiles by state."""
-    highest, counts = 1.0, np.zeros(3, np.int64)
-    for window, _ in area.strips():
-        field = area.route_map.read(window, _BANDS)
-        cost = passable_cost(field)
-        highest = float(np.fmax(highest, np.nanmax(cost, initial=1.0)))
-        passable, unknown = np.count_nonzero(~np.isnan(cost)), np.count_nonzero(field.barred == Barred.UNKNOWN)
-        there = np.count_nonzero(field.barred != NO_TILE)
-        counts += passable, there - passable - unknown, unknown
-    return highest, dict(zip(("passable", "barred", "unknown"), map(int, counts), strict=True))
-
-
-def _map_yaml(image: str, area: ExportArea) -> Iterator[str]:
+def _map_yaml(scale: str, image: str, area: ExportArea) -> Iterator[str]:
     """Yield the lines of a map's metadata; the thresholds are required, though mode ``raw`` does not use them."""
     bounds = area.bounds
+    yield f"# {scale}\n"
     yield f"image: {image}\n"
     yield "mode: raw\n"
     yield f"resolution: {area.resolution!r}\n"

@@ -9,8 +9,8 @@ from bumpymap.core import DirectionSettings, Setting, UsageError, check_settings
 
 ExportFormat = Literal["nav2", "gridmap", "graph", "plan", "cost"]
 """Maps and masks for Nav2; a grid_map message; a graph for Nav2's route server; a mission for QGroundControl."""
-ExportResolution = Literal["tile", "pixel"]
-"""One cell a tile, or one a pixel of the heightmap, which shows obstacles."""
+ExportResolution = Literal["pixel", "tile"]
+"""One cell a pixel of the heightmap, or one a tile, which is closed if anything stands in it."""
 NodeSquare = Literal[1, 3, 9, 27]
 """Sides of the squares of tiles that hold one node of a graph."""
 
@@ -28,15 +28,20 @@ class ExportSettings(DirectionSettings):
     datum: tuple[float, float] | None = None
     """Easting and northing of the local frame's origin, m; else a corner of a tile near the middle."""
     resolution: Annotated[
-        ExportResolution, Setting("nav2, gridmap: a cell is a tile or a pixel", "SIZE", group="Output")
-    ] = "tile"
+        ExportResolution, Setting("nav2, gridmap: a cell is a pixel or a tile", "SIZE", group="Output")
+    ] = "pixel"
     max_cost: Annotated[
         float | None,
         Setting(
-            "nav2: cost per metre of the highest value", "COST", 1.0, exclusive=True, default="the highest", rare=True
+            "nav2: cost per metre of the highest value",
+            "COST",
+            1.0,
+            exclusive=True,
+            default="very rough ground",
+            rare=True,
         ),
     ] = None
-    """nav2: cost per metre of the highest value; else that of the costliest passable tile of the area."""
+    """nav2: cost per metre of the highest value; else that of very rough ground for the vehicle."""
     every: Annotated[
         NodeSquare | None, Setting("graph: one node in up to N x N tiles: 1, 3, 9, 27", "N", default="auto", rare=True)
     ] = None
