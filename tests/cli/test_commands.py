@@ -66,9 +66,13 @@ A, B = place(5.5, 5.5), place(5.5, 9.5)
 ALL = "(car, husky, small_rover, warthog)"
 REFUSED = [
     (2, "mpa site.laz", "Did you mean 'map'?"),
-    (2, f"map {QUARRY} --out OUT --crs EPSG:1", "--crs EPSG:1 is not a coordinate reference system"),
-    (2, f"map {QUARRY} --out OUT --crs EPSG:1 --json", "--crs EPSG:1 is not a coordinate reference system"),
-    (2, f"map {QUARRY} --out OUT --tile-size 4", "Use --tile-size 3, --set pixels=15"),
+    (2, f"map {shlex.quote(str(QUARRY))} --out OUT --crs EPSG:1", "--crs EPSG:1 is not a coordinate reference system"),
+    (
+        2,
+        f"map {shlex.quote(str(QUARRY))} --out OUT --crs EPSG:1 --json",
+        "--crs EPSG:1 is not a coordinate reference system",
+    ),
+    (2, f"map {shlex.quote(str(QUARRY))} --out OUT --tile-size 4", "Use --tile-size 3, --set pixels=15"),
     (2, "map a.laz --out OUT --crs EPSG:32632 --local", "--crs and --local contradict"),
     (2, "map a.laz --out OUT --calibration c.json --vehicle warthog", "--calibration and --vehicle"),
     (2, "map a.laz --out OUT --set compat=paper --set rating=ride", "--set compat and --set rating"),
