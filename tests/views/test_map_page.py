@@ -21,7 +21,7 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 from pyproj import Transformer
 from route_maps import VEHICLE, copy_folder, list_anew, write_folder
-from small_surveys import run
+from small_surveys import run, write_bomb, write_broken
 
 from bumpymap.core import CLASS_NAMES, NO_CLASS, OBSTACLE, BadInputError, OutputError, PageSettings, UsageError
 from bumpymap.layers import SurveyRow
@@ -249,9 +249,20 @@ def test_the_header_says_what_settings_say_and_holds_a_logo_made_anew(site, tmp_
         assert f"<span>by {by}</span>" in write_report(twin).read_text()
     (tmp_path / "link.png").symlink_to(tmp_path / "logo.png")
     (tmp_path / "text.png").write_text("<svg onload='x'/>")
-    for name, why in (("link.png", "it is a link"), ("text.png", "cannot identify"), ("none.png", "No such file")):
-        with pytest.raises(BadInputError, match=why):
+    for name, why in (("link.png", "it is a link"), ("text.png", "no PNG or JPEG"), ("none.png", "No such file")):
+        with pytest.raises(UsageError, match=why):
             page_header(PageSettings(logo=tmp_path / name))
+
+
+@pytest.mark.parametrize("name", ["logo.png", "logo.jpg"])
+def test_a_logo_that_declares_more_pixels_than_memory_holds_is_refused_before_anything_is_read(site, tmp_path, name):
+    (tmp_path / "surveys").mkdir()
+    survey, logo = write_broken(tmp_path / "surveys/a.laz"), ("--set", f"page.logo={write_bomb(tmp_path / name)}")
+    out = ("--out", tmp_path / "out")
+    for words in (("report", site, *logo), ("map", survey, *out, *logo), ("batch", survey.parent, *out, *logo)):
+        made = run(*words)
+        assert (made.exit_code, " 65,500 pixels" in made.output or " 100,000 pixels" in made.output) == (2, True)
+        assert not (tmp_path / "out").exists()
 
 
 PLACES = [  # Munich and Vienna; Lesotho and the country around it; Russia beyond the antimeridian, Alaska; Antarctica
