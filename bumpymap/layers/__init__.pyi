@@ -71,7 +71,6 @@ from .lazy_raster import (
 )
 from .manifest import (
     COUNT as COUNT,
-    LITTLE_SEEN as LITTLE_SEEN,
     MANIFEST_NAME as MANIFEST_NAME,
     PLACE_SHAPE as PLACE_SHAPE,
     MapSummary as MapSummary,

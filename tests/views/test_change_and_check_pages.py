@@ -52,7 +52,7 @@ def test_tables_equal_the_counts_of_the_record(comparison, read_page):
     assert classes == record["classes"]["tiles_before_after"]
     surveys = {row[0]: row[1:] for row in tables["Before and after"][1:]}
     assert surveys["name"] == ["pit <b>", "pit <b>"]
-    assert surveys["dates in the files"] == ["2024-05-01", "2025-05-02 to 2025-05-03"]
+    assert surveys["files written on"] == ["2024-05-01", "2025-05-02 to 2025-05-03"]
 
 
 def test_places_are_those_of_the_features(comparison, read_page):

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from bumpymap.core import (
+    CROSSING_UNKNOWN,
     NO_TILE,
     OBSTACLE,
     OPEN_THROUGH,
@@ -61,7 +62,7 @@ def cost_values(field: TileField, max_cost: float) -> NDArray[np.uint8]:
     span = max(max_cost - 1.0, np.finfo(np.float64).tiny)
     scaled = np.clip(np.rint(TOP_VALUE * (np.clip(cost, 1.0, max_cost) - 1.0) / span), FREE_CELL, TOP_VALUE)
     graded = np.where(np.isnan(cost), UNKNOWN_CELL, scaled).astype(np.uint8)
-    unknown = (field.barred == Barred.UNKNOWN) | (field.barred == NO_TILE)
+    unknown = np.isin(field.barred, (*CROSSING_UNKNOWN, NO_TILE))
     choices = [np.uint8(UNKNOWN_CELL), np.uint8(LETHAL)]
     return np.select([unknown, field.barred != Barred.NO], choices, graded)
 

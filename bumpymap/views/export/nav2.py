@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from bumpymap.core import NO_TILE, BadInputError, Barred
+from bumpymap.core import CROSSING_UNKNOWN, NO_TILE, BadInputError, Barred
 from bumpymap.layers import MapReader
 from bumpymap.views.export.area import (
     CLOSED_IN_PART,
@@ -126,7 +126,7 @@ def _survey(area: ExportArea) -> tuple[float, dict[str, int]]:
         field = area.route_map.read(window, _BANDS)
         cost = passable_cost(field)
         highest = float(np.fmax(highest, np.nanmax(cost, initial=1.0)))
-        passable, unknown = np.count_nonzero(~np.isnan(cost)), np.count_nonzero(field.barred == Barred.UNKNOWN)
+        passable, unknown = np.count_nonzero(~np.isnan(cost)), np.count_nonzero(np.isin(field.barred, CROSSING_UNKNOWN))
         there = np.count_nonzero(field.barred != NO_TILE)
         counts += passable, there - passable - unknown, unknown
     return highest, dict(zip(("passable", "barred", "unknown"), map(int, counts), strict=True))

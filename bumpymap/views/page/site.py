@@ -582,7 +582,7 @@ def _still(tiles: PageTiles, light: NDArray[np.uint8], photo: NDArray[np.uint8] 
     shown = tiles.spot.shown(_STILL_SIDE)
     height, width = len(shown[0]), shown[1].shape[1]
     ground, barred = tiles.ground[shown], tiles.barred[shown]
-    ground = np.where((barred == Barred.UNKNOWN) & (ground < UNKNOWN_FROM), UNKNOWN_FROM, ground)
+    ground = np.where((barred == Barred.LITTLE_SEEN) & (ground < UNKNOWN_FROM), UNKNOWN_FROM, ground)
     bright = np.asarray(Image.fromarray(light).resize((width, height), Image.Resampling.BOX), np.float32) / 255
     bright = np.where(ground == NO_POINTS, 1.0, np.minimum(1.0, bright + 0.2))
     picture = np.take(colours, ground, axis=0)  # a third of the time of an index
