@@ -117,7 +117,7 @@
     /** Ground of which too little was seen has a class, and shows none: it must not look drivable. */
     isUnknown(at, key) {
       return this.ground[at] !== NONE && (this.ground[at] >= codes.unknownFrom
-        || (key !== "barred" && this.barred?.[at] === codes.littleSeen));
+        || (this.barred !== undefined && key !== "barred" && this.barred[at] === codes.littleSeen));
     }
 
     layer(key) {
