@@ -128,6 +128,7 @@ from .route_inputs import (
     tiles_in as tiles_in,
 )
 from .route_lines import (
+    IRI_NOTE as IRI_NOTE,
     PlannedRoute as PlannedRoute,
     route_coordinates as route_coordinates,
     route_properties as route_properties,

@@ -26,6 +26,7 @@ from bumpymap.core import (
 from bumpymap.layers import (
     BARRED_COLOURS,
     CLASS_COLOURS,
+    IRI_NOTE,
     MANIFEST_NAME,
     OBJECT_COLOURS,
     OFF_COLOURS,
@@ -402,7 +403,8 @@ def _way_rows(ways: Sequence[DrawnWay]) -> list[Row]:
             shown = [number(value, decimals) for value in values]
             if key == "p_arrives":  # 0.998 is not certain
                 shown = [share(value, 1.0) if isinstance(value, int | float) else DASH for value in values]
-            rows.append((f"{label}, {unit.strip()}" if unit else label, *shown))
+            name = f"{label}, {unit.strip()}" if unit else label
+            rows.append(({"text": name, "meaning": IRI_NOTE} if key == "iri" else name, *shown))
     return rows
 
 
