@@ -19,6 +19,7 @@ from small_surveys import write_survey
 
 import bumpymap
 from bumpymap.core.types import BANDS
+from bumpymap.views import check_headline
 
 pytestmark = pytest.mark.slow
 
@@ -316,6 +317,16 @@ def test_points_that_are_none_are_refused(points, words):
 
 
 # --- drives ---
+def test_the_sample_drive_is_judged_as_readme_says(layers):
+    drive = ",".join(str(ROOT / f"sample_data/quarry_drive_{part}.csv") for part in ("imu", "gnss"))
+    by_line, by_tiles = check_headline(bumpymap.check_drives(layers, drive))
+    said = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    assert "the map holds in rank and level" in by_line
+    assert "the map ranks the ground rightly, but its level is off" in by_tiles
+    assert " % low in the median" in by_tiles
+    assert "the map holds in rank and level by the driven line. Its tiles rank the ground rightly and read low" in said
+
+
 def test_a_check_takes_layers_and_one_drive_or_several(layers, tmp_path):
     drive, again = (write_drive(tmp_path / name) for name in ("drive.csv", "again.csv"))
     several = bumpymap.check_drives(layers, [str(drive), again])

@@ -33,7 +33,7 @@ def _lines(result: "CheckResult", files: Sequence[Path], config: CheckConfig) ->
 
     for drive in result.drives:
         yield from _drive_lines(drive)
-    yield check_headline(result)
+    yield from check_headline(result)
     if result.by_class:
         titles = ("ground by the map", "way", "map / measured", "typical error", "Spearman", "in the interval")
         yield Table(_classes(result), titles)
@@ -89,7 +89,7 @@ def _record(result: "CheckResult", files: Sequence[Path], config: CheckConfig) -
     for part in (found, found["line"] or {}):
         part.pop("stretches", None)
     out = None if config.out is None else str(config.out)
-    return {"out": out, "files": [path.name for path in files], "headline": check_headline(result), **found}
+    return {"out": out, "files": [path.name for path in files], "headline": " ".join(check_headline(result)), **found}
 
 
 _LEAST_WIDENING = 1.05

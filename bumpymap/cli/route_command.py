@@ -72,6 +72,8 @@ def _row(route: "Route") -> tuple[str, ...]:
 
 
 def _remarks(result: "RouteResult", config: RouteConfig) -> Iterator[str]:
+    from bumpymap.layers import IRI_NOTE
+
     yield from result.notes
     if len(result.routes) < config.alternatives:
         yield f"{config.alternatives} ways were asked for; there are no more that differ"
@@ -95,7 +97,7 @@ def _remarks(result: "RouteResult", config: RouteConfig) -> Iterator[str]:
             )
     yield from (
         f"{route.name} as a road: IRI {road.iri:.1f} m/km{', ISO 8608 class ' * bool(road.iso_class)}{road.iso_class} "
-        "(waves that photogrammetry adds count too)"
+        f"({IRI_NOTE})"
         for route in result.routes
         if (road := route.figures.road) and road.resolution == "resolved"
     )

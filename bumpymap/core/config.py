@@ -114,7 +114,7 @@ class PageSettings:
     note: str | None = None
     """A sentence below the header."""
     logo: Path | None = None
-    """A PNG or JPEG of at most 5 MB, which the page holds; a link is not followed."""
+    """A PNG or JPEG of at most 5 MB and 50 million pixels, which the page holds; a link is not followed."""
 
     def __post_init__(self) -> None:
         check_settings(self)

@@ -91,10 +91,13 @@ class Barred(IntEnum):
     FAILS = 4
     STEP = 5
     SPLIT = 6
+    LITTLE_SEEN = 7
 
 
-OPEN_THROUGH = (Barred.NO, Barred.OBSTACLE, Barred.UNKNOWN, Barred.SPLIT)
-"""Tiles of which a part may be open; unknown ones have no cost, but for those of which too little was seen."""
+CROSSING_UNKNOWN = (Barred.UNKNOWN, Barred.LITTLE_SEEN)
+"""Tiles of which it is not known whether the vehicle can cross them: without a class, or with too little seen."""
+OPEN_THROUGH = (Barred.NO, Barred.OBSTACLE, Barred.SPLIT, *CROSSING_UNKNOWN)
+"""Tiles of which a part may be open; those without a class have no cost."""
 
 BARRED_TEXT: dict[Barred, str] = {
     Barred.NO: "passable",
@@ -104,6 +107,7 @@ BARRED_TEXT: dict[Barred, str] = {
     Barred.FAILS: "drives fail",
     Barred.STEP: "step",
     Barred.SPLIT: "split by an obstacle",
+    Barred.LITTLE_SEEN: "too little seen",
 }
 
 CHANGE_KINDS = (

@@ -71,7 +71,6 @@ from .lazy_raster import (
 )
 from .manifest import (
     COUNT as COUNT,
-    LITTLE_SEEN as LITTLE_SEEN,
     MANIFEST_NAME as MANIFEST_NAME,
     PLACE_SHAPE as PLACE_SHAPE,
     MapSummary as MapSummary,
@@ -129,6 +128,7 @@ from .route_inputs import (
     tiles_in as tiles_in,
 )
 from .route_lines import (
+    IRI_NOTE as IRI_NOTE,
     PlannedRoute as PlannedRoute,
     route_coordinates as route_coordinates,
     route_properties as route_properties,

@@ -89,15 +89,14 @@ def _counted(manifest: dict[str, Any]) -> dict[str, Any]:
     counts, tiles = manifest["counts"], manifest["counts"]["tiles"]
     area = tiles * manifest["grid"]["tile_size_m"] ** 2
     reasons = counts["by_reason"]
-    shares = {f"share_{name.replace(' ', '_')}": counts["by_class"][name] / tiles for name in CLASS_NAMES}
+    shares = {f"share_{name.replace(' ', '_')}": counts["by_class"][name] for name in CLASS_NAMES}
+    shares |= {"share_passable": counts["passable"], "share_unknown": counts["unknown"]}
     return {
         "points": manifest["points"],
-        "density": round(manifest["points"] / area, 4),
+        "density": round(manifest["points"] / area, 4) if tiles else None,
         "area": round(area, 2),
         "tiles": tiles,
-        **{name: round(share, 6) for name, share in shares.items()},
-        "share_passable": round(counts["passable"] / tiles, 6),
-        "share_unknown": round(counts["unknown"] / tiles, 6),
+        **{name: round(count / tiles, 6) if tiles else None for name, count in shares.items()},
         "unknown_reason": max(reasons, key=reasons.__getitem__) if reasons else None,
     }
 

@@ -26,6 +26,7 @@ BARRED_COLOURS: dict[int, tuple[int, int, int, int]] = {
     Barred.FAILS: (179, 34, 75, 255),
     Barred.STEP: (193, 127, 0, 255),
     Barred.SPLIT: (80, 229, 255, 255),
+    Barred.LITTLE_SEEN: (165, 75, 240, 255),
     NO_CLASS: (0, 0, 0, 0),
 }
 """Red, green, blue, alpha of each `Barred`: passable tiles green, the others by what bars them. Any two are told apart

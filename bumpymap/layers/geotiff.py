@@ -16,6 +16,7 @@ from bumpymap.core import (
     BARRED_TEXT,
     CANOPY,
     CLASS_NAMES,
+    CROSSING_UNKNOWN,
     FREE,
     HEADING_BANDS,
     NO_CLASS,
@@ -159,7 +160,7 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
         return [np.where(found["barred"] == 0, cost, np.nan)]
 
     def speeds(found: _Found, _: RasterWindow) -> list[NDArray[np.float64]]:
-        known = (found["barred"] != Barred.UNKNOWN) & np.isfinite(found["c_r"])
+        known = ~np.isin(found["barred"], CROSSING_UNKNOWN) & np.isfinite(found["c_r"])
         speed = 1.0 / rule.slowness(found["c_r"])
         return [np.where(known, np.where(found["barred"] == Barred.NO, speed, 0.0), np.nan)]
 

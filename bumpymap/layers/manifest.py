@@ -38,9 +38,6 @@ from bumpymap.core import (
 )
 from bumpymap.layers.placement import Placement
 
-LITTLE_SEEN = "too little seen"
-"""Reason why a tile with a class is not passable: too little of it was seen to tell whether there is a way."""
-
 _STRIP = 65_536
 _OBJECT_STRIP = 4_096
 """Most tiles to read at a time with their heights."""
@@ -69,7 +66,7 @@ class MapSummary:
     by_reason: tuple[int, ...]
     """(6,) tiles without a class, for each ``Reason``."""
     by_bar: tuple[int, ...]
-    """(6,) tiles for each `Barred`, the passable ones first."""
+    """(8,) tiles for each `Barred`, the passable ones first."""
     median_c_r: tuple[float, ...]
     """(5,) rad/m, for each class, then for tiles without a class; NaN if there is no value. That of class 3 is over the
     tiles that their C_r puts there, without those of ``failing``."""
@@ -127,15 +124,8 @@ class MapSummary:
 
     @property
     def crossing(self) -> dict[str, int]:
-        """All tiles by what is shown of crossing them: passable, unknown, then what bars the others, if it occurs.
-
-        Unknown are the tiles without a class, as everywhere; those with one of which too little was seen to tell
-        whether there is a way are apart.
-        """
-        others = {BARRED_TEXT[code]: self.by_bar[code] for code in Barred if code > Barred.UNKNOWN}
-        others = {LITTLE_SEEN: self.by_bar[Barred.UNKNOWN] - self.unknown} | others
-        first = {BARRED_TEXT[Barred.NO]: self.passable, BARRED_TEXT[Barred.UNKNOWN]: self.unknown}
-        return first | {text: count for text, count in others.items() if count > 0}
+        """All tiles by what is shown of crossing them: passable, unknown, then what bars the others, if it occurs."""
+        return {BARRED_TEXT[Barred.NO]: self.passable, BARRED_TEXT[Barred.UNKNOWN]: 0} | self.bars
 
     @property
     def classes(self) -> dict[str, int]:

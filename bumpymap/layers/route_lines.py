@@ -26,6 +26,7 @@ from bumpytiles import TileWindow
 if TYPE_CHECKING:
     import geopandas
 
+IRI_NOTE = "of a car at 80 km/h on both wheel paths; waves that photogrammetry adds count too"
 P_ARRIVES_NOTE = "errors of neighbouring tiles go together: an estimate"
 _SMALL = 6
 """Decimals of shares, angles per metre and ratios; lengths and times have 3."""
@@ -55,6 +56,7 @@ def route_properties(route: Route) -> dict[str, Any]:
         "iri": _told(resolved.iri, 2) if resolved else None,
         "iso_8608": _told(resolved.iso_class, 0) if resolved else None,
         "iri_resolution": road.resolution if road else "unknown",
+        "iri_note": IRI_NOTE,
         "p_arrives_note": P_ARRIVES_NOTE,
         "risk_m": _told(route.risk_m, 3),
         "why": route.straight.words if route.straight else "",

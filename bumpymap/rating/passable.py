@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import FREE, OBSTACLE, UNDECIDED, Barred, VehicleBody, corners_join, obstacle_reach
+from bumpymap.core import CROSSING_UNKNOWN, FREE, OBSTACLE, UNDECIDED, Barred, VehicleBody, corners_join, obstacle_reach
 from bumpymap.rating._passable_kernels import (
     GrowScratch,
     InnerTiles,
@@ -19,7 +19,7 @@ from bumpymap.rating._passable_kernels import (
 
 _MOST_MARGIN = 0.45
 """Of a tile: what wide vehicles keep from tiles that their ground bars, so that corridors of one tile stay open."""
-_GROUND = (Barred.UNKNOWN, Barred.SLOPE, Barred.FAILS, Barred.STEP)
+_GROUND = (*CROSSING_UNKNOWN, Barred.SLOPE, Barred.FAILS, Barred.STEP)
 """Reasons that bar a whole tile; obstacles bar pixels."""
 
 
@@ -60,7 +60,7 @@ def find_passable(
     The vehicle is a disc of its width and a margin of 0.1 m on each side. Its middle keeps that radius from obstacles,
     those of neighbouring tiles too, and from unseen pixels and missing tiles. A tile is passable if its free pixels
     join two edges that can be crossed, or reach one such edge in a tile without obstacles (a dead end). Where there is
-    no way and no obstacle in the tile or within that radius of it, the reason is what is unknown.
+    no way and no obstacle in the tile or within that radius of it, the reason is what was not seen.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def find_passable(
     find_ways(mosaic, found, scratch)
     return np.select(
         [~wanted, found.near_obstacle, found.blocked, ~found.passable],
-        [alone, np.uint8(Barred.OBSTACLE), np.uint8(Barred.UNKNOWN), np.uint8(Barred.STEP)],
+        [alone, np.uint8(Barred.OBSTACLE), np.uint8(Barred.LITTLE_SEEN), np.uint8(Barred.STEP)],
         np.uint8(Barred.NO),
     )
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import OBSTACLE, OPEN_THROUGH, Barred, TileField, by_mean, corners_join
+from bumpymap.core import CROSSING_UNKNOWN, OBSTACLE, OPEN_THROUGH, Barred, TileField, by_mean, corners_join
 from bumpymap.layers import MapReader, tiles_in
 from bumpymap.route._line_kernels import Costs
 from bumpymap.route.places import in_window, on_grid
@@ -178,7 +178,7 @@ class CostGround:
             is_open = np.isin(barred, OPEN_THROUGH) if through or self.touching else barred == Barred.NO
             cost[rows] = np.where(is_open[..., None] & np.isfinite(factor), factor, np.inf)
             if settings.unknown is not None:
-                cost[rows][(barred == Barred.UNKNOWN) & ~(tiles.obstacle[rows] > 0.0)] = settings.unknown
+                cost[rows][np.isin(barred, CROSSING_UNKNOWN) & ~(tiles.obstacle[rows] > 0.0)] = settings.unknown
         if self.avoid is not None:
             cost[tiles_in(self.avoid, tiles.window, tiles.grid)] = np.inf
         if self.only is not None:
@@ -192,7 +192,7 @@ class CostGround:
     def slowness(self, tiles: TileField) -> Floats:
         """Return the time of a metre, (rows, cols) s/m: that of the cost at the top speed on unknown ground; or NaN."""
         slow, unknown = tiles.rule.slowness(tiles.c_r), (self.settings.unknown or math.nan) / tiles.rule.top_mps
-        return np.where(tiles.barred == Barred.UNKNOWN, unknown, slow)
+        return np.where(np.isin(tiles.barred, CROSSING_UNKNOWN), unknown, slow)
 
     def on_pixels(self, window: TileWindow, *, by_heading: bool = False) -> NDArray[np.float32]:
         """Return the cost per metre on each pixel, (rows * pixels, cols * pixels); inf where the vehicle cannot be.

@@ -10,7 +10,16 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Barred, RoadFigures, RouteFigures, RouteProfile, TracedLine, axis_values, by_mean, slope_cost
+from bumpymap.core import (
+    CROSSING_UNKNOWN,
+    RoadFigures,
+    RouteFigures,
+    RouteProfile,
+    TracedLine,
+    axis_values,
+    by_mean,
+    slope_cost,
+)
 from bumpymap.layers import MapReader
 from bumpymap.route.ground import CostGround, points_along, sample_line, stretches, window_around
 from bumpymap.route.places import in_window
@@ -114,7 +123,7 @@ def _pieces(ground: CostGround, line: Floats) -> _Pieces:
         row, col = np.floor(place[:1]).astype(np.int64).T
         found, step = TracedLine(row, col, np.zeros(1), np.zeros(1, np.int64)), np.zeros((1, 2))
     at, way = (found.row, found.col), step[found.part].T
-    unknown = tiles.barred[at] == Barred.UNKNOWN
+    unknown = np.isin(tiles.barred[at], CROSSING_UNKNOWN)
     ride = {name: getattr(tiles, name)[at] for name in _RIDE}
     if headings is not None:
         ratio = axis_values(by_mean(headings[at], tiles.c_r[at]), *way)

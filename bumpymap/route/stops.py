@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BARRED_TEXT, NO_TILE, BadInputError, Barred, TileField
+from bumpymap.core import BARRED_TEXT, CROSSING_UNKNOWN, NO_TILE, BadInputError, Barred, TileField
 from bumpymap.layers import MapReader, read_points
 from bumpymap.route.ground import CostGround
 from bumpymap.route.places import GridPoint, parse_point, place_in_window, place_point, window_within
@@ -46,8 +46,8 @@ def _closed_by(field: TileField, row: float, col: float) -> str:
             "ground that is closed: the vehicle does not fit beside an obstacle or other closed ground, or `avoid` or "
             "`only` closes it"
         )
-    if code == Barred.UNKNOWN:
-        return "unknown ground; `unknown=COST` lets a way cross unknown ground at that cost per metre"
+    if code in CROSSING_UNKNOWN:
+        return f"{BARRED_TEXT[Barred(code)]}; `unknown=COST` lets a way cross unknown ground at that cost per metre"
     return f"a tile that is not passable ({BARRED_TEXT[Barred(code)]})"
 
 

@@ -80,7 +80,7 @@ def _why(pieces: dict[str, NDArray[Any]], at: int, *, is_closed: bool) -> str:
     if is_closed:
         return "across a slope steeper than the limit" if pieces["across"][at] else "no room beside an obstacle"
     if pieces["unknown"][at]:
-        return BARRED_TEXT[Barred.UNKNOWN]
+        return BARRED_TEXT[Barred(barred)]
     is_slope = 2.0 * float(pieces["slope"][at]) > cost - 1.0
     kind = "slope" if is_slope else f"rough ground, C_r {float(pieces['c_r'][at]):.3f} rad/m"
     return f"{kind}, {cost:.1f} m for each metre"

@@ -16,7 +16,7 @@ from bumpymap.core import (
 )
 
 if TYPE_CHECKING:
-    from bumpymap.core import CheckedDrive, CheckResult, MapAgreement
+    from bumpymap.core import CheckedDrive, CheckResult, DrivenStretches, MapAgreement
 
 DASH = "\N{EN DASH}"
 """Stands where nothing is known."""
@@ -123,63 +123,69 @@ FEW = 5
 LEVEL = 1.15
 """Up to this factor of its median ratio from 1 a map holds."""
 INSIDE = 0.8
-"""Share of readings that the map's interval should hold; a level that is off with fewer is off beyond all errors."""
+"""Share of readings that the map's interval should hold; with fewer the map is surer than it may be."""
 RANKS, ROUGHLY = 0.8, 0.5
 """From these Spearman correlations on a map ranks ground rightly, and roughly."""
 EVEN = 1.5
 """Ground is too even to rank if its 90 % quantile is less than this factor above its 10 % quantile."""
 
 
-def check_headline(result: "CheckResult") -> str:
-    """Return the result in a few sentences: whether the map holds, over how much ground, how well; by line if known."""
-    agreement = result.agreement_by_line or result.agreement
-    if agreement is None:
+def check_headline(result: "CheckResult") -> list[str]:
+    """Return the result in a few sentences: whether the map holds by the driven line, if known, and by its tiles."""
+    if result.agreement is None:
         measured, lengths = result.stretches.measured, result.stretches.way_m
         known = np.isfinite(measured) & (lengths > 0.0)
         count = count_text(len(result.drives), "drive")
         if not known.any():
-            return f"Nothing was measured on {count}."
+            return [f"Nothing was measured on {count}."]
         mean, way = float(np.average(measured[known], weights=lengths[known])), float(np.sum(lengths))
-        return f"{count} measured over {metres(way)}: a ride cost of {mean:.3f} rad/m on average. No map was checked."
-    over = f"{metres(agreement.way_m)} in {count_text(agreement.stretches, 'stretch', 'stretches')}"
-    if agreement.stretches < FEW:
-        return f"Too little was driven on the map to judge it: {over}. Drive at least {FEW} stretches of it."
-    parts = [f"{check_verdict(result)}. Over {over} it {level_words(agreement)} in the median"]
-    parts[0] += f", and half of the stretches are off by less than {percent(agreement.median_error)}."
-    parts.append(f"{percent(agreement.inside)} of the drives' readings lie in its 80 % interval.")
-    if (tiles := result.agreement) is not None and result.agreement_by_line is not None:
-        parts.append(
-            f"This is by the driven lines, rolled over its pixels (rank correlation {agreement.spearman:.2f}). By its "
-            f"tiles, which are means over all lines, half are off by less than {percent(tiles.median_error)} "
-            f"({tiles.spearman:.2f})."
-        )
-    return " ".join(parts)
+        return [f"{count} measured over {metres(way)}: a ride cost of {mean:.3f} rad/m on average. No map was checked."]
+    judged = [("By its tiles, which are means over all headings", result.agreement, result.stretches)]
+    if result.agreement_by_line is not None and result.by_line is not None:
+        judged.insert(0, ("By the driven lines, rolled over its pixels", result.agreement_by_line, result.by_line))
+    said = [f"{way}, {_judgement(found, stretches)}" for way, found, stretches in judged if found.stretches >= FEW]
+    few = judged[0][1]
+    over = f"{metres(few.way_m)} in {count_text(few.stretches, 'stretch', 'stretches')}"
+    return said or [f"Too little was driven on the map to judge it: {over}. Drive at least {FEW} stretches of it."]
 
 
-def check_verdict(result: "CheckResult") -> str:
-    """Return whether the map holds, in one sentence without its full stop; for at least ``FEW`` stretches."""
-    agreement, stretches = result.agreement_by_line or result.agreement, result.by_line or result.stretches
-    if agreement is None or not np.isfinite(agreement.median_ratio):
-        return "The map cannot be judged"
-    level = 1 / LEVEL <= agreement.median_ratio <= LEVEL
-    allowed = "" if round(agreement.inside, 2) < INSIDE else " by no more than its interval allows"
-    rank = agreement.spearman
+def _judgement(agreement: "MapAgreement", stretches: "DrivenStretches") -> str:
+    return (
+        f"{check_verdict(agreement, stretches)}: over {metres(agreement.way_m)} in "
+        f"{count_text(agreement.stretches, 'stretch', 'stretches')} it {level_words(agreement)} in the median, half of "
+        f"the stretches are off by less than {percent(agreement.median_error)}, {percent(agreement.inside)} of the "
+        f"drives' readings lie in its 80 % interval, and the rank correlation is {number(agreement.spearman, 2)}."
+    )
+
+
+def check_verdict(agreement: "MapAgreement", stretches: "DrivenStretches") -> str:
+    """Return whether the map holds, in words that the figures bear out as they are shown.
+
+    ``stretches``: at least ``FEW``, with what the map says of them in the same way.
+    """
+    if not np.isfinite(agreement.median_ratio):
+        return "the map cannot be judged"
+    level, rank = 1 / LEVEL <= agreement.median_ratio <= LEVEL, agreement.spearman
+    inside = round(agreement.inside, 2) >= INSIDE
+    allowed = " by no more than its interval allows" if inside else ""
     known = stretches.measured[np.isfinite(stretches.c_r) & (stretches.measured > 0.0)]
     low, high = np.quantile(known, [0.1, 0.9]) if len(known) else (1.0, 1.0)
     if high < EVEN * low or not np.isfinite(rank):
         even = "the ground driven is too even to say whether the map ranks ground rightly"
-        return f"The level of the map holds; {even}" if level else f"The map's level is off{allowed}; {even}"
-    if round(rank, 2) >= RANKS:  # as it is shown
-        return "The map holds" if level else f"The map ranks the ground rightly, but its level is off{allowed}"
+        return f"the level of the map {'holds' if level else f'is off{allowed}'}; {even}"
+    if round(rank, 2) >= RANKS:
+        if level:
+            return "the map holds" if inside else "the map holds in rank and level, but is surer than it may be"
+        return f"the map ranks the ground rightly, but its level is off{allowed}"
     if round(rank, 2) >= ROUGHLY:
-        return f"The map ranks the ground only roughly{'' if level else f', and its level is off{allowed}'}"
-    return "The map does not rank this ground as the vehicle felt it"
+        return f"the map ranks the ground only roughly{'' if level else f', and its level is off{allowed}'}"
+    return "the map does not rank this ground as the vehicle felt it"
 
 
 def agreements_of(result: "CheckResult") -> "list[tuple[str, MapAgreement]]":
     """Return the agreement over all stretches, by the driven line and by tiles, and by class of the map, named."""
     whole = (("all, by the driven line", result.agreement_by_line), ("all, by tiles", result.agreement))
-    by_class = [(f"{code} {CLASS_NAMES[code]}", found) for code, found in sorted(result.by_class.items())]
+    by_class = [(f"{code} {CLASS_NAMES[code]}, by tiles", found) for code, found in sorted(result.by_class.items())]
     return [*((name, found) for name, found in whole if found is not None), *by_class]
 
 

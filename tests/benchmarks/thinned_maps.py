@@ -21,7 +21,7 @@ import laspy
 import numpy as np
 
 import bumpymap
-from bumpymap.core import BARRED_TEXT, Barred
+from bumpymap.core import BARRED_TEXT, CROSSING_UNKNOWN, Barred
 from bumpymap.lab.evaluate.agreement import spearman
 
 TEXTS = {text: code for code, text in BARRED_TEXT.items()}
@@ -51,7 +51,7 @@ def compare_passable(first, after):
     codes = after["code"].reindex(first.index, fill_value=Barred.UNKNOWN).to_numpy()
     before = first["code"].to_numpy()
     passable = codes[before == Barred.NO]
-    was_closed = ~np.isin(before, (Barred.NO, Barred.UNKNOWN))
+    was_closed = ~np.isin(before, (Barred.NO, *CROSSING_UNKNOWN))
     closed, opened = before[was_closed], before[was_closed & (codes == Barred.NO)]
     cells = [_share(passable != Barred.NO), _reasons(passable[passable != Barred.NO], passable)]
     return [*cells, _share(codes[was_closed] == Barred.NO), _reasons(opened, closed)]

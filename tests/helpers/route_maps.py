@@ -4,6 +4,9 @@ import json
 from pathlib import Path
 from shutil import copytree
 
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 from cost_maps import table_of
 from pyproj import CRS
 
@@ -49,6 +52,19 @@ def list_anew(folder, **changes):
     for entry in record["files"]:
         entry.update(describe_file(folder / entry["path"]) | {"path": entry["path"]})
     (folder / "run.json").write_text(json.dumps(record))
+
+
+def change_bars(folder, code, bar):
+    """Give all tiles of a class another entry in the column ``barred``."""
+    path = folder / "tiles.parquet"
+    table = pq.read_table(path)
+    at = table.schema.get_field_index("barred")
+    field = table.schema.field(at)
+    chosen = pc.fill_null(pc.equal(table["class"], code), fill_value=False)
+    bars = pc.if_else(chosen, pa.scalar(bar, pa.string()), table["barred"].cast(pa.string()))
+    pq.write_table(table.set_column(at, field, bars.cast(field.type)), path)
+    list_anew(folder)
+    return folder
 
 
 def bare_map(window=None, *, crs=UTM, unit=1.0, grid=None):

@@ -1,4 +1,7 @@
-"""Small LAS and LAZ surveys, good ones and broken ones."""
+"""Small LAS and LAZ surveys, good ones and broken ones; pictures that are none."""
+
+import struct
+import zlib
 
 import laspy
 import numpy as np
@@ -54,4 +57,17 @@ def write_broken(path):
     """The first half of a survey."""
     data = write_survey(path).read_bytes()
     path.write_bytes(data[: len(data) // 2])
+    return path
+
+
+def write_bomb(path):
+    """A tiny PNG or JPEG whose header declares more pixels than any memory holds."""
+    size = struct.pack(">II", 100_000, 100_000) + b"\x08\x02\0\0\0"
+    chunks = [
+        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+        for name, data in ((b"IHDR", size), (b"IDAT", zlib.compress(bytes(9))), (b"IEND", b""))
+    ]
+    frame = b"\xff\xc0\0\x11\x08" + struct.pack(">HH", 65_500, 65_500) + b"\x03\x01\x11\0\x02\x11\0\x03\x11\0"
+    jpeg = b"\xff\xd8" + frame + b"\xff\xda\0\x0c\x03\x01\0\x02\0\x03\0\0\x3f\0" + bytes(9) + b"\xff\xd9"
+    path.write_bytes(jpeg if path.suffix == ".jpg" else b"\x89PNG\r\n\x1a\n" + b"".join(chunks))
     return path

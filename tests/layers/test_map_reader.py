@@ -387,15 +387,14 @@ def test_the_median_of_the_last_class_is_of_the_tiles_that_their_c_r_puts_there(
     assert summary.by_class == (1, 0, 0, 4)
 
 
-def test_unknown_are_the_tiles_without_a_class():
-    """Those with one of which too little was seen are not passable, but not unknown."""
+def test_unknown_are_the_tiles_without_a_class_and_each_reason_has_its_own_count():
     counts = {
         "tiles": 10,
         "points": 99,
         "passable": 5,
         "by_class": dict(zip(CLASS_NAMES, (5, 1, 1, 1), strict=True)),
         "by_reason": {"too few points": 2},
-        "barred": {"unknown ground": 3, "step": 2},
+        "barred": {"unknown ground": 2, "step": 2, "too little seen": 1},
         **dict.fromkeys(("median_c_r", "median_slope"), [None] * 5),
         "median_count": None,
         "failing": 0,

@@ -37,7 +37,7 @@ PROPERTIES = {
     *("c_r_max", "c_r_max_low", "c_r_max_high", "c_r_line", "c_r_line_low", "c_r_line_high"),
     *("p_arrives", "p_arrives_note", "p_fail_max", "unknown_m", "why"),
     *("obstacle_m", "tight_turns_deg", "climb_m", "descent_m", "seconds", "risk_m"),
-    *("iri", "iso_8608", "iri_resolution"),
+    *("iri", "iso_8608", "iri_resolution", "iri_note"),
 }
 STRETCH = RoadFigures(100.0, 0.0, 100.0, 5.5, 256e-6, "resolved", 0.02, 0.1, -0.03, 0.05, 0.04, 0.06, 0.25)
 
@@ -99,6 +99,7 @@ def test_iri_and_class_are_told_where_noise_lets_them(tmp_path):
     found = [line["properties"] for line in lines_of(written(routes, tmp_path / "route.geojson"))]
     assert [(one["iri"], one["iso_8608"]) for one in found] == [(5.5, "C"), (None, None), (None, None)]
     assert tuple(one["iri_resolution"] for one in found) == marks
+    assert all("photogrammetry" in one["iri_note"] for one in found)
     write_route_stretches([replace(routes[0], road=(STRETCH, replace(STRETCH, iso_power=np.nan)))], tmp_path / "s.csv")
     first, second = pd.read_csv(tmp_path / "s.csv").to_dict("records")
     assert (first["iri"], first["iso_8608"], first["crossfall"], first["a_w"]) == (5.5, "C", -0.03, 0.25)

@@ -39,7 +39,7 @@ def only(found):
 
 def test_obstacles_and_missing_tiles_around_count():
     # A wall in the neighbouring tiles, all around: the middle keeps 0.6 m from it, and reaches no side.
-    for ring, reason in ((OBSTACLE, Barred.OBSTACLE), (UNSEEN, Barred.UNKNOWN)):
+    for ring, reason in ((OBSTACLE, Barred.OBSTACLE), (UNSEEN, Barred.LITTLE_SEEN)):
         assert only(judged(free(), ring=ring)) == reason
         inner = judged(free(3), ring=ring) == Barred.NO
         assert inner.tolist() == [[True] * 3] * 3
@@ -109,7 +109,7 @@ def test_random_obstacles_bar_as_distances_and_regions_tell(width):
         touched = np.array([[n in side for side in sides] for n in range(1, number + 1)], bool).reshape(-1, 4)
         passes = (touched & usable[row, col]).sum(axis=1) >= least
         blocked = not (touched.sum(axis=1) >= least).any()
-        reason = Barred.OBSTACLE if near[part].any() else Barred.UNKNOWN
+        reason = Barred.OBSTACLE if near[part].any() else Barred.LITTLE_SEEN
         assert found[row, col] == (Barred.NO if passes.any() else reason if blocked else Barred.STEP)
 
 

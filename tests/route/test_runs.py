@@ -310,6 +310,7 @@ def usable(site, row, col, snap=0.0, **areas):
     ("code", "words"),
     [
         (Barred.UNKNOWN, "unknown ground; `unknown=COST`"),
+        (Barred.LITTLE_SEEN, "too little seen; `unknown=COST`"),
         (Barred.SLOPE, r"not passable \(too steep\)"),
         (NO_TILE, "a tile without points"),
     ],

@@ -2,15 +2,19 @@
 
 import base64
 import io
+import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 from page_outline import Outline
 from PIL import Image
+from route_maps import copy_folder
+from small_surveys import write_bomb
 
-from bumpymap.core import BadInputError
-from bumpymap.layers import SurveyRow
+from bumpymap.layers import SurveyRow, map_facts
+from bumpymap.survey.batch.run import look_at
 from bumpymap.views import SurveyView, read_thumbnail
 from bumpymap.views.page.batch_page import index_page
 
@@ -88,7 +92,24 @@ def test_the_picture_is_that_of_the_map_as_small_as_asked(site, tmp_path):
         if width == 240:
             assert np.abs(found - wanted).mean() < 12
     assert read_thumbnail(site, 10) == ""
-    (tmp_path / "rasters").mkdir()
-    (tmp_path / "rasters/thumbnail.jpg").write_bytes(b"nothing")
-    with pytest.raises(BadInputError, match=r"cannot read .*thumbnail\.jpg"):
-        read_thumbnail(tmp_path, 10_000)
+
+
+@pytest.mark.parametrize("damage", [write_bomb, Path.mkdir, lambda path: path.write_bytes(b"\xff\xd8\xff"), None])
+def test_a_picture_that_cannot_be_read_costs_a_map_its_picture_alone(site, tmp_path, caplog, damage):
+    path = copy_folder(site, tmp_path / "map") / "rasters/thumbnail.jpg"
+    path.unlink()
+    if damage:
+        damage(path)
+    view = look_at(tmp_path / "map", 10_000)
+    assert (view.thumbnail, view.has_report) == ("", True)
+    assert "rasters/thumbnail.jpg is not shown: " in caplog.text
+
+
+def test_a_map_without_tiles_has_a_row_without_shares(site, tmp_path):
+    counts = json.loads((site / "run.json").read_text())["counts"]
+    none = dict.fromkeys(("tiles", "passable", "unknown"), 0) | {"by_reason": {}}
+    none["by_class"] = dict.fromkeys(counts["by_class"], 0)
+    facts = map_facts(copy_folder(site, tmp_path / "map", counts=counts | none))
+    wanted = {"tiles": 0, "area": 0.0} | dict.fromkeys(("density", "share_smooth", "share_passable", "share_unknown"))
+    assert {name: facts[name] for name in wanted} == wanted
+    assert "passable," not in index_page([SurveyRow("none", "done", **facts)], {}, [], "night")

@@ -9,9 +9,6 @@ from base64 import b64decode
 from functools import partial
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.parquet as pq
 import pytest
 import rasterio
 import shapely
@@ -20,8 +17,8 @@ from page_outline import Outline, require_no_requests
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 from pyproj import Transformer
-from route_maps import VEHICLE, copy_folder, list_anew, write_folder
-from small_surveys import run
+from route_maps import VEHICLE, change_bars, copy_folder, list_anew, write_folder
+from small_surveys import run, write_bomb, write_broken
 
 from bumpymap.core import CLASS_NAMES, NO_CLASS, OBSTACLE, BadInputError, OutputError, PageSettings, UsageError
 from bumpymap.layers import SurveyRow
@@ -147,24 +144,11 @@ def test_names_are_text_and_places_of_the_machine_are_not_in_the_page(tmp_path, 
     assert not [private for private in ("key=1", "/home", str(tmp_path)) if private in page.text]
 
 
-def change_bars(folder, code, bar):
-    """Give all tiles of a class another entry in the column ``barred``."""
-    path = folder / "tiles.parquet"
-    table = pq.read_table(path)
-    at = table.schema.get_field_index("barred")
-    field = table.schema.field(at)
-    chosen = pc.fill_null(pc.equal(table["class"], code), fill_value=False)
-    bars = pc.if_else(chosen, pa.scalar(bar, pa.string()), table["barred"].cast(pa.string()))
-    pq.write_table(table.set_column(at, field, bars.cast(field.type)), path)
-    list_anew(folder)
-    return folder
-
-
 def test_smooth_ground_looks_drivable_only_if_it_is_in_the_picture_without_script(tmp_path, read_page):
     """A steep but smooth slope is hatched; where nobody knows whether there is a way, there is no colour."""
     folder = write_folder(tmp_path / "easy", make_field(30, 20, easy=True, holes=0.0))
     blue, dark = {}, {}
-    for bar in (None, "too steep", "unknown ground"):
+    for bar in (None, "too steep", "too little seen"):
         page = read_page(write_report(change_bars(folder, 0, bar)))
         source = re.search(r'class="still" src="data:image/jpeg;base64,([^"]+)"', page.text)[1]
         picture = np.asarray(Image.open(io.BytesIO(b64decode(source))).convert("RGB")).astype(int)
@@ -176,18 +160,28 @@ def test_smooth_ground_looks_drivable_only_if_it_is_in_the_picture_without_scrip
         blue[bar] = ((smooth[..., 2] - smooth[..., 0]) / smooth.max(axis=-1) > 0.35).mean(axis=(1, 2))
         dark[bar] = (smooth.max(axis=-1) < 60).mean(axis=(1, 2))
     assert blue[None].mean() > 0.9
-    assert blue["unknown ground"].mean() < 0.05
+    assert blue["too little seen"].mean() < 0.05
     assert (dark["too steep"] > dark[None]).mean() > 0.98
 
 
-def test_the_headline_counts_as_smooth_only_what_can_be_crossed(tmp_path, read_page):
+def test_headline_and_bar_count_as_smooth_only_what_can_be_crossed_and_agree(tmp_path):
     folder = write_folder(tmp_path / "easy", make_field(30, 20, easy=True))
-    before = json.loads((folder / "run.json").read_text())["counts"]
-    calm = before["by_class"]["smooth"] + before["by_class"]["fair"]
-    wanted = "{} of the ground can be crossed and is smooth or fair to ride on."
-    assert wanted.format(share(calm, before["tiles"])) in read_page(folder / "report.html").text
-    page = read_page(write_report(change_bars(folder, 0, "obstacle")))
-    assert wanted.format(share(before["by_class"]["fair"], before["tiles"])) in page.text
+    counts = json.loads((folder / "run.json").read_text())["counts"]
+    classes, tiles = counts["by_class"], counts["tiles"]
+    for closed, code in (((), None), (("smooth",), "obstacle"), (("smooth",), "too little seen")):
+        free = [0 if name in closed else classes[name] for name in CLASS_NAMES]
+        known = {**counts["barred"], **({code: classes["smooth"]} if code else {})}
+        list_anew(folder, counts=counts | {"passable": sum(free), "barred": known})
+        page = write_report(change_bars(folder, 0, code)).read_text()
+        unknown = counts["unknown"] + (known.get("too little seen", 0))
+        assert f"can cross {share(sum(free), tiles)} of" in page
+        assert f"{share(sum(free[:2]), tiles)} of the ground can be crossed and is smooth or fair to ride on." in page
+        bar = page[page.index('<div class="shares"') :]
+        parts = np.array(re.findall(r'<rect x="[\d.]+" width="([\d.]+)" height="4"', bar), float)
+        wanted = np.array([*free, tiles - sum(free) - unknown, unknown]) / tiles
+        assert np.allclose(parts, 100 * wanted, atol=0.01)
+        shown = re.findall(r"</svg> ([a-z ]+) (\d+)\u00a0%", bar.partition("</div>")[0])
+        assert sum(int(part) for name, part in shown if name in CLASS_NAMES) == round(100 * sum(free) / tiles)
 
 
 def test_what_cannot_be_made_says_why(site, tmp_path):
@@ -218,7 +212,7 @@ def test_a_way_lies_on_the_map(site, tmp_path, read_page):
     corners = [(110_002 * 3.0, 680_004 * 3.0), (110_020 * 3.0, 680_022 * 3.0)]
     to_lonlat = Transformer.from_crs("EPSG:32614", "OGC:CRS84", always_xy=True)
     line = {"type": "LineString", "coordinates": [to_lonlat.transform(*corner) for corner in corners]}
-    about = {"name": "<b>way</b>", "length_m": 1234.5, "c_r_mean": 0.123456, "p_arrives": 0.998}
+    about = {"name": "<b>way</b>", "length_m": 1234.5, "c_r_mean": 0.123456, "p_arrives": 0.998, "iri": 5.5}
     collection = {"type": "FeatureCollection", "features": [{"type": "Feature", "properties": about, "geometry": line}]}
     (tmp_path / "route.geojson").write_text(json.dumps(collection))
     page = read_page(write_report(site, tmp_path / "a.html", route=tmp_path))
@@ -226,7 +220,8 @@ def test_a_way_lies_on_the_map(site, tmp_path, read_page):
     assert np.allclose(way["lines"][0], corners, atol=0.02)
     table = dict(Outline(page.text).tables["Figures of the way"])
     wanted = {"figure": "A <b>way</b>", "mean C_r, rad/m": "0.123", "length, m": "1,234"}
-    wanted["chance to arrive"] = "over 99\xa0%"
+    wanted |= {"chance to arrive": "over 99\xa0%", "IRI, m/km": "5.5"}
+    assert 'IRI, m/km<span class="meaning">of a car at 80 km/h on both wheel paths; waves that' in page.text
     assert {name: table[name] for name in wanted} == wanted
 
 
@@ -245,13 +240,27 @@ def test_the_header_says_what_settings_say_and_holds_a_logo_made_anew(site, tmp_
     assert (picture.size, picture.text, b"secret" in logo) == ((480, 160), {}, False)
     for header, by in (({}, "Pits &amp; Co"), ({"operator": "Ann"}, "Ann")):
         settings = json.loads((site / "run.json").read_text())["settings"] | {"provider": "Pits & Co"}
-        twin = copy_folder(site, tmp_path / by, settings=settings, page=header)
-        assert f"<span>by {by}</span>" in write_report(twin).read_text()
+        dated = json.loads((site / "run.json").read_text())["survey"] | {"dates": ["2024-05-01", "2024-05-01"]}
+        text = write_report(copy_folder(site, tmp_path / by, settings=settings, page=header, survey=dated)).read_text()
+        assert f"<span>by {by}</span>" in text
+        assert re.findall(r"<dt>([^<]*)</dt><dd>2024-05-01", text) == ["files written on"]
+        assert text.count("2024-05-01") == 1  # of the flight nothing is known
     (tmp_path / "link.png").symlink_to(tmp_path / "logo.png")
     (tmp_path / "text.png").write_text("<svg onload='x'/>")
-    for name, why in (("link.png", "it is a link"), ("text.png", "cannot identify"), ("none.png", "No such file")):
-        with pytest.raises(BadInputError, match=why):
+    for name, why in (("link.png", "it is a link"), ("text.png", "no PNG or JPEG"), ("none.png", "No such file")):
+        with pytest.raises(UsageError, match=why):
             page_header(PageSettings(logo=tmp_path / name))
+
+
+@pytest.mark.parametrize("name", ["logo.png", "logo.jpg"])
+def test_a_logo_that_declares_more_pixels_than_memory_holds_is_refused_before_anything_is_read(site, tmp_path, name):
+    (tmp_path / "surveys").mkdir()
+    survey, logo = write_broken(tmp_path / "surveys/a.laz"), ("--set", f"page.logo={write_bomb(tmp_path / name)}")
+    out = ("--out", tmp_path / "out")
+    for words in (("report", site, *logo), ("map", survey, *out, *logo), ("batch", survey.parent, *out, *logo)):
+        made = run(*words)
+        assert (made.exit_code, " 65,500 pixels" in made.output or " 100,000 pixels" in made.output) == (2, True)
+        assert not (tmp_path / "out").exists()
 
 
 PLACES = [  # Munich and Vienna; Lesotho and the country around it; Russia beyond the antimeridian, Alaska; Antarctica

@@ -7,9 +7,10 @@ import pytest
 import rasterio
 from axe_playwright_python.sync_playwright import Axe
 from page_outline import Outline
-from route_maps import copy_folder
+from route_maps import change_bars, copy_folder
 
-from bumpymap.layers import SurveyRow
+from bumpymap.core import Barred
+from bumpymap.layers import BARRED_COLOURS, SurveyRow
 from bumpymap.layers.check_vectors import MapOffset
 from bumpymap.layers.colours import OFF_COLOURS
 from bumpymap.views import write_report
@@ -197,6 +198,16 @@ def test_the_pointer_reads_what_the_grids_hold_and_unknown_ground_is_grey(visit,
     for key in ("class", "c_r", "slope", "barred", "none"):
         _, colour = page.evaluate(POINT_AT, [*first((ground >= 16) & (ground < 255)), key])
         assert np.ptp(colour) <= 2, f"unknown ground has a colour in the layer {key}"
+
+
+def test_ground_of_which_too_little_was_seen_shows_its_reason_and_no_class(visit, site, tmp_path, read_page):
+    path = write_report(change_bars(copy_folder(site, tmp_path / "thin"), 0, "too little seen"))
+    page, place = visit(path), first(read_page(path).codes("barred") == Barred.LITTLE_SEEN)
+    text, colour = page.evaluate(POINT_AT, [*place, "class"])
+    assert "not known whether the vehicle can cross it: too little seen" in text
+    assert np.ptp(colour) <= 2
+    _, colour = page.evaluate(POINT_AT, [*place, "barred"])
+    assert np.abs(np.subtract(colour, BARRED_COLOURS[Barred.LITTLE_SEEN][:3])).max() <= 2
 
 
 def test_the_pointer_reads_the_ride_by_heading_as_words_and_as_a_rose(visit, pages, site, read_page, tmp_path):

@@ -60,7 +60,7 @@ from bumpymap.survey.batch.source import ListedSurvey, list_surveys, settings_fa
 from bumpymap.survey.engine import connect
 from bumpymap.survey.pipeline import map_surveys
 from bumpymap.survey.run_record import WarningCollector
-from bumpymap.views import SurveyView, index_page, read_thumbnail
+from bumpymap.views import SurveyView, index_page, page_header, read_thumbnail
 from bumpytiles import compile_loaded
 
 _MOST_WAIT_S = 5.0
@@ -345,7 +345,7 @@ def run_batch(
     OutputError
         ``config.out`` cannot be written, is in use, or holds files of something else.
     """
-    faults = partial(settings_faults, calibration=cache(find_calibration))
+    faults = partial(settings_faults, calibration=cache(find_calibration), header=cache(page_header))
     refuse_faults(faults(config.merged({}), complete=False), "settings for all surveys", UsageError)
     surveys = list_surveys(config.source, config.survey_per, lambda own: faults(config.merged(own)))
     (tasks, jobs), folder = _tasks(config, surveys), config.out

@@ -17,6 +17,7 @@ from bumpymap.core import (
     BadInputError,
     BumpymapError,
     MapConfig,
+    PageSettings,
     UsageError,
     parse_crs,
     parse_record,
@@ -32,6 +33,7 @@ from bumpymap.layers import BATCH_NAMES
 from bumpymap.rating import Calibration, find_calibration
 from bumpymap.readers import find_surveys, is_ept
 from bumpymap.survey.batch.settings import OWN_SETTINGS, SurveyPer
+from bumpymap.views import page_header
 
 _log = logging.getLogger(__name__)
 _LISTS = (".txt", ".csv")
@@ -237,11 +239,12 @@ def settings_faults(
     *,
     complete: bool = True,
     calibration: Callable[..., Calibration] = find_calibration,
+    header: Callable[[PageSettings], object] = page_header,
 ) -> list[str]:
-    """Return what is wrong with settings of surveys: values, CRS, and vehicles and files that are not there.
+    """Return what is wrong with settings of surveys: values, CRS, and vehicles and files that cannot be used.
 
     ``complete``: no others come to these, so that they must also fit each other. ``calibration`` finds the calibration
-    of a vehicle.
+    of a vehicle, ``header`` reads the logo of a page.
     """
     faults: list[str] = []
     for name in ("crs", "force_crs"):
@@ -253,6 +256,8 @@ def settings_faults(
         found = calibration(config.vehicle, config.calibration, config.tile_size)
         if complete:
             found.require_grid(config.tile_size, config.pixels)
+    with _noted(faults):
+        header(settings.get("page") or PageSettings())
     if settings.get("model") is not None and not settings["model"].is_file():
         faults.append(f"there is no file {settings['model']}, given as the model")
     return faults

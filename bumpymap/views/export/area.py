@@ -15,6 +15,7 @@ from scipy.ndimage import distance_transform_edt
 
 from bumpymap.core import (
     CANOPY,
+    CROSSING_UNKNOWN,
     NO_TILE,
     OBSTACLE,
     OPEN_THROUGH,
@@ -76,7 +77,7 @@ def cell_states(area: "ExportArea", field: TileField) -> tuple[NDArray[np.uint8]
     """
     pixels, barred = area.route_map.grid.pixels, field.barred
     objects = area.route_map.objects(field.window)
-    closed = np.where(np.isin(barred, (Barred.UNKNOWN, NO_TILE)), np.uint8(UNKNOWN_CELL), np.uint8(LETHAL))
+    closed = np.where(np.isin(barred, (*CROSSING_UNKNOWN, NO_TILE)), np.uint8(UNKNOWN_CELL), np.uint8(LETHAL))
     states = by_pixel(np.where(barred == Barred.NO, np.uint8(FREE_CELL), closed), pixels)
     # Where objects were not told apart they are part of the relief, and in the ride cost.
     judged = by_pixel(~np.isnan(field.obstacle), pixels)

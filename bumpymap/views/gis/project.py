@@ -306,7 +306,7 @@ def _notes(record: Mapping[str, Any]) -> list[str]:
     about = (calibration.get("preferences") or {}).get("description")
     return [
         "Roughness and ride cost of the ground, made by bumpymap from a point cloud.",
-        *([f"Survey: {' to '.join(dates)}."] if dates else []),
+        *([f"Files of the survey written on {' to '.join(dates)}."] if dates else []),
         f"Vehicle: {calibration['vehicle']}{f' ({about})' if about else ''}.",
         f"Calibration: {calibration['id']}.",
         *([f"Coordinates: {crs['name']}."] if crs else []),

@@ -1,5 +1,6 @@
 """index.html, the page of a batch: a row for each survey, with a thumbnail of its map and its place."""
 
+import logging
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,11 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 from pyproj import Transformer
 from pyproj.exceptions import ProjError
 
-from bumpymap.core import CLASS_NAMES, BadInputError, shares_text, stated_crs
+from bumpymap.core import CLASS_NAMES, shares_text, stated_crs
 from bumpymap.layers import (
     CLASS_COLOURS,
     UNKNOWN_COLOUR,
@@ -21,9 +21,10 @@ from bumpymap.layers import (
     SurveyStatus,
 )
 from bumpymap.views.page.page import render_page
-from bumpymap.views.page.site import jpeg
+from bumpymap.views.page.site import UNREADABLE, jpeg, open_picture
 from bumpymap.views.pictures.drawing import bar_length
 
+_log = logging.getLogger(__name__)
 _LEAST_WIDTH, _WIDTH, _MOST_HEIGHT, _EDGE = 260.0, 640.0, 280.0, 24.0
 _DEGREE_M = 111_320.0
 _LEAST_M = 100.0
@@ -86,18 +87,16 @@ _SIDE = 240
 def read_thumbnail(folder: Path, most: int) -> str:
     """Return rasters/thumbnail.jpg of a complete map as a data URI of at most ``most`` characters, or nothing.
 
-    Raises
-    ------
-    BadInputError
-        It is missing or damaged.
+    A picture that cannot be read is left out, with a warning: the map is none the worse.
     """
     path = folder / MapFile.THUMBNAIL
     try:
-        with Image.open(path, formats=("JPEG",)) as image:
-            image.thumbnail((_SIDE, _SIDE))
-            text = jpeg(np.asarray(image), most)
-    except (OSError, ValueError) as error:
-        raise BadInputError(f"cannot read {path}: {error}. Map the survey again") from error
+        with open_picture(path) as picture:
+            picture.thumbnail((_SIDE, _SIDE))
+            text = jpeg(np.asarray(picture.convert("RGB")), most)
+    except UNREADABLE as error:
+        _log.warning("%s is not shown: %s", path, getattr(error, "strerror", None) or error)
+        return ""
     return text if len(text) <= most else ""
 
 

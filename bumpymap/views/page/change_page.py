@@ -341,11 +341,12 @@ _SIDES = ("before", "after")
 
 
 def _title(runs: list[Mapping[str, Any]]) -> str:
-    """Return what the two surveys are called, by what differs: their names, else their dates."""
+    """Return what the two surveys are called, by what differs: their names, else the dates of their files."""
     names, days = [survey_name(run) for run in runs], [_dates(run) for run in runs]
     if names[0] != names[1]:
         return " to ".join(names)
-    return f"{names[0]}: {f'{days[0]} to {days[1]}' if None not in days and days[0] != days[1] else 'before to after'}"
+    dated = None not in days and days[0] != days[1]
+    return f"{names[0]}: {'files written on {} and {}'.format(*days) if dated else 'before to after'}"
 
 
 def _dates(run: Mapping[str, Any]) -> str | None:
@@ -389,7 +390,7 @@ def _survey_rows(fit: Mapping[str, Any], runs: list[Mapping[str, Any]]) -> list[
     inputs = [run["inputs"] for run in runs]
     return [
         ("name", *map(survey_name, runs)),
-        ("dates in the files", *(_dates(run) or "not stated" for run in runs)),
+        ("files written on", *(_dates(run) or "not stated" for run in runs)),
         ("files", *(whole(len(items)) for items in inputs)),
         ("points in the files", *(whole(sum(int(item.get("points") or 0) for item in items)) for items in inputs)),
         ("points per m² where both have tiles, median", *(number(value, 1) for value in fit["median_density_m2"])),

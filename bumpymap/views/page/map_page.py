@@ -11,6 +11,7 @@ import numpy as np
 from bumpymap.core import (
     BARRED_TEXT,
     CLASS_NAMES,
+    CROSSING_UNKNOWN,
     NO_CLASS,
     OBJECT_NAMES,
     REASON_TEXT,
@@ -25,7 +26,7 @@ from bumpymap.core import (
 from bumpymap.layers import (
     BARRED_COLOURS,
     CLASS_COLOURS,
-    LITTLE_SEEN,
+    IRI_NOTE,
     MANIFEST_NAME,
     OBJECT_COLOURS,
     OFF_COLOURS,
@@ -189,7 +190,8 @@ _RAMP = ("#fcfdbf", "#feca8d", "#fd9668", "#f1605d", "#cd4071", "#9e2f7f", "#721
 """Colours from the least to the most of a value: lightness falls evenly, so that they can be told apart in grey."""
 _CODES = {
     "unknownFrom": UNKNOWN_FROM,
-    "notKnown": int(Barred.UNKNOWN),
+    "unknown": int(Barred.UNKNOWN),
+    "littleSeen": int(Barred.LITTLE_SEEN),
     "classes": list(CLASS_NAMES),
     "reasons": [REASON_TEXT[code] for code in Reason],
     "barred": [BARRED_TEXT[code] for code in Barred],
@@ -309,16 +311,22 @@ def _worst(result: "CheckResult") -> list[tuple[str, ...]]:
 
 def _crossed(site: Site) -> dict[str, str]:
     """Return the shares of the headline, empty where there is no such ground."""
-    summary = site.summary
-    parts = (summary.passable, summary.unknown, summary.tiles - summary.passable - summary.unknown)
+    parts = _parts_of(site)
     passable, unknown, barred = shares(parts, (0, 1))
-    calm = share(site.tiles.calm, summary.tiles)
+    calm = share(int(site.tiles.free[:2].sum()), site.summary.tiles)
     return {
         "passable": passable,
         "unknown": unknown if parts[1] else "",
         "barred": barred if parts[2] else "",
         "calm": calm,
     }
+
+
+def _parts_of(site: Site) -> tuple[int, int, int]:
+    """Return the tiles that can be crossed, those of which that is not known, and the others."""
+    summary = site.summary
+    unknown = sum(summary.by_bar[code] for code in CROSSING_UNKNOWN)
+    return summary.passable, unknown, summary.tiles - summary.passable - unknown
 
 
 Row = tuple[Any, ...]
@@ -363,12 +371,12 @@ def _reason_rows(site: Site) -> list[Row]:
 _WHY = {
     BARRED_TEXT[Barred.NO]: "the vehicle can cross it",
     BARRED_TEXT[Barred.UNKNOWN]: "no class: it must not be taken for drivable",
-    LITTLE_SEEN: "it has a class, but too little was seen to tell whether there is a way for the vehicle",
     BARRED_TEXT[Barred.OBSTACLE]: "something stands in the way, or the vehicle does not fit between what stands there",
     BARRED_TEXT[Barred.SLOPE]: "steeper than the vehicle may drive",
     BARRED_TEXT[Barred.FAILS]: "at least half of the simulated drives rolled over or got stuck",
     BARRED_TEXT[Barred.STEP]: "a step to or in the tile that the vehicle cannot climb",
     BARRED_TEXT[Barred.SPLIT]: "obstacles part it, or part it from a passable tile beside it: routes pass on pixels",
+    BARRED_TEXT[Barred.LITTLE_SEEN]: "it has a class, but what stands there may be unseen: there may be a way or none",
 }
 _REASONS = {
     Reason.OK: "rated, but without a ride cost",
@@ -395,7 +403,8 @@ def _way_rows(ways: Sequence[DrawnWay]) -> list[Row]:
             shown = [number(value, decimals) for value in values]
             if key == "p_arrives":  # 0.998 is not certain
                 shown = [share(value, 1.0) if isinstance(value, int | float) else DASH for value in values]
-            rows.append((f"{label}, {unit.strip()}" if unit else label, *shown))
+            name = f"{label}, {unit.strip()}" if unit else label
+            rows.append(({"text": name, "meaning": IRI_NOTE} if key == "iri" else name, *shown))
     return rows
 
 
@@ -413,13 +422,19 @@ def _way_lines(ways: Sequence[DrawnWay]) -> list[tuple[str, str]]:
     return lines
 
 
+_CLOSED_COLOUR = (60, 63, 69)
+"""Of ground that cannot be crossed, in the bar of shares."""
+
+
 def _class_bar(site: Site) -> list[tuple[str, tuple[int, ...], str, float]]:
-    """Return name, colour, share in words and share in per cent of the classes and of unknown ground."""
-    counts = [*site.summary.by_class, site.summary.unknown]
-    colours = [*(CLASS_COLOURS[code] for code in range(len(CLASS_NAMES))), UNKNOWN_COLOUR]
-    told = shares(counts, (len(CLASS_NAMES),))
-    parts = [100.0 * count / max(sum(counts), 1) for count in counts]
-    return list(zip((*CLASS_NAMES, "not known"), colours, told, parts, strict=True))
+    """Return name, colour, share in words and share in per cent of what can be crossed by class, and of the rest."""
+    passable, unknown, barred = _parts_of(site)
+    classes, total = site.tiles.free.tolist(), site.summary.tiles
+    told = shares([*classes, total - passable], (len(classes),))[:-1]  # they make what the headline says is passable
+    told += shares((passable, unknown, barred), (0, 1))[:0:-1]
+    colours = [*(CLASS_COLOURS[code] for code in range(len(classes))), _CLOSED_COLOUR, UNKNOWN_COLOUR]
+    parts = [100.0 * count / max(total, 1) for count in (*classes, barred, unknown)]
+    return list(zip((*CLASS_NAMES, "cannot be crossed", "not known"), colours, told, parts, strict=True))
 
 
 _DIGEST = 16

@@ -11,6 +11,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from PIL.ImageFile import ImageFile
+from PIL.JpegImagePlugin import JpegImageFile
+from PIL.PngImagePlugin import PngImageFile
 from pyproj import Transformer
 from pyproj.exceptions import ProjError
 
@@ -24,6 +27,7 @@ from bumpymap.core import (
     Nullable,
     Number,
     PageSettings,
+    UsageError,
     read_regular,
     shape_fault,
     stated_crs,
@@ -202,9 +206,29 @@ def jpeg(picture: NDArray[np.uint8], most: int) -> str:
         image = image.resize((max(1, image.width // 2), max(1, image.height // 2)))
 
 
-_MOST_LOGO, _LOGO_SIDES = 5_000_000, (480, 160)
-"""Bytes of the file of a logo, and the largest width and height on the page, pixels."""
-_MOST_LOGO_PIXELS = 50_000_000
+_MOST_BYTES, _MOST_PIXELS = 5_000_000, 50_000_000
+"""Of the file of a picture that is read, and of the picture."""
+_PICTURES: dict[bytes, type[ImageFile]] = {b"\x89PNG": PngImageFile, b"\xff\xd8\xff": JpegImageFile}
+"""By the first bytes of a file. `Image.open` would warn of a large picture, or raise an error of no usual kind."""
+UNREADABLE = (OSError, ValueError, SyntaxError)
+"""What reading a picture raises."""
+_LOGO_SIDES = (480, 160)
+"""Largest width and height on the page, pixels."""
+
+
+def open_picture(path: Path) -> ImageFile:
+    """Open a PNG or JPEG of at most 5 MB and 50 million pixels by its header; its pixels are decoded later.
+
+    Raises one of ``UNREADABLE``.
+    """
+    content = read_regular(path, _MOST_BYTES)
+    kind = next((each for start, each in _PICTURES.items() if content.startswith(start)), None)
+    if kind is None:
+        raise ValueError("it is no PNG or JPEG")
+    picture = kind(io.BytesIO(content))
+    if picture.width * picture.height > _MOST_PIXELS:
+        raise ValueError(f"it has {picture.width:,} x {picture.height:,} pixels")
+    return picture
 
 
 def page_header(settings: PageSettings) -> dict[str, str]:
@@ -214,22 +238,21 @@ def page_header(settings: PageSettings) -> dict[str, str]:
 
     Raises
     ------
-    BadInputError
-        The logo is no PNG or JPEG file of at most 5 MB and 50 million pixels; it is a link.
+    UsageError
+        The logo cannot be taken, see `open_picture`, or is a link.
     """
     found = {name: text for name in ("title", "client", "operator", "note") if (text := getattr(settings, name))}
     if (path := settings.logo) is None:
         return found
-    fault = f"{path} is not taken as a logo: %s. Give a PNG or JPEG of at most {_MOST_LOGO / 1e6:g} MB as `page.logo`"
+    remedy = f"Give a PNG or JPEG of at most {_MOST_BYTES / 1e6:g} MB and {_MOST_PIXELS / 1e6:g} million pixels"
+    fault = f"{path} is not taken as a logo: %s. {remedy} as `page.logo`"
     if path.is_symlink():
-        raise BadInputError(fault % "it is a link")
+        raise UsageError(fault % "it is a link")
     try:
-        with Image.open(io.BytesIO(read_regular(path, _MOST_LOGO)), formats=("PNG", "JPEG")) as image:
-            if image.width * image.height > _MOST_LOGO_PIXELS:
-                raise BadInputError(fault % f"it has {image.width} x {image.height} pixels")
-            shown = image.convert("RGBA")
-    except (OSError, ValueError, SyntaxError) as error:
-        raise BadInputError(fault % (getattr(error, "strerror", None) or error)) from error
+        with open_picture(path) as picture:
+            shown = picture.convert("RGBA")
+    except UNREADABLE as error:
+        raise UsageError(fault % (getattr(error, "strerror", None) or error)) from error
     shown.thumbnail(_LOGO_SIDES)
     buffer = io.BytesIO()
     shown.save(buffer, "PNG", optimize=True)
@@ -559,7 +582,7 @@ def _still(tiles: PageTiles, light: NDArray[np.uint8], photo: NDArray[np.uint8] 
     shown = tiles.spot.shown(_STILL_SIDE)
     height, width = len(shown[0]), shown[1].shape[1]
     ground, barred = tiles.ground[shown], tiles.barred[shown]
-    ground = np.where((barred == Barred.UNKNOWN) & (ground < UNKNOWN_FROM), UNKNOWN_FROM, ground)
+    ground = np.where((barred == Barred.LITTLE_SEEN) & (ground < UNKNOWN_FROM), UNKNOWN_FROM, ground)
     bright = np.asarray(Image.fromarray(light).resize((width, height), Image.Resampling.BOX), np.float32) / 255
     bright = np.where(ground == NO_POINTS, 1.0, np.minimum(1.0, bright + 0.2))
     picture = np.take(colours, ground, axis=0)  # a third of the time of an index

@@ -12,7 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import Transformer
 
-from bumpymap.core import AXES_DEG, FREE, NO_CLASS, OBSTACLE, BadInputError, Barred, CostRule, Reason, stated_crs
+from bumpymap.core import (
+    AXES_DEG,
+    CLASS_NAMES,
+    FREE,
+    NO_CLASS,
+    OBSTACLE,
+    BadInputError,
+    Barred,
+    CostRule,
+    Reason,
+    stated_crs,
+)
 from bumpymap.layers import UNKNOWN_OBJECT, MapFile, open_layer, raster_lock, read_tiles
 
 NOT_KNOWN = 255
@@ -253,8 +264,8 @@ class PageTiles:
     """Tiles in each bin of ``C_R_EDGES``."""
     slope_bins: NDArray[np.int64]
     """Tiles in each bin of ``SLOPE_EDGES``: unknown tiles that have a slope count too."""
-    calm: int
-    """Tiles that are passable and of the two smoothest classes."""
+    free: NDArray[np.int64]
+    """(4,) passable tiles of each class."""
 
     @classmethod
     def read(cls, folder: Path, record: Mapping[str, Any], spot: Spot) -> Self:
@@ -271,9 +282,10 @@ class PageTiles:
         known = np.zeros(shape, np.uint16 if spot.step < 256 else np.uint32)
         numbers = {name: np.full(shape, -1.0, np.float32) for name in (*_NUMBERS, "cost")}
         bins = {"c_r": np.zeros(len(C_R_EDGES) - 1, np.int64), "slope": np.zeros(len(SLOPE_EDGES) - 1, np.int64)}
+        free = np.zeros(len(CLASS_NAMES), np.int64)
         names = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
         ride, fail, drive, slope = (float(record["cost"][name]) for name in names)
-        rule, calm = CostRule(ride, fail, drive, slope), 0
+        rule = CostRule(ride, fail, drive, slope)
         for found in read_tiles(folder / MapFile.TILES, record["counts"]["tiles"]):
             place = _place(found, spot)
             unknown = UNKNOWN_FROM + found["reason"].astype(np.uint8)
@@ -281,7 +293,8 @@ class PageTiles:
             np.maximum.at(ground, place, kind + 1)
             np.maximum.at(barred, place, found["barred"] + 1)
             np.add.at(known, place, 1)
-            calm += int(np.count_nonzero((found["class"] < 2) & (found["barred"] == Barred.NO)))
+            passable = found["class"][found["barred"] == Barred.NO]
+            free += np.bincount(passable, minlength=len(free))[: len(free)]
             found["cost"] = rule.cost(found["c_r"].astype(np.float64), rule.hazard(found["p_fail"])).astype(np.float32)
             for name, canvas in numbers.items():
                 np.fmax.at(canvas, place, found[name])
@@ -299,7 +312,7 @@ class PageTiles:
         objects = np.select(
             [ground == NO_POINTS, share > 0, share == 0], [NO_CLASS, OBSTACLE, FREE], UNKNOWN_OBJECT
         ).astype(np.uint8)
-        return cls(spot, ground, barred, objects, **numbers, c_r_bins=bins["c_r"], slope_bins=bins["slope"], calm=calm)
+        return cls(spot, ground, barred, objects, **numbers, c_r_bins=bins["c_r"], slope_bins=bins["slope"], free=free)
 
 
 def _place(found: Mapping[str, NDArray[Any]], spot: Spot) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

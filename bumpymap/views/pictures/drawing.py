@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from bumpymap.core import NO_TILE, OPEN_THROUGH, Barred
+from bumpymap.core import CROSSING_UNKNOWN, NO_TILE, OPEN_THROUGH
 from bumpymap.layers import RideScale, box_sum
 from bumpytiles import Grid, TileWindow
 
@@ -207,7 +207,7 @@ def paint_ground(source: "MapReader", view: MapView) -> tuple[Pixels, RideScale]
     scale = RideScale.of(source.manifest)
     colour = scale.colours(np.where(passable, c_r, 0.0))
     colour[~passable] = BARRED_SHADE
-    colour[~passable & (barred == Barred.UNKNOWN)] = UNKNOWN_SHADE
+    colour[~passable & np.isin(barred, CROSSING_UNKNOWN)] = UNKNOWN_SHADE
     darkest = np.where(passable, *_DARKEST)
     window, tile = view.window(), view.grid.tile_size
     heights = _fill(source.relief(window, shape).astype(np.float64))
@@ -218,7 +218,7 @@ def paint_ground(source: "MapReader", view: MapView) -> tuple[Pixels, RideScale]
         below = photo[place]
         colour = np.where(np.isfinite(below), below + STRENGTH / 100 * (colour - below), colour)
     colour[barred == NO_TILE] = NO_DATA
-    closed = ~passable & (barred != Barred.UNKNOWN) & (barred != NO_TILE)
+    closed = ~passable & ~np.isin(barred, (*CROSSING_UNKNOWN, NO_TILE))
     colour[closed & hatched(view.height, view.width)] = HATCH
     return np.clip(colour, 0, 255).astype(np.uint8), scale
 

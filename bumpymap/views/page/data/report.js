@@ -114,9 +114,10 @@
       return paint(this.about.rows, this.about.cols, colour);
     }
 
-    isUnknown(at) {
+    /** Ground of which too little was seen has a class, and shows none: it must not look drivable. */
+    isUnknown(at, key) {
       return this.ground[at] !== NONE && (this.ground[at] >= codes.unknownFrom
-        || (this.barred !== undefined && this.barred[at] === codes.notKnown));
+        || (this.barred !== undefined && key !== "barred" && this.barred[at] === codes.littleSeen));
     }
 
     layer(key) {
@@ -125,7 +126,7 @@
     }
 
     colouring(key) {
-      const known = (colour) => (at) => this.ground[at] !== NONE && !this.isUnknown(at) && colour(at);
+      const known = (colour) => (at) => this.ground[at] !== NONE && !this.isUnknown(at, key) && colour(at);
       if (key === "changes alone") return known((at) => this.ground[at] && codes.classColours[this.ground[at]]);
       if (key === "class" || key === "changed") return known((at) => codes.classColours[this.ground[at]]);
       if (key === "barred") return known((at) => codes.barredColours[this.barred[at]]);
@@ -143,7 +144,7 @@
     /** What is hatched: ground that is not known and, among differences, what has none, since white means no difference. */
     unknownIn(key) {
       const values = this.about.differences && this.valuesOf(key);
-      return (at) => this.isUnknown(at) || (values && this.ground[at] !== NONE && values[at] === NONE);
+      return (at) => this.isUnknown(at, key) || (values && this.ground[at] !== NONE && values[at] === NONE);
     }
 
     get chosen() {
@@ -346,7 +347,7 @@
         if (rides) words.push(this.headingWords(rides));
         const bar = this.barred?.[at];
         if (this.barred && code < codes.unknownFrom) {
-          if (bar === codes.notKnown) words.push("not known whether the vehicle can cross it");
+          if (bar === codes.littleSeen) words.push(`not known whether the vehicle can cross it: ${codes.barred[bar]}`);
           else words.push(bar ? `not passable: ${codes.barred[bar]}` : "passable");
         }
         const object = this.objects && this.objectAt(right, down);
@@ -486,7 +487,7 @@
       const { rows, cols } = this.about;
       const step = Math.max(1, Math.ceil(cols / box[2]));
       const [high, wide] = [Math.ceil(rows / step), Math.ceil(cols / step)];
-      const name = `${key} ${this.about.differences ? this.chosen : ""} ${step}`;
+      const name = `${key} ${this.about.differences || this.chosen === "barred" ? this.chosen : ""} ${step}`;
       if (!(name in this.masks)) {
         const isOn = key === "unknown" ? this.unknownIn(this.chosen) : (at) => barredCode(this.barred[at]);
         const found = new Uint8Array(high * wide);
@@ -656,7 +657,7 @@
     }
   }
 
-  const barredCode = (code) => code !== 0 && code !== codes.notKnown && code !== NONE;
+  const barredCode = (code) => ![0, codes.unknown, codes.littleSeen, NONE].includes(code);
 
   const start = async () => {
     const figures = [...document.querySelectorAll("figure.map")];
