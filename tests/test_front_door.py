@@ -226,6 +226,41 @@ def test_a_loop_over_maps_leaves_no_file_open_and_no_memory(tmp_path):
     assert more_memory - memory < 200_000
 
 
+MAPS_IN_THREADS = """
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import bumpymap
+
+folder, number = Path(sys.argv[1]), int(sys.argv[2])
+surveys = sorted(folder.glob("*.laz"))
+
+
+def made(survey, out):
+    listed = bumpymap.map_survey(survey, folder / out).manifest["files"]
+    return {file["path"]: file["sha256"] for file in listed}
+
+
+def again(survey):
+    return [made(survey, f"{survey.stem} {count}") for count in range(number)]
+
+
+alone = [made(survey, f"{survey.stem} alone") for survey in surveys]
+with ThreadPoolExecutor(len(surveys)) as pool:
+    assert list(pool.map(again, surveys)) == [number * [files] for files in alone]
+"""
+
+
+@pytest.mark.parametrize("number", [2, pytest.param(20, marks=pytest.mark.later)])
+def test_threads_map_surveys_with_the_same_bytes_as_one_after_the_other(tmp_path, number):
+    for seed in range(8):
+        write_survey(tmp_path / f"{seed}.laz", points=5_000, side=12.0, seed=seed)
+    command = [sys.executable, "-c", MAPS_IN_THREADS, tmp_path, str(number)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300 + 30 * number)
+    assert done.returncode == 0, done.stderr
+
+
 def test_values_of_layers_that_were_replaced_are_not_mixed_with_the_earlier_ones(tmp_path):
     dataset = bumpymap.map_survey(PART, tmp_path / "out", local=True).dataset()
     assert np.isfinite(dataset["slope"].values).any()

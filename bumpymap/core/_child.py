@@ -46,12 +46,13 @@ class _Shared:
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
-        self._map = mmap.mmap(-1, 1)
+        self._map: mmap.mmap | bytes = b""
 
-    def views(self, places: list[tuple[int, int]], size: int) -> list[memoryview]:
-        """Return views of the given places (start, length) of the memory, whose current size is ``size`` bytes."""
-        if size > len(self._map):
-            self._map = mmap.mmap(self._descriptor, size)
+    def views(self, places: list[tuple[int, int]]) -> list[memoryview]:
+        """Return views of the given places (start, length) of the memory."""
+        if max((start + length for start, length in places), default=0) > len(self._map):
+            # All there is now: other threads of the parent let it grow, and shrink down to the places in use.
+            self._map = mmap.mmap(self._descriptor, 0)
         return [memoryview(self._map)[start : start + length] for start, length in places]
 
 
@@ -66,9 +67,9 @@ def _end_with_parent(socket: int) -> None:
 def _handle(shared: _Shared, functions: Any, request: bytes) -> bytes:
     """Call one function; return its pickled result, or the text of the exception that it raised."""
     try:
-        name, arguments, places, size, limits = pickle.loads(request)  # noqa: S301 (from the parent)
+        name, arguments, places, limits = pickle.loads(request)  # noqa: S301 (from the parent)
         seconds, memory = limits
-        views = shared.views(places, size)
+        views = shared.views(places)
         # The system ends a call that takes too long, even inside native code. CPU time is measured, since wall time
         # would depend on other programs.
         signal.setitimer(signal.ITIMER_PROF, seconds)

@@ -245,7 +245,7 @@ class Child:
         """
         places = [(each.start, each.data.size) for each in shared]
         try:
-            self.link.send((function, arguments, places, MEMORY.size, (seconds, memory)))
+            self.link.send((function, arguments, places, (seconds, memory)))
         except OSError:
             self._raise_child_died()
 

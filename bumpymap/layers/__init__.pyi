@@ -1,5 +1,4 @@
 from ._cog import (
-    raster_lock as raster_lock,
     write_cog as write_cog,
 )
 from ._imports import (

@@ -6,11 +6,11 @@ is mostly empty is written by `write_sparse_cog`.
 
 GDAL reports no error when the disk fills up while it writes a TIFF. Seen in GDAL 3.10: blocks that are flushed when a
 file is closed are lost without an error (libtiff prints a line to stderr), and the COG driver may crash on a full disk.
-Two threads that write rasters at the same time also lose parts of blocks: one flushes the other's blocks to free cache,
-and the other reads them back too early. So does a thread that only enters rasterio's environment with another limit of
-the cache, which is the limit of the process: GDAL then flushes blocks down to it. Therefore small rasters are made in
-memory and written by Python; a large one is made only if the disk has space for it, and is read back afterwards; and
-rasters are written one after the other, and traced while none is written: `raster_lock`.
+A thread that writes a raster also loses parts of blocks while another one reads or writes any: the other flushes its
+blocks to free cache, and it reads them back too early. So it does if another thread only enters rasterio's environment
+with another limit of the cache, which is the limit of the process: GDAL then flushes blocks down to it. Therefore small
+rasters are made in memory and written by Python; a large one is made only if the disk has space for it, and is read
+back afterwards; and threads take turns to write, read and trace rasters: `raster_lock`.
 
 rasterio cannot write category names and raster attribute tables. The layout of the side file is that of GDAL's
 ``PAMDataset``; types and usages are the numbers of GDAL's ``GDALRATFieldType`` and ``GDALRATFieldUsage``.
@@ -22,9 +22,9 @@ import shutil
 import threading
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -144,15 +144,15 @@ _SPARSE_FROM = 16 << 20
 """Size as a scratch raster from which a mostly empty raster is written by `write_sparse_cog`, bytes."""
 OVERVIEWS_FIRST_FROM = 128 << 20
 """Size as a scratch raster from which one of several bands gets its overviews before it is converted, bytes."""
-_gdal = threading.Lock()
-"""Held while GDAL makes a raster, see above."""
+_gdal = threading.RLock()
+"""Held while GDAL works on a raster, see above."""
 _is_fork = False
 """True if this process was forked: GDAL's threads, if it had any, have stayed in the other."""
 
 
 def _reset_after_fork() -> None:
     global _gdal, _is_fork
-    _gdal, _is_fork = threading.Lock(), True
+    _gdal, _is_fork = threading.RLock(), True
 
 
 os.register_at_fork(after_in_child=_reset_after_fork)
@@ -162,8 +162,11 @@ _QUALITY = "85"
 """Of JPEG."""
 
 
-def raster_lock() -> threading.Lock:
-    """Return the lock that every thread holds while it lets GDAL work on pixels, in memory too: see above."""
+def raster_lock() -> AbstractContextManager[Any]:
+    """Return the lock that every thread holds while it lets GDAL work on rasters, in memory too: see above.
+
+    Other options of GDAL than its cache are those of a thread, but for the main thread's, which are everyone's.
+    """
     return _gdal
 
 
@@ -233,7 +236,7 @@ def write_cog(
             with _gdal_alone(), MemoryFile(ext=".tif") as scratch:
                 create_raster(scratch.name, placement, spec, (1, 1)).close()
                 _copy_side_file(scratch.name, temporary)
-            for values in write_sparse_cog(temporary, placement, spec, pieces, _gdal):
+            for values in write_sparse_cog(temporary, placement, spec, pieces, raster_lock()):
                 _count(values, spec, counts)
         else:
             waiting = temporary.with_name(f"{temporary.stem}.scratch.tif")

@@ -10,10 +10,10 @@ metadata, colours) of a raster of one pixel, which are copied. The file is a Big
 import struct
 import zlib
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from threading import Lock
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
@@ -106,7 +106,7 @@ class _Statistics:
 
 
 def write_sparse_cog(
-    path: Path, placement: Placement, spec: RasterSpec, pieces: Pieces, gdal: Lock
+    path: Path, placement: Placement, spec: RasterSpec, pieces: Pieces, gdal: AbstractContextManager[Any]
 ) -> Iterator[NDArray[Any]]:
     """Write a COG of one float32 or uint8 band; time and memory do not grow with its empty parts.
 

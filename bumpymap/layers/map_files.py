@@ -7,7 +7,6 @@ formats, under limits of time and memory.
 """
 
 import math
-import threading
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
@@ -22,11 +21,11 @@ from bumpymap.core import (
     module_folder,
     open_regular,
 )
+from bumpymap.layers._cog import raster_lock
 from bumpymap.layers.manifest import MANIFEST_NAME, describe_file
 
 if TYPE_CHECKING:
     import numpy as np
-    import rasterio
     from numpy.typing import NDArray
     from rasterio.io import DatasetReader
 
@@ -78,11 +77,13 @@ def gdal_text(error: Exception) -> str:
     return str(error.__cause__ or error).rstrip(".")
 
 
-def closed_gdal(**options: Any) -> "rasterio.Env":
-    """Return the environment in which GDAL reads a raster alone: no files beside it, no network."""
+@contextmanager
+def closed_gdal(**options: Any) -> Iterator[None]:
+    """Let GDAL read a raster alone: no files beside it, no network, and no other thread of bumpymap, see `_cog`."""
     import rasterio
 
-    return rasterio.Env(**_CLOSED, **options)
+    with raster_lock(), rasterio.Env(**_CLOSED, **options):
+        yield
 
 
 @contextmanager
@@ -136,12 +137,11 @@ _KEPT: dict[str, Any] = {"GDAL_CACHEMAX": 32 << 20}
 class KeptRasters:
     """Rasters of one map that stay open from read to read inside `keep`, so that each is opened once.
 
-    Threads take turns. Outside of `keep`, a raster is opened for each read. A process that unpickles this starts with
-    none open.
+    Outside of `keep`, a raster is opened for each read. A process that unpickles this starts with none open.
     """
 
     def __init__(self) -> None:
-        self._lock, self._keepers = threading.RLock(), 0
+        self._keepers = 0
         self._open: dict[Path, DatasetReader] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -150,12 +150,12 @@ class KeptRasters:
     @contextmanager
     def keep(self) -> Iterator[None]:
         """Keep rasters open during the body; all are closed when the last of several bodies ends."""
-        with self._lock:
+        with raster_lock():
             self._keepers += 1
         try:
             yield
         finally:
-            with self._lock:
+            with raster_lock():
                 self._keepers -= 1
                 self._close_unkept()
 
@@ -166,7 +166,7 @@ class KeptRasters:
             with open_layer(path, **_KEPT) as file:
                 yield file
             return
-        with self._lock, _reading(path, _KEPT):
+        with raster_lock(), _reading(path, _KEPT):
             if path not in self._open:
                 self._open[path] = _opened(path)
             try:

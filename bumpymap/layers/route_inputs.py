@@ -35,6 +35,7 @@ from bumpymap.core import (
     short_repr,
     stated_crs,
 )
+from bumpymap.layers._cog import raster_lock
 from bumpymap.layers.map_files import read_features
 from bumpymap.layers.map_reader import MapReader
 from bumpytiles import Grid, TileWindow
@@ -452,8 +453,9 @@ def _centres_inside(
     outline = shapely.boundary(whole)
     if shapely.is_empty(whole):
         return np.zeros(shape, bool), np.empty(0, np.int64), np.empty(0, np.int64)
-    inside = rasterize([whole], shape, dtype="uint8").astype(bool)
-    near = rasterize([outline], shape, all_touched=True, dtype="uint8").astype(bool)
+    with raster_lock():
+        inside = rasterize([whole], shape, dtype="uint8").astype(bool)
+        near = rasterize([outline], shape, all_touched=True, dtype="uint8").astype(bool)
     wide = near.copy()  # one tile more on all sides, for what GDAL rounds
     wide[1:] |= near[:-1]
     wide[:-1] |= near[1:]

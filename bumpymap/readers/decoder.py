@@ -11,7 +11,7 @@ from atexit import register as at_exit
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from queue import LifoQueue
+from queue import Empty, LifoQueue
 from typing import Any
 
 import numpy as np
@@ -52,9 +52,11 @@ class Decoder:
     def start(self) -> None:
         """Start a child now, so that it is ready when it is needed; a failure shows in the first request."""
         guard = self._free.get()
-        with suppress(UsageError, OSError):
-            guard.live_child()
-        self._free.put(guard)
+        try:
+            with suppress(UsageError, OSError):
+                guard.live_child()
+        finally:
+            self._free.put(guard)
 
     def check(self, record: bytes) -> None:
         """Raise DecoderError if lazrs cannot decode data with this LASzip record."""
@@ -72,8 +74,14 @@ class Decoder:
         return out.data
 
     def close(self) -> None:
-        """End the children and free unused memory, until the next request. Arrays in use stay valid."""
-        idle = [self._free.get() for _ in self.guards]
+        """End the children that have nothing to do and free unused memory. Arrays in use stay valid.
+
+        It waits for no request: what other threads use is closed by them.
+        """
+        idle: list[Guard] = []
+        with suppress(Empty):
+            while True:
+                idle.append(self._free.get_nowait())
         for guard in reversed(idle):
             guard.end()
             self._free.put(guard)

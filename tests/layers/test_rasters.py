@@ -23,6 +23,7 @@ from bumpymap.layers import _cog, geotiff
 from bumpymap.layers._cog import checksum, require_intact
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS
 from bumpymap.layers.geotiff import write_raster
+from bumpymap.layers.map_files import KeptRasters
 from bumpymap.layers.products import SOME_NAMES, MapFile
 from bumpytiles import Grid, TileTable
 
@@ -285,19 +286,26 @@ def test_a_crs_without_geotiff_keys_is_in_the_side_file_beside_names_and_counts(
         check_value_table(path, name, tmp_path / "seen.vrt")
 
 
-def test_the_cache_of_the_process_changes_only_for_the_thread_that_may_write(tmp_path, make_field):
-    """A smaller limit makes GDAL flush blocks at once, also those that another thread has not finished."""
-    write, path = partial(write_raster, MapFile.CLASS, table_of(make_field(9, 9))), tmp_path / "class.tif"
+def test_threads_take_turns_to_write_and_to_read_rasters(tmp_path, make_field):
+    """GDAL flushes blocks that another thread has not finished: for those of a raster that is read, and at a smaller
+    limit of its cache, which is the limit of the process."""
+    path = tmp_path / "class.tif"
+    write, kept = partial(write_raster, MapFile.CLASS, table_of(make_field(9, 9))), KeptRasters()
+
+    def read():
+        with kept.keep(), kept.opened(path) as file:
+            return file.read(1)
+
     write(path)
-    path.unlink()
-    before = get_gdal_config("GDAL_CACHEMAX")
-    with ThreadPoolExecutor(1) as other:
+    wanted, before = read(), get_gdal_config("GDAL_CACHEMAX")
+    with ThreadPoolExecutor(2) as others:
         with _cog.raster_lock():
-            written = other.submit(write, path)
-            assert not wait([written], 0.3).done
+            begun = [others.submit(write, tmp_path / "again.tif"), others.submit(read)]
+            assert not wait(begun, 0.3).done
             assert get_gdal_config("GDAL_CACHEMAX") == before
-        written.result()
-    assert path.exists()
+        np.testing.assert_array_equal(begun[1].result(), wanted)
+        begun[0].result()
+    assert (tmp_path / "again.tif").read_bytes() == path.read_bytes()
     assert get_gdal_config("GDAL_CACHEMAX") == before
 
 

@@ -110,6 +110,25 @@ class Workers:
         raise ClusterError(f"all workers were lost, and none came within {_CHECK_S * _CHECKS:.0f} s")
 
 
+class _Client(Client):
+    """A client that ends its thread if it cannot connect.
+
+    distributed leaves that to the garbage collector. If it comes while the next client starts its own thread, it waits
+    for ever for a lock that this one holds.
+    """
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        try:
+            super().__init__(*arguments, **options)
+        except BaseException:
+            with suppress(Exception):  # it may lack anything yet
+                try:
+                    self.close()
+                finally:  # not done by `close` if the client closed itself
+                    self._loop_runner.stop()
+            raise
+
+
 @contextmanager
 def workers_at(address: str, patience_s: float) -> Iterator[Workers]:
     """Connect to the workers of a scheduler.
@@ -128,7 +147,7 @@ def workers_at(address: str, patience_s: float) -> Iterator[Workers]:
     for name in ("distributed", "distributed.client"):  # errors are raised; the client's log has a level of its own
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
-        client = Client(address, timeout=patience_s, set_as_default=False)
+        client = _Client(address, timeout=patience_s, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         raise ClusterError(f"no scheduler answers at {address} ({error})") from error
     with client:

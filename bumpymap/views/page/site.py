@@ -42,7 +42,6 @@ from bumpymap.layers import (
     class_limits,
     class_ranges,
     open_layer,
-    raster_lock,
     read_averaged,
     read_colours,
 )
@@ -95,7 +94,7 @@ def read_pixels(
     factor = spot.pixels
     while factor > finer(spot, side):  # half and half again: what overviews hold, or a little less
         factor //= 2
-    with raster_lock(), open_layer(path) as file:
+    with open_layer(path) as file:
         place, bands = file.transform, read(file, (1, 1)).shape[:-2]
         left = round((spot.west / spot.unit - place.c) / place.a)
         top = round((spot.north / spot.unit - place.f) / place.e)
@@ -174,7 +173,7 @@ def object_grid(folder: Path, tiles: PageTiles, side: int) -> NDArray[np.uint8]:
     canvas = np.empty((rows, cols), np.uint8)
     starts = np.arange(cols) * spot.pixels // factor
     lines = max(1, _STRIP_PIXELS // max(1, spot.cols * spot.pixels**2))  # tiles
-    with raster_lock(), open_layer(folder / MapFile.OBSTACLE) as file:
+    with open_layer(folder / MapFile.OBSTACLE) as file:
         for top in range(0, spot.rows, lines):
             count = min(lines, spot.rows - top)
             window = ((top * spot.pixels, (top + count) * spot.pixels), (0, file.width))

@@ -24,7 +24,7 @@ from bumpymap.core import (
     Reason,
     stated_crs,
 )
-from bumpymap.layers import UNKNOWN_OBJECT, MapFile, open_layer, raster_lock, read_tiles
+from bumpymap.layers import UNKNOWN_OBJECT, MapFile, open_layer, read_tiles
 
 NOT_KNOWN = 255
 """Byte where a value is not known."""
@@ -116,7 +116,7 @@ def heading_codes(folder: Path, c_r: NDArray[np.float32]) -> NDArray[np.uint8] |
     if not (folder / MapFile.HEADINGS).is_file():
         return None
     codes = np.full((len(AXES_DEG), *c_r.shape), NOT_KNOWN, np.uint8)
-    with raster_lock(), open_layer(folder / MapFile.HEADINGS) as file:
+    with open_layer(folder / MapFile.HEADINGS) as file:
         for band, out in enumerate(codes, 1):
             found = file.read(band)
             known = (found > 0.0) & (c_r > 0.0)
@@ -160,7 +160,7 @@ class Spot:
     @classmethod
     def of(cls, folder: Path, record: Mapping[str, Any], side: int) -> Self:
         """Read the place of a map from class.tif; the grid has at most ``side`` pixels a side."""
-        with raster_lock(), open_layer(folder / MapFile.CLASS) as file:
+        with open_layer(folder / MapFile.CLASS) as file:
             place, width, height = file.transform, file.width, file.height
         unit = float(record["metres_per_unit"]["horizontal"])
         grid = record["grid"]

@@ -8,6 +8,7 @@ import shutil
 import socket
 import subprocess
 import sys
+import threading
 from contextlib import contextmanager
 from pathlib import Path
 from unittest.mock import Mock
@@ -314,9 +315,12 @@ def test_workers_that_die_over_and_over_end_the_run_with_a_word(surveys, tmp_pat
 def test_a_scheduler_that_is_not_there_is_told_in_time(surveys, distributed, tmp_path, monkeypatch):
     monkeypatch.setattr("bumpymap.survey.engine.cluster._TIMEOUT_S", 0.5)
     for address in ("tcp://127.0.0.1:9", "no such place", "ftp://a:1"):
+        before = threading.active_count()
         result = map_on(address, surveys, tmp_path / "layers")
         assert result.exit_code == 2, (address, result.output, result.exception)
         assert f"no scheduler answers at {address}" in result.output
+        assert threading.active_count() == before  # the garbage collector would end it, and might wait for ever
+    monkeypatch.setattr("bumpymap.survey.engine.cluster._TIMEOUT_S", 5.0)
     with distributed.LocalCluster(n_workers=0, dashboard_address=":0", silence_logs=50) as empty:
         assert "has no workers" in map_on(empty.scheduler_address, surveys, tmp_path / "layers").output
     assert not (tmp_path / "layers").exists()
