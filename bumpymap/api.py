@@ -469,9 +469,9 @@ def map_survey(
         Those of ``bumpymap map``, with underscores: ``tile_size`` [m], ``pixels``, ``ground``,
         ``ground_classes``, ``align``, ``rating``,
         ``compat``, ``vehicle``, ``calibration``, ``speed`` [m/s], ``speeds`` [m/s], ``headings``, ``model``, ``crs``,
-        ``force_crs``, ``z_unit``, ``local``, ``trust_points``, ``skip_bad``, ``max_unknown``, ``overwrite``,
-        ``threads``, ``memory``, ``scratch``, ``scheduler``, ``provider``, ``license``; ``features``, ``csf`` and
-        ``page`` are dicts, the tables of a settings file.
+        ``force_crs``, ``xy_unit``, ``z_unit``, ``local``, ``trust_points``, ``skip_bad``, ``max_unknown``,
+        ``overwrite``, ``threads``, ``memory``, ``scratch``, ``scheduler``, ``provider``, ``license``; ``features``,
+        ``csf`` and ``page`` are dicts, the tables of a settings file.
 
     Returns
     -------

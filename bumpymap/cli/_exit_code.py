@@ -95,6 +95,11 @@ def _message(error: Exception) -> tuple[int, list[str]]:
     if isinstance(error, click.ClickException):
         # click puts the choices of an option that is missing into lines of their own.
         text = error.format_message().replace("\n\t", " ")
+        ctx = error.ctx if isinstance(error, click.UsageError) else None
+        options = [name for each in ctx.command.params for name in each.opts] if ctx else []
+        if getattr(error, "option_name", "") == "--force" and "--overwrite" in options:
+            # click names an option that is spelled alike, --force-crs.
+            text = "No such option '--force'. Did you mean '--overwrite'?"
         return error.exit_code, [
             text.replace("is not a valid float", "is not a number").replace(
                 "is not a valid integer", "is not a whole number"

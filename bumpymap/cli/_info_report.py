@@ -17,6 +17,7 @@ from bumpymap.core import (
     BadInputError,
     FeatureSettings,
     Georeference,
+    Ground,
     MapConfig,
     Reason,
     common_georeference,
@@ -168,12 +169,8 @@ class Report:
     def _unknown(self, file: FileReport) -> list[str]:
         """Return the share of unknown tiles and advice; from a header alone, whether there are enough points."""
         settings, size = FeatureSettings(), self.config.grid.tile_size
-        if file.summary is not None and (outcome := self._outcome(file.summary)) is not None:
-            advice, lines = advise(outcome, settings, before_run=True), list[str]()
-            few = file.summary.double_few if outcome.measured == "points" else file.summary.ground_double_few
-            if advice and 2 * size in INCLUDED_PIXELS and few < 0.5 * outcome.share:
-                lines.append(f"--tile-size {2 * size:g} would leave about {few:.0%} of the tiles unknown")
-            return [*lines, advice] if advice else []
+        if file.summary is not None:
+            return [*filter(None, [self._advice(file.summary)])]
         enough = enough_points(settings, thin=True)
         if file.dropped is not None or file.density is None or file.density * size**2 >= enough:
             return []
@@ -183,12 +180,27 @@ class Report:
         )
         return [text]
 
-    def _outcome(self, summary: PointSummary | None) -> Outcome | None:
-        """Forecast the tiles that ``map`` will make with the rating of a vehicle that is included."""
-        if summary is None:
+    def _advice(self, summary: PointSummary) -> str:
+        """Return the share of unknown tiles and what would leave far fewer; empty if there are few."""
+        outcome = self._outcome(summary)
+        return advise(outcome, FeatureSettings(), would_help=self._alternatives(summary)) if outcome else ""
+
+    def _alternatives(self, summary: PointSummary) -> dict[str, float]:
+        """Return the share of unknown tiles with options that may leave fewer."""
+        others = {"--ground all": self._outcome(summary, "all")}
+        if summary.doubled is not None:
+            others[f"--tile-size {2.0 * self.config.grid.tile_size:g}"] = self._outcome(summary.doubled)
+        return {option: other.share for option, other in others.items() if other is not None}
+
+    def _outcome(self, summary: PointSummary | None, ground: Ground | None = None) -> Outcome | None:
+        """Forecast the tiles that ``map`` will make with the rating of a vehicle that is included.
+
+        ``ground``: instead of that of the settings. Nobody knows before what the cloth will find.
+        """
+        ground = ground or self.config.ground
+        if summary is None or ground == "csf":
             return None
         # Without ground points although they are required, map ends with an error; here all tiles lack ground.
-        ground = self.config.ground
         apart = summary.never_classified if ground == "auto" else 0
         ground_only = ground == "class" or decide_ground(ground, summary.tiles - apart, summary.ground_tiles)
         unknown = dict(summary.ground_unknown if ground_only else summary.unknown)
@@ -247,13 +259,13 @@ class Report:
         points = sum(file.info.point_count for file in self.files if file.info)
         command = self._command(self.config.surveys, self.files)
         text = f"{count_text(len(self.files), 'file')}, {count_text(points, 'point')}, one map: {command}"
-        outcome = self._outcome(self.whole.summary()) if self.whole else None
-        if self.whole is None or outcome is None:
+        summary = self.whole.summary() if self.whole else None
+        outcome = self._outcome(summary)
+        if self.whole is None or summary is None:
             return [text]
-        advice = advise(outcome, FeatureSettings(), before_run=True)
         steps = describe_lines(compare_lines(self.whole.lines), "report")
-        few = advice or f"about {outcome.share:.0%} of the tiles will be unknown"
-        return [few, *filter(None, [self._apart(self.whole.summary()), steps]), text]
+        few = f"about {outcome.share:.0%} of the tiles will be unknown" if outcome else ""
+        return [*filter(None, [self._advice(summary) or few, self._apart(summary), steps]), text]
 
     def _apart(self, summary: PointSummary | None) -> str:
         """Say how many tiles of a classified survey are of a part that is not; empty if none is."""
@@ -288,6 +300,7 @@ class Report:
             "epsg": horizontal.to_epsg() if horizontal else None,
             "vertical_crs": vertical.name if vertical else None,
             "metres_per_unit": place.metres_per_unit,
+            "unit_assumed": place.assumed,
             "metres_per_unit_z": place.metres_per_unit_z,
             "bounds_m": sides,
             "bounds_crs_units": sides and tuple(side / place.metres_per_unit for side in sides),
@@ -311,6 +324,7 @@ class Report:
                 "ground_tiles": summary.ground_tiles / summary.tiles,
                 "never_classified_tiles": summary.never_classified / summary.tiles,
                 "unknown_tiles_about": unknown,
+                "unknown_tiles_with": self._alternatives(summary),
                 "class_tiles": {str(code): round(found.tiles, 4) for code, found in summary.classes.items()},
                 "class_heights_m": {
                     str(code): None if math.isnan(found.height) else round(found.height, 3)
@@ -326,9 +340,6 @@ class Report:
         if info is None:
             return []
         place = info.georeference
-        units = unit_name(place.metres_per_unit)
-        if place.metres_per_unit_z != place.metres_per_unit:
-            units += f", heights in {unit_name(place.metres_per_unit_z)}"
         points = f"{info.point_count:,} according to the header"
         if file.dropped is not None:
             left_out = [f"{count:,} {reason.replace('_', ' ')}" for reason, count in file.dropped.items() if count]
@@ -338,7 +349,7 @@ class Report:
             ("format", f"{info.format}; {decimal(info.size_bytes)}"),
             ("points", points),
             ("CRS", describe_crs(place.crs) if place.crs else "none"),
-            ("units", units),
+            ("units", _units(place)),
         ]
         if info.header_date is not None:
             rows.append(("date in header", f"{info.header_date.isoformat()}: of the flight or of processing"))
@@ -366,6 +377,15 @@ class Report:
         return f"{short} pts/m2: {summary.points_per_tile:.0f} points per {size:g} m tile (median of {tiles})"
 
 
+def _units(place: Georeference) -> str:
+    units = unit_name(place.metres_per_unit)
+    if place.assumed:
+        units = f"assumed {units}, as no CRS states them; if they are feet: --set xy_unit=ft (or us-ft)"
+    if place.metres_per_unit_z != place.metres_per_unit:
+        units += f", heights in {unit_name(place.metres_per_unit_z)}"
+    return units
+
+
 def _map_options(config: MapConfig, place: Georeference | None) -> Iterator[str]:
     """Yield the options that ``map`` needs too."""
     if config.crs is not None and place is not None:
@@ -374,6 +394,8 @@ def _map_options(config: MapConfig, place: Georeference | None) -> Iterator[str]
             yield from ("--crs", config.crs)
     if config.force_crs is not None:
         yield from ("--set", f"force_crs={config.force_crs}")
+    if config.xy_unit is not None:
+        yield from ("--xy-unit", config.xy_unit)
     if config.z_unit is not None:
         yield from ("--z-unit", config.z_unit)
     if config.trust_points:

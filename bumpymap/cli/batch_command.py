@@ -28,7 +28,17 @@ _MOST_LISTED = 20
     settings_options(
         MapConfig,
         without=("out",),
-        moved=("z_unit", "local", "skip_bad", "align", "speed", "tile_size", "ground_classes", "calibration"),
+        moved=(
+            "xy_unit",
+            "z_unit",
+            "local",
+            "skip_bad",
+            "align",
+            "speed",
+            "tile_size",
+            "ground_classes",
+            "calibration",
+        ),
         threads="Number of threads, shared by --jobs",
         memory="Memory, shared by --jobs",
         overwrite="Replace layers of other inputs or settings",

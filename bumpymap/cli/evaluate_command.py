@@ -32,7 +32,7 @@ Reading = make_dataclass(
     [
         (each.name, each.type, field(default=each.default))
         for each in fields(MapConfig)
-        if each.name in {"crs", "force_crs", "z_unit", "local", "ground", "vehicle", "calibration"}
+        if each.name in {"crs", "force_crs", "xy_unit", "z_unit", "local", "ground", "vehicle", "calibration"}
     ],
 )
 """Settings of a map that say how its survey is read, and who drives."""
@@ -59,7 +59,7 @@ _REPORT = (
 @job(
     "survey",
     EvaluateSettings,
-    settings_options(Reading, moved=("crs", "force_crs", "z_unit", "local", "ground")),
+    settings_options(Reading, moved=("crs", "force_crs", "xy_unit", "z_unit", "local", "ground")),
     [*_REPORT, JOBS],
     owners=(EvaluateSettings, Reading),
     clashes=(VEHICLE_OR_CALIBRATION, *OF_CRS),
@@ -84,7 +84,7 @@ def survey_command(run: Run, surveys: tuple[Any, ...], out: Path, jobs: int | No
 
     require_dart()
     subject = Subject.of(find_calibration(reading.vehicle, reading.calibration), TextureModel.shipped())
-    options = ReadOptions(reading.crs, reading.z_unit, force_crs=reading.force_crs)
+    options = ReadOptions(reading.crs, reading.z_unit, force_crs=reading.force_crs, xy_unit=reading.xy_unit)
     readers = open_readers(surveys, options, local=reading.local)
     with locked(out), interrupt_note(DRIVES_KEPT), run.progress() as progress:
         _check_place(out, overwrite=overwrite)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 _BAD_INPUT = 3
 _TYPED = ("tile_size", "ground", "crs")
-_MOVED = ("ground_classes", "force_crs", "z_unit", "trust_points", "pixels", "memory", "threads")
+_MOVED = ("ground_classes", "force_crs", "xy_unit", "z_unit", "trust_points", "pixels", "memory", "threads")
 
 
 @job("info", settings_options(MapConfig, *_TYPED, *_MOVED, moved=_MOVED), owners=(MapConfig,), clashes=OF_CRS)
@@ -52,6 +52,7 @@ def command(run: Run, quick: bool) -> None:
         force_crs=config.force_crs,
         ground_classes=config.ground_classes,
         keep_classes=True,
+        xy_unit=config.xy_unit,
     )
     paths = find_surveys(config.surveys)
     with show_progress(quiet=run.quiet or run.as_json, as_json=run.as_json) as progress:
@@ -77,13 +78,14 @@ def _inspect(
     """Open and read a file, add it to ``whole`` if given; an error becomes part of the report."""
     from bumpymap.cli._info_report import FileReport
     from bumpymap.core import BadInputError, FeatureSettings
-    from bumpymap.readers import PointSummaryBuilder, open_survey
+    from bumpymap.readers import PointSummaryBuilder, open_survey, reopen_survey
     from bumpymap.survey import compare_lines
 
     try:
-        reader = open_survey(path, options)
         if whole is None:
+            reader = reopen_survey(path, options)
             return FileReport(path, reader.info)
+        reader = open_survey(path, options)
         progress.start(f"reading {Path(path).name}", reader.info.point_count)
         ground = options.ground_classes
         builder = PointSummaryBuilder(grid, FeatureSettings(), ground).read(reader, progress.advance)

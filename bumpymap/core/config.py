@@ -19,7 +19,7 @@ Ground = Literal["auto", "all", "class", "csf"]
 Compat = Literal["none", "paper"]
 Align = Literal["off", "report", "on"]
 Rating = Literal["ride", "table"]
-ZUnit = Literal["m", "ft", "us-ft"]
+LengthUnit = Literal["m", "ft", "us-ft"]
 GROUND_CLASSES = (2, 11, 17)
 """LAS classes that are ground: ground, road surface, bridge deck."""
 DECK_CLASS = 17
@@ -191,8 +191,13 @@ class MapConfig:
     force_crs: Annotated[
         str | None, Setting("CRS of all surveys, whatever they state", "CRS", group="Input", rare=True)
     ] = None
+    xy_unit: Annotated[
+        LengthUnit | None,
+        Setting("Unit of surveys without a CRS: m, ft or us-ft", "UNIT", default="metre is assumed", group="Input"),
+    ] = None
+    """Unit of easting and northing, and of heights without `z_unit`, if no CRS states it."""
     z_unit: Annotated[
-        ZUnit | None, Setting("Unit of heights: m, ft or us-ft", "UNIT", default="of the CRS", group="Input")
+        LengthUnit | None, Setting("Unit of heights: m, ft or us-ft", "UNIT", default="of the CRS", group="Input")
     ] = None
     """Unit of heights, if the survey's CRS does not state it or is wrong."""
     local: Annotated[bool, Setting("Keep the coordinates of surveys without a CRS", group="Input")] = False

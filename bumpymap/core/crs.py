@@ -1,7 +1,8 @@
 """Determine the CRS and units of a file, and of the files of a run.
 
-A ``CrsStatement`` holds what a file states. ``--crs`` supplies what it does not state, ``force_crs`` overrides it,
-and ``--z-unit`` overrides every unit of height. The result keeps the vertical CRS.
+A ``CrsStatement`` holds what a file states. ``--crs`` supplies what it does not state, ``force_crs`` overrides it;
+``--xy-unit`` supplies the unit where no CRS states it, and ``--z-unit`` overrides every unit of height. The result
+keeps the vertical CRS.
 Degrees and Earth-centred coordinates are refused with a message that shows the command to reproject the file.
 """
 
@@ -164,7 +165,7 @@ _log = logging.getLogger(__name__)
 
 _US_FOOT = 1200 / 3937
 _UNITS = {1.0: "metre", 0.3048: "foot", _US_FOOT: "US survey foot"}
-_Z_UNITS = {"m": 1.0, "ft": 0.3048, "us-ft": _US_FOOT}
+_GIVEN_UNITS = {"m": 1.0, "ft": 0.3048, "us-ft": _US_FOOT}
 _SCALE_TOLERANCE = 0.01
 _STRINGS = re.compile('"((?:[^"]|"")*)"')
 _FILE_PARAMETER = re.compile(r"(?:grids|init|file|model|catalog)\s*=")
@@ -184,6 +185,8 @@ class GivenCrs:
     """CRS of all surveys, whatever they state."""
     must_agree: bool = False
     """True: a survey that states another CRS than ``crs`` is refused; else its own is used, with a note."""
+    xy_unit: str | None = None
+    """Horizontal unit of surveys without a CRS: m, ft or us-ft."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -298,7 +301,7 @@ def georeference(
     BadInputError
         The file's statement is not usable and no CRS was given, or the CRS is not projected.
     UsageError
-        What was given is not a CRS, or not that of the file although it must be.
+        What was given is not a CRS, or not that of the file although it must be, or contradicts the unit of the CRS.
     """
     user, notes = _from_user(place, statement, given)
     if user is None and statement.trouble:
@@ -307,8 +310,9 @@ def georeference(
     if crs is not None:
         refuse_unprojected(place, crs, from_user=user is not None)
         _refuse_units(place, crs, from_user=user is not None)
-    unit = _unit(crs) or statement.metres_per_unit or 1.0
-    unit_z = _Z_UNITS[z_unit] if z_unit else _vertical_unit(user) or _vertical_of_file(statement, unit) or unit
+    stated = _horizontal_unit(place, crs, statement, given.xy_unit)
+    unit = stated or 1.0
+    unit_z = _GIVEN_UNITS[z_unit] if z_unit else _vertical_unit(user) or _vertical_of_file(statement, unit) or unit
     if not math.isclose(unit, unit_z, rel_tol=1e-5):
         notes.append(f"heights are in another unit ({unit_name(unit_z)}) than easting and northing ({unit_name(unit)})")
     horizontal = horizontal_of(crs) if crs is not None else None
@@ -318,7 +322,7 @@ def georeference(
         notes += place_notes(place, horizontal)
     vertical = None if horizontal is None else _vertical_crs(user, statement.crs)
     if horizontal is None or vertical is None:
-        return Georeference(horizontal, unit, unit_z), tuple(notes)
+        return Georeference(horizontal, unit, unit_z, assumed=stated is None), tuple(notes)
     if not in_metres(vertical):
         notes.append(f"{describe_crs(vertical)} is not in metres, as heights in the layers are: they do not carry it")
     return Georeference(with_vertical(horizontal, vertical, crs), unit, unit_z), tuple(notes)
@@ -416,6 +420,20 @@ def _exact(factor: float) -> float:
 
 def _unit(crs: CRS | None) -> float | None:
     return None if crs is None else _exact(crs.axis_info[0].unit_conversion_factor)
+
+
+def _horizontal_unit(place: Place, crs: CRS | None, statement: CrsStatement, given: str | None) -> float | None:
+    """Return the unit of easting and northing; None if nothing states it."""
+    own = _unit(crs) or statement.metres_per_unit
+    if given is None:
+        return own
+    unit = _GIVEN_UNITS[given]
+    if crs is not None and own is not None and horizontal_of(crs) and not math.isclose(own, unit, rel_tol=1e-5):
+        raise UsageError(
+            f"{place.path}: the unit of its CRS, {describe_crs(crs)}, is the {unit_name(own)}, and `xy_unit='{given}'` "
+            "is for surveys without a CRS. Leave it out, or give the right CRS with `force_crs`"
+        )
+    return own if crs is not None and horizontal_of(crs) else unit
 
 
 def _vertical_of_file(statement: CrsStatement, unit: float) -> float | None:

@@ -134,6 +134,8 @@ class Georeference:
     """Horizontal: metres = file units x this."""
     metres_per_unit_z: float = 1.0
     """Vertical: metres = file units x this."""
+    assumed: bool = False
+    """True if nothing states the horizontal unit, so that metres are assumed."""
 
 
 POINT_OTHER, POINT_GROUND, POINT_BUILDING, POINT_PLANT, POINT_DECK, POINT_CLASSED = range(6)

@@ -56,6 +56,7 @@ from .protocol import (
 )
 from .source import (
     Location as Location,
+    NoPointsError as NoPointsError,
     Version as Version,
     file_changed as file_changed,
     is_ept as is_ept,

@@ -73,6 +73,7 @@ def open_survey(path: Location, options: ReadOptions = ReadOptions()) -> SurveyR
         ``options.crs`` is not a CRS.
     """
     reader = reopen_survey(path, options)
+    reader.note_likely_feet()
     for note in reader.info.notes:
         _log.warning("%s: %s", path, note)
     return reader

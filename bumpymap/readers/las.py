@@ -162,8 +162,7 @@ def convert_records(
         (west, east), (south, north), (low, high) = (
             sorted(scaling.coordinates(axis, seen.extremes[2 * axis : 2 * axis + 2]).tolist()) for axis in range(3)
         )
-        highest = max(abs(low), abs(high))
-        stats = PointStats(number, withheld, noise, 0, outside, 0, 0, -1, west, south, east, north, highest, some)
+        stats = PointStats(number, withheld, noise, 0, outside, 0, 0, -1, west, south, east, north, low, high, some)
     kept = 0 if stats.bad else kept
     x, y, z, kind, line = out.x[:kept], out.y[:kept], out.z[:kept], out.kind[:kept], out.line[:kept]
     colour = None if colour is None else colour[:kept]
@@ -221,6 +220,10 @@ class LasSurvey(SurveyReader):
         kind = f"{'LAZ' if raw.compressed else 'LAS'} {raw.version}, point format {raw.point_format}"
         kind = f"{around} ({kind})" if around else kind
         notes += _degrees_note(place, raw)
+        if raw.surplus:
+            notes += (
+                f"it has room for {raw.surplus:,} more points than the {raw.point_count:,} that its header counts",
+            )
         info = SurveyInfo(path, kind, raw.size, raw.point_count, place, bounds, None, notes)
         low, high = (end * place.metres_per_unit_z for end in (raw.mins[2], raw.maxs[2]))
         heights = None if bounds is None else (low, high)

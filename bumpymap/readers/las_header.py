@@ -44,6 +44,8 @@ _LONGEST_RECORD = 1 << 20
 """Limit for the records that are needed, bytes."""
 _POINT_SIZES = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 """Point size of formats 0 to 10, without extra bytes."""
+_WAVEFORMS = {4, 5, 9, 10}
+"""Point formats whose waveforms may stand behind the points."""
 LAYERED = 6
 """First point format that LAZ compresses in layers."""
 _YEARS = range(1900, 2200)
@@ -79,6 +81,8 @@ class RawHeader:
     """By user id and record id: those of the projection (extended ones too), of LASzip, of COPC, and class names."""
     source_id: int = 0
     """The flight line of the file, if it holds one; 0: none is given."""
+    surplus: int = 0
+    """Whole points behind those that are declared, in a LAS file in which nothing else stands there."""
     created: date | None = None
     """Creation day: that of the flight in LAS 1.0, of the file in later versions; None if none or no valid one is
     given."""
@@ -122,6 +126,7 @@ def read_raw_header(stream: BinaryIO, path: Location) -> RawHeader:
             f"{size:,} bytes long. {_AGAIN}"
         )
     held = count if compressed else (size - offset) // point_size
+    alone = not extended and point_format not in _WAVEFORMS
     refuse_points(path, count, held, f"points of {point_size} bytes")
     plain = list(_walk(stream, path, records, header_size, offset))
     far = list(_walk(stream, path, extended, first_extended, size, extended=True))
@@ -134,7 +139,7 @@ def read_raw_header(stream: BinaryIO, path: Location) -> RawHeader:
         numbers[0:3], numbers[3:6], numbers[7::2], numbers[6::2],
         # Of several records with the same ids, the first is used.
         {(user, number): data for user, number, data in reversed(plain + far) if _is_needed(user, number)}, source_id,
-        _date(day, year),
+        held - count if alone else 0, _date(day, year),
     )  # fmt: skip
 
 

@@ -24,6 +24,7 @@ from bumpymap.core import (
     POINT_OTHER,
     POINT_PLANT,
     BadInputError,
+    PointCloud,
 )
 from bumpymap.readers._kernels import (
     AXIS_BITS,
@@ -203,9 +204,41 @@ OUTSIDE = 1.0
 """How far a point may lie outside the bounds of its file or chunk, m, since headers are rounded."""
 EARTH_LIMIT = 3e9
 """Coordinates beyond this, m, are not a location on Earth in any CRS or unit."""
+_ROUNDED_M = 0.02
+"""The extent in a header may be rounded by this much."""
 _FAR_TOO_LARGE, _FAR_TOO_LARGE_RATIO = 10_000.0, 10.0
 """A side of the header's bounds longer than this, m, and than this multiple of the points' extent is wrong."""
 _REMOVE = "Remove them, such as with: pdal translate IN OUT.laz range --filters.range.limits="
+
+
+_SQUARE_M, _TALL_M, _TALL_SHARE, _SQUARE_POINTS = 15.0, 35.0, 0.02, 10
+"""Side of a square; if the heights in it, without a tenth at either end, span more than the second in more than this
+share of the squares, the unit is hardly the metre. In metres: 0 of woods, towns, quarries and slopes (10 surveys), 1.5
+% of one in steep mountains; in feet: 8 to 72 % of woods and towns. Squares of fewer points do not count."""
+_FOOT_M, _POLE_M = 0.3048, 10_001_966.0
+"""Northing of the pole, m, which no CRS in metres of a survey exceeds."""
+
+
+def likely_feet(clouds: Sequence[PointCloud]) -> str:
+    """Return why points that are taken as metres may be feet; empty if they may not."""
+    most, squares, tall = 0.0, 0, 0
+    for cloud in clouds:
+        most = max(most, cloud.northing.max(initial=0.0))
+        col, row = (np.floor(axis / _SQUARE_M).astype(np.int64) for axis in (cloud.easting, cloud.northing))
+        order = np.lexsort((cloud.upward, row, col))
+        first = np.flatnonzero((np.diff(col[order], prepend=np.nan) != 0) | (np.diff(row[order], prepend=np.nan) != 0))
+        count = np.diff(first, append=order.size)
+        first, count = first[count >= _SQUARE_POINTS], count[count >= _SQUARE_POINTS]
+        height = cloud.upward[order]
+        squares += count.size
+        tall += int(np.count_nonzero(height[first + count * 9 // 10] - height[first + count // 10] > _TALL_M))
+    if _POLE_M < most < _POLE_M / _FOOT_M:
+        return f"taken as metres, its northings of up to {most:,.0f} lie beyond the pole"
+    if tall > _TALL_SHARE * squares:
+        return (
+            f"taken as metres, heights in {tall / squares:.0%} of its squares of 15 m lie more than {_TALL_M:g} m apart"
+        )
+    return ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,15 +264,17 @@ class PointStats:
     east: float = -math.inf
     north: float = -math.inf
     """Extent of the points, m; inverted (west = inf, east = -inf) if there are none."""
-    highest: float = 0.0
-    """Largest absolute height, m."""
+    lowest: float = math.inf
+    top: float = -math.inf
+    """Lowest and highest point, m; inverted if there are none."""
     coloured: int = 0
     """Points with a colour, among those that are not dropped."""
 
     def merge(self, other: "PointStats") -> "PointStats":
         """Return the statistics of both sets of points; the order does not matter."""
         firsts = [first for first in (self.first_not_finite, other.first_not_finite) if first >= 0]
-        join: dict[str, Callable[..., Any]] = {"west": min, "south": min, "east": max, "north": max, "highest": max}
+        join: dict[str, Callable[..., Any]] = {"west": min, "south": min, "east": max, "north": max}
+        join |= {"lowest": min, "top": max}
         both = {f.name: (getattr(self, f.name), getattr(other, f.name)) for f in fields(self)}
         joined = {name: join[name](*pair) if name in join else sum(pair) for name, pair in both.items()}
         return PointStats(**joined | {"first_not_finite": min(firsts, default=-1)})
@@ -255,6 +290,11 @@ class PointStats:
         return bool(
             self.not_finite or self.outside or self.points_outside_node or self.off_earth or self.highest > EARTH_LIMIT
         )
+
+    @property
+    def highest(self) -> float:
+        """Largest absolute height, m."""
+        return max(0.0, -self.lowest, self.top)
 
     @property
     def off_earth(self) -> bool:
@@ -319,6 +359,28 @@ def verify(stats: PointStats, path: Location, declared: int, bounds: Bounds | No
             f"lie outside the octree node that holds them: the file is damaged. "
             f"Rebuild it, for example with: pdal translate IN OUT.copc.laz. {TRUST}"
         )
+
+
+def header_doubt(stats: PointStats, bounds: Bounds | None, heights: tuple[float, float] | None) -> str:
+    """Return where the extent in a header, which `verify` accepts, is not that of all points; empty if it is.
+
+    A damaged LAZ file decodes to other points: it has no checksum, but its header knows where they lay.
+    """
+    if bounds is None or heights is None or not stats.points:
+        return ""
+    said = {"easting": (bounds.west, bounds.east), "northing": (bounds.south, bounds.north), "height": heights}
+    own = ((stats.west, stats.east), (stats.south, stats.north), (stats.lowest, stats.top))
+    wrong = [
+        f"{name} of {low:,.2f} to {high:,.2f} m, and its points have {least:,.2f} to {most:,.2f} m"
+        for (name, (low, high)), (least, most) in zip(said.items(), own, strict=True)
+        if not (abs(low - least) <= _ROUNDED_M and abs(high - most) <= _ROUNDED_M)
+    ]
+    if not wrong:
+        return ""
+    return (
+        f"its header gives {'; '.join(wrong)}. Is the file damaged, or were points cut out of it or moved without "
+        "updating the header? If in doubt, compare it with the original"
+    )
 
 
 def _verify_extent(stats: PointStats, path: Location, bounds: Bounds) -> None:

@@ -85,7 +85,8 @@ def convert_points(
         south=south,
         east=east,
         north=north,
-        highest=max(0.0, -low, high),
+        lowest=low,
+        top=high,
     )
     kept = ~(noise | no_return)
     if not kept.all():

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import date
 from typing import Any
@@ -16,15 +16,34 @@ from bumpymap.core import (
     FileHash,
     Georeference,
     GivenCrs,
+    LengthUnit,
     PieceRuns,
     PointCloud,
     UsageError,
-    ZUnit,
 )
-from bumpymap.readers.point_stats import LineCorrection, LineSums, PointStats, kinds_of, verify
-from bumpymap.readers.source import Location, Version, is_url, pinned_version, read_range, require_unchanged, version_of
+from bumpymap.readers.point_stats import (
+    LineCorrection,
+    LineSums,
+    PointStats,
+    header_doubt,
+    kinds_of,
+    likely_feet,
+    verify,
+)
+from bumpymap.readers.source import (
+    Location,
+    Version,
+    is_ept,
+    is_url,
+    pinned_version,
+    read_range,
+    require_unchanged,
+    version_of,
+)
 from bumpytiles import Bounds, Grid, GroupedPoints, ScaledPoints, group_points, group_scaled_points
 
+_SAMPLE = 10_000
+"""Points of each of the chunks that tell whether coordinates look like feet, at least; LAZ chunks are read whole."""
 CHUNK_POINTS = 500_000
 """Default points of a chunk: enough to keep the decoder busy, few enough to hold dozens of chunks in memory."""
 
@@ -35,7 +54,7 @@ class ReadOptions:
 
     crs: str | None = None
     """CRS of files that state none; any that PROJ understands, such as ``EPSG:32614``."""
-    z_unit: ZUnit | None = None
+    z_unit: LengthUnit | None = None
     """Unit of heights; None: that of the file."""
     trust_points: bool = False
     """Ignore the extent in the header and use that of the points."""
@@ -57,6 +76,8 @@ class ReadOptions:
     """True if the kind of a point is its class."""
     colour: bool = False
     """True if the colours of points are read, where a file has some."""
+    xy_unit: LengthUnit | None = None
+    """Unit of easting and northing of files without a CRS; None: that of the file, else metres."""
 
     @property
     def kinds(self) -> NDArray[np.uint8]:
@@ -66,7 +87,7 @@ class ReadOptions:
     @property
     def given_crs(self) -> GivenCrs:
         """CRS that the user gives."""
-        return GivenCrs(self.crs, self.force_crs, self.crs_must_agree)
+        return GivenCrs(self.crs, self.force_crs, self.crs_must_agree, self.xy_unit)
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,6 +210,18 @@ class SurveyReader(ABC):
         """Contents of the header."""
         return self._info
 
+    def note_likely_feet(self) -> None:
+        """Add a note if nothing states the unit, and a sample of the points looks as if they were in feet."""
+        if not self._info.georeference.assumed:
+            return
+        every, clouds = self.chunks(_SAMPLE), list[PointCloud]()
+        with suppress(BadInputError), pinned_version(self._path, self._version):  # told when the points are read
+            for at in {0} if self._info.sequential else {0, len(every) // 2, len(every) - 1}:
+                clouds.append(self._convert(every[at], self._fetch(every[at])).cloud)
+        if why := likely_feet(clouds):
+            note = f"{why}: are its coordinates in feet? Then pass `xy_unit='ft'` or `xy_unit='us-ft'`"
+            self._info = replace(self._info, notes=(*self._info.notes, note))
+
     @property
     def has_colour(self) -> bool:
         """True if `ReadOptions.colour` asks for colours and a sample of the points has some."""
@@ -250,6 +283,10 @@ class SurveyReader(ABC):
             self._finish_hash(self._hash)
             self._require_unchanged()
 
+    def header_doubt(self, stats: PointStats) -> str:
+        """Return where the extent in the header is not that of the points; empty if it is, or nobody measured it."""
+        return "" if is_ept(self._path) else header_doubt(stats, self._info.bounds, self._info.heights)
+
     def _require_unchanged(self) -> None:
         require_unchanged(self._path, self._version)
 
@@ -287,6 +324,7 @@ class SurveyReader(ABC):
                 part, cloud = slice(first, first + points), converted.cloud
                 yield PointCloud(cloud.easting[part], cloud.northing[part], cloud.upward[part], cloud.kind[part])
         self.verify(stats)
+        self._info = replace(self._info, notes=(*self._info.notes, *filter(None, [self.header_doubt(stats)])))
 
     @contextmanager
     def _reading(self) -> Iterator[None]:

@@ -423,10 +423,14 @@ def refuse_count(path: Location, declared: int, held: int, unit: str = "points")
         )
 
 
+class NoPointsError(BadInputError):
+    """A file holds no points."""
+
+
 def refuse_points(path: Location, declared: int, held: int, unit: str = "points") -> None:
-    """Do the same for the points of a whole file, and raise BadInputError too if its header declares none."""
+    """Do the same for the points of a whole file, and raise NoPointsError if its header declares none."""
     if declared == 0:
-        raise BadInputError(f"{path} holds no points (its header declares 0): nothing to map. Was it exported fully?")
+        raise NoPointsError(f"{path} holds no points (its header declares 0): nothing to map. Was it exported fully?")
     refuse_count(path, declared, held, unit)
 
 

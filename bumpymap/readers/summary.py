@@ -1,7 +1,8 @@
 """Summarize the points of a survey: number, extent, density, and how many tiles cannot be rated.
 
 All points are read once. Points are counted in every tile. Which pixels hold a point is only recorded for a sample of
-the tiles, chosen by a hash of their indices; the sample is halved whenever it grows too large.
+the tiles, chosen by a hash of their indices; the sample is halved whenever it grows too large. Four tiles that make one
+of twice the size are in it together: the same counts and pixels tell what larger tiles would give.
 """
 
 import math
@@ -18,6 +19,7 @@ from bumpymap.core import (
     GROUND_CLASSES,
     HOLE_POINTS,
     HOLE_SHARE,
+    INCLUDED_PIXELS,
     POINT_DECK,
     POINT_GROUND,
     SEEN_PER_M2,
@@ -37,8 +39,8 @@ Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
 Rule = Callable[[NDArray[np.bool_], Ints], NDArray[np.bool_]]
 """Pixels that hold a point, (n, pixels, pixels), and numbers of points, (n,), in; whether a tile can be rated, out."""
-MOST_PIXELS = 500_000
-"""Pixels of the sample at most: more than 2,000 tiles of 15 x 15."""
+MOST_PIXELS = 1_000_000
+"""Pixels of the sample at most: more than 4,000 tiles of 15 x 15."""
 GROUP_PIXELS = 4_000_000
 MERGE_AT = 4_000_000
 """Keys that wait to be merged, at most."""
@@ -52,7 +54,7 @@ class KeyCounts:
     Parameters
     ----------
     most : int, optional
-        Keys at most: only the keys of one tile in ``step`` are kept, and ``step``, a power of two, grows as necessary.
+        Keys at most: only those of one in ``step`` fours of tiles are kept; ``step``, a power of two, grows as needed.
     shift : int
         Bits of a key below the code of its tile.
     join : ufunc
@@ -78,8 +80,13 @@ class KeyCounts:
         self._append(*other.total())
 
     def sampled(self, codes: Ints) -> NDArray[np.bool_]:
-        """Return which tiles are in the sample."""
-        return sampled(codes, self.step)
+        """Return which tiles are in the sample: all four of a tile of twice the size, or none."""
+        return np.ones(codes.size, np.bool_) if self.step == 1 else sampled(_parents(codes), self.step)
+
+    def add_renamed(self, other: "KeyCounts", rename: Callable[[Ints], Ints]) -> None:
+        """Add the counts of others under new keys."""
+        keys, counts = other.total()
+        self._append(rename(keys), counts)
 
     def total(self) -> tuple[Ints, NDArray[Any]]:
         """Return the sorted keys, reduced to the size of the sample, and their counts or sums."""
@@ -89,8 +96,7 @@ class KeyCounts:
         while True:
             kept = self.sampled(keys >> self._shift)
             keys, counts = keys[kept], counts[kept]
-            few = self._most is None or keys.size <= self._most
-            if few or keys[0] >> self._shift == keys[-1] >> self._shift:
+            if self._most is None or keys.size <= self._most:
                 self._parts, self._waiting = [(keys, counts)], 0
                 return keys, counts
             self.step *= 2
@@ -125,6 +131,18 @@ class TileCounts:
         """Return the column or row of the pixel within its tile."""
         offset = (axis / self._grid.tile_size - self._grid.index(axis)) * self._grid.pixels
         return np.clip(offset.astype(np.int64), 0, self._grid.pixels - 1)
+
+    def add_as_doubled(self, other: "TileCounts") -> None:
+        """Add the points of tiles of half the size."""
+        px = self._grid.pixels // 2
+
+        def of_pixel(keys: Ints) -> Ints:
+            row, col = (place & 1 for place in _tile_places(keys >> 16))
+            pixel = (col * px + (keys & 0xFFFF) // px) * 2 * px + row * px + (keys & 0xFFFF) % px
+            return np.asarray(_parents(keys >> 16) << 16 | pixel)
+
+        self.tiles.add_renamed(other.tiles, _parents)
+        self.pixels.add_renamed(other.pixels, of_pixel)
 
     def share_unknown(self, codes: Ints, *rules: Rule) -> float:
         """Return the share of these tiles, of those in the sample, that fulfil none of the rules."""
@@ -261,14 +279,12 @@ class PointSummary:
     """The same if only ground points are measured."""
     unseen: float
     """Share of the tiles that hold so few points that no way is seen through them, 0..1."""
-    double_few: float
-    """Share of the tiles of twice the size that hold too few points to be rated, 0..1."""
-    ground_double_few: float
-    """The same if only ground points are measured."""
     classes: dict[int, ClassSummary]
     """By LAS class."""
     never_classified: int
     """Tiles of a part that nobody has classified, beside classified ones."""
+    doubled: "PointSummary | None"
+    """The same points in tiles of twice the size; None if no calibration for them is included."""
 
 
 class PointSummaryBuilder:
@@ -336,10 +352,10 @@ class PointSummaryBuilder:
 
     def summary(self) -> PointSummary | None:
         """Return the summary; None if there are no points."""
-        codes, counts = self.all_points.tiles.total()
+        _, counts = self.all_points.tiles.total()
         if counts.size == 0:
             return None
-        ground_codes, ground_counts = self.ground.tiles.total()
+        _, ground_counts = self.ground.tiles.total()
         median, points, low, high = float(np.median(counts)), int(counts.sum()), self.low, self.high
         without = counts.size - ground_counts.size
         return PointSummary(
@@ -356,11 +372,23 @@ class PointSummaryBuilder:
             unknown=self._unknown(self.all_points),
             ground_unknown={Reason.NO_GROUND: float(without)} | self._unknown(self.ground),
             unseen=float(np.mean(counts < SEEN_PER_M2 * self._grid.tile_size**2)),
-            double_few=_few_in_double(codes, codes, counts),
-            ground_double_few=_few_in_double(codes, ground_codes, ground_counts),
             classes=_summarise_classes(*self.classes.total(), counts.size, self._ground_classes),
             never_classified=self._never_classified() if ground_counts.size else 0,
+            doubled=self._doubled(),
         )
+
+    def _doubled(self) -> PointSummary | None:
+        """Summarize the same points in tiles of twice the size, of the same pixels."""
+        size, pixels = 2.0 * self._grid.tile_size, 2 * self._grid.pixels
+        if INCLUDED_PIXELS.get(size) != pixels:
+            return None
+        twice = PointSummaryBuilder(Grid(size, pixels), self._settings, self._ground_classes, thin=self._thin)
+        twice.all_points.add_as_doubled(self.all_points)
+        twice.ground.add_as_doubled(self.ground)
+        twice.classes.add_renamed(self.classes, lambda keys: _parents(keys >> 8) << 8 | keys & 0xFF)
+        twice.lowest.add_renamed(self.lowest, lambda keys: _parents(keys >> 1) << 1 | keys & 1)
+        twice.low, twice.high = self.low, self.high
+        return twice.summary()
 
     def _never_classified(self) -> int:
         """Count the tiles of a part that nobody has classified."""
@@ -404,12 +432,7 @@ def _tile_places(codes: Ints) -> tuple[Ints, Ints]:
     return row, col
 
 
-def _few_in_double(every: Ints, codes: Ints, counts: Ints) -> float:
-    """Return the share of tiles of twice the size with too few points, of those that hold any point.
-
-    ``every`` (n,) are the codes of tiles with points; ``codes`` and ``counts`` (m,) those of the points that count.
-    """
-    whole, own = ((of >> 24) << 23 | (of & _INDEX_MASK) >> 1 for of in (every, codes))
-    known = np.unique(whole)
-    held = np.bincount(np.searchsorted(known, own), counts, known.size)
-    return float(np.mean(held < THIN_POINTS))
+def _parents(codes: Ints) -> Ints:
+    """Return the codes of the tiles of twice the size that these are in."""
+    row, col = (place >> 1 & _INDEX_MASK for place in _tile_places(codes))
+    return col << 23 | row

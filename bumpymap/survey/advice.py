@@ -10,6 +10,8 @@ from bumpymap.survey.run_record import MapResult
 Measured = Literal["points", "ground points", "ground points (found by the cloth)"]
 _FEW_UNKNOWN = 0.1
 """Up to this share of unknown tiles no advice is given: every survey has some at its edge."""
+_FAR_FEWER = 0.5
+"""Below this part of the unknown tiles another option is advised."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,27 +42,31 @@ def enough_points(settings: FeatureSettings, *, thin: bool) -> int:
     return min(settings.min_points, THIN_POINTS) if thin else settings.min_points
 
 
-def advise(outcome: Outcome, settings: FeatureSettings, *, before_run: bool) -> str:
+def advise(outcome: Outcome, settings: FeatureSettings, *, would_help: Mapping[str, float] | None = None) -> str:
     """Return in one line which share of the tiles is unknown, why, and what would help; empty if there are few.
 
     Parameters
     ----------
     settings : FeatureSettings
         Limits of the dense rule.
-    before_run : bool
-        Whether the run is still to come.
+    would_help : mapping of str to float, optional
+        Before a run: share of unknown tiles with other options. Those that leave far fewer unknown are advised.
     """
     if outcome.share <= _FEW_UNKNOWN:
         return ""
     most = max(outcome.unknown, key=lambda reason: outcome.unknown[reason])
-    share = f"about {outcome.share:.0%}" if before_run else f"{outcome.share:.1%}"
-    head = f"{share} of the tiles {'will be' if before_run else 'are'} unknown"
+    share = f"{outcome.share:.1%}" if would_help is None else f"about {outcome.share:.0%}"
+    head = f"{share} of the tiles {'are' if would_help is None else 'will be'} unknown"
     why, help_ = _explained(most, outcome, settings)
+    if would_help is not None and most is not Reason.OUTLIER_RELIEF:
+        better = {option: left for option, left in would_help.items() if left < _FAR_FEWER * outcome.share}
+        told = " and ".join(f"{option} would leave about {left:.0%} unknown" for option, left in better.items())
+        help_ = told or "Larger tiles would not help: there are gaps in the survey, or too few points"
     return f"{head}, mostly because of {REASON_TEXT[most]}: {why}. {help_}"
 
 
 def _explained(reason: Reason, outcome: Outcome, settings: FeatureSettings) -> tuple[str, str]:
-    """Return the rule that most of the unknown tiles break, and what would help."""
+    """Return the rule that most of the unknown tiles break, and what may help after a run."""
     if reason is Reason.OUTLIER_RELIEF:
         why = f"more than {settings.stray_share:.0%} of their points are cut off from all others in height"
         return why, "Mark stray points as noise (class 7 or 18), or raise stray_share in [features] of --config"
@@ -77,8 +83,8 @@ def _explained(reason: Reason, outcome: Outcome, settings: FeatureSettings) -> t
         )
     if outcome.measured == "points" or outcome.all_points_per_tile < enough:
         return why, (
-            "A denser survey would help, or larger tiles: bumpymap info --tile-size 5 (or 6) says how many are unknown "
-            "then; vehicles of your own, and other sizes, need a calibration of their own"
+            "A denser survey would help, or larger tiles if it has no gaps: bumpymap info SURVEY says how many they "
+            "would leave unknown; vehicles of your own, and other sizes, need a calibration of their own"
         )
     text = f"--ground all measures every point, {outcome.all_points_per_tile:.0f} per tile on average, vegetation too"
     if outcome.measured == "ground points":
@@ -114,7 +120,7 @@ def outcome_of_run(result: MapResult, config: MapConfig) -> Outcome:
 def unknown_line(result: MapResult, config: MapConfig) -> str:
     """Return in one line the share of unknown tiles, why, and, if there are many, what would help."""
     outcome = outcome_of_run(result, config)
-    if advice := advise(outcome, config.features, before_run=False):
+    if advice := advise(outcome, config.features):
         return advice
     if not outcome.unknown:
         return "no tile with points is unknown"

@@ -13,11 +13,11 @@ from bumpymap.core import (
     CsfSettings,
     FeatureSettings,
     Ground,
+    LengthUnit,
     MapConfig,
     PageSettings,
     Rating,
     UsageError,
-    ZUnit,
     path_of_call,
     refuse_clashes,
     settings_of_call,
@@ -45,7 +45,8 @@ class EachSettings(TypedDict, total=False):
     model: PathLike | None
     crs: str | int | None
     force_crs: str | int | None
-    z_unit: ZUnit | None
+    xy_unit: LengthUnit | None
+    z_unit: LengthUnit | None
     local: bool
     trust_points: bool
     skip_bad: bool

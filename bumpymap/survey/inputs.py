@@ -31,6 +31,7 @@ def read_options(config: MapConfig, *, crs_must_agree: bool = False) -> ReadOpti
         crs_must_agree=crs_must_agree,
         ground_classes=config.ground_classes,
         colour=True,
+        xy_unit=config.xy_unit,
     )
 
 
@@ -76,6 +77,10 @@ class SurveyInputs:
         for doubt in file_doubts(infos):
             _log.warning("%s", doubt)
         _check_crs(georeference, readers[0].info.path, local=config.local)
+        if any(info.georeference.assumed for info in infos):
+            _log.warning(
+                "no CRS states a unit: metres are assumed; if they are feet, pass `xy_unit='ft'` or `xy_unit='us-ft'`"
+            )
         return cls(readers, georeference, config.skip_bad, skipped)
 
     @property

@@ -385,6 +385,14 @@ def test_a_bad_frame_among_others(tmp_path):
     assert "frames/frame.ply" in out_files(out)
 
 
+def test_force_is_answered_with_overwrite():
+    for command in ("map", "scan", "batch"):
+        said = run(command, "a", "--out", "o", "--force")
+        assert said.exit_code == 2
+        assert "--overwrite" in said.output
+        assert "--force-crs" not in said.output
+
+
 # --- info ---
 def dense(path, classes=None, *, crs="EPSG:32614", rows=slice(None), north=0.0):
     """Write 900 points over four full tiles, or some of them."""
@@ -429,6 +437,9 @@ def test_what_is_missing_is_said_and_what_was_given_is_in_the_command(tmp_path):
     assert "about 100% of the tiles will be unknown, mostly because of too few points" in result.output
     assert "ready" not in result.output
     path = dense(tmp_path / "a b.las", crs=None)
+    said = run("info", path, "--set", "xy_unit=ft", "--quick").output
+    assert re.search(r"units +foot\n", said)
+    assert re.search("units +assumed metre", run("info", path, "--quick").output)
     said = run("info", path, "--crs", "EPSG:32614", "--set", "z_unit=m", "--ground", "all", "--quick").output
     assert f"ready: bumpymap map '{path}' --crs EPSG:32614 --z-unit m --ground all --out DIR" in said
     result = run("info", path, "--crs", "EPSG:2992", "--set", "z_unit=m", "--json")

@@ -43,8 +43,8 @@ HERE = Place(Path("site.laz"), (500000.0, 4000000.0, 100.0))
 SILENT = CrsStatement()
 
 
-def settle(statement=SILENT, crs=None, z_unit=None, place=HERE, force=None, must_agree=False):
-    return georeference(place, statement, GivenCrs(crs, force, must_agree), z_unit)
+def settle(statement=SILENT, crs=None, z_unit=None, place=HERE, force=None, must_agree=False, xy_unit=None):
+    return georeference(place, statement, GivenCrs(crs, force, must_agree, xy_unit), z_unit)
 
 
 @pytest.mark.parametrize("text", ["EPSG:32614", "epsg:32614", "32614", "+proj=utm +zone=14 +datum=WGS84"])
@@ -185,6 +185,11 @@ NAVD = "EPSG:32614+5703"
         (CODED, {}, "EPSG:23033", (1.0, 1.0), ""),
         # A local CRS is no CRS, but has units.
         ('LOCAL_CS["pit grid",UNIT["foot",0.3048]]', {}, None, (0.3048, 0.3048), "pit grid"),
+        # A unit is given where no CRS has one; heights follow it.
+        (None, {"xy_unit": "us-ft"}, None, (US_FOOT, US_FOOT), ""),
+        (None, {"xy_unit": "ft", "z_unit": "m"}, None, (0.3048, 1.0), ""),
+        ('LOCAL_CS["pit grid",UNIT["metre",1]]', {"xy_unit": "ft"}, None, (0.3048, 0.3048), ""),
+        (FEET, {"xy_unit": "ft"}, FEET, (US_FOOT, US_FOOT), ""),
     ],
 )
 def test_the_crs_and_the_units_that_count(own, given, crs, units, said):
@@ -193,6 +198,14 @@ def test_the_crs_and_the_units_that_count(own, given, crs, units, said):
     assert crs is None or place.crs.to_epsg() == CRS(crs).to_epsg()
     assert (place.metres_per_unit, place.metres_per_unit_z) == units
     assert said in "".join(notes)
+
+
+def test_a_unit_that_nothing_states_is_assumed_and_one_that_contradicts_the_crs_is_refused():
+    assert settle()[0] == Georeference(None, 1.0, 1.0, assumed=True)
+    for known in (settle(xy_unit="m"), settle(crs="EPSG:32614"), settle(CrsStatement(None, 0.3048))):
+        assert not known[0].assumed
+    with pytest.raises(UsageError, match=r"site\.laz.*metre.*xy_unit='ft'.*force_crs"):
+        settle(crs="EPSG:32614", xy_unit="ft")
 
 
 def test_trouble_is_refused_or_set_aside():

@@ -250,6 +250,51 @@ def test_a_header_that_is_a_little_off_is_no_lie(las):
     assert exhaust(las.patch(path, MAX_X, "<d", 100_000.0)) == 2  # a large box around large data
 
 
+@pytest.mark.parametrize(("place", "value", "says"), [(211, 30.0, "height"), (187, 499999.5, "easting"), (0, 0, "")])
+def test_an_extent_in_the_header_that_is_not_that_of_the_points_is_noted(las, read, place, value, says):
+    path = las.write("a.laz")
+    reader = open_survey(las.patch(path, place, "<d", value) if place else path)
+    read(reader)
+    assert [says in note and "header gives" in note for note in reader.info.notes] == [True] * bool(says)
+
+
+def test_flipped_bits_that_change_points_are_noted(las, read):
+    """LAZ has no checksum."""
+    rng = np.random.default_rng(1)
+    points = las.points[0] + np.round(np.column_stack([rng.uniform(0, 30, (4000, 2)), rng.normal(0, 0.1, 4000)]), 3)
+    path = las.write("a.laz", points, version="1.4", fmt=6)
+    data, whole, changed = path.read_bytes(), read(open_survey(path))[0], 0
+    for at in range(len(data) - 600, len(data) - 100, 10):
+        path.write_bytes(data[:at] + bytes([data[at] ^ 4]) + data[at + 1 :])
+        try:
+            reader = open_survey(path)
+            if not np.array_equal(read(reader)[0], whole):
+                changed += 1
+                assert any("header gives" in note for note in reader.info.notes)
+        except BadInputError:
+            continue
+    assert changed
+
+
+def test_points_behind_those_that_the_header_counts_are_noted(las):
+    path = las.patch(las.write("a.las", version="1.2", fmt=1), 107, "<I", 5)
+    assert "2 more points than the 5" in "".join(open_survey(path).info.notes)
+
+
+@pytest.mark.parametrize(
+    ("trees", "north", "says"), [(22.0, 0.0, "35 m apart"), (0.0, 5e6, "beyond the pole"), (0.0, 0.0, "")]
+)
+def test_coordinates_without_a_unit_that_look_like_feet_are_noted(las, trees, north, says):
+    rng = np.random.default_rng(2)
+    x, y, z = rng.uniform(0, 60, (3, 4000)) * np.array([[1.0], [1.0], [trees / 60]])
+    metres = np.round(np.column_stack([x, y + north, z]), 3)
+    for name, unit, known in (("m", 1.0, {}), ("ft", 0.3048, {}), ("ft_known", 0.3048, {3076: 9002, 1024: 1})):
+        path = las.write(f"{name}.laz", metres / unit, geokeys=known, offset=(0, round(north / unit), 0))
+        likely = ["xy_unit='ft'" in note for note in open_survey(path).info.notes]
+        assert any(likely) == (bool(says) and name == "ft")
+        assert not any(likely) or says in "".join(open_survey(path).info.notes)
+
+
 def test_a_negative_scale_mirrors_the_points_and_their_extent(las, read):
     east = 1_000_000 - las.points[:, 0]  # about the offset
     path = las.patch(las.patch(las.write(), 131, "<d", -0.001), MAX_X, "<dd", east.max(), east.min())

@@ -319,6 +319,8 @@ def test_what_cannot_be_taken_is_refused(tmp_path):
         ([], "no scan was given"),
         ([tmp_path / "none"], "does not exist"),
         ([fill(tmp_path / "texts", "a.txt")], "holds no scans"),
+        ([fill(tmp_path / "survey", "a.laz")], "bumpymap map .*survey --out DIR maps it"),
+        ([fill(tmp_path / "survey", "a.laz") / "a.laz"], "is a survey"),
         ([fill(tmp_path / "mixed", "a.bin", "a.ply")], "several formats"),
         ([Path("/dev/null")], "neither"),
     ):

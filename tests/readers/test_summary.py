@@ -92,6 +92,22 @@ def test_a_sample_is_of_whole_tiles_and_close_to_all(las, monkeypatch):
     assert summary.unknown[Reason.TOO_FEW_POINTS] == whole.unknown[Reason.TOO_FEW_POINTS]
 
 
+def test_tiles_of_twice_the_size_are_summarized_from_the_same_counts(las):
+    rng = np.random.default_rng(7)
+    points = np.round(rng.uniform(-50, 50, (8000, 3)), 3)
+    classes = rng.choice(np.uint8([1, 2, 6]), 8000, p=[0.6, 0.3, 0.1])
+    seen = points[:, 0] % 13 > 7
+    path = las.write("a.laz", points[seen], offset=(0, 0, 0), classification=classes[seen])
+    twice = stats(path, FeatureSettings(), thin=True).summary().doubled
+    whole = stats(path, FeatureSettings(), Grid(6.0, 30), thin=True).summary()
+    assert replace(twice, classes={}) == replace(whole, classes={})
+    assert {code: own.tiles for code, own in twice.classes.items()} == {
+        code: own.tiles for code, own in whole.classes.items()
+    }
+    assert 0 < sum(twice.unknown.values()) < twice.tiles
+    assert twice.doubled is None  # no calibration for tiles of 12 m is included
+
+
 def test_thin_tiles_are_known_if_their_points_span_them(las):
     # Tiles of 9 pixels; their points: 3; 10 and 40 in the western three parts; 11 in five around a corner.
     x, y = np.meshgrid([0.5, 1.5, 2.5], [0.5, 1.5, 2.5])

@@ -334,6 +334,20 @@ def test_bad_frames_are_skipped_with_a_word_and_the_poses_of_the_others_stay_the
     assert files(tmp_path / "out")[0] == "gathered.laz"
 
 
+def test_an_empty_frame_is_skipped_and_a_map_of_many_scans_is_sent_to_map(drive, tmp_path, caplog):
+    scans = tmp_path / "scans"
+    write_bin(scans / "0.bin", world() - POSES[0][1])
+    (scans / "1.bin").write_bytes(b"")
+    config = ScanConfig((scans,), tmp_path / "out", method="filter", products=("table",))
+    assert list(scan_frames(config).skipped) == [str(scans / "1.bin")]
+    assert "1.bin is empty" in caplog.text
+    assert "bumpymap map" not in caplog.text
+    even = np.random.default_rng(3).uniform(-50.0, 50.0, (30_000, 3)) * [1.0, 1.0, 0.001] - [0.0, 0.0, 1.0]
+    cloud = write_bin(tmp_path / "slam cloud.bin", even)
+    scan_frames(replace(config, frames=(cloud,), out=tmp_path / "far"))
+    assert f"bumpymap map '{cloud}' --local" in caplog.text
+
+
 def test_nothing_but_bad_frames_is_a_failure_that_names_some(tmp_path):
     for number in range(7):
         (tmp_path / f"{number}.bin").write_bytes(b"123")

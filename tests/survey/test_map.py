@@ -75,11 +75,15 @@ def test_a_survey_in_feet_gives_the_tiles_of_the_same_survey_in_metres(site, tmp
     us_foot = 1200 / 3937
     feet = write_las(tmp_path / "ft.laz", x / us_foot, y / us_foot, z / us_foot, crs=feet_crs, offset=in_feet)
     mixed = write_las(tmp_path / "mixed.laz", x / us_foot, y / us_foot, z, crs=feet_crs, offset=in_feet)
-    for file, extra in ((metres, ()), (feet, ()), (mixed, ("--z-unit", "m"))):
+    bare = write_las(tmp_path / "bare.laz", x / us_foot, y / us_foot, z / us_foot, crs=None, offset=in_feet)
+    given = ("--local", "--xy-unit", "us-ft")
+    for file, extra in ((metres, ()), (feet, ()), (mixed, ("--z-unit", "m")), (bare, given)):
         result = run("map", file, "--out", tmp_path / file.stem, *extra)
         assert result.exit_code == 0, result.output
+        assert "metres are assumed" not in result.output
+    assert "metres are assumed" in run("map", bare, "--out", tmp_path / "assumed", "--local").output
     medians = {}
-    for name in ("m", "ft", "mixed"):
+    for name in ("m", "ft", "mixed", "bare"):
         with rasterio.open(tmp_path / name / "rasters/roughness.tif") as raster:
             # A point within a millimetre of a tile's or pixel's edge may change sides: compare in the median.
             medians[name] = np.nanmedian(raster.read(), axis=(1, 2))

@@ -338,7 +338,7 @@ def evaluate_survey(
     }
     origin = {
         "files": sorted([str(file["size"]), file["digest"]] for file in (identity(r.info.path) for r in readers)),
-        "options": {"crs": options.force_crs or options.crs, "z_unit": options.z_unit},
+        "options": {"crs": options.force_crs or options.crs, "xy_unit": options.xy_unit, "z_unit": options.z_unit},
         "ground_only": survey.ground_only,
         "features": asdict(settings.features),
     }

@@ -8,6 +8,7 @@ of a label are the semantic id. The label file of ``DIR/NAME.bin`` is in the sam
 import logging
 import os
 import re
+import shlex
 import struct
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -32,7 +33,15 @@ from bumpymap.readers.frames.raw import (
     read_table,
 )
 from bumpymap.readers.frames.transforms import FIXED_FRAMES, FrameTree, Trajectory, frame_name, seconds_since
-from bumpymap.readers.source import pinned_version, read_range, refuse_count, require_unchanged, size_of, version_of
+from bumpymap.readers.source import (
+    NoPointsError,
+    pinned_version,
+    read_range,
+    refuse_count,
+    require_unchanged,
+    size_of,
+    version_of,
+)
 
 _log = logging.getLogger(__name__)
 
@@ -271,7 +280,17 @@ def find_frames(paths: Sequence[Path]) -> list[Path]:
     """
     if not paths:
         raise BadInputError("no scan was given; name a file of a scan, or a folder of them")
-    return sorted(files_at(paths, _scans_in, "a file of a scan"), key=natural_key)
+    files = sorted(files_at(paths, _scans_in, "a file of a scan"), key=natural_key)
+    _refuse_surveys(paths[0], files)
+    return files
+
+
+def _refuse_surveys(path: Path, files: Iterable[Path]) -> None:
+    """Raise BadInputError if a file is a LAS or LAZ file: a survey."""
+    if survey := next((file for file in files if file.suffix.lower() in {".las", ".laz"}), None):
+        raise BadInputError(
+            f"{survey} is a survey and no scan of a robot: bumpymap map {shlex.quote(str(path))} --out DIR maps it"
+        )
 
 
 def natural_key(path: Path) -> tuple[tuple[tuple[int, int | str], ...], ...]:
@@ -293,6 +312,7 @@ def _scans_in(path: Path) -> list[Path]:
             )
         if files:
             return files
+    _refuse_surveys(path, (file for file in path.iterdir()))
     raise BadInputError(
         f"the folder {path} holds no scans; files ending in {', '.join(SUFFIXES)} are searched for, also in its "
         f"folders {' and '.join(POINT_FOLDERS)}, and bags ({', '.join(BAG_SUFFIXES)}). Name the folder that holds them"
@@ -417,7 +437,9 @@ def read_kitti(path: Path, columns: int | None = None) -> RawScan:
         match it.
     """
     size = size_of(path)
-    if size == 0 or size % 4:
+    if size == 0:
+        raise NoPointsError(f"{path} is empty")
+    if size % 4:
         raise BadInputError(
             f"{path} has {size:,} bytes, and a scan is one or more float32: it is truncated or not a KITTI-style scan. "
             "Copy it again, or convert it to PLY"

@@ -6,6 +6,7 @@ a single worker keeps points in memory between tasks. In a cluster each task use
 other tasks need to packs.
 """
 
+import logging
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass, replace
@@ -110,6 +111,9 @@ def _read_and_measure(
     with clock.stage("read"):
         collector = _read(inputs, work, space, executor, progress)
     refuse_no_points(inputs.readers, collector.stats)
+    for reader, stats in zip(inputs.readers, collector.stats, strict=True):
+        if doubt := reader.header_doubt(stats):
+            logging.getLogger(__name__).warning("%s: %s", reader.info.path, doubt)
     inputs.check_window(work.grid, collector.window())
     with clock.stage("measure"):
         ground_only, from_all = _measure(work, collector, space, executor, progress)
