@@ -210,7 +210,7 @@ _MOST_BYTES, _MOST_PIXELS = 5_000_000, 50_000_000
 _PICTURES: dict[bytes, type[ImageFile]] = {b"\x89PNG": PngImageFile, b"\xff\xd8\xff": JpegImageFile}
 """By the first bytes of a file. `Image.open` would warn of a large picture, or raise an error of no usual kind."""
 UNREADABLE = (OSError, ValueError, SyntaxError)
-"""What reading a picture raises."""
+"""Errors of reading a picture."""
 _LOGO_SIDES = (480, 160)
 """Largest width and height on the page, pixels."""
 
