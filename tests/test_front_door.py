@@ -4,6 +4,7 @@ import copy
 import doctest
 import importlib
 import math
+import re
 import shutil
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from made_drives import write_drive
 from small_surveys import write_survey
 
 import bumpymap
+from bumpymap.core import install_command
 from bumpymap.core.types import BANDS
 from bumpymap.views import check_headline
 
@@ -137,7 +139,7 @@ def test_without_the_extra_the_message_says_how_to_install_it(layers, monkeypatc
 
     monkeypatch.setattr("bumpymap.layers._imports.import_module", refuse)
     for call in (layers.dataset, layers.heights, layers.tiles, layers.regions):
-        with pytest.raises(bumpymap.UsageError, match=r"pip install 'bumpymap\[notebook\]'"):
+        with pytest.raises(bumpymap.UsageError, match=re.escape(install_command("notebook"))):
             call()
 
 

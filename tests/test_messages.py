@@ -39,7 +39,7 @@ COMMANDS_ALONE = {
     "rating/calibration_lookup.py",  # its messages show commands to type
 }
 """Code whose messages go to the command line: no call of the public API reaches it."""
-A_COMMAND = re.compile(r"\b(bumpymap|pdal) [a-z]+ |\bmavlogdump\.py |--(filters|writers)\.|^reprojection$")
+A_COMMAND = re.compile(r"\b(bumpymap|pdal) [a-z]+ |-m pip |\bmavlogdump\.py |--(filters|writers)\.|^reprojection$")
 
 BAD = [
     ({"tile_size": -1}, "tile_size"),

@@ -426,7 +426,7 @@ def install_command(extra: str) -> str:
     known = bool(folder) and Path(folder).exists()
     python = shlex.quote(sys.executable)
     pip = f"{python} -m pip install" if find_spec("pip") else f"python3 -m pip --python {python} install"
-    editable = " --editable" if known and origin.get("dir_info", {}).get("editable") else ""
+    editable = " -e" if known and origin.get("dir_info", {}).get("editable") else ""
     source = shlex.quote(f"{folder if known else '.'}[{extra}]")
     return f"{pip}{editable} {source}{'' if known else ' in the folder of the repository'}"
 

@@ -24,7 +24,7 @@ SWITCHES = {"CI", "ORT_DISABLE_TELEMETRY", "ORT_RUNNING_UNIT_TESTS"}
 """Variables that keep the telemetry off by themselves."""
 
 
-PROGRAM = [sys.executable, "-m", "bumpymap", "map", str(SURVEY), "--local", "--quiet", "--out"]
+PROGRAM = [sys.executable, "-m", "bumpymap", "map", str(SURVEY), "--local", "--xy-unit", "m", "--quiet", "--out"]
 
 
 @pytest.fixture

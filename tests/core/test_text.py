@@ -163,4 +163,4 @@ def test_an_extra_is_installed_from_where_the_package_came_into_this_environment
     checkout.mkdir()
     python, *words = shlex.split(install_command("sim"))
     assert python == sys.executable
-    assert words == ["-m", "pip", "install", *["--editable"] * editable, f"{checkout}[sim]"]
+    assert words == ["-m", "pip", "install", *["-e"] * editable, f"{checkout}[sim]"]

@@ -1,6 +1,7 @@
 """Files, folders and URLs: the same survey from wherever it lies, no more bytes than needed, and no mixture of two."""
 
 import os
+import re
 import sys
 import threading
 
@@ -10,6 +11,7 @@ from range_server import serving
 from survey_kinds import KINDS, write_kind
 
 import bumpymap.readers.las as las_module
+from bumpymap.core import install_command
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.readers import find_surveys, identity, is_url, open_survey, source
 from bumpymap.readers.source import read_range
@@ -129,7 +131,7 @@ def test_what_is_not_there(memory, tmp_path, monkeypatch):
     with pytest.raises(UsageError, match="nowhere://a"):
         open_survey("nowhere://a.laz")
     monkeypatch.setitem(sys.modules, "fsspec.core", None)
-    with pytest.raises(UsageError, match=r"pip install 'bumpymap\[remote\]'"):
+    with pytest.raises(UsageError, match=re.escape(install_command("remote"))):
         open_survey("s3://bucket/a.laz")
 
 

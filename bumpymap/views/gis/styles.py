@@ -55,8 +55,8 @@ _NOT_XML = re.compile("[\ufffe\uffff]")
 _EVALUATED = re.compile(r"\[(?=%)|\$(?=CURRENT_DATE)")
 """Where what QGIS evaluates in a label begins: ``[% expression %]``, or the date."""
 _DIVIDED = {"labelText": "[% '' %]", "label": "\N{WORD JOINER}"}
-"""What makes it text again: in labels of a page an expression that shows nothing; in legends, which QGIS evaluates if
-the name of the layer holds an expression, a letter without width."""
+"""Inserted to make it text again: in labels of a page an expression that shows nothing; in legends, which QGIS
+evaluates if the name of the layer holds an expression, a letter without width."""
 
 
 def write_qgis(path: Path, template: str, **context: Any) -> None:
