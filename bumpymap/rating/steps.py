@@ -43,6 +43,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 from bumpymap.core import FAIL_SHARE, NO_CLASS, BadInputError
 from bumpymap.rating._step_kernels import (
@@ -266,8 +267,8 @@ def find_steps(
     wheel : float
         Diameter of a wheel, px: it rolls over ditches narrower than 1.4 times that, which are no steps.
     standing : bool array, optional
-        Of the shape of ``heights``: pixels of what stands on the ground, and is an obstacle. What they alone may make a
-        step, within the pixels that are looked at for one, is none.
+        Of the shape of ``heights``: pixels of what stands on the ground, and is an obstacle. They and those beside them,
+        which may hold its sides, count as unknown.
 
     Returns
     -------
@@ -285,6 +286,8 @@ def find_steps(
     side = int(np.clip(round(wheel), 2, REACH))
     # Nothing beyond the ring of tiles may count, or two blocks would differ on the border that they share.
     level = min(_LEVEL_WIDTH * wheel, (pixels - RUN - 1) / math.sqrt(2.0))
+    if standing is not None and standing.any():
+        heights = np.where(binary_dilation(standing, np.ones((3, 3), np.bool_)), np.nan, heights)
     z, turned = _with_margin(heights), _with_margin(heights.T)
     (east, noise_east), (south, noise_south) = _gradient(z, pixels), _gradient(turned, pixels)
     upright, lying = (
@@ -292,11 +295,6 @@ def find_steps(
         for part, right, down in ((z, east, south.T), (turned, south, east.T))
     )
     across, along = _raw(upright, side), _raw(lying, side)  # walls that run north to south come first
-    if standing is not None and standing.any():
-        near = _near(standing)
-        for raw, hidden in ((across, near), (along, near.T)):
-            for steps in (raw.least, raw.crest):
-                np.copyto(steps, np.nan, where=hidden)
     noise = _PIXEL_LIMIT / _MEDIAN_DIFFERENCE * 0.5 * (noise_east + noise_south.T)
     rows, cols, inside = across.inside.shape
     usual = np.empty((rows, cols))  # a low quantile of the steps whose support lies in the tile; NaN with too few
@@ -309,20 +307,6 @@ def find_steps(
     north, south = (side.T for side in _borders(north_south))
     border = np.stack([north, east, south, west], axis=-1)
     return TileSteps(*(part.astype(np.float32) for part in (border, inner, rim)))
-
-
-def _near(marks: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Mark the pixels that marked ones may make look like a step: those of which the runs on both sides hold one."""
-    out = marks
-    for _ in range(2):  # along rows, then along columns
-        wide = np.pad(out, ((REACH, REACH), (0, 0)))
-        length = 1
-        while length <= REACH:  # marked in so many rows from each on
-            wide = wide[:-length] | wide[length:]
-            length *= 2
-        rest = 2 * REACH + 1 - length
-        out = np.ascontiguousarray((wide[:-rest] | wide[rest:]).T)
-    return out
 
 
 def _with_margin(heights: NDArray[np.floating]) -> Floats:
