@@ -267,8 +267,8 @@ def find_steps(
     wheel : float
         Diameter of a wheel, px: it rolls over ditches narrower than 1.4 times that, which are no steps.
     standing : bool array, optional
-        Of the shape of ``heights``: pixels of what stands on the ground, and is an obstacle. They and those beside them,
-        which may hold its sides, count as unknown.
+        Of the shape of ``heights``: pixels of what stands on the ground, and is an obstacle. They and those beside
+        them, which may hold its sides, count as unknown.
 
     Returns
     -------
@@ -284,8 +284,9 @@ def find_steps(
     if pixels < 2 * REACH + 2 or len(sides) != 2 or min(sides) < 3 * pixels or any(n % pixels for n in sides):
         raise ValueError(f"heights of shape {sides} are not those of tiles with {pixels} pixels and a ring of them")
     side = int(np.clip(round(wheel), 2, REACH))
-    # Nothing beyond the ring of tiles may count, or two blocks would differ on the border that they share.
-    level = min(_LEVEL_WIDTH * wheel, (pixels - RUN - 1) / math.sqrt(2.0))
+    # Nothing beyond the ring of tiles may count, or two blocks would differ on the border that they share; and whether
+    # the last pixel of the ring lies beside an obstacle is not known.
+    level = min(_LEVEL_WIDTH * wheel, (pixels - RUN - 2) / math.sqrt(2.0))
     if standing is not None and standing.any():
         heights = np.where(binary_dilation(standing, np.ones((3, 3), np.bool_)), np.nan, heights)
     z, turned = _with_margin(heights), _with_margin(heights.T)

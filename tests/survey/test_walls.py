@@ -102,6 +102,25 @@ def test_no_wall_is_left_passable(models, tmp_path, height):
     assert (missed, wrong) == (0, 0)
 
 
+@pytest.mark.parametrize("density", [200, 100, 50, 20])
+@pytest.mark.parametrize("height", [0.45, 0.6, 1.0])
+def test_a_step_seen_from_above_alone_is_closed_wherever_its_face_falls(models, tmp_path, height, density):
+    """Pixels of the face that hold both levels look like things; the steps beside them count all the same."""
+    rng, found_open = np.random.default_rng(16), []
+    for number in range(10):
+        angle = np.radians((0, 90, 30, 45, 71)[number % 5])
+        wall = (12.0 + rng.uniform(-1.5, 1.5), 12.0 + rng.uniform(-1.5, 1.5), angle)
+        found = rated(models, survey(rng, wall, height, density, 0.003), tmp_path / str(number))
+        through, far = (
+            inside(found) & (from_middle(found, wall) < 1.0),
+            inside(found) & (from_middle(found, wall) > 4.0),
+        )
+        found_open += found["barred"][through].tolist()
+        assert (found["barred"][far] == Barred.NO).all()
+    assert len(found_open) > 20
+    assert Barred.NO not in found_open
+
+
 def test_a_kerb_that_the_vehicle_climbs_bars_nothing(models, tmp_path):
     for number, (rng, wall) in enumerate(walls(15, 6)):
         found = rated(models, survey(rng, wall, 0.15, 100, 0.005), tmp_path / str(number))
