@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import rasterio
 from ring_maps import write_points
+from rings import GROUND_KINDS, Ring
 from scenes import OTHER, Place, Scene, Solid, survey_scene
 from scipy.ndimage import distance_transform_edt
 
@@ -157,6 +158,22 @@ def test_beside_a_thin_wall_the_ride_is_that_of_the_ground(models, tmp_path, den
         assert np.isin(found["barred"][asked], (Barred.NO, Barred.OBSTACLE, Barred.SPLIT)).mean() > 0.9
         assert (found["barred"][asked & crossed(found, wall)] != Barred.NO).any()
         np.testing.assert_allclose(np.nanmedian(found["c_r"][asked]), np.median(level["c_r"][asked]), atol=0.003)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("density", [50, 100])
+@pytest.mark.parametrize("kind", ["wall .3 m", *GROUND_KINDS])
+def test_no_way_leads_out_of_a_ring(tmp_path, kind, density):
+    for seed in range(3):
+        ring = Ring(kind, 0.0, density, noise_m=(0.0, 0.02, 0.05)[seed], sides=seed == 1, seed=seed)
+        (tmp_path / str(seed)).mkdir()
+        assert ring.way_out(tmp_path / str(seed)) == (False, False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["wall .3 m", "cars"])
+def test_the_way_leads_through_the_gap(tmp_path, kind):
+    assert Ring(kind, 4.0, 100, noise_m=0.02, seed=1).way_out(tmp_path) == (True, True)
 
 
 BLOCK_M = 48.0
