@@ -300,7 +300,7 @@ def test_a_calibration_that_was_moved_to_real_drives_or_lacks_the_library_is_ref
         refit(replace(WARTHOG, settings=settings))
 
 
-@pytest.mark.slow
+@pytest.mark.later
 def test_a_low_kerb_is_crossed_and_a_high_wall_is_not_and_a_crossing_is_that_of_the_shipped_calibration():
     pytest.importorskip("dartpy")
     settings = CalibrationSettings(Vehicle.load("warthog"))
