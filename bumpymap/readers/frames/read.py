@@ -312,7 +312,7 @@ def _scans_in(path: Path) -> list[Path]:
             )
         if files:
             return files
-    _refuse_surveys(path, (file for file in path.iterdir()))
+    _refuse_surveys(path, path.iterdir())
     raise BadInputError(
         f"the folder {path} holds no scans; files ending in {', '.join(SUFFIXES)} are searched for, also in its "
         f"folders {' and '.join(POINT_FOLDERS)}, and bags ({', '.join(BAG_SUFFIXES)}). Name the folder that holds them"
