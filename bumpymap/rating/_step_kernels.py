@@ -560,20 +560,28 @@ def _part_of_tile(k: int, pixels: int) -> int:
 
 
 @helper
-def _step_at(mosaic: StepMosaic, r: int, c: int, crest: float, least: float, scratch: PeakScratch) -> float:
-    """Return the step or ridge at a pixel, m; NaN if it is unknown, less than ``least`` where it is surely lower."""
+def _step_at(
+    mosaic: StepMosaic, r: int, c: int, crest: float, least: float, scratch: PeakScratch
+) -> tuple[float, float]:
+    """Return the step or ridge at a pixel, m; NaN if it is unknown, less than ``least`` where it is surely lower.
+
+    The second height is that of the same step where its points bear out any part of it.
+    """
     felt: float = scratch.felt[c]
     limit: float = scratch.limit[c]
+    borne_out = 0.0
     is_step = felt > max(least, 0.0)
     if is_step:
         _fill_patch(mosaic, r, c, scratch.patch)
-        felt *= _believed(felt, scratch)
+        share = _believed(felt, scratch)
+        borne_out = felt if share > 0.0 else 0.0
+        felt *= share
     if crest > limit:
         if not is_step:
             _fill_patch(mosaic, r, c, scratch.patch)
         ridge = _highest_ridge(mosaic.heights[r + RUN, c] - crest, max(limit, felt, least), scratch)
         felt = max(felt, ridge * _stands_out(ridge, limit))
-    return felt
+    return felt, max(felt, borne_out)
 
 
 @helper
@@ -591,7 +599,9 @@ def find_peaks(
     mosaic: StepMosaic,
     raw: RawSteps,
     limit: Annotated[Floats, 2],
+    closing: float,
     highest: Annotated[Floats, 3],
+    closed: Annotated[NDArray[np.bool_], 2],
     scratch: PeakScratch,
 ) -> None:
     """Fill the highest step of tiles, or ridge if that is higher, m; negative where none is known.
@@ -603,23 +613,26 @@ def find_peaks(
 
     ``limit`` is (tiles, tiles): steps of that height do not count, m. That of a pixel is between those of the tiles two
     pixels before and behind it.
+
+    ``closed`` is (rows, cols), filled with False: the same pixels are True where the step is ``closing`` m high.
     """
     cols, pixels, limits = raw.least.shape[1], mosaic.pixels, scratch.limit
     for row in range(1, limit.shape[0] - 1):
         _fill_limits(limit[row], pixels, limits)
-        for col in range(limit.shape[1]):
-            for part in range(4):
-                highest[row, col, part] = -1.0
+        highest[row, :, :] = -1.0
         # Nothing is higher than what nobody asks for.
         highest[row, 0, 0] = highest[row, limit.shape[1] - 1, 1] = np.inf
-        for part in range(2, 4):
-            highest[row, 0, part] = highest[row, limit.shape[1] - 1, part] = np.inf
+        highest[row, 0, 2:] = highest[row, limit.shape[1] - 1, 2:] = np.inf
         for r in range(row * pixels, (row + 1) * pixels):
             _keep_peaks(raw.least[r], limits, scratch.felt)
             for c in range(cols):
                 part, found = _part_of_tile(c % pixels, pixels), highest[row, c // pixels]
-                if scratch.felt[c] > found[part] or (raw.crest[r, c] > limits[c] and found[part] < np.inf):
-                    step = _step_at(mosaic, r, c, raw.crest[r, c], found[part], scratch)
+                if found[part] == np.inf:
+                    continue
+                asked = min(found[part], closing)
+                if scratch.felt[c] > asked or raw.crest[r, c] > limits[c]:
+                    step, borne_out = _step_at(mosaic, r, c, raw.crest[r, c], asked, scratch)
+                    closed[r, c] = borne_out >= closing
                     for k in range(part, 4):
                         if (k == part or k > 1) and step > found[k]:
                             found[k] = step
