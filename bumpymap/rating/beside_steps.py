@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from bumpymap.core import FAIL_SHARE
+from bumpymap.core import FAIL_SHARE, obstacle_reach
 from bumpymap.rating.calibration import Calibration, remembered
 from bumpymap.rating.ride._noise_kernels import DenoisedPatches, PatchesToDenoise, denoise_patches, spectrum_scratch
 from bumpymap.rating.ride.motion_operator import roll_over
@@ -27,6 +27,8 @@ Marks = NDArray[np.bool_]
 _TOUCHING = np.array([np.zeros((3, 3)), [[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.zeros((3, 3))], np.bool_)
 _APART = 1000.0
 """Distance of tiles in a stack, px: the nearest known pixel is one of the same tile."""
+_FACE_PX = 2.3
+"""From the line of a step, px: so near, a pixel may hold a part of its face."""
 _LEAST_PIXELS = 3
 """Known pixels that span the plane of an area."""
 _RIDGE = 1.0
@@ -46,8 +48,8 @@ class GroundBesideSteps:
 
 
 def rate_beside_steps(
-    heights: NDArray[np.floating], taken: Marks, whole: tuple[NDArray[np.floating], NDArray[np.floating]],
-    thin: NDArray[np.floating], calibration: Calibration,
+    heights: NDArray[np.floating], line: Marks, standing: Marks,
+    whole: tuple[NDArray[np.floating], NDArray[np.floating]], thin: NDArray[np.floating], calibration: Calibration,
 ) -> GroundBesideSteps:  # fmt: skip
     """Rate what steps leave of n tiles.
 
@@ -55,8 +57,9 @@ def rate_beside_steps(
     ----------
     heights : array (n, pixels, pixels)
         Mean height of the ground in each pixel, m; NaN where it is not known.
-    taken : bool (n, pixels, pixels)
-        Pixels of steps that the vehicle cannot cross, those beside them, obstacles, and what was not seen.
+    line, standing : bool (n, pixels, pixels)
+        Pixels of steps that the vehicle cannot cross, those of the next tiles too where they touch; and of obstacles
+        and what was not seen.
     whole : tuple of arrays (n,)
         C_r and p_fail of whole tiles: what is left of them is no worse.
     thin : array (n, 20)
@@ -69,10 +72,17 @@ def rate_beside_steps(
     BadInputError
         The ride model of the calibration is damaged.
     """
-    area = ndimage.label(~taken, _TOUCHING)[0]
-    known = ~taken & np.isfinite(heights)
-    rest, rise = _off_planes(heights, np.where(known, area, 0), int(area.max()))
-    slope_deg = np.degrees(np.arctan(rise * calibration.pixels / calibration.tile_size))
+    from_line = ndimage.distance_transform_edt(~line, (_APART, 1.0, 1.0))
+    left = (from_line > _FACE_PX) & ~standing
+    area, areas = ndimage.label(left, _TOUCHING)
+    pixel = calibration.tile_size / calibration.pixels
+    # Where the middle of the vehicle cannot be for the step alone, nobody asks for the ground.
+    room = ndimage.maximum(from_line, area, np.arange(areas + 1)) * pixel > obstacle_reach(calibration.body.width_m)
+    room[0] = False
+    area = np.where(room[area], area, 0)
+    known = (area > 0) & np.isfinite(heights)
+    rest, rise = _off_planes(heights, np.where(known, area, 0), areas)
+    slope_deg = np.degrees(np.arctan(rise / pixel))
     steep = slope_deg > float(calibration.vehicle["slope_limit_deg"])
     is_open = (area > 0) & ~steep[area]
     known &= is_open
@@ -85,7 +95,7 @@ def rate_beside_steps(
     is_open &= (p_fail < FAIL_SHARE)[:, None, None]
     some = is_open.any(axis=(1, 2))
     c_r, p_fail = (np.where(some, values, np.nan).astype(np.float32) for values in (c_r, p_fail))
-    return GroundBesideSteps((area > 0) & ~is_open, c_r, p_fail)
+    return GroundBesideSteps(left & ~is_open, c_r, p_fail)
 
 
 def _off_planes(heights: NDArray[np.floating], area: NDArray[np.integer], areas: int) -> tuple[Floats, Floats]:

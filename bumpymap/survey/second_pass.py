@@ -344,9 +344,9 @@ class NeighbourRating:
         edges[tiles] = True
         if self.config.by_ride:
             heights, thin = (window.inner(name)[tiles] for name in ("heights", "thin"))
-            taken = near[tiles] | line | np.isin(states[tiles], (OBSTACLE, UNSEEN))
+            standing = np.isin(states[tiles], (OBSTACLE, UNSEEN))
             whole = own["c_r"][tiles], own["p_fail"][tiles]
-            found = rate_beside_steps(heights, taken, whole, thin, self.calibration)
+            found = rate_beside_steps(heights, line, standing, whole, thin, self.calibration)
             beside["c_r_open"][tiles], beside["p_fail_open"][tiles] = found.c_r, found.p_fail
             edges[tiles] = line | found.is_closed
         barred = own["barred"].copy()
