@@ -52,9 +52,11 @@ from bumpymap.rating._step_kernels import (
     RawSteps,
     StepMosaic,
     find_gradients,
+    find_jumps,
     find_peaks,
     find_quantiles,
     find_raw_steps,
+    jump_sides,
     peak_scratch,
     row_scratch,
 )
@@ -242,6 +244,8 @@ _MEDIAN_DIFFERENCE = 0.9539
 _LEVEL_WIDTH = 1.85
 """Width of the levels on both sides of a step, in diameters of a wheel. A fifth of their points may be astray, so a
 ditch of less than 1.4 diameters is none; in drives over ditches, half get stuck at 1.4."""
+_JUMP_WIDTH = 5.0
+"""Width of the sides of a jump, px."""
 _JUMP = 2.4
 """Height between two pixels that is not noise, over the limit of noise: six standard deviations of a pixel."""
 _LEAST_STEPS = 12
@@ -340,8 +344,20 @@ def find_steps(
     north, south = (side.T for side in _borders(north_south))
     border = np.stack([north, east, south, west], axis=-1)
     closed |= closed_too.T
+    slopes = (np.ascontiguousarray(slope) for slope in (east, south.T))
+    closed |= _jumps(np.ascontiguousarray(z[RUN:-RUN]), *slopes, closing, level)
     low = _below_others(heights, np.fmax(closing, _JUMP * noise), pixels) if closed.any() else closed
     return TileSteps(*(part.astype(np.float32) for part in (border, inner, rim)), closed, low)
+
+
+def _jumps(heights: Floats, east: Floats, south: Floats, closing: float, level: float) -> NDArray[np.bool_]:
+    """Return the lines of jumps, see `find_jumps`."""
+    pixels = len(heights) // len(east)
+    marks = np.zeros(heights.shape, np.bool_)
+    if math.isfinite(closing):
+        sides, levels = jump_sides(min(level, _JUMP_WIDTH)), np.empty(heights.shape)
+        find_jumps(heights, pixels, east, south, closing, sides, levels, marks)
+    return marks
 
 
 def _below_others(heights: NDArray[np.floating], drop: Floats, pixels: int) -> NDArray[np.bool_]:
