@@ -190,6 +190,8 @@ _BESIDE = ((-1, 0), (0, 1), (1, 0), (0, -1))
 """Rows and columns to the tile beyond each side; rows go south."""
 _SIDES = Column("sides", "|u1")
 """Bits: the vehicle can cross the side in the north, east, south, west."""
+_LEAST_COVERAGE = 0.25
+"""With fewer points a step closes its tiles as a whole: where it ends is not known. 7 points/m2 of 0.2 m pixels."""
 _TOUCHING = np.ones((3, 3), np.bool_)
 _LEAST_PIXELS = 10
 """With fewer pixels along the side of a tile, steps are not measured."""
@@ -336,21 +338,19 @@ class NeighbourRating:
         What reads tiles alone would cross a wall on a border if it barred one of its tiles only. Beside the step, the
         ground is rated for itself; what is not fit to drive on is marked as well.
         """
-        near = self._inner(binary_dilation(steps.closed, _TOUCHING))
-        tiles = np.nonzero(near.any(axis=(2, 3)) & (own["barred"] != Barred.UNKNOWN))
-        line = self._inner(steps.closed | steps.low)[tiles]
-        edges = self._inner(steps.closed).copy()
-        beside = {name: np.full(own["barred"].shape, np.float32(np.nan)) for name in _BESIDE_STEPS}
-        edges[tiles] = True
-        if self.config.by_ride:
-            heights, thin = (window.inner(name)[tiles] for name in ("heights", "thin"))
-            standing = np.isin(states[tiles], (OBSTACLE, UNSEEN))
+        touched = self._inner(binary_dilation(steps.closed, _TOUCHING)).any(axis=(2, 3))
+        touched &= own["barred"] != Barred.UNKNOWN
+        edges = self._inner(steps.closed) | touched[..., None, None]
+        beside = {name: np.full(touched.shape, np.float32(np.nan)) for name in _BESIDE_STEPS}
+        tiles = np.nonzero(touched & (own["coverage"] >= _LEAST_COVERAGE) & self.config.by_ride)
+        if len(tiles[0]):
+            line, standing = self._inner(steps.closed | steps.low)[tiles], np.isin(states[tiles], (OBSTACLE, UNSEEN))
             whole = own["c_r"][tiles], own["p_fail"][tiles]
+            heights, thin = (window.inner(name)[tiles] for name in ("heights", "thin"))
             found = rate_beside_steps(heights, line, standing, whole, thin, self.calibration)
             beside["c_r_open"][tiles], beside["p_fail_open"][tiles] = found.c_r, found.p_fail
             edges[tiles] = line | found.is_closed
-        barred = own["barred"].copy()
-        barred[tiles] = Barred.STEP
+        barred = np.where(touched, np.uint8(Barred.STEP), own["barred"])
         return barred, np.where(edges & (states != OBSTACLE), np.uint8(STEP_EDGE), states), beside
 
     def _sides(self, known: NDArray[np.bool_], steps: TileSteps) -> NDArray[np.uint8]:
