@@ -6,6 +6,7 @@ north to south come from the transposed mosaic. Nothing here allocates: scratch 
 
 import math
 from functools import cache
+from itertools import product
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -638,14 +639,15 @@ def find_peaks(
                             found[k] = step
 
 
-_LEAST_OF_SIDE = 6
-"""Known pixels on each side of a jump."""
+_LEAST_OF_SIDE, _LEAST_OF_HALF = 6, 8
+"""Known pixels on each side of a jump; and where half of the line is looked at."""
 _SAME = 0.65
 """Of a jump, the least difference of the mean levels of both sides: a narrow ditch bends their planes, and has less."""
-_MOST_REST = 0.25
-"""Most distance of the pixels from the planes of their sides, as a share of the jump (root mean square)."""
-_SURELY = 2.0
-"""Standard errors of the jump beyond what closes."""
+_MOST_REST, _MOST_REST_HALF = 0.25, 0.15
+"""Most distance of the pixels from the planes of their sides, as a share of the jump (root mean square); and where half
+of the line is looked at."""
+_SURELY, _SURELY_HALF = 2.0, 4.0
+"""Standard errors of the jump beyond what closes, likewise."""
 _CREST = 0.9
 """A pixel is on the line of a jump if the levels differ so much of what they do at the pixels across the line."""
 
@@ -654,7 +656,7 @@ class JumpSides(NamedTuple):
     """Pixels on both sides of lines through a pixel, see `jump_sides`."""
 
     starts: Annotated[Integers, 1]
-    """(17,) where the pixels of each side begin: of eight lines, both sides one after the other."""
+    """(49,) where the pixels of each side begin: of 24 lines, both sides one after the other."""
     down: Annotated[Integers, 1]
     right: Annotated[Integers, 1]
     """Rows and columns from the pixel to those of the sides."""
@@ -663,9 +665,22 @@ class JumpSides(NamedTuple):
     """The same across the line and along it, px."""
 
 
+class TileSlopes(NamedTuple):
+    """Tiles in which to look for jumps, (tiles, tiles) each."""
+
+    east: Annotated[Floats, 2]
+    """Usual rise from a pixel to the next one in the east, m."""
+    south: Annotated[Floats, 2]
+    """The same to the south, m."""
+    is_wanted: Annotated[NDArray[np.bool_], 2]
+
+
 @cache
 def jump_sides(width: float) -> JumpSides:
-    """Return the pixels up to ``width`` px beside lines of nine pixels at eight angles."""
+    """Return the pixels up to ``width`` px beside lines at eight angles: of nine pixels, and of either half of them.
+
+    The halves tell a line close to the corner of a step.
+    """
     reach = math.ceil(math.hypot(width, RUN + 0.5))
     down, right = (places.ravel() for places in np.mgrid[-reach : reach + 1, -reach : reach + 1])
     rows: list[NDArray[np.float64]] = []
@@ -673,8 +688,9 @@ def jump_sides(width: float) -> JumpSides:
     for angle in np.arange(8) * (math.pi / 8.0):
         c, s = round(math.cos(angle), 6), round(math.sin(angle), 6)
         across, along = c * right + s * down, c * down - s * right
-        for sign in (-1.0, 1.0):
-            inside = (sign * across > 0.4) & (sign * across <= width) & (np.abs(along) <= RUN + 0.5)
+        for (first, last), sign in product(((-RUN, RUN), (-RUN, 0), (0, RUN)), (-1.0, 1.0)):
+            inside = (sign * across > 0.4) & (sign * across <= width)
+            inside &= (along >= first - 0.5) & (along <= last + 0.5)
             rows.append(np.stack([down, right, across, along])[:, inside])
             counts.append(int(inside.sum()))
     whole = np.concatenate(rows, axis=1)
@@ -725,6 +741,19 @@ def _side_plane(heights: Floats, r: int, c: int, slope: tuple[float, float], sid
 
 
 @helper
+def _side_level(heights: Floats, r: int, c: int, slope: tuple[float, float], side: int, sides: JumpSides) -> float:
+    """Return the mean height of the known pixels of one side of a line, less the slope of their tile; or NaN."""
+    n, total = 0, 0.0
+    for k in range(sides.starts[side], sides.starts[side + 1]):
+        down, right = sides.down[k], sides.right[k]
+        h = heights[r + down, c + right] - slope[0] * right - slope[1] * down
+        known = h == h  # noqa: PLR0124 - false for NaN
+        n += known
+        total += h if known else 0.0
+    return total / n if n >= _LEAST_OF_SIDE else np.nan
+
+
+@helper
 def _jump(heights: Floats, r: int, c: int, slope: tuple[float, float], closing: float, sides: JumpSides) -> float:
     """Return the difference of the levels of both sides of a pixel, m, at the line on which it is most; 0: none closes.
 
@@ -732,10 +761,15 @@ def _jump(heights: Floats, r: int, c: int, slope: tuple[float, float], closing: 
     their levels, and if little is left beside the planes.
     """
     most = 0.0
-    for line in range(8):
+    for line in range((len(sides.starts) - 1) // 2):
+        before = _side_level(heights, r, c, slope, 2 * line, sides)
+        behind = _side_level(heights, r, c, slope, 2 * line + 1, sides)
+        if not abs(behind - before) >= max(closing, most):
+            continue
         one = _side_plane(heights, r, c, slope, 2 * line, sides)
         other = _side_plane(heights, r, c, slope, 2 * line + 1, sides)
-        if one.n == 0.0 or other.n == 0.0:
+        least = _LEAST_OF_SIDE if line % 3 == 0 else _LEAST_OF_HALF
+        if min(one.n, other.n) < least:
             continue
         level, jump = other.mean - one.mean, other.at_line - one.at_line
         if jump < 0.0:
@@ -744,7 +778,8 @@ def _jump(heights: Floats, r: int, c: int, slope: tuple[float, float], closing: 
             continue
         rest = (one.rest + other.rest) / (one.n + other.n - 6.0)
         error = math.sqrt(rest * (one.error + other.error))
-        if min(level, jump) >= closing + _SURELY * error and rest <= _MOST_REST * _MOST_REST * jump * jump:
+        surely, share = (_SURELY, _MOST_REST) if line % 3 == 0 else (_SURELY_HALF, _MOST_REST_HALF)
+        if min(level, jump) >= closing + surely * error and rest <= share * share * jump * jump:
             most = level
     return most
 
@@ -764,8 +799,7 @@ def _may_jump(heights: Floats, r: int, c: int, slope: tuple[float, float], closi
 def find_jumps(
     heights: Annotated[Floats, 2],
     pixels: int,
-    east: Annotated[Floats, 2],
-    south: Annotated[Floats, 2],
+    slopes: TileSlopes,
     closing: float,
     sides: JumpSides,
     level: Annotated[Floats, 2],
@@ -773,16 +807,16 @@ def find_jumps(
 ) -> None:
     """Mark the lines along which the ground jumps by ``closing`` m, where all points of both sides are taken together.
 
-    ``heights`` is (rows, cols) of pixels, ``east`` and ``south`` (tiles, tiles) are the slopes of tiles, m per pixel.
-    ``level`` is filled with the difference of the levels of both sides, m. In the outer ring of tiles only the two
-    pixels next to the inner ones are looked at, and only the first of them is marked.
+    ``heights`` is (rows, cols) of pixels. ``level`` is filled with the difference of the levels of both sides, m. In
+    the outer ring of tiles only the two pixels next to the inner ones are looked at, and only the first of them marked.
     """
     rows, cols = heights.shape
     level[:, :], marks[:, :] = 0.0, False
     for r in range(pixels - 2, rows - pixels + 2):
         for c in range(pixels - 2, cols - pixels + 2):
-            slope = east[r // pixels, c // pixels], south[r // pixels, c // pixels]
-            if _may_jump(heights, r, c, slope, closing):
+            row, col = r // pixels, c // pixels
+            slope = slopes.east[row, col], slopes.south[row, col]
+            if slopes.is_wanted[row, col] and _may_jump(heights, r, c, slope, closing):
                 level[r, c] = _jump(heights, r, c, slope, closing, sides)
     for r in range(pixels - 1, rows - pixels + 1):
         for c in range(pixels - 1, cols - pixels + 1):
