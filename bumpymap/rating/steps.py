@@ -24,6 +24,15 @@ difference.
    1.85 wheels beside it: the step is from the median of the higher side to that of the line, borne out as in 2 by
    three quarters of the line and, as in 5, by the points on both sides.
 
+*Closing.* A step that the vehicle cannot cross closes the pixels on its line, and not its tile:
+
+7. Of the steps above, all that any part of the points bears out, at their full height: to close is the safe side.
+8. Jumps. With few or noisy points, runs of nine pixels tell little. There, for lines at eight angles through a pixel, a
+   plane is fitted through all pixels on each side, 1.8 m along the line and 1 m across it. The ground jumps where both
+   planes and both mean levels differ by the height, surely, and the points lie close to the planes.
+9. Where a step is known, every pixel of its tiles that lies so far below one beside it is closed too: runs do not tell
+   the last metre of a ditch.
+
 A step depends only on the pixels around it, so two blocks find the same bits for the border that they share.
 
 *Effect.* Tiles are rated as those with the same step in their middle, borders as usable or not. The calibration holds

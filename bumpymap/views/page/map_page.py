@@ -374,7 +374,7 @@ _WHY = {
     BARRED_TEXT[Barred.OBSTACLE]: "something stands in the way, or the vehicle does not fit between what stands there",
     BARRED_TEXT[Barred.SLOPE]: "steeper than the vehicle may drive",
     BARRED_TEXT[Barred.FAILS]: "at least half of the simulated drives rolled over or got stuck",
-    BARRED_TEXT[Barred.STEP]: "a step to or in the tile that the vehicle cannot climb",
+    BARRED_TEXT[Barred.STEP]: "a step that the vehicle cannot climb closes it in part: routes pass on pixels",
     BARRED_TEXT[Barred.SPLIT]: "obstacles part it, or part it from a passable tile beside it: routes pass on pixels",
     BARRED_TEXT[Barred.LITTLE_SEEN]: "it has a class, but what stands there may be unseen: there may be a way or none",
 }
