@@ -646,6 +646,8 @@ _SAME = 0.65
 _MOST_REST, _MOST_REST_HALF = 0.25, 0.15
 """Most distance of the pixels from the planes of their sides, as a share of the jump (root mean square); and where half
 of the line is looked at."""
+_MOST_SPREAD = 0.5
+"""The same from the mean levels of both sides, as a share of their difference."""
 _SURELY, _SURELY_HALF = 2.0, 4.0
 """Standard errors of the jump beyond what closes, likewise."""
 _CREST = 0.9
@@ -656,13 +658,13 @@ class JumpSides(NamedTuple):
     """Pixels on both sides of lines through a pixel, see `jump_sides`."""
 
     starts: Annotated[Integers, 1]
-    """(49,) where the pixels of each side begin: of 24 lines, both sides one after the other."""
-    down: Annotated[Integers, 1]
-    right: Annotated[Integers, 1]
-    """Rows and columns from the pixel to those of the sides."""
+    """(49,) where the pixels of each part of a side begin: of eight lines, both sides, each before the middle, beside
+    it and behind it."""
+    place: Annotated[Integers, 1]
+    """Places of the pixels in a patch around the pixel."""
     across: Annotated[Floats, 1]
     along: Annotated[Floats, 1]
-    """The same across the line and along it, px."""
+    """From the pixel to them, across the line and along it, px."""
 
 
 class TileSlopes(NamedTuple):
@@ -675,35 +677,49 @@ class TileSlopes(NamedTuple):
     is_wanted: Annotated[NDArray[np.bool_], 2]
 
 
+class JumpScratch(NamedTuple):
+    """Scratch for the points around a pixel, see `jump_scratch`."""
+
+    level: Annotated[Floats, 2]
+    """(rows, cols) difference of the levels of both sides, m."""
+    patch: Annotated[Floats, 2]
+    """(2, size^2) heights of the pixels around one, less the slope of its tile, 0 where unknown; and 1 where known."""
+    parts: Annotated[Floats, 2]
+    """(3, 48) sum of the heights of each part of a side, number of known pixels, and sum of the squared heights."""
+
+
+def jump_scratch(rows: int, cols: int, width: float) -> JumpScratch:
+    """Make scratch for a mosaic of so many pixels."""
+    size = 2 * _jump_reach(width) + 1
+    return JumpScratch(np.zeros((rows, cols)), np.empty((2, size * size)), np.empty((3, 48)))
+
+
+def _jump_reach(width: float) -> int:
+    return math.ceil(math.hypot(width, RUN + 0.5))
+
+
 @cache
 def jump_sides(width: float) -> JumpSides:
-    """Return the pixels up to ``width`` px beside lines at eight angles: of nine pixels, and of either half of them.
-
-    The halves tell a line close to the corner of a step.
-    """
-    reach = math.ceil(math.hypot(width, RUN + 0.5))
+    """Return the pixels up to ``width`` px beside lines of nine pixels at eight angles."""
+    reach = _jump_reach(width)
     down, right = (places.ravel() for places in np.mgrid[-reach : reach + 1, -reach : reach + 1])
-    rows: list[NDArray[np.float64]] = []
-    counts = [0]
+    parts = []
     for angle in np.arange(8) * (math.pi / 8.0):
         c, s = round(math.cos(angle), 6), round(math.sin(angle), 6)
         across, along = c * right + s * down, c * down - s * right
-        for (first, last), sign in product(((-RUN, RUN), (-RUN, 0), (0, RUN)), (-1.0, 1.0)):
-            inside = (sign * across > 0.4) & (sign * across <= width)
-            inside &= (along >= first - 0.5) & (along <= last + 0.5)
-            rows.append(np.stack([down, right, across, along])[:, inside])
-            counts.append(int(inside.sum()))
-    whole = np.concatenate(rows, axis=1)
-    places = [np.ascontiguousarray(part, np.int32) for part in whole[:2]]
-    return JumpSides(np.cumsum(counts).astype(np.int32), *places, *(np.ascontiguousarray(part) for part in whole[2:]))
+        for sign, first, last in product((-1.0, 1.0), (-RUN - 0.5, -0.5, 0.5), (-0.5, 0.5, RUN + 0.5)):
+            if 0.0 < last - first <= RUN:
+                inside = (sign * across > 0.4) & (sign * across <= width) & (along > first) & (along <= last)
+                parts.append((np.flatnonzero(inside), across[inside], along[inside]))
+    place, across, along = (np.concatenate(each) for each in zip(*parts, strict=True))
+    starts = np.cumsum([0, *(len(part[0]) for part in parts)], dtype=np.int32)
+    return JumpSides(starts, place.astype(np.int32), across, along)
 
 
 class SidePlane(NamedTuple):
     """The plane through the known pixels of one side."""
 
     n: float
-    mean: float
-    """Mean height, m."""
     at_line: float
     """Height of the plane at the middle of the line, m."""
     rest: float
@@ -713,86 +729,102 @@ class SidePlane(NamedTuple):
 
 
 @helper
-def _side_plane(heights: Floats, r: int, c: int, slope: tuple[float, float], side: int, sides: JumpSides) -> SidePlane:
-    """Fit a plane through the known pixels of one side of a line, less the slope (east, south) of their tile."""
-    base = np.nan
+def _side_plane(first: int, last: int, sides: JumpSides, patch: Floats) -> SidePlane:
+    """Fit a plane through the known pixels of some parts of a side of a line; ``n`` is 0 if they span none."""
     n = u = v = z = uu = uv = vv = uz = vz = zz = 0.0
-    for k in range(sides.starts[side], sides.starts[side + 1]):
-        down, right = sides.down[k], sides.right[k]
-        h = heights[r + down, c + right] - slope[0] * right - slope[1] * down
-        if math.isnan(h):
-            continue
-        base = h if n == 0.0 else base
-        a, b, h = sides.across[k], sides.along[k], h - base
-        n, u, v, z = n + 1.0, u + a, v + b, z + h
+    for k in range(sides.starts[first], sides.starts[last]):
+        w, h = patch[1, sides.place[k]], patch[0, sides.place[k]]
+        a, b = w * sides.across[k], w * sides.along[k]
+        n, u, v, z = n + w, u + a, v + b, z + h
         uu, uv, vv = uu + a * a, uv + a * b, vv + b * b
         uz, vz, zz = uz + a * h, vz + b * h, zz + h * h
-    if n < _LEAST_OF_SIDE:
-        return SidePlane(0.0, 0.0, 0.0, 0.0, 0.0)
     mu, mv, mz = u / n, v / n, z / n
     uu, uv, vv, uz, vz, zz = uu - u * mu, uv - u * mv, vv - v * mv, uz - u * mz, vz - v * mz, zz - z * mz
     det = uu * vv - uv * uv
     if det <= 1e-6 * uu * vv:
-        return SidePlane(0.0, 0.0, 0.0, 0.0, 0.0)
+        return SidePlane(0.0, 0.0, 0.0, 0.0)
     across, along = (uz * vv - vz * uv) / det, (vz * uu - uz * uv) / det
     error = 1.0 / n + (mu * mu * vv - 2.0 * mu * mv * uv + mv * mv * uu) / det
     rest = max(zz - across * uz - along * vz, 0.0)
-    return SidePlane(n, base + mz, base + mz - across * mu - along * mv, rest, error)
+    return SidePlane(n, mz - across * mu - along * mv, rest, error)
 
 
 @helper
-def _side_level(heights: Floats, r: int, c: int, slope: tuple[float, float], side: int, sides: JumpSides) -> float:
-    """Return the mean height of the known pixels of one side of a line, less the slope of their tile; or NaN."""
-    n, total = 0, 0.0
-    for k in range(sides.starts[side], sides.starts[side + 1]):
-        down, right = sides.down[k], sides.right[k]
-        h = heights[r + down, c + right] - slope[0] * right - slope[1] * down
-        known = h == h  # noqa: PLR0124 - false for NaN
-        n += known
-        total += h if known else 0.0
-    return total / n if n >= _LEAST_OF_SIDE else np.nan
-
-
-@helper
-def _jump(heights: Floats, r: int, c: int, slope: tuple[float, float], closing: float, sides: JumpSides) -> float:
-    """Return the difference of the levels of both sides of a pixel, m, at the line on which it is most; 0: none closes.
-
-    A jump closes if the planes of both sides differ by ``closing`` and two standard errors more at the line, and so do
-    their levels, and if little is left beside the planes.
-    """
-    most = 0.0
-    for line in range((len(sides.starts) - 1) // 2):
-        before = _side_level(heights, r, c, slope, 2 * line, sides)
-        behind = _side_level(heights, r, c, slope, 2 * line + 1, sides)
-        if not abs(behind - before) >= max(closing, most):
-            continue
-        one = _side_plane(heights, r, c, slope, 2 * line, sides)
-        other = _side_plane(heights, r, c, slope, 2 * line + 1, sides)
-        least = _LEAST_OF_SIDE if line % 3 == 0 else _LEAST_OF_HALF
-        if min(one.n, other.n) < least:
-            continue
-        level, jump = other.mean - one.mean, other.at_line - one.at_line
-        if jump < 0.0:
-            level, jump = -level, -jump
-        if level <= max(most, _SAME * jump):
-            continue
-        rest = (one.rest + other.rest) / (one.n + other.n - 6.0)
-        error = math.sqrt(rest * (one.error + other.error))
-        surely, share = (_SURELY, _MOST_REST) if line % 3 == 0 else (_SURELY_HALF, _MOST_REST_HALF)
-        if min(level, jump) >= closing + surely * error and rest <= share * share * jump * jump:
-            most = level
-    return most
-
-
-@helper
-def _may_jump(heights: Floats, r: int, c: int, slope: tuple[float, float], closing: float) -> bool:
-    """Return whether the heights of 5 x 5 pixels differ so much, or none is known."""
-    low, high = np.inf, -np.inf
+def _fill_jump_patch(
+    heights: Floats, r: int, c: int, slope: tuple[float, float], closing: float, patch: Floats
+) -> bool:
+    """Fill the heights around a pixel; returns False, and fills nothing, if those of 5 x 5 pixels differ too little."""
+    size = int(math.sqrt(patch.shape[1]))
+    reach, low, high = size // 2, np.inf, -np.inf
     for down in range(-2, 3):
         for right in range(-2, 3):
             h = heights[r + down, c + right] - slope[0] * right - slope[1] * down
             low, high = min(low, h), max(high, h)  # NaN is neither
-    return high - low >= closing or low == np.inf
+    if low < np.inf and high - low < closing:
+        return False
+    base = low if low < np.inf else 0.0
+    for down in range(-reach, reach + 1):
+        line = heights[r + down, c - reach : c + reach + 1]
+        first = (down + reach) * size
+        for k in range(size):
+            h = line[k] - slope[0] * (k - reach) - slope[1] * down
+            known = h == h  # noqa: PLR0124 - false for NaN
+            patch[0, first + k] = h - base if known else 0.0
+            patch[1, first + k] = 1.0 if known else 0.0
+    return True
+
+
+@helper
+def _jump_along(line: int, part: tuple[int, int], closing: float, sides: JumpSides, scratch: JumpScratch) -> float:
+    """Return the difference of the levels of both sides of a line, m, if it closes, else 0; ``part`` of three."""
+    whole = part[1] - part[0] == 3
+    one, other = 6 * line + part[0], 6 * line + 3 + part[0]
+    count = part[1] - part[0]
+    before = behind = n = m = squares = 0.0
+    for k in range(count):
+        before, n = before + scratch.parts[0, one + k], n + scratch.parts[1, one + k]
+        behind, m = behind + scratch.parts[0, other + k], m + scratch.parts[1, other + k]
+        squares += scratch.parts[2, one + k] + scratch.parts[2, other + k]
+    if min(n, m) < (_LEAST_OF_SIDE if whole else _LEAST_OF_HALF):
+        return 0.0
+    level = behind / m - before / n
+    spread = (squares - before * before / n - behind * behind / m) / (n + m)
+    if abs(level) < closing or spread > _MOST_SPREAD * _MOST_SPREAD * level * level:
+        return 0.0
+    near = _side_plane(one, one + count, sides, scratch.patch)
+    far = _side_plane(other, other + count, sides, scratch.patch)
+    if near.n == 0.0 or far.n == 0.0:
+        return 0.0
+    jump = far.at_line - near.at_line
+    if jump < 0.0:
+        level, jump = -level, -jump
+    rest = (near.rest + far.rest) / (n + m - 6.0)
+    error = math.sqrt(rest * (near.error + far.error))
+    surely, share = (_SURELY, _MOST_REST) if whole else (_SURELY_HALF, _MOST_REST_HALF)
+    closes = min(level, jump) >= closing + surely * error and level > _SAME * jump
+    return level if closes and rest <= share * share * jump * jump else 0.0
+
+
+@helper
+def _jump(closing: float, sides: JumpSides, scratch: JumpScratch) -> float:
+    """Return the difference of the levels of both sides of a pixel, m, at the line on which it is most; 0: none closes.
+
+    A jump closes if the planes of both sides differ by ``closing`` and some standard errors more at the line, and so do
+    their levels, and if little is left beside the planes. Halves of the line tell it close to the corner of a step.
+    """
+    for k in range(len(sides.starts) - 1):
+        n = total = squares = 0.0
+        for i in range(sides.starts[k], sides.starts[k + 1]):
+            n += scratch.patch[1, sides.place[i]]
+            h = scratch.patch[0, sides.place[i]]
+            total, squares = total + h, squares + h * h
+        scratch.parts[0, k], scratch.parts[1, k], scratch.parts[2, k] = total, n, squares
+    most = 0.0
+    for line in range(8):
+        most = max(most, _jump_along(line, (0, 3), closing, sides, scratch))
+        most = max(most, _jump_along(line, (0, 2), closing, sides, scratch))
+        most = max(most, _jump_along(line, (1, 3), closing, sides, scratch))
+    return most
 
 
 @kernel
@@ -802,28 +834,26 @@ def find_jumps(
     slopes: TileSlopes,
     closing: float,
     sides: JumpSides,
-    level: Annotated[Floats, 2],
     marks: Annotated[NDArray[np.bool_], 2],
+    scratch: JumpScratch,
 ) -> None:
     """Mark the lines along which the ground jumps by ``closing`` m, where all points of both sides are taken together.
 
-    ``heights`` is (rows, cols) of pixels. ``level`` is filled with the difference of the levels of both sides, m. In
-    the outer ring of tiles only the two pixels next to the inner ones are looked at, and only the first of them marked.
+    ``heights`` and ``marks`` are (rows, cols) of pixels; the latter come filled with False. In the outer ring of tiles
+    only the two pixels next to the inner ones are looked at, and only the first of them marked.
     """
-    rows, cols = heights.shape
-    level[:, :], marks[:, :] = 0.0, False
+    rows, cols, level = heights.shape[0], heights.shape[1], scratch.level
     for r in range(pixels - 2, rows - pixels + 2):
         for c in range(pixels - 2, cols - pixels + 2):
             row, col = r // pixels, c // pixels
-            slope = slopes.east[row, col], slopes.south[row, col]
-            if slopes.is_wanted[row, col] and _may_jump(heights, r, c, slope, closing):
-                level[r, c] = _jump(heights, r, c, slope, closing, sides)
+            if slopes.is_wanted[row, col]:
+                slope = slopes.east[row, col], slopes.south[row, col]
+                if _fill_jump_patch(heights, r, c, slope, closing, scratch.patch):
+                    level[r, c] = _jump(closing, sides, scratch)
     for r in range(pixels - 1, rows - pixels + 1):
         for c in range(pixels - 1, cols - pixels + 1):
-            own = level[r, c]
-            if own > 0.0:
-                beside = 0
-                for down in range(-1, 2):
-                    for right in range(-1, 2):
-                        beside += own < _CREST * level[r + down, c + right]
-                marks[r, c] = beside == 0
+            own, higher = level[r, c], False
+            for down in range(-1, 2):
+                for right in range(-1, 2):
+                    higher |= own < _CREST * level[r + down, c + right]
+            marks[r, c] = own > 0.0 and not higher

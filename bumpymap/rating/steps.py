@@ -66,6 +66,7 @@ from bumpymap.rating._step_kernels import (
     find_peaks,
     find_quantiles,
     find_raw_steps,
+    jump_scratch,
     jump_sides,
     peak_scratch,
     row_scratch,
@@ -254,8 +255,8 @@ _MEDIAN_DIFFERENCE = 0.9539
 _LEVEL_WIDTH = 1.85
 """Width of the levels on both sides of a step, in diameters of a wheel. A fifth of their points may be astray, so a
 ditch of less than 1.4 diameters is none; in drives over ditches, half get stuck at 1.4."""
-_MOST_COVERAGE = 0.95
-"""With more pixels known, runs of pixels tell as much as all points together."""
+_THINNEST, _MOST_COVERAGE = 0.04, 0.8
+"""Shares of known pixels: with fewer nothing tells a jump; with more, runs of pixels do as well as all points."""
 _MEDIAN_ERROR = 1.858
 """Standard error of the median of n numbers over their median distance from it and the root of n (normal numbers)."""
 _JUMP_WIDTH = 5.0
@@ -384,9 +385,10 @@ def _jumps(heights: Floats, slopes: tuple[Floats, Floats], closing: float, level
     marks = np.zeros(heights.shape, np.bool_)
     if math.isfinite(closing):
         coverage = _tile_sums(np.isfinite(heights), pixels) / pixels**2
-        sides, levels = jump_sides(min(level, _JUMP_WIDTH)), np.empty(heights.shape)
-        wanted = TileSlopes(*map(np.ascontiguousarray, slopes), coverage < _MOST_COVERAGE)
-        find_jumps(heights, pixels, wanted, closing, sides, levels, marks)
+        width = min(level, _JUMP_WIDTH)
+        wanted = TileSlopes(*map(np.ascontiguousarray, slopes), (coverage > _THINNEST) & (coverage < _MOST_COVERAGE))
+        scratch = jump_scratch(*heights.shape, width)
+        find_jumps(heights, pixels, wanted, closing, jump_sides(width), marks, scratch)
     return marks
 
 

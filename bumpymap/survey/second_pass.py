@@ -16,7 +16,6 @@ from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
 
 from bumpymap.core import (
     CANOPY,
@@ -192,7 +191,6 @@ _SIDES = Column("sides", "|u1")
 """Bits: the vehicle can cross the side in the north, east, south, west."""
 _LEAST_COVERAGE = 0.25
 """With fewer points a step closes its tiles as a whole: where it ends is not known. 7 points/m2 of 0.2 m pixels."""
-_TOUCHING = np.ones((3, 3), np.bool_)
 _LEAST_PIXELS = 10
 """With fewer pixels along the side of a tile, steps are not measured."""
 
@@ -333,12 +331,13 @@ class NeighbourRating:
     def _decide_steps(
         self, window: NeighbourWindow, steps: TileSteps, own: Columns, states: NDArray[np.uint8]
     ) -> tuple[NDArray[np.uint8], NDArray[np.uint8], Columns]:
-        """Bar the inner tiles that a step closes in part or wholly, or that touch such a pixel, and mark their pixels.
+        """Bar the inner tiles that a step closes in part or wholly, at their sides too, and mark its pixels.
 
         What reads tiles alone would cross a wall on a border if it barred one of its tiles only. Beside the step, the
         ground is rated for itself; what is not fit to drive on is marked as well.
         """
-        touched = self._inner(binary_dilation(steps.closed, _TOUCHING)).any(axis=(2, 3))
+        touched = self._inner(steps.closed).any(axis=(2, 3))
+        touched |= steps.edge_step >= closing_height(self.calibration)
         touched &= own["barred"] != Barred.UNKNOWN
         edges = self._inner(steps.closed) | touched[..., None, None]
         beside = {name: np.full(touched.shape, np.float32(np.nan)) for name in _BESIDE_STEPS}
