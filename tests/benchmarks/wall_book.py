@@ -2,9 +2,9 @@
 
     python tests/benchmarks/wall_book.py [--places 30] [--densities 10 400] [--out FILE]
 
-Level ground that is higher on one side, or a ditch of 1.5 m, seen from above alone, all points without class; at so many
-places in a tile and five headings each. No files are written: the tiles are rated in memory, and the pixels on which
-the middle of the Warthog can be are followed from one side to the other. 30 places of all take ten minutes on two cores.
+Level ground that is higher on one side, or has a ditch, seen from above alone, all points without class; at so many
+places in a tile and five headings. No files are written: the tiles are rated in memory, and the pixels on which the
+middle of the Warthog can be are followed from one side to the other. 30 places take ten minutes on two cores.
 """
 
 import argparse

@@ -8,7 +8,7 @@ from scipy.stats import binned_statistic_2d
 from walls import PIXELS, TILE_SIZE, Wall, crossed, mosaic, rated, surveyed
 
 from bumpymap.core import BadInputError
-from bumpymap.rating import Calibration, RideModel, apply_steps, crossing_fails, edge_usable, find_steps
+from bumpymap.rating import Calibration, RideModel, apply_steps, closing_height, crossing_fails, edge_usable, find_steps
 from bumpymap.rating.steps import STEP_COLUMNS
 
 NORTH, EAST, SOUTH, WEST = range(4)
@@ -69,7 +69,7 @@ def test_what_stands_on_the_ground_makes_no_step_and_hides_none_beside_it():
     standing[:, PIXELS + 5 : PIXELS + 7] = True
     walled = np.where(standing, heights + 2.0, heights)
     bare, seen, left = (
-        find_steps(*given) for given in ((heights, PIXELS), (walled, PIXELS), (walled, PIXELS, 3.0, standing))
+        find_steps(*given) for given in ((heights, PIXELS), (walled, PIXELS), (walled, PIXELS, 3.0, np.inf, standing))
     )
     assert (highest(seen)[:, 0] > 1.5).all()
     assert (np.nan_to_num(highest(left)) <= highest(bare)).all()
@@ -94,8 +94,13 @@ def test_two_blocks_find_the_same_bits_for_the_border_that_they_share():
     rng = np.random.default_rng(5)
     world = mosaic(Wall(0.2, 14.9, 9, 7), 10) + rng.normal(0, 0.01, (150, 150)).astype(np.float32)
     world[rng.random(world.shape) < 0.4] = np.nan
-    whole = find_steps(world, PIXELS)
-    west, east = find_steps(world[:, : 6 * PIXELS], PIXELS), find_steps(world[:, 4 * PIXELS :], PIXELS)
+    whole, west, east = (
+        find_steps(part, PIXELS, closing=0.15) for part in (world, world[:, : 6 * PIXELS], world[:, 4 * PIXELS :])
+    )
+    inner, one, other = (steps.closed[PIXELS:-PIXELS, PIXELS:-PIXELS] for steps in (whole, west, east))
+    assert inner.sum() > 100
+    np.testing.assert_array_equal(one, inner[:, : 4 * PIXELS])
+    np.testing.assert_array_equal(other, inner[:, 4 * PIXELS :])
     np.testing.assert_array_equal(west.border[:, -1, EAST], east.border[:, 0, WEST])
     for part, columns in ((west, slice(0, 4)), (east, slice(4, 8))):
         np.testing.assert_array_equal(part.border, whole.border[:, columns])
@@ -103,6 +108,32 @@ def test_two_blocks_find_the_same_bits_for_the_border_that_they_share():
         np.testing.assert_array_equal(part.rim, whole.rim[:, columns])
     np.testing.assert_array_equal(whole.border[:, :-1, EAST], whole.border[:, 1:, WEST])
     np.testing.assert_array_equal(whole.border[:-1, :, SOUTH], whole.border[1:, :, NORTH])
+
+
+@pytest.mark.parametrize(("density", "noise"), [(10, 0.003), (10, 0.05), (25, 0.05), (100, 0.02)])
+def test_the_line_of_a_step_is_closed_whole_and_nothing_else(density, noise):
+    """A step of 0.5 m at three headings; a kerb, a ramp of 20 degrees and a ditch of 0.3 m are no lines."""
+    closing, found = closing_height(SHIPPED), []
+    for turn in (0, 18, 63):
+        wall = Wall(0.5, 12.1, 12.3, turn)
+        steps = find_steps(points_of(wall.ground, density, noise, turn), PIXELS, 3.0, closing)
+        x, y = np.meshgrid(MIDDLES, MIDDLES[::-1])
+        away = np.abs(wall.distance(x, y))
+        assert not steps.closed[away > 0.8].any()
+        along = (x - 12.1) * -np.sin(np.radians(turn)) + (y - 12.3) * np.cos(np.radians(turn))
+        parts = np.floor(along / 0.8)[steps.closed]
+        found += [part in parts for part in range(-8, 8)]
+        for ground in (
+            Wall(0.15, 12.1, 12.3, turn).ground,
+            lambda x, y, wall=wall: np.clip(wall.distance(x, y) * np.tan(np.radians(20)), 0, 1),
+            lambda x, y, wall=wall: np.where(np.abs(wall.distance(x, y)) < 0.15, -1.0, 0.0),
+        ):
+            closed = find_steps(points_of(ground, density, noise, turn), PIXELS, 3.0, closing).closed
+            assert closed.mean() < 1e-3
+    assert np.mean(found) > 0.93
+
+
+MIDDLES = (np.arange(8 * PIXELS) + 0.5) * TILE_SIZE / PIXELS
 
 
 def points_of(ground, density, noise, seed):

@@ -1,0 +1,49 @@
+"""The ground that a step leaves of a tile: the bridge over a ditch, the rest beside a drop."""
+
+import numpy as np
+import pytest
+
+from bumpymap.rating import Calibration, rate_beside_steps
+
+PIXELS = 15
+SHIPPED = Calibration.shipped("warthog")
+ROWS, COLS = np.indices((PIXELS, PIXELS))
+NOTHING = np.zeros((1, PIXELS, PIXELS), bool)
+WORST = np.array([0.9], np.float32), np.array([1.0], np.float32)
+
+
+def rated(heights, line, noise=0.0):
+    rng = np.random.default_rng(3)
+    thin = np.full((1, 20), np.nan, np.float32)
+    thin[0, [0, 10, 15]] = 225.0, 2.0 * noise**2 * 500, 500.0  # points, squares and number of pairs
+    noisy = (heights + rng.normal(0, noise, heights.shape))[None].astype(np.float32)
+    return rate_beside_steps(noisy, line[None], NOTHING, WORST, thin, SHIPPED)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+@pytest.mark.parametrize("slope", [0.0, 0.2])
+def test_beside_a_drop_the_ground_is_as_good_as_it_is(noise, slope):
+    heights = np.where(COLS < 3, -1.2, 0.0) + slope * 0.2 * ROWS
+    found = rated(heights, COLS == 2, noise)
+    assert not found.is_closed.any()
+    assert found.p_fail[0] < 0.1
+    assert found.c_r[0] < (0.03 if noise == 0.0 else 0.1)
+
+
+def test_what_is_too_steep_or_fails_stays_closed():
+    steep = rated(np.where(COLS < 3, -1.2, 0.0) + 0.2 * np.tan(np.radians(40)) * ROWS, COLS == 2)
+    blocks = np.where(COLS < 3, -1.2, 0.5 * ((ROWS // 3 + COLS // 3) % 2))
+    failing = rated(blocks, COLS == 2)
+    for found in (steep, failing):
+        assert found.is_closed[0, :, 6:].all()
+        assert np.isnan(found.c_r[0])
+        assert np.isnan(found.p_fail[0])
+
+
+def test_the_larger_of_two_rests_is_open_and_the_ditch_is_not_asked_for():
+    """A ditch of 1 m, of whose floor 0.2 m lie apart from its sides: nothing can stand there."""
+    heights = np.where((COLS > 3) & (COLS < 9), -1.0, 0.0)
+    found = rated(heights, (COLS == 3) | (COLS == 9))
+    assert found.is_closed[0, :, 6].all()
+    assert not found.is_closed[0, :, 14].any()
+    assert found.p_fail[0] < 0.1
