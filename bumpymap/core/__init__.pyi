@@ -205,6 +205,17 @@ from .scan_types import (
     point_classes as point_classes,
     sector_bounds as sector_bounds,
 )
+from .seen_sizes import (
+    OBSTACLE_SHARE as OBSTACLE_SHARE,
+    SEEN_NUMBERS as SEEN_NUMBERS,
+    SeenSizes as SeenSizes,
+    chance_text as chance_text,
+    density_for as density_for,
+    points_needed as points_needed,
+    size_text as size_text,
+    smallest_object as smallest_object,
+    smallest_step as smallest_step,
+)
 from .settings import (
     UNFILLED as UNFILLED,
     Declared as Declared,
@@ -265,6 +276,7 @@ from .types import (
     POINT_OTHER as POINT_OTHER,
     POINT_PLANT as POINT_PLANT,
     REASON_TEXT as REASON_TEXT,
+    SEEN_COLUMNS as SEEN_COLUMNS,
     SEEN as SEEN,
     SEEN_PER_M2 as SEEN_PER_M2,
     SIDES as SIDES,

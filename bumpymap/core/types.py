@@ -403,6 +403,8 @@ class CostMap:
     """Rule by which tiles are passable, and their cost."""
     objects: ObjectStack | None = None
     """Objects on the ground; None where that is part of the relief, because all points are measured as ground."""
+    smallest_object: NDArray[np.float32] | None = None
+    """(n,) side of the narrowest standing object that would have shown with 95 %, m; None if none are looked for."""
     thin: NDArray[np.float32] | None = None
     """(n, 20) what the rating of thin tiles needs, see `bumpymap.rating.thin_columns`; None if they are not rated."""
     motion: NDArray[np.float32] | None = None
@@ -424,6 +426,8 @@ class CostMap:
         own |= objects.columns()
         tiles = len(self.class_id)
         own["thin"] = np.full((tiles, THIN_MEASURES), np.nan, np.float32) if self.thin is None else self.thin
+        unseen = np.full(tiles, np.nan, np.float32)
+        own["smallest_object"] = unseen if self.smallest_object is None else self.smallest_object
         more = {"motion": self.motion, "headings": self.headings}
         own |= {name: values for name, values in more.items() if values is not None}
         names = [column.name for column in rated_columns(self.patches.grid.pixels) if column.name not in own]
@@ -464,7 +468,7 @@ def rated_columns(pixels: int, speeds: int = 0, *, headings: bool = False) -> tu
         *(Column(name, "<f4") for name in singles),
         Column("probability", "<f4", (len(TEXTURES),)),
         Column("heights", "<f4", (pixels, pixels)),
-        *(Column(name, "<f4") for name in ("obstacle", "obstacle_height", "clearance", "canopy")),
+        *(Column(name, "<f4") for name in ("obstacle", "obstacle_height", "clearance", "canopy", "smallest_object")),
         Column("objects", "|u1", (pixels, pixels)),
         Column("thin", "<f4", (THIN_MEASURES,)),
         *_asked_columns(speeds, headings),
@@ -477,17 +481,22 @@ def _asked_columns(speeds: int, headings: bool) -> tuple[Column, ...]:
     return (*motion, *((Column("headings", "<f4", (len(AXES_DEG),)),) if headings else ()))
 
 
+SEEN_COLUMNS = ("smallest_object", "smallest_step")
+"""Columns of what the survey of a tile would have shown, m."""
+
+
 def neighbour_columns(pixels: int, speeds: int = 0, *, headings: bool = False) -> tuple[Column, ...]:
     """Return the columns that depend on the neighbours of a tile; rating and objects are among them: they may change.
 
     ``edge_step`` [m] is the highest of the steps at the four sides, ``step_north`` to ``step_west`` [m]; NaN where
-    nothing is known beyond the side. ``inner_step`` [m] is the highest at the pixels of the tile. ``barred`` is a
+    nothing is known beyond the side. ``inner_step`` [m] is the highest at the pixels of the tile. ``smallest_step`` and
+    ``smallest_object`` [m] are what would have shown; NaN in unknown tiles. ``barred`` is a
     `Barred`; ``passable`` is 1 or 0. ``passage`` numbers the areas of a tile in which the middle of the vehicle can
     move, from 1, the largest; 0 where it cannot be. ``motion`` holds the values of `speed_bands`, of so many
     ``speeds``; ``headings`` that of `HEADING_BANDS`.
     """
     objects = ("obstacle", "obstacle_height", "clearance")
-    singles = ("c_r", "c_r_low", "c_r_high", "p_fail", "confidence", *objects, "edge_step", "inner_step")
+    singles = ("c_r", "c_r_low", "c_r_high", "p_fail", "confidence", *objects, "edge_step", "inner_step", *SEEN_COLUMNS)
     return (
         *(Column(name, "|u1") for name in ("reason", "class_id", "barred", "passable")),
         *(Column(name, "<f4") for name in (*singles, *(f"step_{side}" for side in SIDES))),
@@ -540,6 +549,8 @@ BANDS: tuple[Band, ...] = (
     Band("canopy", "", "share of the pixels under something higher than the vehicle"),
     Band("edge_step", "m", "highest step between the tile's ground and its neighbours'"),
     Band("inner_step", "m", "highest step inside the tile"),
+    Band("smallest_object", "m", "side of the narrowest standing object that the survey would have shown with 95 %"),
+    Band("smallest_step", "m", "lowest step of the ground that would have been found with 95 %"),
 )
 """The bands of roughness.tif, in order."""
 

@@ -49,6 +49,7 @@ from bumpymap.core import FAIL_SHARE, NO_CLASS, BadInputError
 from bumpymap.rating._step_kernels import (
     REACH,
     RUN,
+    UNKNOWN_NOISE,
     RawSteps,
     StepMosaic,
     find_gradients,
@@ -240,6 +241,9 @@ class TileSteps:
     rim: NDArray[np.float32]
     """(n, m) highest step in the two pixels along a border and across it: what the mirrored relief of the tile does not
     show. The rating of a tile sees steps farther inside in full."""
+    limit: NDArray[np.float32]
+    """(n, m) up to that height steps do not stand out from noise and roughness of the tile; of `bumpymap.core`, see
+    `smallest_step`."""
 
     @property
     def edge_step(self) -> NDArray[np.float32]:
@@ -307,7 +311,8 @@ def find_steps(
     west, east = _borders(west_east)
     north, south = (side.T for side in _borders(north_south))
     border = np.stack([north, east, south, west], axis=-1)
-    return TileSteps(*(part.astype(np.float32) for part in (border, inner, rim)))
+    own = np.where(np.isnan(limit), UNKNOWN_NOISE, limit)[1:-1, 1:-1]
+    return TileSteps(*(part.astype(np.float32) for part in (border, inner, rim, own)))
 
 
 def _with_margin(heights: NDArray[np.floating]) -> Floats:

@@ -25,6 +25,7 @@ from bumpymap.core import (
     NO_CLASS,
     OBSTACLE,
     SEEN,
+    SEEN_COLUMNS,
     SEEN_PER_M2,
     SIDES,
     SOLID,
@@ -35,6 +36,7 @@ from bumpymap.core import (
     Reason,
     SilentProgress,
     neighbour_columns,
+    smallest_step,
 )
 from bumpymap.patches import settle_relief, settle_solids
 from bumpymap.rating import (
@@ -206,7 +208,8 @@ class NeighbourRating:
     @property
     def needs(self) -> tuple[str, ...]:
         """Columns of the finished tiles that it reads."""
-        return (*_RATED, "slope", "coverage", "heights", "objects", *_OBJECTS, "thin", *self._asked)
+        seen = ("density", "smallest_object")
+        return (*_RATED, "slope", "coverage", "heights", "objects", *_OBJECTS, *seen, "thin", *self._asked)
 
     @property
     def columns(self) -> tuple[Column, ...]:
@@ -238,7 +241,7 @@ class NeighbourRating:
         objects = np.where(states == OBSTACLE, np.uint8(OBSTACLE), overhead)
         return (
             {name: own[name] for name in (*_RATED, *_OBJECTS, *self._asked)}
-            | dict.fromkeys(("edge_step", "inner_step", *(f"step_{side}" for side in SIDES)), nothing)
+            | dict.fromkeys(("edge_step", "inner_step", *(f"step_{side}" for side in SIDES), *SEEN_COLUMNS), nothing)
             | {"barred": np.full(tiles, Barred.UNKNOWN, np.uint8), _SIDES.name: np.zeros(tiles, np.uint8)}
             | {"objects": objects}
         )
@@ -269,6 +272,7 @@ class NeighbourRating:
             {name: own[name] for name in _RATED}
             | {f"step_{side}": steps.border[..., number] for number, side in enumerate(SIDES)}
             | {"edge_step": steps.edge_step, "inner_step": steps.inner}
+            | self._seen_sizes(window, own["class_id"], steps)
             | {"barred": self.calibration.cost_rule.barred(own), _SIDES.name: self._sides(known, steps)}
             | {"objects": states, "obstacle": obstacle}
             # A roof is an obstacle of unknown height, and nothing that hangs over the way.
@@ -276,6 +280,15 @@ class NeighbourRating:
             | {"clearance": np.where((states == CANOPY).any(axis=(2, 3)), own["clearance"], nothing)}
             | self._by_speed_and_heading(window, own["c_r"])
         )
+
+    def _seen_sizes(self, window: NeighbourWindow, class_id: NDArray[np.uint8], steps: TileSteps) -> Columns:
+        """Return what the survey of the inner tiles would have shown."""
+        found = window.inner("smallest_object"), smallest_step(steps.limit, window.inner("density"))
+        known = class_id != NO_CLASS
+        return {
+            name: np.where(known, values, np.float32(np.nan))
+            for name, values in zip(SEEN_COLUMNS, found, strict=True)
+        }
 
     def _by_speed_and_heading(self, window: NeighbourWindow, c_r: NDArray[np.float32]) -> Columns:
         """Return what is felt at other speeds and by heading in the inner tiles, as far as it is asked for."""
@@ -313,7 +326,7 @@ class NeighbourRating:
             standing = self._pixels(_is_relief(window)) & (window.mosaic("objects") == OBSTACLE)
             return find_steps(window.mosaic("heights"), self.config.pixels, self.calibration.wheel_pixels, standing)
         rows, cols = window.inner("class_id").shape
-        shapes = ((rows, cols, len(SIDES)), (rows, cols), (rows, cols))
+        shapes = ((rows, cols, len(SIDES)), *((rows, cols),) * 3)
         return TileSteps(*(np.full(shape, np.nan, np.float32) for shape in shapes))
 
     def _sides(self, known: NDArray[np.bool_], steps: TileSteps) -> NDArray[np.uint8]:

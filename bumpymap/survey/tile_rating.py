@@ -9,13 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import (
+    EMPTY,
     POINT_GROUND,
     POINT_OTHER,
+    SEEN,
+    UNSEEN,
     Georeference,
     MapConfig,
     ObjectStack,
     PatchStack,
     TextureMap,
+    smallest_object,
 )
 from bumpymap.patches import (
     decks_as_ground,
@@ -145,7 +149,14 @@ class TileRating:
         # How thin a tile is, and whether it has holes, its survey tells, and not what stands on it.
         thin = self._thin(points, patches, on_ground, bare.count)
         measured = replace(patches, relief=bare.relief, slope=bare.slope, reason=bare.reason)
-        return replace(rated, patches=measured, objects=objects, thin=thin).columns()
+        seen = None if objects is None else self._smallest_object(points, objects, in_relief=not ground_only)
+        return replace(rated, patches=measured, objects=objects, thin=thin, smallest_object=seen).columns()
+
+    def _smallest_object(self, points: TilePoints, objects: ObjectStack, *, in_relief: bool) -> NDArray[np.float32]:
+        """Return the side of the narrowest standing object that tiles would have shown, m."""
+        states = objects.objects
+        held = (states != UNSEEN) & (states % SEEN != EMPTY)
+        return smallest_object(held, np.diff(points.starts), points.grid.tile_size, in_relief=in_relief)
 
     def _objects(self, points: TilePoints, patches: PatchStack) -> ObjectStack:
         """Find what stands on the ground; the cloth takes low things for ground."""
