@@ -20,6 +20,7 @@ from bumpymap.core import (
     NO_CLASS,
     NO_TILE,
     OPEN_THROUGH,
+    SEEN_COLUMNS,
     BadInputError,
     Barred,
     CostRule,
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
 
 Coordinate = TypeVar("Coordinate", float, NDArray[np.float64])
 
-_BANDS = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle")
+_BANDS = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle", *SEEN_COLUMNS, "density")
 
 _DTYPES = {
     MapFile.BARRED: "uint8",
@@ -106,8 +107,7 @@ class MapReader:
         Parameters
         ----------
         bands : sequence of str
-            Of ``c_r``, ``c_r_low``, ``c_r_high``, ``p_fail`` and ``obstacle``. Arrays of the others are NaN, read-only
-            and take no memory.
+            Names of arrays of `TileField`. Those of the others are NaN, read-only and take no memory.
         """
         found = self.values(window, bands)
         nothing = np.broadcast_to(np.float32(np.nan), (window.rows, window.cols))

@@ -286,8 +286,7 @@ class NeighbourRating:
         found = window.inner("smallest_object"), smallest_step(steps.limit, window.inner("density"))
         known = class_id != NO_CLASS
         return {
-            name: np.where(known, values, np.float32(np.nan))
-            for name, values in zip(SEEN_COLUMNS, found, strict=True)
+            name: np.where(known, values, np.float32(np.nan)) for name, values in zip(SEEN_COLUMNS, found, strict=True)
         }
 
     def _by_speed_and_heading(self, window: NeighbourWindow, c_r: NDArray[np.float32]) -> Columns:

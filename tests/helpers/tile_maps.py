@@ -89,6 +89,7 @@ class TileMap:
             c_r * np.float32(1.25),
             self._cut(self.p_fail, window, np.nan),
             self._cut(self.obstacle, window, np.nan),
+            *(self._cut(np.full_like(self.c_r, value), window, np.nan) for value in (0.7, 0.2, 10.0)),
             self.rule,
             self.vehicle,
         )
