@@ -188,7 +188,7 @@ class SeenSizes:
         objects = f"objects narrower than {size_text(self.object_m)}" if math.isfinite(self.object_m) else ""
         steps = f"steps lower than {size_text(self.step_m)}" if math.isfinite(self.step_m) else ""
         small = " and ".join(filter(None, (objects, steps)))
-        density = f"{self.density:.0f}" if self.density >= 9.5 else f"{self.density:.2g}"
+        density = f"{self.density:.0f}" if self.density >= 9.5 else f"{self.density:.1f}"
         return f"At {density} points/m2, {small} are not seen." if small else ""
 
     @property

@@ -164,10 +164,11 @@ class CostGround:
         Closed are tiles that are not passable, by their ground or, unless ``through``, by what obstacles leave of them,
         and those that areas or ``seen_width`` close. With the risk of the vehicle profile these are the values of
         cost.tif. Unknown tiles, which hold points but have no class, are closed unless the settings give their cost;
-        even then, those in which an obstacle was seen. Tiles without points are closed in any case: around a survey there are as many of
-        them as its bounding rectangle happens to hold, and inside it they are mostly water and shade, of which nothing
-        at all is known. An unknown hazard counts as 0; a robust plan takes the upper end of the interval of c_r. With
-        ``headings``, C_r along each axis, (rows, cols, 8), c_r and the ends of its interval are in proportion to it.
+        even then, those in which an obstacle was seen. Tiles without points are closed in any case: around a survey
+        there are as many of them as its bounding rectangle happens to hold, and inside it they are mostly water and
+        shade, of which nothing at all is known. An unknown hazard counts as 0; a robust plan takes the upper end of the
+        interval of c_r. With ``headings``, C_r along each axis, (rows, cols, 8), c_r and the ends of its interval are
+        in proportion to it.
         """
         rule, settings = tiles.rule, self.settings
         weighed = replace(rule, fail_weight=self.risk_m if self.risk is None else self.risk)
