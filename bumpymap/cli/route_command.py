@@ -8,7 +8,7 @@ import click
 
 from bumpymap.cli._options import PATH, Run, job, settings_options
 from bumpymap.cli._text import Table, cell
-from bumpymap.core import SeenSizes, UsageError, chance_text, count_text
+from bumpymap.core import UsageError, count_text
 from bumpymap.route import CostSettings, RouteConfig
 
 if TYPE_CHECKING:
@@ -55,6 +55,8 @@ def _reached(reach: "Reach") -> str:
 
 
 def _row(route: "Route") -> tuple[str, ...]:
+    from bumpymap.core import chance_text
+
     found = route.figures
     return (
         route.name,
@@ -108,6 +110,8 @@ def _remarks(result: "RouteResult", config: RouteConfig) -> Iterator[str]:
 
 def _seen(routes: "Sequence[Route]") -> Iterator[str]:
     """Say what the chances to arrive rest on: way by way if that differs."""
+    from bumpymap.core import SeenSizes
+
     rest = "and failures on different metres are independent; errors of neighbouring tiles go together"
     sizes = [route.figures.seen for route in routes]
     if len({seen.condition for seen in sizes}) == 1:

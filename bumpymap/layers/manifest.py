@@ -92,7 +92,7 @@ class MapSummary:
     tall: int = 0
     """Those whose points are more than 0.5 m from the RANSAC plane, on average."""
     seen: SeenSizes = SeenSizes()  # noqa: RUF009 (frozen)
-    """What the survey would have shown in the median tile with a class."""
+    """Smallest things that the survey would have shown in the median tile with a class."""
 
     @classmethod
     def of(cls, counts: Mapping[str, Any]) -> Self:

@@ -121,7 +121,7 @@ def survey_name(record: Mapping[str, Any]) -> str:
 
 def seen_sizes(record: Mapping[str, Any]) -> SeenSizes:
     """Return what the survey of a map would have shown in the median tile, by its run.json."""
-    return SeenSizes.of(record["counts"].get("seen_sizes") or {})
+    return SeenSizes.of(record.get("counts", {}).get("seen_sizes") or {})
 
 
 FEW = 5
