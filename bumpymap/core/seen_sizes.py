@@ -37,7 +37,7 @@ pixel than ``_THIN`` a single one makes an obstacle, and it takes no more than t
 _THIN, _THINNER = (0.4, 0.32), 0.2
 """Points on a pixel below which that holds: with classes, and in relief; and the share of that by which there are more
 where it no longer does."""
-_IN_RELIEF = 8.2
+_IN_RELIEF = 8.6
 """Points on the top of a thing that stands out of relief, because all points count as ground: it must raise the mean
 height of a pixel."""
 _APART, _WIDE_PX = 0.27, (1.5, 2.7)
@@ -45,7 +45,7 @@ _APART, _WIDE_PX = 0.27, (1.5, 2.7)
 between which that grows, pixels."""
 _FLAGGED = 3.0
 """A part of a tile is sparser than the whole if it has so many standard deviations more empty pixels."""
-_STEP, _STEP_THIN = 4.2, 25.0
+_STEP, _STEP_THIN = 4.2, 30.0
 """A step is found with 95 % if it is so many times the limit of `bumpymap.rating.find_steps`: the first, and the second
 over the points/m2."""
 _FINE, _COARSE, _FINE_TO = 0.01, 0.05, 0.2

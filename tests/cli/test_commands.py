@@ -305,9 +305,7 @@ def test_where_the_survey_is_too_thin_the_message_says_what_density_would_do(tmp
     refused = run(*words, "--seen-width", "0.5")
     assert refused.exit_code == 3
     assert "where objects of 0.5 m would not be seen: that takes 33 points/m2" in " ".join(refused.output.split())
-    inside = run(
-        "route", tmp_path / "thin", "--from", place(5.5, 20.5), "--to", place(5.5, 25.5), "--seen-width", "0.5"
-    )
+    inside = run(*words[:3], place(5.5, 20.5), *words[4:], "--seen-width", "0.5")
     assert "objects of 0.5 m would not be seen, which --seen-width closes" in " ".join(inside.output.split())
     record = json.loads((tmp_path / "thin" / "run.json").read_text())
     assert "are not seen" in record["counts"]["seen_sizes"]["seen"]

@@ -104,9 +104,8 @@ def test_a_chance_to_arrive_stands_with_what_would_not_have_been_seen(tmp_path):
     assert "if nothing narrower than 0.7 m" in line["properties"]["p_arrives_note"]
     for said in (text, line["properties"]["seen"]):
         assert "objects narrower than 0.7 m and steps lower than 0.3 m are not seen" in said
-    assert "if nothing narrower than 0.7 m" in repr(
-        PlannedRoute(**{f.name: getattr(route, f.name) for f in fields(Route)})
-    )
+    planned = PlannedRoute(**{field.name: getattr(route, field.name) for field in fields(Route)})
+    assert "arrives over 99.9% if nothing narrower than 0.7 m" in repr(planned)
 
 
 def test_iri_and_class_are_told_where_noise_lets_them(tmp_path):
