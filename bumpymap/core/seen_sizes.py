@@ -5,7 +5,7 @@ its top takes of the density: a Poisson number. It is found if it has enough of 
 of all places, is `smallest_object`. Where points are uneven the sparser part of a tile counts.
 
 *Steps.* `find_steps` sees what stands out from the noise and the roughness of the tile; how far a step must do so to be
-found with 95 % depends on the density: `smallest_step`.
+found with 95 % depends on the density. Those that the vehicle cannot cross are found in more noise: `smallest_step`.
 
 Both rest on constants that were fitted to what the whole pipeline finds in made-up surveys. ``python
 tests/benchmarks/seen_sizes.py`` measures it again.
@@ -48,6 +48,8 @@ _FLAGGED = 3.0
 _STEP, _STEP_THIN = 4.2, 30.0
 """A step is found with 95 % if it is so many times the limit of `bumpymap.rating.find_steps`: the first, and the second
 over the points/m2."""
+_JUMP, _JUMP_NOISE = 1.15, 0.5
+"""Or if it is so many times as high as what the vehicle cannot cross, and so many times the limit more."""
 _FINE, _COARSE, _FINE_TO = 0.01, 0.05, 0.2
 """Sizes are told in whole multiples of these, m: the first up to the third."""
 _MOST_CHANCE = 1.0 - 1e-9
@@ -131,7 +133,9 @@ def _density_of_sparse_parts(held: NDArray[np.bool_], mean: Floats) -> Floats:
     return np.asarray(np.where(flagged, found, np.inf).min(axis=1))
 
 
-def smallest_step(limit: NDArray[np.floating], density: NDArray[np.floating]) -> NDArray[np.float32]:
+def smallest_step(
+    limit: NDArray[np.floating], density: NDArray[np.floating] | float, closing: float = math.inf
+) -> NDArray[np.float32]:
     """Return the lowest step of the ground that would have been found with 95 %, m; NaN where it is not known.
 
     Parameters
@@ -140,8 +144,11 @@ def smallest_step(limit: NDArray[np.floating], density: NDArray[np.floating]) ->
         Of `bumpymap.rating.TileSteps`: up to that height steps do not count, m.
     density : array of the same shape
         Points per m2 that were measured.
+    closing : float
+        Least height of a step that closes its place, m.
     """
-    return np.asarray(limit * (_STEP + _STEP_THIN / np.maximum(density, 1e-9)), np.float32)
+    out_of_noise = limit * (_STEP + _STEP_THIN / np.maximum(density, 1e-9))
+    return np.minimum(out_of_noise, _JUMP * closing + _JUMP_NOISE * limit).astype(np.float32)
 
 
 def density_for(width: float, pixel_m: float, *, in_relief: bool) -> float:

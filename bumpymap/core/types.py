@@ -96,7 +96,9 @@ class Barred(IntEnum):
 
 CROSSING_UNKNOWN = (Barred.UNKNOWN, Barred.LITTLE_SEEN)
 """Tiles of which it is not known whether the vehicle can cross them: without a class, or with too little seen."""
-OPEN_THROUGH = (Barred.NO, Barred.OBSTACLE, Barred.SPLIT, *CROSSING_UNKNOWN)
+CLOSED_IN_PART = (Barred.OBSTACLE, Barred.SPLIT, Barred.STEP)
+"""Tiles that are decided on pixels: what stands in them, or a step, closes a part of them or all."""
+OPEN_THROUGH = (Barred.NO, *CLOSED_IN_PART, *CROSSING_UNKNOWN)
 """Tiles of which a part may be open; those without a class have no cost."""
 
 BARRED_TEXT: dict[Barred, str] = {
@@ -208,13 +210,15 @@ class PatchStack:
     """(n,) a ``Reason``; 0 if the tile can be rated."""
 
 
+STEP_EDGE = 8
+"""State of a pixel of ground that the vehicle cannot cross: the line of a step, drop or ditch; settled states only."""
 LONE, SOLID, EMPTY, STEEP, SEEN = 4, 5, 6, 7, 16
 """Further states before the neighbours of a tile are known, see `bumpymap.patches.settle_solids`: a single point of an
 obstacle; canopy that lets no pulse through; no point; points far above one another, where all count as ground; and,
 added to a state, ground in the same pixel."""
 
-OBJECT_NAMES = ("free", "obstacle", "canopy", "unknown")
-"""Names of these states in obstacle.tif, where ``UNSEEN`` is 3."""
+OBJECT_NAMES = ("free", "obstacle", "canopy", "unknown", "step")
+"""Names of these states in obstacle.tif, where ``UNSEEN`` is 3 and ``STEP_EDGE`` 4."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,7 +227,8 @@ class ObjectStack:
 
     objects: NDArray[np.uint8]
     """(n, pixels, pixels) state of each pixel, north row first: ``FREE``; ``OBSTACLE`` between the vehicle's belly and
-    its height; ``CANOPY``: only higher than the vehicle; ``UNSEEN``: neither ground nor anything else is known.
+    its height; ``CANOPY``: only higher than the vehicle; ``UNSEEN``: neither ground nor anything else is known;
+    ``STEP_EDGE``: a step that the vehicle cannot cross.
     ``UNDECIDED``, at a tile's border only: points of an obstacle, too few without those of the neighbouring tile."""
     obstacle: NDArray[np.float32]
     """(n,) share of the pixels with an obstacle, 0..1; NaN in unknown tiles without one (so is ``canopy``)."""
@@ -489,14 +494,27 @@ def neighbour_columns(pixels: int, speeds: int = 0, *, headings: bool = False) -
     """Return the columns that depend on the neighbours of a tile; rating and objects are among them: they may change.
 
     ``edge_step`` [m] is the highest of the steps at the four sides, ``step_north`` to ``step_west`` [m]; NaN where
-    nothing is known beyond the side. ``inner_step`` [m] is the highest at the pixels of the tile. ``smallest_step`` and
-    ``smallest_object`` [m] are what would have shown; NaN in unknown tiles. ``barred`` is a
+    nothing is known beyond the side. ``inner_step`` [m] is the highest at the pixels of the tile. ``c_r_open`` and
+    ``p_fail_open`` are those of the ground beside the steps that close a part of it; else NaN. ``smallest_object`` and
+    ``smallest_step`` [m] are what would have shown; NaN in unknown tiles. ``barred`` is a
     `Barred`; ``passable`` is 1 or 0. ``passage`` numbers the areas of a tile in which the middle of the vehicle can
     move, from 1, the largest; 0 where it cannot be. ``motion`` holds the values of `speed_bands`, of so many
     ``speeds``; ``headings`` that of `HEADING_BANDS`.
     """
     objects = ("obstacle", "obstacle_height", "clearance")
-    singles = ("c_r", "c_r_low", "c_r_high", "p_fail", "confidence", *objects, "edge_step", "inner_step", *SEEN_COLUMNS)
+    singles = (
+        "c_r",
+        "c_r_low",
+        "c_r_high",
+        "p_fail",
+        "confidence",
+        *objects,
+        "edge_step",
+        "inner_step",
+        "c_r_open",
+        "p_fail_open",
+        *SEEN_COLUMNS,
+    )
     return (
         *(Column(name, "|u1") for name in ("reason", "class_id", "barred", "passable")),
         *(Column(name, "<f4") for name in (*singles, *(f"step_{side}" for side in SIDES))),
@@ -549,6 +567,8 @@ BANDS: tuple[Band, ...] = (
     Band("canopy", "", "share of the pixels under something higher than the vehicle"),
     Band("edge_step", "m", "highest step between the tile's ground and its neighbours'"),
     Band("inner_step", "m", "highest step inside the tile"),
+    Band("c_r_open", "rad/m", "ride cost beside the steps that close a part of the tile"),
+    Band("p_fail_open", "", "share of simulated drives that fail beside these steps"),
     Band("smallest_object", "m", "side of the narrowest standing object that the survey would have shown with 95 %"),
     Band("smallest_step", "m", "lowest step of the ground that would have been found with 95 %"),
 )

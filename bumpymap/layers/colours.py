@@ -35,11 +35,14 @@ UNKNOWN_COLOUR = BARRED_COLOURS[Barred.UNKNOWN]
 """Of ground that is not known or not compared, under lines that rise to the right: in GIS and on pages."""
 UNKNOWN_OBJECT = 3
 """Value of obstacle.tif where it is not known what stands on the ground."""
+STEP_LINE = 4
+"""Value of obstacle.tif on the line of a step that the vehicle cannot cross."""
 OBJECT_COLOURS: dict[int, tuple[int, int, int, int]] = {
     FREE: (255, 255, 255, 0),
     OBSTACLE: (84, 48, 5, 255),
     CANOPY: (127, 191, 123, 255),
     UNKNOWN_OBJECT: (190, 190, 190, 255),
+    STEP_LINE: BARRED_COLOURS[Barred.STEP],
     NO_CLASS: (0, 0, 0, 0),
 }
 """Red, green, blue, alpha of the values of obstacle.tif; free ground is transparent."""

@@ -23,6 +23,7 @@ from bumpymap.core import (
     OBJECT_NAMES,
     OBSTACLE,
     REASON_TEXT,
+    STEP_EDGE,
     UNSEEN,
     Band,
     Barred,
@@ -32,7 +33,14 @@ from bumpymap.core import (
     speed_bands,
 )
 from bumpymap.layers._cog import TILE_WINDOW, write_cog
-from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS, UNKNOWN_OBJECT
+from bumpymap.layers.colours import (
+    BARRED_COLOURS,
+    CLASS_COLOURS,
+    OBJECT_COLOURS,
+    REASON_COLOURS,
+    STEP_LINE,
+    UNKNOWN_OBJECT,
+)
 from bumpymap.layers.placement import Placement, RasterSpec, RasterWindow
 from bumpymap.layers.products import MapFile
 from bumpytiles import BLOCK_TILES, TileTable, TileWindow
@@ -167,7 +175,7 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
     def objects(found: _Found, _: RasterWindow) -> NDArray[np.uint8]:
         state = found["objects"]
         hidden = (state == UNSEEN) | ((state == FREE) & np.isnan(found["obstacle"])[:, None, None])
-        return np.where(hidden, np.uint8(UNKNOWN_OBJECT), state)
+        return np.select([hidden, state == STEP_EDGE], [np.uint8(UNKNOWN_OBJECT), np.uint8(STEP_LINE)], state)
 
     reasons = {int(code): colour for code, colour in REASON_COLOURS.items() if code != Reason.NO_POINTS}
     reasons[NO_CLASS] = REASON_COLOURS[Reason.NO_POINTS]
@@ -250,10 +258,12 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
         ),
         MapFile.OBSTACLE: _Layer(
             "obstacles",
-            [Band("obstacle", "", "what stands on the ground", OBJECT_NAMES)],
+            [Band("obstacle", "", "obstacles on the ground, canopy over it, steps of it", OBJECT_NAMES)],
             ("objects", "obstacle"),
             objects,
-            options=codes | pixels | {"colours": OBJECT_COLOURS, "worst": (OBSTACLE, UNKNOWN_OBJECT, CANOPY, FREE)},
+            options=codes
+            | pixels
+            | {"colours": OBJECT_COLOURS, "worst": (OBSTACLE, STEP_LINE, UNKNOWN_OBJECT, CANOPY, FREE)},
         ),
         MapFile.PHOTO: _Layer(
             "colours of the points",

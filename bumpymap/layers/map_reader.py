@@ -107,14 +107,29 @@ class MapReader:
         Parameters
         ----------
         bands : sequence of str
-            Names of arrays of `TileField`. Those of the others are NaN, read-only and take no memory.
+            Names of arrays of `TileField`. Those of the others are NaN, read-only and take no memory. Of tiles that a
+            step closes in part they are those of what is open.
         """
         found = self.values(window, bands)
+        self._take_open_part(found, window)
         nothing = np.broadcast_to(np.float32(np.nan), (window.rows, window.cols))
         columns = {band: found.get(band, nothing) for band in _BANDS}
         return TileField(
             self.grid, self.georeference, window, found["barred"], **columns, rule=self.rule, vehicle=self.vehicle
         )
+
+    def _take_open_part(self, found: dict[str, NDArray[Any]], window: TileWindow) -> None:
+        """Replace the ride and p_fail of tiles that a step closes in part by those of the ground beside the step."""
+        stepped = found["barred"] == Barred.STEP
+        rides = [name for name in ("c_r_low", "c_r_high", "c_r") if name in found]
+        if not stepped.any() or not (rides or "p_fail" in found):
+            return
+        beside = self.values(window, ("c_r", "c_r_open", "p_fail_open"))
+        stepped &= np.isfinite(beside["c_r_open"])
+        for name in rides:
+            found[name][stepped] *= (beside["c_r_open"] / beside["c_r"])[stepped]
+        if "p_fail" in found:
+            found["p_fail"][stepped] = beside["p_fail_open"][stepped]
 
     def values(self, window: TileWindow, bands: Sequence[str], *, classes: bool = False) -> dict[str, NDArray[Any]]:
         """Read what bars the tiles of a window, bands of roughness.tif by name, and if asked for the classes.
@@ -225,7 +240,7 @@ class MapReader:
     def objects(self, window: TileWindow) -> NDArray[np.uint8]:
         """Read what stands on the ground, uint8 (rows * pixels, cols * pixels).
 
-        0 free, 1 obstacle, 2 canopy, 3 unknown; 255 outside the tiles with points.
+        0 free, 1 obstacle, 2 canopy, 3 unknown, 4 a step that it cannot cross; 255 outside the tiles with points.
         """
         return self._pixels(MapFile.OBSTACLE, window, np.full(self._shape(window), NO_TILE, np.uint8))
 

@@ -1,3 +1,6 @@
+from .beside_steps import (
+    rate_beside_steps as rate_beside_steps,
+)
 from .calibration import (
     Calibration as Calibration,
     DrivenTerrain as DrivenTerrain,
@@ -78,6 +81,7 @@ from .ride.thin_rate import (
 from .steps import (
     TileSteps as TileSteps,
     apply_steps as apply_steps,
+    closing_height as closing_height,
     crossing_fails as crossing_fails,
     edge_usable as edge_usable,
     find_steps as find_steps,

@@ -6,7 +6,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import OBSTACLE, UNSEEN
+from bumpymap.core import OBSTACLE, STEP_EDGE, UNSEEN
 from bumpytiles import helper, kernel
 
 Bytes = NDArray[np.uint8]
@@ -67,7 +67,7 @@ def grow_scratch(mosaic: Mosaic) -> GrowScratch:
 
 @helper
 def _fill_near(objects: Bytes, margin: int, near: NDArray[np.uint16]) -> None:
-    """Distance of each pixel to the nearest obstacle or unseen pixel of its column."""
+    """Distance of each pixel to the nearest obstacle, step or unseen pixel of its column."""
     rows, cols = objects.shape
     far, step = np.uint16(_FAR), np.uint16(1)
     for r in range(rows):
@@ -77,7 +77,7 @@ def _fill_near(objects: Bytes, margin: int, near: NDArray[np.uint16]) -> None:
         line, mine = near[r, margin : margin + cols], objects[r]
         before = near[max(r - 1, 0), margin : margin + cols]
         for c in range(cols):
-            taken = (mine[c] == OBSTACLE) | (mine[c] == UNSEEN)
+            taken = (mine[c] == OBSTACLE) | (mine[c] == UNSEEN) | (mine[c] == STEP_EDGE)
             line[c] = np.uint16(0) if taken else min(far, np.uint16(before[c] + step))
     for k in range(1, rows):
         line = near[rows - 1 - k, margin : margin + cols]
@@ -151,14 +151,15 @@ def _count(sides: int) -> int:
 
 @helper
 def _near_obstacle(mosaic: Mosaic, top: int, left: int) -> bool:
-    """Return whether an obstacle lies in a tile, or within the radius of one of its pixels."""
+    """Return whether an obstacle or a step lies in a tile, or within the radius of one of its pixels."""
     rows, cols = mosaic.objects.shape
     reach, last = math.ceil(mosaic.radius), mosaic.pixels - 1
     for r in range(max(0, top - reach), min(rows, top + last + reach + 1)):
         down = max(0, top - r, r - top - last)
         for c in range(max(0, left - reach), min(cols, left + last + reach + 1)):
             right = max(0, left - c, c - left - last)
-            if mosaic.objects[r, c] == OBSTACLE and down * down + right * right < mosaic.radius * mosaic.radius:
+            stands = mosaic.objects[r, c] == OBSTACLE or mosaic.objects[r, c] == STEP_EDGE
+            if stands and down * down + right * right < mosaic.radius * mosaic.radius:
                 return True
     return False
 
@@ -175,7 +176,7 @@ def _find_way(mosaic: Mosaic, row: int, col: int, tiles: InnerTiles, scratch: Gr
         usable |= (1 << k) if tiles.edges[row, col, k] else 0
     for r in range(pixels):
         for c in range(pixels):
-            empty = empty and own[r, c] != OBSTACLE and own[r, c] != UNSEEN
+            empty = empty and own[r, c] != OBSTACLE and own[r, c] != UNSEEN and own[r, c] != STEP_EDGE
             free += mask[r, c] == 0
     least = 1 if empty else 2
     if free == pixels * pixels:

@@ -560,20 +560,28 @@ def _part_of_tile(k: int, pixels: int) -> int:
 
 
 @helper
-def _step_at(mosaic: StepMosaic, r: int, c: int, crest: float, least: float, scratch: PeakScratch) -> float:
-    """Return the step or ridge at a pixel, m; NaN if it is unknown, less than ``least`` where it is surely lower."""
+def _step_at(
+    mosaic: StepMosaic, r: int, c: int, crest: float, least: float, scratch: PeakScratch
+) -> tuple[float, float]:
+    """Return the step or ridge at a pixel, m; NaN if it is unknown, less than ``least`` where it is surely lower.
+
+    The second height is that of the same step where its points bear out any part of it.
+    """
     felt: float = scratch.felt[c]
     limit: float = scratch.limit[c]
+    borne_out = 0.0
     is_step = felt > max(least, 0.0)
     if is_step:
         _fill_patch(mosaic, r, c, scratch.patch)
-        felt *= _believed(felt, scratch)
+        share = _believed(felt, scratch)
+        borne_out = felt if share > 0.0 else 0.0
+        felt *= share
     if crest > limit:
         if not is_step:
             _fill_patch(mosaic, r, c, scratch.patch)
         ridge = _highest_ridge(mosaic.heights[r + RUN, c] - crest, max(limit, felt, least), scratch)
         felt = max(felt, ridge * _stands_out(ridge, limit))
-    return felt
+    return felt, max(felt, borne_out)
 
 
 @helper
@@ -591,7 +599,9 @@ def find_peaks(
     mosaic: StepMosaic,
     raw: RawSteps,
     limit: Annotated[Floats, 2],
+    closing: float,
     highest: Annotated[Floats, 3],
+    closed: Annotated[NDArray[np.bool_], 2],
     scratch: PeakScratch,
 ) -> None:
     """Fill the highest step of tiles, or ridge if that is higher, m; negative where none is known.
@@ -603,23 +613,183 @@ def find_peaks(
 
     ``limit`` is (tiles, tiles): steps of that height do not count, m. That of a pixel is between those of the tiles two
     pixels before and behind it.
+
+    ``closed`` is (rows, cols), filled with False: the same pixels are True where the step is ``closing`` m high.
     """
     cols, pixels, limits = raw.least.shape[1], mosaic.pixels, scratch.limit
     for row in range(1, limit.shape[0] - 1):
         _fill_limits(limit[row], pixels, limits)
-        for col in range(limit.shape[1]):
-            for part in range(4):
-                highest[row, col, part] = -1.0
+        highest[row, :, :] = -1.0
         # Nothing is higher than what nobody asks for.
         highest[row, 0, 0] = highest[row, limit.shape[1] - 1, 1] = np.inf
-        for part in range(2, 4):
-            highest[row, 0, part] = highest[row, limit.shape[1] - 1, part] = np.inf
+        highest[row, 0, 2:] = highest[row, limit.shape[1] - 1, 2:] = np.inf
         for r in range(row * pixels, (row + 1) * pixels):
             _keep_peaks(raw.least[r], limits, scratch.felt)
             for c in range(cols):
                 part, found = _part_of_tile(c % pixels, pixels), highest[row, c // pixels]
-                if scratch.felt[c] > found[part] or (raw.crest[r, c] > limits[c] and found[part] < np.inf):
-                    step = _step_at(mosaic, r, c, raw.crest[r, c], found[part], scratch)
+                if found[part] == np.inf:
+                    continue
+                asked = min(found[part], closing)
+                if scratch.felt[c] > asked or raw.crest[r, c] > limits[c]:
+                    step, borne_out = _step_at(mosaic, r, c, raw.crest[r, c], asked, scratch)
+                    closed[r, c] = borne_out >= closing
                     for k in range(part, 4):
                         if (k == part or k > 1) and step > found[k]:
                             found[k] = step
+
+
+_LEAST_OF_SIDE = 6
+"""Known pixels on each side of a jump."""
+_SAME = 0.65
+"""Of a jump, the least difference of the mean levels of both sides: a narrow ditch bends their planes, and has less."""
+_MOST_REST = 0.25
+"""Most distance of the pixels from the planes of their sides, as a share of the jump (root mean square)."""
+_SURELY = 2.0
+"""Standard errors of the jump beyond what closes."""
+_CREST = 0.9
+"""A pixel is on the line of a jump if the levels differ so much of what they do at the pixels across the line."""
+
+
+class JumpSides(NamedTuple):
+    """Pixels on both sides of lines through a pixel, see `jump_sides`."""
+
+    starts: Annotated[Integers, 1]
+    """(17,) where the pixels of each side begin: of eight lines, both sides one after the other."""
+    down: Annotated[Integers, 1]
+    right: Annotated[Integers, 1]
+    """Rows and columns from the pixel to those of the sides."""
+    across: Annotated[Floats, 1]
+    along: Annotated[Floats, 1]
+    """The same across the line and along it, px."""
+
+
+@cache
+def jump_sides(width: float) -> JumpSides:
+    """Return the pixels up to ``width`` px beside lines of nine pixels at eight angles."""
+    reach = math.ceil(math.hypot(width, RUN + 0.5))
+    down, right = (places.ravel() for places in np.mgrid[-reach : reach + 1, -reach : reach + 1])
+    rows: list[NDArray[np.float64]] = []
+    counts = [0]
+    for angle in np.arange(8) * (math.pi / 8.0):
+        c, s = round(math.cos(angle), 6), round(math.sin(angle), 6)
+        across, along = c * right + s * down, c * down - s * right
+        for sign in (-1.0, 1.0):
+            inside = (sign * across > 0.4) & (sign * across <= width) & (np.abs(along) <= RUN + 0.5)
+            rows.append(np.stack([down, right, across, along])[:, inside])
+            counts.append(int(inside.sum()))
+    whole = np.concatenate(rows, axis=1)
+    places = [np.ascontiguousarray(part, np.int32) for part in whole[:2]]
+    return JumpSides(np.cumsum(counts).astype(np.int32), *places, *(np.ascontiguousarray(part) for part in whole[2:]))
+
+
+class SidePlane(NamedTuple):
+    """The plane through the known pixels of one side."""
+
+    n: float
+    mean: float
+    """Mean height, m."""
+    at_line: float
+    """Height of the plane at the middle of the line, m."""
+    rest: float
+    """Sum of the squared distances from the plane, m^2."""
+    error: float
+    """Squared standard error of ``at_line`` over the variance of a pixel."""
+
+
+@helper
+def _side_plane(heights: Floats, r: int, c: int, slope: tuple[float, float], side: int, sides: JumpSides) -> SidePlane:
+    """Fit a plane through the known pixels of one side of a line, less the slope (east, south) of their tile."""
+    base = np.nan
+    n = u = v = z = uu = uv = vv = uz = vz = zz = 0.0
+    for k in range(sides.starts[side], sides.starts[side + 1]):
+        down, right = sides.down[k], sides.right[k]
+        h = heights[r + down, c + right] - slope[0] * right - slope[1] * down
+        if math.isnan(h):
+            continue
+        base = h if n == 0.0 else base
+        a, b, h = sides.across[k], sides.along[k], h - base
+        n, u, v, z = n + 1.0, u + a, v + b, z + h
+        uu, uv, vv = uu + a * a, uv + a * b, vv + b * b
+        uz, vz, zz = uz + a * h, vz + b * h, zz + h * h
+    if n < _LEAST_OF_SIDE:
+        return SidePlane(0.0, 0.0, 0.0, 0.0, 0.0)
+    mu, mv, mz = u / n, v / n, z / n
+    uu, uv, vv, uz, vz, zz = uu - u * mu, uv - u * mv, vv - v * mv, uz - u * mz, vz - v * mz, zz - z * mz
+    det = uu * vv - uv * uv
+    if det <= 1e-6 * uu * vv:
+        return SidePlane(0.0, 0.0, 0.0, 0.0, 0.0)
+    across, along = (uz * vv - vz * uv) / det, (vz * uu - uz * uv) / det
+    error = 1.0 / n + (mu * mu * vv - 2.0 * mu * mv * uv + mv * mv * uu) / det
+    rest = max(zz - across * uz - along * vz, 0.0)
+    return SidePlane(n, base + mz, base + mz - across * mu - along * mv, rest, error)
+
+
+@helper
+def _jump(heights: Floats, r: int, c: int, slope: tuple[float, float], closing: float, sides: JumpSides) -> float:
+    """Return the difference of the levels of both sides of a pixel, m, at the line on which it is most; 0: none closes.
+
+    A jump closes if the planes of both sides differ by ``closing`` and two standard errors more at the line, and so do
+    their levels, and if little is left beside the planes.
+    """
+    most = 0.0
+    for line in range(8):
+        one = _side_plane(heights, r, c, slope, 2 * line, sides)
+        other = _side_plane(heights, r, c, slope, 2 * line + 1, sides)
+        if one.n == 0.0 or other.n == 0.0:
+            continue
+        level, jump = other.mean - one.mean, other.at_line - one.at_line
+        if jump < 0.0:
+            level, jump = -level, -jump
+        if level <= max(most, _SAME * jump):
+            continue
+        rest = (one.rest + other.rest) / (one.n + other.n - 6.0)
+        error = math.sqrt(rest * (one.error + other.error))
+        if min(level, jump) >= closing + _SURELY * error and rest <= _MOST_REST * _MOST_REST * jump * jump:
+            most = level
+    return most
+
+
+@helper
+def _may_jump(heights: Floats, r: int, c: int, slope: tuple[float, float], closing: float) -> bool:
+    """Return whether the heights of 5 x 5 pixels differ so much, or none is known."""
+    low, high = np.inf, -np.inf
+    for down in range(-2, 3):
+        for right in range(-2, 3):
+            h = heights[r + down, c + right] - slope[0] * right - slope[1] * down
+            low, high = min(low, h), max(high, h)  # NaN is neither
+    return high - low >= closing or low == np.inf
+
+
+@kernel
+def find_jumps(
+    heights: Annotated[Floats, 2],
+    pixels: int,
+    east: Annotated[Floats, 2],
+    south: Annotated[Floats, 2],
+    closing: float,
+    sides: JumpSides,
+    level: Annotated[Floats, 2],
+    marks: Annotated[NDArray[np.bool_], 2],
+) -> None:
+    """Mark the lines along which the ground jumps by ``closing`` m, where all points of both sides are taken together.
+
+    ``heights`` is (rows, cols) of pixels, ``east`` and ``south`` (tiles, tiles) are the slopes of tiles, m per pixel.
+    ``level`` is filled with the difference of the levels of both sides, m. In the outer ring of tiles only the two
+    pixels next to the inner ones are looked at, and only the first of them is marked.
+    """
+    rows, cols = heights.shape
+    level[:, :], marks[:, :] = 0.0, False
+    for r in range(pixels - 2, rows - pixels + 2):
+        for c in range(pixels - 2, cols - pixels + 2):
+            slope = east[r // pixels, c // pixels], south[r // pixels, c // pixels]
+            if _may_jump(heights, r, c, slope, closing):
+                level[r, c] = _jump(heights, r, c, slope, closing, sides)
+    for r in range(pixels - 1, rows - pixels + 1):
+        for c in range(pixels - 1, cols - pixels + 1):
+            own = level[r, c]
+            if own > 0.0:
+                beside = 0
+                for down in range(-1, 2):
+                    for right in range(-1, 2):
+                        beside += own < _CREST * level[r + down, c + right]
+                marks[r, c] = beside == 0

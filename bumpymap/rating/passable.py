@@ -19,8 +19,8 @@ from bumpymap.rating._passable_kernels import (
 
 _MOST_MARGIN = 0.45
 """Of a tile: what wide vehicles keep from tiles that their ground bars, so that corridors of one tile stay open."""
-_GROUND = (*CROSSING_UNKNOWN, Barred.SLOPE, Barred.FAILS, Barred.STEP)
-"""Reasons that bar a whole tile; obstacles bar pixels."""
+_GROUND = (*CROSSING_UNKNOWN, Barred.SLOPE, Barred.FAILS)
+"""Reasons that bar a whole tile; obstacles and steps bar pixels."""
 
 
 def settle_objects(objects: NDArray[np.uint8], pixels: int) -> NDArray[np.uint8]:
@@ -102,7 +102,7 @@ def free_areas(
 ) -> NDArray[np.uint8]:
     """Find where the middle of the vehicle can be, pixel by pixel, as far as obstacles and the tile's own ground tell.
 
-    It keeps the radius of `find_passable` from obstacles and unseen pixels.
+    It keeps the radius of `find_passable` from obstacles, steps and unseen pixels.
 
     Parameters
     ----------

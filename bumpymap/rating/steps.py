@@ -43,7 +43,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_dilation, maximum_filter
 
 from bumpymap.core import FAIL_SHARE, NO_CLASS, BadInputError
 from bumpymap.rating._step_kernels import (
@@ -53,9 +53,11 @@ from bumpymap.rating._step_kernels import (
     RawSteps,
     StepMosaic,
     find_gradients,
+    find_jumps,
     find_peaks,
     find_quantiles,
     find_raw_steps,
+    jump_sides,
     peak_scratch,
     row_scratch,
 )
@@ -174,6 +176,24 @@ def crossing_fails(step: NDArray[np.floating], calibration: Calibration) -> NDAr
     return np.where(np.isnan(step), np.nan, worse).astype(np.float32)
 
 
+@remembered
+def closing_height(calibration: Calibration) -> float:
+    """Return the least height of a step [m] that half of the crossings fail, up or down; infinite if there is none.
+
+    Raises
+    ------
+    BadInputError
+        The calibration's record of steps is damaged.
+    """
+    effect = _effect(calibration)
+    fails = np.maximum(effect.p_up, effect.p_down)
+    above = np.flatnonzero(fails >= FAIL_SHARE)
+    if not len(above) or above[0] == 0:
+        return 0.0 if len(above) else math.inf
+    ends = np.s_[above[0] - 1 : above[0] + 1]
+    return float(np.interp(FAIL_SHARE, fails[ends], effect.height[ends]))
+
+
 def edge_usable(border: NDArray[np.floating], calibration: Calibration) -> NDArray[np.bool_]:
     """Return which borders a vehicle can cross both ways: p_fail of a crossing is below one half.
 
@@ -225,6 +245,10 @@ _MEDIAN_DIFFERENCE = 0.9539
 _LEVEL_WIDTH = 1.85
 """Width of the levels on both sides of a step, in diameters of a wheel. A fifth of their points may be astray, so a
 ditch of less than 1.4 diameters is none; in drives over ditches, half get stuck at 1.4."""
+_JUMP_WIDTH = 5.0
+"""Width of the sides of a jump, px."""
+_JUMP = 2.4
+"""Height between two pixels that is not noise, over the limit of noise: six standard deviations of a pixel."""
 _LEAST_STEPS = 12
 """With fewer known steps in a tile, its noise is unknown."""
 
@@ -241,6 +265,12 @@ class TileSteps:
     rim: NDArray[np.float32]
     """(n, m) highest step in the two pixels along a border and across it: what the mirrored relief of the tile does not
     show. The rating of a tile sees steps farther inside in full."""
+    closed: NDArray[np.bool_]
+    """((n + 2) * pixels, (m + 2) * pixels) pixels with a step that the vehicle cannot cross, on its line, in the inner
+    tiles and in the pixels of the ring that touch them; False elsewhere."""
+    low: NDArray[np.bool_]
+    """Of the same shape: pixels so far below one beside them, and well beyond the noise of their tile. Runs of pixels
+    do not tell the last metre of a ditch, or a hole; these do where it is known that the ground breaks off."""
     limit: NDArray[np.float32]
     """(n, m) up to that height steps do not stand out from noise and roughness of the tile; of `bumpymap.core`, see
     `smallest_step`."""
@@ -257,8 +287,12 @@ class TileSteps:
 
 
 def find_steps(
-    heights: NDArray[np.floating], pixels: int, wheel: float = 3.0, standing: NDArray[np.bool_] | None = None
-) -> TileSteps:  # fmt: skip
+    heights: NDArray[np.floating],
+    pixels: int,
+    wheel: float = 3.0,
+    closing: float = np.inf,
+    standing: NDArray[np.bool_] | None = None,
+) -> TileSteps:
     """Find the steps of n x m tiles, such as the 16 x 16 of a block.
 
     Parameters
@@ -270,6 +304,8 @@ def find_steps(
         Pixels along the side of a tile, at least 10.
     wheel : float
         Diameter of a wheel, px: it rolls over ditches narrower than 1.4 times that, which are no steps.
+    closing : float
+        Height of a step that the vehicle cannot cross, m: see `closing_height`.
     standing : bool array, optional
         Of the shape of ``heights``: pixels of what stands on the ground, and is an obstacle. They and those beside
         them, which may hold its sides, count as unknown.
@@ -305,14 +341,34 @@ def find_steps(
     usual = np.empty((rows, cols))  # a low quantile of the steps whose support lies in the tile; NaN with too few
     find_quantiles(across.inside, along.inside, _QUANTILE, _LEAST_STEPS, usual, np.empty(2 * inside + 1))
     limit = np.fmax(_QUANTILE_LIMIT * usual, noise)
-    west_east = _peaks(upright, across, limit)
-    north_south = _peaks(lying, along, np.ascontiguousarray(limit.T))
+    west_east, closed = _peaks(upright, across, limit, closing)
+    north_south, closed_too = _peaks(lying, along, np.ascontiguousarray(limit.T), closing)
     rim, inner = np.moveaxis(np.fmax(west_east, north_south.swapaxes(0, 1))[1:-1, 1:-1, 2:], -1, 0)
     west, east = _borders(west_east)
     north, south = (side.T for side in _borders(north_south))
     border = np.stack([north, east, south, west], axis=-1)
-    own = np.where(np.isnan(limit), UNKNOWN_NOISE, limit)[1:-1, 1:-1]
-    return TileSteps(*(part.astype(np.float32) for part in (border, inner, rim, own)))
+    closed |= closed_too.T
+    slopes = (np.ascontiguousarray(slope) for slope in (east, south.T))
+    closed |= _jumps(np.ascontiguousarray(z[RUN:-RUN]), *slopes, closing, level)
+    low = _below_others(heights, np.fmax(closing, _JUMP * noise), pixels) if closed.any() else closed
+    own = np.where(np.isnan(limit), UNKNOWN_NOISE, limit)[1:-1, 1:-1].astype(np.float32)
+    return TileSteps(*(part.astype(np.float32) for part in (border, inner, rim)), closed, low, own)
+
+
+def _jumps(heights: Floats, east: Floats, south: Floats, closing: float, level: float) -> NDArray[np.bool_]:
+    """Return the lines of jumps, see `find_jumps`."""
+    pixels = len(heights) // len(east)
+    marks = np.zeros(heights.shape, np.bool_)
+    if math.isfinite(closing):
+        sides, levels = jump_sides(min(level, _JUMP_WIDTH)), np.empty(heights.shape)
+        find_jumps(heights, pixels, east, south, closing, sides, levels, marks)
+    return marks
+
+
+def _below_others(heights: NDArray[np.floating], drop: Floats, pixels: int) -> NDArray[np.bool_]:
+    """Return the pixels that lie so far below one of the eight around them; ``drop`` is that of each tile, m."""
+    highest = maximum_filter(np.where(np.isnan(heights), -np.inf, heights), 3, mode="nearest")
+    return np.asarray(highest - heights >= np.repeat(np.repeat(drop, pixels, axis=0), pixels, axis=1))
 
 
 def _with_margin(heights: NDArray[np.floating]) -> Floats:
@@ -346,12 +402,15 @@ def _raw(mosaic: StepMosaic, side: int) -> RawSteps:
     return found
 
 
-def _peaks(mosaic: StepMosaic, raw: RawSteps, limit: Floats) -> Floats:
-    """Return the highest steps that stand out at the borders of each tile, near them and in it, (tiles, tiles, 4)."""
-    found = np.full((*limit.shape, 4), np.nan)
-    find_peaks(mosaic, raw, limit, found, peak_scratch(raw.least.shape[1], mosaic.level))
+def _peaks(mosaic: StepMosaic, raw: RawSteps, limit: Floats, closing: float) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the highest steps that stand out at the borders of each tile, near them and in it, (tiles, tiles, 4).
+
+    Also return the pixels with a step that closes.
+    """
+    found, closed = np.full((*limit.shape, 4), np.nan), np.zeros(raw.least.shape, np.bool_)
+    find_peaks(mosaic, raw, limit, closing, found, closed, peak_scratch(raw.least.shape[1], mosaic.level))
     found[found < 0.0] = np.nan
-    return found + 0.0  # never -0.0: the sign of nothing would depend on the machine
+    return found + 0.0, closed  # never -0.0: the sign of nothing would depend on the machine
 
 
 def _borders(highest: Floats) -> tuple[Floats, Floats]:

@@ -8,8 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CROSSING_UNKNOWN, OBSTACLE, OPEN_THROUGH, Barred, TileField, by_mean, corners_join
-from bumpymap.layers import MapReader, tiles_in
+from bumpymap.core import (
+    CLOSED_IN_PART,
+    CROSSING_UNKNOWN,
+    OBSTACLE,
+    OPEN_THROUGH,
+    Barred,
+    TileField,
+    by_mean,
+    corners_join,
+)
+from bumpymap.layers import STEP_LINE, MapReader, tiles_in
 from bumpymap.route._line_kernels import Costs
 from bumpymap.route.places import in_window, on_grid
 from bumpymap.route.search import BYTES_PER_TILE, BYTES_PER_TILE_BY_HEADING, BYTES_PER_TILE_BY_SLOPE, find_way
@@ -193,7 +202,7 @@ class CostGround:
         if self.only is not None:
             cost[~tiles_in(self.only, tiles.window, tiles.grid, wholly=True)] = np.inf
         if self.touching and not through:
-            cost[np.isin(tiles.barred, (Barred.OBSTACLE, Barred.SPLIT))] *= TOUCHING
+            cost[np.isin(tiles.barred, CLOSED_IN_PART)] *= TOUCHING
         if self.worn is not None:
             cost *= self.worn.factors(tiles.window)[..., None]
         return cost[..., 0] if headings is None else cost
@@ -238,7 +247,7 @@ class CostGround:
         free = np.ones(closed.shape, np.bool_) if crosses_unknown else self.site.passage(window)
         reach = self.site.vehicle.reach_m / self.site.grid.pixel_size
         if crosses_unknown:
-            free &= _apart(self.site.objects(window) == OBSTACLE, reach)
+            free &= _apart(np.isin(self.site.objects(window), (OBSTACLE, STEP_LINE)), reach)
         if crosses_unknown or self.closes_more:
             free &= _apart(closed, min(reach, self.margin * self.site.grid.pixels) + 0.5)
         return free

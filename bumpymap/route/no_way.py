@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from bumpymap.core import BARRED_TEXT, OBSTACLE, Barred, density_for
+from bumpymap.layers import STEP_LINE
 from bumpymap.route.ground import PIXEL_MARGIN, CostGround, window_around
 from bumpymap.route.passages import BYTES_PER_TILE, first_pad
 from bumpymap.route.places import on_grid, overlap, place_in_window
@@ -110,7 +111,7 @@ def widest_opening(ground: CostGround, start: Floats, goal: Floats) -> tuple[Flo
         return None
     pixels, pixel = ground.site.grid.pixels, ground.site.grid.pixel_size
     closed = np.repeat(np.repeat(np.isinf(ground.on_tiles(window)), pixels, 0), pixels, 1)
-    closed |= ground.site.objects(window) == OBSTACLE
+    closed |= np.isin(ground.site.objects(window), (OBSTACLE, STEP_LINE))
     room = ndimage.distance_transform_edt(np.pad(~closed, 1))[1:-1, 1:-1]
     ends = [(float(row), float(col)) for row, col in ground.in_window(np.array([start, goal]), window)]
     first, last = ((math.floor(row), math.floor(col)) for row, col in ends)

@@ -18,7 +18,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Barred, UsageError
+from bumpymap.core import CLOSED_IN_PART, UsageError
 from bumpymap.route._search_kernels import REACH
 from bumpymap.route.ground import CostGround, WornTiles, sample_line, window_around
 from bumpymap.route.measure import MeasuredWay, measure_way, way_cost
@@ -226,7 +226,7 @@ class Planner:
         steered = None if over_tiles is None else steer_clear(ground, over_tiles)
         if steered is not None:
             barred = ground.site.read(window_around(ground.site, steered, _NEAR_TILES), ()).barred
-            if not np.isin(barred, (Barred.OBSTACLE, Barred.SPLIT)).any():
+            if not np.isin(barred, CLOSED_IN_PART).any():
                 return steered
         from bumpymap.route.passages import way_over_areas  # with SciPy's graphs, slow to load
 

@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Barred, UsageError
+from bumpymap.core import CLOSED_IN_PART, Barred, UsageError
 from bumpymap.layers import Placement, ReachField
 from bumpymap.route._search_kernels import FROM_START, MoveTables
 from bumpymap.route.ground import CostGround
@@ -75,7 +75,7 @@ def _move_time(
 
 _STRIP = 64
 """Rows of tiles whose speeds are read at once, so that they take no more memory than the search did."""
-_IN_PART = (Barred.OBSTACLE, Barred.SPLIT, Barred.UNKNOWN)
+_IN_PART = (*CLOSED_IN_PART, Barred.UNKNOWN)
 """Tiles that are closed as a whole, but in which the vehicle may fit."""
 _ONLY_WHOLE = (
     "ways between obstacles were not looked for, which would take {size} GB of memory: what lies behind a tile that "

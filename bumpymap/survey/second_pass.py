@@ -16,11 +16,11 @@ from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 from bumpymap.core import (
     CANOPY,
     EMPTY,
-    FAIL_SHARE,
     FREE,
     NO_CLASS,
     OBSTACLE,
@@ -29,6 +29,7 @@ from bumpymap.core import (
     SEEN_PER_M2,
     SIDES,
     SOLID,
+    STEP_EDGE,
     UNSEEN,
     Barred,
     MapConfig,
@@ -45,7 +46,7 @@ from bumpymap.rating import (
     TileSteps,
     apply_steps,
     close_split_tiles,
-    crossing_fails,
+    closing_height,
     dense_share,
     edge_usable,
     felt_by_heading,
@@ -54,6 +55,7 @@ from bumpymap.rating import (
     free_areas,
     is_rateable,
     motion_felt,
+    rate_beside_steps,
     rate_thin,
     ride_weight,
     settle_objects,
@@ -185,10 +187,15 @@ def _read_window(table: TileTable, read: _Read, rating: "_Rating", key: BlockKey
 
 _RATED = ("class_id", "c_r", "c_r_low", "c_r_high", "p_fail", "confidence", "reason")
 _OBJECTS = ("obstacle", "obstacle_height", "clearance")
+_STEPS = ("edge_step", "inner_step", *(f"step_{side}" for side in SIDES))
+_BESIDE_STEPS = ("c_r_open", "p_fail_open")
 _BESIDE = ((-1, 0), (0, 1), (1, 0), (0, -1))
 """Rows and columns to the tile beyond each side; rows go south."""
 _SIDES = Column("sides", "|u1")
-"""Bits: the vehicle can cross the side in the north, east, south, west; a step in the tile or at its sides bars it."""
+"""Bits: the vehicle can cross the side in the north, east, south, west."""
+_LEAST_COVERAGE = 0.25
+"""With fewer points a step closes its tiles as a whole: where it ends is not known. 7 points/m2 of 0.2 m pixels."""
+_TOUCHING = np.ones((3, 3), np.bool_)
 _LEAST_PIXELS = 10
 """With fewer pixels along the side of a tile, steps are not measured."""
 
@@ -241,7 +248,7 @@ class NeighbourRating:
         objects = np.where(states == OBSTACLE, np.uint8(OBSTACLE), overhead)
         return (
             {name: own[name] for name in (*_RATED, *_OBJECTS, *self._asked)}
-            | dict.fromkeys(("edge_step", "inner_step", *(f"step_{side}" for side in SIDES), *SEEN_COLUMNS), nothing)
+            | dict.fromkeys((*_STEPS, *SEEN_COLUMNS, *_BESIDE_STEPS), nothing)
             | {"barred": np.full(tiles, Barred.UNKNOWN, np.uint8), _SIDES.name: np.zeros(tiles, np.uint8)}
             | {"objects": objects}
         )
@@ -266,15 +273,20 @@ class NeighbourRating:
             own |= apply_steps(own, steps.unseen * share, self.calibration)
         states = self._inner(objects)
         share = np.mean(states == OBSTACLE, axis=(2, 3), dtype=np.float32)
+        barred, nothing = self.calibration.cost_rule.barred(own), np.float32(np.nan)
+        beside = {name: np.full(barred.shape, nothing) for name in _BESIDE_STEPS}
+        if self.config.compat == "none" and steps.closed.any():
+            barred, states, beside = self._decide_steps(window, steps, own | {"barred": barred}, states)
         obstacle = np.where(np.isnan(own["obstacle"]), np.float32(np.nan), share)
-        nothing, height = np.float32(np.nan), own["obstacle_height"]
+        height = own["obstacle_height"]
         return (
             {name: own[name] for name in _RATED}
             | {f"step_{side}": steps.border[..., number] for number, side in enumerate(SIDES)}
             | {"edge_step": steps.edge_step, "inner_step": steps.inner}
             | self._seen_sizes(window, own["class_id"], steps)
-            | {"barred": self.calibration.cost_rule.barred(own), _SIDES.name: self._sides(known, steps)}
+            | {"barred": barred, _SIDES.name: self._sides(known, steps)}
             | {"objects": states, "obstacle": obstacle}
+            | beside
             # A roof is an obstacle of unknown height, and nothing that hangs over the way.
             | {"obstacle_height": np.where((height == 0.0) & (obstacle > 0.0), nothing, height)}
             | {"clearance": np.where((states == CANOPY).any(axis=(2, 3)), own["clearance"], nothing)}
@@ -283,7 +295,8 @@ class NeighbourRating:
 
     def _seen_sizes(self, window: NeighbourWindow, class_id: NDArray[np.uint8], steps: TileSteps) -> Columns:
         """Return what the survey of the inner tiles would have shown."""
-        found = window.inner("smallest_object"), smallest_step(steps.limit, window.inner("density"))
+        step = smallest_step(steps.limit, window.inner("density"), closing_height(self.calibration))
+        found = window.inner("smallest_object"), step
         known = class_id != NO_CLASS
         return {
             name: np.where(known, values, np.float32(np.nan)) for name, values in zip(SEEN_COLUMNS, found, strict=True)
@@ -323,19 +336,41 @@ class NeighbourRating:
         if self.config.pixels >= _LEAST_PIXELS:
             # Only what the first pass found: it is the same for all blocks that look at a border.
             standing = self._pixels(_is_relief(window)) & (window.mosaic("objects") == OBSTACLE)
-            return find_steps(window.mosaic("heights"), self.config.pixels, self.calibration.wheel_pixels, standing)
+            calibration = self.calibration
+            wheel, closing = calibration.wheel_pixels, closing_height(calibration)
+            return find_steps(window.mosaic("heights"), self.config.pixels, wheel, closing, standing)
         rows, cols = window.inner("class_id").shape
-        shapes = ((rows, cols, len(SIDES)), *((rows, cols),) * 3)
-        return TileSteps(*(np.full(shape, np.nan, np.float32) for shape in shapes))
+        border, one = (np.full(shape, np.nan, np.float32) for shape in ((rows, cols, len(SIDES)), (rows, cols)))
+        closed = np.zeros(window.mosaic("objects").shape, np.bool_)
+        return TileSteps(border, one, one, closed, closed, limit=one)
+
+    def _decide_steps(
+        self, window: NeighbourWindow, steps: TileSteps, own: Columns, states: NDArray[np.uint8]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.uint8], Columns]:
+        """Bar the inner tiles that a step closes in part or wholly, or that touch such a pixel, and mark their pixels.
+
+        What reads tiles alone would cross a wall on a border if it barred one of its tiles only. Beside the step, the
+        ground is rated for itself; what is not fit to drive on is marked as well.
+        """
+        touched = self._inner(binary_dilation(steps.closed, _TOUCHING)).any(axis=(2, 3))
+        touched &= own["barred"] != Barred.UNKNOWN
+        edges = self._inner(steps.closed) | touched[..., None, None]
+        beside = {name: np.full(touched.shape, np.float32(np.nan)) for name in _BESIDE_STEPS}
+        tiles = np.nonzero(touched & (own["coverage"] >= _LEAST_COVERAGE) & self.config.by_ride)
+        if len(tiles[0]):
+            line, standing = self._inner(steps.closed | steps.low)[tiles], np.isin(states[tiles], (OBSTACLE, UNSEEN))
+            whole = own["c_r"][tiles], own["p_fail"][tiles]
+            heights, thin = (window.inner(name)[tiles] for name in ("heights", "thin"))
+            found = rate_beside_steps(heights, line, standing, whole, thin, self.calibration)
+            beside["c_r_open"][tiles], beside["p_fail_open"][tiles] = found.c_r, found.p_fail
+            edges[tiles] = line | found.is_closed
+        barred = np.where(touched, np.uint8(Barred.STEP), own["barred"])
+        return barred, np.where(edges & (states != OBSTACLE), np.uint8(STEP_EDGE), states), beside
 
     def _sides(self, known: NDArray[np.bool_], steps: TileSteps) -> NDArray[np.uint8]:
-        """Return the sides of the inner tiles that the vehicle can cross, and whether a step bars the tile."""
+        """Return the sides of the inner tiles that the vehicle can cross."""
         crossed = _crossed(edge_usable(steps.border, self.calibration), np.isnan(steps.border), known)
-        # The rating sees a wall as a ramp between two pixels, which is easier to climb. A wall on a border bars both of
-        # its tiles, or a way over the cost layer, which knows no borders, would cross it.
-        fails = crossing_fails(np.fmax(steps.inner, steps.edge_step), self.calibration) >= FAIL_SHARE
-        bits = np.packbits(np.concatenate([crossed, fails[..., None]], axis=-1), axis=-1, bitorder="little")
-        return np.asarray(bits[..., 0])
+        return np.asarray(np.packbits(crossed, axis=-1, bitorder="little")[..., 0])
 
     def _pixels(self, of_tiles: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Give every pixel of a mosaic the value of its tile."""
@@ -382,13 +417,11 @@ class VehicleSweep:
         """Return the columns of the inner tiles."""
         body, size = self.calibration.body, self.config.tile_size
         objects = window.mosaic("objects")
-        alone = np.where(window.present, window["barred"], np.uint8(Barred.UNKNOWN))[1:-1, 1:-1]
-        sides = window[_SIDES.name][1:-1, 1:-1, None]
-        bits = np.unpackbits(np.where(window.present[1:-1, 1:-1, None], sides, 0), axis=-1, bitorder="little")
-        barred = alone
+        barred = np.where(window.present, window["barred"], np.uint8(Barred.UNKNOWN))[1:-1, 1:-1]
         if self.config.compat == "none":
-            barred = find_passable(objects, alone, bits[..., : len(SIDES)].astype(np.bool_), body, size)
-            barred[(barred == Barred.NO) & (bits[..., len(SIDES)] > 0)] = Barred.STEP
+            sides = np.where(window.present, window[_SIDES.name], 0)[1:-1, 1:-1, None]
+            crossed = np.unpackbits(sides, axis=-1, count=len(SIDES), bitorder="little").astype(np.bool_)
+            barred = find_passable(objects, barred, crossed, body, size)
         closed, areas = close_split_tiles(free_areas(objects, barred, body, size), barred, body, size)
         if self.config.compat != "none":
             closed = barred[1:-1, 1:-1]

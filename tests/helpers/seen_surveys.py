@@ -50,26 +50,29 @@ def share_of_posts(density, width, rng, *, in_relief, surveys=1):
     return np.mean(found)
 
 
-def steps_of(wall, density, noise, rng):
+def steps_of(wall, density, noise, rng, closing=np.inf):
     """Steps of a survey of two levels."""
     side = STEP_TILES * TILE_SIZE
     x, y = rng.uniform(0, side, (2, int(density * side**2)))
     z = wall.ground(x, y) + rng.normal(0, noise, len(x))
-    bins = [(0, side)] * 2
-    return find_steps(binned_statistic_2d(side - y, x, z, "mean", STEP_TILES * PIXELS, bins).statistic, PIXELS)
+    heights = binned_statistic_2d(side - y, x, z, "mean", STEP_TILES * PIXELS, [(0, side)] * 2).statistic
+    return find_steps(heights, PIXELS, closing=closing)
 
 
-def level_step(density, noise, rng):
+def level_step(density, noise, rng, closing=np.inf):
     """Lowest step that level ground says would have been found, m."""
-    return float(np.median(smallest_step(steps_of(Wall(0.0, 0, 0, 0), density, noise, rng).limit, density)))
+    limit = steps_of(Wall(0.0, 0, 0, 0), density, noise, rng).limit
+    return float(np.median(smallest_step(limit, density, closing)))
 
 
-def share_of_steps(height, density, noise, rng, surveys=4):
-    """Share of the tiles on a step, at any place and angle, that find at least half of it."""
+def share_of_steps(height, density, noise, rng, *, closing=np.inf, surveys=4):
+    """Share of the tiles on a step, at any place and angle, that find at least half of it, or are closed by it."""
     found, axis = [], (np.arange(1, STEP_TILES - 1) + 0.5) * TILE_SIZE
     for _ in range(surveys):
         wall = Wall(height, *rng.uniform(16.5, 19.5, 2), rng.uniform(0, 360))
-        steps = steps_of(wall, density, noise, rng)
+        steps = steps_of(wall, density, noise, rng, closing)
         near = np.abs(wall.distance(*np.meshgrid(axis, axis[::-1]))) < 1.0
-        found.extend(np.fmax(steps.inner, steps.edge_step)[near] > 0.5 * height)
+        tiles = steps.closed.reshape(STEP_TILES, PIXELS, STEP_TILES, PIXELS)
+        closed = tiles.any(axis=(1, 3))[1:-1, 1:-1]
+        found.extend((closed | (np.fmax(steps.inner, steps.edge_step) > 0.5 * height))[near])
     return np.mean(found)

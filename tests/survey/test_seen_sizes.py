@@ -26,12 +26,14 @@ def test_a_post_of_that_width_is_found_in_95_percent_and_a_narrower_one_is_not(d
     assert share_of_posts(density, 0.6 * width, rng, in_relief=in_relief) < 0.8
 
 
-@pytest.mark.parametrize(("density", "noise"), [(20, 0.01), (100, 0.03), (400, 0.01)])
-def test_a_step_of_that_height_is_found_and_a_lower_one_is_not(density, noise):
+@pytest.mark.parametrize(
+    ("density", "noise", "closing"), [(20, 0.01, np.inf), (100, 0.03, np.inf), (400, 0.01, 0.28), (10, 0.03, 0.28)]
+)
+def test_a_step_of_that_height_is_found_and_a_lower_one_is_not(density, noise, closing):
     rng = np.random.default_rng(density)
-    height = level_step(density, noise, rng)
-    assert share_of_steps(height, density, noise, rng, surveys=8) > 0.9
-    assert share_of_steps(0.4 * height, density, noise, rng, surveys=8) < 0.6
+    height = level_step(density, noise, rng, closing)
+    assert share_of_steps(height, density, noise, rng, closing=closing, surveys=8) > 0.9
+    assert share_of_steps(0.4 * height, density, noise, rng, closing=closing, surveys=8) < 0.6
 
 
 def tiles_of(points, tiles=300):

@@ -15,6 +15,7 @@ from scipy.ndimage import distance_transform_edt
 
 from bumpymap.core import (
     CANOPY,
+    CLOSED_IN_PART,
     CROSSING_UNKNOWN,
     NO_TILE,
     OBSTACLE,
@@ -26,6 +27,7 @@ from bumpymap.core import (
     atomic,
 )
 from bumpymap.layers import (
+    STEP_LINE,
     UNKNOWN_OBJECT,
     MapReader,
     Placement,
@@ -69,9 +71,10 @@ def cell_states(area: "ExportArea", field: TileField) -> tuple[NDArray[np.uint8]
     Returns
     -------
     states : uint8 (rows * split, cols * split)
-        ``LETHAL`` where an obstacle stands, of unknown tiles too, and where the ground bars the tile; ``UNKNOWN_CELL``
-        in unknown tiles, outside of the tiles, and where objects were told apart from ground and neither was seen; else
-        ``FREE_CELL``. Where only obstacles close a tile, it is free where the vehicle passes between them.
+        ``LETHAL`` where an obstacle stands or a step is, in unknown tiles too, and where the ground bars the tile;
+        ``UNKNOWN_CELL`` in unknown tiles, outside of the tiles, and where objects were told apart from ground and
+        neither was seen; else ``FREE_CELL``. Where only obstacles or steps close a tile, it is free where the vehicle
+        passes between them.
     canopy : bool, of the same shape
         True where a free cell is in part under canopy that the vehicle fits under.
     """
@@ -82,8 +85,8 @@ def cell_states(area: "ExportArea", field: TileField) -> tuple[NDArray[np.uint8]
     # Where objects were not told apart they are part of the relief, and in the ride cost.
     judged = by_pixel(~np.isnan(field.obstacle), pixels)
     states[(objects == UNKNOWN_OBJECT) & judged & (states == FREE_CELL)] = UNKNOWN_CELL
-    states[objects == OBSTACLE] = LETHAL
     states[_open_in_part(area.route_map, field)] = FREE_CELL
+    states[(objects == OBSTACLE) | (objects == STEP_LINE)] = LETHAL
     canopy = objects == CANOPY
     if area.split < pixels:
         lethal, unseen, canopy = (
@@ -100,13 +103,13 @@ def _any_of(where: NDArray[np.bool_], side: int) -> NDArray[np.bool_]:
 
 
 def _open_in_part(route_map: MapReader, field: TileField) -> NDArray[np.bool_]:
-    """Return the pixels of tiles that obstacles alone close or split over which the vehicle passes between these.
+    """Return the pixels of tiles that obstacles or steps alone close over which the vehicle passes between these.
 
     They lie nearer than half its width to where its middle can be, so they hold no obstacle and nothing unseen.
     """
     grid, window = route_map.grid, field.window
     pixels, reach = grid.pixels, 0.5 * route_map.vehicle.width_m / grid.pixel_size
-    closed = np.isin(field.barred, (Barred.OBSTACLE, Barred.SPLIT)) & np.isfinite(field.c_r)
+    closed = np.isin(field.barred, CLOSED_IN_PART) & np.isfinite(field.c_r)
     ring = math.ceil(reach / pixels)
     wide = TileWindow(window.col - ring, window.row - ring, window.cols + 2 * ring, window.rows + 2 * ring)
     free = route_map.passage(wide) if closed.any() else np.zeros((0, 0), np.bool_)

@@ -35,6 +35,7 @@ from bumpymap.core import (
 )
 from bumpymap.layers import (
     CLASS_COLOURS,
+    STEP_LINE,
     UNKNOWN_COLOUR,
     UNKNOWN_OBJECT,
     MapFile,
@@ -69,7 +70,7 @@ _STRIP_PIXELS = 16_000_000
 """Most pixels of obstacle.tif to read at a time."""
 _FLAT = 0.84
 """Brightness of level ground, and where no height is known."""
-_WORST = (FREE, CANOPY, UNKNOWN_OBJECT, OBSTACLE)
+_WORST = (FREE, CANOPY, UNKNOWN_OBJECT, STEP_LINE, OBSTACLE)
 """Order of the states in a pixel: each counts before those to its left."""
 _QUALITIES = (72, 55, 40, 25)
 
@@ -159,7 +160,7 @@ def _spans(count: int, step: int) -> list[tuple[int, int, int]]:
 
 
 def object_grid(folder: Path, tiles: PageTiles, side: int) -> NDArray[np.uint8]:
-    """Return what stands on the ground: FREE, OBSTACLE, CANOPY or UNKNOWN_OBJECT, the worst in each pixel; else 255.
+    """Return the worst of FREE, CANOPY, UNKNOWN_OBJECT, STEP_LINE and OBSTACLE in each pixel; else 255.
 
     It has at most ``side`` pixels along a side; on maps so large that each of them spans a tile or more, the tiles tell
     of obstacles alone.
