@@ -206,6 +206,7 @@ from .scan_types import (
     sector_bounds as sector_bounds,
 )
 from .seen_sizes import (
+    MOST_STEP as MOST_STEP,
     OBSTACLE_SHARE as OBSTACLE_SHARE,
     SEEN_NUMBERS as SEEN_NUMBERS,
     SeenSizes as SeenSizes,

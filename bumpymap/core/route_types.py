@@ -52,12 +52,12 @@ class TileField:
     """(rows, cols) share of simulated drives that fail, 0..1."""
     obstacle: NDArray[np.float32]
     """(rows, cols) share of the pixels with an obstacle, 0..1."""
+    all_density: NDArray[np.float32]
+    """(rows, cols) points of any class per m2; NaN if unknown (so are the next two)."""
     smallest_object: NDArray[np.float32]
-    """(rows, cols) side of the narrowest standing object that would have shown, m; NaN if unknown (so are the next)."""
+    """(rows, cols) side of the narrowest standing object that would have shown, m."""
     smallest_step: NDArray[np.float32]
     """(rows, cols) lowest step that would have been found, m."""
-    density: NDArray[np.float32]
-    """(rows, cols) points per m2."""
     rule: CostRule
     """How ride and risk become cost."""
     vehicle: RouteVehicle

@@ -50,6 +50,10 @@ _STEP, _STEP_THIN = 4.2, 30.0
 over the points/m2."""
 _JUMP, _JUMP_NOISE = 1.15, 0.5
 """Or if it is so many times as high as what the vehicle cannot cross, and so many times the limit more."""
+_NO_STEP = 3.0
+"""Points/m2 below which steps are not found with 95 %, however high."""
+MOST_STEP = 10.0
+"""Stands for that, m; of steps as high as that, and higher, nothing else is said."""
 _FINE, _COARSE, _FINE_TO = 0.01, 0.05, 0.2
 """Sizes are told in whole multiples of these, m: the first up to the third."""
 _MOST_CHANCE = 1.0 - 1e-9
@@ -138,6 +142,8 @@ def smallest_step(
 ) -> NDArray[np.float32]:
     """Return the lowest step of the ground that would have been found with 95 %, m; NaN where it is not known.
 
+    ``MOST_STEP`` where none would.
+
     Parameters
     ----------
     limit : array
@@ -148,7 +154,8 @@ def smallest_step(
         Least height of a step that closes its place, m.
     """
     out_of_noise = limit * (_STEP + _STEP_THIN / np.maximum(density, 1e-9))
-    return np.minimum(out_of_noise, _JUMP * closing + _JUMP_NOISE * limit).astype(np.float32)
+    found = np.minimum(np.minimum(out_of_noise, _JUMP * closing + _JUMP_NOISE * limit), MOST_STEP)
+    return np.where((density < _NO_STEP) & ~np.isnan(limit), MOST_STEP, found).astype(np.float32)
 
 
 def density_for(width: float, pixel_m: float, *, in_relief: bool) -> float:
@@ -167,7 +174,7 @@ class SeenSizes:
     """Smallest things that a survey would have shown with 95 %, of a site or along a way; NaN where not known."""
 
     density: float = math.nan
-    """Points per m2 that were measured."""
+    """Points per m2, of any class."""
     object_m: float = math.nan
     """Side of the narrowest standing object, m."""
     step_m: float = math.nan
@@ -193,7 +200,8 @@ class SeenSizes:
     def sentence(self) -> str:
         """Say it in a sentence; empty if nothing is known."""
         objects = f"objects narrower than {size_text(self.object_m)}" if math.isfinite(self.object_m) else ""
-        steps = f"steps lower than {size_text(self.step_m)}" if math.isfinite(self.step_m) else ""
+        lower = f" lower than {size_text(self.step_m)}" if self.step_m < 0.99 * MOST_STEP else ""
+        steps = "" if math.isnan(self.step_m) else f"steps{lower}"
         small = " and ".join(filter(None, (objects, steps)))
         density = f"{self.density:.0f}" if self.density >= 9.5 else f"{self.density:.1f}"
         return f"At {density} points/m2, {small} are not seen." if small else ""

@@ -50,7 +50,7 @@ _OBJECT_HEIGHT = 0.5
 _BINS = 1 << 16
 _STEPS = {"c_r": 1 / 8192, "slope": 1 / 512}
 """Width of a histogram bin, rad/m and degrees: an eighth of the last printed digit, up to 8 rad/m and 128 degrees."""
-_SEEN_STEPS = {"density": 1 / 16, **dict.fromkeys(SEEN_COLUMNS, 1 / 2048)}
+_SEEN_STEPS = dict(zip(SEEN_COLUMNS, (1 / 16, 1 / 2048, 1 / 2048), strict=True))
 """The same of what the survey would have shown, points/m2 and m: up to 4096 points/m2 and 32 m."""
 
 

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 Coordinate = TypeVar("Coordinate", float, NDArray[np.float64])
 
-_BANDS = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle", *SEEN_COLUMNS, "density")
+_BANDS = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle", *SEEN_COLUMNS)
 
 _DTYPES = {
     MapFile.BARRED: "uint8",

@@ -33,7 +33,6 @@ _STRETCH_TILES = 128
 """Longest stretch, tiles."""
 _SAMPLES_A_TILE = 3
 _RIDE = ("c_r", "c_r_low", "c_r_high")
-_SEEN = ("density", *SEEN_COLUMNS)
 _WORST = 0.05
 """Share of a way on which less may be seen than its figures say."""
 
@@ -148,7 +147,7 @@ def _pieces(ground: CostGround, line: Floats) -> _Pieces:
         "hazard": np.where(unknown | np.isnan(hazard), 0.0, hazard),
         "unknown": unknown,
         "slow": slow,
-        **{name: getattr(tiles, name)[at] for name in _SEEN},
+        **{name: getattr(tiles, name)[at] for name in SEEN_COLUMNS},
         **{name: np.where(unknown, np.nan, values) for name, values in (ride | {"p_fail": tiles.p_fail[at]}).items()},
     }
 
@@ -171,7 +170,7 @@ def _seen_sizes(pieces: _Pieces) -> SeenSizes:
     """Return what the survey would have shown on all but the worst twentieth of a way."""
     shares = (_WORST, 1.0 - _WORST, 1.0 - _WORST)
     return SeenSizes(
-        *(_quantile(pieces[name], pieces["length"], share) for name, share in zip(_SEEN, shares, strict=True))
+        *(_quantile(pieces[name], pieces["length"], share) for name, share in zip(SEEN_COLUMNS, shares, strict=True))
     )
 
 

@@ -215,7 +215,7 @@ class NeighbourRating:
     @property
     def needs(self) -> tuple[str, ...]:
         """Columns of the finished tiles that it reads."""
-        seen = ("density", "smallest_object")
+        seen = ("density", "all_density", "smallest_object")
         return (*_RATED, "slope", "coverage", "heights", "objects", *_OBJECTS, *seen, "thin", *self._asked)
 
     @property
@@ -296,7 +296,7 @@ class NeighbourRating:
     def _seen_sizes(self, window: NeighbourWindow, class_id: NDArray[np.uint8], steps: TileSteps) -> Columns:
         """Return what the survey of the inner tiles would have shown."""
         step = smallest_step(steps.limit, window.inner("density"), closing_height(self.calibration))
-        found = window.inner("smallest_object"), step
+        found = window.inner("all_density"), window.inner("smallest_object"), step
         known = class_id != NO_CLASS
         return {
             name: np.where(known, values, np.float32(np.nan)) for name, values in zip(SEEN_COLUMNS, found, strict=True)

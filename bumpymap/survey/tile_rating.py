@@ -149,14 +149,8 @@ class TileRating:
         # How thin a tile is, and whether it has holes, its survey tells, and not what stands on it.
         thin = self._thin(points, patches, on_ground, bare.count)
         measured = replace(patches, relief=bare.relief, slope=bare.slope, reason=bare.reason)
-        seen = None if objects is None else self._smallest_object(points, objects, in_relief=not ground_only)
-        return replace(rated, patches=measured, objects=objects, thin=thin, smallest_object=seen).columns()
-
-    def _smallest_object(self, points: TilePoints, objects: ObjectStack, *, in_relief: bool) -> NDArray[np.float32]:
-        """Return the side of the narrowest standing object that tiles would have shown, m."""
-        states = objects.objects
-        held = (states != UNSEEN) & (states % SEEN != EMPTY)
-        return smallest_object(held, np.diff(points.starts), points.grid.tile_size, in_relief=in_relief)
+        seen = {} if objects is None else _seen_columns(points, objects, in_relief=not ground_only)
+        return replace(rated, patches=measured, objects=objects, thin=thin, **seen).columns()
 
     def _objects(self, points: TilePoints, patches: PatchStack) -> ObjectStack:
         """Find what stands on the ground; the cloth takes low things for ground."""
@@ -175,3 +169,11 @@ class TileRating:
             return None
         pairs, relief_map = measure_thin(points, patches, self.config.features, ground_only=ground_only)
         return thin_columns(pairs, relief_map, count, self.ride.operator)
+
+
+def _seen_columns(points: TilePoints, objects: ObjectStack, *, in_relief: bool) -> dict[str, NDArray[np.float32]]:
+    """Return what tells which objects the survey of tiles would have shown."""
+    states, count, size = objects.objects, np.diff(points.starts), points.grid.tile_size
+    held = (states != UNSEEN) & (states % SEEN != EMPTY)
+    smallest = smallest_object(held, count, size, in_relief=in_relief)
+    return {"all_density": (count / size**2).astype(np.float32), "smallest_object": smallest}

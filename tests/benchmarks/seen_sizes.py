@@ -3,7 +3,8 @@
     python tests/benchmarks/seen_sizes.py [--surveys 4] [--seed 1]
 
 Objects are posts of 1 m with square tops, seen from straight above, in surveys with classes and without; steps join two
-level plains; `closes` is the height that a vehicle cannot cross, 0.275 m for the Warthog. Both tables hold the size that is said, and the shares that are found at 0.6, 0.8, 1 and 1.2 times that.
+level plains; `closes` is the height that a vehicle cannot cross, 0.275 m for the Warthog. Both tables hold the size
+that is said, and the shares that are found at 0.6, 0.8, 1 and 1.2 times that.
 """
 
 import argparse

@@ -93,7 +93,7 @@ class TileMap:
             self._cut(self.obstacle, window, np.nan),
             *(
                 self._cut(np.broadcast_to(value, self.c_r.shape).astype(np.float32), window, np.nan)
-                for value in (self.smallest_object, 0.2, 10.0)
+                for value in (10.0, self.smallest_object, 0.2)
             ),
             self.rule,
             self.vehicle,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from seen_surveys import level_step, share_of_posts, share_of_steps
 
-from bumpymap.core import SeenSizes, chance_text, density_for, size_text, smallest_object
+from bumpymap.core import MOST_STEP, SeenSizes, chance_text, density_for, size_text, smallest_object
 
 PIXEL_M, SIDE, TILE_M = 0.2, 15, 3.0
 
@@ -90,6 +90,7 @@ def test_it_is_said_in_one_sentence():
         "At 10 points/m2, objects narrower than 0.7 m and steps lower than 0.19 m are not seen."
     )
     assert SeenSizes(1.4, 1.84).sentence == "At 1.4 points/m2, objects narrower than 1.85 m are not seen."
+    assert SeenSizes(1.4, 1.84, MOST_STEP).sentence.endswith("narrower than 1.85 m and steps are not seen.")
     assert SeenSizes(10.0).sentence == ""
     assert "does not show" in SeenSizes().condition
     assert [size_text(size) for size in (0.0, 0.011, 0.2, 0.201, 2.0)] == ["0.01 m", "0.02 m", "0.2 m", "0.25 m", "2 m"]
