@@ -110,7 +110,7 @@ def smallest_object(
     density = count / tile_size**2
     needed = points_needed(density, pixel_m, in_relief=in_relief)
     sparse = np.minimum(density, _density_of_sparse_parts(held, count / held.shape[-1] ** 2) / pixel_m**2)
-    return np.minimum(np.sqrt(needed / np.maximum(sparse, 1e-9)), tile_size).astype(np.float32)
+    return np.asarray(np.minimum(np.sqrt(needed / np.maximum(sparse, 1e-9)), tile_size), np.float32)
 
 
 def _density_of_sparse_parts(held: NDArray[np.bool_], mean: Floats) -> Floats:

@@ -351,8 +351,9 @@ def find_steps(
     slopes = (np.ascontiguousarray(slope) for slope in (east, south.T))
     closed |= _jumps(np.ascontiguousarray(z[RUN:-RUN]), *slopes, closing, level)
     low = _below_others(heights, np.fmax(closing, _JUMP * noise), pixels) if closed.any() else closed
-    own = np.where(np.isnan(limit), UNKNOWN_NOISE, limit)[1:-1, 1:-1].astype(np.float32)
-    return TileSteps(*(part.astype(np.float32) for part in (border, inner, rim)), closed, low, own)
+    own = np.where(np.isnan(limit), UNKNOWN_NOISE, limit)[1:-1, 1:-1]
+    border, inner, rim, own = (part.astype(np.float32) for part in (border, inner, rim, own))
+    return TileSteps(border, inner, rim, closed, low, own)
 
 
 def _jumps(heights: Floats, east: Floats, south: Floats, closing: float, level: float) -> NDArray[np.bool_]:

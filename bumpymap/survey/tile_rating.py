@@ -14,6 +14,7 @@ from bumpymap.core import (
     POINT_OTHER,
     SEEN,
     UNSEEN,
+    CostMap,
     Georeference,
     MapConfig,
     ObjectStack,
@@ -149,8 +150,9 @@ class TileRating:
         # How thin a tile is, and whether it has holes, its survey tells, and not what stands on it.
         thin = self._thin(points, patches, on_ground, bare.count)
         measured = replace(patches, relief=bare.relief, slope=bare.slope, reason=bare.reason)
-        seen = {} if objects is None else _seen_columns(points, objects, in_relief=not ground_only)
-        return replace(rated, patches=measured, objects=objects, thin=thin, **seen).columns()
+        if objects is not None:
+            rated = _with_seen_sizes(rated, points, objects, in_relief=not ground_only)
+        return replace(rated, patches=measured, objects=objects, thin=thin).columns()
 
     def _objects(self, points: TilePoints, patches: PatchStack) -> ObjectStack:
         """Find what stands on the ground; the cloth takes low things for ground."""
@@ -171,9 +173,9 @@ class TileRating:
         return thin_columns(pairs, relief_map, count, self.ride.operator)
 
 
-def _seen_columns(points: TilePoints, objects: ObjectStack, *, in_relief: bool) -> dict[str, NDArray[np.float32]]:
-    """Return what tells which objects the survey of tiles would have shown."""
+def _with_seen_sizes(rated: CostMap, points: TilePoints, objects: ObjectStack, *, in_relief: bool) -> CostMap:
+    """Add which objects the survey of the tiles would have shown."""
     states, count, size = objects.objects, np.diff(points.starts), points.grid.tile_size
     held = (states != UNSEEN) & (states % SEEN != EMPTY)
     smallest = smallest_object(held, count, size, in_relief=in_relief)
-    return {"all_density": (count / size**2).astype(np.float32), "smallest_object": smallest}
+    return replace(rated, all_density=(count / size**2).astype(np.float32), smallest_object=smallest)
