@@ -20,6 +20,7 @@ from bumpymap.core import (
     Ground,
     MapConfig,
     Reason,
+    SeenSizes,
     common_georeference,
     count_text,
     decide_ground,
@@ -305,6 +306,7 @@ class Report:
             "bounds_m": sides,
             "bounds_crs_units": sides and tuple(side / place.metres_per_unit for side in sides),
             "density_per_m2": file.density,
+            **({} if file.density is None else {"seen_sizes": self._seen(file).record()}),
             "has_classes": file.has_ground or info.has_classes,
             "classes": {str(code): found.points for code, found in summary.classes.items()} if summary else {},
             "class_names": {str(code): name for code, name in info.class_names.items()},
@@ -360,6 +362,7 @@ class Report:
             rows += [("extent, m", across), ("size", sides + heights)]
         if file.density is not None:
             rows.append(("density", self._density(file.density, summary)))
+            rows.append(("not seen", self._seen(file).sentence))
         if file.dropped is not None or info.has_classes is False:
             rows += _classified(file, self.config.ground_classes)
         if apart := self._apart(summary):
@@ -367,6 +370,12 @@ class Report:
         if text := describe_lines(file.lines, "report"):
             rows.append(("flight lines", as_options(text.removeprefix("Flight lines: "))))
         return rows + [("note", note) for note in info.notes]
+
+    def _seen(self, file: FileReport) -> SeenSizes:
+        """Forecast the narrowest standing object that the survey shows, if its points lie evenly."""
+        outcome, ground = self._outcome(file.summary), self.config.ground
+        told_apart = ground == "csf" or (outcome is not None and outcome.measured == "ground points")
+        return SeenSizes.forecast(file.density or math.nan, self.config.grid.pixel_size, in_relief=not told_apart)
 
     def _density(self, density: float, summary: PointSummary | None) -> str:
         short = f"{density:.1f}" if density >= 0.1 else f"{density:.1g}"

@@ -27,7 +27,7 @@ def map_lines(result: MapResult, config: MapConfig) -> Iterator[str | Table]:
     )
     yield Table(_rows(summary), _TITLES)
     degrees, lines = degrees_line(summary.median_c_r[: len(CLASS_NAMES)]), _steps(result, config)
-    yield from filter(None, [degrees, _passable_line(summary)])
+    yield from filter(None, [degrees, _passable_line(summary), summary.seen.sentence])
     if summary.by_holes:
         share = share_text(summary.by_holes / summary.tiles, 1)
         yield (
@@ -92,6 +92,7 @@ def map_record(result: MapResult, config: MapConfig) -> dict[str, object]:
         "unknown": result.summary.reasons,
         "passable": result.summary.passable,
         "barred": result.summary.bars,
+        "seen_sizes": result.summary.seen.record(),
         "unknown_share": result.summary.unknown / result.summary.tiles,
         "advice": unknown_line(result, config),
         "ground_advice": as_options(ground_line(result)),

@@ -1,6 +1,6 @@
 """``bumpymap route``: the cheapest way over mapped ground, and what can be reached."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -55,6 +55,8 @@ def _reached(reach: "Reach") -> str:
 
 
 def _row(route: "Route") -> tuple[str, ...]:
+    from bumpymap.core import chance_text
+
     found = route.figures
     return (
         route.name,
@@ -64,7 +66,7 @@ def _row(route: "Route") -> tuple[str, ...]:
         cell(found.c_r_mean, ".3f"),
         cell(found.c_r_line, ".3f"),
         cell(found.c_r_max, ".3f"),
-        f"{found.p_arrives:.1%}",
+        chance_text(found.p_arrives),
         f"{found.unknown_m:,.0f}",
         f"{found.climb_m:.0f}/{found.descent_m:.0f}",
         _time(found.seconds),
@@ -103,7 +105,21 @@ def _remarks(result: "RouteResult", config: RouteConfig) -> Iterator[str]:
     )
     if (straight := result.routes[0].straight) and straight.words:
         yield straight.words
-    yield "arrives: if failures on different metres are independent; errors of neighbouring tiles go together"
+    yield from _seen(result.routes)
+
+
+def _seen(routes: "Sequence[Route]") -> Iterator[str]:
+    """Say what the chances to arrive rest on: way by way if that differs."""
+    from bumpymap.core import SeenSizes
+
+    rest = "and failures on different metres are independent; errors of neighbouring tiles go together"
+    sizes = [route.figures.seen for route in routes]
+    if len({seen.condition for seen in sizes}) == 1:
+        sizes, names = [SeenSizes.worst(sizes)], ["arrives"]
+    else:
+        names = [route.name for route in routes]
+    for name, seen in zip(names, sizes, strict=True):
+        yield f"{name}: {seen.condition} {rest}. {seen.sentence}".rstrip()
 
 
 def _time(seconds: float) -> str:

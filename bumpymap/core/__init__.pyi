@@ -205,6 +205,18 @@ from .scan_types import (
     point_classes as point_classes,
     sector_bounds as sector_bounds,
 )
+from .seen_sizes import (
+    MOST_STEP as MOST_STEP,
+    OBSTACLE_SHARE as OBSTACLE_SHARE,
+    SEEN_NUMBERS as SEEN_NUMBERS,
+    SeenSizes as SeenSizes,
+    chance_text as chance_text,
+    density_for as density_for,
+    points_needed as points_needed,
+    size_text as size_text,
+    smallest_object as smallest_object,
+    smallest_step as smallest_step,
+)
 from .settings import (
     UNFILLED as UNFILLED,
     Declared as Declared,
@@ -267,6 +279,7 @@ from .types import (
     POINT_PLANT as POINT_PLANT,
     REASON_TEXT as REASON_TEXT,
     SEEN as SEEN,
+    SEEN_COLUMNS as SEEN_COLUMNS,
     SEEN_PER_M2 as SEEN_PER_M2,
     SIDES as SIDES,
     SOLID as SOLID,

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core.config import DirectionSettings
+from bumpymap.core.seen_sizes import SeenSizes
 from bumpymap.core.types import CostRule, Georeference, obstacle_reach
 from bumpytiles import Grid, TileWindow
 
@@ -51,6 +52,12 @@ class TileField:
     """(rows, cols) share of simulated drives that fail, 0..1."""
     obstacle: NDArray[np.float32]
     """(rows, cols) share of the pixels with an obstacle, 0..1."""
+    all_density: NDArray[np.float32]
+    """(rows, cols) points of any class per m2; NaN if unknown (so are the next two)."""
+    smallest_object: NDArray[np.float32]
+    """(rows, cols) side of the narrowest standing object that would have shown, m."""
+    smallest_step: NDArray[np.float32]
+    """(rows, cols) lowest step that would have been found, m."""
     rule: CostRule
     """How ride and risk become cost."""
     vehicle: RouteVehicle
@@ -241,11 +248,14 @@ class RouteFigures:
     c_r_line_high: float = math.nan
     road: RoadFigures | None = None
     """Of the whole way, in terms of road practice; None if it is shorter than 10 m or the ride of its line unknown."""
+    seen: SeenSizes = SeenSizes()  # noqa: RUF009 (frozen)
+    """Smallest things that the survey would have shown on all but the worst twentieth of the way."""
 
     @property
     def p_arrives(self) -> float:
         """Probability of arriving, if failures are independent: ``exp(-hazard - tight_turns_deg / 100) 2^-obstacle_m``.
 
+        It holds if nothing stands in the way that the survey would not have shown: see ``seen``.
         A vehicle that turns swings its corners out: of simulated drives past trees, a share of 1 % was caught for each
         degree of a tight turn (docs/pages/routes.md). Nobody knows what driving through an obstacle does: each metre of
         it is counted as failing every second time.

@@ -408,6 +408,10 @@ class CostMap:
     """Rule by which tiles are passable, and their cost."""
     objects: ObjectStack | None = None
     """Objects on the ground; None where that is part of the relief, because all points are measured as ground."""
+    all_density: NDArray[np.float32] | None = None
+    """(n,) points of any class per square metre; None if no objects are looked for, as the next."""
+    smallest_object: NDArray[np.float32] | None = None
+    """(n,) side of the narrowest standing object that would have shown with 95 %, m."""
     thin: NDArray[np.float32] | None = None
     """(n, 20) what the rating of thin tiles needs, see `bumpymap.rating.thin_columns`; None if they are not rated."""
     motion: NDArray[np.float32] | None = None
@@ -429,6 +433,9 @@ class CostMap:
         own |= objects.columns()
         tiles = len(self.class_id)
         own["thin"] = np.full((tiles, THIN_MEASURES), np.nan, np.float32) if self.thin is None else self.thin
+        unseen = np.full(tiles, np.nan, np.float32)
+        seen = {name: getattr(self, name) for name in ("all_density", "smallest_object")}
+        own |= {name: unseen if values is None else values for name, values in seen.items()}
         more = {"motion": self.motion, "headings": self.headings}
         own |= {name: values for name, values in more.items() if values is not None}
         names = [column.name for column in rated_columns(self.patches.grid.pixels) if column.name not in own]
@@ -470,6 +477,7 @@ def rated_columns(pixels: int, speeds: int = 0, *, headings: bool = False) -> tu
         Column("probability", "<f4", (len(TEXTURES),)),
         Column("heights", "<f4", (pixels, pixels)),
         *(Column(name, "<f4") for name in ("obstacle", "obstacle_height", "clearance", "canopy")),
+        *(Column(name, "<f4") for name in ("all_density", "smallest_object")),
         Column("objects", "|u1", (pixels, pixels)),
         Column("thin", "<f4", (THIN_MEASURES,)),
         *_asked_columns(speeds, headings),
@@ -482,12 +490,17 @@ def _asked_columns(speeds: int, headings: bool) -> tuple[Column, ...]:
     return (*motion, *((Column("headings", "<f4", (len(AXES_DEG),)),) if headings else ()))
 
 
+SEEN_COLUMNS = ("all_density", "smallest_object", "smallest_step")
+"""Columns of what the survey of a tile would have shown, as `SeenSizes` has them."""
+
+
 def neighbour_columns(pixels: int, speeds: int = 0, *, headings: bool = False) -> tuple[Column, ...]:
     """Return the columns that depend on the neighbours of a tile; rating and objects are among them: they may change.
 
     ``edge_step`` [m] is the highest of the steps at the four sides, ``step_north`` to ``step_west`` [m]; NaN where
     nothing is known beyond the side. ``inner_step`` [m] is the highest at the pixels of the tile. ``c_r_open`` and
-    ``p_fail_open`` are those of the ground beside the steps that close a part of it; else NaN. ``barred`` is a
+    ``p_fail_open`` are those of the ground beside the steps that close a part of it; else NaN. ``all_density``,
+    ``smallest_object`` and ``smallest_step`` [m] say what would have shown; NaN in unknown tiles. ``barred`` is a
     `Barred`; ``passable`` is 1 or 0. ``passage`` numbers the areas of a tile in which the middle of the vehicle can
     move, from 1, the largest; 0 where it cannot be. ``motion`` holds the values of `speed_bands`, of so many
     ``speeds``; ``headings`` that of `HEADING_BANDS`.
@@ -504,6 +517,7 @@ def neighbour_columns(pixels: int, speeds: int = 0, *, headings: bool = False) -
         "inner_step",
         "c_r_open",
         "p_fail_open",
+        *SEEN_COLUMNS,
     )
     return (
         *(Column(name, "|u1") for name in ("reason", "class_id", "barred", "passable")),
@@ -559,6 +573,9 @@ BANDS: tuple[Band, ...] = (
     Band("inner_step", "m", "highest step inside the tile"),
     Band("c_r_open", "rad/m", "ride cost beside the steps that close a part of the tile"),
     Band("p_fail_open", "", "share of simulated drives that fail beside these steps"),
+    Band("all_density", "m-2", "points of any class per square metre"),
+    Band("smallest_object", "m", "side of the narrowest standing object that the survey would have shown with 95 %"),
+    Band("smallest_step", "m", "lowest step of the ground that would have been found with 95 %; 10: none"),
 )
 """The bands of roughness.tif, in order."""
 

@@ -23,6 +23,8 @@ from bumpymap.core import (
     CLASS_NAMES,
     NO_CLASS,
     REASON_TEXT,
+    SEEN_COLUMNS,
+    SEEN_NUMBERS,
     THIN_POINTS,
     BadInputError,
     Barred,
@@ -31,6 +33,7 @@ from bumpymap.core import (
     Nullable,
     Number,
     Reason,
+    SeenSizes,
     atomic,
     plain_json,
     read_record,
@@ -47,6 +50,8 @@ _OBJECT_HEIGHT = 0.5
 _BINS = 1 << 16
 _STEPS = {"c_r": 1 / 8192, "slope": 1 / 512}
 """Width of a histogram bin, rad/m and degrees: an eighth of the last printed digit, up to 8 rad/m and 128 degrees."""
+_SEEN_STEPS = dict(zip(SEEN_COLUMNS, (1 / 16, 1 / 2048, 1 / 2048), strict=True))
+"""The same of what the survey would have shown, points/m2 and m: up to 4096 points/m2 and 32 m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +91,8 @@ class MapSummary:
     """Those in which the heights inside a pixel have a standard deviation above 0.5 m: layers above one another."""
     tall: int = 0
     """Those whose points are more than 0.5 m from the RANSAC plane, on average."""
+    seen: SeenSizes = SeenSizes()  # noqa: RUF009 (frozen)
+    """Smallest things that the survey would have shown in the median tile with a class."""
 
     @classmethod
     def of(cls, counts: Mapping[str, Any]) -> Self:
@@ -104,6 +111,7 @@ class MapSummary:
             median_slope=tuple(medians[1]),
             failing=counts["failing"],
             by_holes=counts.get("by_holes", 0),
+            seen=SeenSizes.of(counts.get("seen_sizes") or {}),
             **counts["objects"],
         )
 
@@ -143,12 +151,14 @@ def summarise(table: CostTable, limits: Sequence[float] | None = None) -> MapSum
     groups = len(CLASS_NAMES) + 1
     spread = {name: np.zeros((groups, _BINS), dtype=np.int64) for name in _STEPS}
     counts = np.zeros((1, _BINS), dtype=np.int64)
+    sizes = {name: np.zeros((1, _BINS), dtype=np.int64) for name in _SEEN_STEPS}
     reasons = np.zeros(len(Reason), dtype=np.int64)
     classes = np.zeros(groups, dtype=np.int64)
     barred = np.zeros(len(Barred), dtype=np.int64)
     points = failing = by_holes = 0
     for strip in table.tiles.strips(_STRIP):
-        found = table.tiles.read(("class_id", "barred", "reason", "count", "p_fail", "confidence", *_STEPS), strip)
+        names = ("class_id", "barred", "reason", "count", "p_fail", "confidence", *_STEPS, *_SEEN_STEPS)
+        found = table.tiles.read(names, strip)
         barred += np.bincount(found["barred"], minlength=len(Barred))
         group = np.where(found["class_id"] == NO_CLASS, groups - 1, found["class_id"]).astype(np.int64)
         classes += np.bincount(group, minlength=groups)
@@ -156,6 +166,9 @@ def summarise(table: CostTable, limits: Sequence[float] | None = None) -> MapSum
         by_holes += int(((found["class_id"] != NO_CLASS) & np.isnan(found["confidence"])).sum())
         points += int(found["count"].sum())
         _count(counts, np.zeros_like(group), found["count"].astype(np.float64))
+        known = found["class_id"] != NO_CLASS
+        for name, step in _SEEN_STEPS.items():
+            _count(sizes[name], np.zeros_like(group[known]), found[name][known] / step)
         if limits is not None:
             fails = (found["class_id"] == len(limits)) & (found["c_r"] < np.float32(limits[-1]))
             failing += int(fails.sum())
@@ -174,6 +187,7 @@ def summarise(table: CostTable, limits: Sequence[float] | None = None) -> MapSum
         median_count=_median(counts[0]),
         failing=failing,
         by_holes=by_holes,
+        seen=SeenSizes(*((_median(sizes[name][0]) + 0.5) * step for name, step in _SEEN_STEPS.items())),
         **_count_objects(table),
     )
 
@@ -228,6 +242,8 @@ PLACE_SHAPE: dict[str, Any] = {
 }
 """Shape of what manifests of maps and of comparisons say of their place and files."""
 _POSITIVE = Number(0, 1e9)
+SEEN_SHAPE: dict[str, Any] = {f"{name}?": Nullable(_POSITIVE) for name in SEEN_NUMBERS} | {"seen?": str}
+"""Shape of `SeenSizes.record`."""
 _INPUT = {"path": str, "bytes?": Nullable(COUNT), "points?": Nullable(COUNT), "checksum?": Nullable(str)}
 _SHAPE: dict[str, Any] = PLACE_SHAPE | {
     "survey": {"name": str, "checksum": Nullable(str), "dates": Nullable([str])},
@@ -260,6 +276,7 @@ _SHAPE: dict[str, Any] = PLACE_SHAPE | {
         "median_count": Nullable(_POSITIVE),
         "failing": COUNT,
         "objects": {"judged": COUNT, "layered": COUNT, "tall": COUNT},
+        "seen_sizes?": SEEN_SHAPE,
     },
 }
 _VERSION = 2
@@ -337,6 +354,7 @@ def complete_manifest(
                 "median_slope": summary.median_slope,
                 "median_count": summary.median_count,
                 "objects": {"judged": summary.judged, "layered": summary.layered, "tall": summary.tall},
+                "seen_sizes": summary.seen.record(),
             },
             "files": [],
         }

@@ -20,6 +20,7 @@ from bumpymap.core import (
     NO_CLASS,
     NO_TILE,
     OPEN_THROUGH,
+    SEEN_COLUMNS,
     BadInputError,
     Barred,
     CostRule,
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
 
 Coordinate = TypeVar("Coordinate", float, NDArray[np.float64])
 
-_BANDS = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle")
+_BANDS = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle", *SEEN_COLUMNS)
 
 _DTYPES = {
     MapFile.BARRED: "uint8",
@@ -106,8 +107,8 @@ class MapReader:
         Parameters
         ----------
         bands : sequence of str
-            Of ``c_r``, ``c_r_low``, ``c_r_high``, ``p_fail`` and ``obstacle``. Arrays of the others are NaN, read-only
-            and take no memory. Of tiles that a step closes in part they are those of what is open.
+            Names of arrays of `TileField`. Those of the others are NaN, read-only and take no memory. Of tiles that a
+            step closes in part they are those of what is open.
         """
         found = self.values(window, bands)
         self._take_open_part(found, window)

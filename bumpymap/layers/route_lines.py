@@ -17,7 +17,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, Route, atomic, write_csv
+from bumpymap.core import BadInputError, Route, atomic, chance_text, write_csv
 from bumpymap.layers._imports import import_notebook
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.vector import DEGREE_DECIMALS, GeoJsonCoordinates, feature, write_features
@@ -57,7 +57,8 @@ def route_properties(route: Route) -> dict[str, Any]:
         "iso_8608": _told(resolved.iso_class, 0) if resolved else None,
         "iri_resolution": road.resolution if road else "unknown",
         "iri_note": IRI_NOTE,
-        "p_arrives_note": P_ARRIVES_NOTE,
+        "p_arrives_note": f"{figures.seen.condition}; {P_ARRIVES_NOTE}",
+        **figures.seen.record(),
         "risk_m": _told(route.risk_m, 3),
         "why": route.straight.words if route.straight else "",
     }
@@ -273,8 +274,8 @@ def _description(route: Route) -> str:
     touching = f"touches obstacles on {figures.obstacle_m:.1f} m, " if figures.obstacle_m > 0.0 else ""
     return (
         f"{figures.length_m:.1f} m for {route.vehicle.name}, {touching}mean ride cost {figures.c_r_mean:.3f} rad/m, "
-        f"P(arrives) {figures.p_arrives:.3f} ({P_ARRIVES_NOTE})"
-    )
+        f"arrives {chance_text(figures.p_arrives)} {figures.seen.condition} ({P_ARRIVES_NOTE}). {figures.seen.sentence}"
+    ).rstrip()
 
 
 def _text(parent: ET.Element, tag: str, text: str) -> None:
@@ -388,5 +389,5 @@ class PlannedRoute(Route):
         found = self.figures
         return (
             f"<Route {self.name} for {self.vehicle.name}: {found.length_m:,.1f} m, cost {found.cost_m:,.1f} m, "
-            f"c_r {found.c_r_mean:.3f} rad/m, P(arrives) {found.p_arrives:.3f}>"
+            f"c_r {found.c_r_mean:.3f} rad/m, arrives {chance_text(found.p_arrives)} {found.seen.condition}>"
         )

@@ -14,6 +14,7 @@ from bumpymap.core import (
     DENSE_COVERAGE,
     HOLE_POINTS,
     HOLE_SHARE,
+    OBSTACLE_SHARE,
     POINT_GROUND,
     FeatureSettings,
     ObjectStack,
@@ -190,8 +191,6 @@ def measure_thin(
 
 
 _OBJECT_SCALARS = 4
-_SHARE = 0.02
-"""Share of a neighbourhood's points that makes an obstacle: at 100 points/m2 and more a bird has more than one."""
 
 
 def find_objects(points: TilePoints, patches: PatchStack, body: VehicleBody) -> ObjectStack:
@@ -224,7 +223,7 @@ def find_objects(points: TilePoints, patches: PatchStack, body: VehicleBody) -> 
     state = np.empty((tiles, pixels, pixels), np.uint8)
     scalars = np.empty((tiles, _OBJECT_SCALARS))
     places = PointsByTile(points.starts, points.easting, points.northing, points.upward, points.col, points.row)
-    limits = ObjectLimits(points.grid.tile_size, body.lowest_obstacle_m, body.height_m, _SHARE)
+    limits = ObjectLimits(points.grid.tile_size, body.lowest_obstacle_m, body.height_m, OBSTACLE_SHARE)
     kind = np.ascontiguousarray(points.flag, np.uint8)
     found = TileObjects(kind, patches.heights, patches.spread_count, state, scalars)
     find_in_tiles(places, limits, found, object_scratch(pixels))

@@ -58,6 +58,7 @@ from bumpymap.core import FAIL_SHARE, NO_CLASS, BadInputError
 from bumpymap.rating._step_kernels import (
     REACH,
     RUN,
+    UNKNOWN_NOISE,
     RawSteps,
     StepMosaic,
     TileSlopes,
@@ -285,6 +286,9 @@ class TileSteps:
     low: NDArray[np.bool_]
     """Of the same shape: pixels so far below one beside them, and well beyond the noise of their tile. Runs of pixels
     do not tell the last metre of a ditch, or a hole; these do where it is known that the ground breaks off."""
+    limit: NDArray[np.float32]
+    """(n, m) up to that height steps do not stand out from noise and roughness of the tile; of `bumpymap.core`, see
+    `smallest_step`."""
 
     @property
     def edge_step(self) -> NDArray[np.float32]:
@@ -361,7 +365,9 @@ def find_steps(
     border = np.stack([north, east, south, west], axis=-1)
     closed |= closed_too.T | _jumps(np.ascontiguousarray(z[RUN:-RUN]), slopes, closing, level)
     low = _below_others(heights, np.fmax(closing, _JUMP * noise), pixels) if closed.any() else closed
-    return TileSteps(*(part.astype(np.float32) for part in (border, inner, rim)), closed, low)
+    own = np.where(np.isnan(limit), UNKNOWN_NOISE, limit)[1:-1, 1:-1]
+    border, inner, rim, own = (part.astype(np.float32) for part in (border, inner, rim, own))
+    return TileSteps(border, inner, rim, closed, low, own)
 
 
 def _sure(gradient: Floats, spread: Floats, heights: Floats, pixels: int) -> Floats:

@@ -90,6 +90,11 @@ class CostGround:
     """Obstacles may be touched, at a hundred times the cost."""
 
     @property
+    def closes_more(self) -> bool:
+        """True if tiles are closed that the map has open: by areas, or because little would have shown there."""
+        return self.avoid is not None or self.only is not None or self.settings.seen_width is not None
+
+    @property
     def risk_m(self) -> float:
         """Weight of the hazard by the settings, m."""
         if self.settings.risk is None:
@@ -110,7 +115,8 @@ class CostGround:
     def bands(self) -> tuple[str, ...]:
         """Bands of the map on which the cost depends, besides what bars tiles."""
         obstacle = () if self.settings.unknown is None else ("obstacle",)
-        return ("c_r_high" if self.settings.robust else "c_r", "p_fail", *obstacle)
+        seen = () if self.settings.seen_width is None else ("smallest_object",)
+        return ("c_r_high" if self.settings.robust else "c_r", "p_fail", *obstacle, *seen)
 
     @property
     def knows_headings(self) -> bool:
@@ -165,12 +171,13 @@ class CostGround:
         """Return the same for tiles that have been read: ``1 + ride_weight c_r + risk hazard``, or that by time.
 
         Closed are tiles that are not passable, by their ground or, unless ``through``, by what obstacles leave of them,
-        and those that the areas close. With the risk of the vehicle profile these are the values of cost.tif. Unknown
-        tiles, which hold points but have no class, are closed unless the settings give their cost; even then, those in
-        which an obstacle was seen. Tiles without points are closed in any case: around a survey there are as many of
-        them as its bounding rectangle happens to hold, and inside it they are mostly water and shade, of which nothing
-        at all is known. An unknown hazard counts as 0; a robust plan takes the upper end of the interval of c_r. With
-        ``headings``, C_r along each axis, (rows, cols, 8), c_r and the ends of its interval are in proportion to it.
+        and those that areas or ``seen_width`` close. With the risk of the vehicle profile these are the values of
+        cost.tif. Unknown tiles, which hold points but have no class, are closed unless the settings give their cost;
+        even then, those in which an obstacle was seen. Tiles without points are closed in any case: around a survey
+        there are as many of them as its bounding rectangle happens to hold, and inside it they are mostly water and
+        shade, of which nothing at all is known. An unknown hazard counts as 0; a robust plan takes the upper end of the
+        interval of c_r. With ``headings``, C_r along each axis, (rows, cols, 8), c_r and the ends of its interval are
+        in proportion to it.
         """
         rule, settings = tiles.rule, self.settings
         weighed = replace(rule, fail_weight=self.risk_m if self.risk is None else self.risk)
@@ -188,6 +195,8 @@ class CostGround:
             cost[rows] = np.where(is_open[..., None] & np.isfinite(factor), factor, np.inf)
             if settings.unknown is not None:
                 cost[rows][np.isin(barred, CROSSING_UNKNOWN) & ~(tiles.obstacle[rows] > 0.0)] = settings.unknown
+        if settings.seen_width is not None:
+            cost[~(tiles.smallest_object <= settings.seen_width)] = np.inf
         if self.avoid is not None:
             cost[tiles_in(self.avoid, tiles.window, tiles.grid)] = np.inf
         if self.only is not None:
@@ -231,14 +240,15 @@ class CostGround:
     def _free(self, window: TileWindow, closed: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return where the middle of the vehicle can be; ``closed`` are pixels of closed tiles.
 
-        passage.tif knows neither areas to avoid nor that unknown ground may be crossed: then distances are measured.
+        passage.tif does not know what else is closed, nor that unknown ground may be crossed: then distances are
+        measured.
         """
         crosses_unknown = self.settings.unknown is not None
         free = np.ones(closed.shape, np.bool_) if crosses_unknown else self.site.passage(window)
         reach = self.site.vehicle.reach_m / self.site.grid.pixel_size
         if crosses_unknown:
             free &= _apart(np.isin(self.site.objects(window), (OBSTACLE, STEP_LINE)), reach)
-        if crosses_unknown or self.avoid is not None or self.only is not None:
+        if crosses_unknown or self.closes_more:
             free &= _apart(closed, min(reach, self.margin * self.site.grid.pixels) + 0.5)
         return free
 

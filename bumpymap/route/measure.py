@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from bumpymap.core import (
     CROSSING_UNKNOWN,
+    SEEN_COLUMNS,
     RoadFigures,
     RouteFigures,
     RouteProfile,
+    SeenSizes,
     TracedLine,
     axis_values,
     by_mean,
@@ -31,6 +33,8 @@ _STRETCH_TILES = 128
 """Longest stretch, tiles."""
 _SAMPLES_A_TILE = 3
 _RIDE = ("c_r", "c_r_low", "c_r_high")
+_WORST = 0.05
+"""Share of a way on which less may be seen than its figures say."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,9 +61,9 @@ class MeasuredWay:
 
 _Pieces: TypeAlias = dict[str, NDArray[Any]]
 """The pieces of a way inside single tiles, (n,) each: ``col`` and ``row`` on the grid, ``length`` m, ``cost`` and
-``hazard`` per metre (0 if unknown), ``slow`` s/m, ``barred``, ``unknown``, ``c_r``, ``c_r_low``, ``c_r_high`` and
-``p_fail`` (NaN if unknown); cost and ride are those of the heading, if it is known. And of the cost what slopes add,
-``slope``, and ``across``: whether it lies across a slope that is steeper than the limit."""
+``hazard`` per metre (0 if unknown), ``slow`` s/m, ``barred``, ``unknown``, ``c_r``, ``c_r_low``, ``c_r_high``,
+``p_fail`` and what would have shown (NaN if unknown); cost and ride are those of the heading, if it is known. And of
+the cost what slopes add, ``slope``, and ``across``: whether it lies across a slope that is steeper than the limit."""
 
 
 def measure_way(ground: CostGround, line: Floats, stops: Floats) -> MeasuredWay:
@@ -96,6 +100,7 @@ def measure_way(ground: CostGround, line: Floats, stops: Floats) -> MeasuredWay:
         climb_m=climb[0],
         descent_m=climb[1],
         seconds=float((pieces["length"] * pieces["slow"]).sum()),
+        seen=_seen_sizes(pieces),
     )
     return MeasuredWay(line, figures, profile, np.column_stack([pieces["col"], pieces["row"]]))
 
@@ -142,6 +147,7 @@ def _pieces(ground: CostGround, line: Floats) -> _Pieces:
         "hazard": np.where(unknown | np.isnan(hazard), 0.0, hazard),
         "unknown": unknown,
         "slow": slow,
+        **{name: getattr(tiles, name)[at] for name in SEEN_COLUMNS},
         **{name: np.where(unknown, np.nan, values) for name, values in (ride | {"p_fail": tiles.p_fail[at]}).items()},
     }
 
@@ -158,6 +164,24 @@ def _ride(pieces: _Pieces) -> dict[str, Any]:
         found[f"{kind}_mean{end}"] = float(mean)
         found[f"{kind}_max{end}"] = float(pieces[name][worst]) if known.any() else math.nan
     return found
+
+
+def _seen_sizes(pieces: _Pieces) -> SeenSizes:
+    """Return what the survey would have shown on all but the worst twentieth of a way."""
+    shares = (_WORST, 1.0 - _WORST, 1.0 - _WORST)
+    return SeenSizes(
+        *(_quantile(pieces[name], pieces["length"], share) for name, share in zip(SEEN_COLUMNS, shares, strict=True))
+    )
+
+
+def _quantile(values: NDArray[np.floating], weights: Floats, share: float) -> float:
+    """Return the value that a share of the weight does not exceed; NaN if none is known."""
+    known = np.isfinite(values)
+    if not known.any():
+        return math.nan
+    order = np.argsort(values[known], kind="stable")
+    total = np.cumsum(weights[known][order])
+    return float(values[known][order[np.searchsorted(total, share * total[-1])]])
 
 
 def _climb(profile: RouteProfile, tile_size: float) -> tuple[float, float]:

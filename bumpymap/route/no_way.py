@@ -3,12 +3,13 @@
 import math
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from bumpymap.core import BARRED_TEXT, OBSTACLE, Barred
+from bumpymap.core import BARRED_TEXT, OBSTACLE, Barred, density_for
 from bumpymap.layers import STEP_LINE
 from bumpymap.route.ground import PIXEL_MARGIN, CostGround, window_around
 from bumpymap.route.passages import BYTES_PER_TILE, first_pad
@@ -29,11 +30,8 @@ def what_closes(ground: CostGround, start: Floats, goal: Floats) -> str:
 
     Empty if memory does not allow to look for either. If the limit of slopes across is to blame, that is said instead.
     """
-    if ground.settings.side_limit is not None:
-        flat = replace(ground, settings=replace(ground.settings, side_limit=None))
-        if Planner(flat).line(start, goal) is not None:
-            limit = f"{ground.settings.side_limit:g} degrees"
-            return f"Every way between them crosses slopes of more than {limit}: raise `side_limit` to find one. "
+    if why := _barred_by_setting(ground, start, goal):
+        return why
     needed, found = 2.0 * ground.site.vehicle.reach_m, widest_opening(ground, start, goal)
     if found is not None and found[1] < needed:
         place, width = found
@@ -64,6 +62,28 @@ def what_closes(ground: CostGround, start: Floats, goal: Floats) -> str:
         f"Both sides come closest at {place_text(site, middle)}, {math.dist(*closest) * grid.tile_size:.0f} m from "
         f"tile to tile, where there is: {why}. "
     )
+
+
+def _barred_by_setting(ground: CostGround, start: Floats, goal: Floats) -> str:
+    """Say which setting, and it alone, closes every way between two points; empty if none does."""
+    settings, pixel_m = ground.settings, ground.site.grid.pixel_size
+    if settings.side_limit is not None and _joined(ground, start, goal, side_limit=None):
+        limit = f"{settings.side_limit:g} degrees"
+        return f"Every way between them crosses slopes of more than {limit}: raise `side_limit` to find one. "
+    if settings.seen_width is not None and _joined(ground, start, goal, seen_width=None):
+        width, in_relief = settings.seen_width, not ground.site.manifest.get("ground_only")
+        return (
+            f"Every way between them crosses ground where objects of {width:g} m would not be seen: that takes "
+            f"{density_for(width, pixel_m, in_relief=in_relief):,.0f} points/m2, evenly spread. Survey it again, or "
+            "raise `seen_width`. "
+        )
+    return ""
+
+
+def _joined(ground: CostGround, start: Floats, goal: Floats, **settings: Any) -> bool:
+    """Return whether there is a way between two points with other settings."""
+    other = replace(ground, settings=replace(ground.settings, **settings))
+    return Planner(other).line(start, goal) is not None
 
 
 def widest_opening(ground: CostGround, start: Floats, goal: Floats) -> tuple[Floats, float] | None:

@@ -97,6 +97,7 @@ class ReachSettings(TypedDict, total=False):
     side_slope: float
     side_limit: float | None
     unknown: float | None
+    seen_width: float | None
     snap: float
     avoid: PathLike | None
     only: PathLike | None
@@ -139,8 +140,8 @@ def find_routes(
     **settings
         Those of ``bumpymap route``, with underscores: ``alternatives``, ``by`` (``cost`` or ``time``), ``risk`` [m],
         ``robust``, ``direction``, ``climb``, ``descent``, ``side_slope`` [m], ``side_limit`` [deg], ``unknown`` [cost
-        per metre], ``snap`` [m], ``visit``, ``round_trip``, ``avoid``, ``only``, ``allow_outside``, ``calibration``,
-        ``through_obstacles``, ``memory``, ``overwrite``.
+        per metre], ``seen_width`` [m], ``snap`` [m], ``visit``, ``round_trip``, ``avoid``, ``only``,
+        ``allow_outside``, ``calibration``, ``through_obstacles``, ``memory``, ``overwrite``.
 
     Returns
     -------
@@ -189,7 +190,7 @@ def map_reach(
         Tiles farther away than this are left out where possible, so that less is read.
     **settings
         ``by``, ``risk``, ``robust``, ``direction``, ``climb``, ``descent``, ``side_slope``, ``side_limit``,
-        ``unknown``, ``snap``, ``avoid``, ``only``, ``allow_outside``, ``memory``, as in `find_routes`.
+        ``unknown``, ``seen_width``, ``snap``, ``avoid``, ``only``, ``allow_outside``, ``memory``, as in `find_routes`.
 
     Returns
     -------

@@ -25,6 +25,13 @@ class CostSettings(DirectionSettings):
         float | None, Setting("Cross unknown ground at this cost per metre", "COST", 1.0, MOST_COST, group="Ground")
     ] = None
     """Cost per metre of unknown ground; None: it is not crossed."""
+    seen_width: Annotated[
+        float | None,
+        Setting(
+            "Refuse ground where objects of width M would not show", "M", 0.0, unit="m", group="Ground", exclusive=True
+        ),
+    ] = None
+    """m; tiles whose ``smallest_object`` is more are closed, as are those of which that is not known; None: none is."""
     avoid: Annotated[Path | None, Setting("Polygons that are not entered", "FILE", group="Ground")] = None
     only: Annotated[Path | None, Setting("Polygons that are not left", "FILE", group="Ground")] = None
     allow_outside: Annotated[bool, Setting("It is no error if a polygon lies off the map", rare=True)] = False

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BARRED_TEXT, CROSSING_UNKNOWN, NO_TILE, BadInputError, Barred, TileField
+from bumpymap.core import BARRED_TEXT, CROSSING_UNKNOWN, NO_TILE, OPEN_THROUGH, BadInputError, Barred, TileField
 from bumpymap.layers import MapReader, read_points
 from bumpymap.route.ground import CostGround
 from bumpymap.route.places import GridPoint, parse_point, place_in_window, place_point, window_within
@@ -34,13 +34,15 @@ def _nearest(is_open: NDArray[np.bool_], row: float, col: float) -> tuple[float,
     return float(rows[at]) + 0.5, float(cols[at]) + 0.5, float(apart[at])
 
 
-def _closed_by(field: TileField, row: float, col: float) -> str:
+def _closed_by(field: TileField, row: float, col: float, seen_width: float | None) -> str:
     """Say what closes the tile at a point."""
     rows, cols = field.barred.shape
     i, j = math.floor(row), math.floor(col)
     code = int(field.barred[i, j]) if 0 <= i < rows and 0 <= j < cols else NO_TILE
     if code == NO_TILE:
         return "a tile without points, of which nothing is known"
+    if seen_width is not None and code in OPEN_THROUGH and not field.smallest_object[i, j] <= seen_width:
+        return f"ground where objects of {seen_width:g} m would not be seen, which `seen_width` closes"
     if code in {Barred.NO, Barred.SPLIT}:
         return (
             "ground that is closed: the vehicle does not fit beside an obstacle or other closed ground, or `avoid` or "
@@ -154,5 +156,5 @@ def usable_point(ground: CostGround, name: str, point: GridPoint, snap_m: float)
         )
         if apart * grid.pixel_size <= max(snap_m, _ALWAYS_M):
             return near
-    why = _closed_by(site.read(window, ground.bands), row / cells, col / cells)
+    why = _closed_by(site.read(window, ground.bands), row / cells, col / cells, ground.settings.seen_width)
     raise BadInputError(f"{name} lies on {why}. {_remedy(site, point, near, window)}")

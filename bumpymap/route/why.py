@@ -76,7 +76,7 @@ def _why(pieces: dict[str, NDArray[Any]], at: int, *, is_closed: bool) -> str:
     if barred == NO_TILE:
         return "no points"
     if math.isinf(cost):
-        return BARRED_TEXT[Barred(barred)] if barred != Barred.NO else "outside the areas that may be used"
+        return BARRED_TEXT[Barred(barred)] if barred != Barred.NO else "outside the ground that may be used"
     if is_closed:
         return "across a slope steeper than the limit" if pieces["across"][at] else "no room beside an obstacle"
     if pieces["unknown"][at]:

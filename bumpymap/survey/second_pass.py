@@ -24,6 +24,7 @@ from bumpymap.core import (
     NO_CLASS,
     OBSTACLE,
     SEEN,
+    SEEN_COLUMNS,
     SEEN_PER_M2,
     SIDES,
     SOLID,
@@ -35,6 +36,7 @@ from bumpymap.core import (
     Reason,
     SilentProgress,
     neighbour_columns,
+    smallest_step,
 )
 from bumpymap.patches import settle_relief, settle_solids
 from bumpymap.rating import (
@@ -184,6 +186,7 @@ def _read_window(table: TileTable, read: _Read, rating: "_Rating", key: BlockKey
 
 _RATED = ("class_id", "c_r", "c_r_low", "c_r_high", "p_fail", "confidence", "reason")
 _OBJECTS = ("obstacle", "obstacle_height", "clearance")
+_STEPS = ("edge_step", "inner_step", *(f"step_{side}" for side in SIDES))
 _BESIDE_STEPS = ("c_r_open", "p_fail_open")
 _BESIDE = ((-1, 0), (0, 1), (1, 0), (0, -1))
 """Rows and columns to the tile beyond each side; rows go south."""
@@ -210,7 +213,8 @@ class NeighbourRating:
     @property
     def needs(self) -> tuple[str, ...]:
         """Columns of the finished tiles that it reads."""
-        return (*_RATED, "slope", "coverage", "heights", "objects", *_OBJECTS, "thin", *self._asked)
+        seen = ("density", "all_density", "smallest_object")
+        return (*_RATED, "slope", "coverage", "heights", "objects", *_OBJECTS, *seen, "thin", *self._asked)
 
     @property
     def columns(self) -> tuple[Column, ...]:
@@ -242,7 +246,7 @@ class NeighbourRating:
         objects = np.where(states == OBSTACLE, np.uint8(OBSTACLE), overhead)
         return (
             {name: own[name] for name in (*_RATED, *_OBJECTS, *self._asked)}
-            | dict.fromkeys(("edge_step", "inner_step", *(f"step_{side}" for side in SIDES), *_BESIDE_STEPS), nothing)
+            | dict.fromkeys((*_STEPS, *SEEN_COLUMNS, *_BESIDE_STEPS), nothing)
             | {"barred": np.full(tiles, Barred.UNKNOWN, np.uint8), _SIDES.name: np.zeros(tiles, np.uint8)}
             | {"objects": objects}
         )
@@ -277,6 +281,7 @@ class NeighbourRating:
             {name: own[name] for name in _RATED}
             | {f"step_{side}": steps.border[..., number] for number, side in enumerate(SIDES)}
             | {"edge_step": steps.edge_step, "inner_step": steps.inner}
+            | self._seen_sizes(window, own["class_id"], steps)
             | {"barred": barred, _SIDES.name: self._sides(known, steps)}
             | {"objects": states, "obstacle": obstacle}
             | beside
@@ -285,6 +290,15 @@ class NeighbourRating:
             | {"clearance": np.where((states == CANOPY).any(axis=(2, 3)), own["clearance"], nothing)}
             | self._by_speed_and_heading(window, own["c_r"])
         )
+
+    def _seen_sizes(self, window: NeighbourWindow, class_id: NDArray[np.uint8], steps: TileSteps) -> Columns:
+        """Return what the survey of the inner tiles would have shown."""
+        step = smallest_step(steps.limit, window.inner("density"), closing_height(self.calibration))
+        found = window.inner("all_density"), window.inner("smallest_object"), step
+        known = class_id != NO_CLASS
+        return {
+            name: np.where(known, values, np.float32(np.nan)) for name, values in zip(SEEN_COLUMNS, found, strict=True)
+        }
 
     def _by_speed_and_heading(self, window: NeighbourWindow, c_r: NDArray[np.float32]) -> Columns:
         """Return what is felt at other speeds and by heading in the inner tiles, as far as it is asked for."""
@@ -324,9 +338,9 @@ class NeighbourRating:
             wheel, closing = calibration.wheel_pixels, closing_height(calibration)
             return find_steps(window.mosaic("heights"), self.config.pixels, wheel, closing, standing)
         rows, cols = window.inner("class_id").shape
-        shapes = ((rows, cols, len(SIDES)), (rows, cols), (rows, cols))
+        border, one = (np.full(shape, np.nan, np.float32) for shape in ((rows, cols, len(SIDES)), (rows, cols)))
         closed = np.zeros(window.mosaic("objects").shape, np.bool_)
-        return TileSteps(*(np.full(shape, np.nan, np.float32) for shape in shapes), closed, closed)
+        return TileSteps(border, one, one, closed, closed, limit=one)
 
     def _decide_steps(
         self, window: NeighbourWindow, steps: TileSteps, own: Columns, states: NDArray[np.uint8]

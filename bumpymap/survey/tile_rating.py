@@ -9,13 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import (
+    EMPTY,
     POINT_GROUND,
     POINT_OTHER,
+    SEEN,
+    UNSEEN,
+    CostMap,
     Georeference,
     MapConfig,
     ObjectStack,
     PatchStack,
     TextureMap,
+    smallest_object,
 )
 from bumpymap.patches import (
     decks_as_ground,
@@ -145,6 +150,8 @@ class TileRating:
         # How thin a tile is, and whether it has holes, its survey tells, and not what stands on it.
         thin = self._thin(points, patches, on_ground, bare.count)
         measured = replace(patches, relief=bare.relief, slope=bare.slope, reason=bare.reason)
+        if objects is not None:
+            rated = _with_seen_sizes(rated, points, objects, in_relief=not ground_only)
         return replace(rated, patches=measured, objects=objects, thin=thin).columns()
 
     def _objects(self, points: TilePoints, patches: PatchStack) -> ObjectStack:
@@ -164,3 +171,11 @@ class TileRating:
             return None
         pairs, relief_map = measure_thin(points, patches, self.config.features, ground_only=ground_only)
         return thin_columns(pairs, relief_map, count, self.ride.operator)
+
+
+def _with_seen_sizes(rated: CostMap, points: TilePoints, objects: ObjectStack, *, in_relief: bool) -> CostMap:
+    """Add which objects the survey of the tiles would have shown."""
+    states, count, size = objects.objects, np.diff(points.starts), points.grid.tile_size
+    held = (states != UNSEEN) & (states % SEEN != EMPTY)
+    smallest = smallest_object(held, count, size, in_relief=in_relief)
+    return replace(rated, all_density=(count / size**2).astype(np.float32), smallest_object=smallest)

@@ -9,6 +9,7 @@ import numpy as np
 
 from bumpymap.core import (
     CLASS_NAMES,
+    SeenSizes,
     count_text,
     parse_json,
     share_text,
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 DASH = "\N{EN DASH}"
 """Stands where nothing is known."""
-_PERCENT = "\N{NO-BREAK SPACE}%"
+PERCENT = "\N{NO-BREAK SPACE}%"
 _SQUARE_KILOMETRE, _HECTARE = 1e6, 1e4
 
 
@@ -36,14 +37,14 @@ def whole(value: int) -> str:
     return f"{value:,}"
 
 
-def share(part: float, total: float, percent: str = _PERCENT) -> str:
+def share(part: float, total: float, percent: str = PERCENT) -> str:
     """Return a share in per cent; small shares are not rounded to nothing, nor large ones to all."""
     return share_text(part / total, percent=percent) if total else DASH
 
 
 def shares(counts: Sequence[float], alone: Collection[int] = ()) -> list[str]:
     """Return the shares of all parts of a whole, which make 100 % together; see `shares_text`."""
-    return shares_text(counts, alone, percent=_PERCENT) if sum(counts) else [DASH] * len(counts)
+    return shares_text(counts, alone, percent=PERCENT) if sum(counts) else [DASH] * len(counts)
 
 
 def area(square_metres: float, among: float | None = None) -> str:
@@ -116,6 +117,11 @@ def base_name(path: str) -> str:
 def survey_name(record: Mapping[str, Any]) -> str:
     """Return the name of the survey of a map."""
     return str(record["survey"]["name"])
+
+
+def seen_sizes(record: Mapping[str, Any]) -> SeenSizes:
+    """Return what the survey of a map would have shown in the median tile, by its run.json."""
+    return SeenSizes.of(record.get("counts", {}).get("seen_sizes") or {})
 
 
 FEW = 5

@@ -87,8 +87,11 @@ def judge(case):
     wide = GROUND[kind][1] if kind in GROUND and np.isfinite(GROUND[kind][1]) else 0.0
     is_way = _joins(free.swapaxes(1, 2).reshape(TILES * 15, TILES * 15), beyond, wide)
     over_tiles = _joins((barred == Barred.NO) & inner, beyond, wide)
-    return is_way, over_tiles, int(((barred != Barred.NO) & inner & (np.abs(away - 0.5 * wide) > 4.5)).sum()), int(
-        ((barred != Barred.NO) & inner).sum()
+    return (
+        is_way,
+        over_tiles,
+        int(((barred != Barred.NO) & inner & (np.abs(away - 0.5 * wide) > 4.5)).sum()),
+        int(((barred != Barred.NO) & inner).sum()),
     )
 
 

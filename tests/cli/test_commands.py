@@ -293,6 +293,29 @@ def test_where_there_is_no_way_the_message_says_between_which_points_and_what_to
     assert "--unknown COST" in text
 
 
+def test_where_the_survey_is_too_thin_the_message_says_what_density_would_do(tmp_path):
+    thin = site()
+    seen = np.where(np.abs(thin.patches.col - WEST - 20) < 2, 0.69, 0.3).astype(np.float32)
+    write_folder(tmp_path / "thin", replace(thin, smallest_object=seen))
+    words = "route", tmp_path / "thin", "--from", place(5.5, 5.5), "--to", place(5.5, 25.5)
+    done = run(*words)
+    assert "if nothing narrower than 0.7 m stands in the way" in " ".join(done.stdout.split())
+    (way,) = json.loads(run(*words, "--json").stdout)["routes"]
+    assert way["smallest_object_m"] == pytest.approx(0.69)
+    refused = run(*words, "--seen-width", "0.5")
+    assert refused.exit_code == 3
+    text = " ".join(refused.output.split())
+    assert re.search(r"where objects of 0\.5 m would not be seen: that takes \d+ points/m2.* raise --seen-width", text)
+    inside = run(*words[:3], place(5.5, 20.5), *words[4:], "--seen-width", "0.5")
+    assert "objects of 0.5 m would not be seen, which --seen-width closes" in " ".join(inside.output.split())
+    record = json.loads((tmp_path / "thin" / "run.json").read_text())
+    assert "are not seen" in record["counts"]["seen_sizes"]["seen"]
+    assert run("export", tmp_path / "thin", "--to", "nav2", "--out", tmp_path / "nav2").exit_code == 0
+    exported = json.loads((tmp_path / "nav2" / "datum.json").read_text())
+    assert exported["seen"] == record["counts"]["seen_sizes"]["seen"]
+    assert exported["seen"] in (tmp_path / "nav2" / "map.yaml").read_text()
+
+
 def test_what_can_be_reached_is_a_raster_and_outlines_of_the_map_or_a_part(tmp_path):
     out = tmp_path / "reach"
     words = ["route", "layers", "--from", place(20.5, 8.5), "--out", out, "--overwrite"]
@@ -424,6 +447,7 @@ def test_a_good_survey(tmp_path):
         *("LAZ 1.4, point format 6", "900", "WGS 84 / UTM zone 14N (EPSG:32614)", "metre", "500,001.10 to 500,006.90"),
         "5.8 m x 5.8 m",
         "25.0 pts/m2: 225 points per 3 m tile (median of 4 tiles)",
+        "At 25 points/m2, objects narrower than 0.5 m are not seen.",
         "100% of the points are ground",
         f"ready, about 0% of the tiles will be unknown: bumpymap map {path} --out DIR",
     ):

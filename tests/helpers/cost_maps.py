@@ -24,7 +24,10 @@ def lone_columns(cost_map):
     """The columns of finished tiles, each judged without its neighbours: no step is known."""
     columns = cost_map.columns()
     unknown = np.full(len(cost_map.class_id), np.nan, np.float32)
-    columns |= dict.fromkeys(("edge_step", "inner_step", *(f"step_{side}" for side in SIDES)), unknown)
+    columns |= dict.fromkeys(
+        ("edge_step", "inner_step", "smallest_step", "c_r_open", "p_fail_open", *(f"step_{side}" for side in SIDES)),
+        unknown,
+    )
     columns["barred"] = cost_map.rule.barred(columns)
     columns["passable"] = passable = (columns["barred"] == 0).astype(np.uint8)
     closed = np.isin(columns["objects"], (OBSTACLE, UNSEEN))

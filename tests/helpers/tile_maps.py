@@ -48,6 +48,8 @@ class TileMap:
     rule: CostRule = RULE
     vehicle: RouteVehicle = WARTHOG
     has_crs: bool = True
+    smallest_object: float | np.ndarray = 0.7
+    """m, of all tiles or of each."""
     by_axis: np.ndarray = None
     """C_r along each axis, (rows, cols, 8); None: not known."""
     windows: list = field(default_factory=list)
@@ -89,6 +91,10 @@ class TileMap:
             c_r * np.float32(1.25),
             self._cut(self.p_fail, window, np.nan),
             self._cut(self.obstacle, window, np.nan),
+            *(
+                self._cut(np.broadcast_to(value, self.c_r.shape).astype(np.float32), window, np.nan)
+                for value in (10.0, self.smallest_object, 0.2)
+            ),
             self.rule,
             self.vehicle,
         )

@@ -1,7 +1,7 @@
 """Files of routes, of what can be reached, and of checks, read back by others."""
 
 import json
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import pairwise
 from xml.etree import ElementTree as ET
 
@@ -18,8 +18,8 @@ from rio_cogeo.cogeo import cog_validate
 from route_records import CORNERS, FIGURES, UTM, MadeUpMap, make_route
 
 from bumpymap.check.pipeline import agreement_of
-from bumpymap.core import CLASS_NAMES, BadInputError, Georeference, RoadFigures
-from bumpymap.layers import Placement, ReachField
+from bumpymap.core import CLASS_NAMES, BadInputError, Georeference, RoadFigures, Route, SeenSizes
+from bumpymap.layers import Placement, PlannedRoute, ReachField
 from bumpymap.layers.check_vectors import NOT_COMPARED, OFF_KINDS, MapOffset, place_stretches, write_stretches
 from bumpymap.layers.reach import write_isochrones, write_reach
 from bumpymap.layers.route_lines import (
@@ -38,6 +38,7 @@ PROPERTIES = {
     *("p_arrives", "p_arrives_note", "p_fail_max", "unknown_m", "why"),
     *("obstacle_m", "tight_turns_deg", "climb_m", "descent_m", "seconds", "risk_m"),
     *("iri", "iso_8608", "iri_resolution", "iri_note"),
+    *("points_per_m2", "smallest_object_m", "smallest_step_m", "seen"),
 }
 STRETCH = RoadFigures(100.0, 0.0, 100.0, 5.5, 256e-6, "resolved", 0.02, 0.1, -0.03, 0.05, 0.04, 0.06, 0.25)
 
@@ -90,6 +91,21 @@ def test_figures_are_those_of_the_route_and_what_is_unknown_is_null(tmp_path):
     assert properties["detour"] == pytest.approx(261.135 / 241.868, abs=1e-6)
     assert (properties["vehicle"], properties["risk_m"], properties["climb_m"]) == ("warthog", 25.0, 4.5)
     assert "estimate" in properties["p_arrives_note"]
+    assert (properties["smallest_object_m"], properties["seen"]) == (None, "")
+
+
+def test_a_chance_to_arrive_stands_with_what_would_not_have_been_seen(tmp_path):
+    route = replace(make_route(), figures=replace(FIGURES, hazard=0.0, obstacle_m=0.0, seen=SeenSizes(10.0, 0.69, 0.3)))
+    route = replace(route, figures=replace(route.figures, tight_turns_deg=0.0))
+    write_gpx([route], tmp_path / "route.gpx")
+    (line,) = lines_of(written([route], tmp_path / "route.geojson"))
+    text = (tmp_path / "route.gpx").read_text()
+    assert "arrives over 99.9% if nothing narrower than 0.7 m stands in the way" in text
+    assert "if nothing narrower than 0.7 m" in line["properties"]["p_arrives_note"]
+    for said in (text, line["properties"]["seen"]):
+        assert "objects narrower than 0.7 m and steps lower than 0.3 m are not seen" in said
+    planned = PlannedRoute(**{field.name: getattr(route, field.name) for field in fields(Route)})
+    assert "arrives over 99.9% if nothing narrower than 0.7 m" in repr(planned)
 
 
 def test_iri_and_class_are_told_where_noise_lets_them(tmp_path):

@@ -79,6 +79,25 @@ def test_areas_close_tiles():
     assert Planner(CostGround(site, CostSettings(), 10**7, only=wall)).way(stops) is None
 
 
+def test_ground_that_shows_too_little_is_refused_and_a_way_says_what_it_would_not_have_seen():
+    """A thin strip of ten tiles across, but for four in the north."""
+    smallest = np.full((30, 40), 0.4)
+    smallest[4:, 15:25] = 1.2
+    site = TileMap(np.full((30, 40), 0.1), smallest_object=smallest)
+    ends = np.array([site.at(20.5, 5.5), site.at(20.5, 34.5)])
+    straight, around = (planner(site, seen_width=width).way(ends) for width in (None, 0.5))
+    assert around.figures.length_m > 1.3 * straight.figures.length_m
+    sizes = [way.figures.seen.object_m for way in (straight, around)]
+    assert sizes == pytest.approx([1.2, 0.4])
+    assert straight.figures.seen.sentence == (
+        "At 10 points/m2, objects narrower than 1.2 m and steps lower than 0.2 m are not seen."
+    )
+    assert planner(site, seen_width=0.3).way(ends) is None
+    found = find_reach(ground_of(site, seen_width=0.5), ends[0])
+    assert np.isnan(found.cost[10:, 15:25]).all()
+    assert np.isfinite(found.cost[20, 34])
+
+
 def test_a_way_keeps_room_beside_obstacles_where_there_is_room():
     site = TileMap(np.full((21, 40), 0.1))
     stops = np.array([site.at(10.5, 2.5), site.at(10.5, 37.5)])

@@ -206,6 +206,7 @@ def test_a_project_says_survey_vehicle_and_calibration_and_no_name_breaks_its_xm
     crs = CRS.from_wkt(CRS.from_epsg(32614).to_wkt().replace("WGS 84 / UTM", "mine \x01 / UTM", 1))
     survey = {"name": "Pit \x01 <7> \udce9 &", "dates": None}
     record = RECORD | {"survey": survey, "crs": {"name": crs.name, "wkt": crs.to_wkt()}}
+    record["counts"] = {"seen_sizes": {"points_per_m2": 10.0, "smallest_object_m": 0.69}}
     (tmp_path / "rasters").mkdir()
     for name in ("rasters/class.tif", "rasters/heightmap.tif"):
         (tmp_path / name).write_bytes((folder / name).read_bytes())
@@ -213,7 +214,7 @@ def test_a_project_says_survey_vehicle_and_calibration_and_no_name_breaks_its_xm
     root = read(tmp_path / "map.qgs")
     assert root.find("title").text == r"Pit \x01 <7> \xe9 &: ride cost"
     abstract = root.find("projectMetadata/abstract").text
-    for part in ("warthog", "c0ffee", "smooth: c_r under 0.1"):
+    for part in ("warthog", "c0ffee", "smooth: c_r under 0.1", "objects narrower than 0.7 m are not seen"):
         assert part in abstract
     sources = {layer.find("datasource").text for layer in root.find("projectlayers")}
     assert sources == {"./rasters/class.tif", "./rasters/heightmap.tif"}

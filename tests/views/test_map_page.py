@@ -213,6 +213,7 @@ def test_a_way_lies_on_the_map(site, tmp_path, read_page):
     to_lonlat = Transformer.from_crs("EPSG:32614", "OGC:CRS84", always_xy=True)
     line = {"type": "LineString", "coordinates": [to_lonlat.transform(*corner) for corner in corners]}
     about = {"name": "<b>way</b>", "length_m": 1234.5, "c_r_mean": 0.123456, "p_arrives": 0.998, "iri": 5.5}
+    about |= {"smallest_object_m": 0.69, "seen": "At 10 points/m2, objects narrower than 0.7 m are not seen."}
     collection = {"type": "FeatureCollection", "features": [{"type": "Feature", "properties": about, "geometry": line}]}
     (tmp_path / "route.geojson").write_text(json.dumps(collection))
     page = read_page(write_report(site, tmp_path / "a.html", route=tmp_path))
@@ -222,7 +223,9 @@ def test_a_way_lies_on_the_map(site, tmp_path, read_page):
     wanted = {"figure": "A <b>way</b>", "mean C_r, rad/m": "0.123", "length, m": "1,234"}
     wanted |= {"chance to arrive": "over 99\xa0%", "IRI, m/km": "5.5"}
     assert 'IRI, m/km<span class="meaning">of a car at 80 km/h on both wheel paths; waves that' in page.text
+    wanted["the chance holds"] = "if nothing narrower than 0.7 m stands in the way"
     assert {name: table[name] for name in wanted} == wanted
+    assert page.text.count(about["seen"]) == 1
 
 
 def test_the_header_says_what_settings_say_and_holds_a_logo_made_anew(site, tmp_path):

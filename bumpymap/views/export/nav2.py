@@ -26,6 +26,7 @@ from bumpymap.views.export.area import (
     write_file,
 )
 from bumpymap.views.page.page import render_text
+from bumpymap.views.words import seen_sizes
 
 _COSTMAP_LETHAL, _SMAC_FULL = 254, 252
 """Cost of a lethal cell of a costmap; the cost by which Smac planners divide."""
@@ -117,6 +118,7 @@ def make_grids(area: ExportArea, max_cost: float | None) -> Callable[[Path], dic
             header = f"P5\n{cells.shape[1]} {cells.shape[0]}\n255\n"
             write_file(folder / f"{name}.pgm", header.encode(), cells.tobytes())
             scale = _SCALES[name].format(most=most, top=TOP_VALUE, lethal=LETHAL, speed=site.rule.top_mps)
+            scale = f"{scale} {seen_sizes(site.manifest).sentence}".rstrip()
             write_file(folder / f"{name}.yaml", "".join(_map_yaml(scale, f"{name}.pgm", area)).encode())
         write_file(folder / "nav2_params.yaml", params_text(site, most, area.resolution).encode())
         return about

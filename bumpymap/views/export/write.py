@@ -37,6 +37,7 @@ from bumpymap.views.export.graph import make_graph, write_graph
 from bumpymap.views.export.gridmap import make_layers, require_rosbags, write_gridmap
 from bumpymap.views.export.nav2 import make_grids
 from bumpymap.views.export.settings import ExportSettings
+from bumpymap.views.words import seen_sizes
 from bumpytiles import TileWindow
 
 _WAYPOINT = 16
@@ -260,6 +261,7 @@ def export_map(
         "layers": [route_map.folder.resolve().name],
         "calibration": route_map.calibration_id,
         "vehicle": {"name": vehicle.name, "width_m": vehicle.width_m, "speed_m_per_s": vehicle.speed_mps},
+        **seen_sizes(route_map.manifest).record(),
     }
     # The faults of what was given come first, but for those that take long to find.
     write = _made(area, settings) if settings.to == "plan" else None

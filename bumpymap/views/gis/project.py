@@ -28,7 +28,7 @@ from bumpymap.views.page.map_page import write_map_page
 from bumpymap.views.page.page import NORTH_ARROW
 from bumpymap.views.page.site import Site
 from bumpymap.views.pictures.drawing import bar_length
-from bumpymap.views.words import survey_name
+from bumpymap.views.words import seen_sizes, survey_name
 
 if TYPE_CHECKING:
     from bumpymap.layers import MapReader, Placement
@@ -310,4 +310,5 @@ def _notes(record: Mapping[str, Any]) -> list[str]:
         f"Vehicle: {calibration['vehicle']}{f' ({about})' if about else ''}.",
         f"Calibration: {calibration['id']}.",
         *([f"Coordinates: {crs['name']}."] if crs else []),
+        *filter(None, [seen_sizes(record).sentence]),
     ]

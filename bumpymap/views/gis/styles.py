@@ -21,6 +21,7 @@ from bumpymap.core import (
     Barred,
     Reason,
     atomic,
+    chance_text,
     speed_bands,
 )
 from bumpymap.layers import (
@@ -214,7 +215,8 @@ def route_layers(routes: "Sequence[Route]") -> list[ViewLayer]:
     ways = []
     for number, route in enumerate(routes):
         found = route.figures
-        label = f"{route.name}: {found.length_m:.0f} m, costs {found.cost_m:.0f} m, arrives {found.p_arrives:.1%}"
+        chance = f"arrives {chance_text(found.p_arrives)} {found.seen.condition}"
+        label = f"{route.name}: {found.length_m:.0f} m, costs {found.cost_m:.0f} m, {chance}"
         ways.append((_is("name", route.name), label, (*ROUTE_COLOURS[number % len(ROUTE_COLOURS)], 255), "line"))
     file = "route.geojson"
     return [

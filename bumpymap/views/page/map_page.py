@@ -20,7 +20,9 @@ from bumpymap.core import (
     OutputError,
     PageSettings,
     Reason,
+    SeenSizes,
     UsageError,
+    chance_text,
     utf8_path,
 )
 from bumpymap.layers import (
@@ -43,6 +45,7 @@ from bumpymap.views.page.tiles import UNKNOWN_FROM
 from bumpymap.views.pictures.drawing import STRENGTH
 from bumpymap.views.words import (
     DASH,
+    PERCENT,
     agreements_of,
     area,
     base_name,
@@ -53,6 +56,7 @@ from bumpymap.views.words import (
     number,
     percent,
     read_surfaces,
+    seen_sizes,
     share,
     shares,
     skipped_words,
@@ -168,6 +172,7 @@ def write_map_page(site: Site, path: Path) -> None:
         locator=locator,
         real=real,
         reason_rows=_reason_rows(site),
+        seen=seen_sizes(site.record).sentence,
         surface_rows=[(name, f"{c_r:.3f}", degrees(c_r)) for name, c_r in real["c_r"].items()],
         warnings=_warnings_of(site.record),
         way_heads=[f"{way.letter} {way.name}" for way in site.ways],
@@ -401,10 +406,12 @@ def _way_rows(ways: Sequence[DrawnWay]) -> list[Row]:
         values = [way.figures.get(key) for way in ways]
         if any(value is not None for value in values):
             shown = [number(value, decimals) for value in values]
-            if key == "p_arrives":  # 0.998 is not certain
-                shown = [share(value, 1.0) if isinstance(value, int | float) else DASH for value in values]
+            if key == "p_arrives":
+                shown = [chance_text(value, 0, PERCENT) if isinstance(value, int | float) else DASH for value in values]
             name = f"{label}, {unit.strip()}" if unit else label
             rows.append(({"text": name, "meaning": IRI_NOTE} if key == "iri" else name, *shown))
+            if key == "p_arrives":
+                rows.append(("the chance holds", *(SeenSizes.of(way.figures).condition for way in ways)))
     return rows
 
 
@@ -415,7 +422,8 @@ def _way_lines(ways: Sequence[DrawnWay]) -> list[tuple[str, str]]:
         told = [number(way.figures.get("cost_m"), 0, " m of cost")]
         seconds, arrives = (way.figures.get(key) for key in ("seconds", "p_arrives"))
         told += [number(seconds / 60, 1, " minutes")] if isinstance(seconds, int | float) else []
-        told += [f"{share(arrives, 1.0)} to arrive"] if isinstance(arrives, int | float) else []
+        if isinstance(arrives, int | float):
+            told += [f"{chance_text(arrives, 0, PERCENT)} to arrive {SeenSizes.of(way.figures).condition}"]
         touched = way.figures.get("obstacle_m") or 0.0
         told += [f"{number(touched, 1, ' m')} touching obstacles" if touched else "touches no obstacle"]
         lines.append((way.letter, f"{way.name}: {', '.join(text for text in told if not text.startswith(DASH))}"))

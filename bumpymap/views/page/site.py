@@ -22,6 +22,7 @@ from bumpymap.core import (
     FREE,
     NO_CLASS,
     OBSTACLE,
+    SEEN_NUMBERS,
     BadInputError,
     Barred,
     Nullable,
@@ -293,8 +294,8 @@ WAY_FIGURES = (
     ("descent_m", "descent", 1, " m"),
 )
 """Figures of a way on a page: property of its line, label, decimals, unit."""
-_WAY_SHAPE = {"name?": Nullable(str), "why?": Nullable(str)} | {
-    f"{key}?": Nullable(Number()) for key, *_ in WAY_FIGURES
+_WAY_SHAPE = {"name?": Nullable(str), "why?": Nullable(str), "seen?": Nullable(str)} | {
+    f"{key}?": Nullable(Number()) for key in (*(key for key, *_ in WAY_FIGURES), *SEEN_NUMBERS)
 }
 
 

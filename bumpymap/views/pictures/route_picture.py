@@ -3,11 +3,12 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import wrap
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Route, atomic
+from bumpymap.core import Route, atomic, chance_text
 from bumpymap.layers import ROUTE_COLOURS, MapReader, ReachField, RideScale, reach_colours, stop_roles
 from bumpymap.views.pictures.drawing import (
     FAINT,
@@ -40,6 +41,8 @@ _BAR = 250
 """Length of the bar of colours, pixels."""
 _LEGEND_ROUTES = 3
 """Most ways with figures in the legend."""
+_LETTERS = 38
+"""Most letters of a line of figures in the legend."""
 
 
 def write_route_picture(routes: Sequence[Route], source: MapReader, path: Path) -> None:
@@ -162,7 +165,7 @@ def _draw_figures(pen: Pen, routes: Sequence[Route], left: int, row: int) -> Non
         lines = (
             f"{metres(figures.length_m)}, cost {figures.cost_m:,.0f} m",
             f"{known} rad/m" if known else "ride cost not known",
-            f"P(arrives) {figures.p_arrives:.3f} (an estimate)",
+            *wrap(f"arrives {chance_text(figures.p_arrives)} {figures.seen.condition} (an estimate)", _LETTERS),
             *([f"touches obstacles on {figures.obstacle_m:.1f} m"] if figures.obstacle_m > 0.0 else []),
         )
         for place, text in enumerate(lines):

@@ -1,0 +1,107 @@
+"""Objects and steps that a survey shows, held against made-up surveys; and what is said of those that it does not."""
+
+import numpy as np
+import pytest
+from seen_surveys import level_step, share_of_posts, share_of_steps
+
+from bumpymap.core import MOST_STEP, SeenSizes, chance_text, density_for, size_text, smallest_object
+
+PIXEL_M, SIDE, TILE_M = 0.2, 15, 3.0
+
+
+@pytest.mark.parametrize(("density", "width"), [(4, 1.09), (10, 0.69), (35, 0.385), (100, 0.22)])
+def test_the_narrowest_object_follows_from_the_density(density, width):
+    found = SeenSizes.forecast(density, PIXEL_M, in_relief=False)
+    assert found.object_m == pytest.approx(width, abs=0.01)
+    assert SeenSizes.forecast(density, PIXEL_M, in_relief=True).object_m >= found.object_m
+    assert 0.95 * density < density_for(width, PIXEL_M, in_relief=False) < 1.4 * density
+
+
+@pytest.mark.parametrize("in_relief", [False, True])
+@pytest.mark.parametrize("density", [10, 35, 100])
+def test_a_post_of_that_width_is_found_in_95_percent_and_a_narrower_one_is_not(density, in_relief):
+    width, rng = SeenSizes.forecast(density, PIXEL_M, in_relief=in_relief).object_m, np.random.default_rng(density)
+    of_chance = 0.01  # of 576 posts
+    assert share_of_posts(density, width, rng, in_relief=in_relief) > 0.95 - of_chance
+    assert share_of_posts(density, 0.6 * width, rng, in_relief=in_relief) < 0.8
+
+
+@pytest.mark.parametrize(
+    ("density", "noise", "closing"), [(20, 0.01, np.inf), (100, 0.03, np.inf), (400, 0.01, 0.28), (10, 0.03, 0.28)]
+)
+def test_a_step_of_that_height_is_found_and_a_lower_one_is_not(density, noise, closing):
+    rng = np.random.default_rng(density)
+    height = level_step(density, noise, rng, closing)
+    assert share_of_steps(height, density, noise, rng, closing=closing, surveys=8) > 0.9
+    assert share_of_steps(0.4 * height, density, noise, rng, closing=closing, surveys=8) < 0.6
+
+
+def tiles_of(points, tiles=300):
+    """The narrowest object of tiles, and that of even ones with as many points; ``points`` makes those of a tile."""
+    held, count = np.zeros((tiles, SIDE, SIDE), bool), np.zeros(tiles, np.int64)
+    for tile in range(tiles):
+        x, y = points()
+        held[tile, (y / PIXEL_M).astype(int), (x / PIXEL_M).astype(int)] = True
+        count[tile] = len(x)
+    own = smallest_object(held, count, TILE_M, in_relief=False)
+    even = [SeenSizes.forecast(each / TILE_M**2, PIXEL_M, in_relief=False).object_m for each in count]
+    return own, np.minimum(even, TILE_M)
+
+
+@pytest.mark.parametrize("density", [2, 10, 35, 400])
+def test_points_at_random_are_even(density):
+    rng = np.random.default_rng(1)
+    own, even = tiles_of(lambda: rng.uniform(0, TILE_M, (2, 1 + rng.poisson(density * 9))))
+    assert np.mean(own > 1.001 * even) < 0.02
+    np.testing.assert_array_less(0.999 * even, own)
+
+
+@pytest.mark.parametrize("apart", [0.5, 0.9, 1.5])
+@pytest.mark.parametrize("turned", [False, True])
+def test_lines_with_gaps_show(apart, turned):
+    rng = np.random.default_rng(2)
+
+    def lines():
+        y = np.repeat(np.arange(rng.uniform(0, apart), TILE_M, apart), 100)
+        place = rng.uniform(0, TILE_M, len(y)), y
+        return place[::-1] if turned else place
+
+    own, even = tiles_of(lines)
+    assert np.median(own) > 0.95 * apart
+    assert np.median(own) > 2 * np.median(even)
+
+
+def test_the_sparser_part_of_a_tile_counts():
+    rng = np.random.default_rng(3)
+
+    def halves():
+        dense, sparse = rng.poisson(100 * 4.5), rng.poisson(10 * 4.5)
+        x = np.concatenate([rng.uniform(0, 1.5, dense), rng.uniform(1.5, TILE_M, sparse)])
+        return x, rng.uniform(0, TILE_M, len(x))
+
+    own, even = tiles_of(halves)
+    assert np.median(even) < 0.35
+    assert np.median(own) == pytest.approx(0.69, abs=0.12)
+    assert tiles_of(lambda: np.array([[0.1], [0.1]]))[0].max() == TILE_M
+
+
+def test_it_is_said_in_one_sentence():
+    assert SeenSizes(10.2, 0.688, 0.1834).sentence == (
+        "At 10 points/m2, objects narrower than 0.7 m and steps lower than 0.19 m are not seen."
+    )
+    assert SeenSizes(1.4, 1.84).sentence == "At 1.4 points/m2, objects narrower than 1.85 m are not seen."
+    assert SeenSizes(1.4, 1.84, MOST_STEP).sentence.endswith("narrower than 1.85 m and steps are not seen.")
+    assert SeenSizes(10.0).sentence == ""
+    assert "does not show" in SeenSizes().condition
+    assert [size_text(size) for size in (0.0, 0.011, 0.2, 0.201, 2.0)] == ["0.01 m", "0.02 m", "0.2 m", "0.25 m", "2 m"]
+    sizes = SeenSizes(10.0, 0.7, 0.2), SeenSizes(5.0, 0.9), SeenSizes()
+    assert SeenSizes.worst(sizes) == SeenSizes(5.0, 0.9, 0.2)
+    assert SeenSizes.of(sizes[0].record()) == sizes[0]
+
+
+@pytest.mark.parametrize(
+    ("chance", "text"), [(1.0, "over 99.9%"), (0.9999, "over 99.9%"), (0.998, "99.8%"), (0.0, "0.0%")]
+)
+def test_no_chance_to_arrive_is_certain(chance, text):
+    assert chance_text(chance) == text
+    assert not chance_text(chance, 0).startswith("100")
