@@ -392,8 +392,9 @@ def _jumps(heights: Floats, slopes: tuple[Floats, Floats], closing: float, level
     if math.isfinite(closing):
         coverage = _tile_sums(np.isfinite(heights), pixels) / pixels**2
         width = min(level, _JUMP_WIDTH)
-        wanted = TileSlopes(*map(np.ascontiguousarray, slopes), (coverage > _THINNEST) & (coverage < _MOST_COVERAGE))
-        scratch = jump_scratch(*heights.shape, width)
+        is_wanted = (coverage > _THINNEST) & (coverage < _MOST_COVERAGE)
+        wanted = TileSlopes(np.ascontiguousarray(slopes[0]), np.ascontiguousarray(slopes[1]), is_wanted)
+        scratch = jump_scratch(heights.shape[0], heights.shape[1], width)
         find_jumps(heights, pixels, wanted, closing, jump_sides(width), marks, scratch)
     return marks
 

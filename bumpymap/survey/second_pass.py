@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, ClassVar, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,6 +95,7 @@ class NeighbourWindow:
         return self.columns[name][self.rings : -self.rings, self.rings : -self.rings]
 
 
+_Value = TypeVar("_Value", np.uint8, np.bool_)
 _Rating: TypeAlias = "NeighbourRating | VehicleSweep"
 """Rates the tiles of a block with their neighbours."""
 
@@ -375,7 +376,7 @@ class NeighbourRating:
         """Give every pixel of a mosaic the value of its tile."""
         return np.repeat(np.repeat(of_tiles, self.config.pixels, axis=0), self.config.pixels, axis=1)
 
-    def _inner(self, mosaic: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def _inner(self, mosaic: NDArray[_Value]) -> NDArray[_Value]:
         """Cut the inner tiles out of a mosaic, (16, 16, pixels, pixels)."""
         px = self.config.pixels
         tiles = len(mosaic) // px

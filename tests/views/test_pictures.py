@@ -44,7 +44,7 @@ def test_level_ground_has_the_colour_of_its_ride_cost(view, ground):
     row = ground.window.row + ground.window.rows - 1 - np.floor(view.northings / 3.0).astype(int)
     place = np.ix_(row, np.floor(view.eastings / 3.0).astype(int) - ground.window.col)  # tiles in the middle of pixels
     barred, c_r = ground.barred[place], ground.c_r[place]
-    passable = np.isin(barred, (Barred.NO, Barred.OBSTACLE))  # the vehicle fits everywhere
+    passable = np.isin(barred, (Barred.NO, Barred.OBSTACLE, Barred.STEP))  # the vehicle fits everywhere
     has_direction(pixels[passable], scale.colours(c_r[passable]))
     closed = ~passable & ~np.isin(barred, (Barred.UNKNOWN, NO_TILE))
     lines = hatched(*barred.shape)
