@@ -33,14 +33,17 @@ _MAJORITY = 5
 _NEARER = 2
 """In a thin survey, ground must be nearer than an obstacle by this factor of the squared distance to make a pixel
 without points free."""
-_SIDES = 11
-"""Directions of 16 in which something overhead is met from ground beneath it, at least."""
+_SIDES, _SIDES_OF_YARD = 11, 13
+"""Directions of 16 in which something overhead is met from ground beneath it, at least; and from ground in a pixel
+without anything overhead: as many as in the corner of two walls are too few."""
+_HELD = 1.0
+"""Points on a pixel, on average, from which on most pixels beneath something hold points of it."""
 _OPEN, _OPEN_MOST = 0.03, 0.3
 """Ground is seen beneath enough of what is overhead if so many of its pixels would hold such ground with this share of
 the points of open ground; and never more than that."""
 _HIDDEN = 24.0
 """Points on the surroundings of a pixel overhead, on average, of which one would be ground if it were not hidden."""
-_GROW = 3
+_GROW, _GROW_IF_THIN = 1, 3
 """Canopy within so many pixels of what lets no pulse through belongs to it."""
 THIN = 0.4
 """Points on a pixel in a thin survey, at most."""
@@ -209,7 +212,7 @@ def _meets(label: Bytes, r: int, c: int, direction: int) -> bool:
 
 
 @helper
-def _is_under(label: Bytes, r: int, c: int) -> bool:
+def _is_under(label: Bytes, r: int, c: int, sides: int) -> bool:
     """Return whether the ground in a pixel lies beneath what is overhead: it is on all sides, not as beside a wall."""
     hits = 0
     for direction in range(8):
@@ -217,16 +220,31 @@ def _is_under(label: Bytes, r: int, c: int) -> bool:
         if not (one or other):
             return False
         hits += one + other
-    return hits >= _SIDES
+    return hits >= sides
+
+
+@helper
+def _mark_under(objects: Bytes, pixels: int, tile: int, scratch: SolidScratch) -> None:
+    """Mark the ground that was seen in a tile, by its number, and that beneath what is overhead."""
+    cols = objects.shape[1] // pixels
+    top, left = tile // cols * pixels, tile % cols * pixels
+    is_held = _points_per_pixel(objects, pixels, top, left) >= _HELD
+    for r in range(top, top + pixels):
+        for c in range(left, left + pixels):
+            state = objects[r, c]
+            ground = state != UNSEEN and (state >= SEEN or state == FREE)
+            sides = _SIDES_OF_YARD if is_held and not _is_overhead(state) else _SIDES
+            beneath = ground and _is_under(scratch.label, r + _MARGIN, c + _MARGIN, sides)
+            scratch.under[r + _MARGIN, c + _MARGIN] = 2 if beneath else ground
 
 
 @helper
 def _stands(r: int, c: int, mean: float, scratch: SolidScratch) -> bool:
     """Return whether what is overhead stands on the ground, of which none is seen around, or beneath a solid thing."""
     overhead = under = ground = 0
-    solid, near, least = False, _NEAR, 1.0
+    solid, near, least, grow = False, _NEAR, 1.0, _GROW
     if mean < THIN:
-        near, least = _NEAR_IF_THIN, _CHANCE
+        near, least, grow = _NEAR_IF_THIN, _CHANCE, _GROW_IF_THIN
     for k in range(len(scratch.offsets)):
         square = scratch.offsets[k, 2]
         if square > near * near:
@@ -235,7 +253,7 @@ def _stands(r: int, c: int, mean: float, scratch: SolidScratch) -> bool:
         overhead += _is_overhead(scratch.label[row, col])
         under += scratch.under[row, col] == 2
         ground += scratch.under[row, col] > 0
-        solid = solid or (scratch.label[row, col] % SEEN == SOLID and square <= _GROW * _GROW)
+        solid = solid or (scratch.label[row, col] % SEEN == SOLID and square <= grow * grow)
     hidden = ground == 0 and mean * math.pi * near * near >= _HIDDEN
     enough = min(_OPEN_MOST, 1.0 - math.exp(-_OPEN * mean))
     return hidden or (solid and under < max(least, enough * overhead))
@@ -307,14 +325,10 @@ def settle_solids(
     _mark_parts(objects, scratch.marks)
     _fill_own(objects, scratch)
     overhead = _label(objects, pixels, hole, scratch)
-    if overhead:
-        for r in range(rows):
-            for c in range(cols):
-                state = objects[r, c]
-                ground = state != UNSEEN and (state >= SEEN or state == FREE)
-                beneath = ground and _is_under(scratch.label, r + _MARGIN, c + _MARGIN)
-                scratch.under[r + _MARGIN, c + _MARGIN] = 2 if beneath else ground
-    for tile in range((rows // pixels) * (cols // pixels)):
+    tiles = (rows // pixels) * (cols // pixels)
+    for tile in range(tiles if overhead else 0):
+        _mark_under(objects, pixels, tile, scratch)
+    for tile in range(tiles):
         top, left = tile // (cols // pixels) * pixels, tile % (cols // pixels) * pixels
         mean = _points_per_pixel(objects, pixels, top, left) if overhead else 0.0
         for r in range(top, top + pixels):
