@@ -55,6 +55,18 @@ _PART, _AROUND = 2, 3
 """A part of a line has so many pixels with points of obstacles beyond the gap, and none so far to its sides."""
 
 
+_WIDEST, _ASIDE = 11, 2
+"""Most pixels between two parts of a line of which few points were seen, and pixels that its parts may be off the
+direction in which they are looked for."""
+_BETWEEN = 7.0
+"""Points that a gap in such a line would hold, at most, if it were none: chance leaves so many out once in a thousand
+times."""
+_THINNEST = 0.5
+"""Width of the thinnest wall whose gaps are closed so, px: where it would have more points, a wide gap is one."""
+_MIDDLE = 2
+"""Pixels on either side of the middle of such a gap that are closed: what is known of both ends ends there."""
+
+
 class SolidScratch(NamedTuple):
     """Scratch of `settle_solids`; maps have ``_MARGIN`` more pixels on all sides, without points."""
 
@@ -260,8 +272,11 @@ def _stands(r: int, c: int, mean: float, scratch: SolidScratch) -> bool:
 
 
 @helper
-def _is_line_end(marks: Bytes, r: int, c: int, down: int, right: int) -> bool:
-    """Return whether obstacle points that end in a pixel come in a line from one direction, with nothing beside it."""
+def _points_of_end(marks: Bytes, r: int, c: int, down: int, right: int) -> int:
+    """Return the pixels with points of a line that ends in a pixel and comes from one direction, 0 if it is none.
+
+    There is nothing beside a line.
+    """
     count = 0
     # Across the line, down and right change places.
     far_down, far_right = _AROUND * right // 2, -(_AROUND * down // 2)
@@ -269,10 +284,10 @@ def _is_line_end(marks: Bytes, r: int, c: int, down: int, right: int) -> bool:
     for step in range(1, _GAP + 1):
         row, col = r - (step * down + 1) // 2, c - (step * right + 1) // 2
         if marks[row + far_down, col + far_right] > 0 or marks[row - far_down, col - far_right] > 0:
-            return False
+            return 0
         beside = marks[row + near_down, col + near_right] | marks[row - near_down, col - near_right]
         count += (marks[row, col] | beside) > 0
-    return count >= _PART
+    return count if count >= _PART else 0
 
 
 @helper
@@ -287,14 +302,56 @@ def _next_part(marks: Bytes, r: int, c: int, down: int, right: int) -> int:
 
 
 @helper
-def _join_from(marks: Bytes, r: int, c: int, out: Bytes) -> None:
-    """Close the gaps in lines of obstacle points that lead east or south from a pixel."""
+def _close_middle(r: int, c: int, far_down: int, far_right: int, out: Bytes) -> None:
+    """Close the middle of a gap from a pixel to one so many rows and columns away."""
+    far = math.sqrt(float(far_down * far_down + far_right * far_right))
+    for k in range(-_MIDDLE, _MIDDLE + 1):
+        share = 0.5 + k / far
+        # Rounded down, whatever their sign.
+        row = r - _MARGIN + int(far_down * share + 0.5 + _MARGIN) - _MARGIN
+        col = c - _MARGIN + int(far_right * share + 0.5 + _MARGIN) - _MARGIN
+        if 0 <= row < out.shape[0] and 0 <= col < out.shape[1] and out[row, col] != UNSEEN:
+            out[row, col] = OBSTACLE
+
+
+@helper
+def _join_far(marks: Bytes, r: int, c: int, turn: int, count: int, widest: float, out: Bytes) -> None:
+    """Close the middle of a wide gap in a line of few points, of which ``count`` were seen up to a pixel."""
+    down, right = min(2, turn, 8 - turn), max(-2, min(2, 4 - turn))
+    across_down, across_right = (0, 1) if abs(right) < abs(down) else (1, 0)
+    inside = _GAP + _AROUND + 1  # what a part of a line is looked for in
+    for step in range(_GAP + 1, _WIDEST + 1):
+        for aside in range(-_ASIDE, _ASIDE + 1):
+            far_down = (step * down + 1) // 2 + aside * across_down
+            far_right = (step * right + 1) // 2 + aside * across_right
+            row, col, far = r + far_down, c + far_right, math.sqrt(float(far_down * far_down + far_right * far_right))
+            if far > widest or not (
+                inside <= row < marks.shape[0] - inside and inside <= col < marks.shape[1] - inside
+            ):
+                continue
+            if marks[row, col] > 0:
+                more = _points_of_end(marks, row, col, -down, -right)
+                if more > 0 and (count + more) * far <= _BETWEEN * 2 * _GAP:
+                    _close_middle(r, c, far_down, far_right, out)
+                return
+
+
+@helper
+def _join_from(marks: Bytes, r: int, c: int, widest: float, out: Bytes) -> None:
+    """Close the gaps in lines of obstacle points that lead east or south from a pixel, at most so wide, px."""
     for turn in range(8):
         down, right = min(2, turn, 8 - turn), max(-2, min(2, 4 - turn))
         gap = _next_part(marks, r, c, down, right)
-        if gap < 2 or not _is_line_end(marks, r, c, down, right):
+        if gap == 1:
             continue
-        if not _is_line_end(marks, r + (gap * down + 1) // 2, c + (gap * right + 1) // 2, -down, -right):
+        count = _points_of_end(marks, r, c, down, right)
+        if count == 0:
+            continue
+        if gap == 0:
+            if widest > _GAP:
+                _join_far(marks, r, c, turn, count, widest, out)
+            continue
+        if _points_of_end(marks, r + (gap * down + 1) // 2, c + (gap * right + 1) // 2, -down, -right) == 0:
             continue
         for step in range(gap + 1):
             row, col = r - _MARGIN + (step * down + 1) // 2, c - _MARGIN + (step * right + 1) // 2
@@ -303,14 +360,18 @@ def _join_from(marks: Bytes, r: int, c: int, out: Bytes) -> None:
 
 
 @helper
-def _join_lines(marks: Bytes, out: Bytes) -> None:
+def _join_lines(objects: Bytes, pixels: int, marks: Bytes, out: Bytes) -> None:
     """Close the gaps in lines of obstacle points, such as wires of which a few points were seen."""
-    for r in range(_MARGIN, _MARGIN + out.shape[0]):
-        mine, below = marks[r], marks[r + 1]
-        for c in range(_MARGIN, _MARGIN + out.shape[1]):
-            inside = min(mine[c + 1], below[c - 1], below[c], below[c + 1]) > 0  # no gap begins here
-            if mine[c] > 0 and not inside:
-                _join_from(marks, r, c, out)
+    cols = out.shape[1] // pixels
+    for tile in range(out.shape[0] // pixels * cols):
+        top, left = tile // cols * pixels, tile % cols * pixels
+        widest = min(1.0 * _WIDEST, _BETWEEN / (_THINNEST * max(_points_per_pixel(objects, pixels, top, left), 1e-9)))
+        for r in range(_MARGIN + top, _MARGIN + top + pixels):
+            mine, below = marks[r], marks[r + 1]
+            for c in range(_MARGIN + left, _MARGIN + left + pixels):
+                inside = min(mine[c + 1], below[c - 1], below[c], below[c + 1]) > 0  # no gap begins here
+                if mine[c] > 0 and not inside:
+                    _join_from(marks, r, c, widest, out)
 
 
 @kernel
@@ -342,4 +403,4 @@ def settle_solids(
                     out[r, c] = OBSTACLE if stands else canopy
                 else:
                     out[r, c] = FREE if state % SEEN == LONE or state % SEEN == STEEP else state % SEEN
-    _join_lines(scratch.marks, out)
+    _join_lines(objects, pixels, scratch.marks, out)

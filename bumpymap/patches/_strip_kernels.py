@@ -54,7 +54,8 @@ def strip_scratch(pixels: int, most_points: int) -> StripScratch:
     """Make scratch for tiles of so many pixels along a side and so many points."""
     arrays: list[Any] = [np.empty((pixels, pixels), np.int32)]
     arrays += [np.empty(most_points, np.int32) for _ in range(2)]
-    return StripScratch(*arrays, np.empty((2, most_points)), np.empty(_BINS + 1, np.int32))
+    arrays += [np.empty((2, most_points)), np.empty(_BINS + 1, np.int32)]
+    return StripScratch(*arrays)
 
 
 @helper

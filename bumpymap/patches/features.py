@@ -198,14 +198,15 @@ _SHARE = 0.02
 def find_objects(points: TilePoints, patches: PatchStack, body: VehicleBody) -> ObjectStack:
     """Find obstacles and canopy in tiles whose ground is known point by point.
 
-    The height of a point counts from the ground beneath it: the heightmap, continued by a plane and the nearest
-    heights where no ground was seen. A pixel is an obstacle if it holds a point from the belly (or the height of the
-    plants that the vehicle brushes aside) up to the vehicle's height, or one of a building, however high, and its 3 x 3
-    pixels hold two points from there upward; so under a crown, whose leaves hide the trunk, one is enough. In surveys
-    of more than 278 points/m2 it takes 2 % of the points that 3 x 3 pixels have on average. Pixels with as many higher
-    points are canopy. It hides the ground if its points outweigh those beneath, three to one, in a part of a square or
-    of a strip that they lie along, by more than chance has where half of the pulses get through; the strip is as long
-    as it takes at the density of the tile, which may be 3 m. In tiles with less than three pixels of ground everything that is seen is an obstacle.
+    The height of a point counts from the ground beneath it: the heightmap, continued by a plane and the nearest heights
+    where no ground was seen. A pixel is an obstacle if it holds a point from the belly (or the height of the plants
+    that the vehicle brushes aside) up to the vehicle's height, or one of a building, however high, and its 3 x 3 pixels
+    hold two points from there upward; so under a crown, whose leaves hide the trunk, one is enough. In surveys of more
+    than 278 points/m2 it takes 2 % of the points that 3 x 3 pixels have on average. Pixels with as many higher points
+    are canopy. It hides the ground if its points outweigh those beneath, three to one, in a part of a square or of a
+    strip that they lie along, by more than chance has where half of the pulses get through; the strip is as long as it
+    takes at the density of the tile, which may be 3 m. In tiles with less than three pixels of ground everything that
+    is seen is an obstacle.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ from scenes import (
     wall,
 )
 
-from bumpymap.core import OBSTACLE, VehicleBody
+from bumpymap.core import EMPTY, FREE, LONE, OBSTACLE, VehicleBody
 from bumpymap.patches import settle_solids
 from bumpytiles import Grid
 
@@ -128,6 +128,24 @@ def test_a_fence_seen_here_and_there_is_one_line():
     image, west, south = seen_pixels(survey_scene(fence(mesh=0.1), 100, sides=True, seed=3), BODY)
     row, cols = len(image) - 1 - int(-south / 0.2), slice(int((-5.5 - west) / 0.2), int((5.5 - west) / 0.2))
     assert np.all((image[row - 1 : row + 2, cols] == OBSTACLE).any(axis=0))
+
+
+def points_of_a_wall(every, first, last):
+    """States of thinly seen ground with a point of a wall on every so many pixels, but for some in the middle."""
+    states = np.full((75, 75), EMPTY, np.uint8)
+    states[::2, ::2] = FREE
+    states[37, 1::every] = LONE
+    states[37, first : last + 1] = FREE
+    return states
+
+
+@pytest.mark.parametrize(
+    ("every", "first", "last", "joins"), [(2, 34, 40, True), (1, 33, 41, False), (2, 30, 44, False)]
+)
+def test_a_line_of_few_points_has_wider_gaps_by_chance(every, first, last, joins):
+    """Of 2.5 points per m, 1.6 m apart; in a line of twice as many 2 m are a gap, and 3 m are one in any."""
+    settled = settle_solids(points_of_a_wall(every, first, last), Grid(), FAR)
+    assert (settled[37, first : last + 1] == OBSTACLE).any() == joins
 
 
 def test_a_pixel_is_the_same_wherever_a_block_is_cut_out():
