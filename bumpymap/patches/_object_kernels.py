@@ -26,6 +26,15 @@ from bumpymap.core import (
 )
 from bumpymap.patches._measure_kernels import PointsByTile
 from bumpymap.patches._solid_kernels import THIN
+from bumpymap.patches._strip_kernels import (
+    BENEATH,
+    StripScratch,
+    add_point,
+    forget_points,
+    hides_ground,
+    outweighs,
+    strip_half,
+)
 from bumpytiles import helper, kernel
 
 Floats = NDArray[np.float64]
@@ -34,16 +43,15 @@ Bytes = NDArray[np.uint8]
 
 _LEAST_GROUND = 3
 """Pixels with ground that make a surface."""
-_DENSE = 5
-"""So many more points overhead than on the ground are a thing that lets no pulse through."""
 _FEW = 4.0
 """With fewer points on 3 x 3 pixels on average, canopy is looked for on 5 x 5."""
-_LEAFY, _LEAVES = 1.0, 12
-"""Plants so far above the vehicle, m, are crowns: where leaves are dense, so many points reach no ground by chance."""
-_SHRUB = 3
-"""As ``_DENSE``, in a thin survey, for plants that end lower than crowns: a hedge."""
-_BESIDE = 3
-"""Points of the ground count so often in a square, which may hold much of what is beside the thing."""
+_HIDING = 6.0
+"""Points by which what is overhead must outweigh the ground beneath it to hide it, see
+`bumpymap.patches._strip_kernels`."""
+_LEAFY, _LEAVES = 1.0, 13.0
+"""Plants so far above the vehicle, m, are crowns: where leaves are dense, more points reach no ground by chance."""
+_SHRUB = 1.0
+"""As ``_HIDING``, in a thin survey, for plants that end lower than crowns: a hedge."""
 _RIDGE = 1.0
 """Pixels^2 added to the spread of the known pixels: a few close together say little about the slope."""
 
@@ -175,9 +183,9 @@ def _count_points(
     limits: ObjectLimits,
     kind: NDArray[np.uint8],
     scratch: ObjectScratch,
-) -> None:
-    """Count the points of each pixel that are no ground by their height above it."""
-    size, side = scratch.surface.shape[0], limits.tile_size
+) -> bool:
+    """Count the points of each pixel that are no ground by their height above it; returns whether any is overhead."""
+    size, side, overhead = scratch.surface.shape[0], limits.tile_size, False
     west, south = points.col[t] * side, points.row[t] * side
     for i in range(points.starts[t], points.starts[t + 1]):
         if kind[i] == POINT_GROUND:
@@ -190,6 +198,7 @@ def _count_points(
         if kind[i] == POINT_BUILDING:
             h = min(h, limits.high)
         if h > limits.high:
+            overhead = True
             scratch.above[r, c] += 1
             scratch.company[r, c] += 1
             scratch.least[r, c] = min(scratch.least[r, c], h)
@@ -201,6 +210,27 @@ def _count_points(
             scratch.top[r, c] = max(scratch.top[r, c], h)
         else:
             scratch.under[r, c] += 1
+    return overhead
+
+
+@helper
+def _list_points(
+    t: int,
+    points: PointsByTile,
+    limits: ObjectLimits,
+    kind: NDArray[np.uint8],
+    scratch: ObjectScratch,
+    strips: StripScratch,
+) -> None:
+    """List the points of each pixel: those of what stands or hangs there, and those beneath."""
+    size, side, first = scratch.surface.shape[0], limits.tile_size, points.starts[t]
+    west, south = points.col[t] * side, points.row[t] * side
+    forget_points(strips)
+    for i in range(first, points.starts[t + 1]):
+        x, y = size * (points.easting[i] - west) / side, size * (points.northing[i] - south) / side
+        r, c = size - 1 - min(size - 1, int(y)), min(size - 1, int(x))
+        is_over = kind[i] != POINT_GROUND and points.upward[i] - scratch.surface[r, c] >= limits.low
+        add_point(i - first, (r, c), x, size - y, 1 if is_over else -BENEATH, strips)
 
 
 @helper
@@ -214,17 +244,6 @@ def _clear(scratch: ObjectScratch) -> None:
 
 
 @helper
-def _line_sum(counts: Integers, r: int, c: int, down: int, right: int) -> int:
-    """Sum of five pixels in a row around one."""
-    total, size = 0, counts.shape[0]
-    for k in range(-2, 3):
-        row, column = r + k * down, c + k * right
-        if 0 <= row < size and 0 <= column < size:
-            total += counts[row, column]
-    return total
-
-
-@helper
 def _box_sum(counts: Integers, r: int, c: int, half: int) -> int:
     """Sum of a square around one pixel."""
     total = 0
@@ -235,25 +254,7 @@ def _box_sum(counts: Integers, r: int, c: int, half: int) -> int:
 
 
 @helper
-def _is_dense(seen: Integers, company: Integers, r: int, c: int, least: int) -> bool:
-    """Return whether more points are overhead than on the ground, on a row of five pixels or in a square around one.
-
-    On a wall from 0.3 m on they do. On a wire or a twig the ground beside it outnumbers them.
-    """
-    for direction in range(4):
-        down, right = (direction > 0) * 1, (1 if direction == 0 else direction - 2)
-        for shift in range(-2, 3, 2):
-            row, column = r + shift * down, c + shift * right
-            if _line_sum(company, row, column, down, right) - _line_sum(seen, row, column, down, right) >= least:
-                return True
-    most = -1
-    for half in range(1, 4):
-        most = max(most, _box_sum(company, r, c, half) - _BESIDE * _box_sum(seen, r, c, half))
-    return most >= least
-
-
-@helper
-def _first_states(need: int, reach: int, thin: bool, seen: Integers, state: Bytes, scratch: ObjectScratch) -> None:
+def _first_states(need: int, reach: int, seen: Integers, state: Bytes, scratch: ObjectScratch) -> None:
     """States from the points of the 3 x 3 pixels around each; for canopy from those within ``reach``."""
     size = state.shape[0]
     for r in range(size):
@@ -267,12 +268,37 @@ def _first_states(need: int, reach: int, thin: bool, seen: Integers, state: Byte
                 else:
                     state[r, c] = LONE
             elif scratch.above[r, c] > 0 and _box_sum(scratch.above, r, c, reach) >= need:
-                least = _LEAVES if scratch.leaves[r, c] > 0 else _DENSE
-                if thin and scratch.leaves[r, c] == 0 and scratch.shrubs[r, c] > 0:
-                    least = _SHRUB
-                state[r, c] = SOLID if _is_dense(seen, scratch.company, r, c, least) else CANOPY
+                state[r, c] = CANOPY
             if seen[r, c] > 0:
                 state[r, c] += SEEN
+
+
+@helper
+def _fills_square(seen: Integers, r: int, c: int, least: float, scratch: ObjectScratch) -> bool:
+    """Return whether what is overhead fills a square around a pixel, and little ground is seen in it."""
+    for half in range(1, 4):
+        over = _box_sum(scratch.company, r, c, half)
+        if over >= least and outweighs(over, _box_sum(seen, r, c, half) + _box_sum(scratch.under, r, c, half), least):
+            return True
+    return False
+
+
+@helper
+def _mark_solid(
+    limits: ObjectLimits, density: float, seen: Integers, state: Bytes, scratch: ObjectScratch, strips: StripScratch
+) -> None:
+    """Mark canopy that hides the ground."""
+    size = state.shape[0]
+    pixel = limits.tile_size / size
+    half, thin = strip_half(density, pixel), pixel * pixel * density < THIN
+    for r in range(size):
+        for c in range(size):
+            if state[r, c] % SEEN == CANOPY:
+                least = _LEAVES if scratch.leaves[r, c] > 0 else _HIDING
+                if thin and scratch.leaves[r, c] == 0 and scratch.shrubs[r, c] > 0:
+                    least = _SHRUB
+                if _fills_square(seen, r, c, least, scratch) or hides_ground(r, c, half, least, pixel, strips):
+                    state[r, c] += SOLID - CANOPY
 
 
 @helper
@@ -309,7 +335,9 @@ def _summarise(state: Bytes, scalars: Floats, scratch: ObjectScratch) -> None:
 
 
 @kernel
-def find_in_tiles(points: PointsByTile, limits: ObjectLimits, tiles: TileObjects, scratch: ObjectScratch) -> None:
+def find_in_tiles(
+    points: PointsByTile, limits: ObjectLimits, tiles: TileObjects, scratch: ObjectScratch, strips: StripScratch
+) -> None:
     """Fill state and scalars of every tile; all of them have points."""
     size = scratch.surface.shape[0]
     area, pixel = limits.tile_size * limits.tile_size, limits.tile_size / size
@@ -320,14 +348,17 @@ def find_in_tiles(points: PointsByTile, limits: ObjectLimits, tiles: TileObjects
         for i in range(begin, end):
             ground += tiles.kind[i] == POINT_GROUND
         _clear(scratch)
-        plane = _fit_plane(heights, scratch)
+        plane, overhead = _fit_plane(heights, scratch), False
         if ground < end - begin:
-            _count_points(t, plane, points, limits, tiles.kind, scratch)
+            overhead = _count_points(t, plane, points, limits, tiles.kind, scratch)
         if plane.known < _LEAST_GROUND:
             _without_ground(state, scalars, scratch)
             continue
         density = (end - begin) / area
         need = max(2, math.ceil(limits.share * 9.0 * pixel * pixel * density))
         reach = 1 if 9.0 * pixel * pixel * density >= _FEW else 2
-        _first_states(need, reach, pixel * pixel * density < THIN, tiles.seen[t], state, scratch)
+        _first_states(need, reach, tiles.seen[t], state, scratch)
+        if overhead:
+            _list_points(t, points, limits, tiles.kind, scratch, strips)
+            _mark_solid(limits, density, tiles.seen[t], state, scratch, strips)
         _summarise(state, scalars, scratch)

@@ -33,14 +33,17 @@ _MAJORITY = 5
 _NEARER = 2
 """In a thin survey, ground must be nearer than an obstacle by this factor of the squared distance to make a pixel
 without points free."""
-_SIDES = 11
-"""Directions of 16 in which something overhead is met from ground beneath it, at least."""
+_SIDES, _SIDES_OF_YARD = 11, 13
+"""Directions of 16 in which something overhead is met from ground beneath it, at least; and from ground in a pixel
+without anything overhead: as many as in the corner of two walls are too few."""
+_HELD = 1.0
+"""Points on a pixel, on average, from which on most pixels beneath something hold points of it."""
 _OPEN, _OPEN_MOST = 0.03, 0.3
 """Ground is seen beneath enough of what is overhead if so many of its pixels would hold such ground with this share of
 the points of open ground; and never more than that."""
 _HIDDEN = 24.0
 """Points on the surroundings of a pixel overhead, on average, of which one would be ground if it were not hidden."""
-_GROW = 3
+_GROW, _GROW_IF_THIN = 1, 3
 """Canopy within so many pixels of what lets no pulse through belongs to it."""
 THIN = 0.4
 """Points on a pixel in a thin survey, at most."""
@@ -50,6 +53,18 @@ _GAP = 6
 """Most pixels between two parts of a line."""
 _PART, _AROUND = 2, 3
 """A part of a line has so many pixels with points of obstacles beyond the gap, and none so far to its sides."""
+
+
+_WIDEST, _ASIDE = 11, 2
+"""Most pixels between two parts of a line of which few points were seen, and pixels that its parts may be off the
+direction in which they are looked for."""
+_BETWEEN = 7.0
+"""Points that a gap in such a line would hold, at most, if it were none: chance leaves so many out once in a thousand
+times."""
+_THINNEST = 0.5
+"""Width of the thinnest wall whose gaps are closed so, px: where it would have more points, a wide gap is one."""
+_MIDDLE = 2
+"""Pixels on either side of the middle of such a gap that are closed: what is known of both ends ends there."""
 
 
 class SolidScratch(NamedTuple):
@@ -209,7 +224,7 @@ def _meets(label: Bytes, r: int, c: int, direction: int) -> bool:
 
 
 @helper
-def _is_under(label: Bytes, r: int, c: int) -> bool:
+def _is_under(label: Bytes, r: int, c: int, sides: int) -> bool:
     """Return whether the ground in a pixel lies beneath what is overhead: it is on all sides, not as beside a wall."""
     hits = 0
     for direction in range(8):
@@ -217,16 +232,31 @@ def _is_under(label: Bytes, r: int, c: int) -> bool:
         if not (one or other):
             return False
         hits += one + other
-    return hits >= _SIDES
+    return hits >= sides
+
+
+@helper
+def _mark_under(objects: Bytes, pixels: int, tile: int, scratch: SolidScratch) -> None:
+    """Mark the ground that was seen in a tile, by its number, and that beneath what is overhead."""
+    cols = objects.shape[1] // pixels
+    top, left = tile // cols * pixels, tile % cols * pixels
+    is_held = _points_per_pixel(objects, pixels, top, left) >= _HELD
+    for r in range(top, top + pixels):
+        for c in range(left, left + pixels):
+            state = objects[r, c]
+            ground = state != UNSEEN and (state >= SEEN or state == FREE)
+            sides = _SIDES_OF_YARD if is_held and not _is_overhead(state) else _SIDES
+            beneath = ground and _is_under(scratch.label, r + _MARGIN, c + _MARGIN, sides)
+            scratch.under[r + _MARGIN, c + _MARGIN] = 2 if beneath else ground
 
 
 @helper
 def _stands(r: int, c: int, mean: float, scratch: SolidScratch) -> bool:
     """Return whether what is overhead stands on the ground, of which none is seen around, or beneath a solid thing."""
     overhead = under = ground = 0
-    solid, near, least = False, _NEAR, 1.0
+    solid, near, least, grow = False, _NEAR, 1.0, _GROW
     if mean < THIN:
-        near, least = _NEAR_IF_THIN, _CHANCE
+        near, least, grow = _NEAR_IF_THIN, _CHANCE, _GROW_IF_THIN
     for k in range(len(scratch.offsets)):
         square = scratch.offsets[k, 2]
         if square > near * near:
@@ -235,15 +265,18 @@ def _stands(r: int, c: int, mean: float, scratch: SolidScratch) -> bool:
         overhead += _is_overhead(scratch.label[row, col])
         under += scratch.under[row, col] == 2
         ground += scratch.under[row, col] > 0
-        solid = solid or (scratch.label[row, col] % SEEN == SOLID and square <= _GROW * _GROW)
+        solid = solid or (scratch.label[row, col] % SEEN == SOLID and square <= grow * grow)
     hidden = ground == 0 and mean * math.pi * near * near >= _HIDDEN
     enough = min(_OPEN_MOST, 1.0 - math.exp(-_OPEN * mean))
     return hidden or (solid and under < max(least, enough * overhead))
 
 
 @helper
-def _is_line_end(marks: Bytes, r: int, c: int, down: int, right: int) -> bool:
-    """Return whether obstacle points that end in a pixel come in a line from one direction, with nothing beside it."""
+def _points_of_end(marks: Bytes, r: int, c: int, down: int, right: int) -> int:
+    """Return the pixels with points of a line that ends in a pixel and comes from one direction, 0 if it is none.
+
+    There is nothing beside a line.
+    """
     count = 0
     # Across the line, down and right change places.
     far_down, far_right = _AROUND * right // 2, -(_AROUND * down // 2)
@@ -251,10 +284,10 @@ def _is_line_end(marks: Bytes, r: int, c: int, down: int, right: int) -> bool:
     for step in range(1, _GAP + 1):
         row, col = r - (step * down + 1) // 2, c - (step * right + 1) // 2
         if marks[row + far_down, col + far_right] > 0 or marks[row - far_down, col - far_right] > 0:
-            return False
+            return 0
         beside = marks[row + near_down, col + near_right] | marks[row - near_down, col - near_right]
         count += (marks[row, col] | beside) > 0
-    return count >= _PART
+    return count if count >= _PART else 0
 
 
 @helper
@@ -269,14 +302,56 @@ def _next_part(marks: Bytes, r: int, c: int, down: int, right: int) -> int:
 
 
 @helper
-def _join_from(marks: Bytes, r: int, c: int, out: Bytes) -> None:
-    """Close the gaps in lines of obstacle points that lead east or south from a pixel."""
+def _close_middle(r: int, c: int, far_down: int, far_right: int, out: Bytes) -> None:
+    """Close the middle of a gap from a pixel to one so many rows and columns away."""
+    far = math.sqrt(float(far_down * far_down + far_right * far_right))
+    for k in range(-_MIDDLE, _MIDDLE + 1):
+        share = 0.5 + k / far
+        # Rounded down, whatever their sign.
+        row = r - _MARGIN + int(far_down * share + 0.5 + _MARGIN) - _MARGIN
+        col = c - _MARGIN + int(far_right * share + 0.5 + _MARGIN) - _MARGIN
+        if 0 <= row < out.shape[0] and 0 <= col < out.shape[1] and out[row, col] != UNSEEN:
+            out[row, col] = OBSTACLE
+
+
+@helper
+def _join_far(marks: Bytes, r: int, c: int, turn: int, count: int, widest: float, out: Bytes) -> None:
+    """Close the middle of a wide gap in a line of few points, of which ``count`` were seen up to a pixel."""
+    down, right = min(2, turn, 8 - turn), max(-2, min(2, 4 - turn))
+    across_down, across_right = (0, 1) if abs(right) < abs(down) else (1, 0)
+    inside = _GAP + _AROUND + 1  # what a part of a line is looked for in
+    for step in range(_GAP + 1, _WIDEST + 1):
+        for aside in range(-_ASIDE, _ASIDE + 1):
+            far_down = (step * down + 1) // 2 + aside * across_down
+            far_right = (step * right + 1) // 2 + aside * across_right
+            row, col, far = r + far_down, c + far_right, math.sqrt(float(far_down * far_down + far_right * far_right))
+            if far > widest or not (
+                inside <= row < marks.shape[0] - inside and inside <= col < marks.shape[1] - inside
+            ):
+                continue
+            if marks[row, col] > 0:
+                more = _points_of_end(marks, row, col, -down, -right)
+                if more > 0 and (count + more) * far <= _BETWEEN * 2 * _GAP:
+                    _close_middle(r, c, far_down, far_right, out)
+                return
+
+
+@helper
+def _join_from(marks: Bytes, r: int, c: int, widest: float, out: Bytes) -> None:
+    """Close the gaps in lines of obstacle points that lead east or south from a pixel, at most so wide, px."""
     for turn in range(8):
         down, right = min(2, turn, 8 - turn), max(-2, min(2, 4 - turn))
         gap = _next_part(marks, r, c, down, right)
-        if gap < 2 or not _is_line_end(marks, r, c, down, right):
+        if gap == 1:
             continue
-        if not _is_line_end(marks, r + (gap * down + 1) // 2, c + (gap * right + 1) // 2, -down, -right):
+        count = _points_of_end(marks, r, c, down, right)
+        if count == 0:
+            continue
+        if gap == 0:
+            if widest > _GAP:
+                _join_far(marks, r, c, turn, count, widest, out)
+            continue
+        if _points_of_end(marks, r + (gap * down + 1) // 2, c + (gap * right + 1) // 2, -down, -right) == 0:
             continue
         for step in range(gap + 1):
             row, col = r - _MARGIN + (step * down + 1) // 2, c - _MARGIN + (step * right + 1) // 2
@@ -285,14 +360,18 @@ def _join_from(marks: Bytes, r: int, c: int, out: Bytes) -> None:
 
 
 @helper
-def _join_lines(marks: Bytes, out: Bytes) -> None:
+def _join_lines(objects: Bytes, pixels: int, marks: Bytes, out: Bytes) -> None:
     """Close the gaps in lines of obstacle points, such as wires of which a few points were seen."""
-    for r in range(_MARGIN, _MARGIN + out.shape[0]):
-        mine, below = marks[r], marks[r + 1]
-        for c in range(_MARGIN, _MARGIN + out.shape[1]):
-            inside = min(mine[c + 1], below[c - 1], below[c], below[c + 1]) > 0  # no gap begins here
-            if mine[c] > 0 and not inside:
-                _join_from(marks, r, c, out)
+    cols = out.shape[1] // pixels
+    for tile in range(out.shape[0] // pixels * cols):
+        top, left = tile // cols * pixels, tile % cols * pixels
+        widest = min(1.0 * _WIDEST, _BETWEEN / (_THINNEST * max(_points_per_pixel(objects, pixels, top, left), 1e-9)))
+        for r in range(_MARGIN + top, _MARGIN + top + pixels):
+            mine, below = marks[r], marks[r + 1]
+            for c in range(_MARGIN + left, _MARGIN + left + pixels):
+                inside = min(mine[c + 1], below[c - 1], below[c], below[c + 1]) > 0  # no gap begins here
+                if mine[c] > 0 and not inside:
+                    _join_from(marks, r, c, widest, out)
 
 
 @kernel
@@ -307,14 +386,10 @@ def settle_solids(
     _mark_parts(objects, scratch.marks)
     _fill_own(objects, scratch)
     overhead = _label(objects, pixels, hole, scratch)
-    if overhead:
-        for r in range(rows):
-            for c in range(cols):
-                state = objects[r, c]
-                ground = state != UNSEEN and (state >= SEEN or state == FREE)
-                beneath = ground and _is_under(scratch.label, r + _MARGIN, c + _MARGIN)
-                scratch.under[r + _MARGIN, c + _MARGIN] = 2 if beneath else ground
-    for tile in range((rows // pixels) * (cols // pixels)):
+    tiles = (rows // pixels) * (cols // pixels)
+    for tile in range(tiles if overhead else 0):
+        _mark_under(objects, pixels, tile, scratch)
+    for tile in range(tiles):
         top, left = tile // (cols // pixels) * pixels, tile % (cols // pixels) * pixels
         mean = _points_per_pixel(objects, pixels, top, left) if overhead else 0.0
         for r in range(top, top + pixels):
@@ -328,4 +403,4 @@ def settle_solids(
                     out[r, c] = OBSTACLE if stands else canopy
                 else:
                     out[r, c] = FREE if state % SEEN == LONE or state % SEEN == STEEP else state % SEEN
-    _join_lines(scratch.marks, out)
+    _join_lines(objects, pixels, scratch.marks, out)

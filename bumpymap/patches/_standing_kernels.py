@@ -182,6 +182,12 @@ _FARTHEST_FOOT = 4
 """Farthest of them, px."""
 
 
+_SIDE, _TALL = 1, 2
+"""Marks of pixels on a side, and of those far above what lies beneath."""
+_TALLER = 2.5
+"""They are so many times as far above it as a side drops: 0.5 m for a belly 0.25 m above the ground."""
+
+
 class StandingLimits(NamedTuple):
     """Sizes of things; heights are as single precision has them, like the heights that they are compared with."""
 
@@ -218,7 +224,7 @@ class StandingScratch(NamedTuple):
     raised: Annotated[Bytes, 1]
     """((rows + 2) * (cols + 2),) pixels that are high enough, with one more on all sides that are not."""
     sides: Annotated[Bytes, 1]
-    """The same shape: those above a place far lower."""
+    """The same shape: marks of those above a place far lower, and of tall ones."""
     thing: Annotated[Integers, 1]
     """(rows * cols,) pixels of one thing."""
     offsets: Annotated[Integers, 2]
@@ -326,13 +332,17 @@ def _is_side(r: int, c: int, limits: StandingLimits, scratch: StandingScratch) -
 def _follow_thing(start: int, wide: int, sides: Bytes, share: float, raised: Bytes, thing: Integers) -> int:
     """List the raised pixels that hang together with one by sides and corners; returns how many stand, else 0.
 
-    They are no longer marked as raised. Rows of pixels are ``wide``, with one on both ends that is never raised.
+    They are no longer marked as raised. Rows of pixels are ``wide``, with one on both ends that is never raised. Where
+    only the tall ones among them stand, on rough or noisy ground that is raised too, the list is of these.
     """
-    size, steep, at = 1, 0, 0
+    size, at = 1, 0
+    steep = tall = steep_tall = 0
     thing[0] = start
     raised[start] = 0
     while at < size:
-        steep += sides[thing[at]]
+        steep += sides[thing[at]] & _SIDE
+        tall += (sides[thing[at]] & _TALL) > 0
+        steep_tall += sides[thing[at]] == _SIDE + _TALL
         for down in range(-1, 2):
             for right in range(-1, 2):
                 k = thing[at] + down * wide + right
@@ -341,7 +351,16 @@ def _follow_thing(start: int, wide: int, sides: Bytes, share: float, raised: Byt
                     thing[size] = k
                     size += 1
         at += 1
-    return size if steep > share * size else 0
+    if steep > share * size:
+        return size
+    if steep_tall <= share * tall:
+        return 0
+    kept = 0
+    for n in range(size):
+        if sides[thing[n]] & _TALL > 0:
+            thing[kept] = thing[n]
+            kept += 1
+    return kept
 
 
 @kernel
@@ -362,7 +381,9 @@ def mark_standing(
         for c in range(cols):
             high = limits.raised < above[r, c] < np.inf
             raised[first + c] = high
-            sides[first + c] = high and _is_side(r, c, limits, scratch)
+            sides[first + c] = _SIDE if high and _is_side(r, c, limits, scratch) else 0
+            if high and above[r, c] > _TALLER * limits.drop:
+                sides[first + c] += _TALL
             marks[r, c] = False
     for start in range(len(raised)):
         if raised[start] > 0:

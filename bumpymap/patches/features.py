@@ -32,6 +32,7 @@ from bumpymap.patches._measure_kernels import (
 )
 from bumpymap.patches._object_kernels import ObjectLimits, TileObjects, find_in_tiles, object_scratch
 from bumpymap.patches._standing_kernels import PAIR_MEASURES, PairSettings, measure_pairs, pair_scratch
+from bumpymap.patches._strip_kernels import strip_scratch
 from bumpytiles import Grid, TilePoints
 
 _SCALARS = 9
@@ -196,12 +197,15 @@ _OBJECT_SCALARS = 4
 def find_objects(points: TilePoints, patches: PatchStack, body: VehicleBody) -> ObjectStack:
     """Find obstacles and canopy in tiles whose ground is known point by point.
 
-    The height of a point counts from the ground beneath it: the heightmap, continued by a plane and the nearest
-    heights where no ground was seen. A pixel is an obstacle if it holds a point from the belly (or the height of the
-    plants that the vehicle brushes aside) up to the vehicle's height, or one of a building, however high, and its 3 x 3
-    pixels hold two points from there upward; so under a crown, whose leaves hide the trunk, one is enough. In surveys
-    of more than 278 points/m2 it takes 2 % of the points that 3 x 3 pixels have on average. Pixels with as many higher
-    points are canopy. In tiles with less than three pixels of ground everything that is seen is an obstacle.
+    The height of a point counts from the ground beneath it: the heightmap, continued by a plane and the nearest heights
+    where no ground was seen. A pixel is an obstacle if it holds a point from the belly (or the height of the plants
+    that the vehicle brushes aside) up to the vehicle's height, or one of a building, however high, and its 3 x 3 pixels
+    hold two points from there upward; so under a crown, whose leaves hide the trunk, one is enough. In surveys of more
+    than 278 points/m2 it takes 2 % of the points that 3 x 3 pixels have on average. Pixels with as many higher points
+    are canopy. It hides the ground if its points outweigh those beneath, three to one, in a part of a square or of a
+    strip that they lie along, by more than chance has where half of the pulses get through; the strip is as long as it
+    takes at the density of the tile, which may be 3 m. In tiles with less than three pixels of ground everything that
+    is seen is an obstacle.
 
     Parameters
     ----------
@@ -226,15 +230,16 @@ def find_objects(points: TilePoints, patches: PatchStack, body: VehicleBody) -> 
     limits = ObjectLimits(points.grid.tile_size, body.lowest_obstacle_m, body.height_m, OBSTACLE_SHARE)
     kind = np.ascontiguousarray(points.flag, np.uint8)
     found = TileObjects(kind, patches.heights, patches.spread_count, state, scalars)
-    find_in_tiles(places, limits, found, object_scratch(pixels))
+    most = int(np.diff(points.starts).max(initial=0))
+    find_in_tiles(places, limits, found, object_scratch(pixels), strip_scratch(pixels, most))
     return ObjectStack(state, *scalars.T.astype(np.float32))
 
 
 def settle_solids(objects: NDArray[np.uint8], grid: Grid, max_hole: float) -> NDArray[np.uint8]:
     """Decide by the pixels around them what is overhead, what was not seen, and which single points are a line.
 
-    - Canopy is an obstacle if part of it lets no pulse through and no ground is seen beneath. Ground lies beneath if
-      canopy is met on all sides of it: beside a wall, and between two vans, it is not.
+    - Canopy is an obstacle if part of it hides the ground (`find_objects`) and no ground is seen beneath. Ground lies
+      beneath if canopy is met on all sides of it: beside a wall, in its corner, and between two vans, it is not.
     - A pixel without points belongs to the nearest with points: what is believed free was seen free.
     - Points in a line with gaps of up to six pixels are one obstacle.
 

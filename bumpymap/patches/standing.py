@@ -213,7 +213,7 @@ def leave_out_standing(
         return points, patches
     least = BareSettings(
         pixel=patches.grid.pixel_size,
-        depth=max(1, round(settings.max_hole / patches.grid.pixel_size)),
+        depth=patches.grid.pixels,  # what stood there is in the way, however wide
         min_coverage=settings.min_coverage,
         min_points=settings.min_points,
         # As in `measure_thin`: a larger number than usual holds for thin tiles too.
@@ -260,7 +260,9 @@ def _without_strays(
             continue
         row, col, ground, above = _above_plane(t, points, patches, known)
         low, high = ground.min() - 0.5 * settings.stray_gap, ground.max() + 0.5 * settings.stray_gap
-        if (above >= low).all() and near[t, row, col][above > high].all():
+        strays = np.zeros(near.shape[1:], np.bool_)
+        strays[row[above > high], col[above > high]] = True
+        if (above >= low).all() and not (strays & ~_reached(near[t], strays)).any():
             flag[points.starts[t] : points.starts[t + 1]][above > high] = POINT_OTHER
             kept.append(t)
     points = replace(points, flag=flag)
@@ -271,6 +273,14 @@ def _without_strays(
     for name, values in replaced.items():
         values[kept] = getattr(again, name)
     return points, replace(patches, **replaced)
+
+
+def _reached(near: Marks, strays: Marks) -> Marks:
+    """Mark the pixels that are near a thing, or beside strays that are."""
+    reached = near
+    while (more := reached | _with_neighbours(reached & strays)).sum() > reached.sum():
+        reached = more
+    return reached
 
 
 def _above_plane(

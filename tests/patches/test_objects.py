@@ -271,6 +271,26 @@ def test_without_the_wall_on_it_a_tile_is_as_rough_as_its_ground(density):
     assert (apart.flag[~of_wall] == 1).mean() > 0.99
 
 
+def test_beside_a_car_that_fills_half_a_tile_the_ride_is_that_of_the_ground():
+    """What it hides is wider than the holes that are filled in a survey."""
+    things, _, _, bare = bare_tiles(lambda x, y: 1.5 * ((x % 12 > 7.3) & (x % 12 < 9.1) & ((y - 3) % 12 < 4.4)), 60)
+    filled = things.mean(axis=(1, 2))
+    assert ((filled > 0.3) & (filled < 0.6)).any()
+    assert bare.relief[filled < 0.6].max() < 0.25  # what is lower than the belly is left on it
+
+
+def test_a_single_pixel_of_a_wall_stands_on_noisy_ground():
+    rng = np.random.default_rng(4)
+    heights = np.where(rng.random(X.shape) < 0.4, np.nan, 0.05 * rng.normal(size=X.shape)).astype(np.float32)
+    places = np.s_[5::10, 5::10]
+    heights[places] += 2.0
+    marks = find_standing(heights, BODY, 0.2, width=2.6, least=0.25)
+    known = np.isfinite(heights[places])
+    assert known.sum() > 10
+    assert marks[places][known].all()
+    assert marks.sum() < 2 * known.sum()
+
+
 def test_tiles_of_which_little_is_left_or_where_the_vehicle_fits_nowhere_stay_as_they_are():
     # Of some tiles of a chequered field, one half stands on the other.
     things, patches, _, bare = bare_tiles(lambda x, y: 1.0 * ((x // 2.1 + y // 2.1) % 2 < 1), 60)
@@ -295,7 +315,7 @@ def test_a_few_points_of_a_wall_that_ends_in_a_tile_are_no_noise_but_points_belo
     rng = np.random.default_rng(5)
     x, y = rng.uniform(0, 6, (2, 20 * 36))
     on_wall = (np.abs(y - 4.5) < 0.15) & (x < 3.0)
-    corner = np.array([[3.02, 4.45], [3.05, 4.5], [3.08, 4.55]])
+    corner = np.array([[3.02, 4.45], [3.25, 4.5], [3.48, 4.55]])  # pixels beside one another, the first beside the wall
     z = np.concatenate([0.01 * rng.normal(size=len(x)) + 2.0 * on_wall, np.full(3, height)])
     points = block_of(np.append(x, corner[:, 0]), np.append(y, corner[:, 1]), z, np.zeros(len(z), bool))
     patches = measure(points, SETTINGS, ground_only=False)
