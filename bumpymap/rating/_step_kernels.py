@@ -602,7 +602,7 @@ def find_peaks(
     limit: Annotated[Floats, 2],
     closing: float,
     highest: Annotated[Floats, 3],
-    closed: Annotated[NDArray[np.bool_], 2],
+    closed: Annotated[NDArray[np.uint8], 2],
     scratch: PeakScratch,
 ) -> None:
     """Fill the highest step of tiles, or ridge if that is higher, m; negative where none is known.
@@ -615,7 +615,8 @@ def find_peaks(
     ``limit`` is (tiles, tiles): steps of that height do not count, m. That of a pixel is between those of the tiles two
     pixels before and behind it.
 
-    ``closed`` is (rows, cols), filled with False: the same pixels are True where the step is ``closing`` m high.
+    ``closed`` is (rows, cols), filled with 0: the same pixels are 2 where the step is ``closing`` m high, and 1 where
+    it is if the points bear out any part of it.
     """
     cols, pixels, limits = raw.least.shape[1], mosaic.pixels, scratch.limit
     for row in range(1, limit.shape[0] - 1):
@@ -633,7 +634,7 @@ def find_peaks(
                 asked = min(found[part], closing)
                 if scratch.felt[c] > asked or raw.crest[r, c] > limits[c]:
                     step, borne_out = _step_at(mosaic, r, c, raw.crest[r, c], asked, scratch)
-                    closed[r, c] = borne_out >= closing
+                    closed[r, c] = (borne_out >= closing) + (step >= closing)
                     for k in range(part, 4):
                         if (k == part or k > 1) and step > found[k]:
                             found[k] = step

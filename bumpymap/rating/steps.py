@@ -26,7 +26,8 @@ difference.
 
 *Closing.* A step that the vehicle cannot cross closes the pixels on its line, and not its tile:
 
-7. Of the steps above, all that any part of the points bears out, at their full height: to close is the safe side.
+7. Of the steps above, where many points fell, all that any part of them bears out, at their full height: to close is
+   the safe side.
 8. Jumps. With few or noisy points, runs of nine pixels tell little. There, for lines at eight angles through a pixel, a
    plane is fitted through all pixels on each side, 1.8 m along the line and 1 m across it. The ground jumps where both
    planes and both mean levels differ by the height, surely, and the points lie close to the planes.
@@ -363,7 +364,10 @@ def find_steps(
     west, east = _borders(west_east)
     north, south = (side.T for side in _borders(north_south))
     border = np.stack([north, east, south, west], axis=-1)
-    closed |= closed_too.T | _jumps(np.ascontiguousarray(z[RUN:-RUN]), slopes, closing, level)
+    is_thin = _tile_sums(np.isfinite(heights), pixels) < _MOST_COVERAGE * pixels**2
+    least = np.repeat(np.repeat(np.where(is_thin, np.uint8(2), np.uint8(1)), pixels, axis=0), pixels, axis=1)
+    closed = np.maximum(closed, closed_too.T) >= least
+    closed |= _jumps(np.ascontiguousarray(z[RUN:-RUN]), slopes, is_thin, closing, level)
     low = _below_others(heights, np.fmax(closing, _JUMP * noise), pixels) if closed.any() else closed
     own = np.where(np.isnan(limit), UNKNOWN_NOISE, limit)[1:-1, 1:-1]
     border, inner, rim, own = (part.astype(np.float32) for part in (border, inner, rim, own))
@@ -385,14 +389,15 @@ def _tile_sums(marks: NDArray[np.bool_], pixels: int) -> NDArray[np.int64]:
     return np.asarray(marks.reshape(rows, pixels, cols, pixels).sum(axis=(1, 3)))
 
 
-def _jumps(heights: Floats, slopes: tuple[Floats, Floats], closing: float, level: float) -> NDArray[np.bool_]:
-    """Return the lines of jumps, see `find_jumps`; ``slopes``: rise from pixel to pixel of tiles, east and south, m."""
+def _jumps(
+    heights: Floats, slopes: tuple[Floats, Floats], is_thin: NDArray[np.bool_], closing: float, level: float
+) -> NDArray[np.bool_]:
+    """Return the lines of jumps in thin tiles, see `find_jumps`; ``slopes``: rise per pixel, east and south, m."""
     pixels = len(heights) // len(slopes[0])
     marks = np.zeros(heights.shape, np.bool_)
     if math.isfinite(closing):
-        coverage = _tile_sums(np.isfinite(heights), pixels) / pixels**2
         width = min(level, _JUMP_WIDTH)
-        is_wanted = (coverage > _THINNEST) & (coverage < _MOST_COVERAGE)
+        is_wanted = is_thin & (_tile_sums(np.isfinite(heights), pixels) > _THINNEST * pixels**2)
         wanted = TileSlopes(np.ascontiguousarray(slopes[0]), np.ascontiguousarray(slopes[1]), is_wanted)
         scratch = jump_scratch(heights.shape[0], heights.shape[1], width)
         find_jumps(heights, pixels, wanted, closing, jump_sides(width), marks, scratch)
@@ -436,12 +441,12 @@ def _raw(mosaic: StepMosaic, side: int) -> RawSteps:
     return found
 
 
-def _peaks(mosaic: StepMosaic, raw: RawSteps, limit: Floats, closing: float) -> tuple[Floats, NDArray[np.bool_]]:
+def _peaks(mosaic: StepMosaic, raw: RawSteps, limit: Floats, closing: float) -> tuple[Floats, NDArray[np.uint8]]:
     """Return the highest steps that stand out at the borders of each tile, near them and in it, (tiles, tiles, 4).
 
-    Also return the pixels with a step that closes.
+    Also return the pixels with a step that closes, surely (2) or if in doubt (1).
     """
-    found, closed = np.full((*limit.shape, 4), np.nan), np.zeros(raw.least.shape, np.bool_)
+    found, closed = np.full((*limit.shape, 4), np.nan), np.zeros(raw.least.shape, np.uint8)
     find_peaks(mosaic, raw, limit, closing, found, closed, peak_scratch(raw.least.shape[1], mosaic.level))
     found[found < 0.0] = np.nan
     return found + 0.0, closed  # never -0.0: the sign of nothing would depend on the machine

@@ -35,11 +35,12 @@ GROUND = {
     "ditch 1 m deep": (-1.0, DITCH_M),
     "kerb .1 m": (0.1, np.inf),
     "step .2 m": (0.2, np.inf),
-    "ditch .3 m wide": (-1.0, 0.3),
+    "ditch .3 m wide and deep": (-0.3, 0.3),
+    "ditch .3 m wide, 1 m deep": (-1.0, 0.3),
 }
 """Height beyond a line [m], and how far beyond it [m]."""
 RAMPS = {"ramp 15 degrees": 15.0, "ramp 20 degrees": 20.0}
-DRIVABLE = ("kerb .1 m", "step .2 m", "ditch .3 m wide", *RAMPS)
+DRIVABLE = ("kerb .1 m", "step .2 m", "ditch .3 m wide and deep", "ditch .3 m wide, 1 m deep", *RAMPS)
 DENSITIES = (400, 200, 100, 50, 20, 10)
 
 

@@ -85,8 +85,9 @@ def test_a_survey_in_feet_gives_the_tiles_of_the_same_survey_in_metres(site, tmp
     medians = {}
     for name in ("m", "ft", "mixed", "bare"):
         with rasterio.open(tmp_path / name / "rasters/roughness.tif") as raster:
-            # A point within a millimetre of a tile's or pixel's edge may change sides: compare in the median.
-            medians[name] = np.nanmedian(raster.read(), axis=(1, 2))
+            # A point within a millimetre of a tile's or pixel's edge may change sides: compare in the median of many.
+            values = raster.read()
+            medians[name] = np.nanmedian(values[np.isfinite(values).sum(axis=(1, 2)) > 20], axis=(1, 2))
             unit = us_foot if name != "m" else 1.0
             assert raster.transform.a == pytest.approx(3 / unit)
             assert raster.transform.c * unit == pytest.approx(500_001, abs=1e-4)
