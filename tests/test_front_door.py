@@ -75,7 +75,7 @@ def test_objects_tiles_and_regions_are_those_of_the_files(layers):
     with rasterio.open(layers.folder / "rasters/obstacle.tif") as file:
         np.testing.assert_array_equal(objects.values, file.read(1))
         assert objects.rio.transform() == file.transform == layers.heights().rio.transform()
-    assert objects.attrs["flag_meanings"] == "free obstacle canopy unknown"
+    assert objects.attrs["flag_meanings"] == "free obstacle canopy unknown step"
     assert isinstance(tiles, geopandas.GeoDataFrame)
     assert len(tiles) == layers.manifest["counts"]["tiles"]
     assert tiles.crs == regions.crs == "EPSG:32632"

@@ -187,7 +187,8 @@ def summarise(table: CostTable, limits: Sequence[float] | None = None) -> MapSum
         median_count=_median(counts[0]),
         failing=failing,
         by_holes=by_holes,
-        seen=SeenSizes(*((_median(sizes[name][0]) + 0.5) * step for name, step in _SEEN_STEPS.items())),
+        # As `SeenSizes.record` writes them, so that a run that is complete reads the same.
+        seen=SeenSizes(*(round((_median(sizes[name][0]) + 0.5) * step, 3) for name, step in _SEEN_STEPS.items())),
         **_count_objects(table),
     )
 

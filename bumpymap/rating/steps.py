@@ -31,8 +31,8 @@ difference.
 8. Jumps. With few or noisy points, runs of nine pixels tell little. There, for lines at eight angles through a pixel, a
    plane is fitted through all pixels on each side, 1.8 m along the line and 1 m across it. The ground jumps where both
    planes and both mean levels differ by the height, surely, and the points lie close to the planes.
-9. Where a step is known, every pixel of its tiles that lies so far below one beside it is closed too: runs do not tell
-   the last metre of a ditch.
+9. Where a step is known, or the tile fails, every pixel of it that lies so far below one beside it is closed too: runs
+   do not tell the last metre of a ditch.
 
 A step depends only on the pixels around it, so two blocks find the same bits for the border that they share.
 
@@ -286,7 +286,7 @@ class TileSteps:
     tiles and in the pixels of the ring that touch them; False elsewhere."""
     low: NDArray[np.bool_]
     """Of the same shape: pixels so far below one beside them, and well beyond the noise of their tile. Runs of pixels
-    do not tell the last metre of a ditch, or a hole; these do where it is known that the ground breaks off."""
+    do not tell the last metre of a ditch, or a hole; these do where it is known that the ground breaks off or fails."""
     limit: NDArray[np.float32]
     """(n, m) up to that height steps do not stand out from noise and roughness of the tile; of `bumpymap.core`, see
     `smallest_step`."""
@@ -368,7 +368,7 @@ def find_steps(
     least = np.repeat(np.repeat(np.where(is_thin, np.uint8(2), np.uint8(1)), pixels, axis=0), pixels, axis=1)
     closed = np.maximum(closed, closed_too.T) >= least
     closed |= _jumps(np.ascontiguousarray(z[RUN:-RUN]), slopes, is_thin, closing, level)
-    low = _below_others(heights, np.fmax(closing, _JUMP * noise), pixels) if closed.any() else closed
+    low = _below_others(heights, np.fmax(closing, _JUMP * noise), pixels)
     own = np.where(np.isnan(limit), UNKNOWN_NOISE, limit)[1:-1, 1:-1]
     border, inner, rim, own = (part.astype(np.float32) for part in (border, inner, rim, own))
     return TileSteps(border, inner, rim, closed, low, own)

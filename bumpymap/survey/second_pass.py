@@ -274,7 +274,7 @@ class NeighbourRating:
         share = np.mean(states == OBSTACLE, axis=(2, 3), dtype=np.float32)
         barred, nothing = self.calibration.cost_rule.barred(own), np.float32(np.nan)
         beside = {name: np.full(barred.shape, nothing) for name in _BESIDE_STEPS}
-        if self.config.compat == "none" and steps.closed.any():
+        if self.config.compat == "none" and (steps.closed | steps.low).any():
             barred, states, beside = self._decide_steps(window, steps, own | {"barred": barred}, states)
         obstacle = np.where(np.isnan(own["obstacle"]), np.float32(np.nan), share)
         height = own["obstacle_height"]
@@ -353,6 +353,8 @@ class NeighbourRating:
         """
         touched = self._inner(steps.closed).any(axis=(2, 3))
         touched |= steps.edge_step >= closing_height(self.calibration)
+        failing = np.isin(own["barred"], (Barred.FAILS, Barred.SLOPE)) & (own["coverage"] >= _LEAST_COVERAGE)
+        touched |= failing & self._inner(steps.low).any(axis=(2, 3))
         touched &= own["barred"] != Barred.UNKNOWN
         edges = self._inner(steps.closed) | touched[..., None, None]
         beside = {name: np.full(touched.shape, np.float32(np.nan)) for name in _BESIDE_STEPS}
