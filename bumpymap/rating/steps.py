@@ -357,8 +357,8 @@ def find_steps(
     usual = np.empty((rows, cols))  # a low quantile of the steps whose support lies in the tile; NaN with too few
     find_quantiles(across.inside, along.inside, _QUANTILE, _LEAST_STEPS, usual, np.empty(2 * inside + 1))
     limit = np.fmax(_QUANTILE_LIMIT * usual, noise)
-    west_east, closed = _peaks(upright, across, limit, closing)
-    north_south, closed_too = _peaks(lying, along, np.ascontiguousarray(limit.T), closing)
+    west_east, marks = _peaks(upright, across, limit, closing)
+    north_south, marks_too = _peaks(lying, along, np.ascontiguousarray(limit.T), closing)
     slopes = _sure(east, noise_east, z[RUN:-RUN], pixels), _sure(south, noise_south, turned[RUN:-RUN], pixels).T
     rim, inner = np.moveaxis(np.fmax(west_east, north_south.swapaxes(0, 1))[1:-1, 1:-1, 2:], -1, 0)
     west, east = _borders(west_east)
@@ -366,7 +366,7 @@ def find_steps(
     border = np.stack([north, east, south, west], axis=-1)
     is_thin = _tile_sums(np.isfinite(heights), pixels) < _MOST_COVERAGE * pixels**2
     least = np.repeat(np.repeat(np.where(is_thin, np.uint8(2), np.uint8(1)), pixels, axis=0), pixels, axis=1)
-    closed = np.maximum(closed, closed_too.T) >= least
+    closed = np.maximum(marks, marks_too.T) >= least
     closed |= _jumps(np.ascontiguousarray(z[RUN:-RUN]), slopes, is_thin, closing, level)
     low = _below_others(heights, np.fmax(closing, _JUMP * noise), pixels)
     own = np.where(np.isnan(limit), UNKNOWN_NOISE, limit)[1:-1, 1:-1]
