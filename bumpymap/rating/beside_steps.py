@@ -58,8 +58,7 @@ def rate_beside_steps(
     heights : array (n, pixels, pixels)
         Mean height of the ground in each pixel, m; NaN where it is not known.
     line, standing : bool (n, pixels, pixels)
-        Pixels of steps that the vehicle cannot cross, those of the next tiles too where they touch; and of obstacles
-        and what was not seen.
+        Pixels of the tiles' own steps that the vehicle cannot cross; and of obstacles and what was not seen.
     whole : tuple of arrays (n,)
         C_r and p_fail of whole tiles: what is left of them is no worse.
     thin : array (n, 20)

@@ -351,16 +351,17 @@ class NeighbourRating:
         What reads tiles alone would cross a wall on a border if it barred one of its tiles only. Beside the step, the
         ground is rated for itself; what is not fit to drive on is marked as well.
         """
-        touched = self._inner(steps.closed).any(axis=(2, 3))
+        closed, low = self._inner(steps.closed), self._inner(steps.low)
+        touched = closed.any(axis=(2, 3))
         touched |= steps.edge_step >= closing_height(self.calibration)
         failing = np.isin(own["barred"], (Barred.FAILS, Barred.SLOPE)) & (own["coverage"] >= _LEAST_COVERAGE)
-        touched |= failing & self._inner(steps.low).any(axis=(2, 3))
+        touched |= failing & low.any(axis=(2, 3))
         touched &= own["barred"] != Barred.UNKNOWN
-        edges = self._inner(steps.closed) | touched[..., None, None]
+        edges = closed | touched[..., None, None]
         beside = {name: np.full(touched.shape, np.float32(np.nan)) for name in _BESIDE_STEPS}
         tiles = np.nonzero(touched & (own["coverage"] >= _LEAST_COVERAGE) & self.config.by_ride)
         if len(tiles[0]):
-            line, standing = self._inner(steps.closed | steps.low)[tiles], np.isin(states[tiles], (OBSTACLE, UNSEEN))
+            line, standing = (closed | low)[tiles], np.isin(states[tiles], (OBSTACLE, UNSEEN))
             whole = own["c_r"][tiles], own["p_fail"][tiles]
             heights, thin = (window.inner(name)[tiles] for name in ("heights", "thin"))
             found = rate_beside_steps(heights, line, standing, whole, thin, self.calibration)
