@@ -212,10 +212,10 @@ class PatchStack:
 
 STEP_EDGE = 8
 """State of a pixel of ground that the vehicle cannot cross: the line of a step, drop or ditch; settled states only."""
-LONE, SOLID, EMPTY, STEEP, SEEN = 4, 5, 6, 7, 16
+LONE, SOLID, EMPTY, STEEP, LOW_SOLID, MAYBE_SOLID, SEEN = 4, 5, 6, 7, 9, 10, 16
 """Further states before the neighbours of a tile are known, see `bumpymap.patches.settle_solids`: a single point of an
-obstacle; canopy that lets no pulse through; no point; points far above one another, where all count as ground; and,
-added to a state, ground in the same pixel."""
+obstacle; canopy that lets no pulse through; no point; points far above one another, where all count as ground; as
+``SOLID``, and nothing high above the vehicle; canopy of which a part alone shows no ground; and, added to a state, ground in the same pixel."""
 
 OBJECT_NAMES = ("free", "obstacle", "canopy", "unknown", "step")
 """Names of these states in obstacle.tif, where ``UNSEEN`` is 3 and ``STEP_EDGE`` 4."""

@@ -15,6 +15,8 @@ from bumpymap.core import (
     EMPTY,
     FREE,
     LONE,
+    LOW_SOLID,
+    MAYBE_SOLID,
     OBSTACLE,
     POINT_BUILDING,
     POINT_GROUND,
@@ -48,8 +50,16 @@ _FEW = 4.0
 _HIDING = 6.0
 """Points by which what is overhead must outweigh the ground beneath it to hide it, see
 `bumpymap.patches._strip_kernels`."""
+_MOST_OF_PIXEL = 2.0
+"""Points overhead of a pixel that count in strips, over those that a pixel has on average; two at least."""
+_MAYBE, _MAYBE_SHARE = 2.0, 0.5
+"""The same of a part of a wall in the corner of a tile, which hides it if what it continues does."""
 _LEAFY, _LEAVES = 1.0, 13.0
 """Plants so far above the vehicle, m, are crowns: where leaves are dense, more points reach no ground by chance."""
+_THINNER = 6.0
+"""Points per m2 below which that holds for all that ends low: a car in two tiles has too few points in each."""
+_LOW = 3.0
+"""What hides the ground and ends below this, m above the vehicle, is no crown but a car, a wall or a hedge."""
 _SHRUB = 1.0
 """As ``_HIDING``, in a thin survey, for plants that end lower than crowns: a hedge."""
 _RIDGE = 1.0
@@ -108,10 +118,13 @@ class ObjectScratch(NamedTuple):
     """The same shape: lowest point overhead, m above the ground."""
     body: Annotated[Integers, 2]
     """The same shape: points between ``low`` and ``high``; then these and those
-    above, those above, those under, those of leaves above, and those of lower plants above."""
+    above, those above, those under, those high above, those
+    that count for strips, those of leaves above, and those of lower plants above."""
     company: Annotated[Integers, 2]
     above: Annotated[Integers, 2]
     under: Annotated[Integers, 2]
+    tall: Annotated[Integers, 2]
+    listed: Annotated[Integers, 2]
     leaves: Annotated[Integers, 2]
     shrubs: Annotated[Integers, 2]
     places: Annotated[Integers, 1]
@@ -122,7 +135,7 @@ class ObjectScratch(NamedTuple):
 def object_scratch(pixels: int) -> ObjectScratch:
     """Make scratch for tiles of so many pixels along a side."""
     maps: list[Any] = [np.empty((pixels, pixels)) for _ in range(3)]
-    maps += [np.empty((pixels, pixels), np.int32) for _ in range(6)]
+    maps += [np.empty((pixels, pixels), np.int32) for _ in range(8)]
     maps += [np.empty(pixels * pixels, np.int32), np.empty(pixels * pixels)]
     return ObjectScratch(*maps)
 
@@ -202,6 +215,7 @@ def _count_points(
             scratch.above[r, c] += 1
             scratch.company[r, c] += 1
             scratch.least[r, c] = min(scratch.least[r, c], h)
+            scratch.tall[r, c] += h > limits.high + _LOW
             scratch.leaves[r, c] += kind[i] == POINT_PLANT and h > limits.high + _LEAFY
             scratch.shrubs[r, c] += kind[i] == POINT_PLANT and h <= limits.high + _LEAFY
         elif h >= limits.low:
@@ -226,10 +240,15 @@ def _list_points(
     size, side, first = scratch.surface.shape[0], limits.tile_size, points.starts[t]
     west, south = points.col[t] * side, points.row[t] * side
     forget_points(strips)
+    # A side that returns points too would have more than its share.
+    most = max(2, math.ceil(_MOST_OF_PIXEL * (points.starts[t + 1] - first) / (size * size)))
     for i in range(first, points.starts[t + 1]):
         x, y = size * (points.easting[i] - west) / side, size * (points.northing[i] - south) / side
         r, c = size - 1 - min(size - 1, int(y)), min(size - 1, int(x))
         is_over = kind[i] != POINT_GROUND and points.upward[i] - scratch.surface[r, c] >= limits.low
+        if is_over and scratch.listed[r, c] >= most:
+            continue
+        scratch.listed[r, c] += is_over
         add_point(i - first, (r, c), x, size - y, 1 if is_over else -BENEATH, strips)
 
 
@@ -239,7 +258,7 @@ def _clear(scratch: ObjectScratch) -> None:
     for r in range(scratch.body.shape[0]):
         for c in range(scratch.body.shape[0]):
             scratch.body[r, c] = scratch.company[r, c] = scratch.above[r, c] = 0
-            scratch.under[r, c] = scratch.leaves[r, c] = scratch.shrubs[r, c] = 0
+            scratch.under[r, c] = scratch.tall[r, c] = scratch.listed[r, c] = scratch.leaves[r, c] = scratch.shrubs[r, c] = 0
             scratch.top[r, c], scratch.least[r, c] = 0.0, np.inf
 
 
@@ -291,14 +310,18 @@ def _mark_solid(
     size = state.shape[0]
     pixel = limits.tile_size / size
     half, thin = strip_half(density, pixel), pixel * pixel * density < THIN
+    thinner = density < _THINNER
     for r in range(size):
         for c in range(size):
             if state[r, c] % SEEN == CANOPY:
                 least = _LEAVES if scratch.leaves[r, c] > 0 else _HIDING
-                if thin and scratch.leaves[r, c] == 0 and scratch.shrubs[r, c] > 0:
+                is_low = _box_sum(scratch.tall, r, c, 2) == 0
+                if (thin and scratch.leaves[r, c] == 0 and scratch.shrubs[r, c] > 0) or (thinner and is_low):
                     least = _SHRUB
-                if _fills_square(seen, r, c, least, scratch) or hides_ground(r, c, half, least, pixel, strips):
-                    state[r, c] += SOLID - CANOPY
+                if _fills_square(seen, r, c, least, scratch) or hides_ground(r, c, half, (least, 0.0), pixel, strips):
+                    state[r, c] += (LOW_SOLID if is_low else SOLID) - CANOPY
+                elif is_low and hides_ground(r, c, half, (_MAYBE, _MAYBE_SHARE), pixel, strips):
+                    state[r, c] += MAYBE_SOLID - CANOPY
 
 
 @helper
@@ -325,7 +348,8 @@ def _summarise(state: Bytes, scalars: Floats, scratch: ObjectScratch) -> None:
             if state[r, c] % SEEN == OBSTACLE:
                 obstacles += 1
                 top = max(top, scratch.top[r, c])
-            overhead = state[r, c] % SEEN == CANOPY or state[r, c] % SEEN == SOLID
+            kind = state[r, c] % SEEN
+            overhead = kind == CANOPY or kind == SOLID or kind == LOW_SOLID or kind == MAYBE_SOLID
             canopy += overhead or (state[r, c] % SEEN == OBSTACLE and scratch.above[r, c] > 0)
             if overhead:
                 least = min(least, scratch.least[r, c])

@@ -11,7 +11,20 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CANOPY, EMPTY, FREE, LONE, OBSTACLE, SEEN, SOLID, STEEP, UNDECIDED, UNSEEN
+from bumpymap.core import (
+    CANOPY,
+    EMPTY,
+    FREE,
+    LONE,
+    LOW_SOLID,
+    MAYBE_SOLID,
+    OBSTACLE,
+    SEEN,
+    SOLID,
+    STEEP,
+    UNDECIDED,
+    UNSEEN,
+)
 from bumpytiles import helper, kernel
 
 Bytes = NDArray[np.uint8]
@@ -28,6 +41,8 @@ _FILL, _RAY, _NEAR, _NEAR_IF_THIN = 3, 5, 5, 7
 the surroundings of a pixel overhead in which such ground is counted. Together at most 15."""
 _CHANCE = 2.0
 """In a thin survey, fewer pixels of ground beneath what is overhead may lie beside it."""
+_CHANCE_IF_LOW = 4
+"""The same of what is low: ground in the corner of two walls may look as if it were beneath."""
 _MAJORITY = 5
 """A pixel among so many of eight with an obstacle belongs to it."""
 _NEARER = 2
@@ -43,6 +58,12 @@ _OPEN, _OPEN_MOST = 0.03, 0.3
 the points of open ground; and never more than that."""
 _HIDDEN = 24.0
 """Points on the surroundings of a pixel overhead, on average, of which one would be ground if it were not hidden."""
+_HIDDEN_HALF, _HIDDEN_HALF_IF_THIN = 12.0, 6.0
+"""The same in one half of the surroundings of what is low, a car say, deep beneath it: beside it there may be a gap."""
+_REACHED = 11
+"""Label of what goes on so, until all of a step is found."""
+_REACHES, _NEXT = 3, 2
+"""What hides the ground goes on through what may hide it, in so many steps of so many pixels at most."""
 _GROW, _GROW_IF_THIN = 1, 3
 """Canopy within so many pixels of what lets no pulse through belongs to it."""
 THIN = 0.4
@@ -82,7 +103,7 @@ class SolidScratch(NamedTuple):
     label: Annotated[Bytes, 2]
     """States of the mosaic, with the nearest where there are no points."""
     under: Annotated[Bytes, 2]
-    """1 for ground that was seen, 2 beneath what is overhead."""
+    """1 for ground that was seen, 2 beneath what is overhead, 3 where it would be if any were seen."""
     around: Annotated[Bytes, 1]
     """(cols,) sums of 3 x 3 marks in a row of pixels."""
 
@@ -112,7 +133,8 @@ def _offsets(wide: int) -> Rows:
 
 @helper
 def _is_overhead(state: int) -> bool:
-    return state % SEEN == CANOPY or state % SEEN == SOLID
+    kind = state % SEEN
+    return kind == CANOPY or kind == SOLID or kind == LOW_SOLID or kind == MAYBE_SOLID
 
 
 @helper
@@ -212,6 +234,32 @@ def _label(objects: Bytes, pixels: int, hole: float, scratch: SolidScratch) -> b
 
 
 @helper
+def _is_solid_near(label: Bytes, r: int, c: int) -> bool:
+    """Return whether something within ``_NEXT`` pixels hides the ground."""
+    for row in range(r - _NEXT, r + _NEXT + 1):
+        for col in range(c - _NEXT, c + _NEXT + 1):
+            kind = label[row, col] % SEEN
+            if kind == SOLID or kind == LOW_SOLID:
+                return True
+    return False
+
+
+@helper
+def _continue_solids(objects: Bytes, label: Bytes) -> None:
+    """Label canopy that may hide the ground as what does, where it continues that."""
+    rows, cols = objects.shape
+    for _ in range(_REACHES):
+        for r in range(rows):
+            for c in range(cols):
+                if objects[r, c] % SEEN == MAYBE_SOLID and label[r + _MARGIN, c + _MARGIN] % SEEN == MAYBE_SOLID:
+                    if _is_solid_near(label, r + _MARGIN, c + _MARGIN):
+                        label[r + _MARGIN, c + _MARGIN] = _REACHED
+        for r in range(_MARGIN, _MARGIN + rows):
+            for c in range(_MARGIN, _MARGIN + cols):
+                label[r, c] = LOW_SOLID if label[r, c] == _REACHED else label[r, c]
+
+
+@helper
 def _meets(label: Bytes, r: int, c: int, direction: int) -> bool:
     """Return whether a ray from a pixel meets something overhead, in one of 16 directions."""
     turn, sign = direction % 8, (1 if direction < 8 else -1)
@@ -237,7 +285,7 @@ def _is_under(label: Bytes, r: int, c: int, sides: int) -> bool:
 
 @helper
 def _mark_under(objects: Bytes, pixels: int, tile: int, scratch: SolidScratch) -> None:
-    """Mark the ground that was seen in a tile, by its number, and that beneath what is overhead."""
+    """Mark the ground that was seen in a tile, by its number, and what is beneath something overhead."""
     cols = objects.shape[1] // pixels
     top, left = tile // cols * pixels, tile % cols * pixels
     is_held = _points_per_pixel(objects, pixels, top, left) >= _HELD
@@ -246,17 +294,18 @@ def _mark_under(objects: Bytes, pixels: int, tile: int, scratch: SolidScratch) -
             state = objects[r, c]
             ground = state != UNSEEN and (state >= SEEN or state == FREE)
             sides = _SIDES_OF_YARD if is_held and not _is_overhead(state) else _SIDES
-            beneath = ground and _is_under(scratch.label, r + _MARGIN, c + _MARGIN, sides)
-            scratch.under[r + _MARGIN, c + _MARGIN] = 2 if beneath else ground
+            asked = ground or _is_overhead(scratch.label[r + _MARGIN, c + _MARGIN])
+            beneath = asked and _is_under(scratch.label, r + _MARGIN, c + _MARGIN, sides)
+            scratch.under[r + _MARGIN, c + _MARGIN] = (2 if ground else 3) if beneath else ground
 
 
 @helper
 def _stands(r: int, c: int, mean: float, scratch: SolidScratch) -> bool:
     """Return whether what is overhead stands on the ground, of which none is seen around, or beneath a solid thing."""
     overhead = under = ground = 0
-    solid, near, least, grow = False, _NEAR, 1.0, _GROW
+    solid, low, near, least, grow, half = False, False, _NEAR, 1.0, _GROW, _HIDDEN_HALF
     if mean < THIN:
-        near, least, grow = _NEAR_IF_THIN, _CHANCE, _GROW_IF_THIN
+        near, least, grow, half = _NEAR_IF_THIN, _CHANCE, _GROW_IF_THIN, _HIDDEN_HALF_IF_THIN
     for k in range(len(scratch.offsets)):
         square = scratch.offsets[k, 2]
         if square > near * near:
@@ -264,11 +313,39 @@ def _stands(r: int, c: int, mean: float, scratch: SolidScratch) -> bool:
         row, col = r + scratch.offsets[k, 0], c + scratch.offsets[k, 1]
         overhead += _is_overhead(scratch.label[row, col])
         under += scratch.under[row, col] == 2
-        ground += scratch.under[row, col] > 0
-        solid = solid or (scratch.label[row, col] % SEEN == SOLID and square <= grow * grow)
+        ground += 0 < scratch.under[row, col] < 3
+        if square <= grow * grow:
+            kind = scratch.label[row, col] % SEEN
+            solid, low = solid or kind == SOLID or kind == LOW_SOLID, low or kind == LOW_SOLID
     hidden = ground == 0 and mean * math.pi * near * near >= _HIDDEN
     enough = min(_OPEN_MOST, 1.0 - math.exp(-_OPEN * mean))
-    return hidden or (solid and under < max(least, enough * overhead))
+    return (
+        hidden
+        or (solid and under < max(least, enough * overhead))
+        or (low and under < _CHANCE_IF_LOW)
+        or (low and _hides_half(r, c, near, half / max(mean, 1e-9), scratch))
+    )
+
+
+@helper
+def _hides_half(r: int, c: int, near: int, least: float, scratch: SolidScratch) -> bool:
+    """Return whether no ground is seen in ``least`` pixels deep beneath something, in one of 16 halves around one."""
+    for turn in range(8):
+        # The same directions as those of rays.
+        down, right = min(2, turn, 8 - turn), max(-2, min(2, 4 - turn))
+        deep = other = ground = more = 0
+        for k in range(len(scratch.offsets)):
+            if scratch.offsets[k, 2] > near * near:
+                break
+            side = scratch.offsets[k, 0] * down + scratch.offsets[k, 1] * right
+            under = scratch.under[r + scratch.offsets[k, 0], c + scratch.offsets[k, 1]]
+            deep += side >= 0 and under >= 2
+            ground += side >= 0 and under == 2
+            other += side <= 0 and under >= 2
+            more += side <= 0 and under == 2
+        if (ground == 0 and deep >= least) or (more == 0 and other >= least):
+            return True
+    return False
 
 
 @helper
@@ -387,6 +464,8 @@ def settle_solids(
     _fill_own(objects, scratch)
     overhead = _label(objects, pixels, hole, scratch)
     tiles = (rows // pixels) * (cols // pixels)
+    if overhead:
+        _continue_solids(objects, scratch.label)
     for tile in range(tiles if overhead else 0):
         _mark_under(objects, pixels, tile, scratch)
     for tile in range(tiles):

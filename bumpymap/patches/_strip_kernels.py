@@ -96,28 +96,32 @@ class Window(NamedTuple):
 
 
 @helper
-def hides_ground(r: int, c: int, half: int, least: float, pixel: float, scratch: StripScratch) -> bool:
+def hides_ground(
+    r: int, c: int, half: int, least: tuple[float, float], pixel: float, scratch: StripScratch
+) -> bool:
     """Return whether what is overhead in a pixel hides the ground.
 
-    Points overhead must outweigh those beneath by ``least``, and more where there are many points, in a part of the
-    strip around those of the pixel. One half of the square around it will do: at a corner two walls meet.
+    Points overhead must outweigh those beneath by ``least``, a number and a share of them, and more where there are many
+    points, in a part of the strip around those of the pixel. One half of the square around it will do, or a
+    smaller one: at a corner two walls meet.
     """
-    size = scratch.head.shape[0]
-    top, bottom, left, right = max(0, r - half), min(size, r + half + 1), max(0, c - half), min(size, c + half + 1)
-    for part in range(5 if half > _OVERLAP else 1):
-        window = Window(
-            max(top, r - _OVERLAP) if part == 1 else top,
-            min(bottom, r + 1 + _OVERLAP) if part == 2 else bottom,
-            max(left, c - _OVERLAP) if part == 3 else left,
-            min(right, c + 1 + _OVERLAP) if part == 4 else right,
-        )
+    size, near = scratch.head.shape[0], max(half // 2, _OVERLAP)
+    for part in range(6 if half > _OVERLAP else 1):
+        # All of the square, its halves, and one of half its side.
+        north, south = (_OVERLAP if part == 1 else half), (_OVERLAP if part == 2 else half)
+        west, east = (_OVERLAP if part == 3 else half), (_OVERLAP if part == 4 else half)
+        if part == 5:
+            north = south = west = east = near
+        window = Window(max(0, r - north), min(size, r + south + 1), max(0, c - west), min(size, c + east + 1))
         if _strip_weighs(r, c, window, least, pixel, scratch):
             return True
     return False
 
 
 @helper
-def _strip_weighs(r: int, c: int, window: Window, least: float, pixel: float, scratch: StripScratch) -> bool:
+def _strip_weighs(
+    r: int, c: int, window: Window, least: tuple[float, float], pixel: float, scratch: StripScratch
+) -> bool:
     """Return whether points overhead outweigh those beneath in the strip of a window around those of a pixel."""
     n, own = 0, 0
     x0, y0, own_x, own_y = c + 0.5, r + 0.5, 0.0, 0.0
@@ -133,7 +137,7 @@ def _strip_weighs(r: int, c: int, window: Window, least: float, pixel: float, sc
                     if row == r and col == c:
                         own, own_x, own_y = own + 1, own_x + x, own_y + y
                 i = scratch.after[i]
-    if n < least or own == 0:
+    if n < least[0] or own == 0:
         return False
     # Across the strip is the direction in which the points vary least.
     xx, xy, yy = xx - sx * sx / n, xy - sx * sy / n, yy - sy * sy / n
@@ -154,7 +158,7 @@ def _strip_weighs(r: int, c: int, window: Window, least: float, pixel: float, sc
                 if 0.0 <= across < _BINS:
                     sums[int(across) + 1] += scratch.weight[i]
                 i = scratch.after[i]
-    return _holds_part(least + math.log(n) / _CHANCE, sums)
+    return _holds_part(max(least[0] + (math.log(n) / _CHANCE if least[1] == 0.0 else 0.0), least[1] * n), sums)
 
 
 @helper

@@ -21,6 +21,8 @@ from bumpymap.core import (
     CANOPY,
     EMPTY,
     FREE,
+    LOW_SOLID,
+    MAYBE_SOLID,
     NO_CLASS,
     OBSTACLE,
     SEEN,
@@ -243,7 +245,7 @@ class NeighbourRating:
         nothing = np.full(tiles, np.nan, np.float32)
         # As in a block with known tiles: what is not in the way there is unseen.
         states = own["objects"] % SEEN
-        overhead = np.where((states == CANOPY) | (states == SOLID), np.uint8(CANOPY), np.uint8(UNSEEN))
+        overhead = np.where(np.isin(states, (CANOPY, SOLID, LOW_SOLID, MAYBE_SOLID)), np.uint8(CANOPY), np.uint8(UNSEEN))
         objects = np.where(states == OBSTACLE, np.uint8(OBSTACLE), overhead)
         return (
             {name: own[name] for name in (*_RATED, *_OBJECTS, *self._asked)}
@@ -260,9 +262,11 @@ class NeighbourRating:
             own |= asdict(
                 rate_thin(window["thin"], _first(window), window["coverage"], window["slope"], self.calibration)
             )
-        objects = window.mosaic("objects")
+        objects, late = window.mosaic("objects"), np.False_
         if self.config.compat == "none":
-            objects = self._out_of_relief(window, objects)
+            found = self._out_of_relief(window, objects)
+            # What lies across the edge of a block is found here alone, and the ride of its tiles is with it.
+            objects, late = found, self._inner((found == OBSTACLE) & (objects != OBSTACLE))
         objects = settle_objects(settle_solids(objects, grid, self.config.features.max_hole), grid.pixels)
         objects[(objects == FREE) & ~self._pixels(known)] = UNSEEN
         steps = self._steps(window)
@@ -274,8 +278,9 @@ class NeighbourRating:
         share = np.mean(states == OBSTACLE, axis=(2, 3), dtype=np.float32)
         barred, nothing = self.calibration.cost_rule.barred(own), np.float32(np.nan)
         beside = {name: np.full(barred.shape, nothing) for name in _BESIDE_STEPS}
-        if self.config.compat == "none" and (steps.closed | steps.low).any():
-            barred, states, beside = self._decide_steps(window, steps, own | {"barred": barred}, states)
+        if self.config.compat == "none" and (steps.closed.any() or steps.low.any() or late.any()):
+            parts = steps, self._inner(steps.low) | late
+            barred, states, beside = self._decide_steps(window, parts, own | {"barred": barred}, states)
         obstacle = np.where(np.isnan(own["obstacle"]), np.float32(np.nan), share)
         height = own["obstacle_height"]
         return (
@@ -344,14 +349,20 @@ class NeighbourRating:
         return TileSteps(border, one, one, closed, closed, limit=one)
 
     def _decide_steps(
-        self, window: NeighbourWindow, steps: TileSteps, own: Columns, states: NDArray[np.uint8]
+        self,
+        window: NeighbourWindow,
+        parts: tuple[TileSteps, NDArray[np.bool_]],
+        own: Columns,
+        states: NDArray[np.uint8],
     ) -> tuple[NDArray[np.uint8], NDArray[np.uint8], Columns]:
         """Bar the inner tiles that a step closes in part or wholly, at their sides too, and mark its pixels.
 
         What reads tiles alone would cross a wall on a border if it barred one of its tiles only. Beside the step, the
-        ground is rated for itself; what is not fit to drive on is marked as well.
+        ground is rated for itself; what is not fit to drive on is marked as well. ``parts`` are the steps, and pixels
+        that are taken out of tiles that fail.
         """
-        closed, low = self._inner(steps.closed), self._inner(steps.low)
+        steps, low = parts
+        closed = self._inner(steps.closed)
         touched = closed.any(axis=(2, 3))
         touched |= steps.edge_step >= closing_height(self.calibration)
         failing = np.isin(own["barred"], (Barred.FAILS, Barred.SLOPE)) & (own["coverage"] >= _LEAST_COVERAGE)
