@@ -213,12 +213,13 @@ def find_quantiles(
 def find_gradients(
     heights: Annotated[Floats, 2],
     pixels: int,
+    apart: int,
     least: int,
     middle: Annotated[Floats, 2],
     spread: Annotated[Floats, 2],
     scratch: Annotated[Floats, 1],
 ) -> None:
-    """Fill, for each tile, the median difference from a pixel to its eastern neighbour, m; 0 where there is none.
+    """Fill, for each tile, the median difference to the pixel ``apart`` pixels farther east, m; 0 where there is none.
 
     ``spread`` takes the median distance of the differences from it, m; NaN with fewer than ``least``. ``scratch`` takes
     pixels^2 numbers.
@@ -227,8 +228,8 @@ def find_gradients(
         for col in range(middle.shape[1]):
             n = 0
             for r in range(row * pixels, (row + 1) * pixels):
-                for c in range(col * pixels, (col + 1) * pixels - 1):
-                    scratch[n] = heights[r, c + 1] - heights[r, c]
+                for c in range(col * pixels, (col + 1) * pixels - apart):
+                    scratch[n] = heights[r, c + apart] - heights[r, c]
                     n += not math.isnan(scratch[n])
             usual = _quantile(scratch, n, 0.5, 1) if n > 0 else 0.0
             for i in range(n):
@@ -651,6 +652,8 @@ _MOST_SPREAD = 0.5
 """The same from the mean levels of both sides, as a share of their difference."""
 _SURELY, _SURELY_HALF = 2.0, 4.0
 """Standard errors of the jump beyond what closes, likewise."""
+_BETWEEN_LINES = 0.6
+"""If the levels beside lines at four angles differ by less of what closes, they do not by all of it at those between."""
 _CREST = 0.9
 """A pixel is on the line of a jump if the levels differ so much of what they do at the pixels across the line."""
 
@@ -776,6 +779,28 @@ def _fill_jump_patch(
 
 
 @helper
+def _sum_parts(line: int, sides: JumpSides, scratch: JumpScratch) -> None:
+    """Sum the heights of the parts of both sides of a line."""
+    for k in range(6 * line, 6 * line + 6):
+        n = total = squares = 0.0
+        for i in range(sides.starts[k], sides.starts[k + 1]):
+            n += scratch.patch[1, sides.place[i]]
+            h = scratch.patch[0, sides.place[i]]
+            total, squares = total + h, squares + h * h
+        scratch.parts[0, k], scratch.parts[1, k], scratch.parts[2, k] = total, n, squares
+
+
+@helper
+def _level(line: int, part: tuple[int, int], scratch: JumpScratch) -> float:
+    """Return the size of the difference of the levels of some parts of both sides of a line, m; 0 if one is unknown."""
+    before = behind = n = m = 0.0
+    for k in range(6 * line + part[0], 6 * line + part[1]):
+        before, n = before + scratch.parts[0, k], n + scratch.parts[1, k]
+        behind, m = behind + scratch.parts[0, k + 3], m + scratch.parts[1, k + 3]
+    return abs(behind / m - before / n) if min(n, m) > 0.0 else 0.0
+
+
+@helper
 def _jump_along(line: int, part: tuple[int, int], closing: float, sides: JumpSides, scratch: JumpScratch) -> float:
     """Return the difference of the levels of both sides of a line, m, if it closes, else 0; ``part`` of three."""
     whole = part[1] - part[0] == 3
@@ -813,18 +838,17 @@ def _jump(closing: float, sides: JumpSides, scratch: JumpScratch) -> float:
     A jump closes if the planes of both sides differ by ``closing`` and some standard errors more at the line, and so do
     their levels, and if little is left beside the planes. Halves of the line tell it close to the corner of a step.
     """
-    for k in range(len(sides.starts) - 1):
-        n = total = squares = 0.0
-        for i in range(sides.starts[k], sides.starts[k + 1]):
-            n += scratch.patch[1, sides.place[i]]
-            h = scratch.patch[0, sides.place[i]]
-            total, squares = total + h, squares + h * h
-        scratch.parts[0, k], scratch.parts[1, k], scratch.parts[2, k] = total, n, squares
-    most = 0.0
-    for line in range(8):
+    most = highest = 0.0
+    for k in range(8):
+        line = 2 * k if k < 4 else 2 * k - 7
+        _sum_parts(line, sides, scratch)
+        for first in range(2):
+            highest = max(highest, _level(line, (first, first + 2), scratch))
         most = max(most, _jump_along(line, (0, 3), closing, sides, scratch))
         most = max(most, _jump_along(line, (0, 2), closing, sides, scratch))
         most = max(most, _jump_along(line, (1, 3), closing, sides, scratch))
+        if k == 3 and highest < _BETWEEN_LINES * closing:
+            return 0.0
     return most
 
 

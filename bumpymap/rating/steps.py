@@ -261,6 +261,8 @@ _THINNEST, _MOST_COVERAGE = 0.04, 0.8
 """Shares of known pixels: with fewer nothing tells a jump; with more, runs of pixels do as well as all points."""
 _MEDIAN_ERROR = 1.858
 """Standard error of the median of n numbers over their median distance from it and the root of n (normal numbers)."""
+_APART = 3
+"""Pixels between those whose heights tell the slope of a tile that is searched for jumps."""
 _JUMP_WIDTH = 5.0
 """Width of the sides of a jump, px."""
 _JUMP = 2.4
@@ -308,6 +310,7 @@ def find_steps(
     wheel: float = 3.0,
     closing: float = np.inf,
     standing: NDArray[np.bool_] | None = None,
+    known: NDArray[np.bool_] | None = None,
 ) -> TileSteps:
     """Find the steps of n x m tiles, such as the 16 x 16 of a block.
 
@@ -325,6 +328,8 @@ def find_steps(
     standing : bool array, optional
         Of the shape of ``heights``: pixels of what stands on the ground, and is an obstacle. They and those beside
         them, which may hold its sides, count as unknown.
+    known : bool array (n + 2, m + 2), optional
+        Tiles in which few points are searched for jumps; else all are.
 
     Returns
     -------
@@ -343,6 +348,7 @@ def find_steps(
     # Nothing beyond the ring of tiles may count, or two blocks would differ on the border that they share; and whether
     # the last pixel of the ring lies beside an obstacle is not known.
     level = min(_LEVEL_WIDTH * wheel, (pixels - RUN - 2) / math.sqrt(2.0))
+    whole, is_thin = heights, _tile_sums(np.isfinite(heights), pixels) < _MOST_COVERAGE * pixels**2
     if standing is not None and standing.any():
         heights = np.where(binary_dilation(standing, np.ones((3, 3), np.bool_)), np.nan, heights)
     z, turned = _with_margin(heights), _with_margin(heights.T)
@@ -359,28 +365,33 @@ def find_steps(
     limit = np.fmax(_QUANTILE_LIMIT * usual, noise)
     west_east, marks = _peaks(upright, across, limit, closing)
     north_south, marks_too = _peaks(lying, along, np.ascontiguousarray(limit.T), closing)
-    slopes = _sure(east, noise_east, z[RUN:-RUN], pixels), _sure(south, noise_south, turned[RUN:-RUN], pixels).T
+    slopes = _sure_gradient(z, pixels), _sure_gradient(turned, pixels).T
     rim, inner = np.moveaxis(np.fmax(west_east, north_south.swapaxes(0, 1))[1:-1, 1:-1, 2:], -1, 0)
     west, east = _borders(west_east)
     north, south = (side.T for side in _borders(north_south))
     border = np.stack([north, east, south, west], axis=-1)
-    is_thin = _tile_sums(np.isfinite(heights), pixels) < _MOST_COVERAGE * pixels**2
     least = np.repeat(np.repeat(np.where(is_thin, np.uint8(2), np.uint8(1)), pixels, axis=0), pixels, axis=1)
     closed = np.maximum(marks, marks_too.T) >= least
-    closed |= _jumps(np.ascontiguousarray(z[RUN:-RUN]), slopes, is_thin, closing, level)
+    wanted = is_thin if known is None else is_thin & known
+    closed |= _jumps(np.ascontiguousarray(whole, np.float64), slopes, wanted, closing, level)
     low = _below_others(heights, np.fmax(closing, _JUMP * noise), pixels)
     own = np.where(np.isnan(limit), UNKNOWN_NOISE, limit)[1:-1, 1:-1]
     border, inner, rim, own = (part.astype(np.float32) for part in (border, inner, rim, own))
     return TileSteps(border, inner, rim, closed, low, own)
 
 
-def _sure(gradient: Floats, spread: Floats, heights: Floats, pixels: int) -> Floats:
-    """Return how much of the gradients of tiles, of `_gradient`, is beyond two standard errors of such a median."""
-    known = np.isfinite(heights)
-    known[:, :-1] &= known[:, 1:]
-    known[:, pixels - 1 :: pixels] = False
+def _sure_gradient(z: Floats, pixels: int) -> Floats:
+    """Return how much of the rise from a pixel to the next one, m, is beyond two standard errors, in each tile.
+
+    Pixels that are ``_APART`` tell it: of neighbours, few are known in a thin survey, and their noise counts in full.
+    """
+    rise, spread = _gradient(z, pixels, _APART)
+    known = np.isfinite(z[RUN:-RUN])
+    known[:, :-_APART] &= known[:, _APART:]
+    columns = np.arange(known.shape[1]) % pixels
+    known[:, columns >= pixels - _APART] = False
     error = _MEDIAN_ERROR * spread / np.sqrt(np.maximum(_tile_sums(known, pixels), 1))
-    return np.asarray(np.sign(gradient) * np.nan_to_num(np.maximum(np.abs(gradient) - 2.0 * error, 0.0)))
+    return np.asarray(np.sign(rise) * np.nan_to_num(np.maximum(np.abs(rise) - 2.0 * error, 0.0))) / _APART
 
 
 def _tile_sums(marks: NDArray[np.bool_], pixels: int) -> NDArray[np.int64]:
@@ -390,17 +401,17 @@ def _tile_sums(marks: NDArray[np.bool_], pixels: int) -> NDArray[np.int64]:
 
 
 def _jumps(
-    heights: Floats, slopes: tuple[Floats, Floats], is_thin: NDArray[np.bool_], closing: float, level: float
+    heights: Floats, slopes: tuple[Floats, Floats], wanted: NDArray[np.bool_], closing: float, level: float
 ) -> NDArray[np.bool_]:
-    """Return the lines of jumps in thin tiles, see `find_jumps`; ``slopes``: rise per pixel, east and south, m."""
+    """Return the lines of jumps in ``wanted`` tiles, see `find_jumps`; ``slopes``: rise per pixel, east and south, m."""
     pixels = len(heights) // len(slopes[0])
     marks = np.zeros(heights.shape, np.bool_)
     if math.isfinite(closing):
         width = min(level, _JUMP_WIDTH)
-        is_wanted = is_thin & (_tile_sums(np.isfinite(heights), pixels) > _THINNEST * pixels**2)
-        wanted = TileSlopes(np.ascontiguousarray(slopes[0]), np.ascontiguousarray(slopes[1]), is_wanted)
+        is_wanted = wanted & (_tile_sums(np.isfinite(heights), pixels) > _THINNEST * pixels**2)
+        tiles = TileSlopes(np.ascontiguousarray(slopes[0]), np.ascontiguousarray(slopes[1]), is_wanted)
         scratch = jump_scratch(heights.shape[0], heights.shape[1], width)
-        find_jumps(heights, pixels, wanted, closing, jump_sides(width), marks, scratch)
+        find_jumps(heights, pixels, tiles, closing, jump_sides(width), marks, scratch)
     return marks
 
 
@@ -419,14 +430,14 @@ def _with_margin(heights: NDArray[np.floating]) -> Floats:
     return out
 
 
-def _gradient(z: Floats, pixels: int) -> tuple[Floats, Floats]:
-    """Return the median difference from a pixel to its eastern neighbour in each tile, m; 0 where there is none.
+def _gradient(z: Floats, pixels: int, apart: int = 1) -> tuple[Floats, Floats]:
+    """Return the median difference from a pixel to one so far east of it in each tile, m; 0 where there is none.
 
     The second array is the median distance of the differences from it, m; NaN with too few.
     """
     heights = z[RUN:-RUN]
     middle, spread = (np.empty((len(heights) // pixels, heights.shape[1] // pixels)) for _ in range(2))
-    find_gradients(heights, pixels, _LEAST_STEPS, middle, spread, np.empty(pixels * pixels))
+    find_gradients(heights, pixels, apart, _LEAST_STEPS, middle, spread, np.empty(pixels * pixels))
     return middle, spread
 
 

@@ -195,6 +195,8 @@ _BESIDE = ((-1, 0), (0, 1), (1, 0), (0, -1))
 """Rows and columns to the tile beyond each side; rows go south."""
 _SIDES = Column("sides", "|u1")
 """Bits: the vehicle can cross the side in the north, east, south, west."""
+_WELL_COVERED = 0.5
+"""Share of known pixels from which on a tile shows whether something stands across the edge of its block."""
 _LEAST_COVERAGE = 0.25
 """With fewer points a step closes its tiles as a whole: where it ends is not known. 7 points/m2 of 0.2 m pixels."""
 _LEAST_PIXELS = 10
@@ -266,10 +268,11 @@ class NeighbourRating:
         if self.config.compat == "none":
             found = self._out_of_relief(window, objects)
             # What lies across the edge of a block is found here alone, and the ride of its tiles is with it.
-            objects, late = found, self._inner((found == OBSTACLE) & (objects != OBSTACLE))
+            late = self._inner((found == OBSTACLE) & (objects != OBSTACLE))
+            objects, late = found, late & (own["coverage"] >= _WELL_COVERED)[..., None, None]
         objects = settle_objects(settle_solids(objects, grid, self.config.features.max_hole), grid.pixels)
         objects[(objects == FREE) & ~self._pixels(known)] = UNSEEN
-        steps = self._steps(window)
+        steps = self._steps(window, known)
         if self.config.compat == "none":
             # Few points make steps of rough ground: in thin tiles they bar the way, but do not change the ride.
             share = dense_share(own["coverage"]) if self.config.by_ride else 1.0
@@ -336,13 +339,13 @@ class NeighbourRating:
         settled = settle_relief(objects, window.mosaic("heights"), self.calibration.body, self.config.grid.pixel_size)
         return np.where(self._pixels(relief), settled, objects)
 
-    def _steps(self, window: NeighbourWindow) -> TileSteps:
+    def _steps(self, window: NeighbourWindow, known: NDArray[np.bool_]) -> TileSteps:
         if self.config.pixels >= _LEAST_PIXELS:
             # Only what the first pass found: it is the same for all blocks that look at a border.
             standing = self._pixels(_is_relief(window)) & (window.mosaic("objects") == OBSTACLE)
             calibration = self.calibration
             wheel, closing = calibration.wheel_pixels, closing_height(calibration)
-            return find_steps(window.mosaic("heights"), self.config.pixels, wheel, closing, standing)
+            return find_steps(window.mosaic("heights"), self.config.pixels, wheel, closing, standing, known)
         rows, cols = window.inner("class_id").shape
         border, one = (np.full(shape, np.nan, np.float32) for shape in ((rows, cols, len(SIDES)), (rows, cols)))
         closed = np.zeros(window.mosaic("objects").shape, np.bool_)
