@@ -182,8 +182,10 @@ _FARTHEST_FOOT = 4
 """Farthest of them, px."""
 
 
-_SIDE, _TALL = 1, 2
-"""Marks of pixels on a side, and of those far above what lies beneath."""
+_SIDE, _TALL, _LEVEL = 1, 2, 4
+"""Marks of pixels on a side, of those far above what lies beneath, and of those level with ground beside them."""
+_LEVEL_SHARE = 0.5
+"""If more of its pixels are so, a thing is no thing but the rim of a narrow ditch, between pixels that hold its depth."""
 _TALLER = 2.5
 """They are so many times as far above it as a side drops: 0.5 m for a belly 0.25 m above the ground."""
 
@@ -329,6 +331,18 @@ def _is_side(r: int, c: int, limits: StandingLimits, scratch: StandingScratch) -
 
 
 @helper
+def _is_level(r: int, c: int, drop: float, scratch: StandingScratch) -> bool:
+    """Return whether ground that is not raised lies beside a raised pixel, and hardly below it."""
+    level, wide = scratch.level, scratch.level.shape[1] + 2
+    for row in range(max(r - 1, 0), min(r + 2, level.shape[0])):
+        for col in range(max(c - 1, 0), min(c + 2, level.shape[1])):
+            ground = scratch.raised[(row + 1) * wide + col + 1] == 0
+            if ground and level[row, col] > level[r, c] - 0.5 * drop:
+                return True
+    return False
+
+
+@helper
 def _follow_thing(start: int, wide: int, sides: Bytes, share: float, raised: Bytes, thing: Integers) -> int:
     """List the raised pixels that hang together with one by sides and corners; returns how many stand, else 0.
 
@@ -336,13 +350,15 @@ def _follow_thing(start: int, wide: int, sides: Bytes, share: float, raised: Byt
     only the tall ones among them stand, on rough or noisy ground that is raised too, the list is of these.
     """
     size, at = 1, 0
-    steep = tall = steep_tall = 0
+    steep = tall = steep_tall = level = 0
     thing[0] = start
     raised[start] = 0
     while at < size:
-        steep += sides[thing[at]] & _SIDE
-        tall += (sides[thing[at]] & _TALL) > 0
-        steep_tall += sides[thing[at]] == _SIDE + _TALL
+        mark = sides[thing[at]]
+        steep += mark & _SIDE
+        tall += (mark & _TALL) > 0
+        steep_tall += mark & (_SIDE + _TALL) == _SIDE + _TALL
+        level += (mark & _LEVEL) > 0
         for down in range(-1, 2):
             for right in range(-1, 2):
                 k = thing[at] + down * wide + right
@@ -351,6 +367,8 @@ def _follow_thing(start: int, wide: int, sides: Bytes, share: float, raised: Byt
                     thing[size] = k
                     size += 1
         at += 1
+    if level > _LEVEL_SHARE * size:
+        return 0
     if steep > share * size:
         return size
     if steep_tall <= share * tall:
@@ -385,6 +403,11 @@ def mark_standing(
             if high and above[r, c] > _TALLER * limits.drop:
                 sides[first + c] += _TALL
             marks[r, c] = False
+    for r in range(rows):
+        for c in range(cols):
+            k = (r + 1) * (cols + 2) + c + 1
+            if raised[k] > 0 and _is_level(r, c, limits.drop, scratch):
+                sides[k] += _LEVEL
     for start in range(len(raised)):
         if raised[start] > 0:
             for k in range(_follow_thing(start, cols + 2, sides, limits.share, raised, thing)):

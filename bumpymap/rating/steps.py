@@ -310,7 +310,7 @@ def find_steps(
     wheel: float = 3.0,
     closing: float = np.inf,
     standing: NDArray[np.bool_] | None = None,
-    known: NDArray[np.bool_] | None = None,
+    thin: NDArray[np.bool_] | None = None,
 ) -> TileSteps:
     """Find the steps of n x m tiles, such as the 16 x 16 of a block.
 
@@ -328,8 +328,8 @@ def find_steps(
     standing : bool array, optional
         Of the shape of ``heights``: pixels of what stands on the ground, and is an obstacle. They and those beside
         them, which may hold its sides, count as unknown.
-    known : bool array (n + 2, m + 2), optional
-        Tiles in which few points are searched for jumps; else all are.
+    thin : bool array (n + 2, m + 2), optional
+        Tiles of few points that are searched for jumps; else all of which many pixels are unknown.
 
     Returns
     -------
@@ -365,15 +365,17 @@ def find_steps(
     limit = np.fmax(_QUANTILE_LIMIT * usual, noise)
     west_east, marks = _peaks(upright, across, limit, closing)
     north_south, marks_too = _peaks(lying, along, np.ascontiguousarray(limit.T), closing)
-    slopes = _sure_gradient(z, pixels), _sure_gradient(turned, pixels).T
     rim, inner = np.moveaxis(np.fmax(west_east, north_south.swapaxes(0, 1))[1:-1, 1:-1, 2:], -1, 0)
     west, east = _borders(west_east)
     north, south = (side.T for side in _borders(north_south))
     border = np.stack([north, east, south, west], axis=-1)
     least = np.repeat(np.repeat(np.where(is_thin, np.uint8(2), np.uint8(1)), pixels, axis=0), pixels, axis=1)
     closed = np.maximum(marks, marks_too.T) >= least
-    wanted = is_thin if known is None else is_thin & known
-    closed |= _jumps(np.ascontiguousarray(whole, np.float64), slopes, wanted, closing, level)
+    wanted = is_thin if thin is None else is_thin & thin
+    wanted &= _tile_sums(np.isfinite(whole), pixels) > _THINNEST * pixels**2
+    if math.isfinite(closing) and wanted.any():
+        slopes = (np.ascontiguousarray(each) for each in (_sure_gradient(z, pixels), _sure_gradient(turned, pixels).T))
+        closed |= _jumps(np.ascontiguousarray(whole, np.float64), TileSlopes(*slopes, wanted), closing, level)
     low = _below_others(heights, np.fmax(closing, _JUMP * noise), pixels)
     own = np.where(np.isnan(limit), UNKNOWN_NOISE, limit)[1:-1, 1:-1]
     border, inner, rim, own = (part.astype(np.float32) for part in (border, inner, rim, own))
@@ -400,18 +402,11 @@ def _tile_sums(marks: NDArray[np.bool_], pixels: int) -> NDArray[np.int64]:
     return np.asarray(marks.reshape(rows, pixels, cols, pixels).sum(axis=(1, 3)))
 
 
-def _jumps(
-    heights: Floats, slopes: tuple[Floats, Floats], wanted: NDArray[np.bool_], closing: float, level: float
-) -> NDArray[np.bool_]:
-    """Return the lines of jumps in ``wanted`` tiles, see `find_jumps`; ``slopes``: rise per pixel, east and south, m."""
-    pixels = len(heights) // len(slopes[0])
-    marks = np.zeros(heights.shape, np.bool_)
-    if math.isfinite(closing):
-        width = min(level, _JUMP_WIDTH)
-        is_wanted = wanted & (_tile_sums(np.isfinite(heights), pixels) > _THINNEST * pixels**2)
-        tiles = TileSlopes(np.ascontiguousarray(slopes[0]), np.ascontiguousarray(slopes[1]), is_wanted)
-        scratch = jump_scratch(heights.shape[0], heights.shape[1], width)
-        find_jumps(heights, pixels, tiles, closing, jump_sides(width), marks, scratch)
+def _jumps(heights: Floats, tiles: TileSlopes, closing: float, level: float) -> NDArray[np.bool_]:
+    """Return the lines of jumps in some tiles, see `find_jumps`."""
+    marks, width = np.zeros(heights.shape, np.bool_), min(level, _JUMP_WIDTH)
+    scratch = jump_scratch(heights.shape[0], heights.shape[1], width)
+    find_jumps(heights, len(heights) // len(tiles.east), tiles, closing, jump_sides(width), marks, scratch)
     return marks
 
 
