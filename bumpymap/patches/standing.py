@@ -60,6 +60,8 @@ _STEEP = 0.3
 
 _LEAST_PIXELS = 15
 """With fewer pixels of ground a tile does not tell what stands on it."""
+_LOW = 3.0
+"""Strays so far above the vehicle may be the top of a wall, m."""
 _BENEATH = 0.5
 """Ground so far beneath the lowest point of a bridge deck in its pixel is not that of the deck, m."""
 
@@ -150,7 +152,7 @@ def find_in_relief(
         things, near, has_room = (marks[_rows_in(block, patches)] for marks in (things, near, has_room))
     stack.objects[things] = OBSTACLE
     has_strays = patches.spread_count.sum(axis=(1, 2)) < patches.count
-    for t in np.flatnonzero(has_strays & _is_thin(stack.objects != EMPTY)).tolist():
+    for t in np.flatnonzero(has_strays).tolist():
         _mark_strays(t, points, patches, body, stack.objects[t], near[t])
     return ReliefObjects(stack, near, has_room)
 
@@ -158,18 +160,20 @@ def find_in_relief(
 def _mark_strays(
     t: int, points: TilePoints, patches: PatchStack, body: VehicleBody, states: NDArray[np.uint8], near: Marks
 ) -> None:
-    """Mark the pixels of strays at the height of the vehicle in a thin tile as ``LONE``, and ``near`` around them."""
+    """Mark the pixels of strays at the height of the vehicle as ``LONE``, and in a thin tile ``near`` around them."""
     known = np.isfinite(patches.heights[t])
     if known.sum() < _LEAST_PIXELS:
         return
     row, col, ground, above = _above_plane(t, points, patches, known)
     held, found = np.zeros(states.shape, np.int64), np.zeros(states.shape, np.bool_)
     np.add.at(held, (row, col), 1)
-    strays = (above > max(ground.max(), body.lowest_obstacle_m)) & (above <= body.height_m)
+    # In a dense tile they close only what lies in a line with others, such as the top of a wall.
+    is_thin = _is_thin(states != EMPTY)
+    strays = (above > max(ground.max(), body.lowest_obstacle_m)) & (above <= body.height_m + (0.0 if is_thin else _LOW))
     strays &= (held > patches.spread_count[t])[row, col]
     found[row[strays], col[strays]] = True
-    if _is_thin(found | (states != EMPTY)):
-        states[found] = LONE
+    states[found] = LONE
+    if is_thin:
         near |= _with_neighbours(found)
 
 
