@@ -53,7 +53,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, maximum_filter
+from scipy.ndimage import binary_dilation, correlate, maximum_filter
 
 from bumpymap.core import FAIL_SHARE, NO_CLASS, BadInputError
 from bumpymap.rating._step_kernels import (
@@ -265,6 +265,8 @@ _APART = 3
 """Pixels between those whose heights tell the slope of a tile that is searched for jumps."""
 _JUMP_WIDTH = 5.0
 """Width of the sides of a jump, px."""
+_AROUND = np.array([[k != 12 for k in range(5 * r, 5 * r + 5)] for r in range(5)], np.uint8)
+"""The pixels within two of one."""
 _JUMP = 2.4
 """Height between two pixels that is not noise, over the limit of noise: six standard deviations of a pixel."""
 _LEAST_STEPS = 12
@@ -371,15 +373,19 @@ def find_steps(
     border = np.stack([north, east, south, west], axis=-1)
     least = np.repeat(np.repeat(np.where(is_thin, np.uint8(2), np.uint8(1)), pixels, axis=0), pixels, axis=1)
     closed = np.maximum(marks, marks_too.T) >= least
+    jumps = np.zeros_like(closed)
     wanted = is_thin if thin is None else is_thin & thin
     wanted &= _tile_sums(np.isfinite(whole), pixels) > _THINNEST * pixels**2
     if math.isfinite(closing) and wanted.any():
         slopes = (np.ascontiguousarray(each) for each in (_sure_gradient(z, pixels), _sure_gradient(turned, pixels).T))
-        closed |= _jumps(np.ascontiguousarray(whole, np.float64), TileSlopes(*slopes, wanted), closing, level)
+        jumps = _jumps(np.ascontiguousarray(whole, np.float64), TileSlopes(*slopes, wanted), closing, level)
     low = _below_others(heights, np.fmax(closing, _JUMP * noise), pixels)
+    if closed.any():  # with few points, a single pixel is no line
+        beside = correlate((closed | jumps | low).view(np.uint8), _AROUND, mode="constant") > 0
+        closed &= (least == 1) | beside
     own = np.where(np.isnan(limit), UNKNOWN_NOISE, limit)[1:-1, 1:-1]
     border, inner, rim, own = (part.astype(np.float32) for part in (border, inner, rim, own))
-    return TileSteps(border, inner, rim, closed, low, own)
+    return TileSteps(border, inner, rim, closed | jumps, low, own)
 
 
 def _sure_gradient(z: Floats, pixels: int) -> Floats:
