@@ -648,6 +648,8 @@ _SAME = 0.65
 _MOST_REST, _MOST_REST_HALF = 0.25, 0.15
 """Most distance of the pixels from the planes of their sides, as a share of the jump (root mean square); and where half
 of the line is looked at."""
+_MOST_REST_IN_LINE, _IN_LINE = 0.4, 5
+"""The same of a jump that continues one, and how far from that it may lie, px."""
 _MOST_SPREAD = 0.5
 """The same from the mean levels of both sides, as a share of their difference."""
 _SURELY, _SURELY_HALF = 2.0, 4.0
@@ -802,7 +804,10 @@ def _level(line: int, part: tuple[int, int], scratch: JumpScratch) -> float:
 
 @helper
 def _jump_along(line: int, part: tuple[int, int], closing: float, sides: JumpSides, scratch: JumpScratch) -> float:
-    """Return the difference of the levels of both sides of a line, m, if it closes, else 0; ``part`` of three."""
+    """Return the difference of the levels of both sides of a line, m, if it closes; 0 if not, and less if in doubt.
+
+    ``part`` are the first and the last of its three parts, the latter not included.
+    """
     whole = part[1] - part[0] == 3
     one, other = 6 * line + part[0], 6 * line + 3 + part[0]
     count = part[1] - part[0]
@@ -827,29 +832,44 @@ def _jump_along(line: int, part: tuple[int, int], closing: float, sides: JumpSid
     rest = (near.rest + far.rest) / (n + m - 6.0)
     error = math.sqrt(rest * (near.error + far.error))
     surely, share = (_SURELY, _MOST_REST) if whole else (_SURELY_HALF, _MOST_REST_HALF)
-    closes = min(level, jump) >= closing + surely * error and level > _SAME * jump
-    return level if closes and rest <= share * share * jump * jump else 0.0
+    if min(level, jump) >= closing + surely * error and level > _SAME * jump and rest <= share * share * jump * jump:
+        return level
+    perhaps = whole and min(level, jump) >= closing and rest <= _MOST_REST_IN_LINE * _MOST_REST_IN_LINE * jump * jump
+    return -level if perhaps else 0.0
 
 
 @helper
 def _jump(closing: float, sides: JumpSides, scratch: JumpScratch) -> float:
     """Return the difference of the levels of both sides of a pixel, m, at the line on which it is most; 0: none closes.
 
+    It is negative if a line closes, but not surely.
+
     A jump closes if the planes of both sides differ by ``closing`` and some standard errors more at the line, and so do
     their levels, and if little is left beside the planes. Halves of the line tell it close to the corner of a step.
     """
-    most = highest = 0.0
+    most = least = highest = 0.0
     for k in range(8):
         line = 2 * k if k < 4 else 2 * k - 7
         _sum_parts(line, sides, scratch)
         for first in range(2):
             highest = max(highest, _level(line, (first, first + 2), scratch))
-        most = max(most, _jump_along(line, (0, 3), closing, sides, scratch))
+        found = _jump_along(line, (0, 3), closing, sides, scratch)
+        most, least = max(most, found), min(least, found)
         most = max(most, _jump_along(line, (0, 2), closing, sides, scratch))
         most = max(most, _jump_along(line, (1, 3), closing, sides, scratch))
         if k == 3 and highest < _BETWEEN_LINES * closing:
             return 0.0
-    return most
+    return most if most > 0.0 else least
+
+
+@helper
+def _is_sure_near(level: Floats, r: int, c: int, near: int) -> bool:
+    """Return whether a line that surely closes lies within some pixels."""
+    for row in range(r - near, r + near + 1):
+        for col in range(c - near, c + near + 1):
+            if level[row, col] > 0.0:
+                return True
+    return False
 
 
 @kernel
@@ -864,12 +884,16 @@ def find_jumps(
 ) -> None:
     """Mark the lines along which the ground jumps by ``closing`` m, where all points of both sides are taken together.
 
-    ``heights`` and ``marks`` are (rows, cols) of pixels; the latter come filled with False. In the outer ring of tiles
-    only the two pixels next to the inner ones are looked at, and only the first of them marked.
+    ``heights`` and ``marks`` are (rows, cols) of pixels; the latter come filled with False. Where few points leave it in
+    doubt, a line closes that continues one. In the outer ring of tiles only the pixels next to the inner ones are
+    marked, and only as many more looked at as that takes.
     """
     rows, cols, level = heights.shape[0], heights.shape[1], scratch.level
-    for r in range(pixels - 2, rows - pixels + 2):
-        for c in range(pixels - 2, cols - pixels + 2):
+    reach = int(math.sqrt(scratch.patch.shape[1])) // 2
+    near = max(min(_IN_LINE, pixels - 2 - reach), 1)
+    outer = pixels - 1 - near
+    for r in range(outer, rows - outer):
+        for c in range(outer, cols - outer):
             row, col = r // pixels, c // pixels
             if slopes.is_wanted[row, col]:
                 slope = slopes.east[row, col], slopes.south[row, col]
@@ -880,5 +904,5 @@ def find_jumps(
             own, higher = level[r, c], False
             for down in range(-1, 2):
                 for right in range(-1, 2):
-                    higher |= own < _CREST * level[r + down, c + right]
-            marks[r, c] = own > 0.0 and not higher
+                    higher |= abs(own) < _CREST * abs(level[r + down, c + right])
+            marks[r, c] = not higher and (own > 0.0 or (own < 0.0 and _is_sure_near(level, r, c, near)))
