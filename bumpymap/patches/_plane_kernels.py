@@ -1,0 +1,345 @@
+"""Planes of tiles: the robust plane, which needs no draw, and that of RANSAC, which the paper measures from.
+
+Both are weighted least-squares fits, repeated until they stand still. In single precision they are twice as fast, and
+it is enough to approach a plane; the last steps are in double precision. Points are centred: nothing here depends on
+where a tile lies. Nothing is drawn by chance either: candidates go through points that follow each other in the
+canonical order, which is that of a hash. So a tile that is turned by 90 degrees or mirrored has the same candidates, and
+one point more or less changes three of them.
+"""
+
+import math
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import NO_PLANE, Plane
+from bumpymap.patches._heightmap_kernels import LANES
+from bumpytiles import helper
+
+Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+Integers = NDArray[np.int32]
+
+_SUMS = 11
+"""Sums that a fit needs at once."""
+_FOLDED = 8
+"""Lanes that are left to add up one by one."""
+_STEPS = 30
+"""Double steps of the robust plane, and steps of a RANSAC plane, at most: half of the roughest tiles need ten."""
+_STILL = 1e-5
+"""A plane that moves less stands still: radians, m."""
+_LONGEST = 4.0
+"""Times that an extrapolated step is as long as a plain one, at most."""
+_SAMPLE = 128
+"""Points that candidates are compared on first."""
+_MOST_CANDIDATES = 400
+_MISS_PROBABILITY = 1e-4
+"""Accepted probability that no candidate was drawn from inliers alone."""
+_LEAST_AREA = 2e-3
+"""Twice the least area that a candidate's three points must span, m^2."""
+_FIRST_KEPT, _THEN_KEPT = 16, 4
+"""Best candidates that are compared on all points after a fit, and that are refined until they stand still."""
+_LINE = 4096.0
+"""Rounding errors: points are on a line if the product of their spreads is less, as a share of the square of the sum."""
+_UNITS = np.float32(1024.0)
+"""Of the loss of a point in whole numbers, whose sum does not depend on an order."""
+
+
+class PlaneScratch(NamedTuple):
+    """Scratch, see `plane_scratch`."""
+
+    singles: Annotated[Singles, 2]
+    """(3, most points of a tile) centred coordinates in single precision."""
+    lanes: Annotated[Floats, 1]
+    """(``_SUMS * LANES``,) partial sums."""
+    single_lanes: Annotated[Singles, 1]
+    """The same in single precision."""
+    loss: Annotated[Floats, 1]
+    """(``_FIRST_KEPT``,) losses of the best candidates, in increasing order."""
+    first: Annotated[Integers, 1]
+    """The same, their first points."""
+    planes: Annotated[Floats, 2]
+    """(``_FIRST_KEPT``, 4) the same, refined."""
+
+
+def plane_scratch(most_points: int) -> PlaneScratch:
+    """Make scratch for tiles of at most so many points."""
+    return PlaneScratch(
+        singles=np.empty((3, most_points), np.float32),
+        lanes=np.empty(_SUMS * LANES),
+        single_lanes=np.empty(_SUMS * LANES, np.float32),
+        loss=np.empty(_FIRST_KEPT),
+        first=np.empty(_FIRST_KEPT, np.int32),
+        planes=np.empty((_FIRST_KEPT, 4)),
+    )
+
+
+@helper
+def is_plane(plane: Plane) -> bool:
+    """Return whether it is one."""
+    return plane[0] != 0.0 or plane[1] != 0.0 or plane[2] != 0.0
+
+
+@helper
+def _add_up(x: Any, y: Any, z: Any, near: Plane, scale: float, soft: bool, lanes: Any) -> None:
+    """Sum w, w x, w y, w z, w xx, w xy, w xz, w yy, w yz, w zz, and the loss min(1, (r / scale)^2): rows of lanes.
+
+    r are the distances from the plane ``near``. Weights are those of Geman and McClure (1987) where ``soft``, or 1
+    within ``scale`` and 0 beyond.
+    """
+    kind = x.dtype.type
+    one, zero = kind(1.0), kind(0.0)
+    a, b, c, d = kind(near[0] / scale), kind(near[1] / scale), kind(near[2] / scale), kind(near[3] / scale)
+    n = len(x)
+    for k in range(_SUMS * LANES):
+        lanes[k] = zero
+    for start in range(0, n, LANES):
+        stop = min(n, start + LANES)
+        bx, by, bz = x[start:stop], y[start:stop], z[start:stop]
+        for k in range(stop - start):
+            px, py, pz = bx[k], by[k], bz[k]
+            r = a * px + b * py + c * pz + d
+            q = r * r
+            if soft:
+                w = one / (one + q)
+                w *= w
+            else:
+                w = one if q <= one else zero
+            wx, wy, wz = w * px, w * py, w * pz
+            lanes[k] += w
+            lanes[LANES + k] += wx
+            lanes[2 * LANES + k] += wy
+            lanes[3 * LANES + k] += wz
+            lanes[4 * LANES + k] += wx * px
+            lanes[5 * LANES + k] += wx * py
+            lanes[6 * LANES + k] += wx * pz
+            lanes[7 * LANES + k] += wy * py
+            lanes[8 * LANES + k] += wy * pz
+            lanes[9 * LANES + k] += wz * pz
+            lanes[10 * LANES + k] += q if q < one else one
+    width = LANES // 2
+    while width >= _FOLDED:
+        for row in range(0, _SUMS * LANES, LANES):
+            for k in range(row, row + width):
+                lanes[k] += lanes[k + width]
+        width //= 2
+
+
+@helper
+def fit_plane(x: Any, y: Any, z: Any, near: Plane, scale: float, soft: bool, lanes: Any) -> tuple[Plane, float]:
+    """Weighted least-squares plane, see `_add_up`, its normal upward; and the loss of the plane ``near``.
+
+    Regression along the axis whose 2 x 2 minor of the scatter matrix is the largest, so that steep planes are fitted
+    as well as level ones. Coordinates must be centred near zero. Returns zeros where fewer than three points are near
+    or they lie on a line.
+    """
+    _add_up(x, y, z, near, scale, soft, lanes)
+    n = sx = sy = sz = xx = xy = xz = yy = yz = zz = loss = 0.0
+    for k in range(_FOLDED):
+        n += lanes[k]
+        sx += lanes[LANES + k]
+        sy += lanes[2 * LANES + k]
+        sz += lanes[3 * LANES + k]
+        xx += lanes[4 * LANES + k]
+        xy += lanes[5 * LANES + k]
+        xz += lanes[6 * LANES + k]
+        yy += lanes[7 * LANES + k]
+        yz += lanes[8 * LANES + k]
+        zz += lanes[9 * LANES + k]
+        loss += lanes[10 * LANES + k]
+    if n < 3.0 and not (soft and n > 0.0):
+        return NO_PLANE, loss
+    mx, my, mz = sx / n, sy / n, sz / n
+    xx, xy, xz = xx - sx * mx, xy - sx * my, xz - sx * mz
+    yy, yz, zz = yy - sy * my, yz - sy * mz, zz - sz * mz
+    minor_z = xx * yy - xy * xy
+    minor_y = xx * zz - xz * xz
+    minor_x = yy * zz - yz * yz
+    if minor_z >= minor_y and minor_z >= minor_x:
+        a, b, c = xy * yz - xz * yy, xy * xz - yz * xx, minor_z
+    elif minor_y >= minor_x:
+        a, b, c = xz * yz - xy * zz, minor_y, xy * xz - yz * xx
+    else:
+        a, b, c = minor_x, xz * yz - xy * zz, xy * yz - xz * yy
+    length = math.sqrt(a * a + b * b + c * c)
+    scatter = xx + yy + zz
+    if length <= _LINE * np.finfo(x.dtype).eps * scatter * scatter:
+        return NO_PLANE, loss
+    if c < 0.0:
+        length = -length
+    a, b, c = a / length, b / length, c / length
+    return (a, b, c, -(a * mx + b * my + c * mz)), loss
+
+
+@helper
+def _extrapolate(first: Plane, second: Plane, third: Plane) -> tuple[Plane, float]:
+    """Return where a plane that moves from the first to the third will stand still, and how far it moved at first.
+
+    SQUAREM (Varadhan and Roland 2008): steps that hardly change are made longer.
+    """
+    (a, b, c, d), (e, f, g, h) = first, second
+    u, v, w, t = e - a, f - b, g - c, h - d
+    e, f, g, h = third[0] - e - u, third[1] - f - v, third[2] - g - w, third[3] - h - t
+    step, change = math.sqrt(u * u + v * v + w * w + t * t), math.sqrt(e * e + f * f + g * g + h * h)
+    way = min(max(step / change, 1.0), _LONGEST) if change > 0.0 else 1.0
+    twice, square = 2.0 * way, way * way
+    a, b, c, d = (
+        a + twice * u + square * e,
+        b + twice * v + square * f,
+        c + twice * w + square * g,
+        d + twice * t + square * h,
+    )
+    length = math.sqrt(a * a + b * b + c * c)
+    if c < 0.0:
+        length = -length
+    return (a / length, b / length, c / length, d / length), step
+
+
+@helper
+def robust_plane(x: Floats, y: Floats, z: Floats, scale: float, scratch: PlaneScratch) -> Plane:
+    """Plane of a tile by least squares, reweighted (Geman and McClure 1987) until it stands still.
+
+    It starts from the least-squares plane of all points and follows them smoothly: no draw decides it. Zeros where the
+    points span no plane. The points in single precision stay in the scratch.
+    """
+    n = len(x)
+    xs, ys, zs = scratch.singles[0, :n], scratch.singles[1, :n], scratch.singles[2, :n]
+    for i in range(n):
+        xs[i], ys[i], zs[i] = x[i], y[i], z[i]
+    plane, _ = fit_plane(x, y, z, NO_PLANE, 1.0, False, scratch.lanes)
+    if not is_plane(plane):
+        return plane
+    for _ in range(_STEPS):
+        second, _ = fit_plane(xs, ys, zs, plane, scale, True, scratch.single_lanes)
+        if not is_plane(second):
+            break
+        third, _ = fit_plane(xs, ys, zs, second, scale, True, scratch.single_lanes)
+        if not is_plane(third):
+            break
+        plane, step = _extrapolate(plane, second, third)
+        if step <= _STILL:
+            plane = third
+            break
+    fitted, _ = fit_plane(x, y, z, plane, scale, True, scratch.lanes)
+    return fitted if is_plane(fitted) else plane
+
+
+@helper
+def _candidate(x: Floats, y: Floats, z: Floats, i: int) -> Plane:
+    """Plane through three points that follow each other; zeros where they are nearly on a line."""
+    j, k = i + 1, i + 2
+    ux, uy, uz = x[j] - x[i], y[j] - y[i], z[j] - z[i]
+    vx, vy, vz = x[k] - x[i], y[k] - y[i], z[k] - z[i]
+    a, b, c = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    length = math.sqrt(a * a + b * b + c * c)
+    if length < _LEAST_AREA:
+        return NO_PLANE
+    if c < 0.0:
+        length = -length
+    a, b, c = a / length, b / length, c / length
+    return a, b, c, -(a * x[i] + b * y[i] + c * z[i])
+
+
+@helper
+def _quick_loss(x: Singles, y: Singles, z: Singles, plane: Plane, scale: float) -> float:
+    """Sum of min(1, (r / scale)^2) of some points."""
+    a, b, c, d = (
+        np.float32(plane[0] / scale),
+        np.float32(plane[1] / scale),
+        np.float32(plane[2] / scale),
+        np.float32(plane[3] / scale),
+    )
+    total = np.int32(0)
+    for i in range(len(x)):
+        r = a * x[i] + b * y[i] + c * z[i] + d
+        q = r * r
+        q = q if q < np.float32(1.0) else np.float32(1.0)
+        total = np.int32(total + np.int32(_UNITS * q))
+    return float(total / _UNITS)
+
+
+@helper
+def _needed(loss: float, most: int) -> int:
+    """Number of draws, ``most`` at most, of which one is likely to have inliers alone, where a plane has this loss."""
+    clean = min((1.0 - loss) ** 3, 1.0 - 1e-9)
+    return min(most, 1 + int(math.log(_MISS_PROBABILITY) / math.log(1.0 - clean))) if clean > 1e-6 else most
+
+
+@helper
+def _find_candidates(x: Floats, y: Floats, z: Floats, start: Plane, scale: float, scratch: PlaneScratch) -> int:
+    """Keep the candidates with the least loss on a sample, in `PlaneScratch.first`; returns their number.
+
+    It stops when a better one than the best, or than the plane ``start``, has become improbable.
+    """
+    n, loss, first = min(len(x), _SAMPLE), scratch.loss, scratch.first
+    xs, ys, zs = scratch.singles[0, :n], scratch.singles[1, :n], scratch.singles[2, :n]
+    most = min(_MOST_CANDIDATES, len(x) - 2)
+    best = _quick_loss(xs, ys, zs, start, scale)
+    kept, i, needed = 0, 0, _needed(best / n, most)
+    while i < needed:
+        plane = _candidate(x, y, z, i)
+        own = _quick_loss(xs, ys, zs, plane, scale) if is_plane(plane) else np.inf
+        if own < best:
+            best = own
+            needed = _needed(best / n, most)
+        if own < np.inf and (kept < _FIRST_KEPT or own < loss[kept - 1]):
+            kept = min(kept + 1, _FIRST_KEPT)
+            k = kept - 1
+            while k > 0 and own < loss[k - 1]:
+                loss[k], first[k] = loss[k - 1], first[k - 1]
+                k -= 1
+            loss[k], first[k] = own, i
+        i += 1
+    return kept
+
+
+@helper
+def _settle(plane: Plane, scale: float, n: int, scratch: PlaneScratch) -> tuple[Plane, float]:
+    """Refine a plane on its inliers until its loss does not fall; returns it and its loss."""
+    xs, ys, zs = scratch.singles[0, :n], scratch.singles[1, :n], scratch.singles[2, :n]
+    best, least = plane, np.inf
+    for _ in range(_STEPS):
+        fitted, loss = fit_plane(xs, ys, zs, plane, scale, False, scratch.single_lanes)
+        if not loss < least:
+            break
+        best, least = plane, loss
+        if not is_plane(fitted):
+            break
+        plane = fitted
+    return best, least
+
+
+@helper
+def ransac_plane(x: Floats, y: Floats, z: Floats, robust: Plane, scale: float, scratch: PlaneScratch) -> Plane:
+    """Plane of a tile by RANSAC (Fischler and Bolles 1981), locally optimised (Chum, Matas and Kittler 2003).
+
+    Of the candidates, and the robust plane, it is the one with the least loss of MSAC (Torr and Zisserman 2000) over all
+    points: squared distances, cut off at ``scale``. Follows `robust_plane`, whose scratch it takes.
+    """
+    n = len(x)
+    xs, ys, zs = scratch.singles[0, :n], scratch.singles[1, :n], scratch.singles[2, :n]
+    plane, least = _settle(robust, scale, n, scratch)
+    kept = _find_candidates(x, y, z, plane, scale, scratch)
+    for k in range(kept):
+        fitted, _ = fit_plane(xs, ys, zs, _candidate(x, y, z, scratch.first[k]), scale, False, scratch.single_lanes)
+        scratch.loss[k] = _quick_loss(xs, ys, zs, fitted, scale) if is_plane(fitted) else np.inf
+        row = scratch.planes[k]
+        row[0], row[1], row[2], row[3] = fitted
+    for _ in range(min(kept, _THEN_KEPT)):
+        k = 0
+        for other in range(1, kept):
+            k = other if scratch.loss[other] < scratch.loss[k] else k
+        if scratch.loss[k] == np.inf:
+            break
+        scratch.loss[k] = np.inf
+        row = scratch.planes[k]
+        refined, loss = _settle((row[0], row[1], row[2], row[3]), scale, n, scratch)
+        if loss < least:
+            plane, least = refined, loss
+    for _ in range(2):
+        fitted, _ = fit_plane(x, y, z, plane, scale, False, scratch.lanes)
+        if not is_plane(fitted):
+            break
+        plane = fitted
+    return plane
