@@ -31,14 +31,14 @@ _STILL = 1e-5
 """A plane that moves less stands still: radians, m."""
 _LONGEST = 4.0
 """Times that an extrapolated step is as long as a plain one, at most."""
-_SAMPLE = 128
+_SAMPLE = 256
 """Points that candidates are compared on first."""
 _MOST_CANDIDATES = 400
 _MISS_PROBABILITY = 1e-4
 """Accepted probability that no candidate was drawn from inliers alone."""
 _LEAST_AREA = 2e-3
 """Twice the least area that a candidate's three points must span, m^2."""
-_FIRST_KEPT, _THEN_KEPT = 16, 4
+_FIRST_KEPT, _THEN_KEPT = 32, 4
 """Best candidates that are compared on all points after a fit, and that are refined until they stand still."""
 _LINE = 4096.0
 """Rounding errors: points are on a line if the product of their spreads is less, as a share of the square of the sum."""
@@ -127,12 +127,14 @@ def _add_up(x: Any, y: Any, z: Any, near: Plane, scale: float, soft: bool, lanes
 
 
 @helper
-def fit_plane(x: Any, y: Any, z: Any, near: Plane, scale: float, soft: bool, lanes: Any) -> tuple[Plane, float]:
+def _fit_plane(
+    x: Any, y: Any, z: Any, near: Plane, scale: float, soft: bool, level: bool, lanes: Any
+) -> tuple[Plane, float]:
     """Weighted least-squares plane, see `_add_up`, its normal upward; and the loss of the plane ``near``.
 
-    Regression along the axis whose 2 x 2 minor of the scatter matrix is the largest, so that steep planes are fitted
-    as well as level ones. Coordinates must be centred near zero. Returns zeros where fewer than three points are near
-    or they lie on a line.
+    Regression of heights where ``level``, else along the axis whose 2 x 2 minor of the scatter matrix is the largest,
+    so that steep planes are fitted as well as level ones. Coordinates must be centred near zero. Returns zeros where
+    fewer than three points are near or they lie on a line.
     """
     _add_up(x, y, z, near, scale, soft, lanes)
     n = sx = sy = sz = xx = xy = xz = yy = yz = zz = loss = 0.0
@@ -156,7 +158,7 @@ def fit_plane(x: Any, y: Any, z: Any, near: Plane, scale: float, soft: bool, lan
     minor_z = xx * yy - xy * xy
     minor_y = xx * zz - xz * xz
     minor_x = yy * zz - yz * yz
-    if minor_z >= minor_y and minor_z >= minor_x:
+    if level or (minor_z >= minor_y and minor_z >= minor_x):
         a, b, c = xy * yz - xz * yy, xy * xz - yz * xx, minor_z
     elif minor_y >= minor_x:
         a, b, c = xz * yz - xy * zz, minor_y, xy * xz - yz * xx
@@ -197,32 +199,58 @@ def _extrapolate(first: Plane, second: Plane, third: Plane) -> tuple[Plane, floa
 
 
 @helper
+def _quick_loss(x: Singles, y: Singles, z: Singles, plane: Plane, scale: float) -> float:
+    """Sum of min(1, (r / scale)^2) of some points."""
+    a, b, c, d = (
+        np.float32(plane[0] / scale),
+        np.float32(plane[1] / scale),
+        np.float32(plane[2] / scale),
+        np.float32(plane[3] / scale),
+    )
+    total = np.int32(0)
+    for i in range(len(x)):
+        r = a * x[i] + b * y[i] + c * z[i] + d
+        q = r * r
+        q = q if q < np.float32(1.0) else np.float32(1.0)
+        total = np.int32(total + np.int32(_UNITS * q))
+    return float(total / _UNITS)
+
+
+@helper
+def _first_plane(x: Floats, y: Floats, z: Floats, scale: float, scratch: PlaneScratch) -> Plane:
+    """Least-squares plane of all points; for walls, where heights tell nothing, that across them. Zeros without any."""
+    xs, ys, zs = scratch.singles[0, : len(x)], scratch.singles[1, : len(x)], scratch.singles[2, : len(x)]
+    level, _ = _fit_plane(x, y, z, NO_PLANE, 1.0, False, True, scratch.lanes)
+    steep, _ = _fit_plane(x, y, z, NO_PLANE, 1.0, False, False, scratch.lanes)
+    if is_plane(level) and 0.5 * _quick_loss(xs, ys, zs, level, scale) <= _quick_loss(xs, ys, zs, steep, scale):
+        return level
+    return steep
+
+
+@helper
 def robust_plane(x: Floats, y: Floats, z: Floats, scale: float, scratch: PlaneScratch) -> Plane:
     """Plane of a tile by least squares, reweighted (Geman and McClure 1987) until it stands still.
 
-    It starts from the least-squares plane of all points and follows them smoothly: no draw decides it. Zeros where the
-    points span no plane. The points in single precision stay in the scratch.
+    It starts from the least-squares plane of all points: no draw decides it. Zeros where the points span no plane. The
+    points in single precision stay in the scratch.
     """
     n = len(x)
     xs, ys, zs = scratch.singles[0, :n], scratch.singles[1, :n], scratch.singles[2, :n]
     for i in range(n):
         xs[i], ys[i], zs[i] = x[i], y[i], z[i]
-    plane, _ = fit_plane(x, y, z, NO_PLANE, 1.0, False, scratch.lanes)
-    if not is_plane(plane):
-        return plane
+    found = plane = _first_plane(x, y, z, scale, scratch)
+    step = np.inf if is_plane(plane) else 0.0
     for _ in range(_STEPS):
-        second, _ = fit_plane(xs, ys, zs, plane, scale, True, scratch.single_lanes)
-        if not is_plane(second):
-            break
-        third, _ = fit_plane(xs, ys, zs, second, scale, True, scratch.single_lanes)
-        if not is_plane(third):
-            break
-        plane, step = _extrapolate(plane, second, third)
         if step <= _STILL:
-            plane = third
             break
-    fitted, _ = fit_plane(x, y, z, plane, scale, True, scratch.lanes)
-    return fitted if is_plane(fitted) else plane
+        second, _ = _fit_plane(xs, ys, zs, plane, scale, True, False, scratch.single_lanes)
+        third, _ = _fit_plane(xs, ys, zs, second, scale, True, False, scratch.single_lanes)
+        if not is_plane(second) or not is_plane(third):
+            break
+        found = third
+        plane, step = _extrapolate(plane, second, third)
+    fitted, _ = _fit_plane(x, y, z, found, scale, True, False, scratch.lanes)
+    return fitted if is_plane(found) and is_plane(fitted) else found
 
 
 @helper
@@ -239,24 +267,6 @@ def _candidate(x: Floats, y: Floats, z: Floats, i: int) -> Plane:
         length = -length
     a, b, c = a / length, b / length, c / length
     return a, b, c, -(a * x[i] + b * y[i] + c * z[i])
-
-
-@helper
-def _quick_loss(x: Singles, y: Singles, z: Singles, plane: Plane, scale: float) -> float:
-    """Sum of min(1, (r / scale)^2) of some points."""
-    a, b, c, d = (
-        np.float32(plane[0] / scale),
-        np.float32(plane[1] / scale),
-        np.float32(plane[2] / scale),
-        np.float32(plane[3] / scale),
-    )
-    total = np.int32(0)
-    for i in range(len(x)):
-        r = a * x[i] + b * y[i] + c * z[i] + d
-        q = r * r
-        q = q if q < np.float32(1.0) else np.float32(1.0)
-        total = np.int32(total + np.int32(_UNITS * q))
-    return float(total / _UNITS)
 
 
 @helper
@@ -300,7 +310,7 @@ def _settle(plane: Plane, scale: float, n: int, scratch: PlaneScratch) -> tuple[
     xs, ys, zs = scratch.singles[0, :n], scratch.singles[1, :n], scratch.singles[2, :n]
     best, least = plane, np.inf
     for _ in range(_STEPS):
-        fitted, loss = fit_plane(xs, ys, zs, plane, scale, False, scratch.single_lanes)
+        fitted, loss = _fit_plane(xs, ys, zs, plane, scale, False, False, scratch.single_lanes)
         if not loss < least:
             break
         best, least = plane, loss
@@ -322,7 +332,7 @@ def ransac_plane(x: Floats, y: Floats, z: Floats, robust: Plane, scale: float, s
     plane, least = _settle(robust, scale, n, scratch)
     kept = _find_candidates(x, y, z, plane, scale, scratch)
     for k in range(kept):
-        fitted, _ = fit_plane(xs, ys, zs, _candidate(x, y, z, scratch.first[k]), scale, False, scratch.single_lanes)
+        fitted, _ = _fit_plane(xs, ys, zs, _candidate(x, y, z, scratch.first[k]), scale, False, False, scratch.single_lanes)
         scratch.loss[k] = _quick_loss(xs, ys, zs, fitted, scale) if is_plane(fitted) else np.inf
         row = scratch.planes[k]
         row[0], row[1], row[2], row[3] = fitted
@@ -338,7 +348,7 @@ def ransac_plane(x: Floats, y: Floats, z: Floats, robust: Plane, scale: float, s
         if loss < least:
             plane, least = refined, loss
     for _ in range(2):
-        fitted, _ = fit_plane(x, y, z, plane, scale, False, scratch.lanes)
+        fitted, _ = _fit_plane(x, y, z, plane, scale, False, False, scratch.lanes)
         if not is_plane(fitted):
             break
         plane = fitted
