@@ -19,12 +19,9 @@ from bumpytiles import helper
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
-Integers = NDArray[np.int32]
 
 _SUMS = 11
 """Sums that a fit needs at once."""
-_FOLDED = 8
-"""Lanes that are left to add up one by one."""
 _STEPS = 30
 """Double steps of the robust plane, and steps of a RANSAC plane, at most: half of the roughest tiles need ten."""
 _STILL = 1e-5
@@ -33,13 +30,19 @@ _LONGEST = 4.0
 """Times that an extrapolated step is as long as a plain one, at most."""
 _SAMPLE = 256
 """Points that candidates are compared on first."""
-_MOST_CANDIDATES = 400
+_MOST_CANDIDATES = 300
 _MISS_PROBABILITY = 1e-4
 """Accepted probability that no candidate was drawn from inliers alone."""
 _LEAST_AREA = 2e-3
 """Twice the least area that a candidate's three points must span, m^2."""
-_FIRST_KEPT, _THEN_KEPT = 32, 4
-"""Best candidates that are compared on all points after a fit, and that are refined until they stand still."""
+_DRAWN, _REFINED = 16, 3
+"""Best candidates that are fitted and compared on all points; best of these, which are refined until they stand still."""
+_WIDER = 1.5
+"""Reach of the first fit to a candidate, in thresholds: its three points are noisy."""
+_INNER, _INNER_POINTS = 30, 32
+"""Inner samples, and points of each: its inliers are fitted, and there are several even of rough ground."""
+_TRIAL, _HOPELESS = 3, 1.01
+"""Steps after which a plane is given up whose loss is so many times the least."""
 _LINE = 4096.0
 """Rounding errors: points are on a line if the product of their spreads is less, as a share of the square of the sum."""
 _UNITS = np.float32(1024.0)
@@ -55,12 +58,10 @@ class PlaneScratch(NamedTuple):
     """(``_SUMS * LANES``,) partial sums."""
     single_lanes: Annotated[Singles, 1]
     """The same in single precision."""
-    loss: Annotated[Floats, 1]
-    """(``_FIRST_KEPT``,) losses of the best candidates, in increasing order."""
-    first: Annotated[Integers, 1]
-    """The same, their first points."""
-    planes: Annotated[Floats, 2]
-    """(``_FIRST_KEPT``, 4) the same, refined."""
+    drawn: Annotated[Floats, 2]
+    """(``_DRAWN``, 5) loss and plane of the best candidates, in increasing order of loss."""
+    refined: Annotated[Floats, 2]
+    """(``_REFINED``, 5) the same of those that were fitted to all points."""
 
 
 def plane_scratch(most_points: int) -> PlaneScratch:
@@ -69,9 +70,8 @@ def plane_scratch(most_points: int) -> PlaneScratch:
         singles=np.empty((3, most_points), np.float32),
         lanes=np.empty(_SUMS * LANES),
         single_lanes=np.empty(_SUMS * LANES, np.float32),
-        loss=np.empty(_FIRST_KEPT),
-        first=np.empty(_FIRST_KEPT, np.int32),
-        planes=np.empty((_FIRST_KEPT, 4)),
+        drawn=np.empty((_DRAWN, 5)),
+        refined=np.empty((_REFINED, 5)),
     )
 
 
@@ -118,12 +118,14 @@ def _add_up(x: Any, y: Any, z: Any, near: Plane, scale: float, soft: bool, lanes
             lanes[8 * LANES + k] += wy * pz
             lanes[9 * LANES + k] += wz * pz
             lanes[10 * LANES + k] += q if q < one else one
-    width = LANES // 2
-    while width >= _FOLDED:
-        for row in range(0, _SUMS * LANES, LANES):
-            for k in range(row, row + width):
-                lanes[k] += lanes[k + width]
-        width //= 2
+    for row in range(0, _SUMS * LANES, LANES):
+        own = lanes[row : row + LANES]
+        for k in range(LANES // 2):
+            own[k] += own[k + LANES // 2]
+        for k in range(LANES // 4):
+            own[k] += own[k + LANES // 4]
+        for k in range(LANES // 8):
+            own[k] += own[k + LANES // 8]
 
 
 @helper
@@ -138,7 +140,7 @@ def _fit_plane(
     """
     _add_up(x, y, z, near, scale, soft, lanes)
     n = sx = sy = sz = xx = xy = xz = yy = yz = zz = loss = 0.0
-    for k in range(_FOLDED):
+    for k in range(LANES // 8):
         n += lanes[k]
         sx += lanes[LANES + k]
         sy += lanes[2 * LANES + k]
@@ -277,41 +279,54 @@ def _needed(loss: float, most: int) -> int:
 
 
 @helper
-def _find_candidates(x: Floats, y: Floats, z: Floats, start: Plane, scale: float, scratch: PlaneScratch) -> int:
-    """Keep the candidates with the least loss on a sample, in `PlaneScratch.first`; returns their number.
+def _keep(plane: Plane, loss: float, best: Floats, kept: int) -> int:
+    """Put a plane among the ``kept`` best, if it belongs there; returns their number."""
+    if not loss < np.inf or (kept == len(best) and loss >= best[kept - 1, 0]):
+        return kept
+    k = min(kept, len(best) - 1)
+    while k > 0 and loss < best[k - 1, 0]:
+        for part in range(5):
+            best[k, part] = best[k - 1, part]
+        k -= 1
+    row = best[k]
+    row[0] = loss
+    row[1], row[2], row[3], row[4] = plane
+    return min(kept + 1, len(best))
+
+
+@helper
+def _draw(x: Floats, y: Floats, z: Floats, start: Plane, scale: float, scratch: PlaneScratch) -> int:
+    """Keep the candidates with the least loss on a sample; returns their number.
 
     It stops when a better one than the best, or than the plane ``start``, has become improbable.
     """
-    n, loss, first = min(len(x), _SAMPLE), scratch.loss, scratch.first
+    n = min(len(x), _SAMPLE)
     xs, ys, zs = scratch.singles[0, :n], scratch.singles[1, :n], scratch.singles[2, :n]
     most = min(_MOST_CANDIDATES, len(x) - 2)
     best = _quick_loss(xs, ys, zs, start, scale)
     kept, i, needed = 0, 0, _needed(best / n, most)
     while i < needed:
         plane = _candidate(x, y, z, i)
-        own = _quick_loss(xs, ys, zs, plane, scale) if is_plane(plane) else np.inf
-        if own < best:
-            best = own
+        loss = _quick_loss(xs, ys, zs, plane, scale) if is_plane(plane) else np.inf
+        if loss < best:
+            best = loss
             needed = _needed(best / n, most)
-        if own < np.inf and (kept < _FIRST_KEPT or own < loss[kept - 1]):
-            kept = min(kept + 1, _FIRST_KEPT)
-            k = kept - 1
-            while k > 0 and own < loss[k - 1]:
-                loss[k], first[k] = loss[k - 1], first[k - 1]
-                k -= 1
-            loss[k], first[k] = own, i
+        kept = _keep(plane, loss, scratch.drawn, kept)
         i += 1
     return kept
 
 
 @helper
-def _settle(plane: Plane, scale: float, n: int, scratch: PlaneScratch) -> tuple[Plane, float]:
-    """Refine a plane on its inliers until its loss does not fall; returns it and its loss."""
+def _settle(plane: Plane, bound: float, scale: float, n: int, scratch: PlaneScratch) -> tuple[Plane, float]:
+    """Refine a plane on its inliers until its loss does not fall, or is far above ``bound`` after a few steps.
+
+    Returns it and its loss.
+    """
     xs, ys, zs = scratch.singles[0, :n], scratch.singles[1, :n], scratch.singles[2, :n]
     best, least = plane, np.inf
-    for _ in range(_STEPS):
+    for step in range(_STEPS):
         fitted, loss = _fit_plane(xs, ys, zs, plane, scale, False, False, scratch.single_lanes)
-        if not loss < least:
+        if not loss < least or (step >= _TRIAL and loss > _HOPELESS * bound):
             break
         best, least = plane, loss
         if not is_plane(fitted):
@@ -321,32 +336,44 @@ def _settle(plane: Plane, scale: float, n: int, scratch: PlaneScratch) -> tuple[
 
 
 @helper
+def _settle_best(kept: int, plane: Plane, least: float, scale: float, n: int, scratch: PlaneScratch) -> tuple[Plane, float]:
+    """Refine the best planes until they stand still; returns the one with the least loss, or ``plane``."""
+    for k in range(kept):
+        row = scratch.refined[k]
+        found, loss = _settle((row[1], row[2], row[3], row[4]), least, scale, n, scratch)
+        if loss < least:
+            plane, least = found, loss
+    return plane, least
+
+
+@helper
 def ransac_plane(x: Floats, y: Floats, z: Floats, robust: Plane, scale: float, scratch: PlaneScratch) -> Plane:
     """Plane of a tile by RANSAC (Fischler and Bolles 1981), locally optimised (Chum, Matas and Kittler 2003).
 
-    Of the candidates, and the robust plane, it is the one with the least loss of MSAC (Torr and Zisserman 2000) over all
-    points: squared distances, cut off at ``scale``. Follows `robust_plane`, whose scratch it takes.
+    It has the least loss of MSAC (Torr and Zisserman 2000) over all points, squared distances cut off at ``scale``, of
+    the candidates, of the robust plane, and of planes through inliers of the best of these: all are refined on their
+    inliers. Follows `robust_plane`, whose scratch it takes.
     """
-    n = len(x)
+    n, lanes = len(x), scratch.single_lanes
     xs, ys, zs = scratch.singles[0, :n], scratch.singles[1, :n], scratch.singles[2, :n]
-    plane, least = _settle(robust, scale, n, scratch)
-    kept = _find_candidates(x, y, z, plane, scale, scratch)
-    for k in range(kept):
-        fitted, _ = _fit_plane(xs, ys, zs, _candidate(x, y, z, scratch.first[k]), scale, False, False, scratch.single_lanes)
-        scratch.loss[k] = _quick_loss(xs, ys, zs, fitted, scale) if is_plane(fitted) else np.inf
-        row = scratch.planes[k]
-        row[0], row[1], row[2], row[3] = fitted
-    for _ in range(min(kept, _THEN_KEPT)):
-        k = 0
-        for other in range(1, kept):
-            k = other if scratch.loss[other] < scratch.loss[k] else k
-        if scratch.loss[k] == np.inf:
-            break
-        scratch.loss[k] = np.inf
-        row = scratch.planes[k]
-        refined, loss = _settle((row[0], row[1], row[2], row[3]), scale, n, scratch)
-        if loss < least:
-            plane, least = refined, loss
+    plane, least = _settle(robust, np.inf, scale, n, scratch)
+    kept = 0
+    for k in range(_draw(x, y, z, plane, scale, scratch)):
+        row = scratch.drawn[k]
+        drawn = (row[1], row[2], row[3], row[4])
+        fitted, _ = _fit_plane(xs, ys, zs, drawn, _WIDER * scale, False, False, lanes)
+        loss = _quick_loss(xs, ys, zs, fitted, scale) if is_plane(fitted) else np.inf
+        kept = _keep(fitted, loss, scratch.refined, kept)
+    plane, least = _settle_best(kept, plane, least, scale, n, scratch)
+    kept = 0
+    for first in range(0, min(n // _INNER_POINTS, _INNER) * _INNER_POINTS, _INNER_POINTS):
+        end = first + _INNER_POINTS
+        fitted, _ = _fit_plane(
+            xs[first:end], ys[first:end], zs[first:end], plane, _WIDER * scale, False, False, lanes
+        )
+        loss = _quick_loss(xs, ys, zs, fitted, scale) if is_plane(fitted) else np.inf
+        kept = _keep(fitted, loss, scratch.refined, kept)
+    plane, _ = _settle_best(kept, plane, least, scale, n, scratch)
     for _ in range(2):
         fitted, _ = _fit_plane(x, y, z, plane, scale, False, False, scratch.lanes)
         if not is_plane(fitted):

@@ -127,7 +127,7 @@ def explained(points, plane):
 
 
 def test_ransac_explains_as_many_points_as_scikit_learns(measured):
-    """It may leave out some at the limit to be closer to the rest; its loss is what it makes small."""
+    """It may leave out some at the limit to be closer to the rest: its loss is what it makes small."""
     ours, theirs = [], []
     for seed, points in enumerate(by_tile(measured, *GROUND)):
         points = points[np.random.default_rng(seed).permutation(len(points))]
@@ -136,6 +136,6 @@ def test_ransac_explains_as_many_points_as_scikit_learns(measured):
         ours.append(explained(points, np.array(plane)))
         theirs.append(explained(points, by_sklearn(points, seed)))
     (count, loss), (other_count, other_loss) = np.transpose(ours), np.transpose(theirs)
-    assert np.all(count >= 0.95 * other_count)
+    assert np.all(count >= 0.93 * other_count)
     assert np.mean(count / other_count) >= 1.0
-    assert np.all(loss <= 1.02 * other_loss)
+    assert np.all(loss <= 1.001 * other_loss)
