@@ -188,7 +188,7 @@ def _planes_of_tile(
     Returns the robust plane, and fills the distances to it; heights where there is none.
     """
     x, y, z, distance = scratch.points[0, :n], scratch.points[1, :n], scratch.points[2, :n], scratch.points[3, :n]
-    robust = robust_plane(x, y, z, settings.threshold, planes)
+    robust = robust_plane(x, y, z, planes)
     if not is_plane(robust):
         for i in range(n):
             distance[i] = z[i]

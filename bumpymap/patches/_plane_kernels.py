@@ -3,8 +3,8 @@
 Both are weighted least-squares fits, repeated until they stand still. In single precision they are twice as fast, and
 it is enough to approach a plane; the last steps are in double precision. Points are centred: nothing here depends on
 where a tile lies. Nothing is drawn by chance either: candidates go through points that follow each other in the
-canonical order, which is that of a hash. So a tile that is turned by 90 degrees or mirrored has the same candidates, and
-one point more or less changes three of them.
+canonical order, which is that of a hash. So a tile that is turned by 90 degrees or mirrored has the same candidates,
+and one point more or less changes a few of them.
 """
 
 import math
@@ -20,6 +20,8 @@ from bumpytiles import helper
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
+_SCALE = 0.1
+"""Distance of a point whose weight for the robust plane is a quarter, m: of plants and stones, not of the ground."""
 _SUMS = 11
 """Sums that a fit needs at once."""
 _STEPS = 30
@@ -36,7 +38,7 @@ _MISS_PROBABILITY = 1e-4
 _LEAST_AREA = 2e-3
 """Twice the least area that a candidate's three points must span, m^2."""
 _DRAWN, _REFINED = 16, 3
-"""Best candidates that are fitted and compared on all points; best of these, which are refined until they stand still."""
+"""Best candidates, which are fitted to all points; best of these, which are refined until they stand still."""
 _WIDER = 1.5
 """Reach of the first fit to a candidate, in thresholds: its three points are noisy."""
 _INNER, _INNER_POINTS = 30, 32
@@ -44,9 +46,11 @@ _INNER, _INNER_POINTS = 30, 32
 _TRIAL, _HOPELESS = 3, 1.01
 """Steps after which a plane is given up whose loss is so many times the least."""
 _LINE = 4096.0
-"""Rounding errors: points are on a line if the product of their spreads is less, as a share of the square of the sum."""
+"""Rounding errors: points whose spreads have a product of less, as a share of their squared sum, are on a line."""
 _UNITS = np.float32(1024.0)
 """Of the loss of a point in whole numbers, whose sum does not depend on an order."""
+_STRIP = 1 << 16
+"""Points whose units are added up at once: their sum is no larger than a whole number may be."""
 
 
 class PlaneScratch(NamedTuple):
@@ -117,7 +121,7 @@ def _add_up(x: Any, y: Any, z: Any, near: Plane, scale: float, soft: bool, lanes
             lanes[7 * LANES + k] += wy * py
             lanes[8 * LANES + k] += wy * pz
             lanes[9 * LANES + k] += wz * pz
-            lanes[10 * LANES + k] += q if q < one else one
+            lanes[10 * LANES + k] += min(one, q)
     for row in range(0, _SUMS * LANES, LANES):
         own = lanes[row : row + LANES]
         for k in range(LANES // 2):
@@ -209,28 +213,33 @@ def _quick_loss(x: Singles, y: Singles, z: Singles, plane: Plane, scale: float) 
         np.float32(plane[2] / scale),
         np.float32(plane[3] / scale),
     )
-    total = np.int32(0)
-    for i in range(len(x)):
-        r = a * x[i] + b * y[i] + c * z[i] + d
-        q = r * r
-        q = q if q < np.float32(1.0) else np.float32(1.0)
-        total = np.int32(total + np.int32(_UNITS * q))
-    return float(total / _UNITS)
+    total = 0.0
+    for start in range(0, len(x), _STRIP):
+        stop = min(len(x), start + _STRIP)
+        bx, by, bz = x[start:stop], y[start:stop], z[start:stop]
+        units = np.int32(0)
+        for i in range(stop - start):
+            r = a * bx[i] + b * by[i] + c * bz[i] + d
+            q = r * r
+            q = min(np.float32(1.0), q)
+            units = np.int32(units + np.int32(_UNITS * q))
+        total += float(units / _UNITS)
+    return total
 
 
 @helper
-def _first_plane(x: Floats, y: Floats, z: Floats, scale: float, scratch: PlaneScratch) -> Plane:
+def _first_plane(x: Floats, y: Floats, z: Floats, scratch: PlaneScratch) -> Plane:
     """Least-squares plane of all points; for walls, where heights tell nothing, that across them. Zeros without any."""
     xs, ys, zs = scratch.singles[0, : len(x)], scratch.singles[1, : len(x)], scratch.singles[2, : len(x)]
     level, _ = _fit_plane(x, y, z, NO_PLANE, 1.0, False, True, scratch.lanes)
     steep, _ = _fit_plane(x, y, z, NO_PLANE, 1.0, False, False, scratch.lanes)
-    if is_plane(level) and 0.5 * _quick_loss(xs, ys, zs, level, scale) <= _quick_loss(xs, ys, zs, steep, scale):
+    if is_plane(level) and 0.5 * _quick_loss(xs, ys, zs, level, _SCALE) <= _quick_loss(xs, ys, zs, steep, _SCALE):
         return level
     return steep
 
 
 @helper
-def robust_plane(x: Floats, y: Floats, z: Floats, scale: float, scratch: PlaneScratch) -> Plane:
+def robust_plane(x: Floats, y: Floats, z: Floats, scratch: PlaneScratch) -> Plane:
     """Plane of a tile by least squares, reweighted (Geman and McClure 1987) until it stands still.
 
     It starts from the least-squares plane of all points: no draw decides it. Zeros where the points span no plane. The
@@ -240,25 +249,27 @@ def robust_plane(x: Floats, y: Floats, z: Floats, scale: float, scratch: PlaneSc
     xs, ys, zs = scratch.singles[0, :n], scratch.singles[1, :n], scratch.singles[2, :n]
     for i in range(n):
         xs[i], ys[i], zs[i] = x[i], y[i], z[i]
-    found = plane = _first_plane(x, y, z, scale, scratch)
+    found = plane = _first_plane(x, y, z, scratch)
     step = np.inf if is_plane(plane) else 0.0
     for _ in range(_STEPS):
         if step <= _STILL:
             break
-        second, _ = _fit_plane(xs, ys, zs, plane, scale, True, False, scratch.single_lanes)
-        third, _ = _fit_plane(xs, ys, zs, second, scale, True, False, scratch.single_lanes)
+        second, _ = _fit_plane(xs, ys, zs, plane, _SCALE, True, False, scratch.single_lanes)
+        third, _ = _fit_plane(xs, ys, zs, second, _SCALE, True, False, scratch.single_lanes)
         if not is_plane(second) or not is_plane(third):
             break
         found = third
         plane, step = _extrapolate(plane, second, third)
-    fitted, _ = _fit_plane(x, y, z, found, scale, True, False, scratch.lanes)
+    fitted, _ = _fit_plane(x, y, z, found, _SCALE, True, False, scratch.lanes)
     return fitted if is_plane(found) and is_plane(fitted) else found
 
 
 @helper
-def _candidate(x: Floats, y: Floats, z: Floats, i: int) -> Plane:
-    """Plane through three points that follow each other; zeros where they are nearly on a line."""
-    j, k = i + 1, i + 2
+def _candidate(x: Floats, y: Floats, z: Floats, number: int) -> Plane:
+    """Plane through three points that follow each other, then every second, third; zeros where they are on a line."""
+    n = len(x)
+    i, step = number % n, number // n + 1
+    j, k = (i + step) % n, (i + 2 * step) % n
     ux, uy, uz = x[j] - x[i], y[j] - y[i], z[j] - z[i]
     vx, vy, vz = x[k] - x[i], y[k] - y[i], z[k] - z[i]
     a, b, c = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
@@ -272,10 +283,10 @@ def _candidate(x: Floats, y: Floats, z: Floats, i: int) -> Plane:
 
 
 @helper
-def _needed(loss: float, most: int) -> int:
-    """Number of draws, ``most`` at most, of which one is likely to have inliers alone, where a plane has this loss."""
-    clean = min((1.0 - loss) ** 3, 1.0 - 1e-9)
-    return min(most, 1 + int(math.log(_MISS_PROBABILITY) / math.log(1.0 - clean))) if clean > 1e-6 else most
+def _needed(loss: float) -> int:
+    """Return the number of draws of which one likely has inliers alone, if a plane has this loss; or the most."""
+    clean = min(max((1.0 - loss) ** 3, 1e-6), 1.0 - 1e-9)
+    return min(_MOST_CANDIDATES, 1 + int(math.log(_MISS_PROBABILITY) / math.log(1.0 - clean)))
 
 
 @helper
@@ -302,15 +313,14 @@ def _draw(x: Floats, y: Floats, z: Floats, start: Plane, scale: float, scratch: 
     """
     n = min(len(x), _SAMPLE)
     xs, ys, zs = scratch.singles[0, :n], scratch.singles[1, :n], scratch.singles[2, :n]
-    most = min(_MOST_CANDIDATES, len(x) - 2)
     best = _quick_loss(xs, ys, zs, start, scale)
-    kept, i, needed = 0, 0, _needed(best / n, most)
+    kept, i, needed = 0, 0, _needed(best / n)
     while i < needed:
         plane = _candidate(x, y, z, i)
         loss = _quick_loss(xs, ys, zs, plane, scale) if is_plane(plane) else np.inf
         if loss < best:
             best = loss
-            needed = _needed(best / n, most)
+            needed = _needed(best / n)
         kept = _keep(plane, loss, scratch.drawn, kept)
         i += 1
     return kept
@@ -336,7 +346,9 @@ def _settle(plane: Plane, bound: float, scale: float, n: int, scratch: PlaneScra
 
 
 @helper
-def _settle_best(kept: int, plane: Plane, least: float, scale: float, n: int, scratch: PlaneScratch) -> tuple[Plane, float]:
+def _settle_best(
+    kept: int, plane: Plane, least: float, scale: float, n: int, scratch: PlaneScratch
+) -> tuple[Plane, float]:
     """Refine the best planes until they stand still; returns the one with the least loss, or ``plane``."""
     for k in range(kept):
         row = scratch.refined[k]
@@ -366,11 +378,10 @@ def ransac_plane(x: Floats, y: Floats, z: Floats, robust: Plane, scale: float, s
         kept = _keep(fitted, loss, scratch.refined, kept)
     plane, least = _settle_best(kept, plane, least, scale, n, scratch)
     kept = 0
-    for first in range(0, min(n // _INNER_POINTS, _INNER) * _INNER_POINTS, _INNER_POINTS):
+    step = max(min(n - _INNER_POINTS, _INNER * _INNER_POINTS) // _INNER, 1)
+    for first in range(0, min(n - _INNER_POINTS, _INNER * step), step):
         end = first + _INNER_POINTS
-        fitted, _ = _fit_plane(
-            xs[first:end], ys[first:end], zs[first:end], plane, _WIDER * scale, False, False, lanes
-        )
+        fitted, _ = _fit_plane(xs[first:end], ys[first:end], zs[first:end], plane, _WIDER * scale, False, False, lanes)
         loss = _quick_loss(xs, ys, zs, fitted, scale) if is_plane(fitted) else np.inf
         kept = _keep(fitted, loss, scratch.refined, kept)
     plane, _ = _settle_best(kept, plane, least, scale, n, scratch)
