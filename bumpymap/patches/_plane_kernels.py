@@ -87,7 +87,7 @@ def is_plane(plane: Plane) -> bool:
 
 @helper
 def _add_up(x: Any, y: Any, z: Any, near: Plane, scale: float, soft: bool, lanes: Any) -> None:
-    """Sum w, w x, w y, w z, w xx, w xy, w xz, w yy, w yz, w zz, and the loss min(1, (r / scale)^2): rows of lanes.
+    """Sum w, w x, w y, w z, w xx, w xy, w xz, w yy, w yz, w zz, and the loss min(1, (r / scale)^2) into ``lanes[:11]``.
 
     r are the distances from the plane ``near``. Weights are those of Geman and McClure (1987) where ``soft``, or 1
     within ``scale`` and 0 beyond.
@@ -130,34 +130,25 @@ def _add_up(x: Any, y: Any, z: Any, near: Plane, scale: float, soft: bool, lanes
             own[k] += own[k + LANES // 4]
         for k in range(LANES // 8):
             own[k] += own[k + LANES // 8]
+        total = zero
+        for k in range(LANES // 8):
+            total += own[k]
+        lanes[row // LANES] = total
 
 
 @helper
-def _fit_plane(
-    x: Any, y: Any, z: Any, near: Plane, scale: float, soft: bool, level: bool, lanes: Any
-) -> tuple[Plane, float]:
-    """Weighted least-squares plane, see `_add_up`, its normal upward; and the loss of the plane ``near``.
+def _solve(sums: Any, level: bool, error: float) -> Plane:
+    """Least-squares plane of the sums of `_add_up`, its normal upward.
 
     Regression of heights where ``level``, else along the axis whose 2 x 2 minor of the scatter matrix is the largest,
     so that steep planes are fitted as well as level ones. Coordinates must be centred near zero. Returns zeros where
-    fewer than three points are near or they lie on a line.
+    there are no three points or they lie on a line, up to a relative ``error`` of the sums.
     """
-    _add_up(x, y, z, near, scale, soft, lanes)
-    n = sx = sy = sz = xx = xy = xz = yy = yz = zz = loss = 0.0
-    for k in range(LANES // 8):
-        n += lanes[k]
-        sx += lanes[LANES + k]
-        sy += lanes[2 * LANES + k]
-        sz += lanes[3 * LANES + k]
-        xx += lanes[4 * LANES + k]
-        xy += lanes[5 * LANES + k]
-        xz += lanes[6 * LANES + k]
-        yy += lanes[7 * LANES + k]
-        yz += lanes[8 * LANES + k]
-        zz += lanes[9 * LANES + k]
-        loss += lanes[10 * LANES + k]
-    if n < 3.0 and not (soft and n > 0.0):
-        return NO_PLANE, loss
+    kind = np.float64
+    n, sx, sy, sz, xx = kind(sums[0]), kind(sums[1]), kind(sums[2]), kind(sums[3]), kind(sums[4])
+    xy, xz, yy, yz, zz = kind(sums[5]), kind(sums[6]), kind(sums[7]), kind(sums[8]), kind(sums[9])
+    if n <= 0.0:
+        return NO_PLANE
     mx, my, mz = sx / n, sy / n, sz / n
     xx, xy, xz = xx - sx * mx, xy - sx * my, xz - sx * mz
     yy, yz, zz = yy - sy * my, yz - sy * mz, zz - sz * mz
@@ -172,12 +163,19 @@ def _fit_plane(
         a, b, c = minor_x, xz * yz - xy * zz, xy * yz - xz * yy
     length = math.sqrt(a * a + b * b + c * c)
     scatter = xx + yy + zz
-    if length <= _LINE * np.finfo(x.dtype).eps * scatter * scatter:
-        return NO_PLANE, loss
+    if length <= error * scatter * scatter:
+        return NO_PLANE
     if c < 0.0:
         length = -length
     a, b, c = a / length, b / length, c / length
-    return (a, b, c, -(a * mx + b * my + c * mz)), loss
+    return a, b, c, -(a * mx + b * my + c * mz)
+
+
+@helper
+def _fit_plane(x: Any, y: Any, z: Any, near: Plane, scale: float, soft: bool, lanes: Any) -> tuple[Plane, float]:
+    """Weighted least-squares plane, see `_add_up` and `_solve`, and the loss of the plane ``near``."""
+    _add_up(x, y, z, near, scale, soft, lanes)
+    return _solve(lanes, False, _LINE * np.finfo(x.dtype).eps), float(lanes[10])
 
 
 @helper
@@ -228,14 +226,44 @@ def _quick_loss(x: Singles, y: Singles, z: Singles, plane: Plane, scale: float) 
 
 
 @helper
+def _quarter_sums(x: Floats, y: Floats, z: Floats, sums: Floats) -> None:
+    """Sum what `_solve` takes over each quarter of the tile, ten numbers each, and over all of it behind them."""
+    for k in range(50):
+        sums[k] = 0.0
+    for i in range(len(x)):
+        px, py, pz = x[i], y[i], z[i]
+        k = 10 * (int(px > 0.0) + 2 * int(py > 0.0))
+        sums[k] += 1.0
+        sums[k + 1] += px
+        sums[k + 2] += py
+        sums[k + 3] += pz
+        sums[k + 4] += px * px
+        sums[k + 5] += px * py
+        sums[k + 6] += px * pz
+        sums[k + 7] += py * py
+        sums[k + 8] += py * pz
+        sums[k + 9] += pz * pz
+    for k in range(10):
+        sums[40 + k] = (sums[k] + sums[30 + k]) + (sums[10 + k] + sums[20 + k])
+
+
+@helper
 def _first_plane(x: Floats, y: Floats, z: Floats, scratch: PlaneScratch) -> Plane:
-    """Least-squares plane of all points; for walls, where heights tell nothing, that across them. Zeros without any."""
+    """Least-squares plane that explains most: of all points, or of a quarter of them, which may be free of things.
+
+    Where heights tell nothing, on a wall, it is one across them. Zeros where the points span no plane.
+    """
     xs, ys, zs = scratch.singles[0, : len(x)], scratch.singles[1, : len(x)], scratch.singles[2, : len(x)]
-    level, _ = _fit_plane(x, y, z, NO_PLANE, 1.0, False, True, scratch.lanes)
-    steep, _ = _fit_plane(x, y, z, NO_PLANE, 1.0, False, False, scratch.lanes)
-    if is_plane(level) and 0.5 * _quick_loss(xs, ys, zs, level, _SCALE) <= _quick_loss(xs, ys, zs, steep, _SCALE):
-        return level
-    return steep
+    sums, error = scratch.lanes, _LINE * np.finfo(x.dtype).eps
+    _quarter_sums(x, y, z, sums)
+    best = _solve(sums[40:50], False, error)
+    least = 2.0 * _quick_loss(xs, ys, zs, best, _SCALE) if is_plane(best) else np.inf
+    for k in range(40, -10, -10):
+        plane = _solve(sums[k : k + 10], True, error)
+        loss = _quick_loss(xs, ys, zs, plane, _SCALE) if is_plane(plane) else np.inf
+        if loss < least or (k == 40 and loss <= least):
+            best, least = plane, loss
+    return best
 
 
 @helper
@@ -254,13 +282,13 @@ def robust_plane(x: Floats, y: Floats, z: Floats, scratch: PlaneScratch) -> Plan
     for _ in range(_STEPS):
         if step <= _STILL:
             break
-        second, _ = _fit_plane(xs, ys, zs, plane, _SCALE, True, False, scratch.single_lanes)
-        third, _ = _fit_plane(xs, ys, zs, second, _SCALE, True, False, scratch.single_lanes)
+        second, _ = _fit_plane(xs, ys, zs, plane, _SCALE, True, scratch.single_lanes)
+        third, _ = _fit_plane(xs, ys, zs, second, _SCALE, True, scratch.single_lanes)
         if not is_plane(second) or not is_plane(third):
             break
         found = third
         plane, step = _extrapolate(plane, second, third)
-    fitted, _ = _fit_plane(x, y, z, found, _SCALE, True, False, scratch.lanes)
+    fitted, _ = _fit_plane(x, y, z, found, _SCALE, True, scratch.lanes)
     return fitted if is_plane(found) and is_plane(fitted) else found
 
 
@@ -335,7 +363,7 @@ def _settle(plane: Plane, bound: float, scale: float, n: int, scratch: PlaneScra
     xs, ys, zs = scratch.singles[0, :n], scratch.singles[1, :n], scratch.singles[2, :n]
     best, least = plane, np.inf
     for step in range(_STEPS):
-        fitted, loss = _fit_plane(xs, ys, zs, plane, scale, False, False, scratch.single_lanes)
+        fitted, loss = _fit_plane(xs, ys, zs, plane, scale, False, scratch.single_lanes)
         if not loss < least or (step >= _TRIAL and loss > _HOPELESS * bound):
             break
         best, least = plane, loss
@@ -373,7 +401,7 @@ def ransac_plane(x: Floats, y: Floats, z: Floats, robust: Plane, scale: float, s
     for k in range(_draw(x, y, z, plane, scale, scratch)):
         row = scratch.drawn[k]
         drawn = (row[1], row[2], row[3], row[4])
-        fitted, _ = _fit_plane(xs, ys, zs, drawn, _WIDER * scale, False, False, lanes)
+        fitted, _ = _fit_plane(xs, ys, zs, drawn, _WIDER * scale, False, lanes)
         loss = _quick_loss(xs, ys, zs, fitted, scale) if is_plane(fitted) else np.inf
         kept = _keep(fitted, loss, scratch.refined, kept)
     plane, least = _settle_best(kept, plane, least, scale, n, scratch)
@@ -381,12 +409,12 @@ def ransac_plane(x: Floats, y: Floats, z: Floats, robust: Plane, scale: float, s
     step = max(min(n - _INNER_POINTS, _INNER * _INNER_POINTS) // _INNER, 1)
     for first in range(0, min(n - _INNER_POINTS, _INNER * step), step):
         end = first + _INNER_POINTS
-        fitted, _ = _fit_plane(xs[first:end], ys[first:end], zs[first:end], plane, _WIDER * scale, False, False, lanes)
+        fitted, _ = _fit_plane(xs[first:end], ys[first:end], zs[first:end], plane, _WIDER * scale, False, lanes)
         loss = _quick_loss(xs, ys, zs, fitted, scale) if is_plane(fitted) else np.inf
         kept = _keep(fitted, loss, scratch.refined, kept)
     plane, _ = _settle_best(kept, plane, least, scale, n, scratch)
     for _ in range(2):
-        fitted, _ = _fit_plane(x, y, z, plane, scale, False, False, scratch.lanes)
+        fitted, _ = _fit_plane(x, y, z, plane, scale, False, scratch.lanes)
         if not is_plane(fitted):
             break
         plane = fitted
