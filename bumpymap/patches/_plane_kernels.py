@@ -270,8 +270,8 @@ def _first_plane(x: Floats, y: Floats, z: Floats, scratch: PlaneScratch) -> Plan
 def robust_plane(x: Floats, y: Floats, z: Floats, scratch: PlaneScratch) -> Plane:
     """Plane of a tile by least squares, reweighted (Geman and McClure 1987) until it stands still.
 
-    It starts from the least-squares plane of all points: no draw decides it. Zeros where the points span no plane. The
-    points in single precision stay in the scratch.
+    It starts from `_first_plane`: no draw decides it. Zeros where the points span no plane. The points in single
+    precision stay in the scratch.
     """
     n = len(x)
     xs, ys, zs = scratch.singles[0, :n], scratch.singles[1, :n], scratch.singles[2, :n]
