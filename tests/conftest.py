@@ -92,7 +92,7 @@ def measure_points(x, y, z, flag=None, *, grid=None, settings=None, ground_only=
     return join_stacks([measure(block, settings or FeatureSettings(), ground_only=ground_only) for block in blocks])
 
 
-@pytest.fixture(name="measure_points")
+@pytest.fixture(name="measure_points", scope="session")
 def measure_points_fixture():
     return measure_points
 

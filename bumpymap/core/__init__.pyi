@@ -245,7 +245,6 @@ from .settings import (
 from .shared_kernels import (
     NO_PLANE as NO_PLANE,
     Plane as Plane,
-    best_candidate as best_candidate,
     fill_holes as fill_holes,
 )
 from .types import (

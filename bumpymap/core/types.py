@@ -185,9 +185,9 @@ class PatchStack:
     z_variance: NDArray[np.float64]
     """(n,) population variance of z over the tile's points, m^2."""
     ransac_residual: NDArray[np.float64]
-    """(n,) mean perpendicular distance of all points to the RANSAC plane, m; NaN if RANSAC found no plane."""
+    """(n,) mean perpendicular distance of all points to the RANSAC plane, m; NaN if they span no plane."""
     slope: NDArray[np.float64]
-    """(n,) angle between that plane and the horizontal, degrees; NaN if there is none."""
+    """(n,) angle between the robust plane of the points and the horizontal, degrees; NaN if they span no plane."""
     z_range: NDArray[np.float64]
     """(n,) max - min of ``heights``, m."""
     density: NDArray[np.float64]
@@ -199,7 +199,7 @@ class PatchStack:
     spread_count: NDArray[np.int32]
     """(n, pixels, pixels) number of points in each pixel."""
     spread_variance: NDArray[np.float32]
-    """(n, pixels, pixels) population variance, inside each pixel, of the height above the tile's RANSAC plane (of z if
+    """(n, pixels, pixels) population variance, inside each pixel, of the height above the tile's robust plane (of z if
     there is no plane), m^2; NaN in pixels without points."""
     relief_map: NDArray[np.float32]
     """(n, pixels, pixels) heights minus their least-squares plane, with holes filled from neighbours, m; NaN if the
@@ -560,7 +560,7 @@ BANDS: tuple[Band, ...] = (
     Band("z_variance", "m2", "population variance of z over the tile's points"),
     Band("ransac_residual", "m", "mean perpendicular distance of all points to the RANSAC plane"),
     Band("z_range", "m", "max - min of the heightmap"),
-    Band("slope", "deg", "angle between the RANSAC plane and the horizontal"),
+    Band("slope", "deg", "angle between the robust plane of the points and the horizontal"),
     Band("density", "m-2", "points per square metre"),
     Band("coverage", "", "share of the pixels that hold a point"),
     Band("confidence", "", "probability that the class is right"),

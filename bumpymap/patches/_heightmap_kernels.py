@@ -17,8 +17,8 @@ Floats = NDArray[np.float64]
 
 LANES = 64
 """Partial sums side by side."""
-_FIRST = 256
-"""Points whose mean is near enough to that of all."""
+PER_METRE = 1e8
+"""Steps of coordinates inside a tile: all decimals that are read."""
 
 
 @helper
@@ -65,15 +65,11 @@ def centre(values: Floats, lanes: Floats, out: Floats) -> float:
 
 
 @helper
-def shift(values: Floats, out: Floats) -> None:
-    """Write ``values`` minus the mean of the first of them: close to their own, for any number is as good."""
-    n = min(len(values), _FIRST)
-    total = 0.0
-    for i in range(n):
-        total += values[i] - values[0]
-    origin = values[0] + total / n
+def shift(values: Floats, start: float, middle: float, out: Floats) -> None:
+    """Write ``values`` as seen from ``start + middle``, by whole steps: the same bits wherever the start is."""
+    steps = np.rint(middle * PER_METRE)
     for i in range(len(values)):
-        out[i] = values[i] - origin
+        out[i] = (np.rint((values[i] - start) * PER_METRE) - steps) / PER_METRE
 
 
 @order_free
@@ -139,11 +135,14 @@ def detrend(heights: Floats) -> bool:
 def pixel_index(
     easting: Floats, northing: Floats, west: float, south: float, tile_size: float, size: int, out: Integers
 ) -> None:
-    """Write each point's pixel, ``row * size + column`` with the north row first; floor(size * offset / tile_size)."""
-    last, width = np.int32(size - 1), np.int32(size)
+    """Write each point's pixel, ``row * size + column`` with the north row first; floor(size * offset / tile_size).
+
+    Offsets are whole steps: a point on the border of two pixels is in the same one wherever the tile is.
+    """
+    last, width, steps = np.int32(size - 1), np.int32(size), np.rint(tile_size * PER_METRE)
     for i in range(len(easting)):
-        c = min(last, np.int32(size * (easting[i] - west) / tile_size))
-        r = min(last, np.int32(size * (northing[i] - south) / tile_size))
+        c = min(last, np.int32(size * np.rint((easting[i] - west) * PER_METRE) / steps))
+        r = min(last, np.int32(size * np.rint((northing[i] - south) * PER_METRE) / steps))
         out[i] = np.int32((last - r) * width + c)
 
 

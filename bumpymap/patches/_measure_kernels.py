@@ -1,9 +1,11 @@
 """Compiled kernel: the points of tiles in, measurements of tiles out.
 
 Points of a tile come in a canonical order (see ``bumpytiles.grouping``), and the first k are a random sample of them.
-Each tile is centred, its plane is found (RANSAC, then least squares on its inliers), points far from all others are set
-aside (`strays`), the rest fall into pixels, and the plane comes off these (`heightmap`). Long sums run in lanes
-(`lanes`). Nothing here allocates: scratch arrays come from the caller.
+They are taken from the middle of the tile and its lowest point, so a tile that lies elsewhere has the same bits. Its
+planes are found (``_plane_kernels``): slope, strays and spread are those of the robust plane, which needs no draw, the
+residual that of RANSAC. Points far from all others are set aside (`strays`), the rest fall into pixels, and the plane
+comes off these (`heightmap`). Long sums run in lanes (`lanes`). Nothing here allocates: scratch arrays come from the
+caller.
 """
 
 import math
@@ -12,9 +14,8 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import NO_PLANE, Plane, best_candidate
+from bumpymap.core import Plane
 from bumpymap.patches._heightmap_kernels import (
-    LANES,
     centre,
     extremes,
     heightmap,
@@ -27,6 +28,7 @@ from bumpymap.patches._heightmap_kernels import (
     shift,
     sum_from,
 )
+from bumpymap.patches._plane_kernels import PlaneScratch, is_plane, ransac_plane, robust_plane
 from bumpytiles import helper, kernel
 
 Floats = NDArray[np.float64]
@@ -104,116 +106,6 @@ def stray_bounds(distance: Floats, gap: float, most: int, ends: Floats) -> tuple
 
 
 Singles = NDArray[np.float32]
-
-SUMS = 10
-"""Sums that a plane fit needs at once."""
-SAMPLE = 256
-"""Points that RANSAC draws from and scores candidates on; the random order makes the first ones a fair sample."""
-_MOST_CANDIDATES = 400
-
-
-@helper
-def _inlier_sums(x: Floats, y: Floats, z: Floats, plane: Plane, threshold: float, lanes: Floats) -> None:
-    """Sum 1, x, y, z, xx, xy, xz, yy, yz, zz over the points within ``threshold`` of a plane: ten rows of lanes."""
-    a, b, c, d = plane
-    n = len(x)
-    for k in range(SUMS * LANES):
-        lanes[k] = 0.0
-    for start in range(0, n, LANES):
-        stop = min(n, start + LANES)
-        bx, by, bz = x[start:stop], y[start:stop], z[start:stop]
-        for k in range(stop - start):
-            px, py, pz = bx[k], by[k], bz[k]
-            w = 1.0 if abs(a * px + b * py + c * pz + d) <= threshold else 0.0
-            wx, wy, wz = w * px, w * py, w * pz
-            lanes[k] += w
-            lanes[LANES + k] += wx
-            lanes[2 * LANES + k] += wy
-            lanes[3 * LANES + k] += wz
-            lanes[4 * LANES + k] += wx * px
-            lanes[5 * LANES + k] += wx * py
-            lanes[6 * LANES + k] += wx * pz
-            lanes[7 * LANES + k] += wy * py
-            lanes[8 * LANES + k] += wy * pz
-            lanes[9 * LANES + k] += wz * pz
-
-
-@helper
-def fit_plane(
-    x: Floats, y: Floats, z: Floats, near: Plane, threshold: float, lanes: Floats
-) -> tuple[float, float, float, float]:
-    """Least-squares plane through the points within ``threshold`` of the plane ``near``, its normal upward.
-
-    Regression along the axis whose 2 x 2 minor of the scatter matrix is the largest, so that steep planes are fitted
-    as well as level ones. Coordinates must be centred near zero. Returns zeros where fewer than three points are near
-    or they lie on a line.
-    """
-    _inlier_sums(x, y, z, near, threshold, lanes)
-    n = sx = sy = sz = xx = xy = xz = yy = yz = zz = 0.0
-    for k in range(LANES):
-        n += lanes[k]
-        sx += lanes[LANES + k]
-        sy += lanes[2 * LANES + k]
-        sz += lanes[3 * LANES + k]
-        xx += lanes[4 * LANES + k]
-        xy += lanes[5 * LANES + k]
-        xz += lanes[6 * LANES + k]
-        yy += lanes[7 * LANES + k]
-        yz += lanes[8 * LANES + k]
-        zz += lanes[9 * LANES + k]
-    if n < 3.0:
-        return NO_PLANE
-    mx, my, mz = sx / n, sy / n, sz / n
-    xx, xy, xz = xx - sx * mx, xy - sx * my, xz - sx * mz
-    yy, yz, zz = yy - sy * my, yz - sy * mz, zz - sz * mz
-    minor_z = xx * yy - xy * xy
-    minor_y = xx * zz - xz * xz
-    minor_x = yy * zz - yz * yz
-    if minor_z >= minor_y and minor_z >= minor_x:
-        a, b, c = xy * yz - xz * yy, xy * xz - yz * xx, minor_z
-    elif minor_y >= minor_x:
-        a, b, c = xz * yz - xy * zz, minor_y, xy * xz - yz * xx
-    else:
-        a, b, c = minor_x, xz * yz - xy * zz, xy * yz - xz * yy
-    length = math.sqrt(a * a + b * b + c * c)
-    scatter = xx + yy + zz
-    if length <= 1e-12 * scatter * scatter:
-        return NO_PLANE
-    if c < 0.0:
-        length = -length
-    a, b, c = a / length, b / length, c / length
-    return a, b, c, -(a * mx + b * my + c * mz)
-
-
-@helper
-def is_plane(plane: Plane) -> bool:
-    """Return whether it is one."""
-    return plane[0] != 0.0 or plane[1] != 0.0 or plane[2] != 0.0
-
-
-@helper
-def ransac_plane(
-    x: Floats, y: Floats, z: Floats, threshold: float, seed: np.uint64, sample: Singles, lanes: Floats
-) -> Plane:
-    """Plane of a tile by RANSAC (Fischler and Bolles 1981), then twice a least-squares fit to its inliers.
-
-    Candidates are drawn from a random sample with a generator seeded by the tile, and scored on it. Coordinates are
-    centred. Returns zeros where the points span no plane.
-    """
-    n = min(len(x), SAMPLE)
-    for i in range(n):
-        sample[0, i], sample[1, i], sample[2, i] = x[i], y[i], z[i]
-    plane = best_candidate(x[:n], y[:n], z[:n], sample, threshold, seed, _MOST_CANDIDATES, False)
-    if not is_plane(plane):
-        return fit_plane(x, y, z, plane, np.inf, lanes)
-    for _ in range(2):
-        fitted = fit_plane(x, y, z, plane, threshold, lanes)
-        if not is_plane(fitted):
-            return plane
-        plane = fitted
-    return plane
-
-
 Integers = NDArray[np.int32]
 Indices = Annotated[NDArray[np.int64], 1]
 
@@ -228,7 +120,7 @@ class PointsByTile(NamedTuple):
     northing: Annotated[Floats, 1]
     upward: Annotated[Floats, 1]
     col: Indices
-    """(tiles,) tile indices; they seed RANSAC."""
+    """(tiles,) tile indices."""
     row: Indices
 
 
@@ -268,10 +160,6 @@ class MeasureScratch(NamedTuple):
     """(4, most points of a tile) centred coordinates and distances to the plane."""
     pixel: Annotated[Integers, 1]
     """(most points of a tile, at least pixels^2) pixel of each point; later the places of holes."""
-    sample: Annotated[Singles, 2]
-    """(3, ``SAMPLE``) points that score RANSAC candidates."""
-    lanes: Annotated[Floats, 1]
-    """(``SUMS * LANES``,) partial sums."""
     ends: Annotated[Floats, 2]
     """(2, most strays on one side + 1) highest and lowest distances."""
     sums: Annotated[Floats, 2]
@@ -285,8 +173,6 @@ def measure_scratch(most_points: int, pixels: int, most_strays: int) -> MeasureS
     return MeasureScratch(
         points=np.empty((4, most_points)),
         pixel=np.empty(max(most_points, pixels * pixels), np.int32),
-        sample=np.empty((3, SAMPLE), np.float32),
-        lanes=np.empty(SUMS * LANES),
         ends=np.empty((2, most_strays + 1)),
         sums=np.empty((4, pixels * pixels + 1)),
         level=np.empty((pixels, pixels)),
@@ -294,46 +180,56 @@ def measure_scratch(most_points: int, pixels: int, most_strays: int) -> MeasureS
 
 
 @helper
-def _plane_of_tile(n: int, seed: np.uint64, settings: MeasureSettings, scratch: MeasureScratch, out: Floats) -> Plane:
-    """Find the plane of n centred points and their distances to it; fill residual and slope of a tile's scalars."""
+def _planes_of_tile(
+    n: int, settings: MeasureSettings, scratch: MeasureScratch, planes: PlaneScratch, out: Floats
+) -> Plane:
+    """Find the planes of n centred points; fill residual and slope of a tile's scalars.
+
+    Returns the robust plane, and fills the distances to it; heights where there is none.
+    """
     x, y, z, distance = scratch.points[0, :n], scratch.points[1, :n], scratch.points[2, :n], scratch.points[3, :n]
-    plane = ransac_plane(x, y, z, settings.threshold, seed, scratch.sample, scratch.lanes)
-    if is_plane(plane):
-        a, b, c, d = plane
-        for i in range(n):
-            distance[i] = abs(a * x[i] + b * y[i] + c * z[i] + d)
-        out[3] = sum_from(distance, 0.0, scratch.lanes) / n
-        for i in range(n):
-            distance[i] = a * x[i] + b * y[i] + c * z[i] + d
-        out[4] = math.degrees(math.acos(min(1.0, c)))
-    else:
+    robust = robust_plane(x, y, z, planes)
+    if not is_plane(robust):
         for i in range(n):
             distance[i] = z[i]
-    return plane
+        return robust
+    a, b, c, d = ransac_plane(x, y, z, robust, settings.threshold, planes)
+    for i in range(n):
+        distance[i] = abs(a * x[i] + b * y[i] + c * z[i] + d)
+    out[3] = sum_from(distance, 0.0, planes.lanes) / n
+    a, b, c, d = robust
+    for i in range(n):
+        distance[i] = a * x[i] + b * y[i] + c * z[i] + d
+    out[4] = math.degrees(math.acos(min(1.0, c)))
+    return robust
 
 
 @helper
 def _measure_tile(
-    t: int, points: PointsByTile, settings: MeasureSettings, out: TileMeasures, scratch: MeasureScratch
+    t: int,
+    points: PointsByTile,
+    settings: MeasureSettings,
+    out: TileMeasures,
+    scratch: MeasureScratch,
+    planes: PlaneScratch,
 ) -> None:
     """Measure a tile that has points."""
     first, last = points.starts[t], points.starts[t + 1]
-    n, size = last - first, scratch.level.shape[0]
-    scalars, pixel = out.scalars[t], scratch.pixel
+    n, size, side = last - first, scratch.level.shape[0], settings.tile_size
+    scalars, pixel, lanes = out.scalars[t], scratch.pixel, planes.lanes
     x, y, z, distance = scratch.points[0, :n], scratch.points[1, :n], scratch.points[2, :n], scratch.points[3, :n]
-    shift(points.easting[first:last], x)
-    shift(points.northing[first:last], y)
-    mean = centre(points.upward[first:last], scratch.lanes, z)
-    scalars[0], scalars[1] = extremes(points.upward[first:last])
-    for i in range(n):
-        distance[i] = z[i] * z[i]
-    scalars[2] = sum_from(distance, 0.0, scratch.lanes) / n
-    seed = (np.uint64(points.col[t]) << np.uint64(32)) ^ np.uint64(points.row[t])
-    plane = _plane_of_tile(n, seed, settings, scratch, scalars)
-    low, high, strays = stray_bounds(distance, settings.gap, scratch.ends.shape[1] - 1, scratch.ends)
-    side = settings.tile_size
     west, south = points.col[t] * side, points.row[t] * side
     pixel_index(points.easting[first:last], points.northing[first:last], west, south, side, size, pixel)
+    shift(points.easting[first:last], west, side / 2.0, x)
+    shift(points.northing[first:last], south, side / 2.0, y)
+    scalars[0], scalars[1] = extremes(points.upward[first:last])
+    shift(points.upward[first:last], scalars[0], 0.0, distance)
+    mean = scalars[0] + centre(distance, lanes, z)
+    for i in range(n):
+        distance[i] = z[i] * z[i]
+    scalars[2] = sum_from(distance, 0.0, lanes) / n
+    plane = _planes_of_tile(n, settings, scratch, planes, scalars)
+    low, high, strays = stray_bounds(distance, settings.gap, scratch.ends.shape[1] - 1, scratch.ends)
     if strays > 0:
         for i in range(n):
             if not low <= distance[i] <= high:
@@ -349,12 +245,18 @@ def _measure_tile(
 
 
 @kernel
-def measure_tiles(points: PointsByTile, settings: MeasureSettings, out: TileMeasures, scratch: MeasureScratch) -> None:
+def measure_tiles(
+    points: PointsByTile,
+    settings: MeasureSettings,
+    out: TileMeasures,
+    scratch: MeasureScratch,
+    planes: PlaneScratch,
+) -> None:
     """Measure every tile that has points; the others get NaN, and no points."""
     for t in range(len(points.col)):
         set_all(out.scalars[t], np.nan)
         if points.starts[t] < points.starts[t + 1]:
-            _measure_tile(t, points, settings, out, scratch)
+            _measure_tile(t, points, settings, out, scratch, planes)
             continue
         set_map(out.heights[t], np.nan)
         set_map(out.variance[t], np.nan)

@@ -31,6 +31,7 @@ from bumpymap.patches._measure_kernels import (
     measure_tiles,
 )
 from bumpymap.patches._object_kernels import ObjectLimits, TileObjects, find_in_tiles, object_scratch
+from bumpymap.patches._plane_kernels import plane_scratch
 from bumpymap.patches._standing_kernels import PAIR_MEASURES, PairSettings, measure_pairs, pair_scratch
 from bumpymap.patches._strip_kernels import strip_scratch
 from bumpytiles import Grid, TilePoints
@@ -91,7 +92,8 @@ def _measured(tiles: PointsByTile, settings: FeatureSettings, grid: Grid, depth:
     heights, variance, relief = (np.empty(shape, np.float32) for _ in range(3))
     out = TileMeasures(np.empty((shape[0], _SCALARS)), heights, variance, relief, np.empty(shape, np.int32))
     thresholds = MeasureSettings(grid.tile_size, settings.ransac_threshold, settings.stray_gap, depth)
-    measure_tiles(tiles, thresholds, out, measure_scratch(most, grid.pixels, settings.stray_points))
+    scratch = measure_scratch(most, grid.pixels, settings.stray_points)
+    measure_tiles(tiles, thresholds, out, scratch, plane_scratch(most))
     return out
 
 

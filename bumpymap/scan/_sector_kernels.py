@@ -10,7 +10,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import NO_PLANE, Plane, best_candidate
+from bumpymap.core import NO_PLANE, Plane
 from bumpymap.scan._place_kernels import CellPoints
 from bumpytiles import helper, kernel
 
@@ -21,6 +21,10 @@ Integers = NDArray[np.int32]
 _SAMPLE = 128
 """Points that RANSAC scores candidates on, in equal steps through the sector's points."""
 _MOST_CANDIDATES = 200
+_MISS_PROBABILITY = 1e-4
+"""Accepted probability that no candidate was drawn from inliers alone."""
+_LEAST_AREA = 2e-3
+"""Twice the least area that a candidate's three points must span, m^2."""
 _STEEPEST = 0.2
 """A plane whose upward normal is less than this (steeper than 78 degrees) is a wall: only the mean height comes off."""
 _LINE = 2e-3
@@ -154,6 +158,83 @@ def _principal_plane(x: Floats, y: Floats, z: Floats, near: Plane, reach: float)
 
 
 @helper
+def _next_random(state: np.uint64) -> tuple[np.uint64, np.uint64]:
+    """One step of splitmix64: the new state and 64 mixed bits."""
+    state = state + np.uint64(0x9E3779B97F4A7C15)
+    z = state
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return state, z ^ (z >> np.uint64(31))
+
+
+@helper
+def _three_below(bits: np.uint64, n: int) -> tuple[int, int, int]:
+    """Turn 63 random bits into three numbers from 0 to n - 1."""
+    mask, width, size = np.uint64(0x1FFFFF), np.uint64(21), np.uint64(n)
+    i = ((bits & mask) * size) >> width
+    j = (((bits >> width) & mask) * size) >> width
+    k = (((bits >> np.uint64(42)) & mask) * size) >> width
+    return np.int64(i), np.int64(j), np.int64(k)  # type: ignore[return-value]
+
+
+@helper
+def _count_near(sample: Singles, n: int, plane: tuple[np.float32, ...], reach: np.float32) -> np.int32:
+    """Count the first n points of the sample with ``|a x + b y + c z + d| <= reach``."""
+    x, y, z = sample[0, :n], sample[1, :n], sample[2, :n]
+    a, b, c, d = plane
+    hits = np.int32(0)
+    for i in range(n):
+        hits = np.int32(hits + np.int32(abs(a * x[i] + b * y[i] + c * z[i] + d) <= reach))
+    return hits
+
+
+@helper
+def _best_candidate(
+    x: Floats, y: Floats, z: Floats, sample: Singles, threshold: float, seed: np.uint64, most: int
+) -> Plane:
+    """Return the plane through three of the points that has the most of the sample near it; zeros where none has any.
+
+    Single precision is enough to count: coordinates start amid the points, so it errs by 1e-7 of a tile's side.
+
+    Parameters
+    ----------
+    x, y, z : (n,) float64
+        Points to draw from, centred, m.
+    sample : (3, room) float32
+        Points to score on; the first ``min(n, room)`` are there.
+    threshold : float
+        Distance of an inlier, m.
+    most : int
+        Candidates at most.
+    """
+    n = min(len(x), sample.shape[1])
+    best, plane = np.int32(0), NO_PLANE
+    state, needed, drawn = seed, most, 0
+    while drawn < needed:
+        drawn += 1
+        state, bits = _next_random(state)
+        i, j, k = _three_below(bits, len(x))
+        ux, uy, uz = x[j] - x[i], y[j] - y[i], z[j] - z[i]
+        vx, vy, vz = x[k] - x[i], y[k] - y[i], z[k] - z[i]
+        a, b, c = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        length = math.sqrt(a * a + b * b + c * c)
+        if length < _LEAST_AREA:
+            continue
+        length = -length if c < 0.0 else length
+        a, b, c = a / length, b / length, c / length
+        d = -(a * x[i] + b * y[i] + c * z[i])
+        singles = np.float32(a), np.float32(b), np.float32(c), np.float32(d)
+        hits = _count_near(sample, n, singles, np.float32(threshold))
+        if hits > best:
+            best, plane = hits, (a, b, c, d)
+            clean = (hits / n) ** 3  # chance that all three of a draw are inliers
+            if clean >= 1.0 - 1e-9:
+                break
+            needed = min(most, 1 + int(math.log(_MISS_PROBABILITY) / math.log(1.0 - clean)))
+    return plane
+
+
+@helper
 def ransac_plane(x: Floats, y: Floats, z: Floats, threshold: float, seed: np.uint64, sample: Singles) -> Plane:
     """Plane by RANSAC (Fischler and Bolles 1981), then twice the principal plane of its inliers.
 
@@ -164,7 +245,7 @@ def ransac_plane(x: Floats, y: Floats, z: Floats, threshold: float, seed: np.uin
     for i in range(n):
         k = i * count // n
         sample[0, i], sample[1, i], sample[2, i] = x[k], y[k], z[k]
-    plane = best_candidate(x, y, z, sample, threshold, seed, _MOST_CANDIDATES, True)
+    plane = _best_candidate(x, y, z, sample, threshold, seed, _MOST_CANDIDATES)
     found = plane[0] != 0.0 or plane[1] != 0.0 or plane[2] != 0.0
     for _ in range(2):
         fitted, _ = _principal_plane(x, y, z, plane, threshold if found else np.inf)

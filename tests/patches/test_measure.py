@@ -36,7 +36,7 @@ def test_statistics_of_every_tile_equal_numpys(measure_points):
     counts = [1, 2, 30, 63, 64, 65, 128, 777]
     col = np.repeat(np.arange(len(counts)), counts)
     x, y, rng = tile_points(1, n=len(col))
-    z = 2500 + 0.3 * (x - EAST) + rng.normal(scale=0.02, size=len(x))
+    z = np.round(2500 + 0.3 * (x - EAST) + rng.normal(scale=0.02, size=len(x)), 8)  # all decimals that are read
     stack = measure_points(x + 3 * col, y, z)
     assert stack.count.tolist() == counts
     for k, number in enumerate(counts):
@@ -48,7 +48,7 @@ def test_statistics_of_every_tile_equal_numpys(measure_points):
 def test_every_pixel_equals_the_bins_of_scipy(measure_points):
     """North is up; the spread inside a pixel is about the plane of the tile."""
     x, y, rng = tile_points(2, n=400)
-    z = 0.4 * (x - EAST) - 0.3 * (y - NORTH) + rng.uniform(-0.02, 0.02, 400)
+    z = 0.4 * (x - EAST) - 0.3 * (y - NORTH) + rng.uniform(-0.002, 0.002, 400)
     stack = measure_points(x, y, z)
     terms = np.stack([np.ones(400), x - EAST, y - NORTH], axis=1)
     away = z - terms @ np.linalg.lstsq(terms, z, rcond=None)[0]
@@ -59,7 +59,7 @@ def test_every_pixel_equals_the_bins_of_scipy(measure_points):
     )
     np.testing.assert_array_equal(stack.spread_count[0], count)
     np.testing.assert_allclose(stack.heights[0], height, rtol=1e-6, atol=1e-6)
-    np.testing.assert_allclose(stack.spread_variance[0], spread, rtol=1e-3, atol=1e-9)
+    np.testing.assert_allclose(stack.spread_variance[0], spread, rtol=1e-3, atol=1e-11)
     assert stack.coverage[0] == np.mean(count > 0)
     assert stack.z_range[0] == pytest.approx(np.nanmax(height) - np.nanmin(height), rel=1e-6)
 
@@ -91,7 +91,7 @@ def test_an_exactly_flat_tile_and_one_of_a_single_point(measure_points):
 @pytest.mark.parametrize("strays", [[30.0], [-30.0], [1.0], [20.0, 21.0, 22.0, -5.0, -9.0]])
 def test_stray_points_do_not_decide_the_relief(measure_points, strays):
     x, y, rng = tile_points(4)
-    z = 0.01 * rng.normal(size=900)
+    z = np.round(0.01 * rng.normal(size=900), 8)
     clean = measure_points(x, y, z)
     z[: len(strays)] += strays
     dirty = measure_points(x, y, z)

@@ -1,9 +1,10 @@
 """Compiled loops that group points by block of tiles, and sort those of a block.
 
 They are sorted by tile, and inside a tile into one canonical order. The points are put tile by tile first, and those of
-a tile are sorted while they are in the processor's cache. Their order is that of a hash of the coordinates. Hashes are
-evenly spread, so a tile is cut into as many buckets as it has points by the leading bits, and only the few points of a
-bucket are compared.
+a tile are sorted while they are in the processor's cache. Their order is that of a hash of where they are inside the
+tile: a tile that is moved by whole tiles, raised, turned by 90 degrees or mirrored keeps its order. Hashes are evenly
+spread, so a tile is cut into as many buckets as it has points by the leading bits, and only the few points of a bucket
+are compared.
 
 Nothing here allocates (see ``bumpytiles.native``): scratch arrays come from the caller.
 """
@@ -364,7 +365,7 @@ def place_scaled_points(
 
 @helper
 def hash_point(x: float, y: float, z: float) -> np.uint64:
-    """Return 64 well-mixed bits of a point's coordinates (multiply and fold each, then Stafford's finaliser)."""
+    """Return 64 well-mixed bits of three numbers (multiply and fold each, then Stafford's finaliser)."""
     mixed = np.uint64(0)
     # + 0.0 turns -0.0 into 0.0
     mixed ^= np.float64(x + 0.0).view(np.uint64)
@@ -453,9 +454,39 @@ def _append_single(points: MarkedPoints, count: int, scratch: SortScratch, begin
     return kept
 
 
+_PER_METRE = 1e6
+"""Steps of the offsets that are hashed: coarser than the rounding of coordinates of any size."""
+
+
+@helper
+def _from_middle(coordinate: float, first: float, size: float) -> float:
+    """Return the distance of a coordinate from the middle of its tile, which begins at ``first``, in steps."""
+    return float(abs(np.rint((coordinate - first) * _PER_METRE) - 0.5 * size * _PER_METRE))
+
+
+@helper
+def _fill_keys(count: int, west: float, south: float, size: float, tile: MarkedPoints, key: Keys) -> None:
+    """Hash where the points are: how far from the middle of the tile, to either side, and above its lowest point."""
+    low = tile.upward[0]
+    for j in range(1, count):
+        low = min(low, tile.upward[j])
+    for j in range(count):
+        x, y = _from_middle(tile.easting[j], west, size), _from_middle(tile.northing[j], south, size)
+        z = np.rint((tile.upward[j] - low) * _PER_METRE)
+        key[j] = hash_point(min(x, y), max(x, y), z) >> np.uint64(64 - _KEY_BITS)
+
+
 @kernel
-def sort_tiles(first: Indices, starts: Indices, points: MarkedPoints, tile: MarkedPoints, scratch: SortScratch) -> None:
-    """Sort points inside their tiles by the hash of their coordinates (then by coordinates); drop exact duplicates.
+def sort_tiles(
+    first: Indices,
+    starts: Indices,
+    corner: Indices,
+    size: float,
+    points: MarkedPoints,
+    tile: MarkedPoints,
+    scratch: SortScratch,
+) -> None:
+    """Sort points inside their tiles by the hash of where they are (then by coordinates); drop exact duplicates.
 
     Parameters
     ----------
@@ -463,13 +494,16 @@ def sort_tiles(first: Indices, starts: Indices, points: MarkedPoints, tile: Mark
         Where each tile's points begin.
     starts : (257,) int64
         Filled: where each tile's points begin afterwards; last, the number of points that stay.
+    corner : (2,) int64
+        Column and row of the block's south-west tile.
+    size : float
+        Side of a tile, m.
     points : MarkedPoints
         Tile by tile; sorted in place. Of twins, the one with the first flag of 1, 2, ... 255, 0 stays.
     tile : MarkedPoints
         Scratch for the points of a tile.
     scratch : SortScratch
     """
-    key = scratch.key
     kept = 0
     for t in range(BLOCK_TILES * BLOCK_TILES):
         starts[t] = kept
@@ -479,7 +513,8 @@ def sort_tiles(first: Indices, starts: Indices, points: MarkedPoints, tile: Mark
         for j in range(count):
             x, y, z = points.easting[begin + j], points.northing[begin + j], points.upward[begin + j]
             tile.easting[j], tile.northing[j], tile.upward[j], tile.flag[j] = x, y, z, points.flag[begin + j]
-            key[j] = hash_point(x, y, z) >> np.uint64(64 - _KEY_BITS)
+        west, south = (corner[0] + t % BLOCK_TILES) * size, (corner[1] + t // BLOCK_TILES) * size
+        _fill_keys(count, west, south, size, tile, scratch.key)
         _fill_buckets(count, scratch)
         _insert_by_key(tile, count, scratch.order, scratch.rank)
         kept = _append_single(tile, count, scratch, kept, points)

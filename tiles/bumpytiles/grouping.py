@@ -1,11 +1,13 @@
 """Group a chunk of points by block of tiles, in metres or on the grid of their file, and sort the points of a block.
 
 Points arrive in any order, in chunks of any size, from any number of files. Each chunk is grouped by blocks of tiles;
-when a block is complete its points are sorted *once*: by tile, and inside a tile by a hash of their coordinates. This
-order has three advantages:
+when a block is complete its points are sorted *once*: by tile, and inside a tile by a hash of where they are in it.
+This order has four advantages:
 
 - it does not depend on the order of arrival, so floating-point sums over a tile have the same bits for any chunk size,
   order of files and number of threads;
+- it does not depend on where the ground lies: moved by whole tiles, raised, turned by 90 degrees or mirrored, a tile
+  keeps it;
 - exact duplicates become neighbours, and are counted once;
 - the first k points of a tile are a random sample of it.
 """
@@ -189,7 +191,7 @@ def sort_block(grid: Grid, key: BlockKey, parts: Sequence[PointPart]) -> TilePoi
         order=np.empty(most, np.int32),
         rank=np.empty(most, np.uint64),
     )
-    sort_tiles(first, starts, out, _empty_points(most), scratch)
+    sort_tiles(first, starts, corner, grid.tile_size, out, _empty_points(most), scratch)
     kept = int(starts[-1])
     present = np.flatnonzero(np.diff(starts))
     return TilePoints(
