@@ -215,7 +215,10 @@ STEP_EDGE = 8
 LONE, SOLID, EMPTY, STEEP, LOW_SOLID, MAYBE_SOLID, SEEN = 4, 5, 6, 7, 9, 10, 16
 """Further states before the neighbours of a tile are known, see `bumpymap.patches.settle_solids`: a single point of an
 obstacle; canopy that lets no pulse through; no point; points far above one another, where all count as ground; as
-``SOLID``, and nothing high above the vehicle; canopy of which a part alone shows no ground; and, added to a state, ground in the same pixel."""
+``SOLID``, and nothing high above the vehicle; low canopy that has too few points to tell; and, added to a state, ground
+in the same pixel."""
+OVERHEAD = (CANOPY, SOLID, LOW_SOLID, MAYBE_SOLID)
+"""Those of them that lie over the vehicle."""
 
 OBJECT_NAMES = ("free", "obstacle", "canopy", "unknown", "step")
 """Names of these states in obstacle.tif, where ``UNSEEN`` is 3 and ``STEP_EDGE`` 4."""

@@ -27,7 +27,7 @@ from bumpymap.core import (
     UNSEEN,
 )
 from bumpymap.patches._measure_kernels import PointsByTile
-from bumpymap.patches._solid_kernels import THIN
+from bumpymap.patches._solid_kernels import THIN, is_overhead
 from bumpymap.patches._strip_kernels import (
     BENEATH,
     StripScratch,
@@ -53,15 +53,16 @@ _HIDING = 6.0
 _MOST_OF_PIXEL = 2.0
 """Points overhead of a pixel that count in strips, over those that a pixel has on average; two at least."""
 _MAYBE, _MAYBE_SHARE = 2.0, 0.5
-"""The same of a part of a wall in the corner of a tile, which hides it if what it continues does."""
+"""As ``_HIDING``, and as a share of the points overhead: of the end of a wall in the corner of a tile, which hides the
+ground if what it continues does. By `tests/benchmarks/ring_book.py`."""
 _LEAFY, _LEAVES = 1.0, 13.0
 """Plants so far above the vehicle, m, are crowns: where leaves are dense, more points reach no ground by chance."""
-_THINNER = 6.0
-"""Points per m2 below which that holds for all that ends low: a car in two tiles has too few points in each."""
 _LOW = 3.0
 """What hides the ground and ends below this, m above the vehicle, is no crown but a car, a wall or a hedge."""
 _SHRUB = 1.0
 """As ``_HIDING``, in a thin survey, for plants that end lower than crowns: a hedge."""
+_THINNER = 6.0
+"""Points/m2 below which that holds for all that ends low: a car that lies in two tiles has too few points in each."""
 _RIDGE = 1.0
 """Pixels^2 added to the spread of the known pixels: a few close together say little about the slope."""
 
@@ -117,9 +118,8 @@ class ObjectScratch(NamedTuple):
     least: Annotated[Floats, 2]
     """The same shape: lowest point overhead, m above the ground."""
     body: Annotated[Integers, 2]
-    """The same shape: points between ``low`` and ``high``; then these and those
-    above, those above, those under, those high above, those
-    that count for strips, those of leaves above, and those of lower plants above."""
+    """The same shape: points between ``low`` and ``high``; then these and those above, those above, those under, those
+    high above, those that count in strips, those of leaves above, and those of lower plants above."""
     company: Annotated[Integers, 2]
     above: Annotated[Integers, 2]
     under: Annotated[Integers, 2]
@@ -258,7 +258,8 @@ def _clear(scratch: ObjectScratch) -> None:
     for r in range(scratch.body.shape[0]):
         for c in range(scratch.body.shape[0]):
             scratch.body[r, c] = scratch.company[r, c] = scratch.above[r, c] = 0
-            scratch.under[r, c] = scratch.tall[r, c] = scratch.listed[r, c] = scratch.leaves[r, c] = scratch.shrubs[r, c] = 0
+            scratch.under[r, c] = scratch.tall[r, c] = scratch.listed[r, c] = 0
+            scratch.leaves[r, c] = scratch.shrubs[r, c] = 0
             scratch.top[r, c], scratch.least[r, c] = 0.0, np.inf
 
 
@@ -348,8 +349,7 @@ def _summarise(state: Bytes, scalars: Floats, scratch: ObjectScratch) -> None:
             if state[r, c] % SEEN == OBSTACLE:
                 obstacles += 1
                 top = max(top, scratch.top[r, c])
-            kind = state[r, c] % SEEN
-            overhead = kind == CANOPY or kind == SOLID or kind == LOW_SOLID or kind == MAYBE_SOLID
+            overhead = is_overhead(state[r, c])
             canopy += overhead or (state[r, c] % SEEN == OBSTACLE and scratch.above[r, c] > 0)
             if overhead:
                 least = min(least, scratch.least[r, c])

@@ -19,6 +19,7 @@ from bumpymap.core import (
     LOW_SOLID,
     MAYBE_SOLID,
     OBSTACLE,
+    OVERHEAD,
     SEEN,
     SOLID,
     STEEP,
@@ -42,7 +43,7 @@ the surroundings of a pixel overhead in which such ground is counted. Together a
 _CHANCE = 2.0
 """In a thin survey, fewer pixels of ground beneath what is overhead may lie beside it."""
 _CHANCE_IF_LOW = 4
-"""The same of what is low: ground in the corner of two walls may look as if it were beneath."""
+"""The same at any density of what is low: ground in the corner of two walls may look as if it were beneath."""
 _MAJORITY = 5
 """A pixel among so many of eight with an obstacle belongs to it."""
 _NEARER = 2
@@ -60,10 +61,11 @@ _HIDDEN = 24.0
 """Points on the surroundings of a pixel overhead, on average, of which one would be ground if it were not hidden."""
 _HIDDEN_HALF, _HIDDEN_HALF_IF_THIN = 12.0, 6.0
 """The same in one half of the surroundings of what is low, a car say, deep beneath it: beside it there may be a gap."""
-_REACHED = 11
-"""Label of what goes on so, until all of a step is found."""
+_SOLIDS = (SOLID, LOW_SOLID)
 _REACHES, _NEXT = 3, 2
-"""What hides the ground goes on through what may hide it, in so many steps of so many pixels at most."""
+"""What hides the ground goes on through what may hide it, in so many rounds of so many pixels at most."""
+_REACHED = 11
+"""Label of what is reached in a round, until that ends."""
 _GROW, _GROW_IF_THIN = 1, 3
 """Canopy within so many pixels of what lets no pulse through belongs to it."""
 THIN = 0.4
@@ -132,9 +134,9 @@ def _offsets(wide: int) -> Rows:
 
 
 @helper
-def _is_overhead(state: int) -> bool:
-    kind = state % SEEN
-    return kind == CANOPY or kind == SOLID or kind == LOW_SOLID or kind == MAYBE_SOLID
+def is_overhead(state: int) -> bool:
+    """Return whether a state is that of something over the vehicle."""
+    return state % SEEN in OVERHEAD
 
 
 @helper
@@ -202,7 +204,7 @@ def _nearest_state(own: Bytes, at: int, most: int, factor: int, offsets: Rows) -
             return OBSTACLE
         if found == UNSEEN:
             square = offsets[k, 2]
-        if _is_overhead(state) and near and offsets[k, 2] == square:
+        if is_overhead(state) and near and offsets[k, 2] == square:
             found = state
         elif found == UNSEEN:
             found = FREE
@@ -229,7 +231,7 @@ def _label(objects: Bytes, pixels: int, hole: float, scratch: SolidScratch) -> b
                     if state % SEEN == EMPTY:
                         state = np.uint8(_nearest_state(own, first + c, most, factor, scratch.offsets))
                     label[c] = state
-                    overhead |= _is_overhead(state)
+                    overhead |= is_overhead(state)
     return overhead
 
 
@@ -238,8 +240,7 @@ def _is_solid_near(label: Bytes, r: int, c: int) -> bool:
     """Return whether something within ``_NEXT`` pixels hides the ground."""
     for row in range(r - _NEXT, r + _NEXT + 1):
         for col in range(c - _NEXT, c + _NEXT + 1):
-            kind = label[row, col] % SEEN
-            if kind == SOLID or kind == LOW_SOLID:
+            if label[row, col] % SEEN in _SOLIDS:
                 return True
     return False
 
@@ -251,9 +252,10 @@ def _continue_solids(objects: Bytes, label: Bytes) -> None:
     for _ in range(_REACHES):
         for r in range(rows):
             for c in range(cols):
-                if objects[r, c] % SEEN == MAYBE_SOLID and label[r + _MARGIN, c + _MARGIN] % SEEN == MAYBE_SOLID:
-                    if _is_solid_near(label, r + _MARGIN, c + _MARGIN):
-                        label[r + _MARGIN, c + _MARGIN] = _REACHED
+                row, col = r + _MARGIN, c + _MARGIN
+                is_asked = objects[r, c] % SEEN == MAYBE_SOLID == label[row, col] % SEEN
+                if is_asked and _is_solid_near(label, row, col):
+                    label[row, col] = _REACHED
         for r in range(_MARGIN, _MARGIN + rows):
             for c in range(_MARGIN, _MARGIN + cols):
                 label[r, c] = LOW_SOLID if label[r, c] == _REACHED else label[r, c]
@@ -266,7 +268,7 @@ def _meets(label: Bytes, r: int, c: int, direction: int) -> bool:
     # Slopes of 0, 1/2, 1, 2, ...: integers alone, so that every machine meets the same pixels.
     down, right = sign * min(2, turn, 8 - turn), sign * max(-2, min(2, 4 - turn))
     for step in range(2, _RAY + 1):  # a pixel beside one with ground may be the same thing's rim
-        if _is_overhead(label[r + (step * down + 1) // 2, c + (step * right + 1) // 2]):
+        if is_overhead(label[r + (step * down + 1) // 2, c + (step * right + 1) // 2]):
             return True
     return False
 
@@ -293,8 +295,8 @@ def _mark_under(objects: Bytes, pixels: int, tile: int, scratch: SolidScratch) -
         for c in range(left, left + pixels):
             state = objects[r, c]
             ground = state != UNSEEN and (state >= SEEN or state == FREE)
-            sides = _SIDES_OF_YARD if is_held and not _is_overhead(state) else _SIDES
-            asked = ground or _is_overhead(scratch.label[r + _MARGIN, c + _MARGIN])
+            sides = _SIDES_OF_YARD if is_held and not is_overhead(state) else _SIDES
+            asked = ground or is_overhead(scratch.label[r + _MARGIN, c + _MARGIN])
             beneath = asked and _is_under(scratch.label, r + _MARGIN, c + _MARGIN, sides)
             scratch.under[r + _MARGIN, c + _MARGIN] = (2 if ground else 3) if beneath else ground
 
@@ -311,12 +313,12 @@ def _stands(r: int, c: int, mean: float, scratch: SolidScratch) -> bool:
         if square > near * near:
             break
         row, col = r + scratch.offsets[k, 0], c + scratch.offsets[k, 1]
-        overhead += _is_overhead(scratch.label[row, col])
+        overhead += is_overhead(scratch.label[row, col])
         under += scratch.under[row, col] == 2
         ground += 0 < scratch.under[row, col] < 3
         if square <= grow * grow:
             kind = scratch.label[row, col] % SEEN
-            solid, low = solid or kind == SOLID or kind == LOW_SOLID, low or kind == LOW_SOLID
+            solid, low = solid or kind in _SOLIDS, low or kind == LOW_SOLID
     hidden = ground == 0 and mean * math.pi * near * near >= _HIDDEN
     enough = min(_OPEN_MOST, 1.0 - math.exp(-_OPEN * mean))
     return (
@@ -329,7 +331,7 @@ def _stands(r: int, c: int, mean: float, scratch: SolidScratch) -> bool:
 
 @helper
 def _hides_half(r: int, c: int, near: int, least: float, scratch: SolidScratch) -> bool:
-    """Return whether no ground is seen in ``least`` pixels deep beneath something, in one of 16 halves around one."""
+    """Return whether ``least`` pixels deep beneath something show no ground in one of 16 halves around a pixel."""
     for turn in range(8):
         # The same directions as those of rays.
         down, right = min(2, turn, 8 - turn), max(-2, min(2, 4 - turn))
@@ -476,7 +478,7 @@ def settle_solids(
                 state = scratch.label[r + _MARGIN, c + _MARGIN]
                 if state == UNSEEN:
                     out[r, c] = UNSEEN
-                elif _is_overhead(state):
+                elif is_overhead(state):
                     canopy = FREE if objects[r, c] % SEEN == EMPTY else CANOPY
                     stands = _stands(r + _MARGIN, c + _MARGIN, mean, scratch)
                     out[r, c] = OBSTACLE if stands else canopy

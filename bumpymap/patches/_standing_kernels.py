@@ -185,7 +185,7 @@ _FARTHEST_FOOT = 4
 _SIDE, _TALL, _LEVEL = 1, 2, 4
 """Marks of pixels on a side, of those far above what lies beneath, and of those level with ground beside them."""
 _LEVEL_SHARE = 0.5
-"""If more of its pixels are so, a thing is no thing but the rim of a narrow ditch, between pixels that hold its depth."""
+"""If more of its pixels are so, nothing stands there: they are the rim of a narrow ditch, between pixels in it."""
 _TALLER = 2.5
 """They are so many times as far above it as a side drops: 0.5 m for a belly 0.25 m above the ground."""
 

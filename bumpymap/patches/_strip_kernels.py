@@ -96,14 +96,12 @@ class Window(NamedTuple):
 
 
 @helper
-def hides_ground(
-    r: int, c: int, half: int, least: tuple[float, float], pixel: float, scratch: StripScratch
-) -> bool:
+def hides_ground(r: int, c: int, half: int, least: tuple[float, float], pixel: float, scratch: StripScratch) -> bool:
     """Return whether what is overhead in a pixel hides the ground.
 
-    Points overhead must outweigh those beneath by ``least``, a number and a share of them, and more where there are many
-    points, in a part of the strip around those of the pixel. One half of the square around it will do, or a
-    smaller one: at a corner two walls meet.
+    Points overhead must outweigh those beneath by ``least`` in a part of the strip around those of the pixel: by a
+    number, and more where there are many points; or, if there is a share, by that share of them and no less than the
+    number. One half of the square around the pixel will do, or a smaller one: at a corner two walls meet.
     """
     size, near = scratch.head.shape[0], max(half // 2, _OVERLAP)
     for part in range(6 if half > _OVERLAP else 1):
@@ -158,7 +156,8 @@ def _strip_weighs(
                 if 0.0 <= across < _BINS:
                     sums[int(across) + 1] += scratch.weight[i]
                 i = scratch.after[i]
-    return _holds_part(max(least[0] + (math.log(n) / _CHANCE if least[1] == 0.0 else 0.0), least[1] * n), sums)
+    number, share = least
+    return _holds_part(max(number, share * n) if share > 0.0 else number + math.log(n) / _CHANCE, sums)
 
 
 @helper

@@ -648,14 +648,14 @@ _SAME = 0.65
 _MOST_REST, _MOST_REST_HALF = 0.25, 0.15
 """Most distance of the pixels from the planes of their sides, as a share of the jump (root mean square); and where half
 of the line is looked at."""
-_MOST_REST_IN_LINE, _IN_LINE = 0.4, 5
-"""The same of a jump that continues one, and how far from that it may lie, px."""
 _MOST_SPREAD = 0.5
 """The same from the mean levels of both sides, as a share of their difference."""
+_MOST_REST_IN_LINE, _IN_LINE = 0.4, 5
+"""As ``_MOST_REST``, of a jump that continues one, and how far from that it may lie, px."""
 _SURELY, _SURELY_HALF = 2.0, 4.0
 """Standard errors of the jump beyond what closes, likewise."""
 _BETWEEN_LINES = 0.6
-"""If the levels beside lines at four angles differ by less of what closes, they do not by all of it at those between."""
+"""Share of what closes by which levels must differ beside one of four lines, or those between are not looked at."""
 _CREST = 0.9
 """A pixel is on the line of a jump if the levels differ so much of what they do at the pixels across the line."""
 
@@ -884,9 +884,9 @@ def find_jumps(
 ) -> None:
     """Mark the lines along which the ground jumps by ``closing`` m, where all points of both sides are taken together.
 
-    ``heights`` and ``marks`` are (rows, cols) of pixels; the latter come filled with False. Where few points leave it in
-    doubt, a line closes that continues one. In the outer ring of tiles only the pixels next to the inner ones are
-    marked, and only as many more looked at as that takes.
+    ``heights`` and ``marks`` are (rows, cols) of pixels; the latter come filled with False. Where few points leave it
+    in doubt, a line closes that continues one. In the outer ring of tiles only the pixels next to the inner ones are
+    marked, and no more looked at than that takes.
     """
     rows, cols, level = heights.shape[0], heights.shape[1], scratch.level
     reach = int(math.sqrt(scratch.patch.shape[1])) // 2

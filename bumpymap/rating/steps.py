@@ -377,8 +377,8 @@ def find_steps(
     wanted = is_thin if thin is None else is_thin & thin
     wanted &= _tile_sums(np.isfinite(whole), pixels) > _THINNEST * pixels**2
     if math.isfinite(closing) and wanted.any():
-        slopes = (np.ascontiguousarray(each) for each in (_sure_gradient(z, pixels), _sure_gradient(turned, pixels).T))
-        jumps = _jumps(np.ascontiguousarray(whole, np.float64), TileSlopes(*slopes, wanted), closing, level)
+        tiles = TileSlopes(_sure_gradient(z, pixels), np.ascontiguousarray(_sure_gradient(turned, pixels).T), wanted)
+        jumps = _jumps(np.ascontiguousarray(whole, np.float64), tiles, closing, level)
     low = _below_others(heights, np.fmax(closing, _JUMP * noise), pixels)
     if closed.any():  # with few points, a single pixel is no line
         beside = correlate((closed | jumps | low).view(np.uint8), _AROUND, mode="constant") > 0

@@ -21,15 +21,13 @@ from bumpymap.core import (
     CANOPY,
     EMPTY,
     FREE,
-    LOW_SOLID,
-    MAYBE_SOLID,
     NO_CLASS,
     OBSTACLE,
+    OVERHEAD,
     SEEN,
     SEEN_COLUMNS,
     SEEN_PER_M2,
     SIDES,
-    SOLID,
     STEP_EDGE,
     UNSEEN,
     Barred,
@@ -250,7 +248,7 @@ class NeighbourRating:
         nothing = np.full(tiles, np.nan, np.float32)
         # As in a block with known tiles: what is not in the way there is unseen.
         states = own["objects"] % SEEN
-        overhead = np.where(np.isin(states, (CANOPY, SOLID, LOW_SOLID, MAYBE_SOLID)), np.uint8(CANOPY), np.uint8(UNSEEN))
+        overhead = np.where(np.isin(states, OVERHEAD), np.uint8(CANOPY), np.uint8(UNSEEN))
         objects = np.where(states == OBSTACLE, np.uint8(OBSTACLE), overhead)
         return (
             {name: own[name] for name in (*_RATED, *_OBJECTS, *self._asked)}
@@ -267,12 +265,12 @@ class NeighbourRating:
             own |= asdict(
                 rate_thin(window["thin"], _first(window), window["coverage"], window["slope"], self.calibration)
             )
-        objects, late = window.mosaic("objects"), np.False_
+        first = objects = window.mosaic("objects")
         if self.config.compat == "none":
-            found = self._out_of_relief(window, objects)
-            # What lies across the edge of a block is found here alone, and the ride of its tiles is with it.
-            late = self._inner((found == OBSTACLE) & (objects != OBSTACLE))
-            objects, late = found, late & (own["coverage"] >= _WELL_COVERED)[..., None, None]
+            objects = self._out_of_relief(window, first)
+        # What lies across the edge of a block is found here alone, and the ride of its tiles is with it.
+        late = self._inner((objects == OBSTACLE) & (first != OBSTACLE))
+        late &= (own["coverage"] >= _WELL_COVERED)[..., None, None]
         objects = settle_objects(settle_solids(objects, grid, self.config.features.max_hole), grid.pixels)
         objects[(objects == FREE) & ~self._pixels(known)] = UNSEEN
         thin = known & (window["density"] * self.config.grid.pixel_size**2 < _MOST_PER_PIXEL)
