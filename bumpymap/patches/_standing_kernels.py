@@ -182,8 +182,8 @@ _FARTHEST_FOOT = 4
 """Farthest of them, px."""
 
 
-_SIDE, _TALL, _LEVEL = 1, 2, 4
-"""Marks of pixels on a side, of those far above what lies beneath, and of those level with ground beside them."""
+_SIDE, _LEVEL, _TALL = 1, 4, 2
+"""Marks of pixels on a side, of those level with ground beside them, and of others far above what lies beneath."""
 _LEVEL_SHARE = 0.5
 """If more of its pixels are so, nothing stands there: they are the rim of a narrow ditch, between pixels in it."""
 _TALLER = 2.5
@@ -367,9 +367,7 @@ def _follow_thing(start: int, wide: int, sides: Bytes, share: float, raised: Byt
                     thing[size] = k
                     size += 1
         at += 1
-    if level > _LEVEL_SHARE * size:
-        return 0
-    if steep > share * size:
+    if steep > share * size and level <= _LEVEL_SHARE * size:
         return size
     if steep_tall <= share * tall:
         return 0
@@ -407,7 +405,7 @@ def mark_standing(
         for c in range(cols):
             k = (r + 1) * (cols + 2) + c + 1
             if raised[k] > 0 and _is_level(r, c, limits.drop, scratch):
-                sides[k] += _LEVEL
+                sides[k] = (sides[k] & _SIDE) + _LEVEL
     for start in range(len(raised)):
         if raised[start] > 0:
             for k in range(_follow_thing(start, cols + 2, sides, limits.share, raised, thing)):
