@@ -1,4 +1,4 @@
-"""What kernels of surveys and scans share: planes, the filling of holes."""
+"""Helpers that kernels of surveys and scans share: planes, the filling of holes."""
 
 import math
 

@@ -28,7 +28,7 @@ from bumpymap.patches._heightmap_kernels import (
     shift,
     sum_from,
 )
-from bumpymap.patches._plane_kernels import PlaneScratch, is_plane, ransac_plane, robust_plane
+from bumpymap.patches._plane_kernels import TilePlaneScratch, is_plane, ransac_plane, robust_plane
 from bumpytiles import helper, kernel
 
 Floats = NDArray[np.float64]
@@ -181,7 +181,7 @@ def measure_scratch(most_points: int, pixels: int, most_strays: int) -> MeasureS
 
 @helper
 def _planes_of_tile(
-    n: int, settings: MeasureSettings, scratch: MeasureScratch, planes: PlaneScratch, out: Floats
+    n: int, settings: MeasureSettings, scratch: MeasureScratch, planes: TilePlaneScratch, out: Floats
 ) -> Plane:
     """Find the planes of n centred points; fill residual and slope of a tile's scalars.
 
@@ -211,7 +211,7 @@ def _measure_tile(
     settings: MeasureSettings,
     out: TileMeasures,
     scratch: MeasureScratch,
-    planes: PlaneScratch,
+    planes: TilePlaneScratch,
 ) -> None:
     """Measure a tile that has points."""
     first, last = points.starts[t], points.starts[t + 1]
@@ -250,7 +250,7 @@ def measure_tiles(
     settings: MeasureSettings,
     out: TileMeasures,
     scratch: MeasureScratch,
-    planes: PlaneScratch,
+    planes: TilePlaneScratch,
 ) -> None:
     """Measure every tile that has points; the others get NaN, and no points."""
     for t in range(len(points.col)):

@@ -58,7 +58,7 @@ ground if what it continues does. By `tests/benchmarks/ring_book.py`."""
 _LEAFY, _LEAVES = 1.0, 13.0
 """Plants so far above the vehicle, m, are crowns: where leaves are dense, more points reach no ground by chance."""
 _LOW = 3.0
-"""What hides the ground and ends below this, m above the vehicle, is no crown but a car, a wall or a hedge."""
+"""Height above the vehicle, m, below which something that hides the ground is a car, a wall or a hedge and no crown."""
 _SHRUB = 1.0
 """As ``_HIDING``, in a thin survey, for plants that end lower than crowns: a hedge."""
 _THINNER = 6.0
@@ -319,9 +319,10 @@ def _mark_solid(
                 is_low = _box_sum(scratch.tall, r, c, 2) == 0
                 if (thin and scratch.leaves[r, c] == 0 and scratch.shrubs[r, c] > 0) or (thinner and is_low):
                     least = _SHRUB
-                if _fills_square(seen, r, c, least, scratch) or hides_ground(r, c, half, (least, 0.0), pixel, strips):
+                hides = _fills_square(seen, r, c, least, scratch)
+                if hides or hides_ground(r, c, half, (least, 0.0), is_low, pixel, strips):
                     state[r, c] += (LOW_SOLID if is_low else SOLID) - CANOPY
-                elif is_low and hides_ground(r, c, half, (_MAYBE, _MAYBE_SHARE), pixel, strips):
+                elif is_low and hides_ground(r, c, half, (_MAYBE, _MAYBE_SHARE), True, pixel, strips):
                     state[r, c] += MAYBE_SOLID - CANOPY
 
 

@@ -53,7 +53,7 @@ _STRIP = 1 << 16
 """Points whose units are added up at once: their sum is no larger than a whole number may be."""
 
 
-class PlaneScratch(NamedTuple):
+class TilePlaneScratch(NamedTuple):
     """Scratch, see `plane_scratch`."""
 
     singles: Annotated[Singles, 2]
@@ -68,9 +68,9 @@ class PlaneScratch(NamedTuple):
     """(``_REFINED``, 5) the same of those that were fitted to all points."""
 
 
-def plane_scratch(most_points: int) -> PlaneScratch:
+def plane_scratch(most_points: int) -> TilePlaneScratch:
     """Make scratch for tiles of at most so many points."""
-    return PlaneScratch(
+    return TilePlaneScratch(
         singles=np.empty((3, most_points), np.float32),
         lanes=np.empty(_SUMS * LANES),
         single_lanes=np.empty(_SUMS * LANES, np.float32),
@@ -248,7 +248,7 @@ def _quarter_sums(x: Floats, y: Floats, z: Floats, sums: Floats) -> None:
 
 
 @helper
-def _first_plane(x: Floats, y: Floats, z: Floats, scratch: PlaneScratch) -> Plane:
+def _first_plane(x: Floats, y: Floats, z: Floats, scratch: TilePlaneScratch) -> Plane:
     """Least-squares plane that explains most: of all points, or of a quarter of them, which may be free of things.
 
     Where heights tell nothing, on a wall, it is one across them. Zeros where the points span no plane.
@@ -267,7 +267,7 @@ def _first_plane(x: Floats, y: Floats, z: Floats, scratch: PlaneScratch) -> Plan
 
 
 @helper
-def robust_plane(x: Floats, y: Floats, z: Floats, scratch: PlaneScratch) -> Plane:
+def robust_plane(x: Floats, y: Floats, z: Floats, scratch: TilePlaneScratch) -> Plane:
     """Plane of a tile by least squares, reweighted (Geman and McClure 1987) until it stands still.
 
     It starts from `_first_plane`: no draw decides it. Zeros where the points span no plane. The points in single
@@ -334,7 +334,7 @@ def _keep(plane: Plane, loss: float, best: Floats, kept: int) -> int:
 
 
 @helper
-def _draw(x: Floats, y: Floats, z: Floats, start: Plane, scale: float, scratch: PlaneScratch) -> int:
+def _draw(x: Floats, y: Floats, z: Floats, start: Plane, scale: float, scratch: TilePlaneScratch) -> int:
     """Keep the candidates with the least loss on a sample; returns their number.
 
     It stops when a better one than the best, or than the plane ``start``, has become improbable.
@@ -355,7 +355,7 @@ def _draw(x: Floats, y: Floats, z: Floats, start: Plane, scale: float, scratch: 
 
 
 @helper
-def _settle(plane: Plane, bound: float, scale: float, n: int, scratch: PlaneScratch) -> tuple[Plane, float]:
+def _settle(plane: Plane, bound: float, scale: float, n: int, scratch: TilePlaneScratch) -> tuple[Plane, float]:
     """Refine a plane on its inliers until its loss does not fall, or is far above ``bound`` after a few steps.
 
     Returns it and its loss.
@@ -375,7 +375,7 @@ def _settle(plane: Plane, bound: float, scale: float, n: int, scratch: PlaneScra
 
 @helper
 def _settle_best(
-    kept: int, plane: Plane, least: float, scale: float, n: int, scratch: PlaneScratch
+    kept: int, plane: Plane, least: float, scale: float, n: int, scratch: TilePlaneScratch
 ) -> tuple[Plane, float]:
     """Refine the best planes until they stand still; returns the one with the least loss, or ``plane``."""
     for k in range(kept):
@@ -387,7 +387,7 @@ def _settle_best(
 
 
 @helper
-def ransac_plane(x: Floats, y: Floats, z: Floats, robust: Plane, scale: float, scratch: PlaneScratch) -> Plane:
+def ransac_plane(x: Floats, y: Floats, z: Floats, robust: Plane, scale: float, scratch: TilePlaneScratch) -> Plane:
     """Plane of a tile by RANSAC (Fischler and Bolles 1981), locally optimised (Chum, Matas and Kittler 2003).
 
     It has the least loss of MSAC (Torr and Zisserman 2000) over all points, squared distances cut off at ``scale``, of

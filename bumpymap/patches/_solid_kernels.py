@@ -43,7 +43,7 @@ the surroundings of a pixel overhead in which such ground is counted. Together a
 _CHANCE = 2.0
 """In a thin survey, fewer pixels of ground beneath what is overhead may lie beside it."""
 _CHANCE_IF_LOW = 4
-"""The same at any density of what is low: ground in the corner of two walls may look as if it were beneath."""
+"""The same of what is low in a dense survey: ground in the corner of two walls may look as if it were beneath."""
 _MAJORITY = 5
 """A pixel among so many of eight with an obstacle belongs to it."""
 _NEARER = 2
@@ -63,7 +63,7 @@ _HIDDEN_HALF, _HIDDEN_HALF_IF_THIN = 12.0, 6.0
 """The same in one half of the surroundings of what is low, a car say, deep beneath it: beside it there may be a gap."""
 _SOLIDS = (SOLID, LOW_SOLID)
 _REACHES, _NEXT = 3, 2
-"""What hides the ground goes on through what may hide it, in so many rounds of so many pixels at most."""
+"""Rounds, and pixels in each, in which something that hides the ground goes on through what may hide it."""
 _REACHED = 11
 """Label of what is reached in a round, until that ends."""
 _GROW, _GROW_IF_THIN = 1, 3
@@ -324,7 +324,7 @@ def _stands(r: int, c: int, mean: float, scratch: SolidScratch) -> bool:
     return (
         hidden
         or (solid and under < max(least, enough * overhead))
-        or (low and under < _CHANCE_IF_LOW)
+        or (low and mean >= _HELD and under < _CHANCE_IF_LOW)
         or (low and _hides_half(r, c, near, half / max(mean, 1e-9), scratch))
     )
 

@@ -96,15 +96,18 @@ class Window(NamedTuple):
 
 
 @helper
-def hides_ground(r: int, c: int, half: int, least: tuple[float, float], pixel: float, scratch: StripScratch) -> bool:
+def hides_ground(
+    r: int, c: int, half: int, least: tuple[float, float], is_low: bool, pixel: float, scratch: StripScratch
+) -> bool:
     """Return whether what is overhead in a pixel hides the ground.
 
     Points overhead must outweigh those beneath by ``least`` in a part of the strip around those of the pixel: by a
     number, and more where there are many points; or, if there is a share, by that share of them and no less than the
-    number. One half of the square around the pixel will do, or a smaller one: at a corner two walls meet.
+    number. One half of the square around the pixel will do, or a smaller one of what is low: at a corner walls meet.
     """
     size, near = scratch.head.shape[0], max(half // 2, _OVERLAP)
-    for part in range(6 if half > _OVERLAP else 1):
+    parts = 6 if is_low else 5
+    for part in range(parts if half > _OVERLAP else 1):
         # All of the square, its halves, and one of half its side.
         north, south = (_OVERLAP if part == 1 else half), (_OVERLAP if part == 2 else half)
         west, east = (_OVERLAP if part == 3 else half), (_OVERLAP if part == 4 else half)
