@@ -32,16 +32,16 @@ _LONGEST = 4.0
 """Times that an extrapolated step is as long as a plain one, at most."""
 _SAMPLE = 256
 """Points that candidates are compared on first."""
-_MOST_CANDIDATES = 300
+_MOST_CANDIDATES = 150
 _MISS_PROBABILITY = 1e-4
 """Accepted probability that no candidate was drawn from inliers alone."""
 _LEAST_AREA = 2e-3
 """Twice the least area that a candidate's three points must span, m^2."""
-_DRAWN, _REFINED = 16, 3
+_DRAWN, _REFINED = 8, 2
 """Best candidates, which are fitted to all points; best of these, which are refined until they stand still."""
 _WIDER = 1.5
 """Reach of the first fit to a candidate, in thresholds: its three points are noisy."""
-_INNER, _INNER_POINTS = 30, 32
+_INNER, _INNER_POINTS = 12, 32
 """Inner samples, and points of each: its inliers are fitted, and there are several even of rough ground."""
 _TRIAL, _HOPELESS = 3, 1.01
 """Steps after which a plane is given up whose loss is so many times the least."""
