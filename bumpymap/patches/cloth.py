@@ -88,8 +88,8 @@ def mark_ground(points: TilePoints, settings: CsfSettings) -> NDArray[np.bool_]:
     west, south = (int(tiles[0]) // BLOCK_TILES * side for tiles in (points.col, points.row))
     count = len(points.upward)
     coordinates, marks = allocate_shared(24 * count), allocate_shared(count)
-    # From the block's corner, for the filter loses precision with coordinates of millions of metres, and by whole steps:
-    # a point on the border of two cells of the cloth is in the same one wherever the block is.
+    # From the block's corner: the filter loses precision with coordinates of millions of metres. By whole steps: points
+    # on the border of two cells of the cloth are in the same one wherever the block is.
     columns = points.easting - west, points.northing - south, points.upward - points.upward.min()
     place = coordinates.data.view(np.float64).reshape(count, 3)
     np.stack(columns, axis=1, out=place)

@@ -61,10 +61,9 @@ def maps_of(stack):
     """Number of points and mean height of every pixel that has points, by row (from the south) and column."""
     t, north, col = np.nonzero(stack.spread_count)
     px = stack.grid.pixels
-    keys = zip(
-        (stack.row[t] * px + px - 1 - north).tolist(), (stack.col[t] * px + col).tolist(), strict=True
-    )
-    return dict(zip(keys, zip(stack.spread_count[t, north, col], stack.heights[t, north, col], strict=True), strict=True))
+    keys = np.stack([stack.row[t] * px + px - 1 - north, stack.col[t] * px + col], axis=1).tolist()
+    held = zip(stack.spread_count[t, north, col], stack.heights[t, north, col], strict=True)
+    return dict(zip(map(tuple, keys), held, strict=True))
 
 
 @settings(max_examples=40)
@@ -94,11 +93,10 @@ def test_every_pixel_holds_the_points_that_exact_arithmetic_gives_it(
         exact(axis, scale, offset, unit, side, grid.pixels) for axis, offset in zip(numbers, offsets, strict=True)
     )
     places, at, count = np.unique(np.stack([row, col]), axis=1, return_inverse=True, return_counts=True)
-    mean = np.bincount(at.ravel(), heights) / count
-    found = maps_of(stack)
-    assert sorted(found) == list(map(tuple, places.T.tolist()))
-    assert [found[key][0] for key in map(tuple, places.T.tolist())] == count.tolist()
-    np.testing.assert_allclose([found[key][1] for key in map(tuple, places.T.tolist())], mean, atol=1e-6)
+    found = sorted(maps_of(stack).items())
+    assert [key for key, _ in found] == list(map(tuple, places.T.tolist()))
+    assert [own for _, (own, _) in found] == count.tolist()
+    np.testing.assert_allclose([own for _, (_, own) in found], np.bincount(at.ravel(), heights) / count, atol=1e-6)
 
 
 def test_objects_decks_and_photos_have_the_pixels_of_the_heights(tmp_path):
@@ -118,9 +116,8 @@ def test_objects_decks_and_photos_have_the_pixels_of_the_heights(tmp_path):
         expected = np.zeros((len(block.col), 15, 15), bool)
         expected[tuple(axis[is_raised] for axis in place)] = True
         assert np.array_equal(photo_of(block).any(axis=-1), expected)
-        block = replace(block, flag=np.where(is_raised, POINT_OTHER, POINT_GROUND).astype(np.uint8))
-        patches = measure(block, FeatureSettings(), ground_only=True)
-        states = find_objects(block, patches, body).objects % SEEN
+        marked = replace(block, flag=np.where(is_raised, POINT_OTHER, POINT_GROUND).astype(np.uint8))
+        states = find_objects(marked, measure(marked, FeatureSettings(), ground_only=True), body).objects % SEEN
         assert np.array_equal((states == OBSTACLE) | (states == UNDECIDED), expected)
         decks = decks_as_ground(replace(block, flag=np.where(is_raised, POINT_DECK, POINT_GROUND).astype(np.uint8)))
         assert np.array_equal(decks.flag == POINT_OTHER, expected[place] & ~is_raised)

@@ -150,7 +150,7 @@ def tile_index(coordinate: float, size: float) -> Any:
 
 
 @helper
-def pixels_from(first: float, coordinate: Any, size: float, pixels: int) -> Any:
+def pixels_from(first: Any, coordinate: Any, size: float, pixels: int) -> Any:
     """Return how many pixels a coordinate lies from the border ``first`` of its tile; the whole ones are the index.
 
     By whole steps: on the border of two pixels there is no rounding.

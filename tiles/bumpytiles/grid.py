@@ -83,8 +83,8 @@ class Grid:
 
     def pixel(self, coordinate: NDArray[np.float64], tile: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the index of the pixel in its tile along one axis, from the west or the south; (n,) each."""
-        place = pixels_from(tile * self.tile_size, coordinate, self.tile_size, self.pixels).astype(np.int64)
-        return np.minimum(place, self.pixels - 1)
+        place = pixels_from(tile * self.tile_size, coordinate, self.tile_size, self.pixels)
+        return np.minimum(np.asarray(place, np.int64), self.pixels - 1)
 
     def bounds(self, col: int, row: int) -> Bounds:
         """Return the bounds of one tile, m."""
