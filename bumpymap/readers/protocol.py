@@ -1,5 +1,6 @@
 """The readers of surveys: options, header information, chunks of points, the version and the checksum of the file."""
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -78,8 +79,8 @@ class ReadOptions:
     """True if the colours of points are read, where a file has some."""
     xy_unit: LengthUnit | None = None
     """Unit of easting and northing of files without a CRS; None: that of the file, else metres."""
-    pixel_m: float = Grid().pixel_size
-    """Side of a pixel, m: files whose coordinates are too coarse for it are refused."""
+    pixel_m: float = math.inf
+    """Side of the pixels that points are for, m: files whose coordinates are too coarse for them are refused."""
 
     @property
     def kinds(self) -> NDArray[np.uint8]:
