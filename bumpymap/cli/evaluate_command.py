@@ -84,7 +84,9 @@ def survey_command(run: Run, surveys: tuple[Any, ...], out: Path, jobs: int | No
 
     require_dart()
     subject = Subject.of(find_calibration(reading.vehicle, reading.calibration), TextureModel.shipped())
-    options = ReadOptions(reading.crs, reading.z_unit, force_crs=reading.force_crs, xy_unit=reading.xy_unit)
+    pixel_m = subject.calibration.tile_size / subject.calibration.pixels
+    crs, unit = reading.force_crs, reading.xy_unit
+    options = ReadOptions(reading.crs, reading.z_unit, force_crs=crs, xy_unit=unit, pixel_m=pixel_m)
     readers = open_readers(surveys, options, local=reading.local)
     with locked(out), interrupt_note(DRIVES_KEPT), run.progress() as progress:
         _check_place(out, overwrite=overwrite)

@@ -53,6 +53,7 @@ def command(run: Run, quick: bool) -> None:
         ground_classes=config.ground_classes,
         keep_classes=True,
         xy_unit=config.xy_unit,
+        pixel_m=grid.pixel_size,
     )
     paths = find_surveys(config.surveys)
     with show_progress(quiet=run.quiet or run.as_json, as_json=run.as_json) as progress:

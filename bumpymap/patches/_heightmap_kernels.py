@@ -11,14 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import Plane, fill_holes
-from bumpytiles import helper, order_free
+from bumpytiles import PER_METRE, helper, order_free, pixels_from
 
 Floats = NDArray[np.float64]
 
 LANES = 64
 """Partial sums side by side."""
-PER_METRE = 1e8
-"""Steps of coordinates inside a tile: all decimals that are read."""
 
 
 @helper
@@ -135,14 +133,11 @@ def detrend(heights: Floats) -> bool:
 def pixel_index(
     easting: Floats, northing: Floats, west: float, south: float, tile_size: float, size: int, out: Integers
 ) -> None:
-    """Write each point's pixel, ``row * size + column`` with the north row first; floor(size * offset / tile_size).
-
-    Offsets are whole steps: a point on the border of two pixels is in the same one wherever the tile is.
-    """
-    last, width, steps = np.int32(size - 1), np.int32(size), np.rint(tile_size * PER_METRE)
+    """Write each point's pixel, ``row * size + column`` with the north row first; floor(size * offset / tile_size)."""
+    last, width = np.int32(size - 1), np.int32(size)
     for i in range(len(easting)):
-        c = min(last, np.int32(size * np.rint((easting[i] - west) * PER_METRE) / steps))
-        r = min(last, np.int32(size * np.rint((northing[i] - south) * PER_METRE) / steps))
+        c = min(last, np.int32(pixels_from(west, easting[i], tile_size, size)))
+        r = min(last, np.int32(pixels_from(south, northing[i], tile_size, size)))
         out[i] = np.int32((last - r) * width + c)
 
 

@@ -37,7 +37,7 @@ from bumpymap.patches._strip_kernels import (
     outweighs,
     strip_half,
 )
-from bumpytiles import helper, kernel
+from bumpytiles import helper, kernel, pixels_from
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int32]
@@ -203,8 +203,8 @@ def _count_points(
     for i in range(points.starts[t], points.starts[t + 1]):
         if kind[i] == POINT_GROUND:
             continue
-        c = min(size - 1, int(size * (points.easting[i] - west) / side))
-        r = size - 1 - min(size - 1, int(size * (points.northing[i] - south) / side))
+        c = min(size - 1, int(pixels_from(west, points.easting[i], side, size)))
+        r = size - 1 - min(size - 1, int(pixels_from(south, points.northing[i], side, size)))
         if math.isnan(scratch.surface[r, c]) and plane.known >= _LEAST_GROUND:
             scratch.surface[r, c] = _continue_ground(plane, r, c, scratch)
         h = points.upward[i] - scratch.surface[r, c]
@@ -243,7 +243,7 @@ def _list_points(
     # A side that returns points too would have more than its share.
     most = max(2, math.ceil(_MOST_OF_PIXEL * (points.starts[t + 1] - first) / (size * size)))
     for i in range(first, points.starts[t + 1]):
-        x, y = size * (points.easting[i] - west) / side, size * (points.northing[i] - south) / side
+        x, y = pixels_from(west, points.easting[i], side, size), pixels_from(south, points.northing[i], side, size)
         r, c = size - 1 - min(size - 1, int(y)), min(size - 1, int(x))
         is_over = kind[i] != POINT_GROUND and points.upward[i] - scratch.surface[r, c] >= limits.low
         if is_over and scratch.listed[r, c] >= most:

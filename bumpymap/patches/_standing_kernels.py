@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bumpymap.patches._heightmap_kernels import detrend, relief_of, set_all, set_map
 from bumpymap.patches._measure_kernels import PointsByTile, stray_bounds
-from bumpytiles import helper, kernel, order_free
+from bumpytiles import helper, kernel, order_free, pixels_from
 
 Floats = NDArray[np.float64]
 LAGS = 5
@@ -107,8 +107,8 @@ def _seen_share(x: Floats, y: Floats, side: float) -> float:
     """Share of the nine squares of a third of the side that hold a point; 0 if four that form a square hold none."""
     seen = 0
     for i in range(len(x)):
-        c = min(max(int(3.0 * x[i] / side), 0), 2)
-        r = min(max(int(3.0 * y[i] / side), 0), 2)
+        c = min(int(pixels_from(0.0, x[i], side, 3)), 2)
+        r = min(int(pixels_from(0.0, y[i], side, 3)), 2)
         seen |= 1 << (3 * r + c)
     return _share_of_parts(seen)
 

@@ -26,7 +26,7 @@ from bumpymap.core import (
     module_folder,
     trim_shared,
 )
-from bumpytiles import BLOCK_TILES, Grid, TilePoints
+from bumpytiles import BLOCK_TILES, PER_METRE, Grid, TilePoints
 
 _PACKAGE = "cloth-simulation-filter"
 _MAX_CLOTH_CELLS = 500
@@ -88,9 +88,14 @@ def mark_ground(points: TilePoints, settings: CsfSettings) -> NDArray[np.bool_]:
     west, south = (int(tiles[0]) // BLOCK_TILES * side for tiles in (points.col, points.row))
     count = len(points.upward)
     coordinates, marks = allocate_shared(24 * count), allocate_shared(count)
-    # Relative to the block's corner: the filter loses precision with coordinates of millions of metres.
+    # From the block's corner: the filter loses precision with coordinates of millions of metres. By whole steps: points
+    # on the border of two cells of the cloth are in the same one wherever the block is.
     columns = points.easting - west, points.northing - south, points.upward - points.upward.min()
-    np.stack(columns, axis=1, out=coordinates.data.view(np.float64).reshape(count, 3))
+    place = coordinates.data.view(np.float64).reshape(count, 3)
+    np.stack(columns, axis=1, out=place)
+    place *= PER_METRE
+    np.rint(place, out=place)
+    place /= PER_METRE
     try:
         child = idle.pop()
     except IndexError:

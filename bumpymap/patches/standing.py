@@ -308,13 +308,8 @@ def _pixels_of(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return row and column of the pixels of some points in their tiles."""
     grid = points.grid
-    across = points.easting[chosen] - points.col[tile] * grid.tile_size
-    along = points.northing[chosen] - points.row[tile] * grid.tile_size
-    col, north = (
-        np.minimum(grid.pixels - 1, (grid.pixels * offset / grid.tile_size).astype(np.int64))
-        for offset in (across, along)
-    )
-    return grid.pixels - 1 - north, col
+    north = grid.pixel(points.northing[chosen], points.row[tile])
+    return grid.pixels - 1 - north, grid.pixel(points.easting[chosen], points.col[tile])
 
 
 def _points_apart(points: TilePoints, standing: Marks) -> TilePoints:

@@ -46,6 +46,7 @@ from bumpymap.readers.protocol import (
     SurveyInfo,
     SurveyReader,
     group_laz_chunks,
+    refuse_coarse,
     split_rows,
 )
 from bumpymap.readers.source import (
@@ -63,6 +64,8 @@ Records = NDArray[np.uint8]
 """Point records, (n, bytes of a point)."""
 _PIECE_BYTES = 1 << 20
 """Bytes of uncompressed points that are read at a time, at most."""
+_COARSE_HEIGHT_M = 0.1
+"""Steps between heights from which on a note is made, m."""
 _LOWEST, _HIGHEST = -(1 << 31), (1 << 31) - 1
 _COLOUR_AT = {2: 20, 3: 28, 5: 28, 7: 30, 8: 30, 10: 30}
 """Point format -> first byte of red, green and blue."""
@@ -205,6 +208,10 @@ class LasSurvey(SurveyReader):
                 self._table = self._read_table(stream, raw, None if bounds is None else place.metres_per_unit)
                 self._ends = np.cumsum(self._table.counts)
         units = (place.metres_per_unit, place.metres_per_unit, place.metres_per_unit_z)
+        east, north, up = (abs(scale) * unit for scale, unit in zip(raw.scales, units, strict=True))
+        refuse_coarse(path, max(east, north), "its header has so large a scale", options)
+        if up >= _COARSE_HEIGHT_M:
+            notes += (f"its heights lie on steps of {up:g} m, by the scale in its header: fine relief is lost",)
         self._scaling = Scaling(raw.scales, raw.offsets, units)
         # Records are held to LAS 1.4 R15, tables 7 and 10; the flight line of points that name none is the file's id.
         line, limits = raw.source_id, ((-math.inf, math.inf),) * 2

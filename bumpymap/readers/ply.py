@@ -107,7 +107,7 @@ class PlyTable(PointTable):
         Not a PLY header, without vertex element or x, y and z, or with more than the file can hold.
     """
 
-    nan_is_no_return, searched = False, 1
+    nan_is_no_return, searched = False, 1000
 
     def __init__(self, path: Location, wanted: Wanted) -> None:
         with open_source(path) as stream, decoding(path, "the header"):

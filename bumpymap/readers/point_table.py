@@ -20,6 +20,7 @@ from bumpymap.readers.protocol import (
     ReadOptions,
     SurveyInfo,
     SurveyReader,
+    refuse_coarse,
     split_rows,
 )
 from bumpymap.readers.source import Location, decoding, open_source, read_range, refuse_count
@@ -32,8 +33,8 @@ Floats = NDArray[np.float64]
 
 CLASS_COLUMNS = ("classification", "scalar_classification", "class")
 """Names, in lower case, of columns that hold LAS class codes."""
-_LARGE = 1e5
-"""From here on the resolution of float32 is 1 cm or coarser, in the file's unit."""
+_FINE_M = 0.01
+"""Steps between coordinates up to which nothing is said, m."""
 
 
 def convert_points(
@@ -108,30 +109,11 @@ def _coordinate(column: Any, unit: float) -> NDArray[np.float64]:
         return value if unit == 1.0 else value * unit
 
 
-def precision_note(first: tuple[float, float, float] | None, types: Sequence[Any]) -> tuple[str, ...]:
-    """Return a note if float32 is too coarse for the coordinates: for UTM, the error is centimetres to half a metre.
-
-    Parameters
-    ----------
-    first : (float, float, float) or None
-        The first point, in the file's unit.
-    types : sequence of 3 dtypes
-        Types of x, y and z.
-    """
-    if first is None:
-        return ()
-    lost = [
-        float(np.spacing(np.float32(abs(value))))
-        for value, kind in zip(first, types, strict=True)
-        if np.dtype(kind) == np.dtype(np.float32) and abs(value) > _LARGE
-    ]
-    if not lost:
-        return ()
-    note = (
-        f"its coordinates are stored as float32 and are so large that they lie on steps of {max(lost):g} units: fine "
-        "relief is lost. Export it with double coordinates, or as LAS"
-    )
-    return (note,)
+def _steps(points: Floats, types: Sequence[Any]) -> list[float]:
+    """Return the steps between numbers of x, y and z that their types hold: at the median of some points (n, 3)."""
+    typical = np.median(np.abs(points), axis=0) if len(points) else np.zeros(3)
+    numbers = [(kind, kind.type(size)) for size, kind in zip(typical, types, strict=True)]
+    return [float(np.spacing(number)) if kind.kind == "f" else 1.0 for kind, number in numbers]
 
 
 Wanted = dict[str, tuple[str, ...]]
@@ -204,7 +186,7 @@ class PointTable:
     nan_is_no_return: ClassVar[bool]
     """True if a row with NaN coordinates is a beam without return, rather than an error."""
     searched: ClassVar[int]
-    """Rows that are searched for the first valid point."""
+    """Rows that are searched for valid points, which tell where the survey is."""
 
     def __init__(
         self,
@@ -291,10 +273,19 @@ class TableSurvey(SurveyReader):
         if len(self._colours) < len(_COLOURS) or any(head.types[name].kind not in "ui" for name in self._colours):
             self._colours = []
         self._columns, self._class_column = (names["x"], names["y"], names["z"]), names.get("class")
-        first = self._first()
-        place, notes = georeference(Place(table.path, first), CrsStatement(), options.given_crs, options.z_unit)
+        points = self._first_points()
+        first = Place(table.path, (points[0, 0], points[0, 1], points[0, 2]) if len(points) else None)
+        place, notes = georeference(first, CrsStatement(), options.given_crs, options.z_unit)
         if not head.is_text:
-            notes += precision_note(first, [head.types[name] for name in self._columns])
+            east, north, up = _steps(points, [head.types[name] for name in self._columns])
+            step, step_z = max(east, north) * place.metres_per_unit, up * place.metres_per_unit_z
+            types = " and ".join(dict.fromkeys(head.types[name].name for name in self._columns[:2]))
+            refuse_coarse(table.path, step, f"they are stored as {types}", options)
+            if max(step, step_z) > _FINE_M:
+                lost = (
+                    f"as they are stored, its coordinates lie on steps of {max(step, step_z):g} m: fine relief is lost"
+                )
+                notes += (f"{lost}. Export it with double coordinates, or as LAS",)
         notes += head.notes
         has_classes = self._class_column is not None
         info = SurveyInfo(table.path, head.format, head.size, head.count, place, None, has_classes, notes)
@@ -332,14 +323,10 @@ class TableSurvey(SurveyReader):
             colour = colour << np.uint32(8) | (np.asarray(rows[name]).astype(np.int64) >> shift & 255).astype(np.uint32)
         return colour
 
-    def _first(self) -> tuple[float, float, float] | None:
-        """Return the first point with finite coordinates among the first ``searched`` rows; None if there is none."""
+    def _first_points(self) -> Floats:
+        """Return those of the first ``searched`` points that have finite coordinates, in the unit of the file."""
         rows = self._table.rows(0, min(self._table.searched, self._table.info.count))
         self._table.close()
         with np.errstate(invalid="ignore"):  # NaN: beams without return
             table: NDArray[np.float64] = np.column_stack([np.asarray(rows[name], np.float64) for name in self._columns])
-        good = np.isfinite(table).all(axis=1)
-        if not good.any():
-            return None
-        x, y, z = table[int(good.argmax())].tolist()
-        return x, y, z
+        return table[np.isfinite(table).all(axis=1)]

@@ -1,5 +1,6 @@
 """The readers of surveys: options, header information, chunks of points, the version and the checksum of the file."""
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -78,6 +79,8 @@ class ReadOptions:
     """True if the colours of points are read, where a file has some."""
     xy_unit: LengthUnit | None = None
     """Unit of easting and northing of files without a CRS; None: that of the file, else metres."""
+    pixel_m: float = math.inf
+    """Side of the pixels that points are for, m: files whose coordinates are too coarse for them are refused."""
 
     @property
     def kinds(self) -> NDArray[np.uint8]:
@@ -88,6 +91,21 @@ class ReadOptions:
     def given_crs(self) -> GivenCrs:
         """CRS that the user gives."""
         return GivenCrs(self.crs, self.force_crs, self.crs_must_agree, self.xy_unit)
+
+
+_COARSE = 0.25 * (1.0 + 1e-9)
+"""Largest step between coordinates, as a share of a pixel: a pixel has 4 x 4 places or more, but for rounding."""
+
+
+def refuse_coarse(path: Location, step_m: float, why: str, options: ReadOptions) -> None:
+    """Raise BadInputError if eastings or northings lie on steps that are too large for pixels; ``why`` they do."""
+    if step_m > _COARSE * options.pixel_m:
+        raise BadInputError(
+            f"the coordinates of {path} lie on steps of {step_m:g} m, because {why}. That is over a quarter of a pixel "
+            f"({options.pixel_m:g} m): points beside each other fall into one place, and rough ground would look "
+            "smooth. Export it again from the original, with double coordinates, with float coordinates from a local "
+            "origin (offset or shift), or as LAS with a scale of 0.001"
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -119,18 +119,13 @@ class TileCounts:
         """Add points by the codes of their tiles and their coordinates [m]."""
         self.tiles.add(codes)
         chosen = self.pixels.sampled(codes)
-        pixel = self._pixel(easting[chosen]) * self._grid.pixels + self._pixel(northing[chosen])
-        self.pixels.add((codes[chosen] << 16) | pixel)
+        col, row = (self._grid.pixel(axis[chosen], self._grid.index(axis[chosen])) for axis in (easting, northing))
+        self.pixels.add((codes[chosen] << 16) | (col * self._grid.pixels + row))
 
     def merge(self, other: "TileCounts") -> None:
         """Add the points of another file, on the same grid."""
         self.tiles.merge(other.tiles)
         self.pixels.merge(other.pixels)
-
-    def _pixel(self, axis: Floats) -> Ints:
-        """Return the column or row of the pixel within its tile."""
-        offset = (axis / self._grid.tile_size - self._grid.index(axis)) * self._grid.pixels
-        return np.clip(offset.astype(np.int64), 0, self._grid.pixels - 1)
 
     def add_as_doubled(self, other: "TileCounts") -> None:
         """Add the points of tiles of half the size."""

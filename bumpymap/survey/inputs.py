@@ -32,6 +32,7 @@ def read_options(config: MapConfig, *, crs_must_agree: bool = False) -> ReadOpti
         ground_classes=config.ground_classes,
         colour=True,
         xy_unit=config.xy_unit,
+        pixel_m=config.grid.pixel_size,
     )
 
 

@@ -474,6 +474,22 @@ def test_what_is_missing_is_said_and_what_was_given_is_in_the_command(tmp_path):
     assert record["bounds_m"][0] == pytest.approx(500001.1 * 0.3048)
 
 
+def test_coordinates_that_are_too_coarse_are_refused_by_map_and_told_by_info(tmp_path):
+    """A UTM northing has steps of half a metre in float32."""
+    x, y = (axis.ravel() for axis in np.meshgrid(*2 * (np.arange(0.1, 6, 0.2),)))
+    columns = np.array([500_001 + x, 5_400_000 + y, np.zeros(x.size)]).astype("<f4")
+    path = write_ply(tmp_path / "a.ply", np.rec.fromarrays(columns, names="x,y,z"))
+    result = run("map", path, "--crs", "EPSG:32614", "--out", tmp_path / "map")
+    assert result.exit_code == 3, result.output
+    assert re.search(r"steps of 0\.5 m.*double", result.output)
+    assert not (tmp_path / "map").exists()
+    for words in ((), ("--quick",), ("--json",)):
+        result = run("info", path, *words)
+        assert result.exit_code == 3
+        assert re.search(r"steps of 0\.5 m.*double", result.output)
+    assert run("info", path, "--tile-size", "60", "--quick").exit_code == 0  # pixels of 4 m
+
+
 def test_quick_reads_no_points(tmp_path, monkeypatch):
     path = dense(tmp_path / "a.laz")
     monkeypatch.setattr(laspy.LasReader, "read_points", None)

@@ -107,6 +107,24 @@ def test_of_several_records_the_one_that_the_header_names_counts(las, name):
     assert place.metres_per_unit_z == pytest.approx(US_FOOT if "height" in name else 1.0, rel=1e-9)
 
 
+@pytest.mark.parametrize("ending", ["las", "laz"])
+def test_a_scale_that_is_coarse_for_pixels_is_refused_and_one_of_heights_is_noted(las, ending):
+    def opened(*scales, **options):
+        how = {} if "xy_unit" in options else {"epsg": 32614}
+        options = ReadOptions(**{"pixel_m": 0.2} | options)
+        return open_survey(las.write(f"a.{ending}", scale=scales, version="1.4", fmt=6, **how), options).info
+
+    for scales in ((0.1, 0.001, 0.001), (0.001, 0.5, 0.001)):
+        with pytest.raises(BadInputError, match=rf"{max(scales):g} m.*scale.*0\.2 m.*Export"):
+            opened(*scales)
+    assert opened(0.05, 0.05, 0.05).notes == ()
+    assert opened(0.1, 0.1, 0.001, pixel_m=0.4).notes == ()
+    assert "heights" not in str(opened(0.1, 0.1, 0.1, xy_unit="ft").notes)  # 3 cm
+    (note,) = opened(0.001, 0.001, 0.1).notes
+    assert "heights" in note
+    assert "0.1 m" in note
+
+
 @pytest.mark.parametrize(
     ("how", "says"),
     [

@@ -2,6 +2,7 @@
 
 import shutil
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -134,13 +135,32 @@ def test_line_ends_spare_blanks_and_more_digits_than_a_float_has(tmp_path, read,
     assert np.array_equal(read(open_survey(path))[0], POINTS)
 
 
-def test_large_coordinates_in_float32_and_the_pose_of_the_sensor_are_noted(tmp_path, caplog):
+BINARY = [form for form in TABLES if form.split()[1] != "ascii"]
+
+
+@pytest.mark.parametrize("form", BINARY)
+def test_coordinates_too_large_for_float32_are_refused(tmp_path, form):
+    """Between 2**19 and 2**20 float32 has steps of 1/16 m: a quarter of a pixel of 0.25 m, more of one of 0.2 m."""
     far = POINTS + np.array([394554.0, 640383.0, 790.0])
+    coarse, fine = write(tmp_path / "a.ply", form, far, np.float32), ReadOptions(pixel_m=0.2)
+    with pytest.raises(BadInputError, match=r"0\.0625 m.*float32.*0\.2 m.*double.*local"):
+        open_survey(coarse, fine)
+    assert open_survey(coarse, ReadOptions(pixel_m=0.25)).info.point_count == 5
+    assert open_survey(write(tmp_path / "b.ply", form, far), fine).info.notes == ()
+    assert open_survey(write(tmp_path / "c.ply", form, dtype=np.float32), fine).info.notes == ()
+    strays = np.concatenate([np.zeros((2, 3)), np.tile(far, (3, 1))])
+    with pytest.raises(BadInputError, match="float32"):  # the first points lie at the origin
+        open_survey(write(tmp_path / "d.ply", form, strays, np.float32), fine)
+    feet = POINTS + np.array([1_594_554.0, 1_040_383.0, 790.0])  # steps of 1/8 ft
+    fine = replace(fine, xy_unit="ft")
+    assert open_survey(write(tmp_path / "e.ply", form, feet, np.float32), fine).info.notes
+
+
+def test_large_coordinates_in_float32_and_the_pose_of_the_sensor_are_noted(tmp_path, caplog):
+    far = POINTS + np.array([394554.0, 440383.0, 790.0])
     (note,) = open_survey(write(tmp_path / "a.ply", points=far, dtype=np.float32)).info.notes
     assert note in caplog.text
-    assert "0.0625" in note  # the spacing of float32 between 2**19 and 2**20
-    assert open_survey(write(tmp_path / "b.ply", points=far)).info.notes == ()
-    assert open_survey(write(tmp_path / "c.ply", dtype=np.float32)).info.notes == ()
+    assert "0.03125" in note  # the spacing of float32 between 2**18 and 2**19
     path = write(tmp_path / "a.pcd", "pcd binary")
     path.write_bytes(path.read_bytes().replace(b"VIEWPOINT 0.0 0.0 0.0", b"VIEWPOINT 9.0 0.0 0.0"))
     assert any("VIEWPOINT" in note for note in open_survey(path).info.notes)

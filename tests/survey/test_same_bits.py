@@ -122,10 +122,9 @@ def test_the_photo_shows_the_highest_coloured_point_of_each_pixel(points, whole,
     with rasterio.open(tmp_path / "photo.tif") as file:
         photo, mask, profile, place = file.read(), file.dataset_mask() > 0, file.profile, file.transform
     assert (profile["compress"], profile["count"], place.a) == ("jpeg", 3, 0.2)
-    rgb, places = colours(points), points[:, :2] + CORNER[:2]
-    tile = np.floor(places / 3.0)
+    rgb, millimetres = colours(points), np.rint((points[:, :2] + CORNER[:2]) * 1000).astype(int)
     corner = np.array([place.c, place.f - 0.2 * len(mask)])
-    col, up = (15 * tile + np.floor(15 * (places - 3 * tile) / 3) - np.rint(corner / 0.2)).astype(int).T
+    col, up = (millimetres // 200 - np.rint(corner / 0.2).astype(int)).T
     wanted = np.full((3, *mask.shape), -1)
     for n in np.argsort(points[:, 2])[rgb.any(axis=1)[np.argsort(points[:, 2])]]:
         wanted[:, len(mask) - 1 - up[n], col[n]] = rgb[n]

@@ -7,7 +7,9 @@ from ._dask import (
 from ._kernels import (
     BLOCK_TILES as BLOCK_TILES,
     DECIMALS as DECIMALS,
+    PER_METRE as PER_METRE,
     coordinates as coordinates,
+    pixels_from as pixels_from,
     tile_index as tile_index,
 )
 from .buckets import (

@@ -131,15 +131,31 @@ def coordinates(
         out[i] = np.rint((numbers[i] * scale + offset) * ROUND) / ROUND * unit
 
 
+PER_METRE = 1e8
+"""Steps a metre in which tile and pixel are told: finer than the grids of files, but coarser than the rounding of
+decimal numbers, feet and borders to float64, which is 3e-9 m at 10,000 km."""
+BELOW = -0.5 / PER_METRE
+"""A coordinate that lies so far below a border, m, or less, is on it."""
+
+
 @helper
 def tile_index(coordinate: float, size: float) -> Any:
     """Return the tile index along one axis; the twin of ``Grid.index``."""
     i = math.floor(coordinate / size)
-    if coordinate < i * size:
+    if coordinate - i * size < BELOW:
         i -= 1
-    elif coordinate >= (i + 1.0) * size:
+    elif coordinate - (i + 1.0) * size >= BELOW:
         i += 1
     return np.int64(i)
+
+
+@helper
+def pixels_from(first: Any, coordinate: Any, size: float, pixels: int) -> Any:
+    """Return how many pixels a coordinate lies from the border ``first`` of its tile; the whole ones are the index.
+
+    By whole steps: on the border of two pixels there is no rounding.
+    """
+    return pixels * np.rint((coordinate - first) * PER_METRE) / np.rint(size * PER_METRE)
 
 
 @helper
@@ -313,8 +329,8 @@ def _paint(points: MarkedPoints, tile: Bytes, colour: Colours, photo: BlockPhoto
         t = np.int64(tile[i])
         west = (photo.corner[0] + t % BLOCK_TILES) * size
         south = (photo.corner[1] + t // BLOCK_TILES) * size
-        c = min(last, np.int64(pixels * (points.easting[i] - west) / size))
-        r = min(last, np.int64(pixels * (points.northing[i] - south) / size))
+        c = min(last, np.int64(pixels_from(west, points.easting[i], size, pixels)))
+        r = min(last, np.int64(pixels_from(south, points.northing[i], size, pixels)))
         p = (t * pixels + last - r) * pixels + c
         # Of two at one height the larger number counts: the order of the points does not matter.
         up = points.upward[i]

@@ -1,13 +1,18 @@
 """The global tile grid: pure algebra between coordinates, tile indices and bounds.
 
 The grid is anchored at the CRS origin, so that two surveys of one site share tiles. Tiles are half-open,
-``[west, east) x [south, north)``. All lengths are in metres; the caller converts CRS units first.
+``[west, east) x [south, north)``, and so are pixels. All lengths are in metres; the caller converts CRS units first.
+
+Float64 holds few decimal numbers, and few feet in metres: a coordinate is on a border if it lies less than half a step
+of 1e-8 m below.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from bumpytiles._kernels import BELOW, pixels_from
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +62,7 @@ class Grid:
         return self.tile_size / self.pixels
 
     def index(self, coordinate: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Return the tile index along one axis: the ``i`` with ``i * size <= coordinate < (i + 1) * size``, exactly.
+        """Return the tile index along one axis: the ``i`` with ``i * size <= coordinate < (i + 1) * size``.
 
         The quotient may round across a border; two comparisons with the borders correct this.
 
@@ -72,9 +77,14 @@ class Grid:
         """
         size = self.tile_size
         i = np.floor(coordinate / size)
-        i -= coordinate < i * size
-        i += coordinate >= (i + 1.0) * size
+        i -= coordinate - i * size < BELOW
+        i += coordinate - (i + 1.0) * size >= BELOW
         return i.astype(np.int64)
+
+    def pixel(self, coordinate: NDArray[np.float64], tile: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the index of the pixel in its tile along one axis, from the west or the south; (n,) each."""
+        place = pixels_from(tile * self.tile_size, coordinate, self.tile_size, self.pixels)
+        return np.minimum(np.asarray(place, np.int64), self.pixels - 1)
 
     def bounds(self, col: int, row: int) -> Bounds:
         """Return the bounds of one tile, m."""

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpytiles._kernels import (
+    BELOW,
     BLOCK_TILES,
     MAX_CELLS,
     ROUND,
@@ -353,11 +354,15 @@ def _first_integers(grid: Grid, scaling: Scaling, axis: int, tiles: NDArray[np.i
     about = (goal / scaling.units[axis] - scaling.offsets[axis]) / scaling.scales[axis]
     low = np.floor(about).astype(np.int64) - 2
     high = low + 5
-    near = (scaling.coordinates(axis, low) < goal) & (scaling.coordinates(axis, high) >= goal)
+
+    def reaches(integers: NDArray[np.int64]) -> NDArray[np.bool_]:
+        return scaling.coordinates(axis, integers) - goal >= BELOW
+
+    near = ~reaches(low) & reaches(high)
     low, high = np.where(near, low, -_FAR), np.where(near, high, _FAR)
     while (wide := high - low > 1).any():
         middle = (low + high) // 2
-        inside = scaling.coordinates(axis, middle) >= goal
+        inside = reaches(middle)
         high, low = np.where(wide & inside, middle, high), np.where(wide & ~inside, middle, low)
     return high
 
