@@ -20,6 +20,7 @@ from pypcd4 import Encoding, PointCloud
 from scipy.spatial.transform import Rotation
 from small_surveys import run, write_las
 
+import bumpymap
 from bumpymap.cli import main
 
 pytestmark = pytest.mark.slow
@@ -174,6 +175,25 @@ def test_the_commands_of_a_page_run_one_after_the_other(page, furnished, tmp_pat
         assert program == "bumpymap", f"no rule says what to do with: {command}"
         done = run(*words)
         assert done.exit_code == 0, f"{command}\n{done.output}"
+
+
+def shown_output(page: str) -> str:
+    """Give the first block of plain text of a page."""
+    return re.search(r"(?ms)^```text\n(.*?)^```", (ROOT / "docs" / "pages" / page).read_text(encoding="utf-8"))[1]
+
+
+def said(text: str) -> str:
+    """Give a text without the time that a run took, and its lines joined."""
+    return " ".join(re.sub(r", [\d.]+ s\b", "", text).split())
+
+
+def test_pages_show_what_the_commands_print(furnished, monkeypatch):
+    monkeypatch.chdir(furnished)
+    assert said(shown_output("first-map.md")) == said(run("demo", "--out", "demo_out").output)
+    (map_it, route_it) = [line for page, line in SHOWN if page == "routes.md"][:2]
+    run(*shlex.split(map_it)[1:])
+    assert said(shown_output("routes.md")) == said(run(*shlex.split(route_it)[1:]).output)
+    assert said(shown_output("api.md")) == said(str(bumpymap.map_survey("sample_data/quarry.laz")))
 
 
 OWN = [(page, line) for page, line in SHOWN if line.startswith("bumpymap ") and not line.startswith("bumpymap --")]
