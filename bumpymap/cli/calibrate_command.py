@@ -81,7 +81,7 @@ def _calibrate(
         calibration_jobs,
         calibration_journal,
         require_dart,
-        seconds_of_a_drive,
+        seconds_of_drives,
     )
 
     require_dart()
@@ -89,7 +89,7 @@ def _calibrate(
     with locked(out.parent, f".{out.name}.lock"), interrupt_note(DRIVES_KEPT):
         _check_place(out, overwrite)
         drives = sum(job.starts for job in calibration_jobs(settings))
-        seconds = drives * seconds_of_a_drive(settings) / workers
+        seconds = seconds_of_drives(settings) / workers
         announce(
             f"{settings.profile.name}: {drives:,} drives, {about(seconds)} with {workers} "
             f"process{'es' * (workers > 1)}. An interrupted run goes on where it was"

@@ -30,7 +30,7 @@ from .simulate.calibrate import (
     calibrate_vehicle as calibrate_vehicle,
     calibration_jobs as calibration_jobs,
     calibration_journal as calibration_journal,
-    seconds_of_a_drive as seconds_of_a_drive,
+    seconds_of_drives as seconds_of_drives,
 )
 from .simulate.model import require_dart as require_dart
 from .simulate.plan import library_terrains as library_terrains

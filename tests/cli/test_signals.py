@@ -139,7 +139,7 @@ import bumpymap.lab.simulate.model
 bumpymap.lab.simulate.model.require_dart = lambda: None
 import bumpymap.lab.simulate.calibrate
 bumpymap.lab.simulate.calibrate.run_job = slow.run_job
-bumpymap.lab.simulate.calibrate.seconds_of_a_drive = lambda settings: 1.0
+bumpymap.lab.simulate.calibrate.seconds_of_drives = lambda settings: 1.0
 from bumpymap.cli import main
 sys.argv[0] = "bumpymap"
 main()

@@ -193,6 +193,11 @@ def test_pages_show_what_the_commands_print(furnished, monkeypatch):
     (map_it, route_it) = [line for page, line in SHOWN if page == "routes.md"][:2]
     run(*shlex.split(map_it)[1:])
     assert said(shown_output("routes.md")) == said(run(*shlex.split(route_it)[1:]).output)
+    (check_it,) = [line for page, line in SHOWN if page == "README.md" and line.startswith("bumpymap check")]
+    checked, readme = run(*shlex.split(check_it)[1:]).output, (ROOT / "README.md").read_text(encoding="utf-8")
+    low = re.findall(r"it reads (\d+ % low) in the median", checked)
+    assert re.findall(r"\d+ % low", readme) == low
+    assert all("ranks the ground rightly" in text for text in (checked, readme))
     assert said(shown_output("api.md")) == said(str(bumpymap.map_survey("sample_data/quarry.laz")))
 
 

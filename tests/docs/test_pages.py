@@ -17,8 +17,11 @@ from bumpymap.cli import main
 from bumpymap.core import BANDS, UsageError
 from bumpymap.core.config import MapConfig
 from bumpymap.core.settings import read_settings_file
+from bumpymap.lab import calibration_jobs
+from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.layers import SurveyRow
 from bumpymap.layers.scan_files import COLUMNS
+from bumpymap.rating import Vehicle
 from bumpymap.readers import hash_survey, parse_columns
 from bumpymap.readers.drives.quantities import QUANTITIES, UNITS, guess_columns
 from bumpymap.survey.batch.source import read_table
@@ -182,6 +185,16 @@ def test_the_checksum_of_an_input_as_the_page_computes_it(tmp_path):
 
 
 API = text_of("api.md")
+
+
+def test_calibrate_makes_as_many_drives_as_the_page_says():
+    page = PAGES / "ride-cost.md"
+    whole = CalibrationSettings(Vehicle.load("warthog"))
+    numbers = [sum(job.starts for job in calibration_jobs(settings)) for settings in (whole, whole.quick())]
+    assert re.findall(r"([\d,]+) drives will|makes ([\d,]+) drives", page.read_text(encoding="utf-8")) == [
+        (f"{numbers[0]:,}", ""),
+        ("", f"{numbers[1]:,}"),
+    ]
 
 
 def test_every_public_name_is_on_the_page():

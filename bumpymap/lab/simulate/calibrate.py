@@ -12,7 +12,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import pairwise, product
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -211,8 +211,8 @@ def natural_breaks(values: NDArray[np.float64], groups: int) -> list[float]:
     return [(a + b) / 2 for a, b in pairwise(centre)]
 
 
-def seconds_of_a_drive(settings: CalibrationSettings) -> float:
-    """Return the time that one drive takes one process, s, measured on one drive of the table and of the library.
+def seconds_of_drives(settings: CalibrationSettings) -> float:
+    """Return the time that all drives take one process, s, measured on one drive of each kind.
 
     Raises
     ------
@@ -220,11 +220,14 @@ def seconds_of_a_drive(settings: CalibrationSettings) -> float:
         The extra ``sim`` is not installed.
     """
     require_dart()
-    last = {job.key[0]: job for job in calibration_jobs(settings)}
-    begin = perf_counter()
-    for purpose in ("table", "library"):
-        run_job(settings, replace(last[purpose], starts=1))
-    return (perf_counter() - begin) / 2
+    jobs = calibration_jobs(settings)
+    seconds = 0.0
+    run_job(settings, replace(jobs[0], starts=1))  # loads the physics
+    for purpose, job in {job.key[0]: job for job in jobs}.items():
+        begin = process_time()
+        run_job(settings, replace(job, starts=1))
+        seconds += (process_time() - begin) * sum(each.starts for each in jobs if each.key[0] == purpose)
+    return seconds
 
 
 def calibrate_vehicle(
