@@ -380,9 +380,10 @@ def find_steps(
         tiles = TileSlopes(_sure_gradient(z, pixels), np.ascontiguousarray(_sure_gradient(turned, pixels).T), wanted)
         jumps = _jumps(np.ascontiguousarray(whole, np.float64), tiles, closing, level)
     low = _below_others(heights, np.fmax(closing, _JUMP * noise), pixels)
-    if closed.any():  # with few points, a single pixel is no line
-        beside = correlate((closed | jumps | low).view(np.uint8), _AROUND, mode="constant") > 0
-        closed &= (least == 1) | beside
+    doubtful = closed & (least == 2)
+    if doubtful.any():  # with few points, a single pixel is no line
+        beside = correlate((closed | jumps | low).view(np.uint8), _AROUND, mode="constant")
+        closed &= ~doubtful | (beside > 0)
     own = np.where(np.isnan(limit), UNKNOWN_NOISE, limit)[1:-1, 1:-1]
     border, inner, rim, own = (part.astype(np.float32) for part in (border, inner, rim, own))
     return TileSteps(border, inner, rim, closed | jumps, low, own)
