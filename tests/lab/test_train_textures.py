@@ -21,7 +21,7 @@ from bumpymap.rating.textures import TextureModel, infer
 torch = pytest.importorskip("torch", reason="torch comes with the extra 'learn'")
 pytest.importorskip("onnx", reason="onnx comes with the extra 'learn'")
 
-from bumpymap.lab.train.textures import Survey, labels_of, predict, score, surveyed, to_onnx, train  # noqa: E402
+from bumpymap.lab.train.textures import SurveyEffects, labels_of, predict, score, surveyed, to_onnx, train  # noqa: E402
 
 pytestmark = pytest.mark.slow
 SMALL = TrainSettings(epochs=2, patches_per_texture=16, batch=32)
@@ -75,14 +75,14 @@ def test_labels_follow_the_true_relief():
 def test_a_survey_measures_the_relief_and_the_noise_that_were_drawn():
     ground = textures.shapes(1, 0, 100, 15)
     form = np.repeat(np.arange(4), 100)
-    plain = Survey(relief=(0.5, 0.5), level=0, points=(9, 9), noise=(0.01, 0.01), waves=(1e-9, 1e-9), strip=0, hole=0,
-                   slope=0, no_noise=0)  # fmt: skip
+    still = {"waves": (1e-9, 1e-9), "strip": 0, "hole": 0, "slope": 0, "no_noise": 0}
+    plain = SurveyEffects(relief=(0.5, 0.5), level=0, points=(9, 9), noise=(0.01, 0.01), **still)
     level = replace(plain, level=1)
     found, noise = (surveyed(ground, form, np.random.default_rng(3), of) for of in (plain, level))
     assert np.exp(np.median(found.measures[:, 0])) == pytest.approx(5, rel=0.1)
     assert np.exp(np.median(noise.measures[:, 1])) == pytest.approx(1 / 3, rel=0.15), "of ten millimetres, nine points"
     assert_array_equal(noise.labels, 0)
-    assert_array_equal(surveyed(ground, form, np.random.default_rng(3), Survey(no_noise=1)).measures[:, 1:], 0)
+    assert_array_equal(surveyed(ground, form, np.random.default_rng(3), SurveyEffects(no_noise=1)).measures[:, 1:], 0)
 
 
 def bits(net):

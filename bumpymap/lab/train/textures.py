@@ -58,7 +58,7 @@ leaves a Warthog in class 0 (C_r 0.1 rad/m in its table), so all lower ground is
 
 
 @dataclass(frozen=True, slots=True)
-class Survey:
+class SurveyEffects:
     """Ground and surveys that are drawn, each patch its own: logarithms alike, or alike from 0."""
 
     relief: tuple[float, float] = (0.03, 8.0)
@@ -95,8 +95,8 @@ def labels_of(shape: NDArray[np.int64], relief: _Floats) -> NDArray[np.int64]:
 
 
 @dataclass(frozen=True, slots=True)
-class Samples:
-    """What the network gets, and the labels."""
+class SurveyedPatches:
+    """Inputs of the network, and labels."""
 
     patches: NDArray[np.float32]
     """(n, pixels, pixels) plane-removed, scaled to [0, 1]."""
@@ -107,10 +107,10 @@ class Samples:
 
 
 def surveyed(
-    patches: NDArray[np.float32], shape: NDArray[np.int64], rng: np.random.Generator, of: Survey | None = None
-) -> Samples:
+    patches: NDArray[np.float32], shape: NDArray[np.int64], rng: np.random.Generator, of: SurveyEffects | None = None
+) -> SurveyedPatches:
     """Draw ground of scaled patches (n, pixels, pixels) of a shape (n,), and a survey of it; same state, same bits."""
-    of, count, pixels = of or Survey(), len(patches), patches.shape[-1]
+    of, count, pixels = of or SurveyEffects(), len(patches), patches.shape[-1]
     grid, one = np.arange(pixels), (count, 1, 1)
 
     def spread(low: float, high: float) -> _Floats:
@@ -145,7 +145,7 @@ def surveyed(
     seen = remove_plane(fill_holes(np.where(held > 0, heights + noise + waves + strip, np.nan)))
     measures = measures_of(seen, held, variance, rise[:, 0, 0])
     measures[some(of.no_noise)[:, 0, 0], 1:] = 0
-    return Samples(normalise(seen), measures, labels_of(shape, relief[:, 0, 0]))
+    return SurveyedPatches(normalise(seen), measures, labels_of(shape, relief[:, 0, 0]))
 
 
 def rotate(patches: _Floats, angle: _Floats) -> _Floats:
@@ -223,7 +223,7 @@ def shapes(seed: int, purpose: int, patches_per_texture: int, pixels: int) -> ND
     return np.concatenate(made)
 
 
-def epoch_samples(patches: NDArray[np.float32], seed: int, epoch: int) -> Samples:
+def epoch_samples(patches: NDArray[np.float32], seed: int, epoch: int) -> SurveyedPatches:
     """Survey and shuffle the training patches for one epoch; a resumed training gets the same samples.
 
     Short regular waves, which no texture contains, are added as ``high_noise``.
@@ -236,7 +236,9 @@ def epoch_samples(patches: NDArray[np.float32], seed: int, epoch: int) -> Sample
     return surveyed(np.concatenate((patches, waves))[order], shape[order], rng)
 
 
-def unseen_samples(seed: int, patches_per_texture: int, pixels: int, of: Survey | None = None) -> Samples:
+def unseen_samples(
+    seed: int, patches_per_texture: int, pixels: int, of: SurveyEffects | None = None
+) -> SurveyedPatches:
     """Make and survey patches from seeds that training never uses."""
     fresh = shapes(seed, _UNSEEN, patches_per_texture, pixels)
     return surveyed(fresh, _in_turn(fresh), np.random.default_rng([seed, _UNSEEN_SURVEY]), of)
@@ -350,7 +352,7 @@ def evaluate(net: TextureNet, seed: int, training_per_texture: int, unseen_per_t
     waves, high = make_short_waves(unseen_per_texture, rng, pixels), np.full(unseen_per_texture, _HIGH_NOISE)
     return Evaluation(
         unseen=score(net, unseen_samples(seed, unseen_per_texture, pixels)),
-        level=score(net, unseen_samples(seed, unseen_per_texture, pixels, Survey(level=1.0))),
+        level=score(net, unseen_samples(seed, unseen_per_texture, pixels, SurveyEffects(level=1.0))),
         augmented_copies=score(net, surveyed(copies, _in_turn(copies), np.random.default_rng([seed, _COPIES]))),
         short_waves=score(net, surveyed(waves, high, rng)),
     )
@@ -365,7 +367,7 @@ def predict(net: nn.Module, *inputs: torch.Tensor) -> NDArray[np.float32]:
     return probability
 
 
-def score(net: TextureNet, samples: Samples) -> Accuracy:
+def score(net: TextureNet, samples: SurveyedPatches) -> Accuracy:
     """Count right and wrong answers."""
     answer = predict(net, torch.from_numpy(samples.patches)[:, None], torch.from_numpy(samples.measures)).argmax(axis=1)
     return accuracy_of(samples.labels, answer, len(TEXTURES))
@@ -379,7 +381,7 @@ def model_card(settings: TrainSettings, evaluation: Evaluation, parameters: int,
     names = ", ".join(f"`{texture}`" for texture in TEXTURES)
     ranges = "; ".join(f"`{form}` {low:g} to {high:g} m" for form, (low, high) in FORM_RELIEF.items())
     ranges = ranges.replace(" to inf", " and more")
-    of = Survey()
+    of = SurveyEffects()
     return f"""# Texture network
 
 Classifies the heightmap of one tile as one of the four terrain forms of the BumpyPatch paper: {names}.
