@@ -95,8 +95,8 @@ def _train_textures(
     made = make_model(TrainSettings(**options), out, _Epochs(progress))
     scores = made.evaluation
     lines = [
-        f"accuracy on unseen seeds, all alterations:    {100 * scores.unseen.right:.2f} %",
-        f"accuracy on altered copies (as in the paper): {100 * scores.augmented_copies.right:.2f} %",
+        f"accuracy on unseen seeds:                      {100 * scores.unseen.right:.2f} %",
+        f"accuracy on surveys anew (as in the paper):    {100 * scores.augmented_copies.right:.2f} %",
     ]
     return lines, made
 

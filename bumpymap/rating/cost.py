@@ -58,7 +58,7 @@ def rate(patches: PatchStack, textures: TextureMap, calibration: Calibration, ge
     known = patches.reason == Reason.OK
     chance = textures.probability[known].astype(np.float64)
     log_mean, log_sd, fails = _read_tables(patches.relief[known], calibration)
-    c_r, p_fail = (chance * np.exp(log_mean)).sum(axis=1), (chance * fails).sum(axis=1)
+    c_r, p_fail = (chance * np.exp(log_mean)).sum(axis=1), np.minimum((chance * fails).sum(axis=1), 1.0)
     too_steep = patches.slope[known] > float(calibration.vehicle["slope_limit_deg"])
     mixture = _Mixture(chance, log_mean - 0.5 * log_sd**2, log_sd)  # the tables hold the logarithm of the mean
     low, high = (
@@ -164,24 +164,27 @@ def rate_as_paper(
 def _read_tables(relief: NDArray[np.floating], calibration: Calibration) -> Floats:
     """Read ln C_r, its standard deviation and p_fail of every texture at reliefs (n,) [m], (3, n, textures).
 
-    Straight lines between the rungs of ln z_range; where no drive was completed, the last z range that has one counts,
-    and failure is certain. Below the ladder C_r is proportional to the relief (a small vehicle motion is linear in the
-    ground's amplitude); above it the last rung is kept.
+    Straight lines between the rungs of ln z_range. Below the ladder, and above the last rung on which most drives
+    arrive, C_r is proportional to the relief: a small vehicle motion is linear in the ground's amplitude, and the few
+    drives that arrive on higher ground are those that it shakes least. The spread is that of the last rung with one.
     """
-    log_sd = np.array(calibration.c_r_log_sd, dtype=float)
+    p_fail, c_r, log_sd = (
+        np.array(table, float) for table in (calibration.p_fail, calibration.c_r, calibration.c_r_log_sd)
+    )
     log_sd[:, 0] = np.where(np.isnan(log_sd[:, 0]), _MIN_LOG_SD, log_sd[:, 0])
-    log_c_r = np.log(_carry_forward(np.array(calibration.c_r, dtype=float)))
-    tables = (log_c_r, np.maximum(_carry_forward(log_sd), _MIN_LOG_SD), np.array(calibration.p_fail, float))
     rungs, x = np.log(np.array(calibration.z_range)), np.log(np.maximum(relief.astype(np.float64), _TINY))
+    arrives = _last(~np.isnan(c_r) & (p_fail < FAIL_SHARE))
+    log_c_r = np.log(np.take_along_axis(c_r, arrives, axis=1)) + rungs - rungs[arrives]
+    log_sd = np.maximum(np.take_along_axis(log_sd, _last(~np.isnan(log_sd)), axis=1), _MIN_LOG_SD)
+    tables = (log_c_r, log_sd, p_fail)
     read = np.array([[np.interp(x, rungs, line) for line in table] for table in tables]).transpose(0, 2, 1)
-    read[0] += np.minimum(0.0, x - rungs[0])[:, None]
+    read[0] += (x - np.clip(x, rungs[0], rungs[-1]))[:, None]
     return read
 
 
-def _carry_forward(table: NDArray[np.float64]) -> NDArray[np.float64]:
-    last = np.maximum.accumulate(np.where(np.isnan(table), 0, np.arange(table.shape[1])), axis=1)
-    carried: NDArray[np.float64] = np.take_along_axis(table, last, axis=1)
-    return carried
+def _last(known: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return, for each place of rows (n, rungs), the last known one up to it; 0 before the first."""
+    return np.maximum.accumulate(np.where(known, np.arange(known.shape[1]), 0), axis=1)
 
 
 def _spread(known: NDArray[np.bool_], values: NDArray[np.float64]) -> NDArray[np.float32]:

@@ -1,9 +1,10 @@
 """The paper's four terrain forms: made from Perlin noise, sine waves and Gaussian blur; told apart by a small network.
 
 A texture is a patch as ``PatchStack.relief_map`` shows it to the network and to the simulated vehicle: with its
-least-squares plane removed, then min-max scaled. Lengths are fractions of the patch's side; metres in the docstrings
-are those of the default patch, 3 m and 15 px. Every parameter is random for each patch. At equal z range the forms get
-rougher from ``flat`` to ``high_noise``.
+least-squares plane removed, then min-max scaled. Scaled, level ground is the noise of its survey, which looks like
+rubble: so the network is also told the relief and the noise in metres. Lengths are fractions of the patch's side;
+metres in the docstrings are those of the default patch, 3 m and 15 px. Every parameter is random for each patch. At
+equal z range the forms get rougher from ``flat`` to ``high_noise``.
 
 Many patches are made in one call. Each has its own noise lattice, rotated by a random angle and shifted by a random
 offset, so that lattice lines do not align with rows of pixels. Blurred forms are made with a margin that is cropped
@@ -39,8 +40,11 @@ from bumpymap.core import (
     shipped_network,
 )
 
-FEATURE_VERSION = 1
-"""Version of the network's input (plane-removed, hole-filled, min-max scaled relief). If it changes, train again."""
+FEATURE_VERSION = 2
+"""Version of the network's input (plane-removed, hole-filled, min-max scaled relief, and `measures_of`). If it changes,
+train again."""
+MEASURES = 3
+"""Length of a row of `measures_of`."""
 
 _BATCH = 1024
 """Patches made in one call: another number changes the random patches."""
@@ -149,6 +153,43 @@ def remove_plane(patches: NDArray[np.floating]) -> _Floats:
     plane = slope_row[:, None, None] * axis[:, None] + slope_col[:, None, None] * axis[None, :]
     residual: _Floats = heights - plane
     return residual
+
+
+def measures_of(
+    relief_map: NDArray[np.floating], count: NDArray[np.integer], variance: NDArray[np.floating], rise: _Floats
+) -> NDArray[np.float32]:
+    """Return what the network is told of a tile's metres beside its scaled patch.
+
+    Parameters
+    ----------
+    relief_map, count, variance : array (n, pixels, pixels)
+        As ``relief_map``, ``spread_count`` and ``spread_variance`` of a `PatchStack`.
+    rise : array (n,)
+        Of the tile's plane over a pixel, m: points beside the middle of their pixel err by it. NaN counts as 0.
+
+    Returns
+    -------
+    array (n, 3) float32
+        Logarithms of the relief over 0.1 m and of the standard error of the pixels' means over 0.01 m, and 1; the last
+        two are 0 where too few pixels hold two points.
+    """
+    count = count.reshape(len(count), count.shape[-1] ** 2)
+    variance = np.where(count > 0, variance.reshape(count.shape).astype(np.float64), 0.0)
+    freedom = np.maximum(count - 1, 0).sum(axis=1)
+    square = (count * variance * (count > 1)).sum(axis=1) / np.maximum(freedom, 1)
+    share = (1.0 / np.maximum(count, 1) * (count > 0)).sum(axis=1) / np.maximum((count > 0).sum(axis=1), 1)
+    known = freedom >= _LEAST_FREEDOM
+    error = np.where(
+        known, np.log(np.clip(np.sqrt((square + np.nan_to_num(rise) ** 2 / 12) * share), *_ERRORS) / 0.01), 0.0
+    )
+    relief = np.log(np.clip(np.ptp(relief_map, axis=(1, 2)), *_RELIEFS) / 0.1)
+    return np.stack((relief, error, known), axis=1).astype(np.float32)
+
+
+_LEAST_FREEDOM = 4
+"""Points beyond one a pixel, that many at least, or the noise of a tile is not known."""
+_RELIEFS, _ERRORS = (0.005, 10.0), (2e-4, 0.5)
+"""Reliefs and standard errors, m, that the network has learned from; others count as the nearest."""
 
 
 def _perlin(count: int, rng: "np.random.Generator", pixels: int, cell: _Floats, margin: int = 0) -> _Floats:
@@ -292,14 +333,10 @@ _FORMS: "dict[str, Callable[[int, np.random.Generator, int], _Floats]]" = {
     "noise_sin": _noise_sin,
     "high_noise": _high_noise,
 }
-FLAT_RELIEF = 1e-3
-"""A patch with at most this relief, m, is ``flat`` with probability 1: scaled up, it would show the rounding of the
-survey's coordinates instead of ground."""
-
 _NETWORK_BATCH = 16
 """Larger batches save 3 % per patch but lose more to padding: a block has about two hundred tiles."""
 _FORMAT = "bumpymap-textures"
-_INPUT = "patches"
+_INPUT, _MEASURES = "patches", "measures"
 _KIND = "texture network"
 _REMEDY = "Train one with: bumpymap train textures --out MODEL.onnx"
 
@@ -357,7 +394,8 @@ class TextureModel:
             )
         if pixels < 1:
             raise BadInputError(f"{origin} is a damaged texture network: its pixels are {pixels}. {_REMEDY}")
-        check_network(content, {_INPUT: (_NETWORK_BATCH, 1, pixels, pixels)}, len(TEXTURES), origin, _REMEDY)
+        inputs = {_INPUT: (_NETWORK_BATCH, 1, pixels, pixels), _MEASURES: (_NETWORK_BATCH, MEASURES, 1, 1)}
+        check_network(content, inputs, len(TEXTURES), origin, _REMEDY)
         return cls(content, metadata, tile_size, pixels)
 
 
@@ -367,15 +405,14 @@ def classify(patches: PatchStack, model: TextureModel) -> TextureMap:
     Parameters
     ----------
     patches : PatchStack
-        n tiles; ``relief_map``, ``reason`` and ``grid`` are used.
+        n tiles; ``relief_map``, spread, ``slope``, ``reason`` and ``grid`` are used.
     model : TextureModel
         Network for tiles of that grid.
 
     Returns
     -------
     TextureMap
-        (n, 4) probabilities; NaN where ``reason`` is not 0. Patches of at most ``FLAT_RELIEF`` are flat with
-        probability 1.
+        (n, 4) probabilities; NaN where ``reason`` is not 0.
 
     Raises
     ------
@@ -388,21 +425,21 @@ def classify(patches: PatchStack, model: TextureModel) -> TextureMap:
     if not np.isfinite(relief).all():
         raise ValueError("a tile with reason 0 has NaN in its relief_map")
     probability = np.full((len(patches.reason), len(TEXTURES)), np.nan, np.float32)
-    flat = np.ptp(relief, axis=(1, 2)) <= FLAT_RELIEF
-    probability[known[flat]] = np.eye(len(TEXTURES), dtype=np.float32)[TEXTURES.index("flat")]
-    rough = relief[~flat]
-    scaled = normalise(rough.reshape(len(rough), 1, model.pixels**2))  # min and max over one axis are 4 times faster
-    probability[known[~flat]] = infer(model, scaled.reshape(rough.shape))
+    scaled = normalise(relief.reshape(len(relief), 1, model.pixels**2))  # min and max over one axis are 4 times faster
+    rise = np.tan(np.radians(patches.slope[known])) * patches.grid.pixel_size
+    measures = measures_of(relief, patches.spread_count[known], patches.spread_variance[known], rise)
+    probability[known] = infer(model, scaled.reshape(relief.shape), measures)
     return TextureMap(probability)
 
 
-def infer(model: TextureModel, scaled: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Run the network on patches (n, pixels, pixels) scaled to [0, 1]; return probabilities (n, 4)."""
-    network = session(model.content)
-    probability = np.empty((len(scaled), len(TEXTURES)), np.float32)
-    for start in range(0, len(scaled), _NETWORK_BATCH):
-        part = scaled[start : start + _NETWORK_BATCH, None]  # (batch, 1, pixels, pixels)
-        if len(part) < _NETWORK_BATCH:
-            part = np.concatenate((part, np.zeros((_NETWORK_BATCH - len(part), *part.shape[1:]), np.float32)))
-        probability[start : start + _NETWORK_BATCH] = network.run(None, {_INPUT: part})[0][: len(scaled) - start]
-    return probability
+def infer(model: TextureModel, scaled: NDArray[np.float32], measures: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Run the network on scaled patches (n, pixels, pixels) and `measures_of` (n, 3); return probabilities (n, 4)."""
+    network, count = session(model.content), len(scaled)
+    more = (0, -count % _NETWORK_BATCH)
+    inputs = {
+        _INPUT: np.pad(scaled[:, None], (more, *[(0, 0)] * 3)),
+        _MEASURES: np.pad(measures[:, :, None, None], (more, *[(0, 0)] * 3)),
+    }
+    batches = range(0, count, _NETWORK_BATCH)
+    parts = [network.run(None, {name: v[at : at + _NETWORK_BATCH] for name, v in inputs.items()})[0] for at in batches]
+    return np.concatenate((np.empty((0, len(TEXTURES)), np.float32), *parts))[:count]

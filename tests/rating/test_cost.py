@@ -54,10 +54,10 @@ def one_hot(k, n):
 
 @pytest.mark.parametrize("k", range(4))
 def test_a_certain_texture_reads_its_own_ladder_log_log(k):
-    """Below the ladder C_r is proportional to the z range, above it is kept."""
+    """Below and above the ladder C_r is proportional to the z range."""
     relief = np.array([0.0, 0.01, 0.02, 0.03, 0.1, 0.2, 0.5, 2.5, 5.0])
     cost = rate(stack(relief), one_hot(k, 9), calibration(), HERE)
-    np.testing.assert_allclose(cost.c_r, SCALE[TEXTURES[k]] * np.minimum(relief, 2.5), rtol=1e-5, atol=1e-8)
+    np.testing.assert_allclose(cost.c_r, SCALE[TEXTURES[k]] * relief, rtol=1e-5, atol=1e-8)
 
 
 def test_a_spread_that_is_unknown_throughout_still_gives_an_interval():
@@ -77,11 +77,17 @@ def test_ground_that_stops_the_vehicle_is_class_three_whatever_its_c_r():
     assert steep.p_fail[0] < 0.5  # that of the drives
 
 
-def test_cells_without_a_completed_drive_take_the_last_that_has_one():
+def test_beyond_the_last_rung_where_most_arrive_c_r_is_proportional_to_the_z_range():
     table = ((0.0002, 0.001, 0.005, None), (0.002, 0.01, None, None), (0.008, 0.04, 0.2, 1.0), (0.016, 0.08, 0.4, 2.0))
     cost = rate(stack([2.5]), one_hot(1, 1), calibration(c_r=table, p_fail=((0.0, 0.0, 1.0, 1.0),) * 4), HERE)
-    assert cost.c_r[0] == pytest.approx(0.01)
+    assert cost.c_r[0] == pytest.approx(0.25)
     assert cost.class_id[0] == 3
+
+
+def test_probabilities_that_sum_to_a_little_more_than_one_make_no_p_fail_above_one():
+    sure_failure = calibration(p_fail=((0.0, 0.0, 0.0, 1.0),) * 4)
+    cost = rate(stack([2.5]), TextureMap(np.full((1, 4), np.nextafter(np.float32(0.25), 1))), sure_failure, HERE)
+    assert cost.p_fail[0] == 1.0
 
 
 def test_unknown_tiles_stay_unknown():
@@ -128,7 +134,7 @@ def mixtures(rng, n):
     chance = rng.dirichlet(np.full(4, 0.3), n).astype(np.float32)
     chance[: n // 8] = np.eye(4, dtype=np.float32)[rng.integers(0, 4, n // 8)]
     relief = np.exp(rng.uniform(np.log(0.005), np.log(4.0), n))
-    c_r = np.array([[SCALE[t] for t in TEXTURES]]) * np.minimum(relief, LADDER[-1])[:, None]
+    c_r = np.array([[SCALE[t] for t in TEXTURES]]) * relief[:, None]
     mean = np.log(c_r) - 0.5 * spread[:, 0] ** 2
     log_sd = tuple(map(tuple, spread.tolist()))
     return calibration(c_r_log_sd=log_sd, p_fail=((0.0,) * 4,) * 4), chance, relief, mean, spread[:, 0]

@@ -1,8 +1,8 @@
 """Train the texture network on made patches, score it on unseen ones, and write it as ONNX with its model card.
 
-All patches come from one seed, with the effects of a survey. Each effect takes patches scaled to [0, 1] and one
-strength per patch, and works on all patches at once. ``augment`` applies them in the order in which a survey does:
-rotate the ground, change brightness, blur, add noise, empty pixels and fill them, remove the plane and scale.
+All patches come from one seed. `surveyed` makes of scaled patches what a survey shows of ground of some relief: turned,
+bent, blurred, on a slope, through points with noise, waves and strips of photogrammetry, and empty pixels that are
+filled. All patches are worked on at once.
 
 The ONNX graph has no operator whose result for a patch depends on its position in the batch (the last two layers are
 1 x 1 convolutions, not matrix products over the batch).
@@ -10,7 +10,7 @@ The ONNX graph has no operator whose result for a patch depends on its position 
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from string import ascii_lowercase
 
@@ -34,73 +34,118 @@ from bumpymap.lab.train.model_files import (
     score_table,
     versions,
 )
-from bumpymap.rating import FEATURE_VERSION, make_short_waves, make_textures, normalise, remove_plane
+from bumpymap.rating import (
+    FEATURE_VERSION,
+    MEASURES,
+    make_short_waves,
+    make_textures,
+    measures_of,
+    normalise,
+    remove_plane,
+)
 
 _Floats = NDArray[np.float64]
 
 
+FORM_RELIEF = {
+    "flat": (0.0, 0.3),
+    "low_noise": (0.1, 1.5),
+    "noise_sin": (0.3, 3.0),
+    "high_noise": (0.6, math.inf),
+}
+"""Least and greatest true relief of each form in a tile, m, which decide the label. Below 0.1 m even the roughest form
+leaves a Warthog in class 0 (C_r 0.1 rad/m in its table), so all lower ground is flat."""
+
+
 @dataclass(frozen=True, slots=True)
-class Augmentation:
-    """Maximum strengths; each patch draws its own strengths between 0 and these. Zero switches an effect off."""
+class SurveyEffects:
+    """Ground and surveys that are drawn, each patch its own: logarithms alike, or alike from 0."""
 
-    brightness: float = 0.3
-    """Heights h become ``gain * h**exp(b) + offset``, with abs(b) up to this. The final scaling removes gain and
-    offset, so only b affects the network."""
-    rotation: float = 1.0
-    """Rotation as a share of a full turn; corners are filled by mirroring. Half of the patches are also flipped."""
+    relief: tuple[float, float] = (0.03, 8.0)
+    """True relief, m."""
+    level: float = 0.35
+    """Share of the patches without any relief."""
+    noise: tuple[float, float] = (0.001, 0.05)
+    """Standard deviation of a point, m."""
+    points: tuple[float, float] = (0.28, 16.0)
+    """Points of a pixel; 7 to 400 points/m2 at 0.2 m."""
+    waves: tuple[float, float] = (0.001, 0.015)
+    """Standard deviation of the waves of photogrammetry, m, on half of the patches; smooth over 1 to 2.5 px."""
+    strip: float = 0.02
+    """Greatest step between two strips, m, on a quarter of the patches."""
+    power: tuple[float, float] = (0.74, 1.35)
+    """Exponent of the ground's scaled heights."""
     blur: float = 0.7
-    """Standard deviation of a Gaussian, px."""
-    noise: float = 0.05
-    """Standard deviation of white noise, share of the z range."""
-    holes: float = 0.4
-    """Share of the pixels that are emptied independently; a round hole of up to 2.5 px radius is added."""
-    chance: float = 1.0
-    """Probability of each effect on a patch, drawn independently."""
-
-    def only(self, name: str) -> "Augmentation":
-        """Return a copy with all effects but one switched off."""
-        return replace(NONE, **{name: getattr(self, name)})
+    """Greatest standard deviation of a blur, px."""
+    hole: float = 2.5
+    """Greatest radius of a hole, px, on half of the patches."""
+    slope: float = 0.1
+    """Greatest rise of the whole tile over one pixel, m: points beside the middle of their pixel err by it."""
+    no_noise: float = 0.15
+    """Share of the patches of which the noise is not known."""
 
 
-KINDS = ("brightness", "rotation", "blur", "noise", "holes")
-ALL = Augmentation()
-"""All effects on every patch, as in the evaluation of networks."""
-LIGHT = Augmentation(chance=0.5)
-"""Each effect on half of the patches; training uses a few such patches."""
-NONE = Augmentation(0.0, 0.0, 0.0, 0.0, 0.0)
+def labels_of(shape: NDArray[np.int64], relief: _Floats) -> NDArray[np.int64]:
+    """Return the label of ground of a ``shape`` and true ``relief`` [m], (n,): the shape if it is so low or high.
 
-
-def augment(patches: NDArray[np.float32], settings: Augmentation, rng: np.random.Generator) -> NDArray[np.float32]:
-    """Augment each patch with its own strengths, then prepare it like a patch of a survey.
-
-    Parameters
-    ----------
-    patches : array (n, pixels, pixels) float32
-        Scaled to [0, 1].
-    settings : Augmentation
-        Maximum strengths.
-    rng : numpy Generator
-        The same state gives the same bits. Every effect draws its random numbers even if it is off, so switching one
-        off does not change the others.
-
-    Returns
-    -------
-    array (n, pixels, pixels) float32
-        Plane-removed, scaled to [0, 1].
+    Elsewhere it is the nearest form whose `FORM_RELIEF` holds the relief.
     """
-    count = len(patches)
-    drawn, happens = rng.uniform(size=(2, len(KINDS), count))
-    strength = {
-        kind: getattr(settings, kind) * drawn[k] * (happens[k] < settings.chance) for k, kind in enumerate(KINDS)
-    }
-    heights = patches.astype(np.float64)
-    flip = (rng.uniform(size=count) < 0.5) & (settings.rotation > 0)
-    heights = rotate(np.where(flip[:, None, None], heights[:, :, ::-1], heights), 2 * np.pi * strength["rotation"])
-    heights = brighten(heights, strength["brightness"], rng)
-    heights = blur(heights, strength["blur"])
-    heights = add_noise(heights, strength["noise"], rng)
-    heights = fill_holes(punch_holes(heights, strength["holes"], 2.5 * (strength["holes"] > 0), rng))
-    return normalise(remove_plane(heights))
+    least, most = np.array(list(FORM_RELIEF.values())).T
+    return np.clip(shape, np.searchsorted(most, relief), np.searchsorted(least, relief, side="right") - 1)
+
+
+@dataclass(frozen=True, slots=True)
+class SurveyedPatches:
+    """Inputs of the network, and labels."""
+
+    patches: NDArray[np.float32]
+    """(n, pixels, pixels) plane-removed, scaled to [0, 1]."""
+    measures: NDArray[np.float32]
+    """(n, 3), see `measures_of`."""
+    labels: NDArray[np.int64]
+    """(n,) index into ``TEXTURES``."""
+
+
+def surveyed(
+    patches: NDArray[np.float32], shape: NDArray[np.int64], rng: np.random.Generator, of: SurveyEffects | None = None
+) -> SurveyedPatches:
+    """Draw ground of scaled patches (n, pixels, pixels) of a shape (n,), and a survey of it; same state, same bits."""
+    of, count, pixels = of or SurveyEffects(), len(patches), patches.shape[-1]
+    grid, one = np.arange(pixels), (count, 1, 1)
+
+    def spread(low: float, high: float) -> _Floats:
+        return np.exp(rng.uniform(math.log(low), math.log(high), one))
+
+    def some(share: float) -> NDArray[np.bool_]:
+        return rng.uniform(size=one) < share
+
+    heights = np.where(some(0.5), patches[:, :, ::-1], patches).astype(np.float64)
+    heights = np.clip(rotate(heights, rng.uniform(0, 2 * np.pi, count)), 0, 1) ** spread(*of.power)
+    heights = remove_plane(blur(heights, rng.uniform(0, of.blur, count)))
+    relief = spread(*of.relief) * ~some(of.level)
+    heights *= relief / np.ptp(heights, axis=(1, 2), keepdims=True)
+
+    held = rng.poisson(spread(*of.points), patches.shape)
+    row, col = rng.uniform(0, pixels - 1, (2, *one))
+    held *= np.hypot(grid[:, None] - row, grid - col) >= rng.uniform(0, of.hole, one) * some(0.5)
+    held[:, 0, 0] += ~held.any(axis=(1, 2))
+    sides = (np.diff(heights, axis=side, append=np.take(heights, [-1], side)) for side in (1, 2))
+    steep = sum(rise**2 for rise in sides) / 12  # a pixel's points lie evenly over it
+    inside = spread(*of.noise) ** 2 + steep
+    rise = rng.uniform(0, of.slope, one)
+    few = np.maximum(held, 1)
+    noise = rng.standard_normal(patches.shape) * np.sqrt((inside + rise**2 / 12) / few)
+    variance = inside * rng.chisquare(np.maximum(held - 1, 1e-9)) / few
+    waves = blur(rng.standard_normal(patches.shape), rng.uniform(1.0, 2.5, count))
+    waves *= spread(*of.waves) * some(0.5) / waves.std(axis=(1, 2), keepdims=True)
+    axis, turn = grid / (pixels - 1) - 0.5, rng.uniform(0, 2 * np.pi, one)
+    across = np.cos(turn) * axis + np.sin(turn) * axis[:, None] > rng.uniform(-0.5, 0.5, one)
+    strip = rng.uniform(0, of.strip, one) * some(0.25) * across
+
+    seen = remove_plane(fill_holes(np.where(held > 0, heights + noise + waves + strip, np.nan)))
+    measures = measures_of(seen, held, variance, rise[:, 0, 0])
+    measures[some(of.no_noise)[:, 0, 0], 1:] = 0
+    return SurveyedPatches(normalise(seen), measures, labels_of(shape, relief[:, 0, 0]))
 
 
 def rotate(patches: _Floats, angle: _Floats) -> _Floats:
@@ -125,15 +170,6 @@ def _mirror(position: _Floats, pixels: int) -> _Floats:
     return np.clip(np.minimum(folded, 2 * pixels - folded) - 0.5, 0, pixels - 1)
 
 
-def brighten(patches: _Floats, strength: _Floats, rng: np.random.Generator) -> _Floats:
-    """Change gain and offset, and raise heights to a power between ``exp(-strength)`` and ``exp(strength)``."""
-    sign = rng.choice([-1.0, 1.0], len(patches))
-    gain, offset = rng.uniform(0.5, 2.0, (2, len(patches), 1, 1))
-    power = np.exp(sign * strength)[:, None, None]
-    changed: _Floats = gain * np.clip(patches, 0.0, 1.0) ** power + offset
-    return normalise(changed).astype(np.float64)
-
-
 def blur(patches: _Floats, sigma: _Floats) -> _Floats:
     """Blur each patch by its own Gaussian of ``sigma`` (n,) px; the weights are renormalised at the border."""
     axis = np.arange(patches.shape[-1])
@@ -142,26 +178,6 @@ def blur(patches: _Floats, sigma: _Floats) -> _Floats:
     kernel /= kernel.sum(axis=2, keepdims=True)
     blurred: _Floats = kernel @ patches @ kernel.transpose(0, 2, 1)
     return blurred
-
-
-def add_noise(patches: _Floats, deviation: _Floats, rng: np.random.Generator) -> _Floats:
-    """Add white noise; ``deviation`` (n,) is a share of the patch's own range."""
-    noisy: _Floats = patches + (deviation * np.ptp(patches, axis=(1, 2)))[:, None, None] * rng.standard_normal(
-        patches.shape
-    )
-    return noisy
-
-
-def punch_holes(patches: _Floats, share: _Floats, radius: _Floats, rng: np.random.Generator) -> _Floats:
-    """Set to NaN a random ``share`` (n,) of the pixels, and a round hole of up to ``radius`` (n,) px."""
-    count, pixels, _ = patches.shape
-    empty = rng.uniform(size=patches.shape) < share[:, None, None]
-    centre = rng.uniform(0, pixels - 1, (2, count, 1, 1))
-    size = rng.uniform(0, 1, (count, 1, 1)) * radius[:, None, None]
-    axis = np.arange(pixels)
-    empty |= (axis[:, None] - centre[0]) ** 2 + (axis[None, :] - centre[1]) ** 2 < size**2
-    holed: _Floats = np.where(empty, np.nan, patches)
-    return holed
 
 
 def fill_holes(patches: _Floats) -> _Floats:
@@ -192,83 +208,50 @@ def fill_holes(patches: _Floats) -> _Floats:
 
 
 # Second word of every generator's seed, so that no two uses share random numbers.
-_TRAINING, _EPOCH, _UNSEEN, _UNSEEN_ALTERED, _COPIES, _ORDER, _WAVES, _UNSEEN_WAVES = range(8)
+_TRAINING, _EPOCH, _UNSEEN, _UNSEEN_SURVEY, _COPIES, _ORDER, _WAVES, _UNSEEN_WAVES = range(8)
 
-SHORT_WAVES = 0.2
+SHORT_WAVES = 0.4
 """Short regular waves that each epoch adds to the ``high_noise`` patches, as a share of these. They are added rather
 than substituted, because otherwise rubble would be rarer than the forms it is confused with."""
-LIGHT_EVERY = 7
-"""One in this many patches of an epoch is augmented lightly: a network trained only on fully augmented patches mistakes
-the grain of an unaltered one for rubble. The others are augmented as in the evaluation: with less strong blur in
-training, the network would see too few examples of smooth rubble."""
 _HIGH_NOISE = TEXTURES.index("high_noise")
 
 
-@dataclass(frozen=True, slots=True)
-class LabelledPatches:
-    """Patches and their labels."""
-
-    patches: NDArray[np.float32]
-    """(n, pixels, pixels) plane-removed, scaled to [0, 1]."""
-    labels: NDArray[np.int64]
-    """(n,) index into ``TEXTURES``."""
+def shapes(seed: int, purpose: int, patches_per_texture: int, pixels: int) -> NDArray[np.float32]:
+    """Make scaled patches, texture by texture; ``purpose`` is the second word of the seed."""
+    rngs = (np.random.default_rng([seed, purpose, index]) for index in range(len(TEXTURES)))
+    made = [make_textures(name, patches_per_texture, rng, pixels) for name, rng in zip(TEXTURES, rngs, strict=True)]
+    return np.concatenate(made)
 
 
-def training_patches(seed: int, patches_per_texture: int, pixels: int) -> LabelledPatches:
-    """Make the training patches, texture by texture."""
-    return _textures(seed, _TRAINING, patches_per_texture, pixels)
-
-
-def epoch_samples(training: LabelledPatches, seed: int, epoch: int) -> LabelledPatches:
-    """Augment and shuffle the training patches for one epoch; a resumed training gets the same patches.
+def epoch_samples(patches: NDArray[np.float32], seed: int, epoch: int) -> SurveyedPatches:
+    """Survey and shuffle the training patches for one epoch; a resumed training gets the same samples.
 
     Short regular waves, which no texture contains, are added as ``high_noise``.
     """
-    added = math.ceil(SHORT_WAVES * np.count_nonzero(training.labels == _HIGH_NOISE))
-    waves = make_short_waves(added, np.random.default_rng([seed, _WAVES, epoch]), training.patches.shape[-1])
-    patches = np.concatenate((training.patches, waves))
-    labels = np.concatenate((training.labels, np.full(added, _HIGH_NOISE)))
-    order = np.random.default_rng([seed, _ORDER, epoch]).permutation(len(labels))
-    patches, labels = patches[order], labels[order]
-    lightly = np.arange(len(labels)) % LIGHT_EVERY == 0  # evenly spread, so that every batch holds some
+    added = math.ceil(SHORT_WAVES * len(patches) / len(TEXTURES))
+    waves = make_short_waves(added, np.random.default_rng([seed, _WAVES, epoch]), patches.shape[-1])
+    shape = np.append(_in_turn(patches), np.full(added, _HIGH_NOISE))
+    order = np.random.default_rng([seed, _ORDER, epoch]).permutation(len(shape))
     rng = np.random.default_rng([seed, _EPOCH, epoch])
-    patches[lightly] = augment(patches[lightly], LIGHT, rng)
-    patches[~lightly] = augment(patches[~lightly], ALL, rng)
-    return LabelledPatches(patches, labels)
+    return surveyed(np.concatenate((patches, waves))[order], shape[order], rng)
 
 
-def unseen_short_waves(seed: int, count: int, pixels: int) -> LabelledPatches:
-    """Make short regular waves from seeds that training never uses, fully augmented."""
-    rng = np.random.default_rng([seed, _UNSEEN_WAVES])
-    return LabelledPatches(augment(make_short_waves(count, rng, pixels), ALL, rng), np.full(count, _HIGH_NOISE))
+def unseen_samples(
+    seed: int, patches_per_texture: int, pixels: int, of: SurveyEffects | None = None
+) -> SurveyedPatches:
+    """Make and survey patches from seeds that training never uses."""
+    fresh = shapes(seed, _UNSEEN, patches_per_texture, pixels)
+    return surveyed(fresh, _in_turn(fresh), np.random.default_rng([seed, _UNSEEN_SURVEY]), of)
 
 
-def unseen_patches(
-    seed: int, patches_per_texture: int, pixels: int, alterations: Augmentation = ALL
-) -> LabelledPatches:
-    """Make patches from seeds that training never uses, then augment them."""
-    fresh = _textures(seed, _UNSEEN, patches_per_texture, pixels)
-    if alterations == NONE:
-        return fresh
-    rng = np.random.default_rng([seed, _UNSEEN_ALTERED])
-    return LabelledPatches(augment(fresh.patches, alterations, rng), fresh.labels)
-
-
-def augmented_copies(training: LabelledPatches, seed: int) -> LabelledPatches:
-    """Augment the training patches with other random numbers than in training, as in the paper's validation."""
-    return LabelledPatches(augment(training.patches, ALL, np.random.default_rng([seed, _COPIES])), training.labels)
-
-
-def _textures(seed: int, purpose: int, patches_per_texture: int, pixels: int) -> LabelledPatches:
-    made = [
-        make_textures(texture, patches_per_texture, np.random.default_rng([seed, purpose, index]), pixels)
-        for index, texture in enumerate(TEXTURES)
-    ]
-    return LabelledPatches(np.concatenate(made), np.repeat(np.arange(len(TEXTURES)), patches_per_texture))
+def _in_turn(patches: NDArray[np.float32]) -> NDArray[np.int64]:
+    return np.repeat(np.arange(len(TEXTURES)), len(patches) // len(TEXTURES))
 
 
 class TextureNet(nn.Module):
     """Four 3 x 3 convolutions, the last two at half resolution, an average over the patch, and two dense layers.
+
+    The first dense layer takes the measures too.
 
     There is no padding before the pooling, because the network would read a border of zeros as low ground. The last
     convolution pads only if a patch has fewer than 11 pixels.
@@ -284,16 +267,19 @@ class TextureNet(nn.Module):
         self.conv3, self.norm3 = nn.Conv2d(b, c, 3, padding=1, bias=False), nn.BatchNorm2d(c)
         border = int(settings.pixels < 11)
         self.conv4, self.norm4 = nn.Conv2d(c, d, 3, padding=border, bias=False), nn.BatchNorm2d(d)
-        self.conv5, self.norm5 = nn.Conv2d(d, settings.hidden, 1, bias=False), nn.BatchNorm2d(settings.hidden)
+        self.conv5, self.norm5 = (
+            nn.Conv2d(d + MEASURES, settings.hidden, 1, bias=False),
+            nn.BatchNorm2d(settings.hidden),
+        )
         self.head = nn.Conv2d(settings.hidden, len(settings.classes), 1)
 
-    def forward(self, patches: torch.Tensor) -> torch.Tensor:
-        """Return logits (n, classes) of patches (n, 1, pixels, pixels) scaled to [0, 1]."""
+    def forward(self, patches: torch.Tensor, measures: torch.Tensor) -> torch.Tensor:
+        """Return logits (n, classes) of patches (n, 1, pixels, pixels) scaled to [0, 1] and `measures_of`, (n, 3)."""
         x = torch.relu(self.norm1(self.conv1(patches)))  # (n, 16, 13, 13)
         x = torch.relu(self.norm2(self.conv2(x)))  # (n, 32, 11, 11)
         x = torch.relu(self.norm3(self.conv3(self.pool(x))))  # (n, 64, 5, 5)
         x = torch.relu(self.norm4(self.conv4(x)))  # (n, 96, 3, 3)
-        x = x.mean(dim=(2, 3), keepdim=True)  # (n, 96, 1, 1)
+        x = torch.cat((x.mean(dim=(2, 3), keepdim=True), measures[:, :, None, None]), dim=1)  # (n, 99, 1, 1)
         x = torch.relu(self.norm5(self.conv5(x)))  # (n, 128, 1, 1)
         return self.head(x).flatten(1)  # (n, 4)
 
@@ -319,14 +305,15 @@ def train(
 
 
 def _epochs(settings: TrainSettings, numbers: range) -> Iterator[EpochData]:
-    training = training_patches(settings.seed, settings.patches_per_texture, settings.network.pixels)
+    training = shapes(settings.seed, _TRAINING, settings.patches_per_texture, settings.network.pixels)
     for epoch in numbers:
         samples = epoch_samples(training, settings.seed, epoch)
-        patches = torch.from_numpy(samples.patches)[:, None].contiguous(memory_format=torch.channels_last)
+        patches, measures = torch.from_numpy(samples.patches)[:, None], torch.from_numpy(samples.measures)
+        patches = patches.contiguous(memory_format=torch.channels_last)
         count = len(samples.labels)
         batches = max(1, count // settings.batch)  # of equal size: a batch of one patch has no variance to normalise
         bounds = [number * count // batches for number in range(batches + 1)]
-        yield EpochData((patches,), torch.from_numpy(samples.labels), bounds)
+        yield EpochData((patches, measures), torch.from_numpy(samples.labels), bounds)
 
 
 def _learning_rate(share: float, peak: float) -> float:
@@ -344,13 +331,13 @@ class Evaluation:
     """All scores of the model card."""
 
     unseen: Accuracy
-    """Patches from other seeds, fully augmented."""
+    """Patches from other seeds, surveyed anew."""
+    level: Accuracy
+    """Noise of level ground."""
     augmented_copies: Accuracy
-    """Augmented copies of the training patches, the paper's validation."""
-    single: dict[str, Accuracy]
-    """Patches from other seeds, without augmentation (``none``) and with one effect each."""
+    """The training patches, surveyed anew: the paper's validation."""
     short_waves: Accuracy
-    """Short regular waves from other seeds, fully augmented; ``high_noise`` is the right answer."""
+    """Short regular waves from other seeds."""
 
 
 def evaluate(net: TextureNet, seed: int, training_per_texture: int, unseen_per_texture: int) -> Evaluation:
@@ -360,14 +347,14 @@ def evaluate(net: TextureNet, seed: int, training_per_texture: int, unseen_per_t
     scored too.
     """
     pixels = net.settings.pixels
-    single = {"none": score(net, unseen_patches(seed, unseen_per_texture, pixels, NONE))}
-    for name in KINDS:
-        single[name] = score(net, unseen_patches(seed, unseen_per_texture, pixels, ALL.only(name)))
+    copies = shapes(seed, _TRAINING, training_per_texture, pixels)
+    rng = np.random.default_rng([seed, _UNSEEN_WAVES])
+    waves, high = make_short_waves(unseen_per_texture, rng, pixels), np.full(unseen_per_texture, _HIGH_NOISE)
     return Evaluation(
-        unseen=score(net, unseen_patches(seed, unseen_per_texture, pixels)),
-        augmented_copies=score(net, augmented_copies(training_patches(seed, training_per_texture, pixels), seed)),
-        single=single,
-        short_waves=score(net, unseen_short_waves(seed, unseen_per_texture, pixels)),
+        unseen=score(net, unseen_samples(seed, unseen_per_texture, pixels)),
+        level=score(net, unseen_samples(seed, unseen_per_texture, pixels, SurveyEffects(level=1.0))),
+        augmented_copies=score(net, surveyed(copies, _in_turn(copies), np.random.default_rng([seed, _COPIES]))),
+        short_waves=score(net, surveyed(waves, high, rng)),
     )
 
 
@@ -380,20 +367,10 @@ def predict(net: nn.Module, *inputs: torch.Tensor) -> NDArray[np.float32]:
     return probability
 
 
-def score(net: TextureNet, samples: LabelledPatches) -> Accuracy:
+def score(net: TextureNet, samples: SurveyedPatches) -> Accuracy:
     """Count right and wrong answers."""
-    answer = predict(net, torch.from_numpy(samples.patches)[:, None]).argmax(axis=1)
+    answer = predict(net, torch.from_numpy(samples.patches)[:, None], torch.from_numpy(samples.measures)).argmax(axis=1)
     return accuracy_of(samples.labels, answer, len(TEXTURES))
-
-
-_EFFECTS = {
-    "none": "none",
-    "brightness": f"brightness: gain, offset, power exp(-{ALL.brightness:g}) to exp({ALL.brightness:g})",
-    "rotation": "rotation by any angle, flips",
-    "blur": f"blur, up to {ALL.blur:g} px",
-    "noise": f"white noise, up to {ALL.noise:.0%} of the z range",
-    "holes": f"holes: up to {ALL.holes:.0%} of the pixels and a disc, filled from neighbours",
-}
 
 
 def model_card(settings: TrainSettings, evaluation: Evaluation, parameters: int, size: int) -> str:
@@ -402,15 +379,18 @@ def model_card(settings: TrainSettings, evaluation: Evaluation, parameters: int,
     side = f"{network.pixels} x {network.pixels}"
     numbers = f"{parameters:,} trained parameters; {size:,} bytes of ONNX, opset 17"
     names = ", ".join(f"`{texture}`" for texture in TEXTURES)
-    single = "\n".join(f"| {text} | {percent(evaluation.single[key].right)} |" for key, text in _EFFECTS.items())
+    ranges = "; ".join(f"`{form}` {low:g} to {high:g} m" for form, (low, high) in FORM_RELIEF.items())
+    ranges = ranges.replace(" to inf", " and more")
+    of = SurveyEffects()
     return f"""# Texture network
 
 Classifies the heightmap of one tile as one of the four terrain forms of the BumpyPatch paper: {names}.
 
 - **Use**: `bumpymap map`. The texture and the z range determine the ride cost of a tile.
-- **Input**: `patches` (batch, 1, {network.pixels}, {network.pixels}) float32. The heights of a tile of
+- **Input**: `patches` (batch, 1, {network.pixels}, {network.pixels}) float32, the heights of a tile of
   {settings.tile_size:g} m, its least-squares plane removed, holes filled from their neighbours, min-max scaled to
-  [0, 1] (feature version {FEATURE_VERSION}).
+  [0, 1]; `measures` (batch, {MEASURES}, 1, 1) float32: logarithms of the relief and of the standard error of the
+  pixels' heights, and whether that is known (feature version {FEATURE_VERSION}).
 - **Output**: `probability` (batch, {len(network.classes)}) float32, in the order above.
 - **Network**: four 3 x 3 convolutions with {", ".join(map(str, network.channels))} filters on {side} pixels,
   averaged over the patch, and a hidden layer of {network.hidden} units; {numbers}.
@@ -418,31 +398,28 @@ Classifies the heightmap of one tile as one of the four terrain forms of the Bum
 ## Data
 
 {4 * settings.patches_per_texture:,} patches, {settings.patches_per_texture:,} per texture, made from Perlin noise, sine
-waves and Gaussian blur by `bumpymap.rating.textures`. No survey was used. Every epoch augments the patches with new
-random brightness, rotation, blur, noise and holes; one patch in {LIGHT_EVERY} gets each effect only with probability
-{LIGHT.chance:g}. Unseen patches come from other seeds and were not trained on, augmented or not. Every epoch adds
-{SHORT_WAVES:.0%} of short regular waves (0.4 to 0.75 m on a tile of 3 m, in one direction or crossing) to the
-`high_noise` patches: no form contains them, and a network trained without them calls the shortest ones `flat`.
+waves and Gaussian blur by `bumpymap.rating.textures`. No survey was used. Every epoch draws heights and a survey
+anew for each: relief of {of.relief[0]:g} to {of.relief[1]:g} m, none at all for {of.level:.0%}; blur; points with
+{1000 * of.noise[0]:g} to {1000 * of.noise[1]:g} mm of noise, {of.points[0]:g} to {of.points[1]:g} a pixel; waves and
+strips of photogrammetry; holes. Every epoch adds {SHORT_WAVES:.0%} of short regular waves (0.4 to 0.75 m on a tile of
+3 m, in one direction or crossing) to the `high_noise` patches, which no form contains.
+
+**The label** is the form from which the ground was made if its true relief is one of that form, else the nearest form
+that has such relief: {ranges}.
 
 ## Accuracy
 
-On {evaluation.unseen.count:,} **patches from unseen seeds, fully augmented: {percent(evaluation.unseen.right)}**
+On {evaluation.unseen.count:,} **patches from unseen seeds: {percent(evaluation.unseen.right)}**
 
 {score_table(evaluation.unseen, TEXTURES)}
 
-On {copies.count:,} **augmented copies of the training patches: {percent(copies.right)}**
+On {copies.count:,} **training patches, surveyed anew: {percent(copies.right)}**
 (the paper's validation method; it reports 92.42 % for its own patches and augmentation, which are not these)
 
 {score_table(copies, TEXTURES)}
 
-On unseen seeds with one effect at a time:
-
-| augmentation | accuracy |
-|---|---|
-{single}
-
-Of {evaluation.short_waves.count:,} short regular waves from unseen seeds, fully augmented,
-{percent(evaluation.short_waves.right)} are classified as `high_noise`, the right answer.
+Level ground with noise is `flat` in {percent(evaluation.level.right)} of {evaluation.level.count:,} patches. Short
+regular waves from unseen seeds get the right label in {percent(evaluation.short_waves.right)}.
 
 ## Reproduce
 
@@ -455,8 +432,9 @@ Seed {settings.seed}, {settings.epochs} epochs. The same command gives the same 
 
 - The accuracy is measured on *synthetic* ground. Real ground does not exactly match any form: the network
   returns the form that a tile resembles most, and its probabilities show how clearly.
-- The network does not see absolute height: a patch with 1 cm of relief and one with 1 m look the same after scaling.
-  The z range distinguishes them. Tiles with at most 1 mm of relief are classed as flat without the network.
+- Ground whose relief is little more than the noise of its survey may be any form. Tiles with at most 1 mm of relief
+  are classed as flat without the network.
+- Crossing waves shorter than three pixels spread the points of a pixel as noise does, and may be `flat`.
 - Many filled holes smooth a patch; if coverage is low, rough ground may be classified as `low_noise`.
 - A single isolated step (a kerb, a ledge) is none of the four forms.
 - It works only for tiles of {settings.tile_size:g} m with {side} pixels; `bumpymap map` rejects it for others.
@@ -491,11 +469,13 @@ def to_onnx(net: TextureNet, metadata: Mapping[str, object]) -> bytes:
     x = layer(2, layer(1, INPUT_NAME))
     x = graph.add("MaxPool", [x], kernel_shape=[3, 3], strides=[2, 2])
     x = layer(4, layer(3, x))
-    x = layer(5, graph.add("GlobalAveragePool", [x]))
+    x = layer(5, graph.add("Concat", [graph.add("GlobalAveragePool", [x]), "measures"], axis=1))
     x = graph.add("Flatten", [graph.conv(net.head, None, x, "head")], axis=1)
     graph.add("Softmax", [x], OUTPUT_NAME, axis=1)
     pixels, classes = net.settings.pixels, len(net.settings.classes)
-    return graph.to_bytes({INPUT_NAME: (1, pixels, pixels)}, (OUTPUT_NAME, classes), metadata)
+    return graph.to_bytes(
+        {INPUT_NAME: (1, pixels, pixels), "measures": (MEASURES, 1, 1)}, (OUTPUT_NAME, classes), metadata
+    )
 
 
 UNSEEN_PER_TEXTURE = 2500
@@ -530,6 +510,7 @@ def make_model(
         scores = {
             "accuracy_unseen": evaluation.unseen.right,
             "confusion_unseen": evaluation.unseen.confusion,
+            "accuracy_level": evaluation.level.right,
             "accuracy_altered_copies": evaluation.augmented_copies.right,
             "confusion_altered_copies": evaluation.augmented_copies.confusion,
             "accuracy_short_waves": evaluation.short_waves.right,
