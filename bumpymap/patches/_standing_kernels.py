@@ -182,8 +182,9 @@ _FARTHEST_FOOT = 4
 """Farthest of them, px."""
 
 
-_SIDE, _LEVEL, _TALL = 1, 4, 2
-"""Marks of pixels on a side, of those level with ground beside them, and of others far above what lies beneath."""
+_SIDE, _TALL, _LEVEL = 1, 2, 4
+"""Marks of pixels on a side, of those far above what lies beneath, and of those level with ground, which are not tall.
+"""
 _LEVEL_SHARE = 0.5
 """If more of its pixels are so, nothing stands there: they are the rim of a narrow ditch, between pixels in it."""
 _TALLER = 2.5
@@ -357,7 +358,7 @@ def _follow_thing(start: int, wide: int, sides: Bytes, share: float, raised: Byt
         mark = sides[thing[at]]
         steep += mark & _SIDE
         tall += (mark & _TALL) > 0
-        steep_tall += mark & (_SIDE + _TALL) == _SIDE + _TALL
+        steep_tall += mark == _SIDE + _TALL
         level += (mark & _LEVEL) > 0
         for down in range(-1, 2):
             for right in range(-1, 2):

@@ -654,8 +654,6 @@ _MOST_REST_IN_LINE, _IN_LINE = 0.4, 5
 """As ``_MOST_REST``, of a jump that continues one, and how far from that it may lie, px."""
 _SURELY, _SURELY_HALF = 2.0, 4.0
 """Standard errors of the jump beyond what closes, likewise."""
-_BETWEEN_LINES = 0.6
-"""Share of what closes by which levels must differ beside one of four lines, or those between are not looked at."""
 _CREST = 0.9
 """A pixel is on the line of a jump if the levels differ so much of what they do at the pixels across the line."""
 
@@ -781,28 +779,6 @@ def _fill_jump_patch(
 
 
 @helper
-def _sum_parts(line: int, sides: JumpSides, scratch: JumpScratch) -> None:
-    """Sum the heights of the parts of both sides of a line."""
-    for k in range(6 * line, 6 * line + 6):
-        n = total = squares = 0.0
-        for i in range(sides.starts[k], sides.starts[k + 1]):
-            n += scratch.patch[1, sides.place[i]]
-            h = scratch.patch[0, sides.place[i]]
-            total, squares = total + h, squares + h * h
-        scratch.parts[0, k], scratch.parts[1, k], scratch.parts[2, k] = total, n, squares
-
-
-@helper
-def _level(line: int, part: tuple[int, int], scratch: JumpScratch) -> float:
-    """Return the size of the difference of the levels of some parts of both sides of a line, m; 0 if one is unknown."""
-    before = behind = n = m = 0.0
-    for k in range(6 * line + part[0], 6 * line + part[1]):
-        before, n = before + scratch.parts[0, k], n + scratch.parts[1, k]
-        behind, m = behind + scratch.parts[0, k + 3], m + scratch.parts[1, k + 3]
-    return abs(behind / m - before / n) if min(n, m) > 0.0 else 0.0
-
-
-@helper
 def _jump_along(line: int, part: tuple[int, int], closing: float, sides: JumpSides, scratch: JumpScratch) -> float:
     """Return the difference of the levels of both sides of a line, m, if it closes; 0 if not, and less if in doubt.
 
@@ -847,18 +823,19 @@ def _jump(closing: float, sides: JumpSides, scratch: JumpScratch) -> float:
     A jump closes if the planes of both sides differ by ``closing`` and some standard errors more at the line, and so do
     their levels, and if little is left beside the planes. Halves of the line tell it close to the corner of a step.
     """
-    most = least = highest = 0.0
-    for k in range(8):
-        line = 2 * k if k < 4 else 2 * k - 7
-        _sum_parts(line, sides, scratch)
-        for first in range(2):
-            highest = max(highest, _level(line, (first, first + 2), scratch))
+    for k in range(len(sides.starts) - 1):
+        n = total = squares = 0.0
+        for i in range(sides.starts[k], sides.starts[k + 1]):
+            n += scratch.patch[1, sides.place[i]]
+            h = scratch.patch[0, sides.place[i]]
+            total, squares = total + h, squares + h * h
+        scratch.parts[0, k], scratch.parts[1, k], scratch.parts[2, k] = total, n, squares
+    most = least = 0.0
+    for line in range(8):
         found = _jump_along(line, (0, 3), closing, sides, scratch)
         most, least = max(most, found), min(least, found)
         most = max(most, _jump_along(line, (0, 2), closing, sides, scratch))
         most = max(most, _jump_along(line, (1, 3), closing, sides, scratch))
-        if k == 3 and highest < _BETWEEN_LINES * closing:
-            return 0.0
     return most if most > 0.0 else least
 
 

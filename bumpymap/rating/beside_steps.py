@@ -71,12 +71,12 @@ def rate_beside_steps(
     BadInputError
         The ride model of the calibration is damaged.
     """
-    left = ~(_within(line, _FACE_PX) | standing)
+    from_line = ndimage.distance_transform_edt(~line, (_APART, 1.0, 1.0))
+    left = (from_line > _FACE_PX) & ~standing
     area, areas = ndimage.label(left, _TOUCHING)
     pixel = calibration.tile_size / calibration.pixels
     # Where the middle of the vehicle cannot be for the step alone, nobody asks for the ground.
-    roomy = area[~_within(line, obstacle_reach(calibration.body.width_m) / pixel)]
-    room = np.bincount(roomy, minlength=areas + 1) > 0
+    room = ndimage.maximum(from_line, area, np.arange(areas + 1)) * pixel > obstacle_reach(calibration.body.width_m)
     room[0] = False
     area = np.where(room[area], area, 0)
     known = (area > 0) & np.isfinite(heights)
@@ -95,18 +95,6 @@ def rate_beside_steps(
     some = is_open.any(axis=(1, 2))
     c_r, p_fail = (np.where(some, values, np.nan).astype(np.float32) for values in (c_r, p_fail))
     return GroundBesideSteps(left & ~is_open, c_r, p_fail)
-
-
-def _within(marks: Marks, radius: float) -> Marks:
-    """Mark the pixels of tiles, (n, pixels, pixels), within a radius [px] of marked ones."""
-    reach = int(radius)
-    size, near = marks.shape[1], np.pad(marks, ((0, 0), (reach, reach), (reach, reach)))
-    found = marks.copy()
-    for down in range(2 * reach + 1):
-        for right in range(2 * reach + 1):
-            if (down - reach) ** 2 + (right - reach) ** 2 <= radius * radius:
-                found |= near[:, down : down + size, right : right + size]
-    return found
 
 
 def _off_planes(heights: NDArray[np.floating], area: NDArray[np.integer], areas: int) -> tuple[Floats, Floats]:

@@ -265,8 +265,8 @@ _APART = 3
 """Pixels between those whose heights tell the slope of a tile that is searched for jumps."""
 _JUMP_WIDTH = 5.0
 """Width of the sides of a jump, px."""
-_AROUND = np.array([[k != 12 for k in range(5 * r, 5 * r + 5)] for r in range(5)], np.uint8)
-"""The pixels within two of one."""
+_AROUND = np.ones((5, 5), np.uint8)
+"""A pixel and those within two of it."""
 _JUMP = 2.4
 """Height between two pixels that is not noise, over the limit of noise: six standard deviations of a pixel."""
 _LEAST_STEPS = 12
@@ -312,7 +312,7 @@ def find_steps(
     wheel: float = 3.0,
     closing: float = np.inf,
     standing: NDArray[np.bool_] | None = None,
-    thin: NDArray[np.bool_] | None = None,
+    searched: NDArray[np.bool_] | None = None,
 ) -> TileSteps:
     """Find the steps of n x m tiles, such as the 16 x 16 of a block.
 
@@ -330,8 +330,8 @@ def find_steps(
     standing : bool array, optional
         Of the shape of ``heights``: pixels of what stands on the ground, and is an obstacle. They and those beside
         them, which may hold its sides, count as unknown.
-    thin : bool array (n + 2, m + 2), optional
-        Tiles of few points that are searched for jumps; else all of which many pixels are unknown.
+    searched : bool array (n + 2, m + 2), optional
+        Tiles in which all points are searched for jumps, if many of their pixels are unknown; by default all.
 
     Returns
     -------
@@ -374,8 +374,8 @@ def find_steps(
     least = np.repeat(np.repeat(np.where(is_thin, np.uint8(2), np.uint8(1)), pixels, axis=0), pixels, axis=1)
     closed = np.maximum(marks, marks_too.T) >= least
     jumps = np.zeros_like(closed)
-    wanted = is_thin if thin is None else is_thin & thin
-    wanted &= _tile_sums(np.isfinite(whole), pixels) > _THINNEST * pixels**2
+    wanted = is_thin & (_tile_sums(np.isfinite(whole), pixels) > _THINNEST * pixels**2)
+    wanted = wanted if searched is None else wanted & searched
     if math.isfinite(closing) and wanted.any():
         tiles = TileSlopes(_sure_gradient(z, pixels), np.ascontiguousarray(_sure_gradient(turned, pixels).T), wanted)
         jumps = _jumps(np.ascontiguousarray(whole, np.float64), tiles, closing, level)
@@ -383,7 +383,7 @@ def find_steps(
     doubtful = closed & (least == 2)
     if doubtful.any():  # with few points, a single pixel is no line
         beside = correlate((closed | jumps | low).view(np.uint8), _AROUND, mode="constant")
-        closed &= ~doubtful | (beside > 0)
+        closed &= ~doubtful | (beside > 1)
     own = np.where(np.isnan(limit), UNKNOWN_NOISE, limit)[1:-1, 1:-1]
     border, inner, rim, own = (part.astype(np.float32) for part in (border, inner, rim, own))
     return TileSteps(border, inner, rim, closed | jumps, low, own)

@@ -8,7 +8,7 @@ tasks or machines.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -269,12 +269,11 @@ class NeighbourRating:
         if self.config.compat == "none":
             objects = self._out_of_relief(window, first)
         # What lies across the edge of a block is found here alone, and the ride of its tiles is with it.
-        late = self._inner((objects == OBSTACLE) & (first != OBSTACLE))
-        late &= (own["coverage"] >= _WELL_COVERED)[..., None, None]
+        late = (objects == OBSTACLE) & (first != OBSTACLE) & self._pixels(window["coverage"] >= _WELL_COVERED)
         objects = settle_objects(settle_solids(objects, grid, self.config.features.max_hole), grid.pixels)
         objects[(objects == FREE) & ~self._pixels(known)] = UNSEEN
-        thin = known & (window["density"] * self.config.grid.pixel_size**2 < _MOST_PER_PIXEL)
-        steps = self._steps(window, thin)
+        few = window["density"] * self.config.grid.pixel_size**2 < _MOST_PER_PIXEL
+        steps = self._steps(window, known & few)
         if self.config.compat == "none":
             # Few points make steps of rough ground: in thin tiles they bar the way, but do not change the ride.
             share = dense_share(own["coverage"]) if self.config.by_ride else 1.0
@@ -283,9 +282,9 @@ class NeighbourRating:
         share = np.mean(states == OBSTACLE, axis=(2, 3), dtype=np.float32)
         barred, nothing = self.calibration.cost_rule.barred(own), np.float32(np.nan)
         beside = {name: np.full(barred.shape, nothing) for name in _BESIDE_STEPS}
-        if self.config.compat == "none" and (steps.closed.any() or steps.low.any() or late.any()):
-            parts = steps, self._inner(steps.low) | late
-            barred, states, beside = self._decide_steps(window, parts, own | {"barred": barred}, states)
+        steps = replace(steps, low=steps.low | late)
+        if self.config.compat == "none" and (steps.closed.any() or steps.low.any()):
+            barred, states, beside = self._decide_steps(window, steps, own | {"barred": barred}, states)
         obstacle = np.where(np.isnan(own["obstacle"]), np.float32(np.nan), share)
         height = own["obstacle_height"]
         return (
@@ -341,33 +340,27 @@ class NeighbourRating:
         settled = settle_relief(objects, window.mosaic("heights"), self.calibration.body, self.config.grid.pixel_size)
         return np.where(self._pixels(relief), settled, objects)
 
-    def _steps(self, window: NeighbourWindow, thin: NDArray[np.bool_]) -> TileSteps:
+    def _steps(self, window: NeighbourWindow, searched: NDArray[np.bool_]) -> TileSteps:
         if self.config.pixels >= _LEAST_PIXELS:
             # Only what the first pass found: it is the same for all blocks that look at a border.
             standing = self._pixels(_is_relief(window)) & (window.mosaic("objects") == OBSTACLE)
             calibration = self.calibration
             wheel, closing = calibration.wheel_pixels, closing_height(calibration)
-            return find_steps(window.mosaic("heights"), self.config.pixels, wheel, closing, standing, thin)
+            return find_steps(window.mosaic("heights"), self.config.pixels, wheel, closing, standing, searched)
         rows, cols = window.inner("class_id").shape
         border, one = (np.full(shape, np.nan, np.float32) for shape in ((rows, cols, len(SIDES)), (rows, cols)))
         closed = np.zeros(window.mosaic("objects").shape, np.bool_)
         return TileSteps(border, one, one, closed, closed, limit=one)
 
     def _decide_steps(
-        self,
-        window: NeighbourWindow,
-        parts: tuple[TileSteps, NDArray[np.bool_]],
-        own: Columns,
-        states: NDArray[np.uint8],
+        self, window: NeighbourWindow, steps: TileSteps, own: Columns, states: NDArray[np.uint8]
     ) -> tuple[NDArray[np.uint8], NDArray[np.uint8], Columns]:
         """Bar the inner tiles that a step closes in part or wholly, at their sides too, and mark its pixels.
 
         What reads tiles alone would cross a wall on a border if it barred one of its tiles only. Beside the step, the
-        ground is rated for itself; what is not fit to drive on is marked as well. ``parts`` are the steps, and pixels
-        that are taken out of tiles that fail.
+        ground is rated for itself; what is not fit to drive on is marked as well.
         """
-        steps, low = parts
-        closed = self._inner(steps.closed)
+        closed, low = self._inner(steps.closed), self._inner(steps.low)
         touched = closed.any(axis=(2, 3))
         touched |= steps.edge_step >= closing_height(self.calibration)
         failing = np.isin(own["barred"], (Barred.FAILS, Barred.SLOPE)) & (own["coverage"] >= _LEAST_COVERAGE)

@@ -432,8 +432,7 @@ Seed {settings.seed}, {settings.epochs} epochs. The same command gives the same 
 
 - The accuracy is measured on *synthetic* ground. Real ground does not exactly match any form: the network
   returns the form that a tile resembles most, and its probabilities show how clearly.
-- Ground whose relief is little more than the noise of its survey may be any form. Tiles with at most 1 mm of relief
-  are classed as flat without the network.
+- Ground whose relief is little more than the noise of its survey may be any form.
 - Crossing waves shorter than three pixels spread the points of a pixel as noise does, and may be `flat`.
 - Many filled holes smooth a patch; if coverage is low, rough ground may be classified as `low_noise`.
 - A single isolated step (a kerb, a ledge) is none of the four forms.
