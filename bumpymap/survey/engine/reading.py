@@ -27,6 +27,7 @@ from bumpymap.readers import Chunk, PointStats, SurveyReader, close_decoder
 from bumpymap.survey.engine.block_work import BlockWork, TileSink
 from bumpymap.survey.engine.budget import requests_at_once
 from bumpymap.survey.engine.collector import ChunkRange, ReadResult
+from bumpymap.survey.engine.surroundings import Surroundings, blocks_around
 from bumpytiles import BLOCK_TILES, BlockKey, Bounds, Grid, GroupedPoints, Pack, TileBuckets, run_blocks
 
 Spans = Mapping[int, Sequence[tuple[int, int]]]
@@ -54,6 +55,8 @@ class ReadTask:
     """Blocks that an earlier run has finished: their points are dropped."""
     waiting: frozenset[BlockKey] = frozenset()
     """Blocks of which an earlier run has left points on disk: they are not complete when the ranges are read."""
+    tiles: tuple[Path, ...] = ()
+    """Packs of the tiles that an earlier run has finished, measured from all points."""
 
 
 def range_points(points: int, workers: int) -> int:
@@ -113,7 +116,11 @@ def _around(boxes: Sequence[Bounds | None]) -> Bounds | None:
 
 
 def shared_tasks(
-    unread: Sequence[ChunkRange], read: Sequence[ChunkRange], finished: Collection[BlockKey], workers: int
+    unread: Sequence[ChunkRange],
+    read: Sequence[ChunkRange],
+    finished: Collection[BlockKey],
+    workers: int,
+    tiles: Sequence[Path] = (),
 ) -> Iterator[ReadTask]:
     """Yield tasks that any worker may do: for each of them all ranges of other tasks count as others'.
 
@@ -138,7 +145,8 @@ def shared_tasks(
         places = {(part.file, part.first) for part in own}
         others = [part.bounds for part in every if (part.file, part.first) not in places]
         nearby = tuple(box for box in others if box is not None)
-        yield ReadTask(tuple(own), nearby if len(nearby) == len(others) else None, frozenset(finished))
+        known = nearby if len(nearby) == len(others) else None
+        yield ReadTask(tuple(own), known, frozenset(finished), tiles=tuple(tiles))
 
 
 def _middle(part: ChunkRange, *, across: bool) -> float:
@@ -185,14 +193,15 @@ class BlockCompletion:
         elif self._open_areas is not None:
             self._open_areas[self._inside(box)] -= 1
 
-    def is_complete(self, key: BlockKey) -> bool:
-        """Return whether no unread area overlaps a block."""
+    def is_complete(self, key: BlockKey, around: int = 0) -> bool:
+        """Return whether no unread area overlaps a block, and so many around it on each side."""
         if self._unknown or self._open_areas is None:
             return False
         row, col = key[0] - self._south, key[1] - self._west
         if not (0 <= row < self._open_areas.shape[0] and 0 <= col < self._open_areas.shape[1]):
             return False  # a point outside all bounds: its file will be rejected
-        return bool(self._open_areas[row, col] == 0)
+        rows, cols = (slice(max(place - around, 0), place + around + 1) for place in (row, col))
+        return not self._open_areas[rows, cols].any()
 
     def _inside(self, box: Sequence[int]) -> tuple[slice, slice]:
         south, north, west, east = (int(side) for side in box)
@@ -317,6 +326,8 @@ class RangeReader:
         Receives the points.
     sinks : mapping of str to TileSink
         For finished tiles, by `BlockWork.kinds`.
+    around : Surroundings, optional
+        If blocks are rated with the heights around them.
     """
 
     def __init__(
@@ -328,8 +339,9 @@ class RangeReader:
         sinks: Mapping[str, TileSink],
         threads: int,
         progress: Progress,
+        around: Surroundings | None,
     ) -> None:
-        self._store, self._work, self._sinks, self._threads = store, work, sinks, threads
+        self._store, self._work, self._sinks, self._threads, self._around = store, work, sinks, threads, around
         self._progress, self._ranges = progress, ranges
         self._readers = {source.range.file: source.reader for source in ranges}
         self._whole = {source.range.file: source for source in ranges if source.range.is_whole}
@@ -343,8 +355,12 @@ class RangeReader:
         self._spilling: ReadResult | None = None
 
     def is_complete(self, key: BlockKey) -> bool:
-        """Return whether no unread chunk, of this worker or others, can add points to a block, and none did before."""
-        return key not in self._elsewhere and self._completion.is_complete(key)
+        """Return whether no unread chunk, of this worker or others, can add points to a block, and none did before.
+
+        If it is rated with the heights around it, nor to one of the blocks around it.
+        """
+        near, reach = ([key], 0) if self._around is None else (blocks_around(key), 1)
+        return self._elsewhere.isdisjoint(near) and self._completion.is_complete(key, reach)
 
     def run(self) -> Iterator[ReadResult]:
         """Read all ranges; yield results as soon as their points are on disk, or last the error of a bad file."""
@@ -407,7 +423,7 @@ class RangeReader:
 
     def finish_early(self, keys: Sequence[BlockKey]) -> tuple[tuple[Path, ...], ...]:
         """Rate blocks for every kind, before it is known which points the run will use; return their packs by kind."""
-        self._work.finish_early(self._store, keys, self._threads, self._sinks)
+        self._work.finish_early(self._store, keys, self._threads, self._sinks, self._around)
         return tuple(tuple(sink.new_packs()) for sink in self._sinks.values())
 
     def _spilled(self) -> Iterator[ReadResult]:
