@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any, ClassVar, TypeAlias, TypeVar
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
 
 from bumpymap.core import (
     CANOPY,
@@ -312,7 +312,8 @@ class NeighbourRating:
             | {"clearance": np.where((states == CANOPY).any(axis=(2, 3)), own["clearance"], nothing)}
             | self._by_speed_and_heading(window, own["c_r"])
         )
-        alone = ~binary_dilation(self._known(window.columns), np.ones((3, 3), np.bool_))[2:-2, 2:-2]
+        near = sliding_window_view(self._known(window.columns)[1:-1, 1:-1], (3, 3))
+        alone = ~near.any(axis=(2, 3))
         if alone.any():
             tiles = {name: window.inner(name)[alone] for name in self.needs}
             for name, values in self._of_unknown(tiles).items():

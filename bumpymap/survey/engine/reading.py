@@ -11,7 +11,7 @@ core busy; other threads convert and group the chunks before, and the caller rec
 
 import math
 from collections import Counter, deque
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -24,10 +24,9 @@ from numpy.typing import NDArray
 
 from bumpymap.core import POINT_GROUND, BadInputError, Progress
 from bumpymap.readers import Chunk, PointStats, SurveyReader, close_decoder
-from bumpymap.survey.engine.block_work import BlockWork, TileSink
 from bumpymap.survey.engine.budget import requests_at_once
 from bumpymap.survey.engine.collector import ChunkRange, ReadResult
-from bumpymap.survey.engine.surroundings import Surroundings, blocks_around
+from bumpymap.survey.engine.surroundings import blocks_around
 from bumpytiles import BLOCK_TILES, BlockKey, Bounds, Grid, GroupedPoints, Pack, TileBuckets, run_blocks
 
 Spans = Mapping[int, Sequence[tuple[int, int]]]
@@ -324,10 +323,10 @@ class RangeReader:
         The ranges of the task.
     store : TileBuckets
         Receives the points.
-    sinks : mapping of str to TileSink
-        For finished tiles, by `BlockWork.kinds`.
-    around : Surroundings, optional
-        If blocks are rated with the heights around them.
+    finish : callable
+        Rates blocks and returns the packs of their tiles, grouped by `BlockWork.kinds`.
+    beside : bool
+        Blocks are rated with the heights of those beside them.
     """
 
     def __init__(
@@ -335,20 +334,19 @@ class RangeReader:
         task: ReadTask,
         ranges: Sequence[OpenRange],
         store: TileBuckets,
-        work: BlockWork,
-        sinks: Mapping[str, TileSink],
+        finish: Callable[[Sequence[BlockKey]], tuple[tuple[Path, ...], ...]],
         threads: int,
         progress: Progress,
-        around: Surroundings | None,
+        beside: bool,
     ) -> None:
-        self._store, self._work, self._sinks, self._threads, self._around = store, work, sinks, threads, around
+        self._store, self._finish, self._threads, self._beside = store, finish, threads, beside
         self._progress, self._ranges = progress, ranges
         self._readers = {source.range.file: source.reader for source in ranges}
         self._whole = {source.range.file: source for source in ranges if source.range.is_whole}
         self._stats = PointStats()
         self._areas, bounds = _areas(ranges)
         others: Sequence[Bounds | None] = (None,) if task.nearby is None else task.nearby
-        self._completion, self._elsewhere = BlockCompletion(work.grid, [*bounds, *others]), task.waiting
+        self._completion, self._elsewhere = BlockCompletion(store.grid, [*bounds, *others]), task.waiting
         self._pending: deque[tuple[int, ReadResult]] = deque()
         """Number of each chunk that is in memory or being written to disk, and not in a result yet."""
         self._next = 0
@@ -359,12 +357,12 @@ class RangeReader:
 
         If it is rated with the heights around it, nor to one of the blocks around it.
         """
-        near, reach = ([key], 0) if self._around is None else (blocks_around(key), 1)
+        near, reach = (blocks_around(key), 1) if self._beside else ([key], 0)
         return self._elsewhere.isdisjoint(near) and self._completion.is_complete(key, reach)
 
     def run(self) -> Iterator[ReadResult]:
         """Read all ranges; yield results as soon as their points are on disk, or last the error of a bad file."""
-        for read, points in read_chunks(self._ranges, self._work.grid, self._threads):
+        for read, points in read_chunks(self._ranges, self._store.grid, self._threads):
             ((file, index, _),) = read.spans
             bad = read if points is None else self._judge(file, index, read.stats[file])
             if points is None or bad is not None:
@@ -409,7 +407,7 @@ class RangeReader:
         """
         yield from self._spilled()
         ready = [key for key in self._store.keys_in_memory() if self.is_complete(key)]
-        if any(tiles := self.finish_early(ready)):
+        if any(tiles := self._finish(ready)):
             waiting = self._store.chunks_in_memory()
             gone = [read for number, read in self._pending if number not in waiting]
             self._pending = deque(pending for pending in self._pending if pending[0] in waiting)
@@ -420,11 +418,6 @@ class RangeReader:
         if self._store.must_spill:
             _, last = self._store.spill()
             self._spilling = self._report(self._pending_up_to(last))
-
-    def finish_early(self, keys: Sequence[BlockKey]) -> tuple[tuple[Path, ...], ...]:
-        """Rate blocks for every kind, before it is known which points the run will use; return their packs by kind."""
-        self._work.finish_early(self._store, keys, self._threads, self._sinks, self._around)
-        return tuple(tuple(sink.new_packs()) for sink in self._sinks.values())
 
     def _spilled(self) -> Iterator[ReadResult]:
         """Wait until the pack that is being written is on disk, and yield its result."""

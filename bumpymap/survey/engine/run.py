@@ -316,7 +316,7 @@ class Worker:
                 return result
             found.append(result)
         ready = [key for key in store.keys() if reading.is_complete(key)]  # noqa: SIM118 (no mapping)
-        early = reading.finish_early(ready)
+        early = self._finish_early(ready)
         if (remainder := reading.remainder()) is not None:
             found.append(remainder)
         while not store.is_empty:
@@ -352,9 +352,13 @@ class Worker:
         self._store.done = set(task.finished)
         if self._around is not None:
             self._around.packs = [Pack(path) for path in task.tiles]
-        return RangeReader(
-            task, ranges, self._store, self._work, self._sinks, self._threads, self._progress, self._around
-        )
+        beside = self._around is not None
+        return RangeReader(task, ranges, self._store, self._finish_early, self._threads, self._progress, beside)
+
+    def _finish_early(self, keys: Sequence[BlockKey]) -> tuple[tuple[Path, ...], ...]:
+        """Rate blocks for every kind, before it is known which points the run will use; return their packs by kind."""
+        self._work.finish_early(self._store, keys, self._threads, self._sinks, self._around)
+        return tuple(tuple(sink.new_packs()) for sink in self._sinks.values())
 
     def _unfinished_packs(self) -> tuple[tuple[Path, NDArray[np.int64]], ...]:
         """Return the packs that hold points of unfinished blocks; delete the others."""
