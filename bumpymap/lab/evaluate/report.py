@@ -55,7 +55,7 @@ def percent(share: float) -> str:
 def write_report(findings: Findings, out: Path) -> list[Path]:
     """Write ``report.json`` and ``report.md`` of a survey, in this order."""
     found = findings.comparison
-    classes = [*_class_lines(findings.classes), ""] if findings.classes else []
+    classes = [*class_lines(findings.classes), ""] if findings.classes else []
     sections = [
         section("Statistics of the classes", "The paper's Table I, over all classified tiles.", classes),
         section(f"Predicted and driven: {findings.vehicle['vehicle']}", _method(found), _driven(found)),
@@ -101,7 +101,7 @@ def _conclusion(findings: Findings) -> list[str]:
     return [*lines, ""] if lines else []
 
 
-def _class_lines(classes: Mapping[str, dict[str, Any]]) -> list[str]:
+def class_lines(classes: Mapping[str, dict[str, Any]]) -> list[str]:
     """Return Table I of each rating, followed by the paper's."""
     names = ("variance_median", "variance_mean", "residual_median", "residual_mean", "c_r_median")
     rows = [
@@ -119,15 +119,12 @@ def _class_lines(classes: Mapping[str, dict[str, Any]]) -> list[str]:
         # variance_median -> median variance
         falls = [" ".join(reversed(name.rsplit("_", 1))) for name, rises in found["rises"].items() if not rises]
         missing = [str(row["class_id"]) for row in found["rows"] if not row["tiles"]]
-        lines.append(
-            f"- `{rating}`: "
-            + (
-                f"from class to class these do not rise everywhere: {', '.join(falls).replace('c_r', 'C_r')}."
-                if falls
-                else "variance, residual and C_r rise from class to class, in median and mean."
-            )
-            + (f" No tile is of class {', '.join(missing)}." if missing else "")
-        )
+        order = "variance, residual and C_r rise from class to class, in median and mean."
+        if falls:
+            order = f"from class to class these do not rise everywhere: {', '.join(falls).replace('c_r', 'C_r')}."
+        if len(found["rows"]) - len(missing) < 2:
+            order = "fewer than two classes hold tiles, so nothing can rise from class to class."
+        lines.append(f"- `{rating}`: {order}" + (f" No tile is of class {', '.join(missing)}." if missing else ""))
     return lines
 
 
@@ -248,7 +245,7 @@ def write_scan_report(findings: ScanFindings, out: Path) -> list[Path]:
         section("Compared with labels", _ANSWERS, _accuracy_lines(findings) if findings.accuracy else []),
         section("Ground", _GROUND, table(("frame", "points", "precision", "recall", "F1"), ground) if ground else []),
         section("Obstacles in sectors called free", _OBSTACLES, table(free, obstacles) if obstacles else []),
-        section("Statistics of the classes", "The paper's Tables IV and V.", _scan_class_lines(findings)),
+        section("Statistics of the classes", "The paper's Tables IV and V.", scan_class_lines(findings)),
     ]
     record = {"format": "bumpymap-scan-evaluation", "version": 1, **asdict(findings)}
     return write_document(out, "Can the classes of scans be trusted?", [opening, ""], sections, record)
@@ -269,7 +266,8 @@ def _answer_table(answers: dict[str, Accuracy]) -> list[str]:
     return table(("answer", "accuracy", "balanced accuracy", "recall of 0", "of 1", "of 2"), rows)
 
 
-def _scan_class_lines(findings: ScanFindings) -> list[str]:
+def scan_class_lines(findings: ScanFindings) -> list[str]:
+    """Return the paper's Tables IV and V of each method, and whether their figures are in order."""
     rows, summary = [], []
     for method, classes in findings.classes.items():
         for row in classes:
