@@ -286,7 +286,7 @@ class Layers:
         overwrite : bool
             Replace an earlier export in the same format.
         **settings
-            Fields of `bumpymap.views.ExportSettings`: ``to`` (``nav2``, ``gridmap``, ``graph``, ``plan``), ...
+            Fields of `bumpymap.views.ExportSettings`: ``to`` (``nav2``, ``gridmap``, ``plan``), ...
 
         Raises
         ------

@@ -22,7 +22,7 @@ _COMMANDS = {
     "demo": "map a synthetic quarry as an example",
     "diff": "find what has changed between two surveys of a site",
     "evaluate": "compare predictions with simulated drives over the same ground",
-    "export": "write a map for robots: Nav2, grid_map, a graph of ways, a mission",
+    "export": "write a map for robots: Nav2, grid_map, a mission",
     "info": "report what a survey contains and what a run needs",
     "map": "make roughness layers and a cost map from surveys",
     "report": "make the page of a map again, or compare two maps",

@@ -156,7 +156,6 @@ from .route_types import (
     Turn as Turn,
     axes_along as axes_along,
     axis_values as axis_values,
-    between_axes as between_axes,
     by_mean as by_mean,
     slope_cost as slope_cost,
 )
