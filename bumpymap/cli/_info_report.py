@@ -264,7 +264,7 @@ class Report:
         outcome = self._outcome(summary)
         if self.whole is None or summary is None:
             return [text]
-        steps = describe_lines(compare_lines(self.whole.lines), "report")
+        steps = describe_lines(compare_lines(self.whole.lines))
         few = f"about {outcome.share:.0%} of the tiles will be unknown" if outcome else ""
         return [*filter(None, [self._advice(summary) or few, self._apart(summary), steps]), text]
 
@@ -367,7 +367,7 @@ class Report:
             rows += _classified(file, self.config.ground_classes)
         if apart := self._apart(summary):
             rows.append(("not classified", apart))
-        if text := describe_lines(file.lines, "report"):
+        if text := describe_lines(file.lines):
             rows.append(("flight lines", as_options(text.removeprefix("Flight lines: "))))
         return rows + [("note", note) for note in info.notes]
 

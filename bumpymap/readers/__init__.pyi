@@ -42,7 +42,6 @@ from .frames.read import (
     scene_points as scene_points,
 )
 from .point_stats import (
-    LineCorrection as LineCorrection,
     LineSums as LineSums,
     PointStats as PointStats,
     cell_indices as cell_indices,

@@ -20,7 +20,6 @@ from bumpymap.core import (
     georeference,
 )
 from bumpymap.readers._kernels import (
-    LinedPoints,
     RecordCounts,
     RecordRules,
     ScaledLinedPoints,
@@ -37,7 +36,7 @@ from bumpymap.readers.copc import (
 )
 from bumpymap.readers.decoder import decoder
 from bumpymap.readers.las_header import LAYERED, RawHeader, read_raw_header, statement_of_las
-from bumpymap.readers.point_stats import OUTSIDE, LineRules, PointStats
+from bumpymap.readers.point_stats import OUTSIDE, LineSums, PointStats
 from bumpymap.readers.protocol import (
     CHUNK_POINTS,
     Chunk,
@@ -129,7 +128,7 @@ def convert_records(
     chunk: Chunk,
     rules: RecordRules,
     scaling: Scaling,
-    lines: LineRules,
+    lines: bool,
     colours: tuple[int, int] | None = None,
 ) -> ChunkPoints:
     """Convert LAS point records to points, drop unusable ones, and count all of them.
@@ -143,7 +142,8 @@ def convert_records(
     rules : RecordRules
     scaling : Scaling
         Makes finite coordinates of all integers.
-    lines : LineRules
+    lines : bool
+        Whether sums of flight lines are made.
     colours : tuple of int, optional
         First byte of the colour, and by how many bits its numbers are shifted to have 8; None: colours are not read.
     """
@@ -169,12 +169,7 @@ def convert_records(
     kept = 0 if stats.bad else kept
     x, y, z, kind, line = out.x[:kept], out.y[:kept], out.z[:kept], out.kind[:kept], out.line[:kept]
     colour = None if colour is None else colour[:kept]
-    if lines.corrects:
-        in_metres = LinedPoints(*ScaledPoints(x, y, z, kind, scaling).coordinates(), kind, line)
-        lines.correct(in_metres)
-        cloud = PointCloud(in_metres.x, in_metres.y, in_metres.z, kind, colour)
-        return ChunkPoints(cloud, stats, lines.sums(in_metres))
-    sums = lines.sums(ScaledLinedPoints(x, y, z, kind, line), scaling)
+    sums = LineSums.of(ScaledLinedPoints(x, y, z, kind, line), scaling) if lines else LineSums()
     if kept < number // 2:
         # A view would keep the memory of the dropped points.
         x, y, z, kind = x.copy(), y.copy(), z.copy(), kind.copy()
@@ -220,7 +215,7 @@ class LasSurvey(SurveyReader):
             limits = ((bounds.west - OUTSIDE, bounds.east + OUTSIDE), (bounds.south - OUTSIDE, bounds.north + OUTSIDE))
         box = [_integers_between(self._scaling, axis, *ends) for axis, ends in enumerate(limits)]
         self._rules = RecordRules(np.array(fields), np.array(box).reshape(-1), options.kinds)
-        self._lines = LineRules(measure=options.lines, corrections=options.corrections)
+        self._lines = options.lines
         self._colours: tuple[int, int] | None = None
         if options.colour:
             self._colours = self._find_colours()

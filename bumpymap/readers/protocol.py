@@ -23,7 +23,6 @@ from bumpymap.core import (
     UsageError,
 )
 from bumpymap.readers.point_stats import (
-    LineCorrection,
     LineSums,
     PointStats,
     header_doubt,
@@ -63,8 +62,6 @@ class ReadOptions:
     """Memory limit, in bytes, for unpacking a file that cannot be read in chunks (compressed PCD)."""
     lines: bool = False
     """True if sums are made to compare the heights of flight lines."""
-    corrections: tuple[LineCorrection, ...] = ()
-    """Correction that is subtracted from the heights of flight lines."""
     checksum: bool = False
     """True if the checksum of a local file is made while it is read."""
     force_crs: str | None = None

@@ -88,7 +88,7 @@ class MapResult:
     seconds: dict[str, float]
     """Wall time by stage."""
     lines: FlightLines
-    """Steps between flight lines, and what was taken off."""
+    """Steps between flight lines."""
     already_done: bool = False
     """An earlier run with the same inputs and settings is complete: nothing was written, and these are its results."""
     from_all: int = 0

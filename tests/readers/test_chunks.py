@@ -2,7 +2,6 @@
 
 import json
 from collections import Counter
-from dataclasses import replace
 from functools import reduce
 
 import laspy
@@ -14,7 +13,6 @@ from survey_kinds import KINDS, STREAMED, write_kind
 from bumpymap.core import run_spec
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.readers import (
-    LineCorrection,
     LineSums,
     PointStats,
     ReadOptions,
@@ -271,17 +269,3 @@ def test_lines_of_files(las, fmt, packed):
     quiet = open_survey(path)
     list(quiet.clouds())
     assert quiet.lines.size == 0
-
-
-def test_corrections_are_subtracted_in_metres(las):
-    path = write(las, 1, [1, 1, 2, 2, 3, 3, 3])
-    corrections = (
-        LineCorrection(1, 0.25, 500_000.0, 4_000_000.0, 0.1, 0.0),
-        LineCorrection(3, -1.0, 0.0, 0.0, 0.0, 0.0),
-    )
-    options = ReadOptions(crs="EPSG:2276", z_unit="us-ft")
-    (plain,) = open_survey(path, options).clouds()
-    (corrected,) = open_survey(path, replace(options, corrections=corrections)).clouds()
-    slope = 0.1 * (plain.easting[:2] - 500_000)
-    assert np.allclose(plain.upward - corrected.upward, [*(0.25 + slope), 0, 0, -1, -1, -1], atol=1e-9)
-    assert np.array_equal(plain.easting, corrected.easting)

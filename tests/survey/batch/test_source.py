@@ -121,8 +121,8 @@ def test_the_columns_of_a_table_are_settings(tmp_path, separator):
 def test_the_command_line_is_over_the_table_and_the_table_over_the_file(tmp_path):
     defaults = {"ground": "class", "align": "off", "vehicle": "car", "rating": "table"}
     config = BatchConfig(tmp_path, tmp_path, given={"ground": "all", "crs": "EPSG:1"}, defaults=defaults)
-    made = config.of_survey({"ground": "csf", "align": "on", "calibration": "c.json", "local": True})
-    assert (made.ground, made.align, made.rating) == ("all", "on", "table")
+    made = config.of_survey({"ground": "csf", "align": "report", "calibration": "c.json", "local": True})
+    assert (made.ground, made.align, made.rating) == ("all", "report", "table")
     assert (made.crs, made.local) == ("EPSG:1", False)  # what is typed overrides what contradicts it
     assert (made.calibration, made.vehicle) == ("c.json", "warthog")  # and so does the table
 
