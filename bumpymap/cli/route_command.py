@@ -35,7 +35,7 @@ _TITLES = (
 def _lines(result: "RouteResult", config: RouteConfig) -> Iterator[str | Table]:
     if result.routes:
         yield Table(map(_row, result.routes), _TITLES)
-        yield from _remarks(result, config)
+        yield from _remarks(result)
     if result.reach is not None:
         yield _reached(result.reach)
         yield from (f"Note: {note}" for note in result.notes)
@@ -73,12 +73,10 @@ def _row(route: "Route") -> tuple[str, ...]:
     )
 
 
-def _remarks(result: "RouteResult", config: RouteConfig) -> Iterator[str]:
+def _remarks(result: "RouteResult") -> Iterator[str]:
     from bumpymap.layers import IRI_NOTE
 
     yield from result.notes
-    if len(result.routes) < config.alternatives:
-        yield f"{config.alternatives} ways were asked for; there are no more that differ"
     for route in result.routes:
         if route.figures.unknown_m > 0:
             yield (

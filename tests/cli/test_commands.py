@@ -110,7 +110,7 @@ REFUSED = [
     (2, f"route layers --from here --to {A}", "'here' is not a point"),
     (2, f"route layers --from {A} --to {B} --unknown 0.5", "unknown is 0.5"),
     (2, f"route layers --from {A} --to {B} --risk 1e300", "risk is 1e+300"),
-    (2, f"route layers --from {A} --to {B} --alternatives 99", "--alternatives is 99"),
+    (2, f"route layers --from {A} --to {B} --snap -1", "--snap is -1"),
     (2, f"route layers --from {A}", "--out DIR"),
     (2, f"route layers --from {A} --to {B} --isochrones 1", "without a goal"),
     (2, f"route layers --from {A} --to {B} --set memory=1MB", "--set memory is '1MB'"),

@@ -123,7 +123,7 @@ def test_iri_and_class_are_told_where_noise_lets_them(tmp_path):
 
 
 def test_stops_have_roles_and_shared_ones_are_written_once(tmp_path):
-    routes = [make_route(stops=CORNERS), make_route("alternative 1", CORNERS[[0, 2]])]
+    routes = [make_route(stops=CORNERS), make_route("another", CORNERS[[0, 2]])]
     found = written(routes, tmp_path / "route.geojson")["features"]
     assert [feature["properties"] for feature in found if feature["geometry"]["type"] == "Point"] == [
         {"role": "start", "name": "start"},
