@@ -21,7 +21,7 @@ _COMMANDS = {
     "compile": "compile the numerical kernels now, not in the first run",
     "demo": "map a synthetic quarry as an example",
     "diff": "find what has changed between two surveys of a site",
-    "evaluate": "compare predictions with simulated drives over the same ground",
+    "evaluate": "compare classes of scans with labels",
     "export": "write a map for robots: Nav2, grid_map, a mission",
     "info": "report what a survey contains and what a run needs",
     "map": "make roughness layers and a cost map from surveys",

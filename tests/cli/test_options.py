@@ -49,7 +49,6 @@ def reached(monkeypatch, tmp_path):
         return end
 
     # Modules that bind a patched name are imported before it is patched, or they would keep it.
-    import bumpymap.lab.evaluate.survey_trial
     import bumpymap.readers
     import bumpymap.survey.batch.source
     import bumpymap.survey.engine
@@ -67,8 +66,6 @@ def reached(monkeypatch, tmp_path):
     monkeypatch.setattr(bumpymap.readers, "find_surveys", ends("info"))
     monkeypatch.setattr(calibrate_command, "_calibrate", ends("calibrate"))
     monkeypatch.setattr("bumpymap.lab.require_dart", lambda: None)
-    monkeypatch.setattr("bumpymap.lab.open_readers", lambda *_, **__: [])
-    monkeypatch.setattr("bumpymap.lab.evaluate_survey", ends("evaluate survey"))
     monkeypatch.setattr(train_command, "_require_libraries", lambda: None)
     if importlib.util.find_spec("torch"):
         monkeypatch.setattr("bumpymap.lab.make_model", ends("train textures"))
@@ -84,7 +81,6 @@ WORDS = {
     "info": ["site.laz"],
     "route": ["layers", "--from", "1,1", "--to", "2,2"],
     "calibrate": ["--vehicle", "warthog", "--out", "c.json"],
-    "evaluate survey": ["site.laz", "--out", "o"],
     "evaluate scans": ["frame.bin", "--out", "o"],
     "train textures": ["--out", "m.onnx"],
     "train scans": ["drive", "--out", "m.onnx"],
@@ -96,7 +92,6 @@ SLOPES = "climb", "descent", "side_slope"
 # (command, option, value) -> where the value has to arrive.
 MEANT = {
     ("calibrate", "seed", 0): lambda got: got[0].seed,
-    ("evaluate survey", "seed", 0): lambda got: got[4].seed,
     ("train textures", "seed", 0): lambda got: got[0].seed,
     ("train scans", "seed", 0): lambda got: got[0].seed,
     ("scan", "radius_m", 0): lambda got: got[0].robot.radius_m,
@@ -256,7 +251,7 @@ def test_what_refuses_a_moved_option_names_a_command_that_prints_its_settings(na
         "map a.laz --out o --set scratch=x/NAME/y",
         "info NAME",
         "scan NAME --out o",
-        "evaluate survey NAME --out o",
+        "evaluate scans NAME --out o",
         "calibrate --out NAME",
         "train textures --out NAME",
         "demo --out NAME",

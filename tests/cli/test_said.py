@@ -208,7 +208,6 @@ def test_no_command_has_a_way_out_of_its_own():
         ("info WICKED", ["\\x1b[31m", "\\xff"]),
         ("scan WICKED --out o", ["\\x1b[31m", "\\xff"]),
         ("map RED --out ERROR --local", ["\\x1b]\\nError: d"]),
-        ("evaluate survey GONE --out o", ["\\x1b[31m"]),
         ("train textures --out WICKED", []),
     ],
 )

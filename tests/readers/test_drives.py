@@ -292,7 +292,7 @@ def test_accelerations_in_g_say_so_and_without_gravity_are_not_used(tmp_path, fa
         (b"time,wx,wy,wz\n" + 3 * b"0,01,0,1,0,2,0,3\n", "do not have the 4 values"),
         (b"time,wx,wy,wz\n", "no samples"),
         (b'<?xml version="1.0"?>\n<gpx><trk></trk></gpx>', "ogr2ogr and gpsbabel make CSV"),
-        (b"wx,wy,wz\n1,2,3\n", "no column `time`"),
+        (b"wx,wy,wz\n1,2,3\n", "no column named time"),
         (b"time,wx,wy,wz\n0,0,0,1\n1,2,0,1\n", "2 samples"),
         (b"\xa3\x95\x80\x80" + bytes(200), "mavlogdump.py --format csv --types IMU log.BIN > log_imu.csv"),
     ],

@@ -259,7 +259,7 @@ def table_samples(table: DriveTable, columns: Mapping[str, DriveColumn]) -> Samp
         return Samples(source, listing=listing)
     if "time" not in columns:
         raise BadInputError(
-            f"{table.path} has no column `time`; its columns are {', '.join(table.names)}. "
+            f"{table.path} has no column named time; its columns are {', '.join(table.names)}. "
             "Name it, with its unit: `columns='time=NAME[s]'`"
         )
     is_ardupilot = _TIME_US in table.names
