@@ -150,7 +150,7 @@ def test_a_setting_that_is_not_there_is_a_usage_error_with_the_nearest_name(call
 
 @pytest.mark.parametrize("call", [bumpymap.map_survey, bumpymap.map_batch])
 def test_a_url_where_none_can_be_is_not_taken_for_a_folder(call):
-    with pytest.raises(bumpymap.UsageError, match="out is s3://bucket/night, a URL"):
+    with pytest.raises(bumpymap.UsageError, match="out: s3://bucket/night is a URL"):
         call(".", "s3://bucket/night")
 
 

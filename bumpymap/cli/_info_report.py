@@ -52,7 +52,7 @@ from bumpytiles import Bounds, Grid, TileWindow
 class FileReport:
     """One file: what is known from its header and its points, or why it cannot be read."""
 
-    path: Path | str
+    path: Path
     info: SurveyInfo | None = None
     summary: PointSummary | None = None
     """None with ``--quick``, and if no point is left."""
@@ -218,7 +218,7 @@ class Report:
             thin=True,
         )
 
-    def _command(self, surveys: Sequence[Path | str], files: Sequence[FileReport]) -> str:
+    def _command(self, surveys: Sequence[Path], files: Sequence[FileReport]) -> str:
         """Return the command that maps files; ``--crs`` only for surveys that have none."""
         place = next((file.info.georeference for file in files if file.info), None)
         words = ["bumpymap", "map", *map(str, surveys), *_map_options(self.config, place), "--out", "DIR"]

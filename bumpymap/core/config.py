@@ -140,8 +140,8 @@ def with_pixels(settings: Mapping[str, Any]) -> dict[str, Any]:
 class MapConfig:
     """All settings of a ``map`` run."""
 
-    surveys: tuple[Path | str, ...]
-    """Files and folders; strings are fsspec URLs."""
+    surveys: tuple[Path, ...]
+    """Files and folders."""
     out: Annotated[Path, Setting("Folder for the layers", "DIR", group="Output")]
     tile_size: Annotated[float, Setting("Side of a tile, in metres", "M", 0.05, 1000.0, "m", group="Ground")] = 3.0
     pixels: Annotated[

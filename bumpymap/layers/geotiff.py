@@ -353,7 +353,8 @@ def write_raster(file: MapFile, table: CostTable, path: Path, about: Mapping[str
         if not tiles.holds(window.tiles):
             return None
         found = tiles.read(layer.columns, window.tiles)
-        (line, column), values = window.pixel_indices(found), layer.values(found, window)
+        values: Any = layer.values(found, window)
+        line, column = window.pixel_indices(found)
         lines, columns = window.tiles.rows, window.tiles.cols
         if pixels > 1:
             canvas = np.full((len(spec.bands), lines, pixels, columns, pixels), spec.nodata, spec.dtype)

@@ -58,8 +58,6 @@ from .source import (
     NoPointsError as NoPointsError,
     Version as Version,
     file_changed as file_changed,
-    is_ept as is_ept,
-    is_url as is_url,
 )
 from .summary import (
     PointSummary as PointSummary,

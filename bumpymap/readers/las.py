@@ -53,7 +53,6 @@ from bumpymap.readers.source import (
     decoding,
     open_source,
     read_into,
-    read_range,
     refuse_count,
     refuse_header_bounds,
 )
@@ -271,17 +270,10 @@ class LasSurvey(SurveyReader):
         return group_laz_chunks(self._ends, points, raw.point_size, table.boxes)
 
     def _fetch(self, chunk: Chunk) -> Records | Iterator[Records]:
-        """Return the records of a chunk; uncompressed ones of a local file are read when they are converted."""
-        path, raw = self._path, self._raw
+        """Return the records of a chunk; uncompressed ones are read when they are converted."""
         if self._table is not None:
             return self._read_laz(self._part(chunk, self._table))
-        if not isinstance(path, str):
-            return _read_pieces(path, raw, chunk)
-        data = read_range(path, raw.offset_to_points + chunk.first * raw.point_size, chunk.points * raw.point_size)
-        held = data.size // raw.point_size
-        if held < chunk.points:
-            refuse_count(path, raw.point_count, chunk.first + held)
-        return data.reshape(held, raw.point_size)
+        return _read_pieces(self._path, self._raw, chunk)
 
     def _read_laz(self, part: ChunkTable) -> Records:
         """Read the bytes of LAZ chunks, adjacent ones with one request, and decode them."""

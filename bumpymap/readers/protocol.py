@@ -33,8 +33,6 @@ from bumpymap.readers.point_stats import (
 from bumpymap.readers.source import (
     Location,
     Version,
-    is_ept,
-    is_url,
     pinned_version,
     read_range,
     require_unchanged,
@@ -110,7 +108,6 @@ class SurveyInfo:
     """Facts about a file before its points are read."""
 
     path: Location
-    """A path, or a URL as a str."""
     format: str
     """For example ``LAS 1.2, point format 3``."""
     size_bytes: int
@@ -205,7 +202,7 @@ class SurveyReader(ABC):
         with pinned_version(path, self._version):
             info = self._open(options)
         self._info = replace(info, version=self._version)
-        self._hash = FileHash(self._version["size"]) if options.checksum and not is_url(path) else None
+        self._hash = FileHash(self._version["size"]) if options.checksum else None
         self._dropped, self._line_sums = PointStats().dropped, LineSums()
 
     @abstractmethod
@@ -254,7 +251,7 @@ class SurveyReader(ABC):
 
     @property
     def checksum(self) -> str | None:
-        """The checksum of the file, see `bumpymap.core.FileHash`, after ``verify``; None for a URL, or if not asked."""
+        """The checksum of the file, see `bumpymap.core.FileHash`, after ``verify``; None if not asked."""
         return None if self._hash is None else self._hash.checksum
 
     @abstractmethod
@@ -300,7 +297,7 @@ class SurveyReader(ABC):
 
     def header_doubt(self, stats: PointStats) -> str:
         """Return where the extent in the header is not that of the points; empty if it is, or nobody measured it."""
-        return "" if is_ept(self._path) else header_doubt(stats, self._info.bounds, self._info.heights)
+        return header_doubt(stats, self._info.bounds, self._info.heights)
 
     def _require_unchanged(self) -> None:
         require_unchanged(self._path, self._version)
@@ -343,10 +340,7 @@ class SurveyReader(ABC):
 
     @contextmanager
     def _reading(self) -> Iterator[None]:
-        """Read from the file in the body, and hash what is read; a change of it is noticed.
-
-        A URL is checked with every response; to ask for its version would cost one more request for each chunk.
-        """
+        """Read from the file in the body, and hash what is read; a change of it is noticed."""
         try:
             with pinned_version(self._path, self._version, None if self._hash is None else self._hash.add):
                 yield
@@ -354,14 +348,13 @@ class SurveyReader(ABC):
             if self._hash is not None:
                 self._hash.forget_parts()
             raise
-        if not is_url(self._path):
-            require_unchanged(self._path, self._version)
+        require_unchanged(self._path, self._version)
 
 
 _MOST_BYTES = 1 << 26
 """Bytes of a chunk in memory at most, unless a single LAZ chunk is larger."""
 MOST_LAZ_CHUNKS = 1000
-"""LAZ chunks, or nodes of an EPT, of a chunk at most: each may take bytes beside its points."""
+"""LAZ chunks of a chunk at most: each may take bytes beside its points."""
 
 
 def chunk_capacity(points: int, point_size: int) -> int:

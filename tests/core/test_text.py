@@ -17,7 +17,6 @@ from bumpymap.core import (
     join_lines,
     share_text,
     shares_text,
-    without_keys,
     write_csv,
 )
 from bumpymap.core.files import Each, Nullable, Number, parse_json, shape_fault
@@ -101,23 +100,6 @@ def test_every_table_is_written_so():
     for file in HOUSE.rglob("*.py"):
         text = file.read_text(encoding="utf-8")
         assert file.match("core/files.py") or not ("csv.writer" in text or "csv.DictWriter" in text), file
-
-
-@pytest.mark.parametrize(
-    ("text", "shown"),
-    [
-        ("https://h/a/site.laz?X-Sig=k%2F.y", "https://h/a/site.laz"),
-        (
-            "cannot read https://me:word@h/a.laz?sig=k/2: 404, url='http://h/a.laz?k=1'",
-            "cannot read https://h/a.laz: 404, url='http://h/a.laz'",
-        ),
-        ("the server of http://h:80/a.ply?sig=k does not", "the server of http://h:80/a.ply does not"),
-        ("s3://bucket/night/site @ 3 m (see https://h/x?k=k).", "s3://bucket/night/site @ 3 m (see https://h/x)."),
-        ("/data/what?/a@b.laz", "/data/what?/a@b.laz"),
-    ],
-)
-def test_urls_have_no_user_and_no_query(text, shown):
-    assert without_keys(text) == shown
 
 
 SHAPE = {"a": Number(0, 9, whole=True), "b?": [str], "c?": (Nullable(Number()),) * 2, "d?": Each({"e": bool})}
