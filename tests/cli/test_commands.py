@@ -172,12 +172,9 @@ def test_what_is_refused_is_one_message_in_options_and_leaves_nothing(code, line
 
 
 # --- diff, report ---
-def test_diff_prints_tables_and_writes_files(tmp_path):
+def test_diff_writes_files_and_replaces_them_if_asked(tmp_path):
     done = run("diff", "may", "june", "--out", tmp_path / "out")
     assert done.exit_code == 0, done.output
-    assert "1,200 tiles are in both surveys, 1,200 compared" in done.output
-    assert "3 very rough" in done.output
-    assert "change.tif, change.geojson, change.json, change.qml, map.qgs, report.html" in done.output
     assert {path.name for path in (tmp_path / "out").iterdir()} >= {"change.tif", "change.json", "report.html"}
     assert run("diff", "may", "june", "--out", tmp_path / "out").exit_code == 3
     assert run("diff", "may", "june", "--out", tmp_path / "out", "--overwrite", "--quiet").output == ""
@@ -210,19 +207,13 @@ def test_the_page_of_a_map_or_a_comparison_is_made_again_and_its_place_is_said(t
 
 
 # --- export ---
-def test_the_summary_of_an_export(tmp_path):
+def test_an_export_is_replaced_if_asked(tmp_path):
     out = tmp_path / "out"
     done = run("export", "field", "--to", "nav2", "--out", out)
     assert done.exit_code == 0, done.output
-    lines = done.stdout.splitlines()
-    assert lines[0] == "18 m x 18 m, cells of 0.2 m, frame map"
-    assert lines[1].startswith("origin of the frame: x,y 330009.000,2040009.000 in the survey's CRS, lon,lat -100.6")
-    assert lines[2] == "1,350 free (17%), 5,625 lethal (69%), 1,125 unknown (14%) cells"
-    assert re.match(r"cost per metre: 1 is value 0, \d+\.\d+ is value 98, .*; the highest of a free cell is ", lines[3])
-    assert "map.yaml, map.pgm" in done.stdout.replace("\n", "")
     again = run("export", "field", "--to", "nav2", "--out", out)
     assert again.exit_code == 3
-    assert re.search("already holds .*Choose another --out, or pass --overwrite", again.stderr)
+    assert "--overwrite" in again.stderr
     quiet = run("export", "field", "--to", "nav2", "--out", out, "--overwrite", "--quiet")
     assert (quiet.exit_code, quiet.output) == (0, "")
 
@@ -429,37 +420,10 @@ def test_the_classes_and_what_they_are_taken_for(tmp_path):
     assert found["dropped"] == {"withheld": 0, "noise": 9, "not_a_number": 0}
     assert found["unknown_tiles_about"] == {}
     assert found["needs"] == [f"ready, about 0% of the tiles will be unknown: bumpymap map {path} --out DIR"]
-    rows = {line[:18].strip(): line[18:].strip() for line in run("info", path).output.splitlines()}
-    assert rows["class 2"] == "ground: 69.7% of the points, in 100% of the tiles; ground"
-    assert re.fullmatch(r"building: 10.1% of the points, in .*; obstacle", rows["class 6"])
-    assert re.fullmatch(r"10.1% of the points, in .* above the ground \(median\); by height", rows["class 66"])
 
 
-def test_a_good_survey(tmp_path):
-    path = dense(tmp_path / "a.laz", 2)
-    result = run("info", path)
-    assert result.exit_code == 0, result.output
-    for words in (
-        *("LAZ 1.4, point format 6", "900", "WGS 84 / UTM zone 14N (EPSG:32614)", "metre", "500,001.10 to 500,006.90"),
-        "5.8 m x 5.8 m",
-        "25.0 pts/m2: 225 points per 3 m tile (median of 4 tiles)",
-        "At 25 points/m2, objects narrower than 0.5 m are not seen.",
-        "100% of the points are ground",
-        f"ready, about 0% of the tiles will be unknown: bumpymap map {path} --out DIR",
-    ):
-        assert words in result.output, words
-
-
-def test_what_is_missing_is_said_and_what_was_given_is_in_the_command(tmp_path):
-    result = run("info", dense(tmp_path / "a.las", crs=None, rows=slice(0, None, 300)))
-    assert result.exit_code == 0
-    assert "no CRS: pass --crs EPSG:CODE, or --local" in result.output
-    assert "about 100% of the tiles will be unknown, mostly because of too few points" in result.output
-    assert "ready" not in result.output
+def test_what_was_given_is_in_the_command_and_units_in_the_record(tmp_path):
     path = dense(tmp_path / "a b.las", crs=None)
-    said = run("info", path, "--set", "xy_unit=ft", "--quick").output
-    assert re.search(r"units +foot\n", said)
-    assert re.search("units +assumed metre", run("info", path, "--quick").output)
     said = run("info", path, "--crs", "EPSG:32614", "--set", "z_unit=m", "--ground", "all", "--quick").output
     assert f"ready: bumpymap map '{path}' --crs EPSG:32614 --z-unit m --ground all --out DIR" in said
     result = run("info", path, "--crs", "EPSG:2992", "--set", "z_unit=m", "--json")

@@ -9,7 +9,6 @@ import pytest
 from small_surveys import run
 
 from bumpymap.cli import main
-from bumpymap.cli._options import COMMON_OPTIONS
 
 
 def command(name):
@@ -188,17 +187,6 @@ def test_the_stored_command_repeats_the_run(words, reached, tmp_path, monkeypatc
 
 
 LONG = [name for name in COMMANDS if name != "settings" and not name.startswith("vehicle")]
-
-
-@pytest.mark.parametrize("name", LONG)
-def test_a_help_page_fits_a_screen_and_names_what_is_shared(name):
-    page, shared = (
-        run(*name.split(), "--help").output,
-        [each.opts[0] for each in COMMON_OPTIONS if each in options(name)],
-    )
-    assert len(page.splitlines()) <= 40
-    assert {"--quiet", "--json"} <= set(shared)
-    assert all(each in page and run("--help").output.count(f"  {each} ") == 1 for each in shared)
 
 
 @pytest.mark.parametrize("name", [name for name in LONG if name not in {"batch", "compile", "demo", "report", "info"}])
