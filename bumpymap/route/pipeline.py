@@ -167,7 +167,8 @@ def find_routes(
     checked |= {"start": _text("start", start), "goal": _text("goal", goal), "via": tuple(_text("via", p) for p in via)}
     target = None if out is None else Path(path_of_call("out", out))
     config = RouteConfig(layers=Path(path_of_call("layers", layers)), out=target, **checked)
-    return list(plan_routes(config).routes)
+    planned = plan_routes(config).route
+    return [] if planned is None else [planned]
 
 
 def map_reach(
@@ -237,8 +238,8 @@ Floats = NDArray[np.float64]
 class RouteResult:
     """Result of a route run."""
 
-    routes: tuple[PlannedRoute, ...]
-    """The way; none if there was no goal."""
+    route: PlannedRoute | None
+    """The way; None if there was no goal."""
     reach: "Reach | None"
     """The part of the map that can be reached, if there was no goal."""
     files: tuple[Path, ...]
@@ -263,7 +264,7 @@ def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteR
     with _opened(config) as ground:
         stops = find_stops(ground, config)
         if config.out is not None:
-            from bumpymap.route.output import REACH_KINDS, ROUTE_KINDS, check_out, write_routes  # slow to load
+            from bumpymap.route.output import REACH_KINDS, ROUTE_KINDS, check_out, write_route  # slow to load
 
             check_out(config.out, REACH_KINDS if config.is_reach else ROUTE_KINDS, overwrite=config.overwrite)
         if config.is_reach:
@@ -276,8 +277,8 @@ def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteR
         files: list[Path] = []
         if config.out is not None:
             manifest = {"settings": asdict(config), "remarks": notes}
-            files = write_routes([route], ground.site, config.out, manifest=manifest, overwrite=config.overwrite)
-    return RouteResult((route,), None, tuple(files), tuple(notes))
+            files = write_route(route, ground.site, config.out, manifest=manifest, overwrite=config.overwrite)
+    return RouteResult(route, None, tuple(files), tuple(notes))
 
 
 @contextmanager
@@ -379,4 +380,4 @@ def _write_reach(ground: CostGround, stops: Stops, config: RouteConfig, out: Pat
         manifest={"settings": asdict(config), "start": stops.points[0], "remarks": notes},
         overwrite=config.overwrite,
     )
-    return RouteResult((), found, tuple(files), notes)
+    return RouteResult(None, found, tuple(files), notes)

@@ -193,7 +193,7 @@ def test_another_calibration_is_refused_and_a_route_does_without(waves, tmp_path
     manifest["calibration"]["id"] = "of-my-own"
     (layers / "run.json").write_text(json.dumps(manifest))
     result = plan_routes(RouteConfig(layers=layers, start="500006,4000017", goal="500026,4000017"))
-    assert math.isnan(result.routes[0].figures.c_r_line)
+    assert math.isnan(result.route.figures.c_r_line)
     assert (
         "the ride of the line itself is not known: the map was made with the calibration of-my-own" in result.notes[-1]
     )
