@@ -206,8 +206,6 @@ class PointStats:
     """Beams without return (PCD)."""
     outside: int = 0
     """Points more than ``OUTSIDE`` outside the header's bounds."""
-    points_outside_node: int = 0
-    """Points inside the header's bounds, but more than ``OUTSIDE`` outside the bounds of their octree node."""
     not_finite: int = 0
     """Points with NaN or infinite coordinates, except beams without return."""
     first_not_finite: int = -1
@@ -240,9 +238,7 @@ class PointStats:
     @property
     def bad(self) -> bool:
         """True if points make the file unusable; ``verify`` raises the error."""
-        return bool(
-            self.not_finite or self.outside or self.points_outside_node or self.off_earth or self.highest > EARTH_LIMIT
-        )
+        return bool(self.not_finite or self.outside or self.off_earth or self.highest > EARTH_LIMIT)
 
     @property
     def highest(self) -> float:
@@ -306,12 +302,6 @@ def verify(stats: PointStats, path: Location, declared: int, bounds: Bounds | No
         )
     if bounds is not None and stats.points:
         _verify_extent(stats, path, bounds)
-    if stats.points_outside_node:
-        raise BadInputError(
-            f"{stats.points_outside_node:,} of {stats.points:,} points of {path} "
-            f"lie outside the octree node that holds them: the file is damaged. "
-            f"Rebuild it, for example with: pdal translate IN OUT.copc.laz. {TRUST}"
-        )
 
 
 def header_doubt(stats: PointStats, bounds: Bounds | None, heights: tuple[float, float] | None) -> str:

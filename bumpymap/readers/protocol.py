@@ -256,10 +256,7 @@ class SurveyReader(ABC):
 
     @abstractmethod
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
-        """Split the file into chunks of about ``points`` points; the result is the same on every machine.
-
-        The chunks of an octree (COPC) are in spatial order, so that areas are complete early.
-        """
+        """Split the file into chunks of about ``points`` points; the result is the same on every machine."""
 
     def fetch(self, chunk: Chunk) -> Any:
         """Read and decode a chunk, in any order; reading order is fastest.
@@ -370,9 +367,7 @@ def split_rows(total: int, points: int, point_size: int) -> list[Chunk]:
     return [Chunk(index, first, min(step, total - first)) for index, first in enumerate(range(0, total, step))]
 
 
-def group_laz_chunks(
-    ends: NDArray[np.int64], points: int, point_size: int, boxes: NDArray[np.float64] | None = None
-) -> list[Chunk]:
+def group_laz_chunks(ends: NDArray[np.int64], points: int, point_size: int) -> list[Chunk]:
     """Return chunks made of whole LAZ chunks, with at most ``points`` points or a single LAZ chunk each.
 
     Parameters
@@ -382,8 +377,6 @@ def group_laz_chunks(
     points : int
     point_size : int
         Bytes of a point.
-    boxes : float64 (n, 4), optional
-        West, south, east and north of each LAZ chunk, m; the bounds of a chunk enclose those of its LAZ chunks.
     """
     step = chunk_capacity(points, point_size)
     chunks: list[Chunk] = []
@@ -392,10 +385,6 @@ def group_laz_chunks(
         last = int(np.searchsorted(ends, before + step, side="right"))
         last = max(min(last, first + MOST_LAZ_CHUNKS), first + 1)
         end = int(ends[last - 1])
-        bounds = None
-        if boxes is not None:
-            sides = (*boxes[first:last, :2].min(axis=0).tolist(), *boxes[first:last, 2:].max(axis=0).tolist())
-            bounds = Bounds(*sides)
-        chunks.append(Chunk(len(chunks), before, end - before, bounds))
+        chunks.append(Chunk(len(chunks), before, end - before))
         first, before = last, end
     return chunks
