@@ -13,7 +13,7 @@ import pytest
 from hypothesis import settings
 
 from bumpymap.core.config import FeatureSettings
-from bumpymap.patches.features import join_stacks, measure
+from bumpymap.patches.features import measure
 from bumpytiles import Grid, TileBuckets
 
 # No test may depend on a clock; in CI the same examples are tried every time.
@@ -85,11 +85,13 @@ def shared_data():
 
 def measure_points(x, y, z, flag=None, *, grid=None, settings=None, ground_only=False):
     """PatchStack of loose points."""
+    from patch_stacks import joined_in_order
+
     buckets = TileBuckets(grid or Grid())
     x, y, z = (np.asarray(column, float) for column in (x, y, z))
     buckets.add(x, y, z, np.zeros(len(x), bool) if flag is None else flag)
     blocks = list(buckets.blocks())
-    return join_stacks([measure(block, settings or FeatureSettings(), ground_only=ground_only) for block in blocks])
+    return joined_in_order(measure(block, settings or FeatureSettings(), ground_only=ground_only) for block in blocks)
 
 
 @pytest.fixture(name="measure_points", scope="session")

@@ -96,6 +96,8 @@ class Barred(IntEnum):
 
 CROSSING_UNKNOWN = (Barred.UNKNOWN, Barred.LITTLE_SEEN)
 """Tiles of which it is not known whether the vehicle can cross them: without a class, or with too little seen."""
+CLOSED_WHOLLY = (*CROSSING_UNKNOWN, Barred.SLOPE, Barred.FAILS)
+"""Tiles that are barred as a whole, by their ground or because too little of it is known."""
 CLOSED_IN_PART = (Barred.OBSTACLE, Barred.SPLIT, Barred.STEP)
 """Tiles that are decided on pixels: what stands in them, or a step, closes a part of them or all."""
 OPEN_THROUGH = (Barred.NO, *CLOSED_IN_PART, *CROSSING_UNKNOWN)

@@ -5,6 +5,7 @@ from .cloth import (
     require_filter as require_filter,
 )
 from .features import (
+    choose_tiles as choose_tiles,
     find_objects as find_objects,
     join_stacks as join_stacks,
     measure as measure,
@@ -15,6 +16,6 @@ from .standing import (
     decks_as_ground as decks_as_ground,
     find_in_relief as find_in_relief,
     leave_out_standing as leave_out_standing,
-    settle_relief as settle_relief,
+    relief_margin as relief_margin,
     take_off_standing as take_off_standing,
 )

@@ -11,7 +11,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.patches._heightmap_kernels import detrend, relief_of, set_all, set_map
+from bumpymap.patches._heightmap_kernels import relief_of, set_all, set_map, shift
 from bumpymap.patches._measure_kernels import PointsByTile, stray_bounds
 from bumpytiles import helper, kernel, order_free, pixels_from
 
@@ -146,11 +146,10 @@ def measure_pairs(
         if n < 4:
             continue
         west, south, level = points.col[t] * side, points.row[t] * side, points.upward[first]
-        for i in range(n):
-            scratch.points[0, i] = points.easting[first + i] - west
-            scratch.points[1, i] = points.northing[first + i] - south
-            scratch.points[2, i] = points.upward[first + i] - level
         x, y, h = scratch.points[0, :n], scratch.points[1, :n], scratch.points[2, :n]
+        shift(points.easting[first : first + n], west, 0.0, x)
+        shift(points.northing[first : first + n], south, 0.0, y)
+        shift(points.upward[first : first + n], level, 0.0, h)
         east, north = _take_plane_off(x, y, h)
         kept = _drop_strays(x, y, h, settings.gap, scratch.ends)
         if kept < n:
@@ -178,17 +177,21 @@ Integers = NDArray[np.int32]
 
 _FOOT_PIXELS = 8
 """Known pixels around one among which the foot of its side is looked for, at least: in thin surveys they lie apart."""
-_FARTHEST_FOOT = 4
+FARTHEST_FOOT = 4
 """Farthest of them, px."""
 
 
 _SIDE, _TALL, _LEVEL = 1, 2, 4
-"""Marks of pixels on a side, of those far above what lies beneath, and of those level with ground, which are not tall.
-"""
+"""Marks of raised pixels: on a side, far above what lies beneath, and level with ground, which are not tall."""
 _LEVEL_SHARE = 0.5
-"""If more of its pixels are so, nothing stands there: they are the rim of a narrow ditch, between pixels in it."""
+"""If more of the raised pixels are so, nothing stands there: they are the rim of a narrow ditch, between pixels in it.
+"""
 _TALLER = 2.5
 """They are so many times as far above it as a side drops: 0.5 m for a belly 0.25 m above the ground."""
+_SUMS = 10
+"""Sums of the heights of a tile, see `_fill_sums`."""
+_COUNTS = 5
+"""Numbers of pixels in the window around one: raised, on a side, tall, tall on a side, level."""
 
 
 class StandingLimits(NamedTuple):
@@ -205,17 +208,24 @@ class StandingLimits(NamedTuple):
     least: float
     """Pixels of things that are lower are left out, m."""
     share: float
-    """Share of the pixels of a thing that lie on its sides, at least."""
+    """Share of the raised pixels around one that lie on sides, at least."""
+    around: int
+    """Farthest of these along a row or column, px."""
+    pixels: int
+    """Pixels along a side of a tile."""
 
 
 class StandingScratch(NamedTuple):
     """Scratch, see `standing_scratch`."""
 
-    level: Annotated[NDArray[np.float64], 2]
-    """(rows, cols) heights above their plane."""
+    sums: Annotated[NDArray[np.float64], 3]
+    """(tile rows, tile columns, 10) sums of the heights of a tile."""
+    corners: Annotated[Floats, 2]
+    """(tile rows + 1, tile columns + 1) smooth heights at the corners of tiles, m."""
+    level: Annotated[Singles, 2]
+    """(rows, cols) heights above a smooth surface, m."""
     above: Annotated[Singles, 2]
-    """The same shape and precision of heights: above the plane, later above what lies beneath things; infinite where
-    nothing is known."""
+    """The same shape: heights, later above what lies beneath things, m; infinite where nothing is known."""
     low: Annotated[Singles, 2]
     """The same shape: lowest height within the disc."""
     beneath: Annotated[Singles, 2]
@@ -224,40 +234,41 @@ class StandingScratch(NamedTuple):
     """(cols + 2 * reach,) a row of pixels, infinite at both ends."""
     lowest: Annotated[Singles, 1]
     """(cols,) the lowest of that row within some pixels of each."""
-    raised: Annotated[Bytes, 1]
-    """((rows + 2) * (cols + 2),) pixels that are high enough, with one more on all sides that are not."""
-    sides: Annotated[Bytes, 1]
-    """The same shape: marks of those above a place far lower, and of tall ones."""
-    thing: Annotated[Integers, 1]
-    """(rows * cols,) pixels of one thing."""
+    raised: Annotated[NDArray[np.bool_], 2]
+    """(rows, cols) pixels that are high enough."""
+    sides: Annotated[Bytes, 2]
+    """The same shape: their marks."""
+    counts: Annotated[Integers, 2]
+    """(cols, _COUNTS) of each column, in the rows around one."""
     offsets: Annotated[Integers, 2]
     """(n, 3) of the pixels around one, the nearest first: rows, columns, their squared distance; not changed."""
 
 
-def standing_scratch(rows: int, cols: int, radius: float) -> StandingScratch:
-    """Make scratch for a heightmap and a disc of a radius [px]."""
-    maps = [np.empty((rows, cols), np.float32) for _ in range(3)]
-    padded = (rows + 2) * (cols + 2)
+def standing_scratch(rows: int, cols: int, radius: float, pixels: int) -> StandingScratch:
+    """Make scratch for a heightmap of tiles of so many pixels along a side, and a disc of a radius [px]."""
+    maps = [np.empty((rows, cols), np.float32) for _ in range(4)]
     return StandingScratch(
-        level=np.empty((rows, cols)),
-        above=maps[0],
-        low=maps[1],
-        beneath=maps[2],
+        sums=np.empty((rows // pixels, cols // pixels, _SUMS)),
+        corners=np.empty((rows // pixels + 1, cols // pixels + 1)),
+        level=maps[0],
+        above=maps[1],
+        low=maps[2],
+        beneath=maps[3],
         line=np.empty(cols + 2 * int(radius), np.float32),
         lowest=np.empty(cols, np.float32),
-        raised=np.empty(padded, np.uint8),
-        sides=np.empty(padded, np.uint8),
-        thing=np.empty(rows * cols, np.int32),
+        raised=np.empty((rows, cols), np.bool_),
+        sides=np.empty((rows, cols), np.uint8),
+        counts=np.empty((cols, _COUNTS), np.int32),
         offsets=_offsets(),
     )
 
 
 @cache
 def _offsets() -> Integers:
-    down, right = np.mgrid[-_FARTHEST_FOOT : _FARTHEST_FOOT + 1, -_FARTHEST_FOOT : _FARTHEST_FOOT + 1].reshape(2, -1)
+    down, right = np.mgrid[-FARTHEST_FOOT : FARTHEST_FOOT + 1, -FARTHEST_FOOT : FARTHEST_FOOT + 1].reshape(2, -1)
     square = down * down + right * right
     order = np.lexsort((right, down, square))
-    order = order[(square[order] > 0) & (square[order] <= _FARTHEST_FOOT * _FARTHEST_FOOT)]
+    order = order[(square[order] > 0) & (square[order] <= FARTHEST_FOOT * FARTHEST_FOOT)]
     return np.stack([down, right, square], axis=1)[order].astype(np.int32)
 
 
@@ -287,20 +298,88 @@ def _lowest_on_disc(values: Singles, radius: float, scratch: StandingScratch, ou
 
 
 @helper
+def _fill_sums(row: int, col: int, heights: Singles, pixels: int, out: Floats) -> None:
+    """Fill the sums of a tile's known heights that a least-squares plane through several tiles needs.
+
+    These are a height, the number of pixels, and the sums of x, y, z, xx, xy, yy, xz, yz: x and y [px] from the middle
+    of the tile, z [m] from that height.
+    """
+    set_all(out, 0.0)
+    for r in range(pixels):
+        for c in range(pixels):
+            height = heights[row * pixels + r, col * pixels + c]
+            if math.isnan(height):
+                continue
+            out[0] = height if out[1] == 0.0 else out[0]
+            x, y, z = c - 0.5 * (pixels - 1), r - 0.5 * (pixels - 1), height - out[0]
+            out[1], out[2], out[3], out[4] = out[1] + 1.0, out[2] + x, out[3] + y, out[4] + z
+            out[5], out[6], out[7] = out[5] + x * x, out[6] + x * y, out[7] + y * y
+            out[8], out[9] = out[8] + x * z, out[9] + y * z
+
+
+@helper
+def _height_between(row: int, col: int, sums: NDArray[np.float64], pixels: int) -> float:
+    """Return the height of the plane through four tiles at their common corner, north-west of one; NaN without any.
+
+    It is their mean height if they span no plane.
+    """
+    base = n = sx = sy = sz = xx = xy = yy = xz = yz = 0.0
+    for k in range(4):
+        r, c = row - 1 + k // 2, col - 1 + k % 2
+        if not (0 <= r < sums.shape[0] and 0 <= c < sums.shape[1]) or sums[r, c, 1] == 0.0:
+            continue
+        own = sums[r, c]
+        base = own[0] if n == 0.0 else base
+        x, y, z, m = pixels * (c - col + 0.5), pixels * (r - row + 0.5), own[0] - base, own[1]
+        n, sx, sy, sz = n + m, sx + own[2] + m * x, sy + own[3] + m * y, sz + own[4] + m * z
+        xx += own[5] + 2.0 * x * own[2] + m * x * x
+        yy += own[7] + 2.0 * y * own[3] + m * y * y
+        xy += own[6] + x * own[3] + y * own[2] + m * x * y
+        xz += own[8] + x * own[4] + z * own[2] + m * x * z
+        yz += own[9] + y * own[4] + z * own[3] + m * y * z
+    if n == 0.0:
+        return np.nan
+    mx, my, mz = sx / n, sy / n, sz / n
+    xx, xy, yy, xz, yz = xx - sx * mx, xy - sx * my, yy - sy * my, xz - sx * mz, yz - sy * mz
+    det = xx * yy - xy * xy
+    if det <= 1e-6 * xx * yy:
+        return base + mz
+    return base + mz - mx * (xz * yy - yz * xy) / det - my * (yz * xx - xz * xy) / det
+
+
+@helper
+def _fill_level(heights: Singles, pixels: int, scratch: StandingScratch) -> None:
+    """Fill how far pixels are above a smooth surface: straight lines between its heights at the corners of tiles.
+
+    These are those of planes, through the four tiles around each: pixels beside one another differ by no slope.
+    """
+    level, sums, corners = scratch.level, scratch.sums, scratch.corners
+    for row in range(sums.shape[0]):
+        for col in range(sums.shape[1]):
+            _fill_sums(row, col, heights, pixels, sums[row, col])
+    for row in range(corners.shape[0]):
+        for col in range(corners.shape[1]):
+            corners[row, col] = _height_between(row, col, sums, pixels)
+    for r in range(level.shape[0]):
+        row, south = r // pixels, (r % pixels + 0.5) / pixels
+        for c in range(level.shape[1]):
+            col, east = c // pixels, (c % pixels + 0.5) / pixels
+            north_side = corners[row, col] + east * (corners[row, col + 1] - corners[row, col])
+            south_side = corners[row + 1, col] + east * (corners[row + 1, col + 1] - corners[row + 1, col])
+            level[r, c] = heights[r, c] - (north_side + south * (south_side - north_side))
+
+
+@helper
 def _fill_above(heights: Singles, radius: float, scratch: StandingScratch) -> None:
     """Fill how far each pixel is above the surface that a disc can touch from below: a morphological opening.
 
-    At an edge above a slope, a disc touches only what lies lower: so the plane through all heights comes off first.
+    Its heights are some of those that are given, so the ground around has no part in their rounding.
     """
+    above, low, beneath = scratch.above, scratch.low, scratch.beneath
     rows, cols = heights.shape
-    level, above, low, beneath = scratch.level, scratch.above, scratch.low, scratch.beneath
     for r in range(rows):
         for c in range(cols):
-            level[r, c] = heights[r, c]
-    detrend(level)
-    for r in range(rows):
-        for c in range(cols):
-            above[r, c] = np.inf if math.isnan(level[r, c]) else level[r, c]
+            above[r, c] = np.inf if math.isnan(heights[r, c]) else heights[r, c]
     _lowest_on_disc(above, radius, scratch, low)
     for r in range(rows):
         for c in range(cols):
@@ -314,7 +393,7 @@ def _fill_above(heights: Singles, radius: float, scratch: StandingScratch) -> No
 @helper
 def _is_side(r: int, c: int, limits: StandingLimits, scratch: StandingScratch) -> bool:
     """Return whether a pixel lies far above one within ``foot``, or as steeply above one of the nearest known ones."""
-    above, offsets = scratch.above, scratch.offsets
+    level, offsets = scratch.level, scratch.offsets
     known, last = 0, 0
     for k in range(len(offsets)):
         square = offsets[k, 2]
@@ -322,11 +401,9 @@ def _is_side(r: int, c: int, limits: StandingLimits, scratch: StandingScratch) -
             return False
         last = square
         row, col = r + offsets[k, 0], c + offsets[k, 1]
-        if not (0 <= row < above.shape[0] and 0 <= col < above.shape[1]):
-            known += 1  # nothing farther inside stands for what is cut off
-        elif above[row, col] < np.inf:
+        if 0 <= row < level.shape[0] and 0 <= col < level.shape[1] and not math.isnan(level[row, col]):
             known += 1
-            if above[r, c] - above[row, col] > limits.drop * max(1.0, math.sqrt(square) / limits.foot):
+            if level[r, c] - level[row, col] > limits.drop * max(1.0, math.sqrt(square) / limits.foot):
                 return True
     return False
 
@@ -334,50 +411,47 @@ def _is_side(r: int, c: int, limits: StandingLimits, scratch: StandingScratch) -
 @helper
 def _is_level(r: int, c: int, drop: float, scratch: StandingScratch) -> bool:
     """Return whether ground that is not raised lies beside a raised pixel, and hardly below it."""
-    level, wide = scratch.level, scratch.level.shape[1] + 2
+    level = scratch.level
     for row in range(max(r - 1, 0), min(r + 2, level.shape[0])):
         for col in range(max(c - 1, 0), min(c + 2, level.shape[1])):
-            ground = scratch.raised[(row + 1) * wide + col + 1] == 0
-            if ground and level[row, col] > level[r, c] - 0.5 * drop:
+            if not scratch.raised[row, col] and level[row, col] > level[r, c] - 0.5 * drop:
                 return True
     return False
 
 
 @helper
-def _follow_thing(start: int, wide: int, sides: Bytes, share: float, raised: Bytes, thing: Integers) -> int:
-    """List the raised pixels that hang together with one by sides and corners; returns how many stand, else 0.
+def _add_row(r: int, sign: int, scratch: StandingScratch) -> None:
+    """Add a row of pixels to the counts of the columns, or take it from them."""
+    raised, sides, counts = scratch.raised, scratch.sides, scratch.counts
+    for c in range(len(counts)):
+        if raised[r, c]:
+            mark = sides[r, c]
+            counts[c, 0] += sign
+            counts[c, 1] += sign * (mark & _SIDE)
+            counts[c, 2] += sign * ((mark & _TALL) > 0)
+            counts[c, 3] += sign * (mark == _SIDE + _TALL)
+            counts[c, 4] += sign * ((mark & _LEVEL) > 0)
 
-    They are no longer marked as raised. Rows of pixels are ``wide``, with one on both ends that is never raised. Where
-    only the tall ones among them stand, on rough or noisy ground that is raised too, the list is of these.
-    """
-    size, at = 1, 0
-    steep = tall = steep_tall = level = 0
-    thing[0] = start
-    raised[start] = 0
-    while at < size:
-        mark = sides[thing[at]]
-        steep += mark & _SIDE
-        tall += (mark & _TALL) > 0
-        steep_tall += mark == _SIDE + _TALL
-        level += (mark & _LEVEL) > 0
-        for down in range(-1, 2):
-            for right in range(-1, 2):
-                k = thing[at] + down * wide + right
-                if raised[k] > 0:
-                    raised[k] = 0
-                    thing[size] = k
-                    size += 1
-        at += 1
-    if steep > share * size and level <= _LEVEL_SHARE * size:
-        return size
-    if steep_tall <= share * tall:
-        return 0
-    kept = 0
-    for n in range(size):
-        if sides[thing[n]] & _TALL > 0:
-            thing[kept] = thing[n]
-            kept += 1
-    return kept
+
+@helper
+def _mark_row(r: int, limits: StandingLimits, scratch: StandingScratch, marks: NDArray[np.bool_]) -> None:
+    """Mark the pixels of things in a row: of the raised ones around enough are sides, or of the tall ones."""
+    raised, sides, counts, around, cols = scratch.raised, scratch.sides, scratch.counts, limits.around, marks.shape[1]
+    size = steep = tall = steep_tall = level = 0
+    for last in range(cols + around):
+        if last < cols:
+            size, steep, tall = size + counts[last, 0], steep + counts[last, 1], tall + counts[last, 2]
+            steep_tall, level = steep_tall + counts[last, 3], level + counts[last, 4]
+        first = last - 2 * around - 1
+        if first >= 0:
+            size, steep, tall = size - counts[first, 0], steep - counts[first, 1], tall - counts[first, 2]
+            steep_tall, level = steep_tall - counts[first, 3], level - counts[first, 4]
+        c = last - around
+        if c < 0:
+            continue
+        stands = steep > limits.share * size and level <= _LEVEL_SHARE * size
+        stands |= (sides[r, c] & _TALL) > 0 and steep_tall > limits.share * tall
+        marks[r, c] = raised[r, c] and stands and scratch.above[r, c] >= limits.least
 
 
 @kernel
@@ -389,29 +463,35 @@ def mark_standing(
 ) -> None:
     """Mark the pixels of things."""
     rows, cols = heights.shape
-    above, raised, sides, thing = scratch.above, scratch.raised, scratch.sides, scratch.thing
+    above, raised, sides, counts = scratch.above, scratch.raised, scratch.sides, scratch.counts
     _fill_above(heights, limits.width, scratch)
-    for k in range(len(raised)):
-        raised[k] = 0
+    found = False
     for r in range(rows):
-        first = (r + 1) * (cols + 2) + 1
         for c in range(cols):
-            high = limits.raised < above[r, c] < np.inf
-            raised[first + c] = high
-            sides[first + c] = _SIDE if high and _is_side(r, c, limits, scratch) else 0
-            if high and above[r, c] > _TALLER * limits.drop:
-                sides[first + c] += _TALL
+            raised[r, c] = limits.raised < above[r, c] < np.inf
+            found |= raised[r, c]
             marks[r, c] = False
+    if not found:
+        return
+    _fill_level(heights, limits.pixels, scratch)
     for r in range(rows):
         for c in range(cols):
-            k = (r + 1) * (cols + 2) + c + 1
-            if raised[k] > 0 and _is_level(r, c, limits.drop, scratch):
-                sides[k] = (sides[k] & _SIDE) + _LEVEL
-    for start in range(len(raised)):
-        if raised[start] > 0:
-            for k in range(_follow_thing(start, cols + 2, sides, limits.share, raised, thing)):
-                r, c = thing[k] // (cols + 2) - 1, thing[k] % (cols + 2) - 1
-                marks[r, c] = above[r, c] >= limits.least
+            if raised[r, c]:
+                sides[r, c] = _SIDE if _is_side(r, c, limits, scratch) else 0
+                if _is_level(r, c, limits.drop, scratch):
+                    sides[r, c] += _LEVEL
+                elif above[r, c] > _TALLER * limits.drop:
+                    sides[r, c] += _TALL
+    for c in range(cols):
+        for k in range(_COUNTS):
+            counts[c, k] = 0
+    for last in range(rows + limits.around):
+        if last < rows:
+            _add_row(last, 1, scratch)
+        if last > 2 * limits.around:
+            _add_row(last - 2 * limits.around - 1, -1, scratch)
+        if last >= limits.around:
+            _mark_row(last - limits.around, limits, scratch, marks)
 
 
 class BareSettings(NamedTuple):

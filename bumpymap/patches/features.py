@@ -132,10 +132,9 @@ def _reasons(count: NDArray[np.int64], scalars: NDArray[np.float64], settings: F
 
 
 def join_stacks(stacks: Sequence[PatchStack]) -> PatchStack:
-    """Put stacks of one grid (at least one) together, north to south, then west to east: the order of every file."""
-    columns = {f.name: [getattr(stack, f.name) for stack in stacks] for f in fields(PatchStack) if f.name != "grid"}
-    order = np.lexsort((np.concatenate(columns["col"]), -np.concatenate(columns["row"])))
-    return PatchStack(stacks[0].grid, **{name: np.concatenate(parts)[order] for name, parts in columns.items()})
+    """Put stacks of one grid (at least one) together; tiles keep their order."""
+    names = [f.name for f in fields(PatchStack) if f.name != "grid"]
+    return PatchStack(stacks[0].grid, **{n: np.concatenate([getattr(stack, n) for stack in stacks]) for n in names})
 
 
 _SEEN = 1

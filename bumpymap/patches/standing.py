@@ -5,7 +5,7 @@ is also in the way of a vehicle whose belly is lower.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import fields, replace
 from typing import Any, NamedTuple
 
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from bumpymap.core import (
     DENSE_COVERAGE,
     EMPTY,
-    FREE,
     LONE,
     OBSTACLE,
     POINT_DECK,
@@ -23,7 +22,6 @@ from bumpymap.core import (
     POINT_OTHER,
     STEEP,
     THIN_SEEN,
-    UNSEEN,
     FeatureSettings,
     ObjectStack,
     PatchStack,
@@ -32,6 +30,7 @@ from bumpymap.core import (
 )
 from bumpymap.patches._solid_kernels import THIN
 from bumpymap.patches._standing_kernels import (
+    FARTHEST_FOOT,
     BareSettings,
     BareTiles,
     StandingLimits,
@@ -41,7 +40,7 @@ from bumpymap.patches._standing_kernels import (
     standing_scratch,
 )
 from bumpymap.patches.features import choose_tiles, measure
-from bumpytiles import BLOCK_TILES, TilePoints
+from bumpytiles import BLOCK_TILES, Grid, TilePoints
 
 _WIDTH = 1.8
 """Width of what the ground filter may have left, m; wider things are above its threshold."""
@@ -55,8 +54,12 @@ _DROP, _REACH = 0.8, 0.3
 """A side drops by this share of the lowest obstacle within so many m."""
 _SPREAD = 0.7
 """Spread of the points of a pixel that no slope has, as a share of the lowest obstacle."""
+_LEAST_DISC = 1.5
+"""Radius of a disc that holds the eight pixels around one, px."""
 _STEEP = 0.3
 """Share of the raised pixels that lie so close to the foot of a side, at least: a swell of the ground has none."""
+_AROUND = 1.5
+"""Radius of the square in which they are counted, as a multiple of that of the widest thing."""
 
 _LEAST_PIXELS = 15
 """With fewer pixels of ground a tile does not tell what stands on it."""
@@ -102,25 +105,23 @@ def take_off_standing(
         The same with NaN for their ``heights``.
     """
     at = BLOCK_TILES - 1 - patches.row % BLOCK_TILES, patches.col % BLOCK_TILES
-    mosaic = _mosaic(patches.heights, at, size=(BLOCK_TILES, BLOCK_TILES))
-    standing = _of_tiles(find_standing(mosaic, body, points.grid.pixel_size), at, points.grid.pixels)
+    mosaic = _mosaic(patches.heights, at, (BLOCK_TILES, BLOCK_TILES))
+    standing = _of_tiles(find_standing(mosaic, body, points.grid), at, points.grid.pixels)
     heights = np.where(standing, np.float32(np.nan), patches.heights)
     return _points_apart(points, standing), replace(patches, heights=heights)
 
 
 def find_in_relief(
-    points: TilePoints, patches: PatchStack, body: VehicleBody, block: PatchStack | None = None
+    points: TilePoints, patches: PatchStack, body: VehicleBody, around: Mapping[str, NDArray[Any]] | None = None
 ) -> ReliefObjects:
     """Find what stands on the ground of tiles where all points count as ground.
 
     Narrow, steep things in the relief are obstacles. Other pixels whose points lie far above one another hold a part of
-    a fence, or the side of a wall: `settle_solids` makes two side by side, or a line of them, an obstacle. In tiles of
-    fewer than 10 points/m2 a thing may have so few points that they are strays: at the height of the vehicle they are
-    ``LONE``, which `settle_solids` closes. The other pixels with points are ``FREE``; of the tile as a whole nothing is
-    known.
-
-    A tile is looked at with the others of its block of 16 x 16. What is cut off at the edge of that may be ground at
-    another level, and is left to `settle_relief`.
+    a fence, or the side of a wall: `settle_solids` makes two side by side, or a line of them, an obstacle. But the
+    sides of a narrow ditch, over which a wheel rolls, are none; what it does in a wide one, the steps and the ride of
+    its tile tell. In tiles of fewer than 10 points/m2 a thing may have so few points that they are strays: at the
+    height of the vehicle they are ``LONE``, which `settle_solids` closes. The other pixels with points are ``FREE``; of
+    the tile as a whole nothing is known.
 
     Parameters
     ----------
@@ -130,31 +131,44 @@ def find_in_relief(
         The same tiles, measured from all points.
     body : VehicleBody
         Outline of the vehicle.
-    block : PatchStack, optional
-        All tiles of their block, if ``patches`` are not.
+    around : mapping, optional
+        ``col``, ``row`` and ``heights`` of these tiles and of those up to `relief_margin` tiles around them: beyond it
+        nothing has a part in what is found. Without, nothing lies around them.
     """
     stack = ObjectStack.empty(*patches.heights.shape[:2])
-    stack.objects[patches.spread_count == 0] = EMPTY
-    stack.objects[patches.spread_variance > (_SPREAD * body.lowest_obstacle_m) ** 2] = STEEP
-    whole = patches if block is None else block
-    things, near = (np.zeros(whole.heights.shape, np.bool_) for _ in range(2))
+    grid, objects = patches.grid, stack.objects
+    objects[patches.spread_count == 0] = EMPTY
+    steep = patches.spread_variance > (_SPREAD * body.lowest_obstacle_m) ** 2
+    things, near, in_hollow = (np.zeros(patches.heights.shape, np.bool_) for _ in range(3))
     has_room = np.ones(len(things), np.bool_)
-    ring = math.ceil(0.5 * _WIDEST / whole.grid.tile_size)
-    for tiles, at in _blocks(whole, ring):
-        mosaic = _mosaic(whole.heights[tiles], at, ring)
-        found = find_standing(mosaic, body, whole.grid.pixel_size, width=_WIDEST, least=body.lowest_obstacle_m)
+    around = around or {name: getattr(patches, name) for name in ("col", "row", "heights")}
+    for tiles, mosaic, at in _mosaics(patches, around, relief_margin(grid)):
+        if steep[tiles].any():
+            hollow = find_standing(-mosaic, body, grid, width=_HOLLOW)
+            in_hollow[tiles] = _of_tiles(_with_neighbours(hollow), at, grid.pixels)
+        found = find_standing(mosaic, body, grid, width=_WIDEST, least=body.lowest_obstacle_m)
         if found.any():
-            things[tiles] = _of_tiles(found, at, whole.grid.pixels)
-            near[tiles] = _of_tiles(_with_neighbours(found), at, whole.grid.pixels)
-            closed = _within(found, 0.5 * body.width_m / whole.grid.pixel_size)
-            has_room[tiles] = ~_of_tiles(closed, at, whole.grid.pixels).all(axis=(1, 2))
-    if block is not None:
-        things, near, has_room = (marks[_rows_in(block, patches)] for marks in (things, near, has_room))
-    stack.objects[things] = OBSTACLE
+            things[tiles] = _of_tiles(found, at, grid.pixels)
+            near[tiles] = _of_tiles(_with_neighbours(found), at, grid.pixels)
+            closed = _within(found, 0.5 * body.width_m / grid.pixel_size)
+            has_room[tiles] = ~_of_tiles(closed, at, grid.pixels).all(axis=(1, 2))
+    objects[steep & ~in_hollow] = STEEP
+    objects[things] = OBSTACLE
     has_strays = patches.spread_count.sum(axis=(1, 2)) < patches.count
     for t in np.flatnonzero(has_strays).tolist():
-        _mark_strays(t, points, patches, body, stack.objects[t], near[t])
+        _mark_strays(t, points, patches, body, objects[t], near[t])
     return ReliefObjects(stack, near, has_room)
+
+
+def relief_margin(grid: Grid) -> int:
+    """Return how many tiles around a tile have a part in what stands on it, at most a block.
+
+    The square around a pixel, and what lies beneath each pixel in it; or the foot of its side, and the slope there, in
+    which one tile more has a part.
+    """
+    disc = max(0.5 * _WIDEST, _LEAST_DISC * grid.pixel_size)
+    beneath, side = (2.0 + _AROUND) * disc, _AROUND * disc + FARTHEST_FOOT * grid.pixel_size
+    return min(max(math.ceil(beneath / grid.tile_size), 1 + math.ceil(side / grid.tile_size)), BLOCK_TILES)
 
 
 def _mark_strays(
@@ -172,7 +186,7 @@ def _mark_strays(
     strays = (above > max(ground.max(), body.lowest_obstacle_m)) & (above <= body.height_m + (0.0 if is_thin else _LOW))
     strays &= (held > patches.spread_count[t])[row, col]
     found[row[strays], col[strays]] = True
-    states[found] = LONE
+    states[found & (states != OBSTACLE)] = LONE
     if is_thin:
         near |= _with_neighbours(found)
 
@@ -344,57 +358,25 @@ def decks_as_ground(points: TilePoints) -> TilePoints:
     return replace(points, flag=flag)
 
 
-def settle_relief(
-    states: NDArray[np.uint8], heights: Mosaic, body: VehicleBody, pixel: float
-) -> NDArray[np.uint8]:  # fmt: skip
-    """Decide which pixels stand out of a relief: narrow, steep things do, and the sides of narrow hollows do not.
-
-    The points at the side of a ditch lie as far above one another as those of a fence or of the side of a wall. But a
-    wheel rolls over a narrow ditch; what it does in a wide one, the steps and the ride of its tile tell.
-
-    Parameters
-    ----------
-    states : uint8 (rows, cols)
-        Of `find_in_relief`, tiles side by side, north row first; ``UNSEEN`` where a tile is missing.
-    heights : float32 (rows, cols)
-        Mean height of the points in each pixel, m; NaN where there are none.
-    body : VehicleBody
-        Outline of the vehicle.
-    pixel : float
-        Side of a pixel, m.
-
-    Returns
-    -------
-    uint8 (rows, cols)
-        The same with ``OBSTACLE`` where something stands out, and ``FREE`` for ``STEEP`` beside a hollow.
-    """
-    out, steep = states.copy(), states == STEEP
-    if steep.any():
-        hollow = find_standing(-heights, body, pixel, width=_HOLLOW)
-        out[steep & _with_neighbours(hollow)] = FREE
-    standing = find_standing(heights, body, pixel, width=_WIDEST, least=body.lowest_obstacle_m)
-    out[standing & (states != UNSEEN)] = OBSTACLE
-    return out
-
-
 def find_standing(
-    heights: Mosaic, body: VehicleBody, pixel: float, *, width: float = _WIDTH, least: float = 0.0
+    heights: Mosaic, body: VehicleBody, grid: Grid, *, width: float = _WIDTH, least: float = 0.0
 ) -> Marks:  # fmt: skip
     """Find narrow things with steep sides in a heightmap.
 
-    The surface beneath them is what a disc of ``width`` can touch from below (a morphological opening). A group of
-    pixels that are more than half the height of the lowest obstacle above it is a thing if at least 30 % of them lie
-    within 0.3 m of a place that is 80 % of that height lower. Where fewer than eight pixels so close are known, the
-    nearest eight count, up to four pixels away, if they are lower in proportion to their distance.
+    The surface beneath them is what a disc of ``width`` can touch from below (a morphological opening). Pixels that are
+    more than half the height of the lowest obstacle above it are those of a thing if at least 30 % of them, in a square
+    around each, lie within 0.3 m of a place that is 80 % of that height lower, once the slope of the ground is taken
+    off. Where fewer than eight pixels so close are known, the nearest eight count, up to four pixels away, if they
+    are lower in proportion to their distance.
 
     Parameters
     ----------
     heights : float32 (rows, cols)
-        Mean height of the ground in each pixel, m; NaN where none is known.
+        Mean height of the ground in each pixel, m; NaN where none is known. Whole tiles, side by side.
     body : VehicleBody
         Its ``lowest_obstacle_m``, m.
-    pixel : float
-        Side of a pixel, m.
+    grid : Grid
+        Tiles and pixels.
     width : float
         What is narrower stands on the ground, m; what is wider is ground at another level.
     least : float
@@ -405,13 +387,13 @@ def find_standing(
     bool (rows, cols)
         True in the pixels of such things.
     """
-    disc, foot = max(1.5, 0.5 * width / pixel), max(1.5, _REACH / pixel)  # at least the eight neighbours
+    disc, foot = (max(_LEAST_DISC, side / grid.pixel_size) for side in (0.5 * width, _REACH))
     belly = body.lowest_obstacle_m
     raised, drop, lowest = (float(np.float32(limit)) for limit in (_RAISED * belly, _DROP * belly, least))
-    limits = StandingLimits(disc, foot, raised, drop, lowest, _STEEP)
+    limits = StandingLimits(disc, foot, raised, drop, lowest, _STEEP, int(_AROUND * disc), grid.pixels)
     marks = np.empty(heights.shape, np.bool_)
     rows, cols = heights.shape
-    scratch = standing_scratch(rows, cols, disc)
+    scratch = standing_scratch(rows, cols, disc, grid.pixels)
     mark_standing(np.ascontiguousarray(heights, np.float32), limits, scratch, marks)
     return marks
 
@@ -443,36 +425,34 @@ Places = tuple[NDArray[np.int64], NDArray[np.int64]]
 """Rows from the north and columns of tiles in a mosaic."""
 
 
-def _blocks(patches: PatchStack, ring: int) -> Iterator[tuple[NDArray[np.int64], Places]]:
-    """Yield the tiles of each block, and their places in a mosaic with a ring of so many tiles around them."""
-    key = np.stack([patches.row // BLOCK_TILES, patches.col // BLOCK_TILES])
-    order = np.lexsort(key)
-    cuts = 1 + np.flatnonzero((np.diff(key[:, order], axis=1) != 0).any(axis=0))
-    for tiles in np.split(order, cuts):
-        row, col = patches.row[tiles], patches.col[tiles]
-        yield tiles, (row.max() - row + ring, col - col.min() + ring)
+def _mosaics(
+    patches: PatchStack, around: Mapping[str, NDArray[Any]], margin: int
+) -> Iterator[tuple[NDArray[np.int64], Mosaic, Places]]:
+    """Yield the tiles of each block, the heights in it and up to ``margin`` tiles around it, and their places there."""
+    side = BLOCK_TILES + 2 * margin
+    place = np.stack([patches.row, patches.col], axis=1) // BLOCK_TILES
+    blocks, block = np.unique(place, axis=0, return_inverse=True)
+    corners = blocks * BLOCK_TILES + np.array([BLOCK_TILES + margin - 1, -margin])
+    for number, (north, west) in enumerate(corners.tolist()):
+        row, col = north - around["row"], around["col"] - west
+        inside = np.flatnonzero((row >= 0) & (row < side) & (col >= 0) & (col < side))
+        mosaic = _mosaic(around["heights"][inside], (row[inside], col[inside]), (side, side))
+        tiles = np.flatnonzero(block.reshape(-1) == number)
+        yield tiles, mosaic, (north - patches.row[tiles], patches.col[tiles] - west)
 
 
-def _mosaic(maps: NDArray[Any], at: Places, ring: int = 0, size: tuple[int, int] | None = None) -> NDArray[Any]:
-    """Put maps of tiles, (n, pixels, pixels), side by side, north up; missing ones are NaN or False.
+def _mosaic(maps: NDArray[Any], at: Places, size: tuple[int, int]) -> NDArray[Any]:
+    """Put maps of tiles, (n, pixels, pixels), side by side, north up; missing ones are NaN.
 
-    ``size`` are the rows and columns of tiles; by default as many as there are, and a ring.
+    ``size`` are the rows and columns of tiles.
     """
     px = maps.shape[1]
-    rows, cols = size or (int(at[0].max()) + 1 + ring, int(at[1].max()) + 1 + ring)
-    block = np.full((rows, px, cols, px), np.nan if maps.dtype.kind == "f" else 0, maps.dtype)
+    block = np.full((size[0], px, size[1], px), np.nan, maps.dtype)
     block[at[0], :, at[1]] = maps
-    return block.reshape(rows * px, cols * px)
+    return block.reshape(size[0] * px, size[1] * px)
 
 
 def _of_tiles(mosaic: Marks, at: Places, px: int) -> Marks:
     """Cut tiles out of a mosaic again."""
     rows, cols = (side // px for side in mosaic.shape)
     return np.asarray(mosaic.reshape(rows, px, cols, px)[at[0], :, at[1]])
-
-
-def _rows_in(block: PatchStack, patches: PatchStack) -> NDArray[np.int64]:
-    """Return the rows of a stack in which the tiles of another are."""
-    keys, wanted = ((stack.row % BLOCK_TILES) * BLOCK_TILES + stack.col % BLOCK_TILES for stack in (block, patches))
-    order = np.argsort(keys)
-    return np.asarray(order[np.searchsorted(keys[order], wanted)])

@@ -69,6 +69,7 @@ from .ride.thin import (
     thin_columns as thin_columns,
 )
 from .ride.thin_rate import (
+    THIN_RING as THIN_RING,
     BlockRating as BlockRating,
     ThinSurveys as ThinSurveys,
     dense_share as dense_share,

@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CROSSING_UNKNOWN, FREE, OBSTACLE, UNDECIDED, Barred, VehicleBody, corners_join, obstacle_reach
+from bumpymap.core import CLOSED_WHOLLY, FREE, OBSTACLE, UNDECIDED, Barred, VehicleBody, corners_join, obstacle_reach
 from bumpymap.rating._passable_kernels import (
     GrowScratch,
     InnerTiles,
@@ -19,8 +19,6 @@ from bumpymap.rating._passable_kernels import (
 
 _MOST_MARGIN = 0.45
 """Of a tile: what wide vehicles keep from tiles that their ground bars, so that corridors of one tile stay open."""
-_GROUND = (*CROSSING_UNKNOWN, Barred.SLOPE, Barred.FAILS)
-"""Reasons that bar a whole tile; obstacles and steps bar pixels."""
 
 
 def settle_objects(objects: NDArray[np.uint8], pixels: int) -> NDArray[np.uint8]:
@@ -121,7 +119,7 @@ def free_areas(
     pixels = len(objects) // count
     mosaic, scratch = _grown(objects, body, tile_size, pixels)
     tiles = scratch.mask.reshape(count, pixels, count, pixels).swapaxes(1, 2)[1:-1, 1:-1]
-    return _numbered((tiles == 0) & ~np.isin(barred, _GROUND)[..., None, None], mosaic.corners)
+    return _numbered((tiles == 0) & ~np.isin(barred, CLOSED_WHOLLY)[..., None, None], mosaic.corners)
 
 
 def close_split_tiles(
@@ -157,7 +155,7 @@ def close_split_tiles(
     split = np.zeros(barred.shape, np.bool_)
     radius, corners = _reach(body, tile_size, pixels)
     close_split(np.ascontiguousarray(areas), largest, barred == Barred.NO, corners, split)
-    near = _beside(np.isin(barred, _GROUND), min(radius, _MOST_MARGIN * pixels), pixels)
+    near = _beside(np.isin(barred, CLOSED_WHOLLY), min(radius, _MOST_MARGIN * pixels), pixels)
     inner = areas[1:-1, 1:-1]
     final = np.where(split, np.uint8(Barred.SPLIT), barred)[1:-1, 1:-1]
     return final, _numbered((inner > 0) & ~near, corners) if (near & (inner > 0)).any() else inner

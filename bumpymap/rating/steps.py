@@ -295,6 +295,14 @@ class TileSteps:
     """(n, m) up to that height steps do not stand out from noise and roughness of the tile; of `bumpymap.core`, see
     `smallest_step`."""
 
+    def inner_tiles(self, pixels: int) -> "TileSteps":
+        """Return the steps without the outermost tiles; ``closed`` and ``low`` (n, m, pixels, pixels) of the others."""
+        inner, (rows, cols) = np.s_[1:-1, 1:-1], (side // pixels for side in self.closed.shape)
+        closed, low = (
+            marks.reshape(rows, pixels, cols, pixels).swapaxes(1, 2)[2:-2, 2:-2] for marks in (self.closed, self.low)
+        )
+        return TileSteps(self.border[inner], self.inner[inner], self.rim[inner], closed, low, self.limit[inner])
+
     @property
     def edge_step(self) -> NDArray[np.float32]:
         """(n, m) the highest of the four borders; NaN if all are unknown."""

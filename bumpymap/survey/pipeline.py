@@ -21,7 +21,7 @@ from bumpymap.core import (
     return_memory,
 )
 from bumpymap.layers import check_folder, is_complete
-from bumpymap.patches import close_filter, require_filter
+from bumpymap.patches import close_filter, relief_margin, require_filter
 from bumpymap.rating import map_rule
 from bumpymap.survey.engine import (
     BlockWork,
@@ -109,7 +109,7 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
     columns = rated_columns(grid.pixels, len(speeds), headings=config.headings)
     if any(reader.has_colour for reader in inputs.readers):
         columns = (*columns, photo_column(grid.pixels))
-    work = BlockWork(grid, columns, rating, config.ground, in_relief)
+    work = BlockWork(grid, columns, rating, config.ground, in_relief, relief_margin(grid))
     # Workers first: a failure to connect must not cost what an earlier run has finished.
     with (
         connect(config.scheduler) as workers,

@@ -8,17 +8,19 @@ tasks or machines.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar, TypeAlias, TypeVar
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from bumpymap.core import (
     CANOPY,
+    CLOSED_WHOLLY,
     EMPTY,
     FREE,
     NO_CLASS,
@@ -38,8 +40,9 @@ from bumpymap.core import (
     neighbour_columns,
     smallest_step,
 )
-from bumpymap.patches import settle_relief, settle_solids
+from bumpymap.patches import settle_solids
 from bumpymap.rating import (
+    THIN_RING,
     BlockRating,
     Calibration,
     TileSteps,
@@ -64,6 +67,8 @@ from bumpytiles import BLOCK_TILES, BlockKey, Column, Pack, TileTable, grouped_b
 
 _GROUP_TILES = 256
 """Most tiles in a group of blocks: as many as a full block has."""
+_KEPT_LITTLE = 64
+"""Blocks of which the few columns are kept that tell whether neighbours matter."""
 KEPT_BYTES = 8 << 20
 """Most bytes of blocks that are kept in memory: 24 full ones at 15 x 15 pixels."""
 _FILL: dict[str, Any] = {"f": np.nan, "u": 255, "i": 0}
@@ -80,6 +85,8 @@ class NeighbourWindow:
     """(n, n, ...) each, north row first; missing tiles are NaN, 255 in columns of bytes, 0 in other integers."""
     present: NDArray[np.bool_]
     """(n, n) whether there is a tile."""
+    wider: Callable[[Sequence[str], int], "NeighbourWindow"]
+    """Returns some columns with more rings, up to a block."""
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         return self.columns[name]
@@ -119,8 +126,9 @@ def add_neighbours(
     # The windows of two blocks side by side have six in common.
     kept = max(1, int(KEPT_BYTES / (tile_bytes * BLOCK_TILES**2)))
     read = lru_cache(kept)(lambda key: table.read_blocks([key], names))
+    little = lru_cache(_KEPT_LITTLE)(lambda key: table.read_blocks([key], ("col", "row", *rating.decides)))
     groups = grouped_blocks(keys, table.count, _GROUP_TILES)
-    for rated in run_blocks(lambda group: _rate_group(table, read, rating, group), groups, threads):
+    for rated in run_blocks(lambda group: _rate_group(table, read, little, rating, group), groups, threads):
         for key, columns in rated:
             sink.add(key, columns)
         progress.advance(len(rated))
@@ -133,17 +141,18 @@ _Read = Callable[[BlockKey], Columns]
 
 
 def _rate_group(
-    table: TileTable, read: _Read, rating: "_Rating", keys: Sequence[BlockKey]
+    table: TileTable, read: _Read, little: _Read, rating: "_Rating", keys: Sequence[BlockKey]
 ) -> list[tuple[BlockKey, Columns]]:
     """Return the new columns of some blocks, in the order of their tiles."""
     # Together, blocks are read without the maps of heights.
     names = ["col", "row", *(name for name in rating.needs if name != "heights")]
     own = read(keys[0]) if len(keys) == 1 else table.read_blocks(keys, names)
     place = {name: own[name] for name in ("col", "row")}
-    if (left := rating.leaves(own)) is None:
+    left = rating.leaves(own)
+    if left is None or any(rating.matters(_read_window(table, little, key, rating.decides, 1)) for key in keys):
         if len(keys) > 1:
-            return [one for key in keys for one in _rate_group(table, read, rating, [key])]
-        rated = rating(_read_window(table, read, rating, keys[0]))
+            return [one for key in keys for one in _rate_group(table, read, little, rating, [key])]
+        rated = rating(_read_window(table, read, keys[0], rating.needs, rating.rings))
         line, column = _cells(keys[0], place, 0)
         new = {part.name: rated[part.name][line, column] for part in rating.columns}
         return [(keys[0], new | place)]
@@ -163,26 +172,28 @@ def _cells(
     return north - tiles["row"], tiles["col"] - west
 
 
-def _read_window(table: TileTable, read: _Read, rating: "_Rating", key: BlockKey) -> NeighbourWindow:
+def _read_window(
+    table: TileTable, read: _Read, key: BlockKey, names: Sequence[str], rings: int
+) -> NeighbourWindow:  # fmt: skip
     """Put the tiles of a block and of the rings around it together."""
-    side = BLOCK_TILES + 2 * rating.rings
+    side = BLOCK_TILES + 2 * rings
     columns: dict[str, NDArray[Any]] = {}
     present = np.zeros((side, side), np.bool_)
     around = [(key[0] + down, key[1] + right) for down in (-1, 0, 1) for right in (-1, 0, 1)]
     for beside in filter(table.count, around):
         part = read(beside)
-        line, column = _cells(key, part, rating.rings)
+        line, column = _cells(key, part, rings)
         inside = np.flatnonzero((line >= 0) & (line < side) & (column >= 0) & (column < side))
         if not len(inside):
             continue
         cells = line[inside], column[inside]
         present[cells] = True
-        for name in rating.needs:
+        for name in names:
             values = part[name]
             if name not in columns:
                 columns[name] = np.full((side, side, *values.shape[1:]), _FILL[values.dtype.kind], values.dtype)
             columns[name][cells] = values if beside == key else values[inside]
-    return NeighbourWindow(rating.rings, columns, present)
+    return NeighbourWindow(rings, columns, present, lambda *wanted: _read_window(table, read, key, *wanted))
 
 
 _RATED = ("class_id", "c_r", "c_r_low", "c_r_high", "p_fail", "confidence", "reason")
@@ -193,8 +204,6 @@ _BESIDE = ((-1, 0), (0, 1), (1, 0), (0, -1))
 """Rows and columns to the tile beyond each side; rows go south."""
 _SIDES = Column("sides", "|u1")
 """Bits: the vehicle can cross the side in the north, east, south, west."""
-_WELL_COVERED = 0.5
-"""Share of known pixels from which on a tile shows whether something stands across the edge of its block."""
 _LEAST_COVERAGE = 0.25
 """With fewer points a step closes its tiles as a whole: where it ends is not known. 7 points/m2 of 0.2 m pixels."""
 _MOST_PER_PIXEL = 2.0
@@ -213,8 +222,10 @@ class NeighbourRating:
 
     config: MapConfig
     calibration: Calibration
-    rings: ClassVar = 1
-    """Tiles around a block that it reads."""
+    rings: ClassVar = 2
+    """Tiles around a block that it reads: steps at the border of a neighbour are those of that."""
+    decides: ClassVar = ("class_id", "thin", "reason")
+    """Columns of the tiles around a block of unknown ones that decide whether these matter."""
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -242,11 +253,17 @@ class NeighbourRating:
         own : mapping
             ``needs`` without ``heights``, (n, ...) each.
         """
-        if (own["class_id"] != NO_CLASS).any() or (self.config.by_ride and self._known(own).any()):
-            return None
-        tiles = len(own["class_id"])
+        return None if self._known(own).any() else self._of_unknown(own)
+
+    def matters(self, window: NeighbourWindow) -> bool:
+        """Return whether a tile in the first ring around a block is known, or will be."""
+        return bool(self._known(window.columns).any())
+
+    def _of_unknown(self, own: Mapping[str, NDArray[Any]]) -> Columns:
+        """Return the columns of unknown tiles beside unknown ones."""
+        tiles = own["class_id"].shape
         nothing = np.full(tiles, np.nan, np.float32)
-        # As in a block with known tiles: what is not in the way there is unseen.
+        # What is not in the way there is unseen.
         states = own["objects"] % SEEN
         overhead = np.where(np.isin(states, OVERHEAD), np.uint8(CANOPY), np.uint8(UNSEEN))
         objects = np.where(states == OBSTACLE, np.uint8(OBSTACLE), overhead)
@@ -262,15 +279,11 @@ class NeighbourRating:
         own, grid = {name: window.inner(name) for name in (*_RATED, "slope", "coverage", *_OBJECTS)}, self.config.grid
         known = self._known(window.columns) & self._seen(window)
         if self.config.by_ride:
-            own |= asdict(
-                rate_thin(window["thin"], _first(window), window["coverage"], window["slope"], self.calibration)
-            )
-        first = objects = window.mosaic("objects")
-        if self.config.compat == "none":
-            objects = self._out_of_relief(window, first)
-        # What lies across the edge of a block is found here alone, and the ride of its tiles is with it.
-        late = (objects == OBSTACLE) & (first != OBSTACLE) & self._pixels(window["coverage"] >= _WELL_COVERED)
-        objects = settle_objects(settle_solids(objects, grid, self.config.features.max_hole), grid.pixels)
+            wide = window.wider((*_RATED, "thin", "coverage", "slope"), THIN_RING)
+            measured = wide["thin"], _first(wide), wide["coverage"], wide["slope"]
+            own |= asdict(rate_thin(*measured, self.calibration, THIN_RING))
+        solids = settle_solids(window.mosaic("objects"), grid, self.config.features.max_hole)
+        objects = settle_objects(solids, grid.pixels)
         objects[(objects == FREE) & ~self._pixels(known)] = UNSEEN
         few = window["density"] * self.config.grid.pixel_size**2 < _MOST_PER_PIXEL
         steps = self._steps(window, known & few)
@@ -282,12 +295,11 @@ class NeighbourRating:
         share = np.mean(states == OBSTACLE, axis=(2, 3), dtype=np.float32)
         barred, nothing = self.calibration.cost_rule.barred(own), np.float32(np.nan)
         beside = {name: np.full(barred.shape, nothing) for name in _BESIDE_STEPS}
-        steps = replace(steps, low=steps.low | late)
         if self.config.compat == "none" and (steps.closed.any() or steps.low.any()):
             barred, states, beside = self._decide_steps(window, steps, own | {"barred": barred}, states)
         obstacle = np.where(np.isnan(own["obstacle"]), np.float32(np.nan), share)
         height = own["obstacle_height"]
-        return (
+        found = (
             {name: own[name] for name in _RATED}
             | {f"step_{side}": steps.border[..., number] for number, side in enumerate(SIDES)}
             | {"edge_step": steps.edge_step, "inner_step": steps.inner}
@@ -300,6 +312,13 @@ class NeighbourRating:
             | {"clearance": np.where((states == CANOPY).any(axis=(2, 3)), own["clearance"], nothing)}
             | self._by_speed_and_heading(window, own["c_r"])
         )
+        near = sliding_window_view(self._known(window.columns)[1:-1, 1:-1], (3, 3))
+        alone = ~near.any(axis=(2, 3))
+        if alone.any():
+            tiles = {name: window.inner(name)[alone] for name in self.needs}
+            for name, values in self._of_unknown(tiles).items():
+                found[name][alone] = values
+        return found
 
     def _seen_sizes(self, window: NeighbourWindow, class_id: NDArray[np.uint8], steps: TileSteps) -> Columns:
         """Return what the survey of the inner tiles would have shown."""
@@ -317,7 +336,8 @@ class NeighbourRating:
             found["motion"] = motion_felt(self.calibration, self.config.speeds, window.inner("motion"), c_r)
         if self.config.headings:
             # Of thin tiles the filled heightmap is little known, and so are its headings.
-            weight = ride_weight(_first(window).inner(), window.inner("coverage")) if self.config.by_ride else 1.0
+            of_first = _first(window).inner(self.rings)
+            weight = ride_weight(of_first, window.inner("coverage")) if self.config.by_ride else 1.0
             found["headings"] = felt_by_heading(self.calibration, window.inner("headings"), c_r, weight)
         return found
 
@@ -332,24 +352,16 @@ class NeighbourRating:
         held = np.sum((states != UNSEEN) & (states % SEEN != EMPTY), axis=(2, 3))
         return np.asarray((window["class_id"] != NO_CLASS) | (held >= SEEN_PER_M2 * self.config.tile_size**2))
 
-    def _out_of_relief(self, window: NeighbourWindow, objects: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return the pixels with what stands out of the relief of tiles whose points all count as ground."""
-        relief = _is_relief(window)
-        if not relief.any():
-            return objects
-        settled = settle_relief(objects, window.mosaic("heights"), self.calibration.body, self.config.grid.pixel_size)
-        return np.where(self._pixels(relief), settled, objects)
-
     def _steps(self, window: NeighbourWindow, searched: NDArray[np.bool_]) -> TileSteps:
         if self.config.pixels >= _LEAST_PIXELS:
-            # Only what the first pass found: it is the same for all blocks that look at a border.
             standing = self._pixels(_is_relief(window)) & (window.mosaic("objects") == OBSTACLE)
             calibration = self.calibration
             wheel, closing = calibration.wheel_pixels, closing_height(calibration)
-            return find_steps(window.mosaic("heights"), self.config.pixels, wheel, closing, standing, searched)
+            found = find_steps(window.mosaic("heights"), self.config.pixels, wheel, closing, standing, searched)
+            return found.inner_tiles(self.config.pixels)
         rows, cols = window.inner("class_id").shape
         border, one = (np.full(shape, np.nan, np.float32) for shape in ((rows, cols, len(SIDES)), (rows, cols)))
-        closed = np.zeros(window.mosaic("objects").shape, np.bool_)
+        closed = np.zeros(self._inner(window.mosaic("objects")).shape, np.bool_)
         return TileSteps(border, one, one, closed, closed, limit=one)
 
     def _decide_steps(
@@ -360,7 +372,7 @@ class NeighbourRating:
         What reads tiles alone would cross a wall on a border if it barred one of its tiles only. Beside the step, the
         ground is rated for itself; what is not fit to drive on is marked as well.
         """
-        closed, low = self._inner(steps.closed), self._inner(steps.low)
+        closed, low = steps.closed, steps.low
         touched = closed.any(axis=(2, 3))
         touched |= steps.edge_step >= closing_height(self.calibration)
         failing = np.isin(own["barred"], (Barred.FAILS, Barred.SLOPE)) & (own["coverage"] >= _LEAST_COVERAGE)
@@ -381,7 +393,7 @@ class NeighbourRating:
 
     def _sides(self, known: NDArray[np.bool_], steps: TileSteps) -> NDArray[np.uint8]:
         """Return the sides of the inner tiles that the vehicle can cross."""
-        crossed = _crossed(edge_usable(steps.border, self.calibration), np.isnan(steps.border), known)
+        crossed = _crossed(edge_usable(steps.border, self.calibration), np.isnan(steps.border), known[1:-1, 1:-1])
         return np.asarray(np.packbits(crossed, axis=-1, bitorder="little")[..., 0])
 
     def _pixels(self, of_tiles: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -411,6 +423,8 @@ class VehicleSweep:
     """Tiles around a block that it reads."""
     needs: ClassVar = ("barred", "objects", _SIDES.name)
     """Columns that it reads."""
+    decides: ClassVar = ()
+    """Columns of the tiles around a block that decide whether these matter: a barred tile stays so."""
 
     @property
     def columns(self) -> tuple[Column, ...]:
@@ -419,11 +433,15 @@ class VehicleSweep:
         return tuple(column for column in neighbour_columns(self.config.pixels) if column.name in names)
 
     def leaves(self, own: Mapping[str, NDArray[Any]]) -> Columns | None:
-        """Return the columns of n tiles of a block if the ground bars all of them; else None."""
-        if (own["barred"] == Barred.NO).any():
+        """Return the columns of n tiles of a block if all of them are barred as a whole; else None."""
+        if not np.isin(own["barred"], CLOSED_WHOLLY).all():
             return None
         passable = np.zeros(len(own["barred"]), np.uint8)
         return {"barred": own["barred"], "passable": passable, "passage": np.zeros_like(own["objects"])}
+
+    def matters(self, _: NeighbourWindow) -> bool:
+        """Return False."""
+        return False
 
     def __call__(self, window: NeighbourWindow) -> Columns:
         """Return the columns of the inner tiles."""

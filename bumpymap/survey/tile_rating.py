@@ -1,6 +1,7 @@
 """Points of tiles in, rated tiles out: the steps that a run applies to every block."""
 
 import logging
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -119,23 +120,29 @@ class TileRating:
         return measure(points, self.config.features, ground_only=False)
 
     def __call__(
-        self, points: TilePoints, ground_only: bool, block: PatchStack | None = None
+        self,
+        points: TilePoints,
+        ground_only: bool,
+        patches: PatchStack | None = None,
+        around: Mapping[str, NDArray[Any]] | None = None,
     ) -> dict[str, NDArray[Any]]:
         """Find the ground and what stands on it, measure, classify and rate; return the columns of `tile_columns`.
 
-        ``block`` are all tiles of their block, of `measure_all`, if these are only some of them.
+        ``patches`` are the tiles measured, and ``around`` the heights of these and of those beside them, if all points
+        count as ground, see `bumpymap.patches.find_in_relief`.
         """
         points, config = decks_as_ground(points), self.config
         if config.ground == "csf":
             ground = mark_ground(points, config.csf)
             of_file = np.where(points.flag == POINT_GROUND, POINT_OTHER, points.flag)
             points = replace(points, flag=np.where(ground, POINT_GROUND, of_file).astype(np.uint8))
-        patches = measure(points, config.features, ground_only=ground_only)
+        if patches is None:
+            patches = measure(points, config.features, ground_only=ground_only)
         objects, bare, on_ground = None, patches, ground_only
         if ground_only:
             objects = self._objects(points, patches)
         elif config.compat == "none":  # the paper knows none
-            found = find_in_relief(points, patches, self.models.calibration.body, block)
+            found = find_in_relief(points, patches, self.models.calibration.body, around)
             points, bare = leave_out_standing(points, patches, found, config.features)
             objects = found.stack
             on_ground = True

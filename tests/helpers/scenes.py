@@ -21,9 +21,9 @@ from bumpymap.core import (
     UNSEEN,
     FeatureSettings,
 )
-from bumpymap.patches import find_in_relief, find_objects, measure, settle_relief, settle_solids
+from bumpymap.patches import find_in_relief, find_objects, measure, settle_solids
 from bumpymap.rating import settle_objects
-from bumpytiles import Grid, TileBuckets
+from bumpytiles import Grid, TileBuckets, join_tiles
 
 GROUND, PLANT, BUILDING, OTHER = 2, 5, 6, 1
 """LAS classes; the first code of plants is `PLANT`, for hedges 4."""
@@ -307,25 +307,14 @@ def _mapped(points, body):
     )
     buckets = TileBuckets(Grid())
     buckets.add(points.x, points.y, points.z, kinds.astype(np.uint8))
-    blocks = [(block, measure(block, settings, ground_only=classified)) for block in buckets.blocks()]
-    stacks = [
-        find_objects(block, alone, body) if classified else find_in_relief(block, alone, body).stack
-        for block, alone in blocks
-    ]
-    col, row = (np.concatenate([getattr(block, axis) for block, _ in blocks]) for axis in ("col", "row"))
-    west, south = int(col.min()) - 1, int(row.min()) - 1
-    side = max(np.ptp(col), np.ptp(row)) + 3
-
-    def image(maps, nothing):
-        mosaic = np.full((side, 15, side, 15), nothing, maps[0].dtype)
-        mosaic[south + side - 1 - row, :, col - west] = np.concatenate(maps)
-        return mosaic.reshape(side * 15, side * 15)
-
-    states = image([stack.objects for stack in stacks], UNSEEN)
-    if not classified:
-        heights = image([alone.heights for _, alone in blocks], np.nan)
-        states = settle_relief(states, heights, body, 0.2)
-    return states, 3.0 * west, 3.0 * south
+    tiles = join_tiles(list(buckets.blocks()))
+    alone = measure(tiles, settings, ground_only=classified)
+    stack = find_objects(tiles, alone, body) if classified else find_in_relief(tiles, alone, body).stack
+    west, south = int(tiles.col.min()) - 1, int(tiles.row.min()) - 1
+    side = max(np.ptp(tiles.col), np.ptp(tiles.row)) + 3
+    mosaic = np.full((side, 15, side, 15), UNSEEN, np.uint8)
+    mosaic[south + side - 1 - tiles.row, :, tiles.col - west] = stack.objects
+    return mosaic.reshape(side * 15, side * 15), 3.0 * west, 3.0 * south
 
 
 def mapped_tiles(points, body):

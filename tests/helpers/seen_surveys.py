@@ -5,9 +5,9 @@ from scipy.stats import binned_statistic_2d
 from walls import PIXELS, TILE_SIZE, Wall
 
 from bumpymap.core import OBSTACLE, UNSEEN, FeatureSettings, VehicleBody, smallest_step
-from bumpymap.patches import find_in_relief, find_objects, measure, settle_relief, settle_solids
+from bumpymap.patches import find_in_relief, find_objects, measure, settle_solids
 from bumpymap.rating import find_steps, settle_objects
-from bumpytiles import Grid, TileBuckets
+from bumpytiles import Grid, TileBuckets, join_tiles
 
 BODY = VehicleBody(clearance_m=0.25, height_m=1.4, width_m=1.4, brush_stem_m=0.25)
 APART, TILES, STEP_TILES = 4.0, 32, 12
@@ -19,16 +19,11 @@ def states_of(x, y, z, ground, *, in_relief):
     buckets = TileBuckets(Grid())
     buckets.add(x, y, z, ground)
     shape = (TILES + 2, PIXELS) * 2
-    objects, heights = np.full(shape, UNSEEN, np.uint8), np.full(shape, np.nan, np.float32)
-    for points in buckets.blocks():
-        patches = measure(points, FeatureSettings(), ground_only=not in_relief)
-        found = find_in_relief(points, patches, BODY).stack if in_relief else find_objects(points, patches, BODY)
-        objects[TILES - points.row, :, points.col + 1] = found.objects
-        heights[TILES - points.row, :, points.col + 1] = patches.heights
-    side = (TILES + 2) * PIXELS
-    objects, heights = objects.reshape(side, side), heights.reshape(side, side)
-    if in_relief:
-        objects = settle_relief(objects, heights, BODY, Grid().pixel_size)
+    objects, points = np.full(shape, UNSEEN, np.uint8), join_tiles(list(buckets.blocks()))
+    patches = measure(points, FeatureSettings(), ground_only=not in_relief)
+    found = find_in_relief(points, patches, BODY).stack if in_relief else find_objects(points, patches, BODY)
+    objects[TILES - points.row, :, points.col + 1] = found.objects
+    objects = objects.reshape(((TILES + 2) * PIXELS,) * 2)
     return settle_objects(settle_solids(objects, Grid(), FeatureSettings().max_hole), PIXELS)
 
 

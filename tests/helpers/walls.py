@@ -4,9 +4,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from patch_stacks import joined_in_order
 
 from bumpymap.core import FeatureSettings, Georeference, TextureMap
-from bumpymap.patches import join_stacks, measure
+from bumpymap.patches import measure
 from bumpymap.rating import apply_steps, find_steps
 from bumpymap.rating.steps import STEP_COLUMNS
 from bumpytiles import Grid, TileBuckets
@@ -49,7 +50,7 @@ def surveyed(wall, tiles, density, noise, rng):
     upward = wall.ground(easting, northing) + rng.normal(0, noise, len(easting))
     buckets = TileBuckets(Grid(TILE_SIZE, PIXELS))
     buckets.add(easting, northing, upward, np.zeros(len(upward), np.bool_))
-    return join_stacks([measure(block, FeatureSettings(), ground_only=False) for block in buckets.blocks()])
+    return joined_in_order(measure(block, FeatureSettings(), ground_only=False) for block in buckets.blocks())
 
 
 def image(patches, values, tiles):

@@ -6,11 +6,11 @@ from fractions import Fraction
 import laspy
 import numpy as np
 from hypothesis import given, settings, strategies as st
+from patch_stacks import joined_in_order
 
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.types import OBSTACLE, POINT_DECK, POINT_GROUND, POINT_OTHER, SEEN, UNDECIDED, VehicleBody
 from bumpymap.patches import decks_as_ground, find_objects, measure
-from bumpymap.patches.features import join_stacks
 from bumpymap.readers import ReadOptions, open_survey
 from bumpytiles import Grid, TileBuckets, photo_of
 
@@ -88,7 +88,7 @@ def test_every_pixel_holds_the_points_that_exact_arithmetic_gives_it(
     numbers = np.unique(np.array(numbers), axis=1)
     heights = rng.integers(0, 100, numbers.shape[1]) / 1000
     path = write(tmp_path_factory.mktemp("pixels") / "a.las", numbers, scale, offsets, heights)
-    stack = join_stacks([measure(b, FeatureSettings(), ground_only=False) for b in blocks_of(path, unit, grid)])
+    stack = joined_in_order(measure(b, FeatureSettings(), ground_only=False) for b in blocks_of(path, unit, grid))
     col, row = (
         exact(axis, scale, offset, unit, side, grid.pixels) for axis, offset in zip(numbers, offsets, strict=True)
     )

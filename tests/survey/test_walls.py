@@ -271,6 +271,12 @@ class Neighbours:
     rings = 1
     needs = ("height", "kind")
     columns = (Column("north", "<f4"), Column("south", "<f4"), Column("east", "|u1"))
+    decides = ("kind",)
+
+    def matters(self, window):
+        """Leave it also beside tiles of other kinds."""
+        assert window["kind"].shape == (18, 18)
+        return False
 
     def leaves(self, own):
         """Leave a block whose tiles are all of kind 200."""

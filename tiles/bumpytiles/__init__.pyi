@@ -46,6 +46,7 @@ from .pack import (
     Column as Column,
     Pack as Pack,
     PackError as PackError,
+    key_codes as key_codes,
     write_pack as write_pack,
 )
 from .run import (

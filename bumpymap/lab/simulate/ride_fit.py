@@ -148,7 +148,8 @@ def _surveys(
         for group in range(_GROUPS):
             own = tile % _GROUPS == group
             first, pairs = THIN_COLUMNS.index("squares_1"), THIN_COLUMNS.index("pairs_1")
-            pooled[own] = pool_noise(columns[own, first], columns[own, pairs], columns[own, 2] ** 2)[1]
+            measures = columns[own, first], columns[own, pairs], columns[own, 2] ** 2
+            pooled[own] = pool_noise(*measures, lambda sums: sums.sum(axis=-1, keepdims=True))[1]
         yield columns[known], pooled[known], tile[known]
 
 

@@ -1,6 +1,9 @@
 """Rate the thin tiles of a block, when the columns of its tiles and of their neighbours are known; fit that model."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from functools import reduce
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +26,14 @@ _LEAST_VARIANCE = 0.02
 """Of ln C_r between neighbours: even ground differs by 14 % from tile to tile."""
 _UNKNOWN_VARIANCE = 1.0
 _LEAST_NEIGHBOURS = 12
+_ROUNDS = 2
+"""Fits of the noise: the first weighs tiles as if it were ``_UNKNOWN_M`` everywhere, the second by what that found."""
+_POOLED, _COMPARED = 5, 4
+"""Tiles to each side that share their noise with one, and among which the terrain varies as it does around one."""
+_PREDICTED = 2 + _COMPARED
+"""Tiles to each side whose prediction has a part: a neighbour, those around it, and the ones beside these."""
+THIN_RING = _PREDICTED + _ROUNDS * _POOLED
+"""Tiles to each side that have a part in the rating of a thin one, by their noise."""
 _MOST_RISE = 3.0
 _LEAST_WEIGHT = 1e-12
 _SIDES = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
@@ -64,6 +75,7 @@ def pull_to_neighbours(found: Prediction, shared: Floats, own_weight: Floats, mo
     between = _variance_between(log_c_r, variance)
     middle, sure, unlike = _mean_of_neighbours(log_c_r, 1.0 / (variance + between))
     inner = np.s_[1:-1, 1:-1]
+    between = between[inner]
     own, free = found.each(lambda values: values[inner]), 1.0 - own_weight[inner]
     error, unshrunk, shrinkage = variance[inner], log_c_r[inner], shrinkage[inner]
     prior = between * np.maximum(unlike, 1.0) + 1.0 / np.maximum(sure, 1e-9)
@@ -86,16 +98,26 @@ def pull_to_neighbours(found: Prediction, shared: Floats, own_weight: Floats, mo
     )
 
 
-def _variance_between(log_c_r: Floats, variance: Floats) -> float:
-    """Return the variance of ln C_r of a tile about its neighbours, without the errors of the predictions."""
-    pairs = []
+def _variance_between(log_c_r: Floats, variance: Floats) -> Floats:
+    """Return the variance of ln C_r between the tiles around each, without the errors of the predictions."""
+    sums = np.zeros((*log_c_r.shape, 2))  # of both tiles of each pair
     for near, far in ((np.s_[1:], np.s_[:-1]), (np.s_[:, 1:], np.s_[:, :-1])):
         excess = (log_c_r[near] - log_c_r[far]) ** 2 - variance[near] - variance[far]
-        pairs.append(excess[np.isfinite(excess)])
-    known = np.concatenate(pairs)
-    if len(known) < _LEAST_NEIGHBOURS:
-        return _UNKNOWN_VARIANCE
-    return max(0.5 * float(known.mean()), _LEAST_VARIANCE)
+        pair = np.stack([np.nan_to_num(excess), np.isfinite(excess)], axis=-1)
+        sums[near] += pair
+        sums[far] += pair
+    total, pairs = _sums_around(np.moveaxis(sums, -1, 0), _COMPARED)
+    found = np.maximum(0.5 * total / np.maximum(pairs, 1.0), _LEAST_VARIANCE)
+    return np.where(pairs < 2 * _LEAST_NEIGHBOURS, _UNKNOWN_VARIANCE, found)
+
+
+def _sums_around(values: Floats, reach: int) -> Floats:
+    """Sum (..., rows, cols) over squares of so many tiles to each side; always in the same order."""
+    rows, cols = values.shape[-2:]
+    wide = np.zeros((*values.shape[:-2], rows + 2 * reach, cols + 2 * reach))
+    wide[..., reach : reach + rows, reach : reach + cols] = values
+    down = reduce(np.add, [wide[..., first : first + rows, :] for first in range(2 * reach + 1)])
+    return np.asarray(reduce(np.add, [down[..., first : first + cols] for first in range(2 * reach + 1)]))
 
 
 def _mean_of_neighbours(log_c_r: Floats, weight: Floats) -> tuple[Floats, Floats, Floats]:
@@ -118,68 +140,75 @@ def _mean_of_neighbours(log_c_r: Floats, weight: Floats) -> tuple[Floats, Floats
     return mean, weights, unlike
 
 
-_ROUNDS = 30
 _LEAST_PAIRS = 10.0
 _UNKNOWN_M = 0.02
 """Noise that is assumed, with an error as large, where too few pairs are close."""
+_LEAST_NOISE_M = 0.002
+"""For the weights of the second fit: no instrument measures heights better."""
 _MOST_NOISE_M = 0.1
 """As in the noise of a heightmap: what is beyond is leaves or blocks, and stays in the ground."""
-_MOST_SHARE = 0.9
+_SHARE, _MOST_SHARE = 0.3, 0.9
+"""Share of the ground's variance that close pairs have: as the first fit assumes, and the most."""
 _TINY = 1e-10
 
 
-def pool_noise(close_sum: Floats, close_pairs: Floats, variance: Floats) -> tuple[float, float, float]:
-    """Estimate the noise that n tiles share: the standard deviation of the height of a point.
+def pool_noise(
+    close_sum: Floats, close_pairs: Floats, variance: Floats, total: Callable[[Floats], Floats]
+) -> Floats:  # fmt: skip
+    """Estimate the noise that tiles share: the standard deviation of the height of a point.
+
+    The mean square of the height differences of close pairs is twice the noise variance and a share of the variance of
+    the ground: a weighted straight line through the tiles, whose standard error is that of means of squared normal
+    numbers.
 
     Parameters
     ----------
-    close_sum : array (n,)
+    close_sum : array (...)
         Sum of the squared height differences of the close pairs of each tile, m^2; NaN for tiles without.
-    close_pairs : array (n,)
+    close_pairs : array (...)
         Number of these pairs.
-    variance : array (n,)
+    variance : array (...)
         Variance of the points about the tile's plane, m^2.
+    total : callable
+        Sums arrays (k, ...) over the tiles that share their noise with each.
 
     Returns
     -------
-    tuple of float
+    array (3, ...)
         One standard error lower, the estimate, and one higher, m.
     """
     known = (close_pairs > 0) & np.isfinite(close_sum) & (variance > _TINY)
-    pairs, twice = close_pairs[known], 2.0 * variance[known]
-    if pairs.sum() < _LEAST_PAIRS:
-        return 0.0, _UNKNOWN_M, 2.0 * _UNKNOWN_M
-    squares = close_sum[known] / pairs
-    floor, share = float(np.quantile(squares, 0.1)), 0.3
-    error = floor
+    pairs, twice = (np.where(known, values, 0.0) for values in (close_pairs, 2.0 * variance))
+    squares = np.where(known, close_sum, 0.0) / np.maximum(pairs, 1.0)
+    base, across, error = np.full(known.shape, 2.0 * _UNKNOWN_M**2), np.full(known.shape, _SHARE), squares
     for _ in range(_ROUNDS):
-        weight = pairs / np.maximum(floor + share * twice, _TINY) ** 2
-        base, across, error = _weighted_line(weight, twice, squares)
-        floor, share = 0.5 * (floor + base), 0.5 * (share + across)
-    grown = 2.0 * (1.0 - min(share, _MOST_SHARE))
-    found, error = floor / grown, error / grown
-    low, middle, high = (
-        float(min(np.sqrt(max(value, 0.0)), _MOST_NOISE_M)) for value in (found - error, found, found + error)
-    )
-    return low, middle, high
+        weight = pairs / np.maximum(base + across * twice, 2.0 * _LEAST_NOISE_M**2) ** 2
+        base, across, error = _weighted_lines(weight, twice, squares, total)
+    grown = 2.0 * (1.0 - np.minimum(across, _MOST_SHARE))
+    found = np.stack([base - error, base, base + error]) / grown
+    enough = total(pairs[None])[0] >= _LEAST_PAIRS
+    unknown = np.array([0.0, _UNKNOWN_M, 2.0 * _UNKNOWN_M]).reshape(3, *(1 for _ in known.shape))
+    return np.where(enough, np.minimum(np.sqrt(np.maximum(found, 0.0)), _MOST_NOISE_M), unknown)
 
 
-def _weighted_line(weight: Floats, x: Floats, y: Floats) -> tuple[float, float, float]:
-    """Return intercept and slope of a line through (x, y), both at least 0, and the intercept's standard error.
+def _weighted_lines(
+    weight: Floats, x: Floats, y: Floats, total: Callable[[Floats], Floats]
+) -> tuple[Floats, Floats, Floats]:
+    """Return intercept and slope of lines through (x, y), both at least 0, and the intercept's standard error.
 
     The error is that of means of squared normal numbers, of which each has the variance 2 / weight.
     """
     wx = weight * x
-    n, sx, sxx, sy, sxy = np.stack((weight, wx, wx * x, weight * y, wx * y)).sum(axis=1).tolist()
+    n, sx, sxx, sy, sxy = total(np.stack((weight, wx, wx * x, weight * y, wx * y)))
     det = n * sxx - sx * sx
-    if det <= 1e-9 * n * sxx:
-        return sy / n, 0.0, float(np.sqrt(2.0 / n))
-    base, across = (sy * sxx - sxy * sx) / det, (sxy * n - sx * sy) / det
-    if base < 0:
-        base, across = 0.0, sxy / sxx
-    elif across < 0:
-        base, across = sy / n, 0.0
-    return base, across, float(np.sqrt(2.0 * sxx / det))
+    is_line = det > 1e-9 * n * sxx
+    mean, error = sy / np.maximum(n, _TINY), np.sqrt(2.0 / np.maximum(n, _TINY))
+    base, across = ((a / np.where(is_line, det, 1.0)) for a in (sy * sxx - sxy * sx, sxy * n - sx * sy))
+    falls, is_flat = is_line & (base < 0), ~is_line | (across < 0)
+    through_origin = sxy / np.maximum(sxx, _TINY**2)
+    base = np.where(falls, 0.0, np.where(is_flat, mean, base))
+    across = np.where(falls, through_origin, np.where(is_flat, 0.0, across))
+    return base, across, np.where(is_line, np.sqrt(2.0 * sxx / np.where(is_line, det, 1.0)), error)
 
 
 _ALL_THIN = 0.35
@@ -201,9 +230,9 @@ class BlockRating:
     confidence: NDArray[np.float32]
     reason: NDArray[np.uint8]
 
-    def inner(self) -> "BlockRating":
-        """Return the tiles without the outermost ring."""
-        return BlockRating(*(getattr(self, f.name)[1:-1, 1:-1] for f in fields(self)))
+    def inner(self, ring: int = 1) -> "BlockRating":
+        """Return the tiles without a ring of so many around them."""
+        return BlockRating(*(_without(getattr(self, f.name), ring) for f in fields(self)))
 
 
 def rate_thin(
@@ -212,24 +241,28 @@ def rate_thin(
     coverage: NDArray[np.floating],
     slope: NDArray[np.floating],
     calibration: Calibration,
+    ring: int = 1,
 ) -> BlockRating:
     """Rate the thin tiles of a block; all others keep what the first pass found, to the bit.
 
     Parameters
     ----------
     columns : array (rows, cols, 20) float32
-        Of `thin_columns`, the tiles of the block and a ring of one tile around it; NaN where a tile has no points.
+        Of `thin_columns`, the tiles of the block and those around it; NaN where a tile has no points.
     first : BlockRating
         Results of the first pass for the same tiles.
     coverage, slope : array (rows, cols)
         Of `PatchStack`, 0..1 and degrees; NaN where a tile has no points.
     calibration : Calibration
-        Of the vehicle.
+        Of the vehicle that will drive.
+    ring : int
+        Tiles around the block on each side, at least one. They are neighbours, and help to tell the noise; beyond
+        ``THIN_RING`` none has a part in what a tile of the block is.
 
     Returns
     -------
     BlockRating
-        Without the ring. The ring helps to tell the noise, and its tiles are neighbours.
+        Without the ring.
 
     Raises
     ------
@@ -237,35 +270,56 @@ def rate_thin(
         The model of thin surveys of the calibration is damaged.
     """
     model = _model(calibration)
-    flat = columns.reshape(-1, len(THIN_COLUMNS)).astype(np.float64)
     weight = ride_weight(first, coverage)
     reason = np.where(is_rateable(columns, first.reason) & (weight < 1.0), np.uint8(Reason.OK), first.reason)
-    if not ((reason == Reason.OK) & (weight < 1.0))[1:-1, 1:-1].any():
-        return first.inner()
+    asked = _without((reason == Reason.OK) & (weight < 1.0), ring)
+    if not asked.any():
+        return first.inner(ring)
+    before, beyond = first.inner(ring), max(ring - _PREDICTED, 0)
     with np.errstate(all="ignore"):  # of tiles without points
-        thin_tiles, shared = _predicted(model, flat, reason == Reason.OK)
+        noise = _without(_noise_around(columns, reason == Reason.OK), beyond).reshape(-1, 3)
+        columns, weight, reason, slope = (_without(values, beyond) for values in (columns, weight, reason, slope))
+        flat = columns.reshape(-1, len(THIN_COLUMNS)).astype(np.float64)
+        thin_tiles, shared = _predicted(model, flat, reason == Reason.OK, noise)
         if more := speed_log_sd(calibration):
             thin_tiles = thin_tiles.at_speed(plain_speed_factor(calibration, thin_tiles.log_c_r), more)
             mean, prior_sd = model.prior
             mean += float(plain_speed_factor(calibration, np.array([mean]))[0])
             model = replace(model, prior=(mean, prior_sd))
-        mixed = _mixed(thin_tiles, first, weight, calibration.map_floor)
+        mixed = _mixed(thin_tiles, first.inner(beyond), weight, calibration.map_floor)
         known = np.where(reason == Reason.OK, mixed.log_c_r, np.nan)
         found = pull_to_neighbours(replace(mixed, log_c_r=known), shared.reshape(2, *weight.shape), weight, model)
-        tangent = flat[:, THIN_COLUMNS.index("slope")].reshape(weight.shape)[1:-1, 1:-1]
+        rest = ring - beyond
+        found = found.each(lambda values: _without(values, rest - 1))
+        tangent, slope, reason = (
+            _without(values, rest) for values in (columns[..., THIN_COLUMNS.index("slope")], slope, reason)
+        )
         # A tile is barred as too steep by ``slope`` alone. Where only the plane of its few points is, drives fail.
         limit = float(calibration.vehicle["slope_limit_deg"])
-        only_by_points = (np.degrees(np.arctan(tangent)) > limit) & ~(slope[1:-1, 1:-1] > limit)
+        only_by_points = (np.degrees(np.arctan(tangent.astype(np.float64))) > limit) & ~(slope > limit)
         found = replace(found, p_fail=np.where(only_by_points, 1.0, found.p_fail))
-        thin = _as_rating(found, slope[1:-1, 1:-1], reason[1:-1, 1:-1], calibration)
-    rated = np.isfinite(found.log_c_r) & (weight[1:-1, 1:-1] < 1.0)
-    before = first.inner()
+        thin = _as_rating(found, slope, reason, calibration)
+    rated = np.isfinite(found.log_c_r) & (_without(weight, rest) < 1.0)
     return BlockRating(
         *(
             np.where(rated, getattr(thin, f.name), getattr(before, f.name)).astype(getattr(before, f.name).dtype)
             for f in fields(BlockRating)
         )
     )
+
+
+def _without(values: NDArray[Any], ring: int) -> NDArray[Any]:
+    """Return an array (rows, cols, ...) without a ring of so many tiles."""
+    return values[ring : len(values) - ring, ring : values.shape[1] - ring]
+
+
+def _noise_around(columns: NDArray[np.float32], wanted: NDArray[np.bool_]) -> Floats:
+    """Return the noise that each tile shares with those around it, (rows, cols, 3), as of `pool_noise`."""
+    names = ("squares_1", "pairs_1", "spread")
+    usable = wanted & np.isfinite(columns).all(axis=-1)
+    squares, pairs, spread = (columns[..., THIN_COLUMNS.index(name)].astype(np.float64) for name in names)
+    found = pool_noise(squares, np.where(usable, pairs, 0.0), spread**2, lambda sums: _sums_around(sums, _POOLED))
+    return np.moveaxis(found, 0, -1)
 
 
 @remembered
@@ -299,17 +353,16 @@ def is_rateable(columns: NDArray[np.float32], reason: NDArray[np.uint8]) -> NDAr
     return np.asarray(np.isin(reason, _RATEABLE) & known)
 
 
-def _predicted(model: ThinModel, columns: Floats, wanted: NDArray[np.bool_]) -> tuple[Prediction, Floats]:
-    """Predict the wanted tiles, NaN for others.
+def _predicted(
+    model: ThinModel, columns: Floats, wanted: NDArray[np.bool_], noise: Floats
+) -> tuple[Prediction, Floats]:  # fmt: skip
+    """Predict the wanted tiles, NaN for others; ``noise`` (n, 3) of `pool_noise`.
 
-    Also return what the error of the pooled noise changes, as standard deviations of ln C_r below and above, (2, n).
+    Also return what the error of the noise changes, as standard deviations of ln C_r below and above, (2, n).
     """
-    names = ("squares_1", "pairs_1", "spread")
-    squares, pairs, spread = (columns[:, THIN_COLUMNS.index(name)] for name in names)
     usable = wanted.ravel() & np.isfinite(columns).all(axis=1)
     number = int(usable.sum())
-    values = np.repeat(pool_noise(squares, pairs, spread**2), number)
-    at_noise = model.predict(np.tile(columns[usable], (3, 1)), values)
+    at_noise = model.predict(np.tile(columns[usable], (3, 1)), noise[usable].T.reshape(-1))
     low, middle, high = at_noise.log_c_r.reshape(3, number)
     own = np.s_[number : 2 * number]
     found, shared = np.full((4, len(columns)), np.nan), np.zeros((2, len(columns)))

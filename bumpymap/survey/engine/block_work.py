@@ -1,6 +1,6 @@
 """The work on each block, the packs of finished tiles, and the messages when memory or disk run out."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +13,7 @@ from bumpymap.core import GROUND_SOURCE, Ground, OutputError, PatchStack, UsageE
 from bumpymap.patches import join_stacks
 from bumpymap.readers import LineSums, tile_marks
 from bumpymap.survey.engine.budget import Budget, Workspace
+from bumpymap.survey.engine.surroundings import OpenBlocks, Surroundings
 from bumpytiles import (
     BLOCK_TILES,
     BlockKey,
@@ -102,49 +103,81 @@ class BlockWork:
     rate: Callable[..., TileColumns]
     """Takes the points of some tiles, and whether only ground is measured; returns the columns of these tiles.
 
-    If ``measure_all`` is given, it takes a third argument for tiles that are only some of their block."""
+    If ``measure_all`` is given, it takes the measures of the tiles too, and the heights of those around them."""
     ground: Ground
     measure_all: Callable[[TilePoints], PatchStack] | None = None
-    """Measures tiles from all of their points; `rate` is given those of the whole block where it is divided."""
+    """Measures tiles from all of their points, if what stands there is found in their heights."""
+    margin: int = 0
+    """Tiles around a tile that tell what stands on it then."""
 
     @property
     def kinds(self) -> tuple[str, ...]:
         """Points to measure before it is known which points the run will use: ``all``, ``ground``, or both."""
         return {"auto": (ALL_POINTS, GROUND_POINTS), "all": (ALL_POINTS,)}.get(self.ground, (GROUND_POINTS,))
 
+    def surroundings(self, most_bytes: int) -> Surroundings | None:
+        """Return what keeps the heights around blocks; None if they are not asked for."""
+        if self.measure_all is None or ALL_POINTS not in self.kinds:
+            return None
+        return Surroundings(self.measure_all, self.margin, most_bytes)
+
     def finish(
-        self, buckets: TileBuckets, keys: Sequence[BlockKey], threads: int, kinds: Sequence[str]
+        self,
+        buckets: TileBuckets,
+        keys: Sequence[BlockKey],
+        threads: int,
+        kinds: Sequence[str],
+        around: Surroundings | None = None,
     ) -> Iterator[tuple[BlockKey, dict[str, TileColumns]]]:
-        """Rate blocks for some of ``kinds``, of which each needs the same sorted points, in the given order."""
+        """Rate blocks for some of ``kinds``, of which each needs the same sorted points, in the given order.
+
+        The blocks are done then, and their points are freed.
+        """
         most = min(_GROUP_POINTS, buckets.limits.block_points if buckets.limits else _GROUP_POINTS)
         # The cloth filter needs each block by itself.
         groups = grouped_blocks(keys, buckets.points, 0 if self.ground == "csf" else most)
-        for finished in run_blocks(lambda group: self._rate_group(buckets, group, kinds), groups, threads):
-            yield from finished
+        beside = None if around is None or ALL_POINTS not in kinds else OpenBlocks(around, buckets, keys)
+        for finished in run_blocks(lambda group: self._rate_group(buckets, group, kinds, beside), groups, threads):
+            for key, columns in finished:
+                yield key, columns
+                if beside is not None:
+                    beside.close(key, columns[ALL_POINTS])
+                buckets.finish(key)
 
     def _rate_group(
-        self, buckets: TileBuckets, keys: Sequence[BlockKey], kinds: Sequence[str]
+        self, buckets: TileBuckets, keys: Sequence[BlockKey], kinds: Sequence[str], beside: OpenBlocks | None
     ) -> list[tuple[BlockKey, dict[str, TileColumns]]]:
-        """Rate a block in the shares that it comes in, or small ones in one call: no tile depends on other blocks."""
-        ends: list[int] = []
-        whole: tuple[PatchStack, ...] = ()
-        shares: Iterable[TilePoints] = self._points(buckets, keys[0])
-        if len(keys) > 1:
-            parts = [part for key in keys for part in buckets.block(key)]  # one for each: they are small
-            ends, shares = np.cumsum([len(part.col) for part in parts])[:-1].tolist(), [join_tiles(parts)]
-        elif self.measure_all is not None and ALL_POINTS in kinds and buckets.is_divided(keys[0]):
-            # A tile is rated with what stands around it, so the block is measured first.
-            whole = (join_stacks([self.measure_all(points) for points in buckets.block(keys[0])]),)
-        rated = [
-            {kind: self.rate(points, kind == GROUND_POINTS, *whole) | self._photo(points) for kind in kinds}
-            for points in shares
-        ]
+        """Rate a block in the shares that it comes in, or small ones in one call."""
+        known = () if beside is None else (beside.heights(keys),)
+        rated = []
+        for points, *patches in self._shares(buckets, keys, beside):
+            columns = {kind: self.rate(points, True) for kind in kinds if kind == GROUND_POINTS}
+            if ALL_POINTS in kinds:
+                columns[ALL_POINTS] = self.rate(points, False, *patches, *known)
+            rated.append({kind: own | self._photo(points) for kind, own in columns.items()})
         joined = {kind: _joined([share[kind] for share in rated]) for kind in kinds}
+        tiles = joined[kinds[0]]
+        blocks = np.stack([tiles["row"], tiles["col"]]) // BLOCK_TILES
+        ends = 1 + np.flatnonzero((np.diff(blocks, axis=1) != 0).any(axis=0))
         pieces = {kind: {n: np.split(a, ends) for n, a in columns.items()} for kind, columns in joined.items()}
         return [
             (key, {kind: {n: split[number] for n, split in own.items()} for kind, own in pieces.items()})
             for number, key in enumerate(keys)
         ]
+
+    def _shares(
+        self, buckets: TileBuckets, keys: Sequence[BlockKey], beside: OpenBlocks | None
+    ) -> Iterator[tuple[Any, ...]]:
+        """Yield the points of a block in the shares that it comes in, or of small ones in one, and what is measured."""
+        if beside is None:
+            parts: Iterator[tuple[Any, ...]] = ((points,) for key in keys for points in self._points(buckets, key))
+        else:
+            parts = (share for key in keys for share in beside.block(key))
+        if len(keys) == 1:
+            yield from parts
+            return
+        points, *measured = zip(*parts, strict=True)
+        yield join_tiles(points), *(join_stacks(own) for own in measured)
 
     def _photo(self, points: TilePoints) -> TileColumns:
         """Return the column of the photo if tiles have it."""
@@ -164,17 +197,18 @@ class BlockWork:
         return buckets.block(key)
 
     def finish_early(
-        self, buckets: TileBuckets, keys: Sequence[BlockKey], threads: int, sinks: Mapping[str, TileSink]
+        self,
+        buckets: TileBuckets,
+        keys: Sequence[BlockKey],
+        threads: int,
+        sinks: Mapping[str, TileSink],
+        around: Surroundings | None,
     ) -> None:
-        """Rate blocks for each of ``kinds`` and mark their tiles, so that one kind can be chosen later.
-
-        The blocks are done then, and their points are freed.
-        """
-        for key, columns in self.finish(buckets, keys, threads, tuple(sinks)):
+        """Rate blocks for each of ``kinds`` and mark their tiles, so that one kind can be chosen later."""
+        for key, columns in self.finish(buckets, keys, threads, tuple(sinks), around):
             marks = tile_marks(buckets.flags(key))
             for kind, sink in sinks.items():
                 sink.add(key, columns[kind], marks)
-            buckets.finish(key)
         for sink in sinks.values():
             sink.flush()
 

@@ -230,7 +230,7 @@ FLOAT_POINT_BYTES = 26
 _READING_BYTES, _SORTING_BYTES = 95, 63
 _DECODING_BYTES = 45
 """Size of a point that is being decoded: its record, compressed and not."""
-_MOST_WAITING, _READING, _SORTING = 0.55, 0.15, 0.15
+_MOST_WAITING, _READING, _SORTING, _AHEAD = 0.55, 0.15, 0.15, 0.08
 _PIECE_POINTS = 500_000
 _LEAST_PIECE = 50_000
 _LAZ_CHUNK, _LAZ_CHUNKS_A_THREAD, _MOST_REQUESTS = 50_000, 3, 8
@@ -282,6 +282,11 @@ class Budget:
     def block_points(self) -> int:
         """Most points of one block that a thread sorts together."""
         return int(_SORTING * self.memory / _SORTING_BYTES / self.threads)
+
+    @property
+    def ahead_bytes(self) -> int:
+        """Most memory for blocks that were measured for their neighbours, and are rated later."""
+        return int(_AHEAD * self.memory)
 
     @property
     def chunk_points(self) -> int:

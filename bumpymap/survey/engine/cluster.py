@@ -296,7 +296,7 @@ class ClusterExecutor:
     def read(self, plan: ReadPlan) -> Generator[ReadResult, None, None]:
         """Read all ranges that are unread."""
         workers = self._workers.count()
-        shared = list(shared_tasks(plan.unread, plan.read, plan.finished, workers))
+        shared = list(shared_tasks(plan.unread, plan.read, plan.finished, workers, plan.tiles))
         tasks = ((self._context, [self._source(plan, part) for part in task.ranges], task) for task in shared)
         with closing(self._workers.run(read_ranges, tasks)) as results:
             for number, read in results:

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from bumpymap.core import CHECKSUM_METHOD, BadInputError, PieceRuns, atomic, parse_json
 from bumpymap.readers import LineSums, PointStats, SurveyReader, Version, file_changed
 from bumpymap.survey.engine.budget import Workspace
-from bumpytiles import BLOCK_TILES, BlockKey, Bounds, Pack, TileWindow
+from bumpymap.survey.engine.surroundings import blocks_around
+from bumpytiles import BLOCK_TILES, BlockKey, Bounds, Pack, TileWindow, key_codes
 
 _SIDE = 8
 """Blocks along a side of the squares that groups are formed from: neighbouring blocks are in the same packs."""
@@ -33,14 +34,18 @@ class BlockGroup:
 
     keys: tuple[BlockKey, ...]
     packs: tuple[Path, ...]
+    """Also those of the blocks around them."""
+    tiles: tuple[Path, ...] = ()
+    """Packs of finished tiles around them, measured from all points."""
 
 
 class BlockCatalogue:
-    """Knows which packs hold points of each block; takes 32 bytes for each block of each pack."""
+    """Knows which packs hold points, or tiles, of each block; takes 40 bytes for each block of each pack."""
 
     def __init__(self) -> None:
         self._paths: list[Path | None] = []
         self._entries: list[NDArray[np.int64]] = []
+        self._sorted: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None
 
     def add(self, path: Path | None, blocks: NDArray[np.int64]) -> None:
         """Add the blocks of a pack, or of the memory of this process (``path`` None).
@@ -50,38 +55,54 @@ class BlockCatalogue:
         number = np.full((len(blocks), 1), len(self._paths), np.int64)
         self._paths.append(path)
         self._entries.append(np.hstack([blocks.reshape(-1, 3), number]))
+        self._sorted = None
 
     def keys(self) -> NDArray[np.int64]:
         """Rows and columns of all blocks, (n, 2), each once."""
         return np.unique(self._all()[:, :2], axis=0)
 
-    def groups(self, skip: Collection[BlockKey] = (), *, single: bool = False) -> Iterator[BlockGroup]:
-        """Yield groups of neighbouring blocks, without those in ``skip``; one group of all of them if ``single``."""
+    def packs(self, keys: Collection[BlockKey]) -> tuple[Path, ...]:
+        """Return the packs that hold something of blocks."""
+        if self._sorted is None:
+            entries = self._all()
+            codes = key_codes(entries)
+            order = np.argsort(codes, kind="stable")
+            self._sorted = codes[order], entries[order, 3]
+        codes, numbers = self._sorted
+        wanted = key_codes(np.array(sorted(keys), np.int64).reshape(-1, 2))
+        first, last = (np.searchsorted(codes, wanted, side).tolist() for side in ("left", "right"))
+        found = {number for start, stop in zip(first, last, strict=True) for number in numbers[start:stop].tolist()}
+        return tuple(path for number in sorted(found) if (path := self._paths[number]) is not None)
+
+    def groups(
+        self, skip: Collection[BlockKey] = (), tiles: "BlockCatalogue | None" = None, *, single: bool = False
+    ) -> Iterator[BlockGroup]:
+        """Yield groups of neighbouring blocks, without those in ``skip``; one group of all of them if ``single``.
+
+        ``tiles`` knows the packs of finished tiles.
+        """
         entries = self._all()
         row, col = entries[:, 0], entries[:, 1]
         entries = entries[np.lexsort((col, row, col // _SIDE, row // _SIDE))]
         starts = np.flatnonzero(np.any(np.diff(entries[:, :2], axis=0, prepend=entries[:1, :2] - 1), axis=1))
-        stops = np.append(starts, len(entries))[1:]
         points = np.diff(np.append(0, np.cumsum(entries[:, 2]))[np.append(starts, len(entries))])
-        held: list[NDArray[np.int64]] = []
         keys: list[BlockKey] = []
         total = 0
-        for start, stop, count in zip(starts.tolist(), stops.tolist(), points.tolist(), strict=True):
+        for start, count in zip(starts.tolist(), points.tolist(), strict=True):
             key = (int(entries[start, 0]), int(entries[start, 1]))
             if key in skip:
                 continue
             if keys and not single and (len(keys) == MOST_BLOCKS or total + count > _MOST_POINTS):
-                yield self._group(keys, held)
-                held, keys, total = [], [], 0
-            held.append(entries[start:stop, 3])
+                yield self._group(keys, tiles)
+                keys, total = [], 0
             keys.append(key)
             total += count
         if keys:
-            yield self._group(keys, held)
+            yield self._group(keys, tiles)
 
-    def _group(self, keys: Sequence[BlockKey], packs: Sequence[NDArray[np.int64]]) -> BlockGroup:
-        found = (self._paths[number] for number in np.unique(np.concatenate(packs)).tolist())
-        return BlockGroup(tuple(keys), tuple(path for path in found if path is not None))
+    def _group(self, keys: Sequence[BlockKey], tiles: "BlockCatalogue | None") -> BlockGroup:
+        near = {beside for key in keys for beside in blocks_around(key)}
+        return BlockGroup(tuple(keys), self.packs(near), () if tiles is None else tiles.packs(near))
 
     def _all(self) -> NDArray[np.int64]:
         return np.concatenate([np.empty((0, 4), np.int64), *self._entries])

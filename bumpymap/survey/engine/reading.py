@@ -11,7 +11,7 @@ core busy; other threads convert and group the chunks before, and the caller rec
 
 import math
 from collections import Counter, deque
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 
 from bumpymap.core import POINT_GROUND, BadInputError, Progress
 from bumpymap.readers import Chunk, PointStats, SurveyReader, close_decoder
-from bumpymap.survey.engine.block_work import BlockWork, TileSink
 from bumpymap.survey.engine.budget import requests_at_once
 from bumpymap.survey.engine.collector import ChunkRange, ReadResult
+from bumpymap.survey.engine.surroundings import blocks_around
 from bumpytiles import BLOCK_TILES, BlockKey, Bounds, Grid, GroupedPoints, Pack, TileBuckets, run_blocks
 
 Spans = Mapping[int, Sequence[tuple[int, int]]]
@@ -54,6 +54,8 @@ class ReadTask:
     """Blocks that an earlier run has finished: their points are dropped."""
     waiting: frozenset[BlockKey] = frozenset()
     """Blocks of which an earlier run has left points on disk: they are not complete when the ranges are read."""
+    tiles: tuple[Path, ...] = ()
+    """Packs of the tiles that an earlier run has finished, measured from all points."""
 
 
 def range_points(points: int, workers: int) -> int:
@@ -113,7 +115,11 @@ def _around(boxes: Sequence[Bounds | None]) -> Bounds | None:
 
 
 def shared_tasks(
-    unread: Sequence[ChunkRange], read: Sequence[ChunkRange], finished: Collection[BlockKey], workers: int
+    unread: Sequence[ChunkRange],
+    read: Sequence[ChunkRange],
+    finished: Collection[BlockKey],
+    workers: int,
+    tiles: Sequence[Path] = (),
 ) -> Iterator[ReadTask]:
     """Yield tasks that any worker may do: for each of them all ranges of other tasks count as others'.
 
@@ -138,7 +144,8 @@ def shared_tasks(
         places = {(part.file, part.first) for part in own}
         others = [part.bounds for part in every if (part.file, part.first) not in places]
         nearby = tuple(box for box in others if box is not None)
-        yield ReadTask(tuple(own), nearby if len(nearby) == len(others) else None, frozenset(finished))
+        known = nearby if len(nearby) == len(others) else None
+        yield ReadTask(tuple(own), known, frozenset(finished), tiles=tuple(tiles))
 
 
 def _middle(part: ChunkRange, *, across: bool) -> float:
@@ -185,14 +192,15 @@ class BlockCompletion:
         elif self._open_areas is not None:
             self._open_areas[self._inside(box)] -= 1
 
-    def is_complete(self, key: BlockKey) -> bool:
-        """Return whether no unread area overlaps a block."""
+    def is_complete(self, key: BlockKey, around: int = 0) -> bool:
+        """Return whether no unread area overlaps a block, and so many around it on each side."""
         if self._unknown or self._open_areas is None:
             return False
         row, col = key[0] - self._south, key[1] - self._west
         if not (0 <= row < self._open_areas.shape[0] and 0 <= col < self._open_areas.shape[1]):
             return False  # a point outside all bounds: its file will be rejected
-        return bool(self._open_areas[row, col] == 0)
+        rows, cols = (slice(max(place - around, 0), place + around + 1) for place in (row, col))
+        return not self._open_areas[rows, cols].any()
 
     def _inside(self, box: Sequence[int]) -> tuple[slice, slice]:
         south, north, west, east = (int(side) for side in box)
@@ -315,8 +323,10 @@ class RangeReader:
         The ranges of the task.
     store : TileBuckets
         Receives the points.
-    sinks : mapping of str to TileSink
-        For finished tiles, by `BlockWork.kinds`.
+    finish : callable
+        Rates blocks and returns the packs of their tiles, grouped by `BlockWork.kinds`.
+    beside : bool
+        Blocks are rated with the heights of those beside them.
     """
 
     def __init__(
@@ -324,31 +334,35 @@ class RangeReader:
         task: ReadTask,
         ranges: Sequence[OpenRange],
         store: TileBuckets,
-        work: BlockWork,
-        sinks: Mapping[str, TileSink],
+        finish: Callable[[Sequence[BlockKey]], tuple[tuple[Path, ...], ...]],
         threads: int,
         progress: Progress,
+        beside: bool,
     ) -> None:
-        self._store, self._work, self._sinks, self._threads = store, work, sinks, threads
+        self._store, self._finish, self._threads, self._beside = store, finish, threads, beside
         self._progress, self._ranges = progress, ranges
         self._readers = {source.range.file: source.reader for source in ranges}
         self._whole = {source.range.file: source for source in ranges if source.range.is_whole}
         self._stats = PointStats()
         self._areas, bounds = _areas(ranges)
         others: Sequence[Bounds | None] = (None,) if task.nearby is None else task.nearby
-        self._completion, self._elsewhere = BlockCompletion(work.grid, [*bounds, *others]), task.waiting
+        self._completion, self._elsewhere = BlockCompletion(store.grid, [*bounds, *others]), task.waiting
         self._pending: deque[tuple[int, ReadResult]] = deque()
         """Number of each chunk that is in memory or being written to disk, and not in a result yet."""
         self._next = 0
         self._spilling: ReadResult | None = None
 
     def is_complete(self, key: BlockKey) -> bool:
-        """Return whether no unread chunk, of this worker or others, can add points to a block, and none did before."""
-        return key not in self._elsewhere and self._completion.is_complete(key)
+        """Return whether no unread chunk, of this worker or others, can add points to a block, and none did before.
+
+        If it is rated with the heights around it, nor to one of the blocks around it.
+        """
+        near, reach = (blocks_around(key), 1) if self._beside else ([key], 0)
+        return self._elsewhere.isdisjoint(near) and self._completion.is_complete(key, reach)
 
     def run(self) -> Iterator[ReadResult]:
         """Read all ranges; yield results as soon as their points are on disk, or last the error of a bad file."""
-        for read, points in read_chunks(self._ranges, self._work.grid, self._threads):
+        for read, points in read_chunks(self._ranges, self._store.grid, self._threads):
             ((file, index, _),) = read.spans
             bad = read if points is None else self._judge(file, index, read.stats[file])
             if points is None or bad is not None:
@@ -393,7 +407,7 @@ class RangeReader:
         """
         yield from self._spilled()
         ready = [key for key in self._store.keys_in_memory() if self.is_complete(key)]
-        if any(tiles := self.finish_early(ready)):
+        if any(tiles := self._finish(ready)):
             waiting = self._store.chunks_in_memory()
             gone = [read for number, read in self._pending if number not in waiting]
             self._pending = deque(pending for pending in self._pending if pending[0] in waiting)
@@ -404,11 +418,6 @@ class RangeReader:
         if self._store.must_spill:
             _, last = self._store.spill()
             self._spilling = self._report(self._pending_up_to(last))
-
-    def finish_early(self, keys: Sequence[BlockKey]) -> tuple[tuple[Path, ...], ...]:
-        """Rate blocks for every kind, before it is known which points the run will use; return their packs by kind."""
-        self._work.finish_early(self._store, keys, self._threads, self._sinks)
-        return tuple(tuple(sink.new_packs()) for sink in self._sinks.values())
 
     def _spilled(self) -> Iterator[ReadResult]:
         """Wait until the pack that is being written is on disk, and yield its result."""

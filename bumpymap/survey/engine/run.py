@@ -32,7 +32,14 @@ from bumpymap.survey.engine.block_work import (
     finished_tiles,
 )
 from bumpymap.survey.engine.budget import Budget, Workspace
-from bumpymap.survey.engine.collector import BlockGroup, Checkpoints, ChunkRange, ReadResult, ResultCollector
+from bumpymap.survey.engine.collector import (
+    BlockCatalogue,
+    BlockGroup,
+    Checkpoints,
+    ChunkRange,
+    ReadResult,
+    ResultCollector,
+)
 from bumpymap.survey.engine.reading import OpenRange, RangeReader, ReadTask, blocks_of, cut_ranges, refuse_no_points
 from bumpymap.survey.inputs import SurveyInputs
 from bumpytiles import BlockKey, MemoryLimits, Pack, TileBuckets, TileTable, run_blocks
@@ -52,6 +59,8 @@ class ReadPlan:
     """Blocks that an earlier run has finished."""
     waiting: set[BlockKey]
     """Blocks of which it has left points on disk."""
+    tiles: Sequence[Path] = ()
+    """Packs of tiles that it has finished, measured from all points."""
 
 
 class Executor(Protocol):
@@ -146,7 +155,7 @@ def _read(
         progress.advance(sum(part.points for part in read))
         finished = collector.finished
         waiting = {(row, col) for row, col in collector.catalogue.keys().tolist()} - finished
-        plan = ReadPlan(readers, chunks, unread, read, finished, waiting)
+        plan = ReadPlan(readers, chunks, unread, read, finished, waiting, space.tiles(f"{ALL_POINTS}-early"))
         with closing(executor.read(plan)) as results:
             while collector.all_good and (result := next(results, None)) is not None:
                 collector.add(result)
@@ -203,13 +212,16 @@ def _finish(
     waiting: Mapping[tuple[str, ...], set[BlockKey]],
 ) -> None:
     """Rate the blocks that wait for each choice of kinds, but for those that an earlier run has rated."""
-    every = set[BlockKey]().union(*waiting.values())
+    every, tiles = set[BlockKey]().union(*waiting.values()), BlockCatalogue()
+    for kind in (f"{ALL_POINTS}-early", ALL_POINTS):
+        for path in space.tiles(kind):
+            tiles.add(path, blocks_of(Pack(path)))
     progress.start("measuring blocks of tiles", len(every))
     for kinds, keys in waiting.items():
         before = set.intersection(*({key for path in space.tiles(kind) for key in Pack(path).keys} for kind in kinds))
         progress.advance(len(keys & before))
         others = collector.finished | before | (every - keys)
-        groups = collector.catalogue.groups(others, single=executor.one_group)
+        groups = collector.catalogue.groups(others, tiles, single=executor.one_group)
         with closing(executor.finish(groups, kinds)) as results:
             for packs in results:
                 for kind, own in zip(kinds, packs, strict=True):
@@ -281,6 +293,7 @@ class Worker:
         self._points, self._tiles = points, tiles
         self._store = TileBuckets(work.grid, MemoryLimits(budget.waiting_bytes, budget.block_points, points))
         self._sinks = {kind: TileSink(tiles, f"{kind}-early", work.columns) for kind in work.kinds}
+        self._around = work.surroundings(budget.ahead_bytes)
 
     def read(self, task: ReadTask, ranges: Sequence[OpenRange]) -> Iterator[ReadResult]:
         """Read ranges; yield results whose points are on disk, last that for points in memory, or an error."""
@@ -303,7 +316,7 @@ class Worker:
                 return result
             found.append(result)
         ready = [key for key in store.keys() if reading.is_complete(key)]  # noqa: SIM118 (no mapping)
-        early = reading.finish_early(ready)
+        early = self._finish_early(ready)
         if (remainder := reading.remainder()) is not None:
             found.append(remainder)
         while not store.is_empty:
@@ -323,10 +336,11 @@ class Worker:
         """Rate blocks; yield the packs of their tiles, for each kind, as they are written."""
         sinks = {kind: TileSink(self._tiles, kind, self._work.columns) for kind in kinds}
         self._store.packs = [Pack(path) for path in group.packs]
-        for key, columns in self._work.finish(self._store, group.keys, self._threads, kinds):
+        if self._around is not None:
+            self._around.packs = [Pack(path) for path in group.tiles]
+        for key, columns in self._work.finish(self._store, group.keys, self._threads, kinds, self._around):
             for kind, sink in sinks.items():
                 sink.add(key, columns[kind])
-            self._store.finish(key)
             self._progress.advance(1)
             if any(packs := [sink.new_packs() for sink in sinks.values()]):
                 yield packs
@@ -336,7 +350,15 @@ class Worker:
 
     def _reading(self, task: ReadTask, ranges: Sequence[OpenRange]) -> RangeReader:
         self._store.done = set(task.finished)
-        return RangeReader(task, ranges, self._store, self._work, self._sinks, self._threads, self._progress)
+        if self._around is not None:
+            self._around.packs = [Pack(path) for path in task.tiles]
+        beside = self._around is not None
+        return RangeReader(task, ranges, self._store, self._finish_early, self._threads, self._progress, beside)
+
+    def _finish_early(self, keys: Sequence[BlockKey]) -> tuple[tuple[Path, ...], ...]:
+        """Rate blocks for every kind, before it is known which points the run will use; return their packs by kind."""
+        self._work.finish_early(self._store, keys, self._threads, self._sinks, self._around)
+        return tuple(tuple(sink.new_packs()) for sink in self._sinks.values())
 
     def _unfinished_packs(self) -> tuple[tuple[Path, NDArray[np.int64]], ...]:
         """Return the packs that hold points of unfinished blocks; delete the others."""
@@ -372,7 +394,8 @@ class LocalExecutor:
         """Read all ranges that are unread; the worker keeps their points for the later tasks."""
         points, tiles = new_folder(self._space.points_folder), new_folder(self._space.new_tiles)
         self._worker = Worker(self._work, self._budget, points, tiles, self._progress)
-        task = ReadTask(tuple(plan.unread), (), frozenset(plan.finished), frozenset(plan.waiting))
+        finished, waiting = frozenset(plan.finished), frozenset(plan.waiting)
+        task = ReadTask(tuple(plan.unread), (), finished, waiting, tuple(plan.tiles))
         ranges = [
             OpenRange(part, plan.readers[part.file], plan.chunks[part.file][part.first : part.stop])
             for part in plan.unread

@@ -41,7 +41,7 @@ def columns_of(terrains, density, noise):
 
 def noise_of(columns):
     squares, pairs = (columns[:, THIN_COLUMNS.index(name)] for name in ("squares_1", "pairs_1"))
-    return pool_noise(squares, pairs, columns[:, 2] ** 2)
+    return pool_noise(squares, pairs, columns[:, 2] ** 2, lambda sums: sums.sum(axis=-1, keepdims=True))[:, 0]
 
 
 def ranks(values):

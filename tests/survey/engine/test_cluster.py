@@ -80,11 +80,16 @@ def write_part(path, columns, chosen, offset):
 
 @pytest.fixture(scope="module")
 def surveys(tmp_path_factory):
-    """Three files of one site, 150 m x 60 m, that overlap: points in random order, some twice, some in a far corner."""
+    """Three files of one site, 150 m x 60 m, that overlap: points in random order, some twice, some in a far corner.
+
+    Boulders stand there, many across the edges of blocks.
+    """
     rng = np.random.default_rng(3)
     n = 90_000
     x, y = rng.uniform(0.01, 149.99, n), rng.uniform(0.01, 59.99, n)
     z = 100 + 0.02 * x + np.where(x > 70, 0.25 * np.sin(9 * x) * np.sin(8 * y), 0.0) + 0.004 * rng.normal(size=n)
+    for east, north in np.column_stack([48.0 * rng.integers(0, 4, 60) + rng.normal(0, 3, 60), rng.uniform(0, 60, 60)]):
+        z += 0.8 * np.sqrt(np.maximum(0.0, 0.6 - (x + 1 - east) ** 2 - (y - north) ** 2))
     kind = np.where(rng.random(n) < 0.6, 2, 5).astype(np.uint8)
     columns = (np.round(x, 3) + 500_001, np.round(y, 3) + 4_000_002, np.round(z, 3), kind)
     folder = tmp_path_factory.mktemp("surveys")
@@ -221,15 +226,17 @@ def test_a_killed_run_goes_on_without_reading_again(surveys, plain, tmp_path, he
 
 
 @pytest.mark.usefixtures("here")
-def test_a_killed_run_goes_on_with_another_engine(surveys, plain, tmp_path, killed_at, monkeypatch):
+@pytest.mark.parametrize("ground", ["auto", "all"])
+def test_a_killed_run_goes_on_with_another_engine(surveys, plain, tmp_path, killed_at, ground, monkeypatch):
     monkeypatch.setattr("bumpymap.survey.engine.reading.LEAST_POINTS", TWO_TASKS)
-    one, many = (surveys,), (surveys, "--set", "scheduler=here")
+    one = surveys, "--ground", ground
+    many = *one, "--set", "scheduler=here"
     for before, after, place in ((many, one, "ResultCollector.add_tiles"), (one, many, "decide_ground")):
         left = tmp_path / place
         killed_at(f"survey.engine.run.{place}", left, *before)
         assert run("map", *after, "--out", left).exit_code == 0
-        assert layers_of(left) == layers_of(plain / "auto")
-        assert inputs_of(left) == inputs_of(plain / "auto")
+        assert layers_of(left) == layers_of(plain / ground)
+        assert inputs_of(left) == inputs_of(plain / ground)
 
 
 def test_a_worker_that_does_not_fit_says_why(surveys, tmp_path):
