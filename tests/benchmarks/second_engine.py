@@ -3,6 +3,7 @@
     python tests/benchmarks/second_engine.py --out DRIVES.jsonl [--vehicle warthog] [--seed 77] [--terrains 8]
         [--starts 8] [--torque 4]
     python tests/benchmarks/second_engine.py --report DRIVES.jsonl [--densities 100,50,10] [--noise 0.01]
+        [--rating ride|table]
 
 It needs MuJoCo (pip install mujoco), which nothing else uses. Tyres give way, which the first engine leaves out, and
 motors are as strong as the grip of the tyres allows, unless --torque says less. The terrains have a seed that no
@@ -13,18 +14,19 @@ prints rank, median error, share of the means inside the 80 % interval by third 
 import argparse
 import json
 import math
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from bumpymap.core import FeatureSettings, Georeference, Reason, TextureMap
+from bumpymap.core import FeatureSettings, Georeference, Reason
 from bumpymap.lab.evaluate.agreement import spearman
 from bumpymap.lab.simulate.drive import DriveSettings, draw_start, drive_strip, follow
 from bumpymap.lab.simulate.model import PatchGround, Pose, standing_pose, wheel_inertia
 from bumpymap.lab.simulate.ride_fit import survey_terrains
 from bumpymap.lab.terrains import KINDS, ScanEffects, make_terrain
 from bumpymap.patches import measure
-from bumpymap.rating import Calibration, RideModel, Vehicle
+from bumpymap.rating import Calibration, RideModel, TextureModel, Vehicle, classify, rate
 
 STEP_S, SPACING_M = 0.002, 0.1
 TORQUE = 4.0
@@ -167,7 +169,8 @@ def report(given):
     """Print how well a map predicts these drives."""
     rows = [json.loads(line) for line in given.report.open()]
     model = RideModel(given.calibration or Calibration.shipped(rows[0]["vehicle"]))
-    profile = Vehicle.from_dict(model.calibration.vehicle, "vehicle")
+    rate_tiles = partial(rate, calibration=model.calibration) if given.rating == "table" else model.rate
+    profile, textures = Vehicle.from_dict(model.calibration.vehicle, "vehicle"), TextureModel.shipped()
     terrains = [terrain_of(profile, row["seed"], row["kind"], row["index"]) for row in rows]
     driven = [[value for value in row["c_r"] if value is not None] for row in rows]
     failed = np.array([1 - len(own) / len(row["c_r"]) for own, row in zip(driven, rows, strict=True)])
@@ -180,7 +183,7 @@ def report(given):
         found = np.full((4, len(rows)), np.nan)
         for block in survey_terrains(terrains, ScanEffects(density, given.noise), 91).blocks():
             patches = measure(block, FeatureSettings(), ground_only=False)
-            rated = model.rate(patches, TextureMap.unknown(len(patches.reason)), Georeference(None))
+            rated = rate_tiles(patches, classify(patches, textures), georeference=Georeference(None))
             ok = patches.reason == Reason.OK
             values = (rated.c_r, rated.c_r_low, rated.c_r_high, rated.p_fail)
             found[:, patches.col[ok]] = [value[ok] for value in values]
@@ -213,6 +216,7 @@ def main():
     parser.add_argument("--torque", type=float, default=TORQUE)
     parser.add_argument("--densities", default="100,50")
     parser.add_argument("--noise", type=float, default=0.01)
+    parser.add_argument("--rating", choices=("ride", "table"), default="ride")
     given = parser.parse_args()
     report(given) if given.report else drive_all(given)
 

@@ -45,6 +45,7 @@ RULES = {
     r"^(xdg-open|qgis) ": "opens a window",
     r"^python docs/licences/": "writes a page anew; a test of its own holds it",
     r"^python tests/tools/faults\.py": "runs tests for every fault, for an hour",
+    r"^python tests/tools/tables\.py": "tests/lab/test_tables.py runs it",
     r"^bumpymap settings |--config map\.toml": "writes a file that is to be edited",
     r"^python tests/fuzz/": "an hour",
     r"^python docs/pictures/": "draws over a picture of the pages; takes minutes",

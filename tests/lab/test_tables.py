@@ -1,0 +1,65 @@
+"""The paper's tables beside ours: what tests/tools/tables.py prints of the sample survey and of made-up frames."""
+
+import re
+import runpy
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import bumpymap
+from bumpymap.lab.evaluate.agreement import Verdict, class_table
+from bumpymap.lab.evaluate.report import class_lines
+
+pytestmark = pytest.mark.slow
+
+ROOT = Path(__file__).resolve().parents[2]
+QUARRY = ROOT / "sample_data" / "quarry.laz"
+RULES = {"flat": ([2], [0, 3]), "low_noise": ([0.5, 2.5], [0, 1, 3]), "noise_sin": ([0.5, 1, 2.5], [0, 1, 2, 3])}
+RULES["high_noise"] = ([1.5, 2], [1, 2, 3])
+"""The paper's table: texture -> limits of the raw z range [m], and the classes between them."""
+
+
+def rows_of(text, first):
+    """The cells of rows of tables whose first cell is ``first``."""
+    lines = [re.split(r" *\| *", line.strip("| ")) for line in text.splitlines() if line.startswith("|")]
+    return [cells[1:] for cells in lines if cells[0] == first]
+
+
+def test_tables_are_those_of_the_rules_and_the_papers_stand_beside_them(tmp_path, monkeypatch, capsys):
+    rng = np.random.default_rng(1)
+    place = rng.uniform(-18, 18, (60_000, 2))
+    points = np.column_stack([place, rng.normal(-1.5, 0.01, len(place)), np.zeros(len(place))])
+    points.astype("<f4").tofile(tmp_path / "0.bin")
+    monkeypatch.setattr(sys, "argv", ["tables.py", str(QUARRY), "--scans", str(tmp_path / "0.bin")])
+    runpy.run_path(str(ROOT / "tests" / "tools" / "tables.py"), run_name="__main__")
+    text = capsys.readouterr().out
+
+    tiles = bumpymap.map_survey(QUARRY, compat="paper").tiles()  # textures and measures; the rule is above
+    tall = (tiles["z_max"] - tiles["z_min"]).to_numpy()
+    full = (tiles["texture"].notna() & (tiles["coverage"] >= 0.7)).to_numpy()
+    class_id = np.full(len(tiles), 3)
+    for form, (limits, classes) in RULES.items():
+        own = full & (tiles["texture"] == form).to_numpy()
+        class_id[own] = np.array(classes)[np.digitize(tall[own], limits)]
+    rows = rows_of(text, "compat=paper")
+    assert [int(cells[1]) for cells in rows] == [np.count_nonzero(class_id == number) for number in range(4)]
+    for number, cells in enumerate(rows):
+        means = [float(tiles[name][class_id == number].mean()) for name in ("z_variance", "ransac_residual")]
+        assert [float(cells[4]), float(cells[6])] == pytest.approx(means, rel=0.01)
+
+    assert [cells[4] for cells in rows_of(text, "paper, first site")] == ["0.0039", "0.0329", "0.0952", "36.1"]
+    assert rows_of(text, "paper: heightmap method") == [["12.257", "0.084"]]
+    assert 0 < float(rows_of(text, "bumpymap: all")[0][0]) < 12
+    sectors = {method: sum(int(cells[1]) for cells in rows_of(text, method)) for method in ("filter", "learned")}
+    assert sectors["filter"] == sectors["learned"] > 100
+    assert "are not on record" in text
+    assert "RELLIS-3D, which this project does not have" in text
+
+
+def test_one_class_alone_does_not_rise():
+    verdict = Verdict(np.full(3, 3, np.uint8), *np.ones((5, 3)))
+    [line] = [text for text in class_lines({"ride": class_table(verdict, np.ones(3), np.ones(3))}) if "`ride`" in text]
+    assert "nothing can rise" in line
+    assert "No tile is of class 0, 1, 2." in line
