@@ -31,7 +31,7 @@ $(VENV)/.installed: pyproject.toml $(PINS)
 	@touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed
-	.ci/install $(VENV) $(VENV) $(VENV) sim,learn,dask,remote,csf
+	.ci/install $(VENV) $(VENV) $(VENV) sim,learn,dask,csf
 	$(PIP) install --quiet $(HELD) --group dev
 	$(PIP) $(EDITABLE)
 	@touch $@

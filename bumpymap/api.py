@@ -286,7 +286,7 @@ class Layers:
         overwrite : bool
             Replace an earlier export in the same format.
         **settings
-            Fields of `bumpymap.views.ExportSettings`: ``to`` (``nav2``, ``gridmap``, ``graph``, ``plan``), ...
+            Fields of `bumpymap.views.ExportSettings`: ``to`` (``nav2``, ``gridmap``, ``plan``), ...
 
         Raises
         ------
@@ -462,7 +462,7 @@ def map_survey(
     Parameters
     ----------
     surveys : path, or several
-        Files and folders (LAS, LAZ, COPC, EPT, PLY, PCD), or URLs; strings or path-like objects.
+        Files and folders (LAS, LAZ, COPC, PLY, PCD); strings or path-like objects.
     out : path, optional
         Folder for the layers. Without one they are temporary, and deleted with the returned object.
     **settings
@@ -515,12 +515,12 @@ def _map(config: MapConfig) -> None:
     require_known(map_surveys(config), config)
 
 
-def _places(surveys: PathLike | Iterable[PathLike]) -> tuple[Path | str, ...]:
-    """Convert one path or several to Path objects; URLs stay strings."""
+def _places(surveys: PathLike | Iterable[PathLike]) -> tuple[Path, ...]:
+    """Convert one path or several to Path objects."""
     several = [surveys] if isinstance(surveys, str | os.PathLike) else surveys
     if not isinstance(several, Iterable):
         raise UsageError(f"surveys is {short_repr(several)}; give a path or a list of them")
     texts = [path_of_call("surveys", survey) for survey in several]
     if not texts:
         raise UsageError("surveys is empty; give a path or a list of them")
-    return tuple(text if "://" in text else Path(text) for text in texts)
+    return tuple(map(Path, texts))

@@ -211,7 +211,8 @@ def check_drives(
     out : path, optional
         Folder for the page, the record and GIS layers; without it nothing is written.
     columns : mapping, optional
-        Quantity -> column or topic that holds it, such as ``{"rate_y": "GyrY[deg/s]"}``; by default they are guessed.
+        Quantity -> column or topic that holds it, such as ``{"rate_y": "GyrY[deg/s]"}``; by default
+        they are known by their names.
     band_hz : float
         Rates are low-passed at this frequency, Hz; default 10.
     window_m : float

@@ -30,7 +30,7 @@ class CheckConfig:
     out: Annotated[Path | None, Setting("Folder for the files: page, tables, GIS layers", "DIR", group="Output")] = None
     """Folder for the files; None: only the summary."""
     columns: Mapping[str, str] | None = None
-    """Quantity -> column or topic that holds it; None: guessed."""
+    """Quantity -> column or topic that holds it; None: by their names."""
     band_hz: Annotated[
         float, Setting("Rates are low-passed at this frequency", "HZ", 1.0, unit="Hz", option="band", rare=True)
     ] = 10.0

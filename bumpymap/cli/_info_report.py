@@ -52,7 +52,7 @@ from bumpytiles import Bounds, Grid, TileWindow
 class FileReport:
     """One file: what is known from its header and its points, or why it cannot be read."""
 
-    path: Path | str
+    path: Path
     info: SurveyInfo | None = None
     summary: PointSummary | None = None
     """None with ``--quick``, and if no point is left."""
@@ -218,7 +218,7 @@ class Report:
             thin=True,
         )
 
-    def _command(self, surveys: Sequence[Path | str], files: Sequence[FileReport]) -> str:
+    def _command(self, surveys: Sequence[Path], files: Sequence[FileReport]) -> str:
         """Return the command that maps files; ``--crs`` only for surveys that have none."""
         place = next((file.info.georeference for file in files if file.info), None)
         words = ["bumpymap", "map", *map(str, surveys), *_map_options(self.config, place), "--out", "DIR"]
@@ -264,7 +264,7 @@ class Report:
         outcome = self._outcome(summary)
         if self.whole is None or summary is None:
             return [text]
-        steps = describe_lines(compare_lines(self.whole.lines), "report")
+        steps = describe_lines(compare_lines(self.whole.lines))
         few = f"about {outcome.share:.0%} of the tiles will be unknown" if outcome else ""
         return [*filter(None, [self._advice(summary) or few, self._apart(summary), steps]), text]
 
@@ -367,7 +367,7 @@ class Report:
             rows += _classified(file, self.config.ground_classes)
         if apart := self._apart(summary):
             rows.append(("not classified", apart))
-        if text := describe_lines(file.lines, "report"):
+        if text := describe_lines(file.lines):
             rows.append(("flight lines", as_options(text.removeprefix("Flight lines: "))))
         return rows + [("note", note) for note in info.notes]
 

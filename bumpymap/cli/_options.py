@@ -49,8 +49,6 @@ class _NamedPath(click.Path):
             self.fail("the path is empty; is a variable unset? The current folder is called .", param, ctx)
         if isinstance(value, str) and (reason := path_fault(value)):
             self.fail(reason, param, ctx)
-        if isinstance(value, str) and "://" in value:
-            self.fail(f"{value} is a URL; only surveys can be URLs. Give a path of this machine", param, ctx)
         return super().convert(value, param, ctx)
 
 
@@ -58,18 +56,6 @@ PATH = _NamedPath(path_type=Path)
 """Type of every path on the command line."""
 FILE = _NamedPath(dir_okay=False, path_type=Path)
 """Type of a path that must not be a folder."""
-
-
-class _Location(_NamedPath):
-    """A path, or a URL, which stays a string."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Convert a string to a Path, unless it is a URL."""
-        return value if isinstance(value, str) and "://" in value else super().convert(value, param, ctx)
-
-
-LOCATION = _Location(path_type=Path)
-"""Type of surveys on the command line."""
 
 
 class GroupedOption(click.Option):
@@ -367,7 +353,7 @@ def _click_type(kind: Any) -> tuple[Any, bool]:
         return (click.Choice(items) if isinstance(items[0], str) else type(items[0])), False
     if get_origin(kind) is tuple:
         return (NumberList(items[0]), False) if items[0] in (int, float) else (_click_type(items[0])[0], True)
-    return {int: int, float: float, Path: PATH, Path | str: LOCATION}.get(kind), False
+    return {int: int, float: float, Path: PATH}.get(kind), False
 
 
 def merge_settings(from_file: dict[str, Any], given: dict[str, Any], clashes: Sequence[Clash]) -> dict[str, Any]:

@@ -26,7 +26,7 @@ def map_lines(result: MapResult, config: MapConfig) -> Iterator[str | Table]:
         f"{sum(result.seconds.values()):.1f} s"
     )
     yield Table(_rows(summary), _TITLES)
-    degrees, lines = degrees_line(summary.median_c_r[: len(CLASS_NAMES)]), _steps(result, config)
+    degrees, lines = degrees_line(summary.median_c_r[: len(CLASS_NAMES)]), describe_lines(result.lines)
     yield from filter(None, [degrees, _passable_line(summary), summary.seen.sentence])
     if summary.by_holes:
         share = share_text(summary.by_holes / summary.tiles, 1)
@@ -76,11 +76,6 @@ def _part(count: int, summary: MapSummary) -> tuple[str, str, str, str]:
     return f"{count:,}", share_text(count / summary.tiles, 1), "", ""
 
 
-def _steps(result: MapResult, config: MapConfig) -> str:
-    """Return a sentence about flight lines, or an empty string."""
-    return as_options(describe_lines(result.lines, config.align))
-
-
 def map_record(result: MapResult, config: MapConfig) -> dict[str, object]:
     """Return the result of a run as an object of JSON."""
     return {
@@ -98,7 +93,7 @@ def map_record(result: MapResult, config: MapConfig) -> dict[str, object]:
         "ground_advice": as_options(ground_line(result)),
         "ground_only": result.ground_only,
         "tiles_from_all_points": result.from_all,
-        "flight_lines": _steps(result, config),
+        "flight_lines": describe_lines(result.lines),
         "skipped": result.skipped,
         "seconds": result.seconds,
         "already_done": result.already_done,

@@ -199,9 +199,7 @@ def _refit_percent(share: float) -> str:
 
 @job("check", settings_options(CheckConfig, required=("drives",)), owners=(CheckConfig,))
 @click.argument("layers", type=PATH, metavar="[LAYERS]", required=False)
-@grouped_option(
-    "--columns", metavar="LIST", help="Of the log: rate_y=GyrY[deg/s],time=t [guessed and shown].", group="Input"
-)
+@grouped_option("--columns", metavar="LIST", help="Of the log: rate_y=GyrY[deg/s],time=t[ms] [by name].", group="Input")
 @grouped_option(
     "--refit", type=FILE, metavar="FILE", help="Move the calibration to the drives (JSON).", group="Vehicle"
 )

@@ -9,7 +9,7 @@ import click
 
 from bumpymap.cli._options import PATH, Run, grouped_option, job, settings_options
 from bumpymap.cli._text import option_name
-from bumpymap.core import DirectionSettings, UsageError, share_text
+from bumpymap.core import UsageError, share_text
 from bumpymap.views import ExportFormat, ExportSettings
 
 if TYPE_CHECKING:
@@ -17,12 +17,11 @@ if TYPE_CHECKING:
     from bumpymap.views import Export
 
 _ONLY_FOR: dict[str, tuple[ExportFormat, ...]] = {
-    "around": ("nav2", "gridmap", "graph", "cost"),
-    "radius": ("nav2", "gridmap", "graph", "cost"),
-    "datum": ("nav2", "gridmap", "graph"),
+    "around": ("nav2", "gridmap", "cost"),
+    "radius": ("nav2", "gridmap", "cost"),
+    "datum": ("nav2", "gridmap"),
     "resolution": ("nav2", "gridmap"),
     "max_cost": ("nav2",),
-    **dict.fromkeys(("every", *DirectionSettings.__dataclass_fields__), ("graph",)),
     "route": ("plan",),
     "through_obstacles": ("plan",),
 }
@@ -48,7 +47,6 @@ def command(run: Run, layers: Path, out: Path, overwrite: bool) -> None:
     \b
     nav2     maps with cost, keepout and speed limits for Nav2, and the parameters that load them
     gridmap  a grid_map message in a ROS 2 bag; needs the extra `ros`
-    graph    a graph of ways for Nav2's route server
     plan     a mission for QGroundControl, from a route
     cost     cost of driving with 0.2 m pixels, what stops the vehicle grown by half its width
 
@@ -106,12 +104,6 @@ def _summary(done: "Export") -> Iterator[str]:
         yield (
             f"cost per metre: 1 is value 0, {cost['value_98']:.3f} is value 98, in steps of "
             f"{(cost['value_98'] - 1.0) / 98:.3f}; the highest of a free cell is {cost['highest']:.3f}"
-        )
-    if graph := record.get("graph"):
-        largest = graph["largest_square"]
-        yield (
-            f"{graph['nodes']:,} nodes, {graph['edges']:,} edges, one node in up to {largest} x {largest} tiles; "
-            f"free ground of {graph['tiles_left_out']:,} tiles left out, not connected with these"
         )
     if layers := record.get("layer_names"):
         yield f"grid_map on {record['topic']}: {', '.join(layers)}"

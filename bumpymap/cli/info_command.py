@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from bumpymap.cli._options import LOCATION, Run, grouped_option, job, settings_options
+from bumpymap.cli._options import PATH, Run, grouped_option, job, settings_options
 from bumpymap.cli._progress import CommandProgress, show_progress
 from bumpymap.cli._text import print_json, print_lines
 from bumpymap.core import OF_CRS, MapConfig, with_pixels
@@ -22,7 +22,7 @@ _MOVED = ("ground_classes", "force_crs", "xy_unit", "z_unit", "trust_points", "p
 
 
 @job("info", settings_options(MapConfig, *_TYPED, *_MOVED, moved=_MOVED), owners=(MapConfig,), clashes=OF_CRS)
-@click.argument("surveys", nargs=-1, required=True, type=LOCATION, metavar="SURVEY...")
+@click.argument("surveys", nargs=-1, required=True, type=PATH, metavar="SURVEY...")
 @grouped_option("--quick", group="Run", is_flag=True, help="Read only the headers, no points.")
 def command(run: Run, quick: bool) -> None:
     """Report what SURVEY files or folders contain, and what `bumpymap map` needs: memory, disk space, time.
@@ -70,7 +70,7 @@ def command(run: Run, quick: bool) -> None:
 
 
 def _inspect(
-    path: Path | str,
+    path: Path,
     options: "ReadOptions",
     grid: "Grid",
     progress: CommandProgress,

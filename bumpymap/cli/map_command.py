@@ -5,7 +5,7 @@ from contextlib import suppress
 
 import click
 
-from bumpymap.cli._options import LOCATION, Run, job
+from bumpymap.cli._options import PATH, Run, job
 from bumpymap.core import CLASHES, MapConfig, Progress, with_pixels
 
 
@@ -42,9 +42,9 @@ def _import() -> None:
 
 
 @job("map", MapConfig, clashes=CLASHES)
-@click.argument("surveys", nargs=-1, type=LOCATION, metavar="SURVEY...")
+@click.argument("surveys", nargs=-1, type=PATH, metavar="SURVEY...")
 def command(run: Run) -> None:
-    """Make roughness layers and a cost map from SURVEY files or folders (LAS, LAZ, COPC, EPT, PLY, PCD).
+    """Make roughness layers and a cost map from SURVEY files or folders (LAS, LAZ, COPC, PLY, PCD).
 
     \b
     bumpymap map site.laz --out site_layers

@@ -1,6 +1,6 @@
 """``bumpymap route``: the cheapest way over mapped ground, and what can be reached."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -33,9 +33,10 @@ _TITLES = (
 
 
 def _lines(result: "RouteResult", config: RouteConfig) -> Iterator[str | Table]:
-    if result.routes:
-        yield Table(map(_row, result.routes), _TITLES)
-        yield from _remarks(result, config)
+    if result.route is not None:
+        yield Table([_row(result.route)], _TITLES)
+        yield from result.notes
+        yield from _remarks(result.route)
     if result.reach is not None:
         yield _reached(result.reach)
         yield from (f"Note: {note}" for note in result.notes)
@@ -73,53 +74,29 @@ def _row(route: "Route") -> tuple[str, ...]:
     )
 
 
-def _remarks(result: "RouteResult", config: RouteConfig) -> Iterator[str]:
+def _remarks(route: "Route") -> Iterator[str]:
     from bumpymap.layers import IRI_NOTE
 
-    yield from result.notes
-    if len(result.routes) < config.alternatives:
-        yield f"{config.alternatives} ways were asked for; there are no more that differ"
-    for route in result.routes:
-        if route.figures.unknown_m > 0:
-            yield (
-                f"{route.name}: {route.figures.unknown_m:,.0f} m lie on unknown ground, whose ride and risk are not in "
-                "the figures"
-            )
-    for route in result.routes:
-        if route.figures.obstacle_m > 0:
-            yield (
-                f"{route.name} touches obstacles on {route.figures.obstacle_m:,.1f} m: there is no way between them; "
-                "arrives counts each of these metres as failing every second time"
-            )
-    for route in result.routes:
-        if route.figures.tight_turns_deg >= _TIGHT_DEG:
-            yield (
-                f"{route.name} turns by {route.figures.tight_turns_deg:,.0f} degrees in all close to what stops the "
-                "vehicle, where its corners may touch; arrives counts each degree as failing once in a hundred times"
-            )
-    yield from (
-        f"{route.name} as a road: IRI {road.iri:.1f} m/km{', ISO 8608 class ' * bool(road.iso_class)}{road.iso_class} "
-        f"({IRI_NOTE})"
-        for route in result.routes
-        if (road := route.figures.road) and road.resolution == "resolved"
-    )
-    if (straight := result.routes[0].straight) and straight.words:
-        yield straight.words
-    yield from _seen(result.routes)
-
-
-def _seen(routes: "Sequence[Route]") -> Iterator[str]:
-    """Say what the chances to arrive rest on: way by way if that differs."""
-    from bumpymap.core import SeenSizes
-
+    found = route.figures
+    if found.unknown_m > 0:
+        yield f"{found.unknown_m:,.0f} m lie on unknown ground, whose ride and risk are not in the figures"
+    if found.obstacle_m > 0:
+        yield (
+            f"the way touches obstacles on {found.obstacle_m:,.1f} m: there is no way between them; arrives counts "
+            "each of these metres as failing every second time"
+        )
+    if found.tight_turns_deg >= _TIGHT_DEG:
+        yield (
+            f"the way turns by {found.tight_turns_deg:,.0f} degrees in all close to what stops the vehicle, where its "
+            "corners may touch; arrives counts each degree as failing once in a hundred times"
+        )
+    if (road := found.road) and road.resolution == "resolved":
+        iso = f", ISO 8608 class {road.iso_class}" if road.iso_class else ""
+        yield f"as a road: IRI {road.iri:.1f} m/km{iso} ({IRI_NOTE})"
+    if route.straight and route.straight.words:
+        yield route.straight.words
     rest = "and failures on different metres are independent; errors of neighbouring tiles go together"
-    sizes = [route.figures.seen for route in routes]
-    if len({seen.condition for seen in sizes}) == 1:
-        sizes, names = [SeenSizes.worst(sizes)], ["arrives"]
-    else:
-        names = [route.name for route in routes]
-    for name, seen in zip(names, sizes, strict=True):
-        yield f"{name}: {seen.condition} {rest}. {seen.sentence}".rstrip()
+    yield f"arrives: {found.seen.condition} {rest}. {found.seen.sentence}".rstrip()
 
 
 def _time(seconds: float) -> str:
@@ -144,7 +121,7 @@ def _record(result: "RouteResult", config: RouteConfig) -> dict[str, Any]:
     return {
         "out": None if config.out is None else str(config.out),
         "files": [path.name for path in result.files],
-        "routes": [route_properties(route) for route in result.routes],
+        "routes": [] if result.route is None else [route_properties(result.route)],
         "reach": reached,
         "notes": list(result.notes),
     }

@@ -21,7 +21,7 @@ _SAMPLE = Path("sample_data") / "quarry.laz"
 """In an installed package it lies inside, in the sources beside it."""
 _WITH_SETTINGS = (
     *("map", "batch", "info", "scan", "route", "check", "diff", "export", "calibrate", "report"),
-    *("evaluate survey", "evaluate scans", "train textures", "train scans"),
+    *("evaluate scans", "train textures", "train scans"),
 )
 """Commands that have settings."""
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 Ground = Literal["auto", "all", "class", "csf"]
 Compat = Literal["none", "paper"]
-Align = Literal["off", "report", "on"]
+Align = Literal["off", "report"]
 Rating = Literal["ride", "table"]
 LengthUnit = Literal["m", "ft", "us-ft"]
 GROUND_CLASSES = (2, 11, 17)
@@ -140,8 +140,8 @@ def with_pixels(settings: Mapping[str, Any]) -> dict[str, Any]:
 class MapConfig:
     """All settings of a ``map`` run."""
 
-    surveys: tuple[Path | str, ...]
-    """Files and folders; strings are fsspec URLs."""
+    surveys: tuple[Path, ...]
+    """Files and folders."""
     out: Annotated[Path, Setting("Folder for the layers", "DIR", group="Output")]
     tile_size: Annotated[float, Setting("Side of a tile, in metres", "M", 0.05, 1000.0, "m", group="Ground")] = 3.0
     pixels: Annotated[
@@ -160,7 +160,7 @@ class MapConfig:
     ] = GROUND_CLASSES
     """LAS classes whose points are ground with ``ground = "auto"`` or ``"class"``: ground, road surface, bridge deck.
     Points of class 17, a bridge deck, hide the ground beneath them."""
-    align: Annotated[Align, Setting("Height steps of flight lines: off, report, on", "WHAT", group="Ground")] = "report"
+    align: Annotated[Align, Setting("Height steps of flight lines: off, report", "WHAT", group="Ground")] = "report"
     """Height steps between flight lines: ``report`` measures them, ``on`` also takes them off where an offset or a
     tilt of each line explains them (which reads the survey twice), ``off`` does not measure them."""
     rating: Annotated[Rating, Setting("How the ride cost is predicted", rare=True)] = "ride"

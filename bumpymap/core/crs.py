@@ -32,7 +32,7 @@ FORCE_CRS = "Override it with `force_crs`, such as `force_crs='EPSG:32614'`"
 class Place:
     """A file and the centre of its extent in the file's units (None if unknown), for messages."""
 
-    path: Path | str
+    path: Path
     middle: tuple[float, float, float] | None = None
 
 
@@ -106,7 +106,7 @@ def utm_epsg(longitude: float, latitude: float) -> int:
     return (32600 if latitude >= 0 else 32700) + zone
 
 
-def reproject_command(path: Path | str, longitude_latitude: tuple[float, float] | None, source: str | None) -> str:
+def reproject_command(path: Path, longitude_latitude: tuple[float, float] | None, source: str | None) -> str:
     """Return the PDAL command that reprojects a file from degrees to metres, with a resolution of 1 mm.
 
     Parameters
@@ -206,7 +206,7 @@ class CrsStatement:
 
 class _HasGeoreference(Protocol):
     @property
-    def path(self) -> Path | str: ...
+    def path(self) -> Path: ...
     @property
     def georeference(self) -> Georeference: ...
 

@@ -1,17 +1,13 @@
 """Files: written whole under a temporary name in the target folder; JSON of strangers, safe CSV, and PLY.
 
-Files of servers are opened by URL; fsspec is imported only if a URL is used.
-
 JSON of untrusted files is parsed with a limit on the nesting depth, and checked against a declared shape.
 """
 
 import csv
 import errno
-import hashlib
 import json
 import math
 import os
-import re
 import shlex
 import shutil
 import stat
@@ -24,7 +20,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 from urllib.parse import unquote, urlsplit
 from uuid import uuid4
 
-from bumpymap.core.errors import OutputError, UsageError, escape_controls, write_remedy
+from bumpymap.core.errors import OutputError, escape_controls, write_remedy
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -409,10 +405,6 @@ def _sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-_URL = re.compile(r"""(\w+://)(?:[^/\s@'"]*@)?([^\s?'"]*)(?:\?[^\s'"]*[^\s'":.,)])?""")
-"""Protocol, user, server and path, query."""
-
-
 def install_command(extra: str) -> str:
     """Return the command that adds an extra of this package to this environment, from where the package came."""
     from importlib.metadata import PackageNotFoundError, distribution
@@ -429,49 +421,6 @@ def install_command(extra: str) -> str:
     editable = " -e" if known and origin.get("dir_info", {}).get("editable") else ""
     source = shlex.quote(f"{folder if known else '.'}[{extra}]")
     return f"{pip}{editable} {source}{'' if known else ' in the folder of the repository'}"
-
-
-def remote_files(url: str) -> tuple[Any, str]:
-    """Return the fsspec file system of a URL such as ``s3://bucket/site.laz``, and the path in it.
-
-    Raises
-    ------
-    UsageError
-        A package that the protocol needs is not installed, or there is no such protocol.
-    """
-    try:
-        from fsspec.core import url_to_fs  # type: ignore[import-untyped, unused-ignore]
-    except ImportError as error:
-        raise UsageError(f"{url} is a URL, which needs an extra: {install_command('remote')}") from error
-    try:
-        files, name = url_to_fs(url)
-    except ImportError as error:
-        kind = url.split("://", 1)[0]
-        raise UsageError(f"{kind}:// needs more ({error}). Install it: {install_command('remote')}") from error
-    except ValueError as error:
-        raise UsageError(
-            f"{url} is not a URL that can be used ({error}). Supported are s3://, https://, gs:// and other protocols "
-            "of fsspec"
-        ) from error
-    return files, name
-
-
-def without_keys(text: str) -> str:
-    """Return a text whose URLs have no user and no query: both may hold a key, as that of a signed link."""
-    return _URL.sub(r"\1\2", text)
-
-
-def recorded_place(place: Path | str) -> str:
-    """Return an input as files that are handed on name it: a URL without keys, but still unlike one with others.
-
-    ``https://host/site.laz?key=abc`` becomes ``https://host/site.laz?left-out=1f0e...``, with a digest of the whole.
-    """
-    text = str(place)
-    plain = without_keys(text) if isinstance(place, str) and "://" in text else text
-    if plain == text:
-        return text
-    digest = hashlib.sha256(text.encode("utf-8", "surrogateescape")).hexdigest()
-    return f"{plain}?left-out={digest[:16]}"
 
 
 _FORMULA = tuple("=+-@\uff1d\uff0b\uff0d\uff20")

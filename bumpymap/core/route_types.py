@@ -301,7 +301,7 @@ class Route:
     """A way over a map."""
 
     name: str
-    """Such as ``route`` or ``alternative 2``."""
+    """Such as ``route``."""
     georeference: Georeference
     grid: Grid
     line: NDArray[np.float64]

@@ -241,10 +241,9 @@ def same_content(path: str, known: Mapping[str, Any], here: Mapping[str, Any], h
     Parameters
     ----------
     path : str
-        Of the file, or a URL. A URL is never downloaded to compare checksums.
+        Of the file.
     known : mapping
-        ``bytes``, ``checksum`` (see `FileHash`; or ``sha256`` of all bytes) and, if they were recorded, ``mtime_ns`` or
-        the ``version`` reported by a server.
+        ``bytes``, ``checksum`` (see `FileHash`; or ``sha256`` of all bytes) and, if it was recorded, ``mtime_ns``.
     here : mapping
         From `bumpymap.readers.identity`.
     hashed : callable
@@ -252,11 +251,8 @@ def same_content(path: str, known: Mapping[str, Any], here: Mapping[str, Any], h
     """
     if known.get("bytes") is not None and known["bytes"] != here["size"]:
         return False
-    for key in ("mtime_ns", "version"):
-        if known.get(key) and known[key] == here.get(key):
-            return True
-    if "://" in path:
-        return False
+    if known.get("mtime_ns") and known["mtime_ns"] == here.get("mtime_ns"):
+        return True
     checksum, sha256 = known.get("checksum"), known.get("sha256")
     if checksum is not None:
         return bool(str(checksum).startswith(f"{CHECKSUM_METHOD}:") and hashed(Path(path)) == checksum)

@@ -489,7 +489,7 @@ def parse_record(
         As read from a TOML or JSON file.
     owner : type or tuple of type
         Dataclass, or several whose fields stand side by side. A field may be a bool, a number, a str, a Path, a
-        ``Path | str`` (a URL stays a str), a ``NameOrFile``, a Literal of strings, a tuple of one of these, a dataclass
+        a ``NameOrFile``, a Literal of strings, a tuple of one of these, a dataclass
         (a table in the file), any of them or None, or any of them ``Annotated`` with a `Setting`.
     folder : Path
         Folder at which relative paths start.
@@ -564,7 +564,7 @@ class _Parser:
             return tuple(
                 self._value(item, items[0], f"value {number} of {name}") for number, item in enumerate(value, 1)
             )
-        if kind in (Path, Path | str, NameOrFile) and isinstance(value, str):
+        if kind in (Path, NameOrFile) and isinstance(value, str):
             return self._placed(value, kind, name)
         if kind is float and type(value) is int and abs(value) < 2**1023:
             return float(value)
@@ -585,12 +585,12 @@ class _Parser:
             return _WRONG_TYPE
 
     def _placed(self, text: str, kind: Any, name: str) -> Path | str:
-        """Resolve a relative path against the folder of the file; leave URLs and names as they are."""
+        """Resolve a relative path against the folder of the file; leave names as they are."""
         if reason := path_fault(text):
             self.faults.append(f"{name}: {reason}")
         if kind == NameOrFile:
             return str(self._folder / text) if names_a_file(text) else text
-        return text if kind is not Path and "://" in text else self._folder / text
+        return self._folder / text
 
 
 def parse_share(text: str) -> float | None:
@@ -607,7 +607,7 @@ def path_fault(text: str) -> str:
     if "\0" in text:
         return "a path cannot hold the character NUL"
     if "://" in text:
-        return ""
+        return f"{text} is a URL; give a path of this machine. rclone copyurl URL FILE copies a file of a server here"
     longest = max((len(os.fsencode(name)) for name in text.split("/")), default=0)
     if longest > _LONGEST_NAME:
         return f"the path has a name of {longest} bytes; names have up to {_LONGEST_NAME}"

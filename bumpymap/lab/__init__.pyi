@@ -1,8 +1,6 @@
 from .evaluate.report import (
     REPORT as REPORT,
-    number as number,
     percent as percent,
-    write_report as write_report,
     write_scan_report as write_scan_report,
 )
 from .evaluate.scans import (
@@ -11,16 +9,11 @@ from .evaluate.scans import (
     labels_of as labels_of,
 )
 from .evaluate.survey_trial import (
-    Findings as Findings,
-    Subject as Subject,
-    TrialOptions as TrialOptions,
-    evaluate_survey as evaluate_survey,
     open_readers as open_readers,
 )
 from .label_sets import LABEL_SETS as LABEL_SETS
 from .settings import (
     CalibrationSettings as CalibrationSettings,
-    EvaluateSettings as EvaluateSettings,
     NetworkSettings as NetworkSettings,
     ScanEvaluateSettings as ScanEvaluateSettings,
     ScanTrainSettings as ScanTrainSettings,

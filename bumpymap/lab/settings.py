@@ -6,10 +6,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from bumpymap.core import FeatureSettings, Setting, UsageError, check_settings
+from bumpymap.core import Setting, UsageError, check_settings
 
 if TYPE_CHECKING:
-    from bumpymap.lab.simulate.drive import DriveSettings, Effort
+    from bumpymap.lab.simulate.drive import DriveSettings
     from bumpymap.rating import Vehicle
 
 _LIBRARY_WHEEL_M = 0.3
@@ -89,34 +89,6 @@ class CalibrationSettings:
             "drive": asdict(self.drive),
             "versions": {**versions, "python": platform.python_version(), "machine": platform.machine()},
         }
-
-
-@dataclass(frozen=True, slots=True)
-class EvaluateSettings:
-    """All settings that affect the numbers, apart from survey and vehicles."""
-
-    total_patches: Annotated[int, Setting("Patches to drive over", "N", 10, rare=True)] = 300
-    min_starts: Annotated[int, Setting("Minimum number of drives per patch", "N", 2, rare=True)] = 16
-    max_starts: Annotated[int, Setting("Maximum number of drives per patch", "N", rare=True)] = 48
-    """They stop once the standard error of the mean C_r is below 5 % of it."""
-    seed: Annotated[int, Setting("Random seed", "N", 0, rare=True)] = 7
-    drive: "DriveSettings" = field(default_factory=_drive_settings)
-    features: FeatureSettings = field(default_factory=FeatureSettings)
-
-    def __post_init__(self) -> None:
-        check_settings(self)
-        if self.min_starts > self.max_starts:
-            raise UsageError(
-                f"`min_starts` is {self.min_starts}, more than `max_starts`, which is {self.max_starts}: give fewer, "
-                "or raise `max_starts`"
-            )
-
-    @property
-    def effort(self) -> "Effort":
-        """Bounds on the number of drives per patch."""
-        from bumpymap.lab.simulate.drive import Effort
-
-        return Effort(self.min_starts, self.max_starts)
 
 
 @dataclass(frozen=True, slots=True)

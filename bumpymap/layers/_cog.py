@@ -1,8 +1,7 @@
 """Write cloud-optimised GeoTIFFs (COG), and names, colours and pixel counts of their values in ``NAME.tif.aux.xml``.
 
 A sparse scratch raster is filled window by window, so that memory does not grow with the survey or with gaps in it.
-GDAL's COG driver then converts it and adds overviews and statistics. Small rasters never leave memory; a large one that
-is mostly empty is written by `write_sparse_cog`.
+GDAL's COG driver then converts it and adds overviews and statistics. Small rasters never leave memory.
 
 GDAL reports no error when the disk fills up while it writes a TIFF. Seen in GDAL 3.10: blocks that are flushed when a
 file is closed are lost without an error (libtiff prints a line to stderr), and the COG driver may crash on a full disk.
@@ -37,7 +36,6 @@ from rasterio.io import MemoryFile
 from rasterio.windows import Window
 
 from bumpymap.core import atomic
-from bumpymap.layers._sparse_cog import Pieces, write_sparse_cog
 from bumpymap.layers.placement import SCRATCH_BLOCK, Placement, RasterSpec, RasterWindow, create_raster
 from bumpytiles import BLOCK_TILES
 
@@ -140,8 +138,6 @@ SMALL = 128 << 20
 """Largest scratch raster that is kept in memory, bytes; a file takes twice the time, as it is read back."""
 _PAINTED_BEFORE = 32 << 20
 """Largest scratch raster whose pixels are made before its thread waits for GDAL, bytes."""
-_SPARSE_FROM = 16 << 20
-"""Size as a scratch raster from which a mostly empty raster is written by `write_sparse_cog`, bytes."""
 OVERVIEWS_FIRST_FROM = 128 << 20
 """Size as a scratch raster from which one of several bands gets its overviews before it is converted, bytes."""
 _gdal = threading.RLock()
@@ -183,7 +179,6 @@ def write_cog(
     spec: RasterSpec,
     paint: Callable[[RasterWindow], NDArray[np.generic] | None],
     side: int,
-    pieces: Pieces | None = None,
 ) -> None:
     """Write a COG; the file appears only when it is complete.
 
@@ -199,9 +194,6 @@ def write_cog(
         Returns the pixels of a window, (bands, lines * pixels, columns * pixels), north up; None if all are nodata.
     side : int
         Side of a window in tiles, a multiple of a block's.
-    pieces : callable, optional
-        Returns line and column, in a window, of its tiles, (n,), and their values, (n, pixels, pixels): given if most
-        of the raster is empty, for `write_sparse_cog`.
 
     Raises
     ------
@@ -211,7 +203,6 @@ def write_cog(
     with atomic(path, _FAILURES) as temporary:
         pixels = placement.window.cols * placement.window.rows * spec.pixels**2
         size = pixels * len(spec.bands) * np.dtype(spec.dtype).itemsize
-        sparse = pieces is not None and size > _SPARSE_FROM
         # Of a photo GDAL leaves out the overviews that the scratch raster has: it makes a mask of the alpha first.
         large = len(spec.bands) > 1 and size > OVERVIEWS_FIRST_FROM and not spec.is_photo
         overviews_first = spec.counts_nodata or large
@@ -222,7 +213,7 @@ def write_cog(
         )
         scratch_size = across * down * len(spec.bands) * np.dtype(spec.dtype).itemsize
         painted: Iterable[_Painted] = _painted(placement, spec, paint, side)
-        if scratch_size <= SMALL and not sparse:
+        if scratch_size <= SMALL:
             if scratch_size <= _PAINTED_BEFORE:
                 painted = list(painted)
             with _gdal_alone(), MemoryFile(ext=".tif") as scratch, MemoryFile(ext=".tif") as layer:
@@ -232,12 +223,6 @@ def write_cog(
                 _convert(scratch.name, layer.name, spec, overviews_first=overviews_first)
                 _copy_side_file(layer.name, temporary)
                 temporary.write_bytes(layer.getbuffer())
-        elif sparse and pieces is not None:
-            with _gdal_alone(), MemoryFile(ext=".tif") as scratch:
-                create_raster(scratch.name, placement, spec, (1, 1)).close()
-                _copy_side_file(scratch.name, temporary)
-            for values in write_sparse_cog(temporary, placement, spec, pieces, raster_lock()):
-                _count(values, spec, counts)
         else:
             waiting = temporary.with_name(f"{temporary.stem}.scratch.tif")
             with _gdal_alone():

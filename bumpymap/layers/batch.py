@@ -46,7 +46,7 @@ class SurveyRow:
     )
     seconds: float | None = _column("wall time of the run that made the layers, or until it failed", "s")
     survey: str = ""
-    """Its files or folder, as the run was given them; a URL without user and query, which may hold a key."""
+    """Its files or folder, as the run was given them."""
     points: int | None = _column("points read that are neither withheld nor noise")
     density: float | None = _column("points per area of the tiles with points", "1/m2")
     area: float | None = _column("area of the tiles with points", "m2")

@@ -119,10 +119,8 @@ DIFFERENCE_RAMP = (
     *("#f4a582", "#d6604d", "#b2182b", "#67001f"),
 )
 """Colours from the least over none, white, to the most of a difference."""
-ROUTE_COLOURS: tuple[tuple[int, int, int], ...] = (
-    *((0, 0, 0), (136, 14, 112), (0, 90, 60), (110, 60, 0), (60, 60, 160)),
-)
-"""Colours of ways, dark on their white border: told apart by lightness and by their labels too."""
+ROUTE_COLOUR = (0, 0, 0)
+"""Of the line of a way."""
 _REACH_COLOURS: tuple[tuple[int, int, int], ...] = (
     *((253, 231, 37), (122, 209, 81), (34, 168, 132)),
     *((42, 120, 142), (65, 68, 135), (68, 1, 84)),

@@ -14,14 +14,12 @@ from numpy.typing import NDArray
 from bumpymap.core import (
     BANDS,
     BARRED_TEXT,
-    CANOPY,
     CLASS_NAMES,
     CROSSING_UNKNOWN,
     FREE,
     HEADING_BANDS,
     NO_CLASS,
     OBJECT_NAMES,
-    OBSTACLE,
     REASON_TEXT,
     STEP_EDGE,
     UNSEEN,
@@ -126,8 +124,7 @@ HEIGHT_BLOCK = 512
 _WINDOW_PIXELS = 1024
 """Side of a window of such a raster, pixels; rounded down to whole blocks of tiles, at least one."""
 _SPARSE = 0.1
-"""Below this share of tiles with points in its extent a survey is sparse: then these rasters have smaller blocks, and
-those without values are not made."""
+"""Below this share of tiles with points in its extent a survey is sparse: then it may have no photo."""
 _MOST_OF_SPARSE = 100_000_000
 """Most pixels of the photo of a sparse survey: 10^9, nearly all empty, take 26 s of CPU time."""
 _Found: TypeAlias = dict[str, NDArray[Any]]
@@ -261,9 +258,7 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
             [Band("obstacle", "", "obstacles on the ground, canopy over it, steps of it", OBJECT_NAMES)],
             ("objects", "obstacle"),
             objects,
-            options=codes
-            | pixels
-            | {"colours": OBJECT_COLOURS, "worst": (OBSTACLE, STEP_LINE, UNKNOWN_OBJECT, CANOPY, FREE)},
+            options=codes | pixels | {"colours": OBJECT_COLOURS},
         ),
         MapFile.PHOTO: _Layer(
             "colours of the points",
@@ -277,7 +272,7 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
             [Band("passage", "", "areas of a tile in which the middle of the vehicle can move; 0 where it cannot be")],
             ("passage",),
             lambda found, _: found["passage"],
-            options=codes | pixels | {"worst": tuple(range(NO_CLASS))},
+            options=codes | pixels,
         ),
     }
 
@@ -354,14 +349,12 @@ def write_raster(file: MapFile, table: CostTable, path: Path, about: Mapping[str
     spec = RasterSpec(bands=layer.bands, crs=crs, tags=tags, **layer.options)
     pixels = spec.pixels
 
-    def pieces(window: RasterWindow) -> tuple[NDArray[np.int64], NDArray[np.int64], Any]:
-        found = tiles.read(layer.columns, window.tiles)
-        return *window.pixel_indices(found), layer.values(found, window)
-
     def paint(window: RasterWindow) -> NDArray[np.generic] | None:
         if not tiles.holds(window.tiles):
             return None
-        line, column, values = pieces(window)
+        found = tiles.read(layer.columns, window.tiles)
+        values: Any = layer.values(found, window)
+        line, column = window.pixel_indices(found)
         lines, columns = window.tiles.rows, window.tiles.cols
         if pixels > 1:
             canvas = np.full((len(spec.bands), lines, pixels, columns, pixels), spec.nodata, spec.dtype)
@@ -373,9 +366,5 @@ def write_raster(file: MapFile, table: CostTable, path: Path, about: Mapping[str
             band[line, column] = value
         return canvas
 
-    if pixels == 1:
-        write_cog(path, place, spec, paint, TILE_WINDOW)
-        return
-    side = max(1, _WINDOW_PIXELS // (BLOCK_TILES * pixels)) * BLOCK_TILES
-    is_sparse = tiles.tiles < _SPARSE * place.window.cols * place.window.rows
-    write_cog(path, place, spec, paint, side, pieces if is_sparse and not spec.is_photo else None)
+    side = max(1, _WINDOW_PIXELS // (BLOCK_TILES * pixels)) * BLOCK_TILES if pixels > 1 else TILE_WINDOW
+    write_cog(path, place, spec, paint, side)

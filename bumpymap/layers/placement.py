@@ -152,8 +152,6 @@ class RasterSpec:
     """Colours of the values of band 1 that pixels can have, nodata included."""
     tags: dict[str, str] = field(default_factory=dict)
     """Metadata of the file."""
-    worst: tuple[int, ...] = ()
-    """All values, the worst first: of four pixels, the overviews that `write_sparse_cog` makes keep the worst."""
     counts_nodata: bool = False
     """In overviews nodata is a value among others: for rasters of one pixel a tile whose nodata means unknown."""
     level: int = 6

@@ -1,14 +1,14 @@
-"""Write route.geojson (RFC 7946), route.gpx (GPX 1.1), profile.csv and stretches.csv: routes, and what lies along them.
+"""Write route.geojson (RFC 7946), route.gpx (GPX 1.1), profile.csv and stretches.csv: a route, and what lies along it.
 
 Coordinates are in the survey's CRS, and in WGS 84 longitude and latitude where that CRS is known. Elements of GPX stand
-in the order of the schema (http://www.topografix.com/GPX/1/1/gpx.xsd). No time is written: the same routes have the
-same bytes. Writers take at least one route, all on one grid, and the path of a file that appears only when it is
-complete; they raise OutputError if it cannot be written.
+in the order of the schema (http://www.topografix.com/GPX/1/1/gpx.xsd). No time is written: the same route has the
+same bytes. Writers take the path of a file that appears only when it is complete; they raise OutputError if it cannot
+be written.
 """
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
@@ -76,14 +76,13 @@ _SEGMENT_M = 96.0
 the outlines of cost.geojson (see `GeoJsonCoordinates.polygons`)."""
 
 
-def route_coordinates(routes: Sequence[Route]) -> GeoJsonCoordinates:
-    """Return the coordinates for files with these routes (at least one), which lie on one grid.
+def route_coordinates(route: Route) -> GeoJsonCoordinates:
+    """Return the coordinates for files with this route.
 
     A survey without a CRS, or with one that has no relation to longitude and latitude, keeps its own coordinates: it
     was mapped with ``local``.
     """
-    first = routes[0]
-    return GeoJsonCoordinates.of(Placement(first.georeference, first.grid, window_around(routes, 0.0)), local=True)
+    return GeoJsonCoordinates.of(Placement(route.georeference, route.grid, window_around(route, 0.0)), local=True)
 
 
 def _line_parts(grid_m: NDArray[np.float64], place: GeoJsonCoordinates) -> list[NDArray[np.float64]]:
@@ -128,25 +127,22 @@ def split_at_antimeridian(degrees: NDArray[np.float64]) -> list[NDArray[np.float
     return [part for part in parts if (part != part[0]).any()]
 
 
-def window_around(routes: Sequence[Route], margin_m: float) -> TileWindow:
-    """Return the tiles around lines and stops of routes, and ``margin_m`` metres around them."""
-    points = np.concatenate([part for route in routes for part in (route.line, route.stops)])
-    grid = routes[0].grid
+def window_around(route: Route, margin_m: float) -> TileWindow:
+    """Return the tiles around line and stops of a route, and ``margin_m`` metres around them."""
+    points, grid = np.concatenate([route.line, route.stops]), route.grid
     low, high = (grid.index(edge) for edge in (points.min(axis=0) - margin_m, points.max(axis=0) + margin_m))
     return TileWindow.around(np.array([low[0], high[0]]), np.array([low[1], high[1]]))
 
 
-def write_route_geojson(routes: Sequence[Route], path: Path) -> None:
-    """Write routes as GeoJSON: WGS 84 longitude and latitude with 7 decimals, plain 2D.
+def write_route_geojson(route: Route, path: Path) -> None:
+    """Write a route as GeoJSON: WGS 84 longitude and latitude with 7 decimals, plain 2D.
 
-    Without a CRS the file holds the survey's own coordinates, and a member of the collection says so. A stop that
-    several routes share is written once.
+    Without a CRS the file holds the survey's own coordinates, and a member of the collection says so.
 
-    Raises BadInputError: a route lies where its CRS has no longitude and latitude.
+    Raises BadInputError: the route lies where its CRS has no longitude and latitude.
     """
-    place = route_coordinates(routes)
-    lines = [_line(route, place) for route in routes]
-    write_features(path, "route", place, [*lines, *_stops(routes, place)])
+    place = route_coordinates(route)
+    write_features(path, "route", place, [_line(route, place), *_stops(route, place)])
 
 
 def stop_roles(stops: int) -> list[str]:
@@ -166,16 +162,10 @@ def _line(route: Route, place: GeoJsonCoordinates) -> dict[str, Any]:
     return feature(route_properties(route), parts[0] if len(parts) == 1 else shapely.MultiLineString(parts))
 
 
-def _stops(routes: Sequence[Route], place: GeoJsonCoordinates) -> Iterator[dict[str, Any]]:
-    written: set[tuple[str, float, float]] = set()
-    for route in routes:
-        positions = place.in_file(route.stops)
-        roles, names = stop_roles(len(positions)), stop_names(len(positions))
-        for role, name, position in zip(roles, names, positions.tolist(), strict=True):
-            key = (role, position[0], position[1])
-            if key not in written:
-                written.add(key)
-                yield feature({"role": role, "name": name}, shapely.Point(position))
+def _stops(route: Route, place: GeoJsonCoordinates) -> Iterator[dict[str, Any]]:
+    positions = place.in_file(route.stops).tolist()
+    for role, name, position in zip(stop_roles(len(positions)), stop_names(len(positions)), positions, strict=True):
+        yield feature({"role": role, "name": name}, shapely.Point(position))
 
 
 GPX = "http://www.topografix.com/GPX/1/1"
@@ -185,33 +175,34 @@ _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"
 """Characters that XML 1.0 cannot hold."""
 
 
-def write_gpx(routes: Sequence[Route], path: Path) -> None:
-    """Write routes as GPX 1.1, with heights where they are known.
+def write_gpx(route: Route, path: Path) -> None:
+    """Write a route as GPX 1.1, with heights where they are known.
 
     A track has the corners of its way and the points of its profile between them. Heights are those of the survey:
     metres, in its vertical datum.
 
-    Raises BadInputError: the routes have no longitude and latitude.
+    Raises BadInputError: the route has no longitude and latitude.
     """
-    place = route_coordinates(routes)
+    place = route_coordinates(route)
     if not place.has_degrees:
         raise BadInputError(
             "the layers have no CRS, so a GPX file cannot say where on Earth the route is. Map the survey with "
             "`crs='EPSG:CODE'`, or write the route as GeoJSON or CSV"
         )
     root = ET.Element("gpx", {"version": "1.1", "creator": "bumpymap", "xmlns": GPX})
-    tracks = [track_points(route) for route in routes]
-    degrees = [_degrees(points[:, :2], place) for points in tracks]
-    _bounds(ET.SubElement(root, "metadata"), np.concatenate(degrees))
-    _waypoints(root, routes, place)
-    for route, points, positions in zip(routes, tracks, degrees, strict=True):
-        track = ET.SubElement(root, "trk")
-        _text(track, "name", route.name)
-        _text(track, "desc", _description(route))
-        _text(track, "type", "planned route")
-        segment = ET.SubElement(track, "trkseg")
-        for position, height in zip(positions, points[:, 2].tolist(), strict=True):
-            _point(segment, "trkpt", position, height)
+    points = track_points(route)
+    degrees = _degrees(points[:, :2], place)
+    _bounds(ET.SubElement(root, "metadata"), degrees)
+    stops = _degrees(route.stops, place)
+    for name, position in zip(stop_names(len(stops)), stops, strict=True):
+        _text(_point(root, "wpt", position, math.nan), "name", name)
+    track = ET.SubElement(root, "trk")
+    _text(track, "name", route.name)
+    _text(track, "desc", _description(route))
+    _text(track, "type", "planned route")
+    segment = ET.SubElement(track, "trkseg")
+    for position, height in zip(degrees, points[:, 2].tolist(), strict=True):
+        _point(segment, "trkpt", position, height)
     ET.indent(root, " ")
     with atomic(path) as temporary:
         ET.ElementTree(root).write(temporary, encoding="utf-8", xml_declaration=True)
@@ -243,22 +234,12 @@ def _degrees(grid_m: NDArray[np.float64], place: GeoJsonCoordinates) -> NDArray[
 
 
 def _bounds(metadata: ET.Element, degrees: NDArray[np.float64]) -> None:
-    _text(metadata, "name", "routes planned by bumpymap")
+    _text(metadata, "name", "route planned by bumpymap")
     west, south = degrees.min(axis=0)
     east, north = degrees.max(axis=0)
     if east - west <= 180.0:  # bounds cannot cross the antimeridian
         sides = {"minlat": south, "minlon": west, "maxlat": north, "maxlon": east}
         ET.SubElement(metadata, "bounds", {name: f"{value:.7f}" for name, value in sides.items()})
-
-
-def _waypoints(root: ET.Element, routes: Sequence[Route], place: GeoJsonCoordinates) -> None:
-    written = set()
-    for route in routes:
-        stops = _degrees(route.stops, place)
-        for name, position in zip(stop_names(len(stops)), stops, strict=True):
-            if (name, *position) not in written:
-                written.add((name, *position))
-                _text(_point(root, "wpt", position, math.nan), "name", name)
 
 
 def _point(parent: ET.Element, tag: str, position: NDArray[np.float64], height: float) -> ET.Element:
@@ -296,10 +277,9 @@ _PROFILE = {
 PROFILE_COLUMNS = ("route", *_PROFILE)
 
 
-def write_profile(routes: Sequence[Route], path: Path) -> None:
-    """Write the profiles of routes as CSV (RFC 4180, UTF-8): their names in the column ``route``; unknown is empty."""
-    place = route_coordinates(routes)
-    write_csv(path, PROFILE_COLUMNS, (row for route in routes for row in _rows(route, place)))
+def write_profile(route: Route, path: Path) -> None:
+    """Write the profile of a route as CSV (RFC 4180, UTF-8): its name in the column ``route``; unknown is empty."""
+    write_csv(path, PROFILE_COLUMNS, _rows(route, route_coordinates(route)))
 
 
 def _rows(route: Route, place: GeoJsonCoordinates) -> Iterator[tuple[str, ...]]:
@@ -345,10 +325,9 @@ def stretch_rows(route: Route) -> list[dict[str, Any]]:
     ]
 
 
-def write_route_stretches(routes: Sequence[Route], path: Path) -> None:
-    """Write the figures of the stretches of routes as CSV (RFC 4180, UTF-8); what is unknown is empty."""
-    rows = ((route.name, *row.values()) for route in routes for row in stretch_rows(route))
-    write_csv(path, STRETCH_COLUMNS, rows)
+def write_route_stretches(route: Route, path: Path) -> None:
+    """Write the figures of the stretches of a route as CSV (RFC 4180, UTF-8); what is unknown is empty."""
+    write_csv(path, STRETCH_COLUMNS, ((route.name, *row.values()) for row in stretch_rows(route)))
 
 
 class PlannedRoute(Route):

@@ -42,7 +42,6 @@ from .frames.read import (
     scene_points as scene_points,
 )
 from .point_stats import (
-    LineCorrection as LineCorrection,
     LineSums as LineSums,
     PointStats as PointStats,
     cell_indices as cell_indices,
@@ -59,8 +58,6 @@ from .source import (
     NoPointsError as NoPointsError,
     Version as Version,
     file_changed as file_changed,
-    is_ept as is_ept,
-    is_url as is_url,
 )
 from .summary import (
     PointSummary as PointSummary,

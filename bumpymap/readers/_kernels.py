@@ -152,7 +152,6 @@ _SHIFT = 64 - 13
 Indices = Annotated[NDArray[np.int64], 1]
 Rows = Annotated[NDArray[np.int64], 2]
 
-Places = Annotated[NDArray[np.int32], 1]
 Numbers = Annotated[NDArray[np.float64], 2]
 
 
@@ -165,15 +164,6 @@ class CellTable(NamedTuple):
     """(``SLOTS``, ``SUMS``)."""
     state: Indices
     """(2,) the next point to add, and the rows in use."""
-
-
-class Corrections(NamedTuple):
-    """Correction that is subtracted from the heights of each line."""
-
-    place: Places
-    """(65536,) row of each line in ``numbers``; -1: nothing to subtract."""
-    numbers: Numbers
-    """(lines, 5) offset [m], east and north of the place where it applies [m], slopes to the east and north [m/m]."""
 
 
 @helper
@@ -257,17 +247,6 @@ def add_scaled_points(points: ScaledLinedPoints, scaling: Floats, strip: Numbers
         added = _add(there, table)
         first += added
     table.state[0] = first
-
-
-@kernel
-def correct_heights(points: LinedPoints, corrections: Corrections) -> None:
-    """Subtract the offset of each point's line from its height."""
-    numbers = corrections.numbers
-    for i in range(len(points.x)):
-        row = corrections.place[points.line[i]]
-        if row >= 0:
-            east, north = points.x[i] - numbers[row, 1], points.y[i] - numbers[row, 2]
-            points.z[i] -= numbers[row, 0] + numbers[row, 3] * east + numbers[row, 4] * north
 
 
 @kernel

@@ -117,9 +117,9 @@ def decoder() -> Decoder:
         return current
 
 
-def start_decoder(surveys: Iterable[Path | str]) -> None:
+def start_decoder(surveys: Iterable[Path]) -> None:
     """Start the decoder's child process if some surveys look like LAZ files; it starts while other things are done."""
-    if any(str(survey).lower().endswith((".laz", "ept.json")) for survey in surveys):
+    if any(str(survey).lower().endswith(".laz") for survey in surveys):
         decoder().start()
 
 

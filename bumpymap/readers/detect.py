@@ -18,9 +18,6 @@ from bumpymap.readers.source import (
     EPT_NAME,
     Location,
     Version,
-    is_ept,
-    is_url,
-    list_folder,
     open_source,
     pinned_version,
     read_range,
@@ -33,7 +30,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 Kind = Literal["las", "ply", "pcd"]
-_READABLE = "bumpymap reads LAS, LAZ, COPC, EPT, PLY and PCD; scans are PLY, PCD, KITTI-style .bin or bags of ROS 2"
+_READABLE = "bumpymap reads LAS, LAZ, COPC, PLY and PCD; scans are PLY, PCD, KITTI-style .bin or bags of ROS 2"
 _HEAD = 1024
 _HEAD_BYTES = 65_536
 """Bytes at each end of a survey that its digest covers."""
@@ -56,8 +53,7 @@ def open_survey(path: Location, options: ReadOptions = ReadOptions()) -> SurveyR
 
     Parameters
     ----------
-    path : Path or str
-        A path, or a URL as a str.
+    path : Path
     options : ReadOptions
 
     Returns
@@ -81,10 +77,6 @@ def open_survey(path: Location, options: ReadOptions = ReadOptions()) -> SurveyR
 
 def reopen_survey(path: Location, options: ReadOptions = ReadOptions()) -> SurveyReader:  # noqa: B008 (as above)
     """Open a point cloud as ``open_survey`` does, without logging its notes: for workers that open it again."""
-    if is_ept(path):
-        from bumpymap.readers.ept import EptSurvey
-
-        return EptSurvey(path, options)
     kind = detect_format(path)
     if kind == "las":
         from bumpymap.readers.las import LasSurvey
@@ -101,8 +93,8 @@ def identity(location: Location) -> dict[str, Any]:
     Returns
     -------
     dict
-        A `Version` (``size`` in bytes, and ``mtime_ns`` of a local file or ``version`` of a URL, both as str) and
-        ``digest``: SHA-256 of the first and the last 64 KiB. All files of an EPT count as one.
+        A `Version` (``size`` in bytes, and ``mtime_ns`` as str) and ``digest``: SHA-256 of the first and the last
+        64 KiB.
     """
     version, read = _bytes_of(location)
     ends = [read(start, _HEAD_BYTES).tobytes() for start in (0, max(version["size"] - _HEAD_BYTES, 0))]
@@ -116,12 +108,7 @@ def hash_survey(path: Path) -> str:
 
 
 def _bytes_of(location: Location) -> tuple[Version, Callable[[int, int], NDArray[np.uint8]]]:
-    """Return the version of a survey, and what reads some of its bytes; all files of an EPT count as one."""
-    if is_ept(location):
-        from bumpymap.readers.ept import EptFiles
-
-        files = EptFiles.find(location)
-        return files.version, files.read
+    """Return the version of a survey, and what reads some of its bytes."""
     version = version_of(location)
 
     def read(start: int, size: int) -> NDArray[np.uint8]:
@@ -179,6 +166,8 @@ def detect_format(path: Location) -> Kind:
     BadInputError
         The file cannot be read, is empty, or is not a point cloud; the message says what it looks like.
     """
+    if path.name == EPT_NAME:
+        raise _ept_error(path)
     with open_source(path) as stream:
         head = stream.read(_HEAD)
     if not head:
@@ -228,27 +217,24 @@ def find_surveys(paths: Sequence[Location]) -> list[Location]:
 
     Parameters
     ----------
-    paths : sequence of Path or str
-        Files (with any suffix) and folders, which are searched recursively for files with ``SUFFIXES`` and ``ept.json``
-        of EPTs, except hidden ones and the nodes of EPTs. URLs, as str, may be files or folders too.
+    paths : sequence of Path
+        Files (with any suffix) and folders, which are searched recursively for files with ``SUFFIXES``, except hidden
+        ones.
 
     Returns
     -------
-    list of Path or str
-        Sorted, URLs last; each file once.
+    list of Path
+        Sorted; each file once.
 
     Raises
     ------
     BadInputError
-        A path does not exist or cannot be listed, or a folder holds no surveys.
+        A path does not exist or cannot be listed, or a folder holds no surveys, or an EPT.
     """
     if not paths:
         raise BadInputError("no survey was given; name a point cloud file or a folder of them")
-    urls = [path for path in paths if isinstance(path, str) and is_url(path)]
-    remote = {url for path in urls for url in _urls_of(path)}
-    local = [Path(path) for path in paths if path not in urls]
-    found = files_at(local, lambda folder: _some(sorted(_walk(folder)), folder), "a point cloud file")
-    return [*sorted(found), *sorted(remote)]
+    local = map(Path, paths)
+    return sorted(files_at(local, lambda folder: _some(sorted(_walk(folder)), folder), "a point cloud file"))
 
 
 def files_at(paths: Iterable[Path], list_folder: Callable[[Path], list[Path]], what: str) -> list[Path]:
@@ -270,21 +256,11 @@ def files_at(paths: Iterable[Path], list_folder: Callable[[Path], list[Path]], w
     return [*found.values()]
 
 
-def _urls_of(url: str) -> list[str]:
-    # The server is only asked if the suffix does not decide: every request takes time.
-    files = None if is_ept(url) or url.lower().endswith(SUFFIXES) else list_folder(url)
-    if files is None:
-        return [url]
-    nodes = tuple(f"{name.removesuffix(EPT_NAME)}ept-data/" for name in files if is_ept(name))
-    found = [name for name in files if name.lower().endswith(SUFFIXES) and not name.startswith(nodes)]
-    return _some([*filter(is_ept, files), *found], url)
-
-
 def _some(files: list[Any], folder: Location) -> list[Any]:
     if not files:
         raise BadInputError(
-            f"the folder {folder} holds no point cloud; files ending in {', '.join(SUFFIXES)} and {EPT_NAME} are "
-            "searched for, in its subfolders too. A file with another suffix can be given by its own path"
+            f"the folder {folder} holds no point cloud; files ending in {', '.join(SUFFIXES)} are searched "
+            "for, in its subfolders too. A file with another suffix can be given by its own path"
         )
     return files
 
@@ -294,8 +270,16 @@ def _walk(folder: Path) -> Iterator[Path]:
         raise BadInputError(f"cannot list the folder {error.filename}: {error.strerror}")
 
     for parent, folders, names in os.walk(folder, onerror=refuse):
-        nodes = "ept-data" if EPT_NAME in names else None
-        folders[:] = [name for name in folders if not name.startswith(".") and name != nodes]
+        if EPT_NAME in names:
+            raise _ept_error(Path(parent) / EPT_NAME)
+        folders[:] = [name for name in folders if not name.startswith(".")]
         for name in names:
-            if not name.startswith(".") and name.lower().endswith((*SUFFIXES, EPT_NAME)):
+            if not name.startswith(".") and name.lower().endswith(SUFFIXES):
                 yield Path(parent) / name
+
+
+def _ept_error(path: Path) -> BadInputError:
+    return BadInputError(
+        f"{path} is an EPT, which is not read. Write it as one file: pdal translate --reader readers.ept {path} "
+        "OUT.copc.laz"
+    )

@@ -4,40 +4,34 @@ import math
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import (
     BadInputError,
-    CrsStatement,
     Georeference,
     Place,
-    PointCloud,
     SharedBytes,
     allocate_shared,
     georeference,
 )
 from bumpymap.readers._kernels import (
-    LinedPoints,
     RecordCounts,
     RecordRules,
     ScaledLinedPoints,
     filter_records,
     read_colours,
 )
-from bumpymap.readers.copc import (
-    ChunkTable,
-    check_layers,
-    count_points_outside_node,
-    laz_record,
-    read_octree,
-    read_table,
-)
 from bumpymap.readers.decoder import decoder
 from bumpymap.readers.las_header import LAYERED, RawHeader, read_raw_header, statement_of_las
-from bumpymap.readers.point_stats import OUTSIDE, LineRules, PointStats
+from bumpymap.readers.laz_chunks import (
+    ChunkTable,
+    check_layers,
+    laz_record,
+    read_table,
+)
+from bumpymap.readers.point_stats import OUTSIDE, LineSums, PointStats
 from bumpymap.readers.protocol import (
     CHUNK_POINTS,
     Chunk,
@@ -54,7 +48,6 @@ from bumpymap.readers.source import (
     decoding,
     open_source,
     read_into,
-    read_range,
     refuse_count,
     refuse_header_bounds,
 )
@@ -129,7 +122,7 @@ def convert_records(
     chunk: Chunk,
     rules: RecordRules,
     scaling: Scaling,
-    lines: LineRules,
+    lines: bool,
     colours: tuple[int, int] | None = None,
 ) -> ChunkPoints:
     """Convert LAS point records to points, drop unusable ones, and count all of them.
@@ -143,7 +136,8 @@ def convert_records(
     rules : RecordRules
     scaling : Scaling
         Makes finite coordinates of all integers.
-    lines : LineRules
+    lines : bool
+        Whether sums of flight lines are made.
     colours : tuple of int, optional
         First byte of the colour, and by how many bits its numbers are shifted to have 8; None: colours are not read.
     """
@@ -165,16 +159,11 @@ def convert_records(
         (west, east), (south, north), (low, high) = (
             sorted(scaling.coordinates(axis, seen.extremes[2 * axis : 2 * axis + 2]).tolist()) for axis in range(3)
         )
-        stats = PointStats(number, withheld, noise, 0, outside, 0, 0, -1, west, south, east, north, low, high, some)
+        stats = PointStats(number, withheld, noise, 0, outside, 0, -1, west, south, east, north, low, high, some)
     kept = 0 if stats.bad else kept
     x, y, z, kind, line = out.x[:kept], out.y[:kept], out.z[:kept], out.kind[:kept], out.line[:kept]
     colour = None if colour is None else colour[:kept]
-    if lines.corrects:
-        in_metres = LinedPoints(*ScaledPoints(x, y, z, kind, scaling).coordinates(), kind, line)
-        lines.correct(in_metres)
-        cloud = PointCloud(in_metres.x, in_metres.y, in_metres.z, kind, colour)
-        return ChunkPoints(cloud, stats, lines.sums(in_metres))
-    sums = lines.sums(ScaledLinedPoints(x, y, z, kind, line), scaling)
+    sums = LineSums.of(ScaledLinedPoints(x, y, z, kind, line), scaling) if lines else LineSums()
     if kept < number // 2:
         # A view would keep the memory of the dropped points.
         x, y, z, kind = x.copy(), y.copy(), z.copy(), kind.copy()
@@ -194,8 +183,8 @@ class LasSurvey(SurveyReader):
     def _open(self, options: ReadOptions) -> SurveyInfo:
         path = self._path
         with decoding(path, "the header"), open_source(path) as stream:
-            raw, statement, around = self._read_header(stream)
-            self._raw = raw
+            self._raw = raw = read_raw_header(stream, path)
+            statement = statement_of_las(raw)
             _refuse_numbers(path, raw)
             middle = None if options.trust_points else _middle(raw)
             place, notes = georeference(Place(path, middle), statement, options.given_crs, options.z_unit)
@@ -205,7 +194,7 @@ class LasSurvey(SurveyReader):
             self._table: ChunkTable | None = None
             if raw.compressed:
                 self._laszip = laz_record(path, raw)
-                self._table = self._read_table(stream, raw, None if bounds is None else place.metres_per_unit)
+                self._table = read_table(stream, path, raw, self._laszip)
                 self._ends = np.cumsum(self._table.counts)
         units = (place.metres_per_unit, place.metres_per_unit, place.metres_per_unit_z)
         east, north, up = (abs(scale) * unit for scale, unit in zip(raw.scales, units, strict=True))
@@ -220,12 +209,12 @@ class LasSurvey(SurveyReader):
             limits = ((bounds.west - OUTSIDE, bounds.east + OUTSIDE), (bounds.south - OUTSIDE, bounds.north + OUTSIDE))
         box = [_integers_between(self._scaling, axis, *ends) for axis, ends in enumerate(limits)]
         self._rules = RecordRules(np.array(fields), np.array(box).reshape(-1), options.kinds)
-        self._lines = LineRules(measure=options.lines, corrections=options.corrections)
+        self._lines = options.lines
         self._colours: tuple[int, int] | None = None
         if options.colour:
             self._colours = self._find_colours()
         kind = f"{'LAZ' if raw.compressed else 'LAS'} {raw.version}, point format {raw.point_format}"
-        kind = f"{around} ({kind})" if around else kind
+        kind = f"COPC ({kind})" if raw.is_copc else kind
         notes += _degrees_note(place, raw)
         if raw.surplus:
             notes += (
@@ -258,43 +247,23 @@ class LasSurvey(SurveyReader):
         # Colours have 16 bits, but many writers leave 8-bit values as they are.
         return None if not highest else (at, 8) if highest > 255 else (at, 0)
 
-    def _read_header(self, stream: BinaryIO) -> tuple[RawHeader, CrsStatement, str]:
-        """Return the header, what it states of the CRS, and the name of a format around that of the points."""
-        raw = read_raw_header(stream, self._path)
-        return raw, statement_of_las(raw), "COPC" if raw.is_copc else ""
-
-    def _read_table(self, stream: BinaryIO, raw: RawHeader, metres_per_unit: float | None) -> ChunkTable:
-        """Read where the LAZ chunks are; without their bounds if ``metres_per_unit`` is None."""
-        table = read_table(stream, self._path, raw, self._laszip)
-        return read_octree(stream, self._path, raw, table, metres_per_unit) if raw.is_copc else table
-
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
-        """Split the file between points, LAZ chunks, or nodes of the octree, whose chunks have bounds."""
-        raw, table = self._raw, self._table
-        if table is None:
+        """Split the file between points, or between LAZ chunks."""
+        raw = self._raw
+        if self._table is None:
             return split_rows(raw.point_count, points, raw.point_size)
-        return group_laz_chunks(self._ends, points, raw.point_size, table.boxes)
+        return group_laz_chunks(self._ends, points, raw.point_size)
 
     def _fetch(self, chunk: Chunk) -> Records | Iterator[Records]:
-        """Return the records of a chunk; uncompressed ones of a local file are read when they are converted."""
-        path, raw = self._path, self._raw
+        """Return the records of a chunk; uncompressed ones are read when they are converted."""
         if self._table is not None:
             return self._read_laz(self._part(chunk, self._table))
-        if not isinstance(path, str):
-            return _read_pieces(path, raw, chunk)
-        data = read_range(path, raw.offset_to_points + chunk.first * raw.point_size, chunk.points * raw.point_size)
-        held = data.size // raw.point_size
-        if held < chunk.points:
-            refuse_count(path, raw.point_count, chunk.first + held)
-        return data.reshape(held, raw.point_size)
+        return _read_pieces(self._path, self._raw, chunk)
 
     def _read_laz(self, part: ChunkTable) -> Records:
-        """Read the bytes of LAZ chunks, adjacent ones with one request, and decode them."""
+        """Read the bytes of LAZ chunks with one request, and decode them."""
         compressed = allocate_shared(int(part.sizes.sum()))
-        held = 0
-        gaps = np.flatnonzero(part.starts[1:] != part.starts[:-1] + part.sizes[:-1]) + 1
-        for starts, sizes in zip(np.split(part.starts, gaps), np.split(part.sizes, gaps), strict=True):
-            held += read_into(self._path, int(starts[0]), compressed.data[held : held + int(sizes.sum())])
+        held = read_into(self._path, int(part.starts[0]), compressed.data)
         refuse_count(self._path, compressed.data.size, held, "bytes of LAZ chunks")
         return self._decode(self._path, part, compressed)
 
@@ -314,22 +283,14 @@ class LasSurvey(SurveyReader):
             )
 
     def _part(self, chunk: Chunk, table: ChunkTable) -> ChunkTable:
-        """Return the LAZ chunks of a chunk, by their offsets in the file."""
+        """Return the LAZ chunks of a chunk, which lie one after the other."""
         last = chunk.first + chunk.points - 1
         first, end = np.searchsorted(self._ends, (chunk.first, last), side="right").tolist()
-        return table.rows(first + np.argsort(table.starts[first : end + 1], kind="stable"))
+        return table.rows(slice(first, end + 1))
 
     def _convert(self, chunk: Chunk, fetched: Records | Iterator[Records]) -> ChunkPoints:
         pieces = (fetched,) if isinstance(fetched, np.ndarray) else fetched
-        converted = convert_records(pieces, chunk, self._rules, self._scaling, self._lines, self._colours)
-        bounds, table = self.info.bounds, self._table
-        if table is None or table.boxes is None or bounds is None or not isinstance(fetched, np.ndarray):
-            return converted
-        outside = count_points_outside_node(fetched, self._scaling, bounds, self._part(chunk, table))
-        if not outside:
-            return converted
-        empty = PointCloud(np.empty(0), np.empty(0), np.empty(0), np.empty(0, np.uint8))
-        return ChunkPoints(empty, replace(converted.stats, points_outside_node=outside))
+        return convert_records(pieces, chunk, self._rules, self._scaling, self._lines, self._colours)
 
 
 def _refuse_numbers(path: Location, raw: RawHeader) -> None:

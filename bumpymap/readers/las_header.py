@@ -36,7 +36,7 @@ format, point size, point count."""
 _FIELDS_1_4 = struct.Struct("<QIQ")
 """Offset to the extended records, their number; point count."""
 _RECORD, _EXTENDED_RECORD = struct.Struct("<2x16sHH32x"), struct.Struct("<2x16sHQ32x")
-_NEEDED = {b"LASF_Projection", b"laszip encoded", b"copc"}
+_NEEDED = {b"LASF_Projection", b"laszip encoded"}
 _CLASS_LOOKUP = (b"LASF_Spec", 0)
 _CLASS_NAME = struct.Struct("<B15s")
 """Entries of the lookup of classes: class, name."""

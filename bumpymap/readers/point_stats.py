@@ -10,7 +10,7 @@ import math
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,12 +33,10 @@ from bumpymap.readers._kernels import (
     STRIP,
     SUMS,
     CellTable,
-    Corrections,
     LinedPoints,
     ScaledLinedPoints,
     add_points,
     add_scaled_points,
-    correct_heights,
 )
 from bumpymap.readers.source import TRUST, Location, box_text, refuse_count
 from bumpytiles import Bounds, Scaling
@@ -62,20 +60,6 @@ def kinds_of(ground_classes: tuple[int, ...]) -> NDArray[np.uint8]:
 
 Rows = NDArray[np.int64]
 """(n, 1 + ``SUMS``) keys and sums, see `bumpymap.readers._kernels`."""
-
-
-class LineCorrection(NamedTuple):
-    """Correction that is subtracted from the heights of a flight line: ``offset + slope . (point - place)``."""
-
-    line: int
-    offset: float
-    """m, at the place that follows."""
-    east: float
-    """m, as the next one."""
-    north: float
-    slope_east: float
-    """m/m, as the next one."""
-    slope_north: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,37 +125,6 @@ class LineSums:
             held = held[np.argsort(table.keys[held])]
             parts.append(np.column_stack([table.keys[held], table.sums[held]]))
         return cls(1, tuple(parts))
-
-
-class LineRules:
-    """Corrections and sums that a reader makes for flight lines.
-
-    Parameters
-    ----------
-    measure : bool
-        Whether sums are made.
-    corrections : sequence of LineCorrection
-        What is subtracted from heights, before sums are made.
-    """
-
-    def __init__(self, *, measure: bool, corrections: Sequence[LineCorrection]) -> None:
-        self._measure = measure
-        place = np.full(1 << 16, -1, np.int32)
-        place[[own.line for own in corrections]] = np.arange(len(corrections))
-        self._corrections = Corrections(place, np.array([own[1:] for own in corrections], np.float64).reshape(-1, 5))
-
-    @property
-    def corrects(self) -> bool:
-        """True if heights are corrected."""
-        return len(self._corrections.numbers) > 0
-
-    def correct(self, points: LinedPoints) -> None:
-        """Correct the heights of points in place."""
-        correct_heights(points, self._corrections)
-
-    def sums(self, points: LinedPoints | ScaledLinedPoints, scaling: Scaling | None = None) -> LineSums:
-        """Return the sums of points, if they are asked for; ``scaling`` is that of scaled ones."""
-        return LineSums.of(points, scaling) if self._measure else LineSums()
 
 
 def cell_indices(cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -253,8 +206,6 @@ class PointStats:
     """Beams without return (PCD)."""
     outside: int = 0
     """Points more than ``OUTSIDE`` outside the header's bounds."""
-    points_outside_node: int = 0
-    """Points inside the header's bounds, but more than ``OUTSIDE`` outside the bounds of their octree node."""
     not_finite: int = 0
     """Points with NaN or infinite coordinates, except beams without return."""
     first_not_finite: int = -1
@@ -287,9 +238,7 @@ class PointStats:
     @property
     def bad(self) -> bool:
         """True if points make the file unusable; ``verify`` raises the error."""
-        return bool(
-            self.not_finite or self.outside or self.points_outside_node or self.off_earth or self.highest > EARTH_LIMIT
-        )
+        return bool(self.not_finite or self.outside or self.off_earth or self.highest > EARTH_LIMIT)
 
     @property
     def highest(self) -> float:
@@ -353,12 +302,6 @@ def verify(stats: PointStats, path: Location, declared: int, bounds: Bounds | No
         )
     if bounds is not None and stats.points:
         _verify_extent(stats, path, bounds)
-    if stats.points_outside_node:
-        raise BadInputError(
-            f"{stats.points_outside_node:,} of {stats.points:,} points of {path} "
-            f"lie outside the octree node that holds them: the file is damaged. "
-            f"Rebuild it, for example with: pdal translate IN OUT.copc.laz. {TRUST}"
-        )
 
 
 def header_doubt(stats: PointStats, bounds: Bounds | None, heights: tuple[float, float] | None) -> str:

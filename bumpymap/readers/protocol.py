@@ -23,7 +23,6 @@ from bumpymap.core import (
     UsageError,
 )
 from bumpymap.readers.point_stats import (
-    LineCorrection,
     LineSums,
     PointStats,
     header_doubt,
@@ -34,8 +33,6 @@ from bumpymap.readers.point_stats import (
 from bumpymap.readers.source import (
     Location,
     Version,
-    is_ept,
-    is_url,
     pinned_version,
     read_range,
     require_unchanged,
@@ -63,8 +60,6 @@ class ReadOptions:
     """Memory limit, in bytes, for unpacking a file that cannot be read in chunks (compressed PCD)."""
     lines: bool = False
     """True if sums are made to compare the heights of flight lines."""
-    corrections: tuple[LineCorrection, ...] = ()
-    """Correction that is subtracted from the heights of flight lines."""
     checksum: bool = False
     """True if the checksum of a local file is made while it is read."""
     force_crs: str | None = None
@@ -113,7 +108,6 @@ class SurveyInfo:
     """Facts about a file before its points are read."""
 
     path: Location
-    """A path, or a URL as a str."""
     format: str
     """For example ``LAS 1.2, point format 3``."""
     size_bytes: int
@@ -208,7 +202,7 @@ class SurveyReader(ABC):
         with pinned_version(path, self._version):
             info = self._open(options)
         self._info = replace(info, version=self._version)
-        self._hash = FileHash(self._version["size"]) if options.checksum and not is_url(path) else None
+        self._hash = FileHash(self._version["size"]) if options.checksum else None
         self._dropped, self._line_sums = PointStats().dropped, LineSums()
 
     @abstractmethod
@@ -257,15 +251,12 @@ class SurveyReader(ABC):
 
     @property
     def checksum(self) -> str | None:
-        """The checksum of the file, see `bumpymap.core.FileHash`, after ``verify``; None for a URL, or if not asked."""
+        """The checksum of the file, see `bumpymap.core.FileHash`, after ``verify``; None if not asked."""
         return None if self._hash is None else self._hash.checksum
 
     @abstractmethod
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
-        """Split the file into chunks of about ``points`` points; the result is the same on every machine.
-
-        The chunks of an octree (COPC) are in spatial order, so that areas are complete early.
-        """
+        """Split the file into chunks of about ``points`` points; the result is the same on every machine."""
 
     def fetch(self, chunk: Chunk) -> Any:
         """Read and decode a chunk, in any order; reading order is fastest.
@@ -303,7 +294,7 @@ class SurveyReader(ABC):
 
     def header_doubt(self, stats: PointStats) -> str:
         """Return where the extent in the header is not that of the points; empty if it is, or nobody measured it."""
-        return "" if is_ept(self._path) else header_doubt(stats, self._info.bounds, self._info.heights)
+        return header_doubt(stats, self._info.bounds, self._info.heights)
 
     def _require_unchanged(self) -> None:
         require_unchanged(self._path, self._version)
@@ -346,10 +337,7 @@ class SurveyReader(ABC):
 
     @contextmanager
     def _reading(self) -> Iterator[None]:
-        """Read from the file in the body, and hash what is read; a change of it is noticed.
-
-        A URL is checked with every response; to ask for its version would cost one more request for each chunk.
-        """
+        """Read from the file in the body, and hash what is read; a change of it is noticed."""
         try:
             with pinned_version(self._path, self._version, None if self._hash is None else self._hash.add):
                 yield
@@ -357,14 +345,13 @@ class SurveyReader(ABC):
             if self._hash is not None:
                 self._hash.forget_parts()
             raise
-        if not is_url(self._path):
-            require_unchanged(self._path, self._version)
+        require_unchanged(self._path, self._version)
 
 
 _MOST_BYTES = 1 << 26
 """Bytes of a chunk in memory at most, unless a single LAZ chunk is larger."""
 MOST_LAZ_CHUNKS = 1000
-"""LAZ chunks, or nodes of an EPT, of a chunk at most: each may take bytes beside its points."""
+"""LAZ chunks of a chunk at most: each may take bytes beside its points."""
 
 
 def chunk_capacity(points: int, point_size: int) -> int:
@@ -380,9 +367,7 @@ def split_rows(total: int, points: int, point_size: int) -> list[Chunk]:
     return [Chunk(index, first, min(step, total - first)) for index, first in enumerate(range(0, total, step))]
 
 
-def group_laz_chunks(
-    ends: NDArray[np.int64], points: int, point_size: int, boxes: NDArray[np.float64] | None = None
-) -> list[Chunk]:
+def group_laz_chunks(ends: NDArray[np.int64], points: int, point_size: int) -> list[Chunk]:
     """Return chunks made of whole LAZ chunks, with at most ``points`` points or a single LAZ chunk each.
 
     Parameters
@@ -392,8 +377,6 @@ def group_laz_chunks(
     points : int
     point_size : int
         Bytes of a point.
-    boxes : float64 (n, 4), optional
-        West, south, east and north of each LAZ chunk, m; the bounds of a chunk enclose those of its LAZ chunks.
     """
     step = chunk_capacity(points, point_size)
     chunks: list[Chunk] = []
@@ -402,10 +385,6 @@ def group_laz_chunks(
         last = int(np.searchsorted(ends, before + step, side="right"))
         last = max(min(last, first + MOST_LAZ_CHUNKS), first + 1)
         end = int(ends[last - 1])
-        bounds = None
-        if boxes is not None:
-            sides = (*boxes[first:last, :2].min(axis=0).tolist(), *boxes[first:last, 2:].max(axis=0).tolist())
-            bounds = Bounds(*sides)
-        chunks.append(Chunk(len(chunks), before, end - before, bounds))
+        chunks.append(Chunk(len(chunks), before, end - before))
         first, before = last, end
     return chunks

@@ -52,25 +52,6 @@ _MOST_POINTS = 8192
 
 
 @dataclass(frozen=True, slots=True)
-class WornTiles:
-    """Tiles of earlier ways and around them, which are made dearer so that another way is found."""
-
-    tiles: NDArray[np.int64]
-    """(n, 2) column and row."""
-    factor: float
-
-    def factors(self, window: TileWindow) -> NDArray[np.float32]:
-        """Return the factor on the cost of each tile of a window."""
-        worn = np.zeros((window.rows + 2, window.cols + 2), np.bool_)  # with a ring, for those beside
-        row, col = window.row + window.rows - self.tiles[:, 1], self.tiles[:, 0] - window.col + 1
-        inside = (row >= 0) & (row < len(worn)) & (col >= 0) & (col < window.cols + 2)
-        worn[row[inside], col[inside]] = True
-        for axis in (0, 1):
-            worn |= np.roll(worn, 1, axis) | np.roll(worn, -1, axis)
-        return np.where(worn[1:-1, 1:-1], np.float32(self.factor), np.float32(1.0))
-
-
-@dataclass(frozen=True, slots=True)
 class CostGround:
     """A map, what its ground costs one search, and where the vehicle fits."""
 
@@ -82,10 +63,6 @@ class CostGround:
     avoid: Any = None
     """Polygons from `bumpymap.layers.read_areas`, as ``only``; None: none."""
     only: Any = None
-    risk: float | None = None
-    """Weight of the hazard, m; None: that of the settings."""
-    worn: WornTiles | None = None
-    """Tiles that are dearer."""
     touching: bool = False
     """Obstacles may be touched, at a hundred times the cost."""
 
@@ -180,7 +157,7 @@ class CostGround:
         in proportion to it.
         """
         rule, settings = tiles.rule, self.settings
-        weighed = replace(rule, fail_weight=self.risk_m if self.risk is None else self.risk)
+        weighed = replace(rule, fail_weight=self.risk_m)
         of_metre = weighed.cost if settings.by == "cost" else weighed.time_cost
         shaking = tiles.c_r_high if settings.robust else tiles.c_r
         cost = np.empty((*tiles.barred.shape, 1 if headings is None else headings.shape[2]), np.float32)
@@ -203,8 +180,6 @@ class CostGround:
             cost[~tiles_in(self.only, tiles.window, tiles.grid, wholly=True)] = np.inf
         if self.touching and not through:
             cost[np.isin(tiles.barred, CLOSED_IN_PART)] *= TOUCHING
-        if self.worn is not None:
-            cost *= self.worn.factors(tiles.window)[..., None]
         return cost[..., 0] if headings is None else cost
 
     def slowness(self, tiles: TileField) -> Floats:

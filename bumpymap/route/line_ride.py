@@ -29,7 +29,6 @@ from bumpymap.core import (
     OBSTACLE,
     BadInputError,
     RoadFigures,
-    RouteFigures,
     UsageError,
     parse_json,
     path_of_call,
@@ -276,13 +275,10 @@ def ride_along(
         return ride_line(site, on_grid, vehicle, across)
 
 
-def with_line_rides(
-    ground: CostGround, ways: Sequence[tuple[MeasuredWay, float]], calibration: Path | None
-) -> tuple[list[tuple[MeasuredWay, float]], list[str]]:
-    """Add the ride of each way's own line to its figures and profile, and order the ways by it; return remarks too.
+def with_line_ride(ground: CostGround, way: MeasuredWay, calibration: Path | None) -> tuple[MeasuredWay, list[str]]:
+    """Add the ride of a way's own line to its figures and profile; return remarks too.
 
-    In the cost of a way by its line the C_r of the line stands for the mean of the tiles. ``calibration``: the file
-    that the map was made with; None: an included one.
+    ``calibration``: the file that the map was made with; None: an included one.
     """
     site = ground.site
     try:
@@ -291,20 +287,8 @@ def with_line_rides(
     except (BadInputError, UsageError) as error:
         if calibration is not None:
             raise
-        return list(ways), [f"the ride of the line itself is not known: {error}"]
-    found = [(_with_line_ride(site, way, vehicle), risk) for way, risk in ways]
-    if ground.settings.by == "time":
-        return found, []
-    costs = np.array([_cost_by_line(way.figures, site.rule.ride_weight, ground.settings.robust) for way, _ in found])
-    order = np.argsort(costs, kind="stable").tolist()
-    if not order[0] or not np.isfinite(costs).all():
-        return found, []
-    best, first = found[0][0].figures.cost_m, found[order[0]][0].figures.cost_m
-    remark = (
-        f"the first way is the best by the ride of its line, which costs {costs[order[0]]:,.1f} m ({first:,.1f} m by "
-        f"tiles); the best by tiles costs {costs[0]:,.1f} m by its line ({best:,.1f} m)"
-    )
-    return [found[number] for number in order], [remark]
+        return way, [f"the ride of the line itself is not known: {error}"]
+    return _with_line_ride(site, way, vehicle), []
 
 
 def _with_line_ride(site: MapReader, way: MeasuredWay, vehicle: LineVehicle) -> MeasuredWay:
@@ -326,12 +310,6 @@ def _with_line_ride(site: MapReader, way: MeasuredWay, vehicle: LineVehicle) -> 
         profile=replace(way.profile, c_r_line=found.c_r[metre]),
         road=tuple(stretch for every in _EVERY_M for stretch in found.road(every)) if has_road else (),
     )
-
-
-def _cost_by_line(figures: RouteFigures, ride_weight: float, robust: bool) -> float:
-    """Return the cost of a way with the C_r of its line in the place of that of its tiles, m."""
-    more = figures.c_r_line_high - figures.c_r_mean_high if robust else figures.c_r_line - figures.c_r_mean
-    return figures.cost_m + ride_weight * (figures.length_m - figures.unknown_m) * more
 
 
 def ride_line(site: MapReader, line: Floats, vehicle: LineVehicle, sigma: float) -> LineRide:

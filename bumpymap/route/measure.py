@@ -45,18 +45,8 @@ class MeasuredWay:
     """(m, 2) easting and northing of its corners, m."""
     figures: RouteFigures
     profile: RouteProfile
-    tiles: NDArray[np.int64]
-    """(n, 2) column and row of each tile in order, on the grid; a tile that is crossed twice is there twice."""
     road: tuple[RoadFigures, ...] = ()
     """As in `Route`."""
-
-    def shared(self, other: "MeasuredWay") -> float:
-        """Return the share of this way's tiles that the other crosses too, or passes beside."""
-        crossed = np.unique(self.tiles, axis=0)
-        beside = np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), axis=-1).reshape(-1, 2)
-        near = (other.tiles[:, None] + beside).reshape(-1, 2)
-        _both, count = np.unique(np.concatenate([crossed, np.unique(near, axis=0)]), axis=0, return_counts=True)
-        return int((count > 1).sum()) / len(crossed)
 
 
 _Pieces: TypeAlias = dict[str, NDArray[Any]]
@@ -102,7 +92,7 @@ def measure_way(ground: CostGround, line: Floats, stops: Floats) -> MeasuredWay:
         seconds=float((pieces["length"] * pieces["slow"]).sum()),
         seen=_seen_sizes(pieces),
     )
-    return MeasuredWay(line, figures, profile, np.column_stack([pieces["col"], pieces["row"]]))
+    return MeasuredWay(line, figures, profile)
 
 
 def way_cost(ground: CostGround, line: Floats) -> float:

@@ -1,4 +1,4 @@
-"""Write the files of routes, or of the reach from one start: all of them to a folder, or one of them alone."""
+"""Write the files of a route, or of the reach from one start: all of them to a folder, or one of them alone."""
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
@@ -106,24 +106,24 @@ def check_out(out: Path, kinds: Mapping[str, str], *, overwrite: bool) -> str | 
     return None
 
 
-def write_routes(
-    routes: Sequence[Route], source: MapReader, out: Path, *, manifest: Mapping[str, Any], overwrite: bool = False
+def write_route(
+    route: Route, source: MapReader, out: Path, *, manifest: Mapping[str, Any], overwrite: bool = False
 ) -> list[Path]:
     """Write route.geojson, route.gpx, profile.csv, route.png, route.json and a project of QGIS to a folder.
 
     ``out`` may be a file instead, for one of the first four.
 
     All files appear or none; links are replaced, never followed. Files of an earlier run that this one does not write
-    are removed. Without longitude and latitude route.gpx is left out, and route.json says so. Ways whose stretches have
-    figures have stretches.csv too. Except for route.json no file depends on the time, and none but it and map.qgs on
-    folder names.
+    are removed. Without longitude and latitude route.gpx is left out, and route.json says so. A way whose stretches
+    have figures has stretches.csv too. Except for route.json no file depends on the time, and none but it and map.qgs
+    on folder names.
 
     Parameters
     ----------
-    routes : sequence of Route
-        At least one, all on the grid of ``source``; the picture holds the profile of the first.
+    route : Route
+        On the grid of ``source``.
     source : MapReader
-        The map that they were planned on.
+        The map that it was planned on.
     out : Path
         The folder, which is created if it is missing, or one file: see `check_out`.
     manifest : mapping
@@ -141,17 +141,18 @@ def write_routes(
     UsageError, OutputError
         See `check_out`; or a file cannot be written.
     BadInputError
-        A layer cannot be read, or the routes have no longitude and latitude and ``out`` is a GPX file.
+        A layer cannot be read, or the route has no longitude and latitude and ``out`` is a GPX file.
     """
-    one_file, place, notes = check_out(out, ROUTE_KINDS, overwrite=overwrite), route_coordinates(routes), []
+    one_file, place = check_out(out, ROUTE_KINDS, overwrite=overwrite), route_coordinates(route)
+    notes: list[str] = []
     writers: dict[str, Callable[[Path], None]] = {
-        "route.geojson": partial(write_route_geojson, routes),
-        "route.gpx": partial(write_gpx, routes),
-        "profile.csv": partial(write_profile, routes),
-        "route.png": partial(write_route_picture, routes, source),
+        "route.geojson": partial(write_route_geojson, route),
+        "route.gpx": partial(write_gpx, route),
+        "profile.csv": partial(write_profile, route),
+        "route.png": partial(write_route_picture, route, source),
     }
-    if any(route.road for route in routes):
-        writers["stretches.csv"] = partial(write_route_stretches, routes)
+    if route.road:
+        writers["stretches.csv"] = partial(write_route_stretches, route)
     if not place.has_degrees and one_file is None:
         del writers["route.gpx"]
         notes = ["route.gpx was not written: the layers have no CRS, so longitude and latitude are unknown"]
@@ -159,10 +160,9 @@ def write_routes(
     if one_file is not None:
         writers[one_file](out)
         return [out]
-    first = routes[0]
-    spot = Placement(first.georeference, first.grid, window_around(routes, _AROUND_M))
-    writers |= view_writers(route_layers(routes), spot, source, out, "ways")
-    entries = {**manifest, **_describe_layers(source), "routes": [_describe(route, place) for route in routes]}
+    spot = Placement(route.georeference, route.grid, window_around(route, _AROUND_M))
+    writers |= view_writers(route_layers(route), spot, source, out, "ways")
+    entries = {**manifest, **_describe_layers(source), "routes": [_describe(route, place)]}
     return _write_folder(writers, out, entries, notes, overwrite=overwrite)
 
 
@@ -180,7 +180,7 @@ def write_reach_files(
 
     ``start`` (2,): easting and northing, m. ``out`` may be one file instead, .tif for the raster, .png for the picture
     or .geojson for the isochrones; ``levels`` of these: minutes. For the other parameters, the result and errors see
-    `write_routes`.
+    `write_route`.
     """
     one_file = check_out(out, REACH_KINDS, overwrite=overwrite)
     about = {"vehicle": source.vehicle.name}
@@ -217,7 +217,7 @@ def _write_folder(
 
 
 def _describe_layers(source: MapReader) -> dict[str, Any]:
-    """Return the layers that routes were planned on: their folder, the checksum of run.json, the calibration."""
+    """Return the layers that a route was planned on: their folder, the checksum of run.json, the calibration."""
     layers = {"path": str(source.folder), "run_sha256": describe_file(source.folder / MANIFEST_NAME)["sha256"]}
     kept = "vehicle", "calibration", "cost", "crs"
     return {"layers": [layers], **{name: source.manifest[name] for name in kept if name in source.manifest}}

@@ -10,7 +10,6 @@ import os
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from itertools import combinations, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict, Unpack
@@ -30,9 +29,8 @@ from bumpymap.core import (
     short_repr,
 )
 from bumpymap.layers import PlannedRoute, open_map, read_areas
-from bumpymap.route.alternatives import find_alternatives
 from bumpymap.route.ground import CostGround
-from bumpymap.route.line_ride import with_line_rides
+from bumpymap.route.line_ride import with_line_ride
 from bumpymap.route.planner import Planner
 from bumpymap.route.search import MOST_TILES
 from bumpymap.route.settings import CostSettings, RouteBy, RouteConfig
@@ -108,7 +106,6 @@ class ReachSettings(TypedDict, total=False):
 class RouteSettings(ReachSettings, total=False):
     """Settings of `find_routes`."""
 
-    alternatives: int
     calibration: PathLike | None
     through_obstacles: bool
     visit: bool
@@ -125,7 +122,7 @@ def find_routes(
     out: PathLike | None = None,
     **settings: Unpack[RouteSettings],
 ) -> list[PlannedRoute]:
-    """Find the cheapest way over mapped ground, and alternatives.
+    """Find the cheapest way over mapped ground.
 
     Parameters
     ----------
@@ -138,7 +135,7 @@ def find_routes(
     out : path, optional
         Folder, or file that ends in .geojson, .gpx, .csv or .png.
     **settings
-        Those of ``bumpymap route``, with underscores: ``alternatives``, ``by`` (``cost`` or ``time``), ``risk`` [m],
+        Those of ``bumpymap route``, with underscores: ``by`` (``cost`` or ``time``), ``risk`` [m],
         ``robust``, ``direction``, ``climb``, ``descent``, ``side_slope`` [m], ``side_limit`` [deg], ``unknown`` [cost
         per metre], ``seen_width`` [m], ``snap`` [m], ``visit``, ``round_trip``, ``avoid``, ``only``,
         ``allow_outside``, ``calibration``, ``through_obstacles``, ``memory``, ``overwrite``.
@@ -146,7 +143,7 @@ def find_routes(
     Returns
     -------
     list of PlannedRoute
-        The best one first.
+        The way.
 
     Raises
     ------
@@ -160,7 +157,7 @@ def find_routes(
     Examples
     --------
     >>> import bumpymap
-    >>> best, *others = bumpymap.find_routes("site_layers", (512350.5, 5403300.5), (512450.5, 5403300.5))
+    >>> [best] = bumpymap.find_routes("site_layers", (512350.5, 5403300.5), (512450.5, 5403300.5))
     >>> round(best.figures.length_m / best.figures.straight_m, 1) >= 1.0
     True
     """
@@ -170,7 +167,8 @@ def find_routes(
     checked |= {"start": _text("start", start), "goal": _text("goal", goal), "via": tuple(_text("via", p) for p in via)}
     target = None if out is None else Path(path_of_call("out", out))
     config = RouteConfig(layers=Path(path_of_call("layers", layers)), out=target, **checked)
-    return list(plan_routes(config).routes)
+    planned = plan_routes(config).route
+    return [] if planned is None else [planned]
 
 
 def map_reach(
@@ -240,8 +238,8 @@ Floats = NDArray[np.float64]
 class RouteResult:
     """Result of a route run."""
 
-    routes: tuple[PlannedRoute, ...]
-    """The best way first."""
+    route: PlannedRoute | None
+    """The way; None if there was no goal."""
     reach: "Reach | None"
     """The part of the map that can be reached, if there was no goal."""
     files: tuple[Path, ...]
@@ -266,21 +264,21 @@ def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteR
     with _opened(config) as ground:
         stops = find_stops(ground, config)
         if config.out is not None:
-            from bumpymap.route.output import REACH_KINDS, ROUTE_KINDS, check_out, write_routes  # slow to load
+            from bumpymap.route.output import REACH_KINDS, ROUTE_KINDS, check_out, write_route  # slow to load
 
             check_out(config.out, REACH_KINDS if config.is_reach else ROUTE_KINDS, overwrite=config.overwrite)
         if config.is_reach:
             if config.out is None:
                 raise UsageError("the map of what can be reached is written to a folder: add `out='DIR'`")
             return _write_reach(ground, stops, config, config.out)
-        progress.start("routes", None)
-        routes, remarks = _routes(ground, stops, config)
+        progress.start("route", None)
+        route, remarks = _route(ground, stops, config)
         notes = [*stops.notes, *remarks]
         files: list[Path] = []
         if config.out is not None:
             manifest = {"settings": asdict(config), "remarks": notes}
-            files = write_routes(routes, ground.site, config.out, manifest=manifest, overwrite=config.overwrite)
-    return RouteResult(tuple(routes), None, tuple(files), tuple(notes))
+            files = write_route(route, ground.site, config.out, manifest=manifest, overwrite=config.overwrite)
+    return RouteResult(route, None, tuple(files), tuple(notes))
 
 
 @contextmanager
@@ -296,16 +294,16 @@ def _opened(config: RouteConfig) -> Iterator[CostGround]:
         yield replace(ground, memory_tiles=min(memory_limit(config.memory) // ground.bytes_per_tile, MOST_TILES))
 
 
-def _routes(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[list[PlannedRoute], list[str]]:
-    """Plan the best way through the stops, and alternatives; return them and remarks."""
+def _route(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[PlannedRoute, list[str]]:
+    """Plan the cheapest way through the stops; return it and remarks."""
     planner = Planner(ground)
     if config.visit:
         stops = _in_best_order(planner, stops, config)
     if config.round_trip:
         stops = stops.in_order([*range(len(stops.names)), 0])
     points = stops.points
-    ways = find_alternatives(partial(planner.way, points), config.alternatives, ground.risk_m)
-    if not ways:
+    way = planner.way(points)
+    if way is None:
         from bumpymap.route.no_way import what_closes  # slow to load
 
         legs = zip(pairwise(points), pairwise(stops.names), strict=True)
@@ -316,28 +314,24 @@ def _routes(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[list
             f"other points (without a goal, the same command maps what can be reached), {unknown}map the survey for "
             "another vehicle, or drive through what the map takes for an obstacle with `through_obstacles`"
         )
-    ways, remarks = with_line_rides(ground, ways, config.calibration)
-    names = ["route", *(f"alternative {number}" for number in range(1, len(ways)))]
+    way, remarks = with_line_ride(ground, way, config.calibration)
     if config.visit:
         remarks = [f"order of the points: {'; '.join(stops.names)}", *remarks]
-    site, straight = ground.site, measure_straight_line(ground, points, ways[0][0].figures)
-    routes = [
-        PlannedRoute(
-            name=name,
-            georeference=site.georeference,
-            grid=site.grid,
-            line=way.line,
-            stops=points,
-            profile=way.profile,
-            figures=way.figures,
-            vehicle=site.vehicle,
-            risk_m=risk,
-            straight=straight,
-            road=way.road,
-        )
-        for name, (way, risk) in zip(names, ways, strict=True)
-    ]
-    return routes, remarks
+    site = ground.site
+    route = PlannedRoute(
+        name="route",
+        georeference=site.georeference,
+        grid=site.grid,
+        line=way.line,
+        stops=points,
+        profile=way.profile,
+        figures=way.figures,
+        vehicle=site.vehicle,
+        risk_m=ground.risk_m,
+        straight=measure_straight_line(ground, points, way.figures),
+        road=way.road,
+    )
+    return route, remarks
 
 
 def _in_best_order(planner: Planner, stops: Stops, config: RouteConfig) -> Stops:
@@ -386,4 +380,4 @@ def _write_reach(ground: CostGround, stops: Stops, config: RouteConfig, out: Pat
         manifest={"settings": asdict(config), "start": stops.points[0], "remarks": notes},
         overwrite=config.overwrite,
     )
-    return RouteResult((), found, tuple(files), notes)
+    return RouteResult(None, found, tuple(files), notes)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import CLOSED_IN_PART, UsageError
 from bumpymap.route._search_kernels import REACH
-from bumpymap.route.ground import CostGround, WornTiles, sample_line, window_around
+from bumpymap.route.ground import CostGround, sample_line, window_around
 from bumpymap.route.measure import MeasuredWay, measure_way, way_cost
 from bumpymap.route.places import on_grid, overlap, place_in_window
 from bumpymap.route.search import Found, seek, settle_point, tight_way
@@ -178,15 +178,14 @@ class Planner:
     ground: CostGround
     _legs: dict[tuple[float, ...], Floats | None] = field(default_factory=dict, init=False, repr=False)
 
-    def way(self, stops: Floats, risk: float | None = None, worn: WornTiles | None = None) -> MeasuredWay | None:
+    def way(self, stops: Floats) -> MeasuredWay | None:
         """Plan the cheapest way through stops in their order; None if there is none.
 
-        ``stops`` (k, 2): easting and northing, m, at least two; ``risk``: weight of the hazard for this way, m; what it
-        costs is told with the settings' own; ``worn``: tiles that are dearer for this way.
+        ``stops`` (k, 2): easting and northing, m, at least two.
         """
         legs = []
         for start, goal in pairwise(stops):
-            leg = self.line(start, goal, risk, worn)
+            leg = self.line(start, goal)
             if leg is None:
                 return None
             legs.append(leg)
@@ -198,30 +197,26 @@ class Planner:
         line = self.line(start, goal)
         return np.inf if line is None else way_cost(self.ground, line)
 
-    def line(
-        self, start: Floats, goal: Floats, risk: float | None = None, worn: WornTiles | None = None
-    ) -> Floats | None:
+    def line(self, start: Floats, goal: Floats) -> Floats | None:
         """Return the cheapest line between two points, (m, 2) easting and northing, m; None if there is none.
 
-        ``risk``, ``worn`` as in `way`. Without worn tiles, the line is kept for the next question.
+        It is kept for the next question.
         """
         if tuple(goal) < tuple(start) and self.ground.settings.same_back:
-            back = self.line(goal, start, risk, worn)
+            back = self.line(goal, start)
             return None if back is None else back[::-1]
-        if worn is not None:
-            return self._clear_line(start, goal, risk, worn)
-        key = (*start, *goal, self.ground.risk_m if risk is None else risk)
+        key = (*start, *goal)
         if key not in self._legs:
-            self._legs[key] = self._clear_line(start, goal, risk, None)
+            self._legs[key] = self._clear_line(start, goal)
         return self._legs[key]
 
-    def _clear_line(self, start: Floats, goal: Floats, risk: float | None, worn: WornTiles | None) -> Floats | None:
+    def _clear_line(self, start: Floats, goal: Floats) -> Floats | None:
         """Return the cheapest line on which the vehicle fits throughout; None if there is none.
 
         The cheapest way over whole tiles is steered past obstacles on pixels. Where obstacles close tiles nearby, or
         there is no such way, the areas of tiles are searched as well, and the cheaper of both is returned.
         """
-        ground = replace(self.ground, risk=risk, worn=worn)
+        ground = self.ground
         over_tiles = tile_line(ground, start, goal)
         steered = None if over_tiles is None else steer_clear(ground, over_tiles)
         if steered is not None:

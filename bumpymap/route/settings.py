@@ -64,7 +64,6 @@ class RouteConfig:
     """Pass the points in the best order instead of the given one; start and goal keep their
     places (on a round trip, only the start)."""
     round_trip: Annotated[bool, Setting("Return to the start", option="return", group="Way")] = False
-    alternatives: Annotated[int, Setting("Number of ways to propose", "N", 1, 10, group="Way")] = 1
     snap: Annotated[float, Setting("Move points on closed ground by up to M", "M", 0.0, unit="m", group="Way")] = 0.0
     """A start, goal or point to pass on ground that cannot be used is moved by this much at most, m."""
     isochrones: Annotated[
@@ -97,10 +96,10 @@ class RouteConfig:
         if self.points is not None and (self.goal is not None or self.via):
             raise UsageError("the file of points holds start, points to pass and goal: leave out `goal` and `via`")
         memory_limit(self.memory)
-        if self.is_reach and (self.visit or self.round_trip or self.alternatives > 1):
+        if self.is_reach and (self.visit or self.round_trip):
             raise UsageError(
-                "without a goal the run maps what can be reached from the start; `visit`, `round_trip` and "
-                "`alternatives` belong to a way: add `goal`, `via` or `points`"
+                "without a goal the run maps what can be reached from the start; `visit` and `round_trip` "
+                "belong to a way: add `goal`, `via` or `points`"
             )
         if not self.is_reach and self.isochrones:
             raise UsageError("`isochrones` are those of a start without a goal: leave out `goal` and `via`")

@@ -68,13 +68,8 @@ class MapSettings(EachSettings, total=False):
 
 
 def folder_of_call(name: str, place: PathLike) -> Path:
-    """Return the output folder that a Python call gives; raise UsageError if it is a URL or not a valid path."""
-    text = path_of_call(name, place)
-    if "://" in text:
-        raise UsageError(
-            f"{name} is {text}, a URL; give a folder of this machine, and copy it to the server after the run"
-        )
-    return Path(text)
+    """Return the output folder that a Python call gives; raise UsageError if it is not a valid path."""
+    return Path(path_of_call(name, place))
 
 
 def map_settings(settings: Mapping[str, Any], function: str, known: Collection[str]) -> dict[str, Any]:

@@ -1,25 +1,14 @@
-"""Flight lines of a survey: how far their heights differ where they overlap, and what ``align="on"`` takes off each."""
+"""Flight lines of a survey: how far their heights differ where they overlap."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields
 from itertools import pairwise
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Align, BadInputError, MapConfig, Progress, Stopwatch
-from bumpymap.readers import (
-    CELL,
-    QUANTA,
-    LineCorrection,
-    LineSums,
-    ReadOptions,
-    cell_indices,
-    file_changed,
-    reopen_survey,
-)
-from bumpymap.survey.inputs import SurveyInputs, read_options
+from bumpymap.readers import CELL, QUANTA, LineSums, cell_indices
 
 Floats = NDArray[np.float64]
 
@@ -86,8 +75,6 @@ class CellSteps:
     """(n,) height of the second line above the first, m."""
     error: Floats
     """(n,) standard error of the step, m."""
-    fold: NDArray[np.bool_]
-    """(n,) which half of the cells it is in, to test on one half what was fitted to the other."""
 
     def where(self, chosen: NDArray[np.bool_]) -> "CellSteps":
         """Return some of the steps."""
@@ -112,7 +99,6 @@ def steps_between_lines(cells: LineCells) -> CellSteps:
     order = np.lexsort((cells.cell[one], cells.line[two], cells.line[one]))
     one, two = one[order], two[order]
     place, step, error, known = _fit(cells.sums[one], cells.sums[two])
-    mixed = (cells.cell[one].astype(np.uint64) * np.uint64(0xC2B2AE3D27D4EB4F)) >> np.uint64(63)
     found = CellSteps(
         cells.line[one],
         cells.line[two],
@@ -120,7 +106,6 @@ def steps_between_lines(cells: LineCells) -> CellSteps:
         cells.northing[one] + place[1],
         step,
         error,
-        mixed.astype(np.bool_),
     )
     return found.where(known & (error <= _LARGEST_ERROR))
 
@@ -164,151 +149,11 @@ def _moments(sums: Ints, level: Ints) -> tuple[Floats, Floats]:
     return np.array([mx, my, mz]), np.array(products)
 
 
-_ROUNDS = 25
-_HUBER = 1.5
-"""Residuals beyond this many standard errors count less."""
-_OFFSET_SPREAD, _TILT_SPREAD = 1.0, 0.01
-"""Standard deviations to which offsets [m] and tilts [m/m] are held where the overlaps do not determine them."""
-_LEAST_COMMON = 20
-"""Cells that a line shares with others at least, to be adjusted."""
-_MOST_TILTED, _MOST_LINES = 150, 1500
-"""Lines at most, for tilts and for offsets: the equations grow with their square."""
-_SEEN = 0.16
-"""A line's tilt needs overlaps that spread over this share of the variance of all its cells, in each direction."""
-_GAIN, _LEAST_GAIN = 0.97, 0.001
-"""A richer model must leave at most this share of the steps, and make them smaller by this much [m]."""
-_LARGEST = 2.0
-"""Offsets beyond this are no matter of alignment, m: nothing is adjusted."""
-_WORSE = (1.1, 0.001)
-"""No pair of lines may be left with steps larger by this factor, and by this much [m]."""
-
-
-Corrections = tuple[LineCorrection, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class _Design:
-    """Unknowns of the equations: an offset for each line, and slopes to the east and north for tilted ones."""
-
-    lines: NDArray[np.int64]
-    middle: Floats
-    """(lines, 2) where the offset applies, m."""
-    tilted: NDArray[np.bool_]
-
-    def factors(self, steps: CellSteps, side: NDArray[np.int64]) -> Floats:
-        """Return what the unknowns of one side's line are multiplied by, (3, n)."""
-        east, north = steps.easting - self.middle[side, 0], steps.northing - self.middle[side, 1]
-        tilted = self.tilted[side]
-        return np.array([np.ones(len(side)), np.where(tilted, east, 0.0), np.where(tilted, north, 0.0)])
-
-
-def adjust_lines(cells: LineCells, steps: CellSteps) -> tuple[str, Corrections]:
-    """Choose a model, see `FlightLines.method`; return it and its corrections, to 0.1 mm and 0.1 mm in 100 m."""
-    lines, shared = np.unique(np.concatenate([steps.first, steps.second]), return_counts=True)
-    lines = lines[shared >= _LEAST_COMMON]
-    steps = steps.where(np.isin(steps.first, lines) & np.isin(steps.second, lines))
-    best: tuple[str, Corrections] = "none", ()
-    if not len(steps.step) or len(lines) > _MOST_LINES:
-        return best
-    middle, tilted = _support(cells, steps, lines)
-    before = steps.step
-    for method, wanted in (("offset", np.zeros_like(tilted)), ("tilt", tilted & (len(lines) <= _MOST_TILTED))):
-        if method == "tilt" and not wanted.any():
-            break
-        design = _Design(lines, middle, wanted)
-        left = _left_in_other_half(design, steps)
-        corrections = _solved(design, steps)
-        plausible = max(abs(own.offset) for own in corrections) <= _LARGEST
-        if plausible and _is_better(steps, left, before):
-            best, before = (method, corrections), left
-    return best
-
-
-def left_after(steps: CellSteps, corrections: Corrections) -> Floats:
-    """Return the steps that are left after corrections, (n,) m."""
-    left = steps.step.copy()
-    for own in corrections:
-        shift = (
-            own.offset + own.slope_east * (steps.easting - own.east) + own.slope_north * (steps.northing - own.north)
-        )
-        left -= np.where(steps.second == own.line, shift, 0.0) - np.where(steps.first == own.line, shift, 0.0)
-    return left
-
-
 def weighted_median(values: Floats, weights: Floats) -> float:
     """Return the value with half of the weight below it; at least one value."""
     order = np.argsort(values, kind="stable")
     below = np.cumsum(weights[order])
     return float(values[order[np.searchsorted(below, below[-1] / 2)]])
-
-
-def _support(cells: LineCells, steps: CellSteps, lines: NDArray[np.int64]) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the middle of each line, (lines, 2), and whether its overlaps are wide enough to tell its tilt."""
-    middle, wide = np.zeros((len(lines), 2)), np.zeros(len(lines), np.bool_)
-    for number, line in enumerate(lines.tolist()):
-        mine, overlaps = cells.line == line, (steps.first == line) | (steps.second == line)
-        whole = np.array([cells.easting[mine], cells.northing[mine]])
-        part = np.array([steps.easting[overlaps], steps.northing[overlaps]])
-        middle[number] = np.round(whole.mean(axis=1))
-        shares = np.linalg.eigvals(np.linalg.solve(np.cov(whole) + np.eye(2), np.cov(part)))
-        wide[number] = shares.real.min() >= _SEEN
-    return middle, wide
-
-
-def _left_in_other_half(design: _Design, steps: CellSteps) -> Floats:
-    """Return the steps that are left in each half of the cells by what was fitted to the other half."""
-    left = np.empty_like(steps.step)
-    for half in (False, True):
-        fitted = steps.where(steps.fold != half)
-        left[steps.fold == half] = left_after(steps.where(steps.fold == half), _solved(design, fitted))
-    return left
-
-
-def _is_better(steps: CellSteps, left: Floats, before: Floats) -> bool:
-    """Return whether steps are clearly smaller in all cells, and larger for no pair of lines."""
-    weights = 1 / steps.error**2
-    old, new = (weighted_median(np.abs(held), weights) for held in (before, left))
-    if new > min(_GAIN * old, old - _LEAST_GAIN):
-        return False
-    for pair in steps.pairs(_LEAST_COMMON):
-        old, new = (weighted_median(np.abs(held[pair]), weights[pair]) for held in (before, left))
-        if new > max(_WORSE[0] * old, old + _WORSE[1]):
-            return False
-    return True
-
-
-def _solved(design: _Design, steps: CellSteps) -> Corrections:
-    """Solve the equations with Huber's weights."""
-    size = len(design.lines)
-    sides = [np.searchsorted(design.lines, own) for own in (steps.first, steps.second)]
-    columns = np.concatenate([[side, size + 2 * side, size + 2 * side + 1] for side in sides])
-    factors = np.concatenate([-design.factors(steps, sides[0]), design.factors(steps, sides[1])])
-    spreads = np.concatenate([np.full(size, _OFFSET_SPREAD), np.full(2 * size, _TILT_SPREAD)])
-    unknowns = size + 2 * size * bool(design.tilted.any())
-    used = 6 if unknowns > size else 2
-    if used == 2:
-        columns, factors = columns[[0, 3]], factors[[0, 3]]
-    solution = np.zeros(unknowns)
-    weights = 1 / steps.error**2
-    for _ in range(_ROUNDS):
-        residual = steps.step - (factors * solution[columns]).sum(axis=0)
-        standard = np.abs(residual) / steps.error
-        scale = max(1.4826 * float(np.median(standard)), 1e-6)
-        held = weights * np.minimum(1.0, _HUBER * scale / np.maximum(standard, 1e-12)) / scale**2
-        matrix, right = np.diag(1 / spreads[:unknowns] ** 2), np.zeros(unknowns)
-        for a in range(used):
-            right += np.bincount(columns[a], held * factors[a] * steps.step, unknowns)
-            for b in range(used):
-                places = columns[a] * unknowns + columns[b]
-                matrix += np.bincount(places, held * factors[a] * factors[b], unknowns**2).reshape(matrix.shape)
-        solution[:] = np.linalg.solve(matrix, right)
-    slopes = solution[size:].reshape(-1, 2) if unknowns > size else np.zeros((size, 2))
-    return tuple(
-        LineCorrection(int(line), round(offset, 4), east, north, round(slope[0], 6), round(slope[1], 6))
-        for line, offset, (east, north), slope in zip(
-            design.lines, solution[:size].tolist(), design.middle.tolist(), slopes.tolist(), strict=True
-        )
-    )
 
 
 MATTERS = 0.01
@@ -343,19 +188,11 @@ class LinePair:
 
 @dataclass(frozen=True, slots=True)
 class FlightLines:
-    """The lines of a survey, and what was done about them."""
+    """The lines of a survey."""
 
     lines: int = 0
     """Number of lines; 1 where the files name none."""
     pairs: tuple[LinePair, ...] = ()
-    """As the layers have them."""
-    method: str = "none"
-    """Correction that makes the lines agree: ``none``, ``offset``, or ``tilt`` for an offset and a tilt of each line.
-    It was taken off with ``align="on"``."""
-    corrections: Corrections = ()
-    """Correction that was taken off each line; empty without ``align="on"``."""
-    before: tuple[LinePair, ...] = ()
-    """The pairs before that; empty without ``align="on"``."""
 
     @property
     def largest(self) -> float:
@@ -364,66 +201,35 @@ class FlightLines:
 
     def to_record(self) -> dict[str, Any]:
         """Return a dict for JSON."""
-        return asdict(self) | {"corrections": [own._asdict() for own in self.corrections]}
+        return asdict(self)
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> Self:
         """Restore the dict of ``to_record``."""
-        pairs, before = (
-            tuple(
-                LinePair(**pair | {"lines": tuple(pair["lines"]), "tilt": tuple(pair["tilt"])}) for pair in record[key]
-            )
-            for key in ("pairs", "before")
-        )
-        corrections = tuple(LineCorrection(**own) for own in record["corrections"])
-        return cls(record["lines"], pairs, record["method"], corrections, before)
+        pairs = (pair | {"lines": tuple(pair["lines"]), "tilt": tuple(pair["tilt"])} for pair in record["pairs"])
+        return cls(record["lines"], tuple(LinePair(**pair) for pair in pairs))
 
 
-def compare_lines(sums: LineSums, *, adjust: bool = False) -> FlightLines:
-    """Compare the lines of a survey.
-
-    Parameters
-    ----------
-    sums : LineSums
-        Of all its points.
-    adjust : bool
-        Whether to find what makes them agree in any case, and to return the corrections; otherwise it is found, and
-        named, only if a step matters.
-    """
+def compare_lines(sums: LineSums) -> FlightLines:
+    """Compare the lines of a survey by the sums of all its points."""
     cells = LineCells.of(sums)
     lines = len(np.unique(cells.line))
     if lines < 2:
         return FlightLines(lines)
     steps = steps_between_lines(cells)
-    found = FlightLines(lines, tuple(_pair(steps, span) for span in steps.pairs(_LEAST_CELLS)))
-    if not adjust and found.largest < MATTERS:
-        return found
-    method, corrections = adjust_lines(cells, steps)
-    return replace(found, method=method, corrections=corrections if adjust else ())
+    return FlightLines(lines, tuple(_pair(steps, span) for span in steps.pairs(_LEAST_CELLS)))
 
 
-def describe_lines(found: FlightLines, align: Align) -> str:
+def describe_lines(found: FlightLines) -> str:
     """Return a sentence about the steps between lines; empty if there is nothing to say."""
-    if align == "on" and found.corrections:
-        what = {"offset": "an offset", "tilt": "an offset and a tilt"}[found.method]
-        was = max((pair.largest for pair in found.before), default=0.0)
-        now = f"differ by up to {found.largest * 100:.1f} cm" if found.largest else "no difference is certain"
-        return (
-            f"Flight lines: {what} of each line was taken off. Heights of two lines differed by up to {was * 100:.1f} "
-            f"cm where they overlap; {now} now"
-        )
     if found.largest < MATTERS:
         return ""
     worst = max(found.pairs, key=lambda pair: pair.largest)
     one, two = worst.lines
-    text = f"heights of {one} and {two} differ by {worst.largest * 100:.1f} cm where they overlap"
-    return f"Flight lines: {text}, which reads as roughness. {_remedy(found)}"
-
-
-def _remedy(found: FlightLines) -> str:
-    if found.method == "none":
-        return "Neither an offset nor a tilt of each line explains it"
-    return f"`align='on'` takes {'an offset' if found.method == 'offset' else 'an offset and a tilt'} of each line off"
+    return (
+        f"Flight lines: heights of {one} and {two} differ by {worst.largest * 100:.1f} cm where they overlap, which "
+        "reads as roughness. Have the producer do a strip adjustment"
+    )
 
 
 def _pair(steps: CellSteps, span: slice) -> LinePair:
@@ -456,61 +262,3 @@ def _tilt(steps: CellSteps, span: slice, middle: float, spread: float) -> tuple[
     if left > (1 - _EXPLAINED) * (((step - middle) * root)[held] ** 2).sum():
         return (0.0, 0.0), level
     return (round(float(fit[1]), 6), round(float(fit[2]), 6)), design @ fit / root
-
-
-@dataclass(frozen=True, slots=True)
-class AlignedInputs:
-    """The inputs of a run, with the corrections of their flight lines."""
-
-    inputs: SurveyInputs
-    options: ReadOptions
-    """The settings that these were opened with."""
-    before: FlightLines | None
-    """The lines before any correction, with what is taken off; None without ``align="on"``."""
-
-    @classmethod
-    def of(cls, config: MapConfig, inputs: SurveyInputs, progress: Progress, clock: Stopwatch) -> "AlignedInputs":
-        """Read all points once more if the settings ask for it, and open the files again with what is to be taken off.
-
-        Raises
-        ------
-        BadInputError
-            A file is bad and may not be skipped, or has changed.
-        """
-        options = read_options(config)
-        if config.align != "on":
-            return cls(inputs, options, None)
-        with clock.stage("align"):
-            found = compare_lines(_sums(inputs, progress), adjust=True)
-        if not found.corrections:
-            return cls(inputs, options, found)
-        options = replace(options, corrections=found.corrections)
-        readers = [reopen_survey(reader.info.path, options) for reader in inputs.readers]
-        for old, new in zip(inputs.readers, readers, strict=True):
-            if old.info.version != new.info.version:
-                raise file_changed(old.info.path, "it was written again after its flight lines were compared")
-        return cls(replace(inputs, readers=readers), options, found)
-
-    def outcome(self, sums: LineSums) -> FlightLines:
-        """Return the lines as they are in the layers, by the sums of the points that were mapped."""
-        before = self.before
-        if before is None:
-            return compare_lines(sums)
-        pairs = compare_lines(sums).pairs if before.corrections else before.pairs
-        return replace(before, pairs=pairs, before=before.pairs)
-
-
-def _sums(inputs: SurveyInputs, progress: Progress) -> LineSums:
-    """Return the sums of all files; a bad file that may be skipped has none here, and is skipped when it is mapped."""
-    progress.start("comparing flight lines", sum(reader.info.point_count for reader in inputs.readers))
-    sums = LineSums()
-    for reader in inputs.readers:
-        try:
-            for cloud in reader.clouds():
-                progress.advance(cloud.easting.size)
-        except BadInputError:
-            if not inputs.skip_bad:
-                raise
-            continue
-        sums = sums.merge(reader.lines)
-    return sums

@@ -85,9 +85,9 @@ class SurveyInputs:
         return cls(readers, georeference, config.skip_bad, skipped)
 
     @property
-    def paths(self) -> list[Path | str]:
+    def paths(self) -> list[Path]:
         """All inputs: the opened ones, then those that were skipped."""
-        return [*(reader.info.path for reader in self.readers), *self.skipped]
+        return [*(reader.info.path for reader in self.readers), *map(Path, self.skipped)]
 
     def skip(self, reader: SurveyReader, error: BadInputError) -> None:
         """Skip a file that turned out to be bad while it was read; raise ``error`` if bad inputs end the run."""
@@ -150,14 +150,14 @@ def file_doubts(infos: Sequence[SurveyInfo]) -> list[str]:
     return doubts
 
 
-def _skip(path: Path | str, error: BadInputError, skipped: dict[str, str], *, skip_bad: bool) -> None:
+def _skip(path: Path, error: BadInputError, skipped: dict[str, str], *, skip_bad: bool) -> None:
     if not skip_bad:
         raise error
     _log.warning("skipped %s: %s", path, error)
     skipped[str(path)] = str(error)
 
 
-def _check_crs(georeference: Georeference, example: Path | str, *, local: bool) -> None:
+def _check_crs(georeference: Georeference, example: Path, *, local: bool) -> None:
     if georeference.crs is not None and local:
         _log.warning("`local=True` is not needed: the survey has a CRS (%s)", georeference.crs.name)
     if georeference.crs is None and not local:

@@ -35,8 +35,8 @@ from bumpymap.survey.engine import (
     run_engine,
     with_memory,
 )
-from bumpymap.survey.flight_lines import AlignedInputs
-from bumpymap.survey.inputs import SurveyInputs
+from bumpymap.survey.flight_lines import compare_lines
+from bumpymap.survey.inputs import SurveyInputs, read_options
 from bumpymap.survey.run_record import (
     MapResult,
     collected_warnings,
@@ -115,12 +115,11 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
         connect(config.scheduler) as workers,
         Workspace.opened(config.out, config.scratch, run_spec, overwrite=discard) as space,
     ):
-        aligned = AlignedInputs.of(config, inputs, progress, clock)
         executor: Executor = LocalExecutor(work, space, budget, progress)
         if workers is not None:
             fits = partial(versions, config.ground)
-            executor = ClusterExecutor(work, space, budget, progress, workers, aligned.options, fits)
-        measured = run_engine(aligned.inputs, work, space, budget, executor, progress, clock)
+            executor = ClusterExecutor(work, space, budget, progress, workers, read_options(config), fits)
+        measured = run_engine(inputs, work, space, budget, executor, progress, clock)
         return_memory()  # of the points
         with clock.stage("neighbours"), engine_errors(budget):
             tiles = finish_tiles(measured.table, neighbours, space.new_tiles, config.threads, progress)
@@ -131,7 +130,7 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
             speeds,
             has_photo=measured.coloured >= _COLOURED * measured.points,
         )
-        lines = aligned.outcome(measured.lines)
+        lines = compare_lines(measured.lines)
         manifest = run_manifest(config, inputs, run_spec, measured, models, clock.seconds, lines, warnings)
         manifest |= {"page": header} if header else {}
         with clock.stage("write"):

@@ -10,7 +10,6 @@ from functools import partial
 from os.path import abspath
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote, urlsplit
 
 from bumpymap.core import (
     BadInputError,
@@ -19,11 +18,9 @@ from bumpymap.core import (
     differences,
     flat_settings,
     join_checksums,
-    recorded_place,
     recorded_settings,
     same_content,
     spec_of_manifest,
-    without_keys,
 )
 from bumpymap.layers import (
     EVERY_VIEW_NAME,
@@ -35,7 +32,7 @@ from bumpymap.layers import (
     verified_record,
 )
 from bumpymap.patches import filter_version
-from bumpymap.readers import Location, SurveyInfo, hash_survey, identity, is_ept, is_url
+from bumpymap.readers import Location, SurveyInfo, hash_survey, identity
 from bumpymap.survey.engine import Budget, MeasuredTiles
 from bumpymap.survey.flight_lines import FlightLines
 from bumpymap.survey.inputs import SurveyInputs
@@ -88,7 +85,7 @@ class MapResult:
     seconds: dict[str, float]
     """Wall time by stage."""
     lines: FlightLines
-    """Steps between flight lines, and what was taken off."""
+    """Steps between flight lines."""
     already_done: bool = False
     """An earlier run with the same inputs and settings is complete: nothing was written, and these are its results."""
     from_all: int = 0
@@ -105,12 +102,12 @@ def survey_record(
 
     Parameters
     ----------
-    given : sequence of Path or str
-        Files and folders as the user named them; URLs are str.
-    files : sequence of Path or str
+    given : sequence of Path
+        Files and folders as the user named them.
+    files : sequence of Path
         The files that were read.
     checksums : sequence of str or None
-        Checksum of each file; None for a URL.
+        Checksum of each file.
     dates : sequence of date or None
         Date in the header of each file.
 
@@ -132,20 +129,12 @@ def survey_record(
 
 
 def _name(given: Sequence[Location], files: Sequence[Location]) -> str:
-    paths = [_path(file) for file in files]
+    paths = [Path(abspath(file)) for file in files]  # noqa: PTH100 (resolve() follows links)
     if len(paths) == 1:
-        path = paths[0]
-        return path.parent.name if is_ept(path) else path.stem.removesuffix(".copc") or path.name
-    folders = {path.parent for path in paths} if len(given) > 1 else {_path(given[0])}
+        return paths[0].stem.removesuffix(".copc") or paths[0].name
+    folders = {path.parent for path in paths} if len(given) > 1 else {Path(abspath(given[0]))}  # noqa: PTH100 (as above)
     name = folders.pop().name if len(folders) == 1 else ""
     return name or f"{len(files)} files"
-
-
-def _path(location: Location) -> Path:
-    """Return the absolute path of a file or folder; of a URL without its server and its query, which may hold a key."""
-    if is_url(location):
-        return Path(unquote(urlsplit(str(location)).path))
-    return Path(abspath(location))  # noqa: PTH100 (resolve() follows links)
 
 
 def _printable(name: str) -> str:
@@ -195,8 +184,7 @@ def earlier_result(config: MapConfig, run_spec: Mapping[str, Any]) -> MapResult:
         from_all = record.get("tiles_from_all_points", 0)
         lines = FlightLines.from_record(record["flight_lines"])
         names = [str(file["path"]) for file in record["files"]]
-    inputs = {recorded_place(path): known for path, known in run_spec["inputs"].items()}
-    now = {**run_spec, "inputs": inputs, "settings": flat_settings(config, ignored)}
+    now = {**run_spec, "settings": flat_settings(config, ignored)}
     refuse_replacing(config.out, differences(before, now, partial(same_content, hashed=hash_survey)))
     # Views may be deleted, or rewritten by other programs.
     views = [name for name in EVERY_VIEW_NAME if (config.out / name).exists()]
@@ -228,16 +216,14 @@ def run_manifest(
             [info.header_date for info, _, _ in read],
         ),
         "inputs": [_input_record(*each) for each in read],
-        "skipped": {recorded_place(path): without_keys(why) for path, why in skipped.items()},
-        "warnings": list(
-            dict.fromkeys(map(without_keys, (*warnings, *(f"skipped {path}: {why}" for path, why in skipped.items()))))
-        ),
+        "skipped": {str(path): why for path, why in skipped.items()},
+        "warnings": list(dict.fromkeys((*warnings, *(f"skipped {path}: {why}" for path, why in skipped.items())))),
         "skipped_inputs": [
             # What shows a change without reading the file.
-            {"path": recorded_place(path)} | {key: known[key] for key in ("mtime_ns", "version") if key in known}
+            {"path": str(path)} | ({"mtime_ns": known["mtime_ns"]} if "mtime_ns" in known else {})
             for path, known in ((path, run_spec["inputs"][path] or {}) for path in skipped)
         ],
-        "settings": {**recorded_settings(config), "surveys": [recorded_place(survey) for survey in config.surveys]},
+        "settings": {**recorded_settings(config), "surveys": list(map(str, config.surveys))},
         "versions": versions(config.ground),
         "ground_only": measured.ground_only,
         **({"tiles_from_all_points": measured.from_all} if measured.from_all else {}),
@@ -264,7 +250,7 @@ def run_manifest(
     }
 
 
-def _skipped_identity(path: Path | str) -> dict[str, Any] | None:
+def _skipped_identity(path: Path) -> dict[str, Any] | None:
     """Return the identity of a skipped file; None if even that cannot be read."""
     try:
         return identity(path)
@@ -274,7 +260,7 @@ def _skipped_identity(path: Path | str) -> dict[str, Any] | None:
 
 def _input_record(info: SurveyInfo, dropped: dict[str, int], checksum: str | None) -> dict[str, Any]:
     record = {
-        "path": recorded_place(info.path),
+        "path": str(info.path),
         "format": info.format,
         "points": info.point_count,
         "dropped": dropped,

@@ -1,6 +1,6 @@
-"""Draw docs/pages/img/evaluation_driven.png: predicted against driven C_r, from the report.json of bumpymap evaluate.
+"""Draw docs/pages/img/evaluation_driven.png: predicted and driven C_r, by report.json of tests/tools/driven.py.
 
-``python docs/pictures/evaluation_driven.py trust/report.json PICTURE.png``. Needs matplotlib.
+``python docs/pictures/evaluation_driven.py report.json PICTURE.png``. Needs matplotlib.
 """
 
 import json

@@ -9,7 +9,6 @@ import pytest
 from small_surveys import run
 
 from bumpymap.cli import main
-from bumpymap.cli._options import COMMON_OPTIONS
 
 
 def command(name):
@@ -49,7 +48,6 @@ def reached(monkeypatch, tmp_path):
         return end
 
     # Modules that bind a patched name are imported before it is patched, or they would keep it.
-    import bumpymap.lab.evaluate.survey_trial
     import bumpymap.readers
     import bumpymap.survey.batch.source
     import bumpymap.survey.engine
@@ -67,8 +65,6 @@ def reached(monkeypatch, tmp_path):
     monkeypatch.setattr(bumpymap.readers, "find_surveys", ends("info"))
     monkeypatch.setattr(calibrate_command, "_calibrate", ends("calibrate"))
     monkeypatch.setattr("bumpymap.lab.require_dart", lambda: None)
-    monkeypatch.setattr("bumpymap.lab.open_readers", lambda *_, **__: [])
-    monkeypatch.setattr("bumpymap.lab.evaluate_survey", ends("evaluate survey"))
     monkeypatch.setattr(train_command, "_require_libraries", lambda: None)
     if importlib.util.find_spec("torch"):
         monkeypatch.setattr("bumpymap.lab.make_model", ends("train textures"))
@@ -84,7 +80,6 @@ WORDS = {
     "info": ["site.laz"],
     "route": ["layers", "--from", "1,1", "--to", "2,2"],
     "calibrate": ["--vehicle", "warthog", "--out", "c.json"],
-    "evaluate survey": ["site.laz", "--out", "o"],
     "evaluate scans": ["frame.bin", "--out", "o"],
     "train textures": ["--out", "m.onnx"],
     "train scans": ["drive", "--out", "m.onnx"],
@@ -96,7 +91,6 @@ SLOPES = "climb", "descent", "side_slope"
 # (command, option, value) -> where the value has to arrive.
 MEANT = {
     ("calibrate", "seed", 0): lambda got: got[0].seed,
-    ("evaluate survey", "seed", 0): lambda got: got[4].seed,
     ("train textures", "seed", 0): lambda got: got[0].seed,
     ("train scans", "seed", 0): lambda got: got[0].seed,
     ("scan", "radius_m", 0): lambda got: got[0].robot.radius_m,
@@ -195,17 +189,6 @@ def test_the_stored_command_repeats_the_run(words, reached, tmp_path, monkeypatc
 LONG = [name for name in COMMANDS if name != "settings" and not name.startswith("vehicle")]
 
 
-@pytest.mark.parametrize("name", LONG)
-def test_a_help_page_fits_a_screen_and_names_what_is_shared(name):
-    page, shared = (
-        run(*name.split(), "--help").output,
-        [each.opts[0] for each in COMMON_OPTIONS if each in options(name)],
-    )
-    assert len(page.splitlines()) <= 40
-    assert {"--quiet", "--json"} <= set(shared)
-    assert all(each in page and run("--help").output.count(f"  {each} ") == 1 for each in shared)
-
-
 @pytest.mark.parametrize("name", [name for name in LONG if name not in {"batch", "compile", "demo", "report", "info"}])
 def test_a_settings_file_names_every_setting_and_its_default(name, tmp_path, monkeypatch, reached):
     """Its lines without the # give what the command does without the file."""
@@ -256,7 +239,7 @@ def test_what_refuses_a_moved_option_names_a_command_that_prints_its_settings(na
         "map a.laz --out o --set scratch=x/NAME/y",
         "info NAME",
         "scan NAME --out o",
-        "evaluate survey NAME --out o",
+        "evaluate scans NAME --out o",
         "calibrate --out NAME",
         "train textures --out NAME",
         "demo --out NAME",

@@ -4,48 +4,18 @@ import csv
 import json
 import shlex
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
 from bumpymap.core import (
-    BumpymapError,
-    count_text,
     install_command,
-    join_lines,
     share_text,
     shares_text,
-    without_keys,
     write_csv,
 )
 from bumpymap.core.files import Each, Nullable, Number, parse_json, shape_fault
-
-
-@pytest.mark.parametrize(
-    ("lines", "text"),
-    [
-        (
-            ["the layers in x are complete", "47% of the tiles are unknown"],
-            "x are complete. 47% of the tiles are unknown",
-        ),
-        (
-            ["other inputs:", "  a.laz has changed since", "Choose another"],
-            "inputs: a.laz has changed since. Choose another",
-        ),
-        (["there are 2 errors", "  a is 1", "  b is 2", "Mend them"], "errors: a is 1; b is 2. Mend them"),
-        (["Is it?", "", "No"], "Is it? No"),
-    ],
-)
-def test_sentences_do_not_run_together(lines, text):
-    assert join_lines(lines).endswith(text)
-    assert str(BumpymapError(*lines)) == join_lines(lines)
-
-
-def test_one_is_singular():
-    assert [count_text(n, "survey") for n in (0, 1, 1200)] == ["0 surveys", "1 survey", "1,200 surveys"]
-    assert count_text(2, "tile has", "tiles have") == "2 tiles have"
 
 
 @given(st.lists(st.integers(20, 100), min_size=1, max_size=5), st.integers(0, 2))
@@ -66,9 +36,6 @@ def test_a_share_that_is_told_elsewhere_is_the_same_everywhere(counts):
 def test_small_shares_are_not_rounded_to_nothing_nor_large_ones_to_all():
     assert shares_text([1, 9999], (), 1) == ["under 0.1%", "over 99.9%"]
     assert shares_text([0, 5]) == ["0%", "100%"]
-
-
-HOUSE = Path(__file__).resolve().parents[2] / "bumpymap"
 
 
 @pytest.mark.parametrize(
@@ -95,29 +62,6 @@ def test_cells_are_text_or_numbers_and_no_formulas(tmp_path, value, cell):
     write_csv(tmp_path / "a.csv", ["one", "two"], [[value, 1]])
     with (tmp_path / "a.csv").open(encoding="utf-8", newline="") as file:
         assert list(csv.reader(file)) == [["one", "two"], [cell, "1"]]
-
-
-def test_every_table_is_written_so():
-    for file in HOUSE.rglob("*.py"):
-        text = file.read_text(encoding="utf-8")
-        assert file.match("core/files.py") or not ("csv.writer" in text or "csv.DictWriter" in text), file
-
-
-@pytest.mark.parametrize(
-    ("text", "shown"),
-    [
-        ("https://h/a/site.laz?X-Sig=k%2F.y", "https://h/a/site.laz"),
-        (
-            "cannot read https://me:word@h/a.laz?sig=k/2: 404, url='http://h/a.laz?k=1'",
-            "cannot read https://h/a.laz: 404, url='http://h/a.laz'",
-        ),
-        ("the server of http://h:80/a.ply?sig=k does not", "the server of http://h:80/a.ply does not"),
-        ("s3://bucket/night/site @ 3 m (see https://h/x?k=k).", "s3://bucket/night/site @ 3 m (see https://h/x)."),
-        ("/data/what?/a@b.laz", "/data/what?/a@b.laz"),
-    ],
-)
-def test_urls_have_no_user_and_no_query(text, shown):
-    assert without_keys(text) == shown
 
 
 SHAPE = {"a": Number(0, 9, whole=True), "b?": [str], "c?": (Nullable(Number()),) * 2, "d?": Each({"e": bool})}

@@ -1,6 +1,5 @@
 """Yards within walls, surveyed and mapped, and who gets out of them: routes, and tools that read the map."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from bumpymap.views import ExportSettings, export_map
 SIDE_M = 24.0
 LETHAL = 98
 """Above this value of a cell, planners of Nav2 do not plan."""
-TOOLS = ("cost.tif", "cost.tif on pixels", "Nav2, tiles", "Nav2, pixels", "graph")
+TOOLS = ("cost.tif", "cost.tif on pixels", "Nav2, tiles", "Nav2, pixels")
 
 
 @dataclass(frozen=True)
@@ -90,10 +89,6 @@ class Yard:
                 is_open &= distance_transform_edt(is_open) * cell > 0.5 * site.vehicle.width_m
             step = rasterio.Affine(cell, 0.0, corner.c, 0.0, -cell, corner.f)
             found[name] = self.crossed(is_open, step)
-        places = read_graph(site, layers.parent / "graph")
-        far = np.abs(self.place.in_scene(*places.T)).max(axis=0)
-        # All of its nodes are connected.
-        found[TOOLS[4]] = bool((far < 0.5 * SIDE_M - 3.0).any() and (far > 0.5 * SIDE_M + 2.0).any())
         return found
 
     def way_out(self, layers):
@@ -111,13 +106,6 @@ class Yard:
         start, goal = self.ends
         reach = bumpymap.map_reach(layers, start, snap=6.0)
         return bool(np.isfinite(reach.cost.sel(x=goal[0], y=goal[1], method="nearest")))
-
-
-def read_graph(site, folder):
-    """Export a map as a graph of all its areas; return the places of the nodes, (n, 2)."""
-    export_map(site, folder, ExportSettings(to="graph", every=1, datum=(0.0, 0.0)))
-    places = [feature["geometry"] for feature in json.loads((folder / "graph.geojson").read_text())["features"]]
-    return np.array([place["coordinates"] for place in places if place["type"] == "Point"])
 
 
 def write_points(points, path):

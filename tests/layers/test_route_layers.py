@@ -43,8 +43,8 @@ PROPERTIES = {
 STRETCH = RoadFigures(100.0, 0.0, 100.0, 5.5, 256e-6, "resolved", 0.02, 0.1, -0.03, 0.05, 0.04, 0.06, 0.25)
 
 
-def written(routes, path):
-    write_route_geojson(routes, path)
+def written(route, path):
+    write_route_geojson(route, path)
     text = path.read_text(encoding="utf-8")
     collection = json.loads(text, parse_constant=pytest.fail)
     assert collection["type"] == "FeatureCollection"
@@ -67,7 +67,7 @@ def lines_of(collection):
 def test_a_line_lies_where_the_way_is(epsg, unit, middle, tmp_path):
     corners = np.array([[0.0, 0.0], [2_500.0, 700.0], [2_600.0, -900.0]]) + middle
     route = make_route(corners=corners, georeference=Georeference(CRS.from_epsg(epsg), unit))
-    collection = written([route], tmp_path / "route.geojson")
+    collection = written(route, tmp_path / "route.geojson")
     (line,) = lines_of(collection)
     lonlat = np.array(line["geometry"]["coordinates"])
     assert np.array_equal(np.round(lonlat, 7), lonlat)
@@ -83,7 +83,7 @@ def test_a_line_lies_where_the_way_is(epsg, unit, middle, tmp_path):
 
 def test_figures_are_those_of_the_route_and_what_is_unknown_is_null(tmp_path):
     route = replace(make_route(), figures=replace(FIGURES, c_r_mean=float("nan"), p_fail_max=float("nan")))
-    (line,) = lines_of(written([route], tmp_path / "route.geojson"))
+    (line,) = lines_of(written(route, tmp_path / "route.geojson"))
     properties = line["properties"]
     assert set(properties) == PROPERTIES
     assert (properties["c_r_mean"], properties["p_fail_max"]) == (None, None)
@@ -97,8 +97,8 @@ def test_figures_are_those_of_the_route_and_what_is_unknown_is_null(tmp_path):
 def test_a_chance_to_arrive_stands_with_what_would_not_have_been_seen(tmp_path):
     route = replace(make_route(), figures=replace(FIGURES, hazard=0.0, obstacle_m=0.0, seen=SeenSizes(10.0, 0.69, 0.3)))
     route = replace(route, figures=replace(route.figures, tight_turns_deg=0.0))
-    write_gpx([route], tmp_path / "route.gpx")
-    (line,) = lines_of(written([route], tmp_path / "route.geojson"))
+    write_gpx(route, tmp_path / "route.gpx")
+    (line,) = lines_of(written(route, tmp_path / "route.geojson"))
     text = (tmp_path / "route.gpx").read_text()
     assert "arrives over 99.9% if nothing narrower than 0.7 m stands in the way" in text
     assert "if nothing narrower than 0.7 m" in line["properties"]["p_arrives_note"]
@@ -112,19 +112,18 @@ def test_iri_and_class_are_told_where_noise_lets_them(tmp_path):
     marks = ("resolved", "limited by noise", "unknown")
     roads = [replace(STRETCH, resolution=mark) for mark in marks[:2]] + [None]
     routes = [replace(make_route(), figures=replace(FIGURES, road=road), road=(STRETCH,)) for road in roads]
-    found = [line["properties"] for line in lines_of(written(routes, tmp_path / "route.geojson"))]
+    found = [lines_of(written(route, tmp_path / "route.geojson"))[0]["properties"] for route in routes]
     assert [(one["iri"], one["iso_8608"]) for one in found] == [(5.5, "C"), (None, None), (None, None)]
     assert tuple(one["iri_resolution"] for one in found) == marks
     assert all("photogrammetry" in one["iri_note"] for one in found)
-    write_route_stretches([replace(routes[0], road=(STRETCH, replace(STRETCH, iso_power=np.nan)))], tmp_path / "s.csv")
+    write_route_stretches(replace(routes[0], road=(STRETCH, replace(STRETCH, iso_power=np.nan))), tmp_path / "s.csv")
     first, second = pd.read_csv(tmp_path / "s.csv").to_dict("records")
     assert (first["iri"], first["iso_8608"], first["crossfall"], first["a_w"]) == (5.5, "C", -0.03, 0.25)
     assert pd.isna(second["iso_8608"])
 
 
-def test_stops_have_roles_and_shared_ones_are_written_once(tmp_path):
-    routes = [make_route(stops=CORNERS), make_route("alternative 1", CORNERS[[0, 2]])]
-    found = written(routes, tmp_path / "route.geojson")["features"]
+def test_stops_have_roles(tmp_path):
+    found = written(make_route(stops=CORNERS), tmp_path / "route.geojson")["features"]
     assert [feature["properties"] for feature in found if feature["geometry"]["type"] == "Point"] == [
         {"role": "start", "name": "start"},
         {"role": "via", "name": "via 1"},
@@ -134,17 +133,17 @@ def test_stops_have_roles_and_shared_ones_are_written_once(tmp_path):
 
 def test_without_a_crs_files_say_what_their_coordinates_are_and_gpx_is_refused(tmp_path):
     route = make_route(georeference=Georeference(None, 0.5))
-    collection = written([route], tmp_path / "route.geojson")
+    collection = written(route, tmp_path / "route.geojson")
     (line,) = lines_of(collection)
     np.testing.assert_allclose(line["geometry"]["coordinates"], CORNERS / 0.5, atol=1e-3)
     assert "not longitude and latitude" in collection["local_coordinates"]
     assert collection["metres_per_unit"] == 0.5
-    write_profile([route], tmp_path / "profile.csv")
+    write_profile(route, tmp_path / "profile.csv")
     table = pd.read_csv(tmp_path / "profile.csv")
     assert table[["lon", "lat"]].isna().all(axis=None)
     assert table["x"].notna().all()
     with pytest.raises(BadInputError, match="no CRS"):
-        write_gpx([route], tmp_path / "route.gpx")
+        write_gpx(route, tmp_path / "route.gpx")
     assert not (tmp_path / "route.gpx").exists()
 
 
@@ -153,7 +152,7 @@ def test_a_way_over_the_antimeridian_is_cut(tmp_path):
     east = Transformer.from_crs(CRS.from_epsg(4326), zone, always_xy=True)
     corners = np.column_stack(east.transform([179.99, -179.98, 179.995, 180.0], [-17.0, -17.01, -17.02, -17.03]))
     route = make_route(corners=corners, georeference=Georeference(zone))
-    collection = written([route], tmp_path / "route.geojson")
+    collection = written(route, tmp_path / "route.geojson")
     (line,) = lines_of(collection)
     assert line["geometry"]["type"] == "MultiLineString"
     parts = [np.array(part) for part in line["geometry"]["coordinates"]]
@@ -166,7 +165,7 @@ def test_a_way_over_the_antimeridian_is_cut(tmp_path):
     on_grid = np.hypot(*np.diff(corners, axis=0).T).sum()
     assert length == pytest.approx(on_grid, rel=2e-3)  # the scale of the projection at the edge of its zone
     assert collection["bbox"] == pytest.approx([179.99, -17.03, -179.98, -17.0], abs=1e-6)
-    write_gpx([route], tmp_path / "route.gpx")  # a point on the antimeridian is west of it
+    write_gpx(route, tmp_path / "route.gpx")  # a point on the antimeridian is west of it
     checked(tmp_path / "route.gpx")
 
 
@@ -200,10 +199,10 @@ def checked(path):
 
 def test_gdal_reads_the_track_where_the_way_is(tmp_path):
     route = make_route(stops=CORNERS)
-    write_gpx([route, make_route("two")], tmp_path / "route.gpx")
+    write_gpx(route, tmp_path / "route.gpx")
     checked(tmp_path / "route.gpx")
     _, _, geometry, columns = read(tmp_path / "route.gpx", layer="tracks", columns=["name"])
-    assert columns[0].tolist() == ["route", "two"]
+    assert columns[0].tolist() == ["route"]
     to_grid = Transformer.from_crs(CRS.from_epsg(4326), UTM.crs, always_xy=True)
     line = shapely.from_wkb(geometry)[0].geoms[0]
     ground = np.column_stack(to_grid.transform(*shapely.get_coordinates(line).T))
@@ -233,14 +232,14 @@ def test_a_track_has_every_corner_and_every_point_of_the_profile_in_order(corner
 
 
 def test_characters_that_xml_cannot_hold_are_replaced(tmp_path):
-    write_gpx([make_route("a\x00b\ud800 <&> é")], tmp_path / "route.gpx")
+    write_gpx(make_route("a\x00b\ud800 <&> é"), tmp_path / "route.gpx")
     assert checked(tmp_path / "route.gpx").findtext(f"{NAMESPACE}trk/{NAMESPACE}name") == "a?b? <&> é"
 
 
 @pytest.mark.parametrize("georeference", [UTM, Georeference(CRS.from_epsg(32614), 0.5)])
 def test_every_number_of_the_profile_is_there(georeference, tmp_path):
     route = make_route(georeference=georeference)
-    write_profile([route], tmp_path / "profile.csv")
+    write_profile(route, tmp_path / "profile.csv")
     found, profile = pd.read_csv(tmp_path / "profile.csv"), route.profile
     assert tuple(found.columns) == PROFILE_COLUMNS
     places = np.column_stack([profile.easting, profile.northing]) / georeference.metres_per_unit

@@ -3,7 +3,6 @@
 import json
 import math
 from itertools import pairwise, permutations
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,15 +17,13 @@ from bumpymap.cli import main
 from bumpymap.core import Barred, DirectionSettings, axis_values, slope_cost
 from bumpymap.route import CostSettings, ground, measure
 from bumpymap.route._search_kernels import FROM_START, NOT_REACHED
-from bumpymap.route.alternatives import find_alternatives
-from bumpymap.route.ground import CostGround, WornTiles, sample_line
-from bumpymap.route.measure import MeasuredWay, measure_way
+from bumpymap.route.ground import CostGround, sample_line
+from bumpymap.route.measure import measure_way
 from bumpymap.route.no_way import what_closes
 from bumpymap.route.pipeline import best_order
 from bumpymap.route.search import MOVES, find_way, seek, spread
 from bumpymap.route.straighten import is_clear, line_cost, trace, wide_margin
 from bumpymap.route.why import measure_straight_line
-from bumpytiles import TileWindow
 
 SIZE = 3.0
 
@@ -197,58 +194,6 @@ def test_a_start_between_obstacles_does_not_silence_it():
     assert "leave no opening as wide as the vehicle needs, 1.6 m" in no_way(
         TileMap(c_r, barred), (4.5, 3.5), (4.5, 30.5)
     )
-
-
-OWN_RISK = 300.0
-
-
-def way(ride, hazard, row, tiles=10):
-    """Return a way along a row of tiles."""
-    own = np.column_stack([np.arange(tiles), np.full(tiles, 5 * row)])
-    return MeasuredWay(np.zeros((2, 2)), SimpleNamespace(cost_m=ride + OWN_RISK * hazard, hazard=hazard), None, own)
-
-
-def planner(ways):
-    """Plan among given ways, as a search would."""
-
-    def plan(risk, worn):
-        def cost(one):
-            used = set(map(tuple, worn.tiles)) if worn is not None else set()
-            share = np.mean([tuple(tile) in used for tile in one.tiles])
-            total = one.figures.cost_m + (risk - OWN_RISK) * one.figures.hazard
-            return total * (1 + (worn.factor - 1) * share if worn is not None else 1)
-
-        return min(ways, key=cost)
-
-    return plan
-
-
-def test_the_hull_is_found_whole_and_in_order():
-    hull = [way(100, 0.5, 0), way(120, 0.3, 1), way(160, 0.1, 2), way(250, 0.0, 3)]
-    inside = [way(200, 0.4, 4), way(240, 0.2, 5)]
-    found = find_alternatives(planner([*hull, *inside]), 4, OWN_RISK)
-    assert [each for each, _ in found[:1]] == [hull[2]]
-    assert {id(each) for each, _ in found} == {id(each) for each in hull}
-    weights = {id(each): weight for each, weight in found}
-    assert weights[id(hull[1])] == pytest.approx((160 - 100) / (0.5 - 0.1))  # where its neighbours cost the same
-    costs = [each.figures.cost_m for each, _ in found[1:]]
-    assert costs == sorted(costs)
-
-
-def test_where_the_hull_ends_ways_over_other_ground_follow():
-    ways = [way(100, 0.0, 0), way(110, 0.0, 1), way(120, 0.0, 2), way(900, 0.0, 3)]
-    found = find_alternatives(planner(ways), 4, OWN_RISK)
-    assert [each for each, _ in found] == ways[:3]  # the last is not worth proposing
-
-
-@pytest.mark.parametrize("tile", [(10, 20), (13, 21)])
-def test_worn_tiles_and_those_beside_them_are_dearer(tile):
-    window = TileWindow(10, 20, 4, 3)
-    factors = WornTiles(np.array([tile, (500, 500)]), 2.0).factors(window)
-    rows, cols = np.mgrid[0:3, 0:4]
-    near = np.maximum(abs(window.row + 2 - rows - tile[1]), abs(window.col + cols - tile[0])) <= 1
-    assert factors.dtype == np.float32
-    assert (factors == np.where(near, 2.0, 1.0)).all()
 
 
 @pytest.mark.parametrize("fixed_end", [True, False])

@@ -3,7 +3,6 @@
 import json
 import math
 import shutil
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,9 +14,6 @@ from bumpymap.check.stretches import read_line
 from bumpymap.layers import open_map
 from bumpymap.rating import Calibration, map_calibration
 from bumpymap.route import LineVehicle, RouteConfig, plan_routes
-from bumpymap.route.line_ride import with_line_rides
-from bumpymap.route.measure import measure_way
-from bumpymap.route.pipeline import _opened
 
 WAVE_M, HEIGHT_M, SIDE_M = 3.0, 0.04, 30.0
 WEST, SOUTH = 500_001.0, 4_000_002.0
@@ -197,18 +193,10 @@ def test_another_calibration_is_refused_and_a_route_does_without(waves, tmp_path
     manifest["calibration"]["id"] = "of-my-own"
     (layers / "run.json").write_text(json.dumps(manifest))
     result = plan_routes(RouteConfig(layers=layers, start="500006,4000017", goal="500026,4000017"))
-    assert math.isnan(result.routes[0].figures.c_r_line)
+    assert math.isnan(result.route.figures.c_r_line)
     assert (
         "the ride of the line itself is not known: the map was made with the calibration of-my-own" in result.notes[-1]
     )
-
-
-def test_of_ways_whose_tiles_cost_alike_the_calm_line_comes_first(waves):
-    with _opened(RouteConfig(layers=Path(waves), start="500006,4000017")) as ground:
-        ways = [(measure_way(ground, np.array(line), np.array(line)), 1.0) for line in (across(), along())]
-        found, (remark,) = with_line_rides(ground, ways, None)
-    assert [way.line.tolist() for way, _ in found] == np.array([along(), across()]).tolist()
-    assert "the first way is the best by the ride of its line" in remark
 
 
 def test_a_route_tells_the_ride_of_its_line(waves):

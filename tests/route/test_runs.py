@@ -23,7 +23,7 @@ from bumpymap.core import NO_TILE, BadInputError, Barred, Georeference, OutputEr
 from bumpymap.layers import Placement, ReachField, open_map
 from bumpymap.route import CostSettings, RouteConfig, output as folder_module, parse_point, plan_routes
 from bumpymap.route.ground import CostGround
-from bumpymap.route.output import REACH_KINDS, ROUTE_FILES, ROUTE_KINDS, check_out, write_reach_files, write_routes
+from bumpymap.route.output import REACH_KINDS, ROUTE_FILES, ROUTE_KINDS, check_out, write_reach_files, write_route
 from bumpymap.route.places import place_in_window
 from bumpymap.route.planner import Planner
 from bumpymap.route.stops import find_stops, usable_point
@@ -53,14 +53,14 @@ def reach():
 
 
 def write(out, source, **options):
-    return write_routes([make_route()], source, out, manifest=SETTINGS, **options)
+    return write_route(make_route(), source, out, manifest=SETTINGS, **options)
 
 
 def test_a_folder_gets_every_file_and_the_manifest(source, tmp_path):
     out = tmp_path / "new" / "routes"
     check_out(out, ROUTE_KINDS, overwrite=False)
     assert not out.exists()
-    files = write_routes([make_route(), make_route("two", stops=CORNERS)], source, out, manifest=SETTINGS)
+    files = write_route(make_route(stops=CORNERS), source, out, manifest=SETTINGS)
     assert sorted(files_in(out)) == EVERY
     assert [path.name for path in files] == [name for name in ROUTE_FILES.names if name in EVERY]
     record = json.loads((out / "route.json").read_text())
@@ -68,8 +68,8 @@ def test_a_folder_gets_every_file_and_the_manifest(source, tmp_path):
     assert record["settings"] == SETTINGS["settings"]
     assert record["calibration"]["id"] == "c0ffee"
     assert "bumpymap" in record["versions"]
-    assert [route["name"] for route in record["routes"]] == ["route", "two"]
-    assert [stop["name"] for stop in record["routes"][1]["stops"]] == ["start", "via 1", "goal"]
+    assert [route["name"] for route in record["routes"]] == ["route"]
+    assert [stop["name"] for stop in record["routes"][0]["stops"]] == ["start", "via 1", "goal"]
     assert record["routes"][0]["stops"][0]["x"] == CORNERS[0, 0]
     assert record["notes"] == []
     for entry in record["files"]:
@@ -108,7 +108,7 @@ def test_files_of_an_earlier_run_are_replaced_only_if_allowed_and_links_are_not_
 def test_without_a_crs_gpx_is_left_out_and_said(source, tmp_path, caplog):
     route = make_route(georeference=Georeference(None))
     with caplog.at_level(logging.WARNING):
-        files = write_routes([route], source, tmp_path, manifest={})
+        files = write_route(route, source, tmp_path, manifest={})
     assert sorted(files_in(tmp_path)) == [name for name in EVERY if name != "route.gpx"]
     assert "route.gpx" not in {path.name for path in files}
     assert "no CRS" in caplog.text
@@ -116,7 +116,7 @@ def test_without_a_crs_gpx_is_left_out_and_said(source, tmp_path, caplog):
     assert "no CRS" in record["notes"][0]
     assert "lon" not in record["routes"][0]["stops"][0]
     with pytest.raises(BadInputError, match="no CRS"):
-        write_routes([route], source, tmp_path / "way.gpx", manifest={})
+        write_route(route, source, tmp_path / "way.gpx", manifest={})
 
 
 @pytest.mark.parametrize(
@@ -359,7 +359,7 @@ def test_points_on_the_sides_of_the_map_lie_in_their_tiles(layers):
     with pytest.raises(BadInputError, match="unknown ground"):
         stops(layers, start=corner)
     found = plan_routes(RouteConfig(layers.folder, start=place(ROWS, COLS - 0.5), goal=GOAL))
-    assert found.routes[0].stops[0].tolist() == [(WEST + COLS - 0.5) * 3.0, SOUTH * 3.0]
+    assert found.route.stops[0].tolist() == [(WEST + COLS - 0.5) * 3.0, SOUTH * 3.0]
 
 
 @pytest.mark.parametrize("south", [712_000, 1_700_001, -3])

@@ -1,4 +1,4 @@
-"""Steps between flight lines: told, taken off by ``map --align``, and left alone where nothing explains them."""
+"""Steps between flight lines: told, and nothing else."""
 
 import json
 
@@ -10,7 +10,7 @@ from small_surveys import layers_of, run, write_las
 
 from bumpymap.readers import LineSums
 from bumpymap.readers._kernels import LinedPoints
-from bumpymap.survey.flight_lines import LineCells, compare_lines, describe_lines, left_after, steps_between_lines
+from bumpymap.survey.flight_lines import compare_lines, describe_lines
 
 pytestmark = pytest.mark.slow
 
@@ -42,58 +42,45 @@ def constant(value):
 
 
 def compared(points):
-    """Pairs of lines with what is taken off, and their steps, cell by cell, before and after."""
-    sums = LineSums.of(points)
-    found, steps = compare_lines(sums, adjust=True), steps_between_lines(LineCells.of(sums))
-    return found, steps.step, left_after(steps, found.corrections)
+    return compare_lines(LineSums.of(points))
 
 
 @pytest.mark.parametrize(("step", "density"), [(-0.04, 4), (0.3, 60)])
-def test_a_constant_step_is_told_and_taken_off(step, density):
-    found, _, left = compared(strips([constant(0.0), constant(step)], density=density))
-    (pair,) = found.pairs
+def test_a_constant_step_is_told(step, density):
+    (pair,) = compared(strips([constant(0.0), constant(step)], density=density)).pairs
     assert abs(pair.step - step) < 0.005
-    assert found.method == "offset"
-    assert abs(np.median(left)) < 0.003
 
 
-def test_a_tilt_is_told_and_taken_off():
-    found, before, left = compared(strips([constant(0.0), lambda x, y: 0.02 + 0.003 * (x - 45) + 0 * y]))
-    (pair,) = found.pairs
+def test_a_tilt_is_told():
+    (pair,) = compared(strips([constant(0.0), lambda x, y: 0.02 + 0.003 * (x - 45) + 0 * y])).pairs
     assert pair.tilt == pytest.approx((0.003, 0.0), abs=3e-4)
     assert pair.step == pytest.approx(0.02, abs=0.005)
-    assert found.method == "tilt"
-    assert np.median(np.abs(left)) < 0.01 < np.median(np.abs(before))
 
 
 def test_a_chain_of_four_lines():
     offsets = (0.0, 0.05, -0.03, 0.02)
-    found, *_ = compared(strips([constant(value) for value in offsets], overlap=0.4))
+    found = compared(strips([constant(value) for value in offsets], overlap=0.4))
     assert [pair.lines for pair in found.pairs] == [(1, 2), (2, 3), (3, 4)]
     assert [pair.step for pair in found.pairs] == pytest.approx(np.diff(offsets), abs=0.005)
-    taken = [own.offset for own in found.corrections]
-    assert taken == pytest.approx(np.array(offsets) - np.mean(offsets), abs=0.006)
 
 
 @pytest.mark.parametrize("errors", [[constant(0.0)], [constant(0.0), constant(0.0)]])
-def test_nothing_is_taken_off_where_nothing_is_wrong(errors):
-    found, *_ = compared(strips(errors))
-    assert (found.corrections, found.lines) == ((), len(errors))
+def test_nothing_is_told_where_nothing_is_wrong(errors):
+    found = compared(strips(errors))
+    assert found.lines == len(errors)
     assert found.largest < 0.005
-    assert describe_lines(found, "report") == describe_lines(found, "on") == ""
+    assert describe_lines(found) == ""
 
 
-def test_waves_of_a_bad_boresight_are_told_and_not_made_worse():
-    found, before, left = compared(strips([constant(0.0), lambda x, y: 0.1 * np.sin(y / 5) + 0 * x]))
-    assert np.median(np.abs(left)) <= 1.02 * np.median(np.abs(before))
+def test_waves_of_a_bad_boresight_are_told_as_spread():
+    found = compared(strips([constant(0.0), lambda x, y: 0.1 * np.sin(y / 5) + 0 * x]))
     assert found.pairs[0].spread > 0.04
 
 
-def test_heights_that_are_metres_apart_are_told_and_left_alone():
-    found, *_ = compared(strips([constant(0.0), constant(30.0)]))
+def test_heights_that_are_metres_apart_are_told():
+    found = compared(strips([constant(0.0), constant(30.0)]))
     assert found.pairs[0].step == pytest.approx(30.0, abs=0.01)
-    assert found.corrections == ()
-    assert "Neither an offset nor a tilt" in describe_lines(found, "report")
+    assert "Have the producer do a strip adjustment" in describe_lines(found)
 
 
 def test_only_ground_is_compared_where_the_survey_is_classified():
@@ -101,7 +88,7 @@ def test_only_ground_is_compared_where_the_survey_is_classified():
     rng = np.random.default_rng(1)
     wood = rng.random(len(points.x)) < 0.5
     higher = points._replace(z=points.z + wood * (8.0 + 0.5 * points.line), kind=(~wood).astype(np.uint8))
-    found, *_ = compared(higher)
+    found = compared(higher)
     assert abs(found.pairs[0].step - 0.04) < 0.005
 
 
@@ -151,47 +138,37 @@ def stepped(tmp_path_factory):
     return write(tmp_path_factory.mktemp("stepped") / "a.laz", two_strips(STEP))
 
 
-@pytest.fixture(scope="module")
-def aligned(stepped, tmp_path_factory):
-    out = tmp_path_factory.mktemp("aligned") / "layers"
-    said = mapped(out, stepped, "--align", "on")
-    assert "an offset of each line was taken off" in " ".join(said.split())
-    return out
-
-
-def test_a_step_is_reported_and_reads_as_roughness(stepped, aligned, tmp_path):
+def test_a_step_is_reported_and_reads_as_roughness(stepped, tmp_path):
     single = write(tmp_path / "single.laz", two_strips(0.0))
     mapped(tmp_path / "single", single)
     said = mapped(tmp_path / "report", stepped)
     assert "heights of 1 and 2 differ by 4.0 cm" in " ".join(said.split())
     (pair,) = lines_of(tmp_path / "report")["pairs"]
     assert abs(pair["step"] - STEP) < 0.002
-    wanted, rough, smooth = (overlap_c_r(out) for out in (tmp_path / "single", tmp_path / "report", aligned))
+    wanted, rough = (overlap_c_r(out) for out in (tmp_path / "single", tmp_path / "report"))
     assert rough > 1.1 * wanted
-    assert smooth == pytest.approx(wanted, rel=0.05)
-    assert lines_of(aligned)["pairs"][0]["largest"] < 0.002
-    assert lines_of(aligned)["before"] == lines_of(tmp_path / "report")["pairs"]
 
 
 def test_off_measures_nothing_and_report_changes_no_height(stepped, tmp_path):
     for align in ("off", "report"):
         mapped(tmp_path / align, stepped, "--align", align)
     assert layers_of(tmp_path / "off") == layers_of(tmp_path / "report")
-    assert lines_of(tmp_path / "off") == {"lines": 0, "pairs": [], "method": "none", "corrections": [], "before": []}
+    assert lines_of(tmp_path / "off") == {"lines": 0, "pairs": []}
     again = mapped(tmp_path / "report", stepped)
     assert "Already done" in again
     assert "heights of 1 and 2 differ" in " ".join(again.split())
 
 
 @pytest.mark.parametrize("on_cluster", [False, pytest.param(True, marks=pytest.mark.later)])
-def test_files_order_chunks_and_threads_change_no_byte(aligned, tmp_path, limit_points, request, on_cluster):
+def test_files_order_chunks_and_threads_change_no_byte(stepped, tmp_path, limit_points, request, on_cluster):
     workers = ("--set", f"scheduler={request.getfixturevalue('dask_scheduler')}") if on_cluster else ()
+    mapped(tmp_path / "one", stepped)
     limit_points(chunk=2_000, waiting=6_000)
     rows = np.random.default_rng(5).permutation(two_strips(STEP))
     files = [write(tmp_path / f"{n}.las", part) for n, part in enumerate(np.array_split(rows, 3))][::-1]
-    mapped(tmp_path / "out", *files, "--align", "on", "--threads", 2, *workers)
-    assert layers_of(tmp_path / "out") == layers_of(aligned)
-    assert lines_of(tmp_path / "out") == lines_of(aligned)
+    mapped(tmp_path / "out", *files, "--threads", 2, *workers)
+    assert layers_of(tmp_path / "out") == layers_of(tmp_path / "one")
+    assert lines_of(tmp_path / "out") == lines_of(tmp_path / "one")
 
 
 def test_info_tells_the_step_of_a_file_and_of_all(stepped, tmp_path):
@@ -201,4 +178,4 @@ def test_info_tells_the_step_of_a_file_and_of_all(stepped, tmp_path):
     files = [write(tmp_path / f"{line}.laz", rows[rows[:, 3] == line]) for line in (1, 2)]
     text = " ".join(run("info", *files).output.split())
     assert "heights of 1 and 2 differ by 4.0 cm" in text
-    assert "--align on takes an offset of each line off" in text
+    assert "strip adjustment" in text

@@ -1,4 +1,4 @@
-"""Inputs: files that change under a run, that do not fit, with odd names, in a folder of an EPT, or at a signed URL."""
+"""Inputs: files that change under a run, that do not fit, or with odd names."""
 
 import json
 import os
@@ -11,14 +11,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import rasterio
-from epts import write_ept
-from range_server import serving
 from small_surveys import layers_of, run, write_las, write_survey
 
 import bumpymap
 from bumpymap import layers
-from bumpymap.core import recorded_place
-from bumpymap.core.errors import BadInputError, OutputError
+from bumpymap.core.errors import BadInputError
 from bumpymap.readers import PointStats, hash_survey, open_survey
 from bumpymap.readers.frames import read as scan_files
 from bumpymap.readers.las import LasSurvey
@@ -253,84 +250,3 @@ def test_scan(folder):
         f"{name}.{ending}" for name in names for ending in ("json", "ply", "png")
     }
     assert rasterio.open((out / "map" / "rasters/class.tif").open("rb")).width > 0
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    """A LAZ file, and an EPT of its points whose nodes have offsets of their own."""
-    folder, rng = tmp_path_factory.mktemp("made"), np.random.default_rng(1)
-    x, y = rng.uniform(0.01, 190.0, (2, 100_000))
-    z = 0.2 * np.sin(9 * x) * np.sin(8 * y)
-    file = write_las(folder / "site.laz", x + 500_016.0, y + 4_000_032.0, z, classification=rng.integers(1, 7, 100_000))
-    return file, write_ept(folder / "site", file, levels=2, split=1, offsets=True)
-
-
-def test_an_ept_is_one_input_and_known_again(made, tmp_path):
-    path, out = made[1], tmp_path / "out"
-    (told,) = json.loads(run("info", path.parent, "--quick", "--json").stdout)["files"]
-    assert (told["path"], told["format"].split(" (")[0]) == (str(path), "EPT of 21 nodes")
-    assert run("map", path, "--out", out).exit_code == 0
-    record = json.loads((out / "run.json").read_text())
-    (known,) = record["inputs"]
-    assert (known["path"], known["points"], record["survey"]["name"]) == (str(path), 100_000, "site")
-    assert known["bytes"] == sum(file.stat().st_size for file in path.parent.rglob("*.*"))
-    assert known["checksum"] == record["survey"]["checksum"] == hash_survey(path)
-    node = path.parent / "ept-data/1-0-0-0.laz"
-    os.utime(node, ns=(0, node.stat().st_mtime_ns + 1_000_000_000))
-    assert run("map", path, "--out", out).output.startswith("Already done")
-    spoilt = bytearray(whole := node.read_bytes())
-    spoilt[-100] ^= 1
-    node.write_bytes(spoilt)
-    changed = run("map", path, "--out", out)
-    node.write_bytes(whole)
-    assert (changed.exit_code, "other inputs" in changed.output) == (3, True), changed.output
-
-
-def test_an_ept_with_a_damaged_node_is_skipped_as_a_whole(made, tmp_path):
-    ept = write_ept(tmp_path / "site", made[0], levels=1)
-    good = write_survey(tmp_path / "good.laz")
-    node = ept.parent / "ept-data/1-1-1-0.laz"
-    data = bytearray(node.read_bytes())
-    data[-3000:-100] = bytes(2900)
-    node.write_bytes(data)
-    assert run("map", good, "--out", tmp_path / "alone").exit_code == 0
-    result = run("map", tmp_path, "--out", tmp_path / "out", "--skip-bad")
-    assert result.exit_code == 4, result.output
-    record = json.loads((tmp_path / "out" / "run.json").read_text())
-    assert [*record["skipped"]] == [str(ept)]
-    assert str(node) in record["skipped"][str(ept)]
-    assert layers_of(tmp_path / "out") == layers_of(tmp_path / "alone")
-
-
-SAMPLE = Path(__file__).resolve().parents[2] / "sample_data"
-
-
-@pytest.fixture
-def address():
-    pytest.importorskip("aiohttp")
-    with serving(SAMPLE) as (found, handler):
-        handler.headers_beside = {"ETag": '"version 1"'}  # by which a later run knows that it is the same file
-        yield found
-
-
-def test_no_file_of_a_map_holds_the_key_of_its_survey(address, tmp_path):
-    url = f"{address}/quarry.laz?X-Signature=SECRETKEY"
-    layers = bumpymap.map_survey(url, out=tmp_path / "out")
-    held = [path.name for path in (tmp_path / "out").rglob("*") if path.is_file() and b"SECRETKEY" in path.read_bytes()]
-    assert held == []
-    (known,) = layers.manifest["inputs"]
-    assert known["path"] == recorded_place(url)
-    assert known["path"].startswith(f"{address}/quarry.laz?left-out=")
-    again = bumpymap.map_survey(url, out=tmp_path / "out")
-    assert again.manifest == layers.manifest
-    with pytest.raises(OutputError, match="other inputs"):
-        bumpymap.map_survey(url.replace("SECRETKEY", "ANOTHER"), out=tmp_path / "out")
-
-
-def test_urls_with_other_keys_are_told_apart_and_others_stay_as_they_are():
-    plain = ["https://example.org/a.laz", "s3://bucket/a.laz", "/data/a.laz?b", Path("a?b.laz"), "memory://a.laz"]
-    assert [recorded_place(place) for place in plain] == [str(place) for place in plain]
-    signed = ["https://example.org/get?file=a", "https://example.org/get?file=b", "https://me:word@example.org/get"]
-    named = {recorded_place(place) for place in signed}
-    assert len(named) == 3
-    assert all(name.startswith("https://example.org/get?left-out=") for name in named)

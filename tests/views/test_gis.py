@@ -31,7 +31,7 @@ from bumpymap.layers import Placement, ReachField, colours, open_map, write_prod
 from bumpymap.layers.check_vectors import OFF_KINDS, MapOffset
 from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.rating import Calibration
-from bumpymap.route.output import write_reach_files, write_routes
+from bumpymap.route.output import write_reach_files, write_route
 from bumpymap.views import write_map_views
 from bumpymap.views.gis.project import write_project
 from bumpymap.views.gis.styles import write_styles
@@ -371,7 +371,7 @@ def strange_fixture(tmp_path_factory, on_site):
     pair = [replace(made, georeference=Georeference(STRANGE_CRS)) for made in (survey(1), survey(3, rut=0.1, c_r=3.0))]
     maps = [write_folder(root / name, made, **about) for name, made in zip(("before", "map"), pair, strict=True)]
     found, ground = on_site(made_up_check(50), maps[1])
-    write_routes([make_route(STRANGE), make_route("another")], ground, root / "route", manifest={})
+    write_route(make_route(STRANGE), ground, root / "route", manifest={})
     write_check(found, root / "check", ground=ground)
     bumpymap.diff_surveys(*maps, root / "diff")
     return root
@@ -429,8 +429,8 @@ def over_map(project, shown, hidden=frozenset()):
 @pytest.mark.qgis
 def test_ways_and_what_can_be_reached_are_drawn_over_the_map(tmp_path, site):
     ways, reach, source = tmp_path / "way", tmp_path / "reach", open_map(site)
-    found = [make_route(), make_route(name="it's another")]
-    write_routes(found, source, ways, manifest={})
+    way = make_route(name="it's a way")
+    write_route(way, source, ways, manifest={})
     values = np.arange(12, dtype=np.float32).reshape(3, 4)
     field = ReachField(Placement(UTM, Grid(), TileWindow(110_000, 680_000, 4, 3)), values, values / 4)
     write_reach_files(field, source, CORNERS[0], reach, levels=[1, 0.5], manifest={})
@@ -438,7 +438,7 @@ def test_ways_and_what_can_be_reached_are_drawn_over_the_map(tmp_path, site):
     over_map(seen, {"route_geojson_stops", "route_geojson_ways", "cost_fgb_closed", "class_tif", "relief_tif"})
     drawn = [seen["layers"][f"bumpymap_route_geojson_{part}"]["drawn"] for part in ("stops", "ways")]
     assert drawn[0] == {"start": 1, "goal": 1}
-    assert {label.split(":")[0]: count for label, count in drawn[1].items()} == {way.name: 1 for way in found}
+    assert {label.split(":")[0]: count for label, count in drawn[1].items()} == {way.name: 1}
     seen = load(reach)
     over_map(seen["project"], {"isochrones_geojson", "reach_tif_minutes", "relief_tif"}, {"reach_tif_cost"})
     layers = seen["project"]["layers"]

@@ -1,10 +1,8 @@
-"""Maps and graphs for Nav2, read by ports of the rules of their readers in Nav2, and what holds for every export.
+"""Maps for Nav2, read by ports of the rules of their readers in Nav2, and what holds for every export.
 
 github.com/ros-navigation/navigation2: nav2_map_server/src/map_io.cpp (loadMapYaml, loadMapFromFile, mode raw),
 nav2_costmap_2d/plugins/static_layer.cpp (interpretValue), nav2_costmap_2d/src/costmap_2d.cpp (a costmap of an
-occupancy grid), plugins/costmap_filters/speed_filter.cpp, nav2_smac_planner/src/node_2d.cpp (getTraversalCost);
-nav2_route: src/plugins/graph_file_loaders/geojson_graph_file_loader.cpp, and src/route_planner.cpp (which cost of an
-edge counts).
+occupancy grid), plugins/costmap_filters/speed_filter.cpp, nav2_smac_planner/src/node_2d.cpp (getTraversalCost).
 """
 
 import json
@@ -16,10 +14,6 @@ import rasterio
 import yaml
 from PIL import Image
 from pyproj import CRS, Geod
-from route_oracles import by_heading, move_graph, smooth_field, with_slope
-from scipy.ndimage import gaussian_filter, generate_binary_structure, label
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components, dijkstra
 from small_surveys import files_in, write_survey
 
 import bumpymap
@@ -27,18 +21,12 @@ from bumpymap.core import (
     NO_TILE,
     BadInputError,
     Barred,
-    DirectionSettings,
     Georeference,
     OutputError,
     UsageError,
-    corners_join,
 )
 from bumpymap.layers import open_map
-from bumpymap.route import CostSettings
-from bumpymap.route.ground import CostGround
-from bumpymap.route.measure import measure_way
 from bumpymap.views import ExportSettings, export_map
-from bumpymap.views.export.graph import SQUARES, Directions, FreeGround, join, line_cost, thin
 
 FREE, LETHAL, INSCRIBED, NO_INFORMATION = 0, 254, 253, 255
 
@@ -238,7 +226,7 @@ def test_parameters_fit_together(whole):
 
 
 def test_what_cannot_be_exported(route_map, tmp_path, monkeypatch):
-    for wrong in ({"to": "ros"}, {"max_cost": 1.0}, {"every": 0}, {"around": (float("inf"), 0.0)}):
+    for wrong in ({"to": "ros"}, {"max_cost": 1.0}, {"resolution": "cm"}, {"around": (float("inf"), 0.0)}):
         with pytest.raises(UsageError, match=next(iter(wrong))):
             ExportSettings(**wrong)
     with pytest.raises(BadInputError, match="nothing of the map lies within"):
@@ -250,7 +238,7 @@ def test_what_cannot_be_exported(route_map, tmp_path, monkeypatch):
     assert not (tmp_path / "out").exists()
 
 
-GRAPH, NAV2 = ExportSettings(to="graph"), ExportSettings(to="nav2")
+GRIDMAP, NAV2 = ExportSettings(to="gridmap"), ExportSettings(to="nav2")
 
 
 def test_an_export_is_replaced_only_if_asked_other_files_stay_and_links_are_not_followed(
@@ -265,16 +253,16 @@ def test_an_export_is_replaced_only_if_asked_other_files_stay_and_links_are_not_
         export_map(easy_map, out, NAV2)
     done = export_map(easy_map, out, NAV2, overwrite=True)
     assert json.loads((out / "datum.json").read_text()) == done.record
-    for options, told in ((NAV2, "`overwrite=True`"), (GRAPH, "in another format")):
+    for options, told in ((NAV2, "`overwrite=True`"), (GRIDMAP, "in another format")):
         with pytest.raises(OutputError, match=told):
-            export_map(easy_map, out, options, overwrite=options is GRAPH)
+            export_map(easy_map, out, options, overwrite=options is GRIDMAP)
     assert mine.read_text() == (out / "notes.txt").read_text() == "mine"
     assert not (out / "map.pgm").is_symlink()
     before = files_in(easy_folder)
-    (tmp_path / "odd" / "graph.geojson").mkdir(parents=True)
+    (tmp_path / "odd" / "gridmap.mcap").mkdir(parents=True)
     for place, told in ((easy_folder, "holds the layers of a run"), (mine, "a file"), (tmp_path / "odd", "not a file")):
         with pytest.raises(OutputError, match=told):
-            export_map(easy_map, place, GRAPH, overwrite=True)
+            export_map(easy_map, place, GRIDMAP, overwrite=True)
     assert files_in(easy_folder) == before
 
 
@@ -300,168 +288,3 @@ def test_the_datum_says_where_the_frame_lies(easy_map, make_field, write_map, tm
             assert azimuth == pytest.approx(bearing, abs=1e-3)
             assert length == pytest.approx(50.0 / datum["grid_scale"], rel=1e-5)
         assert abs(datum["grid_convergence_deg"]) > 0.1
-
-
-def load_graph(path):
-    """Nodes (points) by id, edges (lines) as start, end, cost; what the loader requires is there."""
-    nodes, edges, ids = {}, [], []
-    for feature in json.loads(path.read_text())["features"]:
-        properties, geometry = feature["properties"], feature["geometry"]
-        ids.append(properties["id"])
-        if geometry["type"] == "Point":
-            assert properties["frame"] == "map"
-            nodes[properties["id"]] = tuple(geometry["coordinates"][:2])
-        else:
-            assert geometry["type"] in {"LineString", "MultiLineString"}
-            assert properties["startid"] in nodes
-            assert properties["endid"] in nodes
-            assert properties["cost"] > 0.0
-            assert not properties["overridable"], "scorers would take its place"
-            assert geometry["coordinates"][0] == [list(nodes[properties[end]]) for end in ("startid", "endid")]
-            edges.append((properties["startid"], properties["endid"], properties["cost"]))
-    assert nodes
-    assert edges
-    assert len(set(ids)) == len(ids)
-    assert all(type(one) is int and one >= 0 for one in ids)
-    return nodes, edges
-
-
-def pixel_factor(route_map):
-    """Cost of a metre on each pixel, inf where the middle of the vehicle cannot be, as the files say it."""
-    with rasterio.open(route_map.folder / "rasters/passage.tif") as file:
-        passage = file.read(1)
-    field = route_map.read(route_map.window)
-    cost = field.rule.cost(field.c_r.astype(float), field.rule.hazard(field.p_fail))
-    pixels = route_map.grid.pixels
-    cost = np.repeat(np.repeat(np.where(np.isnan(cost), np.inf, cost), pixels, 0), pixels, 1)
-    return np.where((passage > 0) & (passage < 255), cost, np.inf)
-
-
-def places_of(route_map, nodes):
-    """Row and column of the pixel of each node, (n, 2), in the rasters of a map; the datum is (0, 0)."""
-    window, size = route_map.window, route_map.grid.pixel_size
-    x, y = np.array([nodes[number] for number in range(len(nodes))]).T
-    bounds = route_map.grid.window_bounds(window)
-    return np.floor(np.column_stack([bounds.north - y, x - bounds.west]) / size).astype(int)
-
-
-def test_edges_of_a_map_cost_what_a_route_along_them_does(route_map, tmp_path):
-    weights = {"climb": 8.0, "descent": 3.0, "side_slope": 2.0}
-    ground = CostGround(route_map, CostSettings(**weights), 10**7)
-    for to, more in (("sloped", weights), ("plain", {}), ("level", {"direction": False})):
-        export_map(route_map, tmp_path / to, ExportSettings(to="graph", datum=(0.0, 0.0), **more))
-    nodes, edges = load_graph(tmp_path / "sloped" / "graph.geojson")
-    cost = np.array([cost for _, _, cost in edges[::7]])
-    lines = [np.array([nodes[first], nodes[second]]) for first, second, _ in edges[::7]]
-    wanted = np.array([measure_way(ground, line, line).figures.cost_m for line in lines])
-    whole = np.isfinite(
-        wanted
-    )  # places in metres are rounded: a line over corners may touch the closed tile beside them
-    assert whole.mean() > 0.9
-    np.testing.assert_allclose(cost[whole], wanted[whole], rtol=1e-6)
-    assert (tmp_path / "plain" / "graph.geojson").read_bytes() == (tmp_path / "level" / "graph.geojson").read_bytes()
-
-
-@pytest.mark.parametrize("every", [1, 9])
-@pytest.mark.parametrize("which", ["easy_map", "route_map"])
-def test_the_graph_joins_what_pixels_join_by_edges_over_free_pixels_at_their_cost(request, tmp_path, which, every):
-    """Of the largest piece of free pixels, over sides and corners, every area has a node, and no other."""
-    site = request.getfixturevalue(which)
-    done = export_map(site, tmp_path / "out", ExportSettings(to="graph", every=every, datum=(0.0, 0.0)))
-    nodes, edges = load_graph(tmp_path / "out" / "graph.geojson")
-    assert done.record["graph"]["nodes"] == len(nodes)
-    assert done.record["graph"]["edges"] == len(edges)
-    width, size = site.vehicle.width_m, site.grid.pixel_size
-    assert corners_join(width, 0.5 * width + 0.1, size)
-    factor, pixels = pixel_factor(site), places_of(site, nodes)
-    start, end, cost = (np.array(part) for part in zip(*edges, strict=True))
-    expected = size * line_cost(factor, pixels[start], pixels[end], corners=True)
-    np.testing.assert_allclose(cost, expected, rtol=1e-6)
-    back = {(one, other): price for one, other, price in edges}
-    assert len(back) == len(edges)
-    assert all(back[other, one] == price for one, other, price in edges)
-    graph = coo_array((np.ones(len(start)), (start, end)), shape=(len(nodes),) * 2)
-    assert connected_components(graph, directed=True, connection="strong")[0] == 1
-    pieces = label(np.isfinite(factor), generate_binary_structure(2, 2))[0]
-    largest = np.bincount(pieces.ravel())[1:].argmax() + 1
-    assert (pieces[tuple(pixels.T)] == largest).all()
-    if every == 1:
-        side = site.grid.pixels
-        reached = np.unique(pixels // side, axis=0)
-        open_tiles = np.argwhere((pieces == largest).reshape(site.window.rows, side, -1, side).any(axis=(1, 3)))
-        assert np.array_equal(reached, open_tiles)
-
-
-def test_strips_and_parts_of_any_size_give_the_same_bytes(route_map, tmp_path, monkeypatch):
-    about = ExportSettings(to="graph", every=9)
-    export_map(route_map, tmp_path / "whole", about)
-    monkeypatch.setattr("bumpymap.views.export.graph._STRIP_PIXELS", 1)
-    monkeypatch.setattr("bumpymap.views.export.graph._CHUNK", 500)
-    export_map(route_map, tmp_path / "parts", about)
-    whole, parts = (tmp_path / name / "graph.geojson" for name in ("whole", "parts"))
-    assert whole.read_bytes() == parts.read_bytes()
-
-
-def make_lattice(factor, largest, origin=(0, 0), *, corners=False):
-    """The graph of tiles of one pixel each that cost ``factor``."""
-    free = np.isfinite(factor)
-    ground = FreeGround(factor, 1, lambda rows, cols: free[rows.start : rows.stop, cols.start : cols.stop], corners)
-    return join(ground, thin(ground, largest, origin)[1])
-
-
-def test_each_direction_of_an_edge_has_its_own_cost_and_barred_ones_have_no_edge():
-    """On open tiles of one pixel, the cheapest ways are those of a search by the same eight moves."""
-    rng = np.random.default_rng(5)
-    cost = with_slope(rng, by_heading(rng, smooth_field(rng, (14, 17))), steepest=0.25)
-    rules = DirectionSettings(climb=6.0, descent=2.0, side_slope=3.0, side_limit=math.degrees(math.atan(0.25)))
-    factor, directions = cost.tiles[..., 0].astype(float), Directions(rules, 1, cost.tiles, cost.gradient)
-    ground = FreeGround(factor, 1, lambda rows, cols: factor[rows, cols] > 0.0, directions=directions)
-    lattice = join(ground, thin(ground, 1, (0, 0))[1])
-    number = lattice.row * 17 + lattice.col
-    first, second = number[lattice.first], number[lattice.second]
-    ends = np.concatenate([first, second]), np.concatenate([second, first])
-    found = coo_array((np.concatenate([lattice.cost, lattice.back]), ends), shape=(14 * 17,) * 2)
-    moves = np.array([(row, col) for row in (-1, 0, 1) for col in (-1, 0, 1) if row or col])
-    wanted = move_graph(cost, moves, 0.0)
-    np.testing.assert_allclose(dijkstra(found), dijkstra(wanted), rtol=1e-9)
-    assert wanted.nnz == found.nnz < 1600  # of 1,722
-    assert (lattice.cost != lattice.back).all()
-    askew = np.array([[1.0, np.inf], [np.inf, 1.0]])  # two open tiles that touch at a corner
-    for corners, price in ((False, np.inf), (True, np.sqrt(2.0))):
-        assert line_cost(askew, np.array([[0, 0]]), np.array([[1, 1]]), corners=corners) == pytest.approx(price)
-
-
-def field(seed, closed, size=(40, 50)):
-    """Smooth costs from 1 upward; patches of closed ground, and single closed tiles."""
-    rng = np.random.default_rng(seed)
-    factor = 1.0 + gaussian_filter(rng.gamma(1.0, 8.0, size), 3.0)
-    patches = gaussian_filter(rng.random(size), 1.0)
-    factor[(patches < np.quantile(patches, closed)) | (rng.random(size) < closed / 10)] = np.inf
-    return factor
-
-
-@pytest.mark.parametrize("corners", [False, True])
-@pytest.mark.parametrize("seed", range(3))
-def test_thinning_cuts_nothing_off(seed, corners):
-    """What is connected over sides of tiles, or over corners too, is connected in the graph, and nothing else is."""
-    factor = field(seed, 0.6 if corners else 0.45)
-    parts, count = label(np.isfinite(factor), generate_binary_structure(2, 1 + corners))
-    assert count > 1
-    sizes = np.bincount(parts[parts > 0])
-    for largest in SQUARES:
-        lattice = make_lattice(factor, largest, (3, 8), corners=corners)
-        assert np.unique(parts[lattice.row, lattice.col]).tolist() == [sizes.argmax()]
-        assert lattice.tiles_left_out == sizes.sum() - sizes.max()
-
-
-def test_what_gives_no_graph(easy_map, make_map, write_map, tmp_path, monkeypatch):
-    lone = open_map(write_map(make_map([5, 9], [5, 9], [0, 0], [0, 0], easy=True), tmp_path / "lone"))
-    with pytest.raises(BadInputError, match="no two nodes are connected"):
-        export_map(lone, tmp_path / "out", ExportSettings(to="graph"))
-    monkeypatch.setattr("bumpymap.views.export.graph._MAX_NODES", 10)
-    with pytest.raises(BadInputError, match=r"`every=1`.*larger"):
-        export_map(easy_map, tmp_path / "out", ExportSettings(to="graph", every=1))
-    monkeypatch.setattr("bumpymap.views.export.graph._MAX_TILES", 10)
-    with pytest.raises(BadInputError, match="480 tiles"):
-        export_map(easy_map, tmp_path / "out", ExportSettings(to="graph"))
-    assert not (tmp_path / "out").exists()

@@ -85,7 +85,7 @@ def test_reading_strip_by_strip_paints_the_same(view, ground, monkeypatch):
 
 
 def painted(route, ground, folder):
-    write_route_picture([route], ground, folder / "way.png")
+    write_route_picture(route, ground, folder / "way.png")
     return np.asarray(Image.open(folder / "way.png"))
 
 

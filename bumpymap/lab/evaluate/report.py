@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from bumpymap.core import CLASS_NAMES, atomic, plain_json
-from bumpymap.lab.evaluate.agreement import Accuracy, Comparison
+from bumpymap.lab.evaluate.agreement import Accuracy
 from bumpymap.lab.evaluate.scans import DEVIATION, RANGE_M, ScanFindings
-from bumpymap.lab.evaluate.survey_trial import Findings
 
 REPORT = "report.md"
 _NONE = "-"
@@ -52,53 +51,11 @@ def percent(share: float) -> str:
     return f"{100 * share:.1f} %" if math.isfinite(share) else _NONE
 
 
-def write_report(findings: Findings, out: Path) -> list[Path]:
-    """Write ``report.json`` and ``report.md`` of a survey, in this order."""
-    found = findings.comparison
-    classes = [*class_lines(findings.classes), ""] if findings.classes else []
-    sections = [
-        section("Statistics of the classes", "The paper's Table I, over all classified tiles.", classes),
-        section(f"Predicted and driven: {findings.vehicle['vehicle']}", _method(found), _driven(found)),
-    ]
-    opening = [*_opening(findings), *_conclusion(findings)]
-    record = {"format": "bumpymap-evaluation", "version": 1, **asdict(findings)}
-    return write_document(out, "Can the map be trusted?", opening, sections, record)
-
-
 _PAPER_CLASSES = (
     ("paper, first site", (0.0039, 0.0329, 0.0952, 36.1), (0.0369, 0.0788, 0.1718, 3.62)),
     ("paper, second site", (0.0096, 0.0693, 0.1517, 0.6955), (0.036, 0.0961, 0.0932, 0.1759)),
 )
 """The paper's Table I: variance [m2] and residual [m] of class 0 to 3."""
-_PLAIN = ("z_variance", "ransac_residual", "slope_free_sd")
-
-
-def _opening(findings: Findings) -> list[str]:
-    facts = findings.facts
-    points = "ground points only" if facts["ground_only"] else "all points"
-    why = ", ".join(f"{name}: {count}" for name, count in facts["unknown_tiles"].items())
-    unknown = f"{sum(facts['unknown_tiles'].values())} unknown" + (f" ({why})" if why else "")
-    first = (
-        f"Survey {', '.join(facts['files'])}: {facts['points']:,} points, measured from {points}; "
-        f"{facts['judged_tiles']} tiles classified, {unknown}, "
-        f"{facts['density']:.0f} points per m2 on the classified ones."
-    )
-    own = findings.vehicle
-    limits, ratings = " / ".join(map(number, own["class_limits"])), ", ".join(f"`{name}`" for name in own["ratings"])
-    row = [own["vehicle"], f"`{own['calibration']}`", limits, ratings]
-    return [first, "", *table(("vehicle", "calibration", "class limits [rad/m]", "ratings"), [row])]
-
-
-def _conclusion(findings: Findings) -> list[str]:
-    """Summarise the comparison with the drives."""
-    lines = [
-        f"- **{findings.vehicle['vehicle']}, `{name}`**: C_r is off by {percent(own.median_error)} in the median; "
-        f"{percent(own.coverage['held'])} of its 80 % intervals contain it; {percent(own.steps['same'])} of the "
-        f"classes are the driven ones, {percent(own.steps['further'])} are off by two or more."
-        for name, own in findings.comparison.agreement.items()
-        if own.coverage and findings.comparison.patches > findings.comparison.left_out
-    ]
-    return [*lines, ""] if lines else []
 
 
 def class_lines(classes: Mapping[str, dict[str, Any]]) -> list[str]:
@@ -128,79 +85,10 @@ def class_lines(classes: Mapping[str, dict[str, Any]]) -> list[str]:
     return lines
 
 
-def _driven(found: Comparison) -> list[str]:
-    confusions = [
-        line
-        for name, own in found.agreement.items()
-        if own.coverage
-        for line in confusion_lines(name, own.confusion, "driven", "predicted")
-    ]
-    failures = [
-        [f"`{name}`", number(one["predicted"]), number(one["share_failed"]), str(one["patches"])]
-        for name, own in found.agreement.items()
-        for one in (own.fail["reliability"] if own.fail else ())
-        if one["patches"]
-    ]
-    return [
-        *_predictor_lines(found),
-        *_against_plain(found),
-        *confusions,
-        "Failed drives by predicted `p_fail`, in bins of width 0.2; all patches have the same weight:",
-        "",
-        *table(("rating", "mean p_fail of the bin", "share of drives that failed", "patches"), failures),
-    ]
-
-
-def _predictor_lines(found: Comparison) -> list[str]:
-    """Return the table of all predictors compared with the drives."""
-    rows = []
-    for name, own in found.agreement.items():
-        ranks = (f"{own.spearman:.4f}", f"{1 - own.spearman:.4f}") if math.isfinite(own.spearman) else (_NONE, _NONE)
-        held = percent(own.coverage["held"]) if own.coverage else _NONE
-        auc = [number(own.fail[kind]) if own.fail else _NONE for kind in ("auc", "auc_below_limit")]
-        row = [
-            f"`{name}`",
-            *ranks,
-            percent(own.median_error),
-            number(own.median_ratio),
-            *map(percent, own.steps.values()),
-        ]
-        rows.append([*row, held, *auc])
-    header = ("predictor", "Spearman", "1 - Spearman", "median error", "median predicted / driven")
-    more = ("same class", "one off", "two or more off", "80 % interval contains it", "p_fail AUC", "within slope limit")
-    return table((*header, *more), rows)
-
-
 def confusion_lines(name: str, confusion: Sequence[Sequence[int]], truth: str, found: str) -> list[str]:
     """Return a confusion matrix as a table; ``truth`` and ``found`` label its rows and columns, such as *driven*."""
     rows = [[f"{truth} {class_id}", *map(str, line)] for class_id, line in enumerate(confusion)]
     return table((f"`{name}`", *(f"{found} {class_id}" for class_id in range(len(rows)))), rows)
-
-
-def _method(found: Comparison) -> str:
-    bounds = ((found.auc_most, ""), (found.auc_most_below_limit, " within the slope limit"))
-    most = ", or ".join(f"above {auc:.3f}{where}" for auc, where in bounds if math.isfinite(auc))
-    return (
-        f"{found.patches} patches, {found.drives} drives, {found.failed} of them failed. On {found.left_out} patches "
-        "more than a quarter of the drives failed; their C_r, of the completed drives only, is not compared. The "
-        f"standard error of the driven C_r is {percent(found.label_error)} in the median, and above 5 % on "
-        f"{found.label_error_over} patches. "
-        "Failures are compared on all patches, classes on those within the vehicle's slope limit: "
-        f"{found.beyond_limit} are beyond it and have class 3 by definition. "
-        + (f"As some drives over a patch fail and others do not, no p_fail can reach an AUC {most}. " if most else "")
-        + "Plain predictors get C_r from their best monotone fit to the drives over the other patches, which a map "
-        "does not have. The drives run on the measured relief and contain its noise; `ride` predicts the ground "
-        "without noise."
-    )
-
-
-def _against_plain(found: Comparison) -> list[str]:
-    lack = {name: 1 - own.spearman for name, own in found.agreement.items() if math.isfinite(own.spearman)}
-    best = min((name for name in _PLAIN if name in lack), key=lambda name: lack[name], default=None)
-    if best is None or lack[best] <= 0:
-        return []
-    ratios = [f"{lack[name] / lack[best]:.2f} times for `{name}`" for name in lack if name not in _PLAIN]
-    return [f"1 - Spearman relative to that of the best plain predictor, `{best}`: {', '.join(ratios)}.", ""]
 
 
 _PAPER_ACCURACY = 0.8324

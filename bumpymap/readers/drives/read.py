@@ -48,8 +48,8 @@ def read_drive(place: str, columns: Mapping[str, str] | None = None) -> DriveLog
         ``imu.csv,gnss.csv``. CSV and other tables of text, bags of ROS 2 and ROS 1, ULog.
     columns : mapping, optional
         Quantity -> column, perhaps with its unit: ``{"rate_y": "GyrY[deg/s]", "time": "t[ms]"}``; in bags ``imu``,
-        ``gnss`` and ``odometry`` -> topic. An empty name: nothing is read for this quantity. What is not named is found
-        by names, units from names and values; ``columns`` and ``notes`` of the drive say how.
+        ``gnss`` and ``odometry`` -> topic. An empty name: nothing is read for this quantity. Others are columns that
+        have the names of `bumpymap.readers.drives.quantities.NAMES`; ``columns`` and ``notes`` of the drive say which.
 
     Returns
     -------

@@ -133,7 +133,7 @@ def _acceleration(samples: Samples) -> Signal | None:
         return found
     samples.notes.append(
         f"accelerations of {samples.source} are not used: their median is {middle:.3g} m/s2, and with gravity it would "
-        "be about 9.8"
+        "be about 9.8. If they are in another unit, state it: `columns='acc_x=NAME[g],acc_y=NAME[g],acc_z=NAME[g]'`"
     )
     return None
 
@@ -150,6 +150,12 @@ def _attitude(samples: Samples) -> Signal | None:
         values = {"yaw": np.zeros_like(samples.values["roll"]), **samples.values}
         angles = _rows(Samples(samples.source, values, notes=samples.notes), ANGLES, "attitudes")
         if angles is not None:
+            if (most := float(np.abs(angles.values).max())) > 2 * np.pi + 0.01:
+                names = {each: samples.columns.get(each, each) for each in ANGLES if each in samples.values}
+                raise BadInputError(
+                    f"roll, pitch and yaw of {samples.source} reach {most:.3g}, which is too large for rad. State "
+                    f"their unit: `columns='{','.join(f'{each}={name}[deg]' for each, name in names.items())}'`"
+                )
             from scipy.spatial.transform import Rotation
 
             # They turn by yaw about z, then by pitch about the new y, then by roll about the new x.
@@ -224,22 +230,16 @@ def _track(samples: Samples, group: tuple[str, str], kind: PlaceKind) -> PlaceTr
 
 
 def _degrees(samples: Samples, lon: Floats, lat: Floats) -> tuple[Floats, Floats]:
-    """Return longitude and latitude in degrees: whole numbers may be of 1e-7 degrees.
-
-    Raises BadInputError: they are out of range.
-    """
-    if min(np.median(np.abs(lon)), np.median(np.abs(lat))) > 1e5 and not (lon % 1.0).any() and np.abs(lon).max() > 1e7:
-        lon, lat = lon * 1e-7, lat * 1e-7
-        samples.notes.append(f"longitude and latitude of {samples.source} are taken as 1e-7 degrees")
+    """Return longitude and latitude. Raises BadInputError: they are out of range."""
     far_lon, far_lat = float(np.abs(lon).max()), float(np.abs(lat).max())
     if far_lat <= 90.0 and far_lon <= 360.0:
         return lon, lat
     names = [samples.columns.get(quantity, quantity) for quantity in LONLAT]
     raise BadInputError(
         f"the positions of {samples.source} ({', '.join(names)}) reach longitude {far_lon:.6g}, latitude "
-        f"{far_lat:.6g}. Longitudes are -180 to 180 degrees, latitudes -90 to 90, without minutes. Are they swapped? "
-        f"`columns='longitude={names[1]},latitude={names[0]}'`. Metres are named so: "
-        "`columns='easting=NAME,northing=NAME'`"
+        f"{far_lat:.6g}. Longitudes are -180 to 180 degrees, latitudes -90 to 90, without minutes; the unit of "
+        f"1e-7 degrees is dege7. Are they swapped? `columns='longitude={names[1]},latitude={names[0]}'`. Metres are "
+        "named so: `columns='easting=NAME,northing=NAME'`"
     )
 
 

@@ -40,7 +40,6 @@ from bumpymap.core import (
     refused_write,
     remove_empty_on_error,
     short_repr,
-    without_keys,
 )
 from bumpymap.layers import (
     BATCH_LINKS,
@@ -239,7 +238,7 @@ class Results:
     def __init__(self, tasks: Sequence[MapTask], folder: Path, title: str) -> None:
         self._tasks, self._folder, self._title = {task.name: task for task in tasks}, folder, title
         self._rows = {
-            task.name: SurveyRow(task.name, "not reached", _WAITING, survey=without_keys(str(task.config.surveys[0])))
+            task.name: SurveyRow(task.name, "not reached", _WAITING, survey=str(task.config.surveys[0]))
             for task in tasks
         }
         self._views: dict[str, SurveyView] = {}
@@ -361,8 +360,8 @@ def run_batch(
             with closing(map_tasks(tasks, jobs)) as ends:
                 for end in ends:
                     row = end.row
-                    message, survey = map(without_keys, (spell(row.message), row.survey))
-                    warnings = tuple(without_keys(spell(warning)) for warning in row.warnings)
+                    message, survey = spell(row.message), row.survey
+                    warnings = tuple(spell(warning) for warning in row.warnings)
                     row = replace(row, message=message, warnings=warnings, survey=survey)
                     _note(row, end.traceback)
                     results.add(row, end.view)
@@ -394,10 +393,8 @@ def _tasks(config: BatchConfig, surveys: list[ListedSurvey]) -> tuple[list[MapTa
     return tasks, jobs
 
 
-def _size(place: Path | str) -> int:
-    """Return the bytes of a local file or of those in a folder; 0 if that is not known."""
-    if isinstance(place, str):
-        return 0
+def _size(place: Path) -> int:
+    """Return the bytes of a file or of those in a folder; 0 if that is not known."""
     with suppress(OSError):
         files = place.rglob("*") if place.is_dir() else [place]
         return sum(file.stat().st_size for file in files if file.is_file())
@@ -407,7 +404,7 @@ def _size(place: Path | str) -> int:
 def _note(row: SurveyRow, trace: str) -> None:
     """Log what is wrong with a survey; the trace of an unexpected error is an event of ``--json``."""
     if trace:
-        _log.info("%s: %s", row.name, without_keys(trace))
+        _log.info("%s: %s", row.name, trace)
     for warning in row.warnings:
         _log.warning("%s: %s", row.name, warning)
     if row.status in {"failed", "incomplete"}:

@@ -70,7 +70,7 @@ class BatchConfig:
         """Return the settings of one survey, with those that its row in the CSV gives."""
         return with_pixels(override_settings(override_settings(self.defaults, own, CLASHES), self.given, CLASHES))
 
-    def of_survey(self, own: Mapping[str, Any], surveys: tuple[Path | str, ...] = (), name: str = "") -> MapConfig:
+    def of_survey(self, own: Mapping[str, Any], surveys: tuple[Path, ...] = (), name: str = "") -> MapConfig:
         """Return the settings of one survey, before resources are shared out.
 
         Parameters

@@ -8,9 +8,8 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any, cast, get_origin
-from urllib.parse import urlsplit
 
 from bumpymap.core import (
     CLASHES,
@@ -31,7 +30,7 @@ from bumpymap.core import (
 )
 from bumpymap.layers import BATCH_NAMES
 from bumpymap.rating import Calibration, find_calibration
-from bumpymap.readers import find_surveys, is_ept
+from bumpymap.readers import find_surveys
 from bumpymap.survey.batch.settings import OWN_SETTINGS, SurveyPer
 from bumpymap.views import page_header
 
@@ -44,7 +43,7 @@ _KINDS = {each.name: each.kind for each in settings_with_options(MapConfig) if e
 """Column -> type of its setting."""
 _WORDS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 
-Row = tuple[Path | str, str | None, dict[str, Any]]
+Row = tuple[Path, str | None, dict[str, Any]]
 """Place, name that the user chose, and settings of a survey."""
 
 
@@ -54,13 +53,13 @@ class ListedSurvey:
 
     name: str
     """Folder of its layers."""
-    place: Path | str
-    """Its file, its folder, or a URL. Absolute, so that a batch started from another folder has the same inputs."""
+    place: Path
+    """Its file or its folder. Absolute, so that a batch started from another folder has the same inputs."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Its own settings, of a CSV."""
 
 
-def name_surveys(surveys: Sequence[Path | str], given: Sequence[str | None], root: Path) -> list[str]:
+def name_surveys(surveys: Sequence[Path], given: Sequence[str | None], root: Path) -> list[str]:
     """Return a folder name for each survey; no two are the same, even where upper and lower case are.
 
     A survey is named after its file without the suffix. Those of one name get the names of their folders too
@@ -69,7 +68,7 @@ def name_surveys(surveys: Sequence[Path | str], given: Sequence[str | None], roo
     Parameters
     ----------
     surveys : sequence of Path or str
-        File, folder or URL of each.
+        File or folder of each.
     given : sequence of str or None
         Names that the user chose, which are kept.
     root : Path
@@ -85,8 +84,7 @@ def name_surveys(surveys: Sequence[Path | str], given: Sequence[str | None], roo
             continue
         wanted, number = name, 2
         if times[name.casefold()] > 1:
-            path = _path(survey)
-            folders = path.relative_to(root).parts if path.is_relative_to(root) else path.parts[-2:]
+            folders = survey.relative_to(root).parts if survey.is_relative_to(root) else survey.parts[-2:]
             wanted = _clean("_".join([*folders[:-1], name]))
         free = wanted
         while free.casefold() in used or _is_reserved(free):
@@ -96,12 +94,11 @@ def name_surveys(surveys: Sequence[Path | str], given: Sequence[str | None], roo
     return names
 
 
-def _usual_name(survey: Path | str) -> str:
+def _usual_name(survey: Path) -> str:
     """Return the name of a survey that shares it with no other: that of its file without the suffix, or its folder."""
-    path = _path(survey)
-    if isinstance(path, Path) and path.is_dir():
-        return _clean(path.name)
-    stem = path.stem
+    if survey.is_dir():
+        return _clean(survey.name)
+    stem = survey.stem
     return _clean(stem[: -len(_TWO_PARTS)] if stem.lower().endswith(_TWO_PARTS) else stem)
 
 
@@ -110,17 +107,6 @@ def plain_name(name: str) -> str:
     if "/" in name or "\0" in name or name.startswith(".") or _is_reserved(name):
         return "it must be the name of a folder: no slash, no dot at its start, no name of a file of the batch"
     return ""
-
-
-def _path(survey: Path | str) -> PurePosixPath | Path:
-    """Return the path of a survey, which for EPT is a folder; of a URL without user and query, which may hold a key."""
-    path: Path | PurePosixPath
-    if isinstance(survey, Path):
-        path = survey
-    else:
-        parts = urlsplit(survey)
-        path = PurePosixPath(f"{parts.netloc.rpartition('@')[2]}{parts.path}")
-    return path.parent if is_ept(survey) else path
 
 
 def _clean(name: str) -> str:
@@ -201,7 +187,7 @@ def _row(
     place, name = given.pop(_SURVEY, ""), given.pop(_NAME, None)
     if not place or path_fault(place):
         wrong.append(path_fault(place) or "the survey is empty")
-    elif "://" not in place and not (folder / place).exists():
+    elif not (folder / place).exists():
         wrong.append(f"there is no file or folder {folder / place}")
     if name is not None and (why := plain_name(name)):
         wrong.append(f"the name is {name!r}; {why}")
@@ -215,7 +201,7 @@ def _row(
         MapConfig(surveys=(), out=Path(), **settings)
     wrong += [why for why in check(settings) if why not in wrong]
     faults += [f"line {number}: {why}" for why in wrong]
-    return (place if "://" in place else folder / place, name, settings)
+    return (folder / place, name, settings)
 
 
 def _setting(name: str, text: str, folder: Path) -> tuple[dict[str, Any], list[str]]:
@@ -296,7 +282,7 @@ def list_surveys(
     else:
         rows = _listed(source, check)
     root = _absolute(source if source.is_dir() else source.parent)
-    places = [place if isinstance(place, str) else _absolute(place) for place, _, _ in rows]
+    places = [_absolute(place) for place, _, _ in rows]
     repeated = [place for place, times in Counter(map(str, places)).items() if times > 1]
     refuse_faults([f"{place} is listed twice" for place in repeated], str(source), UsageError)
     names = name_surveys(places, [name for _, name, _ in rows], root)
@@ -329,13 +315,13 @@ def _listed(source: Path, check: Callable[[Mapping[str, Any]], list[str]]) -> li
         wanted = [(number, line) for number, line in enumerate(lines, 1) if line and not line.startswith("#")]
         faults = [f"line {number}: {why}" for number, line in wanted if (why := path_fault(line))]
         refuse_faults(faults, str(source), UsageError)
-        found = [(line if "://" in line else folder / line, None, {}) for _, line in wanted]
+        found = [(folder / line, None, {}) for _, line in wanted]
     if not found:
         raise BadInputError(f"{source} names no survey")
     return found
 
 
-def _folders(source: Path) -> list[Path | str]:
+def _folders(source: Path) -> list[Path]:
     """Return the folders in the source that hold surveys."""
     try:
         inside = sorted(path for path in source.absolute().iterdir() if not path.name.startswith("."))

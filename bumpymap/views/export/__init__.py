@@ -1,1 +1,1 @@
-"""Write a map for robots: occupancy grids and masks for Nav2, a grid_map message, a graph of ways, a mission plan."""
+"""Write a map for robots: occupancy grids and masks for Nav2, a grid_map message, a mission plan, cost on pixels."""

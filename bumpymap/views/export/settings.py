@@ -5,19 +5,17 @@ from math import isfinite
 from pathlib import Path
 from typing import Annotated, Literal
 
-from bumpymap.core import DirectionSettings, Setting, UsageError, check_settings
+from bumpymap.core import Setting, UsageError, check_settings
 
-ExportFormat = Literal["nav2", "gridmap", "graph", "plan", "cost"]
-"""Maps and masks for Nav2; a grid_map message; a graph for Nav2's route server; a mission for QGroundControl."""
+ExportFormat = Literal["nav2", "gridmap", "plan", "cost"]
+"""Maps and masks for Nav2; a grid_map message; a mission for QGroundControl; cost on pixels."""
 ExportResolution = Literal["pixel", "tile"]
 """One cell a pixel of the heightmap, or one a tile, which is closed if anything stands in it."""
-NodeSquare = Literal[1, 3, 9, 27]
-"""Sides of the squares of tiles that hold one node of a graph."""
 
 
 @dataclass(frozen=True, slots=True)
-class ExportSettings(DirectionSettings):
-    """Settings of an export; what it takes from `bumpymap.core.DirectionSettings` is for graphs."""
+class ExportSettings:
+    """Settings of an export."""
 
     to: Annotated[ExportFormat, Setting("Format; see above", "FORMAT", default="", group="Output")] = "nav2"
     around: tuple[float, float] | None = None
@@ -42,10 +40,6 @@ class ExportSettings(DirectionSettings):
         ),
     ] = None
     """nav2: cost per metre of the highest value; else that of very rough ground for the vehicle."""
-    every: Annotated[
-        NodeSquare | None, Setting("graph: one node in up to N x N tiles: 1, 3, 9, 27", "N", default="auto", rare=True)
-    ] = None
-    """graph: side of the largest squares of tiles with one node each; else by the size of the area."""
     route: Annotated[
         Path | None, Setting("plan: folder or GeoJSON of a route", "PATH", default="LAYERS", group="Input")
     ] = None

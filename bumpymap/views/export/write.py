@@ -33,7 +33,6 @@ from bumpymap.views.export.area import (
     choose_area,
     write_pixel_cost,
 )
-from bumpymap.views.export.graph import make_graph, write_graph
 from bumpymap.views.export.gridmap import make_layers, require_rosbags, write_gridmap
 from bumpymap.views.export.nav2 import make_grids
 from bumpymap.views.export.settings import ExportSettings
@@ -187,7 +186,6 @@ EXPORT_FILES: dict[str, tuple[str, ...]] = {
         DATUM_NAME,
     ),
     "gridmap": ("gridmap.mcap", "metadata.yaml", DATUM_NAME),
-    "graph": ("graph.geojson", DATUM_NAME),
     "plan": ("route.plan", DATUM_NAME),
     "cost": ("cost.tif", DATUM_NAME),
 }
@@ -303,9 +301,6 @@ def _made(area: ExportArea, settings: ExportSettings) -> Callable[[Path], dict[s
             require_rosbags()
             layers = make_layers(area)
             return lambda folder: write_gridmap(folder, area, layers)
-        case "graph":
-            lattice, every = make_graph(area, settings)
-            return lambda folder: write_graph(folder, area, lattice, every)
         case "plan":
             return _plan(area.route_map, settings)
         case "cost":

@@ -36,7 +36,7 @@ from bumpymap.layers import (
     PASSAGE_COLOURS,
     PASSAGE_NAMES,
     REASON_GREYS,
-    ROUTE_COLOURS,
+    ROUTE_COLOUR,
     UNKNOWN_COLOUR,
     MapFile,
     RideScale,
@@ -205,23 +205,26 @@ def check_layers() -> list[ViewLayer]:
     return [ViewLayer("check.geojson", "how far the map is off", vectors(looks, '"explained" = false'))]
 
 
-def route_layers(routes: "Sequence[Route]") -> list[ViewLayer]:
-    """Return the stops of routes, and the ways, each with its figures."""
+def route_layers(route: "Route") -> list[ViewLayer]:
+    """Return the stops of a route, and the way with its figures."""
     from bumpymap.layers import stop_roles
 
     colours = {"start": (255, 255, 255, 255), "via": (150, 150, 150, 255), "goal": (0, 0, 0, 255)}
-    roles = {role: None for route in routes for role in stop_roles(len(route.stops))}
+    roles = dict.fromkeys(stop_roles(len(route.stops)))
     stops = [(_is("role", role), role, colours[role], "mark") for role in roles]
-    ways = []
-    for number, route in enumerate(routes):
-        found = route.figures
-        chance = f"arrives {chance_text(found.p_arrives)} {found.seen.condition}"
-        label = f"{route.name}: {found.length_m:.0f} m, costs {found.cost_m:.0f} m, {chance}"
-        ways.append((_is("name", route.name), label, (*ROUTE_COLOURS[number % len(ROUTE_COLOURS)], 255), "line"))
+    found = route.figures
+    chance = f"arrives {chance_text(found.p_arrives)} {found.seen.condition}"
+    label = f"{route.name}: {found.length_m:.0f} m, costs {found.cost_m:.0f} m, {chance}"
     file = "route.geojson"
     return [
         ViewLayer(file, "stops", vectors(stops), "stops", within="|geometrytype=Point"),
-        ViewLayer(file, "ways", vectors(ways[::-1]), "ways", within="|geometrytype=LineString"),
+        ViewLayer(
+            file,
+            "ways",
+            vectors([(_is("name", route.name), label, (*ROUTE_COLOUR, 255), "line")]),
+            "ways",
+            within="|geometrytype=LineString",
+        ),
     ]
 
 

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import Route, atomic, chance_text
-from bumpymap.layers import ROUTE_COLOURS, MapReader, ReachField, RideScale, reach_colours, stop_roles
+from bumpymap.layers import ROUTE_COLOUR, MapReader, ReachField, RideScale, reach_colours, stop_roles
 from bumpymap.views.pictures.drawing import (
     FAINT,
     INK,
-    Colour,
     MapView,
     Pen,
     draw_closed,
@@ -39,21 +38,19 @@ _BELOW = 70
 _WHITE = (255, 255, 255)
 _BAR = 250
 """Length of the bar of colours, pixels."""
-_LEGEND_ROUTES = 3
-"""Most ways with figures in the legend."""
 _LETTERS = 38
 """Most letters of a line of figures in the legend."""
 
 
-def write_route_picture(routes: Sequence[Route], source: MapReader, path: Path) -> None:
-    """Draw routes on the map, the legend to its right, the profile of the first below; write PNG, 1600 pixels wide.
+def write_route_picture(route: Route, source: MapReader, path: Path) -> None:
+    """Draw a route on the map, the legend to its right, the profile below; write PNG, 1600 pixels wide.
 
     Parameters
     ----------
-    routes : sequence of Route
-        At least one, all on the grid of ``source``; the profile is that of the first.
+    route : Route
+        On the grid of ``source``.
     source : MapReader
-        The map under them.
+        The map under it.
     path : Path
         The file, which appears only when it is complete.
 
@@ -64,26 +61,23 @@ def write_route_picture(routes: Sequence[Route], source: MapReader, path: Path) 
     BadInputError
         The layers cannot be read.
     """
-    first = routes[0]
-    points = np.concatenate([part for route in routes for part in (route.line, route.stops)])
-    view = MapView.around(first.grid, points, _PANEL, _PANEL_HEIGHTS)
+    view = MapView.around(route.grid, np.concatenate([route.line, route.stops]), _PANEL, _PANEL_HEIGHTS)
     ground, scale = paint_ground(source, view)
     pen = Pen(WIDTH, _TITLE + view.height + 40 + _CHART + _BELOW)
-    pen.text((_EDGE, _TITLE / 2 + 2), _title(routes), INK, size=24)
+    title = f"{shortened(route.name, 80)}: {metres(route.figures.length_m)} for {route.vehicle.name}"
+    pen.text((_EDGE, _TITLE / 2 + 2), title, INK, size=24)
     pen.paste(_EDGE, _TITLE, ground)
     corner = np.array([_EDGE, _TITLE], np.float64)
-    for number, route in reversed(list(enumerate(routes))):  # the first on top
-        _draw_way(pen, view.pixels(route.line) + corner, _colour(number))
-    for route in reversed(routes):
-        # S at the start, G at the goal, numbers between; where start and goal are one place, the start is on top
-        marks = list(enumerate(zip(stop_roles(len(route.stops)), view.pixels(route.stops) + corner, strict=True)))
-        for number, (role, (x, y)) in reversed(marks):
-            _draw_stop(pen, (float(x), float(y)), role, number)
+    _draw_way(pen, view.pixels(route.line) + corner)
+    # S at the start, G at the goal, numbers between; where start and goal are one place, the start is on top
+    marks = list(enumerate(zip(stop_roles(len(route.stops)), view.pixels(route.stops) + corner, strict=True)))
+    for number, (role, (x, y)) in reversed(marks):
+        _draw_stop(pen, (float(x), float(y)), role, number)
     draw_frame(pen, view, _EDGE, _TITLE)
-    _draw_legend(pen, routes, scale)
+    _draw_legend(pen, route, scale)
     top = _TITLE + view.height + 40
-    draw_profile(pen, first.profile, (_CHART_LEFT, top, _EDGE + _PANEL - _CHART_LEFT, _CHART), scale)
-    _draw_chart_notes(pen, first, len(routes), top)
+    draw_profile(pen, route.profile, (_CHART_LEFT, top, _EDGE + _PANEL - _CHART_LEFT, _CHART), scale)
+    _draw_chart_notes(pen, route, top)
     _save(pen, path)
 
 
@@ -92,23 +86,10 @@ def _save(pen: Pen, path: Path) -> None:
         pen.finished().save(temporary, "PNG", compress_level=4)
 
 
-def _title(routes: Sequence[Route]) -> str:
-    first = routes[0]
-    length = metres(first.figures.length_m)
-    if len(routes) == 1:
-        return f"{shortened(first.name, 80)}: {length} for {first.vehicle.name}"
-    vehicles = dict.fromkeys(route.vehicle.name for route in routes)
-    return shortened(f"{len(routes)} ways for {', '.join(vehicles)}, the first {length}", 100)
-
-
-def _colour(number: int) -> Colour:
-    return ROUTE_COLOURS[number % len(ROUTE_COLOURS)]
-
-
-def _draw_way(pen: Pen, points: NDArray[np.float64], colour: Colour) -> None:
+def _draw_way(pen: Pen, points: NDArray[np.float64]) -> None:
     if len(points) > 1:
         pen.line(points, _WHITE, 7)
-        pen.line(points, colour, 3.5)
+        pen.line(points, ROUTE_COLOUR, 3.5)
 
 
 def _draw_stop(pen: Pen, place: tuple[float, float], role: str, number: int = 1) -> None:
@@ -119,12 +100,9 @@ def _draw_stop(pen: Pen, place: tuple[float, float], role: str, number: int = 1)
     pen.text(place, label, ink, size=15, anchor="mm")
 
 
-def _draw_legend(pen: Pen, routes: Sequence[Route], scale: RideScale) -> None:
+def _draw_legend(pen: Pen, route: Route, scale: RideScale) -> None:
     left, row = _EDGE + _PANEL + 24, _TITLE
-    first = routes[0]
-    several = len({route.vehicle.name for route in routes}) > 1
-    of_whom = f"for {shortened(first.vehicle.name, 22)}" if several else "of the ground"
-    pen.text((left, row + 8), f"ride cost {of_whom} [rad/m]", INK, size=16)
+    pen.text((left, row + 8), "ride cost of the ground [rad/m]", INK, size=16)
     bar = np.broadcast_to(scale.colours(np.linspace(0.0, scale.end, _BAR)), (22, _BAR, 3)).astype(np.uint8)
     pen.paste(left, row + 24, bar)
     pen.rectangle((left, row + 24, left + _BAR, row + 46), None, FAINT)
@@ -137,51 +115,42 @@ def _draw_legend(pen: Pen, routes: Sequence[Route], scale: RideScale) -> None:
     row = draw_closed(pen, left, row + 92)
     row += 12
     # Where start and goal are one place, the mark of the goal lies under that of the start.
-    is_round = all((route.stops[0] == route.stops[-1]).all() for route in routes)
+    is_round = (route.stops[0] == route.stops[-1]).all()
     marks = {"start": "start and goal"} if is_round else {"start": "start", "goal": "goal"}
-    if any(len(route.stops) > 2 for route in routes):
+    if len(route.stops) > 2:
         marks["via"] = "via"
     for role in ("start", "via", "goal"):
         if role in marks:
             _draw_stop(pen, (left + 20, row + 12), role)
             pen.text((left + 54, row + 12), marks[role], INK, size=16)
             row += 34
-    _draw_figures(pen, routes, left, row + 12)
+    _draw_figures(pen, route, left, row + 12)
 
 
-def _draw_figures(pen: Pen, routes: Sequence[Route], left: int, row: int) -> None:
-    """Write what each way costs under the legend."""
-    shown = routes[:_LEGEND_ROUTES]
-    several = len({route.vehicle.name for route in routes}) > 1
-    for number, route in enumerate(shown):
-        figures = route.figures
-        _draw_way(pen, np.array([[left + 3.0, row + 12.0], [left + 37.0, row + 12.0]]), _colour(number))
-        vehicle = f", {route.vehicle.name}" if several else ""  # ways that are compared have it in their name
-        name = route.name if route.name.endswith(vehicle) else route.name + vehicle
-        pen.text((left + 54, row + 12), shortened(name, 32), INK, size=16)
-        # on unknown ground, and over no length, the ride cost is not known
-        ride = {"tiles": figures.c_r_mean, "line": figures.c_r_line, "most": figures.c_r_max}.items()
-        known = ", ".join(f"{name} {value:.3f}" for name, value in ride if math.isfinite(value))
-        lines = (
-            f"{metres(figures.length_m)}, cost {figures.cost_m:,.0f} m",
-            f"{known} rad/m" if known else "ride cost not known",
-            *wrap(f"arrives {chance_text(figures.p_arrives)} {figures.seen.condition} (an estimate)", _LETTERS),
-            *([f"touches obstacles on {figures.obstacle_m:.1f} m"] if figures.obstacle_m > 0.0 else []),
-        )
-        for place, text in enumerate(lines):
-            pen.text((left + 54, row + 34 + 20 * place), text, FAINT, size=14)
-        row += 46 + 20 * len(lines)
-    if len(routes) > len(shown):
-        pen.text((left + 54, row), f"and {len(routes) - len(shown)} more", FAINT, size=14)
+def _draw_figures(pen: Pen, route: Route, left: int, row: int) -> None:
+    """Write what the way costs under the legend."""
+    figures = route.figures
+    _draw_way(pen, np.array([[left + 3.0, row + 12.0], [left + 37.0, row + 12.0]]))
+    pen.text((left + 54, row + 12), shortened(route.name, 32), INK, size=16)
+    # on unknown ground, and over no length, the ride cost is not known
+    ride = {"tiles": figures.c_r_mean, "line": figures.c_r_line, "most": figures.c_r_max}.items()
+    known = ", ".join(f"{name} {value:.3f}" for name, value in ride if math.isfinite(value))
+    lines = (
+        f"{metres(figures.length_m)}, cost {figures.cost_m:,.0f} m",
+        f"{known} rad/m" if known else "ride cost not known",
+        *wrap(f"arrives {chance_text(figures.p_arrives)} {figures.seen.condition} (an estimate)", _LETTERS),
+        *([f"touches obstacles on {figures.obstacle_m:.1f} m"] if figures.obstacle_m > 0.0 else []),
+    )
+    for place, text in enumerate(lines):
+        pen.text((left + 54, row + 34 + 20 * place), text, FAINT, size=14)
 
 
-def _draw_chart_notes(pen: Pen, route: Route, routes: int, top: int) -> None:
+def _draw_chart_notes(pen: Pen, route: Route, top: int) -> None:
     """Explain the profile to its right."""
     left = _EDGE + _PANEL + 24
-    of_which = f" of {shortened(route.name, 16)}" if routes > 1 else ""
     figures = route.figures
     lines = [
-        (f"height of the ground{of_which}", INK),
+        ("height of the ground", INK),
         (f"climb {figures.climb_m:,.0f} m, descent {figures.descent_m:,.0f} m", FAINT),
         ("filled with the colour of the ride cost", FAINT),
     ]

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 from small_surveys import run, write_broken, write_survey
 
-import bumpymap
 from bumpymap.core import MapConfig, OutputError, locked
 from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.survey import BatchConfig, map_surveys, run_batch
@@ -274,18 +273,6 @@ def test_summary_and_page_are_written_during_the_night(surveys, tmp_path, monkey
     run_batch(BatchConfig(tmp_path / "s.txt", tmp_path / "o", jobs=1), look)
     assert seen == [({"a": "done", "nothing": status}, True) for status in ("not reached", "failed")]
     assert "while the batch" not in (tmp_path / "o" / "index.html").read_text(encoding="utf-8")
-
-
-def test_no_key_of_a_url_is_in_the_files_of_a_night(tmp_path):
-    """They are sent on and put on servers; a message of a failure names the whole address."""
-    source = tmp_path / "s.txt"
-    source.write_text("http://127.0.0.1:9/a.laz?sig=SECRET.x/y\nhttp://me:SECRET@127.0.0.1:9/b/a.laz\n")
-    night = bumpymap.map_batch(source, tmp_path / "o")
-    assert [row.status for row in night.rows] == ["failed", "failed"]
-    assert "127.0.0.1:9" in night.rows[0].message
-    held = {path.name: path.read_bytes() for path in (tmp_path / "o").iterdir()}
-    assert {"index.html", "summary.csv", "summary.parquet"} <= set(held)
-    assert [name for name, data in held.items() if b"SECRET" in data] == []
 
 
 @pytest.mark.parametrize("jobs", [pytest.param(1, marks=pytest.mark.later), 2])

@@ -25,8 +25,8 @@ def flights(tmp_path):
 
 
 def test_each_file_of_a_folder_and_those_of_a_list(flights, tmp_path):
-    (tmp_path / "some.txt").write_text("# tonight\nflights/one\n\nhttps://example.org/a.laz\n")
-    assert found(tmp_path / "some.txt") == {"one": flights / "one", "a": "https://example.org/a.laz"}
+    (tmp_path / "some.txt").write_text("# tonight\nflights/one\n\n")
+    assert found(tmp_path / "some.txt") == {"one": flights / "one"}
     assert found(flights) == {
         "one_1": flights / "one/1.laz",
         "2": flights / "one/deep/2.laz",
@@ -121,8 +121,8 @@ def test_the_columns_of_a_table_are_settings(tmp_path, separator):
 def test_the_command_line_is_over_the_table_and_the_table_over_the_file(tmp_path):
     defaults = {"ground": "class", "align": "off", "vehicle": "car", "rating": "table"}
     config = BatchConfig(tmp_path, tmp_path, given={"ground": "all", "crs": "EPSG:1"}, defaults=defaults)
-    made = config.of_survey({"ground": "csf", "align": "on", "calibration": "c.json", "local": True})
-    assert (made.ground, made.align, made.rating) == ("all", "on", "table")
+    made = config.of_survey({"ground": "csf", "align": "report", "calibration": "c.json", "local": True})
+    assert (made.ground, made.align, made.rating) == ("all", "report", "table")
     assert (made.crs, made.local) == ("EPSG:1", False)  # what is typed overrides what contradicts it
     assert (made.calibration, made.vehicle) == ("c.json", "warthog")  # and so does the table
 
@@ -159,7 +159,6 @@ def test_names_differ_and_can_be_those_of_folders(parts):
     [
         (["north.laz", "deep/south.copc.laz", "x.y.las"], None, ["north", "south", "x.y"]),
         (["m/site.laz", "t/site.laz", "other.laz"], None, ["m_site", "t_site", "other"]),
-        (["site/ept.json", "m/site/ept.json", "pit/ept.json"], None, ["site", "m_site", "pit"]),
         (["site.las", "site.laz"], None, ["site", "site_2"]),
         (["a.laz", "b/a.laz"], ["a", None], ["a", "b_a"]),
     ],
@@ -168,13 +167,3 @@ def test_a_survey_has_the_name_of_its_file_as_much_of_its_folders_as_it_takes_or
     paths, given, expected
 ):
     assert name_surveys([ROOT / path for path in paths], given or [None] * len(paths), ROOT) == expected
-
-
-def test_a_url_is_named_after_its_file_and_a_key_in_it_is_in_no_name():
-    urls = [
-        "https://example.org/a/site.copc.laz?sig=ab.cd",
-        "https://me:word@example.org/b/site.laz",
-        "s3://box/site.laz?/k",
-        "https://example.org/a/own.copc.laz",
-    ]
-    assert name_surveys(urls, [None] * 4, ROOT) == ["a_site", "b_site", "box_site", "own"]

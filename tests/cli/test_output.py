@@ -1,6 +1,5 @@
-"""What is told of a run: lines, a bar, events for machines, nothing when quiet; foreign text is shown, never obeyed."""
+"""Events for machines, and foreign text, which is shown and never obeyed."""
 
-import ast
 import io
 import json
 import logging
@@ -32,26 +31,6 @@ class Clock:
 
     def __call__(self):
         return self.now
-
-
-def test_a_line_has_time_stage_and_share(capsys):
-    clock = Clock()
-    progress = _progress.TickedProgress(clock)
-    progress.tick()
-    assert capsys.readouterr().err == ""
-    progress.start("reading points", 10_000_000)
-    progress.advance(4_000_000)
-    progress.advance(500_000)
-    clock.now += 90.7
-    progress.tick()
-    progress.start("looking about\x1b", None)
-    progress.advance(7)
-    clock.now += 3600
-    progress.tick()
-    assert capsys.readouterr().err.splitlines() == [
-        "0:01:30 reading points: 45% (4,500,000 of 10,000,000)",
-        "1:01:30 looking about\\x1b: 7",
-    ]
 
 
 def test_a_bar_shows_a_name_as_it_is():
@@ -175,30 +154,11 @@ def test_every_way_out_shows_it(capsys):
     assert json.loads(out.splitlines()[-1])["name"] == WICKED
 
 
-def test_a_line_of_a_table_ends_with_its_last_value(capsys):
-    print_table([("smooth", "2", "0.04"), ("all the others", "13", "")], ["class", "tiles", "c_r"])
-    lines = capsys.readouterr().out.splitlines()
-    assert lines == ["class           tiles   c_r", "smooth              2  0.04", "all the others     13"]
-
-
 def test_an_encoding_without_the_letters(monkeypatch):
     raw = io.BytesIO()
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(raw, "ascii"))
     print_line("é 道")
     assert raw.getvalue() == b"\\xe9 \\u9053\n"
-
-
-def test_no_command_has_a_way_out_of_its_own():
-    """Text goes through `_text` (and bars through rich, with names made safe)."""
-    for file in (ROOT / "bumpymap" / "cli").glob("*.py"):
-        if file.name == "_text.py":
-            continue
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Call):
-                name = ast.unparse(node.func)
-                assert name not in {"print", "click.echo", "click.secho", "Console"}, f"{file.name}: {name}"
-            if isinstance(node, ast.Attribute):
-                assert ast.unparse(node) not in {"sys.stdout", "sys.stderr"}, f"{file.name}: {ast.unparse(node)}"
 
 
 @pytest.mark.slow
@@ -208,7 +168,6 @@ def test_no_command_has_a_way_out_of_its_own():
         ("info WICKED", ["\\x1b[31m", "\\xff"]),
         ("scan WICKED --out o", ["\\x1b[31m", "\\xff"]),
         ("map RED --out ERROR --local", ["\\x1b]\\nError: d"]),
-        ("evaluate survey GONE --out o", ["\\x1b[31m"]),
         ("train textures --out WICKED", []),
     ],
 )

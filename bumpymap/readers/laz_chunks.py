@@ -1,14 +1,10 @@
-"""COPC: LAZ files whose chunks are the nodes of an octree.
+"""The LAZ chunks of a file, by its chunk table, checked before they are decoded. Those of COPC are nodes of its octree.
 
-The layout follows the COPC 1.0 specification. Nodes are read depth first, a node before its children, and children with
-the same x and y consecutively. A square of ground is therefore complete once the traversal has left it, except for the
-points of the few ancestors, which come before.
-
-laspy is not used: it follows cyclic pages forever, and creates a Python object for each node.
+laspy is not used: it creates a Python object for each chunk.
 """
 
 import struct
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -17,9 +13,7 @@ from numpy.typing import NDArray
 from bumpymap.core import BadInputError, DecoderError, allocate_shared
 from bumpymap.readers.decoder import decoder
 from bumpymap.readers.las_header import LAYERED, RawHeader
-from bumpymap.readers.point_stats import OUTSIDE
 from bumpymap.readers.source import Location, decoding, refuse_count
-from bumpytiles import Bounds, Scaling
 
 _NOT_CHUNKED = 1
 """Value of the "compressor" word of the LASzip record for data without a chunk table (LASzip 1)."""
@@ -57,13 +51,10 @@ class ChunkTable:
     """(n,) offset in the file, bytes."""
     sizes: NDArray[np.int64]
     """(n,) size in bytes."""
-    boxes: NDArray[np.float64] | None = None
-    """(n, 4) west, south, east and north of the octree nodes, m; None if there are none, or they are to be ignored."""
 
-    def rows(self, chosen: NDArray[Any]) -> "ChunkTable":
+    def rows(self, chosen: NDArray[Any] | slice) -> "ChunkTable":
         """Return some of the LAZ chunks."""
-        boxes = None if self.boxes is None else self.boxes[chosen]
-        return ChunkTable(self.counts[chosen], self.starts[chosen], self.sizes[chosen], boxes)
+        return ChunkTable(self.counts[chosen], self.starts[chosen], self.sizes[chosen])
 
 
 def laz_record(path: Location, header: RawHeader) -> bytes:
@@ -183,134 +174,3 @@ def _table_place(stream: BinaryIO, path: Location, header: RawHeader) -> tuple[i
             f"{path} declares {chunks:,} LAZ chunks, which the file cannot hold: damaged or {_TRUNCATED}"
         )
     return place, chunks
-
-
-_ENTRY = np.dtype(
-    [("level", "<i4"), ("x", "<i4"), ("y", "<i4"), ("z", "<i4"), ("offset", "<u8"), ("size", "<i4"), ("points", "<i4")]
-)
-_ON_ANOTHER_PAGE = -1
-"""Value of ``points`` in an entry that refers to another page instead of a node."""
-DEEPEST = 30
-"""Levels of the octree at most."""
-_MOST_PAGES = 100_000
-_REBUILD = "Rebuild the file, for example with: pdal translate IN.laz OUT.copc.laz"
-
-
-def read_octree(
-    stream: BinaryIO, path: Location, header: RawHeader, chunks: ChunkTable, metres_per_unit: float | None
-) -> ChunkTable:
-    """Return the LAZ chunks depth first by the hierarchy: each node must be a chunk, and each chunk a node.
-
-    ``metres_per_unit`` is None if the bounds of the nodes are to be ignored.
-
-    Raises
-    ------
-    BadInputError
-        Pages lie outside of the file or lead in a circle, or the nodes are not those of an octree or not the chunks.
-    """
-    info = header.records[b"copc", 1]
-    if len(info) < 56:
-        raise BadInputError(f"the COPC record of {path} is {len(info)} bytes long, not 160. {_REBUILD}")
-    x, y, _, half, _, page_at, page_size = struct.unpack_from("<5d2Q", info)
-    if not (np.isfinite([x, y, half]).all() and half > 0):
-        raise BadInputError(
-            f"the octree of {path} has its centre at {x:g}, {y:g} and a half-width of {half:g}. {_REBUILD}"
-        )
-    nodes = _read_nodes(stream, path, header, page_at, page_size)
-    level = nodes["level"].astype(np.int64)
-    sound = (level >= 0) & (level <= DEEPEST)
-    for axis in "xyz":
-        sound &= (nodes[axis] >= 0) & (nodes[axis] < 1 << np.clip(level, 0, DEEPEST))
-    held = np.column_stack([chunks.starts, chunks.sizes, chunks.counts])
-    told = np.column_stack([nodes[name].astype(np.int64) for name in ("offset", "size", "points")])
-    if not (sound.all() and np.array_equal(told[np.argsort(told[:, 0])], held)):
-        raise BadInputError(
-            f"the octree of {path} has {nodes.size:,} nodes with {told[:, 2].sum():,} points, which are not its "
-            f"{len(held):,} LAZ chunks with {held[:, 2].sum():,} points: damaged. {_REBUILD}"
-        )
-    nodes = nodes[depth_first_order(nodes)]
-    chosen = chunks.rows(np.searchsorted(chunks.starts, nodes["offset"].astype(np.int64)))
-    root = np.array([x - half, y - half, x + half, y + half])
-    return replace(chosen, boxes=node_boxes(nodes, root, metres_per_unit))
-
-
-def _read_nodes(
-    stream: BinaryIO, path: Location, header: RawHeader, page_at: int, page_size: int
-) -> NDArray[np.void]:  # fmt: skip
-    """Return all entries with points."""
-    waiting, seen = [(page_at, page_size)], {page_at}
-    found: list[NDArray[np.void]] = []
-    while waiting:
-        page = _read_page(stream, path, header, *waiting.pop())
-        further = page[page["points"] == _ON_ANOTHER_PAGE]
-        pages = [(int(at), int(size)) for at, size in zip(further["offset"], further["size"], strict=True)]
-        offsets = {at for at, _ in pages}
-        if len(offsets) < len(pages) or offsets & seen or len(seen) + len(pages) > _MOST_PAGES:
-            raise BadInputError(f"the octree of {path} contains a cycle: damaged. {_REBUILD}")
-        seen |= offsets
-        waiting += pages
-        found.append(page[page["points"] > 0])
-    return np.concatenate(found)
-
-
-def _read_page(stream: BinaryIO, path: Location, header: RawHeader, at: int, size: int) -> NDArray[np.void]:
-    if size <= 0 or size % _ENTRY.itemsize or not header.offset_to_points <= at <= header.size - size:
-        raise BadInputError(
-            f"the octree of {path} has a page of {size:,} bytes at byte {at:,} of {header.size:,}, which is invalid: "
-            f"damaged or truncated? Copy or download it again"
-        )
-    stream.seek(at)
-    data = stream.read(size)
-    if len(data) < size:
-        raise BadInputError(f"{path} ends inside its octree: truncated? Copy or download it again")
-    return np.frombuffer(data, _ENTRY)
-
-
-def node_boxes(
-    nodes: NDArray[np.void], root: NDArray[np.float64], metres_per_unit: float | None
-) -> NDArray[np.float64] | None:
-    """Return west, south, east and north of nodes, (n, 4), m, from those of the root, (4,), in the unit of the file.
-
-    None if there is no ``metres_per_unit``: the bounds of the nodes are to be ignored.
-    """
-    if metres_per_unit is None:
-        return None
-    sides = (root[2:] - root[:2]) / np.exp2(nodes["level"])[:, None]
-    corners = root[:2] + sides * np.column_stack([nodes["x"], nodes["y"]])
-    return np.column_stack([corners, corners + sides]) * metres_per_unit
-
-
-def depth_first_order(nodes: NDArray[np.void]) -> NDArray[np.int64]:
-    """Return the depth-first order: by the path from the root, three bits a level, z last; parents before children."""
-    level = nodes["level"].astype(np.int64)
-    deepest = int(level.max(initial=0))
-    keys: list[NDArray[np.int64]] = []
-    for step in range(1, deepest + 1):
-        inside = level >= step
-        shift = np.maximum(level - step, 0)
-        x, y, z = ((nodes[axis].astype(np.int64) >> shift) & 1 for axis in "xyz")
-        keys.append(np.where(inside, 4 * y + 2 * x + z, -1))
-    # The last key counts most: the first step from the root.
-    return np.lexsort(keys[::-1]) if keys else np.zeros(nodes.size, np.int64).argsort(kind="stable")
-
-
-def count_points_outside_node(records: NDArray[np.uint8], scaling: Scaling, box: Bounds, nodes: ChunkTable) -> int:
-    """Count points inside the file's bounds, but more than ``OUTSIDE`` outside the cube of their node.
-
-    Checked by node, so that the result does not depend on the chunks. Only nodes whose minimum or maximum lies outside
-    are checked point by point.
-    """
-
-    def outside(words: NDArray[np.int32], boxes: NDArray[np.float64]) -> NDArray[np.bool_]:
-        points = np.stack([scaling.coordinates(axis, words[:, axis]) for axis in range(2)], axis=1)
-        beyond = (points < boxes[:, :2] - OUTSIDE) | (points > boxes[:, 2:] + OUTSIDE)
-        return np.asarray(beyond.any(axis=1))
-
-    boxes = np.empty((0, 4)) if nodes.boxes is None else nodes.boxes
-    words = np.ascontiguousarray(records[:, :8]).view("<i4")
-    starts = np.cumsum(nodes.counts) - nodes.counts
-    suspect = outside(np.minimum.reduceat(words, starts), boxes) | outside(np.maximum.reduceat(words, starts), boxes)
-    points = words[np.repeat(suspect, nodes.counts)]
-    own = np.repeat(boxes[suspect], nodes.counts[suspect], axis=0)
-    whole = np.array([[box.west, box.south, box.east, box.north]])
-    return int(np.count_nonzero(outside(points, own) & ~outside(points, whole)))

@@ -1,4 +1,4 @@
-"""What is said before and after a run: of unknown tiles, of what it takes, at its end, of its survey in run.json."""
+"""What is foretold of a run: unknown tiles, memory, disk; and what run.json says of the survey."""
 
 import json
 import os
@@ -12,15 +12,11 @@ import laspy
 import numpy as np
 import pytest
 from blake3 import blake3
-from click.testing import CliRunner
 from ply_files import write_ply
 from small_surveys import run, write_las, write_survey
 
 import bumpymap
-from bumpymap.cli import main
-from bumpymap.core import TooUnknownError
-from bumpymap.core.config import FeatureSettings
-from bumpymap.core.types import Reason
+from bumpymap.core import FeatureSettings, Reason, TooUnknownError
 from bumpymap.layers import MapSummary, write_products as write
 from bumpymap.readers import ReadOptions, open_survey
 from bumpymap.survey import Budget, FlightLines, MapResult, estimate, ground_line
@@ -47,36 +43,17 @@ def answer(*words):
 
 
 def foretold_and_found(out, *words):
-    """Shares of the tiles that are unknown, and the sentences, of `info` and of `map`."""
+    """Shares of the tiles that are unknown by `info` and by `map`."""
     (record,) = answer("info", *words, "--json")["files"]
     mapped = answer("map", *words, "--local", "--out", out, "--json")
     found = sum(mapped["unknown"].values()) / mapped["tiles"]
-    return sum(record["unknown_tiles_about"].values()), found, record["needs"][-1], mapped["advice"]
+    return sum(record["unknown_tiles_about"].values()), found
 
 
-@pytest.mark.parametrize(
-    ("density", "ground_share", "before_run", "after_run"),
-    [
-        (0.4, 0.0, "--tile-size 6 would leave about", "larger tiles if it has no gaps: bumpymap info"),
-        (5.0, 0.0, "", ""),
-        (14.0, 0.02, "--ground all would leave about 0% unknown", "--ground all measures every point, 126 per tile"),
-        (0.4, 0.8, "--tile-size 6 would leave about", "A denser survey would help"),
-        (60.0, 0.5, "", ""),
-    ],
-)
-def test_what_is_foretold_is_found(tmp_path, density, ground_share, before_run, after_run):
-    survey = write_random(tmp_path / "a.laz", density, ground_share)
-    foretold, found, before, after = foretold_and_found(tmp_path / "out", survey)
+@pytest.mark.parametrize(("density", "ground_share"), [(0.4, 0.0), (5.0, 0.0), (14.0, 0.02), (0.4, 0.8), (60.0, 0.5)])
+def test_what_is_foretold_is_found(tmp_path, density, ground_share):
+    foretold, found = foretold_and_found(tmp_path / "out", write_random(tmp_path / "a.laz", density, ground_share))
     assert foretold == pytest.approx(found, abs=0.02)
-    assert before_run in before
-    assert after_run in after
-    assert "bumpymap info" not in before
-    if found > 0.1:
-        assert after.startswith(f"{found:.1%} of the tiles are unknown")
-        known = after.replace(f"{found:.1%} of the tiles are", f"about {found:.0%} of the tiles will be")
-        assert before.split(". ")[0] == known.split(". ")[0]
-    else:
-        assert after.startswith((f"{found:.1%} of the tiles are unknown, mostly", "no tile with points is unknown"))
 
 
 def far_from_ponds(x, y):
@@ -113,24 +90,22 @@ def test_larger_tiles_are_advised_where_they_leave_fewer_unknown(tmp_path, seen,
 @pytest.mark.parametrize("ground", ["auto", "all"])
 def test_what_is_foretold_of_real_surveys_is_found(tmp_path, shared_data, name, ground):
     survey = shared_data / "surveys" / name
-    foretold, found, *_ = foretold_and_found(tmp_path / "out", survey, "--ground", ground)
+    foretold, found = foretold_and_found(tmp_path / "out", survey, "--ground", ground)
     assert foretold == pytest.approx(found, abs=0.03)
 
 
 @pytest.mark.parametrize(
-    ("reason", "measured", "every", "thin", "words"),
+    ("measured", "every", "options"),
     [
-        (Reason.TOO_FEW_POINTS, "points", 20.0, True, "at least 4 are needed"),
-        (Reason.NO_GROUND, "ground points", 200.0, False, "--ground csf detects ground points"),
-        (Reason.NO_GROUND, "ground points (found by the cloth)", 200.0, True, "vegetation too"),
-        (Reason.TOO_MANY_HOLES, "points", 60.0, False, "or less than 25% of the pixels with one"),
-        (Reason.OUTLIER_RELIEF, "points", 200.0, False, "class 7 or 18"),
+        ("points", 20.0, set()),
+        ("ground points", 200.0, {"all", "csf"}),
+        ("ground points", 2.0, set()),
+        ("ground points (found by the cloth)", 200.0, {"all"}),
     ],
 )
-def test_what_would_help(reason, measured, every, thin, words):
-    said = advise(Outcome(100, {reason: 90}, measured, 20.0, every, thin), FeatureSettings())
-    assert words in said
-    assert ("--ground csf" in said) == (measured == "ground points")
+def test_which_ground_would_leave_fewer_tiles_unknown(measured, every, options):
+    said = advise(Outcome(100, {Reason.NO_GROUND: 90}, measured, 20.0, every, True), FeatureSettings())
+    assert set(re.findall(r"--ground (\w+)", said)) == options
 
 
 QUARRY = Path(__file__).resolve().parents[2] / "sample_data" / "quarry.laz"
@@ -145,8 +120,8 @@ def map_result(*, ground_only=False, **objects):
 @pytest.mark.parametrize(
     ("found", "words"),
     [
-        (map_result(judged=100, layered=83, tall=90), "`ground='csf'` looks for the ground beneath"),
-        (map_result(judged=100, layered=5, tall=21), "`ground='all'` (as here) keeps them"),
+        (map_result(judged=100, layered=83, tall=90), "`ground='csf'`"),
+        (map_result(judged=100, layered=5, tall=21), "`ground='all'`"),
         (map_result(judged=100, layered=6, tall=5), ""),
         (map_result(), ""),
         (map_result(judged=100, layered=83, tall=90, ground_only=True), ""),
@@ -163,8 +138,7 @@ def test_more_unknown_tiles_than_allowed_are_exit_code_4_and_keep_the_layers(tmp
     words = ("map", QUARRY, "--out", out, "--quiet", "--set")
     failed = run(*words, "max_unknown=0.1%")
     assert failed.exit_code == 4
-    assert "tiles are unknown (1.0%), more than the 0.1% that --set max_unknown allows" in failed.output
-    assert "mostly because of too many holes" in failed.output
+    assert "max_unknown" in failed.output
     assert json.loads((out / "run.json").read_text())["counts"]["unknown"] > 0
     assert run(*words, "max_unknown=50%").exit_code == 0  # the same run, already done
     with pytest.raises(TooUnknownError):
@@ -172,7 +146,6 @@ def test_more_unknown_tiles_than_allowed_are_exit_code_4_and_keep_the_layers(tmp
 
 
 APART = ["/home/me/a.laz", "/home/me/more/b.laz"]
-SIGNED = "https://me:word@example.org/deep/my%20site.laz?X-Signature=abc#x"
 
 
 @pytest.mark.parametrize(
@@ -185,13 +158,11 @@ SIGNED = "https://me:word@example.org/deep/my%20site.laz?X-Signature=abc#x"
         (["/x/hill/a.laz", "/x/hill/b.laz"], ["/x/hill/a.laz", "/x/hill/b.laz"], "hill"),
         (APART, APART, "2 files"),
         (["/"], APART, "2 files"),
-        ([SIGNED], [SIGNED], "my site"),  # neither server nor query is told
-        (["s3://bucket/hill/"], ["s3://bucket/hill/a.laz", "s3://bucket/hill/b.laz"], "hill"),
         (["x"], [os.fsdecode(b"caf\xe9\n\x01.laz")], "caf" + 3 * "\N{REPLACEMENT CHARACTER}"),
     ],
 )
 def test_a_survey_is_called_after_its_file_or_its_folder(given, files, name):
-    places = [[place if "://" in place else Path(place) for place in some] for some in (given, files)]
+    places = [list(map(Path, some)) for some in (given, files)]
     assert survey_record(*places, ["a:1"] * len(files), [None] * len(files))["name"] == name
 
 
@@ -322,20 +293,11 @@ def test_a_survey_larger_than_its_budget_takes_the_budget_and_a_small_one_does_n
 
 
 def test_info_says_what_a_run_takes(tmp_path):
-    def told(*words):
-        return CliRunner().invoke(main, ["info", *map(str, words)], env={"COLUMNS": "200"}).output
-
-    quick = (QUARRY, "--quick", "--set", "threads=3")
-    assert re.search(r"a run with --memory auto \(\d+MB now\) on 3 threads", told(*quick))
-    small = told(*quick, "--set", "memory=128MB")
-    assert "a run with --memory 128MB on 3 threads" in small
-    assert "none: all points fit into memory" in small
-    assert "memory is '1MB'" in told(*quick, "--set", "memory=1MB")
     place = np.array([500_001.0, 4_000_002.0, 0.0])
     points = place + np.random.default_rng(0).uniform(0, 9, (100, 3))
     cloud = write_points(tmp_path / "a.las", points)
     ply = write_ply(tmp_path / "a.ply", np.rec.fromarrays(points[:1].T, names="x,y,z"), order="=")
-    assert "unknown until the points are read: run without --quick" in told(cloud, ply, "--quick")
-    read = json.loads(run("info", cloud, ply, "--json").stdout)["run"]
+    read = answer("info", cloud, ply, "--json")["run"]
     assert (read["points"], read["scratch_bytes_at_most"]) == (101, 0)
     assert 2 <= read["tiles_at_most"] <= 10
+    assert run("info", QUARRY, "--quick", "--set", "memory=1MB").exit_code == 2
