@@ -169,10 +169,8 @@ from .run_folder import (
     what_to_keep as what_to_keep,
 )
 from .run_spec import (
-    CHECKSUM_METHOD as CHECKSUM_METHOD,
-    FileHash as FileHash,
-    PieceRuns as PieceRuns,
     differences as differences,
+    file_checksum as file_checksum,
     flat_settings as flat_settings,
     join_checksums as join_checksums,
     recorded_settings as recorded_settings,

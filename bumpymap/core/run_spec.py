@@ -1,159 +1,32 @@
 """The run spec: inputs with their checksums, settings, and versions and ids of what a run computes with.
 
-A file is cut into pieces of 1 MiB. Its checksum is the BLAKE3 of the BLAKE3 digests of the pieces, joined in file
-order. A plain BLAKE3 needs all bytes in order, so a file that is read in another order (an octree, ranges read by
-several workers, what a resumed run has left to read) would have to be read again for it. BLAKE3 takes a quarter of the
-time of SHA-256, even on a processor with SHA instructions (measured).
-
-Parts of a piece are kept until the piece is whole, up to a limit. Beyond that, the piece that was begun first is
-forgotten and read again at the end, as are bytes that no reader has asked for.
+BLAKE3 takes a quarter of the time of SHA-256, even on a processor with SHA instructions (measured).
 """
 
 import hashlib
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from threading import Lock
 from typing import Any
 
 from blake3 import blake3
 
-from bumpymap.core.errors import BadInputError
 from bumpymap.core.files import plain_json
 
-CHECKSUM_METHOD = "blake3-1MiB"
-"""Stands before the digest in a checksum: ``blake3-1MiB:12ab...``."""
+CHECKSUM_METHOD = "blake3"
+"""Stands before the digest in a checksum: ``blake3:12ab...``."""
 _SET_METHOD = "blake3-set"
 """Stands before the digest in a checksum of several files."""
-PieceRuns = tuple[tuple[int, bytes], ...]
-"""Digests of consecutive pieces, joined, each with the number of the first piece."""
-
-PIECE = 1 << 20
-_DIGEST = 32
-MOST_PARTS = 16
-"""Pieces at most of which parts are kept, for each file."""
-
-Buffer = Any
-"""Any object with the buffer protocol: bytes, memoryview, array of uint8."""
+_PIECE_BYTES = 1 << 20
 
 
-class FileHash:
-    """Computes the checksum of a file of ``size`` bytes from the ranges that are read. Thread-safe.
-
-    Only local files have one. Bytes may be added twice, and must then be the same: the caller checks that the file
-    does not change.
-    """
-
-    def __init__(self, size: int) -> None:
-        self._size, self._count = size, -(-size // PIECE)
-        self._lock = Lock()
-        self._digests, self._known = bytearray(), bytearray()
-        self._parts: dict[int, dict[int, bytes]] = {}
-        self._fresh: list[int] = []
-        self._checksum: str | None = None
-
-    @property
-    def checksum(self) -> str | None:
-        """The checksum; None before `finish`."""
-        return self._checksum
-
-    def add(self, start: int, data: Buffer) -> None:
-        """Hash bytes that were read from offset ``start``."""
-        if self._checksum is not None:
-            return
-        view = memoryview(data).cast("B")
-        for piece in range(start // PIECE, -(-(start + len(view)) // PIECE)):
-            first = max(piece * PIECE - start, 0)
-            part = view[first : (piece + 1) * PIECE - start]
-            if not self._is_known(piece):
-                self._add_part(piece, start + first - piece * PIECE, part)
-
-    def take(self) -> PieceRuns:
-        """Return the digests of the pieces that were completed since the last call, except those from `put`."""
-        with self._lock:
-            fresh, self._fresh = sorted(self._fresh), []
-        runs: list[tuple[int, bytes]] = []
-        for piece in fresh:
-            digest = bytes(self._digests[piece * _DIGEST : (piece + 1) * _DIGEST])
-            if runs and runs[-1][0] + len(runs[-1][1]) // _DIGEST == piece:
-                runs[-1] = (runs[-1][0], runs[-1][1] + digest)
-            else:
-                runs.append((piece, digest))
-        if self._checksum is not None:
-            self._digests, self._known = bytearray(), bytearray()
-        return tuple(runs)
-
-    def put(self, runs: Iterable[tuple[int, bytes]]) -> None:
-        """Add digests of pieces that another `FileHash` of this file returned from `take`."""
-        for first, digests in runs:
-            for number in range(len(digests) // _DIGEST):
-                if self._checksum is None and first + number < self._count:
-                    self._store_digest(first + number, digests[number * _DIGEST : (number + 1) * _DIGEST], fresh=False)
-
-    def finish(self, read: Callable[[int, int], Buffer]) -> str:
-        """Read the bytes that are missing, and return the checksum.
-
-        Parameters
-        ----------
-        read : callable
-            Called with an offset and a number of bytes; returns these bytes.
-
-        Raises
-        ------
-        BadInputError
-            The file ends early.
-        """
-        if self._checksum is None:
-            for piece in range(self._count):
-                if not self._is_known(piece):
-                    content = memoryview(read(piece * PIECE, self._length(piece))).cast("B")
-                    if len(content) < self._length(piece):
-                        raise BadInputError(f"the file ends before byte {self._size:,}, its size when it was opened")
-                    self._store(piece, content)
-            self._checksum = f"{CHECKSUM_METHOD}:{blake3(self._digests).hexdigest()}"
-        return self._checksum
-
-    def forget_parts(self) -> None:
-        """Free the parts of pieces, which are read again by `finish`."""
-        with self._lock:
-            self._parts.clear()
-
-    def _is_known(self, piece: int) -> bool:
-        return bool(self._known and self._known[piece])
-
-    def _length(self, piece: int) -> int:
-        return min(self._size - piece * PIECE, PIECE)
-
-    def _add_part(self, piece: int, at: int, data: memoryview) -> None:
-        """Hash a piece if this is all of it, or the last part; else keep the part by its offset in the piece."""
-        length = self._length(piece)
-        if len(data) == length:
-            self._store(piece, data)
-            return
-        with self._lock:
-            parts = self._parts.setdefault(piece, {})
-            parts[at] = bytes(data)
-            if len(self._parts) > MOST_PARTS:
-                del self._parts[next(iter(self._parts))]
-            size = sum(map(len, parts.values()))
-            if size > length:  # they overlap: the piece is read again
-                self._parts.pop(piece, None)
-            ends = [begin + len(part) for begin, part in sorted(parts.items())]
-        if size == length and [0, *ends[:-1]] == sorted(parts):
-            self._store(piece, b"".join(part for _, part in sorted(parts.items())))
-
-    def _store(self, piece: int, content: Buffer) -> None:
-        self._store_digest(piece, blake3(content).digest(), fresh=True)
-
-    def _store_digest(self, piece: int, digest: bytes, *, fresh: bool) -> None:
-        with self._lock:
-            if not self._known:
-                self._digests, self._known = bytearray(self._count * _DIGEST), bytearray(self._count)
-            if not self._known[piece]:
-                self._digests[piece * _DIGEST : (piece + 1) * _DIGEST] = digest
-                self._known[piece] = 1
-                self._fresh += [piece] * fresh
-            self._parts.pop(piece, None)
+def file_checksum(path: Path) -> str:
+    """Return the checksum of a file: its BLAKE3, as ``b3sum`` prints it, after ``blake3:``."""
+    found, piece = blake3(), bytearray(_PIECE_BYTES)
+    with path.open("rb", buffering=0) as file:
+        while size := file.readinto(piece):
+            found.update(memoryview(piece)[:size])
+    return f"{CHECKSUM_METHOD}:{found.hexdigest()}"
 
 
 def join_checksums(checksums: Iterable[str]) -> str:
@@ -243,7 +116,7 @@ def same_content(path: str, known: Mapping[str, Any], here: Mapping[str, Any], h
     path : str
         Of the file.
     known : mapping
-        ``bytes``, ``checksum`` (see `FileHash`; or ``sha256`` of all bytes) and, if it was recorded, ``mtime_ns``.
+        ``bytes``, ``checksum`` (see `file_checksum`; or ``sha256`` of all bytes) and, if it was recorded, ``mtime_ns``.
     here : mapping
         From `bumpymap.readers.identity`.
     hashed : callable

@@ -9,7 +9,6 @@ from .decoder import (
 )
 from .detect import (
     find_surveys as find_surveys,
-    hash_survey as hash_survey,
     identity as identity,
     open_survey as open_survey,
     reopen_survey as reopen_survey,
@@ -58,6 +57,7 @@ from .source import (
     NoPointsError as NoPointsError,
     Version as Version,
     file_changed as file_changed,
+    hash_survey as hash_survey,
 )
 from .summary import (
     PointSummary as PointSummary,

@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, FileHash
+from bumpymap.core import BadInputError
 from bumpymap.readers.protocol import ReadOptions, SurveyReader
 from bumpymap.readers.source import (
     EPT_NAME,
     Location,
-    Version,
     open_source,
     pinned_version,
     read_range,
@@ -96,26 +95,11 @@ def identity(location: Location) -> dict[str, Any]:
         A `Version` (``size`` in bytes, and ``mtime_ns`` as str) and ``digest``: SHA-256 of the first and the last
         64 KiB.
     """
-    version, read = _bytes_of(location)
-    ends = [read(start, _HEAD_BYTES).tobytes() for start in (0, max(version["size"] - _HEAD_BYTES, 0))]
-    return {**version, "digest": hashlib.sha256(b"".join(ends)).hexdigest()}
-
-
-def hash_survey(path: Path) -> str:
-    """Return the checksum of a survey, see `FileHash`; raise BadInputError if it cannot be read."""
-    version, read = _bytes_of(path)
-    return FileHash(version["size"]).finish(read)
-
-
-def _bytes_of(location: Location) -> tuple[Version, Callable[[int, int], NDArray[np.uint8]]]:
-    """Return the version of a survey, and what reads some of its bytes."""
     version = version_of(location)
-
-    def read(start: int, size: int) -> NDArray[np.uint8]:
-        with pinned_version(location, version):
-            return read_range(location, start, size)
-
-    return version, read
+    with pinned_version(location, version):
+        starts = (0, max(version["size"] - _HEAD_BYTES, 0))
+        ends = [read_range(location, start, _HEAD_BYTES).tobytes() for start in starts]
+    return {**version, "digest": hashlib.sha256(b"".join(ends)).hexdigest()}
 
 
 def _open_table(kind: Kind, path: Location, wanted: "Wanted", memory: int, text_type: Any = None) -> "PointTable":

@@ -80,8 +80,7 @@ def _buffer(size: int) -> NDArray[np.uint8]:
 def _read_pieces(path: Location, header: RawHeader, chunk: Chunk) -> Iterator[Records]:
     """Yield the uncompressed records of a chunk, piece by piece in one buffer; each is valid until the next is taken.
 
-    A piece is still in the processor's cache when it is used, and memory for the whole chunk is not needed. Reads end
-    where multiples of ``_PIECE_BYTES`` do, as the pieces of the checksum of the file.
+    A piece is still in the processor's cache when it is used, and memory for the whole chunk is not needed.
     """
     size = header.point_size
     at = header.offset_to_points + chunk.first * size
@@ -89,7 +88,7 @@ def _read_pieces(path: Location, header: RawHeader, chunk: Chunk) -> Iterator[Re
     buffer = _buffer(_PIECE_BYTES + size)
     held = 0  # bytes of a record that the last read cut
     while at < end:
-        wanted = min(_PIECE_BYTES - at % _PIECE_BYTES, end - at)
+        wanted = min(_PIECE_BYTES, end - at)
         got = read_into(path, at, buffer[held : held + wanted])
         at += got
         if got < wanted:

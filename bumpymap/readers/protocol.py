@@ -14,11 +14,9 @@ from numpy.typing import NDArray
 from bumpymap.core import (
     GROUND_CLASSES,
     BadInputError,
-    FileHash,
     Georeference,
     GivenCrs,
     LengthUnit,
-    PieceRuns,
     PointCloud,
     UsageError,
 )
@@ -33,8 +31,8 @@ from bumpymap.readers.point_stats import (
 from bumpymap.readers.source import (
     Location,
     Version,
+    hash_survey,
     pinned_version,
-    read_range,
     require_unchanged,
     version_of,
 )
@@ -60,8 +58,6 @@ class ReadOptions:
     """Memory limit, in bytes, for unpacking a file that cannot be read in chunks (compressed PCD)."""
     lines: bool = False
     """True if sums are made to compare the heights of flight lines."""
-    checksum: bool = False
-    """True if the checksum of a local file is made while it is read."""
     force_crs: str | None = None
     """CRS of all files, whatever they state."""
     crs_must_agree: bool = False
@@ -144,9 +140,6 @@ class Chunk:
     """Number of points before it in reading order."""
     points: int
     """Number of points, as declared in the header or the chunk table."""
-    bounds: Bounds | None = None
-    """Extent in m. `verify` raises if a point lies more than 1 m outside it. None if only the bounds of the whole file
-    are known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,14 +188,11 @@ class SurveyReader(ABC):
         Here and in ``fetch``, ``convert`` and ``verify``: the file is not what it must be, or was changed or removed.
     """
 
-    _hash: FileHash | None = None
-
     def __init__(self, path: Location, options: ReadOptions) -> None:
         self._path, self._version = path, version_of(path)
         with pinned_version(path, self._version):
             info = self._open(options)
         self._info = replace(info, version=self._version)
-        self._hash = FileHash(self._version["size"]) if options.checksum else None
         self._dropped, self._line_sums = PointStats().dropped, LineSums()
 
     @abstractmethod
@@ -249,10 +239,16 @@ class SurveyReader(ABC):
         """Sums to compare flight lines; complete when ``clouds`` is exhausted."""
         return self._line_sums
 
-    @property
-    def checksum(self) -> str | None:
-        """The checksum of the file, see `bumpymap.core.FileHash`, after ``verify``; None if not asked."""
-        return None if self._hash is None else self._hash.checksum
+    def checksum(self) -> str:
+        """Read the file once more for its checksum, see `bumpymap.core.file_checksum`.
+
+        Raises
+        ------
+        BadInputError
+            The file was changed or removed since it was opened.
+        """
+        with self._reading():
+            return hash_survey(self._path)
 
     @abstractmethod
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
@@ -279,8 +275,6 @@ class SurveyReader(ABC):
     def verify(self, stats: PointStats) -> None:
         """Check the merged statistics of all chunks against the header, and that the file is unchanged.
 
-        Bytes that no chunk has are read here, for the checksum.
-
         Raises
         ------
         BadInputError
@@ -288,9 +282,6 @@ class SurveyReader(ABC):
         """
         self._require_unchanged()
         verify(stats, self._info.path, self._info.point_count, self._info.bounds)
-        if self._hash is not None and self._hash.checksum is None:
-            self._finish_hash(self._hash)
-            self._require_unchanged()
 
     def header_doubt(self, stats: PointStats) -> str:
         """Return where the extent in the header is not that of the points; empty if it is, or nobody measured it."""
@@ -298,20 +289,6 @@ class SurveyReader(ABC):
 
     def _require_unchanged(self) -> None:
         require_unchanged(self._path, self._version)
-
-    def _finish_hash(self, own: FileHash) -> None:
-        """Read what no chunk has."""
-        with pinned_version(self._path, self._version):
-            own.finish(lambda start, size: read_range(self._path, start, size))
-
-    def take_hashed(self) -> PieceRuns:
-        """Return what of the checksum is new since the last call, for a reader of the same file elsewhere or later."""
-        return () if self._hash is None else self._hash.take()
-
-    def put_hashed(self, pieces: PieceRuns) -> None:
-        """Take over what ``take_hashed`` of another reader returned."""
-        if self._hash is not None:
-            self._hash.put(pieces)
 
     def clouds(self, points: int = 1_000_000) -> Iterator[PointCloud]:
         """Yield the points, in metres, in reading order, at most ``points`` at a time.
@@ -337,14 +314,9 @@ class SurveyReader(ABC):
 
     @contextmanager
     def _reading(self) -> Iterator[None]:
-        """Read from the file in the body, and hash what is read; a change of it is noticed."""
-        try:
-            with pinned_version(self._path, self._version, None if self._hash is None else self._hash.add):
-                yield
-        except BadInputError:
-            if self._hash is not None:
-                self._hash.forget_parts()
-            raise
+        """Read from the file in the body; a change of it is noticed."""
+        with pinned_version(self._path, self._version):
+            yield
         require_unchanged(self._path, self._version)
 
 

@@ -2,39 +2,20 @@
 
 import os
 import stat
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from contextvars import ContextVar
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, BumpymapError, free_memory, missing_resource, refused_write
+from bumpymap.core import BadInputError, BumpymapError, file_checksum, free_memory, missing_resource, refused_write
 from bumpytiles import Bounds
 
 Location = Path
 Version = dict[str, Any]
 """Distinguishes versions of a file without reading it: ``size`` in bytes, and ``mtime_ns`` as str."""
-
-
-@dataclass(frozen=True, slots=True)
-class PinnedFile:
-    """The file that the body of `pinned_version` reads."""
-
-    location: Location
-    version: Version
-    hashed: "HashedBytes | None"
-    """Where bytes go that are read; None: they are not hashed."""
-
-
-HashedBytes = Callable[[int, Any], None]
-"""Called with the offset of some bytes and a buffer that holds them."""
-
-PINNED: ContextVar[PinnedFile | None] = ContextVar("PINNED", default=None)
-"""See `bumpymap.readers.source.pinned_version`."""
 
 
 def file_changed(location: Location, how: str) -> BadInputError:
@@ -75,24 +56,23 @@ def read_range(location: Location, start: int, size: int) -> NDArray[np.uint8]:
 
 
 def read_into(location: Location, start: int, data: NDArray[np.uint8]) -> int:
-    """Read bytes from offset ``start`` into an array; return how many there were.
-
-    `pinned_version` may pass the array on to be hashed.
-    """
-    with _reading(location):
-        with location.open("rb", buffering=0) as stream:
-            stream.seek(start)
-            filled = _fill(stream, data)
-        pinned = PINNED.get()
-        if pinned is not None and pinned.hashed is not None and pinned.location == location:
-            pinned.hashed(start, data[:filled])
-        return filled
+    """Read bytes from offset ``start`` into an array; return how many there were."""
+    with _reading(location), location.open("rb", buffering=0) as stream:
+        stream.seek(start)
+        return _fill(stream, data)
 
 
 def size_of(location: Location) -> int:
     """Return the size of a file in bytes."""
     size: int = version_of(location)["size"]
     return size
+
+
+def hash_survey(location: Location) -> str:
+    """Return the checksum of a survey, see `bumpymap.core.file_checksum`; raise BadInputError if it cannot be read."""
+    with _reading(location):
+        _refuse_special(location)
+        return file_checksum(location)
 
 
 def version_of(location: Location) -> Version:
@@ -109,8 +89,8 @@ def version_of(location: Location) -> Version:
 
 
 @contextmanager
-def pinned_version(location: Location, version: Version, hashed: HashedBytes | None = None) -> Iterator[None]:
-    """Require that what the body reads of a file, in this thread, is of one version; pass its bytes to ``hashed``.
+def pinned_version(location: Location, version: Version) -> Iterator[None]:
+    """Require that what the body reads of a file is of one version.
 
     If the body raises BadInputError for another reason and the file has
     changed by then, the error says so instead, since a mixture of two versions looks like a damaged file.
@@ -120,14 +100,11 @@ def pinned_version(location: Location, version: Version, hashed: HashedBytes | N
     BadInputError
         The file has changed; see `require_unchanged`.
     """
-    token = PINNED.set(PinnedFile(location, version, hashed))
     try:
         yield
     except BadInputError as error:
         require_unchanged(location, version, error)
         raise
-    finally:
-        PINNED.reset(token)
 
 
 def require_unchanged(location: Location, version: Version, cause: Exception | None = None) -> None:

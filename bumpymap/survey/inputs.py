@@ -26,7 +26,6 @@ def read_options(config: MapConfig, *, crs_must_agree: bool = False) -> ReadOpti
         config.trust_points,
         memory_bytes(config.memory),
         lines=config.align != "off",
-        checksum=True,
         force_crs=config.force_crs,
         crs_must_agree=crs_must_agree,
         ground_classes=config.ground_classes,

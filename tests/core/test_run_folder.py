@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from blake3 import blake3
 
-from bumpymap.core import BadInputError, FileHash, run_spec, same_content
+from bumpymap.core import same_content
 from bumpymap.core.errors import OutputError
 from bumpymap.core.run_folder import LOCK, Holder, RunFolder, lock_for, locked, work_folder
 from bumpymap.readers import hash_survey
@@ -136,11 +136,8 @@ def test_a_damaged_run_spec_is_not_resumed(tmp_path, spec):
         assert not run.resumed
 
 
-# --- the checksum of a file is the same whatever the order in which its bytes are read ---
+# --- the checksum of a file ---
 PIECE = 1 << 20
-
-
-SIZES = [0, 1, 1000, PIECE - 1, PIECE, PIECE + 1, 5 * PIECE + 12_345]
 
 
 def content(size):
@@ -148,47 +145,14 @@ def content(size):
 
 
 def expected(data):
-    digests = [blake3(data[start : start + PIECE]).digest() for start in range(0, len(data), PIECE)]
-    return f"blake3-1MiB:{blake3(b''.join(digests)).hexdigest()}"
+    return f"blake3:{blake3(data).hexdigest()}"
 
 
-class Rest:
-    """Gives the bytes that are missing at the end, and counts them."""
-
-    def __init__(self, data):
-        self.data, self.read = data, 0
-
-    def __call__(self, start, size):
-        self.read += size
-        return self.data[start : start + size]
-
-
-@pytest.mark.parametrize("size", SIZES)
-def test_of_a_file_that_nobody_has_read(size, tmp_path):
+@pytest.mark.parametrize("size", [0, 1000, PIECE, 5 * PIECE + 12_345])
+def test_the_checksum_of_a_file_is_its_blake3(size, tmp_path):
     data = content(size)
     (tmp_path / "a").write_bytes(data)
     assert hash_survey(tmp_path / "a") == expected(data)
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_in_any_order_with_gaps_and_overlaps(seed, monkeypatch):
-    rng = np.random.default_rng(seed)
-    monkeypatch.setattr(run_spec, "MOST_PARTS", int(rng.choice([0, 1, 16])))
-    data = content(SIZES[-1])
-    made, seen = FileHash(len(data)), np.zeros(len(data), bool)
-    for start in rng.integers(0, len(data), int(rng.integers(0, 40))):
-        stop = start + int(rng.choice([10, 100_000, 1_500_000]))
-        made.add(start, data[start:stop])
-        seen[start:stop] = True
-    rest = Rest(data)
-    assert made.finish(rest) == expected(data)
-    assert rest.read >= np.count_nonzero(~seen)
-
-
-def test_a_file_that_ends_early():
-    data = content(2 * PIECE)
-    with pytest.raises(BadInputError, match="ends before byte 2,100,000"):
-        FileHash(2_100_000).finish(Rest(data))
 
 
 def test_content_is_compared_by_the_method_of_the_record(tmp_path):

@@ -22,7 +22,7 @@ from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.layers import SurveyRow
 from bumpymap.layers.scan_files import COLUMNS
 from bumpymap.rating import Vehicle
-from bumpymap.readers import hash_survey, parse_columns
+from bumpymap.readers import parse_columns
 from bumpymap.readers.drives.quantities import NAMES, QUANTITIES, UNITS
 from bumpymap.survey.batch.source import read_table
 
@@ -156,14 +156,6 @@ def test_the_real_drives_give_the_figures_of_the_page(shared_data, capsys):
 
 
 # --- Python ---
-def test_the_checksum_of_an_input_as_the_page_computes_it(tmp_path):
-    survey = tmp_path / "survey.las"
-    survey.write_bytes(bytes(range(251)) * 10_000)
-    section, names = text_of("files.md").partition("### The checksum of an input")[2], {}
-    exec(re.search(r"^```python\n(.*?)^```$", section, re.MULTILINE | re.DOTALL)[1], names)  # noqa: S102 (our own page)
-    assert names["checksum"](survey) == hash_survey(survey)
-
-
 API = text_of("api.md")
 
 

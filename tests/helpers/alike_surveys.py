@@ -6,7 +6,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-ALIKE = {"name": "survey", "checksum": "blake3-1MiB:0", "dates": None}
+ALIKE = {"name": "survey", "checksum": "blake3:0", "dates": None}
 
 
 @contextmanager

@@ -87,14 +87,14 @@ def said_by_layers(folder):
 
 
 def test_every_layer_says_which_survey_vehicle_and_version_made_it(tmp_path, cost_map):
-    about = {"name": "Grünfläche <1> & 2", "checksum": "blake3-1MiB:ab", "dates": ["2024-05-01", "2024-05-03"]}
+    about = {"name": "Grünfläche <1> & 2", "checksum": "blake3:ab", "dates": ["2024-05-01", "2024-05-03"]}
     calibration = RUN["calibration"] | {"class_limits": (0.111, 0.25, 0.4)}
     write(cost_map, tmp_path, manifest=RUN | {"survey": about, "calibration": calibration})
     found = said_by_layers(tmp_path)
     assert set(found) == set(PRODUCT_NAMES) - {"item.json", "run.json"}  # these say more, see their own tests
     wanted = {
         "survey": "Grünfläche <1> & 2",
-        "survey_checksum": "blake3-1MiB:ab",
+        "survey_checksum": "blake3:ab",
         "survey_header_dates": "2024-05-01/2024-05-03",
         "vehicle": "warthog",
         "calibration": "c0ffee",

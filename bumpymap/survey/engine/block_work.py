@@ -239,7 +239,7 @@ class MeasuredTiles:
     lines: LineSums
     """Sums to compare the flight lines of these points."""
     checksums: list[str | None]
-    """Of each input, see `bumpymap.core.FileHash`; None for a URL, and if it was skipped."""
+    """Of each input, see `bumpymap.core.file_checksum`; None if it was skipped."""
     coloured: int
     """Number of points with a colour among those used."""
 

@@ -170,7 +170,7 @@ class _RunCheck:
 @lru_cache(maxsize=1)
 def opened(path: Location, options: ReadOptions, known: tuple[int, str], _run_id: str) -> SurveyReader:
     """Open a file once for all its ranges; ``_run_id`` makes the next run open it again."""
-    remedy = "Every worker must reach the same files under the same names: use a shared folder, or URLs"
+    remedy = "Every worker must reach the same files under the same names: use a shared folder"
     try:
         reader, here = reopen_survey(path, options), identity(path)
     except BadInputError as error:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CHECKSUM_METHOD, BadInputError, PieceRuns, atomic, parse_json
+from bumpymap.core import BadInputError, atomic, parse_json
 from bumpymap.readers import LineSums, PointStats, SurveyReader, Version, file_changed
 from bumpymap.survey.engine.budget import Workspace
 from bumpymap.survey.engine.surroundings import blocks_around
@@ -140,8 +140,6 @@ class ReadResult:
     """True if any point is ground."""
     lines: LineSums = LineSums()  # noqa: RUF009 (frozen)
     """Sums to compare flight lines."""
-    hashed: dict[int, PieceRuns] = field(default_factory=dict)
-    """Computed part of the checksum of each file, see `SurveyReader.take_hashed`."""
     packs: tuple[tuple[Path, NDArray[np.int64]], ...] = ()
     """Packs of waiting points, each with the row, column and number of points of its blocks, (n, 3)."""
     tiles: tuple[tuple[Path, ...], ...] = ()
@@ -163,7 +161,6 @@ class ReadResult:
         """Return one result for the chunks of several, without packs, tiles and errors."""
         spans: list[Span] = []
         stats: dict[int, PointStats] = {}
-        hashed: dict[int, PieceRuns] = {}
         flagged, lines = False, LineSums()
         for result in results:
             for file, first, stop in result.spans:
@@ -171,11 +168,9 @@ class ReadResult:
                 spans.append((file, spans.pop()[1] if follows else first, stop))
             for file, own in result.stats.items():
                 stats[file] = stats.get(file, PointStats()).merge(own)
-            for file, runs in result.hashed.items():
-                hashed[file] = hashed.get(file, ()) + runs
             flagged |= result.flagged
             lines = lines.merge(result.lines)
-        return cls(tuple(spans), stats, flagged, lines, hashed)
+        return cls(tuple(spans), stats, flagged, lines)
 
 
 class Checkpoints:
@@ -221,9 +216,6 @@ class Checkpoints:
             "stats": {str(file): stats.to_record() for file, stats in result.stats.items()},
             "flagged": result.flagged,
             "lines": result.lines.to_record(),
-            CHECKSUM_METHOD: {
-                str(file): [(n, digests.hex()) for n, digests in own] for file, own in result.hashed.items()
-            },
             "packs": [[str(path.relative_to(folder)), blocks.tolist()] for path, blocks in result.packs],
             "early": early,
             "seen": {str(file): seen for file, seen in result.seen.items()},
@@ -263,10 +255,6 @@ class Checkpoints:
             {int(file): PointStats.from_record(stats) for file, stats in record["stats"].items()},
             record["flagged"],
             LineSums.from_record(record["lines"]),
-            {
-                int(file): tuple((first, bytes.fromhex(digests)) for first, digests in own)
-                for file, own in record.get(CHECKSUM_METHOD, {}).items()  # digests by another method are no use
-            },
             tuple((self._space.points_folder / path, np.array(blocks, np.int64)) for path, blocks in record["packs"]),
             seen={int(file): (host, version) for file, (host, version) in record["seen"].items()},
         )
@@ -353,8 +341,6 @@ class ResultCollector:
         known = ReadResult(result.spans, result.stats, error=result.error, seen=result.seen)
         for file, first, stop in result.spans:
             self._results[file].append((first, stop, known))
-        for file, pieces in result.hashed.items():
-            self._readers[file].put_hashed(pieces)
 
     def _judge(self, files: Iterable[int]) -> bool:
         """Return whether no error is known of files, and those that are read completely are good."""

@@ -98,8 +98,8 @@ def cut_ranges(
 
 def _range(file: int, reader: SurveyReader, chunks: Sequence[Chunk], first: int, stop: int) -> ChunkRange:
     own = chunks[first:stop]
-    bounds = _around([chunk.bounds for chunk in own]) or reader.info.bounds
-    return ChunkRange(file, first, stop, sum(chunk.points for chunk in own), bounds, stop - first == len(chunks))
+    points = sum(chunk.points for chunk in own)
+    return ChunkRange(file, first, stop, points, reader.info.bounds, stop - first == len(chunks))
 
 
 def _around(boxes: Sequence[Bounds | None]) -> Bounds | None:
@@ -341,10 +341,10 @@ class RangeReader:
     ) -> None:
         self._store, self._finish, self._threads, self._beside = store, finish, threads, beside
         self._progress, self._ranges = progress, ranges
-        self._readers = {source.range.file: source.reader for source in ranges}
         self._whole = {source.range.file: source for source in ranges if source.range.is_whole}
         self._stats = PointStats()
-        self._areas, bounds = _areas(ranges)
+        bounds = [source.reader.info.bounds for source in ranges]
+        self._areas = {(part.range.file, part.range.stop - 1): area for area, part in enumerate(ranges)}
         others: Sequence[Bounds | None] = (None,) if task.nearby is None else task.nearby
         self._completion, self._elsewhere = BlockCompletion(store.grid, [*bounds, *others]), task.waiting
         self._pending: deque[tuple[int, ReadResult]] = deque()
@@ -384,7 +384,7 @@ class RangeReader:
         """Return the result for chunks that are still in memory at the end; None if there are none."""
         if not self._pending and self._store.is_empty:
             return None
-        return replace(self._report(self._pending_up_to(self._next)), in_memory=self._store.in_memory())
+        return replace(ReadResult.merged(self._pending_up_to(self._next)), in_memory=self._store.in_memory())
 
     def _judge(self, file: int, index: int, stats: PointStats) -> ReadResult | None:
         """Return an error if this is the last chunk of a whole file that is bad; else None."""
@@ -413,11 +413,11 @@ class RangeReader:
             self._pending = deque(pending for pending in self._pending if pending[0] in waiting)
             yield ReadResult((), tiles=tiles)  # tiles are saved even if writing the points fails
             if gone:
-                yield self._report(gone)
+                yield ReadResult.merged(gone)
         self._store.compact()
         if self._store.must_spill:
             _, last = self._store.spill()
-            self._spilling = self._report(self._pending_up_to(last))
+            self._spilling = ReadResult.merged(self._pending_up_to(last))
 
     def _spilled(self) -> Iterator[ReadResult]:
         """Wait until the pack that is being written is on disk, and yield its result."""
@@ -433,23 +433,6 @@ class RangeReader:
         while self._pending and self._pending[0][0] <= last:
             taken.append(self._pending.popleft()[1])
         return taken
-
-    def _report(self, chunks: Sequence[ReadResult]) -> ReadResult:
-        """Return the result for chunks that are no longer pending."""
-        merged = ReadResult.merged(chunks)
-        return replace(merged, hashed={file: self._readers[file].take_hashed() for file in merged.stats})
-
-
-def _areas(ranges: Sequence[OpenRange]) -> tuple[dict[tuple[int, int], int], list[Bounds | None]]:
-    """Return the areas for `BlockCompletion`, one per chunk with bounds; the last chunk of a range covers the rest."""
-    areas: dict[tuple[int, int], int] = {}
-    bounds: list[Bounds | None] = []
-    for source in ranges:
-        for chunk in source.chunks:
-            if chunk.bounds is not None or chunk is source.chunks[-1]:
-                areas[source.range.file, chunk.index] = len(bounds)
-                bounds.append(chunk.bounds or source.reader.info.bounds)
-    return areas, bounds
 
 
 def blocks_of(pack: Pack) -> NDArray[np.int64]:

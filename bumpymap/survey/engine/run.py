@@ -131,7 +131,7 @@ def _read_and_measure(
     dropped = [None if str(reader.info.path) in inputs.skipped else stats.dropped for reader, stats in of_files]
     coloured = sum(stats.coloured for stats in collector.stats)
     lines = collector.lines.to_record()
-    checksums = [reader.checksum for reader in inputs.readers]
+    checksums = [None if str(reader.info.path) in inputs.skipped else reader.checksum() for reader in inputs.readers]
     which = {"ground_only": ground_only, "from_all": from_all}
     return which | {"dropped": dropped, "points": counted, "lines": lines, "checksums": checksums, "coloured": coloured}
 
