@@ -22,7 +22,7 @@ ROOMS = {
         {"core"},
         {"geopandas", "laspy", "lazrs", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "shapely", "xarray"},
     ),
-    "views": ({"core", "layers"}, {"PIL", "jinja2", "numpy", "pyproj", "rosbags", "scipy"}),
+    "views": ({"core", "layers"}, {"PIL", "jinja2", "numpy", "open3d", "pyproj", "rosbags", "scipy"}),
     "survey": ({"core", "readers", "patches", "rating", "layers", "views"}, {"numpy"}),
     "scan": (
         {"core", "readers", "patches", "rating", "layers", "views", "survey"},

@@ -31,10 +31,11 @@ _COMMANDS = {
     "settings": "print every setting of a command, as a TOML file",
     "train": "train the texture network or the scan network",
     "vehicle": "list, create and check vehicle profiles",
+    "view": "look at a map in three dimensions",
 }
 
 
-_SHORT = ("compile", "demo", "report", "settings", "vehicle")
+_SHORT = ("compile", "demo", "report", "settings", "vehicle", "view")
 """Commands that stand together in one module."""
 _INTERRUPTED, _TERMINATED = 130, 143
 """Exit codes after Ctrl-C (SIGINT) and after SIGTERM, as shells expect them."""

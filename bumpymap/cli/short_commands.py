@@ -1,4 +1,4 @@
-"""Commands of a few lines: ``compile``, ``demo``, ``report``, ``settings`` and ``vehicle``."""
+"""Commands of a few lines: ``compile``, ``demo``, ``report``, ``settings``, ``vehicle`` and ``view``."""
 
 import shlex
 import shutil
@@ -114,6 +114,32 @@ def report_command(run: Run, layers: Path, **settings: Any) -> None:
 
     path = write_report(layers, page=run.settings.get("page"), **settings)
     run.show({"report": str(path), "bytes": path.stat().st_size}, [f"Open {path} in a browser."])
+
+
+@job("view", owners=())
+@click.argument("layers", type=PATH, metavar="LAYERS")
+@grouped_option("--out", group="Output", type=PATH, metavar="FILE", help="Write a picture (PNG), without a screen.")
+@grouped_option(
+    "--route",
+    group="Input",
+    type=PATH,
+    metavar="PATH",
+    help="Draw ways: the folder of `bumpymap route`, or route.geojson.",
+)
+def view_command(run: Run, layers: Path, out: Path | None, route: Path | None) -> None:
+    """Look at a map in three dimensions. LAYERS is a folder of `bumpymap map`.
+
+    The relief has the colours of the map, obstacles are points, and ways are lines. A window opens, unless --out is
+    given.
+
+    \b
+    bumpymap view layers --route way
+    bumpymap view layers --out view.png
+    """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
+    from bumpymap.views import show_in_space
+
+    show_in_space(layers, out, route)
+    run.show({"picture": None if out is None else str(out)}, [] if out is None else [f"Open {out}."])
 
 
 @click.command("settings")

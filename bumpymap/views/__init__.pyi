@@ -45,6 +45,9 @@ from .pictures.route_picture import (
 from .pictures.scan_picture import (
     write_picture as write_picture,
 )
+from .space import (
+    show_in_space as show_in_space,
+)
 from .words import (
     agreements_of as agreements_of,
     check_headline as check_headline,

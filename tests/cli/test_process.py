@@ -273,6 +273,7 @@ COMMANDS = {
     "check": "check layers --drive surveys/drive.csv --out new",
     "scan": "scan surveys/frame.bin --out new",
     "vehicle": "vehicle list",
+    "view": "view layers --out new.tif",
     "compile": "compile",
     "settings": "settings map",
     "calibrate": "calibrate --out layers",
@@ -281,7 +282,7 @@ COMMANDS = {
 }
 
 
-FAIL = {"calibrate": 2, "check": 3, "evaluate": 3, "scan": 3, "train": 3}
+FAIL = {"calibrate": 2, "check": 3, "evaluate": 3, "scan": 3, "train": 3, "view": 2}
 """Commands that have no fit input here, and end once they have imported what they need."""
 
 
