@@ -13,6 +13,7 @@ from bumpymap.cli._text import BROKEN_PIPE, LostOutputError, emit, flush, print_
 from bumpymap.core import BumpymapError, error_chain, join_lines, missing_resource, refused_write
 
 _BAD = 3
+"""Exit code for a bad input file."""
 _FAULT = 1
 """A bug of bumpymap: printed with a traceback, so that it can be reported."""
 _WANT = (

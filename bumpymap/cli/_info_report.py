@@ -426,6 +426,7 @@ _CLASS_NAMES = (
 _CLASSIFIED = 2
 """Lower LAS classes are those of points that are not classified."""
 _MANY_UNSEEN = 0.1
+"""Share of tiles with too little seen from which on `info` names it."""
 _LOW_M, _MANY = 0.3, 0.01
 """Median height above the ground, m, up to which points lie on it, and the share of tiles from which that is said."""
 

@@ -147,6 +147,7 @@ class NumberList(click.ParamType):  # type: ignore[type-arg]
 
 
 _PARTLY_DONE = 4
+"""Exit code if inputs were skipped."""
 _OF_ALL = ("quiet", "log_json", "config_file", "assigned")
 
 

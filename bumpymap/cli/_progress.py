@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 Clock = Callable[[], float]
 _LINE_SECONDS, _EVENT_SECONDS = 30.0, 10.0
+"""Time between two lines of progress without a terminal, and between two JSON events, s."""
 
 
 class CommandProgress(BaseProgress, Protocol):

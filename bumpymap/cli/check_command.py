@@ -93,6 +93,7 @@ def _record(result: "CheckResult", files: Sequence[Path], config: CheckConfig) -
 
 
 _LEAST_WIDENING = 1.05
+"""Wider intervals by a smaller factor are not reported."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from bumpytiles import Grid
 
 _BAD_INPUT = 3
+"""Exit code if a file cannot be read."""
 _TYPED = ("tile_size", "ground", "crs")
 _MOVED = ("ground_classes", "force_crs", "xy_unit", "z_unit", "trust_points", "pixels", "memory", "threads")
 

@@ -18,6 +18,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 _LONGEST_TEXT = 1000
+"""Characters of an error that a child passes on."""
 
 
 def serve(socket: int, memory: int) -> None:

@@ -27,9 +27,11 @@ DECK_CLASS = 17
 ScanMethod = Literal["filter", "learned"]
 
 _MOST_SPEEDS = 16
+"""Rated speeds of one map at most: each is a band."""
 _MOST_SECTORS = 32_767
 """Cells of a polar grid: sectors and rings are counted in 16 bits, and each takes some kilobytes."""
 _MOST_GRID_CELLS = 4_000_000
+"""Cells of a grid around a sensor at most: 2,000 x 2,000."""
 _CLASSIFIED_SHARE = 0.5
 """``ground = "auto"`` uses only ground points if more than this share of the tiles has such points, but for a part that
 was never classified."""

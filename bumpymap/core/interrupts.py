@@ -18,7 +18,9 @@ from types import FrameType
 from typing import Any, Protocol, TypeVar
 
 _AGAIN_S = 0.01
+"""Time after which an exception is raised again that a library has swallowed, s."""
 _IGNORED = 2
+"""Signals that come while the first one is dealt with and are not raised again; the next one is."""
 
 
 class Interrupted(KeyboardInterrupt):

@@ -18,6 +18,7 @@ LEAST_MEMORY = 128 << 20
 """Smallest limit, bytes: one chunk of a file alone needs this much."""
 _AUTO = "auto"
 _FREE_SHARE = 0.25
+"""Share of the free memory that ``auto`` takes."""
 _LEAST_AUTO, _MOST_AUTO = 512 << 20, 8 << 30
 """Limits of ``auto`` for each process, bytes."""
 _UNITS = {"": 1, "b": 1, "kb": 1 << 10, "mb": 1 << 20, "gb": 1 << 30, "tb": 1 << 40}

@@ -36,6 +36,7 @@ from bumpymap.core.errors import UsageError
 from bumpytiles import blocked_signals, start_python
 
 _PAGE = 4096
+"""Allocations are whole multiples of this, bytes."""
 _GROWTH = 1 << 22
 """The memory grows in multiples of this, bytes."""
 

@@ -18,6 +18,7 @@ CHECKSUM_METHOD = "blake3"
 _SET_METHOD = "blake3-set"
 """Stands before the digest in a checksum of several files."""
 _PIECE_BYTES = 1 << 20
+"""Read at once, bytes."""
 
 
 def file_checksum(path: Path) -> str:

@@ -57,6 +57,7 @@ MOST_STEP = 10.0
 _FINE, _COARSE, _FINE_TO = 0.01, 0.05, 0.2
 """Sizes are told in whole multiples of these, m: the first up to the third."""
 _MOST_CHANCE = 1.0 - 1e-9
+"""No chance is written as 100 %."""
 
 
 def points_needed(density: NDArray[np.floating] | float, pixel_m: float, *, in_relief: bool) -> Floats:

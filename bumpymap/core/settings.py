@@ -28,9 +28,11 @@ parts of a dotted key: one of so many bytes takes 3 s and 0.3 GB."""
 _MESSAGE_CHARACTERS = 300
 """Characters of the parser's message that are shown at most: it may quote a key in full."""
 _NAMED = 8
+"""Keys that a message names at most."""
 _BRIEF = 80
 """Characters of a field that `brief_repr` shows."""
 _SHORT = Repr()
+"""Shows values in messages: two levels of nesting, 80 characters of a text or number."""
 _SHORT.maxlevel = 2
 _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 80
 

@@ -33,6 +33,7 @@ _LONGEST = 4.0
 _SAMPLE = 256
 """Points that candidates are compared on first."""
 _MOST_CANDIDATES = 150
+"""Planes that RANSAC draws at most."""
 _MISS_PROBABILITY = 1e-4
 """Accepted probability that no candidate was drawn from inliers alone."""
 _LEAST_AREA = 2e-3

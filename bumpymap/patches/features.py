@@ -37,6 +37,7 @@ from bumpymap.patches._strip_kernels import strip_scratch
 from bumpytiles import Grid, TilePoints
 
 _SCALARS = 9
+"""Numbers that are measured of a tile, see `TileMeasures`."""
 
 
 def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool) -> PatchStack:
@@ -140,6 +141,7 @@ def join_stacks(stacks: Sequence[PatchStack]) -> PatchStack:
 _SEEN = 1
 """Column of the share of a tile's nine parts that hold a point."""
 _MOST_POINTS = 128
+"""Points of a thin tile whose pairs are measured: 8,128 pairs."""
 _NOISE_POINTS = 32
 """Points of a dense tile whose pairs are measured: they only help to tell the noise."""
 _REACH_PX = (1.0, 2.0, 3.5, 5.5, 8.0)
@@ -193,6 +195,7 @@ def measure_thin(
 
 
 _OBJECT_SCALARS = 4
+"""Numbers of a tile beside the states of its pixels, see `ObjectStack`."""
 
 
 def find_objects(points: TilePoints, patches: PatchStack, body: VehicleBody) -> ObjectStack:

@@ -147,6 +147,7 @@ AXIS_BITS, LINE_BITS = 23, 17
 _AXIS_MASK = (1 << AXIS_BITS) - 1
 _FULL = SLOTS * 3 // 4
 _SHIFT = 64 - 13
+"""Leaves 13 bits of a product of 64: the rows of a table of 8,192."""
 
 
 Indices = Annotated[NDArray[np.int64], 1]

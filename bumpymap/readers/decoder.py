@@ -34,6 +34,7 @@ Table = Sequence[tuple[int, int]]
 SECONDS, SECONDS_PER_BYTE = 4.0, 1e-7
 """CPU time limit of a request, and for each byte of input and output: ten times what real files need."""
 _MOST_CHILDREN = 8
+"""Decoder processes at most. Chosen: as many requests as there are at once."""
 _MALLOC = {"MALLOC_TRIM_THRESHOLD_": str(1 << 26), "MALLOC_MMAP_THRESHOLD_": str(1 << 25)}
 """Makes glibc keep the memory that lazrs allocates for each LAZ chunk; else it comes from the system each time."""
 

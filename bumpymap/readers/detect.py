@@ -31,6 +31,7 @@ _log = logging.getLogger(__name__)
 Kind = Literal["las", "ply", "pcd"]
 _READABLE = "bumpymap reads LAS, LAZ, COPC, PLY and PCD; scans are PLY, PCD, KITTI-style .bin or bags of ROS 2"
 _HEAD = 1024
+"""Bytes at the start of a file that tell its format."""
 _HEAD_BYTES = 65_536
 """Bytes at each end of a survey that its digest covers."""
 

@@ -60,6 +60,7 @@ _PIECE_BYTES = 1 << 20
 _COARSE_HEIGHT_M = 0.1
 """Steps between heights from which on a note is made, m."""
 _LOWEST, _HIGHEST = -(1 << 31), (1 << 31) - 1
+"""Of the integers of 32 bits that LAS holds coordinates in."""
 _COLOUR_AT = {2: 20, 3: 28, 5: 28, 7: 30, 8: 30, 10: 30}
 """Point format -> first byte of red, green and blue."""
 _SAMPLE = 10_000

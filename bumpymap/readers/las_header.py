@@ -30,6 +30,7 @@ from bumpymap.core import (
 from bumpymap.readers.source import Location, refuse_points
 
 _HEADER_1_0, _HEADER_1_4 = 227, 375
+"""Bytes of a header of LAS 1.0 to 1.2, and of one of LAS 1.4 (the specifications)."""
 _FIELDS = struct.Struct("<4xHH16xBB64xHHHIIBHI")
 """File source id, encoding; version; creation day and year; header size, offset to the points, number of records; point
 format, point size, point count."""
@@ -191,7 +192,9 @@ def _is_needed(user: bytes, number: int) -> bool:
 
 _PROJECTION = b"LASF_Projection"
 _MODEL, _GEODETIC, _PROJECTED, _LINEAR, _VERTICAL, _VERTICAL_UNIT = 1024, 2048, 3072, 3076, 4096, 4099
+"""Keys of GeoTIFF that name the kind of a CRS, the CRS, and units (OGC 19-008r4)."""
 _USER_DEFINED = 32767
+"""Value of such a key where the CRS has no code."""
 _SAME_FOOT = 1e-5
 """Relative tolerance; the two feet differ by 2e-6, and files confuse them."""
 

@@ -31,6 +31,7 @@ _ITEMS = (
 )
 """Items that points consist of: type, bytes, layers in a LAZ chunk, point formats. Extra bytes are one more item."""
 _EXTRA, _EXTRA_LAYERED = 0, 14
+"""LASzip's numbers of the item of extra bytes, point formats 0 to 5 and 6 to 10."""
 _DENSEST = 4096
 """Points per byte at most: the cheapest symbol of LASzip's models takes 0.003 bits, and each point has at least one."""
 _ANY_SIZE = 0xFFFFFFFF

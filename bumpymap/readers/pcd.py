@@ -14,7 +14,9 @@ from bumpymap.readers.point_table import PointTable, TableInfo, Wanted, refuse_m
 from bumpymap.readers.source import Location, decoding, open_source, refuse_count, refuse_points
 
 _LINE_LIMIT, _HEADER_LINES = 65_536, 200
+"""Bytes of a line and lines of a header at most. Chosen: several times those of any program's files."""
 _NO_POSE = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+"""Translation [m] and quaternion (w, x, y, z) of a VIEWPOINT that says nothing."""
 _DENSEST = 100
 """Compression ratio at most: LZF packs 264 bytes into 3 at best."""
 _PLAUSIBLE, _SMALL = 20, 1 << 28

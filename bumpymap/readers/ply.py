@@ -12,6 +12,7 @@ from bumpymap.readers.point_table import PointTable, TableInfo, Wanted, refuse_m
 from bumpymap.readers.source import Location, decoding, open_source, refuse_count, refuse_points
 
 _LINE_LIMIT, _HEADER_LIMIT = 4096, 4096
+"""Bytes of a line, and lines of a header, at most. Chosen: several times those of any program's files."""
 _AXES = "xyz"
 _BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 

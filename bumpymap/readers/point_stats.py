@@ -46,6 +46,7 @@ MOST_ROWS = 50_000
 _WAITING_ROWS = 2 * MOST_ROWS
 """From this many rows on the parts are merged."""
 _LARGEST_STEP = 1 << 24
+"""Tiles along a side of the squares of the coarsest count: they span every survey on Earth."""
 _MIX = np.uint64(0x9E3779B97F4A7C15)
 
 

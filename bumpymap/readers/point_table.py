@@ -27,6 +27,7 @@ from bumpymap.readers.source import Location, decoding, open_source, read_range,
 from bumpytiles import DECIMALS
 
 _BLOCK = 100_000
+"""Points of text that are parsed at once."""
 
 Floats = NDArray[np.float64]
 

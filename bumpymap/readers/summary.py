@@ -42,6 +42,7 @@ Rule = Callable[[NDArray[np.bool_], Ints], NDArray[np.bool_]]
 MOST_PIXELS = 1_000_000
 """Pixels of the sample at most: more than 4,000 tiles of 15 x 15."""
 GROUP_PIXELS = 4_000_000
+"""Pixels of tiles that are judged at once."""
 MERGE_AT = 4_000_000
 """Keys that wait to be merged, at most."""
 _INDEX_MASK = (1 << 23) - 1

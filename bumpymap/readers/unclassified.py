@@ -39,6 +39,8 @@ ground leads, or between both, m."""
 _VOTERS = 9
 """Side of the square whose tiles say together whether a border is level there."""
 _JUMP_REACH_M = 60.0
+"""Distance up to which a border where the lowest points jump decides about tiles nearer to it than to a level one, m.
+Chosen."""
 
 REACH = _GAP + 1
 """Tiles up to so many from those in question are compared with them."""

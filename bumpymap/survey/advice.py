@@ -95,8 +95,7 @@ def _explained(reason: Reason, outcome: Outcome, settings: FeatureSettings) -> t
 
 _MEASURED: tuple[Measured, Measured] = ("ground points", "ground points (found by the cloth)")
 """Source of the ground points: the survey, or the cloth filter."""
-_LAYERED_SHARE = 0.25
-_TALL_SHARE = 0.5
+_LAYERED_SHARE, _TALL_SHARE = 0.25, 0.5
 """Above one of these shares of tiles the cloth filter is advised. Layered and tall, all points measured: forest by
 airborne LiDAR 83 % and 90 %, another 49 % and 79 %; scrub and lava by drone photogrammetry 5 % and 21 %, quarry with a
 few trees 6 % and 5 %, a survey of 1.4 points per m2 4 % and 1 %."""

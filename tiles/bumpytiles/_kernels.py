@@ -252,6 +252,7 @@ def scatter_colours(colour: Colours, cell: Places, place: Indices, out: Colours)
 STRIP = 512
 """Points that are turned into metres at once."""
 _KEY_BITS = 56
+"""Bits of the hash of a point by which the points of a tile are ordered."""
 
 Keys = Annotated[NDArray[np.uint64], 1]
 

@@ -43,6 +43,7 @@ NAMES: Mapping[str, str] = {
 }
 """Name of a column in lower case, without its unit -> quantity."""
 _G = 9.80665
+"""Standard gravity, m/s2 (ISO 80000-3)."""
 _DEGREE = pi / 180.0
 UNITS: Mapping[str, Mapping[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},

@@ -55,6 +55,8 @@ _MOST_RATE, _MOST_PEAK = 3.0, 20.0
 _GRAVITY = (7.0, 13.0)
 """Size of the median acceleration of a sensor that reads gravity, m/s2."""
 _MOST_REPEATED = 0.5
+"""Share of times that may repeat the one before, and of places that may differ from it, for a position to count as held
+until the next one."""
 _ROUNDING = 0.1
 """Tolerance of the lengths of quaternions."""
 _LONGEST_STEP_S = 0.5

@@ -30,6 +30,7 @@ from bumpymap.readers.drives.signals import Floats, Samples
 from bumpymap.readers.source import decoding, open_source, size_of
 
 _MOST_BYTES = 2 << 30
+"""Of a table of a drive. Chosen: an IMU at 200 Hz for two days."""
 _MOST_REWRITTEN = 1 << 30
 """Files with blanks between their values are rewritten in memory."""
 _HEAD_BYTES = 1 << 18

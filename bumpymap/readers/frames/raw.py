@@ -243,6 +243,7 @@ _WANTED = {
     "time": TIME_COLUMNS,
 }
 _MOST_ID = 65_535
+"""Highest semantic id: labels of SemanticKITTI have 16 bits."""
 
 
 @dataclass(frozen=True, slots=True)

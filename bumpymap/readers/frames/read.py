@@ -417,6 +417,7 @@ POINT_FOLDERS = ("velodyne", "os1_cloud_node_kitti_bin")
 LABEL_FOLDERS = ("labels", "os1_cloud_node_semantickitti_label_id")
 """Folders of ``.label`` files, beside the folders of points."""
 _MOST_RINGS = 1024
+"""Beams of a LiDAR at most. Chosen: eight times those of any on the market."""
 _FARTHEST_M = 1e4
 """Beyond the range of any LiDAR on a robot: larger coordinates mean that the file holds something else."""
 

@@ -63,6 +63,7 @@ from bumpymap.views import SurveyView, index_page, page_header, read_thumbnail
 from bumpytiles import compile_loaded
 
 _MOST_WAIT_S = 5.0
+"""Longest wait for children that were asked to end, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -287,6 +288,7 @@ class Results:
 _GOOD: tuple[SurveyStatus, ...] = ("done", "already done")
 _WITH_LAYERS: tuple[SurveyStatus, ...] = (*_GOOD, "incomplete")
 _ALL, _SOME, _NONE = 0, 4, 3
+"""Exit codes of a batch, by how many of its surveys were mapped."""
 _MOST_THUMBNAIL, _MOST_THUMBNAILS = 40_000, 1_200_000
 """Characters of one picture, and of all on the page together."""
 

@@ -228,11 +228,13 @@ POINT_BYTES = 14
 FLOAT_POINT_BYTES = 26
 """The same for points whose coordinates are no integers: of PLY and PCD, and corrected ones."""
 _READING_BYTES, _SORTING_BYTES = 95, 63
+"""Memory of a point while it is read and while it is sorted, bytes (measured, see the module)."""
 _DECODING_BYTES = 45
 """Size of a point that is being decoded: its record, compressed and not."""
 _MOST_WAITING, _READING, _SORTING, _AHEAD = 0.55, 0.15, 0.15, 0.08
-_PIECE_POINTS = 500_000
-_LEAST_PIECE = 50_000
+"""Shares of the budget of points that wait, are read, are sorted, and are measured for the blocks beside theirs."""
+_PIECE_POINTS, _LEAST_PIECE = 500_000, 50_000
+"""Points of a chunk, at most and at least."""
 _LAZ_CHUNK, _LAZ_CHUNKS_A_THREAD, _MOST_REQUESTS = 50_000, 3, 8
 """Usual points of a LAZ chunk, which one thread decodes; how many of them are decoded at a time."""
 

@@ -26,6 +26,7 @@ _SIDE = 8
 MOST_BLOCKS = 64
 """Most blocks in a group; they hold at most 16,384 tiles: one pack."""
 _MOST_POINTS = 20_000_000
+"""Points of a group at most: a task of some seconds."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,6 +32,7 @@ from bumpytiles import BLOCK_TILES, BlockKey, Bounds, Grid, GroupedPoints, Pack,
 Spans = Mapping[int, Sequence[tuple[int, int]]]
 """For each file some ranges of chunks, as (first, last + 1)."""
 LEAST_POINTS, _MOST = 2_000_000, 256_000_000
+"""Points of a range or of a task at least and at most."""
 _RANGES_A_WORKER = 4
 """Ranges per worker: near the end some workers idle, for at most a quarter of a worker's share."""
 _TASKS_A_WORKER = 2
