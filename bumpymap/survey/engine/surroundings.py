@@ -1,6 +1,6 @@
 """Heights around blocks: the tiles beside a block tell what stands at its edge, wherever a run cuts its points."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set as AbstractSet
 from concurrent.futures import Future
 from threading import Lock
 from typing import Any
@@ -42,18 +42,16 @@ class Surroundings:
         self.packs: Sequence[Pack] = ()
         """Tiles that others have finished, or an earlier run."""
         self._kept: dict[BlockKey, Heights] = {}
-        self._finished: set[BlockKey] = set()
         self._lock = Lock()
 
-    def keep(self, key: BlockKey, columns: Heights) -> None:
-        """Keep the edge of a finished block."""
+    def keep(self, key: BlockKey, columns: Heights, waiting: AbstractSet[BlockKey]) -> None:
+        """Keep the edge of a finished block, but no longer than blocks beside it hold points; these are ``waiting``."""
         col, row = columns["col"] - key[1] * BLOCK_TILES, columns["row"] - key[0] * BLOCK_TILES
         edge = np.minimum(np.minimum(col, row), BLOCK_TILES - 1 - np.maximum(col, row)) < self._margin
         with self._lock:
-            self._finished.add(key)
             self._kept[key] = {name: columns[name][edge] for name in _NAMES}
             for beside in blocks_around(key):
-                if self._finished.issuperset(blocks_around(beside)):
+                if waiting.isdisjoint(blocks_around(beside)):
                     self._kept.pop(beside, None)
 
     def of_finished(self, key: BlockKey) -> Heights | None:
@@ -79,6 +77,7 @@ class OpenBlocks:
 
     def __init__(self, around: Surroundings, buckets: TileBuckets, keys: Sequence[BlockKey]) -> None:
         self._around, self._buckets, self._keys = around, buckets, set(keys)
+        self._waiting = set(buckets.keys())
         self._heights: dict[BlockKey, Future[Heights | None]] = {}
         self._measured: dict[BlockKey, tuple[TilePoints, PatchStack]] = {}
         self._bytes = 0
@@ -102,7 +101,8 @@ class OpenBlocks:
 
     def close(self, key: BlockKey, columns: Heights) -> None:
         """Keep no more of a rated block than its edge."""
-        self._around.keep(key, columns)
+        self._waiting.discard(key)
+        self._around.keep(key, columns, self._waiting)
         with self._lock:
             self._heights.pop(key, None)
 
