@@ -78,3 +78,33 @@ def test_moved_by_whole_tiles_and_cut_into_other_blocks_it_has_the_same_bits(sit
         assert mine.keys() == theirs.keys()
         for name, values in mine.items():
             np.testing.assert_array_equal(theirs[name], values, err_msg=name)
+
+
+@pytest.mark.parametrize("ground", ["auto", "all"])
+def test_raised_it_is_as_rough_to_the_last_digits_of_its_heights(site, alone, tmp_path, ground):
+    """In single precision, heights above 128 m have one digit less than those of the site."""
+    table, rasters = mapped(tmp_path, site, CORNER + np.array([0.0, 0.0, 137.25]), "--ground", ground)
+    own, own_rasters = alone[ground]
+    for name in ("class.tif", "barred.tif", "reason.tif", "obstacle.tif", "passage.tif"):
+        np.testing.assert_array_equal(rasters[name], own_rasters[name], err_msg=name)
+    for name in ("c_r", "p_fail", "slope", "ransac_residual", "z_variance", "relief"):
+        np.testing.assert_allclose(table[name], own[name], rtol=1e-3, atol=1e-4, err_msg=name)
+    np.testing.assert_allclose(rasters["heightmap.tif"] - 137.25, own_rasters["heightmap.tif"], atol=1e-4)
+
+
+@pytest.mark.parametrize("ground", ["auto", "all"])
+@pytest.mark.parametrize("way", ["mirrored", "turned"])
+def test_mirrored_or_turned_it_is_as_rough(site, alone, tmp_path, ground, way):
+    """What is found from north to south and from west to east in turns may differ in a tile."""
+    x, y = (site[:, axis] for axis in (0, 1))
+    places = (SIDE - x, y) if way == "mirrored" else (SIDE - y, x)
+    table, rasters = mapped(tmp_path, np.column_stack([*places, site[:, 2:]]), CORNER, "--ground", ground)
+    own, own_rasters = alone[ground]
+    back = (lambda image: image[:, ::-1]) if way == "mirrored" else (lambda image: np.rot90(image, -1))
+    band = rasters["class.tif"][0]
+    assert (back(band) != own_rasters["class.tif"][0]).sum() <= 2
+    ride, own_ride = back(rasters["roughness.tif"][0]), own_rasters["roughness.tif"][0]
+    known = np.isfinite(ride) & np.isfinite(own_ride)
+    assert known.mean() > 0.9
+    assert np.abs(np.quantile(ride[known] / own_ride[known], [0.05, 0.95]) - 1.0).max() < 0.01
+    np.testing.assert_allclose(np.nansum(table["z_variance"]), np.nansum(own["z_variance"]), rtol=1e-6)
