@@ -79,7 +79,7 @@ def _merged_line(merged: Mapping[str, Any]) -> str:
         agree += (
             f"; in plan by {100.0 * poses['beside_before_m']:.1f} cm, then {100.0 * poses['beside_after_m']:.1f} cm"
         )
-    kept = f"{merged['points']:,} of {merged['seen']:,} points, without {merged['moving']:,} of moving things"
+    kept = f"{merged['points']:,} of {merged['seen']:,} points, without {merged['moving']:,} of moving objects"
     return f"Merged: {kept}; {agree}"
 
 

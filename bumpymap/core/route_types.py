@@ -249,7 +249,7 @@ class RouteFigures:
     road: RoadFigures | None = None
     """Of the whole way, in terms of road practice; None if it is shorter than 10 m or the ride of its line unknown."""
     seen: SeenSizes = SeenSizes()  # noqa: RUF009 (frozen)
-    """Smallest things that the survey would have shown on all but the worst twentieth of the way."""
+    """Smallest objects that the survey would have shown on all but the worst twentieth of the way."""
 
     @property
     def p_arrives(self) -> float:

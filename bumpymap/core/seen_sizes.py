@@ -1,6 +1,6 @@
-"""The smallest things that a survey would have shown: standing objects and steps, and how that is said.
+"""The smallest objects that a survey would have shown: standing objects and steps, and how that is said.
 
-*Objects.* Of a thing seen from straight above alone, such as a post with a square top, a survey has as many points as
+*Objects.* Of an object seen from straight above alone, such as a post with a square top, a survey has as many points as
 its top takes of the density: a Poisson number. It is found if it has enough of them: the width at which it has, in 95 %
 of all places, is `smallest_object`. Where points are uneven the sparser part of a tile counts.
 
@@ -32,13 +32,13 @@ _NEIGHBOURHOOD = 9.0
 _QUANTILE = 1.75
 """Of 96 %, in standard deviations: 1 % of the posts has its points in pixels that are no neighbours."""
 _ONE_IS_ENOUGH = 4.74
-"""Points on the top of a thing with which, in 95 % of the cases, it has two of them. In surveys of fewer points on a
+"""Points on the top of an object with which, in 95 % of the cases, it has two of them. In surveys of fewer points on a
 pixel than ``_THIN`` a single one makes an obstacle, and it takes no more than that."""
 _THIN, _THINNER = (0.4, 0.32), 0.2
 """Points on a pixel below which that holds: with classes, and in relief; and the share of that by which there are more
 where it no longer does."""
 _IN_RELIEF = 8.6
-"""Points on the top of a thing that stands out of relief, because all points count as ground: it must raise the mean
+"""Points on the top of an object that stands out of relief, because all points count as ground: it must raise the mean
 height of a pixel."""
 _APART, _WIDE_PX = 0.27, (1.5, 2.7)
 """Share of further points that it takes with classes, because points on a wide top are no neighbours, and the widths
@@ -61,7 +61,7 @@ _MOST_CHANCE = 1.0 - 1e-9
 
 
 def points_needed(density: NDArray[np.floating] | float, pixel_m: float, *, in_relief: bool) -> Floats:
-    """Return the points on the top of a thing, on average, with which it is found in 95 % of the cases.
+    """Return the points on the top of an object, on average, with which it is found in 95 % of the cases.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ SEEN_NUMBERS = ("points_per_m2", "smallest_object_m", "smallest_step_m")
 
 @dataclass(frozen=True, slots=True)
 class SeenSizes:
-    """Smallest things that a survey would have shown with 95 %, of a site or along a way; NaN where not known."""
+    """Smallest objects that a survey would have shown with 95 %, of a site or along a way; NaN where not known."""
 
     density: float = math.nan
     """Points per m2, of any class."""

@@ -241,7 +241,7 @@ class ObjectStack:
     """(n,) highest point of the obstacles, up to the vehicle's height, above the ground beneath, m; 0 without an
     obstacle; NaN in unknown tiles, and where an obstacle stands over unknown ground."""
     clearance: NDArray[np.float32]
-    """(n,) height of the lowest thing overhead above the ground beneath, m; NaN where there is none."""
+    """(n,) height of the lowest object overhead above the ground beneath, m; NaN where there is none."""
     canopy: NDArray[np.float32]
     """(n,) share of the pixels under something higher than the vehicle, obstacle or not, 0..1."""
 
@@ -362,7 +362,7 @@ class VehicleBody:
 
     @property
     def lowest_obstacle_m(self) -> float:
-        """Height above ground from which a thing is an obstacle, m: it reaches the belly and is not brushed aside."""
+        """Height above ground from which an object is an obstacle, m: it reaches the belly and is not brushed aside."""
         return max(self.clearance_m, self.brush_stem_m)
 
 
@@ -572,7 +572,7 @@ BANDS: tuple[Band, ...] = (
     Band("passable", "", "1 if the vehicle can cross the tile, else 0"),
     Band("obstacle", "", "share of the pixels with an obstacle between the vehicle's belly and its height"),
     Band("obstacle_height", "m", "highest point of the obstacles above the ground, up to the vehicle's height"),
-    Band("clearance", "m", "lowest thing above the vehicle's height, above the ground"),
+    Band("clearance", "m", "lowest object above the vehicle's height, above the ground"),
     Band("canopy", "", "share of the pixels under something higher than the vehicle"),
     Band("edge_step", "m", "highest step between the tile's ground and its neighbours'"),
     Band("inner_step", "m", "highest step inside the tile"),

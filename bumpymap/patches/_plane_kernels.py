@@ -250,7 +250,7 @@ def _quarter_sums(x: Floats, y: Floats, z: Floats, sums: Floats) -> None:
 
 @helper
 def _first_plane(x: Floats, y: Floats, z: Floats, scratch: TilePlaneScratch) -> Plane:
-    """Least-squares plane that explains most: of all points, or of a quarter of them, which may be free of things.
+    """Least-squares plane that explains most: of all points, or of a quarter of them, which may be free of objects.
 
     Where heights tell nothing, on a wall, it is one across them. Zeros where the points span no plane.
     """

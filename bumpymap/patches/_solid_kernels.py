@@ -267,7 +267,7 @@ def _meets(label: Bytes, r: int, c: int, direction: int) -> bool:
     turn, sign = direction % 8, (1 if direction < 8 else -1)
     # Slopes of 0, 1/2, 1, 2, ...: integers alone, so that every machine meets the same pixels.
     down, right = sign * min(2, turn, 8 - turn), sign * max(-2, min(2, 4 - turn))
-    for step in range(2, _RAY + 1):  # a pixel beside one with ground may be the same thing's rim
+    for step in range(2, _RAY + 1):  # a pixel beside one with ground may be the same object's rim
         if is_overhead(label[r + (step * down + 1) // 2, c + (step * right + 1) // 2]):
             return True
     return False
@@ -303,7 +303,7 @@ def _mark_under(objects: Bytes, pixels: int, tile: int, scratch: SolidScratch) -
 
 @helper
 def _stands(r: int, c: int, mean: float, scratch: SolidScratch) -> bool:
-    """Return whether what is overhead stands on the ground, of which none is seen around, or beneath a solid thing."""
+    """Return whether what is overhead stands on the ground, of which none is seen around, or beneath a solid object."""
     overhead = under = ground = 0
     solid, low, near, least, grow, half = False, False, _NEAR, 1.0, _GROW, _HIDDEN_HALF
     if mean < THIN:

@@ -1,4 +1,4 @@
-"""Compiled kernels: narrow things with steep sides in heightmaps (`find_standing`); how points differ, pair by pair.
+"""Compiled kernels: narrow objects with steep sides in heightmaps (`find_standing`); how points differ, pair by pair.
 
 Pixels say little about a tile with a few points; its pairs of points say more: the mean square of their difference over
 their distance is the structure function of the ground, plus twice the noise variance at every distance.
@@ -195,18 +195,18 @@ _COUNTS = 5
 
 
 class StandingLimits(NamedTuple):
-    """Sizes of things; heights are as single precision has them, like the heights that they are compared with."""
+    """Sizes of objects; heights are as single precision has them, like the heights that they are compared with."""
 
     width: float
-    """Radius of the disc that touches the surface beneath things, px."""
+    """Radius of the disc that touches the surface beneath objects, px."""
     foot: float
     """Farthest from a side to its foot, px; more where too few pixels so close are known."""
     raised: float
-    """Pixels so high above that surface are those of things, m."""
+    """Pixels so high above that surface are those of objects, m."""
     drop: float
     """Drop at a side, m."""
     least: float
-    """Pixels of things that are lower are left out, m."""
+    """Pixels of objects that are lower are left out, m."""
     share: float
     """Share of the raised pixels around one that lie on sides, at least."""
     around: int
@@ -225,11 +225,11 @@ class StandingScratch(NamedTuple):
     level: Annotated[Singles, 2]
     """(rows, cols) heights above a smooth surface, m."""
     above: Annotated[Singles, 2]
-    """The same shape: heights, later above what lies beneath things, m; infinite where nothing is known."""
+    """The same shape: heights, later above what lies beneath objects, m; infinite where nothing is known."""
     low: Annotated[Singles, 2]
     """The same shape: lowest height within the disc."""
     beneath: Annotated[Singles, 2]
-    """The same shape: depth of the surface beneath things."""
+    """The same shape: depth of the surface beneath objects."""
     line: Annotated[Singles, 1]
     """(cols + 2 * reach,) a row of pixels, infinite at both ends."""
     lowest: Annotated[Singles, 1]
@@ -435,7 +435,7 @@ def _add_row(r: int, sign: int, scratch: StandingScratch) -> None:
 
 @helper
 def _mark_row(r: int, limits: StandingLimits, scratch: StandingScratch, marks: NDArray[np.bool_]) -> None:
-    """Mark the pixels of things in a row: of the raised ones around enough are sides, or of the tall ones."""
+    """Mark the pixels of objects in a row: of the raised ones around enough are sides, or of the tall ones."""
     raised, sides, counts, around, cols = scratch.raised, scratch.sides, scratch.counts, limits.around, marks.shape[1]
     size = steep = tall = steep_tall = level = 0
     for last in range(cols + around):
@@ -461,7 +461,7 @@ def mark_standing(
     scratch: StandingScratch,
     marks: Annotated[NDArray[np.bool_], 2],
 ) -> None:
-    """Mark the pixels of things."""
+    """Mark the pixels of objects."""
     rows, cols = heights.shape
     above, raised, sides, counts = scratch.above, scratch.raised, scratch.sides, scratch.counts
     _fill_above(heights, limits.width, scratch)
@@ -514,14 +514,14 @@ class BareSettings(NamedTuple):
 class BareTiles(NamedTuple):
     """Tiles, changed to what is left of them without what stands on them; those that cannot be rated so stay."""
 
-    things: Annotated[NDArray[np.bool_], 3]
+    standing: Annotated[NDArray[np.bool_], 3]
     """(n, pixels, pixels) pixels of what stands on the ground."""
     heights: Annotated[Singles, 3]
     """The same shape: mean height of the points in each pixel, m; NaN where there are none."""
     held: Annotated[NDArray[np.int32], 3]
-    """The same shape: points of each pixel; 0 in things afterwards."""
+    """The same shape: points of each pixel; 0 in objects afterwards."""
     variance: Annotated[Singles, 3]
-    """The same shape: variance of their heights, m^2; NaN in things afterwards."""
+    """The same shape: variance of their heights, m^2; NaN in objects afterwards."""
     relief: Annotated[Singles, 3]
     """The same shape: relief map, m; NaN in tiles that cannot be rated from their heightmap."""
     scalars: Annotated[NDArray[np.float64], 2]
@@ -582,11 +582,11 @@ def _count_left(t: int, tiles: BareTiles, scalars: NDArray[np.float64]) -> float
 
     It is 0 if four parts that form a square hold none.
     """
-    size = tiles.things.shape[1]
+    size = tiles.standing.shape[1]
     points = known = seen = 0
     for r in range(size):
         for c in range(size):
-            if tiles.held[t, r, c] > 0 and not tiles.things[t, r, c]:
+            if tiles.held[t, r, c] > 0 and not tiles.standing[t, r, c]:
                 points += tiles.held[t, r, c]
                 known += 1
                 seen |= 1 << (3 * (3 * r // size) + 3 * c // size)
@@ -596,8 +596,8 @@ def _count_left(t: int, tiles: BareTiles, scalars: NDArray[np.float64]) -> float
 
 @helper
 def _keep_left(t: int, tiles: BareTiles, settings: BareSettings, scratch: BareScratch) -> bool:
-    """Take things out of the relief of a tile; returns False, and changes nothing, where too little is left."""
-    size, scalars = tiles.things.shape[1], tiles.scalars[t]
+    """Take objects out of the relief of a tile; returns False, and changes nothing, where too little is left."""
+    size, scalars = tiles.standing.shape[1], tiles.scalars[t]
     seen = _count_left(t, tiles, scalars)
     if math.isnan(tiles.relief[t, 0, 0]):
         return scalars[0] >= settings.thin_points and seen >= settings.thin_seen
@@ -605,7 +605,7 @@ def _keep_left(t: int, tiles: BareTiles, settings: BareSettings, scratch: BareSc
         return False
     for r in range(size):
         for c in range(size):
-            is_left = tiles.held[t, r, c] > 0 and not tiles.things[t, r, c]
+            is_left = tiles.held[t, r, c] > 0 and not tiles.standing[t, r, c]
             scratch.level[r, c] = tiles.relief[t, r, c] if is_left else np.nan
     scalars[2] = relief_of(scratch.level, settings.depth, False, scratch.holes, scratch.values, scratch.relief)
     if math.isnan(scalars[2]):
@@ -617,19 +617,19 @@ def _keep_left(t: int, tiles: BareTiles, settings: BareSettings, scratch: BareSc
 
 
 @kernel
-def leave_out_things(tiles: BareTiles, settings: BareSettings, scratch: BareScratch) -> None:
+def leave_out_objects(tiles: BareTiles, settings: BareSettings, scratch: BareScratch) -> None:
     """Take what stands on tiles out of them."""
-    size = tiles.things.shape[1]
+    size = tiles.standing.shape[1]
     for t in range(len(tiles.is_bare)):
         found = False
         for r in range(size):
             for c in range(size):
-                found |= tiles.things[t, r, c]
+                found |= tiles.standing[t, r, c]
         tiles.is_bare[t] = found and _keep_left(t, tiles, settings, scratch)
         if tiles.is_bare[t]:
             for r in range(size):
                 for c in range(size):
-                    if tiles.things[t, r, c]:
+                    if tiles.standing[t, r, c]:
                         tiles.held[t, r, c] = 0
                         tiles.variance[t, r, c] = np.nan
                     scratch.level[r, c] = tiles.heights[t, r, c] if tiles.held[t, r, c] > 0 else np.nan

@@ -1,4 +1,4 @@
-"""Things that the ground filter left standing: boulders and bushes lower than its threshold, found in heightmaps.
+"""Objects that the ground filter left standing: boulders and bushes lower than its threshold, found in heightmaps.
 
 The filter keeps what lies close to its cloth, up to half a metre above. That belongs to the relief, and it
 is also in the way of a vehicle whose belly is lower.
@@ -35,7 +35,7 @@ from bumpymap.patches._standing_kernels import (
     BareTiles,
     StandingLimits,
     bare_scratch,
-    leave_out_things,
+    leave_out_objects,
     mark_standing,
     standing_scratch,
 )
@@ -43,9 +43,9 @@ from bumpymap.patches.features import choose_tiles, measure
 from bumpytiles import BLOCK_TILES, Grid, TilePoints
 
 _WIDTH = 1.8
-"""Width of what the ground filter may have left, m; wider things are above its threshold."""
+"""Width of what the ground filter may have left, m; wider objects are above its threshold."""
 _WIDEST = 2.6
-"""Width of a thing that stands on relief, m: a van, up to 0.3 m off the grid of the pixels."""
+"""Width of an object that stands on relief, m: a van, up to 0.3 m off the grid of the pixels."""
 _HOLLOW = 1.8
 """Width of a ditch of which the sides are no walls, m; those of a wider one are ground at another level."""
 _RAISED = 0.5
@@ -59,7 +59,7 @@ _LEAST_DISC = 1.5
 _STEEP = 0.3
 """Share of the raised pixels that lie so close to the foot of a side, at least: a swell of the ground has none."""
 _AROUND = 1.5
-"""Radius of the square in which they are counted, as a multiple of that of the widest thing."""
+"""Radius of the square in which they are counted, as a multiple of that of the widest object."""
 
 _LEAST_PIXELS = 15
 """With fewer pixels of ground a tile does not tell what stands on it."""
@@ -73,14 +73,14 @@ Marks = NDArray[np.bool_]
 
 
 class ReliefObjects(NamedTuple):
-    """Things that stand on tiles where all points count as ground."""
+    """Objects that stand on tiles where all points count as ground."""
 
     stack: ObjectStack
     """One row a tile."""
     near: Marks
-    """(n, pixels, pixels) pixels with a narrow, steep thing, or beside one."""
+    """(n, pixels, pixels) pixels with a narrow, steep object, or beside one."""
     has_room: Marks
-    """(n,) whether the middle of the vehicle fits somewhere between such things."""
+    """(n,) whether the middle of the vehicle fits somewhere between such objects."""
 
 
 def take_off_standing(
@@ -116,10 +116,10 @@ def find_in_relief(
 ) -> ReliefObjects:
     """Find what stands on the ground of tiles where all points count as ground.
 
-    Narrow, steep things in the relief are obstacles. Other pixels whose points lie far above one another hold a part of
-    a fence, or the side of a wall: `settle_solids` makes two side by side, or a line of them, an obstacle. But the
+    Narrow, steep objects in the relief are obstacles. Other pixels whose points lie far above one another hold a part
+    of a fence, or the side of a wall: `settle_solids` makes two side by side, or a line of them, an obstacle. But the
     sides of a narrow ditch, over which a wheel rolls, are none; what it does in a wide one, the steps and the ride of
-    its tile tell. In tiles of fewer than 10 points/m2 a thing may have so few points that they are strays: at the
+    its tile tell. In tiles of fewer than 10 points/m2 an object may have so few points that they are strays: at the
     height of the vehicle they are ``LONE``, which `settle_solids` closes. The other pixels with points are ``FREE``; of
     the tile as a whole nothing is known.
 
@@ -139,8 +139,8 @@ def find_in_relief(
     grid, objects = patches.grid, stack.objects
     objects[patches.spread_count == 0] = EMPTY
     steep = patches.spread_variance > (_SPREAD * body.lowest_obstacle_m) ** 2
-    things, near, in_hollow = (np.zeros(patches.heights.shape, np.bool_) for _ in range(3))
-    has_room = np.ones(len(things), np.bool_)
+    standing, near, in_hollow = (np.zeros(patches.heights.shape, np.bool_) for _ in range(3))
+    has_room = np.ones(len(standing), np.bool_)
     around = around or {name: getattr(patches, name) for name in ("col", "row", "heights")}
     for tiles, mosaic, at in _mosaics(patches, around, relief_margin(grid)):
         if steep[tiles].any():
@@ -148,12 +148,12 @@ def find_in_relief(
             in_hollow[tiles] = _of_tiles(_with_neighbours(hollow), at, grid.pixels)
         found = find_standing(mosaic, body, grid, width=_WIDEST, least=body.lowest_obstacle_m)
         if found.any():
-            things[tiles] = _of_tiles(found, at, grid.pixels)
+            standing[tiles] = _of_tiles(found, at, grid.pixels)
             near[tiles] = _of_tiles(_with_neighbours(found), at, grid.pixels)
             closed = _within(found, 0.5 * body.width_m / grid.pixel_size)
             has_room[tiles] = ~_of_tiles(closed, at, grid.pixels).all(axis=(1, 2))
     objects[steep & ~in_hollow] = STEEP
-    objects[things] = OBSTACLE
+    objects[standing] = OBSTACLE
     has_strays = patches.spread_count.sum(axis=(1, 2)) < patches.count
     for t in np.flatnonzero(has_strays).tolist():
         _mark_strays(t, points, patches, body, objects[t], near[t])
@@ -202,8 +202,8 @@ def leave_out_standing(
     """Leave what stands on tiles out of them, so that the ride is that of their ground.
 
     A tile of which too little is left to be rated stays as it is, and so does one in which the vehicle fits nowhere
-    between things: that is rough ground. Strays beside a thing are no noise, but the few points of it that a tile has
-    at its edge.
+    between objects: that is rough ground. Strays beside an object are no noise, but the few points of it that a tile
+    has at its edge.
 
     Parameters
     ----------
@@ -219,15 +219,15 @@ def leave_out_standing(
     Returns
     -------
     points : TilePoints
-        The same, all of them ground but those of things in thin tiles, which are rated from their points.
+        The same, all of them ground but those of objects in thin tiles, which are rated from their points.
     patches : PatchStack
-        The same without the pixels of things: in all but ``heights`` and what describes all points (lowest and highest
+        The same without the pixels of objects: in all but ``heights`` and what describes all points (lowest and highest
         point, variance, residual, range, density).
     """
     points = replace(points, flag=np.full(len(points.flag), POINT_GROUND, np.uint8))
     points, patches = _without_strays(points, patches, objects.near, settings)
-    things = (objects.stack.objects == OBSTACLE) & objects.has_room[:, None, None]
-    if not things.any():
+    standing = (objects.stack.objects == OBSTACLE) & objects.has_room[:, None, None]
+    if not standing.any():
         return points, patches
     least = BareSettings(
         pixel=patches.grid.pixel_size,
@@ -239,15 +239,15 @@ def leave_out_standing(
         thin_seen=THIN_SEEN,
     )
     tiles = BareTiles(
-        things,
+        standing,
         patches.heights,
         patches.spread_count.copy(),
         patches.spread_variance.copy(),
         patches.relief_map.copy(),
-        np.empty((len(things), 4)),
-        np.empty(len(things), np.bool_),
+        np.empty((len(standing), 4)),
+        np.empty(len(standing), np.bool_),
     )
-    leave_out_things(tiles, least, bare_scratch(patches.grid.pixels))
+    leave_out_objects(tiles, least, bare_scratch(patches.grid.pixels))
     _, coverage, relief, slope = tiles.scalars.T
     is_bare, has_relief = tiles.is_bare, np.isfinite(tiles.relief[:, 0, 0])
     bare = replace(
@@ -261,13 +261,13 @@ def leave_out_standing(
         relief_map=tiles.relief,
     )
     is_thin = is_bare & (patches.coverage < DENSE_COVERAGE)
-    return _points_apart(points, things & is_thin[:, None, None]), bare
+    return _points_apart(points, standing & is_thin[:, None, None]), bare
 
 
 def _without_strays(
     points: TilePoints, patches: PatchStack, near: Marks, settings: FeatureSettings
 ) -> tuple[TilePoints, PatchStack]:
-    """Measure tiles again that are unknown because of strays, if all of these lie near things and above the ground."""
+    """Measure tiles again that are unknown because of strays, if all of these lie near objects and above the ground."""
     asked = np.flatnonzero((patches.reason == Reason.OUTLIER_RELIEF) & near.any(axis=(1, 2)))
     if not len(asked):
         return points, patches
@@ -294,7 +294,7 @@ def _without_strays(
 
 
 def _reached(near: Marks, strays: Marks) -> Marks:
-    """Mark the pixels that are near a thing, or beside strays that are."""
+    """Mark the pixels that are near an object, or beside strays that are."""
     reached = near
     while (more := reached | _with_neighbours(reached & strays)).sum() > reached.sum():
         reached = more
@@ -361,13 +361,13 @@ def decks_as_ground(points: TilePoints) -> TilePoints:
 def find_standing(
     heights: Mosaic, body: VehicleBody, grid: Grid, *, width: float = _WIDTH, least: float = 0.0
 ) -> Marks:  # fmt: skip
-    """Find narrow things with steep sides in a heightmap.
+    """Find narrow objects with steep sides in a heightmap.
 
     The surface beneath them is what a disc of ``width`` can touch from below (a morphological opening). Pixels that are
-    more than half the height of the lowest obstacle above it are those of a thing if at least 30 % of them, in a square
-    around each, lie within 0.3 m of a place that is 80 % of that height lower, once the slope of the ground is taken
-    off. Where fewer than eight pixels so close are known, the nearest eight count, up to four pixels away, if they
-    are lower in proportion to their distance.
+    more than half the height of the lowest obstacle above it are those of an object if at least 30 % of them, in a
+    square around each, lie within 0.3 m of a place that is 80 % of that height lower, once the slope of the ground is
+    taken off. Where fewer than eight pixels so close are known, the nearest eight count, up to four pixels away, if
+    they are lower in proportion to their distance.
 
     Parameters
     ----------
@@ -380,12 +380,12 @@ def find_standing(
     width : float
         What is narrower stands on the ground, m; what is wider is ground at another level.
     least : float
-        What of a thing is lower than this is left out, m.
+        What of an object is lower than this is left out, m.
 
     Returns
     -------
     bool (rows, cols)
-        True in the pixels of such things.
+        True in the pixels of such objects.
     """
     disc, foot = (max(_LEAST_DISC, side / grid.pixel_size) for side in (0.5 * width, _REACH))
     belly = body.lowest_obstacle_m

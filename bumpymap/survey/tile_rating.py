@@ -162,7 +162,7 @@ class TileRating:
         return replace(rated, patches=measured, objects=objects, thin=thin).columns()
 
     def _objects(self, points: TilePoints, patches: PatchStack) -> ObjectStack:
-        """Find what stands on the ground; the cloth takes low things for ground."""
+        """Find what stands on the ground; the cloth takes low objects for ground."""
         body = self.models.calibration.body
         apart = take_off_standing(points, patches, body) if self.config.ground == "csf" else (points, patches)
         return find_objects(*apart, body)
