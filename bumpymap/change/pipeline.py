@@ -427,7 +427,7 @@ def connect(code: NDArray[np.float64], least: int) -> tuple[NDArray[np.float64],
     0: none; ``dropped``: tiles of the changes that were dropped.
     """
     found = np.nan_to_num(code) > 0.0
-    labels, first, _ = label(found.astype(np.uint8))
+    labels, first = label(found.astype(np.uint8))
     size = np.bincount(labels.ravel(), minlength=len(first) + 1)
     kept = size >= least
     kept[0] = False

@@ -95,7 +95,7 @@ def write_isochrones(
         geometry = None
         if inside.any():
             # Tiles that touch at a corner only are polygons apart: nothing drives over a corner.
-            labels, first, _ = label(inside.astype(np.uint8))
+            labels, first = label(inside.astype(np.uint8))
             polygons = place.polygons(trace_all(labels, reach.placement.window, len(first)))
             geometry = shapely.multipolygons(shapely.get_parts(polygons))
         area = int(inside.sum()) * reach.placement.grid.tile_size**2
