@@ -52,12 +52,8 @@ def widening(z: Floats) -> float:
     """Return by how much the spread behind z is too narrow, at least 1.
 
     Most ground of a site is as it was. If the middle half of all z is wider than that of a normal distribution, the
-    surveys differ by more than their noise: flights that do not fit each other, plants that have grown.
-
-    Parameters
-    ----------
-    z : array
-        One value a tile; NaN is left out.
+    surveys differ by more than their noise: flights that do not fit each other, plants that have grown. ``z``: one
+    value a tile; NaN is left out.
     """
     known = z[np.isfinite(z)]
     if not len(known):

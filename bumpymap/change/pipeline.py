@@ -254,12 +254,8 @@ _CLASSES = len(CLASS_NAMES)
 def find_changes(config: DiffConfig, progress: Progress | None = None) -> ChangeResult:
     """Compare two surveys as the settings ask, and write what has changed.
 
-    Raises
-    ------
-    BadInputError
-        The layers cannot be read, cannot be compared, or have no tile in common.
-    UsageError, OutputError
-        The files cannot be written.
+    Raises BadInputError: the layers cannot be read, cannot be compared, or have no tile in common; UsageError,
+    OutputError: the files cannot be written.
     """
     progress = progress or SilentProgress()
     pair = open_pair(config.before, config.after)

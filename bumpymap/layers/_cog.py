@@ -89,21 +89,10 @@ def write_value_table(
 ) -> None:
     """Add category names and an attribute table of band 1 to the side file of a raster.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Names of the values 0, 1, 2, ...
-    colours : mapping
-        Red, green, blue, alpha of the values that pixels can have; those without a name (nodata) get no row.
-    counts : array (256,)
-        Number of pixels of each value in the whole raster.
-
-    Raises
-    ------
-    OSError
-        The file cannot be written.
-    ParseError
-        GDAL has written a side file that was cut short, as by a full disk.
+    ``names``: names of the values 0, 1, 2, ...; ``colours``: red, green, blue, alpha of the values that pixels can
+    have; those without a name (nodata) get no row; ``counts`` (256,): number of pixels of each value in the whole
+    raster. Raises OSError: the file cannot be written; ParseError: GDAL has written a side file that was cut short, as
+    by a full disk.
     """
     path = raster.with_name(f"{raster.name}.aux.xml")
     root = ET.parse(path).getroot() if path.exists() else ET.Element("PAMDataset")  # noqa: S314 (GDAL's own)
@@ -182,23 +171,9 @@ def write_cog(
 ) -> None:
     """Write a COG; the file appears only when it is complete.
 
-    Parameters
-    ----------
-    path : Path
-        The file to write.
-    placement : Placement
-        Extent and CRS of the raster.
-    spec : RasterSpec
-        Bands, data type, overviews.
-    paint : callable
-        Returns the pixels of a window, (bands, lines * pixels, columns * pixels), north up; None if all are nodata.
-    side : int
-        Side of a window in tiles, a multiple of a block's.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    ``placement``: extent and CRS of the raster; ``spec``: bands, data type, overviews; ``paint``: returns the pixels of
+    a window, (bands, lines * pixels, columns * pixels), north up; None if all are nodata; ``side``: side of a window in
+    tiles, a multiple of a block's. Raises OutputError: the file cannot be written.
     """
     with atomic(path, _FAILURES) as temporary:
         pixels = placement.window.cols * placement.window.rows * spec.pixels**2

@@ -71,10 +71,7 @@ class SurveyRow:
 def map_facts(folder: Path) -> dict[str, Any]:
     """Return the columns of a `SurveyRow` that follow from the layers of a complete map.
 
-    Raises
-    ------
-    BadInputError
-        The folder holds no complete map, or one that cannot be read.
+    Raises BadInputError: the folder holds no complete map, or one that cannot be read.
     """
     manifest = read_manifest(folder)
     try:
@@ -142,19 +139,7 @@ def check_batch_out(out: Path) -> None:
 def write_batch_summary(rows: Sequence[SurveyRow], folder: Path, title: str, page: str) -> None:
     """Write summary.csv, summary.parquet, collection.json and index.html, all or none.
 
-    Parameters
-    ----------
-    folder : Path
-        An existing folder.
-    title : str
-        Of the catalogue.
-    page : str
-        Content of index.html.
-
-    Raises
-    ------
-    OutputError
-        The files cannot be written.
+    ``title``: of the catalogue; ``page``: content of index.html. Raises OutputError: the files cannot be written.
     """
     try:
         with write_together(folder, _CSV) as staged, utf8_path(staged) as path:

@@ -79,11 +79,8 @@ class SurveyPair:
 def open_pair(before: Path, after: Path) -> SurveyPair:
     """Open the layers of two surveys of one site.
 
-    Raises
-    ------
-    BadInputError
-        A folder holds no complete run; the surveys differ in CRS, grid, vehicle, calibration, rating or in which points
-        are ground; or they have no place in common, or one of too many tiles.
+    Raises BadInputError: a folder holds no complete run; the surveys differ in CRS, grid, vehicle, calibration, rating
+    or in which points are ground; or they have no place in common, or one of too many tiles.
     """
     first, second = open_map(before), open_map(after)
     if found := _differences(first, second):  # they would not be differences between the surveys
@@ -175,10 +172,7 @@ class ChangeField:
 def change_regions(field: ChangeField, names: Sequence[str]) -> "geopandas.GeoDataFrame":
     """Return the connected changes as a table: outlines in the survey's CRS, and the properties ``names`` of each.
 
-    Raises
-    ------
-    UsageError
-        The extra ``notebook`` is not installed.
+    Raises UsageError: the extra ``notebook`` is not installed.
     """
     geopandas = import_notebook("geopandas")
     place, count = field.placement, len(field.regions)

@@ -75,14 +75,8 @@ _OTHER_DECIMALS = 6
 def write_stretches(result: CheckResult, placement: Placement, path: Path) -> None:
     """Write the stretches whose position is known as GeoJSON: WGS 84, or the survey's own coordinates without a CRS.
 
-    ``placement``: from `place_stretches`.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    BadInputError
-        A position cannot be transformed to longitude and latitude.
+    ``placement``: from `place_stretches`. Raises OutputError: the file cannot be written; BadInputError: a position
+    cannot be transformed to longitude and latitude.
     """
     properties = stretch_properties(result)
     middles = np.column_stack([result.stretches.easting, result.stretches.northing])

@@ -44,19 +44,10 @@ from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojso
 def layer_metadata(manifest: Mapping[str, Any], place: Georeference) -> dict[str, Any]:
     """Return the entries that layers carry as metadata, as texts and lists of numbers; what is not known is left out.
 
-    Parameters
-    ----------
-    manifest : mapping
-        The run's own entries for run.json, see `complete_manifest`.
-    place : Georeference
-        CRS of the survey.
-
-    Returns
-    -------
-    dict
-        ``survey``, ``survey_checksum``, ``survey_header_dates`` (first/last, ISO 8601), ``vehicle``, ``calibration``,
-        ``speed_m_per_s`` and ``p_fail_speed_m_per_s`` (of a map at another speed), ``texture_model``, ``rating``,
-        ``class_limits_rad_per_m``, ``bumpymap_version``, ``vertical_crs``.
+    ``manifest``: the run's own entries for run.json, see `complete_manifest`; ``place``: CRS of the survey. Returns
+    ``survey``, ``survey_checksum``, ``survey_header_dates`` (first/last, ISO 8601), ``vehicle``, ``calibration``,
+    ``speed_m_per_s`` and ``p_fail_speed_m_per_s`` (of a map at another speed), ``texture_model``, ``rating``,
+    ``class_limits_rad_per_m``, ``bumpymap_version``, ``vertical_crs``.
     """
     survey, calibration, settings = (manifest[name] for name in ("survey", "calibration", "settings"))
     is_papers, dates = settings.get("compat") == "paper", survey["dates"]
@@ -102,20 +93,10 @@ def verified_record(
 ) -> Iterator[dict[str, Any]]:
     """Read the manifest of a complete run and verify the checksums of its files.
 
-    Errors of the body of the ``with`` that mean a key is missing or malformed become an OutputError too.
-
-    Parameters
-    ----------
-    files : collection of str or None
-        Files that must exist; those that the manifest lists are checked in any case. None: no file is checked, since
-        the manifest alone is in the folder.
-    manifest : str
-        Name of the manifest.
-
-    Raises
-    ------
-    OutputError
-        The manifest cannot be read as that of a run or does not list a file, or a file is missing or has changed.
+    Errors of the body of the ``with`` that mean a key is missing or malformed become an OutputError too. ``files``:
+    files that must exist; those that the manifest lists are checked in any case. None: no file is checked, since the
+    manifest alone is in the folder. ``manifest``: name of the manifest. Raises OutputError: the manifest cannot be read
+    as that of a run or does not list a file, or a file is missing or has changed.
     """
     record = read_record(folder / manifest)
     unreadable = f"{folder} already holds a {manifest} that cannot be read as that of a run. {_REMEDY}"
@@ -165,36 +146,12 @@ def write_products(
     """Write all files of a run, or none; run.json is written last, so a folder that has one is complete.
 
     Files of an earlier run stay until all new ones are complete. Except for run.json, no file depends on the time, on
-    the order of the tiles or on the output folder: the same map of the same survey has the same bytes.
-
-    Parameters
-    ----------
-    table : CostTable
-        The tiles.
-    folder : Path
-        An existing folder, see `check_folder`.
-    local : bool
-        Write cost.geojson in the survey's own coordinates if it has no CRS.
-    manifest : mapping
-        The run's own entries for run.json, see `complete_manifest`.
-    views : callable
-        Writes what shows the layers: it is given the folder and the content of run.json.
-    progress : Progress, optional
-        Counts the layers as they are written.
-
-    Returns
-    -------
-    list of Path
-        The files, in the order of ``EVERY_FILE``.
-    MapSummary
-        Counts and medians of the map.
-
-    Raises
-    ------
-    OutputError
-        A file cannot be written.
-    BadInputError
-        The extent is too large for a raster, or there is no CRS and ``local`` is False.
+    the order of the tiles or on the output folder: the same map of the same survey has the same bytes. ``folder``: an
+    existing folder, see `check_folder`; ``local``: write cost.geojson in the survey's own coordinates if it has no CRS;
+    ``manifest``: the run's own entries for run.json, see `complete_manifest`; ``views``: writes what shows the layers:
+    it is given the folder and the content of run.json; ``progress``: counts the layers as they are written. Returns the
+    files, in the order of ``EVERY_FILE``; counts and medians of the map. Raises OutputError: a file cannot be written;
+    BadInputError: the extent is too large for a raster, or there is no CRS and ``local`` is False.
     """
     started = time.perf_counter()
     placement = Placement.of(table)

@@ -292,12 +292,7 @@ def write_manifest(manifest: Mapping[str, Any], path: Path) -> None:
 
     Dataclasses, paths, CRSs and arrays become plain JSON; numbers that are not finite become null. Bytes of a file name
     that are not UTF-8 are written as escaped surrogates (byte E9 as a backslash and udce9), so that `os.fsencode` of
-    the parsed string is the name again.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    the parsed string is the name again. Raises OutputError: the file cannot be written.
     """
     text = json.dumps(plain_json(manifest), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     with atomic(path) as temporary:
@@ -311,20 +306,10 @@ def complete_manifest(
 ) -> dict[str, Any]:
     """Add the entries that follow from the map to a run's own entries.
 
-    Parameters
-    ----------
-    manifest : mapping
-        The run's own entries: inputs, settings, model, calibration, vehicle, timings. They are kept.
-    table : CostTable
-        The map.
-    summary : MapSummary
-        Counts and medians of that map.
-
-    Returns
-    -------
-    dict
-        Also with ``format``, ``version``, ``versions``, ``crs``, ``grid``, ``cost``, ``counts`` and ``files``, of
-        which there are none yet; all as plain JSON, as it will be read again.
+    ``manifest``: the run's own entries: inputs, settings, model, calibration, vehicle, timings. They are kept.
+    ``summary``: counts and medians of that map. Returns them with ``format``, ``version``, ``versions``, ``crs``,
+    ``grid``, ``cost``, ``counts`` and ``files``, of which there are none yet; all as plain JSON, as it will be read
+    again.
     """
     record: dict[str, Any] = plain_json(
         {
@@ -395,10 +380,7 @@ def _versions() -> dict[str, str]:
 def describe_file(path: Path) -> dict[str, Any]:
     """Return path, size in bytes and SHA-256 of a file.
 
-    Raises
-    ------
-    BadInputError
-        The file cannot be read, or changes while it is read.
+    Raises BadInputError: the file cannot be read, or changes while it is read.
     """
     size, _, digest = _hashed(path)
     return {"path": str(path), "bytes": size, "sha256": digest}
@@ -407,15 +389,8 @@ def describe_file(path: Path) -> dict[str, Any]:
 def describe_input(record: Mapping[str, Any]) -> dict[str, Any]:
     """Add the SHA-256 to the record of an input.
 
-    Parameters
-    ----------
-    record : mapping
-        ``path``, and ``bytes`` and ``mtime_ns`` (a string) of the file when the run read it.
-
-    Raises
-    ------
-    BadInputError
-        The file cannot be read, or has changed since the run read it, so that its checksum would be wrong.
+    ``record``: ``path``, and ``bytes`` and ``mtime_ns`` (a string) of the file when the run read it. Raises
+    BadInputError: the file cannot be read, or has changed since the run read it, so that its checksum would be wrong.
     """
     path = Path(record["path"])
     size, changed, digest = _hashed(path)

@@ -104,11 +104,8 @@ class MapReader:
     def read(self, window: TileWindow, bands: Sequence[str] = _BANDS) -> TileField:
         """Read the tiles of a window, which may extend beyond the map.
 
-        Parameters
-        ----------
-        bands : sequence of str
-            Names of arrays of `TileField`. Those of the others are NaN, read-only and take no memory. Of tiles that a
-            step closes in part they are those of what is open.
+        ``bands``: names of arrays of `TileField`. Those of the others are NaN, read-only and take no memory. Of tiles
+        that a step closes in part they are those of what is open.
         """
         found = self.values(window, bands)
         self._take_open_part(found, window)
@@ -134,11 +131,8 @@ class MapReader:
     def values(self, window: TileWindow, bands: Sequence[str], *, classes: bool = False) -> dict[str, NDArray[Any]]:
         """Read what bars the tiles of a window, bands of roughness.tif by name, and if asked for the classes.
 
-        Returns
-        -------
-        dict
-            ``barred``, uint8: a `Barred`, or ``NO_TILE``; ``class_id``, uint8: ``NO_CLASS`` where unknown; bands,
-            float32, NaN where unknown. Each (rows, cols), north row first.
+        Returns ``barred``, uint8: a `Barred`, or ``NO_TILE``; ``class_id``, uint8: ``NO_CLASS`` where unknown; bands,
+        float32, NaN where unknown. Each (rows, cols), north row first.
         """
         shape = (window.rows, window.cols)
         out: dict[str, NDArray[Any]] = {"barred": np.full(shape, NO_TILE, np.uint8)}
@@ -185,12 +179,8 @@ class MapReader:
 
         The plane of a tile goes through the heights of its pixels. Planes of tiles that are closed by their ground do
         not count at the corners of others. So what one tile rises, the next goes on with, and the rise along a way is
-        that of the ground whichever tiles it crosses.
-
-        Returns
-        -------
-        float32 (rows, cols, 2)
-            Rise per metre southwards and eastwards; 0 where too few heights are known for a plane.
+        that of the ground whichever tiles it crosses. Returns float32 (rows, cols, 2): rise per metre southwards and
+        eastwards; 0 where too few heights are known for a plane.
         """
         pixels = self.grid.pixels
         out = np.empty((window.rows, window.cols, 2), np.float32)
@@ -206,32 +196,16 @@ class MapReader:
     def relief(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.float32]:
         """Read mean heights of the ground from the overviews of heightmap.tif.
 
-        Parameters
-        ----------
-        window : TileWindow
-            May extend beyond the map.
-        shape : tuple
-            Rows and columns of the result, which spans the window.
-
-        Returns
-        -------
-        float32 of that shape
-            m, north row first; NaN where there is none. The map is placed to the nearest pixel.
+        ``window``: may extend beyond the map; ``shape``: rows and columns of the result, which spans the window.
+        Returns heights in m, north row first; NaN where there is none. The map is placed to the nearest pixel.
         """
         return self._pixels(MapFile.HEIGHTMAP, window, np.full(shape, np.nan, np.float32))
 
     def photo(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.float32] | None:
         """Read the colours of the points from the overviews of photo.tif; None if the map has no photo.
 
-        Parameters
-        ----------
-        window, shape
-            As for `relief`.
-
-        Returns
-        -------
-        float32 (rows, cols, 3)
-            Red, green and blue, 0 to 255; NaN where there is none.
+        ``window``, ``shape``: as for `relief`. Returns float32 (rows, cols, 3): red, green and blue, 0 to 255; NaN
+        where there is none.
         """
         if MapFile.PHOTO not in _rasters(self.manifest):
             return None
@@ -275,13 +249,8 @@ class MapReader:
     ) -> None:
         """Read a window that lies inside the map into arrays, which may be parts of larger ones.
 
-        Parameters
-        ----------
-        out : sequence of arrays
-            One for each band, (rows * p, cols * p), north row first; p is the number of pixels along a tile in rasters
-            of pixels, else 1.
-        bands : sequence of str
-            Names of the bands; none: the first.
+        ``out``: one for each band, (rows * p, cols * p), north row first; p is the number of pixels along a tile in
+        rasters of pixels, else 1; ``bands``: names of the bands; none: the first.
         """
         top, left, rows, cols = self._place(name, window)
         self._require_whole(name)
@@ -338,12 +307,7 @@ class MapReader:
     def to_lonlat(self, easting: Coordinate, northing: Coordinate) -> tuple[Coordinate, Coordinate]:
         """Convert easting and northing on the grid, m, to WGS 84 longitude and latitude, degrees.
 
-        They are infinite where the CRS cannot be used.
-
-        Raises
-        ------
-        BadInputError
-            The map has no CRS.
+        They are infinite where the CRS cannot be used. Raises BadInputError: the map has no CRS.
         """
         longitude, latitude = self._to_wgs84.transform(*self.to_crs(easting, northing))
         return longitude, latitude
@@ -351,12 +315,7 @@ class MapReader:
     def from_lonlat(self, longitude: Coordinate, latitude: Coordinate) -> tuple[Coordinate, Coordinate]:
         """Convert WGS 84 longitude and latitude, degrees, to easting and northing on the grid, m.
 
-        They are infinite where the CRS cannot be used.
-
-        Raises
-        ------
-        BadInputError
-            The map has no CRS.
+        They are infinite where the CRS cannot be used. Raises BadInputError: the map has no CRS.
         """
         return self.to_grid(*self._to_wgs84.transform(longitude, latitude, direction="INVERSE"))
 
@@ -385,11 +344,8 @@ class MapReader:
 def open_map(folder: str | os.PathLike[str]) -> MapReader:
     """Open the layers of a complete run.
 
-    Raises
-    ------
-    BadInputError
-        The folder holds no complete run, or one of another version; or a raster is missing, cut off, or does not
-        fit to the others.
+    Raises BadInputError: the folder holds no complete run, or one of another version; or a raster is missing, cut off,
+    or does not fit to the others.
     """
     folder, rasters = Path(folder), KeptRasters()
     manifest = read_manifest(folder)

@@ -29,12 +29,8 @@ MAX_PIXELS = 100_000_000_000
 def check_extent(grid: Grid, window: TileWindow) -> None:
     """Refuse a window that is too large for a raster, as for two sites far apart or an outlying point.
 
-    Gaps take almost no disk space or memory, but GDAL visits every tile of most rasters, empty or not.
-
-    Raises
-    ------
-    BadInputError
-        More than ``MAX_TILES`` tiles, ``MAX_SIDE`` of them along a side, or ``MAX_PIXELS`` pixels.
+    Gaps take almost no disk space or memory, but GDAL visits every tile of most rasters, empty or not. Raises
+    BadInputError: more than ``MAX_TILES`` tiles, ``MAX_SIDE`` of them along a side, or ``MAX_PIXELS`` pixels.
     """
     tiles = window.cols * window.rows
     along = max(window.cols, window.rows)

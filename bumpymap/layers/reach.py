@@ -36,17 +36,7 @@ class ReachField:
 def write_reach(reach: ReachField, path: Path, about: Mapping[str, str] | None = None) -> None:
     """Write reach.tif: a float32 COG, one pixel per tile, bands ``cost`` (m) and ``minutes``.
 
-    Parameters
-    ----------
-    path : Path
-        The file, which appears only when it is complete.
-    about : mapping, optional
-        Metadata of the file, such as the vehicle and the start.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    ``about``: metadata of the file, such as the vehicle and the start. Raises OutputError: the file cannot be written.
     """
     bands = [
         Band("cost", "m", "cost of the cheapest way from the start: its length and the detours it is worth"),
@@ -67,23 +57,8 @@ def write_isochrones(
 
     RFC 7946 in WGS 84, or the survey's own coordinates without a CRS. The largest level comes first: a GIS then draws
     the smaller ones over it. Outlines run along the sides of tiles. A level within which no tile can be reached has a
-    null geometry.
-
-    Parameters
-    ----------
-    levels : sequence of float
-        Positive, minutes.
-    path : Path
-        The file, which appears only when it is complete.
-    about : mapping, optional
-        Further members of the collection, such as vehicle and start.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    BadInputError
-        A level is not a positive number.
+    null geometry. ``levels``: positive, minutes; ``about``: further members of the collection, such as vehicle and
+    start. Raises OutputError: the file cannot be written; BadInputError: a level is not a positive number.
     """
     wanted = sorted({float(level) for level in levels}, reverse=True)
     if not wanted or not (np.isfinite(wanted).all() and wanted[-1] > 0):
@@ -106,10 +81,7 @@ def write_isochrones(
 def reach_dataset(reach: ReachField) -> "xarray.Dataset":
     """Return cost and minutes of a reach on the grid of tiles, dimensions ``y`` (north first) and ``x``.
 
-    Raises
-    ------
-    UsageError
-        The extra ``notebook`` is not installed.
+    Raises UsageError: the extra ``notebook`` is not installed.
     """
     xarray = import_notebook("xarray")
     import_notebook("rioxarray")

@@ -26,17 +26,8 @@ from bumpytiles import BLOCK_TILES, TileWindow
 def label(keys: NDArray[np.uint8]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Give a number to each of the 4-connected areas of equal key, from 1, in the order of their first pixels.
 
-    Parameters
-    ----------
-    keys : array (rows, cols) uint8
-        0 belongs to no area.
-
-    Returns
-    -------
-    labels : array (rows, cols) int32
-        Number of the area of each pixel; 0 where the key is 0.
-    first : array (m,) int64
-        First pixel of each area, as a position in ``keys.ravel()``.
+    ``keys`` (rows, cols) uint8: 0 belongs to no area. Returns ``labels`` (rows, cols) int32: number of the area of each
+    pixel; 0 where the key is 0; ``first`` (m,) int64: first pixel of each area, as a position in ``keys.ravel()``.
     """
     from skimage.measure import label as number_areas
 
@@ -49,16 +40,10 @@ def label(keys: NDArray[np.uint8]) -> tuple[NDArray[np.int32], NDArray[np.int64]
 def shared_corners(areas: NDArray[np.integer]) -> NDArray[np.bool_]:
     """Find the corners of tiles that are vertices of outlines: all at which borders turn, meet, cross or touch.
 
-    Parameters
-    ----------
-    areas : integers (rows + 2, cols + 2)
-        Number of the area of each tile of a window and of the tiles around it, north row first; 0 for none. There is a
-        border between tiles that share a side and have unlike numbers.
-
-    Returns
-    -------
-    bool (rows + 1, cols + 1)
-        One for each corner of a tile of the window, north-west first. False on straight borders and off them.
+    ``areas`` integers (rows + 2, cols + 2): number of the area of each tile of a window and of the tiles around it,
+    north row first; 0 for none. There is a border between tiles that share a side and have unlike numbers. Returns bool
+    (rows + 1, cols + 1): one for each corner of a tile of the window, north-west first. False on straight borders and
+    off them.
     """
     beside = areas[:, 1:] != areas[:, :-1]
     below = areas[1:] != areas[:-1]
@@ -75,21 +60,10 @@ def trace_labels(
 ) -> NDArray[np.object_]:
     """Trace the outlines of 4-connected areas of tiles: right-hand rings, in grid coordinates (1 is one tile).
 
-    Parameters
-    ----------
-    labels : int32 (rows, cols)
-        Number of the area of each tile of the window, north row first.
-    rows : slice
-        Rows of the window in which the wanted areas lie.
-    wanted : range
-        Their numbers.
-    corners : bool (rows + 1, cols + 1), optional
-        Corners of tiles of the window that are vertices, from `shared_corners`: at least those at which the border of a
-        wanted area turns. By default those of ``labels`` alone.
-
-    Returns
-    -------
-    array (len(wanted),) of polygons
+    ``labels`` int32 (rows, cols): number of the area of each tile of the window, north row first; ``rows``: rows of
+    the window in which the wanted areas lie; ``wanted``: their numbers; ``corners`` bool (rows + 1, cols + 1):
+    corners of tiles of the window that are vertices, from `shared_corners`: at least those at which the border of a
+    wanted area turns. By default those of ``labels`` alone. Returns (len(wanted),) of polygons.
     """
     part = labels[rows]
     held = shared_corners(np.pad(part, 1)) if corners is None else corners[rows.start : rows.start + len(part) + 1]
@@ -199,20 +173,11 @@ def dissolve(table: CostTable) -> Iterator[Regions]:
     """Dissolve tiles that share a side into regions of one class and passability, or of one reason if unknown.
 
     Outlines run along tile sides; vertices are whole numbers of tiles. All of them are a valid coverage: adjacent
-    regions have the same vertices along their border. A large map is dissolved in windows of
-    `REGION_WINDOW` x `REGION_WINDOW` tiles from its north-west corner: regions are cut at the borders of windows, and
-    memory does not depend on the size of the map.
-
-    Yields
-    ------
-    Regions
-        Up to some thousand regions: windows north-west first, regions of a window in the order of their first tile,
-        northmost (then westmost) first. They are numbered in that order.
-
-    Raises
-    ------
-    BadInputError
-        The extent is too large for a raster.
+    regions have the same vertices along their border. A large map is dissolved in windows of `REGION_WINDOW` x
+    `REGION_WINDOW` tiles from its north-west corner: regions are cut at the borders of windows, and memory does not
+    depend on the size of the map. Yields up to some thousand regions: windows north-west first, regions of a window in
+    the order of their first tile, northmost (then westmost) first. They are numbered in that order. Raises
+    BadInputError: the extent is too large for a raster.
     """
     place = Placement.of(table)
     found = 0

@@ -100,15 +100,8 @@ def _line_parts(grid_m: NDArray[np.float64], place: GeoJsonCoordinates) -> list[
 def split_at_antimeridian(degrees: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     """Cut a line where it crosses the antimeridian (RFC 7946, 3.1.9).
 
-    Parameters
-    ----------
-    degrees : array (n, 2)
-        Longitude and latitude; a step of more than 180 degrees is a crossing.
-
-    Returns
-    -------
-    list of array (m, 2)
-        The parts in order, m >= 2; each crossing adds a point to both.
+    ``degrees`` (n, 2): longitude and latitude; a step of more than 180 degrees is a crossing. Returns the parts in
+    order, m >= 2; each crossing adds a point to both.
     """
     lon, lat = degrees.T
     before = np.flatnonzero(np.abs(np.diff(lon)) > 180.0)

@@ -65,12 +65,7 @@ class AccumulatedSurvey:
 def open_accumulated(path: Path, first: NDArray[np.float64], crs: CRS | None) -> Iterator[AccumulatedSurvey]:
     """Open gathered.laz for writing: LAZ 1.4, point format 6, scale 1 mm, offset near the first pose.
 
-    Parameters
-    ----------
-    first : (4, 4) float64
-        Pose of the first frame, m.
-    crs : CRS, optional
-        CRS of the world frame; None: the file gets none.
+    ``first`` (4, 4) float64: pose of the first frame, m; ``crs``: CRS of the world frame; None: the file gets none.
     """
     header = laspy.LasHeader(version="1.4", point_format=6)
     header.scales, header.offsets = np.full(3, _SCALE_M), np.round(first[:3, 3])
@@ -315,12 +310,8 @@ def has_files(name: str, folder: Path, products: Collection[str]) -> bool:
 def write_frame(name: str, scan: Scan, classed: ClassedSectors, folder: Path, products: Collection[str]) -> None:
     """Write those ``products`` that are data of a frame to ``folder / "frames"``, without flushing them to the disk.
 
-    Parameters
-    ----------
-    name : str
-        Name of the frame and of its files.
-    products : collection of str
-        Polygons and cloud; others, such as the picture, are not written here.
+    ``name``: name of the frame and of its files; ``products``: polygons and cloud; others, such as the picture, are not
+    written here.
     """
     for path in frame_files(name, folder, products):
         path.parent.mkdir(exist_ok=True)

@@ -140,10 +140,7 @@ def identifier(name: str) -> str:
 def write_document(document: Mapping[str, Any], path: Path) -> None:
     """Write JSON; lists of numbers stand in one line.
 
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    Raises OutputError: the file cannot be written.
     """
     text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
     text = re.sub(
@@ -163,23 +160,9 @@ def write_collection(path: Path, root: Path, folders: Sequence[str], title: str)
     """Write a STAC collection with a link to the item of each complete map.
 
     Its licence is the one that all of them state, else ``other``. Items do not link back: they are the same whether a
-    map was made alone or with others.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    root : Path
-        The folder that holds those of the maps; links start there.
-    folders : sequence of str
-        Their names in it, in the order of the links. One without a complete map is left out.
-    title : str
-        Of the catalogue.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    map was made alone or with others. ``root``: the folder that holds those of the maps; links start there;
+    ``folders``: their names in it, in the order of the links. One without a complete map is left out. ``title``: of the
+    catalogue. Raises OutputError: the file cannot be written.
     """
     found = {each: read_record(root / each / MapFile.ITEM) for each in folders}
     items = {each: item for each, item in found.items() if item and (root / each / MapFile.MANIFEST).is_file()}
@@ -239,17 +222,8 @@ _SOFTWARE = {"bumpymap": "bumpymap", "gdal": "GDAL", "proj": "PROJ"}
 def write_item(folder: Path, record: Mapping[str, Any]) -> None:
     """Write item.json to a folder of complete layers: a STAC item with every file as an asset.
 
-    It follows from the layers and the survey alone: no time, and no place of the folder is in it.
-
-    Parameters
-    ----------
-    record : mapping
-        The content of run.json, which need not be there yet.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    It follows from the layers and the survey alone: no time, and no place of the folder is in it. ``record``: the
+    content of run.json, which need not be there yet. Raises OutputError: the file cannot be written.
     """
     name = escape_controls(record["survey"]["name"])
     about = f"Roughness and ride cost of the ground for the vehicle {record['calibration']['vehicle']}"

@@ -44,14 +44,8 @@ def write_tiles(table: CostTable, path: Path, about: Mapping[str, str] | None = 
 
     Rows are in the order of `TileTable.strips`: strips are one row of blocks high and come north first, then west
     first; so do the tiles within a strip. Unknown numbers are null; pixels of ``heights`` without points are NaN.
-    ``about`` is metadata of the file, such as vehicle and calibration.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    BadInputError
-        The extent is too large for a raster.
+    ``about`` is metadata of the file, such as vehicle and calibration. Raises OutputError: the file cannot be written;
+    BadInputError: the extent is too large for a raster.
     """
     place = Placement.of(table)
     fields = tile_fields(place.grid.pixels, table.speeds)
@@ -213,17 +207,8 @@ _MOST_ROWS = 65_536
 def read_tiles(path: Path, tiles: int) -> Iterator[dict[str, NDArray[Any]]]:
     """Yield the columns of some tiles at a time; numbers are NaN and classes ``NO_CLASS`` where unknown.
 
-    Parameters
-    ----------
-    path : Path
-        tiles.parquet.
-    tiles : int
-        Tiles that the run counts. Another number of rows is refused before any is read.
-
-    Raises
-    ------
-    BadInputError
-        The file is missing, damaged, not of this run, or does not fit into memory.
+    ``path``: tiles.parquet; ``tiles``: tiles that the run counts. Another number of rows is refused before any is read.
+    Raises BadInputError: the file is missing, damaged, not of this run, or does not fit into memory.
     """
     try:
         with pq.ParquetFile(path, read_dictionary=["barred"]) as file:

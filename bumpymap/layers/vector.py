@@ -38,10 +38,7 @@ DEGREE_DECIMALS, _METRE_DECIMALS = 7, 3
 def wgs84_transformer(placement: Placement) -> Transformer:
     """Return the transformer from the survey's CRS to WGS 84 longitude and latitude, tried on points of the raster.
 
-    Raises
-    ------
-    BadInputError
-        There is no CRS, or no known transformation from it to longitude and latitude at this place.
+    Raises BadInputError: there is no CRS, or no known transformation from it to longitude and latitude at this place.
     """
     crs, window = placement.horizontal_crs, placement.window
     if crs is None:
@@ -151,10 +148,7 @@ class GeoJsonCoordinates:
     def of(cls, placement: Placement, *, local: bool) -> "GeoJsonCoordinates":
         """Choose longitude and latitude if possible, else the survey's own coordinates if ``local``.
 
-        Raises
-        ------
-        BadInputError
-            The survey has no CRS, or one that cannot be transformed, and ``local`` is False.
+        Raises BadInputError: the survey has no CRS, or one that cannot be transformed, and ``local`` is False.
         """
         try:
             return cls(placement, wgs84_transformer(placement))
@@ -182,12 +176,8 @@ class GeoJsonCoordinates:
 
         Own coordinates are rounded to 1 mm, degrees to 1 cm; rings in degrees are right-hand and cut at the
         antimeridian, so that an outline may become a multipolygon. Polygons with the same vertices along their common
-        borders keep this property, on either side of the antimeridian.
-
-        Raises
-        ------
-        BadInputError
-            A point cannot be transformed to longitude and latitude.
+        borders keep this property, on either side of the antimeridian. Raises BadInputError: a point cannot be
+        transformed to longitude and latitude.
         """
         place, to_degrees = self.placement, self.to_degrees
         if to_degrees is None:
@@ -220,10 +210,7 @@ class GeoJsonCoordinates:
     def in_file(self, grid_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Convert points (n, 2) on the grid, m, to these; own coordinates are rounded to 1 mm, degrees to 1 cm.
 
-        Raises
-        ------
-        BadInputError
-            A point cannot be transformed to longitude and latitude.
+        Raises BadInputError: a point cannot be transformed to longitude and latitude.
         """
         own = self.in_crs(grid_m)
         if self.to_degrees is None:
@@ -265,23 +252,8 @@ def write_features(
 ) -> None:
     """Write a GeoJSON file: RFC 7946 in WGS 84, or the survey's own coordinates, which its members declare.
 
-    Parameters
-    ----------
-    path : Path
-        The file, which appears only when it is complete.
-    name : str
-        Of the collection, which GIS programs show.
-    place : GeoJsonCoordinates
-        Coordinates of the features.
-    features : sequence of mappings
-        From `feature`.
-    about : mapping, optional
-        Further members of the collection.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    ``name``: of the collection, which GIS programs show; ``place``: coordinates of the features; ``features``: from
+    `feature`; ``about``: further members of the collection. Raises OutputError: the file cannot be written.
     """
     geometries = [each["geometry"] for each in features if each["geometry"] is not None]
     box = BoundingBox()
@@ -301,26 +273,9 @@ def geojson_writer(
 ) -> Iterator[Callable[[Regions], None]]:
     """Write cost.geojson: RFC 7946, one feature per region, WGS 84 with 7 decimals.
 
-    Local coordinates are rounded to 1 mm, and a member of the collection declares them.
-
-    Parameters
-    ----------
-    path : Path
-        The file, which appears when the ``with`` ends without an error.
-    place : GeoJsonCoordinates
-        Coordinates of the file.
-    about : mapping, optional
-        Further members of the feature collection, such as vehicle and calibration.
-
-    Yields
-    ------
-    callable
-        Appends `Regions`; call it repeatedly.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    Local coordinates are rounded to 1 mm, and a member of the collection declares them. ``place``: coordinates of the
+    file; ``about``: further members of the feature collection, such as vehicle and calibration. Yields a function that
+    appends `Regions`; call it repeatedly. Raises OutputError: the file cannot be written.
     """
     head = {"type": "FeatureCollection", "name": "cost", **place.members, **(about or {})}
     encode = json.JSONEncoder(ensure_ascii=False, allow_nan=False).encode

@@ -81,11 +81,8 @@ _NAMED = ("asphalt", "snow", "silty loam")
 def read_surfaces() -> dict[str, Any]:
     """Read the C_r that one real vehicle measured on named surfaces, from the file that comes with the package.
 
-    Returns
-    -------
-    dict
-        ``vehicle``, ``kind``, ``speed``, ``source`` and ``method`` in words; ``floor``, rad/m: what the vehicle itself
-        gives on even ground, from and to; ``c_r``: surface -> rad/m, rising.
+    Returns ``vehicle``, ``kind``, ``speed``, ``source`` and ``method`` in words; ``floor``, rad/m: what the vehicle
+    itself gives on even ground, from and to; ``c_r``: surface -> rad/m, rising.
     """
     known: dict[str, Any] = parse_json(_FILE.read_text(encoding="utf-8"))
     rising = sorted(known.pop("surfaces"), key=lambda one: float(one["c_r"]))
@@ -95,10 +92,7 @@ def read_surfaces() -> dict[str, Any]:
 def degrees_line(median_c_r: Sequence[float]) -> str:
     """Say in degrees of pitch per metre what classes cost, beside named surfaces.
 
-    Parameters
-    ----------
-    median_c_r : sequence
-        Of each class, rad/m; NaN without tiles.
+    ``median_c_r``: of each class, rad/m; NaN without tiles.
     """
     known = zip(CLASS_NAMES, median_c_r, strict=False)
     classes = ", ".join(f"{name} {degrees(c_r)}" for name, c_r in known if math.isfinite(c_r))

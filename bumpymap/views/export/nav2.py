@@ -66,17 +66,9 @@ _SCALES = {
 def make_grids(area: ExportArea, max_cost: float | None) -> Callable[[Path], dict[str, Any]]:
     """Make the images of an area, and return what writes the files and says what the sidecar file says of them.
 
-    Parameters
-    ----------
-    area : ExportArea
-    max_cost : float, optional
-        Cost per metre that gets the highest value; else that of very rough ground, so that values mean the same in
-        every map for a vehicle: C_r at the limit of class 3, and the share of failing drives that bars ground.
-
-    Raises
-    ------
-    BadInputError
-        There are too many cells, or none of them is free.
+    ``max_cost``: cost per metre that gets the highest value; else that of very rough ground, so that values mean the
+    same in every map for a vehicle: C_r at the limit of class 3, and the share of failing drives that bars ground.
+    Raises BadInputError: there are too many cells, or none of them is free.
     """
     area.require_cells(_MAX_CELLS, "a map for Nav2")
     site, highest = area.route_map, 1.0

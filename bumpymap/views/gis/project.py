@@ -46,21 +46,9 @@ _ARROW = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 24 40">{NORTH_AR
 def write_map_views(folder: Path, record: Mapping[str, Any], wait: Callable[..., None]) -> None:
     """Write the styles, map.qgs, report.html and the thumbnail of the layers in a folder.
 
-    Parameters
-    ----------
-    folder : Path
-        The layers of a run.
-    record : mapping
-        The content of run.json, which need not be there yet; ``files`` may be empty.
-    wait : callable
-        Waits until layers, given their names, are in the folder, or all of them.
-
-    Raises
-    ------
-    BadInputError
-        A layer cannot be read.
-    OutputError
-        A file cannot be written.
+    ``folder``: the layers of a run; ``record``: the content of run.json, which need not be there yet; ``files`` may be
+    empty; ``wait``: waits until layers, given their names, are in the folder, or all of them. Raises BadInputError: a
+    layer cannot be read; OutputError: a file cannot be written.
     """
     site = Site.read(folder, record, wait=wait)
     write_map_page(site, folder / MapFile.REPORT)
@@ -167,17 +155,8 @@ def _closed(tree: _Tree, *, visible: bool = True) -> list[Style]:
 def write_project(folder: Path, record: Mapping[str, Any]) -> None:
     """Write map.qgs: the layers in a folder, styled, the classes over the relief, paths relative to the folder.
 
-    Parameters
-    ----------
-    folder : Path
-        The folder of the layers. The project lists those that are there.
-    record : mapping
-        The record of the run, as in run.json.
-
-    Raises
-    ------
-    OutputError
-        The project cannot be written, or a layer cannot be read.
+    ``folder``: the folder of the layers. The project lists those that are there. ``record``: the record of the run, as
+    in run.json. Raises OutputError: the project cannot be written, or a layer cannot be read.
     """
     tree = _Tree(folder, record)
     groups = _groups(tree, speeds_of(record))
@@ -195,17 +174,9 @@ def view_writers(
 ) -> dict[str, Callable[[Path], None]]:
     """Return how the styles and the project of a run over maps are written, by name of the file.
 
-    Parameters
-    ----------
-    layers : sequence of ViewLayer
-        The files of the run, the topmost first.
-    place : Placement
-        What the project opens with. GeoJSON is in longitude and latitude where it has a CRS.
-    source : MapReader
-        The map to lie under them, by a path relative to ``out``.
-    out : Path
-        The folder of the run.
-    title : str
+    ``layers``: the files of the run, the topmost first; ``place``: what the project opens with. GeoJSON is in longitude
+    and latitude where it has a CRS. ``source``: the map to lie under them, by a path relative to ``out``; ``out``: the
+    folder of the run.
     """
     found: dict[str, dict[str, Any]] = {}
     for layer in layers:

@@ -64,21 +64,8 @@ def write_qgis(path: Path, template: str, **context: Any) -> None:
     """Write a style or a project, whole or not at all.
 
     Control characters and bytes that are not UTF-8, as in the name of a CRS, are shown as escapes, as on pages. Labels
-    are shown as they are: QGIS evaluates no expression that a name or description holds.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    template : str
-        Name of a template beside this module.
-    **context
-        What the template needs.
-
-    Raises
-    ------
-    OutputError
-        It cannot be written.
+    are shown as they are: QGIS evaluates no expression that a name or description holds. ``template``: name of a
+    template beside this module; ``**context``: what the template needs. Raises OutputError: it cannot be written.
     """
     text = render_text(template, version=QGIS_VERSION, **context)
     root = ET.fromstring(_NOT_XML.sub("\ufffd", text).strip())  # noqa: S314 (of a template of our own)
@@ -280,20 +267,11 @@ def _speed_stops(record: Mapping[str, Any]) -> list[tuple[float, str, _Colour]]:
 def map_styles(record: Mapping[str, Any], *, layered: bool = False) -> dict[str, Style]:
     """Return how QGIS shows each layer of a map.
 
-    Parameters
-    ----------
-    record : mapping
-        The record of the run, as in run.json.
-    layered : bool
-        As layers of one project: clear where there is nothing to explain (passable tiles, tiles with a class); a pale
-        relief; the photo, which needs no style of its own.
-
-    Returns
-    -------
-    dict
-        By `MapFile`; what else a project shows of one, by it and a part: of roughness.tif ``p_fail``, the tiles where
-        at least half of the drives fail, of speeds.tif the C_r at each speed, such as ``0.5``, and of cost.fgb
-        ``closed``, what is not known or not passable.
+    ``record``: the record of the run, as in run.json; ``layered``: as layers of one project: clear where there is
+    nothing to explain (passable tiles, tiles with a class); a pale relief; the photo, which needs no style of its own.
+    Returns by `MapFile`; what else a project shows of one, by it and a part: of roughness.tif ``p_fail``, the tiles
+    where at least half of the drives fail, of speeds.tif the C_r at each speed, such as ``0.5``, and of cost.fgb
+    ``closed``, what is not known or not passable.
     """
     labels, speeds = class_labels(record), speeds_of(record)
     anchors = zip(RideScale.of(record).anchors, CLASS_NAMES, strict=True)
@@ -337,18 +315,8 @@ def write_styles(folder: Path, record: Mapping[str, Any]) -> None:
     """Write a QGIS style beside each layer in a folder: class.qml for class.tif, and so on.
 
     A file holds a part for rasters and one for areas, of all layers with its stem; QGIS takes the part that fits.
-
-    Parameters
-    ----------
-    folder : Path
-        The folder of the layers. Styles are written for those that are there.
-    record : mapping
-        The record of the run, as in run.json.
-
-    Raises
-    ------
-    OutputError
-        A style cannot be written.
+    ``folder``: the folder of the layers. Styles are written for those that are there. ``record``: the record of the
+    run, as in run.json. Raises OutputError: a style cannot be written.
     """
     found: dict[Path, dict[str, Style]] = {}
     for layer, style in map_styles(record).items():

@@ -119,19 +119,9 @@ def index_page(
 ) -> str:
     """Return a page that requests nothing but what the reader follows a link to.
 
-    All text from rows is escaped; scripts and styles other than the page's own are refused by its policy.
-
-    Parameters
-    ----------
-    rows : sequence of SurveyRow
-    views : mapping
-        By name of a survey; those without one have no picture.
-    links : sequence of str
-        Files beside the page to link to.
-    title : str
-        Name of the batch.
-    note : str, optional
-        A sentence below the headline, such as when the page was written.
+    All text from rows is escaped; scripts and styles other than the page's own are refused by its policy. ``views``: by
+    name of a survey; those without one have no picture; ``links``: files beside the page to link to; ``title``: name of
+    the batch; ``note``: a sentence below the headline, such as when the page was written.
     """
     shown = sorted(rows, key=lambda row: (_ORDER.index(row.status), row.name))
     return render_page(

@@ -85,17 +85,8 @@ class ChangeSite:
     def read(cls, folder: Path, record: Mapping[str, Any]) -> Self:
         """Read the files of a comparison.
 
-        Parameters
-        ----------
-        folder : Path
-            change.tif and change.geojson.
-        record : mapping
-            The content of change.json, which may not be there yet.
-
-        Raises
-        ------
-        BadInputError
-            A file is missing, damaged, or was written by an earlier version.
+        ``folder``: change.tif and change.geojson; ``record``: the content of change.json, which may not be there yet.
+        Raises BadInputError: a file is missing, damaged, or was written by an earlier version.
         """
         try:
             unit, tile_size = float(record["metres_per_unit"]["horizontal"]), float(record["grid"]["tile_size_m"])
@@ -290,21 +281,8 @@ def read_comparison(folder: Path) -> dict[str, Any]:
 def write_change_report(folder: Path, record: Mapping[str, Any], path: Path) -> None:
     """Write the page of the changes in a folder.
 
-    Parameters
-    ----------
-    folder : Path
-        change.tif and change.geojson.
-    record : mapping
-        The content of change.json, which need not be there yet.
-    path : Path
-        The page.
-
-    Raises
-    ------
-    BadInputError
-        A file cannot be read.
-    OutputError
-        The page cannot be written.
+    ``folder``: change.tif and change.geojson; ``record``: the content of change.json, which need not be there yet.
+    Raises BadInputError: a file cannot be read; OutputError: the page cannot be written.
     """
     site = ChangeSite.read(folder, record)
     runs = [record["sources"][side]["runs"][0] for side in _SIDES]

@@ -115,12 +115,7 @@ class Chart:
 def c_r_chart(bins: NDArray[np.int64], limits: Sequence[float]) -> Chart:
     """Return the histogram of the ride cost: bins of equal width on a logarithmic axis.
 
-    Parameters
-    ----------
-    bins : int64 (n,)
-        Tiles in each bin of ``C_R_EDGES``.
-    limits : sequence of float
-        Limits of the classes, rad/m.
+    ``bins`` int64 (n,): tiles in each bin of ``C_R_EDGES``; ``limits``: limits of the classes, rad/m.
     """
     used = np.flatnonzero(bins)
     first, last = (int(used[0]), int(used[-1]) + 1) if len(used) else (0, len(bins))

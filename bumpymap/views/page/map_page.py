@@ -82,32 +82,12 @@ def write_report(
 ) -> Path:
     """Write the page of a map or of a comparison again.
 
-    Parameters
-    ----------
-    layers : path
-        A folder that `bumpymap map` or `bumpymap diff` wrote.
-    out : path, optional
-        The file; default is report.html in the folder of the layers, which is replaced, since it can be made again.
-    route : path, optional
-        A folder that `bumpymap route` wrote: its ways are drawn.
-    page : PageSettings, optional
-        Header of the page of a map; what it does not give is as the map was made with.
-    overwrite : bool
-        Replace ``out`` if it exists.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    UsageError
-        ``out`` is not named like a page, or a comparison is given with ``route``.
-    BadInputError
-        The folder holds no complete layers, or they cannot be read, or ``route`` holds no way.
-    OutputError
-        The page cannot be written, or exists.
+    ``layers``: a folder that `bumpymap map` or `bumpymap diff` wrote; ``out``: the file; default is report.html in the
+    folder of the layers, which is replaced, since it can be made again; ``route``: a folder that `bumpymap route`
+    wrote: its ways are drawn; ``page``: header of the page of a map; what it does not give is as the map was made with;
+    ``overwrite``: replace ``out`` if it exists. Returns the file. Raises UsageError: ``out`` is not named like a page,
+    or a comparison is given with ``route``; BadInputError: the folder holds no complete layers, or they cannot be read,
+    or ``route`` holds no way; OutputError: the page cannot be written, or exists.
     """
     from bumpymap.views.page.change_page import is_comparison, read_comparison, write_change_report
 
@@ -154,10 +134,7 @@ def _check(path: Path, *, replace: bool) -> None:
 def write_map_page(site: Site, path: Path) -> None:
     """Write the page of a map. The same layers give the same page: it holds no time and no folder.
 
-    Raises
-    ------
-    OutputError
-        The page cannot be written.
+    Raises OutputError: the page cannot be written.
     """
     real = read_surfaces()
     write_page(
@@ -214,20 +191,8 @@ _CODES = {
 def write_check_page(result: "CheckResult", ground: "MapReader | None", path: Path) -> None:
     """Write check.html: the drives over the map they were checked against, charts, tables, how to read them.
 
-    Without a map, or where its layers cannot be drawn, the page has no map.
-
-    Parameters
-    ----------
-    result : CheckResult
-    ground : MapReader or None
-        The map; None without one.
-    path : Path
-        The file, which appears only when it is complete.
-
-    Raises
-    ------
-    OutputError
-        The page cannot be written.
+    Without a map, or where its layers cannot be drawn, the page has no map. ``ground``: the map; None without one.
+    Raises OutputError: the page cannot be written.
     """
     site = None if ground is None else _driven_site(result, ground)
     names = names_of([drive.name for drive in result.drives])

@@ -43,10 +43,7 @@ _HERE = Path(__file__).parent
 def write_page(path: Path, template: str, **context: Any) -> None:
     """Write a page, which appears only when it is complete; see `render_page`.
 
-    Raises
-    ------
-    OutputError
-        The page cannot be written.
+    Raises OutputError: the page cannot be written.
     """
     text = render_page(template, **context)
     with atomic(path) as temporary:
@@ -63,21 +60,9 @@ def render_page(
 ) -> str:
     """Return a page as HTML: it holds all that it shows, and its policy forbids a browser to fetch anything else.
 
-    Parameters
-    ----------
-    template : str
-        Name of a template.
-    style, script : str
-        Names of files in ``data``; the policy lets a browser run these two alone.
-    data : mapping
-        What the script needs, as plain JSON; None for a script that needs nothing.
-    **context
-        What the template needs. All of it is escaped where it is written.
-
-    Raises
-    ------
-    LookupError
-        The template names what a record does not hold.
+    ``style``, ``script``: names of files in ``data``; the policy lets a browser run these two alone; ``data``: what the
+    script needs, as plain JSON; None for a script that needs nothing; ``**context``: what the template needs. All of it
+    is escaped where it is written. Raises LookupError: the template names what a record does not hold.
     """
     # In a script element only "<" could end it.
     text = json.dumps(data, allow_nan=False, ensure_ascii=True, separators=(",", ":")).replace("<", "\\u003c")

@@ -85,13 +85,8 @@ def read_pixels(
 ) -> NDArray[np.float32]:
     """Read a raster of the pixels of heightmap.tif, ``side`` along a side at most, or one for each of the page's grid.
 
-    The page may show a part of the raster. ``read`` returns the pixels of a window in another shape,
-    (..., rows, cols), as `read_averaged`.
-
-    Returns
-    -------
-    float32 (..., rows, cols)
-        NaN where there is no point.
+    The page may show a part of the raster. ``read`` returns the pixels of a window in another shape, (..., rows, cols),
+    as `read_averaged`. Returns float32 (..., rows, cols): NaN where there is no point.
     """
     factor = spot.pixels
     while factor > finer(spot, side):  # half and half again: what overviews hold, or a little less
@@ -149,10 +144,7 @@ def _square_sums(values: NDArray[Any]) -> NDArray[Any]:
 def _spans(count: int, step: int) -> list[tuple[int, int, int]]:
     """Divide ``count`` tiles into those of whole pixels of ``step`` tiles, and those of the last pixel.
 
-    Returns
-    -------
-    list of tuple of int
-        First tile, number of pixels, and tiles in each of them.
+    Returns first tile, number of pixels, and tiles in each of them.
     """
     whole = count // step
     parts = [(0, whole, step), (whole * step, 1, count - whole * step)]
@@ -235,12 +227,8 @@ def open_picture(path: Path) -> ImageFile:
 def page_header(settings: PageSettings) -> dict[str, str]:
     """Return what the header of a page says: the texts that are given, and the logo as a data URI.
 
-    The logo is made again from its pixels, so that nothing else that is in the file comes with it.
-
-    Raises
-    ------
-    UsageError
-        The logo cannot be taken, see `open_picture`, or is a link.
+    The logo is made again from its pixels, so that nothing else that is in the file comes with it. Raises UsageError:
+    the logo cannot be taken, see `open_picture`, or is a link.
     """
     found = {name: text for name in ("title", "client", "operator", "note") if (text := getattr(settings, name))}
     if (path := settings.logo) is None:
@@ -302,17 +290,9 @@ _WAY_SHAPE = {"name?": Nullable(str), "why?": Nullable(str), "seen?": Nullable(s
 def read_ways(folder: Path, record: Mapping[str, Any]) -> tuple[DrawnWay, ...]:
     """Read the ways of a folder, or of a file, that `bumpymap route` wrote.
 
-    Parameters
-    ----------
-    folder : Path
-        The folder, or route.geojson itself.
-    record : mapping
-        The content of run.json of the map: its CRS and units.
-
-    Raises
-    ------
-    BadInputError
-        There is no route.geojson, or it is not one of `bumpymap route`, or its coordinates are not those of the map.
+    ``folder``: the folder, or route.geojson itself; ``record``: the content of run.json of the map: its CRS and units.
+    Raises BadInputError: there is no route.geojson, or it is not one of `bumpymap route`, or its coordinates are not
+    those of the map.
     """
     path = folder / _FILE if folder.is_dir() else folder
     remedy = "Give the folder of a route from one place to another, which `bumpymap route` wrote, as `route`"
@@ -403,23 +383,10 @@ class Site:
     ) -> Self:
         """Read a folder of layers.
 
-        Parameters
-        ----------
-        folder : Path
-            Complete layers of a run.
-        record : mapping
-            The content of its run.json, which may not be there yet.
-        ways : tuple of DrawnWay
-            Ways to draw.
-        stretches : sequence of mapping
-            Stretches of real drives, from `write_check_page`.
-        wait : callable
-            Waits until layers, given their names, are in the folder.
-
-        Raises
-        ------
-        BadInputError
-            A file is missing, damaged, or was written by an earlier version.
+        ``folder``: complete layers of a run; ``record``: the content of its run.json, which may not be there yet;
+        ``ways``: ways to draw; ``stretches``: stretches of real drives, from `write_check_page`; ``wait``: waits until
+        layers, given their names, are in the folder. Raises BadInputError: a file is missing, damaged, or was written
+        by an earlier version.
         """
         wait(MapFile.CLASS, MapFile.TILES)
         summary, spot = MapSummary.of(record["counts"]), Spot.of(folder, record, _SIDE)

@@ -271,10 +271,7 @@ class PageTiles:
     def read(cls, folder: Path, record: Mapping[str, Any], spot: Spot) -> Self:
         """Read tiles.parquet, some thousand tiles at a time.
 
-        Raises
-        ------
-        BadInputError
-            The file is missing, damaged, or was written by an earlier version.
+        Raises BadInputError: the file is missing, damaged, or was written by an earlier version.
         """
         shape = spot.shape
         # One more than the code, so that 0 stands for no points and the largest is the worst.

@@ -194,11 +194,7 @@ class MapView:
 def paint_ground(source: "MapReader", view: MapView) -> tuple[Pixels, RideScale]:
     """Paint the ground; of tiles that are open, closed pixels are hatched, for that is where ways do not go.
 
-    Returns
-    -------
-    uint8 (height, width, 3)
-    RideScale
-        The scale of the colours of passable ground.
+    Returns uint8 (height, width, 3); the scale of the colours of passable ground.
     """
     barred, c_r = _sample(source, view)
     shape, place = _finest(view)
@@ -262,17 +258,9 @@ def _sample(source: "MapReader", view: MapView) -> tuple[NDArray[np.uint8], NDAr
 def light_of(heights: NDArray[np.floating], pixel: tuple[float, float]) -> NDArray[np.float64]:
     """Return how bright the light from the north-west, 45 degrees up, leaves the ground.
 
-    Parameters
-    ----------
-    heights : float (rows, cols)
-        m, north row first; NaN where unknown. Slopes are exaggerated until the steepest tenth looks like hills.
-    pixel : tuple of float
-        Sides of a pixel down and to the right, m.
-
-    Returns
-    -------
-    float64 (rows, cols)
-        0 to 1; ``LEVEL`` where the ground is level or not known.
+    ``heights`` float (rows, cols): m, north row first; NaN where unknown. Slopes are exaggerated until the steepest
+    tenth looks like hills. ``pixel``: sides of a pixel down and to the right, m. Returns float64 (rows, cols): 0 to 1;
+    ``LEVEL`` where the ground is level or not known.
     """
     down, east = (
         np.gradient(heights, axis=axis) / side if heights.shape[axis] > 1 else heights * 0.0
@@ -345,14 +333,8 @@ class _Axes:
 def draw_profile(pen: Pen, profile: "RouteProfile", box: tuple[int, int, int, int], scale: RideScale) -> None:
     """Draw height over distance, filled with the colours of the ride cost, and the ride cost with its interval.
 
-    Parameters
-    ----------
-    pen : Pen
-    profile : RouteProfile
-    box : tuple
-        Left, top, width and height of the drawing without its labels, pixels; they need 80 to the left, 50 below.
-    scale : RideScale
-        The colours of the ride cost.
+    ``box``: left, top, width and height of the drawing without its labels, pixels; they need 80 to the left, 50 below;
+    ``scale``: the colours of the ride cost.
     """
     left, top, width, height = box
     split = round(height * 0.6)

@@ -45,21 +45,8 @@ _LETTERS = 38
 def write_route_picture(route: Route, source: MapReader, path: Path) -> None:
     """Draw a route on the map, the legend to its right, the profile below; write PNG, 1600 pixels wide.
 
-    Parameters
-    ----------
-    route : Route
-        On the grid of ``source``.
-    source : MapReader
-        The map under it.
-    path : Path
-        The file, which appears only when it is complete.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    BadInputError
-        The layers cannot be read.
+    ``route``: on the grid of ``source``. Raises OutputError: the file cannot be written; BadInputError: the layers
+    cannot be read.
     """
     view = MapView.around(route.grid, np.concatenate([route.line, route.stops]), _PANEL, _PANEL_HEIGHTS)
     ground, scale = paint_ground(source, view)
@@ -171,24 +158,8 @@ def write_reach_picture(
 ) -> None:
     """Draw what can be reached and write the picture as PNG, 1600 pixels wide.
 
-    Parameters
-    ----------
-    reach : ReachField
-    source : MapReader
-        The map under it.
-    start : array (2,)
-        Easting and northing, m.
-    path : Path
-        The file, which appears only when it is complete.
-    levels : sequence of float
-        Upper ends of the steps, minutes; none: round ones are chosen.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    BadInputError
-        The layers cannot be read.
+    ``start`` (2,): easting and northing, m; ``levels``: upper ends of the steps, minutes; none: round ones are chosen.
+    Raises OutputError: the file cannot be written; BadInputError: the layers cannot be read.
     """
     values = reach.minutes
     highest = float(np.nanmax(values, initial=0.0))

@@ -42,18 +42,8 @@ def write_picture(scan: Scan, classed: ClassedSectors, path: Path, range_m: floa
 def paint(scan: Scan, classed: ClassedSectors, range_m: float = 40.0) -> Image.Image:
     """Draw a scan.
 
-    Parameters
-    ----------
-    scan : Scan
-    classed : ClassedSectors
-    range_m : float
-        Distance from the sensor to the edge of the scene, m.
-
-    Returns
-    -------
-    Image
-        RGB, ``SIDE`` pixels high; the scene is square, with the legend to its right. Forward (x) is up, left (y) is
-        left; the sensor is at the centre of the scene.
+    ``range_m``: distance from the sensor to the edge of the scene, m. Returns RGB, ``SIDE`` pixels high; the scene is
+    square, with the legend to its right. Forward (x) is up, left (y) is left; the sensor is at the centre of the scene.
     """
     step = max((step for step in _STEPS_M if step * _FEWEST_RINGS <= range_m), default=range_m)
     picture: Picture = np.empty((SIDE, SIDE + _PANEL, 3), np.uint8)
