@@ -195,10 +195,7 @@ class ChangeResult:
 
 
 def diff_surveys(
-    before: PathLike,
-    after: PathLike,
-    out: PathLike | None = None,
-    **settings: Unpack[DiffSettings],
+    before: PathLike, after: PathLike, out: PathLike | None = None, **settings: Unpack[DiffSettings]
 ) -> ChangeResult:
     """Find what has changed between two surveys of a site, as ``bumpymap diff`` does.
 
@@ -319,11 +316,7 @@ def _write(
 
 
 def _field(
-    pair: SurveyPair,
-    surveys: tuple[SurveyTiles, SurveyTiles],
-    ground: GroundChange,
-    decision: Decision,
-    least: int,
+    pair: SurveyPair, surveys: tuple[SurveyTiles, SurveyTiles], ground: GroundChange, decision: Decision, least: int
 ) -> tuple[ChangeField, int]:
     """Return what change.tif holds, and how many tiles belonged to changes that were too small."""
     before, after = surveys

@@ -189,10 +189,7 @@ _Layers: TypeAlias = dict[tuple[str, ...], Callable[[], None]]
 
 
 def _layers(
-    table: CostTable,
-    coordinates: GeoJsonCoordinates,
-    folder: Path,
-    metadata: Mapping[str, Any],
+    table: CostTable, coordinates: GeoJsonCoordinates, folder: Path, metadata: Mapping[str, Any]
 ) -> list[_Layers]:
     """Return groups of functions that write layers, keyed by file names; a group is written one by one.
 

@@ -178,10 +178,7 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
     reasons[NO_CLASS] = REASON_COLOURS[Reason.NO_POINTS]
     return {
         MapFile.ROUGHNESS: _Layer(
-            "ride cost and roughness of each tile",
-            BANDS,
-            names,
-            lambda found, _: [found[name] for name in names],
+            "ride cost and roughness of each tile", BANDS, names, lambda found, _: [found[name] for name in names]
         ),
         MapFile.CLASS: of_codes(
             "roughness class of each tile",
@@ -232,10 +229,7 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
             tags={"speeds_m_per_s": " ".join(f"{speed:g}" for speed in table.speeds)},
         ),
         MapFile.HEADINGS: _Layer(
-            "ride cost by heading",
-            HEADING_BANDS,
-            ("headings",),
-            lambda found, _: found["headings"].T,
+            "ride cost by heading", HEADING_BANDS, ("headings",), lambda found, _: found["headings"].T
         ),
         MapFile.HEIGHTMAP: _Layer(
             "height map",

@@ -299,11 +299,7 @@ def write_manifest(manifest: Mapping[str, Any], path: Path) -> None:
         temporary.write_bytes(text.encode("utf-8", "backslashreplace"))
 
 
-def complete_manifest(
-    manifest: Mapping[str, Any],
-    table: CostTable,
-    summary: MapSummary,
-) -> dict[str, Any]:
+def complete_manifest(manifest: Mapping[str, Any], table: CostTable, summary: MapSummary) -> dict[str, Any]:
     """Add the entries that follow from the map to a run's own entries.
 
     ``manifest``: the run's own entries: inputs, settings, model, calibration, vehicle, timings. They are kept.

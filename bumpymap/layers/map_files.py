@@ -13,14 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bumpymap.core import (
-    BadInputError,
-    Child,
-    DecoderError,
-    Guard,
-    module_folder,
-    open_regular,
-)
+from bumpymap.core import BadInputError, Child, DecoderError, Guard, module_folder, open_regular
 from bumpymap.layers._cog import raster_lock
 from bumpymap.layers.manifest import MANIFEST_NAME, describe_file
 
@@ -234,11 +227,7 @@ def _skipped_drivers() -> str:
 
 
 def require_written(
-    folder: Path,
-    manifest: Mapping[str, Any],
-    names: Iterable[str],
-    record: str = MANIFEST_NAME,
-    most: float = math.inf,
+    folder: Path, manifest: Mapping[str, Any], names: Iterable[str], record: str = MANIFEST_NAME, most: float = math.inf
 ) -> None:
     """Raise BadInputError if a file is missing, or is not the one that a manifest lists by size and checksum.
 

@@ -11,15 +11,7 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
-from bumpymap.core import (
-    STAGED,
-    OutputError,
-    UsageError,
-    locked,
-    remove_empty_on_error,
-    remove_path,
-    write_together,
-)
+from bumpymap.core import STAGED, OutputError, UsageError, locked, remove_empty_on_error, remove_path, write_together
 from bumpymap.layers.manifest import MANIFEST_NAME, describe_file, write_manifest
 
 

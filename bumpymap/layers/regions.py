@@ -52,11 +52,7 @@ def shared_corners(areas: NDArray[np.integer]) -> NDArray[np.bool_]:
 
 
 def trace_labels(
-    labels: NDArray[np.int32],
-    window: TileWindow,
-    rows: slice,
-    wanted: range,
-    corners: NDArray[np.bool_] | None = None,
+    labels: NDArray[np.int32], window: TileWindow, rows: slice, wanted: range, corners: NDArray[np.bool_] | None = None
 ) -> NDArray[np.object_]:
     """Trace the outlines of 4-connected areas of tiles: right-hand rings, in grid coordinates (1 is one tile).
 

@@ -270,12 +270,7 @@ def _interval(record: Mapping[str, Any]) -> dict[str, Any]:
         known = True
     except (TypeError, ValueError):
         (first, last), known = _ANY_INTERVAL, False
-    return {
-        "datetime": None,
-        "start_datetime": first,
-        "end_datetime": last,
-        "bumpymap:dates_known": known,
-    }
+    return {"datetime": None, "start_datetime": first, "end_datetime": last, "bumpymap:dates_known": known}
 
 
 def _rights(record: Mapping[str, Any]) -> dict[str, Any]:

@@ -7,14 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bumpymap.core import (
-    CLASS_NAMES,
-    SeenSizes,
-    count_text,
-    parse_json,
-    share_text,
-    shares_text,
-)
+from bumpymap.core import CLASS_NAMES, SeenSizes, count_text, parse_json, share_text, shares_text
 
 if TYPE_CHECKING:
     from bumpymap.core import CheckedDrive, CheckResult, DrivenStretches, MapAgreement

@@ -106,9 +106,7 @@ def checked(site, on_site, tmp_path_factory):
     return out, result
 
 
-RUN = {
-    "vehicle": {"name": "warthog", "width_m": 1.4, "height_m": 1.0, "clearance_m": 0.25, "speed_mps": 2.0},
-}
+RUN = {"vehicle": {"name": "warthog", "width_m": 1.4, "height_m": 1.0, "clearance_m": 0.25, "speed_mps": 2.0}}
 
 
 @pytest.fixture(scope="session")

@@ -17,14 +17,7 @@ from pyproj import CRS, Geod
 from small_surveys import files_in, write_survey
 
 import bumpymap
-from bumpymap.core import (
-    NO_TILE,
-    BadInputError,
-    Barred,
-    Georeference,
-    OutputError,
-    UsageError,
-)
+from bumpymap.core import NO_TILE, BadInputError, Barred, Georeference, OutputError, UsageError
 from bumpymap.layers import open_map
 from bumpymap.views import ExportSettings, export_map
 

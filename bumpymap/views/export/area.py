@@ -26,15 +26,7 @@ from bumpymap.core import (
     TileField,
     atomic,
 )
-from bumpymap.layers import (
-    STEP_LINE,
-    UNKNOWN_OBJECT,
-    MapReader,
-    Placement,
-    RasterSpec,
-    RasterWindow,
-    write_cog,
-)
+from bumpymap.layers import STEP_LINE, UNKNOWN_OBJECT, MapReader, Placement, RasterSpec, RasterWindow, write_cog
 from bumpytiles import Bounds, TileWindow
 
 _Value = TypeVar("_Value", bound=np.generic)

@@ -10,15 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import (
-    BadInputError,
-    Number,
-    OutputError,
-    locked,
-    remove_empty_on_error,
-    shape_fault,
-    write_together,
-)
+from bumpymap.core import BadInputError, Number, OutputError, locked, remove_empty_on_error, shape_fault, write_together
 from bumpymap.layers import (
     MANIFEST_NAME,
     MapReader,
@@ -28,11 +20,7 @@ from bumpymap.layers import (
     require_folder,
     write_manifest,
 )
-from bumpymap.views.export.area import (
-    ExportArea,
-    choose_area,
-    write_pixel_cost,
-)
+from bumpymap.views.export.area import ExportArea, choose_area, write_pixel_cost
 from bumpymap.views.export.gridmap import make_layers, require_rosbags, write_gridmap
 from bumpymap.views.export.nav2 import make_grids
 from bumpymap.views.export.settings import ExportSettings

@@ -99,13 +99,7 @@ def paletted(
 
 def _ramp(entries: Iterable[tuple[float, str, _Colour]], band: int = 1, *, clip: bool = False) -> Style:
     """Return the style of a band of numbers, with colours mixed between entries; beyond, with ``clip``, transparent."""
-    return {
-        "kind": "singlebandpseudocolor",
-        "band": band,
-        "entries": list(entries),
-        "clip": clip,
-        "opacity": 1.0,
-    }
+    return {"kind": "singlebandpseudocolor", "band": band, "entries": list(entries), "clip": clip, "opacity": 1.0}
 
 
 def vectors(looks: Iterable[tuple[str, str, _Colour, str]], large: str = "", line: str = "") -> Style:

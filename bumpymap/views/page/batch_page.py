@@ -13,13 +13,7 @@ from pyproj import Transformer
 from pyproj.exceptions import ProjError
 
 from bumpymap.core import CLASS_NAMES, shares_text, stated_crs
-from bumpymap.layers import (
-    CLASS_COLOURS,
-    UNKNOWN_COLOUR,
-    MapFile,
-    SurveyRow,
-    SurveyStatus,
-)
+from bumpymap.layers import CLASS_COLOURS, UNKNOWN_COLOUR, MapFile, SurveyRow, SurveyStatus
 from bumpymap.views.page.page import render_page
 from bumpymap.views.page.site import UNREADABLE, jpeg, open_picture
 from bumpymap.views.pictures.drawing import bar_length

@@ -13,15 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from bumpymap.core import (
-    BARRED_TEXT,
-    CHANGE_KINDS,
-    CLASS_NAMES,
-    Barred,
-    atomic,
-    count_text,
-    escape_controls,
-)
+from bumpymap.core import BARRED_TEXT, CHANGE_KINDS, CLASS_NAMES, Barred, atomic, count_text, escape_controls
 from bumpymap.layers import (
     BARRED_COLOURS,
     CHANGE_COLOURS,

@@ -76,13 +76,7 @@ class Pen:
         self._draw.ellipse((x - r, y - r, x + r, y + r), fill, outline, width=2 * _TWICE)
 
     def text(
-        self,
-        place: tuple[float, float],
-        text: str,
-        colour: Colour,
-        *,
-        size: int = 16,
-        anchor: str = "lm",
+        self, place: tuple[float, float], text: str, colour: Colour, *, size: int = 16, anchor: str = "lm"
     ) -> None:
         """Write one line; ``anchor`` as Pillow names it."""
         self._draw.text((place[0] * _TWICE, place[1] * _TWICE), text, colour, font(size * _TWICE), anchor)
