@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     import geopandas
 
 _COMPARED_BANDS = ("c_r", "c_r_low", "c_r_high", "density", "coverage")
-_MUST_AGREE = "Map both with the same settings"
 _MOST_TILES = 100_000_000
 """Most tiles that are compared: the values of all of them are in memory, 44 bytes a tile and what follows from them."""
 
@@ -72,7 +71,7 @@ class SurveyPair:
         return self.before.heights(window), self.after.heights(window)
 
     def cell_m(self, pixels: int) -> float:
-        """Return how long so many pixels are, m."""
+        """Return the length of a number of pixels, m."""
         return pixels * self.before.grid.tile_size / self.before.grid.pixels
 
 
@@ -84,7 +83,7 @@ def open_pair(before: Path, after: Path) -> SurveyPair:
     """
     first, second = open_map(before), open_map(after)
     if found := _differences(first, second):  # they would not be differences between the surveys
-        raise BadInputError(f"{before} and {after} cannot be compared: {found}. {_MUST_AGREE}")
+        raise BadInputError(f"{before} and {after} cannot be compared: {found}. Map both with the same settings")
     for site in (first, second):
         require_written(site.folder, site.manifest, (MapFile.CLASS,))  # `open_map` does not look at it
     window = common_window(first.window, second.window)

@@ -18,6 +18,7 @@ from bumpymap.layers.vector import GeoJsonCoordinates, feature, plain_numbers, w
 from bumpytiles import TileWindow
 
 _EDGES = np.array([1 / 2, 1 / 1.5, 1 / 1.2, 1.2, 1.5, 2.0])
+"""Ratios of map to drive at which the next of ``OFF_KINDS`` begins."""
 NOT_COMPARED = len(OFF_KINDS) - 1
 NORMAL_80 = 1.2815515655446004
 """Half width of the 80 % interval of a normal variable, in standard deviations."""
@@ -69,7 +70,7 @@ def place_stretches(stretches: DrivenStretches, ground: MapReader) -> Placement 
 
 
 _DECIMALS = {"way_m": 3, "speed_mps": 3, "start_s": 3, "end_s": 3}
-_OTHER_DECIMALS = 6
+"""Of lengths, speeds and times; all other numbers have 6."""
 
 
 def write_stretches(result: CheckResult, placement: Placement, path: Path) -> None:
@@ -107,7 +108,7 @@ def stretch_properties(result: CheckResult) -> dict[str, list[Any]]:
 
 
 def _numbers(record: DrivenStretches, names: Sequence[str]) -> dict[str, list[float | None]]:
-    return {name: plain_numbers(getattr(record, name), _DECIMALS.get(name, _OTHER_DECIMALS)) for name in names}
+    return {name: plain_numbers(getattr(record, name), _DECIMALS.get(name, 6)) for name in names}
 
 
 def _offset(offset: MapOffset) -> dict[str, list[Any]]:

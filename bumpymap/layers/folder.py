@@ -175,7 +175,7 @@ def write_products(
             views(staged, record, wait)
             files = {file["path"]: file for future in written.values() for file in future.result()}
         record["files"] = [files[name] for name in EVERY_FILE if name in files]
-        write_item(staged, record)
+        write_item(staged, record, placement)
         record["seconds"] = {**manifest["seconds"], "write": round(time.perf_counter() - started, 3)}
         record["files"].append(describe_file(staged / MapFile.ITEM) | {"path": MapFile.ITEM})
         write_manifest(record, staged / MANIFEST_NAME)

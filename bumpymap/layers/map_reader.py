@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from itertools import pairwise, product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,9 +34,6 @@ from bumpymap.layers.manifest import read_manifest
 from bumpymap.layers.map_files import KeptRasters, read_averaged, read_colours, require_written
 from bumpymap.layers.products import MapFile
 from bumpytiles import Grid, TileWindow
-
-if TYPE_CHECKING:
-    from rasterio.io import DatasetReader
 
 Coordinate = TypeVar("Coordinate", float, NDArray[np.float64])
 
@@ -64,9 +61,9 @@ _PIECE = 512
 for one; a piece of all of them fits into its cache."""
 _AGAIN = "Map the survey again"
 _PLANE_PIXELS = 1 << 20
-"""Heights that planes are put through at once."""
+"""Heights that planes are put through at once: chosen, 4 MB."""
 _LEAST_SPREAD = 0.05
-"""Of the pixels that have a height, of that of a whole tile: they tell a plane if they are not all on one line."""
+"""Of the pixels that have a height, of that of a whole tile: they give a plane if they are not all on one line."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +153,7 @@ class MapReader:
 
     @property
     def has_headings(self) -> bool:
-        """True if the map tells C_r by heading."""
+        """True if the map has C_r by heading."""
         return MapFile.HEADINGS in _rasters(self.manifest)
 
     def headings(self, window: TileWindow) -> NDArray[np.float32]:
@@ -212,7 +209,7 @@ class MapReader:
         return self._pixels(MapFile.PHOTO, window, np.full((*shape, 3), np.nan, np.float32))
 
     def objects(self, window: TileWindow) -> NDArray[np.uint8]:
-        """Read what stands on the ground, uint8 (rows * pixels, cols * pixels).
+        """Read the objects on the ground, uint8 (rows * pixels, cols * pixels).
 
         0 free, 1 obstacle, 2 canopy, 3 unknown, 4 a step that it cannot cross; 255 outside the tiles with points.
         """
@@ -255,12 +252,17 @@ class MapReader:
         top, left, rows, cols = self._place(name, window)
         self._require_whole(name)
         with self.rasters.opened(self.folder / name) as file:
-            numbers = _numbers(self.folder / name, file, bands)
+            if missing := [band for band in bands if band not in file.descriptions]:
+                raise BadInputError(f"{self.folder / name} has no band {missing[0]}. {_AGAIN}")
+            numbers = [file.descriptions.index(band) + 1 for band in bands] or [1]
             # Cut at multiples of a piece, so that no block of the file is decoded twice.
             for lines, columns in product(_cut(top, top + rows), _cut(left, left + cols)):
                 part = ((lines.start, lines.stop), (columns.start, columns.stop))
+                place = tuple(
+                    slice(*np.subtract(side, by).tolist()) for side, by in zip(part, (top, left), strict=True)
+                )
                 for array, values in zip(out, file.read(numbers, window=part), strict=True):
-                    array[_moved(lines, top), _moved(columns, left)] = values
+                    array[place] = values
 
     def _read_pixels(self, name: MapFile, window: TileWindow, shape: tuple[int, int]) -> NDArray[Any]:
         """Read a window of the map of a raster with several pixels a tile, in ``shape`` pixels.
@@ -390,23 +392,9 @@ def common_window(first: TileWindow, second: TileWindow) -> TileWindow | None:
     return TileWindow(west, south, cols, rows) if cols > 0 and rows > 0 else None
 
 
-def _numbers(path: Path, file: "DatasetReader", bands: Sequence[str]) -> list[int]:
-    if not bands:
-        return [1]
-    names = file.descriptions
-    missing = [band for band in bands if band not in names]
-    if missing:
-        raise BadInputError(f"{path} has no band {missing[0]}. {_AGAIN}")
-    return [names.index(band) + 1 for band in bands]
-
-
 def _cut(start: int, stop: int) -> list[slice]:
     edges = [start, *range((start // _PIECE + 1) * _PIECE, stop, _PIECE), stop]
     return [slice(low, high) for low, high in pairwise(edges)]
-
-
-def _moved(part: slice, by: int) -> slice:
-    return slice(part.start - by, part.stop - by)
 
 
 def _window_of(folder: Path, name: MapFile, grid: Grid, georeference: Georeference, rasters: KeptRasters) -> TileWindow:

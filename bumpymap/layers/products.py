@@ -16,7 +16,7 @@ from bumpymap.layers.manifest import MANIFEST_NAME, describe_file, write_manifes
 
 
 def require_folder(out: Path) -> None:
-    """Raise OutputError if something else than a folder stands at ``out``."""
+    """Raise OutputError if there is something else than a folder at ``out``."""
     if lexists(out) and not out.is_dir():
         raise OutputError(f"cannot write to the folder {out}: it is a file. Choose another `out`")
 

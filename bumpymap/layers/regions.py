@@ -128,12 +128,10 @@ _STRIP = REGION_WINDOW * BLOCK_TILES
 """Most tiles to read at a time: one row of blocks, so that sums run along the rows of a window."""
 _VALUES = ("c_r", "c_r_low", "c_r_high", "p_fail")
 
-# Tiles with equal keys join. 0: no points; class + 1: passable; class + 1 + _IMPASSABLE: not passable;
-# _UNKNOWN + reason: no class.
-_IMPASSABLE = 10
-_UNKNOWN = 100
-_OTHER_WINDOW = 128
-"""Added to the keys of tiles outside a window, so that the cut is a border."""
+_IMPASSABLE, _UNKNOWN, _OTHER_WINDOW = 10, 100, 128
+"""Parts of the keys of tiles, of which those with equal ones join. 0: no points; class + 1: passable; with the first
+added: not passable; the second plus the reason: no class; the third is added outside a window, so that the cut is a
+border."""
 
 
 @dataclass(frozen=True, slots=True)

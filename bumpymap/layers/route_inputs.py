@@ -73,10 +73,6 @@ def read_vectors(path: Path) -> VectorLayer:
     return _read_table(path)
 
 
-def _text(path: Path) -> str:
-    return read_regular(path).decode("utf-8-sig")
-
-
 _GEOMETRY = {"type": str, "coordinates?": list, "geometries?": list}
 _FEATURE = {"type": str, "geometry?": Nullable(_GEOMETRY), "properties?": Nullable(Each())}
 _GEOJSON_SHAPE = {
@@ -94,7 +90,7 @@ def geojson_features(path: Path) -> tuple[list[tuple[dict[str, Any], dict[str, A
     geometry; ``crs``: name of the CRS that the file states; files of RFC 7946 state none. Raises OSError, ValueError:
     the file cannot be read, or is no GeoJSON.
     """
-    record = parse_json(_text(path))
+    record = parse_json(read_regular(path).decode("utf-8-sig"))
     if fault := shape_fault(record, _GEOJSON_SHAPE):
         raise ValueError(f"it is no GeoJSON: {fault}")
     stated = record.get("crs") or {"type": "name", "properties": {}}
@@ -113,14 +109,14 @@ def line_parts(geometry: Mapping[str, Any]) -> list[NDArray[np.float64]]:
 
     Raises ValueError: it is damaged.
     """
+
+    def is_position(value: Any) -> bool:
+        return isinstance(value, list) and len(value) == 2 and not isinstance(value[0], list)
+
     parts = geometry["coordinates"] if geometry["type"] == "MultiLineString" else [geometry["coordinates"]]
-    if not parts or not all(isinstance(part, list) and part and all(map(_is_position, part)) for part in parts):
+    if not parts or not all(isinstance(part, list) and part and all(map(is_position, part)) for part in parts):
         raise ValueError(f"a {geometry['type']} of it is damaged: it is no list of positions")
     return [np.array(part, np.float64) for part in parts]
-
-
-def _is_position(value: Any) -> bool:
-    return isinstance(value, list) and len(value) == 2 and not isinstance(value[0], list)
 
 
 def _flat(geometry: Mapping[str, Any], name: str) -> dict[str, Any]:
@@ -160,7 +156,7 @@ def _read_geojson(path: Path) -> VectorLayer:
 
 
 def _read_gpx(path: Path) -> VectorLayer:
-    root = ET.fromstring(_text(path))  # noqa: S314 (expat limits what entities grow to, and fetches none)
+    root = ET.fromstring(read_regular(path).decode("utf-8-sig"))  # noqa: S314 (expat limits what entities grow to, and fetches none)
     if root.tag.rpartition("}")[2] != "gpx":
         raise ValueError("it is no GPX")
     found = list(_gpx_points(root, "{*}wpt")) or list(_gpx_points(root, "{*}rte/{*}rtept"))
@@ -316,9 +312,10 @@ _POLYGONS = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 _ROUNDING = 1e-6
 """Length that is no overlap, in tiles: areas that share a border with a tile neither touch it nor leave it out."""
 _STEPS = 4096
-"""Parts that an edge as long as the map is cut into before it is converted: a straight line of another CRS is bent."""
+"""Parts that an edge as long as the map is cut into before it is converted, as a straight line of another CRS is bent:
+chosen."""
 _BEYOND = 0.25
-"""How far around the map areas are kept, in lengths of its sides."""
+"""How far around the map areas are kept, in lengths of its sides: chosen."""
 
 
 def read_areas(
@@ -379,7 +376,7 @@ def _system(crs: CRS | None, route_map: MapReader) -> str:
 
 
 def tiles_in(areas: NDArray[np.object_], window: TileWindow, grid: Grid, *, wholly: bool = False) -> NDArray[np.bool_]:
-    """Return which tiles (rows, cols) an area touches, be it by a corner; sharing a border is not touching.
+    """Return the tiles (rows, cols) that an area touches, be it by a corner; sharing a border is not touching.
 
     ``areas`` (n,) of polygons: in metres on the grid; ``wholly``: only the tiles that lie wholly in the areas, taken
     together.

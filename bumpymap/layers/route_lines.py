@@ -8,7 +8,7 @@ be written.
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
@@ -41,30 +41,30 @@ _DECIMALS = {
     **dict.fromkeys(("unknown_m", "obstacle_m", "climb_m", "descent_m", "seconds"), 3),
     "tight_turns_deg": 1,
 }
-"""Properties of `RouteFigures` and how many decimals of each are written."""
+"""Properties of `RouteFigures` and the number of decimals that is written of each."""
 
 
 def route_properties(route: Route) -> dict[str, Any]:
     """Return name, vehicle and figures of a route; a number that is not known is None."""
     figures, road = route.figures, route.figures.road
-    # IRI and class are told where the survey's noise lets them be told.
+    # IRI and class are given where the survey's noise allows it.
     resolved = road if road and road.resolution == "resolved" else None
     return {
         "name": route.name,
         "vehicle": route.vehicle.name,
-        **{name: _told(float(getattr(figures, name)), decimals) for name, decimals in _DECIMALS.items()},
-        "iri": _told(resolved.iri, 2) if resolved else None,
-        "iso_8608": _told(resolved.iso_class, 0) if resolved else None,
+        **{name: _rounded(float(getattr(figures, name)), decimals) for name, decimals in _DECIMALS.items()},
+        "iri": _rounded(resolved.iri, 2) if resolved else None,
+        "iso_8608": _rounded(resolved.iso_class, 0) if resolved else None,
         "iri_resolution": road.resolution if road else "unknown",
         "iri_note": IRI_NOTE,
         "p_arrives_note": f"{figures.seen.condition}; {P_ARRIVES_NOTE}",
         **figures.seen.record(),
-        "risk_m": _told(route.risk_m, 3),
+        "risk_m": _rounded(route.risk_m, 3),
         "why": route.straight.words if route.straight else "",
     }
 
 
-def _told(value: float | str, decimals: int) -> float | str | None:
+def _rounded(value: float | str, decimals: int) -> float | str | None:
     """Round a number; None for one that is not finite, and for an empty text."""
     if isinstance(value, str):
         return value or None
@@ -135,7 +135,16 @@ def write_route_geojson(route: Route, path: Path) -> None:
     Raises BadInputError: the route lies where its CRS has no longitude and latitude.
     """
     place = route_coordinates(route)
-    write_features(path, "route", place, [_line(route, place), *_stops(route, place)])
+    # A way of length 0 has one corner, but a LineString has two positions.
+    corners = np.repeat(route.line, 2, axis=0) if len(route.line) == 1 else route.line
+    parts = [shapely.LineString(part) for part in _line_parts(corners, place)]
+    line = feature(route_properties(route), parts[0] if len(parts) == 1 else shapely.MultiLineString(parts))
+    roles, names, positions = stop_roles(len(route.stops)), stop_names(len(route.stops)), place.in_file(route.stops)
+    stops = (
+        feature({"role": role, "name": name}, shapely.Point(position))
+        for role, name, position in zip(roles, names, positions.tolist(), strict=True)
+    )
+    write_features(path, "route", place, [line, *stops])
 
 
 def stop_roles(stops: int) -> list[str]:
@@ -148,22 +157,9 @@ def stop_names(stops: int) -> list[str]:
     return [f"via {place}" if role == "via" else role for place, role in enumerate(stop_roles(stops))]
 
 
-def _line(route: Route, place: GeoJsonCoordinates) -> dict[str, Any]:
-    # A way of length 0 has one corner, but a LineString has two positions.
-    corners = np.repeat(route.line, 2, axis=0) if len(route.line) == 1 else route.line
-    parts = [shapely.LineString(part) for part in _line_parts(corners, place)]
-    return feature(route_properties(route), parts[0] if len(parts) == 1 else shapely.MultiLineString(parts))
-
-
-def _stops(route: Route, place: GeoJsonCoordinates) -> Iterator[dict[str, Any]]:
-    positions = place.in_file(route.stops).tolist()
-    for role, name, position in zip(stop_roles(len(positions)), stop_names(len(positions)), positions, strict=True):
-        yield feature({"role": role, "name": name}, shapely.Point(position))
-
-
 GPX = "http://www.topografix.com/GPX/1/1"
 _NEAR_M = 1e-6
-"""Points of the profile this near to a corner are that corner."""
+"""Points of the profile this near to a corner, m, are that corner: far above rounding, far below any length."""
 _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """Characters that XML 1.0 cannot hold."""
 
@@ -185,7 +181,13 @@ def write_gpx(route: Route, path: Path) -> None:
     root = ET.Element("gpx", {"version": "1.1", "creator": "bumpymap", "xmlns": GPX})
     points = track_points(route)
     degrees = _degrees(points[:, :2], place)
-    _bounds(ET.SubElement(root, "metadata"), degrees)
+    metadata = ET.SubElement(root, "metadata")
+    _text(metadata, "name", "route planned by bumpymap")
+    west, south = degrees.min(axis=0)
+    east, north = degrees.max(axis=0)
+    if east - west <= 180.0:  # bounds cannot cross the antimeridian
+        sides = {"minlat": south, "minlon": west, "maxlat": north, "maxlon": east}
+        ET.SubElement(metadata, "bounds", {name: f"{value:.7f}" for name, value in sides.items()})
     stops = _degrees(route.stops, place)
     for name, position in zip(stop_names(len(stops)), stops, strict=True):
         _text(_point(root, "wpt", position, math.nan), "name", name)
@@ -226,15 +228,6 @@ def _degrees(grid_m: NDArray[np.float64], place: GeoJsonCoordinates) -> NDArray[
     return degrees
 
 
-def _bounds(metadata: ET.Element, degrees: NDArray[np.float64]) -> None:
-    _text(metadata, "name", "route planned by bumpymap")
-    west, south = degrees.min(axis=0)
-    east, north = degrees.max(axis=0)
-    if east - west <= 180.0:  # bounds cannot cross the antimeridian
-        sides = {"minlat": south, "minlon": west, "maxlat": north, "maxlon": east}
-        ET.SubElement(metadata, "bounds", {name: f"{value:.7f}" for name, value in sides.items()})
-
-
 def _point(parent: ET.Element, tag: str, position: NDArray[np.float64], height: float) -> ET.Element:
     lon, lat = position
     point = ET.SubElement(parent, tag, {"lat": f"{lat:.7f}", "lon": f"{lon:.7f}"})
@@ -272,11 +265,7 @@ PROFILE_COLUMNS = ("route", *_PROFILE)
 
 def write_profile(route: Route, path: Path) -> None:
     """Write the profile of a route as CSV (RFC 4180, UTF-8): its name in the column ``route``; unknown is empty."""
-    write_csv(path, PROFILE_COLUMNS, _rows(route, route_coordinates(route)))
-
-
-def _rows(route: Route, place: GeoJsonCoordinates) -> Iterator[tuple[str, ...]]:
-    profile = route.profile
+    profile, place = route.profile, route_coordinates(route)
     grid_m = np.column_stack([profile.easting, profile.northing])
     degrees = place.in_file(grid_m) if place.has_degrees else np.full_like(grid_m, np.nan)
     columns = (
@@ -288,7 +277,7 @@ def _rows(route: Route, place: GeoJsonCoordinates) -> Iterator[tuple[str, ...]]:
         [f"{value:.{decimals}f}" if math.isfinite(value) else "" for value in values.tolist()]
         for values, decimals in zip(columns, _PROFILE.values(), strict=True)
     ]
-    return zip([route.name] * len(profile.distance), *texts, strict=True)
+    write_csv(path, PROFILE_COLUMNS, zip([route.name] * len(profile.distance), *texts, strict=True))
 
 
 _STRETCHES: Mapping[str, tuple[str, int]] = {
@@ -313,7 +302,7 @@ STRETCH_COLUMNS = ("route", *_STRETCHES)
 def stretch_rows(route: Route) -> list[dict[str, Any]]:
     """Return the figures of the stretches of a route, by the names of ``STRETCH_COLUMNS``; None where unknown."""
     return [
-        {name: _told(getattr(stretch, key), decimals) for name, (key, decimals) in _STRETCHES.items()}
+        {name: _rounded(getattr(stretch, key), decimals) for name, (key, decimals) in _STRETCHES.items()}
         for stretch in route.road
     ]
 

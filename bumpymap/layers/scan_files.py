@@ -40,6 +40,7 @@ from bumpymap.layers.scan_folder import (
 from bumpymap.layers.tile_table import described_field, typed_array
 
 _SCALE_M = 0.001
+"""Step of the coordinates of gathered.laz, m: chosen."""
 _GROUND, _UNCLASSIFIED = 2, 1
 """LAS classification codes."""
 
@@ -98,7 +99,7 @@ COLUMNS: tuple[tuple[str, pa.DataType, str, str], ...] = (
     ("traversable", pa.bool_(), "", "whether there is ground, not too steep and not overhead"),
     ("obstacle", pa.bool_(), "", "whether something stands on the ground below vehicle height, or it drops"),
     ("obstacle_height", pa.float32(), "m", "top of it above the ground; null without an obstacle, at a drop"),
-    ("clearance", pa.float32(), "m", "lowest thing above vehicle height, above the ground; null if there is none"),
+    ("clearance", pa.float32(), "m", "lowest point above vehicle height, above the ground; null if there is none"),
     ("stripes", pa.float32(), "", "stripe count of the filter method; null from the learned one"),
     ("class", pa.int8(), "", "0 smooth, 1 fair, 2 rough; null where not traversable"),
     ("c_r", pa.float32(), "rad/m", "ride of the vehicle, as in a survey's map; null where unknown"),
@@ -283,17 +284,7 @@ def _properties(classed: ClassedSectors) -> list[dict[str, Any]]:
 
 def _numbers(values: NDArray[np.float32]) -> list[float | None]:
     """Round to the seven digits of a float32; what is not finite becomes None, since JSON has no NaN."""
-    exact = values.astype(np.float64)
-    known = np.isfinite(exact)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        digits = 6 - np.floor(np.log10(np.abs(exact)))
-    # Above 10^22 a power of ten is not exact; such numbers stay as they are.
-    scaled = known & (exact != 0.0) & (np.abs(digits) <= 22)
-    power = 10.0 ** np.abs(digits, where=scaled, out=np.zeros_like(exact))
-    up = digits >= 0
-    whole = np.rint(np.where(up, exact * power, exact / power))
-    rounded = np.where(scaled, np.where(up, whole / power, whole * power), exact)
-    return [value if ok else None for value, ok in zip(rounded.tolist(), known.tolist(), strict=True)]
+    return [float(f"{value:.7g}") if math.isfinite(value) else None for value in values.tolist()]
 
 
 def frame_files(name: str, folder: Path, products: Collection[str]) -> list[Path]:

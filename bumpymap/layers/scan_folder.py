@@ -292,14 +292,9 @@ def load_part(path: Path, frame: Frame) -> FramePart | None:
         return None
 
 
-SCAN_MANIFEST_NAME, SECTOR_TABLE_NAME, ACCUMULATED_NAME, MAP_FOLDER = (
-    "scan.json",
-    "sectors.parquet",
-    "gathered.laz",
-    "map",
-)
+SCAN_MANIFEST_NAME, SECTOR_TABLE_NAME, ACCUMULATED_NAME = "scan.json", "sectors.parquet", "gathered.laz"
+MAP_FOLDER = "map"
 _NAMES = (FRAME_FOLDER, SECTOR_TABLE_NAME, ACCUMULATED_NAME, MAP_FOLDER, SCAN_MANIFEST_NAME)
-_SYNCED_AT_A_TIME = 8
 
 
 def check_scan_folder(folder: Path, inputs: Iterable[Path] = (), *, overwrite: bool, unfinished: bool = False) -> None:
@@ -362,7 +357,7 @@ def output_errors(folder: Path) -> Iterator[None]:
 
 def sync_to_disk(paths: Iterable[Path]) -> None:
     """Flush files to the disk (fsync), several at a time: the disk then writes them in an order of its own."""
-    with ThreadPoolExecutor(_SYNCED_AT_A_TIME) as pool:
+    with ThreadPoolExecutor(8) as pool:
         for _ in pool.map(sync_file, paths):
             pass
 
@@ -375,10 +370,6 @@ def _foreign_file(folder: Path, *, unfinished: bool) -> Path | None:
     if not (unfinished or (folder / SCAN_MANIFEST_NAME).exists()):
         return frames
     return next((path for path in sorted(frames.iterdir()) if path.suffix not in FRAME_FILES.values()), None)
-
-
-_FORMAT = "bumpymap-scan-run"
-_VERSION = 1
 
 
 def write_scan_manifest(
@@ -396,8 +387,8 @@ def write_scan_manifest(
     ]
     times = {path: identity["mtime_ns"] for path, identity in identities.items()}
     record = {
-        "format": _FORMAT,
-        "version": _VERSION,
+        "format": "bumpymap-scan-run",
+        "version": 1,
         **known,
         "versions": software_versions(),
         "files": files,

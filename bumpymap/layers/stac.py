@@ -13,12 +13,11 @@ from urllib.parse import quote
 import shapely
 from pyproj import CRS
 
-from bumpymap.core import BadInputError, Georeference, atomic, escape_controls, read_record, stated_crs
+from bumpymap.core import BadInputError, atomic, escape_controls, read_record, stated_crs
 from bumpymap.layers.map_files import open_layer
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.products import COLLECTION_NAME, EVERY_NAME, EVERY_VIEW_NAME, MapFile
 from bumpymap.layers.vector import BoundingBox, GeoJsonCoordinates
-from bumpytiles import Grid, TileWindow
 
 if TYPE_CHECKING:
     from rasterio.io import DatasetReader
@@ -138,10 +137,7 @@ def identifier(name: str) -> str:
 
 
 def write_document(document: Mapping[str, Any], path: Path) -> None:
-    """Write JSON; lists of numbers stand in one line.
-
-    Raises OutputError: the file cannot be written.
-    """
+    """Write JSON; lists of numbers stand in one line. Raises OutputError if the file cannot be written."""
     text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
     text = re.sub(
         r"\[\n\s*([-+.\de]+(?:,\n\s*[-+.\de]+)*)\n\s*\]",
@@ -213,13 +209,13 @@ def _link(rel: str, href: str, title: str) -> dict[str, Any]:
 _EXTENSIONS = ("projection/v2.0.0", "file/v2.1.0", "processing/v1.1.0", "eo/v1.1.0")
 _SCHEMA = "https://stac-extensions.github.io/{}/schema.json"
 _DIGITS = 8
-"""Of the checksum of a survey in an id."""
+"""Of the checksum of a survey in an id: chosen."""
 _ANY_INTERVAL = ("1970-01-01T00:00:00Z", "2099-12-31T23:59:59Z")
 """Dates of a survey whose files have none: STAC wants an interval, and a search for any date shall find it."""
 _SOFTWARE = {"bumpymap": "bumpymap", "gdal": "GDAL", "proj": "PROJ"}
 
 
-def write_item(folder: Path, record: Mapping[str, Any]) -> None:
+def write_item(folder: Path, record: Mapping[str, Any], place: Placement) -> None:
     """Write item.json to a folder of complete layers: a STAC item with every file as an asset.
 
     It follows from the layers and the survey alone: no time, and no place of the folder is in it. ``record``: the
@@ -231,12 +227,6 @@ def write_item(folder: Path, record: Mapping[str, Any]) -> None:
     digits = (record["survey"]["checksum"] or "").rpartition(":")[2][:_DIGITS]
     with open_layer(folder / MapFile.CLASS) as raster:  # one pixel for each tile
         grid = _grid_of(raster)
-    crs = None if record["crs"] is None else stated_crs(record["crs"]["wkt"])
-    unit, tile = record["metres_per_unit"]["horizontal"], record["grid"]["tile_size_m"]
-    (rows, cols), (_, _, west, _, _, north, *_) = grid["proj:shape"], grid["proj:transform"]
-    window = TileWindow(round(west * unit / tile), round(north * unit / tile) - rows, cols, rows)
-    georeference = Georeference(crs, unit, record["metres_per_unit"]["vertical"])
-    place = Placement(georeference, Grid(tile, record["grid"]["pixels"]), window)
     item = {
         "type": "Feature",
         "stac_version": STAC_VERSION,
@@ -245,7 +235,7 @@ def write_item(folder: Path, record: Mapping[str, Any]) -> None:
         **_footprint(place),
         "properties": {
             "title": name,
-            "description": f"{about}, from a point cloud, in tiles of {tile:g} m",
+            "description": f"{about}, from a point cloud, in tiles of {place.grid.tile_size:g} m",
             **_interval(record),
             **_rights(record),
             "gsd": place.grid.tile_size,

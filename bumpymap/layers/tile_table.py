@@ -153,13 +153,14 @@ def _rows(found: dict[str, NDArray[Any]], place: Placement, schema: pa.Schema, s
     col, row = found["col"], found["row"]
     west, south, east, north = (place.to_crs(side) for side in (col, row, col + 1, row + 1))
     chance = found["probability"]
+    best = np.where(np.isfinite(chance).all(axis=1), np.argmax(np.nan_to_num(chance), axis=1), len(TEXTURES))
     heights = pa.array(found["heights"].reshape(-1), pa.float32())
     columns: dict[str, Any] = {
         "col": col,
         "row": row,
         "geometry": shapely.to_wkb(shapely.box(west, south, east, north), byte_order=1),
         "bbox": pa.StructArray.from_arrays([west, south, east, north], fields=list(_BOX)),
-        "texture": _texture(chance),
+        "texture": np.array([*TEXTURES, None], dtype=object)[best],
         "class": pa.array(found["class_id"], pa.int8(), mask=found["class_id"] == NO_CLASS),
         "barred": np.array([None, *(BARRED_TEXT[code] for code in Barred if code)], dtype=object)[found["barred"]],
         "reason_text": np.array([REASON_TEXT[code] for code in Reason], dtype=object)[found["reason"]],
@@ -185,23 +186,13 @@ def typed_array(values: Any, field: pa.Field) -> pa.Array:
     return values if isinstance(values, pa.Array) else pa.array(values, field.type, from_pandas=True)
 
 
-def _texture(chance: NDArray[np.float32]) -> NDArray[np.object_]:
-    names = np.array([*TEXTURES, None], dtype=object)
-    known = np.isfinite(chance).all(axis=1)
-    best = np.where(known, np.argmax(np.nan_to_num(chance), axis=1), len(TEXTURES))
-    picked: NDArray[np.object_] = names[best]
-    return picked
-
-
 _PAGE_NUMBERS = ("c_r", "p_fail", "slope", "obstacle")
 _READ = ("col", "row", "class", "reason", "barred", *_PAGE_NUMBERS)
 _AGAIN = "Map the survey again"
-
-
 _BYTES = {"BOOLEAN": 1, "INT32": 4, "INT64": 8, "FLOAT": 4, "DOUBLE": 8}
 """Bytes of a value in memory, by its type in the file, where runs of equal values take next to nothing."""
 _MOST_ROWS = 65_536
-"""Rows of a group, which is read at once."""
+"""Rows of a group, which is read at once: four times those that are written."""
 
 
 def read_tiles(path: Path, tiles: int) -> Iterator[dict[str, NDArray[Any]]]:

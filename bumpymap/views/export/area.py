@@ -104,8 +104,8 @@ def _open_in_part(route_map: MapReader, field: TileField) -> NDArray[np.bool_]:
     return np.asarray(swept & by_pixel(closed, pixels))
 
 
-_BLOCK = 512
-_WINDOW_TILES = 64
+_BLOCK, _WINDOW_TILES = 512, 64
+"""Of cost.tif: side of its blocks, pixels, as of heightmap.tif, and of the windows that are made at once, tiles."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,6 +34,7 @@ _RELATIVE = 3
 _ARDUPILOT, _ROVER = 3, 10
 """MAV_AUTOPILOT_ARDUPILOTMEGA, MAV_TYPE_GROUND_ROVER."""
 _MOST_WAYPOINTS = 10_000
+"""Chosen."""
 
 
 def read_route_line(path: Path, *, through_obstacles: bool = False) -> tuple[NDArray[np.float64], float]:

@@ -28,7 +28,7 @@ from bumpymap.views.page.map_page import write_map_page
 from bumpymap.views.page.page import NORTH_ARROW
 from bumpymap.views.page.site import Site
 from bumpymap.views.pictures.drawing import bar_length
-from bumpymap.views.words import seen_sizes, survey_name
+from bumpymap.views.words import seen_sizes
 
 if TYPE_CHECKING:
     from bumpymap.layers import MapReader, Placement
@@ -37,9 +37,9 @@ _MARGIN = 0.04
 """Ground around the layers when the project is opened, as a share of their larger side."""
 _CLASSES = "roughness class, c_r in rad/m"
 _PRINT_MM = 190.0, 180.0
-"""Width and height of the map on a page of paper."""
+"""Width and height of the map on a sheet of A4, mm."""
 _BAR_MM = 25.0
-"""Most of a segment of its scale bar."""
+"""Longest segment of its scale bar, mm: chosen."""
 _ARROW = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 24 40">{NORTH_ARROW}</svg>'
 
 
@@ -67,7 +67,7 @@ class _Tree:
         self._folder, self._place, stated = folder, place, record["crs"]
         crs = None if stated is None else horizontal_of(stated_crs(stated["wkt"]))  # of all layers in the project
         self.wkt = None if crs is None else crs.to_wkt()
-        self._styles = map_styles(record, layered=True)
+        self._styles = map_styles(record, in_project=True)
         self.styled: list[tuple[Style, Style]] = []
         """The layers, and how each is drawn."""
 
@@ -166,7 +166,9 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
         with open_layer(folder / raster) as file:
             box = tuple(file.bounds)
     classes = [f"Class {number}: {label}." for number, label in enumerate(class_labels(record))]
-    _write(folder / MapFile.PROJECT, tree, groups, box, f"{survey_name(record)}: ride cost", _notes(record), classes)
+    _write(
+        folder / MapFile.PROJECT, tree, groups, box, f"{record['survey']['name']}: ride cost", _notes(record), classes
+    )
 
 
 def view_writers(
@@ -207,7 +209,7 @@ def _write_over_map(
     window = place.window
     west, east = place.to_crs(np.array([window.col, window.col + window.cols])).tolist()
     south, north = place.to_crs(np.array([window.row, window.row + window.rows])).tolist()
-    _write(path, tree, groups, (west, south, east, north), f"{survey_name(record)}: {title}", _notes(record))
+    _write(path, tree, groups, (west, south, east, north), f"{record['survey']['name']}: {title}", _notes(record))
 
 
 def _write(

@@ -148,6 +148,7 @@ class ViewLayer:
 
 
 def _is(attribute: str, value: str) -> str:
+    """Return an expression of QGIS: an attribute has a value."""
     value = value.replace("\\", r"\\").replace("'", "''")
     return f"\"{attribute}\" = '{value}'"
 
@@ -210,6 +211,7 @@ def route_layers(route: "Route") -> list[ViewLayer]:
 
 
 _REACH_STOPS = 6
+"""Colours of reach.tif: chosen."""
 
 
 def reach_layers(reach: "ReachField", levels: Sequence[float]) -> list[ViewLayer]:
@@ -258,10 +260,10 @@ def _speed_stops(record: Mapping[str, Any]) -> list[tuple[float, str, _Colour]]:
     return [(0.0, "0: not passable", BARRED_COLOURS[Barred.OBSTACLE]), *sorted(steps)]
 
 
-def map_styles(record: Mapping[str, Any], *, layered: bool = False) -> dict[str, Style]:
+def map_styles(record: Mapping[str, Any], *, in_project: bool = False) -> dict[str, Style]:
     """Return how QGIS shows each layer of a map.
 
-    ``record``: the record of the run, as in run.json; ``layered``: as layers of one project: clear where there is
+    ``record``: the record of the run, as in run.json; ``in_project``: as layers of one project: clear where there is
     nothing to explain (passable tiles, tiles with a class); a pale relief; the photo, which needs no style of its own.
     Returns by `MapFile`; what else a project shows of one, by it and a part: of roughness.tif ``p_fail``, the tiles
     where at least half of the drives fail, of speeds.tif the C_r at each speed, such as ``0.5``, and of cost.fgb
@@ -271,8 +273,8 @@ def map_styles(record: Mapping[str, Any], *, layered: bool = False) -> dict[str,
     anchors = zip(RideScale.of(record).anchors, CLASS_NAMES, strict=True)
     stops = [(at, f"{at:.3g} rad/m ({name})", CLASS_COLOURS[code]) for code, (at, name) in enumerate(anchors)]
     units_per_m = 1.0 / record["metres_per_unit"]["horizontal"]
-    relief = {"kind": "hillshade", "band": 1, "z_factor": units_per_m, "opacity": _PALE if layered else 1.0}
-    bars = BARRED_COLOURS | ({Barred.UNKNOWN: _GREY} if layered else {})
+    relief = {"kind": "hillshade", "band": 1, "z_factor": units_per_m, "opacity": _PALE if in_project else 1.0}
+    bars = BARRED_COLOURS | ({Barred.UNKNOWN: _GREY} if in_project else {})
     most = max(COST_COLOURS)
     costs = {value: f"{value:g}" for value in COST_COLOURS} | {1.0: "1: level road", most: f"{most:g} and more"}
     named = ((f'"class" = {code}', label, CLASS_COLOURS[code], "solid") for code, label in enumerate(labels))
@@ -284,7 +286,7 @@ def map_styles(record: Mapping[str, Any], *, layered: bool = False) -> dict[str,
     at_speeds = [band.name for band in speed_bands(tuple(speeds))]
     return {
         MapFile.CLASS: paletted(enumerate(labels), CLASS_COLOURS),
-        MapFile.REASON: paletted(REASON_TEXT.items(), REASON_GREYS, clear=[Reason.OK] if layered else ()),
+        MapFile.REASON: paletted(REASON_TEXT.items(), REASON_GREYS, clear=[Reason.OK] if in_project else ()),
         MapFile.ROUGHNESS: _ramp(stops, _BAND["c_r"]),
         f"{MapFile.ROUGHNESS} p_fail": _ramp(fails, _BAND["p_fail"], clip=True),
         MapFile.COST: _ramp((value, label, COST_COLOURS[value]) for value, label in costs.items()),
@@ -292,12 +294,12 @@ def map_styles(record: Mapping[str, Any], *, layered: bool = False) -> dict[str,
         MapFile.REGIONS_IN_CRS: vectors(looks),
         f"{MapFile.REGIONS_IN_CRS} closed": vectors(_CLOSED_LOOKS),
         MapFile.REGIONS: vectors(looks),
-        MapFile.BARRED: paletted(BARRED_TEXT.items(), bars, clear=[Barred.NO] if layered else ()),
+        MapFile.BARRED: paletted(BARRED_TEXT.items(), bars, clear=[Barred.NO] if in_project else ()),
         MapFile.OBSTACLE: paletted(enumerate(OBJECT_NAMES), OBJECT_COLOURS),
         MapFile.PASSAGE: paletted(enumerate(PASSAGE_NAMES), PASSAGE_COLOURS),
         MapFile.HEIGHTMAP: relief,
         MapFile.RELIEF: relief,
-        **({MapFile.PHOTO: {"kind": "multibandcolor", "opacity": _PALE}} if layered else {}),
+        **({MapFile.PHOTO: {"kind": "multibandcolor", "opacity": _PALE}} if in_project else {}),
         MapFile.SPEEDS: _ramp(stops),
         MapFile.HEADINGS: _ramp(stops),
         **{f"{MapFile.SPEEDS} {speed:g}": _ramp(stops, 1 + at_speeds.index(f"c_r_{speed:g}")) for speed in speeds},

@@ -39,21 +39,22 @@ from bumpymap.views.page.page import write_page
 from bumpymap.views.page.site import PHOTO_BUDGET, RELIEF_BUDGET, RELIEF_SIDE, jpeg, read_photo, read_pixels, shaded
 from bumpymap.views.page.tiles import ByteGrid, Spot, crs_name, map_metres, packed
 from bumpymap.views.pictures.drawing import STRENGTH
-from bumpymap.views.words import area, number, share, shares, signed, survey_name, whole
+from bumpymap.views.words import area, number, share, shares, signed, whole
 
 NOT_COMPARED = 16
 """Value of ``kinds`` where the surveys could not be compared."""
 _RANK = (NOT_COMPARED, 1, 3, 5, 4, 2)
 """Order of the kinds in a pixel of several tiles: each counts before those to its left and before unchanged tiles."""
 _SIDE = 1_500
-"""Most pixels of the grids along a side."""
+"""Most pixels of the grids along a side: chosen."""
 _BUDGET = 1_300_000
-"""Most characters of the grids."""
+"""Most characters of the grids: a page has 2 MB at most."""
 _COMPARED = 400_000
 """Most pixels of the grids with a value: some three bytes of the page each."""
 _STRIP_TILES = 1_000_000
 """Most tiles to read at a time."""
 _STILL_SIDE = 700
+"""Longer side of the picture for pages without scripts, pixels: chosen."""
 _MOST_PLACES = 200
 """Most places on the map and in the table, the largest."""
 _BANDS = ("changed", "d_height", "d_c_r")
@@ -227,7 +228,7 @@ def _still(kinds: NDArray[np.uint8], spot: Spot) -> str:
     return jpeg(picture, 150_000)
 
 
-_MANIFEST, _FORMAT = "change.json", "bumpymap-change"
+_MANIFEST = "change.json"
 _SURVEY = {"folders": [str], "runs": [Each()]}
 _SHAPE = PLACE_SHAPE | {
     "settings": {"fdr": Number(0, 1), "min_tiles": COUNT},
@@ -271,7 +272,7 @@ def is_comparison(folder: Path) -> bool:
 def read_comparison(folder: Path) -> dict[str, Any]:
     """Read change.json. Raises BadInputError if it is damaged."""
     record = read_record(folder / _MANIFEST)
-    if record is None or record.get("format") != _FORMAT:
+    if record is None or record.get("format") != "bumpymap-change":
         raise BadInputError(f"{folder / _MANIFEST} is not that of a comparison. Compare the surveys again")
     if fault := shape_fault(record, _SHAPE):
         raise BadInputError(f"{folder / _MANIFEST} is damaged: {fault}. Compare the surveys again")
@@ -320,7 +321,7 @@ _SIDES = ("before", "after")
 
 def _title(runs: list[Mapping[str, Any]]) -> str:
     """Return what the two surveys are called, by what differs: their names, else the dates of their files."""
-    names, days = [survey_name(run) for run in runs], [_dates(run) for run in runs]
+    names, days = [str(run["survey"]["name"]) for run in runs], [_dates(run) for run in runs]
     if names[0] != names[1]:
         return " to ".join(names)
     dated = None not in days and days[0] != days[1]
@@ -354,20 +355,20 @@ def _kind_rows(site: ChangeSite) -> list[tuple[Any, ...]]:
     found = [int(counts["by_change"][kind]) for kind in CHANGE_KINDS]
     entries = [
         *(
-            ({"text": name, "meaning": _MEANING[name]}, told, tiles)
-            for name, told, tiles in zip(CHANGE_KINDS, shares(found), found, strict=True)
+            ({"text": name, "meaning": _MEANING[name]}, part, tiles)
+            for name, part, tiles in zip(CHANGE_KINDS, shares(found), found, strict=True)
         ),
         ("compared", share(compared, compared), compared),
         ({"text": "in both surveys, not compared", "meaning": _APART}, share(apart, 0), apart),
     ]
     most = site.area_of(compared + apart)
-    return [(name, told, area(site.area_of(tiles), most), whole(tiles)) for name, told, tiles in entries]
+    return [(name, part, area(site.area_of(tiles), most), whole(tiles)) for name, part, tiles in entries]
 
 
 def _survey_rows(fit: Mapping[str, Any], runs: list[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     inputs = [run["inputs"] for run in runs]
     return [
-        ("name", *map(survey_name, runs)),
+        ("name", *(run["survey"]["name"] for run in runs)),
         ("files written on", *(_dates(run) or "not stated" for run in runs)),
         ("files", *(whole(len(items)) for items in inputs)),
         ("points in the files", *(whole(sum(int(item.get("points") or 0) for item in items)) for items in inputs)),

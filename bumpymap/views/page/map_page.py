@@ -52,14 +52,12 @@ from bumpymap.views.words import (
     check_headline,
     degrees,
     metres,
-    names_of,
     number,
     percent,
     read_surfaces,
     seen_sizes,
     share,
     shares,
-    skipped_words,
     warnings_of,
     whole,
 )
@@ -195,7 +193,8 @@ def write_check_page(result: "CheckResult", ground: "MapReader | None", path: Pa
     Raises OutputError: the page cannot be written.
     """
     site = None if ground is None else _driven_site(result, ground)
-    names = names_of([drive.name for drive in result.drives])
+    names, more = ", ".join(drive.name for drive in result.drives[:3]), len(result.drives) - 3
+    names += f" and {more} more" if more > 0 else ""
     title = f"{result.ground.name} checked against {names}" if result.ground else f"Drives measured: {names}"
     write_page(
         path,
@@ -203,7 +202,7 @@ def write_check_page(result: "CheckResult", ground: "MapReader | None", path: Pa
         title=title,
         headline=check_headline(result),
         result=result,
-        warnings=[*skipped_words(result), *warnings_of(result)],
+        warnings=[*(f"{drive} is left out: {why}" for drive, why in result.skipped.items()), *warnings_of(result)],
         agreement=[_agreement(name, found) for name, found in agreements_of(result) if found.stretches],
         worst=_worst(result),
         charts=[chart for chart in (drive_chart(result), along_chart(result)) if chart is not None],
@@ -241,9 +240,6 @@ def drawn_stretches(result: "CheckResult") -> list[dict[str, Any]]:
     return drawn
 
 
-_WORST = 10
-
-
 def _agreement(name: str, found: "MapAgreement") -> tuple[str, ...]:
     return (
         name,
@@ -274,7 +270,7 @@ def _worst(result: "CheckResult") -> list[tuple[str, ...]]:
             f"{number(float(stretches.c_r_low[at]), 3)} to {number(float(stretches.c_r_high[at]), 3)}",
             f"{offset.ratio[at]:.2f}",
         )
-        for at in order[:_WORST].tolist()
+        for at in order[:10].tolist()
         if offset.is_off[at]
     ]
 
@@ -360,8 +356,8 @@ _REASONS = {
 
 def _counted(site: Site, counts: Sequence[int], alone: Collection[int] = ()) -> list[tuple[str, str, str]]:
     """Return share, area and number of all parts of the tiles; see `shares`."""
-    told = zip(shares(counts, alone), counts, strict=True)
-    return [(part, area(tiles * site.tile_area, site.ground), whole(tiles)) for part, tiles in told]
+    parts = zip(shares(counts, alone), counts, strict=True)
+    return [(part, area(tiles * site.tile_area, site.ground), whole(tiles)) for part, tiles in parts]
 
 
 def _way_rows(ways: Sequence[DrawnWay]) -> list[Row]:
@@ -384,14 +380,14 @@ def _way_lines(ways: Sequence[DrawnWay]) -> list[tuple[str, str]]:
     """Return letter and a line of what decides between ways: cost, minutes, chance to arrive, obstacles."""
     lines = []
     for way in ways:
-        told = [number(way.figures.get("cost_m"), 0, " m of cost")]
+        texts = [number(way.figures.get("cost_m"), 0, " m of cost")]
         seconds, arrives = (way.figures.get(key) for key in ("seconds", "p_arrives"))
-        told += [number(seconds / 60, 1, " minutes")] if isinstance(seconds, int | float) else []
+        texts += [number(seconds / 60, 1, " minutes")] if isinstance(seconds, int | float) else []
         if isinstance(arrives, int | float):
-            told += [f"{chance_text(arrives, 0, PERCENT)} to arrive {SeenSizes.of(way.figures).condition}"]
+            texts += [f"{chance_text(arrives, 0, PERCENT)} to arrive {SeenSizes.of(way.figures).condition}"]
         touched = way.figures.get("obstacle_m") or 0.0
-        told += [f"{number(touched, 1, ' m')} touching obstacles" if touched else "touches no obstacle"]
-        lines.append((way.letter, f"{way.name}: {', '.join(text for text in told if not text.startswith(DASH))}"))
+        texts += [f"{number(touched, 1, ' m')} touching obstacles" if touched else "touches no obstacle"]
+        lines.append((way.letter, f"{way.name}: {', '.join(text for text in texts if not text.startswith(DASH))}"))
     return lines
 
 
@@ -403,15 +399,11 @@ def _class_bar(site: Site) -> list[tuple[str, tuple[int, ...], str, float]]:
     """Return name, colour, share in words and share in per cent of what can be crossed by class, and of the rest."""
     passable, unknown, barred = _parts_of(site)
     classes, total = site.tiles.free.tolist(), site.summary.tiles
-    told = shares([*classes, total - passable], (len(classes),))[:-1]  # they make what the headline says is passable
-    told += shares((passable, unknown, barred), (0, 1))[:0:-1]
+    texts = shares([*classes, total - passable], (len(classes),))[:-1]  # they make what the headline says is passable
+    texts += shares((passable, unknown, barred), (0, 1))[:0:-1]
     colours = [*(CLASS_COLOURS[code] for code in range(len(classes))), _CLOSED_COLOUR, UNKNOWN_COLOUR]
     parts = [100.0 * count / max(total, 1) for count in (*classes, barred, unknown)]
-    return list(zip((*CLASS_NAMES, "cannot be crossed", "not known"), colours, told, parts, strict=True))
-
-
-_DIGEST = 16
-"""Digits of a checksum that a table shows."""
+    return list(zip((*CLASS_NAMES, "cannot be crossed", "not known"), colours, texts, parts, strict=True))
 
 
 def _file_rows(record: Mapping[str, Any]) -> list[Row]:
@@ -424,7 +416,7 @@ def _file_rows(record: Mapping[str, Any]) -> list[Row]:
                 item.get("format", DASH),
                 whole(int(item.get("points") or 0)),
                 number(float(item["bytes"]) / 1e6, 1, " MB") if item.get("bytes") is not None else DASH,
-                f"{kind}{colon}{digits[:_DIGEST]}",
+                f"{kind}{colon}{digits[:16]}",  # enough to tell files apart
             )
         )
     return rows

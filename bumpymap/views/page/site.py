@@ -64,7 +64,6 @@ from bumpymap.views.page.tiles import (
     packed,
 )
 from bumpymap.views.pictures.drawing import LEVEL, STRENGTH, light_of
-from bumpymap.views.words import survey_name
 
 _STRIP_PIXELS = 16_000_000
 """Most pixels of obstacle.tif to read at a time."""
@@ -73,10 +72,11 @@ _FLAT = 0.84
 _WORST = (FREE, CANOPY, UNKNOWN_OBJECT, STEP_LINE, OBSTACLE)
 """Order of the states in a pixel: each counts before those to its left."""
 _QUALITIES = (72, 55, 40, 25)
+"""Of JPEG, per cent, from the first that is tried: chosen."""
 
 
 def finer(spot: Spot, side: int) -> int:
-    """Return how many pixels a picture may have along each pixel of the page's grid, with at most ``side`` in all."""
+    """Return the number of pixels of a picture along each pixel of the page's grid, with at most ``side`` in all."""
     return 1 if spot.step > 1 else max(1, min(spot.pixels, side // max(spot.cols, spot.rows)))
 
 
@@ -248,10 +248,6 @@ def page_header(settings: PageSettings) -> dict[str, str]:
     return found | {"logo": _uri(buffer, "png")}
 
 
-_FILE = "route.geojson"
-_DECIMALS = 2
-
-
 @dataclass(frozen=True, slots=True)
 class DrawnWay:
     """One way over the map."""
@@ -294,7 +290,7 @@ def read_ways(folder: Path, record: Mapping[str, Any]) -> tuple[DrawnWay, ...]:
     Raises BadInputError: there is no route.geojson, or it is not one of `bumpymap route`, or its coordinates are not
     those of the map.
     """
-    path = folder / _FILE if folder.is_dir() else folder
+    path = folder / "route.geojson" if folder.is_dir() else folder
     remedy = "Give the folder of a route from one place to another, which `bumpymap route` wrote, as `route`"
     if not path.is_file():
         raise BadInputError(f"there is no file {path}. {remedy}")
@@ -304,12 +300,8 @@ def read_ways(folder: Path, record: Mapping[str, Any]) -> tuple[DrawnWay, ...]:
         raise BadInputError(f"cannot read {path} as a route: {error}. {remedy}") from error
     if not ways:
         raise BadInputError(f"{path} holds no way. {remedy}")
-    return tuple(replace(way, letter=_letter(place)) for place, way in enumerate(ways))
-
-
-def _letter(place: int) -> str:
-    """Return A to Z, then 27, 28, ..."""
-    return chr(ord("A") + place) if place < 26 else str(place + 1)
+    letters = (chr(ord("A") + place) if place < 26 else str(place + 1) for place in range(len(ways)))
+    return tuple(replace(way, letter=letter) for way, letter in zip(ways, letters, strict=True))
 
 
 def _ways(path: Path, record: Mapping[str, Any]) -> Iterator[DrawnWay]:
@@ -320,7 +312,7 @@ def _ways(path: Path, record: Mapping[str, Any]) -> Iterator[DrawnWay]:
         if geometry["type"] in {"LineString", "MultiLineString"}:
             if fault := shape_fault(about, _WAY_SHAPE):
                 raise ValueError(fault)
-            lines = tuple(np.round(metres(part), _DECIMALS) for part in line_parts(geometry))
+            lines = tuple(np.round(metres(part), 2) for part in line_parts(geometry))
             yield DrawnWay(about.get("name") or "way", lines, about)
 
 
@@ -336,11 +328,13 @@ _TILES = 220_000
 _PHOTO_SIDE, PHOTO_BUDGET = 1_400, 550_000
 """Most pixels of the photo along a side, and most characters."""
 _STILL_SIDE = 700
+"""Longer side of the picture for pages without scripts, pixels: chosen."""
 _DENSE = 0.1
 """From this share of pixels with an obstacle on, as in a forest, they would hide the classes: they start hidden."""
 _LINES = 6
 """Fewest pixels of a tile that lines over ground which is not passable do not miss; smaller ones are all dark."""
 _BLANK = (255, 255, 255)
+"""Colour of places without points."""
 _SHADES = 33
 """Colours of the ramp of C_r."""
 
@@ -426,7 +420,7 @@ class Site:
         if headings and taken + len(text) + len(relief) + len(headings) > _BUDGET:
             headings = None
         shown = (tiles, grids, objects, text, relief, picture, still, headings)
-        return cls(survey_name(record), record, summary, *shown, ways, stretches)
+        return cls(str(record["survey"]["name"]), record, summary, *shown, ways, stretches)
 
     @property
     def vehicle(self) -> str:

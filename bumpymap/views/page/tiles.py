@@ -29,10 +29,9 @@ from bumpymap.layers import UNKNOWN_OBJECT, MapFile, open_layer, read_tiles
 NOT_KNOWN = 255
 """Byte where a value is not known."""
 STEPS = 254
+"""Largest byte of a known value."""
 _LEAST = 1e-4
-"""Smallest value of a logarithmic scale."""
-
-
+"""Smallest value of a logarithmic scale: chosen, below what any vehicle feels."""
 Scale: TypeAlias = Literal["linear", "log", "root"]
 """``root``: steps of the square root, for differences of which most are small."""
 
@@ -63,7 +62,7 @@ class ByteGrid:
     ) -> Self:
         """Round values, (rows, cols), NaN where unknown, to 255 steps between ``limits``, or between their extremes.
 
-        ``about`` is key, label, unit, and how many decimals are worth showing. Values beyond the limits take those.
+        ``about`` is key, label, unit, and the number of decimals to show. Values beyond the limits take those.
         """
         with np.errstate(divide="ignore"):
             plain = values.astype(np.float64)
@@ -323,7 +322,7 @@ def _place(found: Mapping[str, NDArray[Any]], spot: Spot) -> tuple[NDArray[np.in
 
 
 def _tiles_of(spot: Spot) -> NDArray[np.int64]:
-    """Return how many tiles each pixel of the page spans, (rows, cols): fewer at the south and east edges."""
+    """Return the number of tiles in each pixel of the page, (rows, cols): fewer at the south and east edges."""
     sides = [
         np.minimum(spot.step, tiles - spot.step * np.arange(pixels))
         for tiles, pixels in zip((spot.rows, spot.cols), spot.shape, strict=True)
