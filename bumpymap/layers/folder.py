@@ -129,29 +129,26 @@ def refuse_replacing(folder: Path, differences: Sequence[str]) -> None:
 _log = logging.getLogger(__name__)
 
 
-ViewWriter: TypeAlias = Callable[[Path, Mapping[str, Any], Callable[..., None]], None]
-"""Writes the files of ``EVERY_VIEW_NAME`` to a folder, from the layers in it and the record of its run. The layers are
-still being written: the third argument waits for those that it is given the names of, or for all."""
-
-
 def write_products(
     table: CostTable,
     folder: Path,
     *,
     local: bool,
     manifest: Mapping[str, Any],
-    views: ViewWriter,
+    views: Callable[[Path, Mapping[str, Any], Callable[..., None]], None],
     progress: Progress | None = None,
 ) -> tuple[list[Path], MapSummary]:
     """Write all files of a run, or none; run.json is written last, so a folder that has one is complete.
 
     Files of an earlier run stay until all new ones are complete. Except for run.json, no file depends on the time, on
-    the order of the tiles or on the output folder: the same map of the same survey has the same bytes. ``folder``: an
-    existing folder, see `check_folder`; ``local``: write cost.geojson in the survey's own coordinates if it has no CRS;
-    ``manifest``: the run's own entries for run.json, see `complete_manifest`; ``views``: writes what shows the layers:
-    it is given the folder and the content of run.json; ``progress``: counts the layers as they are written. Returns the
-    files, in the order of ``EVERY_FILE``; counts and medians of the map. Raises OutputError: a file cannot be written;
-    BadInputError: the extent is too large for a raster, or there is no CRS and ``local`` is False.
+    the order of the tiles or on the output folder: the same map of the same survey has the same bytes.
+
+    ``folder``: an existing folder, see `check_folder`; ``local``: write cost.geojson in the survey's own coordinates if
+    it has no CRS; ``manifest``: the run's own entries for run.json, see `complete_manifest`; ``views``: writes the
+    files of ``EVERY_VIEW_NAME``, given the folder, the content of run.json, and what waits for the layers of some
+    names, or for all, since they are still being written; ``progress``: counts the layers as they are written. Returns
+    the files, in the order of ``EVERY_FILE``; counts and medians of the map. Raises OutputError: a file cannot be
+    written; BadInputError: the extent is too large for a raster, or there is no CRS and ``local`` is False.
     """
     started = time.perf_counter()
     placement = Placement.of(table)
@@ -206,14 +203,21 @@ def _layers(
     def rasters(names: Sequence[MapFile]) -> _Layers:
         return {(name,): partial(write_raster, name, table, folder / name, tags) for name in names}
 
-    return [
-        rasters(fine),
-        rasters(coarse),
-        {
-            (MapFile.TILES,): partial(write_tiles, table, folder / MapFile.TILES, tags),
-            (MapFile.REGIONS, MapFile.REGIONS_IN_CRS): partial(_write_regions, table, coordinates, folder, metadata),
-        },
-    ]
+    def write_regions() -> None:
+        flat = folder / MapFile.REGIONS_IN_CRS
+        with (
+            geojson_writer(folder / MapFile.REGIONS, coordinates, metadata) as write_geojson,
+            flatgeobuf_writer(flat, coordinates.placement, tags) as write_flatgeobuf,
+        ):
+            for regions in dissolve(table):
+                write_geojson(regions)
+                write_flatgeobuf(regions)
+
+    tables = {
+        (MapFile.TILES,): partial(write_tiles, table, folder / MapFile.TILES, tags),
+        (MapFile.REGIONS, MapFile.REGIONS_IN_CRS): write_regions,
+    }
+    return [rasters(fine), rasters(coarse), tables]
 
 
 def _some(table: CostTable) -> list[MapFile]:
@@ -250,16 +254,3 @@ def _written(
         for wait in (False, True):
             for pool in pools:
                 pool.shutdown(wait=wait, cancel_futures=True)
-
-
-def _write_regions(
-    table: CostTable, coordinates: GeoJsonCoordinates, folder: Path, metadata: Mapping[str, Any]
-) -> None:
-    placement = coordinates.placement
-    with (
-        geojson_writer(folder / MapFile.REGIONS, coordinates, metadata) as write_geojson,
-        flatgeobuf_writer(folder / MapFile.REGIONS_IN_CRS, placement, as_tags(metadata)) as write_flatgeobuf,
-    ):
-        for regions in dissolve(table):
-            write_geojson(regions)
-            write_flatgeobuf(regions)

@@ -57,8 +57,10 @@ def write_isochrones(
 
     RFC 7946 in WGS 84, or the survey's own coordinates without a CRS. The largest level comes first: a GIS then draws
     the smaller ones over it. Outlines run along the sides of tiles. A level within which no tile can be reached has a
-    null geometry. ``levels``: positive, minutes; ``about``: further members of the collection, such as vehicle and
-    start. Raises OutputError: the file cannot be written; BadInputError: a level is not a positive number.
+    null geometry.
+
+    ``levels``: positive, minutes; ``about``: further members of the collection, such as vehicle and start. Raises
+    OutputError: the file cannot be written; BadInputError: a level is not a positive number.
     """
     wanted = sorted({float(level) for level in levels}, reverse=True)
     if not wanted or not (np.isfinite(wanted).all() and wanted[-1] > 0):

@@ -325,11 +325,13 @@ def read_areas(
 
     Their CRS is the one that the file states; a GeoJSON that states none is in longitude and latitude, or in the map's
     CRS if its numbers cannot be degrees. If the map has no CRS, they must be in the survey's own coordinates: a file
-    without a CRS, or a GeoJSON. ``path``: GeoJSON, GeoPackage, FlatGeobuf or Shapefile; ``allow_outside``: whether it
-    is no error that an area does not lie on the map. Returns (n,) of shapely polygons: in metres on the grid, cut off
-    somewhat beyond the map; without those that do not lie on it, which a warning names. Raises BadInputError: the file
-    is missing, damaged or of another format, holds something else than polygons, or states no CRS while the map has
-    one, or one while the map has none; or an area does not lie on the map.
+    without a CRS, or a GeoJSON.
+
+    ``path``: GeoJSON, GeoPackage, FlatGeobuf or Shapefile; ``allow_outside``: whether it is no error that an area does
+    not lie on the map. Returns (n,) of shapely polygons: in metres on the grid, cut off somewhat beyond the map;
+    without those that do not lie on it, which a warning names. Raises BadInputError: the file is missing, damaged or of
+    another format, holds something else than polygons, or states no CRS while the map has one, or one while the map has
+    none; or an area does not lie on the map.
     """
     path = Path(path)
     if not path.is_file() or path.suffix.lower() not in _SUFFIXES:

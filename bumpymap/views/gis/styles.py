@@ -64,8 +64,10 @@ def write_qgis(path: Path, template: str, **context: Any) -> None:
     """Write a style or a project, whole or not at all.
 
     Control characters and bytes that are not UTF-8, as in the name of a CRS, are shown as escapes, as on pages. Labels
-    are shown as they are: QGIS evaluates no expression that a name or description holds. ``template``: name of a
-    template beside this module; ``**context``: what the template needs. Raises OutputError: it cannot be written.
+    are shown as they are: QGIS evaluates no expression that a name or description holds.
+
+    ``template``: name of a template beside this module; ``**context``: what the template needs. Raises OutputError: it
+    cannot be written.
     """
     text = render_text(template, version=QGIS_VERSION, **context)
     root = ET.fromstring(_NOT_XML.sub("\ufffd", text).strip())  # noqa: S314 (of a template of our own)
