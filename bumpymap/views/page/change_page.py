@@ -37,7 +37,7 @@ from bumpymap.layers import (
 )
 from bumpymap.views.page.page import write_page
 from bumpymap.views.page.site import PHOTO_BUDGET, RELIEF_BUDGET, RELIEF_SIDE, jpeg, read_photo, read_pixels, shaded
-from bumpymap.views.page.tiles import ByteGrid, Spot, crs_name, map_metres, packed
+from bumpymap.views.page.tiles import ByteGrid, Spot, map_metres, packed
 from bumpymap.views.pictures.drawing import STRENGTH
 from bumpymap.views.words import area, number, share, shares, signed, whole
 
@@ -115,11 +115,6 @@ class ChangeSite:
         except OSError as error:
             raise BadInputError(f"cannot read the files of the comparison in {folder}: {error}. {_AGAIN}") from error
         return cls(record, spot, kinds, grids, places, degrees, _still(kinds, spot), below)
-
-    @property
-    def crs_name(self) -> str:
-        """Name of the CRS."""
-        return crs_name(self.record)
 
     def area_of(self, tiles: int) -> float:
         """Return the area of some tiles, m2."""

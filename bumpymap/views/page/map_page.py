@@ -35,6 +35,7 @@ from bumpymap.layers import (
     REPORT_NAME,
     UNKNOWN_COLOUR,
     MapFile,
+    class_ranges,
     read_manifest,
     require_written,
 )
@@ -162,6 +163,7 @@ def _of_map(site: Site | None) -> dict[str, Any]:
     return {
         "photo_strength": STRENGTH,
         "ramp_colours": _RAMP,
+        "ranges": class_ranges(site.record) if site else (),
         "data": {"maps": [site.map_record()] if site else [], "codes": _CODES},
     }
 
@@ -300,7 +302,7 @@ Row = tuple[Any, ...]
 
 def _class_rows(site: Site) -> list[Row]:
     """Return limits, tiles, area, share, median ride cost and slope of the classes."""
-    summary, ranges = site.summary, site.class_ranges or (DASH,) * len(CLASS_NAMES)
+    summary, ranges = site.summary, class_ranges(site.record) or (DASH,) * len(CLASS_NAMES)
     names = (*(f"{code} {name}" for code, name in enumerate(CLASS_NAMES)), "not known")
     counted = _counted(site, [*summary.by_class, summary.unknown], (len(CLASS_NAMES),))
     columns = (names, counted, (*ranges, DASH), summary.median_c_r, summary.median_slope)

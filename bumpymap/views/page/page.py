@@ -24,6 +24,7 @@ from bumpymap.layers import (
     REPORT_NAME,
     UNKNOWN_COLOUR,
 )
+from bumpymap.views.page.tiles import crs_name
 from bumpymap.views.words import DASH, area, base_name, degrees, number, share, whole
 
 if TYPE_CHECKING:
@@ -152,6 +153,7 @@ _NAMES = {
     "changes": [(name, CHANGE_COLOURS[code]) for code, name in enumerate(CHANGE_KINDS)],
     "classes": [(name, CLASS_COLOURS[code]) for code, name in enumerate(CLASS_NAMES)],
     "count_text": count_text,
+    "crs_name": crs_name,
     "object_colours": OBJECT_COLOURS,
     "unknown_colour": UNKNOWN_COLOUR,
     "off_kinds": [(name, OFF_COLOURS[code]) for code, name in enumerate(OFF_KINDS)],

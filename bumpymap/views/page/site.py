@@ -42,7 +42,6 @@ from bumpymap.layers import (
     MapSummary,
     RideScale,
     class_limits,
-    class_ranges,
     open_layer,
     read_averaged,
     read_colours,
@@ -58,7 +57,6 @@ from bumpymap.views.page.tiles import (
     PageTiles,
     Spot,
     block_means,
-    crs_name,
     heading_codes,
     map_metres,
     packed,
@@ -423,19 +421,9 @@ class Site:
         return cls(str(record["survey"]["name"]), record, summary, *shown, ways, stretches)
 
     @property
-    def vehicle(self) -> str:
-        """Name of the vehicle."""
-        return str(self.record["calibration"]["vehicle"])
-
-    @property
     def ground(self) -> float:
         """Area of the tiles with points, m2."""
         return self.summary.tiles * self.tile_area
-
-    @property
-    def crs_name(self) -> str:
-        """Name of the CRS."""
-        return crs_name(self.record)
 
     @property
     def header(self) -> Mapping[str, str]:
@@ -461,11 +449,6 @@ class Site:
     def objects_known(self) -> bool:
         """True if anything is known to be free of objects or to hold one."""
         return bool(((self.objects == FREE) | (self.objects == OBSTACLE)).any())
-
-    @property
-    def class_ranges(self) -> tuple[str, ...]:
-        """Range of each class, in words; empty if the ride cost does not decide."""
-        return class_ranges(self.record)
 
     @property
     def layers(self) -> list[tuple[str, str]]:
