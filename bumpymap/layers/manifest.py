@@ -156,7 +156,7 @@ def summarise(table: CostTable, limits: Sequence[float] | None = None) -> MapSum
     barred = np.zeros(len(Barred), dtype=np.int64)
     points = failing = by_holes = 0
     for strip in table.tiles.strips(_STRIP):
-        names = ("class_id", "barred", "reason", "count", "p_fail", "confidence", *_STEPS, *_SEEN_STEPS)
+        names = ("class_id", "barred", "reason", "count", "confidence", *_STEPS, *_SEEN_STEPS)
         found = table.tiles.read(names, strip)
         barred += np.bincount(found["barred"], minlength=len(Barred))
         group = np.where(found["class_id"] == NO_CLASS, groups - 1, found["class_id"]).astype(np.int64)
@@ -218,8 +218,7 @@ def _count(histogram: NDArray[np.int64], group: NDArray[np.int64], value: NDArra
     """Add values, in units of bins, to the histogram of their group; the last bin takes those beyond it."""
     known = np.isfinite(value)
     places = group[known] * _BINS + np.minimum(value[known], _BINS - 1).astype(np.int64)
-    where, counts = np.unique(places, return_counts=True)
-    histogram.reshape(-1)[where] += counts
+    histogram += np.bincount(places, minlength=histogram.size).reshape(histogram.shape)
 
 
 def _median(histogram: NDArray[np.int64]) -> float:
