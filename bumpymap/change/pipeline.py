@@ -189,7 +189,8 @@ class ChangeResult:
         UsageError
             The extra ``notebook`` is not installed.
         """
-        return change_regions(self.field, region_names())
+        names = _describe(defaultdict(lambda: np.zeros(1, np.uint8)), 1.0)  # also where nothing has changed
+        return change_regions(self.field, tuple(names))
 
 
 def diff_surveys(
@@ -442,11 +443,6 @@ def describe_regions(
     flat |= {"passable_lost": (free[0] & ~free[1]).ravel(), "passable_won": (~free[0] & free[1]).ravel()}
     parts = np.split(order, cuts) if len(order) else []
     return tuple(_describe({name: array[tiles] for name, array in flat.items()}, tile_size**2) for tiles in parts)
-
-
-def region_names() -> tuple[str, ...]:
-    """Return the names of the properties that `describe_regions` gives, also where nothing has changed."""
-    return tuple(_describe(defaultdict(lambda: np.zeros(1, np.uint8)), 1.0))
 
 
 def _describe(tiles: Mapping[str, NDArray[Any]], area_m2: float) -> dict[str, Any]:

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import shapely
-import shapely.geometry
 from numpy.typing import NDArray
 
 from bumpymap.core import CLASS_NAMES, NO_CLASS, CheckResult, DrivenStretches
@@ -93,7 +92,8 @@ def write_stretches(result: CheckResult, placement: Placement, path: Path) -> No
 
 def stretch_properties(result: CheckResult) -> dict[str, list[Any]]:
     """Return what files say of each stretch, by name: plain values, None where not known."""
-    stretches = result.stretches
+    stretches, offset = result.stretches, MapOffset.of(result.stretches)
+    compared = np.isfinite(offset.ratio).tolist()
     names, line = [drive.name for drive in result.drives], result.by_line
     of_line = {} if line is None else _numbers(line, ("c_r", "c_r_low", "c_r_high"))
     return {
@@ -101,7 +101,9 @@ def stretch_properties(result: CheckResult) -> dict[str, list[Any]]:
         **_numbers(stretches, ("start_s", "end_s", "way_m", "speed_mps", "measured", "measured_sd")),
         **_numbers(stretches, ("c_r", "c_r_low", "c_r_high", "place_sd")),
         **{name.replace("c_r", "c_r_line"): values for name, values in of_line.items()},
-        **_offset(MapOffset.of(stretches)),
+        "ratio": plain_numbers(offset.ratio, 4),
+        "off": [OFF_KINDS[kind] for kind in offset.kind.tolist()],
+        "explained": [not off if known else None for off, known in zip(offset.is_off.tolist(), compared, strict=True)],
         **_class("class", stretches.class_id),
         **_class("measured_class", stretches.measured_class),
     }
@@ -109,15 +111,6 @@ def stretch_properties(result: CheckResult) -> dict[str, list[Any]]:
 
 def _numbers(record: DrivenStretches, names: Sequence[str]) -> dict[str, list[float | None]]:
     return {name: plain_numbers(getattr(record, name), _DECIMALS.get(name, 6)) for name in names}
-
-
-def _offset(offset: MapOffset) -> dict[str, list[Any]]:
-    compared = np.isfinite(offset.ratio).tolist()
-    return {
-        "ratio": plain_numbers(offset.ratio, 4),
-        "off": [OFF_KINDS[kind] for kind in offset.kind.tolist()],
-        "explained": [not off if known else None for off, known in zip(offset.is_off.tolist(), compared, strict=True)],
-    }
 
 
 def _class(name: str, codes: NDArray[np.uint8]) -> dict[str, list[Any]]:

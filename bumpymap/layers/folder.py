@@ -44,10 +44,7 @@ from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojso
 def layer_metadata(manifest: Mapping[str, Any], place: Georeference) -> dict[str, Any]:
     """Return the entries that layers carry as metadata, as texts and lists of numbers; what is not known is left out.
 
-    ``manifest``: the run's own entries for run.json, see `complete_manifest`; ``place``: CRS of the survey. Returns
-    ``survey``, ``survey_checksum``, ``survey_header_dates`` (first/last, ISO 8601), ``vehicle``, ``calibration``,
-    ``speed_m_per_s`` and ``p_fail_speed_m_per_s`` (of a map at another speed), ``texture_model``, ``rating``,
-    ``class_limits_rad_per_m``, ``bumpymap_version``, ``vertical_crs``.
+    ``manifest``: the run's own entries for run.json, see `complete_manifest`; ``place``: CRS of the survey.
     """
     survey, calibration, settings = (manifest[name] for name in ("survey", "calibration", "settings"))
     is_papers, dates = settings.get("compat") == "paper", survey["dates"]
@@ -56,7 +53,7 @@ def layer_metadata(manifest: Mapping[str, Any], place: Georeference) -> dict[str
     entries = {
         "survey": survey["name"],
         "survey_checksum": survey["checksum"],
-        "survey_header_dates": "/".join(dates) if dates else None,
+        "survey_header_dates": "/".join(dates) if dates else None,  # first and last
         "vehicle": calibration["vehicle"],
         "calibration": calibration["id"],
         # Without it the speed is that of the vehicle's profile.
@@ -213,7 +210,7 @@ def _layers(
                 write_geojson(regions)
                 write_flatgeobuf(regions)
 
-    tables = {
+    tables: _Layers = {
         (MapFile.TILES,): partial(write_tiles, table, folder / MapFile.TILES, tags),
         (MapFile.REGIONS, MapFile.REGIONS_IN_CRS): write_regions,
     }

@@ -302,10 +302,8 @@ def write_manifest(manifest: Mapping[str, Any], path: Path) -> None:
 def complete_manifest(manifest: Mapping[str, Any], table: CostTable, summary: MapSummary) -> dict[str, Any]:
     """Add the entries that follow from the map to a run's own entries.
 
-    ``manifest``: the run's own entries: inputs, settings, model, calibration, vehicle, timings. They are kept.
-    ``summary``: counts and medians of that map. Returns them with ``format``, ``version``, ``versions``, ``crs``,
-    ``grid``, ``cost``, ``counts`` and ``files``, of which there are none yet; all as plain JSON, as it will be read
-    again.
+    ``manifest``: the run's own entries: inputs, settings, model, calibration, vehicle, timings. They are kept. All is
+    plain JSON, as it will be read again; there are no ``files`` yet.
     """
     record: dict[str, Any] = plain_json(
         {

@@ -257,11 +257,8 @@ class MapReader:
             numbers = [file.descriptions.index(band) + 1 for band in bands] or [1]
             # Cut at multiples of a piece, so that no block of the file is decoded twice.
             for lines, columns in product(_cut(top, top + rows), _cut(left, left + cols)):
-                part = ((lines.start, lines.stop), (columns.start, columns.stop))
-                place = tuple(
-                    slice(*np.subtract(side, by).tolist()) for side, by in zip(part, (top, left), strict=True)
-                )
-                for array, values in zip(out, file.read(numbers, window=part), strict=True):
+                place = slice(lines[0] - top, lines[1] - top), slice(columns[0] - left, columns[1] - left)
+                for array, values in zip(out, file.read(numbers, window=(lines, columns)), strict=True):
                     array[place] = values
 
     def _read_pixels(self, name: MapFile, window: TileWindow, shape: tuple[int, int]) -> NDArray[Any]:
@@ -307,10 +304,7 @@ class MapReader:
         return easting / unit, northing / unit
 
     def to_lonlat(self, easting: Coordinate, northing: Coordinate) -> tuple[Coordinate, Coordinate]:
-        """Convert easting and northing on the grid, m, to WGS 84 longitude and latitude, degrees.
-
-        They are infinite where the CRS cannot be used. Raises BadInputError: the map has no CRS.
-        """
+        """Convert easting and northing, m, to WGS 84 degrees: the inverse of `from_lonlat`."""
         longitude, latitude = self._to_wgs84.transform(*self.to_crs(easting, northing))
         return longitude, latitude
 
@@ -392,9 +386,8 @@ def common_window(first: TileWindow, second: TileWindow) -> TileWindow | None:
     return TileWindow(west, south, cols, rows) if cols > 0 and rows > 0 else None
 
 
-def _cut(start: int, stop: int) -> list[slice]:
-    edges = [start, *range((start // _PIECE + 1) * _PIECE, stop, _PIECE), stop]
-    return [slice(low, high) for low, high in pairwise(edges)]
+def _cut(start: int, stop: int) -> list[tuple[int, int]]:
+    return list(pairwise([start, *range((start // _PIECE + 1) * _PIECE, stop, _PIECE), stop]))
 
 
 def _window_of(folder: Path, name: MapFile, grid: Grid, georeference: Georeference, rasters: KeptRasters) -> TileWindow:

@@ -59,7 +59,7 @@ def trace_labels(
     ``labels`` int32 (rows, cols): number of the area of each tile of the window, north row first; ``rows``: rows of
     the window in which the wanted areas lie; ``wanted``: their numbers; ``corners`` bool (rows + 1, cols + 1):
     corners of tiles of the window that are vertices, from `shared_corners`: at least those at which the border of a
-    wanted area turns. By default those of ``labels`` alone. Returns (len(wanted),) of polygons.
+    wanted area turns. By default those of ``labels`` alone. Returns (len(wanted),) polygons.
     """
     part = labels[rows]
     held = shared_corners(np.pad(part, 1)) if corners is None else corners[rows.start : rows.start + len(part) + 1]

@@ -328,7 +328,7 @@ def read_areas(
     without a CRS, or a GeoJSON.
 
     ``path``: GeoJSON, GeoPackage, FlatGeobuf or Shapefile; ``allow_outside``: whether it is no error that an area does
-    not lie on the map. Returns (n,) of shapely polygons: in metres on the grid, cut off somewhat beyond the map;
+    not lie on the map. Returns (n,) shapely polygons: in metres on the grid, cut off somewhat beyond the map;
     without those that do not lie on it, which a warning names. Raises BadInputError: the file is missing, damaged or of
     another format, holds something else than polygons, or states no CRS while the map has one, or one while the map has
     none; or an area does not lie on the map.

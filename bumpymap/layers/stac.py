@@ -222,7 +222,16 @@ def write_item(folder: Path, record: Mapping[str, Any], place: Placement) -> Non
     content of run.json, which need not be there yet. Raises OutputError: the file cannot be written.
     """
     name = escape_controls(record["survey"]["name"])
-    about = f"Roughness and ride cost of the ground for the vehicle {record['calibration']['vehicle']}"
+    calibration = record["calibration"]
+    about = f"Roughness and ride cost of the ground for the vehicle {calibration['vehicle']}"
+    own = {  # properties that no extension has
+        "vehicle": calibration["vehicle"],
+        "calibration": calibration["id"],
+        "class_limits": calibration["class_limits"],
+        "texture_model": record["model"],
+        "survey_checksum": record["survey"]["checksum"],
+        "counts": {key: record["counts"][key] for key in ("tiles", "classified", "passable", "by_class")},
+    }
     # What tells surveys of one name apart.
     digits = (record["survey"]["checksum"] or "").rpartition(":")[2][:_DIGITS]
     with open_layer(folder / MapFile.CLASS) as raster:  # one pixel for each tile
@@ -244,7 +253,7 @@ def write_item(folder: Path, record: Mapping[str, Any], place: Placement) -> Non
             "processing:software": {
                 name: record["versions"][key] for key, name in _SOFTWARE.items() if key in record["versions"]
             },
-            **_own(record),
+            **{f"bumpymap:{key}": value for key, value in own.items() if value is not None},
         },
         "links": [],
         "assets": describe_assets(folder, record),
@@ -269,20 +278,6 @@ def _rights(record: Mapping[str, Any]) -> dict[str, Any]:
     provider = provider or str((record.get("page") or {}).get("operator") or "")
     found: dict[str, Any] = {"license": licence} if licence else {}
     return found | ({"providers": [{"name": provider, "roles": ["producer", "licensor"]}]} if provider else {})
-
-
-def _own(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the properties that no extension has."""
-    calibration = record["calibration"]
-    fields = {
-        "vehicle": calibration["vehicle"],
-        "calibration": calibration["id"],
-        "class_limits": calibration["class_limits"],
-        "texture_model": record["model"],
-        "survey_checksum": record["survey"]["checksum"],
-        "counts": {key: record["counts"][key] for key in ("tiles", "classified", "passable", "by_class")},
-    }
-    return {f"bumpymap:{key}": value for key, value in fields.items() if value is not None}
 
 
 def _footprint(place: Placement) -> dict[str, Any]:

@@ -251,7 +251,11 @@ def _messages_of(store: Any, frame: Frame, number: int, grid: GroundGrid) -> tup
     if grid.corner_m is not None:
         frame_id, middle = frame.pose_frame, (grid.corner_m[0] + grid.reach_m, grid.corner_m[1] + grid.reach_m)
     header = make_header(store, stamp_ns, frame_id)
-    occupancy = grid.fill(_blank(store, header), header)
+    info = store.types["nav_msgs/msg/MapMetaData"](
+        map_load_time=header.stamp, resolution=0.0, width=0, height=0, origin=_upright_pose(store.types, 0.0, 0.0)
+    )
+    blank = store.types[_OCCUPANCY](header=header, info=info, data=np.empty(0, np.int8))
+    occupancy = grid.fill(blank, header)
     occupancy.data = np.frombuffer(occupancy.data, np.int8)
     class_id = np.where(grid.class_id == NOT_TRAVERSABLE, np.nan, grid.class_id).astype(np.float32)
     layers = {"class": class_id} | {name: getattr(grid, name) for name in GRID_LAYERS}
@@ -259,12 +263,3 @@ def _messages_of(store: Any, frame: Frame, number: int, grid: GroundGrid) -> tup
         layers["c_r"] = grid.c_r
     layers = {name: layer[::-1] for name, layer in layers.items()}
     return stamp_ns, (occupancy, grid_map_message(store, header, middle, grid.resolution_m, layers))
-
-
-def _blank(store: Any, header: Any) -> Any:
-    """Return an OccupancyGrid with nothing in it."""
-    types = store.types
-    info = types["nav_msgs/msg/MapMetaData"](
-        map_load_time=header.stamp, resolution=0.0, width=0, height=0, origin=_upright_pose(types, 0.0, 0.0)
-    )
-    return types[_OCCUPANCY](header=header, info=info, data=np.empty(0, np.int8))

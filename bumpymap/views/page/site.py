@@ -255,7 +255,7 @@ class DrawnWay:
     """Each (n, 2), m: easting and northing in the survey's CRS."""
     figures: Mapping[str, Any]
     """The properties of its line in route.geojson."""
-    letter: str = "A"
+    letter: str
     """By which the page names it on the map and in its text."""
 
 
@@ -298,20 +298,20 @@ def read_ways(folder: Path, record: Mapping[str, Any]) -> tuple[DrawnWay, ...]:
         raise BadInputError(f"cannot read {path} as a route: {error}. {remedy}") from error
     if not ways:
         raise BadInputError(f"{path} holds no way. {remedy}")
-    letters = (chr(ord("A") + place) if place < 26 else str(place + 1) for place in range(len(ways)))
-    return tuple(replace(way, letter=letter) for way, letter in zip(ways, letters, strict=True))
+    return ways
 
 
 def _ways(path: Path, record: Mapping[str, Any]) -> Iterator[DrawnWay]:
     from bumpymap.layers import geojson_features, line_parts
 
     metres = map_metres(record)
-    for geometry, about in geojson_features(path)[0]:
-        if geometry["type"] in {"LineString", "MultiLineString"}:
-            if fault := shape_fault(about, _WAY_SHAPE):
-                raise ValueError(fault)
-            lines = tuple(np.round(metres(part), 2) for part in line_parts(geometry))
-            yield DrawnWay(about.get("name") or "way", lines, about)
+    found = [each for each in geojson_features(path)[0] if each[0]["type"] in {"LineString", "MultiLineString"}]
+    for place, (geometry, about) in enumerate(found):
+        if fault := shape_fault(about, _WAY_SHAPE):
+            raise ValueError(fault)
+        lines = tuple(np.round(metres(part), 2) for part in line_parts(geometry))
+        letter = chr(ord("A") + place) if place < 26 else str(place + 1)
+        yield DrawnWay(about.get("name") or "way", lines, about, letter)
 
 
 _BUDGET = 1_700_000

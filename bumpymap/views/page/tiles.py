@@ -297,7 +297,11 @@ class PageTiles:
             for name, edges in (("c_r", C_R_EDGES), ("slope", SLOPE_EDGES)):
                 bins[name] += np.histogram(found[name][np.isfinite(found[name])], edges)[0]
         empty = known == 0
-        part = ~empty & (known < _tiles_of(spot))  # next to tiles without points
+        down, right = (  # tiles along the pixels of the page: fewer at the south and east edges
+            np.minimum(spot.step, tiles - spot.step * np.arange(pixels))
+            for tiles, pixels in zip((spot.rows, spot.cols), shape, strict=True)
+        )
+        part = ~empty & (known < np.multiply.outer(down, right))  # next to tiles without points
         ground[part] = np.maximum(ground[part], UNKNOWN_FROM + Reason.NO_POINTS + 1)
         barred[part] = np.maximum(barred[part], Barred.UNKNOWN + 1)
         ground, barred = (ground - 1).astype(np.uint8), (barred - 1).astype(np.uint8)  # 0 becomes 255
@@ -319,12 +323,3 @@ def _place(found: Mapping[str, NDArray[Any]], spot: Spot) -> tuple[NDArray[np.in
     if not inside:
         raise BadInputError(f"tiles.parquet holds tiles outside of class.tif: they are not of one run. {_AGAIN}")
     return line // spot.step, col // spot.step
-
-
-def _tiles_of(spot: Spot) -> NDArray[np.int64]:
-    """Return the number of tiles in each pixel of the page, (rows, cols): fewer at the south and east edges."""
-    sides = [
-        np.minimum(spot.step, tiles - spot.step * np.arange(pixels))
-        for tiles, pixels in zip((spot.rows, spot.cols), spot.shape, strict=True)
-    ]
-    return np.asarray(sides[0][:, None] * sides[1][None, :], dtype=np.int64)
