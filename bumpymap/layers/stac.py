@@ -290,4 +290,4 @@ def _footprint(place: Placement) -> dict[str, Any]:
         return {"geometry": None}
     box = BoundingBox()
     box.add(outlines)
-    return {"bbox": box.bounds_in_wgs84(), "geometry": shapely.geometry.mapping(outlines[0])}
+    return {"bbox": box.bounds(in_degrees=True), "geometry": shapely.geometry.mapping(outlines[0])}

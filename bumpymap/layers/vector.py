@@ -32,7 +32,7 @@ most 1.2 mm (measured up to 80 degrees north and south): less than the 7 decimal
 _GRID_DECIMALS = 9
 """Of tiles: far below what a file keeps, far above the error of a double."""
 DEGREE_DECIMALS, _METRE_DECIMALS = 7, 3
-"""Of longitude and latitude, 1 cm, as RFC 7946 advises; of the survey's own coordinates, 1 mm."""
+"""Of longitude and latitude, 1 cm, and of the survey's own coordinates, 1 mm: chosen."""
 
 
 def wgs84_transformer(placement: Placement) -> Transformer:
@@ -75,14 +75,10 @@ class BoundingBox:
         sides = [boxes[boxes[:, 0] > 0], boxes[boxes[:, 0] <= 0]]
         self._boxes = np.array([[*side[:, :2].min(0), *side[:, 2:].max(0)] for side in sides if len(side)])
 
-    def bounds(self) -> list[float]:
-        """Return west, south, east, north."""
-        return [*map(float, self._boxes[:, :2].min(0)), *map(float, self._boxes[:, 2:].max(0))]
-
-    def bounds_in_wgs84(self) -> list[float]:
-        """Return the bounds in degrees; if the box crosses the antimeridian, west exceeds east (RFC 7946, 5.2)."""
-        west, south, east, north = self.bounds()
-        if west < -90.0 and east > 90.0 and len(self._boxes) == 2:
+    def bounds(self, *, in_degrees: bool) -> list[float]:
+        """Return west, south, east, north; in degrees, west exceeds east across the antimeridian (RFC 7946, 5.2)."""
+        west, south, east, north = *map(float, self._boxes[:, :2].min(0)), *map(float, self._boxes[:, 2:].max(0))
+        if in_degrees and west < -90.0 and east > 90.0 and len(self._boxes) == 2:
             west, east = float(self._boxes[0, 0]), float(self._boxes[1, 2])
         return [west, south, east, north]
 
@@ -223,10 +219,6 @@ class GeoJsonCoordinates:
             )
         return degrees
 
-    def bounds(self, box: BoundingBox) -> list[float]:
-        """Return west, south, east, north of a box in these coordinates."""
-        return box.bounds() if self.to_degrees is None else box.bounds_in_wgs84()
-
 
 def outline_of(geometry: Mapping[str, Any]) -> tuple[NDArray[np.float64], tuple[float, float]]:
     """Return the corners of a polygon of GeoJSON, (n, 2), and a point in it."""
@@ -259,7 +251,11 @@ def write_features(
     box = BoundingBox()
     box.add(np.array(geometries, object))
     head = {"type": "FeatureCollection", "name": name, **place.members, **(about or {})}
-    collection = {**head, **({"bbox": place.bounds(box)} if geometries else {}), "features": features}
+    collection = {
+        **head,
+        **({"bbox": box.bounds(in_degrees=place.has_degrees)} if geometries else {}),
+        "features": features,
+    }
     text = json.dumps(
         collection, ensure_ascii=False, allow_nan=False, separators=(",", ":"), default=shapely.geometry.mapping
     )
@@ -296,7 +292,7 @@ def geojson_writer(
                 separator = ",\n"
 
         yield add
-        file.write(f'\n], "bbox": {encode(place.bounds(box))}}}\n')
+        file.write(f'\n], "bbox": {encode(box.bounds(in_degrees=place.has_degrees))}}}\n')
 
 
 def _geometries(outlines: NDArray[np.object_]) -> Iterator[dict[str, Any]]:

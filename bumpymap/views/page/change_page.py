@@ -103,7 +103,7 @@ class ChangeSite:
                         ByteGrid.of(("d_height", "height after minus before", "m", 2), d_height, "root"),
                         ByteGrid.of(("d_c_r", "ride cost C_r after minus before", "rad/m", 3), d_c_r, "root"),
                     )
-                    taken = len(packed(kinds)) + sum(len(packed(grid.codes)) for grid in grids)
+                    taken = len(packed(kinds)) + sum(len(grid.text) for grid in grids)
                     if taken < _BUDGET or max(kinds.shape) < 100:
                         break
                     step *= 2

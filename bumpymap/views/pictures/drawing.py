@@ -373,14 +373,13 @@ def _frame(pen: Pen, axes: _Axes, label: str, most: int) -> None:
 
 def _distances(pen: Pen, axes: _Axes) -> None:
     bottom = axes.top + axes.height
-    in_km = axes.far >= 5000.0
-    values, decimals = ticks(0.0, axes.far / (1000.0 if in_km else 1.0), 10)
+    unit, name = (1000.0, "km") if axes.far >= 5000.0 else (1.0, "m")
+    values, decimals = ticks(0.0, axes.far / unit, 10)
     for value in values:
-        place = axes.left + value * (1000.0 if in_km else 1.0) / axes.far * axes.width
+        place = axes.left + value * unit / axes.far * axes.width
         pen.line(np.array([[place, bottom], [place, bottom + 6]]), FAINT)
         pen.text((place, bottom + 17), f"{value:,.{decimals}f}", FAINT, size=14, anchor="mm")
-    unit = "km" if in_km else "m"
-    pen.text((axes.left + axes.width / 2, bottom + 40), f"distance along the way [{unit}]", INK, size=15, anchor="mm")
+    pen.text((axes.left + axes.width / 2, bottom + 40), f"distance along the way [{name}]", INK, size=15, anchor="mm")
 
 
 def _fill_ground(pen: Pen, axes: _Axes, profile: "RouteProfile", scale: RideScale) -> None:
