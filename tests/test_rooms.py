@@ -20,7 +20,10 @@ ROOMS = {
     "rating": ({"core"}, {"numpy", "scipy"}),
     "layers": (
         {"core"},
-        {"geopandas", "laspy", "lazrs", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "shapely", "xarray"},
+        {
+            *("geopandas", "laspy", "lazrs", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "shapely"),
+            *("skimage", "xarray"),
+        },
     ),
     "views": ({"core", "layers"}, {"PIL", "jinja2", "numpy", "open3d", "pyproj", "rosbags", "scipy"}),
     "survey": ({"core", "readers", "patches", "rating", "layers", "views"}, {"numpy"}),

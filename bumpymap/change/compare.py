@@ -17,6 +17,9 @@ A ride cost may jump although the ground has not moved: a stone lies in or out o
 seen or just not. So a change of the ride counts only where the heights say, by themselves, that the ground has changed.
 There alone it is tested, and what the ride cost does by chance is read off the ground that has not changed: intervals
 hold errors that both surveys make alike. "As before" is a finding too: the ratio is bounded. What is neither is open.
+
+False discoveries and robust spreads are counted here, in no more lines than a call of `scipy.stats` takes: importing it
+takes 0.8 s, of 4.6 s for the whole comparison of `sample_data/quarry.laz` with itself.
 """
 
 import warnings
@@ -33,9 +36,9 @@ from bumpytiles import TileWindow
 
 Floats = NDArray[np.float64]
 _FREEDOM = 30.0
-"""Degrees of freedom of the tails."""
+"""Degrees of freedom of the tails, chosen: see above."""
 _NORMAL_MAD = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
+"""Standard deviation of a normal distribution over its median absolute deviation: 1 / 0.6745, the 75 % quantile."""
 
 
 def two_sided(z: Floats) -> Floats:
@@ -43,21 +46,12 @@ def two_sided(z: Floats) -> Floats:
     return np.asarray(2.0 * stdtr(_FREEDOM, -np.abs(z)), dtype=np.float64)
 
 
-def upper_sided(z: Floats) -> Floats:
-    """Return the probability of a value at least as large, any shape; NaN stays NaN."""
-    return np.asarray(stdtr(_FREEDOM, -z), dtype=np.float64)
-
-
 def widening(z: Floats) -> float:
     """Return by how much the spread behind z is too narrow, at least 1.
 
     Most ground of a site is as it was. If the middle half of all z is wider than that of a normal distribution, the
-    surveys differ by more than their noise: flights that do not fit each other, plants that have grown.
-
-    Parameters
-    ----------
-    z : array
-        One value a tile; NaN is left out.
+    surveys differ by more than their noise: flights that do not fit each other, plants that have grown. ``z``: one
+    value a tile; NaN is left out.
     """
     known = z[np.isfinite(z)]
     if not len(known):
@@ -82,13 +76,13 @@ def hold_false_discoveries(probability: Floats, share: float) -> NDArray[np.bool
 
 
 _STRIP_PIXELS = 1 << 20
-"""Most pixels that are compared at once."""
+"""Most pixels that are compared at once, chosen: 8 MB for each array."""
 _LEAST_SIDE = 5
-"""Fewest cells along a tile."""
+"""Fewest cells along a tile: chosen."""
 
 
 def cell_pixels(pair: SurveyPair, shared: NDArray[np.bool_], coverage: NDArray[np.floating]) -> int:
-    """Return how many pixels make the side of a cell in which heights are compared.
+    """Return the number of pixels along the side of a cell in which heights are compared.
 
     The number that leaves most pairs of neighbouring cells that hold points of both: thin surveys are compared in
     squares of several pixels.
@@ -115,17 +109,16 @@ class Registration:
     shift_sd_m: Floats
     """(2,)"""
     found_tilt: Floats
-    """(2,) as measured; NaN if it cannot be told."""
+    """(2,) as measured; NaN if it is not known."""
     tilt_sd: float
     """Of its steeper direction."""
     stable: int
     """Tiles that it rests on."""
 
-    @classmethod
-    def none(cls) -> "Registration":
-        """Return what takes nothing off."""
-        unknown = np.full(2, np.nan)
-        return cls(np.zeros(2), np.zeros(2), unknown, unknown, unknown, float("nan"), 0)
+
+_NOT_KNOWN = np.full(2, np.nan)
+NOT_REGISTERED = Registration(np.zeros(2), np.zeros(2), _NOT_KNOWN, _NOT_KNOWN, _NOT_KNOWN, float("nan"), 0)
+"""It takes nothing off."""
 
 
 def register(pair: SurveyPair, shared: NDArray[np.bool_], cell: int) -> Registration:
@@ -160,7 +153,7 @@ def register(pair: SurveyPair, shared: NDArray[np.bool_], cell: int) -> Registra
         both[3:] = False
         fit = _fit_plane(pair, blocks, cell, found, both, _ROUNDS)
     if fit is None:
-        return Registration.none()
+        return NOT_REGISTERED
     tilt, of_tilt = fit.values[1:3], fit.covariance[1:3, 1:3]
     none = np.zeros(2)
     return Registration(
@@ -175,22 +168,27 @@ def register(pair: SurveyPair, shared: NDArray[np.bool_], cell: int) -> Registra
 
 
 _BLOCK, _MOST_BLOCKS = 4, 128
-"""Tiles along a block of the sample, and most blocks."""
+"""Tiles along a block of the sample, and most blocks: chosen."""
 _ROUNDS = 12
+"""Most rounds of the fit, chosen; `_CLOSE` ends it earlier."""
 _LEAST_RELIEF = 5.0
 """Common part of both gradients over its standard error, in the direction that has least: less tells no shift."""
 _MOST_SHIFT_SD_M, _MOST_SHIFT_M = 0.05, 2.0
+"""A shift whose standard error, m, or size, m, is larger is not believed: chosen."""
 _BETWEEN = 0.05
 """Error of a shift between two whole pixels, in pixels: 9 mm on a lava field."""
 _SURE = 13.8
 """Chi squared of two unknowns that noise exceeds once in a thousand."""
 _HUBER, _TRIM = 1.5, 3.0
+"""Standard deviations from which a cell counts less (Huber's usual 1.345, rounded), and a tile for nothing."""
 _FEW_BLOCKS = 30
 """Fewer blocks tell no standard error: that from tiles is taken."""
 
 
 @dataclass(frozen=True, slots=True)
 class _PlaneFit:
+    """A fit of `_fit_plane`."""
+
     values: Floats
     """(5,) height, rise eastwards and northwards, shift eastwards and northwards."""
     covariance: Floats
@@ -263,7 +261,7 @@ def _fit_plane(
 
 
 def _solve(sums: "_Sums", names: NDArray[np.int64]) -> tuple[Floats, Floats] | None:
-    """Return the unknowns (5,), and the inverse of the matrix of those ``names``; None if they cannot be told."""
+    """Return the unknowns (5,), and the inverse of the matrix of those ``names``; None if they are not determined."""
     matrix, values = sums.normal.sum(axis=0)[np.ix_(names, names)], np.zeros(5)
     if np.linalg.matrix_rank(matrix, hermitian=True) < len(names):
         return None
@@ -276,6 +274,7 @@ _STAY = 0.6
 _CLOSE = np.array([1e-4, 1e-7, 1e-7, 1e-4, 1e-4])
 """A step that is smaller, m and m/m, is the last one."""
 _ENDS = np.array([np.inf, np.inf, np.inf, 1.5 * _MOST_SHIFT_M, 1.5 * _MOST_SHIFT_M])
+"""Largest size of each unknown on the way to the fit."""
 
 
 def _layers(pair: SurveyPair, blocks: list[_Block], cell: int, whole: Floats) -> tuple[Floats, NDArray[np.int64]]:
@@ -329,7 +328,7 @@ def _sums(layers: Floats, at: Floats, limit: float) -> _Sums:
 
 
 def _median(values: Floats) -> Floats:
-    """Return the median of each row, (n, m) -> (n,), NaN left out; each has a value."""
+    """Return the median of each row, (n, m) -> (n,), NaN left out; each has a value. 20 times as fast as nanmedian."""
     ranked, count = np.sort(values, axis=1), np.isfinite(values).sum(axis=1)
     row = np.arange(len(values))
     return np.asarray(0.5 * (ranked[row, (count - 1) // 2] + ranked[row, count // 2]))
@@ -358,7 +357,7 @@ def _cells(
         pad = max(abs(east), abs(north))
         wide = np.pad(after, pad, constant_values=np.nan)
         after = wide[pad - north : pad - north + len(after), pad + east : pad + east + after.shape[1]]
-    return coarsen(before, cell), coarsen(after, cell)
+    return _coarsen(before, cell), _coarsen(after, cell)
 
 
 def _gradient(heights: Floats, size: float) -> tuple[Floats, Floats]:
@@ -442,9 +441,7 @@ def _differences(pair: SurveyPair, cell: int, registration: Registration) -> Ite
 
 
 _LEAST_OWN = 0.5
-"""Least share of a spread that is the survey's own."""
-
-
+"""Least share of a spread that is the survey's own, chosen."""
 Bands = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
 
 
@@ -462,10 +459,6 @@ class CommonError:
         """Read what run.json says of the calibration."""
         found = (manifest["calibration"].get(name) for name in ("model_error", "floor_radpm"))
         return cls(*(float(each) if isinstance(each, int | float) and 0.0 <= each < np.inf else 0.0 for each in found))
-
-    def log_sd(self, c_r: Floats) -> Floats:
-        """Return its standard deviation in ln c_r, of ride costs [rad/m] of any shape."""
-        return self.model_error * np.clip(1.0 - (self.floor / c_r) ** 2, 0.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -495,25 +488,25 @@ def _log_and_spread(bands: Bands, common: CommonError) -> tuple[Floats, Floats]:
     """Return ln c_r and the standard deviation of the survey's own error in it, the mean of both sides."""
     c_r, low, high = (band.astype(np.float64) for band in bands)
     middle = np.log(c_r)
-    shared = common.log_sd(c_r)
+    shared = common.model_error * np.clip(1.0 - (common.floor / c_r) ** 2, 0.0, 1.0)
     sides = ((middle - np.log(low)) / NORMAL_80, (np.log(high) - middle) / NORMAL_80)
     below, above = (np.sqrt(np.maximum(side**2 - shared**2, (_LEAST_OWN * side) ** 2)) for side in sides)
     return middle, 0.5 * (below + above)
 
 
 LEAST_CELLS = 16
-"""Fewest pixels that both surveys have seen, for a tile to be compared."""
+"""Fewest pixels that both surveys have seen, for a tile to be compared: chosen."""
 _CUT = 1.5
-"""Where differences are cut off, in standard deviations."""
+"""Where differences are cut off, in standard deviations: as for Huber's weights."""
 _FLOOR_M = 1e-3
 """Least standard deviation of the differences, m: heights are stored to a millimetre."""
 _EXACT, _MOST_T = 1e-9, 100.0
-"""Differences that are all alike leave no error: their t is limited."""
+"""Differences that are all alike leave no error: least share of the sum of squares that is error, and largest t."""
 _LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))
 """Pairs of pixels of z_shape: rows and columns between them."""
 
 
-def coarsen(heights: NDArray[np.floating], factor: int) -> Floats:
+def _coarsen(heights: NDArray[np.floating], factor: int) -> Floats:
     """Return means over squares of ``factor`` x ``factor`` pixels, (rows, cols); NaN where a square has no height."""
     rows, cols = (length // factor for length in heights.shape)
     parts = heights.astype(np.float64).reshape(rows, factor, cols, factor)
@@ -586,9 +579,9 @@ def _ratio(total: Floats, square: Floats) -> Floats:
 
 _AS_BEFORE, _ROUGHER, _SMOOTHER, _UNKNOWN, _OPEN = range(1, 6)
 _FEW = 100
-"""Fewer unchanged tiles tell no spread of the ride cost: that of the intervals is taken."""
+"""Fewer unchanged tiles tell no spread of the ride cost (chosen: 7 % error): that of the intervals is taken."""
 SAME_RIDE = 1.5
-"""Most ratio of two ride costs that are alike."""
+"""Most ratio of two ride costs that are alike, chosen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -617,7 +610,7 @@ def decide(ground: GroundChange, ride: RideChange, fdr: float) -> Decision:
     known = ground.z_shape[np.isfinite(ground.z_shape)]
     common = max(0.0, float(np.median(known))) if len(known) else 0.0
     shape = (ground.z_shape - common) / widened["shape"]
-    of_ground = np.minimum(1.0, 2.0 * np.fmin(two_sided(height), upper_sided(shape)))
+    of_ground = np.minimum(1.0, 2.0 * np.fmin(two_sided(height), stdtr(_FREEDOM, -shape)))
     moved = hold_false_discoveries(of_ground, fdr)
     z = ride.log_ratio / ride.sd
     still = np.abs(z[np.isfinite(z) & np.isfinite(of_ground) & ~moved])

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.change.compare import (
+    NOT_REGISTERED,
     CommonError,
     Decision,
     GroundChange,
@@ -71,20 +72,22 @@ CHANGE_FILES = OutputFolder(
     views=("change.qml", MapFile.PROJECT, REPORT_NAME),
 )
 _DENSITY = 2.0
-"""Ratio of the densities from which surveys are unlike."""
+"""Ratio of the densities from which surveys are unlike: chosen, as the next three."""
 _WIDE = 1.5
 """Widening from which the surveys do not fit each other."""
 _MOST_CHANGED = 0.3
 """Share of changed tiles from which the rest may be no measure of what has not changed."""
 _RIDE = 0.05
 """Median change of the ride cost, as a share, that is reported."""
+_LEVEL_M = 0.0005
+"""Offset that is shown as 0.000 m."""
 
 
 def remarks(fit: Mapping[str, Any], counts: Mapping[str, Any]) -> Iterator[str]:
     """Yield remarks and warnings, a sentence each."""
     if fit["offset_m"] is not None:
         taken = fit["offset_taken_off_m"]
-        level = abs(fit["offset_m"]) < 0.0005
+        level = abs(fit["offset_m"]) < _LEVEL_M
         side = "higher" if fit["offset_m"] > 0.0 else "lower"
         lies = "level with the earlier one" if level else f"{abs(fit['offset_m']):.3f} m {side}"
         asked = f"; {taken:+.3f} m was taken off, as asked" if taken != fit["offset_m"] else ""
@@ -98,9 +101,9 @@ def remarks(fit: Mapping[str, Any], counts: Mapping[str, Any]) -> Iterator[str]:
         )
     wide = {name: factor for name, factor in fit["widened"].items() if factor > _WIDE}
     if wide:
-        told = ", ".join(f"{name} {factor:.1f} times" for name, factor in wide.items())
+        words = ", ".join(f"{name} {factor:.1f} times" for name, factor in wide.items())
         yield (
-            f"the surveys differ everywhere by more than their noise ({told}), as if they did not fit each other: "
+            f"the surveys differ everywhere by more than their noise ({words}), as if they did not fit each other: "
             "spreads were widened, and small changes are not found. Align them to the same control points"
         )
     ratio = fit["median_ratio_c_r"]
@@ -134,11 +137,6 @@ def _of_registration(found: Mapping[str, Any] | None) -> Iterator[str]:
             f"the later survey is tilted by {found['tilt_deg']:.4f} degrees, rising towards "
             f"{found['rises_towards_deg']:.0f} degrees from north; taken off"
         )
-
-
-def azimuth(rise: NDArray[np.floating]) -> float:
-    """Return the direction (east, north) as degrees from north, clockwise."""
-    return round(math.degrees(math.atan2(rise[0], rise[1])) % 360.0, 1)
 
 
 PathLike: TypeAlias = str | os.PathLike[str]
@@ -191,14 +189,12 @@ class ChangeResult:
         UsageError
             The extra ``notebook`` is not installed.
         """
-        return change_regions(self.field, region_names())
+        names = _describe(defaultdict(lambda: np.zeros(1, np.uint8)), 1.0)  # also where nothing has changed
+        return change_regions(self.field, tuple(names))
 
 
 def diff_surveys(
-    before: PathLike,
-    after: PathLike,
-    out: PathLike | None = None,
-    **settings: Unpack[DiffSettings],
+    before: PathLike, after: PathLike, out: PathLike | None = None, **settings: Unpack[DiffSettings]
 ) -> ChangeResult:
     """Find what has changed between two surveys of a site, as ``bumpymap diff`` does.
 
@@ -248,18 +244,11 @@ def diff_surveys(
     )
 
 
-_CLASSES = len(CLASS_NAMES)
-
-
 def find_changes(config: DiffConfig, progress: Progress | None = None) -> ChangeResult:
     """Compare two surveys as the settings ask, and write what has changed.
 
-    Raises
-    ------
-    BadInputError
-        The layers cannot be read, cannot be compared, or have no tile in common.
-    UsageError, OutputError
-        The files cannot be written.
+    Raises BadInputError: the layers cannot be read, cannot be compared, or have no tile in common; UsageError,
+    OutputError: the files cannot be written.
     """
     progress = progress or SilentProgress()
     pair = open_pair(config.before, config.after)
@@ -271,7 +260,7 @@ def find_changes(config: DiffConfig, progress: Progress | None = None) -> Change
     if not shared.any():
         raise BadInputError(f"{config.before} and {config.after} have no tile in common. Give two surveys of one site")
     cell = cell_pixels(pair, shared, surveys[0].coverage * surveys[1].coverage)
-    found = register(pair, shared, cell) if config.register else Registration.none()
+    found = register(pair, shared, cell) if config.register else NOT_REGISTERED
     if config.offset is not None:  # heights are what is asked for
         found = replace(found, tilt=np.zeros(2))
     offset = height_offset(pair, cell, found)
@@ -290,8 +279,8 @@ def find_changes(config: DiffConfig, progress: Progress | None = None) -> Change
         "cell_m": pair.cell_m(cell),
     }
     counts = _counts(surveys, field, shared) | {"dropped_as_too_small": dropped}
-    classes = (np.minimum(side.class_id[shared], _CLASSES).astype(np.int64) for side in surveys)
-    transitions = np.zeros((_CLASSES + 1,) * 2, np.int64)
+    classes = (np.minimum(side.class_id[shared], len(CLASS_NAMES)).astype(np.int64) for side in surveys)
+    transitions = np.zeros((len(CLASS_NAMES) + 1,) * 2, np.int64)
     np.add.at(transitions, tuple(classes), 1)
     notes = tuple(remarks(fit, counts))
     files: list[Path] = []
@@ -323,11 +312,7 @@ def _write(
 
 
 def _field(
-    pair: SurveyPair,
-    surveys: tuple[SurveyTiles, SurveyTiles],
-    ground: GroundChange,
-    decision: Decision,
-    least: int,
+    pair: SurveyPair, surveys: tuple[SurveyTiles, SurveyTiles], ground: GroundChange, decision: Decision, least: int
 ) -> tuple[ChangeField, int]:
     """Return what change.tif holds, and how many tiles belonged to changes that were too small."""
     before, after = surveys
@@ -364,15 +349,16 @@ def _fit(
 
 
 def _registration(found: Registration) -> dict[str, Any]:
-    """Return what the settings' register found and took off, as it stands in change.json."""
-    rise = float(np.hypot(*found.found_tilt))
+    """Return what `register` found and took off, as it stands in change.json."""
+    east, north = found.found_tilt
+    rise = math.hypot(east, north)
     return {
         "shift_m": None if np.isnan(found.found_shift_m).any() else found.found_shift_m.round(4).tolist(),
         "shift_sd_m": None if np.isnan(found.shift_sd_m).any() else found.shift_sd_m.round(4).tolist(),
         "shift_taken_off": bool(found.shift_m.any()),
         "tilt_deg": None if np.isnan(rise) else round(math.degrees(math.atan(rise)), 4),
         "tilt_sd_deg": None if np.isnan(rise) else round(math.degrees(math.atan(found.tilt_sd)), 6),
-        "rises_towards_deg": None if np.isnan(rise) else azimuth(found.found_tilt),
+        "rises_towards_deg": None if np.isnan(rise) else round(math.degrees(math.atan2(east, north)) % 360.0, 1),
         "tilt_taken_off": bool(found.tilt.any()),
         "stable_tiles": found.stable,
     }
@@ -416,18 +402,15 @@ def _manifest(
     }
 
 
-_DECIMALS = 4
-
-
 def connect(code: NDArray[np.float64], least: int) -> tuple[NDArray[np.float64], NDArray[np.int32], int]:
     """Find connected changes, of tiles that share a side, and drop those of fewer than ``least`` tiles.
 
-    ``code`` (rows, cols): a position in ``CHANGE_KINDS``; NaN where not compared. Returns ``code`` (rows, cols): 0
-    where a change was dropped; ``area`` (rows, cols): number of the change, from 1, in the order of their first tiles;
-    0: none; ``dropped``: tiles of the changes that were dropped.
+    ``code`` (rows, cols): a position in ``CHANGE_KINDS``; NaN where not compared. Returns it with 0 where a change was
+    dropped; the number of the change of each tile, (rows, cols), from 1 in the order of first tiles, 0: none; and the
+    number of tiles that were dropped.
     """
     found = np.nan_to_num(code) > 0.0
-    labels, first, _ = label(found.astype(np.uint8))
+    labels, first = label(found.astype(np.uint8))
     size = np.bincount(labels.ravel(), minlength=len(first) + 1)
     kept = size >= least
     kept[0] = False
@@ -462,11 +445,6 @@ def describe_regions(
     return tuple(_describe({name: array[tiles] for name, array in flat.items()}, tile_size**2) for tiles in parts)
 
 
-def region_names() -> tuple[str, ...]:
-    """Return the names of the properties that `describe_regions` gives, also where nothing has changed."""
-    return tuple(_describe(defaultdict(lambda: np.zeros(1, np.uint8)), 1.0))
-
-
 def _describe(tiles: Mapping[str, NDArray[Any]], area_m2: float) -> dict[str, Any]:
     """Return the properties of one change from the values of its tiles, (n,) each."""
     heights, kinds = tiles["d_height"], tiles["kind"]
@@ -476,7 +454,9 @@ def _describe(tiles: Mapping[str, NDArray[Any]], area_m2: float) -> dict[str, An
         "tiles": len(kinds),
         "area_m2": round(len(kinds) * area_m2, 3),
         "kind": CHANGE_KINDS[max(_FIRST, key=lambda kind: int((kinds == kind).sum()))],
-        **{CHANGE_KINDS[kind].replace(",", "").replace(" ", "_"): int((kinds == kind).sum()) for kind in _KINDS},
+        **{
+            CHANGE_KINDS[kind].replace(",", "").replace(" ", "_"): int((kinds == kind).sum()) for kind in sorted(_FIRST)
+        },
         "d_height": _number(heights.mean()),
         "d_height_lowest": _number(heights.min()),
         "d_height_highest": _number(heights.max()),
@@ -489,13 +469,12 @@ def _describe(tiles: Mapping[str, NDArray[Any]], area_m2: float) -> dict[str, An
     }
 
 
-_KINDS = range(1, len(CHANGE_KINDS))
 _FIRST = (2, 4, 5, 3, 1)
-"""Kinds in the order in which they stand for a place where several have most tiles: rougher, unknown, and so on."""
+"""Positions in ``CHANGE_KINDS`` in the order in which they stand for a place where several have most tiles."""
 
 
 def _number(value: float) -> float | None:
-    return round(float(value), _DECIMALS) if np.isfinite(value) else None
+    return round(float(value), 4) if np.isfinite(value) else None
 
 
 def _of_known(summary: Callable[[Any], Any], values: NDArray[np.floating]) -> float | None:

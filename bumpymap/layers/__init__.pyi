@@ -111,25 +111,14 @@ from .products import (
     refuse_present as refuse_present,
     require_folder as require_folder,
 )
-from .reach import (
-    ReachField as ReachField,
-    reach_dataset as reach_dataset,
-    write_isochrones as write_isochrones,
-    write_reach as write_reach,
-)
 from .regions import (
     label as label,
 )
-from .route_inputs import (
-    geojson_features as geojson_features,
-    line_parts as line_parts,
-    read_areas as read_areas,
-    read_points as read_points,
-    tiles_in as tiles_in,
-)
-from .route_lines import (
+from .route_files import (
     IRI_NOTE as IRI_NOTE,
     PlannedRoute as PlannedRoute,
+    ReachField as ReachField,
+    reach_dataset as reach_dataset,
     route_coordinates as route_coordinates,
     route_properties as route_properties,
     stop_names as stop_names,
@@ -137,9 +126,18 @@ from .route_lines import (
     stretch_rows as stretch_rows,
     window_around as window_around,
     write_gpx as write_gpx,
+    write_isochrones as write_isochrones,
     write_profile as write_profile,
+    write_reach as write_reach,
     write_route_geojson as write_route_geojson,
     write_route_stretches as write_route_stretches,
+)
+from .route_inputs import (
+    geojson_features as geojson_features,
+    line_parts as line_parts,
+    read_areas as read_areas,
+    read_points as read_points,
+    tiles_in as tiles_in,
 )
 from .scan_files import (
     AccumulatedSurvey as AccumulatedSurvey,

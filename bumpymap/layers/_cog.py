@@ -36,20 +36,13 @@ from rasterio.io import MemoryFile
 from rasterio.windows import Window
 
 from bumpymap.core import atomic
-from bumpymap.layers.placement import SCRATCH_BLOCK, Placement, RasterSpec, RasterWindow, create_raster
+from bumpymap.layers.placement import Placement, RasterSpec, RasterWindow
 from bumpytiles import BLOCK_TILES
 
 
 def checksum(pixels: NDArray[np.generic]) -> int:
     """Return the CRC-32 of pixels; NaN counts as 0, whatever its bits."""
     return zlib.crc32(np.ascontiguousarray(np.nan_to_num(pixels)).data)
-
-
-def require_disk_space(folder: Path, size: int) -> None:
-    """Raise OSError if the disk of a folder has fewer than ``size`` bytes free."""
-    free = shutil.disk_usage(folder).free
-    if free < size:
-        raise OSError(f"up to {size / 1e9:.1f} GB are needed and {free / 1e9:.1f} GB are free")
 
 
 def require_intact(path: Path, painted: Iterable[tuple[Window, int]], *, mask_only: bool = False) -> None:
@@ -69,6 +62,7 @@ def require_intact(path: Path, painted: Iterable[tuple[Window, int]], *, mask_on
 
 
 _INTEGER, _REAL, _STRING = 0, 1, 2
+"""Of ``GDALRATFieldType``."""
 _FIELDS = {
     "Value": (_INTEGER, 5),
     "Count": (_INTEGER, 1),
@@ -79,7 +73,6 @@ _FIELDS = {
     "Alpha": (_INTEGER, 9),
 }
 """Column -> type and usage: value (smallest and largest), number of pixels, name, parts of its colour."""
-_TABLE = "GDALRasterAttributeTable"
 _LARGEST_INTEGER = 2**31 - 1
 """GDAL's integer columns have 32 bits; larger counts are real numbers, exact up to 2**53."""
 
@@ -89,21 +82,10 @@ def write_value_table(
 ) -> None:
     """Add category names and an attribute table of band 1 to the side file of a raster.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Names of the values 0, 1, 2, ...
-    colours : mapping
-        Red, green, blue, alpha of the values that pixels can have; those without a name (nodata) get no row.
-    counts : array (256,)
-        Number of pixels of each value in the whole raster.
-
-    Raises
-    ------
-    OSError
-        The file cannot be written.
-    ParseError
-        GDAL has written a side file that was cut short, as by a full disk.
+    ``names``: names of the values 0, 1, 2, ...; ``colours``: red, green, blue, alpha of the values that pixels can
+    have; those without a name (nodata) get no row; ``counts`` (256,): number of pixels of each value in the whole
+    raster. Raises OSError: the file cannot be written; ParseError: GDAL has written a side file that was cut short, as
+    by a full disk.
     """
     path = raster.with_name(f"{raster.name}.aux.xml")
     root = ET.parse(path).getroot() if path.exists() else ET.Element("PAMDataset")  # noqa: S314 (GDAL's own)
@@ -112,7 +94,7 @@ def write_value_table(
     for name in names:
         ET.SubElement(listed, "Category").text = name
     rows = [(value, int(counts[value]), name, *colours[value]) for value, name in enumerate(names) if value in colours]
-    _add_rows(ET.SubElement(band, _TABLE, tableType="thematic"), rows)
+    _add_rows(ET.SubElement(band, "GDALRasterAttributeTable", tableType="thematic"), rows)
     ET.indent(root)
     path.write_bytes(ET.tostring(root, encoding="utf-8") + b"\n")
 
@@ -134,6 +116,9 @@ _GDAL = {"GDAL_CACHEMAX": 64, "COG_TMP_COMPRESSION": "NONE"}
 """The block cache, bytes, as rasterio takes a whole number: next to none, since every block is written once. A map of
 10 million points takes the same processor time with 64 MB. Temporary overviews are not compressed: compressing them
 took a third of the time of a dense raster and two thirds of that of an empty one."""
+_SCRATCH_BLOCK = 256
+"""Side of a block of the scratch raster, pixels. Writing 11 bands of 2560 x 2560 pixels takes 13 s of CPU time; blocks
+of 512 pixels, or pixel interleaving, were measured to take up to 3 times as long."""
 SMALL = 128 << 20
 """Largest scratch raster that is kept in memory, bytes; a file takes twice the time, as it is read back."""
 _PAINTED_BEFORE = 32 << 20
@@ -152,10 +137,6 @@ def _reset_after_fork() -> None:
 
 
 os.register_at_fork(after_in_child=_reset_after_fork)
-
-
-_QUALITY = "85"
-"""Of JPEG."""
 
 
 def raster_lock() -> AbstractContextManager[Any]:
@@ -182,23 +163,9 @@ def write_cog(
 ) -> None:
     """Write a COG; the file appears only when it is complete.
 
-    Parameters
-    ----------
-    path : Path
-        The file to write.
-    placement : Placement
-        Extent and CRS of the raster.
-    spec : RasterSpec
-        Bands, data type, overviews.
-    paint : callable
-        Returns the pixels of a window, (bands, lines * pixels, columns * pixels), north up; None if all are nodata.
-    side : int
-        Side of a window in tiles, a multiple of a block's.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    ``placement``: extent and CRS of the raster; ``spec``: bands, data type, overviews; ``paint``: returns the pixels of
+    a window, (bands, lines * pixels, columns * pixels), north up; None if all are nodata; ``side``: side of a window in
+    tiles, a multiple of a block's. Raises OutputError: the file cannot be written.
     """
     with atomic(path, _FAILURES) as temporary:
         pixels = placement.window.cols * placement.window.rows * spec.pixels**2
@@ -207,7 +174,7 @@ def write_cog(
         large = len(spec.bands) > 1 and size > OVERVIEWS_FIRST_FROM and not spec.is_photo
         overviews_first = spec.counts_nodata or large
         counts = np.zeros(256, np.int64)
-        block = max(spec.block, SCRATCH_BLOCK)
+        block = max(spec.block, _SCRATCH_BLOCK)
         across, down = (
             -(-side * spec.pixels // block) * block for side in (placement.window.cols, placement.window.rows)
         )
@@ -221,16 +188,22 @@ def write_cog(
                     _count(canvas, spec, counts)  # no checksum: memory loses nothing
                 painted = ()
                 _convert(scratch.name, layer.name, spec, overviews_first=overviews_first)
-                _copy_side_file(layer.name, temporary)
+                with rasterio.open(layer.name) as file:
+                    has_side_file = len(file.files) > 1  # such as one with a CRS without GeoTIFF keys
+                if has_side_file:
+                    rasterio.shutil.copyfiles(layer.name, str(temporary))
                 temporary.write_bytes(layer.getbuffer())
         else:
             waiting = temporary.with_name(f"{temporary.stem}.scratch.tif")
             with _gdal_alone():
                 checksums = []
                 for window, canvas in _write_scratch(str(waiting), placement, spec, painted):
-                    checksums.append((window, checksum(_exact(canvas, spec))))
+                    exact = canvas[-1] if spec.is_photo else canvas  # of a photo the alpha is stored as it is
+                    checksums.append((window, checksum(exact)))
                     _count(canvas, spec, counts)
-                require_disk_space(path.parent, waiting.stat().st_size)
+                needed, free = waiting.stat().st_size, shutil.disk_usage(path.parent).free
+                if free < needed:
+                    raise OSError(f"up to {needed / 1e9:.1f} GB are needed and {free / 1e9:.1f} GB are free")
                 _convert(str(waiting), str(temporary), spec, overviews_first=overviews_first)
                 waiting.unlink()
                 require_intact(temporary, checksums, mask_only=spec.is_photo)
@@ -256,23 +229,10 @@ def write_array(path: Path, placement: Placement, spec: RasterSpec, layers: NDAr
     write_cog(path, placement, spec, paint, TILE_WINDOW)
 
 
-def _exact(canvas: NDArray[np.generic], spec: RasterSpec) -> NDArray[np.generic]:
-    """Return the pixels that are stored as they are: of a photo its alpha."""
-    return canvas[-1] if spec.is_photo else canvas
-
-
 def _count(pixels: NDArray[np.generic], spec: RasterSpec, counts: NDArray[np.int64]) -> None:
     """Add pixels (uint8, any shape) that were painted to the counts (256,) of each value, if the values have names."""
     if any(band.categories for band in spec.bands):
         counts += np.bincount(pixels.ravel(), minlength=256)
-
-
-def _copy_side_file(layer: str, temporary: Path) -> None:
-    """Copy a raster in memory if GDAL keeps something of it in a side file, such as a CRS without GeoTIFF keys."""
-    with rasterio.open(layer) as file:
-        has_side_file = len(file.files) > 1
-    if has_side_file:
-        rasterio.shutil.copyfiles(layer, str(temporary))
 
 
 def _convert(scratch: str, layer: str, spec: RasterSpec, *, overviews_first: bool) -> None:
@@ -284,25 +244,19 @@ def _convert(scratch: str, layer: str, spec: RasterSpec, *, overviews_first: boo
     """
     options = {"COMPRESS": "DEFLATE", "PREDICTOR": "YES", "LEVEL": str(spec.level), "BIGTIFF": "IF_SAFER"}
     if spec.is_photo:
-        options = {"COMPRESS": "JPEG", "QUALITY": _QUALITY, "BIGTIFF": "IF_SAFER"}
+        options = {"COMPRESS": "JPEG", "QUALITY": "85", "BIGTIFF": "IF_SAFER"}  # per cent: chosen
     options |= {"OVERVIEW_RESAMPLING": spec.overviews, "BLOCKSIZE": str(spec.block)}
     if not spec.counts_nodata and not spec.is_photo:  # a mean of codes says nothing
-        _note_statistics(scratch)
+        # The driver takes them over. Where it makes them itself, by its option STATISTICS, it goes through a raster
+        # without a name, for which GDAL (3.10) opens the files .ovr and .msk of the current folder by any driver: they
+        # may lead to a URL.
+        with rasterio.open(scratch, "r+") as file, suppress(StatisticsError):  # a band without a value has none
+            file.update_stats(approx=False)
     if overviews_first:
         _build_overviews(scratch, spec)
         options["OVERVIEWS"] = "FORCE_USE_EXISTING"
     options |= {"NUM_THREADS": gdal_threads(), "SPARSE_OK": "YES"}
     rasterio.shutil.copy(scratch, layer, driver="COG", **options)
-
-
-def _note_statistics(scratch: str) -> None:
-    """Write statistics of its bands into the scratch raster; GDAL's COG driver takes them over.
-
-    Where the driver makes them itself, by its option ``STATISTICS``, it goes through a raster without a name, for which
-    GDAL (3.10) opens the files ``.ovr`` and ``.msk`` of the current folder by any driver: they may lead to a URL.
-    """
-    with rasterio.open(scratch, "r+") as file, suppress(StatisticsError):  # a band without a value has none
-        file.update_stats(approx=False)
 
 
 def _build_overviews(scratch: str, spec: RasterSpec) -> None:
@@ -353,8 +307,33 @@ def _write_scratch(
     scratch: str, placement: Placement, spec: RasterSpec, painted: Iterable[_Painted]
 ) -> Iterator[_Painted]:  # fmt: skip
     """Fill the scratch raster window by window; yield what was written."""
-    size = (placement.window.cols * spec.pixels, placement.window.rows * spec.pixels)
-    with create_raster(scratch, placement, spec, size) as file:
+    with rasterio.open(
+        scratch,
+        "w",
+        driver="GTiff",
+        width=placement.window.cols * spec.pixels,
+        height=placement.window.rows * spec.pixels,
+        count=len(spec.bands),
+        dtype=spec.dtype,
+        nodata=None if spec.is_photo else spec.nodata,
+        crs=None if spec.crs is None else rasterio.crs.CRS.from_wkt(spec.crs.to_wkt()),
+        transform=placement.transform(spec.pixels),
+        tiled=True,
+        interleave="band",
+        blockxsize=_SCRATCH_BLOCK,
+        blockysize=_SCRATCH_BLOCK,
+        sparse_ok=not spec.counts_nodata,  # overviews would take a block that is not written for zeros
+        bigtiff="IF_SAFER",
+        photometric="RGB" if spec.is_photo else "MINISBLACK",
+        alpha="YES" if spec.is_photo else "NO",
+    ) as file:
+        file.update_tags(**spec.tags)
+        for number, band in enumerate(spec.bands, start=1):
+            file.set_band_description(number, band.name)
+            file.set_band_unit(number, band.unit)
+            file.update_tags(number, **({"long_name": band.description} if band.description else {}))
+        if spec.colours:
+            file.write_colormap(1, spec.colours)
         for window, canvas in painted:
             file.write(canvas, window=window)
             yield window, canvas

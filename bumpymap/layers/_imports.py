@@ -34,12 +34,7 @@ def import_without_pandas(*names: str) -> None:
 
     No layer needs pandas, and importing it takes a third of a second. Nor do layers need pyarrow's readers of object
     stores, or cloudpickle. Afterwards pyogrio cannot make data frames in this process, so this is for the command line
-    only, never for a process that runs a caller's code.
-
-    Parameters
-    ----------
-    *names : str
-        Dotted names of modules.
+    only, never for a process that runs a caller's code. ``*names``: dotted names of modules.
     """
     finder = _Hidden()
     sys.meta_path.insert(0, finder)

@@ -39,12 +39,8 @@ def read(
 ) -> tuple[str | None, Any, dict[str, Any]]:
     """Return the CRS, the geometries as WKB and the columns of the only layer of geometries; ValueError if damaged.
 
-    Parameters
-    ----------
-    columns : collection of str, optional
-        Names of those that are read, where they are there; None: all.
-    drivers : collection of str
-        The only ones that GDAL may have.
+    ``columns``: names of those that are read, where they are there; None: all; ``drivers``: the only ones that GDAL may
+    have.
     """
     import pyogrio
     from pyogrio.raw import read as read_layer

@@ -19,7 +19,7 @@ from bumpymap.core import (
     write_remedy,
     write_together,
 )
-from bumpymap.layers.manifest import read_manifest
+from bumpymap.layers.manifest import MANIFEST_NAME, read_manifest
 from bumpymap.layers.map_files import open_layer
 from bumpymap.layers.products import COLLECTION_NAME, MapFile, require_folder
 from bumpymap.layers.stac import write_collection
@@ -71,16 +71,13 @@ class SurveyRow:
 def map_facts(folder: Path) -> dict[str, Any]:
     """Return the columns of a `SurveyRow` that follow from the layers of a complete map.
 
-    Raises
-    ------
-    BadInputError
-        The folder holds no complete map, or one that cannot be read.
+    Raises BadInputError: the folder holds no complete map, or one that cannot be read.
     """
     manifest = read_manifest(folder)
     try:
         with utf8_path(folder) as path, open_layer(path / MapFile.CLASS) as raster:
             bounds = dict(zip(("min_x", "min_y", "max_x", "max_y"), map(float, raster.bounds), strict=True))
-        return {**_counted(manifest), **_described(manifest), **bounds}
+        return _counted(manifest) | bounds
     except (OSError, KeyError, TypeError, AttributeError, ValueError) as error:
         raise BadInputError(f"the run.json in {folder} cannot be read as that of a map: {error!r}") from error
 
@@ -91,6 +88,8 @@ def _counted(manifest: dict[str, Any]) -> dict[str, Any]:
     reasons = counts["by_reason"]
     shares = {f"share_{name.replace(' ', '_')}": counts["by_class"][name] for name in CLASS_NAMES}
     shares |= {"share_passable": counts["passable"], "share_unknown": counts["unknown"]}
+    crs, calibration = manifest["crs"], manifest["calibration"]
+    sums = [str(file["checksum"]) for file in manifest["inputs"] if file.get("checksum")]
     return {
         "points": manifest["points"],
         "density": round(manifest["points"] / area, 4) if tiles else None,
@@ -98,13 +97,6 @@ def _counted(manifest: dict[str, Any]) -> dict[str, Any]:
         "tiles": tiles,
         **{name: round(count / tiles, 6) if tiles else None for name, count in shares.items()},
         "unknown_reason": max(reasons, key=reasons.__getitem__) if reasons else None,
-    }
-
-
-def _described(manifest: dict[str, Any]) -> dict[str, Any]:
-    crs, calibration = manifest["crs"], manifest["calibration"]
-    sums = [str(file["checksum"]) for file in manifest["inputs"] if file.get("checksum")]
-    return {
         "seconds": round(sum(manifest["seconds"].values()), 3),
         "crs": None if crs is None else crs["code"] or crs["name"],
         "vehicle": calibration["vehicle"],
@@ -119,16 +111,17 @@ BATCH_LINKS = (_CSV, _PARQUET, COLLECTION_NAME)
 """Files of a batch that its page links to."""
 BATCH_NAMES = (*BATCH_LINKS, _PAGE)
 """Files of a batch in its folder, beside the folders of the surveys."""
-_MAP = "run.json"
 _MOST_LINE = 100_000
-"""Bytes of the first line of a file that are read at most."""
+"""Bytes of the first line of a file that are read at most: chosen, that of a summary has 500."""
 
 
 def check_batch_out(out: Path) -> None:
     """Raise OutputError if a folder holds files that are not those of a batch, where its own would be written."""
     require_folder(out)
-    if lexists(out / _MAP):
-        raise OutputError(f"{out} holds the layers of one map ({_MAP}). Choose another `out` for a batch of surveys")
+    if lexists(out / MANIFEST_NAME):
+        raise OutputError(
+            f"{out} holds the layers of one map ({MANIFEST_NAME}). Choose another `out` for a batch of surveys"
+        )
     present = [name for name in BATCH_NAMES if lexists(out / name)]
     for name in present:
         if (out / name).is_symlink() or not (out / name).is_file():
@@ -142,19 +135,7 @@ def check_batch_out(out: Path) -> None:
 def write_batch_summary(rows: Sequence[SurveyRow], folder: Path, title: str, page: str) -> None:
     """Write summary.csv, summary.parquet, collection.json and index.html, all or none.
 
-    Parameters
-    ----------
-    folder : Path
-        An existing folder.
-    title : str
-        Of the catalogue.
-    page : str
-        Content of index.html.
-
-    Raises
-    ------
-    OutputError
-        The files cannot be written.
+    ``title``: of the catalogue; ``page``: content of index.html. Raises OutputError: the files cannot be written.
     """
     try:
         with write_together(folder, _CSV) as staged, utf8_path(staged) as path:

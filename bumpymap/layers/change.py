@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import shapely
-import shapely.geometry
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, Band
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     import geopandas
 
 _COMPARED_BANDS = ("c_r", "c_r_low", "c_r_high", "density", "coverage")
-_MUST_AGREE = "Map both with the same settings"
 _MOST_TILES = 100_000_000
 """Most tiles that are compared: the values of all of them are in memory, 44 bytes a tile and what follows from them."""
 
@@ -72,22 +70,19 @@ class SurveyPair:
         return self.before.heights(window), self.after.heights(window)
 
     def cell_m(self, pixels: int) -> float:
-        """Return how long so many pixels are, m."""
+        """Return the length of a number of pixels, m."""
         return pixels * self.before.grid.tile_size / self.before.grid.pixels
 
 
 def open_pair(before: Path, after: Path) -> SurveyPair:
     """Open the layers of two surveys of one site.
 
-    Raises
-    ------
-    BadInputError
-        A folder holds no complete run; the surveys differ in CRS, grid, vehicle, calibration, rating or in which points
-        are ground; or they have no place in common, or one of too many tiles.
+    Raises BadInputError: a folder holds no complete run; the surveys differ in CRS, grid, vehicle, calibration, rating
+    or in which points are ground; or they have no place in common, or one of too many tiles.
     """
     first, second = open_map(before), open_map(after)
     if found := _differences(first, second):  # they would not be differences between the surveys
-        raise BadInputError(f"{before} and {after} cannot be compared: {found}. {_MUST_AGREE}")
+        raise BadInputError(f"{before} and {after} cannot be compared: {found}. Map both with the same settings")
     for site in (first, second):
         require_written(site.folder, site.manifest, (MapFile.CLASS,))  # `open_map` does not look at it
     window = common_window(first.window, second.window)
@@ -175,10 +170,7 @@ class ChangeField:
 def change_regions(field: ChangeField, names: Sequence[str]) -> "geopandas.GeoDataFrame":
     """Return the connected changes as a table: outlines in the survey's CRS, and the properties ``names`` of each.
 
-    Raises
-    ------
-    UsageError
-        The extra ``notebook`` is not installed.
+    Raises UsageError: the extra ``notebook`` is not installed.
     """
     geopandas = import_notebook("geopandas")
     place, count = field.placement, len(field.regions)

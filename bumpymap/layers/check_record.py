@@ -52,10 +52,7 @@ def check_entries(result: CheckResult) -> dict[str, Any]:
     }
     if result.by_line is not None:
         columns = _columns(result.by_line)
-        found["line"] = {
-            "agreement": result.agreement_by_line,
-            "stretches": {name: columns[name] for name in _OF_MAP},
-        }
+        found["line"] = {"agreement": result.agreement_by_line, "stretches": {name: columns[name] for name in _OF_MAP}}
     record: dict[str, Any] = plain_json(found)
     return record
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import shapely
-import shapely.geometry
 from numpy.typing import NDArray
 
 from bumpymap.core import CLASS_NAMES, NO_CLASS, CheckResult, DrivenStretches
@@ -18,6 +17,7 @@ from bumpymap.layers.vector import GeoJsonCoordinates, feature, plain_numbers, w
 from bumpytiles import TileWindow
 
 _EDGES = np.array([1 / 2, 1 / 1.5, 1 / 1.2, 1.2, 1.5, 2.0])
+"""Ratios of map to drive at which the next of ``OFF_KINDS`` begins."""
 NOT_COMPARED = len(OFF_KINDS) - 1
 NORMAL_80 = 1.2815515655446004
 """Half width of the 80 % interval of a normal variable, in standard deviations."""
@@ -69,20 +69,14 @@ def place_stretches(stretches: DrivenStretches, ground: MapReader) -> Placement 
 
 
 _DECIMALS = {"way_m": 3, "speed_mps": 3, "start_s": 3, "end_s": 3}
-_OTHER_DECIMALS = 6
+"""Of lengths, speeds and times; all other numbers have 6."""
 
 
 def write_stretches(result: CheckResult, placement: Placement, path: Path) -> None:
     """Write the stretches whose position is known as GeoJSON: WGS 84, or the survey's own coordinates without a CRS.
 
-    ``placement``: from `place_stretches`.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    BadInputError
-        A position cannot be transformed to longitude and latitude.
+    ``placement``: from `place_stretches`. Raises OutputError: the file cannot be written; BadInputError: a position
+    cannot be transformed to longitude and latitude.
     """
     properties = stretch_properties(result)
     middles = np.column_stack([result.stretches.easting, result.stretches.northing])
@@ -98,7 +92,8 @@ def write_stretches(result: CheckResult, placement: Placement, path: Path) -> No
 
 def stretch_properties(result: CheckResult) -> dict[str, list[Any]]:
     """Return what files say of each stretch, by name: plain values, None where not known."""
-    stretches = result.stretches
+    stretches, offset = result.stretches, MapOffset.of(result.stretches)
+    compared = np.isfinite(offset.ratio).tolist()
     names, line = [drive.name for drive in result.drives], result.by_line
     of_line = {} if line is None else _numbers(line, ("c_r", "c_r_low", "c_r_high"))
     return {
@@ -106,23 +101,16 @@ def stretch_properties(result: CheckResult) -> dict[str, list[Any]]:
         **_numbers(stretches, ("start_s", "end_s", "way_m", "speed_mps", "measured", "measured_sd")),
         **_numbers(stretches, ("c_r", "c_r_low", "c_r_high", "place_sd")),
         **{name.replace("c_r", "c_r_line"): values for name, values in of_line.items()},
-        **_offset(MapOffset.of(stretches)),
+        "ratio": plain_numbers(offset.ratio, 4),
+        "off": [OFF_KINDS[kind] for kind in offset.kind.tolist()],
+        "explained": [not off if known else None for off, known in zip(offset.is_off.tolist(), compared, strict=True)],
         **_class("class", stretches.class_id),
         **_class("measured_class", stretches.measured_class),
     }
 
 
 def _numbers(record: DrivenStretches, names: Sequence[str]) -> dict[str, list[float | None]]:
-    return {name: plain_numbers(getattr(record, name), _DECIMALS.get(name, _OTHER_DECIMALS)) for name in names}
-
-
-def _offset(offset: MapOffset) -> dict[str, list[Any]]:
-    compared = np.isfinite(offset.ratio).tolist()
-    return {
-        "ratio": plain_numbers(offset.ratio, 4),
-        "off": [OFF_KINDS[kind] for kind in offset.kind.tolist()],
-        "explained": [not off if known else None for off, known in zip(offset.is_off.tolist(), compared, strict=True)],
-    }
+    return {name: plain_numbers(getattr(record, name), _DECIMALS.get(name, 6)) for name in names}
 
 
 def _class(name: str, codes: NDArray[np.uint8]) -> dict[str, list[Any]]:

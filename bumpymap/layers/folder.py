@@ -44,19 +44,7 @@ from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojso
 def layer_metadata(manifest: Mapping[str, Any], place: Georeference) -> dict[str, Any]:
     """Return the entries that layers carry as metadata, as texts and lists of numbers; what is not known is left out.
 
-    Parameters
-    ----------
-    manifest : mapping
-        The run's own entries for run.json, see `complete_manifest`.
-    place : Georeference
-        CRS of the survey.
-
-    Returns
-    -------
-    dict
-        ``survey``, ``survey_checksum``, ``survey_header_dates`` (first/last, ISO 8601), ``vehicle``, ``calibration``,
-        ``speed_m_per_s`` and ``p_fail_speed_m_per_s`` (of a map at another speed), ``texture_model``, ``rating``,
-        ``class_limits_rad_per_m``, ``bumpymap_version``, ``vertical_crs``.
+    ``manifest``: the run's own entries for run.json, see `complete_manifest`; ``place``: CRS of the survey.
     """
     survey, calibration, settings = (manifest[name] for name in ("survey", "calibration", "settings"))
     is_papers, dates = settings.get("compat") == "paper", survey["dates"]
@@ -65,7 +53,7 @@ def layer_metadata(manifest: Mapping[str, Any], place: Georeference) -> dict[str
     entries = {
         "survey": survey["name"],
         "survey_checksum": survey["checksum"],
-        "survey_header_dates": "/".join(dates) if dates else None,
+        "survey_header_dates": "/".join(dates) if dates else None,  # first and last
         "vehicle": calibration["vehicle"],
         "calibration": calibration["id"],
         # Without it the speed is that of the vehicle's profile.
@@ -102,20 +90,10 @@ def verified_record(
 ) -> Iterator[dict[str, Any]]:
     """Read the manifest of a complete run and verify the checksums of its files.
 
-    Errors of the body of the ``with`` that mean a key is missing or malformed become an OutputError too.
-
-    Parameters
-    ----------
-    files : collection of str or None
-        Files that must exist; those that the manifest lists are checked in any case. None: no file is checked, since
-        the manifest alone is in the folder.
-    manifest : str
-        Name of the manifest.
-
-    Raises
-    ------
-    OutputError
-        The manifest cannot be read as that of a run or does not list a file, or a file is missing or has changed.
+    Errors of the body of the ``with`` that mean a key is missing or malformed become an OutputError too. ``files``:
+    files that must exist; those that the manifest lists are checked in any case. None: no file is checked, since the
+    manifest alone is in the folder. ``manifest``: name of the manifest. Raises OutputError: the manifest cannot be read
+    as that of a run or does not list a file, or a file is missing or has changed.
     """
     record = read_record(folder / manifest)
     unreadable = f"{folder} already holds a {manifest} that cannot be read as that of a run. {_REMEDY}"
@@ -148,18 +126,13 @@ def refuse_replacing(folder: Path, differences: Sequence[str]) -> None:
 _log = logging.getLogger(__name__)
 
 
-ViewWriter: TypeAlias = Callable[[Path, Mapping[str, Any], Callable[..., None]], None]
-"""Writes the files of ``EVERY_VIEW_NAME`` to a folder, from the layers in it and the record of its run. The layers are
-still being written: the third argument waits for those that it is given the names of, or for all."""
-
-
 def write_products(
     table: CostTable,
     folder: Path,
     *,
     local: bool,
     manifest: Mapping[str, Any],
-    views: ViewWriter,
+    views: Callable[[Path, Mapping[str, Any], Callable[..., None]], None],
     progress: Progress | None = None,
 ) -> tuple[list[Path], MapSummary]:
     """Write all files of a run, or none; run.json is written last, so a folder that has one is complete.
@@ -167,34 +140,12 @@ def write_products(
     Files of an earlier run stay until all new ones are complete. Except for run.json, no file depends on the time, on
     the order of the tiles or on the output folder: the same map of the same survey has the same bytes.
 
-    Parameters
-    ----------
-    table : CostTable
-        The tiles.
-    folder : Path
-        An existing folder, see `check_folder`.
-    local : bool
-        Write cost.geojson in the survey's own coordinates if it has no CRS.
-    manifest : mapping
-        The run's own entries for run.json, see `complete_manifest`.
-    views : callable
-        Writes what shows the layers: it is given the folder and the content of run.json.
-    progress : Progress, optional
-        Counts the layers as they are written.
-
-    Returns
-    -------
-    list of Path
-        The files, in the order of ``EVERY_FILE``.
-    MapSummary
-        Counts and medians of the map.
-
-    Raises
-    ------
-    OutputError
-        A file cannot be written.
-    BadInputError
-        The extent is too large for a raster, or there is no CRS and ``local`` is False.
+    ``folder``: an existing folder, see `check_folder`; ``local``: write cost.geojson in the survey's own coordinates if
+    it has no CRS; ``manifest``: the run's own entries for run.json, see `complete_manifest`; ``views``: writes the
+    files of ``EVERY_VIEW_NAME``, given the folder, the content of run.json, and what waits for the layers of some
+    names, or for all, since they are still being written; ``progress``: counts the layers as they are written. Returns
+    the files, in the order of ``EVERY_FILE``; counts and medians of the map. Raises OutputError: a file cannot be
+    written; BadInputError: the extent is too large for a raster, or there is no CRS and ``local`` is False.
     """
     started = time.perf_counter()
     placement = Placement.of(table)
@@ -218,7 +169,7 @@ def write_products(
             views(staged, record, wait)
             files = {file["path"]: file for future in written.values() for file in future.result()}
         record["files"] = [files[name] for name in EVERY_FILE if name in files]
-        write_item(staged, record)
+        write_item(staged, record, placement)
         record["seconds"] = {**manifest["seconds"], "write": round(time.perf_counter() - started, 3)}
         record["files"].append(describe_file(staged / MapFile.ITEM) | {"path": MapFile.ITEM})
         write_manifest(record, staged / MANIFEST_NAME)
@@ -232,10 +183,7 @@ _Layers: TypeAlias = dict[tuple[str, ...], Callable[[], None]]
 
 
 def _layers(
-    table: CostTable,
-    coordinates: GeoJsonCoordinates,
-    folder: Path,
-    metadata: Mapping[str, Any],
+    table: CostTable, coordinates: GeoJsonCoordinates, folder: Path, metadata: Mapping[str, Any]
 ) -> list[_Layers]:
     """Return groups of functions that write layers, keyed by file names; a group is written one by one.
 
@@ -252,14 +200,21 @@ def _layers(
     def rasters(names: Sequence[MapFile]) -> _Layers:
         return {(name,): partial(write_raster, name, table, folder / name, tags) for name in names}
 
-    return [
-        rasters(fine),
-        rasters(coarse),
-        {
-            (MapFile.TILES,): partial(write_tiles, table, folder / MapFile.TILES, tags),
-            (MapFile.REGIONS, MapFile.REGIONS_IN_CRS): partial(_write_regions, table, coordinates, folder, metadata),
-        },
-    ]
+    def write_regions() -> None:
+        flat = folder / MapFile.REGIONS_IN_CRS
+        with (
+            geojson_writer(folder / MapFile.REGIONS, coordinates, metadata) as write_geojson,
+            flatgeobuf_writer(flat, coordinates.placement, tags) as write_flatgeobuf,
+        ):
+            for regions in dissolve(table):
+                write_geojson(regions)
+                write_flatgeobuf(regions)
+
+    tables: _Layers = {
+        (MapFile.TILES,): partial(write_tiles, table, folder / MapFile.TILES, tags),
+        (MapFile.REGIONS, MapFile.REGIONS_IN_CRS): write_regions,
+    }
+    return [rasters(fine), rasters(coarse), tables]
 
 
 def _some(table: CostTable) -> list[MapFile]:
@@ -296,16 +251,3 @@ def _written(
         for wait in (False, True):
             for pool in pools:
                 pool.shutdown(wait=wait, cancel_futures=True)
-
-
-def _write_regions(
-    table: CostTable, coordinates: GeoJsonCoordinates, folder: Path, metadata: Mapping[str, Any]
-) -> None:
-    placement = coordinates.placement
-    with (
-        geojson_writer(folder / MapFile.REGIONS, coordinates, metadata) as write_geojson,
-        flatgeobuf_writer(folder / MapFile.REGIONS_IN_CRS, placement, as_tags(metadata)) as write_flatgeobuf,
-    ):
-        for regions in dissolve(table):
-            write_geojson(regions)
-            write_flatgeobuf(regions)

@@ -58,14 +58,15 @@ def box_sum(values: NDArray[_Number], half: int) -> NDArray[_Number]:
 
 
 _PIXELS = 3
-"""Pixels along a side of a tile."""
+"""Pixels of relief.tif along a side of a tile: chosen, 1 m."""
 _GAPS = (1, 2, 4, 8)
-"""Half widths of the boxes that a pixel without heights is filled from, pixels."""
+"""Half widths of the boxes that a pixel without heights is filled from, pixels: chosen, up to 8 m."""
 _MARGIN = -(-_GAPS[-1] // _PIXELS)
 """Tiles around a window in which heights are needed for its pixels."""
 _READ_TILES = 4096
-"""Most tiles to read at a time."""
+"""Most tiles to read at a time: chosen, 4 MB of heights."""
 _CENTIMETRE = 0.01
+"""m: step of the heights of relief.tif."""
 
 
 def _filled(
@@ -178,10 +179,7 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
     reasons[NO_CLASS] = REASON_COLOURS[Reason.NO_POINTS]
     return {
         MapFile.ROUGHNESS: _Layer(
-            "ride cost and roughness of each tile",
-            BANDS,
-            names,
-            lambda found, _: [found[name] for name in names],
+            "ride cost and roughness of each tile", BANDS, names, lambda found, _: [found[name] for name in names]
         ),
         MapFile.CLASS: of_codes(
             "roughness class of each tile",
@@ -232,10 +230,7 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
             tags={"speeds_m_per_s": " ".join(f"{speed:g}" for speed in table.speeds)},
         ),
         MapFile.HEADINGS: _Layer(
-            "ride cost by heading",
-            HEADING_BANDS,
-            ("headings",),
-            lambda found, _: found["headings"].T,
+            "ride cost by heading", HEADING_BANDS, ("headings",), lambda found, _: found["headings"].T
         ),
         MapFile.HEIGHTMAP: _Layer(
             "height map",
@@ -302,45 +297,15 @@ def _with_alpha(photo: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def write_raster(file: MapFile, table: CostTable, path: Path, about: Mapping[str, str] | None = None) -> None:
-    """Write a raster of a map as a COG.
+    """Write a raster of a map as a COG; what each holds is said in `_layers` and on the page about files.
 
-    Parameters
-    ----------
-    file : MapFile
-        - ``roughness.tif``: float32, one pixel per tile, a band for each of ``BANDS``, NaN if unknown.
-        - ``class.tif``, ``reason.tif``, ``barred.tif``: uint8, one pixel per tile: its class (``NO_CLASS``, nodata, if
-          unknown), why it has none, a `Reason`, and why it is not passable, a `Barred`; nodata without points. The
-          colour table is in the TIFF; names, colours and pixel counts are in ``class.tif.aux.xml`` and so on.
-        - ``cost.tif``: float32, one pixel per tile: the factor on distance, NaN if the tile is not passable. Overviews
-          average the passable tiles.
-        - ``speed.tif``: float32, one pixel per tile: the speed made good, 0 if it is not passable, NaN if unknown.
-        - ``speeds.tif``: float32, one pixel per tile, the bands of `speed_bands`, NaN if unknown.
-        - ``headings.tif``: float32, one pixel per tile, ``HEADING_BANDS``, NaN if unknown.
-        - ``heightmap.tif``: float32, the heightmaps of all tiles side by side, NaN in pixels without points.
-        - ``relief.tif``: float32, 3 x 3 pixels per tile, the mean height in each. A pixel without heights has the mean
-          of those pixels with heights that are at most 1 pixel away along both axes, else at most 2, 4 or 8; NaN if
-          there are none, and in tiles without points. Heights are rounded to 1 cm.
-        - ``obstacle.tif``: uint8 with the pixels of heightmap.tif: free, obstacle, canopy or unknown, which they are
-          where no ground is known, and where objects are part of the relief because all points were measured as ground.
-        - ``photo.tif``: uint8, the same pixels: red, green and blue of the highest coloured point in each, as JPEG with
-          a mask.
-        - ``passage.tif``: uint8, the same pixels: where the middle of the vehicle can be. 0: closed, because an
-          obstacle, unseen ground or a tile that the ground bars is nearer than half the vehicle's width and its margin.
-          From 1: the areas of a tile whose pixels hang together, the largest first. Areas of two tiles are joined where
-          their pixels touch across the border.
-    table : CostTable
-        The tiles.
-    path : Path
-        The file to write.
-    about : mapping, optional
-        Metadata of the file, such as vehicle and calibration.
+    A pixel of relief.tif without heights has the mean of those with heights that are at most 1 pixel away along both
+    axes, else at most 2, 4 or 8; NaN if there are none. In passage.tif 0 is closed, since an obstacle, unseen ground or
+    a tile that the ground bars is nearer than half the vehicle's width and its margin; from 1 on, codes are the areas
+    of a tile whose pixels are connected, the largest first; those of two tiles are joined where their pixels touch.
 
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    BadInputError
-        The extent is too large for a raster.
+    ``about``: metadata of the file, such as vehicle and calibration. Raises OutputError: the file cannot be written;
+    BadInputError: the extent is too large for a raster.
     """
     place, tiles, layer = Placement.of(table), table.tiles, _layers(table)[file]
     tags = {"title": layer.title, "tile_size_m": f"{tiles.grid.tile_size:g}"}

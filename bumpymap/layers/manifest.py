@@ -41,13 +41,12 @@ from bumpymap.core import (
 )
 from bumpymap.layers.placement import Placement
 
-_STRIP = 65_536
-_OBJECT_STRIP = 4_096
-"""Most tiles to read at a time with their heights."""
-_OBJECTS = ("judged", "layered", "tall")
+_STRIP, _OBJECT_STRIP = 65_536, 4_096
+"""Most tiles to read at a time, without and with their heights: chosen, 4 MB of heights."""
 _OBJECT_HEIGHT = 0.5
-"""m: what is lower may be rough ground or grass."""
+"""m: what is lower may be rough ground or grass; chosen."""
 _BINS = 1 << 16
+"""Bins of each histogram."""
 _STEPS = {"c_r": 1 / 8192, "slope": 1 / 512}
 """Width of a histogram bin, rad/m and degrees: an eighth of the last printed digit, up to 8 rad/m and 128 degrees."""
 _SEEN_STEPS = dict(zip(SEEN_COLUMNS, (1 / 16, 1 / 2048, 1 / 2048), strict=True))
@@ -88,11 +87,11 @@ class MapSummary:
     judged: int = 0
     """Tiles with at least 15 points, for the next two."""
     layered: int = 0
-    """Those in which the heights inside a pixel have a standard deviation above 0.5 m: layers above one another."""
+    """Those in which the heights inside a pixel have a standard deviation above 0.5 m: surfaces above one another."""
     tall: int = 0
     """Those whose points are more than 0.5 m from the RANSAC plane, on average."""
     seen: SeenSizes = SeenSizes()  # noqa: RUF009 (frozen)
-    """Smallest things that the survey would have shown in the median tile with a class."""
+    """Smallest obstacle and step that the survey would have shown in the median tile with a class."""
 
     @classmethod
     def of(cls, counts: Mapping[str, Any]) -> Self:
@@ -157,7 +156,7 @@ def summarise(table: CostTable, limits: Sequence[float] | None = None) -> MapSum
     barred = np.zeros(len(Barred), dtype=np.int64)
     points = failing = by_holes = 0
     for strip in table.tiles.strips(_STRIP):
-        names = ("class_id", "barred", "reason", "count", "p_fail", "confidence", *_STEPS, *_SEEN_STEPS)
+        names = ("class_id", "barred", "reason", "count", "confidence", *_STEPS, *_SEEN_STEPS)
         found = table.tiles.read(names, strip)
         barred += np.bincount(found["barred"], minlength=len(Barred))
         group = np.where(found["class_id"] == NO_CLASS, groups - 1, found["class_id"]).astype(np.int64)
@@ -198,7 +197,7 @@ def _count_objects(table: CostTable) -> dict[str, int]:
 
     The variance of z inside pixels is that over the points less that of the pixels' means.
     """
-    totals = np.zeros(len(_OBJECTS), dtype=np.int64)
+    totals = np.zeros(3, dtype=np.int64)
     for strip in table.tiles.strips(_OBJECT_STRIP):
         if (table.tiles.read(("count",), strip)["count"] < THIN_POINTS).all():
             continue
@@ -212,15 +211,14 @@ def _count_objects(table: CostTable) -> dict[str, int]:
         layered = found["z_variance"][judged] - between > _OBJECT_HEIGHT**2
         tall = found["ransac_residual"][judged] > _OBJECT_HEIGHT
         totals += [judged.sum(), layered.sum(), tall.sum()]
-    return dict(zip(_OBJECTS, totals.tolist(), strict=True))
+    return dict(zip(("judged", "layered", "tall"), totals.tolist(), strict=True))
 
 
 def _count(histogram: NDArray[np.int64], group: NDArray[np.int64], value: NDArray[np.floating]) -> None:
     """Add values, in units of bins, to the histogram of their group; the last bin takes those beyond it."""
     known = np.isfinite(value)
     places = group[known] * _BINS + np.minimum(value[known], _BINS - 1).astype(np.int64)
-    where, how_many = np.unique(places, return_counts=True)
-    histogram.reshape(-1)[where] += how_many
+    histogram += np.bincount(places, minlength=histogram.size).reshape(histogram.shape)
 
 
 def _median(histogram: NDArray[np.int64]) -> float:
@@ -235,6 +233,7 @@ def _median(histogram: NDArray[np.int64]) -> float:
 MANIFEST_NAME = "run.json"
 MANIFEST_FORMAT = "bumpymap-run"
 COUNT = Number(0, 1e15, whole=True)
+"""A number of something in a manifest: whole, and exact as a float."""
 PLACE_SHAPE: dict[str, Any] = {
     "crs": Nullable({"name": str, "code": Nullable(str), "wkt": str}),
     "metres_per_unit": {"horizontal": Number(1e-6, 1e6), "vertical": Number(1e-6, 1e6)},
@@ -243,6 +242,7 @@ PLACE_SHAPE: dict[str, Any] = {
 }
 """Shape of what manifests of maps and of comparisons say of their place and files."""
 _POSITIVE = Number(0, 1e9)
+"""Any other number: far beyond what a map can hold, so that arithmetic stays finite."""
 SEEN_SHAPE: dict[str, Any] = {f"{name}?": Nullable(_POSITIVE) for name in SEEN_NUMBERS} | {"seen?": str}
 """Shape of `SeenSizes.record`."""
 _INPUT = {"path": str, "bytes?": Nullable(COUNT), "points?": Nullable(COUNT), "checksum?": Nullable(str)}
@@ -292,39 +292,18 @@ def write_manifest(manifest: Mapping[str, Any], path: Path) -> None:
 
     Dataclasses, paths, CRSs and arrays become plain JSON; numbers that are not finite become null. Bytes of a file name
     that are not UTF-8 are written as escaped surrogates (byte E9 as a backslash and udce9), so that `os.fsencode` of
-    the parsed string is the name again.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    the parsed string is the name again. Raises OutputError: the file cannot be written.
     """
     text = json.dumps(plain_json(manifest), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     with atomic(path) as temporary:
         temporary.write_bytes(text.encode("utf-8", "backslashreplace"))
 
 
-def complete_manifest(
-    manifest: Mapping[str, Any],
-    table: CostTable,
-    summary: MapSummary,
-) -> dict[str, Any]:
+def complete_manifest(manifest: Mapping[str, Any], table: CostTable, summary: MapSummary) -> dict[str, Any]:
     """Add the entries that follow from the map to a run's own entries.
 
-    Parameters
-    ----------
-    manifest : mapping
-        The run's own entries: inputs, settings, model, calibration, vehicle, timings. They are kept.
-    table : CostTable
-        The map.
-    summary : MapSummary
-        Counts and medians of that map.
-
-    Returns
-    -------
-    dict
-        Also with ``format``, ``version``, ``versions``, ``crs``, ``grid``, ``cost``, ``counts`` and ``files``, of
-        which there are none yet; all as plain JSON, as it will be read again.
+    ``manifest``: the run's own entries: inputs, settings, model, calibration, vehicle, timings. They are kept. All is
+    plain JSON, as it will be read again; there are no ``files`` yet.
     """
     record: dict[str, Any] = plain_json(
         {
@@ -373,14 +352,9 @@ def place_entries(placement: Placement) -> dict[str, Any]:
     }
 
 
-def software_versions() -> dict[str, str]:
-    """Return the versions of Python, GDAL, PROJ and the packages that the results depend on."""
-    return dict(_versions())
-
-
 @cache
-def _versions() -> dict[str, str]:
-    """Look the versions up, once: that takes 20 ms."""
+def software_versions() -> dict[str, str]:
+    """Return the versions of Python, GDAL, PROJ and the packages that the results depend on: looking takes 20 ms."""
     import rasterio
 
     versions = {"python": platform.python_version(), "gdal": rasterio.__gdal_version__, "proj": proj_version_str}
@@ -395,10 +369,7 @@ def _versions() -> dict[str, str]:
 def describe_file(path: Path) -> dict[str, Any]:
     """Return path, size in bytes and SHA-256 of a file.
 
-    Raises
-    ------
-    BadInputError
-        The file cannot be read, or changes while it is read.
+    Raises BadInputError: the file cannot be read, or changes while it is read.
     """
     size, _, digest = _hashed(path)
     return {"path": str(path), "bytes": size, "sha256": digest}
@@ -407,15 +378,8 @@ def describe_file(path: Path) -> dict[str, Any]:
 def describe_input(record: Mapping[str, Any]) -> dict[str, Any]:
     """Add the SHA-256 to the record of an input.
 
-    Parameters
-    ----------
-    record : mapping
-        ``path``, and ``bytes`` and ``mtime_ns`` (a string) of the file when the run read it.
-
-    Raises
-    ------
-    BadInputError
-        The file cannot be read, or has changed since the run read it, so that its checksum would be wrong.
+    ``record``: ``path``, and ``bytes`` and ``mtime_ns`` (a string) of the file when the run read it. Raises
+    BadInputError: the file cannot be read, or has changed since the run read it, so that its checksum would be wrong.
     """
     path = Path(record["path"])
     size, changed, digest = _hashed(path)

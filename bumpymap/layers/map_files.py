@@ -13,14 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bumpymap.core import (
-    BadInputError,
-    Child,
-    DecoderError,
-    Guard,
-    module_folder,
-    open_regular,
-)
+from bumpymap.core import BadInputError, Child, DecoderError, Guard, module_folder, open_regular
 from bumpymap.layers._cog import raster_lock
 from bumpymap.layers.manifest import MANIFEST_NAME, describe_file
 
@@ -90,18 +83,9 @@ def closed_gdal(**options: Any) -> Iterator[None]:
 def open_layer(path: Path, *, remedy: str = _AGAIN, **options: Any) -> "Iterator[DatasetReader]":
     """Open a raster of a map, a GeoTIFF; nothing else is read.
 
-    Parameters
-    ----------
-    remedy : str
-        Sentence that ends the message of an error.
-    **options
-        Of GDAL, while the raster is open.
-
-    Raises
-    ------
-    BadInputError
-        It is missing, damaged or of another format; it leads to other files, or the names in it are no text. So is
-        each error of GDAL in the body of the ``with``.
+    ``remedy``: sentence that ends the message of an error; ``**options``: of GDAL, while the raster is open. Raises
+    BadInputError: it is missing, damaged or of another format; it leads to other files, or the names in it are no text.
+    So is each error of GDAL in the body of the ``with``.
     """
     with _reading(path, options, remedy), _opened(path, remedy) as file:
         yield file
@@ -205,26 +189,10 @@ def read_features(
 ) -> "tuple[str | None, NDArray[np.object_], dict[str, NDArray[Any]]]":
     """Read the only layer of geometries of a FlatGeobuf, GeoPackage or Shapefile by the driver of its format alone.
 
-    Parameters
-    ----------
-    columns : collection of str, optional
-        Names of the columns that are read, where they are there; None: all.
-
-    Returns
-    -------
-    crs : str, optional
-        As the file states it: code or WKT.
-    geometry : array (n,)
-        WKB in two dimensions; None for a feature without one.
-    columns : dict
-        Name -> (n,) values.
-
-    Raises
-    ------
-    BadInputError
-        It is missing, damaged or of another format, computes what it holds, or holds several layers of geometries.
-    UsageError
-        No process can be started.
+    ``columns``: names of the columns that are read, where they are there; None: all. Returns ``crs``: as the file
+    states it: code or WKT; ``geometry`` (n,): WKB in two dimensions; None for a feature without one; ``columns``: name
+    -> (n,) values. Raises BadInputError: it is missing, damaged or of another format, computes what it holds, or holds
+    several layers of geometries; UsageError: no process can be started.
     """
     parts = [part for part in path.parent.iterdir() if part.stem == path.stem] if path.parent.is_dir() else []
     if pipes := [part for part in parts if part.exists() and not (part.is_file() or part.is_dir())]:
@@ -259,24 +227,13 @@ def _skipped_drivers() -> str:
 
 
 def require_written(
-    folder: Path,
-    manifest: Mapping[str, Any],
-    names: Iterable[str],
-    record: str = MANIFEST_NAME,
-    most: float = math.inf,
+    folder: Path, manifest: Mapping[str, Any], names: Iterable[str], record: str = MANIFEST_NAME, most: float = math.inf
 ) -> None:
     """Raise BadInputError if a file is missing, or is not the one that a manifest lists by size and checksum.
 
-    GDAL reads many a damaged block without an error.
-
-    Parameters
-    ----------
-    manifest : mapping
-        With ``files``, from `describe_file`.
-    record : str
-        File name of the manifest, for messages.
-    most : float
-        Bytes of the largest file whose checksum is compared; a larger one is held against its size.
+    GDAL reads many a damaged block without an error. ``manifest``: with ``files``, from `describe_file`; ``record``:
+    file name of the manifest, for messages; ``most``: bytes of the largest file whose checksum is compared; a larger
+    one is held against its size.
     """
     written = {str(file["path"]): file for file in manifest["files"]}
     for name in names:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from itertools import pairwise, product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,9 +34,6 @@ from bumpymap.layers.manifest import read_manifest
 from bumpymap.layers.map_files import KeptRasters, read_averaged, read_colours, require_written
 from bumpymap.layers.products import MapFile
 from bumpytiles import Grid, TileWindow
-
-if TYPE_CHECKING:
-    from rasterio.io import DatasetReader
 
 Coordinate = TypeVar("Coordinate", float, NDArray[np.float64])
 
@@ -64,9 +61,9 @@ _PIECE = 512
 for one; a piece of all of them fits into its cache."""
 _AGAIN = "Map the survey again"
 _PLANE_PIXELS = 1 << 20
-"""Heights that planes are put through at once."""
+"""Heights that planes are put through at once: chosen, 4 MB."""
 _LEAST_SPREAD = 0.05
-"""Of the pixels that have a height, of that of a whole tile: they tell a plane if they are not all on one line."""
+"""Of the pixels that have a height, of that of a whole tile: they give a plane if they are not all on one line."""
 
 
 @dataclass(frozen=True)
@@ -104,11 +101,8 @@ class MapReader:
     def read(self, window: TileWindow, bands: Sequence[str] = _BANDS) -> TileField:
         """Read the tiles of a window, which may extend beyond the map.
 
-        Parameters
-        ----------
-        bands : sequence of str
-            Names of arrays of `TileField`. Those of the others are NaN, read-only and take no memory. Of tiles that a
-            step closes in part they are those of what is open.
+        ``bands``: names of arrays of `TileField`. Those of the others are NaN, read-only and take no memory. Of tiles
+        that a step closes in part they are those of what is open.
         """
         found = self.values(window, bands)
         self._take_open_part(found, window)
@@ -134,11 +128,8 @@ class MapReader:
     def values(self, window: TileWindow, bands: Sequence[str], *, classes: bool = False) -> dict[str, NDArray[Any]]:
         """Read what bars the tiles of a window, bands of roughness.tif by name, and if asked for the classes.
 
-        Returns
-        -------
-        dict
-            ``barred``, uint8: a `Barred`, or ``NO_TILE``; ``class_id``, uint8: ``NO_CLASS`` where unknown; bands,
-            float32, NaN where unknown. Each (rows, cols), north row first.
+        Returns ``barred``, uint8: a `Barred`, or ``NO_TILE``; ``class_id``, uint8: ``NO_CLASS`` where unknown; bands,
+        float32, NaN where unknown. Each (rows, cols), north row first.
         """
         shape = (window.rows, window.cols)
         out: dict[str, NDArray[Any]] = {"barred": np.full(shape, NO_TILE, np.uint8)}
@@ -162,7 +153,7 @@ class MapReader:
 
     @property
     def has_headings(self) -> bool:
-        """True if the map tells C_r by heading."""
+        """True if the map has C_r by heading."""
         return MapFile.HEADINGS in _rasters(self.manifest)
 
     def headings(self, window: TileWindow) -> NDArray[np.float32]:
@@ -185,12 +176,8 @@ class MapReader:
 
         The plane of a tile goes through the heights of its pixels. Planes of tiles that are closed by their ground do
         not count at the corners of others. So what one tile rises, the next goes on with, and the rise along a way is
-        that of the ground whichever tiles it crosses.
-
-        Returns
-        -------
-        float32 (rows, cols, 2)
-            Rise per metre southwards and eastwards; 0 where too few heights are known for a plane.
+        that of the ground whichever tiles it crosses. Returns float32 (rows, cols, 2): rise per metre southwards and
+        eastwards; 0 where too few heights are known for a plane.
         """
         pixels = self.grid.pixels
         out = np.empty((window.rows, window.cols, 2), np.float32)
@@ -206,39 +193,23 @@ class MapReader:
     def relief(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.float32]:
         """Read mean heights of the ground from the overviews of heightmap.tif.
 
-        Parameters
-        ----------
-        window : TileWindow
-            May extend beyond the map.
-        shape : tuple
-            Rows and columns of the result, which spans the window.
-
-        Returns
-        -------
-        float32 of that shape
-            m, north row first; NaN where there is none. The map is placed to the nearest pixel.
+        ``window``: may extend beyond the map; ``shape``: rows and columns of the result, which spans the window.
+        Returns heights in m, north row first; NaN where there is none. The map is placed to the nearest pixel.
         """
         return self._pixels(MapFile.HEIGHTMAP, window, np.full(shape, np.nan, np.float32))
 
     def photo(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.float32] | None:
         """Read the colours of the points from the overviews of photo.tif; None if the map has no photo.
 
-        Parameters
-        ----------
-        window, shape
-            As for `relief`.
-
-        Returns
-        -------
-        float32 (rows, cols, 3)
-            Red, green and blue, 0 to 255; NaN where there is none.
+        ``window``, ``shape``: as for `relief`. Returns float32 (rows, cols, 3): red, green and blue, 0 to 255; NaN
+        where there is none.
         """
         if MapFile.PHOTO not in _rasters(self.manifest):
             return None
         return self._pixels(MapFile.PHOTO, window, np.full((*shape, 3), np.nan, np.float32))
 
     def objects(self, window: TileWindow) -> NDArray[np.uint8]:
-        """Read what stands on the ground, uint8 (rows * pixels, cols * pixels).
+        """Read the objects on the ground, uint8 (rows * pixels, cols * pixels).
 
         0 free, 1 obstacle, 2 canopy, 3 unknown, 4 a step that it cannot cross; 255 outside the tiles with points.
         """
@@ -275,23 +246,20 @@ class MapReader:
     ) -> None:
         """Read a window that lies inside the map into arrays, which may be parts of larger ones.
 
-        Parameters
-        ----------
-        out : sequence of arrays
-            One for each band, (rows * p, cols * p), north row first; p is the number of pixels along a tile in rasters
-            of pixels, else 1.
-        bands : sequence of str
-            Names of the bands; none: the first.
+        ``out``: one for each band, (rows * p, cols * p), north row first; p is the number of pixels along a tile in
+        rasters of pixels, else 1; ``bands``: names of the bands; none: the first.
         """
         top, left, rows, cols = self._place(name, window)
         self._require_whole(name)
         with self.rasters.opened(self.folder / name) as file:
-            numbers = _numbers(self.folder / name, file, bands)
+            if missing := [band for band in bands if band not in file.descriptions]:
+                raise BadInputError(f"{self.folder / name} has no band {missing[0]}. {_AGAIN}")
+            numbers = [file.descriptions.index(band) + 1 for band in bands] or [1]
             # Cut at multiples of a piece, so that no block of the file is decoded twice.
             for lines, columns in product(_cut(top, top + rows), _cut(left, left + cols)):
-                part = ((lines.start, lines.stop), (columns.start, columns.stop))
-                for array, values in zip(out, file.read(numbers, window=part), strict=True):
-                    array[_moved(lines, top), _moved(columns, left)] = values
+                place = slice(lines[0] - top, lines[1] - top), slice(columns[0] - left, columns[1] - left)
+                for array, values in zip(out, file.read(numbers, window=(lines, columns)), strict=True):
+                    array[place] = values
 
     def _read_pixels(self, name: MapFile, window: TileWindow, shape: tuple[int, int]) -> NDArray[Any]:
         """Read a window of the map of a raster with several pixels a tile, in ``shape`` pixels.
@@ -336,27 +304,14 @@ class MapReader:
         return easting / unit, northing / unit
 
     def to_lonlat(self, easting: Coordinate, northing: Coordinate) -> tuple[Coordinate, Coordinate]:
-        """Convert easting and northing on the grid, m, to WGS 84 longitude and latitude, degrees.
-
-        They are infinite where the CRS cannot be used.
-
-        Raises
-        ------
-        BadInputError
-            The map has no CRS.
-        """
+        """Convert easting and northing, m, to WGS 84 degrees: the inverse of `from_lonlat`."""
         longitude, latitude = self._to_wgs84.transform(*self.to_crs(easting, northing))
         return longitude, latitude
 
     def from_lonlat(self, longitude: Coordinate, latitude: Coordinate) -> tuple[Coordinate, Coordinate]:
         """Convert WGS 84 longitude and latitude, degrees, to easting and northing on the grid, m.
 
-        They are infinite where the CRS cannot be used.
-
-        Raises
-        ------
-        BadInputError
-            The map has no CRS.
+        They are infinite where the CRS cannot be used. Raises BadInputError: the map has no CRS.
         """
         return self.to_grid(*self._to_wgs84.transform(longitude, latitude, direction="INVERSE"))
 
@@ -385,11 +340,8 @@ class MapReader:
 def open_map(folder: str | os.PathLike[str]) -> MapReader:
     """Open the layers of a complete run.
 
-    Raises
-    ------
-    BadInputError
-        The folder holds no complete run, or one of another version; or a raster is missing, cut off, or does not
-        fit to the others.
+    Raises BadInputError: the folder holds no complete run, or one of another version; or a raster is missing, cut off,
+    or does not fit to the others.
     """
     folder, rasters = Path(folder), KeptRasters()
     manifest = read_manifest(folder)
@@ -434,23 +386,8 @@ def common_window(first: TileWindow, second: TileWindow) -> TileWindow | None:
     return TileWindow(west, south, cols, rows) if cols > 0 and rows > 0 else None
 
 
-def _numbers(path: Path, file: "DatasetReader", bands: Sequence[str]) -> list[int]:
-    if not bands:
-        return [1]
-    names = file.descriptions
-    missing = [band for band in bands if band not in names]
-    if missing:
-        raise BadInputError(f"{path} has no band {missing[0]}. {_AGAIN}")
-    return [names.index(band) + 1 for band in bands]
-
-
-def _cut(start: int, stop: int) -> list[slice]:
-    edges = [start, *range((start // _PIECE + 1) * _PIECE, stop, _PIECE), stop]
-    return [slice(low, high) for low, high in pairwise(edges)]
-
-
-def _moved(part: slice, by: int) -> slice:
-    return slice(part.start - by, part.stop - by)
+def _cut(start: int, stop: int) -> list[tuple[int, int]]:
+    return list(pairwise([start, *range((start // _PIECE + 1) * _PIECE, stop, _PIECE), stop]))
 
 
 def _window_of(folder: Path, name: MapFile, grid: Grid, georeference: Georeference, rasters: KeptRasters) -> TileWindow:

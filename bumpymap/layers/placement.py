@@ -7,7 +7,6 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-import rasterio
 from numpy.typing import NDArray
 from pyproj import CRS
 
@@ -29,12 +28,8 @@ MAX_PIXELS = 100_000_000_000
 def check_extent(grid: Grid, window: TileWindow) -> None:
     """Refuse a window that is too large for a raster, as for two sites far apart or an outlying point.
 
-    Gaps take almost no disk space or memory, but GDAL visits every tile of most rasters, empty or not.
-
-    Raises
-    ------
-    BadInputError
-        More than ``MAX_TILES`` tiles, ``MAX_SIDE`` of them along a side, or ``MAX_PIXELS`` pixels.
+    Gaps take almost no disk space or memory, but GDAL visits every tile of most rasters, empty or not. Raises
+    BadInputError: more than ``MAX_TILES`` tiles, ``MAX_SIDE`` of them along a side, or ``MAX_PIXELS`` pixels.
     """
     tiles = window.cols * window.rows
     along = max(window.cols, window.rows)
@@ -115,23 +110,16 @@ class Placement:
         """
         window = self.window
         east, north = window.col + window.cols, window.row + window.rows
-        cols = _cuts(window.col, east, side, 0 if aligned else window.col)
-        rows = _cuts(window.row, north, side, 0 if aligned else north)
+
+        def cuts(start: int, stop: int, origin: int) -> list[tuple[int, int]]:
+            return list(pairwise([start, *range(start + 1 + (origin - start - 1) % side, stop, side), stop]))
+
+        cols = cuts(window.col, east, 0 if aligned else window.col)
+        rows = cuts(window.row, north, 0 if aligned else north)
         for south, top in reversed(rows):
             for west, right in cols:
                 inside = TileWindow(west, south, right - west, top - south)
                 yield RasterWindow(inside, north - top, west - window.col)
-
-
-def _cuts(start: int, stop: int, side: int, origin: int) -> list[tuple[int, int]]:
-    """Split ``start`` to ``stop`` at multiples of ``side`` from ``origin``."""
-    edges = [start, *range(start + 1 + (origin - start - 1) % side, stop, side), stop]
-    return list(pairwise(edges))
-
-
-SCRATCH_BLOCK = 256
-"""Side of a block of the scratch raster, pixels. Writing 11 bands of 2560 x 2560 pixels takes 13 s of CPU time; blocks
-of 512 pixels, or pixel interleaving, were measured to take up to 3 times as long."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,41 +146,3 @@ class RasterSpec:
     """DEFLATE compression level, 1 to 9."""
     is_photo: bool = False
     """True: red, green, blue and alpha, stored as JPEG with a mask; nodata is not noted."""
-
-
-def create_raster(
-    name: str, placement: Placement, spec: RasterSpec, size: tuple[int, int], bigtiff: str = "IF_SAFER"
-) -> rasterio.io.DatasetWriter:
-    """Open a new sparse GeoTIFF of ``size`` (width, height) pixels, with CRS, transform and metadata set."""
-    file = rasterio.open(
-        name,
-        "w",
-        driver="GTiff",
-        width=size[0],
-        height=size[1],
-        count=len(spec.bands),
-        dtype=spec.dtype,
-        nodata=None if spec.is_photo else spec.nodata,
-        crs=None if spec.crs is None else rasterio.crs.CRS.from_wkt(spec.crs.to_wkt()),
-        transform=placement.transform(spec.pixels),
-        tiled=True,
-        interleave="band",
-        blockxsize=SCRATCH_BLOCK,
-        blockysize=SCRATCH_BLOCK,
-        sparse_ok=not spec.counts_nodata,  # overviews would take a block that is not written for zeros
-        bigtiff=bigtiff,
-        photometric="RGB" if spec.is_photo else "MINISBLACK",
-        alpha="YES" if spec.is_photo else "NO",
-    )
-    _write_metadata(file, spec)
-    return file
-
-
-def _write_metadata(file: rasterio.io.DatasetWriter, spec: RasterSpec) -> None:
-    file.update_tags(**spec.tags)
-    for number, band in enumerate(spec.bands, start=1):
-        file.set_band_description(number, band.name)
-        file.set_band_unit(number, band.unit)
-        file.update_tags(number, **({"long_name": band.description} if band.description else {}))
-    if spec.colours:
-        file.write_colormap(1, spec.colours)

@@ -11,20 +11,12 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
-from bumpymap.core import (
-    STAGED,
-    OutputError,
-    UsageError,
-    locked,
-    remove_empty_on_error,
-    remove_path,
-    write_together,
-)
+from bumpymap.core import STAGED, OutputError, UsageError, locked, remove_empty_on_error, remove_path, write_together
 from bumpymap.layers.manifest import MANIFEST_NAME, describe_file, write_manifest
 
 
 def require_folder(out: Path) -> None:
-    """Raise OutputError if something else than a folder stands at ``out``."""
+    """Raise OutputError if there is something else than a folder at ``out``."""
     if lexists(out) and not out.is_dir():
         raise OutputError(f"cannot write to the folder {out}: it is a file. Choose another `out`")
 
@@ -118,12 +110,7 @@ def make_folder(folder: Path) -> None:
     """Create a folder if it is missing, and find out whether files can be written there.
 
     Half-written files of a killed run are removed; the caller holds the lock of the folder, so no other run is using
-    it.
-
-    Raises
-    ------
-    OutputError
-        The folder cannot be created or written.
+    it. Raises OutputError: the folder cannot be created or written.
     """
     require_folder(folder)
     try:
@@ -143,19 +130,9 @@ def make_folder(folder: Path) -> None:
 def check_folder(folder: Path, *, overwrite: bool) -> None:
     """Check that the files of a map can be written to a folder, which is made by `make_folder`.
 
-    A file that is a symbolic link will be replaced as a link; its target is not touched.
-
-    Parameters
-    ----------
-    folder : Path
-        The output folder.
-    overwrite : bool
-        Allow files of any earlier run to be replaced.
-
-    Raises
-    ------
-    OutputError
-        The folder cannot be created or written, holds files that must not be replaced, or a folder in it is a link.
+    A file that is a symbolic link will be replaced as a link; its target is not touched. ``overwrite``: allow files of
+    any earlier run to be replaced. Raises OutputError: the folder cannot be created or written, holds files that must
+    not be replaced, or a folder in it is a link.
     """
     make_folder(folder)
     for part in sorted({(folder / name).parent for name in MapFile} - {folder}):
@@ -179,12 +156,8 @@ class OutputFolder:
     def check(self, out: Path, *, overwrite: bool) -> None:
         """Check, before anything is computed, that the files can be written to a folder. Writes nothing.
 
-        Raises
-        ------
-        UsageError
-            ``out`` holds the layers of a survey.
-        OutputError
-            There are files that must not be replaced, or ``out`` is a file.
+        Raises UsageError: ``out`` holds the layers of a survey; OutputError: there are files that must not be replaced,
+        or ``out`` is a file.
         """
         require_folder(out)
         if lexists(out / MANIFEST_NAME):
@@ -201,25 +174,10 @@ class OutputFolder:
     ) -> list[Path]:
         """Write files to a folder, which is created if it is missing: all of them, or none.
 
-        Parameters
-        ----------
-        writers : mapping
-            How each is written, by name.
-        describe : callable
-            Returns the content of the manifest, given the folder with the new files, and their sizes and checksums; it
-            may write views there.
-        overwrite : bool
-            Allow files of an earlier run to be replaced.
-
-        Returns
-        -------
-        list of Path
-            Files of the writers, then the manifest.
-
-        Raises
-        ------
-        OutputError
-            There are files that must not be replaced, or one cannot be written.
+        ``writers``: how each is written, by name; ``describe``: returns the content of the manifest, given the folder
+        with the new files, and their sizes and checksums; it may write views there; ``overwrite``: allow files of an
+        earlier run to be replaced. Returns files of the writers, then the manifest. Raises OutputError: there are files
+        that must not be replaced, or one cannot be written.
         """
         with remove_empty_on_error(out), locked(out):
             make_folder(out)

@@ -1,9 +1,7 @@
 """Dissolve adjacent tiles of one class into regions with the mean values of their tiles, and trace their outlines.
 
-A region is either passable as a whole or not at all. Tiles are connected by a compiled union-find, because
-scipy.ndimage labels one value at a time: measured three to six times slower, and 0.2 s to import. The root of an area
-is its first pixel in reading order (north row first, west first), so areas get their numbers in that order. Sums are
-made one tile after the other: the same tiles in the same order give the same bits.
+A region is either passable as a whole or not at all. scikit-image numbers the areas, because scipy.ndimage labels one
+value at a time. Sums are made one tile after the other: the same tiles in the same order give the same bits.
 
 Rings have a vertex wherever the ring of a neighbour has one. Outlines of adjacent areas are then a valid coverage in
 any coordinates: both sides of a border are the same segments, however they are bent or rounded on the way.
@@ -12,7 +10,6 @@ any coordinates: both sides of a border are the same segments, however they are 
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 import rasterio.features
@@ -23,115 +20,30 @@ from rasterio.transform import Affine
 from bumpymap.core import NO_CLASS, CostTable
 from bumpymap.layers._cog import raster_lock
 from bumpymap.layers.placement import Placement, RasterWindow
-from bumpytiles import BLOCK_TILES, TileWindow, helper, kernel
+from bumpytiles import BLOCK_TILES, TileWindow
 
 
-def label(keys: NDArray[np.uint8]) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]]:
+def label(keys: NDArray[np.uint8]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Give a number to each of the 4-connected areas of equal key, from 1, in the order of their first pixels.
 
-    Parameters
-    ----------
-    keys : array (rows, cols) uint8
-        0 belongs to no area.
-
-    Returns
-    -------
-    labels : array (rows, cols) int32
-        Number of the area of each pixel; 0 where the key is 0.
-    first, last : arrays (m,) int64
-        First and last pixel of each area, as positions in ``keys.ravel()``.
+    ``keys`` (rows, cols) uint8: 0 belongs to no area. Returns ``labels`` (rows, cols) int32: number of the area of each
+    pixel; 0 where the key is 0; ``first`` (m,) int64: first pixel of each area, as a position in ``keys.ravel()``.
     """
-    labels = np.zeros(keys.shape, dtype=np.int32)
-    found = np.zeros(1, dtype=np.int64)
-    _number(np.ascontiguousarray(keys, np.uint8), labels, np.arange(keys.size, dtype=np.int32), found)
-    count = int(found[0])
-    first, last = np.full(count, -1, dtype=np.int64), np.zeros(count, dtype=np.int64)
-    _find_ends(labels.ravel(), first, last)
-    return labels, first, last
+    from skimage.measure import label as number_areas
 
-
-@helper
-def _root(parent: NDArray[np.int32], pixel: int) -> int:
-    """Find the first pixel of an area; paths are halved on the way."""
-    while parent[pixel] != pixel:
-        parent[pixel] = parent[parent[pixel]]
-        pixel = parent[pixel]
-    return pixel
-
-
-@helper
-def _join(parent: NDArray[np.int32], one: int, other: int) -> None:
-    """Make two areas one; the earlier root stays."""
-    one, other = _root(parent, one), _root(parent, other)
-    if one < other:
-        parent[other] = one
-    else:
-        parent[one] = other
-
-
-@kernel
-def _number(
-    keys: Annotated[NDArray[np.uint8], 2],
-    labels: Annotated[NDArray[np.int32], 2],
-    parent: Annotated[NDArray[np.int32], 1],
-    found: Annotated[NDArray[np.int64], 1],
-) -> None:
-    """Fill ``labels``, and ``found`` (1,) with how many areas there are.
-
-    ``parent`` is scratch, (pixels,): each pixel's own position.
-    """
-    rows, cols = keys.shape
-    for row in range(rows):
-        for col in range(cols):
-            key = keys[row, col]
-            if key == 0:
-                continue
-            if col > 0 and keys[row, col - 1] == key:
-                _join(parent, row * cols + col - 1, row * cols + col)
-            if row > 0 and keys[row - 1, col] == key:
-                _join(parent, (row - 1) * cols + col, row * cols + col)
-    count = 0
-    for row in range(rows):
-        for col in range(cols):
-            if keys[row, col] == 0:
-                continue
-            root = _root(parent, row * cols + col)
-            if root == row * cols + col:
-                count += 1
-                labels[row, col] = count
-            else:
-                labels[row, col] = labels[root // cols, root % cols]
-    found[0] = count
-
-
-@kernel
-def _find_ends(
-    labels: Annotated[NDArray[np.int32], 1],
-    first: Annotated[NDArray[np.int64], 1],
-    last: Annotated[NDArray[np.int64], 1],
-) -> None:
-    """Fill what `label` returns of each area."""
-    for pixel in range(len(labels)):
-        area = labels[pixel] - 1
-        if area >= 0:
-            last[area] = pixel
-            if first[area] < 0:
-                first[area] = pixel
+    labels = number_areas(keys, background=0, connectivity=1).astype(np.int32)
+    first = np.empty(int(labels.max(initial=0)) + 1, np.int64)
+    first[labels.ravel()[::-1]] = np.arange(labels.size - 1, -1, -1)  # of equal indices the last assignment counts
+    return labels, first[1:]
 
 
 def shared_corners(areas: NDArray[np.integer]) -> NDArray[np.bool_]:
     """Find the corners of tiles that are vertices of outlines: all at which borders turn, meet, cross or touch.
 
-    Parameters
-    ----------
-    areas : integers (rows + 2, cols + 2)
-        Number of the area of each tile of a window and of the tiles around it, north row first; 0 for none. There is a
-        border between tiles that share a side and have unlike numbers.
-
-    Returns
-    -------
-    bool (rows + 1, cols + 1)
-        One for each corner of a tile of the window, north-west first. False on straight borders and off them.
+    ``areas`` integers (rows + 2, cols + 2): number of the area of each tile of a window and of the tiles around it,
+    north row first; 0 for none. There is a border between tiles that share a side and have unlike numbers. Returns bool
+    (rows + 1, cols + 1): one for each corner of a tile of the window, north-west first. False on straight borders and
+    off them.
     """
     beside = areas[:, 1:] != areas[:, :-1]
     below = areas[1:] != areas[:-1]
@@ -140,29 +52,14 @@ def shared_corners(areas: NDArray[np.integer]) -> NDArray[np.bool_]:
 
 
 def trace_labels(
-    labels: NDArray[np.int32],
-    window: TileWindow,
-    rows: slice,
-    wanted: range,
-    corners: NDArray[np.bool_] | None = None,
+    labels: NDArray[np.int32], window: TileWindow, rows: slice, wanted: range, corners: NDArray[np.bool_] | None = None
 ) -> NDArray[np.object_]:
     """Trace the outlines of 4-connected areas of tiles: right-hand rings, in grid coordinates (1 is one tile).
 
-    Parameters
-    ----------
-    labels : int32 (rows, cols)
-        Number of the area of each tile of the window, north row first.
-    rows : slice
-        Rows of the window in which the wanted areas lie.
-    wanted : range
-        Their numbers.
-    corners : bool (rows + 1, cols + 1), optional
-        Corners of tiles of the window that are vertices, from `shared_corners`: at least those at which the border of a
-        wanted area turns. By default those of ``labels`` alone.
-
-    Returns
-    -------
-    array (len(wanted),) of polygons
+    ``labels`` int32 (rows, cols): number of the area of each tile of the window, north row first; ``rows``: rows of
+    the window in which the wanted areas lie; ``wanted``: their numbers; ``corners`` bool (rows + 1, cols + 1):
+    corners of tiles of the window that are vertices, from `shared_corners`: at least those at which the border of a
+    wanted area turns. By default those of ``labels`` alone. Returns (len(wanted),) polygons.
     """
     part = labels[rows]
     held = shared_corners(np.pad(part, 1)) if corners is None else corners[rows.start : rows.start + len(part) + 1]
@@ -231,12 +128,10 @@ _STRIP = REGION_WINDOW * BLOCK_TILES
 """Most tiles to read at a time: one row of blocks, so that sums run along the rows of a window."""
 _VALUES = ("c_r", "c_r_low", "c_r_high", "p_fail")
 
-# Tiles with equal keys join. 0: no points; class + 1: passable; class + 1 + _IMPASSABLE: not passable;
-# _UNKNOWN + reason: no class.
-_IMPASSABLE = 10
-_UNKNOWN = 100
-_OTHER_WINDOW = 128
-"""Added to the keys of tiles outside a window, so that the cut is a border."""
+_IMPASSABLE, _UNKNOWN, _OTHER_WINDOW = 10, 100, 128
+"""Parts of the keys of tiles, of which those with equal ones join. 0: no points; class + 1: passable; with the first
+added: not passable; the second plus the reason: no class; the third is added outside a window, so that the cut is a
+border."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,20 +167,11 @@ def dissolve(table: CostTable) -> Iterator[Regions]:
     """Dissolve tiles that share a side into regions of one class and passability, or of one reason if unknown.
 
     Outlines run along tile sides; vertices are whole numbers of tiles. All of them are a valid coverage: adjacent
-    regions have the same vertices along their border. A large map is dissolved in windows of
-    `REGION_WINDOW` x `REGION_WINDOW` tiles from its north-west corner: regions are cut at the borders of windows, and
-    memory does not depend on the size of the map.
-
-    Yields
-    ------
-    Regions
-        Up to some thousand regions: windows north-west first, regions of a window in the order of their first tile,
-        northmost (then westmost) first. They are numbered in that order.
-
-    Raises
-    ------
-    BadInputError
-        The extent is too large for a raster.
+    regions have the same vertices along their border. A large map is dissolved in windows of `REGION_WINDOW` x
+    `REGION_WINDOW` tiles from its north-west corner: regions are cut at the borders of windows, and memory does not
+    depend on the size of the map. Yields up to some thousand regions: windows north-west first, regions of a window in
+    the order of their first tile, northmost (then westmost) first. They are numbered in that order. Raises
+    BadInputError: the extent is too large for a raster.
     """
     place = Placement.of(table)
     found = 0
@@ -301,7 +187,10 @@ def _dissolve_window(table: CostTable, place: Placement, window: RasterWindow, b
     keys = _region_keys(table, window)
     corners = shared_corners(keys)
     keys = np.ascontiguousarray(keys[1:-1, 1:-1])
-    labels, first, last = label(keys)
+    labels, first = label(keys)
+    last_row = np.empty(len(first) + 1, np.int64)
+    last_row[labels] = np.arange(len(labels))[:, None]
+    last_row = last_row[1:]
     key = keys.ravel()[first]
     tiles = np.bincount(labels.ravel(), minlength=len(first) + 1)[1:]
     means = _sum_values(table, window, labels, len(first)) / tiles
@@ -310,10 +199,10 @@ def _dissolve_window(table: CostTable, place: Placement, window: RasterWindow, b
     reason = np.where(key >= _UNKNOWN, key - _UNKNOWN, 0).astype(np.uint8)
     for start in range(0, len(first), BATCH):
         some = slice(start, start + BATCH)
-        rows = slice(int(first[start]) // window.tiles.cols, int(last[some].max()) // window.tiles.cols + 1)
+        numbers = range(start + 1, start + len(first[some]) + 1)
+        rows = slice(int(first[start]) // window.tiles.cols, int(last_row[some].max()) + 1)
         c_r, c_r_low, c_r_high, p_fail, hazard = means[:, some]
         free = passable[some]
-        numbers = range(start + 1, start + len(first[some]) + 1)
         yield Regions(
             placement=place,
             number=np.arange(before + numbers.start, before + numbers.stop),

@@ -59,10 +59,7 @@ class VectorLayer:
 def read_vectors(path: Path) -> VectorLayer:
     """Read the only layer of a vector file; of a GPX file the waypoints, or else the points of its routes.
 
-    Raises
-    ------
-    BadInputError
-        The file is missing, damaged or no vector file, or it has several layers.
+    Raises BadInputError: the file is missing, damaged or no vector file, or it has several layers.
     """
     try:
         if path.suffix.lower() in {".geojson", ".json"}:
@@ -74,10 +71,6 @@ def read_vectors(path: Path) -> VectorLayer:
     except CRSError as error:
         raise BadInputError(f"cannot read {path}: {str(error).splitlines()[0]}. {_REMEDY}") from error
     return _read_table(path)
-
-
-def _text(path: Path) -> str:
-    return read_regular(path).decode("utf-8-sig")
 
 
 _GEOMETRY = {"type": str, "coordinates?": list, "geometries?": list}
@@ -93,19 +86,11 @@ _GEOJSON_SHAPE = {
 def geojson_features(path: Path) -> tuple[list[tuple[dict[str, Any], dict[str, Any]]], str | None]:
     """Read a GeoJSON file.
 
-    Returns
-    -------
-    features : list of (dict, dict)
-        Geometry, with two numbers for each position, and properties of each feature that has a geometry.
-    crs : str, optional
-        Name of the CRS that the file states; files of RFC 7946 state none.
-
-    Raises
-    ------
-    OSError, ValueError
-        The file cannot be read, or is no GeoJSON.
+    Returns ``features``: geometry, with two numbers for each position, and properties of each feature that has a
+    geometry; ``crs``: name of the CRS that the file states; files of RFC 7946 state none. Raises OSError, ValueError:
+    the file cannot be read, or is no GeoJSON.
     """
-    record = parse_json(_text(path))
+    record = parse_json(read_regular(path).decode("utf-8-sig"))
     if fault := shape_fault(record, _GEOJSON_SHAPE):
         raise ValueError(f"it is no GeoJSON: {fault}")
     stated = record.get("crs") or {"type": "name", "properties": {}}
@@ -122,19 +107,16 @@ def geojson_features(path: Path) -> tuple[list[tuple[dict[str, Any], dict[str, A
 def line_parts(geometry: Mapping[str, Any]) -> list[NDArray[np.float64]]:
     """Return the positions of each line of a LineString or MultiLineString of `geojson_features`, (n, 2) each.
 
-    Raises
-    ------
-    ValueError
-        It is damaged.
+    Raises ValueError: it is damaged.
     """
+
+    def is_position(value: Any) -> bool:
+        return isinstance(value, list) and len(value) == 2 and not isinstance(value[0], list)
+
     parts = geometry["coordinates"] if geometry["type"] == "MultiLineString" else [geometry["coordinates"]]
-    if not parts or not all(isinstance(part, list) and part and all(map(_is_position, part)) for part in parts):
+    if not parts or not all(isinstance(part, list) and part and all(map(is_position, part)) for part in parts):
         raise ValueError(f"a {geometry['type']} of it is damaged: it is no list of positions")
     return [np.array(part, np.float64) for part in parts]
-
-
-def _is_position(value: Any) -> bool:
-    return isinstance(value, list) and len(value) == 2 and not isinstance(value[0], list)
 
 
 def _flat(geometry: Mapping[str, Any], name: str) -> dict[str, Any]:
@@ -174,7 +156,7 @@ def _read_geojson(path: Path) -> VectorLayer:
 
 
 def _read_gpx(path: Path) -> VectorLayer:
-    root = ET.fromstring(_text(path))  # noqa: S314 (expat limits what entities grow to, and fetches none)
+    root = ET.fromstring(read_regular(path).decode("utf-8-sig"))  # noqa: S314 (expat limits what entities grow to, and fetches none)
     if root.tag.rpartition("}")[2] != "gpx":
         raise ValueError("it is no GPX")
     found = list(_gpx_points(root, "{*}wpt")) or list(_gpx_points(root, "{*}rte/{*}rtept"))
@@ -242,12 +224,8 @@ def read_points(path: str | os.PathLike[str]) -> list[FilePoint]:
     """Read the points of a GeoJSON, GPX or CSV file, in their order.
 
     Of a GPX file the waypoints are read; if it has none, the points of its routes. A CSV has a line of column names:
-    ``lon,lat``, or ``x,y`` or ``easting,northing`` in the survey's CRS, and perhaps ``name``.
-
-    Raises
-    ------
-    BadInputError
-        The file is missing, damaged or of another format, or holds no points or something else.
+    ``lon,lat``, or ``x,y`` or ``easting,northing`` in the survey's CRS, and perhaps ``name``. Raises BadInputError: the
+    file is missing, damaged or of another format, or holds no points or something else.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -334,9 +312,10 @@ _POLYGONS = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 _ROUNDING = 1e-6
 """Length that is no overlap, in tiles: areas that share a border with a tile neither touch it nor leave it out."""
 _STEPS = 4096
-"""Parts that an edge as long as the map is cut into before it is converted: a straight line of another CRS is bent."""
+"""Parts that an edge as long as the map is cut into before it is converted, as a straight line of another CRS is bent:
+chosen."""
 _BEYOND = 0.25
-"""How far around the map areas are kept, in lengths of its sides."""
+"""How far around the map areas are kept, in lengths of its sides: chosen."""
 
 
 def read_areas(
@@ -348,24 +327,11 @@ def read_areas(
     CRS if its numbers cannot be degrees. If the map has no CRS, they must be in the survey's own coordinates: a file
     without a CRS, or a GeoJSON.
 
-    Parameters
-    ----------
-    path : path
-        GeoJSON, GeoPackage, FlatGeobuf or Shapefile.
-    allow_outside : bool
-        Whether it is no error that an area does not lie on the map.
-
-    Returns
-    -------
-    array (n,) of shapely polygons
-        In metres on the grid, cut off somewhat beyond the map; without those that do not lie on it, which a warning
-        names.
-
-    Raises
-    ------
-    BadInputError
-        The file is missing, damaged or of another format, holds something else than polygons, or states no CRS while
-        the map has one, or one while the map has none; or an area does not lie on the map.
+    ``path``: GeoJSON, GeoPackage, FlatGeobuf or Shapefile; ``allow_outside``: whether it is no error that an area does
+    not lie on the map. Returns (n,) shapely polygons: in metres on the grid, cut off somewhat beyond the map;
+    without those that do not lie on it, which a warning names. Raises BadInputError: the file is missing, damaged or of
+    another format, holds something else than polygons, or states no CRS while the map has one, or one while the map has
+    none; or an area does not lie on the map.
     """
     path = Path(path)
     if not path.is_file() or path.suffix.lower() not in _SUFFIXES:
@@ -412,14 +378,10 @@ def _system(crs: CRS | None, route_map: MapReader) -> str:
 
 
 def tiles_in(areas: NDArray[np.object_], window: TileWindow, grid: Grid, *, wholly: bool = False) -> NDArray[np.bool_]:
-    """Return which tiles (rows, cols) an area touches, be it by a corner; sharing a border is not touching.
+    """Return the tiles (rows, cols) that an area touches, be it by a corner; sharing a border is not touching.
 
-    Parameters
-    ----------
-    areas : array (n,) of polygons
-        In metres on the grid.
-    wholly : bool
-        Only the tiles that lie wholly in the areas, taken together.
+    ``areas`` (n,) of polygons: in metres on the grid; ``wholly``: only the tiles that lie wholly in the areas, taken
+    together.
     """
     whole = _local(areas, window, grid)
     inside, rows, cols = _centres_inside(whole, window)

@@ -40,6 +40,7 @@ from bumpymap.layers.scan_folder import (
 from bumpymap.layers.tile_table import described_field, typed_array
 
 _SCALE_M = 0.001
+"""Step of the coordinates of gathered.laz, m: chosen."""
 _GROUND, _UNCLASSIFIED = 2, 1
 """LAS classification codes."""
 
@@ -65,12 +66,7 @@ class AccumulatedSurvey:
 def open_accumulated(path: Path, first: NDArray[np.float64], crs: CRS | None) -> Iterator[AccumulatedSurvey]:
     """Open gathered.laz for writing: LAZ 1.4, point format 6, scale 1 mm, offset near the first pose.
 
-    Parameters
-    ----------
-    first : (4, 4) float64
-        Pose of the first frame, m.
-    crs : CRS, optional
-        CRS of the world frame; None: the file gets none.
+    ``first`` (4, 4) float64: pose of the first frame, m; ``crs``: CRS of the world frame; None: the file gets none.
     """
     header = laspy.LasHeader(version="1.4", point_format=6)
     header.scales, header.offsets = np.full(3, _SCALE_M), np.round(first[:3, 3])
@@ -288,17 +284,7 @@ def _properties(classed: ClassedSectors) -> list[dict[str, Any]]:
 
 def _numbers(values: NDArray[np.float32]) -> list[float | None]:
     """Round to the seven digits of a float32; what is not finite becomes None, since JSON has no NaN."""
-    exact = values.astype(np.float64)
-    known = np.isfinite(exact)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        digits = 6 - np.floor(np.log10(np.abs(exact)))
-    # Above 10^22 a power of ten is not exact; such numbers stay as they are.
-    scaled = known & (exact != 0.0) & (np.abs(digits) <= 22)
-    power = 10.0 ** np.abs(digits, where=scaled, out=np.zeros_like(exact))
-    up = digits >= 0
-    whole = np.rint(np.where(up, exact * power, exact / power))
-    rounded = np.where(scaled, np.where(up, whole / power, whole * power), exact)
-    return [value if ok else None for value, ok in zip(rounded.tolist(), known.tolist(), strict=True)]
+    return [float(f"{value:.7g}") if math.isfinite(value) else None for value in values.tolist()]
 
 
 def frame_files(name: str, folder: Path, products: Collection[str]) -> list[Path]:
@@ -315,12 +301,8 @@ def has_files(name: str, folder: Path, products: Collection[str]) -> bool:
 def write_frame(name: str, scan: Scan, classed: ClassedSectors, folder: Path, products: Collection[str]) -> None:
     """Write those ``products`` that are data of a frame to ``folder / "frames"``, without flushing them to the disk.
 
-    Parameters
-    ----------
-    name : str
-        Name of the frame and of its files.
-    products : collection of str
-        Polygons and cloud; others, such as the picture, are not written here.
+    ``name``: name of the frame and of its files; ``products``: polygons and cloud; others, such as the picture, are not
+    written here.
     """
     for path in frame_files(name, folder, products):
         path.parent.mkdir(exist_ok=True)

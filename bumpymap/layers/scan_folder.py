@@ -90,14 +90,10 @@ FRAME_FILES = {"polygons": ".json", "cloud": ".ply", "picture": ".png"}
 def name_frames(sources: Sequence[Frame]) -> list[Frame]:
     """Give each frame a unique name.
 
-    Returns
-    -------
-    list of Frame
-        Named by the stems of their files; those in a bag by their time, seconds and nanoseconds
-        (``1700000000_250000000``). In a stem that is not valid UTF-8, every byte beyond ASCII becomes ``%`` and two hex
-        digits (``caf%E9``), because names are written to Parquet and to file names. If two stems are equal (ignoring
-        case, as some file systems do), all names start with the number of the frame in the run: ``000000_STEM``,
-        ``000001_STEM``.
+    Names are the stems of their files; of those in a bag, their time, seconds and nanoseconds
+    (``1700000000_250000000``). In a stem that is not valid UTF-8, every byte beyond ASCII becomes ``%`` and two hex
+    digits (``caf%E9``), because names are written to Parquet and to file names. If two stems are equal (ignoring case,
+    as some file systems do), all names start with the number of the frame in the run: ``000000_STEM``, ``000001_STEM``.
     """
     names = [_stem(source) for source in sources]
     if len({name.casefold() for name in names}) < len(names):
@@ -166,15 +162,8 @@ def report_frame(
 ) -> FrameReport:
     """Count the points and sectors of a frame.
 
-    Parameters
-    ----------
-    version : mapping or None
-        ``size`` and ``mtime_ns`` of its file before it was read; not needed for a message.
-
-    Raises
-    ------
-    BadInputError
-        The file is missing, or has changed since it was read.
+    ``version``: ``size`` and ``mtime_ns`` of its file before it was read; not needed for a message. Raises
+    BadInputError: the file is missing, or has changed since it was read.
     """
     points = point_classes(scan, classed)
     file: Mapping[str, Any]
@@ -303,37 +292,19 @@ def load_part(path: Path, frame: Frame) -> FramePart | None:
         return None
 
 
-SCAN_MANIFEST_NAME, SECTOR_TABLE_NAME, ACCUMULATED_NAME, MAP_FOLDER = (
-    "scan.json",
-    "sectors.parquet",
-    "gathered.laz",
-    "map",
-)
+SCAN_MANIFEST_NAME, SECTOR_TABLE_NAME, ACCUMULATED_NAME = "scan.json", "sectors.parquet", "gathered.laz"
+MAP_FOLDER = "map"
 _NAMES = (FRAME_FOLDER, SECTOR_TABLE_NAME, ACCUMULATED_NAME, MAP_FOLDER, SCAN_MANIFEST_NAME)
-_SYNCED_AT_A_TIME = 8
 
 
 def check_scan_folder(folder: Path, inputs: Iterable[Path] = (), *, overwrite: bool, unfinished: bool = False) -> None:
     """Check that the files of a scan run can be written to a folder; create the folder if it is missing.
 
-    A file that is a symbolic link will be replaced as a link; its target is not touched.
-
-    Parameters
-    ----------
-    folder : Path
-        The output folder.
-    inputs : iterable of Path
-        Input files of this run, which must not be where the output goes.
-    overwrite : bool
-        Allow files of any earlier run to be replaced.
-    unfinished : bool
-        Allow files of the run that is being resumed to be replaced: it may have been killed after it moved them here.
-
-    Raises
-    ------
-    OutputError
-        The folder cannot be created or written, or holds files that must not be replaced: of an earlier run, inputs of
-        this run, or files that no scan run wrote.
+    A file that is a symbolic link will be replaced as a link; its target is not touched. ``inputs``: input files of
+    this run, which must not be where the output goes; ``overwrite``: allow files of any earlier run to be replaced;
+    ``unfinished``: allow files of the run that is being resumed to be replaced: it may have been killed after it moved
+    them here. Raises OutputError: the folder cannot be created or written, or holds files that must not be replaced: of
+    an earlier run, inputs of this run, or files that no scan run wrote.
     """
     taken = (folder / FRAME_FOLDER).resolve()
     inside = next((path for path in inputs if taken in path.resolve().parents), None)
@@ -386,7 +357,7 @@ def output_errors(folder: Path) -> Iterator[None]:
 
 def sync_to_disk(paths: Iterable[Path]) -> None:
     """Flush files to the disk (fsync), several at a time: the disk then writes them in an order of its own."""
-    with ThreadPoolExecutor(_SYNCED_AT_A_TIME) as pool:
+    with ThreadPoolExecutor(8) as pool:
         for _ in pool.map(sync_file, paths):
             pass
 
@@ -401,21 +372,13 @@ def _foreign_file(folder: Path, *, unfinished: bool) -> Path | None:
     return next((path for path in sorted(frames.iterdir()) if path.suffix not in FRAME_FILES.values()), None)
 
 
-_FORMAT = "bumpymap-scan-run"
-_VERSION = 1
-
-
 def write_scan_manifest(
     folder: Path, known: Mapping[str, Any], frames: Iterable[FrameReport], identities: Mapping[str, Mapping[str, Any]]
 ) -> None:
     """Write scan.json beside the products in ``folder``.
 
-    Parameters
-    ----------
-    known : mapping
-        The run's own entries: settings, method, skipped frames, seconds. They are kept.
-    identities : mapping
-        Identity of each input file by its path, see `bumpymap.readers.identity`.
+    ``known``: the run's own entries: settings, method, skipped frames, seconds. They are kept. ``identities``: identity
+    of each input file by its path, see `bumpymap.readers.identity`.
     """
     files = [
         describe_file(folder / name) | {"path": name}
@@ -424,8 +387,8 @@ def write_scan_manifest(
     ]
     times = {path: identity["mtime_ns"] for path, identity in identities.items()}
     record = {
-        "format": _FORMAT,
-        "version": _VERSION,
+        "format": "bumpymap-scan-run",
+        "version": 1,
         **known,
         "versions": software_versions(),
         "files": files,

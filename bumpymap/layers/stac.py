@@ -13,12 +13,11 @@ from urllib.parse import quote
 import shapely
 from pyproj import CRS
 
-from bumpymap.core import BadInputError, Georeference, atomic, escape_controls, read_record, stated_crs
+from bumpymap.core import BadInputError, atomic, escape_controls, read_record, stated_crs
 from bumpymap.layers.map_files import open_layer
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.products import COLLECTION_NAME, EVERY_NAME, EVERY_VIEW_NAME, MapFile
 from bumpymap.layers.vector import BoundingBox, GeoJsonCoordinates
-from bumpytiles import Grid, TileWindow
 
 if TYPE_CHECKING:
     from rasterio.io import DatasetReader
@@ -138,13 +137,7 @@ def identifier(name: str) -> str:
 
 
 def write_document(document: Mapping[str, Any], path: Path) -> None:
-    """Write JSON; lists of numbers stand in one line.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    """
+    """Write JSON; lists of numbers stand in one line. Raises OutputError if the file cannot be written."""
     text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
     text = re.sub(
         r"\[\n\s*([-+.\de]+(?:,\n\s*[-+.\de]+)*)\n\s*\]",
@@ -163,23 +156,9 @@ def write_collection(path: Path, root: Path, folders: Sequence[str], title: str)
     """Write a STAC collection with a link to the item of each complete map.
 
     Its licence is the one that all of them state, else ``other``. Items do not link back: they are the same whether a
-    map was made alone or with others.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    root : Path
-        The folder that holds those of the maps; links start there.
-    folders : sequence of str
-        Their names in it, in the order of the links. One without a complete map is left out.
-    title : str
-        Of the catalogue.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    map was made alone or with others. ``root``: the folder that holds those of the maps; links start there;
+    ``folders``: their names in it, in the order of the links. One without a complete map is left out. ``title``: of the
+    catalogue. Raises OutputError: the file cannot be written.
     """
     found = {each: read_record(root / each / MapFile.ITEM) for each in folders}
     items = {each: item for each, item in found.items() if item and (root / each / MapFile.MANIFEST).is_file()}
@@ -230,39 +209,33 @@ def _link(rel: str, href: str, title: str) -> dict[str, Any]:
 _EXTENSIONS = ("projection/v2.0.0", "file/v2.1.0", "processing/v1.1.0", "eo/v1.1.0")
 _SCHEMA = "https://stac-extensions.github.io/{}/schema.json"
 _DIGITS = 8
-"""Of the checksum of a survey in an id."""
+"""Of the checksum of a survey in an id: chosen."""
 _ANY_INTERVAL = ("1970-01-01T00:00:00Z", "2099-12-31T23:59:59Z")
 """Dates of a survey whose files have none: STAC wants an interval, and a search for any date shall find it."""
 _SOFTWARE = {"bumpymap": "bumpymap", "gdal": "GDAL", "proj": "PROJ"}
 
 
-def write_item(folder: Path, record: Mapping[str, Any]) -> None:
+def write_item(folder: Path, record: Mapping[str, Any], place: Placement) -> None:
     """Write item.json to a folder of complete layers: a STAC item with every file as an asset.
 
-    It follows from the layers and the survey alone: no time, and no place of the folder is in it.
-
-    Parameters
-    ----------
-    record : mapping
-        The content of run.json, which need not be there yet.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    It follows from the layers and the survey alone: no time, and no place of the folder is in it. ``record``: the
+    content of run.json, which need not be there yet. Raises OutputError: the file cannot be written.
     """
     name = escape_controls(record["survey"]["name"])
-    about = f"Roughness and ride cost of the ground for the vehicle {record['calibration']['vehicle']}"
+    calibration = record["calibration"]
+    about = f"Roughness and ride cost of the ground for the vehicle {calibration['vehicle']}"
+    own = {  # properties that no extension has
+        "vehicle": calibration["vehicle"],
+        "calibration": calibration["id"],
+        "class_limits": calibration["class_limits"],
+        "texture_model": record["model"],
+        "survey_checksum": record["survey"]["checksum"],
+        "counts": {key: record["counts"][key] for key in ("tiles", "classified", "passable", "by_class")},
+    }
     # What tells surveys of one name apart.
     digits = (record["survey"]["checksum"] or "").rpartition(":")[2][:_DIGITS]
     with open_layer(folder / MapFile.CLASS) as raster:  # one pixel for each tile
         grid = _grid_of(raster)
-    crs = None if record["crs"] is None else stated_crs(record["crs"]["wkt"])
-    unit, tile = record["metres_per_unit"]["horizontal"], record["grid"]["tile_size_m"]
-    (rows, cols), (_, _, west, _, _, north, *_) = grid["proj:shape"], grid["proj:transform"]
-    window = TileWindow(round(west * unit / tile), round(north * unit / tile) - rows, cols, rows)
-    georeference = Georeference(crs, unit, record["metres_per_unit"]["vertical"])
-    place = Placement(georeference, Grid(tile, record["grid"]["pixels"]), window)
     item = {
         "type": "Feature",
         "stac_version": STAC_VERSION,
@@ -271,7 +244,7 @@ def write_item(folder: Path, record: Mapping[str, Any]) -> None:
         **_footprint(place),
         "properties": {
             "title": name,
-            "description": f"{about}, from a point cloud, in tiles of {tile:g} m",
+            "description": f"{about}, from a point cloud, in tiles of {place.grid.tile_size:g} m",
             **_interval(record),
             **_rights(record),
             "gsd": place.grid.tile_size,
@@ -280,7 +253,7 @@ def write_item(folder: Path, record: Mapping[str, Any]) -> None:
             "processing:software": {
                 name: record["versions"][key] for key, name in _SOFTWARE.items() if key in record["versions"]
             },
-            **_own(record),
+            **{f"bumpymap:{key}": value for key, value in own.items() if value is not None},
         },
         "links": [],
         "assets": describe_assets(folder, record),
@@ -296,12 +269,7 @@ def _interval(record: Mapping[str, Any]) -> dict[str, Any]:
         known = True
     except (TypeError, ValueError):
         (first, last), known = _ANY_INTERVAL, False
-    return {
-        "datetime": None,
-        "start_datetime": first,
-        "end_datetime": last,
-        "bumpymap:dates_known": known,
-    }
+    return {"datetime": None, "start_datetime": first, "end_datetime": last, "bumpymap:dates_known": known}
 
 
 def _rights(record: Mapping[str, Any]) -> dict[str, Any]:
@@ -310,20 +278,6 @@ def _rights(record: Mapping[str, Any]) -> dict[str, Any]:
     provider = provider or str((record.get("page") or {}).get("operator") or "")
     found: dict[str, Any] = {"license": licence} if licence else {}
     return found | ({"providers": [{"name": provider, "roles": ["producer", "licensor"]}]} if provider else {})
-
-
-def _own(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the properties that no extension has."""
-    calibration = record["calibration"]
-    fields = {
-        "vehicle": calibration["vehicle"],
-        "calibration": calibration["id"],
-        "class_limits": calibration["class_limits"],
-        "texture_model": record["model"],
-        "survey_checksum": record["survey"]["checksum"],
-        "counts": {key: record["counts"][key] for key in ("tiles", "classified", "passable", "by_class")},
-    }
-    return {f"bumpymap:{key}": value for key, value in fields.items() if value is not None}
 
 
 def _footprint(place: Placement) -> dict[str, Any]:
@@ -336,4 +290,4 @@ def _footprint(place: Placement) -> dict[str, Any]:
         return {"geometry": None}
     box = BoundingBox()
     box.add(outlines)
-    return {"bbox": box.bounds_in_wgs84(), "geometry": shapely.geometry.mapping(outlines[0])}
+    return {"bbox": box.bounds(in_degrees=True), "geometry": shapely.geometry.mapping(outlines[0])}

@@ -44,14 +44,8 @@ def write_tiles(table: CostTable, path: Path, about: Mapping[str, str] | None = 
 
     Rows are in the order of `TileTable.strips`: strips are one row of blocks high and come north first, then west
     first; so do the tiles within a strip. Unknown numbers are null; pixels of ``heights`` without points are NaN.
-    ``about`` is metadata of the file, such as vehicle and calibration.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    BadInputError
-        The extent is too large for a raster.
+    ``about`` is metadata of the file, such as vehicle and calibration. Raises OutputError: the file cannot be written;
+    BadInputError: the extent is too large for a raster.
     """
     place = Placement.of(table)
     fields = tile_fields(place.grid.pixels, table.speeds)
@@ -159,13 +153,14 @@ def _rows(found: dict[str, NDArray[Any]], place: Placement, schema: pa.Schema, s
     col, row = found["col"], found["row"]
     west, south, east, north = (place.to_crs(side) for side in (col, row, col + 1, row + 1))
     chance = found["probability"]
+    best = np.where(np.isfinite(chance).all(axis=1), np.argmax(np.nan_to_num(chance), axis=1), len(TEXTURES))
     heights = pa.array(found["heights"].reshape(-1), pa.float32())
     columns: dict[str, Any] = {
         "col": col,
         "row": row,
         "geometry": shapely.to_wkb(shapely.box(west, south, east, north), byte_order=1),
         "bbox": pa.StructArray.from_arrays([west, south, east, north], fields=list(_BOX)),
-        "texture": _texture(chance),
+        "texture": np.array([*TEXTURES, None], dtype=object)[best],
         "class": pa.array(found["class_id"], pa.int8(), mask=found["class_id"] == NO_CLASS),
         "barred": np.array([None, *(BARRED_TEXT[code] for code in Barred if code)], dtype=object)[found["barred"]],
         "reason_text": np.array([REASON_TEXT[code] for code in Reason], dtype=object)[found["reason"]],
@@ -191,39 +186,20 @@ def typed_array(values: Any, field: pa.Field) -> pa.Array:
     return values if isinstance(values, pa.Array) else pa.array(values, field.type, from_pandas=True)
 
 
-def _texture(chance: NDArray[np.float32]) -> NDArray[np.object_]:
-    names = np.array([*TEXTURES, None], dtype=object)
-    known = np.isfinite(chance).all(axis=1)
-    best = np.where(known, np.argmax(np.nan_to_num(chance), axis=1), len(TEXTURES))
-    picked: NDArray[np.object_] = names[best]
-    return picked
-
-
 _PAGE_NUMBERS = ("c_r", "p_fail", "slope", "obstacle")
 _READ = ("col", "row", "class", "reason", "barred", *_PAGE_NUMBERS)
 _AGAIN = "Map the survey again"
-
-
 _BYTES = {"BOOLEAN": 1, "INT32": 4, "INT64": 8, "FLOAT": 4, "DOUBLE": 8}
 """Bytes of a value in memory, by its type in the file, where runs of equal values take next to nothing."""
 _MOST_ROWS = 65_536
-"""Rows of a group, which is read at once."""
+"""Rows of a group, which is read at once: four times those that are written."""
 
 
 def read_tiles(path: Path, tiles: int) -> Iterator[dict[str, NDArray[Any]]]:
     """Yield the columns of some tiles at a time; numbers are NaN and classes ``NO_CLASS`` where unknown.
 
-    Parameters
-    ----------
-    path : Path
-        tiles.parquet.
-    tiles : int
-        Tiles that the run counts. Another number of rows is refused before any is read.
-
-    Raises
-    ------
-    BadInputError
-        The file is missing, damaged, not of this run, or does not fit into memory.
+    ``path``: tiles.parquet; ``tiles``: tiles that the run counts. Another number of rows is refused before any is read.
+    Raises BadInputError: the file is missing, damaged, not of this run, or does not fit into memory.
     """
     try:
         with pq.ParquetFile(path, read_dictionary=["barred"]) as file:

@@ -25,23 +25,20 @@ from bumpymap.layers.placement import Placement
 from bumpymap.layers.regions import Regions
 
 _TRIES = 33
-"""Points along each side of the raster at which the transformation is tried first."""
-
+"""Points along each side of the raster at which the transformation is tried first: chosen."""
 _SEGMENT = 32
 """Longest straight segment of an outline, tiles. In longitude and latitude, the middle of a 96 m segment is off by at
 most 1.2 mm (measured up to 80 degrees north and south): less than the 7 decimals that are kept."""
-
 _GRID_DECIMALS = 9
+"""Of tiles: far below what a file keeps, far above the error of a double."""
 DEGREE_DECIMALS, _METRE_DECIMALS = 7, 3
+"""Of longitude and latitude, 1 cm, and of the survey's own coordinates, 1 mm: chosen."""
 
 
 def wgs84_transformer(placement: Placement) -> Transformer:
     """Return the transformer from the survey's CRS to WGS 84 longitude and latitude, tried on points of the raster.
 
-    Raises
-    ------
-    BadInputError
-        There is no CRS, or no known transformation from it to longitude and latitude at this place.
+    Raises BadInputError: there is no CRS, or no known transformation from it to longitude and latitude at this place.
     """
     crs, window = placement.horizontal_crs, placement.window
     if crs is None:
@@ -78,14 +75,10 @@ class BoundingBox:
         sides = [boxes[boxes[:, 0] > 0], boxes[boxes[:, 0] <= 0]]
         self._boxes = np.array([[*side[:, :2].min(0), *side[:, 2:].max(0)] for side in sides if len(side)])
 
-    def bounds(self) -> list[float]:
-        """Return west, south, east, north."""
-        return [*map(float, self._boxes[:, :2].min(0)), *map(float, self._boxes[:, 2:].max(0))]
-
-    def bounds_in_wgs84(self) -> list[float]:
-        """Return the bounds in degrees; if the box crosses the antimeridian, west exceeds east (RFC 7946, 5.2)."""
-        west, south, east, north = self.bounds()
-        if west < -90.0 and east > 90.0 and len(self._boxes) == 2:
+    def bounds(self, *, in_degrees: bool) -> list[float]:
+        """Return west, south, east, north; in degrees, west exceeds east across the antimeridian (RFC 7946, 5.2)."""
+        west, south, east, north = *map(float, self._boxes[:, :2].min(0)), *map(float, self._boxes[:, 2:].max(0))
+        if in_degrees and west < -90.0 and east > 90.0 and len(self._boxes) == 2:
             west, east = float(self._boxes[0, 0]), float(self._boxes[1, 2])
         return [west, south, east, north]
 
@@ -136,7 +129,7 @@ _PROPERTIES = (
 )
 _GEOMETRY = "geometry"
 IN_MEMORY = 16 << 20
-"""Most bytes of regions that are converted to FlatGeobuf in memory."""
+"""Most bytes of regions that are converted to FlatGeobuf in memory: chosen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,10 +144,7 @@ class GeoJsonCoordinates:
     def of(cls, placement: Placement, *, local: bool) -> "GeoJsonCoordinates":
         """Choose longitude and latitude if possible, else the survey's own coordinates if ``local``.
 
-        Raises
-        ------
-        BadInputError
-            The survey has no CRS, or one that cannot be transformed, and ``local`` is False.
+        Raises BadInputError: the survey has no CRS, or one that cannot be transformed, and ``local`` is False.
         """
         try:
             return cls(placement, wgs84_transformer(placement))
@@ -182,12 +172,8 @@ class GeoJsonCoordinates:
 
         Own coordinates are rounded to 1 mm, degrees to 1 cm; rings in degrees are right-hand and cut at the
         antimeridian, so that an outline may become a multipolygon. Polygons with the same vertices along their common
-        borders keep this property, on either side of the antimeridian.
-
-        Raises
-        ------
-        BadInputError
-            A point cannot be transformed to longitude and latitude.
+        borders keep this property, on either side of the antimeridian. Raises BadInputError: a point cannot be
+        transformed to longitude and latitude.
         """
         place, to_degrees = self.placement, self.to_degrees
         if to_degrees is None:
@@ -220,10 +206,7 @@ class GeoJsonCoordinates:
     def in_file(self, grid_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Convert points (n, 2) on the grid, m, to these; own coordinates are rounded to 1 mm, degrees to 1 cm.
 
-        Raises
-        ------
-        BadInputError
-            A point cannot be transformed to longitude and latitude.
+        Raises BadInputError: a point cannot be transformed to longitude and latitude.
         """
         own = self.in_crs(grid_m)
         if self.to_degrees is None:
@@ -235,10 +218,6 @@ class GeoJsonCoordinates:
                 "converted to longitude and latitude. Map the survey again with the right one, `force_crs='EPSG:CODE'`"
             )
         return degrees
-
-    def bounds(self, box: BoundingBox) -> list[float]:
-        """Return west, south, east, north of a box in these coordinates."""
-        return box.bounds() if self.to_degrees is None else box.bounds_in_wgs84()
 
 
 def outline_of(geometry: Mapping[str, Any]) -> tuple[NDArray[np.float64], tuple[float, float]]:
@@ -265,29 +244,18 @@ def write_features(
 ) -> None:
     """Write a GeoJSON file: RFC 7946 in WGS 84, or the survey's own coordinates, which its members declare.
 
-    Parameters
-    ----------
-    path : Path
-        The file, which appears only when it is complete.
-    name : str
-        Of the collection, which GIS programs show.
-    place : GeoJsonCoordinates
-        Coordinates of the features.
-    features : sequence of mappings
-        From `feature`.
-    about : mapping, optional
-        Further members of the collection.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    ``name``: of the collection, which GIS programs show; ``place``: coordinates of the features; ``features``: from
+    `feature`; ``about``: further members of the collection. Raises OutputError: the file cannot be written.
     """
     geometries = [each["geometry"] for each in features if each["geometry"] is not None]
     box = BoundingBox()
     box.add(np.array(geometries, object))
     head = {"type": "FeatureCollection", "name": name, **place.members, **(about or {})}
-    collection = {**head, **({"bbox": place.bounds(box)} if geometries else {}), "features": features}
+    collection = {
+        **head,
+        **({"bbox": box.bounds(in_degrees=place.has_degrees)} if geometries else {}),
+        "features": features,
+    }
     text = json.dumps(
         collection, ensure_ascii=False, allow_nan=False, separators=(",", ":"), default=shapely.geometry.mapping
     )
@@ -301,26 +269,9 @@ def geojson_writer(
 ) -> Iterator[Callable[[Regions], None]]:
     """Write cost.geojson: RFC 7946, one feature per region, WGS 84 with 7 decimals.
 
-    Local coordinates are rounded to 1 mm, and a member of the collection declares them.
-
-    Parameters
-    ----------
-    path : Path
-        The file, which appears when the ``with`` ends without an error.
-    place : GeoJsonCoordinates
-        Coordinates of the file.
-    about : mapping, optional
-        Further members of the feature collection, such as vehicle and calibration.
-
-    Yields
-    ------
-    callable
-        Appends `Regions`; call it repeatedly.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    Local coordinates are rounded to 1 mm, and a member of the collection declares them. ``place``: coordinates of the
+    file; ``about``: further members of the feature collection, such as vehicle and calibration. Yields a function that
+    appends `Regions`; call it repeatedly. Raises OutputError: the file cannot be written.
     """
     head = {"type": "FeatureCollection", "name": "cost", **place.members, **(about or {})}
     encode = json.JSONEncoder(ensure_ascii=False, allow_nan=False).encode
@@ -341,7 +292,7 @@ def geojson_writer(
                 separator = ",\n"
 
         yield add
-        file.write(f'\n], "bbox": {encode(place.bounds(box))}}}\n')
+        file.write(f'\n], "bbox": {encode(box.bounds(in_degrees=place.has_degrees))}}}\n')
 
 
 def _geometries(outlines: NDArray[np.object_]) -> Iterator[dict[str, Any]]:

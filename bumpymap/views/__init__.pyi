@@ -11,14 +11,12 @@ from .export.write import (
     export_map as export_map,
 )
 from .gis.project import (
-    view_writers as view_writers,
-    write_map_views as write_map_views,
-)
-from .gis.styles import (
     change_layers as change_layers,
     check_layers as check_layers,
     reach_layers as reach_layers,
     route_layers as route_layers,
+    view_writers as view_writers,
+    write_map_views as write_map_views,
 )
 from .page.batch_page import (
     SurveyView as SurveyView,

@@ -1,20 +1,13 @@
 """Numbers as pages show them, and texts that take more than a template: names, degrees, a check in words."""
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bumpymap.core import (
-    CLASS_NAMES,
-    SeenSizes,
-    count_text,
-    parse_json,
-    share_text,
-    shares_text,
-)
+from bumpymap.core import CLASS_NAMES, SeenSizes, count_text, parse_json, share_text, shares_text
 
 if TYPE_CHECKING:
     from bumpymap.core import CheckedDrive, CheckResult, DrivenStretches, MapAgreement
@@ -23,6 +16,7 @@ DASH = "\N{EN DASH}"
 """Stands where nothing is known."""
 PERCENT = "\N{NO-BREAK SPACE}%"
 _SQUARE_KILOMETRE, _HECTARE = 1e6, 1e4
+"""m2."""
 
 
 def number(value: Any, decimals: int, unit: str = "") -> str:
@@ -81,11 +75,8 @@ _NAMED = ("asphalt", "snow", "silty loam")
 def read_surfaces() -> dict[str, Any]:
     """Read the C_r that one real vehicle measured on named surfaces, from the file that comes with the package.
 
-    Returns
-    -------
-    dict
-        ``vehicle``, ``kind``, ``speed``, ``source`` and ``method`` in words; ``floor``, rad/m: what the vehicle itself
-        gives on even ground, from and to; ``c_r``: surface -> rad/m, rising.
+    Returns ``vehicle``, ``kind``, ``speed``, ``source`` and ``method`` in words; ``floor``, rad/m: what the vehicle
+    itself gives on even ground, from and to; ``c_r``: surface -> rad/m, rising.
     """
     known: dict[str, Any] = parse_json(_FILE.read_text(encoding="utf-8"))
     rising = sorted(known.pop("surfaces"), key=lambda one: float(one["c_r"]))
@@ -95,10 +86,7 @@ def read_surfaces() -> dict[str, Any]:
 def degrees_line(median_c_r: Sequence[float]) -> str:
     """Say in degrees of pitch per metre what classes cost, beside named surfaces.
 
-    Parameters
-    ----------
-    median_c_r : sequence
-        Of each class, rad/m; NaN without tiles.
+    ``median_c_r``: of each class, rad/m; NaN without tiles.
     """
     known = zip(CLASS_NAMES, median_c_r, strict=False)
     classes = ", ".join(f"{name} {degrees(c_r)}" for name, c_r in known if math.isfinite(c_r))
@@ -114,18 +102,13 @@ def base_name(path: str) -> str:
     return PurePosixPath(PureWindowsPath(path.partition("?")[0]).as_posix()).name or path
 
 
-def survey_name(record: Mapping[str, Any]) -> str:
-    """Return the name of the survey of a map."""
-    return str(record["survey"]["name"])
-
-
 def seen_sizes(record: Mapping[str, Any]) -> SeenSizes:
     """Return what the survey of a map would have shown in the median tile, by its run.json."""
     return SeenSizes.of(record.get("counts", {}).get("seen_sizes") or {})
 
 
 FEW = 5
-"""Fewer stretches on the map say nothing about it."""
+"""Fewer stretches on the map say nothing about it: chosen, as the next ones."""
 LEVEL = 1.15
 """Up to this factor of its median ratio from 1 a map holds."""
 INSIDE = 0.8
@@ -227,24 +210,12 @@ def percent(part: float) -> str:
     return f"{100 * part:.0f} %" if np.isfinite(part) else "\N{EN DASH}"
 
 
-def names_of(items: Sequence[str], most: int = 3) -> str:
-    """Return names, the first few of them."""
-    shown = ", ".join(items[:most])
-    return shown if len(items) <= most else f"{shown} and {len(items) - most} more"
-
-
-def skipped_words(result: "CheckResult") -> list[str]:
-    """Return which drives are left out, and why, a sentence each."""
-    return [f"{drive} is left out: {why}" for drive, why in result.skipped.items()]
-
-
 def warnings_of(result: "CheckResult") -> list[str]:
     """Return the warnings of the whole check and of each drive that counts, each once."""
-    own = [text for drive in result.drives for text in _named(result, drive, drive.warnings)]
+    several = len(result.drives) > 1  # then each text names its drive
+    own = [
+        f"{drive.name}: {text}" if several and not text.startswith(drive.name) else text
+        for drive in result.drives
+        for text in drive.warnings
+    ]
     return list(dict.fromkeys([*result.warnings, *own]))
-
-
-def _named(result: "CheckResult", drive: "CheckedDrive", texts: Iterable[str]) -> list[str]:
-    """Put the name of a drive before texts that do not say it, where there are several drives."""
-    several, name = len(result.drives) > 1, drive.name
-    return [f"{name}: {text}" if several and not text.startswith(name) else text for text in texts]

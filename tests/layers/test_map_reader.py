@@ -20,9 +20,9 @@ from pyproj import CRS
 from route_maps import copy_folder, list_anew, write_folder
 
 import bumpymap
-from bumpymap.core import CLASS_NAMES, NO_CLASS, NO_TILE, BadInputError, CostTable
+from bumpymap.core import NO_CLASS, NO_TILE, BadInputError, CostTable
 from bumpymap.core.types import BANDS, BARRED_TEXT, REASON_TEXT, SIDES, TEXTURES, Reason
-from bumpymap.layers import MapSummary, open_map, tile_table
+from bumpymap.layers import open_map, tile_table
 from bumpymap.layers.manifest import summarise
 from bumpymap.layers.tile_table import write_tiles
 from bumpymap.views import write_report
@@ -385,24 +385,6 @@ def test_the_median_of_the_last_class_is_of_the_tiles_that_their_c_r_puts_there(
     assert summary.failing == 2
     assert summary.median_c_r[3] == pytest.approx(0.6, abs=1e-4)
     assert summary.by_class == (1, 0, 0, 4)
-
-
-def test_unknown_are_the_tiles_without_a_class_and_each_reason_has_its_own_count():
-    counts = {
-        "tiles": 10,
-        "points": 99,
-        "passable": 5,
-        "by_class": dict(zip(CLASS_NAMES, (5, 1, 1, 1), strict=True)),
-        "by_reason": {"too few points": 2},
-        "barred": {"unknown ground": 2, "step": 2, "too little seen": 1},
-        **dict.fromkeys(("median_c_r", "median_slope"), [None] * 5),
-        "median_count": None,
-        "failing": 0,
-        "objects": {},
-    }
-    summary = MapSummary.of(counts)
-    assert summary.unknown == 2
-    assert summary.crossing == {"passable": 5, "unknown ground": 2, "too little seen": 1, "step": 2}
 
 
 def test_strips_do_not_change_the_summary(make_field, monkeypatch):

@@ -80,8 +80,8 @@ def test_sides_on_the_borders_of_tiles():
 def save(path, area, crs):
     """Write a polygon with a CRS (None: without one)."""
     wkb, names = shapely.to_wkb(np.array([area], object)), [np.array(["area"], object)]
-    told = nullcontext() if crs else pytest.warns(UserWarning, match="'crs' was not provided")
-    with told:
+    warned = nullcontext() if crs else pytest.warns(UserWarning, match="'crs' was not provided")
+    with warned:
         write(path, wkb, names, np.array(["name"]), geometry_type="Polygon", crs=crs and CRS(crs).to_wkt())
     return path
 

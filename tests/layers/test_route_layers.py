@@ -21,12 +21,13 @@ from bumpymap.check.pipeline import agreement_of
 from bumpymap.core import CLASS_NAMES, BadInputError, Georeference, RoadFigures, Route, SeenSizes
 from bumpymap.layers import Placement, PlannedRoute, ReachField
 from bumpymap.layers.check_vectors import NOT_COMPARED, OFF_KINDS, MapOffset, place_stretches, write_stretches
-from bumpymap.layers.reach import write_isochrones, write_reach
-from bumpymap.layers.route_lines import (
+from bumpymap.layers.route_files import (
     PROFILE_COLUMNS,
     track_points,
     write_gpx,
+    write_isochrones,
     write_profile,
+    write_reach,
     write_route_geojson,
     write_route_stretches,
 )

@@ -122,12 +122,6 @@ def test_rows_are_the_sectors_of_all_frames_in_order(classed, nothing, tmp_path)
     assert [value is None for value in class_id] == (~stack.traversable).tolist()
 
 
-def test_rows_are_written_group_by_group(classed, tmp_path, monkeypatch):
-    monkeypatch.setattr(scan_files, "ROW_GROUP", 100)
-    rows_of(tmp_path / "a.parquet", *((str(number), classed) for number in range(9)))
-    assert pq.ParquetFile(tmp_path / "a.parquet").metadata.num_row_groups >= 9 * len(classed.class_id) // 250
-
-
 def fill(folder, *names):
     for name in names:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)

@@ -19,7 +19,7 @@ from small_surveys import files_in
 from stac_check import faults
 
 from bumpymap.core.types import Georeference
-from bumpymap.layers import write_collection, write_products
+from bumpymap.layers import Placement, open_map, write_collection, write_products
 from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.layers.stac import write_item
 from bumpymap.views import write_map_views
@@ -52,7 +52,8 @@ def described(folder, place, **entries):
     """The item of the same layers where run.json has other entries."""
     record = json.loads((folder / "run.json").read_text(encoding="utf-8")) | entries
     shutil.copytree(folder, place)
-    write_item(place, record)
+    site = open_map(folder)
+    write_item(place, record, Placement(site.georeference, site.grid, site.window))
     return item_of(place)
 
 

@@ -106,9 +106,7 @@ def checked(site, on_site, tmp_path_factory):
     return out, result
 
 
-RUN = {
-    "vehicle": {"name": "warthog", "width_m": 1.4, "height_m": 1.0, "clearance_m": 0.25, "speed_mps": 2.0},
-}
+RUN = {"vehicle": {"name": "warthog", "width_m": 1.4, "height_m": 1.0, "clearance_m": 0.25, "speed_mps": 2.0}}
 
 
 @pytest.fixture(scope="session")
@@ -137,7 +135,7 @@ def easy_map(easy_folder):
     return open_map(easy_folder)
 
 
-def _things(rng):
+def _solids(rng):
     """Posts, boxes and walls, each somewhere in its tile."""
     shapes = [
         {"length": 0.2, "width": 0.2, "top": 1.5},
@@ -155,14 +153,14 @@ def _things(rng):
 
 
 @pytest.fixture(scope="session", params=[True, False], ids=["classes", "no classes"])
-def thing_site(request, tmp_path_factory):
-    """A map of level ground with things on it, and the middles of the pixels that they stand on, (n, 2), m."""
-    folder, rng = tmp_path_factory.mktemp("things"), np.random.default_rng(7)
-    scene = Scene("things", tuple(_things(rng)), half=18.0)
+def obstacle_site(request, tmp_path_factory):
+    """A map of level ground with obstacles on it, and the middles of the pixels that they stand on, (n, 2), m."""
+    folder, rng = tmp_path_factory.mktemp("obstacles"), np.random.default_rng(7)
+    scene = Scene("obstacles", tuple(_solids(rng)), half=18.0)
     place = Place(0.0, 500_000 + rng.uniform(0.0, 3.0), 5_700_000 + rng.uniform(0.0, 3.0))
     points = survey_scene(scene, 400.0, classified=request.param, sides=True, place=place, noise=0.01, margin=3.0)
-    write_points(points, folder / "things.las")
-    bumpymap.map_survey(folder / "things.las", folder / "layers")
+    write_points(points, folder / "obstacles.las")
+    bumpymap.map_survey(folder / "obstacles.las", folder / "layers")
     middles = np.stack(np.meshgrid(*(low + np.arange(0.1, 48.0, 0.2) for low in (499_977.0, 5_699_977.0))), axis=-1)
     x, y = place.in_scene(*np.moveaxis(middles, -1, 0))
     under = np.any([solid.inside(x, y) for solid in scene.solids], axis=0)

@@ -145,7 +145,7 @@ def test_a_change_is_seen_in_a_pixel_of_several_tiles(comparison, tmp_path, monk
 def test_what_cannot_be_made_says_why(comparison, may, tmp_path):
     with pytest.raises(UsageError, match="`route`"):
         write_report(comparison, route=may)
-    for name, content, told in (
+    for name, content, words in (
         ("change.json", "{", r"change\.json is not that of a comparison"),
         ("change.json", '{"format": "bumpymap-change"}', r"change\.json is damaged"),
         ("change.tif", "II*", r"change\.tif is cut off"),
@@ -156,7 +156,7 @@ def test_what_cannot_be_made_says_why(comparison, may, tmp_path):
         (twin / name).unlink()
         if content:
             (twin / name).write_text(content)
-        with pytest.raises(BadInputError, match=told):
+        with pytest.raises(BadInputError, match=words):
             write_report(twin)
 
 

@@ -33,8 +33,7 @@ from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.rating import Calibration
 from bumpymap.route.output import write_reach_files, write_route
 from bumpymap.views import write_map_views
-from bumpymap.views.gis.project import write_project
-from bumpymap.views.gis.styles import write_styles
+from bumpymap.views.gis.project import write_project, write_styles
 from bumpytiles import Grid, TileWindow
 
 RECORD = RUN | {"metres_per_unit": {"horizontal": 1.0}, "cost": {"speeds_mps_at_c_r_radpm": [[2.0, 0.1]]}}

@@ -109,7 +109,7 @@ def test_the_route_in_the_folder_of_the_layers_is_taken(easy_folder, tmp_path):
     plans = [load_plan(tmp_path / name) for name in ("out", "given")]
     assert len(plans[0][1]) == 7
     assert plans[0] == plans[1]
-    with pytest.raises(BadInputError, match="`route`"):  # told before that the folder is occupied
+    with pytest.raises(BadInputError, match="`route`"):  # said before that the folder is occupied
         export_plan(site, tmp_path / "out")
 
 
@@ -118,7 +118,7 @@ def geo(kind, coordinates):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "words"),
     [
         ('{"type": "FeatureCollection", "features": []}', "it holds no line"),
         ('{"type": "FeatureCollection", "features": [{"type": "Feature", "geometry": null}]}', "no line"),
@@ -130,9 +130,9 @@ def geo(kind, coordinates):
         ("\0\xff", "cannot read"),
     ],
 )
-def test_files_that_hold_no_route_on_the_map(route_map, tmp_path, text, told):
+def test_files_that_hold_no_route_on_the_map(route_map, tmp_path, text, words):
     (tmp_path / "route.geojson").write_bytes(text.encode("latin-1"))
-    with pytest.raises(BadInputError, match=told):
+    with pytest.raises(BadInputError, match=words):
         export_plan(route_map, tmp_path / "out", tmp_path / "route.geojson")
     assert not (tmp_path / "out").exists()
 
@@ -231,14 +231,14 @@ def test_every_cell_has_the_value_of_the_layers_bit_for_bit(route_map, folder, t
 
 
 @pytest.mark.parametrize("resolution", ["pixel", "tile"])
-def test_no_obstacle_lies_in_a_free_cell_of_a_grid_map(thing_site, tmp_path, resolution):
-    site, on_things = thing_site
+def test_no_obstacle_lies_in_a_free_cell_of_a_grid_map(obstacle_site, tmp_path, resolution):
+    site, on_obstacles = obstacle_site
     export_map(site, tmp_path / "out", ExportSettings(to="gridmap", resolution=resolution, datum=(0.0, 0.0)))
     message = read_bag(tmp_path / "out")
     x, y, state = cells(message, "obstacle")
     size = message.info.resolution
     state_of = dict(zip(zip(np.floor(x / size), np.floor(y / size), strict=True), state, strict=True))
-    assert {state_of[tuple(place)] for place in np.floor(on_things / size + 1e-6)} == {1.0}
+    assert {state_of[tuple(place)] for place in np.floor(on_obstacles / size + 1e-6)} == {1.0}
     assert (state == 0.0).mean() > 0.4
 
 

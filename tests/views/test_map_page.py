@@ -40,7 +40,7 @@ def counted(table):
     return {row[0]: row[3] for row in table[1:]}
 
 
-def told(counts):
+def in_words(counts):
     return {name: f"{count:,}" for name, count in counts.items()}
 
 
@@ -51,9 +51,9 @@ def test_the_page_asks_nobody_and_its_tables_equal_the_counts_of_the_run(site, r
     counts, tables = json.loads((site / "run.json").read_text())["counts"], Outline(page.text).tables
     classes = {f"{code} {name}": counts["by_class"][name] for code, name in enumerate(CLASS_NAMES)}
     classes |= {"not known": counts["unknown"], "all": counts["tiles"]}
-    assert counted(tables["Classes"]) == told(classes)
-    assert counted(tables["What can be crossed"]) == told(counts["barred"] | {"passable": counts["passable"]})
-    assert counted(tables["Why ground is not known"]) == told(counts["by_reason"])
+    assert counted(tables["Classes"]) == in_words(classes)
+    assert counted(tables["What can be crossed"]) == in_words(counts["barred"] | {"passable": counts["passable"]})
+    assert counted(tables["Why ground is not known"]) == in_words(counts["by_reason"])
     assert sum(int(row[1].replace(",", "")) for row in tables["Ride cost C_r of the tiles"][1:]) == counts["classified"]
 
 
@@ -95,7 +95,7 @@ def test_the_worst_tile_decides_a_pixel_of_several(site, tmp_path, monkeypatch, 
     assert many.data["maps"][0]["metres"] == 3 * step
     assert f"One pixel of the map is {3 * step} m, {step} x {step} tiles of 3 m. The worst tile decides" in many.text
     grounds, bars = ([page.codes(name) for page in (one, many)] for name in ("ground", "barred"))
-    things, seen = one.objects().reshape(30, 15, 40, 15) == OBSTACLE, many.objects() == OBSTACLE
+    standing, seen = one.objects().reshape(30, 15, 40, 15) == OBSTACLE, many.objects() == OBSTACLE
     rides, costs = ([page.values(key)[0] for page in (one, many)] for key in ("c_r", "cost"))
     assert grounds[1].shape == (-(-30 // step), -(-40 // step))
     for row, col in np.ndindex(grounds[1].shape):
@@ -111,7 +111,7 @@ def test_the_worst_tile_decides_a_pixel_of_several(site, tmp_path, monkeypatch, 
             assert rides[1][row, col] == pytest.approx(rides[0][part].max(), rel=0.02)
         assert (bars[1][row, col] == 0) == (barred == 0).all()
         assert np.isnan(costs[1][row, col]) == (barred != 0).any() or np.isnan(rides[1][row, col])
-        assert seen[row, col] == things[part[0], :, part[1]].any()
+        assert seen[row, col] == standing[part[0], :, part[1]].any()
     tables = [Outline(page.text).tables["Ride cost C_r of the tiles"] for page in (one, many)]
     assert tables[0] == tables[1]
 

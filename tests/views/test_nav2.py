@@ -17,14 +17,7 @@ from pyproj import CRS, Geod
 from small_surveys import files_in, write_survey
 
 import bumpymap
-from bumpymap.core import (
-    NO_TILE,
-    BadInputError,
-    Barred,
-    Georeference,
-    OutputError,
-    UsageError,
-)
+from bumpymap.core import NO_TILE, BadInputError, Barred, Georeference, OutputError, UsageError
 from bumpymap.layers import open_map
 from bumpymap.views import ExportSettings, export_map
 
@@ -159,12 +152,12 @@ def test_cells_lie_where_the_survey_has_them(route_map, folder, tmp_path, around
 
 
 @pytest.mark.parametrize("resolution", ["pixel", "tile"])
-def test_no_obstacle_lies_in_a_free_cell(thing_site, tmp_path, resolution):
+def test_no_obstacle_lies_in_a_free_cell(obstacle_site, tmp_path, resolution):
     """Posts and walls from 0.2 m on, and boxes, anywhere in their cells, with classes of points and without."""
-    site, on_things = thing_site
+    site, on_obstacles = obstacle_site
     _, _, (grid, mask, _) = exported(site, tmp_path / "out", resolution=resolution, datum=(0.0, 0.0))
     row, col = (
-        np.floor((on_things[:, axis] - low) / grid.resolution + 1e-6).astype(int)
+        np.floor((on_obstacles[:, axis] - low) / grid.resolution + 1e-6).astype(int)
         for axis, low in ((1, grid.y), (0, grid.x))
     )
     assert (grid.data[row, col] == 100).all()
@@ -173,8 +166,8 @@ def test_no_obstacle_lies_in_a_free_cell(thing_site, tmp_path, resolution):
     assert (mask.data == 0).mean() > 0.4
 
 
-def test_a_coarse_cell_is_as_the_worst_of_its_pixels(thing_site, tmp_path):
-    site, _ = thing_site
+def test_a_coarse_cell_is_as_the_worst_of_its_pixels(obstacle_site, tmp_path):
+    site, _ = obstacle_site
     fine, coarse = (exported(site, tmp_path / name, resolution=name)[2][0].data for name in ("pixel", "tile"))
     inside = fine.reshape(coarse.shape[0], 15, coarse.shape[1], 15)
     worst = np.select([(inside == 100).any(axis=(1, 3)), (inside == -1).any(axis=(1, 3))], [100, -1], 0)
@@ -253,15 +246,19 @@ def test_an_export_is_replaced_only_if_asked_other_files_stay_and_links_are_not_
         export_map(easy_map, out, NAV2)
     done = export_map(easy_map, out, NAV2, overwrite=True)
     assert json.loads((out / "datum.json").read_text()) == done.record
-    for options, told in ((NAV2, "`overwrite=True`"), (GRIDMAP, "in another format")):
-        with pytest.raises(OutputError, match=told):
+    for options, words in ((NAV2, "`overwrite=True`"), (GRIDMAP, "in another format")):
+        with pytest.raises(OutputError, match=words):
             export_map(easy_map, out, options, overwrite=options is GRIDMAP)
     assert mine.read_text() == (out / "notes.txt").read_text() == "mine"
     assert not (out / "map.pgm").is_symlink()
     before = files_in(easy_folder)
     (tmp_path / "odd" / "gridmap.mcap").mkdir(parents=True)
-    for place, told in ((easy_folder, "holds the layers of a run"), (mine, "a file"), (tmp_path / "odd", "not a file")):
-        with pytest.raises(OutputError, match=told):
+    for place, words in (
+        (easy_folder, "holds the layers of a run"),
+        (mine, "a file"),
+        (tmp_path / "odd", "not a file"),
+    ):
+        with pytest.raises(OutputError, match=words):
             export_map(easy_map, place, GRIDMAP, overwrite=True)
     assert files_in(easy_folder) == before
 

@@ -26,15 +26,7 @@ from bumpymap.core import (
     TileField,
     atomic,
 )
-from bumpymap.layers import (
-    STEP_LINE,
-    UNKNOWN_OBJECT,
-    MapReader,
-    Placement,
-    RasterSpec,
-    RasterWindow,
-    write_cog,
-)
+from bumpymap.layers import STEP_LINE, UNKNOWN_OBJECT, MapReader, Placement, RasterSpec, RasterWindow, write_cog
 from bumpytiles import Bounds, TileWindow
 
 _Value = TypeVar("_Value", bound=np.generic)
@@ -49,10 +41,7 @@ SLOWEST = 1
 def speed_values(field: TileField) -> NDArray[np.uint8]:
     """Return a speed mask, one cell a tile: the speed made good in percent of the top speed.
 
-    Returns
-    -------
-    uint8 (rows, cols)
-        1..100, rounded down. 1 where c_r is unknown, and where even that is too fast.
+    Returns uint8 (rows, cols): 1..100, rounded down. 1 where c_r is unknown, and where even that is too fast.
     """
     percent = np.floor(100.0 / (field.rule.top_mps * field.rule.slowness(field.c_r)) + 1e-9)
     return np.asarray(np.clip(np.nan_to_num(percent, nan=SLOWEST), SLOWEST, 100), np.uint8)
@@ -67,16 +56,11 @@ def cell_states(area: "ExportArea", field: TileField) -> tuple[NDArray[np.uint8]
     """Return what a robot may do in the cells of some tiles of an area, north row first.
 
     It is decided on pixels, and a larger cell is as the worst of its pixels: a planner goes anywhere in a free cell.
-
-    Returns
-    -------
-    states : uint8 (rows * split, cols * split)
-        ``LETHAL`` where an obstacle stands or a step is, in unknown tiles too, and where the ground bars the tile;
-        ``UNKNOWN_CELL`` in unknown tiles, outside of the tiles, and where objects were told apart from ground and
-        neither was seen; else ``FREE_CELL``. Where only obstacles or steps close a tile, it is free where the vehicle
-        passes between them.
-    canopy : bool, of the same shape
-        True where a free cell is in part under canopy that the vehicle fits under.
+    Returns ``states`` uint8 (rows * split, cols * split): ``LETHAL`` where an obstacle stands or a step is, in unknown
+    tiles too, and where the ground bars the tile; ``UNKNOWN_CELL`` in unknown tiles, outside of the tiles, and where
+    objects were told apart from ground and neither was seen; else ``FREE_CELL``. Where only obstacles or steps close a
+    tile, it is free where the vehicle passes between them. ``canopy``: True where a free cell is in part under canopy
+    that the vehicle fits under.
     """
     pixels, barred = area.route_map.grid.pixels, field.barred
     objects = area.route_map.objects(field.window)
@@ -120,8 +104,8 @@ def _open_in_part(route_map: MapReader, field: TileField) -> NDArray[np.bool_]:
     return np.asarray(swept & by_pixel(closed, pixels))
 
 
-_BLOCK = 512
-_WINDOW_TILES = 64
+_BLOCK, _WINDOW_TILES = 512, 64
+"""Of cost.tif: side of its blocks, pixels, as of heightmap.tif, and of the windows that are made at once, tiles."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,10 +208,7 @@ class ExportArea:
 def write_pixel_cost(folder: Path, area: ExportArea) -> dict[str, Any]:
     """Write cost.tif: a float32 COG, the cost of a metre on each pixel, NaN where the middle of the vehicle cannot be.
 
-    Raises
-    ------
-    BadInputError
-        The vehicle fits nowhere in the area.
+    Raises BadInputError: the vehicle fits nowhere in the area.
     """
     site = area.route_map
     pixels, free = site.grid.pixels, 0
@@ -272,23 +253,10 @@ def choose_area(
 ) -> ExportArea:
     """Choose the window to export, and its local frame.
 
-    Parameters
-    ----------
-    route_map : MapReader
-    split : int
-        Cells along a side of a tile.
-    around : tuple of float, optional
-        Easting and northing, m: export the tiles of a square around this point, up to ``radius`` to each side; else
-        the whole map.
-    radius_m : float
-    datum : tuple of float, optional
-        Easting and northing of the frame's origin, m; else the corner of a tile nearest to ``around``, or to the middle
-        of the map. Then cells and origin are aligned, as costmaps that roll with the robot want it.
-
-    Raises
-    ------
-    BadInputError
-        The square does not touch the map.
+    ``split``: cells along a side of a tile; ``around``: easting and northing, m: export the tiles of a square around
+    this point, up to ``radius`` to each side; else the whole map; ``datum``: easting and northing of the frame's
+    origin, m; else the corner of a tile nearest to ``around``, or to the middle of the map. Then cells and origin are
+    aligned, as costmaps that roll with the robot want it. Raises BadInputError: the square does not touch the map.
     """
     window, size = route_map.window, route_map.grid.tile_size
     if around is not None:

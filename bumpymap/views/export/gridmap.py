@@ -64,12 +64,8 @@ def make_layers(area: ExportArea) -> dict[str, NDArray[np.float32]]:
     """Read the layers of an area by name, (rows, cols) each, north row first; NaN where unknown.
 
     Obstacle is 0 where a cell is free, 1 where it is not passable, 2 where it is free under canopy. With one cell a
-    tile, elevation is the mean of the tile's heights.
-
-    Raises
-    ------
-    BadInputError
-        There are too many cells, or class.tif is missing or damaged.
+    tile, elevation is the mean of the tile's heights. Raises BadInputError: there are too many cells, or class.tif is
+    missing or damaged.
     """
     area.require_cells(_MAX_CELLS, "a grid_map")
     site = area.route_map
@@ -103,12 +99,7 @@ def write_gridmap(folder: Path, area: ExportArea, layers: Mapping[str, NDArray[n
     """Write gridmap.mcap and metadata.yaml, which make the folder a bag; return what the sidecar file says of it.
 
     All times are 0, so that the same map has the same bytes. Late subscribers get the message too. Version 8 of the
-    metadata is the newest that all current releases of ROS 2 read.
-
-    Raises
-    ------
-    OutputError
-        The bag cannot be written.
+    metadata is the newest that all current releases of ROS 2 read. Raises OutputError: the bag cannot be written.
     """
     from rosbags.rosbag2 import StoragePlugin, Writer
 
@@ -159,17 +150,8 @@ def grid_map_message(
 ) -> Any:
     """Make a message ``grid_map_msgs/GridMap``.
 
-    Parameters
-    ----------
-    store
-        From `typestore`.
-    header : std_msgs/Header
-    middle : tuple of float
-        x and y of the middle of the grid in the frame of the header, m.
-    resolution : float
-        Side of a cell, m.
-    layers : mapping
-        One of them is ``elevation``.
+    ``store``: from `typestore`; ``middle``: x and y of the middle of the grid in the frame of the header, m;
+    ``resolution``: side of a cell, m; ``layers``: one of them is ``elevation``.
     """
     types = store.types
     rows, cols = layers["elevation"].shape
@@ -221,15 +203,9 @@ _PERIOD_NS = 100_000_000
 def check_bag_file(path: Path, out: Path, inputs: Iterable[Path], *, overwrite: bool) -> None:
     """Check that a bag can be written, before the long work.
 
-    A bag that is a symbolic link will be replaced as a link; its target is not touched.
-
-    Raises
-    ------
-    OutputError
-        The file exists and ``overwrite`` is False, is a folder, is or lies in an input, would lie in a folder of
-        ``out`` that is replaced, or its folder does not exist.
-    UsageError
-        The extra ``ros`` is not installed.
+    A bag that is a symbolic link will be replaced as a link; its target is not touched. Raises OutputError: the file
+    exists and ``overwrite`` is False, is a folder, is or lies in an input, would lie in a folder of ``out`` that is
+    replaced, or its folder does not exist; UsageError: the extra ``ros`` is not installed.
     """
     require_rosbags()
     if any(path.resolve() == own.resolve() or own.resolve() in path.resolve().parents for own in inputs):
@@ -245,18 +221,8 @@ def check_bag_file(path: Path, out: Path, inputs: Iterable[Path], *, overwrite: 
 def write_grid_bag(path: Path, folder: Path, grids: Iterable[tuple[Frame, int, GroundGrid]]) -> None:
     """Write grids to a bag, which appears when it is complete.
 
-    Parameters
-    ----------
-    path : Path
-    folder : Path
-        Folder of the run, for the bag until then.
-    grids : iterable of Frame, int and GroundGrid
-        Frames, their numbers in the run, their grids, in order of time.
-
-    Raises
-    ------
-    OutputError
-        The bag cannot be written.
+    ``folder``: folder of the run, for the bag until then; ``grids``: frames, their numbers in the run, their grids, in
+    order of time. Raises OutputError: the bag cannot be written.
     """
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
@@ -285,7 +251,11 @@ def _messages_of(store: Any, frame: Frame, number: int, grid: GroundGrid) -> tup
     if grid.corner_m is not None:
         frame_id, middle = frame.pose_frame, (grid.corner_m[0] + grid.reach_m, grid.corner_m[1] + grid.reach_m)
     header = make_header(store, stamp_ns, frame_id)
-    occupancy = grid.fill(_blank(store, header), header)
+    info = store.types["nav_msgs/msg/MapMetaData"](
+        map_load_time=header.stamp, resolution=0.0, width=0, height=0, origin=_upright_pose(store.types, 0.0, 0.0)
+    )
+    blank = store.types[_OCCUPANCY](header=header, info=info, data=np.empty(0, np.int8))
+    occupancy = grid.fill(blank, header)
     occupancy.data = np.frombuffer(occupancy.data, np.int8)
     class_id = np.where(grid.class_id == NOT_TRAVERSABLE, np.nan, grid.class_id).astype(np.float32)
     layers = {"class": class_id} | {name: getattr(grid, name) for name in GRID_LAYERS}
@@ -293,12 +263,3 @@ def _messages_of(store: Any, frame: Frame, number: int, grid: GroundGrid) -> tup
         layers["c_r"] = grid.c_r
     layers = {name: layer[::-1] for name, layer in layers.items()}
     return stamp_ns, (occupancy, grid_map_message(store, header, middle, grid.resolution_m, layers))
-
-
-def _blank(store: Any, header: Any) -> Any:
-    """Return an OccupancyGrid with nothing in it."""
-    types = store.types
-    info = types["nav_msgs/msg/MapMetaData"](
-        map_load_time=header.stamp, resolution=0.0, width=0, height=0, origin=_upright_pose(types, 0.0, 0.0)
-    )
-    return types[_OCCUPANCY](header=header, info=info, data=np.empty(0, np.int8))

@@ -5,7 +5,7 @@ robots, and held by the tests.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -66,17 +66,9 @@ _SCALES = {
 def make_grids(area: ExportArea, max_cost: float | None) -> Callable[[Path], dict[str, Any]]:
     """Make the images of an area, and return what writes the files and says what the sidecar file says of them.
 
-    Parameters
-    ----------
-    area : ExportArea
-    max_cost : float, optional
-        Cost per metre that gets the highest value; else that of very rough ground, so that values mean the same in
-        every map for a vehicle: C_r at the limit of class 3, and the share of failing drives that bars ground.
-
-    Raises
-    ------
-    BadInputError
-        There are too many cells, or none of them is free.
+    ``max_cost``: cost per metre that gets the highest value; else that of very rough ground, so that values mean the
+    same in every map for a vehicle: C_r at the limit of class 3, and the share of failing drives that bars ground.
+    Raises BadInputError: there are too many cells, or none of them is free.
     """
     area.require_cells(_MAX_CELLS, "a map for Nav2")
     site, highest = area.route_map, 1.0
@@ -119,21 +111,13 @@ def make_grids(area: ExportArea, max_cost: float | None) -> Callable[[Path], dic
             write_file(folder / f"{name}.pgm", header.encode(), cells.tobytes())
             scale = _SCALES[name].format(most=most, top=TOP_VALUE, lethal=LETHAL, speed=site.rule.top_mps)
             scale = f"{scale} {seen_sizes(site.manifest).sentence}".rstrip()
-            write_file(folder / f"{name}.yaml", "".join(_map_yaml(scale, f"{name}.pgm", area)).encode())
+            west, south = float(area.bounds.west), float(area.bounds.south)
+            text = [  # the thresholds are required, though mode raw does not use them
+                *(f"# {scale}", f"image: {name}.pgm", "mode: raw", f"resolution: {area.resolution!r}"),
+                *(f"origin: [{west!r}, {south!r}, 0.0]", "negate: 0", "occupied_thresh: 0.65", "free_thresh: 0.25", ""),
+            ]
+            write_file(folder / f"{name}.yaml", "\n".join(text).encode())
         write_file(folder / "nav2_params.yaml", params_text(site, most, area.resolution).encode())
         return about
 
     return write
-
-
-def _map_yaml(scale: str, image: str, area: ExportArea) -> Iterator[str]:
-    """Yield the lines of a map's metadata; the thresholds are required, though mode ``raw`` does not use them."""
-    bounds = area.bounds
-    yield f"# {scale}\n"
-    yield f"image: {image}\n"
-    yield "mode: raw\n"
-    yield f"resolution: {area.resolution!r}\n"
-    yield f"origin: [{float(bounds.west)!r}, {float(bounds.south)!r}, 0.0]\n"
-    yield "negate: 0\n"
-    yield "occupied_thresh: 0.65\n"
-    yield "free_thresh: 0.25\n"

@@ -10,15 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import (
-    BadInputError,
-    Number,
-    OutputError,
-    locked,
-    remove_empty_on_error,
-    shape_fault,
-    write_together,
-)
+from bumpymap.core import BadInputError, Number, OutputError, locked, remove_empty_on_error, shape_fault, write_together
 from bumpymap.layers import (
     MANIFEST_NAME,
     MapReader,
@@ -28,11 +20,7 @@ from bumpymap.layers import (
     require_folder,
     write_manifest,
 )
-from bumpymap.views.export.area import (
-    ExportArea,
-    choose_area,
-    write_pixel_cost,
-)
+from bumpymap.views.export.area import ExportArea, choose_area, write_pixel_cost
 from bumpymap.views.export.gridmap import make_layers, require_rosbags, write_gridmap
 from bumpymap.views.export.nav2 import make_grids
 from bumpymap.views.export.settings import ExportSettings
@@ -46,29 +34,16 @@ _RELATIVE = 3
 _ARDUPILOT, _ROVER = 3, 10
 """MAV_AUTOPILOT_ARDUPILOTMEGA, MAV_TYPE_GROUND_ROVER."""
 _MOST_WAYPOINTS = 10_000
+"""Chosen."""
 
 
 def read_route_line(path: Path, *, through_obstacles: bool = False) -> tuple[NDArray[np.float64], float]:
     """Read the first line of a route file.
 
-    Parameters
-    ----------
-    path : Path
-        GeoJSON (RFC 7946) with a LineString or MultiLineString, as ``route.geojson``.
-    through_obstacles : bool
-        Read a route that touches obstacles (its property ``obstacle_m``) too.
-
-    Returns
-    -------
-    line : float64 (n, 2)
-        Longitude and latitude of its corners, degrees.
-    obstacle_m : float
-        Length on which it touches obstacles, m.
-
-    Raises
-    ------
-    BadInputError
-        The file cannot be read, or holds no such line, or one that touches obstacles.
+    ``path``: GeoJSON (RFC 7946) with a LineString or MultiLineString, as ``route.geojson``; ``through_obstacles``: read
+    a route that touches obstacles (its property ``obstacle_m``) too. Returns ``line`` float64 (n, 2): longitude and
+    latitude of its corners, degrees; ``obstacle_m``: length on which it touches obstacles, m. Raises BadInputError: the
+    file cannot be read, or holds no such line, or one that touches obstacles.
     """
     try:
         corners, touched = _first_line(path)
@@ -102,17 +77,9 @@ def _first_line(path: Path) -> tuple[NDArray[np.float64], float]:
 def make_plan(route_map: MapReader, line: NDArray[np.float64]) -> dict[str, Any]:
     """Make a mission on the ground along a line over a map, as the JSON of a plan of QGroundControl.
 
-    Parameters
-    ----------
-    route_map : MapReader
-        Gives the speed, and the height of the ground at the start.
-    line : float64 (n, 2)
-        Longitude and latitude of its corners, degrees.
-
-    Raises
-    ------
-    BadInputError
-        The line leaves the map or has too many corners, or the map has no CRS.
+    ``route_map``: gives the speed, and the height of the ground at the start; ``line`` float64 (n, 2): longitude and
+    latitude of its corners, degrees. Raises BadInputError: the line leaves the map or has too many corners, or the map
+    has no CRS.
     """
     if len(line) > _MOST_WAYPOINTS:
         raise BadInputError(f"the route has {len(line):,} corners; a mission may have {_MOST_WAYPOINTS:,}")
@@ -195,11 +162,8 @@ EXPORT_FILES: dict[str, tuple[str, ...]] = {
 def _check_target(out: Path, to: str, *, overwrite: bool) -> None:
     """Check that an export can be written to a folder, without touching it.
 
-    Raises
-    ------
-    OutputError
-        It is a file, holds the layers of a run or an export in another format, or an earlier export and ``overwrite``
-        is False.
+    Raises OutputError: it is a file, holds the layers of a run or an export in another format, or an earlier export and
+    ``overwrite`` is False.
     """
     require_folder(out)
     if lexists(out / MANIFEST_NAME):
@@ -227,24 +191,10 @@ def export_map(
 ) -> Export:
     """Write a map for robots to a folder: all files, or none.
 
-    Parameters
-    ----------
-    route_map : MapReader
-        From `open_map`.
-    out : path
-        A folder of its own.
-    settings : ExportSettings
-    overwrite : bool
-        Replace an earlier export in the same format.
-
-    Raises
-    ------
-    BadInputError
-        The map or the route cannot be read, the area does not touch the map, is too large, or holds nothing passable.
-    OutputError
-        The folder holds something that must not be replaced, or cannot be written.
-    UsageError
-        The extra ``ros`` is needed and not installed.
+    ``route_map``: from `open_map`; ``out``: a folder of its own; ``overwrite``: replace an earlier export in the same
+    format. Raises BadInputError: the map or the route cannot be read, the area does not touch the map, is too large, or
+    holds nothing passable; OutputError: the folder holds something that must not be replaced, or cannot be written;
+    UsageError: the extra ``ros`` is needed and not installed.
     """
     folder = Path(out)
     by_pixels = settings.to == "cost" or (settings.resolution == "pixel" and settings.to in {"nav2", "gridmap"})

@@ -13,22 +13,19 @@ from pyproj import Transformer
 from pyproj.exceptions import ProjError
 
 from bumpymap.core import CLASS_NAMES, shares_text, stated_crs
-from bumpymap.layers import (
-    CLASS_COLOURS,
-    UNKNOWN_COLOUR,
-    MapFile,
-    SurveyRow,
-    SurveyStatus,
-)
+from bumpymap.layers import CLASS_COLOURS, UNKNOWN_COLOUR, MapFile, SurveyRow, SurveyStatus
 from bumpymap.views.page.page import render_page
 from bumpymap.views.page.site import UNREADABLE, jpeg, open_picture
 from bumpymap.views.pictures.drawing import bar_length
 
 _log = logging.getLogger(__name__)
-_LEAST_WIDTH, _WIDTH, _MOST_HEIGHT, _EDGE = 260.0, 640.0, 280.0, 24.0
+_LEAST_WIDTH, _WIDTH, _MOST_HEIGHT, _EDGE, _SMALLEST_PX = 260.0, 640.0, 280.0, 24.0, 7.0
+"""Of the map of the surveys, pixels: its least and its largest width, its largest height, the space around it, and the
+least side of the box of a survey. Chosen."""
 _DEGREE_M = 111_320.0
+"""A degree of the equator of WGS 84, m."""
 _LEAST_M = 100.0
-_SMALLEST_PX = 7.0
+"""Least extent of that map, m: chosen."""
 
 
 def _places(rows: Sequence[SurveyRow]) -> dict[str, Any] | None:
@@ -81,7 +78,7 @@ def _to_degrees(crs: str) -> Transformer:
 
 
 _SIDE = 240
-"""Most pixels of a picture along a side."""
+"""Most pixels of a picture along a side: chosen."""
 
 
 def read_thumbnail(folder: Path, most: int) -> str:
@@ -119,19 +116,9 @@ def index_page(
 ) -> str:
     """Return a page that requests nothing but what the reader follows a link to.
 
-    All text from rows is escaped; scripts and styles other than the page's own are refused by its policy.
-
-    Parameters
-    ----------
-    rows : sequence of SurveyRow
-    views : mapping
-        By name of a survey; those without one have no picture.
-    links : sequence of str
-        Files beside the page to link to.
-    title : str
-        Name of the batch.
-    note : str, optional
-        A sentence below the headline, such as when the page was written.
+    All text from rows is escaped; scripts and styles other than the page's own are refused by its policy. ``views``: by
+    name of a survey; those without one have no picture; ``links``: files beside the page to link to; ``title``: name of
+    the batch; ``note``: a sentence below the headline, such as when the page was written.
     """
     shown = sorted(rows, key=lambda row: (_ORDER.index(row.status), row.name))
     return render_page(
@@ -156,5 +143,5 @@ def _shares(row: SurveyRow) -> list[tuple[str, tuple[int, ...], float, str]]:
     if len(known) < len(shares):
         return []
     colours = [*(CLASS_COLOURS[number] for number in range(len(CLASS_NAMES))), UNKNOWN_COLOUR]
-    told = shares_text(known, (len(CLASS_NAMES),), 1)
-    return list(zip((*CLASS_NAMES, "unknown"), colours, known, told, strict=True))
+    texts = shares_text(known, (len(CLASS_NAMES),), 1)
+    return list(zip((*CLASS_NAMES, "unknown"), colours, known, texts, strict=True))

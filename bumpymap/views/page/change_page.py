@@ -37,23 +37,24 @@ from bumpymap.layers import (
 )
 from bumpymap.views.page.page import write_page
 from bumpymap.views.page.site import PHOTO_BUDGET, RELIEF_BUDGET, RELIEF_SIDE, jpeg, read_photo, read_pixels, shaded
-from bumpymap.views.page.tiles import ByteGrid, Spot, crs_name, map_metres, packed
+from bumpymap.views.page.tiles import ByteGrid, Spot, map_metres, packed
 from bumpymap.views.pictures.drawing import STRENGTH
-from bumpymap.views.words import area, number, share, shares, signed, survey_name, whole
+from bumpymap.views.words import area, number, share, shares, signed, whole
 
 NOT_COMPARED = 16
 """Value of ``kinds`` where the surveys could not be compared."""
 _RANK = (NOT_COMPARED, 1, 3, 5, 4, 2)
 """Order of the kinds in a pixel of several tiles: each counts before those to its left and before unchanged tiles."""
 _SIDE = 1_500
-"""Most pixels of the grids along a side."""
+"""Most pixels of the grids along a side: chosen."""
 _BUDGET = 1_300_000
-"""Most characters of the grids."""
+"""Most characters of the grids: a page has 2 MB at most."""
 _COMPARED = 400_000
 """Most pixels of the grids with a value: some three bytes of the page each."""
 _STRIP_TILES = 1_000_000
 """Most tiles to read at a time."""
 _STILL_SIDE = 700
+"""Longer side of the picture for pages without scripts, pixels: chosen."""
 _MOST_PLACES = 200
 """Most places on the map and in the table, the largest."""
 _BANDS = ("changed", "d_height", "d_c_r")
@@ -85,17 +86,8 @@ class ChangeSite:
     def read(cls, folder: Path, record: Mapping[str, Any]) -> Self:
         """Read the files of a comparison.
 
-        Parameters
-        ----------
-        folder : Path
-            change.tif and change.geojson.
-        record : mapping
-            The content of change.json, which may not be there yet.
-
-        Raises
-        ------
-        BadInputError
-            A file is missing, damaged, or was written by an earlier version.
+        ``folder``: change.tif and change.geojson; ``record``: the content of change.json, which may not be there yet.
+        Raises BadInputError: a file is missing, damaged, or was written by an earlier version.
         """
         try:
             unit, tile_size = float(record["metres_per_unit"]["horizontal"]), float(record["grid"]["tile_size_m"])
@@ -111,7 +103,7 @@ class ChangeSite:
                         ByteGrid.of(("d_height", "height after minus before", "m", 2), d_height, "root"),
                         ByteGrid.of(("d_c_r", "ride cost C_r after minus before", "rad/m", 3), d_c_r, "root"),
                     )
-                    taken = len(packed(kinds)) + sum(len(packed(grid.codes)) for grid in grids)
+                    taken = len(packed(kinds)) + sum(len(grid.text) for grid in grids)
                     if taken < _BUDGET or max(kinds.shape) < 100:
                         break
                     step *= 2
@@ -123,11 +115,6 @@ class ChangeSite:
         except OSError as error:
             raise BadInputError(f"cannot read the files of the comparison in {folder}: {error}. {_AGAIN}") from error
         return cls(record, spot, kinds, grids, places, degrees, _still(kinds, spot), below)
-
-    @property
-    def crs_name(self) -> str:
-        """Name of the CRS."""
-        return crs_name(self.record)
 
     def area_of(self, tiles: int) -> float:
         """Return the area of some tiles, m2."""
@@ -236,7 +223,7 @@ def _still(kinds: NDArray[np.uint8], spot: Spot) -> str:
     return jpeg(picture, 150_000)
 
 
-_MANIFEST, _FORMAT = "change.json", "bumpymap-change"
+_MANIFEST = "change.json"
 _SURVEY = {"folders": [str], "runs": [Each()]}
 _SHAPE = PLACE_SHAPE | {
     "settings": {"fdr": Number(0, 1), "min_tiles": COUNT},
@@ -280,7 +267,7 @@ def is_comparison(folder: Path) -> bool:
 def read_comparison(folder: Path) -> dict[str, Any]:
     """Read change.json. Raises BadInputError if it is damaged."""
     record = read_record(folder / _MANIFEST)
-    if record is None or record.get("format") != _FORMAT:
+    if record is None or record.get("format") != "bumpymap-change":
         raise BadInputError(f"{folder / _MANIFEST} is not that of a comparison. Compare the surveys again")
     if fault := shape_fault(record, _SHAPE):
         raise BadInputError(f"{folder / _MANIFEST} is damaged: {fault}. Compare the surveys again")
@@ -290,21 +277,8 @@ def read_comparison(folder: Path) -> dict[str, Any]:
 def write_change_report(folder: Path, record: Mapping[str, Any], path: Path) -> None:
     """Write the page of the changes in a folder.
 
-    Parameters
-    ----------
-    folder : Path
-        change.tif and change.geojson.
-    record : mapping
-        The content of change.json, which need not be there yet.
-    path : Path
-        The page.
-
-    Raises
-    ------
-    BadInputError
-        A file cannot be read.
-    OutputError
-        The page cannot be written.
+    ``folder``: change.tif and change.geojson; ``record``: the content of change.json, which need not be there yet.
+    Raises BadInputError: a file cannot be read; OutputError: the page cannot be written.
     """
     site = ChangeSite.read(folder, record)
     runs = [record["sources"][side]["runs"][0] for side in _SIDES]
@@ -342,7 +316,7 @@ _SIDES = ("before", "after")
 
 def _title(runs: list[Mapping[str, Any]]) -> str:
     """Return what the two surveys are called, by what differs: their names, else the dates of their files."""
-    names, days = [survey_name(run) for run in runs], [_dates(run) for run in runs]
+    names, days = [str(run["survey"]["name"]) for run in runs], [_dates(run) for run in runs]
     if names[0] != names[1]:
         return " to ".join(names)
     dated = None not in days and days[0] != days[1]
@@ -376,20 +350,20 @@ def _kind_rows(site: ChangeSite) -> list[tuple[Any, ...]]:
     found = [int(counts["by_change"][kind]) for kind in CHANGE_KINDS]
     entries = [
         *(
-            ({"text": name, "meaning": _MEANING[name]}, told, tiles)
-            for name, told, tiles in zip(CHANGE_KINDS, shares(found), found, strict=True)
+            ({"text": name, "meaning": _MEANING[name]}, part, tiles)
+            for name, part, tiles in zip(CHANGE_KINDS, shares(found), found, strict=True)
         ),
         ("compared", share(compared, compared), compared),
         ({"text": "in both surveys, not compared", "meaning": _APART}, share(apart, 0), apart),
     ]
     most = site.area_of(compared + apart)
-    return [(name, told, area(site.area_of(tiles), most), whole(tiles)) for name, told, tiles in entries]
+    return [(name, part, area(site.area_of(tiles), most), whole(tiles)) for name, part, tiles in entries]
 
 
 def _survey_rows(fit: Mapping[str, Any], runs: list[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     inputs = [run["inputs"] for run in runs]
     return [
-        ("name", *map(survey_name, runs)),
+        ("name", *(run["survey"]["name"] for run in runs)),
         ("files written on", *(_dates(run) or "not stated" for run in runs)),
         ("files", *(whole(len(items)) for items in inputs)),
         ("points in the files", *(whole(sum(int(item.get("points") or 0) for item in items)) for items in inputs)),

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from bumpymap.core import count_text
 from bumpymap.layers import OFF_COLOURS
 from bumpymap.views.page.tiles import C_R_EDGES, SLOPE_EDGES
-from bumpymap.views.pictures.drawing import tick_step
+from bumpymap.views.pictures.drawing import ticks
 from bumpymap.views.words import share, shares, whole
 
 if TYPE_CHECKING:
@@ -26,12 +26,9 @@ if TYPE_CHECKING:
 
 _LINES, _FAINT, _DARK, _ERROR, _MARK, _LINE = "#e2e4e8", "#6b7280", "#1f2937", "#9aa0a8", "#a3261b", "#2563a8"
 _STEPS = (1, 2, 5)
-_ROOM = 1.15
-"""Factor between the outermost value and the end of the axis."""
-_LEAST_SPAN = 4.0
-"""Least ratio of the ends."""
-
-
+"""Times a power of ten: the numbers at an axis."""
+_ROOM, _LEAST_SPAN = 1.15, 4.0
+"""Of a logarithmic axis: factor between its outermost value and its end, and least ratio of its ends. Chosen."""
 Part = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """From values to their place along an axis: 0 at its lower end, 1 at its upper."""
 
@@ -115,12 +112,7 @@ class Chart:
 def c_r_chart(bins: NDArray[np.int64], limits: Sequence[float]) -> Chart:
     """Return the histogram of the ride cost: bins of equal width on a logarithmic axis.
 
-    Parameters
-    ----------
-    bins : int64 (n,)
-        Tiles in each bin of ``C_R_EDGES``.
-    limits : sequence of float
-        Limits of the classes, rad/m.
+    ``bins`` int64 (n,): tiles in each bin of ``C_R_EDGES``; ``limits``: limits of the classes, rad/m.
     """
     used = np.flatnonzero(bins)
     first, last = (int(used[0]), int(used[-1]) + 1) if len(used) else (0, len(bins))
@@ -185,6 +177,7 @@ def _histogram(
 
 
 _SIDES = (64, 12, 12, 48)
+"""See `Chart.sides`."""
 _FACTOR = 1.5
 """Thin lines: map and drive differ by this factor."""
 
@@ -260,11 +253,11 @@ def along_chart(result: "CheckResult") -> Chart | None:
     parts: tuple[Part, Part] = (lambda x: x / length, lambda y: np.clip(y / highest, 0.0, 1.0))
     chart = Chart(title, "along", 1120, 260, _SIDES, *parts, caption, note)
     left, right, top, foot = chart.frame
-    for value in _round_steps(highest, 5):
+    for value in (round(value, 12) for value in ticks(0.0, highest, 5)[0]):
         (y,) = chart.y(np.array([value]))
         chart.path(f"M{left} {y:.1f}H{right}", _LINES)
         chart.text(left - 6, y + 4, f"{value:g}", "end")
-    for value in _round_steps(length, 10):
+    for value in (round(value, 12) for value in ticks(0.0, length, 10)[0]):
         chart.text(float(chart.x(np.array([value]))[0]), foot + 16, f"{value:,g}")
     sides = chart.x(np.concatenate([[0.0], np.cumsum(stretches.way_m)]))
     ends = [np.where(np.isfinite(end), end, stretches.c_r)[on_map] for end in (stretches.c_r_low, stretches.c_r_high)]
@@ -274,9 +267,9 @@ def along_chart(result: "CheckResult") -> Chart | None:
     chart.elements.append(f'<path d="{boxes}" fill="#d9dce1"/>')
     chart.paths("M{:.1f} {:.1f}H{:.1f}", _DARK, west, chart.y(stretches.c_r[on_map]), east, more=' stroke-width="2"')
     if result.by_line is not None:
-        told = np.flatnonzero(np.isfinite(result.by_line.c_r))
-        middle = chart.y(result.by_line.c_r[told])
-        chart.paths("M{:.1f} {:.1f}H{:.1f}", _LINE, sides[told], middle, sides[told + 1], more=' stroke-width="2"')
+        known = np.flatnonzero(np.isfinite(result.by_line.c_r))
+        middle = chart.y(result.by_line.c_r[known])
+        chart.paths("M{:.1f} {:.1f}H{:.1f}", _LINE, sides[known], middle, sides[known + 1], more=' stroke-width="2"')
     starts = "".join(f"M{x:.1f} {top}V{foot}" for x in sides[1:-1][np.diff(stretches.drive) != 0].tolist())
     chart.path(starts, _FAINT, ' stroke-width="1.5"')
     offset, measured = MapOffset.of(stretches), np.flatnonzero(np.isfinite(stretches.measured))
@@ -286,12 +279,6 @@ def along_chart(result: "CheckResult") -> Chart | None:
     chart.discs(x, chart.y(felt), offset, measured, min(1.0, float(np.median(np.diff(sides))) / 9.0))
     chart.names("length of the stretches, one after another, m", "C_r, rad/m")
     return chart
-
-
-def _round_steps(end: float, most: int) -> list[float]:
-    """Return 0 and the multiples of 1, 2 or 5 times a power of ten up to ``end``, at most ``most`` of them."""
-    step = tick_step(end, most)
-    return [round(step * number, 12) for number in range(int(end / step + 1e-9) + 1)]
 
 
 _COUNTRIES = Path(__file__).parent / "data" / "countries.npz"

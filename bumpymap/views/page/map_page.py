@@ -35,6 +35,7 @@ from bumpymap.layers import (
     REPORT_NAME,
     UNKNOWN_COLOUR,
     MapFile,
+    class_ranges,
     read_manifest,
     require_written,
 )
@@ -52,14 +53,12 @@ from bumpymap.views.words import (
     check_headline,
     degrees,
     metres,
-    names_of,
     number,
     percent,
     read_surfaces,
     seen_sizes,
     share,
     shares,
-    skipped_words,
     warnings_of,
     whole,
 )
@@ -82,32 +81,12 @@ def write_report(
 ) -> Path:
     """Write the page of a map or of a comparison again.
 
-    Parameters
-    ----------
-    layers : path
-        A folder that `bumpymap map` or `bumpymap diff` wrote.
-    out : path, optional
-        The file; default is report.html in the folder of the layers, which is replaced, since it can be made again.
-    route : path, optional
-        A folder that `bumpymap route` wrote: its ways are drawn.
-    page : PageSettings, optional
-        Header of the page of a map; what it does not give is as the map was made with.
-    overwrite : bool
-        Replace ``out`` if it exists.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    UsageError
-        ``out`` is not named like a page, or a comparison is given with ``route``.
-    BadInputError
-        The folder holds no complete layers, or they cannot be read, or ``route`` holds no way.
-    OutputError
-        The page cannot be written, or exists.
+    ``layers``: a folder that `bumpymap map` or `bumpymap diff` wrote; ``out``: the file; default is report.html in the
+    folder of the layers, which is replaced, since it can be made again; ``route``: a folder that `bumpymap route`
+    wrote: its ways are drawn; ``page``: header of the page of a map; what it does not give is as the map was made with;
+    ``overwrite``: replace ``out`` if it exists. Returns the file. Raises UsageError: ``out`` is not named like a page,
+    or a comparison is given with ``route``; BadInputError: the folder holds no complete layers, or they cannot be read,
+    or ``route`` holds no way; OutputError: the page cannot be written, or exists.
     """
     from bumpymap.views.page.change_page import is_comparison, read_comparison, write_change_report
 
@@ -154,10 +133,7 @@ def _check(path: Path, *, replace: bool) -> None:
 def write_map_page(site: Site, path: Path) -> None:
     """Write the page of a map. The same layers give the same page: it holds no time and no folder.
 
-    Raises
-    ------
-    OutputError
-        The page cannot be written.
+    Raises OutputError: the page cannot be written.
     """
     real = read_surfaces()
     write_page(
@@ -187,6 +163,7 @@ def _of_map(site: Site | None) -> dict[str, Any]:
     return {
         "photo_strength": STRENGTH,
         "ramp_colours": _RAMP,
+        "ranges": class_ranges(site.record) if site else (),
         "data": {"maps": [site.map_record()] if site else [], "codes": _CODES},
     }
 
@@ -214,23 +191,12 @@ _CODES = {
 def write_check_page(result: "CheckResult", ground: "MapReader | None", path: Path) -> None:
     """Write check.html: the drives over the map they were checked against, charts, tables, how to read them.
 
-    Without a map, or where its layers cannot be drawn, the page has no map.
-
-    Parameters
-    ----------
-    result : CheckResult
-    ground : MapReader or None
-        The map; None without one.
-    path : Path
-        The file, which appears only when it is complete.
-
-    Raises
-    ------
-    OutputError
-        The page cannot be written.
+    Without a map, or where its layers cannot be drawn, the page has no map. ``ground``: the map; None without one.
+    Raises OutputError: the page cannot be written.
     """
     site = None if ground is None else _driven_site(result, ground)
-    names = names_of([drive.name for drive in result.drives])
+    names, more = ", ".join(drive.name for drive in result.drives[:3]), len(result.drives) - 3
+    names += f" and {more} more" if more > 0 else ""
     title = f"{result.ground.name} checked against {names}" if result.ground else f"Drives measured: {names}"
     write_page(
         path,
@@ -238,7 +204,7 @@ def write_check_page(result: "CheckResult", ground: "MapReader | None", path: Pa
         title=title,
         headline=check_headline(result),
         result=result,
-        warnings=[*skipped_words(result), *warnings_of(result)],
+        warnings=[*(f"{drive} is left out: {why}" for drive, why in result.skipped.items()), *warnings_of(result)],
         agreement=[_agreement(name, found) for name, found in agreements_of(result) if found.stretches],
         worst=_worst(result),
         charts=[chart for chart in (drive_chart(result), along_chart(result)) if chart is not None],
@@ -276,9 +242,6 @@ def drawn_stretches(result: "CheckResult") -> list[dict[str, Any]]:
     return drawn
 
 
-_WORST = 10
-
-
 def _agreement(name: str, found: "MapAgreement") -> tuple[str, ...]:
     return (
         name,
@@ -309,7 +272,7 @@ def _worst(result: "CheckResult") -> list[tuple[str, ...]]:
             f"{number(float(stretches.c_r_low[at]), 3)} to {number(float(stretches.c_r_high[at]), 3)}",
             f"{offset.ratio[at]:.2f}",
         )
-        for at in order[:_WORST].tolist()
+        for at in order[:10].tolist()
         if offset.is_off[at]
     ]
 
@@ -339,7 +302,7 @@ Row = tuple[Any, ...]
 
 def _class_rows(site: Site) -> list[Row]:
     """Return limits, tiles, area, share, median ride cost and slope of the classes."""
-    summary, ranges = site.summary, site.class_ranges or (DASH,) * len(CLASS_NAMES)
+    summary, ranges = site.summary, class_ranges(site.record) or (DASH,) * len(CLASS_NAMES)
     names = (*(f"{code} {name}" for code, name in enumerate(CLASS_NAMES)), "not known")
     counted = _counted(site, [*summary.by_class, summary.unknown], (len(CLASS_NAMES),))
     columns = (names, counted, (*ranges, DASH), summary.median_c_r, summary.median_slope)
@@ -395,8 +358,8 @@ _REASONS = {
 
 def _counted(site: Site, counts: Sequence[int], alone: Collection[int] = ()) -> list[tuple[str, str, str]]:
     """Return share, area and number of all parts of the tiles; see `shares`."""
-    told = zip(shares(counts, alone), counts, strict=True)
-    return [(part, area(tiles * site.tile_area, site.ground), whole(tiles)) for part, tiles in told]
+    parts = zip(shares(counts, alone), counts, strict=True)
+    return [(part, area(tiles * site.tile_area, site.ground), whole(tiles)) for part, tiles in parts]
 
 
 def _way_rows(ways: Sequence[DrawnWay]) -> list[Row]:
@@ -419,14 +382,14 @@ def _way_lines(ways: Sequence[DrawnWay]) -> list[tuple[str, str]]:
     """Return letter and a line of what decides between ways: cost, minutes, chance to arrive, obstacles."""
     lines = []
     for way in ways:
-        told = [number(way.figures.get("cost_m"), 0, " m of cost")]
+        texts = [number(way.figures.get("cost_m"), 0, " m of cost")]
         seconds, arrives = (way.figures.get(key) for key in ("seconds", "p_arrives"))
-        told += [number(seconds / 60, 1, " minutes")] if isinstance(seconds, int | float) else []
+        texts += [number(seconds / 60, 1, " minutes")] if isinstance(seconds, int | float) else []
         if isinstance(arrives, int | float):
-            told += [f"{chance_text(arrives, 0, PERCENT)} to arrive {SeenSizes.of(way.figures).condition}"]
+            texts += [f"{chance_text(arrives, 0, PERCENT)} to arrive {SeenSizes.of(way.figures).condition}"]
         touched = way.figures.get("obstacle_m") or 0.0
-        told += [f"{number(touched, 1, ' m')} touching obstacles" if touched else "touches no obstacle"]
-        lines.append((way.letter, f"{way.name}: {', '.join(text for text in told if not text.startswith(DASH))}"))
+        texts += [f"{number(touched, 1, ' m')} touching obstacles" if touched else "touches no obstacle"]
+        lines.append((way.letter, f"{way.name}: {', '.join(text for text in texts if not text.startswith(DASH))}"))
     return lines
 
 
@@ -438,15 +401,11 @@ def _class_bar(site: Site) -> list[tuple[str, tuple[int, ...], str, float]]:
     """Return name, colour, share in words and share in per cent of what can be crossed by class, and of the rest."""
     passable, unknown, barred = _parts_of(site)
     classes, total = site.tiles.free.tolist(), site.summary.tiles
-    told = shares([*classes, total - passable], (len(classes),))[:-1]  # they make what the headline says is passable
-    told += shares((passable, unknown, barred), (0, 1))[:0:-1]
+    texts = shares([*classes, total - passable], (len(classes),))[:-1]  # they make what the headline says is passable
+    texts += shares((passable, unknown, barred), (0, 1))[:0:-1]
     colours = [*(CLASS_COLOURS[code] for code in range(len(classes))), _CLOSED_COLOUR, UNKNOWN_COLOUR]
     parts = [100.0 * count / max(total, 1) for count in (*classes, barred, unknown)]
-    return list(zip((*CLASS_NAMES, "cannot be crossed", "not known"), colours, told, parts, strict=True))
-
-
-_DIGEST = 16
-"""Digits of a checksum that a table shows."""
+    return list(zip((*CLASS_NAMES, "cannot be crossed", "not known"), colours, texts, parts, strict=True))
 
 
 def _file_rows(record: Mapping[str, Any]) -> list[Row]:
@@ -459,7 +418,7 @@ def _file_rows(record: Mapping[str, Any]) -> list[Row]:
                 item.get("format", DASH),
                 whole(int(item.get("points") or 0)),
                 number(float(item["bytes"]) / 1e6, 1, " MB") if item.get("bytes") is not None else DASH,
-                f"{kind}{colon}{digits[:_DIGEST]}",
+                f"{kind}{colon}{digits[:16]}",  # enough to tell files apart
             )
         )
     return rows

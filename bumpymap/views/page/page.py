@@ -13,15 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from bumpymap.core import (
-    BARRED_TEXT,
-    CHANGE_KINDS,
-    CLASS_NAMES,
-    Barred,
-    atomic,
-    count_text,
-    escape_controls,
-)
+from bumpymap.core import BARRED_TEXT, CHANGE_KINDS, CLASS_NAMES, Barred, atomic, count_text, escape_controls
 from bumpymap.layers import (
     BARRED_COLOURS,
     CHANGE_COLOURS,
@@ -32,6 +24,7 @@ from bumpymap.layers import (
     REPORT_NAME,
     UNKNOWN_COLOUR,
 )
+from bumpymap.views.page.tiles import crs_name
 from bumpymap.views.words import DASH, area, base_name, degrees, number, share, whole
 
 if TYPE_CHECKING:
@@ -43,10 +36,7 @@ _HERE = Path(__file__).parent
 def write_page(path: Path, template: str, **context: Any) -> None:
     """Write a page, which appears only when it is complete; see `render_page`.
 
-    Raises
-    ------
-    OutputError
-        The page cannot be written.
+    Raises OutputError: the page cannot be written.
     """
     text = render_page(template, **context)
     with atomic(path) as temporary:
@@ -63,21 +53,9 @@ def render_page(
 ) -> str:
     """Return a page as HTML: it holds all that it shows, and its policy forbids a browser to fetch anything else.
 
-    Parameters
-    ----------
-    template : str
-        Name of a template.
-    style, script : str
-        Names of files in ``data``; the policy lets a browser run these two alone.
-    data : mapping
-        What the script needs, as plain JSON; None for a script that needs nothing.
-    **context
-        What the template needs. All of it is escaped where it is written.
-
-    Raises
-    ------
-    LookupError
-        The template names what a record does not hold.
+    ``style``, ``script``: names of files in ``data``; the policy lets a browser run these two alone; ``data``: what the
+    script needs, as plain JSON; None for a script that needs nothing; ``**context``: what the template needs. All of it
+    is escaped where it is written. Raises LookupError: the template names what a record does not hold.
     """
     # In a script element only "<" could end it.
     text = json.dumps(data, allow_nan=False, ensure_ascii=True, separators=(",", ":")).replace("<", "\\u003c")
@@ -175,6 +153,7 @@ _NAMES = {
     "changes": [(name, CHANGE_COLOURS[code]) for code, name in enumerate(CHANGE_KINDS)],
     "classes": [(name, CLASS_COLOURS[code]) for code, name in enumerate(CLASS_NAMES)],
     "count_text": count_text,
+    "crs_name": crs_name,
     "object_colours": OBJECT_COLOURS,
     "unknown_colour": UNKNOWN_COLOUR,
     "off_kinds": [(name, OFF_COLOURS[code]) for code, name in enumerate(OFF_KINDS)],

@@ -42,7 +42,6 @@ from bumpymap.layers import (
     MapSummary,
     RideScale,
     class_limits,
-    class_ranges,
     open_layer,
     read_averaged,
     read_colours,
@@ -58,13 +57,11 @@ from bumpymap.views.page.tiles import (
     PageTiles,
     Spot,
     block_means,
-    crs_name,
     heading_codes,
     map_metres,
     packed,
 )
 from bumpymap.views.pictures.drawing import LEVEL, STRENGTH, light_of
-from bumpymap.views.words import survey_name
 
 _STRIP_PIXELS = 16_000_000
 """Most pixels of obstacle.tif to read at a time."""
@@ -73,10 +70,11 @@ _FLAT = 0.84
 _WORST = (FREE, CANOPY, UNKNOWN_OBJECT, STEP_LINE, OBSTACLE)
 """Order of the states in a pixel: each counts before those to its left."""
 _QUALITIES = (72, 55, 40, 25)
+"""Of JPEG, per cent, from the first that is tried: chosen."""
 
 
 def finer(spot: Spot, side: int) -> int:
-    """Return how many pixels a picture may have along each pixel of the page's grid, with at most ``side`` in all."""
+    """Return the number of pixels of a picture along each pixel of the page's grid, with at most ``side`` in all."""
     return 1 if spot.step > 1 else max(1, min(spot.pixels, side // max(spot.cols, spot.rows)))
 
 
@@ -85,13 +83,8 @@ def read_pixels(
 ) -> NDArray[np.float32]:
     """Read a raster of the pixels of heightmap.tif, ``side`` along a side at most, or one for each of the page's grid.
 
-    The page may show a part of the raster. ``read`` returns the pixels of a window in another shape,
-    (..., rows, cols), as `read_averaged`.
-
-    Returns
-    -------
-    float32 (..., rows, cols)
-        NaN where there is no point.
+    The page may show a part of the raster. ``read`` returns the pixels of a window in another shape, (..., rows, cols),
+    as `read_averaged`. Returns float32 (..., rows, cols): NaN where there is no point.
     """
     factor = spot.pixels
     while factor > finer(spot, side):  # half and half again: what overviews hold, or a little less
@@ -149,10 +142,7 @@ def _square_sums(values: NDArray[Any]) -> NDArray[Any]:
 def _spans(count: int, step: int) -> list[tuple[int, int, int]]:
     """Divide ``count`` tiles into those of whole pixels of ``step`` tiles, and those of the last pixel.
 
-    Returns
-    -------
-    list of tuple of int
-        First tile, number of pixels, and tiles in each of them.
+    Returns first tile, number of pixels, and tiles in each of them.
     """
     whole = count // step
     parts = [(0, whole, step), (whole * step, 1, count - whole * step)]
@@ -235,12 +225,8 @@ def open_picture(path: Path) -> ImageFile:
 def page_header(settings: PageSettings) -> dict[str, str]:
     """Return what the header of a page says: the texts that are given, and the logo as a data URI.
 
-    The logo is made again from its pixels, so that nothing else that is in the file comes with it.
-
-    Raises
-    ------
-    UsageError
-        The logo cannot be taken, see `open_picture`, or is a link.
+    The logo is made again from its pixels, so that nothing else that is in the file comes with it. Raises UsageError:
+    the logo cannot be taken, see `open_picture`, or is a link.
     """
     found = {name: text for name in ("title", "client", "operator", "note") if (text := getattr(settings, name))}
     if (path := settings.logo) is None:
@@ -260,10 +246,6 @@ def page_header(settings: PageSettings) -> dict[str, str]:
     return found | {"logo": _uri(buffer, "png")}
 
 
-_FILE = "route.geojson"
-_DECIMALS = 2
-
-
 @dataclass(frozen=True, slots=True)
 class DrawnWay:
     """One way over the map."""
@@ -273,7 +255,7 @@ class DrawnWay:
     """Each (n, 2), m: easting and northing in the survey's CRS."""
     figures: Mapping[str, Any]
     """The properties of its line in route.geojson."""
-    letter: str = "A"
+    letter: str
     """By which the page names it on the map and in its text."""
 
 
@@ -302,19 +284,11 @@ _WAY_SHAPE = {"name?": Nullable(str), "why?": Nullable(str), "seen?": Nullable(s
 def read_ways(folder: Path, record: Mapping[str, Any]) -> tuple[DrawnWay, ...]:
     """Read the ways of a folder, or of a file, that `bumpymap route` wrote.
 
-    Parameters
-    ----------
-    folder : Path
-        The folder, or route.geojson itself.
-    record : mapping
-        The content of run.json of the map: its CRS and units.
-
-    Raises
-    ------
-    BadInputError
-        There is no route.geojson, or it is not one of `bumpymap route`, or its coordinates are not those of the map.
+    ``folder``: the folder, or route.geojson itself; ``record``: the content of run.json of the map: its CRS and units.
+    Raises BadInputError: there is no route.geojson, or it is not one of `bumpymap route`, or its coordinates are not
+    those of the map.
     """
-    path = folder / _FILE if folder.is_dir() else folder
+    path = folder / "route.geojson" if folder.is_dir() else folder
     remedy = "Give the folder of a route from one place to another, which `bumpymap route` wrote, as `route`"
     if not path.is_file():
         raise BadInputError(f"there is no file {path}. {remedy}")
@@ -324,24 +298,20 @@ def read_ways(folder: Path, record: Mapping[str, Any]) -> tuple[DrawnWay, ...]:
         raise BadInputError(f"cannot read {path} as a route: {error}. {remedy}") from error
     if not ways:
         raise BadInputError(f"{path} holds no way. {remedy}")
-    return tuple(replace(way, letter=_letter(place)) for place, way in enumerate(ways))
-
-
-def _letter(place: int) -> str:
-    """Return A to Z, then 27, 28, ..."""
-    return chr(ord("A") + place) if place < 26 else str(place + 1)
+    return ways
 
 
 def _ways(path: Path, record: Mapping[str, Any]) -> Iterator[DrawnWay]:
     from bumpymap.layers import geojson_features, line_parts
 
     metres = map_metres(record)
-    for geometry, about in geojson_features(path)[0]:
-        if geometry["type"] in {"LineString", "MultiLineString"}:
-            if fault := shape_fault(about, _WAY_SHAPE):
-                raise ValueError(fault)
-            lines = tuple(np.round(metres(part), _DECIMALS) for part in line_parts(geometry))
-            yield DrawnWay(about.get("name") or "way", lines, about)
+    found = [each for each in geojson_features(path)[0] if each[0]["type"] in {"LineString", "MultiLineString"}]
+    for place, (geometry, about) in enumerate(found):
+        if fault := shape_fault(about, _WAY_SHAPE):
+            raise ValueError(fault)
+        lines = tuple(np.round(metres(part), 2) for part in line_parts(geometry))
+        letter = chr(ord("A") + place) if place < 26 else str(place + 1)
+        yield DrawnWay(about.get("name") or "way", lines, about, letter)
 
 
 _BUDGET = 1_700_000
@@ -356,11 +326,13 @@ _TILES = 220_000
 _PHOTO_SIDE, PHOTO_BUDGET = 1_400, 550_000
 """Most pixels of the photo along a side, and most characters."""
 _STILL_SIDE = 700
+"""Longer side of the picture for pages without scripts, pixels: chosen."""
 _DENSE = 0.1
 """From this share of pixels with an obstacle on, as in a forest, they would hide the classes: they start hidden."""
 _LINES = 6
 """Fewest pixels of a tile that lines over ground which is not passable do not miss; smaller ones are all dark."""
 _BLANK = (255, 255, 255)
+"""Colour of places without points."""
 _SHADES = 33
 """Colours of the ramp of C_r."""
 
@@ -403,23 +375,10 @@ class Site:
     ) -> Self:
         """Read a folder of layers.
 
-        Parameters
-        ----------
-        folder : Path
-            Complete layers of a run.
-        record : mapping
-            The content of its run.json, which may not be there yet.
-        ways : tuple of DrawnWay
-            Ways to draw.
-        stretches : sequence of mapping
-            Stretches of real drives, from `write_check_page`.
-        wait : callable
-            Waits until layers, given their names, are in the folder.
-
-        Raises
-        ------
-        BadInputError
-            A file is missing, damaged, or was written by an earlier version.
+        ``folder``: complete layers of a run; ``record``: the content of its run.json, which may not be there yet;
+        ``ways``: ways to draw; ``stretches``: stretches of real drives, from `write_check_page`; ``wait``: waits until
+        layers, given their names, are in the folder. Raises BadInputError: a file is missing, damaged, or was written
+        by an earlier version.
         """
         wait(MapFile.CLASS, MapFile.TILES)
         summary, spot = MapSummary.of(record["counts"]), Spot.of(folder, record, _SIDE)
@@ -459,22 +418,12 @@ class Site:
         if headings and taken + len(text) + len(relief) + len(headings) > _BUDGET:
             headings = None
         shown = (tiles, grids, objects, text, relief, picture, still, headings)
-        return cls(survey_name(record), record, summary, *shown, ways, stretches)
-
-    @property
-    def vehicle(self) -> str:
-        """Name of the vehicle."""
-        return str(self.record["calibration"]["vehicle"])
+        return cls(str(record["survey"]["name"]), record, summary, *shown, ways, stretches)
 
     @property
     def ground(self) -> float:
         """Area of the tiles with points, m2."""
         return self.summary.tiles * self.tile_area
-
-    @property
-    def crs_name(self) -> str:
-        """Name of the CRS."""
-        return crs_name(self.record)
 
     @property
     def header(self) -> Mapping[str, str]:
@@ -500,11 +449,6 @@ class Site:
     def objects_known(self) -> bool:
         """True if anything is known to be free of objects or to hold one."""
         return bool(((self.objects == FREE) | (self.objects == OBSTACLE)).any())
-
-    @property
-    def class_ranges(self) -> tuple[str, ...]:
-        """Range of each class, in words; empty if the ride cost does not decide."""
-        return class_ranges(self.record)
 
     @property
     def layers(self) -> list[tuple[str, str]]:

@@ -29,10 +29,9 @@ from bumpymap.layers import UNKNOWN_OBJECT, MapFile, open_layer, read_tiles
 NOT_KNOWN = 255
 """Byte where a value is not known."""
 STEPS = 254
+"""Largest byte of a known value."""
 _LEAST = 1e-4
-"""Smallest value of a logarithmic scale."""
-
-
+"""Smallest value of a logarithmic scale: chosen, below what any vehicle feels."""
 Scale: TypeAlias = Literal["linear", "log", "root"]
 """``root``: steps of the square root, for differences of which most are small."""
 
@@ -63,7 +62,7 @@ class ByteGrid:
     ) -> Self:
         """Round values, (rows, cols), NaN where unknown, to 255 steps between ``limits``, or between their extremes.
 
-        ``about`` is key, label, unit, and how many decimals are worth showing. Values beyond the limits take those.
+        ``about`` is key, label, unit, and the number of decimals to show. Values beyond the limits take those.
         """
         with np.errstate(divide="ignore"):
             plain = values.astype(np.float64)
@@ -271,10 +270,7 @@ class PageTiles:
     def read(cls, folder: Path, record: Mapping[str, Any], spot: Spot) -> Self:
         """Read tiles.parquet, some thousand tiles at a time.
 
-        Raises
-        ------
-        BadInputError
-            The file is missing, damaged, or was written by an earlier version.
+        Raises BadInputError: the file is missing, damaged, or was written by an earlier version.
         """
         shape = spot.shape
         # One more than the code, so that 0 stands for no points and the largest is the worst.
@@ -301,7 +297,11 @@ class PageTiles:
             for name, edges in (("c_r", C_R_EDGES), ("slope", SLOPE_EDGES)):
                 bins[name] += np.histogram(found[name][np.isfinite(found[name])], edges)[0]
         empty = known == 0
-        part = ~empty & (known < _tiles_of(spot))  # next to tiles without points
+        down, right = (  # tiles along the pixels of the page: fewer at the south and east edges
+            np.minimum(spot.step, tiles - spot.step * np.arange(pixels))
+            for tiles, pixels in zip((spot.rows, spot.cols), shape, strict=True)
+        )
+        part = ~empty & (known < np.multiply.outer(down, right))  # next to tiles without points
         ground[part] = np.maximum(ground[part], UNKNOWN_FROM + Reason.NO_POINTS + 1)
         barred[part] = np.maximum(barred[part], Barred.UNKNOWN + 1)
         ground, barred = (ground - 1).astype(np.uint8), (barred - 1).astype(np.uint8)  # 0 becomes 255
@@ -323,12 +323,3 @@ def _place(found: Mapping[str, NDArray[Any]], spot: Spot) -> tuple[NDArray[np.in
     if not inside:
         raise BadInputError(f"tiles.parquet holds tiles outside of class.tif: they are not of one run. {_AGAIN}")
     return line // spot.step, col // spot.step
-
-
-def _tiles_of(spot: Spot) -> NDArray[np.int64]:
-    """Return how many tiles each pixel of the page spans, (rows, cols): fewer at the south and east edges."""
-    sides = [
-        np.minimum(spot.step, tiles - spot.step * np.arange(pixels))
-        for tiles, pixels in zip((spot.rows, spot.cols), spot.shape, strict=True)
-    ]
-    return np.asarray(sides[0][:, None] * sides[1][None, :], dtype=np.int64)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 Colour = tuple[int, int, int]
 _TWICE = 2
+"""Pixels that are drawn along each pixel of the finished picture."""
 
 
 @lru_cache(maxsize=16)
@@ -76,13 +77,7 @@ class Pen:
         self._draw.ellipse((x - r, y - r, x + r, y + r), fill, outline, width=2 * _TWICE)
 
     def text(
-        self,
-        place: tuple[float, float],
-        text: str,
-        colour: Colour,
-        *,
-        size: int = 16,
-        anchor: str = "lm",
+        self, place: tuple[float, float], text: str, colour: Colour, *, size: int = 16, anchor: str = "lm"
     ) -> None:
         """Write one line; ``anchor`` as Pillow names it."""
         self._draw.text((place[0] * _TWICE, place[1] * _TWICE), text, colour, font(size * _TWICE), anchor)
@@ -98,15 +93,8 @@ class Pen:
 
 
 def shortened(name: str, most: int) -> str:
-    """Return a name of at most so many characters."""
+    """Return a name, cut to at most ``most`` characters."""
     return name if len(name) <= most else f"{name[: most - 3]}..."
-
-
-def tick_step(span: float, most: int) -> float:
-    """Return the smallest of 1, 2 and 5 times a power of ten that divides a span into at most ``most`` steps."""
-    least = span / most
-    power = 10.0 ** math.floor(math.log10(least))
-    return next(step for step in (power, 2 * power, 5 * power, 10 * power) if step >= least * (1 - 1e-9))
 
 
 def bar_length(most: float) -> float:
@@ -116,8 +104,13 @@ def bar_length(most: float) -> float:
 
 
 def ticks(low: float, high: float, most: int) -> tuple[list[float], int]:
-    """Return round numbers from low to high (low < high), and the decimals that tell them apart."""
-    step = tick_step(high - low, most)
+    """Return round numbers from low to high (low < high), and the decimals that tell them apart.
+
+    They are multiples of 1, 2 or 5 times a power of ten, with at most ``most`` steps.
+    """
+    least = (high - low) / most
+    power = 10.0 ** math.floor(math.log10(least))
+    step = next(step for step in (power, 2 * power, 5 * power, 10 * power) if step >= least * (1 - 1e-9))
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     return [number * step for number in range(first, last + 1)], max(0, -math.floor(math.log10(step) + 1e-9))
 
@@ -126,12 +119,15 @@ Pixels = NDArray[np.uint8]
 BARRED_SHADE, HATCH, UNKNOWN_SHADE, NO_DATA = (222, 219, 213), (112, 108, 102), (168, 172, 184), (250, 250, 250)
 """Colours of barred ground and its hatching, of unknown ground, and where nothing was measured."""
 _HATCH_PERIOD, _HATCH_WIDTH = 9, 1
+"""Distance and width of the lines, pixels: chosen."""
 _STRIP_TILES = 4_000_000
 """Most tiles to read at a time."""
 _DARKEST = (0.45, 0.62)
 """Brightness of ground that faces away from the light: passable, and other ground, which stays in the background."""
 _TYPICAL_GRADIENT = 0.35
+"""Gradient that the steepest tenth of the relief is brought to: chosen, hills of 19 degrees."""
 _EXAGGERATION = (0.5, 6.0)
+"""Least and largest factor on the gradients: chosen."""
 STRENGTH = 65
 """Opacity of the colours of the layers over a photo, per cent; on a page the reader may change it."""
 LEVEL = math.sqrt(0.5)
@@ -194,11 +190,7 @@ class MapView:
 def paint_ground(source: "MapReader", view: MapView) -> tuple[Pixels, RideScale]:
     """Paint the ground; of tiles that are open, closed pixels are hatched, for that is where ways do not go.
 
-    Returns
-    -------
-    uint8 (height, width, 3)
-    RideScale
-        The scale of the colours of passable ground.
+    Returns uint8 (height, width, 3); the scale of the colours of passable ground.
     """
     barred, c_r = _sample(source, view)
     shape, place = _finest(view)
@@ -262,17 +254,9 @@ def _sample(source: "MapReader", view: MapView) -> tuple[NDArray[np.uint8], NDAr
 def light_of(heights: NDArray[np.floating], pixel: tuple[float, float]) -> NDArray[np.float64]:
     """Return how bright the light from the north-west, 45 degrees up, leaves the ground.
 
-    Parameters
-    ----------
-    heights : float (rows, cols)
-        m, north row first; NaN where unknown. Slopes are exaggerated until the steepest tenth looks like hills.
-    pixel : tuple of float
-        Sides of a pixel down and to the right, m.
-
-    Returns
-    -------
-    float64 (rows, cols)
-        0 to 1; ``LEVEL`` where the ground is level or not known.
+    ``heights`` float (rows, cols): m, north row first; NaN where unknown. Slopes are exaggerated until the steepest
+    tenth looks like hills. ``pixel``: sides of a pixel down and to the right, m. Returns float64 (rows, cols): 0 to 1;
+    ``LEVEL`` where the ground is level or not known.
     """
     down, east = (
         np.gradient(heights, axis=axis) / side if heights.shape[axis] > 1 else heights * 0.0
@@ -305,11 +289,13 @@ def _fill(heights: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 INK, FAINT, GRID, INTERVAL = (28, 30, 34), (92, 96, 104), (226, 228, 232), (196, 200, 208)
+"""Colours of texts, of quieter ones and frames, of the lines of a chart, and of an interval."""
 _LEAST_RELIEF_M = 2.0
 """Least span of the height axis, m: a level way must not look like mountains."""
 _LEAST_LENGTH_M = 1.0
 """Least length of the axis of distance, m: a way of length 0 has none."""
 _FILL = 0.75
+"""Opacity of the colours under the profile: chosen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -345,14 +331,8 @@ class _Axes:
 def draw_profile(pen: Pen, profile: "RouteProfile", box: tuple[int, int, int, int], scale: RideScale) -> None:
     """Draw height over distance, filled with the colours of the ride cost, and the ride cost with its interval.
 
-    Parameters
-    ----------
-    pen : Pen
-    profile : RouteProfile
-    box : tuple
-        Left, top, width and height of the drawing without its labels, pixels; they need 80 to the left, 50 below.
-    scale : RideScale
-        The colours of the ride cost.
+    ``box``: left, top, width and height of the drawing without its labels, pixels; they need 80 to the left, 50 below;
+    ``scale``: the colours of the ride cost.
     """
     left, top, width, height = box
     split = round(height * 0.6)
@@ -393,14 +373,13 @@ def _frame(pen: Pen, axes: _Axes, label: str, most: int) -> None:
 
 def _distances(pen: Pen, axes: _Axes) -> None:
     bottom = axes.top + axes.height
-    in_km = axes.far >= 5000.0
-    values, decimals = ticks(0.0, axes.far / (1000.0 if in_km else 1.0), 10)
+    unit, name = (1000.0, "km") if axes.far >= 5000.0 else (1.0, "m")
+    values, decimals = ticks(0.0, axes.far / unit, 10)
     for value in values:
-        place = axes.left + value * (1000.0 if in_km else 1.0) / axes.far * axes.width
+        place = axes.left + value * unit / axes.far * axes.width
         pen.line(np.array([[place, bottom], [place, bottom + 6]]), FAINT)
         pen.text((place, bottom + 17), f"{value:,.{decimals}f}", FAINT, size=14, anchor="mm")
-    unit = "km" if in_km else "m"
-    pen.text((axes.left + axes.width / 2, bottom + 40), f"distance along the way [{unit}]", INK, size=15, anchor="mm")
+    pen.text((axes.left + axes.width / 2, bottom + 40), f"distance along the way [{name}]", INK, size=15, anchor="mm")
 
 
 def _fill_ground(pen: Pen, axes: _Axes, profile: "RouteProfile", scale: RideScale) -> None:
@@ -432,7 +411,7 @@ def _nearest(known: NDArray[np.float64], wanted: NDArray[np.float64]) -> NDArray
     return np.where(np.abs(wanted - known[before]) <= np.abs(known[after] - wanted), before, after)
 
 
-_WHITE = (255, 255, 255)
+WHITE = (255, 255, 255)
 
 
 def draw_swatch(pen: Pen, left: int, row: int, colour: Colour | Pixels) -> None:
@@ -454,27 +433,17 @@ def draw_closed(pen: Pen, left: int, row: int) -> int:
 
 
 def draw_frame(pen: Pen, view: MapView, left: float, top: float) -> None:
-    """Draw what stands on a panel with a map: the scale bar, the arrow to the north, the frame."""
-    _draw_scale(pen, view, left, top)
-    _draw_north(pen, (left + view.width - 36, top + 44))
-    pen.rectangle((left, top, left + view.width, top + view.height), None, FAINT)
-
-
-def _draw_scale(pen: Pen, view: MapView, left_edge: float, top_edge: float) -> None:
-    """Draw the scale bar at the lower left of a panel: a round length, a fifth of the panel at most."""
+    """Draw what a panel with a map has: scale bar, a fifth of it at most; an arrow to the north, which is up; frame."""
     metres = bar_length(view.width * view.metres / 5)
-    length, left, bottom = metres / view.metres, left_edge + 20.0, top_edge + view.height - 22.0
-    pen.rectangle((left - 10, bottom - 34, left + length + 10, bottom + 12), _WHITE, FAINT)
-    for part, fill in ((0, INK), (1, _WHITE)):
-        start = left + part * length / 2
-        pen.rectangle((start, bottom - 6, start + length / 2, bottom + 2), fill, INK)
+    length, start, bottom = metres / view.metres, left + 20.0, top + view.height - 22.0
+    pen.rectangle((start - 10, bottom - 34, start + length + 10, bottom + 12), WHITE, FAINT)
+    for part, fill in ((0, INK), (1, WHITE)):
+        side = start + part * length / 2
+        pen.rectangle((side, bottom - 6, side + length / 2, bottom + 2), fill, INK)
     text = f"{metres:g} m" if metres < 1000 else f"{metres / 1000:g} km"
-    pen.text((left + length / 2, bottom - 20), text, INK, size=16, anchor="mm")
-
-
-def _draw_north(pen: Pen, place: tuple[float, float]) -> None:
-    """Draw an arrow to the north of the grid, which is up."""
-    x, y = place
-    pen.disc((x, y), 27, _WHITE, FAINT)
+    pen.text((start + length / 2, bottom - 20), text, INK, size=16, anchor="mm")
+    x, y = left + view.width - 36, top + 44
+    pen.disc((x, y), 27, WHITE, FAINT)
     pen.polygon([(x, y - 22), (x + 9, y + 6), (x, y), (x - 9, y + 6)], INK)
     pen.text((x, y + 15), "N", INK, size=15, anchor="mm")
+    pen.rectangle((left, top, left + view.width, top + view.height), None, FAINT)

@@ -13,6 +13,7 @@ from bumpymap.layers import ROUTE_COLOUR, MapReader, ReachField, RideScale, reac
 from bumpymap.views.pictures.drawing import (
     FAINT,
     INK,
+    WHITE,
     MapView,
     Pen,
     draw_closed,
@@ -27,15 +28,10 @@ from bumpymap.views.words import metres
 
 WIDTH = 1600
 """Width of the picture, pixels."""
-_EDGE = 24
-_PANEL = 1200
-"""Width of the map, pixels."""
-_PANEL_HEIGHTS = (520, 900)
-_TITLE = 56
-_CHART = 300
-_CHART_LEFT = 104
-_BELOW = 70
-_WHITE = (255, 255, 255)
+_PANEL, _PANEL_HEIGHTS = 1200, (520, 900)
+"""Width of the map, and its least and largest height, pixels."""
+_EDGE, _TITLE, _CHART, _CHART_LEFT, _BELOW = 24, 56, 300, 104, 70
+"""Space left of the map, height of the title, height of the profile, space left of it and below it, pixels."""
 _BAR = 250
 """Length of the bar of colours, pixels."""
 _LETTERS = 38
@@ -45,21 +41,8 @@ _LETTERS = 38
 def write_route_picture(route: Route, source: MapReader, path: Path) -> None:
     """Draw a route on the map, the legend to its right, the profile below; write PNG, 1600 pixels wide.
 
-    Parameters
-    ----------
-    route : Route
-        On the grid of ``source``.
-    source : MapReader
-        The map under it.
-    path : Path
-        The file, which appears only when it is complete.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    BadInputError
-        The layers cannot be read.
+    ``route``: on the grid of ``source``. Raises OutputError: the file cannot be written; BadInputError: the layers
+    cannot be read.
     """
     view = MapView.around(route.grid, np.concatenate([route.line, route.stops]), _PANEL, _PANEL_HEIGHTS)
     ground, scale = paint_ground(source, view)
@@ -88,13 +71,13 @@ def _save(pen: Pen, path: Path) -> None:
 
 def _draw_way(pen: Pen, points: NDArray[np.float64]) -> None:
     if len(points) > 1:
-        pen.line(points, _WHITE, 7)
+        pen.line(points, WHITE, 7)
         pen.line(points, ROUTE_COLOUR, 3.5)
 
 
 def _draw_stop(pen: Pen, place: tuple[float, float], role: str, number: int = 1) -> None:
-    fill = {"start": _WHITE, "via": (255, 236, 170), "goal": (0, 0, 0)}[role]
-    ink = _WHITE if role == "goal" else (0, 0, 0)
+    fill = {"start": WHITE, "via": (255, 236, 170), "goal": (0, 0, 0)}[role]
+    ink = WHITE if role == "goal" else (0, 0, 0)
     pen.disc(place, 13, fill, ink)
     label = str(number) if role == "via" else role[0].upper()
     pen.text(place, label, ink, size=15, anchor="mm")
@@ -162,6 +145,7 @@ def _draw_chart_notes(pen: Pen, route: Route, top: int) -> None:
 
 
 _STEPS = 5
+"""Most colours of what can be reached, if no levels are given: chosen."""
 _REACH_HEIGHTS, _REACH_STRENGTH = (520, 1100), 0.55
 """Heights of the panel, pixels, and strength of the colours over the ground."""
 
@@ -171,24 +155,8 @@ def write_reach_picture(
 ) -> None:
     """Draw what can be reached and write the picture as PNG, 1600 pixels wide.
 
-    Parameters
-    ----------
-    reach : ReachField
-    source : MapReader
-        The map under it.
-    start : array (2,)
-        Easting and northing, m.
-    path : Path
-        The file, which appears only when it is complete.
-    levels : sequence of float
-        Upper ends of the steps, minutes; none: round ones are chosen.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    BadInputError
-        The layers cannot be read.
+    ``start`` (2,): easting and northing, m; ``levels``: upper ends of the steps, minutes; none: round ones are chosen.
+    Raises OutputError: the file cannot be written; BadInputError: the layers cannot be read.
     """
     values = reach.minutes
     highest = float(np.nanmax(values, initial=0.0))

@@ -17,19 +17,21 @@ SIDE = 960
 _PANEL = 300
 """Width of the legend to the right of the scene, pixels."""
 _PAPER, _INK, _FAINT_INK, _RING = (16, 18, 22), (235, 235, 235), (170, 174, 182), (120, 124, 132)
+"""Colours of the background, of texts, of quieter ones, and of the range rings."""
 _FILL = 0.42
 """Opacity of the class colour of a sector; points are opaque."""
 _NOT_GROUND, _BORDER = (38, 40, 45), (58, 62, 70)
 """Colours of sectors without a class, and of borders between sectors."""
 _HATCH_PX, _HATCH_WIDTH_PX, _HATCH = 14, 2, 0.6
 """Distance, width and opacity of the red lines over a sector with an obstacle."""
-_STEPS_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
-_FEWEST_RINGS = 3
+_STEPS_M, _FEWEST_RINGS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0), 3
+"""Distances between range rings, m, of which the largest is taken that gives at least as many rings."""
 _ROBOT = ((0, -15), (10, 12), (0, 7), (-10, 12))
 """Corners of the robot's symbol, an arrow head, pixels right and down from the sensor."""
 _TEXT_PX, _SMALL_PX = 21, 17
 """Font sizes of names and of all other text, pixels."""
 _SWATCH_PX = 34
+"""Side of a colour in the legend, pixels."""
 
 Picture = NDArray[np.uint8]
 
@@ -42,18 +44,8 @@ def write_picture(scan: Scan, classed: ClassedSectors, path: Path, range_m: floa
 def paint(scan: Scan, classed: ClassedSectors, range_m: float = 40.0) -> Image.Image:
     """Draw a scan.
 
-    Parameters
-    ----------
-    scan : Scan
-    classed : ClassedSectors
-    range_m : float
-        Distance from the sensor to the edge of the scene, m.
-
-    Returns
-    -------
-    Image
-        RGB, ``SIDE`` pixels high; the scene is square, with the legend to its right. Forward (x) is up, left (y) is
-        left; the sensor is at the centre of the scene.
+    ``range_m``: distance from the sensor to the edge of the scene, m. Returns RGB, ``SIDE`` pixels high; the scene is
+    square, with the legend to its right. Forward (x) is up, left (y) is left; the sensor is at the centre of the scene.
     """
     step = max((step for step in _STEPS_M if step * _FEWEST_RINGS <= range_m), default=range_m)
     picture: Picture = np.empty((SIDE, SIDE + _PANEL, 3), np.uint8)

@@ -1,14 +1,15 @@
-"""Write route.geojson (RFC 7946), route.gpx (GPX 1.1), profile.csv and stretches.csv: a route, and what lies along it.
+"""The files of routes, route.geojson (RFC 7946), route.gpx (GPX 1.1), profile.csv and stretches.csv, and of reaches.
 
 Coordinates are in the survey's CRS, and in WGS 84 longitude and latitude where that CRS is known. Elements of GPX stand
 in the order of the schema (http://www.topografix.com/GPX/1/1/gpx.xsd). No time is written: the same route has the
 same bytes. Writers take the path of a file that appears only when it is complete; they raise OutputError if it cannot
-be written.
+be written. Of what can be reached from a place these are reach.tif and isochrones.geojson.
 """
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
@@ -17,14 +18,17 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, Route, atomic, chance_text, write_csv
+from bumpymap.core import BadInputError, Band, Route, atomic, chance_text, write_csv
+from bumpymap.layers._cog import write_array
 from bumpymap.layers._imports import import_notebook
-from bumpymap.layers.placement import Placement
+from bumpymap.layers.placement import Placement, RasterSpec
+from bumpymap.layers.regions import label, trace_all
 from bumpymap.layers.vector import DEGREE_DECIMALS, GeoJsonCoordinates, feature, write_features
 from bumpytiles import TileWindow
 
 if TYPE_CHECKING:
     import geopandas
+    import xarray
 
 IRI_NOTE = "of a car at 80 km/h on both wheel paths; waves that photogrammetry adds count too"
 P_ARRIVES_NOTE = "errors of neighbouring tiles go together: an estimate"
@@ -41,30 +45,30 @@ _DECIMALS = {
     **dict.fromkeys(("unknown_m", "obstacle_m", "climb_m", "descent_m", "seconds"), 3),
     "tight_turns_deg": 1,
 }
-"""Properties of `RouteFigures` and how many decimals of each are written."""
+"""Properties of `RouteFigures` and the number of decimals that is written of each."""
 
 
 def route_properties(route: Route) -> dict[str, Any]:
     """Return name, vehicle and figures of a route; a number that is not known is None."""
     figures, road = route.figures, route.figures.road
-    # IRI and class are told where the survey's noise lets them be told.
+    # IRI and class are given where the survey's noise allows it.
     resolved = road if road and road.resolution == "resolved" else None
     return {
         "name": route.name,
         "vehicle": route.vehicle.name,
-        **{name: _told(float(getattr(figures, name)), decimals) for name, decimals in _DECIMALS.items()},
-        "iri": _told(resolved.iri, 2) if resolved else None,
-        "iso_8608": _told(resolved.iso_class, 0) if resolved else None,
+        **{name: _rounded(float(getattr(figures, name)), decimals) for name, decimals in _DECIMALS.items()},
+        "iri": _rounded(resolved.iri, 2) if resolved else None,
+        "iso_8608": _rounded(resolved.iso_class, 0) if resolved else None,
         "iri_resolution": road.resolution if road else "unknown",
         "iri_note": IRI_NOTE,
         "p_arrives_note": f"{figures.seen.condition}; {P_ARRIVES_NOTE}",
         **figures.seen.record(),
-        "risk_m": _told(route.risk_m, 3),
+        "risk_m": _rounded(route.risk_m, 3),
         "why": route.straight.words if route.straight else "",
     }
 
 
-def _told(value: float | str, decimals: int) -> float | str | None:
+def _rounded(value: float | str, decimals: int) -> float | str | None:
     """Round a number; None for one that is not finite, and for an empty text."""
     if isinstance(value, str):
         return value or None
@@ -100,15 +104,8 @@ def _line_parts(grid_m: NDArray[np.float64], place: GeoJsonCoordinates) -> list[
 def split_at_antimeridian(degrees: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     """Cut a line where it crosses the antimeridian (RFC 7946, 3.1.9).
 
-    Parameters
-    ----------
-    degrees : array (n, 2)
-        Longitude and latitude; a step of more than 180 degrees is a crossing.
-
-    Returns
-    -------
-    list of array (m, 2)
-        The parts in order, m >= 2; each crossing adds a point to both.
+    ``degrees`` (n, 2): longitude and latitude; a step of more than 180 degrees is a crossing. Returns the parts in
+    order, m >= 2; each crossing adds a point to both.
     """
     lon, lat = degrees.T
     before = np.flatnonzero(np.abs(np.diff(lon)) > 180.0)
@@ -142,7 +139,16 @@ def write_route_geojson(route: Route, path: Path) -> None:
     Raises BadInputError: the route lies where its CRS has no longitude and latitude.
     """
     place = route_coordinates(route)
-    write_features(path, "route", place, [_line(route, place), *_stops(route, place)])
+    # A way of length 0 has one corner, but a LineString has two positions.
+    corners = np.repeat(route.line, 2, axis=0) if len(route.line) == 1 else route.line
+    parts = [shapely.LineString(part) for part in _line_parts(corners, place)]
+    line = feature(route_properties(route), parts[0] if len(parts) == 1 else shapely.MultiLineString(parts))
+    roles, names, positions = stop_roles(len(route.stops)), stop_names(len(route.stops)), place.in_file(route.stops)
+    stops = (
+        feature({"role": role, "name": name}, shapely.Point(position))
+        for role, name, position in zip(roles, names, positions.tolist(), strict=True)
+    )
+    write_features(path, "route", place, [line, *stops])
 
 
 def stop_roles(stops: int) -> list[str]:
@@ -155,22 +161,9 @@ def stop_names(stops: int) -> list[str]:
     return [f"via {place}" if role == "via" else role for place, role in enumerate(stop_roles(stops))]
 
 
-def _line(route: Route, place: GeoJsonCoordinates) -> dict[str, Any]:
-    # A way of length 0 has one corner, but a LineString has two positions.
-    corners = np.repeat(route.line, 2, axis=0) if len(route.line) == 1 else route.line
-    parts = [shapely.LineString(part) for part in _line_parts(corners, place)]
-    return feature(route_properties(route), parts[0] if len(parts) == 1 else shapely.MultiLineString(parts))
-
-
-def _stops(route: Route, place: GeoJsonCoordinates) -> Iterator[dict[str, Any]]:
-    positions = place.in_file(route.stops).tolist()
-    for role, name, position in zip(stop_roles(len(positions)), stop_names(len(positions)), positions, strict=True):
-        yield feature({"role": role, "name": name}, shapely.Point(position))
-
-
 GPX = "http://www.topografix.com/GPX/1/1"
 _NEAR_M = 1e-6
-"""Points of the profile this near to a corner are that corner."""
+"""Points of the profile this near to a corner, m, are that corner: far above rounding, far below any length."""
 _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """Characters that XML 1.0 cannot hold."""
 
@@ -192,7 +185,13 @@ def write_gpx(route: Route, path: Path) -> None:
     root = ET.Element("gpx", {"version": "1.1", "creator": "bumpymap", "xmlns": GPX})
     points = track_points(route)
     degrees = _degrees(points[:, :2], place)
-    _bounds(ET.SubElement(root, "metadata"), degrees)
+    metadata = ET.SubElement(root, "metadata")
+    _text(metadata, "name", "route planned by bumpymap")
+    west, south = degrees.min(axis=0)
+    east, north = degrees.max(axis=0)
+    if east - west <= 180.0:  # bounds cannot cross the antimeridian
+        sides = {"minlat": south, "minlon": west, "maxlat": north, "maxlon": east}
+        ET.SubElement(metadata, "bounds", {name: f"{value:.7f}" for name, value in sides.items()})
     stops = _degrees(route.stops, place)
     for name, position in zip(stop_names(len(stops)), stops, strict=True):
         _text(_point(root, "wpt", position, math.nan), "name", name)
@@ -233,15 +232,6 @@ def _degrees(grid_m: NDArray[np.float64], place: GeoJsonCoordinates) -> NDArray[
     return degrees
 
 
-def _bounds(metadata: ET.Element, degrees: NDArray[np.float64]) -> None:
-    _text(metadata, "name", "route planned by bumpymap")
-    west, south = degrees.min(axis=0)
-    east, north = degrees.max(axis=0)
-    if east - west <= 180.0:  # bounds cannot cross the antimeridian
-        sides = {"minlat": south, "minlon": west, "maxlat": north, "maxlon": east}
-        ET.SubElement(metadata, "bounds", {name: f"{value:.7f}" for name, value in sides.items()})
-
-
 def _point(parent: ET.Element, tag: str, position: NDArray[np.float64], height: float) -> ET.Element:
     lon, lat = position
     point = ET.SubElement(parent, tag, {"lat": f"{lat:.7f}", "lon": f"{lon:.7f}"})
@@ -279,11 +269,7 @@ PROFILE_COLUMNS = ("route", *_PROFILE)
 
 def write_profile(route: Route, path: Path) -> None:
     """Write the profile of a route as CSV (RFC 4180, UTF-8): its name in the column ``route``; unknown is empty."""
-    write_csv(path, PROFILE_COLUMNS, _rows(route, route_coordinates(route)))
-
-
-def _rows(route: Route, place: GeoJsonCoordinates) -> Iterator[tuple[str, ...]]:
-    profile = route.profile
+    profile, place = route.profile, route_coordinates(route)
     grid_m = np.column_stack([profile.easting, profile.northing])
     degrees = place.in_file(grid_m) if place.has_degrees else np.full_like(grid_m, np.nan)
     columns = (
@@ -295,7 +281,7 @@ def _rows(route: Route, place: GeoJsonCoordinates) -> Iterator[tuple[str, ...]]:
         [f"{value:.{decimals}f}" if math.isfinite(value) else "" for value in values.tolist()]
         for values, decimals in zip(columns, _PROFILE.values(), strict=True)
     ]
-    return zip([route.name] * len(profile.distance), *texts, strict=True)
+    write_csv(path, PROFILE_COLUMNS, zip([route.name] * len(profile.distance), *texts, strict=True))
 
 
 _STRETCHES: Mapping[str, tuple[str, int]] = {
@@ -320,7 +306,7 @@ STRETCH_COLUMNS = ("route", *_STRETCHES)
 def stretch_rows(route: Route) -> list[dict[str, Any]]:
     """Return the figures of the stretches of a route, by the names of ``STRETCH_COLUMNS``; None where unknown."""
     return [
-        {name: _told(getattr(stretch, key), decimals) for name, (key, decimals) in _STRETCHES.items()}
+        {name: _rounded(getattr(stretch, key), decimals) for name, (key, decimals) in _STRETCHES.items()}
         for stretch in route.road
     ]
 
@@ -370,3 +356,80 @@ class PlannedRoute(Route):
             f"<Route {self.name} for {self.vehicle.name}: {found.length_m:,.1f} m, cost {found.cost_m:,.1f} m, "
             f"c_r {found.c_r_mean:.3f} rad/m, arrives {chance_text(found.p_arrives)} {found.seen.condition}>"
         )
+
+
+@dataclass(frozen=True, slots=True)
+class ReachField:
+    """Cost of reaching the tiles of a window from one start. Arrays are (rows, cols), north row first."""
+
+    placement: Placement
+    """The raster that the window spans."""
+    cost: NDArray[np.float32]
+    """Cost of the cheapest way to the middle of the tile, m; NaN where none leads (so are the minutes)."""
+    minutes: NDArray[np.float32]
+    """Time along that way at the speed made good, min."""
+
+
+def write_reach(reach: ReachField, path: Path, about: Mapping[str, str] | None = None) -> None:
+    """Write reach.tif: a float32 COG, one pixel per tile, bands ``cost`` (m) and ``minutes``.
+
+    ``about``: metadata of the file, such as the vehicle and the start. Raises OutputError: the file cannot be written.
+    """
+    bands = [
+        Band("cost", "m", "cost of the cheapest way from the start: its length and the detours it is worth"),
+        Band("minutes", "min", "time along the cheapest way at the speed made good"),
+    ]
+    spec = RasterSpec(
+        bands=bands,
+        crs=reach.placement.horizontal_crs,
+        tags={"title": "cost of the cheapest way to each tile"} | dict(about or {}),
+    )
+    write_array(path, reach.placement, spec, np.stack([reach.cost, reach.minutes]).astype(np.float32, copy=False))
+
+
+def write_isochrones(
+    reach: ReachField, levels: Sequence[float], path: Path, *, about: Mapping[str, Any] | None = None
+) -> None:
+    """Write one multipolygon for each level: all tiles that can be reached within it, so the larger hold the smaller.
+
+    RFC 7946 in WGS 84, or the survey's own coordinates without a CRS. The largest level comes first: a GIS then draws
+    the smaller ones over it. Outlines run along the sides of tiles. A level within which no tile can be reached has a
+    null geometry.
+
+    ``levels``: positive, minutes; ``about``: further members of the collection, such as vehicle and start. Raises
+    OutputError: the file cannot be written; BadInputError: a level is not a positive number.
+    """
+    wanted = sorted({float(level) for level in levels}, reverse=True)
+    if not wanted or not (np.isfinite(wanted).all() and wanted[-1] > 0):
+        raise BadInputError(f"the levels are {list(levels)}. Give positive numbers of minutes, at least one")
+    place = GeoJsonCoordinates.of(reach.placement, local=True)
+    features = []
+    for level in wanted:
+        inside = reach.minutes <= level  # NaN is never inside
+        geometry = None
+        if inside.any():
+            # Tiles that touch at a corner only are polygons apart: nothing drives over a corner.
+            labels, first = label(inside.astype(np.uint8))
+            polygons = place.polygons(trace_all(labels, reach.placement.window, len(first)))
+            geometry = shapely.multipolygons(shapely.get_parts(polygons))
+        area = int(inside.sum()) * reach.placement.grid.tile_size**2
+        features.append(feature({"within": level, "of": "minutes", "unit": "min", "area_m2": area}, geometry))
+    write_features(path, "isochrones", place, features, about)
+
+
+def reach_dataset(reach: ReachField) -> "xarray.Dataset":
+    """Return cost and minutes of a reach on the grid of tiles, dimensions ``y`` (north first) and ``x``.
+
+    Raises UsageError: the extra ``notebook`` is not installed.
+    """
+    xarray = import_notebook("xarray")
+    import_notebook("rioxarray")
+    place, window = reach.placement, reach.placement.window
+    x = place.to_crs(window.col + 0.5 + np.arange(window.cols))
+    y = place.to_crs(window.row + window.rows - 0.5 - np.arange(window.rows))
+    variables = {
+        "cost": (("y", "x"), reach.cost, {"units": "m", "long_name": "cost of the cheapest way"}),
+        "minutes": (("y", "x"), reach.minutes, {"units": "min", "long_name": "time along the cheapest way"}),
+    }
+    dataset = xarray.Dataset(variables, {"y": y, "x": x})
+    return dataset if place.horizontal_crs is None else dataset.rio.write_crs(place.horizontal_crs.to_wkt())
