@@ -7,6 +7,7 @@ occupancy grid), plugins/costmap_filters/speed_filter.cpp, nav2_smac_planner/src
 
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -173,6 +174,17 @@ def test_a_coarse_cell_is_as_the_worst_of_its_pixels(obstacle_site, tmp_path):
     worst = np.select([(inside == 100).any(axis=(1, 3)), (inside == -1).any(axis=(1, 3))], [100, -1], 0)
     np.testing.assert_array_equal(np.where(coarse <= 98, np.minimum(coarse, 0), coarse), worst)
     assert set(np.unique(worst)) == {-1, 0, 100}
+
+
+def test_no_cell_is_free_on_ground_that_fails_everywhere(tmp_path):
+    """As of a tile that a step closes, and of which what is left fails too, beside one with room for the vehicle."""
+    bumpymap.map_survey(Path(__file__).parents[2] / "sample_data" / "quarry.laz", tmp_path / "layers")
+    site = open_map(tmp_path / "layers")
+    record, _, (grid, _, _) = exported(site, tmp_path / "out")
+    assert math.isfinite(record["cost"]["highest"])
+    fails = site.read(site.window).p_fail[::-1] >= 0.5
+    assert fails.any()
+    assert not ((grid.data >= 0) & (grid.data < 100))[np.kron(fails, np.ones((15, 15), np.bool_))].any()
 
 
 def test_costs_have_one_scale_for_a_vehicle(whole, tmp_path):

@@ -17,6 +17,7 @@ from bumpymap.core import (
     CANOPY,
     CLOSED_IN_PART,
     CROSSING_UNKNOWN,
+    FAIL_SHARE,
     NO_TILE,
     OBSTACLE,
     OPEN_THROUGH,
@@ -89,11 +90,13 @@ def _any_of(where: NDArray[np.bool_], side: int) -> NDArray[np.bool_]:
 def _open_in_part(route_map: MapReader, field: TileField) -> NDArray[np.bool_]:
     """Return the pixels of tiles that obstacles or steps alone close over which the vehicle passes between these.
 
+    Of a tile of which the ground beside a step fails too, there are none.
+
     They lie nearer than half its width to where its middle can be, so they hold no obstacle and nothing unseen.
     """
     grid, window = route_map.grid, field.window
     pixels, reach = grid.pixels, 0.5 * route_map.vehicle.width_m / grid.pixel_size
-    closed = np.isin(field.barred, CLOSED_IN_PART) & np.isfinite(field.c_r)
+    closed = np.isin(field.barred, CLOSED_IN_PART) & np.isfinite(field.c_r) & ~(field.p_fail >= FAIL_SHARE)
     ring = math.ceil(reach / pixels)
     wide = TileWindow(window.col - ring, window.row - ring, window.cols + 2 * ring, window.rows + 2 * ring)
     free = route_map.passage(wide) if closed.any() else np.zeros((0, 0), np.bool_)
