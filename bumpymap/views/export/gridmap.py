@@ -78,7 +78,7 @@ def make_layers(area: ExportArea) -> dict[str, NDArray[np.float32]]:
             layers[name][lines] = by_pixel(values[name], area.split)
         heights = site.heights(window)
         layers["elevation"][lines] = block_means(heights, (window.rows, window.cols)) if area.split == 1 else heights
-        states, canopy = cell_states(area, site.read(window, ("c_r", "obstacle")))
+        states, canopy = cell_states(area, site.read(window, ("c_r", "p_fail", "obstacle")))
         state = np.select([canopy, states == LETHAL, states == FREE_CELL], [2.0, 1.0, 0.0], np.nan)
         layers["obstacle"][lines] = state
     layers["class"][layers["class"] == NO_CLASS] = np.nan
