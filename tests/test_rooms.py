@@ -26,7 +26,7 @@ ROOMS = {
     "survey": ({"core", "readers", "patches", "rating", "layers", "views"}, {"numpy"}),
     "scan": (
         {"core", "readers", "patches", "rating", "layers", "views", "survey"},
-        {"numpy", "pyproj", "scipy"},
+        {"numpy", "pyproj", "scipy", "skimage"},
     ),
     "route": ({"core", "rating", "layers", "views"}, {"numpy", "scipy", "xarray"}),
     "change": ({"core", "layers", "views"}, {"geopandas", "numpy", "scipy"}),
