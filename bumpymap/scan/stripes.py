@@ -39,7 +39,7 @@ _BLOCKED_SHARE = 0.45
 _OCTAVE = 3.0 * math.sqrt(math.log(2.0) / 2.0) / math.pi
 """Standard deviation of a Gabor filter of one octave, in wavelengths."""
 _AT_ONCE = 8
-"""Heightmaps of one matrix product. The library of larger ones starts threads, which wait for each other where the cores
+"""Heightmaps of one matrix product. A larger product is computed in threads, which wait for each other where the cores
 are taken: all maps at once took 10 ms for seven scans on idle cores, and 30 to 200 ms on busy ones; these, 15 ms."""
 
 
