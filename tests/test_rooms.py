@@ -28,7 +28,7 @@ ROOMS = {
         {"core", "readers", "patches", "rating", "layers", "views", "survey"},
         {"numpy", "pyproj", "scipy", "skimage"},
     ),
-    "route": ({"core", "rating", "layers", "views"}, {"numpy", "scipy", "xarray"}),
+    "route": ({"core", "rating", "layers", "views"}, {"numpy", "scipy", "skimage", "xarray"}),
     "change": ({"core", "layers", "views"}, {"geopandas", "numpy", "scipy"}),
     "check": ({"core", "rating", "readers", "layers", "route", "views"}, {"numpy", "scipy"}),
     "lab": (

@@ -288,28 +288,17 @@ def with_line_ride(ground: CostGround, way: MeasuredWay, calibration: Path | Non
         if calibration is not None:
             raise
         return way, [f"the ride of the line itself is not known: {error}"]
-    return _with_line_ride(site, way, vehicle), []
-
-
-def _with_line_ride(site: MapReader, way: MeasuredWay, vehicle: LineVehicle) -> MeasuredWay:
     if way.figures.length_m <= 0.0:
-        return way
+        return way, []
     found = ride_line(site, way.line, vehicle, _SIGMA_M)
     mean, low, high = found.over(0.0, math.inf)
     has_road = found.ground.shape[1] * found.way >= SHORTEST_ROAD_M
     metre = np.clip(np.searchsorted(found.distance, way.profile.distance, side="right") - 1, 0, len(found.c_r) - 1)
-    return replace(
-        way,
-        figures=replace(
-            way.figures,
-            c_r_line=mean,
-            c_r_line_low=low,
-            c_r_line_high=high,
-            road=found.road(math.inf)[0] if has_road else None,
-        ),
-        profile=replace(way.profile, c_r_line=found.c_r[metre]),
-        road=tuple(stretch for every in _EVERY_M for stretch in found.road(every)) if has_road else (),
-    )
+    road = found.road(math.inf)[0] if has_road else None
+    figures = replace(way.figures, c_r_line=mean, c_r_line_low=low, c_r_line_high=high, road=road)
+    stretches = tuple(stretch for every in _EVERY_M for stretch in found.road(every)) if has_road else ()
+    profile = replace(way.profile, c_r_line=found.c_r[metre])
+    return replace(way, figures=figures, profile=profile, road=stretches), []
 
 
 def ride_line(site: MapReader, line: Floats, vehicle: LineVehicle, sigma: float) -> LineRide:

@@ -59,14 +59,7 @@ the cost what slopes add, ``slope``, and ``across``: whether it lies across a sl
 def measure_way(ground: CostGround, line: Floats, stops: Floats) -> MeasuredWay:
     """Measure a way over a map.
 
-    Parameters
-    ----------
-    ground : CostGround
-        The map, with costs.
-    line : array (m, 2)
-        Easting and northing of the corners, m, on the grid.
-    stops : array (k, 2)
-        Easting and northing of start, stops and goal, m.
+    ``line`` (m, 2), ``stops`` (k, 2): easting and northing of its corners, and of start, stops and goal, m on the grid.
     """
     pieces = cut_into_tiles(ground, line)
     profile, obstacle_m = _profile(ground.site, line, pieces), 0.0

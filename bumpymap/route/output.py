@@ -66,26 +66,9 @@ _VERSION = 1
 def check_out(out: Path, kinds: Mapping[str, str], *, overwrite: bool) -> str | None:
     """Check, before anything is computed, that files can be written to a folder, or one to a file. Writes nothing.
 
-    Parameters
-    ----------
-    out : Path
-        A folder, or one file that ends in one of the suffixes of ``kinds``.
-    kinds : mapping
-        `ROUTE_KINDS` or `REACH_KINDS`.
-    overwrite : bool
-        Allow files of an earlier run to be replaced.
-
-    Returns
-    -------
-    str or None
-        The name, by ``kinds``, of what a single file holds; None: ``out`` is a folder.
-
-    Raises
-    ------
-    UsageError
-        ``out`` is named like a file of a kind that is not written.
-    OutputError
-        There are files that must not be replaced, or the place of a file is missing.
+    ``out``: a folder, or one file that ends in a suffix of ``kinds``, `ROUTE_KINDS` or `REACH_KINDS`. Returns the name,
+    by ``kinds``, of what a single file holds; None for a folder. Raises UsageError: ``out`` is named like a file of a
+    kind that is not written; OutputError: there are files that must not be replaced, or the place of a file is missing.
     """
     suffix, is_folder = out.suffix.lower(), out.is_dir()
     if suffix in kinds and (not is_folder or out.is_symlink()):
@@ -118,30 +101,10 @@ def write_route(
     have figures has stretches.csv too. Except for route.json no file depends on the time, and none but it and map.qgs
     on folder names.
 
-    Parameters
-    ----------
-    route : Route
-        On the grid of ``source``.
-    source : MapReader
-        The map that it was planned on.
-    out : Path
-        The folder, which is created if it is missing, or one file: see `check_out`.
-    manifest : mapping
-        The run's own entries for route.json, such as settings.
-    overwrite : bool
-        Allow files of an earlier run to be replaced.
-
-    Returns
-    -------
-    list of Path
-        What was written, the manifest last.
-
-    Raises
-    ------
-    UsageError, OutputError
-        See `check_out`; or a file cannot be written.
-    BadInputError
-        A layer cannot be read, or the route has no longitude and latitude and ``out`` is a GPX file.
+    ``source``: the map that it was planned on; ``manifest``: the run's own entries for route.json, such as settings.
+    Returns what was written, the manifest last. Raises UsageError, OutputError: see `check_out`; or a file cannot be
+    written; BadInputError: a layer cannot be read, or the route has no longitude and latitude and ``out`` is a GPX
+    file.
     """
     one_file, place = check_out(out, ROUTE_KINDS, overwrite=overwrite), route_coordinates(route)
     notes: list[str] = []

@@ -44,17 +44,8 @@ _LEAST_KNOWN = 0.9
 def quarter_car(heights: Floats, spacing: float) -> Floats:
     """Return what the reference quarter car's suspension moves at each sample of a profile.
 
-    Parameters
-    ----------
-    heights : array (n,)
-        m, without holes.
-    spacing : float
-        Distance between heights, m.
-
-    Returns
-    -------
-    array (n,)
-        m per km; its mean over a stretch is the IRI there.
+    ``heights`` (n,): m, without holes, ``spacing`` apart, m. Returns (n,) m per km; its mean over a stretch is the IRI
+    there.
     """
     from scipy.linalg import expm
     from scipy.ndimage import uniform_filter1d
@@ -75,21 +66,9 @@ def quarter_car(heights: Floats, spacing: float) -> Floats:
 def iso_8608(heights: Floats, spacing: float, pixel: float = _PIXEL_M) -> tuple[Floats, Floats]:
     """Return the power of profiles at 0.1 cycles per metre, and the share of noise in waves of two to five pixels.
 
-    Parameters
-    ----------
-    heights : array (..., n)
-        m, without holes.
-    spacing : float
-        Distance between heights, m.
-    pixel : float
-        Side of the pixels that they were read from, m.
-
-    Returns
-    -------
-    array (...)
-        m3, of a spectrum that falls with the square of the wave number; NaN for less than 40 m.
-    array (...)
-        0..1.
+    ``heights`` (..., n): m, without holes, ``spacing`` apart, m; ``pixel``: side of the pixels that they were read
+    from, m. Returns the power, (...) m3, of a spectrum that falls with the square of the wave number, NaN for less than
+    40 m; and the share, (...) 0..1.
     """
     count = heights.shape[-1]
     window, wave = np.hanning(count), np.fft.rfftfreq(count, spacing)
@@ -115,23 +94,9 @@ def road_figures(
 ) -> tuple[RoadFigures, ...]:
     """Return the figures of each stretch of a line; a last one of less than half the length belongs to that before.
 
-    Parameters
-    ----------
-    heights : array (2, n)
-        Ground under the left and the right wheels, m; NaN where unknown.
-    spacing : float
-        Distance between heights along the line, m.
-    track : float
-        Distance between the wheel paths, m.
-    length : float
-        Of a stretch, m; 10 or more; infinite for one of the whole line.
-    pixel : float
-        Side of the pixels that the heights were read from, m.
-
-    Raises
-    ------
-    UsageError
-        The stretches, or the line, are shorter than 10 m.
+    ``heights`` (2, n): ground under the left and the right wheels, m, ``spacing`` apart along the line, m; NaN where
+    unknown; ``track``: distance between the wheel paths, m; ``length``: of a stretch, 10 m or more; infinite for one of
+    the whole line; ``pixel`` as of `iso_8608`. Raises UsageError: the stretches, or the line, are shorter than 10 m.
     """
     count = heights.shape[1]
     if not min(length, count * spacing) >= SHORTEST_ROAD_M:

@@ -287,30 +287,13 @@ def find_way(
     margin: float = 0.0,
     least_saving: float = LEAST_SAVING,
 ) -> Floats | None:
-    """Find the cheapest way.
+    """Find the cheapest way; None if there is none, or start or goal lie in a closed tile or outside the window.
 
-    Parameters
-    ----------
-    cost : array (rows, cols) or (rows, cols, 8) float32, or Costs
-        Cost per length, along each of ``AXES_DEG`` if it has them, at least 1; infinite where closed. Or with what
-        slopes add.
-    start, goal : (float, float)
-        Field coordinates.
-    margin : float
-        Distance to closed tiles that the way keeps, tiles; at least 0 and below 0.5.
-    least_saving : float
-        Corners that save less are left out, tiles.
-
-    Returns
-    -------
-    array (n, 2) or None
-        Field coordinates of its corners; it begins and ends within 1e-9 tiles of start and goal. None if there is no
-        way, or start or goal lie in a closed tile or outside the window.
-
-    Raises
-    ------
-    ValueError
-        A cost below 1 or NaN, a margin or coordinates out of range.
+    ``cost`` (rows, cols) or (rows, cols, 8): per length, along each of ``AXES_DEG`` if it has them, at least 1;
+    infinite where closed; or with what slopes add; ``start``, ``goal``: field coordinates; ``margin``: distance to
+    closed tiles that the way keeps, at least 0 and below 0.5 tiles; ``least_saving``: corners that save less are left
+    out, tiles. Returns (n, 2): field coordinates of its corners, from within 1e-9 tiles of the start to the same of the
+    goal. Raises ValueError: a cost below 1 or NaN, a margin or coordinates out of range.
     """
     found = seek(cost, start, goal, margin)
     return None if found.line is None else tight_way(found, margin, least_saving)
@@ -381,28 +364,10 @@ def spread(
 ) -> tuple[Floats, NDArray[np.uint8]]:  # fmt: skip
     """Find what every tile costs to reach.
 
-    Parameters
-    ----------
-    cost : array (rows, cols) or (rows, cols, 8) float32, or Costs
-        Cost per length, along each of ``AXES_DEG`` if it has them, at least 1; infinite where closed. Or with what
-        slopes add.
-    start : (float, float)
-        Field coordinates.
-    margin : float
-        Distance to closed tiles that ways keep, tiles; at least 0 and below 0.5.
-
-    Returns
-    -------
-    reach : array (rows, cols) float64
-        Cost of the cheapest way by moves to the middle of each tile, in tiles; infinite if there is none.
-    back : array (rows, cols) uint8
-        The move of `MOVES` that led there; `FROM_START` if straight from the start, `NOT_REACHED` if there is no way
-        (none leads anywhere from a closed tile).
-
-    Raises
-    ------
-    ValueError
-        As `find_way`.
+    ``cost``, ``start``, ``margin`` and errors as of `find_way`. Returns the cost of the cheapest way by moves to the
+    middle of each tile, (rows, cols) tiles, infinite if there is none; and the move of `MOVES` that led there, (rows,
+    cols): `FROM_START` if straight from the start, `NOT_REACHED` if there is no way (none leads anywhere from a closed
+    tile).
     """
     reached, inner = _search(as_costs(cost), settle_point(start), None, margin, 0.0)
     g, back = reached.g, reached.back
@@ -411,28 +376,11 @@ def spread(
 
 
 def follow_back(back: NDArray[np.uint8], row: int, col: int) -> Floats:
-    """Follow the moves from a tile back to the start.
+    """Follow the moves of `spread` from a tile that has been reached back to the start.
 
-    Parameters
-    ----------
-    back : array (rows, cols) uint8
-        From `spread`.
-    row, col : int
-        A tile that has been reached.
-
-    Returns
-    -------
-    array (n, 2) float64
-        Field coordinates of the middles of its tiles, the given one first; the start itself is not among them. Moves
-        that follow each other in one direction are one.
-
-    Raises
-    ------
-    ValueError
-        There is no way to the tile.
+    Returns field coordinates of the middles of its tiles, (n, 2), the given one first; the start itself is not among
+    them. Moves that follow each other in one direction are one.
     """
-    if back[row, col] == NOT_REACHED:
-        raise ValueError(f"there is no way to the tile in row {row}, column {col}")
     path, last = [(row, col)], NOT_REACHED
     while (move := int(back[row, col])) < len(MOVES):
         row, col = row - int(MOVES[move, 0]), col - int(MOVES[move, 1])

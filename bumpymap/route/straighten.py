@@ -326,27 +326,10 @@ _LEAST_PART = 1e-3
 
 
 def pull_tight(cost: NDArray[np.floating] | Costs, line: Floats, margin: float = 0.0) -> Floats:
-    """Pull a line tight.
+    """Return a line between the same ends that keeps the margin and costs no more.
 
-    Parameters
-    ----------
-    cost : array (rows, cols) or (rows, cols, 8) float32, or Costs
-        Cost per length, along each of ``AXES_DEG`` if it has them, at least 1; infinite where closed. Or with what
-        slopes add.
-    line : array (n, 2) float64
-        Field coordinates of a line that keeps the margin; see `bumpymap.route.straighten`.
-    margin : float
-        Tiles, at least 0 and below 0.5.
-
-    Returns
-    -------
-    array (m, 2) float64
-        A line between the same ends that keeps the margin and costs no more.
-
-    Raises
-    ------
-    ValueError
-        The line has fewer than two corners, or crosses a closed tile.
+    ``cost`` as of `find_way`; ``line`` (n, 2): field coordinates of a line that keeps the margin; ``margin``: tiles, at
+    least 0 and below 0.5. Raises ValueError: the line has fewer than two corners, or crosses a closed tile.
     """
     cost = as_costs(cost)
     given = line_cost(cost, line)
@@ -357,7 +340,10 @@ def pull_tight(cost: NDArray[np.floating] | Costs, line: Floats, margin: float =
     best = _leave_out(cost, tightening, np.ascontiguousarray(line, np.float64))
     total = line_cost(cost, best)
     for _ in range(_ROUNDS):
-        tried = _leave_out(cost, tightening, _move(cost, tightening, _with_new_corners(best)))
+        points = _with_new_corners(best)
+        corners = Corners(points, np.full(len(points), _FIRST_STEP), np.empty(len(points)), _DIRECTIONS)
+        move_corners(cost, tightening, corners, _SWEEPS)
+        tried = _leave_out(cost, tightening, points)
         reached = line_cost(cost, tried)
         gain = total - reached
         if gain > 0.0:
@@ -407,10 +393,3 @@ def _with_new_corners(line: Floats) -> Floats:
     points = line[:-1, None] + share[..., None] * part[:, None]
     wanted = (share == 0.0) | (length > _LEAST_PART)[:, None]
     return np.ascontiguousarray(np.concatenate([points[wanted], line[-1:]]))
-
-
-def _move(cost: Costs, tightening: Tightening, line: Floats) -> Floats:
-    """Move corners."""
-    corners = Corners(line.copy(), np.full(len(line), _FIRST_STEP), np.empty(len(line)), _DIRECTIONS)
-    move_corners(cost, tightening, corners, _SWEEPS)
-    return corners.points

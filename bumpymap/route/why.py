@@ -20,17 +20,9 @@ _LEAST_M = 1.0
 def measure_straight_line(ground: CostGround, stops: NDArray[np.float64], best: RouteFigures) -> StraightLine:
     """Measure the straight line through the stops of a way.
 
-    Where it is closed, a metre counts as many times as one on which the vehicle touches an obstacle: by this
-    the stretches are ordered that make a way turn.
-
-    Parameters
-    ----------
-    ground : CostGround
-        The map, with costs.
-    stops : array (k, 2)
-        Easting and northing of start, stops and goal, m.
-    best : RouteFigures
-        Those of the best way.
+    Where it is closed, a metre counts as many times as one on which the vehicle touches an obstacle: by this the
+    stretches are ordered that make a way turn. ``stops`` (k, 2): easting and northing of start, stops and goal, m;
+    ``best``: figures of the best way.
     """
     moves = np.append(True, (np.diff(stops, axis=0) != 0.0).any(axis=1))
     if moves.sum() < 2:
