@@ -29,20 +29,22 @@ STATES = 7
 SCALE, ALONG_X, ALONG_Y, AHEAD, LEFT, OFFSET, DRIFT = range(7)
 """Unknowns of the whole drive, in order, after those of the knots."""
 GLOBALS = 7
-_SLIP_M = 0.02
-"""A vehicle slips across its heading by this in a second, m/sqrt(s)."""
-_TURN_RAD = 0.01
-"""Its course leaves the heading by this in a second, rad/sqrt(s)."""
+"""Number of them."""
+_SLIP_M, _TURN_RAD = 0.02, 0.01
+"""Slip across the heading, m/sqrt(s), and turn of the course from the heading, rad/sqrt(s), in a second (chosen)."""
 _STOP_MPS = 0.01
+"""Error of the speed at a stop, m/s (chosen)."""
 _WHEEL_SHARE, _WHEEL_MPS = 0.05, 0.03
-"""Error of the speed by wheels."""
+"""Error of the speed by wheels, as a share of it and in m/s (chosen)."""
 _CHANGE = 12.0
-"""The speed may change so many times faster beside a stop."""
+"""Factor by which the speed may change faster beside a stop (chosen)."""
 _WEAK = (0.3, 1.0, 1.0, 0.5, 0.3, 1.0, 1e-4)
-"""Standard deviations of what is assumed of the whole drive before any measurement."""
+"""Standard deviations of the unknowns of the whole drive before any measurement, in their order: scale of the wheels,
+direction x and y, place of the antenna ahead and to the left, m, clock offset, s, and drift (chosen, wide)."""
 _WEAK_SPEED, _WEAK_TURN = 5.0, 3.0
+"""The same of the speed, m/s, and of the turn beside the heading, rad (chosen, wide)."""
 _FORCE_MPS2 = 0.15
-"""Error of the acceleration along the vehicle at first: levelling, bias."""
+"""Error of the acceleration along the vehicle at first, of levelling and bias, m/s2 (chosen)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +112,7 @@ class TrackProblem:
     offset_s: float
     """Estimate of the offset of the clocks that the positions are laid on the knots with, s."""
     held: tuple[float, float] | None = None
-    """Offset and its standard deviation where accelerations have told it, s."""
+    """Offset and its standard deviation, s, where it is known by accelerations."""
 
     def linear(self, state: TrackState) -> tuple[sparse.csr_array, Floats]:
         """Return derivatives and residuals of all equations, each divided by its standard deviation."""
@@ -252,9 +254,10 @@ class TrackProblem:
         return exact.astype(np.int64), exact - exact.astype(np.int64)
 
 
-_KNOT_S = 0.25
-_MOST_KNOTS = 20_000
+_KNOT_S, _MOST_KNOTS = 0.25, 20_000
+"""Time between knots, s, and most of them, which 83 minutes take; longer drives have wider steps (chosen)."""
 _BESIDE_STOP_S = 2.5
+"""Time beside a stop in which the speed changes fast, s (chosen)."""
 
 
 def drive_knots(
@@ -297,15 +300,17 @@ def _wheel_speed(wheels: WheelTrack, time: Floats) -> Floats:
 
 
 _TRIED_KNOTS = 2_400
-"""Ten minutes: of a longer drive, candidates are tried on a part of this length."""
+"""Knots of the part of a longer drive that candidates are tried on: ten minutes (chosen)."""
 _STOP_RAD = 0.5
-"""A start or a stop tells as much of the clocks as so much turning."""
+"""Turning that determines the clocks as well as a start or a stop does, rad (chosen)."""
 _STEPS = 20
+"""Most steps of the iteration (chosen; it ends by itself before)."""
 _MOVED_S = 0.02
-"""Positions that an offset has moved further take other knots."""
+"""Change of the offset from which positions take other knots, s (chosen)."""
 _SPEED_CHANGES = (0.02, 0.06, 0.2, 0.6)
-"""Candidates of how fast the speed changes, beside what the acceleration says, m/s/sqrt(s)."""
-_FIRST_CHANGES = (0.06, 0.2)
+"""Candidates of how fast the speed changes, beside what the acceleration says, m/s/sqrt(s) (chosen: steps of
+about 3)."""
+_FIRST_CHANGES = _SPEED_CHANGES[1:3]
 """Candidates of a rough fit."""
 _FIRST_OFFSETS_S = (-0.9, -0.45, 0.0, 0.45, 0.9)
 """A rough fit begins at these offsets beside the first estimate: vehicles that steer by skidding slip sideways in
@@ -313,11 +318,11 @@ turns, so that the course tells the offset to a second only."""
 _SLIP_S = 0.016
 """Error that slip in turns leaves in an offset, s: root mean square over 20 simulated drives with RTK."""
 _FORCE_CHANGE = 0.01
-"""How fast the error of the acceleration changes, m/s2/sqrt(s)."""
+"""Change of the error of the acceleration in a second, m/s2/sqrt(s) (chosen)."""
 _SD_KNOTS = 200
-"""The error of the place changes slowly along the way: it is computed at so many knots."""
+"""Number of knots at which the error of the place is computed: it changes slowly along the way."""
 _AT_ONCE = 32
-"""Errors are computed for so many stretches at once: each takes as much memory as the whole way."""
+"""Number of stretches whose errors are computed at once: each takes as much memory as the whole way."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -438,9 +443,9 @@ def _best(
     badness, problem, state, factor = found[best]
     with_force = [one for one in found if np.isfinite(one[1].knots.gained).any()]
     if with_force and not np.isfinite(problem.knots.gained).any():
-        # Steady driving may be told best without accelerations, but those of starts and stops tell the clock.
-        _, _, told, own = min(with_force, key=lambda one: one[0])
-        problem = replace(problem, held=(float(told.whole[OFFSET]), _sd_of(OFFSET, own)))
+        # Steady driving may fit best without accelerations, but those of starts and stops determine the clock.
+        _, _, felt_state, own = min(with_force, key=lambda one: one[0])
+        problem = replace(problem, held=(float(felt_state.whole[OFFSET]), _sd_of(OFFSET, own)))
         state, factor, _ = _solve(problem, state)
     odds = np.exp(0.5 * (badness - np.array([one[0] for one in found])))
     off = np.array([one[2].whole[OFFSET] for one in found]) - found[best][2].whole[OFFSET]
