@@ -55,16 +55,16 @@ from bumpymap.scan.stripes import classify_filter, load_stripes
 from bumpytiles import Grid, TilePoints
 
 _REACH_M = 60.0
-"""Farther from the sensor, points are too few for any tile."""
+"""Distance from the sensor beyond which points are too few for any tile, m (chosen)."""
 _LEAST_SHARE = 0.5
-"""A sector is rated if at least this share of its area is."""
+"""Least share of the area of a sector that is rated (chosen)."""
 _CELLS = 6
-"""Cells along the side of a tile whose centres stand for the area of sectors."""
+"""Cells along the side of a tile whose centres stand for the area of sectors: 0.5 m of 3 m (chosen)."""
 _BELOW, _ABOVE = 0.35, (0.45, 0.15)
 """Widening of the 80 % interval of ln C_r by scan lines: below; above in tiles of a coverage of 0.75 and less, and of
 0.9 and more. Measured in made-up scans of ground whose dense survey was mapped."""
 _LEAST_STEP_PIXELS = 10
-"""With fewer pixels along the side of a tile, steps are not looked for."""
+"""Fewest pixels along the side of a tile in which steps are looked for (chosen)."""
 
 
 class SectorRater:

@@ -35,9 +35,9 @@ from bumpymap.core import (
 from bumpymap.scan.ground import OPEN_SHARE
 
 _BLOCKED_SHARE = 0.45
-"""Least share of obstacles among the points that are not ground of a sector of class 2 that is not open."""
+"""Least share of obstacles among the points that are not ground, of a sector that is not open, for class 2 (chosen)."""
 _OCTAVE = 3.0 * math.sqrt(math.log(2.0) / 2.0) / math.pi
-"""Standard deviation of a Gabor filter of one octave, in wavelengths."""
+"""Standard deviation of a Gabor filter of one octave at half height, in wavelengths."""
 _AT_ONCE = 8
 """Heightmaps of one matrix product. A larger product is computed in threads, which wait for each other where the cores
 are taken: all maps at once took 10 ms for seven scans on idle cores, and 30 to 200 ms on busy ones; these, 15 ms."""
@@ -129,27 +129,17 @@ def gabor_bank(pixels: int, settings: StripeFilter) -> NDArray[np.float32]:
 def classify_filter(stack: SectorStack, model: StripeModel | None = None) -> ClassedSectors:
     """Assign to every traversable sector the class whose centre is nearest to its stripe count.
 
-    What stands on the ground may raise it.
-
-    Parameters
-    ----------
-    stack : SectorStack
-    model : StripeModel, optional
-        The default is the included one.
-
-    Raises
-    ------
-    UsageError
-        The model was fitted on heightmaps of another size.
+    What stands on the ground may raise it. ``model``: None: the included one. Raises UsageError: it was fitted on
+    heightmaps of another size.
     """
     model = model or load_stripes()
     model.require_pixels(stack.settings)
     stripes = np.full(len(stack.zone), np.nan, np.float32)
     stripes[stack.traversable] = count_stripes(stack.heights[stack.traversable], model.filter)
     nearest = np.abs(stripes[:, None] - np.array(model.centres, np.float32)).argmin(axis=1).astype(np.uint8)
-    things = stack.count - stack.ground_count
+    standing = stack.count - stack.ground_count
     is_covered = stack.ground_count < OPEN_SHARE * stack.count
-    is_blocked = is_covered & (stack.obstacle_count >= _BLOCKED_SHARE * things)
+    is_blocked = is_covered & (stack.obstacle_count >= _BLOCKED_SHARE * standing)
     rougher = np.maximum(nearest, is_covered.astype(np.uint8) + is_blocked.astype(np.uint8))
     class_id = np.where(stack.traversable, rougher, np.uint8(NOT_TRAVERSABLE))
     return ClassedSectors(stack, class_id, stripes, "filter")
