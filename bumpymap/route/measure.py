@@ -30,11 +30,12 @@ from bumpymap.route.straighten import as_costs, trace
 Floats = NDArray[np.float64]
 
 _STRETCH_TILES = 128
-"""Longest stretch, tiles."""
+"""Longest stretch of a way whose window is read at once, tiles (chosen)."""
 _SAMPLES_A_TILE = 3
+"""Points of a profile along a tile: 1 m apart at the usual size (chosen)."""
 _RIDE = ("c_r", "c_r_low", "c_r_high")
 _WORST = 0.05
-"""Share of a way on which less may be seen than its figures say."""
+"""Share of a way on which less may be seen than its figures say (chosen)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,8 +21,8 @@ from bumpytiles import TileWindow
 
 Floats = NDArray[np.float64]
 _LEAST_OPENING, _TOO_NARROW = 1.5, 100.0
-"""Distance from what closes an opening, px: what is narrower is a gap between points. And cost of a pixel in which the
-vehicle does not fit, so that a line leads through few of them."""
+"""Least distance from what closes an opening, pixels: what is narrower is a gap between points. And cost of a pixel in
+which the vehicle does not fit, so that a line leads through few of them (chosen)."""
 
 
 def what_closes(ground: CostGround, start: Floats, goal: Floats) -> str:

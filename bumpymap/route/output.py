@@ -56,9 +56,7 @@ ROUTE_FILES = OutputFolder(
     views=_VIEWS,
 )
 _AROUND_M = 10.0
-"""Ground around the ways when their project is opened."""
-
-
+"""Ground around the ways when their project is opened, m (chosen)."""
 ROUTE_MANIFEST_FORMAT = "bumpymap-route"
 _VERSION = 1
 

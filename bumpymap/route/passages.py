@@ -25,19 +25,19 @@ from bumpytiles import TileWindow
 Floats = NDArray[np.float64]
 
 _PAD_TILES, _PAD_SHARE = 24, 0.25
-"""Tiles around start and goal that are looked at first: at least, and as a share of their distance."""
+"""Tiles around start and goal that are read first: at least, and as a share of their distance (chosen)."""
 _DEARER = 1.06
-"""Nodes on paths that cost up to this many times the best are searched on pixels."""
+"""Cost of paths whose nodes are searched on pixels, as a multiple of the best (chosen)."""
 _SECTION_TILES, _AROUND_TILES = 96, 12
-"""Longest path that is searched at once, and the tiles around a section of a longer one."""
+"""Longest path that is searched at once, and margin around a section of a longer one, tiles (chosen)."""
 _TINY = 1e-9
+"""Least cost of an arc: sparse graphs take 0 for none."""
 _CHEAPER, _CORNER_TILES = 0.97, 2.0
 """Paths go straight from middle to middle of areas up to three arcs apart, and so cut corners. One takes the place of a
-way over whole tiles only if it costs less than this share of it, with so much length added for a corner."""
-BYTES_PER_TILE = 7000
-"""Memory that the graph takes."""
-_BY_HEADING = 4
-"""So many times more is taken by searches on pixels whose cost depends on the heading."""
+way over whole tiles only if it costs less than this share of it, with that length added for a corner, tiles
+(chosen)."""
+BYTES_PER_TILE, _BY_HEADING = 7000, 4
+"""Memory that the graph takes, and its multiple for searches on pixels whose cost depends on the heading."""
 
 
 class AreaGraph(NamedTuple):

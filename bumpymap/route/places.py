@@ -22,10 +22,8 @@ _FORMS = (
     "Give LON,LAT such as 11.5,48.1, or X,Y in the survey's CRS such as 434100,5411200; lonlat:11.5,48.1 and "
     "crs:434100,5411200 say which of the two it is"
 )
-
-
 _NEAR_M = 5000.0
-"""How far from the map two numbers may lie that are thought to be swapped, m."""
+"""Distance from the map up to which two numbers are thought to be swapped, m (chosen)."""
 
 
 class GridPoint(NamedTuple):

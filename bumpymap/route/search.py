@@ -104,7 +104,7 @@ Point = tuple[float, float]
 Number = TypeVar("Number", bound=np.generic)
 
 _QUANTUM = 2.0**-30
-_MOST_QUANTA = 2**30 - 1
+"""Step of coordinates inside a tile, tiles: 3 nm of 3 m, and exact in float64 for 2 ** 22 tiles."""
 
 
 def settle_point(point: Point) -> Point:
@@ -114,8 +114,8 @@ def settle_point(point: Point) -> Point:
     """
     if not (math.isfinite(point[0]) and math.isfinite(point[1])):
         raise ValueError(f"{point} is no point: field coordinates are two finite numbers")
-    tiles = [math.floor(x) for x in point]
-    r, c = (min(max(round((x - tile) / _QUANTUM), 1), _MOST_QUANTA) for x, tile in zip(point, tiles, strict=True))
+    tiles, most = [math.floor(x) for x in point], round(1.0 / _QUANTUM) - 1
+    r, c = (min(max(round((x - tile) / _QUANTUM), 1), most) for x, tile in zip(point, tiles, strict=True))
     return tiles[0] + r * _QUANTUM, tiles[1] + c * _QUANTUM
 
 
@@ -175,12 +175,9 @@ def _rank(cost: NDArray[np.float32], point: Point) -> tuple[float, ...]:
     return float(np.sort(cost[row, col]).sum()), max(r, c), min(r, c), *point
 
 
-BYTES_PER_TILE = 36
-"""Memory that a search takes at most: the costs that it is given, with and without the ring, and the arrays below."""
-BYTES_PER_TILE_BY_HEADING = 124
-"""The same where costs have axes: those that it is given, turned, and with the ring."""
-BYTES_PER_TILE_BY_SLOPE = 24
-"""So much more where slopes add to it."""
+BYTES_PER_TILE, BYTES_PER_TILE_BY_HEADING, BYTES_PER_TILE_BY_SLOPE = 36, 124, 24
+"""Memory that a search takes at most: the costs that it is given, with and without the ring, and the arrays below; the
+same where costs have axes, with those turned; and what is added where slopes cost."""
 MOST_TILES = 2_000_000_000
 """Tiles of a window, which the search numbers with 32 bits; the ring takes the rest."""
 
@@ -264,7 +261,7 @@ def _search(
 
 
 _AROUND = 8
-"""Tiles around a line by moves within which it is pulled tight."""
+"""Margin around a line by moves within which it is pulled tight, tiles (chosen)."""
 
 
 class Found(NamedTuple):

@@ -11,10 +11,8 @@ from bumpymap.route.ground import TOUCHING, CostGround, sample_line
 from bumpymap.route.measure import cut_into_tiles
 from bumpymap.route.stops import place_text
 
-_NAMED = 3
-"""Stretches that are named."""
-_LEAST_M = 1.0
-"""Least cost of a stretch beyond its length to be named, m."""
+_NAMED, _LEAST_M = 3, 1.0
+"""Most stretches that are named, and least cost of one of them beyond its length, m (chosen)."""
 
 
 def measure_straight_line(ground: CostGround, stops: NDArray[np.float64], best: RouteFigures) -> StraightLine:
