@@ -47,21 +47,20 @@ LEFT_OUT = (
 
 @dataclass(frozen=True, slots=True)
 class DriveMeasure:
-    """One drive at the even samples of its inertial sensor."""
+    """One drive at the even samples of its inertial sensor; arrays (n,)."""
 
     name: str
     time: Floats
-    """(n,) s, on the clock of the IMU."""
+    """s, on the clock of the IMU."""
     pitch_rate: Floats
-    """(n,) about the vehicle's own y axis, low-passed, rad/s."""
+    """About the vehicle's own y axis, low-passed, rad/s."""
     speed: Floats
-    """(n,) m/s."""
+    """m/s."""
     easting: Floats
-    """(n,) m; from the start where there are no positions."""
+    """m; from the start where there are no positions."""
     northing: Floats
-    """(n,) m."""
     reason: NDArray[np.uint8]
-    """(n,) number in ``LEFT_OUT``; 0: counts."""
+    """Number in ``LEFT_OUT``; 0: counts."""
     track: DrivenTrack
     hertz: float
     band_hz: float
@@ -82,26 +81,21 @@ class DriveMeasure:
 
 @dataclass(frozen=True, slots=True)
 class WayStretch:
-    """Stretches of one drive, one row each."""
+    """Stretches of one drive, (n,) each but the first."""
 
     label: NDArray[np.int64]
     """(samples,) number of the stretch of each sample, -1 where it belongs to none."""
     start_s: Floats
-    """(n,) s."""
     end_s: Floats
-    """(n,) s."""
     way_m: Floats
-    """(n,) m."""
     speed_mps: Floats
-    """(n,) mean speed."""
+    """Mean."""
     measured: Floats
-    """(n,) rad/m."""
+    """C_r, rad/m; its standard error follows."""
     measured_sd: Floats
-    """(n,) rad/m."""
     easting: Floats
-    """(n,) middle, m."""
+    """Of the middle, m."""
     northing: Floats
-    """(n,) m."""
 
 
 Mask = NDArray[np.bool_]

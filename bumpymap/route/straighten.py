@@ -321,7 +321,7 @@ _ANGLES = np.concatenate([np.broadcast_to(_AXES, _TURNED.shape), _TURNED], axis=
 _DIRECTIONS = np.column_stack([np.sin(_ANGLES), np.cos(_ANGLES)])
 """Along the axes always, and four more at angles that change: curved margins leave narrow ways to go."""
 _SPARE = 5e-10
-"""What is added to the margin, tiles: the line stays clear when its coordinates are rounded in other windows."""
+"""Addition to the margin, tiles: the line stays clear when its coordinates are rounded in other windows."""
 _LEAST_PART = 1e-3
 """Shortest straight part on which new corners are set, tiles (chosen)."""
 
