@@ -50,7 +50,6 @@ from bumpymap.layers import (
     MANIFEST_NAME,
     MapOffset,
     MapReader,
-    Placement,
     check_check_out,
     check_entries,
     class_limits,
@@ -507,6 +506,11 @@ def write_check(
     """
     check_check_out(out, overwrite=overwrite)
     placement = None if ground is None else place_stretches(result.stretches, ground)
+    checked: dict[str, Any] = {}
+    if ground is not None:
+        layers = {"path": str(ground.folder), "run_sha256": describe_file(ground.folder / MANIFEST_NAME)["sha256"]}
+        checked = {"layers": [layers], **{name: ground.manifest[name] for name in ("vehicle", "calibration")}}
+        checked |= {} if placement is None else place_entries(placement)
 
     def describe(_: Path, files: list[dict[str, Any]]) -> dict[str, Any]:
         return {
@@ -514,7 +518,7 @@ def write_check(
             "version": 1,
             **(manifest or {}),
             "versions": software_versions(),
-            **_describe_ground(ground, placement),
+            **checked,
             "files": files,
             **check_entries(result),
         }
@@ -526,12 +530,3 @@ def write_check(
         writers["check.geojson"] = partial(write_stretches, result, placement)
         writers |= view_writers(check_layers(), placement, ground, out, "the map against real drives")
     return CHECK_FILES.write(out, writers, describe, overwrite=overwrite)
-
-
-def _describe_ground(ground: MapReader | None, placement: Placement | None) -> dict[str, Any]:
-    """Return the layers that drives were checked against: their folder, checksum, place and calibration."""
-    if ground is None:
-        return {}
-    layers = {"path": str(ground.folder), "run_sha256": describe_file(ground.folder / MANIFEST_NAME)["sha256"]}
-    place = {} if placement is None else place_entries(placement)
-    return {"layers": [layers], **{name: ground.manifest[name] for name in ("vehicle", "calibration")}, **place}

@@ -178,7 +178,9 @@ def read_along(drive: DriveMeasure, cut: WayStretch, field: TileField) -> MapRea
     nodes = len(places)
     group = label[:, None] * nodes + np.arange(nodes)
     sums, used_m, known_m = (
-        np.bincount(group.ravel(), (way[:, None] * part).ravel(), minlength=stretches * nodes).reshape(-1, nodes)
+        np.asarray(np.bincount(group.ravel(), (way[:, None] * part).ravel(), stretches * nodes), np.float64).reshape(
+            -1, nodes
+        )
         for part in (np.where(use, c_r[tile], 0.0), use, known)
     )
     all_m = np.bincount(label, way, minlength=stretches)[:, None]

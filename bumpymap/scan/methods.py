@@ -32,7 +32,6 @@ from bumpymap.core import (
     SectorStack,
     TextureMap,
     UsageError,
-    VehicleBody,
     cell_numbers,
 )
 from bumpymap.patches import measure, measure_thin
@@ -234,26 +233,21 @@ def choose_method(config: ScanConfig) -> Method:
         return _choose(config)
 
     calibration = find_calibration(config.vehicle or "", config.calibration)
-    rater = SectorRater(calibration)
-    method = _choose(replace(config, polar=_for_vehicle(config.polar, calibration.body)))
-
-    def classify(scan: Scan) -> ClassedSectors:
-        classed = method.classify(scan)
-        return replace(classed, ride=rater(scan, classed.sectors))
-
-    return replace(method, classify=classify, calibration=calibration)
-
-
-def _for_vehicle(polar: PolarSettings, body: VehicleBody) -> PolarSettings:
-    """Return the grid with the outline of a vehicle; raise UsageError if the settings name another one."""
-    own = {"belly_m": body.lowest_obstacle_m, "height_m": body.height_m}
+    rater, polar = SectorRater(calibration), config.polar
+    own = {"belly_m": calibration.body.lowest_obstacle_m, "height_m": calibration.body.height_m}
     for name, value in own.items():
         if getattr(polar, name) not in {value, getattr(PolarSettings(), name)}:
             raise UsageError(
                 f"{name} is {getattr(polar, name)} among the settings of the polar grid, and {value} for the vehicle: "
                 f"leave out {name}, or the vehicle"
             )
-    return replace(polar, belly_m=own["belly_m"], height_m=own["height_m"])
+    method = _choose(replace(config, polar=replace(polar, belly_m=own["belly_m"], height_m=own["height_m"])))
+
+    def classify(scan: Scan) -> ClassedSectors:
+        classed = method.classify(scan)
+        return replace(classed, ride=rater(scan, classed.sectors))
+
+    return replace(method, classify=classify, calibration=calibration)
 
 
 def _choose(config: ScanConfig) -> Method:

@@ -99,7 +99,7 @@ def count_stripes(heights: NDArray[np.float32], settings: StripeFilter | None = 
     responses = (maps @ gabor_bank(pixels, settings)).max(axis=1).reshape(-1, pixels, pixels)[:count]
     in_stripe = responses >= settings.threshold
     in_stripe[:, 1:] &= ~in_stripe[:, :-1]  # the first pixel of each run alone
-    return in_stripe.sum(axis=(1, 2), dtype=np.float32) / np.float32(pixels)
+    return np.asarray(in_stripe.sum(axis=(1, 2), dtype=np.float32) / np.float32(pixels))
 
 
 @cache
