@@ -186,13 +186,10 @@ def _describe_layers(source: MapReader) -> dict[str, Any]:
 
 def _describe(route: Route, place: GeoJsonCoordinates) -> dict[str, Any]:
     """Return figures, stops, corners and stretches of a route."""
-    stops = zip(stop_names(len(route.stops)), place.in_crs(route.stops), place.in_file(route.stops), strict=True)
+    names = stop_names(len(route.stops))
     return {
         **route_properties(route),
-        "stops": [
-            {"name": name, "x": x, "y": y, **({"lon": lon, "lat": lat} if place.has_degrees else {})}
-            for name, (x, y), (lon, lat) in stops
-        ],
+        "stops": [{"name": name, **spot} for name, spot in zip(names, _spots(route.stops, place), strict=True)],
         "corners": len(route.line),
         "stretches": stretch_rows(route),
         "straight": None if route.straight is None else _describe_straight(route.straight, place),
@@ -203,14 +200,13 @@ def _describe_straight(straight: StraightLine, place: GeoJsonCoordinates) -> dic
     """Return what the straight line between the stops costs, and where it makes the way turn."""
     points = np.array([(turn.easting, turn.northing) for turn in straight.turns]).reshape(-1, 2)
     turns = [
-        {
-            "x": x,
-            "y": y,
-            **({"lon": lon, "lat": lat} if place.has_degrees else {}),
-            "closed_m": round(turn.closed_m, 3),
-            "length_m": round(turn.length_m, 3),
-            "why": turn.why,
-        }
-        for turn, (x, y), (lon, lat) in zip(straight.turns, place.in_crs(points), place.in_file(points), strict=True)
+        {**spot, "closed_m": round(turn.closed_m, 3), "length_m": round(turn.length_m, 3), "why": turn.why}
+        for turn, spot in zip(straight.turns, _spots(points, place), strict=True)
     ]
     return {"cost_m": round(straight.cost_m, 3), "closed_m": round(straight.closed_m, 3), "turns": turns}
+
+
+def _spots(points: NDArray[np.float64], place: GeoJsonCoordinates) -> list[dict[str, float]]:
+    """Return points (n, 2) in the CRS of the survey, and their longitude and latitude if these are known."""
+    both = zip(place.in_crs(points), place.in_file(points), strict=True)
+    return [{"x": x, "y": y, **({"lon": lon, "lat": lat} if place.has_degrees else {})} for (x, y), (lon, lat) in both]

@@ -334,10 +334,10 @@ class ObjectFit:
 
     @property
     def is_enough(self) -> bool:
-        """True if enough objects are found to tell anything."""
+        """True if enough objects are found for any conclusion."""
         return self.objects >= _LEAST_OBJECTS and self.best >= _LEAST_BEST
 
-    def tells(self, share: float) -> bool:
+    def is_displaced(self, share: float) -> bool:
         """Return True if at the poses less than a share of what is found at the best place is found, not by chance."""
         by_chance = 3.0 * np.sqrt(self.best / max(1, self.objects))
         return bool(self.is_enough and self.found < min(share * self.best, self.best - by_chance))
@@ -414,7 +414,7 @@ def _lay_on(objects: Floats, way: Floats, tree: "KDTree", edges: Floats, start: 
         sides[:, 0, 2], sides[:, 1, 2] = -y, x
         normal = np.einsum("nki,nkl,nlj->ij", sides, weight, sides)
         right = np.einsum("nki,nkl,nl->i", sides, weight, rest)
-        move -= np.linalg.solve(normal + usual, right + usual @ move)  # to the pose, where objects tell nothing
+        move -= np.linalg.solve(normal + usual, right + usual @ move)  # to the pose, where objects show nothing
     return move, normal / _ALIKE, left
 
 

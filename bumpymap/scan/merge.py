@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,12 +68,6 @@ _WRONG, _GONE, _LEAST_AWAY_M, _LEAST_COMPARED = 0.5, 0.8, 5.0, 60
 """Share of objects seen through, of those and of those found again, above which poses are refused by all frames at that
 distance, m, or farther, and above which a frame does not fit; fewest objects compared. With traffic the share is up to
 0.26, with inverted, reversed or swapped poses 0.8 to 1."""
-_BESIDE_M, _TURNED_DEG, _HIGHER_M = (0.3, 1.0), (1.5, 2.5), (0.25, 0.5)
-"""Misfit of a frame above which it is reported, and above which the poses are refused (chosen): place and direction
-where objects are found, and height of ground; what is refused is that after corrections."""
-_FOUND = (0.8, 0.5)
-"""Objects are beside their places if a smaller share of what is found there is found at the poses: to be reported, and
-to be refused (chosen)."""
 _LEANS, _SCALED, _LEFT = 0.026, 0.04, 0.3
 """Least slope (1.5 degrees), and least share of a way, that explain misfits, and share of their squares that may be
 left (chosen)."""
@@ -83,6 +77,23 @@ _MOVED_M = 0.1
 """Distance from the pose of the one before at which a frame with the same points is a repeated one, m (chosen)."""
 _NAMED = 5
 """Number of frames that a message names."""
+
+
+class MisfitLimits(NamedTuple):
+    """Limits of the misfit of a frame against an earlier one (chosen together)."""
+
+    beside_m: float
+    """Distance of its objects from their places, m."""
+    turned_deg: float
+    """Turn of its objects, degrees."""
+    higher_m: float
+    """Difference of the height of the same ground, m; of what is refused, that after corrections."""
+    found: float
+    """Objects are beside their places if a smaller share of what is found there is found at the poses."""
+
+
+_REPORTED, _REFUSED = MisfitLimits(0.3, 1.5, 0.25, 0.8), MisfitLimits(1.0, 2.5, 0.5, 0.5)
+"""Misfits that are reported, and those for which the poses are refused."""
 
 
 class WrongPosesError(BadInputError):
@@ -132,12 +143,12 @@ class FramePair:
         """Return what does not fit, in words."""
         said = ["it holds the same points"] if self.repeated else []
         beside = float(np.hypot(*self.fit.move))
-        is_turned = abs(self.fit.turn) > _TURNED_DEG[0]
-        if self.fit.tells(_FOUND[0]) and (beside > _BESIDE_M[0] or is_turned):
+        is_turned = abs(self.fit.turn) > _REPORTED.turned_deg
+        if self.fit.is_displaced(_REPORTED.found) and (beside > _REPORTED.beside_m or is_turned):
             turned = f"turned by {abs(self.fit.turn):.0f} degrees"
             moved = f"{beside:.1f} m beside their places" + (f", {turned}" if is_turned else "")
-            said.append(f"objects stand {moved if beside > _BESIDE_M[0] else turned}")
-        if abs(self.higher_m) > _HIGHER_M[0]:
+            said.append(f"objects stand {moved if beside > _REPORTED.beside_m else turned}")
+        if abs(self.higher_m) > _REPORTED.higher_m:
             way = "higher" if self.higher_m > 0.0 else "lower"
             said.append(f"the same ground is {abs(self.higher_m):.2f} m {way}")
         if self.through > _GONE * (self.through + self.found) and self.through + self.found > _LEAST_COMPARED:
@@ -148,13 +159,15 @@ class FramePair:
         """Return how far it is from fitting, m; the same points at another place are no frame of their own."""
         if self.repeated:
             return np.inf
-        return float(self.fit.tells(_FOUND[0]) * np.hypot(*self.fit.move) + abs(np.nan_to_num(self.higher_m)))
+        return float(
+            self.fit.is_displaced(_REPORTED.found) * np.hypot(*self.fit.move) + abs(np.nan_to_num(self.higher_m))
+        )
 
     @property
     def is_wrong(self) -> bool:
         """True if it fits worse than with any good poses."""
-        far = np.hypot(*self.fit.move) >= _BESIDE_M[1] or abs(self.fit.turn) > _TURNED_DEG[1]
-        return bool(abs(self.left_m) > _HIGHER_M[1] or (far and self.fit.tells(_FOUND[1])))
+        far = np.hypot(*self.fit.move) >= _REFUSED.beside_m or abs(self.fit.turn) > _REFUSED.turned_deg
+        return bool(abs(self.left_m) > _REFUSED.higher_m or (far and self.fit.is_displaced(_REFUSED.found)))
 
     def record(self, names: list[str]) -> dict[str, Any]:
         """Return the entry in scan.json."""
@@ -162,8 +175,8 @@ class FramePair:
         return {
             "frame": names[self.later],
             "against": names[self.earlier],
-            "beside_m": round(float(np.hypot(*self.fit.move)), 2) if self.fit.tells(_FOUND[0]) else None,
-            "turned_deg": round(self.fit.turn, 2) if self.fit.tells(_FOUND[0]) else None,
+            "beside_m": round(float(np.hypot(*self.fit.move)), 2) if self.fit.is_displaced(_REPORTED.found) else None,
+            "turned_deg": round(self.fit.turn, 2) if self.fit.is_displaced(_REPORTED.found) else None,
             "higher_m": None if np.isnan(self.higher_m) else round(self.higher_m, 3),
             "seen_through": round(self.through / seen, 3) if seen else None,
         }
@@ -472,10 +485,10 @@ def _likely(pairs: list[FramePair], poses: NDArray[np.float64]) -> str:
     known = np.isfinite(higher)
     lean = np.linalg.lstsq(way[known], higher[known], rcond=None)[0]
     rest = np.sum((higher - way @ lean)[known] ** 2) / max(np.sum(higher[known] ** 2), 1e-9)
-    if np.abs(higher[known]).max(initial=0.0) > _HIGHER_M[0] and np.hypot(*lean) > _LEANS and rest < _LEFT:
+    if np.abs(higher[known]).max(initial=0.0) > _REPORTED.higher_m and np.hypot(*lean) > _LEANS and rest < _LEFT:
         return f", as if the LiDAR leaned by {np.degrees(np.arctan(np.hypot(*lean))):.0f} degrees against its poses"
-    plan = np.array([pair.way[:2] for pair in pairs if pair.fit.tells(1.0)])
-    move = np.array([pair.fit.move for pair in pairs if pair.fit.tells(1.0)])
+    plan = np.array([pair.way[:2] for pair in pairs if pair.fit.is_displaced(1.0)])
+    move = np.array([pair.fit.move for pair in pairs if pair.fit.is_displaced(1.0)])
     longer = np.sum(plan * move) / max(np.sum(plan**2), 1e-9)
     if _SCALED < abs(longer) < 0.5 and np.sum((move - longer * plan) ** 2) < _LEFT * np.sum(move**2):
         return f", as if all ways were {1.0 / (1.0 + longer):.2f} times as long as in truth"
