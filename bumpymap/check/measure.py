@@ -216,10 +216,7 @@ class _Rates:
 
 
 def measure_drive(
-    log: DriveLog,
-    places: MetrePlaces | None,
-    band_hz: float,
-    slope_at: SlopeAt | None = None,
+    log: DriveLog, places: MetrePlaces | None, band_hz: float, slope_at: SlopeAt | None = None
 ) -> DriveMeasure:
     """Measure the pitch rate about the vehicle's own axis, the speed and the way of a drive.
 

@@ -18,13 +18,7 @@ from scipy.stats import rankdata
 from bumpymap.check.measure import COUNTS, LEFT_OUT, DriveMeasure, WayStretch, measure_drive
 from bumpymap.check.places import MetrePlaces, places_alone, places_on_map, read_slopes, window_around
 from bumpymap.check.settings import LEAST_WINDOW_M, CheckConfig
-from bumpymap.check.stretches import (
-    MapReading,
-    cut_stretches,
-    read_along,
-    read_line,
-    with_ground,
-)
+from bumpymap.check.stretches import MapReading, cut_stretches, read_along, read_line, with_ground
 from bumpymap.core import (
     NO_CLASS,
     BadInputError,
@@ -337,8 +331,7 @@ def _usable(steps: Iterable[tuple[str, Callable[[], Found]]], skipped: dict[str,
         if len(skipped) == 1:
             raise error
         raise BadInputError(
-            f"none of the {len(skipped)} drives can be used:",
-            *(f"  {place}: {why}" for place, why in skipped.items()),
+            f"none of the {len(skipped)} drives can be used:", *(f"  {place}: {why}" for place, why in skipped.items())
         ) from error
     return found
 
@@ -524,7 +517,7 @@ def write_check(
         }
 
     writers: dict[str, Callable[[Path], None]] = {
-        "check.html": partial(write_check_page, result, ground if placement is not None else None),
+        "check.html": partial(write_check_page, result, ground if placement is not None else None)
     }
     if ground is not None and placement is not None:
         writers["check.geojson"] = partial(write_stretches, result, placement)

@@ -41,12 +41,7 @@ from bumpymap.views import reach_layers, route_layers, view_writers, write_reach
 _log = logging.getLogger(__name__)
 
 ROUTE_MANIFEST_NAME = "route.json"
-ROUTE_KINDS = {
-    ".geojson": "route.geojson",
-    ".gpx": "route.gpx",
-    ".csv": "profile.csv",
-    ".png": "route.png",
-}
+ROUTE_KINDS = {".geojson": "route.geojson", ".gpx": "route.gpx", ".csv": "profile.csv", ".png": "route.png"}
 REACH_KINDS = {".tif": "reach.tif", ".geojson": "isochrones.geojson", ".png": "reach.png"}
 """Name of the file that is written alone, by its suffix."""
 _VIEWS = ("route.qml", "reach.qml", "isochrones.qml", MapFile.PROJECT)

@@ -172,11 +172,7 @@ def find_routes(
 
 
 def map_reach(
-    layers: PathLike,
-    start: Point,
-    *,
-    minutes: float | None = None,
-    **settings: Unpack[ReachSettings],
+    layers: PathLike, start: Point, *, minutes: float | None = None, **settings: Unpack[ReachSettings]
 ) -> "xarray.Dataset":
     """Map what can be reached from a point: cost and minutes of the cheapest way to every tile.
 

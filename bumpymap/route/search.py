@@ -31,17 +31,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import AXES_DEG, axes_along
 from bumpymap.route._line_kernels import Costs, connect, find_near
-from bumpymap.route._search_kernels import (
-    NEW,
-    NOT_REACHED,
-    REACH,
-    SETTLED,
-    Ground,
-    MoveTables,
-    Reached,
-    Seeds,
-    search,
-)
+from bumpymap.route._search_kernels import NEW, NOT_REACHED, REACH, SETTLED, Ground, MoveTables, Reached, Seeds, search
 from bumpymap.route.straighten import (
     LEAST_SAVING,
     as_costs,

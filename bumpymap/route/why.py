@@ -76,13 +76,7 @@ def _why(pieces: dict[str, NDArray[Any]], at: int, *, is_closed: bool) -> str:
     return f"{kind}, {cost:.1f} m for each metre"
 
 
-def _words(
-    ground: CostGround,
-    turns: tuple[Turn, ...],
-    best: RouteFigures,
-    open_cost: float,
-    closed_m: float,
-) -> str:
+def _words(ground: CostGround, turns: tuple[Turn, ...], best: RouteFigures, open_cost: float, closed_m: float) -> str:
     straight = f"The straight line, {best.straight_m:,.0f} m,"
     if not turns:
         return f"{straight} is open and costs {open_cost:,.0f} m; the way costs {best.cost_m:,.0f} m."

@@ -50,8 +50,7 @@ class ScanConfig:
     deskew: Annotated[bool, Setting("Keep points as measured in motion", option="no-deskew", rare=True)] = True
     """Move points to where they are seen at the time of the frame, if poses and points have times."""
     columns: Annotated[
-        Literal[4, 5, 6] | None,
-        Setting("Columns of .bin files: 4, 5 or 6", "N", default="by their values", rare=True),
+        Literal[4, 5, 6] | None, Setting("Columns of .bin files: 4, 5 or 6", "N", default="by their values", rare=True)
     ] = None
     method: Annotated[
         ScanMethod | None, Setting("How sectors are classified: filter or learned", "NAME", default="", group="Ground")

@@ -93,11 +93,7 @@ may have its origin below the robot, or z may point down."""
 
 
 def find_ground(
-    points: CellPoints,
-    count: int,
-    settings: PolarSettings,
-    start: float,
-    buffers: SectorBuffers,
+    points: CellPoints, count: int, settings: PolarSettings, start: float, buffers: SectorBuffers
 ) -> tuple[GroundPlanes, GroundLabels]:
     """Find the ground of a scan that was placed on the polar grid.
 

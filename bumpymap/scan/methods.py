@@ -173,9 +173,7 @@ def _widened(tiles: BlockRating, coverage: NDArray[np.floating]) -> BlockRating:
     above = np.interp(np.nan_to_num(coverage), (0.75, 0.9), _ABOVE)
     low, high = (np.log(end / tiles.c_r) for end in (tiles.c_r_low, tiles.c_r_high))
     return replace(
-        tiles,
-        c_r_low=tiles.c_r * np.exp(-np.hypot(low, _BELOW)),
-        c_r_high=tiles.c_r * np.exp(np.hypot(high, above)),
+        tiles, c_r_low=tiles.c_r * np.exp(-np.hypot(low, _BELOW)), c_r_high=tiles.c_r * np.exp(np.hypot(high, above))
     )
 
 

@@ -24,14 +24,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from bumpymap.core import (
-    NOT_TRAVERSABLE,
-    ClassedSectors,
-    PolarSettings,
-    SectorStack,
-    UsageError,
-    parse_json,
-)
+from bumpymap.core import NOT_TRAVERSABLE, ClassedSectors, PolarSettings, SectorStack, UsageError, parse_json
 from bumpymap.scan.ground import OPEN_SHARE
 
 _BLOCKED_SHARE = 0.45
