@@ -145,10 +145,7 @@ def rough_speed(imu: EvenImu, places: MetrePlaces | None, wheels: WheelTrack | N
 
 
 def find_standing(imu: EvenImu, speed: RoughSpeed, band_hz: float) -> Mask:
-    """Return when the vehicle stood still.
-
-    ``speed``: from positions or wheels.
-    """
+    """Return when the vehicle stood still."""
     rate = low_pass(imu.rate, imu.known, imu.hertz, band_hz)
     samples = round(_WINDOW_S * imu.hertz)
     mean = rolling_mean(rate, samples)

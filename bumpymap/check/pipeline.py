@@ -264,13 +264,8 @@ def run_check(config: CheckConfig, progress: Progress | None = None) -> tuple[Ch
     """Compare a map with drives as the settings ask, and write what was found; return it, and the files.
 
     Drives that cannot be used are left out; ``skipped`` of the result names them, and each is logged as a warning.
-
-    Raises
-    ------
-    BadInputError
-        The layers cannot be read, or no drive can be used.
-    UsageError, OutputError
-        The files cannot be written.
+    Raises BadInputError: the layers cannot be read, or no drive can be used; UsageError, OutputError: the files cannot
+    be written.
     """
     progress = progress or SilentProgress()
     site = None if config.layers is None else open_map(config.layers)
@@ -487,15 +482,12 @@ def write_check(
 ) -> list[Path]:
     """Write what drives show of a map to a folder, which is created if it is missing.
 
-    All files appear or none; links are replaced, never followed. Files of an earlier check that this one does not
-    write are removed: without positions on a map there is nothing for GIS. Except for check.json no file depends on
-    the time or on folder names.
-
-    ``result``: with at least one drive; ``ground``: the map, such as `open_map` returns it, None without one;
-    ``manifest``: the run's own entries for check.json, such as settings. Returns what was written.
-
-    Raises UsageError, OutputError: see `check_check_out`, or a file cannot be written; BadInputError: the layers cannot
-    be read, or positions have no longitude and latitude.
+    All files appear or none; links are replaced, never followed. Files of an earlier check that this one does not write
+    are removed: without positions on a map there is nothing for GIS. Except for check.json no file depends on the time
+    or on folder names. ``result``: with at least one drive; ``ground``: the map, None without one; ``manifest``: the
+    run's own entries for check.json, such as settings. Returns what was written. Raises UsageError, OutputError: see
+    `check_check_out`, or a file cannot be written; BadInputError: the layers cannot be read, or positions have no
+    longitude and latitude.
     """
     check_check_out(out, overwrite=overwrite)
     placement = None if ground is None else place_stretches(result.stretches, ground)

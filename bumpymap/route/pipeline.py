@@ -247,14 +247,9 @@ class RouteResult:
 def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteResult:
     """Plan the ways that the settings ask for, and write them.
 
-    Raises
-    ------
-    BadInputError
-        The layers cannot be read, a point does not lie on ground that can be used, or there is no way.
-    UsageError
-        The settings contradict each other or the map, or the search does not fit in the memory limit.
-    OutputError
-        A file cannot be written.
+    Raises BadInputError: the layers cannot be read, a point does not lie on ground that can be used, or there is no
+    way; UsageError: the settings contradict each other or the map, or the search does not fit in the memory limit;
+    OutputError: a file cannot be written.
     """
     progress = progress or SilentProgress()
     with _opened(config) as ground:

@@ -95,10 +95,7 @@ class Stops:
 
 
 def find_stops(ground: CostGround, config: RouteConfig) -> Stops:
-    """Return the points that the settings name.
-
-    Raises BadInputError: a point does not lie on the map, or on ground that cannot be used.
-    """
+    """Return the points that the settings name. Raises BadInputError: one is off the map, or on ground of no use."""
     named = _named(ground.site, config)
     points = [usable_point(ground, name, point, config.snap) for name, point in named]
     names, notes = [], []

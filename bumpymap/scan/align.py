@@ -156,17 +156,16 @@ class DriveHeights:
 def ground_heights(points: NDArray[np.float32], is_ground: NDArray[np.bool_], pose: Floats) -> GroundHeights:
     """Average the ground of a frame in squares of the world.
 
-    ``points`` (n, 3): in the frame of the sensor, m; ``pose`` (4, 4): transform from the sensor's frame to the world,
-    m.
+    ``points`` (n, 3): in the frame of the sensor, m; ``pose`` (4, 4): from there to the world, m.
     """
     chosen = points[is_ground & (np.hypot(points[:, 0], points[:, 1]) <= _REACH_M)]
     turned = np.einsum("nj,ij->ni", chosen.astype(np.float64), pose[:3, :3])
     at = np.floor((turned[:, :2] + pose[:2, 3]) / _SQUARE_M).astype(np.int64)
     square, place, count = np.unique(at[:, 0] * _SIDE + at[:, 1], return_inverse=True, return_counts=True)
-    east, north, z = (np.bincount(place, turned[:, axis], len(square)) / count for axis in range(3))
-    return GroundHeights(
-        square, east.astype(np.float32), north.astype(np.float32), z.astype(np.float32), float(pose[2, 3])
+    east, north, z = (
+        (np.bincount(place, turned[:, axis], len(square)) / count).astype(np.float32) for axis in range(3)
     )
+    return GroundHeights(square, east, north, z, float(pose[2, 3]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -298,10 +297,7 @@ def judge_by_view(
 
 
 def frame_pairs(poses: Floats) -> list[tuple[int, int]]:
-    """Return which frames are compared, a later one with an earlier one each, in order.
-
-    ``poses`` (frames, 4, 4).
-    """
+    """Return the frames of ``poses`` (frames, 4, 4) that are compared, a later with an earlier one each, in order."""
     place, pairs = poses[:, :2, 3], []
     path = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(place, axis=0), axis=1))]
     for later in range(1, len(poses)):
