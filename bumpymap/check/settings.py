@@ -8,7 +8,7 @@ from typing import Annotated
 from bumpymap.core import Setting, UsageError, check_settings
 
 LEAST_WINDOW_M = 5.0
-"""Shortest stretch that gets a C_r of its own, m."""
+"""Shortest stretch that gets a C_r of its own, m (chosen: of less it is chance)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -126,7 +126,7 @@ def _joined(drive: DriveMeasure, counts: NDArray[np.bool_]) -> list[slice]:
 _STEP_M = 0.25
 """Length of the steps that a way is read in, m (chosen)."""
 _SHARED = 0.5
-"""Share of the variance of a tile's interval that its neighbours on the way have in common."""
+"""Share of the variance of a tile's interval that its neighbours on the way have in common (chosen)."""
 _LINE_SD = 0.22
 """ln c_r of one calibration drive over a tile scatters by this about the tile's: c_r is the mean over all lines and
 headings. Median over the terrains of the Warthog's calibration; it falls with the root of the length."""

@@ -56,9 +56,8 @@ Floats = NDArray[np.float64]
 
 _SIGMA_M = 0.3
 """Standard deviation of where a vehicle is across its line by default, m (chosen)."""
-_ACROSS = (-math.sqrt(3.0), 0.0, math.sqrt(3.0))
-"""Places across the line, standard deviations, and their weights."""
-_WEIGHTS = (1 / 6, 2 / 3, 1 / 6)
+_ACROSS, _WEIGHTS = (-math.sqrt(3.0), 0.0, math.sqrt(3.0)), (1 / 6, 2 / 3, 1 / 6)
+"""Places across the line, standard deviations, and their weights: Gauss-Hermite quadrature of three points."""
 _ALIKE_M, _MOST_SIGMA = 0.5, 2.0
 """Distance in which ground is alike, m: if the error is larger, there is a place at each such distance, up to that
 multiple of the error (chosen)."""
@@ -80,6 +79,7 @@ _BANDS = ("c_r", "c_r_low", "c_r_high", "slope")
 _SIDES = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
 """Ahead and to the left: of the wheels front left, front right, rear left, rear right."""
 _AXLES = ((0, 1), (2, 3))
+"""Wheels of the front and of the rear axle, by their rows there."""
 
 
 @dataclass(frozen=True, slots=True)

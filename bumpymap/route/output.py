@@ -52,8 +52,8 @@ ROUTE_FILES = OutputFolder(
 )
 _AROUND_M = 10.0
 """Ground around the ways when their project is opened, m (chosen)."""
-ROUTE_MANIFEST_FORMAT = "bumpymap-route"
-_VERSION = 1
+ROUTE_MANIFEST_FORMAT, _VERSION = "bumpymap-route", 1
+"""Entries ``format`` and ``version`` of route.json."""
 
 
 def check_out(out: Path, kinds: Mapping[str, str], *, overwrite: bool) -> str | None:

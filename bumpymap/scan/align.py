@@ -76,7 +76,8 @@ VIEW_SHAPE, _LOWEST = (240, 480), -0.25
 VIEW_REACH_M = 40.0
 """Distance of the places that a frame may have seen through, m (chosen)."""
 _VIEW_LIMITS = np.array([[VIEW_REACH_M, 0.5, 0.02]])
-"""As `judge_places` takes them."""
+"""As `judge_places` takes them: that distance; by how much a beam that ends well behind a place is longer, m and share
+(chosen)."""
 
 Floats = NDArray[np.float64]
 

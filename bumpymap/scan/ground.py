@@ -208,7 +208,7 @@ def median(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 OPEN_SHARE = 0.55
-"""Least share of ground among the points of an open sector: what it is, its ground says."""
+"""Least share of ground among the points of an open sector, whose ground alone makes its class (chosen)."""
 
 
 def open_neighbours(stack: SectorStack) -> tuple[NDArray[np.bool_], NDArray[np.int32]]:

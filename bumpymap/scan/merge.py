@@ -51,15 +51,16 @@ from bumpymap.scan.align import (
 _log = logging.getLogger(__name__)
 
 MOST_GROUND, MOST_OTHERS = 8, 3
-"""Ground points per pixel of the map, and other points per voxel, that are kept."""
+"""Ground points per pixel of the map, and other points per voxel, that are kept (chosen)."""
 VOXEL_MM = 200
-"""Edge of a voxel; a pixel of the map is as wide."""
+"""Edge of a voxel, mm: that of a pixel of the map."""
 _BLOCK_MM, _SIDE = 30_000, 1 << 20
 """Edge of a block, mm, and blocks in a row of the world (chosen)."""
 _PROBE_MM = 800
 """Height above ground, between belly and top of a vehicle, at which it shows whether the ground can be driven on,
 mm."""
 _POINT = np.dtype([("place", "<i4", 3), ("range_cm", "<u2"), ("kind", "u1")])
+"""A point in the file: place, mm; distance from its sensor; 1 if it is ground."""
 _FAR_MM = 2_000_000_000
 """Largest coordinate in the file, mm: that of 32 bits."""
 _THICK_M = 0.5
