@@ -29,9 +29,9 @@ ROOMS = {
     "survey": ({"core", "readers", "patches", "rating", "layers", "views"}, {"numpy"}),
     "scan": (
         {"core", "readers", "patches", "rating", "layers", "views", "survey"},
-        {"numpy", "pyproj", "scipy"},
+        {"numpy", "pyproj", "scipy", "skimage"},
     ),
-    "route": ({"core", "rating", "layers", "views"}, {"numpy", "scipy", "xarray"}),
+    "route": ({"core", "rating", "layers", "views"}, {"numpy", "scipy", "skimage", "xarray"}),
     "change": ({"core", "layers", "views"}, {"geopandas", "numpy", "scipy"}),
     "check": ({"core", "rating", "readers", "layers", "route", "views"}, {"numpy", "scipy"}),
     "lab": (

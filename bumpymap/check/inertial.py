@@ -16,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import find_objects, gaussian_filter1d, label
 from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
@@ -26,17 +26,18 @@ from bumpymap.core import BadInputError, ImuTrack
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_GAP_SAMPLES = 5.0
-"""A pause of more sampling intervals than this, and of ``_GAP_S``, is a gap."""
-_GAP_S = 0.1
+_GAP_SAMPLES, _GAP_S = 5.0, 0.1
+"""A longer pause, in sampling intervals and in seconds, is a gap (chosen)."""
 _LEAST_PIECE_S = 2.0
-"""Shorter pieces between gaps are left out."""
+"""Shorter pieces between gaps are left out, s (chosen)."""
 _LEAST_SAMPLES = 200
+"""Fewest samples of a drive: 2 s at 100 Hz, as long as the shortest piece."""
 _RATE_TO_BAND = 2.5
-"""Samples per second that the band limit needs, per Hz."""
+"""Samples per second that a band limit needs, per Hz: Nyquist's 2, and room for the slope of the filter."""
 _MOST_RADPS = 35.0
-"""No ground vehicle turns faster (2,000 degrees per second is where sensors end)."""
+"""Highest angular rate of a ground vehicle, rad/s: sensors end at 2,000 degrees per second."""
 _ORDER = 4
+"""Order of the Butterworth filter of `low_pass` (chosen)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,8 +118,7 @@ def _whole_pieces(time: Floats, step: float) -> Iterator[slice]:
 
 def pieces(known: Mask) -> list[slice]:
     """Return the runs of True in a mask, in order."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(np.int8)))
-    return [slice(start, stop) for start, stop in edges.reshape(-1, 2).tolist()]
+    return [part for (part,) in find_objects(label(known)[0])]
 
 
 def low_pass(values: Floats, known: Mask, hertz: float, cutoff_hz: float) -> Floats:
@@ -145,7 +145,7 @@ def rolling_mean(values: Floats, samples: int) -> Floats:
 
 
 _UP_HZ = 0.02
-"""Attitude by rates drifts more slowly than this; accelerations of a vehicle change faster."""
+"""Frequency between the drift of an attitude by rates, which is slower, and accelerations of a vehicle, Hz (chosen)."""
 
 
 def turned(rate: Floats, hertz: float) -> Rotation:
@@ -165,7 +165,7 @@ def turned(rate: Floats, hertz: float) -> Rotation:
     return total
 
 
-def upward_in_sensor(imu: EvenImu, attitude: Rotation, motion: Floats) -> Floats:
+def upward_in_sensor(imu: EvenImu, attitude: Rotation, motion: Floats | float = 0.0) -> Floats:
     """Return the upward direction in the sensor's axes: by rates in the short run, by gravity in the long run.
 
     ``attitude``: from `turned`; ``motion`` (n, 3): acceleration of the vehicle in the sensor's axes as far as known,
@@ -204,18 +204,20 @@ def heading_of(attitude: Rotation, upward: Floats) -> Floats:
 
 Complexes = NDArray[np.complex128]
 
-_STEP_S = 0.1
-_REACH_S = 3.0
-"""Offsets up to this are searched, s."""
+_STEP_S, _REACH_S = 0.1, 3.0
+"""Step and limit of the offsets that are tried, s (chosen: clocks that are set by hand are off by a second or two)."""
 _WINDOW_S = 60.0
-"""The heading may drift over longer times."""
+"""Time over which the heading by the gyroscope does not drift, s (chosen)."""
 _SMOOTH_S = 0.6
+"""Standard deviation of the Gaussian that velocities are smoothed by, s (chosen)."""
 _SLOW_MPS = 0.15
+"""Speed below which positions give no course, m/s (chosen)."""
 _LEAST_SECONDS = 5.0
+"""Shortest time in common, and of driving, from which an offset is found, s (chosen)."""
 _WRONG_UNIT = 15.0
-"""Turning that differs by more than this factor is another unit: 57.3 degrees are a radian."""
+"""Ratio of turning that only another unit explains: a quarter of 57.3, the degrees of a radian."""
 _LEAST_TURN = 0.5
-"""rad: with less turning the unit is not judged."""
+"""Turning below which the unit is not judged, rad (chosen)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -319,10 +321,11 @@ def refuse_wrong_unit(places: MetrePlaces, clock: ClockFit, time: Floats, headin
 
 
 _MOTION_HZ = 0.5
-"""Accelerations of driving are slower; those of bumps are faster."""
+"""Frequency between accelerations of driving, which are slower, and those of bumps, Hz (chosen)."""
 _LEAST_ACCELERATION = 1.0
-"""m/s2 sqrt(s): with less driving the yaw cannot be determined."""
+"""Acceleration from which the yaw of the sensor is determined, root of its power, m/s2 sqrt(s) (chosen)."""
 _MOST_YAW_SD = np.radians(15.0)
+"""Largest standard deviation of a yaw that is used, rad (chosen)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -351,12 +354,9 @@ class Mounting:
     """(n, 3) upward direction in the sensor's axes, with the motion of the vehicle taken into account."""
 
 
-def find_mounting(imu: EvenImu, rate: Floats, attitude: Rotation, motion: DrivenMotion, moving: Mask) -> Mounting:
-    """Find how the sensor sits in the vehicle.
-
-    ``imu``: with an accelerometer; ``rate`` (n, 3): angular rates without bias, in the sensor's axes, rad/s.
-    """
-    upward = upward_in_sensor(imu, attitude, np.zeros_like(rate))
+def find_mounting(imu: EvenImu, attitude: Rotation, motion: DrivenMotion, moving: Mask) -> Mounting:
+    """Find how the sensor, with its accelerometer, sits in the vehicle."""
+    upward = upward_in_sensor(imu, attitude)
     rotation = levelling(upward[moving].mean(axis=0))
     yaw, yaw_sd = 0.0, float("nan")
     for _ in range(3):
@@ -404,7 +404,7 @@ def _band(values: NDArray[np.complex128], hertz: float) -> NDArray[np.complex128
     everywhere = np.ones(len(values), np.bool_)
     both = np.stack([values.real, values.imag], axis=1)
     fast = low_pass(both, everywhere, hertz, _MOTION_HZ)
-    fast -= low_pass(fast, everywhere, hertz, 0.02)
+    fast -= low_pass(fast, everywhere, hertz, _UP_HZ)
     return np.asarray(fast[:, 0] + 1j * fast[:, 1])
 
 

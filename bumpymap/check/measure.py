@@ -47,21 +47,20 @@ LEFT_OUT = (
 
 @dataclass(frozen=True, slots=True)
 class DriveMeasure:
-    """One drive at the even samples of its inertial sensor."""
+    """One drive at the even samples of its inertial sensor; arrays (n,)."""
 
     name: str
     time: Floats
-    """(n,) s, on the clock of the IMU."""
+    """s, on the clock of the IMU."""
     pitch_rate: Floats
-    """(n,) about the vehicle's own y axis, low-passed, rad/s."""
+    """About the vehicle's own y axis, low-passed, rad/s."""
     speed: Floats
-    """(n,) m/s."""
+    """m/s."""
     easting: Floats
-    """(n,) m; from the start where there are no positions."""
+    """m; from the start where there are no positions."""
     northing: Floats
-    """(n,) m."""
     reason: NDArray[np.uint8]
-    """(n,) number in ``LEFT_OUT``; 0: counts."""
+    """Number in ``LEFT_OUT``; 0: counts."""
     track: DrivenTrack
     hertz: float
     band_hz: float
@@ -82,46 +81,37 @@ class DriveMeasure:
 
 @dataclass(frozen=True, slots=True)
 class WayStretch:
-    """Stretches of one drive, one row each."""
+    """Stretches of one drive, (n,) each but the first."""
 
     label: NDArray[np.int64]
     """(samples,) number of the stretch of each sample, -1 where it belongs to none."""
     start_s: Floats
-    """(n,) s."""
     end_s: Floats
-    """(n,) s."""
     way_m: Floats
-    """(n,) m."""
     speed_mps: Floats
-    """(n,) mean speed."""
+    """Mean."""
     measured: Floats
-    """(n,) rad/m."""
+    """C_r, rad/m; its standard error follows."""
     measured_sd: Floats
-    """(n,) rad/m."""
     easting: Floats
-    """(n,) middle, m."""
+    """Of the middle, m."""
     northing: Floats
-    """(n,) m."""
 
 
 Mask = NDArray[np.bool_]
 
 _WINDOW_S = 1.0
-_QUIET = 3.0
-"""A standing vehicle shakes at most this many times as much as in its quietest second."""
-_QUIET_SHARE = 0.35
-"""And at most this share of what it shakes in the middle of the record."""
+"""Time over which the shaking of a vehicle is measured, s (chosen)."""
+_QUIET, _QUIET_SHARE = 3.0, 0.35
+"""Most shaking of a standing vehicle: times that of its quietest second, and share of its usual one (chosen)."""
 _SILENT_RADPS = 1e-5
-"""No moving vehicle is quieter."""
-_LEAST_S = 2.0
-_MARGIN_S = 0.5
-"""Taken off at both ends of a stop: the vehicle still rocks."""
-_SLOW_MPS = 0.15
-"""A vehicle whose positions move less than this may stand."""
-_TURNING_MPS = 0.03
-"""Wheels that turn faster move the vehicle, however quiet the ground is."""
+"""Shaking below which no vehicle moves, rad/s (chosen)."""
+_LEAST_S, _MARGIN_S = 2.0, 0.5
+"""Shortest stop, and time off both its ends in which the vehicle still rocks, s (chosen)."""
+_SLOW_MPS, _TURNING_MPS = 0.15, 0.03
+"""Speeds below which a vehicle may stand, by positions, and above which its wheels move it, m/s (chosen)."""
 _MOST_ERROR_MPS = 0.3
-"""Of the speed by positions."""
+"""Largest error of the speed by positions that is assumed, m/s (chosen)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,10 +145,7 @@ def rough_speed(imu: EvenImu, places: MetrePlaces | None, wheels: WheelTrack | N
 
 
 def find_standing(imu: EvenImu, speed: RoughSpeed, band_hz: float) -> Mask:
-    """Return when the vehicle stood still.
-
-    ``speed``: from positions or wheels.
-    """
+    """Return when the vehicle stood still."""
     rate = low_pass(imu.rate, imu.known, imu.hertz, band_hz)
     samples = round(_WINDOW_S * imu.hertz)
     mean = rolling_mean(rate, samples)
@@ -196,19 +183,20 @@ def rate_bias(imu: EvenImu, standing: Mask, upward: Floats) -> Floats:
     return np.stack([np.interp(imu.time, middle, mean[:, axis]) for axis in range(3)], axis=1)
 
 
-_UNSURE_OFFSET_S = 0.2
-_SURE_OFFSET_S = 0.05
-"""An offset that starts and stops tell so closely needs no turns."""
+_UNSURE_OFFSET_S, _SURE_OFFSET_S = 0.2, 0.05
+"""Standard deviations of a clock offset, s: that is not reported, and that needs no turns to be sure (chosen)."""
 _LEAST_CLOCK_M = 20.0
-"""A shorter way tells no offset, whatever the fit says of its error."""
+"""Shortest way from which an offset is reported, whatever the fit says of its error, m (chosen)."""
 _UNSURE_DRIFT = 5e-5
+"""Standard deviation of a clock drift that is not reported (chosen)."""
 _BESIDE_GAP_S, _LEAST_FAR = 5.0, 0.2
-"""The mounting of the sensor rests on what is so far from gaps, unless that is less than this share of the drive."""
-_LEAST_WAY_M, _PARKED_MPS = 5.0, 0.1
+"""The mounting rests on what is farther from gaps, s, unless that is less than this share of the drive (chosen)."""
+_LEAST_WAY_M = 5.0
+"""Shortest way of a drive, m: that of the shortest stretch."""
 _LEAST_SPEED_MPS, _TURN_RADIUS_M = 0.1, 4.0
-"""Slower parts do not count, nor those that turn more sharply."""
+"""Parts that are slower, m/s, or turn more sharply, m, do not count (chosen)."""
 _TURN_S = 1.0
-"""Yaw rates are averaged over this: bumps turn a vehicle to and fro."""
+"""Time over which yaw rates are averaged, s (chosen): bumps turn a vehicle to and fro."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,10 +213,7 @@ class _Rates:
 
 
 def measure_drive(
-    log: DriveLog,
-    places: MetrePlaces | None,
-    band_hz: float,
-    slope_at: SlopeAt | None = None,
+    log: DriveLog, places: MetrePlaces | None, band_hz: float, slope_at: SlopeAt | None = None
 ) -> DriveMeasure:
     """Measure the pitch rate about the vehicle's own axis, the speed and the way of a drive.
 
@@ -246,7 +231,7 @@ def measure_drive(
     start = TrackStart(rates.clock.offset_s, rates.clock.heading_0, rates.force, rough=imu.has_force)
     track = fit_track(imu, rates.heading, rates.standing, places, log.wheels, start)
     speed, step = np.abs(track.speed), track.time[1] - track.time[0]
-    if float(speed[speed > _PARKED_MPS].sum() * step) < _LEAST_WAY_M:
+    if float(speed[speed > _LEAST_SPEED_MPS].sum() * step) < _LEAST_WAY_M:
         raise BadInputError(
             f"{log.name}: the vehicle moves {speed.sum() * step:.1f} m in {len(speed) * step:.0f} s and never drives. "
             "Give a log of a drive"
@@ -268,7 +253,7 @@ def measure_drive(
     vehicle = low_pass(rotation.apply(rates.rate), imu.known, imu.hertz, band_hz)
     sure = rates.clock.sure or track.offset_sd_s < _SURE_OFFSET_S
     driven_m = float(np.abs(track.speed).sum()) * (track.time[1] - track.time[0])
-    told = places is not None and sure and track.offset_sd_s < _UNSURE_OFFSET_S and driven_m > _LEAST_CLOCK_M
+    reported = places is not None and sure and track.offset_sd_s < _UNSURE_OFFSET_S and driven_m > _LEAST_CLOCK_M
     return DriveMeasure(
         name=log.name,
         time=imu.time,
@@ -280,9 +265,9 @@ def measure_drive(
         track=track,
         hertz=imu.hertz,
         band_hz=band_hz,
-        clock_offset_s=track.offset_s if told else float("nan"),
-        clock_offset_sd_s=track.offset_sd_s if told else float("nan"),
-        clock_drift_ppm=1e6 * track.drift if told and track.drift_sd < _UNSURE_DRIFT else float("nan"),
+        clock_offset_s=track.offset_s if reported else float("nan"),
+        clock_offset_sd_s=track.offset_sd_s if reported else float("nan"),
+        clock_drift_ppm=1e6 * track.drift if reported and track.drift_sd < _UNSURE_DRIFT else float("nan"),
         mount_deg=(float("nan"),) * 3 if mounting is None else mounting.degrees,
         floor_radps=float(np.abs(vehicle[rates.standing, 1]).mean()) if rates.standing.any() else float("nan"),
         notes=tuple(notes),
@@ -295,8 +280,7 @@ def _rates(log: DriveLog, imu: EvenImu, places: MetrePlaces | None, band_hz: flo
     upward /= np.linalg.norm(upward)
     rate = (imu.rate - rate_bias(imu, standing, upward)) * imu.known[:, None]
     attitude = turned(rate, imu.hertz)
-    none = np.zeros_like(rate)
-    up = upward_in_sensor(imu, attitude, none) if imu.has_force else attitude.inv().apply(upward + none)
+    up = upward_in_sensor(imu, attitude) if imu.has_force else attitude.inv().apply(np.tile(upward, (len(rate), 1)))
     heading = heading_of(attitude, up)
     clock = ClockFit(0.0, sure=False, heading_0=0.0)
     if places is not None:
@@ -321,7 +305,7 @@ def _mounting(imu: EvenImu, rates: _Rates, track: DrivenTrack, slope_at: SlopeAt
     far = imu.known & (share > 1.0 - 1e-9)
     moving = (far if far.mean() > _LEAST_FAR else imu.known) & (np.abs(speed) > _LEAST_SPEED_MPS)
     motion = DrivenMotion(speed, yaw_rate, along, left)
-    return find_mounting(imu, rates.rate, rates.attitude, motion, moving)
+    return find_mounting(imu, rates.attitude, motion, moving)
 
 
 def _reasons(imu: EvenImu, vehicle: Floats, track: DrivenTrack, places: MetrePlaces | None) -> NDArray[np.uint8]:

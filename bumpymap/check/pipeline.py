@@ -18,13 +18,7 @@ from scipy.stats import rankdata
 from bumpymap.check.measure import COUNTS, LEFT_OUT, DriveMeasure, WayStretch, measure_drive
 from bumpymap.check.places import MetrePlaces, places_alone, places_on_map, read_slopes, window_around
 from bumpymap.check.settings import LEAST_WINDOW_M, CheckConfig
-from bumpymap.check.stretches import (
-    MapReading,
-    cut_stretches,
-    read_along,
-    read_line,
-    with_ground,
-)
+from bumpymap.check.stretches import MapReading, cut_stretches, read_along, read_line, with_ground
 from bumpymap.core import (
     NO_CLASS,
     BadInputError,
@@ -50,7 +44,6 @@ from bumpymap.layers import (
     MANIFEST_NAME,
     MapOffset,
     MapReader,
-    Placement,
     check_check_out,
     check_entries,
     class_limits,
@@ -69,7 +62,7 @@ from bumpymap.views import check_layers, view_writers, write_check_page
 Floats = NDArray[np.float64]
 
 _LEAST_STRETCHES = 5
-"""With fewer, no rank correlation is given."""
+"""Fewest stretches of a rank correlation (chosen)."""
 
 
 def spearman(first: Floats, second: Floats) -> float:
@@ -101,35 +94,22 @@ def agreement_of(stretches: DrivenStretches, chosen: NDArray[np.bool_] | None = 
     )
 
 
-_OTHER_SPEED = 0.2
-_OTHER_VEHICLE = 1.5
-"""A map that is off by more than this factor in the median was made for another vehicle, or of other ground."""
+_OTHER_SPEED, _OTHER_VEHICLE = 0.2, 1.5
+"""Difference of speed, as a share of the map's, and factor of C_r in the median, from which a warning is given
+(chosen): the map was made for another speed, for another vehicle, or of other ground."""
 _LITTLE_WAY_M = 50.0
-_TILE_M = 3.0
-_SHORT = "too short between the parts left out"
+"""Way that is too short to judge a map by, m (chosen)."""
+_BLURRED_M = 1.5
+"""Error of positions that blurs readings of single tiles, m: half a usual tile."""
+_SHORT = LEFT_OUT.index("too short between the parts left out")
 
 
 def left_out(drive: DriveMeasure, cut: WayStretch) -> dict[str, float]:
     """Return the length that does not count by reason, m; without reasons that take nothing."""
     way = np.abs(drive.speed) / drive.hertz
-    reason = np.where((drive.reason == COUNTS) & (cut.label < 0), LEFT_OUT.index(_SHORT), drive.reason)
+    reason = np.where((drive.reason == COUNTS) & (cut.label < 0), _SHORT, drive.reason)
     length = np.bincount(reason, way, minlength=len(LEFT_OUT))
     return {name: float(metres) for name, metres in zip(LEFT_OUT, length, strict=True) if name and metres > 0.05}
-
-
-def refuse_without_stretches(drive: DriveMeasure, cut: WayStretch) -> None:
-    """Refuse a drive that leaves no stretch.
-
-    Raises BadInputError: the message says where the way went.
-    """
-    if len(cut.start_s):
-        return
-    lost = ", ".join(f"{name} {metres:.0f} m" for name, metres in left_out(drive, cut).items())
-    length = float((np.abs(drive.speed) / drive.hertz).sum())
-    raise BadInputError(
-        f"{drive.name}: no stretch of {LEAST_WINDOW_M:g} m or more is left of {length:.0f} m of way: {lost}. "
-        "Drive straight on for at least 10 m at a time, over ground that the map knows"
-    )
 
 
 def drive_warnings(drive: DriveMeasure, cut: WayStretch, *, has_positions: bool) -> list[str]:
@@ -151,7 +131,7 @@ def drive_warnings(drive: DriveMeasure, cut: WayStretch, *, has_positions: bool)
             f"{drive.name}: the offset of the clocks of IMU and positions cannot be determined; "
             f"{drive.track.offset_s:+.2f} s is used. Turns, starts and stops on the way determine it"
         )
-    if has_positions and drive.track.scatter.total_m > 0.5 * _TILE_M:
+    if has_positions and drive.track.scatter.total_m > _BLURRED_M:
         found.append(
             f"{drive.name}: positions are off by {drive.track.scatter.total_m:.1f} m, about as much as a tile is wide, "
             "so readings of single tiles are blurred"
@@ -266,7 +246,7 @@ Found = TypeVar("Found")
 _log = logging.getLogger(__name__)
 
 _MARGIN_M = 12.0
-"""Of the map that is read around a drive: errors of positions reach so far."""
+"""Margin of the map that is read around a drive, m (chosen): errors of positions reach no farther."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,13 +264,8 @@ def run_check(config: CheckConfig, progress: Progress | None = None) -> tuple[Ch
     """Compare a map with drives as the settings ask, and write what was found; return it, and the files.
 
     Drives that cannot be used are left out; ``skipped`` of the result names them, and each is logged as a warning.
-
-    Raises
-    ------
-    BadInputError
-        The layers cannot be read, or no drive can be used.
-    UsageError, OutputError
-        The files cannot be written.
+    Raises BadInputError: the layers cannot be read, or no drive can be used; UsageError, OutputError: the files cannot
+    be written.
     """
     progress = progress or SilentProgress()
     site = None if config.layers is None else open_map(config.layers)
@@ -351,8 +326,7 @@ def _usable(steps: Iterable[tuple[str, Callable[[], Found]]], skipped: dict[str,
         if len(skipped) == 1:
             raise error
         raise BadInputError(
-            f"none of the {len(skipped)} drives can be used:",
-            *(f"  {place}: {why}" for place, why in skipped.items()),
+            f"none of the {len(skipped)} drives can be used:", *(f"  {place}: {why}" for place, why in skipped.items())
         ) from error
     return found
 
@@ -380,7 +354,13 @@ def _measured(
     if field is not None:
         drive = with_ground(drive, field)
     cut = cut_stretches(drive, config.window_m)
-    refuse_without_stretches(drive, cut)
+    if not len(cut.start_s):
+        lost = ", ".join(f"{name} {metres:.0f} m" for name, metres in left_out(drive, cut).items())
+        length = float((np.abs(drive.speed) / drive.hertz).sum())
+        raise BadInputError(
+            f"{drive.name}: no stretch of {LEAST_WINDOW_M:g} m or more is left of {length:.0f} m of way: {lost}. "
+            "Drive straight on for at least 10 m at a time, over ground that the map knows"
+        )
     if site is None or field is None:
         return _Done(log, drive, cut)
     of_line = None if vehicle is None else read_line(drive, cut, site, vehicle)
@@ -412,8 +392,8 @@ def _compared(done: list[_Done], site: MapReader | None) -> CheckResult:
     classes = map(int, np.unique(stretches.class_id[on]))
     by_class = {number: agreement_of(stretches, stretches.class_id == number) for number in classes}
     speeds = [(drive.name, drive.speed_mps) for drive in drives]
-    told = [one.of_line for one in done]
-    by_line = None if None in told else _stretches(done, limits, told)
+    of_line = [one.of_line for one in done]
+    by_line = None if None in of_line else _stretches(done, limits, of_line)
     of_lines = None if by_line is None else agreement_of(by_line)
     return CheckResult(
         ground=ground,
@@ -502,18 +482,20 @@ def write_check(
 ) -> list[Path]:
     """Write what drives show of a map to a folder, which is created if it is missing.
 
-    All files appear or none; links are replaced, never followed. Files of an earlier check that this one does not
-    write are removed: without positions on a map there is nothing for GIS. Except for check.json no file depends on
-    the time or on folder names.
-
-    ``result``: with at least one drive; ``ground``: the map, such as `open_map` returns it, None without one;
-    ``manifest``: the run's own entries for check.json, such as settings. Returns what was written.
-
-    Raises UsageError, OutputError: see `check_check_out`, or a file cannot be written; BadInputError: the layers cannot
-    be read, or positions have no longitude and latitude.
+    All files appear or none; links are replaced, never followed. Files of an earlier check that this one does not write
+    are removed: without positions on a map there is nothing for GIS. Except for check.json no file depends on the time
+    or on folder names. ``result``: with at least one drive; ``ground``: the map, None without one; ``manifest``: the
+    run's own entries for check.json, such as settings. Returns what was written. Raises UsageError, OutputError: see
+    `check_check_out`, or a file cannot be written; BadInputError: the layers cannot be read, or positions have no
+    longitude and latitude.
     """
     check_check_out(out, overwrite=overwrite)
     placement = None if ground is None else place_stretches(result.stretches, ground)
+    checked: dict[str, Any] = {}
+    if ground is not None:
+        layers = {"path": str(ground.folder), "run_sha256": describe_file(ground.folder / MANIFEST_NAME)["sha256"]}
+        checked = {"layers": [layers], **{name: ground.manifest[name] for name in ("vehicle", "calibration")}}
+        checked |= {} if placement is None else place_entries(placement)
 
     def describe(_: Path, files: list[dict[str, Any]]) -> dict[str, Any]:
         return {
@@ -521,24 +503,15 @@ def write_check(
             "version": 1,
             **(manifest or {}),
             "versions": software_versions(),
-            **_describe_ground(ground, placement),
+            **checked,
             "files": files,
             **check_entries(result),
         }
 
     writers: dict[str, Callable[[Path], None]] = {
-        "check.html": partial(write_check_page, result, ground if placement is not None else None),
+        "check.html": partial(write_check_page, result, ground if placement is not None else None)
     }
     if ground is not None and placement is not None:
         writers["check.geojson"] = partial(write_stretches, result, placement)
         writers |= view_writers(check_layers(), placement, ground, out, "the map against real drives")
     return CHECK_FILES.write(out, writers, describe, overwrite=overwrite)
-
-
-def _describe_ground(ground: MapReader | None, placement: Placement | None) -> dict[str, Any]:
-    """Return the layers that drives were checked against: their folder, checksum, place and calibration."""
-    if ground is None:
-        return {}
-    layers = {"path": str(ground.folder), "run_sha256": describe_file(ground.folder / MANIFEST_NAME)["sha256"]}
-    place = {} if placement is None else place_entries(placement)
-    return {"layers": [layers], **{name: ground.manifest[name] for name in ("vehicle", "calibration")}, **place}

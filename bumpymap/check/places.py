@@ -15,16 +15,19 @@ Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 _LEAST_PLACES = 20
+"""Fewest positions of a drive (chosen)."""
 _GAP_S = 2.5
-"""Positions further apart than this leave a hole."""
+"""Time between positions above which there is a gap, s, or that many of their usual intervals (chosen)."""
 _LAG_S = 3.0
+"""Time over which wandering errors show, s (chosen)."""
 _LEAST_ERROR_M = 0.005
+"""Least error of positions that is assumed, m (chosen: no receiver is better)."""
 _CORRELATION_S = 60.0
-"""Time over which errors of a receiver wander, where it does not say how large they are."""
+"""Time over which errors of a receiver wander, where it does not say how large they are, s (chosen)."""
 _NORMAL_MAD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 _EQUATOR_M, _ECCENTRICITY2 = 6378137.0, 0.00669437999014
-"""WGS 84."""
+"""Semi-major axis, m, and first eccentricity squared of WGS 84 (EPSG:7030)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +104,7 @@ def near_place(time: Floats, places: MetrePlaces) -> NDArray[np.bool_]:
     after = np.searchsorted(places.time, time, side="right")
     inside = (after > 0) & (after < len(places.time))
     gap = np.diff(places.time, prepend=-np.inf, append=np.inf)
-    return np.asarray(inside & (gap[after] <= max(_GAP_S, 2.5 * float(np.median(np.diff(places.time))))))
+    return np.asarray(inside & (gap[after] <= max(_GAP_S, _GAP_S * float(np.median(np.diff(places.time))))))
 
 
 def smooth_velocity(places: MetrePlaces, time: Floats, sigma_s: float) -> tuple[Complexes, NDArray[np.bool_]]:
@@ -159,7 +162,7 @@ def _far_variance(places: MetrePlaces, time: Floats, heading: Floats, offset: fl
 
 
 _LEAST_INSIDE = 0.02
-"""With a smaller share of its positions in the extent of the map, a drive was somewhere else."""
+"""Share of positions in the extent of the map below which a drive was somewhere else (chosen)."""
 
 
 def places_alone(log: DriveLog) -> MetrePlaces | None:
@@ -222,15 +225,12 @@ def _refuse_off_map(name: str, track: PlaceTrack, places: MetrePlaces, site: Map
     raise BadInputError(f"{name} is off the map: the drive lies {where}; the map covers {there}. {remedy}")
 
 
-_PIXELS = 5
-"""Along a tile: 0.6 m at the usual size, which is finer than a vehicle is long."""
-_MOST_PIXELS = 4000
-"""Along a side; larger windows are read coarser."""
+_PIXELS, _MOST_PIXELS = 5, 4000
+"""Heights along a tile (0.6 m at the usual size, finer than a vehicle is long), and along a side of a window, most."""
 _SPREAD_M = 0.6
-"""Heights are smoothed by a Gaussian of this standard deviation: what four wheels average."""
+"""Standard deviation of the Gaussian that smooths heights, m: what four wheels average."""
 _LEAST_KNOWN = 0.5
-
-
+"""Least weight of known heights under that Gaussian (chosen)."""
 SlopeAt = Callable[[Floats, Floats, Floats], tuple[Floats, Floats]]
 """Easting, northing [m on the grid] and course [rad, east 0], (n,) each -> rise of the ground ahead and to the left
 over a metre, (n,) each; NaN where it is not known."""

@@ -8,7 +8,7 @@ from typing import Annotated
 from bumpymap.core import Setting, UsageError, check_settings
 
 LEAST_WINDOW_M = 5.0
-"""Shortest stretch that gets a C_r of its own, m."""
+"""Shortest stretch that gets a C_r of its own, m (chosen: of less it is chance)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,14 +17,8 @@ class CheckConfig:
 
     drives: Annotated[
         tuple[str, ...],
-        Setting(
-            "Log: CSV, bag, ULog; files of one drive by commas",
-            "LOG",
-            option="drive",
-            group="Input",
-        ),
+        Setting("Log: CSV, bag, ULog; files of one drive by commas", "LOG", option="drive", group="Input"),
     ]
-    """Each a file, the folder of a bag, or several files joined by commas."""
     layers: Path | None = None
     """Layers of the map; None: the drives are measured alone."""
     out: Annotated[Path | None, Setting("Folder for the files: page, tables, GIS layers", "DIR", group="Output")] = None
@@ -34,7 +28,6 @@ class CheckConfig:
     band_hz: Annotated[
         float, Setting("Rates are low-passed at this frequency", "HZ", 1.0, unit="Hz", option="band", rare=True)
     ] = 10.0
-    """Rates are low-passed at this frequency, Hz."""
     window_m: Annotated[
         float,
         Setting(
@@ -47,7 +40,6 @@ class CheckConfig:
             rare=True,
         ),
     ] = 10.0
-    """Length of a stretch, m."""
     calibration: Annotated[
         Path | None, Setting("That of the map, if it is not included; what --refit moves", "FILE", group="Vehicle")
     ] = None

@@ -25,15 +25,14 @@ from bumpymap.route import LineRide, LineVehicle, points_along, ride_line
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-_BRIDGE_M = 1.0
-"""Parts that do not count and are shorter do not end a stretch."""
-_BRIDGE_S = 3.0
+_BRIDGE_M, _BRIDGE_S = 1.0, 3.0
+"""Parts that do not count and are shorter, m and s, do not end a stretch (chosen)."""
 _SCALE_SHARE = 0.013
 """Error of the scale of a gyroscope, of its alignment and of the band, as a share of C_r."""
 _FLOOR_SHARE = 0.15
-"""Error of the floor: engine and sensor differ a little from stop to drive."""
+"""Error of the floor as a share of it (chosen): engine and sensor differ a little from stop to drive."""
 _UNKNOWN_FLOOR_RADPS = 0.01
-"""Error of the pitch rate where no standstill tells the floor."""
+"""Error of the pitch rate without a standstill to measure the floor at, rad/s (chosen)."""
 
 
 def cut_stretches(drive: DriveMeasure, window_m: float) -> WayStretch:
@@ -125,13 +124,14 @@ def _joined(drive: DriveMeasure, counts: NDArray[np.bool_]) -> list[slice]:
 
 
 _STEP_M = 0.25
+"""Length of the steps that a way is read in, m (chosen)."""
 _SHARED = 0.5
-"""Share of the variance of a tile's interval that its neighbours on the way have in common."""
+"""Share of the variance of a tile's interval that its neighbours on the way have in common (chosen)."""
 _LINE_SD = 0.22
 """ln c_r of one calibration drive over a tile scatters by this about the tile's: c_r is the mean over all lines and
 headings. Median over the terrains of the Warthog's calibration; it falls with the root of the length."""
 _LEAST_KNOWN = 0.5
-"""With less of the places known, a stretch has no prediction."""
+"""Share of the places known below which a stretch has no prediction (chosen)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,18 +178,15 @@ def read_along(drive: DriveMeasure, cut: WayStretch, field: TileField) -> MapRea
     nodes = len(places)
     group = label[:, None] * nodes + np.arange(nodes)
     sums, used_m, known_m = (
-        np.bincount(group.ravel(), (way[:, None] * part).ravel(), minlength=stretches * nodes).reshape(-1, nodes)
+        np.asarray(np.bincount(group.ravel(), (way[:, None] * part).ravel(), stretches * nodes), np.float64).reshape(
+            -1, nodes
+        )
         for part in (np.where(use, c_r[tile], 0.0), use, known)
     )
     all_m = np.bincount(label, way, minlength=stretches)[:, None]
     total = (places * (known_m > _LEAST_KNOWN * all_m)).sum(axis=1)
     chance = places * (used_m > _LEAST_KNOWN * used_m.max(axis=1, keepdims=True))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        logs = np.where(chance > 0.0, np.log(sums / used_m), 0.0)
-        chance = chance / chance.sum(axis=1, keepdims=True)
-        log_mean = (chance * logs).sum(axis=1)
-        mean = np.exp(log_mean)
-        spread = mean * np.sqrt((chance * (logs - log_mean[:, None]) ** 2).sum(axis=1))
+    mean, spread = _over_places(chance, sums, used_m, 1)
     mean[total < _LEAST_KNOWN] = np.nan
     weight = (way[:, None] * places)[use]
     stretch, tile = np.broadcast_to(label[:, None], tile.shape)[use], tile[use]
@@ -204,6 +201,17 @@ def read_along(drive: DriveMeasure, cut: WayStretch, field: TileField) -> MapRea
         for part in (down, up)
     )
     return MapReading(mean, mean * np.exp(-NORMAL_80 * below), mean * np.exp(NORMAL_80 * above), spread)
+
+
+def _over_places(chance: Floats, sums: Floats, metres: Floats, axes: int | tuple[int, int]) -> tuple[Floats, Floats]:
+    """Return the geometric mean over some axes of ``sums / metres`` by their ``chance``, and its standard deviation."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logs = np.where(chance > 0.0, np.log(sums / metres), 0.0)
+        chance = chance / chance.sum(axis=axes, keepdims=True)
+        log_mean = (chance * logs).sum(axis=axes, keepdims=True)
+        mean = np.exp(log_mean)
+        spread = mean * np.sqrt((chance * (logs - log_mean) ** 2).sum(axis=axes, keepdims=True))
+    return mean.squeeze(axes), spread.squeeze(axes)
 
 
 def _passage(site: MapReader, line: Floats, ride: LineRide) -> NDArray[np.bool_]:
@@ -221,8 +229,9 @@ def _passage(site: MapReader, line: Floats, ride: LineRide) -> NDArray[np.bool_]
 
 
 _AROUND_M = 5.0
-"""Of the line before the first stretch and behind the last."""
+"""Length of the line before the first stretch and behind the last, m (chosen)."""
 _LEAST_SIGMA_M = 0.05
+"""Least error of positions that the line is rolled with, m (chosen)."""
 
 
 def read_line(drive: DriveMeasure, cut: WayStretch, site: MapReader, vehicle: LineVehicle) -> MapReading:
@@ -253,12 +262,8 @@ def read_line(drive: DriveMeasure, cut: WayStretch, site: MapReader, vehicle: Li
     metres = np.array([total(part, shifts) for part in known.astype(np.float64)])
     sums = np.array([total(np.where(part, c_r, 0.0), shifts) for part, c_r in zip(known, ride.c_r_across, strict=True)])
     chance = ride.weights[:, None, None] * (shares / shares.sum())[:, None] * (metres > _LEAST_KNOWN * cut.way_m)
+    mean, spread = _over_places(chance, sums, metres, (0, 1))
     with np.errstate(divide="ignore", invalid="ignore"):
-        logs = np.where(chance > 0.0, np.log(sums / metres), 0.0)
-        chance /= chance.sum(axis=(0, 1))
-        log_mean = (chance * logs).sum(axis=(0, 1))
-        mean = np.exp(log_mean)
-        spread = mean * np.sqrt((chance * (logs - log_mean) ** 2).sum(axis=(0, 1)))
         c_r, log_sd = np.nan_to_num(ride.c_r), np.nan_to_num(ride.log_sd)
         level = total(c_r, np.zeros(1))
         by_tile = total((c_r * ride.log_sd_across) ** 2 * ~ride.by_line, np.zeros(1))

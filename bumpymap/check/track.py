@@ -11,6 +11,7 @@ long as the vehicle does not stop: starts and stops tell them apart.
 """
 
 from dataclasses import dataclass, fields, replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,20 +30,22 @@ STATES = 7
 SCALE, ALONG_X, ALONG_Y, AHEAD, LEFT, OFFSET, DRIFT = range(7)
 """Unknowns of the whole drive, in order, after those of the knots."""
 GLOBALS = 7
-_SLIP_M = 0.02
-"""A vehicle slips across its heading by this in a second, m/sqrt(s)."""
-_TURN_RAD = 0.01
-"""Its course leaves the heading by this in a second, rad/sqrt(s)."""
+"""Number of them."""
+_SLIP_M, _TURN_RAD = 0.02, 0.01
+"""Slip across the heading, m/sqrt(s), and turn of the course from the heading, rad/sqrt(s), in a second (chosen)."""
 _STOP_MPS = 0.01
+"""Error of the speed at a stop, m/s (chosen)."""
 _WHEEL_SHARE, _WHEEL_MPS = 0.05, 0.03
-"""Error of the speed by wheels."""
+"""Error of the speed by wheels, as a share of it and in m/s (chosen)."""
 _CHANGE = 12.0
-"""The speed may change so many times faster beside a stop."""
+"""Factor by which the speed may change faster beside a stop (chosen)."""
 _WEAK = (0.3, 1.0, 1.0, 0.5, 0.3, 1.0, 1e-4)
-"""Standard deviations of what is assumed of the whole drive before any measurement."""
+"""Standard deviations of the unknowns of the whole drive before any measurement, in their order: scale of the wheels,
+direction x and y, place of the antenna ahead and to the left, m, clock offset, s, and drift (chosen, wide)."""
 _WEAK_SPEED, _WEAK_TURN = 5.0, 3.0
+"""The same of the speed, m/s, and of the turn beside the heading, rad (chosen, wide)."""
 _FORCE_MPS2 = 0.15
-"""Error of the acceleration along the vehicle at first: levelling, bias."""
+"""Error of the acceleration along the vehicle at first, of levelling and bias, m/s2 (chosen)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,26 +79,14 @@ class Knots:
         return float(self.time[1] - self.time[0])
 
 
-@dataclass(frozen=True, slots=True)
-class TrackState:
-    """The unknowns: those of each knot, one knot after the other, and those of the whole drive."""
+State: TypeAlias = Floats
+"""(STATES k + GLOBALS,) the unknowns: those of each knot, one knot after the other, so that the equations are a narrow
+band, then those of the whole drive."""
 
-    values: Floats
-    """(STATES k + GLOBALS,) so that the equations are a narrow band."""
 
-    @property
-    def count(self) -> int:
-        """Knots."""
-        return (len(self.values) - GLOBALS) // STATES
-
-    def part(self, number: int) -> Floats:
-        """Return one unknown of all knots, (k,), by its number in ``STATES``."""
-        return self.values[number:-GLOBALS:STATES]
-
-    @property
-    def whole(self) -> Floats:
-        """The unknowns of the whole drive, (GLOBALS,)."""
-        return self.values[-GLOBALS:]
+def part_of(state: State, number: int) -> Floats:
+    """Return one unknown of all knots, (k,), by its number in ``STATES``."""
+    return state[number:-GLOBALS:STATES]
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,9 +101,9 @@ class TrackProblem:
     offset_s: float
     """Estimate of the offset of the clocks that the positions are laid on the knots with, s."""
     held: tuple[float, float] | None = None
-    """Offset and its standard deviation where accelerations have told it, s."""
+    """Offset and its standard deviation, s, where it is known by accelerations."""
 
-    def linear(self, state: TrackState) -> tuple[sparse.csr_array, Floats]:
+    def linear(self, state: State) -> tuple[sparse.csr_array, Floats]:
         """Return derivatives and residuals of all equations, each divided by its standard deviation."""
         rows = [self._way(state), self._smooth(state), self._stops(state), self._weak(state)]
         if self.places is not None:
@@ -132,10 +123,10 @@ class TrackProblem:
         row, col, value = (np.concatenate([entry[axis] for entry in entries]) for axis in range(3))
         return sparse.coo_array((value, (row, col)), shape=(count, STATES * len(self.knots.time) + GLOBALS))
 
-    def _way(self, state: TrackState) -> tuple[sparse.coo_array, Floats]:
+    def _way(self, state: State) -> tuple[sparse.coo_array, Floats]:
         """East and north change by the speed along the heading."""
-        k = state.count
-        east, north, speed, turn = (state.part(number) for number in range(4))
+        k = len(self.knots.time)
+        east, north, speed, turn = (part_of(state, number) for number in range(4))
         along = self.knots.steps * np.exp(0.5j * (turn[1:] + turn[:-1]))
         mean = 0.5 * (speed[1:] + speed[:-1])
         sd = np.where(self.knots.changing, 5.0, 1.0) * _SLIP_M * np.sqrt(self.knots.step_s) + 0.002
@@ -149,9 +140,9 @@ class TrackProblem:
         left = np.concatenate([(np.diff(east) - mean * along.real) * one, (np.diff(north) - mean * along.imag) * one])
         return self._matrix(2 * (k - 1), entries), left
 
-    def _smooth(self, state: TrackState) -> tuple[sparse.coo_array, Floats]:
+    def _smooth(self, state: State) -> tuple[sparse.coo_array, Floats]:
         """Speed changes as the acceleration says or slowly; turn and errors change slowly."""
-        k, step = state.count, self.knots.step_s
+        k, step = len(self.knots.time), self.knots.step_s
         number = np.arange(k - 1)
         known = np.isfinite(self.knots.gained)
         faster = np.where(self.knots.changing, _CHANGE, 1.0)
@@ -169,20 +160,20 @@ class TrackProblem:
         for place, (part, (sd, factor)) in enumerate(spreads.items()):
             row = number + place * (k - 1)
             entries += [(row, STATES * (number + 1) + part, 1.0 / sd), (row, STATES * number + part, -factor / sd)]
-            values = state.part(part)
+            values = part_of(state, part)
             left.append((values[1:] - factor * values[:-1]) / sd)
         sd, _ = spreads[2]
         gained, row = self.knots.gained[known], number[known]
         entries.append((row, STATES * row + 6, -(step / sd)[known]))
         for name, axis in ((ALONG_X, gained.real), (ALONG_Y, gained.imag)):
             entries.append((row, np.full(len(row), STATES * k + name), -axis / sd[known]))
-            left[0][known] -= axis * state.whole[name] / sd[known]
-        left[0][known] -= (state.part(6)[:-1] * step / sd)[known]
+            left[0][known] -= axis * state[name - GLOBALS] / sd[known]
+        left[0][known] -= (part_of(state, 6)[:-1] * step / sd)[known]
         return self._matrix(len(spreads) * (k - 1), entries), np.concatenate(left)
 
-    def _stops(self, state: TrackState) -> tuple[sparse.coo_array, Floats]:
+    def _stops(self, state: State) -> tuple[sparse.coo_array, Floats]:
         """No speed at a stop; elsewhere that of the wheels, times their scale."""
-        k = state.count
+        k = len(self.knots.time)
         stop = np.flatnonzero(self.knots.standing)
         rolls = np.flatnonzero(np.isfinite(self.knots.wheels) & ~self.knots.standing)
         wheels = self.knots.wheels[rolls]
@@ -193,13 +184,13 @@ class TrackProblem:
             (row, STATES * rolls + 2, 1.0 / sd),
             (row, np.full(len(rolls), STATES * k + SCALE), -wheels / sd),
         ]
-        speed, scale = state.part(2), state.whole[SCALE]
+        speed, scale = part_of(state, 2), state[SCALE - GLOBALS]
         left = np.concatenate([speed[stop] / _STOP_MPS, (speed[rolls] - scale * wheels) / sd])
         return self._matrix(len(stop) + len(rolls), entries), left
 
-    def _weak(self, state: TrackState) -> tuple[sparse.coo_array, Floats]:
+    def _weak(self, state: State) -> tuple[sparse.coo_array, Floats]:
         """Return the equations of what is assumed before any measurement: each unknown is held by something."""
-        k = state.count
+        k = len(self.knots.time)
         wander = self.scatter.wander_m
         col = np.concatenate([STATES * np.arange(k) + 2, [3, 4, 5, 6], STATES * k + np.arange(GLOBALS)])
         first = [_WEAK_TURN, wander, wander, _FORCE_MPS2]
@@ -213,28 +204,31 @@ class TrackProblem:
             col, sd, guess = (
                 np.concatenate([two, all_]) for two, all_ in (([0, 1], col), ([1e-3] * 2, sd), ([0, 0], guess))
             )
-        left = (state.values[col] - guess) / sd
+        left = (state[col] - guess) / sd
         return self._matrix(len(col), [(np.arange(len(col)), col, 1.0 / sd)]), left
 
-    def _receiver(self, state: TrackState, places: MetrePlaces) -> tuple[sparse.coo_array, Floats]:
+    def _receiver(self, state: State, places: MetrePlaces) -> tuple[sparse.coo_array, Floats]:
         """Return the equations of the positions; one that lies far off counts less (Huber)."""
-        k = state.count
+        k = len(self.knots.time)
         since = places.time - 0.5 * (self.knots.time[0] + self.knots.time[-1])
         # Positions keep their knots while the offset moves them along the speed, which is smooth: the steps from knot
         # to knot follow the errors of the positions, and as a slope would tell more of the offset than is known.
-        at, moved = places.time + self.offset_s, state.whole[OFFSET] - self.offset_s + state.whole[DRIFT] * since
+        at, moved = (
+            places.time + self.offset_s,
+            state[OFFSET - GLOBALS] - self.offset_s + state[DRIFT - GLOBALS] * since,
+        )
         knot, share = self._between(at)
         inside = ((at >= self.knots.time[0]) & (at <= self.knots.time[-1])) / self.scatter.white_m
-        ahead = np.exp(1j * np.interp(at, self.knots.time, self.knots.heading + state.part(3)))
-        velocity = np.interp(at, self.knots.time, state.part(2)) * ahead
-        antenna = ahead * (state.whole[AHEAD] + 1j * state.whole[LEFT])
+        ahead = np.exp(1j * np.interp(at, self.knots.time, self.knots.heading + part_of(state, 3)))
+        velocity = np.interp(at, self.knots.time, part_of(state, 2)) * ahead
+        antenna = ahead * (state[AHEAD - GLOBALS] + 1j * state[LEFT - GLOBALS])
         number, whole = np.arange(len(at)), STATES * k
         entries, left = [], []
         parts = places.place, antenna, ahead, 1j * ahead, velocity
         for axis, (measured, arm, along, across, speed) in enumerate(
             zip(*((part.real, part.imag) for part in parts), strict=True)
         ):
-            value = state.part(axis) + state.part(4 + axis)
+            value = part_of(state, axis) + part_of(state, 4 + axis)
             miss = (1 - share) * value[knot] + share * value[knot + 1] + speed * moved + arm - measured
             weight = inside * np.sqrt(np.minimum(1.0, 3.0 / np.maximum(np.abs(miss) * inside, 1e-9)))
             row = number + axis * len(at)
@@ -252,9 +246,10 @@ class TrackProblem:
         return exact.astype(np.int64), exact - exact.astype(np.int64)
 
 
-_KNOT_S = 0.25
-_MOST_KNOTS = 20_000
+_KNOT_S, _MOST_KNOTS = 0.25, 20_000
+"""Time between knots, s, and most of them, which 83 minutes take; longer drives have wider steps (chosen)."""
 _BESIDE_STOP_S = 2.5
+"""Time beside a stop in which the speed changes fast, s (chosen)."""
 
 
 def drive_knots(
@@ -297,15 +292,17 @@ def _wheel_speed(wheels: WheelTrack, time: Floats) -> Floats:
 
 
 _TRIED_KNOTS = 2_400
-"""Ten minutes: of a longer drive, candidates are tried on a part of this length."""
+"""Knots of the part of a longer drive that candidates are tried on: ten minutes (chosen)."""
 _STOP_RAD = 0.5
-"""A start or a stop tells as much of the clocks as so much turning."""
+"""Turning that determines the clocks as well as a start or a stop does, rad (chosen)."""
 _STEPS = 20
+"""Most steps of the iteration (chosen; it ends by itself before)."""
 _MOVED_S = 0.02
-"""Positions that an offset has moved further take other knots."""
+"""Change of the offset from which positions take other knots, s (chosen)."""
 _SPEED_CHANGES = (0.02, 0.06, 0.2, 0.6)
-"""Candidates of how fast the speed changes, beside what the acceleration says, m/s/sqrt(s)."""
-_FIRST_CHANGES = (0.06, 0.2)
+"""Candidates of how fast the speed changes, beside what the acceleration says, m/s/sqrt(s) (chosen: steps of
+about 3)."""
+_FIRST_CHANGES = _SPEED_CHANGES[1:3]
 """Candidates of a rough fit."""
 _FIRST_OFFSETS_S = (-0.9, -0.45, 0.0, 0.45, 0.9)
 """A rough fit begins at these offsets beside the first estimate: vehicles that steer by skidding slip sideways in
@@ -313,11 +310,11 @@ turns, so that the course tells the offset to a second only."""
 _SLIP_S = 0.016
 """Error that slip in turns leaves in an offset, s: root mean square over 20 simulated drives with RTK."""
 _FORCE_CHANGE = 0.01
-"""How fast the error of the acceleration changes, m/s2/sqrt(s)."""
+"""Change of the error of the acceleration in a second, m/s2/sqrt(s) (chosen)."""
 _SD_KNOTS = 200
-"""The error of the place changes slowly along the way: it is computed at so many knots."""
+"""Number of knots at which the error of the place is computed: it changes slowly along the way."""
 _AT_ONCE = 32
-"""Errors are computed for so many stretches at once: each takes as much memory as the whole way."""
+"""Number of stretches whose errors are computed at once: each takes as much memory as the whole way."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -337,22 +334,20 @@ class TrackStart:
 
 @dataclass(frozen=True, slots=True)
 class DrivenTrack:
-    """The way of a drive, at evenly spaced knots."""
+    """The way of a drive, at evenly spaced knots, (k,) each."""
 
     time: Floats
-    """(k,) s, on the clock of the IMU."""
+    """s, on the clock of the IMU."""
     easting: Floats
-    """(k,) m."""
     northing: Floats
-    """(k,) m."""
     speed: Floats
-    """(k,) m/s, negative backwards."""
+    """m/s, negative backwards."""
     course: Floats
-    """(k,) direction of driving, rad, east 0."""
+    """Direction of driving, rad, east 0."""
     offset_s: float
     offset_sd_s: float
     offset_spread_s: float
-    """How far the offsets of the other fits lie off, each weighed by how probable it is: large where several offsets
+    """Difference of the offsets of the other fits, each weighed by how probable it is: large where several offsets
     explain the drive about as well."""
     drift: float
     drift_sd: float
@@ -418,7 +413,7 @@ def fit_track(
 
 def _best(
     knots: Knots, places: MetrePlaces, scatter: Scatter, start: TrackStart
-) -> tuple[TrackProblem, TrackState, SuperLU, float]:
+) -> tuple[TrackProblem, State, SuperLU, float]:
     """Try how fast speed and errors change; return the most probable, and how far their clock offsets differ."""
     blind = replace(knots, gained=np.full_like(knots.gained, np.nan))
     felt = bool(np.isfinite(knots.gained).any())
@@ -426,7 +421,7 @@ def _best(
     tries = [(knots if felt else blind, speed) for speed in speeds]
     tries += [(blind, speed) for speed in speeds if felt and not start.rough]
     part = _telling_part(knots)
-    found: list[tuple[float, TrackProblem, TrackState, SuperLU]] = []
+    found: list[tuple[float, TrackProblem, State, SuperLU]] = []
     for shift in _FIRST_OFFSETS_S if start.rough else (0.0,):
         begun = replace(start, offset_s=start.offset_s + shift)
         first = _first(knots.between(part), places, begun)
@@ -438,16 +433,16 @@ def _best(
     badness, problem, state, factor = found[best]
     with_force = [one for one in found if np.isfinite(one[1].knots.gained).any()]
     if with_force and not np.isfinite(problem.knots.gained).any():
-        # Steady driving may be told best without accelerations, but those of starts and stops tell the clock.
-        _, _, told, own = min(with_force, key=lambda one: one[0])
-        problem = replace(problem, held=(float(told.whole[OFFSET]), _sd_of(OFFSET, own)))
+        # Steady driving may fit best without accelerations, but those of starts and stops determine the clock.
+        _, _, felt_state, own = min(with_force, key=lambda one: one[0])
+        problem = replace(problem, held=(float(felt_state[OFFSET - GLOBALS]), _sd_of(OFFSET, own)))
         state, factor, _ = _solve(problem, state)
     odds = np.exp(0.5 * (badness - np.array([one[0] for one in found])))
-    off = np.array([one[2].whole[OFFSET] for one in found]) - found[best][2].whole[OFFSET]
+    off = np.array([one[2][OFFSET - GLOBALS] for one in found]) - found[best][2][OFFSET - GLOBALS]
     spread_s = float(np.sqrt((odds * off**2).sum() / odds.sum()))
     if part.stop - part.start < len(knots.time):
         problem = replace(problem, knots=tries[best % len(tries)][0])
-        begins = [replace(start, offset_s=offset) for offset in (float(state.whole[OFFSET]), start.offset_s)]
+        begins = [replace(start, offset_s=offset) for offset in (float(state[OFFSET - GLOBALS]), start.offset_s)]
         whole = [
             (begun, *_solve(replace(problem, offset_s=begun.offset_s), _first(knots, places, begun)))
             for begun in begins
@@ -475,7 +470,7 @@ def _telling_part(knots: Knots) -> slice:
     return slice(first, first + _TRIED_KNOTS)
 
 
-def _first(knots: Knots, places: MetrePlaces | None, start: TrackStart) -> TrackState:
+def _first(knots: Knots, places: MetrePlaces | None, start: TrackStart) -> State:
     k = len(knots.time)
     values = np.zeros(STATES * k + GLOBALS)
     values[STATES * k + SCALE] = 1.0
@@ -491,15 +486,15 @@ def _first(knots: Knots, places: MetrePlaces | None, start: TrackStart) -> Track
         way = np.concatenate([[0.0], np.cumsum(knots.steps)])
         speed = (moved * np.exp(-1j * np.angle(way[ahead] - way[behind]))).real / ((ahead - behind) * knots.step_s)
     values[2:-GLOBALS:STATES] = np.where(knots.standing, 0.0, speed)
-    return TrackState(values)
+    return values
 
 
-def _solve(problem: TrackProblem, state: TrackState) -> tuple[TrackState, SuperLU, float]:
+def _solve(problem: TrackProblem, state: State) -> tuple[State, SuperLU, float]:
     """Return the best state, the factor of its normal equations, and minus twice its log likelihood."""
     factor, before = None, 0.0
     for _ in range(_STEPS):
-        if abs(float(state.whole[OFFSET]) - problem.offset_s) > _MOVED_S:
-            problem = replace(problem, offset_s=float(state.whole[OFFSET]))
+        if abs(float(state[OFFSET - GLOBALS]) - problem.offset_s) > _MOVED_S:
+            problem = replace(problem, offset_s=float(state[OFFSET - GLOBALS]))
         matrix, left = problem.linear(state)
         factor = splu(
             sparse.csc_array(matrix.T @ matrix),
@@ -510,7 +505,7 @@ def _solve(problem: TrackProblem, state: TrackState) -> tuple[TrackState, SuperL
         step = factor.solve(matrix.T @ left)
         shift = float(step[OFFSET - GLOBALS])
         # the offset of the clocks enters the equations bent: where a step takes back the last one, it is halved
-        state = replace(state, values=state.values - (0.5 if shift * before < 0.0 else 1.0) * step)
+        state = state - (0.5 if shift * before < 0.0 else 1.0) * step
         before = shift
         moved = max(np.abs(step[axis:-GLOBALS:STATES]).max() for axis in (0, 1))
         if moved < 2e-3 and abs(shift) < 5e-4:
@@ -522,19 +517,19 @@ def _solve(problem: TrackProblem, state: TrackState) -> tuple[TrackState, SuperL
     return state, factor, badness + 2.0 * problem.log_spread
 
 
-def _track(problem: TrackProblem, state: TrackState, factor: SuperLU, spread_s: float) -> DrivenTrack:
+def _track(problem: TrackProblem, state: State, factor: SuperLU, spread_s: float) -> DrivenTrack:
     knots = problem.knots
-    east, north, speed, turn = (state.part(number) for number in range(4))
+    east, north, speed, turn = (part_of(state, number) for number in range(4))
     return DrivenTrack(
         time=knots.time,
         easting=east,
         northing=north,
         speed=speed,
         course=knots.heading + turn,
-        offset_s=float(state.whole[OFFSET]),
+        offset_s=float(state[OFFSET - GLOBALS]),
         offset_sd_s=float(np.sqrt(_sd_of(OFFSET, factor) ** 2 + spread_s**2 + _SLIP_S**2)),
         offset_spread_s=spread_s,
-        drift=float(state.whole[DRIFT]),
+        drift=float(state[DRIFT - GLOBALS]),
         drift_sd=_sd_of(DRIFT, factor),
         scatter=problem.scatter,
         _factor=factor,

@@ -33,22 +33,20 @@ _STRIP = 256
 PIXEL_MARGIN = 0.2
 """Distance of lines from closed pixels, pixels: half the vehicle's width is then free beside every point of a line."""
 LEAST_SAVING_M = 0.003
-"""Least saving of a corner of a line on pixels, m of level ground."""
+"""Least saving of a corner of a line on pixels, m of level ground (chosen)."""
 _MOST_MARGIN = 0.45
-"""Of a tile: wider vehicles keep to the middle of corridors of one tile."""
+"""Largest margin of a search over tiles, tiles (chosen): wider vehicles keep to the middle of corridors of one tile."""
 _ROOM_M, _NARROW = 0.6, 0.5
-"""Distance from closed pixels, m, in which a metre is dearer, and by what share beside them: a vehicle swings out by
-some decimetres at the corners of a way, so the way keeps off where that costs little."""
+"""Distance from closed pixels, m, in which a metre is dearer, and by what share beside them (chosen): a vehicle swings
+out by some decimetres at the corners of a way, so the way keeps off where that costs little."""
 _TIGHT_M = 0.46
 """Distance from closed pixels, m, within which a turn is tight: there a Warthog that turns on the spot touches."""
 TOUCHING = 100.0
-"""Cost of a metre on which the vehicle touches an obstacle, as a multiple of the ground's."""
-_STRETCH_TILES = 32
-"""Longest stretch of a line that is looked at together, tiles."""
+"""Cost of a metre on which the vehicle touches an obstacle, as a multiple of the ground's (chosen)."""
+_STRETCH_TILES, _MOST_POINTS = 32, 8192
+"""Longest stretch of a line whose window is read at once, tiles, and most points of it (chosen)."""
 _STEP = 0.5
-"""Distance of the points of a line that are examined, in pixels."""
-_MOST_POINTS = 8192
-"""Points of a line that a stretch of it has at most."""
+"""Distance of the points of a line that are examined, pixels."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,15 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import (
-    CANOPY,
-    OBSTACLE,
-    BadInputError,
-    RoadFigures,
-    UsageError,
-    parse_json,
-    path_of_call,
-)
+from bumpymap.core import CANOPY, OBSTACLE, BadInputError, RoadFigures, UsageError, parse_json, path_of_call
 from bumpymap.layers import NORMAL_80, MapReader, common_window, open_map
 from bumpymap.rating import (
     Calibration,
@@ -63,30 +55,31 @@ from bumpymap.route.road_profile import SHORTEST_ROAD_M, bridged, road_figures
 Floats = NDArray[np.float64]
 
 _SIGMA_M = 0.3
-"""Standard deviation of where a vehicle is across its line, m."""
-_ACROSS = (-math.sqrt(3.0), 0.0, math.sqrt(3.0))
-"""Places across the line, standard deviations, and their weights."""
-_WEIGHTS = (1 / 6, 2 / 3, 1 / 6)
+"""Standard deviation of where a vehicle is across its line by default, m (chosen)."""
+_ACROSS, _WEIGHTS = (-math.sqrt(3.0), 0.0, math.sqrt(3.0)), (1 / 6, 2 / 3, 1 / 6)
+"""Places across the line, standard deviations, and their weights: Gauss-Hermite quadrature of three points."""
 _ALIKE_M, _MOST_SIGMA = 0.5, 2.0
-"""If the error is larger than ground is alike, m, there is a place at each such distance, up to so many errors."""
+"""Distance in which ground is alike, m: if the error is larger, there is a place at each such distance, up to that
+multiple of the error (chosen)."""
 _STRETCH_M, _WINDOW_TILES = 90.0, 1024
-"""Length whose window of the map is read at once; with those after it while the window holds no more tiles than that,
-and no more than twice those of their own windows."""
+"""Length whose window of the map is read at once, m; with those after it while the window holds no more tiles than
+that, and no more than twice those of their own windows (chosen)."""
 _PIECE_M = 2000.0
-"""Length that is computed at once."""
+"""Length that is computed at once, m (chosen)."""
 _EVERY_M = (10.0, 100.0)
-"""Lengths of the stretches of a way."""
+"""Lengths of the stretches of a way, m (chosen, as in road practice)."""
 _TILE_LOG_SD = 1.2
 """Standard deviation of ln C_r of a metre of a line about that of its tile: 0.4 over 10 m. The width that holds 80 % of
 simulated drives along such lines (``tests/benchmarks/line_drives.py``) is 0.39 on the sample, 0.28 on a real survey."""
 _FILL_ROUNDS = 3
-"""Holes of up to twice as many pixels are filled with the mean of their neighbours."""
+"""Half the width of the holes that are filled with the mean of their neighbours, pixels (chosen)."""
 _LEAST = 1e-5
-"""C_r below this is none, rad/m."""
+"""C_r that counts as none, rad/m (chosen)."""
 _BANDS = ("c_r", "c_r_low", "c_r_high", "slope")
 _SIDES = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
 """Ahead and to the left: of the wheels front left, front right, rear left, rear right."""
 _AXLES = ((0, 1), (2, 3))
+"""Wheels of the front and of the rear axle, by their rows there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +103,7 @@ class LineRide:
     a_w: Floats
     """(n,) weighted vertical acceleration (ISO 2631-1), m/s2; NaN where unknown, or the calibration has no speeds."""
     by_line: NDArray[np.bool_]
-    """(n,) whether the pixels told it; else it is the value of the tiles."""
+    """(n,) True if it comes from the pixels; else it is the value of the tiles."""
     seen: Floats
     """(n,) share of the places of wheels, 0..1, whose pixel holds points."""
     across: Floats
@@ -129,7 +122,7 @@ class LineRide:
     """Side of its pixels, m."""
 
     def road(self, length: float = 100.0) -> tuple[RoadFigures, ...]:
-        """Return figures of road practice of each stretch of so many metres, 10 or more, with C_r and acceleration."""
+        """Return figures of road practice of each stretch of ``length`` m, 10 or more, with C_r and acceleration."""
         found, whole = road_figures(self.ground, self.way, self.track, length, self.pixel), float(self.distance[-1])
         parts, ends = np.diff(self.distance), np.array([(one.first, min(one.last, whole)) for one in found])
         sums = (np.isfinite(self.a_w) * parts, np.nan_to_num(self.a_w) ** 2 * parts)
@@ -288,28 +281,17 @@ def with_line_ride(ground: CostGround, way: MeasuredWay, calibration: Path | Non
         if calibration is not None:
             raise
         return way, [f"the ride of the line itself is not known: {error}"]
-    return _with_line_ride(site, way, vehicle), []
-
-
-def _with_line_ride(site: MapReader, way: MeasuredWay, vehicle: LineVehicle) -> MeasuredWay:
     if way.figures.length_m <= 0.0:
-        return way
+        return way, []
     found = ride_line(site, way.line, vehicle, _SIGMA_M)
     mean, low, high = found.over(0.0, math.inf)
     has_road = found.ground.shape[1] * found.way >= SHORTEST_ROAD_M
     metre = np.clip(np.searchsorted(found.distance, way.profile.distance, side="right") - 1, 0, len(found.c_r) - 1)
-    return replace(
-        way,
-        figures=replace(
-            way.figures,
-            c_r_line=mean,
-            c_r_line_low=low,
-            c_r_line_high=high,
-            road=found.road(math.inf)[0] if has_road else None,
-        ),
-        profile=replace(way.profile, c_r_line=found.c_r[metre]),
-        road=tuple(stretch for every in _EVERY_M for stretch in found.road(every)) if has_road else (),
-    )
+    road = found.road(math.inf)[0] if has_road else None
+    figures = replace(way.figures, c_r_line=mean, c_r_line_low=low, c_r_line_high=high, road=road)
+    stretches = tuple(stretch for every in _EVERY_M for stretch in found.road(every)) if has_road else ()
+    profile = replace(way.profile, c_r_line=found.c_r[metre])
+    return replace(way, figures=figures, profile=profile, road=stretches), []
 
 
 def ride_line(site: MapReader, line: Floats, vehicle: LineVehicle, sigma: float) -> LineRide:
@@ -330,11 +312,11 @@ def ride_line(site: MapReader, line: Floats, vehicle: LineVehicle, sigma: float)
         rolled, inside = _roll(site, line, places, vehicle, across), slice(len(lead), len(lead) + len(own))
         sums += [np.bincount(to, row[inside], count) for row in _felt(rolled, vehicle, weights)]
         ground.append(rolled.ground[..., inside])
-    felt, told, (of_tiles, rated, log_sd, seen, shaken) = np.split(sums, [len(across), 2 * len(across)])
+    felt, times, (of_tiles, rated, log_sd, seen, shaken) = np.split(sums, [len(across), 2 * len(across)])
     samples = np.bincount(metre)
-    known = told > samples / 2
+    known = times > samples / 2
     by_line = np.asarray(known.any(axis=0))
-    at_places = np.where(by_line, felt / np.maximum(told, 1.0), of_tiles / samples)
+    at_places = np.where(by_line, felt / np.maximum(times, 1.0), of_tiles / samples)
     share = weights[:, None] * (known | ~by_line)
     c_r = np.average(at_places, axis=0, weights=share)
     spread = np.sqrt(np.average((at_places - c_r) ** 2, axis=0, weights=share))
@@ -568,18 +550,18 @@ def _felt(rolled: _Rolled, vehicle: LineVehicle, weights: Floats) -> Floats:
     tile, calibration = rolled.tile, vehicle.calibration
     front_left, front_right, rear_left, rear_right = np.moveaxis(rolled.heights, 1, 0)
     pitches = (front_left + front_right - rear_left - rear_right) / (2 * vehicle.operator.wheelbase)
-    told = np.isfinite(pitches) & np.isfinite(tile.c_r) & np.isfinite(tile.reach)
+    is_felt = np.isfinite(pitches) & np.isfinite(tile.c_r) & np.isfinite(tile.reach)
     reach, slope, stretch = np.nan_to_num(tile.reach), np.nan_to_num(tile.slope), calibration.tile_size
     felt = felt_along(bridged(pitches), vehicle.taps, vehicle.way, stretch, reach, slope, vehicle.correction)
     shaken = np.full_like(tile.c_r, np.nan)
     if vehicle.rating is not None:
         taps, _ = heave_filter(vehicle.speed, vehicle.way)
         lifts = np.pad(bridged(rolled.heights.mean(axis=1)), ((0, 0), (len(taps) // 2,) * 2), mode="edge")
-        known = told & (tile.heave > 0)
+        known = is_felt & (tile.heave > 0)
         heaves = np.abs([np.convolve(lift, taps, "valid") for lift in lifts])
         share = np.where(known, heaves / np.where(known, tile.heave, 1.0), 1.0)
         shaken = np.average((tile.a_w * share) ** 2, axis=0, weights=weights)
-    c_r = np.where(told, tile.speed * felt * tile.left, 0.0)
+    c_r = np.where(is_felt, tile.speed * felt * tile.left, 0.0)
     rated = np.isfinite(tile.log_sd)
     log_sd = np.where(rated, tile.log_sd, 0.0)
-    return np.vstack([c_r, told, tile.speed * tile.c_r, rated, log_sd, rolled.seen, shaken])
+    return np.vstack([c_r, is_felt, tile.speed * tile.c_r, rated, log_sd, rolled.seen, shaken])

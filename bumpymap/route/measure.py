@@ -30,11 +30,12 @@ from bumpymap.route.straighten import as_costs, trace
 Floats = NDArray[np.float64]
 
 _STRETCH_TILES = 128
-"""Longest stretch, tiles."""
+"""Longest stretch of a way whose window is read at once, tiles (chosen)."""
 _SAMPLES_A_TILE = 3
+"""Points of a profile along a tile: 1 m apart at the usual size (chosen)."""
 _RIDE = ("c_r", "c_r_low", "c_r_high")
 _WORST = 0.05
-"""Share of a way on which less may be seen than its figures say."""
+"""Share of a way on which less may be seen than its figures say (chosen)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,14 +60,7 @@ the cost what slopes add, ``slope``, and ``across``: whether it lies across a sl
 def measure_way(ground: CostGround, line: Floats, stops: Floats) -> MeasuredWay:
     """Measure a way over a map.
 
-    Parameters
-    ----------
-    ground : CostGround
-        The map, with costs.
-    line : array (m, 2)
-        Easting and northing of the corners, m, on the grid.
-    stops : array (k, 2)
-        Easting and northing of start, stops and goal, m.
+    ``line`` (m, 2), ``stops`` (k, 2): easting and northing of its corners, and of start, stops and goal, m on the grid.
     """
     pieces = cut_into_tiles(ground, line)
     profile, obstacle_m = _profile(ground.site, line, pieces), 0.0

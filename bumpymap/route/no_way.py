@@ -21,8 +21,8 @@ from bumpytiles import TileWindow
 
 Floats = NDArray[np.float64]
 _LEAST_OPENING, _TOO_NARROW = 1.5, 100.0
-"""Distance from what closes an opening, px: what is narrower is a gap between points. And cost of a pixel in which the
-vehicle does not fit, so that a line leads through few of them."""
+"""Least distance from what closes an opening, pixels: what is narrower is a gap between points. And cost of a pixel in
+which the vehicle does not fit, so that a line leads through few of them (chosen)."""
 
 
 def what_closes(ground: CostGround, start: Floats, goal: Floats) -> str:
@@ -89,21 +89,9 @@ def _joined(ground: CostGround, start: Floats, goal: Floats, **settings: Any) ->
 def widest_opening(ground: CostGround, start: Floats, goal: Floats) -> tuple[Floats, float] | None:
     """Find the widest opening that is too narrow for the vehicle and joins two points that are not joined otherwise.
 
-    Parameters
-    ----------
-    ground : CostGround
-        The map, with costs.
-    start, goal : array (2,)
-        Easting and northing, m; the vehicle fits there.
-
-    Returns
-    -------
-    place : array (2,)
-        Easting and northing of its narrowest point, m.
-    width : float
-        Between the pixels that close it, m.
-        None if all openings around the two points are narrower than 0.4 m (of pixels of 0.2 m), or memory does not
-        allow to look for one.
+    ``start``, ``goal`` (2,): easting and northing, m; the vehicle fits there. Returns its narrowest point, (2,) easting
+    and northing, and the width between the pixels that close it, m; None if all openings around the two points are
+    narrower than 0.4 m (of pixels of 0.2 m), or memory does not allow to look for one.
     """
     pad = first_pad(ground, start, goal)
     window = overlap(window_around(ground.site, np.array([start, goal]), pad), ground.site.window)

@@ -41,12 +41,7 @@ from bumpymap.views import reach_layers, route_layers, view_writers, write_reach
 _log = logging.getLogger(__name__)
 
 ROUTE_MANIFEST_NAME = "route.json"
-ROUTE_KINDS = {
-    ".geojson": "route.geojson",
-    ".gpx": "route.gpx",
-    ".csv": "profile.csv",
-    ".png": "route.png",
-}
+ROUTE_KINDS = {".geojson": "route.geojson", ".gpx": "route.gpx", ".csv": "profile.csv", ".png": "route.png"}
 REACH_KINDS = {".tif": "reach.tif", ".geojson": "isochrones.geojson", ".png": "reach.png"}
 """Name of the file that is written alone, by its suffix."""
 _VIEWS = ("route.qml", "reach.qml", "isochrones.qml", MapFile.PROJECT)
@@ -56,36 +51,17 @@ ROUTE_FILES = OutputFolder(
     views=_VIEWS,
 )
 _AROUND_M = 10.0
-"""Ground around the ways when their project is opened."""
-
-
-ROUTE_MANIFEST_FORMAT = "bumpymap-route"
-_VERSION = 1
+"""Ground around the ways when their project is opened, m (chosen)."""
+ROUTE_MANIFEST_FORMAT, _VERSION = "bumpymap-route", 1
+"""Entries ``format`` and ``version`` of route.json."""
 
 
 def check_out(out: Path, kinds: Mapping[str, str], *, overwrite: bool) -> str | None:
     """Check, before anything is computed, that files can be written to a folder, or one to a file. Writes nothing.
 
-    Parameters
-    ----------
-    out : Path
-        A folder, or one file that ends in one of the suffixes of ``kinds``.
-    kinds : mapping
-        `ROUTE_KINDS` or `REACH_KINDS`.
-    overwrite : bool
-        Allow files of an earlier run to be replaced.
-
-    Returns
-    -------
-    str or None
-        The name, by ``kinds``, of what a single file holds; None: ``out`` is a folder.
-
-    Raises
-    ------
-    UsageError
-        ``out`` is named like a file of a kind that is not written.
-    OutputError
-        There are files that must not be replaced, or the place of a file is missing.
+    ``out``: a folder, or one file that ends in a suffix of ``kinds``, `ROUTE_KINDS` or `REACH_KINDS`. Returns the name,
+    by ``kinds``, of what a single file holds; None for a folder. Raises UsageError: ``out`` is named like a file of a
+    kind that is not written; OutputError: there are files that must not be replaced, or the place of a file is missing.
     """
     suffix, is_folder = out.suffix.lower(), out.is_dir()
     if suffix in kinds and (not is_folder or out.is_symlink()):
@@ -118,30 +94,10 @@ def write_route(
     have figures has stretches.csv too. Except for route.json no file depends on the time, and none but it and map.qgs
     on folder names.
 
-    Parameters
-    ----------
-    route : Route
-        On the grid of ``source``.
-    source : MapReader
-        The map that it was planned on.
-    out : Path
-        The folder, which is created if it is missing, or one file: see `check_out`.
-    manifest : mapping
-        The run's own entries for route.json, such as settings.
-    overwrite : bool
-        Allow files of an earlier run to be replaced.
-
-    Returns
-    -------
-    list of Path
-        What was written, the manifest last.
-
-    Raises
-    ------
-    UsageError, OutputError
-        See `check_out`; or a file cannot be written.
-    BadInputError
-        A layer cannot be read, or the route has no longitude and latitude and ``out`` is a GPX file.
+    ``source``: the map that it was planned on; ``manifest``: the run's own entries for route.json, such as settings.
+    Returns what was written, the manifest last. Raises UsageError, OutputError: see `check_out`; or a file cannot be
+    written; BadInputError: a layer cannot be read, or the route has no longitude and latitude and ``out`` is a GPX
+    file.
     """
     one_file, place = check_out(out, ROUTE_KINDS, overwrite=overwrite), route_coordinates(route)
     notes: list[str] = []
@@ -225,13 +181,10 @@ def _describe_layers(source: MapReader) -> dict[str, Any]:
 
 def _describe(route: Route, place: GeoJsonCoordinates) -> dict[str, Any]:
     """Return figures, stops, corners and stretches of a route."""
-    stops = zip(stop_names(len(route.stops)), place.in_crs(route.stops), place.in_file(route.stops), strict=True)
+    names = stop_names(len(route.stops))
     return {
         **route_properties(route),
-        "stops": [
-            {"name": name, "x": x, "y": y, **({"lon": lon, "lat": lat} if place.has_degrees else {})}
-            for name, (x, y), (lon, lat) in stops
-        ],
+        "stops": [{"name": name, **spot} for name, spot in zip(names, _spots(route.stops, place), strict=True)],
         "corners": len(route.line),
         "stretches": stretch_rows(route),
         "straight": None if route.straight is None else _describe_straight(route.straight, place),
@@ -242,14 +195,13 @@ def _describe_straight(straight: StraightLine, place: GeoJsonCoordinates) -> dic
     """Return what the straight line between the stops costs, and where it makes the way turn."""
     points = np.array([(turn.easting, turn.northing) for turn in straight.turns]).reshape(-1, 2)
     turns = [
-        {
-            "x": x,
-            "y": y,
-            **({"lon": lon, "lat": lat} if place.has_degrees else {}),
-            "closed_m": round(turn.closed_m, 3),
-            "length_m": round(turn.length_m, 3),
-            "why": turn.why,
-        }
-        for turn, (x, y), (lon, lat) in zip(straight.turns, place.in_crs(points), place.in_file(points), strict=True)
+        {**spot, "closed_m": round(turn.closed_m, 3), "length_m": round(turn.length_m, 3), "why": turn.why}
+        for turn, spot in zip(straight.turns, _spots(points, place), strict=True)
     ]
     return {"cost_m": round(straight.cost_m, 3), "closed_m": round(straight.closed_m, 3), "turns": turns}
+
+
+def _spots(points: NDArray[np.float64], place: GeoJsonCoordinates) -> list[dict[str, float]]:
+    """Return points (n, 2) in the CRS of the survey, and their longitude and latitude if these are known."""
+    both = zip(place.in_crs(points), place.in_file(points), strict=True)
+    return [{"x": x, "y": y, **({"lon": lon, "lat": lat} if place.has_degrees else {})} for (x, y), (lon, lat) in both]

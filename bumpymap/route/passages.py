@@ -25,19 +25,19 @@ from bumpytiles import TileWindow
 Floats = NDArray[np.float64]
 
 _PAD_TILES, _PAD_SHARE = 24, 0.25
-"""Tiles around start and goal that are looked at first: at least, and as a share of their distance."""
+"""Tiles around start and goal that are read first: at least, and as a share of their distance (chosen)."""
 _DEARER = 1.06
-"""Nodes on paths that cost up to this many times the best are searched on pixels."""
+"""Cost of paths whose nodes are searched on pixels, as a multiple of the best (chosen)."""
 _SECTION_TILES, _AROUND_TILES = 96, 12
-"""Longest path that is searched at once, and the tiles around a section of a longer one."""
+"""Longest path that is searched at once, and margin around a section of a longer one, tiles (chosen)."""
 _TINY = 1e-9
+"""Least cost of an arc: sparse graphs take 0 for none."""
 _CHEAPER, _CORNER_TILES = 0.97, 2.0
 """Paths go straight from middle to middle of areas up to three arcs apart, and so cut corners. One takes the place of a
-way over whole tiles only if it costs less than this share of it, with so much length added for a corner."""
-BYTES_PER_TILE = 7000
-"""Memory that the graph takes."""
-_BY_HEADING = 4
-"""So many times more is taken by searches on pixels whose cost depends on the heading."""
+way over whole tiles only if it costs less than this share of it, with that length added for a corner, tiles
+(chosen)."""
+BYTES_PER_TILE, _BY_HEADING = 7000, 4
+"""Memory that the graph takes, and its multiple for searches on pixels whose cost depends on the heading."""
 
 
 class AreaGraph(NamedTuple):
@@ -235,17 +235,11 @@ def _search(graph: AreaGraph, start: int, goal: int) -> tuple[list[int], NDArray
     if not np.isfinite(spent[goal]):
         return None
     left = csgraph.dijkstra(graph.arcs.T, indices=goal, limit=_DEARER * spent[goal] + 1.0)
-    path = _path(before, start, goal)
-    near = np.flatnonzero(spent + left <= _DEARER * spent[goal] + 1.0)
-    return path, np.union1d(near, path)
-
-
-def _path(before: NDArray[np.integer], start: int, goal: int) -> list[int]:
-    """Return the nodes from a start to a goal, given the one before each."""
     path = [goal]
     while path[-1] != start:
         path.append(int(before[path[-1]]))
-    return path[::-1]
+    near = np.flatnonzero(spent + left <= _DEARER * spent[goal] + 1.0)
+    return path[::-1], np.union1d(near, path)
 
 
 def _at_edge(graph: AreaGraph, nodes: NDArray[np.int64]) -> bool:
@@ -302,30 +296,17 @@ def _over_corners(ground: CostGround, cost: NDArray[np.float32], ends: Floats, w
     ``cost`` is that of the pixels of a window. The cheapest path over pixels tells which corners; between these, from
     the middles of the pixels beside them, lines are searched like any other.
     """
+    from skimage.graph import route_through_array  # slow to load, and seldom needed
+
     places = np.floor(ground.in_window(ends, window)).astype(np.int64)
     per_pixel = as_cost(cost).mean(axis=2)
     is_free = np.isfinite(per_pixel)
     if (places < 0).any() or (places >= is_free.shape).any() or not is_free[tuple(places.T)].all():
         return None
-    number = np.full(is_free.shape, -1, np.int64)
-    number[is_free] = np.arange(is_free.sum())
-    moves = []
-    for here, there, length in (
-        (np.s_[:, :-1], np.s_[:, 1:], 1.0),
-        (np.s_[:-1], np.s_[1:], 1.0),
-        (np.s_[:-1, :-1], np.s_[1:, 1:], math.sqrt(2.0)),
-        (np.s_[:-1, 1:], np.s_[1:, :-1], math.sqrt(2.0)),
-    ):
-        both = is_free[here] & is_free[there]
-        spent = 0.5 * length * (per_pixel[here][both] + per_pixel[there][both])
-        moves.append((number[here][both], number[there][both], spent.astype(np.float64)))
-    first, last, weight = (np.concatenate(each) for each in zip(*moves, strict=True))
-    graph = sparse.csr_array((weight, (first, last)), (int(is_free.sum()),) * 2)
-    start, goal = number[tuple(places.T)]
-    spent, before = csgraph.dijkstra(graph, directed=False, indices=start, return_predecessors=True)
-    if not np.isfinite(spent[goal]):
+    try:
+        pixels = np.array(route_through_array(per_pixel, *places.tolist())[0])
+    except ValueError:  # there is no path
         return None
-    pixels = np.argwhere(is_free)[_path(before, int(start), int(goal))]
     piece = ndimage.label(is_free)[0][tuple(pixels.T)]
     cuts = np.flatnonzero(np.diff(piece))
     corners = on_grid((pixels + 0.5) / ground.site.grid.pixels, ground.site.grid, window)

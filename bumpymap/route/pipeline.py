@@ -172,11 +172,7 @@ def find_routes(
 
 
 def map_reach(
-    layers: PathLike,
-    start: Point,
-    *,
-    minutes: float | None = None,
-    **settings: Unpack[ReachSettings],
+    layers: PathLike, start: Point, *, minutes: float | None = None, **settings: Unpack[ReachSettings]
 ) -> "xarray.Dataset":
     """Map what can be reached from a point: cost and minutes of the cheapest way to every tile.
 
@@ -251,14 +247,9 @@ class RouteResult:
 def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteResult:
     """Plan the ways that the settings ask for, and write them.
 
-    Raises
-    ------
-    BadInputError
-        The layers cannot be read, a point does not lie on ground that can be used, or there is no way.
-    UsageError
-        The settings contradict each other or the map, or the search does not fit in the memory limit.
-    OutputError
-        A file cannot be written.
+    Raises BadInputError: the layers cannot be read, a point does not lie on ground that can be used, or there is no
+    way; UsageError: the settings contradict each other or the map, or the search does not fit in the memory limit;
+    OutputError: a file cannot be written.
     """
     progress = progress or SilentProgress()
     with _opened(config) as ground:

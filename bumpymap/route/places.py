@@ -22,10 +22,8 @@ _FORMS = (
     "Give LON,LAT such as 11.5,48.1, or X,Y in the survey's CRS such as 434100,5411200; lonlat:11.5,48.1 and "
     "crs:434100,5411200 say which of the two it is"
 )
-
-
 _NEAR_M = 5000.0
-"""How far from the map two numbers may lie that are thought to be swapped, m."""
+"""Distance from the map up to which two numbers are thought to be swapped, m (chosen)."""
 
 
 class GridPoint(NamedTuple):
@@ -40,20 +38,8 @@ class GridPoint(NamedTuple):
 def parse_point(text: str, route_map: MapReader, *, beyond_m: float = 0.0) -> GridPoint:
     """Read a point: ``LON,LAT``, or ``X,Y`` in the survey's CRS, whichever lies on the map.
 
-    Parameters
-    ----------
-    text : str
-        Such as ``11.5,48.1`` or ``434100,5411200``. ``lonlat:`` or ``crs:`` before it says which of the two it is.
-    route_map : MapReader
-    beyond_m : float
-        Distance outside the rectangle of the map up to which a point is accepted, m.
-
-    Raises
-    ------
-    UsageError
-        The text is not a point.
-    BadInputError
-        The point lies outside the map, or could be meant in both ways.
+    ``lonlat:`` or ``crs:`` before it says which of the two it is; ``beyond_m``: distance outside the rectangle of the
+    map up to which a point is accepted, m. Raises UsageError: the text is not a point; for others see `place_point`.
     """
     found = _POINT.fullmatch(text)
     if found is None:
@@ -74,23 +60,10 @@ def place_point(
 ) -> GridPoint:
     """Return the point on the grid of a coordinate pair.
 
-    Parameters
-    ----------
-    x, y : float
-        Longitude and latitude [degrees], or coordinates in the survey's CRS.
-    route_map : MapReader
-    system : {"lonlat", "crs"}, optional
-        Which of the two it is; None: the one that lies on the map.
-    name : str
-        How a message calls the point.
-    beyond_m : float
-        Distance outside the rectangle of the map up to which a point is accepted, m.
-
-    Raises
-    ------
-    BadInputError
-        The point lies outside the map, could be meant in both ways, or is longitude and latitude while the map has no
-        CRS.
+    ``x``, ``y``: longitude and latitude [degrees], or coordinates in the survey's CRS; ``system``: which of the two;
+    None: the one that lies on the map; ``name``: how a message calls the point; ``beyond_m`` as of `parse_point`.
+    Raises BadInputError: the point lies outside the map, could be meant in both ways, or is longitude and latitude
+    while the map has no CRS.
     """
     systems: tuple[System, ...] = ("lonlat", "crs") if system is None else (system,)
     meant = {each: point for each in systems if (point := _on_grid(x, y, route_map, each, forced=system is not None))}
@@ -109,9 +82,7 @@ def place_point(
     raise BadInputError(f"{name} lies outside the map, which spans {_extent(route_map)}. {hint}{_FORMS}")
 
 
-def place_in_window(
-    point: Sequence[float] | NDArray[np.float64], grid: Grid, window: TileWindow
-) -> tuple[float, float]:
+def place_in_window(point: Place, grid: Grid, window: TileWindow) -> tuple[float, float]:
     """Convert easting and northing [m] to field coordinates of a window: tiles from its north and from its west edge.
 
     A point on a border lies in the tile to the north or east of it, as everywhere on the grid. Rows of a window count
@@ -120,7 +91,8 @@ def place_in_window(
     col, row = grid.index(np.array([point[0], point[1]], np.float64)).tolist()
     top, left = window.row + window.rows - 1 - row, col - window.col
     r, c = window.row + window.rows - point[1] / grid.tile_size, point[0] / grid.tile_size - window.col
-    return _in_tile(float(r), top), _in_tile(float(c), left)
+    row_of, col_of = (min(max(float(x), tile), math.nextafter(tile + 1.0, tile)) for x, tile in ((r, top), (c, left)))
+    return row_of, col_of
 
 
 def in_window(points: NDArray[np.float64], grid: Grid, window: TileWindow) -> NDArray[np.float64]:
@@ -151,11 +123,6 @@ def window_within(whole: TileWindow, start: NDArray[np.float64], reach: float) -
     east = min(whole.col + whole.cols, math.ceil(start[0] + reach) + 1)
     north = min(whole.row + whole.rows, math.ceil(start[1] + reach) + 1)
     return TileWindow(west, south, max(east - west, 1), max(north - south, 1))
-
-
-def _in_tile(coordinate: float, tile: int) -> float:
-    """Return a coordinate, or the nearest one in a tile."""
-    return min(max(coordinate, float(tile)), math.nextafter(tile + 1.0, tile))
 
 
 def _on_grid(x: float, y: float, route_map: MapReader, system: System, *, forced: bool) -> GridPoint | None:

@@ -28,12 +28,11 @@ from bumpytiles import TileWindow
 
 Floats = NDArray[np.float64]
 
-_LEAST_PAD = 16
-"""Tiles around start and goal at least, and by which a window grows at least."""
-_PAD_SHARE = 0.125
-"""Tiles around start and goal, as a share of their distance."""
+_LEAST_PAD, _PAD_SHARE = 16, 0.125
+"""Margin around start and goal: at least, tiles, by which a window grows at least too, and as a share of their distance
+(chosen)."""
 _GROWTH = 0.25
-"""A window grows by this share of its longer side, on each side that needs it."""
+"""Growth of a window as a share of its longer side, on each side that needs it (chosen)."""
 
 
 def tile_line(ground: CostGround, start: Floats, goal: Floats) -> Floats | None:
@@ -99,12 +98,9 @@ def _grown(window: TileWindow, sides: list[bool], pad: int, extent: TileWindow, 
     )
 
 
-_SECTION_TILES = 24
-"""Usual length of a section."""
-_LONGEST_TILES = 96
-"""A longer section is not searched."""
-_AROUND_TILES = 5
-"""How far beside a section a way round obstacles is searched."""
+_SECTION_TILES, _LONGEST_TILES, _AROUND_TILES = 24, 96, 5
+"""Usual length of a section, the longest that is searched, and distance beside it up to which a way round obstacles is
+searched, tiles (chosen)."""
 
 
 def steer_clear(ground: CostGround, line: Floats) -> Floats | None:
@@ -144,7 +140,7 @@ def _steered(ground: CostGround, section: Floats) -> Floats | None:
 
 
 def _cuts(is_clear: NDArray[np.bool_], apart: float, count: int) -> list[int]:
-    """Return the numbers of points at which a line is cut: the ends, and clear points about so many apart."""
+    """Return the numbers of points at which a line is cut: the ends, and clear points about ``apart`` of them apart."""
     cuts, clear = [0], np.flatnonzero(is_clear)
     while count - 1 - cuts[-1] > 1.5 * apart:
         wanted = cuts[-1] + apart
@@ -168,7 +164,7 @@ def _between(line: Floats, points: Floats, first: int, last: int, step: float) -
 
 
 _NEAR_TILES = 8
-"""Tiles around a way in which obstacles make it worth while to look for another one between them."""
+"""Tiles around a way in which obstacles make it worth while to search another one between them (chosen)."""
 
 
 @dataclass(frozen=True, slots=True)

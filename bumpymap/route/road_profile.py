@@ -19,14 +19,17 @@ Floats = NDArray[np.float64]
 _CAR = np.array([[0, 1, 0, 0], [-63.3, -6.0, 63.3, 6.0], [0, 0, 0, 1], [422.0, 40.0, -(653 + 63.3) / 0.15, -40.0]])
 """Golden car (k1 653, k2 63.3, mu 0.15 and c 6), 1/s and 1/s2: body and wheel, their slopes and the rates of these."""
 _ROAD = np.array([0, 0, 0, 653 / 0.15])
+"""Push of the road's slope on these, 1/s2: k1 over mu."""
 _CAR_MPS = 80 / 3.6
+"""Speed of the car, m/s: 80 km/h (ASTM E1926)."""
 _BASE_M, _BEGIN_M = 0.25, 11.0
-"""Length that a tyre averages over; the car begins at rest on the mean slope of the first metres."""
+"""Length that a tyre averages over; the car begins at rest on the mean slope of the first metres, m (ASTM E1926)."""
 _REFERENCE = 0.1
-"""Wave number that classes are stated at, cycles per metre."""
+"""Wave number that classes are stated at, cycles per metre (ISO 8608)."""
 _WAVES = (0.05, 1.0)
-"""Wave numbers that the power is taken from: those that a map of 0.2 m pixels holds."""
+"""Wave numbers that the power is taken from, cycles per metre: those that a map of 0.2 m pixels holds."""
 _PIXEL_M = 0.2
+"""Side of usual pixels, m."""
 _SHORT, _FELT = (1.25, 2.0), (0.4, 1.0)
 """Wave numbers of the shortest waves that pixels of 0.2 m hold, and of those that the wheels of the car feel most; with
 larger pixels both are as many pixels long."""
@@ -37,24 +40,16 @@ _NOISE = (0.3, 0.7)
 """Shares of noise in the power: below the first, figures are resolved, above the second they are not resolvable."""
 _RESOLUTIONS: tuple[Resolution, ...] = ("resolved", "limited by noise", "not resolvable", "unknown")
 SHORTEST_ROAD_M = 10.0
-"""Length of the shortest stretch that has figures, m."""
+"""Length of the shortest stretch that has figures, m (chosen)."""
 _LEAST_KNOWN = 0.9
+"""Least share of known heights of a stretch that has figures (chosen)."""
 
 
 def quarter_car(heights: Floats, spacing: float) -> Floats:
     """Return what the reference quarter car's suspension moves at each sample of a profile.
 
-    Parameters
-    ----------
-    heights : array (n,)
-        m, without holes.
-    spacing : float
-        Distance between heights, m.
-
-    Returns
-    -------
-    array (n,)
-        m per km; its mean over a stretch is the IRI there.
+    ``heights`` (n,): m, without holes, ``spacing`` apart, m. Returns (n,) m per km; its mean over a stretch is the IRI
+    there.
     """
     from scipy.linalg import expm
     from scipy.ndimage import uniform_filter1d
@@ -75,21 +70,9 @@ def quarter_car(heights: Floats, spacing: float) -> Floats:
 def iso_8608(heights: Floats, spacing: float, pixel: float = _PIXEL_M) -> tuple[Floats, Floats]:
     """Return the power of profiles at 0.1 cycles per metre, and the share of noise in waves of two to five pixels.
 
-    Parameters
-    ----------
-    heights : array (..., n)
-        m, without holes.
-    spacing : float
-        Distance between heights, m.
-    pixel : float
-        Side of the pixels that they were read from, m.
-
-    Returns
-    -------
-    array (...)
-        m3, of a spectrum that falls with the square of the wave number; NaN for less than 40 m.
-    array (...)
-        0..1.
+    ``heights`` (..., n): m, without holes, ``spacing`` apart, m; ``pixel``: side of the pixels that they were read
+    from, m. Returns the power, (...) m3, of a spectrum that falls with the square of the wave number, NaN for less than
+    40 m; and the share, (...) 0..1.
     """
     count = heights.shape[-1]
     window, wave = np.hanning(count), np.fft.rfftfreq(count, spacing)
@@ -115,23 +98,9 @@ def road_figures(
 ) -> tuple[RoadFigures, ...]:
     """Return the figures of each stretch of a line; a last one of less than half the length belongs to that before.
 
-    Parameters
-    ----------
-    heights : array (2, n)
-        Ground under the left and the right wheels, m; NaN where unknown.
-    spacing : float
-        Distance between heights along the line, m.
-    track : float
-        Distance between the wheel paths, m.
-    length : float
-        Of a stretch, m; 10 or more; infinite for one of the whole line.
-    pixel : float
-        Side of the pixels that the heights were read from, m.
-
-    Raises
-    ------
-    UsageError
-        The stretches, or the line, are shorter than 10 m.
+    ``heights`` (2, n): ground under the left and the right wheels, m, ``spacing`` apart along the line, m; NaN where
+    unknown; ``track``: distance between the wheel paths, m; ``length``: of a stretch, 10 m or more; infinite for one of
+    the whole line; ``pixel`` as of `iso_8608`. Raises UsageError: the stretches, or the line, are shorter than 10 m.
     """
     count = heights.shape[1]
     if not min(length, count * spacing) >= SHORTEST_ROAD_M:

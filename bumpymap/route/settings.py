@@ -24,7 +24,6 @@ class CostSettings(DirectionSettings):
     unknown: Annotated[
         float | None, Setting("Cross unknown ground at this cost per metre", "COST", 1.0, MOST_COST, group="Ground")
     ] = None
-    """Cost per metre of unknown ground; None: it is not crossed."""
     seen_width: Annotated[
         float | None,
         Setting(
@@ -35,9 +34,8 @@ class CostSettings(DirectionSettings):
     avoid: Annotated[Path | None, Setting("Polygons that are not entered", "FILE", group="Ground")] = None
     only: Annotated[Path | None, Setting("Polygons that are not left", "FILE", group="Ground")] = None
     allow_outside: Annotated[bool, Setting("It is no error if a polygon lies off the map", rare=True)] = False
-    """It is no error that a polygon of ``avoid`` or ``only`` lies off the map."""
     through_obstacles: Annotated[bool, Setting("Touch obstacles where there is no other way", group="Ground")] = False
-    """Where there is no other way, touch obstacles: for those that the map takes for solid and the driver does not."""
+    """For those that the map takes for solid and the driver does not."""
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -55,17 +53,13 @@ class RouteConfig:
     goal: Annotated[
         str | None, Setting("Goal; without one, map what can be reached", "POINT", option="to", group="Way")
     ] = None
-    """The same; None: what can be reached from the start."""
     via: Annotated[tuple[str, ...], Setting("Point to pass; may be given several times", "POINT", group="Way")] = ()
-    """Points to pass on the way, in order."""
     points: Annotated[Path | None, Setting("Start, points and goal (GeoJSON, GPX, CSV)", "FILE", group="Way")] = None
-    """File of points (GeoJSON, GPX, CSV), instead of the three above: start, points to pass, goal."""
+    """Instead of the three above."""
     visit: Annotated[bool, Setting("Pass the points in the best order", group="Way")] = False
-    """Pass the points in the best order instead of the given one; start and goal keep their
-    places (on a round trip, only the start)."""
+    """Start and goal keep their places (on a round trip, only the start)."""
     round_trip: Annotated[bool, Setting("Return to the start", option="return", group="Way")] = False
     snap: Annotated[float, Setting("Move points on closed ground by up to M", "M", 0.0, unit="m", group="Way")] = 0.0
-    """A start, goal or point to pass on ground that cannot be used is moved by this much at most, m."""
     isochrones: Annotated[
         tuple[float, ...],
         Setting(
@@ -80,11 +74,11 @@ class RouteConfig:
     memory: Annotated[str, Setting("Memory of the search", "SIZE", default="a quarter of what is free", rare=True)] = (
         "auto"
     )
-    """Memory that the search may use, such as ``1GB``; ``auto``: a quarter of what is free, 512 MB to 8 GB."""
+    """Such as ``1GB``; ``auto``: a quarter of what is free, 512 MB to 8 GB."""
     calibration: Annotated[Path | None, Setting("Calibration of the map, if it is not an included one", rare=True)] = (
         None
     )
-    """The file that the map was made with, for the ride of the line; None: an included one."""
+    """For the ride of the line."""
     cost: CostSettings = field(default_factory=CostSettings)
 
     def __post_init__(self) -> None:

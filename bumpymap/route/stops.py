@@ -15,7 +15,7 @@ from bumpymap.route.settings import RouteConfig
 from bumpytiles import TileWindow
 
 _ALWAYS_M = 1.0
-"""A point that is no farther from where the vehicle fits is moved there without being asked, m."""
+"""Distance up to which a point is moved to where the vehicle fits without being asked, m (chosen)."""
 
 
 def _nearest(is_open: NDArray[np.bool_], row: float, col: float) -> tuple[float, float, float] | None:
@@ -75,7 +75,7 @@ def place_text(route_map: MapReader, point: "GridPoint | NDArray[np.float64]") -
 
 
 _NEAR_M, _LOOK_M = 30.0, 150.0
-"""How far from a point ground that can be used is looked for: first, and for a message, m."""
+"""Distance from a point up to which ground that can be used is searched: first, and for a message, m (chosen)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,10 +95,7 @@ class Stops:
 
 
 def find_stops(ground: CostGround, config: RouteConfig) -> Stops:
-    """Return the points that the settings name.
-
-    Raises BadInputError: a point does not lie on the map, or on ground that cannot be used.
-    """
+    """Return the points that the settings name. Raises BadInputError: one is off the map, or on ground of no use."""
     named = _named(ground.site, config)
     points = [usable_point(ground, name, point, config.snap) for name, point in named]
     names, notes = [], []

@@ -221,7 +221,9 @@ def move_corners(cost: Costs, tightening: Tightening, corners: Corners, sweeps: 
 
 
 _MAX_MARGIN = 0.5
+"""Margin that closes a corridor of one tile, tiles."""
 _WIDER = 1.05
+"""Margin of a search as a multiple of that of the line (chosen)."""
 
 
 def as_cost(cost: NDArray[np.floating]) -> NDArray[np.float32]:
@@ -301,52 +303,34 @@ def is_clear(cost: NDArray[np.floating] | Costs, line: NDArray[np.floating], mar
 
 
 _ON_BORDER, _OFF_BORDER = 1e-7, 1e-6
-"""Corners this near to a border are moved so far from it, tiles."""
+"""Distance from a border of corners that are moved off it, and distance that they have then, tiles (chosen)."""
 _SKIPPED = 12
-"""Corners in a row that one look may leave out; the next look begins with those that are left."""
-_ROUNDS = 6
-_SWEEPS = 60
-_GAIN = 1e-6
-"""Pulling ends with a round that gains less, as a share of the cost."""
+"""Corners in a row that one look may leave out (chosen); the next look begins with those that are left."""
+_ROUNDS, _SWEEPS, _GAIN = 6, 60, 1e-6
+"""Most rounds of pulling, most sweeps over all corners in each, and least gain of a round that is followed by another,
+as a share of the cost (chosen)."""
 _LEAST_MOVE, _WORTH = 1e-10, 1e-7
-"""A corner is moved for a gain of this share of the cost, and left out if it saves less than that share."""
+"""Least gain for which a corner is moved, and least saving for which it stays, as shares of the cost (chosen)."""
 LEAST_SAVING = 1e-3
-"""Least saving of a corner of a thinned line by default, tiles: 3 mm."""
-_FIRST_STEP = 0.5
-_LEAST_STEP = 2e-5
+"""Least saving of a corner of a thinned line by default, tiles: 3 mm (chosen)."""
+_FIRST_STEP, _LEAST_STEP = 0.5, 2e-5
+"""First and least step by which corners are moved, tiles: down to 0.06 mm (chosen)."""
 _AXES = np.arange(4) * 0.5 * np.pi
 _TURNED = np.array([0.25, 0.125, 0.375, 0.0625, 0.1875, 0.3125, 0.4375])[:, None] * np.pi + _AXES
 _ANGLES = np.concatenate([np.broadcast_to(_AXES, _TURNED.shape), _TURNED], axis=1).ravel()
 _DIRECTIONS = np.column_stack([np.sin(_ANGLES), np.cos(_ANGLES)])
 """Along the axes always, and four more at angles that change: curved margins leave narrow ways to go."""
 _SPARE = 5e-10
-"""Added to the margin, tiles: the line stays clear when its coordinates are rounded in other windows."""
+"""Addition to the margin, tiles: the line stays clear when its coordinates are rounded in other windows."""
 _LEAST_PART = 1e-3
-"""No new corners on straight parts that are shorter, tiles."""
+"""Shortest straight part on which new corners are set, tiles (chosen)."""
 
 
 def pull_tight(cost: NDArray[np.floating] | Costs, line: Floats, margin: float = 0.0) -> Floats:
-    """Pull a line tight.
+    """Return a line between the same ends that keeps the margin and costs no more.
 
-    Parameters
-    ----------
-    cost : array (rows, cols) or (rows, cols, 8) float32, or Costs
-        Cost per length, along each of ``AXES_DEG`` if it has them, at least 1; infinite where closed. Or with what
-        slopes add.
-    line : array (n, 2) float64
-        Field coordinates of a line that keeps the margin; see `bumpymap.route.straighten`.
-    margin : float
-        Tiles, at least 0 and below 0.5.
-
-    Returns
-    -------
-    array (m, 2) float64
-        A line between the same ends that keeps the margin and costs no more.
-
-    Raises
-    ------
-    ValueError
-        The line has fewer than two corners, or crosses a closed tile.
+    ``cost`` as of `find_way`; ``line`` (n, 2): field coordinates of a line that keeps the margin; ``margin``: tiles, at
+    least 0 and below 0.5. Raises ValueError: the line has fewer than two corners, or crosses a closed tile.
     """
     cost = as_costs(cost)
     given = line_cost(cost, line)
@@ -357,7 +341,10 @@ def pull_tight(cost: NDArray[np.floating] | Costs, line: Floats, margin: float =
     best = _leave_out(cost, tightening, np.ascontiguousarray(line, np.float64))
     total = line_cost(cost, best)
     for _ in range(_ROUNDS):
-        tried = _leave_out(cost, tightening, _move(cost, tightening, _with_new_corners(best)))
+        points = _with_new_corners(best)
+        corners = Corners(points, np.full(len(points), _FIRST_STEP), np.empty(len(points)), _DIRECTIONS)
+        move_corners(cost, tightening, corners, _SWEEPS)
+        tried = _leave_out(cost, tightening, points)
         reached = line_cost(cost, tried)
         gain = total - reached
         if gain > 0.0:
@@ -407,10 +394,3 @@ def _with_new_corners(line: Floats) -> Floats:
     points = line[:-1, None] + share[..., None] * part[:, None]
     wanted = (share == 0.0) | (length > _LEAST_PART)[:, None]
     return np.ascontiguousarray(np.concatenate([points[wanted], line[-1:]]))
-
-
-def _move(cost: Costs, tightening: Tightening, line: Floats) -> Floats:
-    """Move corners."""
-    corners = Corners(line.copy(), np.full(len(line), _FIRST_STEP), np.empty(len(line)), _DIRECTIONS)
-    move_corners(cost, tightening, corners, _SWEEPS)
-    return corners.points

@@ -11,26 +11,16 @@ from bumpymap.route.ground import TOUCHING, CostGround, sample_line
 from bumpymap.route.measure import cut_into_tiles
 from bumpymap.route.stops import place_text
 
-_NAMED = 3
-"""Stretches that are named."""
-_LEAST_M = 1.0
-"""Least cost of a stretch beyond its length to be named, m."""
+_NAMED, _LEAST_M = 3, 1.0
+"""Most stretches that are named, and least cost of one of them beyond its length, m (chosen)."""
 
 
 def measure_straight_line(ground: CostGround, stops: NDArray[np.float64], best: RouteFigures) -> StraightLine:
     """Measure the straight line through the stops of a way.
 
-    Where it is closed, a metre counts as many times as one on which the vehicle touches an obstacle: by this
-    the stretches are ordered that make a way turn.
-
-    Parameters
-    ----------
-    ground : CostGround
-        The map, with costs.
-    stops : array (k, 2)
-        Easting and northing of start, stops and goal, m.
-    best : RouteFigures
-        Those of the best way.
+    Where it is closed, a metre counts as many times as one on which the vehicle touches an obstacle: by this the
+    stretches are ordered that make a way turn. ``stops`` (k, 2): easting and northing of start, stops and goal, m;
+    ``best``: figures of the best way.
     """
     moves = np.append(True, (np.diff(stops, axis=0) != 0.0).any(axis=1))
     if moves.sum() < 2:
@@ -86,13 +76,7 @@ def _why(pieces: dict[str, NDArray[Any]], at: int, *, is_closed: bool) -> str:
     return f"{kind}, {cost:.1f} m for each metre"
 
 
-def _words(
-    ground: CostGround,
-    turns: tuple[Turn, ...],
-    best: RouteFigures,
-    open_cost: float,
-    closed_m: float,
-) -> str:
+def _words(ground: CostGround, turns: tuple[Turn, ...], best: RouteFigures, open_cost: float, closed_m: float) -> str:
     straight = f"The straight line, {best.straight_m:,.0f} m,"
     if not turns:
         return f"{straight} is open and costs {open_cost:,.0f} m; the way costs {best.cost_m:,.0f} m."

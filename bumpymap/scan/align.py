@@ -6,8 +6,8 @@ away: each frame is fitted to the mean of all frames in turn, until they rest.
 
 In plan, what stands around a frame is laid on what stands around an earlier one: points on the edges that others lie
 on, and posts on posts (Segal, Haehnel and Thrun, "Generalized-ICP", RSS 2009, in two dimensions). The moves and turns
-of all pairs, each with the weight that its things give it in each direction, are one system of linear equations for the
-corrections of all frames (a pose graph). Along a bare wall nothing is known, and nothing is moved.
+of all pairs, each with the weight that its objects give it in each direction, are one system of linear equations for
+the corrections of all frames (a pose graph). Along a bare wall nothing is known, and nothing is moved.
 """
 
 import math
@@ -23,50 +23,61 @@ if TYPE_CHECKING:
     from scipy.spatial import KDTree
 
 MOST_METRES, MOST_DEGREES = 0.3, 1.0
-"""A frame is corrected by at most so much in height and in tilt about each axis."""
-_SQUARE_M = 0.5
-_REACH_M = 25.0
-"""Ground farther from the sensor is not compared: an angle makes too much of a height there."""
+"""Largest correction of a frame in height, and in tilt about each axis (chosen)."""
+_SQUARE_M, _REACH_M = 0.5, 25.0
+"""Side of the squares in which ground is compared, and distance from the sensor beyond which it is not, nor objects, m
+(chosen): an angle makes too much of a height there."""
 _ROUNDS = 40
+"""Rounds in which all frames are fitted to their mean (chosen)."""
 _LEAST_M = 0.03
-"""Heights that differ by this count half as much as equal ones."""
+"""Difference of heights that counts half as much as none, m: at least (chosen)."""
 _PRIOR = (1.0, 100.0, 100.0)
-"""Weight that keeps corrections small where the ground asks for none: as one square more at a correction of 0."""
+"""Weight of a correction of 0 in height and tilts, as of one square more 10 m away (chosen)."""
 _SIDE = 1 << 31
+"""Squares in a row of the world."""
 _MOST_SQUARES = 1_000_000
 """Squares of all frames together that are kept: 130 frames at least have all of theirs. They take 20 MB, and the
 corrections are found in some seconds; a frame needs a few dozen."""
 _MOST_HALVED = 32
+"""Most times that their number is halved."""
 _SPREADING = np.uint64(0x9E3779B97F4A7C15)
-
+"""Factor that spreads the numbers of squares: 2 ** 64 over the golden ratio (Knuth, Fibonacci hashing)."""
 _COLUMN_M, _RISES_M, _BODY_M, _BELOW_M = 0.2, 0.3, 2.0, 2.0
-"""Things fill a column so wide over such a height or more, farther from the sensor than the robot's own
-body, lower than so much above the sensor."""
-_MOST_THINGS = 800
+"""Width of the column that an object fills, and height that it fills at least; distance from the sensor that the
+robot's own body takes, and height above the sensor beyond which nothing is compared, m (chosen)."""
+_MOST_OBJECTS = 800
+"""Most objects of a frame (chosen)."""
 _CELL_M, _CELLS, _MOVES, _TURNS = 0.25, 256, 9, 4
-"""Things are matched in so many cells about the sensor, and moved by so many cells and turned by so many degrees."""
-_LEAST_THINGS, _LEAST_BEST = 50, 0.2
-"""Fewest things, and least share found at the best place, that tell."""
-_APART_M, _BEFORE, _PATH_M, _FLOOR_M = (5.0, 15.0), 16, 40.0, 2.0
-"""A frame is compared with the last one at such a distance, or that so many frames before, and with the nearest one
-that came so much path before and no more above or below: beyond, it may be on another floor."""
+"""Side, m, and number of the cells about the sensor in which objects are matched; largest move, in cells, and largest
+turn, in degrees, that are tried (chosen)."""
+_LEAST_OBJECTS, _LEAST_BEST = 50, 0.2
+"""Fewest objects, and least share found at the best place, of a match that is evidence (chosen)."""
+_APART_M, _BEFORE = (5.0, 15.0), 16
+"""A frame is compared with the last one at such a distance, m, or else with the one that many frames before
+(chosen)."""
+_PATH_M, _FLOOR_M = 40.0, 2.0
+"""And with the nearest one that came that much path before, at most that far above or below, m (chosen): beyond, it may
+be on another floor."""
 _LEAST_SQUARES = 30
-_THING_M, _NEAR_THINGS, _AROUND_M, _EDGE = 0.05, 9, 2.0, 9.0
-"""Error of the place of a thing; things near one that tell on which edge it lies, so far away at most; the spread along
-an edge is so many times that across, squared, or more."""
+"""Fewest squares in common that show a difference of height (chosen)."""
+_OBJECT_M, _NEAR_OBJECTS, _AROUND_M, _EDGE = 0.05, 9, 2.0, 9.0
+"""Error of the place of an object, m; number of objects near one that show on which edge it lies, and their largest
+distance, m; ratio of the variance along an edge to that across it, at least (chosen)."""
 _STEPS_M = (*4 * (0.6,), *8 * (0.3,))
-"""Farthest thing that one is laid on, in each step."""
+"""Farthest object that one is laid on in each step, m (chosen)."""
 _LOOSE = (0.3, 0.3, math.radians(0.5))
-"""Usual errors of poses in plan, m, m and rad: corrections stay small where things do not ask for more."""
+"""Usual errors of poses in plan, m, m and rad (chosen): corrections stay small where objects do not ask for more."""
 _PLAN_ROUNDS = 4
+"""Steps of Gauss and Newton (chosen)."""
 _ALIKE = 4.0
-"""Things of two frames err alike: so many count as one."""
+"""Number of objects that count as one: those of two frames err alike (chosen)."""
 VIEW_SHAPE, _LOWEST = (240, 480), -0.25
-"""Rows and columns of an image of the nearest ranges, from straight down to straight up."""
+"""Rows and columns of an image of the nearest ranges, and its first row in turns: from straight down to straight up."""
 VIEW_REACH_M = 40.0
-"""Places nearer than this are judged by a frame whether it saw through them."""
+"""Distance of the places that a frame may have seen through, m (chosen)."""
 _VIEW_LIMITS = np.array([[VIEW_REACH_M, 0.5, 0.02]])
-"""As `judge_places` takes them."""
+"""As `judge_places` takes them: that distance; by how much a beam that ends well behind a place is longer, m and share
+(chosen)."""
 
 Floats = NDArray[np.float64]
 
@@ -146,17 +157,16 @@ class DriveHeights:
 def ground_heights(points: NDArray[np.float32], is_ground: NDArray[np.bool_], pose: Floats) -> GroundHeights:
     """Average the ground of a frame in squares of the world.
 
-    ``points`` (n, 3): in the frame of the sensor, m; ``pose`` (4, 4): transform from the sensor's frame to the world,
-    m.
+    ``points`` (n, 3): in the frame of the sensor, m; ``pose`` (4, 4): from there to the world, m.
     """
     chosen = points[is_ground & (np.hypot(points[:, 0], points[:, 1]) <= _REACH_M)]
     turned = np.einsum("nj,ij->ni", chosen.astype(np.float64), pose[:3, :3])
     at = np.floor((turned[:, :2] + pose[:2, 3]) / _SQUARE_M).astype(np.int64)
     square, place, count = np.unique(at[:, 0] * _SIDE + at[:, 1], return_inverse=True, return_counts=True)
-    east, north, z = (np.bincount(place, turned[:, axis], len(square)) / count for axis in range(3))
-    return GroundHeights(
-        square, east.astype(np.float32), north.astype(np.float32), z.astype(np.float32), float(pose[2, 3])
+    east, north, z = (
+        (np.bincount(place, turned[:, axis], len(square)) / count).astype(np.float32) for axis in range(3)
     )
+    return GroundHeights(square, east, north, z, float(pose[2, 3]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,8 +254,8 @@ def moved_heights(heights: GroundHeights, place: Floats, correction: Floats) -> 
     return replace(heights, square=square, east=east, north=north, z=heights.z[first])
 
 
-def standing_things(points: NDArray[np.float32], is_ground: NDArray[np.bool_], pose: Floats) -> NDArray[np.float32]:
-    """Return where things stand around the sensor, (n, 3) along the axes of the world, m: one point of each column.
+def standing_objects(points: NDArray[np.float32], is_ground: NDArray[np.bool_], pose: Floats) -> NDArray[np.float32]:
+    """Return where objects stand around the sensor, (n, 3) along the axes of the world, m: one point of each column.
 
     ``points``, ``pose``: as of `ground_heights`.
     """
@@ -260,7 +270,7 @@ def standing_things(points: NDArray[np.float32], is_ground: NDArray[np.bool_], p
     np.minimum.at(low, key, at[:, 2])
     np.maximum.at(high, key, at[:, 2])
     stands = np.flatnonzero(high - low > _RISES_M)
-    stands = stands[:: max(1, len(stands) // _MOST_THINGS)]
+    stands = stands[:: max(1, len(stands) // _MOST_OBJECTS)]
     number = np.maximum(np.bincount(key, minlength=size), 1)
     x, y, z = (np.bincount(key, at[:, axis], size) / number for axis in range(3))
     above = np.flatnonzero(at[:, 2] >= z[key] - 1e-6)  # a point about the middle: those at its height may be none
@@ -288,10 +298,7 @@ def judge_by_view(
 
 
 def frame_pairs(poses: Floats) -> list[tuple[int, int]]:
-    """Return which frames are compared, a later one with an earlier one each, in order.
-
-    ``poses`` (frames, 4, 4).
-    """
+    """Return the frames of ``poses`` (frames, 4, 4) that are compared, a later with an earlier one each, in order."""
     place, pairs = poses[:, :2, 3], []
     path = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(place, axis=0), axis=1))]
     for later in range(1, len(poses)):
@@ -306,13 +313,13 @@ def frame_pairs(poses: Floats) -> list[tuple[int, int]]:
 
 
 @dataclass(frozen=True, slots=True)
-class ThingFit:
-    """How the things of a frame fit those of an earlier one."""
+class ObjectFit:
+    """How the objects of a frame fit those of an earlier one."""
 
-    things: int = 0
+    objects: int = 0
     """Of the later frame near enough to the earlier one."""
     found: float = 0.0
-    """Share found at the poses, 0..1; things beside count by half."""
+    """Share found at the poses, 0..1; objects beside count by half."""
     best: float = 0.0
     """Largest share found at any place near by."""
     move: tuple[float, float] = (0.0, 0.0)
@@ -324,17 +331,17 @@ class ThingFit:
 
     @property
     def is_enough(self) -> bool:
-        """True if enough things are found to tell anything."""
-        return self.things >= _LEAST_THINGS and self.best >= _LEAST_BEST
+        """True if enough objects are found for any conclusion."""
+        return self.objects >= _LEAST_OBJECTS and self.best >= _LEAST_BEST
 
-    def tells(self, share: float) -> bool:
+    def is_displaced(self, share: float) -> bool:
         """Return True if at the poses less than a share of what is found at the best place is found, not by chance."""
-        by_chance = 3.0 * np.sqrt(self.best / max(1, self.things))
+        by_chance = 3.0 * np.sqrt(self.best / max(1, self.objects))
         return bool(self.is_enough and self.found < min(share * self.best, self.best - by_chance))
 
 
-class ThingMatcher:
-    """Looks for the things of frames among those of another, at moves by up to 2.25 m and turns by up to 4 degrees."""
+class ObjectMatcher:
+    """Looks for the objects of frames among those of another, at moves by up to 2.25 m and turns by up to 4 degrees."""
 
     def __init__(self) -> None:
         angle = np.radians(np.arange(-_TURNS, _TURNS + 1.0))
@@ -342,16 +349,16 @@ class ThingMatcher:
         self._drawn = np.zeros((_CELLS, _CELLS), np.uint8)
         self._found = np.zeros((len(angle), 2 * _MOVES + 1, 2 * _MOVES + 1), np.int32)
 
-    def fit(self, things: NDArray[np.float32], middle: Floats, others: NDArray[np.float32]) -> ThingFit:
-        """Match things (n, 3) of a later frame, whose sensor is at ``middle`` (2,) from the earlier one, to others."""
+    def fit(self, objects: NDArray[np.float32], middle: Floats, others: NDArray[np.float32]) -> ObjectFit:
+        """Match objects (n, 3) of a later frame, whose sensor is at ``middle`` (2,) from the earlier one, to others."""
         from scipy.spatial import KDTree
 
         self._drawn[:], self._found[:] = 0, 0
         draw_things(others, _CELL_M, self._drawn)
-        near = things[np.linalg.norm(things[:, :2] + middle, axis=1) < _REACH_M]
+        near = objects[np.linalg.norm(objects[:, :2] + middle, axis=1) < _REACH_M]
         match_things(near, middle, self._turns, _CELL_M, self._drawn, self._found)
         full, here, most = 4.0 * max(1, len(near)), int(self._found[_TURNS, _MOVES, _MOVES]), int(self._found.max())
-        found = ThingFit(len(near), here / full, most / full)
+        found = ObjectFit(len(near), here / full, most / full)
         if not found.is_enough:
             return found
         turn, up, right = (int(each) for each in np.unravel_index(self._found.argmax(), self._found.shape))
@@ -364,39 +371,39 @@ class ThingMatcher:
 
 
 def _edges(tree: "KDTree") -> Floats:
-    """Return for each thing the inverse covariance (2, 2) of where another one on the same edge or post is, 1/m2."""
+    """Return for each object the inverse covariance (2, 2) of where another one on the same edge or post is, 1/m2."""
     places = np.asarray(tree.data)
-    away, near = tree.query(places, k=_NEAR_THINGS, distance_upper_bound=_AROUND_M)
+    away, near = tree.query(places, k=_NEAR_OBJECTS, distance_upper_bound=_AROUND_M)
     there = np.isfinite(away)
     number = there.sum(axis=1)
     offset = np.where(there[..., None], places[np.where(there, near, 0)] - places[:, None], 0.0)
     offset = np.where(there[..., None], offset - (offset.sum(axis=1) / number[:, None])[:, None], 0.0)
     spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", offset, offset) / number[:, None, None])
-    spread = np.maximum(spread, _THING_M**2)
+    spread = np.maximum(spread, _OBJECT_M**2)
     weight = 1.0 / spread
     weight[spread[:, 1] > _EDGE * spread[:, 0], 1] = 0.0
-    weight[number == 1] = 1.0 / (2.0 * _THING_M) ** 2
+    weight[number == 1] = 1.0 / (2.0 * _OBJECT_M) ** 2
     inverse: Floats = np.einsum("nik,nk,njk->nij", axes, weight, axes)
     return inverse
 
 
-def _lay_on(things: Floats, way: Floats, tree: "KDTree", edges: Floats, start: Floats) -> tuple[Floats, Floats, float]:
-    """Return the move of things (n, 2) onto those of a tree, with their `_edges`, its weight and what is left.
+def _lay_on(objects: Floats, way: Floats, tree: "KDTree", edges: Floats, start: Floats) -> tuple[Floats, Floats, float]:
+    """Return the move of objects (n, 2) onto those of a tree, with their `_edges`, its weight and what is left.
 
-    ``way`` (2,): to the sensor of the things, m; ``start``, and the move: m, m and rad. What is left is twice the
+    ``way`` (2,): to the sensor of the objects, m; ``start``, and the move: m, m and rad. What is left is twice the
     negative logarithm of its likelihood; of several moves, that with the least is the best.
     """
     move, others, usual = start.copy(), np.asarray(tree.data), np.diag(1.0 / np.square(_LOOSE))
     normal, left = np.zeros((3, 3)), 0.0
     for reach in _STEPS_M:
-        turned = turned_in_plan(things, move[2])
+        turned = turned_in_plan(objects, move[2])
         away, near = tree.query(turned + way + move[:2], distance_upper_bound=reach)
         there = np.isfinite(away)
         x, y = turned[there].T
         rest = turned[there] + way + move[:2] - others[near[there]]
         weight = edges[near[there]]
         error = np.einsum("ni,nij,nj->n", rest, weight, rest)
-        lost = math.log1p((reach / _THING_M) ** 2 / 4.0) * (len(things) - len(x))
+        lost = math.log1p((reach / _OBJECT_M) ** 2 / 4.0) * (len(objects) - len(x))
         left = 4.0 * (lost + float(np.log1p(error / 4.0).sum())) / _ALIKE + float(move @ usual @ move)
         weight /= (1.0 + error / 4.0)[:, None, None]
         sides = np.zeros((len(x), 2, 3))
@@ -404,11 +411,11 @@ def _lay_on(things: Floats, way: Floats, tree: "KDTree", edges: Floats, start: F
         sides[:, 0, 2], sides[:, 1, 2] = -y, x
         normal = np.einsum("nki,nkl,nlj->ij", sides, weight, sides)
         right = np.einsum("nki,nkl,nl->i", sides, weight, rest)
-        move -= np.linalg.solve(normal + usual, right + usual @ move)  # to the pose, where things tell nothing
+        move -= np.linalg.solve(normal + usual, right + usual @ move)  # to the pose, where objects show nothing
     return move, normal / _ALIKE, left
 
 
-PlanPair: TypeAlias = tuple[int, int, Floats, ThingFit]
+PlanPair: TypeAlias = tuple[int, int, Floats, ObjectFit]
 """A later and an earlier frame, the way to the later sensor (2,), m, and how it fits."""
 
 
@@ -452,7 +459,7 @@ def correct_in_plan(pairs: list[PlanPair], count: int) -> Floats:
 
 
 def misfit_in_plan(pairs: list[PlanPair], corrections: Floats) -> float:
-    """Return the median distance in plan between the things of two frames with corrections (frames, 3), m; or NaN."""
+    """Return the median distance in plan between the objects of two frames with corrections (frames, 3), m; or NaN."""
     left = [math.hypot(*_left_between(pair, corrections)[0][:2]) for pair in pairs if pair[3].is_enough]
     return float(np.median(left)) if left else float("nan")
 

@@ -19,9 +19,9 @@ _MOST_COST = 98
 """Occupancy of ground from the upper limit of C_r on: Nav2 takes 99 for the edge of an obstacle."""
 _kept = SectorBuffers()
 _BENEATH_M = 2.0
-"""Ground that is seen beneath a thing, at most so far behind its side, is not known to be free: it may be a car."""
+"""Depth behind the side of an object in which ground seen beneath it is not known to be free, m: half a car."""
 _BESIDE_M = 0.5
-"""Things nearer than this stand beside the ground of a cell."""
+"""Distance up to which objects stand beside the ground of a cell, m (chosen)."""
 
 
 class SeenCells(NamedTuple):
@@ -81,7 +81,7 @@ def see_cells(
     if classed.ride is not None:
         c_r[:-1], limits = classed.ride.c_r, classed.ride.limits
         kinds[:-1][classed.ride.p_fail >= FAIL_SHARE] = CLASSES
-    bare_kinds = _kinds_between_things(classed, kinds)
+    bare_kinds = _kinds_between_objects(classed, kinds)
     slope = np.zeros((len(kinds), 2))
     level = np.flatnonzero(stack.traversable)
     slope[level] = -normal[level, :2] / normal[level, 2:]
@@ -116,7 +116,7 @@ def see_cells(
             _kept.empty("block", BLOCK, np.float64, rows=2),
             _kept.empty("slots", BLOCK, np.int32),
             _filled("total", 2 * cells, np.float64, 0.0).reshape(cells, 2),
-            _filled("things", cells, np.int32, 0),
+            _filled("objects", cells, np.int32, 0),
             _kept.empty("level", cells, np.float64),
             _filled("low", 16 * RAYS * half, np.float32, np.inf).reshape(-1, 4),
             _filled("seen", 4 * RAYS * half, np.int32, -1).reshape(4 * RAYS, half),
@@ -136,8 +136,8 @@ def see_cells(
     )
 
 
-def _kinds_between_things(classed: ClassedSectors, kinds: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the kinds of sectors (n + 1,) where nothing stands: of rough ones full of things, of open ones around."""
+def _kinds_between_objects(classed: ClassedSectors, kinds: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the kinds of sectors (n + 1,) where nothing stands: of rough ones full of objects, of open ones around."""
     is_open, near = open_neighbours(classed.sectors)
     full = np.flatnonzero((kinds[:-1] == CLASSES - 1) & ~is_open)
     around = np.sort(kinds[near[full]], axis=1)
@@ -182,14 +182,15 @@ def _overlap(move: NDArray[np.int64], side: int) -> tuple[Any, Any]:
 
 
 _NEW, _MOST = 2, 6
-"""Evidence for a thing in a cell: added by a frame in which it stands there, and the most that is kept; a frame that
+"""Evidence for an object in a cell: added by a frame in which it stands there, and the most that is kept; a frame that
 sees through it or its bare ground takes one away. So what goes is forgotten after six frames."""
 _KEPT, _LEAD = 0.9, 1.25
-"""Share of the votes for the ground of a cell that stays when it is seen again: those of ten frames count. Another
-class than the last one needs so many times its votes."""
+"""Share of the votes for the ground of a cell that stays when it is seen again: those of ten frames count; and ratio of
+its votes to those of the last class that another class needs (chosen)."""
 _FORGOTTEN = 100
-"""A cell that was not seen in so many frames is unknown again."""
+"""Number of frames without sight after which a cell is unknown again: 10 s at 10 Hz (chosen)."""
 _ELEVATION, _TOP, _TIP = 0, 2, 4
+"""Rows of ``SeenCells.layers``."""
 _RANK = np.array([1, 2, 3, 4, 0], np.uint8)
 """The kind of a cell with the highest counts where sensors differ."""
 

@@ -30,7 +30,6 @@ class ScanConfig:
     frames: tuple[Path, ...]
     """Files of scans, folders of them, or bags."""
     out: Annotated[Path, Setting("Folder for the output", "DIR", group="Output")]
-    """Folder for the products."""
     topic: Annotated[
         str | None, Setting("Topics of the scans in a bag", "NAME[,NAME]", default="the only one", group="Input")
     ] = None
@@ -43,7 +42,6 @@ class ScanConfig:
     poses: Annotated[Path | None, Setting("Poses of the frames, to map them like a survey", "FILE", group="Input")] = (
         None
     )
-    """File with the pose of the sensor at each frame; the frames are then merged and mapped like a survey."""
     trust_poses: Annotated[bool, Setting("Map a drive whose poses contradict its frames", rare=True)] = False
     """Merge the frames even if they show that the poses are wrong; it is said, but not refused."""
     crs: Annotated[
@@ -52,16 +50,13 @@ class ScanConfig:
     deskew: Annotated[bool, Setting("Keep points as measured in motion", option="no-deskew", rare=True)] = True
     """Move points to where they are seen at the time of the frame, if poses and points have times."""
     columns: Annotated[
-        Literal[4, 5, 6] | None,
-        Setting("Columns of .bin files: 4, 5 or 6", "N", default="by their values", rare=True),
+        Literal[4, 5, 6] | None, Setting("Columns of .bin files: 4, 5 or 6", "N", default="by their values", rare=True)
     ] = None
-    """Number of float32 columns of ``.bin`` files; None: found from their values."""
     method: Annotated[
         ScanMethod | None, Setting("How sectors are classified: filter or learned", "NAME", default="", group="Ground")
     ] = None
-    """How sectors are classified; None: learned if a network for the grid is included, else filter."""
+    """None: learned if a network for the grid is included, else filter."""
     model: Annotated[Path | None, Setting("ONNX file of your own scan network (learned)", "FILE", rare=True)] = None
-    """A scan network, instead of the included one."""
     products: Annotated[tuple[ScanProduct, ...], Setting("What to write for each frame", "LIST", rare=True)] = (
         SCAN_PRODUCTS
     )
@@ -70,17 +65,15 @@ class ScanConfig:
     range_m: Annotated[
         float, Setting("A picture reaches as far as this", "M", 1.0, 1000.0, "m", option="range", rare=True)
     ] = 40.0
-    """Distance from the sensor to the edge of a picture, m."""
     threads: Annotated[int, Setting("Frames to work on at a time", "N", 1, default="all cores", rare=True)] = field(
         default_factory=lambda: os.cpu_count() or 1
     )
     vehicle: Annotated[
         NameOrFile | None, Setting("Vehicle whose ride is rated: name or TOML file", "NAME|FILE", group="Vehicle")
     ] = None
-    """Vehicle whose ride on each sector is rated, and whose belly and height say what an obstacle is: a name or a TOML
-    file, as for ``bumpymap map``. It is also that of the mapped layers; None: no ride, and the map of the default."""
+    """Its belly and height say what an obstacle is. It is also that of the mapped layers; None: no ride, and the map of
+    the default."""
     calibration: Annotated[Path | None, Setting("Calibration file of your own vehicle", "FILE", group="Vehicle")] = None
-    """A calibration file, instead of ``vehicle``."""
     skip_bad: Annotated[bool, Setting("Skip frames that cannot be read (exit code 4)", group="Input")] = False
     overwrite: Annotated[bool, Setting("Replace the output of an earlier run", group="Output")] = False
     polar: PolarSettings = field(default_factory=PolarSettings)

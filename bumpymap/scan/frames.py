@@ -46,11 +46,9 @@ _log = logging.getLogger(__name__)
 
 _NAMED = 5
 """Number of frames that a message names."""
-
-
 _SWEEP_M, _FAR_SHARE = 30.0, 0.45
-"""Radius without the farthest 2 % of the points from which it is asked, and share of the points beyond half of it. One
-scan has 7 to 22 % there (13 scans of 8 sensors), points that are even over the ground 65 to 70 %."""
+"""Least radius without the farthest 2 % of the points, m, and least share of points beyond half of it, of a map of many
+scans. One scan has 7 to 22 % there (13 scans of 8 sensors), points that are even over the ground 65 to 70 %."""
 
 
 def _looks_registered(points: NDArray[np.float32]) -> bool:

@@ -45,16 +45,17 @@ class SectorBuffers(threading.local):
 
 
 _DIRECTIONS = 720
-"""Directions in which the ground is followed."""
+"""Number of directions in which the ground is followed, half a degree apart (chosen)."""
 _SLOPE = 0.08
 """A drop is steeper than this, against the slope of the ground before it; hills are not. The view over an edge is as
 steep 15 m away from a sensor that is 1.2 m high, so edges farther away are not found."""
 _BELOW_M = -0.1
-"""Beams to what lies behind an edge pass above the ground before it; so much may be an error, m."""
+"""Beams to what lies behind an edge pass above the ground before it, or less below it than this, m (chosen: an
+error)."""
 _SENSOR_M = 0.25
-"""If the origin is less above the ground than this, it is not where the sensor is, m."""
+"""Height above the ground below which the origin is not where the sensor is, m (chosen)."""
 _SHARE = 0.2
-"""A cell has a drop if it is seen in such a share of its directions."""
+"""Share of the directions of a cell in which a drop is seen, at least (chosen)."""
 
 
 def ground_drops(
@@ -80,23 +81,19 @@ def ground_drops(
 
 
 _REACH_OF_NOISE, _REACH_M, _USUAL_NOISE_M = 4.0, (0.12, 0.25), 0.03
-"""A point is ground if it lies within so many times the usual spread of ground points, between these limits, m; the
-spread where a zone has no plane."""
+"""Distance from its plane up to which a point is ground: in standard deviations of ground points, and its limits, m;
+the standard deviation where a zone has no plane, m (chosen)."""
 _MANY = 16
-"""A zone with so many planes bounds the noise of those before it: nearer, ground is seen no less exactly."""
+"""Planes of a zone that bounds the noise of those before it (chosen): nearer, ground is seen no less exactly."""
 _LEANS = math.tan(math.radians(10.0))
-"""Slope of the whole ground from which it is searched for again along it."""
+"""Slope of the whole ground from which it is searched for again along it (chosen)."""
 _HIGHEST_M, _STANDS_M = 0.5, 0.5
-"""Ground that is higher above the origin, m, is known from what stands on it, so much above it: a frame may have its
-origin below the robot, or z may point down."""
+"""Height above the origin, m, from which ground must have objects on it, and their height above it, m (chosen): a frame
+may have its origin below the robot, or z may point down."""
 
 
 def find_ground(
-    points: CellPoints,
-    count: int,
-    settings: PolarSettings,
-    start: float,
-    buffers: SectorBuffers,
+    points: CellPoints, count: int, settings: PolarSettings, start: float, buffers: SectorBuffers
 ) -> tuple[GroundPlanes, GroundLabels]:
     """Find the ground of a scan that was placed on the polar grid.
 
@@ -138,8 +135,9 @@ def find_ground(
     find_planes(points, geometry, rule, planes, scratch)
     if math.isfinite(settings.overhead_m) and _is_upside_down(planes, geometry, points.xyz[:, :placed]):
         planes.kind[:] = 0
-    images = (buffers.empty(name, 2 * settings.pixels**2, np.float32, rows=cells) for name in ("things", "lowest"))
-    things, lowest = images
+    things, lowest = (
+        buffers.empty(name, 2 * settings.pixels**2, np.float32, rows=cells) for name in ("things", "lowest")
+    )
     labels = GroundLabels(
         np.full(count, np.nan, np.float32),
         np.zeros(count, np.bool_),
@@ -210,7 +208,7 @@ def median(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 OPEN_SHARE = 0.55
-"""Least share of ground among the points of an open sector: what it is, its ground says."""
+"""Least share of ground among the points of an open sector, whose ground alone makes its class (chosen)."""
 
 
 def open_neighbours(stack: SectorStack) -> tuple[NDArray[np.bool_], NDArray[np.int32]]:

@@ -55,9 +55,10 @@ MEASURES = (
 """Scalar inputs of the network, which the filled and scaled images do not show. ``ground``, ``obstacles`` and
 ``overhead`` are shares of the sector's points."""
 _NEIGHBOURS_WEIGHT, _LEAST_PROBABILITY = 1.5, 1e-3
-"""Weight of the mean log-odds of the neighbours against the sector's own; least probability that they are taken of."""
+"""Weight of the mean log-odds of the neighbours against the sector's own, and least probability that they are taken of
+(chosen)."""
 _BATCH = 32
-"""Sectors at once: more would not stay in the cache."""
+"""Sectors that are classified at once: more would not stay in the cache of a processor."""
 _FORMAT = "bumpymap-scan"
 _KIND = "scan network"
 _REMEDY = "Train one with: bumpymap train scans DIR --out MODEL.onnx"
@@ -133,9 +134,9 @@ def network_input(stack: SectorStack) -> tuple[NDArray[np.float32], NDArray[np.f
     patches = np.empty((len(asked), CHANNELS, *heights.shape[1:]), np.float32)
     np.subtract(2.0 * scaled, 1.0, out=patches[:, 0])
     np.divide(np.arcsinh(heights / np.float32(0.05)), np.float32(3.0), out=patches[:, 1])
-    things = stack.things[asked]
-    np.divide(things[:, 0], np.float32(stack.settings.height_m), out=patches[:, 2])
-    np.divide(np.log1p(things[:, 1]), np.float32(3.0), out=patches[:, 3])
+    top, number = stack.things[asked].swapaxes(0, 1)
+    np.divide(top, np.float32(stack.settings.height_m), out=patches[:, 2])
+    np.divide(np.log1p(number), np.float32(3.0), out=patches[:, 3])
     ground, points = stack.ground_count[asked], stack.count[asked]
     bounds = sector_bounds(stack)
     near, far = bounds.near[asked], bounds.far[asked]
@@ -177,24 +178,10 @@ def _usual_count(stack: SectorStack, asked: NDArray[np.int64]) -> NDArray[np.flo
 
 
 def classify_learned(stack: SectorStack, model: ScanModel | None = None) -> ClassedSectors:
-    """Classify the sectors of a scan with the network.
+    """Classify the sectors of a scan, labelled or not, with a network; None: the one included in bumpymap.
 
-    Parameters
-    ----------
-    stack : SectorStack
-        Labelled or not.
-    model : ScanModel, optional
-        The default is the one included in bumpymap.
-
-    Returns
-    -------
-    ClassedSectors
-        The most probable class; ``NOT_TRAVERSABLE`` for sectors that are not traversable.
-
-    Raises
-    ------
-    UsageError
-        The network was trained on heightmaps of another size.
+    Each gets the most probable class; ``NOT_TRAVERSABLE`` if it is not traversable. Raises UsageError: the network was
+    trained on heightmaps of another size.
     """
     probability = _with_neighbours(stack, probabilities(stack, model or ScanModel.shipped()))
     class_id = np.full(len(stack.zone), NOT_TRAVERSABLE, np.uint8)

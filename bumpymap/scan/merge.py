@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,9 +32,9 @@ from bumpymap.scan.align import (
     Alignment,
     DriveHeights,
     GroundHeights,
+    ObjectFit,
+    ObjectMatcher,
     PlanPair,
-    ThingFit,
-    ThingMatcher,
     align_frames,
     correct_in_plan,
     frame_pairs,
@@ -44,42 +44,57 @@ from bumpymap.scan.align import (
     misfit_in_plan,
     moved_heights,
     nearest_ranges,
-    standing_things,
+    standing_objects,
     turned_in_plan,
 )
 
 _log = logging.getLogger(__name__)
 
 MOST_GROUND, MOST_OTHERS = 8, 3
-"""Ground points per pixel of the map, and other points per voxel, that are kept."""
+"""Ground points per pixel of the map, and other points per voxel, that are kept (chosen)."""
 VOXEL_MM = 200
-"""Edge of a voxel; a pixel of the map is as wide."""
+"""Edge of a voxel, mm: that of a pixel of the map."""
 _BLOCK_MM, _SIDE = 30_000, 1 << 20
-"""Edge of a block, and blocks in a row of the world."""
+"""Edge of a block, mm, and blocks in a row of the world (chosen)."""
 _PROBE_MM = 800
-"""Height above ground, between belly and top of a vehicle, at which it shows whether the ground can be driven on."""
+"""Height above ground, between belly and top of a vehicle, at which it shows whether the ground can be driven on,
+mm."""
 _POINT = np.dtype([("place", "<i4", 3), ("range_cm", "<u2"), ("kind", "u1")])
+"""A point in the file: place, mm; distance from its sensor; 1 if it is ground."""
 _FAR_MM = 2_000_000_000
+"""Largest coordinate in the file, mm: that of 32 bits."""
 _THICK_M = 0.5
-"""Ground that differs by more between frames is refused."""
+"""Difference of ground between frames above which poses are refused, m (chosen)."""
 _WRONG, _GONE, _LEAST_AWAY_M, _LEAST_COMPARED = 0.5, 0.8, 5.0, 60
-"""Share of things seen through, of those and of those found again, above which poses are refused by all frames so far
-away or farther, and a frame does not fit; fewest things that tell. With traffic it is up to 0.26, with inverted,
-reversed or swapped poses 0.8 to 1."""
-_BESIDE_M, _TURNED_DEG, _HIGHER_M = (0.3, 1.0), (1.5, 2.5), (0.25, 0.5)
-"""Misfit of a frame above which it is said, and above which the poses are refused: place and direction where things are
-found, and height of ground; what is refused is that after corrections."""
-_FOUND = (0.8, 0.5)
-"""Things are beside their places if less than such a share of what is found there is found at the poses: to be said,
-and to refuse."""
+"""Share of objects seen through, of those and of those found again, above which poses are refused by all frames at that
+distance, m, or farther, and above which a frame does not fit; fewest objects compared. With traffic the share is up to
+0.26, with inverted, reversed or swapped poses 0.8 to 1."""
 _LEANS, _SCALED, _LEFT = 0.026, 0.04, 0.3
-"""Least slope, and least share of a way, that explain misfits, and share of their squares that may be left."""
+"""Least slope (1.5 degrees), and least share of a way, that explain misfits, and share of their squares that may be
+left (chosen)."""
 _PLACED_M, _PLACED_RAD = 0.03, math.radians(0.1)
-"""Smaller corrections of place and direction, of all frames, are errors of their own, and none is made."""
+"""Largest corrections of place and direction, of all frames, that are errors of their own: none is made (chosen)."""
 _MOVED_M = 0.1
-"""A frame with the points of the one before it is a repeated one if its pose is so far away."""
+"""Distance from the pose of the one before at which a frame with the same points is a repeated one, m (chosen)."""
 _NAMED = 5
 """Number of frames that a message names."""
+
+
+class MisfitLimits(NamedTuple):
+    """Limits of the misfit of a frame against an earlier one (chosen together)."""
+
+    beside_m: float
+    """Distance of its objects from their places, m."""
+    turned_deg: float
+    """Turn of its objects, degrees."""
+    higher_m: float
+    """Difference of the height of the same ground, m; of what is refused, that after corrections."""
+    found: float
+    """Objects are beside their places if a smaller share of what is found there is found at the poses."""
+
+
+_REPORTED, _REFUSED = MisfitLimits(0.3, 1.5, 0.25, 0.8), MisfitLimits(1.0, 2.5, 0.5, 0.5)
+"""Misfits that are reported, and those for which the poses are refused."""
 
 
 class WrongPosesError(BadInputError):
@@ -101,8 +116,8 @@ class PlacedPoints:
     image: NDArray[np.uint16]
     """See `nearest_ranges`."""
     heights: GroundHeights
-    things: NDArray[np.float32]
-    """Things around the sensor, see `standing_things`."""
+    objects: NDArray[np.float32]
+    """Objects around the sensor, see `standing_objects`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,15 +128,15 @@ class FramePair:
     earlier: int
     way: NDArray[np.float64]
     """(3,) to the later one, m."""
-    fit: ThingFit
+    fit: ObjectFit
     higher_m: float
     """By how much the later one has the same ground higher; NaN if unknown."""
     left_m: float
     """The same after corrections."""
     through: int
-    """Things of each that the other sees through."""
+    """Objects of each that the other sees through."""
     found: float
-    """Things of each that the other has too."""
+    """Objects of each that the other has too."""
     repeated: bool
     """True if both hold the same points, though at different poses."""
 
@@ -129,12 +144,12 @@ class FramePair:
         """Return what does not fit, in words."""
         said = ["it holds the same points"] if self.repeated else []
         beside = float(np.hypot(*self.fit.move))
-        is_turned = abs(self.fit.turn) > _TURNED_DEG[0]
-        if self.fit.tells(_FOUND[0]) and (beside > _BESIDE_M[0] or is_turned):
+        is_turned = abs(self.fit.turn) > _REPORTED.turned_deg
+        if self.fit.is_displaced(_REPORTED.found) and (beside > _REPORTED.beside_m or is_turned):
             turned = f"turned by {abs(self.fit.turn):.0f} degrees"
             moved = f"{beside:.1f} m beside their places" + (f", {turned}" if is_turned else "")
-            said.append(f"things stand {moved if beside > _BESIDE_M[0] else turned}")
-        if abs(self.higher_m) > _HIGHER_M[0]:
+            said.append(f"objects stand {moved if beside > _REPORTED.beside_m else turned}")
+        if abs(self.higher_m) > _REPORTED.higher_m:
             way = "higher" if self.higher_m > 0.0 else "lower"
             said.append(f"the same ground is {abs(self.higher_m):.2f} m {way}")
         if self.through > _GONE * (self.through + self.found) and self.through + self.found > _LEAST_COMPARED:
@@ -143,17 +158,17 @@ class FramePair:
 
     def size(self) -> float:
         """Return how far it is from fitting, m; the same points at another place are no frame of their own."""
-        return (
-            np.inf
-            if self.repeated
-            else float(self.fit.tells(_FOUND[0]) * np.hypot(*self.fit.move) + abs(np.nan_to_num(self.higher_m)))
+        if self.repeated:
+            return np.inf
+        return float(
+            self.fit.is_displaced(_REPORTED.found) * np.hypot(*self.fit.move) + abs(np.nan_to_num(self.higher_m))
         )
 
     @property
     def is_wrong(self) -> bool:
         """True if it fits worse than with any good poses."""
-        far = np.hypot(*self.fit.move) >= _BESIDE_M[1] or abs(self.fit.turn) > _TURNED_DEG[1]
-        return bool(abs(self.left_m) > _HIGHER_M[1] or (far and self.fit.tells(_FOUND[1])))
+        far = np.hypot(*self.fit.move) >= _REFUSED.beside_m or abs(self.fit.turn) > _REFUSED.turned_deg
+        return bool(abs(self.left_m) > _REFUSED.higher_m or (far and self.fit.is_displaced(_REFUSED.found)))
 
     def record(self, names: list[str]) -> dict[str, Any]:
         """Return the entry in scan.json."""
@@ -161,8 +176,8 @@ class FramePair:
         return {
             "frame": names[self.later],
             "against": names[self.earlier],
-            "beside_m": round(float(np.hypot(*self.fit.move)), 2) if self.fit.tells(_FOUND[0]) else None,
-            "turned_deg": round(self.fit.turn, 2) if self.fit.tells(_FOUND[0]) else None,
+            "beside_m": round(float(np.hypot(*self.fit.move)), 2) if self.fit.is_displaced(_REPORTED.found) else None,
+            "turned_deg": round(self.fit.turn, 2) if self.fit.is_displaced(_REPORTED.found) else None,
             "higher_m": None if np.isnan(self.higher_m) else round(self.higher_m, 3),
             "seen_through": round(self.through / seen, 3) if seen else None,
         }
@@ -184,8 +199,8 @@ class DriveMerge:
     frames: list[tuple[NDArray[np.float64], int, int]] = field(default_factory=list)
     """Pose of each, and where its points lie in the file: from, to."""
     names: list[str] = field(default_factory=list)
-    things: list[NDArray[np.float32]] = field(default_factory=list)
-    """Things around each."""
+    objects: list[NDArray[np.float32]] = field(default_factory=list)
+    """Objects around each."""
     misfits: list[FramePair] = field(default_factory=list)
     """The worst of each frame that does not fit."""
     blocks: dict[int, list[tuple[int, int, int]]] = field(default_factory=dict)
@@ -210,16 +225,10 @@ class DriveMerge:
         """Return the entry in scan.json."""
         poses: dict[str, Any] | None = None
         if self.alignment is not None:
-            poses = (
-                self.alignment.record() | self.plan | {"misfits": [pair.record(self.names) for pair in self.misfits]}
-            )
-        return {
-            "seen": self.seen,
-            "points": self.written,
-            "ground": self.ground,
-            "moving": self.moving,
-            "poses": poses,
-        }
+            misfits = [pair.record(self.names) for pair in self.misfits]
+            poses = self.alignment.record() | self.plan | {"misfits": misfits}
+        counts = {"seen": self.seen, "points": self.written, "ground": self.ground, "moving": self.moving}
+        return {**counts, "poses": poses}
 
     def place_points(
         self, name: str, points: NDArray[np.float32], pose: NDArray[np.float64], is_ground: NDArray[np.bool_]
@@ -243,8 +252,8 @@ class DriveMerge:
         rows["kind"] = is_ground
         image = nearest_ranges(points)
         heights = ground_heights(points, is_ground, pose)
-        things = standing_things(points, is_ground, pose)
-        return PlacedPoints(name, pose, *self._by_block(rows), image, heights, things)
+        objects = standing_objects(points, is_ground, pose)
+        return PlacedPoints(name, pose, *self._by_block(rows), image, heights, objects)
 
     def _by_block(self, rows: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64], NDArray[np.int64]]:
         """Return points sorted by block, the blocks that hold any, in order, and the points in each."""
@@ -262,7 +271,7 @@ class DriveMerge:
         self.frames.append((placed.pose, self.seen, self.seen + count))
         self.names.append(placed.name)
         self.heights.add(placed.heights)
-        self.things.append(placed.things)
+        self.objects.append(placed.objects)
         self.seen += count
 
     def _list_blocks(self, frame: int, start: int, blocks: NDArray[np.int64], counts: NDArray[np.int64]) -> None:
@@ -300,7 +309,7 @@ class DriveMerge:
         return np.fromfile(self.images.name, np.uint16, pixels, offset=2 * pixels * number).reshape(VIEW_SHAPE)
 
     def _correct_plan(self, fits: list[PlanPair]) -> str:
-        """Move and turn the frames in plan to where their things lie on each other; return what that means, in words.
+        """Move and turn the frames in plan to where their objects lie on each other; return what that means, in words.
 
         Poses that are trusted stay.
         """
@@ -317,7 +326,7 @@ class DriveMerge:
             "largest_turn_deg": round(math.degrees(turned), 3),
         }
         if not found.any():
-            return "The map may show things twice, or not where they stand"
+            return "The map may show objects twice, or not where they stand"
         self.blocks.clear()
         with open(self.points.name, "r+b") as file:  # noqa: PTH123 (a name of a file that is open)
             for number, ((given, begin, end), by) in enumerate(zip(self.frames, found, strict=True)):
@@ -339,13 +348,13 @@ class DriveMerge:
         self.alignment = align_frames(self.heights.frames)
         return (
             f"The frames were moved by up to {moved:.2f} m and turned by up to {math.degrees(turned):.1f} degrees: "
-            f"their things lie {after:.2f} m apart in the median, {before:.2f} m before"
+            f"their objects lie {after:.2f} m apart in the median, {before:.2f} m before"
         )
 
     def _check_poses(self, pairs: list[FramePair], given: Alignment) -> str:
         """Return what does not fit, in words. Raises WrongPosesError: poses that cannot be right."""
-        told = sorted((pair for pair in pairs if pair.evidence()), key=FramePair.size)
-        worst = {pair.later: pair for pair in told}
+        misfits = sorted((pair for pair in pairs if pair.evidence()), key=FramePair.size)
+        worst = {pair.later: pair for pair in misfits}
         self.misfits = [worst[frame] for frame in sorted(worst)]
         whole = _contradiction(pairs, given)
         reasons = [whole] if whole else []
@@ -372,20 +381,20 @@ class DriveMerge:
 
     def _pairs(self, shift: NDArray[np.float64]) -> list[FramePair]:
         """Hold frames against earlier ones; ``shift``: corrections of all."""
-        pairs, matcher, poses, heights = [], ThingMatcher(), self.poses, self.heights.frames
+        pairs, matcher, poses, heights = [], ObjectMatcher(), self.poses, self.heights.frames
         for later, earlier in frame_pairs(poses):
             way = poses[later, :3, 3] - poses[earlier, :3, 3]
-            fit = matcher.fit(self.things[later], way[:2], self.things[earlier])
+            fit = matcher.fit(self.objects[later], way[:2], self.objects[earlier])
             images, through = [self._image(each) for each in (later, earlier)], 0
             for own, other, by, image in ((later, earlier, way, images[1]), (earlier, later, -way, images[0])):
                 turned = np.eye(4)
                 turned[:3, :3] = poses[other, :3, :3]
-                places = np.clip(np.round(1000.0 * (self.things[own] + by)), -_FAR_MM, _FAR_MM).astype(np.int32)
+                places = np.clip(np.round(1000.0 * (self.objects[own] + by)), -_FAR_MM, _FAR_MM).astype(np.int32)
                 through += int(judge_by_view(places, turned, image)[0].sum())
             higher = height_between(heights[later], heights[earlier])
             left = height_between(heights[later], heights[earlier], shift[[later, earlier]])
             repeated = later == earlier + 1 and np.linalg.norm(way) > _MOVED_M and np.array_equal(images[0], images[1])
-            both = 2.0 * fit.found * fit.things
+            both = 2.0 * fit.found * fit.objects
             pairs.append(FramePair(later, earlier, way, fit, higher, left, through, both, bool(repeated)))
         return pairs
 
@@ -439,7 +448,10 @@ class DriveMerge:
         hidden[is_ground] = (above[0] + above[2] == 0) & (above[1] > 0)
         kept = np.arange(MOST_GROUND) < table.held[:used, None]
         self.moving += int(kept[moved].sum())
-        kept &= ~(moved | hidden | _outvoted(table))[:, None]
+        _, voxel = np.unique(table.key[:used] >> 1, return_inverse=True)
+        votes = np.where(is_ground, 1, -1) * table.hits[:used]
+        outvoted = is_ground & (np.bincount(voxel, votes)[voxel] < 0)  # more frames did not take it for ground
+        kept &= ~(moved | hidden | outvoted)[:, None]
         kept[~is_ground, MOST_OTHERS:] = False
         row, rank = np.nonzero(kept)
         xyz, ground = table.place[row, rank].astype(np.int64), is_ground[row]
@@ -474,24 +486,14 @@ def _likely(pairs: list[FramePair], poses: NDArray[np.float64]) -> str:
     known = np.isfinite(higher)
     lean = np.linalg.lstsq(way[known], higher[known], rcond=None)[0]
     rest = np.sum((higher - way @ lean)[known] ** 2) / max(np.sum(higher[known] ** 2), 1e-9)
-    if np.abs(higher[known]).max(initial=0.0) > _HIGHER_M[0] and np.hypot(*lean) > _LEANS and rest < _LEFT:
+    if np.abs(higher[known]).max(initial=0.0) > _REPORTED.higher_m and np.hypot(*lean) > _LEANS and rest < _LEFT:
         return f", as if the LiDAR leaned by {np.degrees(np.arctan(np.hypot(*lean))):.0f} degrees against its poses"
-    plan = np.array([pair.way[:2] for pair in pairs if pair.fit.tells(1.0)])
-    move = np.array([pair.fit.move for pair in pairs if pair.fit.tells(1.0)])
+    plan = np.array([pair.way[:2] for pair in pairs if pair.fit.is_displaced(1.0)])
+    move = np.array([pair.fit.move for pair in pairs if pair.fit.is_displaced(1.0)])
     longer = np.sum(plan * move) / max(np.sum(plan**2), 1e-9)
     if _SCALED < abs(longer) < 0.5 and np.sum((move - longer * plan) ** 2) < _LEFT * np.sum(move**2):
         return f", as if all ways were {1.0 / (1.0 + longer):.2f} times as long as in truth"
     return ""
-
-
-def _outvoted(table: VoxelTable) -> NDArray[np.bool_]:
-    """Return which rows are ground that more frames did not take for ground."""
-    used = int(table.size[0])
-    is_ground = table.key[:used] & 1 == 1
-    _, voxel = np.unique(table.key[:used] >> 1, return_inverse=True)
-    votes = np.where(is_ground, 1, -1) * table.hits[:used]
-    lost: NDArray[np.bool_] = is_ground & (np.bincount(voxel, votes)[voxel] < 0)
-    return lost
 
 
 def _empty_table(rows: int) -> VoxelTable:

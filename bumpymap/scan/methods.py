@@ -32,7 +32,6 @@ from bumpymap.core import (
     SectorStack,
     TextureMap,
     UsageError,
-    VehicleBody,
     cell_numbers,
 )
 from bumpymap.patches import measure, measure_thin
@@ -55,16 +54,16 @@ from bumpymap.scan.stripes import classify_filter, load_stripes
 from bumpytiles import Grid, TilePoints
 
 _REACH_M = 60.0
-"""Farther from the sensor, points are too few for any tile."""
+"""Distance from the sensor beyond which points are too few for any tile, m (chosen)."""
 _LEAST_SHARE = 0.5
-"""A sector is rated if at least this share of its area is."""
+"""Least share of the area of a sector that is rated (chosen)."""
 _CELLS = 6
-"""Cells along the side of a tile whose centres stand for the area of sectors."""
+"""Cells along the side of a tile whose centres stand for the area of sectors: 0.5 m of 3 m (chosen)."""
 _BELOW, _ABOVE = 0.35, (0.45, 0.15)
 """Widening of the 80 % interval of ln C_r by scan lines: below; above in tiles of a coverage of 0.75 and less, and of
 0.9 and more. Measured in made-up scans of ground whose dense survey was mapped."""
 _LEAST_STEP_PIXELS = 10
-"""With fewer pixels along the side of a tile, steps are not looked for."""
+"""Fewest pixels along the side of a tile in which steps are looked for (chosen)."""
 
 
 class SectorRater:
@@ -174,9 +173,7 @@ def _widened(tiles: BlockRating, coverage: NDArray[np.floating]) -> BlockRating:
     above = np.interp(np.nan_to_num(coverage), (0.75, 0.9), _ABOVE)
     low, high = (np.log(end / tiles.c_r) for end in (tiles.c_r_low, tiles.c_r_high))
     return replace(
-        tiles,
-        c_r_low=tiles.c_r * np.exp(-np.hypot(low, _BELOW)),
-        c_r_high=tiles.c_r * np.exp(np.hypot(high, above)),
+        tiles, c_r_low=tiles.c_r * np.exp(-np.hypot(low, _BELOW)), c_r_high=tiles.c_r * np.exp(np.hypot(high, above))
     )
 
 
@@ -234,26 +231,21 @@ def choose_method(config: ScanConfig) -> Method:
         return _choose(config)
 
     calibration = find_calibration(config.vehicle or "", config.calibration)
-    rater = SectorRater(calibration)
-    method = _choose(replace(config, polar=_for_vehicle(config.polar, calibration.body)))
-
-    def classify(scan: Scan) -> ClassedSectors:
-        classed = method.classify(scan)
-        return replace(classed, ride=rater(scan, classed.sectors))
-
-    return replace(method, classify=classify, calibration=calibration)
-
-
-def _for_vehicle(polar: PolarSettings, body: VehicleBody) -> PolarSettings:
-    """Return the grid with the outline of a vehicle; raise UsageError if the settings name another one."""
-    own = {"belly_m": body.lowest_obstacle_m, "height_m": body.height_m}
+    rater, polar = SectorRater(calibration), config.polar
+    own = {"belly_m": calibration.body.lowest_obstacle_m, "height_m": calibration.body.height_m}
     for name, value in own.items():
         if getattr(polar, name) not in {value, getattr(PolarSettings(), name)}:
             raise UsageError(
                 f"{name} is {getattr(polar, name)} among the settings of the polar grid, and {value} for the vehicle: "
                 f"leave out {name}, or the vehicle"
             )
-    return replace(polar, belly_m=own["belly_m"], height_m=own["height_m"])
+    method = _choose(replace(config, polar=replace(polar, belly_m=own["belly_m"], height_m=own["height_m"])))
+
+    def classify(scan: Scan) -> ClassedSectors:
+        classed = method.classify(scan)
+        return replace(classed, ride=rater(scan, classed.sectors))
+
+    return replace(method, classify=classify, calibration=calibration)
 
 
 def _choose(config: ScanConfig) -> Method:

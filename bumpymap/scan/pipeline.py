@@ -142,11 +142,7 @@ def _made_with(method: str, basis: str, calibration: str | None) -> dict[str, An
 
 
 def scan_manifest(
-    config: ScanConfig,
-    frames: Sequence[Frame],
-    method: Method,
-    run_spec: Mapping[str, Any],
-    skipped: Mapping[str, str],
+    config: ScanConfig, frames: Sequence[Frame], method: Method, run_spec: Mapping[str, Any], skipped: Mapping[str, str]
 ) -> dict[str, Any]:
     """Return what ``scan.json`` says beside the frames.
 

@@ -20,8 +20,9 @@ from bumpymap.scan.ground import SectorBuffers, cell_layout, find_ground, ground
 RANSAC_THRESHOLD_M = 0.1
 """Points nearer to a plane than this are its inliers; as for the patches of a survey."""
 _LABELS = 32_768
+"""Number of labels that 16 bits with a sign hold."""
 _LEAST_GROUND_POINTS = 10
-"""Fewest ground points of a sector that has ground."""
+"""Fewest ground points of a sector that has ground (chosen)."""
 _LINE_M = 0.05
 """Ground points that spread less than this about a plane, and have another principal normal, lie on one or two scan
 lines, m: their plane tells the tilt. Points of a wall spread more."""

@@ -251,12 +251,12 @@ def off(by=(0.0, 0.0, 0.0), axis="z", degrees=0.0):
 WAY, FLIP, LATER = way_along(), np.diag([1.0, -1.0, 1.0, 1.0]), np.arange(FRAMES)[:, None] >= 6
 PLACE, YAW, NOISE = WAY[:, :3, 3], np.arctan2(WAY[:, 1, 0], WAY[:, 0, 0]), np.random.default_rng(5)
 FAULTS = {
-    "jump aside": (True, "6 against 5: things stand 1.5 m beside", off(LATER * [0.0, 1.5, 0.0])),
+    "jump aside": (True, "6 against 5: objects stand 1.5 m beside", off(LATER * [0.0, 1.5, 0.0])),
     "jump up": (False, "6 against .: the same ground is 0.50 m higher", off(LATER * [0.0, 0.0, 0.5])),
     "too long": (False, "as if all ways were 1.10 times as long", off(PLACE * [0.1, 0.1, 0.0])),
     "too short": (False, "as if all ways were 0.90 times as long", off(PLACE * [-0.1, -0.1, 0.0])),
     "leaning": (True, "as if the LiDAR leaned by 4 degrees", off(axis="y", degrees=4.0)),
-    "turning": (False, "things stand turned by 2 degrees", off(degrees=np.arange(FRAMES)[:, None])),
+    "turning": (False, "objects stand turned by 2 degrees", off(degrees=np.arange(FRAMES)[:, None])),
     "degrees": (True, "see through", off(degrees=np.degrees(np.degrees(YAW) - YAW)[:, None])),
     "a frame late": (True, "1 against 0: ", WAY[[0, *range(FRAMES - 1)]]),
     "mirrored": (True, "do not fit", FLIP @ WAY @ FLIP),

@@ -145,34 +145,30 @@ def relief(rms, smooth, count=40, seed=0):
 
 
 @pytest.mark.parametrize("settings", [StripeFilter(), StripeFilter(wavelength_px=4.0, gamma=0.8, orientations=5)])
-def test_the_filters_are_those_of_scikit_image(settings):
-    gabor_kernel = pytest.importorskip("skimage.filters").gabor_kernel
-    bank, px, many = gabor_bank(15, settings), settings.wavelength_px, settings.orientations
-    sigma = 3.0 * math.sqrt(math.log(2.0) / 2.0) / math.pi * px
-    widths = {"sigma_x": sigma, "sigma_y": sigma / settings.gamma, "n_stds": 10}
-    for number in range(many):
-        kernel = gabor_kernel(1.0 / px, theta=math.pi * number / many, **widths)
-        middle_row, middle_column = (side // 2 for side in kernel.shape)
-        for row, column in ((7, 7), (0, 3), (14, 14)):
-            near = kernel[
-                middle_row - row : middle_row - row + 15, middle_column - column : middle_column - column + 15
-            ]
-            weight = (near.real**2 / np.abs(near)).sum()  # of unbroken stripes: envelope times squared wave
-            mine = bank[row * 15 + column, number, :225].reshape(15, 15)
-            np.testing.assert_allclose(mine, near.real / weight, atol=2e-6)
-    assert not bank[:, :, 225:].any()
+def test_the_filters_are_gabor_filters_of_one_octave(settings):
+    bank = gabor_bank(15, settings).swapaxes(1, 2).reshape(-1, 15, 15, 15, 15)
+    sigma = 3.0 * math.sqrt(math.log(2.0) / 2.0) / math.pi * settings.wavelength_px
+    row, column = np.mgrid[:15, :15]
+    for number, weights in enumerate(bank):
+        theta = math.pi * number / settings.orientations
+        for at in ((7, 7), (0, 3), (14, 14)):
+            down, right = row - at[0], column - at[1]
+            u, v = right * math.cos(theta) + down * math.sin(theta), down * math.cos(theta) - right * math.sin(theta)
+            envelope = np.exp(-0.5 * ((u / sigma) ** 2 + (v * settings.gamma / sigma) ** 2))
+            wave = np.cos(2.0 * math.pi * u / settings.wavelength_px)
+            assert_allclose(weights[at], envelope * wave / (envelope * wave**2).sum(), atol=2e-6)
 
 
-@pytest.mark.parametrize("count", [1, 63, 64, 130])
+@pytest.mark.parametrize("count", [1, 130])
 def test_counts_are_those_of_a_plain_loop(count):
     settings = StripeFilter()
     heights = relief(np.linspace(0.001, 0.2, count)[:, None, None], 1.0, count)
-    bank = gabor_bank(15, settings)[:, :, :225].astype(float)
+    bank = gabor_bank(15, settings).swapaxes(1, 2).astype(float)
     rows = np.arange(15)[:, None]
     expected = []
     for one in heights:
         moving_bars = np.cos(2 * np.pi * ((rows - 7) / 3.0 + one.astype(float) / 0.25)).ravel()
-        answer = (bank @ moving_bars).max(axis=1).reshape(15, 15)
+        answer = (bank @ moving_bars).max(axis=0).reshape(15, 15)
         starts = sum((column[i] >= 0.5) and (i == 0 or column[i - 1] < 0.5) for column in answer.T for i in range(15))
         expected.append(starts / 15)
     # An answer within a rounding of the threshold may fall on either side.
