@@ -6,6 +6,10 @@ many) or common to its square of ground (the map's error). Own errors have the l
 How much lines differ, and how large the map's error is beside its interval, is not known: the answer is the mean over a
 grid of both, each weighted by how well it explains the drives (Laplace's approximation). All sums run over stretches
 and squares: no matrix is larger than the few numbers.
+
+scikit-learn's BayesianRidge, rows over their errors, breaks the promises of the tests: its 80 % intervals hold 58 to
+65 %, one wild stretch in 15 moves C_r by 12 % (here 0.1 %), and driving ground again five times more than halves the
+standard error (here 13 % less). Its errors are normal and independent, and it cannot take a prior that is known.
 """
 
 from dataclasses import dataclass, fields

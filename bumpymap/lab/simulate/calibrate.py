@@ -26,8 +26,9 @@ from bumpymap.lab.simulate.model import require_dart
 from bumpymap.lab.simulate.motion_fit import MotionRecord, fit_motion, motion_jobs, run_motion
 from bumpymap.lab.simulate.plan import driven_library, library_record, library_terrain
 from bumpymap.lab.simulate.refit import crossing_jobs, fit_steps, refit, run_crossing
+from bumpymap.lab.simulate.ride_fit import MAX_FAILED_SHARE
 from bumpymap.lab.terrains import KINDS
-from bumpymap.rating import MAX_FAILED_SHARE, Calibration, DrivenTerrain, make_textures
+from bumpymap.rating import Calibration, DrivenTerrain, make_textures
 
 _LIBRARY_STREAM = len(TEXTURES)
 """First number of the random streams of library drives; no texture has this index."""
@@ -175,7 +176,8 @@ def natural_breaks(values: NDArray[np.float64], groups: int) -> list[float]:
     """Return the limits of the split of numbers into groups with the least sum of squared deviations from group means.
 
     Fisher's dynamic programming: the best split of the first i sorted numbers into k groups extends the best split of
-    the first j into k - 1. It is exact and needs no random start.
+    the first j into k - 1. It is exact and needs no random start: scikit-learn's KMeans misses the best split of the
+    warthog's terrains in 50 starts (limits 0.106, 0.244 and 0.407 rad/m), and takes ten times as long.
 
     Parameters
     ----------

@@ -14,6 +14,7 @@ import struct
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Protocol
 from xml.sax.saxutils import escape
@@ -227,13 +228,8 @@ class VehicleModel(Protocol):
 
 
 def require_dart() -> Any:
-    """Import dartpy.
-
-    Raises
-    ------
-    UsageError
-        It is not installed.
-    """
+    """Import dartpy; raise UsageError if it, or what the fits to its drives need, is not installed."""
+    require_scikit_learn()
     try:
         import dartpy
     except ImportError as error:
@@ -241,6 +237,12 @@ def require_dart() -> Any:
             f"driving a vehicle needs the DART physics engine, which is not installed: {install_command('sim')}"
         ) from error
     return dartpy
+
+
+def require_scikit_learn() -> None:
+    """Raise UsageError if scikit-learn is not installed: before hours of driving, not after."""
+    if find_spec("sklearn") is None:
+        raise UsageError(f"fitting a calibration needs scikit-learn, which is not installed: {install_command('sim')}")
 
 
 class DartVehicle:

@@ -27,7 +27,7 @@ from bumpymap.core import UsageError, atomic
 from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.lab.simulate.drive import Drive, PatchDrives, Start, drive_from
 from bumpymap.lab.simulate.jobs import DriveJob, Key
-from bumpymap.lab.simulate.model import relief_and_slope
+from bumpymap.lab.simulate.model import relief_and_slope, require_scikit_learn
 from bumpymap.lab.simulate.motion_fit import fit_means
 from bumpymap.lab.simulate.plan import calibrated_settings, read_library
 from bumpymap.lab.simulate.ride_fit import fit_ride, fit_thin_surveys
@@ -166,8 +166,10 @@ def refit(calibration: Calibration) -> Calibration:
     Raises
     ------
     UsageError
-        It holds no drives over the terrain library, or was moved to real drives, which a fit would forget.
+        It holds no drives over the terrain library, or was moved to real drives, which a fit would forget; scikit-learn
+        is not installed.
     """
+    require_scikit_learn()
     moved = calibration.settings.get("moved_to_drives")
     if moved is not None:
         raise UsageError(

@@ -1,4 +1,4 @@
-"""Rate the thin tiles of a block, when the columns of its tiles and of their neighbours are known; fit that model."""
+"""Rate the thin tiles of a block, when the columns of its tiles and of their neighbours are known."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from bumpymap.core import DENSE_COVERAGE, NO_CLASS, SPANNED_POINTS, THIN_POINTS, THIN_SEEN, Reason
 from bumpymap.rating.calibration import Calibration, remembered
-from bumpymap.rating.ride.correction import NORMAL_TAIL, TAIL, Prediction, fit_logistic
+from bumpymap.rating.ride.correction import NORMAL_TAIL, Prediction
 from bumpymap.rating.ride.rate import interval, judge
 from bumpymap.rating.ride.speed import plain_speed_factor, speed_log_sd
-from bumpymap.rating.ride.thin import THIN_COLUMNS, ThinModel, fail_terms, log_points, ride_terms, spread_terms
+from bumpymap.rating.ride.thin import THIN_COLUMNS, ThinModel
 from bumpymap.rating.vehicle_body import less_floor
 
 Floats = NDArray[np.float64]
@@ -22,6 +22,8 @@ Floats = NDArray[np.float64]
 _FREEDOM = 4.0
 _MOST_SHRUNK = 0.8
 """Most of the variance of the ground of the fit that the error of a tile counts for."""
+_LEAST_ERROR = 0.02
+"""Least standard deviation of ln C_r that a prediction is believed to have."""
 _LEAST_VARIANCE = 0.02
 """Of ln C_r between neighbours: even ground differs by 14 % from tile to tile."""
 _UNKNOWN_VARIANCE = 1.0
@@ -406,109 +408,3 @@ def _as_rating(
         confidence=chance.astype(np.float32),
         reason=reason,
     )
-
-
-_RIDGE = 1e-4
-_FAIL_RIDGE = 1.0
-_HUBER = 2.0
-_PARTS = 5
-_LEAST_ERROR = 0.02
-_BEYOND = 0.005
-"""Share of the tiles beyond either end of the trained relief."""
-
-
-@dataclass(frozen=True, slots=True)
-class ThinSurveys:
-    """Tiles of thin simulated surveys, and the truth of their ground."""
-
-    columns: Floats
-    """(n, 20) of `thin_columns`."""
-    noise: Floats
-    """(n,) standard deviation of the height of a point, as pooled from the tiles of its survey, m."""
-    terrain: NDArray[np.int64]
-    """(n,) number of the terrain: all surveys of one are on the same side of a cross-validation."""
-    log_c_r: Floats
-    """(n,) ln of the C_r [rad/m] of the ground without survey errors."""
-    p_fail: Floats
-    """(n,) p_fail of the same."""
-    bare: tuple[Floats, Floats, Floats]
-    """(m,) points, noise [m] and pitch change [rad/m] of surveys of level ground."""
-    own_spread: float
-    """Standard deviation of ln C_r in the drives about what the ride model predicts."""
-
-
-def fit_thin(surveys: ThinSurveys) -> ThinModel:
-    """Fit all coefficients."""
-    points, noise, ride = surveys.bare
-    slope, constant = np.polyfit(log_points(points), np.log(ride / noise), 1)
-    felt = (float(constant), float(slope))
-    first = (surveys.columns, surveys.noise, felt)
-    height = ride_terms(*first, (-50.0, 50.0))[:, 1]
-    relief = (float(np.quantile(height, _BEYOND)), float(np.quantile(height, 1 - _BEYOND)))
-    inputs = (*first, relief)
-    terms = ride_terms(*inputs)
-    target = surveys.log_c_r - (height - np.clip(height, *relief))
-    part = surveys.terrain % _PARTS
-    predicted = np.empty(len(target))
-    for k in range(_PARTS):
-        rest = part != k
-        predicted[~rest] = terms[~rest] @ _robust_fit(terms[rest], target[rest])
-    residual = target - predicted
-    prior = (float(np.mean(surveys.log_c_r)), float(np.std(surveys.log_c_r)))
-    spread, sides = _fit_spread(spread_terms(*inputs), residual)
-    fail = _fit_fail(fail_terms(*first), surveys.p_fail)
-    order = np.argsort(np.argsort(predicted)), np.argsort(np.argsort(target))
-    return ThinModel(
-        relief=relief,
-        felt=felt,
-        c_r=tuple(_robust_fit(terms, target).tolist()),
-        spread=tuple(spread.tolist()),
-        sides=sides,
-        own_spread=surveys.own_spread,
-        fail=tuple(fail.tolist()),
-        prior=prior,
-        origin={
-            "tiles": len(target),
-            "terrains": len(np.unique(surveys.terrain)),
-            "columns": list(THIN_COLUMNS),
-            "spearman": round(float(np.corrcoef(*order)[0, 1]), 4),
-            "median_relative_error": round(float(np.median(np.abs(np.expm1(residual)))), 4),
-        },
-    )
-
-
-def _robust_fit(terms: Floats, target: Floats) -> Floats:
-    """Weighted least squares with a small ridge; outliers get less weight (Huber)."""
-    scale = np.maximum(terms.std(axis=0), 1e-9)
-    scale[0] = 1.0
-    x = terms / scale
-    weight = np.ones(len(target))
-    found = np.zeros(x.shape[1])
-    for _ in range(6):
-        system = (x * weight[:, None]).T @ x / weight.sum() + _RIDGE * np.eye(x.shape[1])
-        found = np.linalg.solve(system, (x * weight[:, None]).T @ target / weight.sum())
-        size = np.abs(target - x @ found)
-        weight = np.minimum(1.0, _HUBER * 1.4826 * np.median(size) / np.maximum(size, 1e-9))
-    plain: Floats = found / scale
-    return plain
-
-
-def _fit_spread(terms: Floats, residual: Floats) -> tuple[Floats, tuple[float, float]]:
-    """Fit ln of the size of the residuals; then scale both sides so that a tenth of the residuals lie beyond each."""
-    size = np.log(np.maximum(np.abs(residual), _LEAST_ERROR))
-    found = _robust_fit(terms, size)
-    reduced = residual / np.exp(terms @ found)
-    low, high = np.quantile(reduced, (TAIL, 1 - TAIL)) / NORMAL_TAIL
-    return found, (float(-low), float(high))
-
-
-def _fit_fail(terms: Floats, share: Floats) -> Floats:
-    """Fit a logistic regression to shares of drives that failed.
-
-    The library holds little ground that fails, a survey may hold nothing else: failed and completed drives weigh alike,
-    so that a tile about which the points say nothing is as likely to fail as not.
-    """
-    failing = float(np.clip(share.mean(), 1e-6, 1 - 1e-6))
-    balance = 0.5 * (share / failing + (1 - share) / (1 - failing))
-    middle = np.average(terms, axis=0, weights=balance)
-    return fit_logistic(terms, middle, balance, lambda chance: balance * (share - chance), _FAIL_RIDGE)
