@@ -176,8 +176,8 @@ def natural_breaks(values: NDArray[np.float64], groups: int) -> list[float]:
     """Return the limits of the split of numbers into groups with the least sum of squared deviations from group means.
 
     Fisher's dynamic programming: the best split of the first i sorted numbers into k groups extends the best split of
-    the first j into k - 1. It is exact and needs no random start: scikit-learn's KMeans misses the best split of the
-    warthog's terrains in 50 starts (limits 0.106, 0.244 and 0.407 rad/m), and takes ten times as long.
+    the first j into k - 1. It is exact and needs no random start. scikit-learn's KMeans with ten starts misses the best
+    split of 33 in 200 drawn sets, and that of the car's terrains: 0.019, 0.040, 0.065 instead of 0.018, 0.040, 0.064.
 
     Parameters
     ----------
