@@ -131,12 +131,8 @@ LABEL_SETS: dict[str, LabelSet] = {known.name: known for known in (_KITTI, _SEMA
 def label_set(name_or_path: str | Path) -> LabelSet:
     """Return a built-in label set, or read one from a file.
 
-    Raises
-    ------
-    UsageError
-        It is neither the name of a set nor a file name that ends in ``.csv``.
-    BadInputError
-        The file cannot be read, or is not a label set.
+    Raises UsageError if it is neither the name of a set nor a file name that ends in ``.csv``; BadInputError if the
+    file cannot be read, or is not a label set.
     """
     text = str(name_or_path)
     if text in LABEL_SETS:
@@ -180,20 +176,10 @@ def _read_set(path: Path) -> LabelSet:
 
 
 def require_label_set(labels: NDArray[np.integer[Any]], known: LabelSet, origin: str) -> None:
-    """Refuse labels that are not of a set.
+    """Refuse labels that are not of a set: most ids are not, or they do not fit it while they fit a built-in one.
 
-    Parameters
-    ----------
-    labels : array of int
-        Semantic ids, best of many frames; 0 and below are unlabelled in every set.
-    known : LabelSet
-    origin : str
-        Where the labels are from, for the message.
-
-    Raises
-    ------
-    BadInputError
-        Most ids are not of the set; or they do not fit it (unknown ids, no ground) while they fit a built-in one.
+    ``labels``: semantic ids, best of many frames; 0 and below are unlabelled in every set. ``origin``: where they are
+    from, for the message of the BadInputError.
     """
     labelled = labels[labels > 0]
     if not len(labelled) or known.fits(labelled):
@@ -207,19 +193,9 @@ def require_label_set(labels: NDArray[np.integer[Any]], known: LabelSet, origin:
 
 
 def tell_label_set(labels: NDArray[np.integer[Any]], origin: str) -> LabelSet:
-    """Return the one built-in set of which all labels are, and enough of them ground.
+    """Return the one built-in set of which all ``labels`` are, and enough of them ground.
 
-    Parameters
-    ----------
-    labels : array of int
-        Semantic ids, best of many frames; 0 and below are unlabelled in every set.
-    origin : str
-        Where the labels are from, for the message.
-
-    Raises
-    ------
-    BadInputError
-        No set fits, or several do.
+    Raises BadInputError, which names the ``origin`` of the labels, if no set fits, or several do.
     """
     labelled = labels[labels > 0]
     fitting = [known for known in LABEL_SETS.values() if len(labelled) and known.fits(labelled)]

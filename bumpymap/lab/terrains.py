@@ -246,29 +246,12 @@ def make_terrain(
     tile_size: float = 3.0,
     pixels: int = 15,
 ) -> Terrain:
-    """Make one terrain.
+    """Make one terrain of a kind of ``KINDS``; the same arguments give the same bits.
 
-    The same arguments give the same bits.
-
-    Parameters
-    ----------
-    kind : str
-        One of ``KINDS``.
-    seed, index : int
-        Seed of the library, and number of the terrain in its kind.
-    height_scale : float
-        Factor on all heights; a small vehicle is calibrated on lower ground.
-    slope_limit_deg : float
-        Slope limit of the vehicle, degrees; slopes of half of the terrains range to slightly beyond it.
-    tile_size : float
-        m.
-    pixels : int
-        Along a side, at least 4.
-
-    Raises
-    ------
-    UsageError
-        The kind is unknown, or there are too few pixels.
+    ``seed``, ``index``: of the library, and number of the terrain in its kind; ``height_scale``: factor on all heights,
+    as a small vehicle is calibrated on lower ground; ``slope_limit_deg``: of the vehicle: slopes of half of the
+    terrains range to slightly beyond it; ``tile_size``: m; ``pixels``: along a side, at least 4. Raises UsageError if
+    the kind is unknown, or there are too few pixels.
     """
     if kind not in SHAPES:
         raise UsageError(f"terrain kind is '{kind}'; it must be one of {', '.join(KINDS)}")

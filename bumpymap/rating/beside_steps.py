@@ -51,25 +51,12 @@ def rate_beside_steps(
     heights: NDArray[np.floating], line: Marks, standing: Marks,
     whole: tuple[NDArray[np.floating], NDArray[np.floating]], thin: NDArray[np.floating], calibration: Calibration,
 ) -> GroundBesideSteps:  # fmt: skip
-    """Rate what steps leave of n tiles.
+    """Rate what steps leave of n tiles, in the ride of the calibration's vehicle.
 
-    Parameters
-    ----------
-    heights : array (n, pixels, pixels)
-        Mean height of the ground in each pixel, m; NaN where it is not known.
-    line, standing : bool (n, pixels, pixels)
-        Pixels of the tiles' own steps that the vehicle cannot cross; and of obstacles and what was not seen.
-    whole : tuple of arrays (n,)
-        C_r and p_fail of whole tiles: what is left of them is no worse.
-    thin : array (n, 20)
-        Of `thin_columns`.
-    calibration : Calibration
-        Of the vehicle.
-
-    Raises
-    ------
-    BadInputError
-        The ride model of the calibration is damaged.
+    ``heights`` (n, pixels, pixels): mean height of the ground in each pixel, m; NaN where it is not known. ``line``,
+    ``standing`` (n, pixels, pixels): pixels of the tiles' own steps that the vehicle cannot cross; of obstacles and
+    what was not seen. ``whole``: C_r and p_fail of whole tiles, (n,) each: what is left of them is no worse. ``thin``
+    (n, 20): of `thin_columns`. Raises BadInputError if the ride model of the calibration is damaged.
     """
     from_line = ndimage.distance_transform_edt(~line, (_APART, 1.0, 1.0))
     left = (from_line > _FACE_PX) & ~standing

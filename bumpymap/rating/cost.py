@@ -36,23 +36,9 @@ PAPER_TABLE: dict[str, tuple[tuple[float, int], ...]] = {
 
 
 def rate(patches: PatchStack, textures: TextureMap, calibration: Calibration, georeference: Georeference) -> CostMap:
-    """Rate tiles by texture and relief (``rating = "table"``).
+    """Rate n tiles by texture and relief (``rating = "table"``); the georeference travels with the result.
 
-    Parameters
-    ----------
-    patches : PatchStack
-        n tiles; ``relief`` and ``slope`` are used.
-    textures : TextureMap
-        (n, 4) probabilities.
-    calibration : Calibration
-        Of the vehicle that will drive.
-    georeference : Georeference
-        Travels with the result.
-
-    Raises
-    ------
-    UsageError
-        The calibration was made for tiles of another size or another number of pixels.
+    Raises UsageError if the calibration was made for tiles of another size or another number of pixels.
     """
     calibration.require_grid(patches.grid.tile_size, patches.grid.pixels)
     known = patches.reason == Reason.OK

@@ -77,13 +77,8 @@ def collect_evidence(
 ) -> tuple[DriveEvidence, dict[str, float]]:
     """Return what stretches say, and the lengths of those that do not count by `LEFT_OUT`, m.
 
-    Parameters
-    ----------
-    stretches : DrivenStretches
-    speed_mps : float
-        Speed that the map's C_r is for.
-    floor : float
-        C_r of level ground in the profile, which the map's C_r holds in power, rad/m.
+    ``speed_mps``: that of the map's C_r; ``floor``: C_r of level ground in the profile, which the map's C_r holds in
+    power, rad/m.
     """
     s = stretches
     known = np.isfinite(s.measured) & np.isfinite(s.measured_sd) & np.isfinite(s.easting + s.northing)
@@ -209,13 +204,8 @@ class MovePosterior:
 def respond(numbers: Floats, log_c_r: Floats, prior: DrivePrior) -> tuple[Floats, Floats]:
     """Return ln C_r of the vehicle (n,), and its derivatives by the numbers (n, p).
 
-    Parameters
-    ----------
-    numbers : array (p,)
-        Shift, tilt and, if it may move, ln of the floor.
-    log_c_r : array (n,)
-        ln C_r of the calibration without its floor.
-    prior : DrivePrior
+    ``numbers`` (p,): shift, tilt and, if it may move, ln of the floor; ``log_c_r`` (n,): of the calibration without its
+    floor.
     """
     x = log_c_r - prior.middle
     log_floor = numbers[2] if len(numbers) > 2 else prior.log_floor
@@ -296,16 +286,9 @@ class HeldOutScore:
 
 
 def hold_out(evidence: DriveEvidence, prior: DrivePrior, line_sd: float, *, moved: bool = True) -> HeldOutScore:
-    """Predict each part from the others.
+    """Predict each part from the others; not ``moved``: by the calibration as it is.
 
-    Parameters
-    ----------
-    evidence : DriveEvidence
-    prior : DrivePrior
-    line_sd : float
-        Of `MovePosterior`: what is expected of errors.
-    moved : bool
-        False: by the calibration as it is.
+    ``line_sd``: of `MovePosterior`, what is expected of errors.
     """
     predicted = respond(prior.mean, evidence.log_c_r, prior)[0]
     for part in np.unique(evidence.fold) if moved else ():

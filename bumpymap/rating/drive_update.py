@@ -78,15 +78,7 @@ class LogMove:
 
 
 def moved_calibration(calibration: Calibration, move: LogMove, record: dict[str, Any]) -> Calibration:
-    """Return a calibration whose C_r is moved.
-
-    Parameters
-    ----------
-    calibration : Calibration
-    move : LogMove
-    record : dict
-        What is written to its settings as ``moved_to_drives``; plain JSON.
-    """
+    """Return a calibration whose C_r is moved; ``record``, plain JSON, becomes ``moved_to_drives`` in its settings."""
     tile = calibration.steps["tile"]
     log_sd = [move.sd(sd, c_r) for sd, c_r in zip(tile["c_r_log_sd"], tile["c_r"], strict=True)]
     return replace(
@@ -247,26 +239,10 @@ class DriveUpdate:
 def update_from_drives(
     calibration: Calibration, stretches: DrivenStretches, settings: UpdateSettings | None = None
 ) -> tuple[Calibration, DriveUpdate]:
-    """Move the C_r of a calibration to what drives measured.
+    """Move the C_r of a calibration to what drives measured; its vehicle, class limits and p_fail stay.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        The one that the map of the stretches was made with.
-    stretches : DrivenStretches
-        Of all drives.
-    settings : UpdateSettings, optional
-
-    Returns
-    -------
-    Calibration
-        Its vehicle, class limits and p_fail are those of the calibration before.
-    DriveUpdate
-
-    Raises
-    ------
-    BadInputError
-        The calibration was moved before, the drives are too short, or they agree with it.
+    ``calibration``: the one that the map of the stretches was made with; ``stretches``: of all drives. Raises
+    BadInputError if the calibration was moved before, or the drives are too short, or agree with it.
     """
     settings = settings or UpdateSettings()
     if "moved_to_drives" in calibration.settings:

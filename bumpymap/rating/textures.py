@@ -52,23 +52,9 @@ _Floats = NDArray[np.float64]
 
 
 def make_textures(texture: Texture, count: int, rng: "np.random.Generator", pixels: int = 15) -> NDArray[np.float32]:
-    """Generate random patches of one terrain form.
+    """Generate patches of one terrain form: plane-removed relief, each scaled to [0, 1], (count, pixels, pixels).
 
-    Parameters
-    ----------
-    texture : str
-        One of ``TEXTURES``.
-    count : int
-        Number of patches.
-    rng : numpy Generator
-        Equal states generate equal patches.
-    pixels : int
-        Pixels along a side, at least 4.
-
-    Returns
-    -------
-    array (count, pixels, pixels) float32
-        Plane-removed relief, each patch scaled to [0, 1].
+    Equal states of ``rng`` generate equal patches; 4 pixels along a side at least.
     """
     if texture not in _FORMS:
         raise UsageError(f"texture is '{texture}'; it must be one of {', '.join(TEXTURES)}")
@@ -82,20 +68,10 @@ def make_textures(texture: Texture, count: int, rng: "np.random.Generator", pixe
 
 
 def make_short_waves(count: int, rng: "np.random.Generator", pixels: int = 15) -> NDArray[np.float32]:
-    """Generate ground with regular waves shorter than those of ``noise_sin``: washboard, tracks, ripples.
+    """Generate, as `make_textures`, regular waves shorter than those of ``noise_sin``: washboard, tracks, ripples.
 
     The paper has no such form, and a network that was not trained on it may take it for flat. It is as rough as
     ``high_noise``, so it is labelled ``high_noise`` in training. Wavelengths are 0.4 to 0.75 m.
-
-    Parameters
-    ----------
-    count, rng, pixels
-        As in ``make_textures``.
-
-    Returns
-    -------
-    array (count, pixels, pixels) float32
-        Plane-removed relief, each patch scaled to [0, 1].
     """
     along, across = _rotated_axes(count, rng, pixels, 0)
     wavelength = rng.uniform(0.4 / 3, 0.75 / 3, (2, count, 1, 1))
@@ -109,18 +85,9 @@ def make_short_waves(count: int, rng: "np.random.Generator", pixels: int = 15) -
 
 
 def normalise(patches: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Scale each patch to [0, 1] by its own minimum and maximum, as the texture network takes it.
+    """Scale each patch (n, pixels, pixels) without NaN to [0, 1] by its own extremes, as the texture network takes it.
 
     Training and inference both use this function. A patch of constant height becomes zeros.
-
-    Parameters
-    ----------
-    patches : array (n, pixels, pixels)
-        Heights without NaN, any unit.
-
-    Returns
-    -------
-    array (n, pixels, pixels) float32
     """
     low = patches.min(axis=(1, 2), keepdims=True).astype(np.float64)  # extremes need no double precision
     span = patches.max(axis=(1, 2), keepdims=True) - low
@@ -130,19 +97,9 @@ def normalise(patches: NDArray[np.floating]) -> NDArray[np.float32]:
 
 
 def remove_plane(patches: NDArray[np.floating]) -> _Floats:
-    """Subtract the least-squares plane from each patch.
+    """Subtract the least-squares plane from each patch (n, pixels, pixels) without NaN.
 
     On a full square of pixels the regressors 1, x, y (centred) are orthogonal, so each coefficient is one dot product.
-
-    Parameters
-    ----------
-    patches : array (n, pixels, pixels)
-        Heights without NaN.
-
-    Returns
-    -------
-    array (n, pixels, pixels) float64
-        Residuals, same unit.
     """
     pixels = patches.shape[-1]
     axis = np.arange(pixels) - (pixels - 1) / 2
@@ -158,20 +115,12 @@ def remove_plane(patches: NDArray[np.floating]) -> _Floats:
 def measures_of(
     relief_map: NDArray[np.floating], count: NDArray[np.integer], variance: NDArray[np.floating], rise: _Floats
 ) -> NDArray[np.float32]:
-    """Return what the network is told of a tile's metres beside its scaled patch.
+    """Return what the network is given of a tile's metres beside its scaled patch, (n, 3).
 
-    Parameters
-    ----------
-    relief_map, count, variance : array (n, pixels, pixels)
-        As ``relief_map``, ``spread_count`` and ``spread_variance`` of a `PatchStack`.
-    rise : array (n,)
-        Of the tile's plane over a pixel, m: points beside the middle of their pixel err by it. NaN counts as 0.
-
-    Returns
-    -------
-    array (n, 3) float32
-        Logarithms of the relief over 0.1 m and of the standard error of the pixels' means over 0.01 m, and 1; the last
-        two are 0 where too few pixels hold two points.
+    Logarithms of the relief over 0.1 m and of the standard error of the pixels' means over 0.01 m, and 1; the last two
+    are 0 where too few pixels hold two points. ``relief_map``, ``count``, ``variance`` (n, pixels, pixels): as
+    ``relief_map``, ``spread_count`` and ``spread_variance`` of a `PatchStack`; ``rise`` (n,): of the tile's plane over
+    a pixel, m: points beside the middle of their pixel err by it. NaN counts as 0.
     """
     count = count.reshape(len(count), count.shape[-1] ** 2)
     variance = np.where(count > 0, variance.reshape(count.shape).astype(np.float64), 0.0)
@@ -193,7 +142,7 @@ _RELIEFS, _ERRORS = (0.005, 10.0), (2e-4, 0.5)
 
 
 def _perlin(count: int, rng: "np.random.Generator", pixels: int, cell: _Floats, margin: int = 0) -> _Floats:
-    """Generate gradient noise after Perlin (2002), with one lattice per patch.
+    """Generate gradient noise after Perlin (2002), with one lattice per patch and unit variance on infinite ground.
 
     With lattice corners ``i, j`` around the point ``(u, v)``, unit gradients ``g`` at the corners and the fade
     ``s(t) = 6 t^5 - 15 t^4 + 10 t^3``::
@@ -201,19 +150,8 @@ def _perlin(count: int, rng: "np.random.Generator", pixels: int, cell: _Floats, 
         n(u, v) = sum over a, b in {0, 1} of  w_a(u - i) w_b(v - j)  g[i + a, j + b] . (u - i - a, v - j - b)
         w_1(t) = s(t),  w_0(t) = 1 - s(t)
 
-    Parameters
-    ----------
-    count, rng, pixels
-        As in ``make_textures``.
-    cell : array (count,)
-        Side of a lattice cell, as a fraction of the patch's side.
-    margin : int
-        Pixels to add on each of the four sides.
-
-    Returns
-    -------
-    array (count, pixels + 2 margin, pixels + 2 margin) float64
-        Noise with unit standard deviation over an infinite surface.
+    ``cell`` (count,): side of a lattice cell, as a fraction of the patch's side; ``margin``: pixels that are added on
+    each of the four sides.
     """
     x, y = _rotated_axes(count, rng, pixels, margin)
     reach = np.sqrt(0.5) * (1 + 2 * margin / pixels)
@@ -400,24 +338,9 @@ class TextureModel:
 
 
 def classify(patches: PatchStack, model: TextureModel) -> TextureMap:
-    """Classify the texture of each tile.
+    """Classify the texture of n tiles: (n, 4) probabilities; NaN where ``reason`` is not 0.
 
-    Parameters
-    ----------
-    patches : PatchStack
-        n tiles; ``relief_map``, spread, ``slope``, ``reason`` and ``grid`` are used.
-    model : TextureModel
-        Network for tiles of that grid.
-
-    Returns
-    -------
-    TextureMap
-        (n, 4) probabilities; NaN where ``reason`` is not 0.
-
-    Raises
-    ------
-    UsageError
-        The network was trained for tiles of another size or another number of pixels.
+    Raises UsageError if the network was trained for tiles of another size or another number of pixels.
     """
     model.require_grid(patches.grid.tile_size, patches.grid.pixels)
     known = np.flatnonzero(patches.reason == Reason.OK)

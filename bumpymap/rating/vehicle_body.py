@@ -139,15 +139,10 @@ class Body:
 
 
 def body_defaults(vehicle: Mapping[str, Any]) -> dict[str, float]:
-    """Return the outline of a vehicle whose profile does not give one, m, rounded to centimetres.
+    """Return the outline of a vehicle whose complete profile does not give one, m, rounded to centimetres.
 
     Height: the wheels' or the belly's clearance, the higher, plus 0.7 of the track. Width: the wider of belly and
     wheels. Brush: the belly's clearance, so that whatever reaches the belly is an obstacle.
-
-    Parameters
-    ----------
-    vehicle : mapping
-        A complete vehicle profile, as in its TOML file.
     """
     belly, wheel, track = vehicle["belly"], vehicle["wheel"], float(vehicle["track_m"])
     under = max(2 * float(wheel["radius_m"]), float(belly["clearance_m"]))
@@ -247,17 +242,11 @@ class CompletedProfile:
 
 
 def estimate_profile(record: Any) -> CompletedProfile:
-    """Fill in what a short profile leaves out.
+    """Fill in what a short profile, which has ``mass_kg`` or ``suspension``, leaves out; what is given stays.
 
     Wheels and rockers have their shares of ``mass_kg``, and the chassis has the rest. The chassis has the moments of
     inertia of a solid box, the rockers those of beams as long as the wheelbase. Springs follow from the frequency at
     which the chassis pitches, ``2 k = I (2 pi f)^2``, dampers from ``2 b = 2 zeta sqrt(2 k I)``.
-
-    Parameters
-    ----------
-    record : dict
-        A profile as in its TOML file, short if it has ``mass_kg`` or ``suspension``; another is returned as it is.
-        What is given stays.
     """
     if not isinstance(record, dict) or not _WHOLE & set(record):
         return CompletedProfile(record, {}, [])

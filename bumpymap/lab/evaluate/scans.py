@@ -217,23 +217,10 @@ class ScanFindings:
 
 
 def labels_of(frames: Sequence[Path], name: str | None) -> LabelSet | None:
-    """Return the label set of frames: the one that is named, or else the one that fits the ids of their labels.
+    """Return the label set of frames: the one that is named, or else the one that fits their ids; None without labels.
 
-    Parameters
-    ----------
-    frames : paths
-    name : str, optional
-        A built-in set, or a file.
-
-    Returns
-    -------
-    LabelSet or None
-        None if no frame has labels.
-
-    Raises
-    ------
-    BadInputError, UsageError
-        As from `label_set`, `require_label_set` and `tell_label_set`; a set is named and no frame has labels.
+    ``name``: a built-in set, or a file. Raises as `label_set`, `require_label_set` and `tell_label_set` do, and
+    BadInputError if a set is named and no frame has labels.
     """
     found = [read_scan(frame).label for frame in frames[:: -(-len(frames) // _LOOKED_AT)]]
     there = [label for label in found if label is not None]
@@ -258,25 +245,10 @@ def evaluate_scans(
     progress: Progress,
     labels: LabelSet | None = None,
 ) -> ScanFindings:
-    """Evaluate both methods on scans.
+    """Evaluate both methods on ``count`` scans: the filter by ``stripes``, the learned one by ``network``.
 
-    Parameters
-    ----------
-    scans : iterator of Scan, length ``count``
-    count : int
-    settings : ScanEvaluateSettings
-    stripes : StripeModel
-        Of the filter method.
-    network : ScanModel
-        Of the learned method.
-    progress : Progress
-    labels : LabelSet, optional
-        The meaning of the labels of the scans; None if they have none.
-
-    Raises
-    ------
-    BadInputError
-        No scan has a sector that can be classified.
+    ``labels``: the meaning of the labels of the scans; None if they have none. Raises BadInputError if no scan has a
+    sector that can be classified.
     """
     classed, deviations = [], []
     ground: list[dict[str, Any]] = []

@@ -223,24 +223,11 @@ def drive_patch(
     *,
     stream: tuple[int, ...] = (),
 ) -> PatchDrives:
-    """Drive over one patch from random starts at random headings.
+    """Drive over one patch (pixels, pixels) [m], north row first, without NaN, from random starts at random headings.
 
-    Every start has its own random stream, so more drives never change earlier ones. The result depends on the
-    arguments only and is the same in any process. If none of the first ``least`` drives is completed, no further drives
-    are made: there is no C_r to refine.
-
-    Parameters
-    ----------
-    profile : Vehicle
-    heights : array (pixels, pixels)
-        m, north row first, without NaN.
-    tile_size : float
-        Side of the patch, m.
-    seed : int
-    effort : Effort
-    settings : DriveSettings
-    stream : tuple of int
-        Distinguishes patches that share a seed.
+    Every start has its own random stream, so more drives never change earlier ones; ``stream`` distinguishes patches
+    that share a seed. The result depends on the arguments only and is the same in any process. If none of the first
+    ``least`` drives is completed, no further drives are made: there is no C_r to refine.
     """
     ground = PatchGround.from_heights(heights.astype(np.float64), tile_size)
     drives = PatchDrives((), ())

@@ -50,12 +50,7 @@ class DrivenGround(Protocol):
 def fit_plane(heights: _Floats) -> tuple[_Floats, tuple[float, float]]:
     """Fit a least-squares plane to a square heightmap (pixels, pixels) [m], north row first.
 
-    Returns
-    -------
-    array (pixels, pixels) float64
-        The plane at the pixel centres, m.
-    (float, float)
-        Its slope to the east and to the north, m per pixel.
+    Returns the plane at the pixel centres, m, and its slope to the east and to the north, m per pixel.
     """
     pixels = heights.shape[0]
     axis = np.arange(pixels) - (pixels - 1) / 2
@@ -143,16 +138,10 @@ class Strip:
 
 
 def strip_triangles(ground: DrivenGround, strip: Strip) -> NDArray[np.float32]:
-    """Triangulate a strip of ground.
+    """Triangulate a strip of ground: (n, 3, 3) float32: triangle, corner, (easting, northing, upward) in m.
 
     The vertices lie on a grid anchored at the ground's origin, not at the path, so the pixel centres of a patch are
-    vertices at any heading.
-
-    Returns
-    -------
-    array (n, 3, 3) float32
-        Triangle, corner, (easting, northing, upward) in m. Corners run counter-clockwise seen from above: ODE's
-        meshes have one side.
+    vertices at any heading. Corners run counter-clockwise seen from above: ODE's meshes have one side.
     """
     forward = np.array([np.cos(strip.heading), np.sin(strip.heading)])
     start = np.array([strip.easting, strip.northing])
@@ -246,15 +235,7 @@ def require_scikit_learn() -> None:
 
 
 class DartVehicle:
-    """A vehicle at the start of a strip of ground, heading along it.
-
-    Parameters
-    ----------
-    profile : Vehicle
-    ground : DrivenGround
-    strip : Strip
-    physics : Physics
-    """
+    """A vehicle at the start of a strip of ground, heading along it."""
 
     def __init__(self, profile: Vehicle, ground: DrivenGround, strip: Strip, physics: Physics) -> None:
         self._dart = require_dart()
@@ -397,14 +378,8 @@ def standing_pose(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the initial pose: along the strip, parallel to the ground's mean slope, just above its highest bumps.
 
-    Neither wheels nor belly start inside the ground, even if the start is on a rock.
-
-    Returns
-    -------
-    array (3, 3)
-        Rotation whose columns are the forward, left and upward axis.
-    array (3,)
-        Place of the chassis' centre of mass, m.
+    Neither wheels nor belly start inside the ground, even if the start is on a rock. Returns a rotation (3, 3), whose
+    columns are the forward, left and upward axis, and the place (3,) of the chassis' centre of mass, m.
     """
     east, north = ground.gradient
     cos, sin = np.cos(strip.heading), np.sin(strip.heading)

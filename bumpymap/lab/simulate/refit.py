@@ -163,11 +163,8 @@ def cross(settings: CalibrationSettings, ground: WallGround, angle: float, shift
 def refit(calibration: Calibration) -> Calibration:
     """Return a calibration with newly fitted models of the ride, of thin surveys and of other speeds.
 
-    Raises
-    ------
-    UsageError
-        It holds no drives over the terrain library, or was moved to real drives, which a fit would forget; scikit-learn
-        is not installed.
+    Raises UsageError if it holds no drives over the terrain library, or was moved to real drives, which a fit would
+    forget; or if scikit-learn is not installed.
     """
     require_scikit_learn()
     moved = calibration.settings.get("moved_to_drives")

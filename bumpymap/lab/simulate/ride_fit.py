@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import spearmanr
 
 from bumpymap.core import SPANNED_POINTS, THIN_POINTS, BumpymapError, FeatureSettings, Reason
 from bumpymap.lab.simulate.model import relief_and_slope
@@ -163,10 +162,7 @@ def fit_ride(profile: Vehicle, terrains: Sequence[Terrain], driven: Sequence[Dri
 def fit_correction(driven: DrivenPatches, noisy: NoisyPatches) -> Correction:
     """Fit the coefficients of C_r, its spread, p_fail and the noise tables.
 
-    Raises
-    ------
-    BumpymapError
-        The drives were completed on too few patches.
+    Raises BumpymapError if the drives were completed on too few patches.
     """
     drives = driven.failed + driven.completed
     good = (driven.failed / drives <= MAX_FAILED_SHARE) & (driven.completed >= 2)
@@ -216,6 +212,8 @@ def fit_correction(driven: DrivenPatches, noisy: NoisyPatches) -> Correction:
 
 def _scores(log_c_r: Floats, other: Floats) -> dict[str, float]:
     """Return rank correlation and median of abs(C_r / other C_r - 1), for the record."""
+    from scipy.stats import spearmanr
+
     error = float(np.median(np.abs(np.expm1(log_c_r - other))))
     return {"spearman": round(float(spearmanr(log_c_r, other).statistic), 4), "median_relative_error": round(error, 4)}
 
@@ -351,15 +349,8 @@ def fit_thin_surveys(
 ) -> dict[str, Any]:
     """Fit the model of thin surveys of a vehicle; returns plain JSON for the calibration's ``thin`` entry.
 
-    Parameters
-    ----------
-    profile : Vehicle
-    terrains : sequence of Terrain
-        The ground of the library.
-    ride : dict
-        The calibration's ride model.
-    first_limit : float
-        C_r between class 0 and 1, rad/m.
+    ``terrains``: the ground of the library; ``ride``: the calibration's ride model; ``first_limit``: C_r between class
+    0 and 1, rad/m.
     """
     operator = RideOperator.of(profile.to_dict(), terrains[0].tile_size, terrains[0].pixels)
     correction = Correction.from_record(ride)
@@ -455,14 +446,7 @@ def survey_columns(
 ) -> tuple[Floats, NDArray[np.int64]]:
     """Survey terrains; return the columns of the tiles that hold points, and the number of the terrain of each.
 
-    Parameters
-    ----------
-    terrains, effects, seed
-        As for `survey_terrains`.
-    operator : RideOperator
-        Of the vehicle.
-    cut : bool
-        Whether a strip on one side of each tile, up to half of it, holds no points.
+    ``cut``: a strip on one side of each tile, up to half of it, holds no points.
     """
     settings = FeatureSettings()
     columns, tile = [], []

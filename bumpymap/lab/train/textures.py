@@ -445,19 +445,10 @@ OUTPUT_NAME = "probability"
 
 
 def to_onnx(net: TextureNet, metadata: Mapping[str, object]) -> bytes:
-    """Write a network as an ONNX file.
+    """Write a network in evaluation mode as an ONNX file, with ``metadata``.
 
-    Parameters
-    ----------
-    net : TextureNet
-        In evaluation mode.
-    metadata : mapping
-        Written as ``metadata_props``: text as it is, everything else as JSON.
-
-    Returns
-    -------
-    bytes
-        Input ``patches`` (batch, 1, pixels, pixels) float32, output ``probability`` (batch, classes) float32.
+    Inputs ``patches`` (batch, 1, pixels, pixels) and ``measures`` (batch, 3, 1, 1), output ``probability`` (batch,
+    classes), all float32.
     """
     graph = OnnxGraph("texture", ascii_lowercase.__getitem__)
 
@@ -486,22 +477,10 @@ def make_model(
 ) -> TrainedModel[Evaluation]:
     """Train a texture network and write it.
 
-    Parameters
-    ----------
-    settings : TrainSettings
-        They determine every byte of the file on one machine.
-    out : Path
-        The ONNX file. The model card is written next to it (``.md``), and during training a checkpoint
-        (``.checkpoint``), from which the same call resumes after an interruption.
-    progress : callable, optional
-        Called with a report after every epoch.
-
-    Raises
-    ------
-    OutputError
-        A file cannot be written.
-    UsageError
-        A checkpoint with other settings exists.
+    The settings determine every byte of the file on one machine. ``out``: the ONNX file. The model card is written next
+    to it (``.md``), and during training a checkpoint (``.checkpoint``), from which the same call resumes after an
+    interruption. ``progress`` is called with a report after every epoch. Raises OutputError if a file cannot be
+    written, UsageError if a checkpoint with other settings exists.
     """
     with model_files(out) as files:
         net = train(settings, files.checkpoint, progress)

@@ -90,13 +90,7 @@ class Coefficients:
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> Self:
-        """Read the mapping that `to_record` returned.
-
-        Raises
-        ------
-        BadInputError
-            A value is missing or has the wrong length.
-        """
+        """Read the mapping that `to_record` returned; raise BadInputError if it is damaged."""
         try:
             values = {f.name: record[f.name] for f in fields(cls)}
             made = cls(**{k: dict(v) if k == "origin" else number_tuples(v) for k, v in values.items()})

@@ -95,23 +95,11 @@ Floats = NDArray[np.float64]
 
 
 class RideModel:
-    """Predicts the ride of one vehicle on tiles of one size.
+    """Predicts the ride of one vehicle on tiles of one size, by its calibration.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        Of the vehicle; it holds the profile and what its drives taught.
-    speeds : tuple of float
-        Speeds [m/s] to rate the ride at besides; see `CostMap.motion`.
-    headings : bool
-        Tell the ride by heading too; see `CostMap.headings`.
-
-    Raises
-    ------
-    UsageError
-        The calibration cannot tell the ride at these speeds.
-    BadInputError
-        Its ride model is damaged.
+    ``speeds`` [m/s] are rated besides, see `CostMap.motion`; with ``headings``, the ride by heading too, see
+    `CostMap.headings`. Raises UsageError if the calibration cannot tell the ride at these speeds, BadInputError if its
+    ride model is damaged.
     """
 
     def __init__(self, calibration: Calibration, speeds: tuple[float, ...] = (), *, headings: bool = False) -> None:
@@ -145,21 +133,9 @@ class RideModel:
         return found.at_speed(log_ratio, speed_log_sd(self.calibration)), factors
 
     def rate(self, patches: PatchStack, textures: TextureMap, georeference: Georeference) -> CostMap:
-        """Rate tiles.
+        """Rate n tiles; textures and georeference travel with the result, and the ride model does not look at them.
 
-        Parameters
-        ----------
-        patches : PatchStack
-            n tiles.
-        textures : TextureMap
-            Travels with the result; the ride model does not look at it.
-        georeference : Georeference
-            Travels with the result.
-
-        Raises
-        ------
-        UsageError
-            The calibration was made for tiles of another size or another number of pixels.
+        Raises UsageError if the calibration was made for tiles of another size or another number of pixels.
         """
         calibration = self.calibration
         calibration.require_grid(patches.grid.tile_size, patches.grid.pixels)

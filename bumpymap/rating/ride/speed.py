@@ -77,13 +77,7 @@ class MotionModel:
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any], speed: float) -> "MotionModel":
-        """Read the mapping that `to_record` returned, for a vehicle with this speed [m/s].
-
-        Raises
-        ------
-        BadInputError
-            A value is missing or has the wrong length.
-        """
+        """Read what `to_record` returned, for a vehicle with this speed [m/s]; raise BadInputError if it is damaged."""
         try:
             return cls(
                 speed,
@@ -106,16 +100,9 @@ class MotionModel:
         return {name: plain_lists(value) for name, value in asdict(self).items() if name != "speed_mps"}
 
     def log_factors(self, motions: Motions, pitch_change: Floats, speeds: tuple[float, ...]) -> Floats:
-        """Return ln of each of ``QUANTITIES`` over the C_r at the profile's speed, (n, k, 3).
+        """Return ln of each of ``QUANTITIES`` over the C_r at the profile's speed, of n patches at k speeds, (n, k, 3).
 
-        Parameters
-        ----------
-        motions : Motions
-            Geometric values of n patches at k speeds.
-        pitch_change : array (n,)
-            Geometric C_r at the profile's speed, rad/m.
-        speeds : tuple of float
-            The k speeds, m/s.
+        ``pitch_change`` (n,): geometric C_r at the profile's speed, rad/m.
         """
         terms = motion_terms(motions, pitch_change, self._log_ratios(speeds), self.log_range)
         return np.stack([terms[name] @ np.array(getattr(self, name).terms) for name in QUANTITIES], axis=-1)
@@ -136,18 +123,11 @@ class MotionModel:
 def motion_terms(
     motions: Motions, pitch_change: Floats, log_speed: Floats, log_range: tuple[float, float]
 ) -> dict[str, Floats]:
-    """Return the terms of each of ``QUANTITIES``, (n, k, terms).
+    """Return the terms of each of ``QUANTITIES``, (n, k, terms), for n patches at k speeds.
 
-    Parameters
-    ----------
-    motions : Motions
-        Geometric values of n patches at k speeds.
-    pitch_change : array (n,)
-        Geometric C_r at the profile's speed, rad/m.
-    log_speed : array (k,)
-        ln of the speeds over the profile's.
-    log_range : (float, float)
-        Lowest and highest ln of the geometric C_r of the driven ground; the terms of the roughness stay beyond.
+    ``pitch_change`` (n,): geometric C_r at the profile's speed, rad/m; ``log_speed`` (k,): ln of the speeds over the
+    profile's; ``log_range``: lowest and highest ln of the geometric C_r of the driven ground: the terms of the
+    roughness stay beyond.
     """
     shape = motions.pitch_change.shape
     own = np.log(np.maximum(pitch_change, _LEAST))[:, None]
@@ -188,10 +168,7 @@ LEVEL = 5e-4
 def at_speed(calibration: Calibration, speed: float | None) -> Calibration:
     """Return a calibration whose C_r is that at a speed [m/s]; itself at None and at the profile's own speed.
 
-    Raises
-    ------
-    UsageError
-        The speed is out of the range that it holds for.
+    Raises UsageError if the speed is out of the range that it holds for.
     """
     if speed is None:
         return calibration
@@ -267,20 +244,11 @@ class SpeedRating:
 def motion_felt(
     calibration: Calibration, speeds: Sequence[float], factors: NDArray[np.float32], c_r: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Return what is felt at k speeds, (..., 3 k): c_r, c_roll [rad/m] and a_w [m/s2] for each; NaN in unknown tiles.
+    """Return what is felt at k speeds [m/s], (..., 3 k): c_r, c_roll [rad/m], a_w [m/s2] each; NaN in unknown tiles.
 
     The factors are those of the driven C_r: the vehicle's floor is taken off before, and comes back to ``c_r`` alone.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        At the speed of the map.
-    speeds : sequence of float
-        m/s.
-    factors : array (..., 3 k) float32
-        Of `SpeedRating.factors`; NaN where the heightmap does not tell.
-    c_r : array (...) float32
-        Of the map, with the vehicle's floor, rad/m.
+    ``calibration``: at the speed of the map; ``factors`` (..., 3 k): of `SpeedRating.factors`, NaN where the heightmap
+    does not tell; ``c_r`` (...): of the map, with the vehicle's floor, rad/m.
     """
     driven = less_floor(c_r, calibration.map_floor)
     known = np.isfinite(factors)
@@ -298,16 +266,9 @@ def felt_by_heading(
 ) -> NDArray[np.float32]:
     """Return C_r along each of ``AXES_DEG``, (..., 8) rad/m: that of the tile where its heightmap tells no heading.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        At the speed of the map.
-    factors : array (..., 8) float32
-        Of `CostMap.headings`; NaN where the heightmap does not tell.
-    c_r : array (...) float32
-        Of the map, with the vehicle's floor, rad/m.
-    weight : array (...) or float
-        How far the heightmap counts in ``c_r``, 0..1.
+    ``calibration``: at the speed of the map; ``factors`` (..., 8): of `CostMap.headings`, NaN where the heightmap does
+    not tell; ``c_r`` (...): of the map, with the vehicle's floor, rad/m; ``weight`` (...): how far the heightmap counts
+    in it, 0..1.
     """
     more = np.nan_to_num(factors - np.float32(1.0)) * np.asarray(weight, np.float32)[..., None]
     driven = less_floor(c_r, calibration.map_floor)[..., None]

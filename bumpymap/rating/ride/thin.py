@@ -45,16 +45,8 @@ def thin_columns(
 ) -> NDArray[np.float32]:
     """Return what the rating of thin tiles needs of each tile, (n, 20) in the order of ``THIN_COLUMNS``.
 
-    Parameters
-    ----------
-    pairs : array (n, 15)
-        Measures of pairs of points, of `bumpymap.patches.measure_thin`.
-    relief_map : array (n, pixels, pixels) float32
-        Filled heightmaps of the same, m.
-    count : array (n,)
-        Points of each tile.
-    operator : RideOperator
-        Of the vehicle.
+    ``pairs`` (n, 15): measures of pairs of points, of `bumpymap.patches.measure_thin`; ``relief_map`` (n, pixels,
+    pixels): filled heightmaps of the same, m; ``count`` (n,): points of each tile.
     """
     rides = roll_over(relief_map, operator)
     points = np.where(np.isfinite(pairs[:, 0]), count, np.nan)
@@ -110,12 +102,7 @@ class ThinModel(Coefficients):
     def predict(self, columns: Floats, noise: Floats) -> Prediction:
         """Predict C_r and p_fail of n tiles; NaN where a column is.
 
-        Parameters
-        ----------
-        columns : array (n, 20)
-            Of `thin_columns`.
-        noise : array (n,)
-            Standard deviation of the height of a point, m.
+        ``columns`` (n, 20): of `thin_columns`; ``noise`` (n,): standard deviation of the height of a point, m.
         """
         inputs = (columns, noise, self.felt, self.relief)
         relief = _log_relief(columns, noise)

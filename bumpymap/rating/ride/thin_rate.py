@@ -42,29 +42,17 @@ _SIDES = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 
 
 def pull_to_neighbours(found: Prediction, shared: Floats, own_weight: Floats, model: ThinModel) -> Prediction:
-    """Combine the prediction of each tile with those of its eight neighbours.
+    """Combine the prediction of each tile with those of its eight neighbours; return those without the ring.
 
     A regression shrinks the prediction of a tile with few points towards the mean of the terrain that it was fitted to,
     and an average of nine such tiles stays as biased as each of them. So the shrinkage is undone first, as for a normal
     error with a normal prior; the neighbours are the prior instead. A tile without known neighbours keeps its
     prediction.
 
-    Parameters
-    ----------
-    found : Prediction
-        Arrays (rows, cols) with a ring of one tile; NaN where a tile is unknown.
-    shared : array (2, rows, cols)
-        Standard deviation of ln C_r below and above the median that all tiles have in common, and that no neighbour
-        makes smaller: that of the noise of the survey. Not in ``found``.
-    own_weight : array (rows, cols)
-        0: as the errors tell; 1: a tile that does not move.
-    model : ThinModel
-        That made the predictions.
-
-    Returns
-    -------
-    Prediction
-        Arrays without the ring.
+    ``found``: (rows, cols) with a ring of one tile, NaN where a tile is unknown, made by ``model``. ``shared`` (2,
+    rows, cols): standard deviation of ln C_r below and above the median that all tiles have in common, and that no
+    neighbour makes smaller: that of the noise of the survey; not in ``found``. ``own_weight`` (rows, cols): 0: as the
+    errors tell; 1: a tile that does not move.
     """
     mean, prior_sd = model.prior
     model_error = model.own_spread**2
@@ -163,21 +151,10 @@ def pool_noise(
     the ground: a weighted straight line through the tiles, whose standard error is that of means of squared normal
     numbers.
 
-    Parameters
-    ----------
-    close_sum : array (...)
-        Sum of the squared height differences of the close pairs of each tile, m^2; NaN for tiles without.
-    close_pairs : array (...)
-        Number of these pairs.
-    variance : array (...)
-        Variance of the points about the tile's plane, m^2.
-    total : callable
-        Sums arrays (k, ...) over the tiles that share their noise with each.
-
-    Returns
-    -------
-    array (3, ...)
-        One standard error lower, the estimate, and one higher, m.
+    ``close_sum`` (...): sum of the squared height differences of the close pairs of each tile, m^2, NaN for tiles
+    without; ``close_pairs`` (...): their number; ``variance`` (...): of the points about the tile's plane, m^2;
+    ``total``: sums arrays (k, ...) over the tiles that share their noise with each. Returns (3, ...): one standard
+    error lower, the estimate, and one higher, m.
     """
     known = (close_pairs > 0) & np.isfinite(close_sum) & (variance > _TINY)
     pairs, twice = (np.where(known, values, 0.0) for values in (close_pairs, 2.0 * variance))
@@ -247,29 +224,13 @@ def rate_thin(
 ) -> BlockRating:
     """Rate the thin tiles of a block; all others keep what the first pass found, to the bit.
 
-    Parameters
-    ----------
-    columns : array (rows, cols, 20) float32
-        Of `thin_columns`, the tiles of the block and those around it; NaN where a tile has no points.
-    first : BlockRating
-        Results of the first pass for the same tiles.
-    coverage, slope : array (rows, cols)
-        Of `PatchStack`, 0..1 and degrees; NaN where a tile has no points.
-    calibration : Calibration
-        Of the vehicle that will drive.
-    ring : int
-        Tiles around the block on each side, at least one. They are neighbours, and help to tell the noise; beyond
-        ``THIN_RING`` none has a part in what a tile of the block is.
+    ``columns`` (rows, cols, 20): of `thin_columns`, the tiles of the block and those around it, NaN where a tile has no
+    points; ``first``: results of the first pass for the same tiles; ``coverage``, ``slope`` (rows, cols): of
+    `PatchStack`, 0..1 and degrees, NaN where a tile has no points. ``ring``: tiles around the block on each side, at
+    least one, which the result lacks. They are neighbours, and help to tell the noise; beyond ``THIN_RING`` none has a
+    part in what a tile of the block is.
 
-    Returns
-    -------
-    BlockRating
-        Without the ring.
-
-    Raises
-    ------
-    BadInputError
-        The model of thin surveys of the calibration is damaged.
+    Raises BadInputError if the model of thin surveys of the calibration is damaged.
     """
     model = _model(calibration)
     weight = ride_weight(first, coverage)
@@ -342,12 +303,7 @@ def dense_share(coverage: NDArray[np.floating]) -> Floats:
 def is_rateable(columns: NDArray[np.float32], reason: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Return which tiles can be rated from their points: four at least; ``SPANNED_POINTS`` and more span the tile.
 
-    Parameters
-    ----------
-    columns : array (..., 20) float32
-        Of `thin_columns`.
-    reason : array (...)
-        Of the first pass.
+    ``columns`` (..., 20): of `thin_columns`; ``reason`` (...): of the first pass.
     """
     points, seen = (columns[..., THIN_COLUMNS.index(name)] for name in ("points", "seen"))
     spanned = (points < SPANNED_POINTS) | (seen >= THIN_SEEN)
