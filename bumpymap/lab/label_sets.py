@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from bumpymap.core import CLASSES, BadInputError, UsageError, read_regular
 
 _NO_CLASS = -1
+"""Class of an id that has none."""
 _LEAST_KNOWN = 0.5
 """A set is refused if fewer of the labelled points than this have ids of the set."""
 _LEAST_GROUND = 0.02

@@ -209,9 +209,8 @@ KINDS = tuple(SHAPES)
 """All kinds of ground, starting with the paper's four textures."""
 FINE = 4
 """Number of samples of the surface along the side of a pixel."""
-_GENTLE_DEG = 8.0
-_STEEP = 1.2
-"""Half of the terrains lie on slopes up to this multiple of ``slope_limit_deg``, the others on gentle ones."""
+_GENTLE_DEG, _STEEP = 8.0, 1.2
+"""Half of the terrains lie on slopes up to 8 degrees, the others up to 1.2 times ``slope_limit_deg``."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,14 +31,17 @@ MOST_SENSOR_SHARE = 0.5
 LEFT_OUT = ("off_map", "other_speed", "below_sensor")
 """Why a stretch does not count: the map does not know the ground, or nothing was measured; it was driven at another
 speed; the sensor cannot tell so little motion."""
-_FOLD_M = 50.0
-_FOLDS = 10
-_LEAST_DRIVES = 3
+_FOLD_M, _FOLDS, _LEAST_DRIVES = 50.0, 10, 3
+"""Left out together are whole drives, if there are at least three, else pieces of the way of at least 50 m; in ten
+parts at most. Chosen."""
 _INTERVAL_SD = 2 * NORMAL_TAIL
 """Width of an 80 % interval in standard deviations."""
 _LEAST_MAP_SD = 0.03
+"""Least standard deviation of ln C_r by the map's interval that is believed."""
 _LEAST_STRETCHES = 8
+"""With fewer, how errors grow with what was measured is not fitted."""
 _TINY = 1e-9
+"""C_r that stands for 0 in a logarithm, rad/m."""
 _LEAST_SHARE = 0.1
 """Least part of the map's C_r that is not its floor, and of a standard error that a measurement may be."""
 
@@ -165,9 +168,11 @@ _SURENESS = 0.717
 _SCALES = np.array([0.25, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8])
 """Grid of the map's error over what its interval says."""
 _SCALE_LOG_SD = 0.5
+"""Standard deviation of the logarithm of that before any drive. Chosen."""
 _LINES = np.array([0.0, 0.06, 0.1, 0.15, 0.22, 0.33, 0.5])
 """Grid of the standard deviation of ln C_r between lines over the ground of a stretch."""
 _STEPS = 12
+"""Newton's steps at each place of the grid. Chosen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +180,7 @@ class DrivePrior:
     """Distribution of the numbers before any drive."""
 
     middle: float
-    """ln C_r [rad/m] at which the shift is told."""
+    """ln C_r [rad/m] at which the shift is given."""
     sd: tuple[float, ...]
     """Standard deviations of shift and tilt, and of ln floor if it may move."""
     log_floor: float

@@ -83,7 +83,9 @@ Floats = NDArray[np.float64]
 STEP_COLUMNS = ("class_id", "c_r", "c_r_low", "c_r_high", "p_fail", "confidence")
 """The columns that `apply_steps` changes."""
 _LEAST_LOG_SD = 0.1
+"""Least standard deviation of ln C_r between steps of one height. Chosen: the places and directions are few."""
 _TINY = 1e-9
+"""C_r that stands for 0 in a logarithm, rad/m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,7 +216,9 @@ def _recorded(record: Mapping[str, Any]) -> StepEffect:
 
 
 _QUANTILE, _QUANTILE_LIMIT = 0.2, 12.0
+"""Steps count above 12 times the 20 % quantile of all steps in the tile (4 above). Chosen, as the next."""
 _PIXEL_LIMIT = 2.5
+"""Limit of noise over the noise of a pixel."""
 _MEDIAN_DIFFERENCE = 0.9539
 """Median size of the difference of two numbers from a standard normal distribution."""
 _LEVEL_WIDTH = 1.85

@@ -217,10 +217,19 @@ class _Rules:
 
 
 _RULES = {
-    "rocker": _Rules(0.1, 0.05, 0.4, 0.42, (1.3, 0.7, 0.4), 0.2, 6.5, 1.15),
-    "sprung": _Rules(0.03, 0.025, 0.7, 0.44, (1.5, 1.0, 0.75), 0.1, 1.5, 0.5),
-    "rigid": _Rules(0.01, 0.045, 0.2, 0.93, (1.3, 0.6, 0.35), 0.05, 12.0, 0.4),
-}
+    "rocker": _Rules(
+        rocker_mass=0.1, wheel_mass=0.05, centre=0.4, overhang=0.42, box=(1.3, 0.7, 0.4), limit_rad=0.2, pitch_hz=6.5,
+        damping=1.15,
+    ),
+    "sprung": _Rules(
+        rocker_mass=0.03, wheel_mass=0.025, centre=0.7, overhang=0.44, box=(1.5, 1.0, 0.75), limit_rad=0.1,
+        pitch_hz=1.5, damping=0.5,
+    ),
+    "rigid": _Rules(
+        rocker_mass=0.01, wheel_mass=0.045, centre=0.2, overhang=0.93, box=(1.3, 0.6, 0.35), limit_rad=0.05,
+        pitch_hz=12.0, damping=0.4,
+    ),
+}  # fmt: skip
 _WHOLE = {"mass_kg", "suspension"}
 _TABLES = ("chassis", "belly", "rocker", "wheel")
 _BETWEEN = 0.95

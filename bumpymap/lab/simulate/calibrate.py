@@ -117,6 +117,9 @@ def summarise(
     driven = driven_library(settings, results)
     crossed = [[[mean for mean in cell if mean is not None] for cell in line] for line in means]
     limits = class_limits(driven) if like is None else like.class_limits
+    known = np.array([terrain.c_r for terrain in driven if terrain.c_r is not None], np.float64)
+    class_id = np.searchsorted(limits, known, side="right")
+    a, b, c, d = (float(known[class_id == k].mean()) for k in range(len(CLASS_NAMES)))
     rule = _RULE if like is None else f"those of the calibration {like.id}, for tiles of {like.tile_size:g} m"
     record: dict[str, Any] = {"command": command, **settings.to_dict(), "class_rule": rule, "patch_c_r": means}
     record["library"] = library_record(driven)
@@ -131,7 +134,7 @@ def summarise(
         p_fail=cells(lambda cell: sum(p.failed for p in cell) / sum(len(p.outcome) for p in cell), table),
         drives=cells(lambda cell: sum(len(patch.outcome) for patch in cell), table),
         class_limits=limits,
-        class_c_r=class_means(driven, limits),
+        class_c_r=(a, b, c, d),
         settings=record,
     )
 
@@ -157,16 +160,6 @@ def class_limits(driven: Sequence[DrivenTerrain]) -> tuple[float, float, float]:
             "the vehicle hardly pitches on this ground"
         )
     return low, middle, high
-
-
-def class_means(
-    driven: Sequence[DrivenTerrain], limits: tuple[float, float, float]
-) -> tuple[float, float, float, float]:
-    """Return the mean C_r [rad/m] of the terrains of each class, also of those of few completed drives."""
-    known = np.array([t.c_r for t in driven if t.c_r is not None], dtype=np.float64)
-    class_id = np.searchsorted(limits, known, side="right")
-    a, b, c, d = (float(known[class_id == k].mean()) for k in range(len(CLASS_NAMES)))
-    return a, b, c, d
 
 
 def natural_breaks(values: NDArray[np.float64], groups: int) -> list[float]:

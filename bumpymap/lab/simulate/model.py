@@ -169,7 +169,9 @@ def _mirrored(index: NDArray[np.int64], pixels: int) -> NDArray[np.int64]:
 
 
 _GRAVITY = 9.80665
+"""Standard gravity, m/s2."""
 _CLEARANCE_M = 0.001
+"""Height above the ground at which a vehicle starts."""
 _BODY_SHARE = 0.3
 """Ratio of the body's height to its length; only relevant after a rollover."""
 _URDF = (

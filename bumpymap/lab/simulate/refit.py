@@ -38,6 +38,7 @@ _HEIGHTS = (0.02, 0.05, 0.08, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0)
 _TILE_HEIGHTS = (*_HEIGHTS, 1.4, 2.0)
 """Heights of the steps of tiles."""
 _WHEEL_M = 0.3
+"""Radius."""
 _TILE_TURNS_DEG = (0.0, 15.0, 30.0, 45.0)
 """Directions of the steps of tiles."""
 _TILE_OFFSETS = (-0.1, 0.0, 0.1)
@@ -50,6 +51,7 @@ if it had crossed it."""
 _STREAM = 101
 """Number of the random stream of these drives; no texture and no kind of terrain has this index."""
 _SUPERSAMPLE = 8
+"""Samples along a side of a pixel, whose mean is its height."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -212,15 +212,14 @@ def score_table(score: Accuracy, names: Sequence[str]) -> str:
     return "\n".join([*head, *(f"| {name} | " + " | ".join(map(str, line)) + " |" for name, line in lines)])
 
 
-_OPSET = 17
-_IR_VERSION = 8
+_OPSET, _IR_VERSION = 17, 8
+"""Versions of the operators and of the format of ONNX: old ones, for old versions of ONNX Runtime."""
 
 
 class OnnxGraph:
     """Nodes and weights in the order in which they are added; each method returns the name of its output.
 
-    Batch normalisation is folded into the convolutions. Operators are those of opset 17, so that old versions of ONNX
-    Runtime can read the file.
+    Batch normalisation is folded into the convolutions.
     """
 
     def __init__(self, name: str, output_name: Callable[[int], str]) -> None:

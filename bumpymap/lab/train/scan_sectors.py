@@ -23,6 +23,7 @@ _OTHER_GRID = 0.5
 SWAPPED_MEASURES = ("coverage",)
 """Measures that training swaps between some sectors."""
 _SWAPPED_SHARE = 0.15
+"""Share of the sectors of an epoch that take them. Chosen."""
 _TREE, _BUSH = 4, 19
 """Ids of RELLIS-3D."""
 ScanProgress = Callable[[int, int], None]

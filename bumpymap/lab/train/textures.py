@@ -324,6 +324,7 @@ def _learning_rate(share: float, peak: float) -> float:
 
 
 _BATCH = 1024
+"""Samples that a network predicts at once: memory."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -214,6 +214,7 @@ def _heights(patches: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray
 WEIGHTED_BAND_HZ = (0.4, 10.0)
 """Vertical motion of these frequencies counts, Hz."""
 _LIMITS_HZ = (0.4, 100.0)
+"""Corners of the high pass and of the low pass of Wk; these and the next of ISO 2631-1."""
 _VELOCITY_HZ, _VELOCITY_Q = 12.5, 0.63
 """Above this frequency the weight falls: velocity is felt rather than acceleration."""
 _STEP_HZ, _STEP_Q = (2.37, 3.35), 0.91
@@ -259,6 +260,7 @@ _PER_WAVE = 2.5
 _FILTER_S = 2.0
 """Half the length of a filter, s: from 0.4 to 8 Hz, what a sine feels is within 3 % of Wk."""
 _LONG = 1 << 15
+"""Samples of the Fourier transform that the taps come from: many times the longest filter."""
 
 
 def heave_filter(speed: float, way: float) -> tuple[Floats, Floats]:

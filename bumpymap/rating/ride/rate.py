@@ -41,6 +41,7 @@ from bumpymap.rating.ride.operator import RideOperator, cosines
 from bumpymap.rating.ride.speed import LEVEL, SpeedRating, map_rule, plain_speed_factor, require_speeds, speed_log_sd
 from bumpymap.rating.vehicle_body import with_floor
 
+Floats = NDArray[np.float64]
 _STEEPNESS = (2.0, 2.6, 3.2, 3.8, 4.5)
 """Exponents of the ground's spectrum that are tried: Hurst exponents from 0 to beyond 1."""
 _SHARPENED = 1.2
@@ -63,24 +64,32 @@ class CleanPatches:
 
 def denoise(patches: PatchStack, operator: RideOperator) -> CleanPatches:
     """Estimate the noise of every patch that can be judged, and take it off its relief."""
-    tiles, pixels = len(patches.reason), patches.grid.pixels
-    spectrum = spectrum_of(pixels)
-    clean = patches.relief_map.copy()
-    noise = np.full((2, tiles), np.nan)
+    known = patches.reason == Reason.OK
+    clean, (point, pixel) = take_noise_off(patches.relief_map, known, patches.spread_count, patches.spread_variance)
+    return CleanPatches(clean, point, pixel * operator.noise_gain)
+
+
+def take_noise_off(
+    relief_map: NDArray[np.float32], known: NDArray[np.bool_], count: NDArray[np.int32], variance: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], Floats]:
+    """Return denoised relief maps (n, pixels, pixels), m, and the noise of a point and of a pixel, (2, n) m.
+
+    ``known`` (n,): patches to denoise; ``count``, ``variance`` (n, pixels, pixels): points of each pixel and the
+    variance of their heights, m^2.
+    """
+    spectrum, pixels = _spectrum_of(relief_map.shape[1]), relief_map.shape[1]
+    clean, noise = relief_map.copy(), np.full((2, len(relief_map)), np.nan)
     denoise_patches(
-        PatchesToDenoise(
-            patches.reason == Reason.OK, patches.relief_map, patches.spread_count, patches.spread_variance
-        ),
+        PatchesToDenoise(known, *map(np.ascontiguousarray, (relief_map, count, variance))),
         spectrum,
         DenoisedPatches(clean, noise),
         spectrum_scratch(pixels, *spectrum.shapes.shape),
     )
-    point, pixel = noise
-    return CleanPatches(clean, point, pixel * operator.noise_gain)
+    return clean, noise
 
 
 @cache
-def spectrum_of(pixels: int) -> Spectrum:
+def _spectrum_of(pixels: int) -> Spectrum:
     """Cosines, the band of each coefficient (by its wave number, -1 for the mean), spectra that are tried by band."""
     order = np.arange(pixels)
     wave = np.hypot(order[:, None], order[None, :])
@@ -89,9 +98,6 @@ def spectrum_of(pixels: int) -> Spectrum:
     shapes = np.array([[float(np.mean(wave_numbers**-beta)) for wave_numbers in members] for beta in _STEEPNESS])
     basis = np.ascontiguousarray(cosines(pixels))
     return Spectrum(basis, np.ascontiguousarray(basis.T), band, shapes)
-
-
-Floats = NDArray[np.float64]
 
 
 class RideModel:

@@ -31,6 +31,7 @@ QUANTITIES = ("c_r", "c_roll", "a_w")
 """Predicted at each speed: rad/m, rad/m, m/s2."""
 _TERMS = {"c_r": 6, "c_roll": 7, "a_w": 10}
 _PLAIN_TERMS = {"c_r": 5, "c_roll": 6, "a_w": 6}
+"""Numbers of coefficients of `motion_terms` and of `plain_terms`."""
 _LEAST = 1e-5
 """Geometric values below are rounding errors, rad/m and m/s2."""
 

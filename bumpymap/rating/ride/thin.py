@@ -20,6 +20,7 @@ from bumpymap.rating.ride.operator import RideOperator
 
 Floats = NDArray[np.float64]
 _LAGS = 5
+"""Classes of distance of pairs of points, of `bumpymap.patches.measure_thin`."""
 THIN_COLUMNS = (
     *("points", "seen", "spread", "size_share", "slope"),
     *("pitch_change", "pitch_change_rms", "pitch", "twist", "belly"),
@@ -30,14 +31,19 @@ THIN_COLUMNS = (
 standard deviation about the plane, m; mean absolute distance over that; slope of the plane (tangent); the ride over the
 filled heightmap as in `Rides`; sums of the squared height differences of pairs of points by distance, m^2; pairs."""
 _USUAL_POINTS = 36.0
+"""Points of a tile at which their logarithm is 0 in the terms: 4 a square metre of a tile of 3 m."""
 _PSEUDO_PAIRS = 3.0
+"""Pairs of each distance that are added, with half of the variance at great distances. Chosen."""
 _LEAST_SHARE = 0.1
 """Least relief, as a share of the noise, that is told from it."""
 _LEAST_RATIO = 0.03
+"""Least value of the structure function over that at great distances. Chosen."""
 _LEAST_RIDE = 0.15
 """Least pitch change without noise, as a share of that with it."""
 _TINY = 1e-5
+"""Heights, angles and rad/m that stand for 0 in a logarithm."""
 _MOST_LOGIT = 30.0
+"""Of p_fail, absolute: beyond, it is 0 or 1 to every digit that is stored."""
 
 
 def thin_columns(

@@ -20,14 +20,15 @@ Floats = NDArray[np.float64]
 
 
 _FREEDOM = 4.0
+"""Degrees of freedom of Student's distribution for how unlike its neighbours a tile is. Chosen."""
 _MOST_SHRUNK = 0.8
 """Most of the variance of the ground of the fit that the error of a tile counts for."""
 _LEAST_ERROR = 0.02
 """Least standard deviation of ln C_r that a prediction is believed to have."""
 _LEAST_VARIANCE = 0.02
 """Of ln C_r between neighbours: even ground differs by 14 % from tile to tile."""
-_UNKNOWN_VARIANCE = 1.0
-_LEAST_NEIGHBOURS = 12
+_UNKNOWN_VARIANCE, _LEAST_NEIGHBOURS = 1.0, 12
+"""The same where fewer pairs of neighbours than that are known."""
 _ROUNDS = 2
 """Fits of the noise: the first weighs tiles as if it were ``_UNKNOWN_M`` everywhere, the second by what that found."""
 _POOLED, _COMPARED = 5, 4
@@ -37,8 +38,11 @@ _PREDICTED = 2 + _COMPARED
 THIN_RING = _PREDICTED + _ROUNDS * _POOLED
 """Tiles to each side that have a part in the rating of a thin one, by their noise."""
 _MOST_RISE = 3.0
+"""Most rise of ln C_r by its neighbours that p_fail follows. Chosen: C_r twenty times as high."""
 _LEAST_WEIGHT = 1e-12
+"""Stands for 0 in a division."""
 _SIDES = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
+"""Steps to the eight neighbours of a tile, up and right."""
 
 
 def pull_to_neighbours(found: Prediction, shared: Floats, own_weight: Floats, model: ThinModel) -> Prediction:
@@ -131,6 +135,7 @@ def _mean_of_neighbours(log_c_r: Floats, weight: Floats) -> tuple[Floats, Floats
 
 
 _LEAST_PAIRS = 10.0
+"""With fewer close pairs the noise is unknown. Chosen."""
 _UNKNOWN_M = 0.02
 """Noise that is assumed, with an error as large, where too few pairs are close."""
 _LEAST_NOISE_M = 0.002
@@ -140,6 +145,7 @@ _MOST_NOISE_M = 0.1
 _SHARE, _MOST_SHARE = 0.3, 0.9
 """Share of the ground's variance that close pairs have: as the first fit assumes, and the most."""
 _TINY = 1e-10
+"""Variance [m^2] and sums that stand for 0."""
 
 
 def pool_noise(
