@@ -1,4 +1,4 @@
-"""Label sets: what the semantic ids of labelled points mean.
+"""Label sets: what the semantic ids of labelled points mean; and how classes agree with labels.
 
 A set gives each of its ids a name, a class (0 smooth to 2 rough; -1: none) and a kind: ground, obstacle or neither.
 Three sets are built in: ``kitti`` (ids 0 to 19, as networks for SemanticKITTI are trained), ``semantic-kitti`` (the raw
@@ -7,6 +7,7 @@ wanted, ``name`` and ``kind``.
 """
 
 import csv
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,7 +41,7 @@ class LabelSet:
     ground: frozenset[int]
     """Ids of ground."""
     obstacle: frozenset[int]
-    """Ids of things that stand on the ground and stop a vehicle. Trees count as a whole where a set has no id of their
+    """Ids of standing objects that stop a vehicle. Trees count as a whole where a set has no id of their
     trunks: only what is lower than the vehicle is in its way."""
     names: dict[int, str]
     """Id -> name."""
@@ -193,7 +194,7 @@ def require_label_set(labels: NDArray[np.integer[Any]], known: LabelSet, origin:
         )
 
 
-def tell_label_set(labels: NDArray[np.integer[Any]], origin: str) -> LabelSet:
+def identify_label_set(labels: NDArray[np.integer[Any]], origin: str) -> LabelSet:
     """Return the one built-in set of which all ``labels`` are, and enough of them ground.
 
     Raises BadInputError, which names the ``origin`` of the labels, if no set fits, or several do.
@@ -212,3 +213,39 @@ def tell_label_set(labels: NDArray[np.integer[Any]], origin: str) -> LabelSet:
 def _listed(labels: NDArray[np.integer[Any]]) -> str:
     ids = np.unique(labels[labels > 0])
     return ", ".join(map(str, ids[:_SHOWN])) + (", .." if len(ids) > _SHOWN else "") if len(ids) else "none"
+
+
+@dataclass(frozen=True, slots=True)
+class Accuracy:
+    """Agreement of classes with labels."""
+
+    confusion: list[list[int]]
+    """``[true class][predicted class]``, number of sectors or patches."""
+    right: float
+    """Accuracy; NaN without labels."""
+    even: float
+    """Balanced accuracy over the classes that occur; NaN without labels."""
+    recall: list[float]
+    """Share of each class that is found, 0..1; NaN for a class that does not occur."""
+
+    @property
+    def count(self) -> int:
+        """Number of sectors or patches."""
+        return sum(map(sum, self.confusion))
+
+
+def accuracy_of(truth: NDArray[np.integer], answer: NDArray[np.integer], classes: int) -> Accuracy:
+    """Compare answers (n,) with the truth (n,) where it is known: 0 or above.
+
+    By numpy: `bumpymap evaluate` runs with the default install, where scikit-learn is not, and is no shorter with its
+    ``confusion_matrix`` and ``recall_score``, as these refuse to count where nothing is labelled.
+    """
+    known = truth >= 0
+    place = truth[known].astype(np.int64) * classes + answer[known]
+    counts = np.bincount(place, minlength=classes**2).reshape(classes, classes)
+    totals = counts.sum(axis=1)
+    there = totals > 0
+    recall = np.divide(np.diag(counts), totals, out=np.full(classes, np.nan), where=there)
+    right = float(np.trace(counts) / totals.sum()) if there.any() else math.nan
+    even = float(recall[there].mean()) if there.any() else math.nan
+    return Accuracy(counts.tolist(), right, even, recall.tolist())

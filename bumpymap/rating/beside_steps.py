@@ -140,8 +140,13 @@ def _ride(
     # The kernel takes the spread of the pixels' own points, two at least, and corrects the bias of their median.
     count = np.maximum(per_pixel, 2.0).astype(np.int32)
     variance = of_point / per_pixel * (count - 1) * (1.0 - 2.0 / (9.0 * (count - 1))) ** 3
-    count, variance = (np.broadcast_to(values[:, None, None], shape) for values in (count, variance.astype(np.float32)))
-    clean, noise = take_noise_off(relief, np.isfinite(relief[:, 0, 0]), count, variance)
+    of_tile = np.s_[:, None, None]
+    clean, noise = take_noise_off(
+        relief,
+        np.isfinite(relief[:, 0, 0]),
+        np.broadcast_to(count[of_tile], shape),
+        np.broadcast_to(variance.astype(np.float32)[of_tile], shape),
+    )
     rides = roll_over(clean, model.operator)
     found = model.correction.predict(rides, slope, noise[1] * model.operator.noise_gain, points / pixels**2)
     found = found.at_speed(plain_speed_factor(calibration, found.log_c_r), speed_log_sd(calibration))

@@ -2,7 +2,7 @@
 
 A texture is a patch as ``PatchStack.relief_map`` shows it to the network and to the simulated vehicle: with its
 least-squares plane removed, then min-max scaled. Scaled, level ground is the noise of its survey, which looks like
-rubble: so the network is also told the relief and the noise in metres. Lengths are fractions of the patch's side;
+rubble: so the network also gets the relief and the noise in metres. Lengths are fractions of the patch's side;
 metres in the docstrings are those of the default patch, 3 m and 15 px. Every parameter is random for each patch. At
 equal z range the forms get rougher from ``flat`` to ``high_noise``.
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, strategies as st
 from sklearn.metrics import accuracy_score, confusion_matrix, recall_score
 
-from bumpymap.lab.evaluate.agreement import accuracy_of
+from bumpymap.lab.label_sets import accuracy_of
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -4,20 +4,15 @@ import json
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
-from itertools import chain, pairwise
+from itertools import pairwise
 from pathlib import Path
 
 from bumpymap.core import atomic, plain_json
-from bumpymap.lab.evaluate.agreement import Accuracy
 from bumpymap.lab.evaluate.scans import DEVIATION, RANGE_M, ScanFindings
+from bumpymap.lab.label_sets import Accuracy
 
 REPORT = "report.md"
 """Name of the page of an evaluation."""
-
-
-def section(title: str, intro: str, lines: Sequence[str]) -> list[str]:
-    """Return the lines of a section, or none if ``lines`` is empty. ``intro`` may be empty."""
-    return [f"## {title}", "", *([intro, ""] if intro else []), *lines] if lines else []
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
@@ -26,9 +21,9 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
     return [*lines, *(f"| {' | '.join(row)} |" for row in rows), ""]
 
 
-def number(value: float, digits: int = 3) -> str:
-    """Format a number with ``digits`` significant digits; a dash if it is not finite."""
-    return f"{value:.{digits}g}" if math.isfinite(value) else "-"
+def number(value: float) -> str:
+    """Format a number with three significant digits; a dash if it is not finite."""
+    return f"{value:.3g}" if math.isfinite(value) else "-"
 
 
 def percent(share: float) -> str:
@@ -76,12 +71,14 @@ def write_scan_report(findings: ScanFindings, out: Path) -> list[Path]:
     ]
     free = ("method", "points", "in free sectors", "low", "in sectors of class 0 or 1")
     sections = [
-        section("Compared with labels", _ANSWERS, _accuracy_lines(findings) if findings.accuracy else []),
-        section("Ground", _GROUND, table(("frame", "points", "precision", "recall", "F1"), ground) if ground else []),
-        section("Obstacles in sectors called free", _OBSTACLES, table(free, obstacles) if obstacles else []),
-        section("Statistics of the classes", "The paper's Tables IV and V.", scan_class_lines(findings)),
+        ("Compared with labels", _ANSWERS, _accuracy_lines(findings) if findings.accuracy else []),
+        ("Ground", _GROUND, table(("frame", "points", "precision", "recall", "F1"), ground) if ground else []),
+        ("Obstacles in sectors called free", _OBSTACLES, table(free, obstacles) if obstacles else []),
+        ("Statistics of the classes", "The paper's Tables IV and V.", scan_class_lines(findings)),
     ]
-    lines = ["# Can the classes of scans be trusted?", "", opening, "", *chain.from_iterable(sections)]
+    lines = ["# Can the classes of scans be trusted?", "", opening, ""]
+    for title, intro, own in sections:
+        lines += [f"## {title}", "", intro, "", *own] if own else []
     record = {"format": "bumpymap-scan-evaluation", "version": 1, **asdict(findings)}
     files = {
         out / "report.json": json.dumps(plain_json(record, 6), indent=1, allow_nan=False) + "\n",

@@ -22,8 +22,7 @@ from bumpymap.core import (
     Scan,
     SectorStack,
 )
-from bumpymap.lab.evaluate.agreement import Accuracy, accuracy_of
-from bumpymap.lab.label_sets import LabelSet, label_set, require_label_set, tell_label_set
+from bumpymap.lab.label_sets import Accuracy, LabelSet, accuracy_of, identify_label_set, label_set, require_label_set
 from bumpymap.lab.settings import ScanEvaluateSettings
 from bumpymap.readers import read_scan
 from bumpymap.scan import ScanModel, StripeModel, classify_filter, classify_learned, polar_sectors
@@ -219,7 +218,7 @@ class ScanFindings:
 def labels_of(frames: Sequence[Path], name: str | None) -> LabelSet | None:
     """Return the label set of frames: the one that is named, or else the one that fits their ids; None without labels.
 
-    ``name``: a built-in set, or a file. Raises as `label_set`, `require_label_set` and `tell_label_set` do, and
+    ``name``: a built-in set, or a file. Raises as `label_set`, `require_label_set` and `identify_label_set` do, and
     BadInputError if a set is named and no frame has labels.
     """
     found = [read_scan(frame).label for frame in frames[:: -(-len(frames) // _LOOKED_AT)]]
@@ -233,7 +232,7 @@ def labels_of(frames: Sequence[Path], name: str | None) -> LabelSet | None:
         known = label_set(name)
         require_label_set(np.concatenate(there), known, str(frames[0]))
         return known
-    return tell_label_set(np.concatenate(there), str(frames[0])) if there else None
+    return identify_label_set(np.concatenate(there), str(frames[0])) if there else None
 
 
 def evaluate_scans(

@@ -123,7 +123,9 @@ def follow(vehicle: VehicleModel, strip: Strip, profile: Vehicle, settings: Driv
     outcome: Outcome = "completed"
     pose = vehicle.pose()
     for sample in range(last):
-        _steer(vehicle, pose, strip, profile, _speed_at(sample * period, profile, settings))
+        since = sample * period - settings.settle_s  # at rest before, then a ramp to full speed
+        share = min(max(since / settings.ramp_s, 0.0), 1.0) if settings.ramp_s else float(since >= 0.0)
+        _steer(vehicle, pose, strip, profile, profile.speed_mps * share)
         vehicle.advance(settings.steps_per_sample)
         before, pose = pose, vehicle.pose()
         if sample >= first:
@@ -140,13 +142,6 @@ def follow(vehicle: VehicleModel, strip: Strip, profile: Vehicle, settings: Driv
     if outcome == "completed" and progress < settings.stuck_share * profile.speed_mps * settings.measure_s:
         outcome = "stuck"
     return Drive(outcome, pitched / path if outcome == "completed" else math.nan, path)
-
-
-def _speed_at(seconds: float, profile: Vehicle, settings: DriveSettings) -> float:
-    """Return the commanded speed, m/s: rest, a ramp, full speed."""
-    if settings.ramp_s == 0:
-        return profile.speed_mps if seconds >= settings.settle_s else 0.0
-    return profile.speed_mps * min(max((seconds - settings.settle_s) / settings.ramp_s, 0.0), 1.0)
 
 
 def _steer(vehicle: VehicleModel, pose: Pose, strip: Strip, profile: Vehicle, speed: float) -> None:

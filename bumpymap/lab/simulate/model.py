@@ -399,17 +399,12 @@ def standing_pose(
     easting = strip.easting + wheels[:, :1] + dx
     northing = strip.northing + wheels[:, 1:2] + dy
     centre = ground.height(easting, northing) + np.sqrt(radius**2 - dx**2 - dy**2)
-    belly = belly_points(profile) @ rotation.T
+    spans = (np.linspace(-size / 2, size / 2, 41) for size in (profile.belly.length_m, profile.belly.width_m))
+    along, across = (axis.ravel() for axis in np.meshgrid(*spans))
+    belly = np.stack([along, across, np.full(along.size, _belly_height(profile))], axis=1) @ rotation.T
     rise = ground.height(strip.easting + belly[:, 0], strip.northing + belly[:, 1]) - belly[:, 2]
     upward_m = max(float((centre.max(axis=1) - wheels[:, 2]).max()), float(rise.max())) + _CLEARANCE_M
     return rotation, np.array([strip.easting, strip.northing, upward_m])
-
-
-def belly_points(profile: Vehicle) -> NDArray[np.float64]:
-    """Return points (n, 3) of the underside relative to the centre of mass: forward, left, upward, m."""
-    belly = profile.belly
-    along, across = np.meshgrid(*(np.linspace(-size / 2, size / 2, 41) for size in (belly.length_m, belly.width_m)))
-    return np.stack([along.ravel(), across.ravel(), np.full(along.size, _belly_height(profile))], axis=1)
 
 
 def _belly_height(profile: Vehicle) -> float:

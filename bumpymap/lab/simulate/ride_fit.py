@@ -77,7 +77,7 @@ _PIXEL_POINTS = (0.7, 1.0, 2.0, 4.0, 12.0, 40.0)
 _MIN_EXCESS = 0.003
 """Excess below this is treated as equal to it."""
 _MIN_NOISY, _NOISY_SHARE = 120, 80
-"""A quantile of the noise tables is computed from that many of the nearest patches; of one in so many, if more."""
+"""A quantile of the noise tables is computed from the nearest 120 patches, or the nearest 80th of all if more."""
 _STRONG_EXCESS, _STRONG_TAIL = (0.1, 0.4), 0.05
 """From the first excess to the second, the probability below the low end of the interval falls from ``TAIL`` to that.
 Strong noise hides how smooth the smoothest ground is: with a tenth below, four in ten of the smooth tiles would be."""
@@ -488,5 +488,6 @@ def _noise_ride(like: Terrain, operator: RideOperator) -> tuple[float, float]:
         columns, _ = survey_columns(level, ScanEffects(density, noise), _BARE_SEED + number, operator)
         points, ride = columns[np.isfinite(columns).all(axis=1)][:, names].T
         found.append((log_points(points[ride > 0]), np.log(ride[ride > 0] / noise)))
-    slope, constant = np.polyfit(*map(np.concatenate, zip(*found, strict=True)), 1)
+    log_n, log_ride = (np.concatenate(part) for part in zip(*found, strict=True))
+    slope, constant = np.polyfit(log_n, log_ride, 1)
     return float(constant), float(slope)

@@ -19,7 +19,7 @@ from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
 from bumpymap.core import OutputError, UsageError, atomic, locked
-from bumpymap.lab.evaluate.agreement import Accuracy
+from bumpymap.lab.label_sets import Accuracy
 from bumpymap.lab.settings import LoopSettings
 
 _log = logging.getLogger(__name__)

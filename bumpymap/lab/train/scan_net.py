@@ -12,8 +12,7 @@ import torch
 from torch import nn
 
 from bumpymap.core import CLASSES, PolarSettings
-from bumpymap.lab.evaluate.agreement import Accuracy, accuracy_of
-from bumpymap.lab.label_sets import LABEL_SETS
+from bumpymap.lab.label_sets import LABEL_SETS, Accuracy, accuracy_of
 from bumpymap.lab.settings import ScanNetSettings, ScanTrainSettings
 from bumpymap.lab.train.model_files import (
     EpochData,

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from bumpymap.core import TEXTURES
-from bumpymap.lab.evaluate.agreement import Accuracy, accuracy_of
+from bumpymap.lab.label_sets import Accuracy, accuracy_of
 from bumpymap.lab.settings import NetworkSettings, TrainSettings
 from bumpymap.lab.train.model_files import (
     EpochData,

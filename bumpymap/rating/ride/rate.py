@@ -80,7 +80,9 @@ def take_noise_off(
     spectrum, pixels = _spectrum_of(relief_map.shape[1]), relief_map.shape[1]
     clean, noise = relief_map.copy(), np.full((2, len(relief_map)), np.nan)
     denoise_patches(
-        PatchesToDenoise(known, *map(np.ascontiguousarray, (relief_map, count, variance))),
+        PatchesToDenoise(
+            known, np.ascontiguousarray(relief_map), np.ascontiguousarray(count), np.ascontiguousarray(variance)
+        ),
         spectrum,
         DenoisedPatches(clean, noise),
         spectrum_scratch(pixels, *spectrum.shapes.shape),

@@ -100,24 +100,17 @@ class MotionModel:
         """Return the coefficients as plain numbers for JSON."""
         return {name: plain_lists(value) for name, value in asdict(self).items() if name != "speed_mps"}
 
-    def log_factors(self, motions: Motions, pitch_change: Floats, speeds: tuple[float, ...]) -> Floats:
-        """Return ln of each of ``QUANTITIES`` over the C_r at the profile's speed, of n patches at k speeds, (n, k, 3).
-
-        ``pitch_change`` (n,): geometric C_r at the profile's speed, rad/m.
-        """
-        terms = motion_terms(motions, pitch_change, self._log_ratios(speeds), self.log_range)
-        return np.stack([terms[name] @ np.array(getattr(self, name).terms) for name in QUANTITIES], axis=-1)
-
     def plain_log_factors(self, c_r: Floats, speeds: tuple[float, ...]) -> Floats:
-        """Return the same from C_r [rad/m] at the profile's speed alone, (..., k, 3)."""
-        terms = plain_terms(c_r, self._log_ratios(speeds), self.log_c_r_range)
+        """Return ln of each of ``QUANTITIES`` over the C_r at the profile's speed, rad/m, from it, (..., k, 3)."""
+        terms = plain_terms(c_r, self.log_ratios(speeds), self.log_c_r_range)
         return np.stack([terms[name] @ np.array(getattr(self, name).plain) for name in QUANTITIES], axis=-1)
 
     def log_sd(self, speed: float) -> float:
         """Return the standard deviation of ln c_r that another speed than the profile's adds."""
-        return float(self.c_r.log_sd * min(abs(self._log_ratios((speed,))[0]) / np.log(2.0), 1.0))
+        return float(self.c_r.log_sd * min(abs(self.log_ratios((speed,))[0]) / np.log(2.0), 1.0))
 
-    def _log_ratios(self, speeds: tuple[float, ...]) -> Floats:
+    def log_ratios(self, speeds: tuple[float, ...]) -> Floats:
+        """Return ln of speeds [m/s] over the profile's."""
         return np.log(np.array(speeds) / self.speed_mps)
 
 
@@ -235,11 +228,13 @@ class SpeedRating:
 
     def factors_of(self, motions: Motions, pitch_change: Floats) -> tuple[Floats, NDArray[np.float32]]:
         """Return `factors` from the motions over patches."""
-        logs = _model(self.calibration).log_factors(motions, pitch_change, self.operator.speeds)
+        model = _model(self.calibration)
+        terms = motion_terms(motions, pitch_change, model.log_ratios(self.operator.speeds), model.log_range)
+        logs = np.stack([terms[name] @ np.array(getattr(model, name).terms) for name in QUANTITIES], axis=-1)
         logs[~(pitch_change > LEVEL)] = np.nan
         own = logs[:, self.operator.speeds.index(self.calibration.map_speed), 0]
-        told = np.exp(logs[:, : len(self.speeds)] - own[:, None, None])
-        return own, told.reshape(len(logs), -1).astype(np.float32)
+        ratio = np.exp(logs[:, : len(self.speeds)] - own[:, None, None])
+        return own, ratio.reshape(len(logs), -1).astype(np.float32)
 
 
 def motion_felt(

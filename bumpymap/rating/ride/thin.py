@@ -35,7 +35,7 @@ _USUAL_POINTS = 36.0
 _PSEUDO_PAIRS = 3.0
 """Pairs of each distance that are added, with half of the variance at great distances. Chosen."""
 _LEAST_SHARE = 0.1
-"""Least relief, as a share of the noise, that is told from it."""
+"""Least relief, as a share of the noise, that is distinguished from it."""
 _LEAST_RATIO = 0.03
 """Least value of the structure function over that at great distances. Chosen."""
 _LEAST_RIDE = 0.15

@@ -216,7 +216,7 @@ class BlockRating:
     reason: NDArray[np.uint8]
 
     def inner(self, ring: int = 1) -> "BlockRating":
-        """Return the tiles without a ring of so many around them."""
+        """Return the tiles without ``ring`` tiles on each side."""
         return BlockRating(*(_without(getattr(self, f.name), ring) for f in fields(self)))
 
 
@@ -278,7 +278,7 @@ def rate_thin(
 
 
 def _without(values: NDArray[Any], ring: int) -> NDArray[Any]:
-    """Return an array (rows, cols, ...) without a ring of so many tiles."""
+    """Return an array (rows, cols, ...) without ``ring`` tiles on each side."""
     return values[ring : len(values) - ring, ring : values.shape[1] - ring]
 
 
