@@ -13,15 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import (
-    CLASSES,
-    NOT_TRAVERSABLE,
-    BadInputError,
-    ClassedSectors,
-    Progress,
-    Scan,
-    SectorStack,
-)
+from bumpymap.core import CLASSES, NOT_TRAVERSABLE, BadInputError, ClassedSectors, Progress, Scan, SectorStack
 from bumpymap.lab.label_sets import Accuracy, LabelSet, accuracy_of, identify_label_set, label_set, require_label_set
 from bumpymap.lab.settings import ScanEvaluateSettings
 from bumpymap.readers import read_scan

@@ -77,14 +77,7 @@ def labelled_sectors(scan: Scan, cuts: Iterable[tuple[float, PolarSettings]] = (
         known = (class_id >= 0) & stack.traversable
         patches, measures = network_input(stack)
         chosen = known[stack.traversable]
-        parts.append(
-            Sectors(
-                patches[chosen],
-                measures[chosen],
-                class_id[known].astype(np.int64),
-                stack.label[known],
-            )
-        )
+        parts.append(Sectors(patches[chosen], measures[chosen], class_id[known].astype(np.int64), stack.label[known]))
     return join(parts)
 
 

@@ -47,12 +47,7 @@ from bumpymap.rating import (
 _Floats = NDArray[np.float64]
 
 
-FORM_RELIEF = {
-    "flat": (0.0, 0.3),
-    "low_noise": (0.1, 1.5),
-    "noise_sin": (0.3, 3.0),
-    "high_noise": (0.6, math.inf),
-}
+FORM_RELIEF = {"flat": (0.0, 0.3), "low_noise": (0.1, 1.5), "noise_sin": (0.3, 3.0), "high_noise": (0.6, math.inf)}
 """Least and greatest true relief of each form in a tile, m, which decide the label. Below 0.1 m even the roughest form
 leaves a Warthog in class 0 (C_r 0.1 rad/m in its table), so all lower ground is flat."""
 

@@ -17,16 +17,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import (
-    AXES_DEG,
-    FAIL_SHARE,
-    NO_CLASS,
-    CostMap,
-    Georeference,
-    PatchStack,
-    Reason,
-    TextureMap,
-)
+from bumpymap.core import AXES_DEG, FAIL_SHARE, NO_CLASS, CostMap, Georeference, PatchStack, Reason, TextureMap
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.ride._noise_kernels import (
     DenoisedPatches,
