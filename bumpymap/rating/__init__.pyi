@@ -96,8 +96,6 @@ from .textures import (
     MEASURES as MEASURES,
     TextureModel as TextureModel,
     classify as classify,
-    make_short_waves as make_short_waves,
-    make_textures as make_textures,
     measures_of as measures_of,
     normalise as normalise,
     remove_plane as remove_plane,

@@ -27,8 +27,8 @@ from bumpymap.lab.simulate.motion_fit import MotionRecord, fit_motion, motion_jo
 from bumpymap.lab.simulate.plan import driven_library, library_record, library_terrain
 from bumpymap.lab.simulate.refit import crossing_jobs, fit_steps, refit, run_crossing
 from bumpymap.lab.simulate.ride_fit import MAX_FAILED_SHARE
-from bumpymap.lab.terrains import KINDS
-from bumpymap.rating import Calibration, DrivenTerrain, make_textures
+from bumpymap.lab.terrains import KINDS, make_textures
+from bumpymap.rating import Calibration, DrivenTerrain
 
 _LIBRARY_STREAM = len(TEXTURES)
 """First number of the random streams of library drives; no texture has this index."""

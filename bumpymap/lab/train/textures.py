@@ -22,6 +22,7 @@ from torch import nn
 from bumpymap.core import TEXTURES
 from bumpymap.lab.label_sets import Accuracy, accuracy_of
 from bumpymap.lab.settings import NetworkSettings, TrainSettings
+from bumpymap.lab.terrains import make_short_waves, make_textures
 from bumpymap.lab.train.model_files import (
     EpochData,
     EpochReport,
@@ -34,15 +35,7 @@ from bumpymap.lab.train.model_files import (
     score_table,
     versions,
 )
-from bumpymap.rating import (
-    FEATURE_VERSION,
-    MEASURES,
-    make_short_waves,
-    make_textures,
-    measures_of,
-    normalise,
-    remove_plane,
-)
+from bumpymap.rating import FEATURE_VERSION, MEASURES, measures_of, normalise, remove_plane
 
 _Floats = NDArray[np.float64]
 
@@ -394,7 +387,7 @@ Classifies the heightmap of one tile as one of the four terrain forms of the Bum
 ## Data
 
 {4 * settings.patches_per_texture:,} patches, {settings.patches_per_texture:,} per texture, made from Perlin noise, sine
-waves and Gaussian blur by `bumpymap.rating.textures`. No survey was used. Every epoch draws heights and a survey
+waves and Gaussian blur by `bumpymap.lab.terrains`. No survey was used. Every epoch draws heights and a survey
 anew for each: relief of {of.relief[0]:g} to {of.relief[1]:g} m, none at all for {of.level:.0%}; blur; points with
 {1000 * of.noise[0]:g} to {1000 * of.noise[1]:g} mm of noise, {of.points[0]:g} to {of.points[1]:g} a pixel; waves and
 strips of photogrammetry; holes. Every epoch adds {SHORT_WAVES:.0%} of short regular waves (0.4 to 0.75 m on a tile of
