@@ -36,7 +36,7 @@ ROOMS = {
     "check": ({"core", "rating", "readers", "layers", "route", "views"}, {"numpy", "scipy"}),
     "lab": (
         {"core", "readers", "patches", "rating", "scan"},
-        {"dartpy", "numpy", "onnx", "scipy", "torch"},
+        {"dartpy", "numpy", "onnx", "scipy", "sklearn", "torch"},
     ),
     "cli": (
         {"core", "readers", "rating", "layers", "views", "survey", "scan", "route", "change", "check", "lab"},

@@ -8,9 +8,6 @@ from .evaluate.scans import (
     evaluate_scans as evaluate_scans,
     labels_of as labels_of,
 )
-from .evaluate.survey_trial import (
-    open_readers as open_readers,
-)
 from .label_sets import LABEL_SETS as LABEL_SETS
 from .settings import (
     CalibrationSettings as CalibrationSettings,

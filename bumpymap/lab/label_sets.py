@@ -1,4 +1,4 @@
-"""Label sets: what the semantic ids of labelled points mean.
+"""Label sets: what the semantic ids of labelled points mean; and how classes agree with labels.
 
 A set gives each of its ids a name, a class (0 smooth to 2 rough; -1: none) and a kind: ground, obstacle or neither.
 Three sets are built in: ``kitti`` (ids 0 to 19, as networks for SemanticKITTI are trained), ``semantic-kitti`` (the raw
@@ -7,6 +7,7 @@ wanted, ``name`` and ``kind``.
 """
 
 import csv
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from bumpymap.core import CLASSES, BadInputError, UsageError, read_regular
 
 _NO_CLASS = -1
+"""Class of an id that has none."""
 _LEAST_KNOWN = 0.5
 """A set is refused if fewer of the labelled points than this have ids of the set."""
 _LEAST_GROUND = 0.02
@@ -39,7 +41,7 @@ class LabelSet:
     ground: frozenset[int]
     """Ids of ground."""
     obstacle: frozenset[int]
-    """Ids of things that stand on the ground and stop a vehicle. Trees count as a whole where a set has no id of their
+    """Ids of standing objects that stop a vehicle. Trees count as a whole where a set has no id of their
     trunks: only what is lower than the vehicle is in its way."""
     names: dict[int, str]
     """Id -> name."""
@@ -131,12 +133,8 @@ LABEL_SETS: dict[str, LabelSet] = {known.name: known for known in (_KITTI, _SEMA
 def label_set(name_or_path: str | Path) -> LabelSet:
     """Return a built-in label set, or read one from a file.
 
-    Raises
-    ------
-    UsageError
-        It is neither the name of a set nor a file name that ends in ``.csv``.
-    BadInputError
-        The file cannot be read, or is not a label set.
+    Raises UsageError if it is neither the name of a set nor a file name that ends in ``.csv``; BadInputError if the
+    file cannot be read, or is not a label set.
     """
     text = str(name_or_path)
     if text in LABEL_SETS:
@@ -180,20 +178,10 @@ def _read_set(path: Path) -> LabelSet:
 
 
 def require_label_set(labels: NDArray[np.integer[Any]], known: LabelSet, origin: str) -> None:
-    """Refuse labels that are not of a set.
+    """Refuse labels that are not of a set: most ids are not, or they do not fit it while they fit a built-in one.
 
-    Parameters
-    ----------
-    labels : array of int
-        Semantic ids, best of many frames; 0 and below are unlabelled in every set.
-    known : LabelSet
-    origin : str
-        Where the labels are from, for the message.
-
-    Raises
-    ------
-    BadInputError
-        Most ids are not of the set; or they do not fit it (unknown ids, no ground) while they fit a built-in one.
+    ``labels``: semantic ids, best of many frames; 0 and below are unlabelled in every set. ``origin``: where they are
+    from, for the message of the BadInputError.
     """
     labelled = labels[labels > 0]
     if not len(labelled) or known.fits(labelled):
@@ -206,20 +194,10 @@ def require_label_set(labels: NDArray[np.integer[Any]], known: LabelSet, origin:
         )
 
 
-def tell_label_set(labels: NDArray[np.integer[Any]], origin: str) -> LabelSet:
-    """Return the one built-in set of which all labels are, and enough of them ground.
+def identify_label_set(labels: NDArray[np.integer[Any]], origin: str) -> LabelSet:
+    """Return the one built-in set of which all ``labels`` are, and enough of them ground.
 
-    Parameters
-    ----------
-    labels : array of int
-        Semantic ids, best of many frames; 0 and below are unlabelled in every set.
-    origin : str
-        Where the labels are from, for the message.
-
-    Raises
-    ------
-    BadInputError
-        No set fits, or several do.
+    Raises BadInputError, which names the ``origin`` of the labels, if no set fits, or several do.
     """
     labelled = labels[labels > 0]
     fitting = [known for known in LABEL_SETS.values() if len(labelled) and known.fits(labelled)]
@@ -235,3 +213,39 @@ def tell_label_set(labels: NDArray[np.integer[Any]], origin: str) -> LabelSet:
 def _listed(labels: NDArray[np.integer[Any]]) -> str:
     ids = np.unique(labels[labels > 0])
     return ", ".join(map(str, ids[:_SHOWN])) + (", .." if len(ids) > _SHOWN else "") if len(ids) else "none"
+
+
+@dataclass(frozen=True, slots=True)
+class Accuracy:
+    """Agreement of classes with labels."""
+
+    confusion: list[list[int]]
+    """``[true class][predicted class]``, number of sectors or patches."""
+    right: float
+    """Accuracy; NaN without labels."""
+    even: float
+    """Balanced accuracy over the classes that occur; NaN without labels."""
+    recall: list[float]
+    """Share of each class that is found, 0..1; NaN for a class that does not occur."""
+
+    @property
+    def count(self) -> int:
+        """Number of sectors or patches."""
+        return sum(map(sum, self.confusion))
+
+
+def accuracy_of(truth: NDArray[np.integer], answer: NDArray[np.integer], classes: int) -> Accuracy:
+    """Compare answers (n,) with the truth (n,) where it is known: 0 or above.
+
+    By numpy: `bumpymap evaluate` runs with the default install, where scikit-learn is not, and is no shorter with its
+    ``confusion_matrix`` and ``recall_score``, as these refuse to count where nothing is labelled.
+    """
+    known = truth >= 0
+    place = truth[known].astype(np.int64) * classes + answer[known]
+    counts = np.bincount(place, minlength=classes**2).reshape(classes, classes)
+    totals = counts.sum(axis=1)
+    there = totals > 0
+    recall = np.divide(np.diag(counts), totals, out=np.full(classes, np.nan), where=there)
+    right = float(np.trace(counts) / totals.sum()) if there.any() else math.nan
+    even = float(recall[there].mean()) if there.any() else math.nan
+    return Accuracy(counts.tolist(), right, even, recall.tolist())

@@ -3,6 +3,13 @@
 Each shape is a surface over the square of a tile, sampled finer than a pixel. Horizontal sizes are realistic; heights
 cover a wide range, from imperceptible to impassable, because a calibration needs both. Lengths follow publications on
 unpaved roads, fields and quarries: washboard of 0.4 to 1.6 m, wheel ruts 1.2 to 1.8 m apart, furrows of 0.4 to 1 m.
+
+Four of the shapes are the paper's forms, or textures, made from Perlin noise, sine waves and Gaussian blur; at equal z
+range they get rougher from ``flat`` to ``high_noise``. Their lengths are fractions of the patch's side; metres in the
+docstrings are those of the default patch, 3 m and 15 px. Many patches are made in one call. Each has its own noise
+lattice, rotated by a random angle and shifted by a random offset, so that lattice lines do not align with rows of
+pixels. Blurred forms are made with a margin that is cropped after the blur, because a blur that mirrors at the border
+would flatten the border.
 """
 
 from collections.abc import Callable
@@ -13,14 +20,169 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from bumpymap.core import TEXTURES, Texture, UsageError
-from bumpymap.rating import make_textures
+from bumpymap.rating import normalise, remove_plane
 
 Floats = NDArray[np.float64]
 Shape = Callable[[np.random.Generator, Floats, Floats, int], Floats]
 """(random generator, eastings and northings from the middle of the tile [m], samples along a pixel) -> heights, m."""
 
+_BATCH = 1024
+"""Patches made in one call: another number changes the random patches."""
 _LONGEST_WAVE = 6.0
 """Longest wave of fractal ground, m; longer ones would be removed with the tile's plane."""
+
+
+def make_textures(texture: Texture, count: int, rng: np.random.Generator, pixels: int = 15) -> NDArray[np.float32]:
+    """Generate patches of one terrain form: plane-removed relief, each scaled to [0, 1], (count, pixels, pixels).
+
+    Equal states of ``rng`` generate equal patches; 4 pixels along a side at least.
+    """
+    if texture not in _FORMS:
+        raise UsageError(f"texture is '{texture}'; it must be one of {', '.join(TEXTURES)}")
+    if count < 0 or pixels < 4:
+        raise UsageError(f"{count} patches of {pixels} pixels; count must be 0 or more, pixels 4 or more")
+    batches = [np.empty((0, pixels, pixels), np.float32)]
+    for start in range(0, count, _BATCH):
+        raw = _FORMS[texture](min(_BATCH, count - start), rng, pixels)
+        batches.append(normalise(remove_plane(raw)))
+    return np.concatenate(batches)
+
+
+def make_short_waves(count: int, rng: np.random.Generator, pixels: int = 15) -> NDArray[np.float32]:
+    """Generate, as `make_textures`, regular waves shorter than those of ``noise_sin``: washboard, tracks, ripples.
+
+    The paper has no such form, and a network that was not trained on it may take it for flat. It is as rough as
+    ``high_noise``, so it is labelled ``high_noise`` in training. Wavelengths are 0.4 to 0.75 m.
+    """
+    along, across = _rotated_axes(count, rng, pixels, 0)
+    wavelength = rng.uniform(0.4 / 3, 0.75 / 3, (2, count, 1, 1))
+    phase = rng.uniform(0, 2 * np.pi, (2, count, 1, 1))
+    first = np.sin(2 * np.pi * along / wavelength[0] + phase[0])
+    second = np.sin(2 * np.pi * across / wavelength[1] + phase[1])
+    pattern = rng.integers(0, 3, (count, 1, 1))
+    waves = np.select([pattern == 0, pattern == 1], [first, first * second], first + second)
+    ground = _octaves(count, rng, pixels, rng.uniform(0.2, 0.8, count), rng.uniform(0.3, 0.7, count), 3)
+    return normalise(remove_plane(waves + rng.uniform(0.0, 0.3, (count, 1, 1)) * ground))
+
+
+def _perlin(count: int, rng: np.random.Generator, pixels: int, cell: Floats, margin: int = 0) -> Floats:
+    """Generate gradient noise after Perlin (2002), with one lattice per patch and unit variance on infinite ground.
+
+    With lattice corners ``i, j`` around the point ``(u, v)``, unit gradients ``g`` at the corners and the fade
+    ``s(t) = 6 t^5 - 15 t^4 + 10 t^3``::
+
+        n(u, v) = sum over a, b in {0, 1} of  w_a(u - i) w_b(v - j)  g[i + a, j + b] . (u - i - a, v - j - b)
+        w_1(t) = s(t),  w_0(t) = 1 - s(t)
+
+    ``cell`` (count,): side of a lattice cell, as a fraction of the patch's side; ``margin``: pixels that are added on
+    each of the four sides.
+    """
+    x, y = _rotated_axes(count, rng, pixels, margin)
+    reach = np.sqrt(0.5) * (1 + 2 * margin / pixels)
+    offset = rng.uniform(0, 1, (2, count, 1, 1)) + reach / cell[:, None, None]
+    nodes = int(np.ceil(2 * reach / cell.min())) + 3
+    angle = rng.uniform(0, 2 * np.pi, (count, nodes * nodes))
+    u, v = x / cell[:, None, None] + offset[0], y / cell[:, None, None] + offset[1]
+    i, j = np.floor(u).astype(np.int64), np.floor(v).astype(np.int64)
+    u, v = u - i, v - j
+    weight_u, weight_v = _fade(u), _fade(v)
+    noise: Floats = np.zeros_like(u)
+    for a in (0, 1):
+        for b in (0, 1):
+            corner = ((i + a) * nodes + j + b).reshape(count, -1)
+            gradient = np.take_along_axis(angle, corner, axis=1).reshape(u.shape)
+            weight = (weight_u if a else 1 - weight_u) * (weight_v if b else 1 - weight_v)
+            noise += weight * (np.cos(gradient) * (u - a) + np.sin(gradient) * (v - b))
+    return noise / _PERLIN_SD
+
+
+def _fade(t: Floats) -> Floats:
+    return t * t * t * (t * (6 * t - 15) + 10)
+
+
+def _perlin_sd() -> float:
+    """Return the standard deviation of ``n(u, v)``: gradients are independent, each component has variance 1/2."""
+    t = (np.arange(400) + 0.5) / 400
+    near, near_t2 = np.mean((1 - _fade(t)) ** 2), np.mean((1 - _fade(t)) ** 2 * t**2)
+    # The four corners contribute equally; E[(g . d)^2] = |d|^2 / 2, and |d|^2 is a sum of two equal terms.
+    return float(np.sqrt(4 * near * near_t2))
+
+
+_PERLIN_SD = _perlin_sd()
+
+
+def _rotated_axes(count: int, rng: np.random.Generator, pixels: int, margin: int) -> tuple[Floats, Floats]:
+    """Return x and y of pixel centres, (count, side, side) each, rotated about the patch's centre by a random angle."""
+    axis = (np.arange(-margin, pixels + margin) + 0.5) / pixels - 0.5
+    turn = rng.uniform(0, 2 * np.pi, (count, 1, 1))
+    east, south = axis[None, None, :], axis[None, :, None]
+    return np.cos(turn) * east - np.sin(turn) * south, np.sin(turn) * east + np.cos(turn) * south
+
+
+def _octaves(
+    count: int, rng: np.random.Generator, pixels: int, cell: Floats, persistence: Floats, octaves: int, margin: int = 0
+) -> Floats:
+    """Sum octaves of Perlin noise, each with half the cell and ``persistence`` times the amplitude; unit variance."""
+    amplitude, power = np.ones(count), np.zeros(count)
+    total: Floats = np.zeros((count, pixels + 2 * margin, pixels + 2 * margin))
+    for octave in range(octaves):
+        total += amplitude[:, None, None] * _perlin(count, rng, pixels, cell / 2**octave, margin)
+        power += amplitude**2
+        amplitude = amplitude * persistence
+    return total / np.sqrt(power)[:, None, None]
+
+
+def _blurred_noise(
+    count: int, rng: np.random.Generator, pixels: int, cell: Floats, persistence: Floats, octaves: int, sigma: Floats
+) -> Floats:
+    """Return ``_octaves`` after a Gaussian blur by ``sigma`` (count,), a fraction of a side, correct up to the border.
+
+    The blur of a patch is ``K P K^T`` with its own matrix ``K[i, j] ~ exp(-(i - j)^2 / (2 sigma^2))``, rows sum to 1,
+    which also crops the margin.
+    """
+    margin = int(np.ceil(3 * sigma.max() * pixels)) + 1
+    noise = _octaves(count, rng, pixels, cell, persistence, octaves, margin)
+    distance = np.arange(-margin, pixels + margin)[None, :] - np.arange(pixels)[:, None]
+    kernel = np.exp(-0.5 * (distance / (sigma[:, None, None] * pixels)) ** 2)
+    kernel /= kernel.sum(axis=2, keepdims=True)
+    blurred: Floats = kernel @ noise @ kernel.transpose(0, 2, 1)
+    return blurred
+
+
+def _flat(count: int, rng: np.random.Generator, pixels: int) -> Floats:
+    """Generate long gentle undulation: a bowl, saddle or swell (cells of 2.4 to 7 m, blur 0.3 to 0.5 m)."""
+    cell, persistence = rng.uniform(0.8, 2.3, count), rng.uniform(0.0, 0.15, count)
+    return _blurred_noise(count, rng, pixels, cell, persistence, 2, rng.uniform(0.1, 0.16, count))
+
+
+def _low_noise(count: int, rng: np.random.Generator, pixels: int) -> Floats:
+    """Generate soft bumps and hollows (cells of 1.1 to 2.2 m, three octaves, blur 0.08 to 0.2 m)."""
+    cell, persistence = rng.uniform(0.37, 0.73, count), rng.uniform(0.35, 0.55, count)
+    return _blurred_noise(count, rng, pixels, cell, persistence, 3, rng.uniform(0.025, 0.06, count))
+
+
+def _noise_sin(count: int, rng: np.random.Generator, pixels: int) -> Floats:
+    """Generate waves over noise (wavelength 0.8 to 2.4 m; noise of three octaves from cells of 0.6 to 1.2 m)."""
+    ground = _octaves(count, rng, pixels, rng.uniform(0.2, 0.4, count), rng.uniform(0.4, 0.7, count), 3)
+    wavelength = np.exp(rng.uniform(np.log(0.8 / 3), np.log(2.4 / 3), (count, 1, 1)))
+    phase = rng.uniform(0, 2 * np.pi, (count, 1, 1))
+    along, _ = _rotated_axes(count, rng, pixels, 0)
+    wave: Floats = np.sqrt(2) * np.sin(2 * np.pi * along / wavelength + phase)
+    return wave + rng.uniform(0.2, 0.5, (count, 1, 1)) * ground
+
+
+def _high_noise(count: int, rng: np.random.Generator, pixels: int) -> Floats:
+    """Generate rubble, heights varying from pixel to pixel (cells 0.4 to 1.2 m, persistence near 1, white noise)."""
+    ground = _octaves(count, rng, pixels, rng.uniform(0.13, 0.4, count), rng.uniform(0.7, 1.0, count), 3)
+    return ground + rng.uniform(0.1, 0.6, (count, 1, 1)) * rng.standard_normal((count, pixels, pixels))
+
+
+_FORMS: dict[str, Callable[[int, np.random.Generator, int], Floats]] = {
+    "flat": _flat,
+    "low_noise": _low_noise,
+    "noise_sin": _noise_sin,
+    "high_noise": _high_noise,
+}
 
 
 def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
@@ -209,9 +371,8 @@ KINDS = tuple(SHAPES)
 """All kinds of ground, starting with the paper's four textures."""
 FINE = 4
 """Number of samples of the surface along the side of a pixel."""
-_GENTLE_DEG = 8.0
-_STEEP = 1.2
-"""Half of the terrains lie on slopes up to this multiple of ``slope_limit_deg``, the others on gentle ones."""
+_GENTLE_DEG, _STEEP = 8.0, 1.2
+"""Half of the terrains lie on slopes up to 8 degrees, the others up to 1.2 times ``slope_limit_deg``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,29 +407,12 @@ def make_terrain(
     tile_size: float = 3.0,
     pixels: int = 15,
 ) -> Terrain:
-    """Make one terrain.
+    """Make one terrain of a kind of ``KINDS``; the same arguments give the same bits.
 
-    The same arguments give the same bits.
-
-    Parameters
-    ----------
-    kind : str
-        One of ``KINDS``.
-    seed, index : int
-        Seed of the library, and number of the terrain in its kind.
-    height_scale : float
-        Factor on all heights; a small vehicle is calibrated on lower ground.
-    slope_limit_deg : float
-        Slope limit of the vehicle, degrees; slopes of half of the terrains range to slightly beyond it.
-    tile_size : float
-        m.
-    pixels : int
-        Along a side, at least 4.
-
-    Raises
-    ------
-    UsageError
-        The kind is unknown, or there are too few pixels.
+    ``seed``, ``index``: of the library, and number of the terrain in its kind; ``height_scale``: factor on all heights,
+    as a small vehicle is calibrated on lower ground; ``slope_limit_deg``: of the vehicle: slopes of half of the
+    terrains range to slightly beyond it; ``tile_size``: m; ``pixels``: along a side, at least 4. Raises UsageError if
+    the kind is unknown, or there are too few pixels.
     """
     if kind not in SHAPES:
         raise UsageError(f"terrain kind is '{kind}'; it must be one of {', '.join(KINDS)}")

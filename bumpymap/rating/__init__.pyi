@@ -22,11 +22,11 @@ from .passable import (
     settle_objects as settle_objects,
 )
 from .ride.correction import (
-    MAX_FAILED_SHARE as MAX_FAILED_SHARE,
+    NORMAL_TAIL as NORMAL_TAIL,
+    TAIL as TAIL,
     Correction as Correction,
-    DrivenPatches as DrivenPatches,
-    NoisyPatches as NoisyPatches,
-    fit_correction as fit_correction,
+    fail_features as fail_features,
+    ride_features as ride_features,
     subtract_noise as subtract_noise,
 )
 from .ride.line import (
@@ -37,6 +37,7 @@ from .ride.line import (
 from .ride.motion_operator import (
     MotionOperator as MotionOperator,
     Motions as Motions,
+    Rides as Rides,
     felt_response as felt_response,
     heave_filter as heave_filter,
     move_over as move_over,
@@ -66,14 +67,17 @@ from .ride.speed import (
 )
 from .ride.thin import (
     THIN_COLUMNS as THIN_COLUMNS,
+    ThinModel as ThinModel,
+    fail_terms as fail_terms,
+    log_points as log_points,
+    ride_terms as ride_terms,
+    spread_terms as spread_terms,
     thin_columns as thin_columns,
 )
 from .ride.thin_rate import (
     THIN_RING as THIN_RING,
     BlockRating as BlockRating,
-    ThinSurveys as ThinSurveys,
     dense_share as dense_share,
-    fit_thin as fit_thin,
     is_rateable as is_rateable,
     pool_noise as pool_noise,
     rate_thin as rate_thin,
@@ -92,8 +96,6 @@ from .textures import (
     MEASURES as MEASURES,
     TextureModel as TextureModel,
     classify as classify,
-    make_short_waves as make_short_waves,
-    make_textures as make_textures,
     measures_of as measures_of,
     normalise as normalise,
     remove_plane as remove_plane,

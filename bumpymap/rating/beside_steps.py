@@ -3,8 +3,8 @@
 A tile with a ditch in it fails as a whole, and so would the bridge over it. So the pixels of steps that the vehicle
 cannot cross are taken out, with those beside them, which may hold a part of its face. What is left falls into areas
 that hang together; each has a slope of its own, and what is left after the planes of all of them are removed is the
-relief that the ride model rolls over. Noise is taken off as in the rating of whole tiles; it is told from pairs of
-points, because the spread of each pixel is not kept.
+relief that the ride model rolls over. Noise is taken off as in the rating of whole tiles; it is estimated from pairs
+of points, because the spread of each pixel is not kept.
 """
 
 from dataclasses import dataclass
@@ -15,9 +15,8 @@ from scipy import ndimage
 
 from bumpymap.core import FAIL_SHARE, obstacle_reach
 from bumpymap.rating.calibration import Calibration, remembered
-from bumpymap.rating.ride._noise_kernels import DenoisedPatches, PatchesToDenoise, denoise_patches, spectrum_scratch
 from bumpymap.rating.ride.motion_operator import roll_over
-from bumpymap.rating.ride.rate import RideModel, interval, spectrum_of
+from bumpymap.rating.ride.rate import RideModel, interval, take_noise_off
 from bumpymap.rating.ride.speed import plain_speed_factor, speed_log_sd
 from bumpymap.rating.ride.thin import THIN_COLUMNS
 
@@ -25,6 +24,7 @@ Floats = NDArray[np.float64]
 Marks = NDArray[np.bool_]
 
 _TOUCHING = np.array([np.zeros((3, 3)), [[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.zeros((3, 3))], np.bool_)
+"""Pixels of one tile that hang together: by their sides."""
 _APART = 1000.0
 """Distance of tiles in a stack, px: the nearest known pixel is one of the same tile."""
 _FACE_PX = 2.3
@@ -51,25 +51,12 @@ def rate_beside_steps(
     heights: NDArray[np.floating], line: Marks, standing: Marks,
     whole: tuple[NDArray[np.floating], NDArray[np.floating]], thin: NDArray[np.floating], calibration: Calibration,
 ) -> GroundBesideSteps:  # fmt: skip
-    """Rate what steps leave of n tiles.
+    """Rate what steps leave of n tiles, in the ride of the calibration's vehicle.
 
-    Parameters
-    ----------
-    heights : array (n, pixels, pixels)
-        Mean height of the ground in each pixel, m; NaN where it is not known.
-    line, standing : bool (n, pixels, pixels)
-        Pixels of the tiles' own steps that the vehicle cannot cross; and of obstacles and what was not seen.
-    whole : tuple of arrays (n,)
-        C_r and p_fail of whole tiles: what is left of them is no worse.
-    thin : array (n, 20)
-        Of `thin_columns`.
-    calibration : Calibration
-        Of the vehicle.
-
-    Raises
-    ------
-    BadInputError
-        The ride model of the calibration is damaged.
+    ``heights`` (n, pixels, pixels): mean height of the ground in each pixel, m; NaN where it is not known. ``line``,
+    ``standing`` (n, pixels, pixels): pixels of the tiles' own steps that the vehicle cannot cross; of obstacles and
+    what was not seen. ``whole``: C_r and p_fail of whole tiles, (n,) each: what is left of them is no worse. ``thin``
+    (n, 20): of `thin_columns`. Raises BadInputError if the ride model of the calibration is damaged.
     """
     from_line = ndimage.distance_transform_edt(~line, (_APART, 1.0, 1.0))
     left = (from_line > _FACE_PX) & ~standing
@@ -141,7 +128,7 @@ def _ride(
     thin: NDArray[np.floating],
     calibration: Calibration,
 ) -> tuple[Floats, Floats]:
-    """Return C_r [rad/m] and p_fail of reliefs with so many ``known`` pixels and slopes [degrees]; or NaN."""
+    """Return C_r [rad/m] and p_fail of reliefs by the number of ``known`` pixels and slope [degrees]; or NaN."""
     model, pixels = _model(calibration), relief.shape[1]
     points, squares, pairs = (
         thin[:, THIN_COLUMNS.index(name)].astype(np.float64) for name in ("points", "squares_1", "pairs_1")
@@ -153,18 +140,12 @@ def _ride(
     # The kernel takes the spread of the pixels' own points, two at least, and corrects the bias of their median.
     count = np.maximum(per_pixel, 2.0).astype(np.int32)
     variance = of_point / per_pixel * (count - 1) * (1.0 - 2.0 / (9.0 * (count - 1))) ** 3
-    clean, noise = relief.copy(), np.full((2, len(relief)), np.nan)
-    spectrum = spectrum_of(pixels)
-    denoise_patches(
-        PatchesToDenoise(
-            np.isfinite(relief[:, 0, 0]),
-            relief,
-            np.ascontiguousarray(np.broadcast_to(count[:, None, None], shape)),
-            np.ascontiguousarray(np.broadcast_to(variance.astype(np.float32)[:, None, None], shape)),
-        ),
-        spectrum,
-        DenoisedPatches(clean, noise),
-        spectrum_scratch(pixels, *spectrum.shapes.shape),
+    of_tile = np.s_[:, None, None]
+    clean, noise = take_noise_off(
+        relief,
+        np.isfinite(relief[:, 0, 0]),
+        np.broadcast_to(count[of_tile], shape),
+        np.broadcast_to(variance.astype(np.float32)[of_tile], shape),
     )
     rides = roll_over(clean, model.operator)
     found = model.correction.predict(rides, slope, noise[1] * model.operator.noise_gain, points / pixels**2)

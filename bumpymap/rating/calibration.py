@@ -31,8 +31,8 @@ T = TypeVar("T")
 
 _DRIVE_S = 10.0
 """Measured seconds of a drive, if the calibration does not give them."""
-_FORMAT = "bumpymap-calibration"
-_VERSION = 2
+_FORMAT, _VERSION = "bumpymap-calibration", 2
+"""Of the calibration file."""
 MAP_SPEED = "map_speed_mps"
 """Key of ``motion``: the speed that a map was asked for."""
 _MODELS = ("ride", "thin", "steps", "motion")

@@ -20,9 +20,11 @@ from bumpymap.rating.vehicle_body import with_floor
 Floats = NDArray[np.float64]
 
 _MIN_LOG_SD = 0.05
+"""Least standard deviation of ln C_r between patches of a cell of the table. Chosen: the patches are few."""
 _ROUNDS, _CLOSE = 100, 1e-10
 """Newton's steps at most, and how close they come; most need six."""
 _TINY = 1e-9
+"""Relief [m] and density that stand for 0 in a logarithm or a division."""
 _LEAST_COVERAGE = 0.7
 """Compat: with less than this share of the pixels filled a tile is class 3."""
 
@@ -36,23 +38,9 @@ PAPER_TABLE: dict[str, tuple[tuple[float, int], ...]] = {
 
 
 def rate(patches: PatchStack, textures: TextureMap, calibration: Calibration, georeference: Georeference) -> CostMap:
-    """Rate tiles by texture and relief (``rating = "table"``).
+    """Rate n tiles by texture and relief (``rating = "table"``); the georeference travels with the result.
 
-    Parameters
-    ----------
-    patches : PatchStack
-        n tiles; ``relief`` and ``slope`` are used.
-    textures : TextureMap
-        (n, 4) probabilities.
-    calibration : Calibration
-        Of the vehicle that will drive.
-    georeference : Georeference
-        Travels with the result.
-
-    Raises
-    ------
-    UsageError
-        The calibration was made for tiles of another size or another number of pixels.
+    Raises UsageError if the calibration was made for tiles of another size or another number of pixels.
     """
     calibration.require_grid(patches.grid.tile_size, patches.grid.pixels)
     known = patches.reason == Reason.OK

@@ -31,7 +31,9 @@ from bumpymap.rating.ride.thin import ThinModel
 
 Floats = NDArray[np.float64]
 _DIGITS = 10
+"""Significant digits of moved coefficients."""
 _POINTS = 31
+"""Places of the range that a straight line of the spread is fitted to. Chosen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,12 +47,6 @@ class LogMove:
     """(2, 2) of shift and tilt."""
     widening: float
     """Factor on standard deviations of ln C_r, at least 1."""
-
-    @classmethod
-    def of(cls, prior: DrivePrior, posterior: MovePosterior) -> "LogMove":
-        """Take shift and tilt of a posterior; a floor is none of this."""
-        shift, tilt = posterior.mean[:2].tolist()
-        return cls(prior.middle, shift, tilt, posterior.covariance[:2, :2], max(1.0, posterior.map_scale))
 
     @property
     def slope(self) -> float:
@@ -78,15 +74,7 @@ class LogMove:
 
 
 def moved_calibration(calibration: Calibration, move: LogMove, record: dict[str, Any]) -> Calibration:
-    """Return a calibration whose C_r is moved.
-
-    Parameters
-    ----------
-    calibration : Calibration
-    move : LogMove
-    record : dict
-        What is written to its settings as ``moved_to_drives``; plain JSON.
-    """
+    """Return a calibration whose C_r is moved; ``record``, plain JSON, becomes ``moved_to_drives`` in its settings."""
     tile = calibration.steps["tile"]
     log_sd = [move.sd(sd, c_r) for sd, c_r in zip(tile["c_r_log_sd"], tile["c_r"], strict=True)]
     return replace(
@@ -118,7 +106,7 @@ def _moved_ride(record: dict[str, Any], move: LogMove) -> dict[str, Any]:
 def _moved_spread(old: Correction, move: LogMove) -> tuple[float, float]:
     """Return ln of the moved spread at both ends: the straight line nearest to it, nowhere below the simulation's.
 
-    Where on the range a C_r lies is told by the geometric C_r, which is near that of the drives.
+    Where on the range a C_r lies follows from the geometric C_r, which is near that of the drives.
     """
     log_g = np.linspace(*old.log_range, _POINTS)
     own = np.exp(np.interp(log_g, old.log_range, old.spread))
@@ -176,7 +164,7 @@ def _short(value: float) -> float:
 
 
 _MIDDLE_LIMIT = 1
-"""The class limit at which the shift is told."""
+"""The class limit at which the shift is given."""
 _DECIMALS = 4
 """Of the moved numbers: what is below differs between machines."""
 _USUAL_FLOOR = 0.03
@@ -247,26 +235,10 @@ class DriveUpdate:
 def update_from_drives(
     calibration: Calibration, stretches: DrivenStretches, settings: UpdateSettings | None = None
 ) -> tuple[Calibration, DriveUpdate]:
-    """Move the C_r of a calibration to what drives measured.
+    """Move the C_r of a calibration to what drives measured; its vehicle, class limits and p_fail stay.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        The one that the map of the stretches was made with.
-    stretches : DrivenStretches
-        Of all drives.
-    settings : UpdateSettings, optional
-
-    Returns
-    -------
-    Calibration
-        Its vehicle, class limits and p_fail are those of the calibration before.
-    DriveUpdate
-
-    Raises
-    ------
-    BadInputError
-        The calibration was moved before, the drives are too short, or they agree with it.
+    ``calibration``: the one that the map of the stretches was made with; ``stretches``: of all drives. Raises
+    BadInputError if the calibration was moved before, or the drives are too short, or agree with it.
     """
     settings = settings or UpdateSettings()
     if "moved_to_drives" in calibration.settings:
@@ -290,8 +262,10 @@ def update_from_drives(
     update = _described(calibration, evidence, lost, prior, (before, after))
     if not update.gain[0] > settings.least_gain * update.gain[1]:
         raise BadInputError(_agree(update))
-    record = update.to_record()
-    moved = moved_calibration(calibration, LogMove.of(prior, update.posterior), record)
+    found = update.posterior
+    shift, tilt = found.mean[:2].tolist()
+    move = LogMove(prior.middle, shift, tilt, found.covariance[:2, :2], max(1.0, found.map_scale))
+    moved = moved_calibration(calibration, move, update.to_record())
     if update.floor[0] != update.floor[1]:
         moved = replace(moved, vehicle=moved.vehicle | {"floor": {"c_r_radpm": update.floor[1]}})
     return moved, update

@@ -24,17 +24,9 @@ _MOST_MARGIN = 0.45
 def settle_objects(objects: NDArray[np.uint8], pixels: int) -> NDArray[np.uint8]:
     """Decide the pixels at the borders of tiles whose few points make an obstacle only with those of the neighbour.
 
-    Parameters
-    ----------
-    objects : uint8 (rows, cols)
-        States of `bumpymap.core.ObjectStack`, tiles side by side, north row first; ``UNSEEN`` where a tile is missing.
-    pixels : int
-        Pixels along a side of a tile.
-
-    Returns
-    -------
-    uint8 (rows, cols)
-        The same without ``UNDECIDED``: obstacle beside an obstacle or another such pixel across the border, else free.
+    ``objects`` (rows, cols): states of `bumpymap.core.ObjectStack`, tiles side by side, north row first; ``UNSEEN``
+    where a tile is missing. They are returned without ``UNDECIDED``: obstacle beside an obstacle or another such pixel
+    across the border, else free. ``pixels``: along a side of a tile.
     """
     undecided, near = objects == UNDECIDED, np.zeros(objects.shape, np.bool_)
     holds = np.pad((objects == OBSTACLE) | undecided, 1)
@@ -53,31 +45,18 @@ def find_passable(
     body: VehicleBody,
     tile_size: float,
 ) -> NDArray[np.uint8]:
-    """Sweep the vehicle through the free pixels of tiles that nothing else bars.
+    """Sweep the vehicle through the free pixels of tiles that nothing else bars; return what bars the inner tiles.
 
     The vehicle is a disc of its width and a margin of 0.1 m on each side. Its middle keeps that radius from obstacles,
     those of neighbouring tiles too, and from unseen pixels and missing tiles. A tile is passable if its free pixels
     join two edges that can be crossed, or reach one such edge in a tile without obstacles (a dead end). Where there is
     no way and no obstacle in the tile or within that radius of it, the reason is what was not seen.
 
-    Parameters
-    ----------
-    objects : uint8 (tiles * pixels, tiles * pixels)
-        Mosaic of a block and a ring of one tile around it, from `settle_objects`, north row first; ``UNSEEN`` where a
-        tile is missing.
-    alone : uint8 (tiles - 2, tiles - 2)
-        What bars the inner tiles apart from that, of `CostRule.barred`; it is kept.
-    edge_usable : bool (tiles - 2, tiles - 2, 4)
-        Whether the edges of the inner tiles can be crossed: north, east, south, west.
-    body : VehicleBody
-        Its width, m.
-    tile_size : float
-        m; obstacles farther than a tile are not seen, so a vehicle wider than two tiles finds too much room.
-
-    Returns
-    -------
-    uint8 (tiles - 2, tiles - 2)
-        What bars the inner tiles, a `Barred`.
+    ``objects`` (tiles * pixels, tiles * pixels): mosaic of a block and a ring of one tile around it, from
+    `settle_objects`, north row first; ``UNSEEN`` where a tile is missing. ``alone`` (tiles - 2, tiles - 2): what bars
+    the inner tiles apart from that, of `CostRule.barred`; it is kept. ``edge_usable`` (tiles - 2, tiles - 2, 4):
+    whether their edges can be crossed: north, east, south, west. Obstacles farther than a tile (``tile_size``, m) are
+    not seen, so a vehicle wider than two tiles finds too much room.
     """
     wanted = alone == Barred.NO
     if not wanted.any():
@@ -100,20 +79,12 @@ def free_areas(
 ) -> NDArray[np.uint8]:
     """Find where the middle of the vehicle can be, pixel by pixel, as far as obstacles and the tile's own ground tell.
 
-    It keeps the radius of `find_passable` from obstacles, steps and unseen pixels.
+    It keeps the radius of `find_passable` from obstacles, steps and unseen pixels. ``objects``, ``body``, ``tile_size``
+    are as there; in inner tiles that their ground bars by ``barred`` (tiles - 2, tiles - 2) there are no areas.
 
-    Parameters
-    ----------
-    objects, body, tile_size
-        As `find_passable`.
-    barred : uint8 (tiles - 2, tiles - 2)
-        What bars the inner tiles; in those that their ground bars there are no areas.
-
-    Returns
-    -------
-    uint8 (tiles - 2, tiles - 2, pixels, pixels)
-        Areas of pixels that hang together by their sides, and by their corners where `bumpymap.core.corners_join`
-        holds, numbered in each tile from 1, the largest; 0 where the middle of the vehicle cannot be.
+    Returns uint8 (tiles - 2, tiles - 2, pixels, pixels): areas of pixels that hang together by their sides, and by
+    their corners where `bumpymap.core.corners_join` holds, numbered in each tile from 1, the largest; 0 where the
+    middle of the vehicle cannot be.
     """
     count = len(barred) + 2
     pixels = len(objects) // count
@@ -128,27 +99,13 @@ def close_split_tiles(
     """Bar the tiles that obstacles split, and keep the vehicle off ground that it cannot drive on.
 
     What reads tiles alone steps from one passable tile to any of the eight around it. So of two such tiles whose
-    largest areas are not joined, the one with the smaller is barred (``SPLIT``): then every step between passable
-    tiles is one that the vehicle can take. In the areas, its middle keeps the radius of `find_passable` from tiles
-    that their ground bars as well, but at most 0.45 tiles, so that corridors of one tile stay open.
+    largest areas are not joined, the one with the smaller is barred (``SPLIT``): then every step between passable tiles
+    is one that the vehicle can take. In the areas, its middle keeps the radius of `find_passable` from tiles that their
+    ground bars as well, but at most 0.45 tiles, so that corridors of one tile stay open.
 
-    Parameters
-    ----------
-    areas : uint8 (tiles, tiles, pixels, pixels)
-        From `free_areas`, of a block and a ring of one tile around it; 0 in missing tiles.
-    barred : uint8 (tiles, tiles)
-        From `find_passable`; `Barred.UNKNOWN` in missing tiles.
-    body : VehicleBody
-        Its width, m.
-    tile_size : float
-        m.
-
-    Returns
-    -------
-    barred : uint8 (tiles - 2, tiles - 2)
-        With `Barred.SPLIT`.
-    areas : uint8 (tiles - 2, tiles - 2, pixels, pixels)
-        Numbered as before.
+    ``areas`` (tiles, tiles, pixels, pixels): from `free_areas`, of a block and a ring of one tile around it; 0 in
+    missing tiles. ``barred`` (tiles, tiles): from `find_passable`; `Barred.UNKNOWN` in missing tiles. Returns both
+    without the ring, the areas numbered as before.
     """
     pixels = areas.shape[2]
     largest = (areas == 1).sum(axis=(2, 3), dtype=np.int32)

@@ -83,7 +83,9 @@ Floats = NDArray[np.float64]
 STEP_COLUMNS = ("class_id", "c_r", "c_r_low", "c_r_high", "p_fail", "confidence")
 """The columns that `apply_steps` changes."""
 _LEAST_LOG_SD = 0.1
+"""Least standard deviation of ln C_r between steps of one height. Chosen: the places and directions are few."""
 _TINY = 1e-9
+"""C_r that stands for 0 in a logarithm, rad/m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,13 +107,7 @@ class StepEffect:
 
     @classmethod
     def of(cls, calibration: Calibration) -> "StepEffect":
-        """Read the ``steps`` of a calibration.
-
-        Raises
-        ------
-        BadInputError
-            The record is damaged.
-        """
+        """Read the ``steps`` of a calibration; raise BadInputError if they are damaged."""
         try:
             return _recorded(calibration.steps)
         except (LookupError, TypeError, ValueError) as error:
@@ -134,24 +130,9 @@ def apply_steps(
     follows from them as in the rating: that of the C_r, and the roughest if p_fail is at least one half. Tiles without
     class, and those with a step of 0 or NaN, keep their bits.
 
-    Parameters
-    ----------
-    columns : mapping
-        ``STEP_COLUMNS`` and ``coverage``, arrays of one shape, as in `CostMap`.
-    step : array
-        Of the same shape: `TileSteps.unseen`, m.
-    calibration : Calibration
-        Of the vehicle.
-
-    Returns
-    -------
-    dict
-        ``STEP_COLUMNS``, in the types they came in.
-
-    Raises
-    ------
-    BadInputError
-        The calibration's record of steps is damaged.
+    ``columns``: ``STEP_COLUMNS`` and ``coverage``, arrays of one shape, as in `CostMap`; ``step``: of the same shape,
+    `TileSteps.unseen`, m. Returns ``STEP_COLUMNS``, in the types they came in; raises BadInputError if the
+    calibration's record of steps is damaged.
     """
     effect = _effect(calibration)
     own = {name: np.asarray(columns[name]) for name in STEP_COLUMNS}
@@ -190,13 +171,7 @@ def crossing_fails(step: NDArray[np.floating], calibration: Calibration) -> NDAr
 
 @remembered
 def closing_height(calibration: Calibration) -> float:
-    """Return the least height of a step [m] that half of the crossings fail, up or down; infinite if there is none.
-
-    Raises
-    ------
-    BadInputError
-        The calibration's record of steps is damaged.
-    """
+    """Return the least height of a step [m] that half of the crossings fail, up or down; infinite if there is none."""
     effect = _effect(calibration)
     fails = np.maximum(effect.p_up, effect.p_down)
     above = np.flatnonzero(fails >= FAIL_SHARE)
@@ -209,18 +184,8 @@ def closing_height(calibration: Calibration) -> float:
 def edge_usable(border: NDArray[np.floating], calibration: Calibration) -> NDArray[np.bool_]:
     """Return which borders a vehicle can cross both ways: p_fail of a crossing is below one half.
 
-    Parameters
-    ----------
-    border : array
-        Steps of any shape, m, such as `TileSteps.border`. An unknown one (NaN) is not usable; ``numpy.isnan(border)``
-        tells it from a wall.
-    calibration : Calibration
-        Of the vehicle.
-
-    Raises
-    ------
-    BadInputError
-        The calibration's record of steps is damaged.
+    ``border``: steps of any shape, m, such as `TileSteps.border`. An unknown one (NaN) is not usable; ``numpy.isnan``
+    tells it from a wall.
     """
     return np.asarray(crossing_fails(border, calibration) < FAIL_SHARE)
 
@@ -251,7 +216,9 @@ def _recorded(record: Mapping[str, Any]) -> StepEffect:
 
 
 _QUANTILE, _QUANTILE_LIMIT = 0.2, 12.0
+"""Steps count above 12 times the 20 % quantile of all steps in the tile (4 above). Chosen, as the next."""
 _PIXEL_LIMIT = 2.5
+"""Limit of noise over the noise of a pixel."""
 _MEDIAN_DIFFERENCE = 0.9539
 """Median size of the difference of two numbers from a standard normal distribution."""
 _LEVEL_WIDTH = 1.85
@@ -324,32 +291,16 @@ def find_steps(
 ) -> TileSteps:
     """Find the steps of n x m tiles, such as the 16 x 16 of a block.
 
-    Parameters
-    ----------
-    heights : array ((n + 2) * pixels, (m + 2) * pixels)
-        Heightmaps of the tiles and of a ring of one tile around them, m, north row first; NaN where no point fell and
-        in tiles that do not exist.
-    pixels : int
-        Pixels along the side of a tile, at least 10.
-    wheel : float
-        Diameter of a wheel, px: it rolls over ditches narrower than 1.4 times that, which are no steps.
-    closing : float
-        Height of a step that the vehicle cannot cross, m: see `closing_height`.
-    standing : bool array, optional
-        Of the shape of ``heights``: pixels of what stands on the ground, and is an obstacle. They and those beside
-        them, which may hold its sides, count as unknown.
-    searched : bool array (n + 2, m + 2), optional
-        Tiles in which all points are searched for jumps, if many of their pixels are unknown; by default all.
+    ``heights`` ((n + 2) * pixels, (m + 2) * pixels): heightmaps of the tiles and of a ring of one tile around them, m,
+    north row first; NaN where no point fell and in tiles that do not exist. ``pixels``: along the side of a tile, at
+    least 10. ``wheel``: diameter of a wheel, px: it rolls over ditches narrower than 1.4 times that, which are no
+    steps. ``closing``: height of a step that the vehicle cannot cross, m, see `closing_height`. ``standing``, of the
+    shape of ``heights``: pixels of what stands on the ground, and is an obstacle; they and those beside them, which may
+    hold its sides, count as unknown. ``searched`` (n + 2, m + 2): tiles in which all points are searched for jumps, if
+    many of their pixels are unknown; by default all.
 
-    Returns
-    -------
-    TileSteps
-        Of the inner n x m tiles.
-
-    Raises
-    ------
-    ValueError
-        The sides of ``heights`` are not multiples of ``pixels``, or there are fewer than 3 x 3 tiles or 10 pixels.
+    Raises ValueError if the sides of ``heights`` are not multiples of ``pixels``, or there are fewer than 3 x 3 tiles
+    or 10 pixels.
     """
     sides = heights.shape
     if pixels < 2 * REACH + 2 or len(sides) != 2 or min(sides) < 3 * pixels or any(n % pixels for n in sides):

@@ -1,23 +1,14 @@
-"""The paper's four terrain forms: made from Perlin noise, sine waves and Gaussian blur; told apart by a small network.
+"""The paper's four terrain forms, told apart by a small network.
 
 A texture is a patch as ``PatchStack.relief_map`` shows it to the network and to the simulated vehicle: with its
 least-squares plane removed, then min-max scaled. Scaled, level ground is the noise of its survey, which looks like
-rubble: so the network is also told the relief and the noise in metres. Lengths are fractions of the patch's side;
-metres in the docstrings are those of the default patch, 3 m and 15 px. Every parameter is random for each patch. At
-equal z range the forms get rougher from ``flat`` to ``high_noise``.
-
-Many patches are made in one call. Each has its own noise lattice, rotated by a random angle and shifted by a random
-offset, so that lattice lines do not align with rows of pixels. Blurred forms are made with a margin that is cropped
-after the blur, because a blur that mirrors at the border would flatten the border.
+rubble: so the network also gets the relief and the noise in metres.
 
 The texture of a tile must not depend on the other tiles of a stack. Patches therefore pass through the network in
 batches of a fixed size, the last one padded, on one thread, and the graph has no operation across patches.
-
-Annotations name `numpy.random` in quotes: it is imported when it is looked up, and a map makes no textures.
 """
 
 import hashlib
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,7 +20,6 @@ from bumpymap.core import (
     BadInputError,
     PatchStack,
     Reason,
-    Texture,
     TextureMap,
     UsageError,
     check_network,
@@ -46,81 +36,13 @@ train again."""
 MEASURES = 3
 """Length of a row of `measures_of`."""
 
-_BATCH = 1024
-"""Patches made in one call: another number changes the random patches."""
 _Floats = NDArray[np.float64]
 
 
-def make_textures(texture: Texture, count: int, rng: "np.random.Generator", pixels: int = 15) -> NDArray[np.float32]:
-    """Generate random patches of one terrain form.
-
-    Parameters
-    ----------
-    texture : str
-        One of ``TEXTURES``.
-    count : int
-        Number of patches.
-    rng : numpy Generator
-        Equal states generate equal patches.
-    pixels : int
-        Pixels along a side, at least 4.
-
-    Returns
-    -------
-    array (count, pixels, pixels) float32
-        Plane-removed relief, each patch scaled to [0, 1].
-    """
-    if texture not in _FORMS:
-        raise UsageError(f"texture is '{texture}'; it must be one of {', '.join(TEXTURES)}")
-    if count < 0 or pixels < 4:
-        raise UsageError(f"{count} patches of {pixels} pixels; count must be 0 or more, pixels 4 or more")
-    batches = [np.empty((0, pixels, pixels), np.float32)]
-    for start in range(0, count, _BATCH):
-        raw = _FORMS[texture](min(_BATCH, count - start), rng, pixels)
-        batches.append(normalise(remove_plane(raw)))
-    return np.concatenate(batches)
-
-
-def make_short_waves(count: int, rng: "np.random.Generator", pixels: int = 15) -> NDArray[np.float32]:
-    """Generate ground with regular waves shorter than those of ``noise_sin``: washboard, tracks, ripples.
-
-    The paper has no such form, and a network that was not trained on it may take it for flat. It is as rough as
-    ``high_noise``, so it is labelled ``high_noise`` in training. Wavelengths are 0.4 to 0.75 m.
-
-    Parameters
-    ----------
-    count, rng, pixels
-        As in ``make_textures``.
-
-    Returns
-    -------
-    array (count, pixels, pixels) float32
-        Plane-removed relief, each patch scaled to [0, 1].
-    """
-    along, across = _rotated_axes(count, rng, pixels, 0)
-    wavelength = rng.uniform(0.4 / 3, 0.75 / 3, (2, count, 1, 1))
-    phase = rng.uniform(0, 2 * np.pi, (2, count, 1, 1))
-    first = np.sin(2 * np.pi * along / wavelength[0] + phase[0])
-    second = np.sin(2 * np.pi * across / wavelength[1] + phase[1])
-    pattern = rng.integers(0, 3, (count, 1, 1))
-    waves = np.select([pattern == 0, pattern == 1], [first, first * second], first + second)
-    ground = _octaves(count, rng, pixels, rng.uniform(0.2, 0.8, count), rng.uniform(0.3, 0.7, count), 3)
-    return normalise(remove_plane(waves + rng.uniform(0.0, 0.3, (count, 1, 1)) * ground))
-
-
 def normalise(patches: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Scale each patch to [0, 1] by its own minimum and maximum, as the texture network takes it.
+    """Scale each patch (n, pixels, pixels) without NaN to [0, 1] by its own extremes, as the texture network takes it.
 
     Training and inference both use this function. A patch of constant height becomes zeros.
-
-    Parameters
-    ----------
-    patches : array (n, pixels, pixels)
-        Heights without NaN, any unit.
-
-    Returns
-    -------
-    array (n, pixels, pixels) float32
     """
     low = patches.min(axis=(1, 2), keepdims=True).astype(np.float64)  # extremes need no double precision
     span = patches.max(axis=(1, 2), keepdims=True) - low
@@ -130,19 +52,9 @@ def normalise(patches: NDArray[np.floating]) -> NDArray[np.float32]:
 
 
 def remove_plane(patches: NDArray[np.floating]) -> _Floats:
-    """Subtract the least-squares plane from each patch.
+    """Subtract the least-squares plane from each patch (n, pixels, pixels) without NaN.
 
     On a full square of pixels the regressors 1, x, y (centred) are orthogonal, so each coefficient is one dot product.
-
-    Parameters
-    ----------
-    patches : array (n, pixels, pixels)
-        Heights without NaN.
-
-    Returns
-    -------
-    array (n, pixels, pixels) float64
-        Residuals, same unit.
     """
     pixels = patches.shape[-1]
     axis = np.arange(pixels) - (pixels - 1) / 2
@@ -158,20 +70,12 @@ def remove_plane(patches: NDArray[np.floating]) -> _Floats:
 def measures_of(
     relief_map: NDArray[np.floating], count: NDArray[np.integer], variance: NDArray[np.floating], rise: _Floats
 ) -> NDArray[np.float32]:
-    """Return what the network is told of a tile's metres beside its scaled patch.
+    """Return what the network is given of a tile's metres beside its scaled patch, (n, 3).
 
-    Parameters
-    ----------
-    relief_map, count, variance : array (n, pixels, pixels)
-        As ``relief_map``, ``spread_count`` and ``spread_variance`` of a `PatchStack`.
-    rise : array (n,)
-        Of the tile's plane over a pixel, m: points beside the middle of their pixel err by it. NaN counts as 0.
-
-    Returns
-    -------
-    array (n, 3) float32
-        Logarithms of the relief over 0.1 m and of the standard error of the pixels' means over 0.01 m, and 1; the last
-        two are 0 where too few pixels hold two points.
+    Logarithms of the relief over 0.1 m and of the standard error of the pixels' means over 0.01 m, and 1; the last two
+    are 0 where too few pixels hold two points. ``relief_map``, ``count``, ``variance`` (n, pixels, pixels): as
+    ``relief_map``, ``spread_count`` and ``spread_variance`` of a `PatchStack`; ``rise`` (n,): of the tile's plane over
+    a pixel, m: points beside the middle of their pixel err by it. NaN counts as 0.
     """
     count = count.reshape(len(count), count.shape[-1] ** 2)
     variance = np.where(count > 0, variance.reshape(count.shape).astype(np.float64), 0.0)
@@ -192,147 +96,6 @@ _RELIEFS, _ERRORS = (0.005, 10.0), (2e-4, 0.5)
 """Reliefs and standard errors, m, that the network has learned from; others count as the nearest."""
 
 
-def _perlin(count: int, rng: "np.random.Generator", pixels: int, cell: _Floats, margin: int = 0) -> _Floats:
-    """Generate gradient noise after Perlin (2002), with one lattice per patch.
-
-    With lattice corners ``i, j`` around the point ``(u, v)``, unit gradients ``g`` at the corners and the fade
-    ``s(t) = 6 t^5 - 15 t^4 + 10 t^3``::
-
-        n(u, v) = sum over a, b in {0, 1} of  w_a(u - i) w_b(v - j)  g[i + a, j + b] . (u - i - a, v - j - b)
-        w_1(t) = s(t),  w_0(t) = 1 - s(t)
-
-    Parameters
-    ----------
-    count, rng, pixels
-        As in ``make_textures``.
-    cell : array (count,)
-        Side of a lattice cell, as a fraction of the patch's side.
-    margin : int
-        Pixels to add on each of the four sides.
-
-    Returns
-    -------
-    array (count, pixels + 2 margin, pixels + 2 margin) float64
-        Noise with unit standard deviation over an infinite surface.
-    """
-    x, y = _rotated_axes(count, rng, pixels, margin)
-    reach = np.sqrt(0.5) * (1 + 2 * margin / pixels)
-    offset = rng.uniform(0, 1, (2, count, 1, 1)) + reach / cell[:, None, None]
-    nodes = int(np.ceil(2 * reach / cell.min())) + 3
-    angle = rng.uniform(0, 2 * np.pi, (count, nodes * nodes))
-    u, v = x / cell[:, None, None] + offset[0], y / cell[:, None, None] + offset[1]
-    i, j = np.floor(u).astype(np.int64), np.floor(v).astype(np.int64)
-    u, v = u - i, v - j
-    weight_u, weight_v = _fade(u), _fade(v)
-    noise: _Floats = np.zeros_like(u)
-    for a in (0, 1):
-        for b in (0, 1):
-            corner = ((i + a) * nodes + j + b).reshape(count, -1)
-            gradient = np.take_along_axis(angle, corner, axis=1).reshape(u.shape)
-            weight = (weight_u if a else 1 - weight_u) * (weight_v if b else 1 - weight_v)
-            noise += weight * (np.cos(gradient) * (u - a) + np.sin(gradient) * (v - b))
-    return noise / _PERLIN_SD
-
-
-def _fade(t: _Floats) -> _Floats:
-    return t * t * t * (t * (6 * t - 15) + 10)
-
-
-def _perlin_sd() -> float:
-    """Return the standard deviation of ``n(u, v)``: gradients are independent, each component has variance 1/2."""
-    t = (np.arange(400) + 0.5) / 400
-    near, near_t2 = np.mean((1 - _fade(t)) ** 2), np.mean((1 - _fade(t)) ** 2 * t**2)
-    # The four corners contribute equally; E[(g . d)^2] = |d|^2 / 2, and |d|^2 is a sum of two equal terms.
-    return float(np.sqrt(4 * near * near_t2))
-
-
-_PERLIN_SD = _perlin_sd()
-
-
-def _rotated_axes(count: int, rng: "np.random.Generator", pixels: int, margin: int) -> tuple[_Floats, _Floats]:
-    """Return x and y of pixel centres, (count, side, side) each, rotated about the patch's centre by a random angle."""
-    axis = (np.arange(-margin, pixels + margin) + 0.5) / pixels - 0.5
-    turn = rng.uniform(0, 2 * np.pi, (count, 1, 1))
-    east, south = axis[None, None, :], axis[None, :, None]
-    return np.cos(turn) * east - np.sin(turn) * south, np.sin(turn) * east + np.cos(turn) * south
-
-
-def _octaves(
-    count: int,
-    rng: "np.random.Generator",
-    pixels: int,
-    cell: _Floats,
-    persistence: _Floats,
-    octaves: int,
-    margin: int = 0,
-) -> _Floats:
-    """Sum octaves of Perlin noise, each with half the cell and ``persistence`` times the amplitude; unit variance."""
-    amplitude, power = np.ones(count), np.zeros(count)
-    total: _Floats = np.zeros((count, pixels + 2 * margin, pixels + 2 * margin))
-    for octave in range(octaves):
-        total += amplitude[:, None, None] * _perlin(count, rng, pixels, cell / 2**octave, margin)
-        power += amplitude**2
-        amplitude = amplitude * persistence
-    return total / np.sqrt(power)[:, None, None]
-
-
-def _blurred_noise(
-    count: int,
-    rng: "np.random.Generator",
-    pixels: int,
-    cell: _Floats,
-    persistence: _Floats,
-    octaves: int,
-    sigma: _Floats,
-) -> _Floats:
-    """Return ``_octaves`` after a Gaussian blur by ``sigma`` (count,), a fraction of a side, correct up to the border.
-
-    The blur of a patch is ``K P K^T`` with its own matrix ``K[i, j] ~ exp(-(i - j)^2 / (2 sigma^2))``, rows sum to 1,
-    which also crops the margin.
-    """
-    margin = int(np.ceil(3 * sigma.max() * pixels)) + 1
-    noise = _octaves(count, rng, pixels, cell, persistence, octaves, margin)
-    distance = np.arange(-margin, pixels + margin)[None, :] - np.arange(pixels)[:, None]
-    kernel = np.exp(-0.5 * (distance / (sigma[:, None, None] * pixels)) ** 2)
-    kernel /= kernel.sum(axis=2, keepdims=True)
-    blurred: _Floats = kernel @ noise @ kernel.transpose(0, 2, 1)
-    return blurred
-
-
-def _flat(count: int, rng: "np.random.Generator", pixels: int) -> _Floats:
-    """Generate long gentle undulation: a bowl, saddle or swell (cells of 2.4 to 7 m, blur 0.3 to 0.5 m)."""
-    cell, persistence = rng.uniform(0.8, 2.3, count), rng.uniform(0.0, 0.15, count)
-    return _blurred_noise(count, rng, pixels, cell, persistence, 2, rng.uniform(0.1, 0.16, count))
-
-
-def _low_noise(count: int, rng: "np.random.Generator", pixels: int) -> _Floats:
-    """Generate soft bumps and hollows (cells of 1.1 to 2.2 m, three octaves, blur 0.08 to 0.2 m)."""
-    cell, persistence = rng.uniform(0.37, 0.73, count), rng.uniform(0.35, 0.55, count)
-    return _blurred_noise(count, rng, pixels, cell, persistence, 3, rng.uniform(0.025, 0.06, count))
-
-
-def _noise_sin(count: int, rng: "np.random.Generator", pixels: int) -> _Floats:
-    """Generate waves over noise (wavelength 0.8 to 2.4 m; noise of three octaves from cells of 0.6 to 1.2 m)."""
-    ground = _octaves(count, rng, pixels, rng.uniform(0.2, 0.4, count), rng.uniform(0.4, 0.7, count), 3)
-    wavelength = np.exp(rng.uniform(np.log(0.8 / 3), np.log(2.4 / 3), (count, 1, 1)))
-    phase = rng.uniform(0, 2 * np.pi, (count, 1, 1))
-    along, _ = _rotated_axes(count, rng, pixels, 0)
-    wave: _Floats = np.sqrt(2) * np.sin(2 * np.pi * along / wavelength + phase)
-    return wave + rng.uniform(0.2, 0.5, (count, 1, 1)) * ground
-
-
-def _high_noise(count: int, rng: "np.random.Generator", pixels: int) -> _Floats:
-    """Generate rubble, heights varying from pixel to pixel (cells 0.4 to 1.2 m, persistence near 1, white noise)."""
-    ground = _octaves(count, rng, pixels, rng.uniform(0.13, 0.4, count), rng.uniform(0.7, 1.0, count), 3)
-    return ground + rng.uniform(0.1, 0.6, (count, 1, 1)) * rng.standard_normal((count, pixels, pixels))
-
-
-_FORMS: "dict[str, Callable[[int, np.random.Generator, int], _Floats]]" = {
-    "flat": _flat,
-    "low_noise": _low_noise,
-    "noise_sin": _noise_sin,
-    "high_noise": _high_noise,
-}
 _NETWORK_BATCH = 16
 """Larger batches save 3 % per patch but lose more to padding: a block has about two hundred tiles."""
 _FORMAT = "bumpymap-textures"
@@ -400,24 +163,9 @@ class TextureModel:
 
 
 def classify(patches: PatchStack, model: TextureModel) -> TextureMap:
-    """Classify the texture of each tile.
+    """Classify the texture of n tiles: (n, 4) probabilities; NaN where ``reason`` is not 0.
 
-    Parameters
-    ----------
-    patches : PatchStack
-        n tiles; ``relief_map``, spread, ``slope``, ``reason`` and ``grid`` are used.
-    model : TextureModel
-        Network for tiles of that grid.
-
-    Returns
-    -------
-    TextureMap
-        (n, 4) probabilities; NaN where ``reason`` is not 0.
-
-    Raises
-    ------
-    UsageError
-        The network was trained for tiles of another size or another number of pixels.
+    Raises UsageError if the network was trained for tiles of another size or another number of pixels.
     """
     model.require_grid(patches.grid.tile_size, patches.grid.pixels)
     known = np.flatnonzero(patches.reason == Reason.OK)

@@ -139,15 +139,10 @@ class Body:
 
 
 def body_defaults(vehicle: Mapping[str, Any]) -> dict[str, float]:
-    """Return the outline of a vehicle whose profile does not give one, m, rounded to centimetres.
+    """Return the outline of a vehicle whose complete profile does not give one, m, rounded to centimetres.
 
     Height: the wheels' or the belly's clearance, the higher, plus 0.7 of the track. Width: the wider of belly and
     wheels. Brush: the belly's clearance, so that whatever reaches the belly is an obstacle.
-
-    Parameters
-    ----------
-    vehicle : mapping
-        A complete vehicle profile, as in its TOML file.
     """
     belly, wheel, track = vehicle["belly"], vehicle["wheel"], float(vehicle["track_m"])
     under = max(2 * float(wheel["radius_m"]), float(belly["clearance_m"]))
@@ -222,10 +217,19 @@ class _Rules:
 
 
 _RULES = {
-    "rocker": _Rules(0.1, 0.05, 0.4, 0.42, (1.3, 0.7, 0.4), 0.2, 6.5, 1.15),
-    "sprung": _Rules(0.03, 0.025, 0.7, 0.44, (1.5, 1.0, 0.75), 0.1, 1.5, 0.5),
-    "rigid": _Rules(0.01, 0.045, 0.2, 0.93, (1.3, 0.6, 0.35), 0.05, 12.0, 0.4),
-}
+    "rocker": _Rules(
+        rocker_mass=0.1, wheel_mass=0.05, centre=0.4, overhang=0.42, box=(1.3, 0.7, 0.4), limit_rad=0.2, pitch_hz=6.5,
+        damping=1.15,
+    ),
+    "sprung": _Rules(
+        rocker_mass=0.03, wheel_mass=0.025, centre=0.7, overhang=0.44, box=(1.5, 1.0, 0.75), limit_rad=0.1,
+        pitch_hz=1.5, damping=0.5,
+    ),
+    "rigid": _Rules(
+        rocker_mass=0.01, wheel_mass=0.045, centre=0.2, overhang=0.93, box=(1.3, 0.6, 0.35), limit_rad=0.05,
+        pitch_hz=12.0, damping=0.4,
+    ),
+}  # fmt: skip
 _WHOLE = {"mass_kg", "suspension"}
 _TABLES = ("chassis", "belly", "rocker", "wheel")
 _BETWEEN = 0.95
@@ -247,17 +251,11 @@ class CompletedProfile:
 
 
 def estimate_profile(record: Any) -> CompletedProfile:
-    """Fill in what a short profile leaves out.
+    """Fill in what a short profile, which has ``mass_kg`` or ``suspension``, leaves out; what is given stays.
 
     Wheels and rockers have their shares of ``mass_kg``, and the chassis has the rest. The chassis has the moments of
     inertia of a solid box, the rockers those of beams as long as the wheelbase. Springs follow from the frequency at
     which the chassis pitches, ``2 k = I (2 pi f)^2``, dampers from ``2 b = 2 zeta sqrt(2 k I)``.
-
-    Parameters
-    ----------
-    record : dict
-        A profile as in its TOML file, short if it has ``mass_kg`` or ``suspension``; another is returned as it is.
-        What is given stays.
     """
     if not isinstance(record, dict) or not _WHOLE & set(record):
         return CompletedProfile(record, {}, [])

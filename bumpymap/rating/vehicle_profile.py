@@ -337,12 +337,8 @@ _NAME = re.compile(r"[\w-]{1,64}")
 def write_profile_template(name: str, path: Path, like: str | None) -> None:
     """Write `profile_template` to a new file.
 
-    Raises
-    ------
-    UsageError
-        The name is that of an included vehicle, or not one word; there is no vehicle ``like``.
-    OutputError
-        The file exists, or cannot be written.
+    Raises UsageError if the name is that of an included vehicle, or not one word, or there is no vehicle ``like``;
+    OutputError if the file exists, or cannot be written.
     """
     if not _NAME.fullmatch(name):
         raise UsageError(f"the name of a vehicle is {name!r}; it must be up to 64 letters, digits, _ and -")
@@ -369,14 +365,10 @@ def _fill(file: TextIO, path: Path, text: str) -> None:
 
 
 def profile_template(name: str, like: str | None) -> str:
-    """Return the text of a profile to edit: a short one, or with every value of another vehicle.
+    """Return the text of a profile to edit, of a new vehicle of this name.
 
-    Parameters
-    ----------
-    name : str
-        Name of the new vehicle.
-    like : str or None
-        A vehicle (name or TOML file) to copy the numbers from; None: put a placeholder that `vehicle check` reports.
+    ``like``: a vehicle (name or TOML file) to copy every number from; None: a short profile, with placeholders that
+    `vehicle check` reports.
     """
     lines = ["# A vehicle profile for bumpymap. Check it with: bumpymap vehicle check FILE"]
     if like is None:
@@ -412,25 +404,14 @@ def _about(key: ProfileKey) -> str:
 
 
 def find_calibration(vehicle: str | Path, file: Path | None = None, tile_size: float = 3.0) -> Calibration:
-    """Find the calibration of a vehicle.
+    """Find the calibration of a vehicle, an included one for tiles of ``tile_size`` (3, 5 or 6 m).
 
-    Parameters
-    ----------
-    vehicle : str or Path
-        Name of an included vehicle, or a TOML file, whose calibration is the JSON file of the same name beside it. If
-        there is none and the profile equals that of an included vehicle, the calibration of that is used. Name,
-        description and weights are those of the TOML file.
-    file : Path, optional
-        A calibration file; ``vehicle`` is then ignored.
-    tile_size : float
-        m; calibrations for tiles of 3, 5 and 6 m are included.
+    ``vehicle``: name of an included vehicle, or a TOML file, whose calibration is the JSON file of the same name beside
+    it. If there is none and the profile equals that of an included vehicle, the calibration of that is used. Name,
+    description and weights are those of the TOML file. ``file``: a calibration file; ``vehicle`` is then ignored.
 
-    Raises
-    ------
-    UsageError
-        There is no vehicle of that name, or no such file.
-    BadInputError
-        The profile or the calibration cannot be read, or they are of different vehicles.
+    Raises UsageError if there is no vehicle of that name, or no such file; BadInputError if profile or calibration
+    cannot be read, or are of different vehicles.
     """
     if file is not None:
         return _checked(Calibration.load(file), str(file))

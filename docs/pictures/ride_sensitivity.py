@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from bumpymap.lab.simulate.drive import DriveSettings, drive
 from bumpymap.lab.simulate.model import PatchGround, Physics
+from bumpymap.lab.terrains import make_textures
 from bumpymap.rating import Vehicle
-from bumpymap.rating.textures import make_textures
 
 PATCHES = 24
 Z_RANGE_M = 0.3

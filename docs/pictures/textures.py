@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from bumpymap.core.types import TEXTURES
-from bumpymap.rating.textures import make_textures
+from bumpymap.lab.terrains import make_textures
 
 
 def draw(picture: Path, columns: int = 10, seed: int = 7) -> None:

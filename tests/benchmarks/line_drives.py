@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates
+from scipy.stats import spearmanr
 
 import bumpymap
 from bumpymap.core import CANOPY, OBSTACLE, axis_values
-from bumpymap.lab.evaluate.agreement import spearman
 from bumpymap.lab.simulate.drive import DriveSettings, Start, drive_from, drive_strip, follow
 from bumpymap.layers import open_map
 from bumpymap.rating import Vehicle, find_calibration
@@ -129,7 +129,7 @@ def report(given, site):
     for name, predicted in (("tiles", of_tiles), ("tiles by heading", by_heading), ("line", of_line)):
         error = np.abs(np.log(predicted / driven))
         thirds = " / ".join(f"{100 * np.median(error[third == k]):.0f}" for k in range(3))
-        rank, middle = f"{spearman(predicted, driven):.3f}", f"{100 * np.median(error):.1f} %"
+        rank, middle = f"{spearmanr(predicted, driven).statistic:.3f}", f"{100 * np.median(error):.1f} %"
         print(f"| {name} | {len(driven)} | {rank} | {middle} | {thirds} % | {np.median(predicted / driven):.2f} |")
     inside = (driven >= low) & (driven <= high)
     print(

@@ -18,9 +18,9 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import spearmanr
 
 from bumpymap.core import FeatureSettings, Georeference, Reason
-from bumpymap.lab.evaluate.agreement import spearman
 from bumpymap.lab.simulate.drive import DriveSettings, draw_start, drive_strip, follow
 from bumpymap.lab.simulate.model import PatchGround, Pose, standing_pose, wheel_inertia
 from bumpymap.lab.simulate.ride_fit import survey_terrains
@@ -192,7 +192,7 @@ def report(given):
         truth = mean[known]
         inside = (truth >= low) & (truth <= high)
         third = np.searchsorted(np.quantile(truth, [1 / 3, 2 / 3]), truth)
-        cells = [f"{density:g}", known.sum(), f"{spearman(c_r, truth):.3f}"]
+        cells = [f"{density:g}", known.sum(), f"{spearmanr(c_r, truth).statistic:.3f}"]
         cells += [f"{100 * np.median(np.abs(np.log(c_r / truth))):.0f} %", f"{np.median(truth / c_r):.2f}"]
         cells += [" / ".join(f"{inside[third == k].mean():.2f}" for k in range(3)), f"{inside.mean():.2f}"]
         print("| " + " | ".join(map(str, cells)) + " |")

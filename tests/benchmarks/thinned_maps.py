@@ -19,10 +19,10 @@ from pathlib import Path
 
 import laspy
 import numpy as np
+from scipy.stats import spearmanr
 
 import bumpymap
 from bumpymap.core import BARRED_TEXT, CROSSING_UNKNOWN, Barred
-from bumpymap.lab.evaluate.agreement import spearman
 
 TEXTS = {text: code for code, text in BARRED_TEXT.items()}
 HEAD = """
@@ -68,7 +68,7 @@ def compare_ride(first, after):
     third = np.searchsorted(np.quantile(wanted, [1 / 3, 2 / 3]), wanted)
     ratios = [np.median(found[third == k]) / np.median(wanted[third == k]) for k in range(3)]
     error = np.median(np.abs(np.log(found / wanted)))
-    cells = [f"{100 * unknown.mean():.0f} %", f"{spearman(wanted, found):.3f}", f"{100 * error:.0f} %"]
+    cells = [f"{100 * unknown.mean():.0f} %", f"{spearmanr(wanted, found).statistic:.3f}", f"{100 * error:.0f} %"]
     cells += [" / ".join(f"{value:.2f}" for value in ratios)]
     return [*cells, " / ".join(f"{inside[third == k].mean():.2f}" for k in range(3)), f"{inside.mean():.2f}"]
 

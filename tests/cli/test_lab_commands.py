@@ -154,8 +154,9 @@ def test_a_calibration_is_written_and_summed_up_and_replaced_only_if_told(tmp_pa
     assert json.loads(out.read_text())["format"] == "bumpymap-calibration"
 
 
-def test_missing_libraries_are_named_with_their_extra(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "dartpy", None)
+@pytest.mark.parametrize("package", ["dartpy", "sklearn"])
+def test_missing_libraries_are_named_with_their_extra(tmp_path, monkeypatch, package):
+    monkeypatch.setitem(sys.modules, package, None)
     monkeypatch.setattr(train_command, "find_spec", lambda _: None)
     for words, said in (
         (["calibrate", "--vehicle", "warthog"], install_command("sim")),

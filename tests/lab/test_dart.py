@@ -12,7 +12,8 @@ from bumpymap.lab.simulate import model
 from bumpymap.lab.simulate.drive import DriveSettings, Start, drive, drive_from
 from bumpymap.lab.simulate.model import DartVehicle, PatchGround, Physics, Strip
 from bumpymap.lab.simulate.motion_fit import drive_motion
-from bumpymap.rating import Vehicle, felt_response, make_textures
+from bumpymap.lab.terrains import make_textures
+from bumpymap.rating import Vehicle, felt_response
 
 pytest.importorskip("dartpy")
 

@@ -1,4 +1,4 @@
-"""Statistics of ratings by SciPy and scikit-learn, the paper's Table I, and drives over a survey held against it."""
+"""Classes against labels by scikit-learn, and drives over a survey held against its map."""
 
 import json
 import subprocess
@@ -8,57 +8,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
-from scipy.stats import spearmanr
-from sklearn.metrics import confusion_matrix
+from sklearn.metrics import accuracy_score, confusion_matrix, recall_score
 
-from bumpymap.lab.evaluate import agreement
+from bumpymap.lab.label_sets import accuracy_of
 
-SEEDS = st.integers(0, 2**31)
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@given(SEEDS, st.integers(3, 60))
-def test_rank_correlation_is_that_of_scipy_ties_and_all(seed, count):
-    first, second = np.random.default_rng(seed).integers(0, 9, (2, count)).astype(float)
-    if np.ptp(first) and np.ptp(second):
-        assert agreement.spearman(first, second) == pytest.approx(spearmanr(first, second).statistic)
-    else:
-        assert np.isnan(agreement.spearman(first, second))
-
-
-@given(SEEDS, st.integers(1, 60))
-def test_confusion_matrix_is_that_of_scikit_learn(seed, count):
-    truth, predicted = np.random.default_rng(seed).integers(0, 4, (2, count))
-    table = agreement.confusion(truth, predicted, 4)
-    assert np.array_equal(table, confusion_matrix(truth, predicted, labels=range(4)))
-
-
-def verdict_of(c_r, class_id=None, p_fail=None):
-    """What a rating may say."""
-    c_r = np.asarray(c_r, float)
-    none = np.zeros(len(c_r))
-    class_id = np.asarray(none if class_id is None else class_id, np.uint8)
-    p_fail = none if p_fail is None else np.asarray(p_fail, float)
-    return agreement.Verdict(class_id, c_r, c_r / 1.2, c_r * 1.2, p_fail, none + 0.8)
-
-
-def driven_of(c_r, failed):
-    """Sixteen drives over each patch, with an error of 3 %."""
-    return agreement.DriveStats(c_r, 0.03 * c_r, 16 - failed, failed)
-
-
-def test_rows_hold_means_medians_and_shares_and_what_does_not_rise_is_named():
-    class_id = [0, 0, 1, 1, 2, 3]
-    variance, residual = np.array([1.0, 3.0, 4.0, 6.0, 7.0, 9.0]), np.array([0.1, 0.3, 0.4, np.nan, 0.7, 0.9])
-    found = agreement.class_table(verdict_of([0.1, 0.2, 0.3, 0.4, 0.5, 0.6], class_id), variance, residual)
-    first, second = found["rows"][:2]
-    assert (first["tiles"], first["share"]) == (2, pytest.approx(1 / 3))
-    assert (first["variance_mean"], first["residual_median"], first["c_r_median"]) == pytest.approx((2, 0.2, 0.15))
-    assert second["residual_mean"] == 0.4
-    assert all(found["rises"].values())
-    other = agreement.class_table(verdict_of([0.1, 0.2, 0.3, 0.4, 0.5, 0.3], class_id), variance[::-1], residual)
-    falls = {name for name, rises in other["rises"].items() if not rises}
-    assert falls == {"variance_median", "variance_mean", "c_r_median"}
+@given(st.integers(0, 2**31), st.integers(1, 60))
+def test_scores_are_those_of_scikit_learn(seed, count):
+    truth, answer = np.random.default_rng(seed).integers(0, 4, (2, count))
+    found = accuracy_of(truth, answer, 4)
+    assert found.confusion == confusion_matrix(truth, answer, labels=range(4)).tolist()
+    assert found.right == pytest.approx(accuracy_score(truth, answer))
+    occurs = np.unique(truth)
+    recall = recall_score(truth, answer, labels=occurs, average=None)
+    assert np.array(found.recall)[occurs] == pytest.approx(recall)
+    assert np.isnan(found.recall).sum() == 4 - len(occurs)
+    assert found.even == pytest.approx(recall.mean())
 
 
 @pytest.mark.slow

@@ -40,10 +40,7 @@ def test_pixel_centres_keep_their_heights_north_up(ground):
     np.testing.assert_allclose(ground.height(*pixel_centres()), HEIGHTS, atol=1e-12)
 
 
-@given(
-    st.tuples(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6)),
-    arrays(np.float64, (2, 20), elements=st.floats(-40, 40)),
-)
+@given(st.tuples(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6)), arrays(np.float64, (2, 20), elements=st.floats(-40, 40)))
 def test_a_sloping_patch_goes_on_as_its_plane_and_not_as_a_ridge(slope, points):
     easting, northing = pixel_centres()
     ground = PatchGround.from_heights(slope[0] * easting + slope[1] * northing + 2, SIZE)

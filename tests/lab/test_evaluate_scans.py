@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from bumpymap.cli import main
 from bumpymap.core import BadInputError, ClassedSectors, Scan, UsageError
 from bumpymap.lab.evaluate import scans
-from bumpymap.lab.label_sets import LABEL_SETS, label_set, require_label_set, tell_label_set
+from bumpymap.lab.label_sets import LABEL_SETS, identify_label_set, label_set, require_label_set
 from bumpymap.readers import find_frames, read_scan
 from bumpymap.scan import classify_filter, polar_sectors
 
@@ -77,7 +77,7 @@ def test_a_file_that_is_no_set_is_refused(tmp_path, text):
 )
 def test_the_set_is_told_from_the_ids_and_others_are_refused(labels, name):
     labels = np.array(labels)
-    assert tell_label_set(labels, "a.label").name == name
+    assert identify_label_set(labels, "a.label").name == name
     require_label_set(labels, LABEL_SETS[name], "a.label")
     for other in set(LABEL_SETS) - {name}:
         with pytest.raises(BadInputError, match=f"not those of the set {other}"):
@@ -85,11 +85,11 @@ def test_the_set_is_told_from_the_ids_and_others_are_refused(labels, name):
 
 
 def test_ids_that_exist_in_two_sets_are_told_by_their_ground_and_doubt_is_said():
-    assert tell_label_set(np.array([3, 4, 19]), "a").name == "rellis"  # kitti: motorcycles, trucks, signs
-    assert tell_label_set(np.array([9, 15, 17]), "a").name == "kitti"  # rellis: objects, logs, persons
+    assert identify_label_set(np.array([3, 4, 19]), "a").name == "rellis"  # kitti: motorcycles, trucks, signs
+    assert identify_label_set(np.array([9, 15, 17]), "a").name == "kitti"  # rellis: objects, logs, persons
     for labels, words in (([10, 18], "fit kitti and rellis; say which"), ([0, 500], "fit no"), ([0, 0], "ids none")):
         with pytest.raises(BadInputError, match=words):
-            tell_label_set(np.array(labels), "a.label")
+            identify_label_set(np.array(labels), "a.label")
 
 
 TABLE = scans.ClassedSectorTable(
@@ -208,8 +208,7 @@ def test_points_of_obstacles_are_looked_for_in_free_sectors():
 
 
 @pytest.mark.parametrize(
-    ("name", "known", "least"),
-    [("kitti_labelled", "kitti", 0.975), ("solid_state_labelled", "semantic-kitti", 0.94)],
+    ("name", "known", "least"), [("kitti_labelled", "kitti", 0.975), ("solid_state_labelled", "semantic-kitti", 0.94)]
 )
 def test_labels_are_told_ground_is_found_and_obstacles_lie_in_sectors_that_say_so(shared_data, name, known, least):
     frames = find_frames([shared_data / "scans" / name])

@@ -14,8 +14,8 @@ from bumpymap.cli import main
 from bumpymap.core.errors import OutputError
 from bumpymap.core.shared_kernels import fill_holes as fill_holes_of_features
 from bumpymap.lab.settings import NetworkSettings, TrainSettings
+from bumpymap.lab.terrains import make_textures
 from bumpymap.lab.train import textures
-from bumpymap.rating import make_textures
 from bumpymap.rating.textures import TextureModel, infer
 
 torch = pytest.importorskip("torch", reason="torch comes with the extra 'learn'")

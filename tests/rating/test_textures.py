@@ -1,4 +1,4 @@
-"""Textures of tiles: the four made forms, the shipped network, and what must hold for any network."""
+"""Textures of tiles: the shipped network on the made forms, and what must hold for any network."""
 
 from itertools import pairwise
 from pathlib import Path
@@ -6,12 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cost_maps import patch_stack
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from scipy.ndimage import map_coordinates
 
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.core.types import TEXTURES, Reason
-from bumpymap.rating.textures import TextureModel, classify, make_short_waves, make_textures
+from bumpymap.lab.terrains import make_textures
+from bumpymap.rating.textures import TextureModel, classify
 from bumpytiles import Grid
 
 
@@ -31,60 +32,6 @@ def _textures(per_texture, seed=99):
 @pytest.fixture(scope="module")
 def model():
     return TextureModel.shipped()
-
-
-@pytest.mark.parametrize("texture", TEXTURES)
-@pytest.mark.parametrize("pixels", [4, 15, 30])
-def test_every_patch_is_scaled_has_no_plane_and_belongs_to_its_seed(texture, pixels):
-    patches, again, other = (make_textures(texture, 50, np.random.default_rng(seed), pixels) for seed in (3, 3, 4))
-    assert (patches.shape, patches.dtype) == ((50, pixels, pixels), np.float32)
-    assert_array_equal(patches.min(axis=(1, 2)), 0)
-    assert_array_equal(patches.max(axis=(1, 2)), 1)
-    design = np.column_stack([np.ones(pixels**2), *(axis.ravel() for axis in np.mgrid[:pixels, :pixels])])
-    plane = np.linalg.lstsq(design, patches.reshape(50, -1).T.astype(float), rcond=None)[0]
-    assert_allclose(plane[1:], 0, atol=1e-6)
-    assert_array_equal(again, patches)
-    assert np.abs(patches - other).mean() > 0.1
-    assert len(np.unique(patches.reshape(50, -1), axis=0)) == 50
-
-
-def test_a_stream_of_patches_does_not_depend_on_the_chunk():
-    whole = make_textures("low_noise", 1100, np.random.default_rng(1))
-    assert_array_equal(whole[:1024], make_textures("low_noise", 1024, np.random.default_rng(1)))
-
-
-def power_of(patches):
-    """Mean share of the power of patches (n, p, p) at each wave number (0 .. waves a side, rounded)."""
-    power = np.abs(np.fft.fft2(patches - patches.mean(axis=(1, 2), keepdims=True))) ** 2
-    power /= power.sum(axis=(1, 2), keepdims=True)
-    wave = np.fft.fftfreq(patches.shape[1], 1 / patches.shape[1])
-    number = np.round(np.hypot(wave[:, None], wave[None, :])).astype(int)
-    return np.bincount(number.ravel(), power.mean(axis=0).ravel())
-
-
-def test_spectra_are_where_the_forms_say():
-    flat, low, sine, high = (power_of(make_textures(texture, 400, np.random.default_rng(5))) for texture in TEXTURES)
-    assert flat[1] > 0.65, "one undulation a patch, and what its borders leak"
-    assert low[1] < flat[1] - 0.1
-    assert low[2:4].sum() > flat[2:4].sum() + 0.1, "bumps of about a metre"
-    assert sine[2:5].sum() > 0.6, "waves of 0.8 to 2.4 m"
-    assert high[5:].sum() > 0.35, "rubble"
-    assert max(flat[5:].sum(), low[5:].sum(), sine[5:].sum()) < 0.1
-
-
-@pytest.mark.parametrize("pixels", [15, 30])
-def test_short_waves_are_short(pixels):
-    patches = make_short_waves(400, np.random.default_rng(3), pixels)
-    assert patches.shape == (400, pixels, pixels)
-    assert (patches.min(), patches.max()) == (0.0, 1.0)
-    # 0.4 to 0.75 m on a tile of 3 m: 4 to 7.5 waves; crossing ones beat up to sqrt(2) faster.
-    assert power_of(patches)[3:12].sum() > 0.9
-
-
-@pytest.mark.parametrize(("given", "words"), [(("gravel", 1), "noise_sin"), (("flat", -1), "count")])
-def test_textures_that_cannot_be_made_are_refused(given, words):
-    with pytest.raises(UsageError, match=words):
-        make_textures(*given, np.random.default_rng(0))
 
 
 def seen(measure_points, relief, points, noise, rng):

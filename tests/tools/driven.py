@@ -14,13 +14,12 @@ from multiprocessing import Pool
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import spearmanr
 from sklearn.metrics import roc_auc_score
+from survey_tiles import MeasuredSurvey
 
-from bumpymap.core import FeatureSettings, Georeference, Reason, SilentProgress
-from bumpymap.lab import open_readers
-from bumpymap.lab.evaluate.agreement import spearman
+from bumpymap.core import Georeference, Reason
 from bumpymap.lab.evaluate.report import number, percent, table
-from bumpymap.lab.evaluate.survey_trial import load_survey
 from bumpymap.lab.simulate.drive import DriveSettings, Effort, drive_patch
 from bumpymap.rating import Calibration, RideModel, TextureModel, Vehicle, classify, rate
 from bumpymap.readers import ReadOptions
@@ -32,7 +31,7 @@ FIELDS, MOST_FAILED, SEED = ("c_r", "c_r_low", "c_r_high", "p_fail", "class_id")
 def rated(surveys, options, calibration, grid):
     """Return the ground of all tiles that can be rated, (n, pixels, pixels) m, their slope, and their ratings."""
     textures, ride = TextureModel.shipped(), RideModel(calibration)
-    survey = load_survey(open_readers(surveys, options, local=True), "auto", grid, FeatureSettings(), SilentProgress())
+    survey = MeasuredSurvey(surveys, options, grid)
     ground, slope, found = [], [], {"ride": [], "table": []}
     for patches in survey.measured(survey.buckets.blocks()):
         place, seen = Georeference(None), classify(patches, textures)
@@ -83,7 +82,7 @@ def compared(own, driven, level, limits):
     some = 0 < failed.sum() < (failed + completed).sum()
     auc = roc_auc_score(labels, np.tile(own["p_fail"], 2), sample_weight=weights) if some else np.nan
     return [
-        number(spearman(own["c_r"][good], c_r[good])),
+        number(spearmanr(own["c_r"][good], c_r[good]).statistic),
         percent(float(np.median(np.abs(own["c_r"][good] / c_r[good] - 1)))),
         percent(float((own["class_id"] == true_class)[level].mean())),
         percent(float(held[good].mean())),

@@ -13,13 +13,12 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
+from survey_tiles import MeasuredSurvey
 
 import bumpymap
-from bumpymap.core import FeatureSettings, Georeference, SilentProgress
-from bumpymap.lab import ScanEvaluateSettings, evaluate_scans, open_readers
-from bumpymap.lab.evaluate.agreement import Verdict, class_table
-from bumpymap.lab.evaluate.report import class_lines, number, scan_class_lines, table
-from bumpymap.lab.evaluate.survey_trial import load_survey
+from bumpymap.core import CLASS_NAMES, Georeference, SilentProgress
+from bumpymap.lab import ScanEvaluateSettings, evaluate_scans, percent
+from bumpymap.lab.evaluate.report import number, scan_class_lines, table
 from bumpymap.rating import Calibration, TextureModel, classify, rate_as_paper
 from bumpymap.readers import ReadOptions, find_frames, read_scan
 from bumpymap.scan import ScanModel, load_stripes
@@ -27,6 +26,19 @@ from bumpytiles import Grid
 
 PAPER_COSTS = (("heightmap method", "12.257", "0.084"), ("variance and residual from points", "41.027", "-"))
 """The paper's Table II: processor time [ms] and memory [kB] of a patch."""
+PAPER_CLASSES = (
+    ("paper, first site", (0.0039, 0.0329, 0.0952, 36.1), (0.0369, 0.0788, 0.1718, 3.62)),
+    ("paper, second site", (0.0096, 0.0693, 0.1517, 0.6955), (0.036, 0.0961, 0.0932, 0.1759)),
+)
+"""The paper's Table I: means of variance [m2] and residual [m] of class 0 to 3."""
+FIGURES = {
+    "variance [m2], median": ("z_variance", "median"),
+    "variance, mean": ("z_variance", "mean"),
+    "residual [m], median": ("ransac_residual", "median"),
+    "residual, mean": ("ransac_residual", "mean"),
+    "C_r [rad/m], median": ("c_r", "median"),
+}
+"""Figures of our Table I: column of the tiles, and how it is summed up."""
 MOST_BLOCKS = 64
 NO_FIGURES = "The paper's own figures of Tables IV and V are not on record in this project, so only ours are printed."
 NO_LABELS = (
@@ -40,14 +52,27 @@ def first_table(layers):
     """Return the lines of Table I of a map with ``compat = "paper"``."""
     tiles = layers.tiles()
     tiles = tiles[tiles["class"].notna()]
-    names = ("class", "c_r", "c_r_low", "c_r_high", "p_fail", "confidence", "z_variance", "ransac_residual")
-    class_id, *rated, variance, residual = (tiles[name].to_numpy(np.float64) for name in names)
-    verdict, full = Verdict(class_id.astype(np.uint8), *rated), tiles["confidence"].notna().to_numpy()
-    found = {"compat=paper": class_table(verdict, variance, residual)}
-    if full.any():
-        found["its full tiles"] = class_table(verdict.take(full), variance[full], residual[full])
+    full = tiles["confidence"].notna()
+    rows, orders = [], []
+    for name, part in {"compat=paper": tiles, "its full tiles": tiles[full]}.items():
+        classes = [part[part["class"] == class_id] for class_id in range(len(CLASS_NAMES))]
+        found = np.array([[getattr(own[column], how)() for column, how in FIGURES.values()] for own in classes], float)
+        for class_id, (own, figures) in enumerate(zip(classes, found, strict=True)):
+            share = percent(len(own) / max(len(part), 1))
+            rows.append([name, f"{class_id} {CLASS_NAMES[class_id]}", str(len(own)), share, *map(number, figures)])
+        rises = (np.diff(found[[len(own) > 0 for own in classes]], axis=0) > 0).all(axis=0)
+        falls = ", ".join(figure for figure, rise in zip(FIGURES, rises, strict=True) if not rise)
+        orders.append(f"- `{name}`: from class to class, " + (f"these do not rise: {falls}." if falls else "all rise."))
+    for site, variance, residual in PAPER_CLASSES:
+        figures = enumerate(zip(map(number, variance), map(number, residual), strict=True))
+        rows += [[site, str(k), "-", "-", "-", square, "-", away, "-"] for k, (square, away) in figures]
     holes = f"{np.count_nonzero(~full)} of {len(full)} tiles are class 3 because they have too few points, or more than"
-    return [*class_lines(found), "", f"{holes} 30 % of their pixels hold none; the full tiles are the others."]
+    return [
+        *table(("rating", "class", "tiles", "share", *FIGURES), rows),
+        *orders,
+        "",
+        f"{holes} 30 % of their pixels hold none; the full tiles are the others.",
+    ]
 
 
 def second_table(surveys, crs, heightmap_bytes):
@@ -55,8 +80,7 @@ def second_table(surveys, crs, heightmap_bytes):
     calibration, network = Calibration.shipped("warthog"), TextureModel.shipped()
     grid = Grid(calibration.tile_size, calibration.pixels)
     options = ReadOptions(crs, pixel_m=calibration.tile_size / calibration.pixels)
-    readers = open_readers(surveys, options, local=True)
-    survey = load_survey(readers, "auto", grid, FeatureSettings(), SilentProgress())
+    survey = MeasuredSurvey(surveys, options, grid)
 
     def measured():
         return list(survey.measured(islice(survey.buckets.blocks(), MOST_BLOCKS)))

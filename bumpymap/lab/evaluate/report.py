@@ -1,38 +1,18 @@
-"""Write the reports of evaluations: Markdown and JSON."""
+"""Write the report of an evaluation of scans: Markdown and JSON."""
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
-from bumpymap.core import CLASS_NAMES, atomic, plain_json
-from bumpymap.lab.evaluate.agreement import Accuracy
+from bumpymap.core import atomic, plain_json
 from bumpymap.lab.evaluate.scans import DEVIATION, RANGE_M, ScanFindings
+from bumpymap.lab.label_sets import Accuracy
 
 REPORT = "report.md"
-_NONE = "-"
-
-
-def write_document(
-    out: Path, title: str, opening: Sequence[str], sections: Iterable[list[str]], record: dict[str, Any]
-) -> list[Path]:
-    """Write ``report.json``, nested records of numbers, strings and arrays with their ``format``, and ``report.md``."""
-    lines = [f"# {title}", "", *opening, *(line for part in sections for line in part)]
-    text = "\n".join(lines).rstrip() + "\n"
-    content = json.dumps(plain_json(record, 6), indent=1, allow_nan=False) + "\n"
-    files = [out / REPORT, out / "report.json"]
-    for path, written in zip(reversed(files), (content, text), strict=True):
-        with atomic(path) as temporary:
-            temporary.write_text(written, encoding="utf-8")
-    return files
-
-
-def section(title: str, intro: str, lines: Sequence[str]) -> list[str]:
-    """Return the lines of a section, or none if ``lines`` is empty. ``intro`` may be empty."""
-    return [f"## {title}", "", *([intro, ""] if intro else []), *lines] if lines else []
+"""Name of the page of an evaluation."""
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
@@ -41,57 +21,18 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
     return [*lines, *(f"| {' | '.join(row)} |" for row in rows), ""]
 
 
-def number(value: float, digits: int = 3) -> str:
-    """Format a number with ``digits`` significant digits; a dash if it is not finite."""
-    return f"{value:.{digits}g}" if math.isfinite(value) else _NONE
+def number(value: float) -> str:
+    """Format a number with three significant digits; a dash if it is not finite."""
+    return f"{value:.3g}" if math.isfinite(value) else "-"
 
 
 def percent(share: float) -> str:
     """Format a share of 0..1 as per cent; a dash if it is not finite."""
-    return f"{100 * share:.1f} %" if math.isfinite(share) else _NONE
-
-
-_PAPER_CLASSES = (
-    ("paper, first site", (0.0039, 0.0329, 0.0952, 36.1), (0.0369, 0.0788, 0.1718, 3.62)),
-    ("paper, second site", (0.0096, 0.0693, 0.1517, 0.6955), (0.036, 0.0961, 0.0932, 0.1759)),
-)
-"""The paper's Table I: variance [m2] and residual [m] of class 0 to 3."""
-
-
-def class_lines(classes: Mapping[str, dict[str, Any]]) -> list[str]:
-    """Return Table I of each rating, followed by the paper's."""
-    names = ("variance_median", "variance_mean", "residual_median", "residual_mean", "c_r_median")
-    rows = [
-        [rating, f"{row['class_id']} {CLASS_NAMES[row['class_id']]}", str(row["tiles"]), percent(row["share"])]
-        + [number(row[name]) for name in names]
-        for rating, found in classes.items()
-        for row in found["rows"]
-    ]
-    for site, variance, residual in _PAPER_CLASSES:
-        for class_id, (square, away) in enumerate(zip(variance, residual, strict=True)):
-            rows.append([site, str(class_id), _NONE, _NONE, _NONE, number(square), _NONE, number(away), _NONE])
-    header = ("rating", "class", "tiles", "share", "variance [m2], median", "mean", "residual [m], median", "mean")
-    lines = table((*header, "C_r [rad/m], median"), rows)
-    for rating, found in classes.items():
-        # variance_median -> median variance
-        falls = [" ".join(reversed(name.rsplit("_", 1))) for name, rises in found["rises"].items() if not rises]
-        missing = [str(row["class_id"]) for row in found["rows"] if not row["tiles"]]
-        order = "variance, residual and C_r rise from class to class, in median and mean."
-        if falls:
-            order = f"from class to class these do not rise everywhere: {', '.join(falls).replace('c_r', 'C_r')}."
-        if len(found["rows"]) - len(missing) < 2:
-            order = "fewer than two classes hold tiles, so nothing can rise from class to class."
-        lines.append(f"- `{rating}`: {order}" + (f" No tile is of class {', '.join(missing)}." if missing else ""))
-    return lines
-
-
-def confusion_lines(name: str, confusion: Sequence[Sequence[int]], truth: str, found: str) -> list[str]:
-    """Return a confusion matrix as a table; ``truth`` and ``found`` label its rows and columns, such as *driven*."""
-    rows = [[f"{truth} {class_id}", *map(str, line)] for class_id, line in enumerate(confusion)]
-    return table((f"`{name}`", *(f"{found} {class_id}" for class_id in range(len(rows)))), rows)
+    return f"{100 * share:.1f} %" if math.isfinite(share) else "-"
 
 
 _PAPER_ACCURACY = 0.8324
+"""Of the learned method, on its patches of RELLIS-3D."""
 _ANSWERS = (
     "A method is of use if it beats the constant answers in accuracy *and* in balanced accuracy (the mean of the "
     f"recalls). *{DEVIATION}* sets two limits on the standard deviation of z of all points of a sector, chosen to suit "
@@ -130,13 +71,23 @@ def write_scan_report(findings: ScanFindings, out: Path) -> list[Path]:
     ]
     free = ("method", "points", "in free sectors", "low", "in sectors of class 0 or 1")
     sections = [
-        section("Compared with labels", _ANSWERS, _accuracy_lines(findings) if findings.accuracy else []),
-        section("Ground", _GROUND, table(("frame", "points", "precision", "recall", "F1"), ground) if ground else []),
-        section("Obstacles in sectors called free", _OBSTACLES, table(free, obstacles) if obstacles else []),
-        section("Statistics of the classes", "The paper's Tables IV and V.", scan_class_lines(findings)),
+        ("Compared with labels", _ANSWERS, _accuracy_lines(findings) if findings.accuracy else []),
+        ("Ground", _GROUND, table(("frame", "points", "precision", "recall", "F1"), ground) if ground else []),
+        ("Obstacles in sectors called free", _OBSTACLES, table(free, obstacles) if obstacles else []),
+        ("Statistics of the classes", "The paper's Tables IV and V.", scan_class_lines(findings)),
     ]
+    lines = ["# Can the classes of scans be trusted?", "", opening, ""]
+    for title, intro, own in sections:
+        lines += [f"## {title}", "", intro, "", *own] if own else []
     record = {"format": "bumpymap-scan-evaluation", "version": 1, **asdict(findings)}
-    return write_document(out, "Can the classes of scans be trusted?", [opening, ""], sections, record)
+    files = {
+        out / "report.json": json.dumps(plain_json(record, 6), indent=1, allow_nan=False) + "\n",
+        out / REPORT: "\n".join(lines).rstrip() + "\n",
+    }
+    for path, text in files.items():
+        with atomic(path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    return list(files)
 
 
 def _accuracy_lines(findings: ScanFindings) -> list[str]:
@@ -145,7 +96,8 @@ def _accuracy_lines(findings: ScanFindings) -> list[str]:
     lines += [f"All {facts['all_labelled']:,} sectors; to a method, one without ground is of class 2:", ""]
     lines += _answer_table(findings.accuracy_all)
     for method in findings.classes:
-        lines += confusion_lines(method, findings.accuracy[method].confusion, "labelled", "found")
+        rows = [[f"labelled {k}", *map(str, line)] for k, line in enumerate(findings.accuracy[method].confusion)]
+        lines += table((f"`{method}`", *(f"found {k}" for k in range(len(rows)))), rows)
     return [*lines, f"The paper reports {percent(_PAPER_ACCURACY)} on its own patches of RELLIS-3D.", ""]
 
 

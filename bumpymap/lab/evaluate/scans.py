@@ -13,17 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import (
-    CLASSES,
-    NOT_TRAVERSABLE,
-    BadInputError,
-    ClassedSectors,
-    Progress,
-    Scan,
-    SectorStack,
-)
-from bumpymap.lab.evaluate.agreement import Accuracy, accuracy_of
-from bumpymap.lab.label_sets import LabelSet, label_set, require_label_set, tell_label_set
+from bumpymap.core import CLASSES, NOT_TRAVERSABLE, BadInputError, ClassedSectors, Progress, Scan, SectorStack
+from bumpymap.lab.label_sets import Accuracy, LabelSet, accuracy_of, identify_label_set, label_set, require_label_set
 from bumpymap.lab.settings import ScanEvaluateSettings
 from bumpymap.readers import read_scan
 from bumpymap.scan import ScanModel, StripeModel, classify_filter, classify_learned, polar_sectors
@@ -217,23 +208,10 @@ class ScanFindings:
 
 
 def labels_of(frames: Sequence[Path], name: str | None) -> LabelSet | None:
-    """Return the label set of frames: the one that is named, or else the one that fits the ids of their labels.
+    """Return the label set of frames: the one that is named, or else the one that fits their ids; None without labels.
 
-    Parameters
-    ----------
-    frames : paths
-    name : str, optional
-        A built-in set, or a file.
-
-    Returns
-    -------
-    LabelSet or None
-        None if no frame has labels.
-
-    Raises
-    ------
-    BadInputError, UsageError
-        As from `label_set`, `require_label_set` and `tell_label_set`; a set is named and no frame has labels.
+    ``name``: a built-in set, or a file. Raises as `label_set`, `require_label_set` and `identify_label_set` do, and
+    BadInputError if a set is named and no frame has labels.
     """
     found = [read_scan(frame).label for frame in frames[:: -(-len(frames) // _LOOKED_AT)]]
     there = [label for label in found if label is not None]
@@ -246,7 +224,7 @@ def labels_of(frames: Sequence[Path], name: str | None) -> LabelSet | None:
         known = label_set(name)
         require_label_set(np.concatenate(there), known, str(frames[0]))
         return known
-    return tell_label_set(np.concatenate(there), str(frames[0])) if there else None
+    return identify_label_set(np.concatenate(there), str(frames[0])) if there else None
 
 
 def evaluate_scans(
@@ -258,25 +236,10 @@ def evaluate_scans(
     progress: Progress,
     labels: LabelSet | None = None,
 ) -> ScanFindings:
-    """Evaluate both methods on scans.
+    """Evaluate both methods on ``count`` scans: the filter by ``stripes``, the learned one by ``network``.
 
-    Parameters
-    ----------
-    scans : iterator of Scan, length ``count``
-    count : int
-    settings : ScanEvaluateSettings
-    stripes : StripeModel
-        Of the filter method.
-    network : ScanModel
-        Of the learned method.
-    progress : Progress
-    labels : LabelSet, optional
-        The meaning of the labels of the scans; None if they have none.
-
-    Raises
-    ------
-    BadInputError
-        No scan has a sector that can be classified.
+    ``labels``: the meaning of the labels of the scans; None if they have none. Raises BadInputError if no scan has a
+    sector that can be classified.
     """
     classed, deviations = [], []
     ground: list[dict[str, Any]] = []

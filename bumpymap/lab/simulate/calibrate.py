@@ -26,8 +26,9 @@ from bumpymap.lab.simulate.model import require_dart
 from bumpymap.lab.simulate.motion_fit import MotionRecord, fit_motion, motion_jobs, run_motion
 from bumpymap.lab.simulate.plan import driven_library, library_record, library_terrain
 from bumpymap.lab.simulate.refit import crossing_jobs, fit_steps, refit, run_crossing
-from bumpymap.lab.terrains import KINDS
-from bumpymap.rating import MAX_FAILED_SHARE, Calibration, DrivenTerrain, make_textures
+from bumpymap.lab.simulate.ride_fit import MAX_FAILED_SHARE
+from bumpymap.lab.terrains import KINDS, make_textures
+from bumpymap.rating import Calibration, DrivenTerrain
 
 _LIBRARY_STREAM = len(TEXTURES)
 """First number of the random streams of library drives; no texture has this index."""
@@ -116,6 +117,9 @@ def summarise(
     driven = driven_library(settings, results)
     crossed = [[[mean for mean in cell if mean is not None] for cell in line] for line in means]
     limits = class_limits(driven) if like is None else like.class_limits
+    known = np.array([terrain.c_r for terrain in driven if terrain.c_r is not None], np.float64)
+    class_id = np.searchsorted(limits, known, side="right")
+    a, b, c, d = (float(known[class_id == k].mean()) for k in range(len(CLASS_NAMES)))
     rule = _RULE if like is None else f"those of the calibration {like.id}, for tiles of {like.tile_size:g} m"
     record: dict[str, Any] = {"command": command, **settings.to_dict(), "class_rule": rule, "patch_c_r": means}
     record["library"] = library_record(driven)
@@ -130,7 +134,7 @@ def summarise(
         p_fail=cells(lambda cell: sum(p.failed for p in cell) / sum(len(p.outcome) for p in cell), table),
         drives=cells(lambda cell: sum(len(patch.outcome) for patch in cell), table),
         class_limits=limits,
-        class_c_r=class_means(driven, limits),
+        class_c_r=(a, b, c, d),
         settings=record,
     )
 
@@ -138,10 +142,7 @@ def summarise(
 def class_limits(driven: Sequence[DrivenTerrain]) -> tuple[float, float, float]:
     """Return the three C_r limits between the classes, rad/m, from the driven terrains of the library.
 
-    Raises
-    ------
-    BumpymapError
-        The vehicle can cross too few of them, or hardly pitches on any.
+    Raises BumpymapError if the vehicle can cross too few of them, or hardly pitches on any.
     """
     crossable = [t.c_r for t in driven if t.c_r is not None and t.p_fail <= MAX_FAILED_SHARE]
     if len(set(crossable)) < len(CLASS_NAMES):
@@ -161,32 +162,13 @@ def class_limits(driven: Sequence[DrivenTerrain]) -> tuple[float, float, float]:
     return low, middle, high
 
 
-def class_means(
-    driven: Sequence[DrivenTerrain], limits: tuple[float, float, float]
-) -> tuple[float, float, float, float]:
-    """Return the mean C_r [rad/m] of the terrains of each class, also of those of few completed drives."""
-    known = np.array([t.c_r for t in driven if t.c_r is not None], dtype=np.float64)
-    class_id = np.searchsorted(limits, known, side="right")
-    a, b, c, d = (float(known[class_id == k].mean()) for k in range(len(CLASS_NAMES)))
-    return a, b, c, d
-
-
 def natural_breaks(values: NDArray[np.float64], groups: int) -> list[float]:
     """Return the limits of the split of numbers into groups with the least sum of squared deviations from group means.
 
-    Fisher's dynamic programming: the best split of the first i sorted numbers into k groups extends the best split of
-    the first j into k - 1. It is exact and needs no random start.
-
-    Parameters
-    ----------
-    values : array (n,)
-    groups : int
-        At least 2 and at most the number of distinct values.
-
-    Returns
-    -------
-    list of float, length groups - 1
-        Halfway between the means of neighbouring groups.
+    They lie halfway between the means of neighbouring groups. Fisher's dynamic programming: the best split of the first
+    i sorted numbers into k groups extends the best split of the first j into k - 1. It is exact and needs no random
+    start. scikit-learn's KMeans with ten starts misses the best split of 33 in 200 drawn sets, and that of the car's
+    terrains: 0.019, 0.040, 0.065 instead of 0.018, 0.040, 0.064.
     """
     values = np.sort(values)
     x, n = values - values.mean(), len(values)
@@ -212,13 +194,7 @@ def natural_breaks(values: NDArray[np.float64], groups: int) -> list[float]:
 
 
 def seconds_of_drives(settings: CalibrationSettings) -> float:
-    """Return the time that all drives take one process, s, measured on one drive of each kind.
-
-    Raises
-    ------
-    UsageError
-        The extra ``sim`` is not installed.
-    """
+    """Return the time that all drives take one process, s, measured on one drive of each kind."""
     require_dart()
     jobs = calibration_jobs(settings)
     seconds = 0.0
@@ -242,21 +218,9 @@ def calibrate_vehicle(
 ) -> Calibration:
     """Drive a vehicle over synthetic terrain, summarise the ride cost of each kind of ground and fit the models.
 
-    Parameters
-    ----------
-    settings : CalibrationSettings
-    progress, workers, discard_other
-        See `drive_jobs`.
-    journal : Journal, optional
-        As from `calibration_journal`.
-    command : str
-        Command line that makes the file again; stored in the calibration.
-    like : Calibration, optional
-        Of the same vehicle for tiles of another size: its class limits are taken.
-
-    Returns
-    -------
-    Calibration
+    ``progress``, ``workers``, ``discard_other``: see `drive_jobs`; ``journal``: of `calibration_journal`; ``command``:
+    command line that makes the file again, stored in it; ``like``: a calibration of the same vehicle for tiles of
+    another size, whose class limits are taken.
     """
     require_dart()
     results = drive_jobs(

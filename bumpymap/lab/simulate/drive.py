@@ -123,7 +123,9 @@ def follow(vehicle: VehicleModel, strip: Strip, profile: Vehicle, settings: Driv
     outcome: Outcome = "completed"
     pose = vehicle.pose()
     for sample in range(last):
-        _steer(vehicle, pose, strip, profile, _speed_at(sample * period, profile, settings))
+        since = sample * period - settings.settle_s  # at rest before, then a ramp to full speed
+        share = min(max(since / settings.ramp_s, 0.0), 1.0) if settings.ramp_s else float(since >= 0.0)
+        _steer(vehicle, pose, strip, profile, profile.speed_mps * share)
         vehicle.advance(settings.steps_per_sample)
         before, pose = pose, vehicle.pose()
         if sample >= first:
@@ -140,13 +142,6 @@ def follow(vehicle: VehicleModel, strip: Strip, profile: Vehicle, settings: Driv
     if outcome == "completed" and progress < settings.stuck_share * profile.speed_mps * settings.measure_s:
         outcome = "stuck"
     return Drive(outcome, pitched / path if outcome == "completed" else math.nan, path)
-
-
-def _speed_at(seconds: float, profile: Vehicle, settings: DriveSettings) -> float:
-    """Return the commanded speed, m/s: rest, a ramp, full speed."""
-    if settings.ramp_s == 0:
-        return profile.speed_mps if seconds >= settings.settle_s else 0.0
-    return profile.speed_mps * min(max((seconds - settings.settle_s) / settings.ramp_s, 0.0), 1.0)
 
 
 def _steer(vehicle: VehicleModel, pose: Pose, strip: Strip, profile: Vehicle, speed: float) -> None:
@@ -223,24 +218,11 @@ def drive_patch(
     *,
     stream: tuple[int, ...] = (),
 ) -> PatchDrives:
-    """Drive over one patch from random starts at random headings.
+    """Drive over one patch (pixels, pixels) [m], north row first, without NaN, from random starts at random headings.
 
-    Every start has its own random stream, so more drives never change earlier ones. The result depends on the
-    arguments only and is the same in any process. If none of the first ``least`` drives is completed, no further drives
-    are made: there is no C_r to refine.
-
-    Parameters
-    ----------
-    profile : Vehicle
-    heights : array (pixels, pixels)
-        m, north row first, without NaN.
-    tile_size : float
-        Side of the patch, m.
-    seed : int
-    effort : Effort
-    settings : DriveSettings
-    stream : tuple of int
-        Distinguishes patches that share a seed.
+    Every start has its own random stream, so more drives never change earlier ones; ``stream`` distinguishes patches
+    that share a seed. The result depends on the arguments only and is the same in any process. If none of the first
+    ``least`` drives is completed, no further drives are made: there is no C_r to refine.
     """
     ground = PatchGround.from_heights(heights.astype(np.float64), tile_size)
     drives = PatchDrives((), ())

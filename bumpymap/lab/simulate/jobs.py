@@ -31,14 +31,8 @@ class Journal(Generic[Record]):
     """The file of finished jobs. The first line holds the settings; drives with other settings are not reused.
 
     Only settings and versions are compared, so a code change that does not affect the numbers keeps the journal valid.
-
-    Parameters
-    ----------
-    path : Path
-    settings : dict
-        Plain JSON.
-    read : callable
-        Makes a record, a dataclass, from the dict of its fields; raises ValueError, KeyError or TypeError if it cannot.
+    ``settings`` are plain JSON; ``read`` makes a record, a dataclass, from the dict of its fields, and raises
+    ValueError, KeyError or TypeError if it cannot.
     """
 
     def __init__(self, path: Path, settings: dict[str, Any], read: Callable[[dict[str, Any]], Record]) -> None:
@@ -49,12 +43,8 @@ class Journal(Generic[Record]):
     def resume(self, *, discard_other: bool) -> dict[Key, Record]:
         """Open the file and return the patches that an earlier run with the same settings drove.
 
-        An incomplete line, for example after a power cut, is dropped with all lines that follow it.
-
-        Raises
-        ------
-        OutputError
-            The file has other settings and ``discard_other`` is False, or the folder cannot be written.
+        An incomplete line, for example after a power cut, is dropped with all lines that follow it. Raises OutputError
+        if the file has other settings and ``discard_other`` is False, or the folder cannot be written.
         """
         try:
             lines: list[str] = []
@@ -153,27 +143,11 @@ def drive_jobs(
     journal: Journal[Result] | None = None,
     discard_other: bool = False,
 ) -> dict[Key, Result]:
-    """Drive all jobs that are not in the journal yet.
+    """Drive all jobs that are not in the journal yet; return the drives by the key of their job, in that order.
 
-    Parameters
-    ----------
-    task : callable
-        Runs one job; it and the jobs must be picklable.
-    jobs : sequence
-        Each with its own key.
-    progress : callable, optional
-        Called with (finished drives, all drives) at the start and after every job.
-    workers : int
-        Number of processes; the result does not depend on it.
-    journal : Journal, optional
-        Records finished jobs; jobs already in it are not run again.
-    discard_other : bool
-        Discard a journal written with other settings instead of raising an error.
-
-    Returns
-    -------
-    dict
-        Key of every job -> its drives, in the order of the jobs.
+    ``task`` runs one job; it and the jobs must be picklable. ``progress`` is called with (finished drives, all drives)
+    at the start and after every job. The result does not depend on the number of ``workers``, processes.
+    ``discard_other``: discard a journal written with other settings instead of raising an error.
     """
     driven = journal.resume(discard_other=discard_other) if journal else {}
     left = [job for job in jobs if job.key not in driven]
@@ -198,12 +172,8 @@ def run_in_processes(
     """Run jobs in child processes and yield their results in order; an idle worker gets the next job.
 
     This process uses no threads, because a thread would outlive an interruption and print a message. Closing the
-    generator ends the workers. ``task``, jobs and results must be picklable; what ``task`` raises is raised here.
-
-    Raises
-    ------
-    BumpymapError
-        A worker died.
+    generator ends the workers. ``task``, jobs and results must be picklable; what ``task`` raises is raised here, and
+    BumpymapError if a worker died.
     """
     children: list[Child] = []
     try:

@@ -14,6 +14,7 @@ import struct
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Protocol
 from xml.sax.saxutils import escape
@@ -49,12 +50,7 @@ class DrivenGround(Protocol):
 def fit_plane(heights: _Floats) -> tuple[_Floats, tuple[float, float]]:
     """Fit a least-squares plane to a square heightmap (pixels, pixels) [m], north row first.
 
-    Returns
-    -------
-    array (pixels, pixels) float64
-        The plane at the pixel centres, m.
-    (float, float)
-        Its slope to the east and to the north, m per pixel.
+    Returns the plane at the pixel centres, m, and its slope to the east and to the north, m per pixel.
     """
     pixels = heights.shape[0]
     axis = np.arange(pixels) - (pixels - 1) / 2
@@ -142,16 +138,10 @@ class Strip:
 
 
 def strip_triangles(ground: DrivenGround, strip: Strip) -> NDArray[np.float32]:
-    """Triangulate a strip of ground.
+    """Triangulate a strip of ground: (n, 3, 3) float32: triangle, corner, (easting, northing, upward) in m.
 
     The vertices lie on a grid anchored at the ground's origin, not at the path, so the pixel centres of a patch are
-    vertices at any heading.
-
-    Returns
-    -------
-    array (n, 3, 3) float32
-        Triangle, corner, (easting, northing, upward) in m. Corners run counter-clockwise seen from above: ODE's
-        meshes have one side.
+    vertices at any heading. Corners run counter-clockwise seen from above: ODE's meshes have one side.
     """
     forward = np.array([np.cos(strip.heading), np.sin(strip.heading)])
     start = np.array([strip.easting, strip.northing])
@@ -179,7 +169,9 @@ def _mirrored(index: NDArray[np.int64], pixels: int) -> NDArray[np.int64]:
 
 
 _GRAVITY = 9.80665
+"""Standard gravity, m/s2."""
 _CLEARANCE_M = 0.001
+"""Height above the ground at which a vehicle starts."""
 _BODY_SHARE = 0.3
 """Ratio of the body's height to its length; only relevant after a rollover."""
 _URDF = (
@@ -227,13 +219,8 @@ class VehicleModel(Protocol):
 
 
 def require_dart() -> Any:
-    """Import dartpy.
-
-    Raises
-    ------
-    UsageError
-        It is not installed.
-    """
+    """Import dartpy; raise UsageError if it, or what the fits to its drives need, is not installed."""
+    require_scikit_learn()
     try:
         import dartpy
     except ImportError as error:
@@ -243,16 +230,14 @@ def require_dart() -> Any:
     return dartpy
 
 
-class DartVehicle:
-    """A vehicle at the start of a strip of ground, heading along it.
+def require_scikit_learn() -> None:
+    """Raise UsageError if scikit-learn is not installed: before hours of driving, not after."""
+    if find_spec("sklearn") is None:
+        raise UsageError(f"fitting a calibration needs scikit-learn, which is not installed: {install_command('sim')}")
 
-    Parameters
-    ----------
-    profile : Vehicle
-    ground : DrivenGround
-    strip : Strip
-    physics : Physics
-    """
+
+class DartVehicle:
+    """A vehicle at the start of a strip of ground, heading along it."""
 
     def __init__(self, profile: Vehicle, ground: DrivenGround, strip: Strip, physics: Physics) -> None:
         self._dart = require_dart()
@@ -395,14 +380,8 @@ def standing_pose(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the initial pose: along the strip, parallel to the ground's mean slope, just above its highest bumps.
 
-    Neither wheels nor belly start inside the ground, even if the start is on a rock.
-
-    Returns
-    -------
-    array (3, 3)
-        Rotation whose columns are the forward, left and upward axis.
-    array (3,)
-        Place of the chassis' centre of mass, m.
+    Neither wheels nor belly start inside the ground, even if the start is on a rock. Returns a rotation (3, 3), whose
+    columns are the forward, left and upward axis, and the place (3,) of the chassis' centre of mass, m.
     """
     east, north = ground.gradient
     cos, sin = np.cos(strip.heading), np.sin(strip.heading)
@@ -420,17 +399,12 @@ def standing_pose(
     easting = strip.easting + wheels[:, :1] + dx
     northing = strip.northing + wheels[:, 1:2] + dy
     centre = ground.height(easting, northing) + np.sqrt(radius**2 - dx**2 - dy**2)
-    belly = belly_points(profile) @ rotation.T
+    spans = (np.linspace(-size / 2, size / 2, 41) for size in (profile.belly.length_m, profile.belly.width_m))
+    along, across = (axis.ravel() for axis in np.meshgrid(*spans))
+    belly = np.stack([along, across, np.full(along.size, _belly_height(profile))], axis=1) @ rotation.T
     rise = ground.height(strip.easting + belly[:, 0], strip.northing + belly[:, 1]) - belly[:, 2]
     upward_m = max(float((centre.max(axis=1) - wheels[:, 2]).max()), float(rise.max())) + _CLEARANCE_M
     return rotation, np.array([strip.easting, strip.northing, upward_m])
-
-
-def belly_points(profile: Vehicle) -> NDArray[np.float64]:
-    """Return points (n, 3) of the underside relative to the centre of mass: forward, left, upward, m."""
-    belly = profile.belly
-    along, across = np.meshgrid(*(np.linspace(-size / 2, size / 2, 41) for size in (belly.length_m, belly.width_m)))
-    return np.stack([along.ravel(), across.ravel(), np.full(along.size, _belly_height(profile))], axis=1)
 
 
 def _belly_height(profile: Vehicle) -> float:

@@ -73,15 +73,8 @@ def drive_motion(
 ) -> MotionDrive:
     """Drive from a given start at a given speed and measure pitch, roll and weighted vertical acceleration.
 
-    Parameters
-    ----------
-    profile : Vehicle
-    ground : DrivenGround
-    start : Start
-    speed : float
-        m/s, in the place of the profile's. The measured way is as long as at the profile's speed.
-    settings : DriveSettings
-        ``measure_s`` is the time of the measured way at the profile's speed.
+    ``speed``: m/s, in the place of the profile's; the measured way is as long as at that, ``measure_s`` of the
+    settings.
     """
     settings = replace(settings, measure_s=settings.measure_s * profile.speed_mps / speed)
     own = replace(profile, speed_mps=speed)
@@ -180,13 +173,8 @@ def fit_motion(settings: CalibrationSettings, driven: Mapping[Key, Any]) -> Moti
 def fit_means(settings: CalibrationSettings, means: Floats, starts: int) -> MotionModel:
     """Fit the model to drives over the library; terrains where a drive failed are left out.
 
-    Parameters
-    ----------
-    settings : CalibrationSettings
-    means : array (terrains, speeds, 3)
-        Means over the starts of each of ``QUANTITIES``, in the order of `motion_jobs`; NaN where a drive failed.
-    starts : int
-        Drives over each at each speed; for the record.
+    ``means`` (terrains, speeds, 3): over the starts of each of ``QUANTITIES``, in the order of `motion_jobs`; NaN where
+    a drive failed. ``starts``: drives over each at each speed, for the record.
     """
     own = SPEED_RATIOS.index(1.0)
     c_r = means[:, own, 0]

@@ -71,13 +71,7 @@ def library_record(driven: Sequence[DrivenTerrain]) -> dict[str, dict[str, list[
 
 
 def library_terrains(calibration: Calibration) -> tuple[DrivenTerrain, ...]:
-    """Read the driven terrains from a calibration.
-
-    Raises
-    ------
-    BadInputError
-        The record is damaged.
-    """
+    """Read the driven terrains from a calibration; raise BadInputError if the record is damaged."""
     try:
         return tuple(
             DrivenTerrain(kind, index, **dict(zip(_COLUMNS, values, strict=True)))
@@ -92,13 +86,7 @@ def library_terrains(calibration: Calibration) -> tuple[DrivenTerrain, ...]:
 
 
 def read_library(calibration: Calibration) -> tuple[list[Terrain], tuple[DrivenTerrain, ...]]:
-    """Return the ground and the drives of the terrain library of a calibration, the inputs of `fit_ride`.
-
-    Raises
-    ------
-    BadInputError
-        The record is damaged.
-    """
+    """Return the ground and the drives of the terrain library of a calibration, the inputs of `fit_ride`."""
     settings, driven = calibrated_settings(calibration), library_terrains(calibration)
     return [library_terrain(settings, terrain.kind, terrain.index) for terrain in driven], driven
 

@@ -27,7 +27,7 @@ from bumpymap.core import UsageError, atomic
 from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.lab.simulate.drive import Drive, PatchDrives, Start, drive_from
 from bumpymap.lab.simulate.jobs import DriveJob, Key
-from bumpymap.lab.simulate.model import relief_and_slope
+from bumpymap.lab.simulate.model import relief_and_slope, require_scikit_learn
 from bumpymap.lab.simulate.motion_fit import fit_means
 from bumpymap.lab.simulate.plan import calibrated_settings, read_library
 from bumpymap.lab.simulate.ride_fit import fit_ride, fit_thin_surveys
@@ -38,6 +38,7 @@ _HEIGHTS = (0.02, 0.05, 0.08, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0)
 _TILE_HEIGHTS = (*_HEIGHTS, 1.4, 2.0)
 """Heights of the steps of tiles."""
 _WHEEL_M = 0.3
+"""Radius."""
 _TILE_TURNS_DEG = (0.0, 15.0, 30.0, 45.0)
 """Directions of the steps of tiles."""
 _TILE_OFFSETS = (-0.1, 0.0, 0.1)
@@ -50,6 +51,7 @@ if it had crossed it."""
 _STREAM = 101
 """Number of the random stream of these drives; no texture and no kind of terrain has this index."""
 _SUPERSAMPLE = 8
+"""Samples along a side of a pixel, whose mean is its height."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,11 +165,10 @@ def cross(settings: CalibrationSettings, ground: WallGround, angle: float, shift
 def refit(calibration: Calibration) -> Calibration:
     """Return a calibration with newly fitted models of the ride, of thin surveys and of other speeds.
 
-    Raises
-    ------
-    UsageError
-        It holds no drives over the terrain library, or was moved to real drives, which a fit would forget.
+    Raises UsageError if it holds no drives over the terrain library, or was moved to real drives, which a fit would
+    forget; or if scikit-learn is not installed.
     """
+    require_scikit_learn()
     moved = calibration.settings.get("moved_to_drives")
     if moved is not None:
         raise UsageError(

@@ -5,64 +5,318 @@ the same ground at several densities and noise levels, denoised as for a map, ag
 
 For thin surveys the library is surveyed with few points, several noises and holes. The truth is what the ride model
 predicts for the ground without survey errors. The noise of each survey is pooled from its tiles, as in a map.
+
+Outliers are weighted down as Huber does, but with the size of the errors that each row states. scikit-learn's
+HuberRegressor takes one size for all rows: on the warthog's library its C_r is off by up to 21 % (median 1.8 %); on its
+thin surveys by up to 8 %, in 23 s instead of 2 s. So the weights are set here, and each fit under them is its Ridge.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, fields, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import SPANNED_POINTS, THIN_POINTS, FeatureSettings, Reason
+from bumpymap.core import SPANNED_POINTS, THIN_POINTS, BumpymapError, FeatureSettings, Reason
 from bumpymap.lab.simulate.model import relief_and_slope
 from bumpymap.lab.terrains import FINE, ScanEffects, Terrain, survey_terrain
 from bumpymap.patches import measure, measure_thin
 from bumpymap.rating import (
+    NORMAL_TAIL,
+    TAIL,
     THIN_COLUMNS,
     Correction,
-    DrivenPatches,
     DrivenTerrain,
-    NoisyPatches,
     RideOperator,
-    ThinSurveys,
+    Rides,
+    ThinModel,
     Vehicle,
     denoise,
-    fit_correction,
-    fit_thin,
+    fail_features,
+    fail_terms,
+    log_points,
     pool_noise,
+    ride_features,
+    ride_terms,
     roll_over,
+    spread_terms,
     subtract_noise,
     thin_columns,
 )
 from bumpytiles import Grid, TileBuckets, TilePoints
 
+Floats = NDArray[np.float64]
+Table = tuple[tuple[float, ...], ...]
+
+MAX_FAILED_SHARE = 0.25
+"""Largest share of failed drives at which the C_r of a patch is used: with more, only survivors would count."""
+_MIN_PATCHES = 20
+"""Fewest patches that a ride model is fitted to: twice its coefficients. Chosen."""
+_RIDGE, _THIN_RIDGE = 1e-3, 1e-4
+"""Penalty on a coefficient over its term's scale, as a share of the weight of all rows: of ln C_r, and of thin tiles.
+Chosen: it keeps terms apart that hardly differ in the library."""
+_FAIL_RIDGE, _THIN_FAIL_RIDGE = 0.3, 1.0
+"""The same of the logit of p_fail: from drives, in drives, and of thin tiles, in tiles. Chosen."""
+_HUBER, _THIN_HUBER = 2.5, 2.0
+"""Standard deviations beyond which residuals get less weight (Huber). Chosen: 1.2 % and 4.6 % of normal errors."""
+_TURNS, _THIN_TURNS = 8, 6
+"""Fits in turn with their weights. Chosen."""
+_FOLDS, _THIN_FOLDS = 10, 5
+"""Parts of the library that are predicted from the others."""
+_FIRST_SPREAD = 0.08
+"""Standard deviation of ln C_r before the first fit."""
+_MAD_TO_SD = 1.4826
+"""Standard deviation over the median absolute one, of a normal distribution."""
+_LEAST_RESIDUAL = 0.02
+"""Residuals of ln C_r below count as that large in the fit of their spread."""
+_EXCESS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.4, 0.7, 1.1, 1.6, 2.3)
+"""Columns of the noise tables: noise excess. Chosen: closer where the quantiles bend."""
+_PIXEL_POINTS = (0.7, 1.0, 2.0, 4.0, 12.0, 40.0)
+"""Rows of the noise tables: mean points per pixel. Chosen: from the fewest that are rated to more than matters."""
+_MIN_EXCESS = 0.003
+"""Excess below this is treated as equal to it."""
+_MIN_NOISY, _NOISY_SHARE = 120, 80
+"""A quantile of the noise tables is computed from the nearest 120 patches, or the nearest 80th of all if more."""
+_STRONG_EXCESS, _STRONG_TAIL = (0.1, 0.4), 0.05
+"""From the first excess to the second, the probability below the low end of the interval falls from ``TAIL`` to that.
+Strong noise hides how smooth the smoothest ground is: with a tenth below, four in ten of the smooth tiles would be."""
+_VALIDATION_ERROR = 0.045
+"""Standard error of ln C_r of a patch in the validation drives; intervals must contain means with that error."""
+_MODEL_ERROR = 0.15
+"""Standard deviation of ln C_r between simulations of one vehicle: of a second engine's means about the predictions,
+0.11 (smooth) to 0.18 (middle third) without the scatter of its drives (docs/pages/benchmarks.md, a second simulator);
+a simulation of another author differed by 12 % in the median."""
+_FREEDOM = 5.0
+"""Degrees of freedom of Student's distribution for errors of ln C_r: more outliers than normal errors have."""
+_STUDENT_TAIL = 1.475884
+"""Quantile of that distribution at ``TAIL``, absolute."""
 _DENSITIES = (8.0, 16.0, 25.0, 50.0, 100.0, 300.0, 1000.0)
+"""Points per m2 of the surveys for the noise tables: from where a tile is rated by its heightmap to mobile mapping."""
 _NOISES_M = (0.003, 0.01, 0.02, 0.03, 0.05)
+"""Noise of a point in these surveys: from terrestrial scanners to photogrammetry."""
 _NOISE_SEED = 20_000
+"""Seed of the first of these surveys; each has its own."""
 _LEAST_C_R = 0.001
 """Relative errors are not defined below this C_r, rad/m."""
+_THIN_DENSITIES = (0.5, 0.75, 1.0, 1.3, 1.7, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 20.0, 30.0)
+"""Points per m2 of thin surveys: from four points a tile to where the heightmap alone tells."""
+_THIN_NOISES_M = (0.0, 0.005, 0.01, 0.02, 0.04)
+"""Noise of a point in them."""
+_CUT_DENSITIES = (2.0, 4.0, 12.0)
+"""Points per m2 of surveys that see a part of each tile alone."""
+_SEED, _BARE_SEED = 40_000, 40_500
+"""Seeds of the first thin survey, and of the first one of level ground."""
+_GROUPS = 2
+"""Parts of the library that pool their noise, each about as large as a block of tiles."""
+_FLOOR = 0.05
+"""C_r below this share of the first class limit is raised to it: smoother ground is of no use to tell apart."""
+_BEYOND = 0.005
+"""Share of the tiles beyond either end of the trained relief."""
+_BARE_TILES = 40
+"""Tiles of level ground in each survey that tells what noise alone does."""
+_MANY_POINTS = 1e3
+"""Points per pixel of a survey without errors."""
 
 
-def fit_ride(
-    profile: Vehicle, terrains: Sequence[Terrain], driven: Sequence[DrivenTerrain]
-) -> dict[str, Any]:  # fmt: skip
+@dataclass(frozen=True, slots=True)
+class DrivenPatches:
+    """Patches that were driven in the simulation."""
+
+    rides: Rides
+    """(n,) geometric values."""
+    slope_deg: Floats
+    """(n,) slope of the patch's plane, degrees."""
+    c_r: Floats
+    """(n,) mean over the completed drives, rad/m; NaN where there are fewer than two."""
+    error: Floats
+    """(n,) standard error of that mean, rad/m."""
+    completed: NDArray[np.int64]
+    """(n,) number of completed drives."""
+    failed: NDArray[np.int64]
+    """(n,) number of failed drives."""
+
+
+class NoisyPatches(NamedTuple):
+    """Patches that were surveyed with simulated noise."""
+
+    excess: Floats
+    """(n,) noise excess from `subtract_noise`."""
+    pixel_points: Floats
+    """(n,) mean points per pixel."""
+    error: Floats
+    """(n,) ln (geometric C_r of the true ground / that of the denoised patch, from `subtract_noise`)."""
+
+
+def fit_ride(profile: Vehicle, terrains: Sequence[Terrain], driven: Sequence[DrivenTerrain]) -> dict[str, Any]:
     """Fit a ride model to driven terrains and the drives over them (n each); the calibration's ``ride`` as JSON."""
-    side, pixels = terrains[0].tile_size, terrains[0].pixels
-    operator = RideOperator.of(profile.to_dict(), side, pixels)
+    operator = RideOperator.of(profile.to_dict(), terrains[0].tile_size, terrains[0].pixels)
     relief, slope = relief_and_slope([terrain.heights for terrain in terrains], terrains[0].tile_size)
     rides = roll_over(relief, operator)
-    return fit_correction(
-        DrivenPatches(
-            rides=rides,
-            slope_deg=slope,
-            c_r=np.array([terrain.c_r for terrain in driven], dtype=np.float64),
-            error=np.array([terrain.c_r_error for terrain in driven], dtype=np.float64),
-            completed=np.array([terrain.completed for terrain in driven], dtype=np.int64),
-            failed=np.array([terrain.failed for terrain in driven], dtype=np.int64),
-        ),
-        _noisy_patches(terrains, rides.pitch_change, operator),
-    ).to_record()
+    c_r, error = (np.array([getattr(each, name) for each in driven], np.float64) for name in ("c_r", "c_r_error"))
+    completed, failed = (np.array([getattr(each, name) for each in driven]) for name in ("completed", "failed"))
+    patches = DrivenPatches(rides, slope, c_r, error, completed, failed)
+    return fit_correction(patches, _noisy_patches(terrains, rides.pitch_change, operator)).to_record()
+
+
+def fit_correction(driven: DrivenPatches, noisy: NoisyPatches) -> Correction:
+    """Fit the coefficients of C_r, its spread, p_fail and the noise tables.
+
+    Raises BumpymapError if the drives were completed on too few patches.
+    """
+    drives = driven.failed + driven.completed
+    good = (driven.failed / drives <= MAX_FAILED_SHARE) & (driven.completed >= 2)
+    good &= (driven.c_r > 0) & (driven.error > 0)
+    if int(good.sum()) < _MIN_PATCHES:
+        raise BumpymapError(
+            f"the vehicle completed its drives on {int(good.sum())} of {len(good)} terrains; a ride model needs "
+            f"at least {_MIN_PATCHES}. Look for a wrong number in its profile, or drive more terrains"
+        )
+    log_g = np.log(driven.rides.pitch_change[good])
+    rides = Rides(*(getattr(driven.rides, field.name)[good] for field in fields(Rides)))
+    features = ride_features(log_g, rides, driven.slope_deg[good])
+    target, error = np.log(driven.c_r[good]), driven.error[good] / driven.c_r[good]
+    log_range = (float(log_g.min()), float(log_g.max()))
+    coefficients, spread = _fit_c_r(features, target, error, log_g, log_range)
+    # The residuals of a fit understate its error, so the intervals are based on cross-validation.
+    predicted, fold = np.empty(len(target)), np.arange(len(target)) % _FOLDS
+    for part in range(_FOLDS):
+        rest = fold != part
+        others, _ = _fit_c_r(features[rest], target[rest], error[rest], log_g[rest], log_range)
+        predicted[~rest] = features[~rest] @ others
+    residual = target - predicted
+    spread = _calibrate_spread(spread, residual, error * student_factor(driven.completed[good]), log_g, log_range)
+    terms = fail_features(driven.rides, driven.slope_deg)
+    low, middle, high = _noise_tables(noisy)
+    return Correction(
+        log_range=log_range,
+        c_r=tuple(coefficients.tolist()),
+        spread=spread,
+        fail=tuple(_fit_logistic(terms, driven.failed, driven.completed, _FAIL_RIDGE).tolist()),
+        excess=_EXCESS,
+        pixel_points=_PIXEL_POINTS,
+        noise_low=low,
+        noise_middle=middle,
+        noise_high=high,
+        origin={
+            "patches": len(driven.c_r),
+            "patches_with_c_r": len(target),
+            "drives": int(drives.sum()),
+            "failed": int(driven.failed.sum()),
+            "median_standard_error": round(float(np.median(error)), 4),
+            **_scores(predicted, target),
+        },
+        model_error=_MODEL_ERROR,
+    )
+
+
+def _scores(log_c_r: Floats, other: Floats) -> dict[str, float]:
+    """Return rank correlation and median of abs(C_r / other C_r - 1), for the record."""
+    from scipy.stats import spearmanr
+
+    error = float(np.median(np.abs(np.expm1(log_c_r - other))))
+    return {"spearman": round(float(spearmanr(log_c_r, other).statistic), 4), "median_relative_error": round(error, 4)}
+
+
+def _weighted_ridge(terms: Floats, target: Floats, weight: Floats, scale: Floats, penalty: float) -> Floats:
+    """Return the coefficients (k,) of terms (n, k) under weights (n,), with a penalty on them times ``scale`` (k,)."""
+    from sklearn.linear_model import Ridge
+
+    fit = Ridge(penalty * weight.sum(), fit_intercept=False).fit(terms / scale, target, sample_weight=weight)
+    return np.asarray(fit.coef_ / scale, np.float64)
+
+
+def _fit_c_r(
+    features: Floats, target: Floats, error: Floats, log_g: Floats, log_range: tuple[float, float]
+) -> tuple[Floats, tuple[float, float]]:
+    """Fit coefficients and spread in turns: the spread weights the patches, the residuals determine the spread."""
+    spread = (np.log(_FIRST_SPREAD), np.log(_FIRST_SPREAD))
+    coefficients, huber = np.zeros(features.shape[1]), np.ones(len(target))
+    scale = np.sqrt(np.mean(features**2, axis=0))
+    for _ in range(_TURNS):
+        variance = np.exp(2 * np.interp(log_g, log_range, spread)) + error**2
+        coefficients = _weighted_ridge(features, target, huber / variance, scale, _RIDGE)
+        residual = target - features @ coefficients
+        huber = np.minimum(1.0, _HUBER / np.maximum(np.abs(residual) / np.sqrt(variance), 1e-9))
+        spread = _fit_spread(residual, error, log_g, log_range)
+    return coefficients, spread
+
+
+def _fit_spread(
+    residual: Floats, error: Floats, log_g: Floats, log_range: tuple[float, float]
+) -> tuple[float, float]:  # fmt: skip
+    """Find the most likely spread besides the drives' own error: ln of it at both ends of the range, on a grid."""
+    ends = np.log(np.geomspace(0.01, 0.6, 40))
+    place = (log_g - log_range[0]) / (log_range[1] - log_range[0])
+    best, found = np.inf, (ends[0], ends[0])
+    for low in ends:
+        variance = np.exp(2 * (low + (ends[:, None] - low) * place)) + error**2
+        tails = (_FREEDOM + 1) / 2 * np.log1p(residual**2 / (_FREEDOM * variance))
+        score = np.sum(np.log(variance) / 2 + tails, axis=1)
+        at = int(np.argmin(score))
+        if score[at] < best:
+            best, found = float(score[at]), (low, ends[at])
+    # Scale of that distribution as the standard deviation of the normal one with the same 80 % interval.
+    widen = np.log(_STUDENT_TAIL / NORMAL_TAIL)
+    return float(found[0] + widen), float(found[1] + widen)
+
+
+def _calibrate_spread(
+    spread: tuple[float, float], residual: Floats, mean_error: Floats, log_g: Floats, log_range: tuple[float, float]
+) -> tuple[float, float]:
+    """Scale a spread so that 80 % intervals contain 80 % of the cross-validated means; add ``_VALIDATION_ERROR``.
+
+    ``mean_error`` is the standard error of the means, widened by `student_factor`.
+    """
+    own = np.exp(np.interp(log_g, log_range, spread))
+    factors = np.geomspace(0.5, 3.0, 181)
+    contained = np.abs(residual) <= NORMAL_TAIL * np.hypot(factors[:, None] * own, mean_error)
+    factor = factors[int(np.argmin(np.abs(contained.mean(axis=1) - (1 - 2 * TAIL))))]
+    low, high = (float(0.5 * np.log((factor * np.exp(side)) ** 2 + _VALIDATION_ERROR**2)) for side in spread)
+    return low, high
+
+
+def student_factor(drives: NDArray[np.int64]) -> Floats:
+    """Return Student's t quantile over the normal one for a mean of that many drives (first Cornish-Fisher term)."""
+    wider: Floats = 1 + (NORMAL_TAIL**2 + 1) / (4 * (drives.astype(np.float64) - 1))
+    return wider
+
+
+def _fit_logistic(terms: Floats, failed: NDArray[Any], completed: NDArray[Any], penalty: float) -> Floats:
+    """Fit a logistic regression with a ridge penalty on all but the constant; return the coefficients (k,), in logits.
+
+    ``terms`` (n, k): the first is the constant; ``failed`` and ``completed`` (n,): weights of both outcomes.
+    """
+    from sklearn.linear_model import LogisticRegression
+    from sklearn.preprocessing import StandardScaler
+
+    scaler = StandardScaler().fit(terms[:, 1:])
+    x = np.tile(scaler.transform(terms[:, 1:]), (2, 1))
+    fit = LogisticRegression(C=1 / penalty, solver="newton-cholesky", tol=1e-8).fit(
+        x, np.repeat((1, 0), len(terms)), np.concatenate((failed, completed))
+    )
+    slopes = fit.coef_[0] / scaler.scale_
+    return np.concatenate((fit.intercept_ - slopes @ scaler.mean_, slopes))
+
+
+def _noise_tables(noisy: NoisyPatches) -> tuple[Table, Table, Table]:
+    """Return quantiles of the error over the patches nearest to each excess and point count, in logarithms."""
+    log_excess = np.log(np.maximum(noisy.excess, _MIN_EXCESS))
+    log_points_of = np.log(noisy.pixel_points)
+    nearest = max(_MIN_NOISY, len(log_excess) // _NOISY_SHARE)
+    low_tail = np.interp(_EXCESS, _STRONG_EXCESS, (TAIL, _STRONG_TAIL))
+    tables = []
+    for points in _PIXEL_POINTS:
+        row = []
+        for excess, tail in zip(_EXCESS, low_tail, strict=True):
+            distance = np.hypot(log_excess - np.log(max(excess, _MIN_EXCESS)), 2 * (log_points_of - np.log(points)))
+            near = noisy.error[np.argsort(distance, kind="stable")[:nearest]]
+            row.append(np.quantile(near, (tail, 0.5, 1 - TAIL)))
+        tables.append(row)
+    low, middle, high = (
+        tuple(tuple(float(knot[side]) for knot in row) for row in tables) for side in range(3)
+    )  # fmt: skip
+    return low, middle, high
 
 
 def survey_terrains(terrains: Sequence[Terrain], effects: ScanEffects, seed: int) -> TileBuckets:
@@ -74,35 +328,20 @@ def survey_terrains(terrains: Sequence[Terrain], effects: ScanEffects, seed: int
     return buckets
 
 
-def _noisy_patches(terrains: Sequence[Terrain], truth: NDArray[np.float64], operator: RideOperator) -> NoisyPatches:
-    columns: list[list[NDArray[np.float64]]] = [[], [], []]
+def _noisy_patches(terrains: Sequence[Terrain], truth: Floats, operator: RideOperator) -> NoisyPatches:
+    """Survey the library for the noise tables; ``truth`` (n,): geometric C_r of the terrains, rad/m."""
+    found: list[tuple[Floats, Floats, Floats]] = []
     conditions = [ScanEffects(density, noise) for density in _DENSITIES for noise in _NOISES_M]
     for number, effects in enumerate(conditions):
         for block in survey_terrains(terrains, effects, _NOISE_SEED + number).blocks():
             patches = measure(block, FeatureSettings(), ground_only=False)
             clean = denoise(patches, operator)
-            found, excess = subtract_noise(roll_over(clean.relief_map, operator).pitch_change, clean.noise_felt)
+            c_r, excess = subtract_noise(roll_over(clean.relief_map, operator).pitch_change, clean.noise_felt)
             wanted = truth[patches.col]
             known = (patches.reason == Reason.OK) & np.isfinite(excess) & (wanted > _LEAST_C_R)
-            error = np.log(wanted[known] / found[known])
-            values = (excess[known], patches.count[known] / patches.grid.pixels**2, error)
-            for column, value in zip(columns, values, strict=True):
-                column.append(value)
-    return NoisyPatches(*(np.concatenate(column) for column in columns))
-
-
-Floats = NDArray[np.float64]
-_THIN_DENSITIES = (0.5, 0.75, 1.0, 1.3, 1.7, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 20.0, 30.0)
-_THIN_NOISES_M = (0.0, 0.005, 0.01, 0.02, 0.04)
-_CUT_DENSITIES = (2.0, 4.0, 12.0)
-"""Surveys that see a part of each tile alone."""
-_SEED = 40_000
-_GROUPS = 2
-"""Parts of the library that pool their noise, each about as large as a block of tiles."""
-_FLOOR = 0.05
-"""C_r below this share of the first class limit is raised to it: smoother ground is of no use to tell apart."""
-_BARE_TILES = 40
-_WITHOUT_NOISE = 1e3
+            error = np.log(wanted[known] / c_r[known])
+            found.append((excess[known], patches.count[known] / patches.grid.pixels**2, error))
+    return NoisyPatches(*map(np.concatenate, zip(*found, strict=True)))
 
 
 def fit_thin_surveys(
@@ -110,28 +349,76 @@ def fit_thin_surveys(
 ) -> dict[str, Any]:
     """Fit the model of thin surveys of a vehicle; returns plain JSON for the calibration's ``thin`` entry.
 
-    Parameters
-    ----------
-    profile : Vehicle
-    terrains : sequence of Terrain
-        The ground of the library.
-    ride : dict
-        The calibration's ride model.
-    first_limit : float
-        C_r between class 0 and 1, rad/m.
+    ``terrains``: the ground of the library; ``ride``: the calibration's ride model; ``first_limit``: C_r between class
+    0 and 1, rad/m.
     """
     operator = RideOperator.of(profile.to_dict(), terrains[0].tile_size, terrains[0].pixels)
     correction = Correction.from_record(ride)
     relief, slope = relief_and_slope([terrain.heights for terrain in terrains], terrains[0].tile_size)
     none = np.zeros(len(terrains))
-    truth = correction.predict(roll_over(relief, operator), slope, none, none + _WITHOUT_NOISE)
+    truth = correction.predict(roll_over(relief, operator), slope, none, none + _MANY_POINTS)
     log_c_r = np.maximum(truth.log_c_r, np.log(_FLOOR * first_limit))
     columns, noise, terrain = (np.concatenate(part) for part in zip(*_surveys(terrains, operator), strict=True))
     usual = float(np.hypot(np.exp(np.mean(correction.spread)), correction.model_error))
-    surveys = ThinSurveys(
-        columns, noise, terrain, log_c_r[terrain], truth.p_fail[terrain], _bare(terrains[0], operator), usual
+    felt = _noise_ride(terrains[0], operator)
+    return _fit_thin(columns, noise, terrain, log_c_r[terrain], truth.p_fail[terrain], felt, usual).to_record()
+
+
+def _fit_thin(
+    columns: Floats, noise: Floats, terrain: NDArray[np.int64], log_c_r: Floats, p_fail: Floats,
+    felt: tuple[float, float], own_spread: float,
+) -> ThinModel:  # fmt: skip
+    """Fit all coefficients to n tiles of thin surveys, in the terms of `ThinModel`.
+
+    ``noise`` (n,): as pooled from the tiles of its survey, m; ``terrain`` (n,): its number, all surveys of one are on
+    the same side of a cross-validation; ``log_c_r``, ``p_fail`` (n,): of the ground without survey errors.
+    """
+    height = ride_terms(columns, noise, felt, (-np.inf, np.inf))[:, 1]
+    relief = (float(np.quantile(height, _BEYOND)), float(np.quantile(height, 1 - _BEYOND)))
+    terms = ride_terms(columns, noise, felt, relief)
+    target = log_c_r - (height - np.clip(height, *relief))
+    predicted = np.empty(len(target))
+    for part in range(_THIN_FOLDS):
+        rest = terrain % _THIN_FOLDS != part
+        predicted[~rest] = terms[~rest] @ _robust_fit(terms[rest], target[rest])
+    residual = target - predicted
+    # ln of the size of the residuals; then both sides are scaled so that a tenth of the residuals lie beyond each.
+    widths = spread_terms(columns, noise, felt, relief)
+    spread = _robust_fit(widths, np.log(np.maximum(np.abs(residual), _LEAST_RESIDUAL)))
+    low, high = np.quantile(residual / np.exp(widths @ spread), (TAIL, 1 - TAIL)) / NORMAL_TAIL
+    # The library holds little ground that fails, a survey may hold nothing else: failed and completed drives weigh
+    # alike, so that a tile about which the points say nothing is as likely to fail as not.
+    failing = float(np.clip(p_fail.mean(), 1e-6, 1 - 1e-6))
+    balance = 0.5 * (p_fail / failing + (1 - p_fail) / (1 - failing))
+    fails = fail_terms(columns, noise, felt)
+    return ThinModel(
+        relief=relief,
+        felt=felt,
+        c_r=tuple(_robust_fit(terms, target).tolist()),
+        spread=tuple(spread.tolist()),
+        sides=(float(-low), float(high)),
+        own_spread=own_spread,
+        fail=tuple(_fit_logistic(fails, balance * p_fail, balance * (1 - p_fail), _THIN_FAIL_RIDGE).tolist()),
+        prior=(float(np.mean(log_c_r)), float(np.std(log_c_r))),
+        origin={
+            "tiles": len(target),
+            "terrains": len(np.unique(terrain)),
+            "columns": list(THIN_COLUMNS),
+            **_scores(target, predicted),
+        },
     )
-    return fit_thin(surveys).to_record()
+
+
+def _robust_fit(terms: Floats, target: Floats) -> Floats:
+    """Return the coefficients (k,) of terms (n, k), the first constant; outliers get less weight (Huber)."""
+    scale = np.maximum(terms.std(axis=0), 1e-9)
+    scale[0] = 1.0
+    weight, found = np.ones(len(target)), np.zeros(len(scale))
+    for _ in range(_THIN_TURNS):
+        found = _weighted_ridge(terms, target, weight, scale, _THIN_RIDGE)
+        size = np.abs(target - terms @ found)
+        weight = np.minimum(1.0, _THIN_HUBER * _MAD_TO_SD * np.median(size) / np.maximum(size, 1e-9))
+    return found
 
 
 def _surveys(
@@ -140,15 +427,16 @@ def _surveys(
     """Yield columns, pooled noise and terrain of the tiles of every survey."""
     conditions = [(density, noise, False) for density in _THIN_DENSITIES for noise in _THIN_NOISES_M]
     conditions += [(density, noise, True) for density in _CUT_DENSITIES for noise in _THIN_NOISES_M[::2]]
+    names = ("points", "seen", "spread", "squares_1", "pairs_1")
     for number, (density, noise, cut) in enumerate(conditions):
         columns, tile = survey_columns(terrains, ScanEffects(density, noise), _SEED + number, operator, cut=cut)
-        spanned = (columns[:, 1] > 0) | (columns[:, 0] < SPANNED_POINTS)
-        known = np.isfinite(columns).all(axis=1) & (columns[:, 0] >= THIN_POINTS) & spanned
+        points, seen, spread, squares, pairs = (columns[:, THIN_COLUMNS.index(name)] for name in names)
+        spanned = (seen > 0) | (points < SPANNED_POINTS)
+        known = np.isfinite(columns).all(axis=1) & (points >= THIN_POINTS) & spanned
         pooled = np.empty(len(tile))
         for group in range(_GROUPS):
             own = tile % _GROUPS == group
-            first, pairs = THIN_COLUMNS.index("squares_1"), THIN_COLUMNS.index("pairs_1")
-            measures = columns[own, first], columns[own, pairs], columns[own, 2] ** 2
+            measures = squares[own], pairs[own], spread[own] ** 2
             pooled[own] = pool_noise(*measures, lambda sums: sums.sum(axis=-1, keepdims=True))[1]
         yield columns[known], pooled[known], tile[known]
 
@@ -158,14 +446,7 @@ def survey_columns(
 ) -> tuple[Floats, NDArray[np.int64]]:
     """Survey terrains; return the columns of the tiles that hold points, and the number of the terrain of each.
 
-    Parameters
-    ----------
-    terrains, effects, seed
-        As for `survey_terrains`.
-    operator : RideOperator
-        Of the vehicle.
-    cut : bool
-        Whether a strip on one side of each tile, up to half of it, holds no points.
+    ``cut``: a strip on one side of each tile, up to half of it, holds no points.
     """
     settings = FeatureSettings()
     columns, tile = [], []
@@ -197,14 +478,16 @@ def _cut(points: TilePoints) -> TilePoints:
     )
 
 
-def _bare(like: Terrain, operator: RideOperator) -> tuple[Floats, Floats, Floats]:
-    """Return points, noise and pitch change of noisy surveys of level ground."""
-    side = like.pixels * FINE
+def _noise_ride(like: Terrain, operator: RideOperator) -> tuple[float, float]:
+    """Return what noise alone makes of level ground, as `ThinModel.felt`: ln of the pitch change over the noise."""
+    side, noise = like.pixels * FINE, _THIN_NOISES_M[-1]
     level = [Terrain("level", np.zeros((side, side)), like.tile_size)] * _BARE_TILES
+    names = [THIN_COLUMNS.index(name) for name in ("points", "pitch_change")]
     found = []
     for number, density in enumerate(_THIN_DENSITIES):
-        columns, _ = survey_columns(level, ScanEffects(density, _THIN_NOISES_M[-1]), _SEED + 500 + number, operator)
-        rolled = columns[np.isfinite(columns).all(axis=1) & (columns[:, 5] > 0)]
-        found.append((rolled[:, 0], np.full(len(rolled), _THIN_NOISES_M[-1]), rolled[:, 5]))
-    points, noise, ride = (np.concatenate(part) for part in zip(*found, strict=True))
-    return points, noise, ride
+        columns, _ = survey_columns(level, ScanEffects(density, noise), _BARE_SEED + number, operator)
+        points, ride = columns[np.isfinite(columns).all(axis=1)][:, names].T
+        found.append((log_points(points[ride > 0]), np.log(ride[ride > 0] / noise)))
+    log_n, log_ride = (np.concatenate(part) for part in zip(*found, strict=True))
+    slope, constant = np.polyfit(log_n, log_ride, 1)
+    return float(constant), float(slope)

@@ -19,7 +19,7 @@ from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
 from bumpymap.core import OutputError, UsageError, atomic, locked
-from bumpymap.lab.evaluate.agreement import Accuracy
+from bumpymap.lab.label_sets import Accuracy
 from bumpymap.lab.settings import LoopSettings
 
 _log = logging.getLogger(__name__)
@@ -91,26 +91,11 @@ class Training(Generic[Net]):
     """Plain values that affect the training in addition to its settings."""
 
     def run(self, checkpoint: Path | None = None, progress: Callable[[EpochReport], None] | None = None) -> Net:
-        """Train the network.
+        """Train the network and return it in evaluation mode.
 
-        Parameters
-        ----------
-        checkpoint : Path, optional
-            Rewritten after every epoch; if it exists, training resumes from it.
-        progress : callable, optional
-            Called with a report after every epoch.
-
-        Returns
-        -------
-        Module
-            In evaluation mode.
-
-        Raises
-        ------
-        UsageError
-            The checkpoint belongs to a training with other settings.
-        OutputError
-            The checkpoint cannot be written.
+        ``checkpoint`` is rewritten after every epoch, and training resumes from it if it exists; ``progress`` is called
+        with a report after every epoch. Raises UsageError if the checkpoint belongs to a training with other settings,
+        OutputError if it cannot be written.
         """
         threads = torch.get_num_threads()
         torch.set_num_threads(self.settings.threads)
@@ -198,13 +183,7 @@ class ModelFiles:
 
 @contextmanager
 def model_files(out: Path) -> Iterator[ModelFiles]:
-    """Lock the output folder against a second training of the same network.
-
-    Raises
-    ------
-    OutputError
-        The folder cannot be written, or another training holds the lock.
-    """
+    """Lock the output folder against a second training of the same network, or raise OutputError."""
     if not (out.parent.is_dir() and os.access(out.parent, os.W_OK)):
         raise OutputError(f"cannot write {out}: {out.parent} is not a writable folder. Choose another --out")
     with locked(out.parent, f".{out.name}.lock"):
@@ -233,15 +212,14 @@ def score_table(score: Accuracy, names: Sequence[str]) -> str:
     return "\n".join([*head, *(f"| {name} | " + " | ".join(map(str, line)) + " |" for name, line in lines)])
 
 
-_OPSET = 17
-_IR_VERSION = 8
+_OPSET, _IR_VERSION = 17, 8
+"""Versions of the operators and of the format of ONNX: old ones, for old versions of ONNX Runtime."""
 
 
 class OnnxGraph:
     """Nodes and weights in the order in which they are added; each method returns the name of its output.
 
-    Batch normalisation is folded into the convolutions. Operators are those of opset 17, so that old versions of ONNX
-    Runtime can read the file.
+    Batch normalisation is folded into the convolutions.
     """
 
     def __init__(self, name: str, output_name: Callable[[int], str]) -> None:
@@ -275,14 +253,8 @@ class OnnxGraph:
     ) -> bytes:
         """Check the graph and serialise it.
 
-        Parameters
-        ----------
-        inputs : mapping
-            Name -> shape of one sample.
-        output : tuple
-            Name of the output with the probabilities, and number of classes.
-        metadata : mapping
-            Written as ``metadata_props``: text as it is, everything else as JSON.
+        ``inputs``: name -> shape of one sample; ``output``: name of the output with the probabilities, and number of
+        classes; ``metadata``: written as ``metadata_props``, text as it is, everything else as JSON.
         """
         infos = [
             helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", *shape])

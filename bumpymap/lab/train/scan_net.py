@@ -12,8 +12,7 @@ import torch
 from torch import nn
 
 from bumpymap.core import CLASSES, PolarSettings
-from bumpymap.lab.evaluate.agreement import Accuracy, accuracy_of
-from bumpymap.lab.label_sets import LABEL_SETS
+from bumpymap.lab.label_sets import LABEL_SETS, Accuracy, accuracy_of
 from bumpymap.lab.settings import ScanNetSettings, ScanTrainSettings
 from bumpymap.lab.train.model_files import (
     EpochData,
@@ -218,20 +217,10 @@ Seed {settings.seed}, {settings.epochs} epochs. The same command gives the same 
 
 
 def to_onnx(net: ScanNet, metadata: Mapping[str, object]) -> bytes:
-    """Write a network as an ONNX file.
+    """Write a network in evaluation mode as an ONNX file, with ``metadata``.
 
-    Parameters
-    ----------
-    net : ScanNet
-        In evaluation mode.
-    metadata : mapping
-        Written as ``metadata_props``: text as it is, everything else as JSON.
-
-    Returns
-    -------
-    bytes
-        Inputs ``patches`` (batch, CHANNELS, pixels, pixels) and ``measures`` (batch, len(MEASURES)), output
-        ``probability`` (batch, CLASSES), all float32.
+    Inputs ``patches`` (batch, CHANNELS, pixels, pixels) and ``measures`` (batch, len(MEASURES)), output ``probability``
+    (batch, CLASSES), all float32.
     """
     graph = OnnxGraph("scan", "x{}".format)
     ends = [graph.constant("zero", np.float32(0.0)), graph.constant("six", np.float32(6.0))]
@@ -275,28 +264,13 @@ def make_scan_model(
 ) -> TrainedModel[ScanEvaluation]:
     """Train a network for the sectors of scans and write it.
 
-    Parameters
-    ----------
-    settings : ScanTrainSettings
-        Together with the scans they determine every byte of the file on one machine.
-    out : Path
-        The ONNX file. The model card is written next to it (``.md``), and while the job runs a checkpoint
-        (``.checkpoint``), from which the same call resumes after an interruption.
-    scans : Path
-        A folder in the layout of RELLIS-3D.
-    progress : callable, optional
-        Called with a report after every epoch.
-    scan_progress : callable, optional
-        Called with (finished scans, all scans) after every scan that was cut into sectors.
+    Settings and scans determine every byte of the file on one machine. ``out``: the ONNX file. The model card is
+    written next to it (``.md``), and while the job runs a checkpoint (``.checkpoint``), from which the same call
+    resumes after an interruption. ``scans``: a folder in the layout of RELLIS-3D. ``progress`` is called with a report
+    after every epoch, ``scan_progress`` with (finished scans, all scans) after every scan that was cut into sectors.
 
-    Raises
-    ------
-    OutputError
-        A file cannot be written.
-    BadInputError
-        The folder contains no scans with labels.
-    UsageError
-        A checkpoint of another training exists.
+    Raises OutputError if a file cannot be written, BadInputError if the folder contains no scans with labels,
+    UsageError if a checkpoint of another training exists.
     """
     with model_files(out) as files:
         learn, unseen = folder_frames(scans)

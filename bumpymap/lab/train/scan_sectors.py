@@ -23,6 +23,7 @@ _OTHER_GRID = 0.5
 SWAPPED_MEASURES = ("coverage",)
 """Measures that training swaps between some sectors."""
 _SWAPPED_SHARE = 0.15
+"""Share of the sectors of an epoch that take them. Chosen."""
 _TREE, _BUSH = 4, 19
 """Ids of RELLIS-3D."""
 ScanProgress = Callable[[int, int], None]
@@ -61,13 +62,8 @@ def draw_cuts(rng: np.random.Generator, count: int) -> list[tuple[float, PolarSe
 def labelled_sectors(scan: Scan, cuts: Iterable[tuple[float, PolarSettings]] = ()) -> Sectors:
     """Cut a labelled scan into sectors and keep those with a class that have ground: others are never classified.
 
-    Parameters
-    ----------
-    scan : Scan
-        With labels.
-    cuts : pairs of angle and grid
-        The scan is cut once more after rotating it about z by each of these angles [rad], which puts the same ground
-        into other sectors.
+    The scan is cut once more for each of ``cuts``, after rotating it about z by the angle [rad], on the grid: that puts
+    the same ground into other sectors.
     """
     scan = crowns_as_bushes(scan)
     stacks = [polar_sectors(scan)]
@@ -81,14 +77,7 @@ def labelled_sectors(scan: Scan, cuts: Iterable[tuple[float, PolarSettings]] = (
         known = (class_id >= 0) & stack.traversable
         patches, measures = network_input(stack)
         chosen = known[stack.traversable]
-        parts.append(
-            Sectors(
-                patches[chosen],
-                measures[chosen],
-                class_id[known].astype(np.int64),
-                stack.label[known],
-            )
-        )
+        parts.append(Sectors(patches[chosen], measures[chosen], class_id[known].astype(np.int64), stack.label[known]))
     return join(parts)
 
 
@@ -130,10 +119,7 @@ def folder_sectors(
 ) -> Sectors:
     """Return the sectors of labelled frames on disk, in order.
 
-    Raises
-    ------
-    BadInputError
-        A frame has no labels, or none of them has a class.
+    Raises BadInputError if a frame has no labels, or none of them has a class.
     """
     parts = []
     for done, frame in enumerate(frames, start=1):

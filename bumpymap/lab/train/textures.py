@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from torch import nn
 
 from bumpymap.core import TEXTURES
-from bumpymap.lab.evaluate.agreement import Accuracy, accuracy_of
+from bumpymap.lab.label_sets import Accuracy, accuracy_of
 from bumpymap.lab.settings import NetworkSettings, TrainSettings
+from bumpymap.lab.terrains import make_short_waves, make_textures
 from bumpymap.lab.train.model_files import (
     EpochData,
     EpochReport,
@@ -34,25 +35,12 @@ from bumpymap.lab.train.model_files import (
     score_table,
     versions,
 )
-from bumpymap.rating import (
-    FEATURE_VERSION,
-    MEASURES,
-    make_short_waves,
-    make_textures,
-    measures_of,
-    normalise,
-    remove_plane,
-)
+from bumpymap.rating import FEATURE_VERSION, MEASURES, measures_of, normalise, remove_plane
 
 _Floats = NDArray[np.float64]
 
 
-FORM_RELIEF = {
-    "flat": (0.0, 0.3),
-    "low_noise": (0.1, 1.5),
-    "noise_sin": (0.3, 3.0),
-    "high_noise": (0.6, math.inf),
-}
+FORM_RELIEF = {"flat": (0.0, 0.3), "low_noise": (0.1, 1.5), "noise_sin": (0.3, 3.0), "high_noise": (0.6, math.inf)}
 """Least and greatest true relief of each form in a tile, m, which decide the label. Below 0.1 m even the roughest form
 leaves a Warthog in class 0 (C_r 0.1 rad/m in its table), so all lower ground is flat."""
 
@@ -324,6 +312,7 @@ def _learning_rate(share: float, peak: float) -> float:
 
 
 _BATCH = 1024
+"""Samples that a network predicts at once: memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -398,7 +387,7 @@ Classifies the heightmap of one tile as one of the four terrain forms of the Bum
 ## Data
 
 {4 * settings.patches_per_texture:,} patches, {settings.patches_per_texture:,} per texture, made from Perlin noise, sine
-waves and Gaussian blur by `bumpymap.rating.textures`. No survey was used. Every epoch draws heights and a survey
+waves and Gaussian blur by `bumpymap.lab.terrains`. No survey was used. Every epoch draws heights and a survey
 anew for each: relief of {of.relief[0]:g} to {of.relief[1]:g} m, none at all for {of.level:.0%}; blur; points with
 {1000 * of.noise[0]:g} to {1000 * of.noise[1]:g} mm of noise, {of.points[0]:g} to {of.points[1]:g} a pixel; waves and
 strips of photogrammetry; holes. Every epoch adds {SHORT_WAVES:.0%} of short regular waves (0.4 to 0.75 m on a tile of
@@ -445,19 +434,10 @@ OUTPUT_NAME = "probability"
 
 
 def to_onnx(net: TextureNet, metadata: Mapping[str, object]) -> bytes:
-    """Write a network as an ONNX file.
+    """Write a network in evaluation mode as an ONNX file, with ``metadata``.
 
-    Parameters
-    ----------
-    net : TextureNet
-        In evaluation mode.
-    metadata : mapping
-        Written as ``metadata_props``: text as it is, everything else as JSON.
-
-    Returns
-    -------
-    bytes
-        Input ``patches`` (batch, 1, pixels, pixels) float32, output ``probability`` (batch, classes) float32.
+    Inputs ``patches`` (batch, 1, pixels, pixels) and ``measures`` (batch, 3, 1, 1), output ``probability`` (batch,
+    classes), all float32.
     """
     graph = OnnxGraph("texture", ascii_lowercase.__getitem__)
 
@@ -486,22 +466,10 @@ def make_model(
 ) -> TrainedModel[Evaluation]:
     """Train a texture network and write it.
 
-    Parameters
-    ----------
-    settings : TrainSettings
-        They determine every byte of the file on one machine.
-    out : Path
-        The ONNX file. The model card is written next to it (``.md``), and during training a checkpoint
-        (``.checkpoint``), from which the same call resumes after an interruption.
-    progress : callable, optional
-        Called with a report after every epoch.
-
-    Raises
-    ------
-    OutputError
-        A file cannot be written.
-    UsageError
-        A checkpoint with other settings exists.
+    The settings determine every byte of the file on one machine. ``out``: the ONNX file. The model card is written next
+    to it (``.md``), and during training a checkpoint (``.checkpoint``), from which the same call resumes after an
+    interruption. ``progress`` is called with a report after every epoch. Raises OutputError if a file cannot be
+    written, UsageError if a checkpoint with other settings exists.
     """
     with model_files(out) as files:
         net = train(settings, files.checkpoint, progress)

@@ -13,19 +13,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.rating.ride._noise_kernels import DenoisedPatches, PatchesToDenoise, denoise_patches, spectrum_scratch
 from bumpymap.rating.ride._ride_kernels import roll_along
 from bumpymap.rating.ride.correction import Correction
 from bumpymap.rating.ride.motion_operator import Rides, roll_over
 from bumpymap.rating.ride.operator import RideOperator
-from bumpymap.rating.ride.rate import spectrum_of
+from bumpymap.rating.ride.rate import take_noise_off
 
 Floats = NDArray[np.float64]
 
 _ROUNDS = 7
+"""Halvings of the logarithm of the noise that is tried: 1/128 of its range is left. Chosen."""
 _NOISE_M = (1e-4, 0.07)
 """Least and most noise of a pixel that is tried, m."""
 _LEAST = 1e-5
+"""C_r below is a rounding error, rad/m."""
 
 
 class MatchedTiles(NamedTuple):
@@ -72,17 +73,9 @@ def match_tiles(
 def _without(relief_map: NDArray[np.float32], noise: Floats) -> NDArray[np.float32]:
     """Denoise n patches whose pixels have a noise [m], (n,): as if each held two points that lie so far apart."""
     known = np.asarray(np.isfinite(relief_map).all(axis=(1, 2)))
-    spectrum, clean = spectrum_of(relief_map.shape[1]), relief_map.copy()
-    count = np.full(relief_map.shape, 2, np.int32)
     # The noise of a point is the median of the variances over that of chi-square numbers with one degree of freedom.
     variance = np.broadcast_to((noise**2 * (7 / 9) ** 3)[:, None, None], relief_map.shape).astype(np.float32)
-    denoise_patches(
-        PatchesToDenoise(known, np.ascontiguousarray(relief_map), count, variance),
-        spectrum,
-        DenoisedPatches(clean, np.empty((2, len(noise)))),
-        spectrum_scratch(relief_map.shape[1], *spectrum.shapes.shape),
-    )
-    return clean
+    return take_noise_off(relief_map, known, np.full(relief_map.shape, 2, np.int32), variance)[0]
 
 
 def roll_wheels(

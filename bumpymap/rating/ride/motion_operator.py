@@ -111,14 +111,9 @@ class Rides:
 def roll_over(relief_map: NDArray[np.float32], operator: RideOperator, by_axis: Floats | None = None) -> Rides:
     """Roll a vehicle over patches.
 
-    Parameters
-    ----------
-    relief_map : array (n, pixels, pixels) float32
-        Plane-removed relief without holes, m; patches with NaN are left out.
-    operator : RideOperator
-        Of the vehicle.
-    by_axis : array (n, 8), optional
-        Filled with the geometric C_r along each of ``AXES_DEG``, rad/m; the north row of a patch comes first.
+    ``relief_map`` (n, pixels, pixels): plane-removed relief without holes, m; patches with NaN are left out.
+    ``by_axis`` (n, 8) is filled with the geometric C_r along each of ``AXES_DEG``, rad/m; the north row of a patch
+    comes first.
     """
     patches, scratch = _patches_and_scratch(relief_map, operator)
     rides = np.full((len(relief_map), 6 if by_axis is None else 6 + len(AXES_DEG)), np.nan)
@@ -186,15 +181,7 @@ class MotionOperator:
 
 
 def move_over(relief_map: NDArray[np.float32], operator: MotionOperator) -> Motions:
-    """Roll a vehicle over patches at several speeds.
-
-    Parameters
-    ----------
-    relief_map : array (n, pixels, pixels) float32
-        Plane-removed relief without holes, m; patches with NaN are left out.
-    operator : MotionOperator
-        Of the vehicle.
-    """
+    """Roll a vehicle over patches, as `roll_over`, at several speeds."""
     patches, scratch = _patches_and_scratch(relief_map, operator)
     motions = np.full((len(relief_map), len(operator.bounds) - 1, 2), np.nan)
     move_over_patches(patches, operator.wheel, operator.samples, operator.bounds, motions, scratch)
@@ -227,6 +214,7 @@ def _heights(patches: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray
 WEIGHTED_BAND_HZ = (0.4, 10.0)
 """Vertical motion of these frequencies counts, Hz."""
 _LIMITS_HZ = (0.4, 100.0)
+"""Corners of the high pass and of the low pass of Wk; these and the next of ISO 2631-1."""
 _VELOCITY_HZ, _VELOCITY_Q = 12.5, 0.63
 """Above this frequency the weight falls: velocity is felt rather than acceleration."""
 _STEP_HZ, _STEP_Q = (2.37, 3.35), 0.91
@@ -272,24 +260,14 @@ _PER_WAVE = 2.5
 _FILTER_S = 2.0
 """Half the length of a filter, s: from 0.4 to 8 Hz, what a sine feels is within 3 % of Wk."""
 _LONG = 1 << 15
+"""Samples of the Fourier transform that the taps come from: many times the longest filter."""
 
 
 def heave_filter(speed: float, way: float) -> tuple[Floats, Floats]:
     """Return the filter from heights along a way to weighted acceleration at a speed [m/s].
 
-    Parameters
-    ----------
-    speed : float
-        m/s.
-    way : float
-        Distance between heights, m.
-
-    Returns
-    -------
-    array (k,)
-        m/s2 per metre of height; their sum is 0.
-    array (k,)
-        Where along the way, m; symmetric about 0.
+    ``way``: between heights, m. Returns the taps (k,), m/s2 per metre of height, whose sum is 0, and where along the
+    way they are, (k,) m, symmetric about 0.
     """
     wave_number = np.fft.rfftfreq(_LONG, way)
     taps = np.fft.irfft(np.abs(felt_response(speed * wave_number)))

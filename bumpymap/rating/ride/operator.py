@@ -147,8 +147,8 @@ _WHEEL_NODES = 2.0
 """Nodes of the envelope along a wheel's radius, at least."""
 _RIDE_SAMPLES, _POSE_SAMPLES = 128, 16
 """Samples before the eight symmetries."""
-_MOST_TAPS = 400
-_SETTLED = 0.01
+_MOST_TAPS, _SETTLED = 400, 0.01
+"""Longest response of a chassis, steps; it ends sooner where pitch and its change are settled to this share."""
 _TURNS = 4
 """Directions of wheels in half a turn: 0, 45, 90 and 135 degrees."""
 

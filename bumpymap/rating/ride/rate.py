@@ -17,16 +17,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import (
-    AXES_DEG,
-    FAIL_SHARE,
-    NO_CLASS,
-    CostMap,
-    Georeference,
-    PatchStack,
-    Reason,
-    TextureMap,
-)
+from bumpymap.core import AXES_DEG, FAIL_SHARE, NO_CLASS, CostMap, Georeference, PatchStack, Reason, TextureMap
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.ride._noise_kernels import (
     DenoisedPatches,
@@ -41,6 +32,7 @@ from bumpymap.rating.ride.operator import RideOperator, cosines
 from bumpymap.rating.ride.speed import LEVEL, SpeedRating, map_rule, plain_speed_factor, require_speeds, speed_log_sd
 from bumpymap.rating.vehicle_body import with_floor
 
+Floats = NDArray[np.float64]
 _STEEPNESS = (2.0, 2.6, 3.2, 3.8, 4.5)
 """Exponents of the ground's spectrum that are tried: Hurst exponents from 0 to beyond 1."""
 _SHARPENED = 1.2
@@ -63,24 +55,34 @@ class CleanPatches:
 
 def denoise(patches: PatchStack, operator: RideOperator) -> CleanPatches:
     """Estimate the noise of every patch that can be judged, and take it off its relief."""
-    tiles, pixels = len(patches.reason), patches.grid.pixels
-    spectrum = spectrum_of(pixels)
-    clean = patches.relief_map.copy()
-    noise = np.full((2, tiles), np.nan)
+    known = patches.reason == Reason.OK
+    clean, (point, pixel) = take_noise_off(patches.relief_map, known, patches.spread_count, patches.spread_variance)
+    return CleanPatches(clean, point, pixel * operator.noise_gain)
+
+
+def take_noise_off(
+    relief_map: NDArray[np.float32], known: NDArray[np.bool_], count: NDArray[np.int32], variance: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], Floats]:
+    """Return denoised relief maps (n, pixels, pixels), m, and the noise of a point and of a pixel, (2, n) m.
+
+    ``known`` (n,): patches to denoise; ``count``, ``variance`` (n, pixels, pixels): points of each pixel and the
+    variance of their heights, m^2.
+    """
+    spectrum, pixels = _spectrum_of(relief_map.shape[1]), relief_map.shape[1]
+    clean, noise = relief_map.copy(), np.full((2, len(relief_map)), np.nan)
     denoise_patches(
         PatchesToDenoise(
-            patches.reason == Reason.OK, patches.relief_map, patches.spread_count, patches.spread_variance
+            known, np.ascontiguousarray(relief_map), np.ascontiguousarray(count), np.ascontiguousarray(variance)
         ),
         spectrum,
         DenoisedPatches(clean, noise),
         spectrum_scratch(pixels, *spectrum.shapes.shape),
     )
-    point, pixel = noise
-    return CleanPatches(clean, point, pixel * operator.noise_gain)
+    return clean, noise
 
 
 @cache
-def spectrum_of(pixels: int) -> Spectrum:
+def _spectrum_of(pixels: int) -> Spectrum:
     """Cosines, the band of each coefficient (by its wave number, -1 for the mean), spectra that are tried by band."""
     order = np.arange(pixels)
     wave = np.hypot(order[:, None], order[None, :])
@@ -91,27 +93,12 @@ def spectrum_of(pixels: int) -> Spectrum:
     return Spectrum(basis, np.ascontiguousarray(basis.T), band, shapes)
 
 
-Floats = NDArray[np.float64]
-
-
 class RideModel:
-    """Predicts the ride of one vehicle on tiles of one size.
+    """Predicts the ride of one vehicle on tiles of one size, by its calibration.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        Of the vehicle; it holds the profile and what its drives taught.
-    speeds : tuple of float
-        Speeds [m/s] to rate the ride at besides; see `CostMap.motion`.
-    headings : bool
-        Tell the ride by heading too; see `CostMap.headings`.
-
-    Raises
-    ------
-    UsageError
-        The calibration cannot tell the ride at these speeds.
-    BadInputError
-        Its ride model is damaged.
+    ``speeds`` [m/s] are rated besides, see `CostMap.motion`; with ``headings``, the ride by heading too, see
+    `CostMap.headings`. Raises UsageError if the calibration cannot tell the ride at these speeds, BadInputError if its
+    ride model is damaged.
     """
 
     def __init__(self, calibration: Calibration, speeds: tuple[float, ...] = (), *, headings: bool = False) -> None:
@@ -145,21 +132,9 @@ class RideModel:
         return found.at_speed(log_ratio, speed_log_sd(self.calibration)), factors
 
     def rate(self, patches: PatchStack, textures: TextureMap, georeference: Georeference) -> CostMap:
-        """Rate tiles.
+        """Rate n tiles; textures and georeference travel with the result, and the ride model does not look at them.
 
-        Parameters
-        ----------
-        patches : PatchStack
-            n tiles.
-        textures : TextureMap
-            Travels with the result; the ride model does not look at it.
-        georeference : Georeference
-            Travels with the result.
-
-        Raises
-        ------
-        UsageError
-            The calibration was made for tiles of another size or another number of pixels.
+        Raises UsageError if the calibration was made for tiles of another size or another number of pixels.
         """
         calibration = self.calibration
         calibration.require_grid(patches.grid.tile_size, patches.grid.pixels)

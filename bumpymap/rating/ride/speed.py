@@ -31,6 +31,7 @@ QUANTITIES = ("c_r", "c_roll", "a_w")
 """Predicted at each speed: rad/m, rad/m, m/s2."""
 _TERMS = {"c_r": 6, "c_roll": 7, "a_w": 10}
 _PLAIN_TERMS = {"c_r": 5, "c_roll": 6, "a_w": 6}
+"""Numbers of coefficients of `motion_terms` and of `plain_terms`."""
 _LEAST = 1e-5
 """Geometric values below are rounding errors, rad/m and m/s2."""
 
@@ -77,13 +78,7 @@ class MotionModel:
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any], speed: float) -> "MotionModel":
-        """Read the mapping that `to_record` returned, for a vehicle with this speed [m/s].
-
-        Raises
-        ------
-        BadInputError
-            A value is missing or has the wrong length.
-        """
+        """Read what `to_record` returned, for a vehicle with this speed [m/s]; raise BadInputError if it is damaged."""
         try:
             return cls(
                 speed,
@@ -105,49 +100,28 @@ class MotionModel:
         """Return the coefficients as plain numbers for JSON."""
         return {name: plain_lists(value) for name, value in asdict(self).items() if name != "speed_mps"}
 
-    def log_factors(self, motions: Motions, pitch_change: Floats, speeds: tuple[float, ...]) -> Floats:
-        """Return ln of each of ``QUANTITIES`` over the C_r at the profile's speed, (n, k, 3).
-
-        Parameters
-        ----------
-        motions : Motions
-            Geometric values of n patches at k speeds.
-        pitch_change : array (n,)
-            Geometric C_r at the profile's speed, rad/m.
-        speeds : tuple of float
-            The k speeds, m/s.
-        """
-        terms = motion_terms(motions, pitch_change, self._log_ratios(speeds), self.log_range)
-        return np.stack([terms[name] @ np.array(getattr(self, name).terms) for name in QUANTITIES], axis=-1)
-
     def plain_log_factors(self, c_r: Floats, speeds: tuple[float, ...]) -> Floats:
-        """Return the same from C_r [rad/m] at the profile's speed alone, (..., k, 3)."""
-        terms = plain_terms(c_r, self._log_ratios(speeds), self.log_c_r_range)
+        """Return ln of each of ``QUANTITIES`` over the C_r at the profile's speed, rad/m, from it, (..., k, 3)."""
+        terms = plain_terms(c_r, self.log_ratios(speeds), self.log_c_r_range)
         return np.stack([terms[name] @ np.array(getattr(self, name).plain) for name in QUANTITIES], axis=-1)
 
     def log_sd(self, speed: float) -> float:
         """Return the standard deviation of ln c_r that another speed than the profile's adds."""
-        return float(self.c_r.log_sd * min(abs(self._log_ratios((speed,))[0]) / np.log(2.0), 1.0))
+        return float(self.c_r.log_sd * min(abs(self.log_ratios((speed,))[0]) / np.log(2.0), 1.0))
 
-    def _log_ratios(self, speeds: tuple[float, ...]) -> Floats:
+    def log_ratios(self, speeds: tuple[float, ...]) -> Floats:
+        """Return ln of speeds [m/s] over the profile's."""
         return np.log(np.array(speeds) / self.speed_mps)
 
 
 def motion_terms(
     motions: Motions, pitch_change: Floats, log_speed: Floats, log_range: tuple[float, float]
 ) -> dict[str, Floats]:
-    """Return the terms of each of ``QUANTITIES``, (n, k, terms).
+    """Return the terms of each of ``QUANTITIES``, (n, k, terms), for n patches at k speeds.
 
-    Parameters
-    ----------
-    motions : Motions
-        Geometric values of n patches at k speeds.
-    pitch_change : array (n,)
-        Geometric C_r at the profile's speed, rad/m.
-    log_speed : array (k,)
-        ln of the speeds over the profile's.
-    log_range : (float, float)
-        Lowest and highest ln of the geometric C_r of the driven ground; the terms of the roughness stay beyond.
+    ``pitch_change`` (n,): geometric C_r at the profile's speed, rad/m; ``log_speed`` (k,): ln of the speeds over the
+    profile's; ``log_range``: lowest and highest ln of the geometric C_r of the driven ground: the terms of the
+    roughness stay beyond.
     """
     shape = motions.pitch_change.shape
     own = np.log(np.maximum(pitch_change, _LEAST))[:, None]
@@ -188,10 +162,7 @@ LEVEL = 5e-4
 def at_speed(calibration: Calibration, speed: float | None) -> Calibration:
     """Return a calibration whose C_r is that at a speed [m/s]; itself at None and at the profile's own speed.
 
-    Raises
-    ------
-    UsageError
-        The speed is out of the range that it holds for.
+    Raises UsageError if the speed is out of the range that it holds for.
     """
     if speed is None:
         return calibration
@@ -257,30 +228,23 @@ class SpeedRating:
 
     def factors_of(self, motions: Motions, pitch_change: Floats) -> tuple[Floats, NDArray[np.float32]]:
         """Return `factors` from the motions over patches."""
-        logs = _model(self.calibration).log_factors(motions, pitch_change, self.operator.speeds)
+        model = _model(self.calibration)
+        terms = motion_terms(motions, pitch_change, model.log_ratios(self.operator.speeds), model.log_range)
+        logs = np.stack([terms[name] @ np.array(getattr(model, name).terms) for name in QUANTITIES], axis=-1)
         logs[~(pitch_change > LEVEL)] = np.nan
         own = logs[:, self.operator.speeds.index(self.calibration.map_speed), 0]
-        told = np.exp(logs[:, : len(self.speeds)] - own[:, None, None])
-        return own, told.reshape(len(logs), -1).astype(np.float32)
+        ratio = np.exp(logs[:, : len(self.speeds)] - own[:, None, None])
+        return own, ratio.reshape(len(logs), -1).astype(np.float32)
 
 
 def motion_felt(
     calibration: Calibration, speeds: Sequence[float], factors: NDArray[np.float32], c_r: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Return what is felt at k speeds, (..., 3 k): c_r, c_roll [rad/m] and a_w [m/s2] for each; NaN in unknown tiles.
+    """Return what is felt at k speeds [m/s], (..., 3 k): c_r, c_roll [rad/m], a_w [m/s2] each; NaN in unknown tiles.
 
     The factors are those of the driven C_r: the vehicle's floor is taken off before, and comes back to ``c_r`` alone.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        At the speed of the map.
-    speeds : sequence of float
-        m/s.
-    factors : array (..., 3 k) float32
-        Of `SpeedRating.factors`; NaN where the heightmap does not tell.
-    c_r : array (...) float32
-        Of the map, with the vehicle's floor, rad/m.
+    ``calibration``: at the speed of the map; ``factors`` (..., 3 k): of `SpeedRating.factors`, NaN where the heightmap
+    does not tell; ``c_r`` (...): of the map, with the vehicle's floor, rad/m.
     """
     driven = less_floor(c_r, calibration.map_floor)
     known = np.isfinite(factors)
@@ -298,16 +262,9 @@ def felt_by_heading(
 ) -> NDArray[np.float32]:
     """Return C_r along each of ``AXES_DEG``, (..., 8) rad/m: that of the tile where its heightmap tells no heading.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        At the speed of the map.
-    factors : array (..., 8) float32
-        Of `CostMap.headings`; NaN where the heightmap does not tell.
-    c_r : array (...) float32
-        Of the map, with the vehicle's floor, rad/m.
-    weight : array (...) or float
-        How far the heightmap counts in ``c_r``, 0..1.
+    ``calibration``: at the speed of the map; ``factors`` (..., 8): of `CostMap.headings`, NaN where the heightmap does
+    not tell; ``c_r`` (...): of the map, with the vehicle's floor, rad/m; ``weight`` (...): how far the heightmap counts
+    in it, 0..1.
     """
     more = np.nan_to_num(factors - np.float32(1.0)) * np.asarray(weight, np.float32)[..., None]
     driven = less_floor(c_r, calibration.map_floor)[..., None]

@@ -20,6 +20,7 @@ from bumpymap.rating.ride.operator import RideOperator
 
 Floats = NDArray[np.float64]
 _LAGS = 5
+"""Classes of distance of pairs of points, of `bumpymap.patches.measure_thin`."""
 THIN_COLUMNS = (
     *("points", "seen", "spread", "size_share", "slope"),
     *("pitch_change", "pitch_change_rms", "pitch", "twist", "belly"),
@@ -30,14 +31,19 @@ THIN_COLUMNS = (
 standard deviation about the plane, m; mean absolute distance over that; slope of the plane (tangent); the ride over the
 filled heightmap as in `Rides`; sums of the squared height differences of pairs of points by distance, m^2; pairs."""
 _USUAL_POINTS = 36.0
+"""Points of a tile at which their logarithm is 0 in the terms: 4 a square metre of a tile of 3 m."""
 _PSEUDO_PAIRS = 3.0
+"""Pairs of each distance that are added, with half of the variance at great distances. Chosen."""
 _LEAST_SHARE = 0.1
-"""Least relief, as a share of the noise, that is told from it."""
+"""Least relief, as a share of the noise, that is distinguished from it."""
 _LEAST_RATIO = 0.03
+"""Least value of the structure function over that at great distances. Chosen."""
 _LEAST_RIDE = 0.15
 """Least pitch change without noise, as a share of that with it."""
 _TINY = 1e-5
+"""Heights, angles and rad/m that stand for 0 in a logarithm."""
 _MOST_LOGIT = 30.0
+"""Of p_fail, absolute: beyond, it is 0 or 1 to every digit that is stored."""
 
 
 def thin_columns(
@@ -45,16 +51,8 @@ def thin_columns(
 ) -> NDArray[np.float32]:
     """Return what the rating of thin tiles needs of each tile, (n, 20) in the order of ``THIN_COLUMNS``.
 
-    Parameters
-    ----------
-    pairs : array (n, 15)
-        Measures of pairs of points, of `bumpymap.patches.measure_thin`.
-    relief_map : array (n, pixels, pixels) float32
-        Filled heightmaps of the same, m.
-    count : array (n,)
-        Points of each tile.
-    operator : RideOperator
-        Of the vehicle.
+    ``pairs`` (n, 15): measures of pairs of points, of `bumpymap.patches.measure_thin`; ``relief_map`` (n, pixels,
+    pixels): filled heightmaps of the same, m; ``count`` (n,): points of each tile.
     """
     rides = roll_over(relief_map, operator)
     points = np.where(np.isfinite(pairs[:, 0]), count, np.nan)
@@ -110,12 +108,7 @@ class ThinModel(Coefficients):
     def predict(self, columns: Floats, noise: Floats) -> Prediction:
         """Predict C_r and p_fail of n tiles; NaN where a column is.
 
-        Parameters
-        ----------
-        columns : array (n, 20)
-            Of `thin_columns`.
-        noise : array (n,)
-            Standard deviation of the height of a point, m.
+        ``columns`` (n, 20): of `thin_columns`; ``noise`` (n,): standard deviation of the height of a point, m.
         """
         inputs = (columns, noise, self.felt, self.relief)
         relief = _log_relief(columns, noise)

@@ -1,4 +1,4 @@
-"""Rate the thin tiles of a block, when the columns of its tiles and of their neighbours are known; fit that model."""
+"""Rate the thin tiles of a block, when the columns of its tiles and of their neighbours are known."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
@@ -10,22 +10,25 @@ from numpy.typing import NDArray
 
 from bumpymap.core import DENSE_COVERAGE, NO_CLASS, SPANNED_POINTS, THIN_POINTS, THIN_SEEN, Reason
 from bumpymap.rating.calibration import Calibration, remembered
-from bumpymap.rating.ride.correction import NORMAL_TAIL, TAIL, Prediction, fit_logistic
+from bumpymap.rating.ride.correction import NORMAL_TAIL, Prediction
 from bumpymap.rating.ride.rate import interval, judge
 from bumpymap.rating.ride.speed import plain_speed_factor, speed_log_sd
-from bumpymap.rating.ride.thin import THIN_COLUMNS, ThinModel, fail_terms, log_points, ride_terms, spread_terms
+from bumpymap.rating.ride.thin import THIN_COLUMNS, ThinModel
 from bumpymap.rating.vehicle_body import less_floor
 
 Floats = NDArray[np.float64]
 
 
 _FREEDOM = 4.0
+"""Degrees of freedom of Student's distribution for how unlike its neighbours a tile is. Chosen."""
 _MOST_SHRUNK = 0.8
 """Most of the variance of the ground of the fit that the error of a tile counts for."""
+_LEAST_ERROR = 0.02
+"""Least standard deviation of ln C_r that a prediction is believed to have."""
 _LEAST_VARIANCE = 0.02
 """Of ln C_r between neighbours: even ground differs by 14 % from tile to tile."""
-_UNKNOWN_VARIANCE = 1.0
-_LEAST_NEIGHBOURS = 12
+_UNKNOWN_VARIANCE, _LEAST_NEIGHBOURS = 1.0, 12
+"""The same where fewer pairs of neighbours than that are known."""
 _ROUNDS = 2
 """Fits of the noise: the first weighs tiles as if it were ``_UNKNOWN_M`` everywhere, the second by what that found."""
 _POOLED, _COMPARED = 5, 4
@@ -35,34 +38,25 @@ _PREDICTED = 2 + _COMPARED
 THIN_RING = _PREDICTED + _ROUNDS * _POOLED
 """Tiles to each side that have a part in the rating of a thin one, by their noise."""
 _MOST_RISE = 3.0
+"""Most rise of ln C_r by its neighbours that p_fail follows. Chosen: C_r twenty times as high."""
 _LEAST_WEIGHT = 1e-12
+"""Stands for 0 in a division."""
 _SIDES = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
+"""Steps to the eight neighbours of a tile, up and right."""
 
 
 def pull_to_neighbours(found: Prediction, shared: Floats, own_weight: Floats, model: ThinModel) -> Prediction:
-    """Combine the prediction of each tile with those of its eight neighbours.
+    """Combine the prediction of each tile with those of its eight neighbours; return those without the ring.
 
     A regression shrinks the prediction of a tile with few points towards the mean of the terrain that it was fitted to,
     and an average of nine such tiles stays as biased as each of them. So the shrinkage is undone first, as for a normal
     error with a normal prior; the neighbours are the prior instead. A tile without known neighbours keeps its
     prediction.
 
-    Parameters
-    ----------
-    found : Prediction
-        Arrays (rows, cols) with a ring of one tile; NaN where a tile is unknown.
-    shared : array (2, rows, cols)
-        Standard deviation of ln C_r below and above the median that all tiles have in common, and that no neighbour
-        makes smaller: that of the noise of the survey. Not in ``found``.
-    own_weight : array (rows, cols)
-        0: as the errors tell; 1: a tile that does not move.
-    model : ThinModel
-        That made the predictions.
-
-    Returns
-    -------
-    Prediction
-        Arrays without the ring.
+    ``found``: (rows, cols) with a ring of one tile, NaN where a tile is unknown, made by ``model``. ``shared`` (2,
+    rows, cols): standard deviation of ln C_r below and above the median that all tiles have in common, and that no
+    neighbour makes smaller: that of the noise of the survey; not in ``found``. ``own_weight`` (rows, cols): 0: as the
+    errors tell; 1: a tile that does not move.
     """
     mean, prior_sd = model.prior
     model_error = model.own_spread**2
@@ -141,6 +135,7 @@ def _mean_of_neighbours(log_c_r: Floats, weight: Floats) -> tuple[Floats, Floats
 
 
 _LEAST_PAIRS = 10.0
+"""With fewer close pairs the noise is unknown. Chosen."""
 _UNKNOWN_M = 0.02
 """Noise that is assumed, with an error as large, where too few pairs are close."""
 _LEAST_NOISE_M = 0.002
@@ -150,6 +145,7 @@ _MOST_NOISE_M = 0.1
 _SHARE, _MOST_SHARE = 0.3, 0.9
 """Share of the ground's variance that close pairs have: as the first fit assumes, and the most."""
 _TINY = 1e-10
+"""Variance [m^2] and sums that stand for 0."""
 
 
 def pool_noise(
@@ -161,21 +157,10 @@ def pool_noise(
     the ground: a weighted straight line through the tiles, whose standard error is that of means of squared normal
     numbers.
 
-    Parameters
-    ----------
-    close_sum : array (...)
-        Sum of the squared height differences of the close pairs of each tile, m^2; NaN for tiles without.
-    close_pairs : array (...)
-        Number of these pairs.
-    variance : array (...)
-        Variance of the points about the tile's plane, m^2.
-    total : callable
-        Sums arrays (k, ...) over the tiles that share their noise with each.
-
-    Returns
-    -------
-    array (3, ...)
-        One standard error lower, the estimate, and one higher, m.
+    ``close_sum`` (...): sum of the squared height differences of the close pairs of each tile, m^2, NaN for tiles
+    without; ``close_pairs`` (...): their number; ``variance`` (...): of the points about the tile's plane, m^2;
+    ``total``: sums arrays (k, ...) over the tiles that share their noise with each. Returns (3, ...): one standard
+    error lower, the estimate, and one higher, m.
     """
     known = (close_pairs > 0) & np.isfinite(close_sum) & (variance > _TINY)
     pairs, twice = (np.where(known, values, 0.0) for values in (close_pairs, 2.0 * variance))
@@ -231,7 +216,7 @@ class BlockRating:
     reason: NDArray[np.uint8]
 
     def inner(self, ring: int = 1) -> "BlockRating":
-        """Return the tiles without a ring of so many around them."""
+        """Return the tiles without ``ring`` tiles on each side."""
         return BlockRating(*(_without(getattr(self, f.name), ring) for f in fields(self)))
 
 
@@ -245,29 +230,13 @@ def rate_thin(
 ) -> BlockRating:
     """Rate the thin tiles of a block; all others keep what the first pass found, to the bit.
 
-    Parameters
-    ----------
-    columns : array (rows, cols, 20) float32
-        Of `thin_columns`, the tiles of the block and those around it; NaN where a tile has no points.
-    first : BlockRating
-        Results of the first pass for the same tiles.
-    coverage, slope : array (rows, cols)
-        Of `PatchStack`, 0..1 and degrees; NaN where a tile has no points.
-    calibration : Calibration
-        Of the vehicle that will drive.
-    ring : int
-        Tiles around the block on each side, at least one. They are neighbours, and help to tell the noise; beyond
-        ``THIN_RING`` none has a part in what a tile of the block is.
+    ``columns`` (rows, cols, 20): of `thin_columns`, the tiles of the block and those around it, NaN where a tile has no
+    points; ``first``: results of the first pass for the same tiles; ``coverage``, ``slope`` (rows, cols): of
+    `PatchStack`, 0..1 and degrees, NaN where a tile has no points. ``ring``: tiles around the block on each side, at
+    least one, which the result lacks. They are neighbours, and help to tell the noise; beyond ``THIN_RING`` none has a
+    part in what a tile of the block is.
 
-    Returns
-    -------
-    BlockRating
-        Without the ring.
-
-    Raises
-    ------
-    BadInputError
-        The model of thin surveys of the calibration is damaged.
+    Raises BadInputError if the model of thin surveys of the calibration is damaged.
     """
     model = _model(calibration)
     weight = ride_weight(first, coverage)
@@ -309,7 +278,7 @@ def rate_thin(
 
 
 def _without(values: NDArray[Any], ring: int) -> NDArray[Any]:
-    """Return an array (rows, cols, ...) without a ring of so many tiles."""
+    """Return an array (rows, cols, ...) without ``ring`` tiles on each side."""
     return values[ring : len(values) - ring, ring : values.shape[1] - ring]
 
 
@@ -340,12 +309,7 @@ def dense_share(coverage: NDArray[np.floating]) -> Floats:
 def is_rateable(columns: NDArray[np.float32], reason: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Return which tiles can be rated from their points: four at least; ``SPANNED_POINTS`` and more span the tile.
 
-    Parameters
-    ----------
-    columns : array (..., 20) float32
-        Of `thin_columns`.
-    reason : array (...)
-        Of the first pass.
+    ``columns`` (..., 20): of `thin_columns`; ``reason`` (...): of the first pass.
     """
     points, seen = (columns[..., THIN_COLUMNS.index(name)] for name in ("points", "seen"))
     spanned = (points < SPANNED_POINTS) | (seen >= THIN_SEEN)
@@ -406,109 +370,3 @@ def _as_rating(
         confidence=chance.astype(np.float32),
         reason=reason,
     )
-
-
-_RIDGE = 1e-4
-_FAIL_RIDGE = 1.0
-_HUBER = 2.0
-_PARTS = 5
-_LEAST_ERROR = 0.02
-_BEYOND = 0.005
-"""Share of the tiles beyond either end of the trained relief."""
-
-
-@dataclass(frozen=True, slots=True)
-class ThinSurveys:
-    """Tiles of thin simulated surveys, and the truth of their ground."""
-
-    columns: Floats
-    """(n, 20) of `thin_columns`."""
-    noise: Floats
-    """(n,) standard deviation of the height of a point, as pooled from the tiles of its survey, m."""
-    terrain: NDArray[np.int64]
-    """(n,) number of the terrain: all surveys of one are on the same side of a cross-validation."""
-    log_c_r: Floats
-    """(n,) ln of the C_r [rad/m] of the ground without survey errors."""
-    p_fail: Floats
-    """(n,) p_fail of the same."""
-    bare: tuple[Floats, Floats, Floats]
-    """(m,) points, noise [m] and pitch change [rad/m] of surveys of level ground."""
-    own_spread: float
-    """Standard deviation of ln C_r in the drives about what the ride model predicts."""
-
-
-def fit_thin(surveys: ThinSurveys) -> ThinModel:
-    """Fit all coefficients."""
-    points, noise, ride = surveys.bare
-    slope, constant = np.polyfit(log_points(points), np.log(ride / noise), 1)
-    felt = (float(constant), float(slope))
-    first = (surveys.columns, surveys.noise, felt)
-    height = ride_terms(*first, (-50.0, 50.0))[:, 1]
-    relief = (float(np.quantile(height, _BEYOND)), float(np.quantile(height, 1 - _BEYOND)))
-    inputs = (*first, relief)
-    terms = ride_terms(*inputs)
-    target = surveys.log_c_r - (height - np.clip(height, *relief))
-    part = surveys.terrain % _PARTS
-    predicted = np.empty(len(target))
-    for k in range(_PARTS):
-        rest = part != k
-        predicted[~rest] = terms[~rest] @ _robust_fit(terms[rest], target[rest])
-    residual = target - predicted
-    prior = (float(np.mean(surveys.log_c_r)), float(np.std(surveys.log_c_r)))
-    spread, sides = _fit_spread(spread_terms(*inputs), residual)
-    fail = _fit_fail(fail_terms(*first), surveys.p_fail)
-    order = np.argsort(np.argsort(predicted)), np.argsort(np.argsort(target))
-    return ThinModel(
-        relief=relief,
-        felt=felt,
-        c_r=tuple(_robust_fit(terms, target).tolist()),
-        spread=tuple(spread.tolist()),
-        sides=sides,
-        own_spread=surveys.own_spread,
-        fail=tuple(fail.tolist()),
-        prior=prior,
-        origin={
-            "tiles": len(target),
-            "terrains": len(np.unique(surveys.terrain)),
-            "columns": list(THIN_COLUMNS),
-            "spearman": round(float(np.corrcoef(*order)[0, 1]), 4),
-            "median_relative_error": round(float(np.median(np.abs(np.expm1(residual)))), 4),
-        },
-    )
-
-
-def _robust_fit(terms: Floats, target: Floats) -> Floats:
-    """Weighted least squares with a small ridge; outliers get less weight (Huber)."""
-    scale = np.maximum(terms.std(axis=0), 1e-9)
-    scale[0] = 1.0
-    x = terms / scale
-    weight = np.ones(len(target))
-    found = np.zeros(x.shape[1])
-    for _ in range(6):
-        system = (x * weight[:, None]).T @ x / weight.sum() + _RIDGE * np.eye(x.shape[1])
-        found = np.linalg.solve(system, (x * weight[:, None]).T @ target / weight.sum())
-        size = np.abs(target - x @ found)
-        weight = np.minimum(1.0, _HUBER * 1.4826 * np.median(size) / np.maximum(size, 1e-9))
-    plain: Floats = found / scale
-    return plain
-
-
-def _fit_spread(terms: Floats, residual: Floats) -> tuple[Floats, tuple[float, float]]:
-    """Fit ln of the size of the residuals; then scale both sides so that a tenth of the residuals lie beyond each."""
-    size = np.log(np.maximum(np.abs(residual), _LEAST_ERROR))
-    found = _robust_fit(terms, size)
-    reduced = residual / np.exp(terms @ found)
-    low, high = np.quantile(reduced, (TAIL, 1 - TAIL)) / NORMAL_TAIL
-    return found, (float(-low), float(high))
-
-
-def _fit_fail(terms: Floats, share: Floats) -> Floats:
-    """Fit a logistic regression to shares of drives that failed.
-
-    The library holds little ground that fails, a survey may hold nothing else: failed and completed drives weigh alike,
-    so that a tile about which the points say nothing is as likely to fail as not.
-    """
-    failing = float(np.clip(share.mean(), 1e-6, 1 - 1e-6))
-    balance = 0.5 * (share / failing + (1 - share) / (1 - failing))
-    middle = np.average(terms, axis=0, weights=balance)
-    return fit_logistic(terms, middle, balance, lambda chance: balance * (share - chance), _FAIL_RIDGE)
