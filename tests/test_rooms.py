@@ -239,6 +239,31 @@ def test_docstrings_say_what_a_thing_is():
     assert not [text for text in texts if re.match(r"(What|Which|Whether)\b", text)]
 
 
+def _is_number(value):
+    if isinstance(value, ast.Constant):
+        return type(value.value) in (int, float)
+    if isinstance(value, ast.Tuple):
+        return bool(value.elts) and all(map(_is_number, value.elts))
+    parts = {ast.UnaryOp: ("operand",), ast.BinOp: ("left", "right")}.get(type(value), ())
+    return bool(parts) and all(_is_number(getattr(value, part)) for part in parts)
+
+
+def test_numbers_have_words():
+    """Under a number at module level, or a tuple of them, stands what it is; else behind it on its line."""
+    bare = []
+    for path in sorted(path for root in ("bumpymap", "tiles") for path in (ROOT / root).rglob("*.py")):
+        text = path.read_text(encoding="utf-8")
+        body, lines = ast.parse(text).body, text.splitlines()
+        for node, after in zip(body, [*body[1:], None], strict=True):
+            if not (isinstance(node, ast.Assign | ast.AnnAssign) and node.value and _is_number(node.value)):
+                continue
+            target = node.target if isinstance(node, ast.AnnAssign) else node.targets[0]
+            has_words = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+            if not has_words and "#" not in lines[node.end_lineno - 1] and not isinstance(target, ast.Attribute):
+                bare.append(f"{path.relative_to(ROOT)}: {ast.unparse(target)}")
+    assert bare == []
+
+
 def test_no_function_takes_more_than_eight_parameters():
     longer = {}
     for file, tree in TREES.items():

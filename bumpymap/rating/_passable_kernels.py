@@ -14,7 +14,9 @@ Integers = NDArray[np.int32]
 Booleans = NDArray[np.bool_]
 
 _NORTH, _EAST, _SOUTH, _WEST = 1, 2, 4, 8
+"""Bits of the sides of a tile."""
 _FAR = 0xFFFF - 1
+"""Distance, px, that stands for any farther: the highest of 16 bits but one."""
 _FREE = 255
 """In the place of the number of an area: free, and not numbered yet."""
 

@@ -26,6 +26,7 @@ SIDE = 2
 UNKNOWN_NOISE = 0.15
 """Steps below this do not count where the noise of both sides is unknown, m."""
 _RAMP = 0.4
+"""A step counts in full from so much above the limit on, as a share of it."""
 _BELIEVED, _CERTAIN = 0.7, 0.85
 """Shares of a step that must lie between its sides: below the first it does not count, from the second in full."""
 _SURE = 3.0

@@ -24,11 +24,13 @@ Bytes = NDArray[np.uint8]
 FROM_START = 254
 """In place of a move: straight from the start."""
 NOT_REACHED = 255
+"""In place of a move: no way leads there."""
 NEW, SETTLED = -1, -2
 """Values of ``Reached.place``: not met so far; its cost is final."""
 REACH = 4
 """Tiles that a move goes at most, along each axis."""
 _CHILDREN = 4
+"""Children of a node of the heap."""
 
 
 class MoveTables(NamedTuple):

@@ -67,6 +67,7 @@ _BESIDE_M, _BESIDE, _TOGETHER = 0.03, 0.04, 3.0
 """Returns in pixels next to each other lie together if their heights are so near to each other, m, at the sensor, and
 more for each metre from it; so many are a thing."""
 _ROUNDS = 6
+"""Rounds in which the ground spreads to parts beside it."""
 _LAYER = 1.5
 """Points further from a plane than this do not belong to the layer of the ground, m."""
 _PLANTS_ABOVE, _PLANTS_SHARE, _PLANTS_SPREAD, _PLANTS_LEAST = 0.8, 0.2, 1.8, 0.045

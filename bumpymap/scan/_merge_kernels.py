@@ -19,6 +19,7 @@ Image = Annotated[NDArray[np.uint16], 2]
 Integers = Annotated[NDArray[np.int32], 1]
 
 _MOST = 65_535
+"""Farthest distance of a range image, cm: that of 16 bits."""
 
 
 class VoxelTable(NamedTuple):

@@ -21,6 +21,7 @@ Integers = NDArray[np.int32]
 _SAMPLE = 128
 """Points that RANSAC scores candidates on, in equal steps through the sector's points."""
 _MOST_CANDIDATES = 200
+"""Planes that RANSAC draws at most."""
 _MISS_PROBABILITY = 1e-4
 """Accepted probability that no candidate was drawn from inliers alone."""
 _LEAST_AREA = 2e-3

@@ -127,7 +127,9 @@ Patches = NDArray[np.float64]
 _SIGNIFICANT = 9.0
 """A coefficient whose square is that many times its noise is ground, whatever its neighbours say (p = 0.003)."""
 _ROUNDS = 12
+"""Steps to the strength of the ground's spectrum."""
 _TINY = 1e-12
+"""Strengths of a spectrum, and powers of a pixel, below this are none."""
 
 
 class PatchesToDenoise(NamedTuple):

@@ -412,6 +412,7 @@ def _nearest(known: NDArray[np.float64], wanted: NDArray[np.float64]) -> NDArray
 
 
 WHITE = (255, 255, 255)
+"""Red, green and blue."""
 
 
 def draw_swatch(pen: Pen, left: int, row: int, colour: Colour | Pixels) -> None:
