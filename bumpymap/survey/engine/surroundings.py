@@ -107,6 +107,11 @@ class OpenBlocks:
             self._heights.pop(key, None)
 
     def _heights_of(self, key: BlockKey) -> Heights | None:
+        """Return the heights of a block; those of a finished one are not held here once more."""
+        with self._lock:
+            is_open = key in self._heights
+        if not is_open and (finished := self._around.of_finished(key)) is not None:
+            return finished
         with self._lock:
             is_first = key not in self._heights
             future = self._heights.setdefault(key, Future())
@@ -118,7 +123,7 @@ class OpenBlocks:
         return future.result()
 
     def _find(self, key: BlockKey) -> Heights | None:
-        if (finished := self._around.of_finished(key)) is not None:
+        if (finished := self._around.of_finished(key)) is not None:  # meanwhile
             return finished
         if not self._buckets.points(key):
             return None
