@@ -2,7 +2,7 @@
 
 A step at the border of two tiles belongs to both, a vehicle is wider than a pixel, and few points say more beside those
 of the neighbours: none of that is known while the points of one block are measured. So each block is read once more
-with a ring of tiles around it, and again to sweep the vehicle between what is then known to stand in this block and in
+with the tiles around it, and again to sweep the vehicle between what is then known to stand in this block and in
 those around it. What is added to a tile depends on the finished tiles alone, not on how they were divided among files,
 tasks or machines.
 """
@@ -149,7 +149,10 @@ def _rate_group(
     own = read(keys[0]) if len(keys) == 1 else table.read_blocks(keys, names)
     place = {name: own[name] for name in ("col", "row")}
     left = rating.leaves(own)
-    if left is None or any(rating.matters(_read_window(table, little, key, rating.decides, 1)) for key in keys):
+    if left is not None and rating.decides:
+        beside = (_read_window(table, little, key, rating.decides, 1) for key in keys)
+        left = None if any(map(rating.matters, beside)) else left
+    if left is None:
         if len(keys) > 1:
             return [one for key in keys for one in _rate_group(table, read, little, rating, [key])]
         rated = rating(_read_window(table, read, keys[0], rating.needs, rating.rings))
