@@ -52,11 +52,11 @@ class Deadly:
     """Kills its own process, once or always."""
     def __init__(self, work, mark, always):
         self.work, self.mark, self.always = work, mark, always
-    def __call__(self, points, ground_only):
+    def __call__(self, points, ground_only, *more):
         if self.always or not Path(self.mark).exists():
             Path(self.mark).touch()
             os.kill(os.getpid(), signal.SIGKILL)
-        return self.work(points, ground_only)
+        return self.work(points, ground_only, *more)
 '''
 
 
@@ -288,8 +288,8 @@ def make_deadly(monkeypatch, mark, *, always=False):
     """Have the work of runs kill the process that does it."""
     from deadly_helpers import Deadly
 
-    def block_work(grid, columns, work, ground, in_relief):
-        return BlockWork(grid, columns, Deadly(work, str(mark), always), ground, in_relief)
+    def block_work(grid, columns, work, *more):
+        return BlockWork(grid, columns, Deadly(work, str(mark), always), *more)
 
     monkeypatch.setattr("bumpymap.survey.pipeline.BlockWork", block_work)
 
