@@ -90,16 +90,19 @@ def _copy_sample(survey: Path) -> Path:
     return survey
 
 
-@job("report", owners=(ReportSettings,))
-@click.argument("layers", type=PATH, metavar="LAYERS")
-@grouped_option("--out", group="Output", type=PATH, metavar="FILE", help="File to write [LAYERS/report.html].")
-@grouped_option(
+_ROUTE = grouped_option(
     "--route",
     group="Input",
     type=PATH,
     metavar="PATH",
     help="Draw ways: the folder of `bumpymap route`, or route.geojson.",
 )
+
+
+@job("report", owners=(ReportSettings,))
+@click.argument("layers", type=PATH, metavar="LAYERS")
+@grouped_option("--out", group="Output", type=PATH, metavar="FILE", help="File to write [LAYERS/report.html].")
+@_ROUTE
 @grouped_option("--overwrite", group="Output", is_flag=True, help="Replace FILE if it exists.")
 def report_command(run: Run, layers: Path, **settings: Any) -> None:
     """Make the page of a map again. LAYERS is a folder of `bumpymap map`.
@@ -119,13 +122,7 @@ def report_command(run: Run, layers: Path, **settings: Any) -> None:
 @job("view", owners=())
 @click.argument("layers", type=PATH, metavar="LAYERS")
 @grouped_option("--out", group="Output", type=PATH, metavar="FILE", help="Write a picture (PNG), without a screen.")
-@grouped_option(
-    "--route",
-    group="Input",
-    type=PATH,
-    metavar="PATH",
-    help="Draw ways: the folder of `bumpymap route`, or route.geojson.",
-)
+@_ROUTE
 def view_command(run: Run, layers: Path, out: Path | None, route: Path | None) -> None:
     """Look at a map in three dimensions. LAYERS is a folder of `bumpymap map`.
 

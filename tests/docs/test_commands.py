@@ -46,6 +46,7 @@ RULES = {
     r"^python docs/licences/": "writes a page anew; a test of its own holds it",
     r"^python tests/tools/faults\.py": "runs tests for every fault, for an hour",
     r"^python tests/tools/tables\.py": "tests/lab/test_tables.py runs it",
+    r"^python tests/tools/driven\.py": "an hour of drives",
     r"^bumpymap settings |--config map\.toml": "writes a file that is to be edited",
     r"^python tests/fuzz/": "an hour",
     r"^python docs/pictures/": "draws over a picture of the pages; takes minutes",

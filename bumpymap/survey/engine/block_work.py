@@ -151,7 +151,9 @@ class BlockWork:
         known = () if beside is None else (beside.heights(keys),)
         rated = []
         for points, *patches in self._shares(buckets, keys, beside):
-            columns = {kind: self.rate(points, True) for kind in kinds if kind == GROUND_POINTS}
+            columns = {}
+            if GROUND_POINTS in kinds:
+                columns[GROUND_POINTS] = self.rate(points, True)
             if ALL_POINTS in kinds:
                 columns[ALL_POINTS] = self.rate(points, False, *patches, *known)
             rated.append({kind: own | self._photo(points) for kind, own in columns.items()})

@@ -213,8 +213,8 @@ def _finish(
 ) -> None:
     """Rate the blocks that wait for each choice of kinds, but for those that an earlier run has rated."""
     every, tiles = set[BlockKey]().union(*waiting.values()), BlockCatalogue()
-    for kind in (f"{ALL_POINTS}-early", ALL_POINTS):
-        for path in space.tiles(kind):
+    if any(ALL_POINTS in kinds for kinds in waiting):
+        for path in (*space.tiles(f"{ALL_POINTS}-early"), *space.tiles(ALL_POINTS)):
             tiles.add(path, blocks_of(Pack(path)))
     progress.start("measuring blocks of tiles", len(every))
     for kinds, keys in waiting.items():
