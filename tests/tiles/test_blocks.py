@@ -19,7 +19,6 @@ from bumpytiles import (
     group_scaled_points,
     run_blocks,
 )
-from bumpytiles._kernels import coordinate, sort_tiles
 
 GRID = Grid(tile_size=3.0)
 
@@ -77,13 +76,19 @@ def test_every_place_is_in_its_own_tile_once_and_of_two_points_the_flagged_one_s
         assert one_block([0.0, -0.0], [1.0] * 2, [1.0] * 2, np.array(flags, np.uint8)).flag.tolist() == [kept]
 
 
-def test_points_with_one_hash_are_still_put_in_one_order(monkeypatch):
-    monkeypatch.setattr("bumpytiles._kernels.hash_point", lambda *_: np.uint64(0))
-    monkeypatch.setattr("bumpytiles.grouping.sort_tiles", sort_tiles.plain)
-    columns = tuple(column[:300] for column in survey(6, n=250, span=8.0, duplicates=50))
-    expected = flatten(gather(columns, np.arange(300), []))
-    assert flatten(gather(columns, np.arange(300)[::-1], [50])) == expected
-    assert sum(len(b.easting) for b in gather(columns, np.arange(300), [])) == len(set(zip(*columns[:3], strict=True)))
+def test_points_with_one_hash_are_still_put_in_one_order():
+    """Mirror images in the middle of a tile have one hash: their order is that of the coordinates."""
+    one = np.random.default_rng(6).integers(1, 1500, (2, 30)) / 1000
+    images = (one, one[::-1])
+    x, y = np.concatenate([np.stack([1.5 + i * a, 1.5 + j * b]) for a, b in images for i in (1, -1) for j in (1, -1)], 1)
+    columns = x, y, np.zeros(len(x)), np.zeros(len(x), bool)
+    (block,) = gather(columns, np.arange(len(x)), [])
+    assert flatten(gather(columns, np.random.default_rng(7).permutation(len(x)), [50])) == flatten([block])
+    places = np.stack([block.easting, block.northing], 1)
+    alike = np.sort(np.abs(np.rint((places - 1.5) * 1e3)), axis=1)
+    runs = np.split(places, np.flatnonzero((np.diff(alike, axis=0) != 0).any(1)) + 1)
+    assert len(runs) == len({tuple(pair) for pair in alike.tolist()}) < len(places)
+    assert all(sorted(run) == run for run in ([tuple(place) for place in part] for part in runs))
 
 
 @pytest.mark.parametrize("turn", ["moved", "raised", "mirrored", "turned"])
@@ -130,7 +135,9 @@ def test_points_on_the_grid_of_their_file_give_the_bits_of_points_in_metres(seed
 def test_a_coordinate_has_the_bits_of_numpy(integer, scale, offset):
     scaling = Scaling((1.0, scale, 1.0), (0.0, offset, 0.0), (1.0, 0.3048006096, 1.0))
     expected = np.round(np.array([integer]) * scale + offset, 8) * 0.3048006096
-    assert coordinate(integer, scaling.numbers(), 1) == expected[0]
+    buckets, axis = TileBuckets(GRID), np.array([integer], np.int32)
+    buckets.add_chunk(group_scaled_points(GRID, ScaledPoints(axis * 0, axis, axis * 0, axis.astype(np.uint8), scaling)))
+    assert [block.northing.tolist() for block in buckets.blocks()] == [expected.tolist()]
     assert scaling.coordinates(1, [integer])[0] == expected[0]
     assert Scaling.of(scaling.numbers().tolist()) == scaling
 

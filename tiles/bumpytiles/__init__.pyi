@@ -5,12 +5,13 @@ from ._dask import (
     workers_at as workers_at,
 )
 from ._kernels import (
-    BLOCK_TILES as BLOCK_TILES,
-    DECIMALS as DECIMALS,
     PER_METRE as PER_METRE,
     coordinates as coordinates,
     pixels_from as pixels_from,
     tile_index as tile_index,
+)
+from ._loops import (
+    loops_of as loops_of,
 )
 from .buckets import (
     MemoryLimits as MemoryLimits,
@@ -18,11 +19,13 @@ from .buckets import (
     TooManyPointsError as TooManyPointsError,
 )
 from .grid import (
+    BLOCK_TILES as BLOCK_TILES,
     Bounds as Bounds,
     Grid as Grid,
     TileWindow as TileWindow,
 )
 from .grouping import (
+    DECIMALS as DECIMALS,
     GroupedPoints as GroupedPoints,
     ScaledPoints as ScaledPoints,
     Scaling as Scaling,

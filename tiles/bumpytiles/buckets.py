@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpytiles._kernels import BLOCK_TILES
-from bumpytiles.grid import Grid
+from bumpytiles.grid import BLOCK_TILES, Grid
 from bumpytiles.grouping import GroupedPoints, PointPart, Scaling, TilePoints, columns_of, group_points, sort_block
 from bumpytiles.pack import BlockKey, Column, Pack, write_pack
 

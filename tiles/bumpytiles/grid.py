@@ -12,7 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpytiles._kernels import BELOW, pixels_from
+BLOCK_TILES = 16
+"""Tiles along a side of a block: one unit of work."""
+_PER_METRE = 1e8
+"""Steps a metre in which tile and pixel are found, see above."""
+BELOW = -0.5 / _PER_METRE
+"""A coordinate that lies so far below a border, m, or less, is on it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +88,8 @@ class Grid:
 
     def pixel(self, coordinate: NDArray[np.float64], tile: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the index of the pixel in its tile along one axis, from the west or the south; (n,) each."""
-        place = pixels_from(tile * self.tile_size, coordinate, self.tile_size, self.pixels)
+        steps = np.rint((coordinate - tile * self.tile_size) * _PER_METRE)
+        place = self.pixels * steps / np.rint(self.tile_size * _PER_METRE)
         return np.minimum(np.asarray(place, np.int64), self.pixels - 1)
 
     def bounds(self, col: int, row: int) -> Bounds:

@@ -19,36 +19,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpytiles._kernels import (
-    BELOW,
-    BLOCK_TILES,
-    MAX_CELLS,
-    ROUND,
-    STRIP,
-    BlockPhoto,
-    BlockWindow,
-    Coordinates,
-    GroupScratch,
-    MarkedPoints,
-    ScaledCoordinates,
-    ScaledTiledPoints,
-    SortScratch,
-    TileBorders,
-    TiledPoints,
-    count_points,
-    count_scaled_points,
-    count_tiles,
-    place_points,
-    place_scaled_points,
-    scatter_colours,
-    scatter_points,
-    scatter_scaled_points,
-    sort_tiles,
-)
-from bumpytiles.grid import Grid
+from bumpytiles._loops import loops
+from bumpytiles.grid import BELOW, BLOCK_TILES, Grid
 from bumpytiles.pack import BlockKey, Column
 
 Triple = tuple[float, float, float]
+
+DECIMALS = 8
+"""Decimals that coordinates are rounded to, in the file's unit."""
+_ROUND = 10.0**DECIMALS
+_MOST_CELLS = 1 << 22
+"""Blocks in the window around a chunk that are counted in a table."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +55,7 @@ class Scaling:
         """Return coordinates, m, of integers (n,) of an axis; too large ones become infinite or not a number."""
         with np.errstate(over="ignore", invalid="ignore"):
             there = np.asarray(integers, np.float64) * self.scales[axis] + self.offsets[axis]
-            found: NDArray[np.float64] = np.rint(there * ROUND) / ROUND * self.units[axis]
+            found: NDArray[np.float64] = np.rint(there * _ROUND) / _ROUND * self.units[axis]
         return found
 
 
@@ -145,6 +126,100 @@ def photo_of(points: TilePoints) -> NDArray[np.uint8]:
     return np.zeros((len(points.col), side, side, 3), np.uint8) if points.photo is None else points.photo
 
 
+class Coordinates(NamedTuple):
+    """Coordinates, (n,) each: float64 in metres, or int32 of the file's own grid, see `Scaling`."""
+
+    easting: NDArray[Any]
+    northing: NDArray[Any]
+    upward: NDArray[Any]
+
+
+class TiledPoints(NamedTuple):
+    """Points that know their tile, (n,) each; coordinates as in `Coordinates`."""
+
+    easting: NDArray[Any]
+    northing: NDArray[Any]
+    upward: NDArray[Any]
+    tile: NDArray[np.uint8]
+    """Tile inside the block, row * 16 + column."""
+    flag: NDArray[np.uint8]
+
+
+class MarkedPoints(NamedTuple):
+    """Points, (n,) each."""
+
+    easting: NDArray[np.float64]
+    """m, as the two that follow."""
+    northing: NDArray[np.float64]
+    upward: NDArray[np.float64]
+    flag: NDArray[np.uint8]
+    """A number that travels with each point; 1: flagged."""
+
+
+class BlockWindow(NamedTuple):
+    """The window of blocks around some points."""
+
+    tile_size: float
+    """m."""
+    first_col: int
+    """South-west block, as the next."""
+    first_row: int
+    cols: int
+    """Width in blocks."""
+
+
+class TileBorders(NamedTuple):
+    """Where tiles begin on the grid of a file."""
+
+    easting: NDArray[np.int64]
+    """(columns + 1,) the lowest integer in each column of tiles, and in the one behind the last."""
+    northing: NDArray[np.int64]
+    """(rows + 1,) the same for rows."""
+    tiles_per_easting: float
+    """About how many columns an integer is wide."""
+    tiles_per_northing: float
+    first_col: int
+    """Of the borders."""
+    first_row: int
+
+
+class Grouping(NamedTuple):
+    """Where points go."""
+
+    cell: NDArray[np.int32]
+    """(n,) block of each point in the window."""
+    tile: NDArray[np.uint8]
+    """(n,)."""
+
+
+class BlockPhoto(NamedTuple):
+    """The picture of a block that points are painted on."""
+
+    corner: NDArray[np.int64]
+    """(2,) column and row of its south-west tile."""
+    tile_size: float
+    """m."""
+    pixels: int
+    """Along the side of a tile."""
+    height: NDArray[np.float64]
+    """(256 * pixels^2,) height of the point that each pixel shows, m; -inf: none."""
+    colour: NDArray[np.uint32]
+    """The same, its colour; 0: none."""
+
+
+class SortScratch(NamedTuple):
+    """Scratch for the sorting of a tile; ``most`` is the largest number of points of a tile."""
+
+    key: NDArray[np.uint64]
+    """(most,) keys of the points of a tile."""
+    bucket: NDArray[np.int32]
+    """(``most`` rounded up to a power of two, at least 2, + 1,) where each bucket's points begin."""
+    order: NDArray[np.int32]
+    """(most,) points of a tile in their final order."""
+    rank: NDArray[np.uint64]
+    """The same, their keys."""
+
+
 PointColumns = dict[str, NDArray[Any]]
 """Columns of `POINT_COLUMNS` or `SCALED_COLUMNS`, (n,) each."""
 
@@ -170,29 +245,28 @@ def sort_block(grid: Grid, key: BlockKey, parts: Sequence[PointPart]) -> TilePoi
     """Sort the points of a block, given in one or more parts, by tile and hash; drop duplicates."""
     counts = np.zeros(BLOCK_TILES**2 + 1, np.int64)
     for part in parts:
-        count_tiles(part.columns["tile"], counts)
+        loops.count_tiles(part.columns["tile"], counts)
     first, most = np.cumsum(counts), int(counts.max())
     n, starts, following = int(first[-1]), np.empty_like(first), first[:-1].copy()
-    out, strip = _empty_points(n), Coordinates(*np.empty((3, STRIP)))
+    out = _empty_points(n)
     coloured = any(_COLOUR.name in part.columns for part in parts)
     size = BLOCK_TILES**2 * grid.pixels**2 if coloured else 0
     corner = np.array([key[1], key[0]]) * BLOCK_TILES
     photo = BlockPhoto(corner, grid.tile_size, grid.pixels, np.full(size, -np.inf), np.zeros(size, np.uint32))
     for columns, scaling in parts:
-        own = {column.name: columns[column.name] for column in POINT_COLUMNS}
+        own = TiledPoints(**{column.name: columns[column.name] for column in POINT_COLUMNS})
         colour = columns.get(_COLOUR.name, np.empty(0, np.uint32))
         if scaling is None:
-            place_points(TiledPoints(**own), colour, following, out, photo)
+            loops.place_points(own, colour, following, out, photo)
         else:
-            given = ScaledTiledPoints(**own), scaling.numbers(), colour
-            place_scaled_points(*given, following, strip, out, photo)
+            loops.place_scaled_points(own, scaling.numbers(), colour, following, out, photo)
     scratch = SortScratch(
         key=np.empty(most, np.uint64),
         bucket=np.empty((1 << max(1, (most - 1).bit_length())) + 1, np.int32),
         order=np.empty(most, np.int32),
         rank=np.empty(most, np.uint64),
     )
-    sort_tiles(first, starts, corner, grid.tile_size, out, _empty_points(most), scratch)
+    loops.sort_tiles(first, starts, corner, grid.tile_size, out, _empty_points(most), scratch)
     kept = int(starts[-1])
     present = np.flatnonzero(np.diff(starts))
     return TilePoints(
@@ -300,9 +374,9 @@ def group_points(
         return _group_scattered(grid, colour, x, y, z, marks)
     found, counts = _empty_scratch(len(x)), np.zeros(window.cells + 1, np.int64)
     points = Coordinates(x, y, z)
-    count_points(points, window.blocks, counts, found)
+    loops.count_points(points, window.blocks, counts, found)
     columns = _empty_columns(POINT_COLUMNS, len(x))
-    scatter_points(points, marks, found, np.cumsum(counts), TiledPoints(**columns))
+    loops.scatter_points(points, marks, found, np.cumsum(counts), TiledPoints(**columns))
     return window.grouped(counts, columns | _scattered(colour, found, counts), None)
 
 
@@ -316,21 +390,21 @@ def group_scaled_points(grid: Grid, points: ScaledPoints) -> GroupedPoints:
     if window is None or borders is None:
         return group_points(grid, *points.coordinates(), points.flag, points.colour)
     found, counts = _empty_scratch(n), np.zeros(window.cells + 1, np.int64)
-    given = ScaledCoordinates(points.easting, points.northing, points.upward)
-    count_scaled_points(given, borders, window.blocks, counts, found)
+    given = Coordinates(points.easting, points.northing, points.upward)
+    loops.count_scaled_points(given, borders, window.blocks, counts, found)
     columns = _empty_columns(SCALED_COLUMNS, n)
-    scatter_scaled_points(
-        given, np.ascontiguousarray(points.flag, np.uint8), found, np.cumsum(counts), ScaledTiledPoints(**columns)
+    loops.scatter_scaled_points(
+        given, np.ascontiguousarray(points.flag, np.uint8), found, np.cumsum(counts), TiledPoints(**columns)
     )
     return window.grouped(counts, columns | _scattered(points.colour, found, counts), scaling)
 
 
-def _scattered(colour: NDArray[np.uint32] | None, found: GroupScratch, counts: NDArray[np.int64]) -> PointColumns:
+def _scattered(colour: NDArray[np.uint32] | None, found: Grouping, counts: NDArray[np.int64]) -> PointColumns:
     """Return the column of the colours, block by block; none if there are none."""
     if colour is None:
         return {}
     out = np.empty_like(colour)
-    scatter_colours(np.ascontiguousarray(colour), found.cell, np.cumsum(counts), out)
+    loops.scatter_colours(np.ascontiguousarray(colour), found.cell, np.cumsum(counts), out)
     return {_COLOUR.name: out}
 
 
@@ -391,11 +465,11 @@ def _window(grid: Grid, easting: NDArray[np.float64], northing: NDArray[np.float
     corners = [grid.index(np.array([axis.min(), axis.max()])) // BLOCK_TILES for axis in (northing, easting)]
     (south, north), (west, east) = (tuple(int(side) for side in pair) for pair in corners)
     rows, cols = north - south + 1, east - west + 1
-    return None if rows * cols > MAX_CELLS else _Window(BlockWindow(grid.tile_size, west, south, cols), rows * cols)
+    return None if rows * cols > _MOST_CELLS else _Window(BlockWindow(grid.tile_size, west, south, cols), rows * cols)
 
 
-def _empty_scratch(points: int) -> GroupScratch:
-    return GroupScratch(np.empty(points, np.int32), np.empty(points, np.uint8))
+def _empty_scratch(points: int) -> Grouping:
+    return Grouping(np.empty(points, np.int32), np.empty(points, np.uint8))
 
 
 def _empty_columns(columns: Sequence[Column], points: int) -> PointColumns:

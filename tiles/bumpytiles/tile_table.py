@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpytiles._kernels import BLOCK_TILES
-from bumpytiles.grid import Grid, TileWindow
+from bumpytiles.grid import BLOCK_TILES, Grid, TileWindow
 from bumpytiles.pack import BlockKey, Column, MemoryPack, Pack, find_key, key_codes, keys_of
 
 

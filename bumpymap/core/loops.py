@@ -1,0 +1,13 @@
+"""Compiled loops of bumpymap, in the build that suits this processor: see `bumpytiles._loops`.
+
+A loop of ``patches/standing.cpp`` is explained in ``patches/standing.py``, which calls it.
+"""
+
+from typing import TYPE_CHECKING
+
+from bumpytiles import loops_of
+
+if TYPE_CHECKING:
+    from bumpymap import _loops_base as loops
+else:
+    loops = loops_of("bumpymap")
