@@ -13,10 +13,10 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 PINS := .ci/constraints.txt .ci/hashes.txt .ci/install
 HASHES ?= yes
 HELD := $(if $(filter no,$(HASHES)),--constraint .ci/constraints.txt,--require-hashes --constraint .ci/hashes.txt)
-EDITABLE := install --quiet --no-deps --no-build-isolation --editable .
+INSTALL := EDITABLE=yes .ci/install $(VENV) $(VENV) $(VENV)
 export HASHES
 
-.PHONY: demo test test-all test-fast lint types docs wheel check clean
+.PHONY: demo test test-all test-fast loops lint types docs wheel check clean
 .DEFAULT_GOAL := demo
 
 $(VENV)/.installed: pyproject.toml $(PINS)
@@ -25,15 +25,13 @@ $(VENV)/.installed: pyproject.toml $(PINS)
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || \
 		{ echo "'$(PYTHON)' cannot make environments: its venv module is missing. Debian and Ubuntu: sudo apt-get install python3-venv"; exit 2; }
 	$(PYTHON) -m venv $(VENV)
-	.ci/install $(VENV) $(VENV) $(VENV)
-	$(PIP) $(EDITABLE)
+	$(INSTALL)
 	-$(BIN)/bumpymap compile
 	@touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed
-	.ci/install $(VENV) $(VENV) $(VENV) sim,learn,dask,csf
+	$(INSTALL) sim,learn,dask,csf
 	$(PIP) install --quiet $(HELD) --group dev
-	$(PIP) $(EDITABLE)
 	@touch $@
 
 demo: $(VENV)/.installed
@@ -51,11 +49,18 @@ test-all: $(VENV)/.installed-dev
 test-fast: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest --numprocesses auto -m "not slow" $(TESTS)
 
+# After a change of a .cpp or .hpp.
+loops: $(VENV)/.installed
+	$(PIP) install --quiet --no-deps --no-build-isolation --config-settings build-dir=$(abspath $(VENV))/build --editable .
+
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	git ls-files '*.cpp' '*.hpp' | xargs $(BIN)/clang-format --dry-run --Werror
 
 types: $(VENV)/.installed-dev
+	for package in bumpymap tiles/bumpytiles; do $(BIN)/python -m nanobind.stubgen --quiet --module $$(basename $$package)._loops_base \
+		--output-file $$package/_loops_base.pyi; done
 	$(BIN)/mypy
 
 # Not --quiet, with which mkdocs drops its warnings before --strict can count them.
