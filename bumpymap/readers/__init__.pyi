@@ -1,8 +1,3 @@
-from ._kernels import (
-    CELL as CELL,
-    QUANTA as QUANTA,
-    deskew as deskew,
-)
 from .decoder import (
     close_decoder as close_decoder,
     start_decoder as start_decoder,
@@ -18,6 +13,9 @@ from .drives.read import (
     close_log_reader as close_log_reader,
     drive_files as drive_files,
     read_drive as read_drive,
+)
+from .frames.deskew import (
+    deskew as deskew,
 )
 from .frames.poses import (
     FramePoses as FramePoses,
@@ -41,6 +39,8 @@ from .frames.read import (
     scene_points as scene_points,
 )
 from .point_stats import (
+    CELL as CELL,
+    QUANTA as QUANTA,
     LineSums as LineSums,
     PointStats as PointStats,
     cell_indices as cell_indices,

@@ -4,6 +4,7 @@ import math
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +17,7 @@ from bumpymap.core import (
     allocate_shared,
     georeference,
 )
-from bumpymap.readers._kernels import (
-    RecordCounts,
-    RecordRules,
-    ScaledLinedPoints,
-    filter_records,
-    read_colours,
-)
+from bumpymap.core.loops import loops
 from bumpymap.readers.decoder import decoder
 from bumpymap.readers.las_header import LAYERED, RawHeader, read_raw_header, statement_of_las
 from bumpymap.readers.laz_chunks import (
@@ -31,7 +26,7 @@ from bumpymap.readers.laz_chunks import (
     laz_record,
     read_table,
 )
-from bumpymap.readers.point_stats import OUTSIDE, LineSums, PointStats
+from bumpymap.readers.point_stats import OUTSIDE, LinedPoints, LineSums, PointStats
 from bumpymap.readers.protocol import (
     CHUNK_POINTS,
     Chunk,
@@ -117,6 +112,27 @@ def _integers_between(scaling: Scaling, axis: int, low: float, high: float) -> t
     return first(lambda place: place <= high), first(lambda place: place < low) - 1
 
 
+class RecordRules(NamedTuple):
+    """Checks of LAS records."""
+
+    layout: NDArray[np.int64]
+    """(6,) byte and mask of the class, byte and mask of the withheld flag; first byte of the flight line, and the line
+    of points where that is 0."""
+    box: NDArray[np.int64]
+    """(4,) lowest and highest integer of x, then of y, that lie in the box of the file."""
+    kinds: NDArray[np.uint8]
+    """(256,) kind of the points of each class."""
+
+
+class RecordCounts(NamedTuple):
+    """Statistics so far; updated."""
+
+    extremes: NDArray[np.int64]
+    """(6,) lowest and highest x, y and z."""
+    counts: NDArray[np.int64]
+    """(4,) withheld, noise, outside, kept."""
+
+
 def convert_records(
     pieces: Iterable[Records],
     chunk: Chunk,
@@ -142,14 +158,14 @@ def convert_records(
         First byte of the colour, and by how many bits its numbers are shifted to have 8; None: colours are not read.
     """
     x, y, z = (np.empty(chunk.points, np.int32) for _ in range(3))
-    out = ScaledLinedPoints(x, y, z, np.empty(chunk.points, np.uint8), np.empty(chunk.points, np.uint16))
+    out = LinedPoints(x, y, z, np.empty(chunk.points, np.uint8), np.empty(chunk.points, np.uint16))
     seen = RecordCounts(np.array([_HIGHEST, _LOWEST] * 3), np.zeros(4, np.int64))
     colour = None if colours is None else np.empty(chunk.points, np.uint32)
     number = 0
     for records in pieces:
         if colour is not None and colours is not None:
-            read_colours(records, rules, *colours, colour[seen.counts[3] :])
-        filter_records(records, rules, out, seen)
+            loops.read_colours(records, rules, *colours, colour[seen.counts[3] :])
+        loops.filter_records(records, rules, out, seen)
         number += len(records)
     withheld, noise, outside, kept = seen.counts.tolist()
     stats = PointStats()
@@ -163,7 +179,7 @@ def convert_records(
     kept = 0 if stats.bad else kept
     x, y, z, kind, line = out.x[:kept], out.y[:kept], out.z[:kept], out.kind[:kept], out.line[:kept]
     colour = None if colour is None else colour[:kept]
-    sums = LineSums.of(ScaledLinedPoints(x, y, z, kind, line), scaling) if lines else LineSums()
+    sums = LineSums.of(LinedPoints(x, y, z, kind, line), scaling) if lines else LineSums()
     if kept < number // 2:
         # A view would keep the memory of the dropped points.
         x, y, z, kind = x.copy(), y.copy(), z.copy(), kind.copy()

@@ -10,7 +10,7 @@ import math
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,18 +26,7 @@ from bumpymap.core import (
     BadInputError,
     PointCloud,
 )
-from bumpymap.readers._kernels import (
-    AXIS_BITS,
-    LINE_BITS,
-    SLOTS,
-    STRIP,
-    SUMS,
-    CellTable,
-    LinedPoints,
-    ScaledLinedPoints,
-    add_points,
-    add_scaled_points,
-)
+from bumpymap.core.loops import loops
 from bumpymap.readers.source import TRUST, Location, box_text, refuse_count
 from bumpytiles import Bounds, Scaling
 
@@ -47,6 +36,10 @@ _WAITING_ROWS = 2 * MOST_ROWS
 """From this many rows on the parts are merged."""
 _LARGEST_STEP = 1 << 24
 """Tiles along a side of the squares of the coarsest count: they span every survey on Earth."""
+CELL, QUANTA = 3.0, 1e4
+"""Side of a cell of flight lines, m; steps of a coordinate in a metre."""
+SUMS, AXIS_BITS, LINE_BITS = loops.SUMS, loops.AXIS_BITS, loops.LINE_BITS
+"""Sums of a cell; bits of column and row, and of line and ground flag, in a key: see `CellTable`."""
 _MIX = np.uint64(0x9E3779B97F4A7C15)
 
 
@@ -60,7 +53,29 @@ def kinds_of(ground_classes: tuple[int, ...]) -> NDArray[np.uint8]:
 
 
 Rows = NDArray[np.int64]
-"""(n, 1 + ``SUMS``) keys and sums, see `bumpymap.readers._kernels`."""
+"""(n, 1 + ``SUMS``) keys and sums, see `CellTable`."""
+
+
+class LinedPoints(NamedTuple):
+    """Points with their flight line, (n,) each; coordinates in m, or as integers of the file's own grid."""
+
+    x: NDArray[Any]
+    y: NDArray[Any]
+    z: NDArray[Any]
+    kind: NDArray[np.uint8]
+    line: NDArray[np.uint16]
+
+
+class CellTable(NamedTuple):
+    """A hash table of the cells of flight lines, 3 m wide, (``loops.SLOTS``,) rows."""
+
+    keys: NDArray[np.int64]
+    """Key of the row: column and row of the cell, 23 bits each, line and ground flag, 17 bits; -1: empty."""
+    sums: NDArray[np.int64]
+    """(..., ``SUMS``) number of points, x, y, z, x x, x y, y y, x z, y z, z z, by steps of 0.1 mm from the south-west
+    corner of the cell."""
+    state: NDArray[np.int64]
+    """(2,) the next point to add, and the rows in use."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,18 +124,17 @@ class LineSums:
         return cls(record["step"], (np.ascontiguousarray(data.T, np.int64),))
 
     @classmethod
-    def of(cls, points: "LinedPoints | ScaledLinedPoints", scaling: Scaling | None = None) -> Self:
-        """Return the sums of some points; ``scaling`` is that of scaled ones."""
+    def of(cls, points: LinedPoints, scaling: Scaling | None = None) -> Self:
+        """Return the sums of some points; ``scaling`` is that of points of a file's own grid."""
         parts = []
         done = 0
+        slots = loops.SLOTS
         while done < len(points.x):
-            table = CellTable(
-                np.full(SLOTS, -1, np.int64), np.zeros((SLOTS, SUMS), np.int64), np.array([done, 0], np.int64)
-            )
-            if isinstance(points, LinedPoints):
-                add_points(points, table)
-            elif scaling is not None:
-                add_scaled_points(points, scaling.numbers(), np.empty((3, STRIP)), table)
+            table = CellTable(np.full(slots, -1), np.zeros((slots, SUMS), np.int64), np.array([done, 0]))
+            if scaling is None:
+                loops.add_points(points, table)
+            else:
+                loops.add_scaled_points(points, scaling.numbers(), table)
             done = int(table.state[0])
             held = np.flatnonzero(table.keys >= 0)
             held = held[np.argsort(table.keys[held])]

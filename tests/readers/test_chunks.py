@@ -11,6 +11,7 @@ from hypothesis import given, strategies as st
 from survey_kinds import KINDS, write_kind
 
 from bumpymap.core.errors import BadInputError, UsageError
+from bumpymap.core.loops import loops
 from bumpymap.readers import (
     LineSums,
     PointStats,
@@ -20,7 +21,7 @@ from bumpymap.readers import (
     open_survey,
     point_stats,
 )
-from bumpymap.readers._kernels import SLOTS, LinedPoints
+from bumpymap.readers.point_stats import LinedPoints
 from bumpymap.readers.point_table import convert_points
 
 FORMATS = [("1.2", fmt) for fmt in range(4)] + [("1.3", 4), ("1.3", 5)] + [("1.4", fmt) for fmt in range(11)]
@@ -191,7 +192,7 @@ def as_dict(sums):
     return {tuple(key): sums.tolist() for key, sums in zip(keys, rows[:, 1:], strict=True)}
 
 
-@pytest.mark.parametrize(("points", "side", "least"), [(3_000, 20.0, 1), (4 * SLOTS, 3_000.0, 3 * SLOTS)])
+@pytest.mark.parametrize(("points", "side", "least"), [(3_000, 20.0, 1), (4 * loops.SLOTS, 3_000.0, 3 * loops.SLOTS)])
 def test_the_sums_are_those_made_by_hand(points, side, least):
     """Also of more cells than the table holds."""
     points = cloud(points, side=side)

@@ -9,7 +9,7 @@ from alike_surveys import alike_surveys
 from small_surveys import layers_of, run, write_las
 
 from bumpymap.readers import LineSums
-from bumpymap.readers._kernels import LinedPoints
+from bumpymap.readers.point_stats import LinedPoints
 from bumpymap.survey.flight_lines import compare_lines, describe_lines
 
 pytestmark = pytest.mark.slow

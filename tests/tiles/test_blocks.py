@@ -80,7 +80,9 @@ def test_points_with_one_hash_are_still_put_in_one_order():
     """Mirror images in the middle of a tile have one hash: their order is that of the coordinates."""
     one = np.random.default_rng(6).integers(1, 1500, (2, 30)) / 1000
     images = (one, one[::-1])
-    x, y = np.concatenate([np.stack([1.5 + i * a, 1.5 + j * b]) for a, b in images for i in (1, -1) for j in (1, -1)], 1)
+    x, y = np.concatenate(
+        [np.stack([1.5 + i * a, 1.5 + j * b]) for a, b in images for i in (1, -1) for j in (1, -1)], 1
+    )
     columns = x, y, np.zeros(len(x)), np.zeros(len(x), bool)
     (block,) = gather(columns, np.arange(len(x)), [])
     assert flatten(gather(columns, np.random.default_rng(7).permutation(len(x)), [50])) == flatten([block])

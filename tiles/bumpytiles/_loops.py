@@ -1,7 +1,7 @@
 """Compiled loops, in the build that suits this processor; see ``tiles/CMakeLists.txt``.
 
-Each package has two builds of one source: ``_loops_base`` for every processor, and on x86-64 ``_loops_v3`` for those with
-AVX2 (since about 2013). Both give the same bits. BUMPYMAP_LOOPS=base in the environment takes the first.
+Each package has two builds of one source: ``_loops_base`` for every processor, and on x86-64 ``_loops_v3`` for those
+with AVX2 (since about 2013). Both give the same bits. BUMPYMAP_LOOPS=base in the environment takes the first.
 """
 
 import os

@@ -152,14 +152,12 @@ struct InMetres {
 
 struct OnFileGrid {
     TiledIn<std::int32_t> points;
-    Array<const double> scaling;
+    Scaling scaling;
 
-    double metres(std::int32_t number, Index axis) const {
-        constexpr double round = 1e8;  // coordinates have 8 decimals, in the file's unit; DECIMALS in grouping.py
-        return std::rint((number * scaling[axis] + scaling[3 + axis]) * round) / round * scaling[6 + axis];
-    }
     std::array<double, 3> operator()(Index i) const {
-        return {metres(points.easting[i], 0), metres(points.northing[i], 1), metres(points.upward[i], 2)};
+        return {
+            scaling.metres(points.easting[i], 0), scaling.metres(points.northing[i], 1),
+            scaling.metres(points.upward[i], 2)};
     }
 };
 
@@ -207,7 +205,7 @@ void place_points(
 void place_scaled_points(
     TiledIn<std::int32_t> points, Array<const double> scaling, Array<const std::uint32_t> colour,
     Array<Index> following, Marked out, BlockPhoto photo) {
-    place(OnFileGrid{points, scaling}, points, colour, following, out, photo);
+    place(OnFileGrid{points, {scaling}}, points, colour, following, out, photo);
 }
 
 // ---- The points of a tile in their order ----
