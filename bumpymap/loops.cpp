@@ -3,10 +3,18 @@
 
 void bind_deskew(nb::module_& module);
 void bind_las(nb::module_& module);
+void bind_line_ride(nb::module_& module);
 void bind_point_stats(nb::module_& module);
+void bind_reach(nb::module_& module);
+void bind_search(nb::module_& module);
+void bind_straighten(nb::module_& module);
 
 NB_MODULE(LOOPS_MODULE, module) {
     bind_deskew(module);
     bind_las(module);
+    bind_line_ride(module);
     bind_point_stats(module);
+    bind_reach(module);
+    bind_search(module);
+    bind_straighten(module);
 }

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import CANOPY, OBSTACLE, BadInputError, RoadFigures, UsageError, parse_json, path_of_call
+from bumpymap.core.loops import loops
 from bumpymap.layers import NORMAL_80, MapReader, common_window, open_map
 from bumpymap.rating import (
     Calibration,
@@ -46,7 +47,6 @@ from bumpymap.rating import (
     wheel_turn,
     with_floor,
 )
-from bumpymap.route._line_kernels import fill_holes
 from bumpymap.route.ground import CostGround, points_along, window_around
 from bumpymap.route.measure import MeasuredWay
 from bumpymap.route.places import in_window
@@ -475,9 +475,8 @@ def _read(site: MapReader, middle: Floats, wheels: Floats, vehicle: LineVehicle)
     number = np.cumsum(touched).reshape(touched.shape) - 1
     # Holes in a tile that no wheel touches fill those beside it.
     near = np.asarray(maximum_filter(touched, 3))
-    most = int(near.sum()) * grid.pixels**2
     filled = np.pad(measured, 1, mode="edge")
-    fill_holes(filled, near, _FILL_ROUNDS, np.empty((2, most), np.int64), np.empty(most))
+    loops.fill_near_holes(filled, near, _FILL_ROUNDS)
     east, north = np.moveaxis(wheels[:, :1] - wheels[:, 2:3], -1, 0)
     # Rows count southwards.
     turn = np.broadcast_to(wheel_turn(np.arctan2(-north, east)), wheels.shape[:3]).reshape(-1, wheels.shape[2])

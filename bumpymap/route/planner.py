@@ -19,11 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import CLOSED_IN_PART, UsageError
-from bumpymap.route._search_kernels import REACH
 from bumpymap.route.ground import CostGround, sample_line, window_around
 from bumpymap.route.measure import MeasuredWay, measure_way, way_cost
 from bumpymap.route.places import on_grid, overlap, place_in_window
-from bumpymap.route.search import Found, seek, settle_point, tight_way
+from bumpymap.route.search import REACH, Found, seek, settle_point, tight_way
 from bumpytiles import TileWindow
 
 Floats = NDArray[np.float64]

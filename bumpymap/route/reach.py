@@ -2,76 +2,18 @@
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import CLOSED_IN_PART, Barred, UsageError
+from bumpymap.core.loops import loops
 from bumpymap.layers import Placement, ReachField
-from bumpymap.route._search_kernels import FROM_START, MoveTables
 from bumpymap.route.ground import CostGround
 from bumpymap.route.places import place_in_window, window_within
-from bumpymap.route.search import MOVES, spread, traced_moves
+from bumpymap.route.search import FROM_START, MOVES, spread, traced_moves
 from bumpymap.route.straighten import as_cost, line_cost
-from bumpytiles import TileWindow, helper, kernel
-
-
-@kernel
-def add_up_times(
-    back: Annotated[NDArray[np.uint8], 2],
-    moves: Annotated[NDArray[np.int64], 2],
-    tables: MoveTables,
-    pieces: Annotated[NDArray[np.int64], 2],
-    slow: Annotated[NDArray[np.float32], 2],
-    out: Annotated[NDArray[np.float64], 2],
-) -> None:
-    """Fill the time of the way to each tile, that of a metre times tiles; 0 where there is none.
-
-    Every tile knows the one before it. A way is followed back to a tile whose time is known, and then once more, to
-    set what lies between: each tile is visited twice at most, and nothing else has to be held.
-
-    ``back`` is that of `bumpymap.route.search.spread`, ``tables`` and ``pieces`` of `traced_moves`, ``slow`` the time
-    of a metre on each tile; ``out`` comes filled with -1, and with the time to the tiles that the start sees.
-    """
-    for i in range(back.shape[0]):
-        for j in range(back.shape[1]):
-            r, c, total = i, j, 0.0
-            while out[r, c] < 0.0:
-                k = back[r, c]
-                if k >= moves.shape[0]:
-                    out[r, c] = 0.0
-                    break
-                total += _move_time(r, c, k, moves, tables, pieces, slow)
-                r -= moves[k, 0]
-                c -= moves[k, 1]
-            total += out[r, c]
-            r, c = i, j
-            while out[r, c] < 0.0:
-                k = back[r, c]
-                out[r, c] = total
-                total -= _move_time(r, c, k, moves, tables, pieces, slow)
-                r -= moves[k, 0]
-                c -= moves[k, 1]
-
-
-@helper
-def _move_time(
-    row: int,
-    col: int,
-    k: int,
-    moves: NDArray[np.int64],
-    tables: MoveTables,
-    pieces: NDArray[np.int64],
-    slow: NDArray[np.float32],
-) -> float:
-    """Exact integral of the time of a metre along move ``k`` to a tile."""
-    r, c = row - moves[k, 0], col - moves[k, 1]
-    total = tables.end[k] * (np.float64(slow[r, c]) + np.float64(slow[row, col]))
-    for i in range(tables.first_piece[k], tables.first_piece[k + 1]):
-        total += tables.piece_length[i] * slow[r + pieces[i, 0], c + pieces[i, 1]]
-    return float(total)
-
+from bumpytiles import TileWindow
 
 _STRIP = 64
 """Rows of tiles whose speeds are read at once, so that they take no more memory than the search did."""
@@ -144,7 +86,7 @@ def find_reach(ground: CostGround, start: NDArray[np.float64], most_m: float = m
     time = np.full(spent.shape, -1.0)
     for row, col in np.argwhere(back == FROM_START).tolist():
         time[row, col] = line_cost(slow[..., None], np.array([place, (row + 0.5, col + 0.5)]))
-    add_up_times(back, MOVES, *traced_moves(ground.margin), slow, time)
+    loops.add_up_times(back, MOVES, *traced_moves(ground.margin), slow, time)
     notes: tuple[str, ...] = ()
     if in_part:
         from bumpymap.route.passages import BYTES_PER_TILE, reach_over_areas  # with SciPy's graphs, slow to load

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import Resolution, RoadFigures, UsageError
-from bumpymap.route._line_kernels import drive_quarter_car
+from bumpymap.core.loops import loops
 
 Floats = NDArray[np.float64]
 
@@ -63,7 +63,7 @@ def quarter_car(heights: Floats, spacing: float) -> Floats:
     slope -= (even[begin] - even[0]) / (begin * spacing)
     slope[0] = 0.0
     travel = np.empty(len(slope))
-    drive_quarter_car(slope, step, push, travel)
+    loops.drive_quarter_car(slope, step, push, travel)
     return np.abs(1000.0 * travel)
 
 

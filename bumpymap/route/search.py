@@ -30,10 +30,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import AXES_DEG, axes_along
-from bumpymap.route._line_kernels import Costs, connect, find_near
-from bumpymap.route._search_kernels import NEW, NOT_REACHED, REACH, SETTLED, Ground, MoveTables, Reached, Seeds, search
+from bumpymap.core.loops import loops
 from bumpymap.route.straighten import (
     LEAST_SAVING,
+    Costs,
     as_costs,
     is_clear,
     line_cost,
@@ -44,10 +44,96 @@ from bumpymap.route.straighten import (
     wide_margin,
 )
 
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+FROM_START = 254
+"""In place of a move: straight from the start."""
+NOT_REACHED = 255
+"""In place of a move: no way leads there."""
+NEW, SETTLED = -1, -2
+"""Values of ``Reached.place``: not met so far; its cost is final."""
+REACH = 4
+"""Tiles that a move goes at most, along each axis."""
 MOVES: NDArray[np.int64] = np.array(
     [(row, col) for row in range(-REACH, REACH + 1) for col in range(-REACH, REACH + 1) if gcd(row, col) == 1]
 )
 """(48, 2) tiles southwards and eastwards of each move; the number of a move is its row here."""
+
+
+class MoveTables(NamedTuple):
+    """The k moves from tile to tile of a flattened window; see `bumpymap.route.search`."""
+
+    step: Integers
+    """(k,) from tile to tile."""
+    length: Floats
+    """(k,) in tiles."""
+    end: Floats
+    """(k,) length in the tile where it starts, and in the one where it ends, tiles."""
+    first_piece: Integers
+    """(k + 1,) where a move's other pieces start in the next two."""
+    piece: Integers
+    """From the tile where the move starts to one that it crosses."""
+    piece_length: Floats
+    """Length in that tile, tiles."""
+    axis: Integers
+    """(k, 2) the axes that it lies between."""
+    share: Floats
+    """(k,) how far it is from the first of them to the second."""
+    direction: Floats
+    """(k, 2) southwards and eastwards in a length of 1."""
+    near_north: Integers
+    """(k,) tiles that must be open, those that it crosses included, as bits of the north half around the start."""
+    near_south: Integers
+    """(k,) the same of the south half."""
+
+
+class Ground(NamedTuple):
+    """A flattened window with its ring."""
+
+    cost: NDArray[np.float32]
+    """(n, axes) per tile of length, see `Costs`; infinite where closed."""
+    gradient: NDArray[np.float32]
+    """(n, 2) what slopes add, if they do, as in `Costs`; so are the next four."""
+    climb: float
+    descent: float
+    side: float
+    steepest: float
+    closed: NDArray[np.uint8]
+    """A bit for each tile, from the least of a byte on: whether it is closed; one byte more than these take."""
+    width: int
+    """Columns."""
+    goal_row: float
+    goal_col: float
+    """Field coordinates of the goal."""
+    least: float
+    """No tile costs less; at least 1."""
+    bound: float
+    """No tile on any way to the goal costs less, those outside the window included; 0 to search all around alike."""
+
+
+class Seeds(NamedTuple):
+    """How start and goal, which lie anywhere in their tiles, hang together with the middles of tiles."""
+
+    tile: Integers
+    """(s,) tiles that the start sees."""
+    cost: Floats
+    """(s,) straight to each."""
+    exit_cost: Floats
+    """(m, m) straight from a tile to the goal; the goal's tile is in the middle."""
+    best: float
+    """Cost of a way that is known; infinite if none."""
+
+
+class Reached(NamedTuple):
+    """Arrays that the search fills; `place` and `back` come filled with `NEW` and `NOT_REACHED`, `g` with infinity."""
+
+    g: Floats
+    """(n,) cost from the start."""
+    back: NDArray[np.uint8]
+    """(n,) the move that led there, or `FROM_START`."""
+    place: NDArray[np.int32]
+    """(n,) place in the heap; below -1 if the cost is final."""
 
 
 @cache
@@ -58,7 +144,7 @@ def traced_moves(margin: float) -> tuple[MoveTables, NDArray[np.int64]]:
     # First and last piece are as long as each other, and in tables of their own.
     traced = [trace(open_ground, np.array([[middle, middle], middle + move])) for move in MOVES]
     near = np.empty((len(MOVES), *open_ground.shape), np.bool_)
-    find_near(np.vstack([np.zeros((1, 2)), MOVES]) + middle, margin, near)
+    loops.find_near(np.vstack([np.zeros((1, 2)), MOVES]) + middle, margin, near)
     bits = 1 << np.arange(REACH * len(open_ground) + len(open_ground))
     tables = MoveTables(
         step=np.empty(0, np.int64),
@@ -178,11 +264,12 @@ _NEARLY = 1.0 - 1e-9
 
 def _search(
     cost: Costs, start: Point, goal: Point | None, margin: float, bound: float
-) -> tuple[Reached, Callable[[NDArray[Number]], NDArray[Number]]]:
+) -> tuple[Reached, tuple[int, float], Callable[[NDArray[Number]], NDArray[Number]]]:
     """Search a window from a start in an open tile, to a goal or all around.
 
-    ``bound`` as in `seek`. Also return what takes one of the flat arrays to (rows, cols). Raises ValueError where a
-    cost is below 1 or NaN.
+    ``bound`` as in `seek`. Also return the tile from which the way goes straight to the goal, -1 if the straight line
+    is the best, and its cost; and what takes one of the flat arrays to (rows, cols). Raises ValueError where a cost is
+    below 1 or NaN.
     """
     tiles, has_slope = cost.tiles, cost.gradient.size > 0
     least = float(tiles.min(initial=math.inf))
@@ -204,7 +291,7 @@ def _search(
         """Costs straight from a point to the middles of tiles around it, or from these to it."""
         out = np.full((2 * REACH + 1, 2 * REACH + 1), math.inf)
         ground = ringed if from_it else ringed._replace(climb=ringed.descent, descent=ringed.climb)
-        connect(ground, point[0] + REACH, point[1] + REACH, margin, out)
+        loops.connect(ground, point[0] + REACH, point[1] + REACH, margin, out)
         return out
 
     first = connected(start, from_it=True)
@@ -241,13 +328,9 @@ def _search(
         np.full(count, math.inf),
         np.full(count, NOT_REACHED, np.uint8),
         np.full(count, NEW, np.int32),
-        np.empty(count, np.int32),
-        np.empty(count),
-        np.zeros(1, np.int64),
-        np.zeros(1),
     )
-    search(ground, move_tables(width, margin, tiles.shape[2]), seeds, reached)
-    return reached, lambda values: values.reshape(rows, width)[inner]
+    found = loops.search_ways(ground, move_tables(width, margin, tiles.shape[2]), seeds, reached)
+    return reached, found, lambda values: values.reshape(rows, width)[inner]
 
 
 _AROUND = 8
@@ -335,12 +418,12 @@ def seek(
     ground = frame.turn_costs(cost)
     line = frame.turn_line(np.array([start, goal]))
     first, last = ((float(r), float(c)) for r, c in line)
-    reached, inner = _search(ground, first, last, margin, bound)
+    reached, (exit_tile, best), inner = _search(ground, first, last, margin, bound)
     settled = frame.turn_back(inner(reached.place) == SETTLED)
-    if not reached.best[0] < math.inf:
+    if not best < math.inf:
         return Found(None, settled, frame, ground)
-    if reached.last[0] >= 0:
-        row, col = divmod(int(reached.last[0]), ground.tiles.shape[1] + 2 * REACH)
+    if exit_tile >= 0:
+        row, col = divmod(exit_tile, ground.tiles.shape[1] + 2 * REACH)
         path = follow_back(inner(reached.back), row - REACH, col - REACH)
         line = np.concatenate([line[:1], path[::-1], line[1:]])
     return Found(line, settled, frame, ground)
@@ -356,7 +439,7 @@ def spread(
     cols): `FROM_START` if straight from the start, `NOT_REACHED` if there is no way (none leads anywhere from a closed
     tile).
     """
-    reached, inner = _search(as_costs(cost), settle_point(start), None, margin, 0.0)
+    reached, _, inner = _search(as_costs(cost), settle_point(start), None, margin, 0.0)
     g, back = reached.g, reached.back
     del reached  # before copies are made
     return np.ascontiguousarray(inner(g)), np.ascontiguousarray(inner(back))

@@ -16,28 +16,43 @@ dearer, and never nearer to closed tiles than allowed.
 """
 
 import math
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import AXES_DEG, TracedLine
-from bumpymap.route._line_kernels import (
-    A_END,
-    B_END,
-    LEAST_MARGIN,
-    Costs,
-    Pieces,
-    check_clear,
-    segment_clear,
-    segment_cost,
-    sum_cost,
-    trace_line,
-)
-from bumpytiles import helper, kernel
+from bumpymap.core.loops import loops
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
+
+
+class Costs(NamedTuple):
+    """Costs of the ground of a window."""
+
+    tiles: NDArray[np.float32]
+    """(rows, cols, axes) cost per tile of length, at least 1; infinite where closed."""
+    gradient: NDArray[np.float32]
+    """(rows, cols, 2) rise per length southwards and eastwards; (0, 0, 2) if slopes cost nothing."""
+    climb: float
+    """Cost of a rise of 1 along the way, tiles."""
+    descent: float
+    """The same downwards."""
+    side: float
+    """Cost of a length of 1 across a gradient of 1."""
+    steepest: float
+    """Directions across a larger gradient are barred."""
+
+
+class Pieces(NamedTuple):
+    """The pieces of a line, filled; longer than needed."""
+
+    row: Integers
+    col: Integers
+    length: Floats
+    part: Integers
+    """The corner of the line before each."""
 
 
 class Tightening(NamedTuple):
@@ -56,170 +71,18 @@ class Tightening(NamedTuple):
 class Corners(NamedTuple):
     """The corners that `move_corners` moves."""
 
-    points: Annotated[Floats, 2]
+    points: Floats
     """(n, 2) field coordinates; changed."""
-    step: Annotated[Floats, 1]
+    step: Floats
     """(n,) by how far each corner is moved next, tiles; changed."""
-    spent: Annotated[Floats, 1]
+    spent: Floats
     """(n,) cost from the corner before to each; filled."""
-    directions: Annotated[Floats, 2]
+    directions: Floats
     """(k, 8, 2) flattened to (8 k, 2): unit vectors; the next eight are tried whenever the last did not help."""
 
 
-@helper
-def _ends(a: int, b: int, count: int) -> int:
-    """Return the bits of those of two corners that are the start or the goal of a line."""
-    return (A_END if a == 0 else 0) | (B_END if b == count - 1 else 0)
-
-
-@helper
-def _choose(
-    cost: Costs, tightening: Tightening, points: Floats, n: int, skips: int, best: Floats, before: Integers
-) -> None:  # fmt: skip
-    """Fill the cost up to each of n corners, and the one before it, of the cheapest line through some of them."""
-    best[0], before[0] = 0.0, 0
-    for j in range(1, n):
-        r1, c1 = points[j, 0], points[j, 1]
-        best[j] = best[j - 1] + segment_cost(cost, points[j - 1, 0], points[j - 1, 1], r1, c1, math.inf)
-        before[j] = j - 1
-        for i in range(max(0, j - skips), j - 1):
-            r0, c0 = points[i, 0], points[i, 1]
-            # From far to near: what leaves out fewer corners must be cheaper by what the corners are worth.
-            allowed = tightening.worth if before[j] == j - 1 else -tightening.worth
-            total = segment_cost(cost, r0, c0, r1, c1, best[j] + allowed - best[i])
-            if total < math.inf and segment_clear(cost, r0, c0, r1, c1, tightening.margin, _ends(i, j, n)):
-                best[j], before[j] = best[i] + total, i
-
-
-@kernel
-def leave_out(
-    cost: Costs,
-    tightening: Tightening,
-    points: Annotated[Floats, 2],
-    skips: int,
-    best: Annotated[Floats, 1],
-    before: Annotated[Integers, 1],
-) -> None:
-    """Leave out corners, until none can be, so that the line through the others in order is the cheapest.
-
-    At most ``skips`` - 1 are left out between two of them at once. Of lines that cost nearly the same, that with fewer
-    corners wins: corners on straight lines go. ``points`` (n, 2): changed: the corners that stay come first; ``best``
-    (n,): scratch; ``before`` (n,): scratch, and in ``before[0]`` the number of corners that stay.
-    """
-    n, count = 0, points.shape[0]
-    while n != count:
-        n, count = count, 1
-        _choose(cost, tightening, points, n, skips, best, before)
-        at = n - 1
-        while at > 0:  # turn the links round: from each corner that stays to the next one
-            best[before[at]], at = at, before[at]
-            count += 1
-        for k in range(count):
-            points[k, 0], points[k, 1] = points[at, 0], points[at, 1]
-            at = int(best[at]) if k < count - 1 else 0
-    before[0] = count
-
-
-@kernel
-def leave_borders(cost: Costs, points: Annotated[Floats, 2], near: float, shift: float) -> None:
-    """Move corners that are ``near`` to borders of tiles by ``shift`` from them, to where the line costs least, tiles.
-
-    ``points`` (n, 2): changed.
-    """
-    for i in range(1, points.shape[0] - 1):
-        r0, c0 = points[i, 0], points[i, 1]
-        row, col = math.floor(r0 + 0.5), math.floor(c0 + 0.5)
-        on_row, on_col = abs(r0 - row) < near, abs(c0 - col) < near
-        least = math.inf
-        for k in range(4):
-            if not (on_row or on_col) or (k > 1 and not on_row) or (k % 2 == 1 and not on_col):
-                continue
-            r = row + (shift if k > 1 else -shift) if on_row else r0
-            c = col + (shift if k % 2 == 1 else -shift) if on_col else c0
-            total = _two_segments(cost, points, i, r, c, math.inf)
-            if total < least:
-                least = total
-                points[i, 0], points[i, 1] = r, c
-
-
-@helper
-def _two_segments(cost: Costs, points: Floats, i: int, r: float, c: float, limit: float) -> float:
-    """Cost from corner ``i - 1`` over a point to ``i + 1``; infinite above a limit."""
-    first = segment_cost(cost, points[i - 1, 0], points[i - 1, 1], r, c, limit)
-    if not first < math.inf:
-        return first
-    return first + segment_cost(cost, r, c, points[i + 1, 0], points[i + 1, 1], limit - first)
-
-
-@helper
-def _two_clear(cost: Costs, margin: float, points: Floats, i: int, r: float, c: float) -> bool:
-    """Return whether the line may go from corner ``i - 1`` over a point to ``i + 1``."""
-    n = points.shape[0]
-    before, after = _ends(i - 1, i, n) & A_END, _ends(i, i + 1, n) & B_END
-    return segment_clear(cost, points[i - 1, 0], points[i - 1, 1], r, c, margin, before) and segment_clear(
-        cost, r, c, points[i + 1, 0], points[i + 1, 1], margin, after
-    )
-
-
-@helper
-def _spend(cost: Costs, corners: Corners, i: int) -> None:
-    """Fill the cost from a corner's predecessor to it."""
-    points = corners.points
-    corners.spent[i] = segment_cost(cost, points[i - 1, 0], points[i - 1, 1], points[i, 0], points[i, 1], math.inf)
-
-
-@helper
-def _move_corner(cost: Costs, tightening: Tightening, corners: Corners, i: int, turn: int) -> bool:
-    """Move a corner to the best of ten places around it: eight directions, and the borders nearest to it."""
-    points, step = corners.points, corners.step[i]
-    r0, c0 = points[i, 0], points[i, 1]
-    here = corners.spent[i] + corners.spent[i + 1]
-    best, moved = here - tightening.gain, False
-    for k in range(10):
-        r, c = r0, c0
-        if k < 8:
-            r += step * corners.directions[turn * 8 + k, 0]
-            c += step * corners.directions[turn * 8 + k, 1]
-        elif k == 8:
-            r = math.floor(r0 + 0.5)
-        else:
-            c = math.floor(c0 + 0.5)
-        if k >= 8 and abs(r - r0) + abs(c - c0) > 2.0 * step:
-            continue
-        total = _two_segments(cost, points, i, r, c, best)
-        if total < best and _two_clear(cost, tightening.margin, points, i, r, c):
-            best, moved = total, True
-            points[i, 0], points[i, 1] = r, c
-            # The places that follow are still those around the old one.
-    if moved:
-        _spend(cost, corners, i)
-        _spend(cost, corners, i + 1)
-    return moved
-
-
-@kernel
-def move_corners(cost: Costs, tightening: Tightening, corners: Corners, sweeps: int) -> None:
-    """Move corners in turn until no step helps any of them, at most ``sweeps`` times all of them."""
-    n, turns = corners.points.shape[0], corners.directions.shape[0] // 8
-    for i in range(1, n):
-        _spend(cost, corners, i)
-    for turn in range(sweeps):
-        active = False
-        for i in range(1, n - 1):
-            if corners.step[i] < tightening.least_step:
-                continue
-            active = True
-            if not _move_corner(cost, tightening, corners, i, turn % turns):
-                corners.step[i] *= 0.5
-                continue
-            # A step that helped is tried again, a longer one too; and the neighbours may now find something.
-            corners.step[i] = min(2.0 * corners.step[i], 1.0)
-            for near in range(i - 1, i + 2, 2):
-                corners.step[near] = max(corners.step[near], 0.25 * corners.step[i])
-        if not active:
-            break
-
-
+LEAST_MARGIN = 1e-6
+"""Margins below this one, tiles, count as this one: what touches a closed tile may slip between two of them."""
 _MAX_MARGIN = 0.5
 """Margin that closes a corridor of one tile, tiles."""
 _WIDER = 1.05
@@ -275,9 +138,8 @@ def trace(cost: NDArray[np.floating] | Costs, line: NDArray[np.floating]) -> Tra
         raise ValueError(f"the line leaves the window of {rows} x {cols} tiles")
     room = int(np.abs(np.diff(np.floor(points), axis=0)).sum()) + 3 * len(line)
     integers = np.empty((3, room), np.int64)
-    pieces = Pieces(integers[0], integers[1], np.empty(room), integers[2], np.zeros(1, np.int64))
-    trace_line(costs, points, pieces)
-    count = int(pieces.pieces[0])
+    pieces = Pieces(integers[0], integers[1], np.empty(room), integers[2])
+    count = loops.trace_line(costs, points, pieces)
     return TracedLine(pieces.row[:count], pieces.col[:count], pieces.length[:count], pieces.part[:count])
 
 
@@ -286,9 +148,7 @@ def line_cost(cost: NDArray[np.floating] | Costs, line: NDArray[np.floating]) ->
 
     ``cost``: as `pull_tight`; ``line`` (n, 2): field coordinates of the corners.
     """
-    out = np.empty(1)
-    sum_cost(as_costs(cost), _as_line(line), out)
-    return float(out[0])
+    return loops.sum_cost(as_costs(cost), _as_line(line))
 
 
 def is_clear(cost: NDArray[np.floating] | Costs, line: NDArray[np.floating], margin: float = 0.0) -> bool:
@@ -297,9 +157,7 @@ def is_clear(cost: NDArray[np.floating] | Costs, line: NDArray[np.floating], mar
     ``cost`` (rows, cols): infinite where closed; ``line`` (n, 2): field coordinates of the corners; ``margin``: tiles,
     at least 0 and below 0.5.
     """
-    out = np.empty(1, np.bool_)
-    check_clear(as_costs(cost), _as_line(line), as_margin(margin), out)
-    return bool(out[0])
+    return loops.check_clear(as_costs(cost), _as_line(line), as_margin(margin))
 
 
 _ON_BORDER, _OFF_BORDER = 1e-7, 1e-6
@@ -343,7 +201,7 @@ def pull_tight(cost: NDArray[np.floating] | Costs, line: Floats, margin: float =
     for _ in range(_ROUNDS):
         points = _with_new_corners(best)
         corners = Corners(points, np.full(len(points), _FIRST_STEP), np.empty(len(points)), _DIRECTIONS)
-        move_corners(cost, tightening, corners, _SWEEPS)
+        loops.move_corners(cost, tightening, corners, _SWEEPS)
         tried = _leave_out(cost, tightening, points)
         reached = line_cost(cost, tried)
         gain = total - reached
@@ -374,15 +232,14 @@ def off_borders(cost: NDArray[np.floating] | Costs, line: Floats, margin: float 
     ``cost``, ``line``, ``margin``: as `pull_tight`.
     """
     moved = np.array(line, np.float64, order="C")
-    leave_borders(as_costs(cost), moved, _ON_BORDER, _OFF_BORDER)
+    loops.leave_borders(as_costs(cost), moved, _ON_BORDER, _OFF_BORDER)
     return moved if is_clear(cost, moved, margin) and line_cost(cost, moved) < math.inf else line
 
 
 def _leave_out(cost: Costs, tightening: Tightening, line: Floats) -> Floats:
     """Leave out corners until none can be."""
-    points, before = line.copy(), np.empty(len(line), np.int64)
-    leave_out(cost, tightening, points, _SKIPPED, np.empty(len(line)), before)
-    return points[: before[0]]
+    points, best, before = line.copy(), np.empty(len(line)), np.empty(len(line), np.int64)
+    return points[: loops.leave_out(cost, tightening, points, _SKIPPED, best, before)]
 
 
 def _with_new_corners(line: Floats) -> Floats:

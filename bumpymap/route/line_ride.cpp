@@ -1,0 +1,73 @@
+// Heights under the wheels along a line, and a car that drives over them: holes beside the line are filled with the
+// mean of their neighbours, all at once in each round; the quarter car is stepped from sample to sample (Sayers 1995).
+// See line_ride.py and road_profile.py.
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "bumpytiles/bindings.hpp"
+
+namespace bumpy {
+namespace {
+
+struct Pixel {
+    Index row, col;
+};
+
+// The mean of what is known in three by three pixels; NaN if nothing is.
+double mean_around(Array<const double, 2> heights, Pixel at) {
+    double total = 0.0;
+    Index count = 0;
+    for (Index row = at.row - 1; row <= at.row + 1; ++row) {
+        for (Index col = at.col - 1; col <= at.col + 1; ++col) {
+            if (std::isnan(heights(row, col))) continue;
+            total += heights(row, col);
+            ++count;
+        }
+    }
+    return count > 0 ? total / static_cast<double>(count) : std::numeric_limits<double>::quiet_NaN();
+}
+
+// Fills holes of `heights`, which has one more pixel at all edges, in the tiles of `near`, (rows, cols).
+void fill_near_holes(Array<double, 2> heights, Array<const bool, 2> near, Index rounds) {
+    const Index rows = near.shape[0], cols = near.shape[1], pixels = (heights.shape[0] - 2) / rows;
+    std::vector<Pixel> holes;
+    for (Index row = 1; row <= rows * pixels; ++row)
+        for (Index col = 1; col <= cols * pixels; ++col)
+            if (near((row - 1) / pixels, (col - 1) / pixels) && std::isnan(heights(row, col)))
+                holes.push_back({row, col});
+    std::vector<double> mean(holes.size());
+    for (Index round = 0; round < rounds && !holes.empty(); ++round) {
+        for (std::size_t k = 0; k < holes.size(); ++k) mean[k] = mean_around(heights, holes[k]);
+        std::size_t left = 0;
+        for (std::size_t k = 0; k < holes.size(); ++k) {
+            heights(holes[k].row, holes[k].col) = mean[k];
+            if (std::isnan(mean[k])) holes[left++] = holes[k];
+        }
+        holes.resize(left);
+    }
+}
+
+// Fills the difference of the slopes of body and wheel of a quarter car after each slope of a profile, (n,). `step` (4,
+// 4): its state, from rest, after a sample; `push` (4,): what a slope adds to that.
+void drive_quarter_car(
+    Array<const double> slope, Array<const double, 2> step, Array<const double> push, Array<double> travel) {
+    std::array<double, 4> state{};
+    for (Index k = 0; k < slope.size(); ++k) {
+        std::array<double, 4> next{};
+        for (Index i = 0; i < 4; ++i)
+            next[static_cast<std::size_t>(i)] = step(i, 0) * state[0] + step(i, 1) * state[1] + step(i, 2) * state[2] +
+                                                step(i, 3) * state[3] + push[i] * slope[k];
+        state = next;
+        travel[k] = state[0] - state[2];
+    }
+}
+
+}  // namespace
+}  // namespace bumpy
+
+void bind_line_ride(nb::module_& module) {
+    using namespace bumpy;
+    BUMPY_LOOP(module, fill_near_holes);
+    BUMPY_LOOP(module, drive_quarter_car);
+}

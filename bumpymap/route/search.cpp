@@ -1,0 +1,262 @@
+// The cheapest ways over a window, from tile to tile: A* with a heap of four children a node, in which a tile stands
+// once and moves up when a cheaper way to it is found. The window is flattened row by row and has a ring of closed
+// tiles as wide as the longest move, so that no move has to look where the window ends. Moves are many and most come
+// too near to a closed tile, or lead to tiles that are settled or have been reached for less than the move costs at
+// least: all that is asked before the integral over its tiles. Closed tiles around the start of a move are the bits of
+// two numbers, as are the tiles that must be open for it. Ours; see search.py, which explains the arrays and has the
+// same numbers.
+#include <nanobind/stl/pair.h>
+
+#include <utility>
+#include <vector>
+
+#include "bumpymap/route/lines.hpp"
+
+namespace bumpy {
+namespace {
+
+// In place of a move: straight from the start.
+constexpr std::uint8_t from_start = 254;
+// Of `Reached.place`: not met so far; its cost is final.
+constexpr std::int32_t not_met = -1;
+constexpr std::int32_t settled = -2;
+// Tiles that a move goes at most, along each axis.
+constexpr Index reach = 4;
+
+struct MoveTables {
+    Array<const Index> step;
+    Array<const double> length, end;
+    Array<const Index> first_piece, piece;
+    Array<const double> piece_length;
+    Array<const Index, 2> axis;
+    Array<const double> share;
+    Array<const double, 2> direction;
+    Array<const Index> near_north, near_south;
+};
+
+struct Ground {
+    Array<const float, 2> cost, gradient;
+    double climb, descent, side, steepest;
+    Array<const std::uint8_t> closed;
+    Index width;
+    double goal_row, goal_col, least, bound;
+
+    // What the middle of a tile is at least from the goal.
+    double to_goal(Index tile) const {
+        if (bound == 0.0) return 0.0;
+        const Index row = tile / width;
+        const double dr = static_cast<double>(row) + 0.5 - goal_row;
+        const double dc = static_cast<double>(tile - row * width) + 0.5 - goal_col;
+        return bound * std::sqrt(dr * dr + dc * dc);
+    }
+
+    // Which tiles are closed in some rows around a tile: nine bits a row, the first row's the highest.
+    Index closed_around(Index tile, Index first, Index last) const {
+        constexpr Index bits = 2 * reach + 1;
+        Index found = 0;
+        for (Index row = first; row < last; ++row) {
+            const Index at = tile + row * width - reach;
+            const Index two = closed[at >> 3] | Index{closed[(at >> 3) + 1]} << 8;
+            found = found << bits | ((two >> (at & 7)) & ((1 << bits) - 1));
+        }
+        return found;
+    }
+};
+
+struct Seeds {
+    Array<const Index> tile;
+    Array<const double> cost;
+    Array<const double, 2> exit_cost;
+    double best;
+};
+
+struct Reached {
+    Array<double> g;
+    Array<std::uint8_t> back;
+    Array<std::int32_t> place;
+};
+
+// Tiles by what a way over them costs at least, the cheapest first; `place` says where in the heap each of them is.
+class Heap {
+  public:
+    explicit Heap(Array<std::int32_t> place) : place_(place) {}
+
+    bool empty() const { return tile_.empty(); }
+    double least() const { return key_.front(); }
+
+    Index pop() {
+        const Index top = tile_.front();
+        const std::int32_t tile = tile_.back();
+        const double key = key_.back();
+        tile_.pop_back();
+        key_.pop_back();
+        if (!tile_.empty()) sink(tile, key);
+        return top;
+    }
+
+    // Adds a tile, or moves it up.
+    void offer(Index tile, double key) {
+        std::size_t i = static_cast<std::size_t>(place_[tile]);
+        if (place_[tile] == not_met) {
+            i = tile_.size();
+            tile_.push_back(0);
+            key_.push_back(0.0);
+        }
+        while (i > 0 && key_[(i - 1) / children] > key) {
+            put((i - 1) / children, i);
+            i = (i - 1) / children;
+        }
+        set(i, static_cast<std::int32_t>(tile), key);
+    }
+
+  private:
+    static constexpr std::size_t children = 4;
+
+    void set(std::size_t i, std::int32_t tile, double key) {
+        key_[i] = key;
+        tile_[i] = tile;
+        place_[tile] = static_cast<std::int32_t>(i);
+    }
+
+    void put(std::size_t from, std::size_t to) { set(to, tile_[from], key_[from]); }
+
+    void sink(std::int32_t tile, double key) {
+        std::size_t i = 0;
+        while (i * children + 1 < tile_.size()) {
+            const std::size_t child = i * children + 1, end = std::min(child + children, tile_.size());
+            std::size_t least = child;
+            for (std::size_t other = child + 1; other < end; ++other)
+                if (key_[other] < key_[least]) least = other;
+            if (key_[least] >= key) break;
+            put(least, i);
+            i = least;
+        }
+        set(i, tile, key);
+    }
+
+    Array<std::int32_t> place_;
+    std::vector<std::int32_t> tile_;
+    std::vector<double> key_;
+};
+
+struct Search {
+    const Ground& ground;
+    const MoveTables& moves;
+    const Seeds& seeds;
+    Reached& reached;
+    Heap heap;
+    double best;
+    Index last = -1;
+
+    // The cost of an open tile in the direction of a move.
+    double cost_of(Index k, Index tile) const {
+        double total = ground.cost(tile, moves.axis(k, 0));
+        const double share = moves.share[k];
+        if (share != 0.0) total += share * (ground.cost(tile, moves.axis(k, 1)) - total);
+        if (ground.gradient.shape[0] > 0)
+            total += SlopeCosts{ground.climb, ground.descent, ground.side, ground.steepest}.of(
+                ground.gradient(tile, 0), ground.gradient(tile, 1), moves.direction(k, 0), moves.direction(k, 1));
+        return total;
+    }
+
+    // The exact integral of the cost along a move; infinite if it cannot be below the limit.
+    double move_cost(Index k, Index tile, double limit) const {
+        double total = moves.end[k] * cost_of(k, tile);
+        total += moves.end[k] * cost_of(k, tile + moves.step[k]);
+        if (total + (moves.length[k] - 2.0 * moves.end[k]) * ground.least >= limit) return infinite;
+        for (Index i = moves.first_piece[k]; i < moves.first_piece[k + 1]; ++i)
+            total += moves.piece_length[i] * cost_of(k, tile + moves.piece[i]);
+        return total;
+    }
+
+    // Takes a cheaper way to a tile, unless the goal is too far behind it.
+    void offer(Index tile, double g, std::uint8_t move) {
+        const double key = g + ground.to_goal(tile);
+        if (key >= best) return;
+        reached.g[tile] = g;
+        reached.back[tile] = move;
+        heap.offer(tile, key);
+    }
+
+    // Sees whether the goal is reached for less by going straight there from a tile.
+    void try_exit(Index tile) {
+        const Index half = seeds.exit_cost.shape[0] / 2, row = tile / ground.width;
+        const Index r = row - static_cast<Index>(std::floor(ground.goal_row)) + half;
+        const Index c = tile - row * ground.width - static_cast<Index>(std::floor(ground.goal_col)) + half;
+        if (r < 0 || r > 2 * half || c < 0 || c > 2 * half) return;
+        const double total = reached.g[tile] + seeds.exit_cost(r, c);
+        if (total < best) {
+            best = total;
+            last = tile;
+        }
+    }
+
+    // Settles tiles from the start on until no way that is open can be cheaper than the best to the goal.
+    void run() {
+        for (Index i = 0; i < seeds.tile.size(); ++i) offer(seeds.tile[i], seeds.cost[i], from_start);
+        while (!heap.empty() && heap.least() < best) {
+            const Index tile = heap.pop();
+            reached.place[tile] = settled;
+            try_exit(tile);
+            const double g = reached.g[tile];
+            const Index north = ground.closed_around(tile, -reach, 1);
+            const Index south = ground.closed_around(tile, 1, reach + 1);
+            for (Index k = 0; k < moves.step.size(); ++k) {
+                const Index to = tile + moves.step[k];
+                if ((north & moves.near_north[k]) || (south & moves.near_south[k]) || reached.place[to] == settled)
+                    continue;
+                const double total = g + move_cost(k, tile, reached.g[to] - g);
+                if (total < reached.g[to]) offer(to, total, static_cast<std::uint8_t>(k));
+            }
+        }
+    }
+};
+
+// Fills what is reached; returns the tile from which the way goes straight to the goal, -1 if the known way is the
+// best.
+std::pair<Index, double> search_ways(Ground ground, MoveTables moves, Seeds seeds, Reached reached) {
+    Search search{ground, moves, seeds, reached, Heap{reached.place}, seeds.best};
+    search.run();
+    return {search.last, search.best};
+}
+
+// Fills (m, m) costs from a start or goal to the middles of the tiles around it; infinite if not clear.
+void connect(Costs cost, double r, double c, double margin, Array<double, 2> out) {
+    const Index half = out.shape[0] / 2;
+    const Index top = static_cast<Index>(std::floor(r)) - half, left = static_cast<Index>(std::floor(c)) - half;
+    for (Index i = 0; i < out.shape[0]; ++i) {
+        for (Index j = 0; j < out.shape[1]; ++j) {
+            out(i, j) = infinite;
+            if (!cost.open(top + i, left + j)) continue;
+            const Point middle{static_cast<double>(top + i) + 0.5, static_cast<double>(left + j) + 0.5};
+            const double found = segment_cost(cost, {r, c}, middle, infinite);
+            if (found < infinite && segment_clear(cost, {r, c}, middle, margin, a_end)) out(i, j) = found;
+        }
+    }
+}
+
+// Fills (n, rows, cols): which tiles are nearer than a margin to the segments from the first point to each other.
+void find_near(Array<const double, 2> points, double margin, Array<bool, 3> out) {
+    for (Index k = 0; k < out.shape[0]; ++k)
+        for (Index row = 0; row < out.shape[1]; ++row)
+            for (Index col = 0; col < out.shape[2]; ++col)
+                out(k, row, col) = too_near(gap(point_at(points, 0), point_at(points, k + 1), row, col), margin);
+}
+
+}  // namespace
+}  // namespace bumpy
+
+BUMPY_RECORD(
+    bumpy::MoveTables, step, length, end, first_piece, piece, piece_length, axis, share, direction, near_north,
+    near_south)
+BUMPY_RECORD(
+    bumpy::Ground, cost, gradient, climb, descent, side, steepest, closed, width, goal_row, goal_col, least, bound)
+BUMPY_RECORD(bumpy::Seeds, tile, cost, exit_cost, best)
+BUMPY_RECORD(bumpy::Reached, g, back, place)
+
+void bind_search(nb::module_& module) {
+    using namespace bumpy;
+    BUMPY_LOOP(module, search_ways);
+    BUMPY_LOOP(module, connect);
+    BUMPY_LOOP(module, find_near);
+}
