@@ -4,7 +4,7 @@
     python tests/benchmarks/line_drives.py LAYERS DRIVES.jsonl --report
 
 Lines of 10 m begin anywhere at any heading, on ground that is passable all along. The ground is that of the heightmap,
-without what stands on it, or with --sample the surface in closed form that the sample survey was made from. The same
+without the objects on it, or with --sample the surface in closed form that the sample survey was made from. The same
 seed takes the same lines in either engine; the second is MuJoCo, see second_engine.py.
 """
 

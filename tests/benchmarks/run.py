@@ -3,7 +3,7 @@
 python tests/benchmarks/run.py --data FOLDER [--survey FILE --crs EPSG:CODE] [--before PATH/bumpymap] [--rounds 5]
 
 Whole commands are timed alternately, round by round: reading, mapping, PDAL. The first run makes the surveys (1 GB on
-disk). The raw figures are written to FOLDER/results.json; a complete run writes the tables into the documentation. The
+disk). The raw figures are written to FOLDER/results.json; a complete run writes them into the documentation. The
 cases can be run in parts (--only); figures of other cases in results.json are kept, and ``--rounds 0`` prints the
 tables of them. The cases of 1,000 million points run only if they are named, and once.
 
@@ -229,8 +229,8 @@ def machine():
     there = {found.name for found in importlib.metadata.distributions()}
     versions = [f"{name} {importlib.metadata.version(name)}" for name in PACKAGES if name in there]
     if shutil.which("pdal"):
-        told = subprocess.run(["pdal", "--version"], capture_output=True, text=True, check=False).stdout
-        versions += re.findall(r"pdal \d[\d.]*", told)
+        shown = subprocess.run(["pdal", "--version"], capture_output=True, text=True, check=False).stdout
+        versions += re.findall(r"pdal \d[\d.]*", shown)
     processor = re.search(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text(encoding="utf-8"))
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
     return (
@@ -273,8 +273,8 @@ def goal_table(results):
         rows.append((label, f"{value:.3g}{unit}", f"{word} {bound:g}{unit}", "yes" if met else "no"))
     if results["same_bits"]:
         others = ", ".join(name for name, same in results["same_bits"].items() if not same)
-        told, met = (f"other bits: {others}", "no") if others else ("same bits", "yes")
-        rows.append(("layers of one survey, with other options and versions", told, "same bits", met))
+        found, met = (f"other bits: {others}", "no") if others else ("same bits", "yes")
+        rows.append(("layers of one survey, with other options and versions", found, "same bits", met))
     return table(("measure", "measured", "target", "met"), rows)
 
 
@@ -319,10 +319,10 @@ def main():
         measure(given, cases, results)
         note_same_bits(given, cases, results)
         kept.write_text(json.dumps(results, indent=1), encoding="utf-8")
-    text = "\n\n".join([results["machine"], goal_table(results), side_table(results)])
-    print(text)
+    figures = f"{results['machine']}\n\n{side_table(results)}\n"
+    print(goal_table(results), figures, sep="\n\n")
     if given.scale == 1.0 and given.rounds and not given.only:
-        FIGURES.write_text(text + "\n", encoding="utf-8")
+        FIGURES.write_text(figures, encoding="utf-8")
 
 
 if __name__ == "__main__":

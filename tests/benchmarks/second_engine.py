@@ -123,7 +123,7 @@ class SecondVehicle:
         self._data.ctrl[:] = np.array([left_mps, left_mps, right_mps, right_mps]) / self._radius
 
     def advance(self, steps):
-        """Simulate so many time steps with the last commands."""
+        """Simulate time steps with the last commands."""
         self._engine.mj_step(self._model, self._data, steps)
 
     def pose(self):

@@ -37,8 +37,8 @@ def main():
                 share_of_posts(density, width * times, rng, in_relief=in_relief, surveys=args.surveys)
                 for times in TIMES
             ]
-            told = " | ".join(f"{share:.2f}" for share in shares)
-            print(f"| {density} | {'no' if in_relief else 'yes'} | {width:.2f} | {told} |", flush=True)
+            row = " | ".join(f"{share:.2f}" for share in shares)
+            print(f"| {density} | {'no' if in_relief else 'yes'} | {width:.2f} | {row} |", flush=True)
     print(f"\n| points/m2 | noise, m | closes, m | lowest step, m | {HEAD} |\n|{'---|' * (4 + len(TIMES))}")
     for closing in (np.inf, 0.275, 0.1):
         for density in (4, 10, 20, 35, 100, 400):
@@ -48,8 +48,8 @@ def main():
                     share_of_steps(height * times, density, noise, rng, closing=closing, surveys=surveys)
                     for times in TIMES
                 ]
-                told = " | ".join(f"{share:.2f}" for share in shares)
-                print(f"| {density} | {noise:g} | {closing:g} | {height:.2f} | {told} |", flush=True)
+                row = " | ".join(f"{share:.2f}" for share in shares)
+                print(f"| {density} | {noise:g} | {closing:g} | {height:.2f} | {row} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ copy is held against another of its density: so much is due to chance alone.
 Then the ride: share of the tiles that the copy leaves unknown; rank, median error and ratio of its C_r (by third of
 that of all points), and how often its 80 % interval holds the C_r of all points, of tiles on which fewer than half of
 the drives fail. --noise adds errors to the heights of the copies [m]; --ground calls every point ground, so that both
-rate what stands on it too.
+rate the objects on it too.
 """
 
 import argparse

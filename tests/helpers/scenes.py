@@ -51,7 +51,7 @@ class Solid(NamedTuple):
     is_round: bool = False
 
     def inside(self, x, y, grow=0.0):
-        """Whether places are in its footprint, grown by so many m."""
+        """Whether places are in its footprint, grown by a distance, m."""
         if self.is_round:
             return np.hypot(x - self.x, y - self.y) <= 0.5 * self.width + grow
         c, s = math.cos(math.radians(self.turn)), math.sin(math.radians(self.turn))
@@ -196,11 +196,11 @@ def true_pixels(scene, west, south, pixels, *, place=HERE, low=0.25, high=1.38, 
     place : Place
         As surveyed.
     low, high : float
-        Heights between which a thing is in the way, m.
+        Heights between which a solid is in the way, m.
     pixel : float
         m.
     tolerance : float
-        What is closer to a thing than this may be called closed, m.
+        Pixels closer to a solid than this may be called closed, m.
     """
     axis = (np.arange(pixels) + 0.5) * pixel
     x, y = place.in_scene(*np.meshgrid(west + axis, (south + axis)[::-1]))

@@ -185,13 +185,13 @@ def scans_of_ground(seed):
     return polar_sectors(Scan(np.column_stack([r * np.cos(turn), r * np.sin(turn), z]).astype(np.float32)))
 
 
-def test_sectors_get_the_class_of_the_nearest_centre_raised_by_what_stands_on_them():
+def test_sectors_get_the_class_of_the_nearest_centre_raised_by_the_objects_on_them():
     stack, model = scans_of_ground(0), load_stripes()
     classed = classify_filter(stack, model)
     for row, class_id in enumerate(classed.class_id):
-        things = stack.count[row] - stack.ground_count[row]
+        objects = stack.count[row] - stack.ground_count[row]
         covered = stack.ground_count[row] < 0.55 * stack.count[row]
-        standing = int(covered) + int(covered and stack.obstacle_count[row] >= 0.45 * things)
+        standing = int(covered) + int(covered and stack.obstacle_count[row] >= 0.45 * objects)
         if not stack.traversable[row]:
             assert class_id == NOT_TRAVERSABLE
             assert np.isnan(classed.stripes[row])
@@ -320,8 +320,8 @@ def test_a_run_writes_what_the_classifier_returns(points, tmp_path):
     assert result.sectors.sectors.settings.belly_m == calibration.body.lowest_obstacle_m
     assert result.sectors.sectors.settings.height_m == calibration.body.height_m
     features = json.loads((tmp_path / "out" / "frames" / "a.json").read_text())["features"]
-    told = np.array([each["properties"]["c_r"] for each in features], float)  # None is NaN
-    np.testing.assert_allclose(told, c_r, 1e-6)
+    written = np.array([each["properties"]["c_r"] for each in features], float)  # None is NaN
+    np.testing.assert_allclose(written, c_r, 1e-6)
 
 
 def revolution(seed, count=60_000, lost=0.1):

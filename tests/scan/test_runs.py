@@ -151,7 +151,7 @@ def test_the_map_of_a_drive_has_the_ground_at_its_height_and_the_crs_of_the_pose
 
 
 class _Ends:
-    """A progress that ends the run after so many frames."""
+    """A progress that ends the run after a number of frames."""
 
     def __init__(self, after):
         self.left = after
