@@ -56,10 +56,9 @@ MADE = {
     "20m-laz": (20, "laz", (*ALL, "map_1gb")),
     "20m-las": (20, "las", (*ALL, "map_1gb", "before_1gb")),
     "1000m-laz": (1000, "laz", ("map",)),
-    "1000m-copc": (1000, "copc", ("map",)),
 }
 """Synthetic surveys: million points, format, and what is timed on them."""
-LARGE = {"1000m-laz", "1000m-copc"}
+LARGE = {"1000m-laz"}
 """Cases that run only if they are named, and only once."""
 GOALS = (
     ("real", "pdal", "map", "wall", "at least", 1.5),
@@ -300,7 +299,7 @@ def main():
     parser.add_argument("--crs", help="its CRS if it has none")
     parser.add_argument("--before", metavar="COMMAND", help="another bumpymap to compare with, as PATH/bumpymap")
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--only", default="", metavar="CASE,...", help="some cases: real, 20m-laz, 1000m-copc, start")
+    parser.add_argument("--only", default="", metavar="CASE,...", help="some cases: real, 20m-laz, 1000m-laz, start")
     parser.add_argument("--scale", type=float, default=1.0, help="share of the points, such as 0.01 for a quick test")
     given = parser.parse_args()
     possible = [*(["real"] if given.survey else []), *MADE, "sample", "start"]

@@ -1,4 +1,4 @@
-"""Draw the table of the made-up scenes: how much of the standing objects is closed, which gaps lead through, what is barred.
+"""Draw the table of the made-up scenes: how much of objects is closed, which gaps lead through, what is barred.
 
     python tests/benchmarks/scene_book.py [--seeds 4] [--only NAME] [--out docs/figures/scene_book.md]
 
