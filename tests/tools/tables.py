@@ -2,8 +2,8 @@
 
     python tests/tools/tables.py SURVEY... [--crs EPSG:CODE] [--scans FRAME...]
 
-Table I is that of a map with ``compat = "paper"``. Table II is measured here, on up to 64 blocks of the survey. Tables IV
-and V are those of scans.
+Table I is that of a map with ``compat = "paper"``. Table II is measured here, on up to 64 blocks of the survey; IV and
+V are those of scans.
 """
 
 import argparse
