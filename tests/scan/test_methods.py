@@ -19,11 +19,12 @@ from scipy.ndimage import gaussian_filter
 
 import bumpymap
 from bumpymap import ScanClassifier
-from bumpymap.core import NO_CLASS, NOT_TRAVERSABLE, GridSettings, Scan, sector_bounds
+from bumpymap.core import NO_CLASS, NOT_TRAVERSABLE, GridSettings, Scan, cell_numbers, sector_bounds
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.rating import find_calibration
 from bumpymap.scan import ScanConfig, classify_filter, load_stripes, polar_sectors, scan_frames
 from bumpymap.scan.cells import lay_grid
+from bumpymap.scan.ground import cell_layout
 from bumpymap.scan.learned import ScanModel, classify_learned, infer, network_input, probabilities
 from bumpymap.scan.methods import SectorRater
 from bumpymap.scan.stripes import StripeFilter, count_stripes
@@ -64,7 +65,7 @@ def test_smooth_ground_is_class_0_and_rough_ground_is_not(stack, model):
     assert (classed.class_id[thicket] > 0).all()
 
 
-def test_neighbours_have_no_say_in_rough_and_in_covered_sectors(stack, model):
+def test_open_sectors_share_smooth_or_fair_with_their_neighbours_and_nothing_else(stack, model):
     alone = probabilities(stack, model)
     classed = classify_learned(stack, model)
     assert ((classed.class_id == NOT_TRAVERSABLE) == ~stack.traversable).all()
@@ -74,6 +75,16 @@ def test_neighbours_have_no_say_in_rough_and_in_covered_sectors(stack, model):
     assert_array_equal(classed.class_id[covered], alone[covered].argmax(axis=1))
     rough = stack.traversable & (alone[:, 2] > 0.5)
     assert (classed.class_id[rough] == 2).all()
+    # Log-odds of fair against smooth: its own, and one and a half times the mean of the open sectors around it.
+    near, cell = cell_layout(stack.settings).near, cell_numbers(stack)
+    smooth, fair = np.maximum(alone[:, :2], 1e-3).T
+    odds = dict(zip(cell[is_open].tolist(), np.log(fair / smooth)[is_open].tolist(), strict=True))
+    for row in np.flatnonzero(is_open):
+        beside = [odds[other] for other in near[cell[row]].tolist() if other in odds]
+        share = 1.0 / (1.0 + np.exp(-odds[cell[row]] - 1.5 * np.mean(beside or [0.0])))
+        either = alone[row, 0] + alone[row, 1]
+        most = max(either * share, either * (1.0 - share), alone[row, 2])
+        assert classed.confidence[row] == pytest.approx(most, rel=1e-4)
 
 
 def test_an_answer_does_not_depend_on_its_place_in_the_batch(stack, model):
