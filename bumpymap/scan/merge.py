@@ -1,8 +1,8 @@
 """Merge the frames of a drive into one survey: points that were seen through go, the others are thinned evenly.
 
 Frames come one after another. Their points are written to a file in the folder of the run, sorted by block of the
-world, with an image of the nearest ranges by direction. When all are there, the standing objects of the frames
-give corrections of the poses in plan, with which the points are placed again, and their ground those of height and tilt.
+world, with an image of the nearest ranges by direction. When all are there, the standing objects of the frames give
+corrections of the poses in plan, with which the points are placed again, and their ground those of height and tilt.
 Then block after block is read back: a voxel through which two other frames or more saw, and more than saw something in
 it, held something that moved. Memory is bounded by the surfaces in one block and by a number of squares of ground.
 
