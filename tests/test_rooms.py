@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+import tokenize
 from collections import defaultdict
 from functools import cache
 from pathlib import Path
@@ -237,6 +238,34 @@ def test_docstrings_say_what_a_thing_is():
     texts = [text for room in ROOMS for file in files_of(room) for text in docstrings(TREES[file])]
     assert texts
     assert not [text for text in texts if re.match(r"(What|Which|Whether)\b", text)]
+
+
+HOUSE_WORDS = re.compile(r"\b(things?|so many|(what|whatever) stands|told|in relief|at hand)\b", re.IGNORECASE)
+"""The worst of the words that the table in CONTRIBUTING.md replaces."""
+IN_PLAIN_WORDS = ("bumpymap/scan",)
+"""Folders whose docstrings, comments and messages have none of them."""
+NOT_YET = ("_kernels.py",)
+"""Ends of names of files that still may."""
+
+
+def prose(path):
+    """Texts of a page, or the strings and comments of a module, without code in them."""
+    if path.suffix == ".md":
+        yield re.sub(r"(?ms)^ *```.*?^ *```", "", path.read_text(encoding="utf-8"))
+        return
+    with tokenize.open(path) as file:
+        for token in tokenize.generate_tokens(file.readline):
+            if tokenize.tok_name[token.type] in {"COMMENT", "STRING", "FSTRING_MIDDLE"}:
+                yield token.string
+
+
+@pytest.mark.parametrize("folder", ["pages", *IN_PLAIN_WORDS])
+def test_words_are_those_of_the_field(folder):
+    own = (ROOT / name for name in ("README.md", "SECURITY.md"))
+    files = [*own, *(ROOT / "docs" / "pages").glob("*.md")] if folder == "pages" else (ROOT / folder).rglob("*.py")
+    for path in (path for path in files if not path.name.endswith(NOT_YET)):
+        text = " ".join(re.sub(r"`+[^`]+`+", "", " ".join(prose(path))).split())
+        assert not HOUSE_WORDS.findall(text), f"{path.relative_to(ROOT)}: see the table in CONTRIBUTING.md"
 
 
 def _is_number(value):

@@ -4,8 +4,8 @@ Each frame leaves the mean height of its ground in squares of half a metre near 
 have seen tell by how much the poses disagree; small corrections of height and tilt, one set per frame, take most of it
 away: each frame is fitted to the mean of all frames in turn, until they rest.
 
-In plan, what stands around a frame is laid on what stands around an earlier one: points on the edges that others lie
-on, and posts on posts (Segal, Haehnel and Thrun, "Generalized-ICP", RSS 2009, in two dimensions). The moves and turns
+In plan, the objects around a frame are laid on those around an earlier one: points on the edges that others lie on, and
+posts on posts (Segal, Haehnel and Thrun, "Generalized-ICP", RSS 2009, in two dimensions). The moves and turns
 of all pairs, each with the weight that its objects give it in each direction, are one system of linear equations for
 the corrections of all frames (a pose graph). Along a bare wall nothing is known, and nothing is moved.
 """

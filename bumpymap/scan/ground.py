@@ -104,7 +104,7 @@ def find_ground(
     the ground without a gap are plants. The origin may be at the sensor, the robot's base or below it, and the frame
     may lean. A scan that hangs from its ground has none: its z axis points down.
 
-    ``count``: points of the scan; ``start``: azimuth of sector 0, rad; ``buffers``: hold ``things``, ``lowest`` and
+    ``count``: points of the scan; ``start``: azimuth of sector 0, rad; ``buffers``: hold ``objects``, ``lowest`` and
     ``kept`` until the next call. Returns the planes, ``FOUND`` where cells have ground of their own, and what is known
     of the points and cells.
     """
@@ -135,8 +135,8 @@ def find_ground(
     find_planes(points, geometry, rule, planes, scratch)
     if math.isfinite(settings.overhead_m) and _is_upside_down(planes, geometry, points.xyz[:, :placed]):
         planes.kind[:] = 0
-    things, lowest = (
-        buffers.empty(name, 2 * settings.pixels**2, np.float32, rows=cells) for name in ("things", "lowest")
+    objects, lowest = (
+        buffers.empty(name, 2 * settings.pixels**2, np.float32, rows=cells) for name in ("objects", "lowest")
     )
     labels = GroundLabels(
         np.full(count, np.nan, np.float32),
@@ -146,7 +146,7 @@ def find_ground(
         np.zeros(count, np.bool_),
         np.full(cells, -np.inf, np.float32),
         np.full(cells, np.inf, np.float32),
-        things.reshape(cells, 2, -1),
+        objects.reshape(cells, 2, -1),
         lowest.reshape(cells, -1, 2),
         buffers.empty("kept", placed, np.bool_),
         np.zeros(cells, np.int32),

@@ -1,4 +1,4 @@
-"""The learned method: a small network classifies each sector by the heightmap of its ground and by what stands on it.
+"""The learned method: a small network classifies each sector by the heightmap of its ground and by the objects on it.
 
 The only input that depends on the rest of the scan is ``beside``: the number of ground points against that of other
 sectors in the ring. The network's answer for a sector does not depend on others in the batch: inference runs on one

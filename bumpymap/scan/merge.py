@@ -1,14 +1,14 @@
 """Merge the frames of a drive into one survey: points that were seen through go, the others are thinned evenly.
 
 Frames come one after another. Their points are written to a file in the folder of the run, sorted by block of the
-world, with an image of the nearest ranges by direction. When all are there, what stands in different frames gives
+world, with an image of the nearest ranges by direction. When all are there, the standing objects of the frames give
 corrections of the poses in plan, with which the points are placed again, and their ground those of height and tilt.
 Then block after block is read back: a voxel through which two other frames or more saw, and more than saw something in
 it, held something that moved. Memory is bounded by the surfaces in one block and by a number of squares of ground.
 
 Each frame is held against the one before it, one some metres away, and one of an earlier passage: by how much the
-height of the same ground differs, where what stands on it in one frame is found in the other, and how much of it is
-seen through. What does not fit is said with the frame; far beyond any error of good poses the run is refused.
+height of the same ground differs, where the objects on it in one frame are found in the other, and how many of them
+are seen through. What does not fit is reported with the frame; far beyond any error of good poses the run is refused.
 """
 
 import logging
@@ -153,7 +153,7 @@ class FramePair:
             way = "higher" if self.higher_m > 0.0 else "lower"
             said.append(f"the same ground is {abs(self.higher_m):.2f} m {way}")
         if self.through > _GONE * (self.through + self.found) and self.through + self.found > _LEAST_COMPARED:
-            said.append(f"{self.through / (self.through + self.found):.0%} of what stands there is seen through")
+            said.append(f"{self.through / (self.through + self.found):.0%} of the objects there are seen through")
         return said
 
     def size(self) -> float:
@@ -473,7 +473,7 @@ def _contradiction(pairs: list[FramePair], given: Alignment) -> str:
     if given.before_m > _THICK_M:
         return f"the height of the same ground differs by {given.before_m:.1f} m between frames"
     if through > _WRONG * (through + found) and through + found > _LEAST_COMPARED:
-        return f"frames see through {through / (through + found):.0%} of what stands in others"
+        return f"frames see through {through / (through + found):.0%} of the objects in others"
     if not given.squares and min(np.linalg.norm(pair.way) for pair in pairs) > 2.0 * VIEW_REACH_M:
         return "the frames are so far apart that they share no ground"
     return ""

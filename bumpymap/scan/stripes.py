@@ -11,7 +11,7 @@ direction and with 0 to no pattern. The largest response is used, so that long u
 stripes, do not matter, while short bumps break them. Counted are the runs of pixels, along each column, with a response
 of ``threshold`` or more.
 
-Stripes tell the relief of the ground, not what stands on it. Where most points of a sector are not ground, its class is
+Stripes tell the relief of the ground, not the objects on it. Where most points of a sector are not ground, its class is
 1 at least; it is 2 where most of those stand in the vehicle's way: a wall, a car, a fence. Plants reach higher.
 """
 
@@ -122,7 +122,7 @@ def gabor_bank(pixels: int, settings: StripeFilter) -> NDArray[np.float32]:
 def classify_filter(stack: SectorStack, model: StripeModel | None = None) -> ClassedSectors:
     """Assign to every traversable sector the class whose centre is nearest to its stripe count.
 
-    What stands on the ground may raise it. ``model``: None: the included one. Raises UsageError: it was fitted on
+    Objects on the ground may raise it. ``model``: None: the included one. Raises UsageError: it was fitted on
     heightmaps of another size.
     """
     model = model or load_stripes()

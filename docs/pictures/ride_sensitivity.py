@@ -24,7 +24,7 @@ def mean_c_r(profile: Vehicle, settings: DriveSettings, patches: NDArray[np.floa
 
 
 def main() -> None:
-    """Change one thing at a time."""
+    """Change one setting at a time."""
     warthog, settings = Vehicle.load("warthog"), DriveSettings()
     rough = make_textures("high_noise", PATCHES, np.random.default_rng(1)).astype(np.float64) * Z_RANGE_M
     cases = [(f"speed {v:g} m/s", replace(warthog, speed_mps=v), settings) for v in (0.5, 1.0, 2.0, 3.0)]

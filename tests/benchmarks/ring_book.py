@@ -45,21 +45,23 @@ def main():
     parser.add_argument("--out", type=Path, help="file for the table")
     given = parser.parse_args()
     kinds = [kind for kind in (*STANDING_KINDS, *GROUND_KINDS) if given.kinds in kind]
-    lines = ["| ring | " + " | ".join(f"{density:g}" for density in given.densities) + " |"]
-    lines.append("|---|" + "---|" * len(given.densities))
+    heads = ["closed: a way", *(f"open {opening:g} x: no way + elsewhere" for opening in OPENINGS[1:])]
+    lines = [f"| ring | {' | '.join(heads)} |", "|---" * len(("ring", *heads)) + "|"]
     with Pool(2) as pool:
-        for kind, opening in product(kinds, OPENINGS):
+        for kind in kinds:
             cells = []
-            for density in given.densities:
+            for opening, density in product(OPENINGS, given.densities):
                 rings = [ring_of(kind, opening, density, seed) for seed in range(given.rings)]
                 found = pool.map(judge, rings, chunksize=1)
                 wrong = sum(way == (opening == 0) for way, _ in found)
                 elsewhere = sum(other for _, other in found)
                 cells.append(f"{wrong}" + (f" + {elsewhere}" if elsewhere else ""))
-            what = "closed: a way" if opening == 0 else f"open {opening:g} x: no way + elsewhere"
-            lines.append(f"| {kind}, {what} | " + " | ".join(cells) + " |")
+            size = len(given.densities)
+            by_opening = (", ".join(cells[at : at + size]) for at in range(0, len(cells), size))
+            lines.append(f"| {kind} | " + " | ".join(by_opening) + " |")
             print(lines[-1], file=sys.stderr, flush=True)
-    text = "\n".join([f"Of {given.rings} rings in each cell, by points per m2:", "", *lines])
+    places = ", ".join(f"{density:g}" for density in given.densities)
+    text = "\n".join([f"Of {given.rings} rings in each cell, at {places} points per m2:", "", *lines])
     print(text)
     if given.out is not None:
         given.out.write_text(text + "\n", encoding="utf-8")

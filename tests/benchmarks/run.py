@@ -3,7 +3,7 @@
 python tests/benchmarks/run.py --data FOLDER [--survey FILE --crs EPSG:CODE] [--before PATH/bumpymap] [--rounds 5]
 
 Whole commands are timed alternately, round by round: reading, mapping, PDAL. The first run makes the surveys (1 GB on
-disk). The raw figures are written to FOLDER/results.json; a complete run writes the tables into the documentation. The
+disk). The raw figures are written to FOLDER/results.json; a complete run writes them into the documentation. The
 cases can be run in parts (--only); figures of other cases in results.json are kept, and ``--rounds 0`` prints the
 tables of them. The cases of 1,000 million points run only if they are named, and once.
 
@@ -56,28 +56,10 @@ MADE = {
     "20m-laz": (20, "laz", (*ALL, "map_1gb")),
     "20m-las": (20, "las", (*ALL, "map_1gb", "before_1gb")),
     "1000m-laz": (1000, "laz", ("map",)),
-    "1000m-copc": (1000, "copc", ("map",)),
 }
 """Synthetic surveys: million points, format, and what is timed on them."""
-LARGE = {"1000m-laz", "1000m-copc"}
+LARGE = {"1000m-laz"}
 """Cases that run only if they are named, and only once."""
-GOALS = (
-    ("real", "pdal", "map", "wall", "at least", 1.5),
-    ("real", "pdal_bin", "map", "wall", "at least", 1.2),
-    ("real", "map", "read", "wall", "at most", 1.5),
-    ("20m-laz", "pdal", "map", "wall", "at least", 1.7),
-    ("20m-laz", "pdal_bin", "map", "wall", "at least", 1.4),
-    ("20m-laz", "map", "read", "wall", "at most", 1.1),
-    ("20m-las", "pdal", "map", "wall", "at least", 3.5),
-    ("20m-las", "pdal_bin", "map", "wall", "at least", 2.8),
-    ("20m-las", "map", "read", "wall", "at most", 4.0),
-    ("20m-las", "map_1gb", "", "peak", "at most", 0.7),
-    ("20m-laz", "map_1gb", "", "peak", "at most", 1.3),
-    ("sample", "map", "before", "wall", "at most", 0.7),
-    ("start", "--help", "", "wall", "at most", 0.1),
-    ("start", "first run", "second run", "added", "at most", 1.0),
-)
-"""Case, program, program that it is compared with (empty: none), figure, and the target: s, GB, or a ratio."""
 PACKAGES = ("bumpymap", "laspy", "lazrs", "numpy", "numba", "onnxruntime", "rasterio", "open3d", "scikit-learn")
 _NOT_OF_A_USER = ("PYTHONDONTWRITEBYTECODE", "PYTHONUNBUFFERED")
 """Settings of Python that make it slower."""
@@ -212,25 +194,13 @@ def measure(given, cases, results):
             (given.data / "results.json").write_text(json.dumps(results, indent=1), encoding="utf-8")
 
 
-def note_same_bits(given, cases, results):
-    """Note whether layers of one survey that must be the same are the same."""
-    for key, (_, _, commands) in cases.items():
-        sums = {}
-        for side in commands:
-            manifest = given.data / "out" / f"{key}_{side}" / "run.json"
-            if manifest.exists():
-                run = json.loads(manifest.read_text(encoding="utf-8"))
-                sums[side] = {made["path"]: made["sha256"] for made in run["files"]}
-        results["same_bits"] |= {f"{key} {side}": own == sums["map"] for side, own in sums.items() if "map" in sums}
-
-
 def machine():
     """Describe this machine (without its name) and the versions in use."""
     there = {found.name for found in importlib.metadata.distributions()}
     versions = [f"{name} {importlib.metadata.version(name)}" for name in PACKAGES if name in there]
     if shutil.which("pdal"):
-        told = subprocess.run(["pdal", "--version"], capture_output=True, text=True, check=False).stdout
-        versions += re.findall(r"pdal \d[\d.]*", told)
+        shown = subprocess.run(["pdal", "--version"], capture_output=True, text=True, check=False).stdout
+        versions += re.findall(r"pdal \d[\d.]*", shown)
     processor = re.search(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text(encoding="utf-8"))
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
     return (
@@ -251,31 +221,6 @@ def median(results, key, side, figure):
 def table(head, rows):
     """Return a table as Markdown."""
     return "\n".join("| " + " | ".join(line) + " |" for line in (head, ["---"] * len(head), *rows))
-
-
-def goal_table(results):
-    """Return the table of targets."""
-    rows = []
-    for key, side, other, figure, word, bound in GOALS:
-        what = "wall" if figure == "added" else figure
-        over, under = median(results, key, side, what), median(results, key, other, what) if other else 1.0
-        if over is None or under is None:
-            continue
-        name, unit = f"{results['titles'][key]}: {SIDES.get(side, side)}", ""
-        if figure == "peak":
-            label, value, unit = f"{name}, peak memory", over / 1e9, " GB"
-        elif figure == "added":
-            label, value, unit = f"{name}, time added to the {other}", over - under, " s"
-        else:
-            label, value = f"{name}, time" + (f" relative to {SIDES[other]}" if other else ""), over / under
-            unit = "" if other else " s"
-        met = value >= bound if word == "at least" else value <= bound
-        rows.append((label, f"{value:.3g}{unit}", f"{word} {bound:g}{unit}", "yes" if met else "no"))
-    if results["same_bits"]:
-        others = ", ".join(name for name, same in results["same_bits"].items() if not same)
-        told, met = (f"other bits: {others}", "no") if others else ("same bits", "yes")
-        rows.append(("layers of one survey, with other options and versions", told, "same bits", met))
-    return table(("measure", "measured", "target", "met"), rows)
 
 
 def side_table(results):
@@ -300,7 +245,7 @@ def main():
     parser.add_argument("--crs", help="its CRS if it has none")
     parser.add_argument("--before", metavar="COMMAND", help="another bumpymap to compare with, as PATH/bumpymap")
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--only", default="", metavar="CASE,...", help="some cases: real, 20m-laz, 1000m-copc, start")
+    parser.add_argument("--only", default="", metavar="CASE,...", help="some cases: real, 20m-laz, 1000m-laz, start")
     parser.add_argument("--scale", type=float, default=1.0, help="share of the points, such as 0.01 for a quick test")
     given = parser.parse_args()
     possible = [*(["real"] if given.survey else []), *MADE, "sample", "start"]
@@ -309,7 +254,7 @@ def main():
         parser.error(f"--only names {', '.join(unknown)}; there are: {', '.join(possible)}")
     given.data.mkdir(parents=True, exist_ok=True)
     kept = given.data / "results.json"
-    results = {"machine": machine(), "scale": given.scale, "titles": {}, "samples": {}, "same_bits": {}}
+    results = {"machine": machine(), "scale": given.scale, "titles": {}, "samples": {}}
     if kept.exists():
         old = json.loads(kept.read_text(encoding="utf-8"))
         if (old["machine"], old["scale"]) == (results["machine"], given.scale):
@@ -317,12 +262,11 @@ def main():
     if given.rounds:
         cases = prepare(given, wanted)
         measure(given, cases, results)
-        note_same_bits(given, cases, results)
         kept.write_text(json.dumps(results, indent=1), encoding="utf-8")
-    text = "\n\n".join([results["machine"], goal_table(results), side_table(results)])
-    print(text)
+    figures = f"{results['machine']}\n\n{side_table(results)}\n"
+    print(figures)
     if given.scale == 1.0 and given.rounds and not given.only:
-        FIGURES.write_text(text + "\n", encoding="utf-8")
+        FIGURES.write_text(figures, encoding="utf-8")
 
 
 if __name__ == "__main__":

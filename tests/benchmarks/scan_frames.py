@@ -1,6 +1,6 @@
 """Measure how many frames a second `bumpymap scan` does: only the table, everything, and everything with pictures.
 
-python tests/benchmarks/scan_frames.py --data FOLDER [--frames 100] [--threads 1 2] [--rounds 2] [--method learned]
+python tests/benchmarks/scan_frames.py --data FOLDER [--method learned]
 
 One scan of a made-up yard is simulated with open3d; each frame is this scan turned, with its own noise, 124,000
 points. Runs with different numbers of threads alternate, and the best round of each counts. Printed are frames a second
@@ -18,7 +18,7 @@ from run import Sample, run_timed
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "worlds"))
 
-_POINTS = 124_000
+_POINTS, _FRAMES, _ROUNDS, _THREADS = 124_000, 100, 2, (1, 2)
 _KINDS = {
     "table": ("--set", "products=table"),
     "everything": (),
@@ -60,21 +60,18 @@ def main() -> None:
     """Run all kinds with all numbers of threads, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True, help="folder for the frames and the output")
-    parser.add_argument("--frames", type=int, default=100)
-    parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
-    parser.add_argument("--rounds", type=int, default=2)
     parser.add_argument("--method", default="learned")
     given = parser.parse_args()
-    frames = make_frames(given.data / "frames", given.frames)
+    frames = make_frames(given.data / "frames", _FRAMES)
     print(f"{'products':26} {'threads':>7} {'frames/s':>9} {'CPU ms/frame':>13} {'peak MB':>8}")
     for kind, options in _KINDS.items():
         best: dict[int, tuple[float, Sample]] = {}
-        for _ in range(given.rounds):
-            for threads in given.threads:
+        for _ in range(_ROUNDS):
+            for threads in _THREADS:
                 found = measure(frames, given.data / "out", ("--method", given.method, *options), threads)
                 best[threads] = min(best.get(threads, found), found, key=lambda one: one[0])
         for threads, (seconds, sample) in best.items():
-            rate, each = given.frames / seconds, 1000.0 * sample.cpu / given.frames
+            rate, each = _FRAMES / seconds, 1000.0 * sample.cpu / _FRAMES
             print(f"{kind:26} {threads:7} {rate:9.1f} {each:13.1f} {sample.peak / 1e6:8.0f}")
 
 

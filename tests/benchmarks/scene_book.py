@@ -1,4 +1,4 @@
-"""Draw the table of the made-up scenes: how much of what stands is closed, which gaps lead through, what is barred.
+"""Draw the table of the made-up scenes: how much of objects is closed, which gaps lead through, what is barred.
 
     python tests/benchmarks/scene_book.py [--seeds 4] [--only NAME] [--out docs/figures/scene_book.md]
 
@@ -20,6 +20,11 @@ BODY = VehicleBody(clearance_m=0.25, height_m=1.38, width_m=1.37, brush_stem_m=0
 DENSITIES = (200, 20, 8, 4)
 SURVEYS = ({}, {"sides": True}, {"classified": False})
 NOISE_M = 0.03
+LEFT_OUT = {
+    *("wall 0.2 m", "wall 0.6 m", "low wall 0.6 m high", "bales", "carport", "hut, unassigned", "crowns, unassigned"),
+    *("footbridge 1 m above ground, unassigned", "ring of wall 0.3 m, gap 1 m"),
+}
+"""Scenes between others of the table, or like one of them."""
 
 
 def share(value):
@@ -68,7 +73,8 @@ def main():
     parser.add_argument("--only", default="", help="scenes with this in their name")
     parser.add_argument("--out", type=Path, help="file for the table")
     given = parser.parse_args()
-    text = "\n".join(table([scene for scene in SCENES if given.only in scene.name], given.seeds))
+    chosen = [scene for scene in SCENES if given.only in scene.name and scene.name not in LEFT_OUT]
+    text = "\n".join(table(chosen, given.seeds))
     print(text)
     if given.out is not None:
         given.out.write_text(text + "\n", encoding="utf-8")

@@ -1,12 +1,12 @@
 """Drive a vehicle over fresh terrains in a second physics engine, and hold its ride against what a map predicts.
 
     python tests/benchmarks/second_engine.py --out DRIVES.jsonl [--vehicle warthog] [--seed 77] [--terrains 8]
-        [--starts 8] [--torque 4]
+        [--starts 8]
     python tests/benchmarks/second_engine.py --report DRIVES.jsonl [--densities 100,50,10] [--noise 0.01]
         [--rating ride|table]
 
 It needs MuJoCo (pip install mujoco), which nothing else uses. Tyres give way, which the first engine leaves out, and
-motors are as strong as the grip of the tyres allows, unless --torque says less. The terrains have a seed that no
+motors are as strong as the grip of the tyres allows. The terrains have a seed that no
 calibration has. An interrupted run goes on where it was. The report surveys the terrains, rates them as a map does, and
 prints rank, median error, share of the means inside the 80 % interval by third of C_r, and p_fail by bin.
 """
@@ -50,7 +50,7 @@ WHEEL = """<body pos="{forward} 0 0"><inertial pos="0 0 0" mass="{mass}" diagine
 class SecondVehicle:
     """The vehicle in the second engine, at the start of a strip of ground."""
 
-    def __init__(self, profile, ground, strip, torque):
+    def __init__(self, profile, ground, strip):
         import mujoco
 
         self._engine, self._radius = mujoco, profile.wheel.radius_m
@@ -63,7 +63,7 @@ class SecondVehicle:
         heights = ground.height(east, north)
         floor, tall = heights.min(), max(float(np.ptp(heights)), 1e-3)
         half = SPACING_M * np.array([cols - 1, rows - 1]) / 2
-        text = self._xml(profile, torque).format(
+        text = self._xml(profile).format(
             step=STEP_S, rows=rows, cols=cols, east=half[0], north=half[1], tall=tall, low=floor,
             x=low[0] + half[0], y=low[1] + half[1],
         )  # fmt: skip
@@ -76,8 +76,8 @@ class SecondVehicle:
         mujoco.mj_forward(self._model, self._data)
 
     @staticmethod
-    def _xml(profile, torque):
-        """Return the model, its ground left to fill in; `torque` is over a wheel's share of the weight times radius."""
+    def _xml(profile):
+        """Return the model, its ground left to fill in."""
 
         def words(values):
             return " ".join(f"{value:g}" for value in values)
@@ -86,7 +86,7 @@ class SecondVehicle:
         belly, tall = profile.belly, 0.3 * profile.belly.length_m
         bottom = belly.clearance_m - profile.wheel.radius_m - profile.chassis.com_height_m
         weight = 9.80665 * (profile.chassis.mass_kg + 2 * profile.rocker.mass_kg + 4 * profile.wheel.mass_kg)
-        torque *= weight / 4 * profile.wheel.radius_m
+        torque = TORQUE * weight / 4 * profile.wheel.radius_m
         rockers, motors = "", ""
         for side, left in (("l", profile.track_m / 2), ("r", -profile.track_m / 2)):
             wheels = ""
@@ -123,7 +123,7 @@ class SecondVehicle:
         self._data.ctrl[:] = np.array([left_mps, left_mps, right_mps, right_mps]) / self._radius
 
     def advance(self, steps):
-        """Simulate so many time steps with the last commands."""
+        """Simulate time steps with the last commands."""
         self._engine.mj_step(self._model, self._data, steps)
 
     def pose(self):
@@ -156,7 +156,7 @@ def drive_all(given):
         for start in range(given.starts):
             rng = np.random.default_rng([given.seed, KINDS.index(kind), index, start])
             strip = drive_strip(profile, draw_start(ground, rng), settings)
-            made.append(follow(SecondVehicle(profile, ground, strip, given.torque), strip, profile, settings))
+            made.append(follow(SecondVehicle(profile, ground, strip), strip, profile, settings))
         row = {
             "vehicle": given.vehicle, "seed": given.seed, "kind": kind, "index": index,
             "c_r": [d.c_r if d.outcome == "completed" else None for d in made], "outcome": [d.outcome for d in made],
@@ -213,7 +213,6 @@ def main():
     parser.add_argument("--seed", type=int, default=77)
     parser.add_argument("--terrains", type=int, default=8)
     parser.add_argument("--starts", type=int, default=8)
-    parser.add_argument("--torque", type=float, default=TORQUE)
     parser.add_argument("--densities", default="100,50")
     parser.add_argument("--noise", type=float, default=0.01)
     parser.add_argument("--rating", choices=("ride", "table"), default="ride")

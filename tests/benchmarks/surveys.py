@@ -8,11 +8,9 @@ no memory. A thousand million take 6.2 GB as LAZ; to make them takes about as lo
 
 import argparse
 import math
-import struct
 from pathlib import Path
 
 import laspy
-import lazrs
 import numpy as np
 from numba import njit
 from pyproj import CRS
@@ -126,18 +124,13 @@ def fill_records(numbers, lines, seed, out):
         record.blue = np.uint16(35.0 + 150.0 * shade + 6.0 * _share(grain, 32)) << 8
 
 
-def _header():
+def make(points, path):
+    """Write a survey to a path ending with .las or .laz; the site is about square, and the file appears whole."""
     header = laspy.LasHeader(version="1.4", point_format=7)
     header.scales, header.offsets = np.full(3, SCALE), np.array(_CORNER)
     header.generating_software = "bumpymap benchmarks"
     header.global_encoding.gps_time_type = laspy.header.GpsTimeType.STANDARD
     header.add_crs(CRS.from_epsg(32632))
-    return header
-
-
-def make(points, path):
-    """Write a survey to a path ending with .las or .laz; the site is about square, and the file appears whole."""
-    header = _header()
     lines = math.ceil(points / (SWATH * max(1, round(math.sqrt(points) / SWATH))))
     beside, backend = path.with_name(path.name + ".part"), laspy.LazBackend.LazrsParallel
     with laspy.open(beside, "w", header=header, do_compress=path.suffix == ".laz", laz_backend=backend) as writer:
@@ -151,71 +144,17 @@ def make(points, path):
     beside.rename(path)
 
 
-def make_copc(points, path):
-    """Write a survey as COPC, rounded to a square of blocks of ``SWATH`` x ``SWATH`` points.
-
-    Of each block an eighth is in the octree's node around it, the rest in the four nodes below.
-    """
-    side = max(1, round(math.sqrt(points) / SWATH))
-    level = max(1, math.ceil(math.log2(side)))
-    block = SWATH * SPACING
-    half = block * 2**level / 2
-    laz, header = lazrs.LazVlr.new_for_compression(7, 0, True), _header()
-    header.vlrs.insert(0, laspy.VLR("copc", 1, record_data=bytes(160)))
-    header.vlrs.append(laspy.VLR("laszip encoded", 22204, record_data=bytes(laz.record_data())))
-    header.are_points_compressed = True
-    header.partial_reset()
-    beside = path.with_name(path.name + ".part")
-    nodes, counts = [(depth, x, y) for depth in range(level) for x, y in np.ndindex(2**depth, 2**depth)], []
-    empty = len(nodes)
-    with beside.open("wb+") as file:
-        header.write_to(file)
-        begin = file.tell()
-        compressor = lazrs.ParLasZipCompressor(file, laz)
-        compressor.reserve_offset_to_chunk_table()
-        for x, y in np.ndindex(side, side):
-            first = (x * side + y) * SWATH * SWATH
-            records = np.zeros(SWATH * SWATH, header.point_format.dtype())
-            fill_records(np.arange(first, first + len(records)), SWATH * side, SEED, records)
-            for axis, place in (("X", x), ("Y", y)):  # rounded coordinates must not leave the block
-                inside = math.ceil(place * block / SCALE), math.floor((place + 1) * block / SCALE)
-                records[axis] = np.clip(records[axis], *inside)
-            quarter = (records["X"] * SCALE / block % 1 >= 0.5) + 2 * (records["Y"] * SCALE / block % 1 >= 0.5)
-            quarter[np.random.default_rng(first).random(len(records)) < 1 / 8] = -1
-            parts = [records[quarter == part] for part in range(-1, 4)]
-            nodes += [(level, x, y), *((level + 1, 2 * x + part % 2, 2 * y + part // 2) for part in range(4))]
-            counts += map(len, parts)
-            header.grow(laspy.PackedPointRecord(records, header.point_format))
-            compressor.compress_chunks([part.view(np.uint8) for part in parts])
-        compressor.done()
-        file.seek(begin)
-        sizes = [size for _, size in lazrs.read_chunk_table(file, laz)]
-        starts = begin + 8 + np.cumsum([0, *sizes])
-        chunks = [(0, 0, 0)] * empty + list(zip(starts.tolist(), sizes, counts, strict=False))
-        entries = [struct.pack("<4iQ2i", *node, 0, *chunk) for node, chunk in zip(nodes, chunks, strict=True)]
-        end, page = file.seek(0, 2), b"".join(entries)
-        file.write(struct.pack("<H16sHQ32s", 0, b"copc", 1000, len(page), b"") + page)
-        middle = np.add(_CORNER, (half, half, half - block / 4))
-        info = struct.pack("<5d2Q2d11Q", *middle, half, 8 * SPACING, end + 60, len(page), 0, 0, *[0] * 11)
-        header.vlrs[0].record_data = info
-        header.start_of_first_evlr, header.number_of_evlrs = end, 1
-        file.seek(0)
-        header.write_to(file)
-    beside.rename(path)
-
-
 def main():
     """Make a survey unless it exists; print its path."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True, help="folder of the surveys")
     parser.add_argument("--points", type=int, default=20_000_000)
-    parser.add_argument("--format", choices=("laz", "las", "copc"), default="laz")
+    parser.add_argument("--format", choices=("laz", "las"), default="laz")
     given = parser.parse_args()
-    name = f"site_{given.points}_{SEED}"
-    path = given.data / (f"{name}.copc.laz" if given.format == "copc" else f"{name}.{given.format}")
+    path = given.data / f"site_{given.points}_{SEED}.{given.format}"
     if not path.exists():
         given.data.mkdir(parents=True, exist_ok=True)
-        (make_copc if given.format == "copc" else make)(given.points, path)
+        make(given.points, path)
     print(path)
 
 

@@ -1,16 +1,15 @@
 """Map a survey and random copies of it with fewer points, and hold the copies against the map of all points.
 
     python tests/benchmarks/thinned_maps.py SURVEY [--crs CRS] [--densities 10,6] [--noise 0] [--seed 1]
-        [--dense LAYERS] [--twin] [--ground]
+        [--ground]
 
 A copy bars a tile if it is passable in the map of all points and not in that of the copy; unknown tiles of the copy
-count as barred, and are named. It opens one that is barred, and not unknown, in the map of all points. With --twin the
-copy is held against another of its density: so much is due to chance alone.
+count as barred, and are named. It opens one that is barred, and not unknown, in the map of all points.
 
 Then the ride: share of the tiles that the copy leaves unknown; rank, median error and ratio of its C_r (by third of
 that of all points), and how often its 80 % interval holds the C_r of all points, of tiles on which fewer than half of
 the drives fail. --noise adds errors to the heights of the copies [m]; --ground calls every point ground, so that both
-rate what stands on it too.
+rate the objects on it too.
 """
 
 import argparse
@@ -81,8 +80,6 @@ def main():
     parser.add_argument("--densities", default="10,6", help="points per m2")
     parser.add_argument("--noise", default="0", help="standard deviation of errors that copies get, m")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--dense", type=Path, help="layers of all points, if they were mapped")
-    parser.add_argument("--twin", action="store_true", help="hold each copy against another of its density")
     parser.add_argument("--ground", action="store_true", help="call all points ground")
     given = parser.parse_args()
     settings = {} if given.crs is None else {"crs": given.crs}
@@ -94,18 +91,16 @@ def main():
             bumpymap.map_survey(work / "copy.las", work / name, **settings)
             return tiles_of(work / name)
 
-        dense = tiles_of(given.dense) if given.dense else mapped("dense", 0)
+        dense = mapped("dense", 0)
         density = dense["density"].mean()
         rides = []
         print("| points/m2 | passable tiles that it bars | by reason | barred tiles that it opens | by reason before |")
         print("|---|---|---|---|---|")
         for wanted in map(float, given.densities.split(",")):
             for noise in map(float, given.noise.split(",")):
-                options = {"share": wanted / density, "noise": noise}
-                after = mapped(f"at_{wanted:g}_{noise:g}", given.seed, **options)
-                first = mapped(f"twin_{wanted:g}_{noise:g}", given.seed + 1, **options) if given.twin else dense
-                print("| " + " | ".join([f"{wanted:g}", *compare_passable(first, after)]) + " |", flush=True)
-                rides.append([f"{wanted:g}", f"{100 * noise:g} cm", *compare_ride(first, after)])
+                after = mapped(f"at_{wanted:g}_{noise:g}", given.seed, share=wanted / density, noise=noise)
+                print("| " + " | ".join([f"{wanted:g}", *compare_passable(dense, after)]) + " |", flush=True)
+                rides.append([f"{wanted:g}", f"{100 * noise:g} cm", *compare_ride(dense, after)])
         print(HEAD, *("| " + " | ".join(cells) + " |" for cells in rides), sep="\n")
 
 

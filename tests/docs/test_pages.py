@@ -121,8 +121,8 @@ TABLE = [line.split("|") for line in LOGS.split("| quantity | what |")[1].split(
 def test_every_quantity_has_a_row_and_names_on_the_page_are_known():
     assert sorted(name for row in TABLE for name in re.findall(r"`(\w+)`", row[1])) == sorted(QUANTITIES)
     for row in TABLE:
-        told = re.findall(r"`(\w+)`", row[3])
-        assert {NAMES[name.lower()] for name in told} <= set(re.findall(r"`(\w+)`", row[1]))
+        named = re.findall(r"`(\w+)`", row[3])
+        assert {NAMES[name.lower()] for name in named} <= set(re.findall(r"`(\w+)`", row[1]))
 
 
 def test_units_and_examples_of_columns_on_the_page_are_read():

@@ -59,12 +59,11 @@ def cloud(rows, stamp_ns=0, frame="lidar", row_step=None):
     )
 
 
-def lidar_rows(points, dtype=LIDAR):
-    rows = np.zeros(len(points), dtype)
+def lidar_rows(points):
+    rows = np.zeros(len(points), LIDAR)
     for axis, column in zip("xyz", np.asarray(points).T, strict=True):
         rows[axis] = column
-    if "intensity" in dtype.names:
-        rows["intensity"] = np.arange(len(points)) % 200
+    rows["intensity"] = np.arange(len(points)) % 200
     return rows
 
 
@@ -78,7 +77,7 @@ def _turn(rotation):
     return message("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
 
 
-def odometry(stamp_ns, pose, frame="odom", child="base"):
+def odometry(stamp_ns, pose, child="base"):
     """Of a pose: rotation of scipy and place."""
     rotation, place = pose
     nothing = vector(np.zeros(3))
@@ -88,7 +87,7 @@ def odometry(stamp_ns, pose, frame="odom", child="base"):
     speed = message("geometry_msgs/msg/Twist", linear=nothing, angular=nothing)
     return message(
         ODOMETRY,
-        header=header(stamp_ns, frame),
+        header=header(stamp_ns, "odom"),
         child_frame_id=child,
         pose=message("geometry_msgs/msg/PoseWithCovariance", pose=there, covariance=np.zeros(36)),
         twist=message("geometry_msgs/msg/TwistWithCovariance", twist=speed, covariance=np.zeros(36)),

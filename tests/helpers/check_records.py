@@ -43,23 +43,23 @@ def make_drive(name="drive 1", **changes):
     return replace(drive, **changes)
 
 
-def stretches_at(points, c_r, factor, *, drives=1, sd=0.05, unknown=()):
+def stretches_at(points, c_r, factor, *, drives=1, sd=0.05, unknown=(), speed=2.0, limits=LIMITS):
     """Stretches with ``points`` in their middle; the drive felt ``c_r * factor``; those ``unknown`` are off the map."""
     n = len(points)
     c_r = np.array(c_r, np.float64)
     measured = c_r * factor
     c_r[list(unknown)] = np.nan
-    start = np.arange(n) * STRETCH_M / 2.0
-    classes = np.digitize(measured, LIMITS).astype(np.uint8)
-    by_map = np.where(np.isfinite(c_r), np.digitize(c_r, LIMITS), NO_CLASS).astype(np.uint8)
+    start = np.arange(n) * STRETCH_M / speed
+    classes = np.digitize(measured, limits).astype(np.uint8)
+    by_map = np.where(np.isfinite(c_r), np.digitize(c_r, limits), NO_CLASS).astype(np.uint8)
     return DrivenStretches(
         drive=np.minimum(np.arange(n) * drives // n, drives - 1),
         start_s=start,
-        end_s=start + STRETCH_M / 2.0,
+        end_s=start + STRETCH_M / speed,
         easting=np.array(points[:, 0]),
         northing=np.array(points[:, 1]),
         way_m=np.full(n, STRETCH_M),
-        speed_mps=np.full(n, 2.0),
+        speed_mps=np.full(n, speed),
         measured=measured,
         measured_sd=sd * measured,
         c_r=c_r,

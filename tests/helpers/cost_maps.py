@@ -125,7 +125,7 @@ def part_of(cost_map, chosen):
 
 
 def with_objects(cost_map, seed=9):
-    """The same map with things that stand on its ground, and pixels where nothing was seen."""
+    """The same map with obstacles on its ground, and pixels where nothing was seen."""
     rng = np.random.default_rng(seed)
     tiles, pixels = len(cost_map.class_id), cost_map.patches.grid.pixels
     kinds = np.array([FREE, OBSTACLE, CANOPY, UNSEEN], np.uint8)

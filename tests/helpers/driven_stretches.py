@@ -1,10 +1,9 @@
 """Made-up stretches of drives over a map whose C_r is off by known numbers."""
 
+from dataclasses import replace
+
 import numpy as np
-
-from bumpymap.core import DrivenStretches
-
-STRETCH_M = 10.0
+from check_records import STRETCH_M, stretches_at
 
 
 def driven_stretches(calibration, n=50, *, shift=0.3, tilt=0.0, seed=0, **options):
@@ -18,20 +17,9 @@ def driven_stretches(calibration, n=50, *, shift=0.3, tilt=0.0, seed=0, **option
     measured = np.exp(middle + shift + (1 + tilt) * (log_c_r - middle) + error)
     c_r, along = np.exp(log_c_r), STRETCH_M * np.arange(n)
     speed = options.get("speed", calibration.vehicle["speed_mps"])
-    return DrivenStretches(
-        drive=np.arange(n) * options.get("drives", 1) // n,
-        start_s=along / speed,
-        end_s=(along + STRETCH_M) / speed,
-        easting=500_000.0 + along,
-        northing=np.full(n, 4_000_000.0),
-        way_m=np.full(n, STRETCH_M),
-        speed_mps=np.full(n, speed),
-        measured=measured,
-        measured_sd=sd * measured,
-        c_r=c_r,
-        c_r_low=c_r * np.exp(-1.2816 * map_sd),
-        c_r_high=c_r * np.exp(1.2816 * map_sd),
-        place_sd=np.zeros(n),
-        class_id=np.digitize(c_r, calibration.class_limits).astype(np.uint8),
-        measured_class=np.digitize(measured, calibration.class_limits).astype(np.uint8),
-    )
+    made = stretches_at(
+        np.column_stack([500_000.0 + along, np.full(n, 4_000_000.0)]), c_r, measured / c_r, sd=sd, speed=speed,
+        drives=options.get("drives", 1), limits=calibration.class_limits,
+    )  # fmt: skip
+    low, high = (c_r * np.exp(edge * map_sd) for edge in (-1.2816, 1.2816))
+    return replace(made, measured=measured, c_r_low=low, c_r_high=high, place_sd=np.zeros(n))

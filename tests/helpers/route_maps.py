@@ -67,13 +67,13 @@ def change_bars(folder, code, bar):
     return folder
 
 
-def bare_map(window=None, *, crs=UTM, unit=1.0, grid=None):
+def bare_map(window=None, *, crs=UTM, unit=1.0):
     """Map without files: its place is known, nothing can be read."""
     window = window or TileWindow(160_000, 712_000, 100, 80)
     return MapReader(
         folder=Path("nowhere"),
         manifest={},
-        grid=grid or Grid(),
+        grid=Grid(),
         window=window,
         georeference=Georeference(crs, unit),
         rule=RULE,

@@ -27,10 +27,10 @@ def by_heading(rng, cost):
     return np.maximum(cost[..., None] * rng.uniform(0.5, 2.0, (*cost.shape, 8)), 1.0).astype(np.float32)
 
 
-def with_slope(rng, cost, climb=6.0, descent=2.0, steepest=0.25):
+def with_slope(rng, cost, steepest=0.25):
     """The same field with slopes of up to a half or so."""
     gradient = rng.normal(0.0, 0.15, (*cost.shape[:2], 2)).astype(np.float32)
-    return Costs(cost if cost.ndim == 3 else cost[..., None], gradient, climb, descent, 3.0, steepest)
+    return Costs(cost if cost.ndim == 3 else cost[..., None], gradient, 6.0, 2.0, 3.0, steepest)
 
 
 def crossed(row, col):

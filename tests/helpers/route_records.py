@@ -22,13 +22,13 @@ FIGURES = RouteFigures(
 )
 
 
-def make_route(name="route", corners=CORNERS, *, georeference=UTM, step=2.0, figures=FIGURES, stops=None, seed=0):
+def make_route(name="route", corners=CORNERS, *, georeference=UTM, step=2.0, stops=None):
     """Route along corners, on wavy ground; every seventh value of its profile is unknown."""
     corners = np.asarray(corners, float)
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
     distance = np.linspace(0.0, along[-1], max(2, int(along[-1] / step) + 1)) if along[-1] > 0 else np.zeros(1)
     easting, northing = (np.interp(distance, along, axis) for axis in corners.T)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     low, middle, high = np.sort(rng.gamma(2.0, 0.1, (3, len(distance))), axis=0)
     gap = np.arange(len(distance)) % 7 == 3
     *unknown, speed = [
@@ -48,7 +48,7 @@ def make_route(name="route", corners=CORNERS, *, georeference=UTM, step=2.0, fig
         speed,
     )
     stops = corners[[0, -1]] if stops is None else np.asarray(stops, float)
-    return Route(name, georeference, Grid(), corners, stops, profile, figures, VEHICLE, 25.0)
+    return Route(name, georeference, Grid(), corners, stops, profile, FIGURES, VEHICLE, 25.0)
 
 
 MADE_UP = Path(__file__).parent / "made_up_map"

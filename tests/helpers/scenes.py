@@ -28,6 +28,7 @@ from bumpytiles import Grid, TileBuckets, join_tiles
 GROUND, PLANT, BUILDING, OTHER = 2, 5, 6, 1
 """LAS classes; the first code of plants is `PLANT`, for hedges 4."""
 HEDGE = 4
+PIXEL_M = Grid().pixel_size
 LEAN = 0.25
 """Mean lean of pulses that see sides too: points per m2 of a side, as a share of those per m2 of ground."""
 
@@ -51,7 +52,7 @@ class Solid(NamedTuple):
     is_round: bool = False
 
     def inside(self, x, y, grow=0.0):
-        """Whether places are in its footprint, grown by so many m."""
+        """Whether places are in its footprint, grown by a distance, m."""
         if self.is_round:
             return np.hypot(x - self.x, y - self.y) <= 0.5 * self.width + grow
         c, s = math.cos(math.radians(self.turn)), math.sin(math.radians(self.turn))
@@ -183,7 +184,7 @@ class TruePixels(NamedTuple):
     """Ground that is not level, likewise. Unless it is steep as a wall, slopes and steps of tiles bar ways over it."""
 
 
-def true_pixels(scene, west, south, pixels, *, place=HERE, low=0.25, high=1.38, pixel=0.2, tolerance=0.4):
+def true_pixels(scene, west, south, pixels, *, place=HERE, high=1.38, tolerance=0.4):
     """Return what is true of a square of pixels.
 
     Parameters
@@ -195,37 +196,35 @@ def true_pixels(scene, west, south, pixels, *, place=HERE, low=0.25, high=1.38, 
         Along a side.
     place : Place
         As surveyed.
-    low, high : float
-        Heights between which a thing is in the way, m.
-    pixel : float
-        m.
+    high : float
+        Height from 0.25 m to which a solid is in the way, m.
     tolerance : float
-        What is closer to a thing than this may be called closed, m.
+        Pixels closer to a solid than this may be called closed, m.
     """
-    axis = (np.arange(pixels) + 0.5) * pixel
+    axis = (np.arange(pixels) + 0.5) * PIXEL_M
     x, y = place.in_scene(*np.meshgrid(west + axis, (south + axis)[::-1]))
     closed, near = np.zeros((2, *x.shape), bool)
     for solid in scene.solids:
-        in_the_way = solid.bottom < high and solid.top > low
+        in_the_way = solid.bottom < high and solid.top > 0.25
         if in_the_way or solid.stops == 1.0:  # what is under a closed roof is not seen
-            closed |= solid.inside(x, y, max(0.0, 0.5 * (pixel - solid.width)))
+            closed |= solid.inside(x, y, max(0.0, 0.5 * (PIXEL_M - solid.width)))
             near |= solid.inside(x, y, tolerance)
     near |= np.maximum(np.abs(x), np.abs(y)) > scene.half - 1.0
     relief = scene.relief(x, y)
     return TruePixels(closed, ~near & ~relief, ~near & relief)
 
 
-def ring(gap=0.0, thickness=0.3, height=2.0, side=9.0, class_id=BUILDING):
-    """Four walls around a yard, with a gap in the middle of the eastern one; m.
+def ring(gap=0.0, thickness=0.3, side=9.0):
+    """Four walls of 2 m around a yard, with a gap in the middle of the eastern one; m.
 
     The yard is ``side`` m wide inside. A vehicle gets in only through the gap, if it fits.
     """
     a, t = 0.5 * (side + thickness), thickness
     long = side + 2 * thickness
-    walls = [Solid(0, a, long, t, height), Solid(0, -a, long, t, height), Solid(-a, 0, long, t, height, turn=90)]
+    walls = [Solid(0, a, long, t, 2.0), Solid(0, -a, long, t, 2.0), Solid(-a, 0, long, t, 2.0, turn=90)]
     part = 0.5 * (long - gap)
-    east = [Solid(a, sign * 0.5 * (gap + part), part, t, height, turn=90) for sign in (1, -1)]
-    solids = tuple(wall._replace(class_id=class_id) for wall in walls + east)
+    east = [Solid(a, sign * 0.5 * (gap + part), part, t, 2.0, turn=90) for sign in (1, -1)]
+    solids = tuple(wall._replace(class_id=BUILDING) for wall in walls + east)
     return Scene(f"ring of wall {thickness:g} m, gap {gap:g} m", solids, half=a + 6.0)
 
 
@@ -364,10 +363,10 @@ def judge(scene, density, noise, body, *, classified=True, sides=False, seeds=ra
         return Judgement(*(hits / counts).tolist(), float(np.mean(joined)))
 
 
-def _gets_out(shut, body, east, north, half, pixel=0.2):
+def _gets_out(shut, body, east, north, half):
     """Whether a disc of the vehicle's width and margin gets from a place, m from a corner, to the rim of a scene."""
-    room = distance_transform_edt(~shut) * pixel >= 0.5 * body.width_m + 0.1
+    room = distance_transform_edt(~shut) * PIXEL_M >= 0.5 * body.width_m + 0.1
     areas, _ = label(room)
-    axis = (np.arange(len(shut)) + 0.5) * pixel
+    axis = (np.arange(len(shut)) + 0.5) * PIXEL_M
     far = np.hypot(axis - east, (axis[::-1] - north)[:, None])
     return bool(set(areas[(far < 2.0) & room]) & set(areas[(far > half - 2.0) & (far < half) & room]))

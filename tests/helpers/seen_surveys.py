@@ -1,30 +1,16 @@
 """Surveys of level ground with posts or with a step, and the share of these that is found."""
 
 import numpy as np
+from scenes import GROUND, OTHER, ScenePoints, seen_pixels
 from scipy.stats import binned_statistic_2d
 from walls import PIXELS, TILE_SIZE, Wall
 
-from bumpymap.core import OBSTACLE, UNSEEN, FeatureSettings, VehicleBody, smallest_step
-from bumpymap.patches import find_in_relief, find_objects, measure, settle_solids
-from bumpymap.rating import find_steps, settle_objects
-from bumpytiles import Grid, TileBuckets, join_tiles
+from bumpymap.core import OBSTACLE, VehicleBody, smallest_step
+from bumpymap.rating import find_steps
 
 BODY = VehicleBody(clearance_m=0.25, height_m=1.4, width_m=1.4, brush_stem_m=0.25)
 APART, TILES, STEP_TILES = 4.0, 32, 12
 """Distance of the posts, m; tiles along a side of a survey of posts, and of one with a step."""
-
-
-def states_of(x, y, z, ground, *, in_relief):
-    """State of each pixel of a survey, with a ring of one tile around it."""
-    buckets = TileBuckets(Grid())
-    buckets.add(x, y, z, ground)
-    shape = (TILES + 2, PIXELS) * 2
-    objects, points = np.full(shape, UNSEEN, np.uint8), join_tiles(list(buckets.blocks()))
-    patches = measure(points, FeatureSettings(), ground_only=not in_relief)
-    found = find_in_relief(points, patches, BODY).stack if in_relief else find_objects(points, patches, BODY)
-    objects[TILES - points.row, :, points.col + 1] = found.objects
-    objects = objects.reshape(((TILES + 2) * PIXELS,) * 2)
-    return settle_objects(settle_solids(objects, Grid(), FeatureSettings().max_hole), PIXELS)
 
 
 def share_of_posts(density, width, rng, *, in_relief, surveys=1):
@@ -37,7 +23,8 @@ def share_of_posts(density, width, rng, *, in_relief, surveys=1):
         own = middle[(x // APART).astype(int) * posts + (y // APART).astype(int)]
         on = (np.abs(x - own[:, 0]) < width / 2) & (np.abs(y - own[:, 1]) < width / 2)
         z = 0.1 * x + rng.normal(0, 0.02, len(x)) + on
-        closed = states_of(x, y, z, ~on, in_relief=in_relief) == OBSTACLE
+        classes = np.where(on | in_relief, OTHER, GROUND)
+        closed = seen_pixels(ScenePoints(x, y, z, classes), BODY)[0] == OBSTACLE
         low, high = (middle - width / 2 - 0.25) / pixel, (middle + width / 2 + 0.25) / pixel
         top = (TILES + 1) * PIXELS - 1
         for (west, south), (east, north) in zip(low.astype(int), high.astype(int), strict=True):

@@ -35,8 +35,9 @@ class Wall:
         return self.height * (self.distance(easting, northing) > 0) + self.slope[0] * easting + self.slope[1] * northing
 
 
-def mosaic(wall, tiles, fine=8):
+def mosaic(wall, tiles):
     """Heights of tiles x tiles tiles from the origin on, north row first: the mean of each pixel."""
+    fine = 8
     axis = (np.arange(tiles * PIXELS * fine) + 0.5) * TILE_SIZE / PIXELS / fine
     z = wall.ground(*np.meshgrid(axis, axis[::-1]))
     n = tiles * PIXELS

@@ -62,7 +62,7 @@ def car(number):
 
 @pytest.fixture(name="frames", scope="module")
 def frames_fixture():
-    """Frames of a drive past things that stand and one that moves."""
+    """Frames of a drive past standing objects and a moving one."""
     return [seen(pose, [PARKED, TRUCK, *WALLS, car(number)]) for number, pose in enumerate(way_along())]
 
 

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from small_surveys import SIDES
 
-from bumpymap.core import PolarSettings, Robot
+from bumpymap.core import PolarSettings, Robot, SilentProgress
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.layers import part_path
 from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
@@ -150,14 +150,11 @@ def test_the_map_of_a_drive_has_the_ground_at_its_height_and_the_crs_of_the_pose
     assert tiles["class"][north > 2006.0].mean() > tiles["class"][north < 2001.0].mean() + 1.0
 
 
-class _Ends:
-    """A progress that ends the run after so many frames."""
+class _Ends(SilentProgress):
+    """Ends the run after a number of frames."""
 
     def __init__(self, after):
         self.left = after
-
-    def start(self, stage, total):
-        pass
 
     def advance(self, steps):
         self.left -= steps

@@ -507,9 +507,9 @@ def test_cells_of_ground_are_free_and_cells_of_obstacles_barred(shared_data, fra
     grid = lay_grid(scan.points, classify_filter(stack), CELLS)
     label = scan.label & 0xFFFF if labels == "semantic-kitti" else scan.label
     inside = (np.abs(scan.points[:, :2]) < 20.0).all(axis=1) & (stack.point_sector >= 0)
-    ground, thing = np.isin(label, [*kinds.ground]), np.isin(label, [*kinds.obstacle])
+    ground, solid = np.isin(label, [*kinds.ground]), np.isin(label, [*kinds.obstacle])
     height = stack.point_height
-    thing &= (height > 0.3) & (height < 1.3) & ~stack.point_ground
+    solid &= (height > 0.3) & (height < 1.3) & ~stack.point_ground
 
     def count(chosen):
         found = np.zeros(grid.occupancy.shape, int)
@@ -518,7 +518,7 @@ def test_cells_of_ground_are_free_and_cells_of_obstacles_barred(shared_data, fra
 
     bare = (count(ground) > 0) & (count(~ground) == 0)
     assert ((grid.occupancy[bare] == 100) | (grid.occupancy[bare] == -1)).mean() < 0.05
-    assert (grid.occupancy[count(thing) > 1] == 100).mean() > 0.98
+    assert (grid.occupancy[count(solid) > 1] == 100).mean() > 0.98
 
 
 @pytest.mark.parametrize(

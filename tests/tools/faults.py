@@ -2,7 +2,7 @@
 
     python tests/tools/faults.py [--found FILE.jsonl] [ROOM...]
 
-The faults are those of faults.txt: a file, what stands there once, what is put in its place, and the tests, apart by
+The faults are those of faults.txt: a file, a text that is in it once, what is put in its place, and the tests, apart by
 ``~~``. What finds each is kept in the file, line by line; a run that was broken off goes on where it was. The tests are
 those of `make test`: none that is marked later.
 """

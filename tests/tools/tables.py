@@ -2,8 +2,8 @@
 
     python tests/tools/tables.py SURVEY... [--crs EPSG:CODE] [--scans FRAME...]
 
-Table I is that of a map with ``compat = "paper"``: of all its tiles, and of those that are not class 3 for the want of
-points alone. Table II is measured here, on up to 64 blocks of the survey. Tables IV and V are those of scans.
+Table I is that of a map with ``compat = "paper"``. Table II is measured here, on up to 64 blocks of the survey; IV and
+V are those of scans.
 """
 
 import argparse
@@ -52,26 +52,18 @@ def first_table(layers):
     """Return the lines of Table I of a map with ``compat = "paper"``."""
     tiles = layers.tiles()
     tiles = tiles[tiles["class"].notna()]
-    full = tiles["confidence"].notna()
-    rows, orders = [], []
-    for name, part in {"compat=paper": tiles, "its full tiles": tiles[full]}.items():
-        classes = [part[part["class"] == class_id] for class_id in range(len(CLASS_NAMES))]
-        found = np.array([[getattr(own[column], how)() for column, how in FIGURES.values()] for own in classes], float)
-        for class_id, (own, figures) in enumerate(zip(classes, found, strict=True)):
-            share = percent(len(own) / max(len(part), 1))
-            rows.append([name, f"{class_id} {CLASS_NAMES[class_id]}", str(len(own)), share, *map(number, figures)])
-        rises = (np.diff(found[[len(own) > 0 for own in classes]], axis=0) > 0).all(axis=0)
-        falls = ", ".join(figure for figure, rise in zip(FIGURES, rises, strict=True) if not rise)
-        orders.append(f"- `{name}`: from class to class, " + (f"these do not rise: {falls}." if falls else "all rise."))
+    full, rows = tiles["confidence"].notna(), []
+    for class_id, name in enumerate(CLASS_NAMES):
+        own = tiles[tiles["class"] == class_id]
+        figures = (number(float(getattr(own[column], how)())) for column, how in FIGURES.values())
+        rows.append(["compat=paper", f"{class_id} {name}", str(len(own)), percent(len(own) / len(tiles)), *figures])
     for site, variance, residual in PAPER_CLASSES:
         figures = enumerate(zip(map(number, variance), map(number, residual), strict=True))
         rows += [[site, str(k), "-", "-", "-", square, "-", away, "-"] for k, (square, away) in figures]
     holes = f"{np.count_nonzero(~full)} of {len(full)} tiles are class 3 because they have too few points, or more than"
     return [
         *table(("rating", "class", "tiles", "share", *FIGURES), rows),
-        *orders,
-        "",
-        f"{holes} 30 % of their pixels hold none; the full tiles are the others.",
+        f"{holes} 30 % of their pixels hold none.",
     ]
 
 
