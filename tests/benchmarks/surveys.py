@@ -12,7 +12,6 @@ from pathlib import Path
 
 import laspy
 import numpy as np
-from numba import njit
 from pyproj import CRS
 
 SEED = 1
@@ -31,30 +30,27 @@ _LONGEST = 64.0
 _STONE_CELL = 7.0
 
 
-@njit(nogil=True)
 def _mix(value):
-    """Hash a number to 64 bits (the finaliser of splitmix64)."""
-    value += np.uint64(0x9E3779B97F4A7C15)
+    """Hash numbers, uint64, to 64 bits (the finaliser of splitmix64)."""
+    value = value + np.uint64(0x9E3779B97F4A7C15)
     value = (value ^ (value >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     value = (value ^ (value >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return value ^ (value >> np.uint64(31))
 
 
-@njit(nogil=True)
 def _share(bits, first):
-    """Return a uniform number 0..1 from 16 of the bits."""
-    return float((bits >> np.uint64(first)) & np.uint64(0xFFFF)) / 65536.0
+    """Return uniform numbers 0..1 from 16 of the bits."""
+    return ((bits >> np.uint64(first)) & np.uint64(0xFFFF)).astype(np.float64) / 65536.0
 
 
-@njit(nogil=True)
 def _corner(col, row, salt):
-    return _mix(_mix(np.uint64(col) + (np.uint64(salt) << np.uint64(40))) ^ (np.uint64(row) << np.uint64(20)))
+    along = col.astype(np.uint64) + (np.uint64(salt) << np.uint64(40))
+    return _mix(_mix(along) ^ (row.astype(np.uint64) << np.uint64(20)))
 
 
-@njit(nogil=True)
 def _noise(x, y, salt):
     """Return value noise: random heights -1..1 at integer x and y, smooth between them (x, y not negative)."""
-    col, row = int(x), int(y)
+    col, row = x.astype(np.int64), y.astype(np.int64)
     u, v = x - col, y - row
     u, v = u * u * (3.0 - 2.0 * u), v * v * (3.0 - 2.0 * v)
     south = _share(_corner(col, row, salt), 0) * (1.0 - u) + _share(_corner(col + 1, row, salt), 0) * u
@@ -62,21 +58,17 @@ def _noise(x, y, salt):
     return 2.0 * (south * (1.0 - v) + north * v) - 1.0
 
 
-@njit(nogil=True)
 def _stone(x, y, salt):
     """Return the height of the stone in the lattice cell at (x, y), m; 0 outside the stone."""
-    col, row = int(x / _STONE_CELL), int(y / _STONE_CELL)
+    col, row = (x / _STONE_CELL).astype(np.int64), (y / _STONE_CELL).astype(np.int64)
     bits = _corner(col, row, salt)
-    if _share(bits, 0) > 0.25:
-        return 0.0
     radius = 0.3 + 0.9 * _share(bits, 16)
     dx = x - (col + 0.3 + 0.4 * _share(bits, 32)) * _STONE_CELL
     dy = y - (row + 0.3 + 0.4 * _share(bits, 48)) * _STONE_CELL
-    inside = 1.0 - (dx * dx + dy * dy) / (radius * radius)
-    return 0.8 * radius * math.sqrt(inside) if inside > 0.0 else 0.0
+    inside = np.maximum(1.0 - (dx * dx + dy * dy) / (radius * radius), 0.0)
+    return np.where(_share(bits, 0) > 0.25, 0.0, 0.8 * radius * np.sqrt(inside))
 
 
-@njit(nogil=True)
 def _height(x, y, seed):
     """Return the height of the ground, m: hills, shorter and lower waves of varying strength, and stones."""
     share = 0.5 + 0.5 * _noise(x / 45.0, y / 45.0, seed)
@@ -84,44 +76,39 @@ def _height(x, y, seed):
     total, amplitude, step = 0.0, 4.0, _LONGEST
     for octave in range(_OCTAVES):
         wave = amplitude * _noise(x / step, y / step, seed + 1 + octave)
-        total += wave if octave < 3 else rough * wave  # hills do not depend on the roughness
+        total = total + (wave if octave < 3 else rough * wave)  # hills do not depend on the roughness
         amplitude *= 0.45
         step *= 0.45
     return total + _stone(x, y, seed + 100)
 
 
-@njit(nogil=True)
 def fill_records(numbers, lines, seed, out):
     """Write the points of some numbers (n,) to records (n,) of point format 7, relative to the south-west corner.
 
     Number 0 is the first point of the first swath; a swath has ``lines`` scan lines, south to north, of ``SWATH``
     points each.
     """
-    for i in range(len(numbers)):
-        number = numbers[i]
-        swath, place = number // (SWATH * lines), number % (SWATH * lines)
-        line, across = place // SWATH, place % SWATH
-        bits, more = _mix(np.uint64(number) ^ np.uint64(seed << 48)), _mix(np.uint64(number) + np.uint64(1 << 60))
-        x = (swath * SWATH + across + _share(bits, 0)) * SPACING
-        y = (line + _share(bits, 16)) * SPACING
-        # The sum of three uniform numbers of width 0.03 m is nearly normal, with 15 mm standard deviation.
-        shake = 0.03 * (_share(bits, 32) + _share(bits, 48) + _share(more, 0) - 1.5)
-        z = _height(x, y, seed) + shake
-        shade = 0.5 + 0.35 * _noise(x / 0.8, y / 0.8, seed + 200) + 0.1 * (_share(more, 16) - 0.5)
-        last_of_two = _share(more, 32) < 0.06
-        record = out[i]
-        record.X, record.Y, record.Z = round(x / SCALE), round(y / SCALE), round(z / SCALE)
-        record.intensity = np.uint16(20000.0 * shade + 4000.0 * _share(more, 48))
-        record.bit_fields = 0x22 if last_of_two else 0x11
-        record.classification = 1
-        record.scan_angle = round((across - SWATH / 2) * 5000.0 / SWATH)
-        record.point_source_id = 1 + swath
-        record.gps_time = 3.994e8 + number * 4.2e-6 + swath * 30.0
-        # Cameras record 8 bits; software writes them as the upper 8 of 16 bits.
-        grain = _mix(more)
-        record.red = np.uint16(40.0 + 200.0 * shade + 6.0 * _share(grain, 0)) << 8
-        record.green = np.uint16(50.0 + 180.0 * shade + 6.0 * _share(grain, 16)) << 8
-        record.blue = np.uint16(35.0 + 150.0 * shade + 6.0 * _share(grain, 32)) << 8
+    swath, place = np.divmod(numbers, SWATH * lines)
+    line, across = np.divmod(place, SWATH)
+    words = numbers.astype(np.uint64)
+    bits, more = _mix(words ^ np.uint64(seed << 48)), _mix(words + np.uint64(1 << 60))
+    x = (swath * SWATH + across + _share(bits, 0)) * SPACING
+    y = (line + _share(bits, 16)) * SPACING
+    # The sum of three uniform numbers of width 0.03 m is nearly normal, with 15 mm standard deviation.
+    z = _height(x, y, seed) + 0.03 * (_share(bits, 32) + _share(bits, 48) + _share(more, 0) - 1.5)
+    shade = 0.5 + 0.35 * _noise(x / 0.8, y / 0.8, seed + 200) + 0.1 * (_share(more, 16) - 0.5)
+    for axis, metres in zip("XYZ", (x, y, z), strict=True):
+        out[axis] = np.rint(metres / SCALE)
+    out["intensity"] = 20000.0 * shade + 4000.0 * _share(more, 48)
+    out["bit_fields"] = np.where(_share(more, 32) < 0.06, 0x22, 0x11)
+    out["classification"] = 1
+    out["scan_angle"] = np.rint((across - SWATH / 2) * 5000.0 / SWATH)
+    out["point_source_id"] = 1 + swath
+    out["gps_time"] = 3.994e8 + numbers * 4.2e-6 + swath * 30.0
+    # Cameras record 8 bits; software writes them as the upper 8 of 16 bits.
+    grain = _mix(more)
+    for first, (band, dark, bright) in enumerate((("red", 40.0, 200.0), ("green", 50.0, 180.0), ("blue", 35.0, 150.0))):
+        out[band] = (dark + bright * shade + 6.0 * _share(grain, 16 * first)).astype(np.uint16) << 8
 
 
 def make(points, path):
