@@ -28,7 +28,7 @@ ROOMS = {
     "views": ({"core", "layers"}, {"PIL", "jinja2", "numpy", "open3d", "pyproj", "rosbags", "scipy"}),
     "survey": ({"core", "readers", "patches", "rating", "layers", "views"}, {"numpy"}),
     "scan": (
-        {"core", "readers", "patches", "rating", "layers", "views", "survey"},
+        {"core", "readers", "patches", "rating", "layers", "views"},
         {"numpy", "pyproj", "scipy", "skimage"},
     ),
     "route": ({"core", "rating", "layers", "views"}, {"numpy", "scipy", "skimage", "xarray"}),

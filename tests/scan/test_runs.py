@@ -7,6 +7,7 @@ import re
 import shutil
 import threading
 from dataclasses import replace
+from functools import partial
 
 import laspy
 import numpy as np
@@ -24,9 +25,11 @@ from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.readers import read_scan
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.methods import choose_method
-from bumpymap.scan.pipeline import scan_frames
+from bumpymap.scan.pipeline import scan_frames as scan_alone
+from bumpymap.survey import map_surveys
 
 pytestmark = pytest.mark.slow
+scan_frames = partial(scan_alone, mapper=map_surveys)
 
 POSES = [
     (Rotation.from_euler("zyx", (0.4, 0.02, -0.03)), np.array([1003.0, 2001.0, 51.5])),
