@@ -152,7 +152,6 @@ class MapConfig:
             "Heightmap pixels along a side of a tile", "N", 3, 255, default="15; 25, 30 for tiles of 5, 6 m", rare=True
         ),
     ] = 15
-    """`with_pixels` sets those of the tile size."""
     ground: Annotated[Ground, Setting("Points to use: auto, all, class or csf", "KIND", group="Ground")] = "auto"
     """Points that are measured: ``all``; those whose ``class`` is ground; ``auto``: these if most tiles have such
     points, but all in a part that was never classified, else all; or those that a cloth simulation filter finds

@@ -39,7 +39,7 @@ _LISTS = (".txt", ".csv")
 _TWO_PARTS = ".copc"
 """Of ``site.copc.laz``, which is the survey ``site``."""
 _SURVEY, _NAME = "survey", "name"
-_KINDS = {each.name: each.kind for each in settings_with_options(MapConfig) if each.name not in OWN_SETTINGS}
+_KINDS = {each.name: each.kind for each, _ in settings_with_options(MapConfig) if each.name not in OWN_SETTINGS}
 """Column -> type of its setting."""
 _WORDS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 
