@@ -56,7 +56,7 @@ ENGINE = {"dask", "distributed", "llvmlite", "numba", "numpy"}
 """What bumpytiles may import."""
 GUARDED = set().union(*(packages for _, packages in ROOMS.values())) | ENGINE | {"geopandas", "pandas", "xarray"}
 ONE_PLACE = {
-    "blake3": {"bumpymap/core/run_spec.py"},
+    "blake3": {"bumpymap/core/run_folder.py"},
     "jinja2": {"bumpymap/views/page/page.py"},
     "onnxruntime": {"bumpymap/core/onnx_file.py"},
     "distributed": {"tiles/bumpytiles/_dask.py"},

@@ -157,25 +157,23 @@ from .route_types import (
     slope_cost as slope_cost,
 )
 from .run_folder import (
-    Holder as Holder,
     Kept as Kept,
     RunFolder as RunFolder,
     clean_folder as clean_folder,
-    is_interrupted as is_interrupted,
-    is_own_folder as is_own_folder,
-    lock_for as lock_for,
-    locked as locked,
-    read_record as read_record,
-    what_to_keep as what_to_keep,
-)
-from .run_spec import (
     differences as differences,
     file_checksum as file_checksum,
     flat_settings as flat_settings,
+    is_interrupted as is_interrupted,
+    is_own_folder as is_own_folder,
     join_checksums as join_checksums,
+    lock_for as lock_for,
+    lock_holder as lock_holder,
+    locked as locked,
+    read_record as read_record,
     recorded_settings as recorded_settings,
     same_content as same_content,
     spec_of_manifest as spec_of_manifest,
+    what_to_keep as what_to_keep,
 )
 from .scan_types import (
     CLASSES as CLASSES,

@@ -12,7 +12,7 @@ from driven_stretches import driven_stretches
 from small_surveys import run, write_survey
 
 from bumpymap.api import map_survey
-from bumpymap.cli import train_command
+from bumpymap.cli import lab_commands
 from bumpymap.cli.check_command import prepare_refit, refit_lines
 from bumpymap.core import BadInputError, OutputError, UsageError, install_command
 from bumpymap.lab.settings import CalibrationSettings
@@ -157,7 +157,7 @@ def test_a_calibration_is_written_and_summed_up_and_replaced_only_if_told(tmp_pa
 @pytest.mark.parametrize("package", ["dartpy", "sklearn"])
 def test_missing_libraries_are_named_with_their_extra(tmp_path, monkeypatch, package):
     monkeypatch.setitem(sys.modules, package, None)
-    monkeypatch.setattr(train_command, "find_spec", lambda _: None)
+    monkeypatch.setattr(lab_commands, "find_spec", lambda _: None)
     for words, said in (
         (["calibrate", "--vehicle", "warthog"], install_command("sim")),
         (["train", "scans", tmp_path], install_command("learn")),

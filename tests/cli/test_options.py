@@ -53,7 +53,7 @@ def reached(monkeypatch, tmp_path):
     import bumpymap.survey.batch.source
     import bumpymap.survey.engine
     import bumpymap.survey.pipeline
-    from bumpymap.cli import calibrate_command, train_command
+    from bumpymap.cli import lab_commands
 
     monkeypatch.setattr(bumpymap.survey.pipeline, "_prepare", ends("map"))
     monkeypatch.setattr("bumpymap.survey.run_batch", ends("batch"))
@@ -64,9 +64,9 @@ def reached(monkeypatch, tmp_path):
     monkeypatch.setattr("bumpymap.views.export_map", ends("export"))
     monkeypatch.setattr("bumpymap.scan.scan_frames", ends("scan"))
     monkeypatch.setattr(bumpymap.readers, "find_surveys", ends("info"))
-    monkeypatch.setattr(calibrate_command, "_calibrate", ends("calibrate"))
+    monkeypatch.setattr(lab_commands, "_calibrate", ends("calibrate"))
     monkeypatch.setattr("bumpymap.lab.require_dart", lambda: None)
-    monkeypatch.setattr(train_command, "_require_libraries", lambda: None)
+    monkeypatch.setattr(lab_commands, "find_spec", lambda _: True)
     if importlib.util.find_spec("torch"):
         monkeypatch.setattr("bumpymap.lab.make_model", ends("train textures"))
         monkeypatch.setattr("bumpymap.lab.make_scan_model", ends("train scans"))
