@@ -116,10 +116,8 @@ def _calibrate(
 
     require_dart()
     journal = calibration_journal(out.with_name(out.name + ".progress.jsonl"), settings)
-    with (
-        locked(out.parent, f".{out.name}.lock"),
-        interrupt_note("The driven patches are kept: give the same command again to continue."),
-    ):
+    note = "The driven patches are kept: give the same command again to continue."
+    with locked(out.parent, f".{out.name}.lock"), interrupt_note(note):
         _require_free(out, overwrite)
         _require_writable(out)
         drives = sum(job.starts for job in calibration_jobs(settings))
