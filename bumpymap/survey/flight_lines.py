@@ -29,35 +29,17 @@ _ILL_CONDITIONED = 1e-3
 Ints = NDArray[np.int64]
 
 
-@dataclass(frozen=True, slots=True)
-class LineCells:
-    """Cells in which a line has points, one row each, line by line inside a cell."""
-
-    cell: Ints
-    """(n,) key of the cell."""
-    line: Ints
-    """(n,)."""
-    easting: NDArray[np.floating]
-    """(n,) south-west corner, m."""
-    northing: NDArray[np.floating]
-    sums: Ints
-    """(n, 10) see `bumpymap.readers.LineSums`."""
-
-    @classmethod
-    def of(cls, sums: LineSums) -> "LineCells":
-        """Choose the points that are compared, ground or all, and return their cells."""
-        rows = sums.rows()
-        lined, ground = rows[:, 0] >> 1, (rows[:, 0] & 1).astype(np.bool_)
-        cells = lined >> 16
-        if len(np.unique(cells[ground])) > _CLASSIFIED_SHARE * len(np.unique(cells)):
-            lined, values = lined[ground], rows[ground, 1:]
-        elif len(rows):
-            first = np.flatnonzero(np.diff(lined, prepend=-1))
-            lined, values = lined[first], np.add.reduceat(rows[:, 1:], first, axis=0)
-        else:
-            values = rows[:, 1:]
-        col, row = cell_indices(lined >> 16)
-        return cls(lined >> 16, lined & 0xFFFF, col * CELL, row * CELL, values)
+def _compared(sums: LineSums) -> tuple[Ints, Ints]:
+    """Return cell << 16 | line of each line in each cell, rising, (n,), and its sums, (n, 10): of ground, or of all."""
+    rows = sums.rows()
+    lined, ground = rows[:, 0] >> 1, (rows[:, 0] & 1).astype(np.bool_)
+    cells = lined >> 16
+    if len(np.unique(cells[ground])) > _CLASSIFIED_SHARE * len(np.unique(cells)):
+        return lined[ground], rows[ground, 1:]
+    if not len(rows):
+        return lined, rows[:, 1:]
+    first = np.flatnonzero(np.diff(lined, prepend=-1))
+    return lined[first], np.add.reduceat(rows[:, 1:], first, axis=0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,27 +68,30 @@ class CellSteps:
         yield from (slice(start, end) for start, end in pairwise(bounds.tolist()) if end - start >= least)
 
 
-def steps_between_lines(cells: LineCells) -> CellSteps:
-    """Return the steps in all cells where they can be measured."""
+def steps_between_lines(lined: Ints, sums: Ints) -> CellSteps:
+    """Return the steps in all cells where they can be measured.
+
+    Parameters
+    ----------
+    lined : (n,)
+        Key of the cell << 16 | line, rising.
+    sums : (n, 10)
+        See `bumpymap.readers.LineSums`.
+    """
+    cell, line = lined >> 16, lined & 0xFFFF
     pairs = [np.zeros((2, 0), np.int64)]
     for gap in range(1, _NEIGHBOURS + 1):
-        left = np.flatnonzero(cells.cell[gap:] == cells.cell[:-gap])
+        left = np.flatnonzero(cell[gap:] == cell[:-gap])
         pairs.append(np.array([left, left + gap]))
     one, two = np.concatenate(pairs, axis=1)
-    counts = cells.sums[:, 0]
+    counts = sums[:, 0]
     enough = (np.minimum(counts[one], counts[two]) >= _LEAST_POINTS) & (counts[one] + counts[two] >= _LEAST_OF_BOTH)
     one, two = one[enough], two[enough]
-    order = np.lexsort((cells.cell[one], cells.line[two], cells.line[one]))
+    order = np.lexsort((cell[one], line[two], line[one]))
     one, two = one[order], two[order]
-    place, step, error, known = _fit(cells.sums[one], cells.sums[two])
-    found = CellSteps(
-        cells.line[one],
-        cells.line[two],
-        cells.easting[one] + place[0],
-        cells.northing[one] + place[1],
-        step,
-        error,
-    )
+    place, step, error, known = _fit(sums[one], sums[two])
+    col, row = cell_indices(cell[one])
+    found = CellSteps(line[one], line[two], col * CELL + place[0], row * CELL + place[1], step, error)
     return found.where(known & (error <= _LARGEST_ERROR))
 
 
@@ -212,11 +197,11 @@ class FlightLines:
 
 def compare_lines(sums: LineSums) -> FlightLines:
     """Compare the lines of a survey by the sums of all its points."""
-    cells = LineCells.of(sums)
-    lines = len(np.unique(cells.line))
+    lined, own = _compared(sums)
+    lines = len(np.unique(lined & 0xFFFF))
     if lines < 2:
         return FlightLines(lines)
-    steps = steps_between_lines(cells)
+    steps = steps_between_lines(lined, own)
     return FlightLines(lines, tuple(_pair(steps, span) for span in steps.pairs(_LEAST_CELLS)))
 
 

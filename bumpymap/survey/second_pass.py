@@ -357,7 +357,9 @@ class NeighbourRating:
 
     def _steps(self, window: NeighbourWindow, searched: NDArray[np.bool_]) -> TileSteps:
         if self.config.pixels >= _LEAST_PIXELS:
-            standing = self._pixels(_is_relief(window)) & (window.mosaic("objects") == OBSTACLE)
+            # Where all points count as ground, obstacles are part of the relief.
+            in_relief = window.present & np.isnan(window["obstacle"])
+            standing = self._pixels(in_relief) & (window.mosaic("objects") == OBSTACLE)
             calibration = self.calibration
             wheel, closing = calibration.wheel_pixels, closing_height(calibration)
             found = find_steps(window.mosaic("heights"), self.config.pixels, wheel, closing, standing, searched)
@@ -474,11 +476,6 @@ def finish_tiles(
     rated = add_neighbours(table, rating, folder, threads, progress)
     sweep = VehicleSweep(rating.config, rating.calibration)
     return add_neighbours(rated, sweep, folder, threads, SilentProgress(), "swept")
-
-
-def _is_relief(window: NeighbourWindow) -> NDArray[np.bool_]:
-    """Return the tiles whose points all count as ground, so that obstacles are part of their relief."""
-    return np.asarray(window.present & np.isnan(window["obstacle"]))
 
 
 def _first(window: NeighbourWindow) -> BlockRating:

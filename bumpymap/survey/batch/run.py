@@ -9,8 +9,8 @@ import logging
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cache, partial
@@ -57,7 +57,7 @@ from bumpymap.survey.batch.settings import BatchConfig, MapSettings, PathLike, S
 from bumpymap.survey.batch.source import Row, list_surveys, settings_faults
 from bumpymap.survey.engine import connect
 from bumpymap.survey.pipeline import map_surveys
-from bumpymap.survey.run_record import WarningCollector
+from bumpymap.survey.run_record import collected_warnings
 from bumpymap.views import SurveyView, index_page, page_header, read_thumbnail
 from bumpytiles import compile_loaded
 
@@ -88,12 +88,12 @@ def map_one(task: MapTask) -> TaskEnd:
     import_without_pandas("pyogrio.raw")
     view, trace = SurveyView(), ""
     lock_for(task.started_by)
-    with _collected_warnings() as said:
+    with collected_warnings(alone=True) as said:
         try:
             row = _mapped(task)
             view = look_at(task.config.out, task.thumbnail)
         except Exception as error:  # noqa: BLE001 (the other surveys are mapped all the same)
-            row = _failed(task, error, time.perf_counter() - begin)
+            row = _failed(task, _why_failed(error), begin)
             if not isinstance(error, BumpymapError):
                 trace = traceback.format_exc()
     return replace(row, warnings=tuple(dict.fromkeys([*row.warnings, *said]))), view, trace
@@ -128,40 +128,23 @@ def _mapped(task: MapTask) -> SurveyRow:
         require_known(result, task.config)
     except TooUnknownError as error:
         message, status = f"{message} {error}".strip(), "incomplete"
-    return SurveyRow(task.name, status, message, survey=_survey(task), **map_facts(out))
+    survey = " ".join(map(str, task.config.surveys))
+    return SurveyRow(task.name, status, message, survey=survey, **map_facts(out))
 
 
-def _failed(task: MapTask, error: Exception, seconds: float) -> SurveyRow:
-    what, full = missing_resource(error), refused_write(error)
-    message = str(error) if isinstance(error, BumpymapError) else f"{type(error).__name__}: {error}"
-    if full and not isinstance(error, BumpymapError):
-        message = f"{message} ({full})"
-    if what:
-        message = f"the machine has no {what} left for this: give fewer `jobs` or less `memory`. {message}"
-    return _failed_row(task, message, seconds)
+def _why_failed(error: Exception) -> str:
+    message = str(error)
+    if not isinstance(error, BumpymapError):
+        full = refused_write(error)
+        message = f"{type(error).__name__}: {error}" + (f" ({full})" if full else "")
+    if what := missing_resource(error):
+        return f"the machine has no {what} left for this: give fewer `jobs` or less `memory`. {message}"
+    return message
 
 
-def _failed_row(task: MapTask, message: str, seconds: float) -> SurveyRow:
-    return SurveyRow(task.name, "failed", message, seconds=round(seconds, 3), survey=_survey(task))
-
-
-def _survey(task: MapTask) -> str:
-    return " ".join(map(str, task.config.surveys))
-
-
-@contextmanager
-def _collected_warnings() -> Iterator[list[str]]:
-    """Collect the warnings of bumpymap and its engine during the body, instead of printing them."""
-    collector = WarningCollector(every_thread=True)
-    loggers = [logging.getLogger(name) for name in ("bumpymap", "bumpytiles")]
-    before = [(logger.handlers, logger.propagate) for logger in loggers]
-    for logger in loggers:
-        logger.handlers, logger.propagate = [collector], False
-    try:
-        yield collector.kept
-    finally:
-        for logger, (handlers, propagate) in zip(loggers, before, strict=True):
-            logger.handlers, logger.propagate = handlers, propagate
+def _failed(task: MapTask, message: str, begun: float) -> SurveyRow:
+    survey, seconds = " ".join(map(str, task.config.surveys)), round(time.perf_counter() - begun, 3)
+    return SurveyRow(task.name, "failed", message, seconds=seconds, survey=survey)
 
 
 _MODULE = "bumpymap.survey.batch.run"
@@ -203,7 +186,7 @@ def map_tasks(tasks: Sequence[MapTask], jobs: int) -> Generator[TaskEnd, None, N
                         f"its process {error}. If memory ran out, give fewer `jobs` or less `memory`; the next start "
                         "continues this survey"
                     )
-                    end = _failed_row(task, message, time.perf_counter() - begun), SurveyView(), ""
+                    end = _failed(task, message, begun), SurveyView(), ""
                 yield end
     finally:
         # A run that is under way is ended as by a kill; the next start continues it.

@@ -297,7 +297,14 @@ class ClusterExecutor:
         """Read all ranges that are unread."""
         workers = self._workers.count()
         shared = list(shared_tasks(plan.unread, plan.read, plan.finished, workers, plan.tiles))
-        tasks = ((self._context, [self._source(plan, part) for part in task.ranges], task) for task in shared)
+        inputs = self._space.run_spec["inputs"]
+
+        def source(part: ChunkRange) -> FileSource:
+            path = plan.readers[part.file].info.path
+            known = inputs[str(path)]
+            return path if isinstance(path, str) else path.absolute(), (known["size"], known["digest"])
+
+        tasks = ((self._context, [source(part) for part in task.ranges], task) for task in shared)
         with closing(self._workers.run(read_ranges, tasks)) as results:
             for number, read in results:
                 yield read
@@ -318,11 +325,6 @@ class ClusterExecutor:
         with closing(self._workers.run(function, tasks)) as results:
             for _, result in results:
                 yield result
-
-    def _source(self, plan: ReadPlan, part: ChunkRange) -> FileSource:
-        path = plan.readers[part.file].info.path
-        known = self._space.run_spec["inputs"][str(path)]
-        return path if isinstance(path, str) else path.absolute(), (known["size"], known["digest"])
 
     def _check_workers(self) -> None:
         """Raise UsageError if a worker lacks something that the run needs."""
