@@ -149,11 +149,6 @@ class NumberList(click.ParamType):  # type: ignore[type-arg]
 
 _PARTLY_DONE = 4
 """Exit code if inputs were skipped."""
-_OF_ALL = ("quiet", "log_json", "config_file", "assigned")
-
-
-def _is_given(ctx: click.Context, name: str) -> bool:
-    return ctx.get_parameter_source(name) is ParameterSource.COMMANDLINE
 
 
 @dataclass
@@ -200,11 +195,6 @@ class Run:
         own = reversed(owners or self.owners)
         defaults = {name: each.default for owner in own for name, each in declared_fields(owner).items()}
         return {name: value for name, value in self.from_file.items() if value != defaults[name]} | self.given
-
-    def named(self) -> list[str]:
-        """Return the names of options and arguments that are given, and of settings that differ from their defaults."""
-        typed = (name for name in self.ctx.params if name not in _OF_ALL and _is_given(self.ctx, name))
-        return list(dict.fromkeys([*typed, *self.changed()]))
 
     def progress(self) -> AbstractContextManager[CommandProgress]:
         """Return a context with the progress to hand over to the work."""
@@ -254,7 +244,8 @@ def job(
             assigned = assigned_settings(words, stored, "--set", *known)
             settings = fields_known | {each.name for each in ctx.command.params if getattr(each, "declared", False)}
             own = {name: values.pop(name) for name in list(values) if name in settings}
-            given = {name: value for name, value in own.items() if _is_given(ctx, name)}
+            typed = ParameterSource.COMMANDLINE
+            given = {name: value for name, value in own.items() if ctx.get_parameter_source(name) is typed}
             function(Run(ctx, known, clashes, quiet, log_json, stored, assigned, given), **values)
 
         command = click.command(name, cls=GroupedCommand)(run)

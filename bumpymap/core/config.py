@@ -162,8 +162,7 @@ class MapConfig:
     """LAS classes whose points are ground with ``ground = "auto"`` or ``"class"``: ground, road surface, bridge deck.
     Points of class 17, a bridge deck, hide the ground beneath them."""
     align: Annotated[Align, Setting("Height steps of flight lines: off, report", "WHAT", group="Ground")] = "report"
-    """Height steps between flight lines: ``report`` measures them, ``on`` also takes them off where an offset or a
-    tilt of each line explains them (which reads the survey twice), ``off`` does not measure them."""
+    """Height steps between flight lines: ``report`` measures them, ``off`` does not."""
     rating: Annotated[Rating, Setting("How the ride cost is predicted", rare=True)] = "ride"
     """``ride`` rolls the vehicle over each tile; ``table`` looks up its texture and z range, as the paper does."""
     compat: Annotated[Compat, Setting("paper: use the rules of the BumpyPatch paper", default="", rare=True)] = "none"

@@ -12,7 +12,7 @@ tests/benchmarks/seen_sizes.py`` measures it again.
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -190,12 +190,6 @@ class SeenSizes:
     def forecast(cls, density: float, pixel_m: float, *, in_relief: bool) -> Self:
         """Return what an even survey of so many points per m2 will show; of steps it takes more to tell."""
         return cls(density, float(np.sqrt(points_needed(density, pixel_m, in_relief=in_relief) / density)))
-
-    @classmethod
-    def worst(cls, sizes: Iterable["SeenSizes"]) -> Self:
-        """Return what is seen everywhere: the lowest density and the largest sizes that are known."""
-        low, *high = np.array([(seen.density, seen.object_m, seen.step_m) for seen in sizes]).reshape(-1, 3).T
-        return cls(float(np.fmin.reduce(low)), *(float(np.fmax.reduce(values)) for values in high))
 
     @property
     def sentence(self) -> str:
