@@ -23,7 +23,7 @@ from uuid import uuid4
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, OutputError, Progress, UsageError, install_command
+from bumpymap.core import BadInputError, OutputError, Progress, SilentProgress, UsageError, install_command
 from bumpymap.readers import Location, ReadOptions, SurveyReader, close_decoder, identity, reopen_survey
 from bumpymap.survey.engine.block_work import BlockWork, engine_errors
 from bumpymap.survey.engine.budget import Budget, Workspace
@@ -153,14 +153,11 @@ def _worker(context: RunContext) -> Iterator[Worker]:
             yield Worker(context.work, budget, points, tiles, _RunCheck(context))
 
 
-class _RunCheck:
+class _RunCheck(SilentProgress):
     """A progress that ends the task when the run has ended."""
 
     def __init__(self, context: RunContext) -> None:
         self._context = context
-
-    def start(self, stage: str, total: int | None) -> None:
-        """Do nothing."""
 
     def advance(self, steps: int) -> None:
         """Raise OutputError if the run has ended."""
