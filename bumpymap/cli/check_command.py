@@ -75,8 +75,8 @@ def _classes(result: "CheckResult") -> Iterator[tuple[str, ...]]:
 
     for name, found in agreements_of(result):
         values = (found.median_ratio, found.median_error, found.spearman, found.inside)
-        told = (cell(value, form, "-") for value, form in zip(values, (".2f", ".0%") * 2, strict=True))
-        yield name, f"{found.way_m:.0f} m", *told
+        cells = (cell(value, form, "-") for value, form in zip(values, (".2f", ".0%") * 2, strict=True))
+        yield name, f"{found.way_m:.0f} m", *cells
 
 
 def _record(result: "CheckResult", files: Sequence[Path], config: CheckConfig) -> dict[str, Any]:

@@ -55,7 +55,7 @@ def parse_json(text: str) -> Any:
 def plain_json(value: Any, digits: int | None = None) -> Any:
     """Convert dataclasses, arrays, paths and CRSs, nested in any way, to types that JSON has.
 
-    Numbers that are not finite become None, others are rounded to so many significant ``digits``.
+    Numbers that are not finite become None, others are rounded to ``digits`` significant ones.
     """
     if hasattr(value, "tolist"):
         value = value.tolist()
@@ -105,7 +105,7 @@ def shape_fault(value: Any, shape: Any, name: str = "it") -> str:
         From `parse_json`.
     shape
         ``{name: shape}`` for an object, which may hold more (a name that ends in ``?`` may be missing); ``[shape]`` for
-        an array; ``(shape, shape)`` for one of so many; `Number`, `Nullable`, `Each`; else a type.
+        an array; ``(shape, shape)`` for one of that length; `Number`, `Nullable`, `Each`; else a type.
     name : str
         How the message calls the value.
     """
@@ -163,7 +163,7 @@ def open_regular(path: Path, flags: int = 0) -> BinaryIO:
 
 
 def read_regular(path: Path, most: int = _MOST_READ) -> bytes:
-    """Return the content of a file that a user names, of so many bytes at most; for errors see `open_regular`."""
+    """Return the content of a file that a user names, of ``most`` bytes at most; for errors see `open_regular`."""
     with open_regular(path) as file:
         content = file.read(most + 1)
     if len(content) > most:

@@ -29,7 +29,7 @@ from bumpymap.core.files import plain_json, read_regular
 
 _MOST_BYTES = 16 * 1024
 """Several times that of every setting with its description. Time and memory of ``tomllib`` grow with the square of the
-parts of a dotted key: one of so many bytes takes 3 s and 0.3 GB."""
+parts of a dotted key: one of this size takes 3 s and 0.3 GB."""
 _MESSAGE_CHARACTERS = 300
 """Characters of the parser's message that are shown at most: it may quote a key in full."""
 _NAMED = 8

@@ -97,18 +97,6 @@ def test_results_come_in_order_whatever_is_finished_first(threads):
         assert [result() for result in results] == [10 * item for item in range(20)]
 
 
-@settings(max_examples=20)
-@given(st.integers(1, 6), st.integers(0, 40))
-def test_only_a_few_items_are_begun_before_the_first_is_taken(threads, count):
-    begun, taken = [], []
-    items = (begun.append(item) or item for item in range(count))
-    with in_threads(lambda item: item, items, threads) as results:
-        for result in results:
-            assert len(begun) <= len(taken) + 2 * threads
-            taken.append(result())
-    assert taken == list(range(count))
-
-
 @pytest.mark.parametrize("threads", [1, 3])
 def test_an_error_is_raised_where_its_result_is_taken(threads):
     with in_threads(lambda item: 1 // item, [1, 0, 1], threads) as results:

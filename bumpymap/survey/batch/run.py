@@ -336,9 +336,9 @@ def run_batch(
         results = Results(tasks, folder, folder.absolute().name)
         try:
             with closing(map_tasks(tasks, jobs)) as ends:
-                for told, view, trace in ends:
-                    warnings = tuple(spell(warning) for warning in told.warnings)
-                    row = replace(told, message=spell(told.message), warnings=warnings)
+                for found, view, trace in ends:
+                    warnings = tuple(spell(warning) for warning in found.warnings)
+                    row = replace(found, message=spell(found.message), warnings=warnings)
                     _note(row, trace)
                     results.add(row, view)
                     if report is not None:

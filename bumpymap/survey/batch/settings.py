@@ -169,12 +169,12 @@ class BatchConfig:
         return max(1, min(most, len(sizes)))
 
     def share(self, config: MapConfig, jobs: int) -> MapConfig:
-        """Return settings with the share of threads and memory that one of so many jobs gets; of workers, all.
+        """Return settings with the share of threads and memory that one of several jobs gets; of workers, all.
 
         Raises
         ------
         UsageError
-            ``memory`` is not a size, or too small for so many.
+            ``memory`` is not a size, or too small for that number.
         """
         if config.scheduler is not None:
             return config

@@ -176,7 +176,7 @@ class BlockCompletion:
             self._open_areas[self._inside(box)] -= 1
 
     def is_complete(self, key: BlockKey, around: int = 0) -> bool:
-        """Return whether no unread area overlaps a block, and so many around it on each side."""
+        """Return whether no unread area overlaps a block, and ``around`` blocks on each side of it."""
         if self._unknown or self._open_areas is None:
             return False
         row, col = key[0] - self._south, key[1] - self._west
