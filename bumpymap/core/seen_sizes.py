@@ -46,8 +46,8 @@ between which that grows, pixels."""
 _FLAGGED = 3.0
 """A part of a tile is sparser than the whole if it has this number of standard deviations more empty pixels."""
 _STEP, _STEP_THIN = 4.2, 30.0
-"""A step is found with 95 % if it is this many times the limit of `bumpymap.rating.find_steps`: the first, and the second
-over the points/m2."""
+"""A step is found with 95 % if it is this many times the limit of `bumpymap.rating.find_steps`: the first, and the
+second over the points/m2."""
 _JUMP, _JUMP_NOISE = 1.15, 0.5
 """Or if it is this many times as high as what the vehicle cannot cross, and this many times the limit more."""
 _NO_STEP = 3.0

@@ -257,7 +257,7 @@ def with_memory(config: MapConfig) -> MapConfig:
 
 
 def requests_at_once(points: int, threads: int) -> int:
-    """Return the number of chunks of some points that are fetched at a time, so that every thread has LAZ chunks to decode."""
+    """Return the number of chunks that are fetched at a time, so that every thread has LAZ chunks to decode."""
     wanted = math.ceil(_LAZ_CHUNKS_A_THREAD * threads * _LAZ_CHUNK / max(points, 1))
     return max(min(wanted, threads, _MOST_REQUESTS), 1)
 
