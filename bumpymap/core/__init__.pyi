@@ -113,7 +113,6 @@ from .memory import (
     LEAST_MEMORY as LEAST_MEMORY,
     auto_memory as auto_memory,
     free_memory as free_memory,
-    in_threads as in_threads,
     is_auto as is_auto,
     limit_arenas as limit_arenas,
     memory_bytes as memory_bytes,

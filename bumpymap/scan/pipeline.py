@@ -3,7 +3,7 @@
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, TypeAlias
@@ -24,7 +24,6 @@ from bumpymap.core import (
     UsageError,
     differences,
     flat_settings,
-    in_threads,
     is_interrupted,
     locked,
     parse_crs,
@@ -81,6 +80,7 @@ from bumpymap.scan.frames import (
 from bumpymap.scan.merge import PlacedPoints, WrongPosesError
 from bumpymap.scan.methods import Method, choose_method
 from bumpymap.views import check_bag_file, write_grid_bag, write_picture
+from bumpytiles import run_blocks
 
 _log = logging.getLogger(__name__)
 
@@ -317,26 +317,32 @@ def _classify_each(
 ) -> list[FrameReport]:
     """Read, class and write frames in threads, unless an earlier run has; add them to the files of the run in order."""
 
-    def finish(numbered: tuple[int, Frame]) -> tuple[FramePart, PlacedPoints | None, str]:
+    def finish(numbered: tuple[int, Frame]) -> tuple[FramePart, PlacedPoints | None, str] | BadInputError:
         number, frame = numbered
-        finished = products.load(frame, number)
-        if finished is not None:
-            return *finished, ""
-        begin = time.perf_counter()
-        scan = reader.read(frame)
         try:
-            classed = method.classify(scan)
-        except BadInputError as error:
-            raise BadInputError(f"cannot classify {frame.origin}: {error}") from error
-        report = report_frame(frame, inputs.get(str(frame.path)), scan, classed, time.perf_counter() - begin)
-        return *products.write(frame, number, report, scan, classed, write_picture), explain_empty_scan(scan, classed)
+            finished = products.load(frame, number)
+            if finished is not None:
+                return *finished, ""
+            begin = time.perf_counter()
+            scan = reader.read(frame)
+            try:
+                classed = method.classify(scan)
+            except BadInputError as error:
+                raise BadInputError(f"cannot classify {frame.origin}: {error}") from error
+            report = report_frame(frame, inputs.get(str(frame.path)), scan, classed, time.perf_counter() - begin)
+            written = products.write(frame, number, report, scan, classed, write_picture)
+            return *written, explain_empty_scan(scan, classed)
+        except BadInputError as error:  # raised when it is the frame's turn: it may be skipped
+            return error
 
     reports: list[FrameReport] = []
     progress.start("scanning frames", len(frames))
-    with in_threads(finish, enumerate(frames), products.config.threads) as results:
+    with closing(run_blocks(finish, enumerate(frames), products.config.threads)) as results:
         for frame, result in zip(frames, results, strict=True):
             with reader.skipping(frame):
-                part, placed, empty = result()
+                if isinstance(result, BadInputError):
+                    raise result
+                part, placed, empty = result
                 if empty:
                     _log.warning("no ground was classified in %s: %s", frame.origin, empty)
                 products.add(part, placed)
