@@ -44,10 +44,7 @@ ROOMS = {
     ),
 }
 ABOVE = {
-    "__init__.py": (
-        {"api", "change", "check", "core", "layers", "rating", "readers", "route", "scan", "survey"},
-        set(),
-    ),
+    "__init__.py": (set(), set()),
     "__main__.py": ({"cli"}, set()),
     "api.py": ({"core", "layers", "route", "survey", "views"}, {"geopandas", "xarray"}),
 }

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.core.settings import NameOrFile, Setting, check_settings
@@ -37,25 +37,19 @@ _CLASSIFIED_SHARE = 0.5
 was never classified."""
 
 
-@dataclass(frozen=True, slots=True)
-class Clash:
-    """Two settings that exclude each other, and why."""
+Clash: TypeAlias = tuple[str, str, str]
+"""Two settings that exclude each other, and why. A flag that is False and the value ``none`` count as not set."""
 
-    first: str
-    second: str
-    why: str
-
-    def applies(self, settings: Mapping[str, Any]) -> bool:
-        """Return whether both are set; a flag that is False and the value ``none`` count as not set."""
-        return all(name in settings and settings[name] not in {False, "none"} for name in (self.first, self.second))
-
-
-VEHICLE_OR_CALIBRATION = Clash("calibration", "vehicle", "a calibration is that of one vehicle")
-OF_CRS = (
-    *(Clash(name, "local", "coordinates in a CRS are not local") for name in ("crs", "force_crs")),
-    Clash("crs", "force_crs", "the one is for surveys that have no CRS, the other for all"),
+VEHICLE_OR_CALIBRATION: Clash = ("calibration", "vehicle", "a calibration is that of one vehicle")
+OF_CRS: tuple[Clash, ...] = (
+    *((name, "local", "coordinates in a CRS are not local") for name in ("crs", "force_crs")),
+    ("crs", "force_crs", "the one is for surveys that have no CRS, the other for all"),
 )
-CLASHES = (VEHICLE_OR_CALIBRATION, Clash("compat", "rating", "the paper has a rating of its own"), *OF_CRS)
+CLASHES: tuple[Clash, ...] = (
+    VEHICLE_OR_CALIBRATION,
+    ("compat", "rating", "the paper has a rating of its own"),
+    *OF_CRS,
+)
 """Settings of a map run that exclude each other."""
 
 
@@ -384,18 +378,20 @@ class GridSettings:
 
 def refuse_clashes(settings: Mapping[str, Any], clashes: Sequence[Clash], spelled: Callable[[str], str] = str) -> None:
     """Raise UsageError if settings exclude each other; ``spelled`` returns a setting's name for the message."""
-    for clash in clashes:
-        if clash.applies(settings):
-            first, second = spelled(clash.first), spelled(clash.second)
-            raise UsageError(f"{first} and {second} contradict each other: {clash.why}. Leave one of them out")
+    for first, second, why in clashes:
+        if _both_set(settings, first, second):
+            names = f"{spelled(first)} and {spelled(second)}"
+            raise UsageError(f"{names} contradict each other: {why}. Leave one of them out")
+
+
+def _both_set(settings: Mapping[str, Any], *names: str) -> bool:
+    return all(settings.get(name, False) not in {False, "none"} for name in names)
 
 
 def override_settings(lower: Mapping[str, Any], upper: Mapping[str, Any], clashes: Sequence[Clash]) -> dict[str, Any]:
     """Return settings of two sources; ``upper`` also overrides the settings of ``lower`` that contradict it."""
     both = {**lower, **upper}
-    lost = {
-        name for clash in clashes if clash.applies(both) for name in (clash.first, clash.second) if name not in upper
-    }
+    lost = {name for *pair, _ in clashes if _both_set(both, *pair) for name in pair if name not in upper}
     return {name: value for name, value in both.items() if name not in lost}
 
 

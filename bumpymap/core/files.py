@@ -122,12 +122,12 @@ def shape_fault(value: Any, shape: Any, name: str = "it") -> str:
         inner = ((key, value[key], each) for key, each in named.items() if key in value)
     elif isinstance(shape, Each):
         good, wanted = isinstance(value, dict), "an object"
-        inner = ((key, entry, shape.shape) for key, entry in value.items())
+        inner = ((key, entry, shape.shape) for key, entry in (value.items() if good else ()))
     elif isinstance(shape, list | tuple):
         fixed = isinstance(shape, tuple)
         good = isinstance(value, list) and not (fixed and len(value) != len(shape))
         wanted = f"an array of {len(shape)}" if fixed else "an array"
-        inner = ((at, entry, shape[at if fixed else 0]) for at, entry in enumerate(value))
+        inner = ((at, entry, shape[at if fixed else 0]) for at, entry in enumerate(value if good else ()))
     else:
         good, wanted = isinstance(value, shape), {str: "text", bool: "true or false"}.get(shape, "")
     if not good:
