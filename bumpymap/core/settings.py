@@ -268,10 +268,11 @@ def _schema_of_table(owners: Iterable[Any]) -> dict[str, Any]:
     properties: dict[str, Any] = {}
     for owner in owners:
         for each, note in _described(owner):
-            kind, default = each.kind, plain_json(each.default)
+            kind, setting = each.kind, each.setting or Setting()
             is_table = is_dataclass(kind)
-            found = _schema_of_table([kind]) if is_table else _schema_of(kind, each.setting or Setting())
-            more = {} if is_table or default is None else {"default": default}
+            found = _schema_of_table([kind]) if is_table else _schema_of(kind, setting)
+            default = None if is_table or setting.default else plain_json(each.default)
+            more = {} if default is None else {"default": default}
             properties.setdefault(each.name, {"description": note} | found | more)
     return {"type": "object", "properties": properties, "additionalProperties": False}
 
