@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from functools import cached_property
 from multiprocessing.util import Finalize
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 from bumpymap.core import (
     BANDS,
@@ -38,7 +38,7 @@ from bumpymap.layers import (
     require_tiles,
     require_written,
 )
-from bumpymap.survey import MapSettings, folder_of_call, map_settings
+from bumpymap.survey import MapSettings, PathLike, map_settings
 
 if TYPE_CHECKING:
     import geopandas
@@ -48,8 +48,6 @@ if TYPE_CHECKING:
     from bumpymap.views import Export
 
     Point = str | tuple[float, float]
-
-PathLike: TypeAlias = str | os.PathLike[str]
 
 _CLASSES = Band("class", "", "roughness class, 0 (smooth) to 3 (very rough)")
 _REASONS = Band("reason", "", "why a tile has no class")
@@ -82,7 +80,7 @@ class Layers:
         be pickled.
     """
 
-    def __init__(self, folder: str | os.PathLike[str], *, in_memory: bool = False) -> None:
+    def __init__(self, folder: PathLike, *, in_memory: bool = False) -> None:
         self._folder = Path(path_of_call("the folder of the layers", folder))
         self._in_memory = in_memory
         self._manifest = read_manifest(self._folder)
@@ -276,7 +274,7 @@ class Layers:
 
         return map_reach(self, start, **settings)
 
-    def export(self, out: str | os.PathLike[str], *, overwrite: bool = False, **settings: Any) -> "Export":
+    def export(self, out: PathLike, *, overwrite: bool = False, **settings: Any) -> "Export":
         """Write the map in a format that robots read, as ``bumpymap export`` does.
 
         Parameters
@@ -302,9 +300,9 @@ class Layers:
 
     def report(
         self,
-        out: str | os.PathLike[str] | None = None,
+        out: PathLike | None = None,
         *,
-        route: str | os.PathLike[str] | None = None,
+        route: PathLike | None = None,
         overwrite: bool = False,
     ) -> Path:
         """Write the page of this map, as ``bumpymap report`` does.
@@ -427,7 +425,7 @@ class Layers:
             raise BadInputError(f"cannot read {path}: {error}. Map the survey again") from error
 
 
-def open_layers(folder: str | os.PathLike[str]) -> Layers:
+def open_layers(folder: PathLike) -> Layers:
     """Open the layers that ``bumpymap map`` or `map_survey` wrote to a folder.
 
     Parameters
@@ -494,7 +492,7 @@ def map_survey(
     own = with_pixels(map_settings(settings, "map_survey", MapSettings.__annotations__))
     places = _places(surveys)
     if out is not None:
-        target = folder_of_call("out", out)
+        target = Path(path_of_call("out", out))
         _map(MapConfig(surveys=places, out=target, **own))
         return Layers(target)
     folder = tempfile.mkdtemp(prefix="bumpymap-layers-")

@@ -13,7 +13,7 @@ from bumpymap.check.pipeline import CheckSettings
 from bumpymap.cli._text import as_options
 from bumpymap.route.pipeline import RouteSettings
 from bumpymap.scan.classifier import ClassifierSettings
-from bumpymap.survey.api import MapSettings
+from bumpymap.survey import MapSettings
 
 ROOT = Path(__file__).resolve().parents[1]
 QUARRY = ROOT / "sample_data" / "quarry.laz"

@@ -29,7 +29,7 @@ ROOMS = {
     "views": ({"core", "layers"}, {"PIL", "jinja2", "numpy", "open3d", "pyproj", "rosbags", "scipy"}),
     "survey": ({"core", "readers", "patches", "rating", "layers", "views"}, {"numpy"}),
     "scan": (
-        {"core", "readers", "patches", "rating", "layers", "views", "survey"},
+        {"core", "readers", "patches", "rating", "layers", "views"},
         {"numpy", "pyproj", "scipy", "skimage"},
     ),
     "route": ({"core", "rating", "layers", "views"}, {"numpy", "scipy", "skimage", "xarray"}),
@@ -45,10 +45,7 @@ ROOMS = {
     ),
 }
 ABOVE = {
-    "__init__.py": (
-        {"api", "change", "check", "core", "layers", "rating", "readers", "route", "scan", "survey"},
-        set(),
-    ),
+    "__init__.py": (set(), set()),
     "__main__.py": ({"cli"}, set()),
     "api.py": ({"core", "layers", "route", "survey", "views"}, {"geopandas", "xarray"}),
 }
@@ -57,7 +54,7 @@ ENGINE = {"dask", "distributed", "llvmlite", "numba", "numpy"}
 """What bumpytiles may import."""
 GUARDED = set().union(*(packages for _, packages in ROOMS.values())) | ENGINE | {"geopandas", "pandas", "xarray"}
 ONE_PLACE = {
-    "blake3": {"bumpymap/core/run_spec.py"},
+    "blake3": {"bumpymap/core/run_folder.py"},
     "jinja2": {"bumpymap/views/page/page.py"},
     "onnxruntime": {"bumpymap/core/onnx_file.py"},
     "distributed": {"tiles/bumpytiles/_dask.py"},

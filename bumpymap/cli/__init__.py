@@ -35,14 +35,18 @@ _COMMANDS = {
 }
 
 
-_SHORT = ("compile", "demo", "report", "settings", "vehicle", "view")
-"""Commands that stand together in one module."""
+_TOGETHER = {
+    **dict.fromkeys(("calibrate", "evaluate", "train"), "lab_commands"),
+    **dict.fromkeys(("compile", "diff", "report", "settings", "vehicle", "view"), "short_commands"),
+    "demo": "map_command",
+}
+"""Module of each command, ``NAME_command`` in it, that has none of its own."""
 _INTERRUPTED, _TERMINATED = 130, 143
 """Exit codes after Ctrl-C (SIGINT) and after SIGTERM, as shells expect them."""
 
 
 class _LazyGroup(click.Group):
-    """A group whose commands live in ``bumpymap.cli.NAME_command`` and are imported when they run."""
+    """A group whose commands live in ``bumpymap.cli.NAME_command``, or as below, and are imported when they run."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of the commands."""
@@ -52,8 +56,8 @@ class _LazyGroup(click.Group):
         """Import and return a command; None if there is none of that name."""
         if cmd_name not in _COMMANDS:
             return None
-        if cmd_name in _SHORT:
-            command = getattr(import_module("bumpymap.cli.short_commands"), f"{cmd_name}_command")
+        if (module := _TOGETHER.get(cmd_name)) is not None:
+            command = getattr(import_module(f"bumpymap.cli.{module}"), f"{cmd_name}_command")
         else:
             command = import_module(f"bumpymap.cli.{cmd_name}_command").command
         if not isinstance(command, click.Command):

@@ -27,9 +27,10 @@ from bumpymap.cli._text import (
 from bumpymap.core import (
     Clash,
     Declared,
+    Setting,
     UsageError,
     assigned_settings,
-    default_of,
+    declared_fields,
     override_settings,
     path_fault,
     read_settings_file,
@@ -148,11 +149,6 @@ class NumberList(click.ParamType):  # type: ignore[type-arg]
 
 _PARTLY_DONE = 4
 """Exit code if inputs were skipped."""
-_OF_ALL = ("quiet", "log_json", "config_file", "assigned")
-
-
-def _is_given(ctx: click.Context, name: str) -> bool:
-    return ctx.get_parameter_source(name) is ParameterSource.COMMANDLINE
 
 
 @dataclass
@@ -197,13 +193,8 @@ class Run:
         Of a setting that several classes have, the default is that of the first of ``owners``, those of the command.
         """
         own = reversed(owners or self.owners)
-        defaults = {field.name: default_of(field) for owner in own for field in fields(owner)}
+        defaults = {name: each.default for owner in own for name, each in declared_fields(owner).items()}
         return {name: value for name, value in self.from_file.items() if value != defaults[name]} | self.given
-
-    def named(self) -> list[str]:
-        """Return the names of options and arguments that are given, and of settings that differ from their defaults."""
-        typed = (name for name in self.ctx.params if name not in _OF_ALL and _is_given(self.ctx, name))
-        return list(dict.fromkeys([*typed, *self.changed()]))
 
     def progress(self) -> AbstractContextManager[CommandProgress]:
         """Return a context with the progress to hand over to the work."""
@@ -253,7 +244,8 @@ def job(
             assigned = assigned_settings(words, stored, "--set", *known)
             settings = fields_known | {each.name for each in ctx.command.params if getattr(each, "declared", False)}
             own = {name: values.pop(name) for name in list(values) if name in settings}
-            given = {name: value for name, value in own.items() if _is_given(ctx, name)}
+            typed = ParameterSource.COMMANDLINE
+            given = {name: value for name, value in own.items() if ctx.get_parameter_source(name) is typed}
             function(Run(ctx, known, clashes, quiet, log_json, stored, assigned, given), **values)
 
         command = click.command(name, cls=GroupedCommand)(run)
@@ -303,39 +295,37 @@ def settings_options(
     **texts : str
         Help texts of this command, without the full stop, instead of those of the declaration.
     """
-    every = [each for each in settings_with_options(owner) if each.name not in without]
     return [
-        _moved(each, f"{table}.{each.name}" if table else each.name)
-        if each.setting.rare or each.name in moved
-        else _option(each, texts.get(each.name, each.setting.help), each.name in required)
-        for each in every
-        if not names or each.name in names
+        _moved(each, setting, f"{table}.{each.name}" if table else each.name)
+        if setting.rare or each.name in moved
+        else _option(each, setting, texts.get(each.name, setting.help), each.name in required)
+        for each, setting in settings_with_options(owner)
+        if each.name not in without and (not names or each.name in names)
     ]
 
 
-def _option(each: Declared, text: str, required: bool) -> GroupedOption:
-    setting = each.setting
+def _option(each: Declared, setting: Setting, text: str, required: bool) -> GroupedOption:
     default = _default_text(each.default) if setting.default is None else setting.default
     shown = f"{text} [{default}]." if default and "[" not in text else f"{text}."
     more: dict[str, Any] = {"flag_value": False, "type": bool} if each.default else {"is_flag": True}
     if each.kind is not bool:
         kind, several = _click_type(each.kind)
         more = {"type": kind, "multiple": several, "required": required, "metavar": setting.metavar}
-    return GroupedOption([_spelled(each), each.name], help=shown, group=setting.group, declared=True, **more)
+    return GroupedOption([_spelled(each, setting), each.name], help=shown, group=setting.group, declared=True, **more)
 
 
-def _moved(each: Declared, key: str) -> GroupedOption:
+def _moved(each: Declared, setting: Setting, key: str) -> GroupedOption:
     """Return an option which is there only to say how this setting is given."""
-    more: dict[str, Any] = {"metavar": each.setting.metavar}
+    more: dict[str, Any] = {"metavar": setting.metavar}
     if each.kind is bool:
         more = {"is_flag": True, "metavar": "false" if each.default else "true"}
     return GroupedOption(
-        [_spelled(each), each.name], key=key, hidden=True, expose_value=False, callback=_refuse_moved, **more
+        [_spelled(each, setting), each.name], key=key, hidden=True, expose_value=False, callback=_refuse_moved, **more
     )
 
 
-def _spelled(each: Declared) -> str:
-    return f"--{(each.setting.option or each.name).replace('_', '-')}"
+def _spelled(each: Declared, setting: Setting) -> str:
+    return f"--{(setting.option or each.name).replace('_', '-')}"
 
 
 def _default_text(value: Any) -> str:

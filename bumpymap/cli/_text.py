@@ -271,7 +271,6 @@ def set_up_logging(*, as_json: bool) -> None:
 
 
 ALREADY_DONE = "holds a complete run of these inputs and settings. Nothing was written; --overwrite replaces it"
-DRIVES_KEPT = "The driven patches are kept: give the same command again to continue."
 
 
 @contextmanager

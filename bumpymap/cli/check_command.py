@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -76,8 +75,8 @@ def _classes(result: "CheckResult") -> Iterator[tuple[str, ...]]:
 
     for name, found in agreements_of(result):
         values = (found.median_ratio, found.median_error, found.spearman, found.inside)
-        told = (cell(value, form, "-") for value, form in zip(values, (".2f", ".0%") * 2, strict=True))
-        yield name, f"{found.way_m:.0f} m", *told
+        cells = (cell(value, form, "-") for value, form in zip(values, (".2f", ".0%") * 2, strict=True))
+        yield name, f"{found.way_m:.0f} m", *cells
 
 
 def _record(result: "CheckResult", files: Sequence[Path], config: CheckConfig) -> dict[str, Any]:
@@ -96,36 +95,28 @@ _LEAST_WIDENING = 1.05
 """Wider intervals by a smaller factor are not reported."""
 
 
-@dataclass(frozen=True, slots=True)
-class Refit:
-    """A calibration to move, and the file to write."""
+def write_refit(
+    calibration: "Calibration", out: Path, stretches: "DrivenStretches", speed_mps: float, *, overwrite: bool
+) -> "DriveUpdate":
+    """Move a calibration to drives over a map at a speed, and write it.
 
-    calibration: "Calibration"
-    out: Path
-    overwrite: bool
+    Raises BadInputError: the drives are too short, or agree with it; OutputError: the file cannot be written.
+    """
+    from bumpymap.rating import UpdateSettings, update_from_drives
 
-    def move(self, stretches: "DrivenStretches", speed_mps: float) -> "DriveUpdate":
-        """Move the calibration to drives over a map at a speed, and write it.
-
-        Raises BadInputError: the drives are too short, or agree with it; OutputError: the file cannot be written.
-        """
-        from bumpymap.rating import UpdateSettings, update_from_drives
-
-        moved, update = update_from_drives(self.calibration, stretches, UpdateSettings(speed_mps=speed_mps))
-        try:
-            self.out.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise OutputError(
-                f"cannot write {self.out}: {error}; choose a file in a folder that you may write"
-            ) from error
-        with locked(self.out.parent, f".{self.out.name}.lock"):
-            _refuse_replacing(self.out, self.overwrite)
-            with atomic(self.out) as beside:
-                beside.write_text(moved.to_json(), encoding="utf-8")
-        return update
+    moved, update = update_from_drives(calibration, stretches, UpdateSettings(speed_mps=speed_mps))
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot write {out}: {error}; choose a file in a folder that you may write") from error
+    with locked(out.parent, f".{out.name}.lock"):
+        _refuse_replacing(out, overwrite)
+        with atomic(out) as beside:
+            beside.write_text(moved.to_json(), encoding="utf-8")
+    return update
 
 
-def prepare_refit(layers: Path | None, calibration: Path | None, out: Path, *, overwrite: bool) -> Refit:
+def prepare_refit(layers: Path | None, calibration: Path | None, out: Path, *, overwrite: bool) -> "Calibration":
     """Find the calibration of a map before the drives are measured: ``calibration``, or the one of its run.json.
 
     Raises UsageError: there is no map, or its calibration is not found; BadInputError: it cannot be read, or is
@@ -146,7 +137,7 @@ def prepare_refit(layers: Path | None, calibration: Path | None, out: Path, *, o
             f"is what a refit moves. Drive at {own:g} m/s over a map at that speed, or calibrate a profile whose speed "
             f"is {speed:g} m/s"
         )
-    return Refit(found, out, overwrite)
+    return found
 
 
 def _refuse_replacing(out: Path, overwrite: bool) -> None:
@@ -221,23 +212,21 @@ def command(run: Run, refit: Path | None) -> None:
     settings = run.settings
     if settings.get("columns") is not None:
         settings["columns"] = parse_columns(settings["columns"])
-    moved = None  # found before drives are measured
-    if refit is not None:
-        moved = prepare_refit(
-            settings.get("layers"), settings.get("calibration"), refit, overwrite="overwrite" in run.given
-        )
+    moved, overwrite = None, "overwrite" in run.given
+    if refit is not None:  # before drives are measured
+        moved = prepare_refit(settings.get("layers"), settings.get("calibration"), refit, overwrite=overwrite)
     config = CheckConfig(**settings)
     with run.progress() as progress:
         result, files = run_check(config, progress)
     record, lines, refused = _record(result, files, config), _lines(result, files, config), None
-    if moved is not None and result.ground is not None:
+    if moved is not None and refit is not None and result.ground is not None:
         try:
-            update = moved.move(result.stretches, result.ground.speed_mps)
+            update = write_refit(moved, refit, result.stretches, result.ground.speed_mps, overwrite=overwrite)
         except BumpymapError as error:  # reasons against it follow the findings of the check
             refused = error
         else:
             record["refit"] = {"out": str(refit), **update.to_record()}
-            lines = chain(lines, refit_lines(update, moved.out))
+            lines = chain(lines, refit_lines(update, refit))
     run.show(record, lines)
     if refused is not None:
         raise refused

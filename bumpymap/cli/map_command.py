@@ -1,12 +1,39 @@
-"""``bumpymap map``: make roughness layers and a cost map from surveys; slow libraries start beside other work."""
+"""``bumpymap map``: make roughness layers and a cost map from surveys; ``demo`` does so with an example."""
 
+import shlex
+import shutil
+import sys
 import threading
+from collections.abc import Iterator
 from contextlib import suppress
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from bumpymap.cli._options import PATH, Run, job
-from bumpymap.core import CLASHES, MapConfig, Progress, with_pixels
+from bumpymap.cli._options import PATH, Run, grouped_option, job
+from bumpymap.cli._text import ALREADY_DONE, Table, as_options, cell
+from bumpymap.core import (
+    CLASHES,
+    BadInputError,
+    MapConfig,
+    OutputError,
+    Progress,
+    atomic,
+    count_text,
+    share_text,
+    shares_text,
+    with_pixels,
+)
+
+if TYPE_CHECKING:
+    from bumpymap.layers import MapSummary
+    from bumpymap.survey import MapResult
+
+_SAMPLE = Path("sample_data") / "quarry.laz"
+"""In an installed package it lies inside, in the sources beside it."""
+_TITLES = ("class", "tiles", "share", "median c_r (rad/m)", "median slope (deg)")
 
 
 class ImportsAhead:
@@ -60,9 +87,153 @@ def command(run: Run) -> None:
 
     with run.progress() as progress:
         result = map_surveys(config, ImportsAhead(progress) if run.ctx.obj else progress)
-    from bumpymap.cli._summary import map_lines, map_record
-
-    run.show(map_record(result, config), map_lines(result, config))
+    run.show(_record(result, config), _lines(result, config))
     require_known(result, config, explain=run.quiet or run.as_json)
     if result.skipped:
         run.end_partly_done()
+
+
+@job("demo")
+@grouped_option(
+    "--out",
+    group="Output",
+    default="demo_out",
+    type=PATH,
+    metavar="DIR",
+    show_default=True,
+    help="Folder for the survey and the layers.",
+)
+def demo_command(run: Run, out: Path) -> None:
+    """Map a synthetic quarry as an example."""
+    from bumpymap.layers import MapFile
+    from bumpymap.survey import map_surveys
+
+    survey = _copy_sample(out / "survey" / _SAMPLE.name)
+    config = MapConfig(surveys=(survey,), out=out / "layers", overwrite=True)
+    with run.progress() as progress:
+        result = map_surveys(config, progress)
+    look = [f"Open {config.out / MapFile.PROJECT} in QGIS, or the layers in any other GIS."]
+    look += [f"Open {config.out / MapFile.REPORT} in a browser."]
+    look += [f"Map a survey of yours: {_called()} map SURVEY.laz --out DIR"]
+    run.show(_record(result, config), chain([f"Mapped {survey}"], _lines(result, config), look))
+
+
+def _called() -> str:
+    """Return how a shell in this folder calls this command."""
+    command = sys.argv[0]
+    if Path(command).stem == "__main__":
+        return f"{shlex.quote(sys.executable)} -m bumpymap"
+    on_path = shutil.which("bumpymap")
+    return "bumpymap" if on_path and Path(on_path).absolute() == Path(command).absolute() else shlex.quote(command)
+
+
+def _copy_sample(survey: Path) -> Path:
+    """Copy the sample survey and return the copy."""
+    package = Path(__file__).resolve().parents[1]
+    found = [path for path in (package / _SAMPLE, package.parent / _SAMPLE) if path.is_file()]
+    if not found:
+        raise BadInputError(f"{package / _SAMPLE} is missing: install bumpymap again")
+    try:
+        survey.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot write the survey to {survey.parent}: {error}. Choose another --out") from error
+    with atomic(survey) as beside:
+        shutil.copyfile(found[0], beside)
+    return survey
+
+
+def _lines(result: "MapResult", config: MapConfig) -> Iterator[str | Table]:
+    """Yield the result of a run in lines."""
+    from bumpymap.core import CLASS_NAMES
+    from bumpymap.survey import describe_lines, ground_line, outcome_of_run, unknown_line
+    from bumpymap.views import degrees_line
+
+    summary = result.summary
+    if result.already_done:
+        yield f"Already done: {config.out} {ALREADY_DONE}"
+    which = outcome_of_run(result, config).measured
+    rest = (
+        f", {result.from_all:,} from all points: that part of the survey is not classified" if result.from_all else ""
+    )
+    yield (
+        f"{count_text(result.points, 'point')}, {count_text(summary.tiles - result.from_all, 'tile')} of "
+        f"{config.tile_size:g} m measured from {'all points' if which == 'points' else which}{rest}, "
+        f"{sum(result.seconds.values()):.1f} s"
+    )
+    yield Table(_rows(summary), _TITLES)
+    degrees, lines = degrees_line(summary.median_c_r[: len(CLASS_NAMES)]), describe_lines(result.lines)
+    yield from filter(None, [degrees, _passable_line(summary), summary.seen.sentence])
+    if summary.by_holes:
+        share = share_text(summary.by_holes / summary.tiles, 1)
+        yield (
+            f"compat='paper': {share} of the tiles are class 3 because they have too few points, or more than 30 % of "
+            "their pixels hold none, which says nothing of the ground: leave compat out on sparse surveys"
+        )
+    yield unknown_line(result, config)
+    yield from filter(None, [ground_line(result), lines])
+    if result.skipped:
+        were = "was" if len(result.skipped) == 1 else "were"
+        yield f"{count_text(len(result.skipped), 'input')} {were} skipped; run.json lists the reasons"
+    for folder in sorted({path.parent for path in result.files}):
+        names = (path.name for path in result.files if path.parent == folder and path.suffix != ".qml")
+        yield f"Layers in {folder}: {', '.join(names)}"  # a style belongs to a layer
+
+
+def _passable_line(summary: "MapSummary") -> str:
+    """Say which share of the tiles is passable, and what bars the others."""
+    found = summary.crossing
+    passable, *shares = shares_text(list(found.values()), (0, 1), 1)
+    others = zip(list(found.items())[1:], shares, strict=True)
+    bars = ", ".join(f"{text} {share}" for (text, count), share in others if count)
+    line = f"{passable} of the tiles are passable"
+    return f"{line}; what bars the others: {bars}" if bars else line
+
+
+def _rows(summary: "MapSummary") -> Iterator[tuple[str, ...]]:
+    from bumpymap.core import CLASS_NAMES
+
+    names = [*(f"{class_id} {name}" for class_id, name in enumerate(CLASS_NAMES)), "unknown"]
+    counts = [*summary.by_class, summary.unknown]
+    shares = shares_text(counts, (len(CLASS_NAMES),), 1)
+    medians = zip(summary.median_c_r, summary.median_slope, strict=True)
+    for name, count, share, (c_r, slope) in zip(names, counts, shares, medians, strict=True):
+        if name == "unknown" and summary.failing:
+            yield "  only too steep or drives fail", *_part(summary.failing, summary)
+        if name == "unknown" and summary.by_holes:
+            yield "  only by the paper's rule of holes", *_part(summary.by_holes, summary)
+        yield name, f"{count:,}", share, cell(c_r, ".3f"), cell(slope, ".1f")
+    reasons = summary.reasons
+    shares = shares_text([*reasons.values(), summary.tiles - summary.unknown], (len(reasons),), 1)
+    for (reason, count), share in zip(reasons.items(), shares, strict=False):
+        yield f"  {reason}", f"{count:,}", share, "", ""
+
+
+def _part(count: int, summary: "MapSummary") -> tuple[str, str, str, str]:
+    """Return the cells of a part of class 3: tiles and their share of all."""
+    return f"{count:,}", share_text(count / summary.tiles, 1), "", ""
+
+
+def _record(result: "MapResult", config: MapConfig) -> dict[str, object]:
+    """Return the result of a run as an object of JSON."""
+    from bumpymap.survey import describe_lines, ground_line, unknown_line
+
+    return {
+        "out": str(config.out),
+        "files": [path.relative_to(config.out).as_posix() for path in result.files],
+        "points": result.points,
+        "tiles": result.summary.tiles,
+        "classes": result.summary.classes,
+        "unknown": result.summary.reasons,
+        "passable": result.summary.passable,
+        "barred": result.summary.bars,
+        "seen_sizes": result.summary.seen.record(),
+        "unknown_share": result.summary.unknown / result.summary.tiles,
+        "advice": unknown_line(result, config),
+        "ground_advice": as_options(ground_line(result)),
+        "ground_only": result.ground_only,
+        "tiles_from_all_points": result.from_all,
+        "flight_lines": describe_lines(result.lines),
+        "skipped": result.skipped,
+        "seconds": result.seconds,
+        "already_done": result.already_done,
+    }

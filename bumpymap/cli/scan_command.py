@@ -9,7 +9,9 @@ from bumpymap.cli._options import PATH, Run, grouped_option, job, settings_optio
 from bumpymap.cli._text import ALREADY_DONE, Table
 from bumpymap.core import (
     VEHICLE_OR_CALIBRATION,
+    MapConfig,
     PolarSettings,
+    Progress,
     Robot,
     count_text,
     shares_text,
@@ -18,6 +20,7 @@ from bumpymap.scan import ScanConfig
 
 if TYPE_CHECKING:
     from bumpymap.scan import ScanRun
+    from bumpymap.survey import MapResult
 
 
 def _lines(result: "ScanRun", record: Mapping[str, Any], config: ScanConfig) -> Iterator[str | Table]:
@@ -90,6 +93,12 @@ def _rows(sectors: dict[str, int], points: dict[str, int]) -> Iterator[tuple[str
         yield shown, f"{count:,}", share, f"{points[name]:,}" if name in points else ""
 
 
+def _map_drive(drive: MapConfig, progress: Progress) -> "MapResult":
+    from bumpymap.survey import map_surveys  # only for a drive: its kernels need not be compiled for frames
+
+    return map_surveys(drive, progress)
+
+
 def _record(result: "ScanRun", config: ScanConfig) -> dict[str, Any]:
     frames = [frame.record() for frame in result.frames]
     return {
@@ -155,7 +164,7 @@ def command(run: Run) -> None:
     if run.ctx.obj:
         import_without_pandas(*["pyogrio.raw"] if config.may_have_poses else [])
     with run.progress() as progress:
-        result = scan_frames(config, progress)
+        result = scan_frames(config, progress, _map_drive)
     record = _record(result, config)
     run.show(record, _lines(result, record, config))
     if result.skipped:

@@ -1,24 +1,32 @@
-"""Commands of a few lines: ``compile``, ``demo``, ``report``, ``settings``, ``vehicle`` and ``view``."""
+"""Commands of a few lines: ``compile``, ``diff``, ``report``, ``settings``, ``vehicle`` and ``view``."""
 
 import shlex
-import shutil
-import sys
-from itertools import chain
+from collections.abc import Iterator
 from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from bumpymap.change import DiffConfig
 from bumpymap.cli._options import PATH, Run, grouped_option, job
-from bumpymap.cli._text import print_line
-from bumpymap.core import BadInputError, MapConfig, OutputError, ReportSettings, UsageError, atomic, settings_template
+from bumpymap.cli._text import Table, print_json, print_line
+from bumpymap.core import (
+    BadInputError,
+    OutputError,
+    ReportSettings,
+    UsageError,
+    count_text,
+    settings_schema,
+    settings_template,
+    share_text,
+    shares_text,
+)
 
 if TYPE_CHECKING:
+    from bumpymap.change import ChangeResult
     from bumpymap.rating import Vehicle
 
-_SAMPLE = Path("sample_data") / "quarry.laz"
-"""In an installed package it lies inside, in the sources beside it."""
 _WITH_SETTINGS = (
     *("map", "batch", "info", "scan", "route", "check", "diff", "export", "calibrate", "report"),
     *("evaluate scans", "train textures", "train scans"),
@@ -40,54 +48,64 @@ def compile_command(run: Run) -> None:
         raise OutputError(f"the compiled kernels cannot be kept. Set NUMBA_CACHE_DIR to {folder}")
 
 
-@job("demo")
-@grouped_option(
-    "--out",
-    group="Output",
-    default="demo_out",
-    type=PATH,
-    metavar="DIR",
-    show_default=True,
-    help="Folder for the survey and the layers.",
-)
-def demo_command(run: Run, out: Path) -> None:
-    """Map a synthetic quarry as an example."""
-    from bumpymap.cli._summary import map_lines, map_record
-    from bumpymap.layers import MapFile
-    from bumpymap.survey import map_surveys
+def _class_names() -> tuple[str, ...]:
+    from bumpymap.core import CLASS_NAMES
 
-    survey = _copy_sample(out / "survey" / _SAMPLE.name)
-    config = MapConfig(surveys=(survey,), out=out / "layers", overwrite=True)
+    return (*(f"{number} {name}" for number, name in enumerate(CLASS_NAMES)), "unknown")
+
+
+def _diff_lines(result: "ChangeResult", config: DiffConfig) -> Iterator[str | Table]:
+    counts = result.counts
+    yield (
+        f"{count_text(counts['in_both'], 'tile is', 'tiles are')} in both surveys, {counts['compared']:,} compared, "
+        f"{counts['changed']:,} changed ({share_text(counts['changed'] / max(counts['compared'], 1), 1)}) in "
+        f"{count_text(counts['regions'], 'place')}"
+    )
+    tiles = counts["by_change"]
+    shares = shares_text(list(tiles.values()), (0,), 1)
+    changes = [(text, f"{count:,}", share) for (text, count), share in zip(tiles.items(), shares, strict=True)]
+    yield Table(changes, ("change", "tiles", "share"))
+    yield "Classes before (rows) and after (columns), tiles:"
+    rows = (
+        (name, *(f"{tiles:,}" for tiles in row)) for name, row in zip(_class_names(), result.transitions, strict=True)
+    )
+    yield Table(rows, ("before", *_class_names()))
+    if counts["passable_lost"] or counts["passable_won"]:
+        yield (
+            f"of the changed tiles, {count_text(counts['passable_lost'], 'is', 'are')} no longer passable and "
+            f"{count_text(counts['passable_won'], 'is', 'are')} now"
+        )
+    yield from result.notes
+    if config.out is not None:
+        yield f"Files in {config.out}: {', '.join(path.name for path in result.files)}"
+
+
+def _diff_record(result: "ChangeResult", config: DiffConfig) -> dict[str, Any]:
+    return {
+        "out": None if config.out is None else str(config.out),
+        "files": [path.name for path in result.files],
+        "counts": dict(result.counts),
+        "classes": {"names": list(_class_names()), "tiles_before_after": result.transitions.tolist()},
+        "fit": dict(result.fit),
+        "notes": list(result.notes),
+    }
+
+
+@job("diff", DiffConfig)
+@click.argument("before", type=PATH, metavar="BEFORE")
+@click.argument("after", type=PATH, metavar="AFTER")
+def diff_command(run: Run) -> None:
+    """Find what has changed between two surveys of a site, BEFORE and AFTER: folders of `bumpymap map`.
+
+    \b
+    bumpymap diff may_layers june_layers --out may_to_june
+    """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
+    from bumpymap.change import find_changes
+
+    config = DiffConfig(**run.settings)
     with run.progress() as progress:
-        result = map_surveys(config, progress)
-    look = [f"Open {config.out / MapFile.PROJECT} in QGIS, or the layers in any other GIS."]
-    look += [f"Open {config.out / MapFile.REPORT} in a browser."]
-    look += [f"Map a survey of yours: {_called()} map SURVEY.laz --out DIR"]
-    run.show(map_record(result, config), chain([f"Mapped {survey}"], map_lines(result, config), look))
-
-
-def _called() -> str:
-    """Return how a shell in this folder calls this command."""
-    command = sys.argv[0]
-    if Path(command).stem == "__main__":
-        return f"{shlex.quote(sys.executable)} -m bumpymap"
-    on_path = shutil.which("bumpymap")
-    return "bumpymap" if on_path and Path(on_path).absolute() == Path(command).absolute() else shlex.quote(command)
-
-
-def _copy_sample(survey: Path) -> Path:
-    """Copy the sample survey and return the copy."""
-    package = Path(__file__).resolve().parents[1]
-    found = [path for path in (package / _SAMPLE, package.parent / _SAMPLE) if path.is_file()]
-    if not found:
-        raise BadInputError(f"{package / _SAMPLE} is missing: install bumpymap again")
-    try:
-        survey.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"cannot write the survey to {survey.parent}: {error}. Choose another --out") from error
-    with atomic(survey) as beside:
-        shutil.copyfile(found[0], beside)
-    return survey
+        result = find_changes(config, progress)
+    run.show(_diff_record(result, config), _diff_lines(result, config))
 
 
 _ROUTE = grouped_option(
@@ -141,27 +159,35 @@ def view_command(run: Run, layers: Path, out: Path | None, route: Path | None) -
 
 @click.command("settings")
 @click.argument("words", nargs=-1, required=True, metavar="COMMAND")
-def settings_command(words: tuple[str, ...]) -> None:
+@click.option(
+    "--schema", is_flag=True, help="Print a JSON schema of the file, for editors that complete and check TOML."
+)
+def settings_command(words: tuple[str, ...], schema: bool) -> None:
     """Print a settings file of COMMAND: every setting with its description and default, commented out.
 
     Remove the # before a line to set it, and give the file with --config. One setting alone is given with --set
-    KEY=VALUE, that of a table with --set TABLE.KEY=VALUE.
+    KEY=VALUE, that of a table with --set TABLE.KEY=VALUE. An editor that knows TOML (Taplo, Even Better TOML) finds the
+    schema by a first line such as "#:schema ./map.schema.json".
 
     \b
     bumpymap settings map > map.toml
+    bumpymap settings map --schema > map.schema.json
     bumpymap map site.laz --out layers --config map.toml
     bumpymap map site.laz --out layers --set pixels=21 --set csf.rigidness=2
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     name = " ".join(words)
     if name not in _WITH_SETTINGS:
         raise UsageError(f"{name} is no command with settings; these are {', '.join(_WITH_SETTINGS)}")
-    print_line(f"# Settings of `bumpymap {name}`, with their defaults. Remove the # before a line to set it, and give")
-    print_line("# the file with --config. Options override it; paths are relative to this file.")
-    print_line()
     context = click.get_current_context()
     command: Any = context.find_root().command
     for word in words:
         command = command.get_command(context, word)
+    if schema:
+        print_json(settings_schema(command.owners), indent=2)
+        return
+    print_line(f"# Settings of `bumpymap {name}`, with their defaults. Remove the # before a line to set it, and give")
+    print_line("# the file with --config. Options override it; paths are relative to this file.")
+    print_line()
     for line in settings_template(command.owners).splitlines():
         print_line(line)
 
@@ -223,7 +249,13 @@ def new_command(name: str, out: Path | None, like: str | None) -> None:
 
 
 def _meaning(profile: "Vehicle") -> list[tuple[str, str]]:
-    wheel, belly = profile.wheel, profile.belly
+    wheel, belly, comfort, c_r = profile.wheel, profile.belly, profile.comfort, profile.floor.c_r_radpm
+    shaken = f"up to {comfort.pitch_rate_radps:g} rad/s of pitch motion"
+    shaken += f" and {comfort.a_w_mps2:g} m/s2 of weighted acceleration" if comfort.a_w_mps2 else ""
+    top = f", up to {comfort.top_speed_mps:g} m/s" if comfort.top_speed_mps else ""
+    floor = f"{c_r:g} rad/m ({degrees(c_r):.1f} degrees of pitch motion per metre) on even, level ground"
+    if c_r == 0.0:
+        floor = "none: C_r is that of the ground alone, and even ground reads as almost free"
     return [
         ("vehicle", f"{profile.name}: {profile.description}"),
         ("mass", f"{profile.mass_kg:,.6g} kg"),
@@ -231,27 +263,15 @@ def _meaning(profile: "Vehicle") -> list[tuple[str, str]]:
         ("wheels", f"radius {wheel.radius_m:g} m, {profile.wheelbase_m:g} m from axle to axle"),
         ("belly", f"{belly.length_m:g} m x {belly.width_m:g} m, {belly.clearance_m:g} m above level ground"),
         ("driven at", f"{profile.speed_mps:g} m/s, on slopes up to {profile.slope_limit_deg:g} degrees"),
-        ("comfort", f"{_comfort(profile.comfort)} (speed.tif)"),
+        ("comfort", f"{shaken}{top} (speed.tif)"),
         (
             "tips over",
             f"across {profile.tips_deg:.0f} degrees, at rest: a `side_limit` of routes is half of it or less",
         ),
-        ("floor", _floor(profile.floor.c_r_radpm)),
+        ("floor", floor),
         ("ride weight", f"{profile.ride_weight:g} m/rad: acceptable detour to avoid one radian of pitch motion"),
         ("fail weight", f"{profile.fail_weight:g} m: acceptable detour to avoid one failure"),
     ]
-
-
-def _comfort(limits: Any) -> str:
-    shaken = f"up to {limits.pitch_rate_radps:g} rad/s of pitch motion"
-    shaken += f" and {limits.a_w_mps2:g} m/s2 of weighted acceleration" if limits.a_w_mps2 else ""
-    return f"{shaken}, up to {limits.top_speed_mps:g} m/s" if limits.top_speed_mps else shaken
-
-
-def _floor(c_r: float) -> str:
-    if c_r == 0.0:
-        return "none: C_r is that of the ground alone, and even ground reads as almost free"
-    return f"{c_r:g} rad/m ({degrees(c_r):.1f} degrees of pitch motion per metre) on even, level ground"
 
 
 def _calibration(vehicle: str) -> str:

@@ -86,7 +86,7 @@ def _handle(shared: _Shared, functions: Any, request: bytes) -> bytes:
 
 
 def _limit_memory(most: int) -> tuple[int, int]:
-    """Let this process hold at most so many bytes (0: as many as before); return the limits until now."""
+    """Let this process hold at most ``most`` bytes (0: as many as before); return the limits until now."""
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
     if most and (soft == resource.RLIM_INFINITY or most < soft):
         resource.setrlimit(resource.RLIMIT_DATA, (most, hard))

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.core.settings import NameOrFile, Setting, check_settings
@@ -37,25 +37,19 @@ _CLASSIFIED_SHARE = 0.5
 was never classified."""
 
 
-@dataclass(frozen=True, slots=True)
-class Clash:
-    """Two settings that exclude each other, and why."""
+Clash: TypeAlias = tuple[str, str, str]
+"""Two settings that exclude each other, and why. A flag that is False and the value ``none`` count as not set."""
 
-    first: str
-    second: str
-    why: str
-
-    def applies(self, settings: Mapping[str, Any]) -> bool:
-        """Return whether both are set; a flag that is False and the value ``none`` count as not set."""
-        return all(name in settings and settings[name] not in {False, "none"} for name in (self.first, self.second))
-
-
-VEHICLE_OR_CALIBRATION = Clash("calibration", "vehicle", "a calibration is that of one vehicle")
-OF_CRS = (
-    *(Clash(name, "local", "coordinates in a CRS are not local") for name in ("crs", "force_crs")),
-    Clash("crs", "force_crs", "the one is for surveys that have no CRS, the other for all"),
+VEHICLE_OR_CALIBRATION: Clash = ("calibration", "vehicle", "a calibration is that of one vehicle")
+OF_CRS: tuple[Clash, ...] = (
+    *((name, "local", "coordinates in a CRS are not local") for name in ("crs", "force_crs")),
+    ("crs", "force_crs", "the one is for surveys that have no CRS, the other for all"),
 )
-CLASHES = (VEHICLE_OR_CALIBRATION, Clash("compat", "rating", "the paper has a rating of its own"), *OF_CRS)
+CLASHES: tuple[Clash, ...] = (
+    VEHICLE_OR_CALIBRATION,
+    ("compat", "rating", "the paper has a rating of its own"),
+    *OF_CRS,
+)
 """Settings of a map run that exclude each other."""
 
 
@@ -152,7 +146,6 @@ class MapConfig:
             "Heightmap pixels along a side of a tile", "N", 3, 255, default="15; 25, 30 for tiles of 5, 6 m", rare=True
         ),
     ] = 15
-    """`with_pixels` sets those of the tile size."""
     ground: Annotated[Ground, Setting("Points to use: auto, all, class or csf", "KIND", group="Ground")] = "auto"
     """Points that are measured: ``all``; those whose ``class`` is ground; ``auto``: these if most tiles have such
     points, but all in a part that was never classified, else all; or those that a cloth simulation filter finds
@@ -163,8 +156,7 @@ class MapConfig:
     """LAS classes whose points are ground with ``ground = "auto"`` or ``"class"``: ground, road surface, bridge deck.
     Points of class 17, a bridge deck, hide the ground beneath them."""
     align: Annotated[Align, Setting("Height steps of flight lines: off, report", "WHAT", group="Ground")] = "report"
-    """Height steps between flight lines: ``report`` measures them, ``on`` also takes them off where an offset or a
-    tilt of each line explains them (which reads the survey twice), ``off`` does not measure them."""
+    """Height steps between flight lines: ``report`` measures them, ``off`` does not."""
     rating: Annotated[Rating, Setting("How the ride cost is predicted", rare=True)] = "ride"
     """``ride`` rolls the vehicle over each tile; ``table`` looks up its texture and z range, as the paper does."""
     compat: Annotated[Compat, Setting("paper: use the rules of the BumpyPatch paper", default="", rare=True)] = "none"
@@ -386,18 +378,20 @@ class GridSettings:
 
 def refuse_clashes(settings: Mapping[str, Any], clashes: Sequence[Clash], spelled: Callable[[str], str] = str) -> None:
     """Raise UsageError if settings exclude each other; ``spelled`` returns a setting's name for the message."""
-    for clash in clashes:
-        if clash.applies(settings):
-            first, second = spelled(clash.first), spelled(clash.second)
-            raise UsageError(f"{first} and {second} contradict each other: {clash.why}. Leave one of them out")
+    for first, second, why in clashes:
+        if _both_set(settings, first, second):
+            names = f"{spelled(first)} and {spelled(second)}"
+            raise UsageError(f"{names} contradict each other: {why}. Leave one of them out")
+
+
+def _both_set(settings: Mapping[str, Any], *names: str) -> bool:
+    return all(settings.get(name, False) not in {False, "none"} for name in names)
 
 
 def override_settings(lower: Mapping[str, Any], upper: Mapping[str, Any], clashes: Sequence[Clash]) -> dict[str, Any]:
     """Return settings of two sources; ``upper`` also overrides the settings of ``lower`` that contradict it."""
     both = {**lower, **upper}
-    lost = {
-        name for clash in clashes if clash.applies(both) for name in (clash.first, clash.second) if name not in upper
-    }
+    lost = {name for *pair, _ in clashes if _both_set(both, *pair) for name in pair if name not in upper}
     return {name: value for name, value in both.items() if name not in lost}
 
 

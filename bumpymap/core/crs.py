@@ -145,7 +145,11 @@ def same_datum(first: CRS, second: CRS) -> bool:
     if first == second:
         return True
     one, other = first.datum, second.datum
-    return one is not None and other is not None and (one == other or _plain(one.name) == _plain(other.name))
+    if one is None or other is None:
+        return False
+    # Spellings of names vary.
+    plain = ["".join(filter(str.isalnum, datum.name.casefold())) for datum in (one, other)]
+    return one == other or plain[0] == plain[1]
 
 
 def with_vertical(horizontal: CRS, vertical: CRS, stated: CRS | None = None) -> CRS:
@@ -154,11 +158,6 @@ def with_vertical(horizontal: CRS, vertical: CRS, stated: CRS | None = None) -> 
         return stated
     joined = CompoundCRS(f"{horizontal.name} + {vertical.name}", [horizontal, vertical])
     return CRS.from_json_dict(joined.to_json_dict())  # a CompoundCRS has no to_2d
-
-
-def _plain(name: str) -> str:
-    """Return the name of a datum in lower case, letters and digits only, since spellings vary."""
-    return "".join(letter for letter in name.casefold() if letter.isalnum())
 
 
 _log = logging.getLogger(__name__)
@@ -314,7 +313,7 @@ def georeference(
         _refuse_units(place, crs, from_user=user is not None)
     stated = _horizontal_unit(place, crs, statement, given.xy_unit)
     unit = stated or 1.0
-    unit_z = _GIVEN_UNITS[z_unit] if z_unit else _vertical_unit(user) or _vertical_of_file(statement, unit) or unit
+    unit_z = _GIVEN_UNITS[z_unit] if z_unit else _unit(user, 2) or _vertical_of_file(statement, unit) or unit
     if not math.isclose(unit, unit_z, rel_tol=1e-5):
         notes.append(f"heights are in another unit ({unit_name(unit_z)}) than easting and northing ({unit_name(unit)})")
     horizontal = horizontal_of(crs) if crs is not None else None
@@ -365,7 +364,8 @@ def _from_user(place: Place, statement: CrsStatement, given: GivenCrs) -> tuple[
     if given.crs is None:
         return None, notes
     user = parse_crs(given.crs)
-    if own is None or not _says_where(own):
+    base = own.sub_crs_list[0] if own is not None and own.is_compound else own
+    if own is None or base is None or base.is_vertical or base.type_name == "Engineering CRS":  # it locates nothing
         return user, _set_aside(user, statement, "crs")
     if _same_horizontal(user, own):
         heights, theirs = vertical_of(user), vertical_of(own)
@@ -388,12 +388,6 @@ def _set_aside(user: CRS, statement: CrsStatement, name: str) -> list[str]:
     if own is None or _same_horizontal(user, own):
         return []
     return [f"the file says its CRS is {describe_crs(own)}; `{name}` says {describe_crs(user)}, and wins"]
-
-
-def _says_where(crs: CRS) -> bool:
-    """Return whether a CRS locates points on Earth, unlike a local or a vertical one."""
-    base = crs.sub_crs_list[0] if crs.is_compound else crs
-    return not base.is_vertical and base.type_name != "Engineering CRS"
 
 
 def _same_horizontal(first: CRS, second: CRS) -> bool:
@@ -420,13 +414,9 @@ def _exact(factor: float) -> float:
     return next((known for known in _UNITS if math.isclose(factor, known, rel_tol=1e-9)), factor)
 
 
-def _unit(crs: CRS | None) -> float | None:
-    return None if crs is None else _exact(crs.axis_info[0].unit_conversion_factor)
-
-
 def _horizontal_unit(place: Place, crs: CRS | None, statement: CrsStatement, given: str | None) -> float | None:
     """Return the unit of easting and northing; None if nothing states it."""
-    own = _unit(crs) or statement.metres_per_unit
+    own = _unit(crs, 0) or statement.metres_per_unit
     if given is None:
         return own
     unit = _GIVEN_UNITS[given]
@@ -440,16 +430,15 @@ def _horizontal_unit(place: Place, crs: CRS | None, statement: CrsStatement, giv
 
 def _vertical_of_file(statement: CrsStatement, unit: float) -> float | None:
     """Return the unit of height that the file states; ignored if the CRS used contradicts its horizontal unit."""
-    own = statement.metres_per_unit or _unit(statement.crs)
+    own = statement.metres_per_unit or _unit(statement.crs, 0)
     denied = own is not None and not math.isclose(own, unit, rel_tol=1e-5)
     stated = None if statement.metres_per_unit_z is None else _exact(statement.metres_per_unit_z)
-    return None if denied else stated or _vertical_unit(statement.crs)
+    return None if denied else stated or _unit(statement.crs, 2)
 
 
-def _vertical_unit(crs: CRS | None) -> float | None:
-    if crs is None or len(crs.axis_info) < 3:
-        return None
-    return _exact(crs.axis_info[2].unit_conversion_factor)
+def _unit(crs: CRS | None, axis: int) -> float | None:
+    """Return the unit of an axis, 0 to 2; None if there is none."""
+    return None if crs is None or len(crs.axis_info) <= axis else _exact(crs.axis_info[axis].unit_conversion_factor)
 
 
 def horizontal_of(crs: CRS) -> CRS | None:
@@ -560,7 +549,8 @@ def common_georeference(infos: Sequence[_HasGeoreference]) -> Georeference:
     first = ordered[0].georeference
     held = [info.georeference.crs for info in ordered]
     flat = [None if crs is None else horizontal_of(crs) for crs in held]
-    if all(_agree(flat[0], crs) for crs in flat):
+    known = [crs for crs in flat if crs is not None]
+    if len(known) in {0, len(flat)} and all(same_crs(known[0], crs) for crs in known):
         crs = _common_crs(ordered, held)
         return first if crs is held[0] else replace(first, crs=crs)
     advice = (
@@ -601,9 +591,3 @@ def _listed(ordered: Sequence[_HasGeoreference], held: Sequence[CRS | None]) -> 
         f"  {info.path}: {describe_crs(crs) if crs else 'no CRS'}" for info, crs in zip(ordered, held, strict=True)
     ]
     return lines if len(lines) <= 20 else [*lines[:20], f"  ... and {len(lines) - 20} more"]
-
-
-def _agree(first: CRS | None, second: CRS | None) -> bool:
-    if first is None or second is None:
-        return first is second
-    return same_crs(first, second)

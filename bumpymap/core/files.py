@@ -45,22 +45,17 @@ def parse_json(text: str) -> Any:
         raise ValueError(f"it is nested more than {_DEEPEST} deep") from None
     level = [value]
     for _ in range(_DEEPEST):
-        level = [child for item in level for child in _children(item)]
+        held = (item.values() if isinstance(item, dict) else item for item in level if isinstance(item, dict | list))
+        level = [child for children in held for child in children if isinstance(child, dict | list)]
         if not level:
             return value
     raise ValueError(f"it is nested more than {_DEEPEST} deep")
 
 
-def _children(item: Any) -> list[Any]:
-    if isinstance(item, dict):
-        item = list(item.values())
-    return [child for child in item if isinstance(child, dict | list)] if isinstance(item, list) else []
-
-
 def plain_json(value: Any, digits: int | None = None) -> Any:
     """Convert dataclasses, arrays, paths and CRSs, nested in any way, to types that JSON has.
 
-    Numbers that are not finite become None, others are rounded to so many significant ``digits``.
+    Numbers that are not finite become None, others are rounded to ``digits`` significant ones.
     """
     if hasattr(value, "tolist"):
         value = value.tolist()
@@ -110,54 +105,35 @@ def shape_fault(value: Any, shape: Any, name: str = "it") -> str:
         From `parse_json`.
     shape
         ``{name: shape}`` for an object, which may hold more (a name that ends in ``?`` may be missing); ``[shape]`` for
-        an array; ``(shape, shape)`` for one of so many; `Number`, `Nullable`, `Each`; else a type.
+        an array; ``(shape, shape)`` for one of that length; `Number`, `Nullable`, `Each`; else a type.
     name : str
         How the message calls the value.
     """
     if isinstance(shape, Nullable):
         return "" if value is None else shape_fault(value, shape.shape, name)
-    if wanted := _unlike(value, shape):
+    inner: Iterable[tuple[Any, Any, Any]] = ()
+    if isinstance(shape, Number):
+        is_number = isinstance(value, int if shape.whole else int | float) and not isinstance(value, bool)
+        good, wanted = is_number and shape.low <= value <= shape.high, str(shape)
+    elif isinstance(shape, dict):
+        names = [key for key in shape if not key.endswith("?")]
+        good, wanted = isinstance(value, dict) and set(names) <= set(value), f"an object with {', '.join(names)}"
+        named = {key.removesuffix("?"): each for key, each in shape.items()}
+        inner = ((key, value[key], each) for key, each in named.items() if key in value)
+    elif isinstance(shape, Each):
+        good, wanted = isinstance(value, dict), "an object"
+        inner = ((key, entry, shape.shape) for key, entry in (value.items() if good else ()))
+    elif isinstance(shape, list | tuple):
+        fixed = isinstance(shape, tuple)
+        good = isinstance(value, list) and not (fixed and len(value) != len(shape))
+        wanted = f"an array of {len(shape)}" if fixed else "an array"
+        inner = ((at, entry, shape[at if fixed else 0]) for at, entry in enumerate(value if good else ()))
+    else:
+        good, wanted = isinstance(value, shape), {str: "text", bool: "true or false"}.get(shape, "")
+    if not good:
         return f"{name[:_MOST_SHOWN]} is {str(value)[:40]!r}; it must be {wanted}"
     within = "" if name == "it" else f"{name}."
-    faults = (shape_fault(entry, each, f"{within}{key}") for key, entry, each in _inner(value, shape))
-    return next(filter(None, faults), "")
-
-
-def _unlike(value: Any, shape: Any) -> str:
-    """Return what a value should be, or an empty string if it is that; what it holds is not looked at."""
-    if isinstance(shape, Number):
-        kinds = int if shape.whole else int | float
-        good = isinstance(value, kinds) and not isinstance(value, bool) and shape.low <= value <= shape.high
-        return "" if good else str(shape)
-    if isinstance(shape, dict):
-        names = [key for key in shape if not key.endswith("?")]
-        good = isinstance(value, dict) and set(names) <= set(value)
-        return "" if good else f"an object with {', '.join(names)}"
-    if isinstance(shape, tuple):
-        return "" if isinstance(value, list) and len(value) == len(shape) else f"an array of {len(shape)}"
-    kind, wanted = _KINDS[Each if isinstance(shape, Each) else list if isinstance(shape, list) else shape]
-    return "" if isinstance(value, kind) else wanted
-
-
-def _inner(value: Any, shape: Any) -> Iterator[tuple[str, Any, Any]]:
-    """Yield name, value and shape of what a value holds."""
-    if isinstance(shape, Each):
-        yield from ((key, entry, shape.shape) for key, entry in value.items())
-    elif isinstance(shape, dict):
-        named = {key.removesuffix("?"): each for key, each in shape.items()}
-        yield from ((key, value[key], each) for key, each in named.items() if key in value)
-    elif isinstance(shape, list | tuple):
-        shapes = shape if isinstance(shape, tuple) else shape * len(value)
-        yield from ((str(at), entry, each) for at, (entry, each) in enumerate(zip(value, shapes, strict=True)))
-
-
-_KINDS: dict[Any, tuple[type, str]] = {
-    Each: (dict, "an object"),
-    list: (list, "an array"),
-    str: (str, "text"),
-    bool: (bool, "true or false"),
-    object: (object, ""),
-}
+    return next(filter(None, (shape_fault(entry, each, f"{within}{key}") for key, entry, each in inner)), "")
 
 
 STAGED = ".bumpymap-layers-"
@@ -187,7 +163,7 @@ def open_regular(path: Path, flags: int = 0) -> BinaryIO:
 
 
 def read_regular(path: Path, most: int = _MOST_READ) -> bytes:
-    """Return the content of a file that a user names, of so many bytes at most; for errors see `open_regular`."""
+    """Return the content of a file that a user names, of ``most`` bytes at most; for errors see `open_regular`."""
     with open_regular(path) as file:
         content = file.read(most + 1)
     if len(content) > most:

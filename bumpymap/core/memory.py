@@ -1,18 +1,14 @@
-"""Memory and threads of a run: sizes as users type them, what is free, and work on items in threads, in order."""
+"""Memory of a run: sizes as users type them, and what is free."""
 
 import ctypes
 import os
 import re
 import resource
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future
-from contextlib import closing, contextmanager, suppress
-from functools import partial
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
-from typing import TypeVar
 
 from bumpymap.core.errors import UsageError
-from bumpytiles import run_blocks
 
 LEAST_MEMORY = 128 << 20
 """Smallest limit, bytes: one chunk of a file alone needs this much."""
@@ -151,38 +147,3 @@ def _numbers(path: Path) -> dict[str, int]:
     """Return the lines of a file that consist of a name and a number (and a unit)."""
     rows = (line.split() for line in path.read_text("ascii").splitlines())
     return {row[0]: int(row[1]) for row in rows if len(row) > 1 and row[1].isdecimal()}
-
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
-
-
-@contextmanager
-def in_threads(
-    work: Callable[[Item], Result], items: Iterable[Item], threads: int
-) -> Iterator[Iterator[Callable[[], Result]]]:
-    """Work on items in threads; yield, for each item in order, a function that returns the result.
-
-    That function waits for the result, and raises what ``work`` raised. At the end of the ``with`` block, items that
-    nobody has begun are dropped, and those under way are finished. With one thread, ``work`` runs in this thread, when
-    its result is asked for.
-
-    Parameters
-    ----------
-    work : callable
-        Called by several threads at a time.
-    """
-    if threads == 1:
-        yield (partial(work, item) for item in items)
-        return
-
-    def answer(item: Item) -> Callable[[], Result]:
-        done: Future[Result] = Future()
-        try:
-            done.set_result(work(item))
-        except BaseException as error:  # noqa: BLE001 (raised by who asks for the result)
-            done.set_exception(error)
-        return done.result
-
-    with closing(run_blocks(answer, items, threads)) as answers:
-        yield answers

@@ -190,7 +190,7 @@ class RoadFigures:
     iso_power: float
     """Power of the heights at 0.1 cycles per metre, m3; `iso_class` names it. NaN for less than 40 m."""
     resolution: Resolution
-    """How far the survey's noise lets IRI and class be told; they are too high where it does not."""
+    """How far the survey's noise lets IRI and class be determined; they are too high where it does not."""
     height_rms: float
     """Root mean square of the heights about the stretch's own line, m."""
     grade: float

@@ -72,7 +72,7 @@ class PoseTrack:
         return covered
 
     def around(self, time: float, seconds: float) -> "PoseTrack":
-        """Return the poses within so many seconds of a time, and one more on each side; times are relative to it."""
+        """Return the poses within some seconds of a time, and one more on each side; times are relative to it."""
         first = max(int(np.searchsorted(self.times, time - seconds)) - 1, 0)
         last = int(np.searchsorted(self.times, time + seconds, side="right")) + 1
         return PoseTrack(self.times[first:last] - time, self.poses[first:last])
@@ -258,7 +258,7 @@ class SectorRide:
 
     @classmethod
     def unknown(cls, sectors: int) -> "SectorRide":
-        """Return the ride on so many sectors of which none could be rated."""
+        """Return the ride on sectors of which none could be rated."""
         nothing = np.full(sectors, np.nan, np.float32)
         no_class, no_limits = np.full(sectors, NO_CLASS, np.uint8), np.full(3, np.nan, np.float32)
         return cls(nothing, nothing, nothing, no_class, nothing, no_limits)

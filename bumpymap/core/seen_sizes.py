@@ -12,7 +12,7 @@ tests/benchmarks/seen_sizes.py`` measures it again.
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -44,18 +44,18 @@ _APART, _WIDE_PX = 0.27, (1.5, 2.7)
 """Share of further points that it takes with classes, because points on a wide top are no neighbours, and the widths
 between which that grows, pixels."""
 _FLAGGED = 3.0
-"""A part of a tile is sparser than the whole if it has so many standard deviations more empty pixels."""
+"""A part of a tile is sparser than the whole if it has this number of standard deviations more empty pixels."""
 _STEP, _STEP_THIN = 4.2, 30.0
-"""A step is found with 95 % if it is so many times the limit of `bumpymap.rating.find_steps`: the first, and the second
-over the points/m2."""
+"""A step is found with 95 % if it is this many times the limit of `bumpymap.rating.find_steps`: the first, and the
+second over the points/m2."""
 _JUMP, _JUMP_NOISE = 1.15, 0.5
-"""Or if it is so many times as high as what the vehicle cannot cross, and so many times the limit more."""
+"""Or if it is this many times as high as what the vehicle cannot cross, and this many times the limit more."""
 _NO_STEP = 3.0
 """Points/m2 below which steps are not found with 95 %, however high."""
 MOST_STEP = 10.0
 """Stands for that, m; of steps as high as that, and higher, nothing else is said."""
 _FINE, _COARSE, _FINE_TO = 0.01, 0.05, 0.2
-"""Sizes are told in whole multiples of these, m: the first up to the third."""
+"""Sizes are given in whole multiples of these, m: the first up to the third."""
 _MOST_CHANCE = 1.0 - 1e-9
 """No chance is written as 100 %."""
 
@@ -188,14 +188,8 @@ class SeenSizes:
 
     @classmethod
     def forecast(cls, density: float, pixel_m: float, *, in_relief: bool) -> Self:
-        """Return what an even survey of so many points per m2 will show; of steps it takes more to tell."""
+        """Return what an even survey of a density [1/m2] will show; steps depend on its noise too."""
         return cls(density, float(np.sqrt(points_needed(density, pixel_m, in_relief=in_relief) / density)))
-
-    @classmethod
-    def worst(cls, sizes: Iterable["SeenSizes"]) -> Self:
-        """Return what is seen everywhere: the lowest density and the largest sizes that are known."""
-        low, *high = np.array([(seen.density, seen.object_m, seen.step_m) for seen in sizes]).reshape(-1, 3).T
-        return cls(float(np.fmin.reduce(low)), *(float(np.fmax.reduce(values)) for values in high))
 
     @property
     def sentence(self) -> str:

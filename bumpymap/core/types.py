@@ -507,8 +507,8 @@ def neighbour_columns(pixels: int, speeds: int = 0, *, headings: bool = False) -
     ``p_fail_open`` are those of the ground beside the steps that close a part of it; else NaN. ``all_density``,
     ``smallest_object`` and ``smallest_step`` [m] say what would have shown; NaN in unknown tiles. ``barred`` is a
     `Barred`; ``passable`` is 1 or 0. ``passage`` numbers the areas of a tile in which the middle of the vehicle can
-    move, from 1, the largest; 0 where it cannot be. ``motion`` holds the values of `speed_bands`, of so many
-    ``speeds``; ``headings`` that of `HEADING_BANDS`.
+    move, from 1, the largest; 0 where it cannot be. ``motion`` holds the values of `speed_bands`, of ``speeds``
+    speeds; ``headings`` that of `HEADING_BANDS`.
     """
     objects = ("obstacle", "obstacle_height", "clearance")
     singles = (
@@ -534,7 +534,7 @@ def neighbour_columns(pixels: int, speeds: int = 0, *, headings: bool = False) -
 
 
 def tile_columns(pixels: int, speeds: int = 0) -> tuple[Column, ...]:
-    """Return all columns of a finished tile, with those of so many ``speeds``; without the ride by heading."""
+    """Return all columns of a finished tile, with those of ``speeds`` speeds; without the ride by heading."""
     own = rated_columns(pixels, speeds)
     known = {column.name for column in own}
     return (*own, *(column for column in neighbour_columns(pixels, speeds) if column.name not in known))
@@ -593,7 +593,7 @@ SPEED_BANDS: tuple[Band, ...] = (
 
 
 AXES_DEG = tuple(22.5 * axis for axis in range(8))
-"""Azimuths from grid north that C_r is told along, degrees; a way and its opposite have the same C_r."""
+"""Azimuths from grid north that C_r is given along, degrees; a way and its opposite have the same C_r."""
 HEADING_BANDS = tuple(
     Band(f"c_r_{axis:g}", "rad/m", f"ride cost at azimuth {axis:g} or {axis + 180:g} degrees from grid north")
     for axis in AXES_DEG

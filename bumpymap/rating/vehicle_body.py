@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Setting, VehicleBody, allowed_values, declared_settings, parse_record
+from bumpymap.core import Setting, VehicleBody, allowed_values, declared_fields, parse_record
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,14 +42,12 @@ class ProfileKey:
 def profile_keys(owner: Any, table: str = "") -> tuple[ProfileKey, ...]:
     """Return the quantities of a dataclass and of its nested dataclasses, in the order of the file."""
     found: list[ProfileKey] = []
-    declared = {each.name: each for each in declared_settings(owner)}
-    for field in fields(owner):
-        name, own = f"{table}.{field.name}".lstrip("."), declared.get(field.name)
-        if own is not None:
-            allowed = allowed_values(own.kind, own.setting)
-            found.append(ProfileKey(name, own.setting, allowed, own.default))
-        elif is_dataclass(field.type):
-            found += profile_keys(field.type, name)
+    for each in declared_fields(owner).values():
+        name = f"{table}.{each.name}".lstrip(".")
+        if each.setting is not None:
+            found.append(ProfileKey(name, each.setting, allowed_values(each.kind, each.setting), each.default))
+        elif is_dataclass(each.kind) and not each.optional:
+            found += profile_keys(each.kind, name)
     return tuple(found)
 
 

@@ -3,7 +3,7 @@
 import logging
 import math
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -40,7 +40,6 @@ from bumpymap.scan.align import nearest_ranges
 from bumpymap.scan.cells import FrameView, GroundMemory, SeenCells, see_cells
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.merge import DriveMerge, PlacedPoints, open_merge
-from bumpymap.views import write_picture
 
 _log = logging.getLogger(__name__)
 
@@ -141,17 +140,24 @@ class FrameProducts:
         return part, self._place(frame, number, part.points, part.is_ground)
 
     def write(
-        self, frame: Frame, number: int, report: FrameReport, scan: Scan, classed: ClassedSectors
+        self,
+        frame: Frame,
+        number: int,
+        report: FrameReport,
+        scan: Scan,
+        classed: ClassedSectors,
+        draw: Callable[[Scan, ClassedSectors, Path, float], None],
     ) -> tuple[FramePart, PlacedPoints | None]:
         """Write the files of a frame's own, and its checkpoint; return what is added, and its points at its pose.
 
-        Raises BadInputError: its points cannot be placed at its pose; there are no files of its own then.
+        ``draw`` writes the picture of classed points, up to a distance [m], to a file. Raises BadInputError: its points
+        cannot be placed at its pose; there are no files of its own then.
         """
         products, stack = frame_products(self.config, number), classed.sectors
         placed = self._place(frame, number, scan.points, stack.point_ground)  # first: it may refuse the frame
         write_frame(frame.name, scan, classed, self.staged, products)
         for path in frame_files(frame.name, self.staged, {"picture"} & set(products)):
-            write_picture(scan, classed, path, self.config.range_m)
+            draw(scan, classed, path, self.config.range_m)
         seen = None if self.config.bag is None else see_cells(scan.points, classed, self.config.grid, frame.pose)
         kept = slice(None) if self.accumulated is not None else slice(0)
         part = FramePart(

@@ -2,11 +2,11 @@
 
 import logging
 import time
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeAlias
 
 from pyproj import CRS
 
@@ -24,7 +24,6 @@ from bumpymap.core import (
     UsageError,
     differences,
     flat_settings,
-    in_threads,
     is_interrupted,
     locked,
     parse_crs,
@@ -80,12 +79,13 @@ from bumpymap.scan.frames import (
 )
 from bumpymap.scan.merge import PlacedPoints, WrongPosesError
 from bumpymap.scan.methods import Method, choose_method
-from bumpymap.views import check_bag_file, write_grid_bag
-
-if TYPE_CHECKING:
-    from bumpymap.survey import MapResult
+from bumpymap.views import check_bag_file, write_grid_bag, write_picture
+from bumpytiles import run_blocks
 
 _log = logging.getLogger(__name__)
+
+MapDrive: TypeAlias = Callable[[MapConfig, Progress], Any]
+"""Maps a survey, as `bumpymap.survey.map_surveys` does."""
 
 _WITHOUT_EFFECT = {"frames", "out", "overwrite", "skip_bad", "threads", "poses", "trust_poses"}
 """Settings that do not change the files of the frames: a resumed run may use other values. The file of the poses is an
@@ -105,8 +105,8 @@ class ScanRun:
     """Frames that could not be read, with the error message (``skip_bad``)."""
     seconds: dict[str, float]
     """Wall time by stage."""
-    drive: "MapResult | None" = None
-    """The map of the merged frames; None without poses, or without ground to map."""
+    drive: Any = None
+    """The map of the merged frames, a `bumpymap.survey.MapResult`; None without poses, or without ground to map."""
     merged: Mapping[str, Any] | None = None
     """Entry ``gathered`` of scan.json, about the merged points: how many, and how well the poses agree."""
     already_done: bool = False
@@ -248,13 +248,11 @@ def drive_settings(config: ScanConfig, frames: Sequence[Frame]) -> MapConfig | N
     return drive
 
 
-def map_drive(drive: MapConfig, accumulated: Mapping[str, Any], progress: Progress) -> "MapResult | None":
+def map_merged(drive: MapConfig, accumulated: Mapping[str, Any], progress: Progress, mapper: MapDrive) -> Any:
     """Map the merged frames; return None if none of their points is ground.
 
     ``accumulated``: number of merged ``points``, and of those that are ``ground``.
     """
-    from bumpymap.survey import map_surveys  # only for a drive: its kernels need not be compiled for frames
-
     if not accumulated["ground"]:
         _log.warning("no map was made: none of the %d gathered points is ground", accumulated["points"])
         return None
@@ -263,7 +261,7 @@ def map_drive(drive: MapConfig, accumulated: Mapping[str, Any], progress: Progre
             f"{drive.out} is a link and was not touched. Remove it, or pass `overwrite=True` to replace it"
         )
     try:
-        return map_surveys(drive, progress)
+        return mapper(drive, progress)
     except BaseException as end:
         note = "The products of the frames are complete; the map of the drive is missing."
         end.__notes__ = [note + (" Run the same again to make it." if what_to_keep(end) is not Kept.NOTHING else "")]
@@ -319,26 +317,32 @@ def _classify_each(
 ) -> list[FrameReport]:
     """Read, class and write frames in threads, unless an earlier run has; add them to the files of the run in order."""
 
-    def finish(numbered: tuple[int, Frame]) -> tuple[FramePart, PlacedPoints | None, str]:
+    def finish(numbered: tuple[int, Frame]) -> tuple[FramePart, PlacedPoints | None, str] | BadInputError:
         number, frame = numbered
-        finished = products.load(frame, number)
-        if finished is not None:
-            return *finished, ""
-        begin = time.perf_counter()
-        scan = reader.read(frame)
         try:
-            classed = method.classify(scan)
-        except BadInputError as error:
-            raise BadInputError(f"cannot classify {frame.origin}: {error}") from error
-        report = report_frame(frame, inputs.get(str(frame.path)), scan, classed, time.perf_counter() - begin)
-        return *products.write(frame, number, report, scan, classed), explain_empty_scan(scan, classed)
+            finished = products.load(frame, number)
+            if finished is not None:
+                return *finished, ""
+            begin = time.perf_counter()
+            scan = reader.read(frame)
+            try:
+                classed = method.classify(scan)
+            except BadInputError as error:
+                raise BadInputError(f"cannot classify {frame.origin}: {error}") from error
+            report = report_frame(frame, inputs.get(str(frame.path)), scan, classed, time.perf_counter() - begin)
+            written = products.write(frame, number, report, scan, classed, write_picture)
+            return *written, explain_empty_scan(scan, classed)
+        except BadInputError as error:  # raised when it is the frame's turn: it may be skipped
+            return error
 
     reports: list[FrameReport] = []
     progress.start("scanning frames", len(frames))
-    with in_threads(finish, enumerate(frames), products.config.threads) as results:
+    with closing(run_blocks(finish, enumerate(frames), products.config.threads)) as results:
         for frame, result in zip(frames, results, strict=True):
             with reader.skipping(frame):
-                part, placed, empty = result()
+                if isinstance(result, BadInputError):
+                    raise result
+                part, placed, empty = result
                 if empty:
                     _log.warning("no ground was classified in %s: %s", frame.origin, empty)
                 products.add(part, placed)
@@ -348,8 +352,15 @@ def _classify_each(
     return reports
 
 
-def scan_frames(config: ScanConfig, progress: Progress | None = None) -> ScanRun:
+def scan_frames(
+    config: ScanConfig, progress: Progress | None = None, mapper: MapDrive | None = None
+) -> ScanRun:  # fmt: skip
     """Class the ground of each frame and write the products; with poses, map the drive.
+
+    Parameters
+    ----------
+    mapper : callable, optional
+        Maps the merged frames, such as `bumpymap.survey.map_surveys`; None: they are not mapped.
 
     Raises
     ------
@@ -357,10 +368,10 @@ def scan_frames(config: ScanConfig, progress: Progress | None = None) -> ScanRun
         Bad inputs or settings, or a full disk; no file is left half-written.
     """
     with remove_empty_on_error(config.out), locked(config.out):
-        return _scan(config, progress or SilentProgress())
+        return _scan(config, progress or SilentProgress(), mapper)
 
 
-def _scan(config: ScanConfig, progress: Progress) -> ScanRun:
+def _scan(config: ScanConfig, progress: Progress, mapper: MapDrive | None) -> ScanRun:
     clock = Stopwatch()
     with clock.stage("prepare"):
         unfinished = is_interrupted(config.out)
@@ -384,8 +395,8 @@ def _scan(config: ScanConfig, progress: Progress) -> ScanRun:
             inputs = [frame.path for frame in frames]
             check_bag_file(config.bag, config.out, inputs, overwrite=config.overwrite or unfinished)
         run = classify_frames(config, frames, method, crs, run_spec, progress, clock)
-    if drive is None or run.merged is None:
+    if drive is None or run.merged is None or mapper is None:
         return run
     with clock.stage("map"):
-        mapped = map_drive(drive, run.merged, progress)
+        mapped = map_merged(drive, run.merged, progress, mapper)
     return replace(run, drive=mapped, already_done=is_done and (mapped is None or mapped.already_done))

@@ -7,11 +7,6 @@ from .advice import (
     require_known as require_known,
     unknown_line as unknown_line,
 )
-from .api import (
-    MapSettings as MapSettings,
-    folder_of_call as folder_of_call,
-    map_settings as map_settings,
-)
 from .batch.run import (
     BatchReport as BatchReport,
     BatchResult as BatchResult,
@@ -20,6 +15,9 @@ from .batch.run import (
 )
 from .batch.settings import (
     BatchConfig as BatchConfig,
+    MapSettings as MapSettings,
+    PathLike as PathLike,
+    map_settings as map_settings,
 )
 from .engine.budget import (
     Budget as Budget,

@@ -60,8 +60,8 @@ def advise(outcome: Outcome, settings: FeatureSettings, *, would_help: Mapping[s
     why, help_ = _explained(most, outcome, settings)
     if would_help is not None and most is not Reason.OUTLIER_RELIEF:
         better = {option: left for option, left in would_help.items() if left < _FAR_FEWER * outcome.share}
-        told = " and ".join(f"{option} would leave about {left:.0%} unknown" for option, left in better.items())
-        help_ = told or "Larger tiles would not help: there are gaps in the survey, or too few points"
+        options = " and ".join(f"{option} would leave about {left:.0%} unknown" for option, left in better.items())
+        help_ = options or "Larger tiles would not help: there are gaps in the survey, or too few points"
     return f"{head}, mostly because of {REASON_TEXT[most]}: {why}. {help_}"
 
 

@@ -1,7 +1,7 @@
 """Flight lines of a survey: how far their heights differ where they overlap."""
 
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Any, Self
 
@@ -29,85 +29,53 @@ _ILL_CONDITIONED = 1e-3
 Ints = NDArray[np.int64]
 
 
-@dataclass(frozen=True, slots=True)
-class LineCells:
-    """Cells in which a line has points, one row each, line by line inside a cell."""
-
-    cell: Ints
-    """(n,) key of the cell."""
-    line: Ints
-    """(n,)."""
-    easting: NDArray[np.floating]
-    """(n,) south-west corner, m."""
-    northing: NDArray[np.floating]
-    sums: Ints
-    """(n, 10) see `bumpymap.readers.LineSums`."""
-
-    @classmethod
-    def of(cls, sums: LineSums) -> "LineCells":
-        """Choose the points that are compared, ground or all, and return their cells."""
-        rows = sums.rows()
-        lined, ground = rows[:, 0] >> 1, (rows[:, 0] & 1).astype(np.bool_)
-        cells = lined >> 16
-        if len(np.unique(cells[ground])) > _CLASSIFIED_SHARE * len(np.unique(cells)):
-            lined, values = lined[ground], rows[ground, 1:]
-        elif len(rows):
-            first = np.flatnonzero(np.diff(lined, prepend=-1))
-            lined, values = lined[first], np.add.reduceat(rows[:, 1:], first, axis=0)
-        else:
-            values = rows[:, 1:]
-        col, row = cell_indices(lined >> 16)
-        return cls(lined >> 16, lined & 0xFFFF, col * CELL, row * CELL, values)
+def _compared(sums: LineSums) -> tuple[Ints, Ints]:
+    """Return cell << 16 | line of each line in each cell, rising, (n,), and its sums, (n, 10): of ground, or of all."""
+    rows = sums.rows()
+    lined, ground = rows[:, 0] >> 1, (rows[:, 0] & 1).astype(np.bool_)
+    cells = lined >> 16
+    if len(np.unique(cells[ground])) > _CLASSIFIED_SHARE * len(np.unique(cells)):
+        return lined[ground], rows[ground, 1:]
+    if not len(rows):
+        return lined, rows[:, 1:]
+    first = np.flatnonzero(np.diff(lined, prepend=-1))
+    return lined[first], np.add.reduceat(rows[:, 1:], first, axis=0)
 
 
-@dataclass(frozen=True, slots=True)
-class CellSteps:
-    """Steps between two lines, one for each cell and pair of lines that share it."""
+def steps_between_lines(lined: Ints, sums: Ints) -> tuple[Ints, Floats]:
+    """Return pairs of lines, and the steps between them in all cells where they can be measured.
 
-    first: Ints
-    """(n,) line with the smaller number."""
-    second: Ints
-    """(n,) the other one."""
-    easting: Floats
-    """(n,) middle of the points, m."""
-    northing: Floats
-    step: Floats
-    """(n,) height of the second line above the first, m."""
-    error: Floats
-    """(n,) standard error of the step, m."""
+    Parameters
+    ----------
+    lined : (n,)
+        Key of the cell << 16 | line, rising.
+    sums : (n, 10)
+        See `bumpymap.readers.LineSums`.
 
-    def where(self, chosen: NDArray[np.bool_]) -> "CellSteps":
-        """Return some of the steps."""
-        return CellSteps(*(getattr(self, field.name)[chosen] for field in fields(self)))
-
-    def pairs(self, least: int) -> Iterator[slice]:
-        """Yield the steps of each pair of lines that has so many at least; they must be in the order of the lines."""
-        bounds = np.flatnonzero(np.diff(self.first << 16 | self.second, prepend=-1, append=-1))
-        yield from (slice(start, end) for start, end in pairwise(bounds.tolist()) if end - start >= least)
-
-
-def steps_between_lines(cells: LineCells) -> CellSteps:
-    """Return the steps in all cells where they can be measured."""
+    Returns
+    -------
+    (n,)
+        Line with the smaller number << 16 | the other one, rising.
+    (4, n)
+        Easting and northing of the middle of the points; height of the second line above the first; its standard
+        error; m.
+    """
+    cell, line = lined >> 16, lined & 0xFFFF
     pairs = [np.zeros((2, 0), np.int64)]
     for gap in range(1, _NEIGHBOURS + 1):
-        left = np.flatnonzero(cells.cell[gap:] == cells.cell[:-gap])
+        left = np.flatnonzero(cell[gap:] == cell[:-gap])
         pairs.append(np.array([left, left + gap]))
     one, two = np.concatenate(pairs, axis=1)
-    counts = cells.sums[:, 0]
+    counts = sums[:, 0]
     enough = (np.minimum(counts[one], counts[two]) >= _LEAST_POINTS) & (counts[one] + counts[two] >= _LEAST_OF_BOTH)
     one, two = one[enough], two[enough]
-    order = np.lexsort((cells.cell[one], cells.line[two], cells.line[one]))
+    order = np.lexsort((cell[one], line[two], line[one]))
     one, two = one[order], two[order]
-    place, step, error, known = _fit(cells.sums[one], cells.sums[two])
-    found = CellSteps(
-        cells.line[one],
-        cells.line[two],
-        cells.easting[one] + place[0],
-        cells.northing[one] + place[1],
-        step,
-        error,
-    )
-    return found.where(known & (error <= _LARGEST_ERROR))
+    place, step, error, known = _fit(sums[one], sums[two])
+    col, row = cell_indices(cell[one])
+    found = np.array([col * CELL + place[0], row * CELL + place[1], step, error])
+    good = known & (error <= _LARGEST_ERROR)
+    return (line[one] << 16 | line[two])[good], found[:, good]
 
 
 def _fit(one: Ints, two: Ints) -> tuple[Floats, Floats, Floats, NDArray[np.bool_]]:
@@ -212,12 +180,14 @@ class FlightLines:
 
 def compare_lines(sums: LineSums) -> FlightLines:
     """Compare the lines of a survey by the sums of all its points."""
-    cells = LineCells.of(sums)
-    lines = len(np.unique(cells.line))
+    lined, own = _compared(sums)
+    lines = len(np.unique(lined & 0xFFFF))
     if lines < 2:
         return FlightLines(lines)
-    steps = steps_between_lines(cells)
-    return FlightLines(lines, tuple(_pair(steps, span) for span in steps.pairs(_LEAST_CELLS)))
+    pairs, steps = steps_between_lines(lined, own)
+    bounds = np.flatnonzero(np.diff(pairs, prepend=-1, append=-1)).tolist()
+    spans = [slice(start, end) for start, end in pairwise(bounds) if end - start >= _LEAST_CELLS]
+    return FlightLines(lines, tuple(_pair(int(pairs[span.start]), *steps[:, span]) for span in spans))
 
 
 def describe_lines(found: FlightLines) -> str:
@@ -232,14 +202,16 @@ def describe_lines(found: FlightLines) -> str:
     )
 
 
-def _pair(steps: CellSteps, span: slice) -> LinePair:
-    step, weights = steps.step[span], 1 / steps.error[span] ** 2
+def _pair(lines: int, easting: Floats, northing: Floats, step: Floats, error: Floats) -> LinePair:
+    weights = 1 / error**2
     middle = weighted_median(step, weights)
     spread = 1.4826 * weighted_median(np.abs(step - middle), weights)
-    tilt, fitted = _tilt(steps, span, middle, spread)
+    held = np.abs(step - middle) <= max(_OUTER * spread, 1e-6)
+    design = np.column_stack([np.ones_like(easting), easting - easting.mean(), northing - northing.mean()])
+    tilt, fitted = _tilt(design, step, error, held, middle)
     sure = any(tilt) or abs(middle) > _SURE * 1.2533 * spread / len(step) ** 0.5
     return LinePair(
-        lines=(int(steps.first[span][0]), int(steps.second[span][0])),
+        lines=(lines >> 16, lines & 0xFFFF),
         cells=len(step),
         step=round(middle, 5),
         spread=round(spread, 5),
@@ -248,17 +220,20 @@ def _pair(steps: CellSteps, span: slice) -> LinePair:
     )
 
 
-def _tilt(steps: CellSteps, span: slice, middle: float, spread: float) -> tuple[tuple[float, float], Floats]:
-    """Return the growth of the step to the east and north, and the step at each cell, m."""
-    step, level = steps.step[span], np.full(len(steps.step[span]), middle)
-    held = np.abs(step - middle) <= max(_OUTER * spread, 1e-6)
+def _tilt(
+    design: Floats, step: Floats, error: Floats, held: NDArray[np.bool_], middle: float
+) -> tuple[tuple[float, float], Floats]:
+    """Return the growth of the step to the east and north, and the step at each cell, m.
+
+    ``design`` (n, 3): 1, easting, northing; ``held`` (n,): the cells that determine a tilt.
+    """
+    level = np.full(len(step), middle)
     if np.count_nonzero(held) < _LEAST_FOR_TILT:
         return (0.0, 0.0), level
-    root = 1 / steps.error[span]
-    east, north = (axis - axis.mean() for axis in (steps.easting[span], steps.northing[span]))
-    design = np.column_stack([np.ones_like(east), east, north]) * root[:, None]
-    fit = np.linalg.lstsq(design[held], (step * root)[held], rcond=None)[0]
-    left = ((step * root - design @ fit)[held] ** 2).sum()
+    root = 1 / error
+    weighted = design * root[:, None]
+    fit = np.linalg.lstsq(weighted[held], (step * root)[held], rcond=None)[0]
+    left = ((step * root - weighted @ fit)[held] ** 2).sum()
     if left > (1 - _EXPLAINED) * (((step - middle) * root)[held] ** 2).sum():
         return (0.0, 0.0), level
-    return (round(float(fit[1]), 6), round(float(fit[2]), 6)), design @ fit / root
+    return (round(float(fit[1]), 6), round(float(fit[2]), 6)), weighted @ fit / root

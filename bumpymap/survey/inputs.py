@@ -76,7 +76,13 @@ class SurveyInputs:
         georeference = common_georeference(infos)
         for doubt in file_doubts(infos):
             _log.warning("%s", doubt)
-        _check_crs(georeference, readers[0].info.path, local=config.local)
+        if georeference.crs is not None and config.local:
+            _log.warning("`local=True` is not needed: the survey has a CRS (%s)", georeference.crs.name)
+        if georeference.crs is None and not config.local:
+            raise BadInputError(
+                f"{readers[0].info.path} has no CRS, so its location on Earth is unknown. Pass `crs='EPSG:CODE'`, "
+                "or `local=True` to map it in its own coordinates (rasters without a CRS, cost.geojson in local metres)"
+            )
         if any(info.georeference.assumed for info in infos):
             _log.warning(
                 "no CRS states a unit: metres are assumed; if they are feet, pass `xy_unit='ft'` or `xy_unit='us-ft'`"
@@ -154,13 +160,3 @@ def _skip(path: Path, error: BadInputError, skipped: dict[str, str], *, skip_bad
         raise error
     _log.warning("skipped %s: %s", path, error)
     skipped[str(path)] = str(error)
-
-
-def _check_crs(georeference: Georeference, example: Path, *, local: bool) -> None:
-    if georeference.crs is not None and local:
-        _log.warning("`local=True` is not needed: the survey has a CRS (%s)", georeference.crs.name)
-    if georeference.crs is None and not local:
-        raise BadInputError(
-            f"{example} has no CRS, so its location on Earth is unknown. Pass `crs='EPSG:CODE'`, "
-            "or `local=True` to map it in its own coordinates (rasters without a CRS, cost.geojson in local metres)"
-        )

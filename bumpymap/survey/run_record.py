@@ -57,15 +57,22 @@ class WarningCollector(logging.Handler):
 
 
 @contextmanager
-def collected_warnings() -> Iterator[list[str]]:
-    """Collect the warnings of bumpymap during the body, beside their being logged."""
-    collector, logger, texts = WarningCollector(), logging.getLogger("bumpymap"), list[str]()
-    logger.addHandler(collector)
+def collected_warnings(*, alone: bool = False) -> Iterator[list[str]]:
+    """Collect the warnings of this thread during the body, beside their being logged.
+
+    ``alone``: instead of that, those of all threads, and of the engine.
+    """
+    collector = WarningCollector(every_thread=alone)
+    loggers = [logging.getLogger(name) for name in (("bumpymap", "bumpytiles") if alone else ("bumpymap",))]
+    before = [(logger.handlers, logger.propagate) for logger in loggers]
+    for logger in loggers:
+        logger.handlers = [collector] if alone else [*logger.handlers, collector]
+        logger.propagate = logger.propagate and not alone
     try:
-        yield texts
+        yield collector.kept
     finally:
-        logger.removeHandler(collector)
-        texts += collector.kept
+        for logger, (handlers, propagate) in zip(loggers, before, strict=True):
+            logger.handlers, logger.propagate = handlers, propagate
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,10 +161,7 @@ def versions(ground: Ground) -> dict[str, str]:
 def describe_run(config: MapConfig, inputs: SurveyInputs, models: RatingModels, budget: Budget) -> dict[str, Any]:
     """Return everything that the results depend on; a resumed run must have the same."""
     return {
-        "inputs": {
-            str(path): _skipped_identity(path) if str(path) in inputs.skipped else identity(path)
-            for path in inputs.paths
-        },
+        "inputs": {str(path): _identity(path, required=str(path) not in inputs.skipped) for path in inputs.paths},
         "settings": flat_settings(config, _WITHOUT_EFFECT),
         "made with": versions(config.ground) | {"model": models.texture_id, "calibration": models.calibration.id},
         "cut": {"chunk_points": budget.chunk_points},
@@ -250,11 +254,12 @@ def run_manifest(
     }
 
 
-def _skipped_identity(path: Path) -> dict[str, Any] | None:
-    """Return the identity of a skipped file; None if even that cannot be read."""
+def _identity(path: Path, *, required: bool) -> dict[str, Any] | None:
     try:
         return identity(path)
-    except BadInputError:
+    except BadInputError:  # even that of a skipped file may not be readable
+        if required:
+            raise
         return None
 
 

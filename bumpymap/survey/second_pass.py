@@ -307,7 +307,7 @@ class NeighbourRating:
             | {f"step_{side}": steps.border[..., number] for number, side in enumerate(SIDES)}
             | {"edge_step": steps.edge_step, "inner_step": steps.inner}
             | self._seen_sizes(window, own["class_id"], steps)
-            | {"barred": barred, _SIDES.name: self._sides(known, steps)}
+            | {"barred": barred, _SIDES.name: sides_crossed(edge_usable(steps.border, self.calibration), steps, known)}
             | {"objects": states, "obstacle": obstacle}
             | beside
             # A roof is an obstacle of unknown height, and nothing that hangs over the way.
@@ -357,7 +357,9 @@ class NeighbourRating:
 
     def _steps(self, window: NeighbourWindow, searched: NDArray[np.bool_]) -> TileSteps:
         if self.config.pixels >= _LEAST_PIXELS:
-            standing = self._pixels(_is_relief(window)) & (window.mosaic("objects") == OBSTACLE)
+            # Where all points count as ground, obstacles are part of the relief.
+            in_relief = window.present & np.isnan(window["obstacle"])
+            standing = self._pixels(in_relief) & (window.mosaic("objects") == OBSTACLE)
             calibration = self.calibration
             wheel, closing = calibration.wheel_pixels, closing_height(calibration)
             found = find_steps(window.mosaic("heights"), self.config.pixels, wheel, closing, standing, searched)
@@ -393,11 +395,6 @@ class NeighbourRating:
             edges[tiles] = line | found.is_closed
         barred = np.where(touched, np.uint8(Barred.STEP), own["barred"])
         return barred, np.where(edges & (states != OBSTACLE), np.uint8(STEP_EDGE), states), beside
-
-    def _sides(self, known: NDArray[np.bool_], steps: TileSteps) -> NDArray[np.uint8]:
-        """Return the sides of the inner tiles that the vehicle can cross."""
-        crossed = _crossed(edge_usable(steps.border, self.calibration), np.isnan(steps.border), known[1:-1, 1:-1])
-        return np.asarray(np.packbits(crossed, axis=-1, bitorder="little")[..., 0])
 
     def _pixels(self, of_tiles: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Give every pixel of a mosaic the value of its tile."""
@@ -476,11 +473,6 @@ def finish_tiles(
     return add_neighbours(rated, sweep, folder, threads, SilentProgress(), "swept")
 
 
-def _is_relief(window: NeighbourWindow) -> NDArray[np.bool_]:
-    """Return the tiles whose points all count as ground, so that obstacles are part of their relief."""
-    return np.asarray(window.present & np.isnan(window["obstacle"]))
-
-
 def _first(window: NeighbourWindow) -> BlockRating:
     """Return what the first pass found."""
     columns = {name: window[name] for name in _RATED}
@@ -488,19 +480,19 @@ def _first(window: NeighbourWindow) -> BlockRating:
     return BlockRating(**columns, reason=missing)
 
 
-def _crossed(
-    usable: NDArray[np.bool_], unseen: NDArray[np.bool_], known: NDArray[np.bool_]
-) -> NDArray[np.bool_]:  # fmt: skip
-    """Return which sides of the inner tiles the vehicle can cross, (16, 16, 4).
+def sides_crossed(usable: NDArray[np.bool_], steps: TileSteps, known: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Return which sides of the inner tiles the vehicle can cross, (16, 16), as bits of `SIDES`.
 
     Where nobody saw a step, such as in a thin survey, none is assumed between known tiles: the rating of both tiles
     holds what their points tell. A side without a known tile beyond it leads nowhere, but does not bar a tile of which
-    no neighbour is known.
+    no neighbour is known. ``usable`` (16, 16, 4) are the sides whose step is none for the vehicle, ``known`` (20, 20).
     """
+    known = known[1:-1, 1:-1]
     rows, cols = (side - 2 for side in known.shape)
     beyond = np.stack(
         [known[1 + down : 1 + down + rows, 1 + right : 1 + right + cols] for down, right in _BESIDE],
         axis=-1,
     )
     alone = ~beyond.any(axis=-1, keepdims=True)
-    return np.asarray((beyond & (usable | unseen)) | alone)
+    crossed = (beyond & (usable | np.isnan(steps.border))) | alone
+    return np.packbits(crossed, axis=-1, bitorder="little")[..., 0]

@@ -15,10 +15,8 @@ from bumpymap.core import (
     POINT_OTHER,
     SEEN,
     UNSEEN,
-    CostMap,
     Georeference,
     MapConfig,
-    ObjectStack,
     PatchStack,
     TextureMap,
     smallest_object,
@@ -138,11 +136,13 @@ class TileRating:
             points = replace(points, flag=np.where(ground, POINT_GROUND, of_file).astype(np.uint8))
         if patches is None:
             patches = measure(points, config.features, ground_only=ground_only)
-        objects, bare, on_ground = None, patches, ground_only
+        body, objects, bare, on_ground = self.models.calibration.body, None, patches, ground_only
         if ground_only:
-            objects = self._objects(points, patches)
+            # The cloth takes low objects for ground.
+            apart = take_off_standing(points, patches, body) if config.ground == "csf" else (points, patches)
+            objects = find_objects(*apart, body)
         elif config.compat == "none":  # the paper knows none
-            found = find_in_relief(points, patches, self.models.calibration.body, around)
+            found = find_in_relief(points, patches, body, around)
             points, bare = leave_out_standing(points, patches, found, config.features)
             objects = found.stack
             on_ground = True
@@ -158,14 +158,11 @@ class TileRating:
         thin = self._thin(points, patches, on_ground, bare.count)
         measured = replace(patches, relief=bare.relief, slope=bare.slope, reason=bare.reason)
         if objects is not None:
-            rated = _with_seen_sizes(rated, points, objects, in_relief=not ground_only)
+            states, count, size = objects.objects, np.diff(points.starts), points.grid.tile_size
+            held = (states != UNSEEN) & (states % SEEN != EMPTY)
+            smallest = smallest_object(held, count, size, in_relief=not ground_only)
+            rated = replace(rated, all_density=(count / size**2).astype(np.float32), smallest_object=smallest)
         return replace(rated, patches=measured, objects=objects, thin=thin).columns()
-
-    def _objects(self, points: TilePoints, patches: PatchStack) -> ObjectStack:
-        """Find what stands on the ground; the cloth takes low objects for ground."""
-        body = self.models.calibration.body
-        apart = take_off_standing(points, patches, body) if self.config.ground == "csf" else (points, patches)
-        return find_objects(*apart, body)
 
     def _thin(
         self, points: TilePoints, patches: PatchStack, ground_only: bool, count: NDArray[np.int64]
@@ -178,11 +175,3 @@ class TileRating:
             return None
         pairs, relief_map = measure_thin(points, patches, self.config.features, ground_only=ground_only)
         return thin_columns(pairs, relief_map, count, self.ride.operator)
-
-
-def _with_seen_sizes(rated: CostMap, points: TilePoints, objects: ObjectStack, *, in_relief: bool) -> CostMap:
-    """Add which objects the survey of the tiles would have shown."""
-    states, count, size = objects.objects, np.diff(points.starts), points.grid.tile_size
-    held = (states != UNSEEN) & (states % SEEN != EMPTY)
-    smallest = smallest_object(held, count, size, in_relief=in_relief)
-    return replace(rated, all_density=(count / size**2).astype(np.float32), smallest_object=smallest)

@@ -12,8 +12,8 @@ from driven_stretches import driven_stretches
 from small_surveys import run, write_survey
 
 from bumpymap.api import map_survey
-from bumpymap.cli import train_command
-from bumpymap.cli.check_command import prepare_refit, refit_lines
+from bumpymap.cli import lab_commands
+from bumpymap.cli.check_command import prepare_refit, refit_lines, write_refit
 from bumpymap.core import BadInputError, OutputError, UsageError, install_command
 from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.lab.simulate import calibrate as calibrate_module, refit
@@ -157,7 +157,7 @@ def test_a_calibration_is_written_and_summed_up_and_replaced_only_if_told(tmp_pa
 @pytest.mark.parametrize("package", ["dartpy", "sklearn"])
 def test_missing_libraries_are_named_with_their_extra(tmp_path, monkeypatch, package):
     monkeypatch.setitem(sys.modules, package, None)
-    monkeypatch.setattr(train_command, "find_spec", lambda _: None)
+    monkeypatch.setattr(lab_commands, "find_spec", lambda _: None)
     for words, said in (
         (["calibrate", "--vehicle", "warthog"], install_command("sim")),
         (["train", "scans", tmp_path], install_command("learn")),
@@ -177,8 +177,8 @@ def layers(tmp_path_factory):
 
 def test_the_calibration_of_the_map_is_moved_and_written(layers, tmp_path):
     out = tmp_path / "new" / "my_robot.json"
-    moving = prepare_refit(layers, None, out, overwrite=False)
-    update = moving.move(driven_stretches(WARTHOG, 50, shift=0.3), 1.0)
+    found = prepare_refit(layers, None, out, overwrite=False)
+    update = write_refit(found, out, driven_stretches(WARTHOG, 50, shift=0.3), 1.0, overwrite=False)
     assert Calibration.load(out).settings["moved_to_drives"]["calibration_id"] == WARTHOG.id
     assert [path.name for path in out.parent.iterdir() if not path.name.startswith(".")] == ["my_robot.json"]
     said = "\n".join(refit_lines(update, out))
@@ -190,15 +190,14 @@ def test_the_calibration_of_the_map_is_moved_and_written(layers, tmp_path):
 def test_a_map_of_larger_tiles_has_its_own_calibration(tmp_path):
     map_survey(write_survey(tmp_path / "site.laz"), tmp_path / "layers", tile_size=5)
     own, out = Calibration.shipped("warthog", 5.0), tmp_path / "moved.json"
-    prepare_refit(tmp_path / "layers", None, out, overwrite=False).move(driven_stretches(own, 50, shift=0.3), 1.0)
-    assert Calibration.load(out).settings["moved_to_drives"]["calibration_id"] == own.id
+    assert prepare_refit(tmp_path / "layers", None, out, overwrite=False).id == own.id
 
 
-def test_drives_that_are_refused_write_nothing(layers, tmp_path):
-    moving = prepare_refit(layers, None, tmp_path / "my_robot.json", overwrite=False)
+def test_drives_that_are_refused_write_nothing(tmp_path):
+    out = tmp_path / "my_robot.json"
     with pytest.raises(BadInputError, match="too short"):
-        moving.move(driven_stretches(WARTHOG, 5), 1.0)
-    assert not (tmp_path / "my_robot.json").exists()
+        write_refit(WARTHOG, out, driven_stretches(WARTHOG, 5), 1.0, overwrite=False)
+    assert not out.exists()
 
 
 @pytest.mark.parametrize("content", ["time,gyro_y\n", "{}", '{"format": "bumpymap-run"}', ""])
@@ -221,7 +220,7 @@ def test_a_file_that_exists_is_replaced_only_if_asked(layers, tmp_path):
     ):
         with pytest.raises(OutputError, match=said):
             prepare_refit(layers, None, path, overwrite=overwrite)
-    prepare_refit(layers, None, out, overwrite=True).move(driven_stretches(WARTHOG, 50), 1.0)
+    write_refit(WARTHOG, out, driven_stretches(WARTHOG, 50), 1.0, overwrite=True)
     assert Calibration.load(out).vehicle["name"] == "warthog"
 
 
@@ -241,7 +240,7 @@ def test_a_map_is_needed_and_its_own_calibration_at_its_own_speed(layers, tmp_pa
     ):
         with pytest.raises(kind, match=said):
             prepare_refit(folder, given, out, overwrite=False)
-    assert prepare_refit(tmp_path / "own", moved, out, overwrite=False).calibration.id == WARTHOG.id
+    assert prepare_refit(tmp_path / "own", moved, out, overwrite=False).id == WARTHOG.id
 
 
 # --- train ---

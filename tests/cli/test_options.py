@@ -1,6 +1,7 @@
 """Every option of every command: what was typed counts, contradictions are refused, one style of help."""
 
 import importlib.util
+import json
 import re
 from types import SimpleNamespace
 
@@ -52,7 +53,7 @@ def reached(monkeypatch, tmp_path):
     import bumpymap.survey.batch.source
     import bumpymap.survey.engine
     import bumpymap.survey.pipeline
-    from bumpymap.cli import calibrate_command, train_command
+    from bumpymap.cli import lab_commands
 
     monkeypatch.setattr(bumpymap.survey.pipeline, "_prepare", ends("map"))
     monkeypatch.setattr("bumpymap.survey.run_batch", ends("batch"))
@@ -63,9 +64,9 @@ def reached(monkeypatch, tmp_path):
     monkeypatch.setattr("bumpymap.views.export_map", ends("export"))
     monkeypatch.setattr("bumpymap.scan.scan_frames", ends("scan"))
     monkeypatch.setattr(bumpymap.readers, "find_surveys", ends("info"))
-    monkeypatch.setattr(calibrate_command, "_calibrate", ends("calibrate"))
+    monkeypatch.setattr(lab_commands, "_calibrate", ends("calibrate"))
     monkeypatch.setattr("bumpymap.lab.require_dart", lambda: None)
-    monkeypatch.setattr(train_command, "_require_libraries", lambda: None)
+    monkeypatch.setattr(lab_commands, "find_spec", lambda _: True)
     if importlib.util.find_spec("torch"):
         monkeypatch.setattr("bumpymap.lab.make_model", ends("train textures"))
         monkeypatch.setattr("bumpymap.lab.make_scan_model", ends("train scans"))
@@ -207,6 +208,21 @@ def test_a_settings_file_names_every_setting_and_its_default(name, tmp_path, mon
     assert (plain.exit_code, plain.stderr) == (stated.exit_code, stated.stderr)
     alike = [re.sub(r" at 0x[0-9a-f]+|memory='?\d+\w*", "", repr(got)) for got in (reached.get(name), first)]
     assert alike[0] == alike[1]
+
+
+@pytest.mark.parametrize("name", ["map", "scan", "train textures"])
+def test_the_schema_of_a_settings_file_has_its_keys_tables_and_bounds(name):
+    validator = pytest.importorskip("jsonschema").Draft7Validator
+    schema = json.loads(run("settings", *name.split(), "--schema").stdout)
+    validator.check_schema(schema)
+    lines = re.findall(r"^#([a-z_]+) =|^#\[([a-z_]+)\]", run("settings", *name.split()).stdout, re.MULTILINE)
+    inner = [each.get("properties", {}) for each in schema["properties"].values()]
+    assert {*schema["properties"]}.union(*inner) == {key or table for key, table in lines}
+    if name == "map":
+        check = validator(schema)
+        assert check.is_valid({"tile_size": 5.0, "ground": "csf", "csf": {"rigidness": 2}, "speeds": [0.5, 1]})
+        for wrong in ({"tile_size": 0}, {"ground": "none"}, {"csf": {"rigidness": 4}}, {"speeds": ["x"]}, {"no": 1}):
+            assert not check.is_valid(wrong), wrong
 
 
 def test_a_set_value_keeps_the_rest_of_a_table(reached, tmp_path):

@@ -1,15 +1,14 @@
-"""Child processes, threads, signals and memory: one clear error, nothing left running, no effects beside it."""
+"""Child processes, signals and memory: one clear error, nothing left running, no effects beside it."""
 
 import os
 import signal
 import subprocess
 import sys
-import threading
 
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from bumpymap.core import free_memory, in_threads
+from bumpymap.core import free_memory
 from bumpymap.core.processes import Child, ChildDiedError, ChildError, SharedMemory
 
 
@@ -80,52 +79,6 @@ print(process.exitcode)
 def test_a_daemonic_process_may_have_children():
     """As the workers of Dask are."""
     assert said_by(DAEMON).stdout == "3\n"
-
-
-# --- threads ---
-@pytest.mark.parametrize("threads", [1, 5])
-def test_results_come_in_order_whatever_is_finished_first(threads):
-    later = threading.Event()
-
-    def work(item):
-        if item == 0 and threads > 1:
-            assert later.wait(20.0)  # item 1 is done before it
-        later.set()
-        return 10 * item
-
-    with in_threads(work, range(20), threads) as results:
-        assert [result() for result in results] == [10 * item for item in range(20)]
-
-
-@settings(max_examples=20)
-@given(st.integers(1, 6), st.integers(0, 40))
-def test_only_a_few_items_are_begun_before_the_first_is_taken(threads, count):
-    begun, taken = [], []
-    items = (begun.append(item) or item for item in range(count))
-    with in_threads(lambda item: item, items, threads) as results:
-        for result in results:
-            assert len(begun) <= len(taken) + 2 * threads
-            taken.append(result())
-    assert taken == list(range(count))
-
-
-@pytest.mark.parametrize("threads", [1, 3])
-def test_an_error_is_raised_where_its_result_is_taken(threads):
-    with in_threads(lambda item: 1 // item, [1, 0, 1], threads) as results:
-        first, second, third = results
-        assert first() == third() == 1
-        with pytest.raises(ZeroDivisionError):
-            second()
-
-
-@pytest.mark.parametrize("threads", [1, 3])
-def test_when_the_body_ends_early_nothing_goes_on(threads):
-    begun, before = [], threading.active_count()
-    with in_threads(begun.append, range(1000), threads) as results:
-        next(results)()
-        next(results)()
-    assert len(begun) <= 2 + 2 * threads
-    assert threading.active_count() == before
 
 
 # --- signals ---

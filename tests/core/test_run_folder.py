@@ -16,7 +16,7 @@ from blake3 import blake3
 
 from bumpymap.core import same_content
 from bumpymap.core.errors import OutputError
-from bumpymap.core.run_folder import LOCK, Holder, RunFolder, lock_for, locked, work_folder
+from bumpymap.core.run_folder import LOCK, RunFolder, lock_for, locked, work_folder
 from bumpymap.readers import hash_survey
 
 HOLD = """
@@ -53,12 +53,12 @@ def test_the_loser_says_who_holds_it(tmp_path, holder):
 
 
 def test_a_worker_holds_the_lock_in_the_name_of_the_command(tmp_path):
-    lock_for(Holder(7, "bumpymap batch flights"))
+    lock_for({"pid": 7, "command": "bumpymap batch flights"})
     try:
         with locked(tmp_path), pytest.raises(OutputError, match=r"pid 7 on .* since .*: bumpymap batch flights"):
             locked(tmp_path).__enter__()
     finally:
-        lock_for(None)
+        lock_for({})
 
 
 def test_the_lock_of_a_killed_run_holds_nobody_up(tmp_path, holder):

@@ -190,9 +190,6 @@ def test_a_mark_of_byte_order_is_skipped(tmp_path):
 
 def test_only_regular_files_are_read(tmp_path):
     os.mkfifo(tmp_path / "pipe.toml")
-    for path in (tmp_path / "pipe.toml", Path("/dev/zero"), tmp_path):
-        with pytest.raises(UsageError, match="it is not a file"):
-            read_toml(path, "settings", UsageError)
-    for path in (tmp_path / "none.toml", Path("a\0b")):
-        with pytest.raises(UsageError, match="there is no such file"):
+    for path in (tmp_path / "pipe.toml", Path("/dev/zero"), tmp_path, tmp_path / "none.toml", Path("a\0b")):
+        with pytest.raises(UsageError, match=r"cannot read settings from .*: (it is a pipe|Is a|No such|embedded)"):
             read_toml(path, "settings", UsageError)

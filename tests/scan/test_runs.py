@@ -7,6 +7,7 @@ import re
 import shutil
 import threading
 from dataclasses import replace
+from functools import partial
 
 import laspy
 import numpy as np
@@ -24,9 +25,11 @@ from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.readers import read_scan
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.methods import choose_method
-from bumpymap.scan.pipeline import scan_frames
+from bumpymap.scan.pipeline import scan_frames as scan_alone
+from bumpymap.survey import map_surveys
 
 pytestmark = pytest.mark.slow
+scan_frames = partial(scan_alone, mapper=map_surveys)
 
 POSES = [
     (Rotation.from_euler("zyx", (0.4, 0.02, -0.03)), np.array([1003.0, 2001.0, 51.5])),
@@ -200,7 +203,7 @@ def test_an_interrupted_run_goes_on_and_an_older_one_is_as_it_was(drive, mapped,
         scan_frames(replace(config, products=("table",)))
     done_frames.clear()
     result = scan_frames(config)
-    assert done_frames == ["0", "1", "2"][after:]
+    assert not set(done_frames) & set(["0", "1", "2"][:after])  # others may have been finished ahead
     assert [report.frame.name for report in result.frames] == ["0", "1", "2"]
     assert products(out) == products(mapped[0])
 

@@ -45,10 +45,11 @@ def compared(points):
     return compare_lines(LineSums.of(points))
 
 
-@pytest.mark.parametrize(("step", "density"), [(-0.04, 4), (0.3, 60)])
+@pytest.mark.parametrize(("step", "density"), [(-0.04, 4), (0.3, 60), (30.0, 20)])
 def test_a_constant_step_is_told(step, density):
-    (pair,) = compared(strips([constant(0.0), constant(step)], density=density)).pairs
-    assert abs(pair.step - step) < 0.005
+    found = compared(strips([constant(0.0), constant(step)], density=density))
+    assert found.pairs[0].step == pytest.approx(step, abs=0.005)
+    assert "Have the producer do a strip adjustment" in describe_lines(found)
 
 
 def test_a_tilt_is_told():
@@ -75,12 +76,6 @@ def test_nothing_is_told_where_nothing_is_wrong(errors):
 def test_waves_of_a_bad_boresight_are_told_as_spread():
     found = compared(strips([constant(0.0), lambda x, y: 0.1 * np.sin(y / 5) + 0 * x]))
     assert found.pairs[0].spread > 0.04
-
-
-def test_heights_that_are_metres_apart_are_told():
-    found = compared(strips([constant(0.0), constant(30.0)]))
-    assert found.pairs[0].step == pytest.approx(30.0, abs=0.01)
-    assert "Have the producer do a strip adjustment" in describe_lines(found)
 
 
 def test_only_ground_is_compared_where_the_survey_is_classified():

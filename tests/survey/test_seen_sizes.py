@@ -94,9 +94,7 @@ def test_it_is_said_in_one_sentence():
     assert SeenSizes(10.0).sentence == ""
     assert "does not show" in SeenSizes().condition
     assert [size_text(size) for size in (0.0, 0.011, 0.2, 0.201, 2.0)] == ["0.01 m", "0.02 m", "0.2 m", "0.25 m", "2 m"]
-    sizes = SeenSizes(10.0, 0.7, 0.2), SeenSizes(5.0, 0.9), SeenSizes()
-    assert SeenSizes.worst(sizes) == SeenSizes(5.0, 0.9, 0.2)
-    assert SeenSizes.of(sizes[0].record()) == sizes[0]
+    assert SeenSizes.of(SeenSizes(10.0, 0.7, 0.2).record()) == SeenSizes(10.0, 0.7, 0.2)
 
 
 @pytest.mark.parametrize(

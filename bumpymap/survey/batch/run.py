@@ -9,8 +9,8 @@ import logging
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cache, partial
@@ -24,7 +24,6 @@ from bumpymap.core import (
     Child,
     ChildDiedError,
     ChildError,
-    Holder,
     MapConfig,
     OutputError,
     TooUnknownError,
@@ -32,6 +31,7 @@ from bumpymap.core import (
     brief_repr,
     count_text,
     lock_for,
+    lock_holder,
     locked,
     missing_resource,
     path_of_call,
@@ -53,12 +53,11 @@ from bumpymap.layers import (
     write_batch_summary,
 )
 from bumpymap.rating import find_calibration
-from bumpymap.survey.api import EachSettings, PathLike, folder_of_call, map_settings
-from bumpymap.survey.batch.settings import BatchConfig, SurveyPer
-from bumpymap.survey.batch.source import ListedSurvey, list_surveys, settings_faults
+from bumpymap.survey.batch.settings import BatchConfig, MapSettings, PathLike, SurveyPer, map_settings
+from bumpymap.survey.batch.source import Row, list_surveys, settings_faults
 from bumpymap.survey.engine import connect
 from bumpymap.survey.pipeline import map_surveys
-from bumpymap.survey.run_record import WarningCollector
+from bumpymap.survey.run_record import collected_warnings
 from bumpymap.views import SurveyView, index_page, page_header, read_thumbnail
 from bumpytiles import compile_loaded
 
@@ -75,18 +74,12 @@ class MapTask:
     """Its settings, with its share of threads and memory."""
     thumbnail: int = 0
     """Most characters of the picture of the map."""
-    started_by: Holder | None = None
+    started_by: Mapping[str, Any] = field(default_factory=dict)
     """The batch, for whoever finds the folder locked."""
 
 
-@dataclass(frozen=True, slots=True)
-class TaskEnd:
-    """Result of mapping one survey."""
-
-    row: SurveyRow
-    view: SurveyView = field(default_factory=SurveyView)
-    traceback: str = ""
-    """Of an unexpected error."""
+TaskEnd: TypeAlias = tuple[SurveyRow, SurveyView, str]
+"""Row and picture of a survey that was mapped, and the traceback of an unexpected error; else empty."""
 
 
 def map_one(task: MapTask) -> TaskEnd:
@@ -95,15 +88,15 @@ def map_one(task: MapTask) -> TaskEnd:
     import_without_pandas("pyogrio.raw")
     view, trace = SurveyView(), ""
     lock_for(task.started_by)
-    with _collected_warnings() as said:
+    with collected_warnings(alone=True) as said:
         try:
             row = _mapped(task)
             view = look_at(task.config.out, task.thumbnail)
         except Exception as error:  # noqa: BLE001 (the other surveys are mapped all the same)
-            row = _failed(task, error, time.perf_counter() - begin)
+            row = _failed(task, _why_failed(error), begin)
             if not isinstance(error, BumpymapError):
                 trace = traceback.format_exc()
-    return TaskEnd(replace(row, warnings=tuple(dict.fromkeys([*row.warnings, *said]))), view, trace)
+    return replace(row, warnings=tuple(dict.fromkeys([*row.warnings, *said]))), view, trace
 
 
 def look_at(folder: Path, most: int) -> SurveyView:
@@ -135,40 +128,23 @@ def _mapped(task: MapTask) -> SurveyRow:
         require_known(result, task.config)
     except TooUnknownError as error:
         message, status = f"{message} {error}".strip(), "incomplete"
-    return SurveyRow(task.name, status, message, survey=_survey(task), **map_facts(out))
+    survey = " ".join(map(str, task.config.surveys))
+    return SurveyRow(task.name, status, message, survey=survey, **map_facts(out))
 
 
-def _failed(task: MapTask, error: Exception, seconds: float) -> SurveyRow:
-    what, full = missing_resource(error), refused_write(error)
-    message = str(error) if isinstance(error, BumpymapError) else f"{type(error).__name__}: {error}"
-    if full and not isinstance(error, BumpymapError):
-        message = f"{message} ({full})"
-    if what:
-        message = f"the machine has no {what} left for this: give fewer `jobs` or less `memory`. {message}"
-    return _failed_row(task, message, seconds)
+def _why_failed(error: Exception) -> str:
+    message = str(error)
+    if not isinstance(error, BumpymapError):
+        full = refused_write(error)
+        message = f"{type(error).__name__}: {error}" + (f" ({full})" if full else "")
+    if what := missing_resource(error):
+        return f"the machine has no {what} left for this: give fewer `jobs` or less `memory`. {message}"
+    return message
 
 
-def _failed_row(task: MapTask, message: str, seconds: float) -> SurveyRow:
-    return SurveyRow(task.name, "failed", message, seconds=round(seconds, 3), survey=_survey(task))
-
-
-def _survey(task: MapTask) -> str:
-    return " ".join(map(str, task.config.surveys))
-
-
-@contextmanager
-def _collected_warnings() -> Iterator[list[str]]:
-    """Collect the warnings of bumpymap and its engine during the body, instead of printing them."""
-    collector = WarningCollector(every_thread=True)
-    loggers = [logging.getLogger(name) for name in ("bumpymap", "bumpytiles")]
-    before = [(logger.handlers, logger.propagate) for logger in loggers]
-    for logger in loggers:
-        logger.handlers, logger.propagate = [collector], False
-    try:
-        yield collector.kept
-    finally:
-        for logger, (handlers, propagate) in zip(loggers, before, strict=True):
-            logger.handlers, logger.propagate = handlers, propagate
+def _failed(task: MapTask, message: str, begun: float) -> SurveyRow:
+    survey, seconds = " ".join(map(str, task.config.surveys)), round(time.perf_counter() - begun, 3)
+    return SurveyRow(task.name, "failed", message, seconds=seconds, survey=survey)
 
 
 _MODULE = "bumpymap.survey.batch.run"
@@ -210,7 +186,7 @@ def map_tasks(tasks: Sequence[MapTask], jobs: int) -> Generator[TaskEnd, None, N
                         f"its process {error}. If memory ran out, give fewer `jobs` or less `memory`; the next start "
                         "continues this survey"
                     )
-                    end = TaskEnd(_failed_row(task, message, time.perf_counter() - begun))
+                    end = _failed(task, message, begun), SurveyView(), ""
                 yield end
     finally:
         # A run that is under way is ended as by a kill; the next start continues it.
@@ -360,13 +336,11 @@ def run_batch(
         results = Results(tasks, folder, folder.absolute().name)
         try:
             with closing(map_tasks(tasks, jobs)) as ends:
-                for end in ends:
-                    row = end.row
-                    message, survey = spell(row.message), row.survey
-                    warnings = tuple(spell(warning) for warning in row.warnings)
-                    row = replace(row, message=message, warnings=warnings, survey=survey)
-                    _note(row, end.traceback)
-                    results.add(row, end.view)
+                for found, view, trace in ends:
+                    warnings = tuple(spell(warning) for warning in found.warnings)
+                    row = replace(found, message=spell(found.message), warnings=warnings)
+                    _note(row, trace)
+                    results.add(row, view)
                     if report is not None:
                         report(row)
         finally:
@@ -374,21 +348,21 @@ def run_batch(
     return BatchResult(results.rows)
 
 
-def _tasks(config: BatchConfig, surveys: list[ListedSurvey]) -> tuple[list[MapTask], int]:
+def _tasks(config: BatchConfig, surveys: Sequence[Row]) -> tuple[list[MapTask], int]:
     """Return the surveys to map, and how many at a time.
 
     They are in the order of their names, or, if several run at a time, the largest first, so that none is left alone.
     """
-    sizes, holder = [_size(survey.place) for survey in surveys], Holder.here()
+    sizes, holder = [_size(place) for place, _, _ in surveys], lock_holder()
     jobs = config.jobs_for(sizes)
     tasks = [
         MapTask(
-            survey.name,
-            config.share(config.of_survey(survey.settings, (survey.place,), survey.name), jobs),
+            name,
+            config.share(config.of_survey(own, (place,), name), jobs),
             min(_MOST_THUMBNAIL, _MOST_THUMBNAILS // len(surveys)),
             holder,
         )
-        for survey in surveys
+        for place, name, own in surveys
     ]
     if jobs > 1:
         tasks = [tasks[place] for place in sorted(range(len(tasks)), key=lambda place: -sizes[place])]
@@ -416,7 +390,7 @@ def _note(row: SurveyRow, trace: str) -> None:
 _OF_BATCH = ("survey_per", "jobs")
 
 
-class BatchSettings(EachSettings, total=False):
+class BatchSettings(MapSettings, total=False):
     """Settings of `map_batch`: those of ``BatchConfig``, and of ``MapConfig`` for each survey."""
 
     survey_per: SurveyPer
@@ -466,13 +440,11 @@ def map_batch(
     >>> night.exit_code
     4
     """
-    known = [*_OF_BATCH, *EachSettings.__annotations__]
+    known = [*_OF_BATCH, *MapSettings.__annotations__]
     refuse_unknown(settings, known, "map_batch")
     given: dict[str, Any] = {name: value for name, value in settings.items() if value is not None}
     own = {name: given.pop(name) for name in _OF_BATCH if name in given}
     if report is not None and not callable(report):
         raise UsageError(f"report is {short_repr(report)}; it must be a function that takes a row")
-    config = BatchConfig(
-        Path(path_of_call("source", source)), folder_of_call("out", out), map_settings(given, "map_batch", known), **own
-    )
-    return run_batch(config, report)
+    places = Path(path_of_call("source", source)), Path(path_of_call("out", out))
+    return run_batch(BatchConfig(*places, map_settings(given, "map_batch", known), **own), report)

@@ -1,14 +1,24 @@
-"""Settings of a batch, and those of the map of each survey: command line over CSV over TOML."""
+"""Settings of a map as keywords of a Python call; those of a batch, and of each survey: options over CSV over TOML."""
 
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from numbers import Integral
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias, TypedDict
 
 from bumpymap.core import (
     CLASHES,
     LEAST_MEMORY,
+    Align,
+    Compat,
+    CsfSettings,
+    FeatureSettings,
+    Ground,
+    LengthUnit,
     MapConfig,
+    PageSettings,
+    Rating,
     Setting,
     UsageError,
     auto_memory,
@@ -18,8 +28,65 @@ from bumpymap.core import (
     memory_limit,
     override_settings,
     refuse_clashes,
+    settings_of_call,
+    short_repr,
     with_pixels,
 )
+
+PathLike: TypeAlias = str | os.PathLike[str]
+
+
+class MapSettings(TypedDict, total=False):
+    """Settings of `map_survey`, and of each survey of `map_batch`: fields of ``MapConfig``; paths may be strings."""
+
+    tile_size: float
+    pixels: int
+    ground: Ground
+    ground_classes: Sequence[int]
+    align: Align
+    rating: Rating
+    compat: Compat
+    vehicle: PathLike
+    calibration: PathLike | None
+    speed: float | None
+    speeds: Sequence[float] | None
+    headings: bool
+    model: PathLike | None
+    crs: str | int | None
+    force_crs: str | int | None
+    xy_unit: LengthUnit | None
+    z_unit: LengthUnit | None
+    local: bool
+    trust_points: bool
+    skip_bad: bool
+    max_unknown: float | None
+    overwrite: bool
+    threads: int
+    memory: str
+    scratch: PathLike | None
+    scheduler: str | None
+    provider: str
+    license: str
+    features: FeatureSettings | Mapping[str, Any]
+    csf: CsfSettings | Mapping[str, Any]
+    page: PageSettings | Mapping[str, Any]
+
+
+def map_settings(settings: Mapping[str, Any], function: str, known: Collection[str]) -> dict[str, Any]:
+    """Check the keyword arguments of a call for the fields of ``MapConfig``; ``known`` are all that it has."""
+    given = dict(settings)
+    for name in ("crs", "force_crs"):
+        crs = given.get(name)
+        if isinstance(crs, Integral) and not isinstance(crs, bool):
+            given[name] = f"EPSG:{crs}"
+        elif crs is not None and not isinstance(crs, str):
+            raise UsageError(
+                f"{name} is {short_repr(crs)}; give a code such as {name}='EPSG:32614', a PROJ string or WKT"
+            )
+    own = settings_of_call(given, MapConfig, function, known)
+    refuse_clashes(own, CLASHES)
+    return own
+
 
 SurveyPer: TypeAlias = Literal["file", "folder"]
 OWN_SETTINGS = (
@@ -102,12 +169,12 @@ class BatchConfig:
         return max(1, min(most, len(sizes)))
 
     def share(self, config: MapConfig, jobs: int) -> MapConfig:
-        """Return settings with the share of threads and memory that one of so many jobs gets; of workers, all.
+        """Return settings with the share of threads and memory that one of several jobs gets; of workers, all.
 
         Raises
         ------
         UsageError
-            ``memory`` is not a size, or too small for so many.
+            ``memory`` is not a size, or too small for that number.
         """
         if config.scheduler is not None:
             return config

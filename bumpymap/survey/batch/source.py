@@ -4,10 +4,10 @@ import csv
 import io
 import logging
 import os
+import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast, get_origin
 
@@ -36,30 +36,16 @@ from bumpymap.views import page_header
 
 _log = logging.getLogger(__name__)
 _LISTS = (".txt", ".csv")
-_TWO_PARTS = ".copc"
-"""Of ``site.copc.laz``, which is the survey ``site``."""
 _SURVEY, _NAME = "survey", "name"
-_KINDS = {each.name: each.kind for each in settings_with_options(MapConfig) if each.name not in OWN_SETTINGS}
+_KINDS = {each.name: each.kind for each, _ in settings_with_options(MapConfig) if each.name not in OWN_SETTINGS}
 """Column -> type of its setting."""
 _WORDS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 
-Row = tuple[Path, str | None, dict[str, Any]]
-"""Place, name that the user chose, and settings of a survey."""
+Row = tuple[Path, str, dict[str, Any]]
+"""A survey of a batch: its file or folder; its name (of the folder of its layers; empty: none is given); settings."""
 
 
-@dataclass(frozen=True, slots=True)
-class ListedSurvey:
-    """A survey of a batch."""
-
-    name: str
-    """Folder of its layers."""
-    place: Path
-    """Its file or its folder. Absolute, so that a batch started from another folder has the same inputs."""
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    """Its own settings, of a CSV."""
-
-
-def name_surveys(surveys: Sequence[Path], given: Sequence[str | None], root: Path) -> list[str]:
+def name_surveys(surveys: Sequence[Path], given: Sequence[str], root: Path) -> list[str]:
     """Return a folder name for each survey; no two are the same, even where upper and lower case are.
 
     A survey is named after its file without the suffix. Those of one name get the names of their folders too
@@ -69,12 +55,12 @@ def name_surveys(surveys: Sequence[Path], given: Sequence[str | None], root: Pat
     ----------
     surveys : sequence of Path or str
         File or folder of each.
-    given : sequence of str or None
-        Names that the user chose, which are kept.
+    given : sequence of str
+        Names that the user chose, which are kept; empty: none.
     root : Path
         Folders below this one count for a name.
     """
-    usual = [_usual_name(survey) for survey in surveys]
+    usual = [_clean(survey.name if survey.is_dir() else re.sub(r"(?i)\.copc$", "", survey.stem)) for survey in surveys]
     times = Counter((own or name).casefold() for own, name in zip(given, usual, strict=True))
     used = {own.casefold() for own in given if own}
     names = []
@@ -92,14 +78,6 @@ def name_surveys(surveys: Sequence[Path], given: Sequence[str | None], root: Pat
         used.add(free.casefold())
         names.append(free)
     return names
-
-
-def _usual_name(survey: Path) -> str:
-    """Return the name of a survey that shares it with no other: that of its file without the suffix, or its folder."""
-    if survey.is_dir():
-        return _clean(survey.name)
-    stem = survey.stem
-    return _clean(stem[: -len(_TWO_PARTS)] if stem.lower().endswith(_TWO_PARTS) else stem)
 
 
 def plain_name(name: str) -> str:
@@ -137,7 +115,7 @@ def read_table(
 
     Returns
     -------
-    list of (place, name or None, settings)
+    list of (place, name, settings)
 
     Raises
     ------
@@ -184,12 +162,12 @@ def _row(
     """Return a row; append what is wrong with it to ``faults``."""
     wrong = [f"it has {len(cells)} cells, the header has {len(columns)}"] if any(cells[len(columns) :]) else []
     given = {name: cell for name, cell in zip(columns, cells, strict=False) if cell and name}
-    place, name = given.pop(_SURVEY, ""), given.pop(_NAME, None)
+    place, name = given.pop(_SURVEY, ""), given.pop(_NAME, "")
     if not place or path_fault(place):
         wrong.append(path_fault(place) or "the survey is empty")
     elif not (folder / place).exists():
         wrong.append(f"there is no file or folder {folder / place}")
-    if name is not None and (why := plain_name(name)):
+    if name and (why := plain_name(name)):
         wrong.append(f"the name is {name!r}; {why}")
     settings: dict[str, Any] = {}
     for key, cell in given.items():
@@ -260,8 +238,8 @@ def _noted(faults: list[str]) -> Iterator[None]:
 
 def list_surveys(
     source: Path, survey_per: SurveyPer, check: Callable[[Mapping[str, Any]], list[str]] = lambda _: []
-) -> list[ListedSurvey]:
-    """Return the surveys of a batch by name.
+) -> list[Row]:
+    """Return the surveys of a batch by name; places are absolute, so that a batch can be continued from anywhere.
 
     Parameters
     ----------
@@ -278,7 +256,7 @@ def list_surveys(
     """
     if source.is_dir():
         places = _folders(source) if survey_per == "folder" else find_surveys([source.absolute()])
-        rows: list[Row] = [(place, None, {}) for place in places]
+        rows: list[Row] = [(place, "", {}) for place in places]
     else:
         rows = _listed(source, check)
     root = _absolute(source if source.is_dir() else source.parent)
@@ -286,8 +264,8 @@ def list_surveys(
     repeated = [place for place, times in Counter(map(str, places)).items() if times > 1]
     refuse_faults([f"{place} is listed twice" for place in repeated], str(source), UsageError)
     names = name_surveys(places, [name for _, name, _ in rows], root)
-    found = [ListedSurvey(name, place, own) for name, place, (_, _, own) in zip(names, places, rows, strict=True)]
-    return sorted(found, key=lambda survey: survey.name)
+    found = [(place, name, own) for name, place, (_, _, own) in zip(names, places, rows, strict=True)]
+    return sorted(found, key=lambda survey: survey[1])
 
 
 def read_text(path: Path) -> str:
@@ -315,7 +293,7 @@ def _listed(source: Path, check: Callable[[Mapping[str, Any]], list[str]]) -> li
         wanted = [(number, line) for number, line in enumerate(lines, 1) if line and not line.startswith("#")]
         faults = [f"line {number}: {why}" for number, line in wanted if (why := path_fault(line))]
         refuse_faults(faults, str(source), UsageError)
-        found = [(folder / line, None, {}) for _, line in wanted]
+        found = [(folder / line, "", {}) for _, line in wanted]
     if not found:
         raise BadInputError(f"{source} names no survey")
     return found

@@ -13,7 +13,7 @@ from bumpymap.core import GROUND_SOURCE, Ground, OutputError, PatchStack, UsageE
 from bumpymap.patches import join_stacks
 from bumpymap.readers import LineSums, tile_marks
 from bumpymap.survey.engine.budget import Budget, Workspace
-from bumpymap.survey.engine.surroundings import OpenBlocks, Surroundings
+from bumpymap.survey.engine.surroundings import OpenBlocks, Surroundings, join_columns
 from bumpytiles import (
     BLOCK_TILES,
     BlockKey,
@@ -148,7 +148,7 @@ class BlockWork:
         self, buckets: TileBuckets, keys: Sequence[BlockKey], kinds: Sequence[str], beside: OpenBlocks | None
     ) -> list[tuple[BlockKey, dict[str, TileColumns]]]:
         """Rate a block in the shares that it comes in, or small ones in one call."""
-        known = () if beside is None else (beside.heights(keys),)
+        column, known = photo_column(self.grid.pixels), () if beside is None else (beside.heights(keys),)
         rated = []
         for points, *patches in self._shares(buckets, keys, beside):
             columns = {}
@@ -156,8 +156,9 @@ class BlockWork:
                 columns[GROUND_POINTS] = self.rate(points, True)
             if ALL_POINTS in kinds:
                 columns[ALL_POINTS] = self.rate(points, False, *patches, *known)
-            rated.append({kind: own | self._photo(points) for kind, own in columns.items()})
-        joined = {kind: _joined([share[kind] for share in rated]) for kind in kinds}
+            photo = {column.name: photo_of(points)} if column in self.columns else {}
+            rated.append({kind: own | photo for kind, own in columns.items()})
+        joined = {kind: join_columns([share[kind] for share in rated]) for kind in kinds}
         tiles = joined[kinds[0]]
         blocks = np.stack([tiles["row"], tiles["col"]]) // BLOCK_TILES
         ends = 1 + np.flatnonzero((np.diff(blocks, axis=1) != 0).any(axis=0))
@@ -180,11 +181,6 @@ class BlockWork:
             return
         points, *measured = zip(*parts, strict=True)
         yield join_tiles(points), *(join_stacks(own) for own in measured)
-
-    def _photo(self, points: TilePoints) -> TileColumns:
-        """Return the column of the photo if tiles have it."""
-        column = photo_column(self.grid.pixels)
-        return {column.name: photo_of(points)} if column in self.columns else {}
 
     def _points(self, buckets: TileBuckets, key: BlockKey) -> Iterator[TilePoints]:
         """Yield the points of a block: in one piece for the cloth filter, which would find other ground in a part."""
@@ -213,11 +209,6 @@ class BlockWork:
                 sink.add(key, columns[kind], marks)
         for sink in sinks.values():
             sink.flush()
-
-
-def _joined(shares: Sequence[TileColumns]) -> TileColumns:
-    """Join the columns of shares of a block."""
-    return shares[0] if len(shares) == 1 else {n: np.concatenate([s[n] for s in shares]) for n in shares[0]}
 
 
 def finished_tiles(work: BlockWork, space: Workspace, kind: str, *more: str) -> TileTable:

@@ -257,7 +257,7 @@ def with_memory(config: MapConfig) -> MapConfig:
 
 
 def requests_at_once(points: int, threads: int) -> int:
-    """Return how many chunks of so many points are fetched at a time, so that every thread has LAZ chunks to decode."""
+    """Return the number of chunks that are fetched at a time, so that every thread has LAZ chunks to decode."""
     wanted = math.ceil(_LAZ_CHUNKS_A_THREAD * threads * _LAZ_CHUNK / max(points, 1))
     return max(min(wanted, threads, _MOST_REQUESTS), 1)
 
@@ -360,7 +360,8 @@ def estimate(infos: Sequence[SurveyInfo], grid: Grid, budget: Budget, tiles: int
     for info in infos:
         plain = info.format.startswith(("LAS", "LAZ", "COPC"))
         waiting += info.point_count * (POINT_BYTES if plain else FLOAT_POINT_BYTES)
-        work += info.point_count * _point_ns(info.format)
+        is_text = "text" in info.format or "ascii" in info.format
+        work += info.point_count * (_TEXT_POINT_NS if is_text else _POINT_NS[info.format[:4].rstrip(" ,")])
     if waiting > budget.waiting_bytes:  # every block waits until the end, at worst
         blocks = _most_tiles(infos, points, Grid(grid.tile_size * BLOCK_TILES, grid.pixels)) or most or points
         packs = 2 * waiting // budget.waiting_bytes + 1 + len(infos)  # half of what may wait each; the last of a file
@@ -386,7 +387,3 @@ def _most_tiles(infos: Sequence[SurveyInfo], points: int, grid: Grid) -> int | N
         cols = box.east // size - box.west // size + 1
         total += int(cols * (box.north // size - box.south // size + 1))
     return min(total, points)
-
-
-def _point_ns(kind: str) -> float:
-    return _TEXT_POINT_NS if "text" in kind or "ascii" in kind else _POINT_NS[kind[:4].rstrip(" ,")]

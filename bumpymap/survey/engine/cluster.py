@@ -23,7 +23,7 @@ from uuid import uuid4
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, OutputError, Progress, UsageError, install_command
+from bumpymap.core import BadInputError, OutputError, Progress, SilentProgress, UsageError, install_command
 from bumpymap.readers import Location, ReadOptions, SurveyReader, close_decoder, identity, reopen_survey
 from bumpymap.survey.engine.block_work import BlockWork, engine_errors
 from bumpymap.survey.engine.budget import Budget, Workspace
@@ -153,14 +153,11 @@ def _worker(context: RunContext) -> Iterator[Worker]:
             yield Worker(context.work, budget, points, tiles, _RunCheck(context))
 
 
-class _RunCheck:
+class _RunCheck(SilentProgress):
     """A progress that ends the task when the run has ended."""
 
     def __init__(self, context: RunContext) -> None:
         self._context = context
-
-    def start(self, stage: str, total: int | None) -> None:
-        """Do nothing."""
 
     def advance(self, steps: int) -> None:
         """Raise OutputError if the run has ended."""
@@ -297,7 +294,14 @@ class ClusterExecutor:
         """Read all ranges that are unread."""
         workers = self._workers.count()
         shared = list(shared_tasks(plan.unread, plan.read, plan.finished, workers, plan.tiles))
-        tasks = ((self._context, [self._source(plan, part) for part in task.ranges], task) for task in shared)
+        inputs = self._space.run_spec["inputs"]
+
+        def source(part: ChunkRange) -> FileSource:
+            path = plan.readers[part.file].info.path
+            known = inputs[str(path)]
+            return path if isinstance(path, str) else path.absolute(), (known["size"], known["digest"])
+
+        tasks = ((self._context, [source(part) for part in task.ranges], task) for task in shared)
         with closing(self._workers.run(read_ranges, tasks)) as results:
             for number, read in results:
                 yield read
@@ -318,11 +322,6 @@ class ClusterExecutor:
         with closing(self._workers.run(function, tasks)) as results:
             for _, result in results:
                 yield result
-
-    def _source(self, plan: ReadPlan, part: ChunkRange) -> FileSource:
-        path = plan.readers[part.file].info.path
-        known = self._space.run_spec["inputs"][str(path)]
-        return path if isinstance(path, str) else path.absolute(), (known["size"], known["digest"])
 
     def _check_workers(self) -> None:
         """Raise UsageError if a worker lacks something that the run needs."""

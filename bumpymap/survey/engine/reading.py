@@ -14,7 +14,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -103,18 +103,6 @@ def _range(file: int, reader: SurveyReader, chunks: Sequence[Chunk], first: int,
     return ChunkRange(file, first, stop, points, reader.info.bounds, stop - first == len(chunks))
 
 
-def _around(boxes: Sequence[Bounds | None]) -> Bounds | None:
-    known = [box for box in boxes if box is not None]
-    if not known or len(known) < len(boxes):
-        return None
-    return Bounds(
-        min(box.west for box in known),
-        min(box.south for box in known),
-        max(box.east for box in known),
-        max(box.north for box in known),
-    )
-
-
 def shared_tasks(
     unread: Sequence[ChunkRange],
     read: Sequence[ChunkRange],
@@ -127,14 +115,15 @@ def shared_tasks(
     Files are divided across the longer side of their area, so that those of a task are neighbours.
     """
     whole = [part for part in unread if part.is_whole]
-    boxes = [part.bounds for part in whole]
-    area = _around(boxes)
+    boxes = np.array([astuple(part.bounds) for part in whole if part.bounds is not None]).reshape(-1, 4)
     total = sum(part.points for part in whole)
     tasks = min(max(total // _TASK_POINTS, _TASKS_A_WORKER * workers), _RANGES_A_WORKER * workers)
     tasks = max(min(tasks, total // LEAST_POINTS), total // _MOST, 1)
-    if area is not None:
-        wide = area.east - area.west > area.north - area.south
-        whole.sort(key=lambda part: _middle(part, across=wide))
+    if len(boxes) == len(whole) > 0:
+        low, high = boxes[:, :2], boxes[:, 2:]
+        width, height = high.max(axis=0) - low.min(axis=0)
+        order = np.argsort((low + high)[:, 0 if width > height else 1], kind="stable")
+        whole = [whole[place] for place in order]
     shares: dict[int, list[ChunkRange]] = {}
     begun = 0
     for part in whole:
@@ -147,13 +136,6 @@ def shared_tasks(
         nearby = tuple(box for box in others if box is not None)
         known = nearby if len(nearby) == len(others) else None
         yield ReadTask(tuple(own), known, frozenset(finished), tiles=tuple(tiles))
-
-
-def _middle(part: ChunkRange, *, across: bool) -> float:
-    box = part.bounds
-    if box is None:
-        return 0.0
-    return box.west + box.east if across else box.south + box.north
 
 
 _MARGIN = 1.01
@@ -194,7 +176,7 @@ class BlockCompletion:
             self._open_areas[self._inside(box)] -= 1
 
     def is_complete(self, key: BlockKey, around: int = 0) -> bool:
-        """Return whether no unread area overlaps a block, and so many around it on each side."""
+        """Return whether no unread area overlaps a block, and ``around`` blocks on each side of it."""
         if self._unknown or self._open_areas is None:
             return False
         row, col = key[0] - self._south, key[1] - self._west

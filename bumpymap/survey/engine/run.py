@@ -188,7 +188,14 @@ def _measure(
     both = waiting & part.blocks(1) if ground_only else waiting
     _finish(collector, space, executor, progress, {kinds: both, kinds[:1]: waiting - both})
     ground, every = (finished_tiles(work, space, kind) for kind in kinds)
-    found = part.never_classified(_lowest_points(part, ground, every))
+
+    def lowest_points() -> Iterator[Lowest]:
+        for table, of_ground in ((ground, True), (every, False)):
+            for key in filter(table.count, part.blocks(REACH if of_ground else 0)):
+                own = table.read_blocks([key], ("row", "col", "z_min"))
+                yield own["row"], own["col"], own["z_min"], of_ground
+
+    found = part.never_classified(lowest_points())
     if not decide_ground(work.ground, tiles - int(found.sum()), with_ground):
         return False, 0
     return True, _save_joined(part, found, ground, every, work, space) if found.any() else 0
@@ -229,14 +236,6 @@ def _finish(
 
 
 Marks = NDArray[np.bool_]
-
-
-def _lowest_points(part: UnclassifiedPart, ground: TileTable, every: TileTable) -> Iterator[Lowest]:
-    """Yield what `UnclassifiedPart.never_classified` needs, from tiles measured by their ground and by all points."""
-    for table, of_ground in ((ground, True), (every, False)):
-        for key in filter(table.count, part.blocks(REACH if of_ground else 0)):
-            tiles = table.read_blocks([key], ("row", "col", "z_min"))
-            yield tiles["row"], tiles["col"], tiles["z_min"], of_ground
 
 
 def _save_joined(

@@ -88,7 +88,7 @@ class OpenBlocks:
         self._heights_of(key)
         with self._lock:
             held = self._measured.pop(key, None)
-            self._bytes -= 0 if held is None else _size(held[0])
+            self._bytes -= 0 if held is None else _POINT_BYTES * len(held[0].flag)
         if held is not None:
             yield held
         else:
@@ -97,7 +97,7 @@ class OpenBlocks:
     def heights(self, keys: Sequence[BlockKey]) -> Heights:
         """Return the heights of blocks, and of the tiles around them."""
         wanted = dict.fromkeys(beside for key in keys for beside in blocks_around(key))
-        return _joined([heights for beside in wanted if (heights := self._heights_of(beside)) is not None])
+        return join_columns([heights for beside in wanted if (heights := self._heights_of(beside)) is not None])
 
     def close(self, key: BlockKey, columns: Heights) -> None:
         """Keep no more of a rated block than its edge."""
@@ -135,22 +135,19 @@ class OpenBlocks:
             measured = self._around.measure(asked)
             found.append({name: getattr(measured, name) for name in _NAMES})
         if key in self._keys and len(found) == 1:
-            self._hold(key, (points, measured))
-        return _joined(found)
+            self._hold(key, points, measured)
+        return join_columns(found)
 
-    def _hold(self, key: BlockKey, measured: tuple[TilePoints, PatchStack]) -> None:
+    def _hold(self, key: BlockKey, points: TilePoints, measured: PatchStack) -> None:
         """Hold a measured block until it is rated; those that wait longest go if there is no room."""
         with self._lock:
-            self._measured[key] = measured
-            self._bytes += _size(measured[0])
+            self._measured[key] = points, measured
+            self._bytes += _POINT_BYTES * len(points.flag)
             while self._bytes > self._around.most_bytes and len(self._measured) > 1:
-                longest = next(iter(self._measured))
-                self._bytes -= _size(self._measured.pop(longest)[0])
+                longest, _ = self._measured.pop(next(iter(self._measured)))
+                self._bytes -= _POINT_BYTES * len(longest.flag)
 
 
-def _size(points: TilePoints) -> int:
-    return _POINT_BYTES * len(points.flag)
-
-
-def _joined(parts: Sequence[Heights]) -> Heights:
-    return parts[0] if len(parts) == 1 else {name: np.concatenate([part[name] for part in parts]) for name in _NAMES}
+def join_columns(parts: Sequence[Mapping[str, NDArray[Any]]]) -> Mapping[str, NDArray[Any]]:
+    """Join the columns of several shares of tiles."""
+    return parts[0] if len(parts) == 1 else {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

@@ -12,7 +12,7 @@ from bumpymap.survey.batch.source import list_surveys, name_surveys, plain_name
 
 
 def found(source, survey_per="file"):
-    return {survey.name: survey.place for survey in list_surveys(source, survey_per)}
+    return {name: place for place, name, _ in list_surveys(source, survey_per)}
 
 
 @pytest.fixture
@@ -110,12 +110,11 @@ def test_the_columns_of_a_table_are_settings(tmp_path, separator):
         (tmp_path / name).touch()
     (tmp_path / "a.csv").write_bytes(b"\xef\xbb\xbf" + text.replace(",", separator).encode())
     second, first = list_surveys(tmp_path / "a.csv", "file")
-    assert (first.name, first.place) == ("n", tmp_path / "a b.laz")
     own = {"tile_size": 2.5, "pixels": 11, "local": True, "calibration": tmp_path / "own.json", "max_unknown": 0.5}
-    assert first.settings == own
-    assert (second.name, second.place) == ("c", tmp_path / "x" / "c.laz")
+    assert first == (tmp_path / "a b.laz", "n", own)
     more = {"max_unknown": 0.25, "speeds": (0.5, 1.0, 2.0)}
-    assert second.settings == {"local": False, "vehicle": str(tmp_path / "own.toml"), **more}
+    own = {"local": False, "vehicle": str(tmp_path / "own.toml"), **more}
+    assert second == (tmp_path / "x" / "c.laz", "c", own)
 
 
 def test_the_command_line_is_over_the_table_and_the_table_over_the_file(tmp_path):
@@ -149,7 +148,7 @@ PATHS = st.lists(
 @given(PATHS)
 def test_names_differ_and_can_be_those_of_folders(parts):
     places = list(dict.fromkeys(ROOT.joinpath(*folders, f"{word}{suffix}") for folders, word, suffix in parts))
-    found = name_surveys(places, [None] * len(places), ROOT)
+    found = name_surveys(places, [""] * len(places), ROOT)
     assert len({name.casefold() for name in found}) == len(places)
     assert not [name for name in found if plain_name(name)]
 
@@ -160,10 +159,10 @@ def test_names_differ_and_can_be_those_of_folders(parts):
         (["north.laz", "deep/south.copc.laz", "x.y.las"], None, ["north", "south", "x.y"]),
         (["m/site.laz", "t/site.laz", "other.laz"], None, ["m_site", "t_site", "other"]),
         (["site.las", "site.laz"], None, ["site", "site_2"]),
-        (["a.laz", "b/a.laz"], ["a", None], ["a", "b_a"]),
+        (["a.laz", "b/a.laz"], ["a", ""], ["a", "b_a"]),
     ],
 )
 def test_a_survey_has_the_name_of_its_file_as_much_of_its_folders_as_it_takes_or_that_which_is_given(
     paths, given, expected
 ):
-    assert name_surveys([ROOT / path for path in paths], given or [None] * len(paths), ROOT) == expected
+    assert name_surveys([ROOT / path for path in paths], given or [""] * len(paths), ROOT) == expected
