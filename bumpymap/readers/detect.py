@@ -51,22 +51,8 @@ _FOREIGN = (
 def open_survey(path: Location, options: ReadOptions = ReadOptions()) -> SurveyReader:  # noqa: B008 (frozen, no state)
     """Open a point cloud and check its header; points are read later. Notes about the file are logged as warnings.
 
-    Parameters
-    ----------
-    path : Path
-    options : ReadOptions
-
-    Returns
-    -------
-    SurveyReader
-
-    Raises
-    ------
-    BadInputError
-        The file cannot be read, is not a point cloud, holds no points, declares more than it can hold, or is not in
-        a projected CRS.
-    UsageError
-        ``options.crs`` is not a CRS.
+    Raises BadInputError: the file cannot be read, is not a point cloud, holds no points, declares
+    more than it can hold, or is not in a projected CRS; UsageError: ``options.crs`` is not a CRS.
     """
     reader = reopen_survey(path, options)
     reader.note_likely_feet()
@@ -90,11 +76,8 @@ def reopen_survey(path: Location, options: ReadOptions = ReadOptions()) -> Surve
 def identity(location: Location) -> dict[str, Any]:
     """Return what identifies a survey and its version. For one that is being read, see `require_unchanged`.
 
-    Returns
-    -------
-    dict
-        A `Version` (``size`` in bytes, and ``mtime_ns`` as str) and ``digest``: SHA-256 of the first and the last
-        64 KiB.
+    Returns a `Version` (``size`` in bytes, and ``mtime_ns`` as str) and ``digest``: SHA-256
+    of the first and the last 64 KiB.
     """
     version = version_of(location)
     with pinned_version(location, version):
@@ -116,21 +99,10 @@ def _open_table(kind: Kind, path: Location, wanted: "Wanted", memory: int, text_
 def read_columns(path: Path, wanted: "Wanted") -> dict[str, NDArray[Any]]:
     """Read all points of a PLY or PCD file.
 
-    Parameters
-    ----------
-    path : Path
-    wanted : dict of str to tuple of str
-        Optional quantities beside x, y and z -> names, in lower case, of columns that may hold them.
-
-    Returns
-    -------
-    dict of str to array (n,)
-        x, y, z and the quantities that were found, by the keys of ``wanted``.
-
-    Raises
-    ------
-    BadInputError
-        The file cannot be read, is neither PLY nor PCD, declares more than it holds, or is damaged.
+    ``wanted``: optional quantities beside x, y and z -> names, in lower case, of columns that may
+    hold them. Returns arrays (n,): x, y, z and the quantities that were found, by the
+    keys of ``wanted``. Raises BadInputError: the file cannot be read, is neither PLY nor PCD,
+    declares more than it holds, or is damaged.
     """
     kind = detect_format(path)
     if kind == "las":
@@ -146,10 +118,8 @@ def read_columns(path: Path, wanted: "Wanted") -> dict[str, NDArray[Any]]:
 def detect_format(path: Location) -> Kind:
     """Return the format of a file by its first bytes.
 
-    Raises
-    ------
-    BadInputError
-        The file cannot be read, is empty, or is not a point cloud; the message says what it looks like.
+    Raises BadInputError: the file cannot be read, is empty, or is not a point cloud; the message
+    says what it looks like.
     """
     if path.name == EPT_NAME:
         raise _ept_error(path)
@@ -200,21 +170,9 @@ SUFFIXES = (".las", ".laz", ".ply", ".pcd")
 def find_surveys(paths: Sequence[Location]) -> list[Location]:
     """Return the survey files at the given paths.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Files (with any suffix) and folders, which are searched recursively for files with ``SUFFIXES``, except hidden
-        ones.
-
-    Returns
-    -------
-    list of Path
-        Sorted; each file once.
-
-    Raises
-    ------
-    BadInputError
-        A path does not exist or cannot be listed, or a folder holds no surveys, or an EPT.
+    ``paths``: files (with any suffix) and folders, which are searched recursively for files with
+    ``SUFFIXES``, except hidden ones. Returns them sorted, each once. Raises BadInputError: a path
+    does not exist or cannot be listed, or a folder holds no surveys, or an EPT.
     """
     if not paths:
         raise BadInputError("no survey was given; name a point cloud file or a folder of them")

@@ -96,16 +96,8 @@ _ENDIAN = {"<": "binary little endian", ">": "binary big endian", "=": "ascii"}
 class PlyTable(PointTable):
     """A PLY file. Text is read as float64 whatever the header declares, since it may have more digits than a float32.
 
-    Parameters
-    ----------
-    path : Path or str
-    wanted : dict of str to tuple of str
-        See `Wanted`.
-
-    Raises
-    ------
-    BadInputError
-        Not a PLY header, without vertex element or x, y and z, or with more than the file can hold.
+    ``wanted``: see `Wanted`. Raises BadInputError: not a PLY header, without vertex element or x, y
+    and z, or with more than the file can hold.
     """
 
     nan_is_no_return, searched = False, 1000

@@ -49,20 +49,11 @@ def convert_points(
 ) -> ChunkPoints:
     """Drop unusable points of a table, and count all of them.
 
-    Parameters
-    ----------
-    axes : three float64 (n,)
-        Easting, northing and height, m.
-    class_id : (n,) numbers or None
-        LAS classes; what is none becomes 0. None: the table has no classes.
-    first : int
-        Number of the first point in the file.
-    nan_is_no_return : bool
-        Whether a point with NaN is a beam without return, rather than an error.
-    kinds : array (256,)
-        The kind of the points of each class, see `ReadOptions.kinds`.
-    colour : uint32 (n,), optional
-        Their colours.
+    ``axes`` three float64 (n,): Easting, northing and height, m; ``class_id`` (n,) numbers or None:
+    LAS classes; what is none becomes 0. None: the table has no classes; ``first``: number of the
+    first point in the file; ``nan_is_no_return``: whether a point with NaN is a beam without
+    return, rather than an error; ``kinds`` array (256,): the kind of the points of each class, see
+    `ReadOptions.kinds`; ``colour`` uint32 (n,): their colours.
     """
     size = len(axes[0])
     codes = np.zeros(size, np.uint8)
@@ -170,18 +161,9 @@ class PointTable:
 
     A text has lines of numbers separated by whitespace, which are read one after the other; empty lines are skipped.
 
-    Parameters
-    ----------
-    path : Path or str
-    info : TableInfo
-    data_at : int
-        Offset of the first row, or of the first line of a text, bytes.
-    wanted : dict of str to tuple of str
-        Columns of a text that are read beside x, y and z, see `Wanted`.
-    skipped : int
-        Lines of a text before the first row.
-    text_type : numpy type, optional
-        Type of the numbers of a text; None: as declared in the header.
+    ``data_at``: offset of the first row, or of the first line of a text, bytes; ``wanted``: columns
+    of a text that are read beside x, y and z, see `Wanted`; ``skipped``: lines of a text before the
+    first row; ``text_type``: type of the numbers of a text; None: as declared in the header.
     """
 
     nan_is_no_return: ClassVar[bool]

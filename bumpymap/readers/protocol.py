@@ -177,15 +177,8 @@ class SurveyReader(ABC):
     Every call checks that the file is still of the version that was opened. Subclasses for the formats read the header
     (`_open`), split the file, and read and convert chunks.
 
-    Parameters
-    ----------
-    path : Path or str
-    options : ReadOptions
-
-    Raises
-    ------
-    BadInputError
-        Here and in ``fetch``, ``convert`` and ``verify``: the file is not what it must be, or was changed or removed.
+    Raises BadInputError: here and in ``fetch``, ``convert`` and ``verify``: the file is not what it
+    must be, or was changed or removed.
     """
 
     def __init__(self, path: Location, options: ReadOptions) -> None:
@@ -242,10 +235,7 @@ class SurveyReader(ABC):
     def checksum(self) -> str:
         """Read the file once more for its checksum, see `bumpymap.core.file_checksum`.
 
-        Raises
-        ------
-        BadInputError
-            The file was changed or removed since it was opened.
+        Raises BadInputError: the file was changed or removed since it was opened.
         """
         with self._reading():
             return hash_survey(self._path)
@@ -259,10 +249,7 @@ class SurveyReader(ABC):
 
         Call it from one thread at a time, unless ``SurveyInfo.parallel`` is set.
 
-        Raises
-        ------
-        BadInputError
-            The chunk is damaged.
+        Raises BadInputError: the chunk is damaged.
         """
         with self._reading():
             return self._fetch(chunk)
@@ -275,10 +262,7 @@ class SurveyReader(ABC):
     def verify(self, stats: PointStats) -> None:
         """Check the merged statistics of all chunks against the header, and that the file is unchanged.
 
-        Raises
-        ------
-        BadInputError
-            The header and the points disagree, or points are not on Earth.
+        Raises BadInputError: the header and the points disagree, or points are not on Earth.
         """
         self._require_unchanged()
         verify(stats, self._info.path, self._info.point_count, self._info.bounds)
@@ -293,10 +277,8 @@ class SurveyReader(ABC):
     def clouds(self, points: int = 1_000_000) -> Iterator[PointCloud]:
         """Yield the points, in metres, in reading order, at most ``points`` at a time.
 
-        Raises
-        ------
-        BadInputError
-            As ``fetch`` and ``verify``; the errors of ``verify`` are raised at the end.
+        Raises BadInputError: as ``fetch`` and ``verify``; the errors of ``verify`` are raised at
+        the end.
         """
         if points < 1:
             raise UsageError(f"chunks of {points} points were requested; a chunk must hold at least 1")
@@ -342,13 +324,8 @@ def split_rows(total: int, points: int, point_size: int) -> list[Chunk]:
 def group_laz_chunks(ends: NDArray[np.int64], points: int, point_size: int) -> list[Chunk]:
     """Return chunks made of whole LAZ chunks, with at most ``points`` points or a single LAZ chunk each.
 
-    Parameters
-    ----------
-    ends : int64 (n,)
-        Number of points in the file up to the end of each LAZ chunk.
-    points : int
-    point_size : int
-        Bytes of a point.
+    ``ends`` int64 (n,): number of points in the file up to the end of each LAZ chunk;
+    ``point_size``: bytes of a point.
     """
     step = chunk_capacity(points, point_size)
     chunks: list[Chunk] = []

@@ -39,10 +39,8 @@ EPT_NAME = "ept.json"
 def open_source(location: Location) -> BinaryIO:
     """Open a file for reading and seeking.
 
-    Raises
-    ------
-    BadInputError
-        It does not exist, is not a regular file (reading a pipe might never end), or cannot be read.
+    Raises BadInputError: it does not exist, is not a regular file (reading a pipe might never end),
+    or cannot be read.
     """
     with _reading(location):
         _refuse_special(location)
@@ -95,10 +93,7 @@ def pinned_version(location: Location, version: Version) -> Iterator[None]:
     If the body raises BadInputError for another reason and the file has
     changed by then, the error says so instead, since a mixture of two versions looks like a damaged file.
 
-    Raises
-    ------
-    BadInputError
-        The file has changed; see `require_unchanged`.
+    Raises BadInputError: the file has changed; see `require_unchanged`.
     """
     try:
         yield
@@ -113,10 +108,7 @@ def require_unchanged(location: Location, version: Version, cause: Exception | N
     A change that keeps size and time is not detected: one within the time resolution of the file system (some
     milliseconds; 2 s on FAT), or one after which the time is set back.
 
-    Raises
-    ------
-    BadInputError
-        The file was changed or removed.
+    Raises BadInputError: the file was changed or removed.
     """
     try:
         now = version_of(location)

@@ -73,10 +73,7 @@ _IN_BRACKETS = re.compile(r"([^\[(]+?)\s*[\[(]([^\[\]()]+)[\])]")
 def named_columns(source: str, names: Sequence[str], skip: Collection[str] = ()) -> dict[str, DriveColumn]:
     """Return the columns that have the name of a quantity but those to ``skip``, perhaps with its unit in brackets.
 
-    Raises
-    ------
-    BadInputError
-        Two columns have names of one quantity, or a unit is unknown.
+    Raises BadInputError: two columns have names of one quantity, or a unit is unknown.
     """
     found: dict[str, DriveColumn] = {}
     for name in names:
@@ -113,10 +110,7 @@ _STATED = re.compile(r"(.+?)\s*(?:\[([^\[\]]+)\]|:([^:]+))")
 def parse_columns(text: str) -> dict[str, str]:
     """Return what was named for each quantity: ``rate_y=GyrY[deg/s],time=t`` is {"rate_y": "GyrY[deg/s]", "time": "t"}.
 
-    Raises
-    ------
-    UsageError
-        The text is not of this form, or names something that is no quantity.
+    Raises UsageError: the text is not of this form, or names something that is no quantity.
     """
     found: dict[str, str] = {}
     for part in filter(None, (part.strip() for part in text.split(","))):
@@ -140,18 +134,9 @@ def unknown_quantities(columns: Mapping[str, str]) -> None:
 def chosen_columns(columns: Mapping[str, str], names: Sequence[str]) -> dict[str, DriveColumn]:
     """Return the named columns that a file has, by quantity.
 
-    Parameters
-    ----------
-    columns : mapping
-        Quantity -> name of a column, perhaps with a sign before it, and a unit behind it in square brackets or after
-        a colon. An empty name: nothing is read for this quantity.
-    names : sequence of str
-        Columns of the file.
-
-    Raises
-    ------
-    UsageError
-        A unit is unknown.
+    ``columns``: quantity -> name of a column, perhaps with a sign before it, and a unit behind it
+    in square brackets or after a colon. An empty name: nothing is read for this quantity;
+    ``names``: columns of the file. Raises UsageError: a unit is unknown.
     """
     found: dict[str, DriveColumn] = {}
     for quantity, text in columns.items():

@@ -41,26 +41,14 @@ _guard = Guard(lambda: Child("to read logs", __name__), "reads logs of drives", 
 def read_drive(place: str, columns: Mapping[str, str] | None = None) -> DriveLog:
     """Read what the sensors of a vehicle recorded on a drive.
 
-    Parameters
-    ----------
-    place : str
-        A file, the folder of a bag, or several files of one drive joined by commas, in any order:
-        ``imu.csv,gnss.csv``. CSV and other tables of text, bags of ROS 2 and ROS 1, ULog.
-    columns : mapping, optional
-        Quantity -> column, perhaps with its unit: ``{"rate_y": "GyrY[deg/s]", "time": "t[ms]"}``; in bags ``imu``,
-        ``gnss`` and ``odometry`` -> topic. An empty name: nothing is read for this quantity. Others are columns that
-        have the names of `bumpymap.readers.drives.quantities.NAMES`; ``columns`` and ``notes`` of the drive say which.
-
-    Returns
-    -------
-    DriveLog
-
-    Raises
-    ------
-    BadInputError
-        A file cannot be read, or does not hold a drive.
-    UsageError
-        ``columns`` names something that is no quantity, or an extra is not installed.
+    ``place``: a file, the folder of a bag, or several files of one drive joined by commas, in any
+    order: ``imu.csv,gnss.csv``. CSV and other tables of text, bags of ROS 2 and ROS 1, ULog;
+    ``columns``: quantity -> column, perhaps with its unit: ``{"rate_y": "GyrY[deg/s]", "time":
+    "t[ms]"}``; in bags ``imu``, ``gnss`` and ``odometry`` -> topic. An empty name: nothing is read
+    for this quantity. Others are columns that have the names of
+    `bumpymap.readers.drives.quantities.NAMES`; ``columns`` and ``notes`` of the drive say which.
+    Raises BadInputError: a file cannot be read, or does not hold a drive; UsageError: ``columns``
+    names something that is no quantity, or an extra is not installed.
     """
     wanted = dict(columns or {})
     unknown_quantities(wanted)
@@ -128,12 +116,8 @@ def _name(stems: Sequence[str]) -> str:
 def drive_files(place: str) -> list[Path]:
     """Return the files of a drive, given as to `read_drive`; a comma in the name of an existing file separates nothing.
 
-    Raises
-    ------
-    BadInputError
-        A file is not there, or is a folder that is no bag.
-    UsageError
-        No file is named.
+    Raises BadInputError: a file is not there, or is a folder that is no bag; UsageError: no file is
+    named.
     """
     if not place.strip():
         raise UsageError("the name of a drive is empty. Give a file, the folder of a bag, or files joined by commas")

@@ -78,19 +78,9 @@ _READ: Mapping[str, tuple[tuple[str, ...], Callable[[Any], tuple[float, ...]]]] 
 def bag_samples(paths: Sequence[Path], columns: Mapping[str, str]) -> list[Samples]:
     """Read the topics of bags that a drive needs. Several bags are one recording, or hold its topics between them.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Files or folders.
-    columns : mapping
-        ``imu``, ``gnss``, ``odometry`` and ``twist`` -> topic; an empty name: none.
-
-    Raises
-    ------
-    BadInputError
-        A bag is damaged, a topic is not there, or several may be meant.
-    UsageError
-        The extra ``ros`` is not installed.
+    ``paths``: files or folders; ``columns``: ``imu``, ``gnss``, ``odometry`` and ``twist`` ->
+    topic; an empty name: none. Raises BadInputError: a bag is damaged, a topic is not there, or
+    several may be meant; UsageError: the extra ``ros`` is not installed.
     """
     name = ", ".join(path.name for path in paths)
     bags = [BagReader(path) for path in paths]
@@ -165,12 +155,8 @@ def is_ulog(path: Path) -> bool:
 def ulog_samples(path: Path) -> list[Samples]:
     """Read the topics of a ULog that a drive needs, the first instance of each.
 
-    Raises
-    ------
-    BadInputError
-        The file is damaged or too large, or is no ULog.
-    UsageError
-        The extra ``drives`` is not installed.
+    Raises BadInputError: the file is damaged or too large, or is no ULog; UsageError: the extra
+    ``drives`` is not installed.
     """
     try:
         from pyulog import ULog

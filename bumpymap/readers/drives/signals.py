@@ -173,16 +173,9 @@ def _attitude(samples: Samples) -> Signal | None:
 def body_rates(attitude: Signal) -> Signal:
     """Return the angular rates about the sensor's own axes between each two attitudes that follow each other.
 
-    Parameters
-    ----------
-    attitude : Signal
-        Quaternions (n, 4), x, y, z, w, of any length but 0.
-
-    Returns
-    -------
-    Signal
-        Rates (m, 3), rad/s, constant rotation being assumed from one attitude to the next, in the middle of both. None
-        across gaps of more than half a second.
+    ``attitude``: quaternions (n, 4), x, y, z, w, of any length but 0. Returns rates (m, 3), rad/s,
+    constant rotation being assumed from one attitude to the next, in the middle of both. None
+    across gaps of more than half a second.
     """
     from scipy.spatial.transform import Rotation
 
@@ -303,11 +296,8 @@ class _Joined:
 def assemble(name: str, paths: Sequence[Path], sources: Sequence[Samples]) -> DriveLog:
     """Join samples to a drive.
 
-    Raises
-    ------
-    BadInputError
-        No source has angular rates or attitudes, they are too few, values cannot be meant, or the clocks of the sources
-        have nothing in common.
+    Raises BadInputError: no source has angular rates or attitudes, they are too few, values cannot
+    be meant, or the clocks of the sources have nothing in common.
     """
     joined = _Joined(sources)
     imu = _imu(name, joined)

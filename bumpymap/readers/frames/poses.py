@@ -72,20 +72,11 @@ class _PoseFile(NamedTuple):
 def read_poses(path: Path, frames: Sequence[Path], known: NDArray[np.float64] | None = None) -> FramePoses:
     """Read the pose of each frame.
 
-    Parameters
-    ----------
-    path : Path
-        KITTI, TUM or CSV. KITTI's ``calib.txt`` beside it or beside the frames is used.
-    frames : sequence of Path
-        Files of scans.
-    known : (n,) float64, optional
-        Times of the frames, s, if they have none of their own: those of messages in a bag.
-
-    Raises
-    ------
-    BadInputError
-        The file cannot be read or holds invalid poses; the poses are those of a camera; they cannot be matched with the
-        frames, or do not cover their times.
+    ``path``: KITTI, TUM or CSV. KITTI's ``calib.txt`` beside it or beside the frames is used;
+    ``frames``: files of scans; ``known`` (n,) float64: times of the frames, s, if they have none of
+    their own: those of messages in a bag. Raises BadInputError: the file cannot be read or holds
+    invalid poses; the poses are those of a camera; they cannot be matched with the frames, or do
+    not cover their times.
     """
     file = _read_file(path)
     poses, calib = _in_lidar_frame(path, file, _beside(_CALIB, path, frames))

@@ -80,10 +80,7 @@ def choose_topic(
 def message_types(*, ros1: bool = False) -> Any:
     """Return the message types of ROS 2, or of ROS 1, as rosbags knows them.
 
-    Raises
-    ------
-    UsageError
-        The extra ``ros`` is not installed.
+    Raises UsageError: the extra ``ros`` is not installed.
     """
     try:
         from rosbags.typesys import Stores, get_typestore
@@ -108,17 +105,8 @@ class BagRecord:
 class BagReader:
     """An open bag; it is closed when the object is collected. Several threads may `read`.
 
-    Parameters
-    ----------
-    path : Path
-        A file or a folder, see `is_bag`; or a file of ROS 1.
-
-    Raises
-    ------
-    BadInputError
-        The bag cannot be read.
-    UsageError
-        The extra ``ros`` is not installed.
+    ``path``: a file or a folder, see `is_bag`; or a file of ROS 1. Raises BadInputError: the bag
+    cannot be read; UsageError: the extra ``ros`` is not installed.
     """
 
     def __init__(self, path: Path) -> None:
@@ -146,10 +134,7 @@ class BagReader:
     def messages(self, topics: Collection[str], start_ns: int | None = None) -> Generator[BagRecord, None, None]:
         """Yield the messages of some topics in order of time, holding one at a time.
 
-        Raises
-        ------
-        BadInputError
-            The bag is damaged.
+        Raises BadInputError: the bag is damaged.
         """
         wanted = [connection for connection in self._reader.connections if connection.topic in topics]
         return _records(self._reader, self.path, wanted, start_ns)
@@ -157,10 +142,7 @@ class BagReader:
     def read(self, message: BagMessage) -> Any:
         """Return a message, deserialised.
 
-        Raises
-        ------
-        BadInputError
-            The bag is damaged, or has changed since it was opened.
+        Raises BadInputError: the bag is damaged, or has changed since it was opened.
         """
         with self._lock:
             topic, number = self._next
@@ -293,16 +275,10 @@ _EPOCH_S = 1e8
 def point_seconds(column: NDArray[Any]) -> NDArray[np.float32] | None:
     """Return the time of each point, s.
 
-    Parameters
-    ----------
-    column : (n,) array of numbers
-        Times in s, us or ns, after the time of the frame or of day; may hold values that are not finite.
-
-    Returns
-    -------
-    (n,) float32 or None
-        After the time of the frame, as in the file; of times of day: after the first of them. None if the unit is not
-        clear: a scan takes 5 ms to 2 s. NaN where a time is not finite, or 0 among times of day.
+    ``column`` (n,) array of numbers: times in s, us or ns, after the time of the frame or of day;
+    may hold values that are not finite. Returns (n,) float32 or None: after the time of the frame,
+    as in the file; of times of day: after the first of them. None if the unit is not clear: a scan
+    takes 5 ms to 2 s. NaN where a time is not finite, or 0 among times of day.
     """
     times, unit = _known(column)
     if unit is None:
@@ -376,10 +352,7 @@ def read_cloud(message: Any) -> RawScan:
 
     Times of day count from the time in the header, if they are near to it, else from the first.
 
-    Raises
-    ------
-    BadInputError
-        See `points_of`.
+    Raises BadInputError: see `points_of`.
     """
     rows = _rows(message)
     held = rows.dtype.names or ()

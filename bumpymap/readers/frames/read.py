@@ -65,12 +65,8 @@ def find_messages(paths: Sequence[Path], topics: BagTopics) -> list[Frame]:
 
     Every message of the topics is read once, one at a time.
 
-    Raises
-    ------
-    BadInputError
-        A bag is damaged, the topic is not there or not clear, or the wanted odometry gives no poses.
-    UsageError
-        The extra ``ros`` is not installed.
+    Raises BadInputError: a bag is damaged, the topic is not there or not clear, or the wanted
+    odometry gives no poses; UsageError: the extra ``ros`` is not installed.
     """
     bags = [BagReader(path) for path in paths]
     held = held_topics(bags)
@@ -217,24 +213,11 @@ _NUMBER = re.compile(r"(\d+)")
 def find_sources(paths: Sequence[Path], topics: BagTopics) -> list[Frame]:
     """Return the scans at the given paths, in time order: files, as by `find_frames`, or messages in bags.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Files and folders of scans, or bags (``.mcap``, ``.db3``, folders with ``metadata.yaml`` or with such files).
-    topics : BagTopics
-        For bags alone.
-
-    Returns
-    -------
-    list of Frame
-        Several bags in natural order of their paths.
-
-    Raises
-    ------
-    BadInputError
-        A path does not exist, holds no scans, or a bag cannot be read or leaves open which topic is meant.
-    UsageError
-        Topics are given without a bag, bags are mixed with files of scans, or the extra ``ros`` is not installed.
+    ``paths``: files and folders of scans, or bags (``.mcap``, ``.db3``, folders with
+    ``metadata.yaml`` or with such files); ``topics``: for bags alone. Several bags come in
+    natural order of their paths. Raises BadInputError: a path does not exist, holds no scans, or a
+    bag cannot be read or leaves open which topic is meant; UsageError: topics are given without a
+    bag, bags are mixed with files of scans, or the extra ``ros`` is not installed.
     """
     bags = [bag for path in paths for bag in bags_at(path)]
     if not bags:
@@ -262,21 +245,11 @@ def bags_at(path: Path) -> list[Path]:
 def find_frames(paths: Sequence[Path]) -> list[Path]:
     """Return the scan files at the given paths, in time order.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Files (with any suffix) and folders. If a folder holds no scans itself, its subfolder ``velodyne`` or
-        ``os1_cloud_node_kitti_bin`` is searched, as in the KITTI and RELLIS-3D data sets. Hidden files are ignored.
-
-    Returns
-    -------
-    list of Path
-        In natural order of their paths (``2.bin`` before ``10.bin``), whatever the order of ``paths``; each once.
-
-    Raises
-    ------
-    BadInputError
-        A path does not exist, or a folder holds no scans or scans of several formats.
+    ``paths``: files (with any suffix) and folders. If a folder holds no scans itself, its subfolder
+    ``velodyne`` or ``os1_cloud_node_kitti_bin`` is searched, as in the KITTI and RELLIS-3D data
+    sets. Hidden files are ignored. They come in natural order of their paths (``2.bin`` before
+    ``10.bin``), whatever the order of ``paths``; each once. Raises BadInputError: a path does not
+    exist, or a folder holds no scans or scans of several formats.
     """
     if not paths:
         raise BadInputError("no scan was given; name a file of a scan, or a folder of them")
@@ -332,24 +305,11 @@ def _scans(folder: Path) -> list[Path]:
 def read_scan(path: Path, robot: Robot | None = None, columns: int | None = None) -> Scan:
     """Read one scan: PLY, PCD, or KITTI-style ``.bin`` with its labels.
 
-    Parameters
-    ----------
-    path : Path
-    robot : Robot, optional
-        Returns on the robot are dropped.
-    columns : int, optional
-        Number of columns of a ``.bin`` file: 4, 5 or 6; None: found from its values.
-
-    Returns
-    -------
-    Scan
-        May have no points; ``dropped`` counts the reasons.
-
-    Raises
-    ------
-    BadInputError
-        The file cannot be read, is empty, truncated or of another format, changes while it is read, its labels do not
-        match, or the number of its columns is in doubt.
+    ``robot``: returns on the robot are dropped; ``columns``: number of columns of a ``.bin`` file:
+    4, 5 or 6; None: found from its values. The scan may have no points; its ``dropped`` counts
+    the reasons. Raises BadInputError: the file cannot be read, is empty, truncated or of another
+    format, changes while it is read, its labels do not match, or the number of its columns is in
+    doubt.
     """
     version = version_of(path)
     with pinned_version(path, version):
@@ -425,17 +385,9 @@ _FARTHEST_M = 1e4
 def read_kitti(path: Path, columns: int | None = None) -> RawScan:
     """Read a ``.bin`` file, and its labels if there are any.
 
-    Parameters
-    ----------
-    path : Path
-    columns : int, optional
-        4 (x, y, z, intensity), 5 (and ring) or 6 (and time); None: found from the values.
-
-    Raises
-    ------
-    BadInputError
-        The file is empty, truncated or not a scan, its number of columns is in doubt, or the label file does not
-        match it.
+    ``columns``: 4 (x, y, z, intensity), 5 (and ring) or 6 (and time); None: found from the values.
+    Raises BadInputError: the file is empty, truncated or not a scan, its number of columns is in
+    doubt, or the label file does not match it.
     """
     size = size_of(path)
     if size == 0:
