@@ -13,24 +13,36 @@ from .detect import (
     open_survey as open_survey,
     reopen_survey as reopen_survey,
 )
-from .drives.quantities import parse_columns as parse_columns
-from .drives.read import (
+from .drive_signals import parse_columns as parse_columns
+from .drives import (
     close_log_reader as close_log_reader,
     drive_files as drive_files,
     read_drive as read_drive,
 )
-from .frames.poses import (
+from .point_stats import (
+    LineSums as LineSums,
+    PointStats as PointStats,
+    cell_indices as cell_indices,
+)
+from .poses import (
     FramePoses as FramePoses,
     files_beside_poses as files_beside_poses,
     place_sources as place_sources,
     read_poses as read_poses,
 )
-from .frames.raw import (
+from .protocol import (
+    Chunk as Chunk,
+    ChunkPoints as ChunkPoints,
+    ReadOptions as ReadOptions,
+    SurveyInfo as SurveyInfo,
+    SurveyReader as SurveyReader,
+)
+from .raw_scans import (
     BagReader as BagReader,
     bag_files as bag_files,
     points_of as points_of,
 )
-from .frames.read import (
+from .scans import (
     BagTopics as BagTopics,
     bags_at as bags_at,
     find_frames as find_frames,
@@ -39,18 +51,6 @@ from .frames.read import (
     read_message as read_message,
     read_scan as read_scan,
     scene_points as scene_points,
-)
-from .point_stats import (
-    LineSums as LineSums,
-    PointStats as PointStats,
-    cell_indices as cell_indices,
-)
-from .protocol import (
-    Chunk as Chunk,
-    ChunkPoints as ChunkPoints,
-    ReadOptions as ReadOptions,
-    SurveyInfo as SurveyInfo,
-    SurveyReader as SurveyReader,
 )
 from .source import (
     Location as Location,

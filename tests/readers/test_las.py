@@ -327,5 +327,5 @@ def test_chunks_of_fewer_points_than_their_table_promises_and_too_large_ones(las
         (points_at,) = struct.unpack_from("<I", path.read_bytes(), 96)
         las.patch(path, points_at + 8 + 30, "<I", held)
         refused(path, f"declares 7 points in a LAZ chunk but holds {held}")
-    monkeypatch.setattr("bumpymap.readers.laz_chunks._LARGEST_CHUNK", 5 * 28 - 1)
+    monkeypatch.setattr("bumpymap.readers.las._LARGEST_CHUNK", 5 * 28 - 1)
     refused(las.pack(las.write(), 5), "holds 5 points", "pdal translate")

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from bumpymap.core import LONGEST_GAP_S, NEAREST_S, PoseTrack, Scan
 from bumpymap.core.errors import BadInputError
 from bumpymap.readers import deskew, files_beside_poses, read_poses
-from bumpymap.readers.frames.poses import _read_file as read_pose_file
+from bumpymap.readers.poses import _read_file as read_pose_file
 
 TURNS = Rotation.random(6, random_state=3)
 PLACES = np.random.default_rng(4).normal(size=(6, 3)) * 1e4

@@ -9,7 +9,7 @@ from survey_kinds import TABLES, write_table
 
 from bumpymap.core import BadInputError, Dropped, Robot, UsageError
 from bumpymap.readers import find_frames, read_scan
-from bumpymap.readers.frames.raw import point_seconds, start_of_day_time
+from bumpymap.readers.raw_scans import point_seconds, start_of_day_time
 
 # ---- formats ----
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import SCAN_S, BadInputError, BagMessage, Dropped, Frame, PoseTrack, Robot, Scan, UsageError
 from bumpymap.readers.detect import files_at
-from bumpymap.readers.frames.raw import (
+from bumpymap.readers.raw_scans import (
     BAG_SUFFIXES,
     CLOUD,
     BagReader,
@@ -32,7 +32,6 @@ from bumpymap.readers.frames.raw import (
     read_cloud,
     read_table,
 )
-from bumpymap.readers.frames.transforms import FIXED_FRAMES, FrameTree, Trajectory, frame_name, seconds_since
 from bumpymap.readers.source import (
     NoPointsError,
     pinned_version,
@@ -42,6 +41,7 @@ from bumpymap.readers.source import (
     size_of,
     version_of,
 )
+from bumpymap.readers.transforms import FIXED_FRAMES, FrameTree, Trajectory, frame_name, seconds_since
 
 _log = logging.getLogger(__name__)
 

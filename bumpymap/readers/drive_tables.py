@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError
-from bumpymap.readers.drives.quantities import (
+from bumpymap.readers.drive_signals import (
     ACCELERATIONS,
     ANGLES,
     DIMENSIONS,
@@ -23,10 +23,11 @@ from bumpymap.readers.drives.quantities import (
     SIDES,
     UNITS,
     DriveColumn,
+    Floats,
+    Samples,
     chosen_columns,
     named_columns,
 )
-from bumpymap.readers.drives.signals import Floats, Samples
 from bumpymap.readers.source import decoding, open_source, size_of
 
 _MOST_BYTES = 2 << 30

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import LONGEST_GAP_S, NEAREST_S, SCAN_S, BadInputError, Frame, PoseTrack
-from bumpymap.readers.frames.read import POINT_FOLDERS, find_frames
-from bumpymap.readers.frames.transforms import ROUNDING, from_quaternions, refuse_poses
+from bumpymap.readers.scans import POINT_FOLDERS, find_frames
 from bumpymap.readers.source import open_source
+from bumpymap.readers.transforms import ROUNDING, from_quaternions, refuse_poses
 
 _log = logging.getLogger(__name__)
 
