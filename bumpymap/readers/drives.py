@@ -121,12 +121,12 @@ def bag_samples(paths: Sequence[Path], columns: Mapping[str, str]) -> list[Sampl
         roles |= {chosen: role} if chosen else {}
     rows: dict[str, array[float]] = {topic: array("d") for topic in roles}
     for bag in bags:
-        for record in bag.messages(set(roles) & set(bag.topics)):
-            message = bag.decode(record.data, held[record.topic][0])
+        for topic, time_ns, data in bag.messages(set(roles) & set(bag.topics)):
+            message = bag.decode(data, held[topic][0])
             stamp = message.header.stamp
-            nanoseconds = stamp.sec * 1_000_000_000 + stamp.nanosec or record.time_ns
-            rows[record.topic].append(nanoseconds * 1e-9)
-            rows[record.topic].extend(_READ[roles[record.topic]][1](message))
+            nanoseconds = stamp.sec * 1_000_000_000 + stamp.nanosec or time_ns
+            rows[topic].append(nanoseconds * 1e-9)
+            rows[topic].extend(_READ[roles[topic]][1](message))
     listing = f"{name}: {', '.join(f'{topic} ({kind})' for topic, (kind, _) in sorted(held.items())) or 'no topics'}"
     found = [Samples(name, listing=listing)]
     for topic, role in roles.items():

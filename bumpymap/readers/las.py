@@ -7,6 +7,7 @@ laspy is not used: it creates a Python object for each chunk.
 import math
 import struct
 import threading
+from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, BinaryIO
@@ -19,7 +20,6 @@ from bumpymap.core import (
     DecoderError,
     Georeference,
     Place,
-    SharedBytes,
     allocate_shared,
     georeference,
 )
@@ -45,12 +45,13 @@ from bumpymap.readers.protocol import (
     split_rows,
 )
 from bumpymap.readers.source import (
+    TRUST,
     Location,
+    box_text,
     decoding,
     open_source,
     read_into,
     refuse_count,
-    refuse_header_bounds,
 )
 from bumpytiles import DECIMALS, Bounds, ScaledPoints, Scaling
 
@@ -269,11 +270,8 @@ def _integers_between(scaling: Scaling, axis: int, low: float, high: float) -> t
 
     def first(is_past: Callable[[float], bool]) -> int:
         """Return the first integer whose coordinate passes a test that holds for all after it."""
-        before, at = _LOWEST - 1, _HIGHEST + 1
-        while at - before > 1:
-            middle = (before + at) // 2
-            before, at = (before, middle) if is_past(float(scaling.coordinates(axis, middle))) else (middle, at)
-        return at
+        integers = range(_LOWEST, _HIGHEST + 1)
+        return _LOWEST + bisect_left(integers, True, key=lambda at: is_past(float(scaling.coordinates(axis, at))))
 
     if scaling.scales[axis] > 0:
         return first(lambda place: place >= low), first(lambda place: place > high) - 1
@@ -342,9 +340,7 @@ class LasSurvey(SurveyReader):
             _refuse_numbers(path, raw)
             middle = None if options.trust_points else _middle(raw)
             place, notes = georeference(Place(path, middle), statement, options.given_crs, options.z_unit)
-            bounds = None if options.trust_points else _bounds(raw, place)
-            if bounds is not None:
-                refuse_header_bounds(path, bounds)
+            bounds = None if options.trust_points else _bounds(path, raw, place)
             self._table: ChunkTable | None = None
             if raw.compressed:
                 self._laszip = laz_record(path, raw)
@@ -410,37 +406,24 @@ class LasSurvey(SurveyReader):
 
     def _fetch(self, chunk: Chunk) -> Records | Iterator[Records]:
         """Return the records of a chunk; uncompressed ones are read when they are converted."""
-        if self._table is not None:
-            return self._read_laz(self._part(chunk, self._table))
-        return _read_pieces(self._path, self._raw, chunk)
-
-    def _read_laz(self, part: ChunkTable) -> Records:
-        """Read the bytes of LAZ chunks with one request, and decode them."""
+        if self._table is None:
+            return _read_pieces(self._path, self._raw, chunk)
+        # The LAZ chunks of a chunk lie one after the other: they are read with one request, and decoded on all cores.
+        last = chunk.first + chunk.points - 1
+        first, end = np.searchsorted(self._ends, (chunk.first, last), side="right").tolist()
+        part = self._table.rows(slice(first, end + 1))
         compressed = allocate_shared(int(part.sizes.sum()))
         held = read_into(self._path, int(part.starts[0]), compressed.data)
         refuse_count(self._path, compressed.data.size, held, "bytes of LAZ chunks")
-        return self._decode(self._path, part, compressed)
-
-    def _decode(self, path: Location, part: ChunkTable, compressed: SharedBytes) -> Records:
-        """Check adjacent LAZ chunks, and decode them on all cores."""
         table = list(zip(part.counts.tolist(), part.sizes.tolist(), strict=True))
         at = 0
         for points, size in table:
-            check_layers(path, self._raw, compressed.data[at : at + size], points)
+            check_layers(self._path, self._raw, compressed.data[at : at + size], points)
             at += size
-        points, size = int(part.counts.sum()), self._raw.point_size
-        with decoding(path, "LAZ chunks"):
-            return (
-                decoder()
-                .chunks(self._laszip, table, compressed, points * size, colour=self._colours is not None)
-                .reshape(points, size)
-            )
-
-    def _part(self, chunk: Chunk, table: ChunkTable) -> ChunkTable:
-        """Return the LAZ chunks of a chunk, which lie one after the other."""
-        last = chunk.first + chunk.points - 1
-        first, end = np.searchsorted(self._ends, (chunk.first, last), side="right").tolist()
-        return table.rows(slice(first, end + 1))
+        size, colour = self._raw.point_size, self._colours is not None
+        with decoding(self._path, "LAZ chunks"):
+            records = decoder().chunks(self._laszip, table, compressed, chunk.points * size, colour=colour)
+        return records.reshape(chunk.points, size)
 
     def _convert(self, chunk: Chunk, fetched: Records | Iterator[Records]) -> ChunkPoints:
         pieces = (fetched,) if isinstance(fetched, np.ndarray) else fetched
@@ -464,11 +447,14 @@ def _middle(raw: RawHeader) -> tuple[float, float, float] | None:
     return (x, y, z) if np.isfinite([x, y, z]).all() else None
 
 
-def _bounds(raw: RawHeader, place: Georeference) -> Bounds:
-    # Overflow becomes infinity, which is rejected later, as is NaN.
+def _bounds(path: Location, raw: RawHeader, place: Georeference) -> Bounds:
+    """Return the extent in the header, m; raise BadInputError if it is not finite or inverted."""
     with np.errstate(over="ignore", invalid="ignore"):
         sides = np.round(np.array([*raw.mins[:2], *raw.maxs[:2]]), DECIMALS) * place.metres_per_unit
-    return Bounds(*sides.tolist())
+    bounds = Bounds(*sides.tolist())
+    if not np.isfinite(sides).all() or bounds.west > bounds.east or bounds.south > bounds.north:
+        raise BadInputError(f"the header of {path} gives an impossible extent: {box_text(bounds)}. {TRUST}")
+    return bounds
 
 
 def _degrees_note(place: Georeference, raw: RawHeader) -> tuple[str, ...]:

@@ -131,6 +131,7 @@ def read_raw_header(stream: BinaryIO, path: Location) -> RawHeader:
     refuse_points(path, count, held, f"points of {point_size} bytes")
     plain = list(_walk(stream, path, records, header_size, offset))
     far = list(_walk(stream, path, extended, first_extended, size, extended=True))
+    created = date(year, 1, 1) + timedelta(day - 1) if year in _YEARS and day > 0 else None  # days count from 1
     # COPC: its record is the first, directly after a header of LAS 1.4.
     is_copc = header_size == _HEADER_1_4 and [record[:2] for record in plain[:1]] == [(b"copc", 1)]
     # The extent alternates: max x, min x, max y, ...
@@ -140,16 +141,8 @@ def read_raw_header(stream: BinaryIO, path: Location) -> RawHeader:
         numbers[0:3], numbers[3:6], numbers[7::2], numbers[6::2],
         # Of several records with the same ids, the first is used.
         {(user, number): data for user, number, data in reversed(plain + far) if _is_needed(user, number)}, source_id,
-        held - count if alone else 0, _date(day, year),
+        held - count if alone else 0, created if created is not None and created.year == year else None,
     )  # fmt: skip
-
-
-def _date(day: int, year: int) -> date | None:
-    """Return the date of a day of a year, counted from 1; None if there is no such day."""
-    if year not in _YEARS or day < 1:
-        return None
-    found = date(year, 1, 1) + timedelta(day - 1)
-    return found if found.year == year else None
 
 
 def _refuse_format(path: Location, point_format: int, point_size: int) -> None:

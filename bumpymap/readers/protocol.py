@@ -264,15 +264,12 @@ class SurveyReader(ABC):
 
         Raises BadInputError: the header and the points disagree, or points are not on Earth.
         """
-        self._require_unchanged()
+        require_unchanged(self._path, self._version)
         verify(stats, self._info.path, self._info.point_count, self._info.bounds)
 
     def header_doubt(self, stats: PointStats) -> str:
         """Return where the extent in the header is not that of the points; empty if it is, or nobody measured it."""
         return header_doubt(stats, self._info.bounds, self._info.heights)
-
-    def _require_unchanged(self) -> None:
-        require_unchanged(self._path, self._version)
 
     def clouds(self, points: int = 1_000_000) -> Iterator[PointCloud]:
         """Yield the points, in metres, in reading order, at most ``points`` at a time.
@@ -280,8 +277,6 @@ class SurveyReader(ABC):
         Raises BadInputError: as ``fetch`` and ``verify``; the errors of ``verify`` are raised at
         the end.
         """
-        if points < 1:
-            raise UsageError(f"chunks of {points} points were requested; a chunk must hold at least 1")
         stats, self._line_sums = PointStats(), LineSums()
         for chunk in self.chunks(points):
             converted = self.convert(chunk, self.fetch(chunk))

@@ -91,15 +91,8 @@ def message_types(*, ros1: bool = False) -> Any:
     return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
 
 
-@dataclass(frozen=True, slots=True)
-class BagRecord:
-    """A message as the bag stores it."""
-
-    topic: str
-    time_ns: int
-    """Time under which it is stored."""
-    data: bytes
-    """Serialised."""
+BagRecord = tuple[str, int, bytes]
+"""A message as the bag stores it: its topic, the time under which it is stored, ns, and it, serialised."""
 
 
 class BagReader:
@@ -150,15 +143,15 @@ class BagReader:
                 number = message.number - message.place
                 self._streams[:] = [self.messages([message.topic], message.time_ns)]
             self._next = ("", 0)  # if this fails, the stream ends, and the next message is looked up
-            record = None
+            time_ns, data = None, b""
             for _ in range(message.number - number + 1):
-                record = next(self._streams[0], None)
+                _, time_ns, data = next(self._streams[0], ("", None, b""))
             self._next = (message.topic, message.number + 1)
             for file, version in self._versions.items():
                 require_unchanged(file, version)
-        if record is None or record.time_ns != message.time_ns:
+        if time_ns != message.time_ns:
             raise BadInputError(f"the bag {self.path} no longer has the message {message.number} of {message.topic}")
-        return self.decode(record.data, CLOUD)
+        return self.decode(data, CLOUD)
 
     def decode(self, data: bytes, kind: str) -> Any:
         """Deserialise a message. Raises BadInputError if it is damaged."""
@@ -170,7 +163,7 @@ def _records(reader: Any, path: Path, wanted: list[Any], start_ns: int | None) -
     # Not a method: a generator that holds its bag would keep it open.
     with _reading(path):
         for connection, time_ns, data in reader.messages(wanted, start=start_ns) if wanted else ():
-            yield BagRecord(connection.topic, time_ns, bytes(data))
+            yield connection.topic, time_ns, bytes(data)
 
 
 def _close(reader: Any, streams: list[Generator[BagRecord, None, None]]) -> None:
@@ -248,19 +241,15 @@ def read_table(path: Path) -> RawScan:
     with np.errstate(over="ignore", invalid="ignore"):  # non-finite points are dropped and counted later
         points = np.stack([columns[axis].astype(np.float32) for axis in "xyz"], axis=1)
         intensity = columns["intensity"].astype(np.float32) if "intensity" in columns else None
+    ids = columns["label"].astype(np.float64) if "label" in columns else None
+    if ids is not None and not ((ids >= 0) & (ids <= _MOST_ID) & (ids == np.rint(ids))).all():
+        raise BadInputError(f"the labels of {path} are not all whole numbers from 0 to {_MOST_ID:,}: not semantic ids")
     return RawScan(
         points,
         intensity,
-        _semantic(path, columns["label"]) if "label" in columns else None,
+        None if ids is None else ids.astype(np.uint16),
         point_seconds(columns["time"]) if "time" in columns else None,
     )
-
-
-def _semantic(path: Path, column: NDArray[Any]) -> NDArray[np.uint16]:
-    ids = column.astype(np.float64)
-    if not bool(((ids >= 0) & (ids <= _MOST_ID) & (ids == np.rint(ids))).all()):
-        raise BadInputError(f"the labels of {path} are not all whole numbers from 0 to {_MOST_ID:,}: not semantic ids")
-    return ids.astype(np.uint16)
 
 
 _UNITS_S = (1.0, 1e-6, 1e-9)

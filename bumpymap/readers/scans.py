@@ -23,7 +23,6 @@ from bumpymap.readers.raw_scans import (
     BAG_SUFFIXES,
     CLOUD,
     BagReader,
-    BagRecord,
     RawScan,
     choose_topic,
     held_topics,
@@ -93,30 +92,24 @@ def _choose(held: Mapping[str, tuple[str, int]], kind: str, wanted: str | None, 
 
 def _messages(bag: BagReader, clouds: Collection[str], recorded: "_Poses") -> Iterable[BagMessage]:
     at = dict.fromkeys(clouds, (-1, 0, -1))  # number, place and time of the last message
-    for record in bag.messages({*clouds, *recorded.topics} & set(bag.topics)):
-        if record.topic not in at:
-            recorded.add(bag, record)
+    for topic, time_ns, data in bag.messages({*clouds, *recorded.topics} & set(bag.topics)):
+        if topic not in at:
+            recorded.add(bag, topic, data)
             continue
-        number, place, last = at[record.topic]
-        at[record.topic] = number + 1, place + 1 if record.time_ns == last else 0, record.time_ns
-        yield _message(bag.path, record, *at[record.topic][:2])
-
-
-def _message(path: Path, record: BagRecord, number: int, place: int) -> BagMessage:
-    """Read the header of a scan; its points stay as they are."""
-    try:
-        order = "<" if record.data[1] & 1 else ">"  # of the encapsulation
-        seconds, rest, length = struct.unpack_from(f"{order}iII", record.data, 4)
-        frame = record.data[16 : 16 + length].rstrip(b"\0").decode()
-    except (IndexError, struct.error, UnicodeDecodeError) as error:
-        raise BadInputError(
-            f"message {number} of {record.topic} in {path} has no valid header ({error}). The bag is damaged: "
-            "copy it again"
-        ) from error
-    stamp = seconds * 1_000_000_000 + rest
-    return BagMessage(
-        record.topic, number, record.time_ns, place, stamp or record.time_ns, frame_name(frame), len(record.data)
-    )
+        number, place, last = at[topic]
+        number, place = number + 1, place + 1 if time_ns == last else 0
+        at[topic] = number, place, time_ns
+        try:  # the header alone: points stay as they are
+            order = "<" if data[1] & 1 else ">"  # of the encapsulation
+            seconds, rest, length = struct.unpack_from(f"{order}iII", data, 4)
+            frame = data[16 : 16 + length].rstrip(b"\0").decode()
+        except (IndexError, struct.error, UnicodeDecodeError) as error:
+            raise BadInputError(
+                f"message {number} of {topic} in {bag.path} has no valid header ({error}). The bag is damaged: "
+                "copy it again"
+            ) from error
+        stamp = seconds * 1_000_000_000 + rest
+        yield BagMessage(topic, number, time_ns, place, stamp or time_ns, frame_name(frame), len(data))
 
 
 class _Poses:
@@ -137,13 +130,12 @@ class _Poses:
         """Topics to read."""
         return self._transforms | ({self._odometry} if self._odometry else set())
 
-    def add(self, bag: BagReader, record: BagRecord) -> None:
+    def add(self, bag: BagReader, topic: str, data: bytes) -> None:
         """Add a message of one of the topics."""
-        if record.topic in self._transforms:
-            message = bag.decode(record.data, _TF)
-            self._tree.add(message, static=record.topic.endswith("static"))
+        if topic in self._transforms:
+            self._tree.add(bag.decode(data, _TF), static=topic.endswith("static"))
             return
-        message = bag.decode(record.data, _ODOMETRY)
+        message = bag.decode(data, _ODOMETRY)
         self._base, self._fixed = frame_name(message.child_frame_id), frame_name(message.header.frame_id)
         self._trajectory.add(message.header.stamp, message.pose.pose.position, message.pose.pose.orientation)
 

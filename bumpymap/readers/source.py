@@ -26,13 +26,6 @@ def file_changed(location: Location, how: str) -> BadInputError:
     )
 
 
-def difference(before: Version, now: Version) -> str:
-    """Say how two versions of a file differ."""
-    if before["size"] != now["size"]:
-        return f"it had {before['size']:,} bytes and has {now['size']:,}"
-    return "it has the same size, but was written again"
-
-
 EPT_NAME = "ept.json"
 
 
@@ -54,10 +47,14 @@ def read_range(location: Location, start: int, size: int) -> NDArray[np.uint8]:
 
 
 def read_into(location: Location, start: int, data: NDArray[np.uint8]) -> int:
-    """Read bytes from offset ``start`` into an array; return how many there were."""
+    """Read bytes from offset ``start`` into an array; return their number."""
+    filled = 0
     with _reading(location), location.open("rb", buffering=0) as stream:
         stream.seek(start)
-        return _fill(stream, data)
+        # One call reads at most 2 GB.
+        while filled < data.size and (got := stream.readinto(memoryview(data.data)[filled:])):
+            filled += got
+    return filled
 
 
 def size_of(location: Location) -> int:
@@ -114,19 +111,10 @@ def require_unchanged(location: Location, version: Version, cause: Exception | N
         now = version_of(location)
     except BadInputError as error:
         raise file_changed(location, f"it was removed ({error})") from cause or error
+    if now["size"] != version["size"]:
+        raise file_changed(location, f"it had {version['size']:,} bytes and has {now['size']:,}") from cause
     if now != version:
-        raise file_changed(location, difference(version, now)) from cause
-
-
-def _fill(stream: Any, data: NDArray[np.uint8]) -> int:
-    """Read until the array is full or the file ends: one call returns at most 2 GB."""
-    filled = 0
-    while filled < data.size:
-        got = stream.readinto(memoryview(data.data)[filled:])
-        if not got:
-            break
-        filled += got
-    return filled
+        raise file_changed(location, "it has the same size, but was written again") from cause
 
 
 def _refuse_special(path: Path) -> None:
@@ -193,13 +181,6 @@ def refuse_points(path: Location, declared: int, held: int, unit: str = "points"
     if declared == 0:
         raise NoPointsError(f"{path} holds no points (its header declares 0): nothing to map. Was it exported fully?")
     refuse_count(path, declared, held, unit)
-
-
-def refuse_header_bounds(path: Location, bounds: Bounds) -> None:
-    """Raise BadInputError if the bounds in a header are not finite or inverted."""
-    sides = (bounds.west, bounds.south, bounds.east, bounds.north)
-    if not np.isfinite(sides).all() or bounds.west > bounds.east or bounds.south > bounds.north:
-        raise BadInputError(f"the header of {path} gives an impossible extent: {box_text(bounds)}. {TRUST}")
 
 
 def box_text(bounds: Bounds) -> str:

@@ -222,14 +222,10 @@ def thin_rule(known: NDArray[np.bool_], points: NDArray[Any]) -> NDArray[np.bool
 
 def _filled(known: NDArray[np.bool_], depth: int) -> NDArray[np.bool_]:
     """Return in which tiles (n, pixels, pixels) each pixel has a known one within ``depth`` pixels (Chebyshev)."""
-    for axis in (1, 2):
-        lines = np.moveaxis(known, axis, 1)
-        near = lines.copy()
-        for step in range(1, min(depth, lines.shape[1] - 1) + 1):
-            near[:, step:] |= lines[:, :-step]
-            near[:, :-step] |= lines[:, step:]
-        known = np.moveaxis(near, 1, axis)
-    return np.asarray(known.all(axis=(1, 2)))
+    from scipy.ndimage import maximum_filter
+
+    side = 2 * depth + 1
+    return np.asarray(maximum_filter(known, (1, side, side), mode="constant").all(axis=(1, 2)))
 
 
 @dataclass(frozen=True, slots=True)

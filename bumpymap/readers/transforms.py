@@ -2,6 +2,7 @@
 
 from array import array
 from collections.abc import Sequence
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -133,10 +134,7 @@ class FrameTree:
 
 def _product(steps: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
     """Multiply transforms, (4, 4) or (n, 4, 4), each from a frame to its parent, beginning with the lowest frame."""
-    product = np.eye(4)
-    for step in steps:
-        product = step @ product
-    return product
+    return reduce(lambda product, step: step @ product, steps, np.eye(4))
 
 
 def from_quaternions(path: Path | str, table: NDArray[np.float64]) -> NDArray[np.float64]:

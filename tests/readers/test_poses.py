@@ -77,12 +77,11 @@ FORMATS = {
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_every_format_is_the_same_poses_and_times(tmp_path, name):
-    found = read_pose_file(write(tmp_path / "p", *FORMATS[name]))
-    np.testing.assert_allclose(found.poses, MATRICES, atol=1e-9)
-    if name == "kitti":
-        assert found.times is None
-    else:
-        np.testing.assert_allclose(found.times, TIMES, atol=1e-6)
+    times, poses, is_kitti = read_pose_file(write(tmp_path / "p", *FORMATS[name]))
+    np.testing.assert_allclose(poses, MATRICES, atol=1e-9)
+    assert (times is None) == is_kitti == (name == "kitti")
+    if times is not None:
+        np.testing.assert_allclose(times, TIMES, atol=1e-6)
 
 
 def kitti_row(**change):
