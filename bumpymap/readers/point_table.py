@@ -93,14 +93,6 @@ def convert_points(
     return ChunkPoints(PointCloud(*axes, kinds[codes], colour), stats)
 
 
-def _coordinate(column: Any, unit: float) -> NDArray[np.float64]:
-    # Rounded like LAS coordinates, so that a point is identical in a LAS and a PLY file. Overflow becomes infinity;
-    # infinity and NaN are rejected later.
-    with np.errstate(over="ignore", invalid="ignore"):
-        value: NDArray[np.float64] = np.asarray(column, np.float64).round(DECIMALS)
-        return value if unit == 1.0 else value * unit
-
-
 def _steps(points: Floats, types: Sequence[Any]) -> list[float]:
     """Return the steps between numbers of x, y and z that their types hold: at the median of some points (n, 3)."""
     typical = np.median(np.abs(points), axis=0) if len(points) else np.zeros(3)
@@ -284,10 +276,12 @@ class TableSurvey(SurveyReader):
 
     def _convert(self, chunk: Chunk, fetched: Any) -> ChunkPoints:
         place, columns = self.info.georeference, self._columns
-        x, y, z = (
-            _coordinate(fetched[name], unit)
-            for name, unit in zip(columns, (place.metres_per_unit,) * 2 + (place.metres_per_unit_z,), strict=True)
-        )
+        units = (place.metres_per_unit, place.metres_per_unit, place.metres_per_unit_z)
+        # Rounded like LAS coordinates, so that a point is identical in a LAS and a PLY file. Overflow becomes infinity;
+        # infinity and NaN are rejected later.
+        with np.errstate(over="ignore", invalid="ignore"):
+            axes = [np.asarray(fetched[name], np.float64).round(DECIMALS) for name in columns]
+            x, y, z = (axis if unit == 1.0 else axis * unit for axis, unit in zip(axes, units, strict=True))
         class_id = None if self._class_column is None else np.asarray(fetched[self._class_column])
         return convert_points(
             (x, y, z),

@@ -3,7 +3,7 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import date
 from typing import Any
@@ -237,7 +237,7 @@ class SurveyReader(ABC):
 
         Raises BadInputError: the file was changed or removed since it was opened.
         """
-        with self._reading():
+        with pinned_version(self._path, self._version):
             return hash_survey(self._path)
 
     @abstractmethod
@@ -251,12 +251,12 @@ class SurveyReader(ABC):
 
         Raises BadInputError: the chunk is damaged.
         """
-        with self._reading():
+        with pinned_version(self._path, self._version):
             return self._fetch(chunk)
 
     def convert(self, chunk: Chunk, fetched: Any) -> ChunkPoints:
         """Convert the result of ``fetch`` to points in metres and drop some. Thread-safe; overwrites ``fetched``."""
-        with self._reading():
+        with pinned_version(self._path, self._version):
             return self._convert(chunk, fetched)
 
     def verify(self, stats: PointStats) -> None:
@@ -288,13 +288,6 @@ class SurveyReader(ABC):
                 yield PointCloud(cloud.easting[part], cloud.northing[part], cloud.upward[part], cloud.kind[part])
         self.verify(stats)
         self._info = replace(self._info, notes=(*self._info.notes, *filter(None, [self.header_doubt(stats)])))
-
-    @contextmanager
-    def _reading(self) -> Iterator[None]:
-        """Read from the file in the body; a change of it is noticed."""
-        with pinned_version(self._path, self._version):
-            yield
-        require_unchanged(self._path, self._version)
 
 
 _MOST_BYTES = 1 << 26

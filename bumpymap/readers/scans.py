@@ -36,7 +36,6 @@ from bumpymap.readers.source import (
     pinned_version,
     read_range,
     refuse_count,
-    require_unchanged,
     size_of,
     version_of,
 )
@@ -306,7 +305,6 @@ def read_scan(path: Path, robot: Robot | None = None, columns: int | None = None
     version = version_of(path)
     with pinned_version(path, version):
         raw = read_kitti(path, columns) if path.suffix.lower() == ".bin" else read_table(path)
-    require_unchanged(path, version)
     return _keep_points(raw, robot or Robot(), path.stem)
 
 
@@ -460,6 +458,4 @@ def _read_labels(labels: Path, path: Path, count: int) -> NDArray[np.uint16]:
             "belong together: copy both again, or remove the label file"
         )
     with pinned_version(labels, version):
-        ids = (_whole(labels, size).view("<u4") & 0xFFFF).astype(np.uint16)
-    require_unchanged(labels, version)
-    return ids
+        return (_whole(labels, size).view("<u4") & 0xFFFF).astype(np.uint16)

@@ -85,18 +85,17 @@ def version_of(location: Location) -> Version:
 
 @contextmanager
 def pinned_version(location: Location, version: Version) -> Iterator[None]:
-    """Require that what the body reads of a file is of one version.
+    """Require that what the body reads of a file is of one version; raise BadInputError as `require_unchanged` does.
 
-    If the body raises BadInputError for another reason and the file has
-    changed by then, the error says so instead, since a mixture of two versions looks like a damaged file.
-
-    Raises BadInputError: the file has changed; see `require_unchanged`.
+    If the body raises BadInputError for another reason and the file has changed by then, the error says so instead,
+    since a mixture of two versions looks like a damaged file.
     """
     try:
         yield
     except BadInputError as error:
         require_unchanged(location, version, error)
         raise
+    require_unchanged(location, version)
 
 
 def require_unchanged(location: Location, version: Version, cause: Exception | None = None) -> None:
