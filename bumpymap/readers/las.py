@@ -32,7 +32,7 @@ from bumpymap.readers._kernels import (
 )
 from bumpymap.readers.decoder import decoder
 from bumpymap.readers.las_header import LAYERED, RawHeader, read_raw_header, statement_of_las
-from bumpymap.readers.point_stats import OUTSIDE, LineSums, PointStats
+from bumpymap.readers.point_stats import EARTH_LIMIT, OUTSIDE, LineSums, PointStats
 from bumpymap.readers.protocol import (
     CHUNK_POINTS,
     Chunk,
@@ -448,11 +448,11 @@ def _middle(raw: RawHeader) -> tuple[float, float, float] | None:
 
 
 def _bounds(path: Location, raw: RawHeader, place: Georeference) -> Bounds:
-    """Return the extent in the header, m; raise BadInputError if it is not finite or inverted."""
+    """Return the extent in the header, m; raise BadInputError if it is not finite, not on Earth or inverted."""
     with np.errstate(over="ignore", invalid="ignore"):
         sides = np.round(np.array([*raw.mins[:2], *raw.maxs[:2]]), DECIMALS) * place.metres_per_unit
     bounds = Bounds(*sides.tolist())
-    if not np.isfinite(sides).all() or bounds.west > bounds.east or bounds.south > bounds.north:
+    if not (np.abs(sides) <= EARTH_LIMIT).all() or bounds.west > bounds.east or bounds.south > bounds.north:
         raise BadInputError(f"the header of {path} gives an impossible extent: {box_text(bounds)}. {TRUST}")
     return bounds
 

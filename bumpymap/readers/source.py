@@ -184,4 +184,6 @@ def refuse_points(path: Location, declared: int, held: int, unit: str = "points"
 
 def box_text(bounds: Bounds) -> str:
     """Return bounds as text for messages."""
-    return f"easting {bounds.west:,.2f} to {bounds.east:,.2f} m, northing {bounds.south:,.2f} to {bounds.north:,.2f} m"
+    sides = (bounds.west, bounds.east, bounds.south, bounds.north)
+    west, east, south, north = (f"{side:,.2f}" if abs(side) < 1e12 else f"{side:g}" for side in sides)
+    return f"easting {west} to {east} m, northing {south} to {north} m"

@@ -26,10 +26,9 @@ import numpy as np
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "hostile"))
 
-from corpus.files import HEADER, HEADER_1_4, bases, layout_of
+from corpus.files import bases, number_fields
 from corpus.runner import MEMORY, Lines
 from driver import serve, text_said
-from las_files import ENTRY
 
 import bumpymap
 from bumpymap.core.errors import BumpymapError
@@ -182,7 +181,7 @@ def starts():
     made = []
     for name, data in bases(40).items():
         if name.endswith((".las", ".laz")):
-            made.append(Start(name, data, tuple(_las_fields(data)), 0))
+            made.append(Start(name, data, tuple(number_fields(data)), 0))
             continue
         end = data.index(b"\n", data.index(b"end_header" if name.endswith(".ply") else b"DATA")) + 1
         made.append(Start(name, data, ((end, "I"), (end + 4, "I")) if name == "packed.pcd" else (), end))
@@ -256,27 +255,6 @@ def _block_edit(data, others, rng):
 
 def _chosen(choices, rng):
     return choices[int(rng.integers(len(choices)))]
-
-
-def _las_fields(data):
-    layout = layout_of(data)
-    known = HEADER | (HEADER_1_4 if data[25] >= 4 else {})
-    yield from ((place, form) for place, form in known.values() if form[-1] in "BHIQd" and form[0] not in "123456789")
-    for start, body, end in layout.vlrs:
-        yield from ((start + 2, "B"), (start + 18, "H"), (start + 20, "H"))
-        yield from ((place, "H") for place in range(body, min(end, body + 64) - 1, 2))
-    for start, body, end in layout.evlrs:
-        yield from ((start + 2, "B"), (start + 18, "H"), (start + 20, "Q"))
-        for entry in range(body, end - ENTRY.size + 1, ENTRY.size):
-            yield from ((entry + at, form) for at, form in zip((0, 4, 8, 12, 16, 24, 28), "IIIIQII", strict=True))
-    if not layout.chunks:
-        yield from ((layout.points_at + at, "I") for at in range(0, 68, 4))
-        return
-    yield layout.points_at, "Q"
-    yield from ((layout.table_at + at, "I") for at in (0, 4))
-    yield from ((place, "B") for place in range(layout.table_at + 8, layout.table_end))
-    for start, _, _ in layout.chunks:
-        yield from ((start + at, "I") for at in (0, 4, 8, 30, 34, 38, *range(36, 80, 4)))
 
 
 # ---- fuzzing ----
