@@ -9,8 +9,8 @@ import struct
 import threading
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, BinaryIO
+from dataclasses import replace
+from typing import BinaryIO, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,20 +82,9 @@ _TRUNCATED = "truncated? Copy or download it again"
 _WRITE_AGAIN = "Write it again with the usual codec, such as with: pdal translate IN OUT.laz"
 
 
-@dataclass(frozen=True, slots=True)
-class ChunkTable:
-    """The LAZ chunks of a file in reading order, without empty ones."""
-
-    counts: NDArray[np.int64]
-    """(n,) number of points."""
-    starts: NDArray[np.int64]
-    """(n,) offset in the file, bytes."""
-    sizes: NDArray[np.int64]
-    """(n,) size in bytes."""
-
-    def rows(self, chosen: NDArray[Any] | slice) -> "ChunkTable":
-        """Return some of the LAZ chunks."""
-        return ChunkTable(self.counts[chosen], self.starts[chosen], self.sizes[chosen])
+ChunkTable: TypeAlias = NDArray[np.void]
+"""The LAZ chunks of a file in reading order, without empty ones, (n,) rows: ``counts``, number of points; ``starts``,
+offset in the file, and ``sizes``, bytes."""
 
 
 def laz_record(path: Location, header: RawHeader) -> bytes:
@@ -148,21 +137,24 @@ def read_table(stream: BinaryIO, path: Location, header: RawHeader, record: byte
     # The last LAZ chunk is shorter; points beyond the header's count are ignored.
     ends = np.cumsum([min(count, header.point_count) for count in counts], dtype=np.int64)
     held = np.diff(np.minimum(ends, header.point_count), prepend=0)
-    found = ChunkTable(held, starts, sizes).rows(held > 0)
+    found: ChunkTable = np.rec.fromarrays(
+        [held, starts, sizes], dtype=[(name, np.int64) for name in ("counts", "starts", "sizes")]
+    )[held > 0]
     refuse_sizes(path, header, found)
     return found
 
 
 def refuse_sizes(path: Location, header: RawHeader, table: ChunkTable) -> None:
     """Refuse LAZ chunks that declare more points than their bytes can hold, or than can be decoded at once."""
-    dense = table.counts - _DENSEST * table.sizes
+    counts, sizes = table["counts"], table["sizes"]
+    dense = counts - _DENSEST * sizes
     if (dense > 0).any():
         worst = int(np.argmax(dense))
         raise BadInputError(
-            f"{path} declares {table.counts[worst]:,} points in {table.sizes[worst]:,} compressed bytes, which is "
+            f"{path} declares {counts[worst]:,} points in {sizes[worst]:,} compressed bytes, which is "
             f"impossible: damaged or {_TRUNCATED}"
         )
-    largest = int(table.counts.max(initial=0))
+    largest = int(counts.max(initial=0))
     decoded = largest * header.point_size
     if decoded > _LARGEST_CHUNK:
         raise BadInputError(
@@ -345,7 +337,7 @@ class LasSurvey(SurveyReader):
             if raw.compressed:
                 self._laszip = laz_record(path, raw)
                 self._table = read_table(stream, path, raw, self._laszip)
-                self._ends = np.cumsum(self._table.counts)
+                self._ends = np.cumsum(self._table["counts"])
         units = (place.metres_per_unit, place.metres_per_unit, place.metres_per_unit_z)
         east, north, up = (abs(scale) * unit for scale, unit in zip(raw.scales, units, strict=True))
         refuse_coarse(path, max(east, north), "its header has so large a scale", options)
@@ -411,11 +403,11 @@ class LasSurvey(SurveyReader):
         # The LAZ chunks of a chunk lie one after the other: they are read with one request, and decoded on all cores.
         last = chunk.first + chunk.points - 1
         first, end = np.searchsorted(self._ends, (chunk.first, last), side="right").tolist()
-        part = self._table.rows(slice(first, end + 1))
-        compressed = allocate_shared(int(part.sizes.sum()))
-        held = read_into(self._path, int(part.starts[0]), compressed.data)
+        part = self._table[first : end + 1]
+        compressed = allocate_shared(int(part["sizes"].sum()))
+        held = read_into(self._path, int(part["starts"][0]), compressed.data)
         refuse_count(self._path, compressed.data.size, held, "bytes of LAZ chunks")
-        table = list(zip(part.counts.tolist(), part.sizes.tolist(), strict=True))
+        table = list(zip(part["counts"].tolist(), part["sizes"].tolist(), strict=True))
         at = 0
         for points, size in table:
             check_layers(self._path, self._raw, compressed.data[at : at + size], points)
