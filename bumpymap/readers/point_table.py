@@ -81,13 +81,10 @@ def convert_points(
         lowest=low,
         top=high,
     )
-    kept = ~(noise | no_return)
+    kept = ~(noise | no_return) & (not stats.bad)
     if not kept.all():
         axes, codes = (axes[0][kept], axes[1][kept], axes[2][kept]), codes[kept]
         colour = None if colour is None else colour[kept]
-    if stats.bad:
-        axes, codes = (axes[0][:0], axes[1][:0], axes[2][:0]), codes[:0]
-        colour = None
     if colour is not None:
         stats = replace(stats, coloured=int(np.count_nonzero(colour)))
     return ChunkPoints(PointCloud(*axes, kinds[codes], colour), stats)
