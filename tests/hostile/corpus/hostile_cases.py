@@ -37,7 +37,7 @@ from .files import (
 )
 
 _TRUSTED = {"count", "count_1_4", "point_format", "scale_z", "offset_z"}
-"""Header fields that nothing else contradicts: how many points count, which numbers are heights and classes."""
+"""Header fields that nothing else contradicts: the number of points, which numbers are heights and classes."""
 _REALS = (0.0, float("nan"), float("inf"), -float("inf"), 1e300, 1e8, -4e9, 1e-300)
 _XYZ = ["double x", "double y", "double z"]
 _WORDS = (b"0", b"many", b"-1", b"1000000000000", b"\xff\xfe", b"99999999999999999999")
@@ -61,16 +61,16 @@ def _numbers(name):
     crs, _, crs_end = next(record for record in layout.vlrs if b"LASF_Projection" in data[record[0] : record[1]])
     for number, (place, form) in enumerate(number_fields(data)):
         if form == "d":
-            told = _REALS[number % len(_REALS)]
+            value = _REALS[number % len(_REALS)]
         else:
             size = struct.calcsize(form)
             own, most = int.from_bytes(data[place : place + size], "little"), 256**size
-            told = (0, own + 1, most - 1, own - 1, most // 2 - 1, 7)[number % 6] % most
+            value = (0, own + 1, most - 1, own - 1, most // 2 - 1, 7)[number % 6] % most
         # Points that are not compressed, and the CRS, are taken for what they say.
         is_point = place in first_points or (not layout.chunks and layout.points_at <= place < layout.points_end)
         is_free = is_point or names.get(place) in _TRUSTED or crs <= place < crs_end
-        word = f"{names.get(place, f'byte_{place}')}-{told:g}"
-        yield Case(renamed(name, word), patched(data, place, form, told), EITHER, None if is_free else name)
+        word = f"{names.get(place, f'byte_{place}')}-{value:g}"
+        yield Case(renamed(name, word), patched(data, place, form, value), EITHER, None if is_free else name)
 
 
 def _words(name):
