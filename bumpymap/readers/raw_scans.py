@@ -248,7 +248,7 @@ def read_table(path: Path) -> RawScan:
         points,
         intensity,
         None if ids is None else ids.astype(np.uint16),
-        point_seconds(columns["time"]) if "time" in columns else None,
+        point_seconds(columns["time"])[0] if "time" in columns else None,
     )
 
 
@@ -261,42 +261,25 @@ _EPOCH_S = 1e8
 """Later than this (1973) is a time of day and not one since the sensor was switched on."""
 
 
-def point_seconds(column: NDArray[Any]) -> NDArray[np.float32] | None:
-    """Return the time of each point, s.
+def point_seconds(column: NDArray[Any]) -> tuple[NDArray[np.float32] | None, float | None]:
+    """Return the time of each point, s, and the first of times of day, s since 1970.
 
     ``column`` (n,) array of numbers: times in s, us or ns, after the time of the frame or of day;
     may hold values that are not finite. Returns (n,) float32 or None: after the time of the frame,
     as in the file; of times of day: after the first of them. None if the unit is not clear: a scan
-    takes 5 ms to 2 s. NaN where a time is not finite, or 0 among times of day.
+    takes 5 ms to 2 s. NaN where a time is not finite, or 0 among times of day: some drivers write 0
+    for beams without return. The first time is None if these are no times of day.
     """
-    times, unit = _known(column)
-    if unit is None:
-        return None
-    seconds = times * unit
-    if np.nanmax(np.abs(seconds)) > _SPAN_S[1]:
-        seconds = np.where(times == 0.0, np.nan, times - _first(times)) * unit
-    return seconds.astype(np.float32)
-
-
-def start_of_day_time(column: NDArray[Any]) -> float | None:
-    """Return the first time of a column in seconds since 1970; None if it does not hold such times."""
-    times, unit = _known(column)
-    first = 0.0 if unit is None else _first(times) * unit
-    return first if first > _EPOCH_S else None
-
-
-def _known(column: NDArray[Any]) -> tuple[NDArray[np.float64], float | None]:
-    """Return the times, NaN where they are not finite, and their unit in seconds."""
-    times = column.astype(np.float64)
-    times[~np.isfinite(times)] = np.nan
+    times = np.where(np.isfinite(column), column, np.nan).astype(np.float64)
     stamped = times[~np.isnan(times) & (times != 0.0)]
     span = float(np.ptp(stamped)) if len(stamped) else 0.0
-    return times, next((unit for unit in _UNITS_S if _SPAN_S[0] <= span * unit <= _SPAN_S[1]), None)
-
-
-def _first(times: NDArray[np.float64]) -> float:
-    """Return the first time; some drivers write 0 for beams without return."""
-    return float(np.nanmin(np.where(times == 0.0, np.nan, times)))
+    unit = next((unit for unit in _UNITS_S if _SPAN_S[0] <= span * unit <= _SPAN_S[1]), None)
+    if unit is None:
+        return None, None
+    seconds, first = times * unit, float(stamped.min())
+    if np.nanmax(np.abs(seconds)) > _SPAN_S[1]:
+        seconds = np.where(times == 0.0, np.nan, times - first) * unit
+    return seconds.astype(np.float32), first * unit if first * unit > _EPOCH_S else None
 
 
 _ATTRIBUTES = ("height", "width", "point_step", "row_step", "is_bigendian", "fields", "data")
@@ -348,9 +331,9 @@ def read_cloud(message: Any) -> RawScan:
     intensity, time = (
         next((rows[name].ravel() for name in names if name in held), None) for names in (_INTENSITY, TIME_COLUMNS)
     )
-    seconds = None if time is None else point_seconds(time)
-    if time is not None and seconds is not None:
-        start, stamp = start_of_day_time(time), message.header.stamp
+    seconds, start = (None, None) if time is None else point_seconds(time)
+    if seconds is not None:
+        stamp = message.header.stamp
         late = 0.0 if start is None else start - (stamp.sec + 1e-9 * stamp.nanosec)
         seconds += np.float32(late if abs(late) < _SAME_CLOCK_S else 0.0)
     return RawScan(_xyz(rows), None if intensity is None else intensity.astype(np.float32), None, seconds)

@@ -398,7 +398,7 @@ def read_kitti(path: Path, columns: int | None = None) -> RawScan:
     table = values.reshape(-1, _find_columns(path, values, columns))
     labels = label_file(path)
     ids = None if labels is None else _read_labels(labels, path, len(table))
-    seconds = point_seconds(table[:, 5]) if table.shape[1] == 6 and _is_ring(table[:, 4]) else None
+    seconds = point_seconds(table[:, 5])[0] if table.shape[1] == 6 and _is_ring(table[:, 4]) else None
     return RawScan(table[:, :3], table[:, 3], ids, seconds)
 
 

@@ -9,7 +9,7 @@ from survey_kinds import TABLES, write_table
 
 from bumpymap.core import BadInputError, Dropped, Robot, UsageError
 from bumpymap.readers import find_frames, read_scan
-from bumpymap.readers.raw_scans import point_seconds, start_of_day_time
+from bumpymap.readers.raw_scans import point_seconds
 
 # ---- formats ----
 
@@ -243,10 +243,9 @@ def test_real_scans_have_four_columns(shared_data, tmp_path, folder):
 def test_seconds_microseconds_and_nanoseconds(unit, start):
     exact = np.linspace(0.0, 0.0999, 1000)
     column = (start + exact) * unit
-    found = point_seconds(column)
+    found, day = point_seconds(column)
     np.testing.assert_allclose(found, exact + min(start, 0.0), atol=2e-6)
     assert found.dtype == np.float32
-    day = start_of_day_time(column)
     assert (day is None) == (start < 1e9)
     assert day is None or abs(day - start) < 1e-5
 
@@ -254,12 +253,11 @@ def test_seconds_microseconds_and_nanoseconds(unit, start):
 def test_missing_times_and_times_of_no_clear_unit():
     column = 1.6e9 + np.linspace(0.0, 0.1, 11)
     column[[0, 5]] = [np.nan, 0.0]  # beams without return
-    found = point_seconds(column)
+    found, _ = point_seconds(column)
     np.testing.assert_allclose(found[[1, 10]], [0.0, 0.09], atol=1e-6)
     assert np.isnan(found[[0, 5]]).all()
     for unclear in ([0.0] * 9, [0.0, 1e3, 2e3], [], [5.0, 4e12], [np.nan] * 4):
-        assert point_seconds(np.array(unclear)) is None
-        assert start_of_day_time(np.array(unclear)) is None
+        assert point_seconds(np.array(unclear)) == (None, None)
 
 
 # ---- finding frames ----
