@@ -6,7 +6,6 @@ laspy is not used: it creates a Python object for each chunk.
 
 import math
 import struct
-import threading
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -223,17 +222,6 @@ _SAMPLE = 10_000
 """Points of each of three places, at least, that tell what the colours of a file are; LAZ chunks are read whole."""
 
 
-_buffers = threading.local()
-
-
-def _buffer(size: int) -> NDArray[np.uint8]:
-    """Return at least ``size`` bytes that this thread uses again and again."""
-    held: NDArray[np.uint8] | None = getattr(_buffers, "held", None)
-    if held is None or held.size < size:
-        held = _buffers.held = np.empty(size, np.uint8)
-    return held
-
-
 def _read_pieces(path: Location, header: RawHeader, chunk: Chunk) -> Iterator[Records]:
     """Yield the uncompressed records of a chunk, piece by piece in one buffer; each is valid until the next is taken.
 
@@ -242,19 +230,14 @@ def _read_pieces(path: Location, header: RawHeader, chunk: Chunk) -> Iterator[Re
     size = header.point_size
     at = header.offset_to_points + chunk.first * size
     end = at + chunk.points * size
-    buffer = _buffer(_PIECE_BYTES + size)
-    held = 0  # bytes of a record that the last read cut
+    buffer = np.empty(max(_PIECE_BYTES // size, 1) * size, np.uint8)
     while at < end:
-        wanted = min(_PIECE_BYTES, end - at)
-        got = read_into(path, at, buffer[held : held + wanted])
-        at += got
-        if got < wanted:
+        piece = buffer[: end - at]
+        held = read_into(path, at, piece)
+        at += held
+        if held < piece.size:
             refuse_count(path, header.point_count, (at - header.offset_to_points) // size)
-        whole, rest = divmod(held + got, size)
-        if whole:
-            yield buffer[: whole * size].reshape(whole, size)
-        buffer[:rest] = buffer[whole * size : whole * size + rest].copy()
-        held = rest
+        yield piece.reshape(-1, size)
 
 
 def _integers_between(scaling: Scaling, axis: int, low: float, high: float) -> tuple[int, int]:
