@@ -174,11 +174,6 @@ _ALTERNATIVES = (
 _LEAST_FIX = {"gnss": 2.0, "odometry": 1.0}
 
 
-def is_ulog(path: Path) -> bool:
-    """Return whether a file is a ULog, by its suffix."""
-    return path.suffix.lower() in {".ulg", ".ulog"}
-
-
 def ulog_samples(path: Path) -> list[Samples]:
     """Read the topics of a ULog that a drive needs, the first instance of each.
 
@@ -338,7 +333,7 @@ def drive_files(place: str) -> list[Path]:
 def _sources(paths: Sequence[Path], wanted: Mapping[str, str]) -> list[Samples]:
     """Read the samples of all files."""
     bags = [path for path in paths if is_bag(path) or is_ros1(path)]
-    logs = [path for path in paths if is_ulog(path)]
+    logs = [path for path in paths if path.suffix.lower() in {".ulg", ".ulog"}]
     texts = [path for path in paths if path not in {*bags, *logs}]
     for path in texts:
         _refuse_ardupilot(path)

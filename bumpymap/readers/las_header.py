@@ -218,14 +218,21 @@ def joined_statement(chosen: CrsStatement, other: CrsStatement, names: Sequence[
 
     A note, with ``names`` of both, says if they differ.
     """
-    chosen = _with_height_unit(chosen, other)
+    unit = _height_unit(other)
+    if unit is not None and _height_unit(chosen) is None:
+        note = f"only one of its two CRS records states a unit of height ({unit:g} m); it is used"
+        chosen = replace(chosen, metres_per_unit_z=unit, notes=(*chosen.notes, note))
     if chosen.crs is None or other.crs is None:
         return chosen
     ours, theirs = (horizontal_of(crs) or crs for crs in (chosen.crs, other.crs))
-    if same_crs(ours, theirs):
-        return _with_vertical_crs(chosen, ours, other.crs)
-    note = f"its {names[0]} ({chosen.crs.name}) is used; its {names[1]} ({other.crs.name}) differs"
-    return replace(chosen, notes=(*chosen.notes, note))
+    if not same_crs(ours, theirs):
+        note = f"its {names[0]} ({chosen.crs.name}) is used; its {names[1]} ({other.crs.name}) differs"
+        return replace(chosen, notes=(*chosen.notes, note))
+    vertical = vertical_of(other.crs)
+    if vertical is None or chosen.crs.is_compound:
+        return chosen
+    note = f"only one of its two CRS records states a vertical CRS ({describe_crs(vertical)}); it is used"
+    return replace(chosen, crs=with_vertical(ours, vertical), notes=(*chosen.notes, note))
 
 
 def _text(data: bytes) -> str:
@@ -237,24 +244,6 @@ def _keys(data: bytes) -> dict[int, int]:
     """Read the GeoTIFF key directory (16-bit words, four per key); return keys whose value is stored in it."""
     head, *entries = np.frombuffer(data[: len(data) // 8 * 8] or bytes(8), "<u2").reshape(-1, 4).tolist()
     return {key: value for key, place, _, value in entries[: head[3]] if place == 0 and key}
-
-
-def _with_vertical_crs(chosen: CrsStatement, horizontal: CRS, other: CRS) -> CrsStatement:
-    """Add the vertical CRS of the other record, if only that one states it."""
-    vertical = vertical_of(other)
-    if vertical is None or chosen.crs is None or chosen.crs.is_compound:
-        return chosen
-    note = f"only one of its two CRS records states a vertical CRS ({describe_crs(vertical)}); it is used"
-    return replace(chosen, crs=with_vertical(horizontal, vertical), notes=(*chosen.notes, note))
-
-
-def _with_height_unit(chosen: CrsStatement, other: CrsStatement) -> CrsStatement:
-    """Add the unit of height of the other record, if only that one states it."""
-    unit = _height_unit(other)
-    if unit is None or _height_unit(chosen) is not None:
-        return chosen
-    note = f"only one of its two CRS records states a unit of height ({unit:g} m); it is used"
-    return replace(chosen, metres_per_unit_z=unit, notes=(*chosen.notes, note))
 
 
 def _height_unit(statement: CrsStatement) -> float | None:

@@ -77,20 +77,6 @@ def choose_topic(
     )
 
 
-def message_types(*, ros1: bool = False) -> Any:
-    """Return the message types of ROS 2, or of ROS 1, as rosbags knows them.
-
-    Raises UsageError: the extra ``ros`` is not installed.
-    """
-    try:
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        raise UsageError(
-            f"bags are read with rosbags, which cannot be imported ({error}): {install_command('ros')}"
-        ) from error
-    return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
-
-
 BagRecord = tuple[str, int, bytes]
 """A message as the bag stores it: its topic, the time under which it is stored, ns, and it, serialised."""
 
@@ -105,7 +91,13 @@ class BagReader:
     def __init__(self, path: Path) -> None:
         self.path = path
         ros1 = is_ros1(path)
-        types = message_types(ros1=ros1)
+        try:
+            from rosbags.typesys import Stores, get_typestore
+        except ImportError as error:
+            raise UsageError(
+                f"bags are read with rosbags, which cannot be imported ({error}): {install_command('ros')}"
+            ) from error
+        types = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
         self._deserialize = types.deserialize_ros1 if ros1 else types.deserialize_cdr
         self._versions: dict[Path, Version] = {file: version_of(file) for file in bag_files(path)}
         self._lock = Lock()
