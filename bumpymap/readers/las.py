@@ -266,7 +266,7 @@ def convert_records(
     ``pieces`` iterable of uint8 (n, bytes of a point): the records. Each piece is only valid until
     the next is taken; ``chunk``: the chunk that they are of; ``scaling``: makes finite coordinates
     of all integers; ``lines``: whether sums of flight lines are made; ``colours``: first byte of
-    the colour, and by how many bits its numbers are shifted to have 8; None: colours are not read.
+    the colour, and the bits that its numbers are shifted by to have 8; None: colours are not read.
     """
     x, y, z = (np.empty(chunk.points, np.int32) for _ in range(3))
     out = ScaledLinedPoints(x, y, z, np.empty(chunk.points, np.uint8), np.empty(chunk.points, np.uint16))
