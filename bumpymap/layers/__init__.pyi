@@ -24,15 +24,10 @@ from .change import (
     write_change_raster as write_change_raster,
     write_change_regions as write_change_regions,
 )
-from .check_record import (
-    CHECK_FILES as CHECK_FILES,
-    CHECK_FORMAT as CHECK_FORMAT,
-    check_check_out as check_check_out,
-    check_entries as check_entries,
-)
-from .check_vectors import (
+from .check_files import (
     NORMAL_80 as NORMAL_80,
     MapOffset as MapOffset,
+    check_entries as check_entries,
     place_stretches as place_stretches,
     write_stretches as write_stretches,
 )
@@ -101,12 +96,15 @@ from .placement import (
     check_extent as check_extent,
 )
 from .products import (
+    CHECK_FILES as CHECK_FILES,
+    CHECK_FORMAT as CHECK_FORMAT,
     EVERY_VIEW_NAME as EVERY_VIEW_NAME,
     OTHER_FILES as OTHER_FILES,
     PRODUCT_NAMES as PRODUCT_NAMES,
     REPORT_NAME as REPORT_NAME,
     MapFile as MapFile,
     OutputFolder as OutputFolder,
+    check_check_out as check_check_out,
     check_folder as check_folder,
     refuse_present as refuse_present,
     require_folder as require_folder,

@@ -94,12 +94,7 @@ def write_value_table(
     for name in names:
         ET.SubElement(listed, "Category").text = name
     rows = [(value, int(counts[value]), name, *colours[value]) for value, name in enumerate(names) if value in colours]
-    _add_rows(ET.SubElement(band, "GDALRasterAttributeTable", tableType="thematic"), rows)
-    ET.indent(root)
-    path.write_bytes(ET.tostring(root, encoding="utf-8") + b"\n")
-
-
-def _add_rows(table: ET.Element, rows: Sequence[tuple[int | str, ...]]) -> None:
+    table = ET.SubElement(band, "GDALRasterAttributeTable", tableType="thematic")
     for number, (name, (kind, usage)) in enumerate(_FIELDS.items()):
         large = any(isinstance(row[number], int) and int(row[number]) > _LARGEST_INTEGER for row in rows)
         field = ET.SubElement(table, "FieldDefn", index=str(number))
@@ -109,6 +104,8 @@ def _add_rows(table: ET.Element, rows: Sequence[tuple[int | str, ...]]) -> None:
         element = ET.SubElement(table, "Row", index=str(number))
         for value in row:
             ET.SubElement(element, "F").text = str(value)
+    ET.indent(root)
+    path.write_bytes(ET.tostring(root, encoding="utf-8") + b"\n")
 
 
 _FAILURES: tuple[type[Exception], ...] = (RasterioError, rasterio._err.CPLE_BaseError, ET.ParseError)  # noqa: SLF001 (no public name)
@@ -179,7 +176,11 @@ def write_cog(
             -(-side * spec.pixels // block) * block for side in (placement.window.cols, placement.window.rows)
         )
         scratch_size = across * down * len(spec.bands) * np.dtype(spec.dtype).itemsize
-        painted: Iterable[_Painted] = _painted(placement, spec, paint, side)
+        painted: Iterable[_Painted] = (
+            (Window(part.column * spec.pixels, part.line * spec.pixels, canvas.shape[2], canvas.shape[1]), canvas)
+            for part in placement.windows(side, aligned=True)
+            if (canvas := paint(part)) is not None
+        )
         if scratch_size <= SMALL:
             if scratch_size <= _PAINTED_BEFORE:
                 painted = list(painted)
@@ -291,16 +292,6 @@ def gdal_threads() -> str:
 
 _Painted: TypeAlias = tuple[Window, NDArray[np.generic]]
 """A window of a raster in pixels, and the pixels in it."""
-
-
-def _painted(
-    placement: Placement, spec: RasterSpec, paint: Callable[[RasterWindow], NDArray[np.generic] | None], side: int
-) -> Iterator[_Painted]:
-    """Yield the windows of a raster that are not empty."""
-    for window in placement.windows(side, aligned=True):
-        if (canvas := paint(window)) is not None:
-            left, top = window.column * spec.pixels, window.line * spec.pixels
-            yield Window(left, top, canvas.shape[2], canvas.shape[1]), canvas
 
 
 def _write_scratch(

@@ -69,13 +69,6 @@ def layer_metadata(manifest: Mapping[str, Any], place: Georeference) -> dict[str
     return {name: value for name, value in entries.items() if value is not None}
 
 
-def as_tags(metadata: Mapping[str, Any]) -> dict[str, str]:
-    """Return metadata as texts, for formats that hold nothing else; numbers of a list are separated by spaces."""
-    return {
-        name: " ".join(map(str, value)) if isinstance(value, list) else str(value) for name, value in metadata.items()
-    }
-
-
 _REMEDY = "Choose another `out`, or pass `overwrite=True` to replace it"
 
 
@@ -190,7 +183,8 @@ def _layers(
     Rasters take turns where GDAL writes them, see `raster_lock`; two groups of them save time where it does not. What
     the page shows comes first.
     """
-    tags = as_tags(metadata)
+    # Formats that hold nothing but texts have the numbers of a list with spaces between them.
+    tags = {name: " ".join(map(str, own)) if isinstance(own, list) else str(own) for name, own in metadata.items()}
     some = _some(table)
     fine = [MapFile.HEIGHTMAP, *(name for name in some if name == MapFile.PHOTO), MapFile.OBSTACLE, MapFile.PASSAGE]
     fine += [MapFile.RELIEF]

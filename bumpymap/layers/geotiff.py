@@ -138,10 +138,10 @@ class _Layer:
     title: str
     bands: Sequence[Band]
     columns: tuple[str, ...]
-    """Columns of the tiles that ``values`` needs."""
-    values: Callable[[_Found, RasterWindow], Sequence[NDArray[Any]] | NDArray[Any]]
-    """Returns the values of n tiles, given their columns and the window that they are all of: an array (n,) for each
-    band, or the pixels of the only one, (n, pixels, pixels), or of several, (n, pixels, pixels, bands)."""
+    """Columns of the tiles that ``values`` needs, or that are the values."""
+    values: Callable[[_Found, RasterWindow], Sequence[NDArray[Any]] | NDArray[Any]] | None = None
+    """Returns the values of n tiles, given their columns and the window that they are all of: an array (n,), or (n,
+    pixels, pixels), for each band. None: the columns as they are."""
     has_heights: bool = False
     """True if its CRS has the vertical part."""
     tags: Mapping[str, str] = field(default_factory=dict)
@@ -159,7 +159,7 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
 
     def of_codes(title: str, column: str, band: Band, colours: Mapping[int, tuple[int, int, int, int]]) -> _Layer:
         options = codes | {"colours": dict(colours), "counts_nodata": True}
-        return _Layer(title, [band], (column,), lambda found, _: [found[column]], options=options)
+        return _Layer(title, [band], (column,), options=options)
 
     def costs(found: _Found, _: RasterWindow) -> list[NDArray[np.float64]]:
         cost = rule.cost(found["c_r"].astype(np.float64), rule.hazard(found["p_fail"]))
@@ -170,17 +170,15 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
         speed = 1.0 / rule.slowness(found["c_r"])
         return [np.where(known, np.where(found["barred"] == Barred.NO, speed, 0.0), np.nan)]
 
-    def objects(found: _Found, _: RasterWindow) -> NDArray[np.uint8]:
+    def objects(found: _Found, _: RasterWindow) -> list[NDArray[np.uint8]]:
         state = found["objects"]
         hidden = (state == UNSEEN) | ((state == FREE) & np.isnan(found["obstacle"])[:, None, None])
-        return np.select([hidden, state == STEP_EDGE], [np.uint8(UNKNOWN_OBJECT), np.uint8(STEP_LINE)], state)
+        return [np.select([hidden, state == STEP_EDGE], [np.uint8(UNKNOWN_OBJECT), np.uint8(STEP_LINE)], state)]
 
     reasons = {int(code): colour for code, colour in REASON_COLOURS.items() if code != Reason.NO_POINTS}
     reasons[NO_CLASS] = REASON_COLOURS[Reason.NO_POINTS]
     return {
-        MapFile.ROUGHNESS: _Layer(
-            "ride cost and roughness of each tile", BANDS, names, lambda found, _: [found[name] for name in names]
-        ),
+        MapFile.ROUGHNESS: _Layer("ride cost and roughness of each tile", BANDS, names),
         MapFile.CLASS: of_codes(
             "roughness class of each tile",
             "class_id",
@@ -236,7 +234,6 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
             "height map",
             [Band("height", "m", "mean height of the points in the pixel")],
             ("heights",),
-            lambda found, _: found["heights"],
             has_heights=True,
             options=pixels,
         ),
@@ -244,7 +241,7 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
             "relief for looking at: holes are filled; measure on heightmap.tif",
             [Band("height", "m", "mean height, holes filled from around them; measure on heightmap.tif")],
             (),
-            lambda found, window: _filled(table.tiles, window.tiles, found["row"], found["col"]),
+            lambda found, window: [_filled(table.tiles, window.tiles, found["row"], found["col"])],
             has_heights=True,
             options={"pixels": _PIXELS, "block": HEIGHT_BLOCK},
         ),
@@ -259,14 +256,13 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
             "colours of the points",
             [*(Band(name) for name in ("red", "green", "blue")), Band("alpha")],
             (photo_column(table.tiles.grid.pixels).name,),
-            lambda found, _: _with_alpha(found["photo"]),
+            lambda found, _: np.moveaxis(_with_alpha(found["photo"]), -1, 0),
             options=pixels | {"dtype": "uint8", "nodata": 0, "is_photo": True},
         ),
         MapFile.PASSAGE: _Layer(
             "where the vehicle fits",
             [Band("passage", "", "areas of a tile in which the middle of the vehicle can move; 0 where it cannot be")],
             ("passage",),
-            lambda found, _: found["passage"],
             options=codes | pixels,
         ),
     }
@@ -318,18 +314,13 @@ def write_raster(file: MapFile, table: CostTable, path: Path, about: Mapping[str
         if not tiles.holds(window.tiles):
             return None
         found = tiles.read(layer.columns, window.tiles)
-        values: Any = layer.values(found, window)
+        values = [found[name] for name in layer.columns] if layer.values is None else layer.values(found, window)
         line, column = window.pixel_indices(found)
         lines, columns = window.tiles.rows, window.tiles.cols
-        if pixels > 1:
-            canvas = np.full((len(spec.bands), lines, pixels, columns, pixels), spec.nodata, spec.dtype)
-            for number, band in enumerate(canvas):
-                band[line, :, column, :] = values[..., number] if values.ndim > 3 else values
-            return canvas.reshape(len(spec.bands), lines * pixels, columns * pixels)
-        canvas = np.full((len(spec.bands), lines, columns), spec.nodata, spec.dtype)
+        canvas = np.full((len(spec.bands), lines, pixels, columns, pixels), spec.nodata, spec.dtype)
         for band, value in zip(canvas, values, strict=True):
-            band[line, column] = value
-        return canvas
+            band[line, :, column, :] = value.reshape(-1, pixels, pixels)
+        return canvas.reshape(len(spec.bands), lines * pixels, columns * pixels)
 
     side = max(1, _WINDOW_PIXELS // (BLOCK_TILES * pixels)) * BLOCK_TILES if pixels > 1 else TILE_WINDOW
     write_cog(path, place, spec, paint, side)

@@ -102,28 +102,22 @@ class MapReader:
         """Read the tiles of a window, which may extend beyond the map.
 
         ``bands``: names of arrays of `TileField`. Those of the others are NaN, read-only and take no memory. Of tiles
-        that a step closes in part they are those of what is open.
+        that a step closes in part the ride and p_fail are those of the ground beside the step.
         """
         found = self.values(window, bands)
-        self._take_open_part(found, window)
+        stepped = found["barred"] == Barred.STEP
+        if stepped.any() and found.keys() & {"c_r_low", "c_r_high", "c_r", "p_fail"}:
+            beside = self.values(window, ("c_r", "c_r_open", "p_fail_open"))
+            stepped &= np.isfinite(beside["c_r_open"])
+            for name in found.keys() & {"c_r_low", "c_r_high", "c_r"}:
+                found[name][stepped] *= (beside["c_r_open"] / beside["c_r"])[stepped]
+            if "p_fail" in found:
+                found["p_fail"][stepped] = beside["p_fail_open"][stepped]
         nothing = np.broadcast_to(np.float32(np.nan), (window.rows, window.cols))
         columns = {band: found.get(band, nothing) for band in _BANDS}
         return TileField(
             self.grid, self.georeference, window, found["barred"], **columns, rule=self.rule, vehicle=self.vehicle
         )
-
-    def _take_open_part(self, found: dict[str, NDArray[Any]], window: TileWindow) -> None:
-        """Replace the ride and p_fail of tiles that a step closes in part by those of the ground beside the step."""
-        stepped = found["barred"] == Barred.STEP
-        rides = [name for name in ("c_r_low", "c_r_high", "c_r") if name in found]
-        if not stepped.any() or not (rides or "p_fail" in found):
-            return
-        beside = self.values(window, ("c_r", "c_r_open", "p_fail_open"))
-        stepped &= np.isfinite(beside["c_r_open"])
-        for name in rides:
-            found[name][stepped] *= (beside["c_r_open"] / beside["c_r"])[stepped]
-        if "p_fail" in found:
-            found["p_fail"][stepped] = beside["p_fail_open"][stepped]
 
     def values(self, window: TileWindow, bands: Sequence[str], *, classes: bool = False) -> dict[str, NDArray[Any]]:
         """Read what bars the tiles of a window, bands of roughness.tif by name, and if asked for the classes.

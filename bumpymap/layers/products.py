@@ -100,10 +100,10 @@ EVERY_VIEW_NAME: tuple[str, ...] = (
     MapFile.THUMBNAIL,
 )
 """Files to look at the others with: styles, a project, a page. GIS programs rewrite them, so they have no checksum."""
-EVERY_FILE = (*EVERY_NAME, *EVERY_VIEW_NAME)
-"""The files that a map may have left in its folder, relative to it."""
 VIEW_NAMES = tuple(name for name in EVERY_VIEW_NAME if Path(name).stem not in {Path(each).stem for each in SOME_NAMES})
 """Those that every run writes."""
+EVERY_FILE = (*EVERY_NAME, *EVERY_VIEW_NAME)
+"""The files that a map may have left in its folder, relative to it."""
 
 
 def make_folder(folder: Path) -> None:
@@ -188,3 +188,25 @@ class OutputFolder:
                 files = [describe_file(staged / name) | {"path": name} for name in writers if name not in self.views]
                 write_manifest(describe(staged, files), staged / self.manifest)
         return [out / name for name in (*writers, self.manifest)]
+
+
+CHECK_MANIFEST_NAME = "check.json"
+CHECK_FILES = OutputFolder(
+    ("check.html", "check.geojson", CHECK_MANIFEST_NAME, "check.qml", MapFile.PROJECT),
+    CHECK_MANIFEST_NAME,
+    views=("check.qml", MapFile.PROJECT),
+)
+
+
+def check_check_out(out: Path, *, overwrite: bool) -> None:
+    """Check, before anything is computed, that the files of a check can be written to a folder. Writes nothing.
+
+    Raises UsageError: ``out`` holds the layers of a survey, or is named like a file; OutputError: there are files that
+    must not be replaced, or ``out`` is a file.
+    """
+    if out.suffix.lower() in OTHER_FILES and not out.is_dir():
+        raise UsageError(f"{out} is named like a {out.suffix.lower()} file, but a check is a folder. Give one as `out`")
+    CHECK_FILES.check(out, overwrite=overwrite)
+
+
+CHECK_FORMAT = "bumpymap-check"

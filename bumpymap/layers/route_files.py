@@ -89,18 +89,6 @@ def route_coordinates(route: Route) -> GeoJsonCoordinates:
     return GeoJsonCoordinates.of(Placement(route.georeference, route.grid, window_around(route, 0.0)), local=True)
 
 
-def _line_parts(grid_m: NDArray[np.float64], place: GeoJsonCoordinates) -> list[NDArray[np.float64]]:
-    """Convert the corners of a line, (m, 2) on the grid in metres; a line that crosses the antimeridian is cut.
-
-    Long segments get points in between, so that they stay straight on the ground. Returns the parts in order, (n, 2)
-    each, n >= 2.
-    """
-    if not place.has_degrees or (grid_m == grid_m[0]).all():  # GEOS knows no line of length 0
-        return [place.in_file(grid_m)]
-    dense = shapely.get_coordinates(shapely.segmentize(shapely.linestrings(grid_m), _SEGMENT_M))
-    return split_at_antimeridian(place.in_file(dense))
-
-
 def split_at_antimeridian(degrees: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     """Cut a line where it crosses the antimeridian (RFC 7946, 3.1.9).
 
@@ -141,7 +129,12 @@ def write_route_geojson(route: Route, path: Path) -> None:
     place = route_coordinates(route)
     # A way of length 0 has one corner, but a LineString has two positions.
     corners = np.repeat(route.line, 2, axis=0) if len(route.line) == 1 else route.line
-    parts = [shapely.LineString(part) for part in _line_parts(corners, place)]
+    if place.has_degrees and (corners != corners[0]).any():  # GEOS knows no line of length 0
+        # Points in between keep long segments straight on the ground.
+        corners = shapely.get_coordinates(shapely.segmentize(shapely.linestrings(corners), _SEGMENT_M))
+    places = place.in_file(corners)
+    cut = split_at_antimeridian(places) if place.has_degrees else [places]
+    parts = [shapely.LineString(part) for part in cut]
     line = feature(route_properties(route), parts[0] if len(parts) == 1 else shapely.MultiLineString(parts))
     roles, names, positions = stop_roles(len(route.stops)), stop_names(len(route.stops)), place.in_file(route.stops)
     stops = (

@@ -43,17 +43,10 @@ from bumpytiles import Grid, TileWindow
 _REMEDY = "Give a vector file such as GeoJSON, which a GIS can save"
 
 
-@dataclass(frozen=True, slots=True)
-class VectorLayer:
-    """One layer of a vector file."""
-
-    geometry: NDArray[np.object_]
-    """(n,) shapely geometries in two dimensions, of the features that have one."""
-    names: tuple[str, ...]
-    """(n,) of the field ``name``; empty strings without one."""
-    crs: CRS | None
-    """As the file states it; of a GeoJSON that states none longitude and latitude, or None if its numbers cannot be
-    degrees."""
+VectorLayer = tuple[NDArray[np.object_], list[str], CRS | None]
+"""One layer of a vector file: shapely geometries in two dimensions, of the features that have one, (n,); their field
+``name``, empty without one; the CRS as the file states it, of a GeoJSON that states none longitude and latitude, or
+None if its numbers cannot be degrees."""
 
 
 def read_vectors(path: Path) -> VectorLayer:
@@ -70,7 +63,12 @@ def read_vectors(path: Path) -> VectorLayer:
         raise BadInputError(f"cannot read {path}: {error}. {_REMEDY}") from error
     except CRSError as error:
         raise BadInputError(f"cannot read {path}: {str(error).splitlines()[0]}. {_REMEDY}") from error
-    return _read_table(path)
+    crs, geometry, columns = read_features(path, ["name"])
+    try:
+        names = columns.get("name", [None] * len(geometry))
+        return _layer(shapely.from_wkb(geometry), names, None if crs is None else stated_crs(crs))
+    except (CRSError, ValueError, shapely.errors.GEOSException) as error:
+        raise BadInputError(f"cannot read {path}: {str(error).splitlines()[0]}. {_REMEDY}") from error
 
 
 _GEOMETRY = {"type": str, "coordinates?": list, "geometries?": list}
@@ -176,22 +174,12 @@ def _gpx_points(root: ET.Element, path: str) -> Iterator[tuple[tuple[float, floa
         yield place, point.findtext("{*}name")
 
 
-def _read_table(path: Path) -> VectorLayer:
-    crs, geometry, columns = read_features(path, ["name"])
-    try:
-        names = columns.get("name", [None] * len(geometry))
-        return _layer(shapely.from_wkb(geometry), names, None if crs is None else stated_crs(crs))
-    except (CRSError, ValueError, shapely.errors.GEOSException) as error:
-        raise BadInputError(f"cannot read {path}: {str(error).splitlines()[0]}. {_REMEDY}") from error
-
-
 def _layer(geometry: NDArray[np.object_], names: Sequence[Any] | NDArray[np.object_], crs: CRS | None) -> VectorLayer:
     has_shape = ~(shapely.is_missing(geometry) | shapely.is_empty(geometry))
     if not np.isfinite(shapely.get_coordinates(geometry[has_shape])).all():
         raise ValueError("a coordinate is not a finite number")
     texts = [str(name).strip() if isinstance(name, str | int) else "" for name in names]
-    kept = tuple(text for text, known in zip(texts, has_shape, strict=True) if known)
-    return VectorLayer(geometry[has_shape], kept, crs)
+    return geometry[has_shape], [text for text, known in zip(texts, has_shape, strict=True) if known], crs
 
 
 _log = logging.getLogger(__name__)
@@ -234,7 +222,7 @@ def read_points(path: str | os.PathLike[str]) -> list[FilePoint]:
     if suffix == ".csv":
         found = _read_csv(path)
     elif suffix in {".geojson", ".json", ".gpx"}:
-        found = _of_layer(path, read_vectors(path))
+        found = _of_layer(path, *read_vectors(path))
     else:
         raise BadInputError(f"{path} is not a file of points that can be read. Give .geojson, .gpx or .csv")
     if not found:
@@ -244,23 +232,25 @@ def read_points(path: str | os.PathLike[str]) -> list[FilePoint]:
     return found
 
 
-def _of_layer(path: Path, layer: VectorLayer) -> list[FilePoint]:
+def _of_layer(path: Path, geometry: NDArray[np.object_], names: Sequence[str], crs: CRS | None) -> list[FilePoint]:
     """Return the points of a vector layer in longitude and latitude; in the survey's CRS if they cannot be that."""
-    kinds = shapely.get_type_id(layer.geometry)
+    kinds = shapely.get_type_id(geometry)
     other = ~np.isin(kinds, (shapely.GeometryType.POINT, shapely.GeometryType.MULTIPOINT))
     if other.any():
         kind = shapely.GeometryType(int(kinds[other][0])).name.lower()
         raise BadInputError(f"{path} holds a {kind}; only points can be start, goal or stops of a route")
-    parts, owner = shapely.get_parts(layer.geometry, return_index=True)
+    parts, owner = shapely.get_parts(geometry, return_index=True)
     x, y = shapely.get_x(parts), shapely.get_y(parts)
     system: Literal["lonlat", "crs"] = "lonlat"
-    if layer.crs is None:
+    if crs is None:
         system = "crs"
         _log.warning("the numbers of %s cannot be degrees: they are read in the survey's CRS", path)
     else:
-        x, y = _lonlat(path, layer.crs, x, y)
-    names = [layer.names[index] or str(number) for number, index in enumerate(owner, start=1)]
-    return [FilePoint(name, float(east), float(north), system) for name, east, north in zip(names, x, y, strict=True)]
+        x, y = _lonlat(path, crs, x, y)
+    return [
+        FilePoint(names[index] or str(number), float(east), float(north), system)
+        for number, (index, east, north) in enumerate(zip(owner, x, y, strict=True), start=1)
+    ]
 
 
 def _lonlat(
@@ -337,17 +327,25 @@ def read_areas(
     if not path.is_file() or path.suffix.lower() not in _SUFFIXES:
         what = "is not a file of polygons that can be read" if path.is_file() else "is missing"
         raise BadInputError(f"{path} {what}. Give polygons as {', '.join(_SUFFIXES)}")
-    layer = read_vectors(path)
-    kinds = shapely.get_type_id(layer.geometry)
+    geometry, _, crs = read_vectors(path)
+    kinds = shapely.get_type_id(geometry)
     if not len(kinds) or not np.isin(kinds, _POLYGONS).all():
         kind = "nothing" if not len(kinds) else shapely.GeometryType(int(kinds[~np.isin(kinds, _POLYGONS)][0])).name
         raise BadInputError(f"{path} holds {kind.lower()}; areas must be polygons. Draw polygons and save them alone")
-    areas, is_on = _on_map(path, layer.geometry, layer.crs, route_map)
+    parts, owner = shapely.get_parts(_on_grid(path, shapely.make_valid(geometry), crs, route_map), return_index=True)
+    placed = np.isin(shapely.get_type_id(parts), _POLYGONS) & ~shapely.is_empty(parts)
+    bounds = route_map.grid.window_bounds(route_map.window)
+    placed &= shapely.intersects(parts, shapely.box(bounds.west, bounds.south, bounds.east, bounds.north))
+    is_on = np.isin(np.arange(len(geometry)), owner[placed])
     if not is_on.all():
         numbers = short_names([str(number) for number in np.flatnonzero(~is_on) + 1])
+        map_crs = route_map.georeference.crs
+        system = "the survey's own coordinates"
+        if map_crs is not None:
+            system = describe_crs(map_crs.to_2d()) if crs is None else crs.name
         said = (
-            f"{(~is_on).sum()} of the {len(is_on)} areas of {path}, read in {_system(layer.crs, route_map)}, do not "
-            f"lie on the map: number {numbers}"
+            f"{(~is_on).sum()} of the {len(is_on)} areas of {path}, read in {system}, do not lie on the map: number "
+            f"{numbers}"
         )
         if not allow_outside:
             raise BadInputError(
@@ -355,26 +353,7 @@ def read_areas(
                 "file serves several maps"
             )
         _log.warning("%s", said)
-    return areas
-
-
-def _on_map(
-    path: Path, geometry: NDArray[np.object_], crs: CRS | None, route_map: MapReader
-) -> tuple[NDArray[np.object_], NDArray[np.bool_]]:
-    """Return the polygons that lie on the map, in metres on the grid, and which of the geometries (n,) have such."""
-    placed = _on_grid(path, shapely.make_valid(geometry), crs, route_map)
-    parts, owner = shapely.get_parts(placed, return_index=True)
-    is_on = np.isin(shapely.get_type_id(parts), _POLYGONS) & ~shapely.is_empty(parts)
-    bounds = route_map.grid.window_bounds(route_map.window)
-    is_on &= shapely.intersects(parts, shapely.box(bounds.west, bounds.south, bounds.east, bounds.north))
-    return np.asarray(parts[is_on], object), np.isin(np.arange(len(geometry)), owner[is_on])
-
-
-def _system(crs: CRS | None, route_map: MapReader) -> str:
-    map_crs = route_map.georeference.crs
-    if map_crs is None:
-        return "the survey's own coordinates"
-    return describe_crs(map_crs.to_2d()) if crs is None else crs.name
+    return np.asarray(parts[placed], object)
 
 
 def tiles_in(areas: NDArray[np.object_], window: TileWindow, grid: Grid, *, wholly: bool = False) -> NDArray[np.bool_]:
@@ -383,49 +362,26 @@ def tiles_in(areas: NDArray[np.object_], window: TileWindow, grid: Grid, *, whol
     ``areas`` (n,) of polygons: in metres on the grid; ``wholly``: only the tiles that lie wholly in the areas, taken
     together.
     """
-    whole = _local(areas, window, grid)
-    inside, rows, cols = _centres_inside(whole, window)
-    # Squares of tiles, smaller by what rounding may do.
-    low, high = _ROUNDING, 1.0 - _ROUNDING
-    squares = shapely.box(cols + low, rows + low, cols + high, rows + high)
-    inside[rows, cols] = shapely.covers(whole, squares) if wholly else shapely.intersects(whole, squares)
-    return inside
+    from rasterio.features import rasterize
 
-
-def _local(areas: NDArray[np.object_], window: TileWindow, grid: Grid) -> shapely.Geometry:
-    """Return the areas as one geometry in tiles east and south of the window's north-west corner, cut to the window."""
-    origin = np.array([window.col, window.row + window.rows]) * grid.tile_size
+    # The areas as one geometry in tiles east and south of the window's north-west corner, cut to the window.
+    origin, shape = np.array([window.col, window.row + window.rows]) * grid.tile_size, (window.rows, window.cols)
     placed = shapely.transform(np.asarray(areas, object), lambda xy: (xy - origin) / (grid.tile_size, -grid.tile_size))
     near = shapely.intersection(placed, shapely.box(-1.0, -1.0, window.cols + 1.0, window.rows + 1.0))
     whole: shapely.Geometry = shapely.union_all(near)
-    shapely.prepare(whole)
-    return whole
-
-
-def _centres_inside(
-    whole: shapely.Geometry, window: TileWindow
-) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]]:
-    """Return which tiles have their centre inside, and rows and columns of those near an outline, to be looked at.
-
-    GDAL is fast and looks at centres; the tiles near the outlines are few and left to exact tests.
-    """
-    from rasterio.features import rasterize
-
-    shape = (window.rows, window.cols)
-    outline = shapely.boundary(whole)
     if shapely.is_empty(whole):
-        return np.zeros(shape, bool), np.empty(0, np.int64), np.empty(0, np.int64)
+        return np.zeros(shape, bool)
+    # GDAL is fast and looks at centres; the tiles up to one from the outlines are few and left to exact tests.
+    around = shapely.buffer(shapely.boundary(whole), 1.0)
     with raster_lock():
-        inside = rasterize([whole], shape, dtype="uint8").astype(bool)
-        near = rasterize([outline], shape, all_touched=True, dtype="uint8").astype(bool)
-    wide = near.copy()  # one tile more on all sides, for what GDAL rounds
-    wide[1:] |= near[:-1]
-    wide[:-1] |= near[1:]
-    near = wide.copy()
-    wide[:, 1:] |= near[:, :-1]
-    wide[:, :-1] |= near[:, 1:]
-    rows, cols = np.nonzero(wide)
-    return inside, rows, cols
+        inside: NDArray[np.bool_] = rasterize([whole], shape, dtype="uint8").astype(bool)
+        rows, cols = np.nonzero(rasterize([around], shape, all_touched=True, dtype="uint8"))
+    # Squares of tiles, smaller by what rounding may do.
+    low, high = _ROUNDING, 1.0 - _ROUNDING
+    squares = shapely.box(cols + low, rows + low, cols + high, rows + high)
+    shapely.prepare(whole)
+    inside[rows, cols] = shapely.covers(whole, squares) if wholly else shapely.intersects(whole, squares)
+    return inside
 
 
 def _on_grid(path: Path, geometry: NDArray[np.object_], crs: CRS | None, route_map: MapReader) -> NDArray[np.object_]:

@@ -64,7 +64,9 @@ def describe_assets(folder: Path, record: Mapping[str, Any]) -> dict[str, dict[s
     crs = None if record["crs"] is None else stated_crs(record["crs"]["wkt"])
     vertical = describe_crs(crs) if crs is not None and crs.is_compound else {}
     assets = {}
-    for name in _names(folder, known):
+    layers = [name for name in EVERY_NAME if name in known and name != MapFile.ITEM]
+    views = [*EVERY_VIEW_NAME, *(f"{name}.aux.xml" for name in layers)]
+    for name in (*layers, MapFile.MANIFEST, *(name for name in views if (folder / name).is_file())):
         role = "data" if name in known else _ROLES.get(Path(name).suffix, "metadata")
         asset = {"href": f"./{name}", "type": _TYPES[Path(name).suffix], "roles": [role]}
         if name.endswith(".tif"):
@@ -94,13 +96,6 @@ def _grid_of(raster: "DatasetReader") -> dict[str, Any]:
         "proj:transform": list(raster.transform)[:6],
         "proj:bbox": list(raster.bounds),
     }
-
-
-def _names(folder: Path, known: Mapping[str, Any]) -> list[str]:
-    """Return the names of the files of a folder in a lasting order; run.json will be there."""
-    layers = [name for name in EVERY_NAME if name in known and name != MapFile.ITEM]
-    sides = [f"{name}.aux.xml" for name in layers]
-    return [*layers, MapFile.MANIFEST, *(name for name in (*EVERY_VIEW_NAME, *sides) if (folder / name).is_file())]
 
 
 def _raster(path: Path, record: Mapping[str, Any]) -> dict[str, Any]:
@@ -162,7 +157,9 @@ def write_collection(path: Path, root: Path, folders: Sequence[str], title: str)
     """
     found = {each: read_record(root / each / MapFile.ITEM) for each in folders}
     items = {each: item for each, item in found.items() if item and (root / each / MapFile.MANIFEST).is_file()}
-    links = [_link("item", f"./{_quoted(each)}/{MapFile.ITEM}", each) for each in items]
+    # pystac opens links as they are written: only what would end or change one is escaped.
+    quoted = {each: _ESCAPED.sub(lambda one: quote(one[0], safe="", errors="surrogateescape"), each) for each in items}
+    links = [_link("item", f"./{quoted[each]}/{MapFile.ITEM}", each) for each in items]
     name, properties = escape_controls(title), [item["properties"] for item in items.values()]
     licences = {about.get("license", "other") for about in properties}
     providers = {provider["name"]: provider for about in properties for provider in about.get("providers", ())}
@@ -192,14 +189,6 @@ def _extent(items: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     first = min((about["start_datetime"] for about in dated), default=_ANY_INTERVAL[0])
     last = max((about["end_datetime"] for about in dated), default=_ANY_INTERVAL[1])
     return {"spatial": {"bbox": [[west, south, east, north]]}, "temporal": {"interval": [[first, last]]}}
-
-
-def _quoted(name: str) -> str:
-    """Return the name of a folder as a part of a relative link; only what would end or change the link is escaped.
-
-    pystac opens links as they are written, so that the others must stay.
-    """
-    return "".join(quote(one, safe="", errors="surrogateescape") if _ESCAPED.match(one) else one for one in name)
 
 
 def _link(rel: str, href: str, title: str) -> dict[str, Any]:

@@ -2,41 +2,20 @@ from .decoder import (
     close_decoder as close_decoder,
     start_decoder as start_decoder,
 )
+from .deskew import (
+    deskew as deskew,
+)
 from .detect import (
     find_surveys as find_surveys,
     identity as identity,
     open_survey as open_survey,
     reopen_survey as reopen_survey,
 )
-from .drives.quantities import parse_columns as parse_columns
-from .drives.read import (
+from .drive_signals import parse_columns as parse_columns
+from .drives import (
     close_log_reader as close_log_reader,
     drive_files as drive_files,
     read_drive as read_drive,
-)
-from .frames.deskew import (
-    deskew as deskew,
-)
-from .frames.poses import (
-    FramePoses as FramePoses,
-    files_beside_poses as files_beside_poses,
-    place_sources as place_sources,
-    read_poses as read_poses,
-)
-from .frames.raw import (
-    BagReader as BagReader,
-    bag_files as bag_files,
-    points_of as points_of,
-)
-from .frames.read import (
-    BagTopics as BagTopics,
-    bags_at as bags_at,
-    find_frames as find_frames,
-    find_sources as find_sources,
-    label_file as label_file,
-    read_message as read_message,
-    read_scan as read_scan,
-    scene_points as scene_points,
 )
 from .point_stats import (
     CELL as CELL,
@@ -45,12 +24,33 @@ from .point_stats import (
     PointStats as PointStats,
     cell_indices as cell_indices,
 )
+from .poses import (
+    FramePoses as FramePoses,
+    files_beside_poses as files_beside_poses,
+    place_sources as place_sources,
+    read_poses as read_poses,
+)
 from .protocol import (
     Chunk as Chunk,
     ChunkPoints as ChunkPoints,
     ReadOptions as ReadOptions,
     SurveyInfo as SurveyInfo,
     SurveyReader as SurveyReader,
+)
+from .raw_scans import (
+    BagReader as BagReader,
+    bag_files as bag_files,
+    points_of as points_of,
+)
+from .scans import (
+    BagTopics as BagTopics,
+    bags_at as bags_at,
+    find_frames as find_frames,
+    find_sources as find_sources,
+    label_file as label_file,
+    read_message as read_message,
+    read_scan as read_scan,
+    scene_points as scene_points,
 )
 from .source import (
     Location as Location,

@@ -4,7 +4,8 @@ import hashlib
 import logging
 import os
 from codecs import getincrementaldecoder
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -51,22 +52,8 @@ _FOREIGN = (
 def open_survey(path: Location, options: ReadOptions = ReadOptions()) -> SurveyReader:  # noqa: B008 (frozen, no state)
     """Open a point cloud and check its header; points are read later. Notes about the file are logged as warnings.
 
-    Parameters
-    ----------
-    path : Path
-    options : ReadOptions
-
-    Returns
-    -------
-    SurveyReader
-
-    Raises
-    ------
-    BadInputError
-        The file cannot be read, is not a point cloud, holds no points, declares more than it can hold, or is not in
-        a projected CRS.
-    UsageError
-        ``options.crs`` is not a CRS.
+    Raises BadInputError: the file cannot be read, is not a point cloud, holds no points, declares
+    more than it can hold, or is not in a projected CRS; UsageError: ``options.crs`` is not a CRS.
     """
     reader = reopen_survey(path, options)
     reader.note_likely_feet()
@@ -90,11 +77,8 @@ def reopen_survey(path: Location, options: ReadOptions = ReadOptions()) -> Surve
 def identity(location: Location) -> dict[str, Any]:
     """Return what identifies a survey and its version. For one that is being read, see `require_unchanged`.
 
-    Returns
-    -------
-    dict
-        A `Version` (``size`` in bytes, and ``mtime_ns`` as str) and ``digest``: SHA-256 of the first and the last
-        64 KiB.
+    Returns a `Version` (``size`` in bytes, and ``mtime_ns`` as str) and ``digest``: SHA-256
+    of the first and the last 64 KiB.
     """
     version = version_of(location)
     with pinned_version(location, version):
@@ -116,21 +100,10 @@ def _open_table(kind: Kind, path: Location, wanted: "Wanted", memory: int, text_
 def read_columns(path: Path, wanted: "Wanted") -> dict[str, NDArray[Any]]:
     """Read all points of a PLY or PCD file.
 
-    Parameters
-    ----------
-    path : Path
-    wanted : dict of str to tuple of str
-        Optional quantities beside x, y and z -> names, in lower case, of columns that may hold them.
-
-    Returns
-    -------
-    dict of str to array (n,)
-        x, y, z and the quantities that were found, by the keys of ``wanted``.
-
-    Raises
-    ------
-    BadInputError
-        The file cannot be read, is neither PLY nor PCD, declares more than it holds, or is damaged.
+    ``wanted``: optional quantities beside x, y and z -> names, in lower case, of columns that may
+    hold them. Returns arrays (n,): x, y, z and the quantities that were found, by the
+    keys of ``wanted``. Raises BadInputError: the file cannot be read, is neither PLY nor PCD,
+    declares more than it holds, or is damaged.
     """
     kind = detect_format(path)
     if kind == "las":
@@ -146,10 +119,8 @@ def read_columns(path: Path, wanted: "Wanted") -> dict[str, NDArray[Any]]:
 def detect_format(path: Location) -> Kind:
     """Return the format of a file by its first bytes.
 
-    Raises
-    ------
-    BadInputError
-        The file cannot be read, is empty, or is not a point cloud; the message says what it looks like.
+    Raises BadInputError: the file cannot be read, is empty, or is not a point cloud; the message
+    says what it looks like.
     """
     if path.name == EPT_NAME:
         raise _ept_error(path)
@@ -161,16 +132,12 @@ def detect_format(path: Location) -> Kind:
         return "las"
     if head.split(None, 1)[:1] == [b"ply"]:
         return "ply"
-    if _is_pcd(head):
+    words = [line.split()[:1] for line in head.splitlines() if not line.startswith(b"#")]
+    if head.startswith(b"# .PCD") or [b"VERSION"] in words[:2] or [b"FIELDS"] in words[:2]:
         return "pcd"
     if Path(str(path)).suffix.lower() == ".label":
         raise BadInputError(f"{path} is a file of labels, not a scan: give the .bin file whose labels it holds")
     raise BadInputError(f"{path} is not a point cloud: it is {_describe(head)}. {_READABLE}")
-
-
-def _is_pcd(head: bytes) -> bool:
-    words = [line.split()[:1] for line in head.splitlines() if not line.startswith(b"#")]
-    return head.startswith(b"# .PCD") or [b"VERSION"] in words[:2] or [b"FIELDS"] in words[:2]
 
 
 def _describe(head: bytes) -> str:
@@ -179,18 +146,14 @@ def _describe(head: bytes) -> str:
             return what
     if not head.strip(b"\0"):
         return "nothing but zero bytes, as an interrupted copy leaves it"
-    if _is_text(head):
-        return "a text file. A list of points under a first line 'X Y Z' is converted by: pdal translate IN.txt OUT.laz"
+    with suppress(UnicodeDecodeError):
+        text = getincrementaldecoder("utf-8")().decode(head)  # incremental: the last character may be truncated
+        if all(letter.isprintable() or letter in "\r\n\t" for letter in text):
+            return (
+                "a text file. A list of points under a first line 'X Y Z' is converted by: pdal translate IN.txt "
+                "OUT.laz"
+            )
     return f"of an unknown kind (first bytes {head[:8].hex(' ')})"
-
-
-def _is_text(head: bytes) -> bool:
-    try:
-        # Incremental: the last character may be truncated.
-        text = getincrementaldecoder("utf-8")().decode(head)
-    except UnicodeDecodeError:
-        return False
-    return all(letter.isprintable() or letter in "\r\n\t" for letter in text)
 
 
 SUFFIXES = (".las", ".laz", ".ply", ".pcd")
@@ -200,26 +163,13 @@ SUFFIXES = (".las", ".laz", ".ply", ".pcd")
 def find_surveys(paths: Sequence[Location]) -> list[Location]:
     """Return the survey files at the given paths.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Files (with any suffix) and folders, which are searched recursively for files with ``SUFFIXES``, except hidden
-        ones.
-
-    Returns
-    -------
-    list of Path
-        Sorted; each file once.
-
-    Raises
-    ------
-    BadInputError
-        A path does not exist or cannot be listed, or a folder holds no surveys, or an EPT.
+    ``paths``: files (with any suffix) and folders, which are searched recursively for files with
+    ``SUFFIXES``, except hidden ones. Returns them sorted, each once. Raises BadInputError: a path
+    does not exist or cannot be listed, or a folder holds no surveys, or an EPT.
     """
     if not paths:
         raise BadInputError("no survey was given; name a point cloud file or a folder of them")
-    local = map(Path, paths)
-    return sorted(files_at(local, lambda folder: _some(sorted(_walk(folder)), folder), "a point cloud file"))
+    return sorted(files_at(map(Path, paths), _surveys_in, "a point cloud file"))
 
 
 def files_at(paths: Iterable[Path], list_folder: Callable[[Path], list[Path]], what: str) -> list[Path]:
@@ -241,26 +191,24 @@ def files_at(paths: Iterable[Path], list_folder: Callable[[Path], list[Path]], w
     return [*found.values()]
 
 
-def _some(files: list[Any], folder: Location) -> list[Any]:
-    if not files:
-        raise BadInputError(
-            f"the folder {folder} holds no point cloud; files ending in {', '.join(SUFFIXES)} are searched "
-            "for, in its subfolders too. A file with another suffix can be given by its own path"
-        )
-    return files
+def _surveys_in(folder: Path) -> list[Path]:
+    """Return the surveys in a folder and its subfolders, sorted; BadInputError without any."""
 
-
-def _walk(folder: Path) -> Iterator[Path]:
     def refuse(error: OSError) -> None:
         raise BadInputError(f"cannot list the folder {error.filename}: {error.strerror}")
 
+    found: list[Path] = []
     for parent, folders, names in os.walk(folder, onerror=refuse):
         if EPT_NAME in names:
             raise _ept_error(Path(parent) / EPT_NAME)
         folders[:] = [name for name in folders if not name.startswith(".")]
-        for name in names:
-            if not name.startswith(".") and name.lower().endswith(SUFFIXES):
-                yield Path(parent) / name
+        found += [Path(parent) / n for n in names if not n.startswith(".") and n.lower().endswith(SUFFIXES)]
+    if not found:
+        raise BadInputError(
+            f"the folder {folder} holds no point cloud; files ending in {', '.join(SUFFIXES)} are searched "
+            "for, in its subfolders too. A file with another suffix can be given by its own path"
+        )
+    return sorted(found)
 
 
 def _ept_error(path: Path) -> BadInputError:

@@ -1,32 +1,31 @@
-"""The reader of LAS, LAZ and COPC. lazrs decodes only the fields that bumpymap needs."""
+"""The reader of LAS, LAZ and COPC. lazrs decodes only the fields that bumpymap needs.
+
+LAZ chunks are found by their chunk table and checked before they are decoded; those of COPC are nodes of its octree.
+laspy is not used: it creates a Python object for each chunk.
+"""
 
 import math
-import threading
+import struct
+from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import (
     BadInputError,
+    DecoderError,
     Georeference,
     Place,
-    SharedBytes,
     allocate_shared,
     georeference,
 )
 from bumpymap.core.loops import loops
 from bumpymap.readers.decoder import decoder
 from bumpymap.readers.las_header import LAYERED, RawHeader, read_raw_header, statement_of_las
-from bumpymap.readers.laz_chunks import (
-    ChunkTable,
-    check_layers,
-    laz_record,
-    read_table,
-)
-from bumpymap.readers.point_stats import OUTSIDE, LinedPoints, LineSums, PointStats
+from bumpymap.readers.point_stats import EARTH_LIMIT, OUTSIDE, LinedPoints, LineSums, PointStats
 from bumpymap.readers.protocol import (
     CHUNK_POINTS,
     Chunk,
@@ -39,14 +38,169 @@ from bumpymap.readers.protocol import (
     split_rows,
 )
 from bumpymap.readers.source import (
+    TRUST,
     Location,
+    box_text,
     decoding,
     open_source,
     read_into,
     refuse_count,
-    refuse_header_bounds,
 )
 from bumpytiles import DECIMALS, Bounds, ScaledPoints, Scaling
+
+_NOT_CHUNKED = 1
+"""Value of the "compressor" word of the LASzip record for data without a chunk table (LASzip 1)."""
+_LARGEST_CHUNK = 1 << 28
+"""Decoded bytes of a LAZ chunk at most."""
+_ITEMS = (
+    (6, 20, 0, range(6)),
+    (7, 8, 0, (1, 3, 4, 5)),
+    (8, 6, 0, (2, 3, 5)),
+    (9, 29, 0, (4, 5)),
+    (10, 30, 9, range(6, 11)),
+    (11, 6, 1, (7,)),
+    (12, 8, 2, (8, 10)),
+    (13, 29, 1, (9, 10)),
+)
+"""Items that points consist of: type, bytes, layers in a LAZ chunk, point formats. Extra bytes are one more item."""
+_EXTRA, _EXTRA_LAYERED = 0, 14
+"""LASzip's numbers of the item of extra bytes, point formats 0 to 5 and 6 to 10."""
+_DENSEST = 4096
+"""Points per byte at most: the cheapest symbol of LASzip's models takes 0.003 bits, and each point has at least one."""
+_ANY_SIZE = 0xFFFFFFFF
+"""Chunk size in a LASzip record if the sizes are in the chunk table."""
+_ENTRY_BYTES = 16
+"""Limit of a chunk table entry: two numbers, which take less than eight bytes each when encoded."""
+_TRUNCATED = "truncated? Copy or download it again"
+_WRITE_AGAIN = "Write it again with the usual codec, such as with: pdal translate IN OUT.laz"
+
+
+ChunkTable: TypeAlias = NDArray[np.void]
+"""The LAZ chunks of a file in reading order, without empty ones, (n,) rows: ``counts``, number of points; ``starts``,
+offset in the file, and ``sizes``, bytes."""
+
+
+def laz_record(path: Location, header: RawHeader) -> bytes:
+    """Return the LASzip record, after checking that it matches the point format and that lazrs supports it."""
+    record = header.records.get((b"laszip encoded", 22204), b"")
+    if len(record) < 34:
+        raise BadInputError(f"{path} is compressed and has no LASzip record to decode it by. Copy or download it again")
+    (count,) = struct.unpack_from("<H", record, 32)
+    items = [struct.unpack_from("<HH", record, at) for at in range(34, len(record) - 5, 6)][:count]
+    layered, extra = header.point_format >= LAYERED, header.extra_bytes
+    wanted = [(kind, size) for kind, size, _, formats in _ITEMS if header.point_format in formats]
+    wanted += [(_EXTRA_LAYERED if layered else _EXTRA, extra)] * (extra > 0)
+    if items != wanted:
+        raise BadInputError(
+            f"the LASzip record of {path} does not go with its points of format {header.point_format} and "
+            f"{header.point_size} bytes: the file is damaged. Copy or download it again"
+        )
+    if struct.unpack_from("<H", record)[0] == _NOT_CHUNKED:
+        raise BadInputError(f"{path} is compressed in one stream without chunks, which is not read. {_WRITE_AGAIN}")
+    try:
+        decoder().check(record)
+    except DecoderError as error:
+        raise BadInputError(
+            f"{path} is compressed in a way that cannot be decoded here ({error}). {_WRITE_AGAIN}"
+        ) from error
+    return record
+
+
+def read_table(stream: BinaryIO, path: Location, header: RawHeader, record: bytes) -> ChunkTable:
+    """Read the chunk table and check it against the size of the file and the point count in the header."""
+    table_at, chunks = _table_place(stream, path, header)
+    encoded = allocate_shared(min(header.size - table_at, 8 + _ENTRY_BYTES * (chunks + 1)))
+    stream.seek(table_at)
+    data = stream.read(encoded.data.size)
+    refuse_count(path, encoded.data.size, len(data), "bytes of a LAZ chunk table")
+    encoded.data[:] = np.frombuffer(data, np.uint8)
+    with decoding(path, "the LAZ chunk table"):
+        table = decoder().chunk_table(record, encoded, chunks)
+    data_bytes = sum(size for _, size in table)
+    if header.offset_to_points + 8 + data_bytes > table_at:
+        raise BadInputError(
+            f"the LAZ chunks of {path} need {data_bytes:,} bytes, more than lie before their table: {_TRUNCATED}"
+        )
+    (chunk,) = struct.unpack_from("<I", record, 12)
+    # If all LAZ chunks have one size, the table does not contain it.
+    counts = [points if chunk == _ANY_SIZE else chunk for points, _ in table]
+    refuse_count(path, header.point_count, sum(counts))
+    sizes = np.array([size for _, size in table], np.int64)
+    starts = header.offset_to_points + 8 + np.cumsum(sizes) - sizes
+    # The last LAZ chunk is shorter; points beyond the header's count are ignored.
+    ends = np.cumsum([min(count, header.point_count) for count in counts], dtype=np.int64)
+    held = np.diff(np.minimum(ends, header.point_count), prepend=0)
+    found: ChunkTable = np.rec.fromarrays(
+        [held, starts, sizes], dtype=[(name, np.int64) for name in ("counts", "starts", "sizes")]
+    )[held > 0]
+    refuse_sizes(path, header, found)
+    return found
+
+
+def refuse_sizes(path: Location, header: RawHeader, table: ChunkTable) -> None:
+    """Refuse LAZ chunks that declare more points than their bytes can hold, or than can be decoded at once."""
+    counts, sizes = table["counts"], table["sizes"]
+    dense = counts - _DENSEST * sizes
+    if (dense > 0).any():
+        worst = int(np.argmax(dense))
+        raise BadInputError(
+            f"{path} declares {counts[worst]:,} points in {sizes[worst]:,} compressed bytes, which is "
+            f"impossible: damaged or {_TRUNCATED}"
+        )
+    largest = int(counts.max(initial=0))
+    decoded = largest * header.point_size
+    if decoded > _LARGEST_CHUNK:
+        raise BadInputError(
+            f"a LAZ chunk of {path} holds {largest:,} points, {decoded / 1e6:,.0f} MB when decoded; "
+            f"at most {_LARGEST_CHUNK / 1e6:,.0f} MB are decoded at once. {_WRITE_AGAIN}"
+        )
+
+
+def check_layers(path: Location, header: RawHeader, chunk: NDArray[np.uint8], points: int) -> None:
+    """Check the head of a layered LAZ chunk against its size in bytes and its points in the chunk table.
+
+    A layered chunk starts with its first point, its number of points and the sizes of its layers, which fill the rest:
+    a layer with a wrong size would be skipped, or include bytes of the next. Chunks of point formats 0 to 5 have no
+    such head.
+    """
+    if header.point_format < LAYERED:
+        return
+    layers = header.extra_bytes + sum(count for *_, count, formats in _ITEMS if header.point_format in formats)
+    head = header.point_size + 4 * (layers + 1)
+    size = chunk.size
+    if size < head:
+        raise BadInputError(f"a LAZ chunk of {path} takes {size:,} bytes and must take at least {head:,}: {_TRUNCATED}")
+    held, *layer_bytes = struct.unpack(f"<{layers + 1}I", chunk[header.point_size : head].tobytes())
+    refuse_count(path, points, held, "points in a LAZ chunk")
+    if head + sum(layer_bytes) != size:
+        raise BadInputError(
+            f"the layers of a LAZ chunk of {path} take {head + sum(layer_bytes):,} bytes, and it has {size:,}: damaged "
+            f"or {_TRUNCATED}"
+        )
+
+
+def _table_place(stream: BinaryIO, path: Location, header: RawHeader) -> tuple[int, int]:
+    """Return the offset of the chunk table and its number of entries, after checking both against the file size."""
+    size, place = header.size, -1
+    # A writer that cannot seek stores -1 there, and the offset in the last eight bytes of the file.
+    for at in (header.offset_to_points, size - 8):
+        if place == -1 and header.offset_to_points <= at <= size - 8:
+            stream.seek(at)
+            (place,) = struct.unpack("<q", stream.read(8))
+    if not header.offset_to_points + 8 <= place <= size - 8:
+        raise BadInputError(
+            f"{path} has no LAZ chunk table where its header says (byte {place} of {size:,}): {_TRUNCATED}"
+        )
+    stream.seek(place + 4)
+    (chunks,) = struct.unpack("<I", stream.read(4))
+    # A LAZ chunk holds its first point uncompressed.
+    room = (place - header.offset_to_points) // header.point_size
+    if chunks > room or (chunks == 0 and header.point_count):
+        raise BadInputError(
+            f"{path} declares {chunks:,} LAZ chunks, which the file cannot hold: damaged or {_TRUNCATED}"
+        )
+    return place, chunks
+
 
 Records = NDArray[np.uint8]
 """Point records, (n, bytes of a point)."""
@@ -62,17 +216,6 @@ _SAMPLE = 10_000
 """Points of each of three places, at least, that tell what the colours of a file are; LAZ chunks are read whole."""
 
 
-_buffers = threading.local()
-
-
-def _buffer(size: int) -> NDArray[np.uint8]:
-    """Return at least ``size`` bytes that this thread uses again and again."""
-    held: NDArray[np.uint8] | None = getattr(_buffers, "held", None)
-    if held is None or held.size < size:
-        held = _buffers.held = np.empty(size, np.uint8)
-    return held
-
-
 def _read_pieces(path: Location, header: RawHeader, chunk: Chunk) -> Iterator[Records]:
     """Yield the uncompressed records of a chunk, piece by piece in one buffer; each is valid until the next is taken.
 
@@ -81,19 +224,14 @@ def _read_pieces(path: Location, header: RawHeader, chunk: Chunk) -> Iterator[Re
     size = header.point_size
     at = header.offset_to_points + chunk.first * size
     end = at + chunk.points * size
-    buffer = _buffer(_PIECE_BYTES + size)
-    held = 0  # bytes of a record that the last read cut
+    buffer = np.empty(max(_PIECE_BYTES // size, 1) * size, np.uint8)
     while at < end:
-        wanted = min(_PIECE_BYTES, end - at)
-        got = read_into(path, at, buffer[held : held + wanted])
-        at += got
-        if got < wanted:
+        piece = buffer[: end - at]
+        held = read_into(path, at, piece)
+        at += held
+        if held < piece.size:
             refuse_count(path, header.point_count, (at - header.offset_to_points) // size)
-        whole, rest = divmod(held + got, size)
-        if whole:
-            yield buffer[: whole * size].reshape(whole, size)
-        buffer[:rest] = buffer[whole * size : whole * size + rest].copy()
-        held = rest
+        yield piece.reshape(-1, size)
 
 
 def _integers_between(scaling: Scaling, axis: int, low: float, high: float) -> tuple[int, int]:
@@ -101,11 +239,8 @@ def _integers_between(scaling: Scaling, axis: int, low: float, high: float) -> t
 
     def first(is_past: Callable[[float], bool]) -> int:
         """Return the first integer whose coordinate passes a test that holds for all after it."""
-        before, at = _LOWEST - 1, _HIGHEST + 1
-        while at - before > 1:
-            middle = (before + at) // 2
-            before, at = (before, middle) if is_past(float(scaling.coordinates(axis, middle))) else (middle, at)
-        return at
+        integers = range(_LOWEST, _HIGHEST + 1)
+        return _LOWEST + bisect_left(integers, True, key=lambda at: is_past(float(scaling.coordinates(axis, at))))
 
     if scaling.scales[axis] > 0:
         return first(lambda place: place >= low), first(lambda place: place > high) - 1
@@ -143,19 +278,10 @@ def convert_records(
 ) -> ChunkPoints:
     """Convert LAS point records to points, drop unusable ones, and count all of them.
 
-    Parameters
-    ----------
-    pieces : iterable of uint8 (n, bytes of a point)
-        The records. Each piece is only valid until the next is taken.
-    chunk : Chunk
-        The chunk that they are of.
-    rules : RecordRules
-    scaling : Scaling
-        Makes finite coordinates of all integers.
-    lines : bool
-        Whether sums of flight lines are made.
-    colours : tuple of int, optional
-        First byte of the colour, and by how many bits its numbers are shifted to have 8; None: colours are not read.
+    ``pieces`` iterable of uint8 (n, bytes of a point): the records. Each piece is only valid until
+    the next is taken; ``chunk``: the chunk that they are of; ``scaling``: makes finite coordinates
+    of all integers; ``lines``: whether sums of flight lines are made; ``colours``: first byte of
+    the colour, and the bits that its numbers are shifted by to have 8; None: colours are not read.
     """
     x, y, z = (np.empty(chunk.points, np.int32) for _ in range(3))
     out = LinedPoints(x, y, z, np.empty(chunk.points, np.uint8), np.empty(chunk.points, np.uint16))
@@ -204,14 +330,12 @@ class LasSurvey(SurveyReader):
             _refuse_numbers(path, raw)
             middle = None if options.trust_points else _middle(raw)
             place, notes = georeference(Place(path, middle), statement, options.given_crs, options.z_unit)
-            bounds = None if options.trust_points else _bounds(raw, place)
-            if bounds is not None:
-                refuse_header_bounds(path, bounds)
+            bounds = None if options.trust_points else _bounds(path, raw, place)
             self._table: ChunkTable | None = None
             if raw.compressed:
                 self._laszip = laz_record(path, raw)
                 self._table = read_table(stream, path, raw, self._laszip)
-                self._ends = np.cumsum(self._table.counts)
+                self._ends = np.cumsum(self._table["counts"])
         units = (place.metres_per_unit, place.metres_per_unit, place.metres_per_unit_z)
         east, north, up = (abs(scale) * unit for scale, unit in zip(raw.scales, units, strict=True))
         refuse_coarse(path, max(east, north), "its header has so large a scale", options)
@@ -272,37 +396,24 @@ class LasSurvey(SurveyReader):
 
     def _fetch(self, chunk: Chunk) -> Records | Iterator[Records]:
         """Return the records of a chunk; uncompressed ones are read when they are converted."""
-        if self._table is not None:
-            return self._read_laz(self._part(chunk, self._table))
-        return _read_pieces(self._path, self._raw, chunk)
-
-    def _read_laz(self, part: ChunkTable) -> Records:
-        """Read the bytes of LAZ chunks with one request, and decode them."""
-        compressed = allocate_shared(int(part.sizes.sum()))
-        held = read_into(self._path, int(part.starts[0]), compressed.data)
-        refuse_count(self._path, compressed.data.size, held, "bytes of LAZ chunks")
-        return self._decode(self._path, part, compressed)
-
-    def _decode(self, path: Location, part: ChunkTable, compressed: SharedBytes) -> Records:
-        """Check adjacent LAZ chunks, and decode them on all cores."""
-        table = list(zip(part.counts.tolist(), part.sizes.tolist(), strict=True))
-        at = 0
-        for points, size in table:
-            check_layers(path, self._raw, compressed.data[at : at + size], points)
-            at += size
-        points, size = int(part.counts.sum()), self._raw.point_size
-        with decoding(path, "LAZ chunks"):
-            return (
-                decoder()
-                .chunks(self._laszip, table, compressed, points * size, colour=self._colours is not None)
-                .reshape(points, size)
-            )
-
-    def _part(self, chunk: Chunk, table: ChunkTable) -> ChunkTable:
-        """Return the LAZ chunks of a chunk, which lie one after the other."""
+        if self._table is None:
+            return _read_pieces(self._path, self._raw, chunk)
+        # The LAZ chunks of a chunk lie one after the other: they are read with one request, and decoded on all cores.
         last = chunk.first + chunk.points - 1
         first, end = np.searchsorted(self._ends, (chunk.first, last), side="right").tolist()
-        return table.rows(slice(first, end + 1))
+        part = self._table[first : end + 1]
+        compressed = allocate_shared(int(part["sizes"].sum()))
+        held = read_into(self._path, int(part["starts"][0]), compressed.data)
+        refuse_count(self._path, compressed.data.size, held, "bytes of LAZ chunks")
+        table = list(zip(part["counts"].tolist(), part["sizes"].tolist(), strict=True))
+        at = 0
+        for points, size in table:
+            check_layers(self._path, self._raw, compressed.data[at : at + size], points)
+            at += size
+        size, colour = self._raw.point_size, self._colours is not None
+        with decoding(self._path, "LAZ chunks"):
+            records = decoder().chunks(self._laszip, table, compressed, chunk.points * size, colour=colour)
+        return records.reshape(chunk.points, size)
 
     def _convert(self, chunk: Chunk, fetched: Records | Iterator[Records]) -> ChunkPoints:
         pieces = (fetched,) if isinstance(fetched, np.ndarray) else fetched
@@ -326,11 +437,14 @@ def _middle(raw: RawHeader) -> tuple[float, float, float] | None:
     return (x, y, z) if np.isfinite([x, y, z]).all() else None
 
 
-def _bounds(raw: RawHeader, place: Georeference) -> Bounds:
-    # Overflow becomes infinity, which is rejected later, as is NaN.
+def _bounds(path: Location, raw: RawHeader, place: Georeference) -> Bounds:
+    """Return the extent in the header, m; raise BadInputError if it is not finite, not on Earth or inverted."""
     with np.errstate(over="ignore", invalid="ignore"):
         sides = np.round(np.array([*raw.mins[:2], *raw.maxs[:2]]), DECIMALS) * place.metres_per_unit
-    return Bounds(*sides.tolist())
+    bounds = Bounds(*sides.tolist())
+    if not (np.abs(sides) <= EARTH_LIMIT).all() or bounds.west > bounds.east or bounds.south > bounds.north:
+        raise BadInputError(f"the header of {path} gives an impossible extent: {box_text(bounds)}. {TRUST}")
+    return bounds
 
 
 def _degrees_note(place: Georeference, raw: RawHeader) -> tuple[str, ...]:

@@ -131,6 +131,7 @@ def read_raw_header(stream: BinaryIO, path: Location) -> RawHeader:
     refuse_points(path, count, held, f"points of {point_size} bytes")
     plain = list(_walk(stream, path, records, header_size, offset))
     far = list(_walk(stream, path, extended, first_extended, size, extended=True))
+    created = date(year, 1, 1) + timedelta(day - 1) if year in _YEARS and day > 0 else None  # days count from 1
     # COPC: its record is the first, directly after a header of LAS 1.4.
     is_copc = header_size == _HEADER_1_4 and [record[:2] for record in plain[:1]] == [(b"copc", 1)]
     # The extent alternates: max x, min x, max y, ...
@@ -140,16 +141,8 @@ def read_raw_header(stream: BinaryIO, path: Location) -> RawHeader:
         numbers[0:3], numbers[3:6], numbers[7::2], numbers[6::2],
         # Of several records with the same ids, the first is used.
         {(user, number): data for user, number, data in reversed(plain + far) if _is_needed(user, number)}, source_id,
-        held - count if alone else 0, _date(day, year),
+        held - count if alone else 0, created if created is not None and created.year == year else None,
     )  # fmt: skip
-
-
-def _date(day: int, year: int) -> date | None:
-    """Return the date of a day of a year, counted from 1; None if there is no such day."""
-    if year not in _YEARS or day < 1:
-        return None
-    found = date(year, 1, 1) + timedelta(day - 1)
-    return found if found.year == year else None
 
 
 def _refuse_format(path: Location, point_format: int, point_size: int) -> None:
@@ -225,14 +218,21 @@ def joined_statement(chosen: CrsStatement, other: CrsStatement, names: Sequence[
 
     A note, with ``names`` of both, says if they differ.
     """
-    chosen = _with_height_unit(chosen, other)
+    unit = _height_unit(other)
+    if unit is not None and _height_unit(chosen) is None:
+        note = f"only one of its two CRS records states a unit of height ({unit:g} m); it is used"
+        chosen = replace(chosen, metres_per_unit_z=unit, notes=(*chosen.notes, note))
     if chosen.crs is None or other.crs is None:
         return chosen
     ours, theirs = (horizontal_of(crs) or crs for crs in (chosen.crs, other.crs))
-    if same_crs(ours, theirs):
-        return _with_vertical_crs(chosen, ours, other.crs)
-    note = f"its {names[0]} ({chosen.crs.name}) is used; its {names[1]} ({other.crs.name}) differs"
-    return replace(chosen, notes=(*chosen.notes, note))
+    if not same_crs(ours, theirs):
+        note = f"its {names[0]} ({chosen.crs.name}) is used; its {names[1]} ({other.crs.name}) differs"
+        return replace(chosen, notes=(*chosen.notes, note))
+    vertical = vertical_of(other.crs)
+    if vertical is None or chosen.crs.is_compound:
+        return chosen
+    note = f"only one of its two CRS records states a vertical CRS ({describe_crs(vertical)}); it is used"
+    return replace(chosen, crs=with_vertical(ours, vertical), notes=(*chosen.notes, note))
 
 
 def _text(data: bytes) -> str:
@@ -244,24 +244,6 @@ def _keys(data: bytes) -> dict[int, int]:
     """Read the GeoTIFF key directory (16-bit words, four per key); return keys whose value is stored in it."""
     head, *entries = np.frombuffer(data[: len(data) // 8 * 8] or bytes(8), "<u2").reshape(-1, 4).tolist()
     return {key: value for key, place, _, value in entries[: head[3]] if place == 0 and key}
-
-
-def _with_vertical_crs(chosen: CrsStatement, horizontal: CRS, other: CRS) -> CrsStatement:
-    """Add the vertical CRS of the other record, if only that one states it."""
-    vertical = vertical_of(other)
-    if vertical is None or chosen.crs is None or chosen.crs.is_compound:
-        return chosen
-    note = f"only one of its two CRS records states a vertical CRS ({describe_crs(vertical)}); it is used"
-    return replace(chosen, crs=with_vertical(horizontal, vertical), notes=(*chosen.notes, note))
-
-
-def _with_height_unit(chosen: CrsStatement, other: CrsStatement) -> CrsStatement:
-    """Add the unit of height of the other record, if only that one states it."""
-    unit = _height_unit(other)
-    if unit is None or _height_unit(chosen) is not None:
-        return chosen
-    note = f"only one of its two CRS records states a unit of height ({unit:g} m); it is used"
-    return replace(chosen, metres_per_unit_z=unit, notes=(*chosen.notes, note))
 
 
 def _height_unit(statement: CrsStatement) -> float | None:

@@ -30,15 +30,8 @@ _UNPACKED_COPIES, _PACKED_COPIES = 2, 3
 class PcdTable(PointTable):
     """A PCD file, in metres. A row with NaN is a beam without return, and is dropped.
 
-    Parameters
-    ----------
-    path : Path or str
-    wanted : dict of str to tuple of str
-        See `Wanted`.
-    memory : int
-        Memory limit for unpacking, bytes.
-    text_type : numpy type, optional
-        Type of the numbers of a text file; None: as declared in the header.
+    ``wanted``: see `Wanted`; ``memory``: memory limit for unpacking, bytes; ``text_type``: type of
+    the numbers of a text file; None: as declared in the header.
     """
 
     nan_is_no_return, searched = True, 100_000

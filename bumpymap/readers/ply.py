@@ -52,12 +52,12 @@ def _lines(stream: BinaryIO, path: Location) -> tuple[list[bytes], int]:
 
 
 def _parse(lines: list[str]) -> tuple[str, list[PlyElement]]:
-    """Return byte order and elements; raise ValueError if the lines are not a PLY header."""
+    """Return encoding and elements; raise ValueError if the lines are not a PLY header."""
     if len(lines) < 2 or lines[0] != "ply":
         raise ValueError("its first line is not 'ply'")
     match lines[1].split():
-        case ["format", name, "1.0"] if name in _BYTE_ORDERS:
-            byte_order = _BYTE_ORDERS[name]
+        case ["format", encoding, "1.0"] if encoding in _BYTE_ORDERS:
+            pass
         case _:
             raise ValueError(f"{lines[1]!r} is not a PLY format; allowed are: {', '.join(_BYTE_ORDERS)}, each 1.0")
     elements: list[PlyElement] = []
@@ -74,7 +74,7 @@ def _parse(lines: list[str]) -> tuple[str, list[PlyElement]]:
                 raise ValueError(f"{line!r} is neither an element with a count nor a property of one")
         if name in known:
             raise ValueError(f"{line!r} declares the name {name} a second time")
-    return byte_order, elements
+    return encoding, elements
 
 
 def _property(words: list[str], line: str) -> tuple[str, str | None]:
@@ -90,22 +90,11 @@ def _property(words: list[str], line: str) -> tuple[str, str | None]:
     )
 
 
-_ENDIAN = {"<": "binary little endian", ">": "binary big endian", "=": "ascii"}
-
-
 class PlyTable(PointTable):
     """A PLY file. Text is read as float64 whatever the header declares, since it may have more digits than a float32.
 
-    Parameters
-    ----------
-    path : Path or str
-    wanted : dict of str to tuple of str
-        See `Wanted`.
-
-    Raises
-    ------
-    BadInputError
-        Not a PLY header, without vertex element or x, y and z, or with more than the file can hold.
+    ``wanted``: see `Wanted`. Raises BadInputError: not a PLY header, without vertex element or x, y
+    and z, or with more than the file can hold.
     """
 
     nan_is_no_return, searched = False, 1000
@@ -113,10 +102,10 @@ class PlyTable(PointTable):
     def __init__(self, path: Location, wanted: Wanted) -> None:
         with open_source(path) as stream, decoding(path, "the header"):
             lines, data_at = _lines(stream, path)
-            order, elements = _parse([line.decode("ascii") for line in lines])
+            encoding, elements = _parse([line.decode("ascii") for line in lines])
             size = stream.seek(0, io.SEEK_END)
         vertex = _vertices(path, elements)
-        before, is_text = elements[: elements.index(vertex)], order == "="
+        before, is_text, order = elements[: elements.index(vertex)], encoding == "ascii", _BYTE_ORDERS[encoding]
         _refuse_lists(path, vertex, [] if is_text else before)
         room = size - data_at
         for element in (*before, vertex):
@@ -129,9 +118,8 @@ class PlyTable(PointTable):
                 refuse_count(path, element.count, held, f"'{element.name}'")
             room -= element.count * least
         types = " ".join(dict.fromkeys(row[name].name for name in row.names or () if name.lower() in _AXES))
-        info = TableInfo(
-            f"PLY, {_ENDIAN[order]}, {types}", size, vertex.count, row, 24 if is_text else row.itemsize, is_text
-        )
+        kind = f"PLY, {encoding.replace('_', ' ')}, {types}"
+        info = TableInfo(kind, size, vertex.count, row, 24 if is_text else row.itemsize, is_text)
         if not is_text:
             data_at += sum(element.count * element.dtype(order).itemsize for element in before)
         skipped = sum(element.count for element in before)

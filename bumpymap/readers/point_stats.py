@@ -284,20 +284,9 @@ class PointStats:
 def verify(stats: PointStats, path: Location, declared: int, bounds: Bounds | None) -> None:
     """Check the points of a file against its header.
 
-    Parameters
-    ----------
-    stats : PointStats
-        Statistics of all points.
-    path : Path or str
-    declared : int
-        Number of points that the header declares.
-    bounds : Bounds or None
-        Bounds in the header, m; None: there are none to check.
-
-    Raises
-    ------
-    BadInputError
-        The points are unusable, or contradict the header.
+    ``stats``: statistics of all points; ``declared``: number of points that the header declares;
+    ``bounds``: bounds in the header, m; None: there are none to check. Raises BadInputError: the
+    points are unusable, or contradict the header.
     """
     if stats.not_finite:
         raise BadInputError(

@@ -49,20 +49,11 @@ def convert_points(
 ) -> ChunkPoints:
     """Drop unusable points of a table, and count all of them.
 
-    Parameters
-    ----------
-    axes : three float64 (n,)
-        Easting, northing and height, m.
-    class_id : (n,) numbers or None
-        LAS classes; what is none becomes 0. None: the table has no classes.
-    first : int
-        Number of the first point in the file.
-    nan_is_no_return : bool
-        Whether a point with NaN is a beam without return, rather than an error.
-    kinds : array (256,)
-        The kind of the points of each class, see `ReadOptions.kinds`.
-    colour : uint32 (n,), optional
-        Their colours.
+    ``axes`` three float64 (n,): Easting, northing and height, m; ``class_id`` (n,) numbers or None:
+    LAS classes; what is none becomes 0. None: the table has no classes; ``first``: number of the
+    first point in the file; ``nan_is_no_return``: whether a point with NaN is a beam without
+    return, rather than an error; ``kinds`` array (256,): the kind of the points of each class, see
+    `ReadOptions.kinds`; ``colour`` uint32 (n,): their colours.
     """
     size = len(axes[0])
     codes = np.zeros(size, np.uint8)
@@ -90,24 +81,13 @@ def convert_points(
         lowest=low,
         top=high,
     )
-    kept = ~(noise | no_return)
+    kept = ~(noise | no_return) & (not stats.bad)
     if not kept.all():
         axes, codes = (axes[0][kept], axes[1][kept], axes[2][kept]), codes[kept]
         colour = None if colour is None else colour[kept]
-    if stats.bad:
-        axes, codes = (axes[0][:0], axes[1][:0], axes[2][:0]), codes[:0]
-        colour = None
     if colour is not None:
         stats = replace(stats, coloured=int(np.count_nonzero(colour)))
     return ChunkPoints(PointCloud(*axes, kinds[codes], colour), stats)
-
-
-def _coordinate(column: Any, unit: float) -> NDArray[np.float64]:
-    # Rounded like LAS coordinates, so that a point is identical in a LAS and a PLY file. Overflow becomes infinity;
-    # infinity and NaN are rejected later.
-    with np.errstate(over="ignore", invalid="ignore"):
-        value: NDArray[np.float64] = np.asarray(column, np.float64).round(DECIMALS)
-        return value if unit == 1.0 else value * unit
 
 
 def _steps(points: Floats, types: Sequence[Any]) -> list[float]:
@@ -170,18 +150,9 @@ class PointTable:
 
     A text has lines of numbers separated by whitespace, which are read one after the other; empty lines are skipped.
 
-    Parameters
-    ----------
-    path : Path or str
-    info : TableInfo
-    data_at : int
-        Offset of the first row, or of the first line of a text, bytes.
-    wanted : dict of str to tuple of str
-        Columns of a text that are read beside x, y and z, see `Wanted`.
-    skipped : int
-        Lines of a text before the first row.
-    text_type : numpy type, optional
-        Type of the numbers of a text; None: as declared in the header.
+    ``data_at``: offset of the first row, or of the first line of a text, bytes; ``wanted``: columns
+    of a text that are read beside x, y and z, see `Wanted`; ``skipped``: lines of a text before the
+    first row; ``text_type``: type of the numbers of a text; None: as declared in the header.
     """
 
     nan_is_no_return: ClassVar[bool]
@@ -302,10 +273,12 @@ class TableSurvey(SurveyReader):
 
     def _convert(self, chunk: Chunk, fetched: Any) -> ChunkPoints:
         place, columns = self.info.georeference, self._columns
-        x, y, z = (
-            _coordinate(fetched[name], unit)
-            for name, unit in zip(columns, (place.metres_per_unit,) * 2 + (place.metres_per_unit_z,), strict=True)
-        )
+        units = (place.metres_per_unit, place.metres_per_unit, place.metres_per_unit_z)
+        # Rounded like LAS coordinates, so that a point is identical in a LAS and a PLY file. Overflow becomes infinity;
+        # infinity and NaN are rejected later.
+        with np.errstate(over="ignore", invalid="ignore"):
+            axes = [np.asarray(fetched[name], np.float64).round(DECIMALS) for name in columns]
+            x, y, z = (axis if unit == 1.0 else axis * unit for axis, unit in zip(axes, units, strict=True))
         class_id = None if self._class_column is None else np.asarray(fetched[self._class_column])
         return convert_points(
             (x, y, z),

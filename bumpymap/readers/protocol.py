@@ -3,7 +3,7 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import date
 from typing import Any
@@ -177,15 +177,8 @@ class SurveyReader(ABC):
     Every call checks that the file is still of the version that was opened. Subclasses for the formats read the header
     (`_open`), split the file, and read and convert chunks.
 
-    Parameters
-    ----------
-    path : Path or str
-    options : ReadOptions
-
-    Raises
-    ------
-    BadInputError
-        Here and in ``fetch``, ``convert`` and ``verify``: the file is not what it must be, or was changed or removed.
+    Raises BadInputError: here and in ``fetch``, ``convert`` and ``verify``: the file is not what it
+    must be, or was changed or removed.
     """
 
     def __init__(self, path: Location, options: ReadOptions) -> None:
@@ -242,12 +235,9 @@ class SurveyReader(ABC):
     def checksum(self) -> str:
         """Read the file once more for its checksum, see `bumpymap.core.file_checksum`.
 
-        Raises
-        ------
-        BadInputError
-            The file was changed or removed since it was opened.
+        Raises BadInputError: the file was changed or removed since it was opened.
         """
-        with self._reading():
+        with pinned_version(self._path, self._version):
             return hash_survey(self._path)
 
     @abstractmethod
@@ -259,47 +249,34 @@ class SurveyReader(ABC):
 
         Call it from one thread at a time, unless ``SurveyInfo.parallel`` is set.
 
-        Raises
-        ------
-        BadInputError
-            The chunk is damaged.
+        Raises BadInputError: the chunk is damaged.
         """
-        with self._reading():
+        with pinned_version(self._path, self._version):
             return self._fetch(chunk)
 
     def convert(self, chunk: Chunk, fetched: Any) -> ChunkPoints:
         """Convert the result of ``fetch`` to points in metres and drop some. Thread-safe; overwrites ``fetched``."""
-        with self._reading():
+        with pinned_version(self._path, self._version):
             return self._convert(chunk, fetched)
 
     def verify(self, stats: PointStats) -> None:
         """Check the merged statistics of all chunks against the header, and that the file is unchanged.
 
-        Raises
-        ------
-        BadInputError
-            The header and the points disagree, or points are not on Earth.
+        Raises BadInputError: the header and the points disagree, or points are not on Earth.
         """
-        self._require_unchanged()
+        require_unchanged(self._path, self._version)
         verify(stats, self._info.path, self._info.point_count, self._info.bounds)
 
     def header_doubt(self, stats: PointStats) -> str:
         """Return where the extent in the header is not that of the points; empty if it is, or nobody measured it."""
         return header_doubt(stats, self._info.bounds, self._info.heights)
 
-    def _require_unchanged(self) -> None:
-        require_unchanged(self._path, self._version)
-
     def clouds(self, points: int = 1_000_000) -> Iterator[PointCloud]:
         """Yield the points, in metres, in reading order, at most ``points`` at a time.
 
-        Raises
-        ------
-        BadInputError
-            As ``fetch`` and ``verify``; the errors of ``verify`` are raised at the end.
+        Raises BadInputError: as ``fetch`` and ``verify``; the errors of ``verify`` are raised at
+        the end.
         """
-        if points < 1:
-            raise UsageError(f"chunks of {points} points were requested; a chunk must hold at least 1")
         stats, self._line_sums = PointStats(), LineSums()
         for chunk in self.chunks(points):
             converted = self.convert(chunk, self.fetch(chunk))
@@ -311,13 +288,6 @@ class SurveyReader(ABC):
                 yield PointCloud(cloud.easting[part], cloud.northing[part], cloud.upward[part], cloud.kind[part])
         self.verify(stats)
         self._info = replace(self._info, notes=(*self._info.notes, *filter(None, [self.header_doubt(stats)])))
-
-    @contextmanager
-    def _reading(self) -> Iterator[None]:
-        """Read from the file in the body; a change of it is noticed."""
-        with pinned_version(self._path, self._version):
-            yield
-        require_unchanged(self._path, self._version)
 
 
 _MOST_BYTES = 1 << 26
@@ -342,13 +312,8 @@ def split_rows(total: int, points: int, point_size: int) -> list[Chunk]:
 def group_laz_chunks(ends: NDArray[np.int64], points: int, point_size: int) -> list[Chunk]:
     """Return chunks made of whole LAZ chunks, with at most ``points`` points or a single LAZ chunk each.
 
-    Parameters
-    ----------
-    ends : int64 (n,)
-        Number of points in the file up to the end of each LAZ chunk.
-    points : int
-    point_size : int
-        Bytes of a point.
+    ``ends`` int64 (n,): number of points in the file up to the end of each LAZ chunk;
+    ``point_size``: bytes of a point.
     """
     step = chunk_capacity(points, point_size)
     chunks: list[Chunk] = []

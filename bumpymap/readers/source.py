@@ -26,23 +26,14 @@ def file_changed(location: Location, how: str) -> BadInputError:
     )
 
 
-def difference(before: Version, now: Version) -> str:
-    """Say how two versions of a file differ."""
-    if before["size"] != now["size"]:
-        return f"it had {before['size']:,} bytes and has {now['size']:,}"
-    return "it has the same size, but was written again"
-
-
 EPT_NAME = "ept.json"
 
 
 def open_source(location: Location) -> BinaryIO:
     """Open a file for reading and seeking.
 
-    Raises
-    ------
-    BadInputError
-        It does not exist, is not a regular file (reading a pipe might never end), or cannot be read.
+    Raises BadInputError: it does not exist, is not a regular file (reading a pipe might never end),
+    or cannot be read.
     """
     with _reading(location):
         _refuse_special(location)
@@ -56,10 +47,14 @@ def read_range(location: Location, start: int, size: int) -> NDArray[np.uint8]:
 
 
 def read_into(location: Location, start: int, data: NDArray[np.uint8]) -> int:
-    """Read bytes from offset ``start`` into an array; return how many there were."""
+    """Read bytes from offset ``start`` into an array; return their number."""
+    filled = 0
     with _reading(location), location.open("rb", buffering=0) as stream:
         stream.seek(start)
-        return _fill(stream, data)
+        # One call reads at most 2 GB.
+        while filled < data.size and (got := stream.readinto(memoryview(data.data)[filled:])):
+            filled += got
+    return filled
 
 
 def size_of(location: Location) -> int:
@@ -90,21 +85,17 @@ def version_of(location: Location) -> Version:
 
 @contextmanager
 def pinned_version(location: Location, version: Version) -> Iterator[None]:
-    """Require that what the body reads of a file is of one version.
+    """Require that what the body reads of a file is of one version; raise BadInputError as `require_unchanged` does.
 
-    If the body raises BadInputError for another reason and the file has
-    changed by then, the error says so instead, since a mixture of two versions looks like a damaged file.
-
-    Raises
-    ------
-    BadInputError
-        The file has changed; see `require_unchanged`.
+    If the body raises BadInputError for another reason and the file has changed by then, the error says so instead,
+    since a mixture of two versions looks like a damaged file.
     """
     try:
         yield
     except BadInputError as error:
         require_unchanged(location, version, error)
         raise
+    require_unchanged(location, version)
 
 
 def require_unchanged(location: Location, version: Version, cause: Exception | None = None) -> None:
@@ -113,28 +104,16 @@ def require_unchanged(location: Location, version: Version, cause: Exception | N
     A change that keeps size and time is not detected: one within the time resolution of the file system (some
     milliseconds; 2 s on FAT), or one after which the time is set back.
 
-    Raises
-    ------
-    BadInputError
-        The file was changed or removed.
+    Raises BadInputError: the file was changed or removed.
     """
     try:
         now = version_of(location)
     except BadInputError as error:
         raise file_changed(location, f"it was removed ({error})") from cause or error
+    if now["size"] != version["size"]:
+        raise file_changed(location, f"it had {version['size']:,} bytes and has {now['size']:,}") from cause
     if now != version:
-        raise file_changed(location, difference(version, now)) from cause
-
-
-def _fill(stream: Any, data: NDArray[np.uint8]) -> int:
-    """Read until the array is full or the file ends: one call returns at most 2 GB."""
-    filled = 0
-    while filled < data.size:
-        got = stream.readinto(memoryview(data.data)[filled:])
-        if not got:
-            break
-        filled += got
-    return filled
+        raise file_changed(location, "it has the same size, but was written again") from cause
 
 
 def _refuse_special(path: Path) -> None:
@@ -203,13 +182,8 @@ def refuse_points(path: Location, declared: int, held: int, unit: str = "points"
     refuse_count(path, declared, held, unit)
 
 
-def refuse_header_bounds(path: Location, bounds: Bounds) -> None:
-    """Raise BadInputError if the bounds in a header are not finite or inverted."""
-    sides = (bounds.west, bounds.south, bounds.east, bounds.north)
-    if not np.isfinite(sides).all() or bounds.west > bounds.east or bounds.south > bounds.north:
-        raise BadInputError(f"the header of {path} gives an impossible extent: {box_text(bounds)}. {TRUST}")
-
-
 def box_text(bounds: Bounds) -> str:
     """Return bounds as text for messages."""
-    return f"easting {bounds.west:,.2f} to {bounds.east:,.2f} m, northing {bounds.south:,.2f} to {bounds.north:,.2f} m"
+    sides = (bounds.west, bounds.east, bounds.south, bounds.north)
+    west, east, south, north = (f"{side:,.2f}" if abs(side) < 1e12 else f"{side:g}" for side in sides)
+    return f"easting {west} to {east} m, northing {south} to {north} m"

@@ -52,14 +52,9 @@ _INDEX_MASK = (1 << 23) - 1
 class KeyCounts:
     """Numbers of points by key, or sums, merged from time to time, so that memory grows with the number of keys only.
 
-    Parameters
-    ----------
-    most : int, optional
-        Keys at most: only those of one in ``step`` fours of tiles are kept; ``step``, a power of two, grows as needed.
-    shift : int
-        Bits of a key below the code of its tile.
-    join : ufunc
-        What becomes of two values of a key: their sum, or the lower one.
+    ``most``: keys at most: only those of one in ``step`` fours of tiles are kept; ``step``, a power
+    of two, grows as needed; ``shift``: bits of a key below the code of its tile; ``join``: what
+    becomes of two values of a key: their sum, or the lower one.
     """
 
     def __init__(self, most: int | None = None, shift: int = 0, join: np.ufunc = np.add) -> None:
@@ -173,15 +168,9 @@ def _summarise_classes(
 ) -> dict[int, ClassSummary]:
     """Summarise each class.
 
-    Parameters
-    ----------
-    keys : array (n,)
-        Codes of tiles in the bits above 8, LAS classes in those below.
-    sums : array (n, 2)
-        Number of these points, and sum of their heights, m.
-    tiles : int
-        Tiles that hold a point.
-    ground_classes : tuple of int
+    ``keys`` array (n,): codes of tiles in the bits above 8, LAS classes in those below; ``sums``
+    array (n, 2): number of these points, and sum of their heights, m; ``tiles``: tiles that hold a
+    point.
     """
     code, tile = keys & 0xFF, keys >> 8
     on_ground = np.isin(code, ground_classes)
@@ -207,11 +196,7 @@ def _summarise_classes(
 def dense_rule(settings: FeatureSettings, pixel_size: float) -> Rule:
     """Return the rule of heightmaps: enough pixels hold a point, and none is far from all of these.
 
-    Parameters
-    ----------
-    settings : FeatureSettings
-    pixel_size : float
-        m.
+    ``pixel_size``: m.
     """
     depth = max(1, round(settings.max_hole / pixel_size))
     return lambda known, _: (known.mean(axis=(1, 2)) >= settings.min_coverage) & _filled(known, depth)
@@ -237,14 +222,10 @@ def thin_rule(known: NDArray[np.bool_], points: NDArray[Any]) -> NDArray[np.bool
 
 def _filled(known: NDArray[np.bool_], depth: int) -> NDArray[np.bool_]:
     """Return in which tiles (n, pixels, pixels) each pixel has a known one within ``depth`` pixels (Chebyshev)."""
-    for axis in (1, 2):
-        lines = np.moveaxis(known, axis, 1)
-        near = lines.copy()
-        for step in range(1, min(depth, lines.shape[1] - 1) + 1):
-            near[:, step:] |= lines[:, :-step]
-            near[:, :-step] |= lines[:, step:]
-        known = np.moveaxis(near, 1, axis)
-    return np.asarray(known.all(axis=(1, 2)))
+    from scipy.ndimage import maximum_filter
+
+    side = 2 * depth + 1
+    return np.asarray(maximum_filter(known, (1, side, side), mode="constant").all(axis=(1, 2)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -286,15 +267,9 @@ class PointSummary:
 class PointSummaryBuilder:
     """Counts points by tile; memory grows with the number of tiles, not of points.
 
-    Parameters
-    ----------
-    grid : Grid
-    settings : FeatureSettings
-        Decides when a heightmap cannot be rated.
-    ground_classes : tuple of int
-        LAS classes that are ground: readers give classes, with `ReadOptions.keep_classes`.
-    thin : bool
-        Thin tiles are rated from their points, as with ``rating = "ride"``.
+    ``settings``: decides when a heightmap cannot be rated; ``ground_classes``: LAS classes that are
+    ground: readers give classes, with `ReadOptions.keep_classes`; ``thin``: thin tiles are rated
+    from their points, as with ``rating = "ride"``.
     """
 
     def __init__(
@@ -317,10 +292,7 @@ class PointSummaryBuilder:
     def read(self, reader: SurveyReader, advance: Callable[[int], None] = lambda _: None) -> Self:
         """Count all points of a file; ``advance`` is called after each chunk with its number of points.
 
-        Raises
-        ------
-        BadInputError
-            As ``reader.clouds``.
+        Raises BadInputError: as ``reader.clouds``.
         """
         for cloud in reader.clouds():
             axes = (cloud.easting, cloud.northing, cloud.upward)

@@ -75,12 +75,8 @@ class UnclassifiedPart:
     def find(cls, blocks: Mapping[BlockKey, NDArray[np.uint8]], tile_size: float) -> Self | None:
         """Find large areas at the edge whose points all have class 0 or 1; None if there is none.
 
-        Parameters
-        ----------
-        blocks : mapping of BlockKey to array (256,)
-            Marks of all tiles of the survey.
-        tile_size : float
-            m.
+        ``blocks`` mapping of BlockKey to array (256,): marks of all tiles of the survey;
+        ``tile_size``: m.
         """
         side = max(3, math.ceil(_SIDE_M / tile_size)) | 1
         least = _FILLED * side**2
@@ -121,11 +117,8 @@ class UnclassifiedPart:
     def never_classified(self, lowest: Iterable[Lowest]) -> Marks:
         """Return which tiles, (rows, cols), nobody has classified, as the module says.
 
-        Parameters
-        ----------
-        lowest : iterable of Lowest
-            The lowest points of the tiles in question, and the lowest ground points of those up to ``REACH`` away from
-            them; of other tiles as may be.
+        ``lowest``: the lowest points of the tiles in question, and the lowest ground points of
+        those up to ``REACH`` away from them; of other tiles as may be.
         """
         from scipy import ndimage
 

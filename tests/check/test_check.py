@@ -25,7 +25,7 @@ from bumpymap.check.stretches import cut_stretches
 from bumpymap.cli import main
 from bumpymap.core import BadInputError, ImuTrack, OutputError, PlaceTrack, UsageError, WheelTrack
 from bumpymap.layers import check_check_out
-from bumpymap.layers.check_record import CHECK_FILES, CHECK_MANIFEST_NAME
+from bumpymap.layers.products import CHECK_FILES, CHECK_MANIFEST_NAME
 from bumpymap.rating import less_floor
 from bumpytiles import TileWindow
 

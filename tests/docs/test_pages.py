@@ -23,7 +23,7 @@ from bumpymap.layers import SurveyRow
 from bumpymap.layers.scan_files import COLUMNS
 from bumpymap.rating import Vehicle
 from bumpymap.readers import parse_columns
-from bumpymap.readers.drives.quantities import NAMES, QUANTITIES, UNITS
+from bumpymap.readers.drive_signals import NAMES, QUANTITIES, UNITS
 from bumpymap.survey.batch.source import read_table
 
 ROOT = Path(__file__).resolve().parents[2]

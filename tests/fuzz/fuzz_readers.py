@@ -21,15 +21,15 @@ import warnings
 from collections import Counter
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "hostile"))
 
-from corpus.files import HEADER, HEADER_1_4, bases, layout_of
+from corpus.files import bases, number_fields
 from corpus.runner import MEMORY, Lines
 from driver import serve, text_said
-from las_files import ENTRY
 
 import bumpymap
 from bumpymap.core.errors import BumpymapError
@@ -156,37 +156,25 @@ Edit = tuple[int, int, bytes]
 
 _INTEGERS = (0, 1, 2, 7, 100, *(2**bits - below for bits in (15, 16, 31, 32, 40, 62, 63, 64) for below in (1, 0)))
 _REALS = (0.0, -0.0, 1.0, -1.0, float("nan"), float("inf"), -float("inf"), 1e300, -1e300, 1e-300, 4e9, -4e9, 1e16)
-_WORDS = (
-    b"0", b"1", b"-1", b"2", b"4", b"8", b"41", b"400000", b"4294967295", b"9223372036854775807", b"1e12",
-    b"nan", b"inf",
-    b"x", b"y", b"z", b"class", b"list", b"uchar", b"int", b"float", b"double", b"uint", b"vertex", b"face", b"ascii",
-    b"binary", b"binary_compressed", b"binary_little_endian", b"binary_big_endian", b"property", b"element", b"F", b"U",
-    b"I", b"", b"\xff", b"\n", b"end_header", b"DATA", b"COUNT", b"SIZE", b"POINTS", b"comment",
-)  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class Start:
+class Start(NamedTuple):
     """A valid survey to damage."""
 
     name: str
     data: bytes
     fields: tuple[tuple[int, str], ...]
     """Place and layout (little endian) of the numbers that its structure is made of."""
-    text_end: int
-    """Length of the header, where that is text; 0 elsewhere."""
 
 
 def starts():
     """Give every valid survey, of 40 points each."""
-    made = []
     for name, data in bases(40).items():
-        if name.endswith((".las", ".laz")):
-            made.append(Start(name, data, tuple(_las_fields(data)), 0))
-            continue
-        end = data.index(b"\n", data.index(b"end_header" if name.endswith(".ply") else b"DATA")) + 1
-        made.append(Start(name, data, ((end, "I"), (end + 4, "I")) if name == "packed.pcd" else (), end))
-    return made
+        fields = tuple(number_fields(data)) if name.endswith((".las", ".laz")) else ()
+        if name == "packed.pcd":
+            packed = data.index(b"\n", data.index(b"DATA")) + 1
+            fields = (packed, "I"), (packed + 4, "I")
+        yield Start(name, data, fields)
 
 
 def applied(data: bytes, edits) -> bytes:
@@ -200,13 +188,8 @@ def mutated(start: Start, others: list[Start], rng: np.random.Generator) -> list
     """Return one to four edits."""
     edits, data = [], start.data
     for _ in range(int(rng.integers(1, 5))):
-        kind = rng.random()
-        if start.fields and kind < 0.55:
-            edit = _field_edit(data, start, rng)
-        elif start.text_end and kind < 0.6:
-            edit = _word_edit(data, start, rng)
-        else:
-            edit = _block_edit(data, others, rng)
+        of_field = start.fields and rng.random() < 0.55
+        edit = _field_edit(data, start, rng) if of_field else _block_edit(data, others, rng)
         data = applied(data, [edit])
         edits.append(edit)
     return edits
@@ -221,16 +204,6 @@ def _field_edit(data, start, rng):
     near = (own + 1, own - 1, own * 2, own // 2, len(data), len(data) - 8, own ^ (1 << int(rng.integers(8 * size))))
     value = _chosen(_INTEGERS if rng.random() < 0.5 else near, rng) % 256**size
     return place, place + size, value.to_bytes(size, "little")
-
-
-def _word_edit(data, start, rng):
-    """Replace, remove or double a word or a line of a text header."""
-    between = b"\n" if rng.random() < 0.4 else b" \n"
-    ends = [i for i, byte in enumerate(data[: start.text_end]) if byte in between]
-    which = int(rng.integers(max(len(ends) - 1, 1)))
-    first, last = (ends[which] + 1, ends[which + 1]) if len(ends) > 1 else (0, len(data))
-    edits = (first, last, _chosen(_WORDS, rng)), (first, last + 1, b""), (first, first, data[first : last + 1])
-    return _chosen(edits, rng)
 
 
 def _block_edit(data, others, rng):
@@ -258,27 +231,6 @@ def _chosen(choices, rng):
     return choices[int(rng.integers(len(choices)))]
 
 
-def _las_fields(data):
-    layout = layout_of(data)
-    known = HEADER | (HEADER_1_4 if data[25] >= 4 else {})
-    yield from ((place, form) for place, form in known.values() if form[-1] in "BHIQd" and form[0] not in "123456789")
-    for start, body, end in layout.vlrs:
-        yield from ((start + 2, "B"), (start + 18, "H"), (start + 20, "H"))
-        yield from ((place, "H") for place in range(body, min(end, body + 64) - 1, 2))
-    for start, body, end in layout.evlrs:
-        yield from ((start + 2, "B"), (start + 18, "H"), (start + 20, "Q"))
-        for entry in range(body, end - ENTRY.size + 1, ENTRY.size):
-            yield from ((entry + at, form) for at, form in zip((0, 4, 8, 12, 16, 24, 28), "IIIIQII", strict=True))
-    if not layout.chunks:
-        yield from ((layout.points_at + at, "I") for at in range(0, 68, 4))
-        return
-    yield layout.points_at, "Q"
-    yield from ((layout.table_at + at, "I") for at in (0, 4))
-    yield from ((place, "B") for place in range(layout.table_at + 8, layout.table_end))
-    for start, _, _ in layout.chunks:
-        yield from ((start + at, "I") for at in (0, 4, 8, 30, 34, 38, *range(36, 80, 4)))
-
-
 # ---- fuzzing ----
 
 
@@ -299,7 +251,7 @@ def keep(judge, start, edits, verdict):
 
 def fuzz(judge, minutes, inputs, seed):
     """Judge so many inputs or minutes at most; return the verdicts by survey, and the seed of each fault."""
-    surveys, counts, faults = starts(), Counter(), {}
+    surveys, counts, faults = [*starts()], Counter(), {}
     began, made = time.monotonic(), 0
     while time.monotonic() - began < 60 * minutes and made < inputs:
         rng = np.random.default_rng([seed, made])

@@ -20,7 +20,7 @@ from route_records import CORNERS, FIGURES, UTM, MadeUpMap, make_route
 from bumpymap.check.pipeline import agreement_of
 from bumpymap.core import CLASS_NAMES, BadInputError, Georeference, RoadFigures, Route, SeenSizes
 from bumpymap.layers import Placement, PlannedRoute, ReachField
-from bumpymap.layers.check_vectors import NOT_COMPARED, OFF_KINDS, MapOffset, place_stretches, write_stretches
+from bumpymap.layers.check_files import NOT_COMPARED, OFF_KINDS, MapOffset, place_stretches, write_stretches
 from bumpymap.layers.route_files import (
     PROFILE_COLUMNS,
     track_points,

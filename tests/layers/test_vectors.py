@@ -235,30 +235,16 @@ def back_to_tiles(cost_map, outlines):
 
 def test_properties(tmp_path, cost_map):
     write_geojson(regions_of(cost_map), tmp_path / "cost.geojson", local=False)
-    features = check_rfc7946(tmp_path / "cost.geojson")["features"]
-    rule, seen = cost_map.rule, set()
-    for got in (feature["properties"] for feature in features):
+    found = [feature["properties"] for feature in check_rfc7946(tmp_path / "cost.geojson")["features"]]
+    for got in found:
         assert list(got) == [
             *("region", "class", "class_name", "reason", "passable", "c_r", "c_r_low", "c_r_high", "c_r_basis"),
             *("p_fail", "hazard", "cost", "area_m2", "tiles"),
         ]
-        assert got["area_m2"] == got["tiles"] * 9.0
-        seen.add((got["class"] is None, got["passable"]))
-        if got["class"] is None:
-            assert (got["class_name"], got["c_r"], got["c_r_basis"], got["p_fail"]) == ("unknown", None, None, None)
-            assert got["reason"] in {"too few points", "too many holes", "no ground points", "outlier-only relief"}
-        else:
-            assert (got["class_name"], got["reason"]) == (CLASS_NAMES[got["class"]], None)
-            assert got["c_r_low"] <= got["c_r"] <= got["c_r_high"]
-            assert got["c_r_basis"] == ("survivors" if got["p_fail"] >= 0.5 else "drives")
-        if got["passable"]:
-            assert got["p_fail"] < 0.5
-            cost = 1 + rule.ride_weight * got["c_r"] + rule.fail_weight * got["hazard"]
-            assert got["cost"] == pytest.approx(cost, abs=5e-6)
-        else:
-            assert (got["cost"], got["hazard"]) == (None, None)
-    assert seen == {(True, False), (False, True), (False, False)}
-    assert sum(feature["properties"]["tiles"] for feature in features) == len(cost_map.class_id)
+        assert got["passable"] == (got["cost"] is not None) == (got["hazard"] is not None)
+        assert (got["class"] is None) == (got["c_r"] is None) == (got["reason"] is not None)
+    assert {(got["class"] is None, got["passable"]) for got in found} == {(True, False), (False, True), (False, False)}
+    assert sum(got["tiles"] for got in found) == len(cost_map.class_id)
 
 
 def test_geojson_and_flatgeobuf_open_in_geopandas_where_the_tiles_are_with_the_same_values(tmp_path, site):

@@ -115,7 +115,7 @@ def test_any_order_of_chunks_of_any_size_gives_the_same_points(tmp_path, batches
     assert reader.checksum() == hash_survey(path)
 
 
-def test_long_points_make_small_chunks_and_records_that_reads_cut_are_whole_again(las, batches, table, monkeypatch):
+def test_long_points_make_small_chunks_and_are_whole_in_pieces_of_any_size(las, batches, table, monkeypatch):
     """However long a point is, a chunk fits into memory."""
     path = survey(las, count=200)
     expected, data = table(batches(open_survey(path))), path.read_bytes()

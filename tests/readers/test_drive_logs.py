@@ -16,7 +16,7 @@ from ulogs import ulog
 
 from bumpymap.core import BadInputError, missing_resource
 from bumpymap.readers import read_drive
-from bumpymap.readers.frames.raw import BagReader
+from bumpymap.readers.raw_scans import BagReader
 
 # ---- bags ----
 
@@ -224,7 +224,7 @@ def test_a_log_that_is_read_without_end_is_refused_and_the_next_is_read(tmp_path
     layout = whole[first : whole.index(b"A\0\0\0a") - 2]
     endless = whole[:first] + 1500 * layout + struct.pack("<HB", 20_000, 1) + bytes(10)
     (tmp_path / "endless.ulg").write_bytes(endless)
-    monkeypatch.setattr("bumpymap.readers.drives.read.SECONDS", 0.5)
+    monkeypatch.setattr("bumpymap.readers.drives.SECONDS", 0.5)
     with pytest.raises(BadInputError, match=r"endless\.ulg: the decoder did not finish.*damaged"):
         read_drive(str(tmp_path / "endless.ulg"))
     monkeypatch.undo()

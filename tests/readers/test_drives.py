@@ -10,9 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from bumpymap.core import BadInputError, UsageError
 from bumpymap.readers import parse_columns, read_drive
-from bumpymap.readers.drives.quantities import NAMES as KNOWN, named_columns
-from bumpymap.readers.drives.signals import Signal, body_rates
-from bumpymap.readers.drives.tables import open_table
+from bumpymap.readers.drive_signals import NAMES as KNOWN, Signal, body_rates, named_columns
+from bumpymap.readers.drive_tables import open_table
 
 
 @pytest.mark.parametrize(
@@ -308,7 +307,7 @@ def test_what_is_not_there_or_too_large(tmp_path, monkeypatch):
     assert "folder" in refusal(tmp_path)
     with pytest.raises(UsageError, match="is empty"):
         read_drive(" ")
-    monkeypatch.setattr("bumpymap.readers.drives.tables._MOST_BYTES", 1000)
+    monkeypatch.setattr("bumpymap.readers.drive_tables._MOST_BYTES", 1000)
     with pytest.raises(BadInputError, match="Cut it into several drives"):
         open_table(Path(write(tmp_path / "a.csv", drive())))
 
@@ -360,7 +359,7 @@ def test_repeated_times_broken_lines_and_gaps_are_noted(tmp_path):
 )
 def test_odd_tables_take_no_longer_than_others(tmp_path, monkeypatch, head, row):
     (tmp_path / "odd.csv").write_text(f"{head}\n{row}\n")
-    monkeypatch.setattr("bumpymap.readers.drives.read.SECONDS", 2.0)
+    monkeypatch.setattr("bumpymap.readers.drives.SECONDS", 2.0)
     with pytest.raises(BadInputError, match=r"^((?!did not finish).)*$"):
         read_drive(str(tmp_path / "odd.csv"))
 

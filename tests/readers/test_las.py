@@ -240,6 +240,7 @@ def test_a_header_that_cannot_be(las, place, layout, value, says):
     [
         ({MIN_X: np.nan}, "impossible extent"),
         ({MIN_X: 600000.0}, "impossible extent"),
+        ({MAX_Y: 1e300}, "impossible extent: easting 500,000.00 to 500,005.00 m, northing 4,000,000.00 to 1e+300 m"),
         ({MIN_X: -2e9, MAX_X: 2e9}, "-2,000,000,000.00 to 2,000,000,000.00"),
         ({MIN_X: 0.0, MAX_X: 0.0, MIN_Y: 0.0, MAX_Y: 0.0}, "7 of 7 points are outside"),
         ({MAX_X: 500003.9}, "1 of 7 points are outside"),
@@ -251,7 +252,7 @@ def test_a_header_that_lies_about_its_extent(las, name, changes, says):
     for place, value in changes.items():
         las.patch(path, place, "<d", value)
     message = refused(path, says, "`trust_points=True`")
-    if says != "impossible extent":
+    if "impossible extent" not in says:
         assert "500,000.00 to 500,005.00" in message
     assert open_survey(path, ReadOptions(trust_points=True)).info.bounds is None
     assert exhaust(path, trust_points=True) == 7
@@ -327,5 +328,5 @@ def test_chunks_of_fewer_points_than_their_table_promises_and_too_large_ones(las
         (points_at,) = struct.unpack_from("<I", path.read_bytes(), 96)
         las.patch(path, points_at + 8 + 30, "<I", held)
         refused(path, f"declares 7 points in a LAZ chunk but holds {held}")
-    monkeypatch.setattr("bumpymap.readers.laz_chunks._LARGEST_CHUNK", 5 * 28 - 1)
+    monkeypatch.setattr("bumpymap.readers.las._LARGEST_CHUNK", 5 * 28 - 1)
     refused(las.pack(las.write(), 5), "holds 5 points", "pdal translate")

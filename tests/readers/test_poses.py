@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from bumpymap.core import LONGEST_GAP_S, NEAREST_S, PoseTrack, Scan
 from bumpymap.core.errors import BadInputError
 from bumpymap.readers import deskew, files_beside_poses, read_poses
-from bumpymap.readers.frames.poses import _read_file as read_pose_file
+from bumpymap.readers.poses import _read_file as read_pose_file
 
 TURNS = Rotation.random(6, random_state=3)
 PLACES = np.random.default_rng(4).normal(size=(6, 3)) * 1e4
@@ -77,12 +77,11 @@ FORMATS = {
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_every_format_is_the_same_poses_and_times(tmp_path, name):
-    found = read_pose_file(write(tmp_path / "p", *FORMATS[name]))
-    np.testing.assert_allclose(found.poses, MATRICES, atol=1e-9)
-    if name == "kitti":
-        assert found.times is None
-    else:
-        np.testing.assert_allclose(found.times, TIMES, atol=1e-6)
+    times, poses, is_kitti = read_pose_file(write(tmp_path / "p", *FORMATS[name]))
+    np.testing.assert_allclose(poses, MATRICES, atol=1e-9)
+    assert (times is None) == is_kitti == (name == "kitti")
+    if times is not None:
+        np.testing.assert_allclose(times, TIMES, atol=1e-6)
 
 
 def kitti_row(**change):

@@ -18,7 +18,7 @@ from bags import LIDAR, as_rclpy, cloud, lidar_rows, odometry, transforms, write
 
 from bumpymap.core import BadInputError, Robot, UsageError, install_command
 from bumpymap.readers import BagReader, BagTopics, find_sources, points_of, read_message
-from bumpymap.readers.frames.raw import read_cloud
+from bumpymap.readers.raw_scans import read_cloud
 
 T0 = 1_700_000_000_000_000_000
 STEP = 100_000_000

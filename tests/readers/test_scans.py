@@ -9,7 +9,7 @@ from survey_kinds import TABLES, write_table
 
 from bumpymap.core import BadInputError, Dropped, Robot, UsageError
 from bumpymap.readers import find_frames, read_scan
-from bumpymap.readers.frames.raw import point_seconds, start_of_day_time
+from bumpymap.readers.raw_scans import point_seconds
 
 # ---- formats ----
 
@@ -144,63 +144,36 @@ def test_real_scans(shared_data, name, points, dropped):
 # ---- the number of columns of a .bin scan is told from its values: never wrong, and in doubt asked for ----
 
 
-def street(lines, columns, seed):
-    """A made-up scan of a street, line by line: x, y, z, intensity, ring, time; (0, 0, 0) without a return."""
+def made_up(lines, columns, seed):
+    """Returns line by line: x, y, z, intensity, ring, time; (0, 0, 0) without a return."""
     rng = np.random.default_rng(seed)
-    elevation = np.radians(np.linspace(rng.uniform(-30, -10), rng.uniform(2, 20), lines))[:, None]
-    azimuth = np.linspace(-np.pi, np.pi, columns, endpoint=False)[None, :]
-    wall = 6.0 + 8.0 * rng.uniform() + 3.0 * np.sign(np.sin(azimuth * rng.integers(3, 9)))
-    ground = rng.uniform(0.5, 2.0) / np.maximum(np.tan(-elevation), 1e-3)
-    reach = np.minimum(ground, wall / np.maximum(np.abs(np.sin(azimuth)), 0.05))
-    reach = np.broadcast_to(reach, (lines, columns)) + rng.normal(scale=0.02, size=(lines, columns))
-    flat = reach * np.cos(elevation)
-    points = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), reach * np.sin(elevation)], axis=-1)
-    points[(reach > 90.0) | (rng.uniform(size=reach.shape) < 0.05)] = 0.0
-    rest = [
-        rng.uniform(0.1, 0.4) + 0.1 * rng.uniform(size=reach.shape),
-        np.broadcast_to(np.arange(lines)[:, None], reach.shape),
-        np.broadcast_to((azimuth + np.pi) * 0.1 / (2 * np.pi), reach.shape),
-    ]
-    return np.concatenate([points, np.stack(rest, axis=-1)], axis=-1).astype(np.float32)
+    rows = np.zeros((lines * columns, 6), np.float32)
+    rows[:, :3] = rng.uniform(-50.0, 50.0, (len(rows), 3)) * (rng.random((len(rows), 1)) > 0.05)
+    rows[:, 3] = rng.uniform(0.1, 0.5, len(rows))
+    rows[:, 4], rows[:, 5] = np.divmod(np.arange(len(rows)), columns) / np.array([[1.0], [10.0 * columns]])
+    return rows
 
 
 def seen(rows):
     return rows[(rows[:, :3] != 0.0).any(axis=1)]
 
 
-def paired(grid):
-    """Firing by firing: a low and a high line in turn."""
-    half = len(grid) // 2
-    order = np.column_stack([np.arange(half), np.arange(half) + half]).ravel()
-    return seen(grid[order].transpose(1, 0, 2).reshape(-1, 6))
-
-
-def ahead(grid):
-    """70 degrees, as of a solid-state sensor; (0, 0, 0) without a return."""
-    rows = grid.reshape(-1, 6)
-    return rows[np.abs(rows[:, 5] - 0.05) < 0.01]
-
-
-def as_bytes(grid):
+def as_bytes(rows):
     """Intensities of 0 to 255."""
-    rows = seen(grid.reshape(-1, 6))
+    rows = seen(rows)
     return np.column_stack([rows[:, :3], np.rint(rows[:, 3] * 255), rows[:, 4:]])
 
 
-def with_nan(grid):
-    rows = grid.reshape(-1, 6)
+def with_nan(rows):
     return np.where((rows[:, :3] == 0.0).all(axis=1)[:, None] & (np.arange(6) < 3), np.nan, rows)
 
 
 ORDERS = {
-    "organised": lambda grid: grid.reshape(-1, 6),
-    "by azimuth": lambda grid: grid.transpose(1, 0, 2).reshape(-1, 6),
-    "paired": paired,
-    "ahead": ahead,
-    "shuffled": lambda grid: np.random.default_rng(1).permutation(seen(grid.reshape(-1, 6))),
+    "organised": lambda rows: rows,
+    "shuffled": lambda rows: np.random.default_rng(1).permutation(seen(rows)),
     "bytes": as_bytes,
     "nan": with_nan,
-    "thin": lambda grid: seen(grid.reshape(-1, 6))[::17],
+    "thin": lambda rows: seen(rows)[::17],
 }
 
 
@@ -215,7 +188,7 @@ def read(path, values, columns=None):
 def test_made_up_scans_of_any_order_are_told_and_no_answer_is_wrong(tmp_path, order, seed):
     """Random sizes, cuts and orders: the right width, or a refusal; of a whole scan, the width."""
     rng, path = np.random.default_rng(seed), tmp_path / "a.bin"
-    rows = ORDERS[order](street(int(rng.choice([16, 31, 64])), int(rng.integers(500, 900)), seed))
+    rows = ORDERS[order](made_up(int(rng.choice([16, 31, 64])), int(rng.integers(500, 900)), seed))
     rows = rows[: len(rows) // 60 * 60]  # the size fits every width
     kept = seen(rows[np.isfinite(rows[:, 0])])
     for width in (4, 5, 6):
@@ -270,10 +243,9 @@ def test_real_scans_have_four_columns(shared_data, tmp_path, folder):
 def test_seconds_microseconds_and_nanoseconds(unit, start):
     exact = np.linspace(0.0, 0.0999, 1000)
     column = (start + exact) * unit
-    found = point_seconds(column)
+    found, day = point_seconds(column)
     np.testing.assert_allclose(found, exact + min(start, 0.0), atol=2e-6)
     assert found.dtype == np.float32
-    day = start_of_day_time(column)
     assert (day is None) == (start < 1e9)
     assert day is None or abs(day - start) < 1e-5
 
@@ -281,12 +253,11 @@ def test_seconds_microseconds_and_nanoseconds(unit, start):
 def test_missing_times_and_times_of_no_clear_unit():
     column = 1.6e9 + np.linspace(0.0, 0.1, 11)
     column[[0, 5]] = [np.nan, 0.0]  # beams without return
-    found = point_seconds(column)
+    found, _ = point_seconds(column)
     np.testing.assert_allclose(found[[1, 10]], [0.0, 0.09], atol=1e-6)
     assert np.isnan(found[[0, 5]]).all()
     for unclear in ([0.0] * 9, [0.0, 1e3, 2e3], [], [5.0, 4e12], [np.nan] * 4):
-        assert point_seconds(np.array(unclear)) is None
-        assert start_of_day_time(np.array(unclear)) is None
+        assert point_seconds(np.array(unclear)) == (None, None)
 
 
 # ---- finding frames ----

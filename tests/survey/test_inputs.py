@@ -16,8 +16,7 @@ from small_surveys import layers_of, run, write_las, write_survey
 import bumpymap
 from bumpymap import layers
 from bumpymap.core.errors import BadInputError
-from bumpymap.readers import PointStats, hash_survey, open_survey
-from bumpymap.readers.frames import read as scan_files
+from bumpymap.readers import PointStats, hash_survey, open_survey, scans as scan_files
 from bumpymap.readers.las import LasSurvey
 from bumpymap.scan import pipeline as scan_pipeline
 from bumpymap.scan.frames import FrameReader

@@ -21,7 +21,7 @@ from survey_pairs import COLS, ROWS, survey
 import bumpymap
 from bumpymap.check.pipeline import write_check
 from bumpymap.core import CHANGE_KINDS, CLASS_NAMES, BadInputError, Georeference, UsageError
-from bumpymap.layers.check_vectors import MapOffset
+from bumpymap.layers.check_files import MapOffset
 from bumpymap.views import check_headline, write_report
 from bumpymap.views.page import change_page
 from bumpymap.views.page.change_page import NOT_COMPARED

@@ -28,7 +28,7 @@ from bumpymap.check.pipeline import write_check
 from bumpymap.core import BARRED_TEXT, CHANGE_KINDS, CLASS_NAMES, NO_CLASS, OBJECT_NAMES, REASON_TEXT
 from bumpymap.core.types import Georeference
 from bumpymap.layers import Placement, ReachField, colours, open_map, write_products
-from bumpymap.layers.check_vectors import OFF_KINDS, MapOffset
+from bumpymap.layers.check_files import OFF_KINDS, MapOffset
 from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.rating import Calibration
 from bumpymap.route.output import write_reach_files, write_route

@@ -11,7 +11,7 @@ from route_maps import change_bars, copy_folder
 
 from bumpymap.core import Barred
 from bumpymap.layers import BARRED_COLOURS, SurveyRow
-from bumpymap.layers.check_vectors import MapOffset
+from bumpymap.layers.check_files import MapOffset
 from bumpymap.layers.colours import OFF_COLOURS
 from bumpymap.views import write_report
 from bumpymap.views.page.batch_page import index_page

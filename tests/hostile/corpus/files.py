@@ -14,7 +14,7 @@ import numpy as np
 from pyproj import CRS
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "helpers"))  # for processes of their own
-from las_files import geokeys, las_bytes, octree, packed, wkt
+from las_files import ENTRY, geokeys, las_bytes, octree, packed, wkt
 from ply_files import ply_bytes
 
 ORIGIN = (500_001.0, 4_000_001.0, 100.0)
@@ -113,6 +113,28 @@ def _walk(data, place, count, length, head_size):
         found.append((place, place + head_size, place + head_size + size))
         place += head_size + size
     return tuple(found)
+
+
+def number_fields(data):
+    """Yield place and layout (little endian) of the numbers that the structure of a LAS or LAZ file is made of."""
+    layout = layout_of(data)
+    known = HEADER | (HEADER_1_4 if data[25] >= 4 else {})
+    yield from ((place, form) for place, form in known.values() if form[-1] in "BHIQd" and form[0] not in "123456789")
+    for start, body, end in layout.vlrs:
+        yield from ((start + 2, "B"), (start + 18, "H"), (start + 20, "H"))
+        yield from ((place, "H") for place in range(body, min(end, body + 64) - 1, 2))
+    for start, body, end in layout.evlrs:
+        yield from ((start + 2, "B"), (start + 18, "H"), (start + 20, "Q"))
+        for entry in range(body, end - ENTRY.size + 1, ENTRY.size):
+            yield from ((entry + at, form) for at, form in zip((0, 4, 8, 12, 16, 24, 28), "IIIIQII", strict=True))
+    if not layout.chunks:
+        yield from ((layout.points_at + at, "I") for at in range(0, 68, 4))
+        return
+    yield layout.points_at, "Q"
+    yield from ((layout.table_at + at, "I") for at in (0, 4))
+    yield from ((place, "B") for place in range(layout.table_at + 8, layout.table_end))
+    for start, _, _ in layout.chunks:
+        yield from ((start + at, "I") for at in (0, 4, 8, 30, 34, 38, *range(36, 80, 4)))
 
 
 _FORMATS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
@@ -224,38 +246,7 @@ def patched(data, place, layout, *values):
     return bytes(out)
 
 
-def flipped(data, places, seed):
-    """Spoil bytes: each becomes another one."""
-    out = bytearray(data)
-    mask = np.random.default_rng(seed).integers(1, 256, len(places)).tolist()
-    for place, bits in zip(places, mask, strict=True):
-        out[place] ^= bits
-    return bytes(out)
-
-
 def renamed(name, word):
     """Give the name of a file with a word behind its stem."""
     stem, dot, suffix = name.partition(".")
     return f"{stem}-{word}{dot}{suffix}"
-
-
-def field_cases(name, data, fields, at=0, *, exits=None, default=REFUSED, base=None):
-    """Cases of a file with other numbers in its fields.
-
-    ``fields`` maps a field to its place behind ``at``, its layout and values by word; a text such as ``+1`` is added to
-    what stands there. ``exits`` maps fields, or ``field-word``, to what may become of them.
-    """
-    made, exits = [], exits or {}
-    for field, (place, layout, values) in fields.items():
-        own = data[at + place : at + place + struct.calcsize("<" + layout)]
-        for word, value in values.items():
-            told = int.from_bytes(own, "little") + int(value) if isinstance(value, str) else value
-            spoilt = patched(data, at + place, layout, told)
-            allowed = exits.get(f"{field}-{word}", exits.get(field, default))
-            made.append(Case(renamed(name, f"{field}-{word}"), spoilt, allowed, base))
-    return made
-
-
-def cut(name, data, places):
-    """Cases of a file that ends early; ``places`` maps a word to the length that is left."""
-    return [Case(renamed(name, f"cut-{word}"), data[:length]) for word, length in places.items()]

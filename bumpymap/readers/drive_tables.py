@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError
-from bumpymap.readers.drives.quantities import (
+from bumpymap.readers.drive_signals import (
     ACCELERATIONS,
     ANGLES,
     DIMENSIONS,
@@ -23,10 +23,11 @@ from bumpymap.readers.drives.quantities import (
     SIDES,
     UNITS,
     DriveColumn,
+    Floats,
+    Samples,
     chosen_columns,
     named_columns,
 )
-from bumpymap.readers.drives.signals import Floats, Samples
 from bumpymap.readers.source import decoding, open_source, size_of
 
 _MOST_BYTES = 2 << 30
@@ -68,10 +69,8 @@ class DriveTable(NamedTuple):
     def read(self, names: Sequence[str]) -> tuple[dict[str, Any], int]:
         """Return columns as arrays of pyarrow, by name, and how many rows were left out because they are broken.
 
-        Raises
-        ------
-        BadInputError
-            More rows are broken than a recording that was cut off explains, or the file is damaged.
+        Raises BadInputError: more rows are broken than a recording that was cut off explains, or
+        the file is damaged.
         """
         from pyarrow import csv as arrow
 
@@ -131,10 +130,7 @@ def refuse_large(path: Path, most: int = _MOST_BYTES) -> int:
 def open_table(path: Path) -> DriveTable:
     """Read the header of a table.
 
-    Raises
-    ------
-    BadInputError
-        The file is empty, too large, no text, or has no header line.
+    Raises BadInputError: the file is empty, too large, no text, or has no header line.
     """
     refuse_large(path, _MOST_BYTES)
     with open_source(path) as stream:
@@ -217,12 +213,8 @@ _LEAST_FIX, _ARDUPILOT_FIX = 1.0, 2.0
 def find_columns(table: DriveTable, columns: Mapping[str, str]) -> dict[str, DriveColumn]:
     """Return which columns of a table hold what: as named, the others by their names.
 
-    Raises
-    ------
-    BadInputError
-        Two columns have the name of one quantity, or a name states an unknown unit.
-    UsageError
-        A named unit is unknown.
+    Raises BadInputError: two columns have the name of one quantity, or a name states an unknown
+    unit; UsageError: a named unit is unknown.
     """
     chosen = chosen_columns(columns, table.names)
     known = (set(columns) - {"time"}) | set(chosen)
@@ -243,16 +235,8 @@ def find_columns(table: DriveTable, columns: Mapping[str, str]) -> dict[str, Dri
 def table_samples(table: DriveTable, columns: Mapping[str, DriveColumn]) -> Samples:
     """Read the samples of a table.
 
-    Parameters
-    ----------
-    table : DriveTable
-    columns : mapping
-        Of `find_columns`.
-
-    Raises
-    ------
-    BadInputError
-        There is no time, or values cannot be meant.
+    ``columns``: of `find_columns`. Raises BadInputError: there is no time, or values cannot be
+    meant.
     """
     source, notes = table.path.name, list[str]()
     listing = f"{source}: {', '.join(table.names)}"

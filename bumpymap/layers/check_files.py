@@ -1,7 +1,7 @@
-"""How far a map is off the drives over it, by stretch: check.geojson."""
+"""How far a map is off the drives over it, by stretch: check.geojson, and the findings in check.json."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from bumpymap.core import CLASS_NAMES, NO_CLASS, CheckResult, DrivenStretches
+from bumpymap.core import CLASS_NAMES, NO_CLASS, CheckResult, DrivenStretches, plain_json
 from bumpymap.layers.colours import OFF_KINDS
 from bumpymap.layers.map_reader import MapReader
 from bumpymap.layers.placement import Placement
@@ -116,3 +116,40 @@ def _numbers(record: DrivenStretches, names: Sequence[str]) -> dict[str, list[fl
 def _class(name: str, codes: NDArray[np.uint8]) -> dict[str, list[Any]]:
     plain = [None if code == NO_CLASS else code for code in codes.tolist()]
     return {name: plain, f"{name}_name": [None if code is None else CLASS_NAMES[code] for code in plain]}
+
+
+_OF_MAP = ("c_r", "c_r_low", "c_r_high", "place_sd", "class_id")
+"""Columns that hold what the map says of stretches."""
+
+
+def check_entries(result: CheckResult) -> dict[str, Any]:
+    """Return the entries of check.json that hold the findings, as plain JSON: what is not known is null.
+
+    Arrays become lists of numbers, one for each stretch.
+    """
+    found: dict[str, Any] = {
+        "map": result.ground,
+        "warnings": result.warnings,
+        "skipped": result.skipped,
+        "agreement": result.agreement,
+        "by_class": [
+            {"class": code, "name": CLASS_NAMES[code]} | asdict(agreement)
+            for code, agreement in sorted(result.by_class.items())
+        ],
+        "drives": result.drives,
+        "stretches": _columns(result.stretches),
+        "line": None,
+    }
+    if result.by_line is not None:
+        columns = _columns(result.by_line)
+        found["line"] = {"agreement": result.agreement_by_line, "stretches": {name: columns[name] for name in _OF_MAP}}
+    record: dict[str, Any] = plain_json(found)
+    return record
+
+
+def _columns(record: DrivenStretches) -> dict[str, list[Any]]:
+    """Return the arrays of a record as lists; no class is None."""
+    found = {name: values.tolist() for name, values in asdict(record).items()}
+    for name in {"class_id", "measured_class"} & set(found):
+        found[name] = [None if code == NO_CLASS else code for code in found[name]]
+    return found

@@ -77,54 +77,27 @@ def choose_topic(
     )
 
 
-def message_types(*, ros1: bool = False) -> Any:
-    """Return the message types of ROS 2, or of ROS 1, as rosbags knows them.
-
-    Raises
-    ------
-    UsageError
-        The extra ``ros`` is not installed.
-    """
-    try:
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        raise UsageError(
-            f"bags are read with rosbags, which cannot be imported ({error}): {install_command('ros')}"
-        ) from error
-    return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
-
-
-@dataclass(frozen=True, slots=True)
-class BagRecord:
-    """A message as the bag stores it."""
-
-    topic: str
-    time_ns: int
-    """Time under which it is stored."""
-    data: bytes
-    """Serialised."""
+BagRecord = tuple[str, int, bytes]
+"""A message as the bag stores it: its topic, the time under which it is stored, ns, and it, serialised."""
 
 
 class BagReader:
     """An open bag; it is closed when the object is collected. Several threads may `read`.
 
-    Parameters
-    ----------
-    path : Path
-        A file or a folder, see `is_bag`; or a file of ROS 1.
-
-    Raises
-    ------
-    BadInputError
-        The bag cannot be read.
-    UsageError
-        The extra ``ros`` is not installed.
+    ``path``: a file or a folder, see `is_bag`; or a file of ROS 1. Raises BadInputError: the bag
+    cannot be read; UsageError: the extra ``ros`` is not installed.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         ros1 = is_ros1(path)
-        types = message_types(ros1=ros1)
+        try:
+            from rosbags.typesys import Stores, get_typestore
+        except ImportError as error:
+            raise UsageError(
+                f"bags are read with rosbags, which cannot be imported ({error}): {install_command('ros')}"
+            ) from error
+        types = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
         self._deserialize = types.deserialize_ros1 if ros1 else types.deserialize_cdr
         self._versions: dict[Path, Version] = {file: version_of(file) for file in bag_files(path)}
         self._lock = Lock()
@@ -146,10 +119,7 @@ class BagReader:
     def messages(self, topics: Collection[str], start_ns: int | None = None) -> Generator[BagRecord, None, None]:
         """Yield the messages of some topics in order of time, holding one at a time.
 
-        Raises
-        ------
-        BadInputError
-            The bag is damaged.
+        Raises BadInputError: the bag is damaged.
         """
         wanted = [connection for connection in self._reader.connections if connection.topic in topics]
         return _records(self._reader, self.path, wanted, start_ns)
@@ -157,10 +127,7 @@ class BagReader:
     def read(self, message: BagMessage) -> Any:
         """Return a message, deserialised.
 
-        Raises
-        ------
-        BadInputError
-            The bag is damaged, or has changed since it was opened.
+        Raises BadInputError: the bag is damaged, or has changed since it was opened.
         """
         with self._lock:
             topic, number = self._next
@@ -168,15 +135,15 @@ class BagReader:
                 number = message.number - message.place
                 self._streams[:] = [self.messages([message.topic], message.time_ns)]
             self._next = ("", 0)  # if this fails, the stream ends, and the next message is looked up
-            record = None
+            time_ns, data = None, b""
             for _ in range(message.number - number + 1):
-                record = next(self._streams[0], None)
+                _, time_ns, data = next(self._streams[0], ("", None, b""))
             self._next = (message.topic, message.number + 1)
             for file, version in self._versions.items():
                 require_unchanged(file, version)
-        if record is None or record.time_ns != message.time_ns:
+        if time_ns != message.time_ns:
             raise BadInputError(f"the bag {self.path} no longer has the message {message.number} of {message.topic}")
-        return self.decode(record.data, CLOUD)
+        return self.decode(data, CLOUD)
 
     def decode(self, data: bytes, kind: str) -> Any:
         """Deserialise a message. Raises BadInputError if it is damaged."""
@@ -188,7 +155,7 @@ def _records(reader: Any, path: Path, wanted: list[Any], start_ns: int | None) -
     # Not a method: a generator that holds its bag would keep it open.
     with _reading(path):
         for connection, time_ns, data in reader.messages(wanted, start=start_ns) if wanted else ():
-            yield BagRecord(connection.topic, time_ns, bytes(data))
+            yield connection.topic, time_ns, bytes(data)
 
 
 def _close(reader: Any, streams: list[Generator[BagRecord, None, None]]) -> None:
@@ -266,19 +233,15 @@ def read_table(path: Path) -> RawScan:
     with np.errstate(over="ignore", invalid="ignore"):  # non-finite points are dropped and counted later
         points = np.stack([columns[axis].astype(np.float32) for axis in "xyz"], axis=1)
         intensity = columns["intensity"].astype(np.float32) if "intensity" in columns else None
+    ids = columns["label"].astype(np.float64) if "label" in columns else None
+    if ids is not None and not ((ids >= 0) & (ids <= _MOST_ID) & (ids == np.rint(ids))).all():
+        raise BadInputError(f"the labels of {path} are not all whole numbers from 0 to {_MOST_ID:,}: not semantic ids")
     return RawScan(
         points,
         intensity,
-        _semantic(path, columns["label"]) if "label" in columns else None,
-        point_seconds(columns["time"]) if "time" in columns else None,
+        None if ids is None else ids.astype(np.uint16),
+        point_seconds(columns["time"])[0] if "time" in columns else None,
     )
-
-
-def _semantic(path: Path, column: NDArray[Any]) -> NDArray[np.uint16]:
-    ids = column.astype(np.float64)
-    if not bool(((ids >= 0) & (ids <= _MOST_ID) & (ids == np.rint(ids))).all()):
-        raise BadInputError(f"the labels of {path} are not all whole numbers from 0 to {_MOST_ID:,}: not semantic ids")
-    return ids.astype(np.uint16)
 
 
 _UNITS_S = (1.0, 1e-6, 1e-9)
@@ -290,48 +253,25 @@ _EPOCH_S = 1e8
 """Later than this (1973) is a time of day and not one since the sensor was switched on."""
 
 
-def point_seconds(column: NDArray[Any]) -> NDArray[np.float32] | None:
-    """Return the time of each point, s.
+def point_seconds(column: NDArray[Any]) -> tuple[NDArray[np.float32] | None, float | None]:
+    """Return the time of each point, s, and the first of times of day, s since 1970.
 
-    Parameters
-    ----------
-    column : (n,) array of numbers
-        Times in s, us or ns, after the time of the frame or of day; may hold values that are not finite.
-
-    Returns
-    -------
-    (n,) float32 or None
-        After the time of the frame, as in the file; of times of day: after the first of them. None if the unit is not
-        clear: a scan takes 5 ms to 2 s. NaN where a time is not finite, or 0 among times of day.
+    ``column`` (n,) array of numbers: times in s, us or ns, after the time of the frame or of day;
+    may hold values that are not finite. Returns (n,) float32 or None: after the time of the frame,
+    as in the file; of times of day: after the first of them. None if the unit is not clear: a scan
+    takes 5 ms to 2 s. NaN where a time is not finite, or 0 among times of day: some drivers write 0
+    for beams without return. The first time is None if these are no times of day.
     """
-    times, unit = _known(column)
-    if unit is None:
-        return None
-    seconds = times * unit
-    if np.nanmax(np.abs(seconds)) > _SPAN_S[1]:
-        seconds = np.where(times == 0.0, np.nan, times - _first(times)) * unit
-    return seconds.astype(np.float32)
-
-
-def start_of_day_time(column: NDArray[Any]) -> float | None:
-    """Return the first time of a column in seconds since 1970; None if it does not hold such times."""
-    times, unit = _known(column)
-    first = 0.0 if unit is None else _first(times) * unit
-    return first if first > _EPOCH_S else None
-
-
-def _known(column: NDArray[Any]) -> tuple[NDArray[np.float64], float | None]:
-    """Return the times, NaN where they are not finite, and their unit in seconds."""
-    times = column.astype(np.float64)
-    times[~np.isfinite(times)] = np.nan
+    times = np.where(np.isfinite(column), column, np.nan).astype(np.float64)
     stamped = times[~np.isnan(times) & (times != 0.0)]
     span = float(np.ptp(stamped)) if len(stamped) else 0.0
-    return times, next((unit for unit in _UNITS_S if _SPAN_S[0] <= span * unit <= _SPAN_S[1]), None)
-
-
-def _first(times: NDArray[np.float64]) -> float:
-    """Return the first time; some drivers write 0 for beams without return."""
-    return float(np.nanmin(np.where(times == 0.0, np.nan, times)))
+    unit = next((unit for unit in _UNITS_S if _SPAN_S[0] <= span * unit <= _SPAN_S[1]), None)
+    if unit is None:
+        return None, None
+    seconds, first = times * unit, float(stamped.min())
+    if np.nanmax(np.abs(seconds)) > _SPAN_S[1]:
+        seconds = np.where(times == 0.0, np.nan, times - first) * unit
+    return seconds.astype(np.float32), first * unit if first * unit > _EPOCH_S else None
 
 
 _ATTRIBUTES = ("height", "width", "point_step", "row_step", "is_bigendian", "fields", "data")
@@ -376,19 +316,16 @@ def read_cloud(message: Any) -> RawScan:
 
     Times of day count from the time in the header, if they are near to it, else from the first.
 
-    Raises
-    ------
-    BadInputError
-        See `points_of`.
+    Raises BadInputError: see `points_of`.
     """
     rows = _rows(message)
     held = rows.dtype.names or ()
     intensity, time = (
         next((rows[name].ravel() for name in names if name in held), None) for names in (_INTENSITY, TIME_COLUMNS)
     )
-    seconds = None if time is None else point_seconds(time)
-    if time is not None and seconds is not None:
-        start, stamp = start_of_day_time(time), message.header.stamp
+    seconds, start = (None, None) if time is None else point_seconds(time)
+    if seconds is not None:
+        stamp = message.header.stamp
         late = 0.0 if start is None else start - (stamp.sec + 1e-9 * stamp.nanosec)
         seconds += np.float32(late if abs(late) < _SAME_CLOCK_S else 0.0)
     return RawScan(_xyz(rows), None if intensity is None else intensity.astype(np.float32), None, seconds)

@@ -2,6 +2,7 @@
 
 from array import array
 from collections.abc import Sequence
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -31,10 +32,7 @@ def seconds_since(origin_ns: int, times_ns: NDArray[np.int64]) -> NDArray[np.flo
 class Trajectory:
     """The transform from one coordinate frame to another over time; 64 bytes a sample.
 
-    Parameters
-    ----------
-    name : str
-        For messages.
+    ``name``: for messages.
     """
 
     def __init__(self, name: str) -> None:
@@ -50,10 +48,7 @@ class Trajectory:
     def track(self, origin_ns: int) -> PoseTrack:
         """Return the samples in the order of time, in seconds after an origin; of equal times the last one counts.
 
-        Raises
-        ------
-        BadInputError
-            A sample is not finite, or the length of its quaternion is not 1.
+        Raises BadInputError: a sample is not finite, or the length of its quaternion is not 1.
         """
         times, rows = np.frombuffer(self._times, np.int64), np.frombuffer(self._rows, np.float64).reshape(-1, 7)
         if not np.isfinite(rows).all():
@@ -102,19 +97,10 @@ class FrameTree:
     def track(self, sensor: str, origin_ns: int, times: NDArray[np.float64]) -> PoseTrack | None:
         """Return the poses of a sensor in a fixed frame.
 
-        Parameters
-        ----------
-        sensor : str
-            Its coordinate frame.
-        origin_ns : int
-        times : (n,) float64
-            Times at which poses are wanted, s after the origin.
-
-        Returns
-        -------
-        PoseTrack or None
-            At these times and at those of all transforms between, as far as all of them are known. None if the sensor
-            is not connected with a fixed frame, or at no such time.
+        ``sensor``: its coordinate frame; ``times`` (n,) float64: times at which poses are wanted, s
+        after the origin. Returns them at these times and at those of all transforms between, as far as
+        all of them are known. None if the sensor is not connected with a fixed frame, or at no such
+        time.
         """
         chain, fixed = self._ancestors(sensor), self.fixed_frame(sensor)
         if fixed is None:
@@ -148,10 +134,7 @@ class FrameTree:
 
 def _product(steps: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
     """Multiply transforms, (4, 4) or (n, 4, 4), each from a frame to its parent, beginning with the lowest frame."""
-    product = np.eye(4)
-    for step in steps:
-        product = step @ product
-    return product
+    return reduce(lambda product, step: step @ product, steps, np.eye(4))
 
 
 def from_quaternions(path: Path | str, table: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 
 from bumpymap.core import SCAN_S, BadInputError, BagMessage, Dropped, Frame, PoseTrack, Robot, Scan, UsageError
 from bumpymap.readers.detect import files_at
-from bumpymap.readers.frames.raw import (
+from bumpymap.readers.raw_scans import (
     BAG_SUFFIXES,
     CLOUD,
     BagReader,
-    BagRecord,
     RawScan,
     choose_topic,
     held_topics,
@@ -32,16 +31,15 @@ from bumpymap.readers.frames.raw import (
     read_cloud,
     read_table,
 )
-from bumpymap.readers.frames.transforms import FIXED_FRAMES, FrameTree, Trajectory, frame_name, seconds_since
 from bumpymap.readers.source import (
     NoPointsError,
     pinned_version,
     read_range,
     refuse_count,
-    require_unchanged,
     size_of,
     version_of,
 )
+from bumpymap.readers.transforms import FIXED_FRAMES, FrameTree, Trajectory, frame_name, seconds_since
 
 _log = logging.getLogger(__name__)
 
@@ -65,12 +63,8 @@ def find_messages(paths: Sequence[Path], topics: BagTopics) -> list[Frame]:
 
     Every message of the topics is read once, one at a time.
 
-    Raises
-    ------
-    BadInputError
-        A bag is damaged, the topic is not there or not clear, or the wanted odometry gives no poses.
-    UsageError
-        The extra ``ros`` is not installed.
+    Raises BadInputError: a bag is damaged, the topic is not there or not clear, or the wanted
+    odometry gives no poses; UsageError: the extra ``ros`` is not installed.
     """
     bags = [BagReader(path) for path in paths]
     held = held_topics(bags)
@@ -97,30 +91,24 @@ def _choose(held: Mapping[str, tuple[str, int]], kind: str, wanted: str | None, 
 
 def _messages(bag: BagReader, clouds: Collection[str], recorded: "_Poses") -> Iterable[BagMessage]:
     at = dict.fromkeys(clouds, (-1, 0, -1))  # number, place and time of the last message
-    for record in bag.messages({*clouds, *recorded.topics} & set(bag.topics)):
-        if record.topic not in at:
-            recorded.add(bag, record)
+    for topic, time_ns, data in bag.messages({*clouds, *recorded.topics} & set(bag.topics)):
+        if topic not in at:
+            recorded.add(bag, topic, data)
             continue
-        number, place, last = at[record.topic]
-        at[record.topic] = number + 1, place + 1 if record.time_ns == last else 0, record.time_ns
-        yield _message(bag.path, record, *at[record.topic][:2])
-
-
-def _message(path: Path, record: BagRecord, number: int, place: int) -> BagMessage:
-    """Read the header of a scan; its points stay as they are."""
-    try:
-        order = "<" if record.data[1] & 1 else ">"  # of the encapsulation
-        seconds, rest, length = struct.unpack_from(f"{order}iII", record.data, 4)
-        frame = record.data[16 : 16 + length].rstrip(b"\0").decode()
-    except (IndexError, struct.error, UnicodeDecodeError) as error:
-        raise BadInputError(
-            f"message {number} of {record.topic} in {path} has no valid header ({error}). The bag is damaged: "
-            "copy it again"
-        ) from error
-    stamp = seconds * 1_000_000_000 + rest
-    return BagMessage(
-        record.topic, number, record.time_ns, place, stamp or record.time_ns, frame_name(frame), len(record.data)
-    )
+        number, place, last = at[topic]
+        number, place = number + 1, place + 1 if time_ns == last else 0
+        at[topic] = number, place, time_ns
+        try:  # the header alone: points stay as they are
+            order = "<" if data[1] & 1 else ">"  # of the encapsulation
+            seconds, rest, length = struct.unpack_from(f"{order}iII", data, 4)
+            frame = data[16 : 16 + length].rstrip(b"\0").decode()
+        except (IndexError, struct.error, UnicodeDecodeError) as error:
+            raise BadInputError(
+                f"message {number} of {topic} in {bag.path} has no valid header ({error}). The bag is damaged: "
+                "copy it again"
+            ) from error
+        stamp = seconds * 1_000_000_000 + rest
+        yield BagMessage(topic, number, time_ns, place, stamp or time_ns, frame_name(frame), len(data))
 
 
 class _Poses:
@@ -141,13 +129,12 @@ class _Poses:
         """Topics to read."""
         return self._transforms | ({self._odometry} if self._odometry else set())
 
-    def add(self, bag: BagReader, record: BagRecord) -> None:
+    def add(self, bag: BagReader, topic: str, data: bytes) -> None:
         """Add a message of one of the topics."""
-        if record.topic in self._transforms:
-            message = bag.decode(record.data, _TF)
-            self._tree.add(message, static=record.topic.endswith("static"))
+        if topic in self._transforms:
+            self._tree.add(bag.decode(data, _TF), static=topic.endswith("static"))
             return
-        message = bag.decode(record.data, _ODOMETRY)
+        message = bag.decode(data, _ODOMETRY)
         self._base, self._fixed = frame_name(message.child_frame_id), frame_name(message.header.frame_id)
         self._trajectory.add(message.header.stamp, message.pose.pose.position, message.pose.pose.orientation)
 
@@ -217,24 +204,11 @@ _NUMBER = re.compile(r"(\d+)")
 def find_sources(paths: Sequence[Path], topics: BagTopics) -> list[Frame]:
     """Return the scans at the given paths, in time order: files, as by `find_frames`, or messages in bags.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Files and folders of scans, or bags (``.mcap``, ``.db3``, folders with ``metadata.yaml`` or with such files).
-    topics : BagTopics
-        For bags alone.
-
-    Returns
-    -------
-    list of Frame
-        Several bags in natural order of their paths.
-
-    Raises
-    ------
-    BadInputError
-        A path does not exist, holds no scans, or a bag cannot be read or leaves open which topic is meant.
-    UsageError
-        Topics are given without a bag, bags are mixed with files of scans, or the extra ``ros`` is not installed.
+    ``paths``: files and folders of scans, or bags (``.mcap``, ``.db3``, folders with
+    ``metadata.yaml`` or with such files); ``topics``: for bags alone. Several bags come in
+    natural order of their paths. Raises BadInputError: a path does not exist, holds no scans, or a
+    bag cannot be read or leaves open which topic is meant; UsageError: topics are given without a
+    bag, bags are mixed with files of scans, or the extra ``ros`` is not installed.
     """
     bags = [bag for path in paths for bag in bags_at(path)]
     if not bags:
@@ -262,21 +236,11 @@ def bags_at(path: Path) -> list[Path]:
 def find_frames(paths: Sequence[Path]) -> list[Path]:
     """Return the scan files at the given paths, in time order.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Files (with any suffix) and folders. If a folder holds no scans itself, its subfolder ``velodyne`` or
-        ``os1_cloud_node_kitti_bin`` is searched, as in the KITTI and RELLIS-3D data sets. Hidden files are ignored.
-
-    Returns
-    -------
-    list of Path
-        In natural order of their paths (``2.bin`` before ``10.bin``), whatever the order of ``paths``; each once.
-
-    Raises
-    ------
-    BadInputError
-        A path does not exist, or a folder holds no scans or scans of several formats.
+    ``paths``: files (with any suffix) and folders. If a folder holds no scans itself, its subfolder
+    ``velodyne`` or ``os1_cloud_node_kitti_bin`` is searched, as in the KITTI and RELLIS-3D data
+    sets. Hidden files are ignored. They come in natural order of their paths (``2.bin`` before
+    ``10.bin``), whatever the order of ``paths``; each once. Raises BadInputError: a path does not
+    exist, or a folder holds no scans or scans of several formats.
     """
     if not paths:
         raise BadInputError("no scan was given; name a file of a scan, or a folder of them")
@@ -332,29 +296,15 @@ def _scans(folder: Path) -> list[Path]:
 def read_scan(path: Path, robot: Robot | None = None, columns: int | None = None) -> Scan:
     """Read one scan: PLY, PCD, or KITTI-style ``.bin`` with its labels.
 
-    Parameters
-    ----------
-    path : Path
-    robot : Robot, optional
-        Returns on the robot are dropped.
-    columns : int, optional
-        Number of columns of a ``.bin`` file: 4, 5 or 6; None: found from its values.
-
-    Returns
-    -------
-    Scan
-        May have no points; ``dropped`` counts the reasons.
-
-    Raises
-    ------
-    BadInputError
-        The file cannot be read, is empty, truncated or of another format, changes while it is read, its labels do not
-        match, or the number of its columns is in doubt.
+    ``robot``: returns on the robot are dropped; ``columns``: number of columns of a ``.bin`` file:
+    4, 5 or 6; None: found from its values. The scan may have no points; its ``dropped`` counts
+    the reasons. Raises BadInputError: the file cannot be read, is empty, truncated or of another
+    format, changes while it is read, its labels do not match, or the number of its columns is in
+    doubt.
     """
     version = version_of(path)
     with pinned_version(path, version):
         raw = read_kitti(path, columns) if path.suffix.lower() == ".bin" else read_table(path)
-    require_unchanged(path, version)
     return _keep_points(raw, robot or Robot(), path.stem)
 
 
@@ -425,17 +375,9 @@ _FARTHEST_M = 1e4
 def read_kitti(path: Path, columns: int | None = None) -> RawScan:
     """Read a ``.bin`` file, and its labels if there are any.
 
-    Parameters
-    ----------
-    path : Path
-    columns : int, optional
-        4 (x, y, z, intensity), 5 (and ring) or 6 (and time); None: found from the values.
-
-    Raises
-    ------
-    BadInputError
-        The file is empty, truncated or not a scan, its number of columns is in doubt, or the label file does not
-        match it.
+    ``columns``: 4 (x, y, z, intensity), 5 (and ring) or 6 (and time); None: found from the values.
+    Raises BadInputError: the file is empty, truncated or not a scan, its number of columns is in
+    doubt, or the label file does not match it.
     """
     size = size_of(path)
     if size == 0:
@@ -456,7 +398,7 @@ def read_kitti(path: Path, columns: int | None = None) -> RawScan:
     table = values.reshape(-1, _find_columns(path, values, columns))
     labels = label_file(path)
     ids = None if labels is None else _read_labels(labels, path, len(table))
-    seconds = point_seconds(table[:, 5]) if table.shape[1] == 6 and _is_ring(table[:, 4]) else None
+    seconds = point_seconds(table[:, 5])[0] if table.shape[1] == 6 and _is_ring(table[:, 4]) else None
     return RawScan(table[:, :3], table[:, 3], ids, seconds)
 
 
@@ -516,6 +458,4 @@ def _read_labels(labels: Path, path: Path, count: int) -> NDArray[np.uint16]:
             "belong together: copy both again, or remove the label file"
         )
     with pinned_version(labels, version):
-        ids = (_whole(labels, size).view("<u4") & 0xFFFF).astype(np.uint16)
-    require_unchanged(labels, version)
-    return ids
+        return (_whole(labels, size).view("<u4") & 0xFFFF).astype(np.uint16)

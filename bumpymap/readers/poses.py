@@ -11,15 +11,15 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import LONGEST_GAP_S, NEAREST_S, SCAN_S, BadInputError, Frame, PoseTrack
-from bumpymap.readers.frames.read import POINT_FOLDERS, find_frames
-from bumpymap.readers.frames.transforms import ROUNDING, from_quaternions, refuse_poses
+from bumpymap.readers.scans import POINT_FOLDERS, find_frames
 from bumpymap.readers.source import open_source
+from bumpymap.readers.transforms import ROUNDING, from_quaternions, refuse_poses
 
 _log = logging.getLogger(__name__)
 
@@ -58,48 +58,33 @@ class FramePoses:
     """The ``calib.txt`` by which poses of a camera were turned into those of the LiDAR; None if they were not."""
 
 
-class _PoseFile(NamedTuple):
-    """The poses of a file."""
-
-    times: NDArray[np.float64] | None
-    """(n,) s, as in the file; None if it has none."""
-    poses: NDArray[np.float64]
-    """(n, 4, 4) transforms from the sensor frame to the world frame, m."""
-    is_kitti: bool = False
-    """True if the file is in the format of KITTI, whose own poses are those of a camera."""
+_PoseFile = tuple[NDArray[np.float64] | None, NDArray[np.float64], bool]
+"""Times of the poses of a file, (n,) s, None if it has none; transforms from the sensor frame to the world frame, m,
+(n, 4, 4); whether it is in the format of KITTI, whose own poses are those of a camera."""
 
 
 def read_poses(path: Path, frames: Sequence[Path], known: NDArray[np.float64] | None = None) -> FramePoses:
     """Read the pose of each frame.
 
-    Parameters
-    ----------
-    path : Path
-        KITTI, TUM or CSV. KITTI's ``calib.txt`` beside it or beside the frames is used.
-    frames : sequence of Path
-        Files of scans.
-    known : (n,) float64, optional
-        Times of the frames, s, if they have none of their own: those of messages in a bag.
-
-    Raises
-    ------
-    BadInputError
-        The file cannot be read or holds invalid poses; the poses are those of a camera; they cannot be matched with the
-        frames, or do not cover their times.
+    ``path``: KITTI, TUM or CSV. KITTI's ``calib.txt`` beside it or beside the frames is used;
+    ``frames``: files of scans; ``known`` (n,) float64: times of the frames, s, if they have none of
+    their own: those of messages in a bag. Raises BadInputError: the file cannot be read or holds
+    invalid poses; the poses are those of a camera; they cannot be matched with the frames, or do
+    not cover their times.
     """
-    file = _read_file(path)
-    poses, calib = _in_lidar_frame(path, file, _beside(_CALIB, path, frames))
+    own_times, poses, is_kitti = _read_file(path)
+    poses, calib = _in_lidar_frame(path, poses, _beside(_CALIB, path, frames), is_kitti=is_kitti)
     times, source = known, "their messages"
-    if known is None and file.times is not None:
+    if known is None and own_times is not None:
         times, source = _frame_times(frames, _beside(_TIMES, path, frames))
-    if file.times is not None and times is not None:
-        track = _track(path, file.times, poses)
+    if own_times is not None and times is not None:
+        track = _track(path, own_times, poses)
         _require_cover(path, track, times, source)
         motions = tuple(track.around(time, SCAN_S) for time in times.tolist())
         return FramePoses(track.at(times), motions, "time", calib)
     if len(poses) != len(frames):
         advice = "Does the file belong to another drive, or are frames missing?"
-        if file.times is not None:
+        if own_times is not None:
             advice = "Its poses have times, but the frames have none: give them times.txt, or time stamps as names"
         raise BadInputError(
             f"{path} holds {len(poses):,} poses, but there are {len(frames):,} frames; there must be one pose per "
@@ -224,7 +209,7 @@ def _read_file(path: Path) -> _PoseFile:
         raise BadInputError(f"{path} is empty; it must have one line per pose")
     has_names = any(letter.isalpha() and letter not in "eEnaifNAIF" for letter in rows[0])
     found = _from_csv(path, rows) if has_names else _from_numbers(path, rows)
-    _make_rigid(path, found.poses)
+    _make_rigid(path, found[1])
     return found
 
 
@@ -232,8 +217,8 @@ def _from_numbers(path: Path, lines: list[str]) -> _PoseFile:
     words = [line.replace(",", " ").split() for line in lines]
     if len(words[0]) == len(_PLACE) + 1:
         table = _numbers(path, words, len(_PLACE) + 1)
-        return _PoseFile(_seconds([row[0] for row in words]), from_quaternions(path, table[:, 1:]))
-    return _PoseFile(None, _from_matrices(_numbers(path, words, len(_MATRIX))), is_kitti=True)
+        return _seconds([row[0] for row in words]), from_quaternions(path, table[:, 1:]), False
+    return None, _from_matrices(_numbers(path, words, len(_MATRIX))), True
 
 
 def _from_csv(path: Path, lines: list[str]) -> _PoseFile:
@@ -260,7 +245,7 @@ def _from_csv(path: Path, lines: list[str]) -> _PoseFile:
         next((_seconds([row[names.index(name)] for row in rows]) for name in kind if name in names), None)
         for kind in (_TIME, _NANOSECONDS)
     )
-    return _PoseFile(whole if whole is None or part is None else whole + part * 1e-9, poses)
+    return whole if whole is None or part is None else whole + part * 1e-9, poses, False
 
 
 def _plain(name: str) -> str:
@@ -300,14 +285,16 @@ def _make_rigid(path: Path, poses: NDArray[np.float64]) -> None:
     poses[:, :3, :3] = left @ right
 
 
-def _in_lidar_frame(path: Path, file: _PoseFile, calib: Path | None) -> tuple[NDArray[np.float64], Path | None]:
+def _in_lidar_frame(
+    path: Path, poses: NDArray[np.float64], calib: Path | None, *, is_kitti: bool
+) -> tuple[NDArray[np.float64], Path | None]:
     """Return poses of the LiDAR, and the file that turned those of KITTI's camera into them.
 
     Poses in KITTI's format beside its ``calib.txt`` are of the camera unless their motion shows otherwise. Raises
     BadInputError: other poses are those of a camera, or the z axes do not point up.
     """
-    poses, along_z, used = file.poses, _share_along_z(file.poses), None
-    if file.is_kitti and calib is not None and (along_z is None or along_z > _MOST_ALONG_Z):
+    along_z, used = _share_along_z(poses), None
+    if is_kitti and calib is not None and (along_z is None or along_z > _MOST_ALONG_Z):
         transform = _read_transform(calib)
         poses, along_z, used = np.linalg.inv(transform) @ poses @ transform, None, calib
         _log.warning("the poses of %s are those of KITTI's camera; %s turns them into those of the LiDAR", path, calib)

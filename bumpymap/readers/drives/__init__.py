@@ -1,1 +1,0 @@
-"""Readers of recorded drives: what inertial sensors, receivers and wheels of a vehicle recorded."""

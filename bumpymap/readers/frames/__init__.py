@@ -1,1 +1,0 @@
-"""Readers of LiDAR scans of a moving robot, and of its poses."""
