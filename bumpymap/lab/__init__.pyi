@@ -24,6 +24,9 @@ from .simulate.calibrate import (
 )
 from .simulate.model import require_dart as require_dart
 from .simulate.plan import library_terrains as library_terrains
-from .train.model_files import EpochReport as EpochReport, TrainedModel as TrainedModel
-from .train.scan_net import make_scan_model as make_scan_model
-from .train.textures import make_model as make_model
+from .train.model_files import EpochReport as EpochReport
+from .train.scan_net import (
+    ScanEvaluation as ScanEvaluation,
+    make_scan_model as make_scan_model,
+)
+from .train.textures import Evaluation as Evaluation, make_model as make_model
