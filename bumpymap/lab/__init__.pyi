@@ -22,8 +22,8 @@ from .simulate.calibrate import (
     calibration_journal as calibration_journal,
     seconds_of_drives as seconds_of_drives,
 )
+from .simulate.drive import library_terrains as library_terrains
 from .simulate.model import require_dart as require_dart
-from .simulate.plan import library_terrains as library_terrains
 from .train.model_files import EpochReport as EpochReport
 from .train.scan_net import (
     ScanEvaluation as ScanEvaluation,

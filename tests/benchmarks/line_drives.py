@@ -19,7 +19,8 @@ from scipy.stats import spearmanr
 
 import bumpymap
 from bumpymap.core import CANOPY, OBSTACLE, axis_values
-from bumpymap.lab.simulate.drive import DriveSettings, Start, drive_from, drive_strip, follow
+from bumpymap.lab.settings import DriveSettings
+from bumpymap.lab.simulate.drive import Start, drive_from, drive_strip, follow
 from bumpymap.layers import open_map
 from bumpymap.rating import Vehicle, find_calibration
 

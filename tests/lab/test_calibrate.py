@@ -12,12 +12,11 @@ import pytest
 from hypothesis import given, strategies as st
 
 from bumpymap.core.errors import BumpymapError, OutputError, UsageError
-from bumpymap.lab.settings import CalibrationSettings
+from bumpymap.lab.settings import CalibrationSettings, DriveSettings
 from bumpymap.lab.simulate import calibrate
-from bumpymap.lab.simulate.drive import DriveSettings, PatchDrives
+from bumpymap.lab.simulate.drive import PatchDrives, calibrated_settings, library_terrains
 from bumpymap.lab.simulate.jobs import DriveJob
 from bumpymap.lab.simulate.motion_fit import SPEED_RATIOS, fit_means, motion_jobs
-from bumpymap.lab.simulate.plan import calibrated_settings, library_terrains
 from bumpymap.lab.simulate.refit import refit, run_crossing
 from bumpymap.lab.terrains import KINDS
 from bumpymap.rating.calibration import Calibration, DrivenTerrain, shipped_calibrations

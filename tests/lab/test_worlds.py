@@ -12,7 +12,6 @@ from scipy.spatial import cKDTree
 from bumpymap.core import TEXTURES, UsageError
 from bumpymap.lab.terrains import (
     KINDS,
-    ScanEffects,
     Terrain,
     fractal,
     make_short_waves,
@@ -141,8 +140,8 @@ def test_textures_that_cannot_be_made_are_refused(given, words):
 LEVEL = Terrain("plane", np.zeros((60, 60)), 3.0)
 
 
-def survey(terrain, seed=1, **effects):
-    return survey_terrain(terrain, ScanEffects(**effects), np.random.default_rng(seed))
+def survey(terrain, seed=1, density=100.0, noise_m=0.0):
+    return survey_terrain(terrain, density, noise_m, np.random.default_rng(seed))
 
 
 @pytest.mark.parametrize("density", [10, 1000])

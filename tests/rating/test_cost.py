@@ -12,7 +12,7 @@ from bumpymap.core.config import FeatureSettings
 from bumpymap.core.errors import UsageError
 from bumpymap.core.types import NO_CLASS, TEXTURES, Barred, CostRule, Georeference, Reason, TextureMap
 from bumpymap.lab.simulate.ride_fit import survey_terrains
-from bumpymap.lab.terrains import ScanEffects, make_terrain
+from bumpymap.lab.terrains import make_terrain
 from bumpymap.patches.features import measure
 from bumpymap.rating import RideModel, Vehicle, apply_steps, find_calibration
 from bumpymap.rating.calibration import Calibration
@@ -222,7 +222,7 @@ RATED = ("c_r", "c_r_low", "c_r_high")
 def patches():
     kinds = ("flat", "low_noise", "noise_sin", "fractal_5", "fractal_2", "stones", "ruts", "high_noise")
     terrains = [make_terrain(kind, 9, index) for index in (3, 5) for kind in kinds]
-    block = next(iter(survey_terrains(terrains, ScanEffects(200.0, 0.005), 1).blocks()))
+    block = next(iter(survey_terrains(terrains, 200.0, 0.005, 1).blocks()))
     return measure(block, FeatureSettings(), ground_only=False)
 
 

@@ -219,9 +219,10 @@ class OnnxGraph:
 
     def conv(self, pair: Any, source: str) -> str:
         """Add torch's ``Conv2d``, or a `convolution`, whose batch normalisation is folded into it."""
-        layer, *norm = pair if isinstance(pair, nn.Sequential) else [pair]
-        if norm:
-            layer = fuse_conv_bn_eval(*(deepcopy(part).double() for part in (layer, *norm)))
+        layer = pair
+        if isinstance(pair, nn.Sequential):
+            exact: Any = deepcopy(pair).double()
+            layer = fuse_conv_bn_eval(exact[0], exact[1])
         name = f"conv{len(self._nodes)}"
         values = ((part, getattr(layer, part).detach().float().numpy()) for part in ("weight", "bias"))
         weights = [self.constant(f"{name}.{part}", value) for part, value in values]

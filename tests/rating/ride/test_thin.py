@@ -9,7 +9,7 @@ from bumpymap.core.errors import BadInputError
 from bumpymap.core.types import NO_CLASS, Reason
 from bumpymap.lab.simulate.model import relief_and_slope
 from bumpymap.lab.simulate.ride_fit import survey_columns
-from bumpymap.lab.terrains import FINE, ScanEffects, Terrain, make_terrain
+from bumpymap.lab.terrains import FINE, Terrain, make_terrain
 from bumpymap.rating import BlockRating, RideModel, rate_thin, roll_over
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.ride.correction import Prediction
@@ -34,7 +34,7 @@ def unseen():
 
 
 def columns_of(terrains, density, noise):
-    columns, tile = survey_columns(terrains, ScanEffects(density, noise), 5, RIDE.operator)
+    columns, tile = survey_columns(terrains, density, noise, 5, RIDE.operator)
     known = is_rateable(columns, np.zeros(len(columns), np.uint8))
     return columns[known], tile[known]
 
