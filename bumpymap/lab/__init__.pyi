@@ -1,12 +1,10 @@
-from .evaluate.report import (
+from .evaluate import (
     REPORT as REPORT,
-    percent as percent,
-    write_scan_report as write_scan_report,
-)
-from .evaluate.scans import (
     ScanFindings as ScanFindings,
     evaluate_scans as evaluate_scans,
     labels_of as labels_of,
+    percent as percent,
+    write_scan_report as write_scan_report,
 )
 from .label_sets import LABEL_SETS as LABEL_SETS
 from .settings import (

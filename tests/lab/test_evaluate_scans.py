@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from bumpymap.cli import main
 from bumpymap.core import BadInputError, ClassedSectors, Scan, UsageError
-from bumpymap.lab.evaluate import scans
+from bumpymap.lab import evaluate as scans
 from bumpymap.lab.label_sets import LABEL_SETS, identify_label_set, label_set, require_label_set
 from bumpymap.readers import find_frames, read_scan
 from bumpymap.scan import classify_filter, polar_sectors

@@ -19,7 +19,7 @@ from sklearn.metrics import roc_auc_score
 from survey_tiles import MeasuredSurvey
 
 from bumpymap.core import Georeference, Reason
-from bumpymap.lab.evaluate.report import number, percent, table
+from bumpymap.lab.evaluate import number, percent, table
 from bumpymap.lab.settings import DriveSettings
 from bumpymap.lab.simulate.drive import drive_patch
 from bumpymap.rating import Calibration, RideModel, TextureModel, Vehicle, classify, rate
