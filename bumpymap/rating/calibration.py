@@ -25,7 +25,7 @@ from bumpymap.core import (
     read_regular,
     short_repr,
 )
-from bumpymap.rating.vehicle_body import Floor, body_of, body_table, comfort_of, floor_of, with_floor
+from bumpymap.rating.vehicle_body import Floor, body_table, comfort_of, floor_of, with_floor
 
 T = TypeVar("T")
 
@@ -165,7 +165,7 @@ class Calibration:
     @property
     def body(self) -> VehicleBody:
         """Outline of the vehicle; defaults where the profile has none."""
-        return body_of(self.vehicle)
+        return VehicleBody(clearance_m=float(self.vehicle["belly"]["clearance_m"]), **body_table(self.vehicle))
 
     @property
     def floor(self) -> float:

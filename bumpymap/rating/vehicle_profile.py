@@ -208,11 +208,11 @@ class Vehicle:
         BadInputError
             A key is unknown or missing, or a value is of the wrong type or not plausible; the message lists all faults.
         """
-        estimate = estimate_profile(record)
-        arguments, faults = parse_record(estimate.record, cls, Path(), complete=True)
-        if estimate.record is not record:  # a short profile does not lack what would be estimated
+        completed, _, of_whole = estimate_profile(record)
+        arguments, faults = parse_record(completed, cls, Path(), complete=True)
+        if completed is not record:  # a short profile does not lack what would be estimated
             estimated = tuple(f"missing {name}:" for name in ESTIMATED)
-            faults = estimate.faults + [fault for fault in faults if not fault.startswith(estimated)]
+            faults = of_whole + [fault for fault in faults if not fault.startswith(estimated)]
         if not faults:
             profile = cls(**arguments)
             profile = replace(profile, body=Body(**body_table(profile.to_dict())))
@@ -222,7 +222,7 @@ class Vehicle:
                 if not (text.strip() and text.isprintable())
             ]
             faults += [*_size_faults(profile), *_mass_faults(profile, record.get("mass_kg", profile.mass_kg))]
-        lacking = estimate.record is record and any(fault.startswith("missing") for fault in faults)
+        lacking = completed is record and any(fault.startswith("missing") for fault in faults)
         refuse_faults(faults, origin, BadInputError, f"; {_SCHEMA}{_SHORT if lacking else ''}")
         return profile
 
@@ -254,7 +254,7 @@ def shipped_profiles() -> list[str]:
 
 def estimated_values(name_or_path: str | Path) -> dict[str, Any]:
     """Return what a short profile leaves out and `Vehicle.load` estimates, by key, such as ``chassis.com_height_m``."""
-    return estimate_profile(_profile_record(name_or_path)[0]).values
+    return estimate_profile(_profile_record(name_or_path)[0])[1]
 
 
 def _size_faults(profile: Vehicle) -> Iterator[str]:

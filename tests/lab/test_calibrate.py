@@ -270,7 +270,7 @@ def test_it_finds_what_was_put_in_and_its_spread_and_leaves_failed_terrains_out(
     means = np.exp(logs + errors)
     means[3, 2] = np.nan
     model = fit_means(settings, means, 2)
-    told = np.exp(model.plain_log_factors(np.array([0.03, 0.1, 0.3]), (0.5, 1.0, 1.5)))
+    told = np.exp(model.plain_log_factors(np.array([0.03, 0.1, 0.3]), np.log((0.5, 1.0, 1.5))))
     for speed, ratio in enumerate((0.5, 1.0, 1.5)):
         assert told[:, speed] == pytest.approx(np.tile([ratio**-0.1, 0.7, 4 * ratio**1.3], (3, 1)), rel=tolerance)
     assert model.origin["used"] == len(means) - 1

@@ -191,7 +191,7 @@ def fit_means(settings: CalibrationSettings, means: Floats, starts: int) -> Moti
         "driven": [[list(map(six_digits, row)) for row in terrain] for terrain in means.tolist()],
     }
     three = (fits["c_r"], fits["c_roll"], fits["a_w"])
-    return MotionModel(speed, SPEED_RANGE, ranges[0], ranges[1], *three, origin)
+    return MotionModel(SPEED_RANGE, ranges[0], ranges[1], *three, origin)
 
 
 def _fit(terms: Floats, plain: Floats, wanted: Floats, anchor: int | None) -> MotionFit:
