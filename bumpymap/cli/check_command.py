@@ -109,9 +109,9 @@ class Refit:
 
         Raises BadInputError: the drives are too short, or agree with it; OutputError: the file cannot be written.
         """
-        from bumpymap.rating import UpdateSettings, update_from_drives
+        from bumpymap.rating import update_from_drives
 
-        moved, update = update_from_drives(self.calibration, stretches, UpdateSettings(speed_mps=speed_mps))
+        moved, update = update_from_drives(self.calibration, stretches, speed_mps)
         try:
             self.out.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:

@@ -12,7 +12,6 @@ from .cost import (
 )
 from .drive_update import (
     DriveUpdate as DriveUpdate,
-    UpdateSettings as UpdateSettings,
     update_from_drives as update_from_drives,
 )
 from .passable import (

@@ -136,7 +136,7 @@ class Calibration:
         for name in _MODELS:
             if not isinstance(getattr(self, name), dict):
                 raise ValueError(f"{name} is {getattr(self, name)!r}; it must be an object")  # noqa: TRY004
-        self._hashed_text()  # raises ValueError if a number is not finite
+        json.dumps(self._record(), allow_nan=False)  # raises ValueError if a number is not finite
         known = [c for line in self.c_r for c in line if c is not None]
         if any(line[0] is None for line in self.c_r) or min(known) <= 0:
             raise ValueError("c_r must be positive, and known at the lowest z range of every texture")
@@ -144,7 +144,8 @@ class Calibration:
     @property
     def id(self) -> str:
         """Twelve hex digits of a hash of the content."""
-        return hashlib.sha256(self._hashed_text().encode()).hexdigest()[:12]
+        text = json.dumps(self._record(), sort_keys=True, allow_nan=False)
+        return hashlib.sha256(text.encode()).hexdigest()[:12]
 
     @property
     def cost_rule(self) -> CostRule:
@@ -198,12 +199,6 @@ class Calibration:
         """``class_limits`` with the floor, for values that hold it, rad/m: the floor moves no tile to another class."""
         return tuple(with_floor(np.array(self.class_limits), self.map_floor).tolist())
 
-    def without_floor(self) -> "Calibration":
-        """Return this calibration with a floor of 0, for comparisons with simulated drives, which have none."""
-        if self.floor == 0.0:
-            return self
-        return replace(self, vehicle={key: value for key, value in self.vehicle.items() if key != "floor"})
-
     def require_grid(self, tile_size: float, pixels: int) -> None:
         """Raise UsageError if tiles to rate differ in size [m] or number of pixels from the calibration's."""
         if (self.tile_size, self.pixels) != (tile_size, pixels):
@@ -217,9 +212,6 @@ class Calibration:
                 "--out my.json; then pass `calibration='my.json'`"
             )
 
-    def _hashed_text(self) -> str:
-        return json.dumps(self._record(), sort_keys=True, allow_nan=False)
-
     def _record(self) -> dict[str, Any]:
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
@@ -231,16 +223,8 @@ class Calibration:
     def from_json(cls, text: str, origin: str) -> "Calibration":
         """Read the text of a calibration file.
 
-        Parameters
-        ----------
-        text : str
-        origin : str
-            Name of the file for error messages.
-
-        Raises
-        ------
-        BadInputError
-            The text is not a calibration, is of another version, or has a table of the wrong shape.
+        ``origin``: name of the file for error messages. Raises BadInputError if the text is not a calibration, is of
+        another version, or has a table of the wrong shape.
         """
         hint = "Make one with: bumpymap calibrate --vehicle FILE --out CALIBRATION.json"
         try:
@@ -312,19 +296,9 @@ class Calibration:
     def with_preferences(self, profile: dict[str, Any], origin: str) -> "Calibration":
         """Return this calibration with the preferences, ``[body]``, ``[comfort]``, ``[floor]`` of a profile.
 
-        They change the layers, so a changed preference changes the ``id``.
-
-        Parameters
-        ----------
-        profile : dict
-            A vehicle profile, as in its TOML file.
-        origin : str
-            Name of the calibration for the error message.
-
-        Raises
-        ------
-        BadInputError
-            Any other key differs, so the profile is of another vehicle.
+        They change the layers, so a changed preference changes the ``id``. ``profile``: a vehicle profile, as in its
+        TOML file; ``origin``: name of the calibration for the error message. Raises BadInputError if any other key
+        differs, so that the profile is of another vehicle.
         """
         driven, given = _flat(self.vehicle), _flat(profile)
         kept = [key for key in {**driven, **given} if key not in _PREFERENCES and not key.startswith(_UNDRIVEN)]

@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Annotated, Any, TextIO
+from typing import Annotated, Any
 
 from bumpymap.core import (
     UNFILLED,
@@ -196,17 +196,9 @@ class Vehicle:
     def from_dict(cls, record: dict[str, Any], origin: str) -> "Vehicle":
         """Check a nested dictionary and make a profile of it.
 
-        Parameters
-        ----------
-        record : dict
-            The profile, as in a TOML file.
-        origin : str
-            Name of the file for error messages.
-
-        Raises
-        ------
-        BadInputError
-            A key is unknown or missing, or a value is of the wrong type or not plausible; the message lists all faults.
+        ``record``: the profile, as in a TOML file; ``origin``: name of the file for error messages. Raises
+        BadInputError, whose message lists all faults, if a key is unknown or missing, or a value is of the wrong type
+        or not plausible.
         """
         completed, _, of_whole = estimate_profile(record)
         arguments, faults = parse_record(completed, cls, Path(), complete=True)
@@ -346,22 +338,16 @@ def write_profile_template(name: str, path: Path, like: str | None) -> None:
         raise UsageError(f"a vehicle named {name} is included in bumpymap: choose another name, or --like {name}")
     text = profile_template(name, like)
     try:
-        with path.open("x", encoding="utf-8") as file:  # "x" does not follow a symbolic link either
-            _fill(file, path, text)
+        path.touch(exist_ok=False)  # does not follow a symbolic link either
+        try:
+            path.write_text(text, encoding="utf-8")
+        except OSError:
+            path.unlink()
+            raise
     except FileExistsError as error:
         raise OutputError(f"{path} exists and is not overwritten: give another --out") from error
     except OSError as error:
         raise OutputError(f"cannot write {path}: {error.strerror}; give another --out") from error
-
-
-def _fill(file: TextIO, path: Path, text: str) -> None:
-    """Write the whole text, or remove the file."""
-    try:
-        file.write(text)
-        file.flush()
-    except OSError:
-        path.unlink()
-        raise
 
 
 def profile_template(name: str, like: str | None) -> str:

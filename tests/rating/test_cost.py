@@ -270,8 +270,6 @@ def test_a_floor_is_no_property_of_the_drives(tmp_path):
     given = SHIPPED.with_preferences(profile | {"floor": {"c_r_radpm": 0.03}}, "x")
     assert given.floor == 0.03
     assert given.id != SHIPPED.id
-    assert given.without_floor().floor == 0.0
-    assert given.without_floor().id == SHIPPED.id
     assert given.with_preferences(profile, "x").floor == 0.0
     without = {key: value for key, value in profile.items() if key != "floor"}
     assert given.with_preferences(without, "x").floor == 0.0

@@ -9,6 +9,7 @@ extra `sim`.
 
 import argparse
 import json
+from dataclasses import replace
 from functools import partial
 from multiprocessing import Pool
 from pathlib import Path
@@ -107,7 +108,9 @@ def main():
     parser.add_argument("--vehicle", default="warthog")
     parser.add_argument("--out", type=Path, default=Path("report.json"))
     given = parser.parse_args()
-    calibration = Calibration.shipped(given.vehicle).without_floor()  # simulated drives have none
+    shipped = Calibration.shipped(given.vehicle)
+    vehicle = {key: value for key, value in shipped.vehicle.items() if key != "floor"}  # simulated drives have none
+    calibration = replace(shipped, vehicle=vehicle)
     grid = Grid(calibration.tile_size, calibration.pixels)
     profile = Vehicle.from_dict(calibration.vehicle, "calibration")
     options = ReadOptions(pixel_m=grid.pixel_size)
