@@ -338,12 +338,13 @@ def write_profile_template(name: str, path: Path, like: str | None) -> None:
         raise UsageError(f"a vehicle named {name} is included in bumpymap: choose another name, or --like {name}")
     text = profile_template(name, like)
     try:
-        path.touch(exist_ok=False)  # does not follow a symbolic link either
-        try:
-            path.write_text(text, encoding="utf-8")
-        except OSError:
-            path.unlink()
-            raise
+        with path.open("x", encoding="utf-8") as file:  # "x" does not follow a symbolic link either
+            try:
+                file.write(text)
+                file.flush()
+            except OSError:
+                path.unlink()
+                raise
     except FileExistsError as error:
         raise OutputError(f"{path} exists and is not overwritten: give another --out") from error
     except OSError as error:

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.ndimage import correlate
 from torch import nn
 
 from bumpymap.core import TEXTURES
@@ -174,21 +175,14 @@ def fill_holes(patches: _Floats) -> _Floats:
     A patch must contain at least one known pixel.
     """
     filled: _Floats = patches.copy()
-    pixels = patches.shape[-1]
-    for _ in range(pixels):
+    for _ in range(patches.shape[-1]):
         empty = np.isnan(filled)
         if not empty.any():
             break
         rows = np.flatnonzero(empty.any(axis=(1, 2)))
         part, hole = filled[rows], empty[rows]
-        known = np.pad(~hole, ((0, 0), (1, 1), (1, 1))).astype(np.float64)
-        value = np.pad(np.where(hole, 0.0, part), ((0, 0), (1, 1), (1, 1)))
-        total, number = np.zeros_like(part), np.zeros_like(part)
-        for down in range(3):
-            for right in range(3):
-                window = (slice(None), slice(down, down + pixels), slice(right, right + pixels))
-                total += value[window]
-                number += known[window]
+        values = np.where(hole, 0.0, part), (~hole).astype(np.float64)
+        total, number = (correlate(each, np.ones((1, 3, 3)), mode="constant") for each in values)
         reach = hole & (number > 0)
         part[reach] = total[reach] / number[reach]
         filled[rows] = part
