@@ -25,7 +25,7 @@ from bumpymap.core import (
     read_regular,
     short_repr,
 )
-from bumpymap.rating.vehicle_body import Floor, body_table, comfort_of, floor_of, with_floor
+from bumpymap.rating.vehicle_body import Floor, body_table, comfort_of, with_floor
 
 T = TypeVar("T")
 
@@ -171,7 +171,7 @@ class Calibration:
     @property
     def floor(self) -> float:
         """C_r on even, level ground at the profile's speed, rad/m; 0 if the profile has none."""
-        return floor_of(self.vehicle)
+        return float(self.vehicle.get("floor", {}).get("c_r_radpm", 0.0))
 
     @property
     def map_speed(self) -> float:
@@ -264,12 +264,8 @@ class Calibration:
     def shipped(cls, vehicle: str, tile_size: float = 3.0) -> "Calibration":
         """Read the calibration of an included vehicle, such as ``warthog``, for tiles of 3, 5 or 6 m.
 
-        For other sizes it is that for 3 m, which `require_grid` refuses.
-
-        Raises
-        ------
-        UsageError
-            No calibration for a vehicle of that name is included.
+        For other sizes it is that for 3 m, which `require_grid` refuses. Raises UsageError if no calibration for a
+        vehicle of that name is included.
         """
         known = shipped_calibrations()
         if not isinstance(vehicle, str) or vehicle not in known:
@@ -312,8 +308,9 @@ class Calibration:
             changed["body"] = body
         if (comfort := comfort_of(profile)) != comfort_of(self.vehicle):
             changed["comfort"] = asdict(comfort)
-        if floor_of(profile) not in (self.floor, self.floor_before):
-            changed["floor"] = asdict(Floor(floor_of(profile)))
+        floor = float(profile.get("floor", {}).get("c_r_radpm", 0.0))
+        if floor not in (self.floor, self.floor_before):
+            changed["floor"] = asdict(Floor(floor))
         return replace(self, vehicle=self.vehicle | changed) if changed else self
 
 
@@ -339,7 +336,8 @@ def _check_numbers(calibration: Calibration) -> None:
     numbers += [*calibration.z_range, *calibration.class_limits, *calibration.class_c_r]
     numbers += [calibration.tile_size, calibration.pixels, *asdict(calibration.body).values(), calibration.floor]
     numbers += [calibration.floor_before, calibration.map_speed]
-    if sum(map(_is_number, numbers)) + len(gaps) != len(numbers):
+    known = [value for value in numbers if isinstance(value, int | float) and not isinstance(value, bool)]
+    if sum(map(math.isfinite, known)) + len(gaps) != len(numbers):
         raise ValueError("a number is missing, not finite, or no number")
     if calibration.floor < 0:
         raise ValueError("[floor] must not be negative")
@@ -347,10 +345,6 @@ def _check_numbers(calibration: Calibration) -> None:
         raise ValueError(f"{MAP_SPEED} must be positive")
     if rule.drive_m <= 0 or min(rule.ride_weight, rule.fail_weight) < 0:
         raise ValueError("speed_mps and measure_s must be positive, ride_weight and fail_weight not negative")
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def remembered(function: Callable[[Calibration], T]) -> Callable[[Calibration], T]:

@@ -97,11 +97,6 @@ def comfort_of(vehicle: Mapping[str, Any]) -> Comfort:
     return Comfort(**{name: float(value) for name, value in vehicle.get("comfort", {}).items()})
 
 
-def floor_of(vehicle: Mapping[str, Any]) -> float:
-    """Return the floor of a vehicle profile (the nested dictionary of its TOML file), rad/m; 0 if it has none."""
-    return float(vehicle.get("floor", {}).get("c_r_radpm", 0.0))
-
-
 def with_floor(c_r: NDArray[np.floating], floor: float) -> Floats:
     """Add a floor in power, rad/m: the root of the sum of squares; without a floor every bit stays.
 

@@ -171,19 +171,10 @@ class Vehicle:
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> "Vehicle":
-        """Read a vehicle profile.
+        """Read a vehicle profile: the name of an included vehicle, such as ``warthog``, or a TOML file.
 
-        Parameters
-        ----------
-        name_or_path : str or path
-            Name of an included vehicle, such as ``warthog``, or a TOML file.
-
-        Raises
-        ------
-        UsageError
-            There is no such vehicle or file.
-        BadInputError
-            The file is not TOML, or a value is missing or not plausible.
+        Raises UsageError if there is no such vehicle or file, BadInputError if the file is not TOML, or a value is
+        missing or not plausible.
         """
         return cls.from_dict(*_profile_record(name_or_path))
 

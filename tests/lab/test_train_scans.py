@@ -95,17 +95,6 @@ def test_a_folder_of_the_data_set_is_found_and_split_by_time(folder):
     assert not set(learn) & set(unseen)
 
 
-def test_frames_of_a_folder_give_the_sectors_of_their_scans(folder):
-    frames = [folder / "00000" / POINTS / f"00000{k}.bin" for k in range(2)]
-    told = []
-    read = scan_net.folder_sectors(frames, progress=lambda *numbers: told.append(numbers))
-    assert told == [(1, 2), (2, 2)]
-    made = [scan_net.labelled_sectors(scan) for scan in (_ring(3, 0.01, -1.5), _ring(19, 0.1, -1.5))]
-    assert_array_equal(read.patches, np.concatenate([sectors.patches for sectors in made]))
-    assert_array_equal(read.class_id, np.concatenate([sectors.class_id for sectors in made]))
-    assert set(read.class_id) == {0, 1}
-
-
 def test_folders_without_frames_or_labels_are_refused(folder, tmp_path):
     with pytest.raises(BadInputError, match="does not exist"):
         scan_net.folder_frames(tmp_path / "nowhere")

@@ -18,7 +18,7 @@ from bumpymap.rating import RideModel, Vehicle, apply_steps, find_calibration
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.cost import PAPER_TABLE, rate, rate_as_paper
 from bumpymap.rating.steps import STEP_COLUMNS
-from bumpymap.rating.vehicle_body import floor_of, with_floor
+from bumpymap.rating.vehicle_body import with_floor
 
 SCALE = {"flat": 0.01, "low_noise": 0.1, "noise_sin": 0.4, "high_noise": 0.8}
 LADDER = (0.02, 0.1, 0.5, 2.5)
@@ -263,7 +263,7 @@ def test_steps_are_rated_on_top_of_the_ground_alone():
 
 def test_a_floor_is_no_property_of_the_drives(tmp_path):
     """A profile may change it without a new calibration, and a calibration without one loads as before."""
-    assert floor_of(SHIPPED.vehicle) == SHIPPED.floor == 0.0
+    assert SHIPPED.floor == 0.0
     profile = Vehicle.load("warthog").to_dict()
     assert profile["floor"] == {"c_r_radpm": 0.0}
     assert SHIPPED.with_preferences(profile, "x") is SHIPPED
