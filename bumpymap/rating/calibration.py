@@ -67,14 +67,9 @@ class DrivenTerrain:
         return self.stuck + self.rolled
 
     @property
-    def drives(self) -> int:
-        """Number of all drives."""
-        return self.completed + self.failed
-
-    @property
     def p_fail(self) -> float:
         """Share of the drives that failed."""
-        return self.failed / self.drives
+        return self.failed / (self.completed + self.failed)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from bumpymap.core.config import FeatureSettings
-from bumpymap.lab.terrains import Terrain, make_terrain, survey_terrain
+from bumpymap.lab.simulate.ride_fit import survey_terrains
+from bumpymap.lab.terrains import Terrain, make_terrain
 from bumpymap.patches.features import measure
 from bumpymap.rating import RideOperator, denoise, roll_over
 from bumpymap.rating.ride._noise_kernels import point_noise
 from bumpymap.rating.vehicle_profile import Vehicle
-from bumpytiles import Grid, TileBuckets
 
 OPERATOR = RideOperator.of(Vehicle.load("warthog").to_dict(), 3.0, 15)
 PLANE = Terrain("plane", np.zeros((60, 60)), 3.0)
@@ -19,12 +19,7 @@ PLANE = Terrain("plane", np.zeros((60, 60)), 3.0)
 
 def surveyed(terrains, density, noise, seed=1):
     """Patches of terrains side by side, in their order."""
-    rng = np.random.default_rng(seed)
-    buckets = TileBuckets(Grid(3.0, 15))
-    for place, terrain in enumerate(terrains):
-        x, y, z = survey_terrain(terrain, density, noise, rng)
-        buckets.add(x + 3.0 * place, y, z, np.zeros(len(z), bool))
-    (block,) = buckets.blocks()
+    (block,) = survey_terrains(terrains, density, noise, seed).blocks()
     return measure(block, FeatureSettings(), ground_only=False)
 
 

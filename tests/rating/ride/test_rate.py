@@ -12,7 +12,6 @@ from bumpymap.patches.features import measure
 from bumpymap.rating import RideModel
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.textures import TextureModel, classify
-from bumpytiles import Grid, TileBuckets
 
 CALIBRATION = Calibration.shipped("warthog")
 MODEL = RideModel(CALIBRATION)
@@ -54,11 +53,8 @@ def test_a_tile_that_cannot_be_judged_has_no_class():
     assert np.isnan([cost.c_r[0], cost.c_r_low[0], cost.p_fail[0], cost.confidence[0]]).all()
 
 
-def test_leaves_over_ground_are_not_taken_for_noise():
+def test_leaves_over_ground_are_not_taken_for_noise(measure_points):
     rng = np.random.default_rng(2)
     x, y = rng.uniform(0, 3, (2, 900))
     z = np.where(rng.random(900) < 0.5, 0.0, 5.0 + rng.normal(0, 0.3, 900))
-    buckets = TileBuckets(Grid())
-    buckets.add(x, y, z, np.zeros(900, bool))
-    (block,) = buckets.blocks()
-    assert rated(measure(block, FeatureSettings(), ground_only=False)).class_id.tolist() == [3]
+    assert rated(measure_points(x, y, z)).class_id.tolist() == [3]

@@ -244,15 +244,7 @@ class Scene:
 
 
 def make_scene(seed: int, index: int, theme: str | None = None) -> Scene:
-    """Draw a scene.
-
-    Parameters
-    ----------
-    seed, index : int
-        Seed of the set of scenes, and number of the scene. The same pair gives the same bits.
-    theme : str, optional
-        One of ``THEMES``; None cycles through them.
-    """
+    """Draw a scene; seed and number of it in a set of scenes give the same bits. None: themes take turns."""
     name = list(THEMES)[index % len(THEMES)] if theme is None else theme
     rng = np.random.default_rng([seed, index, 0])
     ground = _draw_ground(rng, THEMES[name], name)
