@@ -100,6 +100,7 @@ from .textures import (
     remove_plane as remove_plane,
 )
 from .vehicle_body import (
+    flat_profile as flat_profile,
     less_floor as less_floor,
     with_floor as with_floor,
 )

@@ -25,7 +25,7 @@ from bumpymap.core import (
     read_regular,
     short_repr,
 )
-from bumpymap.rating.vehicle_body import Floor, body_table, comfort_of, with_floor
+from bumpymap.rating.vehicle_body import Floor, body_table, comfort_of, flat_profile, with_floor
 
 T = TypeVar("T")
 
@@ -291,7 +291,7 @@ class Calibration:
         TOML file; ``origin``: name of the calibration for the error message. Raises BadInputError if any other key
         differs, so that the profile is of another vehicle.
         """
-        driven, given = _flat(self.vehicle), _flat(profile)
+        driven, given = flat_profile(self.vehicle), flat_profile(profile)
         kept = [key for key in {**driven, **given} if key not in _PREFERENCES and not key.startswith(_UNDRIVEN)]
         differ = [key for key in kept if driven.get(key) != given.get(key)]
         if differ:
@@ -307,13 +307,6 @@ class Calibration:
         if floor not in (self.floor, self.floor_before):
             changed["floor"] = asdict(Floor(floor))
         return replace(self, vehicle=self.vehicle | changed) if changed else self
-
-
-def _flat(vehicle: dict[str, Any]) -> dict[str, Any]:
-    """Flatten the tables of a profile to keys such as ``belly.length_m``."""
-    tables = {name: part for name, part in vehicle.items() if isinstance(part, dict)}
-    rest = {name: value for name, value in vehicle.items() if name not in tables}
-    return rest | {f"{name}.{key}": value for name, part in tables.items() for key, value in part.items()}
 
 
 def _check_numbers(calibration: Calibration) -> None:

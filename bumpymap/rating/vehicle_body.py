@@ -2,55 +2,37 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Setting, allowed_values, declared_settings, parse_record
+from bumpymap.core import Declared, Setting, declared_settings, parse_record
 
 
-@dataclass(frozen=True, slots=True)
-class ProfileKey:
-    """One key of a vehicle profile whose value is a quantity."""
+def profile_keys(owner: Any, table: str = "") -> tuple[Declared, ...]:
+    """Return the quantities of a dataclass and of its nested dataclasses, in the order of the file.
 
-    name: str
-    """Name with its table, such as ``chassis.mass_kg``."""
-    setting: Setting
-    allowed: str
-    """Description of the allowed values, such as ``a number from 0.1 to 20 m``."""
-    default: float | None
-    """Default of an optional key, NaN if it follows from other keys; None if the key is required."""
-
-    @property
-    def table(self) -> str:
-        """Table of the TOML file that holds the key; empty for the top level."""
-        return self.name.rpartition(".")[0]
-
-    @property
-    def short(self) -> str:
-        """Name within the table."""
-        return self.name.rpartition(".")[2]
-
-    def value_in(self, profile: Mapping[str, Any]) -> Any:
-        """Return its value in a profile, as `Vehicle.to_dict` returns one."""
-        return (profile[self.table] if self.table else profile)[self.short]
-
-
-def profile_keys(owner: Any, table: str = "") -> tuple[ProfileKey, ...]:
-    """Return the quantities of a dataclass and of its nested dataclasses, in the order of the file."""
-    found: list[ProfileKey] = []
+    Names hold the table, such as ``chassis.mass_kg``. A default is NaN if it follows from other keys.
+    """
+    found: list[Declared] = []
     declared = {each.name: each for each in declared_settings(owner)}
     for field in fields(owner):
         name, own = f"{table}.{field.name}".lstrip("."), declared.get(field.name)
         if own is not None:
-            allowed = allowed_values(own.kind, own.setting)
-            found.append(ProfileKey(name, own.setting, allowed, own.default))
+            found.append(replace(own, name=name))
         elif is_dataclass(field.type):
             found += profile_keys(field.type, name)
     return tuple(found)
+
+
+def flat_profile(vehicle: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of a profile, as in its TOML file, by names such as ``belly.length_m``."""
+    tables = {name: part for name, part in vehicle.items() if isinstance(part, dict)}
+    rest = {name: value for name, value in vehicle.items() if name not in tables}
+    return rest | {f"{name}.{key}": value for name, part in tables.items() for key, value in part.items()}
 
 
 def plain_lists(value: Any) -> Any:

@@ -14,9 +14,11 @@ from typing import Annotated, Any
 from bumpymap.core import (
     UNFILLED,
     BadInputError,
+    Declared,
     OutputError,
     Setting,
     UsageError,
+    allowed_values,
     parse_record,
     path_of_call,
     read_toml,
@@ -31,10 +33,10 @@ from bumpymap.rating.vehicle_body import (
     Body,
     Comfort,
     Floor,
-    ProfileKey,
     Whole,
     body_table,
     estimate_profile,
+    flat_profile,
     plain_lists,
     profile_keys,
 )
@@ -360,7 +362,7 @@ def profile_template(name: str, like: str | None) -> str:
         model = Vehicle.load(like).to_dict()
         lines.append(f"# The numbers are those of {model['name']}: change whatever differs.")
         keys, description = KEYS, f"like {model['name']}"
-        values = {key.name: key.value_in(model) for key in KEYS}
+        values = flat_profile(model)
     lines += [f"name = {json.dumps(name)}", "# A one-line description."]
     lines.append(f"description = {json.dumps(description, ensure_ascii=False)}")
     if like is None:
@@ -368,17 +370,16 @@ def profile_template(name: str, like: str | None) -> str:
         lines += [_about(mass), f'mass_kg = "{UNFILLED}"', f"# {SUSPENSION}", f'suspension = "{UNFILLED}"']
     table = ""
     for key in keys:
-        if key.table != table:
-            table = key.table
-            lines += ["", f"[{table}]"]
-        lines += [_about(key), f"{key.short} = {json.dumps(values[key.name])}"]
+        before, (table, _, short) = table, key.name.rpartition(".")
+        lines += ["", f"[{table}]"] * (table != before)
+        lines += [_about(key), f"{short} = {json.dumps(values[key.name])}"]
     return "\n".join(lines) + "\n"
 
 
-def _about(key: ProfileKey) -> str:
+def _about(key: Declared) -> str:
     """Return the comment above a value."""
     what = key.setting.help.replace("`", "")
-    return f"# {what[0].upper()}{what[1:]} ({key.allowed})."
+    return f"# {what[0].upper()}{what[1:]} ({allowed_values(key.kind, key.setting)})."
 
 
 def find_calibration(vehicle: str | Path, file: Path | None = None, tile_size: float = 3.0) -> Calibration:
