@@ -136,19 +136,13 @@ def body_table(vehicle: Mapping[str, Any]) -> dict[str, float]:
 
 SUSPENSION = '"rigid": a frame without springs; "rocker": a beam on each side that pivots; "sprung": a spring a wheel.'
 """The choices, for a template."""
-ESTIMATED = (
-    "chassis.mass_kg",
-    "chassis.inertia_kgm2",
-    "chassis.com_height_m",
-    "belly.length_m",
-    "belly.width_m",
-    "rocker.mass_kg",
-    "rocker.inertia_kgm2",
-    "rocker.limit_rad",
-    "rocker.stiffness_nm_per_rad",
-    "rocker.damping_nms_per_rad",
-    "wheel.mass_kg",
-)
+_ESTIMATED = {
+    "chassis": ("mass_kg", "inertia_kgm2", "com_height_m"),
+    "belly": ("length_m", "width_m"),
+    "rocker": ("mass_kg", "inertia_kgm2", "limit_rad", "stiffness_nm_per_rad", "damping_nms_per_rad"),
+    "wheel": ("mass_kg",),
+}
+ESTIMATED = tuple(f"{table}.{key}" for table, keys in _ESTIMATED.items() for key in keys)
 """Keys that a short profile may leave out."""
 
 
@@ -197,7 +191,6 @@ _RULES = {
     ),
 }  # fmt: skip
 _WHOLE = {"mass_kg", "suspension"}
-_TABLES = ("chassis", "belly", "rocker", "wheel")
 _BETWEEN = 0.95
 """Width of the belly over the space between the wheels."""
 _BEAM = 0.15
@@ -217,8 +210,8 @@ def estimate_profile(record: Any) -> tuple[Any, dict[str, Any], list[str]]:
     if not isinstance(record, dict) or not _WHOLE & set(record):
         return record, {}, []
     own, faults = parse_record({key: record[key] for key in _WHOLE & set(record)}, Whole, Path(), complete=True)
-    rest = {name: {} for name in _TABLES} | {key: value for key, value in record.items() if key not in _WHOLE}
-    tables = {name: rest[name] if isinstance(rest[name], dict) else {} for name in _TABLES}
+    rest = {name: {} for name in _ESTIMATED} | {key: value for key, value in record.items() if key not in _WHOLE}
+    tables = {name: rest[name] if isinstance(rest[name], dict) else {} for name in _ESTIMATED}
     wheel = tables["wheel"]
     size = (rest.get("wheelbase_m"), rest.get("track_m"), wheel.get("radius_m"), wheel.get("width_m"))
     if faults or not all(map(_is_positive, size)):
@@ -232,7 +225,7 @@ def estimate_profile(record: Any) -> tuple[Any, dict[str, Any], list[str]]:
         for key, value in found.items()
         if key not in tables[name]
     }
-    full = {name: estimates[name] | rest[name] for name in _TABLES if isinstance(rest[name], dict)}
+    full = {name: estimates[name] | rest[name] for name in _ESTIMATED if isinstance(rest[name], dict)}
     return rest | full, values, []
 
 

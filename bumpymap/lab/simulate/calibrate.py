@@ -96,14 +96,8 @@ def summarise(
 
     ``command`` is the command line that makes the file again; ``like`` gives the class limits, see `calibrate_vehicle`.
     """
-    table = [
-        [
-            [results["table", texture, z, patch] for patch in range(settings.patches)]
-            for z in range(len(settings.z_range))
-        ]
-        for texture in range(len(TEXTURES))
-    ]
-
+    textures, ranges, patches = (range(count) for count in (len(TEXTURES), len(settings.z_range), settings.patches))
+    table = [[[results["table", texture, z, patch] for patch in patches] for z in ranges] for texture in textures]
     means = [[[patch.mean_c_r for patch in cell] for cell in line] for line in table]
 
     def cells(summary: Callable[[Any], Any], of: list[list[Any]]) -> tuple[tuple[Any, ...], ...]:
