@@ -12,8 +12,7 @@ from bumpymap.lab.terrains import FINE, Terrain, make_terrain
 from bumpymap.rating import BlockRating, RideModel, rate_thin, roll_over
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.ride.correction import Prediction
-from bumpymap.rating.ride.thin import THIN_COLUMNS, ThinModel
-from bumpymap.rating.ride.thin_rate import is_rateable, pool_noise, pull_to_neighbours
+from bumpymap.rating.ride.thin import THIN_COLUMNS, ThinModel, is_rateable, pool_noise, pull_to_neighbours
 
 CALIBRATION = Calibration.shipped("warthog")
 RIDE = RideModel(CALIBRATION)
