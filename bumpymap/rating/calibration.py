@@ -67,9 +67,14 @@ class DrivenTerrain:
         return self.stuck + self.rolled
 
     @property
+    def drives(self) -> int:
+        """Number of all drives."""
+        return self.completed + self.failed
+
+    @property
     def p_fail(self) -> float:
         """Share of the drives that failed."""
-        return self.failed / (self.completed + self.failed)
+        return self.failed / self.drives
 
 
 @dataclass(frozen=True, slots=True)

@@ -100,8 +100,8 @@ def _halton(count: int, base: int) -> Floats:
 
 
 def wheel_rows(
-    lattice: NodeLattice, places: Places, signs: tuple[int, int, int, int], share: NDArray[np.floating], back: Floats,
-    sides: tuple[float, float],
+    lattice: NodeLattice, places: Places, signs: tuple[int, int, int, int], share: NDArray[np.floating],
+    back: NDArray[np.floating], sides: tuple[float, float],
 ) -> PitchSamples:  # fmt: skip
     """Rows that give a sum over the heights of the wheels, behind and ahead of each sample.
 
