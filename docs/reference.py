@@ -19,7 +19,7 @@ from bumpymap.cli import main
 from bumpymap.core import BANDS
 from bumpymap.layers.scan_files import sector_schema
 from bumpymap.layers.tile_table import tile_fields
-from bumpymap.rating import KEYS, Vehicle, shipped_profiles
+from bumpymap.rating import KEYS, Vehicle, flat_profile, shipped_profiles
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
@@ -39,8 +39,8 @@ def _filled(marker: re.Match[str]) -> str:
         rows = ((f"`{key}`", rule.unit, f"{rule.low:g} to {rule.high:g}", rule.help) for key, rule in rules)
         return _table(("key", "unit", "allowed", "meaning"), rows)
     if kind == "vehicles":
-        profiles = [Vehicle.load(vehicle).to_dict() for vehicle in shipped_profiles()]
-        rows = ((f"`{key.name}`", *(_plain(key.value_in(profile)) for profile in profiles)) for key in KEYS)
+        profiles = [flat_profile(Vehicle.load(vehicle).to_dict()) for vehicle in shipped_profiles()]
+        rows = ((f"`{key.name}`", *(_plain(profile[key.name]) for profile in profiles)) for key in KEYS)
         return _table(("key", *(f"`{vehicle}`" for vehicle in shipped_profiles())), rows)
     if kind == "include":
         return _included(Path(__file__).parent / name)

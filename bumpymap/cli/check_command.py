@@ -102,9 +102,9 @@ def write_refit(
 
     Raises BadInputError: the drives are too short, or agree with it; OutputError: the file cannot be written.
     """
-    from bumpymap.rating import UpdateSettings, update_from_drives
+    from bumpymap.rating import update_from_drives
 
-    moved, update = update_from_drives(calibration, stretches, UpdateSettings(speed_mps=speed_mps))
+    moved, update = update_from_drives(calibration, stretches, speed_mps)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:

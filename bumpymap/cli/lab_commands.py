@@ -40,7 +40,7 @@ from bumpymap.core import (
 from bumpymap.lab import CalibrationSettings, NetworkSettings, ScanEvaluateSettings, ScanTrainSettings, TrainSettings
 
 if TYPE_CHECKING:
-    from bumpymap.lab import EpochReport, ScanFindings, TrainedModel
+    from bumpymap.lab import EpochReport, Evaluation, ScanEvaluation, ScanFindings
     from bumpymap.rating import Calibration
 
 
@@ -231,7 +231,7 @@ def _train(
     run: Run,
     out: Path,
     overwrite: bool,
-    work: Callable[[CommandProgress], "tuple[list[str], TrainedModel[Any]]"],
+    work: Callable[[CommandProgress], "tuple[list[str], Evaluation | ScanEvaluation]"],
     use: str,
 ) -> None:
     """Train a network, unless ``out`` is taken, and print its accuracy, and the command that uses it."""
@@ -242,41 +242,38 @@ def _train(
     _require_free(out, overwrite)
     note = "Give the same command again to continue after the last complete epoch."
     with interrupt_note(note), run.progress() as progress:
-        lines, made = work(progress)
+        lines, scores = work(progress)
+    card = out.with_suffix(".md")
     lines += [
-        f"{made.model} ({made.parameters:,} trained numbers), {made.card}",
-        f"use it with: bumpymap {use} --out DIR --set model={made.model}",
+        f"{out} ({scores.parameters:,} trained numbers), {card}",
+        f"use it with: bumpymap {use} --out DIR --set model={out}",
     ]
-    run.show({"out": str(made.model), "card": str(made.card), "parameters": made.parameters}, lines)
+    run.show({"out": str(out), "card": str(card), "parameters": scores.parameters}, lines)
 
 
-def _train_textures(
-    options: dict[str, Any], out: Path, progress: CommandProgress
-) -> "tuple[list[str], TrainedModel[Any]]":
+def _train_textures(options: dict[str, Any], out: Path, progress: CommandProgress) -> "tuple[list[str], Evaluation]":
     from bumpymap.lab import make_model
 
-    made = make_model(TrainSettings(**options), out, _Epochs(progress))
-    scores = made.evaluation
+    scores = make_model(TrainSettings(**options), out, _Epochs(progress))
     lines = [
         f"accuracy on unseen seeds:                      {100 * scores.unseen.right:.2f} %",
         f"accuracy on surveys anew (as in the paper):    {100 * scores.augmented_copies.right:.2f} %",
     ]
-    return lines, made
+    return lines, scores
 
 
 def _train_scans(
     options: dict[str, Any], out: Path, folder: Path, progress: CommandProgress
-) -> "tuple[list[str], TrainedModel[Any]]":
+) -> "tuple[list[str], ScanEvaluation]":
     from bumpymap.lab import make_scan_model
 
-    made = make_scan_model(ScanTrainSettings(**options), out, folder, _Epochs(progress), _show_sectors(progress))
-    scores = made.evaluation
+    scores = make_scan_model(ScanTrainSettings(**options), out, folder, _Epochs(progress), _show_sectors(progress))
     even = 100 * scores.every.even
     lines = [
         f"accuracy on {scores.scans} unseen scans, classes weighted evenly: {even:.2f} %",
         f"accuracy on all {scores.every.count:,} of their sectors:        {100 * scores.every.right:.2f} %",
     ]
-    return lines, made
+    return lines, scores
 
 
 def _show_sectors(progress: Progress) -> Callable[[int, int], None]:

@@ -1,12 +1,10 @@
-from .evaluate.report import (
+from .evaluate import (
     REPORT as REPORT,
-    percent as percent,
-    write_scan_report as write_scan_report,
-)
-from .evaluate.scans import (
     ScanFindings as ScanFindings,
     evaluate_scans as evaluate_scans,
     labels_of as labels_of,
+    percent as percent,
+    write_scan_report as write_scan_report,
 )
 from .label_sets import LABEL_SETS as LABEL_SETS
 from .settings import (
@@ -22,8 +20,11 @@ from .simulate.calibrate import (
     calibration_journal as calibration_journal,
     seconds_of_drives as seconds_of_drives,
 )
+from .simulate.drive import library_terrains as library_terrains
 from .simulate.model import require_dart as require_dart
-from .simulate.plan import library_terrains as library_terrains
-from .train.model_files import EpochReport as EpochReport, TrainedModel as TrainedModel
-from .train.scan_net import make_scan_model as make_scan_model
-from .train.textures import make_model as make_model
+from .train.model_files import EpochReport as EpochReport
+from .train.scan_net import (
+    ScanEvaluation as ScanEvaluation,
+    make_scan_model as make_scan_model,
+)
+from .train.textures import Evaluation as Evaluation, make_model as make_model

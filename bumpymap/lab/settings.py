@@ -1,5 +1,6 @@
 """Settings of calibrations, evaluations and trainings, declared once."""
 
+import math
 import platform
 from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.metadata import version
@@ -9,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 from bumpymap.core import Setting, UsageError, check_settings
 
 if TYPE_CHECKING:
-    from bumpymap.lab.simulate.drive import DriveSettings
     from bumpymap.rating import Vehicle
 
 _LIBRARY_WHEEL_M = 0.3
@@ -22,16 +22,55 @@ def log_spaced(lowest: float, highest: float, count: int) -> tuple[float, ...]:
     return tuple(float(f"{lowest * ratio**step:.3g}") for step in range(count))
 
 
-def _drive_settings() -> "DriveSettings":
-    from bumpymap.lab.simulate.drive import DriveSettings
-
-    return DriveSettings()
-
-
 def _textures() -> tuple[str, ...]:
     from bumpymap.core import TEXTURES
 
     return TEXTURES
+
+
+@dataclass(frozen=True, slots=True)
+class Physics:
+    """Settings of the physics engine."""
+
+    time_step: float = 0.002
+    """s."""
+    friction: float = 0.9
+    """Coulomb coefficient between wheel and ground."""
+
+
+@dataclass(frozen=True, slots=True)
+class DriveSettings:
+    """Settings shared by all drives of a calibration."""
+
+    physics: Physics = field(default_factory=Physics)
+    settle_s: float = 1.0
+    """Time with wheels locked at the start."""
+    ramp_s: float = 1.0
+    """Time of linear acceleration from rest to full speed."""
+    cruise_s: float = 0.5
+    """Time at full speed before the measurement, for the pitch from the acceleration to decay."""
+    measure_s: float = 10.0
+    sample_hz: float = 100.0
+    """Sampling rate of the gyroscope and of the steering."""
+    stuck_share: float = 0.2
+    """A drive that covers less than this share of its distance counts as stuck."""
+    rolled_deg: float = 60.0
+    """A chassis that tilts further counts as rolled over."""
+    margin_m: float = 1.5
+    """Width of ground beyond the wheels. A vehicle pushed further than this off its line counts as stuck."""
+
+    def __post_init__(self) -> None:
+        ratio = 1 / (self.sample_hz * self.physics.time_step)
+        if round(ratio) < 1 or not math.isclose(ratio, round(ratio), rel_tol=1e-9):
+            raise UsageError(
+                f"a time step of {self.physics.time_step} s does not divide the {1 / self.sample_hz} s between "
+                "samples; choose 0.01, 0.005, 0.002, 0.001 or 0.0005 s"
+            )
+
+    @property
+    def steps_per_sample(self) -> int:
+        """Time steps between two samples."""
+        return round(1 / (self.sample_hz * self.physics.time_step))
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +91,7 @@ class CalibrationSettings:
         3.0
     )
     pixels: Annotated[int, Setting("Heightmap pixels along a side of a patch", "N", 4, rare=True)] = 15
-    drive: "DriveSettings" = field(default_factory=_drive_settings)
+    drive: DriveSettings = field(default_factory=DriveSettings)
 
     def __post_init__(self) -> None:
         check_settings(self)

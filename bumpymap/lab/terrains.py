@@ -431,24 +431,17 @@ def make_terrain(
     return Terrain(kind, surface * height_scale + plane, tile_size)
 
 
-@dataclass(frozen=True, slots=True)
-class ScanEffects:
-    """Density and errors of a survey."""
-
-    density: float = 100.0
-    """Points per m2."""
-    noise_m: float = 0.0
-    """Standard deviation of the heights, of which each is independent."""
-
-
-def survey_terrain(terrain: Terrain, effects: ScanEffects, rng: np.random.Generator) -> tuple[Floats, Floats, Floats]:
+def survey_terrain(
+    terrain: Terrain, density: float, noise_m: float, rng: np.random.Generator
+) -> tuple[Floats, Floats, Floats]:
     """Draw easting, northing and upward (n,) [m] of the points of a survey; the tile's south-west corner is the origin.
 
-    The same generator state gives the same bits.
+    ``density``: points per m2; ``noise_m``: standard deviation of the heights, of which each is independent. The same
+    generator state gives the same bits.
     """
     side = terrain.tile_size
     step = side / len(terrain.surface)
-    easting, northing = rng.uniform(0.0, side, (2, int(rng.poisson(effects.density * side**2))))
+    easting, northing = rng.uniform(0.0, side, (2, int(rng.poisson(density * side**2))))
     where = np.array([(side - northing) / step - 0.5, easting / step - 0.5])
     upward: Floats = map_coordinates(terrain.surface, where, order=1, mode="nearest")
-    return easting, northing, upward + effects.noise_m * rng.standard_normal(len(upward))
+    return easting, northing, upward + noise_m * rng.standard_normal(len(upward))

@@ -46,13 +46,7 @@ def filter_version() -> dict[str, str]:
 
 
 def require_filter(settings: CsfSettings, grid: Grid) -> None:
-    """Check that the filter is installed, and that its cloth does not become too fine for a block.
-
-    Raises
-    ------
-    UsageError
-        The filter is not installed, or ``cloth_resolution`` is too small for tiles of this size.
-    """
+    """Raise UsageError if the filter is not installed, or its ``cloth_resolution`` too small for tiles of this size."""
     if importlib.util.find_spec("CSF") is None:
         raise UsageError(
             "`ground='csf'` needs the cloth simulation filter (cloth-simulation-filter), which is not installed. "
@@ -67,22 +61,9 @@ def require_filter(settings: CsfSettings, grid: Grid) -> None:
 
 
 def mark_ground(points: TilePoints, settings: CsfSettings) -> NDArray[np.bool_]:
-    """Mark the ground points of a block.
+    """Mark the ground points of a block, (n,): of all its n points, in canonical order.
 
-    Parameters
-    ----------
-    points : TilePoints
-        All n points of one block, in canonical order.
-
-    Returns
-    -------
-    bool (n,)
-        True for ground.
-
-    Raises
-    ------
-    UsageError
-        The child process cannot be started, or died.
+    Raises UsageError if the child process cannot be started, or died.
     """
     side = points.grid.tile_size * BLOCK_TILES
     west, south = (int(tiles[0]) // BLOCK_TILES * side for tiles in (points.col, points.row))

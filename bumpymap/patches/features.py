@@ -1,6 +1,6 @@
 """Points of tiles in, measured patches out: heightmap, spread, z-variance, RANSAC residual, slope, reason.
 
-Thinly surveyed tiles are measured from their points too, beyond their pixels; see ``docs/pages/measuring.md``. Things
+Thinly surveyed tiles are measured from their points too, beyond their pixels; see ``docs/pages/measuring.md``. Objects
 that stand on the ground or hang over it are found in the points that are no ground, by their height above it.
 """
 
@@ -41,21 +41,10 @@ _SCALARS = 9
 
 
 def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool) -> PatchStack:
-    """Measure the tiles of a block.
+    """Measure the tiles of a block, one row a tile, in their order.
 
-    Parameters
-    ----------
-    points : TilePoints
-        Points by tile, in canonical order; ``flag`` holds their kind.
-    settings : FeatureSettings
-        Thresholds.
-    ground_only : bool
-        Measure the points of the ground alone; tiles without any get reason ``NO_GROUND``.
-
-    Returns
-    -------
-    PatchStack
-        One row a tile, in the order of ``points``.
+    ``points``: in canonical order; ``flag`` holds their kind. ``ground_only``: measure the points of the ground alone;
+    tiles without any get reason ``NO_GROUND``.
     """
     grid = points.grid
     measured = _points_by_tile(points, ground_only=ground_only)
@@ -151,24 +140,11 @@ _REACH_PX = (1.0, 2.0, 3.5, 5.5, 8.0)
 def measure_thin(
     points: TilePoints, patches: PatchStack, settings: FeatureSettings, *, ground_only: bool
 ) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """Measure the pairs of points of all tiles, and the filled heightmaps of thin ones.
+    """Measure the pairs of points of n tiles, and the filled heightmaps of thin ones.
 
-    Parameters
-    ----------
-    points : TilePoints
-        n tiles.
-    patches : PatchStack
-        The same tiles, measured by `measure`.
-    settings, ground_only
-        As for `measure`.
-
-    Returns
-    -------
-    array (n, 15)
-        Of `bumpymap.patches._standing_kernels.measure_pairs`; NaN where the points span no plane.
-    array (n, pixels, pixels)
-        Plane-removed heights with all holes filled from their neighbours, however wide, m; NaN for tiles that are not
-        thin.
+    ``patches``: the same tiles, measured by `measure`; ``settings``, ``ground_only``: as for that. Returns (n, 15) of
+    `bumpymap.patches._standing_kernels.measure_pairs`, NaN where the points span no plane; and (n, pixels, pixels)
+    plane-removed heights with all holes filled from their neighbours, however wide, m, NaN for tiles that are not thin.
     """
     grid = points.grid
     tiles = _points_by_tile(points, ground_only=ground_only)
@@ -211,21 +187,10 @@ def find_objects(points: TilePoints, patches: PatchStack, body: VehicleBody) -> 
     takes at the density of the tile, which may be 3 m. In tiles with less than three pixels of ground everything that
     is seen is an obstacle.
 
-    Parameters
-    ----------
-    points : TilePoints
-        All points of n tiles, in canonical order; ``flag`` holds their kind.
-    patches : PatchStack
-        The same tiles, measured from the ground points alone.
-    body : VehicleBody
-        Outline of the vehicle.
-
-    Returns
-    -------
-    ObjectStack
-        One row a tile, before its neighbours are known. `settle_solids` decides what is overhead and what holds no
-        point; pixels at a tile's border whose points would make an obstacle only with company from the neighbour are
-        ``UNDECIDED``, see `bumpymap.rating.settle_objects`.
+    ``points``: all points of n tiles, in canonical order; ``flag`` holds their kind. ``patches``: the same tiles,
+    measured from the ground points alone. Returns one row a tile, before its neighbours are known. `settle_solids`
+    decides what is overhead and what holds no point; pixels at a tile's border whose points would make an obstacle only
+    with company from the neighbour are ``UNDECIDED``, see `bumpymap.rating.settle_objects`.
     """
     tiles, pixels = len(points.col), points.grid.pixels
     state = np.empty((tiles, pixels, pixels), np.uint8)
@@ -247,21 +212,10 @@ def settle_solids(objects: NDArray[np.uint8], grid: Grid, max_hole: float) -> ND
     - A pixel without points belongs to the nearest with points: what is believed free was seen free.
     - Points in a line with gaps of up to six pixels are one obstacle.
 
-    Parameters
-    ----------
-    objects : uint8 (rows, cols)
-        States from `find_objects`, tiles side by side, north row first; ``UNSEEN`` where a tile is missing.
-    grid : Grid
-        Tiles and pixels.
-    max_hole : float
-        Farther than this from every point a pixel is unseen, m; in thin surveys, than the radius of a disc that holds
-        8 points on average.
-
-    Returns
-    -------
-    uint8 (rows, cols)
-        ``FREE``, ``OBSTACLE``, ``CANOPY``, ``UNSEEN``, and ``UNDECIDED``; in the outer ring of tiles as good as the
-        ring tells.
+    ``objects`` (rows, cols): states from `find_objects`, tiles side by side, north row first; ``UNSEEN`` where a tile
+    is missing. ``max_hole``: farther than this from every point a pixel is unseen, m; in thin surveys, than the radius
+    of a disc that holds 8 points on average. Returns uint8 (rows, cols): ``FREE``, ``OBSTACLE``, ``CANOPY``,
+    ``UNSEEN``, and ``UNDECIDED``; in the outer ring of tiles as good as the ring tells.
     """
     out, hole = np.empty_like(objects), max_hole / grid.pixel_size
     scratch = solids.solid_scratch(*objects.shape)

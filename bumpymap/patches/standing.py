@@ -88,21 +88,8 @@ def take_off_standing(
 ) -> tuple[TilePoints, PatchStack]:  # fmt: skip
     """Take the pixels that stand out of the ground for no ground, so that `find_objects` sees what is in them.
 
-    Parameters
-    ----------
-    points : TilePoints
-        All points of one block; ``flag`` holds their kind.
-    patches : PatchStack
-        The same tiles, measured from the ground points.
-    body : VehicleBody
-        Outline of the vehicle.
-
-    Returns
-    -------
-    points : TilePoints
-        The same with the points in such pixels as no ground.
-    patches : PatchStack
-        The same with NaN for their ``heights``.
+    ``points``: all points of one block; ``flag`` holds their kind. ``patches``: the same tiles, measured from the
+    ground points. Returns both, the points in such pixels as no ground, and NaN for their ``heights``.
     """
     at = BLOCK_TILES - 1 - patches.row % BLOCK_TILES, patches.col % BLOCK_TILES
     mosaic = _mosaic(patches.heights, at, (BLOCK_TILES, BLOCK_TILES))
@@ -123,17 +110,9 @@ def find_in_relief(
     height of the vehicle they are ``LONE``, which `settle_solids` closes. The other pixels with points are ``FREE``; of
     the tile as a whole nothing is known.
 
-    Parameters
-    ----------
-    points : TilePoints
-        All points of n tiles.
-    patches : PatchStack
-        The same tiles, measured from all points.
-    body : VehicleBody
-        Outline of the vehicle.
-    around : mapping, optional
-        ``col``, ``row`` and ``heights`` of these tiles and of those up to `relief_margin` tiles around them: beyond it
-        nothing has a part in what is found. Without, nothing lies around them.
+    ``points``: all points of n tiles; ``patches``: the same tiles, measured from all points; ``around``: ``col``,
+    ``row`` and ``heights`` of these tiles and of those up to `relief_margin` tiles around them: beyond it nothing has a
+    part in what is found. Without, nothing lies around them.
     """
     stack = ObjectStack.empty(*patches.heights.shape[:2])
     grid, objects = patches.grid, stack.objects
@@ -182,18 +161,13 @@ def _mark_strays(
     held, found = np.zeros(states.shape, np.int64), np.zeros(states.shape, np.bool_)
     np.add.at(held, (row, col), 1)
     # In a dense tile they close only what lies in a line with others, such as the top of a wall.
-    is_thin = _is_thin(states != EMPTY)
+    is_thin = -np.log1p(-np.minimum(np.mean(states != EMPTY), 0.99)) < THIN  # as `settle_solids` takes for thin
     strays = (above > max(ground.max(), body.lowest_obstacle_m)) & (above <= body.height_m + (0.0 if is_thin else _LOW))
     strays &= (held > patches.spread_count[t])[row, col]
     found[row[strays], col[strays]] = True
     states[found & (states != OBSTACLE)] = LONE
     if is_thin:
         near |= _with_neighbours(found)
-
-
-def _is_thin(seen: Marks) -> Marks:
-    """Return whether tiles have as few points as `settle_solids` takes for thin; ``seen`` (.., pixels, pixels)."""
-    return np.asarray(-np.log1p(-np.minimum(seen.mean(axis=(-2, -1)), 0.99)) < THIN)
 
 
 def leave_out_standing(
@@ -205,24 +179,10 @@ def leave_out_standing(
     between objects: that is rough ground. Strays beside an object are no noise, but the few points of it that a tile
     has at its edge.
 
-    Parameters
-    ----------
-    points : TilePoints
-        All points of n tiles; all count as ground.
-    patches : PatchStack
-        The same tiles, measured.
-    objects : ReliefObjects
-        Of `find_in_relief`.
-    settings : FeatureSettings
-        Thresholds.
-
-    Returns
-    -------
-    points : TilePoints
-        The same, all of them ground but those of objects in thin tiles, which are rated from their points.
-    patches : PatchStack
-        The same without the pixels of objects: in all but ``heights`` and what describes all points (lowest and highest
-        point, variance, residual, range, density).
+    ``points``: all points of n tiles; all count as ground. ``patches``: the same tiles, measured; ``objects``: of
+    `find_in_relief`. Returns the points, all of them ground but those of objects in thin tiles, which are rated from
+    their points; and the patches without the pixels of objects: in all but ``heights`` and what describes all points
+    (lowest and highest point, variance, residual, range, density).
     """
     points = replace(points, flag=np.full(len(points.flag), POINT_GROUND, np.uint8))
     points, patches = _without_strays(points, patches, objects.near, settings)
@@ -369,23 +329,9 @@ def find_standing(
     taken off. Where fewer than eight pixels so close are known, the nearest eight count, up to four pixels away, if
     they are lower in proportion to their distance.
 
-    Parameters
-    ----------
-    heights : float32 (rows, cols)
-        Mean height of the ground in each pixel, m; NaN where none is known. Whole tiles, side by side.
-    body : VehicleBody
-        Its ``lowest_obstacle_m``, m.
-    grid : Grid
-        Tiles and pixels.
-    width : float
-        What is narrower stands on the ground, m; what is wider is ground at another level.
-    least : float
-        What of an object is lower than this is left out, m.
-
-    Returns
-    -------
-    bool (rows, cols)
-        True in the pixels of such objects.
+    ``heights`` (rows, cols): mean height of the ground in each pixel, m; NaN where none is known; whole tiles, side by
+    side. ``width``: what is narrower stands on the ground, m; what is wider is ground at another level. ``least``: what
+    of an object is lower than this is left out, m. Returns bool (rows, cols): True in the pixels of such objects.
     """
     disc, foot = (max(_LEAST_DISC, side / grid.pixel_size) for side in (0.5 * width, _REACH))
     belly = body.lowest_obstacle_m
@@ -400,13 +346,9 @@ def find_standing(
 
 def _with_neighbours(marks: Marks) -> Marks:
     """Mark the eight pixels around marked ones too."""
-    out = marks.copy()
-    out[1:] |= marks[:-1]
-    out[:-1] |= marks[1:]
-    rows = out.copy()
-    out[:, 1:] |= rows[:, :-1]
-    out[:, :-1] |= rows[:, 1:]
-    return out
+    wide = np.pad(marks, 1)
+    rows = wide[2:] | wide[1:-1] | wide[:-2]
+    return np.asarray(rows[:, 2:] | rows[:, 1:-1] | rows[:, :-2])
 
 
 def _within(marks: Marks, radius: float) -> Marks:

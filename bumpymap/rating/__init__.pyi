@@ -12,7 +12,6 @@ from .cost import (
 )
 from .drive_update import (
     DriveUpdate as DriveUpdate,
-    UpdateSettings as UpdateSettings,
     update_from_drives as update_from_drives,
 )
 from .passable import (
@@ -67,21 +66,19 @@ from .ride.speed import (
 )
 from .ride.thin import (
     THIN_COLUMNS as THIN_COLUMNS,
-    ThinModel as ThinModel,
-    fail_terms as fail_terms,
-    log_points as log_points,
-    ride_terms as ride_terms,
-    spread_terms as spread_terms,
-    thin_columns as thin_columns,
-)
-from .ride.thin_rate import (
     THIN_RING as THIN_RING,
     BlockRating as BlockRating,
+    ThinModel as ThinModel,
     dense_share as dense_share,
+    fail_terms as fail_terms,
     is_rateable as is_rateable,
+    log_points as log_points,
     pool_noise as pool_noise,
     rate_thin as rate_thin,
+    ride_terms as ride_terms,
     ride_weight as ride_weight,
+    spread_terms as spread_terms,
+    thin_columns as thin_columns,
 )
 from .steps import (
     TileSteps as TileSteps,
@@ -101,6 +98,7 @@ from .textures import (
     remove_plane as remove_plane,
 )
 from .vehicle_body import (
+    flat_profile as flat_profile,
     less_floor as less_floor,
     with_floor as with_floor,
 )

@@ -74,7 +74,10 @@ def rate_beside_steps(
     known &= is_open
     relief = np.full(heights.shape, np.nan, np.float32)
     if (usable := known.any(axis=(1, 2))).any():
-        relief[usable] = _filled(rest[usable], known[usable])
+        of_known = ndimage.distance_transform_edt(
+            ~known[usable], (_APART, 1.0, 1.0), return_distances=False, return_indices=True
+        )
+        relief[usable] = rest[usable][tuple(of_known)]  # the height of the nearest known pixel of the tile
     slope = np.where(is_open, slope_deg[area], 0.0).max(axis=(1, 2), initial=0.0)
     found = _ride(relief, known.sum(axis=(1, 2)), slope, thin, calibration)
     c_r, p_fail = (np.fmin(ours, of_whole) for ours, of_whole in zip(found, whole, strict=True))
@@ -108,12 +111,6 @@ def _off_planes(heights: NDArray[np.floating], area: NDArray[np.integer], areas:
     right = np.where(spanned, (yh * xx - xh * xy) / det, 0.0)
     rest = h - down[index] * x - right[index] * y
     return rest.reshape(heights.shape), np.hypot(down, right)
-
-
-def _filled(rest: Floats, known: Marks) -> NDArray[np.float32]:
-    """Give the other pixels of each tile the height of the nearest known one."""
-    at = ndimage.distance_transform_edt(~known, (_APART, 1.0, 1.0), return_distances=False, return_indices=True)
-    return np.asarray(rest[tuple(at)], np.float32)
 
 
 @remembered

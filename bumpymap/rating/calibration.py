@@ -25,7 +25,7 @@ from bumpymap.core import (
     read_regular,
     short_repr,
 )
-from bumpymap.rating.vehicle_body import Floor, body_of, body_table, comfort_of, floor_of, with_floor
+from bumpymap.rating.vehicle_body import Floor, body_table, comfort_of, flat_profile, with_floor
 
 T = TypeVar("T")
 
@@ -136,7 +136,7 @@ class Calibration:
         for name in _MODELS:
             if not isinstance(getattr(self, name), dict):
                 raise ValueError(f"{name} is {getattr(self, name)!r}; it must be an object")  # noqa: TRY004
-        self._hashed_text()  # raises ValueError if a number is not finite
+        json.dumps(self._record(), allow_nan=False)  # raises ValueError if a number is not finite
         known = [c for line in self.c_r for c in line if c is not None]
         if any(line[0] is None for line in self.c_r) or min(known) <= 0:
             raise ValueError("c_r must be positive, and known at the lowest z range of every texture")
@@ -144,7 +144,8 @@ class Calibration:
     @property
     def id(self) -> str:
         """Twelve hex digits of a hash of the content."""
-        return hashlib.sha256(self._hashed_text().encode()).hexdigest()[:12]
+        text = json.dumps(self._record(), sort_keys=True, allow_nan=False)
+        return hashlib.sha256(text.encode()).hexdigest()[:12]
 
     @property
     def cost_rule(self) -> CostRule:
@@ -165,12 +166,12 @@ class Calibration:
     @property
     def body(self) -> VehicleBody:
         """Outline of the vehicle; defaults where the profile has none."""
-        return body_of(self.vehicle)
+        return VehicleBody(clearance_m=float(self.vehicle["belly"]["clearance_m"]), **body_table(self.vehicle))
 
     @property
     def floor(self) -> float:
         """C_r on even, level ground at the profile's speed, rad/m; 0 if the profile has none."""
-        return floor_of(self.vehicle)
+        return float(self.vehicle.get("floor", {}).get("c_r_radpm", 0.0))
 
     @property
     def map_speed(self) -> float:
@@ -198,12 +199,6 @@ class Calibration:
         """``class_limits`` with the floor, for values that hold it, rad/m: the floor moves no tile to another class."""
         return tuple(with_floor(np.array(self.class_limits), self.map_floor).tolist())
 
-    def without_floor(self) -> "Calibration":
-        """Return this calibration with a floor of 0, for comparisons with simulated drives, which have none."""
-        if self.floor == 0.0:
-            return self
-        return replace(self, vehicle={key: value for key, value in self.vehicle.items() if key != "floor"})
-
     def require_grid(self, tile_size: float, pixels: int) -> None:
         """Raise UsageError if tiles to rate differ in size [m] or number of pixels from the calibration's."""
         if (self.tile_size, self.pixels) != (tile_size, pixels):
@@ -217,9 +212,6 @@ class Calibration:
                 "--out my.json; then pass `calibration='my.json'`"
             )
 
-    def _hashed_text(self) -> str:
-        return json.dumps(self._record(), sort_keys=True, allow_nan=False)
-
     def _record(self) -> dict[str, Any]:
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
@@ -231,16 +223,8 @@ class Calibration:
     def from_json(cls, text: str, origin: str) -> "Calibration":
         """Read the text of a calibration file.
 
-        Parameters
-        ----------
-        text : str
-        origin : str
-            Name of the file for error messages.
-
-        Raises
-        ------
-        BadInputError
-            The text is not a calibration, is of another version, or has a table of the wrong shape.
+        ``origin``: name of the file for error messages. Raises BadInputError if the text is not a calibration, is of
+        another version, or has a table of the wrong shape.
         """
         hint = "Make one with: bumpymap calibrate --vehicle FILE --out CALIBRATION.json"
         try:
@@ -280,12 +264,8 @@ class Calibration:
     def shipped(cls, vehicle: str, tile_size: float = 3.0) -> "Calibration":
         """Read the calibration of an included vehicle, such as ``warthog``, for tiles of 3, 5 or 6 m.
 
-        For other sizes it is that for 3 m, which `require_grid` refuses.
-
-        Raises
-        ------
-        UsageError
-            No calibration for a vehicle of that name is included.
+        For other sizes it is that for 3 m, which `require_grid` refuses. Raises UsageError if no calibration for a
+        vehicle of that name is included.
         """
         known = shipped_calibrations()
         if not isinstance(vehicle, str) or vehicle not in known:
@@ -312,21 +292,11 @@ class Calibration:
     def with_preferences(self, profile: dict[str, Any], origin: str) -> "Calibration":
         """Return this calibration with the preferences, ``[body]``, ``[comfort]``, ``[floor]`` of a profile.
 
-        They change the layers, so a changed preference changes the ``id``.
-
-        Parameters
-        ----------
-        profile : dict
-            A vehicle profile, as in its TOML file.
-        origin : str
-            Name of the calibration for the error message.
-
-        Raises
-        ------
-        BadInputError
-            Any other key differs, so the profile is of another vehicle.
+        They change the layers, so a changed preference changes the ``id``. ``profile``: a vehicle profile, as in its
+        TOML file; ``origin``: name of the calibration for the error message. Raises BadInputError if any other key
+        differs, so that the profile is of another vehicle.
         """
-        driven, given = _flat(self.vehicle), _flat(profile)
+        driven, given = flat_profile(self.vehicle), flat_profile(profile)
         kept = [key for key in {**driven, **given} if key not in _PREFERENCES and not key.startswith(_UNDRIVEN)]
         differ = [key for key in kept if driven.get(key) != given.get(key)]
         if differ:
@@ -338,16 +308,10 @@ class Calibration:
             changed["body"] = body
         if (comfort := comfort_of(profile)) != comfort_of(self.vehicle):
             changed["comfort"] = asdict(comfort)
-        if floor_of(profile) not in (self.floor, self.floor_before):
-            changed["floor"] = asdict(Floor(floor_of(profile)))
+        floor = float(profile.get("floor", {}).get("c_r_radpm", 0.0))
+        if floor not in (self.floor, self.floor_before):
+            changed["floor"] = asdict(Floor(floor))
         return replace(self, vehicle=self.vehicle | changed) if changed else self
-
-
-def _flat(vehicle: dict[str, Any]) -> dict[str, Any]:
-    """Flatten the tables of a profile to keys such as ``belly.length_m``."""
-    tables = {name: part for name, part in vehicle.items() if isinstance(part, dict)}
-    rest = {name: value for name, value in vehicle.items() if name not in tables}
-    return rest | {f"{name}.{key}": value for name, part in tables.items() for key, value in part.items()}
 
 
 def _check_numbers(calibration: Calibration) -> None:
@@ -365,7 +329,8 @@ def _check_numbers(calibration: Calibration) -> None:
     numbers += [*calibration.z_range, *calibration.class_limits, *calibration.class_c_r]
     numbers += [calibration.tile_size, calibration.pixels, *asdict(calibration.body).values(), calibration.floor]
     numbers += [calibration.floor_before, calibration.map_speed]
-    if sum(map(_is_number, numbers)) + len(gaps) != len(numbers):
+    known = [value for value in numbers if isinstance(value, int | float) and not isinstance(value, bool)]
+    if sum(map(math.isfinite, known)) + len(gaps) != len(numbers):
         raise ValueError("a number is missing, not finite, or no number")
     if calibration.floor < 0:
         raise ValueError("[floor] must not be negative")
@@ -373,10 +338,6 @@ def _check_numbers(calibration: Calibration) -> None:
         raise ValueError(f"{MAP_SPEED} must be positive")
     if rule.drive_m <= 0 or min(rule.ride_weight, rule.fail_weight) < 0:
         raise ValueError("speed_mps and measure_s must be positive, ride_weight and fail_weight not negative")
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def remembered(function: Callable[[Calibration], T]) -> Callable[[Calibration], T]:

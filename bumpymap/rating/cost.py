@@ -6,7 +6,6 @@ the whole distribution, a mixture of four log-normals, so an interval and the pr
 """
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,9 +47,9 @@ def rate(patches: PatchStack, textures: TextureMap, calibration: Calibration, ge
     log_mean, log_sd, fails = _read_tables(patches.relief[known], calibration)
     c_r, p_fail = (chance * np.exp(log_mean)).sum(axis=1), np.minimum((chance * fails).sum(axis=1), 1.0)
     too_steep = patches.slope[known] > float(calibration.vehicle["slope_limit_deg"])
-    mixture = _Mixture(chance, log_mean - 0.5 * log_sd**2, log_sd)  # the tables hold the logarithm of the mean
+    mixture = chance, log_mean - 0.5 * log_sd**2, log_sd  # the tables hold the logarithm of the mean
     low, high = (
-        np.exp(mixture.quantile(share, normal)) for share, normal in ((TAIL, -NORMAL_TAIL), (1 - TAIL, NORMAL_TAIL))
+        np.exp(_quantile(mixture, share, normal)) for share, normal in ((TAIL, -NORMAL_TAIL), (1 - TAIL, NORMAL_TAIL))
     )
     edges = np.concatenate(([-np.inf], np.log(calibration.class_limits), [np.inf]))
     failing = too_steep | (p_fail >= FAIL_SHARE)
@@ -58,7 +57,7 @@ def rate(patches: PatchStack, textures: TextureMap, calibration: Calibration, ge
     sure = np.where(
         failing,
         np.where(too_steep, 1.0, p_fail),
-        mixture.share_below(edges[rank + 1]) - mixture.share_below(edges[rank]),
+        _share_below(mixture, edges[rank + 1]) - _share_below(mixture, edges[rank]),
     )
     interval = (
         with_floor(values, calibration.map_floor) for values in (c_r, np.minimum(low, c_r), np.maximum(high, c_r))
@@ -71,41 +70,41 @@ def rate(patches: PatchStack, textures: TextureMap, calibration: Calibration, ge
     return CostMap(georeference, patches, textures, class_id, c_r, low, high, p_fail, sure, map_rule(calibration))
 
 
-class _Mixture(NamedTuple):
-    """Mixtures of log-normals, one for each of n tiles; all arrays are (n, parts)."""
+Mixture = tuple[Floats, Floats, Floats]
+"""Mixtures of log-normals, one for each of n tiles: chance, mean and standard deviation of ln C_r, (n, parts) each."""
 
-    chance: Floats
-    log_mean: Floats
-    log_sd: Floats
 
-    def share_below(self, log_c: Floats) -> Floats:
-        """Return the probability, (n,), that C_r is below exp(log_c)."""
-        from scipy.special import ndtr
+def _share_below(mixture: Mixture, log_c: Floats) -> Floats:
+    """Return the probability, (n,), that C_r is below exp(log_c)."""
+    from scipy.special import ndtr
 
-        return np.asarray((self.chance * ndtr((log_c[:, None] - self.log_mean) / self.log_sd)).sum(axis=1))
+    chance, log_mean, log_sd = mixture
+    return np.asarray((chance * ndtr((log_c[:, None] - log_mean) / log_sd)).sum(axis=1))
 
-    def quantile(self, share: float, normal: float) -> Floats:
-        """Find the ln C_r, (n,), with a share of each mixture below it; ``normal`` is the standard normal's quantile.
 
-        Newton's steps inside a bracket, halved where a step leaves it. A mixture's quantile lies between those of its
-        parts; the margin allows for probabilities that sum to 1 but for their rounding.
-        """
-        own = self.log_mean + normal * self.log_sd
-        low = np.where(self.chance > 0, own - 1e-2 * self.log_sd, np.inf).min(axis=1)
-        high = np.where(self.chance > 0, own + 1e-2 * self.log_sd, -np.inf).max(axis=1)
-        at, found = (self.chance * own).sum(axis=1), np.zeros(len(low), np.bool_)
-        for _ in range(_ROUNDS):
-            excess = self.share_below(at) - share
-            low, high = np.where(excess < 0, at, low), np.where(excess < 0, high, at)
-            z = (at[:, None] - self.log_mean) / self.log_sd
-            density = (self.chance * np.exp(-0.5 * z * z) / self.log_sd).sum(axis=1) / np.sqrt(2 * np.pi)
-            step = at - excess / np.maximum(density, _TINY)
-            after = np.where((step > low) & (step < high), step, 0.5 * (low + high))
-            # A tile that has been found stays, so that its bits do not depend on the others.
-            found, at = found | (np.abs(after - at) < _CLOSE), np.where(found, at, after)
-            if found.all():
-                break
-        return np.asarray(at)
+def _quantile(mixture: Mixture, share: float, normal: float) -> Floats:
+    """Find the ln C_r, (n,), with a share of each mixture below it; ``normal`` is the standard normal's quantile.
+
+    Newton's steps inside a bracket, halved where a step leaves it. A mixture's quantile lies between those of its
+    parts; the margin allows for probabilities that sum to 1 but for their rounding.
+    """
+    chance, log_mean, log_sd = mixture
+    own = log_mean + normal * log_sd
+    low = np.where(chance > 0, own - 1e-2 * log_sd, np.inf).min(axis=1)
+    high = np.where(chance > 0, own + 1e-2 * log_sd, -np.inf).max(axis=1)
+    at, found = (chance * own).sum(axis=1), np.zeros(len(low), np.bool_)
+    for _ in range(_ROUNDS):
+        excess = _share_below(mixture, at) - share
+        low, high = np.where(excess < 0, at, low), np.where(excess < 0, high, at)
+        z = (at[:, None] - log_mean) / log_sd
+        density = (chance * np.exp(-0.5 * z * z) / log_sd).sum(axis=1) / np.sqrt(2 * np.pi)
+        step = at - excess / np.maximum(density, _TINY)
+        after = np.where((step > low) & (step < high), step, 0.5 * (low + high))
+        # A tile that has been found stays, so that its bits do not depend on the others.
+        found, at = found | (np.abs(after - at) < _CLOSE), np.where(found, at, after)
+        if found.all():
+            break
+    return np.asarray(at)
 
 
 def rate_as_paper(

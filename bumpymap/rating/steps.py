@@ -312,7 +312,10 @@ def find_steps(
     whole, is_thin = heights, _tile_sums(np.isfinite(heights), pixels) < _MOST_COVERAGE * pixels**2
     if standing is not None and standing.any():
         heights = np.where(binary_dilation(standing, np.ones((3, 3), np.bool_)), np.nan, heights)
-    z, turned = _with_margin(heights), _with_margin(heights.T)
+    z, turned = (
+        np.pad(np.ascontiguousarray(part, np.float64), ((RUN, RUN), (0, 0)), constant_values=np.nan)
+        for part in (heights, heights.T)
+    )
     (east, noise_east), (south, noise_south) = _gradient(z, pixels), _gradient(turned, pixels)
     upright, lying = (
         StepMosaic(part, pixels, level, np.repeat(right, pixels, axis=1), np.repeat(down, pixels, axis=1))
@@ -337,8 +340,11 @@ def find_steps(
     wanted = wanted if searched is None else wanted & searched
     if math.isfinite(closing) and wanted.any():
         tiles = TileSlopes(_sure_gradient(z, pixels), np.ascontiguousarray(_sure_gradient(turned, pixels).T), wanted)
-        jumps = _jumps(np.ascontiguousarray(whole, np.float64), tiles, closing, level)
-    low = _below_others(heights, np.fmax(closing, _JUMP * noise), pixels)
+        width = min(level, _JUMP_WIDTH)
+        scratch = jump_scratch(jumps.shape[0], jumps.shape[1], width)
+        find_jumps(np.ascontiguousarray(whole, np.float64), pixels, tiles, closing, jump_sides(width), jumps, scratch)
+    highest = maximum_filter(np.where(np.isnan(heights), -np.inf, heights), 3, mode="nearest")
+    low = highest - heights >= np.repeat(np.repeat(np.fmax(closing, _JUMP * noise), pixels, axis=0), pixels, axis=1)
     doubtful = closed & (least == 2)
     if doubtful.any():  # with few points, a single pixel is no line
         beside = correlate((closed | jumps | low).view(np.uint8), _AROUND, mode="constant")
@@ -366,29 +372,6 @@ def _tile_sums(marks: NDArray[np.bool_], pixels: int) -> NDArray[np.int64]:
     """Return the number of marked pixels in each tile."""
     rows, cols = (side // pixels for side in marks.shape)
     return np.asarray(marks.reshape(rows, pixels, cols, pixels).sum(axis=(1, 3)))
-
-
-def _jumps(heights: Floats, tiles: TileSlopes, closing: float, level: float) -> NDArray[np.bool_]:
-    """Return the lines of jumps in some tiles, see `find_jumps`."""
-    marks, width = np.zeros(heights.shape, np.bool_), min(level, _JUMP_WIDTH)
-    scratch = jump_scratch(heights.shape[0], heights.shape[1], width)
-    find_jumps(heights, len(heights) // len(tiles.east), tiles, closing, jump_sides(width), marks, scratch)
-    return marks
-
-
-def _below_others(heights: NDArray[np.floating], drop: Floats, pixels: int) -> NDArray[np.bool_]:
-    """Return the pixels that lie so far below one of the eight around them; ``drop`` is that of each tile, m."""
-    highest = maximum_filter(np.where(np.isnan(heights), -np.inf, heights), 3, mode="nearest")
-    return np.asarray(highest - heights >= np.repeat(np.repeat(drop, pixels, axis=0), pixels, axis=1))
-
-
-def _with_margin(heights: NDArray[np.floating]) -> Floats:
-    """Put rows of NaN before and after the heights, as a `StepMosaic` has them."""
-    rows, cols = heights.shape
-    out = np.empty((rows + 2 * RUN, cols))
-    out[:RUN] = out[-RUN:] = np.nan
-    out[RUN:-RUN] = heights
-    return out
 
 
 def _gradient(z: Floats, pixels: int, apart: int = 1) -> tuple[Floats, Floats]:

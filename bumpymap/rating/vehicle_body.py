@@ -2,53 +2,36 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Setting, VehicleBody, allowed_values, declared_fields, parse_record
+from bumpymap.core import Declared, Setting, declared_fields, parse_record
 
 
-@dataclass(frozen=True, slots=True)
-class ProfileKey:
-    """One key of a vehicle profile whose value is a quantity."""
+def profile_keys(owner: Any, table: str = "") -> tuple[Declared, ...]:
+    """Return the quantities of a dataclass and of its nested dataclasses, in the order of the file.
 
-    name: str
-    """Name with its table, such as ``chassis.mass_kg``."""
-    setting: Setting
-    allowed: str
-    """Description of the allowed values, such as ``a number from 0.1 to 20 m``."""
-    default: float | None
-    """Default of an optional key, NaN if it follows from other keys; None if the key is required."""
-
-    @property
-    def table(self) -> str:
-        """Table of the TOML file that holds the key; empty for the top level."""
-        return self.name.rpartition(".")[0]
-
-    @property
-    def short(self) -> str:
-        """Name within the table."""
-        return self.name.rpartition(".")[2]
-
-    def value_in(self, profile: Mapping[str, Any]) -> Any:
-        """Return its value in a profile, as `Vehicle.to_dict` returns one."""
-        return (profile[self.table] if self.table else profile)[self.short]
-
-
-def profile_keys(owner: Any, table: str = "") -> tuple[ProfileKey, ...]:
-    """Return the quantities of a dataclass and of its nested dataclasses, in the order of the file."""
-    found: list[ProfileKey] = []
+    Names hold the table, such as ``chassis.mass_kg``. A default is NaN if it follows from other keys.
+    """
+    found: list[Declared] = []
     for each in declared_fields(owner).values():
         name = f"{table}.{each.name}".lstrip(".")
         if each.setting is not None:
-            found.append(ProfileKey(name, each.setting, allowed_values(each.kind, each.setting), each.default))
+            found.append(replace(each, name=name))
         elif is_dataclass(each.kind) and not each.optional:
             found += profile_keys(each.kind, name)
     return tuple(found)
+
+
+def flat_profile(vehicle: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of a profile, as in its TOML file, by names such as ``belly.length_m``."""
+    tables = {name: part for name, part in vehicle.items() if isinstance(part, dict)}
+    rest = {name: value for name, value in vehicle.items() if name not in tables}
+    return rest | {f"{name}.{key}": value for name, part in tables.items() for key, value in part.items()}
 
 
 def plain_lists(value: Any) -> Any:
@@ -95,11 +78,6 @@ def comfort_of(vehicle: Mapping[str, Any]) -> Comfort:
     return Comfort(**{name: float(value) for name, value in vehicle.get("comfort", {}).items()})
 
 
-def floor_of(vehicle: Mapping[str, Any]) -> float:
-    """Return the floor of a vehicle profile (the nested dictionary of its TOML file), rad/m; 0 if it has none."""
-    return float(vehicle.get("floor", {}).get("c_r_radpm", 0.0))
-
-
 def with_floor(c_r: NDArray[np.floating], floor: float) -> Floats:
     """Add a floor in power, rad/m: the root of the sum of squares; without a floor every bit stays.
 
@@ -122,7 +100,7 @@ _TALL = 0.7
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """Outline of the vehicle; NaN stands for the default of `body_defaults`."""
+    """Outline of the vehicle; NaN stands for the default of `body_table`."""
 
     height_m: Annotated[
         float,
@@ -136,51 +114,34 @@ class Body:
     ] = math.nan
 
 
-def body_defaults(vehicle: Mapping[str, Any]) -> dict[str, float]:
-    """Return the outline of a vehicle whose complete profile does not give one, m, rounded to centimetres.
+def body_table(vehicle: Mapping[str, Any]) -> dict[str, float]:
+    """Return the table ``[body]`` of a complete profile, m, with defaults for what it leaves out, to centimetres.
 
     Height: the wheels' or the belly's clearance, the higher, plus 0.7 of the track. Width: the wider of belly and
     wheels. Brush: the belly's clearance, so that whatever reaches the belly is an obstacle.
     """
-    belly, wheel, track = vehicle["belly"], vehicle["wheel"], float(vehicle["track_m"])
-    under = max(2 * float(wheel["radius_m"]), float(belly["clearance_m"]))
-    found = {
-        "height_m": under + _TALL * track,
-        "width_m": max(float(belly["width_m"]), track + float(wheel["width_m"])),
-        "brush_stem_m": float(belly["clearance_m"]),
-    }
-    return {name: round(value, 2) if name != "brush_stem_m" else value for name, value in found.items()}
-
-
-def body_table(vehicle: Mapping[str, Any]) -> dict[str, float]:
-    """Return the table ``[body]`` of a profile, with defaults for what it leaves out."""
     given = {name: float(value) for name, value in vehicle.get("body", {}).items() if not math.isnan(value)}
     unknown = set(given) - {field.name for field in fields(Body)}
     if unknown:
         raise ValueError(f"[body] holds {', '.join(sorted(unknown))}")
-    return body_defaults(vehicle) | given
-
-
-def body_of(vehicle: Mapping[str, Any]) -> VehicleBody:
-    """Return the outline of the vehicle of a profile."""
-    return VehicleBody(clearance_m=float(vehicle["belly"]["clearance_m"]), **body_table(vehicle))
+    belly, wheel, track = vehicle["belly"], vehicle["wheel"], float(vehicle["track_m"])
+    clearance = float(belly["clearance_m"])
+    return {
+        "height_m": round(max(2 * float(wheel["radius_m"]), clearance) + _TALL * track, 2),
+        "width_m": round(max(float(belly["width_m"]), track + float(wheel["width_m"])), 2),
+        "brush_stem_m": clearance,
+    } | given
 
 
 SUSPENSION = '"rigid": a frame without springs; "rocker": a beam on each side that pivots; "sprung": a spring a wheel.'
 """The choices, for a template."""
-ESTIMATED = (
-    "chassis.mass_kg",
-    "chassis.inertia_kgm2",
-    "chassis.com_height_m",
-    "belly.length_m",
-    "belly.width_m",
-    "rocker.mass_kg",
-    "rocker.inertia_kgm2",
-    "rocker.limit_rad",
-    "rocker.stiffness_nm_per_rad",
-    "rocker.damping_nms_per_rad",
-    "wheel.mass_kg",
-)
+_ESTIMATED = {
+    "chassis": ("mass_kg", "inertia_kgm2", "com_height_m"),
+    "belly": ("length_m", "width_m"),
+    "rocker": ("mass_kg", "inertia_kgm2", "limit_rad", "stiffness_nm_per_rad", "damping_nms_per_rad"),
+    "wheel": ("mass_kg",),
+}
+ESTIMATED = tuple(f"{table}.{key}" for table, keys in _ESTIMATED.items() for key in keys)
 """Keys that a short profile may leave out."""
 
 
@@ -229,54 +190,42 @@ _RULES = {
     ),
 }  # fmt: skip
 _WHOLE = {"mass_kg", "suspension"}
-_TABLES = ("chassis", "belly", "rocker", "wheel")
 _BETWEEN = 0.95
 """Width of the belly over the space between the wheels."""
 _BEAM = 0.15
 """Height and width of a rocker over its length, the wheelbase."""
 
 
-@dataclass(frozen=True, slots=True)
-class CompletedProfile:
-    """A profile with estimates of what it leaves out."""
-
-    record: Any
-    """The profile, without the keys of `Whole`; without estimates where what they need is missing or faulty."""
-    values: dict[str, Any]
-    """Estimated values by key, such as ``chassis.com_height_m``."""
-    faults: list[str]
-    """Faults of the keys of `Whole`."""
-
-
-def estimate_profile(record: Any) -> CompletedProfile:
+def estimate_profile(record: Any) -> tuple[Any, dict[str, Any], list[str]]:
     """Fill in what a short profile, which has ``mass_kg`` or ``suspension``, leaves out; what is given stays.
 
     Wheels and rockers have their shares of ``mass_kg``, and the chassis has the rest. The chassis has the moments of
     inertia of a solid box, the rockers those of beams as long as the wheelbase. Springs follow from the frequency at
     which the chassis pitches, ``2 k = I (2 pi f)^2``, dampers from ``2 b = 2 zeta sqrt(2 k I)``.
+
+    Returns the profile without the keys of `Whole`, and without estimates where what they need is missing or faulty;
+    the estimated values by key, such as ``chassis.com_height_m``; and the faults of the keys of `Whole`.
     """
     if not isinstance(record, dict) or not _WHOLE & set(record):
-        return CompletedProfile(record, {}, [])
+        return record, {}, []
     own, faults = parse_record({key: record[key] for key in _WHOLE & set(record)}, Whole, Path(), complete=True)
-    rest = {name: {} for name in _TABLES} | {key: value for key, value in record.items() if key not in _WHOLE}
-    tables = {name: rest[name] if isinstance(rest[name], dict) else {} for name in _TABLES}
+    rest = {name: {} for name in _ESTIMATED} | {key: value for key, value in record.items() if key not in _WHOLE}
+    tables = {name: rest[name] if isinstance(rest[name], dict) else {} for name in _ESTIMATED}
     wheel = tables["wheel"]
     size = (rest.get("wheelbase_m"), rest.get("track_m"), wheel.get("radius_m"), wheel.get("width_m"))
     if faults or not all(map(_is_positive, size)):
-        return CompletedProfile(rest, {}, faults)
+        return rest, {}, faults
     estimates = _estimates(Whole(**own), size, tables)
     if estimates["chassis"]["mass_kg"] <= 0:
-        return CompletedProfile(
-            rest, {}, [f"mass_kg is {own['mass_kg']:g}, and rockers and wheels alone weigh that much"]
-        )
+        return rest, {}, [f"mass_kg is {own['mass_kg']:g}, and rockers and wheels alone weigh that much"]
     values = {
         f"{name}.{key}": value
         for name, found in estimates.items()
         for key, value in found.items()
         if key not in tables[name]
     }
-    full = {name: estimates[name] | rest[name] for name in _TABLES if isinstance(rest[name], dict)}
-    return CompletedProfile(rest | full, values, [])
+    full = {name: estimates[name] | rest[name] for name in _ESTIMATED if isinstance(rest[name], dict)}
+    return rest | full, values, []
 
 
 def _estimates(whole: Whole, size: tuple[Any, ...], given: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:

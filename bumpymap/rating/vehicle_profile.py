@@ -9,14 +9,16 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Annotated, Any, TextIO
+from typing import Annotated, Any
 
 from bumpymap.core import (
     UNFILLED,
     BadInputError,
+    Declared,
     OutputError,
     Setting,
     UsageError,
+    allowed_values,
     parse_record,
     path_of_call,
     read_toml,
@@ -31,10 +33,10 @@ from bumpymap.rating.vehicle_body import (
     Body,
     Comfort,
     Floor,
-    ProfileKey,
     Whole,
     body_table,
     estimate_profile,
+    flat_profile,
     plain_lists,
     profile_keys,
 )
@@ -171,19 +173,10 @@ class Vehicle:
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> "Vehicle":
-        """Read a vehicle profile.
+        """Read a vehicle profile: the name of an included vehicle, such as ``warthog``, or a TOML file.
 
-        Parameters
-        ----------
-        name_or_path : str or path
-            Name of an included vehicle, such as ``warthog``, or a TOML file.
-
-        Raises
-        ------
-        UsageError
-            There is no such vehicle or file.
-        BadInputError
-            The file is not TOML, or a value is missing or not plausible.
+        Raises UsageError if there is no such vehicle or file, BadInputError if the file is not TOML, or a value is
+        missing or not plausible.
         """
         return cls.from_dict(*_profile_record(name_or_path))
 
@@ -196,23 +189,15 @@ class Vehicle:
     def from_dict(cls, record: dict[str, Any], origin: str) -> "Vehicle":
         """Check a nested dictionary and make a profile of it.
 
-        Parameters
-        ----------
-        record : dict
-            The profile, as in a TOML file.
-        origin : str
-            Name of the file for error messages.
-
-        Raises
-        ------
-        BadInputError
-            A key is unknown or missing, or a value is of the wrong type or not plausible; the message lists all faults.
+        ``record``: the profile, as in a TOML file; ``origin``: name of the file for error messages. Raises
+        BadInputError, whose message lists all faults, if a key is unknown or missing, or a value is of the wrong type
+        or not plausible.
         """
-        estimate = estimate_profile(record)
-        arguments, faults = parse_record(estimate.record, cls, Path(), complete=True)
-        if estimate.record is not record:  # a short profile does not lack what would be estimated
+        completed, _, of_whole = estimate_profile(record)
+        arguments, faults = parse_record(completed, cls, Path(), complete=True)
+        if completed is not record:  # a short profile does not lack what would be estimated
             estimated = tuple(f"missing {name}:" for name in ESTIMATED)
-            faults = estimate.faults + [fault for fault in faults if not fault.startswith(estimated)]
+            faults = of_whole + [fault for fault in faults if not fault.startswith(estimated)]
         if not faults:
             profile = cls(**arguments)
             profile = replace(profile, body=Body(**body_table(profile.to_dict())))
@@ -222,7 +207,7 @@ class Vehicle:
                 if not (text.strip() and text.isprintable())
             ]
             faults += [*_size_faults(profile), *_mass_faults(profile, record.get("mass_kg", profile.mass_kg))]
-        lacking = estimate.record is record and any(fault.startswith("missing") for fault in faults)
+        lacking = completed is record and any(fault.startswith("missing") for fault in faults)
         refuse_faults(faults, origin, BadInputError, f"; {_SCHEMA}{_SHORT if lacking else ''}")
         return profile
 
@@ -254,7 +239,7 @@ def shipped_profiles() -> list[str]:
 
 def estimated_values(name_or_path: str | Path) -> dict[str, Any]:
     """Return what a short profile leaves out and `Vehicle.load` estimates, by key, such as ``chassis.com_height_m``."""
-    return estimate_profile(_profile_record(name_or_path)[0]).values
+    return estimate_profile(_profile_record(name_or_path)[0])[1]
 
 
 def _size_faults(profile: Vehicle) -> Iterator[str]:
@@ -347,21 +332,16 @@ def write_profile_template(name: str, path: Path, like: str | None) -> None:
     text = profile_template(name, like)
     try:
         with path.open("x", encoding="utf-8") as file:  # "x" does not follow a symbolic link either
-            _fill(file, path, text)
+            try:
+                file.write(text)
+                file.flush()
+            except OSError:
+                path.unlink()
+                raise
     except FileExistsError as error:
         raise OutputError(f"{path} exists and is not overwritten: give another --out") from error
     except OSError as error:
         raise OutputError(f"cannot write {path}: {error.strerror}; give another --out") from error
-
-
-def _fill(file: TextIO, path: Path, text: str) -> None:
-    """Write the whole text, or remove the file."""
-    try:
-        file.write(text)
-        file.flush()
-    except OSError:
-        path.unlink()
-        raise
 
 
 def profile_template(name: str, like: str | None) -> str:
@@ -382,7 +362,7 @@ def profile_template(name: str, like: str | None) -> str:
         model = Vehicle.load(like).to_dict()
         lines.append(f"# The numbers are those of {model['name']}: change whatever differs.")
         keys, description = KEYS, f"like {model['name']}"
-        values = {key.name: key.value_in(model) for key in KEYS}
+        values = flat_profile(model)
     lines += [f"name = {json.dumps(name)}", "# A one-line description."]
     lines.append(f"description = {json.dumps(description, ensure_ascii=False)}")
     if like is None:
@@ -390,17 +370,16 @@ def profile_template(name: str, like: str | None) -> str:
         lines += [_about(mass), f'mass_kg = "{UNFILLED}"', f"# {SUSPENSION}", f'suspension = "{UNFILLED}"']
     table = ""
     for key in keys:
-        if key.table != table:
-            table = key.table
-            lines += ["", f"[{table}]"]
-        lines += [_about(key), f"{key.short} = {json.dumps(values[key.name])}"]
+        before, (table, _, short) = table, key.name.rpartition(".")
+        lines += ["", f"[{table}]"] * (table != before)
+        lines += [_about(key), f"{short} = {json.dumps(values[key.name])}"]
     return "\n".join(lines) + "\n"
 
 
-def _about(key: ProfileKey) -> str:
+def _about(key: Declared) -> str:
     """Return the comment above a value."""
-    what = key.setting.help.replace("`", "")
-    return f"# {what[0].upper()}{what[1:]} ({key.allowed})."
+    what = key.setting.help.replace("`", "") if key.setting else ""
+    return f"# {what[0].upper()}{what[1:]} ({allowed_values(key.kind, key.setting)})."
 
 
 def find_calibration(vehicle: str | Path, file: Path | None = None, tile_size: float = 3.0) -> Calibration:

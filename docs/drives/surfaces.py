@@ -29,7 +29,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 from scipy.signal import butter, sosfiltfilt
 
-from bumpymap.lab.simulate.model import DartVehicle, Physics, Strip, fit_plane
+from bumpymap.lab.settings import Physics
+from bumpymap.lab.simulate.model import DartVehicle, Strip, fit_plane
 from bumpymap.rating import Calibration, RideModel, Vehicle, roll_over
 
 Floats = NDArray[np.float64]

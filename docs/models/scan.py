@@ -14,9 +14,19 @@ from pathlib import Path
 import numpy as np
 
 from bumpymap.lab.settings import ScanTrainSettings
-from bumpymap.lab.train.model_files import model_files
-from bumpymap.lab.train.scan_net import TrainingData, train_and_write
-from bumpymap.lab.train.scan_sectors import Sectors, draw_cuts, join, labelled_sectors
+from bumpymap.lab.train.model_files import training_files, write_model
+from bumpymap.lab.train.scan_net import (
+    DATA,
+    Sectors,
+    draw_cuts,
+    evaluate,
+    join,
+    labelled_sectors,
+    metadata_of,
+    model_card,
+    to_onnx,
+    train,
+)
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "worlds"))
 
@@ -66,18 +76,19 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("scan.onnx"))
     given = parser.parse_args()
     settings = ScanTrainSettings(seed=given.seed, epochs=given.epochs)
-    with model_files(given.out) as files:
+    command = f"python docs/models/scan.py --seed {given.seed} --epochs {given.epochs} --scenes {given.scenes}"
+    with training_files(given.out) as checkpoint:
         learn = simulated_sectors(given.seed, range(given.scenes), settings.turns)
         learn += overhead_sectors(given.seed, range(0, given.scenes - 9, 10))  # every tenth, in every theme
-        data = TrainingData(
-            join(learn),
-            join(simulated_sectors(given.seed, range(UNSEEN, UNSEEN + given.unseen))),
-            given.unseen,
-            f"python docs/models/scan.py --seed {given.seed} --epochs {given.epochs} --scenes {given.scenes}",
-            DESCRIBED.format(scenes=given.scenes),
-            LIMITS,
-        )
-        print(train_and_write(settings, data, files, print).evaluation)
+        sectors = join(learn)
+        unseen = join(simulated_sectors(given.seed, range(UNSEEN, UNSEEN + given.unseen)))
+        net = train(settings, sectors, checkpoint, print)
+        scores = evaluate(net, unseen, given.unseen)
+        content = to_onnx(net, metadata_of(settings, scores, command))
+        card = model_card(settings, scores, sectors, command, len(content))
+        card = card.replace(DATA, DESCRIBED.format(scenes=given.scenes)) + LIMITS
+        write_model(given.out, content, card, checkpoint)
+    print(scores)
 
 
 if __name__ == "__main__":

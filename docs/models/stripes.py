@@ -14,7 +14,7 @@ from sklearn.cluster import KMeans
 import bumpymap
 from bumpymap.core import CLASSES, NOT_TRAVERSABLE
 from bumpymap.lab import LABEL_SETS
-from bumpymap.lab.train.scan_sectors import crowns_as_bushes
+from bumpymap.lab.train.scan_net import crowns_as_bushes
 from bumpymap.scan import classify_filter, polar_sectors
 from bumpymap.scan.stripes import StripeFilter, StripeModel, count_stripes
 

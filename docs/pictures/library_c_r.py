@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bumpymap.lab.simulate.plan import library_terrains
+from bumpymap.lab.simulate.drive import library_terrains
 from bumpymap.lab.terrains import KINDS
 from bumpymap.rating.calibration import Calibration, shipped_calibrations
 

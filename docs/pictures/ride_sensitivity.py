@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.lab.simulate.drive import DriveSettings, drive
-from bumpymap.lab.simulate.model import PatchGround, Physics
+from bumpymap.lab.settings import DriveSettings, Physics
+from bumpymap.lab.simulate.drive import drive
+from bumpymap.lab.simulate.model import PatchGround
 from bumpymap.lab.terrains import make_textures
 from bumpymap.rating import Vehicle
 

@@ -21,10 +21,11 @@ import numpy as np
 from scipy.stats import spearmanr
 
 from bumpymap.core import FeatureSettings, Georeference, Reason
-from bumpymap.lab.simulate.drive import DriveSettings, draw_start, drive_strip, follow
+from bumpymap.lab.settings import DriveSettings
+from bumpymap.lab.simulate.drive import draw_start, drive_strip, follow
 from bumpymap.lab.simulate.model import PatchGround, Pose, standing_pose, wheel_inertia
 from bumpymap.lab.simulate.ride_fit import survey_terrains
-from bumpymap.lab.terrains import KINDS, ScanEffects, make_terrain
+from bumpymap.lab.terrains import KINDS, make_terrain
 from bumpymap.patches import measure
 from bumpymap.rating import Calibration, RideModel, TextureModel, Vehicle, classify, rate
 
@@ -181,7 +182,7 @@ def report(given):
     print("|---|---|---|---|---|---|---|")
     for density in map(float, given.densities.split(",")):
         found = np.full((4, len(rows)), np.nan)
-        for block in survey_terrains(terrains, ScanEffects(density, given.noise), 91).blocks():
+        for block in survey_terrains(terrains, density, given.noise, 91).blocks():
             patches = measure(block, FeatureSettings(), ground_only=False)
             rated = rate_tiles(patches, classify(patches, textures), georeference=Georeference(None))
             ok = patches.reason == Reason.OK

@@ -12,12 +12,11 @@ import pytest
 from hypothesis import given, strategies as st
 
 from bumpymap.core.errors import BumpymapError, OutputError, UsageError
-from bumpymap.lab.settings import CalibrationSettings
+from bumpymap.lab.settings import CalibrationSettings, DriveSettings
 from bumpymap.lab.simulate import calibrate
-from bumpymap.lab.simulate.drive import DriveSettings, PatchDrives
+from bumpymap.lab.simulate.drive import PatchDrives, calibrated_settings, library_terrains
 from bumpymap.lab.simulate.jobs import DriveJob
 from bumpymap.lab.simulate.motion_fit import SPEED_RATIOS, fit_means, motion_jobs
-from bumpymap.lab.simulate.plan import calibrated_settings, library_terrains
 from bumpymap.lab.simulate.refit import refit, run_crossing
 from bumpymap.lab.terrains import KINDS
 from bumpymap.rating.calibration import Calibration, DrivenTerrain, shipped_calibrations
@@ -271,7 +270,7 @@ def test_it_finds_what_was_put_in_and_its_spread_and_leaves_failed_terrains_out(
     means = np.exp(logs + errors)
     means[3, 2] = np.nan
     model = fit_means(settings, means, 2)
-    told = np.exp(model.plain_log_factors(np.array([0.03, 0.1, 0.3]), (0.5, 1.0, 1.5)))
+    told = np.exp(model.plain_log_factors(np.array([0.03, 0.1, 0.3]), np.log((0.5, 1.0, 1.5))))
     for speed, ratio in enumerate((0.5, 1.0, 1.5)):
         assert told[:, speed] == pytest.approx(np.tile([ratio**-0.1, 0.7, 4 * ratio**1.3], (3, 1)), rel=tolerance)
     assert model.origin["used"] == len(means) - 1

@@ -14,14 +14,14 @@ from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
 from bumpymap.core.errors import BadInputError, BumpymapError, UsageError
-from bumpymap.lab.simulate.drive import Drive, DriveSettings, Effort, PatchDrives, drive_patch, follow
+from bumpymap.lab.settings import DriveSettings, Physics
+from bumpymap.lab.simulate.drive import follow
 from bumpymap.lab.simulate.jobs import drive_jobs
-from bumpymap.lab.simulate.model import PatchGround, Physics, Pose, Strip, strip_triangles
+from bumpymap.lab.simulate.model import PatchGround, Pose, Strip, strip_triangles
 from bumpymap.rating.vehicle_profile import Vehicle
 
 SIZE = 3.0
 HEIGHTS = np.random.default_rng(5).normal(0, 0.2, (15, 15)) + 7.0
-LEVEL = np.zeros((15, 15))
 WARTHOG = Vehicle.load("warthog")
 SHORT = DriveSettings(settle_s=0.5, ramp_s=0.5, cruise_s=0.0, measure_s=1.0)
 
@@ -153,32 +153,6 @@ def test_time_step_must_divide_the_time_between_samples():
     with pytest.raises(UsageError, match=r"0\.003 s does not divide"):
         DriveSettings(physics=Physics(time_step=0.003))
     assert DriveSettings(physics=Physics(time_step=0.0005)).steps_per_sample == 20
-
-
-@pytest.fixture
-def fake_drive(monkeypatch):
-    """Drives whose C_r is drawn from their seed; returns the settings of the draw."""
-    state = {"spread": 0.2, "fails": 0.0}
-
-    def drive(_profile, _ground, seed, _settings):
-        rng = np.random.default_rng(seed)
-        failed = rng.random() < state["fails"]
-        c_r = math.nan if failed else 0.1 * (1 + state["spread"] * rng.standard_normal())
-        return Drive("rolled" if failed else "completed", c_r, 10.0)
-
-    monkeypatch.setattr("bumpymap.lab.simulate.drive.drive", drive)
-    return state
-
-
-def test_drives_go_on_until_the_mean_is_known_or_the_least_have_failed(fake_drive):
-    fake_drive["spread"] = 0.35
-    effort = Effort(least=4, most=200, target_error=0.05)
-    drives = drive_patch(WARTHOG, LEVEL, 3.0, 3, effort, DriveSettings())
-    assert drives.standard_error <= 0.05 * drives.mean_c_r
-    one_less = PatchDrives(drives.outcome[:-1], drives.c_r[:-1])
-    assert len(drives.c_r) == 4 or one_less.standard_error > 0.05 * one_less.mean_c_r
-    fake_drive["fails"] = 1.0
-    assert drive_patch(WARTHOG, LEVEL, 3.0, 1, Effort(5, 60, 0.05), DriveSettings()).failed == 5
 
 
 JOBS = """

@@ -4,7 +4,6 @@ import json
 import re
 from collections import Counter
 from dataclasses import replace
-from itertools import combinations_with_replacement
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from click.testing import CliRunner
 
 from bumpymap.cli import main
 from bumpymap.core import BadInputError, ClassedSectors, Scan, UsageError
-from bumpymap.lab.evaluate import scans
+from bumpymap.lab import evaluate as scans
 from bumpymap.lab.label_sets import LABEL_SETS, identify_label_set, label_set, require_label_set
 from bumpymap.readers import find_frames, read_scan
 from bumpymap.scan import classify_filter, polar_sectors
@@ -113,22 +112,6 @@ def test_a_sector_without_ground_is_rough_to_a_method_and_one_without_a_label_is
     assert found.right == pytest.approx(4 / 6)
     assert found.recall == pytest.approx([1 / 2, 1 / 2, 1])
     assert found.even == pytest.approx((1 / 2 + 1 / 2 + 1) / 3)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_no_limits_are_better_than_the_best(seed):
-    rng = np.random.default_rng(seed)
-    truth = rng.integers(0, 3, 30).astype(np.int16)
-    values = truth * 0.5 + rng.normal(0, 0.5, 30)
-    limits = scans.best_limits(values, truth)
-
-    def even(pair):
-        return scans.accuracy_of(truth, np.searchsorted(pair, values, side="right"), 3).even
-
-    assert limits[0] <= limits[1]
-    # Forty quantiles of thirty values leave few of them out.
-    best = max(even(pair) for pair in combinations_with_replacement(np.sort(values), 2))
-    assert even(limits) == pytest.approx(best, abs=0.03)
 
 
 def test_rows_hold_medians_and_means_of_each_class():

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from bumpymap.core import BumpymapError
-from bumpymap.lab.simulate.ride_fit import DrivenPatches, NoisyPatches, fit_correction, student_factor
+from bumpymap.lab.simulate.ride_fit import DrivenPatches, fit_correction, student_factor
 from bumpymap.rating import NORMAL_TAIL, Rides
 
 pytestmark = pytest.mark.slow
@@ -32,9 +32,8 @@ def made_up(seed=1, spread=0.1, count=COUNT):
 def no_noise(count=500):
     rng = np.random.default_rng(3)
     excess = rng.exponential(0.5, count)
-    return NoisyPatches(
-        excess, np.exp(rng.uniform(-0.5, 4, count)), 0.3 * excess * rng.standard_normal(count) - 0.1 * excess
-    )
+    points = np.exp(rng.uniform(-0.5, 4, count))
+    return np.stack([excess, points, 0.3 * excess * rng.standard_normal(count) - 0.1 * excess])
 
 
 @pytest.fixture(scope="module", name="correction")

@@ -10,14 +10,14 @@ from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.core.scan_types import PolarSettings, Scan
 from bumpymap.lab import LABEL_SETS
 from bumpymap.lab.settings import ScanTrainSettings
-from bumpymap.lab.train import scan_sectors
 from bumpymap.scan.learned import CHANNELS, MEASURES, ScanModel, infer
 
 torch = pytest.importorskip("torch", reason="torch comes with the extra 'learn'")
 pytest.importorskip("onnx", reason="onnx comes with the extra 'learn'")
 
+from bumpymap.lab.train import scan_net  # noqa: E402
+from bumpymap.lab.train.model_files import predict  # noqa: E402
 from bumpymap.lab.train.scan_net import evaluate, make_scan_model, to_onnx, train  # noqa: E402
-from bumpymap.lab.train.textures import predict  # noqa: E402
 
 pytestmark = pytest.mark.slow
 CLASSES = LABEL_SETS["rellis"].class_of
@@ -53,7 +53,7 @@ def folder(tmp_path_factory):
 
 @pytest.mark.parametrize("label", [3, 19, 4])
 def test_the_most_frequent_label_decides_the_class(label):
-    sectors = scan_sectors.labelled_sectors(_ring(label, 0.01))
+    sectors = scan_net.labelled_sectors(_ring(label, 0.01))
     assert len(sectors.class_id) == 96
     assert (sectors.class_id == CLASSES[label]).all()
     assert (sectors.label == label).all()
@@ -68,7 +68,7 @@ def test_crowns_over_the_ground_are_bushes_and_trunks_are_not():
     above = floor.points + np.column_stack([np.zeros((8000, 2)), height]).astype(np.float32)
     label = np.full(8000, 4, np.uint16)
     points = np.concatenate([floor.points, above[rng.permutation(8000)]])
-    found = scan_sectors.crowns_as_bushes(Scan(points, None, np.concatenate([floor.label, label])))
+    found = scan_net.crowns_as_bushes(Scan(points, None, np.concatenate([floor.label, label])))
     up = points[8000:, 2] + 1.5
     assert (found.label[:8000] == 3).all()
     assert (found.label[8000:][up < 1] == 4).mean() > 0.99
@@ -77,8 +77,8 @@ def test_crowns_over_the_ground_are_bushes_and_trunks_are_not():
 
 def test_turned_cuts_see_the_same_ground_in_other_sectors():
     scan = _ring(3, 0.05)
-    once = scan_sectors.labelled_sectors(scan)
-    thrice = scan_sectors.labelled_sectors(scan, [(0.1, PolarSettings()), (1.0, PolarSettings())])
+    once = scan_net.labelled_sectors(scan)
+    thrice = scan_net.labelled_sectors(scan, [(0.1, PolarSettings()), (1.0, PolarSettings())])
     assert len(thrice.class_id) == 3 * len(once.class_id)
     assert_array_equal(thrice.patches[: len(once.class_id)], once.patches)
     others = thrice.patches[len(once.class_id) :]
@@ -87,38 +87,27 @@ def test_turned_cuts_see_the_same_ground_in_other_sectors():
 
 
 def test_a_folder_of_the_data_set_is_found_and_split_by_time(folder):
-    learn, unseen = scan_sectors.folder_frames(folder)
+    learn, unseen = scan_net.folder_frames(folder)
     assert [path.stem for path in learn] == ["000000", "000001", "000002", "000003", "000004", "000000"]
     assert [path.stem for path in unseen] == ["000005", "000001"]
-    assert scan_sectors.folder_frames(folder.parent) == (learn, unseen)
-    assert len(scan_sectors.folder_frames(folder / "00000")[0]) == 5
+    assert scan_net.folder_frames(folder.parent) == (learn, unseen)
+    assert len(scan_net.folder_frames(folder / "00000")[0]) == 5
     assert not set(learn) & set(unseen)
-
-
-def test_frames_of_a_folder_give_the_sectors_of_their_scans(folder):
-    frames = [folder / "00000" / POINTS / f"00000{k}.bin" for k in range(2)]
-    told = []
-    read = scan_sectors.folder_sectors(frames, progress=lambda *numbers: told.append(numbers))
-    assert told == [(1, 2), (2, 2)]
-    made = [scan_sectors.labelled_sectors(scan) for scan in (_ring(3, 0.01, -1.5), _ring(19, 0.1, -1.5))]
-    assert_array_equal(read.patches, np.concatenate([sectors.patches for sectors in made]))
-    assert_array_equal(read.class_id, np.concatenate([sectors.class_id for sectors in made]))
-    assert set(read.class_id) == {0, 1}
 
 
 def test_folders_without_frames_or_labels_are_refused(folder, tmp_path):
     with pytest.raises(BadInputError, match="does not exist"):
-        scan_sectors.folder_frames(tmp_path / "nowhere")
+        scan_net.folder_frames(tmp_path / "nowhere")
     source = folder / "00000" / POINTS / "000000.bin"
     lonely = tmp_path / "000000.bin"
     lonely.write_bytes(source.read_bytes())
     with pytest.raises(BadInputError, match="training needs 2 or more"):
-        scan_sectors.folder_frames(tmp_path)
+        scan_net.folder_frames(tmp_path)
     with pytest.raises(BadInputError, match="has no label file"):
-        scan_sectors.folder_sectors([lonely])
+        scan_net.folder_sectors([lonely])
     np.full(len(np.fromfile(source, "<f4")) // 4, 7, "<u4").tofile(tmp_path / "000000.label")
     with pytest.raises(BadInputError, match="ids of RELLIS-3D"):
-        scan_sectors.folder_sectors([lonely])
+        scan_net.folder_sectors([lonely])
 
 
 def test_an_epoch_is_balanced_mirrored_and_repeats_itself():
@@ -127,8 +116,8 @@ def test_an_epoch_is_balanced_mirrored_and_repeats_itself():
     made = np.zeros((len(class_id), CHANNELS, 15, 15), np.float32)
     made[:, 0, 0, 0] = number
     numbered = np.tile(number[:, None], len(MEASURES)).astype("f4")
-    sectors = scan_sectors.Sectors(made.copy(), numbered, class_id, class_id.astype("i2"))
-    patches, measures, drawn = scan_sectors.draw_epoch(sectors, 20, np.random.default_rng(1))
+    sectors = scan_net.Sectors(made.copy(), numbered, class_id, class_id.astype("i2"))
+    patches, measures, drawn = scan_net.draw_epoch(sectors, 20, np.random.default_rng(1))
     assert np.bincount(drawn).tolist() == [20, 20, 20]
     who = measures[:, MEASURES.index("distance")].astype(int)
     often = np.bincount(who, minlength=77)
@@ -138,7 +127,7 @@ def test_an_epoch_is_balanced_mirrored_and_repeats_itself():
     plain, mirrored = patches[:, 0, 0, 0] == who, patches[:, 0, 0, -1] == who
     assert (plain | mirrored).all()
     assert 10 < mirrored.sum() < 50
-    again = scan_sectors.draw_epoch(sectors, 20, np.random.default_rng(1))
+    again = scan_net.draw_epoch(sectors, 20, np.random.default_rng(1))
     assert all(map(np.array_equal, again, (patches, measures, drawn)))
     assert_array_equal(sectors.patches, made)
 
@@ -154,7 +143,7 @@ def _sectors(seed, each=60):
     relief = np.choose(class_id[:, None], [0 * wave, wave, wall])[:, None, None, :]
     patches = (relief + rng.normal(0, 0.2, shape)).astype(np.float32)
     measures = rng.normal(0, 1, (len(class_id), len(MEASURES))).astype(np.float32)
-    return scan_sectors.Sectors(patches, measures, class_id, np.array([3, 19, 4], "i2")[class_id])
+    return scan_net.Sectors(patches, measures, class_id, np.array([3, 19, 4], "i2")[class_id])
 
 
 def test_a_short_training_learns():
@@ -205,9 +194,9 @@ def test_the_whole_job_on_a_folder_of_the_data_set(folder, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["m.md", "m.onnx"]
     command = ScanModel.load(out).metadata["command"]
     assert command.startswith("bumpymap train scans RELLIS_FOLDER --set seed=1 --set epochs=2")
-    card = made.card.read_text(encoding="utf-8")
-    assert f"{100 * made.evaluation.every.right:.2f} % of all sectors" in card
-    again = make_scan_model(SMALL, tmp_path / "n.onnx", folder)
-    assert again.model.read_bytes() == out.read_bytes()
+    card = (tmp_path / "m.md").read_text(encoding="utf-8")
+    assert f"{100 * made.every.right:.2f} % of all sectors" in card
+    make_scan_model(SMALL, tmp_path / "n.onnx", folder)
+    assert (tmp_path / "n.onnx").read_bytes() == out.read_bytes()
     with pytest.raises(OutputError, match="not a writable folder"):
         make_scan_model(SMALL, tmp_path / "nowhere" / "m.onnx", folder)

@@ -7,6 +7,7 @@ import pytest
 import rasterio
 from alike_surveys import alike_surveys
 from click.testing import CliRunner
+from patch_stacks import block_of
 from small_surveys import write_las
 
 from bumpymap.cli import main
@@ -17,7 +18,7 @@ from bumpymap.core.types import OBSTACLE, Barred
 from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.patches import close_filter, cloth, mark_ground, require_filter
 from bumpymap.survey import Budget
-from bumpytiles import Grid, TileBuckets
+from bumpytiles import Grid
 
 needs_filter = pytest.mark.skipif(importlib.util.find_spec("CSF") is None, reason="no cloth-simulation-filter")
 CORNER = np.array([480_000.0, 4_000_032.0, 300.0])
@@ -43,13 +44,6 @@ def wood():
     crown = (x // 12 % 2 == 1) & (rng.random(n) < 0.4)
     z = ground + crown * rng.uniform(3, 9, n)
     return np.round(np.column_stack([x, y, z]) * 1024) / 1024, ~crown
-
-
-def block_of(points):
-    """The last of their blocks."""
-    buckets = TileBuckets(Grid())
-    buckets.add(*(np.ascontiguousarray(axis) for axis in points.T), np.zeros(len(points), bool))
-    return list(buckets.blocks())[-1]
 
 
 def write(path, points):
@@ -139,7 +133,7 @@ def test_neither_the_environment_nor_the_place_on_earth_changes_a_mark(wood, mon
     points = np.round(points * 1024) / 1024
 
     def marks(place):
-        block = block_of(points + place)
+        block = block_of(*(points + place).T)
         there = np.column_stack([block.easting, block.northing, block.upward]) - place
         return np.column_stack([there, mark_ground(block, CsfSettings())])[np.lexsort(there.T)]
 
@@ -155,7 +149,7 @@ def test_neither_the_environment_nor_the_place_on_earth_changes_a_mark(wood, mon
 @needs_filter
 def test_settings_reach_the_filter(wood):
     """A cloth that marks all within 20 m leaves nothing out; one of 1 cm leaves out what waves rise above it."""
-    block = block_of(wood[0])
+    block = block_of(*wood[0].T)
     everything = mark_ground(block, CsfSettings(class_threshold=10.0))
     usual, little = (mark_ground(block, CsfSettings(class_threshold=limit)) for limit in (0.5, 0.01))
     assert everything.all()
@@ -166,14 +160,14 @@ def test_settings_reach_the_filter(wood):
 @needs_filter
 def test_a_block_may_hold_next_to_nothing():
     for points in (1, 2, 3):
-        marks = mark_ground(block_of(np.arange(3.0 * points).reshape(-1, 3)), CsfSettings())
+        marks = mark_ground(block_of(*np.arange(3.0 * points).reshape(-1, 3).T), CsfSettings())
         assert marks.shape == (points,)
         assert marks.any()
 
 
 @needs_filter
 def test_a_filter_that_died_is_told_and_replaced(wood):
-    block = block_of(wood[0])
+    block = block_of(*wood[0].T)
     marks = mark_ground(block, CsfSettings())
     (child,) = cloth.idle
     child.process.kill()

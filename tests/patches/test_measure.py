@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 from jitted_helpers import jitted
+from patch_stacks import block_of
 from scipy.stats import binned_statistic_2d
 from sklearn.linear_model import RANSACRegressor
 
@@ -15,7 +16,7 @@ from bumpymap.core.config import FeatureSettings
 from bumpymap.core.types import Reason
 from bumpymap.patches import measure, measure_thin
 from bumpymap.patches._measure_kernels import measure_tiles, stray_bounds
-from bumpytiles import Grid, TileBuckets
+from bumpytiles import Grid
 
 STRAY_BOUNDS = jitted(stray_bounds)
 EAST, NORTH = 500_001.0, 4_000_002.0  # south-west corner of a tile
@@ -233,13 +234,6 @@ def test_tiles_are_measured_alike_in_any_company(measure_points, grid):
 
 SETTINGS = FeatureSettings()
 REACH = np.array([1.0, 2.0, 3.5, 5.5, 8.0]) * 0.2
-
-
-def block_of(x, y, z, flag=None):
-    buckets = TileBuckets(Grid(3.0, 15))
-    buckets.add(x, y, z, np.zeros(len(x), np.bool_) if flag is None else flag)
-    (points,) = buckets.blocks()
-    return points
 
 
 def thin_of(points, *, ground_only=False):

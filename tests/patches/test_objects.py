@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from patch_stacks import block_of
 
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.types import CANOPY, FREE, OBSTACLE, SEEN, UNDECIDED, UNSEEN, VehicleBody
 from bumpymap.patches.features import find_objects, measure, settle_solids
 from bumpymap.patches.standing import find_in_relief, find_standing, leave_out_standing, take_off_standing
-from bumpytiles import Grid, TileBuckets
+from bumpytiles import Grid
 
 BODY = VehicleBody(clearance_m=0.25, height_m=1.4, width_m=1.4, brush_stem_m=0.25)
 SETTINGS = FeatureSettings()
@@ -32,14 +33,6 @@ def things(x, y, height, slope=0.1):
     """Points over the ground, rows like those of ``meadow``."""
     x, y, height = np.broadcast_arrays(*(np.asarray(axis, float) for axis in (x, y, height)))
     return np.column_stack([axis.ravel() for axis in (x, y, slope * x + height, np.zeros(x.shape))])
-
-
-def block_of(x, y, z, ground):
-    """Points of one block."""
-    buckets = TileBuckets(Grid())
-    buckets.add(x, y, z, ground)
-    (points,) = buckets.blocks()
-    return points
 
 
 def found(*points, body=BODY):
@@ -237,7 +230,7 @@ def surveyed(ground, density):
     """Points of a block of 16 x 16 tiles, without classes, and the block measured."""
     rng = np.random.default_rng(3)
     x, y = rng.uniform(0, 48, (2, int(density * 48**2)))
-    points = block_of(x, y, ground(x, y) + 0.01 * rng.normal(size=len(x)), np.zeros(len(x), bool))
+    points = block_of(x, y, ground(x, y) + 0.01 * rng.normal(size=len(x)))
     return points, measure(points, SETTINGS, ground_only=False)
 
 
@@ -326,7 +319,7 @@ def test_a_few_points_of_a_wall_that_ends_in_a_tile_are_no_noise_but_points_belo
     on_wall = (np.abs(y - 4.5) < 0.15) & (x < 3.0)
     corner = np.array([[3.02, 4.45], [3.25, 4.5], [3.48, 4.55]])  # pixels beside one another, the first beside the wall
     z = np.concatenate([0.01 * rng.normal(size=len(x)) + 2.0 * on_wall, np.full(3, height)])
-    points = block_of(np.append(x, corner[:, 0]), np.append(y, corner[:, 1]), z, np.zeros(len(z), bool))
+    points = block_of(np.append(x, corner[:, 0]), np.append(y, corner[:, 1]), z)
     patches = measure(points, SETTINGS, ground_only=False)
     tile = (patches.col == 1) & (patches.row == 1)
     assert patches.reason[tile] == 5

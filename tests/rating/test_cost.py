@@ -12,13 +12,13 @@ from bumpymap.core.config import FeatureSettings
 from bumpymap.core.errors import UsageError
 from bumpymap.core.types import NO_CLASS, TEXTURES, Barred, CostRule, Georeference, Reason, TextureMap
 from bumpymap.lab.simulate.ride_fit import survey_terrains
-from bumpymap.lab.terrains import ScanEffects, make_terrain
+from bumpymap.lab.terrains import make_terrain
 from bumpymap.patches.features import measure
 from bumpymap.rating import RideModel, Vehicle, apply_steps, find_calibration
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.cost import PAPER_TABLE, rate, rate_as_paper
 from bumpymap.rating.steps import STEP_COLUMNS
-from bumpymap.rating.vehicle_body import floor_of, with_floor
+from bumpymap.rating.vehicle_body import with_floor
 
 SCALE = {"flat": 0.01, "low_noise": 0.1, "noise_sin": 0.4, "high_noise": 0.8}
 LADDER = (0.02, 0.1, 0.5, 2.5)
@@ -222,7 +222,7 @@ RATED = ("c_r", "c_r_low", "c_r_high")
 def patches():
     kinds = ("flat", "low_noise", "noise_sin", "fractal_5", "fractal_2", "stones", "ruts", "high_noise")
     terrains = [make_terrain(kind, 9, index) for index in (3, 5) for kind in kinds]
-    block = next(iter(survey_terrains(terrains, ScanEffects(200.0, 0.005), 1).blocks()))
+    block = next(iter(survey_terrains(terrains, 200.0, 0.005, 1).blocks()))
     return measure(block, FeatureSettings(), ground_only=False)
 
 
@@ -263,15 +263,13 @@ def test_steps_are_rated_on_top_of_the_ground_alone():
 
 def test_a_floor_is_no_property_of_the_drives(tmp_path):
     """A profile may change it without a new calibration, and a calibration without one loads as before."""
-    assert floor_of(SHIPPED.vehicle) == SHIPPED.floor == 0.0
+    assert SHIPPED.floor == 0.0
     profile = Vehicle.load("warthog").to_dict()
     assert profile["floor"] == {"c_r_radpm": 0.0}
     assert SHIPPED.with_preferences(profile, "x") is SHIPPED
     given = SHIPPED.with_preferences(profile | {"floor": {"c_r_radpm": 0.03}}, "x")
     assert given.floor == 0.03
     assert given.id != SHIPPED.id
-    assert given.without_floor().floor == 0.0
-    assert given.without_floor().id == SHIPPED.id
     assert given.with_preferences(profile, "x").floor == 0.0
     without = {key: value for key, value in profile.items() if key != "floor"}
     assert given.with_preferences(without, "x").floor == 0.0

@@ -9,10 +9,17 @@ import pytest
 from driven_stretches import driven_stretches
 
 from bumpymap.core import BadInputError
-from bumpymap.rating import Calibration, Correction, RideModel, drive_posterior as posterior, update_from_drives
+from bumpymap.rating import Calibration, Correction, RideModel, drive_update, update_from_drives
 from bumpymap.rating.calibration import shipped_calibrations
-from bumpymap.rating.drive_posterior import DriveEvidence, DrivePrior, collect_evidence, fit_move, respond
-from bumpymap.rating.drive_update import LogMove, moved_calibration
+from bumpymap.rating.drive_update import (
+    DriveEvidence,
+    DrivePrior,
+    LogMove,
+    collect_evidence,
+    fit_move,
+    moved_calibration,
+    respond,
+)
 from bumpymap.rating.ride.motion_operator import Rides
 from bumpymap.rating.ride.thin import THIN_COLUMNS, ThinModel
 
@@ -114,9 +121,9 @@ def evidence_of(rng, n=45, numbers=(0.2, 0.05), *, prior=PRIOR, scale=1.0, line_
 def test_normal_errors_give_the_textbook_answer(monkeypatch):
     """Normal own errors, a map's error and a scatter of lines of known sizes."""
     for name, value in (("FREEDOM", 1e12), ("TAIL_SCALE", 1.0), ("_SURENESS", 1.0)):
-        monkeypatch.setattr(posterior, name, value)
-    monkeypatch.setattr(posterior, "_SCALES", np.array([1.3]))
-    monkeypatch.setattr(posterior, "_LINES", np.array([0.15]))
+        monkeypatch.setattr(drive_update, name, value)
+    monkeypatch.setattr(drive_update, "_SCALES", np.array([1.3]))
+    monkeypatch.setattr(drive_update, "_LINES", np.array([0.15]))
     evidence = evidence_of(np.random.default_rng(1))
     x = evidence.log_c_r - MIDDLE
     design = np.column_stack((np.ones(len(x)), x))

@@ -153,14 +153,6 @@ def test_tiles_with_points_and_with_flagged_points_are_counted():
     assert buckets.points((0, 0)) == 3
 
 
-def test_the_order_is_a_fair_sample():
-    # The first tenth of a tile's points must spread like all of them; a sort by coordinate would not.
-    x, y = np.random.default_rng(8).uniform(0, 3, (2, 20_000))
-    block = one_block(x, y, x * 0.0, np.zeros(20_000, bool))
-    for axis in (block.easting, block.northing):
-        assert abs(axis[:2000].mean() - 1.5) < 4 * 0.866 / 2000**0.5
-
-
 # ---- whatever waits in memory or on disk ----
 
 

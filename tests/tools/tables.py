@@ -18,7 +18,7 @@ from survey_tiles import MeasuredSurvey
 import bumpymap
 from bumpymap.core import CLASS_NAMES, Georeference, SilentProgress
 from bumpymap.lab import ScanEvaluateSettings, evaluate_scans, percent
-from bumpymap.lab.evaluate.report import number, scan_class_lines, table
+from bumpymap.lab.evaluate import number, scan_class_lines, table
 from bumpymap.rating import Calibration, TextureModel, classify, rate_as_paper
 from bumpymap.readers import ReadOptions, find_frames, read_scan
 from bumpymap.scan import ScanModel, load_stripes

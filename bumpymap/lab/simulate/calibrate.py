@@ -20,11 +20,10 @@ from numpy.typing import NDArray
 
 from bumpymap.core import CLASS_NAMES, TEXTURES, BumpymapError
 from bumpymap.lab.settings import CalibrationSettings
-from bumpymap.lab.simulate.drive import Effort, PatchDrives, drive_patch
+from bumpymap.lab.simulate.drive import PatchDrives, drive_patch, driven_library, library_record, library_terrain
 from bumpymap.lab.simulate.jobs import DriveJob, Journal, Key, Progress, drive_jobs
 from bumpymap.lab.simulate.model import require_dart
 from bumpymap.lab.simulate.motion_fit import MotionRecord, fit_motion, motion_jobs, run_motion
-from bumpymap.lab.simulate.plan import driven_library, library_record, library_terrain
 from bumpymap.lab.simulate.refit import crossing_jobs, fit_steps, refit, run_crossing
 from bumpymap.lab.simulate.ride_fit import MAX_FAILED_SHARE
 from bumpymap.lab.terrains import KINDS, make_textures
@@ -76,9 +75,8 @@ def run_job(settings: CalibrationSettings, job: DriveJob) -> PatchDrives | Motio
         kind, index = str(place[0]), int(place[1])
         stream = (_LIBRARY_STREAM, KINDS.index(kind), index)
         heights = library_terrain(settings, kind, index).heights
-    effort = Effort(least=job.starts, most=job.starts)
     return drive_patch(
-        settings.profile, heights, settings.tile_size, settings.seed, effort, settings.drive, stream=stream
+        settings.profile, heights, settings.tile_size, settings.seed, job.starts, settings.drive, stream=stream
     )
 
 
@@ -98,14 +96,8 @@ def summarise(
 
     ``command`` is the command line that makes the file again; ``like`` gives the class limits, see `calibrate_vehicle`.
     """
-    table = [
-        [
-            [results["table", texture, z, patch] for patch in range(settings.patches)]
-            for z in range(len(settings.z_range))
-        ]
-        for texture in range(len(TEXTURES))
-    ]
-
+    textures, ranges, patches = (range(count) for count in (len(TEXTURES), len(settings.z_range), settings.patches))
+    table = [[[results["table", texture, z, patch] for patch in patches] for z in ranges] for texture in textures]
     means = [[[patch.mean_c_r for patch in cell] for cell in line] for line in table]
 
     def cells(summary: Callable[[Any], Any], of: list[list[Any]]) -> tuple[tuple[Any, ...], ...]:

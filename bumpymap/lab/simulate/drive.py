@@ -1,19 +1,27 @@
-"""Simulate one drive: settle, accelerate, drive straight ahead at the profile's speed and record the pitch rate.
+"""Simulate drives: settle, accelerate, drive straight ahead at the profile's speed and record the pitch rate.
 
 C_r is the integral of abs(omega_y) dt over the drive, divided by the horizontal length of the path (rad/m): the ride
 cost of the BumpyPatch paper, here with omega_y in the body frame.
+
+The terrain library of a calibration is ground of many kinds with a wide range of heights and slopes. A calibration
+stores the drives, not the ground, which follows from the seed. A ride model can therefore be fitted again from the
+file, without driving and with the same bits.
 """
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import UsageError
-from bumpymap.lab.simulate.model import DartVehicle, DrivenGround, PatchGround, Physics, Pose, Strip, VehicleModel
-from bumpymap.rating import Vehicle
+from bumpymap.core import BadInputError
+from bumpymap.lab.settings import CalibrationSettings, DriveSettings
+from bumpymap.lab.simulate.jobs import Key
+from bumpymap.lab.simulate.model import DartVehicle, DrivenGround, PatchGround, Pose, Strip, VehicleModel
+from bumpymap.lab.terrains import KINDS, Terrain, make_terrain
+from bumpymap.rating import Calibration, DrivenTerrain, Vehicle
 
 Outcome = Literal["completed", "stuck", "rolled"]
 
@@ -23,41 +31,6 @@ _SIDE_GAIN = 0.5
 """Tangent of the commanded heading correction per metre of lateral offset, 1/m."""
 _MAX_STEERING = 0.5
 """Largest speed difference that steering may command, as a share of the speed."""
-
-
-@dataclass(frozen=True, slots=True)
-class DriveSettings:
-    """Settings shared by all drives of a calibration."""
-
-    physics: Physics = field(default_factory=Physics)
-    settle_s: float = 1.0
-    """Time with wheels locked at the start."""
-    ramp_s: float = 1.0
-    """Time of linear acceleration from rest to full speed."""
-    cruise_s: float = 0.5
-    """Time at full speed before the measurement, for the pitch from the acceleration to decay."""
-    measure_s: float = 10.0
-    sample_hz: float = 100.0
-    """Sampling rate of the gyroscope and of the steering."""
-    stuck_share: float = 0.2
-    """A drive that covers less than this share of its distance counts as stuck."""
-    rolled_deg: float = 60.0
-    """A chassis that tilts further counts as rolled over."""
-    margin_m: float = 1.5
-    """Width of ground beyond the wheels. A vehicle pushed further than this off its line counts as stuck."""
-
-    def __post_init__(self) -> None:
-        ratio = 1 / (self.sample_hz * self.physics.time_step)
-        if round(ratio) < 1 or not math.isclose(ratio, round(ratio), rel_tol=1e-9):
-            raise UsageError(
-                f"a time step of {self.physics.time_step} s does not divide the {1 / self.sample_hz} s between "
-                "samples; choose 0.01, 0.005, 0.002, 0.001 or 0.0005 s"
-            )
-
-    @property
-    def steps_per_sample(self) -> int:
-        """Time steps between two samples."""
-        return round(1 / (self.sample_hz * self.physics.time_step))
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,22 +134,18 @@ def _lateral_offset(pose: Pose, strip: Strip) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Effort:
-    """Bounds on the number of drives per patch."""
-
-    least: int = 16
-    most: int = 64
-    target_error: float = 0.05
-    """Drives stop once the standard error of the mean C_r is below this share of it."""
-
-
-@dataclass(frozen=True, slots=True)
 class PatchDrives:
     """Results of the drives over one patch, in the order of the starts."""
 
     outcome: tuple[Outcome, ...]
     c_r: tuple[float | None, ...]
     """rad/m; None unless completed."""
+
+    @classmethod
+    def of(cls, drives: Sequence[Drive]) -> "PatchDrives":
+        """Collect drives."""
+        c_r = tuple(made.c_r if made.outcome == "completed" else None for made in drives)
+        return cls(tuple(made.outcome for made in drives), c_r)
 
     @classmethod
     def read(cls, own: dict[str, Any]) -> "PatchDrives":
@@ -213,7 +182,7 @@ def drive_patch(
     heights: NDArray[np.floating],
     tile_size: float,
     seed: int,
-    effort: Effort,
+    starts: int,
     settings: DriveSettings,
     *,
     stream: tuple[int, ...] = (),
@@ -221,18 +190,88 @@ def drive_patch(
     """Drive over one patch (pixels, pixels) [m], north row first, without NaN, from random starts at random headings.
 
     Every start has its own random stream, so more drives never change earlier ones; ``stream`` distinguishes patches
-    that share a seed. The result depends on the arguments only and is the same in any process. If none of the first
-    ``least`` drives is completed, no further drives are made: there is no C_r to refine.
+    that share a seed. The result depends on the arguments only and is the same in any process.
     """
-    ground = PatchGround.from_heights(heights.astype(np.float64), tile_size)
-    drives = PatchDrives((), ())
-    while len(drives.outcome) < effort.most:
-        mean, error = drives.mean_c_r, drives.standard_error
-        known = mean is None or (error is not None and error <= effort.target_error * mean)
-        if len(drives.outcome) >= effort.least and known:
-            break
-        own = np.random.SeedSequence(seed, spawn_key=(*stream, len(drives.outcome)))
-        made = drive(profile, ground, int(own.generate_state(1, np.uint64)[0]), settings)
-        c_r = made.c_r if made.outcome == "completed" else None
-        drives = PatchDrives((*drives.outcome, made.outcome), (*drives.c_r, c_r))
-    return drives
+    ground = PatchGround.from_heights(heights, tile_size)
+    streams = (np.random.SeedSequence(seed, spawn_key=(*stream, start)) for start in range(starts))
+    seeds = (int(own.generate_state(1, np.uint64)[0]) for own in streams)
+    return PatchDrives.of([drive(profile, ground, own, settings) for own in seeds])
+
+
+def calibrated_settings(calibration: Calibration) -> CalibrationSettings:
+    """Return the settings of the vehicle, the seed and the tiles that a calibration was made with."""
+    return CalibrationSettings(
+        Vehicle.from_dict(calibration.vehicle, f"calibration {calibration.id}"),
+        seed=int(calibration.settings.get("seed", 1)),
+        tile_size=calibration.tile_size,
+        pixels=calibration.pixels,
+    )
+
+
+def library_terrain(settings: CalibrationSettings, kind: str, index: int) -> Terrain:
+    """Make a terrain of the library for the vehicle: the height that a wheel climbs is proportional to its radius."""
+    return make_terrain(
+        kind,
+        settings.seed,
+        index,
+        height_scale=settings.height_scale,
+        slope_limit_deg=settings.profile.slope_limit_deg,
+        tile_size=settings.tile_size,
+        pixels=settings.pixels,
+    )
+
+
+_COLUMNS = tuple(f.name for f in fields(DrivenTerrain) if f.name not in ("kind", "index"))
+
+
+def driven_library(settings: CalibrationSettings, results: Mapping[Key, PatchDrives]) -> tuple[DrivenTerrain, ...]:
+    """Summarise the drives over the library, kind by kind; C_r is rounded to six digits, as in the file."""
+    return tuple(
+        DrivenTerrain(
+            kind=kind,
+            index=index,
+            c_r=six_digits(drives.mean_c_r),
+            c_r_error=six_digits(drives.standard_error),
+            completed=len(drives.completed),
+            stuck=drives.outcome.count("stuck"),
+            rolled=drives.outcome.count("rolled"),
+        )
+        for kind in KINDS
+        for index in range(settings.terrains)
+        for drives in (results["library", kind, index],)
+    )
+
+
+def library_record(driven: Sequence[DrivenTerrain]) -> dict[str, dict[str, list[Any]]]:
+    """Return the entry of a calibration file: kind -> column -> one value per terrain, ordered by index."""
+    record: dict[str, dict[str, list[Any]]] = {}
+    for terrain in driven:
+        for name in _COLUMNS:
+            record.setdefault(terrain.kind, {}).setdefault(name, []).append(getattr(terrain, name))
+    return record
+
+
+def library_terrains(calibration: Calibration) -> tuple[DrivenTerrain, ...]:
+    """Read the driven terrains from a calibration; raise BadInputError if the record is damaged."""
+    try:
+        return tuple(
+            DrivenTerrain(kind, index, **dict(zip(_COLUMNS, values, strict=True)))
+            for kind, columns in calibration.settings["library"].items()
+            for index, values in enumerate(zip(*(columns[name] for name in _COLUMNS), strict=True))
+        )
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        raise BadInputError(
+            f"the record of the terrain library in the calibration {calibration.id} is damaged: {error!r}. "
+            "Make it again with: bumpymap calibrate --vehicle FILE --out CALIBRATION.json"
+        ) from error
+
+
+def read_library(calibration: Calibration) -> tuple[list[Terrain], tuple[DrivenTerrain, ...]]:
+    """Return the ground and the drives of the terrain library of a calibration, the inputs of `fit_ride`."""
+    settings, driven = calibrated_settings(calibration), library_terrains(calibration)
+    return [library_terrain(settings, terrain.kind, terrain.index) for terrain in driven], driven
+
+
+def six_digits(value: float | None) -> float | None:
+    """Round a figure as it is recorded; None for None and NaN."""
+    return None if value is None or math.isnan(value) else float(f"{value:.6g}")

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, OutputError, UsageError, install_command
+from bumpymap.lab.settings import Physics
 from bumpymap.rating import Vehicle
 
 _Floats = NDArray[np.float64]
@@ -179,16 +180,6 @@ _URDF = (
     "</robot>"
 )
 _OTHER_FOLDER = "set TMPDIR to a folder with free space and without special characters in its name"
-
-
-@dataclass(frozen=True, slots=True)
-class Physics:
-    """Settings of the physics engine."""
-
-    time_step: float = 0.002
-    """s."""
-    friction: float = 0.9
-    """Coulomb coefficient between wheel and ground."""
 
 
 @dataclass(frozen=True, slots=True)

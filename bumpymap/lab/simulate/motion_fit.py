@@ -14,11 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.lab.settings import CalibrationSettings
-from bumpymap.lab.simulate.drive import DriveSettings, Start, draw_start, drive_strip, follow
+from bumpymap.lab.settings import CalibrationSettings, DriveSettings, Physics
+from bumpymap.lab.simulate.drive import Start, draw_start, drive_strip, follow, library_terrain, six_digits
 from bumpymap.lab.simulate.jobs import DriveJob, Key
-from bumpymap.lab.simulate.model import DartVehicle, DrivenGround, PatchGround, Physics, Strip, relief_and_slope
-from bumpymap.lab.simulate.plan import library_terrain, six_digits
+from bumpymap.lab.simulate.model import DartVehicle, DrivenGround, PatchGround, Strip, relief_and_slope
 from bumpymap.lab.terrains import KINDS
 from bumpymap.rating import (
     QUANTITIES,
@@ -36,18 +35,6 @@ from bumpymap.rating import (
 
 _SETTLE_S = 0.02
 """End of the record that the cut-off of the velocity changes."""
-
-
-@dataclass(frozen=True, slots=True)
-class MotionDrive:
-    """Motion of one drive; NaN unless completed."""
-
-    c_r: float
-    """Integral of the absolute pitch rate over the way, rad/m."""
-    c_roll: float
-    """The same of the roll rate, rad/m."""
-    a_w: float
-    """Root mean square of the weighted vertical acceleration, m/s2."""
 
 
 class _RecordedVehicle(DartVehicle):
@@ -70,8 +57,11 @@ class _RecordedVehicle(DartVehicle):
 
 def drive_motion(
     profile: Vehicle, ground: DrivenGround, start: Start, speed: float, settings: DriveSettings
-) -> MotionDrive:
-    """Drive from a given start at a given speed and measure pitch, roll and weighted vertical acceleration.
+) -> tuple[float, float, float]:
+    """Drive from a given start at a given speed and measure ``QUANTITIES``; NaN unless completed.
+
+    The integrals of the absolute rates of pitch and roll over the way, rad/m, and the root mean square of the weighted
+    vertical acceleration, m/s2.
 
     ``speed``: m/s, in the place of the profile's; the measured way is as long as at that, ``measure_s`` of the
     settings.
@@ -82,7 +72,7 @@ def drive_motion(
     vehicle = _RecordedVehicle(own, ground, strip, settings.physics)
     made = follow(vehicle, strip, own, settings)
     if made.outcome != "completed":
-        return MotionDrive(math.nan, math.nan, math.nan)
+        return math.nan, math.nan, math.nan
     before = round((settings.settle_s + settings.ramp_s + settings.cruise_s) * settings.sample_hz)
     rates = np.abs(vehicle.roll_rate[before - 1 :])
     rolled = float((rates[1:] + rates[:-1]).sum() / 2 / settings.sample_hz)
@@ -90,7 +80,7 @@ def drive_motion(
     quiet = round(settings.settle_s / step)
     felt = weighted_acceleration(np.array(vehicle.upward[quiet:]), step)
     measured = felt[before * settings.steps_per_sample - quiet : -round(_SETTLE_S / step)]
-    return MotionDrive(made.c_r, rolled / made.path_m, float(np.sqrt(np.mean(measured**2))))
+    return made.c_r, rolled / made.path_m, float(np.sqrt(np.mean(measured**2)))
 
 
 def weighted_acceleration(velocity: NDArray[np.float64], step: float) -> NDArray[np.float64]:
@@ -122,11 +112,9 @@ class MotionRecord:
     """m/s2."""
 
     @classmethod
-    def of(cls, drives: list[list[MotionDrive]]) -> "MotionRecord":
+    def of(cls, drives: list[list[tuple[float, float, float]]]) -> "MotionRecord":
         """Collect drives, ``[start][speed]``."""
-        return cls(
-            *(tuple(tuple(six_digits(getattr(d, name)) for d in row) for row in drives) for name in cls.__slots__)
-        )
+        return cls(*(tuple(tuple(six_digits(made[k]) for made in row) for row in drives) for k in range(3)))
 
     @classmethod
     def read(cls, fields: dict[str, Any]) -> "MotionRecord":
@@ -203,7 +191,7 @@ def fit_means(settings: CalibrationSettings, means: Floats, starts: int) -> Moti
         "driven": [[list(map(six_digits, row)) for row in terrain] for terrain in means.tolist()],
     }
     three = (fits["c_r"], fits["c_roll"], fits["a_w"])
-    return MotionModel(speed, SPEED_RANGE, ranges[0], ranges[1], *three, origin)
+    return MotionModel(SPEED_RANGE, ranges[0], ranges[1], *three, origin)
 
 
 def _fit(terms: Floats, plain: Floats, wanted: Floats, anchor: int | None) -> MotionFit:

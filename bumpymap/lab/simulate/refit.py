@@ -25,11 +25,17 @@ from numpy.typing import NDArray
 
 from bumpymap.core import UsageError, atomic
 from bumpymap.lab.settings import CalibrationSettings
-from bumpymap.lab.simulate.drive import Drive, PatchDrives, Start, drive_from
+from bumpymap.lab.simulate.drive import (
+    Drive,
+    PatchDrives,
+    Start,
+    calibrated_settings,
+    drive_from,
+    read_library,
+)
 from bumpymap.lab.simulate.jobs import DriveJob, Key
 from bumpymap.lab.simulate.model import relief_and_slope, require_scikit_learn
 from bumpymap.lab.simulate.motion_fit import fit_means
-from bumpymap.lab.simulate.plan import calibrated_settings, read_library
 from bumpymap.lab.simulate.ride_fit import fit_ride, fit_thin_surveys
 from bumpymap.rating import Calibration, RideModel, Vehicle, roll_over
 
@@ -87,8 +93,7 @@ def run_crossing(settings: CalibrationSettings, job: DriveJob) -> PatchDrives:
     stream = (_STREAM, _heights(settings.profile, _HEIGHTS).index(height), angle, up)
     rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=stream))
     ground = WallGround(height if up else -height, settings.profile.wheel.radius_m / 6)
-    made = cross(settings, ground, math.radians(_ANGLES_DEG[angle]), rng.random(2))
-    return PatchDrives((made.outcome,), (made.c_r if made.outcome == "completed" else None,))
+    return PatchDrives.of([cross(settings, ground, math.radians(_ANGLES_DEG[angle]), rng.random(2))])
 
 
 def fit_steps(calibration: Calibration, driven: Mapping[Key, Any]) -> dict[str, Any]:

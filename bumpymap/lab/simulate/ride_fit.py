@@ -13,14 +13,15 @@ thin surveys by up to 8 %, in 23 s instead of 2 s. So the weights are set here, 
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple
+from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import SPANNED_POINTS, THIN_POINTS, BumpymapError, FeatureSettings, Reason
 from bumpymap.lab.simulate.model import relief_and_slope
-from bumpymap.lab.terrains import FINE, ScanEffects, Terrain, survey_terrain
+from bumpymap.lab.terrains import FINE, Terrain, survey_terrain
 from bumpymap.patches import measure, measure_thin
 from bumpymap.rating import (
     NORMAL_TAIL,
@@ -137,17 +138,6 @@ class DrivenPatches:
     """(n,) number of failed drives."""
 
 
-class NoisyPatches(NamedTuple):
-    """Patches that were surveyed with simulated noise."""
-
-    excess: Floats
-    """(n,) noise excess from `subtract_noise`."""
-    pixel_points: Floats
-    """(n,) mean points per pixel."""
-    error: Floats
-    """(n,) ln (geometric C_r of the true ground / that of the denoised patch, from `subtract_noise`)."""
-
-
 def fit_ride(profile: Vehicle, terrains: Sequence[Terrain], driven: Sequence[DrivenTerrain]) -> dict[str, Any]:
     """Fit a ride model to driven terrains and the drives over them (n each); the calibration's ``ride`` as JSON."""
     operator = RideOperator.of(profile.to_dict(), terrains[0].tile_size, terrains[0].pixels)
@@ -159,8 +149,11 @@ def fit_ride(profile: Vehicle, terrains: Sequence[Terrain], driven: Sequence[Dri
     return fit_correction(patches, _noisy_patches(terrains, rides.pitch_change, operator)).to_record()
 
 
-def fit_correction(driven: DrivenPatches, noisy: NoisyPatches) -> Correction:
+def fit_correction(driven: DrivenPatches, noisy: Floats) -> Correction:
     """Fit the coefficients of C_r, its spread, p_fail and the noise tables.
+
+    ``noisy`` (3, n): of patches that were surveyed with simulated noise: noise excess from `subtract_noise`; mean
+    points per pixel; ln (geometric C_r of the true ground / that of the denoised patch, from `subtract_noise`).
 
     Raises BumpymapError if the drives were completed on too few patches.
     """
@@ -299,10 +292,10 @@ def _fit_logistic(terms: Floats, failed: NDArray[Any], completed: NDArray[Any], 
     return np.concatenate((fit.intercept_ - slopes @ scaler.mean_, slopes))
 
 
-def _noise_tables(noisy: NoisyPatches) -> tuple[Table, Table, Table]:
+def _noise_tables(noisy: Floats) -> tuple[Table, Table, Table]:
     """Return quantiles of the error over the patches nearest to each excess and point count, in logarithms."""
-    log_excess = np.log(np.maximum(noisy.excess, _MIN_EXCESS))
-    log_points_of = np.log(noisy.pixel_points)
+    excess_of, points_of, error = noisy
+    log_excess, log_points_of = np.log(np.maximum(excess_of, _MIN_EXCESS)), np.log(points_of)
     nearest = max(_MIN_NOISY, len(log_excess) // _NOISY_SHARE)
     low_tail = np.interp(_EXCESS, _STRONG_EXCESS, (TAIL, _STRONG_TAIL))
     tables = []
@@ -310,7 +303,7 @@ def _noise_tables(noisy: NoisyPatches) -> tuple[Table, Table, Table]:
         row = []
         for excess, tail in zip(_EXCESS, low_tail, strict=True):
             distance = np.hypot(log_excess - np.log(max(excess, _MIN_EXCESS)), 2 * (log_points_of - np.log(points)))
-            near = noisy.error[np.argsort(distance, kind="stable")[:nearest]]
+            near = error[np.argsort(distance, kind="stable")[:nearest]]
             row.append(np.quantile(near, (tail, 0.5, 1 - TAIL)))
         tables.append(row)
     low, middle, high = (
@@ -319,21 +312,20 @@ def _noise_tables(noisy: NoisyPatches) -> tuple[Table, Table, Table]:
     return low, middle, high
 
 
-def survey_terrains(terrains: Sequence[Terrain], effects: ScanEffects, seed: int) -> TileBuckets:
-    """Survey terrains, each as the tile ``(index, 0)`` with its own random stream."""
+def survey_terrains(terrains: Sequence[Terrain], density: float, noise_m: float, seed: int) -> TileBuckets:
+    """Survey terrains as `survey_terrain`, each as the tile ``(index, 0)`` with its own random stream."""
     buckets = TileBuckets(Grid(terrains[0].tile_size, terrains[0].pixels))
     for index, terrain in enumerate(terrains):
-        x, y, z = survey_terrain(terrain, effects, np.random.default_rng([seed, index]))
+        x, y, z = survey_terrain(terrain, density, noise_m, np.random.default_rng([seed, index]))
         buckets.add(x + index * terrain.tile_size, y, z, np.zeros(len(z), np.bool_))
     return buckets
 
 
-def _noisy_patches(terrains: Sequence[Terrain], truth: Floats, operator: RideOperator) -> NoisyPatches:
-    """Survey the library for the noise tables; ``truth`` (n,): geometric C_r of the terrains, rad/m."""
-    found: list[tuple[Floats, Floats, Floats]] = []
-    conditions = [ScanEffects(density, noise) for density in _DENSITIES for noise in _NOISES_M]
-    for number, effects in enumerate(conditions):
-        for block in survey_terrains(terrains, effects, _NOISE_SEED + number).blocks():
+def _noisy_patches(terrains: Sequence[Terrain], truth: Floats, operator: RideOperator) -> Floats:
+    """Survey the library, as `fit_correction` takes it; ``truth`` (n,): geometric C_r of the terrains, rad/m."""
+    found = []
+    for number, condition in enumerate(product(_DENSITIES, _NOISES_M)):
+        for block in survey_terrains(terrains, *condition, _NOISE_SEED + number).blocks():
             patches = measure(block, FeatureSettings(), ground_only=False)
             clean = denoise(patches, operator)
             c_r, excess = subtract_noise(roll_over(clean.relief_map, operator).pitch_change, clean.noise_felt)
@@ -341,7 +333,7 @@ def _noisy_patches(terrains: Sequence[Terrain], truth: Floats, operator: RideOpe
             known = (patches.reason == Reason.OK) & np.isfinite(excess) & (wanted > _LEAST_C_R)
             error = np.log(wanted[known] / c_r[known])
             found.append((excess[known], patches.count[known] / patches.grid.pixels**2, error))
-    return NoisyPatches(*map(np.concatenate, zip(*found, strict=True)))
+    return np.concatenate(found, axis=1)
 
 
 def fit_thin_surveys(
@@ -429,7 +421,7 @@ def _surveys(
     conditions += [(density, noise, True) for density in _CUT_DENSITIES for noise in _THIN_NOISES_M[::2]]
     names = ("points", "seen", "spread", "squares_1", "pairs_1")
     for number, (density, noise, cut) in enumerate(conditions):
-        columns, tile = survey_columns(terrains, ScanEffects(density, noise), _SEED + number, operator, cut=cut)
+        columns, tile = survey_columns(terrains, density, noise, _SEED + number, operator, cut=cut)
         points, seen, spread, squares, pairs = (columns[:, THIN_COLUMNS.index(name)] for name in names)
         spanned = (seen > 0) | (points < SPANNED_POINTS)
         known = np.isfinite(columns).all(axis=1) & (points >= THIN_POINTS) & spanned
@@ -442,7 +434,7 @@ def _surveys(
 
 
 def survey_columns(
-    terrains: Sequence[Terrain], effects: ScanEffects, seed: int, operator: RideOperator, *, cut: bool = False
+    terrains: Sequence[Terrain], density: float, noise_m: float, seed: int, operator: RideOperator, *, cut: bool = False
 ) -> tuple[Floats, NDArray[np.int64]]:
     """Survey terrains; return the columns of the tiles that hold points, and the number of the terrain of each.
 
@@ -450,7 +442,7 @@ def survey_columns(
     """
     settings = FeatureSettings()
     columns, tile = [], []
-    for block in survey_terrains(terrains, effects, seed).blocks():
+    for block in survey_terrains(terrains, density, noise_m, seed).blocks():
         points = _cut(block) if cut else block
         patches = measure(points, settings, ground_only=False)
         pairs, relief_map = measure_thin(points, patches, settings, ground_only=False)
@@ -485,7 +477,7 @@ def _noise_ride(like: Terrain, operator: RideOperator) -> tuple[float, float]:
     names = [THIN_COLUMNS.index(name) for name in ("points", "pitch_change")]
     found = []
     for number, density in enumerate(_THIN_DENSITIES):
-        columns, _ = survey_columns(level, ScanEffects(density, noise), _BARE_SEED + number, operator)
+        columns, _ = survey_columns(level, density, noise, _BARE_SEED + number, operator)
         points, ride = columns[np.isfinite(columns).all(axis=1)][:, names].T
         found.append((log_points(points[ride > 0]), np.log(ride[ride > 0] / noise)))
     log_n, log_ride = (np.concatenate(part) for part in zip(*found, strict=True))

@@ -6,10 +6,11 @@ import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from copy import deepcopy
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import onnx
@@ -17,6 +18,7 @@ import torch
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 from torch import nn
+from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from bumpymap.core import OutputError, UsageError, atomic, locked
 from bumpymap.lab.label_sets import Accuracy
@@ -62,137 +64,114 @@ class EpochReport:
     seconds: float
 
 
-@dataclass(frozen=True, slots=True)
-class EpochData:
-    """Training data of one epoch."""
-
-    inputs: tuple[torch.Tensor, ...]
-    """Arguments of the network, (n, ...) each."""
-    labels: torch.Tensor
-    """(n,) true classes."""
-    bounds: list[int]
-    """Start rows of the batches, and n."""
+Epoch = tuple[tuple[torch.Tensor, ...], torch.Tensor, list[int]]
+"""Training data of one epoch: arguments of the network, (n, ...) each; true classes (n,); start rows of the batches,
+and n."""
 
 
-@dataclass(frozen=True, slots=True)
-class Training(Generic[Net]):
-    """A training; the same one gives the same bits on the same machine and libraries."""
+def train_network(
+    settings: LoopSettings,
+    make: Callable[[], Net],
+    epochs: Callable[[range], Iterator[Epoch]],
+    rate: Callable[[float], float],
+    record: dict[str, Any],
+    checkpoint: Path | None = None,
+    progress: Callable[[EpochReport], None] | None = None,
+    *,
+    smoothing: float = 0.0,
+) -> Net:
+    """Train a network and return it in evaluation mode; the same arguments give the same bits on the same machine.
 
-    settings: LoopSettings
-    make: Callable[[], Net]
-    """Make the network with random weights."""
-    epochs: Callable[[range], Iterator[EpochData]]
-    """Yield the data of epochs by number; a resumed training gets the same data for the remaining epochs."""
-    rate: Callable[[float], float]
-    """Completed share of the training, 0..1 -> learning rate."""
-    smoothing: float = 0.0
-    """Label smoothing: share of each label that is spread over the other classes."""
-    record: dict[str, Any] = field(default_factory=dict)
-    """Plain values that affect the training in addition to its settings."""
+    ``make``: makes the network with random weights; ``epochs``: yields the data of epochs by number, so that a resumed
+    training gets the same data for the remaining ones; ``rate``: completed share of the training, 0..1 -> learning
+    rate; ``record``: plain values that affect the training in addition to its settings; ``smoothing``: share of each
+    label that is spread over the other classes.
 
-    def run(self, checkpoint: Path | None = None, progress: Callable[[EpochReport], None] | None = None) -> Net:
-        """Train the network and return it in evaluation mode.
-
-        ``checkpoint`` is rewritten after every epoch, and training resumes from it if it exists; ``progress`` is called
-        with a report after every epoch. Raises UsageError if the checkpoint belongs to a training with other settings,
-        OutputError if it cannot be written.
-        """
-        threads = torch.get_num_threads()
-        torch.set_num_threads(self.settings.threads)
-        try:
-            with torch.random.fork_rng(devices=[]):
-                torch.manual_seed(self.settings.seed)
-                net = self.make()
-            optimizer = torch.optim.AdamW(net.parameters(), lr=0.0, weight_decay=self.settings.weight_decay)
-            record = json.loads(json.dumps(asdict(self.settings) | self.record))  # lists, as a checkpoint returns them
-            done = restore(checkpoint, record, net, optimizer) if checkpoint and checkpoint.exists() else 0
-            for epoch, data in enumerate(self.epochs(range(done, self.settings.epochs)), done):
-                report = self._run_epoch(net, optimizer, data, epoch)
-                _log.info("epoch %d of %d: loss %.4f", report.epoch, report.epochs, report.loss)
-                if checkpoint:
-                    state = {"record": record, "epochs_done": epoch + 1, "network": net.state_dict()}
-                    with atomic(checkpoint, (RuntimeError,)) as part:
-                        torch.save({**state, "optimizer": optimizer.state_dict()}, part)
-                if progress:
-                    progress(report)
-        finally:
-            torch.set_num_threads(threads)
-        return net.eval()
-
-    def _run_epoch(self, net: Net, optimizer: torch.optim.Optimizer, data: EpochData, epoch: int) -> EpochReport:
-        start = time.perf_counter()
-        net.train()
-        loss_sum, hits, count = 0.0, 0, len(data.labels)
-        batches = len(data.bounds) - 1
-        for number in range(batches):
-            rows = slice(data.bounds[number], data.bounds[number + 1])
-            rate = self.rate((epoch + number / batches) / self.settings.epochs)
-            for group in optimizer.param_groups:
-                group["lr"] = rate
-            labels = data.labels[rows]
-            logits = net(*(values[rows] for values in data.inputs))
-            loss = nn.functional.cross_entropy(logits, labels, label_smoothing=self.smoothing)
-            optimizer.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
-            optimizer.step()
-            loss_sum += loss.item() * len(logits)
-            hits += int((logits.argmax(1) == labels).sum())
-        seconds = time.perf_counter() - start
-        return EpochReport(epoch + 1, self.settings.epochs, loss_sum / count, hits / count, seconds)
+    ``checkpoint`` is rewritten after every epoch, and training resumes from it if it exists; ``progress`` is called
+    with a report after every epoch. Raises UsageError if the checkpoint belongs to a training with other settings,
+    OutputError if it cannot be written.
+    """
+    threads = torch.get_num_threads()
+    torch.set_num_threads(settings.threads)
+    try:
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(settings.seed)
+            net = make()
+        optimizer = torch.optim.AdamW(net.parameters(), lr=0.0, weight_decay=settings.weight_decay)
+        record = json.loads(json.dumps(asdict(settings) | record))  # lists, as a checkpoint returns them
+        done = restore(checkpoint, record, net, optimizer) if checkpoint and checkpoint.exists() else 0
+        for epoch, data in enumerate(epochs(range(done, settings.epochs)), done):
+            begin = time.perf_counter()
+            batches = len(data[2]) - 1
+            rates = [rate((epoch + number / batches) / settings.epochs) for number in range(batches)]
+            loss, accuracy = _run_epoch(net, optimizer, data, rates, smoothing)
+            report = EpochReport(epoch + 1, settings.epochs, loss, accuracy, time.perf_counter() - begin)
+            _log.info("epoch %d of %d: loss %.4f", report.epoch, report.epochs, report.loss)
+            if checkpoint:
+                state = {"record": record, "epochs_done": epoch + 1, "network": net.state_dict()}
+                with atomic(checkpoint, (RuntimeError,)) as part:
+                    torch.save({**state, "optimizer": optimizer.state_dict()}, part)
+            if progress:
+                progress(report)
+    finally:
+        torch.set_num_threads(threads)
+    return net.eval()
 
 
-Scores = TypeVar("Scores")
+def _run_epoch(
+    net: nn.Module, optimizer: torch.optim.Optimizer, data: Epoch, rates: list[float], smoothing: float
+) -> tuple[float, float]:
+    """Return mean loss and accuracy of an epoch; ``rates``: learning rate of each batch."""
+    net.train()
+    inputs, true, bounds = data
+    loss_sum, hits = 0.0, 0
+    for rate, *ends in zip(rates, bounds, bounds[1:], strict=False):
+        rows = slice(*ends)
+        for group in optimizer.param_groups:
+            group["lr"] = rate
+        labels = true[rows]
+        logits = net(*(values[rows] for values in inputs))
+        loss = nn.functional.cross_entropy(logits, labels, label_smoothing=smoothing)
+        optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimizer.step()
+        loss_sum += loss.item() * len(logits)
+        hits += int((logits.argmax(1) == labels).sum())
+    return loss_sum / len(true), hits / len(true)
 
 
-@dataclass(frozen=True, slots=True)
-class TrainedModel(Generic[Scores]):
-    """The files of a trained model and its scores."""
-
-    model: Path
-    card: Path
-    evaluation: Scores
-    parameters: int
-    """Number of trained parameters."""
+_BATCH = 1024
+"""Samples that a network predicts at once: memory."""
 
 
-@dataclass(frozen=True, slots=True)
-class ModelFiles:
-    """Paths of the files of one training."""
-
-    model: Path
-    """The ONNX file."""
-
-    @property
-    def card(self) -> Path:
-        """The model card, in Markdown."""
-        return self.model.with_suffix(".md")
-
-    @property
-    def checkpoint(self) -> Path:
-        """The file from which an interrupted training resumes."""
-        return self.model.with_name(self.model.name + ".checkpoint")
-
-    def write(self, content: bytes, card: str) -> None:
-        """Write network and card; delete the checkpoint."""
-        with atomic(self.model) as beside:
-            beside.write_bytes(content)
-        with atomic(self.card) as beside:
-            beside.write_text(card, encoding="utf-8")
-        self.checkpoint.unlink(missing_ok=True)
+def predict(net: nn.Module, *inputs: torch.Tensor) -> NDArray[np.float32]:
+    """Return the probabilities (n, classes) that a network computes for inputs (n, ...)."""
+    with torch.no_grad():
+        batches = zip(*(torch.split(values, _BATCH) for values in inputs), strict=True)
+        parts = [net(*batch).softmax(1) for batch in batches]
+    probability: NDArray[np.float32] = torch.cat(parts).numpy()
+    return probability
 
 
 @contextmanager
-def model_files(out: Path) -> Iterator[ModelFiles]:
-    """Lock the output folder against a second training of the same network, or raise OutputError."""
+def training_files(out: Path) -> Iterator[Path]:
+    """Lock the output folder against a second training of the same network, or raise OutputError.
+
+    Yields the path of the checkpoint, from which an interrupted training resumes.
+    """
     if not (out.parent.is_dir() and os.access(out.parent, os.W_OK)):
         raise OutputError(f"cannot write {out}: {out.parent} is not a writable folder. Choose another --out")
     with locked(out.parent, f".{out.name}.lock"):
-        yield ModelFiles(out)
+        yield out.with_name(out.name + ".checkpoint")
 
 
-def parameter_count(net: nn.Module) -> int:
-    """Return the number of trained parameters of a network."""
-    return sum(p.numel() for p in net.parameters())
+def write_model(out: Path, content: bytes, card: str, checkpoint: Path) -> None:
+    """Write an ONNX file and its model card, Markdown beside it; delete the checkpoint."""
+    with atomic(out) as beside:
+        beside.write_bytes(content)
+    with atomic(out.with_suffix(".md")) as beside:
+        beside.write_text(card, encoding="utf-8")
+    checkpoint.unlink(missing_ok=True)
 
 
 def versions(kind: str) -> dict[str, object]:
@@ -219,12 +198,11 @@ _OPSET, _IR_VERSION = 17, 8
 class OnnxGraph:
     """Nodes and weights in the order in which they are added; each method returns the name of its output.
 
-    Batch normalisation is folded into the convolutions.
+    torch's own exporter is no choice: the new one needs onnxscript, the old one is to be removed.
     """
 
-    def __init__(self, name: str, output_name: Callable[[int], str]) -> None:
-        """Start a graph; ``output_name`` returns the name of the output of the n-th node."""
-        self._name, self._output_name = name, output_name
+    def __init__(self, name: str) -> None:
+        self._name = name
         self._nodes: list[onnx.NodeProto] = []
         self._weights: list[onnx.TensorProto] = []
 
@@ -233,32 +211,36 @@ class OnnxGraph:
         self._weights.append(numpy_helper.from_array(np.asarray(value), name))
         return name
 
-    def add(self, kind: str, inputs: Sequence[str], output: str | None = None, **attributes: Any) -> str:
+    def add(self, kind: str, *inputs: str, output: str | None = None, **attributes: Any) -> str:
         """Add one operator."""
-        name = output or self._output_name(len(self._nodes))
+        name = output or f"x{len(self._nodes)}"
         self._nodes.append(helper.make_node(kind, inputs, [name], **attributes))
         return name
 
-    def conv(
-        self, layer: nn.Conv2d, norm: nn.BatchNorm2d | None, source: str, name: str | None = None, **attributes: Any
-    ) -> str:
-        """Add a convolution with ``norm`` folded in. Its weights are named ``name``.weight and ``name``.bias."""
-        name = name or f"conv{len(self._nodes)}"
-        weight, bias = _folded_weights(layer, norm)
-        inputs = [source, self.constant(f"{name}.weight", weight), self.constant(f"{name}.bias", bias)]
-        return self.add("Conv", inputs, pads=[int(layer.padding[0])] * 4, **attributes)
+    def conv(self, pair: Any, source: str) -> str:
+        """Add torch's ``Conv2d``, or a `convolution`, whose batch normalisation is folded into it."""
+        layer = pair
+        if isinstance(pair, nn.Sequential):
+            exact: Any = deepcopy(pair).double()
+            layer = fuse_conv_bn_eval(exact[0], exact[1])
+        name = f"conv{len(self._nodes)}"
+        values = ((part, getattr(layer, part).detach().float().numpy()) for part in ("weight", "bias"))
+        weights = [self.constant(f"{name}.{part}", value) for part, value in values]
+        strides, pads = list(layer.stride), 2 * list(layer.padding)
+        return self.add("Conv", source, *weights, strides=strides, pads=pads, group=layer.groups)
 
     def to_bytes(
-        self, inputs: Mapping[str, Sequence[int]], output: tuple[str, int], metadata: Mapping[str, object]
+        self, head: nn.Conv2d, source: str, inputs: Mapping[str, Sequence[int]], metadata: Mapping[str, object]
     ) -> bytes:
-        """Check the graph and serialise it.
+        """Add the last layer, whose output is ``probability`` (batch, classes); check the graph and serialise it.
 
-        ``inputs``: name -> shape of one sample; ``output``: name of the output with the probabilities, and number of
-        classes; ``metadata``: written as ``metadata_props``, text as it is, everything else as JSON.
+        ``inputs``: name -> shape of one sample; ``metadata``: written as ``metadata_props``, text as it is, everything
+        else as JSON.
         """
+        self.add("Softmax", self.add("Flatten", self.conv(head, source), axis=1), output="probability", axis=1)
         infos = [
             helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", *shape])
-            for name, shape in (*inputs.items(), (output[0], [output[1]]))
+            for name, shape in (*inputs.items(), ("probability", [head.out_channels]))
         ]
         graph = helper.make_graph(self._nodes, self._name, infos[:-1], infos[-1:], self._weights)
         model = helper.make_model(
@@ -270,19 +252,6 @@ class OnnxGraph:
         return content
 
 
-def _folded_weights(conv: nn.Conv2d, norm: nn.BatchNorm2d | None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Fold ``norm(conv(x))`` into one weight and bias: w g / s and b - m g / s, s = sqrt(var + eps)."""
-    if norm is None:
-        return _double(conv.weight).astype(np.float32), _double(conv.bias).astype(np.float32)
-    gain = _double(norm.weight) / np.sqrt(_double(norm.running_var) + norm.eps)
-    weight = _double(conv.weight) * gain[:, None, None, None]
-    bias = _double(norm.bias) - _double(norm.running_mean) * gain
-    return weight.astype(np.float32), bias.astype(np.float32)
-
-
-def _double(tensor: torch.Tensor | None) -> NDArray[np.float64]:
-    """Return a tensor as float64; raise TypeError for None."""
-    if tensor is None:
-        raise TypeError("a layer of the network lacks its weights")
-    values: NDArray[np.float64] = tensor.detach().double().numpy()
-    return values
+def convolution(source: int, target: int, size: int, **options: Any) -> nn.Sequential:
+    """Make a convolution without bias, followed by batch normalisation; ``options``: of torch's ``Conv2d``."""
+    return nn.Sequential(nn.Conv2d(source, target, size, bias=False, **options), nn.BatchNorm2d(target))

@@ -1,41 +1,190 @@
-"""Train the scan network, score it on unseen scans, and write it as ONNX with its model card."""
+"""Train the scan network on sectors of labelled frames, score it on unseen ones, and write it as ONNX with its card."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import nn
 
-from bumpymap.core import CLASSES, PolarSettings
+from bumpymap.core import CLASSES, BadInputError, PolarSettings, Scan
 from bumpymap.lab.label_sets import LABEL_SETS, Accuracy, accuracy_of
 from bumpymap.lab.settings import ScanNetSettings, ScanTrainSettings
 from bumpymap.lab.train.model_files import (
-    EpochData,
+    Epoch,
     EpochReport,
     OnnxGraph,
-    TrainedModel,
-    Training,
-    model_files,
-    parameter_count,
+    convolution,
     percent,
+    predict,
     score_table,
+    train_network,
+    training_files,
     versions,
+    write_model,
 )
-from bumpymap.lab.train.scan_sectors import ScanProgress, Sectors, draw_epoch, folder_frames, folder_sectors
-from bumpymap.lab.train.textures import predict
-from bumpymap.scan import CHANNELS, MEASURES, SECTOR_VERSION
+from bumpymap.readers import find_frames, read_scan
+from bumpymap.scan import CHANNELS, MEASURES, SECTOR_VERSION, network_input, polar_sectors
+
+_LABELS = LABEL_SETS["rellis"]
+"""Meaning of the labels of data sets to train on."""
+GRIDS = (
+    PolarSettings(zone_starts_m=(4.0, 12.0, 28.0, 60.0), end_m=100.0, sectors=(24, 32, 48, 32), rings=(4, 4, 4, 2)),
+    PolarSettings(zone_starts_m=(1.0, 5.0, 15.0, 30.0), end_m=60.0, sectors=(12, 24, 36, 48), rings=(2, 4, 4, 4)),
+    PolarSettings(zone_starts_m=(2.0, 6.0, 18.0, 45.0), end_m=90.0, sectors=(16, 40, 48, 40), rings=(2, 4, 6, 4)),
+)
+"""Polar grids that training uses beside the default one, so that a network fits any grid."""
+_OTHER_GRID = 0.5
+"""Share of the additional cuts that use one of them."""
+SWAPPED_MEASURES = ("coverage",)
+"""Measures that training swaps between some sectors."""
+_SWAPPED_SHARE = 0.15
+"""Share of the sectors of an epoch that take them. Chosen."""
+_TREE, _BUSH = 4, 19
+"""Ids of RELLIS-3D."""
+ScanProgress = Callable[[int, int], None]
+"""Called with the number of finished scans and the number of all scans."""
 
 
-def convolution(source: int, target: int, size: int, stride: int = 1, groups: int = 1) -> nn.Sequential:
-    """Make a convolution without bias, followed by batch normalisation."""
-    return nn.Sequential(
-        nn.Conv2d(source, target, size, stride, size // 2, groups=groups, bias=False), nn.BatchNorm2d(target)
-    )
+@dataclass(frozen=True, slots=True)
+class Sectors:
+    """Sectors with known classes."""
+
+    patches: NDArray[np.float32]
+    """(n, CHANNELS, pixels, pixels)"""
+    measures: NDArray[np.float32]
+    """(n, len(MEASURES))"""
+    class_id: NDArray[np.int64]
+    """(n,) 0..2"""
+    label: NDArray[np.int16]
+    """(n,) the RELLIS-3D id behind the class."""
+
+
+def join(parts: Sequence[Sectors]) -> Sectors:
+    """Concatenate one or more sets of sectors, in order."""
+    return Sectors(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Sectors)))
+
+
+def draw_cuts(rng: np.random.Generator, count: int) -> list[tuple[float, PolarSettings]]:
+    """Draw angles [rad] and polar grids of additional cuts of a scan."""
+    angles = rng.uniform(0, 2 * np.pi, count)
+    other, which = rng.uniform(size=count) < _OTHER_GRID, rng.integers(len(GRIDS), size=count)
+    return [
+        (float(angle), GRIDS[k] if draws else PolarSettings())
+        for angle, draws, k in zip(angles, other, which, strict=True)
+    ]
+
+
+def labelled_sectors(scan: Scan, cuts: Iterable[tuple[float, PolarSettings]] = ()) -> Sectors:
+    """Cut a labelled scan into sectors and keep those with a class that have ground: others are never classified.
+
+    The scan is cut once more for each of ``cuts``, after rotating it about z by the angle [rad], on the grid: that puts
+    the same ground into other sectors.
+    """
+    scan = crowns_as_bushes(scan)
+    stacks = [polar_sectors(scan)]
+    for turn, grid in cuts:
+        cos, sin = np.cos(turn), np.sin(turn)
+        about_z = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]], np.float32)
+        stacks.append(polar_sectors(Scan(scan.points @ about_z.T, None, scan.label), grid))
+    parts = []
+    for stack in stacks:
+        class_id = _LABELS.classes_of(stack.label)
+        known = (class_id >= 0) & stack.traversable
+        patches, measures = network_input(stack)
+        chosen = known[stack.traversable]
+        parts.append(Sectors(patches[chosen], measures[chosen], class_id[known].astype(np.int64), stack.label[known]))
+    return join(parts)
+
+
+def crowns_as_bushes(scan: Scan) -> Scan:
+    """Return a labelled scan whose tree points higher than the vehicle are labelled as bush.
+
+    A crown over a road is no reason to avoid it, a trunk on it is.
+    """
+    stack = polar_sectors(scan)
+    label = np.asarray(scan.label).copy()
+    label[(label == _TREE) & (stack.point_height >= stack.settings.height_m)] = _BUSH
+    return replace(scan, label=label)
+
+
+def folder_frames(folder: Path) -> tuple[list[Path], list[Path]]:
+    """List frames of a data set in the layout of RELLIS-3D: training frames, and the last fifth of every sequence.
+
+    ``folder`` contains sequences (``00000``, ..), is a sequence, or contains ``Rellis-3D``. Only every tenth frame is
+    used, because neighbouring frames show nearly the same ground; this also separates the two parts of a sequence.
+    """
+    inner = folder / "Rellis-3D"
+    root = inner if inner.is_dir() else folder
+    inside = root.iterdir() if root.is_dir() else []
+    sequences = sorted(path for path in inside if path.is_dir() and path.name.isdigit())
+    learn: list[Path] = []
+    unseen: list[Path] = []
+    for sequence in sequences or [root]:
+        frames = find_frames([sequence])
+        border = len(frames) - max(1, len(frames) // 5)
+        learn += frames[:border]
+        unseen += frames[border:]
+    if not learn:
+        raise BadInputError(f"{folder} contains {len(unseen)} frame(s); training needs 2 or more in a sequence")
+    return learn, unseen
+
+
+def folder_sectors(
+    frames: Sequence[Path], turns: int = 0, seed: int = 1, progress: ScanProgress | None = None
+) -> Sectors:
+    """Return the sectors of labelled frames on disk, in order.
+
+    Raises BadInputError if a frame has no labels, or none of them has a class.
+    """
+    parts = []
+    for done, frame in enumerate(frames, start=1):
+        scan = read_scan(frame)
+        if scan.label is None:
+            raise BadInputError(
+                f"{frame} has no label file; training needs os1_cloud_node_semantickitti_label_id/{frame.stem}.label "
+                "next to its folder"
+            )
+        parts.append(labelled_sectors(scan, draw_cuts(np.random.default_rng([seed, done, 3]), turns)))
+        if progress:
+            progress(done, len(frames))
+    joined = join(parts)
+    if not len(joined.class_id):
+        raise BadInputError(
+            f"no sector of {len(frames)} frames has a label with a class; the labels must be ids of RELLIS-3D"
+        )
+    return joined
+
+
+def draw_epoch(
+    sectors: Sectors, per_class: int, rng: np.random.Generator
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
+    """Draw the same number of sectors of every class that occurs, half of them mirrored in azimuth; shuffled.
+
+    If a class has fewer sectors, each is drawn equally often, up to a difference of one. Some sectors take their
+    ``SWAPPED_MEASURES`` from others, so that the network does not rely on these measures alone: the share of filled
+    pixels depends more on the sensor than relief does.
+    """
+    rows = []
+    for class_id in np.unique(sectors.class_id):
+        there = np.flatnonzero(sectors.class_id == class_id)
+        rounds = [rng.permutation(there) for _ in range(-(-per_class // len(there)))]
+        rows.append(np.concatenate(rounds)[:per_class])
+    order = rng.permutation(np.concatenate(rows))
+    patches = sectors.patches[order]
+    mirrored = rng.uniform(size=len(order)) < 0.5
+    patches[mirrored] = patches[mirrored][..., ::-1]
+    measures = sectors.measures[order]
+    for name in SWAPPED_MEASURES:
+        column = MEASURES.index(name)
+        takes = np.flatnonzero(rng.uniform(size=len(order)) < _SWAPPED_SHARE)
+        measures[takes, column] = measures[rng.permutation(takes), column]
+    return patches, measures, sectors.class_id[order]
 
 
 class InvertedResidual(nn.Module):
@@ -45,7 +194,7 @@ class InvertedResidual(nn.Module):
         super().__init__()
         inner = expansion * source
         self.widen = convolution(source, inner, 1)
-        self.filter = convolution(inner, inner, 3, stride, groups=inner)
+        self.filter = convolution(inner, inner, 3, padding=1, stride=stride, groups=inner)
         self.narrow = convolution(inner, target, 1)
         self.adds = stride == 1 and source == target
 
@@ -64,7 +213,7 @@ class ScanNet(nn.Module):
         super().__init__()
         self.settings = settings
         widths = (settings.stem, *settings.widths)
-        self.stem = convolution(CHANNELS, settings.stem, 3, 2)
+        self.stem = convolution(CHANNELS, settings.stem, 3, padding=1, stride=2)
         self.blocks = nn.ModuleList(
             InvertedResidual(a, b, 2 if b > a else 1, settings.expansion) for a, b in pairwise(widths)
         )
@@ -90,25 +239,26 @@ def train(
     checkpoint: Path | None = None,
     progress: Callable[[EpochReport], None] | None = None,
 ) -> ScanNet:
-    """Train a network; see `Training.run`. The same settings and sectors give the same bits on the same machine."""
+    """Train a network; see `train_network`. The same settings and sectors give the same bits on the same machine."""
     counts = np.bincount(sectors.class_id, minlength=3).tolist()
-    loop = Training(
+    return train_network(
         settings,
         lambda: ScanNet(settings.network),
         lambda numbers: _epochs(settings, sectors, numbers),
         lambda share: _learning_rate(share, settings.learning_rate),
+        {"sectors": counts, "sector_version": SECTOR_VERSION},
+        checkpoint,
+        progress,
         smoothing=settings.smoothing,
-        record={"sectors": counts, "sector_version": SECTOR_VERSION},
     )
-    return loop.run(checkpoint, progress)
 
 
-def _epochs(settings: ScanTrainSettings, sectors: Sectors, numbers: range) -> Iterator[EpochData]:
+def _epochs(settings: ScanTrainSettings, sectors: Sectors, numbers: range) -> Iterator[Epoch]:
     for epoch in numbers:
         rng = np.random.default_rng([settings.seed, 4, epoch])
         drawn = draw_epoch(sectors, settings.sectors_per_class, rng)
         patches, measures, class_id = (torch.from_numpy(values) for values in drawn)
-        yield EpochData((patches, measures), class_id, [*range(0, len(class_id), settings.batch), len(class_id)])
+        yield (patches, measures), class_id, [*range(0, len(class_id), settings.batch), len(class_id)]
 
 
 def _learning_rate(share: float, peak: float) -> float:
@@ -127,6 +277,8 @@ class ScanEvaluation:
     """RELLIS-3D id -> number of sectors classified as 0, 1, 2."""
     scans: int
     """Number of scans."""
+    parameters: int
+    """Number of trained parameters."""
 
 
 def evaluate(net: ScanNet, unseen: Sectors, scans: int) -> ScanEvaluation:
@@ -137,21 +289,21 @@ def evaluate(net: ScanNet, unseen: Sectors, scans: int) -> ScanEvaluation:
         int(label): tuple(np.bincount(predicted[unseen.label == label], minlength=CLASSES).tolist())
         for label in np.unique(unseen.label)
     }
-    return ScanEvaluation(accuracy_of(unseen.class_id, predicted, CLASSES), labels, scans)
+    parameters = sum(p.numel() for p in net.parameters())
+    return ScanEvaluation(accuracy_of(unseen.class_id, predicted, CLASSES), labels, scans, parameters)
 
 
-_CLASS_NAMES = tuple(map(str, range(CLASSES)))
-_LABELS = LABEL_SETS["rellis"]
-"""Meaning of the labels of data sets to train on."""
+DATA = "Labelled frames in the layout of RELLIS-3D; the last fifth of every sequence is unseen.\n"
+"""Description of the data in the model card."""
 
 
 def model_card(
-    settings: ScanTrainSettings, evaluation: ScanEvaluation, sectors: Sectors, command: str, made: tuple[int, int]
+    settings: ScanTrainSettings, evaluation: ScanEvaluation, sectors: Sectors, command: str, size: int
 ) -> str:
     """Return the text of the card of a training.
 
-    ``sectors``: those of the training; ``command``: its command line, without ``--out``; ``made``: number of trained
-    parameters, and size of the ONNX file, bytes.
+    ``sectors``: those of the training; ``command``: its command line, without ``--out``; ``size``: of the ONNX file,
+    bytes.
     """
     learned = np.bincount(sectors.class_id, minlength=CLASSES).tolist()
     every, widths = evaluation.every, ", ".join(map(str, settings.network.widths))
@@ -175,14 +327,13 @@ Classifies the sectors of one LiDAR scan by roughness: class 0 (smooth) to 2 (ro
 - **Output**: `probability` (batch, {CLASSES}) float32.
 - **Network**: after MobileNetV2: a 3 x 3 convolution with {settings.network.stem} filters, inverted residuals with
   {widths} channels and expansion factor {settings.network.expansion}; the measures join before the output layer.
-  {made[0]:,} trained parameters; {made[1]:,} bytes of ONNX, opset 17.
+  {evaluation.parameters:,} trained parameters; {size:,} bytes of ONNX, opset 17.
 - **Grid**: any polar grid with heightmaps of {PolarSettings().pixels} x {PolarSettings().pixels} pixels.
 - **Classes**: {classes} (most frequent label of a sector's points, RELLIS-3D names).
 
 ## Data
 
-Labelled frames in the layout of RELLIS-3D; the last fifth of every sequence is unseen.
-
+{DATA}
 Training sectors: {", ".join(f"{n:,} of class {k}" for k, n in enumerate(learned))}. An epoch draws
 {settings.sectors_per_class:,} of each class, half of them mirrored in azimuth; each scan was cut into sectors
 {settings.turns} more times after a random rotation, half of these times on another polar grid.
@@ -193,7 +344,7 @@ On {every.count:,} sectors with ground of {evaluation.scans} **unseen scans:
 {percent(every.even)} balanced accuracy** (training is balanced in the same way),
 {percent(every.right)} of all sectors. The paper reports 83.24 % on its own patches, which are not these.
 
-{score_table(every, _CLASS_NAMES)}
+{score_table(every, [*map(str, range(CLASSES))])}
 
 By label, number of sectors classified as 0, 1, 2:
 
@@ -222,37 +373,22 @@ def to_onnx(net: ScanNet, metadata: Mapping[str, object]) -> bytes:
     Inputs ``patches`` (batch, CHANNELS, pixels, pixels) and ``measures`` (batch, len(MEASURES)), output ``probability``
     (batch, CLASSES), all float32.
     """
-    graph = OnnxGraph("scan", "x{}".format)
-    ends = [graph.constant("zero", np.float32(0.0)), graph.constant("six", np.float32(6.0))]
-    plane = graph.constant("plane", np.array([2, 3], np.int64))
+    graph = OnnxGraph("scan")
+    ends = graph.constant("zero", np.float32(0.0)), graph.constant("six", np.float32(6.0))
 
     def relu6(pair: Any, source: str) -> str:
-        return graph.add("Clip", [_convolution(graph, pair, source), *ends])
+        return graph.add("Clip", graph.conv(pair, source), *ends)
 
     x = relu6(net.stem, "patches")
     for block in net.blocks:
-        narrow = _convolution(graph, block.narrow, relu6(block.filter, relu6(block.widen, x)))
-        x = graph.add("Add", [x, narrow]) if block.adds else narrow
-    x = graph.add("GlobalAveragePool", [x])
-    joined = relu6(net.measures, graph.add("Unsqueeze", ["measures", plane]))
-    x = relu6(net.hidden, graph.add("Concat", [x, joined], axis=1))
-    x = graph.add("Flatten", [graph.conv(net.head, None, x, **_strides(net.head))], axis=1)
-    graph.add("Softmax", [x], "probability", axis=1)
+        narrow = graph.conv(block.narrow, relu6(block.filter, relu6(block.widen, x)))
+        x = graph.add("Add", x, narrow) if block.adds else narrow
+    plane = graph.constant("plane", np.array([2, 3], np.int64))
+    joined = relu6(net.measures, graph.add("Unsqueeze", "measures", plane))
+    x = relu6(net.hidden, graph.add("Concat", graph.add("GlobalAveragePool", x), joined, axis=1))
     pixels = PolarSettings().pixels
     inputs = {"patches": (CHANNELS, pixels, pixels), "measures": (len(MEASURES),)}
-    return graph.to_bytes(inputs, ("probability", CLASSES), metadata)
-
-
-def _convolution(graph: OnnxGraph, pair: Any, source: str) -> str:
-    """Add a convolution with its normalisation."""
-    layer, norm = pair.children()
-    if not isinstance(layer, nn.Conv2d) or not isinstance(norm, nn.BatchNorm2d):
-        raise TypeError(f"expected a convolution and its normalisation, not {pair}")
-    return graph.conv(layer, norm, source, **_strides(layer))
-
-
-def _strides(layer: nn.Conv2d) -> dict[str, Any]:
-    return {"strides": [layer.stride[0]] * 2, "group": layer.groups}
+    return graph.to_bytes(net.head, x, inputs, metadata)
 
 
 def make_scan_model(
@@ -261,8 +397,8 @@ def make_scan_model(
     scans: Path,
     progress: Callable[[EpochReport], None] | None = None,
     scan_progress: ScanProgress | None = None,
-) -> TrainedModel[ScanEvaluation]:
-    """Train a network for the sectors of scans and write it.
+) -> ScanEvaluation:
+    """Train a network for the sectors of scans, write it, and return its scores.
 
     Settings and scans determine every byte of the file on one machine. ``out``: the ONNX file. The model card is
     written next to it (``.md``), and while the job runs a checkpoint (``.checkpoint``), from which the same call
@@ -272,24 +408,28 @@ def make_scan_model(
     Raises OutputError if a file cannot be written, BadInputError if the folder contains no scans with labels,
     UsageError if a checkpoint of another training exists.
     """
-    with model_files(out) as files:
+    with training_files(out) as checkpoint:
         learn, unseen = folder_frames(scans)
         sectors = folder_sectors(learn, settings.turns, settings.seed, scan_progress)
         others = folder_sectors(unseen, progress=scan_progress)
+        net = train(settings, sectors, checkpoint, progress)
+        evaluation = evaluate(net, others, len(unseen))
         command = f"bumpymap train scans RELLIS_FOLDER {settings.options}"
-        net = train(settings, sectors, files.checkpoint, progress)
-        evaluation, parameters = evaluate(net, others, len(unseen)), parameter_count(net)
-        metadata = {
-            **versions("bumpymap-scan"),
-            "sector_version": SECTOR_VERSION,
-            "pixels": PolarSettings().pixels,
-            "parameters": parameters,
-            "seed": settings.seed,
-            "command": command,
-            "accuracy_even": evaluation.every.even,
-            "accuracy_unseen": evaluation.every.right,
-            "confusion_unseen": evaluation.every.confusion,
-        }
-        content = to_onnx(net, metadata)
-        files.write(content, model_card(settings, evaluation, sectors, command, (parameters, len(content))))
-    return TrainedModel(files.model, files.card, evaluation, parameters)
+        content = to_onnx(net, metadata_of(settings, evaluation, command))
+        write_model(out, content, model_card(settings, evaluation, sectors, command, len(content)), checkpoint)
+    return evaluation
+
+
+def metadata_of(settings: ScanTrainSettings, evaluation: ScanEvaluation, command: str) -> dict[str, object]:
+    """Return the metadata of the ONNX file of a training."""
+    return {
+        **versions("bumpymap-scan"),
+        "sector_version": SECTOR_VERSION,
+        "pixels": PolarSettings().pixels,
+        "parameters": evaluation.parameters,
+        "seed": settings.seed,
+        "command": command,
+        "accuracy_even": evaluation.every.even,
+        "accuracy_unseen": evaluation.every.right,
+        "confusion_unseen": evaluation.every.confusion,
+    }

@@ -12,11 +12,11 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from string import ascii_lowercase
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.ndimage import correlate
 from torch import nn
 
 from bumpymap.core import TEXTURES
@@ -24,16 +24,17 @@ from bumpymap.lab.label_sets import Accuracy, accuracy_of
 from bumpymap.lab.settings import NetworkSettings, TrainSettings
 from bumpymap.lab.terrains import make_short_waves, make_textures
 from bumpymap.lab.train.model_files import (
-    EpochData,
+    Epoch,
     EpochReport,
     OnnxGraph,
-    TrainedModel,
-    Training,
-    model_files,
-    parameter_count,
+    convolution,
     percent,
+    predict,
     score_table,
+    train_network,
+    training_files,
     versions,
+    write_model,
 )
 from bumpymap.rating import FEATURE_VERSION, MEASURES, measures_of, normalise, remove_plane
 
@@ -174,21 +175,14 @@ def fill_holes(patches: _Floats) -> _Floats:
     A patch must contain at least one known pixel.
     """
     filled: _Floats = patches.copy()
-    pixels = patches.shape[-1]
-    for _ in range(pixels):
+    for _ in range(patches.shape[-1]):
         empty = np.isnan(filled)
         if not empty.any():
             break
         rows = np.flatnonzero(empty.any(axis=(1, 2)))
         part, hole = filled[rows], empty[rows]
-        known = np.pad(~hole, ((0, 0), (1, 1), (1, 1))).astype(np.float64)
-        value = np.pad(np.where(hole, 0.0, part), ((0, 0), (1, 1), (1, 1)))
-        total, number = np.zeros_like(part), np.zeros_like(part)
-        for down in range(3):
-            for right in range(3):
-                window = (slice(None), slice(down, down + pixels), slice(right, right + pixels))
-                total += value[window]
-                number += known[window]
+        values = np.where(hole, 0.0, part), (~hole).astype(np.float64)
+        total, number = (correlate(each, np.ones((1, 3, 3)), mode="constant") for each in values)
         reach = hole & (number > 0)
         part[reach] = total[reach] / number[reach]
         filled[rows] = part
@@ -249,50 +243,46 @@ class TextureNet(nn.Module):
         super().__init__()
         self.settings = settings
         a, b, c, d = settings.channels
-        self.conv1, self.norm1 = nn.Conv2d(1, a, 3, bias=False), nn.BatchNorm2d(a)
-        self.conv2, self.norm2 = nn.Conv2d(a, b, 3, bias=False), nn.BatchNorm2d(b)
+        self.conv1, self.conv2 = convolution(1, a, 3), convolution(a, b, 3)
         self.pool = nn.MaxPool2d(3, stride=2)
-        self.conv3, self.norm3 = nn.Conv2d(b, c, 3, padding=1, bias=False), nn.BatchNorm2d(c)
-        border = int(settings.pixels < 11)
-        self.conv4, self.norm4 = nn.Conv2d(c, d, 3, padding=border, bias=False), nn.BatchNorm2d(d)
-        self.conv5, self.norm5 = (
-            nn.Conv2d(d + MEASURES, settings.hidden, 1, bias=False),
-            nn.BatchNorm2d(settings.hidden),
-        )
+        self.conv3 = convolution(b, c, 3, padding=1)
+        self.conv4 = convolution(c, d, 3, padding=int(settings.pixels < 11))
+        self.conv5 = convolution(d + MEASURES, settings.hidden, 1)
         self.head = nn.Conv2d(settings.hidden, len(settings.classes), 1)
 
     def forward(self, patches: torch.Tensor, measures: torch.Tensor) -> torch.Tensor:
         """Return logits (n, classes) of patches (n, 1, pixels, pixels) scaled to [0, 1] and `measures_of`, (n, 3)."""
-        x = torch.relu(self.norm1(self.conv1(patches)))  # (n, 16, 13, 13)
-        x = torch.relu(self.norm2(self.conv2(x)))  # (n, 32, 11, 11)
-        x = torch.relu(self.norm3(self.conv3(self.pool(x))))  # (n, 64, 5, 5)
-        x = torch.relu(self.norm4(self.conv4(x)))  # (n, 96, 3, 3)
+        x = torch.relu(self.conv1(patches))  # (n, 16, 13, 13)
+        x = torch.relu(self.conv2(x))  # (n, 32, 11, 11)
+        x = torch.relu(self.conv3(self.pool(x)))  # (n, 64, 5, 5)
+        x = torch.relu(self.conv4(x))  # (n, 96, 3, 3)
         x = torch.cat((x.mean(dim=(2, 3), keepdim=True), measures[:, :, None, None]), dim=1)  # (n, 99, 1, 1)
-        x = torch.relu(self.norm5(self.conv5(x)))  # (n, 128, 1, 1)
+        x = torch.relu(self.conv5(x))  # (n, 128, 1, 1)
         return self.head(x).flatten(1)  # (n, 4)
 
 
 def train(
     settings: TrainSettings, checkpoint: Path | None = None, progress: Callable[[EpochReport], None] | None = None
 ) -> TextureNet:
-    """Train a network; see `Training.run`. The same settings give the same bits on the same machine and libraries."""
+    """Train a network; see `train_network`. The same settings give the same bits on the same machine and libraries."""
 
     def network() -> TextureNet:
         net = TextureNet(settings.network)
         net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # a quarter faster
         return net
 
-    loop = Training(
+    return train_network(
         settings,
         network,
         lambda numbers: _epochs(settings, numbers),
         lambda share: _learning_rate(share, settings.learning_rate),
-        record={"feature_version": FEATURE_VERSION},
+        {"feature_version": FEATURE_VERSION},
+        checkpoint,
+        progress,
     )
-    return loop.run(checkpoint, progress)
 
 
-def _epochs(settings: TrainSettings, numbers: range) -> Iterator[EpochData]:
+def _epochs(settings: TrainSettings, numbers: range) -> Iterator[Epoch]:
     training = shapes(settings.seed, _TRAINING, settings.patches_per_texture, settings.network.pixels)
     for epoch in numbers:
         samples = epoch_samples(training, settings.seed, epoch)
@@ -301,7 +291,7 @@ def _epochs(settings: TrainSettings, numbers: range) -> Iterator[EpochData]:
         count = len(samples.labels)
         batches = max(1, count // settings.batch)  # of equal size: a batch of one patch has no variance to normalise
         bounds = [number * count // batches for number in range(batches + 1)]
-        yield EpochData((patches, measures), torch.from_numpy(samples.labels), bounds)
+        yield (patches, measures), torch.from_numpy(samples.labels), bounds
 
 
 def _learning_rate(share: float, peak: float) -> float:
@@ -309,10 +299,6 @@ def _learning_rate(share: float, peak: float) -> float:
     if share < 0.1:
         return peak * (share + 0.01) / 0.11
     return peak * 0.5 * (1 + math.cos(math.pi * (share - 0.1) / 0.9))
-
-
-_BATCH = 1024
-"""Samples that a network predicts at once: memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -327,6 +313,8 @@ class Evaluation:
     """The training patches, surveyed anew: the paper's validation."""
     short_waves: Accuracy
     """Short regular waves from other seeds."""
+    parameters: int
+    """Number of trained parameters."""
 
 
 def evaluate(net: TextureNet, seed: int, training_per_texture: int, unseen_per_texture: int) -> Evaluation:
@@ -344,16 +332,8 @@ def evaluate(net: TextureNet, seed: int, training_per_texture: int, unseen_per_t
         level=score(net, unseen_samples(seed, unseen_per_texture, pixels, SurveyEffects(level=1.0))),
         augmented_copies=score(net, surveyed(copies, _in_turn(copies), np.random.default_rng([seed, _COPIES]))),
         short_waves=score(net, surveyed(waves, high, rng)),
+        parameters=sum(p.numel() for p in net.parameters()),
     )
-
-
-def predict(net: nn.Module, *inputs: torch.Tensor) -> NDArray[np.float32]:
-    """Return the probabilities (n, classes) that a network computes for inputs (n, ...)."""
-    with torch.no_grad():
-        batches = zip(*(torch.split(values, _BATCH) for values in inputs), strict=True)
-        parts = [net(*batch).softmax(1) for batch in batches]
-    probability: NDArray[np.float32] = torch.cat(parts).numpy()
-    return probability
 
 
 def score(net: TextureNet, samples: SurveyedPatches) -> Accuracy:
@@ -362,11 +342,11 @@ def score(net: TextureNet, samples: SurveyedPatches) -> Accuracy:
     return accuracy_of(samples.labels, answer, len(TEXTURES))
 
 
-def model_card(settings: TrainSettings, evaluation: Evaluation, parameters: int, size: int) -> str:
+def model_card(settings: TrainSettings, evaluation: Evaluation, size: int) -> str:
     """Return the text of the card; ``size`` is that of the ONNX file, bytes."""
     network, copies = settings.network, evaluation.augmented_copies
     side = f"{network.pixels} x {network.pixels}"
-    numbers = f"{parameters:,} trained parameters; {size:,} bytes of ONNX, opset 17"
+    numbers = f"{evaluation.parameters:,} trained parameters; {size:,} bytes of ONNX, opset 17"
     names = ", ".join(f"`{texture}`" for texture in TEXTURES)
     ranges = "; ".join(f"`{form}` {low:g} to {high:g} m" for form, (low, high) in FORM_RELIEF.items())
     ranges = ranges.replace(" to inf", " and more")
@@ -429,52 +409,52 @@ Seed {settings.seed}, {settings.epochs} epochs. The same command gives the same 
 """
 
 
-INPUT_NAME = "patches"
-OUTPUT_NAME = "probability"
-
-
 def to_onnx(net: TextureNet, metadata: Mapping[str, object]) -> bytes:
     """Write a network in evaluation mode as an ONNX file, with ``metadata``.
 
     Inputs ``patches`` (batch, 1, pixels, pixels) and ``measures`` (batch, 3, 1, 1), output ``probability`` (batch,
     classes), all float32.
     """
-    graph = OnnxGraph("texture", ascii_lowercase.__getitem__)
+    graph = OnnxGraph("texture")
 
-    def layer(number: int, source: str) -> str:
-        conv, norm = getattr(net, f"conv{number}"), getattr(net, f"norm{number}")
-        return graph.add("Relu", [graph.conv(conv, norm, source, f"conv{number}")])
+    def layer(pair: nn.Sequential, source: str) -> str:
+        return graph.add("Relu", graph.conv(pair, source))
 
-    x = layer(2, layer(1, INPUT_NAME))
-    x = graph.add("MaxPool", [x], kernel_shape=[3, 3], strides=[2, 2])
-    x = layer(4, layer(3, x))
-    x = layer(5, graph.add("Concat", [graph.add("GlobalAveragePool", [x]), "measures"], axis=1))
-    x = graph.add("Flatten", [graph.conv(net.head, None, x, "head")], axis=1)
-    graph.add("Softmax", [x], OUTPUT_NAME, axis=1)
-    pixels, classes = net.settings.pixels, len(net.settings.classes)
-    return graph.to_bytes(
-        {INPUT_NAME: (1, pixels, pixels), "measures": (MEASURES, 1, 1)}, (OUTPUT_NAME, classes), metadata
-    )
+    x = layer(net.conv2, layer(net.conv1, "patches"))
+    x = graph.add("MaxPool", x, kernel_shape=[3, 3], strides=[2, 2])
+    x = graph.add("GlobalAveragePool", layer(net.conv4, layer(net.conv3, x)))
+    x = layer(net.conv5, graph.add("Concat", x, "measures", axis=1))
+    pixels = net.settings.pixels
+    return graph.to_bytes(net.head, x, {"patches": (1, pixels, pixels), "measures": (MEASURES, 1, 1)}, metadata)
 
 
 UNSEEN_PER_TEXTURE = 2500
 """Number of patches per texture in the scores on unseen seeds."""
 
 
-def make_model(
-    settings: TrainSettings, out: Path, progress: Callable[[EpochReport], None] | None = None
-) -> TrainedModel[Evaluation]:
-    """Train a texture network and write it.
+def make_model(settings: TrainSettings, out: Path, progress: Callable[[EpochReport], None] | None = None) -> Evaluation:
+    """Train a texture network, write it, and return its scores.
 
     The settings determine every byte of the file on one machine. ``out``: the ONNX file. The model card is written next
     to it (``.md``), and during training a checkpoint (``.checkpoint``), from which the same call resumes after an
     interruption. ``progress`` is called with a report after every epoch. Raises OutputError if a file cannot be
     written, UsageError if a checkpoint with other settings exists.
     """
-    with model_files(out) as files:
-        net = train(settings, files.checkpoint, progress)
+    with training_files(out) as checkpoint:
+        net = train(settings, checkpoint, progress)
         evaluation = evaluate(net, settings.seed, settings.patches_per_texture, UNSEEN_PER_TEXTURE)
-        scores = {
+        network = settings.network
+        metadata = {
+            **versions("bumpymap-textures"),
+            "classes": list(network.classes),
+            "pixels": network.pixels,
+            "tile_size": settings.tile_size,
+            "feature_version": FEATURE_VERSION,
+            "channels": list(network.channels),
+            "hidden": network.hidden,
+            "parameters": evaluation.parameters,
+            "seed": settings.seed,
+            "command": settings.command,
             "accuracy_unseen": evaluation.unseen.right,
             "confusion_unseen": evaluation.unseen.confusion,
             "accuracy_level": evaluation.level.right,
@@ -482,15 +462,6 @@ def make_model(
             "confusion_altered_copies": evaluation.augmented_copies.confusion,
             "accuracy_short_waves": evaluation.short_waves.right,
         }
-        network = {
-            "classes": list(settings.network.classes),
-            "pixels": settings.network.pixels,
-            "tile_size": settings.tile_size,
-            "feature_version": FEATURE_VERSION,
-            "channels": list(settings.network.channels),
-            "hidden": settings.network.hidden,
-        }
-        training = {"parameters": parameter_count(net), "seed": settings.seed, "command": settings.command}
-        content = to_onnx(net, {**versions("bumpymap-textures"), **network, **training, **scores})
-        files.write(content, model_card(settings, evaluation, parameter_count(net), len(content)))
-    return TrainedModel(files.model, files.card, evaluation, parameter_count(net))
+        content = to_onnx(net, metadata)
+        write_model(out, content, model_card(settings, evaluation, len(content)), checkpoint)
+    return evaluation

@@ -87,16 +87,22 @@ class Coefficients:
 
     model: ClassVar[str]
     """The model in error messages."""
+    parts: ClassVar[dict[str, Callable[[Any], Any]]] = {}
+    """Fields that are no numbers, but records of their own: name -> what reads it."""
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> Self:
         """Read the mapping that `to_record` returned; raise BadInputError if it is damaged."""
         try:
             values = {f.name: record[f.name] for f in fields(cls)}
-            made = cls(**{k: dict(v) if k == "origin" else number_tuples(v) for k, v in values.items()})
+            kinds = {"origin": dict, **cls.parts}
+            made = cls(**{k: kinds.get(k, number_tuples)(v) for k, v in values.items()})
             made.require_lengths()
         except (LookupError, TypeError, ValueError) as error:
-            raise BadInputError(f"{cls.model} of the calibration is damaged: {error!r}") from error
+            raise BadInputError(
+                f"{cls.model} of the calibration is damaged: {error!r}. Make the calibration again with: "
+                "bumpymap calibrate"
+            ) from error
         return made
 
     def to_record(self) -> dict[str, Any]:
@@ -106,7 +112,6 @@ class Coefficients:
 
     def require_lengths(self) -> None:
         """Raise ValueError if there are too few or too many coefficients."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True)

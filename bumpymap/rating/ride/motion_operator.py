@@ -42,7 +42,6 @@ from bumpymap.rating.ride.operator import (
     PitchSamples,
     RideOperator,
     WheelShape,
-    WheelShares,
     chassis_response,
     lattice_of,
     pitch_change,
@@ -159,16 +158,16 @@ class MotionOperator:
     ) -> "MotionOperator":  # fmt: skip
         """Make the operator of a vehicle profile (the nested dictionary of its TOML file) for speeds [m/s]."""
         radius = float(vehicle["wheel"]["radius_m"])
-        base, track = float(vehicle["wheelbase_m"]), float(vehicle["track_m"])
+        sides = float(vehicle["wheelbase_m"]), float(vehicle["track_m"])
         fine, lattice = lattice_of(radius, tile_size, pixels)
         places, way = spread_places(_SAMPLES, tile_size), lattice.step / 2
-        sides = WheelShares((1, -1, 1, -1), np.array([1.0, -1.0]) / way / (2 * track), way * np.array([-0.5, 0.5]))
-        groups = [wheel_rows(lattice, places, sides, base, track)]
+        shares, back = np.array([1.0, -1.0]) / way / (2 * sides[1]), way * np.array([-0.5, 0.5])
+        groups = [wheel_rows(lattice, places, (1, -1, 1, -1), shares, back, sides)]
         for speed in speeds:
             taps = chassis_response({**vehicle, "speed_mps": speed}, way)
-            groups.append(pitch_change(lattice, places, taps, way, base, track))
+            groups.append(pitch_change(lattice, places, taps, way, sides))
             felt, back = heave_filter(speed, min(way, speed / (_PER_WAVE * WEIGHTED_BAND_HZ[1])))
-            groups.append(wheel_rows(lattice, places, WheelShares((1, 1, 1, 1), felt / 4, back), base, track))
+            groups.append(wheel_rows(lattice, places, (1, 1, 1, 1), felt / 4, back, sides))
         counts = [len(rows.starts) - 1 for rows in groups]
         return cls(
             speeds=tuple(speeds),

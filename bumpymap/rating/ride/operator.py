@@ -45,17 +45,6 @@ class AxisSamples(NamedTuple):
     """(9,) where the rows of each axis begin."""
 
 
-class WheelShares(NamedTuple):
-    """How much the heights of the wheels count in a sample."""
-
-    sign: tuple[int, int, int, int]
-    """Of each wheel: front left, front right, rear left, rear right."""
-    share: Annotated[NDArray[np.floating], 1]
-    """(k,) per metre of height."""
-    back: Annotated[NDArray[np.floating], 1]
-    """(k,) how far behind the sample, m."""
-
-
 @dataclass(frozen=True, slots=True)
 class NodeLattice:
     """The nodes of a patch that is mirrored at its edges forever."""
@@ -111,19 +100,24 @@ def _halton(count: int, base: int) -> Floats:
 
 
 def wheel_rows(
-    lattice: NodeLattice, places: Places, wheels: WheelShares, wheelbase: float, track: float
+    lattice: NodeLattice, places: Places, signs: tuple[int, int, int, int], share: NDArray[np.floating],
+    back: NDArray[np.floating], sides: tuple[float, float],
 ) -> PitchSamples:  # fmt: skip
-    """Rows that give a sum over the heights of the wheels, behind and ahead of each sample."""
-    x, y, heading = places
+    """Rows that give a sum over the heights of the wheels, behind and ahead of each sample.
+
+    ``signs``: of the front left, front right, rear left, rear right wheel; ``share`` (k,): how much their heights
+    count, per metre of it; ``back`` (k,): how far behind the sample, m; ``sides``: wheelbase and track, m.
+    """
+    (x, y, heading), (wheelbase, track) = places, sides
     nodes, weights = [], []
-    for (forward, left), sign in zip(((1, 1), (1, -1), (-1, 1), (-1, -1)), wheels.sign, strict=True):
-        along, beside = forward * wheelbase / 2 - wheels.back, left * track / 2
+    for (forward, left), sign in zip(((1, 1), (1, -1), (-1, 1), (-1, -1)), signs, strict=True):
+        along, beside = forward * wheelbase / 2 - back, left * track / 2
         east = x[:, None] + np.cos(heading)[:, None] * along - np.sin(heading)[:, None] * beside
         north = y[:, None] + np.sin(heading)[:, None] * along + np.cos(heading)[:, None] * beside
         node, weight = lattice.read(east, north)
         node += lattice.first_node(east, north, heading[:, None])[..., None]
         nodes.append(node.reshape(len(x), -1))
-        weights.append((weight * (sign * wheels.share)[:, None]).reshape(len(x), -1))
+        weights.append((weight * (sign * share)[:, None]).reshape(len(x), -1))
     return _compressed(np.concatenate(nodes, axis=1), np.concatenate(weights, axis=1))
 
 
@@ -209,7 +203,7 @@ class RideOperator:
         nodes, step = lattice.nodes, lattice.step
         places = spread_places(_RIDE_SAMPLES, tile_size)
         taps = chassis_response(vehicle, step / 2)
-        samples = pitch_change(lattice, places, taps, step / 2, wheelbase, track)
+        samples = pitch_change(lattice, places, taps, step / 2, (wheelbase, track))
         belly = vehicle["belly"]
         return cls(
             fine=fine,
@@ -297,13 +291,13 @@ def _exponential(matrix: Floats) -> Floats:
 
 
 def pitch_change(
-    lattice: NodeLattice, places: Places, taps: Floats, way: float, wheelbase: float, track: float
-) -> PitchSamples:
-    """Rows that give the change of the chassis' pitch per metre at each sample."""
+    lattice: NodeLattice, places: Places, taps: Floats, way: float, sides: tuple[float, float]
+) -> PitchSamples:  # fmt: skip
+    """Rows that give the change of the chassis' pitch per metre at each sample; ``sides``: wheelbase and track, m."""
     # The chassis' change in a step is the taps over the rockers' changes before it, each a difference of two pitches.
     shares = np.diff(taps, prepend=0.0, append=0.0) / way
     back = way * (np.arange(len(shares)) - 0.5)
-    return wheel_rows(lattice, places, WheelShares((1, 1, -1, -1), shares / (2 * wheelbase), back), wheelbase, track)
+    return wheel_rows(lattice, places, (1, 1, -1, -1), shares / (2 * sides[0]), back, sides)
 
 
 def _by_axis(samples: PitchSamples, heading: Floats) -> AxisSamples:

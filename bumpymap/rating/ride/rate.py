@@ -27,7 +27,7 @@ from bumpymap.rating.ride._noise_kernels import (
     spectrum_scratch,
 )
 from bumpymap.rating.ride.correction import NORMAL_TAIL, Correction, Prediction, class_chance
-from bumpymap.rating.ride.motion_operator import roll_over
+from bumpymap.rating.ride.motion_operator import move_over, roll_over
 from bumpymap.rating.ride.operator import RideOperator, cosines
 from bumpymap.rating.ride.speed import LEVEL, SpeedRating, map_rule, plain_speed_factor, require_speeds, speed_log_sd
 from bumpymap.rating.vehicle_body import with_floor
@@ -126,7 +126,8 @@ class RideModel:
         found = self.correction.predict(rides, patches.slope.astype(np.float64), clean.noise_felt, pixel_points)
         if self.speeds is None:
             return found, None
-        log_ratio, factors = self.speeds.factors(clean.relief_map, rides.pitch_change)
+        motions = move_over(clean.relief_map, self.speeds.operator)
+        log_ratio, factors = self.speeds.factors_of(motions, rides.pitch_change)
         level = plain_speed_factor(self.calibration, found.log_c_r)
         log_ratio = np.where(np.isnan(log_ratio), level, log_ratio)
         return found.at_speed(log_ratio, speed_log_sd(self.calibration)), factors

@@ -14,17 +14,18 @@ is uncertain about a tile (noise, tyres, ground finer than a pixel) then cancels
 Where a tile has no heightmap (it is rated from few points), the same quantities follow from its C_r alone.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import SPEED_BANDS, BadInputError, CostRule, UsageError
+from bumpymap.core import SPEED_BANDS, CostRule, UsageError
 from bumpymap.rating.calibration import MAP_SPEED, Calibration, remembered
-from bumpymap.rating.ride.motion_operator import MotionOperator, Motions, move_over
-from bumpymap.rating.vehicle_body import comfort_of, less_floor, plain_lists, with_floor
+from bumpymap.rating.ride.correction import Coefficients
+from bumpymap.rating.ride.motion_operator import MotionOperator, Motions
+from bumpymap.rating.vehicle_body import comfort_of, less_floor, with_floor
 
 Floats = NDArray[np.float64]
 QUANTITIES = ("c_r", "c_roll", "a_w")
@@ -37,8 +38,10 @@ _LEAST = 1e-5
 
 
 @dataclass(frozen=True, slots=True)
-class MotionFit:
+class MotionFit(Coefficients):
     """How one quantity follows from the geometry, or from C_r alone."""
+
+    model = "the record of speeds"
 
     terms: tuple[float, ...]
     """Coefficients of `motion_terms`."""
@@ -49,21 +52,14 @@ class MotionFit:
     plain_log_sd: float
     """The same about ``plain``."""
 
-    @classmethod
-    def from_record(cls, name: str, record: Mapping[str, Any]) -> "MotionFit":
-        """Read the fit of a quantity; raise ValueError, LookupError or TypeError if it is damaged."""
-        terms, plain = (tuple(float(value) for value in record[key]) for key in ("terms", "plain"))
-        if (len(terms), len(plain)) != (_TERMS[name], _PLAIN_TERMS[name]):
-            raise ValueError(f"{len(terms)} and {len(plain)} coefficients of {name}")
-        return cls(terms, plain, float(record["log_sd"]), float(record["plain_log_sd"]))
-
 
 @dataclass(frozen=True, slots=True)
-class MotionModel:
+class MotionModel(Coefficients):
     """Model of the ride at several speeds, fitted to the drives of a calibration."""
 
-    speed_mps: float
-    """The profile's own speed."""
+    model = "the record of speeds"
+    parts = dict.fromkeys(QUANTITIES, MotionFit.from_record)
+
     range: tuple[float, float]
     """Lowest and highest speed that may be asked for, as shares of the profile's."""
     log_range: tuple[float, float]
@@ -76,42 +72,22 @@ class MotionModel:
     origin: dict[str, Any]
     """The data of the fit, and its errors."""
 
-    @classmethod
-    def from_record(cls, record: Mapping[str, Any], speed: float) -> "MotionModel":
-        """Read what `to_record` returned, for a vehicle with this speed [m/s]; raise BadInputError if it is damaged."""
-        try:
-            return cls(
-                speed,
-                range=_pair(record["range"]),
-                log_range=_pair(record["log_range"]),
-                log_c_r_range=_pair(record["log_c_r_range"]),
-                c_r=MotionFit.from_record("c_r", record["c_r"]),
-                c_roll=MotionFit.from_record("c_roll", record["c_roll"]),
-                a_w=MotionFit.from_record("a_w", record["a_w"]),
-                origin=dict(record["origin"]),
-            )
-        except (LookupError, TypeError, ValueError) as error:
-            raise BadInputError(
-                f"the record of speeds in the calibration is damaged: {error!r}. Make the calibration again with: "
-                "bumpymap calibrate"
-            ) from error
+    def require_lengths(self) -> None:
+        """Raise ValueError if there are too few or too many coefficients."""
+        if any(len(ends) != 2 for ends in (self.range, self.log_range, self.log_c_r_range)):
+            raise ValueError("a range has no two ends")
+        for name in QUANTITIES:
+            lengths = tuple(len(getattr(getattr(self, name), kind)) for kind in ("terms", "plain"))
+            if lengths != (_TERMS[name], _PLAIN_TERMS[name]):
+                raise ValueError(f"{lengths[0]} and {lengths[1]} coefficients of {name}")
 
-    def to_record(self) -> dict[str, Any]:
-        """Return the coefficients as plain numbers for JSON."""
-        return {name: plain_lists(value) for name, value in asdict(self).items() if name != "speed_mps"}
+    def plain_log_factors(self, c_r: Floats, log_speed: Floats) -> Floats:
+        """Return ln of each of ``QUANTITIES`` over the C_r at the profile's speed, rad/m, from it, (..., k, 3).
 
-    def plain_log_factors(self, c_r: Floats, speeds: tuple[float, ...]) -> Floats:
-        """Return ln of each of ``QUANTITIES`` over the C_r at the profile's speed, rad/m, from it, (..., k, 3)."""
-        terms = plain_terms(c_r, self.log_ratios(speeds), self.log_c_r_range)
+        ``log_speed`` (k,): ln of the speeds over the profile's.
+        """
+        terms = plain_terms(c_r, log_speed, self.log_c_r_range)
         return np.stack([terms[name] @ np.array(getattr(self, name).plain) for name in QUANTITIES], axis=-1)
-
-    def log_sd(self, speed: float) -> float:
-        """Return the standard deviation of ln c_r that another speed than the profile's adds."""
-        return float(self.c_r.log_sd * min(abs(self.log_ratios((speed,))[0]) / np.log(2.0), 1.0))
-
-    def log_ratios(self, speeds: tuple[float, ...]) -> Floats:
-        """Return ln of speeds [m/s] over the profile's."""
-        return np.log(np.array(speeds) / self.speed_mps)
 
 
 def motion_terms(
@@ -150,11 +126,6 @@ def plain_terms(c_r: Floats, log_speed: Floats, log_c_r_range: tuple[float, floa
     return {"c_r": np.stack((s, s * rough, s * rough**2, s**2, s**2 * rough), axis=-1), "c_roll": other, "a_w": other}
 
 
-def _pair(value: Any) -> tuple[float, float]:
-    low, high = value
-    return float(low), float(high)
-
-
 LEVEL = 5e-4
 """Geometric C_r of ground that is as good as level, rad/m."""
 
@@ -189,13 +160,21 @@ def plain_speed_factor(calibration: Calibration, log_c_r: Floats) -> Floats:
     """Return ln of C_r at the speed of the map over that at the profile's speed, from ln of the latter, any shape."""
     if calibration.map_speed == float(calibration.vehicle["speed_mps"]):
         return np.zeros_like(log_c_r)
-    return _model(calibration).plain_log_factors(np.exp(log_c_r), (calibration.map_speed,))[..., 0, 0]
+    log_speed = _log_ratios(calibration, (calibration.map_speed,))
+    return _model(calibration).plain_log_factors(np.exp(log_c_r), log_speed)[..., 0, 0]
 
 
 def speed_log_sd(calibration: Calibration) -> float:
     """Return the standard deviation of ln C_r that the speed of the map adds."""
-    speed = calibration.map_speed
-    return 0.0 if speed == float(calibration.vehicle["speed_mps"]) else _model(calibration).log_sd(speed)
+    if calibration.map_speed == float(calibration.vehicle["speed_mps"]):
+        return 0.0
+    (log_ratio,) = _log_ratios(calibration, (calibration.map_speed,))
+    return float(_model(calibration).c_r.log_sd * min(abs(log_ratio) / np.log(2.0), 1.0))
+
+
+def _log_ratios(calibration: Calibration, speeds: Sequence[float]) -> Floats:
+    """Return ln of speeds [m/s] over the profile's."""
+    return np.log(np.array(speeds) / float(calibration.vehicle["speed_mps"]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,21 +194,18 @@ class SpeedRating:
         operator = MotionOperator.of(calibration.vehicle, calibration.tile_size, calibration.pixels, every)
         return cls(calibration, speeds, operator)
 
-    def factors(self, relief_map: NDArray[np.float32], pitch_change: Floats) -> tuple[Floats, NDArray[np.float32]]:
+    def factors_of(self, motions: Motions, pitch_change: Floats) -> tuple[Floats, NDArray[np.float32]]:
         """Return ln of C_r at the map's speed over that at the profile's, (n,), and factors on the former, (n, 3 k).
 
-        ``relief_map`` (n, pixels, pixels): plane-removed, without holes, m; patches with NaN are left out.
-        ``pitch_change`` (n,): geometric C_r at the profile's speed, rad/m. Factors for each of k speeds: c_r over that
-        of the map; c_roll, and a_w [m/s2 per rad/m], over it.
+        ``motions``: of `move_over` by the ``operator``; ``pitch_change`` (n,): geometric C_r at the profile's speed,
+        rad/m. Factors for each of k speeds: c_r over that of the map; c_roll, and a_w [m/s2 per rad/m], over it.
 
         Both are NaN where the heightmap, without its noise, is as good as level: its form tells nothing then.
         """
-        return self.factors_of(move_over(relief_map, self.operator), pitch_change)
-
-    def factors_of(self, motions: Motions, pitch_change: Floats) -> tuple[Floats, NDArray[np.float32]]:
-        """Return `factors` from the motions over patches."""
         model = _model(self.calibration)
-        terms = motion_terms(motions, pitch_change, model.log_ratios(self.operator.speeds), model.log_range)
+        terms = motion_terms(
+            motions, pitch_change, _log_ratios(self.calibration, self.operator.speeds), model.log_range
+        )
         logs = np.stack([terms[name] @ np.array(getattr(model, name).terms) for name in QUANTITIES], axis=-1)
         logs[~(pitch_change > LEVEL)] = np.nan
         own = logs[:, self.operator.speeds.index(self.calibration.map_speed), 0]
@@ -275,8 +251,8 @@ def plain_factors(calibration: Calibration, speeds: Sequence[float], c_r: Floats
     """Return the factors of tiles without a heightmap, (..., 3 k), from the driven C_r [rad/m] at k speeds."""
     model, speed = _model(calibration), calibration.map_speed
     # The C_r at the profile's speed is not kept: what the map's speed made of it is taken off in one step.
-    at_own = c_r * np.exp(-model.plain_log_factors(c_r, (speed,))[..., 0, 0])
-    logs = model.plain_log_factors(at_own, (*speeds, speed))
+    at_own = c_r * np.exp(-model.plain_log_factors(c_r, _log_ratios(calibration, (speed,)))[..., 0, 0])
+    logs = model.plain_log_factors(at_own, _log_ratios(calibration, (*speeds, speed)))
     found = np.exp(logs[..., :-1, :] - logs[..., -1:, :1])
     return found.reshape(*c_r.shape, -1).astype(np.float32)
 
@@ -316,4 +292,4 @@ def map_rule(calibration: Calibration) -> CostRule:
 
 @remembered
 def _model(calibration: Calibration) -> MotionModel:
-    return MotionModel.from_record(calibration.motion, float(calibration.vehicle["speed_mps"]))
+    return MotionModel.from_record(calibration.motion)

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from bumpymap.core import BadInputError
-from bumpymap.rating import Calibration, Correction, Rides, subtract_noise
+from bumpymap.rating import Calibration, Correction, MotionModel, Rides, ThinModel, subtract_noise
 
-RECORD = Calibration.shipped("warthog").ride
+SHIPPED = Calibration.shipped("warthog")
+RECORD = SHIPPED.ride
 CORRECTION = Correction.from_record(RECORD)
 
 
@@ -48,25 +49,28 @@ def test_noise_widens_the_interval():
     assert np.all(unknown.below > quiet.below)
 
 
-def test_a_record_is_read_back():
-    assert Correction.from_record(json.loads(json.dumps(CORRECTION.to_record()))) == CORRECTION
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"c_r": None}, "damaged"),
-        ({"c_r": "text"}, "damaged"),
-        ({"noise_low": [[1.0]]}, "damaged"),
-        ({"excess": None}, "damaged"),
-        ({"fail": [0.1] * 9}, "9 coefficients of p_fail, not 10"),
-        ({"c_r": [0.1] * 7}, "7 coefficients of C_r, not 9"),
-        *(({"model_error": wrong}, "damaged") for wrong in (-0.1, float("nan"), float("inf"), "wide")),
+MODELS = {"the ride model": (Correction, RECORD), "thin surveys": (ThinModel, SHIPPED.thin)}
+MODELS |= {"record of speeds": (MotionModel, SHIPPED.motion)}
+DAMAGE = {
+    "the ride model": [
+        *({name: None} for name in ("c_r", "excess")),
+        *({"c_r": "text"}, {"noise_low": [[1.0]]}, {"fail": [0.1] * 9}, {"c_r": [0.1] * 7}),
+        *({"model_error": wrong} for wrong in (-0.1, float("nan"), float("inf"), "wide")),
     ],
-)
-def test_a_damaged_record_is_refused(change, message):
-    with pytest.raises(BadInputError, match=message):
-        Correction.from_record(RECORD | change)
+    "thin surveys": [{"c_r": [1.0]}, {"fail": None}, {"sides": [1.0]}],
+    "record of speeds": [{"c_r": {}}, {"range": [1.0]}, {"a_w": {"terms": [1.0], "plain": [1.0]}}],
+}
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_record_is_read_back_and_a_damaged_one_is_refused_with_what_to_do(name):
+    model, record = MODELS[name]
+    assert model.from_record(json.loads(json.dumps(model.from_record(record).to_record()))) == model.from_record(record)
+    for change in DAMAGE[name]:
+        with pytest.raises(BadInputError, match=f"{name}.* is damaged: .*bumpymap calibrate"):
+            model.from_record(record | change)
+    with pytest.raises(BadInputError, match="9 coefficients of p_fail, not 10"):
+        Correction.from_record(RECORD | {"fail": [0.1] * 9})
 
 
 def test_what_another_simulation_adds_widens_every_interval():

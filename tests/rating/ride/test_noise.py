@@ -6,26 +6,20 @@ import numpy as np
 import pytest
 
 from bumpymap.core.config import FeatureSettings
-from bumpymap.lab.terrains import ScanEffects, Terrain, make_terrain, survey_terrain
+from bumpymap.lab.simulate.ride_fit import survey_terrains
+from bumpymap.lab.terrains import Terrain, make_terrain
 from bumpymap.patches.features import measure
 from bumpymap.rating import RideOperator, denoise, roll_over
 from bumpymap.rating.ride._noise_kernels import point_noise
 from bumpymap.rating.vehicle_profile import Vehicle
-from bumpytiles import Grid, TileBuckets
 
 OPERATOR = RideOperator.of(Vehicle.load("warthog").to_dict(), 3.0, 15)
-DENSE = ScanEffects(1000, 0.02)
 PLANE = Terrain("plane", np.zeros((60, 60)), 3.0)
 
 
-def surveyed(terrains, effects, seed=1):
+def surveyed(terrains, density, noise, seed=1):
     """Patches of terrains side by side, in their order."""
-    rng = np.random.default_rng(seed)
-    buckets = TileBuckets(Grid(3.0, 15))
-    for place, terrain in enumerate(terrains):
-        x, y, z = survey_terrain(terrain, effects, rng)
-        buckets.add(x + 3.0 * place, y, z, np.zeros(len(z), bool))
-    (block,) = buckets.blocks()
+    (block,) = survey_terrains(terrains, density, noise, seed).blocks()
     return measure(block, FeatureSettings(), ground_only=False)
 
 
@@ -35,7 +29,7 @@ def pitch_of(relief):
 
 @pytest.mark.parametrize(("density", "noise"), [(25, 0.03), (100, 0.01), (100, 0.03), (1000, 0.05)])
 def test_the_noise_of_level_ground_is_told_and_taken_off(density, noise):
-    patches = surveyed([PLANE] * 16, ScanEffects(density, noise))
+    patches = surveyed([PLANE] * 16, density, noise)
     clean = denoise(patches, OPERATOR)
     assert np.median(clean.point_noise) == pytest.approx(noise, rel=0.08)
     raw, left = np.median(pitch_of(patches.relief_map)), np.median(pitch_of(clean.relief_map))
@@ -48,28 +42,28 @@ def test_the_noise_of_level_ground_is_told_and_taken_off(density, noise):
 
 def test_the_noise_of_a_slope_is_that_of_level_ground():
     slope = Terrain("slope", 0.6 * np.linspace(0, 3, 60)[None, :].repeat(60, axis=0), 3.0)
-    clean = denoise(surveyed([slope] * 16, ScanEffects(25, 0.01)), OPERATOR)
+    clean = denoise(surveyed([slope] * 16, 25, 0.01), OPERATOR)
     assert np.median(clean.point_noise) == pytest.approx(0.01, rel=0.15)
     assert clean.point_noise.min() > 0.004
 
 
 def test_ground_without_noise_stays_as_it_is():
     terrains = [make_terrain(kind, 3, 1, slope_limit_deg=5) for kind in ("low_noise", "kerb", "stones", "washboard")]
-    patches = surveyed(terrains, ScanEffects(1000, 0.0))
+    patches = surveyed(terrains, 1000, 0.0)
     after = pitch_of(denoise(patches, OPERATOR).relief_map)
     assert after == pytest.approx(pitch_of(patches.relief_map), rel=0.03)
 
 
 def test_a_kerb_survives_noise():
     kerb = Terrain("kerb", np.where(np.arange(60) < 30, 0.0, 0.2)[None, :].repeat(60, axis=0), 3.0)
-    truth, noisy = (surveyed([kerb] * 8, effects) for effects in (ScanEffects(1000, 0.0), ScanEffects(100, 0.03)))
+    truth, noisy = (surveyed([kerb] * 8, *effects) for effects in ((1000, 0.0), (100, 0.03)))
     maps = (truth.relief_map, noisy.relief_map, denoise(noisy, OPERATOR).relief_map)
     wanted, raw, found = (np.median(pitch_of(relief)) for relief in maps)
     assert 0.9 * wanted < found < wanted + 0.8 * (raw - wanted)
 
 
 def test_noise_that_cannot_be_told_is_not_invented():
-    patches = surveyed([PLANE] * 4, ScanEffects(5, 0.03))
+    patches = surveyed([PLANE] * 4, 5, 0.03)
     clean = denoise(patches, OPERATOR)
     assert np.isnan(clean.point_noise[np.isnan(clean.noise_felt)]).all()
     assert np.array_equal(
@@ -79,7 +73,7 @@ def test_noise_that_cannot_be_told_is_not_invented():
 
 def test_a_patch_gets_the_same_bits_alone_and_among_others():
     count, rng = 13, np.random.default_rng(13)
-    patches = surveyed([Terrain("hills", rng.normal(0, 0.1, (60, 60)), 3.0) for _ in range(count)], DENSE)
+    patches = surveyed([Terrain("hills", rng.normal(0, 0.1, (60, 60)), 3.0) for _ in range(count)], 1000, 0.02)
     together = denoise(replace(patches, reason=np.where(np.arange(count) % 5 == 3, 3, 0).astype(np.uint8)), OPERATOR)
     for i in (i for i in range(count) if i % 5 != 3):
         mine = {f.name: getattr(patches, f.name)[i : i + 1] for f in fields(patches) if f.name != "grid"}

@@ -8,7 +8,7 @@ from scipy.ndimage import grey_dilation, map_coordinates
 from scipy.signal import butter, freqs
 
 from bumpymap.rating import MotionOperator, RideOperator, felt_response, move_over, roll_over
-from bumpymap.rating.ride.motion_operator import heave_filter, weighting_wk
+from bumpymap.rating.ride.motion_operator import weighting_wk
 from bumpymap.rating.ride.operator import chassis_response, interpolation
 from bumpymap.rating.vehicle_profile import Vehicle
 
@@ -156,17 +156,6 @@ def test_waves_pitch_and_roll_and_lift_as_the_closed_forms_say(fine, wavelength)
     assert moved.pitch_change[0, 0] == pytest.approx(pitch.mean(), rel=0.05)
     assert moved.roll_change[0] == pytest.approx(roll.mean(), rel=0.05)
     assert moved.heave[0, 0] == pytest.approx(np.sqrt((lift**2 / 2).mean()), rel=0.05)
-
-
-@pytest.mark.parametrize("speed", [0.5, 1.0, 2.0, 6.0])
-@pytest.mark.parametrize("frequency", [0.6, 1.0, 2.0, 4.0, 8.0])
-def test_the_filter_weighs_a_sine_as_wk_does(speed, frequency):
-    taps, where = heave_filter(speed, min(0.05, speed / 25))
-    if frequency * min(0.05, speed / 25) / speed > 0.45:
-        pytest.skip("more than half a wave in a step")
-    assert taps.sum() == pytest.approx(0.0, abs=1e-9 * abs(taps).sum())
-    weighed = abs((taps * np.exp(2j * np.pi * frequency / speed * where)).sum())
-    assert weighed == pytest.approx(abs(felt_response(np.array([frequency]))[0]), rel=0.03)
 
 
 @pytest.mark.parametrize(("frequency", "weight"), TABLE.items())

@@ -7,12 +7,11 @@ import numpy as np
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.types import NO_CLASS, Georeference
 from bumpymap.lab.simulate.ride_fit import survey_terrains
-from bumpymap.lab.terrains import ScanEffects, make_terrain
+from bumpymap.lab.terrains import make_terrain
 from bumpymap.patches.features import measure
 from bumpymap.rating import RideModel
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.textures import TextureModel, classify
-from bumpytiles import Grid, TileBuckets
 
 CALIBRATION = Calibration.shipped("warthog")
 MODEL = RideModel(CALIBRATION)
@@ -21,7 +20,7 @@ PLACE = Georeference(None, 1.0, 1.0)
 
 def patches_of(*kinds, slope=5.0, density=200.0, index=3):
     terrains = [make_terrain(kind, 9, index, slope_limit_deg=slope) for kind in kinds]
-    (block,) = survey_terrains(terrains, ScanEffects(density, 0.005), 1).blocks()
+    (block,) = survey_terrains(terrains, density, 0.005, 1).blocks()
     return measure(block, FeatureSettings(), ground_only=False)
 
 
@@ -48,18 +47,14 @@ def test_a_tile_steeper_than_the_vehicle_can_climb_is_class_3():
 
 
 def test_a_tile_that_cannot_be_judged_has_no_class():
-    few = ScanEffects(1.0, 0.0)
-    (block,) = survey_terrains([make_terrain("flat", 1, 1)], few, 1).blocks()
+    (block,) = survey_terrains([make_terrain("flat", 1, 1)], 1.0, 0.0, 1).blocks()
     cost = rated(measure(block, FeatureSettings(), ground_only=False))
     assert cost.class_id.tolist() == [NO_CLASS]
     assert np.isnan([cost.c_r[0], cost.c_r_low[0], cost.p_fail[0], cost.confidence[0]]).all()
 
 
-def test_leaves_over_ground_are_not_taken_for_noise():
+def test_leaves_over_ground_are_not_taken_for_noise(measure_points):
     rng = np.random.default_rng(2)
     x, y = rng.uniform(0, 3, (2, 900))
     z = np.where(rng.random(900) < 0.5, 0.0, 5.0 + rng.normal(0, 0.3, 900))
-    buckets = TileBuckets(Grid())
-    buckets.add(x, y, z, np.zeros(900, bool))
-    (block,) = buckets.blocks()
-    assert rated(measure(block, FeatureSettings(), ground_only=False)).class_id.tolist() == [3]
+    assert rated(measure_points(x, y, z)).class_id.tolist() == [3]

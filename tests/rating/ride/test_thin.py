@@ -5,16 +5,14 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from bumpymap.core.errors import BadInputError
 from bumpymap.core.types import NO_CLASS, Reason
 from bumpymap.lab.simulate.model import relief_and_slope
 from bumpymap.lab.simulate.ride_fit import survey_columns
-from bumpymap.lab.terrains import FINE, ScanEffects, Terrain, make_terrain
+from bumpymap.lab.terrains import FINE, Terrain, make_terrain
 from bumpymap.rating import BlockRating, RideModel, rate_thin, roll_over
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.ride.correction import Prediction
-from bumpymap.rating.ride.thin import THIN_COLUMNS, ThinModel
-from bumpymap.rating.ride.thin_rate import is_rateable, pool_noise, pull_to_neighbours
+from bumpymap.rating.ride.thin import THIN_COLUMNS, ThinModel, is_rateable, pool_noise, pull_to_neighbours
 
 CALIBRATION = Calibration.shipped("warthog")
 RIDE = RideModel(CALIBRATION)
@@ -34,7 +32,7 @@ def unseen():
 
 
 def columns_of(terrains, density, noise):
-    columns, tile = survey_columns(terrains, ScanEffects(density, noise), 5, RIDE.operator)
+    columns, tile = survey_columns(terrains, density, noise, 5, RIDE.operator)
     known = is_rateable(columns, np.zeros(len(columns), np.uint8))
     return columns[known], tile[known]
 
@@ -91,6 +89,13 @@ def first_pass(rows=18, cols=18, reason=Reason.TOO_FEW_POINTS):
     return BlockRating(unknown, *(nothing.copy() for _ in range(5)), np.full((rows, cols), reason, np.uint8))
 
 
+def rated(c_r, low=0.8, high=1.3, p_fail=0.03, reason=Reason.TOO_FEW_POINTS):
+    """A first pass of smooth tiles; the ends of the interval as shares of C_r."""
+    columns = {"c_r": c_r, "c_r_low": low * c_r, "c_r_high": high * c_r, "p_fail": 0 * c_r + p_fail, "confidence": c_r}
+    columns = {name: np.asarray(values, np.float32) for name, values in columns.items()}
+    return replace(first_pass(reason=reason), class_id=np.zeros((18, 18), np.uint8), **columns)
+
+
 def block_of(unseen, density=4.0):
     columns, _ = columns_of(unseen[0], density, 0.01)
     return np.resize(columns, (18, 18, len(THIN_COLUMNS))).astype(np.float32)
@@ -124,18 +129,7 @@ def test_thin_tiles_get_a_class_and_those_of_which_too_little_is_known_stay_unkn
 def test_dense_tiles_keep_their_bits_and_the_mixture_is_continuous(unseen):
     columns = block_of(unseen, 12.0)
     columns[..., THIN_COLUMNS.index("slope")] = 0.05
-    rng = np.random.default_rng(0)
-    first = first_pass(reason=Reason.OK)
-    values = rng.uniform(0.1, 0.2, (18, 18)).astype(np.float32)
-    first = replace(
-        first,
-        class_id=np.zeros((18, 18), np.uint8),
-        c_r=values,
-        c_r_low=values / 2,
-        c_r_high=values * 2,
-        p_fail=values / 10,
-        confidence=values,
-    )
+    first = rated(np.random.default_rng(0).uniform(0.1, 0.2, (18, 18)), 0.5, 2.0, 0.015, Reason.OK)
     dense = rate_thin(columns, first, *maps(coverage=0.75), CALIBRATION)
     for field in fields(BlockRating):
         np.testing.assert_array_equal(getattr(dense, field.name), getattr(first.inner(), field.name))
@@ -148,11 +142,7 @@ def test_dense_tiles_keep_their_bits_and_the_mixture_is_continuous(unseen):
 def test_a_floor_is_added_once(unseen, coverage):
     """Also where a tile is rated half from its heightmap, whose C_r holds the floor already."""
     raised = replace(CALIBRATION, vehicle=CALIBRATION.vehicle | {"floor": {"c_r_radpm": 0.05}})
-    columns, values = block_of(unseen), np.full((18, 18), 0.03, np.float32)
-    bare = replace(
-        first_pass(), class_id=np.zeros((18, 18), np.uint8), c_r=values, c_r_low=0.8 * values, c_r_high=1.3 * values,
-        p_fail=values, confidence=values,
-    )  # fmt: skip
+    columns, bare = block_of(unseen), rated(np.full((18, 18), 0.03))
     names = ("c_r", "c_r_low", "c_r_high")
     first = replace(bare, **{name: np.hypot(getattr(bare, name), np.float32(0.05)) for name in names})
     found = rate_thin(columns, bare, *maps(coverage=coverage), CALIBRATION)
@@ -166,14 +156,10 @@ def test_a_low_end_that_is_lost_in_the_floor_keeps_no_tile_from_its_points(unsee
     """Stored as float32, an end far below the floor is the floor itself."""
     floor = np.float32(0.05)
     raised = replace(CALIBRATION, vehicle=CALIBRATION.vehicle | {"floor": {"c_r_radpm": float(floor)}})
-    values = np.full((18, 18), 0.06, np.float32)
-    low = np.where(np.arange(18) % 2 == 0, floor, np.float32(0.055)) + 0 * values
-    first = replace(
-        first_pass(), class_id=np.zeros((18, 18), np.uint8), c_r=values, c_r_low=low,
-        c_r_high=1.3 * values, p_fail=values, confidence=values,
-    )  # fmt: skip
+    low = np.where(np.arange(18) % 2 == 0, floor, np.float32(0.055)) + np.zeros((18, 18), np.float32)
+    first = replace(rated(np.full((18, 18), 0.06)), c_r_low=low)
     found = rate_thin(block_of(unseen), first, *maps(coverage=0.6), raised)
-    assert (found.c_r != values[1:-1, 1:-1]).all()
+    assert (found.c_r != first.c_r[1:-1, 1:-1]).all()
     assert (found.c_r_low <= found.c_r).all()
     assert (found.c_r <= found.c_r_high).all()
     assert np.isfinite(found.c_r_high).all()
@@ -242,10 +228,3 @@ def test_shrinkage_towards_the_library_is_undone_where_neighbours_are_known():
 def test_no_neighbour_narrows_what_the_noise_of_the_survey_leaves_open():
     level = np.full((18, 18), -2.0)
     assert (pulled(level, shared=0.5).below >= 0.5).all()
-
-
-def test_record_is_read_back_and_a_damaged_one_refused():
-    assert ThinModel.from_record(MODEL.to_record()) == MODEL
-    for damage in ({"c_r": [1.0]}, {"fail": None}, {"sides": [1.0]}):
-        with pytest.raises(BadInputError, match="thin surveys"):
-            ThinModel.from_record(MODEL.to_record() | damage)

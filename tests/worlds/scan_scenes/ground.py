@@ -112,13 +112,7 @@ class Road:
         return surface
 
     def places(self, along: Floats, across: Floats) -> Floats:
-        """Return positions (n, 2) at distances along the road and to the left of its centreline, and headings.
-
-        Returns
-        -------
-        (n, 3) array
-            x and y [m], heading [rad].
-        """
+        """Return x and y [m] and heading [rad], (n, 3), at distances along the road and left of its centreline."""
         side, slope = np.full_like(along, self.offset_m), np.zeros_like(along)
         for amplitude, number, phase in self.bends:
             side += amplitude * np.sin(number * along + phase)

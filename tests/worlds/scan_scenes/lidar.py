@@ -185,22 +185,10 @@ class _Hits:
 
 
 def simulate_scan(scene: Scene, sensor: Sensor, seed: int) -> Scan:
-    """Simulate one rotation of the sensor in a scene; the robot leans with the ground below it.
+    """Simulate one rotation of the sensor, ``height_m`` above the origin; the robot leans with the ground below it.
 
-    Parameters
-    ----------
-    scene : Scene
-        The sensor is ``height_m`` above its origin.
-    sensor : Sensor
-        Beams, noise, tilt.
-    seed : int
-        Seed of noise and lost returns. The same arguments give the same bits on the same machine.
-
-    Returns
-    -------
-    Scan
-        The returns, with the apparent reflectivity (0 to 1) as intensity and ids of RELLIS-3D as labels: 0 for mirror
-        images and stray returns.
+    Intensities are the apparent reflectivity (0 to 1), labels are ids of RELLIS-3D: 0 for mirror images and stray
+    returns. ``seed``: of noise and lost returns. The same arguments give the same bits on the same machine.
     """
     rng = np.random.default_rng([*scene.seed, seed, 1])
     rays = sensor.directions()
@@ -329,19 +317,9 @@ def overhead_scan(scene: Scene, seed: int) -> Scan:
     """Sample the ground of a scene, without objects, evenly over distance and azimuth.
 
     As from a mast or a slope, without shadows. Seen from a low sensor, blocks hide one another, so its scans do not
-    contain rough ground in which every pixel is filled.
-
-    Parameters
-    ----------
-    scene : Scene
-        Its ground is used; beyond a straight line, adjacent blocks of one width of 0.2 to 0.8 m are added.
-    seed : int
-        The same arguments give the same bits.
-
-    Returns
-    -------
-    Scan
-        Water has no label, because its lost returns are not simulated here.
+    contain rough ground in which every pixel is filled. Beyond a straight line, adjacent blocks of one width of 0.2 to
+    0.8 m are added. Water has no label, because its lost returns are not simulated here. The same arguments give the
+    same bits.
     """
     rng = np.random.default_rng([*scene.seed, seed, 5])
     count = int(log_uniform(rng, 2e4, 1.2e5))

@@ -244,15 +244,7 @@ class Scene:
 
 
 def make_scene(seed: int, index: int, theme: str | None = None) -> Scene:
-    """Draw a scene.
-
-    Parameters
-    ----------
-    seed, index : int
-        Seed of the set of scenes, and number of the scene. The same pair gives the same bits.
-    theme : str, optional
-        One of ``THEMES``; None cycles through them.
-    """
+    """Draw a scene; seed and number of it in a set of scenes give the same bits. None: themes take turns."""
     name = list(THEMES)[index % len(THEMES)] if theme is None else theme
     rng = np.random.default_rng([seed, index, 0])
     ground = _draw_ground(rng, THEMES[name], name)
@@ -358,15 +350,17 @@ def _draw_water(rng: np.random.Generator, theme: Theme, bare: SceneGround) -> li
 def _draw_things(rng: np.random.Generator, theme: Theme, ground: SceneGround) -> list[tuple[Label, Triangles]]:
     height = ground.height
     things: list[tuple[Label, Triangles]] = []
-    for label, places in (
-        (Label.GRASS, _spots(rng, _up_to(rng, theme.herbs), 2.0, 40.0)),
-        (Label.BUSH, _spots(rng, _up_to(rng, theme.bushes), 4.0, 80.0)),
-        (Label.TREE, _spots(rng, _up_to(rng, theme.trees), 4.5, 105.0)),
-        (Label.PERSON, _spots(rng, _up_to(rng, theme.persons), 4.0, 25.0)),
-        (Label.VEHICLE, _spots(rng, _up_to(rng, theme.vehicles), 6.0, 70.0)),
+    for label, places, build, sizes in (
+        (Label.GRASS, _spots(rng, _up_to(rng, theme.herbs), 2.0, 40.0), make.herb, (0.1, 0.4)),
+        (Label.BUSH, _spots(rng, _up_to(rng, theme.bushes), 4.0, 80.0), make.bush, (0.4, 2.5)),
+        (Label.TREE, _spots(rng, _up_to(rng, theme.trees), 4.5, 105.0), make.tree, (2.5, 14.0)),
+        (Label.PERSON, _spots(rng, _up_to(rng, theme.persons), 4.0, 25.0), make.person, None),
+        (Label.VEHICLE, _spots(rng, _up_to(rng, theme.vehicles), 6.0, 70.0), make.vehicle, None),
     ):
         z = height(places[:, 0], places[:, 1])
-        things += [(label, _grow(rng, label, np.array([*place, up]))) for place, up in zip(places, z, strict=True)]
+        for place, up in zip(places, z, strict=True):
+            size = (log_uniform(rng, *sizes),) if sizes else ()
+            things.append((label, build(rng, np.array([*place, up]), *size)))
     for label, most, build in ((Label.FENCE, theme.fences, make.fence), (Label.BARRIER, theme.barriers, make.barrier)):
         lines = [build(rng, np.array(_place(rng, 5, 50)), height) for _ in range(_up_to(rng, most))]
         things += [(label, soup) for soup in lines if np.hypot(soup[..., 0], soup[..., 1]).min() > 2.0]
@@ -375,19 +369,6 @@ def _draw_things(rng: np.random.Generator, theme: Theme, ground: SceneGround) ->
             build_field = make.stone_field if rng.uniform() < 0.35 else make.block_field
             things.append((Label.RUBBLE, build_field(rng, _inside(rng, region, ground), height)))
     return [(label, soup) for label, soup in things if len(soup)]
-
-
-def _grow(rng: np.random.Generator, label: Label, base: Floats) -> Triangles:
-    match label:
-        case Label.GRASS:
-            return make.herb(rng, base, log_uniform(rng, 0.1, 0.4))
-        case Label.BUSH:
-            return make.bush(rng, base, log_uniform(rng, 0.4, 2.5))
-        case Label.TREE:
-            return make.tree(rng, base, log_uniform(rng, 2.5, 14.0))
-        case Label.PERSON:
-            return make.person(rng, base)
-    return make.vehicle(rng, base)
 
 
 def _spots(rng: np.random.Generator, count: int, nearest: float, farthest: float) -> Floats:

@@ -368,16 +368,11 @@ def block_field(rng: np.random.Generator, places: Floats, height: Height) -> Tri
     return boxes(sizes, np.column_stack([middle, z]), rng.uniform(-0.3, 0.3, len(cells)))
 
 
-def _leaf_count(base: Floats, volume_m3: float) -> int:
-    """Return the number of leaves to draw; fewer at distances at which the sensor cannot resolve them."""
-    distance = float(np.hypot(base[0], base[1]))
-    dense, most = (700.0, 7000) if distance < 15 else (150.0, 2500) if distance < 35 else (40.0, 900)
-    return int(np.clip(dense * volume_m3, 60, most))
-
-
 def _cloud(rng: np.random.Generator, middle: Floats, radii: Floats, base: Floats, free_path_m: float) -> Triangles:
-    volume = 4 / 3 * np.pi * float(np.prod(radii))
-    return leaves(rng, middle, radii, _leaf_count(base, volume), free_path_m)
+    """Scatter leaves; fewer at distances at which the sensor cannot resolve them."""
+    distance, volume = float(np.hypot(base[0], base[1])), 4 / 3 * np.pi * float(np.prod(radii))
+    dense, most = (700.0, 7000) if distance < 15 else (150.0, 2500) if distance < 35 else (40.0, 900)
+    return leaves(rng, middle, radii, int(np.clip(dense * volume, 60, most)), free_path_m)
 
 
 def bush(rng: np.random.Generator, base: Floats, height_m: float) -> Triangles:

@@ -1,1 +1,0 @@
-"""Compare the map with drives in the simulation."""
