@@ -40,7 +40,6 @@ class EachSettings(TypedDict, total=False):
     vehicle: PathLike
     calibration: PathLike | None
     speed: float | None
-    speeds: Sequence[float] | None
     headings: bool
     model: PathLike | None
     crs: str | int | None
