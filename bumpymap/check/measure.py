@@ -114,49 +114,39 @@ _MOST_ERROR_MPS = 0.3
 """Largest error of the speed by positions that is assumed, m/s (chosen)."""
 
 
-@dataclass(frozen=True, slots=True)
-class RoughSpeed:
-    """How fast the vehicle may have moved, before its way is known."""
+def rough_speed(imu: EvenImu, places: MetrePlaces | None, wheels: WheelTrack | None) -> tuple[Floats, float, bool]:
+    """Return a rough speed, from wheels if their speed is known, else from positions, before the way is known.
 
-    value: Floats
-    """(n,) at the samples of the IMU, m/s; NaN where not known. Of wheels, that of the faster side."""
-    slow: float
-    """A vehicle that is slower may stand, m/s."""
-    sure: bool = False
-    """By wheels: a vehicle that is slower stands unless it shakes."""
-
-
-def rough_speed(imu: EvenImu, places: MetrePlaces | None, wheels: WheelTrack | None) -> RoughSpeed:
-    """Return a rough speed, from wheels if their speed is known, else from positions."""
+    First at the samples of the IMU, (n,) m/s; NaN where not known; of wheels, that of the faster side. Second the speed
+    below which a vehicle may stand, m/s. Third whether it is by wheels: what is slower stands unless it shakes.
+    """
     if wheels is not None and np.isfinite(wheels.speed).sum() > 1:
         good = np.isfinite(wheels.speed)
         faster = np.abs(wheels.speed[good]) + 0.5 * np.abs(np.nan_to_num(wheels.difference[good]))
-        return RoughSpeed(
-            np.interp(imu.time, wheels.time[good], faster, left=np.nan, right=np.nan), _TURNING_MPS, sure=True
-        )
+        return np.interp(imu.time, wheels.time[good], faster, left=np.nan, right=np.nan), _TURNING_MPS, True
     if places is None:
-        return RoughSpeed(np.full(len(imu.time), np.nan), _SLOW_MPS)
+        return np.full(len(imu.time), np.nan), _SLOW_MPS, False
     even = np.arange(imu.time[0], imu.time[-1], 0.1)
     velocity, known = smooth_velocity(places, even, 1.0)
     speed = np.where(known, np.abs(velocity), np.nan)
     still = speed[np.isfinite(speed)]
     error = min(float(np.quantile(still, 0.02)) if len(still) else 0.0, _MOST_ERROR_MPS)
-    return RoughSpeed(np.interp(imu.time, even, speed), _SLOW_MPS + 2.0 * error)
+    return np.interp(imu.time, even, speed), _SLOW_MPS + 2.0 * error, False
 
 
-def find_standing(imu: EvenImu, speed: RoughSpeed, band_hz: float) -> Mask:
-    """Return when the vehicle stood still."""
+def find_standing(imu: EvenImu, rough: tuple[Floats, float, bool], band_hz: float) -> Mask:
+    """Return when the vehicle stood still; ``rough`` is from `rough_speed`."""
+    speed, slowest, sure = rough
     rate = low_pass(imu.rate, imu.known, imu.hertz, band_hz)
     samples = round(_WINDOW_S * imu.hertz)
     mean = rolling_mean(rate, samples)
     spread = np.sqrt(np.maximum(rolling_mean(rate**2, samples) - mean**2, 0.0).sum(axis=1))
-    slow = ~(speed.value > speed.slow)
-    known = imu.known & slow
+    known = imu.known & ~(speed > slowest)
     if not known.any():
         return np.zeros_like(known)
-    moving = speed.value > 2.0 * speed.slow
-    usual = float(np.median(spread[imu.known & moving])) if (imu.known & moving).any() else np.inf
-    limit = min(_QUIET * float(np.quantile(spread[known], 0.02)), np.inf if speed.sure else _QUIET_SHARE * usual)
+    moving = imu.known & (speed > 2.0 * slowest)
+    usual = float(np.median(spread[moving])) if moving.any() else np.inf
+    limit = min(_QUIET * float(np.quantile(spread[known], 0.02)), np.inf if sure else _QUIET_SHARE * usual)
     quiet = known & (spread <= max(limit, _SILENT_RADPS))
     standing = np.zeros_like(known)
     margin = round(_MARGIN_S * imu.hertz)

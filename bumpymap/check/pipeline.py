@@ -377,7 +377,11 @@ def _on_map(places: MetrePlaces, site: MapReader) -> tuple[Floats, Floats]:
 
 def _compared(done: list[_Done], site: MapReader | None) -> CheckResult:
     """Compare all drives with the map."""
-    ground = None if site is None else _ground(site)
+    ground = None
+    if site is not None:
+        first, second, third = class_limits(site.manifest)
+        about = site.vehicle.name, site.calibration_id, site.vehicle.speed_mps
+        ground = CheckedMap(site.manifest["survey"]["name"], site.folder, *about, (first, second, third))
     limits = [np.inf] * 3 if ground is None else [*ground.class_limits]
     stretches = _stretches(done, limits, [one.reading for one in done])
     drives = tuple(_checked(one) for one in done)
@@ -404,18 +408,6 @@ def _compared(done: list[_Done], site: MapReader | None) -> CheckResult:
         warnings=tuple(map_warnings(ground, speeds, of_lines or agreement)),
         by_line=by_line,
         agreement_by_line=of_lines,
-    )
-
-
-def _ground(site: MapReader) -> CheckedMap:
-    first, second, third = class_limits(site.manifest)
-    return CheckedMap(
-        name=site.manifest["survey"]["name"],
-        folder=site.folder,
-        vehicle=site.vehicle.name,
-        calibration_id=site.calibration_id,
-        speed_mps=site.vehicle.speed_mps,
-        class_limits=(first, second, third),
     )
 
 
