@@ -98,7 +98,7 @@ NORMAL, MULTIPLY = 0, 6
 """Blending modes of QGIS."""
 Style = dict[str, Any]
 """A layer for a template: pixels by `paletted` or `_ramp`, areas, lines and points by `vectors`."""
-_Colour = tuple[int, int, int, int]
+_Colour = tuple[int, ...]
 """Red, green, blue, alpha from 0 to 255."""
 
 
@@ -190,12 +190,7 @@ def _differences(values: NDArray[np.float32], unit: str, band: int) -> Style:
     most = float(np.abs(np.nan_to_num(values)).max(initial=0.0)) or 1.0
     parts = np.linspace(-1.0, 1.0, len(DIFFERENCE_RAMP))
     ends = zip((most * np.sign(parts) * parts**2).tolist(), DIFFERENCE_RAMP, strict=True)
-    return _ramp([(end, f"{end:+.3g} {unit}", _rgba(text)) for end, text in ends], band)
-
-
-def _rgba(text: str) -> _Colour:
-    red, green, blue = bytes.fromhex(text[1:])
-    return red, green, blue, 255
+    return _ramp([(end, f"{end:+.3g} {unit}", (*bytes.fromhex(text[1:]), 255)) for end, text in ends], band)
 
 
 def check_layers() -> list[ViewLayer]:
