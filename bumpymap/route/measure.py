@@ -186,7 +186,6 @@ def _climb(profile: RouteProfile, tile_size: float) -> tuple[float, float]:
 
 
 def _profile(site: MapReader, line: Floats, pieces: _Pieces) -> RouteProfile:
-    """Return points at even distances along a way."""
     length, size = np.cumsum(np.hypot(*np.diff(line, axis=0).T))[-1], site.grid.tile_size
     count = max(2, math.ceil(length / size * _SAMPLES_A_TILE) + 1)
     distance = np.linspace(0.0, length, count)

@@ -525,7 +525,6 @@ def _write(
 
 
 def _visible(groups: Iterable[Style]) -> set[str]:
-    """Return the ids of the layers that are shown when a project opens."""
     found: set[str] = set()
     for each in groups:
         if each["visible"]:

@@ -313,7 +313,6 @@ class PageTiles:
 
 
 def _place(found: Mapping[str, NDArray[Any]], spot: Spot) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return rows and columns on the grid of the page."""
     col = found["col"].astype(np.intp) - round(spot.west / spot.tile_size)
     line = round(spot.north / spot.tile_size) - 1 - found["row"].astype(np.intp)
     inside = len(col) == 0 or (col.min() >= 0 and line.min() >= 0 and col.max() < spot.cols and line.max() < spot.rows)

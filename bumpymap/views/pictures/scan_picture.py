@@ -96,7 +96,6 @@ def _paint_sectors(scene: Picture, classed: ClassedSectors, range_m: float) -> N
 
 @lru_cache(maxsize=1)
 def _hatching() -> NDArray[np.bool_]:
-    """Return the pixels of diagonal lines over the scene."""
     return (np.add.outer(np.arange(SIDE), np.arange(SIDE)) % _HATCH_PX) < _HATCH_WIDTH_PX
 
 
@@ -135,7 +134,6 @@ def _draw_distances(draw: ImageDraw.ImageDraw, range_m: float, step: float) -> N
 
 
 def _draw_robot(draw: ImageDraw.ImageDraw, column: int, row: int) -> None:
-    """Draw the robot: an arrow head that points forward."""
     draw.polygon([(column + right, row + down) for right, down in _ROBOT], _INK, _PAPER)
 
 
