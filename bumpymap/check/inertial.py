@@ -216,23 +216,13 @@ _LEAST_TURN = 0.5
 """Turning below which the unit is not judged, rad (chosen)."""
 
 
-@dataclass(frozen=True, slots=True)
-class ClockFit:
-    """A first estimate of the offset of the clocks and of the heading."""
+def fit_clock(places: MetrePlaces, time: Floats, heading: Floats, name: str) -> tuple[float, bool, float]:
+    """Estimate the offset of the clocks by the heading.
 
-    offset_s: float
-    """Time to add to the times of the positions, s; 0 if it cannot be determined."""
-    sure: bool
-    """True if it could be determined."""
-    heading_0: float
-    """Angle to add to the heading of the gyroscope for that of the positions (east is 0), rad."""
-
-
-def fit_clock(places: MetrePlaces, time: Floats, heading: Floats, name: str) -> ClockFit:
-    """Estimate the offset by the heading.
-
-    ``time``, ``heading`` (n,): of the gyroscope, s and rad; ``name``: of the drive, for messages. Raises BadInputError:
-    positions and sensor have no time in common.
+    ``time``, ``heading`` (n,): of the gyroscope, s and rad; ``name``: of the drive, for messages. Returns the time to add
+    to the times of the positions, s, 0 if it cannot be determined; whether it could; and the angle to add to the
+    heading of the gyroscope for that of the positions (east is 0), rad. Raises BadInputError: positions and sensor have
+    no time in common.
     """
     first, last = max(time[0], places.time[0]), min(time[-1], places.time[-1])
     if last - first < _LEAST_SECONDS:
@@ -245,7 +235,7 @@ def fit_clock(places: MetrePlaces, time: Floats, heading: Floats, name: str) -> 
     speed = gaussian_filter1d(np.abs(velocity), 1.0 / _STEP_S)
     use = known & (speed > _SLOW_MPS)
     if use.sum() * _STEP_S < _LEAST_SECONDS:
-        return ClockFit(0.0, sure=False, heading_0=0.0)
+        return 0.0, False, 0.0
     group = ((even - first) // _WINDOW_S).astype(np.int64)
     offsets = np.arange(-_REACH_S, _REACH_S + 1e-9, _STEP_S)
     explained = np.array(
@@ -260,7 +250,7 @@ def fit_clock(places: MetrePlaces, time: Floats, heading: Floats, name: str) -> 
         offset = float(offsets[best] + (0.5 * (below - above) / bend if bend < 0 else 0.0) * _STEP_S)
     unit = _steps(even, offset, time, heading, speed)
     turn = float(np.angle((velocity * use * unit.conj())[group == group[use][0]].sum()))
-    return ClockFit(offset, sure, turn)
+    return offset, sure, turn
 
 
 def _steps(even: Floats, offset: float, time: Floats, heading: Floats, speed: Floats) -> Complexes:
@@ -284,7 +274,7 @@ def _stands_out(explained: Floats, power: float) -> bool:
     return bool(min(left[0], left[-1]) - left[best] > 0.05 * max(left[best], 1e-3 * power))
 
 
-def refuse_wrong_unit(places: MetrePlaces, clock: ClockFit, time: Floats, heading: Floats, name: str) -> None:
+def refuse_wrong_unit(places: MetrePlaces, offset_s: float, time: Floats, heading: Floats, name: str) -> None:
     """Refuse a drive whose gyroscope turns in another unit than its course does.
 
     Raises BadInputError: the turning of both differs by a factor that only a wrong unit explains.
@@ -295,7 +285,7 @@ def refuse_wrong_unit(places: MetrePlaces, clock: ClockFit, time: Floats, headin
     lag = round(3.0 / _STEP_S)
     both = use[lag:] & use[:-lag]
     course = np.angle(velocity[lag:] * velocity[:-lag].conj())[both]
-    gyro = np.interp(even + clock.offset_s, time, heading)
+    gyro = np.interp(even + offset_s, time, heading)
     turn = (gyro[lag:] - gyro[:-lag])[both]
     if not len(turn):
         return

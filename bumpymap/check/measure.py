@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from bumpymap.check.inertial import (
-    ClockFit,
     DrivenMotion,
     EvenImu,
     Mounting,
@@ -197,7 +196,8 @@ class _Rates:
     rate: Floats
     attitude: Rotation
     heading: Floats
-    clock: ClockFit
+    clock: tuple[float, bool, float]
+    """From `fit_clock`."""
     force: NDArray[np.complex128] | None
     """Acceleration along the sensor's levelled axes, m/s2."""
 
@@ -218,7 +218,8 @@ def measure_drive(
     imu = even_imu(log.imu, log.name, band_hz)
     notes: list[str] = []
     rates = _rates(log, imu, places, band_hz)
-    start = TrackStart(rates.clock.offset_s, rates.clock.heading_0, rates.force, rough=imu.has_force)
+    offset_s, is_sure, heading_0 = rates.clock
+    start = TrackStart(offset_s, heading_0, rates.force, rough=imu.has_force)
     track = fit_track(imu, rates.heading, rates.standing, places, log.wheels, start)
     speed, step = np.abs(track.speed), track.time[1] - track.time[0]
     if float(speed[speed > _LEAST_SPEED_MPS].sum() * step) < _LEAST_WAY_M:
@@ -241,7 +242,7 @@ def measure_drive(
         )
     rotation = Rotation.identity() if mounting is None else mounting.rotation
     vehicle = low_pass(rotation.apply(rates.rate), imu.known, imu.hertz, band_hz)
-    sure = rates.clock.sure or track.offset_sd_s < _SURE_OFFSET_S
+    sure = is_sure or track.offset_sd_s < _SURE_OFFSET_S
     driven_m = float(np.abs(track.speed).sum()) * (track.time[1] - track.time[0])
     reported = places is not None and sure and track.offset_sd_s < _UNSURE_OFFSET_S and driven_m > _LEAST_CLOCK_M
     return DriveMeasure(
@@ -272,10 +273,10 @@ def _rates(log: DriveLog, imu: EvenImu, places: MetrePlaces | None, band_hz: flo
     attitude = turned(rate, imu.hertz)
     up = upward_in_sensor(imu, attitude) if imu.has_force else attitude.inv().apply(np.tile(upward, (len(rate), 1)))
     heading = heading_of(attitude, up)
-    clock = ClockFit(0.0, sure=False, heading_0=0.0)
+    clock = 0.0, False, 0.0
     if places is not None:
         clock = fit_clock(places, imu.time, heading, log.name)
-        refuse_wrong_unit(places, clock, imu.time, heading, log.name)
+        refuse_wrong_unit(places, clock[0], imu.time, heading, log.name)
     force = level_force(imu, levelling(up.mean(axis=0)), up) if imu.has_force else None
     return _Rates(standing, rate, attitude, heading, clock, force)
 
