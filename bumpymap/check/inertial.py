@@ -219,8 +219,8 @@ _LEAST_TURN = 0.5
 def fit_clock(places: MetrePlaces, time: Floats, heading: Floats, name: str) -> tuple[float, bool, float]:
     """Estimate the offset of the clocks by the heading.
 
-    ``time``, ``heading`` (n,): of the gyroscope, s and rad; ``name``: of the drive, for messages. Returns the time to add
-    to the times of the positions, s, 0 if it cannot be determined; whether it could; and the angle to add to the
+    ``time``, ``heading`` (n,): of the gyroscope, s and rad; ``name``: of the drive, for messages. Returns the time to
+    add to the times of the positions, s, 0 if it cannot be determined; whether it could; and the angle to add to the
     heading of the gyroscope for that of the positions (east is 0), rad. Raises BadInputError: positions and sensor have
     no time in common.
     """

@@ -227,10 +227,10 @@ def _finest(view: MapView) -> tuple[tuple[int, int], tuple[NDArray[np.int64], ..
     return (rows, cols), place
 
 
-def hatched(height: int, width: int) -> NDArray[np.bool_]:
-    """Return which pixels of a panel lie on the lines of the hatching, (height, width)."""
-    across = np.arange(height)[:, None] + np.arange(width)[None, :]
-    return np.asarray(across % _HATCH_PERIOD < _HATCH_WIDTH, dtype=np.bool_)
+@lru_cache(maxsize=4)
+def hatched(height: int, width: int, period: int = _HATCH_PERIOD, line: int = _HATCH_WIDTH) -> NDArray[np.bool_]:
+    """Return which pixels of a panel lie on the lines of the hatching, (height, width); both others are in pixels."""
+    return np.asarray(np.add.outer(np.arange(height), np.arange(width)) % period < line, dtype=np.bool_)
 
 
 def _sample(source: "MapReader", view: MapView) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:

@@ -84,19 +84,20 @@ def _paint_sectors(scene: Picture, classed: ClassedSectors, range_m: float) -> N
     fill = np.vstack([paper + _FILL * (SCAN_COLOURS[:CLASSES] - paper), _NOT_GROUND]).astype(np.uint8)
     shades = np.full((2, count + 1, 3), _PAPER, np.uint8)  # second: of the lines of the hatching
     shades[:, own] = fill[class_index(classed)]
-    hatched = own[stack.obstacle]
-    shades[1, hatched] = shades[1, hatched] + _HATCH * (SCAN_COLOURS[OBSTACLE_POINT] - shades[1, hatched].astype(float))
+    barred = own[stack.obstacle]
+    shades[1, barred] = shades[1, barred] + _HATCH * (SCAN_COLOURS[OBSTACLE_POINT] - shades[1, barred].astype(float))
     cell = _polar_cells(stack.settings, range_m).cells(stack.azimuth_start_rad)
-    np.take(shades.reshape(-1, 3), cell + len(shades[0]) * _hatching(), axis=0, out=scene, mode="clip")
+    np.take(
+        shades.reshape(-1, 3),
+        cell + len(shades[0]) * hatched(SIDE, SIDE, _HATCH_PX, _HATCH_WIDTH_PX),
+        axis=0,
+        out=scene,
+        mode="clip",
+    )
     border = np.zeros(cell.shape, np.bool_)
     border[:, 1:] = cell[:, 1:] != cell[:, :-1]
     border[1:] |= cell[1:] != cell[:-1]
     scene[border] = _BORDER
-
-
-@lru_cache(maxsize=1)
-def _hatching() -> NDArray[np.bool_]:
-    return (np.add.outer(np.arange(SIDE), np.arange(SIDE)) % _HATCH_PX) < _HATCH_WIDTH_PX
 
 
 def _paint_points(picture: Picture, scan: Scan, styles: NDArray[np.uint8], range_m: float) -> None:
