@@ -25,7 +25,6 @@ from bumpymap.core import (
     settings_of_call,
     shares_text,
     short_repr,
-    speed_bands,
     with_pixels,
 )
 from bumpymap.layers import (
@@ -148,31 +147,6 @@ class Layers:
         dataset = import_notebook("xarray").Dataset({variable.name: variable for variable in found})
         title, rating = f"ride cost and roughness for {self._vehicle}", self.manifest.get("settings", {}).get("rating")
         return dataset.assign_attrs(title=title, **self._about, rating=rating or "")
-
-    def speeds(self) -> "xarray.Dataset":
-        """Open speeds.tif: what is felt at other speeds, on the grid of tiles.
-
-        Returns
-        -------
-        xarray.Dataset
-            Dimensions ``y`` (north first) and ``x``, at tile centres; for each speed in m/s, such as 0.5, the float32
-            variables ``c_r_0.5`` and ``c_roll_0.5`` [rad/m] and ``a_w_0.5`` [m/s2], NaN where unknown.
-
-        Raises
-        ------
-        UsageError
-            The run was not asked for other speeds, or the extra ``notebook`` is not installed.
-        BadInputError
-            speeds.tif is missing or damaged.
-        """
-        asked = self.manifest.get("settings", {}).get("speeds")
-        if not asked:
-            raise UsageError(
-                f"{self._folder} holds no other speeds: the run was not asked for them. Map the survey again with "
-                "`speeds=(0.5, 1, 2)`"
-            )
-        found = self._variables(MapFile.SPEEDS, speed_bands(tuple(asked)))
-        return import_notebook("xarray").Dataset({variable.name: variable for variable in found}, attrs=self._about)
 
     def heights(self) -> "xarray.DataArray":
         """Open heightmap.tif: the mean height of the points in each pixel, in metres; NaN in pixels without points.
@@ -466,7 +440,7 @@ def map_survey(
     **settings
         Those of ``bumpymap map``, with underscores: ``tile_size`` [m], ``pixels``, ``ground``,
         ``ground_classes``, ``align``, ``rating``,
-        ``compat``, ``vehicle``, ``calibration``, ``speed`` [m/s], ``speeds`` [m/s], ``headings``, ``model``, ``crs``,
+        ``compat``, ``vehicle``, ``calibration``, ``speed`` [m/s], ``headings``, ``model``, ``crs``,
         ``force_crs``, ``xy_unit``, ``z_unit``, ``local``, ``trust_points``, ``skip_bad``, ``max_unknown``,
         ``overwrite``, ``threads``, ``memory``, ``scratch``, ``scheduler``, ``provider``, ``license``; ``features``,
         ``csf`` and ``page`` are dicts, the tables of a settings file.

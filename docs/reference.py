@@ -45,7 +45,7 @@ def _filled(marker: re.Match[str]) -> str:
     if kind == "include":
         return _included(Path(__file__).parent / name)
     if kind == "columns":
-        return _columns(sector_schema() if name == "sectors.parquet" else tile_fields(15, ()))
+        return _columns(sector_schema() if name == "sectors.parquet" else tile_fields(15))
     words = [*name.split(), "--help"] if kind == "help" else ["settings", *name.split()]
     printed = CliRunner().invoke(main, words, prog_name="bumpymap")
     if printed.exit_code:

@@ -4,7 +4,6 @@ import signal
 import subprocess
 import sys
 from contextlib import suppress
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -129,17 +128,6 @@ def dask_scheduler():
 @pytest.fixture(scope="session")
 def cost_map(make_field):
     return make_field(40, 30)
-
-
-@pytest.fixture(scope="session")
-def at_two_speeds(make_field):
-    """A table with the ride at 0.5 and 2 m/s."""
-    from cost_maps import table_of
-
-    field = make_field(12, 10)
-    slow = np.stack([field.c_r, field.c_r, field.c_r / 4], axis=1)
-    motion = np.hstack([slow, 2 * slow]).astype(np.float32)
-    return replace(table_of(replace(field, motion=motion)), speeds=(0.5, 2.0))
 
 
 @pytest.fixture(name="make_map", scope="session")

@@ -1,4 +1,4 @@
-"""The compiled loops: the same bits on every processor, nothing that is copied or converted, no memory made executable."""
+"""The compiled loops: the same bits on every processor, arrays as they come, no memory made executable."""
 
 import ctypes
 import os

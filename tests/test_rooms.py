@@ -26,7 +26,7 @@ ROOMS = {
             *("skimage", "xarray"),
         },
     ),
-    "views": ({"core", "layers"}, {"PIL", "jinja2", "numpy", "open3d", "pyproj", "rosbags", "scipy"}),
+    "views": ({"core", "layers"}, {"PIL", "jinja2", "numpy", "open3d", "pyproj", "rosbags", "scipy", "shapely"}),
     "survey": ({"core", "readers", "patches", "rating", "layers", "views"}, {"numpy"}),
     "scan": (
         {"core", "readers", "patches", "rating", "layers", "views"},
@@ -34,7 +34,7 @@ ROOMS = {
     ),
     "route": ({"core", "rating", "layers", "views"}, {"numpy", "scipy", "skimage", "xarray"}),
     "change": ({"core", "layers", "views"}, {"geopandas", "numpy", "scipy"}),
-    "check": ({"core", "rating", "readers", "layers", "route", "views"}, {"numpy", "scipy"}),
+    "check": ({"core", "rating", "readers", "layers", "route", "views"}, {"numpy", "pyproj", "scipy"}),
     "lab": (
         {"core", "readers", "patches", "rating", "scan"},
         {"dartpy", "numpy", "onnx", "scipy", "sklearn", "torch"},

@@ -231,41 +231,39 @@ def _fit_plane(
         if not (np.abs(values[3:] - whole) <= _STAY * pixel).all():
             whole = np.round(values[3:] / pixel) * pixel
             layers, block = _layers(pair, blocks, cell, whole)
-        sums = _sums(layers, np.concatenate([values[:3], values[3:] - whole]), limit)
-        solved = _solve(sums, names)
+        middle, used, normal, right = _sums(layers, np.concatenate([values[:3], values[3:] - whole]), limit)
+        solved = _solve(normal, right, names)
         if solved is None:
             return None
         rest, inverse = solved
         before, values = values, np.clip(rest + np.concatenate([np.zeros(3), whole]), -_ENDS, _ENDS)
-        settled, limit = np.isfinite(limit), _TRIM * max(_NORMAL_MAD * float(np.median(np.abs(sums.middle))), _FLOOR_M)
+        settled, limit = np.isfinite(limit), _TRIM * max(_NORMAL_MAD * float(np.median(np.abs(middle))), _FLOOR_M)
         if settled and (np.abs(values - before) < _CLOSE).all():
             break
     beyond = whole + pixel * np.sign(rest[3:])
     if (beyond != whole).any():  # gradients of cells are smoother than the ground: what is left is between two moves
         after_it = _layers(pair, blocks, cell, beyond)[0]
-        solved = _solve(_sums(after_it, np.concatenate([values[:3], values[3:] - beyond]), limit), names)
+        solved = _solve(*_sums(after_it, np.concatenate([values[:3], values[3:] - beyond]), limit)[2:], names)
         if solved is not None and (solved[0][3:] * rest[3:] <= 0.0).all():
             apart = rest[3:] - solved[0][3:]
             values[3:] = whole + (beyond - whole) * rest[3:] / np.where(apart == 0.0, 1.0, apart)
-    left = (sums.right - sums.normal @ rest)[:, names]
+    left = (right - normal @ rest)[:, names]
     if block[-1] >= _FEW_BLOCKS:
         left = np.stack([np.bincount(block, weights=one) for one in left.T], axis=1)
     covariance = np.zeros((5, 5))
     covariance[np.ix_(names, names)] = inverse @ (left.T @ left) @ inverse
-    relief = sums.normal[:, 3:, 3:]
+    relief = normal[:, 3:, 3:]
     direction = np.linalg.eigh(relief.sum(axis=0))[1][:, 0]
     common = np.einsum("i,nij,j->n", direction, relief, direction)
-    return _PlaneFit(
-        values, covariance, float(common.sum() / max(np.sqrt((common**2).sum()), 1e-12)), int(sums.used.sum())
-    )
+    return _PlaneFit(values, covariance, float(common.sum() / max(np.sqrt((common**2).sum()), 1e-12)), int(used.sum()))
 
 
-def _solve(sums: "_Sums", names: NDArray[np.int64]) -> tuple[Floats, Floats] | None:
+def _solve(normal: Floats, right: Floats, names: NDArray[np.int64]) -> tuple[Floats, Floats] | None:
     """Return the unknowns (5,), and the inverse of the matrix of those ``names``; None if they are not determined."""
-    matrix, values = sums.normal.sum(axis=0)[np.ix_(names, names)], np.zeros(5)
+    matrix, values = normal.sum(axis=0)[np.ix_(names, names)], np.zeros(5)
     if np.linalg.matrix_rank(matrix, hermitian=True) < len(names):
         return None
-    values[names] = np.linalg.solve(matrix, sums.right.sum(axis=0)[names])
+    values[names] = np.linalg.solve(matrix, right.sum(axis=0)[names])
     return values, np.linalg.inv(matrix)
 
 
@@ -297,20 +295,8 @@ def _layers(pair: SurveyPair, blocks: list[_Block], cell: int, whole: Floats) ->
     return np.concatenate(parts), np.concatenate(numbers)
 
 
-@dataclass(frozen=True, slots=True)
-class _Sums:
-    """Parts of the normal equations, of each tile."""
-
-    middle: Floats
-    """(n,) median residual, m."""
-    used: NDArray[np.bool_]
-    normal: Floats
-    """(n, 5, 5)"""
-    right: Floats
-    """(n, 5)"""
-
-
-def _sums(layers: Floats, at: Floats, limit: float) -> _Sums:
+def _sums(layers: Floats, at: Floats, limit: float) -> tuple[Floats, NDArray[np.bool_], Floats, Floats]:
+    """Return of each tile the median residual, m, whether it counts, and its normal equations: (n, 5, 5), (n, 5)."""
     known = np.asarray(np.isfinite(layers).all(axis=-1))
     layers = np.where(known[:, :, None], layers, 0.0)
     plane = [np.ones_like(layers[:, :, :1]), layers[:, :, :2]]
@@ -324,7 +310,7 @@ def _sums(layers: Floats, at: Floats, limit: float) -> _Sums:
     normal = np.swapaxes(own * weight, 1, 2) @ other
     # Not the residual: its gradient has the noise of the instrument.
     right = (0.5 * (own + other) * weight * layers[:, :, 6:]).sum(axis=1)
-    return _Sums(middle, used, 0.5 * (normal + np.swapaxes(normal, 1, 2)), right)
+    return middle, used, 0.5 * (normal + np.swapaxes(normal, 1, 2)), right
 
 
 def _median(values: Floats) -> Floats:
@@ -445,50 +431,36 @@ _LEAST_OWN = 0.5
 Bands = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
 
 
-@dataclass(frozen=True, slots=True)
-class CommonError:
-    """Error that two maps with one calibration share: it changes no ride cost between them."""
+def common_error(manifest: Mapping[str, Any]) -> tuple[float, float]:
+    """Return the error that two maps with one calibration share, by run.json: it changes no ride cost between them.
 
-    model_error: float = 0.0
-    """Standard deviation of ln C_r by which the ride model may be off; 0 of maps whose intervals do not hold it."""
-    floor: float = 0.0
-    """Ride cost of even ground, rad/m: it is in ``c_r`` in power, but not in the model."""
-
-    @classmethod
-    def of(cls, manifest: Mapping[str, Any]) -> "CommonError":
-        """Read what run.json says of the calibration."""
-        found = (manifest["calibration"].get(name) for name in ("model_error", "floor_radpm"))
-        return cls(*(float(each) if isinstance(each, int | float) and 0.0 <= each < np.inf else 0.0 for each in found))
+    The standard deviation of ln C_r by which the ride model may be off, 0 of maps whose intervals do not hold it; and
+    the ride cost of even ground, rad/m, which is in ``c_r`` in power, but not in the model.
+    """
+    model_error, floor = (manifest["calibration"].get(name) for name in ("model_error", "floor_radpm"))
+    known = (each if isinstance(each, int | float) and 0.0 <= each < np.inf else 0.0 for each in (model_error, floor))
+    first, second = map(float, known)
+    return first, second
 
 
-@dataclass(frozen=True, slots=True)
-class RideChange:
-    """Differences of ln c_r, after minus before; NaN where one of the two is unknown or not positive."""
+def ride_change(before: Bands, after: Bands, common: tuple[float, float] = (0.0, 0.0)) -> tuple[Floats, Floats]:
+    """Return the differences of ln c_r, after minus before, and their combined spread; NaN where one is not known.
 
-    log_ratio: Floats
-    """Any shape."""
-    sd: Floats
-    """Combined spread of both, of the same shape."""
-
-    @classmethod
-    def of(cls, before: Bands, after: Bands, common: CommonError | None = None) -> "RideChange":
-        """Compare ``c_r``, ``c_r_low`` and ``c_r_high`` [rad/m]; the spreads are those of the 80 % intervals of ln c_r.
-
-        ``common``: taken off both spreads.
-        """
-        shared = common or CommonError()
-        with np.errstate(divide="ignore", invalid="ignore"):
-            (first, of_first), (second, of_second) = (_log_and_spread(bands, shared) for bands in (before, after))
-            ratio, sd = second - first, np.hypot(of_first, of_second)
-            known = np.isfinite(ratio / sd)
-        return cls(np.where(known, ratio, np.nan), np.where(known, sd, np.nan))
+    ``before``, ``after``: ``c_r``, ``c_r_low`` and ``c_r_high`` [rad/m], of any shape, whose spreads are those of the
+    80 % intervals of ln c_r; ``common``: of `common_error`, taken off both spreads.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        (first, of_first), (second, of_second) = (_log_and_spread(bands, *common) for bands in (before, after))
+        ratio, sd = second - first, np.hypot(of_first, of_second)
+        known = np.isfinite(ratio / sd)
+    return np.where(known, ratio, np.nan), np.where(known, sd, np.nan)
 
 
-def _log_and_spread(bands: Bands, common: CommonError) -> tuple[Floats, Floats]:
+def _log_and_spread(bands: Bands, model_error: float, floor: float) -> tuple[Floats, Floats]:
     """Return ln c_r and the standard deviation of the survey's own error in it, the mean of both sides."""
     c_r, low, high = (band.astype(np.float64) for band in bands)
     middle = np.log(c_r)
-    shared = common.model_error * np.clip(1.0 - (common.floor / c_r) ** 2, 0.0, 1.0)
+    shared = model_error * np.clip(1.0 - (floor / c_r) ** 2, 0.0, 1.0)
     sides = ((middle - np.log(low)) / NORMAL_80, (np.log(high) - middle) / NORMAL_80)
     below, above = (np.sqrt(np.maximum(side**2 - shared**2, (_LEAST_OWN * side) ** 2)) for side in sides)
     return middle, 0.5 * (below + above)
@@ -531,7 +503,10 @@ def compare_heights(difference: Floats) -> GroundChange:
         level, form = _cut_off(values), _cut_off(values - middle)
         form -= np.nanmean(form, axis=(1, 2))[:, None, None]
     sums = np.nansum(level, axis=(1, 2)), np.nansum(level * level, axis=(1, 2))
-    height, shape = _student(_ratio(*sums), count), _ratio(*_products(form))
+    ratio, n = _ratio(*sums), np.maximum(count, 2)
+    # Student's t follows from sum over root of the sum of squares, and has a normal equivalent.
+    t = np.minimum(np.abs(ratio) * np.sqrt((n - 1) / np.maximum(n - ratio**2, _EXACT * n)), _MOST_T)
+    height, shape = -np.sign(ratio) * ndtri(stdtr(n - 1, -t)), _ratio(*_products(form))
     return GroundChange(*(np.where(enough, found, np.nan) for found in (mean, _largest(values), height, shape)))
 
 
@@ -565,13 +540,6 @@ def _products(form: Floats) -> tuple[Floats, Floats]:
     return total, square
 
 
-def _student(ratio: Floats, count: NDArray[np.int64]) -> Floats:
-    """Return the normal equivalent of Student's t, which follows from sum over root of the sum of squares."""
-    n = np.maximum(count, 2)
-    t = np.minimum(np.abs(ratio) * np.sqrt((n - 1) / np.maximum(n - ratio**2, _EXACT * n)), _MOST_T)
-    return np.asarray(-np.sign(ratio) * ndtri(stdtr(n - 1, -t)))
-
-
 def _ratio(total: Floats, square: Floats) -> Floats:
     """Return sum over root of the sum of squares; 0 where nothing differs."""
     return np.asarray(total / np.sqrt(np.where(square > 0.0, square, 1.0)))
@@ -598,11 +566,11 @@ class Decision:
     """Spread of each z over the expected one: at least 1, of the ride cost at least one half."""
 
 
-def decide(ground: GroundChange, ride: RideChange, fdr: float) -> Decision:
+def decide(ground: GroundChange, ride: tuple[Floats, Floats], fdr: float) -> Decision:
     """Find the tiles that have changed.
 
-    ``ground``, ``ride``: of all tiles, (rows, cols); ``fdr``: share of false discoveries, for the ground and again for
-    the ride.
+    ``ground``, ``ride``: of all tiles, (rows, cols), from `ground_changes` and `ride_change`; ``fdr``: share of false
+    discoveries, for the ground and again for the ride.
     """
     widened = {"height": widening(ground.z_height), "shape": widening(ground.z_shape)}
     height = ground.z_height / widened["height"]
@@ -612,13 +580,14 @@ def decide(ground: GroundChange, ride: RideChange, fdr: float) -> Decision:
     shape = (ground.z_shape - common) / widened["shape"]
     of_ground = np.minimum(1.0, 2.0 * np.fmin(two_sided(height), stdtr(_FREEDOM, -shape)))
     moved = hold_false_discoveries(of_ground, fdr)
-    z = ride.log_ratio / ride.sd
+    log_ratio, sd = ride
+    z = log_ratio / sd
     still = np.abs(z[np.isfinite(z) & np.isfinite(of_ground) & ~moved])
     usual = _NORMAL_MAD * float(np.median(still)) if len(still) else 1.0
     widened["c_r"] = max(usual, 1.0 if len(still) < _FEW else _LEAST_OWN)
     z = z / widened["c_r"]
     rides = hold_false_discoveries(np.where(moved, two_sided(z), np.nan), fdr)
-    bounded = np.abs(ride.log_ratio) + NORMAL_80 * widened["c_r"] * ride.sd <= np.log(SAME_RIDE)
+    bounded = np.abs(log_ratio) + NORMAL_80 * widened["c_r"] * sd <= np.log(SAME_RIDE)
     code = np.where(moved, np.where(bounded, _AS_BEFORE, _OPEN), 0).astype(np.float64)
     code[moved & np.isnan(z)] = _UNKNOWN
     code[rides] = np.where(z[rides] > 0.0, _ROUGHER, _SMOOTHER)

@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 
 from bumpymap.change.compare import (
     NOT_REGISTERED,
-    CommonError,
     Decision,
     GroundChange,
     Registration,
-    RideChange,
     cell_pixels,
+    common_error,
     decide,
     ground_changes,
     height_offset,
     register,
+    ride_change,
 )
 from bumpymap.change.settings import DiffConfig
 from bumpymap.core import (
@@ -267,9 +267,9 @@ def find_changes(config: DiffConfig, progress: Progress | None = None) -> Change
     taken = offset if config.offset is None else config.offset
     ground = ground_changes(pair, cell, 0.0 if np.isnan(taken) else taken, found)
     # Both have one calibration, or they could not be compared; one may say nothing of its error.
-    first, second = (CommonError.of(site.manifest) for site in (pair.before, pair.after))
+    first, second = (common_error(site.manifest) for site in (pair.before, pair.after))
     before, after = ((side.c_r, side.c_r_low, side.c_r_high) for side in surveys)
-    ride = RideChange.of(before, after, first if first == second else CommonError())
+    ride = ride_change(before, after, first if first == second else (0.0, 0.0))
     decision = decide(ground, ride, config.fdr)
     field, dropped = _field(pair, surveys, ground, decision, config.min_tiles)
     fit = _fit(pair, surveys, shared, decision) | {

@@ -75,7 +75,18 @@ def even_imu(imu: ImuTrack, name: str, band_hz: float) -> EvenImu:
         )
     step = float(np.median(np.diff(time)))
     hertz = 1.0 / step
-    _refuse_unfit(rate, name, hertz, band_hz)
+    if hertz < _RATE_TO_BAND * band_hz * 0.99:
+        raise BadInputError(
+            f"{name}: the IMU gives {hertz:.3g} samples per second, and a band of {band_hz:g} Hz needs at least "
+            f"{_RATE_TO_BAND * band_hz:g}. Record it faster, or set `band_hz` to {hertz / _RATE_TO_BAND:.2g} or less: "
+            "C_r then leaves out faster shaking and reads low"
+        )
+    most = float(np.quantile(np.abs(rate), 0.999))
+    if most > _MOST_RADPS:
+        raise BadInputError(
+            f"{name}: angular rates reach {most:.3g} rad/s, which no ground vehicle does. If they are in degrees per "
+            "second, say so with `columns`"
+        )
     grid = time[0] + step * np.arange(round((time[-1] - time[0]) / step) + 1)
     known = np.zeros(len(grid), np.bool_)
     has_force = bool(np.isfinite(force).all(axis=1).mean() > 0.5)
@@ -90,21 +101,6 @@ def even_imu(imu: ImuTrack, name: str, band_hz: float) -> EvenImu:
             f"{name}: no {_LEAST_PIECE_S:g} s without a gap in the angular rates. Record the IMU without losses"
         )
     return EvenImu(grid, even[:, :3], even[:, 3:] if has_force else np.full((len(grid), 3), np.nan), known, hertz)
-
-
-def _refuse_unfit(rate: Floats, name: str, hertz: float, band_hz: float) -> None:
-    if hertz < _RATE_TO_BAND * band_hz * 0.99:
-        raise BadInputError(
-            f"{name}: the IMU gives {hertz:.3g} samples per second, and a band of {band_hz:g} Hz needs at least "
-            f"{_RATE_TO_BAND * band_hz:g}. Record it faster, or set `band_hz` to {hertz / _RATE_TO_BAND:.2g} or less: "
-            "C_r then leaves out faster shaking and reads low"
-        )
-    most = float(np.quantile(np.abs(rate), 0.999))
-    if most > _MOST_RADPS:
-        raise BadInputError(
-            f"{name}: angular rates reach {most:.3g} rad/s, which no ground vehicle does. If they are in degrees per "
-            "second, say so with `columns`"
-        )
 
 
 def _whole_pieces(time: Floats, step: float) -> Iterator[slice]:
@@ -220,23 +216,13 @@ _LEAST_TURN = 0.5
 """Turning below which the unit is not judged, rad (chosen)."""
 
 
-@dataclass(frozen=True, slots=True)
-class ClockFit:
-    """A first estimate of the offset of the clocks and of the heading."""
+def fit_clock(places: MetrePlaces, time: Floats, heading: Floats, name: str) -> tuple[float, bool, float]:
+    """Estimate the offset of the clocks by the heading.
 
-    offset_s: float
-    """Time to add to the times of the positions, s; 0 if it cannot be determined."""
-    sure: bool
-    """True if it could be determined."""
-    heading_0: float
-    """Angle to add to the heading of the gyroscope for that of the positions (east is 0), rad."""
-
-
-def fit_clock(places: MetrePlaces, time: Floats, heading: Floats, name: str) -> ClockFit:
-    """Estimate the offset by the heading.
-
-    ``time``, ``heading`` (n,): of the gyroscope, s and rad; ``name``: of the drive, for messages. Raises BadInputError:
-    positions and sensor have no time in common.
+    ``time``, ``heading`` (n,): of the gyroscope, s and rad; ``name``: of the drive, for messages. Returns the time to
+    add to the times of the positions, s, 0 if it cannot be determined; whether it could; and the angle to add to the
+    heading of the gyroscope for that of the positions (east is 0), rad. Raises BadInputError: positions and sensor have
+    no time in common.
     """
     first, last = max(time[0], places.time[0]), min(time[-1], places.time[-1])
     if last - first < _LEAST_SECONDS:
@@ -249,18 +235,22 @@ def fit_clock(places: MetrePlaces, time: Floats, heading: Floats, name: str) -> 
     speed = gaussian_filter1d(np.abs(velocity), 1.0 / _STEP_S)
     use = known & (speed > _SLOW_MPS)
     if use.sum() * _STEP_S < _LEAST_SECONDS:
-        return ClockFit(0.0, sure=False, heading_0=0.0)
+        return 0.0, False, 0.0
     group = ((even - first) // _WINDOW_S).astype(np.int64)
-    offsets = np.arange(-_REACH_S, _REACH_S + 1e-9, 0.1)
+    offsets = np.arange(-_REACH_S, _REACH_S + 1e-9, _STEP_S)
     explained = np.array(
         [_explained(velocity * use, _steps(even, offset, time, heading, speed), group) for offset in offsets]
     )
     best = int(np.argmax(explained))
     sure = 0 < best < len(offsets) - 1 and _stands_out(explained, float((np.abs(velocity[use]) ** 2).sum()))
-    offset = _peak(offsets, explained, best) if sure else 0.0
+    offset = 0.0
+    if sure:  # the top of the parabola through the best offset and its neighbours
+        below, top, above = explained[best - 1 : best + 2]
+        bend = below - 2.0 * top + above
+        offset = float(offsets[best] + (0.5 * (below - above) / bend if bend < 0 else 0.0) * _STEP_S)
     unit = _steps(even, offset, time, heading, speed)
     turn = float(np.angle((velocity * use * unit.conj())[group == group[use][0]].sum()))
-    return ClockFit(offset, sure, turn)
+    return offset, sure, turn
 
 
 def _steps(even: Floats, offset: float, time: Floats, heading: Floats, speed: Floats) -> Complexes:
@@ -284,15 +274,7 @@ def _stands_out(explained: Floats, power: float) -> bool:
     return bool(min(left[0], left[-1]) - left[best] > 0.05 * max(left[best], 1e-3 * power))
 
 
-def _peak(offsets: Floats, explained: Floats, best: int) -> float:
-    """Return the top of the parabola through the best offset and its neighbours."""
-    below, top, above = explained[best - 1 : best + 2]
-    bend = below - 2.0 * top + above
-    shift = 0.5 * (below - above) / bend if bend < 0 else 0.0
-    return float(offsets[best] + shift * (offsets[1] - offsets[0]))
-
-
-def refuse_wrong_unit(places: MetrePlaces, clock: ClockFit, time: Floats, heading: Floats, name: str) -> None:
+def refuse_wrong_unit(places: MetrePlaces, offset_s: float, time: Floats, heading: Floats, name: str) -> None:
     """Refuse a drive whose gyroscope turns in another unit than its course does.
 
     Raises BadInputError: the turning of both differs by a factor that only a wrong unit explains.
@@ -303,7 +285,7 @@ def refuse_wrong_unit(places: MetrePlaces, clock: ClockFit, time: Floats, headin
     lag = round(3.0 / _STEP_S)
     both = use[lag:] & use[:-lag]
     course = np.angle(velocity[lag:] * velocity[:-lag].conj())[both]
-    gyro = np.interp(even + clock.offset_s, time, heading)
+    gyro = np.interp(even + offset_s, time, heading)
     turn = (gyro[lag:] - gyro[:-lag])[both]
     if not len(turn):
         return

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from bumpymap.check.inertial import (
-    ClockFit,
     DrivenMotion,
     EvenImu,
     Mounting,
@@ -114,49 +113,39 @@ _MOST_ERROR_MPS = 0.3
 """Largest error of the speed by positions that is assumed, m/s (chosen)."""
 
 
-@dataclass(frozen=True, slots=True)
-class RoughSpeed:
-    """How fast the vehicle may have moved, before its way is known."""
+def rough_speed(imu: EvenImu, places: MetrePlaces | None, wheels: WheelTrack | None) -> tuple[Floats, float, bool]:
+    """Return a rough speed, from wheels if their speed is known, else from positions, before the way is known.
 
-    value: Floats
-    """(n,) at the samples of the IMU, m/s; NaN where not known. Of wheels, that of the faster side."""
-    slow: float
-    """A vehicle that is slower may stand, m/s."""
-    sure: bool = False
-    """By wheels: a vehicle that is slower stands unless it shakes."""
-
-
-def rough_speed(imu: EvenImu, places: MetrePlaces | None, wheels: WheelTrack | None) -> RoughSpeed:
-    """Return a rough speed, from wheels if their speed is known, else from positions."""
+    First at the samples of the IMU, (n,) m/s; NaN where not known; of wheels, that of the faster side. Second the speed
+    below which a vehicle may stand, m/s. Third whether it is by wheels: what is slower stands unless it shakes.
+    """
     if wheels is not None and np.isfinite(wheels.speed).sum() > 1:
         good = np.isfinite(wheels.speed)
         faster = np.abs(wheels.speed[good]) + 0.5 * np.abs(np.nan_to_num(wheels.difference[good]))
-        return RoughSpeed(
-            np.interp(imu.time, wheels.time[good], faster, left=np.nan, right=np.nan), _TURNING_MPS, sure=True
-        )
+        return np.interp(imu.time, wheels.time[good], faster, left=np.nan, right=np.nan), _TURNING_MPS, True
     if places is None:
-        return RoughSpeed(np.full(len(imu.time), np.nan), _SLOW_MPS)
+        return np.full(len(imu.time), np.nan), _SLOW_MPS, False
     even = np.arange(imu.time[0], imu.time[-1], 0.1)
     velocity, known = smooth_velocity(places, even, 1.0)
     speed = np.where(known, np.abs(velocity), np.nan)
     still = speed[np.isfinite(speed)]
     error = min(float(np.quantile(still, 0.02)) if len(still) else 0.0, _MOST_ERROR_MPS)
-    return RoughSpeed(np.interp(imu.time, even, speed), _SLOW_MPS + 2.0 * error)
+    return np.interp(imu.time, even, speed), _SLOW_MPS + 2.0 * error, False
 
 
-def find_standing(imu: EvenImu, speed: RoughSpeed, band_hz: float) -> Mask:
-    """Return when the vehicle stood still."""
+def find_standing(imu: EvenImu, rough: tuple[Floats, float, bool], band_hz: float) -> Mask:
+    """Return when the vehicle stood still; ``rough`` is from `rough_speed`."""
+    speed, slowest, sure = rough
     rate = low_pass(imu.rate, imu.known, imu.hertz, band_hz)
     samples = round(_WINDOW_S * imu.hertz)
     mean = rolling_mean(rate, samples)
     spread = np.sqrt(np.maximum(rolling_mean(rate**2, samples) - mean**2, 0.0).sum(axis=1))
-    slow = ~(speed.value > speed.slow)
-    known = imu.known & slow
+    known = imu.known & ~(speed > slowest)
     if not known.any():
         return np.zeros_like(known)
-    moving = speed.value > 2.0 * speed.slow
-    usual = float(np.median(spread[imu.known & moving])) if (imu.known & moving).any() else np.inf
-    limit = min(_QUIET * float(np.quantile(spread[known], 0.02)), np.inf if speed.sure else _QUIET_SHARE * usual)
+    moving = imu.known & (speed > 2.0 * slowest)
+    usual = float(np.median(spread[moving])) if moving.any() else np.inf
+    limit = min(_QUIET * float(np.quantile(spread[known], 0.02)), np.inf if sure else _QUIET_SHARE * usual)
     quiet = known & (spread <= max(limit, _SILENT_RADPS))
     standing = np.zeros_like(known)
     margin = round(_MARGIN_S * imu.hertz)
@@ -207,7 +196,8 @@ class _Rates:
     rate: Floats
     attitude: Rotation
     heading: Floats
-    clock: ClockFit
+    clock: tuple[float, bool, float]
+    """From `fit_clock`."""
     force: NDArray[np.complex128] | None
     """Acceleration along the sensor's levelled axes, m/s2."""
 
@@ -228,7 +218,8 @@ def measure_drive(
     imu = even_imu(log.imu, log.name, band_hz)
     notes: list[str] = []
     rates = _rates(log, imu, places, band_hz)
-    start = TrackStart(rates.clock.offset_s, rates.clock.heading_0, rates.force, rough=imu.has_force)
+    offset_s, is_sure, heading_0 = rates.clock
+    start = TrackStart(offset_s, heading_0, rates.force, rough=imu.has_force)
     track = fit_track(imu, rates.heading, rates.standing, places, log.wheels, start)
     speed, step = np.abs(track.speed), track.time[1] - track.time[0]
     if float(speed[speed > _LEAST_SPEED_MPS].sum() * step) < _LEAST_WAY_M:
@@ -251,7 +242,7 @@ def measure_drive(
         )
     rotation = Rotation.identity() if mounting is None else mounting.rotation
     vehicle = low_pass(rotation.apply(rates.rate), imu.known, imu.hertz, band_hz)
-    sure = rates.clock.sure or track.offset_sd_s < _SURE_OFFSET_S
+    sure = is_sure or track.offset_sd_s < _SURE_OFFSET_S
     driven_m = float(np.abs(track.speed).sum()) * (track.time[1] - track.time[0])
     reported = places is not None and sure and track.offset_sd_s < _UNSURE_OFFSET_S and driven_m > _LEAST_CLOCK_M
     return DriveMeasure(
@@ -282,10 +273,10 @@ def _rates(log: DriveLog, imu: EvenImu, places: MetrePlaces | None, band_hz: flo
     attitude = turned(rate, imu.hertz)
     up = upward_in_sensor(imu, attitude) if imu.has_force else attitude.inv().apply(np.tile(upward, (len(rate), 1)))
     heading = heading_of(attitude, up)
-    clock = ClockFit(0.0, sure=False, heading_0=0.0)
+    clock = 0.0, False, 0.0
     if places is not None:
         clock = fit_clock(places, imu.time, heading, log.name)
-        refuse_wrong_unit(places, clock, imu.time, heading, log.name)
+        refuse_wrong_unit(places, clock[0], imu.time, heading, log.name)
     force = level_force(imu, levelling(up.mean(axis=0)), up) if imu.has_force else None
     return _Rates(standing, rate, attitude, heading, clock, force)
 

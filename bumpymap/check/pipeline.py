@@ -332,7 +332,6 @@ def _usable(steps: Iterable[tuple[str, Callable[[], Found]]], skipped: dict[str,
 
 
 def _field(site: MapReader, placed: list[MetrePlaces | None]) -> TileField:
-    """Read the part of a map that was driven."""
     parts = [_on_map(places, site) for places in placed if places is not None]
     easting, northing = (np.concatenate([part[axis] for part in parts]) for axis in (0, 1))
     return site.read(window_around(site, easting, northing, _MARGIN_M), ("c_r", "c_r_low", "c_r_high"))
@@ -346,7 +345,6 @@ def _measured(
     field: TileField | None,
     vehicle: LineVehicle | None = None,
 ) -> _Done:
-    """Measure one drive, cut it, and read the map along it."""
     slope_at = None
     if site is not None and places is not None:
         slope_at = read_slopes(site, window_around(site, *_on_map(places, site), _MARGIN_M))
@@ -376,8 +374,11 @@ def _on_map(places: MetrePlaces, site: MapReader) -> tuple[Floats, Floats]:
 
 
 def _compared(done: list[_Done], site: MapReader | None) -> CheckResult:
-    """Compare all drives with the map."""
-    ground = None if site is None else _ground(site)
+    ground = None
+    if site is not None:
+        first, second, third = class_limits(site.manifest)
+        about = site.vehicle.name, site.calibration_id, site.vehicle.speed_mps
+        ground = CheckedMap(site.manifest["survey"]["name"], site.folder, *about, (first, second, third))
     limits = [np.inf] * 3 if ground is None else [*ground.class_limits]
     stretches = _stretches(done, limits, [one.reading for one in done])
     drives = tuple(_checked(one) for one in done)
@@ -404,18 +405,6 @@ def _compared(done: list[_Done], site: MapReader | None) -> CheckResult:
         warnings=tuple(map_warnings(ground, speeds, of_lines or agreement)),
         by_line=by_line,
         agreement_by_line=of_lines,
-    )
-
-
-def _ground(site: MapReader) -> CheckedMap:
-    first, second, third = class_limits(site.manifest)
-    return CheckedMap(
-        name=site.manifest["survey"]["name"],
-        folder=site.folder,
-        vehicle=site.vehicle.name,
-        calibration_id=site.calibration_id,
-        speed_mps=site.vehicle.speed_mps,
-        class_limits=(first, second, third),
     )
 
 
@@ -448,7 +437,6 @@ def _classes(values: Floats, edges: list[float]) -> NDArray[np.uint8]:
 
 
 def _checked(one: _Done) -> CheckedDrive:
-    """Return what was found about a drive and its sensors."""
     drive, cut, log = one.drive, one.cut, one.log
     same = ("band_hz", "clock_offset_s", "clock_offset_sd_s", "clock_drift_ppm", "mount_deg", "floor_radps")
     lost = left_out(drive, cut)

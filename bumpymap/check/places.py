@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from pyproj import CRS, Transformer
 from scipy.ndimage import gaussian_filter, gaussian_filter1d, map_coordinates
 
 from bumpymap.core import BadInputError, DriveLog, PlaceTrack, describe_crs
@@ -26,8 +27,6 @@ _CORRELATION_S = 60.0
 """Time over which errors of a receiver wander, where it does not say how large they are, s (chosen)."""
 _NORMAL_MAD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
-_EQUATOR_M, _ECCENTRICITY2 = 6378137.0, 0.00669437999014
-"""Semi-major axis, m, and first eccentricity squared of WGS 84 (EPSG:7030)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,11 +88,9 @@ def local_metres(longitude: Floats, latitude: Floats) -> tuple[Floats, Floats]:
 
     ``longitude``, ``latitude`` (m,): WGS 84, degrees.
     """
-    lon, lat = np.radians(longitude), np.radians(latitude)
-    lon_0, lat_0 = np.nanmedian(lon), np.nanmedian(lat)
-    w = 1.0 - _ECCENTRICITY2 * np.sin(lat_0) ** 2
-    meridian, normal = _EQUATOR_M * (1.0 - _ECCENTRICITY2) / w**1.5, _EQUATOR_M / np.sqrt(w)
-    return (lon - lon_0) * normal * np.cos(lat_0), (lat - lat_0) * meridian
+    middle = CRS.from_dict({"proj": "aeqd", "lon_0": np.nanmedian(longitude), "lat_0": np.nanmedian(latitude)})
+    easting, northing = Transformer.from_crs("OGC:CRS84", middle, always_xy=True).transform(longitude, latitude)
+    return np.asarray(easting), np.asarray(northing)
 
 
 def near_place(time: Floats, places: MetrePlaces) -> NDArray[np.bool_]:

@@ -170,7 +170,10 @@ def read_along(drive: DriveMeasure, cut: WayStretch, field: TileField) -> MapRea
     node, weights = np.polynomial.hermite_e.hermegauss(5)
     label, way, tile = _steps(drive, cut, field, node)
     places = np.outer(weights, weights).ravel() / weights.sum() ** 2  # their probabilities
-    c_r, down, up = _spreads(field)
+    c_r, low, high = (part.ravel().astype(np.float64) for part in (field.c_r, field.c_r_low, field.c_r_high))
+    with np.errstate(divide="ignore", invalid="ignore"):  # standard deviations of ln c_r, by the intervals
+        down, up = np.log(c_r / low) / NORMAL_80, np.log(high / c_r) / NORMAL_80
+    down, up = (np.where(np.isfinite(part), np.maximum(part, 0.0), 0.0) for part in (down, up))
     known = (tile >= 0) & np.isfinite(c_r[tile])
     passable = known & (field.barred.ravel()[tile] == Barred.NO)
     # The vehicle drove here, so it was not on barred ground beside; where the map bars all, it is wrong about that.
@@ -289,15 +292,6 @@ def _steps(drive: DriveMeasure, cut: WayStretch, field: TileField, node: Floats)
     sd = drive.track.place_sd(drive.time[middle])[:, None]
     tile = tile_numbers(field, drive.easting[middle, None] + sd * east, drive.northing[middle, None] + sd * north)
     return cut.label[middle], way[keep], tile
-
-
-def _spreads(field: TileField) -> tuple[Floats, Floats, Floats]:
-    """Return c_r of all tiles and the standard deviations of ln c_r downwards and upwards, by their intervals."""
-    c_r, low, high = (part.ravel().astype(np.float64) for part in (field.c_r, field.c_r_low, field.c_r_high))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        down, up = np.log(c_r / low) / NORMAL_80, np.log(high / c_r) / NORMAL_80
-    down, up = (np.where(np.isfinite(part), np.maximum(part, 0.0), 0.0) for part in (down, up))
-    return c_r, down, up
 
 
 def _joint(stretch: Integers, tile: Integers, weight: Floats, sd: Floats, count: int) -> Floats:

@@ -232,6 +232,7 @@ from .settings import (
     settings_with_options as settings_with_options,
     short_names as short_names,
     short_repr as short_repr,
+    unknown_text as unknown_text,
 )
 from .shared_kernels import (
     NO_PLANE as NO_PLANE,
@@ -278,7 +279,6 @@ from .types import (
     SIDES as SIDES,
     SOLID as SOLID,
     SPANNED_POINTS as SPANNED_POINTS,
-    SPEED_BANDS as SPEED_BANDS,
     STEEP as STEEP,
     STEP_EDGE as STEP_EDGE,
     TEXTURES as TEXTURES,
@@ -305,6 +305,5 @@ from .types import (
     obstacle_reach as obstacle_reach,
     photo_column as photo_column,
     rated_columns as rated_columns,
-    speed_bands as speed_bands,
     tile_columns as tile_columns,
 )

@@ -26,8 +26,6 @@ DECK_CLASS = 17
 """The one that hides the ground beneath."""
 ScanMethod = Literal["filter", "learned"]
 
-_MOST_SPEEDS = 16
-"""Rated speeds of one map at most: each is a band."""
 _MOST_SECTORS = 32_767
 """Cells of a polar grid: sectors and rings are counted in 16 bits, and each takes some kilobytes."""
 _MOST_GRID_CELLS = 4_000_000
@@ -170,11 +168,6 @@ class MapConfig:
         float | None, Setting("Rated speed, m/s", "SPEED", 0.01, 100.0, "m/s", default="the vehicle's", group="Vehicle")
     ] = None
     """Speed that the ride is rated at, m/s; None: that of the vehicle's profile."""
-    speeds: Annotated[
-        tuple[float, ...] | None,
-        Setting("Write pitch, roll and a_w at these speeds, in m/s", "LIST", 0.01, 100.0, "m/s", rare=True),
-    ] = None
-    """Speeds, m/s, at which c_r, c_roll and a_w are computed too, in speeds.tif; None: it is not written."""
     headings: Annotated[bool, Setting("Write the ride cost by heading, for routes that know direction", rare=True)] = (
         False
     )
@@ -231,7 +224,7 @@ class MapConfig:
 
     def __post_init__(self) -> None:
         check_settings(self)
-        self._check_speeds()
+        self._check_rating()
         if not re.fullmatch(r"[\w.+-]*", self.license, re.ASCII):
             raise UsageError(f"`license` is {self.license!r}; give an SPDX identifier such as CC-BY-4.0, or 'other'")
 
@@ -247,19 +240,9 @@ class MapConfig:
         """True if tiles are rated by the ride model: then those with few points are rated from their points."""
         return self.rating == "ride" and self.compat == "none"
 
-    def _check_speeds(self) -> None:
-        """Raise UsageError if the speeds are no list of different speeds, or the rating cannot tell them."""
-        if (
-            self.speeds is not None
-            and not 0 < len({f"{speed:g}" for speed in self.speeds}) == len(self.speeds) <= _MOST_SPEEDS
-        ):
-            raise UsageError(
-                f"`speeds` is {', '.join(map(str, self.speeds)) or 'empty'}; give 1 to {_MOST_SPEEDS} different speeds "
-                "in m/s"
-            )
-        given = next(
-            (name for name in ("speed", "speeds", "headings") if getattr(self, name) not in (None, False)), None
-        )
+    def _check_rating(self) -> None:
+        """Raise UsageError if a speed or headings are asked of a rating that knows none."""
+        given = next((name for name in ("speed", "headings") if getattr(self, name) not in (None, False)), None)
         if given and not self.by_ride:
             name, value = ("rating", self.rating) if self.compat == "none" else ("compat", self.compat)
             known = "heading" if given == "headings" else "speed"

@@ -454,15 +454,22 @@ def settings_of_call(
 def refuse_unknown(given: Iterable[str], known: Collection[str], function: str) -> None:
     """Raise UsageError if a Python call names a setting that is not there."""
     if unknown := [name for name in given if name not in known]:
-        raise UsageError(f"{function}: {_unknown_text(unknown, known)}")
+        raise UsageError(f"{function}: {unknown_text(unknown, known)}")
 
 
-def _unknown_text(unknown: list[str], known: Collection[str]) -> str:
+_GONE = {"speeds": "a map has one speed: give `speed=2`, and map again, into another folder, for each other one"}
+"""Settings of earlier versions -> what to give instead."""
+
+
+def unknown_text(unknown: list[str], known: Collection[str], kind: str = "setting") -> str:
+    """Return what is wrong with names that are not known, and what to give instead; ``kind``: what they are of."""
     from difflib import get_close_matches
 
+    if gone := [name for name in unknown if name in _GONE]:
+        return f"there is no {kind} {gone[0]} any more: {_GONE[gone[0]]}"
     near = get_close_matches(unknown[0][:_LONGEST_NAME], known, 1)
     meant = f". Did you mean {near[0]}?" if near else ""
-    return f"unknown setting {short_names(unknown)}; there are: {', '.join(known)}{meant}"
+    return f"unknown {kind} {short_names(unknown)}; there are: {', '.join(known)}{meant}"
 
 
 def path_of_call(name: str, place: str | os.PathLike[str]) -> str:
@@ -542,7 +549,7 @@ class _Parser:
         unknown = sorted(set(record) - set(known))
         if unknown:
             where = f"[{table}]: " if table else ""
-            self.faults.append(f"{where}{_unknown_text(unknown, known)}")
+            self.faults.append(f"{where}{unknown_text(unknown, known)}")
         arguments = {}
         for name, each in known.items():
             full = f"{table}.{name}" if table else name

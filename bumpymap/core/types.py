@@ -419,9 +419,6 @@ class CostMap:
     """(n,) side of the narrowest standing object that would have shown with 95 %, m."""
     thin: NDArray[np.float32] | None = None
     """(n, 20) what the rating of thin tiles needs, see `bumpymap.rating.thin_columns`; None if they are not rated."""
-    motion: NDArray[np.float32] | None = None
-    """(n, 3 k) for each of k speeds: c_r, c_roll and a_w [m/s2] over this c_r [rad/m]; None if no speed is asked
-    for."""
     headings: NDArray[np.float32] | None = None
     """(n, 8) C_r along each of ``AXES_DEG`` over this c_r; None if it is not asked for."""
 
@@ -441,8 +438,7 @@ class CostMap:
         unseen = np.full(tiles, np.nan, np.float32)
         seen = {name: getattr(self, name) for name in ("all_density", "smallest_object")}
         own |= {name: unseen if values is None else values for name, values in seen.items()}
-        more = {"motion": self.motion, "headings": self.headings}
-        own |= {name: values for name, values in more.items() if values is not None}
+        own |= {} if self.headings is None else {"headings": self.headings}
         names = [column.name for column in rated_columns(self.patches.grid.pixels) if column.name not in own]
         return {name: self.band(name) for name in names} | own
 
@@ -456,8 +452,6 @@ class CostTable:
     """Rule by which tiles are passable, and their cost."""
     tiles: TileTable
     """Columns of `tile_columns`."""
-    speeds: tuple[float, ...] = ()
-    """Speeds besides that of the map, m/s."""
     has_photo: bool = False
     """True if the tiles have the column of `photo_column`, and enough points have a colour."""
 
@@ -467,10 +461,10 @@ def photo_column(pixels: int) -> Column:
     return Column("photo", "|u1", (pixels, pixels, 3))
 
 
-def rated_columns(pixels: int, speeds: int = 0, *, headings: bool = False) -> tuple[Column, ...]:
+def rated_columns(pixels: int, *, headings: bool = False) -> tuple[Column, ...]:
     """Return the columns of a tile rated by itself, named as in `PatchStack`, `CostMap` and `ObjectStack`.
 
-    ``speeds`` is the number of speeds besides that of the map; with ``headings``, the ride by heading is among them.
+    With ``headings``, the ride by heading is among them.
     """
     floats = ("z_min", "z_max", "z_variance", "ransac_residual", "slope", "z_range", "density", "coverage", "relief")
     singles = ("c_r", "c_r_low", "c_r_high", "p_fail", "confidence")
@@ -485,21 +479,15 @@ def rated_columns(pixels: int, speeds: int = 0, *, headings: bool = False) -> tu
         *(Column(name, "<f4") for name in ("all_density", "smallest_object")),
         Column("objects", "|u1", (pixels, pixels)),
         Column("thin", "<f4", (THIN_MEASURES,)),
-        *_asked_columns(speeds, headings),
+        *((_HEADINGS,) if headings else ()),
     )
-
-
-def _asked_columns(speeds: int, headings: bool) -> tuple[Column, ...]:
-    """Return the columns of what is felt at other speeds and by heading, as far as they are asked for."""
-    motion = (Column("motion", "<f4", (len(SPEED_BANDS) * speeds,)),) if speeds else ()
-    return (*motion, *((Column("headings", "<f4", (len(AXES_DEG),)),) if headings else ()))
 
 
 SEEN_COLUMNS = ("all_density", "smallest_object", "smallest_step")
 """Columns of what the survey of a tile would have shown, as `SeenSizes` has them."""
 
 
-def neighbour_columns(pixels: int, speeds: int = 0, *, headings: bool = False) -> tuple[Column, ...]:
+def neighbour_columns(pixels: int, *, headings: bool = False) -> tuple[Column, ...]:
     """Return the columns that depend on the neighbours of a tile; rating and objects are among them: they may change.
 
     ``edge_step`` [m] is the highest of the steps at the four sides, ``step_north`` to ``step_west`` [m]; NaN where
@@ -507,8 +495,7 @@ def neighbour_columns(pixels: int, speeds: int = 0, *, headings: bool = False) -
     ``p_fail_open`` are those of the ground beside the steps that close a part of it; else NaN. ``all_density``,
     ``smallest_object`` and ``smallest_step`` [m] say what would have shown; NaN in unknown tiles. ``barred`` is a
     `Barred`; ``passable`` is 1 or 0. ``passage`` numbers the areas of a tile in which the middle of the vehicle can
-    move, from 1, the largest; 0 where it cannot be. ``motion`` holds the values of `speed_bands`, of ``speeds``
-    speeds; ``headings`` that of `HEADING_BANDS`.
+    move, from 1, the largest; 0 where it cannot be. ``headings`` holds the values of `HEADING_BANDS`.
     """
     objects = ("obstacle", "obstacle_height", "clearance")
     singles = (
@@ -529,15 +516,15 @@ def neighbour_columns(pixels: int, speeds: int = 0, *, headings: bool = False) -
         *(Column(name, "<f4") for name in (*singles, *(f"step_{side}" for side in SIDES))),
         Column("objects", "|u1", (pixels, pixels)),
         Column("passage", "|u1", (pixels, pixels)),
-        *_asked_columns(speeds, headings),
+        *((_HEADINGS,) if headings else ()),
     )
 
 
-def tile_columns(pixels: int, speeds: int = 0) -> tuple[Column, ...]:
-    """Return all columns of a finished tile, with those of ``speeds`` speeds; without the ride by heading."""
-    own = rated_columns(pixels, speeds)
+def tile_columns(pixels: int) -> tuple[Column, ...]:
+    """Return all columns of a finished tile, without the ride by heading."""
+    own = rated_columns(pixels)
     known = {column.name for column in own}
-    return (*own, *(column for column in neighbour_columns(pixels, speeds) if column.name not in known))
+    return (*own, *(column for column in neighbour_columns(pixels) if column.name not in known))
 
 
 GROUND_SOURCE = Column("ground_source", "|u1")
@@ -584,14 +571,6 @@ BANDS: tuple[Band, ...] = (
 )
 """The bands of roughness.tif, in order."""
 
-SPEED_BANDS: tuple[Band, ...] = (
-    Band("c_r", "rad/m", "ride cost at {} m/s: pitch motion per metre driven"),
-    Band("c_roll", "rad/m", "roll motion per metre driven at {} m/s"),
-    Band("a_w", "m/s2", "weighted vertical acceleration at {} m/s (Wk of ISO 2631-1, 0.4 to 10 Hz)"),
-)
-"""Values that are computed at each speed."""
-
-
 AXES_DEG = tuple(22.5 * axis for axis in range(8))
 """Azimuths from grid north that C_r is given along, degrees; a way and its opposite have the same C_r."""
 HEADING_BANDS = tuple(
@@ -599,12 +578,4 @@ HEADING_BANDS = tuple(
     for axis in AXES_DEG
 )
 """The bands of headings.tif, in order."""
-
-
-def speed_bands(speeds: tuple[float, ...]) -> tuple[Band, ...]:
-    """Return the bands of speeds.tif, speed by speed [m/s], such as ``c_r_0.5``; they are columns of tiles.parquet."""
-    return tuple(
-        Band(f"{band.name}_{speed:g}", band.unit, band.description.format(f"{speed:g}"))
-        for speed in speeds
-        for band in SPEED_BANDS
-    )
+_HEADINGS = Column("headings", "<f4", (len(AXES_DEG),))

@@ -213,7 +213,7 @@ def _layers(
 
 def _some(table: CostTable) -> list[MapFile]:
     """Return the rasters of the run besides those of every run."""
-    held = (table.speeds, table.tiles.has("headings"), shows_photo(table))
+    held = (table.tiles.has("headings"), shows_photo(table))
     return [name for name, there in zip(SOME_NAMES, held, strict=True) if there]
 
 

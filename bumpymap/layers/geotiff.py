@@ -1,4 +1,4 @@
-"""Write the raster layers: one pixel per tile (roughness, class, speeds), or several (heightmap, obstacle, passage).
+"""Write the raster layers: one pixel per tile (roughness, class, speed), or several (heightmap, obstacle, passage).
 
 relief.tif holds the heights of the ground without holes, for looking at.
 """
@@ -28,7 +28,6 @@ from bumpymap.core import (
     CostTable,
     Reason,
     photo_column,
-    speed_bands,
 )
 from bumpymap.layers._cog import TILE_WINDOW, write_cog
 from bumpymap.layers.colours import (
@@ -219,13 +218,6 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
             "barred",
             Band("barred", "", "why the tile is not passable", tuple(BARRED_TEXT.values())),
             BARRED_COLOURS,
-        ),
-        MapFile.SPEEDS: _Layer(
-            "pitch, roll and vertical acceleration at several speeds",
-            speed_bands(table.speeds),
-            ("motion",),
-            lambda found, _: found["motion"].T,
-            tags={"speeds_m_per_s": " ".join(f"{speed:g}" for speed in table.speeds)},
         ),
         MapFile.HEADINGS: _Layer(
             "ride cost by heading", HEADING_BANDS, ("headings",), lambda found, _: found["headings"].T

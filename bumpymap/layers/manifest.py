@@ -251,7 +251,7 @@ _SHAPE: dict[str, Any] = PLACE_SHAPE | {
     "inputs": [_INPUT],
     "skipped?": Each(),
     "skipped_inputs?": [{"path": str}],
-    "settings": {"speeds?": Nullable([_POSITIVE])},
+    "settings": Each(),
     "versions": Each(str),
     "points": COUNT,
     "model": Nullable(str),

@@ -66,8 +66,6 @@ class MapFile(StrEnum):
     TILES = "tiles.parquet"
     REGIONS = "cost.geojson"
     REGIONS_IN_CRS = "cost.fgb"
-    SPEEDS = "rasters/speeds.tif"
-    """Of a run that was asked for other speeds."""
     HEADINGS = "rasters/headings.tif"
     """Of a run that was asked for the ride by heading."""
     PHOTO = "rasters/photo.tif"
@@ -85,7 +83,7 @@ EVERY_NAME: tuple[str, ...] = tuple(
     name for name in MapFile if name not in {MapFile.PROJECT, MapFile.REPORT, MapFile.THUMBNAIL}
 )
 """The files that a run may write, in their order; its manifest lists them with their checksums."""
-SOME_NAMES = (MapFile.SPEEDS, MapFile.HEADINGS, MapFile.PHOTO)
+SOME_NAMES = (MapFile.HEADINGS, MapFile.PHOTO)
 """Those that only some runs write: if they are asked for, or if points have colours."""
 PRODUCT_NAMES = tuple(name for name in EVERY_NAME if name not in SOME_NAMES)
 """Those that every run writes."""

@@ -26,7 +26,6 @@ from bumpymap.core import (
     Reason,
     atomic,
     free_memory,
-    speed_bands,
     tile_columns,
 )
 from bumpymap.layers.placement import Placement
@@ -48,7 +47,7 @@ def write_tiles(table: CostTable, path: Path, about: Mapping[str, str] | None = 
     BadInputError: the extent is too large for a raster.
     """
     place = Placement.of(table)
-    fields = tile_fields(place.grid.pixels, table.speeds)
+    fields = tile_fields(place.grid.pixels)
     if table.tiles.has(GROUND_SOURCE.name):
         text = "0: measured from points of ground classes, 1: from all points, where the survey is not classified"
         fields.append(described_field(GROUND_SOURCE.name, pa.int8(), text, nullable=False))
@@ -73,13 +72,13 @@ def write_tiles(table: CostTable, path: Path, about: Mapping[str, str] | None = 
             ),
         ) as writer,
     ):
-        for found in _groups(table.tiles, len(table.speeds)):
-            writer.write_table(_rows(found, place, schema, table.speeds))
+        for found in _groups(table.tiles):
+            writer.write_table(_rows(found, place, schema))
 
 
-def _groups(tiles: TileTable, speeds: int) -> Iterator[dict[str, NDArray[Any]]]:
+def _groups(tiles: TileTable) -> Iterator[dict[str, NDArray[Any]]]:
     """Yield the columns of each row group, which takes as many strips as fit."""
-    names = [column.name for column in (*tile_columns(tiles.grid.pixels, speeds), GROUND_SOURCE)]
+    names = [column.name for column in (*tile_columns(tiles.grid.pixels), GROUND_SOURCE)]
     names = list(filter(tiles.has, (*names, "headings")))
     held: list[dict[str, NDArray[Any]]] = []
     for strip in tiles.strips(_ROW_GROUP):
@@ -97,7 +96,7 @@ def _join(held: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
     return {name: np.concatenate([part.pop(name) for part in parts]) for name in list(parts[0])}
 
 
-def tile_fields(pixels: int, speeds: tuple[float, ...]) -> list[pa.Field]:
+def tile_fields(pixels: int) -> list[pa.Field]:
     """Return the columns of tiles.parquet for tiles of pixels x pixels, with what describes each."""
     kinds = {column.name: pa.from_numpy_dtype(column.dtype) for column in tile_columns(pixels)}
     kinds["passable"] = pa.bool_()
@@ -120,7 +119,6 @@ def tile_fields(pixels: int, speeds: tuple[float, ...]) -> list[pa.Field]:
         described_field("class", pa.int8(), "0 (flattest) to 3 (roughest)"),
         described_field("reason", pa.int8(), "why there is no class; 0 where there is one", nullable=False),
         described_field("reason_text", pa.string(), "the reason in words", nullable=False),
-        *(described_field(band.name, pa.float32(), band.description, band.unit) for band in speed_bands(speeds)),
         described_field("heights", pa.list_(pa.float32(), pixels**2), "mean z of each pixel, north row first", "m"),
     ]
 
@@ -148,7 +146,7 @@ def _geo(place: Placement) -> dict[str, Any]:
     return {"version": "1.1.0", "primary_column": "geometry", "columns": {"geometry": geometry}}
 
 
-def _rows(found: dict[str, NDArray[Any]], place: Placement, schema: pa.Schema, speeds: tuple[float, ...]) -> pa.Table:
+def _rows(found: dict[str, NDArray[Any]], place: Placement, schema: pa.Schema) -> pa.Table:
     """Convert columns of tiles to rows of the file."""
     col, row = found["col"], found["row"]
     west, south, east, north = (place.to_crs(side) for side in (col, row, col + 1, row + 1))
@@ -174,7 +172,6 @@ def _rows(found: dict[str, NDArray[Any]], place: Placement, schema: pa.Schema, s
         known = np.isfinite(rides).all(axis=1) & (rides.min(axis=1) > 0.0)
         columns["calm_axis_deg"] = np.where(known, np.array(AXES_DEG)[rides.argmin(axis=1)], np.nan)
         columns["heading_ratio"] = np.where(known, rides.max(axis=1) / np.where(known, rides.min(axis=1), 1.0), np.nan)
-    columns |= {band.name: found["motion"][:, number] for number, band in enumerate(speed_bands(speeds))}
     columns |= {f"p_{texture}": chance[:, number] for number, texture in enumerate(TEXTURES)}
     return pa.table([typed_array(columns[field.name], field) for field in schema], schema=schema)
 

@@ -62,7 +62,6 @@ from .ride.speed import (
     motion_felt as motion_felt,
     motion_terms as motion_terms,
     plain_terms as plain_terms,
-    require_speeds as require_speeds,
 )
 from .ride.thin import (
     THIN_COLUMNS as THIN_COLUMNS,

@@ -309,9 +309,10 @@ def ride_line(site: MapReader, line: Floats, vehicle: LineVehicle, sigma: float)
         own, to = at[first : first + per], metre[first : first + per]
         # What is felt depends on the ground before and behind, at the ends of the line too.
         places = np.concatenate([own[0] - lead[::-1], own, own[-1] + lead])
-        rolled, inside = _roll(site, line, places, vehicle, across), slice(len(lead), len(lead) + len(own))
-        sums += [np.bincount(to, row[inside], count) for row in _felt(rolled, vehicle, weights)]
-        ground.append(rolled.ground[..., inside])
+        heights, touched, beside, tiles = _roll(site, line, places, vehicle, across)
+        inside = slice(len(lead), len(lead) + len(own))
+        sums += [np.bincount(to, row[inside], count) for row in _felt(heights, touched, tiles, vehicle, weights)]
+        ground.append(beside[..., inside])
     felt, times, (of_tiles, rated, log_sd, seen, shaken) = np.split(sums, [len(across), 2 * len(across)])
     samples = np.bincount(metre)
     known = times > samples / 2
@@ -396,20 +397,15 @@ class _LineWindow(NamedTuple):
     """(n,) share of the pixels under the wheels that hold points."""
 
 
-class _Rolled(NamedTuple):
-    """Samples along a line."""
+def _roll(
+    site: MapReader, line: Floats, at: Floats, vehicle: LineVehicle, across: Floats
+) -> tuple[Floats, Floats, Floats, _Tiles]:
+    """Roll the wheels over n samples along a line.
 
-    heights: Floats
-    """(places across, 4, n) lowest point of each wheel, m, without the jumps of their turns; NaN where unknown."""
-    seen: Floats
-    """(n,) share of the pixels under the wheels that hold points."""
-    ground: Floats
-    """(2, n) heights beside the middle, m: see `LineRide.ground`."""
-    tile: _Tiles
-    """Of the tile that the middle of the vehicle is in."""
-
-
-def _roll(site: MapReader, line: Floats, at: Floats, vehicle: LineVehicle, across: Floats) -> _Rolled:
+    Returns (places across, 4, n) lowest point of each wheel, m, without the jumps of their turns, NaN where unknown;
+    (n,) share of the pixels under the wheels that hold points; `LineRide.ground`; the tiles in which the middle of the
+    vehicle is.
+    """
     from scipy.ndimage import map_coordinates
 
     pixels, parts = site.grid.pixels, _parts(site, line, at, max(int(_STRETCH_M / vehicle.way), 1))
@@ -434,7 +430,7 @@ def _roll(site: MapReader, line: Floats, at: Floats, vehicle: LineVehicle, acros
         rolled.append((low, jump, window.seen, ground, *(values[here][window.tile] for values in tiles)))
         first = here.stop
     low, jump, seen, ground, *columns = (np.concatenate(parts, axis=-1) for parts in zip(*rolled, strict=True))
-    return _Rolled((low - np.cumsum(jump, axis=1)).reshape(len(across), 4, -1), seen, ground, _Tiles(*columns))
+    return (low - np.cumsum(jump, axis=1)).reshape(len(across), 4, -1), seen, ground, _Tiles(*columns)
 
 
 def _parts(site: MapReader, line: Floats, at: Floats, per: int) -> list[Floats]:
@@ -540,14 +536,14 @@ def _on_line(line: Floats, at: Floats) -> Floats:
     return inside + beyond
 
 
-def _felt(rolled: _Rolled, vehicle: LineVehicle, weights: Floats) -> Floats:
-    """Return what is felt at n samples, (2 k + 5, n): rows that are added up metre by metre.
+def _felt(heights: Floats, seen: Floats, tile: _Tiles, vehicle: LineVehicle, weights: Floats) -> Floats:
+    """Return what is felt at n samples from `_roll`, (2 k + 5, n): rows that are added up metre by metre.
 
     C_r at each of k places across, 0 where a wheel meets ground that is not known; where it does not; C_r of the tile;
     where that is known; the error of its logarithm, else 0; what is seen; the square of the acceleration.
     """
-    tile, calibration = rolled.tile, vehicle.calibration
-    front_left, front_right, rear_left, rear_right = np.moveaxis(rolled.heights, 1, 0)
+    calibration = vehicle.calibration
+    front_left, front_right, rear_left, rear_right = np.moveaxis(heights, 1, 0)
     pitches = (front_left + front_right - rear_left - rear_right) / (2 * vehicle.operator.wheelbase)
     is_felt = np.isfinite(pitches) & np.isfinite(tile.c_r) & np.isfinite(tile.reach)
     reach, slope, stretch = np.nan_to_num(tile.reach), np.nan_to_num(tile.slope), calibration.tile_size
@@ -555,7 +551,7 @@ def _felt(rolled: _Rolled, vehicle: LineVehicle, weights: Floats) -> Floats:
     shaken = np.full_like(tile.c_r, np.nan)
     if vehicle.rating is not None:
         taps, _ = heave_filter(vehicle.speed, vehicle.way)
-        lifts = np.pad(bridged(rolled.heights.mean(axis=1)), ((0, 0), (len(taps) // 2,) * 2), mode="edge")
+        lifts = np.pad(bridged(heights.mean(axis=1)), ((0, 0), (len(taps) // 2,) * 2), mode="edge")
         known = is_felt & (tile.heave > 0)
         heaves = np.abs([np.convolve(lift, taps, "valid") for lift in lifts])
         share = np.where(known, heaves / np.where(known, tile.heave, 1.0), 1.0)
@@ -563,4 +559,4 @@ def _felt(rolled: _Rolled, vehicle: LineVehicle, weights: Floats) -> Floats:
     c_r = np.where(is_felt, tile.speed * felt * tile.left, 0.0)
     rated = np.isfinite(tile.log_sd)
     log_sd = np.where(rated, tile.log_sd, 0.0)
-    return np.vstack([c_r, is_felt, tile.speed * tile.c_r, rated, log_sd, rolled.seen, shaken])
+    return np.vstack([c_r, is_felt, tile.speed * tile.c_r, rated, log_sd, seen, shaken])

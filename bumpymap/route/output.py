@@ -180,7 +180,6 @@ def _describe_layers(source: MapReader) -> dict[str, Any]:
 
 
 def _describe(route: Route, place: GeoJsonCoordinates) -> dict[str, Any]:
-    """Return figures, stops, corners and stretches of a route."""
     names = stop_names(len(route.stops))
     return {
         **route_properties(route),

@@ -73,9 +73,12 @@ def way_over_areas(ground: CostGround, start: Floats, goal: Floats) -> Floats | 
             return None
         graph = _graph(ground, window)
         found = _search(graph, *(_node_at(ground, graph, window, end) for end in ends))
-        is_all = window == ground.site.window
-        if is_all or (found is not None and not _at_edge(graph, found[1])):
+        if window == ground.site.window:
             break
+        if found is not None:
+            row, col = np.divmod(graph.tile[found[1]], window.cols)
+            if row.min() > 0 and col.min() > 0 and row.max() < window.rows - 1 and col.max() < window.cols - 1:
+                break
         pad *= 2
     if found is None:
         return None
@@ -240,12 +243,6 @@ def _search(graph: AreaGraph, start: int, goal: int) -> tuple[list[int], NDArray
         path.append(int(before[path[-1]]))
     near = np.flatnonzero(spent + left <= _DEARER * spent[goal] + 1.0)
     return path[::-1], np.union1d(near, path)
-
-
-def _at_edge(graph: AreaGraph, nodes: NDArray[np.int64]) -> bool:
-    rows, _, cols, _ = graph.node.shape
-    row, col = graph.tile[nodes] // cols, graph.tile[nodes] % cols
-    return bool(((row == 0) | (col == 0) | (row == rows - 1) | (col == cols - 1)).any())
 
 
 def _point_in(ground: CostGround, graph: AreaGraph, window: TileWindow, node: int) -> Floats:

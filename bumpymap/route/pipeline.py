@@ -31,11 +31,11 @@ from bumpymap.core import (
 from bumpymap.layers import PlannedRoute, open_map, read_areas
 from bumpymap.route.ground import CostGround
 from bumpymap.route.line_ride import with_line_ride
+from bumpymap.route.measure import measure_straight_line
 from bumpymap.route.planner import Planner
 from bumpymap.route.search import MOST_TILES
 from bumpymap.route.settings import CostSettings, RouteBy, RouteConfig
 from bumpymap.route.stops import Stops, find_stops
-from bumpymap.route.why import measure_straight_line
 
 if TYPE_CHECKING:
     import xarray

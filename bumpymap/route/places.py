@@ -148,7 +148,6 @@ def _outside_m(point: GridPoint, route_map: MapReader) -> float:
 
 
 def _extent(route_map: MapReader) -> str:
-    """Return the extent of the map in both systems."""
     bounds = route_map.grid.window_bounds(route_map.window)
     (west, south), (east, north) = (
         route_map.to_crs(*corner) for corner in ((bounds.west, bounds.south), (bounds.east, bounds.north))

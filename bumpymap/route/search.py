@@ -174,7 +174,6 @@ def move_tables(width: int, margin: float, axes: int = 1) -> MoveTables:
     return tables._replace(step=MOVES @ flat, piece=tiles @ flat, axis=axis, share=share)
 
 
-Floats = NDArray[np.float64]
 Point = tuple[float, float]
 """Field coordinates (r, c)."""
 Number = TypeVar("Number", bound=np.generic)

@@ -35,7 +35,6 @@ def _nearest(is_open: NDArray[np.bool_], row: float, col: float) -> tuple[float,
 
 
 def _closed_by(field: TileField, row: float, col: float, seen_width: float | None) -> str:
-    """Say what closes the tile at a point."""
     rows, cols = field.barred.shape
     i, j = math.floor(row), math.floor(col)
     code = int(field.barred[i, j]) if 0 <= i < rows and 0 <= j < cols else NO_TILE
@@ -110,7 +109,6 @@ def find_stops(ground: CostGround, config: RouteConfig) -> Stops:
 
 
 def _named(site: MapReader, config: RouteConfig) -> list[tuple[str, GridPoint]]:
-    """Return the points by name."""
     if config.points is not None:
         found = read_points(config.points)
         if len(found) < 2:

@@ -104,9 +104,8 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
     discard = overwrite or (in_batch and not complete)
     grid = config.grid
     rating = TileRating.of(config, models, inputs.georeference)
-    speeds = config.speeds or ()
     in_relief = rating.measure_all if config.compat == "none" else None  # the paper knows no obstacles
-    columns = rated_columns(grid.pixels, len(speeds), headings=config.headings)
+    columns = rated_columns(grid.pixels, headings=config.headings)
     if any(reader.has_colour for reader in inputs.readers):
         columns = (*columns, photo_column(grid.pixels))
     work = BlockWork(grid, columns, rating, config.ground, in_relief, relief_margin(grid))
@@ -127,7 +126,6 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
             inputs.georeference,
             map_rule(models.calibration),
             tiles,
-            speeds,
             has_photo=measured.coloured >= _COLOURED * measured.points,
         )
         lines = compare_lines(measured.lines)

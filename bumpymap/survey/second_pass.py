@@ -56,7 +56,6 @@ from bumpymap.rating import (
     find_steps,
     free_areas,
     is_rateable,
-    motion_felt,
     rate_beside_steps,
     rate_thin,
     ride_weight,
@@ -234,19 +233,19 @@ class NeighbourRating:
     def needs(self) -> tuple[str, ...]:
         """Columns of the finished tiles that it reads."""
         seen = ("density", "all_density", "smallest_object")
-        return (*_RATED, "slope", "coverage", "heights", "objects", *_OBJECTS, *seen, "thin", *self._asked)
+        return (*_RATED, "slope", "coverage", "heights", "objects", *_OBJECTS, *seen, "thin", *self._headings)
 
     @property
     def columns(self) -> tuple[Column, ...]:
         """Columns that it returns."""
         config = self.config
-        columns = neighbour_columns(config.pixels, len(config.speeds or ()), headings=config.headings)
+        columns = neighbour_columns(config.pixels, headings=config.headings)
         return (*(column for column in columns if column.name not in ("passable", "passage")), _SIDES)
 
     @property
-    def _asked(self) -> tuple[str, ...]:
-        """The columns of other speeds and of headings, if they were asked for."""
-        return (*(("motion",) if self.config.speeds else ()), *(("headings",) if self.config.headings else ()))
+    def _headings(self) -> tuple[str, ...]:
+        """The column of headings, if they were asked for."""
+        return ("headings",) if self.config.headings else ()
 
     def leaves(self, own: Mapping[str, NDArray[Any]]) -> Columns | None:
         """Return the columns of n tiles of a block if all are unknown and stay so; None if neighbours matter.
@@ -271,7 +270,7 @@ class NeighbourRating:
         overhead = np.where(np.isin(states, OVERHEAD), np.uint8(CANOPY), np.uint8(UNSEEN))
         objects = np.where(states == OBSTACLE, np.uint8(OBSTACLE), overhead)
         return (
-            {name: own[name] for name in (*_RATED, *_OBJECTS, *self._asked)}
+            {name: own[name] for name in (*_RATED, *_OBJECTS, *self._headings)}
             | dict.fromkeys((*_STEPS, *SEEN_COLUMNS, *_BESIDE_STEPS), nothing)
             | {"barred": np.full(tiles, Barred.UNKNOWN, np.uint8), _SIDES.name: np.zeros(tiles, np.uint8)}
             | {"objects": objects}
@@ -313,7 +312,7 @@ class NeighbourRating:
             # A roof is an obstacle of unknown height, and nothing that hangs over the way.
             | {"obstacle_height": np.where((height == 0.0) & (obstacle > 0.0), nothing, height)}
             | {"clearance": np.where((states == CANOPY).any(axis=(2, 3)), own["clearance"], nothing)}
-            | self._by_speed_and_heading(window, own["c_r"])
+            | self._by_heading(window, own["c_r"])
         )
         near = sliding_window_view(self._known(window.columns)[1:-1, 1:-1], (3, 3))
         alone = ~near.any(axis=(2, 3))
@@ -332,17 +331,14 @@ class NeighbourRating:
             name: np.where(known, values, np.float32(np.nan)) for name, values in zip(SEEN_COLUMNS, found, strict=True)
         }
 
-    def _by_speed_and_heading(self, window: NeighbourWindow, c_r: NDArray[np.float32]) -> Columns:
-        """Return what is felt at other speeds and by heading in the inner tiles, as far as it is asked for."""
-        found = {}
-        if self.config.speeds:
-            found["motion"] = motion_felt(self.calibration, self.config.speeds, window.inner("motion"), c_r)
-        if self.config.headings:
-            # Of thin tiles the filled heightmap is little known, and so are its headings.
-            of_first = _first(window).inner(self.rings)
-            weight = ride_weight(of_first, window.inner("coverage")) if self.config.by_ride else 1.0
-            found["headings"] = felt_by_heading(self.calibration, window.inner("headings"), c_r, weight)
-        return found
+    def _by_heading(self, window: NeighbourWindow, c_r: NDArray[np.float32]) -> Columns:
+        """Return the ride by heading in the inner tiles, if it is asked for."""
+        if not self.config.headings:
+            return {}
+        # Of thin tiles the filled heightmap is little known, and so are its headings.
+        of_first = _first(window).inner(self.rings)
+        weight = ride_weight(of_first, window.inner("coverage")) if self.config.by_ride else 1.0
+        return {"headings": felt_by_heading(self.calibration, window.inner("headings"), c_r, weight)}
 
     def _known(self, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
         """Return which tiles have a class, or will have one."""

@@ -41,7 +41,6 @@ from bumpymap.rating import (
     map_rule,
     rate,
     rate_as_paper,
-    require_speeds,
     shipped_calibrations,
     thin_columns,
 )
@@ -82,8 +81,6 @@ class RatingModels:
         fastest = max(calibration.map_speed, map_rule(calibration).top_mps)
         if fastest > own * (1.0 + 1e-5):
             _log.warning("p_fail is that of drives at %g m/s: at %g m/s more of them may fail", own, fastest)
-        if config.speeds is not None:
-            require_speeds(calibration, config.speeds, "speeds")
         texture = TextureModel.load(config.model) if config.model else _shipped()
         fits = (texture.tile_size, texture.pixels) == (config.tile_size, config.pixels)
         if not fits and config.model is None and config.by_ride:
@@ -110,7 +107,7 @@ class TileRating:
     @classmethod
     def of(cls, config: MapConfig, models: RatingModels, georeference: Georeference) -> "TileRating":
         """Choose the steps that the settings ask for."""
-        ride = RideModel(models.calibration, config.speeds or (), headings=config.headings) if config.by_ride else None
+        ride = RideModel(models.calibration, headings=config.headings) if config.by_ride else None
         return cls(config, models, ride, georeference)
 
     def measure_all(self, points: TilePoints) -> PatchStack:

@@ -174,7 +174,6 @@ def _obstacles(reader: MapReader, placed: Callable[[Numbers, Numbers, Numbers], 
 
 
 def _geometries(open3d: Any, space: Space) -> list[Any]:
-    """Return the parts of a space as Open3D has them."""
     geometry, vectors = open3d.geometry, open3d.utility.Vector3dVector
     mesh = geometry.TriangleMesh(vectors(space.vertices), open3d.utility.Vector3iVector(space.triangles))
     mesh.vertex_colors = vectors(space.colours)

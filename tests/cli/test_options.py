@@ -227,13 +227,13 @@ def test_the_schema_of_a_settings_file_has_its_keys_tables_and_bounds(name):
 
 def test_a_set_value_keeps_the_rest_of_a_table(reached, tmp_path):
     (tmp_path / "a.toml").write_text("[csf]\nrigidness = 2\ncloth_resolution = 1.5\n[features]\nmin_points = 12")
-    words = ["--config", tmp_path / "a.toml", "--set", "csf.rigidness=1", "--set", "speeds=0.5,1"]
+    words = ["--config", tmp_path / "a.toml", "--set", "csf.rigidness=1", "--set", "ground_classes=2,8"]
     run("map", "a.laz", "--out", "o", *words)
     config = reached["map"][0]
     assert (config.csf.rigidness, config.csf.cloth_resolution, config.features.min_points) == (1, 1.5, 12)
-    assert config.speeds == (0.5, 1.0)
-    run("map", "a.laz", "--out", "o", "--set", "max_unknown = 40%", "--set", "speeds=2")
-    assert (reached["map"][0].max_unknown, reached["map"][0].speeds) == (0.4, (2.0,))
+    assert config.ground_classes == (2, 8)
+    run("map", "a.laz", "--out", "o", "--set", "max_unknown = 40%", "--set", "ground_classes=2")
+    assert (reached["map"][0].max_unknown, reached["map"][0].ground_classes) == (0.4, (2,))
     run("route", *WORDS["route"], "--via", "3,3", "--via", "4,4")
     assert reached["route"][0].via == ("3,3", "4,4")
 

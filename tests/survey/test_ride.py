@@ -1,4 +1,4 @@
-"""The ride of a map: at other speeds, of few points a tile, in tiles of other sizes, and by the paper's rules."""
+"""The ride of a map: at another speed, by heading, of few points, in tiles of other sizes, by the paper's rules."""
 
 import json
 from dataclasses import replace
@@ -21,8 +21,6 @@ from bumpymap.survey.tile_rating import RatingModels
 
 pytestmark = pytest.mark.slow
 
-NAMES = tuple(f"{name}_{speed}" for speed in ("0.5", "1", "2") for name in ("c_r", "c_roll", "a_w"))
-
 
 @pytest.fixture(scope="module")
 def survey(tmp_path_factory):
@@ -37,10 +35,9 @@ def survey(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def maps(survey, tmp_path_factory):
-    """The map, the map with three speeds, and that at 2 m/s with them."""
+    """The map, the map with the ride by heading, and that at 2 m/s."""
     out = tmp_path_factory.mktemp("maps")
-    asked = ("--set", "speeds=0.5,1,2", "--set", "headings=true")
-    wanted = {"plain": (), "speeds": asked, "fast": ("--speed", 2, "--set", "speeds=0.5,1,2")}
+    wanted = {"plain": (), "headings": ("--set", "headings=true"), "fast": ("--speed", 2)}
     for name, options in wanted.items():
         made = run("map", survey, "--out", out / name, *options)
         assert made.exit_code == 0, made.output
@@ -53,16 +50,16 @@ def bands(path):
 
 
 def test_the_other_layers_keep_their_bytes(maps):
-    plain, speeds = (files_in(maps / name) for name in ("plain", "speeds"))
+    plain, more = (files_in(maps / name) for name in ("plain", "headings"))
     same = [name for name in plain if name.endswith(".tif")]
     assert len(same) == 10
-    assert all(plain[name] == speeds[name] for name in same)
+    assert all(plain[name] == more[name] for name in same)
 
 
 def test_c_r_by_heading_has_the_mean_of_the_tile_which_is_all_that_few_points_tell(maps):
-    found, site = bands(maps / "speeds" / "rasters/headings.tif"), open_map(maps / "speeds")
+    found, site = bands(maps / "headings" / "rasters/headings.tif"), open_map(maps / "headings")
     assert tuple(found) == tuple(f"c_r_{azimuth:g}" for azimuth in np.arange(8) * 22.5)
-    by_axis, tiles = np.stack(list(found.values()), axis=-1), bands(maps / "speeds" / "rasters/roughness.tif")
+    by_axis, tiles = np.stack(list(found.values()), axis=-1), bands(maps / "headings" / "rasters/roughness.tif")
     np.testing.assert_array_equal(by_axis, site.headings(site.window))
     c_r, dense = tiles["c_r"], tiles["coverage"] > 0.75
     counts = np.diff(RideModel(Calibration.shipped("warthog")).operator.axes.bounds)
@@ -71,28 +68,12 @@ def test_c_r_by_heading_has_the_mean_of_the_tile_which_is_all_that_few_points_te
     assert thin.sum() > 10
     np.testing.assert_array_equal(by_axis[thin], np.repeat(c_r[thin][:, None], 8, axis=1))
     assert np.median(by_axis[dense].max(axis=1) / by_axis[dense].min(axis=1)) > 1.1
-    table = pq.read_table(maps / "speeds" / "tiles.parquet", columns=["calm_axis_deg", "heading_ratio"]).to_pandas()
+    table = pq.read_table(maps / "headings" / "tiles.parquet", columns=["calm_axis_deg", "heading_ratio"]).to_pandas()
     flat = by_axis[np.isfinite(c_r)]
     assert sorted(table.heading_ratio.dropna()) == pytest.approx(sorted(flat.max(axis=1) / flat.min(axis=1)), rel=1e-5)
     assert (table.calm_axis_deg.dropna() == 22.5 * np.round(table.calm_axis_deg.dropna() / 22.5)).all()
     assert not open_map(maps / "plain").has_headings
     assert not {"calm_axis_deg", "heading_ratio"} & set(pq.read_schema(maps / "plain" / "tiles.parquet").names)
-
-
-def test_at_the_speed_of_the_map_c_r_is_that_of_the_map(maps):
-    for name, own in (("speeds", "c_r_1"), ("fast", "c_r_2")):
-        felt, map_bands = bands(maps / name / "rasters/speeds.tif"), bands(maps / name / "rasters/roughness.tif")
-        assert tuple(felt) == NAMES
-        np.testing.assert_array_equal(felt[own], map_bands["c_r"])
-
-
-def test_one_map_tells_the_same_as_two(maps):
-    """C_r at 2 m/s is the same, whether the map is made at 1 m/s or at 2; tiles of few points and steps nearly."""
-    slow = bands(maps / "speeds" / "rasters/speeds.tif")["c_r_2"]
-    fast = bands(maps / "fast" / "rasters/roughness.tif")["c_r"]
-    error = np.abs(np.log(slow / fast))
-    assert np.nanmedian(error) < 1e-5
-    assert np.nanmax(error) < 0.25
 
 
 def test_layers_say_their_speed_and_fail_as_before(maps):
@@ -107,20 +88,11 @@ def test_layers_say_their_speed_and_fail_as_before(maps):
     np.testing.assert_allclose(fast[dense], slow[dense], rtol=1e-5)
 
 
-def test_they_open_in_python(maps):
-    pytest.importorskip("rioxarray")
-    speeds = bumpymap.open(maps / "speeds").speeds()
-    assert tuple(speeds) == NAMES
-    assert speeds["a_w_0.5"].attrs["units"] == "m/s2"
-    with pytest.raises(UsageError, match="was not asked for them"):
-        bumpymap.open(maps / "plain").speeds()
-
-
 @pytest.mark.parametrize(
     ("options", "said"),
     [
         (("--speed", "9"), "holds from 0.4 to 2.5 m/s"),
-        (("--set", "speeds=1,,2"), "value 2 of speeds is ''; it must be a number"),
+        (("--set", "speeds=1,2"), "there is no setting speeds any more: a map has one speed: give --speed 2"),
         (("--set", "headings=true", "--set", "rating=table"), "--set rating='table' knows no heading"),
         (("--speed", "1", "--set", "compat=paper"), "--set compat='paper' knows no speed"),
     ],

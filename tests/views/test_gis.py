@@ -169,26 +169,6 @@ def test_a_photo_lies_below_all_layers_in_place_of_the_relief(folder, tmp_path):
     assert "bumpymap_photo_tif" not in {leaf.get("id") for leaf in root.find("Layouts").iter("layer-tree-layer")}
 
 
-def test_other_speeds_have_a_style_and_stand_in_the_project(tmp_path, at_two_speeds, cost_map):
-    """Each with the colours of the map's own speed, under the tiles where drives fail; a map without removes them."""
-    files = write_layers(at_two_speeds, tmp_path, settings={"speeds": (0.5, 2.0)})
-    assert all(path.exists() for path in files)
-    assert {tmp_path / "rasters/speeds.tif", tmp_path / "rasters/speeds.qml"} <= set(files)
-    styles = (tmp_path / "rasters" / name for name in ("roughness.qml", "speeds.qml"))
-    own, other = (read(path).find("pipe/rasterrenderer") for path in styles)
-    assert ET.tostring(own) == ET.tostring(other)
-    root = read(tmp_path / "map.qgs")
-    group = next(group for group in root.iter("layer-tree-group") if group.get("name") == "ride cost c_r")
-    assert group[0].get("id") == "bumpymap_roughness_tif_p_fail"
-    layers = {layer.find("id").text: layer for layer in root.find("projectlayers")}
-    speeds = [leaf for leaf in root.iter("layer-tree-layer") if leaf.get("source") == "./rasters/speeds.tif"]
-    assert {leaf.get("checked") for leaf in speeds} == {"Qt::Unchecked"}
-    bands = {leaf.get("name"): layers[leaf.get("id")].find("pipe/rasterrenderer").get("band") for leaf in speeds}
-    assert bands == {"c_r at 0.5 m/s": "1", "c_r at 2 m/s": "4"}
-    write_layers(table_of(cost_map), tmp_path)
-    assert not list(tmp_path.rglob("speeds*"))
-
-
 @pytest.mark.parametrize("crs", ["EPSG:32614+5703", None])
 def test_a_project_has_the_horizontal_crs_or_none(tmp_path, make_field, crs):
     cost_map = make_field(4, 4, georeference=Georeference(crs and CRS.from_user_input(crs)))

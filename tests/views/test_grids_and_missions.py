@@ -230,18 +230,6 @@ def test_every_cell_has_the_value_of_the_layers_bit_for_bit(route_map, folder, t
     np.testing.assert_allclose(elevation, mean.ravel(), rtol=1e-6)
 
 
-@pytest.mark.parametrize("resolution", ["pixel", "tile"])
-def test_no_obstacle_lies_in_a_free_cell_of_a_grid_map(obstacle_site, tmp_path, resolution):
-    site, on_obstacles = obstacle_site
-    export_map(site, tmp_path / "out", ExportSettings(to="gridmap", resolution=resolution, datum=(0.0, 0.0)))
-    message = read_bag(tmp_path / "out")
-    x, y, state = cells(message, "obstacle")
-    size = message.info.resolution
-    state_of = dict(zip(zip(np.floor(x / size), np.floor(y / size), strict=True), state, strict=True))
-    assert {state_of[tuple(place)] for place in np.floor(on_obstacles / size + 1e-6)} == {1.0}
-    assert (state == 0.0).mean() > 0.4
-
-
 GRIDS = [
     PolarSettings(),
     PolarSettings((1.0, 4.0, 12.0), 28.0, (16, 24, 40), (2, 4, 4)),

@@ -236,8 +236,8 @@ def test_what_cannot_be_exported(route_map, tmp_path, monkeypatch):
             ExportSettings(**wrong)
     with pytest.raises(BadInputError, match="nothing of the map lies within"):
         export_map(route_map, tmp_path / "out", ExportSettings(around=(110_000.0 * 3 - 500, 680_000.0 * 3)))
-    for to in ("nav2", "gridmap"):
-        monkeypatch.setattr(f"bumpymap.views.export.{to}._MAX_CELLS", 8_100)
+    for to, module in (("nav2", "area"), ("gridmap", "gridmap")):
+        monkeypatch.setattr(f"bumpymap.views.export.{module}._MAX_CELLS", 8_100)
         with pytest.raises(BadInputError, match=r"`around` and `radius=6` or less, .*`resolution='tile'`"):
             export_map(route_map, tmp_path / "out", ExportSettings(to=to))
     assert not (tmp_path / "out").exists()

@@ -29,7 +29,7 @@ from bumpymap.rating.ride._noise_kernels import (
 from bumpymap.rating.ride.correction import NORMAL_TAIL, Correction, Prediction, class_chance
 from bumpymap.rating.ride.motion_operator import move_over, roll_over
 from bumpymap.rating.ride.operator import RideOperator, cosines
-from bumpymap.rating.ride.speed import LEVEL, SpeedRating, map_rule, plain_speed_factor, require_speeds, speed_log_sd
+from bumpymap.rating.ride.speed import LEVEL, SpeedRating, map_rule, plain_speed_factor, speed_log_sd
 from bumpymap.rating.vehicle_body import with_floor
 
 Floats = NDArray[np.float64]
@@ -96,25 +96,24 @@ def _spectrum_of(pixels: int) -> Spectrum:
 class RideModel:
     """Predicts the ride of one vehicle on tiles of one size, by its calibration.
 
-    ``speeds`` [m/s] are rated besides, see `CostMap.motion`; with ``headings``, the ride by heading too, see
-    `CostMap.headings`. Raises UsageError if the calibration cannot tell the ride at these speeds, BadInputError if its
-    ride model is damaged.
+    With ``headings``, the ride by heading is rated too, see `CostMap.headings`. Raises BadInputError if the ride model
+    of the calibration is damaged.
     """
 
-    def __init__(self, calibration: Calibration, speeds: tuple[float, ...] = (), *, headings: bool = False) -> None:
+    def __init__(self, calibration: Calibration, *, headings: bool = False) -> None:
         self.calibration = calibration
         self.operator = RideOperator.of(calibration.vehicle, calibration.tile_size, calibration.pixels)
         self.correction = Correction.from_record(calibration.ride)
         self.headings = headings
-        self.speeds: SpeedRating | None = None
-        if speeds or calibration.map_speed != float(calibration.vehicle["speed_mps"]):
-            require_speeds(calibration, speeds, "speeds")
-            self.speeds = SpeedRating.of(calibration, speeds)
+        self.speed: SpeedRating | None = None
+        """Of a map at another speed than the profile's."""
+        if calibration.map_speed != float(calibration.vehicle["speed_mps"]):
+            self.speed = SpeedRating.of(calibration, ())
 
-    def _predict(self, patches: PatchStack, by_axis: Floats | None) -> tuple[Prediction, NDArray[np.float32] | None]:
-        """Predict C_r and p_fail of n tiles, NaN where a tile cannot be judged; and the factors of `CostMap.motion`.
+    def _predict(self, patches: PatchStack, by_axis: Floats | None) -> Prediction:
+        """Predict C_r and p_fail of n tiles, NaN where a tile cannot be judged.
 
-        The latter are None without other speeds. ``by_axis`` (n, 8) is filled with those of `CostMap.headings`.
+        ``by_axis`` (n, 8) is filled with the factors of `CostMap.headings`.
         """
         clean = denoise(patches, self.operator)
         rides = roll_over(clean.relief_map, self.operator, by_axis)
@@ -124,13 +123,13 @@ class RideModel:
             by_axis /= np.average(by_axis, axis=1, weights=np.diff(self.operator.axes.bounds))[:, None]
         pixel_points = patches.count / patches.grid.pixels**2
         found = self.correction.predict(rides, patches.slope.astype(np.float64), clean.noise_felt, pixel_points)
-        if self.speeds is None:
-            return found, None
-        motions = move_over(clean.relief_map, self.speeds.operator)
-        log_ratio, factors = self.speeds.factors_of(motions, rides.pitch_change)
+        if self.speed is None:
+            return found
+        motions = move_over(clean.relief_map, self.speed.operator)
+        log_ratio, _ = self.speed.factors_of(motions, rides.pitch_change)
         level = plain_speed_factor(self.calibration, found.log_c_r)
         log_ratio = np.where(np.isnan(log_ratio), level, log_ratio)
-        return found.at_speed(log_ratio, speed_log_sd(self.calibration)), factors
+        return found.at_speed(log_ratio, speed_log_sd(self.calibration))
 
     def rate(self, patches: PatchStack, textures: TextureMap, georeference: Georeference) -> CostMap:
         """Rate n tiles; textures and georeference travel with the result, and the ride model does not look at them.
@@ -140,7 +139,7 @@ class RideModel:
         calibration = self.calibration
         calibration.require_grid(patches.grid.tile_size, patches.grid.pixels)
         by_axis = np.full((len(patches.reason), len(AXES_DEG)), np.nan) if self.headings else None
-        found, factors = self._predict(patches, by_axis)
+        found = self._predict(patches, by_axis)
         known = (patches.reason == Reason.OK) & np.isfinite(found.log_c_r)
         class_id, chance = judge(found, patches.slope, calibration)
         c_r, low, high = interval(found, calibration.map_floor)
@@ -156,7 +155,6 @@ class RideModel:
             # Filled pixels are a guess; a tile full of them is believed less.
             confidence=_where(known, chance * np.sqrt(patches.coverage)),
             rule=map_rule(calibration),
-            motion=factors if factors is not None and factors.shape[1] else None,
             headings=None if by_axis is None else _where(known[:, None], by_axis),
         )
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import SPEED_BANDS, CostRule, UsageError
+from bumpymap.core import CostRule, UsageError
 from bumpymap.rating.calibration import MAP_SPEED, Calibration, remembered
 from bumpymap.rating.ride.correction import Coefficients
 from bumpymap.rating.ride.motion_operator import MotionOperator, Motions
@@ -137,23 +137,16 @@ def at_speed(calibration: Calibration, speed: float | None) -> Calibration:
     """
     if speed is None:
         return calibration
-    require_speeds(calibration, (speed,), "speed")
-    if speed == float(calibration.vehicle["speed_mps"]):
-        return calibration
-    return replace(calibration, motion=calibration.motion | {MAP_SPEED: float(speed)})
-
-
-def require_speeds(calibration: Calibration, speeds: Sequence[float], setting: str) -> None:
-    """Raise UsageError if a calibration cannot tell the ride at speeds [m/s]; ``setting`` is named in the message."""
     own, name = float(calibration.vehicle["speed_mps"]), calibration.vehicle["name"]
     low, high = (share * own for share in _model(calibration).range)
-    for speed in speeds:
-        if not low <= speed <= high:
-            raise UsageError(
-                f"`{setting}` is {speed:g} m/s; the calibration of {name} ({own:g} m/s) holds from {low:.3g} to "
-                f"{high:.3g} m/s. Give a speed in this range, or calibrate a profile with another speed_mps: "
-                "bumpymap calibrate"
-            )
+    if not low <= speed <= high:
+        raise UsageError(
+            f"`speed` is {speed:g} m/s; the calibration of {name} ({own:g} m/s) holds from {low:.3g} to {high:.3g} "
+            "m/s. Give a speed in this range, or calibrate a profile with another speed_mps: bumpymap calibrate"
+        )
+    if speed == own:
+        return calibration
+    return replace(calibration, motion=calibration.motion | {MAP_SPEED: float(speed)})
 
 
 def plain_speed_factor(calibration: Calibration, log_c_r: Floats) -> Floats:
@@ -228,7 +221,7 @@ def motion_felt(
         factors = np.where(known, factors, plain_factors(calibration, speeds, driven))
     felt = factors * driven.astype(np.float32)[..., None]
     for number, speed in enumerate(speeds):
-        own = number * len(SPEED_BANDS)
+        own = number * len(QUANTITIES)
         felt[..., own] = with_floor(felt[..., own], calibration.floor_at(speed))
     return felt
 
@@ -277,7 +270,7 @@ def map_rule(calibration: Calibration) -> CostRule:
     speeds = np.geomspace(top, top / _SLOWEST, _STEPS)
     driven, known = np.geomspace(*_DRIVEN), np.clip(speeds, low, high)
     factors = plain_factors(calibration, known.tolist(), driven).astype(np.float64)
-    felt = factors.reshape(len(driven), _STEPS, len(SPEED_BANDS))
+    felt = factors.reshape(len(driven), _STEPS, len(QUANTITIES))
     pitch_rate = with_floor(driven[:, None] * felt[..., 0] * speeds, calibration.floor * own)
     used = pitch_rate / limits.pitch_rate_radps
     if limits.a_w_mps2:

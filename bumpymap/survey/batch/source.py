@@ -26,6 +26,7 @@ from bumpymap.core import (
     refuse_clashes,
     refuse_faults,
     settings_with_options,
+    unknown_text,
     with_pixels,
 )
 from bumpymap.layers import BATCH_NAMES
@@ -145,7 +146,7 @@ def _columns(titles: list[str], origin: str, faults: list[str]) -> list[str]:
     if _SURVEY not in columns:
         raise UsageError(f"{origin}: there is no column {_SURVEY}; there are: {', '.join(known)}")
     if unknown := [title for title, name in zip(titles, columns, strict=True) if name not in {"", *known}]:
-        faults.append(f"unknown column {', '.join(unknown)}; there are: {', '.join(known)}")
+        faults.append(unknown_text(unknown, known, "column").replace("`", ""))
     if repeated := sorted({name for name in columns if name and columns.count(name) > 1}):
         faults.append(f"the column {', '.join(repeated)} is there twice")
     return [name if name in known else "" for name in columns]
@@ -192,7 +193,7 @@ def _setting(name: str, text: str, folder: Path) -> tuple[dict[str, Any], list[s
         if kind is bool:
             value = _WORDS.get(text.lower(), text)
         elif get_origin(kind) is tuple:
-            value = [float(word) for word in text.replace(",", " ").split()]
+            value = [int(word) for word in text.replace(",", " ").split()]
         elif kind in (int, float):
             value = kind(text)
     return parse_record({name: value}, MapConfig, folder)

@@ -20,9 +20,8 @@ from bumpymap.layers import (
     require_folder,
     write_manifest,
 )
-from bumpymap.views.export.area import ExportArea, choose_area, write_pixel_cost
+from bumpymap.views.export.area import ExportArea, choose_area, make_grids, write_pixel_cost
 from bumpymap.views.export.gridmap import make_layers, require_rosbags, write_gridmap
-from bumpymap.views.export.nav2 import make_grids
 from bumpymap.views.export.settings import ExportSettings
 from bumpymap.views.words import seen_sizes
 from bumpytiles import TileWindow

@@ -31,7 +31,6 @@ from bumpymap.core import (
     atomic,
     chance_text,
     horizontal_of,
-    speed_bands,
     stated_crs,
 )
 from bumpymap.layers import (
@@ -99,7 +98,7 @@ NORMAL, MULTIPLY = 0, 6
 """Blending modes of QGIS."""
 Style = dict[str, Any]
 """A layer for a template: pixels by `paletted` or `_ramp`, areas, lines and points by `vectors`."""
-_Colour = tuple[int, int, int, int]
+_Colour = tuple[int, ...]
 """Red, green, blue, alpha from 0 to 255."""
 
 
@@ -191,12 +190,7 @@ def _differences(values: NDArray[np.float32], unit: str, band: int) -> Style:
     most = float(np.abs(np.nan_to_num(values)).max(initial=0.0)) or 1.0
     parts = np.linspace(-1.0, 1.0, len(DIFFERENCE_RAMP))
     ends = zip((most * np.sign(parts) * parts**2).tolist(), DIFFERENCE_RAMP, strict=True)
-    return _ramp([(end, f"{end:+.3g} {unit}", _rgba(text)) for end, text in ends], band)
-
-
-def _rgba(text: str) -> _Colour:
-    red, green, blue = bytes.fromhex(text[1:])
-    return red, green, blue, 255
+    return _ramp([(end, f"{end:+.3g} {unit}", (*bytes.fromhex(text[1:]), 255)) for end, text in ends], band)
 
 
 def check_layers() -> list[ViewLayer]:
@@ -266,20 +260,15 @@ def class_labels(record: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(f"{name}: c_r {text}" for name, text in named) or CLASS_NAMES
 
 
-def speeds_of(record: Mapping[str, Any]) -> list[float]:
-    """Return the speeds of speeds.tif, m/s, in the order of its bands."""
-    return [float(speed) for speed in record["settings"].get("speeds") or ()]
-
-
 def map_styles(record: Mapping[str, Any], *, in_project: bool = False) -> dict[str, Style]:
     """Return how QGIS shows each layer of a map.
 
     ``record``: the record of the run, as in run.json; ``in_project``: as layers of one project: clear where there is
     nothing to explain (passable tiles, tiles with a class); a pale relief; the photo, which needs no style of its own.
     The keys are of `MapFile`, and for what else a project shows of one, it and a part: of roughness.tif ``p_fail``, of
-    speeds.tif each speed, such as ``0.5``, of cost.fgb ``closed``, what is not known or not passable.
+    cost.fgb ``closed``, what is not known or not passable.
     """
-    labels, speeds = class_labels(record), speeds_of(record)
+    labels = class_labels(record)
     anchors = zip(RideScale.of(record).anchors, CLASS_NAMES, strict=True)
     stops = [(at, f"{at:.3g} rad/m ({name})", CLASS_COLOURS[code]) for code, (at, name) in enumerate(anchors)]
     units_per_m = 1.0 / record["metres_per_unit"]["horizontal"]
@@ -295,7 +284,6 @@ def map_styles(record: Mapping[str, Any], *, in_project: bool = False) -> dict[s
         (FAIL_SHARE, "at least half of the drives fail", CLASS_COLOURS[3]),
         (1.0, "all drives fail", CLASS_COLOURS[3]),
     ]
-    at_speeds = [band.name for band in speed_bands(tuple(speeds))]
     return {
         MapFile.CLASS: paletted(enumerate(labels), CLASS_COLOURS),
         MapFile.REASON: paletted(REASON_TEXT.items(), REASON_GREYS, clear=[Reason.OK] if in_project else ()),
@@ -312,9 +300,7 @@ def map_styles(record: Mapping[str, Any], *, in_project: bool = False) -> dict[s
         MapFile.HEIGHTMAP: relief,
         MapFile.RELIEF: relief,
         **({MapFile.PHOTO: {"kind": "multibandcolor", "opacity": _PALE}} if in_project else {}),
-        MapFile.SPEEDS: _ramp(stops),
         MapFile.HEADINGS: _ramp(stops),
-        **{f"{MapFile.SPEEDS} {speed:g}": _ramp(stops, 1 + at_speeds.index(f"c_r_{speed:g}")) for speed in speeds},
         MapFile.TILES: vectors(looks, line=CALM_LINE if record["settings"].get("headings") else ""),
     }
 
@@ -420,8 +406,8 @@ class _Tree:
         return [about] if layers else []
 
 
-def _groups(tree: _Tree, speeds: Sequence[float]) -> list[Style]:
-    """Return the groups of the project, the topmost first; the ride at other speeds [m/s] lies where the map's does."""
+def _groups(tree: _Tree) -> list[Style]:
+    """Return the groups of the project, the topmost first."""
     closed = _closed(tree)
     why = tree.group(
         "Why not",
@@ -435,9 +421,6 @@ def _groups(tree: _Tree, speeds: Sequence[float]) -> list[Style]:
     classes = tree.layer(MapFile.CLASS, _CLASSES, MULTIPLY, visible=True)
     fails = tree.layer(MapFile.ROUGHNESS, "most drives fail", visible=True, part="p_fail")
     rides = tree.layer(MapFile.ROUGHNESS, "c_r of the drives that get through", MULTIPLY, visible=True)
-    others = [tree.layer(MapFile.SPEEDS, f"c_r at {speed:g} m/s", MULTIPLY, part=f"{speed:g}") for speed in speeds]
-    if speeds:
-        rides = tree.group("at one speed", rides, *others, one_of=True)
     c_r = tree.group("ride cost c_r", fails, rides, expanded=False, visible=False)
     cost = tree.layer(MapFile.COST, "cost of driving", MULTIPLY)
     ride = tree.group("Ride", classes, c_r, cost, tree.layer(MapFile.SPEED, "speed made good", MULTIPLY), one_of=True)
@@ -461,7 +444,7 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
     in run.json. Raises OutputError: the project cannot be written, or a layer cannot be read.
     """
     tree = _Tree(folder, record)
-    groups = _groups(tree, speeds_of(record))
+    groups = _groups(tree)
     raster = next((layer["source"] for layer, _ in tree.styled if layer["is_raster"]), None)  # all have the same extent
     box = None
     if raster is not None:
@@ -542,7 +525,6 @@ def _write(
 
 
 def _visible(groups: Iterable[Style]) -> set[str]:
-    """Return the ids of the layers that are shown when a project opens."""
     found: set[str] = set()
     for each in groups:
         if each["visible"]:

@@ -90,14 +90,11 @@ class ChangeSite:
         Raises BadInputError: a file is missing, damaged, or was written by an earlier version.
         """
         try:
-            unit, tile_size = float(record["metres_per_unit"]["horizontal"]), float(record["grid"]["tile_size_m"])
             with open_layer(folder / "change.tif", remedy=_AGAIN) as file:
-                step = math.ceil(
-                    max(1, max(file.width, file.height) / _SIDE, math.sqrt(record["counts"]["compared"] / _COMPARED))
-                )
+                spot = Spot.of(file, record, _SIDE)
+                step = max(spot.step, math.ceil(math.sqrt(record["counts"]["compared"] / _COMPARED)))
                 while True:
-                    west, north = file.transform.c * unit, file.transform.f * unit
-                    spot = Spot(west, north, tile_size, 1, file.width, file.height, step, unit)
+                    spot = replace(spot, step=step)
                     kinds, d_height, d_c_r = _read(file, step)
                     grids = (
                         ByteGrid.of(("d_height", "height after minus before", "m", 2), d_height, "root"),
@@ -144,7 +141,6 @@ def _below(record: Mapping[str, Any], spot: Spot) -> dict[str, str]:
 
     That of the later survey is taken first. A map is the one that was compared if the checksum of the file says so.
     """
-    spot = replace(spot, pixels=int(record["grid"]["pixels"]))
     for key, file in (("photo", MapFile.PHOTO), ("relief", MapFile.HEIGHTMAP)):
         for side in reversed(_SIDES):
             source = record["sources"][side]

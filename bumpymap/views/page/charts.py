@@ -303,6 +303,8 @@ def locator(lon: float, lat: float) -> dict[str, Any]:
     ``lon``, ``lat``: degrees, WGS 84. The result is a square of ``side``: the paths ``country`` and ``others`` in it,
     ``x`` and ``y`` of the place to the right and down.
     """
+    import shapely
+
     corners, starts, countries = _countries()
     here, corners = np.array([lon, lat]), corners.copy()
     lows, highs = np.minimum.reduceat(corners, starts), np.maximum.reduceat(corners, starts)
@@ -315,7 +317,7 @@ def locator(lon: float, lat: float) -> dict[str, Any]:
         places[:, 0] += turn
     lands = np.split(corners, starts[1:])
     around = np.flatnonzero(((lows <= here) & (here <= highs)).all(axis=1)).tolist()
-    if holding := [at for at in around if _holds(lands[at], lon, lat)]:
+    if holding := [at for at in around if shapely.contains_xy(shapely.polygons(lands[at]), lon, lat)]:
         own = min(holding, key=lambda at: len(lands[at]))  # the smaller one of a country within another
     else:  # at sea
         apart = np.hypot(*((corners - here) * (math.cos(math.radians(lat)), 1.0)).T)
@@ -335,11 +337,3 @@ def locator(lon: float, lat: float) -> dict[str, Any]:
         paths[bool(countries[at] == countries[own])] += f"M{words}Z"
     x, y = ((here - middle) * scale + _SIDE / 2).tolist()
     return {"side": _SIDE, "country": paths[True], "others": paths[False], "x": x, "y": y}
-
-
-def _holds(land: NDArray[np.float64], lon: float, lat: float) -> bool:
-    """Return whether a place lies in a land: a line to the east crosses its outline an odd number of times."""
-    (x, y), (next_x, next_y) = land.T, np.roll(land, -1, axis=0).T
-    past = (y > lat) != (next_y > lat)
-    crossing = x[past] + (lat - y[past]) / (next_y - y)[past] * (next_x - x)[past]
-    return bool(np.count_nonzero(crossing > lon) % 2)

@@ -324,7 +324,6 @@ def _bar_rows(site: Site) -> list[Row]:
 
 
 def _reason_rows(site: Site) -> list[Row]:
-    """Return why tiles are not known."""
     codes = [code for code in Reason if site.summary.by_reason[code]]
     known = site.summary.tiles - site.summary.unknown
     counted = _counted(site, [*(site.summary.by_reason[code] for code in codes), known], (len(codes),))

@@ -4,7 +4,6 @@ import base64
 import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Self
 
@@ -357,8 +356,13 @@ class Site:
     """The colours of the points, a data URI; None if they have none."""
     still: str
     """The classes over the relief, a data URI: for readers and printers without scripts."""
-    headings: str | None = None
+    headings: str | None
     """Packed `heading_codes`; None where there are none, a pixel is more than one tile, or they are too many."""
+    degrees: list[list[float]] | None
+    """Longitude and latitude of the corners of the map: north-west, north-east, south-west, south-east.
+
+    None without a CRS, or where these are not known.
+    """
     ways: tuple[DrawnWay, ...] = ()
     stretches: Sequence[Mapping[str, Any]] = ()
     """Stretches of real drives over the map, as the script of the page needs them."""
@@ -381,7 +385,9 @@ class Site:
         by an earlier version.
         """
         wait(MapFile.CLASS, MapFile.TILES)
-        summary, spot = MapSummary.of(record["counts"]), Spot.of(folder, record, _SIDE)
+        summary = MapSummary.of(record["counts"])
+        with open_layer(folder / MapFile.CLASS) as file:
+            spot = Spot.of(file, record, _SIDE)
         step = max(spot.step, int(np.ceil(np.sqrt(summary.tiles / _TILES))))
         while True:
             spot = replace(spot, step=step)
@@ -417,7 +423,8 @@ class Site:
         headings = None if codes is None else packed(codes)
         if headings and taken + len(text) + len(relief) + len(headings) > _BUDGET:
             headings = None
-        shown = (tiles, grids, objects, text, relief, picture, still, headings)
+        degrees = None if record["crs"] is None else _corners(record["crs"]["wkt"], spot)
+        shown = (tiles, grids, objects, text, relief, picture, still, headings, degrees)
         return cls(str(record["survey"]["name"]), record, summary, *shown, ways, stretches)
 
     @property
@@ -430,15 +437,6 @@ class Site:
         """Texts and logo of `page_header`; the operator is the provider unless another one is given."""
         provider = self.record["settings"].get("provider")
         return ({"operator": provider} if provider else {}) | (self.record.get("page") or {})
-
-    @property
-    def degrees(self) -> list[list[float]] | None:
-        """Longitude and latitude of the corners of the map: north-west, north-east, south-west, south-east.
-
-        None without a CRS, or where these are not known.
-        """
-        crs = self.record["crs"]
-        return None if crs is None else _corners(crs["wkt"], self.tiles.spot)
 
     @property
     def tile_area(self) -> float:
@@ -500,9 +498,8 @@ class Site:
         }
 
 
-@lru_cache(maxsize=2)
 def _corners(wkt: str, spot: Spot) -> list[list[float]] | None:
-    """Return the corners of a map in degrees, see `Site.degrees`: a page asks for them several times."""
+    """Return the corners of a map in degrees, see `Site.degrees`."""
     west, north = spot.west, spot.north
     east, south = west + spot.cols * spot.tile_size, north - spot.rows * spot.tile_size
     try:

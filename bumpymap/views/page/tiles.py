@@ -157,15 +157,12 @@ class Spot:
     """Metres per unit of the CRS."""
 
     @classmethod
-    def of(cls, folder: Path, record: Mapping[str, Any], side: int) -> Self:
-        """Read the place of a map from class.tif; the grid has at most ``side`` pixels a side."""
-        with open_layer(folder / MapFile.CLASS) as file:
-            place, width, height = file.transform, file.width, file.height
-        unit = float(record["metres_per_unit"]["horizontal"])
-        grid = record["grid"]
-        step = math.ceil(max(width, height) / side)
-        tile, pixels = float(grid["tile_size_m"]), int(grid["pixels"])
-        return cls(place.c * unit, place.f * unit, tile, pixels, width, height, step, unit)
+    def of(cls, file: Any, record: Mapping[str, Any], side: int) -> Self:
+        """Take the place of a raster of tiles, which is open; the grid has at most ``side`` pixels a side."""
+        unit, grid = float(record["metres_per_unit"]["horizontal"]), record["grid"]
+        west, north, tile = file.transform.c * unit, file.transform.f * unit, float(grid["tile_size_m"])
+        step = math.ceil(max(file.width, file.height, 1) / side)
+        return cls(west, north, tile, int(grid["pixels"]), file.width, file.height, step, unit)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -316,7 +313,6 @@ class PageTiles:
 
 
 def _place(found: Mapping[str, NDArray[Any]], spot: Spot) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return rows and columns on the grid of the page."""
     col = found["col"].astype(np.intp) - round(spot.west / spot.tile_size)
     line = round(spot.north / spot.tile_size) - 1 - found["row"].astype(np.intp)
     inside = len(col) == 0 or (col.min() >= 0 and line.min() >= 0 and col.max() < spot.cols and line.max() < spot.rows)

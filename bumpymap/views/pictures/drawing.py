@@ -82,7 +82,7 @@ class Pen:
         """Write one line; ``anchor`` as Pillow names it."""
         self._draw.text((place[0] * _TWICE, place[1] * _TWICE), text, colour, font(size * _TWICE), anchor)
 
-    def upright_text(self, place: tuple[float, float], text: str, colour: Colour, size: int = 16) -> None:
+    def upright_text(self, place: tuple[float, float], text: str, colour: Colour, size: int) -> None:
         """Write one line from bottom to top, its middle at a point."""
         left, top, right, bottom = font(size * _TWICE).getbbox(text)
         lying = Image.new("L", (math.ceil(right - left) + 4, math.ceil(bottom - top) + 4))
@@ -227,10 +227,10 @@ def _finest(view: MapView) -> tuple[tuple[int, int], tuple[NDArray[np.int64], ..
     return (rows, cols), place
 
 
-def hatched(height: int, width: int) -> NDArray[np.bool_]:
-    """Return which pixels of a panel lie on the lines of the hatching, (height, width)."""
-    across = np.arange(height)[:, None] + np.arange(width)[None, :]
-    return np.asarray(across % _HATCH_PERIOD < _HATCH_WIDTH, dtype=np.bool_)
+@lru_cache(maxsize=4)
+def hatched(height: int, width: int, period: int = _HATCH_PERIOD, line: int = _HATCH_WIDTH) -> NDArray[np.bool_]:
+    """Return which pixels of a panel lie on the lines of the hatching, (height, width); both others are in pixels."""
+    return np.asarray(np.add.outer(np.arange(height), np.arange(width)) % period < line, dtype=np.bool_)
 
 
 def _sample(source: "MapReader", view: MapView) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
@@ -348,7 +348,7 @@ def draw_profile(pen: Pen, profile: "RouteProfile", box: tuple[int, int, int, in
     _fill_ground(pen, ground, profile, scale)
     _frame(pen, ground, "height [m]", 4)
     _curve(pen, ground, profile.distance, profile.z)
-    nearest = _nearest(profile.distance, ride.distances)
+    nearest = _nearest(profile, ride)
     upper, lower = (ride.rows(side[nearest]) - ride.top for side in (profile.c_r_high, profile.c_r_low))
     line = np.arange(ride.height)[:, None] + 0.5
     canvas: Pixels = np.full((ride.height, ride.width, 3), 255, np.uint8)
@@ -386,7 +386,7 @@ def _fill_ground(pen: Pen, axes: _Axes, profile: "RouteProfile", scale: RideScal
     """Fill the ground under the curve of the heights, each column in the colour of its ride cost."""
     # NaN on either side makes what lies between unknown too
     row = axes.rows(np.interp(axes.distances, profile.distance, profile.z)) - axes.top
-    c_r = profile.c_r[_nearest(profile.distance, axes.distances)]
+    c_r = profile.c_r[_nearest(profile, axes)]
     colour = scale.colours(c_r)
     colour[np.isnan(c_r)] = UNKNOWN_SHADE
     colour = 255.0 + _FILL * (colour - 255.0)
@@ -404,11 +404,10 @@ def _curve(pen: Pen, axes: _Axes, distance: NDArray[np.float64], values: NDArray
             pen.line(axes.points(distance[run], values[run]), INK, 1.5)
 
 
-def _nearest(known: NDArray[np.float64], wanted: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return the index of the nearest of sorted values."""
-    after = np.clip(np.searchsorted(known, wanted), 0, len(known) - 1)
-    before = np.maximum(after - 1, 0)
-    return np.where(np.abs(wanted - known[before]) <= np.abs(known[after] - wanted), before, after)
+def _nearest(profile: "RouteProfile", axes: _Axes) -> NDArray[np.int64]:
+    """Return the point of a profile that is nearest to each column of pixels; points are evenly apart."""
+    number = np.arange(len(profile.distance))
+    return np.rint(np.interp(axes.distances, profile.distance, number)).astype(np.int64)
 
 
 WHITE = (255, 255, 255)

@@ -111,7 +111,6 @@ def _draw_legend(pen: Pen, route: Route, scale: RideScale) -> None:
 
 
 def _draw_figures(pen: Pen, route: Route, left: int, row: int) -> None:
-    """Write what the way costs under the legend."""
     figures = route.figures
     _draw_way(pen, np.array([[left + 3.0, row + 12.0], [left + 37.0, row + 12.0]]))
     pen.text((left + 54, row + 12), shortened(route.name, 32), INK, size=16)
@@ -129,7 +128,6 @@ def _draw_figures(pen: Pen, route: Route, left: int, row: int) -> None:
 
 
 def _draw_chart_notes(pen: Pen, route: Route, top: int) -> None:
-    """Explain the profile to its right."""
     left = _EDGE + _PANEL + 24
     figures = route.figures
     lines = [

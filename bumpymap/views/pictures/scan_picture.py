@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw
 
 from bumpymap.core import CLASSES, ClassedSectors, PolarCells, PolarSettings, Scan, cell_numbers
 from bumpymap.layers import OBSTACLE_POINT, OTHER_POINT, SCAN_CLASS_NAMES, SCAN_COLOURS, class_index, point_styles
-from bumpymap.views.pictures.drawing import font, shortened
+from bumpymap.views.pictures.drawing import font, hatched, shortened
 
 SIDE = 960
 """Side of the scene, pixels."""
@@ -84,20 +84,15 @@ def _paint_sectors(scene: Picture, classed: ClassedSectors, range_m: float) -> N
     fill = np.vstack([paper + _FILL * (SCAN_COLOURS[:CLASSES] - paper), _NOT_GROUND]).astype(np.uint8)
     shades = np.full((2, count + 1, 3), _PAPER, np.uint8)  # second: of the lines of the hatching
     shades[:, own] = fill[class_index(classed)]
-    hatched = own[stack.obstacle]
-    shades[1, hatched] = shades[1, hatched] + _HATCH * (SCAN_COLOURS[OBSTACLE_POINT] - shades[1, hatched].astype(float))
+    barred = own[stack.obstacle]
+    shades[1, barred] = shades[1, barred] + _HATCH * (SCAN_COLOURS[OBSTACLE_POINT] - shades[1, barred].astype(float))
     cell = _polar_cells(stack.settings, range_m).cells(stack.azimuth_start_rad)
-    np.take(shades.reshape(-1, 3), cell + len(shades[0]) * _hatching(), axis=0, out=scene, mode="clip")
+    lines = hatched(SIDE, SIDE, _HATCH_PX, _HATCH_WIDTH_PX)
+    np.take(shades.reshape(-1, 3), cell + len(shades[0]) * lines, axis=0, out=scene, mode="clip")
     border = np.zeros(cell.shape, np.bool_)
     border[:, 1:] = cell[:, 1:] != cell[:, :-1]
     border[1:] |= cell[1:] != cell[:-1]
     scene[border] = _BORDER
-
-
-@lru_cache(maxsize=1)
-def _hatching() -> NDArray[np.bool_]:
-    """Return the pixels of diagonal lines over the scene."""
-    return (np.add.outer(np.arange(SIDE), np.arange(SIDE)) % _HATCH_PX) < _HATCH_WIDTH_PX
 
 
 def _paint_points(picture: Picture, scan: Scan, styles: NDArray[np.uint8], range_m: float) -> None:
@@ -135,7 +130,6 @@ def _draw_distances(draw: ImageDraw.ImageDraw, range_m: float, step: float) -> N
 
 
 def _draw_robot(draw: ImageDraw.ImageDraw, column: int, row: int) -> None:
-    """Draw the robot: an arrow head that points forward."""
     draw.polygon([(column + right, row + down) for right, down in _ROBOT], _INK, _PAPER)
 
 

@@ -103,8 +103,8 @@ def test_a_fault_of_all_surveys_is_said_before_the_first(tmp_path):
 
 @pytest.mark.parametrize("separator", [",", ";"])
 def test_the_columns_of_a_table_are_settings(tmp_path, separator):
-    text = "survey,name,--tile-size,Pixels,local,vehicle,calibration,max_unknown,speeds\n"
-    text += f"a b.laz,n,2.5,11,yes,,own.json,50%,\n{tmp_path}/x/c.laz,,,,no,own.toml,,0.25,0.5 1 2\n"
+    text = "survey,name,--tile-size,Pixels,local,vehicle,calibration,max_unknown,ground_classes\n"
+    text += f"a b.laz,n,2.5,11,yes,,own.json,50%,\n{tmp_path}/x/c.laz,,,,no,own.toml,,0.25,2 8 17\n"
     for name in ("a b.laz", "x/c.laz"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
@@ -112,8 +112,7 @@ def test_the_columns_of_a_table_are_settings(tmp_path, separator):
     second, first = list_surveys(tmp_path / "a.csv", "file")
     own = {"tile_size": 2.5, "pixels": 11, "local": True, "calibration": tmp_path / "own.json", "max_unknown": 0.5}
     assert first == (tmp_path / "a b.laz", "n", own)
-    more = {"max_unknown": 0.25, "speeds": (0.5, 1.0, 2.0)}
-    own = {"local": False, "vehicle": str(tmp_path / "own.toml"), **more}
+    own = {"local": False, "vehicle": str(tmp_path / "own.toml"), "max_unknown": 0.25, "ground_classes": (2, 8, 17)}
     assert second == (tmp_path / "x" / "c.laz", "c", own)
 
 
