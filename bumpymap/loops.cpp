@@ -2,5 +2,9 @@
 #include "bumpytiles/bindings.hpp"
 
 void bind_passable(nb::module_& module);
+void bind_steps(nb::module_& module);
 
-NB_MODULE(LOOPS_MODULE, module) { bind_passable(module); }
+NB_MODULE(LOOPS_MODULE, module) {
+    bind_passable(module);
+    bind_steps(module);
+}
