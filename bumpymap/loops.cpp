@@ -4,17 +4,25 @@
 void bind_deskew(nb::module_& module);
 void bind_las(nb::module_& module);
 void bind_line_ride(nb::module_& module);
+void bind_motion_operator(nb::module_& module);
+void bind_passable(nb::module_& module);
 void bind_point_stats(nb::module_& module);
+void bind_rate(nb::module_& module);
 void bind_reach(nb::module_& module);
 void bind_search(nb::module_& module);
+void bind_steps(nb::module_& module);
 void bind_straighten(nb::module_& module);
 
 NB_MODULE(LOOPS_MODULE, module) {
     bind_deskew(module);
     bind_las(module);
     bind_line_ride(module);
+    bind_motion_operator(module);
+    bind_passable(module);
     bind_point_stats(module);
+    bind_rate(module);
     bind_reach(module);
     bind_search(module);
+    bind_steps(module);
     bind_straighten(module);
 }

@@ -1,24 +1,44 @@
 """Tiles that a vehicle can pass: between obstacles, over edges, on slopes and ground that it survives."""
 
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import CLOSED_WHOLLY, FREE, OBSTACLE, UNDECIDED, Barred, VehicleBody, corners_join, obstacle_reach
-from bumpymap.rating._passable_kernels import (
-    GrowScratch,
-    InnerTiles,
-    Mosaic,
-    close_split,
-    find_ways,
-    grow_obstacles,
-    grow_scratch,
-    number_areas,
-)
+from bumpymap.core.loops import loops
 
 _MOST_MARGIN = 0.45
 """Of a tile: what wide vehicles keep from tiles that their ground bars, so that corridors of one tile stay open."""
+
+
+class Mosaic(NamedTuple):
+    """Tiles of a block with a ring of one tile around them."""
+
+    objects: NDArray[np.uint8]
+    """(tiles * pixels, tiles * pixels) states of `bumpymap.core.ObjectStack`, settled."""
+    pixels: int
+    """Along a side of a tile."""
+    radius: float
+    """Distance from obstacles that the middle of the vehicle keeps, px."""
+    corners: bool
+    """True if free pixels hang together by their corners too, see `bumpymap.core.corners_join`."""
+
+
+class InnerTiles(NamedTuple):
+    """Values that are read and filled for the tiles within the ring, (tiles - 2, tiles - 2) each."""
+
+    edges: NDArray[np.bool_]
+    """(tiles - 2, tiles - 2, 4) which edges can be crossed: north, east, south, west."""
+    wanted: NDArray[np.bool_]
+    """Tiles to look at; for the others, nothing is filled."""
+    passable: NDArray[np.bool_]
+    """Filled: whether there is a way through the tile."""
+    blocked: NDArray[np.bool_]
+    """Filled: whether there would be none if every edge could be crossed."""
+    near_obstacle: NDArray[np.bool_]
+    """Filled: whether it is blocked, and an obstacle lies in it or within the radius of it."""
 
 
 def settle_objects(objects: NDArray[np.uint8], pixels: int) -> NDArray[np.uint8]:
@@ -63,10 +83,10 @@ def find_passable(
         return alone.copy()
     pixels = len(objects) // (len(alone) + 2)
     found = InnerTiles(
-        np.ascontiguousarray(edge_usable, np.bool_), wanted, *(np.empty(alone.shape, np.bool_) for _ in range(3))
+        np.ascontiguousarray(edge_usable, np.bool_), wanted, *(np.zeros(alone.shape, np.bool_) for _ in range(3))
     )
-    mosaic, scratch = _grown(objects, body, tile_size, pixels)
-    find_ways(mosaic, found, scratch)
+    mosaic, mask = _grown(objects, body, tile_size, pixels)
+    loops.find_ways(mosaic, found, mask)
     return np.select(
         [~wanted, found.near_obstacle, found.blocked, ~found.passable],
         [alone, np.uint8(Barred.OBSTACLE), np.uint8(Barred.LITTLE_SEEN), np.uint8(Barred.STEP)],
@@ -88,8 +108,8 @@ def free_areas(
     """
     count = len(barred) + 2
     pixels = len(objects) // count
-    mosaic, scratch = _grown(objects, body, tile_size, pixels)
-    tiles = scratch.mask.reshape(count, pixels, count, pixels).swapaxes(1, 2)[1:-1, 1:-1]
+    mosaic, mask = _grown(objects, body, tile_size, pixels)
+    tiles = mask.reshape(count, pixels, count, pixels).swapaxes(1, 2)[1:-1, 1:-1]
     return _numbered((tiles == 0) & ~np.isin(barred, CLOSED_WHOLLY)[..., None, None], mosaic.corners)
 
 
@@ -111,7 +131,7 @@ def close_split_tiles(
     largest = (areas == 1).sum(axis=(2, 3), dtype=np.int32)
     split = np.zeros(barred.shape, np.bool_)
     radius, corners = _reach(body, tile_size, pixels)
-    close_split(np.ascontiguousarray(areas), largest, barred == Barred.NO, corners, split)
+    loops.close_split(np.ascontiguousarray(areas), largest, barred == Barred.NO, corners, split)
     near = _beside(np.isin(barred, CLOSED_WHOLLY), min(radius, _MOST_MARGIN * pixels), pixels)
     inner = areas[1:-1, 1:-1]
     final = np.where(split, np.uint8(Barred.SPLIT), barred)[1:-1, 1:-1]
@@ -126,24 +146,18 @@ def _reach(body: VehicleBody, tile_size: float, pixels: int) -> tuple[float, boo
 
 def _grown(
     objects: NDArray[np.uint8], body: VehicleBody, tile_size: float, pixels: int
-) -> tuple[Mosaic, GrowScratch]:  # fmt: skip
-    """Return a mosaic for kernels, and in the mask of the scratch where the middle of the vehicle cannot be."""
+) -> tuple[Mosaic, NDArray[np.uint8]]:  # fmt: skip
+    """Return a mosaic, and a mask of its pixels that is not 0 where the middle of the vehicle cannot be."""
     mosaic = Mosaic(np.ascontiguousarray(objects), pixels, *_reach(body, tile_size, pixels))
-    scratch = grow_scratch(mosaic)
-    grow_obstacles(mosaic, scratch)
-    return mosaic, scratch
+    mask = np.empty(objects.shape, np.uint8)
+    loops.grow_obstacles(mosaic, mask)
+    return mosaic, mask
 
 
 def _numbered(free: NDArray[np.bool_], corners: bool) -> NDArray[np.uint8]:
     """Give the areas of free pixels of tiles numbers, (n, m, pixels, pixels)."""
     areas = np.empty(free.shape, np.uint8)
-    number_areas(
-        np.ascontiguousarray(free).view(np.uint8),
-        corners,
-        areas,
-        np.empty(free.shape[2] ** 2, np.int32),
-        np.empty(255, np.int32),
-    )
+    loops.number_areas(np.ascontiguousarray(free).view(np.uint8), corners, areas)
     return areas
 
 

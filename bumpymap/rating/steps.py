@@ -49,30 +49,14 @@ that never fall, with straight lines between the known heights:
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, correlate, maximum_filter
 
 from bumpymap.core import FAIL_SHARE, NO_CLASS, BadInputError
-from bumpymap.rating._step_kernels import (
-    REACH,
-    RUN,
-    UNKNOWN_NOISE,
-    RawSteps,
-    StepMosaic,
-    TileSlopes,
-    find_gradients,
-    find_jumps,
-    find_peaks,
-    find_quantiles,
-    find_raw_steps,
-    jump_scratch,
-    jump_sides,
-    peak_scratch,
-    row_scratch,
-)
+from bumpymap.core.loops import loops
 from bumpymap.rating.calibration import Calibration, remembered
 from bumpymap.rating.ride.correction import NORMAL_TAIL, class_chance
 from bumpymap.rating.ride.speed import plain_speed_factor
@@ -215,6 +199,12 @@ def _recorded(record: Mapping[str, Any]) -> StepEffect:
     return StepEffect(np.concatenate(([0.0], height)), c_r, sd, fails, up, down)
 
 
+_RUN = 4
+"""Pixels before and after the middle one of a run."""
+_REACH = 4
+"""Pixels on each side of a step that are looked at."""
+_UNKNOWN_NOISE = 0.15
+"""Steps below this do not count where the noise of both sides is unknown, m."""
 _QUANTILE, _QUANTILE_LIMIT = 0.2, 12.0
 """Steps count above 12 times the 20 % quantile of all steps in the tile (4 above). Chosen, as the next."""
 _PIXEL_LIMIT = 2.5
@@ -238,6 +228,43 @@ _JUMP = 2.4
 """Height between two pixels that is not noise, over the limit of noise: six standard deviations of a pixel."""
 _LEAST_STEPS = 12
 """With fewer known steps in a tile, its noise is unknown."""
+
+
+class StepMosaic(NamedTuple):
+    """Heights of tiles side by side."""
+
+    heights: Floats
+    """(rows + 8, cols) m; NaN in unknown pixels, and in the four rows before the first tile and after the last one."""
+    pixels: int
+    """Along a side of a tile."""
+    level: float
+    """Width of the levels on both sides of a step, px."""
+    east: Floats
+    """(tiles, cols) gradient of the tile from one pixel to its eastern neighbour, m."""
+    south: Floats
+    """The same to its southern neighbour."""
+
+
+class RawSteps(NamedTuple):
+    """Steps from west to east at every pixel."""
+
+    least: Floats
+    """(rows, cols) the least step anywhere in the pixel, m; NaN where a side is unknown."""
+    crest: Floats
+    """(rows, cols) height of a pixel above the runs three and four pixels on both sides of it, m; NaN if it is unknown,
+    infinite if both sides are."""
+    inside: Floats
+    """(tiles, tiles, (pixels - 8)^2) size of the steps in the middle of pixels whose support lies in the tile, m."""
+
+
+class TileSlopes(NamedTuple):
+    """Tiles in which to look for jumps, (tiles, tiles) each."""
+
+    east: Floats
+    """Usual rise from a pixel to the next one in the east, m."""
+    south: Floats
+    """The same to the south, m."""
+    is_wanted: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -303,17 +330,17 @@ def find_steps(
     or 10 pixels.
     """
     sides = heights.shape
-    if pixels < 2 * REACH + 2 or len(sides) != 2 or min(sides) < 3 * pixels or any(n % pixels for n in sides):
+    if pixels < 2 * _REACH + 2 or len(sides) != 2 or min(sides) < 3 * pixels or any(n % pixels for n in sides):
         raise ValueError(f"heights of shape {sides} are not those of tiles with {pixels} pixels and a ring of them")
-    side = int(np.clip(round(wheel), 2, REACH))
+    side = int(np.clip(round(wheel), 2, _REACH))
     # Nothing beyond the ring of tiles may count, or two blocks would differ on the border that they share; and whether
     # the last pixel of the ring lies beside an obstacle is not known.
-    level = min(_LEVEL_WIDTH * wheel, (pixels - RUN - 2) / math.sqrt(2.0))
+    level = min(_LEVEL_WIDTH * wheel, (pixels - _RUN - 2) / math.sqrt(2.0))
     whole, is_thin = heights, _tile_sums(np.isfinite(heights), pixels) < _MOST_COVERAGE * pixels**2
     if standing is not None and standing.any():
         heights = np.where(binary_dilation(standing, np.ones((3, 3), np.bool_)), np.nan, heights)
     z, turned = (
-        np.pad(np.ascontiguousarray(part, np.float64), ((RUN, RUN), (0, 0)), constant_values=np.nan)
+        np.pad(np.ascontiguousarray(part, np.float64), ((_RUN, _RUN), (0, 0)), constant_values=np.nan)
         for part in (heights, heights.T)
     )
     (east, noise_east), (south, noise_south) = _gradient(z, pixels), _gradient(turned, pixels)
@@ -323,9 +350,8 @@ def find_steps(
     )
     across, along = _raw(upright, side), _raw(lying, side)  # walls that run north to south come first
     noise = _PIXEL_LIMIT / _MEDIAN_DIFFERENCE * 0.5 * (noise_east + noise_south.T)
-    rows, cols, inside = across.inside.shape
-    usual = np.empty((rows, cols))  # a low quantile of the steps whose support lies in the tile; NaN with too few
-    find_quantiles(across.inside, along.inside, _QUANTILE, _LEAST_STEPS, usual, np.empty(2 * inside + 1))
+    usual = np.empty(noise.shape)  # a low quantile of the steps whose support lies in the tile; NaN with too few
+    loops.find_quantiles(across.inside, along.inside, _QUANTILE, _LEAST_STEPS, usual)
     limit = np.fmax(_QUANTILE_LIMIT * usual, noise)
     west_east, marks = _peaks(upright, across, limit, closing)
     north_south, marks_too = _peaks(lying, along, np.ascontiguousarray(limit.T), closing)
@@ -340,16 +366,15 @@ def find_steps(
     wanted = wanted if searched is None else wanted & searched
     if math.isfinite(closing) and wanted.any():
         tiles = TileSlopes(_sure_gradient(z, pixels), np.ascontiguousarray(_sure_gradient(turned, pixels).T), wanted)
-        width = min(level, _JUMP_WIDTH)
-        scratch = jump_scratch(jumps.shape[0], jumps.shape[1], width)
-        find_jumps(np.ascontiguousarray(whole, np.float64), pixels, tiles, closing, jump_sides(width), jumps, scratch)
+        own = np.ascontiguousarray(whole, np.float64)
+        loops.find_jumps(own, pixels, tiles, closing, min(level, _JUMP_WIDTH), jumps)
     highest = maximum_filter(np.where(np.isnan(heights), -np.inf, heights), 3, mode="nearest")
     low = highest - heights >= np.repeat(np.repeat(np.fmax(closing, _JUMP * noise), pixels, axis=0), pixels, axis=1)
     doubtful = closed & (least == 2)
     if doubtful.any():  # with few points, a single pixel is no line
         beside = correlate((closed | jumps | low).view(np.uint8), _AROUND, mode="constant")
         closed &= ~doubtful | (beside > 1)
-    own = np.where(np.isnan(limit), UNKNOWN_NOISE, limit)[1:-1, 1:-1]
+    own = np.where(np.isnan(limit), _UNKNOWN_NOISE, limit)[1:-1, 1:-1]
     border, inner, rim, own = (part.astype(np.float32) for part in (border, inner, rim, own))
     return TileSteps(border, inner, rim, closed | jumps, low, own)
 
@@ -360,7 +385,7 @@ def _sure_gradient(z: Floats, pixels: int) -> Floats:
     Pixels that are ``_APART`` tell it: of neighbours, few are known in a thin survey, and their noise counts in full.
     """
     rise, spread = _gradient(z, pixels, _APART)
-    known = np.isfinite(z[RUN:-RUN])
+    known = np.isfinite(z[_RUN:-_RUN])
     known[:, :-_APART] &= known[:, _APART:]
     columns = np.arange(known.shape[1]) % pixels
     known[:, columns >= pixels - _APART] = False
@@ -379,9 +404,9 @@ def _gradient(z: Floats, pixels: int, apart: int = 1) -> tuple[Floats, Floats]:
 
     The second array is the median distance of the differences from it, m; NaN with too few.
     """
-    heights = z[RUN:-RUN]
+    heights = z[_RUN:-_RUN]
     middle, spread = (np.empty((len(heights) // pixels, heights.shape[1] // pixels)) for _ in range(2))
-    find_gradients(heights, pixels, apart, _LEAST_STEPS, middle, spread, np.empty(pixels * pixels))
+    loops.find_gradients(heights, pixels, apart, _LEAST_STEPS, middle, spread)
     return middle, spread
 
 
@@ -389,10 +414,10 @@ def _raw(mosaic: StepMosaic, side: int) -> RawSteps:
     """Return the steps from west to east."""
     tiles, cols = mosaic.east.shape
     pixels = mosaic.pixels
-    inside = (pixels - 2 * RUN) * (pixels - 2 * REACH)
+    inside = (pixels - 2 * _RUN) * (pixels - 2 * _REACH)
     least, crest = (np.empty((tiles * pixels, cols)) for _ in range(2))
     found = RawSteps(least, crest, np.empty((tiles, cols // pixels, inside)))
-    find_raw_steps(mosaic, side, found, row_scratch(cols))
+    loops.find_raw_steps(mosaic, side, found)
     return found
 
 
@@ -402,7 +427,7 @@ def _peaks(mosaic: StepMosaic, raw: RawSteps, limit: Floats, closing: float) -> 
     Also return the pixels with a step that closes, surely (2) or if in doubt (1).
     """
     found, closed = np.full((*limit.shape, 4), np.nan), np.zeros(raw.least.shape, np.uint8)
-    find_peaks(mosaic, raw, limit, closing, found, closed, peak_scratch(raw.least.shape[1], mosaic.level))
+    loops.find_peaks(mosaic, raw, limit, closing, found, closed)
     found[found < 0.0] = np.nan
     return found + 0.0, closed  # never -0.0: the sign of nothing would depend on the machine
 

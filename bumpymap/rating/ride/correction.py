@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError
-from bumpymap.rating.ride._ride_kernels import normal_shares
+from bumpymap.core.loops import loops
 from bumpymap.rating.ride.motion_operator import Rides
 from bumpymap.rating.vehicle_body import number_tuples, plain_lists
 
@@ -77,7 +77,7 @@ def class_chance(
     edges = np.concatenate(([-np.inf], np.log(limits), [np.inf]))
     shares = np.empty((2, log_c_r.size))
     for edge, share in zip((edges[class_id], edges[class_id + 1]), shares, strict=True):
-        normal_shares(((edge - log_c_r) / np.where(edge < log_c_r, *sides)).ravel(), share)
+        loops.normal_shares(((edge - log_c_r) / np.where(edge < log_c_r, *sides)).ravel(), share)
     return np.asarray((shares[1] - shares[0]).reshape(log_c_r.shape))
 
 

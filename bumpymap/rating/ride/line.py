@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.rating.ride._ride_kernels import roll_along
+from bumpymap.core.loops import loops
 from bumpymap.rating.ride.correction import Correction
 from bumpymap.rating.ride.motion_operator import Rides, roll_over
 from bumpymap.rating.ride.operator import RideOperator
@@ -94,7 +94,7 @@ def roll_wheels(
 
     def roll(some: Floats, to: NDArray[np.int64]) -> Floats:
         low = np.empty(len(some))
-        roll_along(heights, np.ascontiguousarray(some), to, operator.fine, operator.wheel, envelope, known, low)
+        loops.roll_along(heights, np.ascontiguousarray(some), to, operator.fine, operator.wheel, envelope, known, low)
         return low
 
     low, jump, turned = (

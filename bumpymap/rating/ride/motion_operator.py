@@ -21,23 +21,13 @@ simulation from the facets of its ground.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import AXES_DEG
-from bumpymap.rating.ride._ride_kernels import (
-    PatchesToRide,
-    RideScratch,
-    VehicleGeometry,
-    lay_nodes,
-    ride_patches,
-    ride_scratch,
-    roll_wheel,
-    sample_means,
-    take_group,
-)
+from bumpymap.core.loops import loops
 from bumpymap.rating.ride.operator import (
     PitchSamples,
     RideOperator,
@@ -49,36 +39,29 @@ from bumpymap.rating.ride.operator import (
     wheel_rows,
     wheel_shape,
 )
-from bumpytiles import kernel
 
 Floats = NDArray[np.float64]
 
 
-@kernel
-def move_over_patches(
-    patches: PatchesToRide,
-    wheel: WheelShape,
-    samples: PitchSamples,
-    bounds: Annotated[NDArray[np.int64], 1],
-    motions: Annotated[Floats, 3],
-    scratch: RideScratch,
-) -> None:
-    """Roll a vehicle over patches.
+class PatchesToRide(NamedTuple):
+    """Patches."""
 
-    ``motions`` (tiles, groups, 2) is filled: mean absolute value and root mean square of the samples of each group, the
-    rows from one of ``bounds`` to the next.
-    """
-    nodes = patches.relief.shape[1] * patches.fine + 1
-    held = take_group(patches, 0, scratch)
-    while held > 0:
-        lay_nodes(patches.fine, nodes, scratch)
-        roll_wheel(nodes, wheel, scratch)
-        for group in range(len(bounds) - 1):
-            sample_means(samples, bounds[group], bounds[group + 1], scratch.envelope, scratch.rides)
-            for lane in range(held):
-                for k in range(2):
-                    motions[scratch.members[lane], group, k] = scratch.rides[k, lane]
-        held = take_group(patches, scratch.members[held - 1] + 1, scratch)
+    known: NDArray[np.bool_]
+    """(tiles,) whether to ride it; others keep what the results hold."""
+    relief: NDArray[np.float32]
+    """(tiles, pixels, pixels) plane-removed relief without holes, m."""
+    fine: int
+    """Nodes along the side of a pixel."""
+
+
+class VehicleGeometry(NamedTuple):
+    """Lengths of a vehicle, m."""
+
+    wheelbase: float
+    track: float
+    belly_half: float
+    """Half of the belly's length."""
+    clearance: float
 
 
 _APART = 2
@@ -114,10 +97,10 @@ def roll_over(relief_map: NDArray[np.float32], operator: RideOperator, by_axis: 
     ``by_axis`` (n, 8) is filled with the geometric C_r along each of ``AXES_DEG``, rad/m; the north row of a patch
     comes first.
     """
-    patches, scratch = _patches_and_scratch(relief_map, operator)
+    patches = _patches(relief_map, operator)
     rides = np.full((len(relief_map), 6 if by_axis is None else 6 + len(AXES_DEG)), np.nan)
     geometry = VehicleGeometry(operator.wheelbase, operator.track, operator.belly_half, operator.clearance)
-    ride_patches(patches, operator.wheel, operator.samples, operator.axes, operator.poses, geometry, rides, scratch)
+    loops.ride_patches(patches, operator.wheel, operator.samples, operator.axes, operator.poses, geometry, rides)
     if by_axis is not None:
         by_axis[:] = rides[:, 6:]
     heights = _heights(np.where(patches.known[:, None, None], patches.relief, np.float32(np.nan)))
@@ -181,20 +164,15 @@ class MotionOperator:
 
 def move_over(relief_map: NDArray[np.float32], operator: MotionOperator) -> Motions:
     """Roll a vehicle over patches, as `roll_over`, at several speeds."""
-    patches, scratch = _patches_and_scratch(relief_map, operator)
+    patches = _patches(relief_map, operator)
     motions = np.full((len(relief_map), len(operator.bounds) - 1, 2), np.nan)
-    move_over_patches(patches, operator.wheel, operator.samples, operator.bounds, motions, scratch)
+    loops.move_over_patches(patches, operator.wheel, operator.samples, operator.bounds, motions)
     return Motions(motions[:, 0, 0], motions[:, 1::2, 0], motions[:, 2::2, 1])
 
 
-def _patches_and_scratch(
-    relief_map: NDArray[np.float32], operator: RideOperator | MotionOperator
-) -> tuple[PatchesToRide, RideScratch]:
-    patches, wheel = np.ascontiguousarray(relief_map, np.float32), operator.wheel
-    known = np.asarray(np.isfinite(patches).all(axis=(1, 2)))
-    margin = int(max(np.abs(wheel.row).max(), np.abs(wheel.col).max()))
-    scratch = ride_scratch(patches.shape[1], operator.nodes, margin, len(wheel.starts) - 1)
-    return PatchesToRide(known, patches, operator.fine), scratch
+def _patches(relief_map: NDArray[np.float32], operator: RideOperator | MotionOperator) -> PatchesToRide:
+    patches = np.ascontiguousarray(relief_map, np.float32)
+    return PatchesToRide(np.asarray(np.isfinite(patches).all(axis=(1, 2))), patches, operator.fine)
 
 
 def _heights(patches: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -13,19 +13,14 @@ What the points cannot tell: errors that neighbours share (photogrammetry, fligh
 
 from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import AXES_DEG, FAIL_SHARE, NO_CLASS, CostMap, Georeference, PatchStack, Reason, TextureMap
+from bumpymap.core.loops import loops
 from bumpymap.rating.calibration import Calibration
-from bumpymap.rating.ride._noise_kernels import (
-    DenoisedPatches,
-    PatchesToDenoise,
-    Spectrum,
-    denoise_patches,
-    spectrum_scratch,
-)
 from bumpymap.rating.ride.correction import NORMAL_TAIL, Correction, Prediction, class_chance
 from bumpymap.rating.ride.motion_operator import move_over, roll_over
 from bumpymap.rating.ride.operator import RideOperator, cosines
@@ -39,6 +34,41 @@ _SHARPENED = 1.2
 """Power of C_r along an axis over the mean. An axis takes samples of 22.5 degrees, and ground that is mirrored at the
 edges of the tile has its mirrored headings there: both even out what a line feels. From 1.15 to 1.3 the errors against
 drives and rides of lines are least, on made-up and on natural ground."""
+
+
+class PatchesToDenoise(NamedTuple):
+    """Patches as they were measured."""
+
+    known: NDArray[np.bool_]
+    """(tiles,) whether to treat it; others keep what the results hold."""
+    relief: NDArray[np.float32]
+    """(tiles, pixels, pixels) plane-removed relief, holes filled, m."""
+    pixel_count: NDArray[np.int32]
+    """(tiles, pixels, pixels) points of each pixel."""
+    variance: NDArray[np.float32]
+    """(tiles, pixels, pixels) variance of their heights above the tile's plane, m^2."""
+
+
+class Spectrum(NamedTuple):
+    """Cosines of a patch, and the ground spectra that are tried."""
+
+    basis: Floats
+    """(pixels, pixels) orthonormal cosines."""
+    turned: Floats
+    """The same, rows and columns exchanged."""
+    band: NDArray[np.int32]
+    """(pixels, pixels) band of each coefficient; -1 for the mean."""
+    shapes: Floats
+    """(spectra, bands) power of each band for unit strength."""
+
+
+class DenoisedPatches(NamedTuple):
+    """Arrays that are filled."""
+
+    clean: NDArray[np.float32]
+    """(tiles, pixels, pixels) relief without noise, m."""
+    noise: Floats
+    """(2, tiles) standard deviation of a point [m] and of a pixel's height [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,16 +98,11 @@ def take_noise_off(
     ``known`` (n,): patches to denoise; ``count``, ``variance`` (n, pixels, pixels): points of each pixel and the
     variance of their heights, m^2.
     """
-    spectrum, pixels = _spectrum_of(relief_map.shape[1]), relief_map.shape[1]
     clean, noise = relief_map.copy(), np.full((2, len(relief_map)), np.nan)
-    denoise_patches(
-        PatchesToDenoise(
-            known, np.ascontiguousarray(relief_map), np.ascontiguousarray(count), np.ascontiguousarray(variance)
-        ),
-        spectrum,
-        DenoisedPatches(clean, noise),
-        spectrum_scratch(pixels, *spectrum.shapes.shape),
+    patches = PatchesToDenoise(
+        known, np.ascontiguousarray(relief_map), np.ascontiguousarray(count), np.ascontiguousarray(variance)
     )
+    loops.denoise_patches(patches, _spectrum_of(relief_map.shape[1]), DenoisedPatches(clean, noise))
     return clean, noise
 
 

@@ -1,0 +1,309 @@
+// Where the middle of a vehicle can be, which ways lead through each tile, and how the free areas of tiles join.
+//
+// An obstacle grows to a disc in two passes: first along its column, as the distance of each pixel to the nearest
+// obstacle above or below it; then across, column by column of the disc. Free pixels that hang together are found by
+// flooding, tile by tile. Ours; see passable.py for the arrays.
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <vector>
+
+#include "bumpytiles/bindings.hpp"
+
+namespace bumpy {
+namespace {
+
+using Byte = std::uint8_t;
+
+// States of a pixel, as bumpymap.core defines them.
+constexpr Byte obstacle = 1, step_edge = 8, unseen = 255;
+// Distance, px, that stands for any farther: one more still fits into 16 bits.
+constexpr std::uint16_t far = 0xFFFE;
+// In the place of the number of an area: free, and not numbered yet.
+constexpr Byte not_numbered = 255;
+constexpr Byte most_areas = 254;
+// Bits of the sides of a tile.
+constexpr unsigned north = 1, east = 2, south = 4, west = 8;
+
+struct Mosaic {
+    Array<const Byte, 2> objects;
+    Index pixels;
+    double radius;
+    bool corners;
+};
+
+struct InnerTiles {
+    Array<const bool, 3> edges;
+    Array<const bool, 2> wanted;
+    Array<bool, 2> passable, blocked, near_obstacle;
+};
+
+// Pixels of a tile, in an array of its own or in a mosaic.
+struct Tile {
+    Byte* first;
+    Index size, stride;
+
+    Byte& operator()(Index row, Index col) const { return first[row * stride + col]; }
+};
+
+bool is_taken(Byte state) { return (state == obstacle) | (state == unseen) | (state == step_edge); }
+
+// ---- Grown obstacles ----
+
+// Distance of each pixel to the nearest taken one of its column; `near` has a margin at both ends of its rows.
+void fill_near(Array<const Byte, 2> objects, Index margin, Array<std::uint16_t, 2> near) {
+    const Index rows = objects.shape[0], cols = objects.shape[1];
+    std::fill_n(near.data, near.count(), far);
+    for (Index r = 0; r < rows; ++r) {
+        const Byte* state = &objects(r, 0);
+        const std::uint16_t* before = &near(std::max(r - 1, Index{0}), margin);
+        std::uint16_t* own = &near(r, margin);
+        for (Index c = 0; c < cols; ++c) {
+            const std::uint16_t farther = std::min(far, static_cast<std::uint16_t>(before[c] + 1));
+            own[c] = is_taken(state[c]) ? std::uint16_t{0} : farther;
+        }
+    }
+    for (Index r = rows - 2; r >= 0; --r) {
+        const std::uint16_t* behind = &near(r + 1, margin);
+        std::uint16_t* own = &near(r, margin);
+        for (Index c = 0; c < cols; ++c) own[c] = std::min(own[c], static_cast<std::uint16_t>(behind[c] + 1));
+    }
+}
+
+// Marks where the middle of the vehicle cannot be: nearer than the radius to what it cannot touch.
+void grow_obstacles(Mosaic mosaic, Array<Byte, 2> mask) {
+    const Index rows = mask.shape[0], cols = mask.shape[1];
+    const auto reach = static_cast<Index>(std::ceil(mosaic.radius));
+    const double square = mosaic.radius * mosaic.radius;
+    std::vector<std::uint16_t> memory(static_cast<std::size_t>(rows * (cols + 2 * reach)));
+    const Array<std::uint16_t, 2> near{memory.data(), {rows, cols + 2 * reach}};
+    fill_near(mosaic.objects, reach, near);
+    std::fill_n(mask.data, mask.count(), Byte{0});
+    for (Index across = -reach; across <= reach; ++across) {
+        Index up = -1;  // the farthest pixel of this column of the disc
+        while (static_cast<double>((up + 1) * (up + 1) + across * across) < square) ++up;
+        if (up < 0) continue;
+        const auto most = static_cast<std::uint16_t>(up);
+        for (Index r = 0; r < rows; ++r) {
+            const std::uint16_t* distance = &near(r, reach + across);
+            Byte* grown = &mask(r, 0);
+            for (Index c = 0; c < cols; ++c) grown[c] |= static_cast<Byte>(distance[c] <= most);
+        }
+    }
+}
+
+// ---- Areas of a tile ----
+
+struct Place {
+    Index row, col;
+};
+
+struct Area {
+    Index count = 0;
+    unsigned sides = 0;  // of the tile, that it touches
+};
+
+// Gives the pixels of a tile that are as one of them, and hang together with it, another value; `waiting` has room for
+// all pixels of the tile.
+Area flood(Tile cells, Place start, Byte value, bool corners, Place* waiting) {
+    constexpr Place beside[] = {{-1, 0}, {0, 1}, {1, 0}, {0, -1}, {1, 1}, {-1, 1}, {1, -1}, {-1, -1}};
+    const Index last = cells.size - 1, neighbours = corners ? 8 : 4;
+    const Byte before = cells(start.row, start.col);
+    Area area;
+    Index depth = 1;
+    waiting[0] = start;
+    cells(start.row, start.col) = value;
+    while (depth > 0) {
+        const auto [r, c] = waiting[--depth];
+        ++area.count;
+        area.sides |= (r == 0 ? north : 0) | (r == last ? south : 0) | (c == 0 ? west : 0) | (c == last ? east : 0);
+        for (Index k = 0; k < neighbours; ++k) {
+            const Index row = r + beside[k].row, col = c + beside[k].col;
+            if (row < 0 || row > last || col < 0 || col > last || cells(row, col) != before) continue;
+            cells(row, col) = value;
+            waiting[depth++] = {row, col};
+        }
+    }
+    return area;
+}
+
+// Gives the areas of a tile their numbers.
+void number_tile(const Byte* free, Tile areas, bool corners, Place* waiting) {
+    const Index pixels = areas.size * areas.size;
+    Byte* const number = areas.first;
+    Index count = 0;
+    for (Index k = 0; k < pixels; ++k) {
+        number[k] = free[k] ? not_numbered : Byte{0};
+        count += free[k];
+    }
+    if (count == pixels) {  // one area
+        std::fill_n(number, pixels, Byte{1});
+        return;
+    }
+    std::array<Index, most_areas + 1> sizes{};
+    Byte found = 0;
+    for (Index r = 0; r < areas.size; ++r) {
+        for (Index c = 0; c < areas.size; ++c) {
+            if (areas(r, c) != not_numbered) continue;
+            if (found < most_areas) ++found;
+            sizes[found] = flood(areas, {r, c}, found, corners, waiting).count;
+        }
+    }
+    const auto first = static_cast<Byte>(std::max_element(sizes.begin() + 1, sizes.end()) - sizes.begin());
+    if (first == 1) return;
+    for (Index k = 0; k < pixels; ++k) {
+        if (number[k] == 1 || number[k] == first) number[k] = number[k] == 1 ? first : Byte{1};
+    }
+}
+
+// Gives the areas of free pixels of every tile numbers from 1, the largest (of equal ones the northernmost), or 0. Of
+// more than 254 areas, the last share a number.
+void number_areas(Array<const Byte, 4> free, bool corners, Array<Byte, 4> areas) {
+    const Index size = free.shape[2], pixels = size * size;
+    std::vector<Place> waiting(static_cast<std::size_t>(pixels));
+    for (Index k = 0; k < free.count(); k += pixels)
+        number_tile(free.data + k, {areas.data + k, size, size}, corners, waiting.data());
+}
+
+// ---- Ways through tiles ----
+
+// Whether an obstacle or a step lies in a tile, or within the radius of one of its pixels.
+bool has_obstacle_near(const Mosaic& mosaic, Index top, Index left) {
+    const Index rows = mosaic.objects.shape[0], cols = mosaic.objects.shape[1], last = mosaic.pixels - 1;
+    const auto reach = static_cast<Index>(std::ceil(mosaic.radius));
+    const double square = mosaic.radius * mosaic.radius;
+    for (Index r = std::max(Index{0}, top - reach); r < std::min(rows, top + last + reach + 1); ++r) {
+        const Index down = std::max({Index{0}, top - r, r - top - last});
+        for (Index c = std::max(Index{0}, left - reach); c < std::min(cols, left + last + reach + 1); ++c) {
+            const Index right = std::max({Index{0}, left - c, c - left - last});
+            const Byte state = mosaic.objects(r, c);
+            const bool stands = state == obstacle || state == step_edge;
+            if (stands && static_cast<double>(down * down + right * right) < square) return true;
+        }
+    }
+    return false;
+}
+
+// Fills passable, blocked and near_obstacle of one tile.
+void find_way(
+    const Mosaic& mosaic, Array<Byte, 2> mask, Index row, Index col, const InnerTiles& tiles, Place* waiting) {
+    const Index pixels = mosaic.pixels, top = (row + 1) * pixels, left = (col + 1) * pixels;
+    const Tile grown{&mask(top, left), pixels, mask.shape[1]};
+    unsigned usable = 0;
+    for (Index k = 0; k < 4; ++k) usable |= tiles.edges(row, col, k) ? 1U << k : 0;
+    bool is_empty = true, is_free = true;
+    for (Index r = 0; r < pixels; ++r) {
+        for (Index c = 0; c < pixels; ++c) {
+            is_empty &= !is_taken(mosaic.objects(top + r, left + c));
+            is_free &= grown(r, c) == 0;
+        }
+    }
+    const int least = is_empty ? 1 : 2;
+    bool passable = is_free && std::popcount(usable) >= least, blocked = !is_free;
+    for (Index r = 0; !is_free && r < pixels; ++r) {
+        for (Index c = 0; c < pixels; ++c) {
+            if (grown(r, c) != 0) continue;
+            const unsigned sides = flood(grown, {r, c}, 2, mosaic.corners, waiting).sides;
+            passable |= std::popcount(sides & usable) >= least;
+            blocked &= std::popcount(sides) < least;
+        }
+    }
+    tiles.passable(row, col) = passable;
+    tiles.blocked(row, col) = blocked;
+    tiles.near_obstacle(row, col) = blocked && has_obstacle_near(mosaic, top, left);
+}
+
+// Fills what is asked of the inner tiles; `mask` comes from `grow_obstacles`, and is changed.
+void find_ways(Mosaic mosaic, InnerTiles tiles, Array<Byte, 2> mask) {
+    std::vector<Place> waiting(static_cast<std::size_t>(mosaic.pixels * mosaic.pixels));
+    for (Index row = 0; row < tiles.wanted.shape[0]; ++row) {
+        for (Index col = 0; col < tiles.wanted.shape[1]; ++col) {
+            if (tiles.wanted(row, col)) find_way(mosaic, mask, row, col, tiles, waiting.data());
+        }
+    }
+}
+
+// ---- Areas of neighbouring tiles ----
+
+// The areas of tiles side by side.
+struct Areas {
+    Array<const Byte, 4> number;
+    bool corners;
+
+    Array<const Byte, 2> tile(Place at) const { return number.at(at.row).at(at.col); }
+
+    // Whether areas of two tiles, side by side, touch across their border.
+    bool touch(Place a, Byte one, Place b, Byte other) const {
+        const Index last = number.shape[2] - 1, wide = corners ? 1 : 0;
+        const auto at_border = [&](Place from, Place to, Index k) {
+            const Index row = to.row == from.row ? k : (to.row > from.row ? last : 0);
+            const Index col = to.col == from.col ? k : (to.col > from.col ? last : 0);
+            return tile(from)(row, col);
+        };
+        for (Index k = 0; k <= last; ++k) {
+            if (at_border(a, b, k) != one) continue;
+            for (Index m = std::max(Index{0}, k - wide); m <= std::min(last, k + wide); ++m) {
+                if (at_border(b, a, m) == other) return true;
+            }
+        }
+        return false;
+    }
+
+    // Whether an area of the tile beside two others, which lie diagonally, touches the first areas of both.
+    bool join_over(Place between, Place upper, Place lower) const {
+        const Array<const Byte, 2> areas = tile(between);
+        const Byte most = *std::max_element(areas.data, areas.data + areas.count());
+        for (int number_of = 1; number_of <= most; ++number_of) {
+            const auto area = static_cast<Byte>(number_of);
+            if (touch(upper, 1, between, area) && touch(between, area, lower, 1)) return true;
+        }
+        return false;
+    }
+
+    // Whether the first areas of two tiles, of which the first is not the southern one, are joined.
+    bool join(Place upper, Place lower) const {
+        if (upper.row == lower.row || upper.col == lower.col) return touch(upper, 1, lower, 1);
+        const Index last = number.shape[2] - 1;
+        const bool is_east = lower.col > upper.col;
+        return (corners && tile(upper)(last, is_east ? last : 0) == 1 && tile(lower)(0, is_east ? 0 : last) == 1) ||
+               join_over({lower.row, upper.col}, upper, lower) || join_over({upper.row, lower.col}, upper, lower);
+    }
+};
+
+// Marks the tiles to close so that the largest areas of any two passable tiles that touch are joined.
+//
+// Of two tiles side by side whose largest areas do not touch, the one with the smaller area is closed (of equal ones
+// the southern or eastern). So it is with two tiles that touch at a corner, unless an area of one of the two tiles
+// beside them joins both.
+void close_split(
+    Array<const Byte, 4> areas, Array<const std::int32_t, 2> largest, Array<const bool, 2> passable, bool corners,
+    Array<bool, 2> split) {
+    constexpr Place beside[] = {{0, 1}, {1, 0}, {1, 1}, {1, -1}};
+    const Areas tiles{areas, corners};
+    for (Index r = 0; r < passable.shape[0]; ++r) {
+        for (Index c = 0; c < passable.shape[1]; ++c) {
+            if (!passable(r, c)) continue;
+            for (const auto& [down, right] : beside) {
+                const Index row = r + down, col = c + right;
+                if (row >= passable.shape[0] || col < 0 || col >= passable.shape[1] || !passable(row, col)) continue;
+                if (tiles.join({r, c}, {row, col})) continue;
+                const bool is_smaller = largest(r, c) < largest(row, col);
+                (is_smaller ? split(r, c) : split(row, col)) = true;
+            }
+        }
+    }
+}
+
+}  // namespace
+}  // namespace bumpy
+
+BUMPY_RECORD(bumpy::Mosaic, objects, pixels, radius, corners)
+BUMPY_RECORD(bumpy::InnerTiles, edges, wanted, passable, blocked, near_obstacle)
+
+void bind_passable(nb::module_& module) {
+    using namespace bumpy;
+    BUMPY_LOOP(module, grow_obstacles);
+    BUMPY_LOOP(module, find_ways);
+    BUMPY_LOOP(module, number_areas);
+    BUMPY_LOOP(module, close_split);
+}

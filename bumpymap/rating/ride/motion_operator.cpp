@@ -1,0 +1,343 @@
+// A vehicle's wheels on the ground of patches, and what its chassis does there: the sparse matrices of operator.py.
+//
+// Sixteen patches ride side by side: their heights lie together (*lanes*), so a processor computes several of them at
+// once, and only where nothing depends on their order. The sums over one patch keep their order, and so their bits: the
+// same patch rides alike wherever it is among others. Ours; see operator.py and motion_operator.py for the model.
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "bumpytiles/bindings.hpp"
+#include "bumpytiles/grouping.hpp"
+#include "lanes.hpp"
+
+namespace bumpy {
+namespace {
+
+constexpr int group = 16;  // patches side by side
+using Heights = Lanes<Floats8, group>;
+using Numbers = std::array<double, group>;
+
+// Below all ground, m.
+constexpr float lowest = -3e38F;
+// Numbers of a ride before those by axis.
+constexpr Index ride_numbers = 6;
+
+struct PatchesToRide {
+    Array<const bool> known;
+    Array<const float, 3> relief;
+    Index fine;
+};
+
+struct WheelShape {
+    Array<const std::int32_t> starts, row, col;
+    Array<const float> rise;
+};
+
+struct PitchSamples {
+    Array<const std::int32_t> starts, node;
+    Array<const float> weight;
+};
+
+struct AxisSamples {
+    Array<const std::int32_t> starts, node;
+    Array<const float> weight;
+    Array<const Index> bounds;
+};
+
+struct Poses {
+    Array<const std::int32_t, 3> wheel_node;
+    Array<const float, 3> wheel_weight;
+    Array<const std::int32_t, 3> belly_node;
+    Array<const float, 3> belly_weight;
+};
+
+struct VehicleGeometry {
+    double wheelbase, track, belly_half, clearance;
+};
+
+// ---- Wheels on the ground of a group ----
+
+// The lowest and the farther of the two pixels between which a node lies, and how far it is from the first.
+struct Between {
+    Index pixel;
+    float share;
+
+    Between(Index node, Index fine, Index pixels) {
+        const double place = static_cast<double>(node) / static_cast<double>(fine) - 0.5;
+        pixel = std::min(std::max(static_cast<Index>(std::floor(place)), Index{0}), pixels - 2);
+        share = static_cast<float>(std::min(std::max(place - static_cast<double>(pixel), 0.0), 1.0));
+    }
+};
+
+// Groups of patches, one after the other, with the wheels of a vehicle rolled over them.
+class Groups {
+  public:
+    std::vector<Index> members;     // patches of the group
+    std::vector<Heights> bare;      // heights at the nodes, m
+    std::vector<Heights> envelope;  // of the lowest point of a wheel in each direction, at each node, m
+
+    Groups(const PatchesToRide& given, const WheelShape& shape)
+        : patches(given),
+          wheel(shape),
+          pixels(given.relief.shape[1]),
+          nodes(pixels * given.fine + 1),
+          relief(pixels * pixels) {
+        for (Index o = 0; o < wheel.row.size(); ++o)
+            margin = std::max({margin, Index{std::abs(wheel.row[o])}, Index{std::abs(wheel.col[o])}});
+        side = nodes + 2 * margin;
+        wide.resize(side * side);
+        bare.resize(nodes * nodes);
+        envelope.resize((wheel.starts.size() - 1) * nodes * nodes);
+    }
+
+    // Takes the next known patches, a group at most, and rolls the wheels over them; returns false if there are none.
+    bool next() {
+        members.clear();
+        for (; following < patches.known.size() && members.size() < group; ++following) {
+            if (!patches.known[following]) continue;
+            const Array<const float, 2> heights = patches.relief.at(following);
+            for (Index k = 0; k < heights.count(); ++k) relief[k].set(std::ssize(members), heights.data[k]);
+            members.push_back(following);
+        }
+        if (members.empty()) return false;
+        lay_nodes();
+        mirror_margin();
+        roll_wheel();
+        return true;
+    }
+
+  private:
+    // Bilinear heights at the nodes.
+    void lay_nodes() {
+        for (Index row = 0; row < nodes; ++row) {
+            const Between down(row, patches.fine, pixels);
+            for (Index col = 0; col < nodes; ++col) {
+                const Between right(col, patches.fine, pixels);
+                const Heights* const north = &relief[down.pixel * pixels + right.pixel];
+                const Heights* const south = north + pixels;
+                Heights& out = bare[row * nodes + col];
+                for (std::size_t k = 0; k < out.part.size(); ++k) {
+                    const Floats8 a = north[0].part[k] + (north[1].part[k] - north[0].part[k]) * right.share;
+                    const Floats8 b = south[0].part[k] + (south[1].part[k] - south[0].part[k]) * right.share;
+                    out.part[k] = a + (b - a) * down.share;
+                }
+            }
+        }
+    }
+
+    // Puts a mirrored margin around the nodes.
+    void mirror_margin() {
+        const auto mirrored = [this](Index place) {
+            const Index period = 2 * (nodes - 1), node = modulo(place - margin, period);
+            return std::min(node, period - node);
+        };
+        for (Index r = 0; r < side; ++r) {
+            for (Index c = 0; c < side; ++c) wide[r * side + c] = bare[mirrored(r) * nodes + mirrored(c)];
+        }
+    }
+
+    // The height of the lowest point of a wheel that touches the ground.
+    void roll_wheel() {
+        Heights* out = envelope.data();
+        for (Index turn = 0; turn + 1 < wheel.starts.size(); ++turn) {
+            for (Index r = 0; r < nodes; ++r) {
+                for (Index c = 0; c < nodes; ++c) {
+                    Heights highest;
+                    highest.fill(lowest);
+                    for (Index o = wheel.starts[turn]; o < wheel.starts[turn + 1]; ++o) {
+                        const Heights& ground = wide[(r + margin + wheel.row[o]) * side + c + margin + wheel.col[o]];
+                        const float lift = wheel.rise[o];
+                        for (std::size_t k = 0; k < highest.part.size(); ++k)
+                            raise(highest.part[k], ground.part[k] + lift);
+                    }
+                    *out++ = highest;
+                }
+            }
+        }
+    }
+
+    PatchesToRide patches;
+    WheelShape wheel;
+    Index pixels, nodes, margin = 0, side = 0, following = 0;
+    std::vector<Heights> relief, wide;  // heights of the pixels, and at the nodes with a mirrored margin, m
+};
+
+// ---- What a chassis does ----
+
+struct Means {
+    Numbers size, square;  // mean absolute value and root mean square
+};
+
+// Of the samples from first to last.
+template <class Samples>
+Means sample_means(const Samples& samples, Index first, Index last, const std::vector<Heights>& envelope) {
+    Means means{};
+    for (Index s = first; s < last; ++s) {
+        Heights total{};
+        for (Index k = samples.starts[s]; k < samples.starts[s + 1]; ++k) {
+            const Heights& height = envelope[samples.node[k]];
+            const float weight = samples.weight[k];
+            for (std::size_t n = 0; n < total.part.size(); ++n) total.part[n] += weight * height.part[n];
+        }
+        for (int lane = 0; lane < group; ++lane) {
+            const double value = total[lane];
+            means.size[lane] += std::abs(value);
+            means.square[lane] += value * value;
+        }
+    }
+    const auto number = static_cast<double>(last - first);
+    for (int lane = 0; lane < group; ++lane) {
+        means.size[lane] /= number;
+        means.square[lane] = std::sqrt(means.square[lane] / number);
+    }
+    return means;
+}
+
+// Root mean squares of pitch, roll and twist, rad; and how far the ground reaches to the belly.
+struct PoseNumbers {
+    Numbers pitch, roll, twist, strike;
+};
+
+PoseNumbers pose_numbers(const Poses& poses, const VehicleGeometry& vehicle, const Groups& groups) {
+    const auto read = [](const std::vector<Heights>& heights, const std::int32_t* node, const float* weight, int lane) {
+        double total = 0.0;
+        for (int corner = 0; corner < 4; ++corner) total += weight[corner] * heights[node[corner]][lane];
+        return total;
+    };
+    PoseNumbers found{};
+    const Index number = poses.wheel_node.shape[0];
+    for (Index p = 0; p < number; ++p) {
+        for (int lane = 0; lane < group; ++lane) {
+            const auto wheel = [&](Index k) {
+                return read(groups.envelope, &poses.wheel_node(p, k, 0), &poses.wheel_weight(p, k, 0), lane);
+            };
+            const double fl = wheel(0), fr = wheel(1), rl = wheel(2), rr = wheel(3);
+            const double pitch = (fl + fr - rl - rr) / (2.0 * vehicle.wheelbase);
+            const double roll = (fl - fr + rl - rr) / (2.0 * vehicle.track);
+            const double twist = (fl - fr - rl + rr) / (2.0 * vehicle.wheelbase);
+            found.pitch[lane] += pitch * pitch;
+            found.roll[lane] += roll * roll;
+            found.twist[lane] += twist * twist;
+            const double level = (fl + fr + rl + rr) / 4.0;
+            for (int k = 0; k < 3; ++k) {
+                const double ground = read(groups.bare, &poses.belly_node(p, k, 0), &poses.belly_weight(p, k, 0), lane);
+                const double above = ground - level - (1 - k) * vehicle.belly_half * pitch;
+                found.strike[lane] = std::max(found.strike[lane], above / vehicle.clearance);
+            }
+        }
+    }
+    for (Numbers* squares : {&found.pitch, &found.roll, &found.twist}) {
+        for (double& square : *squares) square = std::sqrt(square / static_cast<double>(number));
+    }
+    return found;
+}
+
+// Rolls a vehicle over patches.
+//
+// `rides` (tiles, 6 or 14) is filled: mean and root mean square of the pitch change [rad/m]; root mean square of pitch,
+// roll and twist [rad]; reach of the ground towards the belly (1: it touches); mean pitch change by axis.
+void ride_patches(
+    PatchesToRide patches, WheelShape wheel, PitchSamples samples, AxisSamples axes, Poses poses,
+    VehicleGeometry vehicle, Array<double, 2> rides) {
+    Groups groups(patches, wheel);
+    while (groups.next()) {
+        const auto keep = [&](Index k, const Numbers& values) {
+            for (Index lane = 0; lane < std::ssize(groups.members); ++lane)
+                rides(groups.members[lane], k) = values[lane];
+        };
+        const Means change = sample_means(samples, 0, samples.starts.size() - 1, groups.envelope);
+        const PoseNumbers found = pose_numbers(poses, vehicle, groups);
+        const Numbers* const numbers[] = {&change.size, &change.square, &found.pitch,
+                                          &found.roll,  &found.twist,   &found.strike};
+        for (Index k = 0; k < ride_numbers; ++k) keep(k, *numbers[k]);
+        for (Index axis = 0; axis < rides.shape[1] - ride_numbers; ++axis)
+            keep(
+                ride_numbers + axis,
+                sample_means(axes, axes.bounds[axis], axes.bounds[axis + 1], groups.envelope).size);
+    }
+}
+
+// Fills mean absolute value and root mean square of the samples of each group, the rows from one of `bounds` to the
+// next, in `motions` (tiles, groups of samples, 2).
+void move_over_patches(
+    PatchesToRide patches, WheelShape wheel, PitchSamples samples, Array<const Index> bounds,
+    Array<double, 3> motions) {
+    Groups groups(patches, wheel);
+    while (groups.next()) {
+        for (Index k = 0; k + 1 < bounds.size(); ++k) {
+            const Means means = sample_means(samples, bounds[k], bounds[k + 1], groups.envelope);
+            for (Index lane = 0; lane < std::ssize(groups.members); ++lane) {
+                motions(groups.members[lane], k, 0) = means.size[lane];
+                motions(groups.members[lane], k, 1) = means.square[lane];
+            }
+        }
+    }
+}
+
+// ---- Wheels along a line ----
+
+// The bilinear height between the centres of pixels at a node, `fine` of which lie along a pixel, m.
+double node_height(Array<const double, 2> heights, Index fine, Index i, Index j) {
+    const double row = static_cast<double>(i) / static_cast<double>(fine) - 0.5;
+    const double col = static_cast<double>(j) / static_cast<double>(fine) - 0.5;
+    const auto top = static_cast<Index>(std::floor(row)), left = static_cast<Index>(std::floor(col));
+    const double south = row - static_cast<double>(top), east = col - static_cast<double>(left);
+    const double a = heights(top, left), b = heights(top, left + 1);
+    const double west_side = a + (heights(top + 1, left) - a) * south;
+    const double east_side = b + (heights(top + 1, left + 1) - b) * south;
+    return west_side + (east_side - west_side) * east;
+}
+
+// The lowest point of a wheel, in one of its directions, at a node, m; NaN if it meets ground that is not known.
+double wheel_height(Array<const double, 2> heights, Index fine, const WheelShape& wheel, Index turn, Index i, Index j) {
+    double highest = -HUGE_VAL;
+    for (Index o = wheel.starts[turn]; o < wheel.starts[turn + 1]; ++o) {
+        const double lift = node_height(heights, fine, i + wheel.row[o], j + wheel.col[o]) + wheel.rise[o];
+        if (std::isnan(lift)) return lift;
+        highest = std::max(highest, lift);
+    }
+    return highest;
+}
+
+// Fills the lowest point of wheels at n places, m; NaN where one meets ground that is not known.
+//
+// `heights` (rows, cols): m; `place` (n, 2): row and column, pixels, a wheel and two pixels or more from all edges;
+// `turn` (n,): the direction of `wheel`. `envelope` and `known`, at first false, hold the wheel in each direction on
+// each of (rows fine + 1, cols fine + 1) nodes.
+void roll_along(
+    Array<const double, 2> heights, Array<const double, 2> place, Array<const Index> turn, Index fine, WheelShape wheel,
+    Array<double, 3> envelope, Array<bool, 3> known, Array<double> low) {
+    for (Index k = 0; k < low.size(); ++k) {
+        const double row = place(k, 0) * static_cast<double>(fine), col = place(k, 1) * static_cast<double>(fine);
+        const auto top = static_cast<Index>(std::floor(row)), left = static_cast<Index>(std::floor(col));
+        const double south = row - static_cast<double>(top), east = col - static_cast<double>(left);
+        double total = 0.0;
+        for (Index i = top; i <= top + 1; ++i) {
+            for (Index j = left; j <= left + 1; ++j) {
+                double& height = envelope(turn[k], i, j);
+                if (!known(turn[k], i, j)) height = wheel_height(heights, fine, wheel, turn[k], i, j);
+                known(turn[k], i, j) = true;
+                total += height * ((i > top ? south : 1.0 - south) * (j > left ? east : 1.0 - east));
+            }
+        }
+        low[k] = total;
+    }
+}
+
+}  // namespace
+}  // namespace bumpy
+
+BUMPY_RECORD(bumpy::PatchesToRide, known, relief, fine)
+BUMPY_RECORD(bumpy::WheelShape, starts, row, col, rise)
+BUMPY_RECORD(bumpy::PitchSamples, starts, node, weight)
+BUMPY_RECORD(bumpy::AxisSamples, starts, node, weight, bounds)
+BUMPY_RECORD(bumpy::Poses, wheel_node, wheel_weight, belly_node, belly_weight)
+BUMPY_RECORD(bumpy::VehicleGeometry, wheelbase, track, belly_half, clearance)
+
+void bind_motion_operator(nb::module_& module) {
+    using namespace bumpy;
+    BUMPY_LOOP(module, ride_patches);
+    BUMPY_LOOP(module, move_over_patches);
+    BUMPY_LOOP(module, roll_along);
+}

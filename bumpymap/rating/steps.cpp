@@ -1,0 +1,789 @@
+// Steps from west to east in a mosaic of tiles, and the lines along which its ground jumps.
+//
+// Raw steps and crests come row by row of the mosaic, a whole row at a time, which a processor does for several pixels
+// at once. The few that stand out are then looked at one by one, in a patch of the pixels around them: do the single
+// points bear the step out? Jumps are fitted to all points of both sides of eight lines through a pixel. Steps from
+// north to south come from the transposed mosaic. Ours; see steps.py.
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numeric>
+#include <span>
+#include <utility>
+#include <vector>
+
+#include "bumpytiles/bindings.hpp"
+
+namespace bumpy {
+namespace {
+
+using Floats = Array<const double>;
+using FloatsOut = Array<double>;
+using Places = std::vector<std::int32_t>;
+
+constexpr double infinite = std::numeric_limits<double>::infinity();
+constexpr double not_known = std::numeric_limits<double>::quiet_NaN();
+
+// Pixels before and after the middle one of a run, and in a run.
+constexpr int run = 4, run_length = 2 * run + 1;
+// Pixels on each side of a step that are looked at.
+constexpr Index reach = 4;
+// Shares of a step that must lie between its sides: below the first it does not count, from the second in full.
+constexpr double believed = 0.7, certain = 0.85;
+
+struct StepMosaic {
+    Array<const double, 2> heights;
+    Index pixels;
+    double level;
+    Array<const double, 2> east, south;
+};
+
+struct RawSteps {
+    Array<double, 2> least, crest;
+    Array<double, 3> inside;
+};
+
+// ---- Quantiles ----
+
+// The number at a place when all are sorted; their order is changed.
+double smallest(std::span<double> values, Index place) {
+    std::nth_element(values.begin(), values.begin() + place, values.end());
+    return values[place];
+}
+
+// The value with a share of all at or below it; NaN with fewer than `least`. Their order is changed.
+double quantile(std::span<double> values, double share, Index least) {
+    const auto n = static_cast<Index>(values.size());
+    return n >= least ? smallest(values, static_cast<Index>(share * static_cast<double>(n - 1))) : not_known;
+}
+
+// Numbers with room for all that may come, of which the known ones are kept.
+struct Known {
+    std::vector<double> values;
+    Index count = 0;
+
+    explicit Known(Index most) : values(most + 1) {}
+
+    void add(double value) {
+        values[count] = value;
+        count += !std::isnan(value);
+    }
+
+    // Those added since the last time; valid until the next is added.
+    std::span<double> take() { return {values.data(), static_cast<std::size_t>(std::exchange(count, 0))}; }
+};
+
+// Fills, for each tile, the value with a share of the known ones at or below it; NaN with fewer than `least`. `across`
+// is (tiles, tiles, n), `along` the same with rows and columns of tiles exchanged.
+void find_quantiles(
+    Array<const double, 3> across, Array<const double, 3> along, double share, Index least, Array<double, 2> out) {
+    Known known(2 * across.shape[2]);
+    for (Index row = 0; row < out.shape[0]; ++row) {
+        for (Index col = 0; col < out.shape[1]; ++col) {
+            for (const double value : across.at(row).at(col)) known.add(value);
+            for (const double value : along.at(col).at(row)) known.add(value);
+            out(row, col) = quantile(known.take(), share, least);
+        }
+    }
+}
+
+// Fills, for each tile, the median difference to the pixel `apart` pixels farther east, m; 0 where there is none.
+// `spread` takes the median distance of the differences from it, m; NaN with fewer than `least`.
+void find_gradients(
+    Array<const double, 2> heights, Index pixels, Index apart, Index least, Array<double, 2> middle,
+    Array<double, 2> spread) {
+    Known known(pixels * pixels);
+    for (Index row = 0; row < middle.shape[0]; ++row) {
+        for (Index col = 0; col < middle.shape[1]; ++col) {
+            for (Index r = row * pixels; r < (row + 1) * pixels; ++r) {
+                const Floats line = heights.at(r);
+                for (Index c = col * pixels; c < (col + 1) * pixels - apart; ++c) known.add(line[c + apart] - line[c]);
+            }
+            const std::span<double> differences = known.take();
+            const double usual = differences.empty() ? 0.0 : quantile(differences, 0.5, 1);
+            for (double& difference : differences) difference = std::abs(difference - usual);
+            middle(row, col) = usual;
+            spread(row, col) = quantile(differences, 0.5, least);
+        }
+    }
+}
+
+// ---- Raw steps ----
+
+// Medians of the known ones of nine pixels in a column, for a row of the mosaic.
+class Runs {
+  public:
+    explicit Runs(Index columns)
+        : cols(columns), stack(run_length * columns), sign(columns), medians(columns + 2 * reach, not_known) {}
+
+    // Fills the medians of nine rows, each brought to the middle one along the slope.
+    const std::vector<double>& of(Array<const double, 2> heights, Floats slope) {
+        std::fill(sign.begin(), sign.end(), 1.0);
+        for (int k = 0; k < run_length; ++k) gather(heights.at(k), slope, k - run, row(k));
+        for (Index place = 0; place <= run; ++place) {  // the lowest of all nine to the front, then of the rest
+            for (Index other = place + 1; other < run_length; ++other) put_in_order(row(place), row(other));
+        }
+        const double *before = row(run - 1), *middle = row(run);
+        for (Index c = 0; c < cols; ++c) {
+            const double pair = 0.5 * (before[c] + middle[c]);  // of an even number; of none it is NaN
+            medians[reach + c] = sign[c] > 0.0 ? middle[c] : pair;
+        }
+        return medians;
+    }
+
+  private:
+    double* row(Index k) { return stack.data() + k * cols; }
+
+    // Brings a row of heights to the middle row. Unknown pixels become infinite, up and down in turn, so that the
+    // median of nine is that of the known ones.
+    void gather(Floats heights, Floats slope, double ahead, double* out) {
+        double* const turns = sign.data();
+        for (Index c = 0; c < cols; ++c) {
+            const double height = heights[c] - ahead * slope[c], turn = turns[c];
+            const bool unknown = std::isnan(height);
+            out[c] = unknown ? turn * infinite : height;
+            turns[c] = unknown ? -turn : turn;
+        }
+    }
+
+    void put_in_order(double* low, double* high) const {
+        for (Index c = 0; c < cols; ++c) {
+            const double a = low[c], b = high[c];
+            low[c] = std::min(a, b);
+            high[c] = std::max(a, b);
+        }
+    }
+
+    Index cols;
+    std::vector<double> stack, sign, medians;
+};
+
+// The slope on which four heights agree, the nearest first, m per pixel; 0 if they do not.
+double bend_of(double a, double b, double c, double d) {
+    const double one = b - a, two = c - b, three = d - c;
+    const bool rise = (one > 0.0) & (two > 0.0) & (three > 0.0), fall = (one < 0.0) & (two < 0.0) & (three < 0.0);
+    const double size = std::min(std::min(std::abs(one), std::abs(two)), std::abs(three));
+    return rise ? size : (fall ? -size : 0.0);
+}
+
+// The mean of two heights; the known one, if one is.
+double mean(double near, double far) {
+    const double height = std::isnan(far) ? near : 0.5 * (near + far);
+    return std::isnan(near) ? far : height;
+}
+
+// The least of the known ones of four heights; infinite if none is.
+double lowest(double a, double b, double c, double d) {
+    return std::min(std::min(std::min(std::min(infinite, a), b), c), d);
+}
+
+// How far to believe a step of which so much is sure, 0 to 1.
+double share_of(double surely, double step) {
+    const double share = step > 0.0 ? (surely - believed * step) / ((certain - believed) * step) : 1.0;
+    return std::min(std::max(share, 0.0), 1.0);
+}
+
+// One side of a step, continued to the middle of its pixel.
+struct Side {
+    double bend, level, low, high;
+    double unknown;  // pixels that come before the first known one, 2 at most
+};
+
+// From four runs, the nearest first, that lie on a slope away from the pixel. `third` and `fourth` are 0 if so many
+// pixels of a side must be above, or below, those of the other side, else infinite.
+inline Side side_of(double a, double b, double c, double d, double slope, double third, double fourth) {
+    a -= slope;
+    b -= 2.0 * slope;
+    c -= 3.0 * slope;
+    d -= 4.0 * slope;
+    const double bend = bend_of(a, b, c, d);
+    a -= bend;
+    b -= 2.0 * bend;
+    c -= 3.0 * bend;
+    d -= 4.0 * bend;
+    const double low = lowest(a, b, c + third, d + fourth), high = -lowest(-a, -b, third - c, fourth - d);
+    const double unknown = std::isnan(a) ? (std::isnan(b) ? 2.0 : 1.0) : 0.0;
+    return {bend, mean(a, b), low, high, unknown};
+}
+
+// Fills the steps of a row: in the middle of pixels, and the least ones anywhere in them.
+void compare_sides(const double* runs, Floats slope, double third, double fourth, double* middle, FloatsOut least) {
+    for (Index c = 0; c < least.size(); ++c) {
+        const double* const at = runs + reach + c;
+        const Side right = side_of(at[1], at[2], at[3], at[4], slope[c], third, fourth);
+        const Side left = side_of(at[-1], at[-2], at[-3], at[-4], -slope[c], third, fourth);
+        middle[c] = std::abs(right.level - left.level);
+        // Over unknown pixels, a rise may be a slope.
+        const double part = 2.0 / (2.0 + right.unknown + left.unknown);
+        const double surely = std::max(right.low - left.high, left.low - right.high) * part;
+        const double usual = 0.5 * std::abs(right.low + right.high - left.low - left.high) * part;
+        // The slope on the left is counted away from the pixel, too.
+        const double reduced = surely * share_of(surely, usual) - 0.5 * std::abs(right.bend + left.bend);
+        least[c] = surely == infinite ? not_known : std::max(reduced, 0.0);
+    }
+}
+
+// Fills how far the pixels of a row lie above the runs three and four pixels on both sides of them.
+void find_crests(Floats heights, const double* runs, Floats slope, FloatsOut crest) {
+    for (Index c = 0; c < crest.size(); ++c) {
+        const double* const at = runs + reach + c;
+        const double right = mean(at[3], at[4]) - 3.5 * slope[c], left = mean(at[-3], at[-4]) + 3.5 * slope[c];
+        crest[c] = heights[c] - std::max(std::max(-infinite, left), right);
+    }
+}
+
+// Fills the steps from west to east at every pixel; `side` pixels, 2 to 4, are one side of a step.
+void find_raw_steps(StepMosaic mosaic, Index side, RawSteps out) {
+    const Index pixels = mosaic.pixels, width = pixels - 2 * reach, cols = mosaic.east.shape[1];
+    const double third = side >= 3 ? 0.0 : infinite, fourth = side >= 4 ? 0.0 : infinite;
+    Runs runs(cols);
+    std::vector<double> middle(cols);
+    for (Index r = 0; r < out.least.shape[0]; ++r) {
+        const Index row = r / pixels, line = r % pixels;
+        const Floats east = mosaic.east.at(row);
+        const double* medians = runs.of(mosaic.heights.slice(r, r + run_length), mosaic.south.at(row)).data();
+        compare_sides(medians, east, third, fourth, middle.data(), out.least.at(r));
+        find_crests(mosaic.heights.at(r + run), medians, east, out.crest.at(r));
+        if (line < run || line >= pixels - run) continue;
+        for (Index col = 0; col < out.inside.shape[1]; ++col)
+            std::copy_n(middle.data() + col * pixels + reach, width, &out.inside(row, col, (line - run) * width));
+    }
+}
+
+// ---- Steps and ridges that stand out ----
+
+// Pixels from a step to what counts as its sides.
+constexpr Index side_distance = 2;
+// Steps below this do not count where the noise of both sides is unknown, m.
+constexpr double unknown_noise = 0.15;
+// A step counts in full from so much above the limit on, as a share of it.
+constexpr double ramp = 0.4;
+// Standard errors of a median between it and the height that counts as that of a side.
+constexpr double standard_errors = 3.0;
+// Share of the points of a side, and of a ridge, that may lie beyond the height that counts.
+constexpr double astray = 0.2, astray_on_ridge = 0.25;
+// Pixels from the middle of a wall to those beside it.
+constexpr double beside_wall = 0.9;
+// From the line of a ridge to the ground beside it, in widths of a level; and at least, px.
+constexpr double foot_distance = 0.38, least_foot_distance = 0.75;
+// Known pixels on each side of a step, and on the line of a ridge.
+constexpr Index least_points = 5, least_on_ridge = 2;
+// Pixels along the edges where the rating underestimates a wall: 0.4 m of 3 m.
+constexpr Index rim = 2;
+// A line moves up to so many quarters of a pixel to either side with every row.
+constexpr int most_turn = 4;
+
+// Places, in the patch around a pixel, of those on a line through it and on both sides of that.
+struct Line {
+    Places ridge, left_of_ridge, right_of_ridge, left, right;
+};
+
+using Values = std::span<double>;
+
+// The pixels around one, whose step or ridge is looked at.
+struct Patch {
+    int width;
+    std::vector<double> heights;                // row by row, each brought to the pixel along the slope of its tile
+    std::array<Line, 2 * most_turn + 1> lines;  // by their turn
+    std::array<std::vector<double>, 3> values;  // known heights of a line and of its sides
+
+    // For levels of a width, px.
+    explicit Patch(double level)
+        : width(2 * static_cast<int>(std::floor(level * std::sqrt(2.0) + run)) + 1), heights(run_length * width) {
+        for (int turn = -most_turn; turn <= most_turn; ++turn) fill_line(turn, level);
+        for (auto& known : values) known.resize(heights.size());
+    }
+
+    const Line& line(int turn) const { return lines[turn + most_turn]; }
+
+    void fill_line(int turn, double level) {
+        Line& line = lines[turn + most_turn];
+        const double shear = turn / double{most_turn};
+        const double wide = level * std::sqrt(1.0 + shear * shear);
+        const double foot = std::max(foot_distance * wide, least_foot_distance);
+        for (int down = -run; down <= run; ++down) {
+            const int quarters = turn * down, place = (run + down) * width + width / 2;
+            const double middle = shear * down;
+            const auto add = [place](Places& places, double first, double last) {
+                for (int right = static_cast<int>(std::ceil(first)); right <= last; ++right)
+                    places.push_back(place + right);
+            };
+            add(line.ridge, (quarters + 1) >> 2, (quarters + 2) >> 2);  // rounded down
+            add(line.left_of_ridge, middle - wide, middle - foot);
+            add(line.right_of_ridge, middle + foot, middle + wide);
+            add(line.left, middle - wide, middle - beside_wall);
+            add(line.right, middle + beside_wall, middle + wide);
+        }
+    }
+
+    void fill(const StepMosaic& mosaic, Index r, Index c) {
+        const double east = mosaic.east(r / mosaic.pixels, c), south = mosaic.south(r / mosaic.pixels, c);
+        const int half = width / 2, first = static_cast<int>(std::max(-c, Index{-half}));
+        const int last = static_cast<int>(std::min(mosaic.heights.shape[1] - 1 - c, Index{half}));
+        if (last - first < 2 * half) std::fill(heights.begin(), heights.end(), not_known);
+        for (int down = -run; down <= run; ++down) {
+            const double* const from = &mosaic.heights(r + run + down, c);
+            double* const out = heights.data() + (down + run) * width + half;
+            for (int k = first; k <= last; ++k) out[k] = from[k] - east * k - south * down;
+        }
+    }
+
+    // The known heights of some places, in one of the lists of values.
+    Values known(const Places& places, Index list) {
+        double* const out = values[list].data();
+        Index n = 0;
+        for (const std::int32_t place : places) {
+            out[n] = heights[place];
+            n += !std::isnan(out[n]);
+        }
+        return {out, static_cast<std::size_t>(n)};
+    }
+};
+
+// The place of the height that counts as that of a side, among so many in order: see `gap`.
+Index rank(Index n) {
+    const auto number = static_cast<double>(n);
+    const double place = std::min(0.5 * (number - standard_errors * std::sqrt(number)), astray * number);
+    return std::max(Index{0}, static_cast<Index>(std::floor(place)));
+}
+
+// The height between the points of both sides of a pixel, as it surely is at least, m; negative if not above `least`.
+//
+// A side is a parallelogram of 9 rows, as wide as a level, along a wall that moves `turn` / 4 pixels to the east with
+// every row. Of its known pixels in order of height, that one counts which is three standard errors of the median from
+// the middle, or has a fifth of them beyond it, whichever is farther out.
+double gap(int turn, double least, Patch& patch) {
+    Values low = patch.known(patch.line(turn).left, 0), high = patch.known(patch.line(turn).right, 1);
+    if (std::min(std::ssize(low), std::ssize(high)) < least_points) return -infinite;
+    const auto n = static_cast<double>(low.size()), m = static_cast<double>(high.size());
+    const double lower = std::accumulate(low.begin(), low.end(), 0.0);
+    const double upper = std::accumulate(high.begin(), high.end(), 0.0);
+    if (upper * n < lower * m) std::swap(low, high);
+    // Where too many lie beyond both ends of a part of that height, wherever it is, there is no need to sort.
+    const double middle = 0.5 * (lower / n + upper / m);
+    const double half = 0.499 * least, bottom = middle + half, top = middle - half;
+    const Index beyond_low = rank(std::ssize(low)), beyond_high = rank(std::ssize(high));
+    const auto is_below = [bottom](double height) { return height < bottom; };
+    const auto is_above = [top](double height) { return height > top; };
+    if (std::count_if(high.begin(), high.end(), is_below) > beyond_high &&
+        std::count_if(low.begin(), low.end(), is_above) > beyond_low)
+        return -infinite;
+    return smallest(high, beyond_high) - smallest(low, std::ssize(low) - 1 - beyond_low);
+}
+
+// The share of a step that the points on both of its sides bear out, 0 to 1, at the angle that suits them best.
+double share_borne_out(double step, Patch& patch) {
+    double best = 0.0;
+    for (const int turn : {0, 2, -2, 4, -4}) {
+        best = std::max(best, share_of(gap(turn, believed * step, patch), step));
+        if (best >= 1.0) return 1.0;
+    }
+    return best;
+}
+
+// Whether a height is surely less than a margin above what counts as the height of a side of a ridge.
+bool is_buried(const Patch& patch, const Places& places, double height, double margin) {
+    Index count = 0;
+    for (const std::int32_t place : places) count += height - patch.heights[place] <= margin;
+    return count > rank(std::ssize(places));
+}
+
+// The height of a ridge along a line through a pixel, m; 0 where the points do not bear it out.
+//
+// It is the median of the pixels on the line, in 9 rows, above that of the higher side. The line moves `turn` / 4
+// pixels to the east with every row. Sides are as in `gap`, less what is next to the line.
+//
+// Returns 0 early where the ridge is surely no higher than `least`: soonest with a `guess` just above a quarter of the
+// line. Neither changes the height of a higher one.
+double ridge_along(int turn, double guess, double least, Patch& patch) {
+    const Line& line = patch.line(turn);
+    const Values top = patch.known(line.ridge, 0);
+    if (std::ssize(top) < least_on_ridge) return 0.0;
+    const auto place = static_cast<Index>(astray_on_ridge * static_cast<double>(top.size()));
+    const auto is_low = [guess](double height) { return height <= guess; };
+    const double height = std::count_if(top.begin(), top.end(), is_low) > place ? guess : smallest(top, place);
+    const double margin = believed * least;
+    if (is_buried(patch, line.left_of_ridge, height, margin) || is_buried(patch, line.right_of_ridge, height, margin))
+        return 0.0;
+    const Values left = patch.known(line.left_of_ridge, 1), right = patch.known(line.right_of_ridge, 2);
+    if (std::min(std::ssize(left), std::ssize(right)) < least_points) return 0.0;
+    const Index last = std::ssize(left) - 1, other_last = std::ssize(right) - 1;
+    const double high =
+        std::max(smallest(left, last - rank(std::ssize(left))), smallest(right, other_last - rank(std::ssize(right))));
+    const double surely = smallest(top, place) - high;
+    if (surely <= margin) return 0.0;
+    const double foot = std::max(smallest(left, last / 2), smallest(right, other_last / 2));
+    const double step = std::max(smallest(top, std::ssize(top) / 2) - foot, 0.0);
+    return step * share_of(surely, step);
+}
+
+// The height of the ridge through a pixel at the angle that suits it best, m; 0 if none is higher than `least`.
+double highest_ridge(double ground, double least, Patch& patch) {
+    double ridge = least;
+    for (int turn = -most_turn; turn <= most_turn; ++turn)
+        ridge = std::max(ridge, ridge_along(turn, ground + believed * ridge, ridge, patch));
+    return ridge > least ? ridge : 0.0;
+}
+
+// The share of a step that counts, 0 to 1: none up to the limit, all from 1.4 times that.
+double stands_out(double step, double limit) {
+    const double share = limit > 0.0 ? (step / limit - 1.0) / ramp : 1.0;
+    return std::min(std::max(share, 0.0), 1.0);
+}
+
+// Keeps the steps of a row that are the highest of three and stand out from noise; 0 elsewhere.
+void keep_peaks(Floats least, const std::vector<double>& limits, std::vector<double>& felt) {
+    const Index last = least.size() - 1;
+    for (Index c = 0; c <= last; ++c) {
+        const double before = c > 0 ? least[c - 1] : -1.0, behind = c < last ? least[c + 1] : -1.0;
+        const bool is_lower = (least[c] < before) | (least[c] < behind);
+        felt[c] = is_lower ? 0.0 : least[c] * stands_out(least[c], limits[c]);
+    }
+}
+
+// The root mean square of the limits of both sides of a pixel, m; that of the known one, if one is.
+double limit_of_sides(double before, double behind) {
+    const int known = std::isfinite(before) + std::isfinite(behind);
+    const double first = std::isnan(before) ? 0.0 : before * before;
+    const double second = std::isnan(behind) ? 0.0 : behind * behind;
+    return known > 0 ? std::sqrt((first + second) / known) : unknown_noise;
+}
+
+// Fills the limits of a row of pixels from those of its tiles.
+void fill_limits(Floats of_tiles, Index pixels, std::vector<double>& limits) {
+    const Index cols = std::ssize(limits);
+    for (Index c = 0; c < cols; ++c) {
+        const double before = c >= side_distance ? of_tiles[(c - side_distance) / pixels] : not_known;
+        const double behind = c + side_distance < cols ? of_tiles[(c + side_distance) / pixels] : not_known;
+        limits[c] = limit_of_sides(before, behind);
+    }
+}
+
+// To which part of a tile a column of its pixels belongs, as in the last axis of what `find_peaks` fills.
+Index part_of_tile(Index k, Index pixels) {
+    if (k == 0) return 0;
+    if (k == pixels - 1) return 1;
+    return k < rim || k >= pixels - rim ? 2 : 3;
+}
+
+struct Peak {
+    double step;       // or ridge, m; NaN if it is unknown, less than what was asked for where it is surely lower
+    double borne_out;  // the same, in full where its points bear out any part of it
+};
+
+// The step or ridge at a pixel with a raw step that stands out, a crest and a limit, m.
+Peak peak_at(
+    const StepMosaic& mosaic, Index r, Index c, double felt, double crest, double limit, double least, Patch& patch) {
+    double borne_out = 0.0;
+    const bool is_step = felt > std::max(least, 0.0), is_crest = crest > limit;
+    if (is_step || is_crest) patch.fill(mosaic, r, c);
+    if (is_step) {
+        const double share = share_borne_out(felt, patch);
+        borne_out = share > 0.0 ? felt : 0.0;
+        felt *= share;
+    }
+    if (is_crest) {
+        const double ground = mosaic.heights(r + run, c) - crest;
+        const double ridge = highest_ridge(ground, std::max(std::max(limit, felt), least), patch);
+        felt = std::max(felt, ridge * stands_out(ridge, limit));
+    }
+    return {felt, std::max(felt, borne_out)};
+}
+
+// Fills the highest step of tiles, or ridge if that is higher, m; negative where none is known. A step counts where it
+// is the highest of three in its row and stands out.
+//
+// `highest` is (tiles, tiles, 4): in the pixels of the western border, of the eastern one, in two pixels along both of
+// them, and in all. In the outer ring of tiles only the borders to the inner ones are filled. `limit` is
+// (tiles, tiles): steps of that height do not count, m. That of a pixel is between those of the tiles two pixels before
+// and behind it. `closed` is (rows, cols), filled with 0: the same pixels are 2 where the step is `closing` m high, and
+// 1 where it is if the points bear out any part of it.
+void find_peaks(
+    StepMosaic mosaic, RawSteps raw, Array<const double, 2> limit, double closing, Array<double, 3> highest,
+    Array<std::uint8_t, 2> closed) {
+    const Index cols = raw.least.shape[1], pixels = mosaic.pixels, last = limit.shape[1] - 1;
+    std::vector<double> limits(cols), felt(cols);
+    Patch patch(mosaic.level);
+    for (Index r = pixels; r < (limit.shape[0] - 1) * pixels; ++r) {
+        const Index row = r / pixels;
+        if (r % pixels == 0) {
+            fill_limits(limit.at(row), pixels, limits);
+            std::fill_n(&highest(row, 0, 0), 4 * (last + 1), -1.0);
+            // Nothing is higher than what nobody asks for.
+            for (const Index part : {0, 2, 3}) highest(row, 0, part) = infinite;
+            for (const Index part : {1, 2, 3}) highest(row, last, part) = infinite;
+        }
+        keep_peaks(raw.least.at(r), limits, felt);
+        for (Index c = 0; c < cols; ++c) {
+            const Index part = part_of_tile(c % pixels, pixels);
+            const FloatsOut found = highest.at(row).at(c / pixels);
+            if (found[part] == infinite) continue;
+            const double asked = std::min(found[part], closing);
+            if (!(felt[c] > asked || raw.crest(r, c) > limits[c])) continue;
+            const auto [step, borne_out] = peak_at(mosaic, r, c, felt[c], raw.crest(r, c), limits[c], asked, patch);
+            closed(r, c) = static_cast<std::uint8_t>((borne_out >= closing) + (step >= closing));
+            for (Index k = part; k < 4; ++k) {
+                if ((k == part || k > 1) && step > found[k]) found[k] = step;
+            }
+        }
+    }
+}
+
+// ---- Jumps ----
+
+// Lines through a pixel; parts of each of their sides: before the middle, beside it and behind it.
+constexpr Index lines_of_pixel = 8, parts_of_side = 3, all_parts = lines_of_pixel * 2 * parts_of_side;
+// Known pixels on each side of a jump; and where half of the line is looked at.
+constexpr double least_of_side = 6, least_of_half = 8;
+// Of a jump, the least difference of the mean levels of both sides: a narrow ditch bends their planes, and has less.
+constexpr double same_level = 0.65;
+// Most distance of the pixels from the planes of their sides, as a share of the jump (root mean square); and where half
+// of the line is looked at.
+constexpr double most_rest = 0.25, most_rest_half = 0.15;
+// The same from the mean levels of both sides, as a share of their difference.
+constexpr double most_spread = 0.5;
+// As `most_rest`, of a jump that continues one, and how far from that it may lie, px.
+constexpr double most_rest_in_line = 0.4;
+constexpr Index in_line = 5;
+// Standard errors of the jump beyond what closes; and where half of the line is looked at.
+constexpr double errors_beyond = 2.0, errors_beyond_half = 4.0;
+// A pixel is on the line of a jump if the levels differ so much of what they do at the pixels across the line.
+constexpr double of_neighbours = 0.9;
+// Determinants of a plane below that share of their largest value are 0.
+constexpr double no_plane = 1e-6;
+
+struct TileSlopes {
+    Array<const double, 2> east, south;
+    Array<const bool, 2> is_wanted;
+};
+
+struct SidePixel {
+    Index place;           // in the patch
+    double across, along;  // from the pixel to it, across the line and along it, px
+};
+
+struct Part {
+    double sum, known, squares;  // of heights, of pixels, of squared heights
+};
+
+// The plane through the known pixels of one side.
+struct Plane {
+    bool is_known;
+    double at_line;  // its height at the middle of the line, m
+    double rest;     // sum of the squared distances from it, m^2
+    double error;    // squared standard error of `at_line` over the variance of a pixel
+};
+
+// The pixels around one, on both sides of lines through it.
+class JumpPatch {
+  public:
+    const int reach;
+
+    // Pixels up to `width` px beside lines of nine pixels.
+    explicit JumpPatch(double width)
+        : reach(static_cast<int>(std::ceil(std::hypot(width, run + 0.5)))),
+          height((2 * reach + 1) * (2 * reach + 1)),
+          is_known(height.size()) {
+        constexpr double along[][2] = {{-run - 0.5, -0.5}, {-0.5, 0.5}, {0.5, run + 0.5}};
+        for (int line = 0; line < lines_of_pixel; ++line) {
+            for (const double sign : {-1.0, 1.0}) {
+                for (const auto& [first, last] : along)
+                    add_part(line * (M_PI / lines_of_pixel), sign, width, first, last);
+            }
+        }
+    }
+
+    // Fills the heights around a pixel; returns false, and fills nothing, if those of 5 x 5 pixels differ too little.
+    bool fill(Array<const double, 2> heights, Index r, Index c, double east, double south, double closing) {
+        const auto level = [&](int down, int right) {
+            return heights(r + down, c + right) - east * right - south * down;
+        };
+        double low = infinite, high = -infinite;
+        for (int down = -2; down <= 2; ++down) {
+            for (int right = -2; right <= 2; ++right) {
+                low = std::min(low, level(down, right));  // NaN is neither
+                high = std::max(high, level(down, right));
+            }
+        }
+        if (low < infinite && high - low < closing) return false;
+        const double base = low < infinite ? low : 0.0;
+        Index place = 0;
+        for (int down = -reach; down <= reach; ++down) {
+            for (int right = -reach; right <= reach; ++right) {
+                const double own = level(down, right);
+                height[place] = std::isnan(own) ? 0.0 : own - base;
+                is_known[place] = std::isnan(own) ? 0.0 : 1.0;
+                ++place;
+            }
+        }
+        return true;
+    }
+
+    // The difference of the levels of both sides of the pixel, m, at the line on which it is most; 0: none closes. It
+    // is negative if a line closes, but not surely.
+    //
+    // A jump closes if the planes of both sides differ by `closing` and some standard errors more at the line, and so
+    // do their levels, and if little is left beside the planes. Halves of the line find it close to the corner of a
+    // step.
+    double jump(double closing) {
+        for (Index k = 0; k < all_parts; ++k) {
+            Part part{};
+            for (Index i = starts[k]; i < starts[k + 1]; ++i) {
+                const double h = height[pixels[i].place];
+                part.known += is_known[pixels[i].place];
+                part.sum += h;
+                part.squares += h * h;
+            }
+            parts[k] = part;
+        }
+        double most = 0.0, least = 0.0;
+        for (Index line = 0; line < lines_of_pixel; ++line) {
+            const double found = jump_along(line, 0, 3, closing);
+            most = std::max(most, found);
+            least = std::min(least, found);
+            most = std::max(most, jump_along(line, 0, 2, closing));
+            most = std::max(most, jump_along(line, 1, 3, closing));
+        }
+        return most > 0.0 ? most : least;
+    }
+
+  private:
+    // Adds a part of a side of a line: the pixels between two places along it.
+    void add_part(double angle, double sign, double width, double first, double last) {
+        const double c = std::round(std::cos(angle) * 1e6) / 1e6, s = std::round(std::sin(angle) * 1e6) / 1e6;
+        Index place = 0;
+        for (int down = -reach; down <= reach; ++down) {
+            for (int right = -reach; right <= reach; ++right) {
+                const double across = c * right + s * down, along = c * down - s * right;
+                if (sign * across > 0.4 && sign * across <= width && along > first && along <= last)
+                    pixels.push_back({place, across, along});
+                ++place;
+            }
+        }
+        starts.push_back(pixels.size());
+    }
+
+    // The plane through the known pixels of some parts of a side of a line, if they span one.
+    Plane plane(Index first, Index last) const {
+        double sums[4][4] = {};  // of the products of a pixel's weight, its distances and its height
+        for (Index i = starts[first]; i < starts[last]; ++i) {
+            const auto& [place, across, along] = pixels[i];
+            const double w = is_known[place], row[] = {w, w * across, w * along, height[place]};
+            for (int j = 0; j < 4; ++j) {
+                for (int k = 0; k < 4; ++k) sums[j][k] += row[j] * row[k];
+            }
+        }
+        const double n = sums[0][0], mu = sums[0][1] / n, mv = sums[0][2] / n, mz = sums[0][3] / n;
+        const double uu = sums[1][1] - sums[0][1] * mu, uv = sums[1][2] - sums[0][1] * mv;
+        const double vv = sums[2][2] - sums[0][2] * mv, uz = sums[1][3] - sums[0][1] * mz;
+        const double vz = sums[2][3] - sums[0][2] * mz, zz = sums[3][3] - sums[0][3] * mz;
+        const double det = uu * vv - uv * uv;
+        if (det <= no_plane * uu * vv) return {};
+        const double across = (uz * vv - vz * uv) / det, along = (vz * uu - uz * uv) / det;
+        const double error = 1.0 / n + (mu * mu * vv - 2.0 * mu * mv * uv + mv * mv * uu) / det;
+        return {true, mz - across * mu - along * mv, std::max(zz - across * uz - along * vz, 0.0), error};
+    }
+
+    // The difference of the levels of both sides of a line, m, if it closes; 0 if not, and less if in doubt. Parts of
+    // the sides count from the first up to but not with the last.
+    double jump_along(Index line, Index first, Index last, double closing) const {
+        const bool is_whole = last - first == parts_of_side;
+        const Index one = 2 * parts_of_side * line, other = one + parts_of_side;
+        Part before{}, behind{};
+        double squares = 0.0;
+        for (Index k = first; k < last; ++k) {
+            before.sum += parts[one + k].sum;
+            before.known += parts[one + k].known;
+            behind.sum += parts[other + k].sum;
+            behind.known += parts[other + k].known;
+            squares += parts[one + k].squares + parts[other + k].squares;
+        }
+        const double n = before.known, m = behind.known;
+        if (std::min(n, m) < (is_whole ? least_of_side : least_of_half)) return 0.0;
+        double level = behind.sum / m - before.sum / n;
+        const double spread = (squares - before.sum * before.sum / n - behind.sum * behind.sum / m) / (n + m);
+        if (std::abs(level) < closing || spread > most_spread * most_spread * level * level) return 0.0;
+        const Plane near = plane(one + first, one + last), far = plane(other + first, other + last);
+        if (!near.is_known || !far.is_known) return 0.0;
+        double jump = far.at_line - near.at_line;
+        if (jump < 0.0) {
+            level = -level;
+            jump = -jump;
+        }
+        const double rest = (near.rest + far.rest) / (n + m - 6.0), error = std::sqrt(rest * (near.error + far.error));
+        const double errors = is_whole ? errors_beyond : errors_beyond_half;
+        const double share = is_whole ? most_rest : most_rest_half;
+        if (std::min(level, jump) >= closing + errors * error && level > same_level * jump &&
+            rest <= share * share * jump * jump)
+            return level;
+        const bool perhaps =
+            is_whole && std::min(level, jump) >= closing && rest <= most_rest_in_line * most_rest_in_line * jump * jump;
+        return perhaps ? -level : 0.0;
+    }
+
+    std::vector<double> height, is_known;  // less the slope of the tile, m, 0 where unknown; and 1 where known
+    std::vector<SidePixel> pixels;         // part by part: of each line both sides, and of each side its parts
+    std::vector<Index> starts{0};          // of the parts
+    std::array<Part, all_parts> parts;
+};
+
+// Whether a line that surely closes lies within some pixels.
+bool is_sure_near(Array<const double, 2> level, Index r, Index c, Index near) {
+    for (Index row = r - near; row <= r + near; ++row) {
+        for (Index col = c - near; col <= c + near; ++col) {
+            if (level(row, col) > 0.0) return true;
+        }
+    }
+    return false;
+}
+
+// Marks the lines along which the ground jumps by `closing` m, where all points of both sides, `width` px wide, are
+// taken together.
+//
+// `heights` and `marks` are (rows, cols) of pixels; the latter come filled with false. Where few points leave it in
+// doubt, a line closes that continues one. In the outer ring of tiles only the pixels next to the inner ones are
+// marked, and no more looked at than that takes.
+void find_jumps(
+    Array<const double, 2> heights, Index pixels, TileSlopes slopes, double closing, double width,
+    Array<bool, 2> marks) {
+    const Index rows = heights.shape[0], cols = heights.shape[1];
+    std::vector<double> memory(rows * cols);
+    const Array<double, 2> level{memory.data(), heights.shape};  // difference of the levels of both sides, m
+    JumpPatch patch(width);
+    const Index near = std::max(std::min(in_line, pixels - 2 - patch.reach), Index{1}), outer = pixels - 1 - near;
+    for (Index r = outer; r < rows - outer; ++r) {
+        for (Index c = outer; c < cols - outer; ++c) {
+            const Index row = r / pixels, col = c / pixels;
+            if (slopes.is_wanted(row, col) &&
+                patch.fill(heights, r, c, slopes.east(row, col), slopes.south(row, col), closing))
+                level(r, c) = patch.jump(closing);
+        }
+    }
+    for (Index r = pixels - 1; r < rows - pixels + 1; ++r) {
+        for (Index c = pixels - 1; c < cols - pixels + 1; ++c) {
+            const double own = level(r, c);
+            bool is_lower = false;
+            for (Index down = -1; down <= 1; ++down) {
+                for (Index right = -1; right <= 1; ++right)
+                    is_lower |= std::abs(own) < of_neighbours * std::abs(level(r + down, c + right));
+            }
+            marks(r, c) = !is_lower && (own > 0.0 || (own < 0.0 && is_sure_near(level, r, c, near)));
+        }
+    }
+}
+
+}  // namespace
+}  // namespace bumpy
+
+BUMPY_RECORD(bumpy::StepMosaic, heights, pixels, level, east, south)
+BUMPY_RECORD(bumpy::RawSteps, least, crest, inside)
+BUMPY_RECORD(bumpy::TileSlopes, east, south, is_wanted)
+
+void bind_steps(nb::module_& module) {
+    using namespace bumpy;
+    BUMPY_LOOP(module, find_quantiles);
+    BUMPY_LOOP(module, find_gradients);
+    BUMPY_LOOP(module, find_raw_steps);
+    BUMPY_LOOP(module, find_peaks);
+    BUMPY_LOOP(module, find_jumps);
+}
