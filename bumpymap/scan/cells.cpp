@@ -8,9 +8,8 @@
 #include <array>
 #include <cmath>
 #include <limits>
-#include <vector>
 
-#include "bumpytiles/bindings.hpp"
+#include "polar.hpp"
 
 namespace bumpy {
 namespace {
@@ -68,31 +67,29 @@ constexpr std::int32_t unseen = -1, beneath_object = -2, falls = -3;
 
 // Numbers by cell, by ray and by ring while the cells are laid.
 struct Laying {
-    std::vector<std::int32_t> cell;        // (points,) the cell of each; -1 outside
-    std::vector<double> count, total;      // (cells,) number of ground points, and the sum of their z, m
-    std::vector<std::int32_t> objects;     // (cells,) twice the points of obstacles, one more if some are lower
-    std::vector<bool> has_others;          // (cells,) whether some points are not ground
-    std::vector<double> level;             // (cells,) elevation of the ground, or the mean around it, m; or NaN
-    std::vector<Returns> returns;          // by `slot_of`
-    std::vector<std::int32_t> seen;        // (all_rays, half) as above
-    std::vector<std::uint8_t> has_fallen;  // (sectors + 1,) whether the ground drops somewhere in the sector
+    Scratch<std::int32_t> cell;        // (points,) the cell of each; -1 outside
+    Scratch<double> count, total;      // (cells,) number of ground points, and the sum of their z, m
+    Scratch<std::int32_t> objects;     // (cells,) twice the points of obstacles, one more if some are lower
+    Scratch<std::uint8_t> has_others;  // (cells,) whether some points are not ground
+    Scratch<double> level;             // (cells,) elevation of the ground, or the mean around it, m; or NaN
+    Scratch<Returns> returns;          // by `slot_of`
+    Scratch<std::int32_t> seen;        // (all_rays, half) as above
+    Scratch<std::uint8_t> has_fallen;  // (sectors + 1,) whether the ground drops somewhere in the sector
 
     Laying(const ClassedPoints& scan, const CellRule& rule)
-        : cell(static_cast<std::size_t>(scan.points.shape[0])),
-          count(static_cast<std::size_t>(rule.side() * rule.side())),
-          total(count.size()),
-          objects(count.size()),
-          has_others(count.size()),
-          level(count.size()),
-          returns(static_cast<std::size_t>(all_rays * rule.half)),
-          seen(returns.size(), unseen),
-          has_fallen(static_cast<std::size_t>(scan.kind.size())) {}
+        : cell(scan.points.shape[0]),
+          count(rule.side() * rule.side()),
+          total(count.count()),
+          objects(count.count()),
+          has_others(count.count()),
+          level(count.count()),
+          returns(all_rays * rule.half),
+          seen(all_rays * rule.half, unseen),
+          has_fallen(scan.kind.size()) {}
 };
 
 // Place of a ray and a ring in `Laying::returns`: four rays side by side share a line of the cache.
-std::size_t slot_of(Index ray, Index ring, Index half) {
-    return static_cast<std::size_t>(((ray / 4) * half + ring) * 4 + ray % 4);
-}
+Index slot_of(Index ray, Index ring, Index half) { return ((ray / 4) * half + ring) * 4 + ray % 4; }
 
 // ---- The points ----
 
@@ -142,17 +139,16 @@ void sort_into_cells(const ClassedPoints& scan, const CellRule& rule, const Squa
         const auto i = static_cast<std::size_t>(p % block_points);
         if (i == 0) find_cells(scan, p, std::min(block_points, size - p), rule, block);
         const std::int32_t cell = block.cell[i];
-        s.cell[static_cast<std::size_t>(p)] = cell;
+        s.cell[p] = cell;
         if (cell < 0) continue;
-        const auto at = static_cast<std::size_t>(cell);
-        Returns& returns = s.returns[static_cast<std::size_t>(block.slot[i])];
+        Returns& returns = s.returns[block.slot[i]];
         const float z = scan.points(p, 2), h = scan.height[p];
         if (scan.ground[p]) {
-            s.count[at] += 1.0;
-            s.total[at] += z;
+            s.count[cell] += 1.0;
+            s.total[cell] += z;
             if (out.sector[cell] < 0) out.sector[cell] = scan.sector[p];
         } else {
-            s.has_others[at] = true;
+            s.has_others[cell] = 1;
         }
         if (scan.ground[p] || std::abs(h) < rule.belly) {
             if (z < returns.ground) {
@@ -179,14 +175,12 @@ void around(Index cell, Index wide, Index side, Act act) {
 // Finds the elevation of the ground in every cell, its steps, and the level from which objects are measured.
 void level_cells(const CellRule& rule, const SquareCells& out, Laying& s) {
     const Index side = rule.side();
-    const auto has_ground = [&s](Index cell) { return s.count[static_cast<std::size_t>(cell)] > 0.0; };
+    const auto has_ground = [&s](Index cell) { return s.count[cell] > 0.0; };
     for (Index cell = 0; cell < side * side; ++cell) {
-        const auto at = static_cast<std::size_t>(cell);
-        s.level[at] = has_ground(cell) ? s.total[at] / s.count[at] : std::numeric_limits<double>::quiet_NaN();
-        out.elevation[cell] = static_cast<float>(s.level[at]);
+        s.level[cell] = has_ground(cell) ? s.total[cell] / s.count[cell] : std::numeric_limits<double>::quiet_NaN();
+        out.elevation[cell] = static_cast<float>(s.level[cell]);
     }
     for (Index cell = 0; cell < side * side; ++cell) {
-        const auto at = static_cast<std::size_t>(cell);
         if (has_ground(cell)) {
             float step = 0.0F;
             const auto compare = [&](Index other) {
@@ -197,14 +191,14 @@ void level_cells(const CellRule& rule, const SquareCells& out, Laying& s) {
             if (cell % side > 0) compare(cell - 1);
             if (cell % side < side - 1) compare(cell + 1);
             out.step[cell] = step;
-        } else if (s.has_others[at]) {
+        } else if (s.has_others[cell] != 0) {
             double height = 0.0, count = 0.0;
             around(cell, 1, side, [&](Index other) {
                 if (!has_ground(other)) return;
                 count += 1.0;
                 height += out.elevation[other];
             });
-            s.level[at] = height / count;
+            s.level[cell] = height / count;
         }
     }
 }
@@ -213,11 +207,11 @@ void level_cells(const CellRule& rule, const SquareCells& out, Laying& s) {
 // cell, or above that of its sector.
 void stand_objects(const ClassedPoints& scan, const CellRule& rule, const SquareCells& out, Laying& s) {
     for (Index i = 0; i < scan.points.shape[0]; ++i) {
-        const Index cell = s.cell[static_cast<std::size_t>(i)];
+        const Index cell = s.cell[i];
         if (cell < 0 || scan.ground[i]) continue;
-        std::int32_t& objects = s.objects[static_cast<std::size_t>(cell)];
+        std::int32_t& objects = s.objects[cell];
         double h = scan.height[i];
-        const double near = scan.points(i, 2) - s.level[static_cast<std::size_t>(cell)];
+        const double near = scan.points(i, 2) - s.level[cell];
         if (!(std::isnan(near) || (rule.belly <= h && h < rule.height))) h = near;
         if (std::isnan(h)) {
             objects += 2;
@@ -279,7 +273,7 @@ class RayFollower {
         return found;
     }
 
-    std::int32_t& seen(Index ring) const { return s_.seen[static_cast<std::size_t>(ray_ * rule_.half + ring)]; }
+    std::int32_t& seen(Index ring) const { return s_.seen[ray_ * rule_.half + ring]; }
 
     // Marks the rings between the last ground and a return at height z [m]: the ground drops, or it goes on, and no
     // obstacle before them hides what may stand there. Returns how far the return lies above that ground, m.
@@ -292,7 +286,7 @@ class RayFollower {
         if (above < -rule_.belly && z - level_ - whole < -0.5 * rule_.belly) {
             const Index home = scan_.row(home_), other = scan_.row(here);
             if (scan_.drops[home] || scan_.drops[other]) {
-                s_.has_fallen[static_cast<std::size_t>(home)] = s_.has_fallen[static_cast<std::size_t>(other)] = 1;
+                s_.has_fallen[home] = s_.has_fallen[other] = 1;
                 for (Index k = last_; k < ring + (is_object ? 1 : 0); ++k) seen(k) = falls;
             }
         } else if ((!is_object || above < rule_.height) && z * from / away - level_ < rule_.belly) {
@@ -344,7 +338,7 @@ void judge_cell(
     bool drops = false;
     std::int32_t home = -1;
     for (Index ray = first; ray <= last; ++ray) {
-        const std::int32_t sector = s.seen[static_cast<std::size_t>(ray * rule.half + ring)];
+        const std::int32_t sector = s.seen[ray * rule.half + ring];
         drops |= sector == falls;
         beneath += sector == beneath_object;
         if (sector < 0) continue;
@@ -354,15 +348,13 @@ void judge_cell(
     if (out.sector[cell] < 0 && 2 * seen > last - first) out.sector[cell] = home;
     if (beneath > seen) out.sector[cell] = -1;
     const Index of = scan.row(out.sector[cell]);
-    drops |= scan.drops[of] && s.has_fallen[static_cast<std::size_t>(of)] == 0;
-    const bool stops = s.objects[static_cast<std::size_t>(cell)] > 1 || drops || out.step[cell] > rule.belly;
+    drops |= scan.drops[of] && s.has_fallen[of] == 0;
+    const bool stops = s.objects[cell] > 1 || drops || out.step[cell] > rule.belly;
     std::uint8_t kind = scan.kind[of];
     if (stops) kind = static_cast<std::uint8_t>(scan.kind[scan.row(-1)] - 1);
     if (kind == scan.kind[of] && kind != scan.bare_kind[of]) {
         bool is_bare = true;  // nothing beside the cell, or in it, is lower than the vehicle and not ground
-        around(cell, rule.beside, rule.side(), [&](Index other) {
-            is_bare = is_bare && s.objects[static_cast<std::size_t>(other)] <= 0;
-        });
+        around(cell, rule.beside, rule.side(), [&](Index other) { is_bare = is_bare && s.objects[other] <= 0; });
         if (is_bare) kind = scan.bare_kind[of];
     }
     out.kind[cell] = kind;

@@ -1,57 +1,18 @@
-// Finds the ground of a scan: a plane for every cell of the polar grid, which points lie on it, and where it drops.
+// Finds the ground of a scan: a plane for every cell of the polar grid.
 //
 // Each cell's plane starts at the lowest points of its parts and is fitted again to the points near it. It must
 // continue the planes around it; where it does not, it starts again from theirs. A cell without a plane of its own
-// passes theirs on. Parts beside a plane that continue it are ground too. What lies behind an edge is not seen, and a
-// plane that is fitted to both sides passes over it: so the ground is followed outwards, and if what is seen next lies
-// too far below where it should go on, there is an edge in between. Sums run in the order of the scan's points. Ours.
-#include <algorithm>
-#include <array>
-#include <limits>
-#include <vector>
+// passes theirs on. At last, only the planes that continue each other around the robot stay. Sums run in the order of
+// the scan's points. Ours; see `find_ground` of ground.py.
+#include "ground.hpp"
 
-#include "polar.hpp"
+#include <array>
 
 namespace bumpy {
 namespace {
 
-// Parts of a cell along each side: outwards and around; PARTS in ground.py.
-constexpr Index parts = 5;
-constexpr Index parts_of_cell = parts * parts;
 // Most neighbours of a cell: three inwards, two beside it, three outwards; NEIGHBOURS in ground.py.
 constexpr std::size_t most_neighbours = 8;
-// Kinds of planes: passed on by a neighbour; fitted to the cell's own points; passed on before the second round, for
-// where nothing better is known. 0: none.
-constexpr std::int32_t carried = 1, found = 2, guessed = 3;
-constexpr double infinite = std::numeric_limits<double>::infinity();
-
-struct CellGeometry {
-    Array<const double> x, y;
-    Array<const std::int32_t, 2> near;
-    Array<const std::int32_t> zone, ring, sector, first, rings, sectors;
-
-    Index cells() const { return x.size(); }
-};
-
-struct Place {
-    double x, y;
-};
-
-// A plane by its slope along x and y, and its height at the origin, m.
-struct Slope {
-    double a, b, c;
-
-    double height(double x, double y) const { return a * x + b * y + c; }
-};
-
-struct GroundPlanes {
-    Array<double, 2> plane, centre;
-    Array<double> spread;
-    Array<std::int32_t> kind;
-
-    Slope at(Index cell) const { return {plane(cell, 0), plane(cell, 1), plane(cell, 2)}; }
-};
-
 struct SearchRule {
     Array<const double> reach;
     Index least_points, neighbours;
@@ -105,8 +66,11 @@ struct Expected {
 Expected expect_from(
     Index cell, Index last, Place at, const CellGeometry& geometry, const GroundPlanes& planes,
     Array<const double> slope) {
-    std::array<double, most_neighbours> heights;
-    std::array<Index, most_neighbours> cells;
+    struct Height {
+        double height;
+        Index cell;
+    };
+    std::array<Height, most_neighbours> heights;
     for (const std::int32_t worst : {found, guessed}) {
         std::size_t count = 0;
         for (Index s = 0; s < last; ++s) {
@@ -116,18 +80,13 @@ Expected expect_from(
             double height = planes.at(other).height(u + own_slope * (at.x - u), v + own_slope * (at.y - v));
             height += (1.0 - own_slope) * (slope[0] * (at.x - u) + slope[1] * (at.y - v));
             std::size_t k = count++;
-            for (; k > 0 && heights[k - 1] > height; --k) {
-                heights[k] = heights[k - 1];
-                cells[k] = cells[k - 1];
-            }
-            heights[k] = height;
-            cells[k] = other;
+            for (; k > 0 && heights[k - 1].height > height; --k) heights[k] = heights[k - 1];
+            heights[k] = {height, other};
         }
         if (count == 0) continue;
-        const std::size_t middle = (count - 1) / 2;
-        const Index other = cells[middle];
+        const auto [height, other] = heights[(count - 1) / 2];
         const double dx = at.x - planes.centre(other, 0), dy = at.y - planes.centre(other, 1);
-        return {other, heights[middle], std::sqrt(dx * dx + dy * dy) + planes.centre(other, 2), worst};
+        return {other, height, std::sqrt(dx * dx + dy * dy) + planes.centre(other, 2), worst};
     }
     return {};
 }
@@ -145,28 +104,19 @@ struct Fit {
 
 // Fits a plane to those of some points that lie in a band of another plane.
 Fit fit_again(Array<const float, 2> xyz, Some some, Slope plane, Band band, Place origin, Place slope) {
-    double n = 0.0, su = 0.0, sv = 0.0, sh = 0.0, suu = 0.0, suv = 0.0, svv = 0.0, suh = 0.0, svh = 0.0;
+    std::array<double, 9> sums{};
     double near = 0.0, square = 0.0;
-    for (Index i = some.first; i < some.end; i += some.step) {
+    for (Index i = some.first; i < some.end; i += some.step) {  // without a branch: several sums at once
         const double x = xyz(0, i), y = xyz(1, i);
         const double u = x - origin.x, v = y - origin.y;
         const double h = xyz(2, i) - plane.height(x, y);
-        if (band.low < h && h < band.high) {
-            n += 1.0;
-            su += u;
-            sv += v;
-            sh += h;
-            suu += u * u;
-            suv += u * v;
-            svv += v * v;
-            suh += u * h;
-            svh += v * h;
-        }
-        if (std::abs(h) < band.reach) {
-            near += 1.0;
-            square += h * h;
-        }
+        const std::array<double, 9> terms{1.0, u, v, h, u * u, u * v, v * v, u * h, v * h};
+        const bool counts = (band.low < h) & (h < band.high), is_near = std::abs(h) < band.reach;
+        for (std::size_t m = 0; m < sums.size(); ++m) sums[m] += counts ? terms[m] : 0.0;
+        near += is_near ? 1.0 : 0.0;
+        square += is_near ? h * h : 0.0;
     }
+    const auto [n, su, sv, sh, suu, suv, svv, suh, svh] = sums;
     if (n < 3.0) return {n, 0.0, plane};
     const double mu = su / n, mv = sv / n, mh = sh / n;
     const double ridge = ridge_weight * std::sqrt(n);
@@ -180,26 +130,23 @@ Fit fit_again(Array<const float, 2> xyz, Some some, Slope plane, Band band, Plac
 
 // The lowest point of each part, and the lowest heights of all.
 struct Lowest {
-    std::array<double, parts_of_cell> height, x, y, z;  // m; height above the expected plane; infinite: none
-    std::array<double, tail_points> tail;               // increasing, m
+    struct Point {
+        double height = infinite, x = 0.0, y = 0.0, z = 0.0;  // m; above the expected plane; infinite: none
+    };
+    std::array<Point, parts_of_cell> points;
+    std::array<double, tail_points> tail;  // increasing, m
 };
 
 // Finds them among the points that are not below `floor`; `most` heights of the tail.
 Lowest find_lowest(const CellPoints& points, Some some, Slope plane, double floor, std::size_t most) {
     Lowest out;
-    out.height.fill(infinite);
     out.tail.fill(infinite);
     for (Index i = some.first; i < some.end; i += some.step) {
         const double x = points.xyz(0, i), y = points.xyz(1, i), z = points.xyz(2, i);
         const double h = z - plane.height(x, y);
         if (h < floor) continue;
-        const auto part = static_cast<std::size_t>(points.part[i]);
-        if (h < out.height[part]) {
-            out.height[part] = h;
-            out.x[part] = x;
-            out.y[part] = y;
-            out.z[part] = z;
-        }
+        Lowest::Point& lowest = out.points[static_cast<std::size_t>(points.part[i])];
+        if (h < lowest.height) lowest = {h, x, y, z};
         if (h < out.tail[most - 1]) {
             std::size_t k = most - 1;
             for (; k > 0 && out.tail[k - 1] > h; --k) out.tail[k] = out.tail[k - 1];
@@ -221,12 +168,12 @@ bool start_plane(const CellPoints& points, Some some, Slope expected, Place orig
     std::array<float, 3 * parts_of_cell> low;
     std::array<double, parts_of_cell> heights;
     std::size_t count = 0;
-    for (std::size_t k = 0; k < parts_of_cell; ++k) {
-        if (lowest.height[k] == infinite) continue;
-        low[count] = static_cast<float>(lowest.x[k]);
-        low[parts_of_cell + count] = static_cast<float>(lowest.y[k]);
-        low[2 * parts_of_cell + count] = static_cast<float>(lowest.z[k]);
-        heights[count++] = lowest.height[k];
+    for (const auto [height, x, y, z] : lowest.points) {
+        if (height == infinite) continue;
+        low[count] = static_cast<float>(x);
+        low[parts_of_cell + count] = static_cast<float>(y);
+        low[2 * parts_of_cell + count] = static_cast<float>(z);
+        heights[count++] = height;
     }
     if (count < 3) return false;
     std::sort(heights.begin(), heights.begin() + static_cast<Index>(count));
@@ -299,12 +246,7 @@ bool accept(
         const double limit = step_at + guessed_rise * std::min(planes.centre(cell, 2), farthest);
         if (height - planes.at(cell).height(own.x, own.y) > limit) return false;
     }
-    planes.plane(cell, 0) = plane.a;
-    planes.plane(cell, 1) = plane.b;
-    planes.plane(cell, 2) = plane.c;
-    planes.centre(cell, 0) = own.x;
-    planes.centre(cell, 1) = own.y;
-    planes.centre(cell, 2) = 0.0;
+    planes.put(cell, plane, {own.x, own.y}, 0.0);
     planes.spread[cell] = own.spread;
     planes.kind[cell] = found;
     return true;
@@ -327,12 +269,7 @@ void carry(
     }
     a = 0.5 * (a + slope[0]);
     b = 0.5 * (b + slope[1]);
-    planes.plane(cell, 0) = a;
-    planes.plane(cell, 1) = b;
-    planes.plane(cell, 2) = height - a * x - b * y;
-    planes.centre(cell, 0) = x;
-    planes.centre(cell, 1) = y;
-    planes.centre(cell, 2) = away;
+    planes.put(cell, {a, b, height - a * x - b * y}, {x, y}, away);
 }
 
 // Finds a plane of the cell's own, from its lowest points or else from what its neighbours expect; false if none fits.
@@ -386,9 +323,8 @@ void find_planes(CellPoints points, CellGeometry geometry, SearchRule rule, Grou
 constexpr double rough = 2.5, rough_m = 0.06;
 
 // The cell that stands for all that are linked to a cell; shortens the way to it.
-Index root_of(std::vector<Index>& of, Index cell) {
-    const auto next = [&of](Index each) -> Index& { return of[static_cast<std::size_t>(each)]; };
-    for (; next(cell) != cell; cell = next(cell)) next(cell) = next(next(cell));
+Index root_of(Scratch<Index>& of, Index cell) {
+    for (; of[cell] != cell; cell = of[cell]) of[cell] = of[of[cell]];
     return cell;
 }
 
@@ -404,33 +340,33 @@ bool continues(Index cell, Index other, const GroundPlanes& planes) {
 }
 
 // The sets of cells that continue each other: of each cell, the one that stands for its set.
-std::vector<Index> link_cells(const CellGeometry& geometry, const GroundPlanes& planes) {
-    std::vector<Index> of(static_cast<std::size_t>(geometry.cells()));
-    for (std::size_t cell = 0; cell < of.size(); ++cell) of[cell] = static_cast<Index>(cell);
+Scratch<Index> link_cells(const CellGeometry& geometry, const GroundPlanes& planes) {
+    Scratch<Index> of(geometry.cells());
+    for (Index cell = 0; cell < geometry.cells(); ++cell) of[cell] = cell;
     for (Index cell = 0; cell < geometry.cells(); ++cell) {
         for (Index k = 0; k < geometry.near.shape[1]; ++k) {
             const Index other = geometry.near(cell, k);
             if (other < 0 || planes.kind[cell] != found || planes.kind[other] != found) continue;
             if (!continues(cell, other, planes)) continue;
             const Index one = root_of(of, cell), two = root_of(of, other);
-            of[static_cast<std::size_t>(std::max(one, two))] = std::min(one, two);
+            of[std::max(one, two)] = std::min(one, two);
         }
     }
     return of;
 }
 
 // The largest set. A cell counts for the inverse of its distance: what lies near the robot is what it stands on.
-Index largest_set(std::vector<Index>& of, const CellGeometry& geometry, const GroundPlanes& planes) {
-    std::vector<double> weight(of.size());
-    std::size_t best = 0;
+Index largest_set(Scratch<Index>& of, const CellGeometry& geometry, const GroundPlanes& planes) {
+    Scratch<double> weight(geometry.cells());
+    Index best = 0;
     for (Index cell = 0; cell < geometry.cells(); ++cell) {
         if (planes.kind[cell] != found) continue;
-        const auto root = static_cast<std::size_t>(root_of(of, cell));
+        const Index root = root_of(of, cell);
         const double x = geometry.x[cell], y = geometry.y[cell];
         weight[root] += 1.0 / std::sqrt(x * x + y * y);
         if (weight[root] > weight[best]) best = root;
     }
-    return static_cast<Index>(best);
+    return best;
 }
 
 // Keeps the planes of the largest set of cells in which neighbours continue each other, and of sets as high as it.
@@ -442,16 +378,14 @@ void keep_largest(CellGeometry geometry, GroundPlanes planes, Array<const double
     const Index cells = geometry.cells();
     for (Index cell = 0; cell < cells; ++cell)
         if (planes.spread[cell] > std::max(rough * noise[geometry.zone[cell]], rough_m)) planes.kind[cell] = 0;
-    std::vector<Index> of = link_cells(geometry, planes), largest;
+    Scratch<Index> of = link_cells(geometry, planes), largest, fit(cells);
     const Index best = largest_set(of, geometry, planes);
     for (Index cell = 0; cell < cells; ++cell) {
-        of[static_cast<std::size_t>(cell)] = root_of(of, cell);
-        if (of[static_cast<std::size_t>(cell)] == best) largest.push_back(cell);
+        of[cell] = root_of(of, cell);
+        if (of[cell] == best) largest.push_back(cell);
     }
-    std::vector<Index> fit(of.size());
     for (Index cell = 0; cell < cells; ++cell) {
-        const Index set = of[static_cast<std::size_t>(cell)];
-        if (planes.kind[cell] != found || set == best) continue;
+        if (planes.kind[cell] != found || of[cell] == best) continue;
         const double x = planes.centre(cell, 0), y = planes.centre(cell, 1);
         double nearest = infinite, over = 0.0;
         for (const Index other : largest) {
@@ -464,383 +398,19 @@ void keep_largest(CellGeometry geometry, GroundPlanes planes, Array<const double
         }
         const double far = std::min(std::sqrt(nearest), farthest);
         const bool fits = -step_at - step_per_metre * far < over && over < step_at + rise_per_metre * far;
-        fit[static_cast<std::size_t>(set)] += fits ? 1 : -1;
+        fit[of[cell]] += fits ? 1 : -1;
     }
-    for (Index cell = 0; cell < cells; ++cell) {
-        const Index set = of[static_cast<std::size_t>(cell)];
-        if (set != best && fit[static_cast<std::size_t>(set)] <= 0) planes.kind[cell] = 0;
-    }
-}
-
-// ---- The points on the ground ----
-
-// Objects on the ground are drawn up to this multiple of the vehicle's height.
-constexpr double objects_height = 2.0;
-// Points further below a plane than this are reflections, m.
-constexpr double below_plane = 0.5;
-// A part beside the plane is ground too if it has so many points, spreads less than this, at a height between these,
-// and passes a neighbouring part of the ground at less than this; its ground points are so near to their mean, m.
-constexpr double part_points = 3.0, part_spread = 0.12, part_lowest = -0.6, part_highest = 1.2, part_step = 0.2;
-constexpr double part_reach = 0.2;
-// Returns in pixels next to each other lie together if their heights are so near to each other, m, at the sensor, and
-// more for each metre from it; so many are an object.
-constexpr double beside_m = 0.03, beside_per_metre = 0.04;
-constexpr float together = 3.0F;
-// Rounds in which the ground spreads to parts beside it.
-constexpr int most_rounds = 6;
-// Points further from a plane than this do not belong to the layer of the ground, m.
-constexpr double layer = 1.5;
-// Plants stand in a part if so high above its ground at most, m, there are points, as a share of those on it, and those
-// on it spread by more than this multiple of the scan's noise and more than this, m.
-constexpr double plants_above = 0.8, plants_share = 0.2, plants_spread = 1.8, plants_least = 0.045;
-
-struct GroundRule {
-    Array<const double> reach, noise;
-    Index least_points;
-    double belly, height;
-};
-
-struct GroundLabels {
-    Array<float> height;
-    Array<bool> ground;
-    Array<std::int32_t> obstacles, overhead;
-    Array<bool> airborne;
-    Array<float> top, clearance;
-    Array<float, 3> objects, lowest;
-    Array<bool> kept;
-    Array<std::int32_t> held;
-};
-
-enum class State : std::uint8_t { none, may_continue, continues_ground, is_grown, plants };
-
-// A part of a cell, see `parts`.
-struct Part {
-    double count = 0.0, sum = 0.0, squares = 0.0, ground = 0.0;  // of the heights of its points
-    double level = std::numeric_limits<double>::quiet_NaN();     // of its ground above the plane, m; NaN: it has none
-    State state = State::none;
-
-    double mean() const { return sum / count; }
-};
-
-// Points and cells while they are labelled.
-struct Labelling {
-    std::vector<float> heights;  // (points,) above the plane, by cell
-    std::vector<Part> parts;     // (cells * parts_of_cell,)
-    std::vector<bool> mixed;     // (cells,) whether some points are not on the plane
-
-    Part& part(Index cell, Index inside) { return parts[static_cast<std::size_t>(cell * parts_of_cell + inside)]; }
-    float height(Index i) const { return heights[static_cast<std::size_t>(i)]; }
-    bool is_mixed(Index cell) const { return mixed[static_cast<std::size_t>(cell)]; }
-};
-
-// Finds the height of every point of a cell above its plane, and which lie on it; if not all do, sums by part.
-void measure_heights(
-    const CellPoints& points, Index cell, const GroundPlanes& planes, double zone_reach, Index least_points,
-    Array<bool> kept, Labelling& s) {
-    const Slope plane = planes.at(cell);
-    const Index first = points.starts[cell], last = points.starts[cell + 1];
-    const bool is_own = planes.kind[cell] == found;
-    const double below = is_own ? -below_plane : -zone_reach;
-    const double reach = !is_own && last - first > least_points ? -infinite : zone_reach;
-    Index held = 0;
-    for (Index i = first; i < last; ++i) {
-        const double h = points.xyz(2, i) - plane.height(points.xyz(0, i), points.xyz(1, i));
-        s.heights[static_cast<std::size_t>(i)] = static_cast<float>(h);
-        kept[i] = below < h && h < reach;
-        held += kept[i];
-    }
-    s.mixed[static_cast<std::size_t>(cell)] = held < last - first;
-    for (Index i = first; i < last; ++i) {
-        Part& part = s.part(cell, points.part[i]);
-        const float h = s.height(i);
-        if (held == last - first) {
-            part.level = 0.0;
-        } else if (std::abs(h) < layer) {
-            part.count += 1.0;
-            part.sum += h;
-            part.squares += h * h;
-            part.ground += kept[i];
-        }
-    }
-}
-
-// The part next to another one in the same zone; none beyond its border.
-const Part* part_beside(
-    Index cell, Index inside, Index outwards, Index around, const CellGeometry& geometry, Labelling& s) {
-    const Index zone = geometry.zone[cell];
-    const Index rows = geometry.rings[zone] * parts, columns = geometry.sectors[zone] * parts;
-    const Index row = geometry.ring[cell] * parts + inside / parts + outwards;
-    if (row < 0 || row >= rows) return nullptr;
-    const Index column = (geometry.sector[cell] * parts + inside % parts + around + columns) % columns;
-    const Index home = geometry.first[zone] + (row / parts) * geometry.sectors[zone] + column / parts;
-    return &s.part(home, (row % parts) * parts + column % parts);
-}
-
-bool continues_beside(Index cell, Index inside, const CellGeometry& geometry, Labelling& s) {
-    const double mean = s.part(cell, inside).mean();
-    for (Index around = 0; around < 9; ++around) {
-        const Part* other = part_beside(cell, inside, around / 3 - 1, around % 3 - 1, geometry, s);
-        if (other != nullptr && std::abs(other->level - mean) < part_step) return true;
-    }
-    return false;
-}
-
-// Gives a level to parts that are ground, and to thin ones that continue them: kerbs, banks, terraces.
-void grow(const CellGeometry& geometry, Labelling& s) {
-    const auto of_mixed = [&](auto&& act) {
-        for (Index cell = 0; cell < geometry.cells(); ++cell)
-            for (Index inside = 0; inside < parts_of_cell && s.is_mixed(cell); ++inside) act(cell, inside);
-    };
-    of_mixed([&s](Index cell, Index inside) {
-        Part& part = s.part(cell, inside);
-        if (part.ground > 0.0 && part.ground >= 0.5 * part.count) {
-            part.level = 0.0;
-        } else if (part.count >= part_points) {
-            const double mean = part.mean();
-            const bool thin = part.squares / part.count - mean * mean < part_spread * part_spread;
-            if (thin && part_lowest < mean && mean < part_highest) part.state = State::may_continue;
-        }
-    });
-    bool grown = true;
-    for (int round = 0; round < most_rounds && grown; ++round) {
-        grown = false;
-        of_mixed([&](Index cell, Index inside) {
-            State& state = s.part(cell, inside).state;
-            if (state != State::may_continue || !continues_beside(cell, inside, geometry, s)) return;
-            state = State::continues_ground;
-            grown = true;
-        });
-        of_mixed([&s](Index cell, Index inside) {
-            Part& part = s.part(cell, inside);
-            if (part.state != State::continues_ground) return;
-            part.level = part.mean();
-            part.state = State::is_grown;
-        });
-    }
-}
-
-// Adds the points of grown parts to the ground of a cell, and finds the parts in which plants rise from it.
-void mark_plants(const CellPoints& points, Index cell, double reach, double least, Array<bool> kept, Labelling& s) {
-    for (Index inside = 0; inside < parts_of_cell; ++inside) {
-        Part& part = s.part(cell, inside);
-        part.count = part.squares = part.sum = 0.0;
-    }
-    for (Index i = points.starts[cell]; i < points.starts[cell + 1]; ++i) {
-        Part& part = s.part(cell, points.part[i]);
-        const float h = s.height(i);
-        if (part.state == State::is_grown) kept[i] = std::abs(h - part.level) < part_reach;
-        if (kept[i]) {
-            part.count += 1.0;
-            part.squares += h * h;
-        } else if (reach < h && h < reach + plants_above) {
-            part.sum += 1.0;
-        }
-    }
-    for (Index inside = 0; inside < parts_of_cell; ++inside) {
-        Part& part = s.part(cell, inside);
-        const bool rises = part.sum >= plants_share * part.count;
-        part.state = rises && part.squares > least * least * part.count ? State::plants : State::none;
-    }
-}
-
-// What is not ground in the pixels of a cell, up to `objects_height`: highest, lowest [m], and number.
-struct Objects {
-    Array<float> top, count;
-    std::vector<float>& lowest;
-};
-
-// Takes returns that lie alone from the objects of a cell: fewer than three in a pixel and those next to it. The beams
-// on an object lie side by side, so that its returns do; those from rain, dust or an insect lie alone.
-void leave_out_airborne(const Objects& objects, double reach) {
-    const auto& [top, count, lowest] = objects;
-    const Index pixels = top.size();
-    const auto side = static_cast<Index>(std::sqrt(static_cast<double>(pixels)) + 0.5);
-    for (Index place = 0; place < pixels; ++place) {
-        if (!(0.0F < count[place] && count[place] < together)) continue;
-        const double low = lowest[static_cast<std::size_t>(place)] - reach, high = top[place] + reach;
-        float beside = high - low < 3.0 * reach ? count[place] : 1.0F;
-        const Index row = place / side, column = place % side;
-        for (Index r = std::max(row - 1, Index{0}); r < std::min(row + 2, side); ++r) {
-            for (Index c = std::max(column - 1, Index{0}); c < std::min(column + 2, side); ++c) {
-                const Index k = r * side + c;
-                const bool touches = lowest[static_cast<std::size_t>(k)] < high && top[k] > low;
-                if (k != place && count[k] != 0.0F && touches) beside += std::abs(count[k]);
-            }
-        }
-        if (beside < together) count[place] = -count[place];
-    }
-    for (Index place = 0; place < pixels; ++place)
-        if (count[place] < 0.0F) top[place] = count[place] = 0.0F;
-}
-
-// Writes which points of a cell with a plane are ground, and what the others are.
-void label_cell(
-    const CellPoints& points, Index cell, const GroundRule& rule, const GroundLabels& out, const Objects& objects,
-    Labelling& s) {
-    const bool mixed = s.is_mixed(cell);
-    const Array<float, 2> lowest = out.lowest.at(cell);
-    for (Index i = points.starts[cell]; i < points.starts[cell + 1]; ++i) {
-        const float h = s.height(i), z = points.xyz(2, i);
-        const Index p = points.order[i], place = points.pixel[i];
-        out.height[p] = h;
-        if (!mixed || (out.kept[i] && s.part(cell, points.part[i]).state != State::plants)) {
-            out.ground[p] = true;
-            ++out.held[cell];
-            lowest(place, 0) = std::min(lowest(place, 0), z);
-            continue;
-        }
-        out.kept[i] = false;
-        lowest(place, 1) = std::min(lowest(place, 1), z);
-        if (h >= rule.height) {
-            ++out.overhead[cell];
-            out.clearance[cell] = std::min(out.clearance[cell], h);
-        }
-        if (0.0F < h && h < objects_height * rule.height) {
-            float& low = objects.lowest[static_cast<std::size_t>(place)];
-            low = objects.count[place] == 0.0F ? h : std::min(low, h);
-            objects.top[place] = std::max(objects.top[place], h);
-            objects.count[place] += 1.0F;
-        }
-    }
-}
-
-// Counts the points of obstacles in a cell, and marks those that lie alone.
-void count_obstacles(
-    const CellPoints& points, Index cell, const GroundRule& rule, const GroundLabels& out, const Objects& objects,
-    const Labelling& s) {
-    for (Index i = points.starts[cell]; i < points.starts[cell + 1]; ++i) {
-        const float h = s.height(i);
-        if (out.kept[i] || !(0.0F < h && h < objects_height * rule.height)) continue;
-        if (objects.count[points.pixel[i]] == 0.0F) {
-            out.airborne[points.order[i]] = true;
-        } else if (rule.belly <= h && h < rule.height) {
-            ++out.obstacles[cell];
-            out.top[cell] = std::max(out.top[cell], h);
-        }
-    }
-}
-
-// Finds which points are ground, and in each cell what stands on the ground and what hangs over it.
-void label_points(CellPoints points, CellGeometry geometry, GroundPlanes planes, GroundRule rule, GroundLabels out) {
-    const auto cells = static_cast<std::size_t>(geometry.cells());
-    Labelling s{
-        std::vector<float>(static_cast<std::size_t>(out.kept.size())), std::vector<Part>(cells * parts_of_cell),
-        std::vector<bool>(cells)};
-    for (Index cell = 0; cell < geometry.cells(); ++cell)
-        if (planes.kind[cell] != 0)
-            measure_heights(points, cell, planes, rule.reach[geometry.zone[cell]], rule.least_points, out.kept, s);
-    grow(geometry, s);
-    std::vector<float> low(static_cast<std::size_t>(out.lowest.shape[1]));
-    for (Index cell = 0; cell < geometry.cells(); ++cell) {
-        const Index begin = points.starts[cell], end = points.starts[cell + 1];
-        if (begin == end) continue;
-        const Array<float, 2> lowest = out.lowest.at(cell);
-        std::fill_n(lowest.data, lowest.count(), std::numeric_limits<float>::infinity());
-        const Array<float, 2> drawn = out.objects.at(cell);
-        std::fill_n(drawn.data, drawn.count(), 0.0F);
-        const Objects objects{drawn.at(0), drawn.at(1), low};
-        if (planes.kind[cell] == 0) {
-            for (Index i = begin; i < end; ++i) {
-                float& lowest_other = lowest(points.pixel[i], 1);
-                lowest_other = std::min(lowest_other, points.xyz(2, i));
-                out.kept[i] = false;
-            }
-            continue;
-        }
-        const Index zone = geometry.zone[cell];
-        if (s.is_mixed(cell)) {
-            const double least = std::max(plants_spread * rule.noise[zone], plants_least);
-            mark_plants(points, cell, rule.reach[zone], least, out.kept, s);
-        }
-        label_cell(points, cell, rule, out, objects, s);
-        if (s.is_mixed(cell)) {
-            const double x = geometry.x[cell], y = geometry.y[cell];
-            leave_out_airborne(objects, beside_m + beside_per_metre * std::sqrt(x * x + y * y));
-            count_obstacles(points, cell, rule, out, objects, s);
-        }
-    }
-}
-
-// ---- Drops ----
-
-struct DropRule {
-    double least, slope, below, slope_x, slope_y;
-    Index directions;
-};
-
-// The way outwards in one direction, and the last ground on it.
-struct GroundWay {
-    double east, north;                    // the direction
-    Index last = -1, marked = -1;          // cells: of the last ground, and behind the last drop; -1: none yet
-    double r = 0.0, z = 0.0, slope = 0.0;  // of the last ground: distance, height [m] and slope
-
-    // Counts a drop before a return of a cell at a distance and a height, m, if there is one.
-    void reach(Index cell, double at, double height, const DropRule& rule, Array<std::int32_t> drops) {
-        if (last < 0) return;
-        const double way = at - r, level = rule.slope_x * east + rule.slope_y * north;
-        const double drop = z + slope * way - height, beam = height * r / at - z;
-        if (!(drop > std::max(rule.least, rule.slope * way) && beam > rule.below)) return;
-        if (!(z + level * way - height > 0.5 * rule.least)) return;
-        drops[last] += marked != last;
-        drops[cell] += cell != last && cell != marked;
-        marked = cell;
-    }
-};
-
-// Counts the directions in which the ground drops in every cell: for the last cell before a drop, and for that of what
-// is seen below. Arrays as in `ground_drops` of ground.py.
-void find_drops(
-    Array<const float, 3> lowest, Array<const double, 2> slope, Array<const Index> starts, ZoneGrid grid, DropRule rule,
-    Array<std::int32_t> drops) {
-    const auto pixels = static_cast<double>(grid.pixels);
-    for (Index direction = 0; direction < rule.directions; ++direction) {
-        const double share = (static_cast<double>(direction) + 0.5) / static_cast<double>(rule.directions);
-        const double turn = 2.0 * std::numbers::pi * (share + grid.start);
-        GroundWay way{std::cos(turn), std::sin(turn)};
-        Index first = 0;
-        for (Index zone = 0; zone < grid.sectors.size(); ++zone) {
-            const Index rings = grid.rings[zone], sectors = grid.sectors[zone];
-            const double around = share * static_cast<double>(sectors);
-            const auto sector = static_cast<Index>(around);
-            const auto column = static_cast<Index>((around - static_cast<double>(sector)) * pixels);
-            const double width = (grid.edges[zone + 1] - grid.edges[zone]) / static_cast<double>(rings * grid.pixels);
-            for (Index ring = 0; ring < rings; ++ring) {
-                const Index cell = first + ring * sectors + sector;
-                if (starts[cell] == starts[cell + 1]) continue;
-                for (Index row = 0; row < grid.pixels; ++row) {
-                    const Index k = row * grid.pixels + column;
-                    const bool is_ground = lowest(cell, k, 0) < infinite;
-                    const double z = lowest(cell, k, is_ground ? 0 : 1);
-                    if (z == infinite) continue;
-                    const double r = grid.edges[zone] + (static_cast<double>(ring * grid.pixels + row) + 0.5) * width;
-                    way.reach(cell, r, z, rule, drops);
-                    if (!is_ground) continue;
-                    way.last = cell;
-                    way.r = r;
-                    way.z = z;
-                    way.slope = slope(cell, 0) * way.east + slope(cell, 1) * way.north;
-                }
-            }
-            first += sectors * rings;
-        }
-    }
+    for (Index cell = 0; cell < cells; ++cell)
+        if (of[cell] != best && fit[of[cell]] <= 0) planes.kind[cell] = 0;
 }
 
 }  // namespace
 }  // namespace bumpy
 
-BUMPY_RECORD(bumpy::CellGeometry, x, y, near, zone, ring, sector, first, rings, sectors)
-BUMPY_RECORD(bumpy::GroundPlanes, plane, centre, spread, kind)
 BUMPY_RECORD(bumpy::SearchRule, reach, least_points, neighbours, slope)
-BUMPY_RECORD(bumpy::GroundRule, reach, noise, least_points, belly, height)
-BUMPY_RECORD(
-    bumpy::GroundLabels, height, ground, obstacles, overhead, airborne, top, clearance, objects, lowest, kept, held)
-BUMPY_RECORD(bumpy::DropRule, least, slope, below, slope_x, slope_y, directions)
 
 void bind_ground(nb::module_& module) {
     using namespace bumpy;
     BUMPY_LOOP(module, find_planes);
     BUMPY_LOOP(module, keep_largest);
-    BUMPY_LOOP(module, label_points);
-    BUMPY_LOOP(module, find_drops);
 }

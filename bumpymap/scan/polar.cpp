@@ -10,7 +10,8 @@
 #include <array>
 #include <limits>
 #include <utility>
-#include <vector>
+
+#include "bumpymap/core/planes.hpp"
 
 namespace bumpy {
 namespace {
@@ -44,7 +45,7 @@ void place_points(
     Array<const float, 2> points, ZoneGrid grid, Array<const std::int32_t> part_of_pixel, Array<std::int32_t> cell,
     CellPoints out) {
     const Index size = points.shape[0];
-    std::vector<std::int32_t> pixel(static_cast<std::size_t>(size));
+    Scratch<std::int32_t> pixel(size);
     std::array<double, block_points> x, y, distance, turn;
     for (Index begin = 0; begin < size; begin += block_points) {
         const auto count = static_cast<std::size_t>(std::min(block_points, size - begin));
@@ -62,7 +63,7 @@ void place_points(
         for (std::size_t i = 0; i < count; ++i) {
             const auto [home, place] = place_of(distance[i], turn[i], grid);
             cell[begin + static_cast<Index>(i)] = static_cast<std::int32_t>(home);
-            pixel[static_cast<std::size_t>(begin) + i] = static_cast<std::int32_t>(place);
+            pixel[begin + static_cast<Index>(i)] = static_cast<std::int32_t>(place);
             if (home >= 0) ++out.starts[home + 2];
         }
     }
@@ -72,7 +73,7 @@ void place_points(
     for (Index i = 0; i < out.starts[out.starts.size() - 2]; ++i) {
         const Index p = out.order[i];
         for (Index axis = 0; axis < 3; ++axis) out.xyz(axis, i) = points(p, axis);
-        out.pixel[i] = pixel[static_cast<std::size_t>(p)];
+        out.pixel[i] = pixel[p];
         out.part[i] = part_of_pixel[out.pixel[i]];
     }
 }
@@ -83,10 +84,6 @@ void place_points(
 constexpr Index sample_points = 128;
 // Planes that RANSAC draws at most.
 constexpr Index most_candidates = 200;
-// Accepted probability that no candidate was drawn from inliers alone.
-constexpr double miss_probability = 1e-4;
-// Twice the least area that a candidate's three points must span, m^2.
-constexpr double least_area = 2e-3;
 // A plane whose upward normal is less than this (steeper than 78 degrees) is a wall: only the mean height comes off.
 constexpr double steepest = 0.2;
 // Product of the two horizontal spreads over the square of their sum: less is one scan line, bent as the sector is.
@@ -105,23 +102,17 @@ struct SectorMeasures {
     Array<float, 3> heights;
 };
 
-// Unit normal (a, b, c), upward, and d of a x + b y + c z + d = 0; all zero where there is none.
-struct Plane {
-    double a = 0.0, b = 0.0, c = 0.0, d = 0.0;
-
-    bool exists() const { return a != 0.0 || b != 0.0 || c != 0.0; }
-    double distance(double x, double y, double z) const { return std::abs(a * x + b * y + c * z + d); }
-};
-
 // The ground points of a sector, minus their mean.
 struct SectorPoints {
-    std::vector<double> x, y, z;
-    std::vector<std::int32_t> pixel;
+    Scratch<double> x, y, z;
+    Scratch<std::int32_t> pixel;
 
-    void resize(std::size_t size) {
-        for (auto* axis : {&x, &y, &z}) axis->resize(size);
-        pixel.resize(size);
+    Index size() const { return x.count(); }
+    void resize(Index size) {
+        for (auto* axis : {&x, &y, &z}) axis->resize(static_cast<std::size_t>(size));
+        pixel.resize(static_cast<std::size_t>(size));
     }
+    CentredPoints<double> centred() const { return {{x.data(), {size()}}, {y.data(), {size()}}, {z.data(), {size()}}}; }
 };
 
 // The symmetric scatter matrix of some points.
@@ -168,23 +159,15 @@ struct PrincipalPlane {
 };
 
 // The plane of the least perpendicular spread of the points within `reach` of a plane; none if there are too few.
-PrincipalPlane principal_plane(const SectorPoints& points, Plane near, double reach) {
-    double n = 0.0, sx = 0.0, sy = 0.0, sz = 0.0, xx = 0.0, xy = 0.0, xz = 0.0, yy = 0.0, yz = 0.0, zz = 0.0;
-    for (std::size_t i = 0; i < points.x.size(); ++i) {
+PrincipalPlane principal_plane(const CentredPoints<double>& points, Plane near, double reach) {
+    std::array<double, 10> sums{};
+    for (Index i = 0; i < points.size(); ++i) {  // without a branch: several sums at once
         const double u = points.x[i], v = points.y[i], w = points.z[i];
-        const double counts = near.distance(u, v, w) <= reach ? 1.0 : 0.0;  // no branch, for it could not be foreseen
-        const double p = counts * u, q = counts * v, r = counts * w;
-        n += counts;
-        sx += p;
-        sy += q;
-        sz += r;
-        xx += p * u;
-        xy += p * v;
-        xz += p * w;
-        yy += q * v;
-        yz += q * w;
-        zz += r * w;
+        const std::array<double, 10> terms{1.0, u, v, w, u * u, u * v, u * w, v * v, v * w, w * w};
+        const bool counts = std::abs(near.above(u, v, w)) <= reach;
+        for (std::size_t m = 0; m < sums.size(); ++m) sums[m] += counts ? terms[m] : 0.0;
     }
+    const auto [n, sx, sy, sz, xx, xy, xz, yy, yz, zz] = sums;
     if (n < 3.0) return {};
     const double mx = sx / n, my = sy / n, mz = sz / n;
     const auto [a, b, c] =
@@ -203,23 +186,23 @@ std::uint64_t next_random(std::uint64_t& state) {
 }
 
 // Three numbers below n of 63 random bits.
-std::array<std::size_t, 3> three_below(std::uint64_t bits, std::size_t n) {
-    constexpr std::uint64_t mask = 0x1FFFFF;
-    return {((bits & mask) * n) >> 21, (((bits >> 21) & mask) * n) >> 21, (((bits >> 42) & mask) * n) >> 21};
+std::array<Index, 3> three_below(std::uint64_t bits, std::uint64_t n) {
+    const auto below = [=](int shift) { return static_cast<Index>((((bits >> shift) & 0x1FFFFF) * n) >> 21); };
+    return {below(0), below(21), below(42)};
 }
 
 // The first points of a sector in equal steps. Single precision is enough to count those near a plane: coordinates
 // start amid the points, so it errs by 1e-7 of the sector's side.
 struct Sample {
     std::array<float, sample_points> x, y, z;
-    std::size_t size;
+    Index size;
 
-    explicit Sample(const SectorPoints& points) : size(std::min<std::size_t>(sample_points, points.x.size())) {
-        for (std::size_t i = 0; i < size; ++i) {
-            const std::size_t k = i * points.x.size() / size;
-            x[i] = static_cast<float>(points.x[k]);
-            y[i] = static_cast<float>(points.y[k]);
-            z[i] = static_cast<float>(points.z[k]);
+    explicit Sample(const CentredPoints<double>& points) : size(std::min(sample_points, points.size())) {
+        for (Index i = 0; i < size; ++i) {
+            const Index k = i * points.size() / size;
+            x[static_cast<std::size_t>(i)] = static_cast<float>(points.x[k]);
+            y[static_cast<std::size_t>(i)] = static_cast<float>(points.y[k]);
+            z[static_cast<std::size_t>(i)] = static_cast<float>(points.z[k]);
         }
     }
 
@@ -227,37 +210,23 @@ struct Sample {
         const auto a = static_cast<float>(plane.a), b = static_cast<float>(plane.b), c = static_cast<float>(plane.c);
         const auto d = static_cast<float>(plane.d), reach = static_cast<float>(threshold);
         std::int32_t hits = 0;
-        for (std::size_t i = 0; i < size; ++i) hits += std::abs(a * x[i] + b * y[i] + c * z[i] + d) <= reach;
+        for (std::size_t i = 0; i < static_cast<std::size_t>(size); ++i)
+            hits += std::abs(a * x[i] + b * y[i] + c * z[i] + d) <= reach;
         return hits;
     }
 };
 
-// The upward plane through three points; none if they span too little.
-Plane plane_through(const SectorPoints& points, const std::array<std::size_t, 3>& corners) {
-    const auto& [x, y, z, pixel] = points;
-    const auto [i, j, k] = corners;
-    const double ux = x[j] - x[i], uy = y[j] - y[i], uz = z[j] - z[i];
-    const double vx = x[k] - x[i], vy = y[k] - y[i], vz = z[k] - z[i];
-    double a = uy * vz - uz * vy, b = uz * vx - ux * vz, c = ux * vy - uy * vx;
-    double length = std::sqrt(a * a + b * b + c * c);
-    if (length < least_area) return {};
-    length = c < 0.0 ? -length : length;
-    a /= length;
-    b /= length;
-    c /= length;
-    return {a, b, c, -(a * x[i] + b * y[i] + c * z[i])};
-}
-
 // The plane through three of the points that has the most of the sample within `threshold` [m]; none where none has
 // any.
-Plane best_candidate(const SectorPoints& points, double threshold, std::uint64_t seed) {
+Plane best_candidate(const CentredPoints<double>& points, double threshold, std::uint64_t seed) {
     const Sample sample(points);
     Plane best;
     std::int32_t most = 0;
     Index needed = most_candidates;
     for (Index drawn = 0; drawn < needed; ++drawn) {
-        const Plane plane = plane_through(points, three_below(next_random(seed), points.x.size()));
-        if (!plane.exists()) continue;
+        const auto [i, j, k] = three_below(next_random(seed), static_cast<std::uint64_t>(points.size()));
+        const Plane plane = plane_through(points, i, j, k);
+        if (!plane.is_found()) continue;
         const std::int32_t hits = sample.count_near(plane, threshold);
         if (hits <= most) continue;
         most = hits;
@@ -265,19 +234,18 @@ Plane best_candidate(const SectorPoints& points, double threshold, std::uint64_t
         const double share = static_cast<double>(hits) / static_cast<double>(sample.size);
         const double clean = share * share * share;  // chance that all three of a draw are inliers
         if (clean >= 1.0 - 1e-9) break;
-        const double draws = std::log(miss_probability) / std::log(1.0 - clean);
-        needed = std::min(most_candidates, 1 + static_cast<Index>(draws));
+        needed = draws_needed(clean, most_candidates);
     }
     return best;
 }
 
 // The plane by RANSAC, then twice the principal plane of its inliers; none where the points, centred, span none.
-Plane ransac_plane(const SectorPoints& points, double threshold, std::uint64_t seed) {
+Plane ransac_plane(const CentredPoints<double>& points, double threshold, std::uint64_t seed) {
     Plane plane = best_candidate(points, threshold, seed);
-    const double reach = plane.exists() ? threshold : infinite;
+    const double reach = plane.is_found() ? threshold : infinite;
     for (int round = 0; round < 2; ++round) {
         const Plane fitted = principal_plane(points, plane, reach).plane;
-        if (!fitted.exists()) break;
+        if (!fitted.is_found()) break;
         plane = fitted;
     }
     return plane;
@@ -292,10 +260,9 @@ struct Centre {
 
 // Writes the ground points of a cell minus their mean, and returns that.
 Centre centre_points(const CellPoints& points, Array<const bool> is_ground, Index cell, SectorPoints& out) {
-    const Index begin = points.starts[cell], end = points.starts[cell + 1];
-    std::size_t count = 0;
-    out.resize(static_cast<std::size_t>(end - begin));
-    for (Index i = begin; i < end; ++i) {
+    Index count = 0;
+    out.resize(points.starts[cell + 1] - points.starts[cell]);
+    for (Index i = points.starts[cell]; i < points.starts[cell + 1]; ++i) {
         out.x[count] = points.xyz(0, i);
         out.y[count] = points.xyz(1, i);
         out.z[count] = points.xyz(2, i);
@@ -305,7 +272,7 @@ Centre centre_points(const CellPoints& points, Array<const bool> is_ground, Inde
     out.resize(count);
     const auto n = static_cast<double>(count);
     Centre mean;
-    for (std::size_t i = 0; i < count; ++i) {
+    for (Index i = 0; i < count; ++i) {
         mean.x += out.x[i];
         mean.y += out.y[i];
         mean.z += out.z[i];
@@ -313,7 +280,7 @@ Centre centre_points(const CellPoints& points, Array<const bool> is_ground, Inde
     mean.x /= n;
     mean.y /= n;
     mean.z /= n;
-    for (std::size_t i = 0; i < count; ++i) {
+    for (Index i = 0; i < count; ++i) {
         out.x[i] -= mean.x;
         out.y[i] -= mean.y;
         out.z[i] -= mean.z;
@@ -325,23 +292,23 @@ Centre centre_points(const CellPoints& points, Array<const bool> is_ground, Inde
 
 // Count and sum of the heights above a plane, by pixel.
 struct PixelSums {
-    std::vector<double> count, sum;
+    Scratch<double> count, sum;
     double residual = 0.0;  // mean distance of the points from the plane, m
 };
 
-PixelSums sum_by_pixel(const SectorPoints& points, Plane plane, std::size_t pixels) {
+PixelSums sum_by_pixel(const SectorPoints& points, Plane plane, Index pixels) {
     const auto [a, b, c, d] = plane;
     const bool is_wall = !(c > steepest);
     const double east = is_wall ? 0.0 : -a / c, north = is_wall ? 0.0 : -b / c, level = is_wall ? 0.0 : -d / c;
-    PixelSums out{std::vector<double>(pixels), std::vector<double>(pixels)};
-    for (std::size_t i = 0; i < points.x.size(); ++i) {
+    PixelSums out{Scratch<double>(pixels), Scratch<double>(pixels)};
+    for (Index i = 0; i < points.size(); ++i) {
         const double x = points.x[i], y = points.y[i], z = points.z[i];
-        const auto k = static_cast<std::size_t>(points.pixel[i]);
-        out.residual += plane.distance(x, y, z);
+        const Index k = points.pixel[i];
+        out.residual += std::abs(plane.above(x, y, z));
         out.count[k] += 1.0;
         out.sum[k] += z - east * x - north * y - level;
     }
-    out.residual /= static_cast<double>(points.x.size());
+    out.residual /= static_cast<double>(points.size());
     return out;
 }
 
@@ -350,9 +317,9 @@ constexpr std::size_t most_pixels = 64;
 
 // An image with a margin of a pixel, where all neighbours exist.
 struct Padded {
-    std::vector<float> height, known;  // known: 1 or 0; unknown heights are 0
+    Scratch<float> height, known;  // known: 1 or 0; unknown heights are 0
 
-    explicit Padded(std::size_t pixels) : height(pixels), known(pixels) {}
+    explicit Padded(Index pixels) : height(pixels), known(pixels) {}
 };
 
 // The sum over the eight neighbours of a pixel, in rows of `wide`.
@@ -383,14 +350,12 @@ std::int32_t fill_row(const float* height, const float* known, Index size, float
 // returns the share of pixels with points.
 double fill_heights(const PixelSums& sums, Array<float, 2> heights) {
     const Index size = heights.shape[0], wide = size + 2;
-    const auto place = [wide](Index row, Index column) {
-        return static_cast<std::size_t>((row + 1) * wide + column + 1);
-    };
-    Padded image(static_cast<std::size_t>(wide * wide));
+    const auto place = [wide](Index row, Index column) { return (row + 1) * wide + column + 1; };
+    Padded image(wide * wide);
     Index held = 0;
     for (Index row = 0; row < size; ++row) {
         for (Index column = 0; column < size; ++column) {
-            const auto k = static_cast<std::size_t>(row * size + column);
+            const Index k = row * size + column;
             if (!(sums.count[k] > 0.0)) continue;
             image.height[place(row, column)] = static_cast<float>(sums.sum[k] / sums.count[k]);
             image.known[place(row, column)] = 1.0F;
@@ -400,7 +365,7 @@ double fill_heights(const PixelSums& sums, Array<float, 2> heights) {
     Padded next = image;
     for (Index missing = held > 0 ? size * size - held : 0; missing > 0; std::swap(image, next)) {
         for (Index row = 0; row < size; ++row) {
-            const std::size_t p = place(row, 0);
+            const Index p = place(row, 0);
             missing -= fill_row(&image.height[p], &image.known[p], size, &next.height[p], &next.known[p]);
         }
     }
@@ -410,19 +375,19 @@ double fill_heights(const PixelSums& sums, Array<float, 2> heights) {
 
 // Measures every sector that is listed.
 void measure_sectors(CellPoints points, SectorInputs inputs, SectorMeasures out) {
-    const auto pixels = static_cast<std::size_t>(out.heights.shape[1] * out.heights.shape[2]);
+    const Index pixels = out.heights.shape[1] * out.heights.shape[2];
     SectorPoints ground;
     for (Index s = 0; s < inputs.cells.size(); ++s) {
         const Index cell = inputs.cells[s];
         const Centre mean = centre_points(points, inputs.is_ground, cell, ground);
-        const auto [principal, is_line] = principal_plane(ground, {}, infinite);
+        const auto [principal, is_line] = principal_plane(ground.centred(), {}, infinite);
         out.normal(s, 0) = static_cast<float>(principal.a);
         out.normal(s, 1) = static_cast<float>(principal.b);
         out.normal(s, 2) = static_cast<float>(principal.c);
-        const Plane plane = ransac_plane(ground, inputs.threshold, static_cast<std::uint64_t>(cell));
+        const Plane plane = ransac_plane(ground.centred(), inputs.threshold, static_cast<std::uint64_t>(cell));
         const PixelSums sums = sum_by_pixel(ground, plane, pixels);
         out.scalars(s, 0) = mean.variance;
-        out.scalars(s, 1) = plane.exists() ? sums.residual : std::numeric_limits<double>::quiet_NaN();
+        out.scalars(s, 1) = plane.is_found() ? sums.residual : std::numeric_limits<double>::quiet_NaN();
         out.scalars(s, 2) = fill_heights(sums, out.heights.at(s));
         out.scalars(s, 3) = is_line ? mean.z : principal.a * mean.x + principal.b * mean.y + principal.c * mean.z;
     }

@@ -5,10 +5,21 @@
 #include <cmath>
 #include <cstdint>
 #include <numbers>
+#include <vector>
 
 #include "bumpytiles/bindings.hpp"
 
 namespace bumpy {
+
+// Memory of a loop, indexed as an `Array` is.
+template <class T>
+struct Scratch : std::vector<T> {
+    explicit Scratch(Index size = 0, T value = {}) : std::vector<T>(static_cast<std::size_t>(size), value) {}
+
+    Index count() const { return static_cast<Index>(this->size()); }
+    T& operator[](Index i) { return this->data()[i]; }
+    const T& operator[](Index i) const { return this->data()[i]; }
+};
 
 struct ZoneGrid {
     Array<const double> edges;
