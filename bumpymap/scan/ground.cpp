@@ -106,7 +106,7 @@ struct Fit {
 Fit fit_again(Array<const float, 2> xyz, Some some, Slope plane, Band band, Place origin, Place slope) {
     std::array<double, 9> sums{};
     double near = 0.0, square = 0.0;
-    for (Index i = some.first; i < some.end; i += some.step) {  // without a branch: several sums at once
+    for (Index i = some.first; i < some.end; i += some.step) {
         const double x = xyz(0, i), y = xyz(1, i);
         const double u = x - origin.x, v = y - origin.y;
         const double h = xyz(2, i) - plane.height(x, y);

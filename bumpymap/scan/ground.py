@@ -17,11 +17,11 @@ Integers = NDArray[np.int32]
 Flags = NDArray[np.bool_]
 
 PARTS = 5
-"""Parts of a cell along each side: outwards and around; also in ground.cpp."""
+"""Parts of a cell along each side: outwards and around; also in ground.hpp."""
 NEIGHBOURS = 8
 """Most neighbours of a cell: three inwards, two beside it, three outwards; also in ground.cpp."""
 FOUND = 2
-"""Kind of a plane that was fitted to the cell's own points; also in ground.cpp."""
+"""Kind of a plane that was fitted to the cell's own points; also in ground.hpp."""
 
 
 class ZoneGrid(NamedTuple):

@@ -161,7 +161,7 @@ struct PrincipalPlane {
 // The plane of the least perpendicular spread of the points within `reach` of a plane; none if there are too few.
 PrincipalPlane principal_plane(const CentredPoints<double>& points, Plane near, double reach) {
     std::array<double, 10> sums{};
-    for (Index i = 0; i < points.size(); ++i) {  // without a branch: several sums at once
+    for (Index i = 0; i < points.size(); ++i) {  // without a branch, for it could not be foreseen
         const double u = points.x[i], v = points.y[i], w = points.z[i];
         const std::array<double, 10> terms{1.0, u, v, w, u * u, u * v, u * w, v * v, v * w, w * w};
         const bool counts = std::abs(near.above(u, v, w)) <= reach;
