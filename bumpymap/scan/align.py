@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.scan._merge_kernels import draw_things, judge_places, match_things, range_image
+from bumpymap.core.loops import loops
 
 if TYPE_CHECKING:
     from scipy.spatial import KDTree
@@ -75,9 +75,8 @@ VIEW_SHAPE, _LOWEST = (240, 480), -0.25
 """Rows and columns of an image of the nearest ranges, and its first row in turns: from straight down to straight up."""
 VIEW_REACH_M = 40.0
 """Distance of the places that a frame may have seen through, m (chosen)."""
-_VIEW_LIMITS = np.array([[VIEW_REACH_M, 0.5, 0.02]])
-"""As `judge_places` takes them: that distance; by how much a beam that ends well behind a place is longer, m and share
-(chosen)."""
+_VIEW_LIMITS = np.array([VIEW_REACH_M, 0.5, 0.02])
+"""That distance; by how much a beam that ends well behind a place is longer: m, and share of the distance (chosen)."""
 
 Floats = NDArray[np.float64]
 
@@ -279,21 +278,24 @@ def standing_objects(points: NDArray[np.float32], is_ground: NDArray[np.bool_], 
 
 
 def nearest_ranges(points: NDArray[np.float32]) -> NDArray[np.uint16]:
-    """Return the distance of the nearest of a frame's points in every direction, cm, see `range_image`."""
+    """Return the distance of the nearest of a frame's points in every direction, cm; 0 where there is none."""
     image = np.zeros(VIEW_SHAPE, np.uint16)
-    range_image(np.ascontiguousarray(points, np.float32), _LOWEST, image)
+    loops.range_image(np.ascontiguousarray(points, np.float32), _LOWEST, image)
     return image
 
 
 def judge_by_view(
     places: NDArray[np.int32], pose: Floats, image: NDArray[np.uint16], found: NDArray[np.int32] | None = None
 ) -> NDArray[np.int32]:
-    """Tell places (n, 3), mm, that a frame saw through from hidden ones and others, (4, n), see `judge_places`.
+    """Tell places (n, 3), mm, that a frame saw through from hidden ones and others.
 
-    ``pose`` (4, 4): from the sensor to the frame of the places, m; ``found``: counts of other frames, added to.
+    A place is seen through if all beams near its direction ended well behind it, hidden if all ended well before it.
+    Returned are the numbers of frames (4, n) that saw through each, from which it was hidden, that had no return near
+    its direction, and that had returns near it. ``pose`` (4, 4): from the sensor to the frame of the places, m;
+    ``found``: counts of other frames, added to.
     """
     found = np.zeros((4, len(places)), np.int32) if found is None else found
-    judge_places(places, np.ascontiguousarray(np.linalg.inv(pose)[:3]), _LOWEST, image, _VIEW_LIMITS, found)
+    loops.judge_places(places, np.ascontiguousarray(np.linalg.inv(pose)[:3]), _LOWEST, image, _VIEW_LIMITS, found)
     return found
 
 
@@ -354,9 +356,9 @@ class ObjectMatcher:
         from scipy.spatial import KDTree
 
         self._drawn[:], self._found[:] = 0, 0
-        draw_things(others, _CELL_M, self._drawn)
+        loops.draw_objects(others, _CELL_M, self._drawn)
         near = objects[np.linalg.norm(objects[:, :2] + middle, axis=1) < _REACH_M]
-        match_things(near, middle, self._turns, _CELL_M, self._drawn, self._found)
+        loops.match_objects(near, middle, self._turns, _CELL_M, self._drawn, self._found)
         full, here, most = 4.0 * max(1, len(near)), int(self._found[_TURNS, _MOVES, _MOVES]), int(self._found.max())
         found = ObjectFit(len(near), here / full, most / full)
         if not found.is_enough:

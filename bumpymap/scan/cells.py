@@ -9,19 +9,85 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import CLASSES, FAIL_SHARE, NOT_TRAVERSABLE, ClassedSectors, GridSettings, GroundGrid
-from bumpymap.scan._place_kernels import BLOCK, RAYS, CellRule, CellScratch, ClassedPoints, SquareCells, lay_cells
+from bumpymap.core.loops import loops
 from bumpymap.scan.align import judge_by_view
-from bumpymap.scan.ground import SectorBuffers, median, open_neighbours
+from bumpymap.scan.ground import median, open_neighbours
 
 _OCCUPANCY = np.array([0, 33, 66, 100, -1], np.int8)
 """Occupancy of ground of class 0 (smooth), 1 (fair) and 2 (rough), of what is not traversable, and of the unknown."""
 _MOST_COST = 98
 """Occupancy of ground from the upper limit of C_r on: Nav2 takes 99 for the edge of an obstacle."""
-_kept = SectorBuffers()
 _BENEATH_M = 2.0
 """Depth behind the side of an object in which ground seen beneath it is not known to be free, m: half a car."""
 _BESIDE_M = 0.5
 """Distance up to which objects stand beside the ground of a cell, m (chosen)."""
+
+
+RAYS = 180
+"""Rays from the sensor through each side of a grid of square cells: at 30 m they are 0.33 m apart; also in
+cells.cpp."""
+
+
+class SquareCells(NamedTuple):
+    """The square cells around a sensor, as a scan shows them; filled in place.
+
+    Cells are numbered from the lowest y upwards, and in each row from the lowest x. Unknown heights are NaN.
+    """
+
+    kind: NDArray[np.uint8]
+    """(cells,) class of the ground; one more than the last where a vehicle cannot go, and one more where unknown."""
+    sector: NDArray[np.int32]
+    """(cells,) row of the sector whose ground is known in the cell; -1 without any."""
+    elevation: NDArray[np.float32]
+    """(cells,) mean z of the ground points, m."""
+    step: NDArray[np.float32]
+    """(cells,) largest difference in elevation from a cell beside it, m."""
+    top: NDArray[np.float32]
+    """(cells,) height above the ground of the highest point of an obstacle, m."""
+    clearance: NDArray[np.float32]
+    """(cells,) height above the ground of the lowest point that a vehicle passes under, m."""
+    tip: NDArray[np.float32]
+    """(cells,) z of that highest point, m."""
+
+
+class ClassedPoints(NamedTuple):
+    """A classified scan; arrays by sector have one row more, for points in none."""
+
+    points: NDArray[np.float32]
+    """(points, 3) m."""
+    ground: NDArray[np.bool_]
+    """(points,) whether it is ground."""
+    airborne: NDArray[np.bool_]
+    """(points,) whether it is left out."""
+    height: NDArray[np.float32]
+    """(points,) above the ground of its sector, m; NaN where none is known."""
+    sector: NDArray[np.int32]
+    """(points,) row of its sector; -1 if it is in none."""
+    kind: NDArray[np.uint8]
+    """(sectors + 1,) of its ground, see `SquareCells`; the last one: unknown."""
+    bare_kind: NDArray[np.uint8]
+    """(sectors + 1,) of its ground where all within ``CellRule.beside`` is ground or higher than the vehicle."""
+    drops: NDArray[np.bool_]
+    """(sectors + 1,) whether its ground drops."""
+    slope: NDArray[np.float64]
+    """(sectors + 1, 2) of its ground along x and y; the last one: of the whole ground."""
+
+
+class CellRule(NamedTuple):
+    """The cells, and what stops a vehicle."""
+
+    resolution: float
+    """Side of a cell, m."""
+    half: int
+    """Cells from the sensor to each side of the grid."""
+    belly: float
+    """Lower objects and steps pass under a vehicle, m."""
+    height: float
+    """Objects from here on pass over it, m."""
+    beneath: int
+    """Number of cells behind an object in which ground that is seen beneath it is not known to be free."""
+    beside: int
+    """Objects up to this number of cells away are beside a cell."""
 
 
 class SeenCells(NamedTuple):
@@ -88,41 +154,27 @@ def see_cells(
     if len(level):
         slope[-1] = median(slope[level])
     layers = np.full((6, cells), np.nan, np.float32)
-    out = SquareCells(np.empty(cells, np.uint8), _filled("sector", cells, np.int32, -1), *layers[:-1])
-    lay_cells(
-        ClassedPoints(
-            np.ascontiguousarray(points, np.float32),
-            stack.point_ground,
-            stack.point_airborne,
-            stack.point_height,
-            stack.point_sector,
-            kinds,
-            bare_kinds,
-            np.append(stack.drop, np.False_),
-            slope,
-        ),
-        CellRule(
-            settings.resolution_m,
-            half,
-            stack.settings.belly_m,
-            stack.settings.height_m,
-            round(_BENEATH_M / settings.resolution_m),
-            round(_BESIDE_M / settings.resolution_m),
-        ),
-        out,
-        CellScratch(
-            _rays_of(half),
-            _kept.empty("cell", len(points), np.int32),
-            _kept.empty("block", BLOCK, np.float64, rows=2),
-            _kept.empty("slots", BLOCK, np.int32),
-            _filled("total", 2 * cells, np.float64, 0.0).reshape(cells, 2),
-            _filled("objects", cells, np.int32, 0),
-            _kept.empty("level", cells, np.float64),
-            _filled("low", 16 * RAYS * half, np.float32, np.inf).reshape(-1, 4),
-            _filled("seen", 4 * RAYS * half, np.int32, -1).reshape(4 * RAYS, half),
-            np.zeros(len(kinds), np.bool_),
-        ),
+    out = SquareCells(np.empty(cells, np.uint8), np.full(cells, -1, np.int32), *layers[:-1])
+    scan = ClassedPoints(
+        np.ascontiguousarray(points, np.float32),
+        stack.point_ground,
+        stack.point_airborne,
+        stack.point_height,
+        stack.point_sector,
+        kinds,
+        bare_kinds,
+        np.append(stack.drop, np.False_),
+        slope,
     )
+    rule = CellRule(
+        settings.resolution_m,
+        half,
+        stack.settings.belly_m,
+        stack.settings.height_m,
+        round(_BENEATH_M / settings.resolution_m),
+        round(_BESIDE_M / settings.resolution_m),
+    )
+    loops.lay_cells(scan, rule, _rays_of(half), out)
     if classed.ride is not None:
         layers[-1] = c_r[out.sector]
     class_id = np.append(classed.class_id, np.uint8(NOT_TRAVERSABLE)).take(out.sector, mode="wrap")
@@ -147,13 +199,6 @@ def _kinds_between_objects(classed: ClassedSectors, kinds: NDArray[np.uint8]) ->
     return found
 
 
-def _filled(name: str, length: int, dtype: type, value: float) -> NDArray[Any]:
-    """Return kept scratch (length,) with one value."""
-    values = _kept.empty(name, length, dtype)
-    values.fill(value)
-    return values
-
-
 def _cell_of(pose: NDArray[np.float64], cell_m: float) -> NDArray[np.int64]:
     """Return the corner of cells, in whole cells along x and y, that is nearest to the place of a pose (4, 4)."""
     return np.round(pose[:2, 3] / cell_m).astype(np.int64)
@@ -161,7 +206,10 @@ def _cell_of(pose: NDArray[np.float64], cell_m: float) -> NDArray[np.int64]:
 
 @lru_cache(maxsize=1)
 def _rays_of(half: int) -> NDArray[np.int32]:
-    """Return the first and the last ray through every cell, and its ring, (cells, 3), see `CellScratch`."""
+    """Return the first and the last ray through every cell, and its ring, (cells, 3).
+
+    Rays go from the sensor, counter-clockwise; a ring holds the cells of one distance along x or y.
+    """
     centre = np.arange(2 * half) + 0.5 - half
     x, y = np.tile(centre, 2 * half), np.repeat(centre, 2 * half)
     ahead = np.abs(x) >= np.abs(y)

@@ -3,29 +3,158 @@
 import math
 import threading
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import PolarSettings, SectorStack, cell_numbers, first_cells
-from bumpymap.scan._ground_kernels import (
-    FOUND,
-    NEIGHBOURS,
-    PARTS,
-    TAIL,
-    CellGeometry,
-    GroundLabels,
-    GroundPlanes,
-    GroundRule,
-    LabelScratch,
-    PlaneScratch,
-    SearchRule,
-    find_planes,
-    keep_largest,
-    label_points,
-)
-from bumpymap.scan._place_kernels import CellPoints, DropRule, ZoneGrid, find_drops
+from bumpymap.core.loops import loops
+
+Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+Integers = NDArray[np.int32]
+Flags = NDArray[np.bool_]
+
+PARTS = 5
+"""Parts of a cell along each side: outwards and around; also in ground.hpp."""
+NEIGHBOURS = 8
+"""Most neighbours of a cell: three inwards, two beside it, three outwards; also in ground.cpp."""
+FOUND = 2
+"""Kind of a plane that was fitted to the cell's own points; also in ground.hpp."""
+
+
+class ZoneGrid(NamedTuple):
+    """The polar grid."""
+
+    edges: Floats
+    """(zones + 1,) where zones begin, and the last one ends, m; half-open."""
+    sectors: NDArray[np.int64]
+    """(zones,) of each zone, as the next."""
+    rings: NDArray[np.int64]
+    start: float
+    """Where sector 0 starts, as a share of a turn."""
+    pixels: int
+    """Rows (outwards) and columns (counter-clockwise) of a sector."""
+
+
+class CellPoints(NamedTuple):
+    """The points by cell, side by side, in the scan's order inside each."""
+
+    starts: NDArray[np.int64]
+    """(cells + 2,) cell c has those from ``starts[c]`` to ``starts[c + 1]``; zeros on entry; the last is scratch."""
+    order: Integers
+    """(points,) their numbers in the scan."""
+    xyz: Singles
+    """(3, points) m."""
+    pixel: Integers
+    """(points,) ``row * pixels + column``."""
+    part: Integers
+    """(points,) part of the cell, as `part_of_pixel` says."""
+
+
+class CellGeometry(NamedTuple):
+    """Where the cells of the grid lie; (cells,) where nothing else is said."""
+
+    x: Floats
+    """Centre, m."""
+    y: Floats
+    near: Integers
+    """(cells, NEIGHBOURS) neighbours: columns 0 to 2 inwards, 3 and 4 beside, 5 to 7 outwards; -1: none."""
+    zone: Integers
+    ring: Integers
+    sector: Integers
+    first: Integers
+    """(zones,) number of the first cell."""
+    rings: Integers
+    """(zones,)"""
+    sectors: Integers
+    """(zones,)"""
+
+
+class GroundPlanes(NamedTuple):
+    """The planes of the cells."""
+
+    plane: Floats
+    """(cells, 3) slope along x and y, height at the origin [m]."""
+    centre: Floats
+    """(cells, 3) x and y of the mean of its points, distance that it was passed on [m]."""
+    spread: Floats
+    """(cells,) root mean square of its points about it, m."""
+    kind: Integers
+    """(cells,) 0: none; 1: passed on by a neighbour; ``FOUND``; 3: guessed."""
+
+
+class SearchRule(NamedTuple):
+    """Limits of the search for planes."""
+
+    reach: Floats
+    """(zones,) distance within which a point belongs to a plane, m; 0: by the spread of the points."""
+    least_points: int
+    """Cells with this many points or fewer take their neighbours' plane."""
+    neighbours: int
+    """Columns of ``CellGeometry.near`` that count: 0 in a first round, NEIGHBOURS after the largest set is known."""
+    slope: Floats
+    """(2,) slope of the whole ground, which planes that are passed on approach."""
+
+
+class GroundRule(NamedTuple):
+    """Limits that tell ground from what stands on it."""
+
+    reach: Floats
+    """(zones,) distance from a plane within which a point is ground, m."""
+    noise: Floats
+    """(zones,) usual root mean square of ground points about their plane, m."""
+    least_points: int
+    """Cells with more points than this are judged by their own plane alone."""
+    belly: float
+    """Heights above the ground between which a point is an obstacle, m."""
+    height: float
+
+
+class GroundLabels(NamedTuple):
+    """Which points are ground, and what the others are; filled in place."""
+
+    height: Singles
+    """(scan's points,) height above the ground, m; comes as NaN."""
+    ground: Flags
+    """(scan's points,) comes as False."""
+    obstacles: Integers
+    """(cells,) points between belly and height that lie beside others; zeros."""
+    overhead: Integers
+    """(cells,) points from ``height`` on; zeros."""
+    airborne: Flags
+    """(scan's points,) points of ``objects`` that lie alone; comes as False."""
+    top: Singles
+    """(cells,) the highest obstacle point, m; comes as -inf."""
+    clearance: Singles
+    """(cells,) lowest point from ``height`` on, m; comes as inf."""
+    objects: Singles
+    """(cells, 2, pixels^2) of the points that are not ground, up to twice ``height``: the highest in each pixel above
+    the ground, m, and their number. As the next, filled in cells with points."""
+    lowest: Singles
+    """(cells, pixels^2, 2) z of the lowest ground point and of the lowest other one, m; inf without any."""
+    kept: Flags
+    """(points,) by cell: whether it is ground."""
+    held: Integers
+    """(cells,) ground points; zeros."""
+
+
+class DropRule(NamedTuple):
+    """Limits of a drop."""
+
+    least: float
+    """Less is none, m."""
+    slope: float
+    """A drop is steeper than this, against the slope of the ground before it."""
+    below: float
+    """The beam to what lies below passes the last ground before it above this, against that ground, m. If not, the
+    ground goes on, and what is seen below is a reflection in it; -inf where the height of the sensor is not known."""
+    slope_x: float
+    """Of the whole ground, as the next: what lies below it by less than half of ``least`` is no drop, but a terrace."""
+    slope_y: float
+    directions: int
+    """In which the ground is followed."""
 
 
 class SectorBuffers(threading.local):
@@ -69,13 +198,14 @@ def ground_drops(
 ) -> NDArray[np.bool_]:
     """Find the cells in which the ground drops by more than the clearance of the belly.
 
-    ``lowest``, ``slope``: see `find_drops`; ``height_m``: of the origin above the ground, of the ``planes``.
+    ``lowest`` (cells, pixels^2, 2): as in `GroundLabels`; unknown in cells without points; ``slope`` (cells, 2): of the
+    ground along x and y; 0 where it is not known; ``height_m``: of the origin above the ground, of the ``planes``.
     """
     drops = np.zeros(len(slope), np.int32)
     below = _BELOW_M if height_m > _SENSOR_M else -np.inf
     x, y = _slope(planes).tolist()
     rule = DropRule(settings.belly_m, _SLOPE, below, x, y, _DIRECTIONS)
-    find_drops(lowest, slope, points.starts, grid, rule, drops)
+    loops.find_drops(lowest, slope, points.starts, grid, rule, drops)
     seen = np.repeat(_DIRECTIONS / grid.sectors, grid.sectors * grid.rings)
     return np.asarray(drops >= _SHARE * seen)
 
@@ -111,28 +241,21 @@ def find_ground(
     layout = cell_layout(settings)
     azimuth = layout.y + start
     geometry = layout._replace(x=layout.x * np.cos(azimuth), y=layout.x * np.sin(azimuth))
-    cells, parts, placed = len(geometry.x), len(geometry.x) * PARTS**2, int(points.starts[-2])
+    cells, placed = len(geometry.x), int(points.starts[-2])
     planes = GroundPlanes(np.zeros((cells, 3)), np.zeros((cells, 3)), np.zeros(cells), np.zeros(cells, np.int32))
-    scratch = PlaneScratch(
-        np.empty(TAIL),
-        np.empty((4, PARTS**2)),
-        np.empty((3, PARTS**2), np.float32),
-        np.empty(PARTS**2),
-        np.empty(NEIGHBOURS, np.int32),
-    )
     zones = len(settings.sectors)
     slope = np.zeros(2)
     for _ in range(2):  # again, if the frame leans: the lowest points are then those at its lower side
         rule = SearchRule(np.zeros(zones), settings.least_points, 0, slope)
-        find_planes(points, geometry, rule, planes, scratch)
+        loops.find_planes(points, geometry, rule, planes)
         slope = _slope(planes)
         if math.hypot(*slope) < _LEANS:
             break
     noise = _noise(planes, geometry, zones)
-    keep_largest(geometry, planes, noise, slope, np.empty(cells, np.int32), np.empty(cells), np.empty(cells))
+    loops.keep_largest(geometry, planes, noise, slope)
     reach = np.clip(_REACH_OF_NOISE * noise, *_REACH_M)
     rule = SearchRule(reach, settings.least_points, NEIGHBOURS, _slope(planes))
-    find_planes(points, geometry, rule, planes, scratch)
+    loops.find_planes(points, geometry, rule, planes)
     if math.isfinite(settings.overhead_m) and _is_upside_down(planes, geometry, points.xyz[:, :placed]):
         planes.kind[:] = 0
     objects, lowest = (
@@ -151,21 +274,8 @@ def find_ground(
         buffers.empty("kept", placed, np.bool_),
         np.zeros(cells, np.int32),
     )
-    label_points(
-        points,
-        geometry,
-        planes,
-        GroundRule(reach, noise, settings.least_points, settings.belly_m, settings.height_m),
-        labels,
-        LabelScratch(
-            buffers.empty("heights", placed, np.float32),
-            np.empty(cells, np.bool_),
-            buffers.empty("sums", 4, np.float64, rows=parts),
-            buffers.empty("level", parts, np.float64),
-            np.empty(settings.pixels**2, np.float32),
-            buffers.empty("state", parts, np.int32),
-        ),
-    )
+    limits = GroundRule(reach, noise, settings.least_points, settings.belly_m, settings.height_m)
+    loops.label_points(points, geometry, planes, limits, labels)
     return planes, labels
 
 

@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError
+from bumpymap.core.loops import loops
 from bumpymap.layers import AccumulatedSurvey
-from bumpymap.scan._merge_kernels import VoxelTable, gather_points, move_voxels
 from bumpymap.scan.align import (
     VIEW_REACH_M,
     VIEW_SHAPE,
@@ -181,6 +181,29 @@ class FramePair:
             "higher_m": None if np.isnan(self.higher_m) else round(self.higher_m, 3),
             "seen_through": round(self.through / seen, 3) if seen else None,
         }
+
+
+class VoxelTable(NamedTuple):
+    """Voxels by a hash of their key; ``size`` is the number of rows in use."""
+
+    slot: NDArray[np.int32]
+    """(a power of two,) row of the voxel that has the slot; -1 if free."""
+    key: NDArray[np.int64]
+    """(rows,) which voxel, as the next ones."""
+    hits: NDArray[np.int32]
+    """Frames with a point in it."""
+    last: NDArray[np.int32]
+    """The last of them."""
+    mine: NDArray[np.int32]
+    """Points of that frame so far."""
+    held: NDArray[np.int32]
+    """Points kept of it."""
+    turn: NDArray[np.uint32]
+    """(rows, kept) increasing: points the frame had there before, times 65,536, plus distance from the sensor, cm."""
+    place: NDArray[np.int32]
+    """(rows, kept, 3) where they are, mm."""
+    size: NDArray[np.int32]
+    """(1,)."""
 
 
 @dataclass
@@ -416,7 +439,9 @@ class DriveMerge:
             xyz[:, 2] += np.round(1000.0 * (shift[0] + away @ shift[1:])).astype(np.int64)
             xyz[:, :2] -= corner
             table = _with_room(table, len(rows))
-            gather_points(xyz.astype(np.int32), rows["range_cm"].copy(), rows["kind"].copy(), number, VOXEL_MM, table)
+            loops.gather_points(
+                xyz.astype(np.int32), rows["range_cm"].copy(), rows["kind"].copy(), number, VOXEL_MM, table
+            )
         return table
 
     def _judge(self, block: int, where: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -523,7 +548,7 @@ def _with_room(table: VoxelTable, more: int) -> VoxelTable:
     larger = _empty_table(1 << int(used + more).bit_length())
     for name in ("key", "hits", "last", "mine", "held", "turn", "place"):
         getattr(larger, name)[:used] = getattr(table, name)[:used]
-    move_voxels(table, larger)
+    loops.move_voxels(table, larger)
     return larger
 
 

@@ -6,16 +6,23 @@ the points themselves is no substitute: in a straight street their mean wanders 
 """
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, PolarSettings, Scan, SectorStack
-from bumpymap.scan._ground_kernels import FOUND
-from bumpymap.scan._place_kernels import BLOCK, CellPoints, ZoneGrid, place_points
-from bumpymap.scan._sector_kernels import SectorInputs, SectorMeasures, measure_sectors, sector_scratch
-from bumpymap.scan.ground import SectorBuffers, cell_layout, find_ground, ground_drops, part_of_pixel
+from bumpymap.core.loops import loops
+from bumpymap.scan.ground import (
+    FOUND,
+    CellPoints,
+    SectorBuffers,
+    ZoneGrid,
+    cell_layout,
+    find_ground,
+    ground_drops,
+    part_of_pixel,
+)
 
 RANSAC_THRESHOLD_M = 0.1
 """Points nearer to a plane than this are its inliers; as for the patches of a survey."""
@@ -28,6 +35,29 @@ _LINE_M = 0.05
 lines, m: their plane tells the tilt. Points of a wall spread more."""
 _LEAST_OBSTACLE_POINTS = 2
 """Fewest points that are an obstacle: a single one may be an error."""
+
+
+class SectorInputs(NamedTuple):
+    """The ground of a scan on the polar grid."""
+
+    is_ground: NDArray[np.bool_]
+    """(points,) by cell: the others do not count."""
+    cells: NDArray[np.int64]
+    """(sectors,) cells to measure, each with ground; their numbers seed RANSAC."""
+    threshold: float
+    """RANSAC inlier distance, m."""
+
+
+class SectorMeasures(NamedTuple):
+    """What is measured in sectors; filled in place."""
+
+    scalars: NDArray[np.float64]
+    """(sectors, 4) variance of z [m^2], residual [m] (NaN where the points span no plane), coverage, distance of the
+    origin below the principal plane [m]; below the points' mean, where they lie on one line: they tell no tilt."""
+    normal: NDArray[np.float32]
+    """(sectors, 3) principal normal; zeros where the points lie on a line."""
+    heights: NDArray[np.float32]
+    """(sectors, pixels, pixels) mean z above the plane that RANSAC found, holes filled, m."""
 
 
 def polar_sectors(
@@ -47,18 +77,20 @@ def polar_sectors(
     grid = ZoneGrid(edges, sectors, rings, start / (2.0 * math.pi), settings.pixels)
     buffers = buffers or SectorBuffers()
     size = len(points)
-    cell, pixel = (buffers.empty(name, size, np.int32) for name in ("cell", "pixel"))
-    order, own_pixel, part = (buffers.empty(name, size, np.int32) for name in ("order", "own_pixel", "part"))
+    cell, order, pixel, part = (buffers.empty(name, size, np.int32) for name in ("cell", "order", "pixel", "part"))
     xyz = buffers.empty("accumulated", size, np.float32, rows=3)
-    by_cell = CellPoints(np.zeros(int(sectors @ rings) + 2, np.int64), order, xyz, own_pixel, part)
-    place_points(points, grid, part_of_pixel(settings.pixels), cell, pixel, np.empty((4, BLOCK)), by_cell)
+    by_cell = CellPoints(np.zeros(int(sectors @ rings) + 2, np.int64), order, xyz, pixel, part)
+    loops.place_points(points, grid, part_of_pixel(settings.pixels), cell, by_cell)
     counts = np.diff(by_cell.starts[:-1])
     cells = np.flatnonzero(counts > settings.least_points)
     planes, ground = find_ground(by_cell, size, settings, start, buffers)
     ground_count = ground.held[cells]
     there = (planes.kind[cells] == FOUND) & (ground_count >= _LEAST_GROUND_POINTS)
     inputs = SectorInputs(ground.kept, cells[there], RANSAC_THRESHOLD_M)
-    scalars, normal, heights = _measure(by_cell, inputs, settings, buffers)
+    sectors_found, pixels = len(inputs.cells), settings.pixels
+    scalars, normal = np.empty((sectors_found, 4)), np.empty((sectors_found, 3), np.float32)
+    heights = np.empty((sectors_found, pixels, pixels), np.float32)
+    loops.measure_sectors(by_cell, inputs, SectorMeasures(scalars, normal, heights))
     lines = (normal[:, 2] < settings.least_normal_z) & (planes.spread[cells[there]] < _LINE_M)
     fitted = np.insert(-planes.plane[cells[there][lines], :2], 2, 1.0, axis=1)
     normal[lines] = fitted / np.linalg.norm(fitted, axis=1, keepdims=True)
@@ -98,7 +130,7 @@ def polar_sectors(
         drop=there & drops[cells],
         obstacle_height=np.where(stands, ground.top[cells], np.float32(np.nan)),
         clearance=np.where(ground.overhead[cells] > 0, ground.clearance[cells], np.float32(np.nan)),
-        things=ground.things[cells].reshape(-1, 2, settings.pixels, settings.pixels),
+        things=ground.objects[cells].reshape(-1, 2, settings.pixels, settings.pixels),
         point_sector=point_sector,
         point_ground=ground.ground,
         point_airborne=ground.airborne,
@@ -113,19 +145,6 @@ def _spread(values: NDArray[Any], rows: NDArray[np.bool_], gap: float) -> NDArra
     full = np.full((len(rows), *values.shape[1:]), gap, values.dtype)
     full[rows] = values
     return full
-
-
-def _measure(
-    points: CellPoints, inputs: SectorInputs, settings: PolarSettings, buffers: SectorBuffers
-) -> SectorMeasures:
-    sectors, pixels = len(inputs.cells), settings.pixels
-    out = SectorMeasures(
-        np.empty((sectors, 4)), np.empty((sectors, 3), np.float32), np.empty((sectors, pixels, pixels), np.float32)
-    )
-    most = int(np.diff(points.starts)[inputs.cells].max(initial=0)) + 1
-    xyz, pixel = buffers.empty("xyz", most, np.float64, rows=3), buffers.empty("measured", most, np.int32)
-    measure_sectors(points, inputs, out, sector_scratch(xyz, pixel, pixels))
-    return out
 
 
 def _labels(scan: Scan, point_sector: NDArray[np.int32], sectors: int) -> NDArray[np.int16]:
