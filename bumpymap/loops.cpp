@@ -1,4 +1,6 @@
 // The module of the compiled loops of bumpymap.
 #include "bumpytiles/bindings.hpp"
 
-NB_MODULE(LOOPS_MODULE, module) { static_cast<void>(module); }
+void bind_measure(nb::module_& module);
+
+NB_MODULE(LOOPS_MODULE, module) { bind_measure(module); }
