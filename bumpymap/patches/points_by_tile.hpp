@@ -11,6 +11,9 @@
 
 namespace bumpy {
 
+// Points on a pixel in a thin survey, at most.
+constexpr double thin = 0.4;
+
 struct PointsByTile {
     Array<const Index> starts;
     Array<const double> easting, northing, upward;
