@@ -41,6 +41,13 @@ class PointBuffer {
     Array<Number> axis(Index number, Index count) { return {numbers.data() + number * room, {count}}; }
     CentredPoints<Number> first(Index count) { return {axis(0, count), axis(1, count), axis(2, count)}; }
 
+    void copy(const CentredPoints<double>& points) {
+        for (const auto& [number, given] : {std::pair{0, points.x}, {1, points.y}, {2, points.z}}) {
+            const Array<Number> own = axis(number, given.size());
+            for (Index i = 0; i < given.size(); ++i) own[i] = static_cast<Number>(given[i]);
+        }
+    }
+
   private:
     Index room;
     std::vector<Number> numbers;
@@ -98,12 +105,7 @@ class TileMeter {
         shift(up, low, 0.0, above);
         const double mean = low + centre(above, z);
         scalars[Z_VARIANCE] = sum_in_lanes(n, [=](Index i) { return z[i] * z[i]; }) / static_cast<double>(n);
-        for (Index axis = 0; axis < 3; ++axis) {
-            const Array<double> exact = doubles.axis(axis, n);
-            std::transform(exact.begin(), exact.end(), singles.axis(axis, n).begin(), [](double number) {
-                return static_cast<float>(number);
-            });
-        }
+        singles.copy(doubles.first(n));
         return mean;
     }
 
@@ -137,6 +139,17 @@ class TileMeter {
     std::vector<double> levels;
 };
 
+// The plane that RANSAC finds in centred points.
+std::tuple<double, double, double, double> ransac_plane_of(
+    Array<const double> x, Array<const double> y, Array<const double> z, double threshold) {
+    const CentredPoints<double> points{x, y, z};
+    PointBuffer<float> buffer(points.size());
+    buffer.copy(points);
+    const CentredPoints<float> singles = buffer.first(points.size());
+    const Plane plane = ransac_plane(points, singles, robust_plane(points, singles), threshold);
+    return {plane.a, plane.b, plane.c, plane.d};
+}
+
 // Measures every tile that has points; the others get NaN, and no points.
 void measure_tiles(PointsByTile points, MeasureSettings settings, TileMeasures out) {
     TileMeter meter(settings, points.most_points(), out.heights.shape[1]);
@@ -162,6 +175,7 @@ BUMPY_RECORD(bumpy::TileMeasures, scalars, heights, variance, relief, pixel_coun
 void bind_measure(nb::module_& module) {
     using namespace bumpy;
     BUMPY_LOOP(module, measure_tiles);
+    BUMPY_LOOP(module, ransac_plane_of);
     BUMPY_LOOP(module, stray_bounds);
     module.def("fill_holes", &fill_holes<double>, free_interpreter());
 }
