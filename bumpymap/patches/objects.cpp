@@ -85,7 +85,7 @@ class ObjectFinder {
           pixel(sizes.tile_size / static_cast<double>(size)),
           surface(static_cast<std::size_t>(size * size)),
           found(surface.size()),
-          strips(size, given.most_points()) {}
+          strips(size) {}
 
     void find_in(Index t) {
         tile = t;
@@ -197,7 +197,8 @@ class ObjectFinder {
 
     // Lists the points of each pixel for strips: those of what stands or hangs there, and those beneath.
     void list_points() {
-        strips.forget_points();
+        strips.over.clear();
+        strips.beneath.clear();
         // A side that returns points too would have more than its share.
         const double share = most_of_pixel * static_cast<double>(last - first) / static_cast<double>(size * size);
         const int most = std::max(2, static_cast<int>(std::ceil(share)));
@@ -207,9 +208,10 @@ class ObjectFinder {
             const bool is_over = tiles.kind[i] != POINT_GROUND && points.upward[i] - ground(r, c) >= limits.low;
             if (is_over && at(r, c).listed >= most) continue;
             at(r, c).listed += is_over;
-            const double down = static_cast<double>(size) - place[1];
-            strips.add_point(i - first, r, c, place[0], down, is_over ? 1 : -beneath_weight);
+            (is_over ? strips.over : strips.beneath).add(r * size + c, place[0], static_cast<double>(size) - place[1]);
         }
+        strips.over.sort(size * size);
+        strips.beneath.sort(size * size);
     }
 
     // Sum of a square around one pixel.

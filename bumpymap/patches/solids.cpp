@@ -67,6 +67,12 @@ constexpr int closed_middle = 2;
 // Points on a pixel, as good as none.
 constexpr double least_points = 1e-9;
 
+// Rows down and columns to the right.
+struct Offset {
+    int down, right;
+    int square() const { return down * down + right * right; }
+};
+
 // Bytes of the pixels of a mosaic, and of a margin around it that begins at row and column -`margin`.
 class Map {
   public:
@@ -76,24 +82,21 @@ class Map {
     std::uint8_t* row(Index r) { return bytes.data() + (r + margin) * wide + margin; }
     std::uint8_t& operator()(Index r, Index c) { return row(r)[c]; }
 
-    const Index wide;
+    // Bytes from a pixel to another.
+    Index way(Offset offset) const { return offset.down * wide + offset.right; }
 
   private:
+    Index wide;
     std::vector<std::uint8_t> bytes;
 };
 
-struct Offset {
-    int down, right;
-    int square() const { return down * down + right * right; }
-};
-
-// Of eight directions: two pixels on.
-constexpr Offset direction(int turn) { return {std::min({2, turn, 8 - turn}), std::max(-2, std::min(2, 4 - turn))}; }
+// Eight directions, by the place two pixels on; the other eight lie opposite.
+constexpr std::array<Offset, 8> directions{{{0, 2}, {1, 2}, {2, 2}, {2, 1}, {2, 0}, {2, -1}, {2, -2}, {1, -2}}};
 
 // So many steps of half that length in a direction, rounded to pixels.
 constexpr Offset along(Offset two, int step) { return {(step * two.down + 1) >> 1, (step * two.right + 1) >> 1}; }
 
-constexpr Offset back(Offset two) { return {-two.down, -two.right}; }
+constexpr Offset opposite(Offset two) { return {-two.down, -two.right}; }
 
 // All pixels up to 15 away, the nearest first, then row by row.
 std::vector<Offset> nearest_offsets() {
@@ -176,34 +179,43 @@ class Settler {
 
     // Marks pixels that hold a point of an obstacle, were it a single one, with 1, and obstacles with `full`.
     void mark_parts() {
-        for (Index r = 0; r < rows; ++r)
-            for (Index c = 0; c < cols; ++c) {
-                const int kind = objects(r, c) % SEEN;
-                const int part = kind == LONE || kind == UNDECIDED || kind == STEEP;
-                marks(r, c) = static_cast<std::uint8_t>(part + full * (kind == OBSTACLE));
-            }
+        for (Index r = 0; r < rows; ++r) {
+            const Array<const std::uint8_t> states = objects.at(r);
+            std::transform(states.begin(), states.end(), marks.row(r), [](int state) {
+                const int kind = state % SEEN;
+                const bool is_part = (kind == LONE) | (kind == UNDECIDED) | (kind == STEEP);
+                return static_cast<std::uint8_t>(is_part + full * (kind == OBSTACLE));
+            });
+        }
     }
 
     // Fills the states of pixels with the points around them. In a thin survey a single point of an obstacle is one: a
-    // crate of 0.7 m has four points at 8 points/m2.
+    // crate of 0.7 m has four points at 8 points/m2. Tests without a branch, which a processor does for many pixels at
+    // once.
     void fill_own() {
         std::vector<std::uint8_t> around(static_cast<std::size_t>(cols));
         for (Index r = 0; r < rows; ++r) {
             const std::uint8_t *north = marks.row(r - 1), *middle = marks.row(r), *south = marks.row(r + 1);
-            for (Index c = 0; c < cols; ++c)
-                around[static_cast<std::size_t>(c)] = static_cast<std::uint8_t>(
-                    north[c - 1] + north[c] + north[c + 1] + middle[c - 1] + middle[c] + middle[c + 1] + south[c - 1] +
-                    south[c] + south[c + 1]);
-            std::uint8_t *dense = own.row(r), *thinly = own_if_thin.row(r);
-            for (Index c = 0; c < cols; ++c) {
-                const std::uint8_t state = objects(r, c), sum = around[static_cast<std::size_t>(c)];
+            for (std::uint8_t& sum : around) {
+                sum = static_cast<std::uint8_t>(
+                    north[-1] + north[0] + north[1] + middle[-1] + middle[0] + middle[1] + south[-1] + south[0] +
+                    south[1]);
+                ++north;
+                ++middle;
+                ++south;
+            }
+            const Array<const std::uint8_t> states = objects.at(r);
+            std::transform(states.begin(), states.end(), around.begin(), own.row(r), [](std::uint8_t state, int sum) {
                 const int kind = state % SEEN;
-                // Tests without a branch, which a processor does for many pixels at once.
                 const bool joins =
                     (((kind == FREE) | (kind == EMPTY)) & (sum >= majority * full)) | ((kind == STEEP) & (sum > 1));
-                dense[c] = joins ? std::uint8_t{OBSTACLE} : state;
-                thinly[c] = (kind == LONE) | (kind == UNDECIDED) ? std::uint8_t{OBSTACLE} : dense[c];
-            }
+                return joins ? std::uint8_t{OBSTACLE} : state;
+            });
+            std::transform(
+                states.begin(), states.end(), own.row(r), own_if_thin.row(r), [](int state, std::uint8_t dense) {
+                    const int kind = state % SEEN;
+                    return (kind == LONE) | (kind == UNDECIDED) ? std::uint8_t{OBSTACLE} : dense;
+                });
         }
     }
 
@@ -211,8 +223,9 @@ class Settler {
     int nearest_state(const std::uint8_t* at, std::size_t most, int factor) const {
         int found = UNSEEN, square = 0;
         for (std::size_t k = 1; k < most; ++k) {
-            const int state = at[steps[k]] % SEEN, far = offsets[k].square();
+            const int state = at[ways[k]] % SEEN;
             if (state == EMPTY || state == UNSEEN % SEEN) continue;
+            const int far = offsets[k].square();
             if (found != UNSEEN && far > factor * square) break;
             const bool is_near = far <= fill * fill;
             if (state == OBSTACLE && is_near) return OBSTACLE;
@@ -227,7 +240,7 @@ class Settler {
 
     // Fills the states of the mosaic, with the nearest where there are no points; returns whether anything is overhead.
     bool fill_labels() {
-        for (const Offset& offset : offsets) steps.push_back(offset.down * label.wide + offset.right);
+        for (const Offset& offset : offsets) ways.push_back(label.way(offset));
         bool is_any_overhead = false;
         std::size_t most = 0;
         double mean_before = -1.0;
@@ -260,24 +273,23 @@ class Settler {
                 for (Index c = 0; c < cols; ++c)
                     if (objects(r, c) % SEEN == MAYBE_SOLID && label(r, c) % SEEN == MAYBE_SOLID && is_solid_near(r, c))
                         label(r, c) = reached;
-            for (Index r = 0; r < rows; ++r) std::replace(label.row(r), label.row(r) + cols, reached, LOW_SOLID_BYTE);
+            for (Index r = 0; r < rows; ++r)
+                std::replace(label.row(r), label.row(r) + cols, reached, std::uint8_t{LOW_SOLID});
         }
     }
 
     // Whether a ray from a pixel meets something overhead.
-    bool meets(Index r, Index c, Offset two) {
-        for (int step = 2; step <= ray; ++step) {  // a pixel beside one with ground may be the same object's rim
-            const auto [down, right] = along(two, step);
-            if (is_overhead(label(r + down, c + right))) return true;
-        }
+    bool meets(const std::uint8_t* at, Offset two) const {
+        for (int step = 2; step <= ray; ++step)  // a pixel beside one with ground may be the same object's rim
+            if (is_overhead(at[label.way(along(two, step))])) return true;
         return false;
     }
 
     // Whether the ground in a pixel lies beneath what is overhead: it is on all sides, not as beside a wall.
-    bool is_under(Index r, Index c, int sides) {
+    bool is_under(const std::uint8_t* at, int sides) const {
         int hits = 0;
-        for (int turn = 0; turn < 8; ++turn) {
-            const bool one = meets(r, c, direction(turn)), other = meets(r, c, back(direction(turn)));
+        for (const Offset two : directions) {
+            const bool one = meets(at, two), other = meets(at, opposite(two));
             if (!one && !other) return false;
             hits += one + other;
         }
@@ -290,7 +302,7 @@ class Settler {
         const int state = objects(r, c);
         const bool is_ground = state != UNSEEN && (state >= SEEN || state == FREE);
         const int sides = mean >= held && !is_overhead(state) ? sides_of_yard : least_sides;
-        const bool is_beneath = (is_ground || is_overhead(label(r, c))) && is_under(r, c, sides);
+        const bool is_beneath = (is_ground || is_overhead(label(r, c))) && is_under(label.row(r) + c, sides);
         under(r, c) = is_beneath ? (is_ground ? 2 : 3) : is_ground;
     }
 
@@ -322,8 +334,7 @@ class Settler {
 
     // Whether `least` pixels deep beneath something show no ground in one of 16 halves around a pixel.
     bool hides_half(Index r, Index c, int near, double least) {
-        for (int turn = 0; turn < 8; ++turn) {
-            const auto [down, right] = direction(turn);
+        for (const auto [down, right] : directions) {
             int deep = 0, other = 0, ground = 0, more = 0;
             for (const Offset& offset : offsets) {
                 if (offset.square() > near * near) break;
@@ -341,27 +352,24 @@ class Settler {
 
     // Pixels with points of a line that ends in a pixel and comes from one direction, 0 if it is none: there is nothing
     // beside a line.
-    int points_of_end(Index r, Index c, Offset two) {
+    int points_of_end(const std::uint8_t* at, Offset two) const {
         int count = 0;
         // Across the line, down and right change places.
-        const int far_down = (around_line * two.right) >> 1, far_right = -((around_line * two.down) >> 1);
-        const int near_down = std::abs(two.right) / 2, near_right = std::abs(two.down) / 2;
+        const Index far = marks.way({(around_line * two.right) >> 1, -((around_line * two.down) >> 1)});
+        const Index near = marks.way({std::abs(two.right) / 2, std::abs(two.down) / 2});
         for (int step = 1; step <= gap; ++step) {
-            const auto [down, right] = along(two, step);
-            const Index row = r - down, col = c - right;
-            if (marks(row + far_down, col + far_right) > 0 || marks(row - far_down, col - far_right) > 0) return 0;
-            count += marks(row, col) > 0 || marks(row + near_down, col + near_right) > 0 ||
-                     marks(row - near_down, col - near_right) > 0;
+            const std::uint8_t* there = at - marks.way(along(two, step));
+            if (there[far] > 0 || there[-far] > 0) return 0;
+            count += there[0] > 0 || there[near] > 0 || there[-near] > 0;
         }
         return count >= least_part ? count : 0;
     }
 
     // Steps to the next pixel with a point of an obstacle, 0 if none is as near as a line may have a gap.
-    int next_part(Index r, Index c, Offset two) {
+    int next_part(const std::uint8_t* at, Offset two) const {
         for (int step = 1; step <= gap + 1; ++step) {
             if (step * step * two.square() > 4 * (gap + 1) * (gap + 1)) return 0;  // across corners a step is longer
-            const auto [down, right] = along(two, step);
-            if (marks(r + down, c + right) > 0) return step;
+            if (at[marks.way(along(two, step))] > 0) return step;
         }
         return 0;
     }
@@ -394,7 +402,7 @@ class Settler {
                 const double length = std::sqrt(static_cast<double>(far.square()));
                 const bool is_known = -beyond <= row && row < rows + beyond && -beyond <= col && col < cols + beyond;
                 if (length > widest || !is_known || marks(row, col) == 0) continue;
-                const int more = points_of_end(row, col, back(two));
+                const int more = points_of_end(marks.row(row) + col, opposite(two));
                 if (more > 0 && (count + more) * length <= between * 2 * gap) close_middle(r, c, far);
                 return;
             }
@@ -403,29 +411,26 @@ class Settler {
     // Closes the gaps in lines of obstacle points, such as wires of which a few points were seen, that lead east or
     // south from a pixel, at most so wide, px.
     void join_from(Index r, Index c, double widest) {
-        for (int turn = 0; turn < 8; ++turn) {
-            const Offset two = direction(turn);
-            const int width = next_part(r, c, two);
+        const std::uint8_t* at = marks.row(r) + c;
+        for (const Offset two : directions) {
+            const int width = next_part(at, two);
             if (width == 1) continue;
-            const int count = points_of_end(r, c, two);
+            const int count = points_of_end(at, two);
             if (count == 0) continue;
-            const auto [down, right] = along(two, width);
             if (width == 0) {
                 if (widest > gap) join_far(r, c, two, count, widest);
-            } else if (points_of_end(r + down, c + right, back(two)) > 0) {
+            } else if (points_of_end(at + marks.way(along(two, width)), opposite(two)) > 0) {
                 for (int step = 0; step <= width; ++step) close(r + along(two, step).down, c + along(two, step).right);
             }
         }
     }
-
-    static constexpr std::uint8_t LOW_SOLID_BYTE = LOW_SOLID;
 
     const Array<const std::uint8_t, 2> objects;
     const Array<std::uint8_t, 2> out;
     const Index rows, cols, pixels;
     const double hole;
     const std::vector<Offset> offsets = nearest_offsets();
-    std::vector<Index> steps;  // from a pixel to that of each offset, in a map
+    std::vector<Index> ways;  // from a pixel to that of each offset, in a map
     std::vector<double> means;
     Map marks, own, own_if_thin, label, under;
 };

@@ -9,6 +9,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <numeric>
 #include <vector>
 
 #include "bumpytiles/arrays.hpp"
@@ -48,28 +49,53 @@ struct Weight {
     double number, share = 0.0;
 };
 
-// Points of a tile by pixel.
+// Columns and rows of points from the north-west corner of a tile, px, row by row of its pixels; in a pixel the last
+// that was added comes first.
+class PointsByPixel {
+  public:
+    std::vector<double> x, y;
+
+    void clear() { added.clear(); }
+    void add(Index pixel, double col, double row) { added.push_back({static_cast<std::size_t>(pixel), col, row}); }
+
+    // Puts the points in order, when all are there.
+    void sort(Index pixels) {
+        begin.assign(static_cast<std::size_t>(pixels + 1), 0);
+        for (const Point& point : added) ++begin[point.pixel];
+        std::partial_sum(begin.begin(), begin.end(), begin.begin());
+        x.resize(added.size());
+        y.resize(added.size());
+        for (const Point& point : added) {
+            const std::size_t place = --begin[point.pixel];
+            x[place] = point.x;
+            y[place] = point.y;
+        }
+    }
+
+    // Where those of a pixel begin, and those of the pixels before it end.
+    std::size_t first_of(Index pixel) const { return begin[static_cast<std::size_t>(pixel)]; }
+
+  private:
+    struct Point {
+        std::size_t pixel;
+        double x, y;
+    };
+
+    std::vector<Point> added;
+    std::vector<std::size_t> begin;
+};
+
+// Points of a tile over the ground and on it, and whether they hide it.
 class Strips {
   public:
-    Strips(Index pixels, Index most_points)
-        : size(pixels),
-          points(static_cast<std::size_t>(most_points)),
-          head(static_cast<std::size_t>(pixels * pixels)) {}
+    explicit Strips(Index pixels) : size(pixels) {}
 
-    // Begins a tile.
-    void forget_points() { std::fill(head.begin(), head.end(), none); }
-
-    // Adds the n-th point of a tile to a pixel; it lies so many columns and rows from the north-west corner.
-    void add_point(Index n, Index row, Index col, double x, double y, int weight) {
-        std::int32_t& first = head[static_cast<std::size_t>(row * size + col)];
-        points[static_cast<std::size_t>(n)] = {x, y, weight, first};
-        first = static_cast<std::int32_t>(n);
-    }
+    PointsByPixel over, beneath;
 
     // Whether what is overhead in a pixel hides the ground: it outweighs what is beneath in a part of the strip around
     // its points, in a square of 2 half + 1 pixels around it. One half of the square will do, or a smaller one of what
     // is low: at a corner walls meet.
-    bool hides_ground(Index r, Index c, Index half, Weight least, bool is_low, double pixel) {
+    bool hides_ground(Index r, Index c, Index half, Weight least, bool is_low, double pixel) const {
         const Index near = std::max(half / 2, overlap);
         // All of the square, its halves, and one of half its side: pixels to the north, south, west and east.
         const std::array<std::array<Index, 4>, 6> reaches{{
@@ -90,49 +116,48 @@ class Strips {
     }
 
   private:
-    static constexpr std::int32_t none = -1;
-
-    struct Point {
-        double x, y;                // columns and rows from the north-west corner, px
-        std::int32_t weight, next;  // 1 overhead, less beneath; another point of the pixel
-    };
-
     // Rows and columns of pixels, the last ones not included.
     struct Window {
         Index top, bottom, left, right;
     };
 
+    // Calls function(x, y) for the points in a window.
     template <class Function>
-    void for_each_point(const Window& window, Function function) const {
+    void for_each(const PointsByPixel& points, const Window& window, Function function) const {
+        for (Index row = window.top; row < window.bottom; ++row) {
+            const std::size_t last = points.first_of(row * size + window.right);
+            for (std::size_t i = points.first_of(row * size + window.left); i < last; ++i)
+                function(points.x[i], points.y[i]);
+        }
+    }
+
+    Index count_over(const Window& window) const {
+        Index count = 0;
         for (Index row = window.top; row < window.bottom; ++row)
-            for (Index col = window.left; col < window.right; ++col)
-                for (std::int32_t i = head[static_cast<std::size_t>(row * size + col)]; i != none;) {
-                    const Point& point = points[static_cast<std::size_t>(i)];
-                    function(point, row, col);
-                    i = point.next;
-                }
+            count +=
+                static_cast<Index>(over.first_of(row * size + window.right) - over.first_of(row * size + window.left));
+        return count;
     }
 
     // Whether points overhead outweigh those beneath in the strip of a window around those of a pixel.
-    bool strip_weighs(Index r, Index c, const Window& window, Weight least, double pixel) {
+    bool strip_weighs(Index r, Index c, const Window& window, Weight least, double pixel) const {
+        const Window middle_pixel{r, r + 1, c, c + 1};
+        const auto n = static_cast<double>(count_over(window)), own = static_cast<double>(count_over(middle_pixel));
+        if (n < least.number || own == 0.0) return false;
         const double x0 = static_cast<double>(c) + 0.5, y0 = static_cast<double>(r) + 0.5;
-        double n = 0.0, own = 0.0, own_x = 0.0, own_y = 0.0, sx = 0.0, sy = 0.0, xx = 0.0, xy = 0.0, yy = 0.0;
-        for_each_point(window, [&](const Point& point, Index row, Index col) {
-            if (point.weight <= 0) return;
-            const double x = point.x - x0, y = point.y - y0;
-            n += 1.0;
+        double own_x = 0.0, own_y = 0.0, sx = 0.0, sy = 0.0, xx = 0.0, xy = 0.0, yy = 0.0;
+        for_each(over, middle_pixel, [&](double x, double y) {
+            own_x += x - x0;
+            own_y += y - y0;
+        });
+        for_each(over, window, [&](double col, double row) {
+            const double x = col - x0, y = row - y0;
             sx += x;
             sy += y;
             xx += x * x;
             xy += x * y;
             yy += y * y;
-            if (row == r && col == c) {
-                own += 1.0;
-                own_x += x;
-                own_y += y;
-            }
         });
-        if (n < least.number || own == 0.0) return false;
         // Across the strip is the direction in which the points vary least.
         xx -= sx * sx / n;
         xy -= sx * sy / n;
@@ -145,10 +170,12 @@ class Strips {
         b *= scale;
         const double middle = 0.5 * bins - a * (x0 + own_x / own) - b * (y0 + own_y / own);
         std::array<int, bins + 1> weights{};  // of each bin, behind a zero
-        for_each_point(window, [&](const Point& point, Index, Index) {
-            const double across = middle + a * point.x + b * point.y;
-            if (0.0 <= across && across < bins) weights[static_cast<std::size_t>(across) + 1] += point.weight;
-        });
+        const auto add = [&](double x, double y, int weight) {
+            const double across = middle + a * x + b * y;
+            if (0.0 <= across && across < bins) weights[static_cast<std::size_t>(across) + 1] += weight;
+        };
+        for_each(over, window, [&](double x, double y) { add(x, y, 1); });
+        for_each(beneath, window, [&](double x, double y) { add(x, y, -beneath_weight); });
         return holds_part(
             least.share > 0.0 ? std::max(least.number, least.share * n) : least.number + std::log(n) / chance, weights);
     }
@@ -164,9 +191,7 @@ class Strips {
         return false;
     }
 
-    Index size;
-    std::vector<Point> points;
-    std::vector<std::int32_t> head;  // (pixels, pixels) a point of the pixel
+    const Index size;
 };
 
 }  // namespace bumpy

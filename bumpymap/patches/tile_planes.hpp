@@ -53,36 +53,47 @@ struct FitSums {
     double loss;  // sum of min(1, (r / scale)^2), r the distances from the plane
 };
 
+constexpr Index fit_sums = 11;
+
 // How the weight of a point follows from q = (r / scale)^2: Geman and McClure (1987), or 1 within the scale, 0 beyond.
 enum class Weights { geman_mcclure, inliers };
 
-// Adds the halves of the lanes until eight are left, then these in turn.
+// Adds the halves of the lanes of each sum until eight are left, then these in turn.
 template <class Number>
-Number fold_lanes(Number (&part)[lanes]) {
-    for (Index k = 0; k < lanes / 2; ++k) part[k] += part[k + lanes / 2];
-    for (Index k = 0; k < lanes / 4; ++k) part[k] += part[k + lanes / 4];
-    for (Index k = 0; k < lanes / 8; ++k) part[k] += part[k + lanes / 8];
-    Number total = 0;
-    for (Index k = 0; k < lanes / 8; ++k) total += part[k];
-    return total;
+FitSums fold_lanes(Number (&part)[fit_sums][lanes]) {
+    for (auto& own : part) {
+        for (Index k = 0; k < lanes / 2; ++k) own[k] += own[k + lanes / 2];
+        for (Index k = 0; k < lanes / 4; ++k) own[k] += own[k + lanes / 4];
+        for (Index k = 0; k < lanes / 8; ++k) own[k] += own[k + lanes / 8];
+    }
+    Number total[fit_sums] = {};
+    for (Index k = 0; k < lanes / 8; ++k)
+        for (Index m = 0; m < fit_sums; ++m) total[m] += part[m][k];
+    FitSums sums;
+    std::copy_n(total, fit_sums - 1, sums.moments.begin());
+    sums.loss = static_cast<double>(total[fit_sums - 1]);
+    return sums;
 }
 
 template <Weights weights, class Number>
 FitSums sum_for_fit(const CentredPoints<Number>& points, const Plane& near, double scale) {
     const auto a = static_cast<Number>(near.a / scale), b = static_cast<Number>(near.b / scale),
                c = static_cast<Number>(near.c / scale), d = static_cast<Number>(near.d / scale);
-    Number part[11][lanes] = {};
+    Number part[fit_sums][lanes] = {};
     for (Index start = 0; start < points.size(); start += lanes) {
         const Index count = std::min(lanes, points.size() - start);
         for (Index k = 0; k < count; ++k) {
             const Number x = points.x[start + k], y = points.y[start + k], z = points.z[start + k];
             const Number r = a * x + b * y + c * z + d, q = r * r;
-            Number w = q <= 1 ? Number{1} : Number{0};
+            const bool is_near = q <= 1;
+            Number w = is_near ? 1 : 0, wx = is_near ? x : 0, wy = is_near ? y : 0, wz = is_near ? z : 0;
             if constexpr (weights == Weights::geman_mcclure) {
                 w = 1 / (1 + q);
                 w *= w;
+                wx = w * x;
+                wy = w * y;
+                wz = w * z;
             }
-            const Number wx = w * x, wy = w * y, wz = w * z;
             part[0][k] += w;
             part[1][k] += wx;
             part[2][k] += wy;
@@ -93,13 +104,10 @@ FitSums sum_for_fit(const CentredPoints<Number>& points, const Plane& near, doub
             part[7][k] += wy * y;
             part[8][k] += wy * z;
             part[9][k] += wz * z;
-            part[10][k] += std::min(Number{1}, q);
+            part[10][k] += is_near ? q : 1;
         }
     }
-    FitSums sums;
-    for (std::size_t m = 0; m < sums.moments.size(); ++m) sums.moments[m] = static_cast<double>(fold_lanes(part[m]));
-    sums.loss = static_cast<double>(fold_lanes(part[10]));
-    return sums;
+    return fold_lanes(part);
 }
 
 // Least-squares plane of sums of points that are centred near zero, its normal upward: regression of heights where
