@@ -237,7 +237,6 @@ from .settings import (
 from .shared_kernels import (
     NO_PLANE as NO_PLANE,
     Plane as Plane,
-    fill_holes as fill_holes,
 )
 from .types import (
     AXES_DEG as AXES_DEG,

@@ -6,6 +6,7 @@ that stand on the ground or hang over it are found in the points that are no gro
 
 from collections.abc import Sequence
 from dataclasses import fields, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,22 +23,58 @@ from bumpymap.core import (
     Reason,
     VehicleBody,
 )
-from bumpymap.patches import _solid_kernels as solids
-from bumpymap.patches._measure_kernels import (
-    MeasureSettings,
-    PointsByTile,
-    TileMeasures,
-    measure_scratch,
-    measure_tiles,
-)
-from bumpymap.patches._object_kernels import ObjectLimits, TileObjects, find_in_tiles, object_scratch
-from bumpymap.patches._plane_kernels import plane_scratch
-from bumpymap.patches._standing_kernels import PAIR_MEASURES, PairSettings, measure_pairs, pair_scratch
-from bumpymap.patches._strip_kernels import strip_scratch
+from bumpymap.core.loops import loops
 from bumpytiles import Grid, TilePoints
 
 _SCALARS = 9
 """Numbers that are measured of a tile, see `TileMeasures`."""
+THIN = 0.4
+"""Points on a pixel in a thin survey, at most; as in ``points_by_tile.hpp``."""
+
+
+class PointsByTile(NamedTuple):
+    """Points, tile by tile."""
+
+    starts: NDArray[np.int64]
+    """(tiles + 1,) where each tile's points begin."""
+    easting: NDArray[np.float64]
+    """(points,) m, as the two that follow."""
+    northing: NDArray[np.float64]
+    upward: NDArray[np.float64]
+    col: NDArray[np.int64]
+    """(tiles,) tile indices."""
+    row: NDArray[np.int64]
+
+
+class MeasureSettings(NamedTuple):
+    """Settings of ``measure_tiles`` in ``measure.cpp``."""
+
+    tile_size: float
+    """m."""
+    threshold: float
+    """RANSAC inlier distance, m."""
+    gap: float
+    """Least gap that makes a point a stray, m."""
+    most_strays: int
+    """Strays on one side of a tile, at most."""
+    depth: int
+    """Deepest hole that is filled, px."""
+
+
+class TileMeasures(NamedTuple):
+    """Arrays that ``measure_tiles`` fills."""
+
+    scalars: NDArray[np.float64]
+    """(tiles, 9) z_min, z_max, z_variance, residual, slope, z_range, coverage, relief, strays. NaN where a tile has no
+    points or no plane."""
+    heights: NDArray[np.float32]
+    """(tiles, pixels, pixels) mean height, m."""
+    variance: NDArray[np.float32]
+    """The same shape: variance inside the pixel about the tile's plane, m^2."""
+    relief: NDArray[np.float32]
+    """The same shape: relief map, m."""
+    pixel_count: NDArray[np.int32]
+    """The same shape: points."""
 
 
 def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool) -> PatchStack:
@@ -78,12 +115,11 @@ def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool)
 
 def _measured(tiles: PointsByTile, settings: FeatureSettings, grid: Grid, depth: int) -> TileMeasures:
     """Measure tiles; holes of up to ``depth`` pixels are filled."""
-    shape, most = (len(tiles.col), grid.pixels, grid.pixels), int(np.diff(tiles.starts).max(initial=0))
+    shape = (len(tiles.col), grid.pixels, grid.pixels)
     heights, variance, relief = (np.empty(shape, np.float32) for _ in range(3))
     out = TileMeasures(np.empty((shape[0], _SCALARS)), heights, variance, relief, np.empty(shape, np.int32))
-    thresholds = MeasureSettings(grid.tile_size, settings.ransac_threshold, settings.stray_gap, depth)
-    scratch = measure_scratch(most, grid.pixels, settings.stray_points)
-    measure_tiles(tiles, thresholds, out, scratch, plane_scratch(most))
+    limits = settings.ransac_threshold, settings.stray_gap, settings.stray_points
+    loops.measure_tiles(tiles, MeasureSettings(grid.tile_size, *limits, depth), out)
     return out
 
 
@@ -135,6 +171,23 @@ _NOISE_POINTS = 32
 """Points of a dense tile whose pairs are measured: they only help to tell the noise."""
 _REACH_PX = (1.0, 2.0, 3.5, 5.5, 8.0)
 """Upper ends of the groups of distances, px."""
+_PAIR_MEASURES = 5 + 2 * len(_REACH_PX)
+"""Numbers that are measured of the pairs of a tile, see `measure_thin`."""
+
+
+class PairSettings(NamedTuple):
+    """Settings of ``measure_pairs`` in ``pairs.cpp``."""
+
+    tile_size: float
+    """m."""
+    gap: float
+    """Least gap that makes a point a stray, m."""
+    most_strays: int
+    """Strays on one side of a tile, at most."""
+    limit: NDArray[np.int64]
+    """(tiles,) points of a tile that are used: the first ones, which are a random sample of all."""
+    reach: NDArray[np.float64]
+    """(5,) upper end of each group of distances, as a square, m^2, increasing."""
 
 
 def measure_thin(
@@ -142,21 +195,19 @@ def measure_thin(
 ) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
     """Measure the pairs of points of n tiles, and the filled heightmaps of thin ones.
 
-    ``patches``: the same tiles, measured by `measure`; ``settings``, ``ground_only``: as for that. Returns (n, 15) of
-    `bumpymap.patches._standing_kernels.measure_pairs`, NaN where the points span no plane; and (n, pixels, pixels)
+    ``patches``: the same tiles, measured by `measure`; ``settings``, ``ground_only``: as for that. Returns (n, 15):
+    points used; share of the tile's nine parts that hold one; standard deviation about the plane [m]; mean absolute
+    distance from it over that; slope of the plane (tangent); then, by group of distances, sums of the squared
+    differences of pairs [m^2], and their numbers; NaN where the points span no plane. And (n, pixels, pixels)
     plane-removed heights with all holes filled from their neighbours, however wide, m, NaN for tiles that are not thin.
     """
     grid = points.grid
     tiles = _points_by_tile(points, ground_only=ground_only)
     thin = (patches.coverage > 0) & (patches.coverage < DENSE_COVERAGE)
     limit = np.where(thin, _MOST_POINTS, _NOISE_POINTS)
-    pairs = np.empty((len(points.col), PAIR_MEASURES))
-    measure_pairs(
-        tiles,
-        PairSettings(grid.tile_size, settings.stray_gap, limit, (np.array(_REACH_PX) * grid.pixel_size) ** 2),
-        pairs,
-        pair_scratch(_MOST_POINTS, settings.stray_points),
-    )
+    pairs, reach = np.empty((len(points.col), _PAIR_MEASURES)), (np.array(_REACH_PX) * grid.pixel_size) ** 2
+    asked = PairSettings(grid.tile_size, settings.stray_gap, settings.stray_points, limit, reach)
+    loops.measure_pairs(tiles, asked, pairs)
     at_random = -np.expm1(-patches.count / patches.grid.pixels**2)
     clustered = patches.coverage < HOLE_SHARE * at_random
     real_holes = (patches.reason == Reason.TOO_MANY_HOLES) & (patches.count >= HOLE_POINTS) & clustered
@@ -172,6 +223,34 @@ def measure_thin(
 
 _OBJECT_SCALARS = 4
 """Numbers of a tile beside the states of its pixels, see `ObjectStack`."""
+
+
+class ObjectLimits(NamedTuple):
+    """Heights, and how many points it takes, for ``find_in_tiles`` in ``objects.cpp``."""
+
+    tile_size: float
+    """m."""
+    low: float
+    """Height above ground from which a point is part of an obstacle, m."""
+    high: float
+    """Height above which it hangs over the vehicle, m."""
+    share: float
+    """Points that make an obstacle, as a share of those that the tile has on 3 x 3 pixels on average; two at least."""
+
+
+class TileObjects(NamedTuple):
+    """Arrays that ``find_in_tiles`` reads and fills."""
+
+    kind: NDArray[np.uint8]
+    """(points,) kind of each point."""
+    heights: NDArray[np.float32]
+    """(tiles, pixels, pixels) mean height of the ground, m; NaN where none is known."""
+    seen: NDArray[np.int32]
+    """The same shape: points of the ground."""
+    state: NDArray[np.uint8]
+    """The same shape, filled: states of `bumpymap.core.ObjectStack`."""
+    scalars: NDArray[np.float64]
+    """(tiles, 4) filled: obstacle, obstacle_height, clearance, canopy."""
 
 
 def find_objects(points: TilePoints, patches: PatchStack, body: VehicleBody) -> ObjectStack:
@@ -199,8 +278,7 @@ def find_objects(points: TilePoints, patches: PatchStack, body: VehicleBody) -> 
     limits = ObjectLimits(points.grid.tile_size, body.lowest_obstacle_m, body.height_m, OBSTACLE_SHARE)
     kind = np.ascontiguousarray(points.flag, np.uint8)
     found = TileObjects(kind, patches.heights, patches.spread_count, state, scalars)
-    most = int(np.diff(points.starts).max(initial=0))
-    find_in_tiles(places, limits, found, object_scratch(pixels), strip_scratch(pixels, most))
+    loops.find_in_tiles(places, limits, found)
     return ObjectStack(state, *scalars.T.astype(np.float32))
 
 
@@ -217,7 +295,7 @@ def settle_solids(objects: NDArray[np.uint8], grid: Grid, max_hole: float) -> ND
     of a disc that holds 8 points on average. Returns uint8 (rows, cols): ``FREE``, ``OBSTACLE``, ``CANOPY``,
     ``UNSEEN``, and ``UNDECIDED``; in the outer ring of tiles as good as the ring tells.
     """
-    out, hole = np.empty_like(objects), max_hole / grid.pixel_size
-    scratch = solids.solid_scratch(*objects.shape)
-    solids.settle_solids(np.ascontiguousarray(objects), grid.pixels, hole, scratch, out)
+    objects = np.ascontiguousarray(objects)
+    out = np.empty_like(objects)
+    loops.settle_solids(objects, grid.pixels, max_hole / grid.pixel_size, out)
     return out

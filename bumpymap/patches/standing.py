@@ -28,18 +28,8 @@ from bumpymap.core import (
     Reason,
     VehicleBody,
 )
-from bumpymap.patches._solid_kernels import THIN
-from bumpymap.patches._standing_kernels import (
-    FARTHEST_FOOT,
-    BareSettings,
-    BareTiles,
-    StandingLimits,
-    bare_scratch,
-    leave_out_objects,
-    mark_standing,
-    standing_scratch,
-)
-from bumpymap.patches.features import choose_tiles, measure
+from bumpymap.core.loops import loops
+from bumpymap.patches.features import THIN, choose_tiles, measure
 from bumpytiles import BLOCK_TILES, Grid, TilePoints
 
 _WIDTH = 1.8
@@ -70,6 +60,63 @@ _BENEATH = 0.5
 
 Mosaic = NDArray[np.float32]
 Marks = NDArray[np.bool_]
+
+
+class StandingLimits(NamedTuple):
+    """Sizes of objects; heights are as single precision has them, like the heights that they are compared with."""
+
+    width: float
+    """Radius of the disc that touches the surface beneath objects, px."""
+    foot: float
+    """Farthest from a side to its foot, px; more where too few pixels so close are known."""
+    raised: float
+    """Pixels so high above that surface are those of objects, m."""
+    drop: float
+    """Drop at a side, m."""
+    least: float
+    """Pixels of objects that are lower are left out, m."""
+    share: float
+    """Share of the raised pixels around one that lie on sides, at least."""
+    around: int
+    """Farthest of these along a row or column, px."""
+    pixels: int
+    """Pixels along a side of a tile."""
+
+
+class BareSettings(NamedTuple):
+    """When a tile can be rated without what stands on it."""
+
+    pixel: float
+    """Side of a pixel, m."""
+    depth: int
+    """Deepest hole that is filled, px."""
+    min_coverage: float
+    """Least share of the pixels with a point of the ground."""
+    min_points: int
+    """Least number of such points."""
+    thin_points: int
+    """The same for a tile that is rated from its points."""
+    thin_seen: float
+    """Least share of its nine parts that hold one."""
+
+
+class BareTiles(NamedTuple):
+    """Tiles, changed to what is left of them without what stands on them; those that cannot be rated so stay."""
+
+    standing: Marks
+    """(n, pixels, pixels) pixels of what stands on the ground."""
+    heights: NDArray[np.float32]
+    """The same shape: mean height of the points in each pixel, m; NaN where there are none."""
+    held: NDArray[np.int32]
+    """The same shape: points of each pixel; 0 in objects afterwards."""
+    variance: NDArray[np.float32]
+    """The same shape: variance of their heights, m^2; NaN in objects afterwards."""
+    relief: NDArray[np.float32]
+    """The same shape: relief map, m; NaN in tiles that cannot be rated from their heightmap."""
+    scalars: NDArray[np.float64]
+    """(n, 4) filled for tiles that are bare: points, coverage, relief [m], slope [degrees]."""
+    is_bare: Marks
+    """(n,) filled: whether the tile can be rated so."""
 
 
 class ReliefObjects(NamedTuple):
@@ -146,7 +193,7 @@ def relief_margin(grid: Grid) -> int:
     which one tile more has a part.
     """
     disc = max(0.5 * _WIDEST, _LEAST_DISC * grid.pixel_size)
-    beneath, side = (2.0 + _AROUND) * disc, _AROUND * disc + FARTHEST_FOOT * grid.pixel_size
+    beneath, side = (2.0 + _AROUND) * disc, _AROUND * disc + loops.FARTHEST_FOOT * grid.pixel_size
     return min(max(math.ceil(beneath / grid.tile_size), 1 + math.ceil(side / grid.tile_size)), BLOCK_TILES)
 
 
@@ -207,7 +254,7 @@ def leave_out_standing(
         np.empty((len(standing), 4)),
         np.empty(len(standing), np.bool_),
     )
-    leave_out_objects(tiles, least, bare_scratch(patches.grid.pixels))
+    loops.leave_out_objects(tiles, least)
     _, coverage, relief, slope = tiles.scalars.T
     is_bare, has_relief = tiles.is_bare, np.isfinite(tiles.relief[:, 0, 0])
     bare = replace(
@@ -338,9 +385,7 @@ def find_standing(
     raised, drop, lowest = (float(np.float32(limit)) for limit in (_RAISED * belly, _DROP * belly, least))
     limits = StandingLimits(disc, foot, raised, drop, lowest, _STEEP, int(_AROUND * disc), grid.pixels)
     marks = np.empty(heights.shape, np.bool_)
-    rows, cols = heights.shape
-    scratch = standing_scratch(rows, cols, disc, grid.pixels)
-    mark_standing(np.ascontiguousarray(heights, np.float32), limits, scratch, marks)
+    loops.mark_standing(np.ascontiguousarray(heights, np.float32), limits, marks)
     return marks
 
 

@@ -7,18 +7,16 @@ import laspy
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
-from jitted_helpers import jitted
 from patch_stacks import block_of
 from scipy.stats import binned_statistic_2d
 from sklearn.linear_model import RANSACRegressor
 
 from bumpymap.core.config import FeatureSettings
+from bumpymap.core.loops import loops
 from bumpymap.core.types import Reason
 from bumpymap.patches import measure, measure_thin
-from bumpymap.patches._measure_kernels import measure_tiles, stray_bounds
 from bumpytiles import Grid
 
-STRAY_BOUNDS = jitted(stray_bounds)
 EAST, NORTH = 500_001.0, 4_000_002.0  # south-west corner of a tile
 
 
@@ -33,7 +31,7 @@ def only(values):
 
 
 def test_statistics_of_every_tile_equal_numpys(measure_points):
-    """For any number of points, so that whole lanes of the kernels and what is left of them are summed."""
+    """For any number of points, so that whole lanes of the loops and what is left of them are summed."""
     counts = [1, 2, 30, 63, 64, 65, 128, 777]
     col = np.repeat(np.arange(len(counts)), counts)
     x, y, rng = tile_points(1, n=len(col))
@@ -187,7 +185,7 @@ def test_strays_equal_those_of_the_definition(seed, most, spread):
     distance = rng.normal(scale=spread, size=n)
     lifted = rng.integers(0, n, rng.integers(0, 2 * most + 2))
     distance[lifted] += rng.uniform(-30, 30, len(lifted))
-    low, high, strays = STRAY_BOUNDS(distance, 0.5, most, np.empty((2, most + 1)))
+    low, high, strays = loops.stray_bounds(distance, 0.5, most)
     rank, fits = np.concatenate([[-np.inf], np.sort(distance), [np.inf]]), {(0, 0)}
     for above, below in itertools.product(range(most + 1), repeat=2):
         stay = rank[below + 1 : n - above + 1]
@@ -200,19 +198,6 @@ def test_strays_equal_those_of_the_definition(seed, most, spread):
 
 
 COLUMNS = ("z_variance", "ransac_residual", "slope", "z_range", "relief", "heights", "relief_map")
-
-
-def test_compiled_kernels_and_plain_python_agree(measure_points, monkeypatch):
-    x, y, rng = tile_points(21, n=120)
-    z = 0.2 * (x - EAST) + 0.05 * rng.normal(size=120)
-    z[5] += 9.0
-    compiled = measure_points(x, y, z)
-    monkeypatch.setattr("bumpymap.patches.features.measure_tiles", measure_tiles.plain)
-    with np.errstate(all="ignore"):
-        plain = measure_points(x, y, z)
-    for name in COLUMNS:
-        np.testing.assert_allclose(getattr(plain, name), getattr(compiled, name), rtol=1e-6, atol=1e-9)
-    np.testing.assert_array_equal(plain.spread_count, compiled.spread_count)
 
 
 @pytest.mark.parametrize("grid", [Grid(), Grid(1.5, 30)])

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from jitted_helpers import jitted
 from sklearn.linear_model import RANSACRegressor
 
-from bumpymap.patches._plane_kernels import plane_scratch, ransac_plane, robust_plane
+from bumpymap.core.loops import loops
 
 TILES = 12
 REACH = 0.1
@@ -121,9 +120,6 @@ def test_slope_beside_a_thing_is_that_of_the_ground(measure_points, part):
     np.testing.assert_allclose(stack.slope, np.degrees(np.arctan(0.2)), atol=0.1)
 
 
-ROBUST, RANSAC = jitted(robust_plane), jitted(ransac_plane)
-
-
 def by_sklearn(points, seed):
     """Plane of the most inliers in a thousand draws, refined on them until their number does not grow."""
     fit = RANSACRegressor(residual_threshold=REACH, random_state=seed, max_trials=1000).fit(points[:, :2], points[:, 2])
@@ -141,8 +137,7 @@ def test_ransac_explains_as_many_points_as_scikit_learns(measured):
     ours, theirs = [], []
     for seed, own in enumerate(by_tile(measured, *GROUND)):
         points = own[np.random.default_rng(seed).permutation(len(own))]
-        columns, scratch = np.ascontiguousarray(points.T), plane_scratch(len(points))
-        plane = RANSAC(*columns, ROBUST(*columns, scratch), REACH, scratch)
+        plane = loops.ransac_plane_of(*np.ascontiguousarray(points.T), REACH)
         ours.append(explained(points, np.array(plane)))
         theirs.append(explained(points, by_sklearn(points, seed)))
     (count, loss), (other_count, other_loss) = np.transpose(ours), np.transpose(theirs)

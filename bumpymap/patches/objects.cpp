@@ -1,0 +1,353 @@
+// The points over the ground of tiles in, the state of each pixel out.
+//
+// A tile is taken by itself: its ground surface (known pixels, a plane and filled holes), the heights of the other
+// points above it, and the rules of `find_objects` in features.py for what of that is an obstacle. Ours.
+#include "bumpymap/core/pixel_states.hpp"
+#include "bumpymap/patches/heightmap.hpp"
+#include "bumpymap/patches/points_by_tile.hpp"
+#include "bumpymap/patches/strips.hpp"
+
+namespace bumpy {
+namespace {
+
+// Pixels with ground that make a surface.
+constexpr std::size_t least_ground = 3;
+// With fewer points on 3 x 3 pixels on average, canopy is looked for on 5 x 5.
+constexpr double few = 4.0;
+// Points by which what is overhead must outweigh the ground beneath it to hide it, see strips.hpp.
+constexpr Weight hiding{6.0};
+// Points overhead of a pixel that count in strips, over those that a pixel has on average; two at least.
+constexpr double most_of_pixel = 2.0;
+// The same, and as a share of the points overhead: of the end of a wall in the corner of a tile, which hides the ground
+// if what it continues does. By tests/benchmarks/ring_book.py.
+constexpr Weight maybe_hiding{2.0, 0.5};
+// Plants so far above the vehicle, m, are crowns: where leaves are dense, more points reach no ground by chance.
+constexpr double leafy = 1.0;
+constexpr Weight leaves_hiding{13.0};
+// Height above the vehicle, m, below which something that hides the ground is a car, a wall or a hedge and no crown.
+constexpr double low_above = 3.0;
+// Points by which it must outweigh, in a thin survey, for plants that end lower than crowns: a hedge.
+constexpr Weight shrub_hiding{1.0};
+// Points/m2 below which that holds for all that ends low: a car that lies in two tiles has too few points in each.
+constexpr double thinner = 6.0;
+// Pixels^2 added to the spread of the known pixels: a few close together say little about the slope.
+constexpr double ridge = 1.0;
+
+struct ObjectLimits {
+    double tile_size, low, high, share;
+};
+
+struct TileObjects {
+    Array<const std::uint8_t> kind;
+    Array<const float, 3> heights;
+    Array<const std::int32_t, 3> seen;
+    Array<std::uint8_t, 3> state;
+    Array<double, 2> scalars;
+};
+
+// Columns of the scalars.
+enum Scalar : Index { OBSTACLES, OBSTACLE_HEIGHT, CLEARANCE, CANOPY_SHARE };
+
+// The points of a pixel that are no ground, by their height above it.
+struct PixelPoints {
+    int body = 0;             // between `low` and `high`
+    int above = 0;            // higher
+    int under = 0;            // lower
+    int tall = 0;             // high above `high`
+    int leaves = 0;           // of plants, far above `high`
+    int shrubs = 0;           // of plants, not so far above
+    int listed = 0;           // that count in strips
+    double top = 0.0;         // highest of the body above the ground, m
+    double least = infinite;  // lowest above, m
+
+    int company() const { return body + above; }
+};
+
+// The known ground of a tile as a plane over rows and columns of pixels: rises, and the height at the north-western
+// one, m.
+struct TilePlane {
+    double east, south, origin;
+};
+
+// A pixel with ground, and its height above the plane, m.
+struct KnownGround {
+    Index row, col;
+    double rest;
+};
+
+class ObjectFinder {
+  public:
+    ObjectFinder(const PointsByTile& given, const ObjectLimits& sizes, const TileObjects& arrays)
+        : points(given),
+          limits(sizes),
+          tiles(arrays),
+          size(arrays.state.shape[1]),
+          pixel(sizes.tile_size / static_cast<double>(size)),
+          surface(static_cast<std::size_t>(size * size)),
+          found(surface.size()),
+          strips(size) {}
+
+    void find_in(Index t) {
+        tile = t;
+        first = points.starts[t];
+        last = points.starts[t + 1];
+        seen = tiles.seen.at(t);
+        state = tiles.state.at(t);
+        std::fill(found.begin(), found.end(), PixelPoints{});
+        fit_ground();
+        const bool is_any_overhead = count_points();
+        if (known.size() < least_ground) {
+            mark_without_ground();
+            return;
+        }
+        const double density = static_cast<double>(last - first) / (limits.tile_size * limits.tile_size);
+        fill_first_states(density);
+        if (is_any_overhead) {
+            list_points();
+            mark_solids(density);
+        }
+        summarise();
+    }
+
+  private:
+    PixelPoints& at(Index r, Index c) { return found[static_cast<std::size_t>(r * size + c)]; }
+    double& ground(Index r, Index c) { return surface[static_cast<std::size_t>(r * size + c)]; }
+
+    // Fits a plane through the known heights, and keeps what each of them is above it.
+    void fit_ground() {
+        const Array<const float, 2> heights = tiles.heights.at(tile);
+        const double middle = 0.5 * static_cast<double>(size - 1);
+        double base = 0.0;
+        PlaneSums sums;
+        known.clear();
+        for (Index r = 0; r < size; ++r)
+            for (Index c = 0; c < size; ++c) {
+                const double height = static_cast<double>(heights(r, c));
+                ground(r, c) = height;
+                if (std::isnan(height)) continue;
+                if (known.empty()) base = height;
+                known.push_back({r, c, 0.0});
+                sums.add(static_cast<double>(c) - middle, static_cast<double>(r) - middle, height - base);
+            }
+        if (known.size() < least_ground) return;
+        const auto [east, south] = *sums.slopes(0.0, ridge);
+        const double mean = sums.z / sums.n;
+        plane = {east, south, base + mean - east * (middle + sums.x / sums.n) - south * (middle + sums.y / sums.n)};
+        for (KnownGround& one : known)
+            one.rest = ground(one.row, one.col) - plane.origin - east * static_cast<double>(one.col) -
+                       south * static_cast<double>(one.row);
+    }
+
+    // Height of the ground in a pixel where none was seen: the plane, and what the nearest heights are above it.
+    double continued_ground(Index r, Index c) const {
+        double total = 0.0, weights = 0.0;
+        for (const KnownGround& one : known) {
+            const Index down = one.row - r, right = one.col - c;
+            const auto square = static_cast<double>(down * down + right * right);
+            const double weight = 1.0 / (square * square);
+            weights += weight;
+            total += weight * one.rest;
+        }
+        return plane.origin + plane.east * static_cast<double>(c) + plane.south * static_cast<double>(r) +
+               total / weights;
+    }
+
+    // Columns and rows of a point from the south-west corner of the tile, px.
+    std::array<double, 2> place_of(Index i) const {
+        const double side = limits.tile_size, pixels = static_cast<double>(size);
+        return {
+            pixels_from(static_cast<double>(points.col[tile]) * side, points.easting[i], side, pixels),
+            pixels_from(static_cast<double>(points.row[tile]) * side, points.northing[i], side, pixels)};
+    }
+
+    // Row and column of the pixel there.
+    std::array<Index, 2> pixel_of(const std::array<double, 2>& place) const {
+        return {
+            size - 1 - std::min(size - 1, static_cast<Index>(place[1])),
+            std::min(size - 1, static_cast<Index>(place[0]))};
+    }
+
+    // Counts the points that are no ground; returns whether any is overhead.
+    bool count_points() {
+        bool is_any_overhead = false;
+        for (Index i = first; i < last; ++i) {
+            const std::uint8_t kind = tiles.kind[i];
+            if (kind == POINT_GROUND) continue;
+            const auto [r, c] = pixel_of(place_of(i));
+            if (std::isnan(ground(r, c)) && known.size() >= least_ground) ground(r, c) = continued_ground(r, c);
+            double height = points.upward[i] - ground(r, c);
+            if (kind == POINT_BUILDING) height = std::min(height, limits.high);
+            PixelPoints& own = at(r, c);
+            if (height > limits.high) {
+                is_any_overhead = true;
+                ++own.above;
+                own.least = std::min(own.least, height);
+                own.tall += height > limits.high + low_above;
+                own.leaves += kind == POINT_PLANT && height > limits.high + leafy;
+                own.shrubs += kind == POINT_PLANT && height <= limits.high + leafy;
+            } else if (height >= limits.low) {
+                ++own.body;
+                own.top = std::max(own.top, height);
+            } else {
+                ++own.under;
+            }
+        }
+        return is_any_overhead;
+    }
+
+    // Lists the points of each pixel for strips: those of what stands or hangs there, and those beneath.
+    void list_points() {
+        strips.over.clear();
+        strips.beneath.clear();
+        // A side that returns points too would have more than its share.
+        const double share = most_of_pixel * static_cast<double>(last - first) / static_cast<double>(size * size);
+        const int most = std::max(2, static_cast<int>(std::ceil(share)));
+        for (Index i = first; i < last; ++i) {
+            const std::array<double, 2> place = place_of(i);
+            const auto [r, c] = pixel_of(place);
+            const bool is_over = tiles.kind[i] != POINT_GROUND && points.upward[i] - ground(r, c) >= limits.low;
+            if (is_over && at(r, c).listed >= most) continue;
+            at(r, c).listed += is_over;
+            (is_over ? strips.over : strips.beneath).add(r * size + c, place[0], static_cast<double>(size) - place[1]);
+        }
+        strips.over.sort(size * size);
+        strips.beneath.sort(size * size);
+    }
+
+    // Sum of a square around one pixel.
+    template <class Function>
+    int box_sum(Index r, Index c, Index half, Function count) const {
+        int total = 0;
+        for (Index row = std::max<Index>(0, r - half); row < std::min(size, r + half + 1); ++row)
+            for (Index col = std::max<Index>(0, c - half); col < std::min(size, c + half + 1); ++col)
+                total += count(row * size + col);
+        return total;
+    }
+
+    int box_sum(Index r, Index c, Index half, int PixelPoints::* field) const {
+        return box_sum(r, c, half, [&](Index k) { return found[static_cast<std::size_t>(k)].*field; });
+    }
+
+    int company_sum(Index r, Index c, Index half) const {
+        return box_sum(r, c, half, [&](Index k) { return found[static_cast<std::size_t>(k)].company(); });
+    }
+
+    // States from the points of the 3 x 3 pixels around each; for canopy, in thin surveys, from those of 5 x 5.
+    void fill_first_states(double density) {
+        const double points_of_square = 9.0 * pixel * pixel * density;
+        const int need = std::max(2, static_cast<int>(std::ceil(limits.share * 9.0 * pixel * pixel * density)));
+        const Index reach = points_of_square >= few ? 1 : 2;
+        for (Index r = 0; r < size; ++r)
+            for (Index c = 0; c < size; ++c) {
+                const PixelPoints& own = at(r, c);
+                int kind = seen(r, c) > 0 || own.under > 0 ? FREE : EMPTY;
+                if (own.body > 0) {
+                    const bool is_rim = r == 0 || c == 0 || r == size - 1 || c == size - 1;
+                    kind = company_sum(r, c, 1) >= need ? OBSTACLE : is_rim ? UNDECIDED : LONE;
+                } else if (own.above > 0 && box_sum(r, c, reach, &PixelPoints::above) >= need) {
+                    kind = CANOPY;
+                }
+                state(r, c) = static_cast<std::uint8_t>(kind + (seen(r, c) > 0 ? SEEN : 0));
+            }
+    }
+
+    // Whether what is overhead fills a square around a pixel, and little ground is seen in it.
+    bool fills_square(Index r, Index c, double least) const {
+        for (Index half = 1; half < 4; ++half) {
+            const int over = company_sum(r, c, half);
+            if (over < least) continue;
+            const int beneath =
+                box_sum(r, c, half, [&](Index k) { return seen.data[k]; }) + box_sum(r, c, half, &PixelPoints::under);
+            if (outweighs(over, beneath, least)) return true;
+        }
+        return false;
+    }
+
+    // Marks canopy that hides the ground.
+    void mark_solids(double density) {
+        const Index half = strip_half(density, pixel);
+        const bool is_thin = pixel * pixel * density < thin;
+        for (Index r = 0; r < size; ++r)
+            for (Index c = 0; c < size; ++c) {
+                if (state(r, c) % SEEN != CANOPY) continue;
+                const PixelPoints& own = at(r, c);
+                const bool is_low = box_sum(r, c, 2, &PixelPoints::tall) == 0;
+                const bool is_shrub = is_thin && own.leaves == 0 && own.shrubs > 0;
+                Weight least = own.leaves > 0 ? leaves_hiding : hiding;
+                if (is_shrub || (density < thinner && is_low)) least = shrub_hiding;
+                int kind = CANOPY;
+                if (fills_square(r, c, least.number) || strips.hides_ground(r, c, half, least, is_low, pixel))
+                    kind = is_low ? LOW_SOLID : SOLID;
+                else if (is_low && strips.hides_ground(r, c, half, maybe_hiding, true, pixel))
+                    kind = MAYBE_SOLID;
+                state(r, c) = static_cast<std::uint8_t>(state(r, c) + kind - CANOPY);
+            }
+    }
+
+    // States of a tile whose ground is unknown: what is seen there is an obstacle, whatever its height.
+    void mark_without_ground() {
+        Index obstacles = 0;
+        for (Index r = 0; r < size; ++r)
+            for (Index c = 0; c < size; ++c) {
+                // Heights above an unknown ground are NaN, and so all its points count as under.
+                const bool is_seen = at(r, c).under > 0 && box_sum(r, c, 1, &PixelPoints::under) > 1;
+                state(r, c) = is_seen ? OBSTACLE : UNSEEN;
+                obstacles += is_seen;
+            }
+        const Array<double> scalars = tiles.scalars.at(tile);
+        std::fill(scalars.begin(), scalars.end(), not_a_number);
+        if (obstacles > 0) scalars[OBSTACLES] = static_cast<double>(obstacles) / static_cast<double>(size * size);
+    }
+
+    // Fills the scalars of a tile with ground.
+    void summarise() {
+        Index obstacles = 0, canopy = 0;
+        double top = 0.0, least = infinite;
+        for (Index r = 0; r < size; ++r)
+            for (Index c = 0; c < size; ++c) {
+                const PixelPoints& own = at(r, c);
+                const bool is_obstacle = state(r, c) % SEEN == OBSTACLE, is_canopy = is_overhead(state(r, c));
+                obstacles += is_obstacle;
+                if (is_obstacle) top = std::max(top, own.top);
+                canopy += is_canopy || (is_obstacle && own.above > 0);
+                if (is_canopy) least = std::min(least, own.least);
+            }
+        const Array<double> scalars = tiles.scalars.at(tile);
+        const auto pixels = static_cast<double>(size * size);
+        scalars[OBSTACLES] = static_cast<double>(obstacles) / pixels;
+        scalars[OBSTACLE_HEIGHT] = top;
+        scalars[CLEARANCE] = least < infinite ? least : not_a_number;
+        scalars[CANOPY_SHARE] = static_cast<double>(canopy) / pixels;
+    }
+
+    const PointsByTile points;
+    const ObjectLimits limits;
+    const TileObjects tiles;
+    const Index size;
+    const double pixel;
+    std::vector<double> surface;  // (pixels, pixels) ground, m
+    std::vector<PixelPoints> found;
+    std::vector<KnownGround> known;
+    Strips strips;
+    TilePlane plane{};
+    Index tile = 0, first = 0, last = 0;
+    Array<const std::int32_t, 2> seen;
+    Array<std::uint8_t, 2> state;
+};
+
+// Fills state and scalars of every tile; all of them have points.
+void find_in_tiles(PointsByTile points, ObjectLimits limits, TileObjects tiles) {
+    ObjectFinder finder(points, limits, tiles);
+    for (Index t = 0; t < points.tiles(); ++t) finder.find_in(t);
+}
+
+}  // namespace
+}  // namespace bumpy
+
+BUMPY_RECORD(bumpy::ObjectLimits, tile_size, low, high, share)
+BUMPY_RECORD(bumpy::TileObjects, kind, heights, seen, state, scalars)
+
+void bind_objects(nb::module_& module) {
+    using namespace bumpy;
+    BUMPY_LOOP(module, find_in_tiles);
+}

@@ -1,0 +1,155 @@
+// How the points of a tile differ, pair by pair.
+//
+// Pixels say little about a tile with a few points; its pairs of points say more: the mean square of their difference
+// over their distance is the structure function of the ground, plus twice the noise variance at every distance. Ours.
+#include <nanobind/stl/tuple.h>
+
+#include "bumpymap/patches/heightmap.hpp"
+#include "bumpymap/patches/nine_parts.hpp"
+#include "bumpymap/patches/points_by_tile.hpp"
+
+namespace bumpy {
+namespace {
+
+// Groups of distances.
+constexpr Index groups = 5;
+// Points on a line, see `slopes_of`.
+constexpr double line_of_points = 1e-6;
+// Points that are measured, at least.
+constexpr Index least_points = 4;
+
+struct PairSettings {
+    double tile_size, gap;
+    Index most_strays;
+    Array<const Index> limit;
+    Array<const double> reach;
+};
+
+// Columns of what is filled; behind them squared differences and numbers of pairs, by group.
+enum Measure : Index { POINTS, SEEN_SHARE, SPREAD, FLATNESS, TANGENT, SQUARES };
+
+// Place and height above the plane of points, m.
+struct Heights {
+    Array<double> x, y, h;
+
+    Heights slice(Index first, Index last) const {
+        return {x.slice(first, last), y.slice(first, last), h.slice(first, last)};
+    }
+};
+
+// Takes the least-squares plane off heights in place; returns its slopes, NaN where there is none.
+Slopes take_plane_off(const Heights& points) {
+    const auto& [x, y, h] = points;
+    const auto n = static_cast<double>(x.size());
+    const auto mean = [n](Array<double> values) {
+        double sum = 0.0;
+        for (const double value : values) sum += value;
+        return sum / n;
+    };
+    const double mx = mean(x), my = mean(y), mz = mean(h);
+    PlaneSums sums;
+    for (Index i = 0; i < x.size(); ++i) sums.add(x[i] - mx, y[i] - my, h[i] - mz);
+    const std::optional<Slopes> slopes = slopes_of(sums.xx, sums.xy, sums.yy, sums.xz, sums.yz, line_of_points);
+    if (!slopes) return {not_a_number, not_a_number};
+    for (Index i = 0; i < x.size(); ++i) h[i] -= mz + slopes->x * (x[i] - mx) + slopes->y * (y[i] - my);
+    return *slopes;
+}
+
+// Moves the points that are no strays to the front; returns their number.
+Index drop_strays(const Heights& points, double gap, Index most) {
+    const auto& [x, y, h] = points;
+    const auto [low, high, strays] = stray_bounds(h, gap, most);
+    if (strays == 0) return h.size();
+    Index n = 0;
+    for (Index i = 0; i < h.size(); ++i)
+        if (low <= h[i] && h[i] <= high) {
+            x[n] = x[i];
+            y[n] = y[i];
+            h[n] = h[i];
+            ++n;
+        }
+    return n;
+}
+
+// Share of the nine squares of a third of the side that hold a point, see `share_of_parts`.
+double seen_share(const Heights& points, double side) {
+    const auto third = [side](double place) {
+        return std::min<Index>(static_cast<Index>(pixels_from(0.0, place, side, 3.0)), 2);
+    };
+    int seen = 0;
+    for (Index i = 0; i < points.x.size(); ++i) seen |= 1 << (3 * third(points.y[i]) + third(points.x[i]));
+    return share_of_parts(seen);
+}
+
+// Adds squared differences to `out`, and numbers of pairs behind them, by group of distances.
+void add_pairs(const Heights& points, Array<const double> reach, Array<double> out) {
+    const auto& [x, y, h] = points;
+    // One more, for the pairs that are too far apart: a test without a branch, which could not be foreseen.
+    double squares[groups + 1] = {}, pairs[groups + 1] = {};
+    for (Index i = 0; i < x.size(); ++i)
+        for (Index j = 0; j < i; ++j) {
+            const double u = x[i] - x[j], v = y[i] - y[j], w = h[i] - h[j];
+            const double far = u * u + v * v;
+            Index group = 0;
+            for (Index k = 0; k < groups; ++k) group += far >= reach[k];
+            squares[group] += w * w;
+            pairs[group] += 1.0;
+        }
+    for (Index k = 0; k < groups; ++k) {
+        out[k] = squares[k];
+        out[groups + k] = pairs[k];
+    }
+}
+
+void measure_tile(const Heights& all, double side, const PairSettings& settings, Array<double> out) {
+    auto [east, north] = take_plane_off(all);
+    Heights points = all;
+    const Index n = drop_strays(all, settings.gap, settings.most_strays);
+    if (n < all.x.size()) {
+        points = all.slice(0, n);
+        const Slopes more = take_plane_off(points);
+        east += more.x;
+        north += more.y;
+    }
+    if (std::isnan(east)) return;
+    double squares = 0.0, sizes = 0.0;
+    for (const double height : points.h) {
+        squares += height * height;
+        sizes += std::abs(height);
+    }
+    const double spread = std::sqrt(squares / static_cast<double>(std::max<Index>(n - 3, 1)));
+    out[POINTS] = static_cast<double>(n);
+    out[SEEN_SHARE] = seen_share(points, side);
+    out[SPREAD] = spread;
+    out[FLATNESS] = spread > 0.0 ? sizes / static_cast<double>(n) / spread : 0.0;
+    out[TANGENT] = std::sqrt(east * east + north * north);
+    add_pairs(points, settings.reach, out.slice(SQUARES, out.size()));
+}
+
+// Measures the pairs of every tile; NaN where the points span no plane.
+void measure_pairs(PointsByTile points, PairSettings settings, Array<double, 2> out) {
+    std::vector<double> x, y, h;
+    const double side = settings.tile_size;
+    for (Index t = 0; t < points.tiles(); ++t) {
+        const Index first = points.starts[t], n = std::min(points.starts[t + 1] - first, settings.limit[t]);
+        const Array<double> measures = out.at(t);
+        std::fill(measures.begin(), measures.end(), not_a_number);
+        if (n < least_points) continue;
+        for (std::vector<double>* axis : {&x, &y, &h}) axis->resize(static_cast<std::size_t>(n));
+        const Heights own{{x.data(), {n}}, {y.data(), {n}}, {h.data(), {n}}};
+        shift(points.easting.slice(first, first + n), static_cast<double>(points.col[t]) * side, 0.0, own.x);
+        shift(points.northing.slice(first, first + n), static_cast<double>(points.row[t]) * side, 0.0, own.y);
+        shift(points.upward.slice(first, first + n), points.upward[first], 0.0, own.h);
+        measure_tile(own, side, settings, measures);
+    }
+}
+
+}  // namespace
+}  // namespace bumpy
+
+BUMPY_RECORD(bumpy::PairSettings, tile_size, gap, most_strays, limit, reach)
+
+void bind_pairs(nb::module_& module) {
+    using namespace bumpy;
+    BUMPY_LOOP(module, measure_pairs);
+}

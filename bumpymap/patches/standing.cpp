@@ -1,0 +1,421 @@
+// Narrow objects with steep sides in heightmaps (`find_standing` in standing.py), and tiles without them.
+//
+// The surface beneath objects is a morphological opening of the heights. What rises above it is that of an object where
+// enough of it lies near steep sides, once the slope of the ground is taken off. Ours.
+#include <numbers>
+
+#include "bumpymap/patches/heightmap.hpp"
+#include "bumpymap/patches/nine_parts.hpp"
+#include "bumpytiles/bindings.hpp"
+
+namespace bumpy {
+namespace {
+
+constexpr float unseen_height = std::numeric_limits<float>::infinity();
+
+// ---- Pixels of objects ----
+
+// Known pixels around one among which the foot of its side is looked for, at least: in thin surveys they lie apart.
+constexpr int foot_pixels = 8;
+// Farthest of them, px.
+constexpr int farthest_foot = 4;
+// If more of the raised pixels are level with ground, as a share, nothing stands there: they are the rim of a narrow
+// ditch, between pixels in it.
+constexpr double level_share = 0.5;
+// Tall pixels are so many times as far above what lies beneath as a side drops: 0.5 m for a belly 0.25 m above the
+// ground.
+constexpr double taller = 2.5;
+// Points on a line, see `slopes_of`.
+constexpr double line_of_tiles = 1e-6;
+
+struct StandingLimits {
+    double width, foot, raised, drop, least, share;
+    Index around, pixels;
+};
+
+// A map of pixels.
+template <class Value>
+struct Map {
+    Map(Index rows, Index cols) : values(static_cast<std::size_t>(rows * cols)), wide(cols) {}
+
+    Value& operator()(Index r, Index c) { return values[static_cast<std::size_t>(r * wide + c)]; }
+    Value* row(Index r) { return values.data() + r * wide; }
+
+    std::vector<Value> values;
+    Index wide;
+};
+
+// Raised pixels: of all of them, those on a side, those far above what lies beneath, those of both kinds, and those
+// that are level with ground and so not tall.
+struct Raised {
+    int all = 0, side = 0, tall = 0, tall_side = 0, level = 0;
+
+    void add(const Raised& more, int sign) {
+        all += sign * more.all;
+        side += sign * more.side;
+        tall += sign * more.tall;
+        tall_side += sign * more.tall_side;
+        level += sign * more.level;
+    }
+};
+
+// The known heights of a tile for a least-squares plane through several tiles: their sums [px, m] about the middle of
+// the tile and one of the heights.
+struct TileSums {
+    double base = 0.0;
+    PlaneSums sums;
+};
+
+// The pixels around one, the nearest first, then row by row.
+struct Offset {
+    Index down, right;
+    Index square() const { return down * down + right * right; }
+};
+
+std::vector<Offset> foot_offsets() {
+    std::vector<Offset> offsets;
+    for (Index down = -farthest_foot; down <= farthest_foot; ++down)
+        for (Index right = -farthest_foot; right <= farthest_foot; ++right)
+            if (const Offset offset{down, right};
+                0 < offset.square() && offset.square() <= farthest_foot * farthest_foot)
+                offsets.push_back(offset);
+    std::stable_sort(
+        offsets.begin(), offsets.end(), [](Offset one, Offset other) { return one.square() < other.square(); });
+    return offsets;
+}
+
+// Lowers numbers, none of them NaN, to those of another row.
+void lower(const float* values, float* out, Index count) {
+    for (Index c = 0; c < count; ++c) out[c] = std::min(out[c], values[c]);
+}
+
+// Fills the lowest value within a disc around each pixel.
+void fill_lowest_on_disc(Map<float>& values, double radius, Map<float>& out) {
+    const Index cols = values.wide, rows = static_cast<Index>(values.values.size()) / std::max<Index>(cols, 1);
+    const auto reach = static_cast<Index>(radius);
+    std::fill(out.values.begin(), out.values.end(), unseen_height);
+    std::vector<float> line(static_cast<std::size_t>(cols + 2 * reach), unseen_height),
+        lowest(static_cast<std::size_t>(cols));
+    for (Index r = 0; r < rows; ++r) {
+        std::copy_n(values.row(r), cols, line.data() + reach);
+        std::copy_n(values.row(r), cols, lowest.data());
+        for (Index half = 0; half <= reach; ++half) {  // half the width of the disc
+            lower(line.data() + reach - half, lowest.data(), cols);
+            lower(line.data() + reach + half, lowest.data(), cols);
+            for (Index down = std::max(-reach, -r); down <= std::min(reach, rows - 1 - r); ++down) {
+                const auto inside = static_cast<double>(half * half + down * down);
+                const auto outside = static_cast<double>((half + 1) * (half + 1) + down * down);
+                if (inside <= radius * radius && radius * radius < outside)
+                    lower(lowest.data(), out.row(r + down), cols);
+            }
+        }
+    }
+}
+
+class StandingFinder {
+  public:
+    StandingFinder(Array<const float, 2> given, const StandingLimits& sizes, Array<bool, 2> found)
+        : heights(given),
+          limits(sizes),
+          marks(found),
+          rows(given.shape[0]),
+          cols(given.shape[1]),
+          above(rows, cols),
+          level(rows, cols),
+          pixels(rows, cols) {}
+
+    void mark() {
+        std::fill_n(marks.data, marks.count(), false);
+        fill_above();
+        bool is_any_raised = false;
+        for (Index r = 0; r < rows; ++r)
+            for (Index c = 0; c < cols; ++c) {
+                const bool is_raised = limits.raised < above(r, c) && above(r, c) < unseen_height;
+                pixels(r, c).all = is_raised;
+                is_any_raised |= is_raised;
+            }
+        if (!is_any_raised) return;
+        fill_level();
+        for (Index r = 0; r < rows; ++r)
+            for (Index c = 0; c < cols; ++c)
+                if (pixels(r, c).all) describe_raised(r, c);
+        std::vector<Raised> counts(static_cast<std::size_t>(cols));  // of each column, in the rows around one
+        for (Index last = 0; last < rows + limits.around; ++last) {
+            if (last < rows) add_row(last, 1, counts);
+            if (last > 2 * limits.around) add_row(last - 2 * limits.around - 1, -1, counts);
+            if (last >= limits.around) mark_row(last - limits.around, counts);
+        }
+    }
+
+  private:
+    // Fills how far each pixel is above the surface that a disc can touch from below: a morphological opening. Its
+    // heights are some of those that are given, so the ground around has no part in their rounding.
+    void fill_above() {
+        Map<float> low(rows, cols), beneath(rows, cols);
+        for (Index k = 0; k < heights.count(); ++k)
+            above.values[static_cast<std::size_t>(k)] = std::isnan(heights.data[k]) ? unseen_height : heights.data[k];
+        fill_lowest_on_disc(above, limits.width, low);
+        for (float& height : low.values) height = height < unseen_height ? -height : unseen_height;
+        fill_lowest_on_disc(low, limits.width, beneath);  // upside down, for the highest
+        for (std::size_t k = 0; k < above.values.size(); ++k) above.values[k] += beneath.values[k];
+    }
+
+    TileSums sums_of_tile(Index row, Index col) const {
+        const double middle = 0.5 * static_cast<double>(limits.pixels - 1);
+        TileSums tile;
+        for (Index r = 0; r < limits.pixels; ++r)
+            for (Index c = 0; c < limits.pixels; ++c) {
+                const auto height = static_cast<double>(heights(row * limits.pixels + r, col * limits.pixels + c));
+                if (std::isnan(height)) continue;
+                if (tile.sums.n == 0.0) tile.base = height;
+                tile.sums.add(static_cast<double>(c) - middle, static_cast<double>(r) - middle, height - tile.base);
+            }
+        return tile;
+    }
+
+    // Height of the plane through four tiles at their common corner, north-west of one; NaN without any. It is their
+    // mean height if they span no plane.
+    double height_between(Index row, Index col, Map<TileSums>& tiles) const {
+        const Index tile_rows = rows / limits.pixels, tile_cols = cols / limits.pixels;
+        const auto side = static_cast<double>(limits.pixels);
+        double base = 0.0;
+        PlaneSums all;
+        for (Index k = 0; k < 4; ++k) {
+            const Index r = row - 1 + k / 2, c = col - 1 + k % 2;
+            if (!(0 <= r && r < tile_rows && 0 <= c && c < tile_cols) || tiles(r, c).sums.n == 0.0) continue;
+            const PlaneSums& own = tiles(r, c).sums;
+            if (all.n == 0.0) base = tiles(r, c).base;
+            const double x = side * (static_cast<double>(c - col) + 0.5),
+                         y = side * (static_cast<double>(r - row) + 0.5), z = tiles(r, c).base - base, m = own.n;
+            all.n += m;
+            all.x += own.x + m * x;
+            all.y += own.y + m * y;
+            all.z += own.z + m * z;
+            all.xx += own.xx + 2.0 * x * own.x + m * x * x;
+            all.yy += own.yy + 2.0 * y * own.y + m * y * y;
+            all.xy += own.xy + x * own.y + y * own.x + m * x * y;
+            all.xz += own.xz + x * own.z + z * own.x + m * x * z;
+            all.yz += own.yz + y * own.z + z * own.y + m * y * z;
+        }
+        if (all.n == 0.0) return not_a_number;
+        const double mx = all.x / all.n, my = all.y / all.n, mz = all.z / all.n;
+        const double xx = all.xx - all.x * mx, xy = all.xy - all.x * my, yy = all.yy - all.y * my;
+        const double xz = all.xz - all.x * mz, yz = all.yz - all.y * mz, det = xx * yy - xy * xy;
+        if (det <= line_of_tiles * xx * yy) return base + mz;
+        return base + mz - mx * (xz * yy - yz * xy) / det - my * (yz * xx - xz * xy) / det;
+    }
+
+    // Fills how far pixels are above a smooth surface: straight lines between its heights at the corners of tiles.
+    // These are those of planes, through the four tiles around each: pixels beside one another differ by no slope.
+    void fill_level() {
+        const Index tile_rows = rows / limits.pixels, tile_cols = cols / limits.pixels;
+        Map<TileSums> tiles(tile_rows, tile_cols);
+        for (Index r = 0; r < tile_rows; ++r)
+            for (Index c = 0; c < tile_cols; ++c) tiles(r, c) = sums_of_tile(r, c);
+        Map<double> corners(tile_rows + 1, tile_cols + 1);
+        for (Index r = 0; r <= tile_rows; ++r)
+            for (Index c = 0; c <= tile_cols; ++c) corners(r, c) = height_between(r, c, tiles);
+        const auto share = [this](Index k) {  // of the way through its tile, of a row or column
+            return (static_cast<double>(k % limits.pixels) + 0.5) / static_cast<double>(limits.pixels);
+        };
+        for (Index r = 0; r < rows; ++r) {
+            const Index row = r / limits.pixels;
+            for (Index c = 0; c < cols; ++c) {
+                const Index col = c / limits.pixels;
+                const double east = share(c), west_north = corners(row, col), west_south = corners(row + 1, col);
+                const double north = west_north + east * (corners(row, col + 1) - west_north);
+                const double south = west_south + east * (corners(row + 1, col + 1) - west_south);
+                level(r, c) =
+                    static_cast<float>(static_cast<double>(heights(r, c)) - (north + share(r) * (south - north)));
+            }
+        }
+    }
+
+    void describe_raised(Index r, Index c) {
+        Raised& own = pixels(r, c);
+        own.side = is_side(r, c);
+        own.level = is_level(r, c);
+        own.tall = !own.level && static_cast<double>(above(r, c)) > taller * limits.drop;
+        own.tall_side = own.side && own.tall;
+    }
+
+    // Whether a pixel lies far above one within `foot`, or as steeply above one of the nearest known ones.
+    bool is_side(Index r, Index c) {
+        int known = 0;
+        Index last = 0;
+        for (const Offset& offset : offsets) {
+            const Index square = offset.square(), row = r + offset.down, col = c + offset.right;
+            const auto far = static_cast<double>(square);
+            if (far > limits.foot * limits.foot && square > last && known >= foot_pixels) return false;
+            last = square;
+            if (!(0 <= row && row < rows && 0 <= col && col < cols) || std::isnan(level(row, col))) continue;
+            ++known;
+            if (level(r, c) - level(row, col) > limits.drop * std::max(1.0, std::sqrt(far) / limits.foot)) return true;
+        }
+        return false;
+    }
+
+    // Whether ground that is not raised lies beside a raised pixel, and hardly below it.
+    bool is_level(Index r, Index c) {
+        for (Index row = std::max<Index>(r - 1, 0); row < std::min(r + 2, rows); ++row)
+            for (Index col = std::max<Index>(c - 1, 0); col < std::min(c + 2, cols); ++col)
+                if (!pixels(row, col).all && level(row, col) > level(r, c) - 0.5 * limits.drop) return true;
+        return false;
+    }
+
+    // Adds a row of pixels to the counts of the columns, or takes it from them.
+    void add_row(Index r, int sign, std::vector<Raised>& counts) {
+        for (Index c = 0; c < cols; ++c) counts[static_cast<std::size_t>(c)].add(pixels(r, c), sign);
+    }
+
+    // Marks the pixels of objects in a row: of the raised ones around enough are sides, or of the tall ones.
+    void mark_row(Index r, const std::vector<Raised>& counts) {
+        Raised around;
+        for (Index last = 0; last < cols + limits.around; ++last) {
+            if (last < cols) around.add(counts[static_cast<std::size_t>(last)], 1);
+            const Index first = last - 2 * limits.around - 1, c = last - limits.around;
+            if (first >= 0) around.add(counts[static_cast<std::size_t>(first)], -1);
+            if (c < 0) continue;
+            const bool is_steep = around.side > limits.share * around.all && around.level <= level_share * around.all;
+            const bool is_tall = pixels(r, c).tall && around.tall_side > limits.share * around.tall;
+            marks(r, c) = pixels(r, c).all && (is_steep || is_tall) && static_cast<double>(above(r, c)) >= limits.least;
+        }
+    }
+
+    const Array<const float, 2> heights;
+    const StandingLimits limits;
+    const Array<bool, 2> marks;
+    const Index rows, cols;
+    const std::vector<Offset> offsets = foot_offsets();
+    Map<float> above;  // what lies beneath objects, m; infinite where nothing is known
+    Map<float> level;  // a smooth surface, m
+    Map<Raised> pixels;
+};
+
+// Marks the pixels of objects.
+void mark_standing(Array<const float, 2> heights, StandingLimits limits, Array<bool, 2> marks) {
+    StandingFinder(heights, limits, marks).mark();
+}
+
+// ---- Tiles without objects ----
+
+struct BareSettings {
+    double pixel;
+    Index depth;
+    double min_coverage;
+    Index min_points, thin_points;
+    double thin_seen;
+};
+
+struct BareTiles {
+    Array<const bool, 3> standing;
+    Array<const float, 3> heights;
+    Array<std::int32_t, 3> held;
+    Array<float, 3> variance, relief;
+    Array<double, 2> scalars;
+    Array<bool> is_bare;
+};
+
+// Columns of the scalars.
+enum Scalar : Index { POINTS, COVERAGE, RELIEF, SLOPE };
+
+// Angle of the least-squares plane through the known heights, degrees; NaN where they span none.
+double slope_of(Array<const double, 2> heights, double pixel) {
+    const Index size = heights.shape[0];
+    double base = 0.0;
+    PlaneSums sums;
+    for (Index r = 0; r < size; ++r)
+        for (Index c = 0; c < size; ++c) {
+            const double height = heights(r, c);
+            if (std::isnan(height)) continue;
+            if (sums.n == 0.0) base = height;
+            sums.add(static_cast<double>(c) * pixel, static_cast<double>(r) * pixel, height - base);
+        }
+    if (sums.n < 3.0) return not_a_number;
+    const std::optional<Slopes> slopes = sums.slopes(line_of_pixels);
+    if (!slopes) return not_a_number;
+    const auto [east, south] = *slopes;
+    return std::acos(1.0 / std::sqrt(1.0 + east * east + south * south)) * (180.0 / std::numbers::pi);
+}
+
+// A tile, (pixels, pixels) each.
+struct BareTile {
+    Array<const bool, 2> standing;
+    Array<const float, 2> heights;
+    Array<std::int32_t, 2> held;
+    Array<float, 2> variance, relief;
+    Array<double> scalars;
+
+    bool is_left(Index k) const { return held.data[k] > 0 && !standing.data[k]; }
+};
+
+// Fills points and coverage of what is left of a tile; returns the share of its nine parts that hold a point, see
+// `share_of_parts`.
+double count_left(const BareTile& tile) {
+    const Index size = tile.standing.shape[0];
+    Index points = 0, known = 0;
+    int seen = 0;
+    for (Index k = 0; k < tile.standing.count(); ++k)
+        if (tile.is_left(k)) {
+            points += tile.held.data[k];
+            ++known;
+            seen |= 1 << (3 * (3 * (k / size) / size) + 3 * (k % size) / size);
+        }
+    tile.scalars[POINTS] = static_cast<double>(points);
+    tile.scalars[COVERAGE] = static_cast<double>(known) / static_cast<double>(size * size);
+    return share_of_parts(seen);
+}
+
+// Takes objects out of the relief of a tile; returns false, and changes nothing, where too little is left. `level` and
+// `relief` are scratch.
+bool keep_left(const BareTile& tile, const BareSettings& settings, Array<double, 2> level, Array<float, 2> relief) {
+    const double seen = count_left(tile), points = tile.scalars[POINTS];
+    if (std::isnan(tile.relief.data[0]))
+        return points >= static_cast<double>(settings.thin_points) && seen >= settings.thin_seen;
+    if (points < static_cast<double>(settings.min_points) || tile.scalars[COVERAGE] < settings.min_coverage)
+        return false;
+    for (Index k = 0; k < level.count(); ++k)
+        level.data[k] = tile.is_left(k) ? static_cast<double>(tile.relief.data[k]) : not_a_number;
+    tile.scalars[RELIEF] = fill_relief(level, settings.depth, false, relief);
+    if (std::isnan(tile.scalars[RELIEF])) return false;
+    std::copy_n(relief.data, relief.count(), tile.relief.data);
+    return true;
+}
+
+// Takes what stands on tiles out of them.
+void leave_out_objects(BareTiles tiles, BareSettings settings) {
+    const Index size = tiles.standing.shape[1];
+    std::vector<double> levels(static_cast<std::size_t>(size * size));
+    std::vector<float> reliefs(levels.size());
+    const Array<double, 2> level{levels.data(), {size, size}};
+    for (Index t = 0; t < tiles.is_bare.size(); ++t) {
+        const BareTile tile{tiles.standing.at(t), tiles.heights.at(t), tiles.held.at(t),
+                            tiles.variance.at(t), tiles.relief.at(t),  tiles.scalars.at(t)};
+        const bool* marks = tile.standing.data;
+        const bool is_any = std::find(marks, marks + size * size, true) != marks + size * size;
+        tiles.is_bare[t] = is_any && keep_left(tile, settings, level, {reliefs.data(), {size, size}});
+        if (!tiles.is_bare[t]) continue;
+        for (Index k = 0; k < level.count(); ++k) {
+            if (marks[k]) {
+                tile.held.data[k] = 0;
+                tile.variance.data[k] = unknown_height;
+            }
+            level.data[k] = tile.held.data[k] > 0 ? static_cast<double>(tile.heights.data[k]) : not_a_number;
+        }
+        tile.scalars[SLOPE] = slope_of(level, settings.pixel);
+    }
+}
+
+}  // namespace
+}  // namespace bumpy
+
+BUMPY_RECORD(bumpy::StandingLimits, width, foot, raised, drop, least, share, around, pixels)
+BUMPY_RECORD(bumpy::BareSettings, pixel, depth, min_coverage, min_points, thin_points, thin_seen)
+BUMPY_RECORD(bumpy::BareTiles, standing, heights, held, variance, relief, scalars, is_bare)
+
+void bind_standing(nb::module_& module) {
+    using namespace bumpy;
+    BUMPY_LOOP(module, mark_standing);
+    BUMPY_LOOP(module, leave_out_objects);
+    module.attr("FARTHEST_FOOT") = farthest_foot;
+}
