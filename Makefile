@@ -26,7 +26,6 @@ $(VENV)/.installed: pyproject.toml $(PINS)
 		{ echo "'$(PYTHON)' cannot make environments: its venv module is missing. Debian and Ubuntu: sudo apt-get install python3-venv"; exit 2; }
 	$(PYTHON) -m venv $(VENV)
 	$(INSTALL)
-	-$(BIN)/bumpymap compile
 	@touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed
@@ -37,13 +36,10 @@ $(VENV)/.installed-dev: $(VENV)/.installed
 demo: $(VENV)/.installed
 	$(BIN)/bumpymap demo --out $(DEMO_OUT)
 
-# Kernels that were changed compile first: what a command says while it compiles is not what tests expect of it.
 test: $(VENV)/.installed-dev
-	-$(BIN)/bumpymap compile --quiet
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m "not later" $(TESTS)
 
 test-all: $(VENV)/.installed-dev
-	-$(BIN)/bumpymap compile --quiet
 	$(BIN)/python -m pytest --numprocesses auto $(TESTS)
 
 test-fast: $(VENV)/.installed-dev

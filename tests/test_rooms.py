@@ -50,7 +50,7 @@ ABOVE = {
     "api.py": ({"core", "layers", "route", "survey", "views"}, {"geopandas", "xarray"}),
 }
 """What stands above the rooms: what it may import, likewise."""
-ENGINE = {"dask", "distributed", "llvmlite", "numba", "numpy"}
+ENGINE = {"dask", "distributed", "numpy"}
 """What bumpytiles may import."""
 GUARDED = set().union(*(packages for _, packages in ROOMS.values())) | ENGINE | {"geopandas", "pandas", "xarray"}
 ONE_PLACE = {
@@ -111,11 +111,7 @@ def test_a_room_imports_what_its_row_says_and_its_row_says_no_more(room):
     used = {other for file in files_of(room) for other, _ in crossings(file, room)}
     assert used - {"bumpytiles"} == rooms
     heavy = {module.split(".")[0] for file in files_of(room) for module, _ in imported(file)} & GUARDED
-    assert heavy - {"numba"} == packages
-    with_numba = {
-        file.name for file in files_of(room) for module, _ in imported(file) if module.split(".")[0] == "numba"
-    }
-    assert all("kernels" in name for name in with_numba)
+    assert heavy == packages
 
 
 @pytest.mark.parametrize("name", ABOVE)
@@ -241,8 +237,6 @@ HOUSE_WORDS = re.compile(r"\b(things?|so many|(what|whatever) stands|told|in rel
 """The worst of the words that the table in CONTRIBUTING.md replaces."""
 IN_PLAIN_WORDS = ("bumpymap/scan",)
 """Folders whose docstrings, comments and messages have none of them."""
-NOT_YET = ("_kernels.py",)
-"""Ends of names of files that still may."""
 
 
 def prose(path):
@@ -260,7 +254,7 @@ def prose(path):
 def test_words_are_those_of_the_field(folder):
     own = (ROOT / name for name in ("README.md", "SECURITY.md"))
     files = [*own, *(ROOT / "docs" / "pages").glob("*.md")] if folder == "pages" else (ROOT / folder).rglob("*.py")
-    for path in (path for path in files if not path.name.endswith(NOT_YET)):
+    for path in files:
         text = " ".join(re.sub(r"`+[^`]+`+", "", " ".join(prose(path))).split())
         assert not HOUSE_WORDS.findall(text), f"{path.relative_to(ROOT)}: see the table in CONTRIBUTING.md"
 
@@ -329,11 +323,9 @@ def test_no_help_loads_anything_heavy():
     assert GUARDED & loaded <= {"blake3", "click"}
 
 
-def test_a_run_with_kept_kernels_loads_neither_the_compiler_nor_pandas(tmp_path):
+def test_a_run_does_not_load_pandas(tmp_path):
     survey = write_survey(tmp_path / "site.laz")
     code = "import sys; from bumpymap.cli import main; main(standalone_mode=False); print(*sys.modules)"
-    loaded = loaded_by(code, "map", str(survey), "--out", str(tmp_path / "first"))
-    if "numba" in loaded:  # it had to compile
-        loaded = loaded_by(code, "map", str(survey), "--out", str(tmp_path / "second"))
-    assert {"llvmlite", "pyarrow", "pyogrio"} <= loaded
-    assert not {"numba", "pandas", "geopandas"} & loaded
+    loaded = loaded_by(code, "map", str(survey), "--out", str(tmp_path / "layers"))
+    assert {"pyarrow", "pyogrio"} <= loaded
+    assert not {"pandas", "geopandas"} & loaded

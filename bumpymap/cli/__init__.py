@@ -18,7 +18,6 @@ _COMMANDS = {
     "batch": "map many surveys, each to a folder of its own",
     "calibrate": "calibrate the ride cost of a vehicle by simulated drives",
     "check": "compare a map with real drives over it",
-    "compile": "compile the numerical kernels now, not in the first run",
     "demo": "map a synthetic quarry as an example",
     "diff": "find what has changed between two surveys of a site",
     "evaluate": "compare classes of scans with labels",

@@ -1,4 +1,4 @@
-"""Commands of a few lines: ``compile``, ``diff``, ``report``, ``settings``, ``vehicle`` and ``view``."""
+"""Commands of a few lines: ``diff``, ``report``, ``settings``, ``vehicle`` and ``view``."""
 
 import shlex
 from collections.abc import Iterator
@@ -13,7 +13,6 @@ from bumpymap.cli._options import PATH, Run, grouped_option, job
 from bumpymap.cli._text import Table, print_json, print_line
 from bumpymap.core import (
     BadInputError,
-    OutputError,
     ReportSettings,
     UsageError,
     count_text,
@@ -32,20 +31,6 @@ _WITH_SETTINGS = (
     *("evaluate scans", "train textures", "train scans"),
 )
 """Commands that have settings."""
-
-
-@job("compile")
-def compile_command(run: Run) -> None:
-    """Compile the numerical kernels, and the templates of pages, now and once, not in the first run that needs them."""
-    from bumpymap.views import compile_pages
-    from bumpytiles import compile_packages
-
-    with run.progress():
-        kept = compile_packages("bumpymap", "bumpytiles")
-        compile_pages()
-    if not kept:
-        folder = "a folder of your own that nobody else can write to"
-        raise OutputError(f"the compiled kernels cannot be kept. Set NUMBA_CACHE_DIR to {folder}")
 
 
 def _class_names() -> tuple[str, ...]:

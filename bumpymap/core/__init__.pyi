@@ -1,3 +1,6 @@
+from ._loops import (
+    loops as loops,
+)
 from .config import (
     CLASHES as CLASHES,
     DECK_CLASS as DECK_CLASS,
@@ -233,10 +236,6 @@ from .settings import (
     short_names as short_names,
     short_repr as short_repr,
     unknown_text as unknown_text,
-)
-from .shared_kernels import (
-    NO_PLANE as NO_PLANE,
-    Plane as Plane,
 )
 from .types import (
     AXES_DEG as AXES_DEG,

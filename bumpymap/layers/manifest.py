@@ -283,7 +283,7 @@ _SHAPE: dict[str, Any] = PLACE_SHAPE | {
 _VERSION = 2
 """Of run.json: raised where older readers would read it wrongly."""
 _PACKAGES = (
-    "bumpymap", "laspy", "lazrs", "numba", "numpy", "onnxruntime", "pyarrow", "pyogrio", "pypcd4", "pyproj",
+    "bumpymap", "laspy", "lazrs", "numpy", "onnxruntime", "pyarrow", "pyogrio", "pypcd4", "pyproj",
     "rasterio", "scipy", "shapely",
 )  # fmt: skip
 

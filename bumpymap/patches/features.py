@@ -22,8 +22,8 @@ from bumpymap.core import (
     PatchStack,
     Reason,
     VehicleBody,
+    loops,
 )
-from bumpymap.core.loops import loops
 from bumpytiles import Grid, TilePoints
 
 _SCALARS = 9

@@ -27,8 +27,8 @@ from bumpymap.core import (
     PatchStack,
     Reason,
     VehicleBody,
+    loops,
 )
-from bumpymap.core.loops import loops
 from bumpymap.patches.features import THIN, choose_tiles, measure
 from bumpytiles import BLOCK_TILES, Grid, TilePoints
 

@@ -6,8 +6,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CLOSED_WHOLLY, FREE, OBSTACLE, UNDECIDED, Barred, VehicleBody, corners_join, obstacle_reach
-from bumpymap.core.loops import loops
+from bumpymap.core import (
+    CLOSED_WHOLLY,
+    FREE,
+    OBSTACLE,
+    UNDECIDED,
+    Barred,
+    VehicleBody,
+    corners_join,
+    loops,
+    obstacle_reach,
+)
 
 _MOST_MARGIN = 0.45
 """Of a tile: what wide vehicles keep from tiles that their ground bars, so that corridors of one tile stay open."""

@@ -55,8 +55,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, correlate, maximum_filter
 
-from bumpymap.core import FAIL_SHARE, NO_CLASS, BadInputError
-from bumpymap.core.loops import loops
+from bumpymap.core import FAIL_SHARE, NO_CLASS, BadInputError, loops
 from bumpymap.rating.calibration import Calibration, remembered
 from bumpymap.rating.ride.correction import NORMAL_TAIL, class_chance
 from bumpymap.rating.ride.speed import plain_speed_factor
@@ -366,8 +365,8 @@ def find_steps(
     wanted = wanted if searched is None else wanted & searched
     if math.isfinite(closing) and wanted.any():
         tiles = TileSlopes(_sure_gradient(z, pixels), np.ascontiguousarray(_sure_gradient(turned, pixels).T), wanted)
-        own = np.ascontiguousarray(whole, np.float64)
-        loops.find_jumps(own, pixels, tiles, closing, min(level, _JUMP_WIDTH), jumps)
+        dense = np.ascontiguousarray(whole, np.float64)
+        loops.find_jumps(dense, pixels, tiles, closing, min(level, _JUMP_WIDTH), jumps)
     highest = maximum_filter(np.where(np.isnan(heights), -np.inf, heights), 3, mode="nearest")
     low = highest - heights >= np.repeat(np.repeat(np.fmax(closing, _JUMP * noise), pixels, axis=0), pixels, axis=1)
     doubtful = closed & (least == 2)

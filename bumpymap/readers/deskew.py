@@ -5,8 +5,7 @@ from math import ceil
 
 import numpy as np
 
-from bumpymap.core import PoseTrack, Scan
-from bumpymap.core.loops import loops
+from bumpymap.core import PoseTrack, Scan, loops
 
 _STEP_S = 1e-3
 """Interval at which poses are computed. Points between them move along lines: at 3 rad/s, 0.1 mm off at 100 m."""

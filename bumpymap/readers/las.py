@@ -21,8 +21,8 @@ from bumpymap.core import (
     Place,
     allocate_shared,
     georeference,
+    loops,
 )
-from bumpymap.core.loops import loops
 from bumpymap.readers.decoder import decoder
 from bumpymap.readers.las_header import LAYERED, RawHeader, read_raw_header, statement_of_las
 from bumpymap.readers.point_stats import EARTH_LIMIT, OUTSIDE, LinedPoints, LineSums, PointStats

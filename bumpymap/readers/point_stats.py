@@ -25,8 +25,8 @@ from bumpymap.core import (
     POINT_PLANT,
     BadInputError,
     PointCloud,
+    loops,
 )
-from bumpymap.core.loops import loops
 from bumpymap.readers.source import TRUST, Location, box_text, refuse_count
 from bumpytiles import Bounds, Scaling
 

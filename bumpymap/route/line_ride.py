@@ -24,8 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CANOPY, OBSTACLE, BadInputError, RoadFigures, UsageError, parse_json, path_of_call
-from bumpymap.core.loops import loops
+from bumpymap.core import CANOPY, OBSTACLE, BadInputError, RoadFigures, UsageError, loops, parse_json, path_of_call
 from bumpymap.layers import NORMAL_80, MapReader, common_window, open_map
 from bumpymap.rating import (
     Calibration,

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CLOSED_IN_PART, Barred, UsageError
-from bumpymap.core.loops import loops
+from bumpymap.core import CLOSED_IN_PART, Barred, UsageError, loops
 from bumpymap.layers import Placement, ReachField
 from bumpymap.route.ground import CostGround
 from bumpymap.route.places import place_in_window, window_within

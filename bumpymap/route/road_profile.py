@@ -11,8 +11,7 @@ shortest waves that pixels hold, over that of waves of one to two metres, tells 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Resolution, RoadFigures, UsageError
-from bumpymap.core.loops import loops
+from bumpymap.core import Resolution, RoadFigures, UsageError, loops
 
 Floats = NDArray[np.float64]
 

@@ -29,8 +29,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import AXES_DEG, axes_along
-from bumpymap.core.loops import loops
+from bumpymap.core import AXES_DEG, axes_along, loops
 from bumpymap.route.straighten import (
     LEAST_SAVING,
     Costs,

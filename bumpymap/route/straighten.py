@@ -21,8 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import AXES_DEG, TracedLine
-from bumpymap.core.loops import loops
+from bumpymap.core import AXES_DEG, TracedLine, loops
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

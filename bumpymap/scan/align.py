@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core.loops import loops
+from bumpymap.core import loops
 
 if TYPE_CHECKING:
     from scipy.spatial import KDTree

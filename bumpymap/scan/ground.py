@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import PolarSettings, SectorStack, cell_numbers, first_cells
-from bumpymap.core.loops import loops
+from bumpymap.core import PolarSettings, SectorStack, cell_numbers, first_cells, loops
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]

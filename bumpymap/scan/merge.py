@@ -23,8 +23,7 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError
-from bumpymap.core.loops import loops
+from bumpymap.core import BadInputError, loops
 from bumpymap.layers import AccumulatedSurvey
 from bumpymap.scan.align import (
     VIEW_REACH_M,

@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, PolarSettings, Scan, SectorStack
-from bumpymap.core.loops import loops
+from bumpymap.core import BadInputError, PolarSettings, Scan, SectorStack, loops
 from bumpymap.scan.ground import (
     FOUND,
     CellPoints,

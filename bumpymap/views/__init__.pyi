@@ -30,9 +30,6 @@ from .page.map_page import (
     write_check_page as write_check_page,
     write_report as write_report,
 )
-from .page.page import (
-    compile_pages as compile_pages,
-)
 from .page.site import (
     page_header as page_header,
 )

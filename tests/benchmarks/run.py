@@ -23,7 +23,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -60,7 +60,7 @@ MADE = {
 """Synthetic surveys: million points, format, and what is timed on them."""
 LARGE = {"1000m-laz"}
 """Cases that run only if they are named, and only once."""
-PACKAGES = ("bumpymap", "laspy", "lazrs", "numpy", "numba", "onnxruntime", "rasterio", "open3d", "scikit-learn")
+PACKAGES = ("bumpymap", "laspy", "lazrs", "numpy", "onnxruntime", "rasterio", "open3d", "scikit-learn")
 _NOT_OF_A_USER = ("PYTHONDONTWRITEBYTECODE", "PYTHONUNBUFFERED")
 """Settings of Python that make it slower."""
 _POLL_SECONDS = 0.05
@@ -81,14 +81,14 @@ class Sample:
     """End of its standard error."""
 
 
-def run_timed(command: Sequence[str], env: Mapping[str, str] | None = None, *, memory: bool = False) -> Sample:
-    """Run a command to its end, in the environment of a user; ``env`` is added to it.
+def run_timed(command: Sequence[str], *, memory: bool = False) -> Sample:
+    """Run a command to its end, in the environment of a user.
 
     With ``memory`` its memory is sampled, child processes included, which slows it down: large processes most, as the
     kernel walks all their pages. Without, ``peak`` is that of the largest process.
     """
     os.sync()  # so that writes of an earlier command do not slow this one down
-    own = {name: value for name, value in os.environ.items() if name not in _NOT_OF_A_USER} | dict(env or {})
+    own = {name: value for name, value in os.environ.items() if name not in _NOT_OF_A_USER}
     peak, ended = [0.0], threading.Event()
     with tempfile.TemporaryFile() as err:
         started = time.perf_counter()
@@ -171,7 +171,7 @@ def measure(given, cases, results):
     """Run the rounds of the cases; their figures replace earlier ones."""
     for side in ("map", "before"):
         if command := command_of(given, "warm-up", side, SAMPLE):
-            run_timed(command)  # compiles kernels and bytecode before anything is timed
+            run_timed(command)  # compiles bytecode before anything is timed
     results["titles"] |= {key: title for key, (title, _, _) in cases.items()}
     results["samples"] |= {key: {side: [] for side in commands} for key, (_, _, commands) in cases.items()}
     peaks = {}
@@ -181,16 +181,14 @@ def measure(given, cases, results):
                 continue
             for path in sorted(survey.iterdir()) if survey.is_dir() else [survey]:
                 subprocess.run(["cat", path], stdout=subprocess.DEVNULL, check=True)  # into the page cache
-            with tempfile.TemporaryDirectory() as empty:
-                env = {"NUMBA_CACHE_DIR": empty} if key == "start" else {}
-                for side, command in commands.items():
-                    once = bool(env) or key in LARGE
-                    if not once and (key, side) not in peaks:
-                        peaks[key, side] = run_timed(command, memory=True).peak
-                    sample = run_timed(command, env, memory=once)
-                    sample = replace(sample, peak=peaks.get((key, side), sample.peak))
-                    sys.stderr.write(f"{number + 1} {key:14} {side:14} {sample}\n")
-                    results["samples"][key][side].append(asdict(sample))
+            for side, command in commands.items():
+                once = key == "start" or key in LARGE
+                if not once and (key, side) not in peaks:
+                    peaks[key, side] = run_timed(command, memory=True).peak
+                sample = run_timed(command, memory=once)
+                sample = replace(sample, peak=peaks.get((key, side), sample.peak))
+                sys.stderr.write(f"{number + 1} {key:14} {side:14} {sample}\n")
+                results["samples"][key][side].append(asdict(sample))
             (given.data / "results.json").write_text(json.dumps(results, indent=1), encoding="utf-8")
 
 

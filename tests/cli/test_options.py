@@ -190,9 +190,7 @@ def test_the_stored_command_repeats_the_run(words, reached, tmp_path, monkeypatc
 LONG = [name for name in COMMANDS if name != "settings" and not name.startswith("vehicle")]
 
 
-@pytest.mark.parametrize(
-    "name", [name for name in LONG if name not in {"batch", "compile", "demo", "report", "info", "view"}]
-)
+@pytest.mark.parametrize("name", [name for name in LONG if name not in {"batch", "demo", "report", "info", "view"}])
 def test_a_settings_file_names_every_setting_and_its_default(name, tmp_path, monkeypatch, reached):
     """Its lines without the # give what the command does without the file."""
     monkeypatch.chdir(tmp_path)

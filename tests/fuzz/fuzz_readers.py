@@ -125,7 +125,7 @@ def _gist(said: str) -> str:
 
 
 def warm(folder: Path) -> None:
-    """Read what is valid, which compiles kernels and loads libraries."""
+    """Read what is valid, which loads libraries."""
     for start in starts():
         path = folder / f"valid_{start.name}"
         path.write_bytes(start.data)

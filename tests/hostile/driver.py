@@ -1,7 +1,7 @@
 """Child process of the hostile corpus: runs the command line again and again in one process, under limits.
 
-Usage: ``driver.py GOOD_SURVEY OUT BYTES``. The good survey is mapped first, so that compiled kernels and libraries are
-loaded before memory is limited to BYTES. Then each line on standard input is a JSON list of arguments, each line on
+Usage: ``driver.py GOOD_SURVEY OUT BYTES``. The good survey is mapped first, so that libraries are loaded
+before memory is limited to BYTES. Then each line on standard input is a JSON list of arguments, each line on
 standard output the JSON record of what became of it.
 """
 

@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import ndimage
 
 from bumpymap.cli import main
+from bumpymap.core import loops
 from bumpymap.core.errors import OutputError
-from bumpymap.core.loops import loops
 from bumpymap.lab.settings import NetworkSettings, TrainSettings
 from bumpymap.lab.terrains import make_textures
 from bumpymap.lab.train import textures

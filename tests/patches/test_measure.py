@@ -11,8 +11,8 @@ from patch_stacks import block_of
 from scipy.stats import binned_statistic_2d
 from sklearn.linear_model import RANSACRegressor
 
+from bumpymap.core import loops
 from bumpymap.core.config import FeatureSettings
-from bumpymap.core.loops import loops
 from bumpymap.core.types import Reason
 from bumpymap.patches import measure, measure_thin
 from bumpytiles import Grid

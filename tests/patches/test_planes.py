@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from sklearn.linear_model import RANSACRegressor
 
-from bumpymap.core.loops import loops
+from bumpymap.core import loops
 
 TILES = 12
 REACH = 0.1

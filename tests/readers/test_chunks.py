@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, strategies as st
 from survey_kinds import KINDS, write_kind
 
+from bumpymap.core import loops
 from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.core.loops import loops
 from bumpymap.readers import (
     LineSums,
     PointStats,

@@ -370,7 +370,7 @@ def test_the_field_takes_no_more_memory_than_the_search():
     start = site.at(*(np.argwhere(site.barred == Barred.NO)[0] + 0.5))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(CostGround, "on_tiles", lambda *_, **__: cost.copy())
-        find_reach(ground, start)  # compiles
+        find_reach(ground, start)  # loads libraries
         tracemalloc.start()
         find_reach(ground, start)
         most = tracemalloc.get_traced_memory()[1]

@@ -3,8 +3,6 @@
 import json
 import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -273,36 +271,3 @@ def test_a_killed_run_goes_on_and_ends_with_the_same_bits(survey, layers, tmp_pa
     assert run("map", survey, "--out", left).exit_code == 0
     assert layers_of(left) == layers_of(layers)
     assert not (left / ".bumpymap-run").exists()
-
-
-KERNELS_OF_A_MAP = """
-import sys
-from pathlib import Path
-
-from bumpymap.core import MapConfig, SilentProgress
-from bumpymap.survey import BatchConfig, map_surveys, run_batch
-
-survey, out = map(Path, sys.argv[1:])
-found = []
-
-
-def look(*_):
-    files = {name: module.__file__ for name, module in sys.modules.items() if name.startswith("bump")}
-    found.append({name for name, file in files.items() if "\\n@kernel\\n" in Path(file).read_text()})
-
-
-class Look(SilentProgress):
-    start = look
-
-
-run_batch(BatchConfig(survey.parent, out), begin=look)
-map_surveys(MapConfig((survey,), out.with_name("map")), Look())
-assert len(found) > 1
-print(*(found[-1] - found[0]))
-"""
-
-
-def test_all_kernels_of_a_map_are_there_before_the_first_is_needed(survey, tmp_path):
-    """So a new installation compiles all at once, a batch before its workers, and tells from the first how many."""
-    words = [sys.executable, "-c", KERNELS_OF_A_MAP, survey, tmp_path / "batch"]
-    assert subprocess.run(words, capture_output=True, text=True, check=True).stdout.split() == []

@@ -33,6 +33,8 @@ def failed_test(place, path, old, new, tests):
     if text.count(old) != 1:
         sys.exit(f"{path} holds {text.count(old)} times what a fault replaces: {old}. Change the line of faults.txt")
     file.write_text(text.replace(old, new), encoding="utf-8")
+    if file.suffix in {".cpp", ".hpp"}:
+        subprocess.run(["cmake", "--build", "build"], cwd=place, stdout=subprocess.DEVNULL, check=True)
     paths = os.pathsep.join([str(place), str(place / "tiles")])
     options = ["-q", "-x", "-p", "no:cacheprovider", "-m", "not later", "--tb", "no", *tests.split()]
     done = subprocess.run(
@@ -75,6 +77,9 @@ def main():
         for part in PARTS:
             copy = shutil.copytree if (ROOT / part).is_dir() else shutil.copy2
             copy(ROOT / part, Path(place) / part)
+        python = f"-DPython_EXECUTABLE={sys.executable}"
+        for words in (["-S", "tiles", "-B", "build", "-G", "Ninja", python], ["--build", "build"]):
+            subprocess.run(["cmake", *words], cwd=place, stdout=subprocess.DEVNULL, check=True)
         try_faults(Path(place), given.found, given.rooms)
 
 

@@ -4,12 +4,6 @@ from ._dask import (
     threads_here as threads_here,
     workers_at as workers_at,
 )
-from ._kernels import (
-    PER_METRE as PER_METRE,
-    coordinates as coordinates,
-    pixels_from as pixels_from,
-    tile_index as tile_index,
-)
 from ._loops import (
     loops_of as loops_of,
 )
@@ -20,6 +14,7 @@ from .buckets import (
 )
 from .grid import (
     BLOCK_TILES as BLOCK_TILES,
+    PER_METRE as PER_METRE,
     Bounds as Bounds,
     Grid as Grid,
     TileWindow as TileWindow,
@@ -35,15 +30,6 @@ from .grouping import (
     join_tiles as join_tiles,
     photo_of as photo_of,
 )
-from .native import (
-    blocked_signals as blocked_signals,
-    compile_loaded as compile_loaded,
-    compile_packages as compile_packages,
-    helper as helper,
-    kernel as kernel,
-    order_free as order_free,
-    start_python as start_python,
-)
 from .pack import (
     BlockKey as BlockKey,
     Column as Column,
@@ -51,6 +37,10 @@ from .pack import (
     PackError as PackError,
     key_codes as key_codes,
     write_pack as write_pack,
+)
+from .processes import (
+    blocked_signals as blocked_signals,
+    start_python as start_python,
 )
 from .run import (
     grouped_blocks as grouped_blocks,

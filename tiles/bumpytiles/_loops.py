@@ -9,16 +9,15 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from bumpytiles import _loops_base
-
 
 def loops_of(package: str) -> ModuleType:
     """Return the module of compiled loops of a package."""
-    fast = _loops_base.runs_v3() and os.environ.get("BUMPYMAP_LOOPS") != "base"
+    every = import_module("bumpytiles._loops_base")
+    fast = every.runs_v3() and os.environ.get("BUMPYMAP_LOOPS") != "base"
     return import_module(f"{package}._loops_v3" if fast else f"{package}._loops_base")
 
 
 if TYPE_CHECKING:
-    loops = _loops_base
+    import bumpytiles._loops_base as loops
 else:
     loops = loops_of("bumpytiles")

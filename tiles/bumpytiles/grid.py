@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 BLOCK_TILES = 16
 """Tiles along a side of a block: one unit of work."""
-_PER_METRE = 1e8
+PER_METRE = 1e8
 """Steps a metre in which tile and pixel are found, see above."""
-BELOW = -0.5 / _PER_METRE
+BELOW = -0.5 / PER_METRE
 """A coordinate that lies so far below a border, m, or less, is on it."""
 
 
@@ -88,8 +88,8 @@ class Grid:
 
     def pixel(self, coordinate: NDArray[np.float64], tile: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the index of the pixel in its tile along one axis, from the west or the south; (n,) each."""
-        steps = np.rint((coordinate - tile * self.tile_size) * _PER_METRE)
-        place = self.pixels * steps / np.rint(self.tile_size * _PER_METRE)
+        steps = np.rint((coordinate - tile * self.tile_size) * PER_METRE)
+        place = self.pixels * steps / np.rint(self.tile_size * PER_METRE)
         return np.minimum(np.asarray(place, np.int64), self.pixels - 1)
 
     def bounds(self, col: int, row: int) -> Bounds:

@@ -21,8 +21,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError
-from bumpymap.core.loops import loops
+from bumpymap.core import BadInputError, loops
 from bumpymap.rating.ride.motion_operator import Rides
 from bumpymap.rating.vehicle_body import number_tuples, plain_lists
 

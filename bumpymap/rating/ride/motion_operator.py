@@ -26,8 +26,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import AXES_DEG
-from bumpymap.core.loops import loops
+from bumpymap.core import AXES_DEG, loops
 from bumpymap.rating.ride.operator import (
     PitchSamples,
     RideOperator,

@@ -18,8 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import AXES_DEG, FAIL_SHARE, NO_CLASS, CostMap, Georeference, PatchStack, Reason, TextureMap
-from bumpymap.core.loops import loops
+from bumpymap.core import AXES_DEG, FAIL_SHARE, NO_CLASS, CostMap, Georeference, PatchStack, Reason, TextureMap, loops
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.ride.correction import NORMAL_TAIL, Correction, Prediction, class_chance
 from bumpymap.rating.ride.motion_operator import move_over, roll_over

@@ -59,7 +59,6 @@ from bumpymap.survey.engine import connect
 from bumpymap.survey.pipeline import map_surveys
 from bumpymap.survey.run_record import collected_warnings
 from bumpymap.views import SurveyView, index_page, page_header, read_thumbnail
-from bumpytiles import compile_loaded
 
 _MOST_WAIT_S = 5.0
 """Longest wait for children that were asked to end, s."""
@@ -163,7 +162,6 @@ def map_tasks(tasks: Sequence[MapTask], jobs: int) -> Generator[TaskEnd, None, N
     UsageError
         No process can be started.
     """
-    compile_loaded()  # all of a map; here it is shown, and not done by each worker
     waiting, idle = deque(tasks), list[Child]()
     busy: dict[Any, tuple[Child, MapTask, float]] = {}
     try:

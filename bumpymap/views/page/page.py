@@ -72,13 +72,6 @@ def render_text(template: str, **context: Any) -> str:
         raise LookupError(str(error)) from error
 
 
-def compile_pages() -> None:
-    """Compile all templates now, instead of when the first page is made."""
-    engine = _engine()
-    for name in engine.list_templates(extensions=["html", "xml", "yaml"]):
-        engine.get_template(name)
-
-
 @cache
 def _asset(name: str) -> str:
     return (_HERE / "data" / name).read_text(encoding="utf-8")

@@ -15,7 +15,7 @@ SECONDS = 10.0
 MEMORY = 1_500_000_000
 _DRIVER = Path(__file__).parents[1] / "driver.py"
 _STARTING = 300.0
-"""Seconds for the first run of all, which may compile kernels."""
+"""Seconds for the first run of all, which loads libraries."""
 
 
 class Lines:

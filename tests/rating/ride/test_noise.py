@@ -5,8 +5,8 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
+from bumpymap.core import loops
 from bumpymap.core.config import FeatureSettings
-from bumpymap.core.loops import loops
 from bumpymap.lab.simulate.ride_fit import survey_terrains
 from bumpymap.lab.terrains import Terrain, make_terrain
 from bumpymap.patches.features import measure

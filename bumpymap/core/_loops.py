@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING
 
 from bumpytiles import loops_of
 
+__all__ = ["loops"]
+
 if TYPE_CHECKING:
-    from bumpymap import _loops_base as loops
+    import bumpymap._loops_base as loops
 else:
     loops = loops_of("bumpymap")
