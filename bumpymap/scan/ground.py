@@ -112,7 +112,7 @@ class GroundRule(NamedTuple):
 
 
 class GroundLabels(NamedTuple):
-    """Which points are ground, and what the others are; filled in place."""
+    """Ground points, and what the others are; filled in place."""
 
     height: Singles
     """(scan's points,) height above the ground, m; comes as NaN."""

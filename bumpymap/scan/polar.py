@@ -48,7 +48,7 @@ class SectorInputs(NamedTuple):
 
 
 class SectorMeasures(NamedTuple):
-    """What is measured in sectors; filled in place."""
+    """Measures of sectors; filled in place."""
 
     scalars: NDArray[np.float64]
     """(sectors, 4) variance of z [m^2], residual [m] (NaN where the points span no plane), coverage, distance of the

@@ -9,6 +9,8 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING
 
+__all__ = ["loops", "loops_of"]
+
 
 def loops_of(package: str) -> ModuleType:
     """Return the module of compiled loops of a package."""
