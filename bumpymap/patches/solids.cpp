@@ -198,7 +198,7 @@ class Settler {
             std::transform(
                 states.begin(), states.end(), own.row(r), own_if_thin.row(r), [](int state, std::uint8_t dense) {
                     const int kind = state % SEEN;
-                    return (kind == LONE) | (kind == UNDECIDED) ? std::uint8_t{OBSTACLE} : dense;
+                    return kind == LONE || kind == UNDECIDED ? std::uint8_t{OBSTACLE} : dense;
                 });
         }
     }
