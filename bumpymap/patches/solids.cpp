@@ -7,6 +7,7 @@
 #include <numbers>
 
 #include "bumpymap/core/pixel_states.hpp"
+#include "bumpymap/patches/offsets.hpp"
 #include "bumpymap/patches/points_by_tile.hpp"
 
 namespace bumpy {
@@ -67,12 +68,6 @@ constexpr int closed_middle = 2;
 // Points on a pixel, as good as none.
 constexpr double least_points = 1e-9;
 
-// Rows down and columns to the right.
-struct Offset {
-    int down, right;
-    int square() const { return down * down + right * right; }
-};
-
 // Bytes of the pixels of a mosaic, and of a margin around it that begins at row and column -`margin`.
 class Map {
   public:
@@ -97,17 +92,6 @@ constexpr std::array<Offset, 8> directions{{{0, 2}, {1, 2}, {2, 2}, {2, 1}, {2, 
 constexpr Offset along(Offset two, int step) { return {(step * two.down + 1) >> 1, (step * two.right + 1) >> 1}; }
 
 constexpr Offset opposite(Offset two) { return {-two.down, -two.right}; }
-
-// All pixels up to 15 away, the nearest first, then row by row.
-std::vector<Offset> nearest_offsets() {
-    std::vector<Offset> offsets;
-    for (int down = -most_far; down <= most_far; ++down)
-        for (int right = -most_far; right <= most_far; ++right)
-            if (down * down + right * right <= most_far * most_far) offsets.push_back({down, right});
-    std::stable_sort(
-        offsets.begin(), offsets.end(), [](Offset one, Offset other) { return one.square() < other.square(); });
-    return offsets;
-}
 
 bool is_solid(int state) { return state % SEEN == SOLID || state % SEEN == LOW_SOLID; }
 
@@ -214,7 +198,7 @@ class Settler {
             std::transform(
                 states.begin(), states.end(), own.row(r), own_if_thin.row(r), [](int state, std::uint8_t dense) {
                     const int kind = state % SEEN;
-                    return (kind == LONE) | (kind == UNDECIDED) ? std::uint8_t{OBSTACLE} : dense;
+                    return kind == LONE || kind == UNDECIDED ? std::uint8_t{OBSTACLE} : dense;
                 });
         }
     }
@@ -429,7 +413,7 @@ class Settler {
     const Array<std::uint8_t, 2> out;
     const Index rows, cols, pixels;
     const double hole;
-    const std::vector<Offset> offsets = nearest_offsets();
+    const std::vector<Offset> offsets = nearest_offsets(most_far);
     std::vector<Index> ways;  // from a pixel to that of each offset, in a map
     std::vector<double> means;
     Map marks, own, own_if_thin, label, under;

@@ -6,6 +6,7 @@
 
 #include "bumpymap/patches/heightmap.hpp"
 #include "bumpymap/patches/nine_parts.hpp"
+#include "bumpymap/patches/offsets.hpp"
 #include "bumpytiles/bindings.hpp"
 
 namespace bumpy {
@@ -65,24 +66,6 @@ struct TileSums {
     double base = 0.0;
     PlaneSums sums;
 };
-
-// The pixels around one, the nearest first, then row by row.
-struct Offset {
-    Index down, right;
-    Index square() const { return down * down + right * right; }
-};
-
-std::vector<Offset> foot_offsets() {
-    std::vector<Offset> offsets;
-    for (Index down = -farthest_foot; down <= farthest_foot; ++down)
-        for (Index right = -farthest_foot; right <= farthest_foot; ++right)
-            if (const Offset offset{down, right};
-                0 < offset.square() && offset.square() <= farthest_foot * farthest_foot)
-                offsets.push_back(offset);
-    std::stable_sort(
-        offsets.begin(), offsets.end(), [](Offset one, Offset other) { return one.square() < other.square(); });
-    return offsets;
-}
 
 // Lowers numbers, none of them NaN, to those of another row.
 void lower(const float* values, float* out, Index count) {
@@ -241,10 +224,11 @@ class StandingFinder {
 
     // Whether a pixel lies far above one within `foot`, or as steeply above one of the nearest known ones.
     bool is_side(Index r, Index c) {
-        int known = 0;
-        Index last = 0;
+        int known = 0, last = 0;
         for (const Offset& offset : offsets) {
-            const Index square = offset.square(), row = r + offset.down, col = c + offset.right;
+            const int square = offset.square();
+            if (square == 0) continue;
+            const Index row = r + offset.down, col = c + offset.right;
             const auto far = static_cast<double>(square);
             if (far > limits.foot * limits.foot && square > last && known >= foot_pixels) return false;
             last = square;
@@ -286,7 +270,7 @@ class StandingFinder {
     const StandingLimits limits;
     const Array<bool, 2> marks;
     const Index rows, cols;
-    const std::vector<Offset> offsets = foot_offsets();
+    const std::vector<Offset> offsets = nearest_offsets(farthest_foot);
     Map<float> above;  // what lies beneath objects, m; infinite where nothing is known
     Map<float> level;  // a smooth surface, m
     Map<Raised> pixels;
