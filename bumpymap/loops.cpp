@@ -3,7 +3,7 @@
 
 void bind_align(nb::module_& module);
 void bind_cells(nb::module_& module);
-void bind_deskew(nb::module_& module);
+void bind_deskewing(nb::module_& module);
 void bind_ground(nb::module_& module);
 void bind_ground_labels(nb::module_& module);
 void bind_las(nb::module_& module);
@@ -27,7 +27,7 @@ void bind_straighten(nb::module_& module);
 NB_MODULE(LOOPS_MODULE, module) {
     bind_align(module);
     bind_cells(module);
-    bind_deskew(module);
+    bind_deskewing(module);
     bind_ground(module);
     bind_ground_labels(module);
     bind_las(module);

@@ -76,6 +76,6 @@ def test_no_command_makes_memory_executable(tmp_path):
         ("info", SAMPLE),
         ("map", SAMPLE, "--out", layers),
         ("route", layers, *ends, "--out", tmp_path / "way"),
-        ("scan", scan, "--out", tmp_path / "scanned"),
+        ("scan", scan, "--set", "columns=4", "--out", tmp_path / "scanned"),
     ):
         run(*words, preexec_fn=_refuse_executable_memory)

@@ -2,7 +2,7 @@ from .decoder import (
     close_decoder as close_decoder,
     start_decoder as start_decoder,
 )
-from .deskew import (
+from .deskewing import (
     deskew as deskew,
 )
 from .detect import (

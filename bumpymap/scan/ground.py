@@ -98,7 +98,7 @@ class SearchRule(NamedTuple):
 
 
 class GroundRule(NamedTuple):
-    """Limits that tell ground from what stands on it."""
+    """Limits that separate ground from objects on it."""
 
     reach: Floats
     """(zones,) distance from a plane within which a point is ground, m."""

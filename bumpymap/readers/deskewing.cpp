@@ -1,4 +1,4 @@
-// Moves the points of a scan to where the sensor sees them at the time of the frame; see deskew.py. Between two
+// Moves the points of a scan to where the sensor sees them at the time of the frame; see deskewing.py. Between two
 // transforms a point moves along a line.
 #include <algorithm>
 
@@ -30,7 +30,7 @@ void move_points(
 }  // namespace
 }  // namespace bumpy
 
-void bind_deskew(nb::module_& module) {
+void bind_deskewing(nb::module_& module) {
     using namespace bumpy;
     BUMPY_LOOP(module, move_points);
 }
