@@ -54,7 +54,7 @@ _COST = Band("cost", "", "factor on distance for a planner; NaN where the tile i
 _SPEED = Band("speed", "m/s", "highest speed within the comfort limits; 0 where the tile is not passable")
 _BARRED = Band("barred", "", "why the tile is not passable")
 _HEIGHT = Band("height", "m", "mean height of the points in the pixel")
-_OBSTACLE = Band("objects", "", "what stands on the ground")
+_OBSTACLE = Band("objects", "", "standing objects")
 _PASSAGE = Band("passage", "", "area of the tile in which the middle of the vehicle can move; 0 where it cannot be")
 _FLAGS = {
     "class": CLASS_NAMES,

@@ -235,26 +235,32 @@ def test_docstrings_say_what_a_thing_is():
 
 HOUSE_WORDS = re.compile(r"\b(things?|so many|(what|whatever) stands|told|in relief|at hand)\b", re.IGNORECASE)
 """The worst of the words that the table in CONTRIBUTING.md replaces."""
-IN_PLAIN_WORDS = ("bumpymap/scan",)
-"""Folders whose docstrings, comments and messages have none of them."""
+IN_PLAIN_WORDS = {
+    "pages": [ROOT / "README.md", ROOT / "SECURITY.md", *(ROOT / "docs" / "pages").glob("*.md")],
+    **{
+        folder: [path for suffix in ("py", "cpp", "hpp") for path in (ROOT / folder).rglob(f"*.{suffix}")]
+        for folder in ("bumpymap", "tiles/bumpytiles")
+    },
+}
+"""Files whose text, docstrings, comments and messages have none of them."""
 
 
 def prose(path):
-    """Texts of a page, or the strings and comments of a module, without code in them."""
-    if path.suffix == ".md":
-        yield re.sub(r"(?ms)^ *```.*?^ *```", "", path.read_text(encoding="utf-8"))
+    """Texts of a page, the strings and comments of a module, without code in them; all of C++."""
+    if path.suffix != ".py":
+        text = path.read_text(encoding="utf-8")
+        yield re.sub(r"(?ms)^ *```.*?^ *```", "", text) if path.suffix == ".md" else re.sub(r"(?m)^ *//", "", text)
         return
     with tokenize.open(path) as file:
         for token in tokenize.generate_tokens(file.readline):
             if tokenize.tok_name[token.type] in {"COMMENT", "STRING", "FSTRING_MIDDLE"}:
-                yield token.string
+                yield token.string.lstrip("# ")
 
 
-@pytest.mark.parametrize("folder", ["pages", *IN_PLAIN_WORDS])
-def test_words_are_those_of_the_field(folder):
-    own = (ROOT / name for name in ("README.md", "SECURITY.md"))
-    files = [*own, *(ROOT / "docs" / "pages").glob("*.md")] if folder == "pages" else (ROOT / folder).rglob("*.py")
-    for path in files:
+@pytest.mark.parametrize("place", IN_PLAIN_WORDS)
+def test_words_are_those_of_the_field(place):
+    assert IN_PLAIN_WORDS[place]
+    for path in IN_PLAIN_WORDS[place]:
         text = " ".join(re.sub(r"`+[^`]+`+", "", " ".join(prose(path))).split())
         assert not HOUSE_WORDS.findall(text), f"{path.relative_to(ROOT)}: see the table in CONTRIBUTING.md"
 

@@ -131,7 +131,7 @@ def _of_registration(found: Mapping[str, Any] | None) -> Iterator[str]:
             "north, by ground that has not changed; taken off. Ride costs are those of the tiles as they were mapped"
         )
     elif found["shift_m"] is None:
-        yield "whether the surveys are shifted in plan cannot be told: the ground that both have has too little relief"
+        yield "it is unknown whether the surveys are shifted in plan: the ground that both have has too little relief"
     if found["tilt_taken_off"]:
         yield (
             f"the later survey is tilted by {found['tilt_deg']:.4f} degrees, rising towards "

@@ -36,7 +36,7 @@ _COMMANDS = {
 
 _TOGETHER = {
     **dict.fromkeys(("calibrate", "evaluate", "train"), "lab_commands"),
-    **dict.fromkeys(("compile", "diff", "report", "settings", "vehicle", "view"), "short_commands"),
+    **dict.fromkeys(("diff", "report", "settings", "vehicle", "view"), "short_commands"),
     "demo": "map_command",
 }
 """Module of each command, ``NAME_command`` in it, that has none of its own."""

@@ -163,7 +163,7 @@ class Report:
             return [ready]
         unseen = (
             f"about {file.summary.unseen:.0%} of the tiles hold so few points that they get a class, but no way "
-            "through them: what stands there is not seen"
+            "through them: objects there are not seen"
         )
         return [unseen, ready]
 
@@ -436,7 +436,7 @@ def _classified(file: FileReport, ground_classes: tuple[int, ...]) -> Iterator[t
     if not file.has_ground or file.summary is None or file.info is None:
         none = file.info is not None and file.info.has_classes is False
         why = "the file has no classes" if none else "no point has a ground class"
-        yield "classified", f"no: {why}; all points will be measured, so what stands on the ground is relief"
+        yield "classified", f"no: {why}; all points will be measured, so objects on the ground are relief"
         return
     yield "classified", f"yes: {file.summary.ground_share:.0%} of the points are ground"
     missed = []

@@ -94,7 +94,7 @@ def _rows(sectors: dict[str, int], points: dict[str, int]) -> Iterator[tuple[str
 
 
 def _map_drive(drive: MapConfig, progress: Progress) -> "MapResult":
-    from bumpymap.survey import map_surveys  # only for a drive: its kernels need not be compiled for frames
+    from bumpymap.survey import map_surveys  # only for a drive
 
     return map_surveys(drive, progress)
 

@@ -1,4 +1,4 @@
-r"""Errors that a user can cause, and text that people read: counted things, shares that add up, names of strangers.
+r"""Errors that a user can cause, and text that people read: counts, shares that add up, names of strangers.
 
 Each message says what was given, what is allowed and what to do.
 

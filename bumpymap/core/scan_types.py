@@ -217,10 +217,10 @@ class SectorStack:
     drop: NDArray[np.bool_]
     """(n,) whether the ground drops so."""
     obstacle_height: NDArray[np.float32]
-    """(n,) top of what stands there, above the ground, m; NaN if nothing does."""
+    """(n,) top of the obstacle, above the ground, m; NaN without one."""
     clearance: NDArray[np.float32]
-    """(n,) height above the ground of the lowest thing that is higher than ``height_m``, m; NaN if nothing is."""
-    things: NDArray[np.float32]
+    """(n,) height above the ground of the lowest object that is higher than ``height_m``, m; NaN without one."""
+    objects: NDArray[np.float32]
     """(n, 2, pixels, pixels) of the points that are not ground and not higher above it than twice ``height_m``: the
     highest in each pixel, m, and their number; zeros where there are none."""
     point_sector: NDArray[np.int32]
@@ -310,7 +310,7 @@ class GroundGrid:
     step: NDArray[np.float32]
     """Largest difference in elevation from the cells beside it, m."""
     obstacle_height: NDArray[np.float32]
-    """Top of what stands in the cell between belly and height of the vehicle, above the ground, m."""
+    """Top of the obstacle in the cell between belly and height of the vehicle, above the ground, m."""
     clearance: NDArray[np.float32]
     """Height above the ground of the lowest point in the cell that is higher than the vehicle, m."""
     c_r: NDArray[np.float32] | None = None

@@ -4,7 +4,7 @@
 its top takes of the density: a Poisson number. It is found if it has enough of them: the width at which it has, in 95 %
 of all places, is `smallest_object`. Where points are uneven the sparser part of a tile counts.
 
-*Steps.* `find_steps` sees what stands out from the noise and the roughness of the tile; how far a step must do so to be
+*Steps.* `find_steps` sees steps that exceed the noise and the roughness of the tile; by how much they must to be
 found with 95 % depends on the density. Those that the vehicle cannot cross are found in more noise: `smallest_step`.
 
 Both rest on constants that were fitted to what the whole pipeline finds in made-up surveys. ``python
@@ -35,7 +35,7 @@ _ONE_IS_ENOUGH = 4.74
 """Points on the top of an object with which, in 95 % of the cases, it has two of them. In surveys of fewer points on a
 pixel than ``_THIN`` a single one makes an obstacle, and it takes no more than that."""
 _THIN, _THINNER = (0.4, 0.32), 0.2
-"""Points on a pixel below which that holds: with classes, and in relief; and the share of that by which there are more
+"""Points on a pixel below which that holds: with classes, and without; and the share of that by which there are more
 where it no longer does."""
 _IN_RELIEF = 8.6
 """Points on the top of an object that stands out of relief, because all points count as ground: it must raise the mean

@@ -22,10 +22,10 @@ THIN_POINTS = 4
 """A thin tile with fewer points is unknown: three lie on a plane, whatever the ground."""
 
 SPANNED_POINTS = 11
-"""So many points, or more, must span a thin tile: with fewer, a quarter of it without points is chance."""
+"""At least this number of points must span a thin tile: with fewer, a quarter of it without points is chance."""
 
 SEEN_PER_M2 = 4 / 3
-"""Pixels per m2 that hold a point, without which no way leads through a thin tile: what stands there is not known."""
+"""Pixels per m2 that hold a point, without which no way leads through a thin tile: objects there may be unseen."""
 
 THIN_PARTS = 3
 """Parts along a side of a tile, of which each block of 2 x 2 must hold a point."""
@@ -99,7 +99,7 @@ CROSSING_UNKNOWN = (Barred.UNKNOWN, Barred.LITTLE_SEEN)
 CLOSED_WHOLLY = (*CROSSING_UNKNOWN, Barred.SLOPE, Barred.FAILS)
 """Tiles that are barred as a whole, by their ground or because too little of it is known."""
 CLOSED_IN_PART = (Barred.OBSTACLE, Barred.SPLIT, Barred.STEP)
-"""Tiles that are decided on pixels: what stands in them, or a step, closes a part of them or all."""
+"""Tiles that are decided on pixels: an obstacle, or a step, closes a part of them or all."""
 OPEN_THROUGH = (Barred.NO, *CLOSED_IN_PART, *CROSSING_UNKNOWN)
 """Tiles of which a part may be open; those without a class have no cost."""
 

@@ -189,7 +189,7 @@ def obstacle_score(scan: Scan, classed: ClassedSectors, labels: LabelSet) -> dic
     """Count the points of obstacles that lie in sectors called free: of class 0 or 1, without an obstacle.
 
     Returns ``points`` of obstacles within the range, those ``in_free`` sectors, those of them that are not known to be
-    higher than the vehicle (``in_free_low``), and those in sectors of class 0 or 1 whatever stands (``in_free_class``).
+    higher than the vehicle (``in_free_low``), and those in sectors of class 0 or 1 at any height (``in_free_class``).
     """
     stack = classed.sectors
     judged, label = _judged(scan, labels)

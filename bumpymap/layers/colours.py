@@ -29,12 +29,12 @@ BARRED_COLOURS: dict[int, tuple[int, int, int, int]] = {
     Barred.LITTLE_SEEN: (165, 75, 240, 255),
     NO_CLASS: (0, 0, 0, 0),
 }
-"""Red, green, blue, alpha of each `Barred`: passable tiles green, the others by what bars them. Any two are told apart
-by colour-blind readers too."""
+"""Red, green, blue, alpha of each `Barred`: passable tiles green, the others by what bars them. Colour-blind readers
+distinguish any two."""
 UNKNOWN_COLOUR = BARRED_COLOURS[Barred.UNKNOWN]
 """Of ground that is not known or not compared, under lines that rise to the right: in GIS and on pages."""
 UNKNOWN_OBJECT = 3
-"""Value of obstacle.tif where it is not known what stands on the ground."""
+"""Value of obstacle.tif where it is not known whether there is an obstacle."""
 STEP_LINE = 4
 """Value of obstacle.tif on the line of a step that the vehicle cannot cross."""
 OBJECT_COLOURS: dict[int, tuple[int, int, int, int]] = {

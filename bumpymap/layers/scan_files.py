@@ -99,7 +99,7 @@ COLUMNS: tuple[tuple[str, pa.DataType, str, str], ...] = (
     ("traversable", pa.bool_(), "", "whether there is ground, not too steep and not overhead"),
     ("obstacle", pa.bool_(), "", "whether something stands on the ground below vehicle height, or it drops"),
     ("obstacle_height", pa.float32(), "m", "top of it above the ground; null without an obstacle, at a drop"),
-    ("clearance", pa.float32(), "m", "lowest thing above vehicle height, above the ground; null if there is none"),
+    ("clearance", pa.float32(), "m", "lowest object above vehicle height, above the ground; null if there is none"),
     ("stripes", pa.float32(), "", "stripe count of the filter method; null from the learned one"),
     ("class", pa.int8(), "", "0 smooth, 1 fair, 2 rough; null where not traversable"),
     ("c_r", pa.float32(), "rad/m", "ride of the vehicle, as in a survey's map; null where unknown"),

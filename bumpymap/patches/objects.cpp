@@ -195,7 +195,7 @@ class ObjectFinder {
         return is_any_overhead;
     }
 
-    // Lists the points of each pixel for strips: those of what stands or hangs there, and those beneath.
+    // Lists the points of each pixel for strips: those of objects that stand or hang there, and those beneath.
     void list_points() {
         strips.over.clear();
         strips.beneath.clear();

@@ -26,7 +26,7 @@ constexpr int fill = 3, ray = 5, near_dense = 5, near_thin = 7;
 constexpr double least_thin = 2.0;
 // The same of what is low in a dense survey: ground in the corner of two walls may look as if it were beneath.
 constexpr int least_low = 4;
-// A pixel among so many of eight with an obstacle belongs to it.
+// A pixel with obstacles on this number of the eight around it belongs to them.
 constexpr int majority = 5;
 // In a thin survey, ground must be nearer than an obstacle by this factor of the squared distance to make a pixel
 // without points free.
@@ -36,8 +36,8 @@ constexpr int nearer = 2;
 constexpr int least_sides = 11, sides_of_yard = 13;
 // Points on a pixel, on average, from which on most pixels beneath something hold points of it.
 constexpr double held = 1.0;
-// Ground is seen beneath enough of what is overhead if so many of its pixels would hold such ground with this share of
-// the points of open ground; and never more than that.
+// Ground is seen beneath enough of what is overhead if this number of its pixels would hold such ground with this share
+// of the points of open ground; and never more than that.
 constexpr double open = 0.03, open_most = 0.3;
 // Points on the surroundings of a pixel overhead, on average, of which one would be ground if it were not hidden.
 constexpr double hidden_points = 24.0;
@@ -47,19 +47,19 @@ constexpr double hidden_half_dense = 12.0, hidden_half_thin = 6.0;
 constexpr int rounds = 3, next = 2;
 // Label of what is reached in a round, until that ends.
 constexpr std::uint8_t reached = 11;
-// Canopy within so many pixels of what lets no pulse through belongs to it.
+// Canopy within this number of pixels of what lets no pulse through belongs to it.
 constexpr int grow_dense = 1, grow_thin = 3;
-// A disc with so many points on average is empty by chance once in 3,000 times.
+// A disc with this number of points on average is empty by chance once in 3,000 times.
 constexpr double hole_points = 8.0;
 // Most pixels between two parts of a line.
 constexpr int gap = 6;
-// A part of a line has so many pixels with points of obstacles beyond the gap, and none so far to its sides.
+// A part of a line has this number of pixels with points of obstacles beyond the gap, and none this far to its sides.
 constexpr int least_part = 2, around_line = 3;
 // Most pixels between two parts of a line of which few points were seen, and pixels that its parts may be off the
 // direction in which they are looked for.
 constexpr int widest_gap = 11, aside_most = 2;
-// Points that a gap in such a line would hold, at most, if it were none: chance leaves so many out once in a thousand
-// times.
+// Points that a gap in such a line would hold, at most, if it were none: chance leaves this number out once in a
+// thousand times.
 constexpr double between = 7.0;
 // Width of the thinnest wall whose gaps are closed so, px: where it would have more points, a wide gap is one.
 constexpr double thinnest = 0.5;
@@ -88,7 +88,7 @@ class Map {
 // Eight directions, by the place two pixels on; the other eight lie opposite.
 constexpr std::array<Offset, 8> directions{{{0, 2}, {1, 2}, {2, 2}, {2, 1}, {2, 0}, {2, -1}, {2, -2}, {1, -2}}};
 
-// So many steps of half that length in a direction, rounded to pixels.
+// A number of steps of half that length in a direction, rounded to pixels.
 constexpr Offset along(Offset two, int step) { return {(step * two.down + 1) >> 1, (step * two.right + 1) >> 1}; }
 
 constexpr Offset opposite(Offset two) { return {-two.down, -two.right}; }
@@ -363,7 +363,7 @@ class Settler {
         if (0 <= r && r < rows && 0 <= c && c < cols && out(r, c) != UNSEEN) out(r, c) = OBSTACLE;
     }
 
-    // Closes the middle of a gap from a pixel to one so many rows and columns away.
+    // Closes the middle of a gap from a pixel to the one `far` from it.
     void close_middle(Index r, Index c, Offset far) {
         const double length = std::sqrt(static_cast<double>(far.square()));
         for (int k = -closed_middle; k <= closed_middle; ++k) {

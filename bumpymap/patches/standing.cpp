@@ -23,8 +23,8 @@ constexpr int farthest_foot = 4;
 // If more of the raised pixels are level with ground, as a share, nothing stands there: they are the rim of a narrow
 // ditch, between pixels in it.
 constexpr double level_share = 0.5;
-// Tall pixels are so many times as far above what lies beneath as a side drops: 0.5 m for a belly 0.25 m above the
-// ground.
+// Height of tall pixels above what lies beneath, as a multiple of the drop of a side: 0.5 m for a belly 0.25 m above
+// the ground.
 constexpr double taller = 2.5;
 // Points on a line, see `slopes_of`.
 constexpr double line_of_tiles = 1e-6;
@@ -366,7 +366,7 @@ bool keep_left(const BareTile& tile, const BareSettings& settings, Array<double,
     return true;
 }
 
-// Takes what stands on tiles out of them.
+// Takes standing objects out of tiles.
 void leave_out_objects(BareTiles tiles, BareSettings settings) {
     const Index size = tiles.standing.shape[1];
     std::vector<double> levels(static_cast<std::size_t>(size * size));

@@ -41,7 +41,7 @@ _HOLLOW = 1.8
 _RAISED = 0.5
 """Height of the sides above the ground, as a share of the lowest obstacle."""
 _DROP, _REACH = 0.8, 0.3
-"""A side drops by this share of the lowest obstacle within so many m."""
+"""A side drops by this share of the lowest obstacle within this reach, m."""
 _SPREAD = 0.7
 """Spread of the points of a pixel that no slope has, as a share of the lowest obstacle."""
 _LEAST_DISC = 1.5
@@ -52,7 +52,7 @@ _AROUND = 1.5
 """Radius of the square in which they are counted, as a multiple of that of the widest object."""
 
 _LEAST_PIXELS = 15
-"""With fewer pixels of ground a tile does not tell what stands on it."""
+"""With fewer pixels of ground a tile does not show its standing objects."""
 _LOW = 3.0
 """Strays so far above the vehicle may be the top of a wall, m."""
 _BENEATH = 0.5
@@ -84,7 +84,7 @@ class StandingLimits(NamedTuple):
 
 
 class BareSettings(NamedTuple):
-    """When a tile can be rated without what stands on it."""
+    """When a tile can be rated without its standing objects."""
 
     pixel: float
     """Side of a pixel, m."""
@@ -101,10 +101,10 @@ class BareSettings(NamedTuple):
 
 
 class BareTiles(NamedTuple):
-    """Tiles, changed to what is left of them without what stands on them; those that cannot be rated so stay."""
+    """Tiles, changed to what is left of them without their standing objects; those that cannot be rated so stay."""
 
     standing: Marks
-    """(n, pixels, pixels) pixels of what stands on the ground."""
+    """(n, pixels, pixels) pixels of standing objects."""
     heights: NDArray[np.float32]
     """The same shape: mean height of the points in each pixel, m; NaN where there are none."""
     held: NDArray[np.int32]
@@ -148,7 +148,7 @@ def take_off_standing(
 def find_in_relief(
     points: TilePoints, patches: PatchStack, body: VehicleBody, around: Mapping[str, NDArray[Any]] | None = None
 ) -> ReliefObjects:
-    """Find what stands on the ground of tiles where all points count as ground.
+    """Find standing objects on tiles where all points count as ground.
 
     Narrow, steep objects in the relief are obstacles. Other pixels whose points lie far above one another hold a part
     of a fence, or the side of a wall: `settle_solids` makes two side by side, or a line of them, an obstacle. But the
@@ -187,7 +187,7 @@ def find_in_relief(
 
 
 def relief_margin(grid: Grid) -> int:
-    """Return how many tiles around a tile have a part in what stands on it, at most a block.
+    """Return how many tiles around a tile have a part in its standing objects, at most a block.
 
     The square around a pixel, and what lies beneath each pixel in it; or the foot of its side, and the slope there, in
     which one tile more has a part.
@@ -220,7 +220,7 @@ def _mark_strays(
 def leave_out_standing(
     points: TilePoints, patches: PatchStack, objects: ReliefObjects, settings: FeatureSettings
 ) -> tuple[TilePoints, PatchStack]:
-    """Leave what stands on tiles out of them, so that the ride is that of their ground.
+    """Leave standing objects out of tiles, so that the ride is that of their ground.
 
     A tile of which too little is left to be rated stays as it is, and so does one in which the vehicle fits nowhere
     between objects: that is rough ground. Strays beside an object are no noise, but the few points of it that a tile

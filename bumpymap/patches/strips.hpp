@@ -26,8 +26,8 @@ constexpr double bin_width = 0.025;
 constexpr int bins = 100;
 // Bins of what hides the ground, at least: what is narrower than 0.1 m is a wire.
 constexpr int narrowest = 4;
-// Side of the square that is looked at: a strip as narrow as that and as long has so many points on average; m, at
-// least.
+// Side of the square that is looked at: a strip as narrow as that and as long has this number of points on average; m,
+// at least.
 constexpr double strip_points = 12.0, least_side = 1.0;
 // Pixels beyond the middle that half a square holds, so that a pixel beside a wall's end is not taken for the wall.
 constexpr Index overlap = 2;

@@ -32,7 +32,7 @@ constexpr std::size_t best_drawn = 8, best_refined = 2;
 constexpr double wider = 1.5;
 // Inner samples, and points of each: its inliers are fitted, and there are several even of rough ground.
 constexpr Index inner_samples = 12, inner_points = 32;
-// Steps after which a plane is given up whose loss is so many times the least.
+// Steps after which a plane is given up whose loss is this multiple of the least.
 constexpr Index trial_steps = 3;
 constexpr double hopeless = 1.01;
 // Rounding errors: points whose spreads have a product of less, as a share of their squared sum, are on a line.

@@ -134,7 +134,7 @@ def _ride(
         of_point = np.nan_to_num(0.5 * squares / pairs, posinf=0.0)
         per_pixel = np.maximum(np.nan_to_num(points / np.maximum(known, 1), nan=1.0), 1.0)
     shape = relief.shape
-    # The kernel takes the spread of the pixels' own points, two at least, and corrects the bias of their median.
+    # The loop takes the spread of the pixels' own points, two at least, and corrects the bias of their median.
     count = np.maximum(per_pixel, 2.0).astype(np.int32)
     variance = of_point / per_pixel * (count - 1) * (1.0 - 2.0 / (9.0 * (count - 1))) ** 3
     of_tile = np.s_[:, None, None]

@@ -189,7 +189,7 @@ struct Side {
     double unknown;  // pixels that come before the first known one, 2 at most
 };
 
-// From four runs, the nearest first, that lie on a slope away from the pixel. `third` and `fourth` are 0 if so many
+// From four runs, the nearest first, that lie on a slope away from the pixel. `third` and `fourth` are 0 if this many
 // pixels of a side must be above, or below, those of the other side, else infinite.
 inline Side side_of(double a, double b, double c, double d, double slope, double third, double fourth) {
     a -= slope;
@@ -270,7 +270,7 @@ constexpr double foot_distance = 0.38, least_foot_distance = 0.75;
 constexpr Index least_points = 5, least_on_ridge = 2;
 // Pixels along the edges where the rating underestimates a wall: 0.4 m of 3 m.
 constexpr Index rim = 2;
-// A line moves up to so many quarters of a pixel to either side with every row.
+// A line moves up to this number of quarters of a pixel to either side with every row.
 constexpr int most_turn = 4;
 
 // Places, in the patch around a pixel, of those on a line through it and on both sides of that.
@@ -340,7 +340,7 @@ struct Patch {
     }
 };
 
-// The place of the height that counts as that of a side, among so many in order: see `gap`.
+// The place of the height that counts as that of a side, among `n` in order: see `gap`.
 Index rank(Index n) {
     const auto number = static_cast<double>(n);
     const double place = std::min(0.5 * (number - standard_errors * std::sqrt(number)), astray * number);

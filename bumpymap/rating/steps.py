@@ -321,7 +321,7 @@ def find_steps(
     north row first; NaN where no point fell and in tiles that do not exist. ``pixels``: along the side of a tile, at
     least 10. ``wheel``: diameter of a wheel, px: it rolls over ditches narrower than 1.4 times that, which are no
     steps. ``closing``: height of a step that the vehicle cannot cross, m, see `closing_height`. ``standing``, of the
-    shape of ``heights``: pixels of what stands on the ground, and is an obstacle; they and those beside them, which may
+    shape of ``heights``: pixels of standing objects that are obstacles; they and those beside them, which may
     hold its sides, count as unknown. ``searched`` (n + 2, m + 2): tiles in which all points are searched for jumps, if
     many of their pixels are unknown; by default all.
 

@@ -1,4 +1,4 @@
-"""The paper's four terrain forms, told apart by a small network.
+"""The paper's four terrain forms, distinguished by a small network.
 
 A texture is a patch as ``PatchStack.relief_map`` shows it to the network and to the simulated vehicle: with its
 least-squares plane removed, then min-max scaled. Scaled, level ground is the noise of its survey, which looks like

@@ -119,7 +119,7 @@ def decoder() -> Decoder:
 
 
 def start_decoder(surveys: Iterable[Path]) -> None:
-    """Start the decoder's child process if some surveys look like LAZ files; it starts while other things are done."""
+    """Start the decoder's child process if some surveys look like LAZ files; it starts while other work goes on."""
     if any(str(survey).lower().endswith(".laz") for survey in surveys):
         decoder().start()
 

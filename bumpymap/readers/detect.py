@@ -175,7 +175,7 @@ def find_surveys(paths: Sequence[Location]) -> list[Location]:
 def files_at(paths: Iterable[Path], list_folder: Callable[[Path], list[Path]], what: str) -> list[Path]:
     """Return the files at some paths, each once: those that are given, and those that ``list_folder`` finds in folders.
 
-    Raises BadInputError: a path does not exist, is neither file nor folder, or cannot be listed; it is told to name
+    Raises BadInputError: a path does not exist, is neither file nor folder, or cannot be listed; the message asks for
     ``what`` instead, such as "a file of a scan".
     """
     found: dict[str, Path] = {}

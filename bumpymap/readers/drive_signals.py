@@ -400,7 +400,7 @@ _SLOWEST_S = 1.0
 """Median time between two angular rates."""
 _KINDS = ("lonlat", "projected", "local")
 _GAP = 5.0
-"""A gap is so many times the median time between two samples, and at least `_LEAST_GAP_S`."""
+"""A gap is this multiple of the median time between two samples, and at least `_LEAST_GAP_S`."""
 _LEAST_GAP_S = {"angular rates": 0.1, "positions": 2.0, "wheel speeds": 1.0}
 _BRIDGED_S = 0.25
 """Accelerations are interpolated over at most so much time."""

@@ -380,7 +380,7 @@ class LasSurvey(SurveyReader):
                 fetched = self._fetch(chunk)
                 for piece in (fetched,) if isinstance(fetched, np.ndarray) else fetched:
                     highest = max(highest, int(np.ascontiguousarray(piece[:, at : at + 6]).view("<u2").max(initial=0)))
-            except BadInputError:  # told when the points are read
+            except BadInputError:  # reported when the points are read
                 return None
             if highest > 255:
                 break

@@ -210,7 +210,7 @@ class SurveyReader(ABC):
         if not self._info.georeference.assumed:
             return
         every, clouds = self.chunks(_SAMPLE), list[PointCloud]()
-        with suppress(BadInputError), pinned_version(self._path, self._version):  # told when the points are read
+        with suppress(BadInputError), pinned_version(self._path, self._version):  # reported when the points are read
             for at in {0} if self._info.sequential else {0, len(every) // 2, len(every) - 1}:
                 clouds.append(self._convert(every[at], self._fetch(every[at])).cloud)
         if why := likely_feet(clouds):

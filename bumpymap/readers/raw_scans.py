@@ -22,7 +22,7 @@ BAG_SUFFIXES = (".mcap", ".db3")
 CLOUD = "sensor_msgs/msg/PointCloud2"
 _METADATA = "metadata.yaml"
 _AHEAD = 8
-"""A message at most so many places further on is reached by reading on, which needs no index. Else it is looked up."""
+"""A message at most this number of places on is reached by reading on, which needs no index. Else it is looked up."""
 
 
 def is_bag(path: Path) -> bool:

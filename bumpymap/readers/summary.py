@@ -203,7 +203,7 @@ def dense_rule(settings: FeatureSettings, pixel_size: float) -> Rule:
 
 
 def thin_rule(known: NDArray[np.bool_], points: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return which tiles (n, pixels, pixels) of so many points fulfil the rule of thin ones: their points span them.
+    """Return which tiles (n, pixels, pixels) of ``points`` (n,) points are thin by rule: these span them.
 
     Of many points, holes are no chance: such a tile is not thin.
 

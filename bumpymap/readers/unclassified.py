@@ -43,7 +43,7 @@ _JUMP_REACH_M = 60.0
 Chosen."""
 
 REACH = _GAP + 1
-"""Tiles up to so many from those in question are compared with them."""
+"""Tiles up to this number from those in question are compared with them."""
 Marks = NDArray[np.bool_]
 Lowest = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], bool]
 """Rows, columns and lowest points of some tiles, (n,) each, m; and whether of their ground points alone."""
@@ -81,7 +81,7 @@ class UnclassifiedPart:
         side = max(3, math.ceil(_SIDE_M / tile_size)) | 1
         least = _FILLED * side**2
         keys, every = np.array([*blocks], np.int64), np.stack([*blocks.values()]).reshape(-1, BLOCK_TILES, BLOCK_TILES)
-        # A square lies in so many blocks at most; one of them holds its share of the tiles.
+        # A square lies in at most this number of blocks; one of them holds its share of the tiles.
         in_rich = (every == BLANK).sum(axis=(1, 2)) >= least / ((side - 2) // BLOCK_TILES + 2) ** 2
         if not in_rich.any():
             return None
@@ -165,7 +165,7 @@ class UnclassifiedPart:
 
 
 def _around(marks: Marks, side: int) -> NDArray[np.int32]:
-    """Count the marks in the square of so many tiles, an odd number, around each tile."""
+    """Count the marks in the square of ``side`` tiles, an odd number, around each tile."""
     from scipy import ndimage
 
     counts, line = marks.astype(np.int32), np.ones(side)

@@ -63,7 +63,7 @@ class RouteConfig:
     isochrones: Annotated[
         tuple[float, ...],
         Setting(
-            "Outlines of what is reached in so many minutes", "LIST", 0.0, unit="minutes", exclusive=True, group="Way"
+            "Outlines of what is reached within these minutes", "LIST", 0.0, unit="minutes", exclusive=True, group="Way"
         ),
     ] = ()
     out: Annotated[Path | None, Setting("Folder, or a .geojson, .gpx, .csv or .png file", "PATH", group="Output")] = (

@@ -89,7 +89,7 @@ _WIDER = 1.05
 
 
 def as_cost(cost: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Return costs as kernels take them, (rows, cols, axes); raises ValueError unless they are that or (rows, cols)."""
+    """Return costs as loops take them, (rows, cols, axes); raises ValueError unless they are that or (rows, cols)."""
     cost = cost[..., None] if cost.ndim == 2 else cost
     if cost.ndim != 3 or cost.shape[2] not in (1, len(AXES_DEG)):
         raise ValueError(f"cost has the shape {cost.shape}; it must be rows and columns, and perhaps 8 axes")
@@ -97,7 +97,7 @@ def as_cost(cost: NDArray[np.floating]) -> NDArray[np.float32]:
 
 
 def as_costs(cost: NDArray[np.floating] | Costs) -> Costs:
-    """Return costs with what slopes add, nothing unless they have it, as kernels take them; see `as_cost`."""
+    """Return costs with what slopes add, nothing unless they have it, as loops take them; see `as_cost`."""
     if isinstance(cost, Costs):
         tiles, gradient = as_cost(cost.tiles), np.ascontiguousarray(cost.gradient, np.float32)
         return cost._replace(tiles=tiles, gradient=gradient)
@@ -118,7 +118,7 @@ def wide_margin(margin: float) -> float:
 
 
 def _as_line(line: NDArray[np.floating]) -> Floats:
-    """Return a line as kernels take it."""
+    """Return a line as loops take it."""
     if line.ndim != 2 or line.shape[1] != 2 or not np.isfinite(line).all():
         raise ValueError(f"a line is (n, 2) finite field coordinates, not {line.shape}")
     return np.ascontiguousarray(line, np.float64)

@@ -1,4 +1,4 @@
-// Square cells around a sensor: how high the ground of each is, what stands on it and hangs over it, and if it is free.
+// Square cells around a sensor: the height of their ground, objects on it and over it, and whether they are free.
 //
 // Points are sorted into cells, and the lowest of them into rays from the sensor by rings of cells. Along each ray the
 // ground is followed outwards: it goes on between two returns if the beam to the farther one passes the nearer one so
@@ -62,7 +62,7 @@ struct Returns {
 };
 
 // What is seen on a ray in a ring: the row of the sector whose ground is seen, or goes on, or: nothing is known; the
-// ground is seen beneath an object that hides what stands on it; the ground drops.
+// ground is seen beneath an object that hides what is on it; the ground drops.
 constexpr std::int32_t unseen = -1, beneath_object = -2, falls = -3;
 
 // Numbers by cell, by ray and by ring while the cells are laid.
@@ -162,7 +162,7 @@ void sort_into_cells(const ClassedPoints& scan, const CellRule& rule, const Squa
     }
 }
 
-// ---- The ground of cells, and what stands on it ----
+// ---- The ground of cells, and objects on it ----
 
 // Calls `act` with each cell that is in the square around a cell, `wide` cells to each side, and in the grid.
 template <class Act>
@@ -203,8 +203,8 @@ void level_cells(const CellRule& rule, const SquareCells& out, Laying& s) {
     }
 }
 
-// Finds what stands on the ground of every cell, and what hangs over it. An obstacle is one above the ground in the
-// cell, or above that of its sector.
+// Finds the objects on the ground of every cell, and those that hang over it. An obstacle is one above the ground in
+// the cell, or above that of its sector.
 void stand_objects(const ClassedPoints& scan, const CellRule& rule, const SquareCells& out, Laying& s) {
     for (Index i = 0; i < scan.points.shape[0]; ++i) {
         const Index cell = s.cell[i];
@@ -360,7 +360,7 @@ void judge_cell(
     out.kind[cell] = kind;
 }
 
-// Finds the ground of every cell, what stands on it and hangs over it, and its kind. `out` comes as it is without a
+// Finds the ground of every cell, the objects on it and over it, and its kind. `out` comes as it is without a
 // point: heights NaN, rows -1.
 void lay_cells(ClassedPoints scan, CellRule rule, Array<const std::int32_t, 2> rays, SquareCells out) {
     Laying s(scan, rule);

@@ -1,4 +1,4 @@
-// Finds which points of a scan lie on the ground, what stands on it, and where it drops.
+// Finds which points of a scan lie on the ground, which are objects on it, and where it drops.
 //
 // Points near the plane of their cell are ground; so are parts of a cell beside the plane, thin and continuing the
 // ground next to them. What lies behind an edge is not seen, and a plane that is fitted to both sides passes over it:
@@ -15,12 +15,13 @@ namespace {
 constexpr double objects_height = 2.0;
 // Points further below a plane than this are reflections, m.
 constexpr double below_plane = 0.5;
-// A part beside the plane is ground too if it has so many points, spreads less than this, at a height between these,
-// and passes a neighbouring part of the ground at less than this; its ground points are so near to their mean, m.
+// A part beside the plane is ground too if it has this number of points, spreads less than this, at a height between
+// these, and passes a neighbouring part of the ground at less than this; its ground points are so near to their mean,
+// m.
 constexpr double part_points = 3.0, part_spread = 0.12, part_lowest = -0.6, part_highest = 1.2, part_step = 0.2;
 constexpr double part_reach = 0.2;
 // Returns in pixels next to each other lie together if their heights are so near to each other, m, at the sensor, and
-// more for each metre from it; so many are an object.
+// more for each metre from it; this number is an object.
 constexpr double beside_m = 0.03, beside_per_metre = 0.04;
 constexpr float together = 3.0F;
 // Rounds in which the ground spreads to parts beside it.
@@ -255,7 +256,7 @@ void count_obstacles(
     }
 }
 
-// Finds which points are ground, and in each cell what stands on the ground and what hangs over it.
+// Finds which points are ground, and in each cell the objects on the ground and over it.
 void label_points(CellPoints points, CellGeometry geometry, GroundPlanes planes, GroundRule rule, GroundLabels out) {
     const Index cells = geometry.cells(), pixels = out.lowest.shape[1];
     Labelling s{

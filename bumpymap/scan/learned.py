@@ -134,7 +134,7 @@ def network_input(stack: SectorStack) -> tuple[NDArray[np.float32], NDArray[np.f
     patches = np.empty((len(asked), CHANNELS, *heights.shape[1:]), np.float32)
     np.subtract(2.0 * scaled, 1.0, out=patches[:, 0])
     np.divide(np.arcsinh(heights / np.float32(0.05)), np.float32(3.0), out=patches[:, 1])
-    top, number = stack.things[asked].swapaxes(0, 1)
+    top, number = stack.objects[asked].swapaxes(0, 1)
     np.divide(top, np.float32(stack.settings.height_m), out=patches[:, 2])
     np.divide(np.log1p(number), np.float32(3.0), out=patches[:, 3])
     ground, points = stack.ground_count[asked], stack.count[asked]

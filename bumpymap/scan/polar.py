@@ -129,7 +129,7 @@ def polar_sectors(
         drop=there & drops[cells],
         obstacle_height=np.where(stands, ground.top[cells], np.float32(np.nan)),
         clearance=np.where(ground.overhead[cells] > 0, ground.clearance[cells], np.float32(np.nan)),
-        things=ground.objects[cells].reshape(-1, 2, settings.pixels, settings.pixels),
+        objects=ground.objects[cells].reshape(-1, 2, settings.pixels, settings.pixels),
         point_sector=point_sector,
         point_ground=ground.ground,
         point_airborne=ground.airborne,

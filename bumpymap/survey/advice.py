@@ -144,7 +144,7 @@ def ground_line(result: MapResult) -> str:
         )
     if tall > _SOME_SHARE:
         return (
-            f"all points count as ground, so what stands on it is part of the relief; {tall:.0%} of the tiles hold "
+            f"all points count as ground, so objects on it are part of the relief; {tall:.0%} of the tiles hold "
             "scrub, rock or walls of which only the top is seen: `ground='all'` (as here) keeps them, `ground='csf'` "
             "takes them away"
         )

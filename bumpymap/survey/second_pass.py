@@ -217,9 +217,9 @@ _LEAST_PIXELS = 10
 
 @dataclass(frozen=True, slots=True)
 class NeighbourRating:
-    """Rates the tiles of a block with their neighbours: thin tiles, steps, and what stands on the ground.
+    """Rates the tiles of a block with their neighbours: thin tiles, steps and standing objects.
 
-    What it returns in ``barred`` is what the ground of a tile bars; `VehicleSweep` adds what stands on it.
+    What it returns in ``barred`` is what the ground of a tile bars; `VehicleSweep` adds obstacles.
     """
 
     config: MapConfig
@@ -346,7 +346,7 @@ class NeighbourRating:
         return known | is_rateable(columns["thin"], columns["reason"]) if self.config.by_ride else known
 
     def _seen(self, window: NeighbourWindow) -> NDArray[np.bool_]:
-        """Return which tiles show enough for a way: of few points the ride may be known, but not what stands there."""
+        """Return which tiles show enough for a way: of few points the ride may be known, but not the obstacles."""
         states = window["objects"]
         held = np.sum((states != UNSEEN) & (states % SEEN != EMPTY), axis=(2, 3))
         return np.asarray((window["class_id"] != NO_CLASS) | (held >= SEEN_PER_M2 * self.config.tile_size**2))

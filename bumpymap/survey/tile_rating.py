@@ -121,7 +121,7 @@ class TileRating:
         patches: PatchStack | None = None,
         around: Mapping[str, NDArray[Any]] | None = None,
     ) -> dict[str, NDArray[Any]]:
-        """Find the ground and what stands on it, measure, classify and rate; return the columns of `tile_columns`.
+        """Find the ground and standing objects, measure, classify and rate; return the columns of `tile_columns`.
 
         ``patches`` are the tiles measured, and ``around`` the heights of these and of those beside them, if all points
         count as ground, see `bumpymap.patches.find_in_relief`.
@@ -151,7 +151,7 @@ class TileRating:
         else:
             rating = rate_as_paper if config.compat == "paper" else rate
             rated = rating(bare, textures, calibration, self.georeference)
-        # How thin a tile is, and whether it has holes, its survey tells, and not what stands on it.
+        # How thin a tile is, and whether it has holes, depends on its survey, and not on standing objects.
         thin = self._thin(points, patches, on_ground, bare.count)
         measured = replace(patches, relief=bare.relief, slope=bare.slope, reason=bare.reason)
         if objects is not None:

@@ -22,7 +22,7 @@ SURVEYS = ({}, {"sides": True}, {"classified": False})
 NOISE_M = 0.03
 LEFT_OUT = {
     *("wall 0.2 m", "wall 0.6 m", "low wall 0.6 m high", "bales", "carport", "hut, unassigned", "crowns, unassigned"),
-    *("footbridge 1 m above ground, unassigned", "ring of wall 0.3 m, gap 1 m"),
+    *("footbridge 1 m above ground, unassigned", "ring of wall 0.3 m, gap 1 m", "ditch", "ramp"),
 }
 """Scenes between others of the table, or like one of them."""
 

@@ -240,7 +240,7 @@ GRIDS = [
 @settings(max_examples=25)
 @given(st.integers(0, 2**31), st.sampled_from(GRIDS), st.floats(0.2, 1.0), st.floats(1.0, 40.0), st.floats(-7.0, 7.0))
 def test_points_and_places_agree(seed, polar, resolution, reach, heading):
-    """The kernels that sort points into sectors are the oracle: here the points are the places."""
+    """The loops that sort points into sectors are the oracle: here the points are the places."""
     centre = np.arange(resolution / 2 - reach, reach, resolution)
     x, y = (values.ravel() for values in np.meshgrid(centre, centre))
     points = np.column_stack([x, y, np.random.default_rng(seed).normal(-1.0, 0.01, len(x))]).astype(np.float32)

@@ -42,7 +42,7 @@ class Scaling:
     """m, of x, y and z."""
 
     def numbers(self) -> NDArray[np.float64]:
-        """Return scales, offsets and units as an array (9,) for kernels."""
+        """Return scales, offsets and units as an array (9,) for loops."""
         return np.array([*self.scales, *self.offsets, *self.units])
 
     @classmethod

@@ -48,7 +48,7 @@ class Column:
         return math.prod(self.tail, start=np.dtype(self.dtype).itemsize)
 
     def empty(self, rows: int) -> NDArray[Any]:
-        """Return an array for so many rows."""
+        """Return an array for ``rows`` rows."""
         return np.empty((rows, *self.tail), self.dtype)
 
 

@@ -15,7 +15,7 @@ def run_blocks(
     """Yield ``function(block)`` in the order of the blocks.
 
     Few blocks are pending, so ``blocks`` may be a lazy iterator. The function should release the GIL (NumPy sorts and
-    compiled kernels do).
+    compiled loops do).
 
     Parameters
     ----------

@@ -40,7 +40,7 @@ class _ColumnSource:
         return cls(packs, columns, number[order], starts[order]), codes[order], counts[order]
 
     def read(self, places: NDArray[np.int64], counts: NDArray[np.int64], names: Sequence[str]) -> dict[str, Any]:
-        """Read columns of blocks with so many rows, joined; those that follow each other in a pack at once."""
+        """Read columns of blocks with ``counts`` rows, joined; those that follow each other in a pack at once."""
         ends = np.cumsum(counts)
         found = {name: self.columns[name].empty(int(counts.sum())) for name in names}
         pack, start = self.pack[places], self.start[places]

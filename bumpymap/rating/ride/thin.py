@@ -326,7 +326,7 @@ def _variance_between(log_c_r: Floats, variance: Floats) -> Floats:
 
 
 def _sums_around(values: Floats, reach: int) -> Floats:
-    """Sum (..., rows, cols) over squares of so many tiles to each side; always in the same order."""
+    """Sum (..., rows, cols) over squares of ``reach`` tiles to each side; always in the same order."""
     rows, cols = values.shape[-2:]
     wide = np.zeros((*values.shape[:-2], rows + 2 * reach, cols + 2 * reach))
     wide[..., reach : reach + rows, reach : reach + cols] = values

@@ -106,9 +106,9 @@ class BlockWork:
     If ``measure_all`` is given, it takes the measures of the tiles too, and the heights of those around them."""
     ground: Ground
     measure_all: Callable[[TilePoints], PatchStack] | None = None
-    """Measures tiles from all of their points, if what stands there is found in their heights."""
+    """Measures tiles from all of their points, if standing objects are found in their heights."""
     margin: int = 0
-    """Tiles around a tile that tell what stands on it then."""
+    """Tiles around a tile that its standing objects depend on then."""
 
     @property
     def kinds(self) -> tuple[str, ...]:

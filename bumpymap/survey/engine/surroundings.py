@@ -1,4 +1,4 @@
-"""Heights around blocks: the tiles beside a block tell what stands at its edge, wherever a run cuts its points."""
+"""Heights around blocks: standing objects at its edge depend on the tiles beside it, wherever a run cuts its points."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set as AbstractSet
 from concurrent.futures import Future

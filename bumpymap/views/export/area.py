@@ -73,15 +73,15 @@ def cell_states(area: "ExportArea", field: TileField) -> tuple[NDArray[np.uint8]
     It is decided on pixels, and a larger cell is as the worst of its pixels: a planner goes anywhere in a free cell.
     Returns ``states`` uint8 (rows * split, cols * split): ``LETHAL`` where an obstacle stands or a step is, in unknown
     tiles too, and where the ground bars the tile; ``UNKNOWN_CELL`` in unknown tiles, outside of the tiles, and where
-    objects were told apart from ground and neither was seen; else ``FREE_CELL``. Where only obstacles or steps close a
-    tile, it is free where the vehicle passes between them. ``canopy``: True where a free cell is in part under canopy
+    objects were distinguished from ground and neither was seen; else ``FREE_CELL``. Where only obstacles or steps close
+    a tile, it is free where the vehicle passes between them. ``canopy``: True where a free cell is in part under canopy
     that the vehicle fits under.
     """
     pixels, barred = area.route_map.grid.pixels, field.barred
     objects = area.route_map.objects(field.window)
     closed = np.where(np.isin(barred, (*CROSSING_UNKNOWN, NO_TILE)), np.uint8(UNKNOWN_CELL), np.uint8(LETHAL))
     states = by_pixel(np.where(barred == Barred.NO, np.uint8(FREE_CELL), closed), pixels)
-    # Where objects were not told apart they are part of the relief, and in the ride cost.
+    # Where objects were not distinguished they are part of the relief, and in the ride cost.
     judged = by_pixel(~np.isnan(field.obstacle), pixels)
     states[(objects == UNKNOWN_OBJECT) & judged & (states == FREE_CELL)] = UNKNOWN_CELL
     states[_open_in_part(area.route_map, field)] = FREE_CELL

@@ -169,7 +169,7 @@ def _of_map(site: Site | None) -> dict[str, Any]:
 
 
 _RAMP = ("#fcfdbf", "#feca8d", "#fd9668", "#f1605d", "#cd4071", "#9e2f7f", "#721f81", "#440f76", "#180f3d")
-"""Colours from the least to the most of a value: lightness falls evenly, so that they can be told apart in grey."""
+"""Colours from the least to the most of a value: lightness falls evenly, so that they can be distinguished in grey."""
 _CODES = {
     "unknownFrom": UNKNOWN_FROM,
     "unknown": int(Barred.UNKNOWN),
@@ -338,12 +338,12 @@ def _reason_rows(site: Site) -> list[Row]:
 _WHY = {
     BARRED_TEXT[Barred.NO]: "the vehicle can cross it",
     BARRED_TEXT[Barred.UNKNOWN]: "no class: it must not be taken for drivable",
-    BARRED_TEXT[Barred.OBSTACLE]: "something stands in the way, or the vehicle does not fit between what stands there",
+    BARRED_TEXT[Barred.OBSTACLE]: "an obstacle is in the way, or the vehicle does not fit between obstacles",
     BARRED_TEXT[Barred.SLOPE]: "steeper than the vehicle may drive",
     BARRED_TEXT[Barred.FAILS]: "at least half of the simulated drives rolled over or got stuck",
     BARRED_TEXT[Barred.STEP]: "a step that the vehicle cannot climb closes it in part: routes pass on pixels",
     BARRED_TEXT[Barred.SPLIT]: "obstacles part it, or part it from a passable tile beside it: routes pass on pixels",
-    BARRED_TEXT[Barred.LITTLE_SEEN]: "it has a class, but what stands there may be unseen: there may be a way or none",
+    BARRED_TEXT[Barred.LITTLE_SEEN]: "it has a class, but obstacles may be unseen: there may be a way or none",
 }
 _REASONS = {
     Reason.OK: "rated, but without a ride cost",
@@ -351,7 +351,7 @@ _REASONS = {
     Reason.TOO_FEW_POINTS: "too few points to measure the ground",
     Reason.TOO_MANY_HOLES: "points are there, but large parts of the tile hold none",
     Reason.NO_GROUND: "points are there, but none of them is ground: trees, roofs",
-    Reason.OUTLIER_RELIEF: "so many stray points that relief and noise cannot be told apart",
+    Reason.OUTLIER_RELIEF: "too many stray points to distinguish relief from noise",
 }
 
 
