@@ -120,10 +120,7 @@ class ChildError(Exception):
 class ChildDiedError(Exception):
     """A child process ended before it returned a result. The text says how.
 
-    Parameters
-    ----------
-    code : int
-        Its exit status, or the negative number of the signal that ended it.
+    ``code``: its exit status, or the negative number of the signal that ended it.
     """
 
     def __init__(self, code: int) -> None:
@@ -161,23 +158,11 @@ class DecoderError(Exception):
 class Child:
     """A child process that handles one request at a time.
 
-    Parameters
-    ----------
-    purpose : str
-        For messages, such as "to decode LAZ" in "cannot start a process to decode LAZ".
-    module : str
-        Name of the module whose functions it calls.
-    folders : sequence of str, optional
-        Folders of the module and of what it imports. The child then imports from these and the standard library only
-        (it ignores site-packages and Python's environment variables) and prints nothing. None: the child has the
-        ``sys.path`` of this process.
-    environment : mapping, optional
-        Environment variables to add to those of this process.
-
-    Raises
-    ------
-    UsageError
-        The process cannot be started.
+    ``purpose``: for messages, such as "to decode LAZ" in "cannot start a process to decode LAZ"; ``module``: name of
+    the module whose functions it calls; ``folders``: folders of the module and of what it imports. The child then
+    imports from these and the standard library only (it ignores site-packages and Python's environment variables) and
+    prints nothing. None: the child has the ``sys.path`` of this process. ``environment``: environment variables to add
+    to those of this process. Raises UsageError: the process cannot be started.
     """
 
     def __init__(
@@ -231,18 +216,10 @@ class Child:
     ) -> None:
         """Start a function call in the child and return at once.
 
-        Parameters
-        ----------
-        function : str
-            Name of a function of the child's module.
-        *arguments
-            Arguments that can be pickled.
-        shared : sequence of SharedBytes
-            Memory that is passed as further arguments, as writable memoryviews.
-        seconds : float
-            CPU time after which the system ends the child (SIGPROF); 0: no limit.
-        memory : int
-            Bytes that the child may hold during the call, on Linux; what asks for more raises MemoryError. 0: no limit.
+        ``function``: name of a function of the child's module; ``*arguments``: arguments that can be pickled;
+        ``shared``: memory that is passed as further arguments, as writable memoryviews; ``seconds``: CPU time after
+        which the system ends the child (SIGPROF); 0: no limit; ``memory``: bytes that the child may hold during the
+        call, on Linux; what asks for more raises MemoryError. 0: no limit.
         """
         places = [(each.start, each.data.size) for each in shared]
         try:
@@ -253,12 +230,7 @@ class Child:
     def finish(self) -> Any:
         """Wait for the result of the call that `begin` started.
 
-        Raises
-        ------
-        ChildError
-            The function raised.
-        ChildDiedError
-            The child has ended.
+        Raises ChildError: the function raised; ChildDiedError: the child has ended.
         """
         try:
             kind, value = self.link.recv()
@@ -292,16 +264,8 @@ class Child:
 class Guard:
     """Calls functions in a child process, which is started when it is needed and replaced when it has died.
 
-    It is not thread-safe.
-
-    Parameters
-    ----------
-    start : callable
-        Starts a child.
-    task : str
-        What it does, for messages: "decodes LAZ".
-    library : str
-        The library that it needs, for messages.
+    It is not thread-safe. ``start``: starts a child; ``task``: what it does, for messages: "decodes LAZ"; ``library``:
+    the library that it needs, for messages.
     """
 
     def __init__(self, start: Callable[[], Child], task: str, library: str) -> None:
@@ -312,12 +276,8 @@ class Guard:
     def call(self, function: str, *arguments: Any, **limits: Any) -> Any:
         """Call a function in the child and return its result; see `Child.begin` for the parameters.
 
-        Raises
-        ------
-        DecoderError
-            The function raised, crashed, or took longer than allowed.
-        UsageError
-            The child cannot be started, or was killed.
+        Raises DecoderError: the function raised, crashed, or took longer than allowed; UsageError: the child cannot be
+        started, or was killed.
         """
         try:
             return self.live_child().call(function, *arguments, **limits)

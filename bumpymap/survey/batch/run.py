@@ -152,15 +152,7 @@ _MODULE = "bumpymap.survey.batch.run"
 def map_tasks(tasks: Sequence[MapTask], jobs: int) -> Generator[TaskEnd, None, None]:
     """Map surveys, up to ``jobs`` at a time; yield the result of each as soon as it is known.
 
-    Parameters
-    ----------
-    tasks : sequence of MapTask
-        They are begun in this order.
-
-    Raises
-    ------
-    UsageError
-        No process can be started.
+    ``tasks``: they are begun in this order. Raises UsageError: no process can be started.
     """
     waiting, idle = deque(tasks), list[Child]()
     busy: dict[Any, tuple[Child, MapTask, float]] = {}
@@ -202,12 +194,7 @@ _EARLIER = "the batch has not come to it; it has layers of an earlier start, not
 class Results:
     """The rows of a batch, and its summary and page in a folder.
 
-    Parameters
-    ----------
-    folder : Path
-        Gets summary.csv, summary.parquet, collection.json and index.html.
-    title : str
-        Of the page.
+    ``folder``: gets summary.csv, summary.parquet, collection.json and index.html; ``title``: of the page.
     """
 
     def __init__(self, tasks: Sequence[MapTask], folder: Path, title: str) -> None:
@@ -239,10 +226,7 @@ class Results:
     def write_last(self) -> None:
         """Write the files; of surveys that were not reached, with what their layers of earlier starts say.
 
-        Raises
-        ------
-        OutputError
-            They cannot be written.
+        Raises OutputError: they cannot be written.
         """
         for name in self._rows.keys() - self._ended:
             task = self._tasks[name]
@@ -300,25 +284,11 @@ def run_batch(
     """Map many surveys, each to a folder of its own in ``config.out``.
 
     A survey that is done, by inputs, settings and versions, is left as it is; one whose run was interrupted is
-    continued; one that fails is noted. A batch that was ended at any moment is continued by the same call.
-
-    Parameters
-    ----------
-    report : callable, optional
-        Receives the row of each survey when it has ended.
-    begin : callable, optional
-        Receives the number of surveys before the first begins.
-    spell : callable, optional
-        Changes messages before they are written, as `as_options` of the command line does.
-
-    Raises
-    ------
-    BadInputError
-        The source holds no surveys.
-    UsageError
-        Settings or rows of a CSV that are not allowed; nothing was begun.
-    OutputError
-        ``config.out`` cannot be written, is in use, or holds files of something else.
+    continued; one that fails is noted. A batch that was ended at any moment is continued by the same call. ``report``:
+    receives the row of each survey when it has ended; ``begin``: receives the number of surveys before the first
+    begins; ``spell``: changes messages before they are written, as `as_options` of the command line does. Raises
+    BadInputError: the source holds no surveys; UsageError: settings or rows of a CSV that are not allowed; nothing was
+    begun; OutputError: ``config.out`` cannot be written, is in use, or holds files of something else.
     """
     faults = partial(settings_faults, calibration=cache(find_calibration), header=cache(page_header))
     refuse_faults(faults(config.merged({}), complete=False), "settings for all surveys", UsageError)
