@@ -21,18 +21,21 @@ import tempfile
 import threading
 import weakref
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
 from multiprocessing import Pipe
+from multiprocessing.connection import wait
 from pathlib import Path
+from time import perf_counter
 from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core.errors import UsageError
+from bumpymap.core.interrupts import shielded
 from bumpytiles import blocked_signals, start_python
 
 _PAGE = 4096
@@ -259,6 +262,45 @@ class Child:
             self.process.kill()
             code = self.process.wait()
         raise ChildDiedError(code) from None
+
+
+def call_in_children(
+    purpose: str, module: str, function: str, calls: Iterable[tuple[Any, ...]], most: int
+) -> Generator[tuple[int, float, Any], None, None]:
+    """Call a function of a module with each of some arguments, in up to ``most`` child processes at a time.
+
+    Calls are begun in their order; an idle child gets the next one, and one that has died is replaced. This process
+    uses no threads, because a thread would outlive an interruption and print a message. Closing the generator ends
+    the children, whatever they do. ``purpose``: as for `Child`. Yields, as soon as a call has ended, its number, how
+    long it took, s, and its result: what it returned, or the ChildError or ChildDiedError that ended it. Raises
+    UsageError: no process can be started.
+    """
+    waiting, idle = deque(enumerate(calls)), list[Child]()
+    busy: dict[Any, tuple[Child, int, float]] = {}
+    try:
+        while waiting or busy:
+            while waiting and len(busy) < most:
+                number, arguments = waiting.popleft()
+                idle = [child for child in idle if child.is_alive]
+                with shielded():
+                    child = idle.pop() if idle else Child(purpose, module)
+                    busy[child.link] = child, number, perf_counter()
+                with suppress(ChildDiedError):  # `finish` says so
+                    child.begin(function, *arguments)
+            for link in wait(list(busy)):
+                child, number, begun = busy[link]
+                try:
+                    result = child.finish()
+                    idle.append(child)
+                except (ChildDiedError, ChildError) as error:
+                    child.close()
+                    result = error
+                del busy[link]
+                yield number, perf_counter() - begun, result
+    finally:
+        with shielded():
+            for child in (*(child for child, _, _ in busy.values()), *idle):
+                child.close()
 
 
 class Guard:

@@ -8,27 +8,23 @@ else that a survey can cause is in its row of the results.
 import logging
 import time
 import traceback
-from collections import deque
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cache, partial
-from multiprocessing.connection import wait
 from pathlib import Path
 from time import monotonic
 from typing import Any, TypeAlias, Unpack
 
 from bumpymap.core import (
     BumpymapError,
-    Child,
-    ChildDiedError,
-    ChildError,
     MapConfig,
     OutputError,
     TooUnknownError,
     UsageError,
     brief_repr,
+    call_in_children,
     count_text,
     lock_for,
     lock_holder,
@@ -92,7 +88,7 @@ def map_one(task: MapTask) -> TaskEnd:
             row = _mapped(task)
             view = look_at(task.config.out, task.thumbnail)
         except Exception as error:  # noqa: BLE001 (the other surveys are mapped all the same)
-            row = _failed(task, _why_failed(error), begin)
+            row = _failed(task, _why_failed(error), time.perf_counter() - begin)
             if not isinstance(error, BumpymapError):
                 trace = traceback.format_exc()
     return replace(row, warnings=tuple(dict.fromkeys([*row.warnings, *said]))), view, trace
@@ -141,9 +137,9 @@ def _why_failed(error: Exception) -> str:
     return message
 
 
-def _failed(task: MapTask, message: str, begun: float) -> SurveyRow:
-    survey, seconds = " ".join(map(str, task.config.surveys)), round(time.perf_counter() - begun, 3)
-    return SurveyRow(task.name, "failed", message, seconds=seconds, survey=survey)
+def _failed(task: MapTask, message: str, seconds: float) -> SurveyRow:
+    survey = " ".join(map(str, task.config.surveys))
+    return SurveyRow(task.name, "failed", message, seconds=round(seconds, 3), survey=survey)
 
 
 _MODULE = "bumpymap.survey.batch.run"
@@ -154,34 +150,18 @@ def map_tasks(tasks: Sequence[MapTask], jobs: int) -> Generator[TaskEnd, None, N
 
     ``tasks``: they are begun in this order. Raises UsageError: no process can be started.
     """
-    waiting, idle = deque(tasks), list[Child]()
-    busy: dict[Any, tuple[Child, MapTask, float]] = {}
-    try:
-        while waiting or busy:
-            while waiting and len(busy) < jobs:
-                task = waiting.popleft()
-                idle = [child for child in idle if child.is_alive]
-                child = idle.pop() if idle else Child("to map surveys", _MODULE)
-                busy[child.link] = child, task, time.perf_counter()
-                with suppress(ChildDiedError):  # `finish` says so
-                    child.begin("map_one", task)
-            for link in wait(list(busy)):
-                child, task, begun = busy.pop(link)
-                try:
-                    end: TaskEnd = child.finish()
-                    idle.append(child)
-                except (ChildDiedError, ChildError) as error:
-                    child.close()
-                    message = (
-                        f"its process {error}. If memory ran out, give fewer `jobs` or less `memory`; the next start "
-                        "continues this survey"
-                    )
-                    end = _failed(task, message, begun), SurveyView(), ""
+    # A run that is under way is ended as by a kill; the next start continues it.
+    calls = call_in_children("to map surveys", _MODULE, "map_one", [(task,) for task in tasks], jobs)
+    with closing(calls) as ends:
+        for number, seconds, end in ends:
+            if isinstance(end, Exception):
+                message = (
+                    f"its process {end}. If memory ran out, give fewer `jobs` or less `memory`; the next start "
+                    "continues this survey"
+                )
+                yield _failed(tasks[number], message, seconds), SurveyView(), ""
+            else:
                 yield end
-    finally:
-        # A run that is under way is ended as by a kill; the next start continues it.
-        for child in (*(child for child, _, _ in busy.values()), *idle):
-            child.close()
 
 
 _log = logging.getLogger(__name__)
