@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Generic, TextIO, TypeVar
 
-from bumpymap.core import BumpymapError, ChildDiedError, OutputError, atomic, call_in_children, parse_json
+from bumpymap.core import BumpymapError, ChildDiedError, ChildError, OutputError, atomic, call_in_children, parse_json
 
 _FORMAT = "bumpymap-drives-progress"
 _LOG = logging.getLogger(__name__)
@@ -184,10 +184,11 @@ def run_in_processes(
                     f"a simulation process {end}, perhaps because memory ran out; run the same command again to "
                     "continue, with fewer --jobs if it happens again"
                 ) from end
-            result, error = (None, end) if isinstance(end, Exception) else end
+            if isinstance(end, ChildError):
+                raise end
+            finished[number], error = end
             if error is not None:
                 raise error
-            finished[number] = result
             while wanted in finished:
                 yield finished.pop(wanted)
                 wanted += 1
