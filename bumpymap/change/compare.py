@@ -217,7 +217,7 @@ def _sample(pair: SurveyPair, shared: NDArray[np.bool_]) -> list[_Block]:
         TileWindow(window.col + _BLOCK * (one % cols), top - _BLOCK * (one // cols + 1), _BLOCK, _BLOCK)
         for one in chosen.tolist()
     )
-    return [(one, *pair.heights(_around(one))) for one in windows]
+    return [(one, *pair.heights(one.grown(1))) for one in windows]
 
 
 def _fit_plane(
@@ -329,10 +329,6 @@ def _middles(pair: SurveyPair, window: TileWindow, cell: int) -> tuple[Floats, F
     return size * (west + east)[None, :], size * (top - south)[:, None]
 
 
-def _around(window: TileWindow) -> TileWindow:
-    return TileWindow(window.col - 1, window.row - 1, window.cols + 2, window.rows + 2)
-
-
 def _cells(
     pair: SurveyPair, heights: Sequence[NDArray[np.float32]], cell: int, shift_m: Floats
 ) -> tuple[Floats, Floats]:
@@ -411,10 +407,8 @@ def _differences(pair: SurveyPair, cell: int, registration: Registration) -> Ite
     side, pixel = pixels // cell, pair.cell_m(1)
     step = max(1, _STRIP_PIXELS // (window.cols * pixels**2))
     rest = registration.shift_m - np.round(registration.shift_m / pixel) * pixel
-    for top in range(0, window.rows, step):
-        rows = min(step, window.rows - top)
-        strip = TileWindow(window.col, window.row + window.rows - top - rows, window.cols, rows)
-        before, after = _cells(pair, pair.heights(_around(strip)), cell, registration.shift_m)
+    for _, strip in window.cut(step):
+        before, after = _cells(pair, pair.heights(strip.grown(1)), cell, registration.shift_m)
         difference = after - before
         if rest.any():
             slopes = zip(*(_gradient(one, pair.cell_m(cell)) for one in (before, after)), strict=True)

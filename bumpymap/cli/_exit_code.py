@@ -33,12 +33,8 @@ class RunInterrupted(Exception):  # noqa: N818 (not an error: a user ended the r
 def exit_code_of(run: Callable[[], object], words: Sequence[str]) -> int:
     """Run a command, print the message of a failure, and return the exit code.
 
-    Parameters
-    ----------
-    run : callable
-        Raises click's exceptions; an integer that it returns is the exit code.
-    words : sequence of str
-        Arguments of the command line. With ``--json`` among them, everything is printed as events.
+    ``run``: raises click's exceptions; an integer that it returns is the exit code; ``words``: arguments of the command
+    line. With ``--json`` among them, everything is printed as events.
     """
     options = list(words[: words.index("--")] if "--" in words else words)
     as_json = "--json" in options

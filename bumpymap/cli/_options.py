@@ -220,16 +220,9 @@ def job(
 ) -> Callable[[Callable[..., None]], click.Command]:
     """Make a command of a function, which gets a `Run`, and its own options and arguments by their names.
 
-    Parameters
-    ----------
-    name : str
-    *parts : type or iterable of click.Parameter
-        Classes of settings, whose options are all taken; or options, such as `settings_options` returns.
-    owners : tuple of type, optional
-        Classes whose fields ``--config`` and ``--set`` set, and arguments of the command; default: those in ``parts``.
-        Empty: the command has no such options.
-    clashes : sequence of Clash
-        Settings that exclude each other.
+    ``parts``: classes of settings, whose options are all taken; or options, such as `settings_options`
+    returns; ``owners``: classes whose fields ``--config`` and ``--set`` set, and arguments of the command; default:
+    those in ``parts``. Empty: the command has no such options. ``clashes``: settings that exclude each other.
     """
     known = tuple(part for part in parts if isinstance(part, type)) if owners is None else owners
     fields_known = {field.name for owner in known for field in fields(owner)}
@@ -282,18 +275,11 @@ def settings_options(
 ) -> list[click.Parameter]:
     """Return the options of a settings class: those named, or all that it declares.
 
-    Parameters
-    ----------
-    owner : type
-        Dataclass whose fields hold a `Setting`. Each option's value comes under the field's name.
-    *names, without, required : str
-        Fields to take; fields to leave out; those whose option must be given.
-    moved : str
-        Fields that this command takes by ``--set`` and ``--config`` alone, besides those that are declared rare.
-    table : str
-        Table of a settings file that holds these fields; empty: none.
-    **texts : str
-        Help texts of this command, without the full stop, instead of those of the declaration.
+    ``owner``: dataclass whose fields hold a `Setting`. Each option's value comes under the field's name. ``*names``,
+    ``without`` and ``required``: fields to take; fields to leave out; those whose option must be given; ``moved``:
+    fields that this command takes by ``--set`` and ``--config`` alone, besides those that are declared rare; ``table``:
+    table of a settings file that holds these fields; empty: none; ``texts``: help texts of this command, without the
+    full stop, instead of those of the declaration.
     """
     return [
         _moved(each, setting, f"{table}.{each.name}" if table else each.name)
@@ -350,10 +336,7 @@ def _click_type(kind: Any) -> tuple[Any, bool]:
 def merge_settings(from_file: dict[str, Any], given: dict[str, Any], clashes: Sequence[Clash]) -> dict[str, Any]:
     """Merge the settings of a file and of the command line, which also override settings that contradict them.
 
-    Raises
-    ------
-    UsageError
-        Settings of one source contradict each other.
+    Raises UsageError: settings of one source contradict each other.
     """
     refuse_clashes(from_file, clashes)
     refuse_clashes(given, clashes, option_name)

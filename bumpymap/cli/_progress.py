@@ -100,12 +100,8 @@ class TickedProgress:
 def show_progress(*, quiet: bool = False, as_json: bool = False) -> Iterator[CommandProgress]:
     """Yield the progress to pass to a run.
 
-    Parameters
-    ----------
-    quiet : bool
-        Print nothing.
-    as_json : bool
-        Print events; otherwise show bars on a terminal, and print lines if standard error is not a terminal.
+    ``quiet``: print nothing; ``as_json``: print events; otherwise show bars on a terminal, and print lines if standard
+    error is not a terminal.
     """
     if quiet:
         yield _Quiet()

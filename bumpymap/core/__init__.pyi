@@ -138,6 +138,7 @@ from .processes import (
     Guard as Guard,
     SharedBytes as SharedBytes,
     allocate_shared as allocate_shared,
+    call_in_children as call_in_children,
     module_folder as module_folder,
     trim_shared as trim_shared,
 )

@@ -24,10 +24,7 @@ _LONGEST_TEXT = 1000
 def serve(socket: int, memory: int) -> None:
     """Handle requests until the parent closes the connection.
 
-    Parameters
-    ----------
-    socket, memory : int
-        Descriptors of the socket to the parent and of the shared memory.
+    ``socket`` and ``memory``: descriptors of the socket to the parent and of the shared memory.
     """
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     link, shared = Connection(socket), _Shared(memory)

@@ -381,12 +381,8 @@ def override_settings(lower: Mapping[str, Any], upper: Mapping[str, Any], clashe
 def decide_ground(ground: Ground, tiles: int, flagged: float) -> bool:
     """Return whether only ground points are measured.
 
-    Parameters
-    ----------
-    tiles : int
-        Tiles of the survey that hold points, without those of a part that was never classified.
-    flagged : float
-        Those of them that hold ground points.
+    ``tiles``: tiles of the survey that hold points, without those of a part that was never classified; ``flagged``:
+    those of them that hold ground points.
     """
     if ground == "all":
         return False

@@ -47,15 +47,9 @@ def describe_crs(crs: CRS) -> str:
 def refuse_unprojected(place: Place, crs: CRS, *, from_user: bool) -> None:
     """Raise BadInputError unless the CRS is a projected or a local (engineering) one.
 
-    Parameters
-    ----------
-    from_user : bool
-        Whether the CRS came from ``--crs``, so that the command that reprojects must name it too.
-
-    Raises
-    ------
-    BadInputError
-        The CRS is geographic or geocentric (the message shows the command that reprojects the file), or vertical only.
+    ``from_user``: whether the CRS came from ``--crs``, so that the command that reprojects must name it too. Raises
+    BadInputError: the CRS is geographic or geocentric (the message shows the command that reprojects the file), or
+    vertical only.
     """
     base = crs.sub_crs_list[0] if crs.is_compound else crs
     if base.is_projected or base.type_name == "Engineering CRS":
@@ -109,12 +103,8 @@ def utm_epsg(longitude: float, latitude: float) -> int:
 def reproject_command(path: Path, longitude_latitude: tuple[float, float] | None, source: str | None) -> str:
     """Return the PDAL command that reprojects a file from degrees to metres, with a resolution of 1 mm.
 
-    Parameters
-    ----------
-    longitude_latitude : (float, float) or None
-        Location of the file, degrees; None: the user must fill in the UTM zone.
-    source : str or None
-        CRS of the file, if the file itself does not state it.
+    ``longitude_latitude`` (float, float) or None: location of the file, degrees; None: the user must fill in the UTM
+    zone; ``source``: CRS of the file, if the file itself does not state it.
     """
     target = "EPSG:326ZZ" if longitude_latitude is None else f"EPSG:{utm_epsg(*longitude_latitude)}"
     words = ["pdal", "translate", shlex.quote(str(path)), shlex.quote(f"{Path(path).name.split('.')[0]}_metres.laz")]
@@ -215,12 +205,8 @@ class _HasGeoreference(Protocol):
 def stated_crs(text: str) -> CRS:
     """Parse a CRS that a file or a record states.
 
-    PROJ would open the grid files that a CRS names, wherever they are. Those in its own folders have no path.
-
-    Raises
-    ------
-    pyproj.exceptions.CRSError
-        PROJ does not know it, or it names a file by its path or a URL.
+    PROJ would open the grid files that a CRS names, wherever they are. Those in its own folders have no path. Raises
+    pyproj.exceptions.CRSError: PROJ does not know it, or it names a file by its path or a URL.
     """
     is_wkt = re.match(r"\s*\w+\s*[\[(]", text)
     parts = _STRINGS.findall(text) if is_wkt else [text]
@@ -282,27 +268,11 @@ def georeference(
 ) -> tuple[Georeference, tuple[str, ...]]:
     """Determine CRS and units of one file.
 
-    Parameters
-    ----------
-    statement : CrsStatement
-        What the file states.
-    z_unit : {"m", "ft", "us-ft"} or None
-        ``--z-unit``.
-
-    Returns
-    -------
-    Georeference
-        ``crs`` is the horizontal CRS, or a compound CRS if a vertical one is stated too; None if it is unknown or a
-        local (engineering) CRS.
-    tuple of str
-        Notes for the user.
-
-    Raises
-    ------
-    BadInputError
-        The file's statement is not usable and no CRS was given, or the CRS is not projected.
-    UsageError
-        What was given is not a CRS, or not that of the file although it must be, or contradicts the unit of the CRS.
+    ``statement``: what the file states; ``z_unit``: ``--z-unit``. Returns the georeference, whose ``crs`` is the
+    horizontal CRS, or a compound CRS if a vertical one is stated too; None if it is unknown or a local (engineering)
+    CRS; and notes for the user. Raises BadInputError: the file's statement is not usable and no CRS was given, or the
+    CRS is not projected; UsageError: what was given is not a CRS, or not that of the file although it must be, or
+    contradicts the unit of the CRS.
     """
     user, notes = _from_user(place, statement, given)
     if user is None and statement.trouble:
@@ -456,12 +426,8 @@ def horizontal_of(crs: CRS) -> CRS | None:
 def place_notes(place: Place, crs: CRS) -> list[str]:
     """Return a note if a horizontal CRS is doubtful for the middle of a file, or its metre is not one on the ground.
 
-    A metre of Web Mercator, for example, is 1.4 m at 45 degrees.
-
-    Raises
-    ------
-    BadInputError
-        The middle is no place on Earth in this CRS.
+    A metre of Web Mercator, for example, is 1.4 m at 45 degrees. Raises BadInputError: the middle is no place on Earth
+    in this CRS.
     """
     if place.middle is None:
         return []
@@ -535,13 +501,9 @@ def common_georeference(infos: Sequence[_HasGeoreference]) -> Georeference:
     """Return the georeference that all files of a run share.
 
     Units may differ between files, since each file is converted with its own; those of the first file (by path) are
-    returned. If only some files state a vertical CRS, the result has none, and a warning is logged.
-
-    Raises
-    ------
-    BadInputError
-        Files have different CRS, or only some have one, or their heights refer to different vertical datums; the
-        message lists the files.
+    returned. If only some files state a vertical CRS, the result has none, and a warning is logged. Raises
+    BadInputError: files have different CRS, or only some have one, or their heights refer to different vertical datums;
+    the message lists the files.
     """
     ordered = sorted(infos, key=lambda info: str(info.path))
     if not ordered:

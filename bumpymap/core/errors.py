@@ -18,15 +18,8 @@ _SHOWN_ESCAPED = {"Cc", "Cf", "Cs", "Zl", "Zp"}
 def escape_controls(text: str) -> str:
     r"""Escape characters that are not shown as they are, or that a terminal would interpret.
 
-    Parameters
-    ----------
-    text : str
-        Any text; bytes of a file name that Python could not decode (surrogate escapes) become ``\xNN``.
-
-    Returns
-    -------
-    str
-        Printable text in one line.
+    ``text``: any text; bytes of a file name that Python could not decode (surrogate escapes) become ``\xNN``. Returns
+    printable text in one line.
     """
     return text if text.isprintable() else "".join(map(_escaped, text))
 

@@ -34,10 +34,7 @@ _DEEPEST = 50
 def parse_json(text: str) -> Any:
     """Parse JSON text.
 
-    Raises
-    ------
-    ValueError
-        Not JSON, or nested more than 50 deep.
+    Raises ValueError: not JSON, or nested more than 50 deep.
     """
     try:
         value = json.loads(text)
@@ -99,15 +96,9 @@ class Each:
 def shape_fault(value: Any, shape: Any, name: str = "it") -> str:
     """Return what is wrong with a value of JSON, or an empty string.
 
-    Parameters
-    ----------
-    value
-        From `parse_json`.
-    shape
-        ``{name: shape}`` for an object, which may hold more (a name that ends in ``?`` may be missing); ``[shape]`` for
-        an array; ``(shape, shape)`` for one of that length; `Number`, `Nullable`, `Each`; else a type.
-    name : str
-        How the message calls the value.
+    ``value``: from `parse_json`; ``shape``: ``{name: shape}`` for an object, which may hold more (a name that ends in
+    ``?`` may be missing); ``[shape]`` for an array; ``(shape, shape)`` for one of that length; `Number`, `Nullable`,
+    `Each`; else a type; ``name``: how the message calls the value.
     """
     if isinstance(shape, Nullable):
         return "" if value is None else shape_fault(value, shape.shape, name)
@@ -149,10 +140,7 @@ _MOST_READ = 1 << 28
 def open_regular(path: Path, flags: int = 0) -> BinaryIO:
     """Open a file that a user names, to read it; ``flags`` are those of `os.open`.
 
-    Raises
-    ------
-    OSError
-        It cannot be read, or is a pipe or a device: that might never end. ``strerror`` says so.
+    Raises OSError: it cannot be read, or is a pipe or a device: that might never end. ``strerror`` says so.
     """
     more = flags | os.O_NONBLOCK
     file = open(path, "rb", opener=lambda name, own: os.open(name, own | more))  # noqa: SIM115
@@ -178,19 +166,9 @@ def atomic(target: Path, failures: tuple[type[Exception], ...] = ()) -> Iterator
 
     The path lies in the same folder as ``target`` and has the same suffix. Other files whose names start with its stem
     are scratch files and are always removed. A GDAL sidecar file moves along with its raster; one that belongs to an
-    earlier raster is removed, since it would describe the wrong pixels.
-
-    Parameters
-    ----------
-    target : Path
-        The file to create or replace.
-    failures : exception types
-        What the writing library raises if it cannot write, in addition to ``OSError``.
-
-    Raises
-    ------
-    OutputError
-        The file could not be written. ``target`` is unchanged.
+    earlier raster is removed, since it would describe the wrong pixels. ``target``: the file to create or replace;
+    ``failures``: what the writing library raises if it cannot write, in addition to ``OSError``. Raises OutputError:
+    the file could not be written. ``target`` is unchanged.
     """
     temporary = target.with_name(f".{target.stem}.{uuid4().hex}{target.suffix}")
     try:
@@ -215,21 +193,10 @@ def write_together(folder: Path, last: str, earlier: Collection[str] = ()) -> It
 
     Files that they replace stay until all are complete. The file ``last`` moves last, and an old one is removed first,
     so that its presence means that all others are there, even if the process is killed between two moves. The GDAL
-    sidecar file of a replaced raster is removed too, since it would describe the wrong pixels.
-
-    Parameters
-    ----------
-    folder : Path
-        An existing folder.
-    last : str
-        Name of the file that marks the set as complete.
-    earlier : collection of str
-        Files that an earlier run may have left, relative to ``folder``. Those that are not written again are removed.
-
-    Raises
-    ------
-    OutputError
-        The files could not be moved. The folder is unchanged.
+    sidecar file of a replaced raster is removed too, since it would describe the wrong pixels. ``folder``: an existing
+    folder; ``last``: name of the file that marks the set as complete; ``earlier``: files that an earlier run may have
+    left, relative to ``folder``. Those that are not written again are removed. Raises OutputError: the files could not
+    be moved. The folder is unchanged.
     """
     staged = folder / f"{STAGED}{uuid4().hex}"
     try:
@@ -245,15 +212,8 @@ def write_together(folder: Path, last: str, earlier: Collection[str] = ()) -> It
 def remove_path(path: Path, folder: int | None = None) -> None:
     """Remove a file, a folder with its contents, or a link (never its target).
 
-    Parameters
-    ----------
-    folder : int, optional
-        Descriptor of the folder that ``path`` is relative to.
-
-    Raises
-    ------
-    OSError
-        It does not exist, or cannot be removed.
+    ``folder``: descriptor of the folder that ``path`` is relative to. Raises OSError: it does not exist, or cannot be
+    removed.
     """
     if stat.S_ISDIR(os.stat(path, dir_fd=folder, follow_symlinks=False).st_mode):
         shutil.rmtree(path, dir_fd=folder)  # checks again, and follows no link
@@ -406,20 +366,9 @@ _FORMULA = tuple("=+-@\uff1d\uff0b\uff0d\uff20")
 def write_csv(path: Path, columns: Iterable[str], rows: Iterable[Sequence[Any]], *, end: str = "\r\n") -> None:
     """Write a table as CSV (RFC 4180, UTF-8) that a spreadsheet can open safely.
 
-    Parameters
-    ----------
-    path : Path
-        The file, which appears only when it is complete.
-    rows : iterable of sequences
-        Numbers, and text that is one, stay as they are. Other text is escaped, with an apostrophe before what would be
-        a formula. None is an empty cell.
-    end : str
-        Of a line.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    ``path``: the file, which appears only when it is complete; ``rows``: numbers, and text that is one, stay as they
+    are. Other text is escaped, with an apostrophe before what would be a formula. None is an empty cell. ``end``: of a
+    line. Raises OutputError: the file cannot be written.
     """
     with atomic(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator=end)
@@ -459,12 +408,8 @@ PLY_TYPES = {name: code for code, names in _PLY_NAMES.items() for name in names}
 def write_vertices(vertex: "NDArray[Any]", comments: Sequence[str], stream: BinaryIO) -> None:
     """Write points as binary little-endian PLY, one element ``vertex``.
 
-    Parameters
-    ----------
-    vertex : structured array (n,)
-        Each field becomes a property; its type must be one of ``PLY_TYPES``, in any byte order.
-    comments : sequence of str
-        One line each, ASCII.
+    ``vertex`` (n,): each field becomes a property; its type must be one of ``PLY_TYPES``, in any byte order;
+    ``comments``: one line each, ASCII.
     """
     kinds = [(name, vertex.dtype[name].str[1:]) for name in vertex.dtype.names or ()]
     lines = ["ply", "format binary_little_endian 1.0", *(f"comment {text}" for text in comments)]

@@ -46,10 +46,7 @@ def return_memory() -> None:
 def memory_bytes(text: str) -> int:
     """Parse a size such as ``1GB`` or ``800 MB`` and return it in bytes (1 GB = 2^30 bytes).
 
-    Raises
-    ------
-    UsageError
-        The text is not a size, or less than ``LEAST_MEMORY``.
+    Raises UsageError: the text is not a size, or less than ``LEAST_MEMORY``.
     """
     found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kmgt]?i?b?)\s*", text.lower())
     unit = found[2].replace("i", "") if found else ""

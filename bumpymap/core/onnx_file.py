@@ -58,17 +58,8 @@ def shipped_network(room: str, name: str) -> bytes:
 def read_network(path: Path, kind: str, remedy: str) -> bytes:
     """Read the file of a network.
 
-    Parameters
-    ----------
-    kind : str
-        Kind of network, for messages: ``texture network``.
-    remedy : str
-        Advice for messages.
-
-    Raises
-    ------
-    BadInputError
-        The file cannot be read, or is too large.
+    ``kind``: kind of network, for messages: ``texture network``; ``remedy``: advice for messages. Raises BadInputError:
+    the file cannot be read, or is too large.
     """
     try:
         return read_regular(path, _MOST_BYTES)
@@ -79,21 +70,9 @@ def read_network(path: Path, kind: str, remedy: str) -> bytes:
 def metadata_of(content: bytes, format_name: str, origin: str, kind: str, remedy: str) -> dict[str, str]:
     """Return the ``metadata_props`` of a network.
 
-    Parameters
-    ----------
-    content : bytes
-        The ONNX file.
-    format_name : str
-        Required value of its property ``format``.
-    origin : str
-        Source of the file, for messages.
-    kind, remedy : str
-        As for ``read_network``.
-
-    Raises
-    ------
-    BadInputError
-        The file is not an ONNX file that ONNX Runtime reads, or not a network of bumpymap.
+    ``content``: the ONNX file; ``format_name``: required value of its property ``format``; ``origin``: source of the
+    file, for messages; ``kind`` and ``remedy``: as for ``read_network``. Raises BadInputError: the file is not an ONNX
+    file that ONNX Runtime reads, or not a network of bumpymap.
     """
     metadata: dict[str, str] = _tried("read_metadata", content, origin, remedy)
     if metadata.get("format") != format_name:
@@ -106,21 +85,9 @@ def check_network(
 ) -> None:
     """Run a network once, on zeros.
 
-    Parameters
-    ----------
-    content : bytes
-        The ONNX file, see `metadata_of`.
-    inputs : mapping
-        Name of each input -> its shape, of a batch.
-    classes : int
-        The output has this many columns.
-    origin, remedy : str
-        As for ``metadata_of``.
-
-    Raises
-    ------
-    BadInputError
-        It cannot be run, or gives something else.
+    ``content``: the ONNX file, see `metadata_of`; ``inputs``: name of each input -> its shape, of a batch; ``classes``:
+    the output has this many columns; ``origin`` and ``remedy``: as for ``metadata_of``. Raises BadInputError: it cannot
+    be run, or gives something else.
     """
     shape, kind = _tried("run_on_zeros", content, origin, remedy, dict(inputs))
     expected = (next(iter(inputs.values()))[0], classes)

@@ -21,18 +21,21 @@ import tempfile
 import threading
 import weakref
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
 from multiprocessing import Pipe
+from multiprocessing.connection import wait
 from pathlib import Path
+from time import perf_counter
 from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core.errors import UsageError
+from bumpymap.core.interrupts import shielded
 from bumpytiles import blocked_signals, start_python
 
 _PAGE = 4096
@@ -120,10 +123,7 @@ class ChildError(Exception):
 class ChildDiedError(Exception):
     """A child process ended before it returned a result. The text says how.
 
-    Parameters
-    ----------
-    code : int
-        Its exit status, or the negative number of the signal that ended it.
+    ``code``: its exit status, or the negative number of the signal that ended it.
     """
 
     def __init__(self, code: int) -> None:
@@ -161,23 +161,11 @@ class DecoderError(Exception):
 class Child:
     """A child process that handles one request at a time.
 
-    Parameters
-    ----------
-    purpose : str
-        For messages, such as "to decode LAZ" in "cannot start a process to decode LAZ".
-    module : str
-        Name of the module whose functions it calls.
-    folders : sequence of str, optional
-        Folders of the module and of what it imports. The child then imports from these and the standard library only
-        (it ignores site-packages and Python's environment variables) and prints nothing. None: the child has the
-        ``sys.path`` of this process.
-    environment : mapping, optional
-        Environment variables to add to those of this process.
-
-    Raises
-    ------
-    UsageError
-        The process cannot be started.
+    ``purpose``: for messages, such as "to decode LAZ" in "cannot start a process to decode LAZ"; ``module``: name of
+    the module whose functions it calls; ``folders``: folders of the module and of what it imports. The child then
+    imports from these and the standard library only (it ignores site-packages and Python's environment variables) and
+    prints nothing. None: the child has the ``sys.path`` of this process. ``environment``: environment variables to add
+    to those of this process. Raises UsageError: the process cannot be started.
     """
 
     def __init__(
@@ -231,18 +219,10 @@ class Child:
     ) -> None:
         """Start a function call in the child and return at once.
 
-        Parameters
-        ----------
-        function : str
-            Name of a function of the child's module.
-        *arguments
-            Arguments that can be pickled.
-        shared : sequence of SharedBytes
-            Memory that is passed as further arguments, as writable memoryviews.
-        seconds : float
-            CPU time after which the system ends the child (SIGPROF); 0: no limit.
-        memory : int
-            Bytes that the child may hold during the call, on Linux; what asks for more raises MemoryError. 0: no limit.
+        ``function``: name of a function of the child's module; ``*arguments``: arguments that can be pickled;
+        ``shared``: memory that is passed as further arguments, as writable memoryviews; ``seconds``: CPU time after
+        which the system ends the child (SIGPROF); 0: no limit; ``memory``: bytes that the child may hold during the
+        call, on Linux; what asks for more raises MemoryError. 0: no limit.
         """
         places = [(each.start, each.data.size) for each in shared]
         try:
@@ -253,12 +233,7 @@ class Child:
     def finish(self) -> Any:
         """Wait for the result of the call that `begin` started.
 
-        Raises
-        ------
-        ChildError
-            The function raised.
-        ChildDiedError
-            The child has ended.
+        Raises ChildError: the function raised; ChildDiedError: the child has ended.
         """
         try:
             kind, value = self.link.recv()
@@ -289,19 +264,50 @@ class Child:
         raise ChildDiedError(code) from None
 
 
+def call_in_children(
+    purpose: str, module: str, function: str, calls: Iterable[tuple[Any, ...]], most: int
+) -> Generator[tuple[int, float, Any], None, None]:
+    """Call a function of a module with each of some arguments, in up to ``most`` child processes at a time.
+
+    Calls are begun in their order; an idle child gets the next one, and one that has died is replaced. This process
+    uses no threads, because a thread would outlive an interruption and print a message. Closing the generator ends
+    the children, whatever they do. ``purpose``: as for `Child`. Yields, as soon as a call has ended, its number, how
+    long it took, s, and its result: what it returned, or the ChildError or ChildDiedError that ended it. Raises
+    UsageError: no process can be started.
+    """
+    waiting, idle = deque(enumerate(calls)), list[Child]()
+    busy: dict[Any, tuple[Child, int, float]] = {}
+    try:
+        while waiting or busy:
+            while waiting and len(busy) < most:
+                number, arguments = waiting.popleft()
+                idle = [child for child in idle if child.is_alive]
+                with shielded():
+                    child = idle.pop() if idle else Child(purpose, module)
+                    busy[child.link] = child, number, perf_counter()
+                with suppress(ChildDiedError):  # `finish` says so
+                    child.begin(function, *arguments)
+            for link in wait(list(busy)):
+                child, number, begun = busy[link]
+                try:
+                    result = child.finish()
+                    idle.append(child)
+                except (ChildDiedError, ChildError) as error:
+                    child.close()
+                    result = error
+                del busy[link]
+                yield number, perf_counter() - begun, result
+    finally:
+        with shielded():
+            for child in (*(child for child, _, _ in busy.values()), *idle):
+                child.close()
+
+
 class Guard:
     """Calls functions in a child process, which is started when it is needed and replaced when it has died.
 
-    It is not thread-safe.
-
-    Parameters
-    ----------
-    start : callable
-        Starts a child.
-    task : str
-        What it does, for messages: "decodes LAZ".
-    library : str
-        The library that it needs, for messages.
+    It is not thread-safe. ``start``: starts a child; ``task``: what it does, for messages: "decodes LAZ"; ``library``:
+    the library that it needs, for messages.
     """
 
     def __init__(self, start: Callable[[], Child], task: str, library: str) -> None:
@@ -312,12 +318,8 @@ class Guard:
     def call(self, function: str, *arguments: Any, **limits: Any) -> Any:
         """Call a function in the child and return its result; see `Child.begin` for the parameters.
 
-        Raises
-        ------
-        DecoderError
-            The function raised, crashed, or took longer than allowed.
-        UsageError
-            The child cannot be started, or was killed.
+        Raises DecoderError: the function raised, crashed, or took longer than allowed; UsageError: the child cannot be
+        started, or was killed.
         """
         try:
             return self.live_child().call(function, *arguments, **limits)

@@ -75,10 +75,7 @@ _FROM = {"calibration": ("vehicle", "calibration"), "model": ("model",), "method
 def flat_settings(config: Any, without: Collection[str]) -> dict[str, Any]:
     """Return the settings of a dataclass as JSON values; those of a nested table are named ``table.name``.
 
-    Parameters
-    ----------
-    without : collection of str
-        Settings to leave out, because they do not change the results, beside those of the machine.
+    ``without``: settings to leave out, because they do not change the results, beside those of the machine.
     """
     found = config if isinstance(config, Mapping) else asdict(config)
     return {
@@ -105,13 +102,9 @@ def differences(
 ) -> list[str]:
     """Describe the differences between two run specs, one phrase each.
 
-    Parameters
-    ----------
-    before, now : mapping
-        ``inputs``: path -> identity of the file; ``settings``; ``made with``: name -> version or id.
-    same : callable, optional
-        Called with path, old and new identity of an input, returns whether it is the same file. None: compare the
-        two identities.
+    ``before`` and ``now``: ``inputs``: path -> identity of the file; ``settings``; ``made with``: name -> version or
+    id. ``same``: called with path, old and new identity of an input, returns whether it is the same file. None: compare
+    the two identities.
     """
     made = [{**record.get("made with", {})} for record in (before, now)]
     settings = [{**record.get("settings", {})} for record in (before, now)]
@@ -136,16 +129,9 @@ def differences(
 def same_content(path: str, known: Mapping[str, Any], here: Mapping[str, Any], hashed: Callable[[Path], str]) -> bool:
     """Return whether an input file is unchanged: by size and time, or by its checksum if the time differs.
 
-    Parameters
-    ----------
-    path : str
-        Of the file.
-    known : mapping
-        ``bytes``, ``checksum`` (see `file_checksum`; or ``sha256`` of all bytes) and, if it was recorded, ``mtime_ns``.
-    here : mapping
-        From `bumpymap.readers.identity`.
-    hashed : callable
-        Returns the checksum of an input, such as `bumpymap.readers.hash_survey`.
+    ``path``: of the file; ``known``: ``bytes``, ``checksum`` (see `file_checksum`; or ``sha256`` of all bytes) and, if
+    it was recorded, ``mtime_ns``; ``here``: from `bumpymap.readers.identity`; ``hashed``: returns the checksum of an
+    input, such as `bumpymap.readers.hash_survey`.
     """
     if known.get("bytes") is not None and known["bytes"] != here["size"]:
         return False
@@ -165,12 +151,8 @@ def spec_of_manifest(
 ) -> dict[str, Any]:
     """Return the run spec of a complete run, from its run.json or scan.json.
 
-    Parameters
-    ----------
-    without : collection of str
-        Settings to leave out, because they do not change the results.
-    made_with : mapping
-        Ids of models and calibrations, in addition to the versions.
+    ``without``: settings to leave out, because they do not change the results; ``made_with``: ids of models and
+    calibrations, in addition to the versions.
     """
     return {
         "inputs": {str(file["path"]): file for file in (*record["inputs"], *record.get("skipped_inputs", ()))},
@@ -239,19 +221,9 @@ def locked(folder: Path, name: str = LOCK) -> Iterator[None]:
     """Create the folder if it is missing, and hold its lock during the body. Does not wait for the lock.
 
     The operating system releases the lock when its holder ends, even if it is killed. On a file system without locks
-    the file itself is the lock, and stays behind if its holder is killed.
-
-    Parameters
-    ----------
-    folder : Path
-        May be a link to a folder, as the user chose it.
-    name : str
-        Name of the lock file, which is removed at the end.
-
-    Raises
-    ------
-    OutputError
-        Another run holds the lock, or the folder cannot be written.
+    the file itself is the lock, and stays behind if its holder is killed. ``folder``: may be a link to a folder, as the
+    user chose it; ``name``: name of the lock file, which is removed at the end. Raises OutputError: another run holds
+    the lock, or the folder cannot be written.
     """
     place, descriptor = _acquire(folder, name)
     try:
@@ -438,32 +410,14 @@ class RunFolder:
     ) -> Iterator["RunFolder"]:
         """Continue an interrupted run, or begin a new one in a new folder. The caller holds the lock of ``out``.
 
-        The folder is removed if the body succeeds. If the body fails, it is removed if there is nothing ``finished``
-        or ``decide`` returns ``Kept.NOTHING``; otherwise ``advice`` is added to the exception as a note.
-
-        Parameters
-        ----------
-        out : Path
-            Output folder of the run.
-        run_spec : mapping
-            Inputs and settings of the run; see `RunFolder.run_spec`.
-        overwrite : bool
-            Whether to discard an interrupted run that had other inputs or settings.
-        finished : callable
-            Return whether the folder holds finished work.
-        advice : str
-            What the user can do with the checkpoints.
-        keep : collection of str
-            Names of files that stay when a new run replaces an interrupted one.
-        decide : callable
-            Return which checkpoints to keep after an exception.
-
-        Raises
-        ------
-        UsageError
-            The interrupted run had other inputs or settings.
-        OutputError
-            The folder cannot be written, is a link, or belongs to another user.
+        The folder is removed if the body succeeds. If the body fails, it is removed if there is nothing ``finished`` or
+        ``decide`` returns ``Kept.NOTHING``; otherwise ``advice`` is added to the exception as a note. ``out``: output
+        folder of the run; ``run_spec``: inputs and settings of the run; see `RunFolder.run_spec`; ``overwrite``:
+        whether to discard an interrupted run that had other inputs or settings; ``finished``: return whether the folder
+        holds finished work; ``advice``: what the user can do with the checkpoints; ``keep``: names of files that stay
+        when a new run replaces an interrupted one; ``decide``: return which checkpoints to keep after an exception.
+        Raises UsageError: the interrupted run had other inputs or settings; OutputError: the folder cannot be written,
+        is a link, or belongs to another user.
         """
         path = work_folder(out)
         with writing_to(path):

@@ -357,10 +357,7 @@ class GroundGrid:
 def point_classes(scan: Scan, classed: ClassedSectors) -> NDArray[np.uint8]:
     """Return the class of each point: that of its sector.
 
-    Returns
-    -------
-    (m,) uint8
-        0 to 2; ``NOT_TRAVERSABLE`` if the sector is not traversable, or no sector holds the point.
+    Returns (m,) uint8: 0 to 2; ``NOT_TRAVERSABLE`` if the sector is not traversable, or no sector holds the point.
     """
     place = classed.sectors.point_sector
     if len(place) != len(scan.points):

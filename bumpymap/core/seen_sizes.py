@@ -63,14 +63,8 @@ _MOST_CHANCE = 1.0 - 1e-9
 def points_needed(density: NDArray[np.floating] | float, pixel_m: float, *, in_relief: bool) -> Floats:
     """Return the points on the top of an object, on average, with which it is found in 95 % of the cases.
 
-    Parameters
-    ----------
-    density : array
-        Points per m2 of the tile.
-    pixel_m : float
-        Side of a pixel, m.
-    in_relief : bool
-        All points count as ground, so that obstacles are part of the relief.
+    ``density``: points per m2 of the tile; ``pixel_m``: side of a pixel, m; ``in_relief``: all points count as ground,
+    so that obstacles are part of the relief.
     """
     density = np.asarray(density, np.float64)
     least = np.maximum(_LEAST_POINTS, np.ceil(OBSTACLE_SHARE * _NEIGHBOURHOOD * pixel_m**2 * density))
@@ -91,21 +85,9 @@ def smallest_object(
 ) -> NDArray[np.float32]:
     """Return the side of the narrowest standing object that tiles would have shown with 95 %.
 
-    Parameters
-    ----------
-    held : bool (n, pixels, pixels)
-        Pixels with points.
-    count : array (n,)
-        Points of each tile, whatever they are of.
-    tile_size : float
-        m.
-    in_relief : bool
-        As for `points_needed`.
-
-    Returns
-    -------
-    float32 (n,)
-        m, at most the side of a tile; infinite without a point.
+    ``held`` (n, pixels, pixels): pixels with points; ``count`` (n,): points of each tile, whatever they are of;
+    ``tile_size``: m; ``in_relief``: as for `points_needed`. Returns float32 (n,): m, at most the side of a tile;
+    infinite without a point.
     """
     pixel_m = tile_size / held.shape[-1]
     density = count / tile_size**2
@@ -143,16 +125,9 @@ def smallest_step(
 ) -> NDArray[np.float32]:
     """Return the lowest step of the ground that would have been found with 95 %, m; NaN where it is not known.
 
-    ``MOST_STEP`` where none would.
-
-    Parameters
-    ----------
-    limit : array
-        Of `bumpymap.rating.TileSteps`: up to that height steps do not count, m.
-    density : array of the same shape
-        Points per m2 that were measured.
-    closing : float
-        Least height of a step that closes its place, m.
+    ``MOST_STEP`` where none would. ``limit``: of `bumpymap.rating.TileSteps`: up to that height steps do not count, m;
+    ``density`` (array of the same shape): points per m2 that were measured; ``closing``: least height of a step that
+    closes its place, m.
     """
     out_of_noise = limit * (_STEP + _STEP_THIN / np.maximum(density, 1e-9))
     found = np.minimum(np.minimum(out_of_noise, _JUMP * closing + _JUMP_NOISE * limit), MOST_STEP)

@@ -45,12 +45,8 @@ _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 80
 def read_toml(path: Path, what: str, error: type[BumpymapError]) -> dict[str, Any]:
     """Read a TOML file of at most 16 kB; a byte order mark at its start is skipped.
 
-    Parameters
-    ----------
-    what : str
-        What the file contains, for messages, such as ``settings``.
-    error : exception type
-        Raised if the file cannot be read: it is not a regular file, too large, not UTF-8, or not TOML.
+    ``what``: what the file contains, for messages, such as ``settings``; ``error``: raised if the file cannot be read:
+    it is not a regular file, too large, not UTF-8, or not TOML.
     """
     try:
         return tomllib.loads(read_regular(path, _MOST_BYTES).decode("utf-8-sig"))
@@ -293,10 +289,7 @@ def _schema_of(kind: Any, setting: Setting) -> dict[str, Any]:
 def check_settings(settings: object) -> None:
     """Check the fields of a settings object against their declaration; to be called by its ``__post_init__``.
 
-    Raises
-    ------
-    UsageError
-        A number is out of bounds, or a value is none of those to choose from.
+    Raises UsageError: a number is out of bounds, or a value is none of those to choose from.
     """
     owner: type = type(settings)
     for each in declared_fields(owner).values():
@@ -322,22 +315,10 @@ def _is_allowed(value: Any, kind: Any, setting: Setting) -> bool:
 def read_settings_file(path: Path, *owners: type) -> dict[str, Any]:
     """Read settings from a TOML file.
 
-    Parameters
-    ----------
-    path : Path
-        Path of the file. Relative paths in the file start at its folder.
-    *owners : type
-        Dataclasses that the settings are for; see `parse_record`.
-
-    Returns
-    -------
-    dict
-        Arguments of ``owners`` for the fields that the file sets.
-
-    Raises
-    ------
-    UsageError
-        No such file, not TOML, an unknown key, a value of the wrong type or out of range; the message lists all faults.
+    ``path``: path of the file. Relative paths in the file start at its folder. ``*owners``: dataclasses that the
+    settings are for; see `parse_record`. Returns arguments of ``owners`` for the fields that the file sets. Raises
+    UsageError: no such file, not TOML, an unknown key, a value of the wrong type or out of range; the message lists all
+    faults.
     """
     arguments, faults = parse_record(read_toml(path, "settings", UsageError), owners, path.parent)
     refuse_faults(faults, str(path), UsageError)
@@ -349,26 +330,11 @@ def assigned_settings(
 ) -> dict[str, Any]:
     """Read settings that are given as ``KEY=VALUE``, a table's as ``TABLE.KEY=VALUE``.
 
-    Parameters
-    ----------
-    assignments : iterable of str
-        The value is TOML; quotes of a text and brackets of a list may be left out.
-    before : mapping
-        Settings that these override; a table keeps its other values.
-    origin : str
-        Where they come from, for messages.
-    *owners : type
-        Dataclasses that the settings are for; see `parse_record`.
-
-    Returns
-    -------
-    dict
-        Arguments of ``owners`` for the fields that are set.
-
-    Raises
-    ------
-    UsageError
-        Not of this form, an unknown key, a value of the wrong type or out of range; the message lists all faults.
+    ``assignments``: the value is TOML; quotes of a text and brackets of a list may be left out; ``before``: settings
+    that these override; a table keeps its other values; ``origin``: where they come from, for messages; ``*owners``:
+    dataclasses that the settings are for; see `parse_record`. Returns arguments of ``owners`` for the fields that are
+    set. Raises UsageError: not of this form, an unknown key, a value of the wrong type or out of range; the message
+    lists all faults.
     """
     record: dict[str, Any] = {}
     for text in assignments:
@@ -423,26 +389,10 @@ def settings_of_call(
 ) -> dict[str, Any]:
     """Check the keyword arguments of a Python call in the same way as the settings of a file.
 
-    Parameters
-    ----------
-    given : mapping
-        Name -> value. Tables may be dicts or dataclasses, paths any path-like object; None means not given.
-    owner : type
-        Dataclass that the settings are for, see `parse_record`.
-    function : str
-        Name of the called function, for messages.
-    known : collection of str
-        Names that may be given; default is those of all fields.
-
-    Returns
-    -------
-    dict
-        Arguments of ``owner``.
-
-    Raises
-    ------
-    UsageError
-        A name that is not known; values of the wrong type or out of range; the message lists all faults.
+    ``given``: name -> value. Tables may be dicts or dataclasses, paths any path-like object; None means not given.
+    ``owner``: dataclass that the settings are for, see `parse_record`; ``function``: name of the called function, for
+    messages; ``known``: names that may be given; default is those of all fields. Returns arguments of ``owner``. Raises
+    UsageError: a name that is not known; values of the wrong type or out of range; the message lists all faults.
     """
     refuse_unknown(given, known or [field.name for field in fields(owner)], function)
     record = {name: _plain(value) for name, value in given.items() if value is not None}
@@ -500,25 +450,12 @@ def parse_record(
 ) -> tuple[dict[str, Any], list[str]]:
     """Turn nested dictionaries into the arguments of a dataclass.
 
-    Parameters
-    ----------
-    record : dict
-        As read from a TOML or JSON file.
-    owner : type or tuple of type
-        Dataclass, or several whose fields stand side by side. A field may be a bool, a number, a str, a Path, a
-        a ``NameOrFile``, a Literal of strings, a tuple of one of these, a dataclass
-        (a table in the file), any of them or None, or any of them ``Annotated`` with a `Setting`.
-    folder : Path
-        Folder at which relative paths start.
-    complete : bool
-        Whether a missing field without a default is a fault. In nested tables it always is.
-
-    Returns
-    -------
-    arguments : dict
-        Arguments for the fields that ``record`` sets.
-    faults : list of str
-        Each names the key, its value and what is allowed.
+    ``record``: as read from a TOML or JSON file; ``owner``: dataclass, or several whose fields stand side by side. A
+    field may be a bool, a number, a str, a Path, a ``NameOrFile``, a Literal of strings, a tuple of one of these, a
+    dataclass (a table in the file), any of them or None, or any of them ``Annotated`` with a `Setting`. ``folder``:
+    folder at which relative paths start; ``complete``: whether a missing field without a default is a fault. In nested
+    tables it always is. Returns arguments for the fields that ``record`` sets; and its faults, each with the
+    key, its value and what is allowed.
     """
     parser, owners = _Parser(folder), owner if isinstance(owner, tuple) else (owner,)
     if not isinstance(record, dict):

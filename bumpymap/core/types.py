@@ -317,17 +317,8 @@ class CostRule:
         """Return why tiles are not passable as far as each tile alone tells: unknown, too steep, or drives fail.
 
         At least ``FAIL_SHARE`` of the drives must fail. If the rating has no ``p_fail`` (NaN: with ``compat``), the
-        roughest class is not passable.
-
-        Parameters
-        ----------
-        columns : mapping
-            ``class_id``, ``c_r``, ``p_fail`` and ``slope``, arrays of one shape, as in `tile_columns`.
-
-        Returns
-        -------
-        uint8, of the same shape
-            A `Barred`.
+        roughest class is not passable. ``columns``: ``class_id``, ``c_r``, ``p_fail`` and ``slope``, arrays of one
+        shape, as in `tile_columns`. Returns a `Barred`.
         """
         class_id, c_r, p_fail, slope = (columns[name] for name in ("class_id", "c_r", "p_fail", "slope"))
         fails = np.where(np.isnan(p_fail), class_id == len(CLASS_NAMES) - 1, p_fail >= FAIL_SHARE)

@@ -74,7 +74,7 @@ def _filled(
     """Return the pixels of some tiles of a window, (n, 3, 3), m; NaN where no heights are near."""
     if not len(row):
         return np.empty((0, _PIXELS, _PIXELS), np.float32)
-    wide = TileWindow(window.col - _MARGIN, window.row - _MARGIN, window.cols + 2 * _MARGIN, window.rows + 2 * _MARGIN)
+    wide = window.grown(_MARGIN)
     heights, known = _means(tiles, wide)
     values, left = np.where(known, heights, np.nan), ~known
     # Sums of whole numbers are exact, so a pixel has the same value in every window that it is in.

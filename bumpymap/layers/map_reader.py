@@ -176,12 +176,12 @@ class MapReader:
         pixels = self.grid.pixels
         out = np.empty((window.rows, window.cols, 2), np.float32)
         at_once = max(1, _PLANE_PIXELS // (window.cols * pixels**2))
-        for top in range(0, window.rows, at_once):
-            rows, cols = min(at_once, window.rows - top) + 2, window.cols + 2
-            around = TileWindow(window.col - 1, window.row + window.rows - top - rows + 1, cols, rows)
+        for top, part in window.cut(at_once):
+            around = part.grown(1)
+            rows, cols = around.rows, around.cols
             z = self.heights(around).reshape(rows, pixels, cols, pixels).swapaxes(1, 2).reshape(rows, cols, -1)
             is_open = np.isin(self.read(around, ()).barred, OPEN_THROUGH)
-            out[top : top + rows - 2] = _corner_gradient(_planes(z), is_open)[1:-1, 1:-1] / self.grid.tile_size
+            out[top : top + part.rows] = _corner_gradient(_planes(z), is_open)[1:-1, 1:-1] / self.grid.tile_size
         return out
 
     def relief(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.float32]:

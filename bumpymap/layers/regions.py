@@ -222,8 +222,7 @@ def _dissolve_window(table: CostTable, place: Placement, window: RasterWindow, b
 
 def _region_keys(table: CostTable, window: RasterWindow) -> NDArray[np.uint8]:
     """Return the keys (rows + 2, cols + 2) of a window and of the tiles around it, north row first; 0: no tile."""
-    inside = window.tiles
-    around = TileWindow(inside.col - 1, inside.row - 1, inside.cols + 2, inside.rows + 2)
+    around = window.tiles.grown(1)
     keys = np.zeros((around.rows, around.cols), dtype=np.uint8)
     for strip in table.tiles.strips(_STRIP, around):
         found = table.tiles.read(("class_id", "barred", "reason"), strip)

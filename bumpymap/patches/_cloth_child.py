@@ -13,14 +13,8 @@ def mark_ground(
 ) -> None:
     """Mark the points that are ground.
 
-    Parameters
-    ----------
-    cloth_resolution, class_threshold, rigidness, slope_smooth
-        As in ``CsfSettings``.
-    points : float64 (n, 3)
-        Buffer of the coordinates, m.
-    marks : uint8 (n,)
-        Output buffer: 1 for ground, else 0.
+    ``cloth_resolution``, ``class_threshold``, ``rigidness`` and ``slope_smooth``: as in ``CsfSettings``; ``points`` (n,
+    3): buffer of the coordinates, m; ``marks`` (n,): output buffer: 1 for ground, else 0.
     """
     import CSF
 

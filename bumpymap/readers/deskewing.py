@@ -14,17 +14,8 @@ _STEP_S = 1e-3
 def deskew(scan: Scan, motion: PoseTrack) -> Scan:
     """Move the points of a scan to where they are seen from the pose at the time of the frame.
 
-    Parameters
-    ----------
-    scan : Scan
-        With the time of each point.
-    motion : PoseTrack
-        Poses of the sensor; time 0 is that of the frame.
-
-    Returns
-    -------
-    Scan
-        The same scan if it has no times, or if the poses do not cover them.
+    ``scan``: with the time of each point; ``motion``: poses of the sensor; time 0 is that of the frame. Returns the
+    same scan if it has no times, or if the poses do not cover them.
     """
     if scan.time is None or not len(scan.points):
         return scan

@@ -319,7 +319,7 @@ def _apart(marked: NDArray[np.bool_], reach: float) -> NDArray[np.bool_]:
 def window_around(site: MapReader, line: Floats, ring: int) -> TileWindow:
     """Return the tiles that a line, (n, 2) easting and northing [m], spans, and a ring around them."""
     inner = TileWindow.around(*(site.grid.index(np.array([axis.min(), axis.max()])) for axis in line.T))
-    return TileWindow(inner.col - ring, inner.row - ring, inner.cols + 2 * ring, inner.rows + 2 * ring)
+    return inner.grown(ring)
 
 
 def stretches(line: Floats, longest: float) -> Iterator[Floats]:

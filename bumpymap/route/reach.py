@@ -12,7 +12,6 @@ from bumpymap.route.ground import CostGround
 from bumpymap.route.places import place_in_window, window_within
 from bumpymap.route.search import FROM_START, MOVES, spread, traced_moves
 from bumpymap.route.straighten import as_cost, line_cost
-from bumpytiles import TileWindow
 
 _STRIP = 64
 """Rows of tiles whose speeds are read at once, so that they take no more memory than the search did."""
@@ -77,10 +76,9 @@ def find_reach(ground: CostGround, start: NDArray[np.float64], most_m: float = m
     is_passable = np.isfinite(cost[..., 0])
     del cost  # a map may fill the memory that the search is given: what follows takes no more
     slow, in_part = np.empty(spent.shape, np.float32), False
-    for top in range(0, window.rows, _STRIP):
-        rows = min(_STRIP, window.rows - top)
-        tiles = site.read(TileWindow(window.col, window.row + window.rows - top - rows, window.cols, rows), ("c_r",))
-        slow[top : top + rows] = ground.slowness(tiles)
+    for top, part in window.cut(_STRIP):
+        tiles = site.read(part, ("c_r",))
+        slow[top : top + part.rows] = ground.slowness(tiles)
         in_part |= bool(np.isin(tiles.barred, _IN_PART).any())
     time = np.full(spent.shape, -1.0)
     for row, col in np.argwhere(back == FROM_START).tolist():

@@ -45,12 +45,8 @@ def enough_points(settings: FeatureSettings, *, thin: bool) -> int:
 def advise(outcome: Outcome, settings: FeatureSettings, *, would_help: Mapping[str, float] | None = None) -> str:
     """Return in one line which share of the tiles is unknown, why, and what would help; empty if there are few.
 
-    Parameters
-    ----------
-    settings : FeatureSettings
-        Limits of the dense rule.
-    would_help : mapping of str to float, optional
-        Before a run: share of unknown tiles with other options. Those that leave far fewer unknown are advised.
+    ``settings``: limits of the dense rule; ``would_help``: before a run: share of unknown tiles with other options.
+    Those that leave far fewer unknown are advised.
     """
     if outcome.share <= _FEW_UNKNOWN:
         return ""

@@ -45,20 +45,9 @@ def _compared(sums: LineSums) -> tuple[Ints, Ints]:
 def steps_between_lines(lined: Ints, sums: Ints) -> tuple[Ints, Floats]:
     """Return pairs of lines, and the steps between them in all cells where they can be measured.
 
-    Parameters
-    ----------
-    lined : (n,)
-        Key of the cell << 16 | line, rising.
-    sums : (n, 10)
-        See `bumpymap.readers.LineSums`.
-
-    Returns
-    -------
-    (n,)
-        Line with the smaller number << 16 | the other one, rising.
-    (4, n)
-        Easting and northing of the middle of the points; height of the second line above the first; its standard
-        error; m.
+    ``lined`` (n,): key of the cell << 16 | line, rising; ``sums`` (n, 10): see `bumpymap.readers.LineSums`. Returns
+    (n,): line with the smaller number << 16 | the other one, rising; and (4, n): easting and northing of the middle of
+    the points; height of the second line above the first; its standard error; m.
     """
     cell, line = lined >> 16, lined & 0xFFFF
     pairs = [np.zeros((2, 0), np.int64)]

@@ -51,17 +51,9 @@ class SurveyInputs:
     def open(cls, config: MapConfig, *, crs_must_agree: bool = True) -> "SurveyInputs":
         """Open every input and check that they share a CRS, before the long work begins.
 
-        Parameters
-        ----------
-        crs_must_agree : bool
-            Whether an input that states another CRS than ``config.crs`` is refused; else its own is used.
-
-        Raises
-        ------
-        BadInputError
-            An input cannot be read and may not be skipped, none can be read, or they have no common CRS.
-        UsageError
-            An input states another CRS than it must.
+        ``crs_must_agree``: whether an input that states another CRS than ``config.crs`` is refused; else its own is
+        used. Raises BadInputError: an input cannot be read and may not be skipped, none can be read, or they have no
+        common CRS; UsageError: an input states another CRS than it must.
         """
         readers: list[SurveyReader] = []
         skipped: dict[str, str] = {}

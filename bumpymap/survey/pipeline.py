@@ -55,17 +55,10 @@ _COLOURED = 0.1
 def map_surveys(config: MapConfig, progress: Progress | None = None, *, in_batch: bool = False) -> MapResult:
     """Map surveys: read, cut into tiles, measure, classify, rate, write.
 
-    Parameters
-    ----------
-    in_batch : bool
-        The run is one of many. A survey that states another CRS than ``config.crs`` is mapped in its own, with a
-        warning, instead of being refused; with ``config.overwrite``, layers of the same inputs and settings are kept;
-        an interrupted run of others that has left no layers is replaced.
-
-    Raises
-    ------
-    BumpymapError
-        Bad inputs or settings, or a full disk; no file is left half-written.
+    ``in_batch``: the run is one of many. A survey that states another CRS than ``config.crs`` is mapped in its own,
+    with a warning, instead of being refused; with ``config.overwrite``, layers of the same inputs and settings are
+    kept; an interrupted run of others that has left no layers is replaced. Raises BumpymapError: bad inputs or
+    settings, or a full disk; no file is left half-written.
     """
     try:
         with remove_empty_on_error(config.out), locked(config.out):

@@ -107,23 +107,11 @@ def survey_record(
 ) -> dict[str, Any]:
     """Return name, checksum and dates of a survey; nothing in them depends on where its files lie.
 
-    Parameters
-    ----------
-    given : sequence of Path
-        Files and folders as the user named them.
-    files : sequence of Path
-        The files that were read.
-    checksums : sequence of str or None
-        Checksum of each file.
-    dates : sequence of date or None
-        Date in the header of each file.
-
-    Returns
-    -------
-    dict
-        ``name``: that of the one file without its suffix, or of the folder that was given or that holds all files, or
-        ``N files``. ``checksum``: that of the one file, or one made from those of all; None if a file has none.
-        ``dates``: the first and the last in the headers, ISO 8601; None if no header has one.
+    ``given``: files and folders as the user named them; ``files``: the files that were read; ``checksums``: checksum of
+    each file; ``dates``: date in the header of each file. Returns ``name``: that of the one file without its suffix, or
+    of the folder that was given or that holds all files, or ``N files``. ``checksum``: that of the one file, or one
+    made from those of all; None if a file has none. ``dates``: the first and the last in the headers, ISO 8601; None if
+    no header has one.
     """
     known = [checksum for checksum in checksums if checksum is not None]
     whole = len(known) == len(files)
@@ -171,10 +159,7 @@ def describe_run(config: MapConfig, inputs: SurveyInputs, models: RatingModels, 
 def earlier_result(config: MapConfig, run_spec: Mapping[str, Any]) -> MapResult:
     """Return the recorded result of the complete run in ``config.out``, whose layers are verified.
 
-    Raises
-    ------
-    OutputError
-        That run had other inputs or settings, or its layers are no longer complete.
+    Raises OutputError: that run had other inputs or settings, or its layers are no longer complete.
     """
     must = [name for name in PRODUCT_NAMES if name != MANIFEST_NAME]
     with verified_record(config.out, must) as record:

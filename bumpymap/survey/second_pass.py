@@ -111,12 +111,8 @@ def add_neighbours(
 ) -> TileTable:  # fmt: skip
     """Rate all tiles with their neighbours; return the table with the new columns, whose packs are in ``folder``.
 
-    The packs are named after ``kind``, which differs where one table is rated again.
-
-    Raises
-    ------
-    OSError
-        The packs cannot be written.
+    The packs are named after ``kind``, which differs where one table is rated again. Raises OSError: the packs cannot
+    be written.
     """
     keys, names = table.keys, ("col", "row", *rating.needs)
     progress.start("comparing neighbours", len(keys))
@@ -250,10 +246,7 @@ class NeighbourRating:
     def leaves(self, own: Mapping[str, NDArray[Any]]) -> Columns | None:
         """Return the columns of n tiles of a block if all are unknown and stay so; None if neighbours matter.
 
-        Parameters
-        ----------
-        own : mapping
-            ``needs`` without ``heights``, (n, ...) each.
+        ``own``: ``needs`` without ``heights``, (n, ...) each.
         """
         return None if self._known(own).any() else self._of_unknown(own)
 
@@ -459,10 +452,7 @@ def finish_tiles(
 ) -> TileTable:  # fmt: skip
     """Rate all tiles with their neighbours, and sweep the vehicle over them; their packs are in ``folder``.
 
-    Raises
-    ------
-    OSError
-        The packs cannot be written.
+    Raises OSError: the packs cannot be written.
     """
     rated = add_neighbours(table, rating, folder, threads, progress)
     sweep = VehicleSweep(rating.config, rating.calibration)

@@ -65,12 +65,8 @@ class RatingModels:
     def load(cls, config: MapConfig) -> "RatingModels":
         """Load both, and check that they were made for the tiles of the run.
 
-        The ride model does not need the texture, so tiles for which there is no network are rated without.
-
-        Raises
-        ------
-        BumpymapError
-            A file cannot be read, or is for tiles of another size.
+        The ride model does not need the texture, so tiles for which there is no network are rated without. Raises
+        BumpymapError: a file cannot be read, or is for tiles of another size.
         """
         is_included = config.calibration is None and str(config.vehicle) in shipped_calibrations()
         find = _included if is_included else find_calibration

@@ -51,23 +51,9 @@ class Space(NamedTuple):
 def show_in_space(layers: Path, out: Path | None = None, route: Path | None = None) -> None:
     """Draw a map in three dimensions, in a window, or in a PNG file without a screen.
 
-    Parameters
-    ----------
-    layers : Path
-        Folder of `bumpymap map`.
-    out : Path, optional
-        The picture; without, a window opens.
-    route : Path, optional
-        Folder of `bumpymap route`, or its route.geojson: its ways are drawn too.
-
-    Raises
-    ------
-    UsageError
-        Open3D is not installed, or cannot draw here.
-    BadInputError
-        The layers or the route cannot be read.
-    OutputError
-        The picture cannot be written.
+    ``layers``: folder of `bumpymap map`; ``out``: the picture; without, a window opens; ``route``: folder of `bumpymap
+    route`, or its route.geojson: its ways are drawn too. Raises UsageError: Open3D is not installed, or cannot draw
+    here; BadInputError: the layers or the route cannot be read; OutputError: the picture cannot be written.
     """
     if out is not None and out.suffix.lower() not in {".png", ".jpg"}:
         raise UsageError(f"{out} is no picture: give a name that ends in .png")

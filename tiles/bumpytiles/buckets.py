@@ -243,7 +243,7 @@ class TileBuckets:
             A single tile is too large.
         """
         names = [column.name for column in columns_of(None, coloured=True)]
-        if not self.is_divided(key):
+        if self.limits is None or self.points(key) <= self.limits.block_points:
             yield sort_block(self.grid, key, list(self._parts(key, names)))
             return
         for chosen in self._shares(key):
@@ -252,10 +252,6 @@ class TileBuckets:
                 wanted = chosen[part["tile"]]
                 parts.append(PointPart({name: array[wanted] for name, array in part.items()}, scaling))
             yield sort_block(self.grid, key, parts)
-
-    def is_divided(self, key: BlockKey) -> bool:
-        """Return whether a block is too large to sort at once."""
-        return self.limits is not None and self.points(key) > self.limits.block_points
 
     def _shares(self, key: BlockKey) -> Iterator[NDArray[np.bool_]]:
         """Yield masks (256,) that split the tiles of a block into groups of as many points as can be sorted."""

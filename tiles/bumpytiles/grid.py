@@ -7,6 +7,7 @@ Float64 holds few decimal numbers, and few feet in metres: a coordinate is on a 
 of 1e-8 m below.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,6 +45,16 @@ class TileWindow:
         """Return the smallest window that contains every given tile (at least one)."""
         west, south = int(col.min()), int(row.min())
         return cls(west, south, int(col.max()) - west + 1, int(row.max()) - south + 1)
+
+    def grown(self, ring: int) -> "TileWindow":
+        """Return the window with ``ring`` more tiles on each side."""
+        return TileWindow(self.col - ring, self.row - ring, self.cols + 2 * ring, self.rows + 2 * ring)
+
+    def cut(self, rows: int) -> "Iterator[tuple[int, TileWindow]]":
+        """Yield windows of up to ``rows`` whole rows, north first; each with the number of rows north of it."""
+        for north in range(0, self.rows, rows):
+            own = min(rows, self.rows - north)
+            yield north, TileWindow(self.col, self.row + self.rows - north - own, self.cols, own)
 
 
 @dataclass(frozen=True, slots=True)

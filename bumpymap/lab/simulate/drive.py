@@ -266,12 +266,6 @@ def library_terrains(calibration: Calibration) -> tuple[DrivenTerrain, ...]:
         ) from error
 
 
-def read_library(calibration: Calibration) -> tuple[list[Terrain], tuple[DrivenTerrain, ...]]:
-    """Return the ground and the drives of the terrain library of a calibration, the inputs of `fit_ride`."""
-    settings, driven = calibrated_settings(calibration), library_terrains(calibration)
-    return [library_terrain(settings, terrain.kind, terrain.index) for terrain in driven], driven
-
-
 def six_digits(value: float | None) -> float | None:
     """Round a figure as it is recorded; None for None and NaN."""
     return None if value is None or math.isnan(value) else float(f"{value:.6g}")

@@ -12,11 +12,10 @@ import stat
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing, nullcontext, suppress
 from dataclasses import asdict, dataclass
-from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any, Generic, TextIO, TypeVar
 
-from bumpymap.core import BumpymapError, Child, ChildDiedError, OutputError, atomic, parse_json, shielded
+from bumpymap.core import BumpymapError, ChildDiedError, ChildError, OutputError, atomic, call_in_children, parse_json
 
 _FORMAT = "bumpymap-drives-progress"
 _LOG = logging.getLogger(__name__)
@@ -171,55 +170,28 @@ def run_in_processes(
 ) -> Generator[Result, None, None]:
     """Run jobs in child processes and yield their results in order; an idle worker gets the next job.
 
-    This process uses no threads, because a thread would outlive an interruption and print a message. Closing the
-    generator ends the workers. ``task``, jobs and results must be picklable; what ``task`` raises is raised here, and
-    BumpymapError if a worker died.
+    Closing the generator ends the workers. ``task``, jobs and results must be picklable; what ``task`` raises is raised
+    here, and BumpymapError if a worker died.
     """
-    children: list[Child] = []
-    try:
-        for _ in range(workers):
-            with shielded():
-                children.append(Child("for the simulation", __name__))
-        finished: dict[int, Result] = {}
-        wanted = 0
-        for number, result in _completed_jobs(task, jobs, children):
-            finished[number] = result
+    calls = call_in_children("for the simulation", __name__, "attempt", ((task, job) for job in jobs), workers)
+    finished: dict[int, Result] = {}
+    wanted = 0
+    # Results of running jobs are no longer needed after an error, and the jobs would go on for many seconds.
+    with closing(calls) as ends:
+        for number, _, end in ends:
+            if isinstance(end, ChildDiedError):
+                raise BumpymapError(
+                    f"a simulation process {end}, perhaps because memory ran out; run the same command again to "
+                    "continue, with fewer --jobs if it happens again"
+                ) from end
+            if isinstance(end, ChildError):
+                raise end
+            finished[number], error = end
+            if error is not None:
+                raise error
             while wanted in finished:
                 yield finished.pop(wanted)
                 wanted += 1
-    except ChildDiedError as error:
-        raise BumpymapError(
-            f"a simulation process {error}, perhaps because memory ran out; run the same command again to continue, "
-            "with fewer --jobs if it happens again"
-        ) from error
-    finally:
-        # Results of running jobs are no longer needed, and the jobs would go on for many seconds.
-        with shielded():
-            for child in children:
-                child.close()
-
-
-def _completed_jobs(
-    task: Callable[[Task], Result], jobs: Sequence[Task], children: Sequence[Child]
-) -> Generator[tuple[int, Result], None, None]:
-    """Yield number and result of each job as it completes."""
-    waiting = iter(enumerate(jobs))
-    idle = list(children)
-    busy: dict[Any, tuple[Child, int]] = {}
-    while True:
-        for child, (number, job) in zip(idle.copy(), waiting, strict=False):
-            child.begin("attempt", task, job)
-            idle.remove(child)
-            busy[child.link] = child, number
-        if not busy:
-            return
-        for link in wait(list(busy)):
-            child, number = busy.pop(link)
-            result, error = child.finish()
-            if error is not None:
-                raise error
-            idle.append(child)
-            yield number, result
 
 
 def attempt(task: Callable[[Task], Result], job: Task) -> tuple[Result | None, Exception | None]:

@@ -31,7 +31,8 @@ from bumpymap.lab.simulate.drive import (
     Start,
     calibrated_settings,
     drive_from,
-    read_library,
+    library_terrain,
+    library_terrains,
 )
 from bumpymap.lab.simulate.jobs import DriveJob, Key
 from bumpymap.lab.simulate.model import relief_and_slope, require_scikit_learn
@@ -186,12 +187,11 @@ def refit(calibration: Calibration) -> Calibration:
             f"the calibration {calibration.id} holds no drives over the terrain library. Make one with: "
             "bumpymap calibrate"
         )
-    terrains, driven = read_library(calibration)
-    profile = Vehicle.from_dict(calibration.vehicle, f"calibration {calibration.id}")
-    ride = fit_ride(profile, terrains, driven)
-    thin = fit_thin_surveys(profile, terrains, ride, calibration.class_limits[0])
+    settings, driven = calibrated_settings(calibration), library_terrains(calibration)
+    terrains = [library_terrain(settings, terrain.kind, terrain.index) for terrain in driven]
+    ride = fit_ride(settings.profile, terrains, driven)
+    thin = fit_thin_surveys(settings.profile, terrains, ride, calibration.class_limits[0])
     made = replace(calibration, ride=ride, thin=thin)
-    settings = calibrated_settings(made)
     if made.steps:  # its crossings stay
         made = replace(made, steps=made.steps | {"tile": _rated_tiles(made, settings)})
     if made.motion:

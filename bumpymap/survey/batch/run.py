@@ -8,27 +8,23 @@ else that a survey can cause is in its row of the results.
 import logging
 import time
 import traceback
-from collections import deque
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cache, partial
-from multiprocessing.connection import wait
 from pathlib import Path
 from time import monotonic
 from typing import Any, TypeAlias, Unpack
 
 from bumpymap.core import (
     BumpymapError,
-    Child,
-    ChildDiedError,
-    ChildError,
     MapConfig,
     OutputError,
     TooUnknownError,
     UsageError,
     brief_repr,
+    call_in_children,
     count_text,
     lock_for,
     lock_holder,
@@ -92,7 +88,7 @@ def map_one(task: MapTask) -> TaskEnd:
             row = _mapped(task)
             view = look_at(task.config.out, task.thumbnail)
         except Exception as error:  # noqa: BLE001 (the other surveys are mapped all the same)
-            row = _failed(task, _why_failed(error), begin)
+            row = _failed(task, _why_failed(error), time.perf_counter() - begin)
             if not isinstance(error, BumpymapError):
                 trace = traceback.format_exc()
     return replace(row, warnings=tuple(dict.fromkeys([*row.warnings, *said]))), view, trace
@@ -141,9 +137,9 @@ def _why_failed(error: Exception) -> str:
     return message
 
 
-def _failed(task: MapTask, message: str, begun: float) -> SurveyRow:
-    survey, seconds = " ".join(map(str, task.config.surveys)), round(time.perf_counter() - begun, 3)
-    return SurveyRow(task.name, "failed", message, seconds=seconds, survey=survey)
+def _failed(task: MapTask, message: str, seconds: float) -> SurveyRow:
+    survey = " ".join(map(str, task.config.surveys))
+    return SurveyRow(task.name, "failed", message, seconds=round(seconds, 3), survey=survey)
 
 
 _MODULE = "bumpymap.survey.batch.run"
@@ -152,44 +148,20 @@ _MODULE = "bumpymap.survey.batch.run"
 def map_tasks(tasks: Sequence[MapTask], jobs: int) -> Generator[TaskEnd, None, None]:
     """Map surveys, up to ``jobs`` at a time; yield the result of each as soon as it is known.
 
-    Parameters
-    ----------
-    tasks : sequence of MapTask
-        They are begun in this order.
-
-    Raises
-    ------
-    UsageError
-        No process can be started.
+    ``tasks``: they are begun in this order. Raises UsageError: no process can be started.
     """
-    waiting, idle = deque(tasks), list[Child]()
-    busy: dict[Any, tuple[Child, MapTask, float]] = {}
-    try:
-        while waiting or busy:
-            while waiting and len(busy) < jobs:
-                task = waiting.popleft()
-                idle = [child for child in idle if child.is_alive]
-                child = idle.pop() if idle else Child("to map surveys", _MODULE)
-                busy[child.link] = child, task, time.perf_counter()
-                with suppress(ChildDiedError):  # `finish` says so
-                    child.begin("map_one", task)
-            for link in wait(list(busy)):
-                child, task, begun = busy.pop(link)
-                try:
-                    end: TaskEnd = child.finish()
-                    idle.append(child)
-                except (ChildDiedError, ChildError) as error:
-                    child.close()
-                    message = (
-                        f"its process {error}. If memory ran out, give fewer `jobs` or less `memory`; the next start "
-                        "continues this survey"
-                    )
-                    end = _failed(task, message, begun), SurveyView(), ""
+    # A run that is under way is ended as by a kill; the next start continues it.
+    calls = call_in_children("to map surveys", _MODULE, "map_one", [(task,) for task in tasks], jobs)
+    with closing(calls) as ends:
+        for number, seconds, end in ends:
+            if isinstance(end, Exception):
+                message = (
+                    f"its process {end}. If memory ran out, give fewer `jobs` or less `memory`; the next start "
+                    "continues this survey"
+                )
+                yield _failed(tasks[number], message, seconds), SurveyView(), ""
+            else:
                 yield end
-    finally:
-        # A run that is under way is ended as by a kill; the next start continues it.
-        for child in (*(child for child, _, _ in busy.values()), *idle):
-            child.close()
 
 
 _log = logging.getLogger(__name__)
@@ -202,12 +174,7 @@ _EARLIER = "the batch has not come to it; it has layers of an earlier start, not
 class Results:
     """The rows of a batch, and its summary and page in a folder.
 
-    Parameters
-    ----------
-    folder : Path
-        Gets summary.csv, summary.parquet, collection.json and index.html.
-    title : str
-        Of the page.
+    ``folder``: gets summary.csv, summary.parquet, collection.json and index.html; ``title``: of the page.
     """
 
     def __init__(self, tasks: Sequence[MapTask], folder: Path, title: str) -> None:
@@ -239,10 +206,7 @@ class Results:
     def write_last(self) -> None:
         """Write the files; of surveys that were not reached, with what their layers of earlier starts say.
 
-        Raises
-        ------
-        OutputError
-            They cannot be written.
+        Raises OutputError: they cannot be written.
         """
         for name in self._rows.keys() - self._ended:
             task = self._tasks[name]
@@ -300,25 +264,11 @@ def run_batch(
     """Map many surveys, each to a folder of its own in ``config.out``.
 
     A survey that is done, by inputs, settings and versions, is left as it is; one whose run was interrupted is
-    continued; one that fails is noted. A batch that was ended at any moment is continued by the same call.
-
-    Parameters
-    ----------
-    report : callable, optional
-        Receives the row of each survey when it has ended.
-    begin : callable, optional
-        Receives the number of surveys before the first begins.
-    spell : callable, optional
-        Changes messages before they are written, as `as_options` of the command line does.
-
-    Raises
-    ------
-    BadInputError
-        The source holds no surveys.
-    UsageError
-        Settings or rows of a CSV that are not allowed; nothing was begun.
-    OutputError
-        ``config.out`` cannot be written, is in use, or holds files of something else.
+    continued; one that fails is noted. A batch that was ended at any moment is continued by the same call. ``report``:
+    receives the row of each survey when it has ended; ``begin``: receives the number of surveys before the first
+    begins; ``spell``: changes messages before they are written, as `as_options` of the command line does. Raises
+    BadInputError: the source holds no surveys; UsageError: settings or rows of a CSV that are not allowed; nothing was
+    begun; OutputError: ``config.out`` cannot be written, is in use, or holds files of something else.
     """
     faults = partial(settings_faults, calibration=cache(find_calibration), header=cache(page_header))
     refuse_faults(faults(config.merged({}), complete=False), "settings for all surveys", UsageError)

@@ -139,19 +139,8 @@ class BatchConfig:
     def of_survey(self, own: Mapping[str, Any], surveys: tuple[Path, ...] = (), name: str = "") -> MapConfig:
         """Return the settings of one survey, before resources are shared out.
 
-        Parameters
-        ----------
-        own : mapping
-            Settings of its row in the CSV.
-        surveys : tuple of Path or str
-            Its files and folders.
-        name : str
-            Folder of its layers, in ``out``.
-
-        Raises
-        ------
-        UsageError
-            A value that is not allowed.
+        ``own``: settings of its row in the CSV; ``surveys``: its files and folders; ``name``: folder of its layers, in
+        ``out``. Raises UsageError: a value that is not allowed.
         """
         return MapConfig(surveys=surveys, out=self.out / name, **self.merged(own))
 
@@ -170,10 +159,7 @@ class BatchConfig:
     def share(self, config: MapConfig, jobs: int) -> MapConfig:
         """Return settings with the share of threads and memory that one of several jobs gets; of workers, all.
 
-        Raises
-        ------
-        UsageError
-            ``memory`` is not a size, or too small for that number.
+        Raises UsageError: ``memory`` is not a size, or too small for that number.
         """
         if config.scheduler is not None:
             return config

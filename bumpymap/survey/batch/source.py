@@ -50,16 +50,9 @@ def name_surveys(surveys: Sequence[Path], given: Sequence[str], root: Path) -> l
     """Return a folder name for each survey; no two are the same, even where upper and lower case are.
 
     A survey is named after its file without the suffix. Those of one name get the names of their folders too
-    (``north_site``, ``south_site``), and what is left a number (``site``, ``site_2``).
-
-    Parameters
-    ----------
-    surveys : sequence of Path or str
-        File or folder of each.
-    given : sequence of str
-        Names that the user chose, which are kept; empty: none.
-    root : Path
-        Folders below this one count for a name.
+    (``north_site``, ``south_site``), and what is left a number (``site``, ``site_2``). ``surveys``: file or folder of
+    each; ``given``: names that the user chose, which are kept; empty: none; ``root``: folders below this one count for
+    a name.
     """
     usual = [_clean(survey.name if survey.is_dir() else re.sub(r"(?i)\.copc$", "", survey.stem)) for survey in surveys]
     times = Counter((own or name).casefold() for own, name in zip(given, usual, strict=True))
@@ -102,26 +95,11 @@ def read_table(
 ) -> list[Row]:
     """Parse the CSV of a batch.
 
-    Parameters
-    ----------
-    text : str
-        With the column ``survey``, if wanted ``name``, and settings of a map, spelled as options or as in Python. An
-        empty cell means that the setting is not given. A table that Excel wrote with semicolons is read too.
-    origin : str
-        Name of the file, for messages.
-    folder : Path
-        Folder at which relative paths start.
-    check : callable, optional
-        Returns what else is wrong with the settings of a row.
-
-    Returns
-    -------
-    list of (place, name, settings)
-
-    Raises
-    ------
-    UsageError
-        Unknown columns or values that are not allowed; the message lists all.
+    ``text``: with the column ``survey``, if wanted ``name``, and settings of a map, spelled as options or as in Python.
+    An empty cell means that the setting is not given. A table that Excel wrote with semicolons is read too. ``origin``:
+    name of the file, for messages; ``folder``: folder at which relative paths start; ``check``: returns what else is
+    wrong with the settings of a row. Raises UsageError: unknown columns or
+    values that are not allowed; the message lists all.
     """
     header, _, _ = text.partition("\n")
     lines = csv.reader(io.StringIO(text), delimiter=";" if ";" in header and "," not in header else ",")
@@ -242,18 +220,8 @@ def list_surveys(
 ) -> list[Row]:
     """Return the surveys of a batch by name; places are absolute, so that a batch can be continued from anywhere.
 
-    Parameters
-    ----------
-    survey_per : {"file", "folder"}
-    check : callable, optional
-        Returns what is wrong with the settings of a row of a table.
-
-    Raises
-    ------
-    BadInputError
-        The source does not exist or holds no surveys.
-    UsageError
-        A list with faults, all of which the message names.
+    ``check``: returns what is wrong with the settings of a row of a table. Raises BadInputError: the source does not
+    exist or holds no surveys; UsageError: a list with faults, all of which the message names.
     """
     if source.is_dir():
         places = _folders(source) if survey_per == "folder" else find_surveys([source.absolute()])

@@ -42,10 +42,7 @@ _JOINED_BLOCKS = 16
 class TileSink:
     """Writes finished blocks to packs ``tiles-KIND-NUMBER.pack``.
 
-    Parameters
-    ----------
-    kind : str
-        What was measured, such as ``all`` points, or ``ground-early``: only ground, before reading was complete.
+    ``kind``: what was measured, such as ``all`` points, or ``ground-early``: only ground, before reading was complete.
     """
 
     def __init__(self, folder: Path, kind: str, columns: Sequence[Column]) -> None:

@@ -68,14 +68,8 @@ class Workspace:
         """Continue the work of an interrupted run, or start anew. The caller holds the lock of ``out``.
 
         All files are deleted if the body succeeds. If it fails, they are kept as `what_is_kept` says, provided that
-        tiles are finished or chunks are read.
-
-        Raises
-        ------
-        UsageError
-            The earlier run had other inputs or settings.
-        OutputError
-            The folders cannot be written.
+        tiles are finished or chunks are read. Raises UsageError: the earlier run had other inputs or settings;
+        OutputError: the folders cannot be written.
         """
         with RunFolder.opened(
             out,
@@ -243,11 +237,7 @@ def with_memory(config: MapConfig) -> MapConfig:
     """Return settings of which ``memory`` is a size: ``auto`` is replaced by that of this machine at this moment.
 
     It is a quarter of the free memory, within the limits above; for the workers of a scheduler it is always the same.
-
-    Raises
-    ------
-    UsageError
-        ``memory`` is neither a size nor ``auto``.
+    Raises UsageError: ``memory`` is neither a size nor ``auto``.
     """
     if not is_auto(config.memory):
         memory_bytes(config.memory)
@@ -347,12 +337,8 @@ class Estimate:
 def estimate(infos: Sequence[SurveyInfo], grid: Grid, budget: Budget, tiles: int | None = None) -> Estimate:
     """Estimate the resources of a run.
 
-    Parameters
-    ----------
-    infos : sequence of SurveyInfo
-        From the headers of its files (at least one).
-    tiles : int, optional
-        Number of tiles with points, if they were counted.
+    ``infos``: from the headers of its files (at least one); ``tiles``: number of tiles with points, if they were
+    counted.
     """
     points = sum(info.point_count for info in infos)
     most = tiles if tiles is not None else _most_tiles(infos, points, grid)

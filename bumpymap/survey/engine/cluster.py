@@ -188,10 +188,7 @@ _REMEDY = "Look at their logs. Workers that run short of memory die: give them m
 def connect(scheduler: str | None) -> Iterator["Workers | None"]:
     """Connect to the workers of a scheduler; yield None if there is none.
 
-    Raises
-    ------
-    UsageError
-        dask.distributed is not installed, or the scheduler does not answer or has no workers.
+    Raises UsageError: dask.distributed is not installed, or the scheduler does not answer or has no workers.
     """
     if scheduler is None:
         yield None
@@ -242,16 +239,8 @@ def _worker_errors(remedy: str) -> Iterator[None]:
 class ClusterExecutor:
     """Distributes tasks among workers; points that wait for other tasks are in packs.
 
-    Parameters
-    ----------
-    space : Workspace
-        In folders that every worker sees.
-    budget : Budget
-        Of each worker.
-    options : ReadOptions
-        The settings that the readers were opened with.
-    versions : callable
-        Returns the versions of the software on the machine that calls it.
+    ``space``: in folders that every worker sees; ``budget``: of each worker; ``options``: the settings that the readers
+    were opened with; ``versions``: returns the versions of the software on the machine that calls it.
     """
 
     one_group = False

@@ -177,10 +177,7 @@ class ReadResult:
 class Checkpoints:
     """Saves results as checkpoints, and loads those of an earlier run.
 
-    Parameters
-    ----------
-    kinds : sequence of str
-        `BlockWork.kinds`: what is measured of blocks that are finished while points are read.
+    ``kinds``: `BlockWork.kinds`: what is measured of blocks that are finished while points are read.
     """
 
     def __init__(self, space: Workspace, kinds: Sequence[str]) -> None:
@@ -264,12 +261,8 @@ class Checkpoints:
 class ResultCollector:
     """Collects the results of tasks; starts with those of an earlier run. See the module.
 
-    Parameters
-    ----------
-    chunks : sequence of int
-        Number of chunks of each file.
-    refuse : callable
-        Called with the reader of a bad file and the error; raises it, or records that the file is skipped.
+    ``chunks``: number of chunks of each file; ``refuse``: called with the reader of a bad file and the error; raises
+    it, or records that the file is skipped.
     """
 
     def __init__(
@@ -323,10 +316,7 @@ class ResultCollector:
     def add(self, result: ReadResult) -> None:
         """Add the result of reading some chunks; without effect but for ``all_good`` if a file was found bad.
 
-        Raises
-        ------
-        BadInputError
-            The file is bad and may not be skipped.
+        Raises BadInputError: the file is bad and may not be skipped.
         """
         self._note_results(result)
         self.all_good = self._judge([file for file, _, _ in result.spans])

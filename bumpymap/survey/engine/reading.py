@@ -69,14 +69,8 @@ def cut_ranges(
 ) -> tuple[list[ChunkRange], list[ChunkRange]]:
     """Cut the chunks that are not ``done`` into ranges of about ``most`` points at most; a small file is one range.
 
-    A file that can only be decoded from its start is one range, however large it is.
-
-    Returns
-    -------
-    list of ChunkRange
-        Ranges to read.
-    list of ChunkRange
-        Ranges that are done.
+    A file that can only be decoded from its start is one range, however large it is. Returns ranges to read, and
+    ranges that are done.
     """
     unread: list[ChunkRange] = []
     read: list[ChunkRange] = []
@@ -147,10 +141,7 @@ _MOST_CELLS = 4_000_000
 class BlockCompletion:
     """Counts, for each block, the unread areas that overlap it.
 
-    Parameters
-    ----------
-    bounds : sequence of Bounds or None
-        Bounds of the points of each area, m; None if they are not known.
+    ``bounds``: bounds of the points of each area, m; None if they are not known.
     """
 
     def __init__(self, grid: Grid, bounds: Sequence[Bounds | None]) -> None:
@@ -298,18 +289,9 @@ def refuse_no_points(readers: Sequence[SurveyReader], stats: Sequence[PointStats
 class RangeReader:
     """Reads some ranges in one pass; see `run`.
 
-    Parameters
-    ----------
-    task : ReadTask
-        Says where there are points of other workers or of an earlier run.
-    ranges : sequence of OpenRange
-        The ranges of the task.
-    store : TileBuckets
-        Receives the points.
-    finish : callable
-        Rates blocks and returns the packs of their tiles, grouped by `BlockWork.kinds`.
-    beside : bool
-        Blocks are rated with the heights of those beside them.
+    ``task``: says where there are points of other workers or of an earlier run; ``ranges``: the ranges of the task;
+    ``store``: receives the points; ``finish``: rates blocks and returns the packs of their tiles, grouped by
+    `BlockWork.kinds`; ``beside``: blocks are rated with the heights of those beside them.
     """
 
     def __init__(

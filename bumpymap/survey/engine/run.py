@@ -93,14 +93,8 @@ def run_engine(
 ) -> MeasuredTiles:  # fmt: skip
     """Read and rate what an earlier run has not finished.
 
-    Raises
-    ------
-    BadInputError
-        A file is bad and may not be skipped, or no point is left.
-    OutputError
-        The disk is full, or a worker does not see the folders.
-    UsageError
-        Workers died, differ from this process, or do not see the inputs.
+    Raises BadInputError: a file is bad and may not be skipped, or no point is left; OutputError: the disk is full, or a
+    worker does not see the folders; UsageError: workers died, differ from this process, or do not see the inputs.
     """
     noted = space.skipped()
     for reader in inputs.readers:
@@ -279,12 +273,7 @@ def new_folder(parent: Path) -> Path:
 class Worker:
     """Does tasks, one at a time.
 
-    Parameters
-    ----------
-    points : Path
-        Folder for packs of waiting points.
-    tiles : Path
-        Folder for packs of finished tiles.
+    ``points``: folder for packs of waiting points; ``tiles``: folder for packs of finished tiles.
     """
 
     def __init__(self, work: BlockWork, budget: Budget, points: Path, tiles: Path, progress: Progress) -> None:

@@ -27,14 +27,8 @@ def blocks_around(key: BlockKey) -> list[BlockKey]:
 class Surroundings:
     """Keeps the heights at the edges of finished blocks, whose points are gone, until all around them are finished.
 
-    Parameters
-    ----------
-    measure : callable
-        Measures tiles from all of their points.
-    margin : int
-        Tiles around a block that are asked for.
-    most_bytes : int
-        Most memory for the points of blocks that were measured for their neighbours, and are not rated yet.
+    ``measure``: measures tiles from all of their points; ``margin``: tiles around a block that are asked for;
+    ``most_bytes``: most memory for the points of blocks that were measured for their neighbours, and are not rated yet.
     """
 
     def __init__(self, measure: Callable[[TilePoints], PatchStack], margin: int, most_bytes: int) -> None:

@@ -106,8 +106,7 @@ def _open_in_part(route_map: MapReader, field: TileField) -> NDArray[np.bool_]:
     pixels, reach = grid.pixels, 0.5 * route_map.vehicle.width_m / grid.pixel_size
     closed = np.isin(field.barred, CLOSED_IN_PART) & np.isfinite(field.c_r) & ~(field.p_fail >= FAIL_SHARE)
     ring = math.ceil(reach / pixels)
-    wide = TileWindow(window.col - ring, window.row - ring, window.cols + 2 * ring, window.rows + 2 * ring)
-    free = route_map.passage(wide) if closed.any() else np.zeros((0, 0), np.bool_)
+    free = route_map.passage(window.grown(ring)) if closed.any() else np.zeros((0, 0), np.bool_)
     if not free.any():
         return np.zeros((window.rows * pixels, window.cols * pixels), np.bool_)
     inner = slice(ring * pixels, -ring * pixels)
@@ -154,10 +153,8 @@ class ExportArea:
         """
         window, split = self.window, self.split
         height = max(1, _STRIP_CELLS // (window.cols * (detail or split) ** 2))
-        for top in range(0, window.rows, height):
-            rows = min(height, window.rows - top)
-            part = TileWindow(window.col, window.row + window.rows - top - rows, window.cols, rows)
-            yield part, slice(top * split, (top + rows) * split)
+        for top, part in window.cut(height):
+            yield part, slice(top * split, (top + part.rows) * split)
 
     def require_cells(self, most: int, kind: str) -> None:
         """Raise BadInputError if it has more cells than a kind of map may have."""
