@@ -242,7 +242,7 @@ def settings_template(owners: Sequence[type]) -> str:
                 continue
             written.add((table, each.name))
             if is_dataclass(each.kind):
-                tables.append((each.name, each.kind))
+                tables.append((f"{table}.{each.name}".lstrip("."), each.kind))
                 continue
             default = each.setting.default if each.setting else None
             allowed = allowed_values(each.kind, each.setting)

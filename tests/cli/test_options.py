@@ -218,8 +218,14 @@ def test_the_schema_of_a_settings_file_has_its_keys_tables_and_bounds(name):
     assert {*schema["properties"]}.union(*inner) == {key or table for key, table in lines}
     if name == "map":
         check = validator(schema)
-        assert check.is_valid({"tile_size": 5.0, "ground": "csf", "csf": {"rigidness": 2}, "speeds": [0.5, 1]})
-        for wrong in ({"tile_size": 0}, {"ground": "none"}, {"csf": {"rigidness": 4}}, {"speeds": ["x"]}, {"no": 1}):
+        assert check.is_valid({"tile_size": 5.0, "ground": "csf", "csf": {"rigidness": 2}, "ground_classes": [2, 8]})
+        for wrong in (
+            {"tile_size": 0},
+            {"ground": "none"},
+            {"csf": {"rigidness": 4}},
+            {"ground_classes": ["x"]},
+            {"no": 1},
+        ):
             assert not check.is_valid(wrong), wrong
 
 
