@@ -32,133 +32,92 @@ struct TileMeasures {
 // Columns of the scalars.
 enum Scalar : Index { Z_MIN, Z_MAX, Z_VARIANCE, RESIDUAL, SLOPE, Z_RANGE, COVERAGE, RELIEF, STRAYS };
 
-// Coordinates of the points of a tile, m.
-template <class Number>
-class PointBuffer {
-  public:
-    explicit PointBuffer(Index points) : room(points), numbers(static_cast<std::size_t>(3 * points)) {}
+// Points of a tile in single precision.
+struct SinglePoints {
+    std::vector<float> x, y, z;
 
-    Array<Number> axis(Index number, Index count) { return {numbers.data() + number * room, {count}}; }
-    CentredPoints<Number> first(Index count) { return {axis(0, count), axis(1, count), axis(2, count)}; }
+    explicit SinglePoints(const CentredPoints<double>& points)
+        : x(points.x.begin(), points.x.end()),
+          y(points.y.begin(), points.y.end()),
+          z(points.z.begin(), points.z.end()) {}
 
-    void copy(const CentredPoints<double>& points) {
-        for (const auto& [number, given] : {std::pair{0, points.x}, {1, points.y}, {2, points.z}}) {
-            const Array<Number> own = axis(number, given.size());
-            for (Index i = 0; i < given.size(); ++i) own[i] = static_cast<Number>(given[i]);
-        }
-    }
-
-  private:
-    Index room;
-    std::vector<Number> numbers;
+    CentredPoints<float> all() const { return {view(x), view(y), view(z)}; }
 };
 
-class TileMeter {
-  public:
-    TileMeter(const MeasureSettings& limits, Index most, Index pixels_of_side)
-        : settings(limits),
-          size(pixels_of_side),
-          doubles(most),
-          singles(most),
-          distances(static_cast<std::size_t>(most)),
-          pixels(static_cast<std::size_t>(most)),
-          sums(static_cast<std::size_t>(size * size + 1)),
-          levels(static_cast<std::size_t>(size * size)) {}
-
-    void measure(const PointsByTile& points, Index t, Array<double> scalars, const Heightmap& out) {
-        const Index first = points.starts[t], last = points.starts[t + 1], n = last - first;
-        const Array<double> distance{distances.data(), {n}};
-        const Array<std::int32_t> pixel{pixels.data(), {n}};
-        const auto east = points.easting.slice(first, last), north = points.northing.slice(first, last);
-        const double side = settings.tile_size;
-        const double west = static_cast<double>(points.col[t]) * side,
-                     south = static_cast<double>(points.row[t]) * side;
-        find_pixels(east, north, west, south, side, size, pixel);
-        const double mean = centre_points(east, north, points.upward.slice(first, last), west, south, scalars);
-        const Plane plane = find_planes(n, distance, scalars);
-        const auto [low, high, strays] = stray_bounds(distance, settings.gap, settings.most_strays);
-        if (strays > 0)
-            for (Index i = 0; i < n; ++i)
-                if (!(low <= distance[i] && distance[i] <= high)) pixel[i] = static_cast<std::int32_t>(size * size);
-        const Array<PixelSums> by_pixel{sums.data(), {size * size + 1}};
-        const Array<double, 2> level{levels.data(), {size, size}};
-        sum_by_pixel(pixel, doubles.first(n), plane, by_pixel);
-        const auto [known, range] = fill_heightmap(by_pixel, mean, level, out);
-        scalars[Z_RANGE] = range;
-        scalars[COVERAGE] = static_cast<double>(known) / static_cast<double>(size * size);
-        scalars[RELIEF] = fill_relief(level, settings.depth, known == size * size, out.relief);
-        scalars[STRAYS] = static_cast<double>(strays);
-    }
-
-  private:
-    // Takes the points from the middle of the tile and their mean height, which it returns.
-    double centre_points(
-        Array<const double> east, Array<const double> north, Array<const double> up, double west, double south,
-        Array<double> scalars) {
-        const Index n = up.size();
-        const Array<double> above{distances.data(), {n}}, z = doubles.axis(2, n);
-        shift(east, west, settings.tile_size / 2.0, doubles.axis(0, n));
-        shift(north, south, settings.tile_size / 2.0, doubles.axis(1, n));
-        const auto [low, high] = extremes(up);
-        scalars[Z_MIN] = low;
-        scalars[Z_MAX] = high;
-        shift(up, low, 0.0, above);
-        const double mean = low + centre(above, z);
-        scalars[Z_VARIANCE] = sum_in_lanes(n, [=](Index i) { return z[i] * z[i]; }) / static_cast<double>(n);
-        singles.copy(doubles.first(n));
-        return mean;
-    }
-
-    // Finds the planes; fills residual, slope, and the distances to the robust plane, which it returns; heights where
-    // there is none.
-    Plane find_planes(Index n, Array<double> distance, Array<double> scalars) {
-        const CentredPoints<double> points = doubles.first(n);
-        const Plane robust = robust_plane(points, singles.first(n));
-        if (!robust.is_found()) {
-            std::copy_n(points.z.data, n, distance.data);
-            return robust;
-        }
-        const auto above = [&points](const Plane& plane, Index i) {
-            return plane.above(points.x[i], points.y[i], points.z[i]);
-        };
-        const Plane drawn = ransac_plane(points, singles.first(n), robust, settings.threshold);
-        const double sum = sum_in_lanes(n, [&](Index i) { return std::abs(above(drawn, i)); });
-        scalars[RESIDUAL] = sum / static_cast<double>(n);
-        for (Index i = 0; i < n; ++i) distance[i] = above(robust, i);
-        scalars[SLOPE] = std::acos(std::min(1.0, robust.c)) * (180.0 / std::numbers::pi);
+// Finds the planes of centred points; fills residual, slope, and the distances to the robust plane, which it returns;
+// heights where there is none.
+Plane find_planes(
+    const CentredPoints<double>& points, double threshold, std::vector<double>& distances, Array<double> scalars) {
+    const SinglePoints singles(points);
+    const Plane robust = robust_plane(points, singles.all());
+    if (!robust.is_found()) {
+        distances.assign(points.z.begin(), points.z.end());
         return robust;
     }
+    const auto above = [&points](const Plane& plane, Index i) {
+        return plane.above(points.x[i], points.y[i], points.z[i]);
+    };
+    const Plane drawn = ransac_plane(points, singles.all(), robust, threshold);
+    const double sum = sum_in_lanes(points.size(), [&](Index i) { return std::abs(above(drawn, i)); });
+    scalars[RESIDUAL] = sum / static_cast<double>(points.size());
+    for (Index i = 0; i < points.size(); ++i) distances[i] = above(robust, i);
+    scalars[SLOPE] = std::acos(std::min(1.0, robust.c)) * (180.0 / std::numbers::pi);
+    return robust;
+}
 
-    const MeasureSettings settings;
-    const Index size;
-    PointBuffer<double> doubles;
-    PointBuffer<float> singles;
-    std::vector<double> distances;
-    std::vector<std::int32_t> pixels;
-    std::vector<PixelSums> sums;  // by pixel; the last one takes the strays
-    std::vector<double> levels;
-};
+// Measures a tile. Its points are taken from its middle and their mean height.
+void measure_tile(
+    const PointsByTile& points, Index t, const MeasureSettings& settings, Array<double> scalars, const Heightmap& out) {
+    const Index first = points.starts[t], last = points.starts[t + 1], n = last - first, size = out.heights.shape[0];
+    const auto east = points.easting.slice(first, last), north = points.northing.slice(first, last);
+    const auto up = points.upward.slice(first, last);
+    const double side = settings.tile_size;
+    const double west = static_cast<double>(points.col[t]) * side, south = static_cast<double>(points.row[t]) * side;
+    std::vector<double> x(n), y(n), z(n), distances(n), levels(size * size);
+    shift(east, west, side / 2.0, view(x));
+    shift(north, south, side / 2.0, view(y));
+    const auto [lowest, highest] = extremes(up);
+    scalars[Z_MIN] = lowest;
+    scalars[Z_MAX] = highest;
+    shift(up, lowest, 0.0, view(distances));
+    const double mean = lowest + centre(view(distances), view(z));
+    scalars[Z_VARIANCE] = sum_in_lanes(n, [&](Index i) { return z[i] * z[i]; }) / static_cast<double>(n);
+
+    const CentredPoints<double> centred{view(x), view(y), view(z)};
+    const Plane plane = find_planes(centred, settings.threshold, distances, scalars);
+    std::vector<std::int32_t> pixels(n);
+    find_pixels(east, north, west, south, side, size, view(pixels));
+    const auto [low, high, strays] = stray_bounds(view(distances), settings.gap, settings.most_strays);
+    if (strays > 0)
+        for (Index i = 0; i < n; ++i)
+            if (!(low <= distances[i] && distances[i] <= high)) pixels[i] = static_cast<std::int32_t>(size * size);
+    std::vector<PixelSums> sums(size * size + 1);  // the last one takes the strays
+    sum_by_pixel(view(pixels), centred, plane, view(sums));
+    const Array<double, 2> level{levels.data(), {size, size}};
+    const auto [known, range] = fill_heightmap(view(sums), mean, level, out);
+    scalars[Z_RANGE] = range;
+    scalars[COVERAGE] = static_cast<double>(known) / static_cast<double>(size * size);
+    scalars[RELIEF] = fill_relief(level, settings.depth, known == size * size, out.relief);
+    scalars[STRAYS] = static_cast<double>(strays);
+}
 
 // The plane that RANSAC finds in centred points.
 std::tuple<double, double, double, double> ransac_plane_of(
     Array<const double> x, Array<const double> y, Array<const double> z, double threshold) {
     const CentredPoints<double> points{x, y, z};
-    PointBuffer<float> buffer(points.size());
-    buffer.copy(points);
-    const CentredPoints<float> singles = buffer.first(points.size());
-    const Plane plane = ransac_plane(points, singles, robust_plane(points, singles), threshold);
+    const SinglePoints singles(points);
+    const Plane plane = ransac_plane(points, singles.all(), robust_plane(points, singles.all()), threshold);
     return {plane.a, plane.b, plane.c, plane.d};
 }
 
 // Measures every tile that has points; the others get NaN, and no points.
 void measure_tiles(PointsByTile points, MeasureSettings settings, TileMeasures out) {
-    TileMeter meter(settings, points.most_points(), out.heights.shape[1]);
     for (Index t = 0; t < points.tiles(); ++t) {
         const Array<double> scalars = out.scalars.at(t);
         std::fill(scalars.begin(), scalars.end(), not_a_number);
         const Heightmap maps = out.at(t);
         if (points.starts[t] < points.starts[t + 1]) {
-            meter.measure(points, t, scalars, maps);
+            measure_tile(points, t, settings, scalars, maps);
             continue;
         }
         for (const Array<float, 2>& map : {maps.heights, maps.variance, maps.relief}) set_all(map, unknown_height);

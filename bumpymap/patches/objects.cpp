@@ -50,6 +50,7 @@ enum Scalar : Index { OBSTACLES, OBSTACLE_HEIGHT, CLEARANCE, CANOPY_SHARE };
 
 // The points of a pixel that are no ground, by their height above it.
 struct PixelPoints {
+    int seen = 0;             // of the ground
     int body = 0;             // between `low` and `high`
     int above = 0;            // higher
     int under = 0;            // lower
@@ -61,6 +62,7 @@ struct PixelPoints {
     double least = infinite;  // lowest above, m
 
     int company() const { return body + above; }
+    int beneath() const { return seen + under; }
 };
 
 // The known ground of a tile as a plane over rows and columns of pixels: rises, and the height at the north-western
@@ -83,7 +85,7 @@ class ObjectFinder {
           tiles(arrays),
           size(arrays.state.shape[1]),
           pixel(sizes.tile_size / static_cast<double>(size)),
-          surface(static_cast<std::size_t>(size * size)),
+          surface(size * size),
           found(surface.size()),
           strips(size) {}
 
@@ -91,9 +93,11 @@ class ObjectFinder {
         tile = t;
         first = points.starts[t];
         last = points.starts[t + 1];
-        seen = tiles.seen.at(t);
         state = tiles.state.at(t);
-        std::fill(found.begin(), found.end(), PixelPoints{});
+        const std::int32_t* const seen = &tiles.seen(t, 0, 0);
+        std::transform(seen, seen + found.size(), found.begin(), [](int ground_points) {
+            return PixelPoints{.seen = ground_points};
+        });
         fit_ground();
         const bool is_any_overhead = count_points();
         if (known.size() < least_ground) {
@@ -110,8 +114,8 @@ class ObjectFinder {
     }
 
   private:
-    PixelPoints& at(Index r, Index c) { return found[static_cast<std::size_t>(r * size + c)]; }
-    double& ground(Index r, Index c) { return surface[static_cast<std::size_t>(r * size + c)]; }
+    PixelPoints& at(Index r, Index c) { return found[r * size + c]; }
+    double& ground(Index r, Index c) { return surface[r * size + c]; }
 
     // Fits a plane through the known heights, and keeps what each of them is above it.
     void fit_ground() {
@@ -215,21 +219,13 @@ class ObjectFinder {
     }
 
     // Sum of a square around one pixel.
-    template <class Function>
-    int box_sum(Index r, Index c, Index half, Function count) const {
+    template <auto count>
+    int box_sum(Index r, Index c, Index half) {
         int total = 0;
         for (Index row = std::max<Index>(0, r - half); row < std::min(size, r + half + 1); ++row)
             for (Index col = std::max<Index>(0, c - half); col < std::min(size, c + half + 1); ++col)
-                total += count(row * size + col);
+                total += std::invoke(count, at(row, col));
         return total;
-    }
-
-    int box_sum(Index r, Index c, Index half, int PixelPoints::* field) const {
-        return box_sum(r, c, half, [&](Index k) { return found[static_cast<std::size_t>(k)].*field; });
-    }
-
-    int company_sum(Index r, Index c, Index half) const {
-        return box_sum(r, c, half, [&](Index k) { return found[static_cast<std::size_t>(k)].company(); });
     }
 
     // States from the points of the 3 x 3 pixels around each; for canopy, in thin surveys, from those of 5 x 5.
@@ -240,25 +236,22 @@ class ObjectFinder {
         for (Index r = 0; r < size; ++r)
             for (Index c = 0; c < size; ++c) {
                 const PixelPoints& own = at(r, c);
-                int kind = seen(r, c) > 0 || own.under > 0 ? FREE : EMPTY;
+                int kind = own.beneath() > 0 ? FREE : EMPTY;
                 if (own.body > 0) {
                     const bool is_rim = r == 0 || c == 0 || r == size - 1 || c == size - 1;
-                    kind = company_sum(r, c, 1) >= need ? OBSTACLE : is_rim ? UNDECIDED : LONE;
-                } else if (own.above > 0 && box_sum(r, c, reach, &PixelPoints::above) >= need) {
+                    kind = box_sum<&PixelPoints::company>(r, c, 1) >= need ? OBSTACLE : is_rim ? UNDECIDED : LONE;
+                } else if (own.above > 0 && box_sum<&PixelPoints::above>(r, c, reach) >= need) {
                     kind = CANOPY;
                 }
-                state(r, c) = static_cast<std::uint8_t>(kind + (seen(r, c) > 0 ? SEEN : 0));
+                state(r, c) = static_cast<std::uint8_t>(kind + (own.seen > 0 ? SEEN : 0));
             }
     }
 
     // Whether what is overhead fills a square around a pixel, and little ground is seen in it.
-    bool fills_square(Index r, Index c, double least) const {
+    bool fills_square(Index r, Index c, double least) {
         for (Index half = 1; half < 4; ++half) {
-            const int over = company_sum(r, c, half);
-            if (over < least) continue;
-            const int beneath =
-                box_sum(r, c, half, [&](Index k) { return seen.data[k]; }) + box_sum(r, c, half, &PixelPoints::under);
-            if (outweighs(over, beneath, least)) return true;
+            const int over = box_sum<&PixelPoints::company>(r, c, half);
+            if (over >= least && outweighs(over, box_sum<&PixelPoints::beneath>(r, c, half), least)) return true;
         }
         return false;
     }
@@ -271,7 +264,7 @@ class ObjectFinder {
             for (Index c = 0; c < size; ++c) {
                 if (state(r, c) % SEEN != CANOPY) continue;
                 const PixelPoints& own = at(r, c);
-                const bool is_low = box_sum(r, c, 2, &PixelPoints::tall) == 0;
+                const bool is_low = box_sum<&PixelPoints::tall>(r, c, 2) == 0;
                 const bool is_shrub = is_thin && own.leaves == 0 && own.shrubs > 0;
                 Weight least = own.leaves > 0 ? leaves_hiding : hiding;
                 if (is_shrub || (density < thinner && is_low)) least = shrub_hiding;
@@ -290,7 +283,7 @@ class ObjectFinder {
         for (Index r = 0; r < size; ++r)
             for (Index c = 0; c < size; ++c) {
                 // Heights above an unknown ground are NaN, and so all its points count as under.
-                const bool is_seen = at(r, c).under > 0 && box_sum(r, c, 1, &PixelPoints::under) > 1;
+                const bool is_seen = at(r, c).under > 0 && box_sum<&PixelPoints::under>(r, c, 1) > 1;
                 state(r, c) = is_seen ? OBSTACLE : UNSEEN;
                 obstacles += is_seen;
             }
@@ -331,7 +324,6 @@ class ObjectFinder {
     Strips strips;
     TilePlane plane{};
     Index tile = 0, first = 0, last = 0;
-    Array<const std::int32_t, 2> seen;
     Array<std::uint8_t, 2> state;
 };
 

@@ -128,15 +128,14 @@ void measure_tile(const Heights& all, double side, const PairSettings& settings,
 
 // Measures the pairs of every tile; NaN where the points span no plane.
 void measure_pairs(PointsByTile points, PairSettings settings, Array<double, 2> out) {
-    std::vector<double> x, y, h;
     const double side = settings.tile_size;
     for (Index t = 0; t < points.tiles(); ++t) {
         const Index first = points.starts[t], n = std::min(points.starts[t + 1] - first, settings.limit[t]);
         const Array<double> measures = out.at(t);
         std::fill(measures.begin(), measures.end(), not_a_number);
         if (n < least_points) continue;
-        for (std::vector<double>* axis : {&x, &y, &h}) axis->resize(static_cast<std::size_t>(n));
-        const Heights own{{x.data(), {n}}, {y.data(), {n}}, {h.data(), {n}}};
+        std::vector<double> x(n), y(n), h(n);
+        const Heights own{view(x), view(y), view(h)};
         shift(points.easting.slice(first, first + n), static_cast<double>(points.col[t]) * side, 0.0, own.x);
         shift(points.northing.slice(first, first + n), static_cast<double>(points.row[t]) * side, 0.0, own.y);
         shift(points.upward.slice(first, first + n), points.upward[first], 0.0, own.h);

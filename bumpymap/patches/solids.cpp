@@ -318,20 +318,18 @@ class Settler {
 
     // Whether `least` pixels deep beneath something show no ground in one of 16 halves around a pixel.
     bool hides_half(Index r, Index c, int near, double least) {
-        for (const auto [down, right] : directions) {
-            int deep = 0, other = 0, ground = 0, more = 0;
+        const auto hides = [&](Offset side) {
+            int deep = 0;
             for (const Offset& offset : offsets) {
                 if (offset.square() > near * near) break;
-                const int side = offset.down * down + offset.right * right;
+                if (offset.down * side.down + offset.right * side.right < 0) continue;
                 const int mark = under(r + offset.down, c + offset.right);
-                deep += side >= 0 && mark >= 2;
-                ground += side >= 0 && mark == 2;
-                other += side <= 0 && mark >= 2;
-                more += side <= 0 && mark == 2;
+                if (mark == 2) return false;
+                deep += mark > 2;
             }
-            if ((ground == 0 && deep >= least) || (more == 0 && other >= least)) return true;
-        }
-        return false;
+            return deep >= least;
+        };
+        return std::ranges::any_of(directions, [&](Offset two) { return hides(two) || hides(opposite(two)); });
     }
 
     // Pixels with points of a line that ends in a pixel and comes from one direction, 0 if it is none: there is nothing

@@ -37,9 +37,9 @@ struct StandingLimits {
 // A map of pixels.
 template <class Value>
 struct Map {
-    Map(Index rows, Index cols) : values(static_cast<std::size_t>(rows * cols)), wide(cols) {}
+    Map(Index rows, Index cols) : values(rows * cols), wide(cols) {}
 
-    Value& operator()(Index r, Index c) { return values[static_cast<std::size_t>(r * wide + c)]; }
+    Value& operator()(Index r, Index c) { return values[r * wide + c]; }
     Value* row(Index r) { return values.data() + r * wide; }
 
     std::vector<Value> values;
@@ -51,12 +51,13 @@ struct Map {
 struct Raised {
     int all = 0, side = 0, tall = 0, tall_side = 0, level = 0;
 
-    void add(const Raised& more, int sign) {
-        all += sign * more.all;
-        side += sign * more.side;
-        tall += sign * more.tall;
-        tall_side += sign * more.tall_side;
-        level += sign * more.level;
+    Raised& add(const Raised& more, int times) {
+        all += times * more.all;
+        side += times * more.side;
+        tall += times * more.tall;
+        tall_side += times * more.tall_side;
+        level += times * more.level;
+        return *this;
     }
 };
 
@@ -77,8 +78,7 @@ void fill_lowest_on_disc(Map<float>& values, double radius, Map<float>& out) {
     const Index cols = values.wide, rows = static_cast<Index>(values.values.size()) / std::max<Index>(cols, 1);
     const auto reach = static_cast<Index>(radius);
     std::fill(out.values.begin(), out.values.end(), unseen_height);
-    std::vector<float> line(static_cast<std::size_t>(cols + 2 * reach), unseen_height),
-        lowest(static_cast<std::size_t>(cols));
+    std::vector<float> line(cols + 2 * reach, unseen_height), lowest(cols);
     for (Index r = 0; r < rows; ++r) {
         std::copy_n(values.row(r), cols, line.data() + reach);
         std::copy_n(values.row(r), cols, lowest.data());
@@ -110,24 +110,21 @@ class StandingFinder {
     void mark() {
         std::fill_n(marks.data, marks.count(), false);
         fill_above();
-        bool is_any_raised = false;
-        for (Index r = 0; r < rows; ++r)
-            for (Index c = 0; c < cols; ++c) {
-                const bool is_raised = limits.raised < above(r, c) && above(r, c) < unseen_height;
-                pixels(r, c).all = is_raised;
-                is_any_raised |= is_raised;
-            }
-        if (!is_any_raised) return;
+        std::ranges::transform(above.values, pixels.values.begin(), [this](float height) {
+            return Raised{.all = limits.raised < height && height < unseen_height};
+        });
+        if (std::ranges::none_of(pixels.values, [](const Raised& own) { return own.all; })) return;
         fill_level();
         for (Index r = 0; r < rows; ++r)
             for (Index c = 0; c < cols; ++c)
                 if (pixels(r, c).all) describe_raised(r, c);
-        std::vector<Raised> counts(static_cast<std::size_t>(cols));  // of each column, in the rows around one
-        for (Index last = 0; last < rows + limits.around; ++last) {
-            if (last < rows) add_row(last, 1, counts);
-            if (last > 2 * limits.around) add_row(last - 2 * limits.around - 1, -1, counts);
-            if (last >= limits.around) mark_row(last - limits.around, counts);
-        }
+        Map<Raised> sums(rows + 1, cols + 1);  // of the pixels north-west of each corner
+        for (Index r = 0; r < rows; ++r)
+            for (Index c = 0; c < cols; ++c)
+                sums(r + 1, c + 1) =
+                    Raised(pixels(r, c)).add(sums(r, c + 1), 1).add(sums(r + 1, c), 1).add(sums(r, c), -1);
+        for (Index r = 0; r < rows; ++r)
+            for (Index c = 0; c < cols; ++c) marks(r, c) = pixels(r, c).all && is_of_object(r, c, sums);
     }
 
   private:
@@ -136,7 +133,7 @@ class StandingFinder {
     void fill_above() {
         Map<float> low(rows, cols), beneath(rows, cols);
         for (Index k = 0; k < heights.count(); ++k)
-            above.values[static_cast<std::size_t>(k)] = std::isnan(heights.data[k]) ? unseen_height : heights.data[k];
+            above.values[k] = std::isnan(heights.data[k]) ? unseen_height : heights.data[k];
         fill_lowest_on_disc(above, limits.width, low);
         for (float& height : low.values) height = height < unseen_height ? -height : unseen_height;
         fill_lowest_on_disc(low, limits.width, beneath);  // upside down, for the highest
@@ -247,23 +244,15 @@ class StandingFinder {
         return false;
     }
 
-    // Adds a row of pixels to the counts of the columns, or takes it from them.
-    void add_row(Index r, int sign, std::vector<Raised>& counts) {
-        for (Index c = 0; c < cols; ++c) counts[static_cast<std::size_t>(c)].add(pixels(r, c), sign);
-    }
-
-    // Marks the pixels of objects in a row: of the raised ones around enough are sides, or of the tall ones.
-    void mark_row(Index r, const std::vector<Raised>& counts) {
-        Raised around;
-        for (Index last = 0; last < cols + limits.around; ++last) {
-            if (last < cols) around.add(counts[static_cast<std::size_t>(last)], 1);
-            const Index first = last - 2 * limits.around - 1, c = last - limits.around;
-            if (first >= 0) around.add(counts[static_cast<std::size_t>(first)], -1);
-            if (c < 0) continue;
-            const bool is_steep = around.side > limits.share * around.all && around.level <= level_share * around.all;
-            const bool is_tall = pixels(r, c).tall && around.tall_side > limits.share * around.tall;
-            marks(r, c) = pixels(r, c).all && (is_steep || is_tall) && static_cast<double>(above(r, c)) >= limits.least;
-        }
+    // Whether a raised pixel is one of an object: of the raised ones around enough are sides, or of the tall ones.
+    bool is_of_object(Index r, Index c, Map<Raised>& sums) {
+        const Index top = std::max<Index>(r - limits.around, 0), bottom = std::min(r + limits.around + 1, rows);
+        const Index left = std::max<Index>(c - limits.around, 0), right = std::min(c + limits.around + 1, cols);
+        Raised around = sums(bottom, right);
+        around.add(sums(top, right), -1).add(sums(bottom, left), -1).add(sums(top, left), 1);
+        const bool is_steep = around.side > limits.share * around.all && around.level <= level_share * around.all;
+        const bool is_tall = pixels(r, c).tall && around.tall_side > limits.share * around.tall;
+        return (is_steep || is_tall) && static_cast<double>(above(r, c)) >= limits.least;
     }
 
     const Array<const float, 2> heights;
@@ -350,9 +339,9 @@ double count_left(const BareTile& tile) {
     return share_of_parts(seen);
 }
 
-// Takes objects out of the relief of a tile; returns false, and changes nothing, where too little is left. `level` and
-// `relief` are scratch.
-bool keep_left(const BareTile& tile, const BareSettings& settings, Array<double, 2> level, Array<float, 2> relief) {
+// Takes objects out of the relief of a tile; returns false, and changes nothing, where too little is left. `level` is
+// scratch.
+bool keep_left(const BareTile& tile, const BareSettings& settings, Array<double, 2> level) {
     const double seen = count_left(tile), points = tile.scalars[POINTS];
     if (std::isnan(tile.relief.data[0]))
         return points >= static_cast<double>(settings.thin_points) && seen >= settings.thin_seen;
@@ -360,24 +349,24 @@ bool keep_left(const BareTile& tile, const BareSettings& settings, Array<double,
         return false;
     for (Index k = 0; k < level.count(); ++k)
         level.data[k] = tile.is_left(k) ? static_cast<double>(tile.relief.data[k]) : not_a_number;
-    tile.scalars[RELIEF] = fill_relief(level, settings.depth, false, relief);
+    std::vector<float> relief(level.count());
+    tile.scalars[RELIEF] = fill_relief(level, settings.depth, false, {relief.data(), level.shape});
     if (std::isnan(tile.scalars[RELIEF])) return false;
-    std::copy_n(relief.data, relief.count(), tile.relief.data);
+    std::ranges::copy(relief, tile.relief.data);
     return true;
 }
 
 // Takes standing objects out of tiles.
 void leave_out_objects(BareTiles tiles, BareSettings settings) {
     const Index size = tiles.standing.shape[1];
-    std::vector<double> levels(static_cast<std::size_t>(size * size));
-    std::vector<float> reliefs(levels.size());
+    std::vector<double> levels(size * size);
     const Array<double, 2> level{levels.data(), {size, size}};
     for (Index t = 0; t < tiles.is_bare.size(); ++t) {
         const BareTile tile{tiles.standing.at(t), tiles.heights.at(t), tiles.held.at(t),
                             tiles.variance.at(t), tiles.relief.at(t),  tiles.scalars.at(t)};
         const bool* marks = tile.standing.data;
         const bool is_any = std::find(marks, marks + size * size, true) != marks + size * size;
-        tiles.is_bare[t] = is_any && keep_left(tile, settings, level, {reliefs.data(), {size, size}});
+        tiles.is_bare[t] = is_any && keep_left(tile, settings, level);
         if (!tiles.is_bare[t]) continue;
         for (Index k = 0; k < level.count(); ++k) {
             if (marks[k]) {

@@ -56,33 +56,33 @@ class PointsByPixel {
     std::vector<double> x, y;
 
     void clear() { added.clear(); }
-    void add(Index pixel, double col, double row) { added.push_back({static_cast<std::size_t>(pixel), col, row}); }
+    void add(Index pixel, double col, double row) { added.push_back({pixel, col, row}); }
 
     // Puts the points in order, when all are there.
     void sort(Index pixels) {
-        begin.assign(static_cast<std::size_t>(pixels + 1), 0);
+        begin.assign(pixels + 1, 0);
         for (const Point& point : added) ++begin[point.pixel];
         std::partial_sum(begin.begin(), begin.end(), begin.begin());
         x.resize(added.size());
         y.resize(added.size());
         for (const Point& point : added) {
-            const std::size_t place = --begin[point.pixel];
+            const Index place = --begin[point.pixel];
             x[place] = point.x;
             y[place] = point.y;
         }
     }
 
     // Where those of a pixel begin, and those of the pixels before it end.
-    std::size_t first_of(Index pixel) const { return begin[static_cast<std::size_t>(pixel)]; }
+    Index first_of(Index pixel) const { return begin[pixel]; }
 
   private:
     struct Point {
-        std::size_t pixel;
+        Index pixel;
         double x, y;
     };
 
     std::vector<Point> added;
-    std::vector<std::size_t> begin;
+    std::vector<Index> begin;
 };
 
 // Points of a tile over the ground and on it, and whether they hide it.
@@ -125,17 +125,15 @@ class Strips {
     template <class Function>
     void for_each(const PointsByPixel& points, const Window& window, Function function) const {
         for (Index row = window.top; row < window.bottom; ++row) {
-            const std::size_t last = points.first_of(row * size + window.right);
-            for (std::size_t i = points.first_of(row * size + window.left); i < last; ++i)
-                function(points.x[i], points.y[i]);
+            const Index last = points.first_of(row * size + window.right);
+            for (Index i = points.first_of(row * size + window.left); i < last; ++i) function(points.x[i], points.y[i]);
         }
     }
 
     Index count_over(const Window& window) const {
         Index count = 0;
         for (Index row = window.top; row < window.bottom; ++row)
-            count +=
-                static_cast<Index>(over.first_of(row * size + window.right) - over.first_of(row * size + window.left));
+            count += over.first_of(row * size + window.right) - over.first_of(row * size + window.left);
         return count;
     }
 

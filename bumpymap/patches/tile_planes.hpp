@@ -8,6 +8,8 @@
 #pragma once
 
 #include <array>
+#include <tuple>
+#include <vector>
 
 #include "bumpymap/core/planes.hpp"
 #include "bumpymap/patches/sums.hpp"
@@ -85,15 +87,9 @@ FitSums sum_for_fit(const CentredPoints<Number>& points, const Plane& near, doub
         for (Index k = 0; k < count; ++k) {
             const Number x = points.x[start + k], y = points.y[start + k], z = points.z[start + k];
             const Number r = a * x + b * y + c * z + d, q = r * r;
-            const bool is_near = q <= 1;
-            Number w = is_near ? 1 : 0, wx = is_near ? x : 0, wy = is_near ? y : 0, wz = is_near ? z : 0;
-            if constexpr (weights == Weights::geman_mcclure) {
-                w = 1 / (1 + q);
-                w *= w;
-                wx = w * x;
-                wy = w * y;
-                wz = w * z;
-            }
+            const Number root = 1 / (1 + q), is_near = q <= 1 ? 1 : 0;
+            const Number w = weights == Weights::geman_mcclure ? root * root : is_near;
+            const Number wx = w * x, wy = w * y, wz = w * z;
             part[0][k] += w;
             part[1][k] += wx;
             part[2][k] += wy;
@@ -104,7 +100,7 @@ FitSums sum_for_fit(const CentredPoints<Number>& points, const Plane& near, doub
             part[7][k] += wy * y;
             part[8][k] += wy * z;
             part[9][k] += wz * z;
-            part[10][k] += is_near ? q : 1;
+            part[10][k] += q <= 1 ? q : 1;
         }
     }
     return fold_lanes(part);
@@ -124,16 +120,12 @@ inline Plane solve(const Moments& sums, bool is_level, double error) {
     yz -= sy * mz;
     zz -= sz * mz;
     const double minor_x = yy * zz - yz * yz, minor_y = xx * zz - xz * xz, minor_z = xx * yy - xy * xy;
-    double a = minor_x, b = xz * yz - xy * zz, c = xy * yz - xz * yy;
-    if (is_level || (minor_z >= minor_y && minor_z >= minor_x)) {
-        a = xy * yz - xz * yy;
-        b = xy * xz - yz * xx;
-        c = minor_z;
-    } else if (minor_y >= minor_x) {
-        a = xz * yz - xy * zz;
-        b = minor_y;
-        c = xy * xz - yz * xx;
-    }
+    const double minor_xy = xz * yz - xy * zz, minor_xz = xy * yz - xz * yy, minor_yz = xy * xz - yz * xx;
+    double a = minor_x, b = minor_xy, c = minor_xz;
+    if (is_level || (minor_z >= minor_y && minor_z >= minor_x))
+        std::tie(a, b, c) = std::tie(minor_xz, minor_yz, minor_z);
+    else if (minor_y >= minor_x)
+        std::tie(a, b, c) = std::tie(minor_xy, minor_y, minor_yz);
     double length = std::sqrt(a * a + b * b + c * c);
     const double scatter = xx + yy + zz;
     if (length <= error * scatter * scatter) return {};
@@ -245,23 +237,13 @@ inline Plane robust_plane(const CentredPoints<double>& points, const CentredPoin
 
 // ---- RANSAC ----
 
-// The planes of least loss, the best first; of two with one loss, the first one first.
-template <std::size_t most>
-struct Best {
-    std::array<Candidate, most> kept;
-    std::size_t count = 0;
-
-    void keep(const Candidate& one) {
-        if (!(one.loss < infinite) || (count == most && one.loss >= kept[count - 1].loss)) return;
-        count = std::min(count + 1, most);
-        std::size_t k = count - 1;
-        for (; k > 0 && one.loss < kept[k - 1].loss; --k) kept[k] = kept[k - 1];
-        kept[k] = one;
-    }
-
-    const Candidate* begin() const { return kept.data(); }
-    const Candidate* end() const { return kept.data() + count; }
-};
+// Keeps a plane if it is one of those of least loss, the best first; of two with one loss, the first one first.
+inline void keep_best(std::vector<Candidate>& best, std::size_t most, const Candidate& one) {
+    if (!(one.loss < (best.size() < most ? infinite : best.back().loss))) return;
+    if (best.size() == most) best.pop_back();
+    const auto is_better = [](const Candidate& a, const Candidate& b) { return a.loss < b.loss; };
+    best.insert(std::upper_bound(best.begin(), best.end(), one, is_better), one);
+}
 
 // Plane through three points that follow each other, then every second, third; none where they are on a line.
 inline Plane candidate(const CentredPoints<double>& points, Index number) {
@@ -277,12 +259,12 @@ inline Index draws_for(double loss) {
 
 // The candidates with the least loss on a sample. It stops when a better one than the best, or than the plane `start`,
 // has become improbable.
-inline Best<best_drawn> draw(
+inline std::vector<Candidate> draw(
     const CentredPoints<double>& points, const CentredPoints<float>& singles, const Plane& start, double scale) {
     const Index n = std::min(points.size(), sample_points);
     const CentredPoints<float> sample = singles.slice(0, n);
     double least = loss_of(sample, start, scale);
-    Best<best_drawn> best;
+    std::vector<Candidate> best;
     Index needed = draws_for(least / static_cast<double>(n));
     for (Index i = 0; i < needed; ++i) {
         const Plane plane = candidate(points, i);
@@ -291,7 +273,7 @@ inline Best<best_drawn> draw(
             least = loss;
             needed = draws_for(least / static_cast<double>(n));
         }
-        best.keep({plane, loss});
+        keep_best(best, best_drawn, {plane, loss});
     }
     return best;
 }
@@ -309,16 +291,6 @@ inline Candidate settle(Plane plane, double bound, double scale, const CentredPo
     return best;
 }
 
-// Refines planes until they stand still; returns the one with the least loss, or `best`.
-inline Candidate settle_best(
-    const Best<best_refined>& planes, Candidate best, double scale, const CentredPoints<float>& singles) {
-    for (const Candidate& one : planes) {
-        const Candidate found = settle(one.plane, best.loss, scale, singles);
-        if (found.loss < best.loss) best = found;
-    }
-    return best;
-}
-
 // Plane of a tile by RANSAC, locally optimised (Chum, Matas and Kittler 2003). It has the least loss of MSAC (Torr and
 // Zisserman 2000) over all points, squared distances cut off at `scale`, of the candidates, of the robust plane, and of
 // planes through inliers of the best of these: all are refined on their inliers.
@@ -330,17 +302,24 @@ inline Plane ransac_plane(
         return Candidate{plane, loss_of(singles, plane, scale)};
     };
     Candidate best = settle(robust, infinite, scale, singles);
-    Best<best_refined> refined;
+    const auto settle_best = [&](const std::vector<Candidate>& candidates) {
+        for (const Candidate& one : candidates) {
+            const Candidate found = settle(one.plane, best.loss, scale, singles);
+            if (found.loss < best.loss) best = found;
+        }
+    };
+    std::vector<Candidate> refined;
     for (const Candidate& drawn : draw(points, singles, best.plane, scale))
-        refined.keep(fitted_to(singles, drawn.plane));
-    best = settle_best(refined, best, scale, singles);
+        keep_best(refined, best_refined, fitted_to(singles, drawn.plane));
+    settle_best(refined);
 
-    Best<best_refined> inner;
+    std::vector<Candidate> inner;
     const Index room = points.size() - inner_points;
     const Index step = std::max<Index>(std::min(room, inner_samples * inner_points) / inner_samples, 1);
     for (Index first = 0; first < std::min(room, inner_samples * step); first += step)
-        inner.keep(fitted_to(singles.slice(first, first + inner_points), best.plane));
-    Plane plane = settle_best(inner, best, scale, singles).plane;
+        keep_best(inner, best_refined, fitted_to(singles.slice(first, first + inner_points), best.plane));
+    settle_best(inner);
+    Plane plane = best.plane;
     for (int i = 0; i < 2; ++i) {
         const Plane fitted = fit_plane<hard>(points, plane, scale).plane;
         if (!fitted.is_found()) break;

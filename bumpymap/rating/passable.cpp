@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
+#include <numeric>
 #include <vector>
 
 #include "bumpytiles/bindings.hpp"
@@ -75,7 +76,7 @@ void grow_obstacles(Mosaic mosaic, Array<Byte, 2> mask) {
     const Index rows = mask.shape[0], cols = mask.shape[1];
     const auto reach = static_cast<Index>(std::ceil(mosaic.radius));
     const double square = mosaic.radius * mosaic.radius;
-    std::vector<std::uint16_t> memory(static_cast<std::size_t>(rows * (cols + 2 * reach)));
+    std::vector<std::uint16_t> memory(rows * (cols + 2 * reach));
     const Array<std::uint16_t, 2> near{memory.data(), {rows, cols + 2 * reach}};
     fill_near(mosaic.objects, reach, near);
     std::fill_n(mask.data, mask.count(), Byte{0});
@@ -103,41 +104,36 @@ struct Area {
     unsigned sides = 0;  // of the tile, that it touches
 };
 
-// Gives the pixels of a tile that are as one of them, and hang together with it, another value; `waiting` has room for
-// all pixels of the tile.
-Area flood(Tile cells, Place start, Byte value, bool corners, Place* waiting) {
+// Gives the pixels of a tile that are as one of them, and hang together with it, another value.
+Area flood(Tile cells, Place start, Byte value, bool corners) {
     constexpr Place beside[] = {{-1, 0}, {0, 1}, {1, 0}, {0, -1}, {1, 1}, {-1, 1}, {1, -1}, {-1, -1}};
     const Index last = cells.size - 1, neighbours = corners ? 8 : 4;
     const Byte before = cells(start.row, start.col);
     Area area;
-    Index depth = 1;
-    waiting[0] = start;
+    std::vector<Place> waiting;
+    waiting.reserve(cells.size * cells.size);
+    waiting.push_back(start);
     cells(start.row, start.col) = value;
-    while (depth > 0) {
-        const auto [r, c] = waiting[--depth];
+    while (!waiting.empty()) {
+        const auto [r, c] = waiting.back();
+        waiting.pop_back();
         ++area.count;
         area.sides |= (r == 0 ? north : 0) | (r == last ? south : 0) | (c == 0 ? west : 0) | (c == last ? east : 0);
         for (Index k = 0; k < neighbours; ++k) {
             const Index row = r + beside[k].row, col = c + beside[k].col;
             if (row < 0 || row > last || col < 0 || col > last || cells(row, col) != before) continue;
             cells(row, col) = value;
-            waiting[depth++] = {row, col};
+            waiting.push_back({row, col});
         }
     }
     return area;
 }
 
-// Gives the areas of a tile their numbers.
-void number_tile(const Byte* free, Tile areas, bool corners, Place* waiting) {
-    const Index pixels = areas.size * areas.size;
-    Byte* const number = areas.first;
-    Index count = 0;
-    for (Index k = 0; k < pixels; ++k) {
-        number[k] = free[k] ? not_numbered : Byte{0};
-        count += free[k];
-    }
-    if (count == pixels) {  // one area
-        std::fill_n(number, pixels, Byte{1});
+// Gives the areas of a tile numbers; its free pixels have the number `not_numbered`, the others 0.
+void number_tile(Tile areas, bool corners) {
+    Byte *const begin = areas.first, *const end = begin + areas.size * areas.size;
+    if (std::find(begin, end, 0) == end) {  // one area
+        std::fill(begin, end, Byte{1});
         return;
     }
     std::array<Index, most_areas + 1> sizes{};
@@ -146,23 +142,24 @@ void number_tile(const Byte* free, Tile areas, bool corners, Place* waiting) {
         for (Index c = 0; c < areas.size; ++c) {
             if (areas(r, c) != not_numbered) continue;
             if (found < most_areas) ++found;
-            sizes[found] = flood(areas, {r, c}, found, corners, waiting).count;
+            sizes[found] = flood(areas, {r, c}, found, corners).count;
         }
     }
     const auto first = static_cast<Byte>(std::max_element(sizes.begin() + 1, sizes.end()) - sizes.begin());
     if (first == 1) return;
-    for (Index k = 0; k < pixels; ++k) {
-        if (number[k] == 1 || number[k] == first) number[k] = number[k] == 1 ? first : Byte{1};
-    }
+    std::array<Byte, most_areas + 1> number;
+    std::iota(number.begin(), number.end(), Byte{0});
+    std::swap(number[1], number[first]);
+    std::transform(begin, end, begin, [&](Byte area) { return number[area]; });
 }
 
 // Gives the areas of free pixels of every tile numbers from 1, the largest (of equal ones the northernmost), or 0. Of
 // more than 254 areas, the last share a number.
 void number_areas(Array<const Byte, 4> free, bool corners, Array<Byte, 4> areas) {
-    const Index size = free.shape[2], pixels = size * size;
-    std::vector<Place> waiting(static_cast<std::size_t>(pixels));
-    for (Index k = 0; k < free.count(); k += pixels)
-        number_tile(free.data + k, {areas.data + k, size, size}, corners, waiting.data());
+    const Index size = free.shape[2];
+    std::transform(
+        free.data, free.data + free.count(), areas.data, [](Byte is_free) { return is_free ? not_numbered : Byte{0}; });
+    for (Index k = 0; k < free.count(); k += size * size) number_tile({areas.data + k, size, size}, corners);
 }
 
 // ---- Ways through tiles ----
@@ -185,8 +182,7 @@ bool has_obstacle_near(const Mosaic& mosaic, Index top, Index left) {
 }
 
 // Fills passable, blocked and near_obstacle of one tile.
-void find_way(
-    const Mosaic& mosaic, Array<Byte, 2> mask, Index row, Index col, const InnerTiles& tiles, Place* waiting) {
+void find_way(const Mosaic& mosaic, Array<Byte, 2> mask, Index row, Index col, const InnerTiles& tiles) {
     const Index pixels = mosaic.pixels, top = (row + 1) * pixels, left = (col + 1) * pixels;
     const Tile grown{&mask(top, left), pixels, mask.shape[1]};
     unsigned usable = 0;
@@ -203,7 +199,7 @@ void find_way(
     for (Index r = 0; !is_free && r < pixels; ++r) {
         for (Index c = 0; c < pixels; ++c) {
             if (grown(r, c) != 0) continue;
-            const unsigned sides = flood(grown, {r, c}, 2, mosaic.corners, waiting).sides;
+            const unsigned sides = flood(grown, {r, c}, 2, mosaic.corners).sides;
             passable |= std::popcount(sides & usable) >= least;
             blocked &= std::popcount(sides) < least;
         }
@@ -215,10 +211,9 @@ void find_way(
 
 // Fills what is asked of the inner tiles; `mask` comes from `grow_obstacles`, and is changed.
 void find_ways(Mosaic mosaic, InnerTiles tiles, Array<Byte, 2> mask) {
-    std::vector<Place> waiting(static_cast<std::size_t>(mosaic.pixels * mosaic.pixels));
     for (Index row = 0; row < tiles.wanted.shape[0]; ++row) {
         for (Index col = 0; col < tiles.wanted.shape[1]; ++col) {
-            if (tiles.wanted(row, col)) find_way(mosaic, mask, row, col, tiles, waiting.data());
+            if (tiles.wanted(row, col)) find_way(mosaic, mask, row, col, tiles);
         }
     }
 }
@@ -233,7 +228,7 @@ struct Areas {
     Array<const Byte, 2> tile(Place at) const { return number.at(at.row).at(at.col); }
 
     // Whether areas of two tiles, side by side, touch across their border.
-    bool touch(Place a, Byte one, Place b, Byte other) const {
+    bool touch(Place a, int one, Place b, int other) const {
         const Index last = number.shape[2] - 1, wide = corners ? 1 : 0;
         const auto at_border = [&](Place from, Place to, Index k) {
             const Index row = to.row == from.row ? k : (to.row > from.row ? last : 0);
@@ -253,8 +248,7 @@ struct Areas {
     bool join_over(Place between, Place upper, Place lower) const {
         const Array<const Byte, 2> areas = tile(between);
         const Byte most = *std::max_element(areas.data, areas.data + areas.count());
-        for (int number_of = 1; number_of <= most; ++number_of) {
-            const auto area = static_cast<Byte>(number_of);
+        for (int area = 1; area <= most; ++area) {
             if (touch(upper, 1, between, area) && touch(between, area, lower, 1)) return true;
         }
         return false;

@@ -57,32 +57,22 @@ double quantile(std::span<double> values, double share, Index least) {
     return n >= least ? smallest(values, static_cast<Index>(share * static_cast<double>(n - 1))) : not_known;
 }
 
-// Numbers with room for all that may come, of which the known ones are kept.
-struct Known {
-    std::vector<double> values;
-    Index count = 0;
-
-    explicit Known(Index most) : values(most + 1) {}
-
-    void add(double value) {
-        values[count] = value;
-        count += !std::isnan(value);
-    }
-
-    // Those added since the last time; valid until the next is added.
-    std::span<double> take() { return {values.data(), static_cast<std::size_t>(std::exchange(count, 0))}; }
-};
+// Adds a number to others if it is known.
+void add_known(std::vector<double>& values, double value) {
+    if (!std::isnan(value)) values.push_back(value);
+}
 
 // Fills, for each tile, the value with a share of the known ones at or below it; NaN with fewer than `least`. `across`
 // is (tiles, tiles, n), `along` the same with rows and columns of tiles exchanged.
 void find_quantiles(
     Array<const double, 3> across, Array<const double, 3> along, double share, Index least, Array<double, 2> out) {
-    Known known(2 * across.shape[2]);
+    std::vector<double> known;
     for (Index row = 0; row < out.shape[0]; ++row) {
         for (Index col = 0; col < out.shape[1]; ++col) {
-            for (const double value : across.at(row).at(col)) known.add(value);
-            for (const double value : along.at(col).at(row)) known.add(value);
-            out(row, col) = quantile(known.take(), share, least);
+            known.clear();
+            for (const double value : across.at(row).at(col)) add_known(known, value);
+            for (const double value : along.at(col).at(row)) add_known(known, value);
+            out(row, col) = quantile(known, share, least);
         }
     }
 }
@@ -92,14 +82,15 @@ void find_quantiles(
 void find_gradients(
     Array<const double, 2> heights, Index pixels, Index apart, Index least, Array<double, 2> middle,
     Array<double, 2> spread) {
-    Known known(pixels * pixels);
+    std::vector<double> differences;
     for (Index row = 0; row < middle.shape[0]; ++row) {
         for (Index col = 0; col < middle.shape[1]; ++col) {
+            differences.clear();
             for (Index r = row * pixels; r < (row + 1) * pixels; ++r) {
                 const Floats line = heights.at(r);
-                for (Index c = col * pixels; c < (col + 1) * pixels - apart; ++c) known.add(line[c + apart] - line[c]);
+                for (Index c = col * pixels; c < (col + 1) * pixels - apart; ++c)
+                    add_known(differences, line[c + apart] - line[c]);
             }
-            const std::span<double> differences = known.take();
             const double usual = differences.empty() ? 0.0 : quantile(differences, 0.5, 1);
             for (double& difference : differences) difference = std::abs(difference - usual);
             middle(row, col) = usual;
@@ -347,45 +338,29 @@ Index rank(Index n) {
     return std::max(Index{0}, static_cast<Index>(std::floor(place)));
 }
 
-// The height between the points of both sides of a pixel, as it surely is at least, m; negative if not above `least`.
+// The height between the points of both sides of a pixel, as it surely is at least, m.
 //
 // A side is a parallelogram of 9 rows, as wide as a level, along a wall that moves `turn` / 4 pixels to the east with
 // every row. Of its known pixels in order of height, that one counts which is three standard errors of the median from
 // the middle, or has a fifth of them beyond it, whichever is farther out.
-double gap(int turn, double least, Patch& patch) {
+double gap(int turn, Patch& patch) {
     Values low = patch.known(patch.line(turn).left, 0), high = patch.known(patch.line(turn).right, 1);
     if (std::min(std::ssize(low), std::ssize(high)) < least_points) return -infinite;
     const auto n = static_cast<double>(low.size()), m = static_cast<double>(high.size());
     const double lower = std::accumulate(low.begin(), low.end(), 0.0);
     const double upper = std::accumulate(high.begin(), high.end(), 0.0);
     if (upper * n < lower * m) std::swap(low, high);
-    // Where too many lie beyond both ends of a part of that height, wherever it is, there is no need to sort.
-    const double middle = 0.5 * (lower / n + upper / m);
-    const double half = 0.499 * least, bottom = middle + half, top = middle - half;
-    const Index beyond_low = rank(std::ssize(low)), beyond_high = rank(std::ssize(high));
-    const auto is_below = [bottom](double height) { return height < bottom; };
-    const auto is_above = [top](double height) { return height > top; };
-    if (std::count_if(high.begin(), high.end(), is_below) > beyond_high &&
-        std::count_if(low.begin(), low.end(), is_above) > beyond_low)
-        return -infinite;
-    return smallest(high, beyond_high) - smallest(low, std::ssize(low) - 1 - beyond_low);
+    return smallest(high, rank(std::ssize(high))) - smallest(low, std::ssize(low) - 1 - rank(std::ssize(low)));
 }
 
 // The share of a step that the points on both of its sides bear out, 0 to 1, at the angle that suits them best.
 double share_borne_out(double step, Patch& patch) {
     double best = 0.0;
     for (const int turn : {0, 2, -2, 4, -4}) {
-        best = std::max(best, share_of(gap(turn, believed * step, patch), step));
+        best = std::max(best, share_of(gap(turn, patch), step));
         if (best >= 1.0) return 1.0;
     }
     return best;
-}
-
-// Whether a height is surely less than a margin above what counts as the height of a side of a ridge.
-bool is_buried(const Patch& patch, const Places& places, double height, double margin) {
-    Index count = 0;
-    for (const std::int32_t place : places) count += height - patch.heights[place] <= margin;
-    return count > rank(std::ssize(places));
 }
 
 // The height of a ridge along a line through a pixel, m; 0 where the points do not bear it out.
@@ -402,16 +377,17 @@ double ridge_along(int turn, double guess, double least, Patch& patch) {
     const auto place = static_cast<Index>(astray_on_ridge * static_cast<double>(top.size()));
     const auto is_low = [guess](double height) { return height <= guess; };
     const double height = std::count_if(top.begin(), top.end(), is_low) > place ? guess : smallest(top, place);
-    const double margin = believed * least;
-    if (is_buried(patch, line.left_of_ridge, height, margin) || is_buried(patch, line.right_of_ridge, height, margin))
-        return 0.0;
+    const auto is_buried = [&](const Places& side) {  // the line is surely not that far above what counts as a side
+        const auto is_near = [&](std::int32_t at) { return height - patch.heights[at] <= believed * least; };
+        return std::count_if(side.begin(), side.end(), is_near) > rank(std::ssize(side));
+    };
+    if (is_buried(line.left_of_ridge) || is_buried(line.right_of_ridge)) return 0.0;
     const Values left = patch.known(line.left_of_ridge, 1), right = patch.known(line.right_of_ridge, 2);
     if (std::min(std::ssize(left), std::ssize(right)) < least_points) return 0.0;
     const Index last = std::ssize(left) - 1, other_last = std::ssize(right) - 1;
     const double high =
         std::max(smallest(left, last - rank(std::ssize(left))), smallest(right, other_last - rank(std::ssize(right))));
     const double surely = smallest(top, place) - high;
-    if (surely <= margin) return 0.0;
     const double foot = std::max(smallest(left, last / 2), smallest(right, other_last / 2));
     const double step = std::max(smallest(top, std::ssize(top) / 2) - foot, 0.0);
     return step * share_of(surely, step);

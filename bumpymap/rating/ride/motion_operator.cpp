@@ -20,8 +20,6 @@ using Numbers = std::array<double, group>;
 
 // Below all ground, m.
 constexpr float lowest = -3e38F;
-// Numbers of a ride before those by axis.
-constexpr Index ride_numbers = 6;
 
 struct PatchesToRide {
     Array<const bool> known;
@@ -39,9 +37,7 @@ struct PitchSamples {
     Array<const float> weight;
 };
 
-struct AxisSamples {
-    Array<const std::int32_t> starts, node;
-    Array<const float> weight;
+struct AxisSamples : PitchSamples {
     Array<const Index> bounds;
 };
 
@@ -116,12 +112,9 @@ class Groups {
                 const Between right(col, patches.fine, pixels);
                 const Heights* const north = &relief[down.pixel * pixels + right.pixel];
                 const Heights* const south = north + pixels;
-                Heights& out = bare[row * nodes + col];
-                for (std::size_t k = 0; k < out.part.size(); ++k) {
-                    const Floats8 a = north[0].part[k] + (north[1].part[k] - north[0].part[k]) * right.share;
-                    const Floats8 b = south[0].part[k] + (south[1].part[k] - south[0].part[k]) * right.share;
-                    out.part[k] = a + (b - a) * down.share;
-                }
+                const Heights a = north[0] + (north[1] - north[0]) * right.share;
+                const Heights b = south[0] + (south[1] - south[0]) * right.share;
+                bare[row * nodes + col] = a + (b - a) * down.share;
             }
         }
     }
@@ -143,13 +136,10 @@ class Groups {
         for (Index turn = 0; turn + 1 < wheel.starts.size(); ++turn) {
             for (Index r = 0; r < nodes; ++r) {
                 for (Index c = 0; c < nodes; ++c) {
-                    Heights highest;
-                    highest.fill(lowest);
+                    Heights highest = lowest;
                     for (Index o = wheel.starts[turn]; o < wheel.starts[turn + 1]; ++o) {
                         const Heights& ground = wide[(r + margin + wheel.row[o]) * side + c + margin + wheel.col[o]];
-                        const float lift = wheel.rise[o];
-                        for (std::size_t k = 0; k < highest.part.size(); ++k)
-                            raise(highest.part[k], ground.part[k] + lift);
+                        highest.raise(ground + wheel.rise[o]);
                     }
                     *out++ = highest;
                 }
@@ -170,16 +160,12 @@ struct Means {
 };
 
 // Of the samples from first to last.
-template <class Samples>
-Means sample_means(const Samples& samples, Index first, Index last, const std::vector<Heights>& envelope) {
+Means sample_means(const PitchSamples& samples, Index first, Index last, const std::vector<Heights>& envelope) {
     Means means{};
     for (Index s = first; s < last; ++s) {
         Heights total{};
-        for (Index k = samples.starts[s]; k < samples.starts[s + 1]; ++k) {
-            const Heights& height = envelope[samples.node[k]];
-            const float weight = samples.weight[k];
-            for (std::size_t n = 0; n < total.part.size(); ++n) total.part[n] += weight * height.part[n];
-        }
+        for (Index k = samples.starts[s]; k < samples.starts[s + 1]; ++k)
+            total += samples.weight[k] * envelope[samples.node[k]];
         for (int lane = 0; lane < group; ++lane) {
             const double value = total[lane];
             means.size[lane] += std::abs(value);
@@ -195,17 +181,14 @@ Means sample_means(const Samples& samples, Index first, Index last, const std::v
 }
 
 // Root mean squares of pitch, roll and twist, rad; and how far the ground reaches to the belly.
-struct PoseNumbers {
-    Numbers pitch, roll, twist, strike;
-};
-
-PoseNumbers pose_numbers(const Poses& poses, const VehicleGeometry& vehicle, const Groups& groups) {
+std::array<Numbers, 4> pose_numbers(const Poses& poses, const VehicleGeometry& vehicle, const Groups& groups) {
     const auto read = [](const std::vector<Heights>& heights, const std::int32_t* node, const float* weight, int lane) {
         double total = 0.0;
         for (int corner = 0; corner < 4; ++corner) total += weight[corner] * heights[node[corner]][lane];
         return total;
     };
-    PoseNumbers found{};
+    std::array<Numbers, 4> found{};
+    auto& [pitches, rolls, twists, strike] = found;
     const Index number = poses.wheel_node.shape[0];
     for (Index p = 0; p < number; ++p) {
         for (int lane = 0; lane < group; ++lane) {
@@ -216,18 +199,18 @@ PoseNumbers pose_numbers(const Poses& poses, const VehicleGeometry& vehicle, con
             const double pitch = (fl + fr - rl - rr) / (2.0 * vehicle.wheelbase);
             const double roll = (fl - fr + rl - rr) / (2.0 * vehicle.track);
             const double twist = (fl - fr - rl + rr) / (2.0 * vehicle.wheelbase);
-            found.pitch[lane] += pitch * pitch;
-            found.roll[lane] += roll * roll;
-            found.twist[lane] += twist * twist;
+            pitches[lane] += pitch * pitch;
+            rolls[lane] += roll * roll;
+            twists[lane] += twist * twist;
             const double level = (fl + fr + rl + rr) / 4.0;
             for (int k = 0; k < 3; ++k) {
                 const double ground = read(groups.bare, &poses.belly_node(p, k, 0), &poses.belly_weight(p, k, 0), lane);
                 const double above = ground - level - (1 - k) * vehicle.belly_half * pitch;
-                found.strike[lane] = std::max(found.strike[lane], above / vehicle.clearance);
+                strike[lane] = std::max(strike[lane], above / vehicle.clearance);
             }
         }
     }
-    for (Numbers* squares : {&found.pitch, &found.roll, &found.twist}) {
+    for (Numbers* squares : {&pitches, &rolls, &twists}) {
         for (double& square : *squares) square = std::sqrt(square / static_cast<double>(number));
     }
     return found;
@@ -247,14 +230,12 @@ void ride_patches(
                 rides(groups.members[lane], k) = values[lane];
         };
         const Means change = sample_means(samples, 0, samples.starts.size() - 1, groups.envelope);
-        const PoseNumbers found = pose_numbers(poses, vehicle, groups);
-        const Numbers* const numbers[] = {&change.size, &change.square, &found.pitch,
-                                          &found.roll,  &found.twist,   &found.strike};
-        for (Index k = 0; k < ride_numbers; ++k) keep(k, *numbers[k]);
-        for (Index axis = 0; axis < rides.shape[1] - ride_numbers; ++axis)
-            keep(
-                ride_numbers + axis,
-                sample_means(axes, axes.bounds[axis], axes.bounds[axis + 1], groups.envelope).size);
+        keep(0, change.size);
+        keep(1, change.square);
+        Index next = 2;
+        for (const Numbers& values : pose_numbers(poses, vehicle, groups)) keep(next++, values);
+        for (Index axis = 0; next < rides.shape[1]; ++axis)
+            keep(next++, sample_means(axes, axes.bounds[axis], axes.bounds[axis + 1], groups.envelope).size);
     }
 }
 

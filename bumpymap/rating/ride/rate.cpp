@@ -18,7 +18,6 @@ namespace {
 
 constexpr int group = 8;  // patches side by side
 using Numbers = Lanes<Doubles4, group>;
-constexpr std::size_t parts = std::tuple_size_v<decltype(Numbers::part)>;
 
 // Points beyond one a pixel, that many at least, or the noise of a tile is not known.
 constexpr double least_freedom = 10.0;
@@ -127,13 +126,13 @@ class Group {
     explicit Group(const Spectrum& given)
         : spectrum(given),
           size(given.basis.shape[0]),
-          patch(size * size, ones()),
+          patch(size * size, 1.0),
           middle(patch),
           waves(patch),
           number(given.shapes.shape[1]),
           powers(number.size()),
           ground(number.size()),
-          noise(ones()) {
+          noise(1.0) {
         for (const std::int32_t b : Array<const std::int32_t>{spectrum.band.data, {spectrum.band.count()}})
             if (b >= 0) ++number[b];
     }
@@ -150,11 +149,11 @@ class Group {
 
     // Takes the noise out of the patches, and begins the next group.
     void clean(Array<float, 3> out) {
-        turn(spectrum.basis, spectrum.turned, patch, waves);
+        transform(spectrum.basis, patch, waves);
         band_powers();
         fit_spectra();
         shrink();
-        turn(spectrum.turned, spectrum.basis, waves, patch);
+        transform(spectrum.turned, waves, patch);
         for (Index lane = 0; lane < held; ++lane) {
             float* const relief = &out(members[lane], 0, 0);
             for (Index k = 0; k < size * size; ++k) relief[k] = static_cast<float>(patch[k][lane]);
@@ -163,34 +162,19 @@ class Group {
     }
 
   private:
-    static Numbers ones() {
-        Numbers lanes;
-        lanes.fill(1.0);
-        return lanes;
-    }
-
-    // Multiplies patches by a matrix from the left and by one from the right: the cosine transform, or back.
-    void turn(
-        Array<const double, 2> left, Array<const double, 2> right, const std::vector<Numbers>& from,
-        std::vector<Numbers>& out) {
-        for (Index i = 0; i < size; ++i) {
+    // Multiplies patches by a matrix from the left, and by its transpose from the right: the cosine transform, or back.
+    void transform(Array<const double, 2> matrix, const std::vector<Numbers>& from, std::vector<Numbers>& out) {
+        const auto multiply = [this, matrix](const std::vector<Numbers>& right, std::vector<Numbers>& transposed) {
             for (Index j = 0; j < size; ++j) {
-                Numbers total{};
-                for (Index k = 0; k < size; ++k) {
-                    for (std::size_t p = 0; p < parts; ++p) total.part[p] += left(i, k) * from[k * size + j].part[p];
+                for (Index i = 0; i < size; ++i) {
+                    Numbers total{};
+                    for (Index k = 0; k < size; ++k) total += matrix(i, k) * right[k * size + j];
+                    transposed[j * size + i] = total;
                 }
-                middle[i * size + j] = total;
             }
-        }
-        for (Index i = 0; i < size; ++i) {
-            for (Index j = 0; j < size; ++j) {
-                Numbers total{};
-                for (Index k = 0; k < size; ++k) {
-                    for (std::size_t p = 0; p < parts; ++p) total.part[p] += right(k, j) * middle[i * size + k].part[p];
-                }
-                out[i * size + j] = total;
-            }
-        }
+        };
+        multiply(from, middle);
+        multiply(middle, out);
     }
 
     // The mean square of the coefficients of each band.
@@ -199,35 +183,33 @@ class Group {
         for (Index k = 0; k < size * size; ++k) {
             const std::int32_t b = spectrum.band.data[k];
             if (b < 0) continue;
-            for (std::size_t p = 0; p < parts; ++p) powers[b].part[p] += waves[k].part[p] * waves[k].part[p];
+            powers[b] += waves[k] * waves[k];
         }
-        for (Index b = 0; b < std::ssize(number); ++b) {
-            for (auto& power : powers[b].part) power /= number[b];
-        }
+        for (Index b = 0; b < std::ssize(number); ++b) powers[b] /= number[b];
     }
 
-    // Fits the strength A, at first 0, of a ground spectrum A * shape beside white noise, by weighted steps (Whittle's
-    // likelihood).
-    void fit_strength(Array<const double> shape, std::size_t p, Doubles4& strength) const {
-        const Doubles4 white = noise.part[p];
+    // The strength A of a ground spectrum A * shape beside white noise, by weighted steps (Whittle's likelihood).
+    Numbers strength_of(Array<const double> shape) const {
+        Numbers strength{};
         double shapes = 0.0;
         for (Index b = 0; b < shape.size(); ++b) {
-            strength += number[b] * (powers[b].part[p] - white);
+            strength += number[b] * (powers[b] - noise);
             shapes += number[b] * shape[b];
         }
-        raise(strength, least_share * white);
+        strength.raise(least_share * noise);
         strength /= shapes;
         for (int round = 0; round < rounds; ++round) {
-            Doubles4 top{}, bottom{};
+            Numbers top{}, bottom{};
             for (Index b = 0; b < shape.size(); ++b) {
-                const Doubles4 share = shape[b] / (strength * shape[b] + white);
-                const Doubles4 weight = number[b] * share * share;
-                top += weight * (powers[b].part[p] - white) / shape[b];
+                const Numbers share = shape[b] / (strength * shape[b] + noise);
+                const Numbers weight = number[b] * share * share;
+                top += weight * (powers[b] - noise) / shape[b];
                 bottom += weight;
             }
             strength = top / bottom;
-            raise(strength, Doubles4{} + tiny);
+            strength.raise(tiny);
         }
+        return strength;
     }
 
     // Fills the likeliest power of each band, m^2.
@@ -235,8 +217,7 @@ class Group {
         std::array<double, group> best{};
         for (Index s = 0; s < spectrum.shapes.shape[0]; ++s) {
             const Array<const double> shape = spectrum.shapes.at(s);
-            Numbers strength{};
-            for (std::size_t p = 0; p < parts; ++p) fit_strength(shape, p, strength.part[p]);
+            const Numbers strength = strength_of(shape);
             for (int lane = 0; lane < group; ++lane) {
                 double misfit = 0.0;
                 for (Index b = 0; b < shape.size(); ++b) {
@@ -255,10 +236,9 @@ class Group {
         for (Index k = 0; k < size * size; ++k) {
             const std::int32_t b = spectrum.band.data[k];
             for (int lane = 0; lane < group; ++lane) {
-                const double wave = waves[k][lane], power = wave * wave;
-                const double kept = power > significant * noise[lane]
-                                        ? (power - noise[lane]) / power
-                                        : ground[std::max(b, 0)][lane] / (ground[std::max(b, 0)][lane] + noise[lane]);
+                const double wave = waves[k][lane], power = wave * wave, likely = ground[std::max(b, 0)][lane];
+                const bool is_ground = power > significant * noise[lane];
+                const double kept = is_ground ? (power - noise[lane]) / power : likely / (likely + noise[lane]);
                 waves[k].set(lane, b < 0 ? 0.0 : wave * std::sqrt(kept));
             }
         }
