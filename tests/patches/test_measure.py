@@ -15,7 +15,6 @@ from bumpymap.core import loops
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.types import Reason
 from bumpymap.patches import measure, measure_thin
-from bumpytiles import Grid
 
 EAST, NORTH = 500_001.0, 4_000_002.0  # south-west corner of a tile
 
@@ -198,21 +197,6 @@ def test_strays_equal_those_of_the_definition(seed, most, spread):
 
 
 COLUMNS = ("z_variance", "ransac_residual", "slope", "z_range", "relief", "heights", "relief_map")
-
-
-@pytest.mark.parametrize("grid", [Grid(), Grid(1.5, 30)])
-def test_tiles_are_measured_alike_in_any_company(measure_points, grid):
-    x, y, rng = tile_points(20, n=6000)
-    x = x + 3 * rng.integers(0, 6, 6000)
-    z = rng.normal(scale=0.2, size=6000)
-    whole = measure_points(x, y, z, grid=grid)
-    assert whole.heights.shape[1:] == (grid.pixels, grid.pixels)
-    np.testing.assert_array_equal(whole.density, whole.count / grid.tile_size**2)
-    for k, (col, row) in enumerate(zip(whole.col, whole.row, strict=True)):
-        mine = (grid.index(x) == col) & (grid.index(y) == row)
-        alone = measure_points(x[mine], y[mine], z[mine], grid=grid)
-        for name in COLUMNS:
-            np.testing.assert_array_equal(getattr(alone, name)[0], getattr(whole, name)[k])
 
 
 # ---- thin tiles ----

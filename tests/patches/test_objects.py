@@ -131,13 +131,6 @@ def test_too_few_points_at_a_border_are_left_to_the_neighbour(rng):
     assert np.all(stack.obstacle == 0)
 
 
-def test_any_order_of_points_gives_the_same_bits(rng):
-    points = np.concatenate([meadow(rng), things(*rng.uniform(0, 3, (2, 200)), rng.uniform(0, 5, 200))])
-    one, other = found(points), found(rng.permutation(points))
-    for name, column in one.columns().items():
-        np.testing.assert_array_equal(column, getattr(other, name))
-
-
 # ---- low things in the ground of a block: what stands out of it, and relief that does not ----
 
 Y, X = (np.mgrid[:60, :60] + 0.5) * 0.2  # 12 m

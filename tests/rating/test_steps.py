@@ -90,26 +90,6 @@ def test_noise_has_no_steps_and_a_kerb_stands_out_from_it(noise):
     np.testing.assert_allclose(kerb.border[:, 0, EAST], 8 * noise, rtol=0.25)
 
 
-def test_two_blocks_find_the_same_bits_for_the_border_that_they_share():
-    rng = np.random.default_rng(5)
-    world = mosaic(Wall(0.2, 14.9, 9, 7), 10) + rng.normal(0, 0.01, (150, 150)).astype(np.float32)
-    world[rng.random(world.shape) < 0.4] = np.nan
-    whole, west, east = (
-        find_steps(part, PIXELS, closing=0.15) for part in (world, world[:, : 6 * PIXELS], world[:, 4 * PIXELS :])
-    )
-    inner, one, other = (steps.closed[PIXELS:-PIXELS, PIXELS:-PIXELS] for steps in (whole, west, east))
-    assert inner.sum() > 100
-    np.testing.assert_array_equal(one, inner[:, : 4 * PIXELS])
-    np.testing.assert_array_equal(other, inner[:, 4 * PIXELS :])
-    np.testing.assert_array_equal(west.border[:, -1, EAST], east.border[:, 0, WEST])
-    for part, columns in ((west, slice(0, 4)), (east, slice(4, 8))):
-        np.testing.assert_array_equal(part.border, whole.border[:, columns])
-        np.testing.assert_array_equal(part.inner, whole.inner[:, columns])
-        np.testing.assert_array_equal(part.rim, whole.rim[:, columns])
-    np.testing.assert_array_equal(whole.border[:, :-1, EAST], whole.border[:, 1:, WEST])
-    np.testing.assert_array_equal(whole.border[:-1, :, SOUTH], whole.border[1:, :, NORTH])
-
-
 @pytest.mark.parametrize(("density", "noise"), [(10, 0.003), (10, 0.05), (25, 0.05), (100, 0.02)])
 def test_the_line_of_a_step_is_closed_whole_and_nothing_else(density, noise):
     """A step of 0.5 m at three headings; a kerb, a ramp of 20 degrees and a ditch of 0.3 m are no lines."""

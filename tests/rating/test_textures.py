@@ -1,12 +1,10 @@
 """Textures of tiles: the shipped network on the made forms, and what must hold for any network."""
 
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 from cost_maps import patch_stack
-from numpy.testing import assert_array_equal
 from scipy.ndimage import map_coordinates
 
 from bumpymap.core.errors import BadInputError, UsageError
@@ -76,23 +74,6 @@ def test_short_regular_waves_are_never_taken_for_smooth_ground(model, measure_po
         assert len(flat) == 100
         assert flat.mean() < 0.1
         assert np.quantile(flat, 0.97) < 0.5
-
-
-@pytest.mark.parametrize("sizes", [[1] * 30, [255, 1, 256, 88], [257, 343]])
-def test_neither_order_nor_a_split_nor_unknown_tiles_change_a_bit(model, sizes):
-    rng = np.random.default_rng(0)
-    relief = (0.3 * _textures(150)[rng.permutation(600)])[: sum(sizes)]
-    count = rng.poisson(1.5, relief.shape)
-    whole = classify(stack_of(relief, count=count), model).probability
-    assert_array_equal(classify(stack_of(relief[::-1], count=count[::-1]), model).probability, whole[::-1])
-    borders = np.cumsum([0, *sizes])
-    parts = [classify(stack_of(relief[a:b], count=count[a:b]), model).probability for a, b in pairwise(borders)]
-    assert_array_equal(np.concatenate(parts), whole)
-    relief[[0, 5]], whole[[0, 5]] = np.nan, np.nan
-    reason = np.zeros(len(relief), np.uint8)
-    reason[[0, 5]] = Reason.TOO_FEW_POINTS, Reason.TOO_MANY_HOLES
-    assert_array_equal(classify(stack_of(relief, reason, count=count), model).probability, whole)
-    assert len(classify(stack_of(relief[:0]), model).probability) == 0
 
 
 def test_ground_without_any_relief_is_flat(model):

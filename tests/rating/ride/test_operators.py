@@ -84,16 +84,6 @@ def moved_over(relief):
     return {each.name: getattr(one, each.name) for one in found for each in fields(one)}
 
 
-def test_a_patch_gets_the_same_bits_alone_and_among_others():
-    many = patches(5, 37)
-    many[::5, 4, 4] = np.nan
-    together = moved_over(many)
-    for i in range(0, 37, 3):
-        for name, values in moved_over(many[i : i + 1]).items():
-            np.testing.assert_array_equal(values[0], together[name][i])
-            assert np.isnan(values[0]).all() == (i % 5 == 0)
-
-
 def test_the_axes_of_a_turned_patch_turn_with_it_and_their_mean_is_that_of_all_headings():
     patch, by_axis, turned = patches(4, 20), np.empty((20, 8)), np.empty((20, 8))
     mean = roll_over(patch, RIDE, by_axis).pitch_change
