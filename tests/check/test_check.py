@@ -341,17 +341,6 @@ def test_without_a_map_or_positions_there_is_nothing_for_gis(ground, tmp_path, h
     assert [bool(record[name]) for name in ("map", "agreement", "by_class")] == [has_map] * 3
 
 
-def test_files_of_an_earlier_check_are_replaced_only_if_asked_and_none_is_left(ground, tmp_path):
-    write_check(made_up_check(), tmp_path, ground=ground)
-    (tmp_path / "my notes.txt").write_text("mine")
-    before = (tmp_path / "check.json").read_bytes()
-    with pytest.raises(OutputError, match=r"already holds check\.html.*overwrite=True"):
-        write_check(made_up_check(ground=False), tmp_path)
-    assert (tmp_path / "check.json").read_bytes() == before
-    write_check(made_up_check(ground=False), tmp_path, overwrite=True)
-    assert names(tmp_path) == [*WITHOUT_MAP, "my notes.txt"]
-
-
 def test_the_folder_of_a_map_and_files_are_refused(ground, tmp_path):
     (tmp_path / "run.json").write_text("{}")
     with pytest.raises(UsageError, match="holds the layers of a survey"):

@@ -217,16 +217,6 @@ def test_trouble_is_refused_or_set_aside():
     assert any("riddle" in note for note in notes)
 
 
-@pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:4979", "EPSG:4269+5703"])
-def test_degrees_are_refused(crs):
-    place = Place(Path("my site.laz"), (-99.1, 19.4, 2240.0))
-    with pytest.raises(BadInputError) as caught:
-        settle(CrsStatement(CRS(crs)), place=place)
-    assert "pdal translate 'my site.laz' 'my site_metres.laz'" in str(caught.value)
-    assert "out_srs=EPSG:32614" in str(caught.value)
-    assert "in_srs" not in str(caught.value)
-
-
 def test_earth_centred_coordinates_are_refused_with_their_zone():
     # 99.1 W, 19.4 N at 2240 m, by the closed formula on the WGS 84 ellipsoid.
     place = Place(Path("a.laz"), (-952_258.6, -5_944_768.1, 2_106_146.8))

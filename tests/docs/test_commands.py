@@ -210,11 +210,6 @@ def test_every_command_that_is_shown_can_be_given(page, line):
     given.make_context(name, words)
 
 
-@pytest.mark.parametrize("rule", RULES)
-def test_every_rule_is_of_use(rule):
-    assert [command for _, command in SHOWN if rule_of(command) == rule]
-
-
 def test_what_does_not_run_names_extras_targets_and_scripts_that_are_there():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     targets = re.findall(r"(?m)^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"))

@@ -31,7 +31,7 @@ def test_a_wall_at_any_place_and_angle_is_measured_in_full(height):
         np.testing.assert_allclose(found[tiles], abs(height), rtol=0.05)
 
 
-@pytest.mark.parametrize("shift", [-0.1, -0.04, 0.0, 0.04, 0.1])
+@pytest.mark.parametrize("shift", [-0.1, 0.0, 0.04])
 def test_a_wall_on_or_next_to_a_border_belongs_to_both_tiles(shift):
     """The second of four columns ends at 6 m; a wall up to half a pixel beside it is a step between both tiles."""
     steps = find_steps(mosaic(Wall(0.5, 6 + shift, 0, 0), 4), PIXELS)

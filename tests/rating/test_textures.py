@@ -42,8 +42,7 @@ def seen(measure_points, relief, points, noise, rng):
     return measure_points(x, y, z)
 
 
-@pytest.mark.parametrize("noise", [0.001, 0.005, 0.02, 0.05])
-@pytest.mark.parametrize("points", [5, 10, 30, 100, 400])
+@pytest.mark.parametrize(("points", "noise"), [(5, 0.02), (10, 0.05), (30, 0.001), (100, 0.005), (400, 0.05)])
 def test_level_ground_is_flat_through_any_noise(model, measure_points, points, noise):
     patches = seen(measure_points, np.zeros((60, 15, 15)), points, noise, np.random.default_rng(0))
     judged = patches.reason == Reason.OK
@@ -53,16 +52,14 @@ def test_level_ground_is_flat_through_any_noise(model, measure_points, points, n
 
 
 @pytest.mark.parametrize(("k", "relief"), [(0, 0.2), (1, 0.2), (1, 0.6), (2, 0.6), (2, 1.2), (3, 1.2), (3, 2.5)])
-@pytest.mark.parametrize(("points", "noise"), [(20, 0.01), (100, 0.005), (100, 0.03), (400, 0.05)])
+@pytest.mark.parametrize(("points", "noise"), [(20, 0.01), (400, 0.05)])
 def test_each_form_at_its_relief_is_told_through_noise(model, measure_points, k, relief, points, noise):
     rng = np.random.default_rng([k, points])
     patches = seen(measure_points, relief * make_textures(TEXTURES[k], 100, rng), points, noise, rng)
     assert (classify(patches, model).probability.argmax(axis=1) == k).mean() > 0.9
 
 
-@pytest.mark.parametrize(
-    ("wavelength", "crossing"), [(0.4, False), (0.5, False), (0.6, False), (0.6, True), (0.75, False), (0.75, True)]
-)
+@pytest.mark.parametrize(("wavelength", "crossing"), [(0.4, False), (0.6, True), (0.75, False), (0.75, True)])
 def test_short_regular_waves_are_never_taken_for_smooth_ground(model, measure_points, wavelength, crossing):
     rng = np.random.default_rng(0)
     x, y = rng.uniform(0, 29.9, (2, 90_000))

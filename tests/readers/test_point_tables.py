@@ -225,9 +225,8 @@ def test_a_compressed_file_unpacks_to_its_points_and_to_no_flood(tmp_path, read,
         (b"\x89PNG\r\n\x1a\n" + bytes(50), "of an unknown kind .first bytes 89 50 4e"),
     ],
 )
-@pytest.mark.parametrize("name", ["a.laz", "a.ply", "a.pcd", "a"])
-def test_what_is_no_point_cloud_is_named(tmp_path, content, says, name):
-    path = tmp_path / name
+def test_what_is_no_point_cloud_is_named(tmp_path, content, says):
+    path = tmp_path / "a.laz"
     path.write_bytes(content)
     with pytest.raises(BadInputError, match=says):
         open_survey(path)
