@@ -105,11 +105,9 @@ def test_an_argument_of_any_type_is_no_error_from_the_inside(call, tmp_path, mon
         (SETTINGS["map"][1], "tilesize", "tile_size"),
         (lambda **settings: bumpymap.map_batch("a", "b", **settings), "jbos", "jobs"),
         (SETTINGS["route"][1], "riks", "risk"),
-        (lambda **settings: bumpymap.map_reach("a", ENDS[0], **settings), "snapp", "snap"),
         (SETTINGS["diff"][1], "min_tile", "min_tiles"),
         (SETTINGS["check"][1], "band", "band_hz"),
         (SETTINGS["scan"][1], "polr", "polar"),
-        (bumpymap.ScanClassifier, "vehicles", "vehicle"),
     ],
 )
 def test_a_setting_that_is_not_there_is_a_usage_error_with_the_nearest_name(call, name, meant):

@@ -13,6 +13,7 @@ import pyogrio
 import pytest
 import rasterio
 from cost_maps import make_field
+from made_frames import write_bin
 from ply_files import write_ply
 from pyproj import Transformer
 from route_maps import write_folder
@@ -29,12 +30,6 @@ def scanned(count=12_000, seed=0):
     radius, azimuth = np.sqrt(rng.uniform(1.0, 144.0, count)), rng.uniform(-np.pi, np.pi, count)
     x, y = radius * np.cos(azimuth), radius * np.sin(azimuth)
     return np.column_stack([x, y, -1.0 + np.where(y < 0, 0.2, 0.002) * rng.standard_normal(count)])
-
-
-def write_bin(path, points):
-    path.parent.mkdir(exist_ok=True)
-    np.column_stack([points, np.ones(len(points))]).astype("<f4").tofile(path)
-    return path
 
 
 @pytest.fixture(scope="module")

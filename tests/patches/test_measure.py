@@ -62,13 +62,6 @@ def test_every_pixel_equals_the_bins_of_scipy(measure_points):
     assert stack.z_range[0] == pytest.approx(np.nanmax(height) - np.nanmin(height), rel=1e-6)
 
 
-def test_coordinates_of_four_million_metres_keep_millimetres(measure_points):
-    # One point a pixel, one millimetre inside its west and south edge; another millimetre would be the next pixel.
-    x, y = (3_999_999.0 + axis.ravel() for axis in np.meshgrid(*2 * [np.arange(15) * 0.2 + 0.001]))
-    assert np.all(only(measure_points(x, y, np.zeros(225)).spread_count) == 1)
-    assert len(measure_points(x - 0.002, y, np.zeros(225)).col) == 2
-
-
 def test_an_exactly_flat_tile_and_one_of_a_single_point(measure_points):
     x, y, _ = tile_points(3)
     stack = measure_points(x, y, np.full(900, 1234.567))
@@ -194,9 +187,6 @@ def test_strays_equal_those_of_the_definition(seed, most, spread):
     found = np.count_nonzero(distance > high), np.count_nonzero(distance < low)
     assert found in fits
     assert strays == sum(found) == max(map(sum, fits))
-
-
-COLUMNS = ("z_variance", "ransac_residual", "slope", "z_range", "relief", "heights", "relief_map")
 
 
 # ---- thin tiles ----

@@ -1,4 +1,6 @@
-"""Planes of tiles do not depend on where the ground lies, and explain as many points as those of other programs."""
+"""Planes of tiles are those that weights which stand still give, and explain as many points as other programs do."""
+
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -6,14 +8,13 @@ from sklearn.linear_model import RANSACRegressor
 
 from bumpymap.core import loops
 
-TILES = 12
+TILES = 6
 REACH = 0.1
 EAST, NORTH = 500_001, 4_000_002
-FIELDS = ("count", "z_variance", "ransac_residual", "slope", "z_range", "relief", "coverage", "reason")
 
 
 def rough_ground():
-    """Points of 12 x 12 tiles: waves, terraces, and more and more plants northwards; none on the border of a tile."""
+    """Points of 6 x 6 tiles: waves, terraces, and more and more plants northwards; none on the border of a tile."""
     rng = np.random.default_rng(1)
     x, y = (np.floor(rng.uniform(0, 3 * TILES, (2, 80 * (3 * TILES) ** 2)) * 1e3) + 0.5) / 1e3
     z = 0.1 * x + np.where(np.sin(0.7 * x + 0.3 * y) > 0.4, 0.6, 0.0) + 0.02 * rng.normal(size=len(x))
@@ -88,7 +89,7 @@ def explained(points, plane):
 def test_ransac_explains_as_many_points_as_scikit_learns(measured):
     """It may leave out some at the limit to be closer to the rest: its loss is what it makes small."""
     ours, theirs = [], []
-    for seed, own in enumerate(by_tile(measured, *GROUND)):
+    for seed, own in enumerate(islice(by_tile(measured, *GROUND), 12)):
         points = own[np.random.default_rng(seed).permutation(len(own))]
         plane = loops.ransac_plane_of(*np.ascontiguousarray(points.T), REACH)
         ours.append(explained(points, np.array(plane)))

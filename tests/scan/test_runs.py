@@ -14,6 +14,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import rasterio
+from made_frames import write_bin
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from small_surveys import SIDES
@@ -44,12 +45,6 @@ def world(count=50_000, seed=0):
     x, y = rng.uniform(995.0, 1016.0, count), rng.uniform(1992.0, 2013.0, count)
     bumps = np.where(y > 2006.0, 0.3 * np.sin(9.0 * x) * np.sin(8.0 * y), 0.0) + 0.003 * rng.standard_normal(count)
     return np.column_stack([x, y, 50.0 + 0.1 * np.sin(x / 3.0) + bumps])
-
-
-def write_bin(path, points):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    np.column_stack([points, np.full(len(points), 0.5)]).astype("<f4").tofile(path)
-    return path
 
 
 def write_poses(path, poses=POSES):

@@ -19,9 +19,7 @@ from route_maps import VEHICLE, change_bars, copy_folder, list_anew, write_folde
 from small_surveys import run, write_bomb, write_broken
 
 from bumpymap.core import CLASS_NAMES, NO_CLASS, OBSTACLE, BadInputError, OutputError, PageSettings, UsageError
-from bumpymap.layers import SurveyRow
 from bumpymap.views import page_header, write_report
-from bumpymap.views.page.batch_page import index_page
 from bumpymap.views.page.charts import locator
 from bumpymap.views.page.tiles import NO_POINTS, UNKNOWN_FROM
 from bumpymap.views.words import share
@@ -279,12 +277,3 @@ def test_the_locator_shows_a_place_in_its_country_and_one_beside_it_in_another(p
     assert land.distance(point) < 2
     assert 0.025 < land.intersection(square).area / square.area < 0.9
     assert locator(*other)["country"] != found["country"]
-
-
-HOSTILE = "<b>'&\udce9\x1b[31m\u202e"
-
-
-def test_names_of_a_batch_are_text():
-    page = index_page([SurveyRow(HOSTILE, "failed", HOSTILE)], {}, [HOSTILE], HOSTILE, HOSTILE)
-    assert not [sign for sign in ("<b>", "\x1b", "\u202e") if sign in page]
-    assert page.count(r"\x1b[31m\u202e") >= 4
