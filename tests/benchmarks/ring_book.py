@@ -33,8 +33,8 @@ def ring_of(kind, opening, density, seed):
 def judge(ring):
     """Return whether a way is found, and whether it leaves elsewhere than by the opening."""
     with tempfile.TemporaryDirectory() as folder:
-        found, through = ring.way_out(Path(folder), threads=1)
-    return found, found and ring.opening_m > 0 and not through
+        route = ring.way_out(ring.map(Path(folder), threads=1))
+    return route is not None, route is not None and ring.opening_m > 0 and not ring.leads_through(route)
 
 
 def main():

@@ -1,9 +1,7 @@
 """Changes between two surveys: figures of a tile by hand, what counts as a change, and the files."""
 
 import json
-import re
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,7 +23,7 @@ from bumpymap.change.compare import (
     ride_change,
 )
 from bumpymap.change.pipeline import CHANGE_FILES, connect
-from bumpymap.core import CHANGE_KINDS, BadInputError, Georeference
+from bumpymap.core import BadInputError, Georeference
 from bumpytiles import Grid
 
 LAGS = [(0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0)]
@@ -335,22 +333,6 @@ def test_features_are_the_changes(rut):
     table = rut.regions()
     assert (table.crs.to_epsg(), table["kind"].tolist()) == (32614, [each["properties"]["kind"] for each in features])
     assert np.allclose(table.area, table["area_m2"])
-
-
-def test_the_page_describes_every_file_band_kind_and_default(rut):
-    page = (Path(__file__).resolve().parents[2] / "docs" / "pages" / "diff.md").read_text(encoding="utf-8")
-    first = {}
-    for title in ("file", "band"):
-        (table,) = re.findall(rf"(?m)^\| {title} \|.*\n\|[-| ]*\n((?:\|.*\n)+)", page)
-        first[title] = [name for line in table.splitlines() for name in re.findall(r"`([^`]+)`", line.split("|")[1])]
-    assert first["file"] == [*CHANGE_FILES.names]
-    with rasterio.open(rut.folder / "change.tif") as file:
-        assert tuple(first["band"]) == file.descriptions
-    for number in range(len(CHANGE_KINDS)):
-        assert re.search(rf"\| `changed` .*\b{number} ", page)
-    config = DiffConfig(Path("a"), Path("b"))
-    assert f"on average ({config.fdr:g})" in page
-    assert f"left out ({config.min_tiles})" in page
 
 
 @pytest.mark.parametrize(

@@ -10,11 +10,11 @@ import made_drives
 import numpy as np
 import pytest
 from check_records import LIMITS, STRETCH_M, made_up_check, stretches_at
-from click.testing import CliRunner
 from pyproj import Geod
 from route_maps import bare_map
 from route_records import MadeUpMap
 from scipy.stats import spearmanr
+from small_surveys import run
 
 from bumpymap.check import CheckConfig, check_drives
 from bumpymap.check.inertial import even_imu
@@ -22,7 +22,6 @@ from bumpymap.check.measure import find_standing, measure_drive, rough_speed
 from bumpymap.check.pipeline import agreement_of, write_check
 from bumpymap.check.places import local_metres, metre_places, places_on_map
 from bumpymap.check.stretches import cut_stretches
-from bumpymap.cli import main
 from bumpymap.core import BadInputError, ImuTrack, OutputError, PlaceTrack, UsageError, WheelTrack
 from bumpymap.layers import check_check_out
 from bumpymap.layers.products import CHECK_FILES, CHECK_MANIFEST_NAME
@@ -117,13 +116,6 @@ def test_without_positions_the_way_is_that_of_the_wheels(good):
     assert np.isnan(found.clock_offset_s)
     assert np.abs(found.speed).sum() / found.hertz == pytest.approx(way[-1], rel=0.02)
     assert np.median(np.abs(cut.measured / true_c_r(log, cut, pitch_rate, way) - 1.0)) < 0.04
-
-
-def test_the_same_drive_gives_the_same_bits():
-    log, _, _ = made_drives.log_of(made_drives.MadeDrive(seconds=40.0, noise=0.01, place_white=0.015))
-    (found, cut), (again, cut_again) = measured(log), measured(log)
-    assert np.array_equal(found.pitch_rate, again.pitch_rate)
-    assert np.array_equal(cut.measured, cut_again.measured)
 
 
 def test_a_gap_of_the_imu_does_not_count_and_a_drive_without_accelerometer_says_so(good):
@@ -240,7 +232,7 @@ def test_drives_are_measured_without_a_map_and_those_that_cannot_be_used_are_nam
     (tmp_path / "bad.csv").write_text("hello")
     made_drives.write_table(tmp_path / "parked.csv", placed("projected", still=True), (0.0, 0.0))
     words = ["check", "--drive", bad, "--drive", parked, "--drive", good, "--out", str(tmp_path / "out")]
-    done = CliRunner().invoke(main, words)
+    done = run(*words)
     assert done.exit_code == 4
     result = json.loads((tmp_path / "out" / "check.json").read_text())
     (drive,) = result["drives"]
@@ -256,7 +248,7 @@ def test_drives_are_measured_without_a_map_and_those_that_cannot_be_used_are_nam
         assert told in result["skipped"][drive]
         assert all(f"{drive} is left out: {result['skipped'][drive]}" in text for text in (done.output, page))
         assert done.output.count(f"{drive} is left out") == 1
-    quiet = CliRunner().invoke(main, [*words[:3], *words[5:7], "--quiet"])
+    quiet = run(*words[:3], *words[5:7], "--quiet")
     assert (quiet.exit_code, quiet.stdout) == (4, "")
     assert f"{bad} is left out: {result['skipped'][bad]}" in quiet.stderr
 
@@ -269,12 +261,12 @@ def test_with_no_usable_drive_there_is_no_check(tmp_path):
         with pytest.raises(UsageError, match=told):
             CheckConfig(drives)
     command = ["check", *(word for path in words for word in ("--drive", str(path)))]
-    assert CliRunner().invoke(main, command).exit_code == 3
+    assert run(*command).exit_code == 3
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "check.json").touch()
-    done = CliRunner().invoke(main, [*command, "--out", str(tmp_path / "out")])
+    done = run(*command, "--out", tmp_path / "out")
     assert "one.csv" in done.output  # told before that the folder is occupied
-    done = CliRunner().invoke(main, ["check", str(tmp_path / "none"), *command[1:], "--out", str(tmp_path / "out")])
+    done = run("check", tmp_path / "none", *command[1:], "--out", tmp_path / "out")
     assert "there is no folder" in done.output
 
 
@@ -339,17 +331,6 @@ def test_without_a_map_or_positions_there_is_nothing_for_gis(ground, tmp_path, h
     assert names(tmp_path) == WITHOUT_MAP
     record = json.loads((tmp_path / "check.json").read_text())
     assert [bool(record[name]) for name in ("map", "agreement", "by_class")] == [has_map] * 3
-
-
-def test_files_of_an_earlier_check_are_replaced_only_if_asked_and_none_is_left(ground, tmp_path):
-    write_check(made_up_check(), tmp_path, ground=ground)
-    (tmp_path / "my notes.txt").write_text("mine")
-    before = (tmp_path / "check.json").read_bytes()
-    with pytest.raises(OutputError, match=r"already holds check\.html.*overwrite=True"):
-        write_check(made_up_check(ground=False), tmp_path)
-    assert (tmp_path / "check.json").read_bytes() == before
-    write_check(made_up_check(ground=False), tmp_path, overwrite=True)
-    assert names(tmp_path) == [*WITHOUT_MAP, "my notes.txt"]
 
 
 def test_the_folder_of_a_map_and_files_are_refused(ground, tmp_path):

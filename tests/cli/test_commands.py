@@ -13,6 +13,7 @@ import pyogrio
 import pytest
 import rasterio
 from cost_maps import make_field
+from made_frames import write_bin
 from ply_files import write_ply
 from pyproj import Transformer
 from route_maps import write_folder
@@ -29,12 +30,6 @@ def scanned(count=12_000, seed=0):
     radius, azimuth = np.sqrt(rng.uniform(1.0, 144.0, count)), rng.uniform(-np.pi, np.pi, count)
     x, y = radius * np.cos(azimuth), radius * np.sin(azimuth)
     return np.column_stack([x, y, -1.0 + np.where(y < 0, 0.2, 0.002) * rng.standard_normal(count)])
-
-
-def write_bin(path, points):
-    path.parent.mkdir(exist_ok=True)
-    np.column_stack([points, np.ones(len(points))]).astype("<f4").tofile(path)
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -67,43 +62,26 @@ ALL = "(car, husky, small_rover, warthog)"
 REFUSED = [
     (2, "mpa site.laz", "Did you mean 'map'?"),
     (2, f"map {shlex.quote(str(QUARRY))} --out OUT --crs EPSG:1", "--crs EPSG:1 is not a coordinate reference system"),
-    (
-        2,
-        f"map {shlex.quote(str(QUARRY))} --out OUT --crs EPSG:1 --json",
-        "--crs EPSG:1 is not a coordinate reference system",
-    ),
     (2, f"map {shlex.quote(str(QUARRY))} --out OUT --tile-size 4", "Use --tile-size 3, --set pixels=15"),
     (2, "map a.laz --out OUT --crs EPSG:32632 --local", "--crs and --local contradict"),
     (2, "map a.laz --out OUT --calibration c.json --vehicle warthog", "--calibration and --vehicle"),
     (2, "map a.laz --out OUT --set compat=paper --set rating=ride", "--set compat and --set rating"),
     (2, "map a.laz --out OUT --set pixels", "give KEY=VALUE"),
     (2, "map a.laz --out OUT --set pixels=a", "pixels is 'a'; it must be a whole number from 3 to 255"),
-    (2, "map a.laz --out OUT --set csf.rigidness=4", "csf.rigidness is 4; it must be a whole number from 1 to 3"),
     (2, "map https://h/a.laz --out o", "rclone copyurl URL FILE"),
     (2, "map a.laz --out s3://bucket/night", "s3://bucket/night is a URL"),
-    (2, "batch . --out s3://bucket/night", "s3://bucket/night is a URL"),
-    (2, "diff may june --out s3://bucket/night", "s3://bucket/night is a URL"),
     (2, "map a.laz --out OUT --vehicle tank", ALL),
-    (2, "scan a.bin --poses one.txt --out OUT --vehicle tank", ALL),
-    (2, "calibrate --out OUT --vehicle tank", ALL),
     (2, "vehicle check tank", ALL),
-    (3, "vehicle new mine --out not.onnx", "exists and is not overwritten"),
     (3, "vehicle new mine --out link.toml", "exists and is not overwritten"),
     (3, "vehicle new mine --out none/x/a.toml", "none/x"),
     (2, "calibrate --out OUT", "bumpymap vehicle new"),
     (3, "diff may none", "holds no complete run"),
     (2, "export field --out OUT", "Missing option '--to'"),
-    (2, "export field --to rviz --out OUT", "'rviz' is not one of"),
     (2, "export field --to plan --resolution pixel --out OUT", "--resolution has no effect with --to plan"),
-    (2, "export field --to cost --set max_cost=9 --out OUT", "--set max_cost has no effect with --to cost"),
-    (2, "export field --to plan --around 1,2 --out OUT", "--around has no effect with --to plan"),
     (2, "export field --to nav2 --radius 20 --out OUT", "--radius has no effect without --around"),
-    (2, "export field --to nav2 --around here --out OUT", "'here' is not a point"),
     (3, "export field --to nav2 --around crs:1,2 --out OUT", "lies outside the map"),
     (3, "export field --to plan --out OUT", "pass the folder that it wrote with --route"),
-    (3, "export field --to plan --route none.geojson --out OUT", "there is no none.geojson"),
     (3, "export field --to nav2 --out field", "holds the layers of a run"),
-    (2, "report", "Missing argument 'LAYERS'"),
     (2, "report may --out a.json", "ends in .html"),
     (3, "report may --route june", "--route"),
     (3, "report nothing", "there is no folder"),
@@ -111,48 +89,29 @@ REFUSED = [
     (2, f"route layers --from here --to {A}", "'here' is not a point"),
     (2, f"route layers --from {A} --to {B} --unknown 0.5", "unknown is 0.5"),
     (2, f"route layers --from {A} --to {B} --risk 1e300", "risk is 1e+300"),
-    (2, f"route layers --from {A} --to {B} --snap -1", "--snap is -1"),
     (2, f"route layers --from {A}", "--out DIR"),
     (2, f"route layers --from {A} --to {B} --isochrones 1", "without a goal"),
-    (2, f"route layers --from {A} --to {B} --set memory=1MB", "--set memory is '1MB'"),
-    (2, f"route layers --from {A} --isochrones 0 --out OUT", "--isochrones is 0.0; it must be a"),
     (3, f"route layers --from 1,1 --to {A} --out OUT", "lies outside the map"),
     (3, f"route layers --from {place(10.5, 15.5)} --to {A} --out OUT", "not passable (too steep). The nearest point"),
     (3, f"route layers --from {place(20.5, 2.5)} --to {A} --out OUT", "unknown ground; --unknown COST"),
     (3, f"route layers --from {A} --to {B} --avoid none.geojson --out OUT", "none.geojson is missing"),
-    (3, "route layers --points none.csv --out OUT", "there is no file none.csv"),
     (
         2,
         "scan frame.ply --out OUT --set polar.sectors=24,a",
         "value 2 of polar.sectors is 'a'; it must be a whole number",
     ),
-    (2, "scan frame.ply --out OUT --set polar.rings=1,2", "--set polar.rings must be for equally many"),
-    (
-        2,
-        "scan frame.ply --out OUT --set products=cloud,map",
-        "value 2 of products is 'map'; it must be one of polygons",
-    ),
     (2, "scan frame.ply --out OUT --crs EPSG:32614", "add --poses"),
     (2, "scan --pictures frame.ply --out OUT", "Name the frames first, or write --pictures 1"),
     (2, "scan a.bin --out OUT --poses one.txt --calibration c.json --vehicle car", "--calibration"),
     (3, "scan doubtful.bin --out OUT", "Say which they are with --set columns"),
-    (3, "scan a.bin --out OUT --poses two.txt", "holds 2 poses, but there are 1 frames"),
     (3, "scan frame.ply --out OUT --set model=not.onnx", "is not an ONNX model"),
-    (3, "scan frame.ply --out OUT --poses one.txt --calibration c.json", "c.json"),
     (2, "evaluate scans drive --out OUT --set total_patches=200", "total_patches"),
-    (2, "evaluate scans drive --out OUT --vehicle car", "--vehicle"),
     (2, "evaluate scans --out OUT", "FRAME"),
-    (2, "evaluate a.laz --out OUT", "bumpymap evaluate scans"),
     (2, "evaluate --scans drive --out OUT", "bumpymap evaluate scans"),
-    (2, "train textures --out OUT.onnx --set sectors_per_class=9", "sectors_per_class"),
     (2, "train textures --out OUT.onnx --tile-size 3", "--tile-size is no option: write --set tile_size=3"),
-    (2, "train scans none --out OUT.onnx --set network.pixels=16", "network"),
     (2, "train scans '' --out OUT.onnx", "the path is empty"),
-    (2, "train scans none --out OUT.onnx --set epochs=0", "epochs is 0"),
     (2, "train --scans here --out OUT", "bumpymap train scans"),
-    (3, "train scans nowhere --out OUT.onnx", "nowhere does not exist"),
     (3, "train scans none --out OUT.onnx", "holds no scans"),
-    (3, "train scans none --out not.onnx", "--overwrite"),
     (3, "train textures --out not.onnx", "--overwrite"),
 ]
 
@@ -204,18 +163,6 @@ def test_the_page_of_a_map_or_a_comparison_is_made_again_and_its_place_is_said(t
         assert json.loads(done.stdout.splitlines()[-1]) == {"report": str(page), "bytes": len(before)}
     done = run("report", tmp_path / "d", "--route", "x")
     assert (done.exit_code, "--route" in done.output) == (2, True)
-
-
-# --- export ---
-def test_an_export_is_replaced_if_asked(tmp_path):
-    out = tmp_path / "out"
-    done = run("export", "field", "--to", "nav2", "--out", out)
-    assert done.exit_code == 0, done.output
-    again = run("export", "field", "--to", "nav2", "--out", out)
-    assert again.exit_code == 3
-    assert "--overwrite" in again.stderr
-    quiet = run("export", "field", "--to", "nav2", "--out", out, "--overwrite", "--quiet")
-    assert (quiet.exit_code, quiet.output) == (0, "")
 
 
 @pytest.mark.parametrize("point", ["crs:330004.5,2040004.5", "330004.5,2040004.5", "lonlat:{0},{1}"])

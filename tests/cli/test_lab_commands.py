@@ -6,9 +6,9 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from driven_stretches import driven_stretches
+from made_frames import POINTS, write_rellis
 from small_surveys import run, write_survey
 
 from bumpymap.api import map_survey
@@ -244,23 +244,11 @@ def test_a_map_is_needed_and_its_own_calibration_at_its_own_speed(layers, tmp_pa
 
 
 # --- train ---
-POINTS, LABELS = "os1_cloud_node_kitti_bin", "os1_cloud_node_semantickitti_label_id"
 
 
 @pytest.fixture(scope="module")
 def frames(tmp_path_factory):
-    """Three frames in the layout of RELLIS-3D: asphalt, grass and bushes, a third of a circle each."""
-    root = tmp_path_factory.mktemp("data") / "Rellis-3D"
-    for number in range(3):
-        rng = np.random.default_rng(number)
-        radius, azimuth = np.sqrt(rng.uniform(16.0, 400.0, 9_000)), rng.uniform(0, 2 * np.pi, 9_000)
-        third = (azimuth // (2 * np.pi / 3)).astype(int)
-        z = -1.0 + np.array([0.003, 0.06, 0.4])[third] * rng.standard_normal(9_000)
-        points = np.column_stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z, 0 * z]).astype("<f4")
-        for name, values in ((POINTS, points), (LABELS, np.array([10, 3, 19], "<u4")[third])):
-            (root / "00000" / name).mkdir(parents=True, exist_ok=True)
-            values.tofile(root / "00000" / name / f"{number:06d}.{'bin' if name == POINTS else 'label'}")
-    return root
+    return write_rellis(tmp_path_factory.mktemp("data") / "Rellis-3D")
 
 
 def train(frames, *words):

@@ -169,7 +169,6 @@ def test_contradictions_of_a_file_are_refused(reached, tmp_path):
     "words",
     [
         [],
-        ["--quick"],
         ["--quick", "--set", "patches=2"],
         ["--set", "patches=8", "--quick"],
         ["--set=seed=0", "--tile-size=3.123456789", "--set=pixels=21", "--set=terrains=3", "--set=starts=1"],
@@ -251,20 +250,16 @@ def test_what_refuses_a_moved_option_names_a_command_that_prints_its_settings(na
         assert moved[0].key.split(".")[-1] in run("settings", *name.split()).stdout
 
 
-@pytest.mark.parametrize("name", ["a\0b", "n" * 300, "é" * 128])
+@pytest.mark.parametrize("name", ["a\0b", "é" * 128])
 @pytest.mark.parametrize(
     "line",
     [
         "map NAME --out o",
         "map a.laz --out NAME",
         "map a.laz --out o --set model=NAME",
-        "map a.laz --out o --set scratch=x/NAME/y",
         "info NAME",
         "scan NAME --out o",
-        "evaluate scans NAME --out o",
         "calibrate --out NAME",
-        "train textures --out NAME",
-        "demo --out NAME",
     ],
 )
 def test_names_that_no_file_can_have_are_refused(tmp_path, monkeypatch, name, line):

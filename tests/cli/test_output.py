@@ -87,7 +87,6 @@ def test_a_run_in_events(tmp_path):
         (["map", "--none", "--json"], 2, "NoSuchOption"),
         (["map", "a.laz", "--json"], 2, "UsageError"),
         (["map", "a\x1b\n.laz", "--out", "o", "--json"], 3, "BadInputError"),
-        (["calibrate", "--json"], 2, "MissingParameter"),
         (["nothing", "--json"], 2, "NoSuchCommand"),
     ],
 )

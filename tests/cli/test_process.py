@@ -15,13 +15,14 @@ from shutil import copytree
 import numpy as np
 import pytest
 from cost_maps import make_field
+from made_frames import churned_field, write_bin
 from packaging.requirements import Requirement
 from route_maps import write_folder
 from small_surveys import run, write_survey
 
 from bumpymap.cli import main
 from bumpymap.cli._exit_code import exit_code_of
-from bumpymap.core.errors import BadInputError, OutputError, missing_resource
+from bumpymap.core.errors import OutputError, missing_resource
 from bumpytiles import Grid
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -146,9 +147,7 @@ def test_a_pipe_is_refused_and_not_waited_for(given, tmp_path, monkeypatch, line
 # --- machines that give little: one message, exit code 3, never a traceback, never "the file is damaged" ---
 def commands(folder):
     """Words of a command that looks, one that maps and one that classes a scan, by name."""
-    place = np.random.default_rng(1).uniform(-18, 18, (60_000, 2))
-    points = np.column_stack([place, -1.5 + 0.01 * np.sin(20 * place[:, 0]), 0 * place[:, 0]])
-    points.astype("<f4").tofile(folder / "scan.bin")
+    write_bin(folder / "scan.bin", churned_field(1))
     return {
         "info": ["info", QUARRY],
         "map": ["map", QUARRY, "--out", folder / "layers"],
@@ -214,7 +213,6 @@ def chained(outer, inner):
         (OSError(errno.EMFILE, "Too many open files"), "file that may be opened"),
         (BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable"), "process"),
         (ImportError("libx.so: failed to map segment from shared object"), "memory"),
-        (chained(BadInputError("no network"), ImportError("failed to map segment")), "memory"),
         (chained(OutputError("cannot write"), OSError(errno.ENOMEM, "Cannot allocate memory")), "memory"),
         (chained(OutputError("cannot write"), OSError(errno.ENOSPC, "No space left on device")), ""),
         (OSError(errno.EFBIG, "File too large"), ""),

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from bags import cloud, lidar_rows, odometry, write_bag
 from made_drives import MadeDrive, log_of, write_table
+from made_frames import churned_field, write_bin
 from pypcd4 import Encoding, PointCloud
 from scipy.spatial.transform import Rotation
 from small_surveys import run, write_las
@@ -125,15 +126,9 @@ def furnish(folder: Path) -> None:
 
 def _drive(folder: Path) -> None:
     """Write frames of a robot that goes ahead, over ground that is smooth on one side, and their poses."""
-    (folder / "drive").mkdir()
-    rng = np.random.default_rng(1)
-    lines = []
     for frame in range(3):
-        place = rng.uniform(-18, 18, (60_000, 2))
-        z = -1.5 + rng.normal(0, 0.01, len(place)) + np.where(place[:, 1] > 0, 0.3 * rng.uniform(-1, 1, len(place)), 0)
-        np.column_stack([place, z, np.zeros(len(place))]).astype("<f4").tofile(folder / "drive" / f"{frame:06d}.bin")
-        lines.append(f"1 0 0 {frame} 0 1 0 0 0 0 1 0")
-    (folder / "poses.txt").write_text("\n".join(lines) + "\n")
+        write_bin(folder / "drive" / f"{frame:06d}.bin", churned_field(frame))
+    (folder / "poses.txt").write_text("".join(f"1 0 0 {frame} 0 1 0 0 0 0 1 0\n" for frame in range(3)))
     points = np.fromfile(folder / "drive" / "000000.bin", "<f4").reshape(-1, 4)[:, :3]
     PointCloud.from_xyz_points(points).save(str(folder / "frame.pcd"), Encoding.BINARY)
     _bag(folder)
@@ -208,11 +203,6 @@ def test_every_command_that_is_shown_can_be_given(page, line):
     if isinstance(given, click.Group):
         given = given.commands[words.pop(0)]
     given.make_context(name, words)
-
-
-@pytest.mark.parametrize("rule", RULES)
-def test_every_rule_is_of_use(rule):
-    assert [command for _, command in SHOWN if rule_of(command) == rule]
 
 
 def test_what_does_not_run_names_extras_targets_and_scripts_that_are_there():

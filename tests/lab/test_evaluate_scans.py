@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from made_frames import churned_field, write_bin
+from small_surveys import run
 
-from bumpymap.cli import main
 from bumpymap.core import BadInputError, ClassedSectors, Scan, UsageError
 from bumpymap.lab import evaluate as scans
 from bumpymap.lab.label_sets import LABEL_SETS, identify_label_set, label_set, require_label_set
@@ -212,13 +212,8 @@ def test_labels_are_told_ground_is_found_and_obstacles_lie_in_sectors_that_say_s
 def drive(tmp_path):
     """Two frames of a field that is smooth on the right and churned on the left."""
     folder = tmp_path / "drive"
-    folder.mkdir()
     for frame in range(2):
-        rng = np.random.default_rng(frame)
-        place = rng.uniform(-18, 18, (60_000, 2))
-        churned = np.where(place[:, 1] > 0, 0.3 * rng.uniform(-1, 1, len(place)), 0)
-        z = -1.5 + rng.normal(0, 0.01, len(place)) + churned
-        np.column_stack([place, z, np.zeros(len(place))]).astype("<f4").tofile(folder / f"{frame:06d}.bin")
+        write_bin(folder / f"{frame:06d}.bin", churned_field(frame))
     return folder
 
 
@@ -226,15 +221,15 @@ def drive(tmp_path):
 def evaluate(drive, tmp_path):
     """The command on the drive: what it printed, its record and its page."""
 
-    def run(*words):
+    def evaluated(*words):
         out = tmp_path / "out"
-        made = CliRunner().invoke(main, ["evaluate", "scans", str(drive), "--out", str(out), *words])
+        made = run("evaluate", "scans", drive, "--out", out, *words)
         assert made.exit_code == 0, made.output
         text = (out / "report.md").read_text()
         assert "nan" not in text
         return made.output, json.loads((out / "report.json").read_text()), text
 
-    return run
+    return evaluated
 
 
 def test_a_report_holds_both_methods_and_is_not_replaced(drive, evaluate, tmp_path):
@@ -247,7 +242,7 @@ def test_a_report_holds_both_methods_and_is_not_replaced(drive, evaluate, tmp_pa
     assert smooth["stripes"][0] > rough["stripes"][0]
     assert "Compared with labels" not in text
     assert "## Ground" not in text
-    again = CliRunner().invoke(main, ["evaluate", "scans", str(drive), "--out", str(tmp_path / "out")])
+    again = run("evaluate", "scans", drive, "--out", tmp_path / "out")
     assert again.exit_code != 0
     assert "--overwrite" in again.output
 
@@ -289,7 +284,7 @@ def test_labels_of_another_set_and_drives_without_sectors_are_refused(drive, tmp
     elif not words:
         for frame in drive.glob("*.bin"):
             np.zeros((50, 4), "<f4").tofile(frame)
-    run = CliRunner().invoke(main, ["evaluate", "scans", str(drive), *words, "--out", str(tmp_path / "out")])
-    assert run.exit_code == code, run.output
-    assert re.search(message, run.output.replace("\n", " "))
+    done = run("evaluate", "scans", drive, *words, "--out", tmp_path / "out")
+    assert done.exit_code == code, done.output
+    assert re.search(message, done.output.replace("\n", " "))
     assert not (tmp_path / "out" / "report.md").exists()

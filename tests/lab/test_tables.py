@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_frames import churned_field, write_bin
 
 import bumpymap
 
@@ -26,10 +27,7 @@ def rows_of(text, first):
 
 
 def test_tables_are_those_of_the_rules_and_the_papers_stand_beside_them(tmp_path, monkeypatch, capsys):
-    rng = np.random.default_rng(1)
-    place = rng.uniform(-18, 18, (60_000, 2))
-    points = np.column_stack([place, rng.normal(-1.5, 0.01, len(place)), np.zeros(len(place))])
-    points.astype("<f4").tofile(tmp_path / "0.bin")
+    write_bin(tmp_path / "0.bin", churned_field(1))
     monkeypatch.syspath_prepend(ROOT / "tests" / "tools")
     monkeypatch.setattr(sys, "argv", ["tables.py", str(QUARRY), "--scans", str(tmp_path / "0.bin")])
     runpy.run_path(str(ROOT / "tests" / "tools" / "tables.py"), run_name="__main__")

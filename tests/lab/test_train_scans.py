@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_frames import POINTS, ring_of_ground, write_rellis
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
@@ -21,34 +22,17 @@ from bumpymap.lab.train.scan_net import evaluate, make_scan_model, to_onnx, trai
 
 pytestmark = pytest.mark.slow
 CLASSES = LABEL_SETS["rellis"].class_of
-POINTS, LABELS = "os1_cloud_node_kitti_bin", "os1_cloud_node_semantickitti_label_id"
 SMALL = ScanTrainSettings(epochs=2, sectors_per_class=48, batch=32)
-
-
-def write_frame(sequence, number, points, labels):
-    """Write points (n, 3) and their labels (n,) as frame ``number`` of the folder of a sequence."""
-    rows = np.column_stack([points, np.ones(len(points))]).astype("<f4")
-    for folder, suffix, values in ((POINTS, ".bin", rows), (LABELS, ".label", labels.astype("<u4"))):
-        (sequence / folder).mkdir(parents=True, exist_ok=True)
-        values.tofile(sequence / folder / f"{number:06d}{suffix}")
 
 
 def _ring(label, rough, level=0.0):
     """Ground between 5 and 11 m, of one label, as rough as it is told [m]."""
-    rng = np.random.default_rng(1)
-    away, turn = rng.uniform(5, 11, 8000), rng.uniform(0, 2 * np.pi, 8000)
-    points = np.column_stack([away * np.cos(turn), away * np.sin(turn), rng.normal(level, rough, 8000)])
-    return Scan(points.astype(np.float32), None, np.full(8000, label, np.uint16))
+    return Scan(ring_of_ground(rough, level).astype(np.float32), None, np.full(8000, label, np.uint16))
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    root = tmp_path_factory.mktemp("rellis") / "Rellis-3D"
-    for sequence, count in (("00000", 6), ("00003", 2)):
-        for number in range(count):
-            scan = _ring(*((3, 0.01), (19, 0.1), (4, 0.4))[number % 3], -1.5)
-            write_frame(root / sequence, number, scan.points, scan.label)
-    return root
+    return write_rellis(tmp_path_factory.mktemp("rellis") / "Rellis-3D")
 
 
 @pytest.mark.parametrize("label", [3, 19, 4])

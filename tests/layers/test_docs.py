@@ -11,7 +11,6 @@ from bumpymap.core.settings import read_settings_file
 from bumpymap.core.types import BARRED_TEXT, CLASS_NAMES, OBJECT_NAMES, REASON_TEXT
 from bumpymap.layers.colours import CLASS_COLOURS
 from bumpymap.layers.placement import MAX_PIXELS, MAX_TILES
-from bumpymap.layers.products import EVERY_VIEW_NAME
 from bumpymap.layers.scan_folder import SCAN_CLASS_NAMES, SCAN_COLOURS
 from bumpymap.scan.config import SCAN_PRODUCTS, ScanConfig
 from bumpymap.scan.pipeline import scan_frames
@@ -65,11 +64,6 @@ def test_tables_say_what_the_code_writes():
     for name, colour in zip((*SCAN_CLASS_NAMES[:3], "obstacle", "not ground"), SCAN_COLOURS, strict=True):
         assert f"| {name} | `#{bytes(colour).hex()}` |" in SCANS
     assert ", ".join(f"`{product}`" for product in SCAN_PRODUCTS) in SCANS
-
-
-def test_the_page_about_gis_names_each_style():
-    rows = re.findall(r"^\| `([\w/]+\.qml)` \|", GIS, re.MULTILINE)
-    assert set(rows) == {name for name in EVERY_VIEW_NAME if name.endswith(".qml")}
 
 
 def test_the_settings_of_the_page_are_settings(tmp_path):

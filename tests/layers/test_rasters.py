@@ -257,22 +257,6 @@ def test_heightmap_is_the_heights_side_by_side(tmp_path, make_field, georeferenc
         assert file.bounds.left == pytest.approx(cost_map.patches.col.min() * 3.0 / unit, rel=1e-12)
 
 
-@pytest.mark.parametrize(("code", "unit_z", "heights", "others"), [
-    ("EPSG:32614+5773", 1.0, True, False),
-    ("EPSG:2271+6360", 1200 / 3937, False, False),
-])  # fmt: skip
-def test_vertical_crs_stays_where_it_is_true(tmp_path, make_field, code, unit_z, heights, others):
-    crs = CRS.from_user_input(code)
-    unit = crs.axis_info[0].unit_conversion_factor
-    cost_map = make_field(4, 4, georeference=Georeference(crs, unit, unit_z))
-    WRITERS["heightmap"](cost_map, tmp_path / "h.tif")
-    WRITERS["roughness"](cost_map, tmp_path / "r.tif")
-    for name, compound in (("h.tif", heights), ("r.tif", others)):
-        with rasterio.open(tmp_path / name) as file:
-            assert CRS.from_wkt(file.crs.to_wkt()).is_compound is compound
-            assert CRS.from_wkt(file.crs.to_wkt()).to_2d().equals(crs.to_2d(), ignore_axis_order=True)
-
-
 ODD = CRS("+proj=ob_tran +o_proj=tmerc +o_lat_p=30 +o_lon_p=0 +lon_0=5 +type=crs")
 
 

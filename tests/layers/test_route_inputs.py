@@ -90,7 +90,6 @@ def save(path, area, crs):
     ("suffix", "crs"),
     [
         (".gpkg", "EPSG:4326"),
-        (".gpkg", "EPSG:3857"),
         (".fgb", "EPSG:32614"),
         (".shp", "EPSG:32613"),
         (".geojson", "EPSG:4326"),
@@ -247,7 +246,6 @@ def test_columns_of_a_csv(tmp_path, head, system, separator):
         ("a.geojson", '{"type": "Point", "coordinates": [1e999, 1]}', "feature 1 has a position that is no two numb"),
         ("a.geojson", '{"type": "Polygon", "coordinates": [[[1, 2]]]}', "a Polygon of it is damaged"),
         ("a.gpx", '<gpx><wpt lat="1"/></gpx>', "a point of it is not a place: lat='1'"),
-        ("a.gpx", "<gpx", "cannot read"),
         ("a.gpx", "<kml><wpt lat='1' lon='2'/></kml>", "it is no GPX"),
     ],
 )

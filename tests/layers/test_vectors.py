@@ -19,7 +19,7 @@ from bumpymap.core.errors import BadInputError
 from bumpymap.core.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, Georeference, Reason
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.regions import dissolve
-from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojson_writer, region_columns
+from bumpymap.layers.vector import GeoJsonCoordinates, region_columns
 from bumpytiles import Grid
 
 KEYS = arrays(np.uint8, st.tuples(st.integers(1, 8), st.integers(1, 8)), elements=st.integers(0, 3)).filter(np.any)
@@ -328,21 +328,3 @@ def test_coordinates_outside_of_the_crs(tmp_path, make_field):
     regions = regions_of(make_field(5, 5, west=300_000_000, south=300_000_000))
     with pytest.raises(BadInputError, match=r"outside the area where its CRS.*`force_crs="):
         write_geojson(regions, tmp_path / "cost.geojson", local=False)
-
-
-def test_regions_fed_bit_by_bit_make_the_same_files(tmp_path, make_field, monkeypatch):
-    table = table_of(make_field(30, 20, west=166_600))
-    for name, most in {"whole": 10_000, "bits": 5}.items():
-        monkeypatch.setattr("bumpymap.layers.regions.BATCH", most)
-        batches = list(dissolve(table))
-        place = batches[0].placement
-        with (
-            geojson_writer(tmp_path / f"{name}.geojson", GeoJsonCoordinates.of(place, local=False)) as to_globe,
-            flatgeobuf_writer(tmp_path / f"{name}.fgb", place) as to_flat,
-        ):
-            for regions in batches:
-                to_globe(regions)
-                to_flat(regions)
-    for kind in ("geojson", "fgb"):
-        assert (tmp_path / f"whole.{kind}").read_bytes() == (tmp_path / f"bits.{kind}").read_bytes()
-    assert len(list(tmp_path.iterdir())) == 4

@@ -5,17 +5,15 @@ import importlib.util
 import numpy as np
 import pytest
 import rasterio
+import small_surveys
 from alike_surveys import alike_surveys
-from click.testing import CliRunner
 from patch_stacks import block_of
-from small_surveys import write_las
+from small_surveys import layers_of, write_las
 
-from bumpymap.cli import main
 from bumpymap.core import install_command
 from bumpymap.core.config import CsfSettings
 from bumpymap.core.errors import UsageError
 from bumpymap.core.types import OBSTACLE, Barred
-from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.patches import close_filter, cloth, mark_ground, require_filter
 from bumpymap.survey import Budget
 from bumpytiles import Grid
@@ -52,11 +50,7 @@ def write(path, points):
 
 def run(*arguments):
     with alike_surveys():
-        return CliRunner().invoke(main, [str(argument) for argument in arguments])
-
-
-def layers(folder):
-    return {name: (folder / name).read_bytes() for name in PRODUCT_NAMES if name != "run.json"}
+        return small_surveys.run(*arguments)
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +116,7 @@ def test_no_order_of_the_points_no_budget_and_no_cluster_changes_a_byte(
         monkeypatch.setattr(Budget, "waiting_points", 30_000)
     result = run("map", survey, "--ground", "csf", "--out", tmp_path / "csf", *how)
     assert result.exit_code == 0, result.output
-    assert layers(tmp_path / "csf") == layers(mapped / "csf")
+    assert layers_of(tmp_path / "csf") == layers_of(mapped / "csf")
 
 
 @needs_filter

@@ -15,7 +15,6 @@ from bumpymap.core import loops
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.types import Reason
 from bumpymap.patches import measure, measure_thin
-from bumpytiles import Grid
 
 EAST, NORTH = 500_001.0, 4_000_002.0  # south-west corner of a tile
 
@@ -61,13 +60,6 @@ def test_every_pixel_equals_the_bins_of_scipy(measure_points):
     np.testing.assert_allclose(stack.spread_variance[0], spread, rtol=1e-3, atol=1e-11)
     assert stack.coverage[0] == np.mean(count > 0)
     assert stack.z_range[0] == pytest.approx(np.nanmax(height) - np.nanmin(height), rel=1e-6)
-
-
-def test_coordinates_of_four_million_metres_keep_millimetres(measure_points):
-    # One point a pixel, one millimetre inside its west and south edge; another millimetre would be the next pixel.
-    x, y = (3_999_999.0 + axis.ravel() for axis in np.meshgrid(*2 * [np.arange(15) * 0.2 + 0.001]))
-    assert np.all(only(measure_points(x, y, np.zeros(225)).spread_count) == 1)
-    assert len(measure_points(x - 0.002, y, np.zeros(225)).col) == 2
 
 
 def test_an_exactly_flat_tile_and_one_of_a_single_point(measure_points):
@@ -195,24 +187,6 @@ def test_strays_equal_those_of_the_definition(seed, most, spread):
     found = np.count_nonzero(distance > high), np.count_nonzero(distance < low)
     assert found in fits
     assert strays == sum(found) == max(map(sum, fits))
-
-
-COLUMNS = ("z_variance", "ransac_residual", "slope", "z_range", "relief", "heights", "relief_map")
-
-
-@pytest.mark.parametrize("grid", [Grid(), Grid(1.5, 30)])
-def test_tiles_are_measured_alike_in_any_company(measure_points, grid):
-    x, y, rng = tile_points(20, n=6000)
-    x = x + 3 * rng.integers(0, 6, 6000)
-    z = rng.normal(scale=0.2, size=6000)
-    whole = measure_points(x, y, z, grid=grid)
-    assert whole.heights.shape[1:] == (grid.pixels, grid.pixels)
-    np.testing.assert_array_equal(whole.density, whole.count / grid.tile_size**2)
-    for k, (col, row) in enumerate(zip(whole.col, whole.row, strict=True)):
-        mine = (grid.index(x) == col) & (grid.index(y) == row)
-        alone = measure_points(x[mine], y[mine], z[mine], grid=grid)
-        for name in COLUMNS:
-            np.testing.assert_array_equal(getattr(alone, name)[0], getattr(whole, name)[k])
 
 
 # ---- thin tiles ----

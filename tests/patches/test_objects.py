@@ -96,17 +96,6 @@ def lifted(ground, x, y, radius, height):
     return np.where(disc[:, None], ground + np.array([0, 0, height, -1]), ground)
 
 
-def test_a_post_of_30_cm_is_found(rng):
-    hits = 0
-    for _ in range(100):
-        x, y = rng.uniform(0.4, 2.6, 2)
-        lean = rng.uniform(0, 0.3)  # pulses that lean see the side of the post as well
-        sides = rng.poisson(50 * 0.3 * 1.0 * lean)
-        side = things(x + 0.15 * np.ones(sides), y, rng.uniform(0, 1, sides))
-        hits += found(lifted(meadow(rng, density=50), x, y, 0.15, 1.0), side).obstacle[0] > 0
-    assert hits >= 95
-
-
 def test_ground_is_continued_under_a_boulder_and_down_a_slope(rng):
     stack = found(lifted(meadow(rng, slope=0.5), 1.5, 1.5, 0.7, 0.6))
     assert stack.obstacle[0] == pytest.approx(np.pi * 0.7**2 / 9, rel=0.2)
@@ -129,13 +118,6 @@ def test_too_few_points_at_a_border_are_left_to_the_neighbour(rng):
     stack = found(meadow(rng, tiles=2), things([2.95, 3.05], 1.5, 0.8))
     assert [np.argwhere(tile == UNDECIDED).tolist() for tile in stack.objects] == [[[7, 14]], [[7, 0]]]
     assert np.all(stack.obstacle == 0)
-
-
-def test_any_order_of_points_gives_the_same_bits(rng):
-    points = np.concatenate([meadow(rng), things(*rng.uniform(0, 3, (2, 200)), rng.uniform(0, 5, 200))])
-    one, other = found(points), found(rng.permutation(points))
-    for name, column in one.columns().items():
-        np.testing.assert_array_equal(column, getattr(other, name))
 
 
 # ---- low things in the ground of a block: what stands out of it, and relief that does not ----
@@ -238,39 +220,10 @@ def gentle(x, y):
     return 0.1 * x + 0.03 * np.sin(2 * y)
 
 
-def wall_at(x, y):
-    """A wall across the tiles of a row, over and beside their corners."""
-    return np.abs(y - 12.0 - 0.25 * x) < 0.15
-
-
 def bare_tiles(ground, density):
     points, patches = surveyed(ground, density)
     found = find_in_relief(points, patches, BODY)
     return found.stack.objects == OBSTACLE, patches, *leave_out_standing(points, patches, found, SETTINGS)
-
-
-@pytest.mark.parametrize("density", [20, 60])
-def test_without_the_wall_on_it_a_tile_is_as_rough_as_its_ground(density):
-    things, walled, apart, bare = bare_tiles(lambda x, y: gentle(x, y) + 2.0 * wall_at(x, y), density)
-    ground = surveyed(gentle, density)[1]
-    tiles = things.any(axis=(1, 2))
-    assert 16 <= tiles.sum() <= 48
-    known = tiles & np.isfinite(bare.relief)
-    assert known.sum() >= 16
-    assert (walled.relief[known] > 1.0).all()
-    np.testing.assert_allclose(bare.relief[known], ground.relief[known], atol=0.3)
-    np.testing.assert_allclose(bare.slope[known], ground.slope[known], atol=2.0)
-    assert (bare.spread_count[things] == 0).all()
-    for name in ("heights", "z_max", "z_variance", "density"):
-        np.testing.assert_array_equal(getattr(bare, name), getattr(walled, name))
-    for name in ("relief_map", "slope", "coverage", "count"):
-        np.testing.assert_array_equal(getattr(bare, name)[~tiles], getattr(walled, name)[~tiles])
-    # Thin tiles are rated from their points: those of the wall are none of the ground.
-    of_wall = wall_at(apart.easting, apart.northing) & (apart.upward > gentle(apart.easting, apart.northing) + 1.0)
-    if density == 20:
-        assert (walled.coverage < 0.75).all()
-        assert (apart.flag[of_wall] == 0).mean() > 0.9
-    assert (apart.flag[~of_wall] == 1).mean() > 0.99
 
 
 def test_beside_a_car_that_fills_half_a_tile_the_ride_is_that_of_the_ground():

@@ -1,4 +1,6 @@
-"""Planes of tiles do not depend on where the ground lies, and explain as many points as those of other programs."""
+"""Planes of tiles are those that weights which stand still give, and explain as many points as other programs do."""
+
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -6,15 +8,13 @@ from sklearn.linear_model import RANSACRegressor
 
 from bumpymap.core import loops
 
-TILES = 12
+TILES = 6
 REACH = 0.1
 EAST, NORTH = 500_001, 4_000_002
-FIELDS = ("count", "z_variance", "ransac_residual", "slope", "z_range", "relief", "coverage", "reason")
-MAPS = ("heights", "relief_map", "spread_variance", "spread_count")
 
 
 def rough_ground():
-    """Points of 12 x 12 tiles: waves, terraces, and more and more plants northwards; none on the border of a tile."""
+    """Points of 6 x 6 tiles: waves, terraces, and more and more plants northwards; none on the border of a tile."""
     rng = np.random.default_rng(1)
     x, y = (np.floor(rng.uniform(0, 3 * TILES, (2, 80 * (3 * TILES) ** 2)) * 1e3) + 0.5) / 1e3
     z = 0.1 * x + np.where(np.sin(0.7 * x + 0.3 * y) > 0.4, 0.6, 0.0) + 0.02 * rng.normal(size=len(x))
@@ -31,52 +31,6 @@ GROUND = rough_ground()
 @pytest.fixture(scope="module", name="measured")
 def measured_fixture(measure_points):
     return measure_points(*GROUND)
-
-
-@pytest.mark.parametrize("way", [(300, 0), (-600, 1200), (3, -3), (2_999_997, -3_999_999)])
-def test_a_tile_that_is_moved_by_whole_tiles_has_the_same_bits(measured, measure_points, way):
-    x, y, z = GROUND
-    moved = measure_points(np.round(x + way[0], 4), np.round(y + way[1], 4), z)
-    for name in (*FIELDS, *MAPS):
-        np.testing.assert_array_equal(getattr(moved, name), getattr(measured, name), err_msg=name)
-
-
-@pytest.mark.parametrize("height", [137.25, -2000.0])
-def test_a_tile_that_is_raised_has_the_same_measures(measured, measure_points, height):
-    x, y, z = GROUND
-    raised = measure_points(x, y, z + height)
-    np.testing.assert_allclose(raised.ransac_residual, measured.ransac_residual, rtol=1e-6)
-    np.testing.assert_allclose(raised.slope, measured.slope, atol=1e-6)
-    np.testing.assert_allclose(raised.relief_map, measured.relief_map, atol=1e-7)
-    np.testing.assert_array_equal(raised.reason, measured.reason)
-
-
-@pytest.mark.parametrize("turn", ["west to east", "north to south", "by 90 degrees", "by 180 degrees"])
-def test_a_tile_that_is_turned_or_mirrored_has_the_same_measures(measured, measure_points, turn):
-    x, y, z = GROUND
-    x, y = x - EAST, y - NORTH
-    side = 3 * TILES
-    x, y = {
-        "west to east": (side - x, y),
-        "north to south": (x, side - y),
-        "by 90 degrees": (side - y, x),
-        "by 180 degrees": (side - x, side - y),
-    }[turn]
-    turned = measure_points(np.round(x + EAST, 4), np.round(y + NORTH, 4), z)
-    old, new = (
-        {name: getattr(stack, name).reshape(TILES, TILES) for name in ("ransac_residual", "slope", "z_variance")}
-        for stack in (measured, turned)
-    )
-    back = {
-        "west to east": lambda grid: grid[:, ::-1],
-        "north to south": lambda grid: grid[::-1],
-        "by 90 degrees": lambda grid: np.rot90(grid, -1),
-        "by 180 degrees": lambda grid: grid[::-1, ::-1],
-    }[turn]
-    new = {name: back(grid) for name, grid in new.items()}
-    np.testing.assert_allclose(new["z_variance"], old["z_variance"], rtol=1e-9)
-    np.testing.assert_allclose(new["slope"], old["slope"], atol=0.01)
-    assert np.mean(np.abs(new["ransac_residual"] / old["ransac_residual"] - 1.0) < 0.01) >= 0.97
 
 
 def by_tile(stack, x, y, z):
@@ -135,7 +89,7 @@ def explained(points, plane):
 def test_ransac_explains_as_many_points_as_scikit_learns(measured):
     """It may leave out some at the limit to be closer to the rest: its loss is what it makes small."""
     ours, theirs = [], []
-    for seed, own in enumerate(by_tile(measured, *GROUND)):
+    for seed, own in enumerate(islice(by_tile(measured, *GROUND), 12)):
         points = own[np.random.default_rng(seed).permutation(len(own))]
         plane = loops.ransac_plane_of(*np.ascontiguousarray(points.T), REACH)
         ours.append(explained(points, np.array(plane)))

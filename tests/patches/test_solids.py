@@ -47,15 +47,14 @@ SOLIDS = [
 """Density, least share that is closed, names."""
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.03])
 @pytest.mark.parametrize(("density", "least", "name"), [(*how, name) for *how, names in SOLIDS for name in names])
-def test_a_solid_seen_only_from_above_is_closed(density, least, name, noise):
-    found = judge(BY_NAME[name], density, noise, BODY)
+def test_a_solid_seen_only_from_above_is_closed(density, least, name):
+    found = judge(BY_NAME[name], density, 0.03, BODY)
     assert found.closed >= least
     assert found.barred == 0
 
 
-@pytest.mark.parametrize("density", [200, 20, 4])
+@pytest.mark.parametrize("density", [200, 4])
 @pytest.mark.parametrize("name", ["open ground", "ditch", "ramp", "bank 0.4 m"])
 @pytest.mark.parametrize("classified", [True, False])
 def test_level_ground_is_free_at_any_density_and_noise(name, density, classified):

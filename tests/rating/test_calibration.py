@@ -58,7 +58,6 @@ def test_every_shipped_calibration_knows_its_vehicle_and_has_a_ride_model(name):
         ({"format": "other"}, "is not a bumpymap calibration"),
         ({"version": 1}, "version 1; this bumpymap reads version 2. Make one with: bumpymap calibrate --vehicle"),
         *(({name: ...}, "damaged calibration: KeyError") for name in ("ride", "thin", "steps", "motion")),
-        ({"ride": [1.0]}, "damaged"),
         ({"ride": {"c_r": [float("inf")]}}, "damaged"),
         ({"motion": {"map_speed_mps": 0.0}}, "damaged"),
         ({"vehicle": {}}, "damaged"),
@@ -66,10 +65,8 @@ def test_every_shipped_calibration_knows_its_vehicle_and_has_a_ride_model(name):
         *(({"vehicle": VEHICLE | {"floor": {"c_r_radpm": wrong}}}, "damaged") for wrong in (-0.1, "much", math.nan)),
         ({"class_limits": [0.1, 0.2]}, "damaged"),
         ({"class_c_r": [0.1, 0.2, 0.3, None]}, "damaged"),
-        ({"c_r": [["a"] * 14] * 4}, "damaged"),
         ({"c_r": [[None] + [0.1] * 13] * 4}, "damaged"),
         ({"p_fail": [[float("nan")] * 14] * 4}, "damaged"),
-        ({"p_fail": [[0.0] * 13] * 4}, "damaged"),
         ({"textures": ["a", "b", "c", "d"]}, "damaged"),
     ],
 )

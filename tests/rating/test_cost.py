@@ -198,7 +198,6 @@ def test_a_certain_failure_costs_its_weight_and_one_that_nobody_knows_nothing():
         ({}, Barred.NO),
         ({"p_fail": 0.49}, Barred.NO),
         ({"p_fail": 0.5}, Barred.FAILS),
-        ({"p_fail": 1.0}, Barred.FAILS),
         ({"slope": 30.0}, Barred.NO),
         ({"slope": 30.1, "p_fail": 1.0}, Barred.SLOPE),
         ({"slope": np.nan}, Barred.SLOPE),

@@ -68,24 +68,6 @@ def test_undecided_pixels_need_company_across_the_border():
     assert not np.any(settled == UNDECIDED)
 
 
-def test_a_tile_depends_on_its_neighbours_alone():
-    """The same tile in another block, with the same tiles around it, gets the same answer."""
-    rng = np.random.default_rng(0)
-    objects = free(6)
-    for row, col in rng.integers(0, len(objects), (60, 2)):
-        objects[row : row + 2, col : col + 2] = OBSTACLE
-    alone = barred_alone(*(rng.random((3, 6, 6)) < np.array([0.9, 0.1, 0.1])[:, None, None])[:, 1:-1, 1:-1])
-    edges = rng.random((4, 4, 4)) < 0.8
-    whole = find_passable(objects, alone, edges, BODY, 3.0)
-    assert 0 < (whole == Barred.NO).mean() < 1
-    for row in range(4):
-        for col in range(4):
-            part = objects[row * PIXELS : (row + 3) * PIXELS, col * PIXELS : (col + 3) * PIXELS]
-            one = np.s_[row : row + 1, col : col + 1]
-            own = find_passable(part, alone[one], edges[one], BODY, 3.0)
-            assert own[0, 0] == whole[row, col]
-
-
 @pytest.mark.parametrize("width", [0.3, 1.0, 1.7, 4.0])
 def test_random_obstacles_bar_as_distances_and_regions_tell(width):
     rng = np.random.default_rng(int(10 * width))

@@ -29,7 +29,6 @@ def test_a_shipped_profile_has_the_mass_of_its_vehicle(name, mass):
     [
         ("wheelbase_m", 920, ["wheelbase_m is 920; it must be a number from 0.1 to 20 m; 920 mm would be 0.92"]),
         ("wheelbase_m", "?", ["wheelbase_m is not filled in: a number from 0.1 to 20 m"]),
-        ("wheelbase_m", 10**400, ["wheelbase_m is 1000", "to 20 m"]),
         ("wheelbase_m", 0.6, ["touch", "twice the radius"]),
         ("track_m", 0.2, ["track_m 0.2", "wheel width"]),
         ("description", "a\x1b[31m\n", [r"description is 'a\x1b[31m\n'", "one line"]),

@@ -48,13 +48,10 @@ def wkt_of(crs):
         ("EPSG:2276", US_FOOT, US_FOOT),  # Texas, US survey foot
         ("EPSG:32614+5703", 1.0, 1.0),
         ("EPSG:2992+6360", 0.3048, US_FOOT),  # foot, heights in US survey foot
-        ("EPSG:2991+6360", 1.0, US_FOOT),  # metre, heights in US survey foot
         ("EPSG:2276+5703", US_FOOT, 1.0),  # US survey foot, heights in metres
-        ({1024: 1, 3072: 2994, 3076: 9002}, 0.3048, 0.3048),
         ({1024: 1, 3072: 2276}, US_FOOT, US_FOOT),
         ({1024: 1, 3072: 32614, 4099: 9003}, 1.0, US_FOOT),
         ({1024: 1, 3072: 32614, 4096: 6360}, 1.0, US_FOOT),
-        ({1024: 1, 3072: 2276, 4099: 9001}, US_FOOT, 1.0),
         ({3076: 9003}, US_FOOT, US_FOOT),
         ({1024: 1, 3072: 32767, 3076: 9002, 4099: 9001}, 0.3048, 1.0),
     ],
@@ -219,7 +216,6 @@ def refused(path, *says):
         (104, "<B", 0x81, "LASzip record"),
         (105, "<H", 19, "19 bytes"),
         (24, "<B", 2, "LAS 2.2"),
-        (25, "<B", 9, "LAS 1.9"),
         (131, "<d", np.nan, "scale"),
         (139, "<d", 0.0, "scale"),
         (171, "<d", -np.inf, "offset"),
@@ -239,7 +235,6 @@ def test_a_header_that_cannot_be(las, place, layout, value, says):
     ("changes", "says"),
     [
         ({MIN_X: np.nan}, "impossible extent"),
-        ({MIN_X: 600000.0}, "impossible extent"),
         ({MAX_Y: 1e300}, "impossible extent: easting 500,000.00 to 500,005.00 m, northing 4,000,000.00 to 1e+300 m"),
         ({MIN_X: -2e9, MAX_X: 2e9}, "-2,000,000,000.00 to 2,000,000,000.00"),
         ({MIN_X: 0.0, MAX_X: 0.0, MIN_Y: 0.0, MAX_Y: 0.0}, "7 of 7 points are outside"),

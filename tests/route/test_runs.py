@@ -11,7 +11,8 @@ import pytest
 import shapely
 import xarray
 from pyproj import CRS, Proj, Transformer
-from ring_maps import SIDE_M, Yard
+from ring_maps import crossed_by_tools, is_reached
+from rings import HALF_M, Ring
 from route_maps import bare_map, write_folder
 from route_records import CORNERS, UTM, MadeUpMap, make_route
 from route_sites import COLS, ROWS, SOUTH, WEST, place, site
@@ -195,31 +196,31 @@ def test_a_reach_is_a_dataset(layers):
     [(0.0, 0.1, 50, True), (0.0, 0.2, 50, False), (1.0, 0.3, 50, False), (2.3, 0.2, 50, True), (2.3, 0.1, 20, False)],
 )
 def test_a_wall_is_a_wall_for_all_that_read_the_map(tmp_path, gap, thickness, density, classified):
-    yard = Yard(gap, thickness, density, classified, seed=int(100 * gap + 10 * thickness + density))
+    seed = int(100 * gap + 10 * thickness + density)
+    yard = Ring(f"wall {thickness} m", gap, density, 0.01, classified, sides=True, seed=seed)
     layers = yard.map(tmp_path)
     fits = gap >= 2.0
     way = yard.way_out(layers)
     assert (way is not None) == fits
     if fits:
-        line, obstacle_m = way
-        assert abs(np.interp(0.5 * SIDE_M, *line.T)) < 0.5 * gap - 0.4
-        assert obstacle_m == 0.0
-    assert yard.is_reached(layers) == fits
-    crossed = yard.crossed_by_tools(layers)
+        assert yard.leads_through(way)
+        assert way.figures.obstacle_m == 0.0
+    assert is_reached(yard, layers) == fits
+    crossed = crossed_by_tools(yard, layers)
     assert crossed.pop("Nav2, tiles") <= fits  # a cell of 3 m with a part of the wall in it is closed as a whole
     assert crossed == dict.fromkeys(crossed, fits)
 
 
 @pytest.mark.slow
 def test_without_a_way_the_message_names_the_gap_that_is_too_narrow(tmp_path):
-    yard = Yard(2.0, 0.2, 50, classified=True, seed=4)
+    yard = Ring("wall .2 m", 2.0, 50, 0.01, classified=True, sides=True, seed=5)
     layers = yard.map(tmp_path, vehicle="car")
     with pytest.raises(bumpymap.BadInputError) as raised:
         bumpymap.find_routes(layers, *yard.ends, snap=6.0)
     said = re.search(r"widest opening .* (\S+),(\S+) \(longitude, latitude\), about (\S+) m wide", str(raised.value))
     longitude, latitude, width = map(float, said.groups())
     place = Transformer.from_crs(4326, 32632, always_xy=True).transform(longitude, latitude)
-    assert math.dist(place, yard.place.of_scene(0.5 * SIDE_M + 0.1, 0.0)) < 0.6
+    assert math.dist(place, yard.place.of_scene(HALF_M, 0.0)) < 0.6
     assert 1.5 < width < 2.0
 
 

@@ -12,6 +12,7 @@ import laspy
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from made_frames import write_bin
 from numpy.testing import assert_array_equal
 from ply_files import read_vertices
 from scan_scenes.things import make_field
@@ -259,7 +260,7 @@ def test_few_lines_are_no_smooth_ground(ground, rater):
 
 
 def test_a_run_writes_what_the_classifier_returns(points, tmp_path):
-    np.column_stack([points, np.zeros(len(points))]).astype("<f4").tofile(tmp_path / "a.bin")
+    write_bin(tmp_path / "a.bin", points)
     how = {"vehicle": "car", "products": ("table", "polygons", "cloud"), "columns": 4}
     scan_frames(ScanConfig((tmp_path / "a.bin",), tmp_path / "out", **how))
     result = bumpymap.classify_scan(points, vehicle="car")

@@ -154,18 +154,6 @@ def test_off_measures_nothing_and_report_changes_no_height(stepped, tmp_path):
     assert "heights of 1 and 2 differ" in " ".join(again.split())
 
 
-@pytest.mark.parametrize("on_cluster", [False, pytest.param(True, marks=pytest.mark.later)])
-def test_files_order_chunks_and_threads_change_no_byte(stepped, tmp_path, limit_points, request, on_cluster):
-    workers = ("--set", f"scheduler={request.getfixturevalue('dask_scheduler')}") if on_cluster else ()
-    mapped(tmp_path / "one", stepped)
-    limit_points(chunk=2_000, waiting=6_000)
-    rows = np.random.default_rng(5).permutation(two_strips(STEP))
-    files = [write(tmp_path / f"{n}.las", part) for n, part in enumerate(np.array_split(rows, 3))][::-1]
-    mapped(tmp_path / "out", *files, "--threads", 2, *workers)
-    assert layers_of(tmp_path / "out") == layers_of(tmp_path / "one")
-    assert lines_of(tmp_path / "out") == lines_of(tmp_path / "one")
-
-
 def test_info_tells_the_step_of_a_file_and_of_all(stepped, tmp_path):
     (file,) = json.loads(run("info", stepped, "--json").stdout)["files"]
     assert abs(file["flight_lines"]["pairs"][0]["step"] - STEP) < 0.002

@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import rasterio
+from made_frames import churned_field, write_bin
 from small_surveys import layers_of, run, write_las, write_survey
 
 import bumpymap
@@ -97,11 +98,7 @@ def test_the_checksum_is_that_of_the_file_that_was_read(survey, tmp_path, monkey
 
 
 def write_frame(path, lift=0.0):
-    rng = np.random.default_rng(1)
-    xy = rng.uniform(-20, 20, (30_000, 2))
-    z = lift + 0.01 * rng.standard_normal(30_000)
-    np.column_stack([xy, z, np.zeros(30_000)]).astype("<f4").tofile(path)
-    return path
+    return write_bin(path, churned_field(1, 30_000) + np.array([0.0, 0.0, lift]))
 
 
 @pytest.mark.parametrize(

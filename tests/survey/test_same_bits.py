@@ -1,11 +1,6 @@
-"""The same points give the same bytes in every file: split, ordered, read in chunks, spilled, or killed on the way."""
+"""The same points give the same bytes in every file: split, ordered, read in chunks or spilled."""
 
 import json
-import os
-import random
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +8,7 @@ import pytest
 import rasterio
 from alike_surveys import alike_surveys
 from hypothesis import HealthCheck, given, settings, strategies as st
-from small_surveys import SIDES, files_in, layers_of, run, write_las, write_survey
+from small_surveys import SIDES, files_in, run, write_las
 
 from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES, MapFile
 
@@ -164,49 +159,3 @@ def test_only_what_names_the_survey_tells_deliveries_apart(points, tmp_path):
             text = text.replace(f'"{value}"', '""', 1)
         texts[name] = text
     assert texts["one"] == texts["two"]
-
-
-# A budget under which the survey is read in many pieces, which wait on disk, and measured block by block.
-TIGHT = """
-import sys
-from bumpymap.cli import main
-from bumpymap.survey import Budget
-Budget.chunk_points, Budget.waiting_points, Budget.block_points = 5_000, 20_000, 20_000
-main(sys.argv[1:])
-"""
-
-
-def begun(survey, folder):
-    """A run in a session of its own, with what it starts."""
-    words = ["map", survey, "--out", folder / "layers", "--set", f"scratch={folder / 'scratch'}", "--quiet"]
-    return subprocess.Popen([sys.executable, "-c", TIGHT, *map(str, words)], start_new_session=True)
-
-
-@pytest.fixture(scope="module")
-def timed(tmp_path_factory):
-    """The survey, its layers, and how long a run takes, s."""
-    folder = tmp_path_factory.mktemp("whole")
-    survey = write_survey(folder / "site.laz", points=150_000, side=120.0)
-    began = time.monotonic()
-    assert begun(survey, folder).wait() == 0
-    return survey, layers_of(folder / "layers"), time.monotonic() - began
-
-
-@pytest.mark.later
-@pytest.mark.parametrize("seed", range(6))
-def test_a_run_killed_at_any_instant_once_or_twice_goes_on_to_the_same_bytes(timed, tmp_path, seed):
-    survey, layers, seconds = timed
-    draw = random.Random(seed)
-    for _ in range(1 + seed % 3 // 2):
-        began = begun(survey, tmp_path)
-        time.sleep(draw.uniform(0.0, seconds))
-        began.kill()
-        began.wait()
-        with pytest.raises(ProcessLookupError):  # noqa: PT012 (its helpers end by themselves)
-            for _ in range(50):
-                os.killpg(began.pid, 0)
-                time.sleep(0.1)
-    assert begun(survey, tmp_path).wait() == 0
-    assert layers_of(tmp_path / "layers") == layers
-    assert not list((tmp_path / "layers").glob(".bumpymap-*"))
-    assert list((tmp_path / "scratch").iterdir()) == []

@@ -93,24 +93,6 @@ def test_points_with_one_hash_are_still_put_in_one_order():
     assert all(sorted(run) == run for run in ([tuple(place) for place in part] for part in runs))
 
 
-@pytest.mark.parametrize("turn", ["moved", "raised", "mirrored", "turned"])
-def test_a_tile_keeps_its_order_wherever_it_lies(turn):
-    """Moved by whole tiles, raised, mirrored, or turned by 90 degrees; its first points are a fair sample of it."""
-    rng = np.random.default_rng(8)
-    x, y, z = (np.round(rng.uniform(0.001, 2.999, 600), 3) for _ in range(3))
-    flag = np.arange(600) % 256
-    there = {
-        "moved": (x + 3_000, y - 60_000, z),
-        "raised": (x, y, z + 137.25),
-        "mirrored": (3 - x, y, z),
-        "turned": (3 - y, x, z),
-    }[turn]
-    here = one_block(x, y, z, flag.astype(np.uint8))
-    np.testing.assert_array_equal(one_block(*there, flag.astype(np.uint8)).flag, here.flag)
-    for axis in (here.easting, here.northing, here.upward):
-        assert np.mean(axis[:100]) == pytest.approx(1.5, abs=0.3)
-
-
 SCALING = Scaling((0.01, 0.001, 0.0005), (500_000.0, -4.0, 123.456), (1.0, 0.3048, 0.9))
 
 

@@ -11,7 +11,7 @@ from html import unescape
 import numpy as np
 import pytest
 import rasterio
-from check_records import made_up_check, make_check, stretches_at
+from check_records import made_up_check
 from page_outline import Outline
 from PIL import Image
 from pyproj import Transformer
@@ -25,7 +25,6 @@ from bumpymap.layers.check_files import MapOffset
 from bumpymap.views import check_headline, write_report
 from bumpymap.views.page import change_page
 from bumpymap.views.page.change_page import NOT_COMPARED
-from bumpymap.views.page.charts import along_chart, drive_chart
 
 
 def band(folder, name):
@@ -123,9 +122,8 @@ def test_changes_lie_over_the_photo_of_a_survey_or_its_relief_if_the_map_is_the_
     assert not {"photo", "relief"} & set(read_page(write_report(out)).data["maps"][0])
 
 
-@pytest.mark.parametrize("step", [2, 7])
-def test_a_change_is_seen_in_a_pixel_of_several_tiles(comparison, tmp_path, monkeypatch, read_page, step):
-    fine = read_page(comparison / "report.html").codes("ground")
+def test_a_change_is_seen_in_a_pixel_of_several_tiles(comparison, tmp_path, monkeypatch, read_page):
+    fine, step = read_page(comparison / "report.html").codes("ground"), 7
     monkeypatch.setattr(change_page, "_SIDE", -(-max(fine.shape) // step))
     monkeypatch.setattr(change_page, "_STRIP_TILES", 100)
     page = read_page(write_report(comparison, tmp_path / "coarse.html"))
@@ -215,31 +213,11 @@ def test_the_page_of_drives_alone_or_on_layers_that_cannot_be_drawn_has_no_map(s
     assert read_page(tmp_path / "out" / "check.html").data["maps"] == []
 
 
-MARK, TICK = r'<circle cx="(.*?)" cy="(.*?)"', r'<text x="([\d.]+)" y="\d+" text-anchor="middle">([\d.]+)</text>'
-
-
-def test_a_mark_lies_at_what_map_and_drive_say():
-    result = make_check(stretches_at(np.zeros((2, 2)), [0.1, 0.4], np.array([1.0, 3.0])))
-    chart, along = ("".join(draw(result).elements) for draw in (drive_chart, along_chart))
-    (x, y), (right, top) = np.array(re.findall(MARK, chart), float)
-    ticks = np.array(re.findall(TICK, chart), float)
-    scale = np.polyfit(np.log(ticks[:, 1]), ticks[:, 0], 1)
-    assert [x, right] == pytest.approx(np.polyval(scale, np.log([0.1, 0.4])), abs=0.2)
-    assert (y - top) / (right - x) == pytest.approx(np.log(12) / np.log(4) * 380 / 484, rel=0.01)
-    first, second = np.array(re.findall(MARK, along), float)
-    zero = float(re.search(r'y="([\d.]+)" text-anchor="end">0</text>', along)[1]) - 4
-    assert (zero - second[1]) / (zero - first[1]) == pytest.approx(12.0, rel=0.01)
-    assert second[0] - first[0] == pytest.approx((1120 - 64 - 12) / 2, abs=0.2)
-
-
 @pytest.mark.parametrize(
     ("rank", "ratio", "inside", "words"),
     [
-        (0.95, 1.14, 0.8, "the map holds"),
         (0.95, 1.14, 0.79, "the map holds in rank and level, but is surer than it may be"),
         (0.95, 1.16, 0.79, "the map ranks the ground rightly, but its level is off"),
-        (0.95, 0.8, 0.8, "the map ranks the ground rightly, but its level is off by no more than its interval allows"),
-        (0.7, 1.0, 0.79, "the map ranks the ground only roughly"),
         (0.7, 2.0, 0.79, "the map ranks the ground only roughly, and its level is off"),
         (-0.9, 1.0, 0.79, "the map does not rank this ground as the vehicle felt it"),
     ],
@@ -268,11 +246,3 @@ def test_even_ground_cannot_be_ranked():
         figures = replace(result.agreement, spearman=0.1, median_ratio=ratio, inside=0.3)
         (said,) = check_headline(replace(result, agreement=figures, stretches=even, agreement_by_line=None))
         assert words in said
-
-
-def test_a_headline_of_little_or_of_drives_alone():
-    (said,) = check_headline(made_up_check(3))
-    assert said.startswith("Too little was driven on the map to judge it: 30 m in 3 str")
-    alone = made_up_check(8, ground=False)
-    mean = f"1 drive measured over 80 m: a ride cost of {np.mean(alone.stretches.measured):.3f} rad/m on average"
-    assert check_headline(alone)[0].startswith(mean)

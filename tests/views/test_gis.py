@@ -107,21 +107,6 @@ def test_every_visible_value_has_the_colour_of_the_table_and_its_name(alone):
                 assert colour == ",".join(map(str, wanted))
 
 
-def test_the_style_of_costs_serves_pixels_and_regions(alone):
-    root = styled(alone)["cost.qml"]
-    assert [element.tag for element in root].count("pipe") == 1
-    assert root.find("pipe/rasterrenderer").get("type") == "singlebandpseudocolor"
-    assert root.find("renderer-v2").get("type") == "RuleRenderer"
-    filters = "".join(rule.get("filter") for rule in root.iter("rule"))
-    assert set(re.findall(r'"(\w+)"', filters)) == {"class", "passable"}
-    assert [float(item.get("value")) for item in root.iter("item")] == [1, 1.5, 2, 4, 8, 16]
-    for name in ("cost.tif", "rasters/barred.tif"):
-        (alone / name).unlink()
-    styles = styled(alone)
-    assert styles["cost.qml"].find("pipe") is None
-    assert "rasters/barred.qml" not in styles
-
-
 def test_the_ride_cost_has_the_colours_of_the_classes_of_the_vehicle(alone):
     (renderer,) = styled(alone)["rasters/roughness.qml"].iter("rasterrenderer")
     assert (renderer.get("type"), renderer.get("band")) == ("singlebandpseudocolor", "1")

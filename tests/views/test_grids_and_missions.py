@@ -121,7 +121,6 @@ def geo(kind, coordinates):
     ("text", "words"),
     [
         ('{"type": "FeatureCollection", "features": []}', "it holds no line"),
-        ('{"type": "FeatureCollection", "features": [{"type": "Feature", "geometry": null}]}', "no line"),
         (geo("LineString", "[[1, 2]]"), r"route\.geojson"),
         (geo("LineString", "[[1, 2], [NaN, 2]]"), "cannot read"),
         (geo("LineString", "[[434100, 5411200], [434110, 5411200]]"), "degrees"),

@@ -4,9 +4,7 @@ import io
 import json
 import re
 import shutil
-import sys
 from base64 import b64decode
-from functools import partial
 
 import numpy as np
 import pytest
@@ -21,10 +19,7 @@ from route_maps import VEHICLE, change_bars, copy_folder, list_anew, write_folde
 from small_surveys import run, write_bomb, write_broken
 
 from bumpymap.core import CLASS_NAMES, NO_CLASS, OBSTACLE, BadInputError, OutputError, PageSettings, UsageError
-from bumpymap.layers import SurveyRow
 from bumpymap.views import page_header, write_report
-from bumpymap.views.page import page
-from bumpymap.views.page.batch_page import index_page
 from bumpymap.views.page.charts import locator
 from bumpymap.views.page.tiles import NO_POINTS, UNKNOWN_FROM
 from bumpymap.views.words import share
@@ -282,34 +277,3 @@ def test_the_locator_shows_a_place_in_its_country_and_one_beside_it_in_another(p
     assert land.distance(point) < 2
     assert 0.025 < land.intersection(square).area / square.area < 0.9
     assert locator(*other)["country"] != found["country"]
-
-
-HOSTILE = "<b>'&\udce9\x1b[31m\u202e"
-
-
-@pytest.fixture
-def fresh():
-    """Without templates in memory."""
-    page._engine.cache_clear()
-    yield
-    page._engine.cache_clear()
-
-
-@pytest.mark.parametrize("can_write", [True, False])
-def test_a_page_is_the_same_whether_compiled_templates_can_be_kept_or_not(fresh, tmp_path, monkeypatch, can_write):
-    made = partial(index_page, [SurveyRow(HOSTILE, "failed", HOSTILE)], {}, [HOSTILE], HOSTILE, HOSTILE)
-    first, place = made(), tmp_path / "kept"
-    assert not [sign for sign in ("<b>", "\x1b", "\u202e") if sign in first]
-    assert first.count(r"\x1b[31m\u202e") >= 4
-    place.mkdir() if can_write else place.touch()
-    monkeypatch.setattr(sys, "pycache_prefix", str(place))
-    monkeypatch.setattr(sys, "dont_write_bytecode", False)
-    for _ in range(2):  # the second time by what is kept
-        page._engine.cache_clear()
-        assert made() == first
-    assert bool([*tmp_path.rglob("*.cache")]) == can_write
-
-
-def test_what_a_record_lacks_is_no_empty_text():
-    with pytest.raises(LookupError, match="'title' is undefined"):
-        page.render_page("batch.html", note="", links=[], rows=[], unknown_colour=(0, 0, 0))

@@ -121,19 +121,30 @@ class Ring:
         kind = np.full(more.shape[1], points.classification.min() if not self.classified else 2, np.uint8)
         return ScenePoints(*(np.concatenate(pair) for pair in zip(points, (*more, kind), strict=True)))
 
-    def way_out(self, folder, **settings):
-        """Map it; return whether a way out is found, and whether it leaves through the opening."""
+    @property
+    def ends(self):
+        """Places in its middle, and beyond its eastern side."""
+        return [tuple(map(float, self.place.of_scene(x, 0.0))) for x in (0.0, HALF_M + 5.0)]
+
+    def map(self, folder, **settings):
+        """Survey and map it; returns the folder of the layers."""
         write_points(self.survey(), folder / "ring.las")
         bumpymap.map_survey(folder / "ring.las", folder / "layers", **settings)
-        ends = [tuple(map(float, self.place.of_scene(x, 0.0))) for x in (0.0, HALF_M + 5.0)]
+        return folder / "layers"
+
+    def way_out(self, layers):
+        """Return the route out of it, or None."""
         try:
-            (route,) = bumpymap.find_routes(folder / "layers", *ends, snap=6.0)
+            (route,) = bumpymap.find_routes(layers, *self.ends, snap=6.0)
         except bumpymap.BadInputError as error:
             if "there is no way" not in str(error):
                 raise
-            return False, False
-        line = np.asarray(route.line)
-        dense = np.concatenate([np.linspace(*pair, 200) for pair in pairwise(line)])
+            return None
+        return route
+
+    def leads_through(self, route):
+        """Whether a route leaves it through the opening."""
+        dense = np.concatenate([np.linspace(*pair, 200) for pair in pairwise(np.asarray(route.line))])
         x, y = self.place.in_scene(*dense.T)
         out = np.flatnonzero(np.diff(np.maximum(np.abs(x), np.abs(y)) > HALF_M))
-        return True, bool(self._opens(x[out], y[out]).all())
+        return bool(self._opens(x[out], y[out]).all())

@@ -1,7 +1,5 @@
 """Noise: told from the points, taken off the ground, and ground left alone."""
 
-from dataclasses import fields, replace
-
 import numpy as np
 import pytest
 
@@ -69,17 +67,6 @@ def test_noise_that_cannot_be_told_is_not_invented():
     assert np.array_equal(
         clean.relief_map[np.isnan(clean.noise_felt)], patches.relief_map[np.isnan(clean.noise_felt)], True
     )
-
-
-def test_a_patch_gets_the_same_bits_alone_and_among_others():
-    count, rng = 13, np.random.default_rng(13)
-    patches = surveyed([Terrain("hills", rng.normal(0, 0.1, (60, 60)), 3.0) for _ in range(count)], 1000, 0.02)
-    together = denoise(replace(patches, reason=np.where(np.arange(count) % 5 == 3, 3, 0).astype(np.uint8)), OPERATOR)
-    for i in (i for i in range(count) if i % 5 != 3):
-        mine = {f.name: getattr(patches, f.name)[i : i + 1] for f in fields(patches) if f.name != "grid"}
-        alone = denoise(replace(patches, **mine), OPERATOR)
-        for name in ("relief_map", "point_noise", "noise_felt"):
-            np.testing.assert_array_equal(getattr(alone, name), getattr(together, name)[i : i + 1])
 
 
 def test_a_variance_that_is_no_number_ends_the_search():
