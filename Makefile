@@ -11,12 +11,14 @@ TESTS ?=
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 PINS := .ci/constraints.txt .ci/hashes.txt .ci/install
+CLANG ?= clang++
+FUZZ_SECONDS ?= 300
 HASHES ?= yes
 HELD := $(if $(filter no,$(HASHES)),--constraint .ci/constraints.txt,--require-hashes --constraint .ci/hashes.txt)
 INSTALL := EDITABLE=yes .ci/install $(VENV) $(VENV) $(VENV)
 export HASHES
 
-.PHONY: demo test test-all test-fast loops lint types docs wheel check clean
+.PHONY: demo test test-all test-fast loops lint sanitize fuzz types docs wheel check clean
 .DEFAULT_GOAL := demo
 
 $(VENV)/.installed: pyproject.toml $(PINS)
@@ -53,6 +55,24 @@ lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	git ls-files '*.cpp' '*.hpp' | xargs $(BIN)/clang-format --dry-run --Werror
+	@command -v $(CXX) >/dev/null || { echo "No $(CXX) here: clang-tidy, which needs its headers, does not run"; exit 0; }; \
+	PATH="$(abspath $(BIN)):$$PATH" cmake -S tiles -B $(VENV)/tidy -G Ninja -DSANITIZE=ON -DCMAKE_EXPORT_COMPILE_COMMANDS=ON \
+		-DPython_EXECUTABLE="$(abspath $(BIN))/python" >/dev/null && \
+	git ls-files 'bumpymap/*.cpp' 'tiles/*.cpp' | xargs -P 4 -n 2 $(BIN)/clang-tidy -p $(VENV)/tidy --quiet
+
+# The rooms' tests that run the compiled loops, on a build that checks addresses, indices and undefined behaviour.
+sanitize: $(VENV)/.installed-dev
+	@command -v $(CXX) >/dev/null || { echo "No $(CXX) here: the loops are not checked"; exit 0; }; \
+	CXX="$(CXX)" .ci/sanitize $(VENV) $(VENV)/sanitize
+
+# Wrong bytes for the loops that read files, for five minutes; FUZZ_SECONDS=60 for less. With clang++ and its libFuzzer.
+fuzz: $(VENV)/.installed-dev
+	$(CLANG) -std=c++20 -g -O1 -ffp-contract=off -Wno-undefined-internal -D_GLIBCXX_ASSERTIONS -fno-sanitize-recover=all \
+		-fsanitize=fuzzer,address,undefined,float-cast-overflow -I. -Itiles \
+		-isystem "$$($(BIN)/python -m nanobind --include_dir)" \
+		-isystem "$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("include"))')" \
+		tests/fuzz/fuzz_loops.cpp -o $(VENV)/fuzz
+	$(VENV)/fuzz -max_len=4096 -max_total_time=$(FUZZ_SECONDS)
 
 types: $(VENV)/.installed-dev
 	for package in bumpymap tiles/bumpytiles; do $(BIN)/python -m nanobind.stubgen --quiet --module $$(basename $$package)._loops_base \

@@ -636,7 +636,7 @@ class JumpPatch {
                 ++place;
             }
         }
-        starts.push_back(pixels.size());
+        starts.push_back(static_cast<Index>(pixels.size()));
     }
 
     // The plane through the known pixels of some parts of a side of a line, if they span one.

@@ -36,7 +36,8 @@ void range_image(Array<const float, 2> points, double lowest, Array<std::uint16_
     for (Index i = 0; i < points.shape[0]; ++i) {
         const Sight sight = sight_of(points(i, 0), points(i, 1), points(i, 2), lowest, image.shape[1]);
         if (sight.row < 0 || sight.row >= image.shape[0]) continue;
-        const auto away = static_cast<std::uint16_t>(std::min(static_cast<Index>(100.0 * sight.away) + 1, most_cm));
+        const auto away =
+            static_cast<std::uint16_t>(static_cast<Index>(std::min(100.0 * sight.away, most_cm - 1.0)) + 1);
         std::uint16_t& nearest = image(sight.row, sight.column);
         if (nearest == 0 || away < nearest) nearest = away;
     }

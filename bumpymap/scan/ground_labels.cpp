@@ -190,7 +190,7 @@ struct Objects {
 void leave_out_airborne(const Objects& objects, double reach) {
     const auto& [top, count, lowest] = objects;
     const Index pixels = top.size();
-    const auto side = static_cast<Index>(std::sqrt(static_cast<double>(pixels)) + 0.5);
+    const Index side = std::lround(std::sqrt(static_cast<double>(pixels)));
     for (Index place = 0; place < pixels; ++place) {
         if (!(0.0F < count[place] && count[place] < together)) continue;
         const double low = lowest[place] - reach, high = top[place] + reach;

@@ -17,8 +17,8 @@ struct Scratch : std::vector<T> {
     explicit Scratch(Index size = 0, T value = {}) : std::vector<T>(static_cast<std::size_t>(size), value) {}
 
     Index count() const { return static_cast<Index>(this->size()); }
-    T& operator[](Index i) { return this->data()[i]; }
-    const T& operator[](Index i) const { return this->data()[i]; }
+    T& operator[](Index i) { return std::vector<T>::operator[](static_cast<std::size_t>(i)); }
+    const T& operator[](Index i) const { return std::vector<T>::operator[](static_cast<std::size_t>(i)); }
 };
 
 struct ZoneGrid {

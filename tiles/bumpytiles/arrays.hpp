@@ -4,6 +4,7 @@
 #pragma once
 
 #include <array>
+#include <cassert>
 #include <cstdint>
 
 namespace bumpy {
@@ -23,19 +24,27 @@ struct Array {
         return product;
     }
 
-    T& operator[](Index i) const requires(Axes == 1) { return data[i]; }
+    T& operator[](Index i) const requires(Axes == 1) {
+        assert(0 <= i && i < shape[0]);
+        return data[i];
+    }
 
     // The element at an index for each axis.
     template <class... Indices>
     T& operator()(Indices... indices) const requires(sizeof...(Indices) == Axes) {
         Index place = 0;
-        Index axis = 0;
-        ((place = place * shape[static_cast<std::size_t>(axis++)] + static_cast<Index>(indices)), ...);
+        std::size_t axis = 0;
+        const auto step = [&](Index i) {
+            assert(0 <= i && i < shape[axis]);
+            place = place * shape[axis++] + i;
+        };
+        (step(static_cast<Index>(indices)), ...);
         return data[place];
     }
 
     // The array behind an index of the first axis.
     Array<T, Axes - 1> at(Index i) const requires(Axes > 1) {
+        assert(0 <= i && i < shape[0]);
         Array<T, Axes - 1> part;
         Index step = 1;
         for (std::size_t axis = 1; axis < Axes; ++axis) {
@@ -48,6 +57,7 @@ struct Array {
 
     // Elements `first` up to but not with `last` of the first axis.
     Array slice(Index first, Index last) const {
+        assert(0 <= first && first <= last && last <= shape[0]);
         Array part = *this;
         const Index step = shape[0] > 0 ? count() / shape[0] : 0;
         part.data = data + first * step;

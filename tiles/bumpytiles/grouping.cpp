@@ -171,8 +171,10 @@ void paint(const std::array<double, 3>& point, Index tile, std::uint32_t colour,
     const double west = static_cast<double>(photo.corner[0] + tile % block_tiles) * size;
     const double south = static_cast<double>(photo.corner[1] + tile / block_tiles) * size;
     const Index last = photo.pixels - 1;
-    const Index col = std::min(last, static_cast<Index>(pixels_from(west, point[0], size, pixels)));
-    const Index row = std::min(last, static_cast<Index>(pixels_from(south, point[1], size, pixels)));
+    // Points of a damaged pack may lie in another tile.
+    const auto inside = [&](double place) { return static_cast<Index>(std::clamp(place, 0.0, pixels - 1.0)); };
+    const Index col = inside(pixels_from(west, point[0], size, pixels));
+    const Index row = inside(pixels_from(south, point[1], size, pixels));
     const Index p = (tile * photo.pixels + last - row) * photo.pixels + col;
     if (point[2] > photo.height[p] || (point[2] == photo.height[p] && colour > photo.colour[p])) {
         photo.height[p] = point[2];

@@ -1,0 +1,126 @@
+// Feeds bytes that no writer wrote to the loops whose arrays come from files: LAS records, the points of a tile pack,
+// and frames of a scan (`make fuzz`). What Python refuses before a loop sees it is left out: numbers that are not
+// finite.
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <span>
+#include <vector>
+
+#include "bumpytiles/bindings.hpp"
+
+// What only Python calls is not built, so that Python need not be linked.
+static void bind_align(nb::module_&), bind_grouping(nb::module_&), bind_las(nb::module_&);
+static void bind_point_stats(nb::module_&), bind_polar(nb::module_&);
+
+#include "bumpymap/readers/las.cpp"
+#include "bumpymap/scan/align.cpp"
+#define LinedPoints StatPoints  // las.cpp has its own
+#include "bumpymap/readers/point_stats.cpp"
+#define place_points place_scan  // grouping.cpp has its own
+#include "bumpymap/scan/polar.cpp"
+#undef place_points
+#include "tiles/bumpytiles/grouping.cpp"
+
+using namespace bumpy;
+using Bytes = std::span<const std::uint8_t>;
+
+// An array with memory of its own.
+template <class T>
+struct Column : std::vector<T> {
+    using std::vector<T>::vector;
+    explicit Column(Index n, T value = {}) : std::vector<T>(static_cast<std::size_t>(n), value) {}
+    operator Array<T>() { return {this->data(), {std::ssize(*this)}}; }
+    operator Array<const T>() const { return {this->data(), {std::ssize(*this)}}; }
+};
+
+// The next `n` values, and zeros behind the end; numbers that are not finite become 0.
+template <class T>
+Column<T> take(Bytes& bytes, Index n) {
+    Column<T> out(n);
+    const std::size_t size = std::min(bytes.size(), out.size() * sizeof(T));
+    if (size > 0) std::memcpy(out.data(), bytes.data(), size);
+    bytes = bytes.subspan(size);
+    for (T& value : out)
+        if constexpr (std::is_floating_point_v<T>) value = std::isfinite(value) ? value : T{0};
+    return out;
+}
+
+void fuzz_records(bool layered, Bytes bytes) {  // layered: point formats 6 to 10
+    const Index width = layered ? 36 : 26, n = std::ssize(bytes) / width;
+    const Column<Index> layout = layered ? Column<Index>{16, 255, 15, 4, 20, 7} : Column<Index>{15, 31, 15, 128, 18, 7};
+    const Column<Index> box{-1000, 1000, -1000, 1000};
+    Column<Index> extremes{INT32_MAX, INT32_MIN, INT32_MAX, INT32_MIN, INT32_MAX, INT32_MIN}, counts(4), state(2);
+    const Column<std::uint8_t> kinds(256, 1);
+    const RecordRules rules{layout, box, kinds};
+    Column<std::int32_t> x(n), y(n), z(n);
+    Column<std::uint8_t> kind(n);
+    Column<std::uint16_t> line(n);
+    Column<std::uint32_t> colour(n);
+    read_colours({bytes.data(), {n, width}}, rules, width - 6, 8, colour);
+    filter_records({bytes.data(), {n, width}}, rules, {x, y, z, kind, line}, {extremes, counts});
+    const auto kept = static_cast<std::size_t>(counts[3]);
+    for (auto* axis : {&x, &y, &z}) axis->resize(kept);
+    const Column<double> scaling{1e-3, 1e-3, 1e-3, 5e5, 5e6, 0.0, 1.0, 1.0, 1.0};
+    while (state[0] < counts[3]) {
+        Column<Index> keys(rows_of_table, -1), sums(rows_of_table * sums_of_cell);
+        state[1] = 0;
+        add_scaled_points({x, y, z, kind, line}, scaling, {keys, {sums.data(), {rows_of_table, sums_of_cell}}, state});
+    }
+}
+
+void fuzz_pack(Bytes bytes) {
+    const Index n = std::ssize(bytes) / 30, buckets = 2 * static_cast<Index>(std::bit_ceil(bytes.size() + 1));
+    const auto x = take<double>(bytes, n), y = take<double>(bytes, n), z = take<double>(bytes, n);
+    const auto tile = take<std::uint8_t>(bytes, n), flag = take<std::uint8_t>(bytes, n);
+    const auto colour = take<std::uint32_t>(bytes, n);
+    Column<Index> first(257), starts(257);
+    count_tiles(tile, first);
+    for (std::size_t t = 1; t < first.size(); ++t) first[t] += first[t - 1];
+    Column<Index> following(first);
+    Column<double> east(n), north(n), up(n), tile_east(n), tile_north(n), tile_up(n), height(256 * 16, -1e300);
+    Column<std::uint8_t> flags(n), tile_flags(n);
+    Column<std::uint32_t> shown(256 * 16);
+    const Column<Index> corner{-16, 32};
+    const Marked out{east, north, up, flags};
+    place_points({x, y, z, tile, flag}, colour, following, out, {corner, 1.0, 4, height, shown});
+    Column<std::uint64_t> key(n), rank(n);
+    Column<std::int32_t> bucket(buckets), order(n);
+    sort_tiles(
+        first, starts, corner, 1.0, out, {tile_east, tile_north, tile_up, tile_flags}, {key, bucket, order, rank});
+}
+
+void fuzz_frame(Bytes bytes) {
+    const Index n = std::ssize(bytes) / 12;
+    const auto values = take<float>(bytes, 3 * n);
+    const Array<const float, 2> points{values.data(), {n, 3}};
+    const Column<double> edges{0.5, 4.0, 20.0};
+    const Column<Index> sectors{4, 8}, rings{2, 3}, cells{0, 1, 2, 8, 9, 31};
+    const Column<std::int32_t> part_of_pixel(16);
+    Column<Index> starts(34);
+    Column<std::int32_t> cell(n), order(n), pixel(n), part(n);
+    Column<float> xyz(3 * n), normal(18), heights(96);
+    const CellPoints placed{starts, order, {xyz.data(), {3, n}}, pixel, part};
+    place_scan(points, {edges, sectors, rings, 0.25, 4}, part_of_pixel, cell, placed);
+    Column<Index> filled;
+    for (const Index c : cells)
+        if (starts[static_cast<std::size_t>(c)] + 3 <= starts[static_cast<std::size_t>(c) + 1]) filled.push_back(c);
+    const std::vector<std::uint8_t> ground(static_cast<std::size_t>(n), 1);
+    const Array<const bool> is_ground{reinterpret_cast<const bool*>(ground.data()), {n}};
+    Column<double> scalars(24);
+    const Index found = std::ssize(filled);
+    measure_sectors(
+        placed, {is_ground, filled, 0.1},
+        {{scalars.data(), {found, 4}}, {normal.data(), {found, 3}}, {heights.data(), {found, 4, 4}}});
+    Column<std::uint16_t> image(16 * 64);
+    range_image(points, -0.1, {image.data(), {16, 64}});
+}
+
+extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
+    if (size == 0) return 0;
+    const Bytes rest{data + 1, size - 1};
+    if (data[0] % 4 < 2) fuzz_records(data[0] % 2 == 1, rest);
+    if (data[0] % 4 == 2) fuzz_pack(rest);
+    if (data[0] % 4 == 3) fuzz_frame(rest);
+    return 0;
+}
