@@ -7,6 +7,7 @@ import shutil
 import sys
 from array import array
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
@@ -23,7 +24,10 @@ import bumpymap
 from bumpymap.core import OutputError, SilentProgress, UsageError
 from bumpymap.rating import find_calibration
 from bumpymap.readers import BagReader, BagTopics, find_sources
-from bumpymap.scan import ScanConfig, scan_frames
+from bumpymap.scan import ScanConfig, scan_frames as scan_alone
+from bumpymap.survey import map_surveys
+
+scan_frames = partial(scan_alone, mapper=map_surveys)
 
 pytestmark = pytest.mark.slow
 

@@ -296,7 +296,7 @@ class Budget:
         return max(reading, min(self.memory, waiting + reading + sorting))
 
 
-_READING_BASE, _WRITING_BASE = 330 << 20, 1060 << 20
+_READING_BASE, _WRITING_BASE = 330 << 20, 980 << 20
 """Interpreter, libraries and decoder while points are read and measured, and the most while layers are written, bytes:
 with the caches of the libraries that write them and what rasters and tables hold at the same time."""
 _DECODER = 10 << 20
