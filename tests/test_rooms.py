@@ -7,6 +7,7 @@ import sys
 import tokenize
 from collections import defaultdict
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -231,6 +232,12 @@ def test_docstrings_say_what_a_thing_is():
     texts = [text for room in ROOMS for file in files_of(room) for text in docstrings(TREES[file])]
     assert texts
     assert not [text for text in texts if re.match(r"(What|Which|Whether)\b", text)]
+    sources = [path for part in ("bumpymap", "tiles") for path in (ROOT / part).rglob("*.[ch]pp")]
+    for path in sources:
+        lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
+        first = [line for before, line in pairwise(["", *lines]) if not before.startswith("//")]
+        assert not [line for line in first if re.match(r"// (What|Which|Whether)\b", line)], path
+    assert sources
 
 
 HOUSE_WORDS = re.compile(r"\b(things?|so many|(what|whatever) stands|told|in relief|at hand)\b", re.IGNORECASE)

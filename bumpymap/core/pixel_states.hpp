@@ -29,7 +29,7 @@ enum PointKind : std::uint8_t {
     POINT_CLASSED,
 };
 
-// Whether a state is that of something over the vehicle.
+// True if a state is that of something over the vehicle.
 inline bool is_overhead(int state) {
     const int kind = state % SEEN;
     return kind == CANOPY || kind == SOLID || kind == LOW_SOLID || kind == MAYBE_SOLID;

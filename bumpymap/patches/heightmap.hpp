@@ -133,7 +133,7 @@ inline void sum_by_pixel(
     }
 }
 
-// What is filled of a tile, (pixels, pixels) each.
+// Arrays of a tile that are filled, (pixels, pixels) each.
 struct Heightmap {
     Array<float, 2> heights, variance, relief;
     Array<std::int32_t, 2> count;

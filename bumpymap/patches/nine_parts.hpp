@@ -1,4 +1,4 @@
-// Whether points lie everywhere in a tile, by the nine squares of a third of its side. Ours.
+// True if points lie everywhere in a tile, by the nine squares of a third of its side. Ours.
 #pragma once
 
 #include <bit>

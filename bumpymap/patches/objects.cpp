@@ -247,7 +247,7 @@ class ObjectFinder {
             }
     }
 
-    // Whether what is overhead fills a square around a pixel, and little ground is seen in it.
+    // True if what is overhead fills a square around a pixel, and little ground is seen in it.
     bool fills_square(Index r, Index c, double least) {
         for (Index half = 1; half < 4; ++half) {
             const int over = box_sum<&PixelPoints::company>(r, c, half);

@@ -1,4 +1,4 @@
-// What the tiles around one tell about its pixels: canopy that stands on the ground, gaps, lines.
+// States of pixels by the tiles around: canopy that stands on the ground, gaps, lines.
 //
 // The states of single tiles come from objects.cpp. A pixel's answer depends on pixels up to 15 away, so with a ring of
 // one tile of 15 pixels it is the same wherever a block is cut out. Directions have slopes of 0, 1/2, 1, 2, ...:
@@ -262,14 +262,14 @@ class Settler {
         }
     }
 
-    // Whether a ray from a pixel meets something overhead.
+    // True if a ray from a pixel meets something overhead.
     bool meets(const std::uint8_t* at, Offset two) const {
         for (int step = 2; step <= ray; ++step)  // a pixel beside one with ground may be the same object's rim
             if (is_overhead(at[label.way(along(two, step))])) return true;
         return false;
     }
 
-    // Whether the ground in a pixel lies beneath what is overhead: it is on all sides, not as beside a wall.
+    // True if the ground in a pixel lies beneath what is overhead: it is on all sides, not as beside a wall.
     bool is_under(const std::uint8_t* at, int sides) const {
         int hits = 0;
         for (const Offset two : directions) {
@@ -290,7 +290,7 @@ class Settler {
         under(r, c) = is_beneath ? (is_ground ? 2 : 3) : is_ground;
     }
 
-    // Whether what is overhead stands on the ground, of which none is seen around, or beneath a solid object.
+    // True if what is overhead stands on the ground, of which none is seen around, or beneath a solid object.
     bool stands(Index r, Index c, double mean) {
         const bool is_thin = mean < thin;
         const int near = is_thin ? near_thin : near_dense, grow = is_thin ? grow_thin : grow_dense;
@@ -316,7 +316,7 @@ class Settler {
         return any_low && hides_half(r, c, near, half / std::max(mean, least_points));
     }
 
-    // Whether `least` pixels deep beneath something show no ground in one of 16 halves around a pixel.
+    // True if `least` pixels deep beneath something show no ground in one of 16 halves around a pixel.
     bool hides_half(Index r, Index c, int near, double least) {
         const auto hides = [&](Offset side) {
             int deep = 0;

@@ -219,7 +219,7 @@ class StandingFinder {
         own.tall_side = own.side && own.tall;
     }
 
-    // Whether a pixel lies far above one within `foot`, or as steeply above one of the nearest known ones.
+    // True if a pixel lies far above one within `foot`, or as steeply above one of the nearest known ones.
     bool is_side(Index r, Index c) {
         int known = 0, last = 0;
         for (const Offset& offset : offsets) {
@@ -236,7 +236,7 @@ class StandingFinder {
         return false;
     }
 
-    // Whether ground that is not raised lies beside a raised pixel, and hardly below it.
+    // True if ground that is not raised lies beside a raised pixel, and hardly below it.
     bool is_level(Index r, Index c) {
         for (Index row = std::max<Index>(r - 1, 0); row < std::min(r + 2, rows); ++row)
             for (Index col = std::max<Index>(c - 1, 0); col < std::min(c + 2, cols); ++col)
@@ -244,7 +244,7 @@ class StandingFinder {
         return false;
     }
 
-    // Whether a raised pixel is one of an object: of the raised ones around enough are sides, or of the tall ones.
+    // True if a raised pixel is one of an object: of the raised ones around enough are sides, or of the tall ones.
     bool is_of_object(Index r, Index c, Map<Raised>& sums) {
         const Index top = std::max<Index>(r - limits.around, 0), bottom = std::min(r + limits.around + 1, rows);
         const Index left = std::max<Index>(c - limits.around, 0), right = std::min(c + limits.around + 1, cols);

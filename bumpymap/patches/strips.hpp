@@ -1,4 +1,4 @@
-// Whether pulses get through what is overhead, by its points and those beneath them.
+// True if pulses get through what is overhead, by its points and those beneath them.
 //
 // A wall that is seen from above has its points in a strip without ground; a bar, a wire or a branch has ground in it.
 // So the points around a pixel are put in order across the strip that those overhead lie along, and the part of it is
@@ -38,7 +38,7 @@ inline Index strip_half(double density, double pixel) {
     return static_cast<Index>(std::ceil(0.5 * (side / pixel - 1.0) - 1e-9));
 }
 
-// Whether points overhead outweigh those beneath by so much, and more where there are many.
+// True if points overhead outweigh those beneath by so much, and more where there are many.
 inline bool outweighs(Index over, Index beneath, double least) {
     return static_cast<double>(over - beneath_weight * beneath) >= least + std::log(static_cast<double>(over)) / chance;
 }
@@ -92,7 +92,7 @@ class Strips {
 
     PointsByPixel over, beneath;
 
-    // Whether what is overhead in a pixel hides the ground: it outweighs what is beneath in a part of the strip around
+    // True if what is overhead in a pixel hides the ground: it outweighs what is beneath in a part of the strip around
     // its points, in a square of 2 half + 1 pixels around it. One half of the square will do, or a smaller one of what
     // is low: at a corner walls meet.
     bool hides_ground(Index r, Index c, Index half, Weight least, bool is_low, double pixel) const {
@@ -137,7 +137,7 @@ class Strips {
         return count;
     }
 
-    // Whether points overhead outweigh those beneath in the strip of a window around those of a pixel.
+    // True if points overhead outweigh those beneath in the strip of a window around those of a pixel.
     bool strip_weighs(Index r, Index c, const Window& window, Weight least, double pixel) const {
         const Window middle_pixel{r, r + 1, c, c + 1};
         const auto n = static_cast<double>(count_over(window)), own = static_cast<double>(count_over(middle_pixel));
@@ -178,7 +178,7 @@ class Strips {
             least.share > 0.0 ? std::max(least.number, least.share * n) : least.number + std::log(n) / chance, weights);
     }
 
-    // Whether a part of a strip around or beside its middle weighs so much.
+    // True if a part of a strip around or beside its middle weighs so much.
     static bool holds_part(double least, std::array<int, bins + 1>& sums) {
         for (std::size_t k = 0; k < bins; ++k) sums[k + 1] += sums[k];
         int lowest = sums[0];

@@ -164,7 +164,7 @@ void number_areas(Array<const Byte, 4> free, bool corners, Array<Byte, 4> areas)
 
 // ---- Ways through tiles ----
 
-// Whether an obstacle or a step lies in a tile, or within the radius of one of its pixels.
+// True if an obstacle or a step lies in a tile, or within the radius of one of its pixels.
 bool has_obstacle_near(const Mosaic& mosaic, Index top, Index left) {
     const Index rows = mosaic.objects.shape[0], cols = mosaic.objects.shape[1], last = mosaic.pixels - 1;
     const auto reach = static_cast<Index>(std::ceil(mosaic.radius));
@@ -227,7 +227,7 @@ struct Areas {
 
     Array<const Byte, 2> tile(Place at) const { return number.at(at.row).at(at.col); }
 
-    // Whether areas of two tiles, side by side, touch across their border.
+    // True if areas of two tiles, side by side, touch across their border.
     bool touch(Place a, int one, Place b, int other) const {
         const Index last = number.shape[2] - 1, wide = corners ? 1 : 0;
         const auto at_border = [&](Place from, Place to, Index k) {
@@ -244,7 +244,7 @@ struct Areas {
         return false;
     }
 
-    // Whether an area of the tile beside two others, which lie diagonally, touches the first areas of both.
+    // True if an area of the tile beside two others, which lie diagonally, touches the first areas of both.
     bool join_over(Place between, Place upper, Place lower) const {
         const Array<const Byte, 2> areas = tile(between);
         const Byte most = *std::max_element(areas.data, areas.data + areas.count());
@@ -254,7 +254,7 @@ struct Areas {
         return false;
     }
 
-    // Whether the first areas of two tiles, of which the first is not the southern one, are joined.
+    // True if the first areas of two tiles, of which the first is not the southern one, are joined.
     bool join(Place upper, Place lower) const {
         if (upper.row == lower.row || upper.col == lower.col) return touch(upper, 1, lower, 1);
         const Index last = number.shape[2] - 1;

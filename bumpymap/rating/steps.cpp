@@ -703,7 +703,7 @@ class JumpPatch {
     std::array<Part, all_parts> parts;
 };
 
-// Whether a line that surely closes lies within some pixels.
+// True if a line that surely closes lies within some pixels.
 bool is_sure_near(Array<const double, 2> level, Index r, Index c, Index near) {
     for (Index row = r - near; row <= r + near; ++row) {
         for (Index col = c - near; col <= c + near; ++col) {

@@ -25,7 +25,7 @@ constexpr double rounding = 1e-9;
 constexpr int a_end = 1;
 constexpr int b_end = 2;
 
-// What slopes add to the cost of a length; see `Costs` in costs.py.
+// The share of slopes in the cost of a length; see `Costs` in straighten.py.
 struct SlopeCosts {
     double climb, descent, side, steepest;
 
@@ -177,10 +177,10 @@ inline double gap(Point a, Point b, Index row, Index col) {
     return least;
 }
 
-// Whether a distance is nearer than a margin allows.
+// True if a distance is nearer than a margin allows.
 inline bool too_near(double distance, double margin) { return distance < margin - std::min(rounding, 0.5 * margin); }
 
-// Whether a segment keeps a margin from all closed tiles. From a tile that an end in `ends` is nearer to, it need not
+// True if a segment keeps a margin from all closed tiles. From a tile that an end in `ends` is nearer to, it need not
 // keep more than that end does.
 inline bool segment_clear(const Costs& cost, Point a, Point b, double margin, int ends) {
     const double dr = b.r - a.r, dc = b.c - a.c;

@@ -41,7 +41,7 @@ struct Ground {
     Index width;
     double goal_row, goal_col, least, bound;
 
-    // What the middle of a tile is at least from the goal.
+    // The least cost from the middle of a tile to the goal.
     double to_goal(Index tile) const {
         if (bound == 0.0) return 0.0;
         const Index row = tile / width;
@@ -50,7 +50,7 @@ struct Ground {
         return bound * std::sqrt(dr * dr + dc * dc);
     }
 
-    // Which tiles are closed in some rows around a tile: nine bits a row, the first row's the highest.
+    // The closed tiles in some rows around a tile: nine bits a row, the first row's the highest.
     Index closed_around(Index tile, Index first, Index last) const {
         constexpr Index bits = 2 * reach + 1;
         Index found = 0;

@@ -1,4 +1,4 @@
-// What a line over a map costs, whether it keeps clear of closed tiles, and how it is pulled tight: corners are left
+// The cost of a line over a map, its distance to closed tiles, and how it is pulled tight: corners are left
 // out, moved off the borders of tiles, and moved by ever smaller steps. Every cost is the exact integral. Ours; see
 // straighten.py.
 #include "bumpymap/route/lines.hpp"
@@ -31,10 +31,10 @@ double sum_cost(Costs cost, Array<const double, 2> points) {
     return total;
 }
 
-// Which of two corners are the start or the goal of a line, as bits.
+// Bits of those of two corners that are the start or the goal of a line.
 int ends_of(Index a, Index b, Index count) { return (a == 0 ? a_end : 0) | (b == count - 1 ? b_end : 0); }
 
-// Whether a line keeps a margin; its first and last point may be nearer to closed tiles.
+// True if a line keeps a margin; its first and last point may be nearer to closed tiles.
 bool check_clear(Costs cost, Array<const double, 2> points, double margin) {
     const Index count = points.shape[0];
     for (Index i = 0; i + 1 < count; ++i) {
@@ -138,7 +138,7 @@ double two_segments(const Costs& cost, Array<const double, 2> points, Index i, P
     return first < infinite ? first + segment_cost(cost, over, point_at(points, i + 1), limit - first) : first;
 }
 
-// Whether the line may go from corner i - 1 over a point to i + 1.
+// True if the line may go from corner i - 1 over a point to i + 1.
 bool two_clear(const Costs& cost, double margin, Array<const double, 2> points, Index i, Point over) {
     const Index n = points.shape[0];
     return segment_clear(cost, point_at(points, i - 1), over, margin, i == 1 ? a_end : 0) &&

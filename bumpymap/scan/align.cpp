@@ -1,4 +1,4 @@
-// What the frames of a drive saw of each other: nearest ranges by direction, and objects laid on objects.
+// The frames of a drive held against each other: nearest ranges by direction, and objects laid on objects.
 //
 // A range image holds the nearest return in every direction of the sensor. A place is seen through if all beams near
 // its direction end well behind it, hidden if all end well before it. Objects of one frame are drawn from above, and

@@ -61,7 +61,7 @@ struct Returns {
     float ground = infinite, lowest = infinite, highest = infinite, sector = infinite;
 };
 
-// What is seen on a ray in a ring: the row of the sector whose ground is seen, or goes on, or: nothing is known; the
+// The view along a ray in a ring: the row of the sector whose ground is seen, or goes on, or: nothing is known; the
 // ground is seen beneath an object that hides what is on it; the ground drops.
 constexpr std::int32_t unseen = -1, beneath_object = -2, falls = -3;
 

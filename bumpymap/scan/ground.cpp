@@ -54,7 +54,7 @@ struct Some {
     Index first, end, step;
 };
 
-// What the planes around a cell expect at a place.
+// The height that the planes around a cell expect at a place.
 struct Expected {
     Index cell = -1;      // with the median height; -1: there are none
     double height = 0.0;  // m
@@ -328,7 +328,7 @@ Index root_of(Scratch<Index>& of, Index cell) {
     return cell;
 }
 
-// Whether the planes of two cells pass each other's points within what is allowed.
+// True if the planes of two cells pass each other's points within what is allowed.
 bool continues(Index cell, Index other, const GroundPlanes& planes) {
     const double x = planes.centre(cell, 0), y = planes.centre(cell, 1);
     const double u = planes.centre(other, 0), v = planes.centre(other, 1);

@@ -1,4 +1,4 @@
-// What the loops that find the ground of a scan share: the cells, their planes and their parts. Records as in
+// Shared by the loops that find the ground of a scan: the cells, their planes and their parts. Records as in
 // ground.py.
 #pragma once
 

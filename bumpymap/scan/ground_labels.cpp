@@ -180,7 +180,7 @@ void mark_plants(const CellPoints& points, Index cell, double reach, double leas
     }
 }
 
-// What is not ground in the pixels of a cell, up to `objects_height`: highest, lowest [m], and number.
+// The points above ground in the pixels of a cell, up to `objects_height`: highest, lowest [m], and number.
 struct Objects {
     Array<float> top, count, lowest;
 };

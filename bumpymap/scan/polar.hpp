@@ -1,4 +1,4 @@
-// What the loops over a scan share: the polar grid, the points by cell, and the angle of a direction. The records are
+// Shared by the loops over a scan: the polar grid, the points by cell, and the angle of a direction. The records are
 // explained in ground.py.
 #pragma once
 

@@ -9,7 +9,7 @@
 
 #include "bumpytiles/bindings.hpp"
 
-// What only Python calls is not built, so that Python need not be linked.
+// Bindings are not built, so that Python need not be linked.
 static void bind_align(nb::module_&), bind_grouping(nb::module_&), bind_las(nb::module_&);
 static void bind_point_stats(nb::module_&), bind_polar(nb::module_&);
 

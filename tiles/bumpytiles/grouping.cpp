@@ -270,7 +270,7 @@ bool same_place(const Marked& a, Index i, const Marked& b, Index j) {
     return a.easting[i] == b.easting[j] && a.northing[i] == b.northing[j] && a.upward[i] == b.upward[j];
 }
 
-// Whether point o goes behind point i, where their keys are equal. Flags: 1, 2, ... 255, 0.
+// True if point o goes behind point i, where their keys are equal. Flags: 1, 2, ... 255, 0.
 bool comes_later(const Marked& points, Index o, Index i) {
     if (points.easting[o] != points.easting[i]) return points.easting[o] > points.easting[i];
     if (points.northing[o] != points.northing[i]) return points.northing[o] > points.northing[i];

@@ -5,7 +5,7 @@ void bind_grouping(nb::module_& module);
 
 namespace {
 
-// Whether this processor has what the second build asks of it: x86-64-v3, in all x86-64 processors since about 2013.
+// True if this processor has what the second build asks of it: x86-64-v3, in all x86-64 processors since about 2013.
 bool runs_v3() {
 #ifdef __x86_64__
     return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi") &&
