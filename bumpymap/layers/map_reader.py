@@ -202,12 +202,12 @@ class MapReader:
             return None
         return self._pixels(MapFile.PHOTO, window, np.full((*shape, 3), np.nan, np.float32))
 
-    def objects(self, window: TileWindow) -> NDArray[np.uint8]:
-        """Read the objects on the ground, uint8 (rows * pixels, cols * pixels).
+    def objects(self, window: TileWindow, shape: tuple[int, int] | None = None) -> NDArray[np.uint8]:
+        """Read the objects on the ground, uint8 (rows * pixels, cols * pixels), or in another ``shape``.
 
         0 free, 1 obstacle, 2 canopy, 3 unknown, 4 a step that it cannot cross; 255 outside the tiles with points.
         """
-        return self._pixels(MapFile.OBSTACLE, window, np.full(self._shape(window), NO_TILE, np.uint8))
+        return self._pixels(MapFile.OBSTACLE, window, np.full(shape or self._shape(window), NO_TILE, np.uint8))
 
     def passage(self, window: TileWindow) -> NDArray[np.bool_]:
         """Read where the middle of the vehicle can be, (rows * pixels, cols * pixels); nowhere outside the map."""
