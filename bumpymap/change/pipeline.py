@@ -376,7 +376,23 @@ def _counts(surveys: tuple[SurveyTiles, SurveyTiles], field: ChangeField, shared
         "regions": len(field.regions),
         "passable_lost": int((moved & free[0] & ~free[1]).sum()),
         "passable_won": int((moved & ~free[0] & free[1]).sum()),
+        "volumes": _volumes(field.d_height[moved], field.z_height[moved], field.placement.grid.tile_size**2),
     }
+
+
+def _volumes(d_height: NDArray[np.floating], z_height: NDArray[np.floating], area_m2: float) -> dict[str, float]:
+    """Return the m3 that were heaped up and dug on changed tiles, (n,), with standard deviations."""
+    variance, found = _variance(d_height, z_height), {}
+    for name, chosen in (("heaped", d_height > 0.0), ("dug", d_height < 0.0)):
+        found[f"{name}_m3"] = round(area_m2 * float(np.abs(d_height[chosen].astype(np.float64)).sum()), 2)
+        found[f"{name}_sd_m3"] = round(area_m2 * math.sqrt(float(variance[chosen].sum())), 2)
+    return found
+
+
+def _variance(d_height: NDArray[np.floating], z_height: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return the variances of differences of height, m2: the evidence is the difference over its standard deviation."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.nan_to_num((d_height / z_height).astype(np.float64) ** 2, posinf=0.0)
 
 
 def _manifest(
@@ -462,6 +478,7 @@ def _describe(tiles: Mapping[str, NDArray[Any]], area_m2: float) -> dict[str, An
         "d_height_highest": _number(heights.max()),
         "d_largest": _of_known(_farthest, tiles["d_largest"]),
         "volume_m3": _number(heights.sum() * area_m2),
+        "volume_sd_m3": _number(area_m2 * math.sqrt(_variance(heights, tiles["z_height"]).sum())),
         **{name: _of_known(np.mean, tiles[name]) for name in ("d_c_r", "c_r_before", "c_r_after")},
         **{name: _of_known(_farthest, tiles[name]) for name in ("z_height", "z_shape", "z_c_r")},
         **{name: None if commonest == NO_CLASS else commonest for name, commonest in classes.items()},

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bumpymap.core import CLASS_NAMES, SeenSizes, count_text, parse_json, share_text, shares_text
+from bumpymap.layers import NORMAL_80
 
 if TYPE_CHECKING:
     from bumpymap.core import CheckedDrive, CheckResult, DrivenStretches, MapAgreement
@@ -117,6 +118,16 @@ RANKS, ROUGHLY = 0.8, 0.5
 """From these Spearman correlations on a map ranks ground rightly, and roughly."""
 EVEN = 1.5
 """Ground is too even to rank if its 90 % quantile is less than this factor above its 10 % quantile."""
+
+
+def volumes_text(volumes: Mapping[str, float]) -> str:
+    """Return what was heaped up and dug, with the error of 80 %; empty if nothing was. See `change.json`."""
+    parts = [
+        f"{volumes[f'{name}_m3']:,.1f} ± {NORMAL_80 * volumes[f'{name}_sd_m3']:,.1f} m³ {words}"
+        for name, words in (("heaped", "heaped up"), ("dug", "dug"))
+        if volumes[f"{name}_m3"] > 0.0
+    ]
+    return " and ".join(parts)
 
 
 def check_headline(result: "CheckResult") -> list[str]:

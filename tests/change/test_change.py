@@ -326,6 +326,11 @@ def test_features_are_the_changes(rut):
     assert shapely.geometry.shape(largest["geometry"]).is_valid
     assert about["volume_m3"] == pytest.approx(about["d_height"] * about["area_m2"], abs=0.1)
     assert about["volume_m3"] == pytest.approx(-0.1 * 0.6 * 3.0 * about["tiles"], rel=0.15)
+    volumes = rut.counts["volumes"]
+    dug = -sum(min(feature["properties"]["volume_m3"], 0.0) for feature in features)
+    assert (volumes["dug_m3"], volumes["heaped_m3"]) == pytest.approx((dug, 0.0), rel=0.05)
+    assert 0.0 < volumes["dug_sd_m3"] < 0.2 * dug
+    assert about["volume_sd_m3"] <= volumes["dug_sd_m3"]
     assert about["kind"] == "rougher"
     assert about["rougher"] + about["smoother"] + about["ground_changed_ride_as_before"] == about["tiles"]
     west, south, east, north = collection["bbox"]

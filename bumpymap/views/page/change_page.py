@@ -28,6 +28,7 @@ from bumpymap.layers import (
     CHANGE_COLOURS,
     COUNT,
     DIFFERENCE_RAMP,
+    NORMAL_80,
     PLACE_SHAPE,
     UNKNOWN_COLOUR,
     MapFile,
@@ -39,7 +40,7 @@ from bumpymap.views.page.page import write_page
 from bumpymap.views.page.site import PHOTO_BUDGET, RELIEF_BUDGET, RELIEF_SIDE, jpeg, read_photo, read_pixels, shaded
 from bumpymap.views.page.tiles import ByteGrid, Spot, map_metres, packed
 from bumpymap.views.pictures.drawing import STRENGTH
-from bumpymap.views.words import area, number, share, shares, signed, whole
+from bumpymap.views.words import area, number, share, shares, signed, volumes_text, whole
 
 NOT_COMPARED = 16
 """Value of ``kinds`` where the surveys could not be compared."""
@@ -249,6 +250,7 @@ _SHAPE = PLACE_SHAPE | {
         **dict.fromkeys(("in_both", "compared", "changed", "regions", "passable_lost", "passable_won"), COUNT),
         "dropped_as_too_small": COUNT,
         "by_change": Each(COUNT),
+        "volumes": dict.fromkeys(("heaped_m3", "heaped_sd_m3", "dug_m3", "dug_sd_m3"), Number()),
     },
     "classes": {"names": [str], "tiles_before_after": [[COUNT]]},
     "remarks?": [str],
@@ -303,6 +305,7 @@ def write_change_report(folder: Path, record: Mapping[str, Any], path: Path) -> 
         ramp_colours=DIFFERENCE_RAMP,
         survey_rows=_survey_rows(record["fit"], runs),
         registration=_registration(record["fit"]["registration"]),
+        volumes=volumes_text(record["counts"]["volumes"]),
         data={"maps": [site.map_record()], "codes": codes},
     )
 
@@ -402,7 +405,7 @@ def _place_row(site: ChangeSite, place: Mapping[str, Any]) -> tuple[Any, ...]:
         signed(about["d_height"], 2),
         f"{low} to {high}",
         signed(about["d_largest"], 2),
-        signed(about["volume_m3"], 1),
+        f"{signed(about['volume_m3'], 1)} ± {number(NORMAL_80 * about['volume_sd_m3'], 1)}",
         number(about["c_r_before"], 3),
         number(about["c_r_after"], 3),
         signed(about["d_c_r"], 3),
