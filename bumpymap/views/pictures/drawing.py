@@ -233,7 +233,7 @@ def paint_ground(source: "MapReader", view: MapView) -> tuple[Pixels, RideScale]
     colour[~passable] = CLOSED_COLOUR[:3]
     colour[unknown] = UNKNOWN_COLOUR[:3]
     colour[obstacle] = OBJECT_COLOURS[OBSTACLE][:3]
-    heights = _fill(source.relief(window, shape).astype(np.float64))
+    heights = fill_gaps(source.relief(window, shape).astype(np.float64))
     # rows and columns may differ a little in size, since both are whole numbers
     shade = light_of(heights, (window.rows * tile / shape[0], window.cols * tile / shape[1]))[place][..., None] / LEVEL
     light = MID_GREY * shade
@@ -302,7 +302,7 @@ def light_of(heights: NDArray[np.floating], pixel: tuple[float, float]) -> NDArr
     return np.asarray(np.where(np.isfinite(light), np.clip(light, 0.0, 1.0), LEVEL), dtype=np.float64)
 
 
-def _fill(heights: NDArray[np.float64]) -> NDArray[np.float64]:
+def fill_gaps(heights: NDArray[np.float64]) -> NDArray[np.float64]:
     """Fill holes with the mean of the heights around them; NaN stays where nothing is near."""
     for half in _GAPS:
         known = np.isfinite(heights)
