@@ -48,5 +48,6 @@ from .words import (
     check_headline as check_headline,
     columns_words as columns_words,
     degrees_line as degrees_line,
+    least_volume_text as least_volume_text,
     warnings_of as warnings_of,
 )

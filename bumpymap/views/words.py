@@ -130,6 +130,20 @@ def volumes_text(volumes: Mapping[str, float]) -> str:
     return " and ".join(parts)
 
 
+def least_volume_text(volumes: Sequence[float | None] | None) -> str:
+    """Return the smallest heap and pit that would be found on half and on nine tenths of the ground, in words.
+
+    ``volumes``: m3; None where a heap on one tile is not found, however large: only two tiles together are.
+    """
+    if volumes is None:
+        return ""
+    half, most = (None if volume is None else f"{volume:.2g} m³" for volume in volumes)
+    if half is None:
+        return "too few pixels were seen to find a heap or pit on a single tile, however large, on half of the ground"
+    rest = f"of {most} on nine tenths of it" if most else "on a tenth of it none on a single tile, however large"
+    return f"a heap or pit of {half} on one tile would be found on half of the ground, {rest}"
+
+
 def check_headline(result: "CheckResult") -> list[str]:
     """Return the result in a few sentences: whether the map holds by the driven line, if known, and by its tiles."""
     if result.agreement is None:

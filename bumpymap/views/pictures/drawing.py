@@ -197,7 +197,7 @@ def levelled(photo: NDArray[np.floating]) -> NDArray[np.float64]:
     if not known.any():
         return photo.astype(np.float64)
     gain = np.clip(MID_GREY / max(float(np.median(photo[known] @ _LUMA)), 1.0), *_GAIN)
-    return np.clip(gain * (_SATURATION * photo + (1 - _SATURATION) * grey_of(photo)), 0, 255)
+    return np.asarray(np.clip(gain * (_SATURATION * photo + (1 - _SATURATION) * grey_of(photo)), 0, 255))
 
 
 def grey_of(colours: NDArray[np.floating]) -> NDArray[np.float64]:
