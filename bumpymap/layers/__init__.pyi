@@ -69,9 +69,11 @@ from .lazy_raster import (
 )
 from .manifest import (
     COUNT as COUNT,
+    ISLAND_M2 as ISLAND_M2,
     MANIFEST_NAME as MANIFEST_NAME,
     PLACE_SHAPE as PLACE_SHAPE,
     MapSummary as MapSummary,
+    ZoneCounts as ZoneCounts,
     describe_file as describe_file,
     describe_input as describe_input,
     place_entries as place_entries,

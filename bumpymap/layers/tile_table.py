@@ -167,6 +167,7 @@ def _rows(found: dict[str, NDArray[Any]], place: Placement, schema: pa.Schema) -
     columns |= {name: found[name] for name in (*_NUMBERS, *(band.name for band in BANDS))}
     columns |= {name: found[name] for name in (GROUND_SOURCE.name,) if name in found}
     columns["passable"] = found["passable"] > 0
+    columns["zone"] = pa.array(found["zone"], mask=found["zone"] == 0)
     if "headings" in found:
         rides = found["headings"]
         known = np.isfinite(rides).all(axis=1) & (rides.min(axis=1) > 0.0)

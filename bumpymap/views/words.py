@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bumpymap.core import CLASS_NAMES, SeenSizes, count_text, parse_json, share_text, shares_text
-from bumpymap.layers import NORMAL_80
+from bumpymap.layers import ISLAND_M2, NORMAL_80
 
 if TYPE_CHECKING:
     from bumpymap.core import CheckedDrive, CheckResult, DrivenStretches, MapAgreement
+    from bumpymap.layers import ZoneCounts
 
 DASH = "\N{EN DASH}"
 """Stands where nothing is known."""
@@ -96,6 +97,16 @@ def degrees_line(median_c_r: Sequence[float]) -> str:
     real = read_surfaces()
     named = ", ".join(f"{degrees(real['c_r'][name])} on {name}" for name in _NAMED)
     return f"Median c_r in degrees of pitch per metre: {classes}; a real {real['vehicle']} measured {named}"
+
+
+def zones_line(zones: "ZoneCounts", percent: str = PERCENT) -> str:
+    """Say which share of the passable ground hangs together, and how much of it lies on islands; empty without any."""
+    if not zones.largest_tiles:
+        return ""
+    largest = f"in one piece of {area(zones.largest_m2)}"
+    line = f"{share_text(zones.largest_share, percent=percent)} of what can be crossed hangs together {largest}"
+    islands = count_text(zones.island_tiles, "tile lies on an island", "tiles lie on islands")
+    return f"{line}; {islands} under {area(ISLAND_M2)}" if zones.island_tiles else line
 
 
 def base_name(path: str) -> str:
