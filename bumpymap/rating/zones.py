@@ -30,10 +30,10 @@ class ZoneFinder:
         self._pixels = grid.pixels
         corners = corners_join(body.width_m, obstacle_reach(body.width_m), grid.pixel_size)
         self._together = ndimage.generate_binary_structure(2, 2 if corners else 1)
-        self._row, self._next = 0, 0
-        self._north: dict[int, NDArray[np.int64]] = {}
-        self._south: dict[int, NDArray[np.int64]] = {}
-        self._east = np.empty(0, np.int64)
+        self._south: dict[BlockKey, NDArray[np.int64]] = {}
+        """Labels of the last line of blocks, by the block to the south."""
+        self._east: dict[BlockKey, NDArray[np.int64]] = {}
+        """Labels of the last column of the last strip, by the block to the east."""
         self._labels = 0
         self._pairs = [np.empty((2, 0), np.int64)]
         self._sizes, self._firsts = [np.zeros(1, np.int64)], [np.full(1, _LAST)]
@@ -62,8 +62,10 @@ class ZoneFinder:
         for known, own in ((north, labels[0]), (west, labels[1:, 0])):
             touched = np.flatnonzero(known)
             self._pairs.append(np.unique([known[touched], own[touched] + np.int64(self._labels)], axis=1))
-        south, self._east = (self._numbered(edge) for edge in (labels[-1, 1:-1], labels[1:, -2]))
-        self._south |= {block[1] + at: part for at, part in enumerate(south.reshape(blocks, side))}
+        south, east = (self._numbered(edge) for edge in (labels[-1, 1:-1], labels[1:, -2]))
+        self._south = {key: line for key, line in self._south.items() if key[0] <= block[0]}
+        self._south |= {(block[0] - 1, block[1] + at): line for at, line in enumerate(south.reshape(blocks, side))}
+        self._east = {(block[0], block[1] + blocks): east}
         largest = passage.reshape(count, -1) == 1
         at = largest.argmax(axis=1)
         down, right = np.divmod(at, px)
@@ -78,14 +80,9 @@ class ZoneFinder:
 
     def _frame(self, block: BlockKey, blocks: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the labels of the pixels north of a strip, one more on each side, and of those west of it."""
-        side, (row, col) = BLOCK_TILES * self._pixels, block
-        if row != self._row:
-            self._north, self._south = self._south if row == self._row - 1 else {}, {}
-        west = self._east if block == (self._row, self._next) and len(self._east) else np.zeros(side, np.int64)
-        self._row, self._next = row, col + blocks
-        nothing = np.zeros(side, np.int64)
-        lines = [self._north.get(each, nothing) for each in range(col - 1, col + blocks + 1)]
-        return np.concatenate([lines[0][-1:], *lines[1:-1], lines[-1][:1]]), west
+        (row, col), nothing = block, np.zeros(BLOCK_TILES * self._pixels, np.int64)
+        lines = [self._south.get((row, each), nothing) for each in range(col - 1, col + blocks + 1)]
+        return np.concatenate([lines[0][-1:], *lines[1:-1], lines[-1][:1]]), self._east.get(block, nothing)
 
     def _numbered(self, labels: NDArray[np.int32]) -> NDArray[np.int64]:
         """Return labels of a strip as labels of all; 0 stays 0."""
