@@ -40,7 +40,7 @@ def _class_names() -> tuple[str, ...]:
 
 
 def _diff_lines(result: "ChangeResult", config: DiffConfig) -> Iterator[str | Table]:
-    from bumpymap.views.words import volumes_text
+    from bumpymap.views import volumes_text
 
     counts = result.counts
     yield (

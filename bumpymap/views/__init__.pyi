@@ -50,6 +50,7 @@ from .words import (
     columns_words as columns_words,
     degrees_line as degrees_line,
     least_volume_text as least_volume_text,
+    volumes_text as volumes_text,
     warnings_of as warnings_of,
     zones_line as zones_line,
 )
