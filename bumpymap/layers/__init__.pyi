@@ -45,7 +45,7 @@ from .colours import (
     OFF_KINDS as OFF_KINDS,
     PASSAGE_COLOURS as PASSAGE_COLOURS,
     PASSAGE_NAMES as PASSAGE_NAMES,
-    REASON_GREYS as REASON_GREYS,
+    REASON_SHADES as REASON_SHADES,
     ROUTE_COLOUR as ROUTE_COLOUR,
     STEP_LINE as STEP_LINE,
     UNKNOWN_COLOUR as UNKNOWN_COLOUR,
@@ -186,6 +186,7 @@ from .stac import (
 from .tile_table import (
     read_tiles as read_tiles,
     require_tiles as require_tiles,
+    tile_fields as tile_fields,
 )
 from .vector import (
     GeoJsonCoordinates as GeoJsonCoordinates,

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from bumpymap.core import CANOPY, CLASS_NAMES, FREE, NO_CLASS, OBSTACLE, Barred, Reason
 
 CLASS_COLOURS: dict[int, tuple[int, int, int, int]] = {
-    0: (148, 206, 214, 255),
-    1: (176, 147, 46, 255),
-    2: (184, 78, 38, 255),
-    3: (122, 12, 44, 255),
+    0: (132, 199, 214, 255),
+    1: (166, 136, 40, 255),
+    2: (172, 66, 36, 255),
+    3: (112, 8, 42, 255),
     NO_CLASS: (0, 0, 0, 0),
 }
 """Red, green, blue, alpha of each class, from cool and faint (smooth) to warm and strong (very rough). Neighbours
@@ -27,7 +27,7 @@ MID_GREY = 128
 """Brightness that photo and relief are levelled to: light that leaves the colours of the map as they are."""
 BARRED_COLOURS: dict[int, tuple[int, int, int, int]] = {
     Barred.NO: (166, 217, 106, 255),
-    Barred.UNKNOWN: (226, 226, 228, 255),
+    Barred.UNKNOWN: (232, 232, 233, 255),
     Barred.OBSTACLE: (84, 48, 5, 255),
     Barred.SLOPE: (63, 59, 116, 255),
     Barred.FAILS: (179, 34, 75, 255),
@@ -73,13 +73,13 @@ REASON_COLOURS: dict[int, tuple[int, int, int, int]] = {
     Reason.OUTLIER_RELIEF: (230, 97, 1, 255),
 }
 """Red, green, blue, alpha of each `Reason`: tiles with a class light grey, places without points transparent."""
-REASON_GREYS = REASON_COLOURS | {
+REASON_SHADES = REASON_COLOURS | {
     Reason.TOO_FEW_POINTS: (105, 105, 105, 255),
-    Reason.TOO_MANY_HOLES: UNKNOWN_COLOUR,
-    Reason.NO_GROUND: (58, 58, 58, 255),
-    Reason.OUTLIER_RELIEF: (0, 0, 0, 255),
+    Reason.TOO_MANY_HOLES: (150, 150, 150, 255),
+    Reason.NO_GROUND: (64, 64, 160, 255),
+    Reason.OUTLIER_RELIEF: (0, 0, 64, 255),
 }
-"""These in GIS, where they lie over classes: none is the colour of a class to a colour-blind reader."""
+"""These in GIS, where they lie beside classes: none is the colour of a class to a colour-blind reader."""
 CHANGE_COLOURS: dict[int, tuple[int, int, int, int]] = {
     0: (233, 240, 226, 255),
     1: (246, 178, 72, 255),

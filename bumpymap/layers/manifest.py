@@ -69,8 +69,10 @@ class ZoneCounts:
     """Their area, m2."""
     largest_share: float
     """Their share of all passable tiles, 0..1; 0 without any."""
+    islands: int
+    """Zones with passable tiles of under ``ISLAND_M2``, without the largest: the last ones."""
     island_tiles: int
-    """Passable tiles of islands: of zones under ``ISLAND_M2``, without the largest."""
+    """Passable tiles of these."""
 
     @classmethod
     def of(cls, sizes: NDArray[np.int64], passable: int, tile_m2: float) -> Self:
@@ -78,7 +80,8 @@ class ZoneCounts:
         largest = int(sizes.max(initial=0))
         islands = sizes[(sizes * tile_m2 < ISLAND_M2) & (np.arange(len(sizes)) != sizes.argmax())] if largest else sizes
         share = largest / passable if passable else 0.0
-        return cls(int((sizes > 0).sum()), largest, largest * tile_m2, share, int(islands.sum()))
+        pieces, lonely = int((sizes > 0).sum()), int((islands > 0).sum())
+        return cls(pieces, largest, largest * tile_m2, share, lonely, int(islands.sum()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -320,6 +323,7 @@ _SHAPE: dict[str, Any] = PLACE_SHAPE | {
             "largest_tiles": COUNT,
             "largest_m2": Number(0, 1e15),
             "largest_share": Number(0, 1),
+            "islands": COUNT,
             "island_tiles": COUNT,
         },
     },

@@ -356,7 +356,7 @@ def test_what_hangs_together_is_counted_and_small_pieces_but_the_largest_are_isl
     columns = lone_columns(cost_map) | {"zone": zone}
     columns["barred"][[0, 164]] = Barred.SPLIT
     summary = summarise(replace(table_of(cost_map), tiles=TileTable.of(cost_map.patches.grid, columns)))
-    assert summary.zones == ZoneCounts(3, 99, 891.0, 99 / 164, 4)
+    assert summary.zones == ZoneCounts(3, 99, 891.0, 99 / 164, 1, 4)
     line = "60% of what can be crossed hangs together in one piece of 891 m²"
     assert zones_line(summary.zones, "%") == f"{line}; 4 tiles lie on islands under 500 m²"
     alone = ZoneCounts.of(np.array([0, 7]), 7, 9.0)

@@ -130,8 +130,10 @@ DETAIL = 0.7
 """Opacity of photo and relief in hard light over the colours of a map: chosen."""
 _GAIN = (0.6, 2.0)
 """Least and largest factor on the brightness of a photo, so that dark and pale ones are levelled alike: chosen."""
-_SATURATION = 0.75
+SATURATION = 0.75
 """Share of its colours that a photo keeps: chosen."""
+CONTRAST = 0.7
+"""Share of its contrast that a photo keeps: bright ground must not look unknown, nor dark ground black. Chosen."""
 _LUMA = np.array([0.299, 0.587, 0.114])
 """Weights of red, green and blue in the brightness of a colour (ITU-R BT.601)."""
 LEVEL = math.sqrt(0.5)
@@ -193,11 +195,15 @@ class MapView:
 
 def levelled(photo: NDArray[np.floating]) -> NDArray[np.float64]:
     """Return a photo with its median brightness at ``MID_GREY``, paler; (rows, cols, 3) from 0 to 255, NaN as given."""
+    paler = gain_of(photo) * (SATURATION * photo + (1 - SATURATION) * grey_of(photo))
+    return np.asarray(np.clip(MID_GREY + CONTRAST * (paler - MID_GREY), 0, 255), np.float64)
+
+
+def gain_of(photo: NDArray[np.floating]) -> float:
+    """Return the factor on a photo, (..., 3), that brings its median brightness to ``MID_GREY``; NaN does not count."""
     known = np.isfinite(photo).all(axis=-1)
-    if not known.any():
-        return photo.astype(np.float64)
-    gain = np.clip(MID_GREY / max(float(np.median(photo[known] @ _LUMA)), 1.0), *_GAIN)
-    return np.asarray(np.clip(gain * (_SATURATION * photo + (1 - _SATURATION) * grey_of(photo)), 0, 255))
+    brightness = float(np.median(photo[known] @ _LUMA)) if known.any() else float(MID_GREY)
+    return float(np.clip(MID_GREY / max(brightness, 1.0), *_GAIN))
 
 
 def grey_of(colours: NDArray[np.floating]) -> NDArray[np.float64]:
