@@ -14,7 +14,16 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from bumpymap.core import CROSSING_UNKNOWN, NO_TILE, OBSTACLE, OPEN_THROUGH
-from bumpymap.layers import CLOSED_COLOUR, MID_GREY, OBJECT_COLOURS, STEP_LINE, UNKNOWN_COLOUR, RideScale, box_sum
+from bumpymap.layers import (
+    CLOSED_COLOUR,
+    ISLAND_SHARE,
+    MID_GREY,
+    OBJECT_COLOURS,
+    STEP_LINE,
+    UNKNOWN_COLOUR,
+    RideScale,
+    box_sum,
+)
 from bumpytiles import Grid, TileWindow
 
 if TYPE_CHECKING:
@@ -227,7 +236,7 @@ def paint_ground(source: "MapReader", view: MapView) -> tuple[Pixels, RideScale]
 
     Returns uint8 (height, width, 3); the scale of the colours.
     """
-    barred, c_r = _sample(source, view)
+    barred, c_r, island = _sample(source, view)
     shape, place = _finest(view)
     window, tile = view.window(), view.grid.tile_size
     fits = source.passage_shown(window, shape)[place]
@@ -236,6 +245,7 @@ def paint_ground(source: "MapReader", view: MapView) -> tuple[Pixels, RideScale]
     obstacle = np.isin(source.objects(window, shape)[place], (OBSTACLE, STEP_LINE)) & ~unknown
     scale = RideScale.of(source.manifest)
     colour = scale.colours(np.where(passable, c_r, 0.0))
+    colour[island] = ISLAND_SHARE * colour[island] + (1 - ISLAND_SHARE) * MID_GREY
     colour[~passable] = CLOSED_COLOUR[:3]
     colour[unknown] = UNKNOWN_COLOUR[:3]
     colour[obstacle] = OBJECT_COLOURS[OBSTACLE][:3]
@@ -245,7 +255,7 @@ def paint_ground(source: "MapReader", view: MapView) -> tuple[Pixels, RideScale]
     light = MID_GREY * shade
     if (photo := source.photo(window, shape)) is not None:
         seen = levelled(photo[place])
-        seen = np.where((passable & ~obstacle)[..., None], seen, grey_of(seen))
+        seen = np.where((passable & ~obstacle & ~island)[..., None], seen, grey_of(seen))
         light = np.where(np.isfinite(seen), seen * (1 - _SHADE + _SHADE * shade), light)
     colour = hard_light(colour, np.clip(light, 0, 255))
     colour[barred == NO_TILE] = NO_DATA
@@ -268,10 +278,11 @@ def _finest(view: MapView) -> tuple[tuple[int, int], tuple[NDArray[np.int64], ..
     return (rows, cols), place
 
 
-def _sample(source: "MapReader", view: MapView) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """Return what bars the tile in the middle of each pixel, and its ride cost, (height, width) each."""
+def _sample(source: "MapReader", view: MapView) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.bool_]]:
+    """Return what bars the tile in the middle of each pixel, its ride cost, and if it is an island: (height, width)."""
     barred = np.empty((view.height, view.width), np.uint8)
-    c_r = np.empty(barred.shape, np.float32)
+    c_r, island = np.empty(barred.shape, np.float32), np.zeros(barred.shape, np.bool_)
+    zones = source.manifest.get("counts", {}).get("zones")  # not in maps of earlier versions
     whole = view.window()
     strips = max(1, -(-whole.cols * whole.rows // _STRIP_TILES))
     edges = np.linspace(0, view.height, min(strips, view.height) + 1).astype(int)
@@ -283,7 +294,10 @@ def _sample(source: "MapReader", view: MapView) -> tuple[NDArray[np.uint8], NDAr
         line = window.row + window.rows - 1 - view.grid.index(view.northings[rows])
         place = np.ix_(line, col - window.col)
         barred[rows], c_r[rows] = field.barred[place], field.c_r[place]
-    return barred, c_r
+        if zones and zones["islands"]:
+            last = zones["pieces"] - zones["islands"]  # zones are numbered by size
+            island[rows] = source.values(window, ("zone",))["zone"][place] > last
+    return barred, c_r, island
 
 
 def light_of(heights: NDArray[np.floating], pixel: tuple[float, float]) -> NDArray[np.float64]:
