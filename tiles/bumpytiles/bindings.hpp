@@ -17,7 +17,7 @@ namespace nb = nanobind;
 #define BUMPY_RECORD(Struct, ...)                                                              \
     template <>                                                                                \
     struct nanobind::detail::type_caster<Struct> {                                             \
-        NB_TYPE_CASTER(Struct, const_name("tuple[object, ...]"))                               \
+        NB_TYPE_CASTER(Struct, const_name("object"))                                           \
         bool from_python(handle source, std::uint32_t flags, cleanup_list* cleanup) noexcept { \
             return BUMPY_EACH(BUMPY_FIELD, __VA_ARGS__) true;                                  \
         }                                                                                      \
