@@ -30,6 +30,7 @@ struct LinedPoints {
     Array<const std::uint16_t> line;
 };
 
+// A hash table of the cells of flight lines. Its state: the next point to add, and the rows in use.
 struct CellTable {
     Array<Index> keys;
     Array<Index, 2> sums;
@@ -62,8 +63,16 @@ std::uint64_t steps(double metres) {
 
 // Adds points, from the one that `state` names, until all are added or the table is full. Neighbours in a file are
 // neighbours on the ground: sums of points in one cell are added up before they are stored.
-template <class Number, class Metres>
-void add(const LinedPoints<Number>& points, Metres metres, CellTable& table) {
+// `scaling` is empty where points are in metres.
+template <class Number>
+void add(
+    LinedPoints<Number> points, Array<const double> scaling, Array<Index> keys, Array<Index, 2> cells,
+    Array<Index> state) {
+    CellTable table{keys, cells, state};
+    const auto metres = [&](Number number, Index axis) -> double {
+        if constexpr (std::is_same_v<Number, double>) return number;
+        return Scaling{scaling}.metres(static_cast<std::int32_t>(number), axis);
+    };
     const Index n = points.x.size();
     Index i = table.state[0];
     while (i < n && table.state[1] < most_rows) {
@@ -92,20 +101,11 @@ void add(const LinedPoints<Number>& points, Metres metres, CellTable& table) {
     table.state[0] = i;
 }
 
-void add_points(LinedPoints<double> points, CellTable table) {
-    add(points, [](double metres, Index) { return metres; }, table);
-}
-
-void add_scaled_points(LinedPoints<std::int32_t> points, Array<const double> scaling, CellTable table) {
-    add(points, [&](std::int32_t number, Index axis) { return Scaling{scaling}.metres(number, axis); }, table);
-}
-
 }  // namespace
 }  // namespace bumpy
 
 BUMPY_RECORD(bumpy::LinedPoints<double>, x, y, z, kind, line)
 BUMPY_RECORD(bumpy::LinedPoints<std::int32_t>, x, y, z, kind, line)
-BUMPY_RECORD(bumpy::CellTable, keys, sums, state)
 
 void bind_point_stats(nb::module_& module) {
     using namespace bumpy;
@@ -113,6 +113,6 @@ void bind_point_stats(nb::module_& module) {
     module.attr("LINE_BITS") = line_bits;
     module.attr("SLOTS") = rows_of_table;
     module.attr("SUMS") = sums_of_cell;
-    BUMPY_LOOP(module, add_points);
-    BUMPY_LOOP(module, add_scaled_points);
+    module.def("add_points", &add<double>, free_interpreter());
+    module.def("add_points", &add<std::int32_t>, free_interpreter());
 }

@@ -1,5 +1,5 @@
-// How Python calls the loops: arrays come as `Array`, records as structs whose fields are looked up by name, so that a
-// NamedTuple on the Python side, where shapes and units are explained, and its struct need not be kept in one order.
+// How Python calls the loops: arrays come as `Array`, records as structs whose fields are looked up by name in a
+// dictionary or any other object, which may have more of them, in any order.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -48,7 +48,9 @@ bool read_value(nb::handle source, T& value, std::uint32_t flags, nb::detail::cl
 template <class T>
 bool read_field(
     nb::handle source, const char* name, T& value, std::uint32_t flags, nb::detail::cleanup_list* cleanup) noexcept {
-    const nb::object field = nb::steal(PyObject_GetAttrString(source.ptr(), name));
+    const bool is_dict = nb::isinstance<nb::dict>(source);
+    const nb::object field = is_dict ? nb::borrow(PyDict_GetItemString(source.ptr(), name))
+                                     : nb::steal(PyObject_GetAttrString(source.ptr(), name));
     if (!field.is_valid()) {
         PyErr_Clear();
         return false;
