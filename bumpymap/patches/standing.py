@@ -28,6 +28,7 @@ from bumpymap.core import (
     Reason,
     VehicleBody,
     loops,
+    within,
 )
 from bumpymap.patches.features import THIN, choose_tiles, measure
 from bumpytiles import BLOCK_TILES, Grid, TilePoints
@@ -134,7 +135,7 @@ def find_in_relief(
         if found.any():
             standing[tiles] = _of_tiles(found, at, grid.pixels)
             near[tiles] = _of_tiles(_with_neighbours(found), at, grid.pixels)
-            closed = _within(found, 0.5 * body.width_m / grid.pixel_size)
+            closed = within(found, 0.5 * body.width_m / grid.pixel_size)
             has_room[tiles] = ~_of_tiles(closed, at, grid.pixels).all(axis=(1, 2))
     objects[steep & ~in_hollow] = STEEP
     objects[standing] = OBSTACLE
@@ -336,18 +337,6 @@ def _with_neighbours(marks: Marks) -> Marks:
     wide = np.pad(marks, 1)
     rows = wide[2:] | wide[1:-1] | wide[:-2]
     return np.asarray(rows[:, 2:] | rows[:, 1:-1] | rows[:, :-2])
-
-
-def _within(marks: Marks, radius: float) -> Marks:
-    """Mark all pixels nearer than a radius [px] to marked ones."""
-    reach = math.ceil(radius)
-    rows, cols = marks.shape
-    wide, out = np.pad(marks, reach), np.zeros_like(marks)
-    for down in range(-reach, reach + 1):
-        for right in range(-reach, reach + 1):
-            if down * down + right * right < radius * radius:
-                out |= wide[reach + down : reach + down + rows, reach + right : reach + right + cols]
-    return out
 
 
 Places = tuple[NDArray[np.int64], NDArray[np.int64]]
