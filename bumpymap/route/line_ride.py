@@ -493,7 +493,7 @@ def _match(
     ratio, a_w, heave = np.ones(len(c_r)), np.full(len(c_r), np.nan), np.full(len(c_r), np.nan)
     own = c_r
     if rating is not None:
-        speeds, nothing = rating.speeds, np.full((len(c_r), 3 * len(rating.speeds)), np.nan, np.float32)
+        speeds, nothing = rating.speeds, np.full((len(c_r), 2 * len(rating.speeds)), np.nan, np.float32)
         own = motion_felt(calibration, speeds, nothing, bands[0])[:, 0].astype(np.float64)
         own = less_floor(own, calibration.floor_at(speeds[0]))
     matched = match_tiles(relief, own, slope, vehicle.correction, vehicle.operator)
@@ -501,7 +501,7 @@ def _match(
         motions = move_over(np.where(inside[:, None, None], matched.relief_map, np.float32(np.nan)), rating.operator)
         _, factors = rating.factors_of(motions, matched.rides.pitch_change)
         felt = motion_felt(calibration, speeds, factors, bands[0]).astype(np.float64)
-        ratio = less_floor(felt[:, -3], calibration.floor_at(vehicle.speed)) / np.maximum(own, _LEAST)
+        ratio = less_floor(felt[:, -2], calibration.floor_at(vehicle.speed)) / np.maximum(own, _LEAST)
         a_w, heave = felt[:, -1], motions.heave[:, len(speeds) - 1]
     known = (low > 0.0) & (high > 0.0)
     log_sd = np.where(np.isfinite(c_r), np.log(np.where(known, high / np.where(known, low, 1.0), 1.0)), np.nan)
