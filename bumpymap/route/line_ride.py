@@ -68,8 +68,8 @@ _PIECE_M = 2000.0
 _EVERY_M = (10.0, 100.0)
 """Lengths of the stretches of a way, m (chosen, as in road practice)."""
 _TILE_LOG_SD = 1.2
-"""Standard deviation of ln C_r of a metre of a line about that of its tile: 0.4 over 10 m. The width that holds 80 % of
-simulated drives along such lines (``tests/benchmarks/line_drives.py``) is 0.39 on the sample, 0.28 on a real survey."""
+"""Standard deviation of ln C_r of a metre of a line about that of its tile: 0.4 over 10 m. The width that held 80 % of
+simulated drives along such lines was 0.39 on the sample, 0.28 on a real survey."""
 _FILL_ROUNDS = 3
 """Half the width of the holes that are filled with the mean of their neighbours, pixels (chosen)."""
 _LEAST = 1e-5
