@@ -68,10 +68,10 @@ def find_passable(
     radius, corners = _reach(body, tile_size, pixels)
     stands, edges = (objects == OBSTACLE) | (objects == STEP_EDGE), np.ascontiguousarray(edge_usable, np.bool_)
     mask = within(stands | (objects == UNSEEN), radius).view(np.uint8)
-    passable, blocked, near_obstacle = (np.zeros(alone.shape, np.bool_) for _ in range(3))
+    passable, blocked, near_obstacle = (np.zeros_like(wanted) for _ in range(3))
     loops.find_ways(np.ascontiguousarray(objects), mask, edges, wanted, corners, passable, blocked)
     if blocked.any():
-        near_obstacle = _tiles_of(within(stands, radius), pixels).any(axis=(2, 3))
+        near_obstacle = np.asarray(_tiles_of(within(stands, radius), pixels).any(axis=(2, 3)))
     return np.select(
         [~wanted, blocked & near_obstacle, blocked, ~passable],
         [alone, np.uint8(Barred.OBSTACLE), np.uint8(Barred.LITTLE_SEEN), np.uint8(Barred.STEP)],

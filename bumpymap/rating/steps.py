@@ -325,14 +325,13 @@ def find_steps(
         StepMosaic(part, pixels, level, np.repeat(right, pixels, axis=1), np.repeat(down, pixels, axis=1))
         for part, right, down in ((z, east, south.T), (turned, south, east.T))
     )
-    *across, ways = _raw(upright, side)  # walls that run north to south come first
-    *along, ways_too = _raw(lying, side)
+    across, along = _raw(upright, side), _raw(lying, side)  # walls that run north to south come first
     noise = _PIXEL_LIMIT / _MEDIAN_DIFFERENCE * 0.5 * (noise_east + noise_south.T)
     usual = np.empty(noise.shape)  # a low quantile of the steps whose support lies in the tile; NaN with too few
-    loops.find_quantiles(ways, ways_too, _QUANTILE, _LEAST_STEPS, usual)
+    loops.find_quantiles(across[2], along[2], _QUANTILE, _LEAST_STEPS, usual)
     limit = np.fmax(_QUANTILE_LIMIT * usual, noise)
-    west_east, marks = _peaks(upright, *across, limit, closing)
-    north_south, marks_too = _peaks(lying, *along, np.ascontiguousarray(limit.T), closing)
+    west_east, marks = _peaks(upright, across, limit, closing)
+    north_south, marks_too = _peaks(lying, along, np.ascontiguousarray(limit.T), closing)
     rim, inner = np.moveaxis(np.fmax(west_east, north_south.swapaxes(0, 1))[1:-1, 1:-1, 2:], -1, 0)
     west, east = _borders(west_east)
     north, south = (side.T for side in _borders(north_south))
@@ -400,12 +399,13 @@ def _raw(mosaic: StepMosaic, side: int) -> tuple[Floats, Floats, Floats]:
 
 
 def _peaks(
-    mosaic: StepMosaic, least: Floats, crest: Floats, limit: Floats, closing: float
+    mosaic: StepMosaic, raw: tuple[Floats, Floats, Floats], limit: Floats, closing: float
 ) -> tuple[Floats, NDArray[np.uint8]]:
     """Return the highest steps that stand out at the borders of each tile, near them and in it, (tiles, tiles, 4).
 
     Also return the pixels with a step that closes, surely (2) or if in doubt (1).
     """
+    least, crest, _ = raw
     found, closed = np.full((*limit.shape, 4), np.nan), np.zeros(least.shape, np.uint8)
     loops.find_peaks(mosaic, least, crest, limit, closing, found, closed)
     found[found < 0.0] = np.nan

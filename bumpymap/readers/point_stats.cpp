@@ -114,5 +114,5 @@ void bind_point_stats(nb::module_& module) {
     module.attr("SLOTS") = rows_of_table;
     module.attr("SUMS") = sums_of_cell;
     module.def("add_points", &add<double>, free_interpreter());
-    module.def("add_points", &add<std::int32_t>, free_interpreter());
+    module.def("add_scaled_points", &add<std::int32_t>, free_interpreter());
 }

@@ -120,10 +120,11 @@ class LineSums:
         """Return the sums of some points; ``scaling`` is that of points of a file's own grid."""
         parts, slots = [], loops.SLOTS
         numbers = np.empty(0) if scaling is None else scaling.numbers()
+        add = loops.add_points if scaling is None else loops.add_scaled_points
         state = np.zeros(2, np.int64)  # the next point to add, and the rows of the table in use
         while state[0] < len(points.x):
             keys, sums, state[1] = np.full(slots, -1), np.zeros((slots, SUMS), np.int64), 0
-            loops.add_points(points, numbers, keys, sums, state)
+            add(points, numbers, keys, sums, state)
             held = np.flatnonzero(keys >= 0)
             held = held[np.argsort(keys[held])]
             parts.append(np.column_stack([keys[held], sums[held]]))

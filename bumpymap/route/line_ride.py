@@ -496,18 +496,18 @@ def _match(
         speeds, nothing = rating.speeds, np.full((len(c_r), 2 * len(rating.speeds)), np.nan, np.float32)
         own = motion_felt(calibration, speeds, nothing, bands[0])[:, 0].astype(np.float64)
         own = less_floor(own, calibration.floor_at(speeds[0]))
-    matched = match_tiles(relief, own, slope, vehicle.correction, vehicle.operator)
+    clean, rides, left = match_tiles(relief, own, slope, vehicle.correction, vehicle.operator)
     if rating is not None:
-        motions = move_over(np.where(inside[:, None, None], matched.relief_map, np.float32(np.nan)), rating.operator)
-        _, factors = rating.factors_of(motions, matched.rides.pitch_change)
+        motions = move_over(np.where(inside[:, None, None], clean, np.float32(np.nan)), rating.operator)
+        _, factors = rating.factors_of(motions, rides.pitch_change)
         felt = motion_felt(calibration, speeds, factors, bands[0]).astype(np.float64)
         ratio = less_floor(felt[:, -2], calibration.floor_at(vehicle.speed)) / np.maximum(own, _LEAST)
         a_w, heave = felt[:, -1], motions.heave[:, len(speeds) - 1]
     known = (low > 0.0) & (high > 0.0)
     log_sd = np.where(np.isfinite(c_r), np.log(np.where(known, high / np.where(known, low, 1.0), 1.0)), np.nan)
     log_sd /= 2 * NORMAL_80
-    tiles = _Tiles(own, log_sd, ratio, slope, matched.rides.belly_reach, matched.left, a_w, heave)
-    return (matched.relief_map - relief).astype(np.float64), tiles
+    tiles = _Tiles(own, log_sd, ratio, slope, rides.belly_reach, left, a_w, heave)
+    return (clean - relief).astype(np.float64), tiles
 
 
 def _places(line: Floats, at: Floats, operator: RideOperator, across: Floats) -> tuple[Floats, Floats]:

@@ -379,9 +379,9 @@ class NeighbourRating:
             line, standing = (closed | low)[tiles], np.isin(states[tiles], (OBSTACLE, UNSEEN))
             whole = own["c_r"][tiles], own["p_fail"][tiles]
             heights, thin = (window.inner(name)[tiles] for name in ("heights", "thin"))
-            found = rate_beside_steps(heights, line, standing, whole, thin, self.calibration)
-            beside["c_r_open"][tiles], beside["p_fail_open"][tiles] = found.c_r, found.p_fail
-            edges[tiles] = line | found.is_closed
+            closed, c_r, p_fail = rate_beside_steps(heights, line, standing, whole, thin, self.calibration)
+            beside["c_r_open"][tiles], beside["p_fail_open"][tiles] = c_r, p_fail
+            edges[tiles] = line | closed
         barred = np.where(touched, np.uint8(Barred.STEP), own["barred"])
         return barred, np.where(edges & (states != OBSTACLE), np.uint8(STEP_EDGE), states), beside
 

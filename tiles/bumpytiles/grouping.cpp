@@ -319,9 +319,9 @@ void bind_grouping(nb::module_& module) {
     BUMPY_LOOP(module, count_points);
     BUMPY_LOOP(module, count_scaled_points);
     module.def("scatter_points", &scatter<double>, free_interpreter());
-    module.def("scatter_points", &scatter<std::int32_t>, free_interpreter());
+    module.def("scatter_scaled_points", &scatter<std::int32_t>, free_interpreter());
     BUMPY_LOOP(module, count_tiles);
     module.def("place_points", &place<double>, free_interpreter());
-    module.def("place_points", &place<std::int32_t>, free_interpreter());
+    module.def("place_scaled_points", &place<std::int32_t>, free_interpreter());
     BUMPY_LOOP(module, sort_tiles);
 }

@@ -154,15 +154,16 @@ def sort_block(grid: Grid, key: BlockKey, parts: Sequence[PointPart]) -> TilePoi
         loops.count_tiles(part.columns["tile"], counts)
     first = np.cumsum(counts)
     n, starts, following = int(first[-1]), np.empty_like(first), first[:-1].copy()
-    out = {axis: np.empty(n) for axis in _AXES} | {"flag": np.empty(n, np.uint8)}
+    out: PointColumns = {axis: np.empty(n) for axis in _AXES} | {"flag": np.empty(n, np.uint8)}
     coloured = any(_COLOUR.name in part.columns for part in parts)
     size = BLOCK_TILES**2 * grid.pixels**2 if coloured else 0
     corner = np.array([key[1], key[0]]) * BLOCK_TILES
-    photo = {"corner": corner, "tile_size": grid.tile_size, "pixels": grid.pixels}
-    photo |= {"height": np.full(size, -np.inf), "colour": np.zeros(size, np.uint32)}
+    colour = np.zeros(size, np.uint32)
+    photo = {"corner": corner, "tile_size": grid.tile_size, "pixels": grid.pixels, "colour": colour}
+    photo["height"] = np.full(size, -np.inf)
     for columns, scaling in parts:
-        numbers = np.empty(0) if scaling is None else scaling.numbers()
-        loops.place_points(_NO_COLOURS | columns, numbers, following, out, photo)
+        place = loops.place_points if scaling is None else loops.place_scaled_points
+        place(_NO_COLOURS | columns, np.empty(0) if scaling is None else scaling.numbers(), following, out, photo)
     loops.sort_tiles(first, starts, corner, grid.tile_size, out)
     kept = int(starts[-1])
     present = np.flatnonzero(np.diff(starts))
@@ -171,7 +172,7 @@ def sort_block(grid: Grid, key: BlockKey, parts: Sequence[PointPart]) -> TilePoi
         col=key[1] * BLOCK_TILES + present % BLOCK_TILES,
         row=key[0] * BLOCK_TILES + present // BLOCK_TILES,
         starts=np.append(starts[present], kept),
-        photo=_red_green_blue(photo["colour"].reshape(-1, grid.pixels, grid.pixels)[present]) if coloured else None,
+        photo=_red_green_blue(colour.reshape(-1, grid.pixels, grid.pixels)[present]) if coloured else None,
         **{name: values[:kept] for name, values in out.items()},
     )
 
@@ -347,10 +348,11 @@ class _Window:
 
         ``more`` (n,) each: flag, colour, cell and tile of the points.
         """
-        flag, colour, *places = more
+        flag, colour, cell, tile = more
         columns = _empty_columns(columns_of(scaling, coloured=colour is not None), len(flag))
         colours = _NO_COLOURS[_COLOUR.name] if colour is None else np.ascontiguousarray(colour)
-        loops.scatter_points(points, flag, colours, *places, np.cumsum(counts), _NO_COLOURS | columns)
+        scatter = loops.scatter_points if scaling is None else loops.scatter_scaled_points
+        scatter(points, flag, colours, cell, tile, np.cumsum(counts), _NO_COLOURS | columns)
         present = np.flatnonzero(counts[1:])
         rows, cols = np.divmod(present, self.cols)
         keys = list(zip((self.first_row + rows).tolist(), (self.first_col + cols).tolist(), strict=True))

@@ -184,7 +184,7 @@ def fit_means(settings: CalibrationSettings, means: Floats, starts: int) -> Moti
         "seed": settings.seed,
         "driven": [[list(map(six_digits, row)) for row in terrain] for terrain in means.tolist()],
     }
-    return MotionModel(SPEED_RANGE, *ranges, fits["c_r"], fits["a_w"], origin)
+    return MotionModel(SPEED_RANGE, ranges[0], ranges[1], fits["c_r"], fits["a_w"], origin)
 
 
 def _fit(terms: Floats, plain: Floats, wanted: Floats, anchor: int | None) -> MotionFit:

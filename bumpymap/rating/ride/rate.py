@@ -62,8 +62,9 @@ def take_noise_off(
     variance of their heights above the tile's plane, m^2. Noise is NaN where pixels hold too few points to tell.
     """
     clean, noise = relief_map.copy(), np.full((2, len(relief_map)), np.nan)
-    given = (np.ascontiguousarray(values) for values in (relief_map, count, variance))
-    loops.denoise_patches(known, *given, _spectrum_of(relief_map.shape[1]), clean, noise)
+    held, spread = np.ascontiguousarray(count), np.ascontiguousarray(variance)
+    spectrum = _spectrum_of(relief_map.shape[1])
+    loops.denoise_patches(known, np.ascontiguousarray(relief_map), held, spread, spectrum, clean, noise)
     return clean, noise
 
 
