@@ -123,5 +123,5 @@ void bind_measure(nb::module_& module) {
     BUMPY_LOOP(module, measure_tiles);
     BUMPY_LOOP(module, ransac_plane_of);
     BUMPY_LOOP(module, stray_bounds);
-    module.def("fill_holes", &fill_holes<double>, free_interpreter());
+    module.def("fill_holes", &fill_all_holes<double>, free_interpreter());
 }

@@ -63,33 +63,30 @@ std::uint64_t steps(double metres) {
 
 // Adds points, from the one that `state` names, until all are added or the table is full. Neighbours in a file are
 // neighbours on the ground: sums of points in one cell are added up before they are stored.
-// `scaling` is empty where points are in metres.
+// `numbers` of a `Scaling`.
 template <class Number>
 void add(
-    LinedPoints<Number> points, Array<const double> scaling, Array<Index> keys, Array<Index, 2> cells,
+    LinedPoints<Number> points, Array<const double> numbers, Array<Index> keys, Array<Index, 2> cells,
     Array<Index> state) {
     CellTable table{keys, cells, state};
-    const auto metres = [&](Number number, Index axis) -> double {
-        if constexpr (std::is_same_v<Number, double>) return number;
-        return Scaling{scaling}.metres(static_cast<std::int32_t>(number), axis);
-    };
+    const Scaling scaling{numbers};
     const Index n = points.x.size();
     Index i = table.state[0];
     while (i < n && table.state[1] < most_rows) {
         const std::uint16_t line = points.line[i];
         const bool ground = points.kind[i] == ground_kind;
-        double x = metres(points.x[i], 0), y = metres(points.y[i], 1);
+        double x = scaling.metres(points.x[i], 0), y = scaling.metres(points.y[i], 1);
         const Index col = tile_index(x, cell_m), row = tile_index(y, cell_m);
         const double west = static_cast<double>(col) * cell_m, south = static_cast<double>(row) * cell_m;
         const double east = static_cast<double>(col + 1) * cell_m, north = static_cast<double>(row + 1) * cell_m;
         std::array<std::uint64_t, sums_of_cell> sums{};
         do {
-            const std::uint64_t e = steps(x - west), u = steps(metres(points.z[i], 2)), m = steps(y - south);
+            const std::uint64_t e = steps(x - west), u = steps(scaling.metres(points.z[i], 2)), m = steps(y - south);
             const std::array<std::uint64_t, sums_of_cell> own{1, e, m, u, e * e, e * m, m * m, e * u, m * u, u * u};
             for (std::size_t k = 0; k < own.size(); ++k) sums[k] += own[k];
             if (++i == n) break;
-            x = metres(points.x[i], 0);
-            y = metres(points.y[i], 1);
+            x = scaling.metres(points.x[i], 0);
+            y = scaling.metres(points.y[i], 1);
         } while (points.line[i] == line && (points.kind[i] == ground_kind) == ground && west <= x && x < east &&
                  south <= y && y < north);
         const Array<Index> stored = table.sums.at(row_of(key_of(col, row, line, ground), table));

@@ -7,7 +7,6 @@
 #include "grouping.hpp"
 
 #include <bit>
-#include <type_traits>
 
 #include "bindings.hpp"
 
@@ -156,18 +155,16 @@ void paint(const std::array<double, 3>& point, Index tile, std::uint32_t colour,
 }
 
 // Puts points tile by tile, in metres; `following` is where each tile's next point goes. Points with a colour are
-// painted. `scaling` is empty where points are in metres.
+// painted. `numbers` of a `Scaling`.
 template <class Number>
-void place(TiledIn<Number> points, Array<const double> scaling, Array<Index> following, Marked out, BlockPhoto photo) {
-    const auto metres = [&](Number number, Index axis) -> double {
-        if constexpr (std::is_same_v<Number, double>) return number;
-        return Scaling{scaling}.metres(static_cast<std::int32_t>(number), axis);
-    };
+void place(TiledIn<Number> points, Array<const double> numbers, Array<Index> following, Marked out, BlockPhoto photo) {
+    const Scaling scaling{numbers};
     for (Index i = 0; i < points.tile.size(); ++i) {
         const Index tile = points.tile[i];
         const Index p = following[tile]++;
         const std::array<double, 3> point{
-            metres(points.easting[i], 0), metres(points.northing[i], 1), metres(points.upward[i], 2)};
+            scaling.metres(points.easting[i], 0), scaling.metres(points.northing[i], 1),
+            scaling.metres(points.upward[i], 2)};
         out.easting[p] = point[0];
         out.northing[p] = point[1];
         out.upward[p] = point[2];
