@@ -14,15 +14,7 @@ from typing import BinaryIO, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import (
-    BadInputError,
-    DecoderError,
-    Georeference,
-    Place,
-    allocate_shared,
-    georeference,
-    loops,
-)
+from bumpymap.core import BadInputError, DecoderError, Georeference, Place, allocate_shared, georeference, loops
 from bumpymap.readers.decoder import decoder
 from bumpymap.readers.las_header import LAYERED, RawHeader, read_raw_header, statement_of_las
 from bumpymap.readers.point_stats import EARTH_LIMIT, OUTSIDE, LinedPoints, LineSums, PointStats
@@ -37,15 +29,7 @@ from bumpymap.readers.protocol import (
     refuse_coarse,
     split_rows,
 )
-from bumpymap.readers.source import (
-    TRUST,
-    Location,
-    box_text,
-    decoding,
-    open_source,
-    read_into,
-    refuse_count,
-)
+from bumpymap.readers.source import TRUST, Location, box_text, decoding, open_source, read_into, refuse_count
 from bumpytiles import DECIMALS, Bounds, ScaledPoints, Scaling
 
 _NOT_CHUNKED = 1

@@ -476,8 +476,7 @@ def sides_crossed(usable: NDArray[np.bool_], steps: TileSteps, known: NDArray[np
     known = known[1:-1, 1:-1]
     rows, cols = (side - 2 for side in known.shape)
     beyond = np.stack(
-        [known[1 + down : 1 + down + rows, 1 + right : 1 + right + cols] for down, right in _BESIDE],
-        axis=-1,
+        [known[1 + down : 1 + down + rows, 1 + right : 1 + right + cols] for down, right in _BESIDE], axis=-1
     )
     alone = ~beyond.any(axis=-1, keepdims=True)
     crossed = (beyond & (usable | np.isnan(steps.border))) | alone
