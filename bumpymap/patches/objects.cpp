@@ -348,7 +348,4 @@ void find_in_tiles(
 BUMPY_RECORD(bumpy::VehicleBody, lowest_obstacle_m, height_m)
 BUMPY_RECORD(bumpy::GroundPatches, heights, spread_count)
 
-void bind_objects(nb::module_& module) {
-    using namespace bumpy;
-    BUMPY_LOOP(module, find_in_tiles);
-}
+BUMPY_LOOPS(objects, find_in_tiles)

@@ -143,7 +143,4 @@ void measure_pairs(
 }  // namespace
 }  // namespace bumpy
 
-void bind_pairs(nb::module_& module) {
-    using namespace bumpy;
-    BUMPY_LOOP(module, measure_pairs);
-}
+BUMPY_LOOPS(pairs, measure_pairs)

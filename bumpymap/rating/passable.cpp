@@ -209,9 +209,4 @@ void close_split(
 }  // namespace
 }  // namespace bumpy
 
-void bind_passable(nb::module_& module) {
-    using namespace bumpy;
-    BUMPY_LOOP(module, find_ways);
-    BUMPY_LOOP(module, number_areas);
-    BUMPY_LOOP(module, close_split);
-}
+BUMPY_LOOPS(passable, find_ways, number_areas, close_split)

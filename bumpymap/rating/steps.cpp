@@ -748,11 +748,4 @@ void find_jumps(
 
 BUMPY_RECORD(bumpy::StepMosaic, heights, pixels, level, east, south)
 
-void bind_steps(nb::module_& module) {
-    using namespace bumpy;
-    BUMPY_LOOP(module, find_quantiles);
-    BUMPY_LOOP(module, find_gradients);
-    BUMPY_LOOP(module, find_raw_steps);
-    BUMPY_LOOP(module, find_peaks);
-    BUMPY_LOOP(module, find_jumps);
-}
+BUMPY_LOOPS(steps, find_quantiles, find_gradients, find_raw_steps, find_peaks, find_jumps)

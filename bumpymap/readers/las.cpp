@@ -94,8 +94,4 @@ void filter_records(
 
 BUMPY_RECORD(bumpy::LinedPoints, x, y, z, kind, line)
 
-void bind_las(nb::module_& module) {
-    using namespace bumpy;
-    BUMPY_LOOP(module, read_colours);
-    BUMPY_LOOP(module, filter_records);
-}
+BUMPY_LOOPS(las, read_colours, filter_records)

@@ -36,8 +36,4 @@ void drive_quarter_car(
 }  // namespace
 }  // namespace bumpy
 
-void bind_line_ride(nb::module_& module) {
-    using namespace bumpy;
-    BUMPY_LOOP(module, fill_near_holes);
-    BUMPY_LOOP(module, drive_quarter_car);
-}
+BUMPY_LOOPS(line_ride, fill_near_holes, drive_quarter_car)

@@ -249,9 +249,4 @@ BUMPY_RECORD(
     near_south)
 BUMPY_RECORD(bumpy::Ground, cost, closed, start, goal_row, goal_col, least, bound)
 
-void bind_search(nb::module_& module) {
-    using namespace bumpy;
-    BUMPY_LOOP(module, search_ways);
-    BUMPY_LOOP(module, connect);
-    BUMPY_LOOP(module, find_near);
-}
+BUMPY_LOOPS(search, search_ways, connect, find_near)

@@ -235,12 +235,4 @@ void move_corners(
 
 BUMPY_RECORD(bumpy::TracedLine, row, col, length, part)
 
-void bind_straighten(nb::module_& module) {
-    using namespace bumpy;
-    BUMPY_LOOP(module, sum_cost);
-    BUMPY_LOOP(module, check_clear);
-    BUMPY_LOOP(module, trace_line);
-    BUMPY_LOOP(module, leave_out);
-    BUMPY_LOOP(module, leave_borders);
-    BUMPY_LOOP(module, move_corners);
-}
+BUMPY_LOOPS(straighten, sum_cost, check_clear, trace_line, leave_out, leave_borders, move_corners)

@@ -11,6 +11,14 @@ namespace nb = nanobind;
 
 // Binds `function` under its own name. The interpreter is free to run other threads meanwhile.
 #define BUMPY_LOOP(module, function) (module).def(#function, &(function), bumpy::free_interpreter())
+// The same for all loops of a source: BUMPY_LOOPS(search, search_ways, connect). To be written outside of all
+// namespaces.
+#define BUMPY_LOOPS(source, ...)                      \
+    void bind_##source(nb::module_& module) {         \
+        using namespace bumpy;                        \
+        BUMPY_EACH(BUMPY_LOOP_OF_MODULE, __VA_ARGS__) \
+    }
+#define BUMPY_LOOP_OF_MODULE(function) BUMPY_LOOP(module, function);
 
 // Makes a struct of arrays and numbers a parameter of bound functions: BUMPY_RECORD(Cells, row, col, height). To be
 // written outside of all namespaces.

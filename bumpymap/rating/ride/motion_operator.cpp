@@ -313,9 +313,4 @@ BUMPY_RECORD(
     track, belly_half, clearance)
 BUMPY_RECORD(bumpy::MotionOperator, fine, wheel, samples)
 
-void bind_motion_operator(nb::module_& module) {
-    using namespace bumpy;
-    BUMPY_LOOP(module, ride_patches);
-    BUMPY_LOOP(module, move_over_patches);
-    BUMPY_LOOP(module, roll_along);
-}
+BUMPY_LOOPS(motion_operator, ride_patches, move_over_patches, roll_along)

@@ -270,9 +270,4 @@ void normal_shares(Array<const double> z, Array<double> share) {
 
 BUMPY_RECORD(bumpy::Spectrum, basis, turned, band, shapes)
 
-void bind_rate(nb::module_& module) {
-    using namespace bumpy;
-    BUMPY_LOOP(module, point_noise);
-    BUMPY_LOOP(module, denoise_patches);
-    BUMPY_LOOP(module, normal_shares);
-}
+BUMPY_LOOPS(rate, point_noise, denoise_patches, normal_shares)
