@@ -272,13 +272,7 @@ class Layers:
         target = Path(path_of_call("out", out))
         return export_map(open_map(self.folder), target, own, overwrite=overwrite)
 
-    def report(
-        self,
-        out: PathLike | None = None,
-        *,
-        route: PathLike | None = None,
-        overwrite: bool = False,
-    ) -> Path:
+    def report(self, out: PathLike | None = None, *, route: PathLike | None = None, overwrite: bool = False) -> Path:
         """Write the page of this map, as ``bumpymap report`` does.
 
         Parameters

@@ -139,15 +139,16 @@ def register(pair: SurveyPair, shared: NDArray[np.bool_], cell: int) -> Registra
     coarse = 3 if pair.before.grid.pixels % 3 == 0 and pair.before.grid.pixels >= 3 * _LEAST_SIDE else cell
     found, both = np.zeros(5), np.ones(5, np.bool_)
     fit = _fit_plane(pair, blocks, max(cell, coarse), found, both, _ROUNDS // 2)
-    if fit is not None and fit.relief > _LEAST_RELIEF:
-        fit = _fit_plane(pair, blocks, cell, fit.values, both, _ROUNDS)
+    if fit is not None and fit[2] > _LEAST_RELIEF:
+        fit = _fit_plane(pair, blocks, cell, fit[0], both, _ROUNDS)
     shift, shift_sd = np.full(2, np.nan), np.full(2, np.nan)
     is_sure = False
-    if fit is not None and fit.relief > _LEAST_RELIEF:
-        sd = np.sqrt(np.diag(fit.covariance)[3:])
-        if (sd < _MOST_SHIFT_SD_M).all() and (np.abs(fit.values[3:]) < _MOST_SHIFT_M).all():
-            shift, shift_sd = fit.values[3:], sd
-            is_sure = _is_sure(shift, fit.covariance[3:, 3:])
+    if fit is not None and fit[2] > _LEAST_RELIEF:
+        values, covariance, _, _ = fit
+        sd = np.sqrt(np.diag(covariance)[3:])
+        if (sd < _MOST_SHIFT_SD_M).all() and (np.abs(values[3:]) < _MOST_SHIFT_M).all():
+            shift, shift_sd = values[3:], sd
+            is_sure = _is_sure(shift, covariance[3:, 3:])
             if is_sure:
                 shift_sd = np.hypot(sd, _BETWEEN * pair.cell_m(1))
     if not is_sure:
@@ -155,7 +156,8 @@ def register(pair: SurveyPair, shared: NDArray[np.bool_], cell: int) -> Registra
         fit = _fit_plane(pair, blocks, cell, found, both, _ROUNDS)
     if fit is None:
         return NOT_REGISTERED
-    tilt, of_tilt = fit.values[1:3], fit.covariance[1:3, 1:3]
+    values, covariance, _, stable = fit
+    tilt, of_tilt = values[1:3], covariance[1:3, 1:3]
     none = np.zeros(2)
     return Registration(
         shift if is_sure else none,
@@ -164,7 +166,7 @@ def register(pair: SurveyPair, shared: NDArray[np.bool_], cell: int) -> Registra
         shift_sd,
         tilt,
         float(np.sqrt(np.linalg.eigvalsh(of_tilt)[-1])),
-        fit.stable,
+        stable,
     )
 
 
@@ -186,15 +188,9 @@ _FEW_BLOCKS = 30
 """Fewer blocks tell no standard error: that from tiles is taken."""
 
 
-@dataclass(frozen=True, slots=True)
-class _PlaneFit:
-    """A fit of `_fit_plane`."""
-
-    values: Floats
-    """(5,) height, rise eastwards and northwards, shift eastwards and northwards."""
-    covariance: Floats
-    relief: float
-    stable: int
+_PlaneFit: TypeAlias = tuple[Floats, Floats, float, int]
+"""(5,) height, rise eastwards and northwards, shift eastwards and northwards; their covariance; the relief that tells a
+shift, see `_LEAST_RELIEF`; tiles that count."""
 
 
 def _is_sure(values: Floats, covariance: Floats) -> bool:
@@ -256,7 +252,7 @@ def _fit_plane(
     relief = normal[:, 3:, 3:]
     direction = np.linalg.eigh(relief.sum(axis=0))[1][:, 0]
     common = np.einsum("i,nij,j->n", direction, relief, direction)
-    return _PlaneFit(values, covariance, float(common.sum() / max(np.sqrt((common**2).sum()), 1e-12)), int(used.sum()))
+    return values, covariance, float(common.sum() / max(np.sqrt((common**2).sum()), 1e-12)), int(used.sum())
 
 
 def _solve(normal: Floats, right: Floats, names: NDArray[np.int64]) -> tuple[Floats, Floats] | None:

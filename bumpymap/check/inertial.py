@@ -324,16 +324,9 @@ class DrivenMotion:
     """(n,) rise of it to the left."""
 
 
-@dataclass(frozen=True, slots=True)
-class Mounting:
-    """How the sensor sits in the vehicle."""
-
-    rotation: Rotation
-    """Turns vectors of the sensor's axes into those of the vehicle: x ahead, y left, z up."""
-    degrees: tuple[float, float, float]
-    """Roll, pitch and yaw, NaN where not determined."""
-    upward: Floats
-    """(n, 3) upward direction in the sensor's axes, with the motion of the vehicle taken into account."""
+Mounting = tuple[Rotation, tuple[float, float, float], Floats]
+"""How a sensor sits in a vehicle: what turns vectors of its axes into those of the vehicle (x ahead, y left, z up);
+roll, pitch and yaw in degrees, NaN where not determined; (n, 3) upward in its axes, with the motion of the vehicle."""
 
 
 def find_mounting(imu: EvenImu, attitude: Rotation, motion: DrivenMotion, moving: Mask) -> Mounting:
@@ -351,7 +344,7 @@ def find_mounting(imu: EvenImu, attitude: Rotation, motion: DrivenMotion, moving
         upward = upward_in_sensor(imu, attitude, aligned.inv().apply(driven))
         rotation = _level(aligned.apply(upward), motion, moving) * aligned
     roll, pitch, turn = (float(angle) for angle in rotation.as_euler("ZYX", degrees=True)[::-1])
-    return Mounting(rotation, (roll, pitch, turn if yaw_sd <= _MOST_YAW_SD else float("nan")), upward)
+    return rotation, (roll, pitch, turn if yaw_sd <= _MOST_YAW_SD else float("nan")), upward
 
 
 def level_force(imu: EvenImu, rotation: Rotation, upward: Floats) -> NDArray[np.complex128]:

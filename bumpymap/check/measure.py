@@ -229,18 +229,19 @@ def measure_drive(
         )
     mounting = _mounting(imu, rates, track, slope_at)
     if mounting is not None:  # again, with gravity and driving separated
-        force = level_force(imu, mounting.rotation, mounting.upward)
+        force = level_force(imu, mounting[0], mounting[2])
         begun = track.offset_s if places is not None else start.offset_s
         start = replace(start, offset_s=begun, force=force, rough=False, spread_s=track.offset_spread_s)
         track = fit_track(imu, rates.heading, rates.standing, places, log.wheels, start)
         mounting = _mounting(imu, rates, track, slope_at)
     if mounting is None:
         notes.append("there is no accelerometer, so how the sensor is mounted cannot be determined: no tilt is assumed")
-    elif np.isnan(mounting.degrees[2]):
+    elif np.isnan(mounting[1][2]):
         notes.append(
             "the drive hardly turns or changes its speed, so how far the sensor is turned to the side is not known"
         )
-    rotation = Rotation.identity() if mounting is None else mounting.rotation
+    nan = float("nan")
+    rotation, degrees, _ = mounting or (Rotation.identity(), (nan, nan, nan), None)
     vehicle = low_pass(rotation.apply(rates.rate), imu.known, imu.hertz, band_hz)
     sure = is_sure or track.offset_sd_s < _SURE_OFFSET_S
     driven_m = float(np.abs(track.speed).sum()) * (track.time[1] - track.time[0])
@@ -259,7 +260,7 @@ def measure_drive(
         clock_offset_s=track.offset_s if reported else float("nan"),
         clock_offset_sd_s=track.offset_sd_s if reported else float("nan"),
         clock_drift_ppm=1e6 * track.drift if reported and track.drift_sd < _UNSURE_DRIFT else float("nan"),
-        mount_deg=(float("nan"),) * 3 if mounting is None else mounting.degrees,
+        mount_deg=degrees,
         floor_radps=float(np.abs(vehicle[rates.standing, 1]).mean()) if rates.standing.any() else float("nan"),
         notes=tuple(notes),
     )

@@ -308,7 +308,7 @@ class Report:
             "density_per_m2": file.density,
             **({} if file.density is None else {"seen_sizes": self._seen(file).record()}),
             "has_classes": file.has_ground or info.has_classes,
-            "classes": {str(code): found.points for code, found in summary.classes.items()} if summary else {},
+            "classes": {str(code): points for code, (points, _, _) in summary.classes.items()} if summary else {},
             "class_names": {str(code): name for code, name in info.class_names.items()},
             "notes": list(info.notes),
             "needs": self._needs(file),
@@ -327,10 +327,10 @@ class Report:
                 "never_classified_tiles": summary.never_classified / summary.tiles,
                 "unknown_tiles_about": unknown,
                 "unknown_tiles_with": self._alternatives(summary),
-                "class_tiles": {str(code): round(found.tiles, 4) for code, found in summary.classes.items()},
+                "class_tiles": {str(code): round(share, 4) for code, (_, share, _) in summary.classes.items()},
                 "class_heights_m": {
-                    str(code): None if math.isnan(found.height) else round(found.height, 3)
-                    for code, found in summary.classes.items()
+                    str(code): None if math.isnan(height) else round(height, 3)
+                    for code, (_, _, height) in summary.classes.items()
                 },
                 "flight_lines": file.lines.to_record(),
             }
@@ -440,14 +440,14 @@ def _classified(file: FileReport, ground_classes: tuple[int, ...]) -> Iterator[t
         return
     yield "classified", f"yes: {file.summary.ground_share:.0%} of the points are ground"
     missed = []
-    for code, found in file.summary.classes.items():
+    for code, (points, tiles, height) in file.summary.classes.items():
         name = file.info.class_names.get(code, "".join(_CLASS_NAMES[code : code + 1]))
         taken = "ground" if code in ground_classes else "obstacle" if code == 6 else "by height"
-        above = "" if math.isnan(found.height) else f", {found.height:.2f} m above the ground (median)"
-        share = f"{found.points / file.summary.points:.1%} of the points, in {found.tiles:.0%} of the tiles{above}"
+        above = "" if math.isnan(height) else f", {height:.2f} m above the ground (median)"
+        share = f"{points / file.summary.points:.1%} of the points, in {tiles:.0%} of the tiles{above}"
         yield f"class {code}", f"{f'{name}: ' if name else ''}{share}; {taken}"
         apart = code < _CLASSIFIED and file.summary.never_classified > 0
-        if taken == "by height" and abs(found.height) <= _LOW_M and found.tiles >= _MANY and not apart:
+        if taken == "by height" and abs(height) <= _LOW_M and tiles >= _MANY and not apart:
             missed.append(code)
     if any(code != 6 and code not in ground_classes for code in file.summary.classes):
         yield "by height", "obstacle or canopy, and if no ground is seen beneath, obstacle"

@@ -71,11 +71,7 @@ def command(run: Run, quick: bool) -> None:
 
 
 def _inspect(
-    path: Path,
-    options: "ReadOptions",
-    grid: "Grid",
-    progress: CommandProgress,
-    whole: "PointSummaryBuilder | None",
+    path: Path, options: "ReadOptions", grid: "Grid", progress: CommandProgress, whole: "PointSummaryBuilder | None"
 ) -> "FileReport":
     """Open and read a file, add it to ``whole`` if given; an error becomes part of the report."""
     from bumpymap.cli._info_report import FileReport

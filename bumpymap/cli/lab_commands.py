@@ -49,11 +49,7 @@ def _require_free(out: Path, overwrite: bool) -> None:
         raise OutputError(f"{out} exists; give --overwrite to replace it, or another --out")
 
 
-@job(
-    "calibrate",
-    CalibrationSettings,
-    [JOBS],
-)
+@job("calibrate", CalibrationSettings, [JOBS])
 @grouped_option("--vehicle", metavar="NAME|FILE", help="An included vehicle, or a TOML file.", group="Vehicle")
 @grouped_option(
     "--out", required=True, type=FILE, metavar="FILE", help="Calibration file to write (JSON).", group="Output"
@@ -106,13 +102,7 @@ def _calibrate(
     announce: Callable[[str], None],
     like: "Calibration | None",
 ) -> "Calibration":
-    from bumpymap.lab import (
-        calibrate_vehicle,
-        calibration_jobs,
-        calibration_journal,
-        require_dart,
-        seconds_of_drives,
-    )
+    from bumpymap.lab import calibrate_vehicle, calibration_jobs, calibration_journal, require_dart, seconds_of_drives
 
     require_dart()
     journal = calibration_journal(out.with_name(out.name + ".progress.jsonl"), settings)

@@ -306,4 +306,5 @@ from .types import (
     photo_column as photo_column,
     rated_columns as rated_columns,
     tile_columns as tile_columns,
+    within as within,
 )

@@ -210,12 +210,7 @@ class Child:
         return self.finish()
 
     def begin(
-        self,
-        function: str,
-        *arguments: Any,
-        shared: Sequence[SharedBytes] = (),
-        seconds: float = 0.0,
-        memory: int = 0,
+        self, function: str, *arguments: Any, shared: Sequence[SharedBytes] = (), seconds: float = 0.0, memory: int = 0
     ) -> None:
         """Start a function call in the child and return at once.
 

@@ -67,10 +67,7 @@ Floats = NDArray[np.float64]
 
 
 def slope_cost(
-    settings: DirectionSettings,
-    gradient: NDArray[np.floating],
-    down: NDArray[np.floating],
-    right: NDArray[np.floating],
+    settings: DirectionSettings, gradient: NDArray[np.floating], down: NDArray[np.floating], right: NDArray[np.floating]
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Return what the slope adds to the cost of a metre, (n,), and where its direction is barred, (n,).
 

@@ -7,8 +7,7 @@ of all places, is `smallest_object`. Where points are uneven the sparser part of
 *Steps.* `find_steps` sees steps that exceed the noise and the roughness of the tile; by how much they must to be
 found with 95 % depends on the density. Those that the vehicle cannot cross are found in more noise: `smallest_step`.
 
-Both rest on constants that were fitted to what the whole pipeline finds in made-up surveys. ``python
-tests/benchmarks/seen_sizes.py`` measures it again.
+Both rest on constants that were fitted to what the whole pipeline finds in made-up surveys.
 """
 
 import math

@@ -366,6 +366,20 @@ def obstacle_reach(width_m: float) -> float:
     return 0.5 * width_m + _OBSTACLE_MARGIN_M
 
 
+def within(marks: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
+    """Mark all pixels nearer than a radius [px] to marked ones, (rows, cols)."""
+    reach = math.ceil(radius)
+    rows, cols = marks.shape
+    counts = np.cumsum(np.pad(marks, ((reach, reach), (reach + 1, reach))), axis=1, dtype=np.int32)
+    near = np.zeros_like(marks)
+    for down in range(-reach, reach + 1):
+        half = sum(down * down + right * right < radius * radius for right in range(reach + 1)) - 1
+        if half >= 0:
+            line = counts[reach + down :][:rows]
+            near |= line[:, reach + half + 1 :][:, :cols] > line[:, reach - half :][:, :cols]
+    return near
+
+
 def corners_join(width_m: float, reach_m: float, pixel_m: float) -> bool:
     """Say whether a vehicle can go from one free pixel to another that it touches at a corner alone.
 

@@ -6,7 +6,7 @@ that stand on the ground or hang over it are found in the points that are no gro
 
 from collections.abc import Sequence
 from dataclasses import fields, replace
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,54 +27,9 @@ from bumpymap.core import (
 from bumpytiles import Grid, TilePoints
 
 _SCALARS = 9
-"""Numbers that are measured of a tile, see `TileMeasures`."""
+"""Numbers that are measured of a tile: z_min, z_max, z_variance, residual, slope, z_range, coverage, relief, strays."""
 THIN = 0.4
 """Points on a pixel in a thin survey, at most; as in ``points_by_tile.hpp``."""
-
-
-class PointsByTile(NamedTuple):
-    """Points, tile by tile."""
-
-    starts: NDArray[np.int64]
-    """(tiles + 1,) where each tile's points begin."""
-    easting: NDArray[np.float64]
-    """(points,) m, as the two that follow."""
-    northing: NDArray[np.float64]
-    upward: NDArray[np.float64]
-    col: NDArray[np.int64]
-    """(tiles,) tile indices."""
-    row: NDArray[np.int64]
-
-
-class MeasureSettings(NamedTuple):
-    """Settings of ``measure_tiles`` in ``measure.cpp``."""
-
-    tile_size: float
-    """m."""
-    threshold: float
-    """RANSAC inlier distance, m."""
-    gap: float
-    """Least gap that makes a point a stray, m."""
-    most_strays: int
-    """Strays on one side of a tile, at most."""
-    depth: int
-    """Deepest hole that is filled, px."""
-
-
-class TileMeasures(NamedTuple):
-    """Arrays that ``measure_tiles`` fills."""
-
-    scalars: NDArray[np.float64]
-    """(tiles, 9) z_min, z_max, z_variance, residual, slope, z_range, coverage, relief, strays. NaN where a tile has no
-    points or no plane."""
-    heights: NDArray[np.float32]
-    """(tiles, pixels, pixels) mean height, m."""
-    variance: NDArray[np.float32]
-    """The same shape: variance inside the pixel about the tile's plane, m^2."""
-    relief: NDArray[np.float32]
-    """The same shape: relief map, m."""
-    pixel_count: NDArray[np.int32]
-    """The same shape: points."""
 
 
 def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool) -> PatchStack:
@@ -84,10 +39,10 @@ def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool)
     tiles without any get reason ``NO_GROUND``.
     """
     grid = points.grid
-    measured = _points_by_tile(points, ground_only=ground_only)
+    measured = _measured_points(points, ground_only=ground_only)
     count = np.diff(measured.starts)
-    out = _measured(measured, settings, grid, depth=max(1, round(settings.max_hole / grid.pixel_size)))
-    scalars, relief_map = out.scalars, out.relief
+    depth = max(1, round(settings.max_hole / grid.pixel_size))
+    scalars, heights, variance, relief_map, pixel_count = _measured(measured, settings, depth)
     reason = _reasons(count, scalars, settings)
     relief_map[reason != Reason.OK] = np.nan
     z_min, z_max, z_variance, residual, slope, z_range, coverage, relief, _ = scalars.T.copy()
@@ -104,22 +59,25 @@ def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool)
         z_range=z_range,
         density=count / grid.tile_size**2,
         coverage=np.nan_to_num(coverage),
-        heights=out.heights,
-        spread_count=out.pixel_count,
-        spread_variance=out.variance,
+        heights=heights,
+        spread_count=pixel_count,
+        spread_variance=variance,
         relief_map=relief_map,
         relief=np.where(reason == Reason.OK, relief, np.nan),
         reason=reason,
     )
 
 
-def _measured(tiles: PointsByTile, settings: FeatureSettings, grid: Grid, depth: int) -> TileMeasures:
-    """Measure tiles; holes of up to ``depth`` pixels are filled."""
-    shape = (len(tiles.col), grid.pixels, grid.pixels)
+def _measured(points: TilePoints, settings: FeatureSettings, depth: int) -> tuple[NDArray[Any], ...]:
+    """Measure n tiles; holes of up to ``depth`` pixels are filled.
+
+    Returns (n, 9) scalars, NaN where a tile has no points or no plane; and (n, pixels, pixels) mean height [m],
+    variance about the tile's plane [m^2], relief map [m] and points of each pixel.
+    """
+    shape = (len(points.col), points.grid.pixels, points.grid.pixels)
     heights, variance, relief = (np.empty(shape, np.float32) for _ in range(3))
-    out = TileMeasures(np.empty((shape[0], _SCALARS)), heights, variance, relief, np.empty(shape, np.int32))
-    limits = settings.ransac_threshold, settings.stray_gap, settings.stray_points
-    loops.measure_tiles(tiles, MeasureSettings(grid.tile_size, *limits, depth), out)
+    out = np.empty((shape[0], _SCALARS)), heights, variance, relief, np.empty(shape, np.int32)
+    loops.measure_tiles(points, settings, depth, *out)
     return out
 
 
@@ -132,14 +90,13 @@ def choose_tiles(points: TilePoints, wanted: NDArray[np.bool_]) -> TilePoints:
     return replace(points, starts=starts, col=points.col[wanted], row=points.row[wanted], **arrays)
 
 
-def _points_by_tile(points: TilePoints, *, ground_only: bool) -> PointsByTile:
+def _measured_points(points: TilePoints, *, ground_only: bool) -> TilePoints:
     """Return the points that are measured: all, or those of the ground alone."""
-    starts, place = points.starts, (points.easting, points.northing, points.upward)
-    if ground_only and not (ground := points.flag == POINT_GROUND).all():
-        taken = np.flatnonzero(ground)
-        starts = np.searchsorted(taken, starts)
-        place = (place[0][taken], place[1][taken], place[2][taken])
-    return PointsByTile(starts, *place, points.col, points.row)
+    if not ground_only or (ground := points.flag == POINT_GROUND).all():
+        return points
+    taken = np.flatnonzero(ground)
+    place = {name: getattr(points, name)[taken] for name in ("easting", "northing", "upward")}
+    return replace(points, starts=np.searchsorted(taken, points.starts), **place)
 
 
 def _reasons(count: NDArray[np.int64], scalars: NDArray[np.float64], settings: FeatureSettings) -> NDArray[np.uint8]:
@@ -175,21 +132,6 @@ _PAIR_MEASURES = 5 + 2 * len(_REACH_PX)
 """Numbers that are measured of the pairs of a tile, see `measure_thin`."""
 
 
-class PairSettings(NamedTuple):
-    """Settings of ``measure_pairs`` in ``pairs.cpp``."""
-
-    tile_size: float
-    """m."""
-    gap: float
-    """Least gap that makes a point a stray, m."""
-    most_strays: int
-    """Strays on one side of a tile, at most."""
-    limit: NDArray[np.int64]
-    """(tiles,) points of a tile that are used: the first ones, which are a random sample of all."""
-    reach: NDArray[np.float64]
-    """(5,) upper end of each group of distances, as a square, m^2, increasing."""
-
-
 def measure_thin(
     points: TilePoints, patches: PatchStack, settings: FeatureSettings, *, ground_only: bool
 ) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
@@ -202,12 +144,10 @@ def measure_thin(
     plane-removed heights with all holes filled from their neighbours, however wide, m, NaN for tiles that are not thin.
     """
     grid = points.grid
-    tiles = _points_by_tile(points, ground_only=ground_only)
     thin = (patches.coverage > 0) & (patches.coverage < DENSE_COVERAGE)
     limit = np.where(thin, _MOST_POINTS, _NOISE_POINTS)
     pairs, reach = np.empty((len(points.col), _PAIR_MEASURES)), (np.array(_REACH_PX) * grid.pixel_size) ** 2
-    asked = PairSettings(grid.tile_size, settings.stray_gap, settings.stray_points, limit, reach)
-    loops.measure_pairs(tiles, asked, pairs)
+    loops.measure_pairs(_measured_points(points, ground_only=ground_only), settings, limit, reach, pairs)
     at_random = -np.expm1(-patches.count / patches.grid.pixels**2)
     clustered = patches.coverage < HOLE_SHARE * at_random
     real_holes = (patches.reason == Reason.TOO_MANY_HOLES) & (patches.count >= HOLE_POINTS) & clustered
@@ -216,41 +156,13 @@ def measure_thin(
         pairs[patches.count < settings.min_points] = np.nan
     relief_map = np.full((len(points.col), grid.pixels, grid.pixels), np.nan, np.float32)
     if thin.any():
-        chosen = _points_by_tile(choose_tiles(points, thin), ground_only=ground_only)
-        relief_map[thin] = _measured(chosen, settings, grid, depth=grid.pixels).relief
+        chosen = _measured_points(choose_tiles(points, thin), ground_only=ground_only)
+        relief_map[thin] = _measured(chosen, settings, grid.pixels)[3]
     return pairs, relief_map
 
 
 _OBJECT_SCALARS = 4
 """Numbers of a tile beside the states of its pixels, see `ObjectStack`."""
-
-
-class ObjectLimits(NamedTuple):
-    """Heights, and how many points it takes, for ``find_in_tiles`` in ``objects.cpp``."""
-
-    tile_size: float
-    """m."""
-    low: float
-    """Height above ground from which a point is part of an obstacle, m."""
-    high: float
-    """Height above which it hangs over the vehicle, m."""
-    share: float
-    """Points that make an obstacle, as a share of those that the tile has on 3 x 3 pixels on average; two at least."""
-
-
-class TileObjects(NamedTuple):
-    """Arrays that ``find_in_tiles`` reads and fills."""
-
-    kind: NDArray[np.uint8]
-    """(points,) kind of each point."""
-    heights: NDArray[np.float32]
-    """(tiles, pixels, pixels) mean height of the ground, m; NaN where none is known."""
-    seen: NDArray[np.int32]
-    """The same shape: points of the ground."""
-    state: NDArray[np.uint8]
-    """The same shape, filled: states of `bumpymap.core.ObjectStack`."""
-    scalars: NDArray[np.float64]
-    """(tiles, 4) filled: obstacle, obstacle_height, clearance, canopy."""
 
 
 def find_objects(points: TilePoints, patches: PatchStack, body: VehicleBody) -> ObjectStack:
@@ -274,11 +186,9 @@ def find_objects(points: TilePoints, patches: PatchStack, body: VehicleBody) -> 
     tiles, pixels = len(points.col), points.grid.pixels
     state = np.empty((tiles, pixels, pixels), np.uint8)
     scalars = np.empty((tiles, _OBJECT_SCALARS))
-    places = PointsByTile(points.starts, points.easting, points.northing, points.upward, points.col, points.row)
-    limits = ObjectLimits(points.grid.tile_size, body.lowest_obstacle_m, body.height_m, OBSTACLE_SHARE)
-    kind = np.ascontiguousarray(points.flag, np.uint8)
-    found = TileObjects(kind, patches.heights, patches.spread_count, state, scalars)
-    loops.find_in_tiles(places, limits, found)
+    loops.find_in_tiles(
+        points, np.ascontiguousarray(points.flag, np.uint8), patches, body, OBSTACLE_SHARE, state, scalars
+    )
     return ObjectStack(state, *scalars.T.astype(np.float32))
 
 

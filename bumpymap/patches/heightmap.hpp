@@ -170,7 +170,7 @@ inline KnownPixels fill_heightmap(
 // Writes plane-removed, hole-filled heights; returns their range, NaN where holes are too deep. `level` is changed.
 // Filled holes move the plane, so it is taken off once more.
 inline double fill_relief(Array<double, 2> level, Index depth, bool is_complete, Array<float, 2> relief) {
-    if (!detrend(level) || (!is_complete && fill_holes(level, depth) > 0)) {
+    if (!detrend(level) || (!is_complete && fill_all_holes(level, depth) > 0)) {
         set_all(relief, unknown_height);
         return not_a_number;
     }

@@ -16,19 +16,6 @@
 namespace bumpy {
 namespace {
 
-struct MeasureSettings {
-    double tile_size, threshold, gap;
-    Index most_strays, depth;
-};
-
-struct TileMeasures {
-    Array<double, 2> scalars;
-    Array<float, 3> heights, variance, relief;
-    Array<std::int32_t, 3> pixel_count;
-
-    Heightmap at(Index t) const { return {heights.at(t), variance.at(t), relief.at(t), pixel_count.at(t)}; }
-};
-
 // Columns of the scalars.
 enum Scalar : Index { Z_MIN, Z_MAX, Z_VARIANCE, RESIDUAL, SLOPE, Z_RANGE, COVERAGE, RELIEF, STRAYS };
 
@@ -67,11 +54,12 @@ Plane find_planes(
 
 // Measures a tile. Its points are taken from its middle and their mean height.
 void measure_tile(
-    const PointsByTile& points, Index t, const MeasureSettings& settings, Array<double> scalars, const Heightmap& out) {
+    const TilePoints& points, Index t, const FeatureSettings& settings, Index depth, Array<double> scalars,
+    const Heightmap& out) {
     const Index first = points.starts[t], last = points.starts[t + 1], n = last - first, size = out.heights.shape[0];
     const auto east = points.easting.slice(first, last), north = points.northing.slice(first, last);
     const auto up = points.upward.slice(first, last);
-    const double side = settings.tile_size;
+    const double side = points.grid.tile_size;
     const double west = static_cast<double>(points.col[t]) * side, south = static_cast<double>(points.row[t]) * side;
     std::vector<double> x(n), y(n), z(n), distances(n), levels(size * size);
     shift(east, west, side / 2.0, view(x));
@@ -84,10 +72,10 @@ void measure_tile(
     scalars[Z_VARIANCE] = sum_in_lanes(n, [&](Index i) { return z[i] * z[i]; }) / static_cast<double>(n);
 
     const CentredPoints<double> centred{view(x), view(y), view(z)};
-    const Plane plane = find_planes(centred, settings.threshold, distances, scalars);
+    const Plane plane = find_planes(centred, settings.ransac_threshold, distances, scalars);
     std::vector<std::int32_t> pixels(n);
     find_pixels(east, north, west, south, side, size, view(pixels));
-    const auto [low, high, strays] = stray_bounds(view(distances), settings.gap, settings.most_strays);
+    const auto [low, high, strays] = stray_bounds(view(distances), settings.stray_gap, settings.stray_points);
     if (strays > 0)
         for (Index i = 0; i < n; ++i)
             if (!(low <= distances[i] && distances[i] <= high)) pixels[i] = static_cast<std::int32_t>(size * size);
@@ -97,7 +85,7 @@ void measure_tile(
     const auto [known, range] = fill_heightmap(view(sums), mean, level, out);
     scalars[Z_RANGE] = range;
     scalars[COVERAGE] = static_cast<double>(known) / static_cast<double>(size * size);
-    scalars[RELIEF] = fill_relief(level, settings.depth, known == size * size, out.relief);
+    scalars[RELIEF] = fill_relief(level, depth, known == size * size, out.relief);
     scalars[STRAYS] = static_cast<double>(strays);
 }
 
@@ -110,14 +98,16 @@ std::tuple<double, double, double, double> ransac_plane_of(
     return {plane.a, plane.b, plane.c, plane.d};
 }
 
-// Measures every tile that has points; the others get NaN, and no points.
-void measure_tiles(PointsByTile points, MeasureSettings settings, TileMeasures out) {
+// Measures every tile that has points; the others get NaN, and no points. `depth`: deepest hole that is filled, px.
+void measure_tiles(
+    TilePoints points, FeatureSettings settings, Index depth, Array<double, 2> out, Array<float, 3> heights,
+    Array<float, 3> variance, Array<float, 3> relief, Array<std::int32_t, 3> counts) {
     for (Index t = 0; t < points.tiles(); ++t) {
-        const Array<double> scalars = out.scalars.at(t);
+        const Array<double> scalars = out.at(t);
         std::fill(scalars.begin(), scalars.end(), not_a_number);
-        const Heightmap maps = out.at(t);
+        const Heightmap maps{heights.at(t), variance.at(t), relief.at(t), counts.at(t)};
         if (points.starts[t] < points.starts[t + 1]) {
-            measure_tile(points, t, settings, scalars, maps);
+            measure_tile(points, t, settings, depth, scalars, maps);
             continue;
         }
         for (const Array<float, 2>& map : {maps.heights, maps.variance, maps.relief}) set_all(map, unknown_height);
@@ -128,13 +118,10 @@ void measure_tiles(PointsByTile points, MeasureSettings settings, TileMeasures o
 }  // namespace
 }  // namespace bumpy
 
-BUMPY_RECORD(bumpy::MeasureSettings, tile_size, threshold, gap, most_strays, depth)
-BUMPY_RECORD(bumpy::TileMeasures, scalars, heights, variance, relief, pixel_count)
-
 void bind_measure(nb::module_& module) {
     using namespace bumpy;
     BUMPY_LOOP(module, measure_tiles);
     BUMPY_LOOP(module, ransac_plane_of);
     BUMPY_LOOP(module, stray_bounds);
-    module.def("fill_holes", &fill_holes<double>, free_interpreter());
+    module.def("fill_holes", &fill_all_holes<double>, free_interpreter());
 }

@@ -33,16 +33,15 @@ constexpr double thinner = 6.0;
 // Pixels^2 added to the spread of the known pixels: a few close together say little about the slope.
 constexpr double ridge = 1.0;
 
-struct ObjectLimits {
-    double tile_size, low, high, share;
+// Heights above ground from which a point is part of an obstacle, and above which it hangs over the vehicle, m.
+struct VehicleBody {
+    double lowest_obstacle_m, height_m;
 };
 
-struct TileObjects {
-    Array<const std::uint8_t> kind;
+// `heights` of the ground, m, NaN where none is known; its points.
+struct GroundPatches {
     Array<const float, 3> heights;
-    Array<const std::int32_t, 3> seen;
-    Array<std::uint8_t, 3> state;
-    Array<double, 2> scalars;
+    Array<const std::int32_t, 3> spread_count;
 };
 
 // Columns of the scalars.
@@ -79,22 +78,27 @@ struct KnownGround {
 
 class ObjectFinder {
   public:
-    ObjectFinder(const PointsByTile& given, const ObjectLimits& sizes, const TileObjects& arrays)
+    ObjectFinder(
+        const TilePoints& given, Array<const std::uint8_t> kinds, const GroundPatches& measured,
+        const VehicleBody& vehicle, double share)
         : points(given),
-          limits(sizes),
-          tiles(arrays),
-          size(arrays.state.shape[1]),
-          pixel(sizes.tile_size / static_cast<double>(size)),
+          kind_of(kinds),
+          patches(measured),
+          body(vehicle),
+          need_share(share),
+          size(given.grid.pixels),
+          pixel(given.grid.tile_size / static_cast<double>(size)),
           surface(size * size),
           found(surface.size()),
           strips(size) {}
 
-    void find_in(Index t) {
+    void find_in(Index t, Array<std::uint8_t, 2> filled, Array<double> numbers) {
         tile = t;
         first = points.starts[t];
         last = points.starts[t + 1];
-        state = tiles.state.at(t);
-        const std::int32_t* const seen = &tiles.seen(t, 0, 0);
+        state = filled;
+        scalars = numbers;
+        const std::int32_t* const seen = &patches.spread_count(t, 0, 0);
         std::transform(seen, seen + found.size(), found.begin(), [](int ground_points) {
             return PixelPoints{.seen = ground_points};
         });
@@ -104,7 +108,7 @@ class ObjectFinder {
             mark_without_ground();
             return;
         }
-        const double density = static_cast<double>(last - first) / (limits.tile_size * limits.tile_size);
+        const double density = static_cast<double>(last - first) / (points.grid.tile_size * points.grid.tile_size);
         fill_first_states(density);
         if (is_any_overhead) {
             list_points();
@@ -119,7 +123,7 @@ class ObjectFinder {
 
     // Fits a plane through the known heights, and keeps what each of them is above it.
     void fit_ground() {
-        const Array<const float, 2> heights = tiles.heights.at(tile);
+        const Array<const float, 2> heights = patches.heights.at(tile);
         const double middle = 0.5 * static_cast<double>(size - 1);
         double base = 0.0;
         PlaneSums sums;
@@ -158,7 +162,7 @@ class ObjectFinder {
 
     // Columns and rows of a point from the south-west corner of the tile, px.
     std::array<double, 2> place_of(Index i) const {
-        const double side = limits.tile_size, pixels = static_cast<double>(size);
+        const double side = points.grid.tile_size, pixels = static_cast<double>(size);
         return {
             pixels_from(static_cast<double>(points.col[tile]) * side, points.easting[i], side, pixels),
             pixels_from(static_cast<double>(points.row[tile]) * side, points.northing[i], side, pixels)};
@@ -175,21 +179,21 @@ class ObjectFinder {
     bool count_points() {
         bool is_any_overhead = false;
         for (Index i = first; i < last; ++i) {
-            const std::uint8_t kind = tiles.kind[i];
+            const std::uint8_t kind = kind_of[i];
             if (kind == POINT_GROUND) continue;
             const auto [r, c] = pixel_of(place_of(i));
             if (std::isnan(ground(r, c)) && known.size() >= least_ground) ground(r, c) = continued_ground(r, c);
             double height = points.upward[i] - ground(r, c);
-            if (kind == POINT_BUILDING) height = std::min(height, limits.high);
+            if (kind == POINT_BUILDING) height = std::min(height, body.height_m);
             PixelPoints& own = at(r, c);
-            if (height > limits.high) {
+            if (height > body.height_m) {
                 is_any_overhead = true;
                 ++own.above;
                 own.least = std::min(own.least, height);
-                own.tall += height > limits.high + low_above;
-                own.leaves += kind == POINT_PLANT && height > limits.high + leafy;
-                own.shrubs += kind == POINT_PLANT && height <= limits.high + leafy;
-            } else if (height >= limits.low) {
+                own.tall += height > body.height_m + low_above;
+                own.leaves += kind == POINT_PLANT && height > body.height_m + leafy;
+                own.shrubs += kind == POINT_PLANT && height <= body.height_m + leafy;
+            } else if (height >= body.lowest_obstacle_m) {
                 ++own.body;
                 own.top = std::max(own.top, height);
             } else {
@@ -209,7 +213,8 @@ class ObjectFinder {
         for (Index i = first; i < last; ++i) {
             const std::array<double, 2> place = place_of(i);
             const auto [r, c] = pixel_of(place);
-            const bool is_over = tiles.kind[i] != POINT_GROUND && points.upward[i] - ground(r, c) >= limits.low;
+            const bool is_over =
+                kind_of[i] != POINT_GROUND && points.upward[i] - ground(r, c) >= body.lowest_obstacle_m;
             if (is_over && at(r, c).listed >= most) continue;
             at(r, c).listed += is_over;
             (is_over ? strips.over : strips.beneath).add(r * size + c, place[0], static_cast<double>(size) - place[1]);
@@ -231,7 +236,7 @@ class ObjectFinder {
     // States from the points of the 3 x 3 pixels around each; for canopy, in thin surveys, from those of 5 x 5.
     void fill_first_states(double density) {
         const double points_of_square = 9.0 * pixel * pixel * density;
-        const int need = std::max(2, static_cast<int>(std::ceil(limits.share * 9.0 * pixel * pixel * density)));
+        const int need = std::max(2, static_cast<int>(std::ceil(need_share * 9.0 * pixel * pixel * density)));
         const Index reach = points_of_square >= few ? 1 : 2;
         for (Index r = 0; r < size; ++r)
             for (Index c = 0; c < size; ++c) {
@@ -287,7 +292,6 @@ class ObjectFinder {
                 state(r, c) = is_seen ? OBSTACLE : UNSEEN;
                 obstacles += is_seen;
             }
-        const Array<double> scalars = tiles.scalars.at(tile);
         std::fill(scalars.begin(), scalars.end(), not_a_number);
         if (obstacles > 0) scalars[OBSTACLES] = static_cast<double>(obstacles) / static_cast<double>(size * size);
     }
@@ -305,7 +309,6 @@ class ObjectFinder {
                 canopy += is_canopy || (is_obstacle && own.above > 0);
                 if (is_canopy) least = std::min(least, own.least);
             }
-        const Array<double> scalars = tiles.scalars.at(tile);
         const auto pixels = static_cast<double>(size * size);
         scalars[OBSTACLES] = static_cast<double>(obstacles) / pixels;
         scalars[OBSTACLE_HEIGHT] = top;
@@ -313,9 +316,11 @@ class ObjectFinder {
         scalars[CANOPY_SHARE] = static_cast<double>(canopy) / pixels;
     }
 
-    const PointsByTile points;
-    const ObjectLimits limits;
-    const TileObjects tiles;
+    const TilePoints points;
+    const Array<const std::uint8_t> kind_of;
+    const GroundPatches patches;
+    const VehicleBody body;
+    const double need_share;
     const Index size;
     const double pixel;
     std::vector<double> surface;  // (pixels, pixels) ground, m
@@ -325,21 +330,22 @@ class ObjectFinder {
     TilePlane plane{};
     Index tile = 0, first = 0, last = 0;
     Array<std::uint8_t, 2> state;
+    Array<double> scalars;
 };
 
-// Fills state and scalars of every tile; all of them have points.
-void find_in_tiles(PointsByTile points, ObjectLimits limits, TileObjects tiles) {
-    ObjectFinder finder(points, limits, tiles);
-    for (Index t = 0; t < points.tiles(); ++t) finder.find_in(t);
+// Fills the state of each pixel and the scalars of every tile; all of them have points. `share`: points that make an
+// obstacle, of those that the tile has on 3 x 3 pixels on average; two at least.
+void find_in_tiles(
+    TilePoints points, Array<const std::uint8_t> kind, GroundPatches patches, VehicleBody body, double share,
+    Array<std::uint8_t, 3> state, Array<double, 2> scalars) {
+    ObjectFinder finder(points, kind, patches, body, share);
+    for (Index t = 0; t < points.tiles(); ++t) finder.find_in(t, state.at(t), scalars.at(t));
 }
 
 }  // namespace
 }  // namespace bumpy
 
-BUMPY_RECORD(bumpy::ObjectLimits, tile_size, low, high, share)
-BUMPY_RECORD(bumpy::TileObjects, kind, heights, seen, state, scalars)
+BUMPY_RECORD(bumpy::VehicleBody, lowest_obstacle_m, height_m)
+BUMPY_RECORD(bumpy::GroundPatches, heights, spread_count)
 
-void bind_objects(nb::module_& module) {
-    using namespace bumpy;
-    BUMPY_LOOP(module, find_in_tiles);
-}
+BUMPY_LOOPS(objects, find_in_tiles)

@@ -18,13 +18,6 @@ constexpr double line_of_points = 1e-6;
 // Points that are measured, at least.
 constexpr Index least_points = 4;
 
-struct PairSettings {
-    double tile_size, gap;
-    Index most_strays;
-    Array<const Index> limit;
-    Array<const double> reach;
-};
-
 // Columns of what is filled; behind them squared differences and numbers of pairs, by group.
 enum Measure : Index { POINTS, SEEN_SHARE, SPREAD, FLATNESS, TANGENT, SQUARES };
 
@@ -101,10 +94,11 @@ void add_pairs(const Heights& points, Array<const double> reach, Array<double> o
     }
 }
 
-void measure_tile(const Heights& all, double side, const PairSettings& settings, Array<double> out) {
+void measure_tile(
+    const Heights& all, double side, const FeatureSettings& settings, Array<const double> reach, Array<double> out) {
     auto [east, north] = take_plane_off(all);
     Heights points = all;
-    const Index n = drop_strays(all, settings.gap, settings.most_strays);
+    const Index n = drop_strays(all, settings.stray_gap, settings.stray_points);
     if (n < all.x.size()) {
         points = all.slice(0, n);
         const Slopes more = take_plane_off(points);
@@ -123,14 +117,17 @@ void measure_tile(const Heights& all, double side, const PairSettings& settings,
     out[SPREAD] = spread;
     out[FLATNESS] = spread > 0.0 ? sizes / static_cast<double>(n) / spread : 0.0;
     out[TANGENT] = std::sqrt(east * east + north * north);
-    add_pairs(points, settings.reach, out.slice(SQUARES, out.size()));
+    add_pairs(points, reach, out.slice(SQUARES, out.size()));
 }
 
-// Measures the pairs of every tile; NaN where the points span no plane.
-void measure_pairs(PointsByTile points, PairSettings settings, Array<double, 2> out) {
-    const double side = settings.tile_size;
+// Measures the pairs of the first `limit` points of every tile; NaN where the points span no plane. `reach`: upper ends
+// of the groups of distances, as squares, m^2.
+void measure_pairs(
+    TilePoints points, FeatureSettings settings, Array<const Index> limit, Array<const double> reach,
+    Array<double, 2> out) {
+    const double side = points.grid.tile_size;
     for (Index t = 0; t < points.tiles(); ++t) {
-        const Index first = points.starts[t], n = std::min(points.starts[t + 1] - first, settings.limit[t]);
+        const Index first = points.starts[t], n = std::min(points.starts[t + 1] - first, limit[t]);
         const Array<double> measures = out.at(t);
         std::fill(measures.begin(), measures.end(), not_a_number);
         if (n < least_points) continue;
@@ -139,16 +136,11 @@ void measure_pairs(PointsByTile points, PairSettings settings, Array<double, 2> 
         shift(points.easting.slice(first, first + n), static_cast<double>(points.col[t]) * side, 0.0, own.x);
         shift(points.northing.slice(first, first + n), static_cast<double>(points.row[t]) * side, 0.0, own.y);
         shift(points.upward.slice(first, first + n), points.upward[first], 0.0, own.h);
-        measure_tile(own, side, settings, measures);
+        measure_tile(own, side, settings, reach, measures);
     }
 }
 
 }  // namespace
 }  // namespace bumpy
 
-BUMPY_RECORD(bumpy::PairSettings, tile_size, gap, most_strays, limit, reach)
-
-void bind_pairs(nb::module_& module) {
-    using namespace bumpy;
-    BUMPY_LOOP(module, measure_pairs);
-}
+BUMPY_LOOPS(pairs, measure_pairs)

@@ -1,4 +1,5 @@
-// Points of tiles as the loops get them, see `PointsByTile` in features.py; stray ones among them.
+// Points of tiles as the loops get them, and how they are measured: `TilePoints` of bumpytiles and `FeatureSettings` of
+// config.py; stray points among them.
 #pragma once
 
 #include <functional>
@@ -14,12 +15,23 @@ namespace bumpy {
 // Points on a pixel in a thin survey, at most.
 constexpr double thin = 0.4;
 
-struct PointsByTile {
+struct Grid {
+    double tile_size;
+    Index pixels;
+};
+
+struct TilePoints {
+    Grid grid;
     Array<const Index> starts;
     Array<const double> easting, northing, upward;
     Array<const Index> col, row;
 
     Index tiles() const { return col.size(); }
+};
+
+struct FeatureSettings {
+    double ransac_threshold, stray_gap;
+    Index stray_points;
 };
 
 // Splits off stray points: at most `most` on one side of a tile, cut off from all others by a gap that is wider than
@@ -46,4 +58,6 @@ inline std::tuple<double, double, Index> stray_bounds(Array<const double> distan
 
 }  // namespace bumpy
 
-BUMPY_RECORD(bumpy::PointsByTile, starts, easting, northing, upward, col, row)
+BUMPY_RECORD(bumpy::Grid, tile_size, pixels)
+BUMPY_RECORD(bumpy::FeatureSettings, ransac_threshold, stray_gap, stray_points)
+BUMPY_RECORD(bumpy::TilePoints, grid, starts, easting, northing, upward, col, row)

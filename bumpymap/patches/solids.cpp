@@ -426,7 +426,4 @@ void settle_solids(Array<const std::uint8_t, 2> objects, Index pixels, double ho
 }  // namespace
 }  // namespace bumpy
 
-void bind_solids(nb::module_& module) {
-    using namespace bumpy;
-    BUMPY_LOOP(module, settle_solids);
-}
+BUMPY_LOOPS(solids, settle_solids)

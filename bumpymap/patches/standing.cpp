@@ -272,21 +272,18 @@ void mark_standing(Array<const float, 2> heights, StandingLimits limits, Array<b
 
 // ---- Tiles without objects ----
 
+// Least points of a tile with a heightmap, and share of its pixels that hold one.
 struct BareSettings {
-    double pixel;
-    Index depth;
+    Index min_points;
     double min_coverage;
-    Index min_points, thin_points;
-    double thin_seen;
 };
 
-struct BareTiles {
-    Array<const bool, 3> standing;
+// `heights` of the points in each pixel, m, NaN where there are none; numbers and variances, m^2, of these; relief, m,
+// NaN in tiles that cannot be rated from their heightmap.
+struct BarePatches {
     Array<const float, 3> heights;
-    Array<std::int32_t, 3> held;
-    Array<float, 3> variance, relief;
-    Array<double, 2> scalars;
-    Array<bool> is_bare;
+    Array<std::int32_t, 3> spread_count;
+    Array<float, 3> spread_variance, relief_map;
 };
 
 // Columns of the scalars.
@@ -341,33 +338,37 @@ double count_left(const BareTile& tile) {
 
 // Takes objects out of the relief of a tile; returns false, and changes nothing, where too little is left. `level` is
 // scratch.
-bool keep_left(const BareTile& tile, const BareSettings& settings, Array<double, 2> level) {
+bool keep_left(
+    const BareTile& tile, const BareSettings& settings, Index thin_points, double thin_seen, Array<double, 2> level) {
     const double seen = count_left(tile), points = tile.scalars[POINTS];
-    if (std::isnan(tile.relief.data[0]))
-        return points >= static_cast<double>(settings.thin_points) && seen >= settings.thin_seen;
+    if (std::isnan(tile.relief.data[0])) return points >= static_cast<double>(thin_points) && seen >= thin_seen;
     if (points < static_cast<double>(settings.min_points) || tile.scalars[COVERAGE] < settings.min_coverage)
         return false;
     for (Index k = 0; k < level.count(); ++k)
         level.data[k] = tile.is_left(k) ? static_cast<double>(tile.relief.data[k]) : not_a_number;
     std::vector<float> relief(level.count());
-    tile.scalars[RELIEF] = fill_relief(level, settings.depth, false, {relief.data(), level.shape});
+    tile.scalars[RELIEF] = fill_relief(level, level.shape[0], false, {relief.data(), level.shape});
     if (std::isnan(tile.scalars[RELIEF])) return false;
     std::ranges::copy(relief, tile.relief.data);
     return true;
 }
 
-// Takes standing objects out of tiles.
-void leave_out_objects(BareTiles tiles, BareSettings settings) {
-    const Index size = tiles.standing.shape[1];
+// Takes standing objects, however wide, out of tiles of a side, m; those that cannot be rated so stay. Without a
+// heightmap it takes `thin_points`, which lie in that share of its nine parts. Fills `scalars` of tiles that are bare.
+void leave_out_objects(
+    Array<const bool, 3> standing, BarePatches patches, double side, BareSettings settings, Index thin_points,
+    double thin_seen, Array<double, 2> scalars, Array<bool> is_bare) {
+    const Index size = standing.shape[1];
     std::vector<double> levels(size * size);
     const Array<double, 2> level{levels.data(), {size, size}};
-    for (Index t = 0; t < tiles.is_bare.size(); ++t) {
-        const BareTile tile{tiles.standing.at(t), tiles.heights.at(t), tiles.held.at(t),
-                            tiles.variance.at(t), tiles.relief.at(t),  tiles.scalars.at(t)};
+    for (Index t = 0; t < is_bare.size(); ++t) {
+        const BareTile tile{
+            standing.at(t),           patches.heights.at(t), patches.spread_count.at(t), patches.spread_variance.at(t),
+            patches.relief_map.at(t), scalars.at(t)};
         const bool* marks = tile.standing.data;
         const bool is_any = std::find(marks, marks + size * size, true) != marks + size * size;
-        tiles.is_bare[t] = is_any && keep_left(tile, settings, level);
-        if (!tiles.is_bare[t]) continue;
+        is_bare[t] = is_any && keep_left(tile, settings, thin_points, thin_seen, level);
+        if (!is_bare[t]) continue;
         for (Index k = 0; k < level.count(); ++k) {
             if (marks[k]) {
                 tile.held.data[k] = 0;
@@ -375,7 +376,7 @@ void leave_out_objects(BareTiles tiles, BareSettings settings) {
             }
             level.data[k] = tile.held.data[k] > 0 ? static_cast<double>(tile.heights.data[k]) : not_a_number;
         }
-        tile.scalars[SLOPE] = slope_of(level, settings.pixel);
+        tile.scalars[SLOPE] = slope_of(level, side / static_cast<double>(size));
     }
 }
 
@@ -383,8 +384,8 @@ void leave_out_objects(BareTiles tiles, BareSettings settings) {
 }  // namespace bumpy
 
 BUMPY_RECORD(bumpy::StandingLimits, width, foot, raised, drop, least, share, around, pixels)
-BUMPY_RECORD(bumpy::BareSettings, pixel, depth, min_coverage, min_points, thin_points, thin_seen)
-BUMPY_RECORD(bumpy::BareTiles, standing, heights, held, variance, relief, scalars, is_bare)
+BUMPY_RECORD(bumpy::BareSettings, min_points, min_coverage)
+BUMPY_RECORD(bumpy::BarePatches, heights, spread_count, spread_variance, relief_map)
 
 void bind_standing(nb::module_& module) {
     using namespace bumpy;

@@ -28,6 +28,7 @@ from bumpymap.core import (
     Reason,
     VehicleBody,
     loops,
+    within,
 )
 from bumpymap.patches.features import THIN, choose_tiles, measure
 from bumpytiles import BLOCK_TILES, Grid, TilePoints
@@ -83,51 +84,9 @@ class StandingLimits(NamedTuple):
     """Pixels along a side of a tile."""
 
 
-class BareSettings(NamedTuple):
-    """When a tile can be rated without its standing objects."""
-
-    pixel: float
-    """Side of a pixel, m."""
-    depth: int
-    """Deepest hole that is filled, px."""
-    min_coverage: float
-    """Least share of the pixels with a point of the ground."""
-    min_points: int
-    """Least number of such points."""
-    thin_points: int
-    """The same for a tile that is rated from its points."""
-    thin_seen: float
-    """Least share of its nine parts that hold one."""
-
-
-class BareTiles(NamedTuple):
-    """Tiles, changed to what is left of them without their standing objects; those that cannot be rated so stay."""
-
-    standing: Marks
-    """(n, pixels, pixels) pixels of standing objects."""
-    heights: NDArray[np.float32]
-    """The same shape: mean height of the points in each pixel, m; NaN where there are none."""
-    held: NDArray[np.int32]
-    """The same shape: points of each pixel; 0 in objects afterwards."""
-    variance: NDArray[np.float32]
-    """The same shape: variance of their heights, m^2; NaN in objects afterwards."""
-    relief: NDArray[np.float32]
-    """The same shape: relief map, m; NaN in tiles that cannot be rated from their heightmap."""
-    scalars: NDArray[np.float64]
-    """(n, 4) filled for tiles that are bare: points, coverage, relief [m], slope [degrees]."""
-    is_bare: Marks
-    """(n,) filled: whether the tile can be rated so."""
-
-
-class ReliefObjects(NamedTuple):
-    """Objects that stand on tiles where all points count as ground."""
-
-    stack: ObjectStack
-    """One row a tile."""
-    near: Marks
-    """(n, pixels, pixels) pixels with a narrow, steep object, or beside one."""
-    has_room: Marks
-    """(n,) whether the middle of the vehicle fits somewhere between such objects."""
+ReliefObjects = tuple[ObjectStack, Marks, Marks]
+"""Objects that stand on n tiles where all points count as ground: the stack; (n, pixels, pixels) pixels with a narrow,
+steep object, or beside one; (n,) True where the middle of the vehicle fits somewhere between such objects."""
 
 
 def take_off_standing(
@@ -176,14 +135,14 @@ def find_in_relief(
         if found.any():
             standing[tiles] = _of_tiles(found, at, grid.pixels)
             near[tiles] = _of_tiles(_with_neighbours(found), at, grid.pixels)
-            closed = _within(found, 0.5 * body.width_m / grid.pixel_size)
+            closed = within(found, 0.5 * body.width_m / grid.pixel_size)
             has_room[tiles] = ~_of_tiles(closed, at, grid.pixels).all(axis=(1, 2))
     objects[steep & ~in_hollow] = STEEP
     objects[standing] = OBSTACLE
     has_strays = patches.spread_count.sum(axis=(1, 2)) < patches.count
     for t in np.flatnonzero(has_strays).tolist():
         _mark_strays(t, points, patches, body, objects[t], near[t])
-    return ReliefObjects(stack, near, has_room)
+    return stack, near, has_room
 
 
 def relief_margin(grid: Grid) -> int:
@@ -232,40 +191,24 @@ def leave_out_standing(
     (lowest and highest point, variance, residual, range, density).
     """
     points = replace(points, flag=np.full(len(points.flag), POINT_GROUND, np.uint8))
-    points, patches = _without_strays(points, patches, objects.near, settings)
-    standing = (objects.stack.objects == OBSTACLE) & objects.has_room[:, None, None]
+    stack, near, has_room = objects
+    points, patches = _without_strays(points, patches, near, settings)
+    standing = (stack.objects == OBSTACLE) & has_room[:, None, None]
     if not standing.any():
         return points, patches
-    least = BareSettings(
-        pixel=patches.grid.pixel_size,
-        depth=patches.grid.pixels,  # what stood there is in the way, however wide
-        min_coverage=settings.min_coverage,
-        min_points=settings.min_points,
-        # As in `measure_thin`: a larger number than usual holds for thin tiles too.
-        thin_points=max(_LEAST_PIXELS, settings.min_points * (settings.min_points > FeatureSettings().min_points)),
-        thin_seen=THIN_SEEN,
-    )
-    tiles = BareTiles(
-        standing,
-        patches.heights,
-        patches.spread_count.copy(),
-        patches.spread_variance.copy(),
-        patches.relief_map.copy(),
-        np.empty((len(standing), 4)),
-        np.empty(len(standing), np.bool_),
-    )
-    loops.leave_out_objects(tiles, least)
-    _, coverage, relief, slope = tiles.scalars.T
-    is_bare, has_relief = tiles.is_bare, np.isfinite(tiles.relief[:, 0, 0])
+    # As in `measure_thin`: a larger number than usual holds for thin tiles too.
+    least = max(_LEAST_PIXELS, settings.min_points * (settings.min_points > FeatureSettings().min_points))
+    changed = {name: getattr(patches, name).copy() for name in ("spread_count", "spread_variance", "relief_map")}
+    bare, side = replace(patches, **changed), patches.grid.tile_size
+    scalars, is_bare = np.empty((len(standing), 4)), np.empty(len(standing), np.bool_)
+    loops.leave_out_objects(standing, bare, side, settings, least, THIN_SEEN, scalars, is_bare)
+    _, coverage, relief, slope = scalars.T
     bare = replace(
-        patches,
-        count=np.where(is_bare, tiles.held.sum(axis=(1, 2)), patches.count),
+        bare,
+        count=np.where(is_bare, bare.spread_count.sum(axis=(1, 2)), patches.count),
         coverage=np.where(is_bare, coverage, patches.coverage),
-        relief=np.where(is_bare & has_relief, relief, patches.relief),
+        relief=np.where(is_bare & np.isfinite(bare.relief_map[:, 0, 0]), relief, patches.relief),
         slope=np.where(is_bare & np.isfinite(slope), slope, patches.slope),
-        spread_count=tiles.held,
-        spread_variance=tiles.variance,
-        relief_map=tiles.relief,
     )
     is_thin = is_bare & (patches.coverage < DENSE_COVERAGE)
     return _points_apart(points, standing & is_thin[:, None, None]), bare
@@ -394,18 +337,6 @@ def _with_neighbours(marks: Marks) -> Marks:
     wide = np.pad(marks, 1)
     rows = wide[2:] | wide[1:-1] | wide[:-2]
     return np.asarray(rows[:, 2:] | rows[:, 1:-1] | rows[:, :-2])
-
-
-def _within(marks: Marks, radius: float) -> Marks:
-    """Mark all pixels nearer than a radius [px] to marked ones."""
-    reach = math.ceil(radius)
-    rows, cols = marks.shape
-    wide, out = np.pad(marks, reach), np.zeros_like(marks)
-    for down in range(-reach, reach + 1):
-        for right in range(-reach, reach + 1):
-            if down * down + right * right < radius * radius:
-                out |= wide[reach + down : reach + down + rows, reach + right : reach + right + cols]
-    return out
 
 
 Places = tuple[NDArray[np.int64], NDArray[np.int64]]

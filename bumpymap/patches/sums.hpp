@@ -18,16 +18,6 @@ namespace bumpy {
 constexpr double infinite = std::numeric_limits<double>::infinity();
 constexpr double not_a_number = std::numeric_limits<double>::quiet_NaN();
 
-// Numbers of a vector as the loops take them.
-template <class Number>
-Array<Number> view(std::vector<Number>& numbers) {
-    return {numbers.data(), {std::ssize(numbers)}};
-}
-template <class Number>
-Array<const Number> view(const std::vector<Number>& numbers) {
-    return {numbers.data(), {std::ssize(numbers)}};
-}
-
 // Partial sums side by side.
 constexpr Index lanes = 64;
 

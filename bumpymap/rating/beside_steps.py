@@ -7,8 +7,6 @@ relief that the ride model rolls over. Noise is taken off as in the rating of wh
 of points, because the spread of each pixel is not kept.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -35,28 +33,18 @@ _RIDGE = 1.0
 """Pixels^2 added to the spread of the known pixels: a few close together say little about the slope."""
 
 
-@dataclass(frozen=True, slots=True)
-class GroundBesideSteps:
-    """The ground beside steps in n tiles."""
-
-    is_closed: Marks
-    """(n, pixels, pixels) ground beside the steps that the vehicle cannot drive on: too steep, or too many fail."""
-    c_r: NDArray[np.float32]
-    """(n,) ride cost of the rest, rad/m; NaN where nothing is left."""
-    p_fail: NDArray[np.float32]
-    """(n,) share of drives over the rest that fail; NaN where nothing is left."""
-
-
 def rate_beside_steps(
     heights: NDArray[np.floating], line: Marks, standing: Marks,
     whole: tuple[NDArray[np.floating], NDArray[np.floating]], thin: NDArray[np.floating], calibration: Calibration,
-) -> GroundBesideSteps:  # fmt: skip
+) -> tuple[Marks, NDArray[np.float32], NDArray[np.float32]]:  # fmt: skip
     """Rate what steps leave of n tiles, in the ride of the calibration's vehicle.
 
     ``heights`` (n, pixels, pixels): mean height of the ground in each pixel, m; NaN where it is not known. ``line``,
     ``standing`` (n, pixels, pixels): pixels of the tiles' own steps that the vehicle cannot cross; of obstacles and
     what was not seen. ``whole``: C_r and p_fail of whole tiles, (n,) each: what is left of them is no worse. ``thin``
-    (n, 20): of `thin_columns`. Raises BadInputError if the ride model of the calibration is damaged.
+    (n, 20): of `thin_columns`. Returns (n, pixels, pixels) ground beside the steps that the vehicle cannot drive on,
+    too steep or where too many fail; C_r [rad/m] and p_fail of the rest, (n,) each, NaN where nothing is left. Raises
+    BadInputError if the ride model of the calibration is damaged.
     """
     from_line = ndimage.distance_transform_edt(~line, (_APART, 1.0, 1.0))
     left = (from_line > _FACE_PX) & ~standing
@@ -84,7 +72,7 @@ def rate_beside_steps(
     is_open &= (p_fail < FAIL_SHARE)[:, None, None]
     some = is_open.any(axis=(1, 2))
     c_r, p_fail = (np.where(some, values, np.nan).astype(np.float32) for values in (c_r, p_fail))
-    return GroundBesideSteps(left & ~is_open, c_r, p_fail)
+    return left & ~is_open, c_r, p_fail
 
 
 def _off_planes(heights: NDArray[np.floating], area: NDArray[np.integer], areas: int) -> tuple[Floats, Floats]:

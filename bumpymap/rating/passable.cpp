@@ -1,11 +1,7 @@
-// Where the middle of a vehicle can be, which ways lead through each tile, and how the free areas of tiles join.
-//
-// An obstacle grows to a disc in two passes: first along its column, as the distance of each pixel to the nearest
-// obstacle above or below it; then across, column by column of the disc. Free pixels that hang together are found by
-// flooding, tile by tile. Ours; see passable.py for the arrays.
+// The ways that lead through each tile, and how the free areas of tiles join. Free pixels that hang together are found
+// by flooding, tile by tile. Ours; see passable.py for the arrays.
 #include <algorithm>
 #include <bit>
-#include <cmath>
 #include <numeric>
 #include <vector>
 
@@ -18,26 +14,11 @@ using Byte = std::uint8_t;
 
 // States of a pixel, as bumpymap.core defines them.
 constexpr Byte obstacle = 1, step_edge = 8, unseen = 255;
-// Distance, px, that stands for any farther: one more still fits into 16 bits.
-constexpr std::uint16_t far = 0xFFFE;
 // In the place of the number of an area: free, and not numbered yet.
 constexpr Byte not_numbered = 255;
 constexpr Byte most_areas = 254;
 // Bits of the sides of a tile.
 constexpr unsigned north = 1, east = 2, south = 4, west = 8;
-
-struct Mosaic {
-    Array<const Byte, 2> objects;
-    Index pixels;
-    double radius;
-    bool corners;
-};
-
-struct InnerTiles {
-    Array<const bool, 3> edges;
-    Array<const bool, 2> wanted;
-    Array<bool, 2> passable, blocked, near_obstacle;
-};
 
 // Pixels of a tile, in an array of its own or in a mosaic.
 struct Tile {
@@ -48,50 +29,6 @@ struct Tile {
 };
 
 bool is_taken(Byte state) { return (state == obstacle) | (state == unseen) | (state == step_edge); }
-
-// ---- Grown obstacles ----
-
-// Distance of each pixel to the nearest taken one of its column; `near` has a margin at both ends of its rows.
-void fill_near(Array<const Byte, 2> objects, Index margin, Array<std::uint16_t, 2> near) {
-    const Index rows = objects.shape[0], cols = objects.shape[1];
-    std::fill_n(near.data, near.count(), far);
-    for (Index r = 0; r < rows; ++r) {
-        const Byte* state = &objects(r, 0);
-        const std::uint16_t* before = &near(std::max(r - 1, Index{0}), margin);
-        std::uint16_t* own = &near(r, margin);
-        for (Index c = 0; c < cols; ++c) {
-            const std::uint16_t farther = std::min(far, static_cast<std::uint16_t>(before[c] + 1));
-            own[c] = is_taken(state[c]) ? std::uint16_t{0} : farther;
-        }
-    }
-    for (Index r = rows - 2; r >= 0; --r) {
-        const std::uint16_t* behind = &near(r + 1, margin);
-        std::uint16_t* own = &near(r, margin);
-        for (Index c = 0; c < cols; ++c) own[c] = std::min(own[c], static_cast<std::uint16_t>(behind[c] + 1));
-    }
-}
-
-// Marks where the middle of the vehicle cannot be: nearer than the radius to what it cannot touch.
-void grow_obstacles(Mosaic mosaic, Array<Byte, 2> mask) {
-    const Index rows = mask.shape[0], cols = mask.shape[1];
-    const auto reach = static_cast<Index>(std::ceil(mosaic.radius));
-    const double square = mosaic.radius * mosaic.radius;
-    std::vector<std::uint16_t> memory(rows * (cols + 2 * reach));
-    const Array<std::uint16_t, 2> near{memory.data(), {rows, cols + 2 * reach}};
-    fill_near(mosaic.objects, reach, near);
-    std::fill_n(mask.data, mask.count(), Byte{0});
-    for (Index across = -reach; across <= reach; ++across) {
-        Index up = -1;  // the farthest pixel of this column of the disc
-        while (static_cast<double>((up + 1) * (up + 1) + across * across) < square) ++up;
-        if (up < 0) continue;
-        const auto most = static_cast<std::uint16_t>(up);
-        for (Index r = 0; r < rows; ++r) {
-            const std::uint16_t* distance = &near(r, reach + across);
-            Byte* grown = &mask(r, 0);
-            for (Index c = 0; c < cols; ++c) grown[c] |= static_cast<Byte>(distance[c] <= most);
-        }
-    }
-}
 
 // ---- Areas of a tile ----
 
@@ -164,56 +101,37 @@ void number_areas(Array<const Byte, 4> free, bool corners, Array<Byte, 4> areas)
 
 // ---- Ways through tiles ----
 
-// True if an obstacle or a step lies in a tile, or within the radius of one of its pixels.
-bool has_obstacle_near(const Mosaic& mosaic, Index top, Index left) {
-    const Index rows = mosaic.objects.shape[0], cols = mosaic.objects.shape[1], last = mosaic.pixels - 1;
-    const auto reach = static_cast<Index>(std::ceil(mosaic.radius));
-    const double square = mosaic.radius * mosaic.radius;
-    for (Index r = std::max(Index{0}, top - reach); r < std::min(rows, top + last + reach + 1); ++r) {
-        const Index down = std::max({Index{0}, top - r, r - top - last});
-        for (Index c = std::max(Index{0}, left - reach); c < std::min(cols, left + last + reach + 1); ++c) {
-            const Index right = std::max({Index{0}, left - c, c - left - last});
-            const Byte state = mosaic.objects(r, c);
-            const bool stands = state == obstacle || state == step_edge;
-            if (stands && static_cast<double>(down * down + right * right) < square) return true;
+// Fills, for wanted inner tiles, if there is a way through them, and if there would be none if every edge could be
+// crossed: `edges` (tiles - 2, tiles - 2, 4), north, east, south, west. `mask` is not 0 where the middle of the vehicle
+// cannot be; it is changed.
+void find_ways(
+    Array<const Byte, 2> objects, Array<Byte, 2> mask, Array<const bool, 3> edges, Array<const bool, 2> wanted,
+    bool corners, Array<bool, 2> passable, Array<bool, 2> blocked) {
+    const Index pixels = objects.shape[0] / (wanted.shape[0] + 2);
+    for (Index k = 0; k < wanted.count(); ++k) {
+        if (!wanted.data[k]) continue;
+        const Index row = k / wanted.shape[1], col = k % wanted.shape[1];
+        const Index top = (row + 1) * pixels, left = (col + 1) * pixels;
+        const Tile grown{&mask(top, left), pixels, mask.shape[1]};
+        unsigned usable = 0;
+        for (Index edge = 0; edge < 4; ++edge) usable |= edges(row, col, edge) ? 1U << edge : 0;
+        bool is_empty = true, is_free = true;
+        for (Index r = 0; r < pixels; ++r) {
+            for (Index c = 0; c < pixels; ++c) {
+                is_empty &= !is_taken(objects(top + r, left + c));
+                is_free &= grown(r, c) == 0;
+            }
         }
-    }
-    return false;
-}
-
-// Fills passable, blocked and near_obstacle of one tile.
-void find_way(const Mosaic& mosaic, Array<Byte, 2> mask, Index row, Index col, const InnerTiles& tiles) {
-    const Index pixels = mosaic.pixels, top = (row + 1) * pixels, left = (col + 1) * pixels;
-    const Tile grown{&mask(top, left), pixels, mask.shape[1]};
-    unsigned usable = 0;
-    for (Index k = 0; k < 4; ++k) usable |= tiles.edges(row, col, k) ? 1U << k : 0;
-    bool is_empty = true, is_free = true;
-    for (Index r = 0; r < pixels; ++r) {
-        for (Index c = 0; c < pixels; ++c) {
-            is_empty &= !is_taken(mosaic.objects(top + r, left + c));
-            is_free &= grown(r, c) == 0;
-        }
-    }
-    const int least = is_empty ? 1 : 2;
-    bool passable = is_free && std::popcount(usable) >= least, blocked = !is_free;
-    for (Index r = 0; !is_free && r < pixels; ++r) {
-        for (Index c = 0; c < pixels; ++c) {
-            if (grown(r, c) != 0) continue;
-            const unsigned sides = flood(grown, {r, c}, 2, mosaic.corners).sides;
-            passable |= std::popcount(sides & usable) >= least;
-            blocked &= std::popcount(sides) < least;
-        }
-    }
-    tiles.passable(row, col) = passable;
-    tiles.blocked(row, col) = blocked;
-    tiles.near_obstacle(row, col) = blocked && has_obstacle_near(mosaic, top, left);
-}
-
-// Fills what is asked of the inner tiles; `mask` comes from `grow_obstacles`, and is changed.
-void find_ways(Mosaic mosaic, InnerTiles tiles, Array<Byte, 2> mask) {
-    for (Index row = 0; row < tiles.wanted.shape[0]; ++row) {
-        for (Index col = 0; col < tiles.wanted.shape[1]; ++col) {
-            if (tiles.wanted(row, col)) find_way(mosaic, mask, row, col, tiles);
+        const int least = is_empty ? 1 : 2;
+        passable(row, col) = is_free && std::popcount(usable) >= least;
+        blocked(row, col) = !is_free;
+        for (Index r = 0; !is_free && r < pixels; ++r) {
+            for (Index c = 0; c < pixels; ++c) {
+                if (grown(r, c) != 0) continue;
+                const unsigned sides = flood(grown, {r, c}, 2, corners).sides;
+                passable(row, col) |= std::popcount(sides & usable) >= least;
+                blocked(row, col) &= std::popcount(sides) < least;
+            }
         }
     }
 }
@@ -291,13 +209,4 @@ void close_split(
 }  // namespace
 }  // namespace bumpy
 
-BUMPY_RECORD(bumpy::Mosaic, objects, pixels, radius, corners)
-BUMPY_RECORD(bumpy::InnerTiles, edges, wanted, passable, blocked, near_obstacle)
-
-void bind_passable(nb::module_& module) {
-    using namespace bumpy;
-    BUMPY_LOOP(module, grow_obstacles);
-    BUMPY_LOOP(module, find_ways);
-    BUMPY_LOOP(module, number_areas);
-    BUMPY_LOOP(module, close_split);
-}
+BUMPY_LOOPS(passable, find_ways, number_areas, close_split)

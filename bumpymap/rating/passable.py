@@ -1,7 +1,6 @@
 """Tiles that a vehicle can pass: between obstacles, over edges, on slopes and ground that it survives."""
 
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,44 +9,19 @@ from bumpymap.core import (
     CLOSED_WHOLLY,
     FREE,
     OBSTACLE,
+    STEP_EDGE,
     UNDECIDED,
+    UNSEEN,
     Barred,
     VehicleBody,
     corners_join,
     loops,
     obstacle_reach,
+    within,
 )
 
 _MOST_MARGIN = 0.45
 """Of a tile: what wide vehicles keep from tiles that their ground bars, so that corridors of one tile stay open."""
-
-
-class Mosaic(NamedTuple):
-    """Tiles of a block with a ring of one tile around them."""
-
-    objects: NDArray[np.uint8]
-    """(tiles * pixels, tiles * pixels) states of `bumpymap.core.ObjectStack`, settled."""
-    pixels: int
-    """Along a side of a tile."""
-    radius: float
-    """Distance from obstacles that the middle of the vehicle keeps, px."""
-    corners: bool
-    """True if free pixels hang together by their corners too, see `bumpymap.core.corners_join`."""
-
-
-class InnerTiles(NamedTuple):
-    """Values that are read and filled for the tiles within the ring, (tiles - 2, tiles - 2) each."""
-
-    edges: NDArray[np.bool_]
-    """(tiles - 2, tiles - 2, 4) which edges can be crossed: north, east, south, west."""
-    wanted: NDArray[np.bool_]
-    """Tiles to look at; for the others, nothing is filled."""
-    passable: NDArray[np.bool_]
-    """Filled: whether there is a way through the tile."""
-    blocked: NDArray[np.bool_]
-    """Filled: whether there would be none if every edge could be crossed."""
-    near_obstacle: NDArray[np.bool_]
-    """Filled: whether it is blocked, and an obstacle lies in it or within the radius of it."""
 
 
 def settle_objects(objects: NDArray[np.uint8], pixels: int) -> NDArray[np.uint8]:
@@ -91,13 +65,15 @@ def find_passable(
     if not wanted.any():
         return alone.copy()
     pixels = len(objects) // (len(alone) + 2)
-    found = InnerTiles(
-        np.ascontiguousarray(edge_usable, np.bool_), wanted, *(np.zeros(alone.shape, np.bool_) for _ in range(3))
-    )
-    mosaic, mask = _grown(objects, body, tile_size, pixels)
-    loops.find_ways(mosaic, found, mask)
+    radius, corners = _reach(body, tile_size, pixels)
+    stands, edges = (objects == OBSTACLE) | (objects == STEP_EDGE), np.ascontiguousarray(edge_usable, np.bool_)
+    mask = within(stands | (objects == UNSEEN), radius).view(np.uint8)
+    passable, blocked, near_obstacle = (np.zeros_like(wanted) for _ in range(3))
+    loops.find_ways(np.ascontiguousarray(objects), mask, edges, wanted, corners, passable, blocked)
+    if blocked.any():
+        near_obstacle = np.asarray(_tiles_of(within(stands, radius), pixels).any(axis=(2, 3)))
     return np.select(
-        [~wanted, found.near_obstacle, found.blocked, ~found.passable],
+        [~wanted, blocked & near_obstacle, blocked, ~passable],
         [alone, np.uint8(Barred.OBSTACLE), np.uint8(Barred.LITTLE_SEEN), np.uint8(Barred.STEP)],
         np.uint8(Barred.NO),
     )
@@ -115,11 +91,10 @@ def free_areas(
     their corners where `bumpymap.core.corners_join` holds, numbered in each tile from 1, the largest; 0 where the
     middle of the vehicle cannot be.
     """
-    count = len(barred) + 2
-    pixels = len(objects) // count
-    mosaic, mask = _grown(objects, body, tile_size, pixels)
-    tiles = mask.reshape(count, pixels, count, pixels).swapaxes(1, 2)[1:-1, 1:-1]
-    return _numbered((tiles == 0) & ~np.isin(barred, CLOSED_WHOLLY)[..., None, None], mosaic.corners)
+    pixels = len(objects) // (len(barred) + 2)
+    radius, corners = _reach(body, tile_size, pixels)
+    taken = within((objects == OBSTACLE) | (objects == STEP_EDGE) | (objects == UNSEEN), radius)
+    return _numbered(~_tiles_of(taken, pixels) & ~np.isin(barred, CLOSED_WHOLLY)[..., None, None], corners)
 
 
 def close_split_tiles(
@@ -153,14 +128,10 @@ def _reach(body: VehicleBody, tile_size: float, pixels: int) -> tuple[float, boo
     return reach * pixels / tile_size, corners_join(body.width_m, reach, tile_size / pixels)
 
 
-def _grown(
-    objects: NDArray[np.uint8], body: VehicleBody, tile_size: float, pixels: int
-) -> tuple[Mosaic, NDArray[np.uint8]]:  # fmt: skip
-    """Return a mosaic, and a mask of its pixels that is not 0 where the middle of the vehicle cannot be."""
-    mosaic = Mosaic(np.ascontiguousarray(objects), pixels, *_reach(body, tile_size, pixels))
-    mask = np.empty(objects.shape, np.uint8)
-    loops.grow_obstacles(mosaic, mask)
-    return mosaic, mask
+def _tiles_of(marks: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
+    """Return the inner tiles of a mosaic, (tiles - 2, tiles - 2, pixels, pixels)."""
+    rows, cols = (side // pixels for side in marks.shape)
+    return marks.reshape(rows, pixels, cols, pixels).swapaxes(1, 2)[1:-1, 1:-1]
 
 
 def _numbered(free: NDArray[np.bool_], corners: bool) -> NDArray[np.uint8]:

@@ -38,11 +38,6 @@ struct StepMosaic {
     Array<const double, 2> east, south;
 };
 
-struct RawSteps {
-    Array<double, 2> least, crest;
-    Array<double, 3> inside;
-};
-
 // ---- Quantiles ----
 
 // The number at a place when all are sorted; their order is changed.
@@ -224,20 +219,25 @@ void find_crests(Floats heights, const double* runs, Floats slope, FloatsOut cre
 }
 
 // Fills the steps from west to east at every pixel; `side` pixels, 2 to 4, are one side of a step.
-void find_raw_steps(StepMosaic mosaic, Index side, RawSteps out) {
+//
+// `least` (rows, cols): the least step anywhere in the pixel, m; NaN where a side is unknown. `crest`: height of a
+// pixel above the runs three and four pixels on both sides of it, m; NaN if it is unknown, infinite if both sides are.
+// `inside` (tiles, tiles, (pixels - 8)^2): steps in the middle of pixels whose support lies in the tile, m.
+void find_raw_steps(
+    StepMosaic mosaic, Index side, Array<double, 2> least, Array<double, 2> crest, Array<double, 3> inside) {
     const Index pixels = mosaic.pixels, width = pixels - 2 * reach, cols = mosaic.east.shape[1];
     const double third = side >= 3 ? 0.0 : infinite, fourth = side >= 4 ? 0.0 : infinite;
     Runs runs(cols);
     std::vector<double> middle(cols);
-    for (Index r = 0; r < out.least.shape[0]; ++r) {
+    for (Index r = 0; r < least.shape[0]; ++r) {
         const Index row = r / pixels, line = r % pixels;
         const Floats east = mosaic.east.at(row);
         const double* medians = runs.of(mosaic.heights.slice(r, r + run_length), mosaic.south.at(row)).data();
-        compare_sides(medians, east, third, fourth, middle.data(), out.least.at(r));
-        find_crests(mosaic.heights.at(r + run), medians, east, out.crest.at(r));
+        compare_sides(medians, east, third, fourth, middle.data(), least.at(r));
+        find_crests(mosaic.heights.at(r + run), medians, east, crest.at(r));
         if (line < run || line >= pixels - run) continue;
-        for (Index col = 0; col < out.inside.shape[1]; ++col)
-            std::copy_n(middle.data() + col * pixels + reach, width, &out.inside(row, col, (line - run) * width));
+        for (Index col = 0; col < inside.shape[1]; ++col)
+            std::copy_n(middle.data() + col * pixels + reach, width, &inside(row, col, (line - run) * width));
     }
 }
 
@@ -475,9 +475,9 @@ Peak peak_at(
 // and behind it. `closed` is (rows, cols), filled with 0: the same pixels are 2 where the step is `closing` m high, and
 // 1 where it is if the points bear out any part of it.
 void find_peaks(
-    StepMosaic mosaic, RawSteps raw, Array<const double, 2> limit, double closing, Array<double, 3> highest,
-    Array<std::uint8_t, 2> closed) {
-    const Index cols = raw.least.shape[1], pixels = mosaic.pixels, last = limit.shape[1] - 1;
+    StepMosaic mosaic, Array<const double, 2> least, Array<const double, 2> crest, Array<const double, 2> limit,
+    double closing, Array<double, 3> highest, Array<std::uint8_t, 2> closed) {
+    const Index cols = least.shape[1], pixels = mosaic.pixels, last = limit.shape[1] - 1;
     std::vector<double> limits(cols), felt(cols);
     Patch patch(mosaic.level);
     for (Index r = pixels; r < (limit.shape[0] - 1) * pixels; ++r) {
@@ -489,14 +489,14 @@ void find_peaks(
             for (const Index part : {0, 2, 3}) highest(row, 0, part) = infinite;
             for (const Index part : {1, 2, 3}) highest(row, last, part) = infinite;
         }
-        keep_peaks(raw.least.at(r), limits, felt);
+        keep_peaks(least.at(r), limits, felt);
         for (Index c = 0; c < cols; ++c) {
             const Index part = part_of_tile(c % pixels, pixels);
             const FloatsOut found = highest.at(row).at(c / pixels);
             if (found[part] == infinite) continue;
             const double asked = std::min(found[part], closing);
-            if (!(felt[c] > asked || raw.crest(r, c) > limits[c])) continue;
-            const auto [step, borne_out] = peak_at(mosaic, r, c, felt[c], raw.crest(r, c), limits[c], asked, patch);
+            if (!(felt[c] > asked || crest(r, c) > limits[c])) continue;
+            const auto [step, borne_out] = peak_at(mosaic, r, c, felt[c], crest(r, c), limits[c], asked, patch);
             closed(r, c) = static_cast<std::uint8_t>((borne_out >= closing) + (step >= closing));
             for (Index k = part; k < 4; ++k) {
                 if ((k == part || k > 1) && step > found[k]) found[k] = step;
@@ -527,11 +527,6 @@ constexpr double errors_beyond = 2.0, errors_beyond_half = 4.0;
 constexpr double of_neighbours = 0.9;
 // Determinants of a plane below that share of their largest value are 0.
 constexpr double no_plane = 1e-6;
-
-struct TileSlopes {
-    Array<const double, 2> east, south;
-    Array<const bool, 2> is_wanted;
-};
 
 struct SidePixel {
     Index place;           // in the patch
@@ -717,11 +712,12 @@ bool is_sure_near(Array<const double, 2> level, Index r, Index c, Index near) {
 // taken together.
 //
 // `heights` and `marks` are (rows, cols) of pixels; the latter come filled with false. Where few points leave it in
-// doubt, a line closes that continues one. In the outer ring of tiles only the pixels next to the inner ones are
-// marked, and no more looked at than that takes.
+// doubt, a line closes that continues one. `east` and `south` are the usual rises of tiles from a pixel to the next
+// one, m, `is_wanted` the tiles that are looked at. In the outer ring of tiles only the pixels next to the inner ones
+// are marked, and no more looked at than that takes.
 void find_jumps(
-    Array<const double, 2> heights, Index pixels, TileSlopes slopes, double closing, double width,
-    Array<bool, 2> marks) {
+    Array<const double, 2> heights, Index pixels, Array<const double, 2> east, Array<const double, 2> south,
+    Array<const bool, 2> is_wanted, double closing, double width, Array<bool, 2> marks) {
     const Index rows = heights.shape[0], cols = heights.shape[1];
     std::vector<double> memory(rows * cols);
     const Array<double, 2> level{memory.data(), heights.shape};  // difference of the levels of both sides, m
@@ -730,8 +726,7 @@ void find_jumps(
     for (Index r = outer; r < rows - outer; ++r) {
         for (Index c = outer; c < cols - outer; ++c) {
             const Index row = r / pixels, col = c / pixels;
-            if (slopes.is_wanted(row, col) &&
-                patch.fill(heights, r, c, slopes.east(row, col), slopes.south(row, col), closing))
+            if (is_wanted(row, col) && patch.fill(heights, r, c, east(row, col), south(row, col), closing))
                 level(r, c) = patch.jump(closing);
         }
     }
@@ -752,14 +747,5 @@ void find_jumps(
 }  // namespace bumpy
 
 BUMPY_RECORD(bumpy::StepMosaic, heights, pixels, level, east, south)
-BUMPY_RECORD(bumpy::RawSteps, least, crest, inside)
-BUMPY_RECORD(bumpy::TileSlopes, east, south, is_wanted)
 
-void bind_steps(nb::module_& module) {
-    using namespace bumpy;
-    BUMPY_LOOP(module, find_quantiles);
-    BUMPY_LOOP(module, find_gradients);
-    BUMPY_LOOP(module, find_raw_steps);
-    BUMPY_LOOP(module, find_peaks);
-    BUMPY_LOOP(module, find_jumps);
-}
+BUMPY_LOOPS(steps, find_quantiles, find_gradients, find_raw_steps, find_peaks, find_jumps)

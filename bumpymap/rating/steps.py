@@ -244,28 +244,6 @@ class StepMosaic(NamedTuple):
     """The same to its southern neighbour."""
 
 
-class RawSteps(NamedTuple):
-    """Steps from west to east at every pixel."""
-
-    least: Floats
-    """(rows, cols) the least step anywhere in the pixel, m; NaN where a side is unknown."""
-    crest: Floats
-    """(rows, cols) height of a pixel above the runs three and four pixels on both sides of it, m; NaN if it is unknown,
-    infinite if both sides are."""
-    inside: Floats
-    """(tiles, tiles, (pixels - 8)^2) size of the steps in the middle of pixels whose support lies in the tile, m."""
-
-
-class TileSlopes(NamedTuple):
-    """Tiles in which to look for jumps, (tiles, tiles) each."""
-
-    east: Floats
-    """Usual rise from a pixel to the next one in the east, m."""
-    south: Floats
-    """The same to the south, m."""
-    is_wanted: NDArray[np.bool_]
-
-
 @dataclass(frozen=True, slots=True)
 class TileSteps:
     """Steps of n x m tiles, north row first, in m, never negative; a step has the same height up and down."""
@@ -350,7 +328,7 @@ def find_steps(
     across, along = _raw(upright, side), _raw(lying, side)  # walls that run north to south come first
     noise = _PIXEL_LIMIT / _MEDIAN_DIFFERENCE * 0.5 * (noise_east + noise_south.T)
     usual = np.empty(noise.shape)  # a low quantile of the steps whose support lies in the tile; NaN with too few
-    loops.find_quantiles(across.inside, along.inside, _QUANTILE, _LEAST_STEPS, usual)
+    loops.find_quantiles(across[2], along[2], _QUANTILE, _LEAST_STEPS, usual)
     limit = np.fmax(_QUANTILE_LIMIT * usual, noise)
     west_east, marks = _peaks(upright, across, limit, closing)
     north_south, marks_too = _peaks(lying, along, np.ascontiguousarray(limit.T), closing)
@@ -364,9 +342,9 @@ def find_steps(
     wanted = is_thin & (_tile_sums(np.isfinite(whole), pixels) > _THINNEST * pixels**2)
     wanted = wanted if searched is None else wanted & searched
     if math.isfinite(closing) and wanted.any():
-        tiles = TileSlopes(_sure_gradient(z, pixels), np.ascontiguousarray(_sure_gradient(turned, pixels).T), wanted)
+        slopes = _sure_gradient(z, pixels), np.ascontiguousarray(_sure_gradient(turned, pixels).T)
         dense = np.ascontiguousarray(whole, np.float64)
-        loops.find_jumps(dense, pixels, tiles, closing, min(level, _JUMP_WIDTH), jumps)
+        loops.find_jumps(dense, pixels, *slopes, wanted, closing, min(level, _JUMP_WIDTH), jumps)
     highest = maximum_filter(np.where(np.isnan(heights), -np.inf, heights), 3, mode="nearest")
     low = highest - heights >= np.repeat(np.repeat(np.fmax(closing, _JUMP * noise), pixels, axis=0), pixels, axis=1)
     doubtful = closed & (least == 2)
@@ -409,24 +387,27 @@ def _gradient(z: Floats, pixels: int, apart: int = 1) -> tuple[Floats, Floats]:
     return middle, spread
 
 
-def _raw(mosaic: StepMosaic, side: int) -> RawSteps:
-    """Return the steps from west to east."""
+def _raw(mosaic: StepMosaic, side: int) -> tuple[Floats, Floats, Floats]:
+    """Return least steps from west to east and crests at every pixel, and the steps in the middle of inner pixels."""
     tiles, cols = mosaic.east.shape
     pixels = mosaic.pixels
     inside = (pixels - 2 * _RUN) * (pixels - 2 * _REACH)
     least, crest = (np.empty((tiles * pixels, cols)) for _ in range(2))
-    found = RawSteps(least, crest, np.empty((tiles, cols // pixels, inside)))
-    loops.find_raw_steps(mosaic, side, found)
-    return found
+    found = np.empty((tiles, cols // pixels, inside))
+    loops.find_raw_steps(mosaic, side, least, crest, found)
+    return least, crest, found
 
 
-def _peaks(mosaic: StepMosaic, raw: RawSteps, limit: Floats, closing: float) -> tuple[Floats, NDArray[np.uint8]]:
+def _peaks(
+    mosaic: StepMosaic, raw: tuple[Floats, Floats, Floats], limit: Floats, closing: float
+) -> tuple[Floats, NDArray[np.uint8]]:
     """Return the highest steps that stand out at the borders of each tile, near them and in it, (tiles, tiles, 4).
 
     Also return the pixels with a step that closes, surely (2) or if in doubt (1).
     """
-    found, closed = np.full((*limit.shape, 4), np.nan), np.zeros(raw.least.shape, np.uint8)
-    loops.find_peaks(mosaic, raw, limit, closing, found, closed)
+    least, crest, _ = raw
+    found, closed = np.full((*limit.shape, 4), np.nan), np.zeros(least.shape, np.uint8)
+    loops.find_peaks(mosaic, least, crest, limit, closing, found, closed)
     found[found < 0.0] = np.nan
     return found + 0.0, closed  # never -0.0: the sign of nothing would depend on the machine
 

@@ -17,15 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import (
-    Child,
-    Guard,
-    SharedBytes,
-    UsageError,
-    allocate_shared,
-    module_folder,
-    trim_shared,
-)
+from bumpymap.core import Child, Guard, SharedBytes, UsageError, allocate_shared, module_folder, trim_shared
 
 Bytes = NDArray[np.uint8]
 Table = Sequence[tuple[int, int]]

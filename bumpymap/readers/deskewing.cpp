@@ -30,7 +30,4 @@ void move_points(
 }  // namespace
 }  // namespace bumpy
 
-void bind_deskewing(nb::module_& module) {
-    using namespace bumpy;
-    BUMPY_LOOP(module, move_points);
-}
+BUMPY_LOOPS(deskewing, move_points)

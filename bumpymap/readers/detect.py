@@ -15,14 +15,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError
 from bumpymap.readers.protocol import ReadOptions, SurveyReader
-from bumpymap.readers.source import (
-    EPT_NAME,
-    Location,
-    open_source,
-    pinned_version,
-    read_range,
-    version_of,
-)
+from bumpymap.readers.source import EPT_NAME, Location, open_source, pinned_version, read_range, version_of
 
 if TYPE_CHECKING:
     from bumpymap.readers.point_table import PointTable, Wanted

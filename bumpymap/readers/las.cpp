@@ -10,22 +10,14 @@ namespace {
 
 using Records = Array<const std::uint8_t, 2>;
 
-struct RecordRules {
-    Array<const Index> layout, box;
-    Array<const std::uint8_t> kinds;
-};
-
 struct LinedPoints {
     Array<std::int32_t> x, y, z;
     Array<std::uint8_t> kind;
     Array<std::uint16_t> line;
 };
 
-struct RecordCounts {
-    Array<Index> extremes, counts;
-};
-
-// A record, read by the layout that the rules name.
+// A record, read by its layout: byte and mask of the class, byte and mask of the withheld flag; first byte of the
+// flight line, and the line of points where that is 0.
 struct Record {
     const std::uint8_t* bytes;
     const Index* layout;
@@ -42,15 +34,11 @@ struct Record {
     }
 };
 
-Record record_at(Records records, Index i, const RecordRules& rules) {
-    return {records.data + i * records.shape[1], rules.layout.data};
-}
-
 // Colours of the records that count, 3 x 16 bits from byte `at`, shifted to 8 bits each.
-void read_colours(Records records, RecordRules rules, Index at, Index shift, Array<std::uint32_t> out) {
+void read_colours(Records records, Array<const Index> layout, Index at, Index shift, Array<std::uint32_t> out) {
     Index to = 0;
     for (Index i = 0; i < records.shape[0]; ++i) {
-        const Record record = record_at(records, i, rules);
+        const Record record{&records(i, 0), layout.data};
         if (record.withheld() || record.noise()) continue;
         std::uint32_t colour = 0;
         for (Index band = 0; band < 3; ++band)
@@ -59,16 +47,19 @@ void read_colours(Records records, RecordRules rules, Index at, Index shift, Arr
     }
 }
 
-void filter_records(Records records, RecordRules rules, LinedPoints out, RecordCounts seen) {
-    const Array<const Index> box = rules.box;
-    Index withheld = 0, noise = 0, outside = 0, to = seen.counts[3];
+// `box`: lowest and highest x, then y, in the bounds of the file; `kinds` of the classes. `extremes`, lowest and
+// highest x, y and z, and `counts`, of points that are withheld, noise, outside and kept, are updated.
+void filter_records(
+    Records records, Array<const Index> layout, Array<const Index> box, Array<const std::uint8_t> kinds,
+    LinedPoints out, Array<Index> extremes, Array<Index> counts) {
+    Index withheld = 0, noise = 0, outside = 0, to = counts[3];
     std::array<std::int32_t, 3> low{}, high{};
     for (std::size_t axis = 0; axis < 3; ++axis) {
-        low[axis] = static_cast<std::int32_t>(seen.extremes[static_cast<Index>(2 * axis)]);
-        high[axis] = static_cast<std::int32_t>(seen.extremes[static_cast<Index>(2 * axis + 1)]);
+        low[axis] = static_cast<std::int32_t>(extremes[static_cast<Index>(2 * axis)]);
+        high[axis] = static_cast<std::int32_t>(extremes[static_cast<Index>(2 * axis + 1)]);
     }
     for (Index i = 0; i < records.shape[0]; ++i) {
-        const Record record = record_at(records, i, rules);
+        const Record record{&records(i, 0), layout.data};
         const std::array<std::int32_t, 3> place{record.axis(0), record.axis(1), record.axis(2)};
         for (std::size_t axis = 0; axis < 3; ++axis) {
             low[axis] = std::min(low[axis], place[axis]);
@@ -83,30 +74,24 @@ void filter_records(Records records, RecordRules rules, LinedPoints out, RecordC
             out.x[to] = place[0];
             out.y[to] = place[1];
             out.z[to] = place[2];
-            out.kind[to] = rules.kinds[record.code()];
+            out.kind[to] = kinds[record.code()];
             out.line[to] = static_cast<std::uint16_t>(record.line());
             ++to;
         }
     }
     for (std::size_t axis = 0; axis < 3; ++axis) {
-        seen.extremes[static_cast<Index>(2 * axis)] = low[axis];
-        seen.extremes[static_cast<Index>(2 * axis + 1)] = high[axis];
+        extremes[static_cast<Index>(2 * axis)] = low[axis];
+        extremes[static_cast<Index>(2 * axis + 1)] = high[axis];
     }
-    seen.counts[0] += withheld;
-    seen.counts[1] += noise;
-    seen.counts[2] += outside;
-    seen.counts[3] = to;
+    counts[0] += withheld;
+    counts[1] += noise;
+    counts[2] += outside;
+    counts[3] = to;
 }
 
 }  // namespace
 }  // namespace bumpy
 
-BUMPY_RECORD(bumpy::RecordRules, layout, box, kinds)
 BUMPY_RECORD(bumpy::LinedPoints, x, y, z, kind, line)
-BUMPY_RECORD(bumpy::RecordCounts, extremes, counts)
 
-void bind_las(nb::module_& module) {
-    using namespace bumpy;
-    BUMPY_LOOP(module, read_colours);
-    BUMPY_LOOP(module, filter_records);
-}
+BUMPY_LOOPS(las, read_colours, filter_records)

@@ -9,20 +9,12 @@ import struct
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import BinaryIO, NamedTuple, TypeAlias
+from typing import BinaryIO, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import (
-    BadInputError,
-    DecoderError,
-    Georeference,
-    Place,
-    allocate_shared,
-    georeference,
-    loops,
-)
+from bumpymap.core import BadInputError, DecoderError, Georeference, Place, allocate_shared, georeference, loops
 from bumpymap.readers.decoder import decoder
 from bumpymap.readers.las_header import LAYERED, RawHeader, read_raw_header, statement_of_las
 from bumpymap.readers.point_stats import EARTH_LIMIT, OUTSIDE, LinedPoints, LineSums, PointStats
@@ -37,15 +29,7 @@ from bumpymap.readers.protocol import (
     refuse_coarse,
     split_rows,
 )
-from bumpymap.readers.source import (
-    TRUST,
-    Location,
-    box_text,
-    decoding,
-    open_source,
-    read_into,
-    refuse_count,
-)
+from bumpymap.readers.source import TRUST, Location, box_text, decoding, open_source, read_into, refuse_count
 from bumpytiles import DECIMALS, Bounds, ScaledPoints, Scaling
 
 _NOT_CHUNKED = 1
@@ -247,25 +231,10 @@ def _integers_between(scaling: Scaling, axis: int, low: float, high: float) -> t
     return first(lambda place: place <= high), first(lambda place: place < low) - 1
 
 
-class RecordRules(NamedTuple):
-    """Checks of LAS records."""
-
-    layout: NDArray[np.int64]
-    """(6,) byte and mask of the class, byte and mask of the withheld flag; first byte of the flight line, and the line
-    of points where that is 0."""
-    box: NDArray[np.int64]
-    """(4,) lowest and highest integer of x, then of y, that lie in the box of the file."""
-    kinds: NDArray[np.uint8]
-    """(256,) kind of the points of each class."""
-
-
-class RecordCounts(NamedTuple):
-    """Statistics so far; updated."""
-
-    extremes: NDArray[np.int64]
-    """(6,) lowest and highest x, y and z."""
-    counts: NDArray[np.int64]
-    """(4,) withheld, noise, outside, kept."""
+RecordRules: TypeAlias = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.uint8]]
+"""Checks of LAS records: (6,) byte and mask of the class, byte and mask of the withheld flag, first byte of the flight
+line, and the line of points where that is 0; (4,) lowest and highest integer of x, then of y, that lie in the box of
+the file; (256,) kind of the points of each class."""
 
 
 def convert_records(
@@ -285,21 +254,21 @@ def convert_records(
     """
     x, y, z = (np.empty(chunk.points, np.int32) for _ in range(3))
     out = LinedPoints(x, y, z, np.empty(chunk.points, np.uint8), np.empty(chunk.points, np.uint16))
-    seen = RecordCounts(np.array([_HIGHEST, _LOWEST] * 3), np.zeros(4, np.int64))
+    extremes, counts = np.array([_HIGHEST, _LOWEST] * 3), np.zeros(4, np.int64)
     colour = None if colours is None else np.empty(chunk.points, np.uint32)
     number = 0
     for records in pieces:
         if colour is not None and colours is not None:
-            loops.read_colours(records, rules, *colours, colour[seen.counts[3] :])
-        loops.filter_records(records, rules, out, seen)
+            loops.read_colours(records, rules[0], *colours, colour[counts[3] :])
+        loops.filter_records(records, *rules, out, extremes, counts)
         number += len(records)
-    withheld, noise, outside, kept = seen.counts.tolist()
+    withheld, noise, outside, kept = counts.tolist()
     stats = PointStats()
     some = 0 if colour is None else int(np.count_nonzero(colour[:kept]))
     if number:
         # Coordinates grow, or fall, with their integers: the ends are enough.
         (west, east), (south, north), (low, high) = (
-            sorted(scaling.coordinates(axis, seen.extremes[2 * axis : 2 * axis + 2]).tolist()) for axis in range(3)
+            sorted(scaling.coordinates(axis, extremes[2 * axis : 2 * axis + 2]).tolist()) for axis in range(3)
         )
         stats = PointStats(number, withheld, noise, 0, outside, 0, -1, west, south, east, north, low, high, some)
     kept = 0 if stats.bad else kept
@@ -348,7 +317,7 @@ class LasSurvey(SurveyReader):
         if bounds is not None:
             limits = ((bounds.west - OUTSIDE, bounds.east + OUTSIDE), (bounds.south - OUTSIDE, bounds.north + OUTSIDE))
         box = [_integers_between(self._scaling, axis, *ends) for axis, ends in enumerate(limits)]
-        self._rules = RecordRules(np.array(fields), np.array(box).reshape(-1), options.kinds)
+        self._rules = np.array(fields), np.array(box).reshape(-1), options.kinds
         self._lines = options.lines
         self._colours: tuple[int, int] | None = None
         if options.colour:

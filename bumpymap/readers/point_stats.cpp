@@ -30,6 +30,7 @@ struct LinedPoints {
     Array<const std::uint16_t> line;
 };
 
+// A hash table of the cells of flight lines. Its state: the next point to add, and the rows in use.
 struct CellTable {
     Array<Index> keys;
     Array<Index, 2> sums;
@@ -62,25 +63,30 @@ std::uint64_t steps(double metres) {
 
 // Adds points, from the one that `state` names, until all are added or the table is full. Neighbours in a file are
 // neighbours on the ground: sums of points in one cell are added up before they are stored.
-template <class Number, class Metres>
-void add(const LinedPoints<Number>& points, Metres metres, CellTable& table) {
+// `numbers` of a `Scaling`.
+template <class Number>
+void add(
+    LinedPoints<Number> points, Array<const double> numbers, Array<Index> keys, Array<Index, 2> cells,
+    Array<Index> state) {
+    CellTable table{keys, cells, state};
+    const Scaling scaling{numbers};
     const Index n = points.x.size();
     Index i = table.state[0];
     while (i < n && table.state[1] < most_rows) {
         const std::uint16_t line = points.line[i];
         const bool ground = points.kind[i] == ground_kind;
-        double x = metres(points.x[i], 0), y = metres(points.y[i], 1);
+        double x = scaling.metres(points.x[i], 0), y = scaling.metres(points.y[i], 1);
         const Index col = tile_index(x, cell_m), row = tile_index(y, cell_m);
         const double west = static_cast<double>(col) * cell_m, south = static_cast<double>(row) * cell_m;
         const double east = static_cast<double>(col + 1) * cell_m, north = static_cast<double>(row + 1) * cell_m;
         std::array<std::uint64_t, sums_of_cell> sums{};
         do {
-            const std::uint64_t e = steps(x - west), u = steps(metres(points.z[i], 2)), m = steps(y - south);
+            const std::uint64_t e = steps(x - west), u = steps(scaling.metres(points.z[i], 2)), m = steps(y - south);
             const std::array<std::uint64_t, sums_of_cell> own{1, e, m, u, e * e, e * m, m * m, e * u, m * u, u * u};
             for (std::size_t k = 0; k < own.size(); ++k) sums[k] += own[k];
             if (++i == n) break;
-            x = metres(points.x[i], 0);
-            y = metres(points.y[i], 1);
+            x = scaling.metres(points.x[i], 0);
+            y = scaling.metres(points.y[i], 1);
         } while (points.line[i] == line && (points.kind[i] == ground_kind) == ground && west <= x && x < east &&
                  south <= y && y < north);
         const Array<Index> stored = table.sums.at(row_of(key_of(col, row, line, ground), table));
@@ -92,20 +98,11 @@ void add(const LinedPoints<Number>& points, Metres metres, CellTable& table) {
     table.state[0] = i;
 }
 
-void add_points(LinedPoints<double> points, CellTable table) {
-    add(points, [](double metres, Index) { return metres; }, table);
-}
-
-void add_scaled_points(LinedPoints<std::int32_t> points, Array<const double> scaling, CellTable table) {
-    add(points, [&](std::int32_t number, Index axis) { return Scaling{scaling}.metres(number, axis); }, table);
-}
-
 }  // namespace
 }  // namespace bumpy
 
 BUMPY_RECORD(bumpy::LinedPoints<double>, x, y, z, kind, line)
 BUMPY_RECORD(bumpy::LinedPoints<std::int32_t>, x, y, z, kind, line)
-BUMPY_RECORD(bumpy::CellTable, keys, sums, state)
 
 void bind_point_stats(nb::module_& module) {
     using namespace bumpy;
@@ -113,6 +110,6 @@ void bind_point_stats(nb::module_& module) {
     module.attr("LINE_BITS") = line_bits;
     module.attr("SLOTS") = rows_of_table;
     module.attr("SUMS") = sums_of_cell;
-    BUMPY_LOOP(module, add_points);
-    BUMPY_LOOP(module, add_scaled_points);
+    module.def("add_points", &add<double>, free_interpreter());
+    module.def("add_scaled_points", &add<std::int32_t>, free_interpreter());
 }

@@ -39,7 +39,7 @@ _LARGEST_STEP = 1 << 24
 CELL, QUANTA = 3.0, 1e4
 """Side of a cell of flight lines, m; steps of a coordinate in a metre."""
 SUMS, AXIS_BITS, LINE_BITS = loops.SUMS, loops.AXIS_BITS, loops.LINE_BITS
-"""Sums of a cell; bits of column and row, and of line and ground flag, in a key: see `CellTable`."""
+"""Sums of a cell; bits of column and row, and of line and ground flag, in a key: see `LineSums`."""
 _MIX = np.uint64(0x9E3779B97F4A7C15)
 
 
@@ -53,7 +53,7 @@ def kinds_of(ground_classes: tuple[int, ...]) -> NDArray[np.uint8]:
 
 
 Rows = NDArray[np.int64]
-"""(n, 1 + ``SUMS``) keys and sums, see `CellTable`."""
+"""(n, 1 + ``SUMS``) keys and sums, see `LineSums`."""
 
 
 class LinedPoints(NamedTuple):
@@ -66,18 +66,6 @@ class LinedPoints(NamedTuple):
     line: NDArray[np.uint16]
 
 
-class CellTable(NamedTuple):
-    """A hash table of the cells of flight lines, 3 m wide, (``loops.SLOTS``,) rows."""
-
-    keys: NDArray[np.int64]
-    """Key of the row: column and row of the cell, 23 bits each, line and ground flag, 17 bits; -1: empty."""
-    sums: NDArray[np.int64]
-    """(..., ``SUMS``) number of points, x, y, z, x x, x y, y y, x z, y z, z z, by steps of 0.1 mm from the south-west
-    corner of the cell."""
-    state: NDArray[np.int64]
-    """(2,) the next point to add, and the rows in use."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class LineSums:
     """Sums of flight lines in one of ``step`` cells; can be sent and stored. The order of merging does not matter."""
@@ -85,7 +73,11 @@ class LineSums:
     step: int = 1
     """A power of two."""
     parts: tuple[Rows, ...] = ()
-    """Rows with increasing keys in each part; a key may be in several of them."""
+    """Rows of cells, 3 m wide, with increasing keys in each part; a key may be in several of them.
+
+    A key: column and row of the cell, 23 bits each, line and ground flag, 17 bits. Sums: number of points, x, y, z,
+    x x, x y, y y, x z, y z, z z, by steps of 0.1 mm from the south-west corner of the cell.
+    """
 
     @property
     def size(self) -> int:
@@ -126,19 +118,16 @@ class LineSums:
     @classmethod
     def of(cls, points: LinedPoints, scaling: Scaling | None = None) -> Self:
         """Return the sums of some points; ``scaling`` is that of points of a file's own grid."""
-        parts = []
-        done = 0
-        slots = loops.SLOTS
-        while done < len(points.x):
-            table = CellTable(np.full(slots, -1), np.zeros((slots, SUMS), np.int64), np.array([done, 0]))
-            if scaling is None:
-                loops.add_points(points, table)
-            else:
-                loops.add_scaled_points(points, scaling.numbers(), table)
-            done = int(table.state[0])
-            held = np.flatnonzero(table.keys >= 0)
-            held = held[np.argsort(table.keys[held])]
-            parts.append(np.column_stack([table.keys[held], table.sums[held]]))
+        parts, slots = [], loops.SLOTS
+        numbers = np.empty(0) if scaling is None else scaling.numbers()
+        add = loops.add_points if scaling is None else loops.add_scaled_points
+        state = np.zeros(2, np.int64)  # the next point to add, and the rows of the table in use
+        while state[0] < len(points.x):
+            keys, sums, state[1] = np.full(slots, -1), np.zeros((slots, SUMS), np.int64), 0
+            add(points, numbers, keys, sums, state)
+            held = np.flatnonzero(keys >= 0)
+            held = held[np.argsort(keys[held])]
+            parts.append(np.column_stack([keys[held], sums[held]]))
         return cls(1, tuple(parts))
 
 

@@ -11,31 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import (
-    GROUND_CLASSES,
-    BadInputError,
-    Georeference,
-    GivenCrs,
-    LengthUnit,
-    PointCloud,
-    UsageError,
-)
-from bumpymap.readers.point_stats import (
-    LineSums,
-    PointStats,
-    header_doubt,
-    kinds_of,
-    likely_feet,
-    verify,
-)
-from bumpymap.readers.source import (
-    Location,
-    Version,
-    hash_survey,
-    pinned_version,
-    require_unchanged,
-    version_of,
-)
+from bumpymap.core import GROUND_CLASSES, BadInputError, Georeference, GivenCrs, LengthUnit, PointCloud, UsageError
+from bumpymap.readers.point_stats import LineSums, PointStats, header_doubt, kinds_of, likely_feet, verify
+from bumpymap.readers.source import Location, Version, hash_survey, pinned_version, require_unchanged, version_of
 from bumpytiles import Bounds, Grid, GroupedPoints, ScaledPoints, group_points, group_scaled_points
 
 _SAMPLE = 10_000

@@ -31,14 +31,7 @@ from bumpymap.readers.raw_scans import (
     read_cloud,
     read_table,
 )
-from bumpymap.readers.source import (
-    NoPointsError,
-    pinned_version,
-    read_range,
-    refuse_count,
-    size_of,
-    version_of,
-)
+from bumpymap.readers.source import NoPointsError, pinned_version, read_range, refuse_count, size_of, version_of
 from bumpymap.readers.transforms import FIXED_FRAMES, FrameTree, Trajectory, frame_name, seconds_since
 
 _log = logging.getLogger(__name__)
@@ -356,11 +349,7 @@ def _keep_points(raw: RawScan, robot: Robot, name: str) -> Scan:
     )
 
 
-BIN_COLUMNS = {
-    4: "x, y, z, intensity",
-    5: "x, y, z, intensity, ring",
-    6: "x, y, z, intensity, ring, time",
-}
+BIN_COLUMNS = {4: "x, y, z, intensity", 5: "x, y, z, intensity, ring", 6: "x, y, z, intensity, ring, time"}
 """Number of columns of a ``.bin`` scan -> what they are."""
 POINT_FOLDERS = ("velodyne", "os1_cloud_node_kitti_bin")
 """Folders of ``.bin`` files inside a sequence."""

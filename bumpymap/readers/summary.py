@@ -152,15 +152,9 @@ class TileCounts:
         return bad / tiles.size if tiles.size else 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class ClassSummary:
-    """The points of one class."""
-
-    points: int
-    tiles: float
-    """Share of the tiles that hold such points, 0..1."""
-    height: float
-    """Median over these tiles of their mean height above the ground in and around the tile, m; NaN if there is none."""
+ClassSummary = tuple[int, float, float]
+"""The points of one class: their number; share of the tiles that hold such, 0..1; median over these tiles of their mean
+height above the ground in and around the tile, m, NaN if there is none."""
 
 
 def _summarise_classes(
@@ -189,7 +183,7 @@ def _summarise_classes(
             has = beside[:, 0] > 0.0
             known = sums[mine][has, 1] / sums[mine][has, 0] - beside[has, 1] / beside[has, 0]
         height = float(np.median(known)) if known.size else math.nan
-        found[one] = ClassSummary(int(sums[mine, 0].sum()), float(mine.sum() / tiles), height)
+        found[one] = int(sums[mine, 0].sum()), float(mine.sum() / tiles), height
     return found
 
 

@@ -1,51 +1,21 @@
 // Heights under the wheels along a line, and a car that drives over them: holes beside the line are filled with the
 // mean of their neighbours, all at once in each round; the quarter car is stepped from sample to sample (Sayers 1995).
 // See line_ride.py and road_profile.py.
-#include <cmath>
-#include <limits>
-#include <vector>
-
+#include "bumpymap/core/fill_holes.hpp"
 #include "bumpytiles/bindings.hpp"
 
 namespace bumpy {
 namespace {
 
-struct Pixel {
-    Index row, col;
-};
-
-// The mean of what is known in three by three pixels; NaN if nothing is.
-double mean_around(Array<const double, 2> heights, Pixel at) {
-    double total = 0.0;
-    Index count = 0;
-    for (Index row = at.row - 1; row <= at.row + 1; ++row) {
-        for (Index col = at.col - 1; col <= at.col + 1; ++col) {
-            if (std::isnan(heights(row, col))) continue;
-            total += heights(row, col);
-            ++count;
-        }
-    }
-    return count > 0 ? total / static_cast<double>(count) : std::numeric_limits<double>::quiet_NaN();
-}
-
 // Fills holes of `heights`, which has one more pixel at all edges, in the tiles of `near`, (rows, cols).
 void fill_near_holes(Array<double, 2> heights, Array<const bool, 2> near, Index rounds) {
     const Index rows = near.shape[0], cols = near.shape[1], pixels = (heights.shape[0] - 2) / rows;
-    std::vector<Pixel> holes;
+    std::vector<Index> holes;
     for (Index row = 1; row <= rows * pixels; ++row)
         for (Index col = 1; col <= cols * pixels; ++col)
             if (near((row - 1) / pixels, (col - 1) / pixels) && std::isnan(heights(row, col)))
-                holes.push_back({row, col});
-    std::vector<double> mean(holes.size());
-    for (Index round = 0; round < rounds && !holes.empty(); ++round) {
-        for (std::size_t k = 0; k < holes.size(); ++k) mean[k] = mean_around(heights, holes[k]);
-        std::size_t left = 0;
-        for (std::size_t k = 0; k < holes.size(); ++k) {
-            heights(holes[k].row, holes[k].col) = mean[k];
-            if (std::isnan(mean[k])) holes[left++] = holes[k];
-        }
-        holes.resize(left);
-    }
+                holes.push_back(row * heights.shape[1] + col);
+    fill_holes(heights, holes, rounds);
 }
 
 // Fills the difference of the slopes of body and wheel of a quarter car after each slope of a profile, (n,). `step` (4,
@@ -66,8 +36,4 @@ void drive_quarter_car(
 }  // namespace
 }  // namespace bumpy
 
-void bind_line_ride(nb::module_& module) {
-    using namespace bumpy;
-    BUMPY_LOOP(module, fill_near_holes);
-    BUMPY_LOOP(module, drive_quarter_car);
-}
+BUMPY_LOOPS(line_ride, fill_near_holes, drive_quarter_car)

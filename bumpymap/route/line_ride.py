@@ -68,8 +68,8 @@ _PIECE_M = 2000.0
 _EVERY_M = (10.0, 100.0)
 """Lengths of the stretches of a way, m (chosen, as in road practice)."""
 _TILE_LOG_SD = 1.2
-"""Standard deviation of ln C_r of a metre of a line about that of its tile: 0.4 over 10 m. The width that holds 80 % of
-simulated drives along such lines (``tests/benchmarks/line_drives.py``) is 0.39 on the sample, 0.28 on a real survey."""
+"""Standard deviation of ln C_r of a metre of a line about that of its tile: 0.4 over 10 m. The width that held 80 % of
+simulated drives along such lines was 0.39 on the sample, 0.28 on a real survey."""
 _FILL_ROUNDS = 3
 """Half the width of the holes that are filled with the mean of their neighbours, pixels (chosen)."""
 _LEAST = 1e-5
@@ -493,21 +493,21 @@ def _match(
     ratio, a_w, heave = np.ones(len(c_r)), np.full(len(c_r), np.nan), np.full(len(c_r), np.nan)
     own = c_r
     if rating is not None:
-        speeds, nothing = rating.speeds, np.full((len(c_r), 3 * len(rating.speeds)), np.nan, np.float32)
+        speeds, nothing = rating.speeds, np.full((len(c_r), 2 * len(rating.speeds)), np.nan, np.float32)
         own = motion_felt(calibration, speeds, nothing, bands[0])[:, 0].astype(np.float64)
         own = less_floor(own, calibration.floor_at(speeds[0]))
-    matched = match_tiles(relief, own, slope, vehicle.correction, vehicle.operator)
+    clean, rides, left = match_tiles(relief, own, slope, vehicle.correction, vehicle.operator)
     if rating is not None:
-        motions = move_over(np.where(inside[:, None, None], matched.relief_map, np.float32(np.nan)), rating.operator)
-        _, factors = rating.factors_of(motions, matched.rides.pitch_change)
+        motions = move_over(np.where(inside[:, None, None], clean, np.float32(np.nan)), rating.operator)
+        _, factors = rating.factors_of(motions, rides.pitch_change)
         felt = motion_felt(calibration, speeds, factors, bands[0]).astype(np.float64)
-        ratio = less_floor(felt[:, -3], calibration.floor_at(vehicle.speed)) / np.maximum(own, _LEAST)
+        ratio = less_floor(felt[:, -2], calibration.floor_at(vehicle.speed)) / np.maximum(own, _LEAST)
         a_w, heave = felt[:, -1], motions.heave[:, len(speeds) - 1]
     known = (low > 0.0) & (high > 0.0)
     log_sd = np.where(np.isfinite(c_r), np.log(np.where(known, high / np.where(known, low, 1.0), 1.0)), np.nan)
     log_sd /= 2 * NORMAL_80
-    tiles = _Tiles(own, log_sd, ratio, slope, matched.rides.belly_reach, matched.left, a_w, heave)
-    return (matched.relief_map - relief).astype(np.float64), tiles
+    tiles = _Tiles(own, log_sd, ratio, slope, rides.belly_reach, left, a_w, heave)
+    return (clean - relief).astype(np.float64), tiles
 
 
 def _places(line: Floats, at: Floats, operator: RideOperator, across: Floats) -> tuple[Floats, Floats]:

@@ -25,18 +25,6 @@ constexpr double rounding = 1e-9;
 constexpr int a_end = 1;
 constexpr int b_end = 2;
 
-// The share of slopes in the cost of a length; see `Costs` in straighten.py.
-struct SlopeCosts {
-    double climb, descent, side, steepest;
-
-    // Of a gradient southwards and eastwards, in a direction of length 1. Infinite if it is barred.
-    double of(double south, double east, double down, double right) const {
-        const double rise = south * down + east * right, across = std::abs(south * right - east * down);
-        if (across > steepest) return infinite;
-        return (rise > 0.0 ? climb * rise : -descent * rise) + side * across;
-    }
-};
-
 // A direction: the two axes that it lies between, the share of the second in the cost; southwards and eastwards in a
 // length of 1.
 struct Heading {
@@ -51,6 +39,14 @@ struct Point {
 struct Costs {
     Array<const float, 3> tiles, gradient;
     double climb, descent, side, steepest;
+
+    // The share of a gradient southwards and eastwards in the cost, in a direction of length 1; infinite if it is
+    // barred.
+    double of_slope(double south, double east, double down, double right) const {
+        const double rise = south * down + east * right, across = std::abs(south * right - east * down);
+        if (across > steepest) return infinite;
+        return (rise > 0.0 ? climb * rise : -descent * rise) + side * across;
+    }
 
     Heading heading(double dr, double dc, double length) const {
         constexpr double tangent = 0.41421356237309515;  // of 22.5 degrees: TAN in core/route_types.py
@@ -78,8 +74,7 @@ struct Costs {
         if (heading.share != 0.0 && total < infinite)
             total += heading.share * (tiles(row, col, heading.second) - total);
         if (gradient.shape[0] > 0)
-            total += SlopeCosts{climb, descent, side, steepest}.of(
-                gradient(row, col, 0), gradient(row, col, 1), heading.down, heading.right);
+            total += of_slope(gradient(row, col, 0), gradient(row, col, 1), heading.down, heading.right);
         return total;
     }
 

@@ -66,7 +66,4 @@ void add_up_times(
 
 BUMPY_RECORD(bumpy::MovePieces, end, first_piece, piece_length)
 
-void bind_reach(nb::module_& module) {
-    using namespace bumpy;
-    BUMPY_LOOP(module, add_up_times);
-}
+BUMPY_LOOPS(reach, add_up_times)

@@ -17,7 +17,7 @@ namespace {
 
 // In place of a move: straight from the start.
 constexpr std::uint8_t from_start = 254;
-// Of `Reached.place`: not met so far; its cost is final.
+// In place of a place in the heap: not met so far; its cost is final.
 constexpr std::int32_t not_met = -1;
 constexpr std::int32_t settled = -2;
 // Tiles that a move goes at most, along each axis.
@@ -35,18 +35,19 @@ struct MoveTables {
 };
 
 struct Ground {
-    Array<const float, 2> cost, gradient;
-    double climb, descent, side, steepest;
+    Costs cost;
     Array<const std::uint8_t> closed;
-    Index width;
+    Index start;
     double goal_row, goal_col, least, bound;
+
+    Index width() const { return cost.tiles.shape[1]; }
 
     // The least cost from the middle of a tile to the goal.
     double to_goal(Index tile) const {
         if (bound == 0.0) return 0.0;
-        const Index row = tile / width;
+        const Index row = tile / width();
         const double dr = static_cast<double>(row) + 0.5 - goal_row;
-        const double dc = static_cast<double>(tile - row * width) + 0.5 - goal_col;
+        const double dc = static_cast<double>(tile - row * width()) + 0.5 - goal_col;
         return bound * std::sqrt(dr * dr + dc * dc);
     }
 
@@ -55,25 +56,12 @@ struct Ground {
         constexpr Index bits = 2 * reach + 1;
         Index found = 0;
         for (Index row = first; row < last; ++row) {
-            const Index at = tile + row * width - reach;
+            const Index at = tile + row * width() - reach;
             const Index two = closed[at >> 3] | Index{closed[(at >> 3) + 1]} << 8;
             found = found << bits | ((two >> (at & 7)) & ((1 << bits) - 1));
         }
         return found;
     }
-};
-
-struct Seeds {
-    Array<const Index> tile;
-    Array<const double> cost;
-    Array<const double, 2> exit_cost;
-    double best;
-};
-
-struct Reached {
-    Array<double> g;
-    Array<std::uint8_t> back;
-    Array<std::int32_t> place;
 };
 
 // Tiles by what a way over them costs at least, the cheapest first; `place` says where in the heap each of them is.
@@ -142,20 +130,24 @@ class Heap {
 struct Search {
     const Ground& ground;
     const MoveTables& moves;
-    const Seeds& seeds;
-    Reached& reached;
-    Heap heap;
+    const Array<const double, 2> enter, leave;
     double best;
+    const Array<double> g;
+    const Array<std::uint8_t> back;
+    const Array<std::int32_t> place;
+    Heap heap{place};
     Index last = -1;
 
     // The cost of an open tile in the direction of a move.
     double cost_of(Index k, Index tile) const {
-        double total = ground.cost(tile, moves.axis(k, 0));
+        const float* const own = ground.cost.tiles.data + tile * ground.cost.tiles.shape[2];
+        double total = own[moves.axis(k, 0)];
         const double share = moves.share[k];
-        if (share != 0.0) total += share * (ground.cost(tile, moves.axis(k, 1)) - total);
-        if (ground.gradient.shape[0] > 0)
-            total += SlopeCosts{ground.climb, ground.descent, ground.side, ground.steepest}.of(
-                ground.gradient(tile, 0), ground.gradient(tile, 1), moves.direction(k, 0), moves.direction(k, 1));
+        if (share != 0.0) total += share * (own[moves.axis(k, 1)] - total);
+        if (ground.cost.gradient.shape[0] > 0) {
+            const float* const slope = ground.cost.gradient.data + 2 * tile;
+            total += ground.cost.of_slope(slope[0], slope[1], moves.direction(k, 0), moves.direction(k, 1));
+        }
         return total;
     }
 
@@ -170,21 +162,21 @@ struct Search {
     }
 
     // Takes a cheaper way to a tile, unless the goal is too far behind it.
-    void offer(Index tile, double g, std::uint8_t move) {
-        const double key = g + ground.to_goal(tile);
+    void offer(Index tile, double cost, std::uint8_t move) {
+        const double key = cost + ground.to_goal(tile);
         if (key >= best) return;
-        reached.g[tile] = g;
-        reached.back[tile] = move;
+        g[tile] = cost;
+        back[tile] = move;
         heap.offer(tile, key);
     }
 
     // Sees whether the goal is reached for less by going straight there from a tile.
     void try_exit(Index tile) {
-        const Index half = seeds.exit_cost.shape[0] / 2, row = tile / ground.width;
+        const Index half = leave.shape[0] / 2, row = tile / ground.width();
         const Index r = row - static_cast<Index>(std::floor(ground.goal_row)) + half;
-        const Index c = tile - row * ground.width - static_cast<Index>(std::floor(ground.goal_col)) + half;
+        const Index c = tile - row * ground.width() - static_cast<Index>(std::floor(ground.goal_col)) + half;
         if (r < 0 || r > 2 * half || c < 0 || c > 2 * half) return;
-        const double total = reached.g[tile] + seeds.exit_cost(r, c);
+        const double total = g[tile] + leave(r, c);
         if (total < best) {
             best = total;
             last = tile;
@@ -193,29 +185,35 @@ struct Search {
 
     // Settles tiles from the start on until no way that is open can be cheaper than the best to the goal.
     void run() {
-        for (Index i = 0; i < seeds.tile.size(); ++i) offer(seeds.tile[i], seeds.cost[i], from_start);
+        const Index half = enter.shape[0] / 2;
+        for (Index i = 0; i < enter.shape[0]; ++i)
+            for (Index j = 0; j < enter.shape[1]; ++j)
+                if (enter(i, j) < infinite)
+                    offer(ground.start + (i - half) * ground.width() + j - half, enter(i, j), from_start);
         while (!heap.empty() && heap.least() < best) {
             const Index tile = heap.pop();
-            reached.place[tile] = settled;
+            place[tile] = settled;
             try_exit(tile);
-            const double g = reached.g[tile];
             const Index north = ground.closed_around(tile, -reach, 1);
             const Index south = ground.closed_around(tile, 1, reach + 1);
             for (Index k = 0; k < moves.step.size(); ++k) {
                 const Index to = tile + moves.step[k];
-                if ((north & moves.near_north[k]) || (south & moves.near_south[k]) || reached.place[to] == settled)
-                    continue;
-                const double total = g + move_cost(k, tile, reached.g[to] - g);
-                if (total < reached.g[to]) offer(to, total, static_cast<std::uint8_t>(k));
+                if ((north & moves.near_north[k]) || (south & moves.near_south[k]) || place[to] == settled) continue;
+                const double total = g[tile] + move_cost(k, tile, g[to] - g[tile]);
+                if (total < g[to]) offer(to, total, static_cast<std::uint8_t>(k));
             }
         }
     }
 };
 
-// Fills what is reached; returns the tile from which the way goes straight to the goal, -1 if the known way is the
-// best.
-std::pair<Index, double> search_ways(Ground ground, MoveTables moves, Seeds seeds, Reached reached) {
-    Search search{ground, moves, seeds, reached, Heap{reached.place}, seeds.best};
+// Fills what is reached: costs from the start, the moves that led there and, not to look at, places in the heap.
+// Returns the tile from which the way goes straight to the goal, -1 if the known way is the best, and the cost. `enter`
+// and `leave` (m, m): costs straight from the start to the tiles around it, and from those around the goal to it;
+// `best`: that of a way that is known.
+std::pair<Index, double> search_ways(
+    Ground ground, MoveTables moves, Array<const double, 2> enter, Array<const double, 2> leave, double best,
+    Array<double> g, Array<std::uint8_t> back, Array<std::int32_t> place) {
+    Search search{ground, moves, enter, leave, best, g, back, place};
     search.run();
     return {search.last, search.best};
 }
@@ -249,14 +247,6 @@ void find_near(Array<const double, 2> points, double margin, Array<bool, 3> out)
 BUMPY_RECORD(
     bumpy::MoveTables, step, length, end, first_piece, piece, piece_length, axis, share, direction, near_north,
     near_south)
-BUMPY_RECORD(
-    bumpy::Ground, cost, gradient, climb, descent, side, steepest, closed, width, goal_row, goal_col, least, bound)
-BUMPY_RECORD(bumpy::Seeds, tile, cost, exit_cost, best)
-BUMPY_RECORD(bumpy::Reached, g, back, place)
+BUMPY_RECORD(bumpy::Ground, cost, closed, start, goal_row, goal_col, least, bound)
 
-void bind_search(nb::module_& module) {
-    using namespace bumpy;
-    BUMPY_LOOP(module, search_ways);
-    BUMPY_LOOP(module, connect);
-    BUMPY_LOOP(module, find_near);
-}
+BUMPY_LOOPS(search, search_ways, connect, find_near)

@@ -51,7 +51,7 @@ FROM_START = 254
 NOT_REACHED = 255
 """In place of a move: no way leads there."""
 NEW, SETTLED = -1, -2
-"""Values of ``Reached.place``: not met so far; its cost is final."""
+"""In place of a place in the heap: not met so far; its cost is final."""
 REACH = 4
 """Tiles that a move goes at most, along each axis."""
 MOVES: NDArray[np.int64] = np.array(
@@ -90,18 +90,11 @@ class MoveTables(NamedTuple):
 class Ground(NamedTuple):
     """A flattened window with its ring."""
 
-    cost: NDArray[np.float32]
-    """(n, axes) per tile of length, see `Costs`; infinite where closed."""
-    gradient: NDArray[np.float32]
-    """(n, 2) what slopes add, if they do, as in `Costs`; so are the next four."""
-    climb: float
-    descent: float
-    side: float
-    steepest: float
+    cost: Costs
     closed: NDArray[np.uint8]
     """A bit for each tile, from the least of a byte on: whether it is closed; one byte more than these take."""
-    width: int
-    """Columns."""
+    start: int
+    """Its tile."""
     goal_row: float
     goal_col: float
     """Field coordinates of the goal."""
@@ -109,30 +102,6 @@ class Ground(NamedTuple):
     """No tile costs less; at least 1."""
     bound: float
     """No tile on any way to the goal costs less, those outside the window included; 0 to search all around alike."""
-
-
-class Seeds(NamedTuple):
-    """How start and goal, which lie anywhere in their tiles, hang together with the middles of tiles."""
-
-    tile: Integers
-    """(s,) tiles that the start sees."""
-    cost: Floats
-    """(s,) straight to each."""
-    exit_cost: Floats
-    """(m, m) straight from a tile to the goal; the goal's tile is in the middle."""
-    best: float
-    """Cost of a way that is known; infinite if none."""
-
-
-class Reached(NamedTuple):
-    """Arrays that the search fills; `place` and `back` come filled with `NEW` and `NOT_REACHED`, `g` with infinity."""
-
-    g: Floats
-    """(n,) cost from the start."""
-    back: NDArray[np.uint8]
-    """(n,) the move that led there, or `FROM_START`."""
-    place: NDArray[np.int32]
-    """(n,) place in the heap; below -1 if the cost is final."""
 
 
 @cache
@@ -260,9 +229,14 @@ _NEARLY = 1.0 - 1e-9
 """Of the steepest gradient that is driven across, in a search: the line may be rounded when it is pulled tight."""
 
 
+_Reached = tuple[Floats, NDArray[np.uint8], NDArray[np.int32]]
+"""(n,) cost from the start of each tile of a flattened window with its ring, infinite if it is not reached; the move
+that led there, `FROM_START` or `NOT_REACHED`; its place in the heap, `NEW` or `SETTLED`."""
+
+
 def _search(
     cost: Costs, start: Point, goal: Point | None, margin: float, bound: float
-) -> tuple[Reached, tuple[int, float], Callable[[NDArray[Number]], NDArray[Number]]]:
+) -> tuple[_Reached, tuple[int, float], Callable[[NDArray[Number]], NDArray[Number]]]:
     """Search a window from a start in an open tile, to a goal or all around.
 
     ``bound`` as in `seek`. Also return the tile from which the way goes straight to the goal, -1 if the straight line
@@ -292,42 +266,20 @@ def _search(
         loops.connect(ground, point[0] + REACH, point[1] + REACH, margin, out)
         return out
 
-    first = connected(start, from_it=True)
-    row, col = np.nonzero(first < math.inf)
-    seeds = Seeds(
-        (row + math.floor(start[0])) * width + col + math.floor(start[1]),
-        first[row, col],
-        np.full_like(first, math.inf),
-        math.inf,
-    )
+    enter = connected(start, from_it=True)
+    leave, known = np.full_like(enter, math.inf), math.inf
     if goal is not None:
         straight = np.array([start, goal], np.float64) + REACH
         is_straight = is_clear(ringed, straight, margin)
         known = line_cost(ringed, straight) if is_straight else math.inf
-        seeds = seeds._replace(exit_cost=connected(goal, from_it=False), best=known)
+        leave = connected(goal, from_it=False)
     closed = np.append(np.packbits(~(ringed.tiles[..., 0] < math.inf), bitorder="little"), np.uint8(0))
-    row_of_goal, col_of_goal = (0.0, 0.0) if goal is None else (goal[0] + REACH, goal[1] + REACH)
-    at_least = min(least if least < math.inf else 1.0, bound)
-    ground = Ground(
-        ringed.tiles.reshape(count, -1),
-        ringed.gradient.reshape(-1, 2),
-        ringed.climb,
-        ringed.descent,
-        ringed.side,
-        ringed.steepest,
-        closed,
-        width,
-        row_of_goal,
-        col_of_goal,
-        least,
-        at_least,
-    )
-    reached = Reached(
-        np.full(count, math.inf),
-        np.full(count, NOT_REACHED, np.uint8),
-        np.full(count, NEW, np.int32),
-    )
-    found = loops.search_ways(ground, move_tables(width, margin, tiles.shape[2]), seeds, reached)
+    end = (0.0, 0.0) if goal is None else (goal[0] + REACH, goal[1] + REACH)
+    first = (math.floor(start[0]) + REACH) * width + math.floor(start[1]) + REACH
+    ground = Ground(ringed, closed, first, *end, least, min(least if least < math.inf else 1.0, bound))
+    reached = np.full(count, math.inf), np.full(count, NOT_REACHED, np.uint8), np.full(count, NEW, np.int32)
+    moves = move_tables(width, margin, tiles.shape[2])
+    found = loops.search_ways(ground, moves, enter, leave, known, *reached)
     return reached, found, lambda values: values.reshape(rows, width)[inner]
 
 
@@ -416,13 +368,13 @@ def seek(
     ground = frame.turn_costs(cost)
     line = frame.turn_line(np.array([start, goal]))
     first, last = ((float(r), float(c)) for r, c in line)
-    reached, (exit_tile, best), inner = _search(ground, first, last, margin, bound)
-    settled = frame.turn_back(inner(reached.place) == SETTLED)
+    (_, back, place), (exit_tile, best), inner = _search(ground, first, last, margin, bound)
+    settled = frame.turn_back(inner(place) == SETTLED)
     if not best < math.inf:
         return Found(None, settled, frame, ground)
     if exit_tile >= 0:
         row, col = divmod(exit_tile, ground.tiles.shape[1] + 2 * REACH)
-        path = follow_back(inner(reached.back), row - REACH, col - REACH)
+        path = follow_back(inner(back), row - REACH, col - REACH)
         line = np.concatenate([line[:1], path[::-1], line[1:]])
     return Found(line, settled, frame, ground)
 
@@ -437,9 +389,8 @@ def spread(
     cols): `FROM_START` if straight from the start, `NOT_REACHED` if there is no way (none leads anywhere from a closed
     tile).
     """
-    reached, _, inner = _search(as_costs(cost), settle_point(start), None, margin, 0.0)
-    g, back = reached.g, reached.back
-    del reached  # before copies are made
+    (g, back, place), _, inner = _search(as_costs(cost), settle_point(start), None, margin, 0.0)
+    del place  # before copies are made
     return np.ascontiguousarray(inner(g)), np.ascontiguousarray(inner(back))
 
 

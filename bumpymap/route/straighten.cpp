@@ -8,17 +8,13 @@ namespace {
 
 constexpr Index directions_of_turn = 8;
 
-struct Tightening {
-    double margin, gain, worth, least_step;
-};
-
+// The corners of a line, by how far each is moved next, and the cost from the corner before to each, tiles.
 struct Corners {
     Array<double, 2> points;
-    Array<double> step, spent;
-    Array<const double, 2> directions;
+    std::vector<double> step, spent;
 };
 
-struct Pieces {
+struct TracedLine {
     Array<Index> row, col;
     Array<double> length;
     Array<Index> part;
@@ -57,7 +53,7 @@ double crossing(double a, double delta, Index tile) {
 }
 
 // Cuts a line at the borders of tiles, into the pieces that `segment_cost` sums; returns their number.
-Index trace_line(Costs cost, Array<const double, 2> points, Pieces out) {
+Index trace_line(Costs cost, Array<const double, 2> points, TracedLine out) {
     Index n = 0;
     for (Index i = 0; i + 1 < points.shape[0]; ++i) {
         const Point a = point_at(points, i), b = point_at(points, i + 1);
@@ -85,8 +81,8 @@ Index trace_line(Costs cost, Array<const double, 2> points, Pieces out) {
 
 // Fills the cost up to each of n corners, and the one before it, of the cheapest line through some of them.
 void choose(
-    const Costs& cost, const Tightening& tightening, Array<const double, 2> points, Index n, Index skips,
-    Array<double> best, Array<Index> before) {
+    const Costs& cost, double margin, double worth, Array<const double, 2> points, Index n, Index skips,
+    std::vector<double>& best, std::vector<Index>& before) {
     best[0] = 0.0;
     before[0] = 0;
     for (Index j = 1; j < n; ++j) {
@@ -96,9 +92,9 @@ void choose(
         for (Index i = std::max(Index{0}, j - skips); i < j - 1; ++i) {
             const Point a = point_at(points, i);
             // From far to near: what leaves out fewer corners must be cheaper by what the corners are worth.
-            const double allowed = before[j] == j - 1 ? tightening.worth : -tightening.worth;
+            const double allowed = before[j] == j - 1 ? worth : -worth;
             const double total = segment_cost(cost, a, b, best[j] + allowed - best[i]);
-            if (total < infinite && segment_clear(cost, a, b, tightening.margin, ends_of(i, j, n))) {
+            if (total < infinite && segment_clear(cost, a, b, margin, ends_of(i, j, n))) {
                 best[j] = best[i] + total;
                 before[j] = i;
             }
@@ -108,14 +104,16 @@ void choose(
 
 // Leaves out corners, until none can be, so that the line through the others in order is the cheapest; returns how many
 // stay. At most `skips` - 1 are left out between two of them at once. Of lines that cost nearly the same, that with
-// fewer corners wins: corners on straight lines go. The corners that stay come first; `best` and `before` are scratch.
-Index leave_out(
-    Costs cost, Tightening tightening, Array<double, 2> points, Index skips, Array<double> best, Array<Index> before) {
+// fewer corners wins: corners on straight lines go, and those without which it costs no more than `worth`. The corners
+// that stay come first.
+Index leave_out(Costs cost, double margin, double worth, Array<double, 2> points, Index skips) {
     Index n = 0, count = points.shape[0];
+    std::vector<double> best(count);
+    std::vector<Index> before(count);
     while (n != count) {
         n = count;
         count = 1;
-        choose(cost, tightening, points, n, skips, best, before);
+        choose(cost, margin, worth, points, n, skips, best, before);
         Index at = n - 1;
         while (at > 0) {  // turn the links round: from each corner that stays to the next one
             const Index previous = before[at];
@@ -168,28 +166,29 @@ void leave_borders(Costs cost, Array<double, 2> points, double near, double shif
 }
 
 // Fills the cost from a corner's predecessor to it.
-void spend(const Costs& cost, const Corners& corners, Index i) {
+void spend(const Costs& cost, Corners& corners, Index i) {
     corners.spent[i] = segment_cost(cost, point_at(corners.points, i - 1), point_at(corners.points, i), infinite);
 }
 
 // Moves a corner to the best of ten places around it: eight directions, and the borders nearest to it.
-bool move_corner(const Costs& cost, const Tightening& tightening, const Corners& corners, Index i, Index turn) {
+bool move_corner(
+    const Costs& cost, double margin, double gain, Corners& corners, Array<const double, 2> directions, Index i) {
     const double step = corners.step[i];
     const Point from = point_at(corners.points, i);
-    double best = corners.spent[i] + corners.spent[i + 1] - tightening.gain;
+    double best = corners.spent[i] + corners.spent[i + 1] - gain;
     bool moved = false;
     for (Index k = 0; k < directions_of_turn + 2; ++k) {
         Point to = from;
         if (k < directions_of_turn) {
-            to.r += step * corners.directions(turn * directions_of_turn + k, 0);
-            to.c += step * corners.directions(turn * directions_of_turn + k, 1);
+            to.r += step * directions(k, 0);
+            to.c += step * directions(k, 1);
         } else {
             double& axis = k == directions_of_turn ? to.r : to.c;
             axis = std::floor(axis + 0.5);
             if (std::abs(to.r - from.r) + std::abs(to.c - from.c) > 2.0 * step) continue;
         }
         const double total = two_segments(cost, corners.points, i, to, best);
-        if (total < best && two_clear(cost, tightening.margin, corners.points, i, to)) {
+        if (total < best && two_clear(cost, margin, corners.points, i, to)) {
             best = total;
             moved = true;
             corners.points(i, 0) = to.r;  // the places that follow are still those around the old one
@@ -203,17 +202,23 @@ bool move_corner(const Costs& cost, const Tightening& tightening, const Corners&
     return moved;
 }
 
-// Moves corners in turn until no step helps any of them, at most `sweeps` times all of them.
-void move_corners(Costs cost, Tightening tightening, Corners corners, Index sweeps) {
-    const Index n = corners.points.shape[0], turns = corners.directions.shape[0] / directions_of_turn;
+// Moves corners in turn, for a gain of at least that, until no step helps any of them, at most `sweeps` times all of
+// them. `directions` (8 k, 2): unit vectors; the next eight are tried whenever the last did not help. Steps are halved
+// from the first down to the least, tiles.
+void move_corners(
+    Costs cost, double margin, double gain, Array<double, 2> points, Array<const double, 2> directions,
+    double first_step, double least_step, Index sweeps) {
+    const Index n = points.shape[0], turns = directions.shape[0] / directions_of_turn;
+    Corners corners{points, std::vector<double>(n, first_step), std::vector<double>(n)};
     for (Index i = 1; i < n; ++i) spend(cost, corners, i);
     bool active = true;
     for (Index turn = 0; turn < sweeps && active; ++turn) {
         active = false;
         for (Index i = 1; i < n - 1; ++i) {
-            if (corners.step[i] < tightening.least_step) continue;
+            if (corners.step[i] < least_step) continue;
             active = true;
-            if (!move_corner(cost, tightening, corners, i, turn % turns)) {
+            const Index tried = turn % turns * directions_of_turn;
+            if (!move_corner(cost, margin, gain, corners, directions.slice(tried, tried + directions_of_turn), i)) {
                 corners.step[i] *= 0.5;
                 continue;
             }
@@ -228,16 +233,6 @@ void move_corners(Costs cost, Tightening tightening, Corners corners, Index swee
 }  // namespace
 }  // namespace bumpy
 
-BUMPY_RECORD(bumpy::Tightening, margin, gain, worth, least_step)
-BUMPY_RECORD(bumpy::Corners, points, step, spent, directions)
-BUMPY_RECORD(bumpy::Pieces, row, col, length, part)
+BUMPY_RECORD(bumpy::TracedLine, row, col, length, part)
 
-void bind_straighten(nb::module_& module) {
-    using namespace bumpy;
-    BUMPY_LOOP(module, sum_cost);
-    BUMPY_LOOP(module, check_clear);
-    BUMPY_LOOP(module, trace_line);
-    BUMPY_LOOP(module, leave_out);
-    BUMPY_LOOP(module, leave_borders);
-    BUMPY_LOOP(module, move_corners);
-}
+BUMPY_LOOPS(straighten, sum_cost, check_clear, trace_line, leave_out, leave_borders, move_corners)

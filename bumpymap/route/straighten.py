@@ -44,42 +44,6 @@ class Costs(NamedTuple):
     """Directions across a larger gradient are barred."""
 
 
-class Pieces(NamedTuple):
-    """The pieces of a line, filled; longer than needed."""
-
-    row: Integers
-    col: Integers
-    length: Floats
-    part: Integers
-    """The corner of the line before each."""
-
-
-class Tightening(NamedTuple):
-    """Limits of pulling a line."""
-
-    margin: float
-    """Distance that the line keeps from closed tiles, tiles."""
-    gain: float
-    """A corner is moved for a gain of at least this, tiles."""
-    worth: float
-    """A corner is left out if the line costs no more than this without it, tiles."""
-    least_step: float
-    """Corners are moved by steps down to this, tiles."""
-
-
-class Corners(NamedTuple):
-    """The corners that `move_corners` moves."""
-
-    points: Floats
-    """(n, 2) field coordinates; changed."""
-    step: Floats
-    """(n,) by how far each corner is moved next, tiles; changed."""
-    spent: Floats
-    """(n,) cost from the corner before to each; filled."""
-    directions: Floats
-    """(k, 8, 2) flattened to (8 k, 2): unit vectors; the next eight are tried whenever the last did not help."""
-
-
 LEAST_MARGIN = 1e-6
 """Margins below this one, tiles, count as this one: what touches a closed tile may slip between two of them."""
 _MAX_MARGIN = 0.5
@@ -137,9 +101,9 @@ def trace(cost: NDArray[np.floating] | Costs, line: NDArray[np.floating]) -> Tra
         raise ValueError(f"the line leaves the window of {rows} x {cols} tiles")
     room = int(np.abs(np.diff(np.floor(points), axis=0)).sum()) + 3 * len(line)
     integers = np.empty((3, room), np.int64)
-    pieces = Pieces(integers[0], integers[1], np.empty(room), integers[2])
-    count = loops.trace_line(costs, points, pieces)
-    return TracedLine(pieces.row[:count], pieces.col[:count], pieces.length[:count], pieces.part[:count])
+    out = TracedLine(integers[0], integers[1], np.empty(room), integers[2])
+    count = loops.trace_line(costs, points, out)
+    return TracedLine(out.row[:count], out.col[:count], out.length[:count], out.part[:count])
 
 
 def line_cost(cost: NDArray[np.floating] | Costs, line: NDArray[np.floating]) -> float:
@@ -194,14 +158,13 @@ def pull_tight(cost: NDArray[np.floating] | Costs, line: Floats, margin: float =
     if len(line) < 2 or not given < math.inf:
         raise ValueError(f"a line of {len(line)} corners that costs {given} cannot be pulled tight")
     kept = as_margin(margin) + _SPARE
-    tightening = Tightening(kept, _LEAST_MOVE * given, _WORTH * given, _LEAST_STEP)
-    best = _leave_out(cost, tightening, np.ascontiguousarray(line, np.float64))
+    least, worth = _LEAST_MOVE * given, _WORTH * given
+    best = _leave_out(cost, kept, worth, line)
     total = line_cost(cost, best)
     for _ in range(_ROUNDS):
         points = _with_new_corners(best)
-        corners = Corners(points, np.full(len(points), _FIRST_STEP), np.empty(len(points)), _DIRECTIONS)
-        loops.move_corners(cost, tightening, corners, _SWEEPS)
-        tried = _leave_out(cost, tightening, points)
+        loops.move_corners(cost, kept, least, points, _DIRECTIONS, _FIRST_STEP, _LEAST_STEP, _SWEEPS)
+        tried = _leave_out(cost, kept, worth, points)
         reached = line_cost(cost, tried)
         gain = total - reached
         if gain > 0.0:
@@ -219,8 +182,7 @@ def thin_out(
     ``cost``, ``line``: as `pull_tight`; the line keeps more than the margin, or the arcs stay as they are; ``margin``:
     tiles, at least 0 and below 0.5; ``least_saving``: what a corner saves at least, tiles.
     """
-    thinning = Tightening(as_margin(margin) + _SPARE, 0.0, least_saving, _LEAST_STEP)
-    return _leave_out(as_costs(cost), thinning, np.ascontiguousarray(line, np.float64))
+    return _leave_out(as_costs(cost), as_margin(margin) + _SPARE, least_saving, line)
 
 
 def off_borders(cost: NDArray[np.floating] | Costs, line: Floats, margin: float = 0.0) -> Floats:
@@ -235,10 +197,10 @@ def off_borders(cost: NDArray[np.floating] | Costs, line: Floats, margin: float 
     return moved if is_clear(cost, moved, margin) and line_cost(cost, moved) < math.inf else line
 
 
-def _leave_out(cost: Costs, tightening: Tightening, line: Floats) -> Floats:
-    """Leave out corners until none can be."""
-    points, best, before = line.copy(), np.empty(len(line)), np.empty(len(line), np.int64)
-    return points[: loops.leave_out(cost, tightening, points, _SKIPPED, best, before)]
+def _leave_out(cost: Costs, margin: float, worth: float, line: Floats) -> Floats:
+    """Leave out corners without which the line costs no more than ``worth`` until none can be."""
+    points = np.array(line, np.float64, order="C")
+    return points[: loops.leave_out(cost, margin, worth, points, _SKIPPED)]
 
 
 def _with_new_corners(line: Floats) -> Floats:

@@ -100,10 +100,7 @@ class MapResult:
 
 
 def survey_record(
-    given: Sequence[Location],
-    files: Sequence[Location],
-    checksums: Sequence[str | None],
-    dates: Sequence[date | None],
+    given: Sequence[Location], files: Sequence[Location], checksums: Sequence[str | None], dates: Sequence[date | None]
 ) -> dict[str, Any]:
     """Return name, checksum and dates of a survey; nothing in them depends on where its files lie.
 

@@ -384,9 +384,9 @@ class NeighbourRating:
             line, standing = (closed | low)[tiles], np.isin(states[tiles], (OBSTACLE, UNSEEN))
             whole = own["c_r"][tiles], own["p_fail"][tiles]
             heights, thin = (window.inner(name)[tiles] for name in ("heights", "thin"))
-            found = rate_beside_steps(heights, line, standing, whole, thin, self.calibration)
-            beside["c_r_open"][tiles], beside["p_fail_open"][tiles] = found.c_r, found.p_fail
-            edges[tiles] = line | found.is_closed
+            closed, c_r, p_fail = rate_beside_steps(heights, line, standing, whole, thin, self.calibration)
+            beside["c_r_open"][tiles], beside["p_fail_open"][tiles] = c_r, p_fail
+            edges[tiles] = line | closed
         barred = np.where(touched, np.uint8(Barred.STEP), own["barred"])
         return barred, np.where(edges & (states != OBSTACLE), np.uint8(STEP_EDGE), states), beside
 
@@ -504,8 +504,7 @@ def sides_crossed(usable: NDArray[np.bool_], steps: TileSteps, known: NDArray[np
     known = known[1:-1, 1:-1]
     rows, cols = (side - 2 for side in known.shape)
     beyond = np.stack(
-        [known[1 + down : 1 + down + rows, 1 + right : 1 + right + cols] for down, right in _BESIDE],
-        axis=-1,
+        [known[1 + down : 1 + down + rows, 1 + right : 1 + right + cols] for down, right in _BESIDE], axis=-1
     )
     alone = ~beyond.any(axis=-1, keepdims=True)
     crossed = (beyond & (usable | np.isnan(steps.border))) | alone

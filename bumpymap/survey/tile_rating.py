@@ -137,7 +137,7 @@ class TileRating:
         elif config.compat == "none":  # the paper knows none
             found = find_in_relief(points, patches, body, around)
             points, bare = leave_out_standing(points, patches, found, config.features)
-            objects = found.stack
+            objects = found[0]
             on_ground = True
         network = self.models.texture
         textures = TextureMap.unknown(len(patches.reason)) if network is None else classify(bare, network)

@@ -17,9 +17,7 @@ static void bind_point_stats(nb::module_&), bind_polar(nb::module_&);
 #include "bumpymap/scan/align.cpp"
 #define LinedPoints StatPoints  // las.cpp has its own
 #include "bumpymap/readers/point_stats.cpp"
-#define place_points place_scan  // grouping.cpp has its own
 #include "bumpymap/scan/polar.cpp"
-#undef place_points
 #include "tiles/bumpytiles/grouping.cpp"
 
 using namespace bumpy;
@@ -52,25 +50,24 @@ void fuzz_records(bool layered, Bytes bytes) {  // layered: point formats 6 to 1
     const Column<Index> box{-1000, 1000, -1000, 1000};
     Column<Index> extremes{INT32_MAX, INT32_MIN, INT32_MAX, INT32_MIN, INT32_MAX, INT32_MIN}, counts(4), state(2);
     const Column<std::uint8_t> kinds(256, 1);
-    const RecordRules rules{layout, box, kinds};
     Column<std::int32_t> x(n), y(n), z(n);
     Column<std::uint8_t> kind(n);
     Column<std::uint16_t> line(n);
     Column<std::uint32_t> colour(n);
-    read_colours({bytes.data(), {n, width}}, rules, width - 6, 8, colour);
-    filter_records({bytes.data(), {n, width}}, rules, {x, y, z, kind, line}, {extremes, counts});
+    read_colours({bytes.data(), {n, width}}, layout, width - 6, 8, colour);
+    filter_records({bytes.data(), {n, width}}, layout, box, kinds, {x, y, z, kind, line}, extremes, counts);
     const auto kept = static_cast<std::size_t>(counts[3]);
     for (auto* axis : {&x, &y, &z}) axis->resize(kept);
     const Column<double> scaling{1e-3, 1e-3, 1e-3, 5e5, 5e6, 0.0, 1.0, 1.0, 1.0};
     while (state[0] < counts[3]) {
         Column<Index> keys(rows_of_table, -1), sums(rows_of_table * sums_of_cell);
         state[1] = 0;
-        add_scaled_points({x, y, z, kind, line}, scaling, {keys, {sums.data(), {rows_of_table, sums_of_cell}}, state});
+        add<std::int32_t>({x, y, z, kind, line}, scaling, keys, {sums.data(), {rows_of_table, sums_of_cell}}, state);
     }
 }
 
 void fuzz_pack(Bytes bytes) {
-    const Index n = std::ssize(bytes) / 30, buckets = 2 * static_cast<Index>(std::bit_ceil(bytes.size() + 1));
+    const Index n = std::ssize(bytes) / 30;
     const auto x = take<double>(bytes, n), y = take<double>(bytes, n), z = take<double>(bytes, n);
     const auto tile = take<std::uint8_t>(bytes, n), flag = take<std::uint8_t>(bytes, n);
     const auto colour = take<std::uint32_t>(bytes, n);
@@ -78,16 +75,13 @@ void fuzz_pack(Bytes bytes) {
     count_tiles(tile, first);
     for (std::size_t t = 1; t < first.size(); ++t) first[t] += first[t - 1];
     Column<Index> following(first);
-    Column<double> east(n), north(n), up(n), tile_east(n), tile_north(n), tile_up(n), height(256 * 16, -1e300);
-    Column<std::uint8_t> flags(n), tile_flags(n);
+    Column<double> east(n), north(n), up(n), height(256 * 16, -1e300);
+    Column<std::uint8_t> flags(n);
     Column<std::uint32_t> shown(256 * 16);
     const Column<Index> corner{-16, 32};
     const Marked out{east, north, up, flags};
-    place_points({x, y, z, tile, flag}, colour, following, out, {corner, 1.0, 4, height, shown});
-    Column<std::uint64_t> key(n), rank(n);
-    Column<std::int32_t> bucket(buckets), order(n);
-    sort_tiles(
-        first, starts, corner, 1.0, out, {tile_east, tile_north, tile_up, tile_flags}, {key, bucket, order, rank});
+    place<double>({x, y, z, tile, flag, colour}, {}, following, out, {corner, 1.0, 4, height, shown});
+    sort_tiles(first, starts, corner, 1.0, out);
 }
 
 void fuzz_frame(Bytes bytes) {
@@ -101,7 +95,7 @@ void fuzz_frame(Bytes bytes) {
     Column<std::int32_t> cell(n), order(n), pixel(n), part(n);
     Column<float> xyz(3 * n), normal(18), heights(96);
     const CellPoints placed{starts, order, {xyz.data(), {3, n}}, pixel, part};
-    place_scan(points, {edges, sectors, rings, 0.25, 4}, part_of_pixel, cell, placed);
+    place_points(points, {edges, sectors, rings, 0.25, 4}, part_of_pixel, cell, placed);
     Column<Index> filled;
     for (const Index c : cells)
         if (starts[static_cast<std::size_t>(c)] + 3 <= starts[static_cast<std::size_t>(c) + 1]) filled.push_back(c);

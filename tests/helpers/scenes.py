@@ -308,7 +308,7 @@ def _mapped(points, body):
     buckets.add(points.x, points.y, points.z, kinds.astype(np.uint8))
     tiles = join_tiles(list(buckets.blocks()))
     alone = measure(tiles, settings, ground_only=classified)
-    stack = find_objects(tiles, alone, body) if classified else find_in_relief(tiles, alone, body).stack
+    stack = find_objects(tiles, alone, body) if classified else find_in_relief(tiles, alone, body)[0]
     west, south = int(tiles.col.min()) - 1, int(tiles.row.min()) - 1
     side = max(np.ptp(tiles.col), np.ptp(tiles.row)) + 3
     mosaic = np.full((side, 15, side, 15), UNSEEN, np.uint8)

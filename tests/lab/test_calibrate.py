@@ -264,7 +264,7 @@ def test_it_finds_what_was_put_in_and_its_spread_and_leaves_failed_terrains_out(
     # Logarithms are plain functions of C_r and speed, with errors of that spread.
     c_r = np.geomspace(0.01, 0.4, len(motion_jobs(settings)))[:, None]
     s = np.log(SPEED_RATIOS)[None, :]
-    logs = np.stack([np.log(c_r) - 0.1 * s, np.log(0.7 * c_r) + 0 * s, np.log(4 * c_r) + 1.3 * s], axis=-1)
+    logs = np.stack([np.log(c_r) - 0.1 * s, np.log(4 * c_r) + 1.3 * s], axis=-1)
     errors = np.random.default_rng(1).normal(0.0, spread, logs.shape)
     errors[:, SPEED_RATIOS.index(1.0), 0] = 0.0
     means = np.exp(logs + errors)
@@ -272,9 +272,9 @@ def test_it_finds_what_was_put_in_and_its_spread_and_leaves_failed_terrains_out(
     model = fit_means(settings, means, 2)
     told = np.exp(model.plain_log_factors(np.array([0.03, 0.1, 0.3]), np.log((0.5, 1.0, 1.5))))
     for speed, ratio in enumerate((0.5, 1.0, 1.5)):
-        assert told[:, speed] == pytest.approx(np.tile([ratio**-0.1, 0.7, 4 * ratio**1.3], (3, 1)), rel=tolerance)
+        assert told[:, speed] == pytest.approx(np.tile([ratio**-0.1, 4 * ratio**1.3], (3, 1)), rel=tolerance)
     assert model.origin["used"] == len(means) - 1
-    for fit in (model.c_r, model.c_roll, model.a_w):
+    for fit in (model.c_r, model.a_w):
         assert fit.plain_log_sd == pytest.approx(spread, rel=0.3, abs=1e-3)
 
 
@@ -284,7 +284,7 @@ def test_the_shipped_record_is_what_its_drives_give(name):
     shipped = Calibration.shipped(name)
     origin = shipped.motion["origin"]
     made = fit_means(calibrated_settings(shipped), np.array(origin["driven"], np.float64), origin["starts"]).to_record()
-    for key in ("c_r", "c_roll", "a_w"):
+    for key in ("c_r", "a_w"):
         assert made[key]["plain"] == pytest.approx(shipped.motion[key]["plain"], rel=1e-4, abs=1e-5)
         assert made[key]["log_sd"] == pytest.approx(shipped.motion[key]["log_sd"], rel=0.01)
     assert made["origin"] == shipped.motion["origin"]

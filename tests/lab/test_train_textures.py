@@ -50,11 +50,11 @@ def test_holes_are_filled_as_the_features_fill_them(patches):
 def test_epochs_shuffle_and_survey_anew_but_repeatably():
     training = textures.shapes(1, 0, 40, 15)
     first, again, second = (textures.epoch_samples(training, 1, epoch) for epoch in (0, 0, 1))
-    assert_array_equal(first.patches, again.patches)
-    assert_array_equal(first.measures, again.measures)
-    assert len(first.labels) == 176, "four forms and short waves"
-    assert (np.diff(first.labels) < 0).any()
-    assert np.abs(first.patches - second.patches).mean() > 0.05
+    assert_array_equal(first[0], again[0])
+    assert_array_equal(first[1], again[1])
+    assert len(first[2]) == 176, "four forms and short waves"
+    assert (np.diff(first[2]) < 0).any()
+    assert np.abs(first[0] - second[0]).mean() > 0.05
 
 
 def test_unseen_patches_share_none_with_training():
@@ -76,11 +76,11 @@ def test_a_survey_measures_the_relief_and_the_noise_that_were_drawn():
     still = {"waves": (1e-9, 1e-9), "strip": 0, "hole": 0, "slope": 0, "no_noise": 0}
     plain = SurveyEffects(relief=(0.5, 0.5), level=0, points=(9, 9), noise=(0.01, 0.01), **still)
     level = replace(plain, level=1)
-    found, noise = (surveyed(ground, form, np.random.default_rng(3), of) for of in (plain, level))
-    assert np.exp(np.median(found.measures[:, 0])) == pytest.approx(5, rel=0.1)
-    assert np.exp(np.median(noise.measures[:, 1])) == pytest.approx(1 / 3, rel=0.15), "of ten millimetres, nine points"
-    assert_array_equal(noise.labels, 0)
-    assert_array_equal(surveyed(ground, form, np.random.default_rng(3), SurveyEffects(no_noise=1)).measures[:, 1:], 0)
+    (_, found, _), (_, noise, labels) = (surveyed(ground, form, np.random.default_rng(3), of) for of in (plain, level))
+    assert np.exp(np.median(found[:, 0])) == pytest.approx(5, rel=0.1)
+    assert np.exp(np.median(noise[:, 1])) == pytest.approx(1 / 3, rel=0.15), "of ten millimetres, nine points"
+    assert_array_equal(labels, 0)
+    assert_array_equal(surveyed(ground, form, np.random.default_rng(3), SurveyEffects(no_noise=1))[1][:, 1:], 0)
 
 
 def bits(net):
@@ -120,10 +120,10 @@ def test_onnx_says_what_torch_says(pixels):
         net.conv4[1].weight.uniform_(0.5, 2.0)
         net.conv5[1].running_mean.uniform_(-0.1, 0.1)
         net.head.bias.uniform_(-1.0, 1.0)
-    samples = textures.unseen_samples(3, 100, pixels)
+    patches, measures, _ = textures.unseen_samples(3, 100, pixels)
     model = TextureModel(to_onnx(net, {}), {}, 3.0, pixels)
-    expected = predict(net, torch.from_numpy(samples.patches)[:, None], torch.from_numpy(samples.measures))
-    assert_allclose(infer(model, samples.patches, samples.measures), expected, atol=2e-5)
+    expected = predict(net, torch.from_numpy(patches)[:, None], torch.from_numpy(measures))
+    assert_allclose(infer(model, patches, measures), expected, atol=2e-5)
 
 
 def test_command_writes_model_and_card(tmp_path, monkeypatch):

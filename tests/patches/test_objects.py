@@ -223,7 +223,7 @@ def gentle(x, y):
 def bare_tiles(ground, density):
     points, patches = surveyed(ground, density)
     found = find_in_relief(points, patches, BODY)
-    return found.stack.objects == OBSTACLE, patches, *leave_out_standing(points, patches, found, SETTINGS)
+    return found[0].objects == OBSTACLE, patches, *leave_out_standing(points, patches, found, SETTINGS)
 
 
 def test_beside_a_car_that_fills_half_a_tile_the_ride_is_that_of_the_ground():

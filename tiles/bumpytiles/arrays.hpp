@@ -6,6 +6,7 @@
 #include <array>
 #include <cassert>
 #include <cstdint>
+#include <vector>
 
 namespace bumpy {
 
@@ -70,5 +71,15 @@ struct Array {
 
     operator Array<const T, Axes>() const requires(!std::is_const_v<T>) { return {data, shape}; }
 };
+
+// Numbers of a vector as the loops take them.
+template <class Number>
+Array<Number> view(std::vector<Number>& numbers) {
+    return {numbers.data(), {std::ssize(numbers)}};
+}
+template <class Number>
+Array<const Number> view(const std::vector<Number>& numbers) {
+    return {numbers.data(), {std::ssize(numbers)}};
+}
 
 }  // namespace bumpy

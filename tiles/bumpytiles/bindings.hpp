@@ -1,5 +1,5 @@
-// How Python calls the loops: arrays come as `Array`, records as structs whose fields are looked up by name, so that a
-// NamedTuple on the Python side, where shapes and units are explained, and its struct need not be kept in one order.
+// How Python calls the loops: arrays come as `Array`, records as structs whose fields are looked up by name in a
+// dictionary or any other object, which may have more of them, in any order.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -11,13 +11,21 @@ namespace nb = nanobind;
 
 // Binds `function` under its own name. The interpreter is free to run other threads meanwhile.
 #define BUMPY_LOOP(module, function) (module).def(#function, &(function), bumpy::free_interpreter())
+// The same for all loops of a source: BUMPY_LOOPS(search, search_ways, connect). To be written outside of all
+// namespaces.
+#define BUMPY_LOOPS(source, ...)                      \
+    void bind_##source(nb::module_& module) {         \
+        using namespace bumpy;                        \
+        BUMPY_EACH(BUMPY_LOOP_OF_MODULE, __VA_ARGS__) \
+    }
+#define BUMPY_LOOP_OF_MODULE(function) BUMPY_LOOP(module, function);
 
 // Makes a struct of arrays and numbers a parameter of bound functions: BUMPY_RECORD(Cells, row, col, height). To be
 // written outside of all namespaces.
 #define BUMPY_RECORD(Struct, ...)                                                              \
     template <>                                                                                \
     struct nanobind::detail::type_caster<Struct> {                                             \
-        NB_TYPE_CASTER(Struct, const_name("tuple[object, ...]"))                               \
+        NB_TYPE_CASTER(Struct, const_name("object"))                                           \
         bool from_python(handle source, std::uint32_t flags, cleanup_list* cleanup) noexcept { \
             return BUMPY_EACH(BUMPY_FIELD, __VA_ARGS__) true;                                  \
         }                                                                                      \
@@ -48,7 +56,9 @@ bool read_value(nb::handle source, T& value, std::uint32_t flags, nb::detail::cl
 template <class T>
 bool read_field(
     nb::handle source, const char* name, T& value, std::uint32_t flags, nb::detail::cleanup_list* cleanup) noexcept {
-    const nb::object field = nb::steal(PyObject_GetAttrString(source.ptr(), name));
+    const bool is_dict = nb::isinstance<nb::dict>(source);
+    const nb::object field = is_dict ? nb::borrow(PyDict_GetItemString(source.ptr(), name))
+                                     : nb::steal(PyObject_GetAttrString(source.ptr(), name));
     if (!field.is_valid()) {
         PyErr_Clear();
         return false;

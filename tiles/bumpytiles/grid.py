@@ -112,8 +112,5 @@ class Grid:
         """Return the bounds of a window of tiles, m."""
         size = self.tile_size
         return Bounds(
-            window.col * size,
-            window.row * size,
-            (window.col + window.cols) * size,
-            (window.row + window.rows) * size,
+            window.col * size, window.row * size, (window.col + window.cols) * size, (window.row + window.rows) * size
         )

@@ -22,17 +22,20 @@ struct Coordinates {
     Array<const Number> easting, northing, upward;
 };
 
-template <class Number, class Byte>
+// Points with their tile inside the block; without colours, of which 0 is none, where none has one.
+template <class Number, class Byte, class Colour>
 struct Tiled {
     Array<Number> easting, northing, upward;
     Array<Byte> tile, flag;
+    Array<Colour> colour;
 };
 
 template <class Number>
-using TiledOut = Tiled<Number, std::uint8_t>;
+using TiledOut = Tiled<Number, std::uint8_t, std::uint32_t>;
 template <class Number>
-using TiledIn = Tiled<const Number, const std::uint8_t>;
+using TiledIn = Tiled<const Number, const std::uint8_t, const std::uint32_t>;
 
+// The window of blocks around some points, from the south-west one.
 struct BlockWindow {
     double tile_size;
     Index first_col, first_row, cols;
@@ -42,44 +45,37 @@ struct BlockWindow {
     }
 };
 
-struct TileBorders {
-    Array<const Index> easting, northing;
-    double tiles_per_easting, tiles_per_northing;
-    Index first_col, first_row;
-};
-
-struct Grouping {
-    Array<std::int32_t> cell;
-    Array<std::uint8_t> tile;
-};
-
 std::uint8_t tile_of_block(Index col, Index row) {
     return static_cast<std::uint8_t>(modulo(row, block_tiles) * block_tiles + modulo(col, block_tiles));
 }
 
-void count_points(Coordinates<double> points, BlockWindow window, Array<Index> counts, Grouping out) {
+// Fills the block of the window and the tile in it of each point, and counts the points of each block.
+void count_points(
+    Coordinates<double> points, BlockWindow window, Array<Index> counts, Array<std::int32_t> cells,
+    Array<std::uint8_t> tiles) {
     for (Index i = 0; i < points.easting.size(); ++i) {
         const Index col = tile_index(points.easting[i], window.tile_size);
         const Index row = tile_index(points.northing[i], window.tile_size);
         const Index cell = window.cell(col, row);
-        out.cell[i] = static_cast<std::int32_t>(cell);
-        out.tile[i] = tile_of_block(col, row);
+        cells[i] = static_cast<std::int32_t>(cell);
+        tiles[i] = tile_of_block(col, row);
         ++counts[cell + 1];
     }
 }
 
-// The interval between borders that holds a number; an interval is about 1 / per_tile wide.
-Index interval_of(Index number, Array<const Index> borders, double per_tile) {
-    const auto guess = static_cast<Index>(static_cast<double>(number - borders[0]) * per_tile);
-    Index i = std::min(std::max(guess, Index{0}), borders.size() - 2);
-    while (number < borders[i]) --i;
-    while (number >= borders[i + 1]) ++i;
-    return i;
-}
-
-// Points of a file's own grid: by the borders of the tiles, without their coordinates.
+// Points of a file's own grid: by where the columns and rows of tiles begin on it, from the tile `first` on, without
+// coordinates.
 void count_scaled_points(
-    Coordinates<std::int32_t> points, TileBorders borders, BlockWindow window, Array<Index> counts, Grouping out) {
+    Coordinates<std::int32_t> points, Array<const Index> cols, Array<const Index> rows, Array<const Index> first,
+    BlockWindow window, Array<Index> counts, Array<std::int32_t> cells, Array<std::uint8_t> tiles) {
+    const auto interval_of = [](Index number, Array<const Index> borders) {
+        const Index last = borders.size() - 1;  // intervals are about as wide as each other
+        const auto part = static_cast<double>(number - borders[0]) / static_cast<double>(borders[last] - borders[0]);
+        Index i = std::min(static_cast<Index>(part * static_cast<double>(last)), last - 1);
+        while (number < borders[i]) --i;
+        while (number >= borders[i + 1]) ++i;
+        return i;
+    };
     Index x_first = 0, x_end = 0, y_first = 0, y_end = 0;  // of the tile of the point before
     Index cell = 0, run = 0;
     std::uint8_t tile = 0;
@@ -89,18 +85,17 @@ void count_scaled_points(
         if (!(x_first <= x && x < x_end && y_first <= y && y < y_end)) {
             counts[cell + 1] += run;
             run = 0;
-            const Index col = interval_of(x, borders.easting, borders.tiles_per_easting);
-            const Index row = interval_of(y, borders.northing, borders.tiles_per_northing);
-            x_first = borders.easting[col];
-            x_end = borders.easting[col + 1];
-            y_first = borders.northing[row];
-            y_end = borders.northing[row + 1];
-            cell = window.cell(col + borders.first_col, row + borders.first_row);
-            tile = tile_of_block(col + borders.first_col, row + borders.first_row);
+            const Index col = interval_of(x, cols), row = interval_of(y, rows);
+            x_first = cols[col];
+            x_end = cols[col + 1];
+            y_first = rows[row];
+            y_end = rows[row + 1];
+            cell = window.cell(first[0] + col, first[1] + row);
+            tile = tile_of_block(first[0] + col, first[1] + row);
         }
         ++run;
-        out.cell[i] = static_cast<std::int32_t>(cell);
-        out.tile[i] = tile;
+        cells[i] = static_cast<std::int32_t>(cell);
+        tiles[i] = tile;
     }
     counts[cell + 1] += run;
 }
@@ -108,21 +103,17 @@ void count_scaled_points(
 // Puts points block by block, in their own order inside a block; `place` is where each block's next point goes.
 template <class Number>
 void scatter(
-    Coordinates<Number> points, Array<const std::uint8_t> flag, Grouping found, Array<Index> place,
-    TiledOut<Number> out) {
+    Coordinates<Number> points, Array<const std::uint8_t> flag, Array<const std::uint32_t> colour,
+    Array<const std::int32_t> cells, Array<const std::uint8_t> tiles, Array<Index> place, TiledOut<Number> out) {
     for (Index i = 0; i < flag.size(); ++i) {
-        const Index p = place[found.cell[i]]++;
+        const Index p = place[cells[i]]++;
         out.easting[p] = points.easting[i];
         out.northing[p] = points.northing[i];
         out.upward[p] = points.upward[i];
-        out.tile[p] = found.tile[i];
+        out.tile[p] = tiles[i];
         out.flag[p] = flag[i];
+        if (colour.size() > 0) out.colour[p] = colour[i];
     }
-}
-
-void scatter_colours(
-    Array<const std::uint32_t> colour, Array<const std::int32_t> cell, Array<Index> place, Array<std::uint32_t> out) {
-    for (Index i = 0; i < colour.size(); ++i) out[place[cell[i]]++] = colour[i];
 }
 
 // ---- The points of a block, tile by tile ----
@@ -132,33 +123,14 @@ struct Marked {
     Array<std::uint8_t> flag;
 };
 
-// The picture of a block that points are painted on.
+// The picture of a block that points are painted on: column and row of its south-west tile, and of each pixel the
+// height and the colour of the point that it shows; -inf and 0: none.
 struct BlockPhoto {
     Array<const Index> corner;
     double tile_size;
     Index pixels;
     Array<double> height;
     Array<std::uint32_t> colour;
-};
-
-// Reads points in metres, whatever they are stored in.
-struct InMetres {
-    TiledIn<double> points;
-
-    std::array<double, 3> operator()(Index i) const {
-        return {points.easting[i], points.northing[i], points.upward[i]};
-    }
-};
-
-struct OnFileGrid {
-    TiledIn<std::int32_t> points;
-    Scaling scaling;
-
-    std::array<double, 3> operator()(Index i) const {
-        return {
-            scaling.metres(points.easting[i], 0), scaling.metres(points.northing[i], 1),
-            scaling.metres(points.upward[i], 2)};
-    }
 };
 
 void count_tiles(Array<const std::uint8_t> tile, Array<Index> first) {
@@ -182,40 +154,34 @@ void paint(const std::array<double, 3>& point, Index tile, std::uint32_t colour,
     }
 }
 
-// Puts points tile by tile; `following` is where each tile's next point goes. Points with a colour are painted.
-template <class Reader, class Points>
-void place(
-    Reader read, Points points, Array<const std::uint32_t> colour, Array<Index> following, Marked out,
-    BlockPhoto photo) {
+// Puts points tile by tile, in metres; `following` is where each tile's next point goes. Points with a colour are
+// painted. `numbers` of a `Scaling`.
+template <class Number>
+void place(TiledIn<Number> points, Array<const double> numbers, Array<Index> following, Marked out, BlockPhoto photo) {
+    const Scaling scaling{numbers};
     for (Index i = 0; i < points.tile.size(); ++i) {
         const Index tile = points.tile[i];
         const Index p = following[tile]++;
-        const std::array<double, 3> point = read(i);
+        const std::array<double, 3> point{
+            scaling.metres(points.easting[i], 0), scaling.metres(points.northing[i], 1),
+            scaling.metres(points.upward[i], 2)};
         out.easting[p] = point[0];
         out.northing[p] = point[1];
         out.upward[p] = point[2];
         out.flag[p] = points.flag[i];
-        if (colour.size() > 0 && colour[i] != 0) paint(point, tile, colour[i], photo);
+        if (points.colour.size() > 0 && points.colour[i] != 0) paint(point, tile, points.colour[i], photo);
     }
-}
-
-void place_points(
-    TiledIn<double> points, Array<const std::uint32_t> colour, Array<Index> following, Marked out, BlockPhoto photo) {
-    place(InMetres{points}, points, colour, following, out, photo);
-}
-
-void place_scaled_points(
-    TiledIn<std::int32_t> points, Array<const double> scaling, Array<const std::uint32_t> colour,
-    Array<Index> following, Marked out, BlockPhoto photo) {
-    place(OnFileGrid{points, {scaling}}, points, colour, following, out, photo);
 }
 
 // ---- The points of a tile in their order ----
 
+// The points of a tile: their keys; where the points of each bucket begin; the points in order, and their keys.
 struct SortScratch {
-    Array<std::uint64_t> key;
-    Array<std::int32_t> bucket, order;
-    Array<std::uint64_t> rank;
+    explicit SortScratch(Index most) : key(most), order(most), rank(most) {}
+
+    std::vector<std::uint64_t> key;
+    std::vector<std::int32_t> order, bucket;
+    std::vector<std::uint64_t> rank;
 };
 
 // Bits of the hash of a point by which the points of a tile are ordered.
@@ -242,7 +208,8 @@ double from_middle(double coordinate, double first, double size) {
 }
 
 // Hashes where points are: how far from the middle of the tile, to either side, and above its lowest point.
-void fill_keys(Index count, double west, double south, double size, const Marked& tile, Array<std::uint64_t> key) {
+void fill_keys(
+    Index count, double west, double south, double size, const Marked& tile, std::vector<std::uint64_t>& key) {
     const double low = *std::min_element(tile.upward.begin(), tile.upward.begin() + count);
     for (Index j = 0; j < count; ++j) {
         const double x = from_middle(tile.easting[j], west, size), y = from_middle(tile.northing[j], south, size);
@@ -252,11 +219,11 @@ void fill_keys(Index count, double west, double south, double size, const Marked
 }
 
 // Puts the first points of the tile into `order` by the leading bits of their keys.
-void fill_buckets(Index count, const SortScratch& scratch) {
+void fill_buckets(Index count, SortScratch& scratch) {
     const int width = std::max(1, static_cast<int>(std::bit_width(static_cast<std::uint64_t>(count - 1))));
     const Index buckets = Index{1} << width;
     const auto bucket_of = [&](Index j) { return static_cast<Index>(scratch.key[j] >> (key_bits - width)); };
-    std::fill(scratch.bucket.begin(), scratch.bucket.begin() + buckets + 1, 0);
+    scratch.bucket.assign(buckets + 1, 0);
     for (Index j = 0; j < count; ++j) ++scratch.bucket[bucket_of(j) + 1];
     for (Index b = 1; b <= buckets; ++b) scratch.bucket[b] += scratch.bucket[b - 1];
     for (Index j = 0; j < count; ++j) {
@@ -279,7 +246,8 @@ bool comes_later(const Marked& points, Index o, Index i) {
 }
 
 // Sorts the first points of `order` by insertion: the buckets have nearly sorted them.
-void insert_by_key(const Marked& points, Index count, Array<std::int32_t> order, Array<std::uint64_t> rank) {
+void insert_by_key(
+    const Marked& points, Index count, std::vector<std::int32_t>& order, std::vector<std::uint64_t>& rank) {
     for (Index j = 1; j < count; ++j) {
         const std::int32_t i = order[j];
         const std::uint64_t key = rank[j];
@@ -297,10 +265,13 @@ void insert_by_key(const Marked& points, Index count, Array<std::int32_t> order,
 
 // Sorts points, tile by tile, inside their tiles by the hash of where they are, then by coordinates; drops exact
 // duplicates.
-void sort_tiles(
-    Array<const Index> first, Array<Index> starts, Array<const Index> corner, double size, Marked points, Marked tile,
-    SortScratch scratch) {
-    Index kept = 0;
+void sort_tiles(Array<const Index> first, Array<Index> starts, Array<const Index> corner, double size, Marked points) {
+    Index most = 0, kept = 0;
+    for (Index t = 0; t < tiles_of_block; ++t) most = std::max(most, first[t + 1] - first[t]);
+    std::vector<double> easting(most), northing(most), upward(most);
+    std::vector<std::uint8_t> flag(most);
+    const Marked tile{view(easting), view(northing), view(upward), view(flag)};
+    SortScratch scratch(most);
     for (Index t = 0; t < tiles_of_block; ++t) {
         starts[t] = kept;
         const Index begin = first[t], count = first[t + 1] - begin;
@@ -332,16 +303,13 @@ void sort_tiles(
 
 BUMPY_RECORD(bumpy::Coordinates<double>, easting, northing, upward)
 BUMPY_RECORD(bumpy::Coordinates<std::int32_t>, easting, northing, upward)
-BUMPY_RECORD(bumpy::TiledOut<double>, easting, northing, upward, tile, flag)
-BUMPY_RECORD(bumpy::TiledOut<std::int32_t>, easting, northing, upward, tile, flag)
-BUMPY_RECORD(bumpy::TiledIn<double>, easting, northing, upward, tile, flag)
-BUMPY_RECORD(bumpy::TiledIn<std::int32_t>, easting, northing, upward, tile, flag)
+BUMPY_RECORD(bumpy::TiledOut<double>, easting, northing, upward, tile, flag, colour)
+BUMPY_RECORD(bumpy::TiledOut<std::int32_t>, easting, northing, upward, tile, flag, colour)
+BUMPY_RECORD(bumpy::TiledIn<double>, easting, northing, upward, tile, flag, colour)
+BUMPY_RECORD(bumpy::TiledIn<std::int32_t>, easting, northing, upward, tile, flag, colour)
 BUMPY_RECORD(bumpy::BlockWindow, tile_size, first_col, first_row, cols)
-BUMPY_RECORD(bumpy::TileBorders, easting, northing, tiles_per_easting, tiles_per_northing, first_col, first_row)
-BUMPY_RECORD(bumpy::Grouping, cell, tile)
 BUMPY_RECORD(bumpy::Marked, easting, northing, upward, flag)
 BUMPY_RECORD(bumpy::BlockPhoto, corner, tile_size, pixels, height, colour)
-BUMPY_RECORD(bumpy::SortScratch, key, bucket, order, rank)
 
 void bind_grouping(nb::module_& module) {
     using namespace bumpy;
@@ -349,9 +317,8 @@ void bind_grouping(nb::module_& module) {
     BUMPY_LOOP(module, count_scaled_points);
     module.def("scatter_points", &scatter<double>, free_interpreter());
     module.def("scatter_scaled_points", &scatter<std::int32_t>, free_interpreter());
-    BUMPY_LOOP(module, scatter_colours);
     BUMPY_LOOP(module, count_tiles);
-    BUMPY_LOOP(module, place_points);
-    BUMPY_LOOP(module, place_scaled_points);
+    module.def("place_points", &place<double>, free_interpreter());
+    module.def("place_scaled_points", &place<std::int32_t>, free_interpreter());
     BUMPY_LOOP(module, sort_tiles);
 }

@@ -34,10 +34,12 @@ inline double pixels_from(double first, double coordinate, double size, double p
     return pixels * std::rint((coordinate - first) * steps_per_metre) / std::rint(size * steps_per_metre);
 }
 
-// How integers of a file's own grid become metres: scales, offsets and metres of the unit of x, y and z.
+// How integers of a file's own grid become metres: scales, offsets and metres of the unit of x, y and z; none where
+// coordinates are in metres.
 struct Scaling {
     Array<const double> numbers;
 
+    double metres(double metres, Index) const { return metres; }
     double metres(std::int32_t number, Index axis) const {
         constexpr double round = 1e8;  // coordinates have 8 decimals, in the file's unit; DECIMALS in grouping.py
         return std::rint((number * numbers[axis] + numbers[3 + axis]) * round) / round * numbers[6 + axis];

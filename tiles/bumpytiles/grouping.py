@@ -126,100 +126,6 @@ def photo_of(points: TilePoints) -> NDArray[np.uint8]:
     return np.zeros((len(points.col), side, side, 3), np.uint8) if points.photo is None else points.photo
 
 
-class Coordinates(NamedTuple):
-    """Coordinates, (n,) each: float64 in metres, or int32 of the file's own grid, see `Scaling`."""
-
-    easting: NDArray[Any]
-    northing: NDArray[Any]
-    upward: NDArray[Any]
-
-
-class TiledPoints(NamedTuple):
-    """Points that know their tile, (n,) each; coordinates as in `Coordinates`."""
-
-    easting: NDArray[Any]
-    northing: NDArray[Any]
-    upward: NDArray[Any]
-    tile: NDArray[np.uint8]
-    """Tile inside the block, row * 16 + column."""
-    flag: NDArray[np.uint8]
-
-
-class MarkedPoints(NamedTuple):
-    """Points, (n,) each."""
-
-    easting: NDArray[np.float64]
-    """m, as the two that follow."""
-    northing: NDArray[np.float64]
-    upward: NDArray[np.float64]
-    flag: NDArray[np.uint8]
-    """A number that travels with each point; 1: flagged."""
-
-
-class BlockWindow(NamedTuple):
-    """The window of blocks around some points."""
-
-    tile_size: float
-    """m."""
-    first_col: int
-    """South-west block, as the next."""
-    first_row: int
-    cols: int
-    """Width in blocks."""
-
-
-class TileBorders(NamedTuple):
-    """Where tiles begin on the grid of a file."""
-
-    easting: NDArray[np.int64]
-    """(columns + 1,) the lowest integer in each column of tiles, and in the one behind the last."""
-    northing: NDArray[np.int64]
-    """(rows + 1,) the same for rows."""
-    tiles_per_easting: float
-    """About how many columns an integer is wide."""
-    tiles_per_northing: float
-    first_col: int
-    """Of the borders."""
-    first_row: int
-
-
-class Grouping(NamedTuple):
-    """Where points go."""
-
-    cell: NDArray[np.int32]
-    """(n,) block of each point in the window."""
-    tile: NDArray[np.uint8]
-    """(n,)."""
-
-
-class BlockPhoto(NamedTuple):
-    """The picture of a block that points are painted on."""
-
-    corner: NDArray[np.int64]
-    """(2,) column and row of its south-west tile."""
-    tile_size: float
-    """m."""
-    pixels: int
-    """Along the side of a tile."""
-    height: NDArray[np.float64]
-    """(256 * pixels^2,) height of the point that each pixel shows, m; -inf: none."""
-    colour: NDArray[np.uint32]
-    """The same, its colour; 0: none."""
-
-
-class SortScratch(NamedTuple):
-    """Scratch for the sorting of a tile; ``most`` is the largest number of points of a tile."""
-
-    key: NDArray[np.uint64]
-    """(most,) keys of the points of a tile."""
-    bucket: NDArray[np.int32]
-    """(``most`` rounded up to a power of two, at least 2, + 1,) where each bucket's points begin."""
-    order: NDArray[np.int32]
-    """(most,) points of a tile in their final order."""
-    rank: NDArray[np.uint64]
-    """The same, their keys."""
-
-
 PointColumns = dict[str, NDArray[Any]]
 """Columns of `POINT_COLUMNS` or `SCALED_COLUMNS`, (n,) each."""
 
@@ -246,27 +152,19 @@ def sort_block(grid: Grid, key: BlockKey, parts: Sequence[PointPart]) -> TilePoi
     counts = np.zeros(BLOCK_TILES**2 + 1, np.int64)
     for part in parts:
         loops.count_tiles(part.columns["tile"], counts)
-    first, most = np.cumsum(counts), int(counts.max())
+    first = np.cumsum(counts)
     n, starts, following = int(first[-1]), np.empty_like(first), first[:-1].copy()
-    out = _empty_points(n)
+    out: PointColumns = {axis: np.empty(n) for axis in _AXES} | {"flag": np.empty(n, np.uint8)}
     coloured = any(_COLOUR.name in part.columns for part in parts)
     size = BLOCK_TILES**2 * grid.pixels**2 if coloured else 0
     corner = np.array([key[1], key[0]]) * BLOCK_TILES
-    photo = BlockPhoto(corner, grid.tile_size, grid.pixels, np.full(size, -np.inf), np.zeros(size, np.uint32))
+    colour = np.zeros(size, np.uint32)
+    photo = {"corner": corner, "tile_size": grid.tile_size, "pixels": grid.pixels, "colour": colour}
+    photo["height"] = np.full(size, -np.inf)
     for columns, scaling in parts:
-        own = TiledPoints(**{column.name: columns[column.name] for column in POINT_COLUMNS})
-        colour = columns.get(_COLOUR.name, np.empty(0, np.uint32))
-        if scaling is None:
-            loops.place_points(own, colour, following, out, photo)
-        else:
-            loops.place_scaled_points(own, scaling.numbers(), colour, following, out, photo)
-    scratch = SortScratch(
-        key=np.empty(most, np.uint64),
-        bucket=np.empty((1 << max(1, (most - 1).bit_length())) + 1, np.int32),
-        order=np.empty(most, np.int32),
-        rank=np.empty(most, np.uint64),
-    )
-    loops.sort_tiles(first, starts, corner, grid.tile_size, out, _empty_points(most), scratch)
+        place = loops.place_points if scaling is None else loops.place_scaled_points
+        place(_NO_COLOURS | columns, np.empty(0) if scaling is None else scaling.numbers(), following, out, photo)
+    loops.sort_tiles(first, starts, corner, grid.tile_size, out)
     kept = int(starts[-1])
     present = np.flatnonzero(np.diff(starts))
     return TilePoints(
@@ -274,22 +172,13 @@ def sort_block(grid: Grid, key: BlockKey, parts: Sequence[PointPart]) -> TilePoi
         col=key[1] * BLOCK_TILES + present % BLOCK_TILES,
         row=key[0] * BLOCK_TILES + present // BLOCK_TILES,
         starts=np.append(starts[present], kept),
-        easting=out.easting[:kept],
-        northing=out.northing[:kept],
-        upward=out.upward[:kept],
-        flag=out.flag[:kept],
-        photo=_red_green_blue(photo, present) if coloured else None,
+        photo=_red_green_blue(colour.reshape(-1, grid.pixels, grid.pixels)[present]) if coloured else None,
+        **{name: values[:kept] for name, values in out.items()},
     )
 
 
-def _red_green_blue(photo: BlockPhoto, present: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Return the photo of some tiles of a block, (tiles, pixels, pixels, 3)."""
-    colour = photo.colour.reshape(-1, photo.pixels, photo.pixels)[present]
+def _red_green_blue(colour: NDArray[np.uint32]) -> NDArray[np.uint8]:
     return np.stack([colour >> 16, colour >> 8, colour], axis=-1).astype(np.uint8)
-
-
-def _empty_points(points: int) -> MarkedPoints:
-    return MarkedPoints(np.empty(points), np.empty(points), np.empty(points), np.empty(points, np.uint8))
 
 
 _MOST_BORDERS = 1 << 16
@@ -304,6 +193,7 @@ SCALED_COLUMNS = (*(Column(axis, "<i4") for axis in _AXES), *_MARKS)
 """The same with integers of the grid of its file: 14 bytes."""
 _COLOUR = Column("colour", "<u4")
 """Of points that have one, see `bumpytiles.ScaledPoints`."""
+_NO_COLOURS: PointColumns = {_COLOUR.name: np.empty(0, np.uint32)}
 
 
 def columns_of(scaling: Scaling | None, *, coloured: bool) -> tuple[Column, ...]:
@@ -367,17 +257,15 @@ def group_points(
     colour: NDArray[np.uint32] | None = None,
 ) -> GroupedPoints:
     """Group a chunk of points by block; coordinates (n,) in metres, ``flag`` and ``colour`` (n,) belong to them."""
-    x, y, z = (np.ascontiguousarray(column, np.float64) for column in (easting, northing, upward))
+    columns = zip(_AXES, (easting, northing, upward), strict=True)
+    points = {axis: np.ascontiguousarray(column, np.float64) for axis, column in columns}
     marks = np.ascontiguousarray(flag, np.uint8)
-    window = _window(grid, x, y)
+    window = _window(grid, points["easting"], points["northing"])
     if window is None:
-        return _group_scattered(grid, colour, x, y, z, marks)
-    found, counts = _empty_scratch(len(x)), np.zeros(window.cells + 1, np.int64)
-    points = Coordinates(x, y, z)
-    loops.count_points(points, window.blocks, counts, found)
-    columns = _empty_columns(POINT_COLUMNS, len(x))
-    loops.scatter_points(points, marks, found, np.cumsum(counts), TiledPoints(**columns))
-    return window.grouped(counts, columns | _scattered(colour, found, counts), None)
+        return _group_scattered(grid, colour, *points.values(), marks)
+    counts, cell, tile = window.scratch(len(marks))
+    loops.count_points(points, window, counts, cell, tile)
+    return window.grouped(points, (marks, colour, cell, tile), counts, None)
 
 
 def group_scaled_points(grid: Grid, points: ScaledPoints) -> GroupedPoints:
@@ -389,28 +277,20 @@ def group_scaled_points(grid: Grid, points: ScaledPoints) -> GroupedPoints:
     borders = None if window is None else _borders(grid, scaling, spans)
     if window is None or borders is None:
         return group_points(grid, *points.coordinates(), points.flag, points.colour)
-    found, counts = _empty_scratch(n), np.zeros(window.cells + 1, np.int64)
-    given = Coordinates(points.easting, points.northing, points.upward)
-    loops.count_scaled_points(given, borders, window.blocks, counts, found)
-    columns = _empty_columns(SCALED_COLUMNS, n)
-    loops.scatter_scaled_points(
-        given, np.ascontiguousarray(points.flag, np.uint8), found, np.cumsum(counts), TiledPoints(**columns)
-    )
-    return window.grouped(counts, columns | _scattered(points.colour, found, counts), scaling)
+    counts, cell, tile = window.scratch(n)
+    loops.count_scaled_points(points, *borders, window, counts, cell, tile)
+    marks = np.ascontiguousarray(points.flag, np.uint8)
+    return window.grouped(points, (marks, points.colour, cell, tile), counts, scaling)
 
 
-def _scattered(colour: NDArray[np.uint32] | None, found: Grouping, counts: NDArray[np.int64]) -> PointColumns:
-    """Return the column of the colours, block by block; none if there are none."""
-    if colour is None:
-        return {}
-    out = np.empty_like(colour)
-    loops.scatter_colours(np.ascontiguousarray(colour), found.cell, np.cumsum(counts), out)
-    return {_COLOUR.name: out}
+def _borders(
+    grid: Grid, scaling: Scaling, spans: Sequence[tuple[int, int]]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]] | None:
+    """Return where columns and rows of tiles begin among the integers of x and y, and the first tile.
 
-
-def _borders(grid: Grid, scaling: Scaling, spans: Sequence[tuple[int, int]]) -> TileBorders | None:
-    """Return where tiles begin among the integers of x and y; None if that is not simple."""
-    found, first, width = [], [], []
+    Behind the last one its end follows. None if that is not simple.
+    """
+    found, first = [], []
     for axis, span in enumerate(spans):
         low, high = grid.index(scaling.coordinates(axis, span)).tolist()
         step = scaling.scales[axis] * scaling.units[axis] / grid.tile_size
@@ -418,8 +298,7 @@ def _borders(grid: Grid, scaling: Scaling, spans: Sequence[tuple[int, int]]) -> 
             return None
         found.append(_first_integers(grid, scaling, axis, np.arange(low, high + 2)))
         first.append(low)
-        width.append(step)
-    return TileBorders(found[0], found[1], width[0], width[1], first[0], first[1])
+    return found[0], found[1], np.array(first)
 
 
 def _first_integers(grid: Grid, scaling: Scaling, axis: int, tiles: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -445,15 +324,38 @@ def _first_integers(grid: Grid, scaling: Scaling, axis: int, tiles: NDArray[np.i
 class _Window:
     """The blocks around a chunk."""
 
-    blocks: BlockWindow
-    cells: int
-    """Blocks in the window."""
+    tile_size: float
+    """m."""
+    first_col: int
+    """South-west block, as the next."""
+    first_row: int
+    cols: int
+    """Blocks from west to east, as the next from south to north."""
+    rows: int
 
-    def grouped(self, counts: NDArray[np.int64], columns: PointColumns, scaling: Scaling | None) -> GroupedPoints:
-        """Return points in the order of the blocks, of which cell ``c`` has ``counts[c + 1]``."""
+    def scratch(self, points: int) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.uint8]]:
+        """Return zeros for the points of each cell, behind another, and arrays for the cell and tile of each point."""
+        return np.zeros(self.rows * self.cols + 1, np.int64), np.empty(points, np.int32), np.empty(points, np.uint8)
+
+    def grouped(
+        self,
+        points: ScaledPoints | PointColumns,
+        more: tuple[NDArray[np.uint8], NDArray[np.uint32] | None, NDArray[np.int32], NDArray[np.uint8]],
+        counts: NDArray[np.int64],
+        scaling: Scaling | None,
+    ) -> GroupedPoints:
+        """Return points in the order of the blocks, of which cell ``c`` has ``counts[c + 1]``.
+
+        ``more`` (n,) each: flag, colour, cell and tile of the points.
+        """
+        flag, colour, cell, tile = more
+        columns = _empty_columns(columns_of(scaling, coloured=colour is not None), len(flag))
+        colours = _NO_COLOURS[_COLOUR.name] if colour is None else np.ascontiguousarray(colour)
+        scatter = loops.scatter_points if scaling is None else loops.scatter_scaled_points
+        scatter(points, flag, colours, cell, tile, np.cumsum(counts), _NO_COLOURS | columns)
         present = np.flatnonzero(counts[1:])
-        rows, cols = np.divmod(present, self.blocks.cols)
-        keys = list(zip((self.blocks.first_row + rows).tolist(), (self.blocks.first_col + cols).tolist(), strict=True))
+        rows, cols = np.divmod(present, self.cols)
+        keys = list(zip((self.first_row + rows).tolist(), (self.first_col + cols).tolist(), strict=True))
         starts = np.concatenate(([0], np.cumsum(counts[1:][present])))
         return GroupedPoints(keys, starts, columns, scaling)
 
@@ -461,15 +363,11 @@ class _Window:
 def _window(grid: Grid, easting: NDArray[np.float64], northing: NDArray[np.float64]) -> _Window | None:
     """Return the blocks around points; None if there are too many for a table."""
     if not len(easting):
-        return _Window(BlockWindow(grid.tile_size, 0, 0, 1), 1)
+        return _Window(grid.tile_size, 0, 0, 1, 1)
     corners = [grid.index(np.array([axis.min(), axis.max()])) // BLOCK_TILES for axis in (northing, easting)]
     (south, north), (west, east) = (tuple(int(side) for side in pair) for pair in corners)
     rows, cols = north - south + 1, east - west + 1
-    return None if rows * cols > _MOST_CELLS else _Window(BlockWindow(grid.tile_size, west, south, cols), rows * cols)
-
-
-def _empty_scratch(points: int) -> Grouping:
-    return Grouping(np.empty(points, np.int32), np.empty(points, np.uint8))
+    return None if rows * cols > _MOST_CELLS else _Window(grid.tile_size, west, south, cols, rows)
 
 
 def _empty_columns(columns: Sequence[Column], points: int) -> PointColumns:

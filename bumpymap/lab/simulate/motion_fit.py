@@ -1,7 +1,7 @@
-"""Drive at several speeds and fit what that teaches: C_r at other speeds, roll and weighted acceleration.
+"""Drive at several speeds and fit what that teaches: C_r at other speeds, and weighted acceleration.
 
 Every start over the terrain library is driven at every speed, so that what a terrain does at one place does not blur
-what the speed does. The rates of pitch and roll are those of an on-board gyroscope, sampled as for C_r. The vertical
+what the speed does. The pitch rate is that of an on-board gyroscope, sampled as for C_r. The vertical
 velocity of the chassis' centre of mass is recorded at every time step; its weighted acceleration is computed in the
 frequency domain from the start of the vehicle on, so that the filter has settled before the measurement begins.
 """
@@ -42,8 +42,6 @@ class _RecordedVehicle(DartVehicle):
 
     def __init__(self, profile: Vehicle, ground: DrivenGround, strip: Strip, physics: Physics) -> None:
         super().__init__(profile, ground, strip, physics)
-        self.roll_rate: list[float] = []
-        """rad/s, one for each call of `advance`."""
         self.upward: list[float] = []
         """Vertical velocity, m/s, one for each time step."""
 
@@ -52,16 +50,15 @@ class _RecordedVehicle(DartVehicle):
         for _ in range(steps):
             super().advance(1)
             self.upward.append(float(self.chassis.getCOMLinearVelocity()[2]))
-        self.roll_rate.append(float(self.chassis.getSpatialVelocity()[0]))
 
 
 def drive_motion(
     profile: Vehicle, ground: DrivenGround, start: Start, speed: float, settings: DriveSettings
-) -> tuple[float, float, float]:
+) -> tuple[float, float]:
     """Drive from a given start at a given speed and measure ``QUANTITIES``; NaN unless completed.
 
-    The integrals of the absolute rates of pitch and roll over the way, rad/m, and the root mean square of the weighted
-    vertical acceleration, m/s2.
+    The integral of the absolute pitch rate over the way, rad/m, and the root mean square of the weighted vertical
+    acceleration, m/s2.
 
     ``speed``: m/s, in the place of the profile's; the measured way is as long as at that, ``measure_s`` of the
     settings.
@@ -72,15 +69,13 @@ def drive_motion(
     vehicle = _RecordedVehicle(own, ground, strip, settings.physics)
     made = follow(vehicle, strip, own, settings)
     if made.outcome != "completed":
-        return math.nan, math.nan, math.nan
+        return math.nan, math.nan
     before = round((settings.settle_s + settings.ramp_s + settings.cruise_s) * settings.sample_hz)
-    rates = np.abs(vehicle.roll_rate[before - 1 :])
-    rolled = float((rates[1:] + rates[:-1]).sum() / 2 / settings.sample_hz)
     step = settings.physics.time_step
     quiet = round(settings.settle_s / step)
     felt = weighted_acceleration(np.array(vehicle.upward[quiet:]), step)
     measured = felt[before * settings.steps_per_sample - quiet : -round(_SETTLE_S / step)]
-    return made.c_r, rolled / made.path_m, float(np.sqrt(np.mean(measured**2)))
+    return made.c_r, float(np.sqrt(np.mean(measured**2)))
 
 
 def weighted_acceleration(velocity: NDArray[np.float64], step: float) -> NDArray[np.float64]:
@@ -106,15 +101,13 @@ class MotionRecord:
 
     c_r: tuple[tuple[float | None, ...], ...]
     """rad/m."""
-    c_roll: tuple[tuple[float | None, ...], ...]
-    """rad/m."""
     a_w: tuple[tuple[float | None, ...], ...]
     """m/s2."""
 
     @classmethod
-    def of(cls, drives: list[list[tuple[float, float, float]]]) -> "MotionRecord":
+    def of(cls, drives: list[list[tuple[float, float]]]) -> "MotionRecord":
         """Collect drives, ``[start][speed]``."""
-        return cls(*(tuple(tuple(six_digits(made[k]) for made in row) for row in drives) for k in range(3)))
+        return cls(*(tuple(tuple(six_digits(made[k]) for made in row) for row in drives) for k in range(2)))
 
     @classmethod
     def read(cls, fields: dict[str, Any]) -> "MotionRecord":
@@ -161,8 +154,9 @@ def fit_motion(settings: CalibrationSettings, driven: Mapping[Key, Any]) -> Moti
 def fit_means(settings: CalibrationSettings, means: Floats, starts: int) -> MotionModel:
     """Fit the model to drives over the library; terrains where a drive failed are left out.
 
-    ``means`` (terrains, speeds, 3): over the starts of each of ``QUANTITIES``, in the order of `motion_jobs`; NaN where
-    a drive failed. ``starts``: drives over each at each speed, for the record.
+    ``means`` (terrains, speeds, 2 or 3): over the starts of each of ``QUANTITIES``, in the order of `motion_jobs`; NaN
+    where a drive failed; a number between the two, of older calibrations, does not count. ``starts``: drives over
+    each at each speed, for the record.
     """
     own = SPEED_RATIOS.index(1.0)
     c_r = means[:, own, 0]
@@ -177,7 +171,7 @@ def fit_means(settings: CalibrationSettings, means: Floats, starts: int) -> Moti
     log_speed, c_r = np.log(np.array(SPEED_RATIOS)), c_r[used]
     ranges = [(float(f"{np.log(each).min():.6g}"), float(f"{np.log(each).max():.6g}")) for each in (pitch, c_r)]
     terms, plain = motion_terms(motions, pitch, log_speed, ranges[0]), plain_terms(c_r, log_speed, ranges[1])
-    wanted = np.log(means[used] / c_r[:, None, None])
+    wanted = np.log(means[used][..., [0, -1]] / c_r[:, None, None])
     fits = {
         name: _fit(terms[name], plain[name], wanted[..., number], own if name == "c_r" else None)
         for number, name in enumerate(QUANTITIES)
@@ -190,8 +184,7 @@ def fit_means(settings: CalibrationSettings, means: Floats, starts: int) -> Moti
         "seed": settings.seed,
         "driven": [[list(map(six_digits, row)) for row in terrain] for terrain in means.tolist()],
     }
-    three = (fits["c_r"], fits["c_roll"], fits["a_w"])
-    return MotionModel(SPEED_RANGE, ranges[0], ranges[1], *three, origin)
+    return MotionModel(SPEED_RANGE, ranges[0], ranges[1], fits["c_r"], fits["a_w"], origin)
 
 
 def _fit(terms: Floats, plain: Floats, wanted: Floats, anchor: int | None) -> MotionFit:

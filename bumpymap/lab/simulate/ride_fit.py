@@ -327,8 +327,8 @@ def _noisy_patches(terrains: Sequence[Terrain], truth: Floats, operator: RideOpe
     for number, condition in enumerate(product(_DENSITIES, _NOISES_M)):
         for block in survey_terrains(terrains, *condition, _NOISE_SEED + number).blocks():
             patches = measure(block, FeatureSettings(), ground_only=False)
-            clean = denoise(patches, operator)
-            c_r, excess = subtract_noise(roll_over(clean.relief_map, operator).pitch_change, clean.noise_felt)
+            relief_map, (_, noise) = denoise(patches)
+            c_r, excess = subtract_noise(roll_over(relief_map, operator).pitch_change, noise * operator.noise_gain)
             wanted = truth[patches.col]
             known = (patches.reason == Reason.OK) & np.isfinite(excess) & (wanted > _LEAST_C_R)
             error = np.log(wanted[known] / c_r[known])

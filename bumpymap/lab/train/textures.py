@@ -83,16 +83,9 @@ def labels_of(shape: NDArray[np.int64], relief: _Floats) -> NDArray[np.int64]:
     return np.clip(shape, np.searchsorted(most, relief), np.searchsorted(least, relief, side="right") - 1)
 
 
-@dataclass(frozen=True, slots=True)
-class SurveyedPatches:
-    """Inputs of the network, and labels."""
-
-    patches: NDArray[np.float32]
-    """(n, pixels, pixels) plane-removed, scaled to [0, 1]."""
-    measures: NDArray[np.float32]
-    """(n, 3), see `measures_of`."""
-    labels: NDArray[np.int64]
-    """(n,) index into ``TEXTURES``."""
+SurveyedPatches = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]
+"""Inputs of the network, (n, pixels, pixels) plane-removed and scaled to [0, 1], and (n, 3) of `measures_of`; and
+labels, (n,) index into ``TEXTURES``."""
 
 
 def surveyed(
@@ -134,7 +127,7 @@ def surveyed(
     seen = remove_plane(fill_holes(np.where(held > 0, heights + noise + waves + strip, np.nan)))
     measures = measures_of(seen, held, variance, rise[:, 0, 0])
     measures[some(of.no_noise)[:, 0, 0], 1:] = 0
-    return SurveyedPatches(normalise(seen), measures, labels_of(shape, relief[:, 0, 0]))
+    return normalise(seen), measures, labels_of(shape, relief[:, 0, 0])
 
 
 def rotate(patches: _Floats, angle: _Floats) -> _Floats:
@@ -285,13 +278,12 @@ def train(
 def _epochs(settings: TrainSettings, numbers: range) -> Iterator[Epoch]:
     training = shapes(settings.seed, _TRAINING, settings.patches_per_texture, settings.network.pixels)
     for epoch in numbers:
-        samples = epoch_samples(training, settings.seed, epoch)
-        patches, measures = torch.from_numpy(samples.patches)[:, None], torch.from_numpy(samples.measures)
-        patches = patches.contiguous(memory_format=torch.channels_last)
-        count = len(samples.labels)
+        patches, measures, labels = map(torch.from_numpy, epoch_samples(training, settings.seed, epoch))
+        patches = patches[:, None].contiguous(memory_format=torch.channels_last)
+        count = len(labels)
         batches = max(1, count // settings.batch)  # of equal size: a batch of one patch has no variance to normalise
         bounds = [number * count // batches for number in range(batches + 1)]
-        yield (patches, measures), torch.from_numpy(samples.labels), bounds
+        yield (patches, measures), labels, bounds
 
 
 def _learning_rate(share: float, peak: float) -> float:
@@ -338,8 +330,9 @@ def evaluate(net: TextureNet, seed: int, training_per_texture: int, unseen_per_t
 
 def score(net: TextureNet, samples: SurveyedPatches) -> Accuracy:
     """Count right and wrong answers."""
-    answer = predict(net, torch.from_numpy(samples.patches)[:, None], torch.from_numpy(samples.measures)).argmax(axis=1)
-    return accuracy_of(samples.labels, answer, len(TEXTURES))
+    patches, measures, labels = samples
+    answer = predict(net, torch.from_numpy(patches)[:, None], torch.from_numpy(measures)).argmax(axis=1)
+    return accuracy_of(labels, answer, len(TEXTURES))
 
 
 def model_card(settings: TrainSettings, evaluation: Evaluation, size: int) -> str:

@@ -156,8 +156,8 @@ class Correction(Coefficients):
     def predict(self, rides: Rides, slope_deg: Floats, noise_felt: Floats, pixel_points: Floats) -> Prediction:
         """Predict C_r and p_fail of n denoised patches, by their geometric values and slope [degrees].
 
-        ``noise_felt`` (n,): of `CleanPatches`, rad/m; NaN (unknown) counts as the largest excess of the tables.
-        ``pixel_points`` (n,): mean points per pixel.
+        ``noise_felt`` (n,): pitch change that the noise makes on level ground, rad/m; NaN (unknown) counts as the
+        largest excess of the tables. ``pixel_points`` (n,): mean points per pixel.
         """
         g, excess = subtract_noise(rides.pitch_change, noise_felt)
         log_g = np.log(g)

@@ -8,8 +8,6 @@ A heightmap holds the scan's noise, and a map does not keep how much. But the C_
 the relief is denoised (as for that prediction) just so far that the same prediction comes out of it.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,24 +27,15 @@ _LEAST = 1e-5
 """C_r below is a rounding error, rad/m."""
 
 
-class MatchedTiles(NamedTuple):
-    """Tiles whose relief has the ride that their map states."""
-
-    relief_map: NDArray[np.float32]
-    """(n, pixels, pixels) plane-removed relief, m; NaN where a tile has holes."""
-    rides: Rides
-    """(n,) of that relief."""
-    left: Floats
-    """(n,) stated C_r over that predicted from it; 1 where one of them is unknown."""
-
-
 def match_tiles(
     relief_map: NDArray[np.float32], c_r: Floats, slope_deg: Floats, correction: Correction, operator: RideOperator
-) -> MatchedTiles:
+) -> tuple[NDArray[np.float32], Rides, Floats]:
     """Take as much noise off the relief of n tiles as brings their predicted C_r down to the one that is stated.
 
     ``relief_map`` (n, pixels, pixels): plane-removed, m; tiles with NaN are left out. ``c_r`` (n,): at the profile's
     speed, without the vehicle's floor, rad/m; where it is NaN, the relief stays. ``slope_deg`` (n,): of their planes.
+    Returns the relief, NaN where a tile has holes; its rides; and (n,) stated C_r over that predicted from it, 1 where
+    one of them is unknown.
     """
     wanted = np.log(np.maximum(c_r, _LEAST))
     clean, rides = relief_map.copy(), roll_over(relief_map, operator)
@@ -67,7 +56,7 @@ def match_tiles(
         if not last:
             low, high = np.where(too_rough, middle, low), np.where(too_rough, high, middle)
     left = np.exp(wanted - correction.without_noise(rides, slope_deg))
-    return MatchedTiles(clean, rides, np.where(np.isfinite(left), left, 1.0))
+    return clean, rides, np.where(np.isfinite(left), left, 1.0)
 
 
 def _without(relief_map: NDArray[np.float32], noise: Floats) -> NDArray[np.float32]:

@@ -21,12 +21,6 @@ using Numbers = std::array<double, group>;
 // Below all ground, m.
 constexpr float lowest = -3e38F;
 
-struct PatchesToRide {
-    Array<const bool> known;
-    Array<const float, 3> relief;
-    Index fine;
-};
-
 struct WheelShape {
     Array<const std::int32_t> starts, row, col;
     Array<const float> rise;
@@ -35,21 +29,22 @@ struct WheelShape {
 struct PitchSamples {
     Array<const std::int32_t> starts, node;
     Array<const float> weight;
-};
-
-struct AxisSamples : PitchSamples {
     Array<const Index> bounds;
 };
 
-struct Poses {
-    Array<const std::int32_t, 3> wheel_node;
-    Array<const float, 3> wheel_weight;
-    Array<const std::int32_t, 3> belly_node;
-    Array<const float, 3> belly_weight;
+struct RideOperator {
+    Index fine;
+    WheelShape wheel;
+    PitchSamples samples, axes;
+    Array<const std::int32_t, 3> wheel_node, belly_node;
+    Array<const float, 3> wheel_weight, belly_weight;
+    double wheelbase, track, belly_half, clearance;
 };
 
-struct VehicleGeometry {
-    double wheelbase, track, belly_half, clearance;
+struct MotionOperator {
+    Index fine;
+    WheelShape wheel;
+    PitchSamples samples;
 };
 
 // ---- Wheels on the ground of a group ----
@@ -73,11 +68,13 @@ class Groups {
     std::vector<Heights> bare;      // heights at the nodes, m
     std::vector<Heights> envelope;  // of the lowest point of a wheel in each direction, at each node, m
 
-    Groups(const PatchesToRide& given, const WheelShape& shape)
-        : patches(given),
+    Groups(Array<const bool> is_known, Array<const float, 3> given, Index nodes_of_pixel, const WheelShape& shape)
+        : known(is_known),
+          patches(given),
           wheel(shape),
-          pixels(given.relief.shape[1]),
-          nodes(pixels * given.fine + 1),
+          fine(nodes_of_pixel),
+          pixels(given.shape[1]),
+          nodes(pixels * fine + 1),
           relief(pixels * pixels) {
         for (Index o = 0; o < wheel.row.size(); ++o)
             margin = std::max({margin, Index{std::abs(wheel.row[o])}, Index{std::abs(wheel.col[o])}});
@@ -90,9 +87,9 @@ class Groups {
     // Takes the next known patches, a group at most, and rolls the wheels over them; returns false if there are none.
     bool next() {
         members.clear();
-        for (; following < patches.known.size() && members.size() < group; ++following) {
-            if (!patches.known[following]) continue;
-            const Array<const float, 2> heights = patches.relief.at(following);
+        for (; following < known.size() && members.size() < group; ++following) {
+            if (!known[following]) continue;
+            const Array<const float, 2> heights = patches.at(following);
             for (Index k = 0; k < heights.count(); ++k) relief[k].set(std::ssize(members), heights.data[k]);
             members.push_back(following);
         }
@@ -107,9 +104,9 @@ class Groups {
     // Bilinear heights at the nodes.
     void lay_nodes() {
         for (Index row = 0; row < nodes; ++row) {
-            const Between down(row, patches.fine, pixels);
+            const Between down(row, fine, pixels);
             for (Index col = 0; col < nodes; ++col) {
-                const Between right(col, patches.fine, pixels);
+                const Between right(col, fine, pixels);
                 const Heights* const north = &relief[down.pixel * pixels + right.pixel];
                 const Heights* const south = north + pixels;
                 const Heights a = north[0] + (north[1] - north[0]) * right.share;
@@ -147,9 +144,10 @@ class Groups {
         }
     }
 
-    PatchesToRide patches;
+    Array<const bool> known;
+    Array<const float, 3> patches;
     WheelShape wheel;
-    Index pixels, nodes, margin = 0, side = 0, following = 0;
+    Index fine, pixels, nodes, margin = 0, side = 0, following = 0;
     std::vector<Heights> relief, wide;  // heights of the pixels, and at the nodes with a mirrored margin, m
 };
 
@@ -159,13 +157,14 @@ struct Means {
     Numbers size, square;  // mean absolute value and root mean square
 };
 
-// Of the samples from first to last.
-Means sample_means(const PitchSamples& samples, Index first, Index last, const std::vector<Heights>& envelope) {
+// Of a group of samples.
+Means sample_means(const PitchSamples& samples, Index k, const std::vector<Heights>& envelope) {
     Means means{};
+    const Index first = samples.bounds[k], last = samples.bounds[k + 1];
     for (Index s = first; s < last; ++s) {
         Heights total{};
-        for (Index k = samples.starts[s]; k < samples.starts[s + 1]; ++k)
-            total += samples.weight[k] * envelope[samples.node[k]];
+        for (Index entry = samples.starts[s]; entry < samples.starts[s + 1]; ++entry)
+            total += samples.weight[entry] * envelope[samples.node[entry]];
         for (int lane = 0; lane < group; ++lane) {
             const double value = total[lane];
             means.size[lane] += std::abs(value);
@@ -181,7 +180,7 @@ Means sample_means(const PitchSamples& samples, Index first, Index last, const s
 }
 
 // Root mean squares of pitch, roll and twist, rad; and how far the ground reaches to the belly.
-std::array<Numbers, 4> pose_numbers(const Poses& poses, const VehicleGeometry& vehicle, const Groups& groups) {
+std::array<Numbers, 4> pose_numbers(const RideOperator& vehicle, const Groups& groups) {
     const auto read = [](const std::vector<Heights>& heights, const std::int32_t* node, const float* weight, int lane) {
         double total = 0.0;
         for (int corner = 0; corner < 4; ++corner) total += weight[corner] * heights[node[corner]][lane];
@@ -189,11 +188,11 @@ std::array<Numbers, 4> pose_numbers(const Poses& poses, const VehicleGeometry& v
     };
     std::array<Numbers, 4> found{};
     auto& [pitches, rolls, twists, strike] = found;
-    const Index number = poses.wheel_node.shape[0];
+    const Index number = vehicle.wheel_node.shape[0];
     for (Index p = 0; p < number; ++p) {
         for (int lane = 0; lane < group; ++lane) {
             const auto wheel = [&](Index k) {
-                return read(groups.envelope, &poses.wheel_node(p, k, 0), &poses.wheel_weight(p, k, 0), lane);
+                return read(groups.envelope, &vehicle.wheel_node(p, k, 0), &vehicle.wheel_weight(p, k, 0), lane);
             };
             const double fl = wheel(0), fr = wheel(1), rl = wheel(2), rr = wheel(3);
             const double pitch = (fl + fr - rl - rr) / (2.0 * vehicle.wheelbase);
@@ -204,7 +203,8 @@ std::array<Numbers, 4> pose_numbers(const Poses& poses, const VehicleGeometry& v
             twists[lane] += twist * twist;
             const double level = (fl + fr + rl + rr) / 4.0;
             for (int k = 0; k < 3; ++k) {
-                const double ground = read(groups.bare, &poses.belly_node(p, k, 0), &poses.belly_weight(p, k, 0), lane);
+                const double ground =
+                    read(groups.bare, &vehicle.belly_node(p, k, 0), &vehicle.belly_weight(p, k, 0), lane);
                 const double above = ground - level - (1 - k) * vehicle.belly_half * pitch;
                 strike[lane] = std::max(strike[lane], above / vehicle.clearance);
             }
@@ -216,38 +216,35 @@ std::array<Numbers, 4> pose_numbers(const Poses& poses, const VehicleGeometry& v
     return found;
 }
 
-// Rolls a vehicle over patches.
+// Rolls a vehicle over patches, plane-removed relief without holes, m; others than the known ones keep what `rides`
+// holds.
 //
 // `rides` (tiles, 6 or 14) is filled: mean and root mean square of the pitch change [rad/m]; root mean square of pitch,
 // roll and twist [rad]; reach of the ground towards the belly (1: it touches); mean pitch change by axis.
-void ride_patches(
-    PatchesToRide patches, WheelShape wheel, PitchSamples samples, AxisSamples axes, Poses poses,
-    VehicleGeometry vehicle, Array<double, 2> rides) {
-    Groups groups(patches, wheel);
+void ride_patches(Array<const bool> known, Array<const float, 3> relief, RideOperator vehicle, Array<double, 2> rides) {
+    Groups groups(known, relief, vehicle.fine, vehicle.wheel);
     while (groups.next()) {
         const auto keep = [&](Index k, const Numbers& values) {
             for (Index lane = 0; lane < std::ssize(groups.members); ++lane)
                 rides(groups.members[lane], k) = values[lane];
         };
-        const Means change = sample_means(samples, 0, samples.starts.size() - 1, groups.envelope);
+        const Means change = sample_means(vehicle.samples, 0, groups.envelope);
         keep(0, change.size);
         keep(1, change.square);
         Index next = 2;
-        for (const Numbers& values : pose_numbers(poses, vehicle, groups)) keep(next++, values);
+        for (const Numbers& values : pose_numbers(vehicle, groups)) keep(next++, values);
         for (Index axis = 0; next < rides.shape[1]; ++axis)
-            keep(next++, sample_means(axes, axes.bounds[axis], axes.bounds[axis + 1], groups.envelope).size);
+            keep(next++, sample_means(vehicle.axes, axis, groups.envelope).size);
     }
 }
 
-// Fills mean absolute value and root mean square of the samples of each group, the rows from one of `bounds` to the
-// next, in `motions` (tiles, groups of samples, 2).
+// Fills mean absolute value and root mean square of each group of samples in `motions` (tiles, groups, 2).
 void move_over_patches(
-    PatchesToRide patches, WheelShape wheel, PitchSamples samples, Array<const Index> bounds,
-    Array<double, 3> motions) {
-    Groups groups(patches, wheel);
+    Array<const bool> known, Array<const float, 3> relief, MotionOperator vehicle, Array<double, 3> motions) {
+    Groups groups(known, relief, vehicle.fine, vehicle.wheel);
     while (groups.next()) {
-        for (Index k = 0; k + 1 < bounds.size(); ++k) {
-            const Means means = sample_means(samples, bounds[k], bounds[k + 1], groups.envelope);
+        for (Index k = 0; k < motions.shape[1]; ++k) {
+            const Means means = sample_means(vehicle.samples, k, groups.envelope);
             for (Index lane = 0; lane < std::ssize(groups.members); ++lane) {
                 motions(groups.members[lane], k, 0) = means.size[lane];
                 motions(groups.members[lane], k, 1) = means.square[lane];
@@ -309,16 +306,11 @@ void roll_along(
 }  // namespace
 }  // namespace bumpy
 
-BUMPY_RECORD(bumpy::PatchesToRide, known, relief, fine)
 BUMPY_RECORD(bumpy::WheelShape, starts, row, col, rise)
-BUMPY_RECORD(bumpy::PitchSamples, starts, node, weight)
-BUMPY_RECORD(bumpy::AxisSamples, starts, node, weight, bounds)
-BUMPY_RECORD(bumpy::Poses, wheel_node, wheel_weight, belly_node, belly_weight)
-BUMPY_RECORD(bumpy::VehicleGeometry, wheelbase, track, belly_half, clearance)
+BUMPY_RECORD(bumpy::PitchSamples, starts, node, weight, bounds)
+BUMPY_RECORD(
+    bumpy::RideOperator, fine, wheel, samples, axes, wheel_node, wheel_weight, belly_node, belly_weight, wheelbase,
+    track, belly_half, clearance)
+BUMPY_RECORD(bumpy::MotionOperator, fine, wheel, samples)
 
-void bind_motion_operator(nb::module_& module) {
-    using namespace bumpy;
-    BUMPY_LOOP(module, ride_patches);
-    BUMPY_LOOP(module, move_over_patches);
-    BUMPY_LOOP(module, roll_along);
-}
+BUMPY_LOOPS(motion_operator, ride_patches, move_over_patches, roll_along)

@@ -21,7 +21,7 @@ simulation from the facets of its ground.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,27 +40,6 @@ from bumpymap.rating.ride.operator import (
 )
 
 Floats = NDArray[np.float64]
-
-
-class PatchesToRide(NamedTuple):
-    """Patches."""
-
-    known: NDArray[np.bool_]
-    """(tiles,) whether to ride it; others keep what the results hold."""
-    relief: NDArray[np.float32]
-    """(tiles, pixels, pixels) plane-removed relief without holes, m."""
-    fine: int
-    """Nodes along the side of a pixel."""
-
-
-class VehicleGeometry(NamedTuple):
-    """Lengths of a vehicle, m."""
-
-    wheelbase: float
-    track: float
-    belly_half: float
-    """Half of the belly's length."""
-    clearance: float
 
 
 _APART = 2
@@ -96,13 +75,13 @@ def roll_over(relief_map: NDArray[np.float32], operator: RideOperator, by_axis: 
     ``by_axis`` (n, 8) is filled with the geometric C_r along each of ``AXES_DEG``, rad/m; the north row of a patch
     comes first.
     """
-    patches = _patches(relief_map, operator)
+    patches = np.ascontiguousarray(relief_map, np.float32)
+    known = _without_holes(patches)
     rides = np.full((len(relief_map), 6 if by_axis is None else 6 + len(AXES_DEG)), np.nan)
-    geometry = VehicleGeometry(operator.wheelbase, operator.track, operator.belly_half, operator.clearance)
-    loops.ride_patches(patches, operator.wheel, operator.samples, operator.axes, operator.poses, geometry, rides)
+    loops.ride_patches(known, patches, operator, rides)
     if by_axis is not None:
         by_axis[:] = rides[:, 6:]
-    heights = _heights(np.where(patches.known[:, None, None], patches.relief, np.float32(np.nan)))
+    heights = _heights(np.where(known[:, None, None], patches, np.float32(np.nan)))
     return Rides(*(*rides[:, :6].T.copy(), *heights))
 
 
@@ -130,9 +109,7 @@ class MotionOperator:
     """Along the side of a patch."""
     wheel: WheelShape
     samples: PitchSamples
-    """Rows of all groups: roll; then pitch and heave at each speed."""
-    bounds: Annotated[NDArray[np.int64], 1]
-    """(groups + 1,) where the rows of each group begin."""
+    """Groups: roll; then pitch and heave at each speed."""
 
     @classmethod
     def of(
@@ -150,28 +127,25 @@ class MotionOperator:
             groups.append(pitch_change(lattice, places, taps, way, sides))
             felt, back = heave_filter(speed, min(way, speed / (_PER_WAVE * WEIGHTED_BAND_HZ[1])))
             groups.append(wheel_rows(lattice, places, (1, 1, 1, 1), felt / 4, back, sides))
-        counts = [len(rows.starts) - 1 for rows in groups]
         return cls(
             speeds=tuple(speeds),
             fine=fine,
             nodes=lattice.nodes,
             wheel=wheel_shape(radius, float(vehicle["wheel"]["width_m"]), lattice.step),
             samples=_joined(groups),
-            bounds=np.concatenate(([0], np.cumsum(counts))).astype(np.int64),
         )
 
 
 def move_over(relief_map: NDArray[np.float32], operator: MotionOperator) -> Motions:
     """Roll a vehicle over patches, as `roll_over`, at several speeds."""
-    patches = _patches(relief_map, operator)
-    motions = np.full((len(relief_map), len(operator.bounds) - 1, 2), np.nan)
-    loops.move_over_patches(patches, operator.wheel, operator.samples, operator.bounds, motions)
+    patches = np.ascontiguousarray(relief_map, np.float32)
+    motions = np.full((len(relief_map), len(operator.samples.bounds) - 1, 2), np.nan)
+    loops.move_over_patches(_without_holes(patches), patches, operator, motions)
     return Motions(motions[:, 0, 0], motions[:, 1::2, 0], motions[:, 2::2, 1])
 
 
-def _patches(relief_map: NDArray[np.float32], operator: RideOperator | MotionOperator) -> PatchesToRide:
-    patches = np.ascontiguousarray(relief_map, np.float32)
-    return PatchesToRide(np.asarray(np.isfinite(patches).all(axis=(1, 2))), patches, operator.fine)
+def _without_holes(patches: NDArray[np.float32]) -> NDArray[np.bool_]:
+    return np.asarray(np.isfinite(patches).all(axis=(1, 2)))
 
 
 def _heights(patches: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -262,4 +236,5 @@ def _joined(groups: Sequence[PitchSamples]) -> PitchSamples:
         np.concatenate((*starts, entries[-1:])).astype(np.int32),
         np.concatenate([rows.node for rows in groups]),
         np.concatenate([rows.weight for rows in groups]),
+        np.cumsum([0, *(len(rows.starts) - 1 for rows in groups)]),
     )

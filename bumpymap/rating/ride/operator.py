@@ -25,7 +25,7 @@ Places = tuple[Floats, Floats, Floats]
 
 
 class PitchSamples(NamedTuple):
-    """Rows of a sparse matrix over the nodes (compressed rows)."""
+    """Rows of a sparse matrix over the nodes (compressed rows), in groups."""
 
     starts: Annotated[NDArray[np.int32], 1]
     """(samples + 1,) where each row begins."""
@@ -33,16 +33,8 @@ class PitchSamples(NamedTuple):
     """(entries,) index into the flat (directions, nodes, nodes) envelopes."""
     weight: Annotated[NDArray[np.float32], 1]
     """(entries,) rad/m of pitch change per metre of height."""
-
-
-class AxisSamples(NamedTuple):
-    """The same rows by the nearest of ``AXES_DEG``, one axis after the other."""
-
-    starts: Annotated[NDArray[np.int32], 1]
-    node: Annotated[NDArray[np.int32], 1]
-    weight: Annotated[NDArray[np.float32], 1]
     bounds: Annotated[NDArray[np.int64], 1]
-    """(9,) where the rows of each axis begin."""
+    """(groups + 1,) where the rows of each group begin."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +126,8 @@ def _compressed(node: NDArray[np.int64], weight: Floats) -> PitchSamples:
     felt = np.abs(total) > 1e-9 * np.abs(total).max()
     keys, total = keys[felt], total[felt]
     starts = np.searchsorted(keys // size, np.arange(samples + 1))
-    return PitchSamples(starts.astype(np.int32), (keys % size).astype(np.int32), total.astype(np.float32))
+    entries = (keys % size).astype(np.int32), total.astype(np.float32)
+    return PitchSamples(starts.astype(np.int32), *entries, np.array([0, samples]))
 
 
 _WHEEL_NODES = 2.0
@@ -160,19 +153,6 @@ class WheelShape(NamedTuple):
     """(n,) how much higher than its lowest point the wheel is there, negative, m."""
 
 
-class Poses(NamedTuple):
-    """Where the wheels and the belly are at some places and headings: bilinear reads of the nodes."""
-
-    wheel_node: Annotated[NDArray[np.int32], 3]
-    """(poses, 4 wheels, 4 corners): front left, front right, rear left, rear right."""
-    wheel_weight: Annotated[NDArray[np.float32], 3]
-    """The same shape."""
-    belly_node: Annotated[NDArray[np.int32], 3]
-    """(poses, 3 places, 4 corners): front end, middle, rear end of the belly."""
-    belly_weight: Annotated[NDArray[np.float32], 3]
-    """The same shape."""
-
-
 @dataclass(frozen=True, slots=True)
 class RideOperator:
     """All that the ride of one vehicle over patches of one size takes."""
@@ -183,8 +163,17 @@ class RideOperator:
     """Along the side of a patch, both edges among them."""
     wheel: WheelShape
     samples: PitchSamples
-    axes: AxisSamples
-    poses: Poses
+    """One group."""
+    axes: PitchSamples
+    """The same rows by the nearest of ``AXES_DEG``."""
+    wheel_node: Annotated[NDArray[np.int32], 3]
+    """(poses, 4 wheels, 4 corners): front left, front right, rear left, rear right; bilinear reads of the nodes."""
+    wheel_weight: Annotated[NDArray[np.float32], 3]
+    """The same shape."""
+    belly_node: Annotated[NDArray[np.int32], 3]
+    """(poses, 3 places, 4 corners): front end, middle, rear end of the belly."""
+    belly_weight: Annotated[NDArray[np.float32], 3]
+    """The same shape."""
     wheelbase: float
     track: float
     belly_half: float
@@ -205,15 +194,15 @@ class RideOperator:
         taps = chassis_response(vehicle, step / 2)
         samples = pitch_change(lattice, places, taps, step / 2, (wheelbase, track))
         belly = vehicle["belly"]
+        poses = spread_places(_POSE_SAMPLES, tile_size)
+        reads = _pose_reads(lattice, poses, wheelbase, track, float(belly["length_m"]) / 2)
         return cls(
             fine=fine,
             nodes=nodes,
             wheel=wheel_shape(radius, float(vehicle["wheel"]["width_m"]), step),
             samples=samples,
             axes=_by_axis(samples, places[2]),
-            poses=_poses(
-                lattice, spread_places(_POSE_SAMPLES, tile_size), wheelbase, track, float(belly["length_m"]) / 2
-            ),
+            **reads,
             wheelbase=wheelbase,
             track=track,
             belly_half=float(belly["length_m"]) / 2,
@@ -300,7 +289,7 @@ def pitch_change(
     return wheel_rows(lattice, places, (1, 1, -1, -1), shares / (2 * sides[0]), back, sides)
 
 
-def _by_axis(samples: PitchSamples, heading: Floats) -> AxisSamples:
+def _by_axis(samples: PitchSamples, heading: Floats) -> PitchSamples:
     """Put the samples in the order of their axes.
 
     ``heading`` (samples,) is counted from the columns to the rows, rad; a way and its opposite are on one axis.
@@ -313,10 +302,12 @@ def _by_axis(samples: PitchSamples, heading: Floats) -> AxisSamples:
     starts = np.concatenate(([0], np.cumsum(length)))
     entry = np.arange(starts[-1]) + np.repeat(samples.starts[order] - starts[:-1], length)
     bounds = np.searchsorted(axis[order], np.arange(len(AXES_DEG) + 1))
-    return AxisSamples(starts.astype(np.int32), samples.node[entry], samples.weight[entry], bounds)
+    return PitchSamples(starts.astype(np.int32), samples.node[entry], samples.weight[entry], bounds)
 
 
-def _poses(lattice: NodeLattice, places: Places, wheelbase: float, track: float, belly_half: float) -> Poses:
+def _pose_reads(
+    lattice: NodeLattice, places: Places, wheelbase: float, track: float, belly_half: float
+) -> dict[str, NDArray[Any]]:
     x, y, heading = places
     cos, sin = np.cos(heading)[:, None], np.sin(heading)[:, None]
     along = np.array([1, 1, -1, -1]) * wheelbase / 2
@@ -326,9 +317,8 @@ def _poses(lattice: NodeLattice, places: Places, wheelbase: float, track: float,
     node += lattice.first_node(east, north, heading[:, None])[..., None]
     ends = np.array([1, 0, -1]) * belly_half
     belly, share = lattice.read(x[:, None] + cos * ends, y[:, None] + sin * ends)
-    return Poses(
-        node.astype(np.int32), weight.astype(np.float32), belly.astype(np.int32), share.astype(np.float32)
-    )  # fmt: skip
+    nodes = {"wheel_node": node.astype(np.int32), "belly_node": belly.astype(np.int32)}
+    return nodes | {"wheel_weight": weight.astype(np.float32), "belly_weight": share.astype(np.float32)}
 
 
 def _noise_gain(samples: PitchSamples, pixels: int, fine: int) -> float:

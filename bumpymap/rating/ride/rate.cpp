@@ -35,22 +35,10 @@ constexpr double least_share = 0.01;
 // Strengths of a spectrum, and powers of a pixel, below this are none.
 constexpr double tiny = 1e-12;
 
-struct PatchesToDenoise {
-    Array<const bool> known;
-    Array<const float, 3> relief;
-    Array<const std::int32_t, 3> pixel_count;
-    Array<const float, 3> variance;
-};
-
 struct Spectrum {
     Array<const double, 2> basis, turned;
     Array<const std::int32_t, 2> band;
     Array<const double, 2> shapes;
-};
-
-struct DenoisedPatches {
-    Array<float, 3> clean;
-    Array<double, 2> noise;
 };
 
 // ---- Noise of points and pixels ----
@@ -253,21 +241,23 @@ class Group {
     std::array<Index, group> members{};
 };
 
-// Takes the scan's noise out of patches.
-void denoise_patches(PatchesToDenoise patches, Spectrum spectrum, DenoisedPatches out) {
+// Takes the scan's noise out of known patches: fills `clean` relief, m, and `noise` (2, tiles), the standard deviation
+// of a point and of a pixel's height, m.
+void denoise_patches(
+    Array<const bool> known, Array<const float, 3> reliefs, Array<const std::int32_t, 3> counts,
+    Array<const float, 3> variances, Spectrum spectrum, Array<float, 3> clean, Array<double, 2> noise) {
     Group side_by_side(spectrum);
-    for (Index t = 0; t < patches.known.size(); ++t) {
-        if (!patches.known[t]) continue;
-        const Array<const float, 2> relief = patches.relief.at(t);
-        const double point = point_noise(patches.pixel_count.at(t), patches.variance.at(t));
-        const double pixel = pixel_noise(patches.pixel_count.at(t), point);
-        out.noise(0, t) = std::sqrt(point);
-        out.noise(1, t) = std::sqrt(pixel);
-        std::copy_n(relief.data, relief.count(), &out.clean(t, 0, 0));
+    for (Index t = 0; t < known.size(); ++t) {
+        if (!known[t]) continue;
+        const Array<const float, 2> relief = reliefs.at(t);
+        const double point = point_noise(counts.at(t), variances.at(t)), pixel = pixel_noise(counts.at(t), point);
+        noise(0, t) = std::sqrt(point);
+        noise(1, t) = std::sqrt(pixel);
+        std::copy_n(relief.data, relief.count(), &clean(t, 0, 0));
         if (pixel > tiny) side_by_side.take(t, relief, pixel);  // without noise it stays as it is
-        if (side_by_side.is_full()) side_by_side.clean(out.clean);
+        if (side_by_side.is_full()) side_by_side.clean(clean);
     }
-    if (!side_by_side.is_empty()) side_by_side.clean(out.clean);
+    if (!side_by_side.is_empty()) side_by_side.clean(clean);
 }
 
 // Fills the share of the standard normal distribution below each z.
@@ -278,13 +268,6 @@ void normal_shares(Array<const double> z, Array<double> share) {
 }  // namespace
 }  // namespace bumpy
 
-BUMPY_RECORD(bumpy::PatchesToDenoise, known, relief, pixel_count, variance)
 BUMPY_RECORD(bumpy::Spectrum, basis, turned, band, shapes)
-BUMPY_RECORD(bumpy::DenoisedPatches, clean, noise)
 
-void bind_rate(nb::module_& module) {
-    using namespace bumpy;
-    BUMPY_LOOP(module, point_noise);
-    BUMPY_LOOP(module, denoise_patches);
-    BUMPY_LOOP(module, normal_shares);
-}
+BUMPY_LOOPS(rate, point_noise, denoise_patches, normal_shares)

@@ -11,7 +11,6 @@ one that stands far out of the noise keeps what is above it, so that a kerb or a
 What the points cannot tell: errors that neighbours share (photogrammetry, flight lines) look like ground, and stay.
 """
 
-from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
 
@@ -35,19 +34,6 @@ edges of the tile has its mirrored headings there: both even out what a line fee
 drives and rides of lines are least, on made-up and on natural ground."""
 
 
-class PatchesToDenoise(NamedTuple):
-    """Patches as they were measured."""
-
-    known: NDArray[np.bool_]
-    """(tiles,) whether to treat it; others keep what the results hold."""
-    relief: NDArray[np.float32]
-    """(tiles, pixels, pixels) plane-removed relief, holes filled, m."""
-    pixel_count: NDArray[np.int32]
-    """(tiles, pixels, pixels) points of each pixel."""
-    variance: NDArray[np.float32]
-    """(tiles, pixels, pixels) variance of their heights above the tile's plane, m^2."""
-
-
 class Spectrum(NamedTuple):
     """Cosines of a patch, and the ground spectra that are tried."""
 
@@ -61,32 +47,10 @@ class Spectrum(NamedTuple):
     """(spectra, bands) power of each band for unit strength."""
 
 
-class DenoisedPatches(NamedTuple):
-    """Arrays that are filled."""
-
-    clean: NDArray[np.float32]
-    """(tiles, pixels, pixels) relief without noise, m."""
-    noise: Floats
-    """(2, tiles) standard deviation of a point [m] and of a pixel's height [m]."""
-
-
-@dataclass(frozen=True, slots=True)
-class CleanPatches:
-    """Patches without the scan's noise."""
-
-    relief_map: NDArray[np.float32]
-    """(n, pixels, pixels) plane-removed relief, holes filled, m; NaN where a tile cannot be judged."""
-    point_noise: NDArray[np.float64]
-    """(n,) standard deviation of the height of a point, m; NaN where pixels hold too few points to tell."""
-    noise_felt: NDArray[np.float64]
-    """(n,) root mean square of the pitch change that such noise makes on level ground, rad/m."""
-
-
-def denoise(patches: PatchStack, operator: RideOperator) -> CleanPatches:
-    """Estimate the noise of every patch that can be judged, and take it off its relief."""
+def denoise(patches: PatchStack) -> tuple[NDArray[np.float32], Floats]:
+    """Estimate the noise of every patch that can be judged, and take it off its relief, see `take_noise_off`."""
     known = patches.reason == Reason.OK
-    clean, (point, pixel) = take_noise_off(patches.relief_map, known, patches.spread_count, patches.spread_variance)
-    return CleanPatches(clean, point, pixel * operator.noise_gain)
+    return take_noise_off(patches.relief_map, known, patches.spread_count, patches.spread_variance)
 
 
 def take_noise_off(
@@ -95,13 +59,12 @@ def take_noise_off(
     """Return denoised relief maps (n, pixels, pixels), m, and the noise of a point and of a pixel, (2, n) m.
 
     ``known`` (n,): patches to denoise; ``count``, ``variance`` (n, pixels, pixels): points of each pixel and the
-    variance of their heights, m^2.
+    variance of their heights above the tile's plane, m^2. Noise is NaN where pixels hold too few points to tell.
     """
     clean, noise = relief_map.copy(), np.full((2, len(relief_map)), np.nan)
-    patches = PatchesToDenoise(
-        known, np.ascontiguousarray(relief_map), np.ascontiguousarray(count), np.ascontiguousarray(variance)
-    )
-    loops.denoise_patches(patches, _spectrum_of(relief_map.shape[1]), DenoisedPatches(clean, noise))
+    held, spread = np.ascontiguousarray(count), np.ascontiguousarray(variance)
+    spectrum = _spectrum_of(relief_map.shape[1])
+    loops.denoise_patches(known, np.ascontiguousarray(relief_map), held, spread, spectrum, clean, noise)
     return clean, noise
 
 
@@ -139,17 +102,18 @@ class RideModel:
 
         ``by_axis`` (n, 8) is filled with the factors of `CostMap.headings`.
         """
-        clean = denoise(patches, self.operator)
-        rides = roll_over(clean.relief_map, self.operator, by_axis)
+        relief_map, (_, noise) = denoise(patches)
+        rides = roll_over(relief_map, self.operator, by_axis)
         if by_axis is not None:
             own = np.where(rides.pitch_change > LEVEL, rides.pitch_change, np.nan)
             by_axis[:] = (by_axis / own[:, None]) ** _SHARPENED
             by_axis /= np.average(by_axis, axis=1, weights=np.diff(self.operator.axes.bounds))[:, None]
         pixel_points = patches.count / patches.grid.pixels**2
-        found = self.correction.predict(rides, patches.slope.astype(np.float64), clean.noise_felt, pixel_points)
+        noise_felt = noise * self.operator.noise_gain
+        found = self.correction.predict(rides, patches.slope.astype(np.float64), noise_felt, pixel_points)
         if self.speed is None:
             return found
-        motions = move_over(clean.relief_map, self.speed.operator)
+        motions = move_over(relief_map, self.speed.operator)
         log_ratio, _ = self.speed.factors_of(motions, rides.pitch_change)
         level = plain_speed_factor(self.calibration, found.log_c_r)
         log_ratio = np.where(np.isnan(log_ratio), level, log_ratio)

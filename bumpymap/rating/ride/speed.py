@@ -3,13 +3,12 @@
 A calibration remembers the speed of a map in its ``motion``, so that everything that is made from it (tiles, thin
 tiles, steps) and its ``id`` follow that speed. What the drives of the calibration measured stays theirs: p_fail.
 
-Three quantities are predicted for each speed, all as logarithms over the C_r at the profile's own speed, because what
+Two quantities are predicted for each speed, all as logarithms over the C_r at the profile's own speed, because what
 is uncertain about a tile (noise, tyres, ground finer than a pixel) then cancels:
 
 - c_r: linear in the geometric ratio of both speeds and in s, the logarithm of the speed over the profile's, with terms
   of the roughness. Every term is 0 at s = 0: at its own speed a vehicle has the C_r of the map, to the bit.
-- c_roll, the same as C_r about the forward axis, from the geometric roll over the geometric pitch;
-- a_w, the weighted vertical acceleration, from the geometric heave over the geometric pitch.
+- a_w, the weighted vertical acceleration, from the geometric heave and roll over the geometric pitch.
 
 Where a tile has no heightmap (it is rated from few points), the same quantities follow from its C_r alone.
 """
@@ -28,10 +27,10 @@ from bumpymap.rating.ride.motion_operator import MotionOperator, Motions
 from bumpymap.rating.vehicle_body import comfort_of, less_floor, with_floor
 
 Floats = NDArray[np.float64]
-QUANTITIES = ("c_r", "c_roll", "a_w")
-"""Predicted at each speed: rad/m, rad/m, m/s2."""
-_TERMS = {"c_r": 6, "c_roll": 7, "a_w": 10}
-_PLAIN_TERMS = {"c_r": 5, "c_roll": 6, "a_w": 6}
+QUANTITIES = ("c_r", "a_w")
+"""Predicted at each speed: rad/m, m/s2."""
+_TERMS = {"c_r": 6, "a_w": 10}
+_PLAIN_TERMS = {"c_r": 5, "a_w": 6}
 """Numbers of coefficients of `motion_terms` and of `plain_terms`."""
 _LEAST = 1e-5
 """Geometric values below are rounding errors, rad/m and m/s2."""
@@ -67,7 +66,6 @@ class MotionModel(Coefficients):
     log_c_r_range: tuple[float, float]
     """The same of the C_r."""
     c_r: MotionFit
-    c_roll: MotionFit
     a_w: MotionFit
     origin: dict[str, Any]
     """The data of the fit, and its errors."""
@@ -82,7 +80,7 @@ class MotionModel(Coefficients):
                 raise ValueError(f"{lengths[0]} and {lengths[1]} coefficients of {name}")
 
     def plain_log_factors(self, c_r: Floats, log_speed: Floats) -> Floats:
-        """Return ln of each of ``QUANTITIES`` over the C_r at the profile's speed, rad/m, from it, (..., k, 3).
+        """Return ln of each of ``QUANTITIES`` over the C_r at the profile's speed, rad/m, from it, (..., k, 2).
 
         ``log_speed`` (k,): ln of the speeds over the profile's.
         """
@@ -109,7 +107,6 @@ def motion_terms(
     one = np.ones(shape)
     return {
         "c_r": np.stack((pitch, s, s * rough, s * rough**2, s**2, s**2 * rough), axis=-1),
-        "c_roll": np.stack((one, roll, rough, rough**2, s, s * rough, s**2), axis=-1),
         "a_w": np.stack(
             (one, heave, rough, rough**2, s, s * rough, s**2, roll, heave * s, heave * rough), axis=-1
         ),
@@ -122,8 +119,10 @@ def plain_terms(c_r: Floats, log_speed: Floats, log_c_r_range: tuple[float, floa
     s = np.broadcast_to(log_speed, (*c_r.shape, len(log_speed)))
     rough = np.broadcast_to(rough, s.shape)
     one = np.ones(s.shape)
-    other = np.stack((one, rough, rough**2, s, s * rough, s**2), axis=-1)
-    return {"c_r": np.stack((s, s * rough, s * rough**2, s**2, s**2 * rough), axis=-1), "c_roll": other, "a_w": other}
+    return {
+        "c_r": np.stack((s, s * rough, s * rough**2, s**2, s**2 * rough), axis=-1),
+        "a_w": np.stack((one, rough, rough**2, s, s * rough, s**2), axis=-1),
+    }
 
 
 LEVEL = 5e-4
@@ -188,10 +187,10 @@ class SpeedRating:
         return cls(calibration, speeds, operator)
 
     def factors_of(self, motions: Motions, pitch_change: Floats) -> tuple[Floats, NDArray[np.float32]]:
-        """Return ln of C_r at the map's speed over that at the profile's, (n,), and factors on the former, (n, 3 k).
+        """Return ln of C_r at the map's speed over that at the profile's, (n,), and factors on the former, (n, 2 k).
 
         ``motions``: of `move_over` by the ``operator``; ``pitch_change`` (n,): geometric C_r at the profile's speed,
-        rad/m. Factors for each of k speeds: c_r over that of the map; c_roll, and a_w [m/s2 per rad/m], over it.
+        rad/m. Factors for each of k speeds: c_r over that of the map, and a_w [m/s2 per rad/m] over it.
 
         Both are NaN where the heightmap, without its noise, is as good as level: its form tells nothing then.
         """
@@ -209,11 +208,11 @@ class SpeedRating:
 def motion_felt(
     calibration: Calibration, speeds: Sequence[float], factors: NDArray[np.float32], c_r: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Return what is felt at k speeds [m/s], (..., 3 k): c_r, c_roll [rad/m], a_w [m/s2] each; NaN in unknown tiles.
+    """Return what is felt at k speeds [m/s], (..., 2 k): c_r [rad/m] and a_w [m/s2] each; NaN in unknown tiles.
 
     The factors are those of the driven C_r: the vehicle's floor is taken off before, and comes back to ``c_r`` alone.
-    ``calibration``: at the speed of the map; ``factors`` (..., 3 k): of `SpeedRating.factors`, NaN where the heightmap
-    does not tell; ``c_r`` (...): of the map, with the vehicle's floor, rad/m.
+    ``calibration``: at the speed of the map; ``factors`` (..., 2 k): of `SpeedRating.factors_of`, NaN where the
+    heightmap does not tell; ``c_r`` (...): of the map, with the vehicle's floor, rad/m.
     """
     driven = less_floor(c_r, calibration.map_floor)
     known = np.isfinite(factors)
@@ -241,7 +240,7 @@ def felt_by_heading(
 
 
 def plain_factors(calibration: Calibration, speeds: Sequence[float], c_r: Floats) -> NDArray[np.float32]:
-    """Return the factors of tiles without a heightmap, (..., 3 k), from the driven C_r [rad/m] at k speeds."""
+    """Return the factors of tiles without a heightmap, (..., 2 k), from the driven C_r [rad/m] at k speeds."""
     model, speed = _model(calibration), calibration.map_speed
     # The C_r at the profile's speed is not kept: what the map's speed made of it is taken off in one step.
     at_own = c_r * np.exp(-model.plain_log_factors(c_r, _log_ratios(calibration, (speed,)))[..., 0, 0])
@@ -274,7 +273,7 @@ def map_rule(calibration: Calibration) -> CostRule:
     pitch_rate = with_floor(driven[:, None] * felt[..., 0] * speeds, calibration.floor * own)
     used = pitch_rate / limits.pitch_rate_radps
     if limits.a_w_mps2:
-        used = np.maximum(used, driven[:, None] * felt[..., 2] * (speeds / known) / limits.a_w_mps2)
+        used = np.maximum(used, driven[:, None] * felt[..., 1] * (speeds / known) / limits.a_w_mps2)
     used = np.maximum.accumulate(used, axis=0)  # rougher ground is not driven faster, nor ground fast and not slowly
     most = np.array([np.interp(1.0, column, driven) for column in used.T])
     c_r = with_floor(np.minimum.accumulate(most[::-1])[::-1], calibration.map_floor)

@@ -88,15 +88,7 @@ def map_settings(settings: Mapping[str, Any], function: str, known: Collection[s
 
 
 SurveyPer: TypeAlias = Literal["file", "folder"]
-OWN_SETTINGS = (
-    "surveys",
-    "out",
-    "overwrite",
-    "threads",
-    "memory",
-    "scratch",
-    "scheduler",
-)
+OWN_SETTINGS = ("surveys", "out", "overwrite", "threads", "memory", "scratch", "scheduler")
 """Settings of a map that a batch decides for each survey, or shares out."""
 _SMALL, _JOB_MEMORY = 20_000_000, 512 << 20
 """Most bytes of a small survey, some 4 million points as LAZ, and memory of the process that maps it."""

@@ -54,7 +54,7 @@ def test_speeds_out_of_range_say_what_to_do():
 def test_at_the_speed_of_the_map_the_factor_is_one_and_c_r_at_a_speed_does_not_depend_on_it(heights):
     (logs, one), (to_fast, other) = (factors_at(speed, heights) for speed in (1.0, 2.0))
     for factors, own in ((one, 1), (other, 2)):
-        np.testing.assert_array_equal(factors[:, 3 * own], np.float32(1.0))
+        np.testing.assert_array_equal(factors[:, 2 * own], np.float32(1.0))
     assert (logs == 0).all()
     np.testing.assert_allclose(other * np.exp(to_fast)[:, None], one, rtol=1e-5)
 
@@ -63,10 +63,10 @@ def test_faster_shakes_more_and_tiles_without_a_heightmap_get_a_like_answer(heig
     _, factors = factors_at(1.0, heights)
     plain = plain_factors(WARTHOG, SPEEDS, pitch_of(heights))
     for each in (factors, plain):
-        assert (np.diff(each.reshape(len(heights), 3, 3)[:, :, 2], axis=1) > 0).all()
+        assert (np.diff(each.reshape(len(heights), 3, 2)[:, :, 1], axis=1) > 0).all()
     # White noise is rougher at short waves than the ground that both were fitted to.
     assert np.median(np.abs(np.log(plain / factors))) < 0.5
-    np.testing.assert_array_equal(plain[:, 3], np.float32(1.0))
+    np.testing.assert_array_equal(plain[:, 2], np.float32(1.0))
     assert np.isnan(plain_factors(WARTHOG, SPEEDS, np.array([np.nan]))[0]).any()
 
 
@@ -81,9 +81,9 @@ def test_ground_is_driven_as_fast_as_the_limits_let_it(name, comfort):
     for c_r in np.hypot(np.geomspace(1e-3, 3.0, 60), shipped.floor):
         speed = float(1.0 / rule.slowness(c_r))
         known = max(speed, 0.4 * own)
-        told = motion_felt(calibration, (known,), np.full((1, 3), np.nan, np.float32), np.array([c_r], np.float32))[0]
+        told = motion_felt(calibration, (known,), np.full((1, 2), np.nan, np.float32), np.array([c_r], np.float32))[0]
         used = np.hypot(less_floor(told[0], shipped.floor_at(known)) * speed, shipped.floor * own)
-        used = max(used / limits["pitch_rate_radps"], told[2] * speed / known / limits.get("a_w_mps2", np.inf))
+        used = max(used / limits["pitch_rate_radps"], told[1] * speed / known / limits.get("a_w_mps2", np.inf))
         assert used <= 1.01
         assert used >= 0.98 or speed == pytest.approx(rule.top_mps)
         speeds.append(speed)
@@ -108,15 +108,15 @@ def test_steps_follow_the_speed_of_the_map():
 
 
 def test_a_floor_is_a_rate_in_time():
-    """Taken off before a ride is scaled to another speed, added after it; roll and acceleration have none."""
+    """Taken off before a ride is scaled to another speed, added after it; acceleration has none."""
     husky = Calibration.shipped("husky")
     own = husky.map_speed
     fast = at_speed(husky, 2 * own)
     assert fast.map_floor == pytest.approx(husky.floor / 2)
-    factors = np.array([[2.0, 3.0, 4.0]], np.float32)
+    factors = np.array([[2.0, 4.0]], np.float32)
     for calibration in (husky, fast):
         c_r = np.array([np.hypot(0.05, calibration.map_floor)], np.float32)
         (found,) = motion_felt(calibration, (2 * own,), factors, c_r)
-        np.testing.assert_allclose(found, [np.hypot(2 * 0.05, husky.floor / 2), 3 * 0.05, 4 * 0.05], rtol=1e-5)
+        np.testing.assert_allclose(found, [np.hypot(2 * 0.05, husky.floor / 2), 4 * 0.05], rtol=1e-5)
     (level,) = motion_felt(husky, (2 * own,), factors, np.array([husky.floor], np.float32))
-    np.testing.assert_allclose(level, [husky.floor / 2, 0.0, 0.0], atol=1e-4)
+    np.testing.assert_allclose(level, [husky.floor / 2, 0.0], atol=1e-4)
