@@ -15,13 +15,7 @@ from survey_pairs import COLS, ROWS, RUT, survey
 
 import bumpymap
 from bumpymap.change import DiffConfig, find_changes
-from bumpymap.change.compare import (
-    GroundChange,
-    compare_heights,
-    decide,
-    hold_false_discoveries,
-    ride_change,
-)
+from bumpymap.change.compare import GroundChange, compare_heights, decide, hold_false_discoveries, ride_change
 from bumpymap.change.pipeline import CHANGE_FILES, connect
 from bumpymap.core import BadInputError, Georeference
 from bumpytiles import Grid

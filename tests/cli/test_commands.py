@@ -168,14 +168,7 @@ def test_the_page_of_a_map_or_a_comparison_is_made_again_and_its_place_is_said(t
 @pytest.mark.parametrize("point", ["crs:330004.5,2040004.5", "330004.5,2040004.5", "lonlat:{0},{1}"])
 def test_a_crop_around_a_point_in_either_system(tmp_path, point):
     degrees = Transformer.from_crs(32614, 4326, always_xy=True).transform(330004.5, 2040004.5)
-    words = (
-        "--around",
-        point.format(*degrees),
-        "--radius",
-        2,
-        "--datum",
-        "crs:330000,2040000",
-    )
+    words = ("--around", point.format(*degrees), "--radius", 2, "--datum", "crs:330000,2040000")
     done = run("export", "field", "--to", "nav2", "--out", tmp_path / "out", *words, "--json")
     assert done.exit_code == 0, done.output
     record = json.loads(done.stdout)

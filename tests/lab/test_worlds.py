@@ -10,15 +10,7 @@ from ply_files import read_vertices
 from scipy.spatial import cKDTree
 
 from bumpymap.core import TEXTURES, UsageError
-from bumpymap.lab.terrains import (
-    KINDS,
-    Terrain,
-    fractal,
-    make_short_waves,
-    make_terrain,
-    make_textures,
-    survey_terrain,
-)
+from bumpymap.lab.terrains import KINDS, Terrain, fractal, make_short_waves, make_terrain, make_textures, survey_terrain
 
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_data"
 
