@@ -339,20 +339,6 @@ def test_returns_that_are_no_points_keep_their_rows():
     assert (result.point_sector[~kept] == -1).all()
 
 
-@pytest.mark.parametrize(
-    ("points", "words"),
-    [
-        (np.zeros((5, 2)), r"shape \(5, 2\)"),
-        (np.zeros(3), r"shape \(3,\)"),
-        ([["a", "b", "c"]], "type <U1"),
-        ([[1], [1, 2]], "no array"),
-    ],
-)
-def test_points_that_are_none_are_refused(points, words):
-    with pytest.raises(bumpymap.UsageError, match=words):
-        bumpymap.classify_scan(points)
-
-
 # --- drives ---
 def test_the_sample_drive_is_judged_as_readme_says(layers):
     drive = ",".join(str(ROOT / f"sample_data/quarry_drive_{part}.csv") for part in ("imu", "gnss"))

@@ -32,14 +32,24 @@ def scanned(count=12_000, seed=0):
     return np.column_stack([x, y, -1.0 + np.where(y < 0, 0.2, 0.002) * rng.standard_normal(count)])
 
 
+def closed_site():
+    """The site with a wall that has no gap."""
+    made = site()
+    slope = np.where(made.patches.col == WEST + 15, 60.0, 2.0)
+    return replace(made, patches=replace(made.patches, slope=slope))
+
+
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """Layers of a field, of a site with a wall, and of two surveys of one place; scans; files of other kinds."""
     root = tmp_path_factory.mktemp("made")
-    sites = {"field": make_field(6, 6, holes=0.0), "layers": site(), "may": survey(1)}
+    sites = {"field": make_field(6, 6, holes=0.0), "layers": site(), "may": survey(1), "closed": closed_site()}
     for name, layers in (sites | {"june": survey(2, rut=0.1, c_r=3.0)}).items():
         write_folder(root / name, layers)
     write_ply(root / "frame.ply", np.rec.fromarrays(scanned().astype("<f4").T, names="x,y,z"))
+    # In float32, a UTM northing has steps of half a metre.
+    coarse = np.random.default_rng(2).uniform(0.1, 5.9, (3, 900)) + np.array([[500_001], [5_400_000], [0]])
+    write_ply(root / "coarse.ply", np.rec.fromarrays(coarse.astype("<f4"), names="x,y,z"))
     write_bin(root / "a.bin", scanned())
     np.random.default_rng(1).uniform(-9.0, 9.0, 60_000).astype("<f4").tofile(root / "doubtful.bin")
     for name, poses in (("one.txt", 1), ("two.txt", 2)):
@@ -57,7 +67,7 @@ def _here(made, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
 
 
-A, B = place(5.5, 5.5), place(5.5, 9.5)
+A, B, C = place(5.5, 5.5), place(5.5, 9.5), place(5.5, 25.5)
 ALL = "(car, husky, small_rover, warthog)"
 REFUSED = [
     (2, "mpa site.laz", "Did you mean 'map'?"),
@@ -69,6 +79,9 @@ REFUSED = [
     (2, "map a.laz --out OUT --set pixels", "give KEY=VALUE"),
     (2, "map a.laz --out OUT --set pixels=a", "pixels is 'a'; it must be a whole number from 3 to 255"),
     (2, "map https://h/a.laz --out o", "rclone copyurl URL FILE"),
+    *((2, f"{command} a --out OUT --force", "--overwrite") for command in ("map", "scan", "batch")),
+    (3, "map coarse.ply --crs EPSG:32614 --out OUT", "steps of 0.5 m"),
+    *((3, f"info coarse.ply {how}", "steps of 0.5 m") for how in ("", "--quick", "--json")),
     (2, "map a.laz --out s3://bucket/night", "s3://bucket/night is a URL"),
     (2, "map a.laz --out OUT --vehicle tank", ALL),
     (2, "vehicle check tank", ALL),
@@ -94,6 +107,11 @@ REFUSED = [
     (3, f"route layers --from 1,1 --to {A} --out OUT", "lies outside the map"),
     (3, f"route layers --from {place(10.5, 15.5)} --to {A} --out OUT", "not passable (too steep). The nearest point"),
     (3, f"route layers --from {place(20.5, 2.5)} --to {A} --out OUT", "unknown ground; --unknown COST"),
+    (
+        3,
+        f"route closed --from {A} --to {place(5.5, 25.5)}",
+        f"no way from the start {A} to the goal {place(5.5, 25.5)}",
+    ),
     (3, f"route layers --from {A} --to {B} --avoid none.geojson --out OUT", "none.geojson is missing"),
     (
         2,
@@ -207,17 +225,6 @@ def test_without_a_place_to_write_only_the_summary_is_printed(made):
     assert result.exit_code == 0
     assert sorted(made.rglob("*")) == before
     assert result.stdout.splitlines()[1].split()[:3] == ["route", "45", "1.00"]
-
-
-def test_where_there_is_no_way_the_message_says_between_which_points_and_what_to_do(tmp_path):
-    open_site = site()
-    slope = np.where(open_site.patches.col == WEST + 15, 60.0, 2.0)
-    write_folder(tmp_path / "closed", replace(open_site, patches=replace(open_site.patches, slope=slope)))
-    result = run("route", tmp_path / "closed", "--from", place(5.5, 5.5), "--to", place(5.5, 25.5))
-    assert result.exit_code == 3
-    text = " ".join(result.output.split())
-    assert f"no way from the start {place(5.5, 5.5)} to the goal {place(5.5, 25.5)}" in text
-    assert "--unknown COST" in text
 
 
 def test_where_the_survey_is_too_thin_the_message_says_what_density_would_do(tmp_path):
@@ -335,14 +342,6 @@ def test_a_bad_frame_among_others(tmp_path):
     assert "frames/frame.ply" in out_files(out)
 
 
-def test_force_is_answered_with_overwrite():
-    for command in ("map", "scan", "batch"):
-        said = run(command, "a", "--out", "o", "--force")
-        assert said.exit_code == 2
-        assert "--overwrite" in said.output
-        assert "--force-crs" not in said.output
-
-
 # --- info ---
 def dense(path, classes=None, *, crs="EPSG:32614", rows=slice(None), north=0.0):
     """Write 900 points over four full tiles, or some of them."""
@@ -372,22 +371,6 @@ def test_what_was_given_is_in_the_command_and_units_in_the_record(tmp_path):
     assert (record["metres_per_unit"], record["metres_per_unit_z"]) == (0.3048, 1.0)
     assert record["bounds_crs_units"][0] == pytest.approx(500001.1)
     assert record["bounds_m"][0] == pytest.approx(500001.1 * 0.3048)
-
-
-def test_coordinates_that_are_too_coarse_are_refused_by_map_and_told_by_info(tmp_path):
-    """A UTM northing has steps of half a metre in float32."""
-    x, y = (axis.ravel() for axis in np.meshgrid(*2 * (np.arange(0.1, 6, 0.2),)))
-    columns = np.array([500_001 + x, 5_400_000 + y, np.zeros(x.size)]).astype("<f4")
-    path = write_ply(tmp_path / "a.ply", np.rec.fromarrays(columns, names="x,y,z"))
-    result = run("map", path, "--crs", "EPSG:32614", "--out", tmp_path / "map")
-    assert result.exit_code == 3, result.output
-    assert re.search(r"steps of 0\.5 m.*double", result.output)
-    assert not (tmp_path / "map").exists()
-    for words in ((), ("--quick",), ("--json",)):
-        result = run("info", path, *words)
-        assert result.exit_code == 3
-        assert re.search(r"steps of 0\.5 m.*double", result.output)
-    assert run("info", path, "--tile-size", "60", "--quick").exit_code == 0  # pixels of 4 m
 
 
 def test_quick_reads_no_points(tmp_path, monkeypatch):

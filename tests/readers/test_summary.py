@@ -51,16 +51,6 @@ def test_hand_counted_tiles(las):
     assert stats(las.write(classification=np.full(7, 18, np.uint8))).summary() is None  # no point counts
 
 
-def test_holes_are_what_the_rule_says(las):
-    # Three tiles of 3 x 3 pixels of 1 m: one point in the middle of a side; one in the middle; nine.
-    middles = np.stack(np.meshgrid([0.5, 1.5, 2.5], [0.5, 1.5, 2.5]), -1).reshape(-1, 2)
-    ground = np.vstack([np.repeat([[0.5, 1.5]], 9, 0), np.repeat([[4.5, 1.5]], 9, 0), middles + np.array([6, 0])])
-    path = las.write(points=np.column_stack([ground, np.zeros(27)]), offset=(0, 0, 0))
-    for max_hole, min_coverage, holes in ((1.0, 0.0, 1), (2.0, 0.0, 0), (1.0, 0.2, 2), (0.1, 0.0, 1)):
-        settings = FeatureSettings(min_points=3, min_coverage=min_coverage, max_hole=max_hole)
-        assert stats(path, settings, Grid(3.0, 3)).summary().unknown[Reason.TOO_MANY_HOLES] == holes
-
-
 def test_merging_on_the_way_and_of_two_files_changes_nothing(las, monkeypatch):
     points = np.round(np.random.default_rng(4).uniform(-50, 50, (5000, 3)), 3)
     settings = FeatureSettings(min_points=4)
@@ -90,22 +80,6 @@ def test_a_sample_is_of_whole_tiles_and_close_to_all(las, monkeypatch):
     assert share != exact
     assert share == pytest.approx(exact, abs=0.1)
     assert summary.unknown[Reason.TOO_FEW_POINTS] == whole.unknown[Reason.TOO_FEW_POINTS]
-
-
-def test_tiles_of_twice_the_size_are_summarized_from_the_same_counts(las):
-    rng = np.random.default_rng(7)
-    points = np.round(rng.uniform(-50, 50, (8000, 3)), 3)
-    classes = rng.choice(np.uint8([1, 2, 6]), 8000, p=[0.6, 0.3, 0.1])
-    seen = points[:, 0] % 13 > 7
-    path = las.write("a.laz", points[seen], offset=(0, 0, 0), classification=classes[seen])
-    twice = stats(path, FeatureSettings(), thin=True).summary().doubled
-    whole = stats(path, FeatureSettings(), Grid(6.0, 30), thin=True).summary()
-    assert replace(twice, classes={}) == replace(whole, classes={})
-    assert {code: own.tiles for code, own in twice.classes.items()} == {
-        code: own.tiles for code, own in whole.classes.items()
-    }
-    assert 0 < sum(twice.unknown.values()) < twice.tiles
-    assert twice.doubled is None  # no calibration for tiles of 12 m is included
 
 
 def test_thin_tiles_are_known_if_their_points_span_them(las):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from seen_surveys import level_step, share_of_posts, share_of_steps
 
-from bumpymap.core import MOST_STEP, SeenSizes, chance_text, density_for, size_text, smallest_object
+from bumpymap.core import SeenSizes, chance_text, density_for, smallest_object
 
 PIXEL_M, SIDE, TILE_M = 0.2, 15, 3.0
 
@@ -83,18 +83,6 @@ def test_the_sparser_part_of_a_tile_counts():
     assert np.median(even) < 0.35
     assert np.median(own) == pytest.approx(0.69, abs=0.12)
     assert tiles_of(lambda: np.array([[0.1], [0.1]]))[0].max() == TILE_M
-
-
-def test_it_is_said_in_one_sentence():
-    assert SeenSizes(10.2, 0.688, 0.1834).sentence == (
-        "At 10 points/m2, objects narrower than 0.7 m and steps lower than 0.19 m are not seen."
-    )
-    assert SeenSizes(1.4, 1.84).sentence == "At 1.4 points/m2, objects narrower than 1.85 m are not seen."
-    assert SeenSizes(1.4, 1.84, MOST_STEP).sentence.endswith("narrower than 1.85 m and steps are not seen.")
-    assert SeenSizes(10.0).sentence == ""
-    assert "does not show" in SeenSizes().condition
-    assert [size_text(size) for size in (0.0, 0.011, 0.2, 0.201, 2.0)] == ["0.01 m", "0.02 m", "0.2 m", "0.25 m", "2 m"]
-    assert SeenSizes.of(SeenSizes(10.0, 0.7, 0.2).record()) == SeenSizes(10.0, 0.7, 0.2)
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from bumpymap.cli._text import as_options
 from bumpymap.core import MapConfig, UsageError, memory as memory_module, run_folder
 from bumpymap.core.errors import BadInputError, OutputError
 from bumpymap.core.processes import Child
-from bumpymap.core.run_folder import Kept, RunFolder, is_interrupted, what_to_keep, work_folder
+from bumpymap.core.run_folder import RunFolder, is_interrupted, work_folder
 from bumpymap.layers import check_folder
 from bumpymap.readers import PointStats
 from bumpymap.readers.las import LasSurvey
@@ -101,7 +101,7 @@ def test_a_decoder_that_is_killed_keeps_everything(surveys, plain, tmp_path, mon
     assert result.output.endswith(f"\n{GO_ON}\n")
     assert list(out.glob(".bumpymap-run/tiles-*.pack"))
     (waiting,) = scratch.iterdir()
-    assert waiting.stat().st_mode & 0o777 == 0o700
+    assert [folder.stat().st_mode & 0o777 for folder in (waiting, work_folder(out))] == [0o700] * 2
     goes_on(surveys, out, plain, monkeypatch, "--set", f"scratch={scratch}")
     assert list(scratch.iterdir()) == []
 
@@ -162,16 +162,6 @@ def test_a_killed_run_remembers_the_file_that_it_left_out(surveys, tmp_path, mon
     assert layers_of(left) == layers_of(tmp_path / "b")
 
 
-def test_packs_that_a_power_cut_spoilt_are_made_anew(surveys, plain, tmp_path, monkeypatch, killed_at):
-    out = tmp_path / "out"
-    killed_at("layers.write_products", out, surveys)
-    packs = sorted(out.glob(".bumpymap-run/tiles-*.pack"))
-    assert len(packs) > 1
-    packs[0].write_bytes(packs[0].read_bytes()[:-9])
-    packs[-1].unlink()
-    goes_on(surveys, out, plain, monkeypatch)
-
-
 @pytest.mark.parametrize("spoilt", [True, False])
 def test_points_without_the_tiles_that_they_leave_out_are_read_again(surveys, plain, tmp_path, monkeypatch, spoilt):
     """Points of a block that was finished are in no later pack: if a power cut spoils its tiles, no point may miss.
@@ -200,12 +190,6 @@ def test_points_without_the_tiles_that_they_leave_out_are_read_again(surveys, pl
     assert result.exit_code == 0, result.output
     assert layers_of(left) == plain
     assert (fetched[0] == 0) == spoilt  # else it goes on where it was
-
-
-def test_a_server_that_failed_may_answer_the_next_time():
-    end = BadInputError("cannot read https://a/b.laz")
-    end.__cause__ = TimeoutError()
-    assert what_to_keep(end) is Kept.ALL
 
 
 BLOCKS = 10
@@ -305,15 +289,6 @@ def precious(folder):
     for name in ("run_spec.json", "tiles-all-000000.pack", "points-00000000-00000001.pack", "cluster-tiles/a"):
         (folder / name).write_text("mine")
     return folder
-
-
-def test_the_folders_of_a_run_are_its_users_own(tmp_path):
-    with Workspace.opened(tmp_path / "out", tmp_path / "scratch", ASKED, overwrite=False) as space:
-        for folder in (space.folder, space.scratch):
-            assert folder.stat().st_mode & 0o777 == 0o700
-        first = space.scratch.name
-    with Workspace.opened(tmp_path / "out", tmp_path / "scratch", ASKED, overwrite=False) as space:
-        assert space.scratch.name != first
 
 
 def test_a_work_folder_that_is_a_link_is_left_alone(tmp_path):
