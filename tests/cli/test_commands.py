@@ -69,10 +69,15 @@ def _here(made, monkeypatch):
 
 A, B, C = place(5.5, 5.5), place(5.5, 9.5), place(5.5, 25.5)
 ALL = "(car, husky, small_rover, warthog)"
+MAP = f"map {shlex.quote(str(QUARRY))} --out OUT"
 REFUSED = [
     (2, "mpa site.laz", "Did you mean 'map'?"),
-    (2, f"map {shlex.quote(str(QUARRY))} --out OUT --crs EPSG:1", "--crs EPSG:1 is not a coordinate reference system"),
-    (2, f"map {shlex.quote(str(QUARRY))} --out OUT --tile-size 4", "Use --tile-size 3, --set pixels=15"),
+    (2, f"{MAP} --crs EPSG:1", "--crs EPSG:1 is not a coordinate reference system"),
+    (2, f"{MAP} --tile-size 4", "Use --tile-size 3, --set pixels=15"),
+    (2, f"{MAP} --speed 9", "holds from 0.4 to 2.5 m/s"),
+    (2, f"{MAP} --set speeds=1,2", "there is no setting speeds any more: a map has one speed: give --speed 2"),
+    (2, f"{MAP} --set headings=true --set rating=table", "--set rating='table' knows no heading"),
+    (2, f"{MAP} --speed 1 --set compat=paper", "--set compat='paper' knows no speed"),
     (2, "map a.laz --out OUT --crs EPSG:32632 --local", "--crs and --local contradict"),
     (2, "map a.laz --out OUT --calibration c.json --vehicle warthog", "--calibration and --vehicle"),
     (2, "map a.laz --out OUT --set compat=paper --set rating=ride", "--set compat and --set rating"),
@@ -88,6 +93,8 @@ REFUSED = [
     (3, "vehicle new mine --out link.toml", "exists and is not overwritten"),
     (3, "vehicle new mine --out none/x/a.toml", "none/x"),
     (2, "calibrate --out OUT", "bumpymap vehicle new"),
+    (2, "check --drive one.txt --out field", "holds the layers of a survey"),
+    (2, "check --drive one.txt --out a.json", "a check is a folder"),
     (3, "diff may none", "holds no complete run"),
     (2, "export field --out OUT", "Missing option '--to'"),
     (2, "export field --to plan --resolution pixel --out OUT", "--resolution has no effect with --to plan"),
@@ -131,6 +138,14 @@ REFUSED = [
     (2, "train --scans here --out OUT", "bumpymap train scans"),
     (3, "train scans none --out OUT.onnx", "holds no scans"),
     (3, "train textures --out not.onnx", "--overwrite"),
+    (2, "train textures --out OUT.pt", ".onnx"),
+    (2, "train textures --out OUT.onnx --set network.pixels=5", "at least 9"),
+    *(
+        (2, line.replace("NAME", name), said)
+        for line in ("map NAME --out OUT", "map a.laz --out NAME", "map a.laz --out OUT --set model=NAME", "info NAME")
+        for name, said in (("a\0b", "NUL"), ("\u00e9" * 128, "bytes"))
+    ),
+    *((2, f"{line} a\0b", "NUL") for line in ("scan --out OUT", "calibrate --out")),
 ]
 
 
