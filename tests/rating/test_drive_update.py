@@ -142,7 +142,7 @@ def test_normal_errors_give_the_textbook_answer(monkeypatch):
 def test_the_stated_uncertainty_holds(options, low):
     """The 80 % interval of both numbers, over drives whose numbers are drawn from the prior."""
     inside = []
-    for seed in range(60):
+    for seed in range(40):
         rng = np.random.default_rng([seed, 5])
         numbers = rng.normal(0.0, PRIOR.sd)
         found = fit_move(evidence_of(rng, numbers=numbers, **options), PRIOR)
