@@ -14,22 +14,21 @@ APART, TILES, STEP_TILES = 4.0, 32, 12
 """Distance of the posts, m; tiles along a side of a survey of posts, and of one with a step."""
 
 
-def share_of_posts(density, width, rng, *, in_relief, surveys=1):
+def share_of_posts(density, width, rng, *, in_relief):
     """Share of posts of 1 m, with a square top of some width, in which an obstacle is found; seen from above alone."""
     found, side, pixel = [], TILES * TILE_SIZE, TILE_SIZE / PIXELS
-    for _ in range(surveys):
-        posts = int(side / APART)
-        x, y = rng.uniform(0, side, (2, rng.poisson(density * side**2)))
-        middle = (np.indices((posts, posts)).reshape(2, -1).T + 0.5) * APART + rng.uniform(-1, 1, (posts**2, 2))
-        own = middle[(x // APART).astype(int) * posts + (y // APART).astype(int)]
-        on = (np.abs(x - own[:, 0]) < width / 2) & (np.abs(y - own[:, 1]) < width / 2)
-        z = 0.1 * x + rng.normal(0, 0.02, len(x)) + on
-        classes = np.where(on | in_relief, OTHER, GROUND)
-        closed = seen_pixels(ScenePoints(x, y, z, classes), BODY)[0] == OBSTACLE
-        low, high = (middle - width / 2 - 0.25) / pixel, (middle + width / 2 + 0.25) / pixel
-        top = (TILES + 1) * PIXELS - 1
-        for (west, south), (east, north) in zip(low.astype(int), high.astype(int), strict=True):
-            found.append(closed[top - north : top - south + 1, PIXELS + west : PIXELS + east + 1].any())
+    posts = int(side / APART)
+    x, y = rng.uniform(0, side, (2, rng.poisson(density * side**2)))
+    middle = (np.indices((posts, posts)).reshape(2, -1).T + 0.5) * APART + rng.uniform(-1, 1, (posts**2, 2))
+    own = middle[(x // APART).astype(int) * posts + (y // APART).astype(int)]
+    on = (np.abs(x - own[:, 0]) < width / 2) & (np.abs(y - own[:, 1]) < width / 2)
+    z = 0.1 * x + rng.normal(0, 0.02, len(x)) + on
+    classes = np.where(on | in_relief, OTHER, GROUND)
+    closed = seen_pixels(ScenePoints(x, y, z, classes), BODY)[0] == OBSTACLE
+    low, high = (middle - width / 2 - 0.25) / pixel, (middle + width / 2 + 0.25) / pixel
+    top = (TILES + 1) * PIXELS - 1
+    for (west, south), (east, north) in zip(low.astype(int), high.astype(int), strict=True):
+        found.append(closed[top - north : top - south + 1, PIXELS + west : PIXELS + east + 1].any())
     return np.mean(found)
 
 

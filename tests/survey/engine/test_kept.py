@@ -6,7 +6,6 @@ import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import las_files
 import numpy as np
@@ -15,17 +14,15 @@ from small_surveys import files_in, layers_of, run, write_las
 
 from bumpymap.cli._text import as_options
 from bumpymap.core import MapConfig, UsageError, memory as memory_module, run_folder
-from bumpymap.core.errors import BadInputError, OutputError
+from bumpymap.core.errors import OutputError
 from bumpymap.core.processes import Child
 from bumpymap.core.run_folder import RunFolder, is_interrupted, work_folder
 from bumpymap.layers import check_folder
-from bumpymap.readers import PointStats
 from bumpymap.readers.las import LasSurvey
 from bumpymap.survey import with_memory
 from bumpymap.survey.engine.block_work import TileSink
 from bumpymap.survey.engine.budget import Workspace
 from bumpymap.survey.engine.collector import Checkpoints
-from bumpymap.survey.engine.reading import refuse_no_points
 from bumpytiles import Pack
 
 pytestmark = pytest.mark.slow
@@ -389,21 +386,3 @@ def test_a_size_that_is_given_is_used():
     assert with_memory(config) is config
     with pytest.raises(UsageError, match=r"`memory` is 'automatic'; it must be a size of .* or auto"):
         with_memory(replace(CONFIG, memory="automatic"))
-
-
-@pytest.mark.parametrize(
-    ("tallies", "says"),
-    [
-        (
-            [PointStats(10, withheld=4, noise=6), PointStats(5, noise=5)],
-            r"of the 15 points of a, b, 4 are flagged as withheld and 11 are of class 7 or 18 \(noise\)\. Clear",
-        ),
-        ([PointStats(1000, not_a_number=1000)], r"of the 1,000 points of a, 1,000 are beams without return\. Is it"),
-        ([PointStats()] * 7, r"\(a, b, c, d, e and 2 more\)"),
-    ],
-)
-def test_no_point_left(tallies, says):
-    readers = [SimpleNamespace(info=SimpleNamespace(path=name)) for name in "abcdefgh"]
-    with pytest.raises(BadInputError, match=says):
-        refuse_no_points(readers[: len(tallies)], tallies)
-    refuse_no_points(readers[: len(tallies) + 1], [*tallies, PointStats(1)])
