@@ -1,8 +1,5 @@
 """What a survey holds, tile by tile, and what of it was never classified."""
 
-from dataclasses import replace
-from functools import partial
-
 import numpy as np
 import pytest
 
@@ -51,22 +48,6 @@ def test_hand_counted_tiles(las):
     assert stats(las.write(classification=np.full(7, 18, np.uint8))).summary() is None  # no point counts
 
 
-def test_merging_on_the_way_and_of_two_files_changes_nothing(las, monkeypatch):
-    points = np.round(np.random.default_rng(4).uniform(-50, 50, (5000, 3)), 3)
-    settings = FeatureSettings(min_points=4)
-    whole = stats(las.write("all.laz", points, offset=(0, 0, 0)), settings).summary()
-    assert 0 < whole.unknown[Reason.TOO_MANY_HOLES] < whole.tiles
-    monkeypatch.setattr(module, "MERGE_AT", 10)
-    monkeypatch.setattr(module, "GROUP_PIXELS", 1000)
-    parts = []
-    for number, part in enumerate((points[:1500], points[1500:])):
-        reader = open_survey(las.write(f"{number}.laz", part, offset=(0, 0, 0)), CLASSES)
-        monkeypatch.setattr(reader, "clouds", partial(reader.clouds, 77))
-        parts.append(PointSummaryBuilder(Grid(), settings, thin=False).read(reader))
-    parts[0].merge(parts[1])
-    assert parts[0].summary() == whole
-
-
 def test_a_sample_is_of_whole_tiles_and_close_to_all(las, monkeypatch):
     rng = np.random.default_rng(6)
     path = las.write("a.laz", np.round(rng.uniform(-60, 60, (104_000, 3)), 3), offset=(0, 0, 0))
@@ -80,23 +61,6 @@ def test_a_sample_is_of_whole_tiles_and_close_to_all(las, monkeypatch):
     assert share != exact
     assert share == pytest.approx(exact, abs=0.1)
     assert summary.unknown[Reason.TOO_FEW_POINTS] == whole.unknown[Reason.TOO_FEW_POINTS]
-
-
-def test_thin_tiles_are_known_if_their_points_span_them(las):
-    # Tiles of 9 pixels; their points: 3; 10 and 40 in the western three parts; 11 in five around a corner.
-    x, y = np.meshgrid([0.5, 1.5, 2.5], [0.5, 1.5, 2.5])
-    nine = np.column_stack([x.ravel(), y.ravel()])
-    chosen = ((nine, 3), (nine[::3], 10), (nine[[0, 1, 2, 3, 6]], 11), (nine[::3], 40))
-    parts = [np.resize(places, (count, 2)) for places, count in chosen]
-    ground = np.vstack([part + np.array([3 * tile, 0]) for tile, part in enumerate(parts)])
-    path = las.write(points=np.column_stack([ground, np.zeros(len(ground))]), offset=(0, 0, 0))
-    few, holes = Reason.TOO_FEW_POINTS, Reason.TOO_MANY_HOLES
-    grid = Grid(3.0, 9)
-    known_by_pixels = FeatureSettings(min_coverage=0.01, max_hole=5.0)
-    assert stats(path, FeatureSettings(), grid, thin=True).summary().unknown == {few: 2, holes: 1}
-    assert stats(path, FeatureSettings(), grid).summary().unknown == {few: 3, holes: 1}
-    assert stats(path, known_by_pixels, grid, thin=True).summary().unknown == {few: 2, holes: 0}
-    assert stats(path, replace(known_by_pixels, min_points=3), grid, thin=True).summary().unknown == {few: 0, holes: 0}
 
 
 def test_pixels_tell_what_the_measure_of_points_tells():

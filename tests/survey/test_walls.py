@@ -198,19 +198,6 @@ def test_the_way_leads_through_the_gap(tmp_path, kind, bar_m, seed):
     assert ring.leads_through(ring.way_out(ring.map(tmp_path)))
 
 
-def test_few_points_of_a_ramp_or_of_the_rim_of_a_narrow_ditch_bar_nothing(models, tmp_path):
-    for number, (rng, line) in enumerate(walls(6, 6)):
-        x, y, z = survey(rng, line, 0.0, 10 + 20 * (number % 2), 0.003)
-        far = beyond(x, y, line)
-        grounds = {
-            "ramp": np.clip(far * np.tan(np.radians(20.0)), 0.0, 1.0),
-            "ditch": np.where(np.abs(far) < 0.15, -0.3, 0.0),
-        }
-        for name, ground in grounds.items():
-            found = rated(models, (x, y, z + ground), tmp_path / f"{number}-{name}")
-            assert (found["barred"][inside(found)] == Barred.NO).all()
-
-
 BLOCK_M = 48.0
 NODATA = 255
 HALF_M = 24.0
