@@ -25,6 +25,7 @@ takes 0.8 s, of 4.6 s for the whole comparison of `sample_data/quarry.laz` with 
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -387,6 +388,43 @@ class GroundChange:
     """(n,) evidence for another height; standard normal without a change."""
     z_shape: Floats
     """(n,) evidence for another shape, large if there is one; standard normal without a change."""
+    sd_height: Floats
+    """(n,) standard deviation of the mean difference, by the spread of the tile's differences, m."""
+    least_height: Floats
+    """(n,) mean height of the smallest heap or pit that would have counted alone in 95 of 100 cases, m; infinite where
+    too few cells were seen for any."""
+
+
+SURE = 5.5
+"""From this evidence on a tile counts alone. Chosen: on unchanged halves of a survey (lava, scrub, asphalt; 53, 10 and
+4 points per m2; 27,700 tiles) the largest was 4.5."""
+_HEAP_SD = 0.3
+"""Standard deviation of the normal profile of a heap over the side of its tile: chosen, one that just fills it."""
+_DRAWS, _FOUND = 100, 0.95
+"""Draws of noise for each size of a heap, and share of them in which it must be found."""
+_HEAPS = np.geomspace(0.2, 30.0, 20)
+"""Mean heights of heaps over the spread of the differences of cells, from the first that is tried."""
+
+
+@lru_cache(maxsize=4)
+def _least_heaps(side: int) -> tuple[Floats, Floats]:
+    """Return numbers of cells that are seen, of ``side`` x ``side``, and the least heap found in each case, in spreads.
+
+    The heap lies on the middle of the tile; noise of cells is normal.
+    """
+    random, x = np.random.default_rng(0), (np.arange(side) + 0.5) / side - 0.5
+    heap = np.exp(-(x[:, None] ** 2 + x**2) / (2 * _HEAP_SD**2))
+    counts = np.unique(np.geomspace(LEAST_CELLS, side**2, 6).astype(np.int64))
+    least = np.full(len(counts), np.inf)
+    for at, count in enumerate(counts.tolist()):
+        noise = random.standard_normal((_DRAWS, side, side))
+        noise[random.random((_DRAWS, side**2)).argsort(axis=1).reshape(noise.shape) >= count] = np.nan
+        for mean in _HEAPS.tolist():
+            found = compare_heights(noise + mean * heap / heap.mean(), judge=False)
+            if (np.fmax(np.abs(found.z_height), found.z_shape) >= SURE).mean() >= _FOUND:
+                least[at] = mean
+                break
+    return counts.astype(np.float64), least
 
 
 def ground_changes(pair: SurveyPair, cell: int, offset: float, registration: Registration) -> GroundChange:
@@ -481,11 +519,11 @@ def _coarsen(heights: NDArray[np.floating], factor: int) -> Floats:
         return np.asarray(np.nansum(parts, axis=(1, 3)) / np.where(count > 0, count, np.nan))
 
 
-def compare_heights(difference: Floats) -> GroundChange:
+def compare_heights(difference: Floats, *, judge: bool = True) -> GroundChange:
     """Compare the heightmaps of tiles.
 
     ``difference`` (n, p, p): later minus earlier height of each pixel, m, the common offset taken off; NaN where one
-    has none.
+    has none; ``judge``: find ``least_height`` too.
     """
     count = np.isfinite(difference).sum(axis=(1, 2))
     enough = count >= LEAST_CELLS
@@ -494,14 +532,20 @@ def compare_heights(difference: Floats) -> GroundChange:
         warnings.simplefilter("ignore", RuntimeWarning)  # tiles without a value
         mean = np.nanmean(values, axis=(1, 2))
         middle = np.nanmedian(values, axis=(1, 2))[:, None, None]
-        level, form = _cut_off(values), _cut_off(values - middle)
+        level, form = _cut_off(values, _spread(values)), _cut_off(values - middle, spread := _spread(values - middle))
         form -= np.nanmean(form, axis=(1, 2))[:, None, None]
     sums = np.nansum(level, axis=(1, 2)), np.nansum(level * level, axis=(1, 2))
     ratio, n = _ratio(*sums), np.maximum(count, 2)
     # Student's t follows from sum over root of the sum of squares, and has a normal equivalent.
     t = np.minimum(np.abs(ratio) * np.sqrt((n - 1) / np.maximum(n - ratio**2, _EXACT * n)), _MOST_T)
     height, shape = -np.sign(ratio) * ndtri(stdtr(n - 1, -t)), _ratio(*_products(form))
-    return GroundChange(*(np.where(enough, found, np.nan) for found in (mean, _largest(values), height, shape)))
+    sd = spread[:, 0, 0] / np.sqrt(n)
+    least = np.full(len(n), np.inf)
+    if judge:
+        counts, heaps = _least_heaps(difference.shape[1])
+        least = heaps[np.searchsorted(counts, n, side="right") - 1] * spread[:, 0, 0]
+    found = mean, _largest(values), height, shape, sd, least
+    return GroundChange(*(np.where(enough, each, np.nan) for each in found))
 
 
 def _largest(values: Floats) -> Floats:
@@ -515,10 +559,14 @@ def _largest(values: Floats) -> Floats:
     return out
 
 
-def _cut_off(values: Floats) -> Floats:
-    """Divide by the standard deviation, from the median of the sizes, and cut off what is larger than ``_CUT``."""
-    spread = _NORMAL_MAD * np.nanmedian(np.abs(values), axis=(1, 2))[:, None, None]
-    return np.clip(values / np.maximum(spread, _FLOOR_M), -_CUT, _CUT)
+def _spread(values: Floats) -> Floats:
+    """Return the standard deviation of the differences of each tile, from the median of their sizes, (n, 1, 1)."""
+    return np.maximum(_NORMAL_MAD * np.nanmedian(np.abs(values), axis=(1, 2))[:, None, None], _FLOOR_M)
+
+
+def _cut_off(values: Floats, spread: Floats) -> Floats:
+    """Divide by the standard deviation, and cut off what is larger than ``_CUT``."""
+    return np.clip(values / spread, -_CUT, _CUT)
 
 
 def _products(form: Floats) -> tuple[Floats, Floats]:

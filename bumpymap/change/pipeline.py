@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from bumpymap.change.compare import (
     NOT_REGISTERED,
+    SURE,
     Decision,
     GroundChange,
     Registration,
@@ -61,7 +62,7 @@ from bumpymap.layers import (
     write_change_raster,
     write_change_regions,
 )
-from bumpymap.views import change_layers, view_writers, write_change_report
+from bumpymap.views import change_layers, least_volume_text, view_writers, write_change_report
 
 if TYPE_CHECKING:
     import geopandas
@@ -93,6 +94,8 @@ def remarks(fit: Mapping[str, Any], counts: Mapping[str, Any]) -> Iterator[str]:
         asked = f"; {taken:+.3f} m was taken off, as asked" if taken != fit["offset_m"] else ""
         yield f"the later survey lies {lies} in the median tile{asked or ('' if level else '; taken off')}"
     yield from _of_registration(fit.get("registration"))
+    if least := least_volume_text(fit["least_volume_m3"]):
+        yield least
     low, high = sorted(fit["median_density_m2"])
     if high > _DENSITY * low:
         yield (
@@ -272,7 +275,7 @@ def find_changes(config: DiffConfig, progress: Progress | None = None) -> Change
     ride = ride_change(before, after, first if first == second else (0.0, 0.0))
     decision = decide(ground, ride, config.fdr)
     field, dropped = _field(pair, surveys, ground, decision, config.min_tiles)
-    fit = _fit(pair, surveys, shared, decision) | {
+    fit = _fit(pair, surveys, shared, decision, field) | {
         "offset_m": None if np.isnan(offset) else round(offset, 4),
         "offset_taken_off_m": None if np.isnan(taken) else round(taken, 4),
         "registration": _registration(found) if config.register else None,
@@ -316,7 +319,9 @@ def _field(
 ) -> tuple[ChangeField, int]:
     """Return what change.tif holds, and how many tiles belonged to changes that were too small."""
     before, after = surveys
-    code, area, dropped = connect(decision.code, least)
+    sure = np.fmax(np.abs(decision.z_height), decision.z_shape) >= SURE
+    code, area, dropped = connect(decision.code, least, sure)
+    widened, tile_m2 = decision.widened["height"], pair.before.grid.tile_size**2
     values = {
         "d_c_r": after.c_r - before.c_r,
         "z_c_r": decision.z_c_r,
@@ -324,6 +329,8 @@ def _field(
         "d_largest": ground.d_largest,
         "z_height": decision.z_height,
         "z_shape": decision.z_shape,
+        "sd_height": ground.sd_height * widened,
+        "least_volume": ground.least_height * widened * tile_m2,
     }
     site = pair.before
     regions = describe_regions(area, code, values, surveys, site.grid.tile_size)
@@ -332,16 +339,28 @@ def _field(
     return ChangeField(place, **bands, area=area, regions=regions), dropped
 
 
+_SHARES = (0.5, 0.9)
+"""Of the compared ground, for which the smallest change that would be found is said."""
+
+
 def _fit(
-    pair: SurveyPair, surveys: tuple[SurveyTiles, SurveyTiles], shared: NDArray[np.bool_], decision: Decision
+    pair: SurveyPair,
+    surveys: tuple[SurveyTiles, SurveyTiles],
+    shared: NDArray[np.bool_],
+    decision: Decision,
+    field: ChangeField,
 ) -> dict[str, Any]:
     before, after = surveys
+    least = field.least_volume[~np.isnan(field.least_volume)]
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = after.c_r[shared] / before.c_r[shared]
     known = ratio[np.isfinite(ratio)]
     versions = [site.manifest["versions"].get("bumpymap") for site in (pair.before, pair.after)]
     return {
         "widened": {name: round(factor, 3) for name, factor in decision.widened.items()},
+        "least_volume_m3": [_number(volume) for volume in np.quantile(least, _SHARES, method="higher")]
+        if len(least)
+        else None,
         "median_ratio_c_r": round(float(np.median(known)), 4) if len(known) else None,
         "median_density_m2": [round(float(np.nanmedian(side.density[shared])), 2) for side in surveys],
         "versions": versions,
@@ -376,7 +395,17 @@ def _counts(surveys: tuple[SurveyTiles, SurveyTiles], field: ChangeField, shared
         "regions": len(field.regions),
         "passable_lost": int((moved & free[0] & ~free[1]).sum()),
         "passable_won": int((moved & ~free[0] & free[1]).sum()),
+        "volumes": _volumes(field.d_height[moved], field.sd_height[moved], field.placement.grid.tile_size**2),
     }
+
+
+def _volumes(d_height: NDArray[np.floating], sd_height: NDArray[np.floating], area_m2: float) -> dict[str, float]:
+    """Return the m3 that were heaped up and dug on changed tiles, (n,), with standard deviations."""
+    variance, found = np.nan_to_num(sd_height.astype(np.float64)) ** 2, {}
+    for name, chosen in (("heaped", d_height > 0.0), ("dug", d_height < 0.0)):
+        found[f"{name}_m3"] = round(area_m2 * float(np.abs(d_height[chosen].astype(np.float64)).sum()), 2)
+        found[f"{name}_sd_m3"] = round(area_m2 * math.sqrt(float(variance[chosen].sum())), 2)
+    return found
 
 
 def _manifest(
@@ -402,17 +431,20 @@ def _manifest(
     }
 
 
-def connect(code: NDArray[np.float64], least: int) -> tuple[NDArray[np.float64], NDArray[np.int32], int]:
-    """Find connected changes, of tiles that share a side, and drop those of fewer than ``least`` tiles.
+def connect(
+    code: NDArray[np.float64], least: int, sure: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.int32], int]:
+    """Find connected changes, of tiles that share a side; drop those of fewer than ``least`` tiles, none of them sure.
 
-    ``code`` (rows, cols): a position in ``CHANGE_KINDS``; NaN where not compared. Returns it with 0 where a change was
-    dropped; the number of the change of each tile, (rows, cols), from 1 in the order of first tiles, 0: none; and the
-    number of tiles that were dropped.
+    ``code`` (rows, cols): a position in ``CHANGE_KINDS``; NaN where not compared; ``sure`` (rows, cols). Returns it
+    with 0 where a change was dropped; the number of the change of each tile, (rows, cols), from 1 in the order of first
+    tiles, 0: none; and the number of tiles that were dropped.
     """
     found = np.nan_to_num(code) > 0.0
     labels, first = label(found.astype(np.uint8))
     size = np.bincount(labels.ravel(), minlength=len(first) + 1)
     kept = size >= least
+    kept[labels[sure & found]] = True
     kept[0] = False
     number = np.where(kept, np.cumsum(kept), 0).astype(np.int32)
     area = number[labels]
@@ -429,7 +461,7 @@ def describe_regions(
 ) -> tuple[dict[str, Any], ...]:
     """Return the properties of each connected change, as they stand in change.geojson.
 
-    ``area``, ``code`` (rows, cols): from `connect`; ``values``: ``d_height``, ``d_largest``, ``d_c_r``,
+    ``area``, ``code`` (rows, cols): from `connect`; ``values``: ``d_height``, ``sd_height``, ``d_largest``, ``d_c_r``,
     ``z_height``, ``z_shape``, ``z_c_r``, each (rows, cols); ``surveys``: before and after; ``tile_size``: m.
     """
     before, after = surveys
@@ -462,6 +494,7 @@ def _describe(tiles: Mapping[str, NDArray[Any]], area_m2: float) -> dict[str, An
         "d_height_highest": _number(heights.max()),
         "d_largest": _of_known(_farthest, tiles["d_largest"]),
         "volume_m3": _number(heights.sum() * area_m2),
+        "volume_sd_m3": _number(area_m2 * math.sqrt(np.nansum(tiles["sd_height"] ** 2))),
         **{name: _of_known(np.mean, tiles[name]) for name in ("d_c_r", "c_r_before", "c_r_after")},
         **{name: _of_known(_farthest, tiles[name]) for name in ("z_height", "z_shape", "z_c_r")},
         **{name: None if commonest == NO_CLASS else commonest for name, commonest in classes.items()},

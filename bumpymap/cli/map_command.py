@@ -6,6 +6,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -146,7 +147,7 @@ def _lines(result: "MapResult", config: MapConfig) -> Iterator[str | Table]:
     """Yield the result of a run in lines."""
     from bumpymap.core import CLASS_NAMES
     from bumpymap.survey import describe_lines, ground_line, outcome_of_run, unknown_line
-    from bumpymap.views import degrees_line
+    from bumpymap.views import degrees_line, zones_line
 
     summary = result.summary
     if result.already_done:
@@ -162,7 +163,8 @@ def _lines(result: "MapResult", config: MapConfig) -> Iterator[str | Table]:
     )
     yield Table(_rows(summary), _TITLES)
     degrees, lines = degrees_line(summary.median_c_r[: len(CLASS_NAMES)]), describe_lines(result.lines)
-    yield from filter(None, [degrees, _passable_line(summary), summary.seen.sentence])
+    zones = zones_line(summary.zones, "%") if summary.zones else ""
+    yield from filter(None, [degrees, _passable_line(summary), zones, summary.seen.sentence])
     if summary.by_holes:
         share = share_text(summary.by_holes / summary.tiles, 1)
         yield (
@@ -226,6 +228,7 @@ def _record(result: "MapResult", config: MapConfig) -> dict[str, object]:
         "unknown": result.summary.reasons,
         "passable": result.summary.passable,
         "barred": result.summary.bars,
+        "zones": None if result.summary.zones is None else asdict(result.summary.zones),
         "seen_sizes": result.summary.seen.record(),
         "unknown_share": result.summary.unknown / result.summary.tiles,
         "advice": unknown_line(result, config),

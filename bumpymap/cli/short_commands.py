@@ -40,12 +40,16 @@ def _class_names() -> tuple[str, ...]:
 
 
 def _diff_lines(result: "ChangeResult", config: DiffConfig) -> Iterator[str | Table]:
+    from bumpymap.views import volumes_text
+
     counts = result.counts
     yield (
         f"{count_text(counts['in_both'], 'tile is', 'tiles are')} in both surveys, {counts['compared']:,} compared, "
         f"{counts['changed']:,} changed ({share_text(counts['changed'] / max(counts['compared'], 1), 1)}) in "
         f"{count_text(counts['regions'], 'place')}"
     )
+    if volumes := volumes_text(counts["volumes"]):
+        yield f"in these places {volumes} (80 % intervals)"
     tiles = counts["by_change"]
     shares = shares_text(list(tiles.values()), (0,), 1)
     changes = [(text, f"{count:,}", share) for (text, count), share in zip(tiles.items(), shares, strict=True)]

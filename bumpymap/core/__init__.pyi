@@ -286,6 +286,7 @@ from .types import (
     THIN_SEEN as THIN_SEEN,
     UNDECIDED as UNDECIDED,
     UNSEEN as UNSEEN,
+    ZONE as ZONE,
     Band as Band,
     Barred as Barred,
     CostMap as CostMap,

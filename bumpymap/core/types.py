@@ -515,9 +515,11 @@ def tile_columns(pixels: int) -> tuple[Column, ...]:
     """Return all columns of a finished tile, without the ride by heading."""
     own = rated_columns(pixels)
     known = {column.name for column in own}
-    return (*own, *(column for column in neighbour_columns(pixels) if column.name not in known))
+    return (*own, *(column for column in neighbour_columns(pixels) if column.name not in known), ZONE)
 
 
+ZONE = Column("zone", "<i4")
+"""Number of the piece of ground that a tile belongs to and that the vehicle cannot leave, from 1; 0: none."""
 GROUND_SOURCE = Column("ground_source", "|u1")
 """Of the tiles of a survey of which a part is not classified: 1 if measured from all points, 0 from ground points."""
 
@@ -559,6 +561,7 @@ BANDS: tuple[Band, ...] = (
     Band("all_density", "m-2", "points of any class per square metre"),
     Band("smallest_object", "m", "side of the narrowest standing object that the survey would have shown with 95 %"),
     Band("smallest_step", "m", "lowest step of the ground that would have been found with 95 %; 10: none"),
+    Band("zone", "", "number of the piece of ground that hangs together, 1 the largest; NaN: part of none"),
 )
 """The bands of roughness.tif, in order."""
 

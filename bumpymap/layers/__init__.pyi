@@ -35,14 +35,17 @@ from .colours import (
     BARRED_COLOURS as BARRED_COLOURS,
     CHANGE_COLOURS as CHANGE_COLOURS,
     CLASS_COLOURS as CLASS_COLOURS,
+    CLOSED_COLOUR as CLOSED_COLOUR,
     COST_COLOURS as COST_COLOURS,
     DIFFERENCE_RAMP as DIFFERENCE_RAMP,
+    ISLAND_SHARE as ISLAND_SHARE,
+    MID_GREY as MID_GREY,
     OBJECT_COLOURS as OBJECT_COLOURS,
     OFF_COLOURS as OFF_COLOURS,
     OFF_KINDS as OFF_KINDS,
     PASSAGE_COLOURS as PASSAGE_COLOURS,
     PASSAGE_NAMES as PASSAGE_NAMES,
-    REASON_GREYS as REASON_GREYS,
+    REASON_SHADES as REASON_SHADES,
     ROUTE_COLOUR as ROUTE_COLOUR,
     STEP_LINE as STEP_LINE,
     UNKNOWN_COLOUR as UNKNOWN_COLOUR,
@@ -66,9 +69,11 @@ from .lazy_raster import (
 )
 from .manifest import (
     COUNT as COUNT,
+    ISLAND_M2 as ISLAND_M2,
     MANIFEST_NAME as MANIFEST_NAME,
     PLACE_SHAPE as PLACE_SHAPE,
     MapSummary as MapSummary,
+    ZoneCounts as ZoneCounts,
     describe_file as describe_file,
     describe_input as describe_input,
     place_entries as place_entries,
@@ -181,6 +186,7 @@ from .stac import (
 from .tile_table import (
     read_tiles as read_tiles,
     require_tiles as require_tiles,
+    tile_fields as tile_fields,
 )
 from .vector import (
     GeoJsonCoordinates as GeoJsonCoordinates,

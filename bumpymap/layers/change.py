@@ -137,6 +137,8 @@ _BANDS = (
     Band("d_largest", "m", "height difference farthest from 0 that two neighbouring pixels both reach"),
     Band("z_height", "", "evidence for another height, over its spread"),
     Band("z_shape", "", "evidence for another shape, over its spread"),
+    Band("sd_height", "m", "standard deviation of d_height"),
+    Band("least_volume", "m3", "smallest heap or pit on the tile found in 95 of 100 cases; infinite: none"),
     Band("changed", "", _CHANGED),
 )
 CHANGED_BAND = len(_BANDS)
@@ -158,6 +160,10 @@ class ChangeField:
     """Difference farthest from 0 that two neighbouring pixels both reach, m."""
     z_height: NDArray[np.float32]
     z_shape: NDArray[np.float32]
+    sd_height: NDArray[np.float32]
+    """Standard deviation of ``d_height``, m."""
+    least_volume: NDArray[np.float32]
+    """Smallest heap or pit on the tile that would have been found in 95 of 100 cases, m3."""
     changed: NDArray[np.float32]
     """0 not changed; 1 ground changed, ride as before; 2 rougher; 3 smoother; 4 ground changed, one ride unknown;
     5 ground changed, ride not decided."""

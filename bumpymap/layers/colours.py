@@ -11,16 +11,23 @@ from numpy.typing import NDArray
 from bumpymap.core import CANOPY, CLASS_NAMES, FREE, NO_CLASS, OBSTACLE, Barred, Reason
 
 CLASS_COLOURS: dict[int, tuple[int, int, int, int]] = {
-    0: (44, 123, 182, 255),
-    1: (171, 217, 233, 255),
-    2: (253, 174, 97, 255),
-    3: (215, 25, 28, 255),
+    0: (132, 199, 214, 255),
+    1: (166, 136, 40, 255),
+    2: (172, 66, 36, 255),
+    3: (112, 8, 42, 255),
     NO_CLASS: (0, 0, 0, 0),
 }
-"""Red, green, blue, alpha of each class, from blue (smooth) to red (very rough); safe for colour-blind readers."""
+"""Red, green, blue, alpha of each class, from cool and faint (smooth) to warm and strong (very rough). Neighbours
+differ by CIEDE2000 of 12 and more to all readers: with deuteranopia, with protanopia, and in grey too."""
+CLOSED_COLOUR = (130, 128, 136, 255)
+"""Of ground that cannot be crossed, whatever bars it, on maps of the ride."""
+ISLAND_SHARE = 0.4
+"""Share of its colour that an island keeps, mixed with ``MID_GREY``: chosen."""
+MID_GREY = 128
+"""Brightness that photo and relief are levelled to: light that leaves the colours of the map as they are."""
 BARRED_COLOURS: dict[int, tuple[int, int, int, int]] = {
     Barred.NO: (166, 217, 106, 255),
-    Barred.UNKNOWN: (150, 150, 150, 255),
+    Barred.UNKNOWN: (232, 232, 233, 255),
     Barred.OBSTACLE: (84, 48, 5, 255),
     Barred.SLOPE: (63, 59, 116, 255),
     Barred.FAILS: (179, 34, 75, 255),
@@ -32,24 +39,24 @@ BARRED_COLOURS: dict[int, tuple[int, int, int, int]] = {
 """Red, green, blue, alpha of each `Barred`: passable tiles green, the others by what bars them. Colour-blind readers
 distinguish any two."""
 UNKNOWN_COLOUR = BARRED_COLOURS[Barred.UNKNOWN]
-"""Of ground that is not known or not compared, under lines that rise to the right: in GIS and on pages."""
+"""Of ground that is not known or not compared, in GIS, pictures and on pages."""
 UNKNOWN_OBJECT = 3
 """Value of obstacle.tif where it is not known whether there is an obstacle."""
 STEP_LINE = 4
 """Value of obstacle.tif on the line of a step that the vehicle cannot cross."""
 OBJECT_COLOURS: dict[int, tuple[int, int, int, int]] = {
     FREE: (255, 255, 255, 0),
-    OBSTACLE: (84, 48, 5, 255),
+    OBSTACLE: (72, 70, 80, 255),
     CANOPY: (127, 191, 123, 255),
     UNKNOWN_OBJECT: (190, 190, 190, 255),
-    STEP_LINE: BARRED_COLOURS[Barred.STEP],
+    STEP_LINE: (20, 18, 26, 255),
     NO_CLASS: (0, 0, 0, 0),
 }
 """Red, green, blue, alpha of the values of obstacle.tif; free ground is transparent."""
 PASSAGE_NAMES = ("closed", "free", "free, second area of the tile", "free, third area", "free, fourth area")
 """Names of the first values of passage.tif."""
 PASSAGE_COLOURS: dict[int, tuple[int, int, int, int]] = {
-    0: (84, 48, 5, 190),
+    0: (72, 70, 80, 190),
     1: (166, 217, 106, 90),
     2: (253, 174, 97, 170),
     3: (171, 217, 233, 170),
@@ -66,13 +73,13 @@ REASON_COLOURS: dict[int, tuple[int, int, int, int]] = {
     Reason.OUTLIER_RELIEF: (230, 97, 1, 255),
 }
 """Red, green, blue, alpha of each `Reason`: tiles with a class light grey, places without points transparent."""
-REASON_GREYS = REASON_COLOURS | {
+REASON_SHADES = REASON_COLOURS | {
     Reason.TOO_FEW_POINTS: (105, 105, 105, 255),
-    Reason.TOO_MANY_HOLES: UNKNOWN_COLOUR,
-    Reason.NO_GROUND: (58, 58, 58, 255),
-    Reason.OUTLIER_RELIEF: (0, 0, 0, 255),
+    Reason.TOO_MANY_HOLES: (150, 150, 150, 255),
+    Reason.NO_GROUND: (64, 64, 160, 255),
+    Reason.OUTLIER_RELIEF: (0, 0, 64, 255),
 }
-"""These in GIS, where they lie over classes: none is the colour of a class to a colour-blind reader."""
+"""These in GIS, where they lie beside classes: none is the colour of a class to a colour-blind reader."""
 CHANGE_COLOURS: dict[int, tuple[int, int, int, int]] = {
     0: (233, 240, 226, 255),
     1: (246, 178, 72, 255),
@@ -135,8 +142,6 @@ def reach_colours(count: int) -> list[tuple[int, int, int]]:
 
 
 _ANCHORS = np.array([CLASS_COLOURS[number][:3] for number in range(len(CLASS_NAMES))], np.float64)
-_TINT = 0.82
-"""Opacity of the colours over white."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,10 +168,6 @@ class RideScale:
 
     def colours(self, c_r: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return colours, (..., 3) from 0 to 255, of ride costs in rad/m; NaN as 0."""
-        return 255.0 + _TINT * (self.pure(c_r) - 255.0)
-
-    def pure(self, c_r: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Return `colours` as layers have them, not mixed with the white of a picture."""
         known = np.nan_to_num(c_r)
         return np.stack([np.interp(known, self.anchors, channel) for channel in _ANCHORS.T], axis=-1)
 

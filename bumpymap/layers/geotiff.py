@@ -174,10 +174,14 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
         hidden = (state == UNSEEN) | ((state == FREE) & np.isnan(found["obstacle"])[:, None, None])
         return [np.select([hidden, state == STEP_EDGE], [np.uint8(UNKNOWN_OBJECT), np.uint8(STEP_LINE)], state)]
 
+    def roughness(found: _Found, _: RasterWindow) -> list[NDArray[Any]]:
+        zone = np.where(found["zone"] > 0, found["zone"], np.nan)
+        return [zone if name == "zone" else found[name] for name in names]
+
     reasons = {int(code): colour for code, colour in REASON_COLOURS.items() if code != Reason.NO_POINTS}
     reasons[NO_CLASS] = REASON_COLOURS[Reason.NO_POINTS]
     return {
-        MapFile.ROUGHNESS: _Layer("ride cost and roughness of each tile", BANDS, names),
+        MapFile.ROUGHNESS: _Layer("ride cost and roughness of each tile", BANDS, names, roughness),
         MapFile.CLASS: of_codes(
             "roughness class of each tile",
             "class_id",

@@ -8,7 +8,7 @@ import json
 import os
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -53,6 +53,37 @@ _SEEN_STEPS = dict(zip(SEEN_COLUMNS, (1 / 16, 1 / 2048, 1 / 2048), strict=True))
 """The same of what the survey would have shown, points/m2 and m: up to 4096 points/m2 and 32 m."""
 
 
+ISLAND_M2 = 500.0
+"""Area under which a zone that is not the largest is an island, m2: chosen, 55 tiles of 3 m."""
+
+
+@dataclass(frozen=True, slots=True)
+class ZoneCounts:
+    """How the passable tiles of a map hang together."""
+
+    pieces: int
+    """Zones that have passable tiles."""
+    largest_tiles: int
+    """Passable tiles of the largest."""
+    largest_m2: float
+    """Their area, m2."""
+    largest_share: float
+    """Their share of all passable tiles, 0..1; 0 without any."""
+    islands: int
+    """Zones with passable tiles of under ``ISLAND_M2``, without the largest: the last ones."""
+    island_tiles: int
+    """Passable tiles of these."""
+
+    @classmethod
+    def of(cls, sizes: NDArray[np.int64], passable: int, tile_m2: float) -> Self:
+        """Count, given the passable tiles of each zone, (m,), of the whole map, and the area of a tile, m2."""
+        largest = int(sizes.max(initial=0))
+        islands = sizes[(sizes * tile_m2 < ISLAND_M2) & (np.arange(len(sizes)) != sizes.argmax())] if largest else sizes
+        share = largest / passable if passable else 0.0
+        pieces, lonely = int((sizes > 0).sum()), int((islands > 0).sum())
+        return cls(pieces, largest, largest * tile_m2, share, lonely, int(islands.sum()))
+
+
 @dataclass(frozen=True, slots=True)
 class MapSummary:
     """Numbers of tiles by class and reason, and medians.
@@ -93,6 +124,9 @@ class MapSummary:
     seen: SeenSizes = SeenSizes()  # noqa: RUF009 (frozen)
     """Smallest obstacle and step that the survey would have shown in the median tile with a class."""
 
+    zones: ZoneCounts | None = None
+    """How its passable tiles hang together; None: not known, of a map of an earlier version."""
+
     @classmethod
     def of(cls, counts: Mapping[str, Any]) -> Self:
         """Read the entry ``counts`` of run.json; medians that are null become NaN."""
@@ -111,6 +145,7 @@ class MapSummary:
             failing=counts["failing"],
             by_holes=counts.get("by_holes", 0),
             seen=SeenSizes.of(counts.get("seen_sizes") or {}),
+            zones=ZoneCounts(**counts["zones"]) if "zones" in counts else None,
             **counts["objects"],
         )
 
@@ -154,11 +189,15 @@ def summarise(table: CostTable, limits: Sequence[float] | None = None) -> MapSum
     reasons = np.zeros(len(Reason), dtype=np.int64)
     classes = np.zeros(groups, dtype=np.int64)
     barred = np.zeros(len(Barred), dtype=np.int64)
+    zones = np.zeros(1, dtype=np.int64)
     points = failing = by_holes = 0
     for strip in table.tiles.strips(_STRIP):
-        names = ("class_id", "barred", "reason", "count", "confidence", *_STEPS, *_SEEN_STEPS)
+        names = ("class_id", "barred", "reason", "zone", "count", "confidence", *_STEPS, *_SEEN_STEPS)
         found = table.tiles.read(names, strip)
         barred += np.bincount(found["barred"], minlength=len(Barred))
+        own = np.bincount(found["zone"][found["barred"] == Barred.NO], minlength=len(zones))
+        own[: len(zones)] += zones
+        zones = own
         group = np.where(found["class_id"] == NO_CLASS, groups - 1, found["class_id"]).astype(np.int64)
         classes += np.bincount(group, minlength=groups)
         reasons += np.bincount(found["reason"][group == groups - 1], minlength=len(Reason))
@@ -188,6 +227,7 @@ def summarise(table: CostTable, limits: Sequence[float] | None = None) -> MapSum
         by_holes=by_holes,
         # As `SeenSizes.record` writes them, so that a run that is complete reads the same.
         seen=SeenSizes(*(round((_median(sizes[name][0]) + 0.5) * step, 3) for name, step in _SEEN_STEPS.items())),
+        zones=ZoneCounts.of(zones[1:], int(barred[Barred.NO]), table.tiles.grid.tile_size**2),
         **_count_objects(table),
     )
 
@@ -278,6 +318,14 @@ _SHAPE: dict[str, Any] = PLACE_SHAPE | {
         "failing": COUNT,
         "objects": {"judged": COUNT, "layered": COUNT, "tall": COUNT},
         "seen_sizes?": SEEN_SHAPE,
+        "zones?": {
+            "pieces": COUNT,
+            "largest_tiles": COUNT,
+            "largest_m2": Number(0, 1e15),
+            "largest_share": Number(0, 1),
+            "islands": COUNT,
+            "island_tiles": COUNT,
+        },
     },
 }
 _VERSION = 2
@@ -336,6 +384,7 @@ def complete_manifest(manifest: Mapping[str, Any], table: CostTable, summary: Ma
                 "median_count": summary.median_count,
                 "objects": {"judged": summary.judged, "layered": summary.layered, "tall": summary.tall},
                 "seen_sizes": summary.seen.record(),
+                **({"zones": asdict(summary.zones)} if summary.zones else {}),
             },
             "files": [],
         }

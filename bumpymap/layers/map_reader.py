@@ -202,16 +202,29 @@ class MapReader:
             return None
         return self._pixels(MapFile.PHOTO, window, np.full((*shape, 3), np.nan, np.float32))
 
-    def objects(self, window: TileWindow) -> NDArray[np.uint8]:
-        """Read the objects on the ground, uint8 (rows * pixels, cols * pixels).
+    def objects(self, window: TileWindow, shape: tuple[int, int] | None = None) -> NDArray[np.uint8]:
+        """Read the objects on the ground, uint8 (rows * pixels, cols * pixels), or in another ``shape``.
 
         0 free, 1 obstacle, 2 canopy, 3 unknown, 4 a step that it cannot cross; 255 outside the tiles with points.
         """
-        return self._pixels(MapFile.OBSTACLE, window, np.full(self._shape(window), NO_TILE, np.uint8))
+        return self._pixels(MapFile.OBSTACLE, window, np.full(shape or self._shape(window), NO_TILE, np.uint8))
 
     def passage(self, window: TileWindow) -> NDArray[np.bool_]:
         """Read where the middle of the vehicle can be, (rows * pixels, cols * pixels); nowhere outside the map."""
         return self.passage_shown(window, self._shape(window))
+
+    def zone_at(self, point: NDArray[np.float64]) -> int:
+        """Return the zone that a point, (2,) easting and northing [m], lies in; 0: in none, or it is not known.
+
+        The zone of a tile is that of its largest area: in the others it is not known.
+        """
+        if "zones" not in self.manifest["counts"]:  # of an earlier version
+            return 0
+        (col,), (row,) = tile = self.grid.index(point[:, None])
+        window, pixels = TileWindow(int(col), int(row), 1, 1), self.grid.pixels
+        right, up = self.grid.pixel(point[:, None], tile)[:, 0]
+        area = self._pixels(MapFile.PASSAGE, window, np.zeros((pixels, pixels), np.uint8))[pixels - 1 - up, right]
+        return int(np.nan_to_num(self.values(window, ("zone",))["zone"][0, 0])) if area == 1 else 0
 
     def passage_shown(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.bool_]:
         """Read `passage` in ``shape`` pixels that span a window; one of an overview is closed where one of four is."""

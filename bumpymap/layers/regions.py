@@ -1,7 +1,8 @@
 """Dissolve adjacent tiles of one class into regions with the mean values of their tiles, and trace their outlines.
 
-A region is either passable as a whole or not at all. scikit-image numbers the areas, because scipy.ndimage labels one
-value at a time. Sums are made one tile after the other: the same tiles in the same order give the same bits.
+A region is either passable as a whole, and then lies in one zone, or not at all. scikit-image numbers the areas,
+because scipy.ndimage labels one value at a time. Sums are made one tile after the other: the same tiles in the same
+order give the same bits.
 
 Rings have a vertex wherever the ring of a neighbour has one. Outlines of adjacent areas are then a valid coverage in
 any coordinates: both sides of a border are the same segments, however they are bent or rounded on the way.
@@ -23,11 +24,11 @@ from bumpymap.layers.placement import Placement, RasterWindow
 from bumpytiles import BLOCK_TILES, TileWindow
 
 
-def label(keys: NDArray[np.uint8]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+def label(keys: NDArray[np.integer]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Give a number to each of the 4-connected areas of equal key, from 1, in the order of their first pixels.
 
-    ``keys`` (rows, cols) uint8: 0 belongs to no area. Returns ``labels`` (rows, cols) int32: number of the area of each
-    pixel; 0 where the key is 0; ``first`` (m,) int64: first pixel of each area, as a position in ``keys.ravel()``.
+    ``keys`` (rows, cols) integers: 0 belongs to no area. Returns ``labels`` (rows, cols) int32: number of the area of
+    each pixel; 0 where the key is 0; ``first`` (m,) int64: first pixel of each area, as a position in ``keys.ravel()``.
     """
     from skimage.measure import label as number_areas
 
@@ -128,10 +129,10 @@ _STRIP = REGION_WINDOW * BLOCK_TILES
 """Most tiles to read at a time: one row of blocks, so that sums run along the rows of a window."""
 _VALUES = ("c_r", "c_r_low", "c_r_high", "p_fail")
 
-_IMPASSABLE, _UNKNOWN, _OTHER_WINDOW = 10, 100, 128
+_IMPASSABLE, _UNKNOWN, _OTHER_WINDOW, _ZONE = 10, 100, 128, 256
 """Parts of the keys of tiles, of which those with equal ones join. 0: no points; class + 1: passable; with the first
 added: not passable; the second plus the reason: no class; the third is added outside a window, so that the cut is a
-border."""
+border; the last times the zone is added to passable ones."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,6 +153,8 @@ class Regions:
     """(m,) number of tiles."""
     passable: NDArray[np.bool_]
     """(m,) True: every tile is passable; False: none is."""
+    zone: NDArray[np.int32]
+    """(m,) the zone of all tiles, from 1; 0 where not passable, or part of none."""
     c_r: NDArray[np.float64]
     """(m,) mean over the tiles, rad/m; NaN where unknown (as in the next three)."""
     c_r_low: NDArray[np.float64]
@@ -164,7 +167,7 @@ class Regions:
 
 
 def dissolve(table: CostTable) -> Iterator[Regions]:
-    """Dissolve tiles that share a side into regions of one class and passability, or of one reason if unknown.
+    """Dissolve tiles that share a side into regions: of one class and, if passable, zone, or of one reason if unknown.
 
     Outlines run along tile sides; vertices are whole numbers of tiles. All of them are a valid coverage: adjacent
     regions have the same vertices along their border. A large map is dissolved in windows of `REGION_WINDOW` x
@@ -191,7 +194,7 @@ def _dissolve_window(table: CostTable, place: Placement, window: RasterWindow, b
     last_row = np.empty(len(first) + 1, np.int64)
     last_row[labels] = np.arange(len(labels))[:, None]
     last_row = last_row[1:]
-    key = keys.ravel()[first]
+    zone, key = np.divmod(keys.ravel()[first], _ZONE)
     tiles = np.bincount(labels.ravel(), minlength=len(first) + 1)[1:]
     means = _sum_values(table, window, labels, len(first)) / tiles
     passable = key < _IMPASSABLE
@@ -211,6 +214,7 @@ def _dissolve_window(table: CostTable, place: Placement, window: RasterWindow, b
             reason=reason[some],
             tiles=tiles[some],
             passable=free,
+            zone=zone[some].astype(np.int32),
             c_r=c_r,
             c_r_low=c_r_low,
             c_r_high=c_r_high,
@@ -220,13 +224,14 @@ def _dissolve_window(table: CostTable, place: Placement, window: RasterWindow, b
         )
 
 
-def _region_keys(table: CostTable, window: RasterWindow) -> NDArray[np.uint8]:
+def _region_keys(table: CostTable, window: RasterWindow) -> NDArray[np.int64]:
     """Return the keys (rows + 2, cols + 2) of a window and of the tiles around it, north row first; 0: no tile."""
     around = window.tiles.grown(1)
-    keys = np.zeros((around.rows, around.cols), dtype=np.uint8)
+    keys = np.zeros((around.rows, around.cols), dtype=np.int64)
     for strip in table.tiles.strips(_STRIP, around):
-        found = table.tiles.read(("class_id", "barred", "reason"), strip)
-        known = found["class_id"] + 1 + np.where(found["barred"] == 0, 0, _IMPASSABLE)
+        found = table.tiles.read(("class_id", "barred", "reason", "zone"), strip)
+        part = np.where(found["barred"] == 0, found["zone"].astype(np.int64) * _ZONE, _IMPASSABLE)
+        known = part + found["class_id"] + 1
         key = np.where(found["class_id"] == NO_CLASS, _UNKNOWN + found["reason"], known)
         keys[RasterWindow(around, window.line - 1, window.column - 1).pixel_indices(found)] = key
     for edge in (keys[0], keys[-1], keys[1:-1, 0], keys[1:-1, -1]):

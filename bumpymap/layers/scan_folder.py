@@ -45,8 +45,8 @@ SECTOR_STATES = ("free", "obstacle", "rough", "not ground")
 OBSTACLE_POINT, OTHER_POINT = CLASSES, CLASSES + 1
 """Styles of points that are not ground. Those of ground points are the classes of their sectors."""
 SCAN_COLOURS: NDArray[np.uint8] = np.array(
-    # Obstacles have the red of the worst class of a map.
-    [*(CLASS_COLOURS[class_id][:3] for class_id in (*range(CLASSES), 3)), (140, 140, 140)],
+    # Obstacles are red: the worst class of a map would be too dark on the dark picture of a scan.
+    [*(CLASS_COLOURS[class_id][:3] for class_id in range(CLASSES)), (215, 25, 28), (140, 140, 140)],
     np.uint8,
 )
 """(5, 3) red, green, blue of each style of a point."""

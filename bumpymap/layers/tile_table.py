@@ -1,7 +1,7 @@
 """tiles.parquet, written and read back: one row for each tile with points."""
 
 import json
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -47,17 +47,7 @@ def write_tiles(table: CostTable, path: Path, about: Mapping[str, str] | None = 
     BadInputError: the extent is too large for a raster.
     """
     place = Placement.of(table)
-    fields = tile_fields(place.grid.pixels)
-    if table.tiles.has(GROUND_SOURCE.name):
-        text = "0: measured from points of ground classes, 1: from all points, where the survey is not classified"
-        fields.append(described_field(GROUND_SOURCE.name, pa.int8(), text, nullable=False))
-    if table.tiles.has("headings"):
-        fields.append(
-            described_field(
-                "calm_axis_deg", pa.float32(), "azimuth with the lowest c_r, 0 to 180 from grid north", "deg"
-            )
-        )
-        fields.append(described_field("heading_ratio", pa.float32(), "highest over lowest c_r of eight headings"))
+    fields = tile_fields(place.grid.pixels, table.tiles.has)
     schema = pa.schema(fields, metadata={**(about or {}), "geo": json.dumps(_geo(place))})
     with (
         atomic(path, (pa.ArrowException,)) as temporary,
@@ -96,8 +86,11 @@ def _join(held: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
     return {name: np.concatenate([part.pop(name) for part in parts]) for name in list(parts[0])}
 
 
-def tile_fields(pixels: int) -> list[pa.Field]:
-    """Return the columns of tiles.parquet for tiles of pixels x pixels, with what describes each."""
+def tile_fields(pixels: int, has: Callable[[str], bool] = lambda _: False) -> list[pa.Field]:
+    """Return the columns of tiles.parquet for tiles of pixels x pixels, with what describes each.
+
+    ``has``: whether there is a column that only some maps have.
+    """
     kinds = {column.name: pa.from_numpy_dtype(column.dtype) for column in tile_columns(pixels)}
     kinds["passable"] = pa.bool_()
     return [
@@ -120,6 +113,7 @@ def tile_fields(pixels: int) -> list[pa.Field]:
         described_field("reason", pa.int8(), "why there is no class; 0 where there is one", nullable=False),
         described_field("reason_text", pa.string(), "the reason in words", nullable=False),
         described_field("heights", pa.list_(pa.float32(), pixels**2), "mean z of each pixel, north row first", "m"),
+        *(field for column, field in _ADDED if has(column)),
     ]
 
 
@@ -127,6 +121,16 @@ def described_field(name: str, kind: pa.DataType, text: str, unit: str = "", *, 
     """Return a column with what describes it."""
     notes = {"description": text} | ({"unit": unit} if unit else {})
     return pa.field(name, kind, nullable=nullable, metadata=notes)
+
+
+_PARTS = "0: measured from points of ground classes, 1: from all points, where the survey is not classified"
+_AXIS = "azimuth with the lowest c_r, 0 to 180 from grid north"
+_ADDED = (
+    (GROUND_SOURCE.name, described_field(GROUND_SOURCE.name, pa.int8(), _PARTS, nullable=False)),
+    ("headings", described_field("calm_axis_deg", pa.float32(), _AXIS, "deg")),
+    ("headings", described_field("heading_ratio", pa.float32(), "highest over lowest c_r of eight headings")),
+)
+"""Columns that only some maps have, with the column of tiles that they are made from."""
 
 
 def _geo(place: Placement) -> dict[str, Any]:
@@ -167,6 +171,7 @@ def _rows(found: dict[str, NDArray[Any]], place: Placement, schema: pa.Schema) -
     columns |= {name: found[name] for name in (*_NUMBERS, *(band.name for band in BANDS))}
     columns |= {name: found[name] for name in (GROUND_SOURCE.name,) if name in found}
     columns["passable"] = found["passable"] > 0
+    columns["zone"] = pa.array(found["zone"], mask=found["zone"] == 0)
     if "headings" in found:
         rides = found["headings"]
         known = np.isfinite(rides).all(axis=1) & (rides.min(axis=1) > 0.0)

@@ -120,11 +120,11 @@ _NO_CRS = (
     'ENGCRS["survey without a CRS",EDATUM["unknown"],CS[Cartesian,2],AXIS["x",east],AXIS["y",north],'
     'LENGTHUNIT["unit of the survey",{}]]'
 )
-_KINDS = {"region": "int64", "class": "int32", "tiles": "int64", "passable": "bool"}
+_KINDS = {"region": "int64", "class": "int32", "zone": "int32", "tiles": "int64", "passable": "bool"}
 _KINDS |= dict.fromkeys(("class_name", "reason", "c_r_basis"), "string")
 """Types of columns of cost.fgb; the others are float64."""
 _PROPERTIES = (
-    *("region", "class", "class_name", "reason", "passable", "c_r", "c_r_low", "c_r_high", "c_r_basis"),
+    *("region", "class", "class_name", "reason", "passable", "zone", "c_r", "c_r_low", "c_r_high", "c_r_basis"),
     *("p_fail", "hazard", "cost", "area_m2", "tiles"),
 )
 _GEOMETRY = "geometry"
@@ -387,6 +387,7 @@ def region_columns(regions: Regions) -> dict[str, list[Any]]:
             None if is_known else REASON_TEXT[code] for code, is_known in zip(regions.reason, known, strict=True)
         ],
         "passable": regions.passable.tolist(),
+        "zone": [number or None for number in regions.zone.tolist()],
         "c_r": plain_numbers(regions.c_r, 6),
         "c_r_low": plain_numbers(regions.c_r_low, 6),
         "c_r_high": plain_numbers(regions.c_r_high, 6),

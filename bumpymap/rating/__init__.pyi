@@ -110,3 +110,6 @@ from .vehicle_profile import (
     shipped_profiles as shipped_profiles,
     write_profile_template as write_profile_template,
 )
+from .zones import (
+    ZoneFinder as ZoneFinder,
+)

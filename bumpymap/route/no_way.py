@@ -17,6 +17,7 @@ from bumpymap.route.places import on_grid, overlap, place_in_window
 from bumpymap.route.planner import Planner
 from bumpymap.route.search import find_way, spread
 from bumpymap.route.stops import place_text
+from bumpymap.views import area
 from bumpytiles import TileWindow
 
 Floats = NDArray[np.float64]
@@ -62,6 +63,18 @@ def what_closes(ground: CostGround, start: Floats, goal: Floats) -> str:
         f"Both sides come closest at {place_text(site, middle)}, {math.dist(*closest) * grid.tile_size:.0f} m from "
         f"tile to tile, where there is: {why}. "
     )
+
+
+def name_zones(ground: CostGround, start: Floats, goal: Floats) -> str:
+    """Say in which zones two points [m] lie; empty if they lie in one, if it is not known, or memory does not allow."""
+    site, window = ground.site, ground.site.window
+    zones = [site.zone_at(end) for end in (start, goal)]
+    if 0 in zones or zones[0] == zones[1] or window.cols * window.rows > ground.memory_tiles:
+        return ""
+    found = site.values(window, ("zone",))
+    open_zones, tile_m2 = found["zone"][found["barred"] == Barred.NO], site.grid.tile_size**2
+    first, second = (f"{area(tile_m2 * np.count_nonzero(open_zones == zone))} (zone {zone})" for zone in zones)
+    return f"They lie on pieces of ground that nothing joins: of {first} and of {second}. "
 
 
 def _barred_by_setting(ground: CostGround, start: Floats, goal: Floats) -> str:

@@ -295,15 +295,16 @@ def _route(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[Plann
     points = stops.points
     way = planner.way(points)
     if way is None:
-        from bumpymap.route.no_way import what_closes  # slow to load
+        from bumpymap.route.no_way import name_zones, what_closes  # slow to load
 
         legs = zip(pairwise(points), pairwise(stops.names), strict=True)
         ends, (first, second) = next((ends, names) for ends, names in legs if planner.line(*ends) is None)
         unknown = "cross unknown ground with `unknown=COST`, " if config.cost.unknown is None else ""
         raise BadInputError(
-            f"there is no way from {first} to {second} on which the vehicle fits. {what_closes(ground, *ends)}Choose "
-            f"other points (without a goal, the same command maps what can be reached), {unknown}map the survey for "
-            "another vehicle, or drive through what the map takes for an obstacle with `through_obstacles`"
+            f"there is no way from {first} to {second} on which the vehicle fits. {name_zones(ground, *ends)}"
+            f"{what_closes(ground, *ends)}Choose other points (without a goal, the same command maps what can be "
+            f"reached), {unknown}map the survey for another vehicle, or drive through what the map takes for an "
+            "obstacle with `through_obstacles`"
         )
     way, remarks = with_line_ride(ground, way, config.calibration)
     if config.visit:

@@ -10,7 +10,7 @@ tasks or machines.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
-from itertools import pairwise
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any, ClassVar, TypeAlias, TypeVar
 
@@ -32,11 +32,13 @@ from bumpymap.core import (
     SIDES,
     STEP_EDGE,
     UNSEEN,
+    ZONE,
     Barred,
     MapConfig,
     Progress,
     Reason,
     SilentProgress,
+    VehicleBody,
     neighbour_columns,
     smallest_step,
 )
@@ -46,6 +48,7 @@ from bumpymap.rating import (
     BlockRating,
     Calibration,
     TileSteps,
+    ZoneFinder,
     apply_steps,
     close_split_tiles,
     closing_height,
@@ -70,6 +73,8 @@ _KEPT_LITTLE = 64
 """Blocks of which the few columns are kept that tell whether neighbours matter."""
 KEPT_BYTES = 8 << 20
 """Most bytes of blocks that are kept in memory: 24 full ones at 15 x 15 pixels."""
+STRIP_PIXELS = 1 << 21
+"""Most pixels whose zones are looked for at once, unless a block has more: chosen, 8 MB of labels."""
 _FILL: dict[str, Any] = {"f": np.nan, "u": 255, "i": 0}
 """Value of a missing tile, by the kind of a column."""
 
@@ -450,13 +455,36 @@ class VehicleSweep:
 def finish_tiles(
     table: TileTable, rating: NeighbourRating, folder: Path, threads: int, progress: Progress
 ) -> TileTable:  # fmt: skip
-    """Rate all tiles with their neighbours, and sweep the vehicle over them; their packs are in ``folder``.
+    """Rate all tiles with their neighbours, sweep the vehicle over them, number the zones; packs are in ``folder``.
 
     Raises OSError: the packs cannot be written.
     """
     rated = add_neighbours(table, rating, folder, threads, progress)
     sweep = VehicleSweep(rating.config, rating.calibration)
-    return add_neighbours(rated, sweep, folder, threads, SilentProgress(), "swept")
+    swept = add_neighbours(rated, sweep, folder, threads, SilentProgress(), "swept")
+    return add_zones(swept, rating.calibration.body, folder)
+
+
+def add_zones(table: TileTable, body: VehicleBody, folder: Path) -> TileTable:
+    """Return the table with the column `ZONE`, whose packs are in ``folder``.
+
+    Raises OSError: the packs cannot be written.
+    """
+    most = max(1, STRIP_PIXELS // (BLOCK_TILES * table.grid.pixels) ** 2)
+    finder, labels = ZoneFinder(table.grid, body), list[NDArray[np.int32]]()
+    keys = sorted(table.keys, key=lambda key: (-key[0], key[1]))
+    for _, strip in groupby(keys, lambda key: (key[0], key[1] // most)):
+        blocks = list(strip)
+        found = table.read_blocks(blocks, ("col", "row", "passage", "barred"))
+        labels.append(finder.add(blocks[0], found["col"], found["row"], found["passage"], found["barred"] == Barred.NO))
+    zones = finder.numbers()[np.concatenate(labels)]
+    sink, done = TileSink(folder, ZONE.name, (ZONE,)), 0
+    for key in keys:
+        own = zones[done : done + table.count(key)]
+        sink.add(key, {"col": own, ZONE.name: own})
+        done += len(own)
+    sink.flush()
+    return table.with_columns([Pack(path) for path in sink.new_packs()])
 
 
 def _first(window: NeighbourWindow) -> BlockRating:

@@ -45,8 +45,12 @@ from .space import (
 )
 from .words import (
     agreements_of as agreements_of,
+    area as area,
     check_headline as check_headline,
     columns_words as columns_words,
     degrees_line as degrees_line,
+    least_volume_text as least_volume_text,
+    volumes_text as volumes_text,
     warnings_of as warnings_of,
+    zones_line as zones_line,
 )

@@ -16,7 +16,7 @@ from scipy.ndimage import distance_transform_edt, map_coordinates
 from bumpymap.core import OBSTACLE, UsageError, atomic, install_command
 from bumpymap.layers import OBJECT_COLOURS, ROUTE_COLOUR, MapReader, open_map
 from bumpymap.views.page.site import read_ways
-from bumpymap.views.pictures.drawing import MapView, paint_ground
+from bumpymap.views.pictures.drawing import MapView, fill_gaps, paint_ground
 
 Floats = NDArray[np.float64]
 Numbers = NDArray[np.floating[Any]]
@@ -25,8 +25,10 @@ _MOST_SIDE = 900
 """Vertices along the longer side of the relief, at most: 1.6 million triangles."""
 _MOST_PIXELS = 36_000_000
 """Pixels of a map up to which its obstacles are drawn one by one; beyond, the colours of the relief show them."""
-_SIZE = (1600, 1000)
-"""Width and height of a picture or window, px."""
+_SIZE = (1800, 1200)
+"""Width and height of a window, px, and of a picture before its empty edges are cut off."""
+_MARGIN, _WHITE = 24, 250
+"""Empty edge that is left, px, and the least brightness of empty pixels."""
 _ABOVE_M = 0.4
 """Height of ways above the ground, m."""
 _VIEW_DEG, _TILT = 50.0, 0.9
@@ -75,8 +77,13 @@ def show_in_space(layers: Path, out: Path | None = None, route: Path | None = No
     utility = open3d.utility
     with _silent_driver(), utility.VerbosityContextManager(utility.VerbosityLevel.Error):
         picture = _render(open3d, drawn, space)
+    pixels = np.asarray(picture)
+    seen = np.argwhere((pixels < _WHITE).any(axis=-1))
+    top, left = np.maximum(seen.min(axis=0) - _MARGIN, 0)
+    bottom, right = seen.max(axis=0) + _MARGIN
     with atomic(out) as temporary:
-        open3d.io.write_image(temporary, picture)
+        image: Any = open3d.geometry.Image
+        open3d.io.write_image(temporary, image(np.ascontiguousarray(pixels[top:bottom, left:right])))
 
 
 @contextmanager
@@ -104,7 +111,7 @@ def _render(open3d: Any, drawn: list[Any], space: Space) -> Any:
         material.shader = "unlitLine" if isinstance(geometry, open3d.geometry.LineSet) else "defaultUnlit"
         material.line_width, material.point_size = 4.0, 2.0
         renderer.scene.add_geometry(str(number), geometry, material)
-    reach = 0.56 * float(np.ptp(space.vertices, axis=0)[:2].max()) / np.tan(np.radians(_VIEW_DEG / 2))
+    reach = 0.52 * float(np.ptp(space.vertices, axis=0)[:2].max()) / np.tan(np.radians(_VIEW_DEG / 2))
     eye = reach * np.array([0.0, -1.0, _TILT]) / np.hypot(1.0, _TILT)
     renderer.setup_camera(_VIEW_DEG, [0.0, 0.0, 0.0], eye, [0.0, 0.0, 1.0])
     return renderer.render_to_image()
@@ -117,7 +124,7 @@ def space_of(reader: MapReader, route: Path | None = None) -> Space:
     metres = max(grid.pixel_size, max(wide, high) / _MOST_SIDE)
     cols, rows = (max(2, round(side / metres)) for side in (wide, high))
     view = MapView(grid, bounds.west, bounds.north, metres, cols, rows)
-    heights = reader.relief(reader.window, (rows, cols)).astype(np.float64)
+    heights = fill_gaps(reader.relief(reader.window, (rows, cols)).astype(np.float64))
     known = np.isfinite(heights)
     middle = np.array([(bounds.west + bounds.east) / 2, (bounds.south + bounds.north) / 2, np.mean(heights[known])])
     filled = heights[tuple(distance_transform_edt(~known, return_distances=False, return_indices=True))]
@@ -139,8 +146,15 @@ def space_of(reader: MapReader, route: Path | None = None) -> Space:
         paint_ground(reader, view)[0].reshape(-1, 3) / 255.0,
         triangles,
         _obstacles(reader, placed),
-        tuple(placed(line[:, 0], line[:, 1], _ABOVE_M) for line in ways),
+        tuple(placed(line[:, 0], line[:, 1], _ABOVE_M) for line in (_dense(line, metres) for line in ways)),
     )
+
+
+def _dense(line: Floats, metres: float) -> Floats:
+    """Return a line, (n, 2), with corners at most so far apart that it follows the relief."""
+    import shapely
+
+    return np.asarray(shapely.get_coordinates(shapely.segmentize(shapely.linestrings(line), 2 * metres)), np.float64)
 
 
 def _obstacles(reader: MapReader, placed: Callable[[Numbers, Numbers, Numbers], Floats]) -> Floats:

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bumpymap.core import CLASS_NAMES, SeenSizes, count_text, parse_json, share_text, shares_text
+from bumpymap.layers import ISLAND_M2, NORMAL_80
 
 if TYPE_CHECKING:
     from bumpymap.core import CheckedDrive, CheckResult, DrivenStretches, MapAgreement
+    from bumpymap.layers import ZoneCounts
 
 DASH = "\N{EN DASH}"
 """Stands where nothing is known."""
@@ -97,6 +99,16 @@ def degrees_line(median_c_r: Sequence[float]) -> str:
     return f"Median c_r in degrees of pitch per metre: {classes}; a real {real['vehicle']} measured {named}"
 
 
+def zones_line(zones: "ZoneCounts", percent: str = PERCENT) -> str:
+    """Say which share of the passable ground hangs together, and how much of it lies on islands; empty without any."""
+    if not zones.largest_tiles:
+        return ""
+    largest = f"in one piece of {area(zones.largest_m2)}"
+    line = f"{share_text(zones.largest_share, percent=percent)} of what can be crossed hangs together {largest}"
+    islands = count_text(zones.island_tiles, "tile lies on an island", "tiles lie on islands")
+    return f"{line}; {islands} under {area(ISLAND_M2)}" if zones.island_tiles else line
+
+
 def base_name(path: str) -> str:
     """Return the last part of a path or URL: folders are private."""
     return PurePosixPath(PureWindowsPath(path.partition("?")[0]).as_posix()).name or path
@@ -117,6 +129,30 @@ RANKS, ROUGHLY = 0.8, 0.5
 """From these Spearman correlations on a map ranks ground rightly, and roughly."""
 EVEN = 1.5
 """Ground is too even to rank if its 90 % quantile is less than this factor above its 10 % quantile."""
+
+
+def volumes_text(volumes: Mapping[str, float]) -> str:
+    """Return what was heaped up and dug, with the error of 80 %; empty if nothing was. See `change.json`."""
+    parts = [
+        f"{volumes[f'{name}_m3']:,.1f} ± {NORMAL_80 * volumes[f'{name}_sd_m3']:,.1f} m³ {words}"
+        for name, words in (("heaped", "heaped up"), ("dug", "dug"))
+        if volumes[f"{name}_m3"] > 0.0
+    ]
+    return " and ".join(parts)
+
+
+def least_volume_text(volumes: Sequence[float | None] | None) -> str:
+    """Return the smallest heap and pit that would be found on half and on nine tenths of the ground, in words.
+
+    ``volumes``: m3; None where a heap on one tile is not found, however large: only two tiles together are.
+    """
+    if volumes is None:
+        return ""
+    half, most = (None if volume is None else f"{volume:.2g} m³" for volume in volumes)
+    if half is None:
+        return "too few pixels were seen to find a heap or pit on a single tile, however large, on half of the ground"
+    rest = f"of {most} on nine tenths of it" if most else "on a tenth of it none on a single tile, however large"
+    return f"a heap or pit of {half} on one tile would be found on half of the ground, {rest}"
 
 
 def check_headline(result: "CheckResult") -> list[str]:

@@ -1,6 +1,7 @@
 """Changes between two surveys: figures of a tile by hand, what counts as a change, and the files."""
 
 import json
+from dataclasses import fields, replace
 from functools import cache
 from itertools import pairwise
 
@@ -16,7 +17,7 @@ from survey_pairs import COLS, ROWS, RUT, survey
 
 import bumpymap
 from bumpymap.change import DiffConfig, find_changes
-from bumpymap.change.compare import GroundChange, compare_heights, decide, hold_false_discoveries, ride_change
+from bumpymap.change.compare import SURE, GroundChange, compare_heights, decide, hold_false_discoveries, ride_change
 from bumpymap.change.pipeline import CHANGE_FILES, connect
 from bumpymap.core import BadInputError, Georeference
 from bumpytiles import Grid
@@ -95,7 +96,8 @@ def test_what_counts_as_found_is_the_rule_of_the_book(chances, share):
 
 def made_ground(rng, shape=(20, 30)):
     height, form = rng.standard_normal((2, *shape))
-    return GroundChange(0.01 * height, 0.02 * height, height, form)
+    even = np.full(shape, 0.01)
+    return GroundChange(0.01 * height, 0.02 * height, height, form, even, 10 * even)
 
 
 def made_ride(z, sd=0.1):
@@ -128,7 +130,7 @@ def test_a_ride_on_changed_ground_is_tested_there_alone_by_the_chance_of_unchang
     ride[:2] = 0.8
     assert (decide(found, made_ride(ride, 0.3), 0.05).code[:2] == 5).all()  # exp(0.3 (0.8 + 1.28 / 2)) is above 1.5
     assert (decide(found, made_ride(ride, 0.1), 0.05).code[:2] == 1).all()
-    few = GroundChange(*(part[1:5, :24] for part in (found.d_height, found.d_largest, found.z_height, found.z_shape)))
+    few = GroundChange(*(getattr(found, each.name)[1:5, :24] for each in fields(GroundChange)))
     assert decide(few, made_ride(ride[1:5, :24]), 0.05).widened["c_r"] == 1.0
 
 
@@ -137,7 +139,7 @@ def test_surveys_that_do_not_fit_each_other_are_widened():
     loose = made_ground(np.random.default_rng(2), (100, 200))
     loose.z_height[:10] = 500.0
     loose.z_height[-1] = np.nan
-    loose = GroundChange(loose.d_height, loose.d_largest, 3.0 * loose.z_height, 2.0 + 2.0 * loose.z_shape)
+    loose = replace(loose, z_height=3.0 * loose.z_height, z_shape=2.0 + 2.0 * loose.z_shape)
     ride = 2.0 * np.random.default_rng(3).standard_normal(loose.z_height.shape)
     done = decide(loose, made_ride(ride), 0.05)
     assert done.widened == pytest.approx({"height": 3.0 * 1.15, "shape": 2.0, "c_r": 2.0}, rel=0.05)
@@ -150,11 +152,13 @@ def test_small_changes_are_dropped_and_the_others_numbered(seed, share, least):
     rng = np.random.default_rng(seed)
     code = np.where(rng.random((9, 12)) < share, rng.integers(1, 5, (9, 12)), 0).astype(float)
     code[rng.random(code.shape) < 0.1] = np.nan
-    kept, area, dropped = connect(code, least)
+    sure = rng.random(code.shape) < 0.03
+    kept, area, dropped = connect(code, least, sure)
     labels, count = ndimage.label(np.nan_to_num(code) > 0)
     sizes = ndimage.sum_labels(np.ones(code.shape), labels, np.arange(1, count + 1))
-    assert area.max() == sum(sizes >= least)
-    assert dropped == sizes[sizes < least].sum()
+    wanted = (sizes >= least) | (ndimage.sum_labels(sure, labels, np.arange(1, count + 1)) > 0)
+    assert area.max() == sum(wanted)
+    assert dropped == sizes[~wanted].sum()
     assert np.array_equal(area > 0, np.nan_to_num(kept) > 0)
     assert np.array_equal(np.isnan(kept), np.isnan(code))
     pairs = {(int(number), int(found)) for number, found in zip(area[area > 0], labels[area > 0], strict=True)}
@@ -237,8 +241,11 @@ def test_nothing_is_taken_off_that_is_not_above_its_error_or_cannot_be_told(root
     assert any("too little relief" in note for note in result.notes)
 
 
-def mapped(path, seed, *, density=100.0, noise=0.02, rut=0.0):
-    """Map made points: rolling, uneven ground, a rut of 0.4 m width through 30 tiles of the row in the middle."""
+def mapped(path, seed, *, density=100.0, noise=0.02, rut=0.0, pile=0.0):
+    """Map made points: rolling, uneven ground, a rut of 0.4 m width through 30 tiles of the row in the middle.
+
+    ``pile``: m3 of a heap on one tile.
+    """
     rng, bumps = np.random.default_rng(seed), np.random.default_rng(0)
     east, north = rng.uniform(0.0, 1.0, (2, rng.poisson(density * 108 * 27))) * [[108.0], [27.0]]
     waves = bumps.normal(0.0, 1.0, (60, 2)) * np.geomspace(0.2, 6.0, 60)[:, None]
@@ -246,9 +253,36 @@ def mapped(path, seed, *, density=100.0, noise=0.02, rut=0.0):
     for wave, phase in zip(waves, bumps.uniform(0.0, 6.0, 60), strict=True):
         height += 0.012 / np.hypot(0.5, np.hypot(*wave)) * np.sin(wave[0] * east + wave[1] * north + phase)
     height -= rut * ((abs(north - 13.5) < 0.2) & (east > 9.0) & (east < 99.0))
+    height += pile / (2 * np.pi * 0.81) * np.exp(-((east - 40.5) ** 2 + (north - 19.5) ** 2) / 1.62)
     points = np.column_stack([480_000.0 + east, 2_136_000.0 + north, 2_300.0 + height])
     path.with_suffix(".las").write_bytes(las_bytes(points, offset=(480_000.0, 2_136_000.0, 2_300.0)))
     return bumpymap.map_survey(path.with_suffix(".las"), path, crs="EPSG:32614")
+
+
+@pytest.mark.parametrize("pile", [2.0, -2.0])
+def test_a_heap_and_a_pit_on_one_tile_of_a_thin_survey_are_found_and_measured(tmp_path, pile):
+    before = mapped(tmp_path / "before", 1, density=10.0)
+    result = bumpymap.diff_surveys(before, mapped(tmp_path / "after", 2, density=10.0, pile=pile))
+    assert (result.counts["changed"], result.counts["regions"]) == (1, 1)
+    volumes, name = result.counts["volumes"], "heaped" if pile > 0 else "dug"
+    assert volumes[f"{name}_m3"] == pytest.approx(abs(pile), abs=3 * volumes[f"{name}_sd_m3"])
+    half, most = result.fit["least_volume_m3"]
+    assert 0.0 < half <= most < 2.0
+
+
+@pytest.mark.parametrize("side", [5, 15])
+def test_the_smallest_heap_that_is_said_to_be_found_is_found(side):
+    rng, x = np.random.default_rng(3), (np.arange(side) + 0.5) / side - 0.5
+    heap = np.exp(-(x[:, None] ** 2 + x**2) / (2 * 0.3**2))
+    noise = rng.normal(0.0, 0.04, (2000, side, side))
+    found = compare_heights(noise)
+    least = np.median(found.least_height)
+    assert np.median(found.sd_height) == pytest.approx(0.04 / side, rel=0.1)
+    for times, low, high in ((1.1, 0.9, 1.0), (0.4, 0.0, 0.6)):
+        raised = compare_heights(noise + times * least * heap / heap.mean())
+        assert low <= (np.fmax(np.abs(raised.z_height), raised.z_shape) >= SURE).mean() <= high
+    few = np.where(rng.random(noise.shape) < 17 / side**2, noise, np.nan)
+    assert np.isinf(np.nanmedian(compare_heights(few).least_height))
 
 
 def test_a_rut_of_10_cm_is_felt_and_unchanged_ground_is_not(tmp_path):
@@ -299,7 +333,8 @@ def test_files_say_what_the_result_says(rut):
     assert [path.name for path in rut.files] == [*CHANGE_FILES.names]
     assert {path.name for path in rut.folder.iterdir() if not path.name.startswith(".")} == {*CHANGE_FILES.names}
     with rasterio.open(rut.folder / "change.tif") as file:
-        assert file.descriptions == ("d_c_r", "z_c_r", "d_height", "d_largest", "z_height", "z_shape", "changed")
+        names = "d_c_r", "z_c_r", "d_height", "d_largest", "z_height", "z_shape", "sd_height", "least_volume", "changed"
+        assert file.descriptions == names
         assert file.crs.to_epsg() == 32614
         assert (file.transform.c, file.transform.f) == (160_000 * 3.0, 712_030 * 3.0)
         for name, band in zip(file.descriptions, file.read(), strict=True):
@@ -322,6 +357,11 @@ def test_features_are_the_changes(rut):
     assert shapely.geometry.shape(largest["geometry"]).is_valid
     assert about["volume_m3"] == pytest.approx(about["d_height"] * about["area_m2"], abs=0.1)
     assert about["volume_m3"] == pytest.approx(-0.1 * 0.6 * 3.0 * about["tiles"], rel=0.15)
+    volumes = rut.counts["volumes"]
+    dug = -sum(min(feature["properties"]["volume_m3"], 0.0) for feature in features)
+    assert (volumes["dug_m3"], volumes["heaped_m3"]) == pytest.approx((dug, 0.0), rel=0.05)
+    assert 0.0 < volumes["dug_sd_m3"] < 0.2 * dug
+    assert about["volume_sd_m3"] <= volumes["dug_sd_m3"]
     assert about["kind"] == "rougher"
     assert about["rougher"] + about["smoother"] + about["ground_changed_ride_as_before"] == about["tiles"]
     west, south, east, north = collection["bbox"]

@@ -30,6 +30,7 @@ def lone_columns(cost_map):
     )
     columns["barred"] = cost_map.rule.barred(columns)
     columns["passable"] = passable = (columns["barred"] == 0).astype(np.uint8)
+    columns["zone"] = passable.astype(np.int32)
     closed = np.isin(columns["objects"], (OBSTACLE, UNSEEN))
     columns["passage"] = np.where(closed, np.uint8(0), passable[:, None, None])
     return columns

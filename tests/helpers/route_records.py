@@ -78,6 +78,9 @@ class MadeUpMap(TileMap):
     def photo(self, window, shape):
         return None
 
+    def objects(self, window, shape):
+        return np.zeros(shape, np.uint8)
+
     def passage_shown(self, window, shape):
         if self.fits is None:
             return np.ones(shape, bool)

@@ -2,7 +2,7 @@
 
 import json
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from shutil import rmtree
 
 import geopandas
@@ -20,12 +20,12 @@ from route_maps import copy_folder, list_anew, write_folder
 
 import bumpymap
 from bumpymap.core import NO_CLASS, NO_TILE, BadInputError
-from bumpymap.core.types import BANDS, BARRED_TEXT, REASON_TEXT, SIDES, TEXTURES, Reason
-from bumpymap.layers import open_map, tile_table
+from bumpymap.core.types import BANDS, BARRED_TEXT, REASON_TEXT, SIDES, TEXTURES, Barred, Reason
+from bumpymap.layers import MapSummary, ZoneCounts, open_map, tile_table
 from bumpymap.layers.manifest import summarise
 from bumpymap.layers.tile_table import write_tiles
-from bumpymap.views import write_report
-from bumpytiles import Grid, TileWindow
+from bumpymap.views import write_report, zones_line
+from bumpytiles import Grid, TileTable, TileWindow
 
 READ = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle")
 SMALL = Grid(3.0, 4)
@@ -192,8 +192,10 @@ def test_geopandas_reads_every_value_back(written, cost_map):
     assert frame.crs.equals(CRS.from_epsg(32614))
     patches = cost_map.patches
     order = np.lexsort([patches.col, -patches.row])  # north first, then west
+    columns = lone_columns(cost_map)
     for band in BANDS:
-        np.testing.assert_array_equal(frame[band.name].to_numpy(float), lone_columns(cost_map)[band.name][order])
+        expected = np.where(columns["zone"] > 0, columns["zone"], np.nan) if band.name == "zone" else columns[band.name]
+        np.testing.assert_array_equal(frame[band.name].to_numpy(float), expected[order])
     for name in ("col", "row", "count", "z_min", "z_max", "relief", "reason"):
         np.testing.assert_array_equal(frame[name], getattr(patches, name)[order])
     class_id = np.where(cost_map.class_id == NO_CLASS, np.nan, cost_map.class_id)
@@ -320,6 +322,29 @@ def test_the_median_of_the_last_class_is_of_the_tiles_that_their_c_r_puts_there(
     assert summary.failing == 2
     assert summary.median_c_r[3] == pytest.approx(0.6, abs=1e-4)
     assert summary.by_class == (1, 0, 0, 4)
+
+
+def test_what_hangs_together_is_counted_and_small_pieces_but_the_largest_are_islands(make_map):
+    zone = np.repeat([1, 2, 3, 0], [100, 60, 5, 1]).astype(np.int32)  # 900, 540 and 45 m2
+    cost_map = make_map(np.arange(len(zone)), np.zeros(len(zone), int), [0] * len(zone), [0] * len(zone), easy=True)
+    columns = lone_columns(cost_map) | {"zone": zone}
+    columns["barred"][[0, 164]] = Barred.SPLIT
+    summary = summarise(replace(table_of(cost_map), tiles=TileTable.of(cost_map.patches.grid, columns)))
+    assert summary.zones == ZoneCounts(3, 99, 891.0, 99 / 164, 1, 4)
+    line = "60% of what can be crossed hangs together in one piece of 891 m²"
+    assert zones_line(summary.zones, "%") == f"{line}; 4 tiles lie on islands under 500 m²"
+    alone = ZoneCounts.of(np.array([0, 7]), 7, 9.0)
+    assert alone.island_tiles == 0
+    assert zones_line(alone, "%") == "100% of what can be crossed hangs together in one piece of 63 m²"
+    assert zones_line(ZoneCounts.of(np.zeros(0, int), 0, 9.0)) == ""
+
+
+def test_an_earlier_map_opens_and_does_not_know_its_zones(folder, tmp_path):
+    counts = json.loads((folder / "run.json").read_text())["counts"]
+    del counts["zones"]
+    earlier = open_map(copy_folder(folder, tmp_path / "earlier", counts=counts))
+    assert MapSummary.of(counts).zones is None
+    assert earlier.zone_at(np.array([330_004.5, 2_040_004.5])) == 0
 
 
 def test_strips_do_not_change_the_summary(make_field, monkeypatch):

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import shapely
-from cost_maps import part_of, table_of
+from cost_maps import lone_columns, part_of, table_of
 from hypothesis import example, given, settings, strategies as st
 from hypothesis.extra.numpy import arrays
 from pyproj import CRS, Transformer
@@ -16,11 +16,11 @@ from region_files import regions_of, write_flatgeobuf, write_geojson
 from scipy import ndimage
 
 from bumpymap.core.errors import BadInputError
-from bumpymap.core.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, Georeference, Reason
+from bumpymap.core.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, Barred, Georeference, Reason
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.regions import dissolve
 from bumpymap.layers.vector import GeoJsonCoordinates, region_columns
-from bumpytiles import Grid
+from bumpytiles import Grid, TileTable
 
 
 def holes_of_tiles(col, row):
@@ -186,6 +186,20 @@ def test_numbers_are_means_over_the_tiles(make_map):
     assert regions.cost == pytest.approx([np.nan] * 3 + [cost], nan_ok=True)
 
 
+def test_a_region_of_passable_tiles_lies_in_one_zone(make_map):
+    cost_map = make_map(np.arange(6), np.zeros(6, int), [1] * 6, [0] * 6, easy=True)
+    columns = lone_columns(cost_map) | {"zone": np.array([3, 3, 1, 1, 0, 3], np.int32)}
+    columns["barred"][5] = Barred.STEP
+    tiles = TileTable.of(cost_map.patches.grid, columns)
+    (regions,) = dissolve(replace(table_of(cost_map), tiles=tiles))
+    found = region_columns(regions)
+    assert (found["tiles"], found["zone"], found["passable"]) == (
+        [2, 2, 1, 1],
+        [3, 1, None, None],
+        [True] * 3 + [False],
+    )
+
+
 def test_a_large_map_is_cut_into_windows_from_its_north_west_corner(make_field, monkeypatch):
     cost_map = make_field(45, 30, holes=0.3)
     monkeypatch.setattr("bumpymap.layers.regions.REGION_WINDOW", 20)
@@ -257,8 +271,8 @@ def test_properties(tmp_path, cost_map):
     found = [feature["properties"] for feature in check_rfc7946(tmp_path / "cost.geojson")["features"]]
     for got in found:
         assert list(got) == [
-            *("region", "class", "class_name", "reason", "passable", "c_r", "c_r_low", "c_r_high", "c_r_basis"),
-            *("p_fail", "hazard", "cost", "area_m2", "tiles"),
+            *("region", "class", "class_name", "reason", "passable", "zone", "c_r", "c_r_low", "c_r_high"),
+            *("c_r_basis", "p_fail", "hazard", "cost", "area_m2", "tiles"),
         ]
         assert got["passable"] == (got["cost"] is not None) == (got["hazard"] is not None)
         assert (got["class"] is None) == (got["c_r"] is None) == (got["reason"] is not None)

@@ -1,22 +1,29 @@
 """Load layers and a project as QGIS does when a user drags them in, and report what came of it as JSON.
 
-/usr/bin/python3 load_in_qgis.py FOLDER REPORT.json
+/usr/bin/python3 load_in_qgis.py FOLDER REPORT.json [pixels]
 """
 
 import json
 import os
 import sys
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 os.environ["QT_QPA_PLATFORM"] = "offscreen"
 
 from qgis import core
 from qgis.core import (
     QgsApplication,
+    QgsExpression,
+    QgsExpressionContext,
+    QgsExpressionContextScope,
     QgsExpressionContextUtils,
+    QgsGeometry,
+    QgsLayerTreeModel,
     QgsLayoutExporter,
     QgsMapRendererParallelJob,
     QgsMapSettings,
+    QgsPointXY,
     QgsProject,
     QgsRasterLayer,
     QgsRenderContext,
@@ -40,11 +47,13 @@ def describe(layer):
         return found | {"error": layer.error().summary()}
     renderer, crs = layer.renderer(), layer.crs()
     found |= {"source": layer.source(), "crs": crs.authid(), "crs_valid": crs.isValid(), "renderer": renderer.type()}
-    found |= {"extent": corners(layer.extent()), "multiply": layer.blendMode() == 13}  # CompositionMode_Multiply
+    found |= {"extent": corners(layer.extent()), "hard_light": layer.blendMode() == 20}  # CompositionMode_HardLight
     if not isinstance(layer, QgsRasterLayer):
         items = renderer.legendSymbolItems()  # which own their symbols
         colours = [item.symbol().color() for item in items]
         found["legend"] = [[item.label(), one.name(), one.alpha()] for item, one in zip(items, colours, strict=True)]
+        found["unnamed"] = [field.name() for field in layer.fields() if not field.alias()]
+        found["tips"] = tips(layer, layer.mapTipTemplate())
         return found | {"features": layer.featureCount(), "drawn": drawn(layer)}
     items = renderer.legendSymbologyItems()
     found |= {"bands": renderer.usesBands(), "legend": [[name, one.name(), one.alpha()] for name, one in items]}
@@ -71,26 +80,71 @@ def drawn(layer):
     return counts
 
 
+def tips(layer, template):
+    """What map tips say of up to a hundred features, or of places on a raster, which QGIS shows from 3.32 on."""
+    context, said = QgsExpressionContext(QgsExpressionContextUtils.globalProjectLayerScopes(layer)), {}
+    if isinstance(layer, QgsVectorLayer):
+        context.setFields(layer.fields())
+        for feature, _ in zip(layer.getFeatures(), range(100), strict=False):
+            context.setFeature(feature)
+            said[QgsExpression.replaceExpressionText(template, context)] = None
+        return [*said]
+    box, scope = layer.extent(), QgsExpressionContextScope()
+    context.appendScope(scope)
+    for number in range(100):
+        x = box.xMinimum() + (number % 10 + 0.5) / 10 * box.width()
+        y = box.yMinimum() + (number // 10 + 0.5) / 10 * box.height()
+        scope.setVariable("layer_cursor_point", QgsGeometry.fromPointXY(QgsPointXY(x, y)))
+        said[QgsExpression.replaceExpressionText(template, context)] = None
+    return [*said]
+
+
 def corners(box):
     return [box.xMinimum(), box.yMinimum(), box.xMaximum(), box.yMaximum()]
 
 
-def colours_of(layers, extent, crs):
-    """Draw layers, the topmost first, and return the number of colours."""
+def drawn_image(layers, extent, crs, size=SIZE):
+    """Draw layers, the topmost first."""
     settings = QgsMapSettings()
     settings.setLayers(layers)
     settings.setDestinationCrs(crs)
     settings.setBackgroundColor(QColor("white"))
-    settings.setOutputSize(QSize(*SIZE))
+    settings.setOutputSize(QSize(*size))
     settings.setExtent(extent)
     job = QgsMapRendererParallelJob(settings)
     job.start()
     job.waitForFinished()
-    image = job.renderedImage()
+    return job.renderedImage()
+
+
+def colours_of(layers, extent, crs):
+    """Draw layers and return the number of colours."""
+    image = drawn_image(layers, extent, crs)
     return len({image.pixel(x, y) for x in range(0, SIZE[0], 4) for y in range(0, SIZE[1], 4)})
 
 
-def describe_project(path):
+TILE_PX = 18
+"""Side of a tile in `pixels_of`: obstacles are seen at this scale."""
+
+
+def pixels_of(shown, layers):
+    """Red, green and blue in the middle of each tile, north row first: of the view, and of each layer under its light.
+
+    ``shown``: the layers that are shown, the topmost first; ``layers``: all, by id.
+    """
+    tiles = layers["bumpymap_class_tif"]
+    cols, rows, half = tiles.width(), tiles.height(), TILE_PX // 2
+    light = [layer for layer in shown if layer.blendMode() == 20]
+    wanted = {"view": shown} | {name: [*light, one] for name, one in layers.items() if one.blendMode() != 20}
+    found = {}
+    for name, some in wanted.items():
+        image = drawn_image(some, tiles.extent(), tiles.crs(), (cols * TILE_PX, rows * TILE_PX))
+        place = [(col * TILE_PX + half, row * TILE_PX + half) for row in range(rows) for col in range(cols)]
+        found[name] = [QColor(image.pixel(*spot)).getRgb()[:3] for spot in place]
+    return found
+
+
+def describe_project(path, *, pixels):
     """What opens with a project; its view as the main window takes it."""
     project, canvas = QgsProject.instance(), QgsMapCanvas()
     canvas.setObjectName("theMapCanvas")
@@ -99,7 +153,10 @@ def describe_project(path):
     found = {"read": project.read(str(path)), "error": project.error()}
     tree = project.layerTreeRoot()
     pages = [describe_page(page) for page in project.layoutManager().printLayouts()]
-    vectors = [layer for layer in project.mapLayers().values() if isinstance(layer, QgsVectorLayer)]
+    maps = ET.parse(path)  # noqa: S314 (our own file)
+    model, layers = QgsLayerTreeModel(tree), project.mapLayers()
+    rows = [row.data(0) for node in tree.findLayers() for row in model.layerLegendNodes(node)]
+    said = {one.find("id").text: one.find("mapTip").text for one in maps.iter("maplayer")}
     shown = [node.layer() for node in tree.findLayers() if node.isVisible()]
     return found | {
         "title": project.title(),
@@ -107,11 +164,12 @@ def describe_project(path):
         "crs": project.crs().authid(),
         "crs_valid": project.crs().isValid(),
         "tree": [[node.layerId(), node.isVisible(), node.layer() is not None] for node in tree.findLayers()],
-        "layers": {layer.id(): describe(layer) for layer in project.mapLayers().values()},
+        "layers": {name: describe(one) | {"tips": tips(one, said[name])} for name, one in layers.items()},
+        "rows": [row for row in rows if isinstance(row, str)],
+        "pixels": pixels_of(shown, layers) if pixels else {},
         "extent": corners(canvas.extent()),
         "colours": colours_of(shown, canvas.extent(), project.crs()),
         "pages": pages,
-        "templates": [layer.mapTipTemplate() for layer in vectors if layer.mapTipTemplate()],
     }
 
 
@@ -122,17 +180,17 @@ def describe_page(layout):
     tree = kinds["legend"][0].model()
     layers = tree.rootGroup().findLayers()
     titles = [tree.data(tree.node2index(layer), 0) for layer in layers]
-    entries = [node.data(0) for layer in layers for node in tree.layerLegendNodes(layer)]
+    entries = [node.data(0) or "" for layer in layers for node in tree.layerLegendNodes(layer)]
     return {
         "items": [len(found) for found in kinds.values()],
-        "texts": [*(item.currentText() for item in kinds["label"]), *titles, *entries],
+        "texts": [*(item.currentText() for item in kinds["label"]), *titles, *filter(None, map(str, entries))],
         "scale": kinds["map"][0].scale(),
         "legend": [layer.layerId() for layer in layers],
         "colours": len({image.pixel(x, y) for x in range(0, image.width(), 4) for y in range(0, image.height(), 4)}),
     }
 
 
-def main(folder, report):
+def main(folder, report, *more):
     application = QgsApplication([], True)
     application.initQgis()
     found = {"layers": {}}
@@ -143,7 +201,7 @@ def main(folder, report):
             if layer.isValid():
                 about["colours"] = colours_of([layer], layer.extent(), layer.crs())
     if (folder / "map.qgs").exists():
-        found["project"] = describe_project(folder / "map.qgs")
+        found["project"] = describe_project(folder / "map.qgs", pixels=bool(more))
     report.write_text(json.dumps(found, indent=1), encoding="utf-8")
 
 

@@ -58,7 +58,8 @@ def test_what_failed_comes_first_and_names_link_to_reports_that_exist():
     assert names_of(found) == ["c", "b", "a", "d e", "e"]
     assert [link["href"] for link in found.elements["a"]] == ["summary.csv", "d%20e/report.html"]
     assert "5 surveys: 3 done (1 of them earlier), 1 not reached, 1 failed; 2.57 ha mapped\n" in found.text
-    assert "60% passable, 15.0% unknown, mostly too few points" in found.text
+    assert "60%" in found.text
+    assert "15.0% unknown, mostly too few points" in found.text
     assert "smooth 50.0%, fair 20.0%, rough 10.0%, very rough 5.0%, unknown 15.0%" in found.text
 
 
@@ -78,6 +79,16 @@ def test_places_are_drawn_if_two_are_known():
     assert place["a"][0] < place["far"][0]  # Texas is west of Europe, and south
     assert place["a"][1] > place["far"][1]
     assert "1 without a known place" in page
+    assert re.search(r'<path class="land" d="M\d', page)
+    named = {side: re.findall(rf">([\d.]+)° {side}</text>", page) for side in "NW"}
+    assert min(map(len, named.values())) >= 1
+    assert len(page) < 100_000
+
+
+def test_surveys_are_sorted_by_what_can_be_crossed():
+    rows = [done("a", share_passable=0.2), done("b", share_passable=0.9), done("c", share_passable=0.5)]
+    page = index_page(rows, {}, [], "night")
+    assert re.findall(r'class="name" data-v="(\w)"', page) == ["b", "c", "a"]
 
 
 def test_the_picture_is_that_of_the_map_as_small_as_asked(site, tmp_path):

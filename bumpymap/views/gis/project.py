@@ -19,12 +19,11 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from bumpymap.core import (
-    BANDS,
     BARRED_TEXT,
     CHANGE_KINDS,
     CLASS_NAMES,
-    FAIL_SHARE,
     OBJECT_NAMES,
+    OBSTACLE,
     REASON_TEXT,
     Barred,
     Reason,
@@ -37,27 +36,35 @@ from bumpymap.layers import (
     BARRED_COLOURS,
     CHANGE_COLOURS,
     CLASS_COLOURS,
+    CLOSED_COLOUR,
     COST_COLOURS,
     DIFFERENCE_RAMP,
+    ISLAND_M2,
+    ISLAND_SHARE,
+    MID_GREY,
     OBJECT_COLOURS,
     OFF_COLOURS,
     OFF_KINDS,
     PASSAGE_COLOURS,
     PASSAGE_NAMES,
-    REASON_GREYS,
+    REASON_SHADES,
     ROUTE_COLOUR,
+    STEP_LINE,
     UNKNOWN_COLOUR,
     GeoJsonCoordinates,
     MapFile,
     RideScale,
+    class_limits,
     class_ranges,
     open_layer,
     reach_colours,
+    read_colours,
 )
+from bumpymap.views.gis.fields import TIPS, code_tip, field_names, quoted, ride_tip, value_tip
 from bumpymap.views.page.map_page import write_map_page
 from bumpymap.views.page.page import NORTH_ARROW, render_text
 from bumpymap.views.page.site import Site
-from bumpymap.views.pictures.drawing import bar_length
+from bumpymap.views.pictures.drawing import CONTRAST, DETAIL, SATURATION, bar_length, gain_of
 from bumpymap.views.words import seen_sizes
 
 if TYPE_CHECKING:  # of other jobs
@@ -94,10 +101,10 @@ def write_qgis(path: Path, template: str, **context: Any) -> None:
         temporary.write_bytes(_DOCTYPE + ET.tostring(root, encoding="unicode").encode() + b"\n")
 
 
-NORMAL, MULTIPLY = 0, 6
-"""Blending modes of QGIS."""
+HARD_LIGHT = 10
+"""A blending mode of QGIS; normal is 0."""
 Style = dict[str, Any]
-"""A layer for a template: pixels by `paletted` or `_ramp`, areas, lines and points by `vectors`."""
+"""A layer for a template: pixels by `paletted`, `_ramp` or `_light`, areas, lines and points by `vectors`."""
 _Colour = tuple[int, ...]
 """Red, green, blue, alpha from 0 to 255."""
 
@@ -109,22 +116,34 @@ def paletted(
 
     The legend has the order of ``names``; the codes ``clear`` are left transparent, whatever their colour.
     """
-    shown = [(value, label) for value, label in names if value not in clear and colours[value][3]]
-    entries = [(value, label, colours[value]) for value, label in shown]
-    return {"kind": "paletted", "band": band, "entries": entries, "opacity": 1.0}
+    every = [*names]
+    shown = [(value, label) for value, label in every if value not in clear and colours[value][3]]
+    entries = [(value, label, (*colours[value][:3], 255)) for value, label in shown]
+    return {"kind": "paletted", "band": band, "entries": entries, "tip": code_tip(every, band)}
 
 
-def _ramp(entries: Iterable[tuple[float, str, _Colour]], band: int = 1, *, clip: bool = False) -> Style:
-    """Return the style of a band of numbers, with colours mixed between entries; beyond, with ``clip``, transparent."""
-    return {"kind": "singlebandpseudocolor", "band": band, "entries": list(entries), "clip": clip, "opacity": 1.0}
+def _ramp(
+    name: str, unit: str, entries: Iterable[tuple[float, _Colour]], ends: tuple[str, str], *, band: int = 1
+) -> Style:
+    """Return the style of a band of numbers, with colours mixed between entries; beyond, those of the ends.
+
+    ``ends``: what the legend says of them.
+    """
+    stops = [(value, f"{value:.3g} {unit}".strip(), colour) for value, colour in entries]
+    kind = "singlebandpseudocolor"
+    return {"kind": kind, "band": band, "entries": stops, "ends": ends, "tip": value_tip(name, unit, band)}
+
+
+def _light(kind: str, tip: str, opacity: float, **more: Any) -> Style:
+    """Return the style of a photo or relief over colours, which it leaves as they are where it is mid-grey."""
+    return {"kind": kind, "band": 1, "tip": tip, "opacity": opacity, "blend": HARD_LIGHT, **more}
 
 
 def vectors(looks: Iterable[tuple[str, str, _Colour, str]], large: str = "", line: str = "") -> Style:
     """Return the style of areas, lines or points: expression of QGIS that chooses them, label, colour, form of each.
 
-    A form is ``solid``, ``rising`` (solid under lines), ``falling`` (lines alone, over other forms), ``outline``,
-    ``line``, ``mark`` (a disc). An expression ``large`` says which marks are drawn larger; ``line`` is a line over each
-    area, NULL where there is none.
+    A form is ``solid``, ``outline``, ``line``, ``mark`` (a disc). An expression ``large`` says which marks are drawn
+    larger; ``line`` is a line over each area, NULL where there is none.
     """
     return {"kind": "vectors", "looks": list(looks), "large": large, "line": line}
 
@@ -137,11 +156,18 @@ CALM_LINE = f"if({_MATTERS}, make_line({_END.format(turn=0)}, {_END.format(turn=
 """Expression of QGIS: a line through a passable tile along the heading with the lowest C_r, where that matters."""
 
 
-_CLOSED_LOOKS = (
-    ('"class" IS NULL', "not known", UNKNOWN_COLOUR, "rising"),
-    ('"class" IS NOT NULL AND NOT coalesce("passable", FALSE)', "not passable", (17, 17, 17, 255), "falling"),
-)
-"""How regions and tiles are drawn that are not known, and what lies over the class of those that are not passable."""
+def _muted_looks(record: Mapping[str, Any]) -> list[tuple[str, str, _Colour, str]]:
+    """Return how regions and tiles are drawn that are closed or not known, and the veil over islands."""
+    looks: list[tuple[str, str, _Colour, str]] = [
+        ('"class" IS NOT NULL AND NOT coalesce("passable", FALSE)', "cannot be crossed", CLOSED_COLOUR, "solid"),
+        ('"class" IS NULL', "not known", UNKNOWN_COLOUR, "solid"),
+    ]
+    zones = record.get("counts", {}).get("zones")
+    if zones and zones["islands"]:
+        veil = (MID_GREY, MID_GREY, MID_GREY, round(255 * (1 - ISLAND_SHARE)))
+        label = f"can be crossed, an island of under {ISLAND_M2:.0f} m2"
+        looks.append((f'"zone" > {zones["pieces"] - zones["islands"]}', label, veil, "solid"))
+    return looks
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,8 +192,7 @@ class ViewLayer:
 
 def _is(attribute: str, value: str) -> str:
     """Return an expression of QGIS: an attribute has a value."""
-    value = value.replace("\\", r"\\").replace("'", "''")
-    return f"\"{attribute}\" = '{value}'"
+    return f'"{attribute}" = {quoted(value)}'
 
 
 def change_layers(field: "ChangeField") -> list[ViewLayer]:
@@ -189,8 +214,9 @@ def _differences(values: NDArray[np.float32], unit: str, band: int) -> Style:
     """Return the style of differences: white for none, as far down as up, most colours for small ones, as on pages."""
     most = float(np.abs(np.nan_to_num(values)).max(initial=0.0)) or 1.0
     parts = np.linspace(-1.0, 1.0, len(DIFFERENCE_RAMP))
-    ends = zip((most * np.sign(parts) * parts**2).tolist(), DIFFERENCE_RAMP, strict=True)
-    return _ramp([(end, f"{end:+.3g} {unit}", (*bytes.fromhex(text[1:]), 255)) for end, text in ends], band)
+    stops = zip((most * np.sign(parts) * parts**2).tolist(), DIFFERENCE_RAMP, strict=True)
+    colours = [(stop, (*bytes.fromhex(text[1:]), 255)) for stop, text in stops]
+    return _ramp("difference", unit, colours, (f"{-most:+.3g} {unit}", f"{most:+.3g} {unit}"), band=band)
 
 
 def check_layers() -> list[ViewLayer]:
@@ -207,8 +233,8 @@ def route_layers(route: "Route") -> list[ViewLayer]:
     roles = dict.fromkeys(stop_roles(len(route.stops)))
     stops = [(_is("role", role), role, colours[role], "mark") for role in roles]
     found = route.figures
-    chance = f"arrives {chance_text(found.p_arrives)} {found.seen.condition}"
-    label = f"{route.name}: {found.length_m:.0f} m, costs {found.cost_m:.0f} m, {chance}"
+    chance = chance_text(found.p_arrives)
+    label = f"{route.name}: {found.length_m:.0f} m, costs {found.cost_m:.0f} m, arrives {chance}"
     file = "route.geojson"
     return [
         ViewLayer(file, "stops", vectors(stops), "stops", within="|geometrytype=Point"),
@@ -242,16 +268,19 @@ def reach_layers(reach: "ReachField", levels: Sequence[float]) -> list[ViewLayer
 
 
 def _distances(values: NDArray[np.float32], unit: str, band: int) -> Style:
-    ends = np.linspace(0.0, float(np.nan_to_num(values).max(initial=0.0)) or 1.0, _REACH_STOPS).tolist()
-    shades = zip(ends, reach_colours(_REACH_STOPS), strict=True)
-    return _ramp([(end, f"{end:.3g} {unit}", (*colour, 255)) for end, colour in shades], band)
+    most = float(np.nan_to_num(values).max(initial=0.0)) or 1.0
+    shades = zip(np.linspace(0.0, most, _REACH_STOPS).tolist(), reach_colours(_REACH_STOPS), strict=True)
+    stops = [(stop, (*colour, 255)) for stop, colour in shades]
+    return _ramp("from the start", unit, stops, ("0", f"{most:.3g} {unit}"), band=band)
 
 
-_PALE = 0.6
-"""Opacity of relief and photo under other layers, so that colours over them stay those of their legend."""
-_GREY = (*UNKNOWN_COLOUR[:3], 180)
-"""Colour of unknown ground over the relief, which shows through; no class is drawn between them."""
-_BAND = {band.name: number for number, band in enumerate(BANDS, 1)}
+_RELIEF = {"contrast": -20, "brightness": -32}
+"""Of a relief over colours: level ground, 179 with the sun at 45 degrees, becomes mid-grey, and steep faces stay
+visible; the contrast is chosen."""
+_TINT = 0.3
+"""Opacity of the colours of a photo on driven ground, under the photo in grey: chosen."""
+_SEEN_FROM = 1500
+"""Obstacles are shown at scales of 1 to this and larger, where their pixels are 0.13 mm and more: chosen."""
 
 
 def class_labels(record: Mapping[str, Any]) -> tuple[str, ...]:
@@ -260,47 +289,58 @@ def class_labels(record: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(f"{name}: c_r {text}" for name, text in named) or CLASS_NAMES
 
 
-def map_styles(record: Mapping[str, Any], *, in_project: bool = False) -> dict[str, Style]:
+def map_styles(record: Mapping[str, Any], *, in_project: bool = False, gain: float = 1.0) -> dict[str, Style]:
     """Return how QGIS shows each layer of a map.
 
     ``record``: the record of the run, as in run.json; ``in_project``: as layers of one project: clear where there is
-    nothing to explain (passable tiles, tiles with a class); a pale relief; the photo, which needs no style of its own.
-    The keys are of `MapFile`, and for what else a project shows of one, it and a part: of roughness.tif ``p_fail``, of
-    cost.fgb ``closed``, what is not known or not passable.
+    nothing to explain (passable tiles, tiles with a class); photo and relief as light over the others; ``gain``: factor
+    on the photo. The keys are of `MapFile`, and for what else a project shows of one, it and a part: of obstacle.tif
+    ``dark``, of cost.fgb ``closed``, what is not known, not passable or an island, of photo.tif ``colours``.
     """
-    labels = class_labels(record)
-    anchors = zip(RideScale.of(record).anchors, CLASS_NAMES, strict=True)
-    stops = [(at, f"{at:.3g} rad/m ({name})", CLASS_COLOURS[code]) for code, (at, name) in enumerate(anchors)]
+    labels, limits = class_labels(record), class_limits(record)
+    anchors = RideScale.of(record).anchors
+    stops = [(at, CLASS_COLOURS[code]) for code, at in enumerate(anchors)]
+    # Of the first band of roughness.tif and of headings.tif.
+    ride = _ramp("C_r", "rad/m", stops, (f"{anchors[0]:.2g} and less", f"{anchors[-1]:.2g} and more"))
+    upto = [f"{name} to {limit:.3g}" for name, limit in zip(CLASS_NAMES, limits, strict=False)]
     units_per_m = 1.0 / record["metres_per_unit"]["horizontal"]
-    relief = {"kind": "hillshade", "band": 1, "z_factor": units_per_m, "opacity": _PALE if in_project else 1.0}
-    bars = BARRED_COLOURS | ({Barred.UNKNOWN: _GREY} if in_project else {})
+    relief = _light("hillshade", value_tip("height", "m"), DETAIL, z_factor=units_per_m, **_RELIEF)
+    if not in_project:
+        relief |= {"opacity": 1, "blend": 0, "contrast": 0, "brightness": 0}
+    tip = ride_tip(limits, quoted("bumpymap_roughness_tif"))
+    paler = {"saturation": round(100 * SATURATION - 100), "contrast": round(100 * math.sqrt(CONTRAST) - 100)}
+    photo = partial(_light, "multibandcolor", tip, most=255 / gain, **paler)
+    photos = {
+        MapFile.PHOTO: photo(opacity=DETAIL, grey=True),
+        f"{MapFile.PHOTO} colours": photo(opacity=_TINT, grey=False),
+    }
     most, top = max(COST_COLOURS), record["cost"]["speeds_mps_at_c_r_radpm"][0][0]
     # The speed made good has the colours of a cost of as many times the metre at the top speed.
-    made_good = [(top / times, f"{top / times:.3g} m/s", colour) for times, colour in COST_COLOURS.items()]
-    costs = {value: f"{value:g}" for value in COST_COLOURS} | {1.0: "1: level road", most: f"{most:g} and more"}
-    named = ((f'"class" = {code}', label, CLASS_COLOURS[code], "solid") for code, label in enumerate(labels))
-    looks = [*named, *_CLOSED_LOOKS]
-    fails = [
-        (FAIL_SHARE, "at least half of the drives fail", CLASS_COLOURS[3]),
-        (1.0, "all drives fail", CLASS_COLOURS[3]),
-    ]
+    made_good = sorted((top / times, colour) for times, colour in COST_COLOURS.items())
+    named = (
+        (f'"class" = {code} AND "passable"', label, CLASS_COLOURS[code], "solid") for code, label in enumerate(labels)
+    )
+    muted = _muted_looks(record)
+    looks = [*named, *muted]
+    dark = [(OBSTACLE, "obstacle, or step that it cannot cross"), (STEP_LINE, "")]
     return {
         MapFile.CLASS: paletted(enumerate(labels), CLASS_COLOURS),
-        MapFile.REASON: paletted(REASON_TEXT.items(), REASON_GREYS, clear=[Reason.OK] if in_project else ()),
-        MapFile.ROUGHNESS: _ramp(stops, _BAND["c_r"]),
-        f"{MapFile.ROUGHNESS} p_fail": _ramp(fails, _BAND["p_fail"], clip=True),
-        MapFile.COST: _ramp((value, label, COST_COLOURS[value]) for value, label in costs.items()),
-        MapFile.SPEED: _ramp([(0.0, "0: not passable", BARRED_COLOURS[Barred.OBSTACLE]), *sorted(made_good)]),
+        MapFile.REASON: paletted(REASON_TEXT.items(), REASON_SHADES, clear=[Reason.OK] if in_project else ()),
+        MapFile.ROUGHNESS: ride | {"tip": ride_tip(limits), "limits": f"{', '.join(upto)},|{CLASS_NAMES[-1]} beyond"},
+        MapFile.COST: _ramp("cost", "", COST_COLOURS.items(), ("1: level road", f"{most:g} and more")),
+        MapFile.SPEED: _ramp("speed", "m/s", [(0.0, CLOSED_COLOUR), *made_good], ("0: closed", f"{top:.3g} m/s")),
         MapFile.REGIONS_IN_CRS: vectors(looks),
-        f"{MapFile.REGIONS_IN_CRS} closed": vectors(_CLOSED_LOOKS),
+        f"{MapFile.REGIONS_IN_CRS} closed": vectors(muted),
         MapFile.REGIONS: vectors(looks),
-        MapFile.BARRED: paletted(BARRED_TEXT.items(), bars, clear=[Barred.NO] if in_project else ()),
+        MapFile.BARRED: paletted(BARRED_TEXT.items(), BARRED_COLOURS, clear=[Barred.NO] if in_project else ()),
         MapFile.OBSTACLE: paletted(enumerate(OBJECT_NAMES), OBJECT_COLOURS),
+        f"{MapFile.OBSTACLE} dark": paletted(dark, dict.fromkeys((OBSTACLE, STEP_LINE), OBJECT_COLOURS[OBSTACLE]))
+        | {"nodes": "1", "scale": _SEEN_FROM, "tip": code_tip(enumerate(OBJECT_NAMES))},
         MapFile.PASSAGE: paletted(enumerate(PASSAGE_NAMES), PASSAGE_COLOURS),
         MapFile.HEIGHTMAP: relief,
         MapFile.RELIEF: relief,
-        **({MapFile.PHOTO: {"kind": "multibandcolor", "opacity": _PALE}} if in_project else {}),
-        MapFile.HEADINGS: _ramp(stops),
+        **(photos if in_project else {}),
+        MapFile.HEADINGS: ride,
         MapFile.TILES: vectors(looks, line=CALM_LINE if record["settings"].get("headings") else ""),
     }
 
@@ -315,17 +355,32 @@ def write_styles(folder: Path, record: Mapping[str, Any]) -> None:
     found: dict[Path, dict[str, Style]] = {}
     for layer, style in map_styles(record).items():
         if " " not in layer and (folder / layer).is_file():
-            path = (folder / layer).with_suffix(".qml")
-            found.setdefault(path, {})["vectors" if "looks" in style else "pixels"] = style
+            found.setdefault((folder / layer).with_suffix(".qml"), {}).update(_part(layer, style))
     for path, parts in found.items():
-        write_qgis(path, "style.xml", **({"pixels": None, "vectors": None} | parts))
+        write_qgis(path, "style.xml", **_NO_PARTS | parts)
 
 
+_NO_PARTS: dict[str, Any] = {"pixels": None, "vectors": None, "fields": {}, "tip": ""}
+
+
+def _part(file: str, style: Style) -> dict[str, Any]:
+    """Return what the style file of a layer says of it."""
+    if "looks" not in style:
+        return {"pixels": style}
+    return {"vectors": style, "fields": field_names(file), "tip": TIPS[file]}
+
+
+_PHOTO_PX = 300
+"""Most pixels of a photo along a side that are read to level it: chosen."""
 _MARGIN = 0.04
 """Ground around the layers when the project is opened, as a share of their larger side."""
-_CLASSES = "roughness class, c_r in rad/m"
-_PRINT_MM = 190.0, 180.0
-"""Width and height of the map on a sheet of A4, mm."""
+_RIDE = "ride cost C_r, rad/m"
+_PAGES = {(297.0, 210.0): (190.0, 180.0), (210.0, 297.0): (103.0, 267.0)}
+"""Width and height of sheets of A4 and of the largest map on each, mm."""
+_SCALES = (1, 1.1, 1.25, 1.4, 1.5, 1.75, 2, 2.25, 2.5, 3, 3.5, 4, 4.5, 5, 6, 7, 7.5, 8, 9, 10)
+"""Scales of a map, times a power of ten: chosen."""
+_AROUND_MM = 4.0
+"""White around the map in its frame, mm: chosen."""
 _BAR_MM = 25.0
 """Longest segment of its scale bar, mm: chosen."""
 _ARROW = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 24 40">{NORTH_ARROW}</svg>'
@@ -355,13 +410,19 @@ class _Tree:
         self._folder, self._place, stated = folder, place, record["crs"]
         crs = None if stated is None else horizontal_of(stated_crs(stated["wkt"]))  # of all layers in the project
         self.wkt = None if crs is None else crs.to_wkt()
-        self._styles = map_styles(record, in_project=True)
+        self._styles = map_styles(record, in_project=True, gain=self._gain())
         self.styled: list[tuple[Style, Style]] = []
         """The layers, and how each is drawn."""
 
-    def layer(
-        self, file: MapFile, title: str, blend: int = NORMAL, *, visible: bool = False, part: str = ""
-    ) -> list[Style]:
+    def _gain(self) -> float:
+        """Return the factor on the photo, if the folder has one, that levels it."""
+        if not self.has(MapFile.PHOTO):
+            return 1.0
+        with open_layer(self._folder / MapFile.PHOTO) as file:
+            step = max(1, max(file.shape) // _PHOTO_PX)
+            return gain_of(np.moveaxis(read_colours(file, (file.height // step, file.width // step)), 0, -1))
+
+    def layer(self, file: MapFile, title: str, *, visible: bool = False, part: str = "") -> list[Style]:
         """Return a file as a layer, in a list of one; nothing if the folder has no such file.
 
         ``part`` is the part of the file that it shows, if not the one that the file itself opens with; see
@@ -370,24 +431,28 @@ class _Tree:
         if not self.has(file):
             return []
         style = self._styles[f"{file} {part}".strip()]
-        return self.add(ViewLayer(file, title, style, part, visible=visible), self.wkt, blend, self._place)
+        return self.add(ViewLayer(file, title, style, part, visible=visible), self.wkt, self._place)
 
-    def add(self, found: ViewLayer, wkt: str | None, blend: int = NORMAL, place: str = ".") -> list[Style]:
+    def add(self, found: ViewLayer, wkt: str | None, place: str = ".") -> list[Style]:
         """Return a layer in a list of one."""
-        is_raster = found.file.endswith(".tif")
+        is_raster, style = found.file.endswith(".tif"), found.style
+        count = len(style.get("entries", ())) if style["kind"] == "paletted" else int("ends" in style)
         layer = {
             # longer than ten characters: QGIS does not find layers with shorter ids
             "id": "_".join(filter(None, ("bumpymap", Path(found.file).name.replace(".", "_"), found.part))),
             "title": found.title,
-            "blend": blend,
             "visible": found.visible,
             "source": f"{place}/{found.file}{found.within}",
             "is_raster": is_raster,
             "provider": "gdal" if is_raster else "ogr",
             "geometry": "" if is_raster else found.geometry,
             "wkt": wkt,
+            # Before the codes, or the ramp, of a raster comes the name of its band, which readers do not need.
+            "nodes": style.get("nodes", ",".join(map(str, range(1, 1 + count))) or "empty") if is_raster else "",
+            "fields": {} if is_raster else field_names(found.file),
+            "tip": style["tip"] if is_raster else TIPS[found.file],
         }
-        self.styled.append((layer, found.style))
+        self.styled.append((layer, style))
         return [layer]
 
     def has(self, file: str) -> bool:
@@ -408,33 +473,47 @@ class _Tree:
 
 def _groups(tree: _Tree) -> list[Style]:
     """Return the groups of the project, the topmost first."""
-    closed = _closed(tree)
     why = tree.group(
         "Why not",
         tree.layer(MapFile.BARRED, "barred"),
-        tree.layer(MapFile.REASON, "reason for no class", MULTIPLY),
-        tree.layer(MapFile.OBSTACLE, "obstacles"),
+        tree.layer(MapFile.REASON, "reason for no class"),
+        tree.layer(MapFile.OBSTACLE, "obstacles and canopy"),
         tree.layer(MapFile.PASSAGE, "where the vehicle fits"),
         expanded=False,
     )
-    regions = tree.group("Regions", tree.layer(MapFile.REGIONS_IN_CRS, "regions", MULTIPLY), expanded=False)
-    classes = tree.layer(MapFile.CLASS, _CLASSES, MULTIPLY, visible=True)
-    fails = tree.layer(MapFile.ROUGHNESS, "most drives fail", visible=True, part="p_fail")
-    rides = tree.layer(MapFile.ROUGHNESS, "c_r of the drives that get through", MULTIPLY, visible=True)
-    c_r = tree.group("ride cost c_r", fails, rides, expanded=False, visible=False)
-    cost = tree.layer(MapFile.COST, "cost of driving", MULTIPLY)
-    ride = tree.group("Ride", classes, c_r, cost, tree.layer(MapFile.SPEED, "speed made good", MULTIPLY), one_of=True)
+    regions = tree.group("Regions", tree.layer(MapFile.REGIONS_IN_CRS, "regions"), expanded=False)
+    return [*_light_group(tree), *_obstacles(tree), *why, *regions, *_ground(tree)]
+
+
+def _light_group(tree: _Tree) -> list[Style]:
+    """Return what lies as light over all other layers: the photo in grey, or the relief."""
+    photo = tree.layer(MapFile.PHOTO, "photo in grey", visible=True)
+    relief = tree.layer(MapFile.RELIEF, "relief, holes filled", visible=not photo)
     heights = tree.layer(MapFile.HEIGHTMAP, "measured heights, with holes")
-    return [*closed, *why, *regions, *ride, *tree.group("Ground", heights, *_below(tree))]
+    return tree.group("Light", photo, relief, heights, one_of=True)
 
 
-def _below(tree: _Tree) -> list[list[Style]]:
-    relief = tree.layer(MapFile.RELIEF, "relief, holes filled", visible=not tree.has(MapFile.PHOTO))
-    return [relief, tree.layer(MapFile.PHOTO, "photo: colours of the points", visible=True)]
+def _obstacles(tree: _Tree, *, visible: bool = True) -> list[Style]:
+    return tree.layer(MapFile.OBSTACLE, f"obstacles, from 1:{_SEEN_FROM} on", visible=visible, part="dark")
 
 
-def _closed(tree: _Tree, *, visible: bool = True) -> list[Style]:
-    return tree.layer(MapFile.REGIONS_IN_CRS, "closed ground", MULTIPLY, visible=visible, part="closed")
+def _ground(tree: _Tree, *, under: bool = False) -> list[Style]:
+    """Return closed ground over the ride and, between them, the colours of the photo; these two not ``under`` rasters.
+
+    In a raster's gaps closed ground is seen.
+    """
+    closed = tree.layer(MapFile.REGIONS_IN_CRS, "closed ground", visible=True, part="closed")
+    tint = tree.layer(MapFile.PHOTO, "photo: its colours, on driven ground", visible=not under, part="colours")
+    ride = tree.group(
+        "Ride",
+        tree.layer(MapFile.ROUGHNESS, _RIDE, visible=True),
+        tree.layer(MapFile.CLASS, "class by C_r in rad/m"),
+        tree.layer(MapFile.COST, "cost of driving a metre"),
+        tree.layer(MapFile.SPEED, "speed made good"),
+        one_of=True,
+        visible=not under,
+    )
+    return [*closed, *tint, *ride]
 
 
 def write_project(folder: Path, record: Mapping[str, Any]) -> None:
@@ -452,7 +531,13 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
             box = tuple(file.bounds)
     classes = [f"Class {number}: {label}." for number, label in enumerate(class_labels(record))]
     _write(
-        folder / MapFile.PROJECT, tree, groups, box, f"{record['survey']['name']}: ride cost", _notes(record), classes
+        folder / MapFile.PROJECT,
+        tree,
+        groups,
+        box,
+        f"{record['survey']['name']}: ride cost",
+        _notes(record),
+        more=classes,
     )
 
 
@@ -467,12 +552,12 @@ def view_writers(
     """
     found: dict[str, dict[str, Any]] = {}
     for layer in layers:
-        style = found.setdefault(str(Path(layer.file).with_suffix(".qml")), {"pixels": None, "vectors": None})
+        style = found.setdefault(str(Path(layer.file).with_suffix(".qml")), {**_NO_PARTS})
         if "looks" not in layer.style:
             style["pixels"] = style["pixels"] or layer.style
         else:  # QGIS takes one style for all of a file
             before = style["vectors"]["looks"] if style["vectors"] else []
-            style["vectors"] = layer.style | {"looks": [*before, *layer.style["looks"]]}
+            style |= _part(layer.file, layer.style | {"looks": [*before, *layer.style["looks"]]})
     writers: dict[str, Callable[[Path], None]] = {
         name: partial(write_qgis, template="style.xml", **style) for name, style in found.items()
     }
@@ -485,16 +570,18 @@ def _write_over_map(
     record = source.manifest
     tree = _Tree(source.folder, record, relpath(source.folder.resolve(), out.resolve()))
     degrees = CRS.from_epsg(4326).to_wkt() if GeoJsonCoordinates.of(place, local=True).has_degrees else None
-    groups, covers = [], any(layer.file.endswith(".tif") for layer in layers)
-    for layer in layers:
-        wkt, blend = (tree.wkt, MULTIPLY) if layer.file.endswith(".tif") else (degrees, NORMAL)
-        groups += tree.add(layer, wkt, blend)
-    classes = tree.layer(MapFile.CLASS, _CLASSES, MULTIPLY, visible=not covers)  # they would shine through a raster
-    groups += tree.group("Map", _closed(tree, visible=not covers), classes, *_below(tree))
+    rasters = [layer for layer in layers if layer.file.endswith(".tif")]
+    groups = [added for layer in layers if layer not in rasters for added in tree.add(layer, degrees)]
+    groups += _light_group(tree)
+    groups += [added for layer in rasters for added in tree.add(layer, tree.wkt)]
+    own = sum(layer.visible for layer in layers)
+    groups += tree.group("Map", _obstacles(tree, visible=not rasters), _ground(tree, under=bool(rasters)))
     window = place.window
     west, east = place.to_crs(np.array([window.col, window.col + window.cols])).tolist()
     south, north = place.to_crs(np.array([window.row, window.row + window.rows])).tolist()
-    _write(path, tree, groups, (west, south, east, north), f"{record['survey']['name']}: {title}", _notes(record))
+    _write(
+        path, tree, groups, (west, south, east, north), f"{record['survey']['name']}: {title}", _notes(record), own=own
+    )
 
 
 def _write(
@@ -504,11 +591,19 @@ def _write(
     box: tuple[float, ...] | None,
     title: str,
     notes: Sequence[str],
+    *,
     more: Iterable[str] = (),
+    own: int = 0,
 ) -> None:
     """Write a project that opens with a box, in units of the CRS. What its page says is also in its metadata."""
     crs = None if tree.wkt is None else CRS.from_wkt(tree.wkt)
+    page = None if box is None else _print(box, 1.0 if crs is None else crs.axis_info[0].unit_conversion_factor)
     shown = _visible(groups)
+    legend = [
+        (layer, style)
+        for layer, style in tree.styled
+        if layer["id"] in shown and layer["nodes"] != "empty" and page and page["scale"] <= style.get("scale", math.inf)
+    ]
     write_qgis(
         path,
         "project.xml",
@@ -518,9 +613,10 @@ def _write(
         wkt=tree.wkt,
         groups=groups,
         view=None if box is None else _sides(box, _MARGIN * max(box[2] - box[0], box[3] - box[1])),
-        print=None if box is None else _print(box, 1.0 if crs is None else crs.axis_info[0].unit_conversion_factor),
+        print=page,
         styled=tree.styled,
-        shown=[pair for pair in tree.styled if pair[0]["id"] in shown],
+        # Of a map the ride comes first, and of a run its own layers do.
+        shown=[*legend[:own], *reversed(legend[own:])],
     )
 
 
@@ -538,18 +634,25 @@ def _sides(box: tuple[float, ...], margin: float) -> dict[str, float]:
 
 
 def _print(box: tuple[float, ...], metres: float) -> dict[str, Any]:
-    """Return the map of a page: a box around another one, at a round scale, and its scale bar."""
-    west, south, east, north = (side * metres for side in box)
-    needed = 1000 * max((east - west) / _PRINT_MM[0], (north - south) / _PRINT_MM[1])
+    """Return the map of a page: a box around another one, at a round scale, and its scale bar.
+
+    The page lies or stands as the map is larger; the frame is no larger than the map needs.
+    """
+    sides = np.array([box[2] - box[0], box[3] - box[1]]) * metres
+    needed, page, most = min(
+        (float(1000 * (sides / (np.array(room) - 2 * _AROUND_MM)).max()), page, room) for page, room in _PAGES.items()
+    )
     power = 10.0 ** math.floor(math.log10(needed))
-    scale = next(step * power for step in (1, 1.25, 1.5, 2, 2.5, 3, 4, 5, 7.5, 10) if step * power >= needed)
-    half = [side * scale / 2000 / metres for side in _PRINT_MM]
+    scale = next(step * power for step in _SCALES if step * power >= needed)
+    frame = np.minimum(1000 * sides / scale + 2 * _AROUND_MM, most)
+    half = (frame * scale / 2000 / metres).tolist()
     x, y = (box[0] + box[2]) / 2, (box[1] + box[3]) / 2
     segment = bar_length(_BAR_MM * scale / 1000)
     return {
         **_sides((x - half[0], y - half[1], x + half[0], y + half[1]), 0.0),
-        "width": _PRINT_MM[0],
-        "height": _PRINT_MM[1],
+        "page": page,
+        "width": float(frame[0]),
+        "height": float(frame[1]),
         "scale": scale,
         "segment": segment,
         "segment_mm": 1000 * segment / scale,

@@ -14,14 +14,17 @@ from pyproj.exceptions import ProjError
 
 from bumpymap.core import CLASS_NAMES, shares_text, stated_crs
 from bumpymap.layers import CLASS_COLOURS, UNKNOWN_COLOUR, MapFile, SurveyRow, SurveyStatus
+from bumpymap.views.page.charts import land_path
 from bumpymap.views.page.page import render_page
 from bumpymap.views.page.site import UNREADABLE, jpeg, open_picture
-from bumpymap.views.pictures.drawing import bar_length
+from bumpymap.views.pictures.drawing import bar_length, ticks
 
 _log = logging.getLogger(__name__)
-_LEAST_WIDTH, _WIDTH, _MOST_HEIGHT, _EDGE, _SMALLEST_PX = 260.0, 640.0, 280.0, 24.0, 7.0
-"""Of the map of the surveys, pixels: its least and its largest width, its largest height, the space around it, and the
-least side of the box of a survey. Chosen."""
+_WIDTH, _HEIGHT, _EDGE, _SMALLEST_PX = 640.0, 300.0, 24.0, 9.0
+"""Of the map of the surveys, pixels: its width and height, the space around the surveys, and the least side of the box
+of a survey. Chosen."""
+_LINES = 4
+"""Most meridians and most parallels of that map: chosen."""
 _DEGREE_M = 111_320.0
 """A degree of the equator of WGS 84, m."""
 _LEAST_M = 100.0
@@ -37,25 +40,37 @@ def _places(rows: Sequence[SurveyRow]) -> dict[str, Any] | None:
     (west, south, _, _), (_, _, east, north) = lows, highs
     if east - west > 180 or max(abs(south), abs(north)) > 85:
         return None
-    east_m = _DEGREE_M * math.cos(math.radians((south + north) / 2))
+    middle = ((west + east) / 2, (south + north) / 2)
+    east_m = _DEGREE_M * math.cos(math.radians(middle[1]))
     wide, high = max((east - west) * east_m, _LEAST_M), max((north - south) * _DEGREE_M, _LEAST_M)
-    scale = min((_WIDTH - 2 * _EDGE) / wide, (_MOST_HEIGHT - 2 * _EDGE) / high)
+    scale = min((_WIDTH - 2 * _EDGE) / wide, (_HEIGHT - 2 * _EDGE) / high)
+    sizes = east_m * scale, _DEGREE_M * scale
+    west, north = middle[0] - _WIDTH / 2 / sizes[0], middle[1] + _HEIGHT / 2 / sizes[1]
+    bounds = west, north - _HEIGHT / sizes[1], west + _WIDTH / sizes[0], north
     boxes = []
     for row, (left, bottom, right, top) in found:
-        size = (right - left) * east_m * scale, (top - bottom) * _DEGREE_M * scale
+        size = (right - left) * sizes[0], (top - bottom) * sizes[1]
         grown = [max(side, _SMALLEST_PX) for side in size]
-        x, y = _EDGE + (left - west) * east_m * scale, _EDGE + (north - top) * _DEGREE_M * scale
+        x, y = (left - west) * sizes[0], (north - top) * sizes[1]
         boxes.append((row, (x - (grown[0] - size[0]) / 2, y - (grown[1] - size[1]) / 2, *grown)))
     bar_m = bar_length(_WIDTH / 4 / scale)
+    meridians, parallels = ticks(bounds[0], bounds[2], _LINES), ticks(bounds[1], bounds[3], _LINES)
     return {
         "boxes": boxes,
-        "bounds": (west, east, south, north),
-        "width": max(wide * scale + 2 * _EDGE, _LEAST_WIDTH),
-        "height": high * scale + 2 * _EDGE + 16,
+        "bounds": bounds,
+        "width": _WIDTH,
+        "height": _HEIGHT,
+        "land": land_path(bounds, sizes),
+        "meridians": [((lon - west) * sizes[0], _degrees(lon, "EW", meridians[1])) for lon in meridians[0]],
+        "parallels": [((north - lat) * sizes[1], _degrees(lat, "NS", parallels[1])) for lat in parallels[0]],
         "bar": bar_m * scale,
         "bar_m": bar_m,
         "missing": len(rows) - len(found),
     }
+
+
+def _degrees(value: float, sides: str, decimals: int) -> str:
+    return f"{abs(value):.{decimals}f}° {sides[value < 0]}"
 
 
 def _box(row: SurveyRow) -> tuple[float, float, float, float] | None:
@@ -98,7 +113,7 @@ def read_thumbnail(folder: Path, most: int) -> str:
 
 
 _ORDER: tuple[SurveyStatus, ...] = ("failed", "incomplete", "not reached", "done", "already done")
-"""Order of the rows: those that need a look come first."""
+"""Order of the rows: those that need a look come first, then those of which most can be crossed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +135,7 @@ def index_page(
     name of a survey; those without one have no picture; ``links``: files beside the page to link to; ``title``: name of
     the batch; ``note``: a sentence below the headline, such as when the page was written.
     """
-    shown = sorted(rows, key=lambda row: (_ORDER.index(row.status), row.name))
+    shown = sorted(rows, key=lambda row: (_ORDER.index(row.status), -(row.share_passable or 0.0), row.name))
     return render_page(
         "batch.html",
         style="batch.css",
@@ -132,6 +147,7 @@ def index_page(
         rows=shown,
         shares_of=_shares,
         title=title,
+        vehicles=sorted({row.vehicle for row in rows if row.vehicle}),
         views=views,
     )
 

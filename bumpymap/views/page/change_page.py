@@ -28,6 +28,7 @@ from bumpymap.layers import (
     CHANGE_COLOURS,
     COUNT,
     DIFFERENCE_RAMP,
+    NORMAL_80,
     PLACE_SHAPE,
     UNKNOWN_COLOUR,
     MapFile,
@@ -39,7 +40,7 @@ from bumpymap.views.page.page import write_page
 from bumpymap.views.page.site import PHOTO_BUDGET, RELIEF_BUDGET, RELIEF_SIDE, jpeg, read_photo, read_pixels, shaded
 from bumpymap.views.page.tiles import ByteGrid, Spot, map_metres, packed
 from bumpymap.views.pictures.drawing import STRENGTH
-from bumpymap.views.words import area, number, share, shares, signed, whole
+from bumpymap.views.words import area, least_volume_text, number, share, shares, signed, volumes_text, whole
 
 NOT_COMPARED = 16
 """Value of ``kinds`` where the surveys could not be compared."""
@@ -57,7 +58,7 @@ _STILL_SIDE = 700
 """Longer side of the picture for pages without scripts, pixels: chosen."""
 _MOST_PLACES = 200
 """Most places on the map and in the table, the largest."""
-_BANDS = ("changed", "d_height", "d_c_r")
+_BANDS = ("changed", "d_height", "d_c_r", "least_volume")
 _AGAIN = "Compare the surveys again"
 
 
@@ -95,10 +96,11 @@ class ChangeSite:
                 step = max(spot.step, math.ceil(math.sqrt(record["counts"]["compared"] / _COMPARED)))
                 while True:
                     spot = replace(spot, step=step)
-                    kinds, d_height, d_c_r = _read(file, step)
+                    kinds, d_height, d_c_r, least = _read(file, step)
                     grids = (
                         ByteGrid.of(("d_height", "height after minus before", "m", 2), d_height, "root"),
                         ByteGrid.of(("d_c_r", "ride cost C_r after minus before", "rad/m", 3), d_c_r, "root"),
+                        ByteGrid.of(("least", "smallest heap or pit that would be found", "m³", 2), least, "log"),
                     )
                     taken = len(packed(kinds)) + sum(len(grid.text) for grid in grids)
                     if taken < _BUDGET or max(kinds.shape) < 100:
@@ -153,8 +155,8 @@ def _below(record: Mapping[str, Any], spot: Spot) -> dict[str, str]:
     return {}
 
 
-def _read(file: Any, step: int) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]:
-    """Return kinds and differences on the grid of the page; of several tiles the change, or the farthest value."""
+def _read(file: Any, step: int) -> list[NDArray[Any]]:
+    """Return kinds and values on the grid of the page; of several tiles the change, or the farthest value."""
     if missing := [name for name in _BANDS if name not in file.descriptions]:
         raise ValueError(f"change.tif has no band {missing[0]}")
     bands = [file.descriptions.index(name) + 1 for name in _BANDS]
@@ -177,10 +179,10 @@ def _read(file: Any, step: int) -> tuple[NDArray[np.uint8], NDArray[np.float32],
             _farthest(np.pad(np.where(known, one, np.nan), room, constant_values=np.nan), step) for one in values
         ]
         parts.append((np.array([0, *_RANK], np.uint8)[worst], *farthest))
-    kinds, d_height, d_c_r = (np.concatenate(part) for part in zip(*parts, strict=True))
-    for values in (d_height, d_c_r):
+    kinds, *numbers = (np.concatenate(part) for part in zip(*parts, strict=True))
+    for values in numbers:
         values[kinds == NOT_COMPARED] = np.nan
-    return kinds, d_height, d_c_r
+    return [kinds, *numbers]
 
 
 def _farthest(values: NDArray[np.float32], step: int) -> NDArray[np.float32]:
@@ -230,6 +232,7 @@ _SHAPE = PLACE_SHAPE | {
         "widened": Each(Number()),
         "median_density_m2": (Nullable(Number()),) * 2,
         "versions": (Nullable(str),) * 2,
+        "least_volume_m3": Nullable((Nullable(Number()),) * 2),
         "offset_taken_off_m": Number(),
         "offset_m": Nullable(Number()),
         "registration": Nullable(
@@ -249,6 +252,7 @@ _SHAPE = PLACE_SHAPE | {
         **dict.fromkeys(("in_both", "compared", "changed", "regions", "passable_lost", "passable_won"), COUNT),
         "dropped_as_too_small": COUNT,
         "by_change": Each(COUNT),
+        "volumes": dict.fromkeys(("heaped_m3", "heaped_sd_m3", "dug_m3", "dug_sd_m3"), Number()),
     },
     "classes": {"names": [str], "tiles_before_after": [[COUNT]]},
     "remarks?": [str],
@@ -303,6 +307,8 @@ def write_change_report(folder: Path, record: Mapping[str, Any], path: Path) -> 
         ramp_colours=DIFFERENCE_RAMP,
         survey_rows=_survey_rows(record["fit"], runs),
         registration=_registration(record["fit"]["registration"]),
+        least=least_volume_text(record["fit"]["least_volume_m3"]),
+        volumes=volumes_text(record["counts"]["volumes"]),
         data={"maps": [site.map_record()], "codes": codes},
     )
 
@@ -402,7 +408,7 @@ def _place_row(site: ChangeSite, place: Mapping[str, Any]) -> tuple[Any, ...]:
         signed(about["d_height"], 2),
         f"{low} to {high}",
         signed(about["d_largest"], 2),
-        signed(about["volume_m3"], 1),
+        f"{signed(about['volume_m3'], 1)} ± {number(NORMAL_80 * about['volume_sd_m3'], 1)}",
         number(about["c_r_before"], 3),
         number(about["c_r_after"], 3),
         signed(about["d_c_r"], 3),

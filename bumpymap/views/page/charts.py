@@ -337,3 +337,22 @@ def locator(lon: float, lat: float) -> dict[str, Any]:
         paths[bool(countries[at] == countries[own])] += f"M{words}Z"
     x, y = ((here - middle) * scale + _SIDE / 2).tolist()
     return {"side": _SIDE, "country": paths[True], "others": paths[False], "x": x, "y": y}
+
+
+def land_path(bounds: tuple[float, float, float, float], scale: tuple[float, float]) -> str:
+    """Return the path of the countries' outlines in a map, pixels right and down from its north-west corner.
+
+    ``bounds``: west, south, east and north, degrees; ``scale``: pixels for a degree of longitude and of latitude.
+    """
+    corners, starts, _ = _countries()
+    corner, sizes = np.array([bounds[0], bounds[3]]), np.array([scale[0], -scale[1]])
+    wide, high = (bounds[2] - bounds[0]) * scale[0], (bounds[3] - bounds[1]) * scale[1]
+    lows, highs = np.minimum.reduceat(corners, starts), np.maximum.reduceat(corners, starts)
+    meets = (highs >= (bounds[0], bounds[1])).all(axis=1) & (lows <= (bounds[2], bounds[3])).all(axis=1)
+    lands, words = np.split(corners, starts[1:]), ""
+    for at in np.flatnonzero(meets).tolist():
+        # far beyond the map the course of a line does not matter
+        drawn = np.rint(np.clip((lands[at] - corner) * sizes, (-wide, -high), (2 * wide, 2 * high))).astype(int)
+        drawn = drawn[np.append(True, (np.diff(drawn, axis=0) != 0).any(axis=1))]
+        words += "M" + "L".join(f"{right} {down}" for right, down in drawn.tolist()) + "Z"
+    return words

@@ -460,7 +460,7 @@ class Site:
         """Colours of C_r, from the least to the most of its scale: those of QGIS and of pictures."""
         ride = next(grid for grid in self.grids if grid.key == "c_r")
         c_r = np.exp(ride.low + ride.step * np.linspace(0.0, STEPS, _SHADES))
-        colours = np.rint(RideScale.of(self.record).pure(c_r)).astype(np.uint8)
+        colours = np.rint(RideScale.of(self.record).colours(c_r)).astype(np.uint8)
         return {ride.key: [f"#{colour.tobytes().hex()}" for colour in colours]}
 
     @property

@@ -13,8 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from bumpymap.core import CROSSING_UNKNOWN, NO_TILE, OPEN_THROUGH
-from bumpymap.layers import RideScale, box_sum
+from bumpymap.core import CROSSING_UNKNOWN, NO_TILE, OBSTACLE, OPEN_THROUGH
+from bumpymap.layers import (
+    CLOSED_COLOUR,
+    ISLAND_SHARE,
+    MID_GREY,
+    OBJECT_COLOURS,
+    STEP_LINE,
+    UNKNOWN_COLOUR,
+    RideScale,
+    box_sum,
+)
 from bumpytiles import Grid, TileWindow
 
 if TYPE_CHECKING:
@@ -116,20 +125,26 @@ def ticks(low: float, high: float, most: int) -> tuple[list[float], int]:
 
 
 Pixels = NDArray[np.uint8]
-BARRED_SHADE, HATCH, UNKNOWN_SHADE, NO_DATA = (222, 219, 213), (112, 108, 102), (168, 172, 184), (250, 250, 250)
-"""Colours of barred ground and its hatching, of unknown ground, and where nothing was measured."""
-_HATCH_PERIOD, _HATCH_WIDTH = 9, 1
-"""Distance and width of the lines, pixels: chosen."""
+NO_DATA = (255, 255, 255)
+"""Colour of ground without points."""
 _STRIP_TILES = 4_000_000
 """Most tiles to read at a time."""
-_DARKEST = (0.45, 0.62)
-"""Brightness of ground that faces away from the light: passable, and other ground, which stays in the background."""
 _TYPICAL_GRADIENT = 0.35
 """Gradient that the steepest tenth of the relief is brought to: chosen, hills of 19 degrees."""
 _EXAGGERATION = (0.5, 6.0)
 """Least and largest factor on the gradients: chosen."""
 STRENGTH = 65
 """Opacity of the colours of the layers over a photo, per cent; on a page the reader may change it."""
+DETAIL = 0.7
+"""Opacity of photo and relief in hard light over the colours of a map: chosen."""
+_GAIN = (0.6, 2.0)
+"""Least and largest factor on the brightness of a photo, so that dark and pale ones are levelled alike: chosen."""
+SATURATION = 0.75
+"""Share of its colours that a photo keeps: chosen."""
+CONTRAST = 0.7
+"""Share of its contrast that a photo keeps: bright ground must not look unknown, nor dark ground black. Chosen."""
+_LUMA = np.array([0.299, 0.587, 0.114])
+"""Weights of red, green and blue in the brightness of a colour (ITU-R BT.601)."""
 LEVEL = math.sqrt(0.5)
 """Brightness of level ground; see `light_of`."""
 _GAPS = (1, 3, 7)
@@ -187,32 +202,68 @@ class MapView:
         return TileWindow.around(cols, lines)
 
 
-def paint_ground(source: "MapReader", view: MapView) -> tuple[Pixels, RideScale]:
-    """Paint the ground; of tiles that are open, closed pixels are hatched, for that is where ways do not go.
+def levelled(photo: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return a photo with its median brightness at ``MID_GREY``, paler; (rows, cols, 3) from 0 to 255, NaN as given."""
+    paler = gain_of(photo) * (SATURATION * photo + (1 - SATURATION) * grey_of(photo))
+    return np.asarray(np.clip(MID_GREY + CONTRAST * (paler - MID_GREY), 0, 255), np.float64)
 
-    Returns uint8 (height, width, 3); the scale of the colours of passable ground.
+
+def gain_of(photo: NDArray[np.floating]) -> float:
+    """Return the factor on a photo, (..., 3), that brings its median brightness to ``MID_GREY``; NaN does not count."""
+    known = np.isfinite(photo).all(axis=-1)
+    brightness = float(np.median(photo[known] @ _LUMA)) if known.any() else float(MID_GREY)
+    return float(np.clip(MID_GREY / max(brightness, 1.0), *_GAIN))
+
+
+def grey_of(colours: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return the brightness of colours, (..., 3), as (..., 1)."""
+    return np.asarray(colours @ _LUMA, np.float64)[..., None]
+
+
+def hard_light(colours: NDArray[np.floating], light: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return colours, (..., 3) from 0 to 255, in the light of a photo or relief at ``DETAIL`` opacity.
+
+    Where the light is ``MID_GREY`` the colours stay. W3C, Compositing and Blending Level 1, "hard-light"; so do QGIS
+    and browsers.
     """
-    barred, c_r = _sample(source, view)
+    below, above = colours / 255.0, np.nan_to_num(light, nan=float(MID_GREY)) / 255.0
+    mixed = np.where(above <= 0.5, 2 * below * above, 1 - 2 * (1 - below) * (1 - above))
+    return np.asarray(255.0 * (below + DETAIL * (mixed - below)))
+
+
+def paint_ground(source: "MapReader", view: MapView) -> tuple[Pixels, RideScale]:
+    """Paint the ground: what can be driven in the colours of the ride cost, the rest muted.
+
+    Returns uint8 (height, width, 3); the scale of the colours.
+    """
+    barred, c_r, island = _sample(source, view)
     shape, place = _finest(view)
-    fits = source.passage_shown(view.window(), shape)[place]
+    window, tile = view.window(), view.grid.tile_size
+    fits = source.passage_shown(window, shape)[place]
     passable = np.isin(barred, OPEN_THROUGH) & np.isfinite(c_r) & fits
+    unknown = ~passable & np.isin(barred, CROSSING_UNKNOWN)
+    obstacle = np.isin(source.objects(window, shape)[place], (OBSTACLE, STEP_LINE)) & ~unknown
     scale = RideScale.of(source.manifest)
     colour = scale.colours(np.where(passable, c_r, 0.0))
-    colour[~passable] = BARRED_SHADE
-    colour[~passable & np.isin(barred, CROSSING_UNKNOWN)] = UNKNOWN_SHADE
-    darkest = np.where(passable, *_DARKEST)
-    window, tile = view.window(), view.grid.tile_size
-    heights = _fill(source.relief(window, shape).astype(np.float64))
+    colour[island] = ISLAND_SHARE * colour[island] + (1 - ISLAND_SHARE) * MID_GREY
+    colour[~passable] = CLOSED_COLOUR[:3]
+    colour[unknown] = UNKNOWN_COLOUR[:3]
+    colour[obstacle] = OBJECT_COLOURS[OBSTACLE][:3]
+    heights = fill_gaps(source.relief(window, shape).astype(np.float64))
     # rows and columns may differ a little in size, since both are whole numbers
-    light = light_of(heights, (window.rows * tile / shape[0], window.cols * tile / shape[1]))[place]
-    colour *= (darkest + (1 - darkest) * light)[:, :, None]
+    shade = light_of(heights, (window.rows * tile / shape[0], window.cols * tile / shape[1]))[place][..., None] / LEVEL
+    light = MID_GREY * shade
     if (photo := source.photo(window, shape)) is not None:
-        below = photo[place]
-        colour = np.where(np.isfinite(below), below + STRENGTH / 100 * (colour - below), colour)
+        seen = levelled(photo[place])
+        seen = np.where((passable & ~obstacle & ~island)[..., None], seen, grey_of(seen))
+        light = np.where(np.isfinite(seen), seen * (1 - _SHADE + _SHADE * shade), light)
+    colour = hard_light(colour, np.clip(light, 0, 255))
     colour[barred == NO_TILE] = NO_DATA
-    closed = ~passable & ~np.isin(barred, (*CROSSING_UNKNOWN, NO_TILE))
-    colour[closed & hatched(view.height, view.width)] = HATCH
-    return np.clip(colour, 0, 255).astype(np.uint8), scale
+    return np.rint(np.clip(colour, 0, 255)).astype(np.uint8), scale
+
+
+_SHADE = 0.35
+"""Share of the relief in the light of a photo: chosen."""
 
 
 def _finest(view: MapView) -> tuple[tuple[int, int], tuple[NDArray[np.int64], ...]]:
@@ -227,16 +278,11 @@ def _finest(view: MapView) -> tuple[tuple[int, int], tuple[NDArray[np.int64], ..
     return (rows, cols), place
 
 
-@lru_cache(maxsize=4)
-def hatched(height: int, width: int, period: int = _HATCH_PERIOD, line: int = _HATCH_WIDTH) -> NDArray[np.bool_]:
-    """Return which pixels of a panel lie on the lines of the hatching, (height, width); both others are in pixels."""
-    return np.asarray(np.add.outer(np.arange(height), np.arange(width)) % period < line, dtype=np.bool_)
-
-
-def _sample(source: "MapReader", view: MapView) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """Return what bars the tile in the middle of each pixel, and its ride cost, (height, width) each."""
+def _sample(source: "MapReader", view: MapView) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.bool_]]:
+    """Return what bars the tile in the middle of each pixel, its ride cost, and if it is an island: (height, width)."""
     barred = np.empty((view.height, view.width), np.uint8)
-    c_r = np.empty(barred.shape, np.float32)
+    c_r, island = np.empty(barred.shape, np.float32), np.zeros(barred.shape, np.bool_)
+    zones = source.manifest.get("counts", {}).get("zones")  # not in maps of earlier versions
     whole = view.window()
     strips = max(1, -(-whole.cols * whole.rows // _STRIP_TILES))
     edges = np.linspace(0, view.height, min(strips, view.height) + 1).astype(int)
@@ -248,7 +294,10 @@ def _sample(source: "MapReader", view: MapView) -> tuple[NDArray[np.uint8], NDAr
         line = window.row + window.rows - 1 - view.grid.index(view.northings[rows])
         place = np.ix_(line, col - window.col)
         barred[rows], c_r[rows] = field.barred[place], field.c_r[place]
-    return barred, c_r
+        if zones and zones["islands"]:
+            last = zones["pieces"] - zones["islands"]  # zones are numbered by size
+            island[rows] = source.values(window, ("zone",))["zone"][place] > last
+    return barred, c_r, island
 
 
 def light_of(heights: NDArray[np.floating], pixel: tuple[float, float]) -> NDArray[np.float64]:
@@ -273,7 +322,7 @@ def light_of(heights: NDArray[np.floating], pixel: tuple[float, float]) -> NDArr
     return np.asarray(np.where(np.isfinite(light), np.clip(light, 0.0, 1.0), LEVEL), dtype=np.float64)
 
 
-def _fill(heights: NDArray[np.float64]) -> NDArray[np.float64]:
+def fill_gaps(heights: NDArray[np.float64]) -> NDArray[np.float64]:
     """Fill holes with the mean of the heights around them; NaN stays where nothing is near."""
     for half in _GAPS:
         known = np.isfinite(heights)
@@ -388,7 +437,7 @@ def _fill_ground(pen: Pen, axes: _Axes, profile: "RouteProfile", scale: RideScal
     row = axes.rows(np.interp(axes.distances, profile.distance, profile.z)) - axes.top
     c_r = profile.c_r[_nearest(profile, axes)]
     colour = scale.colours(c_r)
-    colour[np.isnan(c_r)] = UNKNOWN_SHADE
+    colour[np.isnan(c_r)] = UNKNOWN_COLOUR[:3]
     colour = 255.0 + _FILL * (colour - 255.0)
     canvas: Pixels = np.full((axes.height, axes.width, 3), 255, np.uint8)
     under = np.arange(axes.height)[:, None] + 0.5 >= row[None, :]  # False where the height is unknown
@@ -422,9 +471,12 @@ def draw_swatch(pen: Pen, left: int, row: int, colour: Colour | Pixels) -> None:
 
 def draw_closed(pen: Pen, left: int, row: int) -> int:
     """Draw what a legend says about ground that ways do not use; return the row, pixels, below it."""
-    barred = np.broadcast_to(np.array(BARRED_SHADE, np.uint8), (24, 40, 3)).copy()
-    barred[hatched(24, 40)] = HATCH
-    swatches = ((barred, "not passable, or no room"), (UNKNOWN_SHADE, "unknown ground"), (NO_DATA, "not measured"))
+    swatches = (
+        (CLOSED_COLOUR[:3], "cannot be crossed, or no room"),
+        (OBJECT_COLOURS[OBSTACLE][:3], "obstacle"),
+        (UNKNOWN_COLOUR[:3], "not known"),
+        (NO_DATA, "no points"),
+    )
     for colour, text in swatches:
         draw_swatch(pen, left, row, colour)
         pen.text((left + 54, row + 12), text, INK, size=16)

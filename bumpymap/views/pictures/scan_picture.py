@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw
 
 from bumpymap.core import CLASSES, ClassedSectors, PolarCells, PolarSettings, Scan, cell_numbers
 from bumpymap.layers import OBSTACLE_POINT, OTHER_POINT, SCAN_CLASS_NAMES, SCAN_COLOURS, class_index, point_styles
-from bumpymap.views.pictures.drawing import font, hatched, shortened
+from bumpymap.views.pictures.drawing import font, shortened
 
 SIDE = 960
 """Side of the scene, pixels."""
@@ -87,7 +87,7 @@ def _paint_sectors(scene: Picture, classed: ClassedSectors, range_m: float) -> N
     barred = own[stack.obstacle]
     shades[1, barred] = shades[1, barred] + _HATCH * (SCAN_COLOURS[OBSTACLE_POINT] - shades[1, barred].astype(float))
     cell = _polar_cells(stack.settings, range_m).cells(stack.azimuth_start_rad)
-    lines = hatched(SIDE, SIDE, _HATCH_PX, _HATCH_WIDTH_PX)
+    lines = np.add.outer(np.arange(SIDE), np.arange(SIDE)) % _HATCH_PX < _HATCH_WIDTH_PX
     np.take(shades.reshape(-1, 3), cell + len(shades[0]) * lines, axis=0, out=scene, mode="clip")
     border = np.zeros(cell.shape, np.bool_)
     border[:, 1:] = cell[:, 1:] != cell[:, :-1]

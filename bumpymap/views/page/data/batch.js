@@ -21,3 +21,13 @@ heads.forEach((head, column) => {
     body.append(...rows);
   });
 });
+
+const filter = document.querySelector(".filter");
+filter.hidden = false;
+filter.addEventListener("input", () => {
+  const least = Number(filter.querySelector("input").value) / 100;
+  const rows = [...body.rows];
+  for (const row of rows) row.hidden = least > 0 && !(Number(row.querySelector(".crossed").dataset.v || -1) >= least - 1e-9);
+  const shown = rows.filter((row) => !row.hidden).length;
+  filter.querySelector("output").textContent = shown < rows.length ? `(${shown} of ${rows.length})` : "";
+});

@@ -340,7 +340,7 @@
           if (found === NONE) return;
           const plain = grid.low + grid.step * found;
           const value = grid.scale === "log" ? Math.exp(plain) : grid.scale === "root" ? plain * Math.abs(plain) : plain;
-          const sign = this.about.differences && value > 0 ? "+" : "";
+          const sign = grid.scale === "root" && value > 0 ? "+" : "";
           words.push(`${grid.label} ${sign}${grouped(value, grid.decimals).replace(/^-(?=[0.]*$)/, "")}${grid.unit === "°" ? "°" : grid.unit && ` ${grid.unit}`}`);
         });
         const rides = this.ridesAt(at);
