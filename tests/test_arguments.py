@@ -115,12 +115,6 @@ def test_a_setting_that_is_not_there_is_a_usage_error_with_the_nearest_name(call
         call(**{name: 1})
 
 
-@pytest.mark.parametrize("call", [bumpymap.map_survey, bumpymap.map_batch])
-def test_a_url_where_none_can_be_is_not_taken_for_a_folder(call):
-    with pytest.raises(bumpymap.UsageError, match="out: s3://bucket/night is a URL"):
-        call(".", "s3://bucket/night")
-
-
 @pytest.mark.parametrize("crs", [32632, np.int64(32632)])
 def test_a_crs_may_be_its_number(tmp_path, crs):
     survey = write_ply(tmp_path / "site.ply", GROUND)

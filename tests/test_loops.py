@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_surveys import write_survey
 
 from bumpytiles import _loops_base, loops_of
 
@@ -68,13 +69,13 @@ def test_no_command_makes_memory_executable(tmp_path):
     probe = [sys.executable, "-c", "pass"]
     if subprocess.run(probe, preexec_fn=_refuse_executable_memory, check=False).returncode == 77:
         pytest.skip("this kernel has no PR_SET_MDWE")
-    layers = tmp_path / "layers"
-    ends = "--from", "512350.5,5403300.5", "--to", "512450.5,5403228.5"
+    layers, survey = tmp_path / "layers", write_survey(tmp_path / "site.laz", points=5_000, side=12.0)
+    ends = "--from", "500005,4000006", "--to", "500011,4000012"
     scan = tmp_path / "scan.bin"
     np.random.default_rng(0).uniform(-20, 20, (20_000, 4)).astype("<f4").tofile(scan)
     for words in (
-        ("info", SAMPLE),
-        ("map", SAMPLE, "--out", layers),
+        ("info", survey),
+        ("map", survey, "--out", layers),
         ("route", layers, *ends, "--out", tmp_path / "way"),
         ("scan", scan, "--set", "columns=4", "--out", tmp_path / "scanned"),
     ):

@@ -89,15 +89,6 @@ void measure_tile(
     scalars[STRAYS] = static_cast<double>(strays);
 }
 
-// The plane that RANSAC finds in centred points.
-std::tuple<double, double, double, double> ransac_plane_of(
-    Array<const double> x, Array<const double> y, Array<const double> z, double threshold) {
-    const CentredPoints<double> points{x, y, z};
-    const SinglePoints singles(points);
-    const Plane plane = ransac_plane(points, singles.all(), robust_plane(points, singles.all()), threshold);
-    return {plane.a, plane.b, plane.c, plane.d};
-}
-
 // Measures every tile that has points; the others get NaN, and no points. `depth`: deepest hole that is filled, px.
 void measure_tiles(
     TilePoints points, FeatureSettings settings, Index depth, Array<double, 2> out, Array<float, 3> heights,
@@ -121,7 +112,6 @@ void measure_tiles(
 void bind_measure(nb::module_& module) {
     using namespace bumpy;
     BUMPY_LOOP(module, measure_tiles);
-    BUMPY_LOOP(module, ransac_plane_of);
     BUMPY_LOOP(module, stray_bounds);
     module.def("fill_holes", &fill_all_holes<double>, free_interpreter());
 }

@@ -3,9 +3,8 @@
 python tests/benchmarks/run.py --data FOLDER [--survey FILE --crs EPSG:CODE] [--before PATH/bumpymap] [--rounds 5]
 
 Whole commands are timed alternately, round by round: reading, mapping, PDAL. The first run makes the surveys (1 GB on
-disk). The raw figures are written to FOLDER/results.json; a complete run writes them into the documentation. The
-cases can be run in parts (--only); figures of other cases in results.json are kept, and ``--rounds 0`` prints the
-tables of them. The cases of 1,000 million points run only if they are named, and once.
+disk). A complete run writes its table into the documentation; --only runs some cases. That of 1,000 million points runs
+only if it is named, and once.
 
 Linux includes the memory of the parent process in the peak of a new process, so nothing heavy may be imported here.
 """
@@ -25,7 +24,7 @@ import threading
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import psutil
@@ -46,7 +45,6 @@ SIDES = {
     "map": "`bumpymap map`",
     "map_1gb": "`bumpymap map --memory 1GB`",
     "before": "`bumpymap map`, before",
-    "before_1gb": "`bumpymap map --memory 1GB`, before",
     "pdal": "PDAL `writers.gdal`",
     "pdal_bin": "PDAL `writers.gdal`, `binmode`",
 }
@@ -54,7 +52,7 @@ SIDES = {
 ALL = ("read", "map", "before", "pdal", "pdal_bin")
 MADE = {
     "20m-laz": (20, "laz", (*ALL, "map_1gb")),
-    "20m-las": (20, "las", (*ALL, "map_1gb", "before_1gb")),
+    "20m-las": (20, "las", (*ALL, "map_1gb")),
     "1000m-laz": (1000, "laz", ("map",)),
 }
 """Synthetic surveys: million points, format, and what is timed on them."""
@@ -167,13 +165,12 @@ def prepare(given, wanted):
     return cases
 
 
-def measure(given, cases, results):
-    """Run the rounds of the cases; their figures replace earlier ones."""
+def measure(given, cases):
+    """Run the rounds of the cases; return the samples by case and program."""
     for side in ("map", "before"):
         if command := command_of(given, "warm-up", side, SAMPLE):
             run_timed(command)  # compiles bytecode before anything is timed
-    results["titles"] |= {key: title for key, (title, _, _) in cases.items()}
-    results["samples"] |= {key: {side: [] for side in commands} for key, (_, _, commands) in cases.items()}
+    samples = {key: {side: [] for side in commands} for key, (_, _, commands) in cases.items()}
     peaks = {}
     for number in range(given.rounds):
         for key, (_, survey, commands) in cases.items():
@@ -188,8 +185,8 @@ def measure(given, cases, results):
                 sample = run_timed(command, memory=once)
                 sample = replace(sample, peak=peaks.get((key, side), sample.peak))
                 sys.stderr.write(f"{number + 1} {key:14} {side:14} {sample}\n")
-                results["samples"][key][side].append(asdict(sample))
-            (given.data / "results.json").write_text(json.dumps(results, indent=1), encoding="utf-8")
+                samples[key][side].append(sample)
+    return samples
 
 
 def machine():
@@ -208,31 +205,17 @@ def machine():
     )
 
 
-def median(results, key, side, figure):
-    """Return the median of one program; None if it was not run or failed."""
-    samples = results["samples"].get(key, {}).get(side, [])
-    if not samples or any(sample["exit_code"] for sample in samples):
-        return None
-    return float(statistics.median(sample[figure] for sample in samples))
-
-
-def table(head, rows):
-    """Return a table as Markdown."""
-    return "\n".join("| " + " | ".join(line) + " |" for line in (head, ["---"] * len(head), *rows))
-
-
-def side_table(results):
-    """Return the table of all programs."""
-    rows = []
-    for key, sides in results["samples"].items():
-        for side in filter(sides.get, sides):
-            name = (results["titles"][key], SIDES.get(side, f"`bumpymap`, {side}"))
-            figures = [median(results, key, side, figure) for figure in ("wall", "cpu", "peak")]
-            if None in figures:
-                rows.append((*name, "failed", "", ""))
-            else:
-                rows.append((*name, f"{figures[0]:.2f}", f"{figures[1]:.2f}", f"{figures[2] / 1e9:.2f}"))
-    return table(("case", "program", "wall time [s]", "processor time [s]", "peak memory [GB]"), rows)
+def table(cases, samples):
+    """Return the table of all programs as Markdown."""
+    rows = [("case", "program", "wall time [s]", "processor time [s]", "peak memory [GB]"), ("---",) * 5]
+    for key, sides in samples.items():
+        for side, found in sides.items():
+            wall, cpu, peak = (statistics.median(getattr(one, of) for one in found) for of in ("wall", "cpu", "peak"))
+            figures = (f"{wall:.2f}", f"{cpu:.2f}", f"{peak / 1e9:.2f}")
+            failed = any(one.exit_code for one in found)
+            name = SIDES.get(side, f"`bumpymap`, {side}")
+            rows.append((cases[key][0], name, *(("failed", "", "") if failed else figures)))
+    return "\n".join("| " + " | ".join(row) + " |" for row in rows)
 
 
 def main():
@@ -251,19 +234,10 @@ def main():
     if unknown := sorted(set(wanted) - set(possible)):
         parser.error(f"--only names {', '.join(unknown)}; there are: {', '.join(possible)}")
     given.data.mkdir(parents=True, exist_ok=True)
-    kept = given.data / "results.json"
-    results = {"machine": machine(), "scale": given.scale, "titles": {}, "samples": {}}
-    if kept.exists():
-        old = json.loads(kept.read_text(encoding="utf-8"))
-        if (old["machine"], old["scale"]) == (results["machine"], given.scale):
-            results = old  # figures of another machine, version or scale are not mixed with these
-    if given.rounds:
-        cases = prepare(given, wanted)
-        measure(given, cases, results)
-        kept.write_text(json.dumps(results, indent=1), encoding="utf-8")
-    figures = f"{results['machine']}\n\n{side_table(results)}\n"
+    cases = prepare(given, wanted)
+    figures = f"{machine()}\n\n{table(cases, measure(given, cases))}\n"
     print(figures)
-    if given.scale == 1.0 and given.rounds and not given.only:
+    if given.scale == 1.0 and not given.only:
         FIGURES.write_text(figures, encoding="utf-8")
 
 

@@ -19,11 +19,7 @@ from run import Sample, run_timed
 sys.path.append(str(Path(__file__).resolve().parents[1] / "worlds"))
 
 _POINTS, _FRAMES, _ROUNDS, _THREADS = 124_000, 100, 2, (1, 2)
-_KINDS = {
-    "table": ("--set", "products=table"),
-    "everything": (),
-    "everything, all pictures": ("--pictures", "1"),
-}
+_KINDS = {"table": ("--set", "products=table"), "everything": (), "everything, all pictures": ("--pictures", "1")}
 
 
 def make_frames(folder: Path, count: int) -> Path:

@@ -2,8 +2,8 @@
 
 python tests/benchmarks/surveys.py --points 20000000 --format laz --data FOLDER
 
-The position, height, colour and time of a point are functions of its number and the seed, so any number of them needs
-no memory. A thousand million take 6.2 GB as LAZ; to make them takes about as long as to compress them.
+The ground is a function of the place, and points are made a million at a time, so any number of them needs no memory. A
+thousand million take 6.2 GB as LAZ; to make them takes about as long as to compress them.
 """
 
 import argparse
@@ -25,64 +25,42 @@ _CORNER = (691_200.0, 5_335_800.0, 0.0)
 """South-west corner of every site in EPSG:32632, m."""
 _BATCH = 1_000_000
 
-_OCTAVES = 7
-_LONGEST = 64.0
+_LENGTHS = 64.0 * 0.45 ** np.arange(7)
+"""Of the waves of the ground, m; each kind is 0.45 times as high as the one before, the first 4 m."""
+_TURNS, _PHASES = np.random.default_rng(SEED).uniform(0.0, 2.0 * np.pi, (2, len(_LENGTHS) + 2, 3))
 _STONE_CELL = 7.0
+"""Side of the squares of which one in four holds a stone, m."""
 
 
-def _mix(value):
-    """Hash numbers, uint64, to 64 bits (the finaliser of splitmix64)."""
-    value = value + np.uint64(0x9E3779B97F4A7C15)
-    value = (value ^ (value >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    value = (value ^ (value >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return value ^ (value >> np.uint64(31))
+def _wave(x, y, length, number):
+    """Return the mean of three sines of a length [m], each in a direction of its own."""
+    along = (np.cos(turn) * x + np.sin(turn) * y for turn in _TURNS[number])
+    return sum(np.sin(2.0 * np.pi / length * a + p) for a, p in zip(along, _PHASES[number], strict=True)) / 3.0
 
 
-def _share(bits, first):
-    """Return uniform numbers 0..1 from 16 of the bits."""
-    return ((bits >> np.uint64(first)) & np.uint64(0xFFFF)).astype(np.float64) / 65536.0
-
-
-def _corner(col, row, salt):
-    along = col.astype(np.uint64) + (np.uint64(salt) << np.uint64(40))
-    return _mix(_mix(along) ^ (row.astype(np.uint64) << np.uint64(20)))
-
-
-def _noise(x, y, salt):
-    """Return value noise: random heights -1..1 at integer x and y, smooth between them (x, y not negative)."""
-    col, row = x.astype(np.int64), y.astype(np.int64)
-    u, v = x - col, y - row
-    u, v = u * u * (3.0 - 2.0 * u), v * v * (3.0 - 2.0 * v)
-    south = _share(_corner(col, row, salt), 0) * (1.0 - u) + _share(_corner(col + 1, row, salt), 0) * u
-    north = _share(_corner(col, row + 1, salt), 0) * (1.0 - u) + _share(_corner(col + 1, row + 1, salt), 0) * u
-    return 2.0 * (south * (1.0 - v) + north * v) - 1.0
-
-
-def _stone(x, y, salt):
-    """Return the height of the stone in the lattice cell at (x, y), m; 0 outside the stone."""
-    col, row = (x / _STONE_CELL).astype(np.int64), (y / _STONE_CELL).astype(np.int64)
-    bits = _corner(col, row, salt)
-    radius = 0.3 + 0.9 * _share(bits, 16)
-    dx = x - (col + 0.3 + 0.4 * _share(bits, 32)) * _STONE_CELL
-    dy = y - (row + 0.3 + 0.4 * _share(bits, 48)) * _STONE_CELL
+def _stone(x, y):
+    """Return the height of the stone in the square at (x, y), m; 0 outside the stone."""
+    col, row = np.floor(x / _STONE_CELL), np.floor(y / _STONE_CELL)
+    seen, size, east, north = (
+        np.modf(43758.5453 * np.abs(np.sin(12.9898 * col + 78.233 * row + 37.719 * number)))[0] for number in range(4)
+    )  # numbers 0..1 that belong to the square
+    radius = 0.3 + 0.9 * size
+    dx, dy = x - (col + 0.3 + 0.4 * east) * _STONE_CELL, y - (row + 0.3 + 0.4 * north) * _STONE_CELL
     inside = np.maximum(1.0 - (dx * dx + dy * dy) / (radius * radius), 0.0)
-    return np.where(_share(bits, 0) > 0.25, 0.0, 0.8 * radius * np.sqrt(inside))
+    return np.where(seen > 0.25, 0.0, 0.8 * radius * np.sqrt(inside))
 
 
-def _height(x, y, seed):
+def _height(x, y):
     """Return the height of the ground, m: hills, shorter and lower waves of varying strength, and stones."""
-    share = 0.5 + 0.5 * _noise(x / 45.0, y / 45.0, seed)
-    rough = 0.02 + 5.0 * share * share
-    total, amplitude, step = 0.0, 4.0, _LONGEST
-    for octave in range(_OCTAVES):
-        wave = amplitude * _noise(x / step, y / step, seed + 1 + octave)
-        total = total + (wave if octave < 3 else rough * wave)  # hills do not depend on the roughness
-        amplitude *= 0.45
-        step *= 0.45
-    return total + _stone(x, y, seed + 100)
+    rough = 0.02 + 5.0 * (0.5 + 0.5 * _wave(x, y, 45.0, -1)) ** 2
+    total = _stone(x, y)
+    for octave, length in enumerate(_LENGTHS):
+        wave = 4.0 * 0.45**octave * _wave(x, y, length, octave)
+        total += wave if octave < 3 else rough * wave  # hills do not depend on the roughness
+    return total
 
 
-def fill_records(numbers, lines, seed, out):
+def fill_records(numbers, lines, rng, out):
     """Write the points of some numbers (n,) to records (n,) of point format 7, relative to the south-west corner.
 
     Number 0 is the first point of the first swath; a swath has ``lines`` scan lines, south to north, of ``SWATH``
@@ -90,25 +68,21 @@ def fill_records(numbers, lines, seed, out):
     """
     swath, place = np.divmod(numbers, SWATH * lines)
     line, across = np.divmod(place, SWATH)
-    words = numbers.astype(np.uint64)
-    bits, more = _mix(words ^ np.uint64(seed << 48)), _mix(words + np.uint64(1 << 60))
-    x = (swath * SWATH + across + _share(bits, 0)) * SPACING
-    y = (line + _share(bits, 16)) * SPACING
-    # The sum of three uniform numbers of width 0.03 m is nearly normal, with 15 mm standard deviation.
-    z = _height(x, y, seed) + 0.03 * (_share(bits, 32) + _share(bits, 48) + _share(more, 0) - 1.5)
-    shade = 0.5 + 0.35 * _noise(x / 0.8, y / 0.8, seed + 200) + 0.1 * (_share(more, 16) - 0.5)
+    x = (swath * SWATH + across + rng.random(len(numbers))) * SPACING
+    y = (line + rng.random(len(numbers))) * SPACING
+    z = _height(x, y) + rng.normal(0.0, 0.015, len(numbers))
+    shade = 0.5 + 0.35 * _wave(x, y, 0.8, -2) + rng.uniform(-0.05, 0.05, len(numbers))
     for axis, metres in zip("XYZ", (x, y, z), strict=True):
         out[axis] = np.rint(metres / SCALE)
-    out["intensity"] = 20000.0 * shade + 4000.0 * _share(more, 48)
-    out["bit_fields"] = np.where(_share(more, 32) < 0.06, 0x22, 0x11)
+    out["intensity"] = 20000.0 * shade + rng.uniform(0.0, 4000.0, len(numbers))
+    out["bit_fields"] = np.where(rng.random(len(numbers)) < 0.06, 0x22, 0x11)
     out["classification"] = 1
     out["scan_angle"] = np.rint((across - SWATH / 2) * 5000.0 / SWATH)
     out["point_source_id"] = 1 + swath
     out["gps_time"] = 3.994e8 + numbers * 4.2e-6 + swath * 30.0
     # Cameras record 8 bits; software writes them as the upper 8 of 16 bits.
-    grain = _mix(more)
-    for first, (band, dark, bright) in enumerate((("red", 40.0, 200.0), ("green", 50.0, 180.0), ("blue", 35.0, 150.0))):
-        out[band] = (dark + bright * shade + 6.0 * _share(grain, 16 * first)).astype(np.uint16) << 8
+    for band, dark, bright in (("red", 40.0, 200.0), ("green", 50.0, 180.0), ("blue", 35.0, 150.0)):
+        out[band] = (dark + bright * shade + rng.uniform(0.0, 6.0, len(numbers))).astype(np.uint16) << 8
 
 
 def make(points, path):
@@ -124,7 +98,7 @@ def make(points, path):
         for first in range(0, points, _BATCH):
             numbers = np.arange(first, min(first + _BATCH, points))
             records = np.zeros(len(numbers), header.point_format.dtype())
-            fill_records(numbers, lines, SEED, records)
+            fill_records(numbers, lines, np.random.default_rng([SEED, first]), records)
             writer.write_points(
                 laspy.ScaleAwarePointRecord(records, header.point_format, header.scales, header.offsets)
             )

@@ -22,8 +22,7 @@ from bumpymap.check.measure import find_standing, measure_drive, rough_speed
 from bumpymap.check.pipeline import agreement_of, write_check
 from bumpymap.check.places import local_metres, metre_places, places_on_map
 from bumpymap.check.stretches import cut_stretches
-from bumpymap.core import BadInputError, ImuTrack, OutputError, PlaceTrack, UsageError, WheelTrack
-from bumpymap.layers import check_check_out
+from bumpymap.core import BadInputError, ImuTrack, PlaceTrack, UsageError, WheelTrack
 from bumpymap.layers.products import CHECK_FILES, CHECK_MANIFEST_NAME
 from bumpymap.rating import less_floor
 from bumpytiles import TileWindow
@@ -331,20 +330,6 @@ def test_without_a_map_or_positions_there_is_nothing_for_gis(ground, tmp_path, h
     assert names(tmp_path) == WITHOUT_MAP
     record = json.loads((tmp_path / "check.json").read_text())
     assert [bool(record[name]) for name in ("map", "agreement", "by_class")] == [has_map] * 3
-
-
-def test_the_folder_of_a_map_and_files_are_refused(ground, tmp_path):
-    (tmp_path / "run.json").write_text("{}")
-    with pytest.raises(UsageError, match="holds the layers of a survey"):
-        write_check(made_up_check(), tmp_path, ground=ground, overwrite=True)
-    (tmp_path / "file").write_text("x")
-    with pytest.raises(OutputError, match="it is a file"):
-        check_check_out(tmp_path / "file", overwrite=True)
-    with pytest.raises(UsageError, match=r"named like a \.json file, but a check is a folder"):
-        check_check_out(tmp_path / "check.json", overwrite=False)
-    (tmp_path / "other" / "check.html").mkdir(parents=True)
-    with pytest.raises(OutputError, match=r"check\.html is not a file"):
-        check_check_out(tmp_path / "other", overwrite=True)
 
 
 @pytest.mark.parametrize("options", [{}, {"ground": False}, {"unknown": [0, 3]}])

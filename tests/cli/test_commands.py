@@ -32,14 +32,24 @@ def scanned(count=12_000, seed=0):
     return np.column_stack([x, y, -1.0 + np.where(y < 0, 0.2, 0.002) * rng.standard_normal(count)])
 
 
+def closed_site():
+    """The site with a wall that has no gap."""
+    made = site()
+    slope = np.where(made.patches.col == WEST + 15, 60.0, 2.0)
+    return replace(made, patches=replace(made.patches, slope=slope))
+
+
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """Layers of a field, of a site with a wall, and of two surveys of one place; scans; files of other kinds."""
     root = tmp_path_factory.mktemp("made")
-    sites = {"field": make_field(6, 6, holes=0.0), "layers": site(), "may": survey(1)}
+    sites = {"field": make_field(6, 6, holes=0.0), "layers": site(), "may": survey(1), "closed": closed_site()}
     for name, layers in (sites | {"june": survey(2, rut=0.1, c_r=3.0)}).items():
         write_folder(root / name, layers)
     write_ply(root / "frame.ply", np.rec.fromarrays(scanned().astype("<f4").T, names="x,y,z"))
+    # In float32, a UTM northing has steps of half a metre.
+    coarse = np.random.default_rng(2).uniform(0.1, 5.9, (3, 900)) + np.array([[500_001], [5_400_000], [0]])
+    write_ply(root / "coarse.ply", np.rec.fromarrays(coarse.astype("<f4"), names="x,y,z"))
     write_bin(root / "a.bin", scanned())
     np.random.default_rng(1).uniform(-9.0, 9.0, 60_000).astype("<f4").tofile(root / "doubtful.bin")
     for name, poses in (("one.txt", 1), ("two.txt", 2)):
@@ -57,24 +67,34 @@ def _here(made, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
 
 
-A, B = place(5.5, 5.5), place(5.5, 9.5)
+A, B, C = place(5.5, 5.5), place(5.5, 9.5), place(5.5, 25.5)
 ALL = "(car, husky, small_rover, warthog)"
+MAP = f"map {shlex.quote(str(QUARRY))} --out OUT"
 REFUSED = [
     (2, "mpa site.laz", "Did you mean 'map'?"),
-    (2, f"map {shlex.quote(str(QUARRY))} --out OUT --crs EPSG:1", "--crs EPSG:1 is not a coordinate reference system"),
-    (2, f"map {shlex.quote(str(QUARRY))} --out OUT --tile-size 4", "Use --tile-size 3, --set pixels=15"),
+    (2, f"{MAP} --crs EPSG:1", "--crs EPSG:1 is not a coordinate reference system"),
+    (2, f"{MAP} --tile-size 4", "Use --tile-size 3, --set pixels=15"),
+    (2, f"{MAP} --speed 9", "holds from 0.4 to 2.5 m/s"),
+    (2, f"{MAP} --set speeds=1,2", "there is no setting speeds any more: a map has one speed: give --speed 2"),
+    (2, f"{MAP} --set headings=true --set rating=table", "--set rating='table' knows no heading"),
+    (2, f"{MAP} --speed 1 --set compat=paper", "--set compat='paper' knows no speed"),
     (2, "map a.laz --out OUT --crs EPSG:32632 --local", "--crs and --local contradict"),
     (2, "map a.laz --out OUT --calibration c.json --vehicle warthog", "--calibration and --vehicle"),
     (2, "map a.laz --out OUT --set compat=paper --set rating=ride", "--set compat and --set rating"),
     (2, "map a.laz --out OUT --set pixels", "give KEY=VALUE"),
     (2, "map a.laz --out OUT --set pixels=a", "pixels is 'a'; it must be a whole number from 3 to 255"),
     (2, "map https://h/a.laz --out o", "rclone copyurl URL FILE"),
+    *((2, f"{command} a --out OUT --force", "--overwrite") for command in ("map", "scan", "batch")),
+    (3, "map coarse.ply --crs EPSG:32614 --out OUT", "steps of 0.5 m"),
+    *((3, f"info coarse.ply {how}", "steps of 0.5 m") for how in ("", "--quick", "--json")),
     (2, "map a.laz --out s3://bucket/night", "s3://bucket/night is a URL"),
     (2, "map a.laz --out OUT --vehicle tank", ALL),
     (2, "vehicle check tank", ALL),
     (3, "vehicle new mine --out link.toml", "exists and is not overwritten"),
     (3, "vehicle new mine --out none/x/a.toml", "none/x"),
     (2, "calibrate --out OUT", "bumpymap vehicle new"),
+    (2, "check --drive one.txt --out field", "holds the layers of a survey"),
+    (2, "check --drive one.txt --out a.json", "a check is a folder"),
     (3, "diff may none", "holds no complete run"),
     (2, "export field --out OUT", "Missing option '--to'"),
     (2, "export field --to plan --resolution pixel --out OUT", "--resolution has no effect with --to plan"),
@@ -94,6 +114,11 @@ REFUSED = [
     (3, f"route layers --from 1,1 --to {A} --out OUT", "lies outside the map"),
     (3, f"route layers --from {place(10.5, 15.5)} --to {A} --out OUT", "not passable (too steep). The nearest point"),
     (3, f"route layers --from {place(20.5, 2.5)} --to {A} --out OUT", "unknown ground; --unknown COST"),
+    (
+        3,
+        f"route closed --from {A} --to {place(5.5, 25.5)}",
+        f"no way from the start {A} to the goal {place(5.5, 25.5)}",
+    ),
     (3, f"route layers --from {A} --to {B} --avoid none.geojson --out OUT", "none.geojson is missing"),
     (
         2,
@@ -113,6 +138,14 @@ REFUSED = [
     (2, "train --scans here --out OUT", "bumpymap train scans"),
     (3, "train scans none --out OUT.onnx", "holds no scans"),
     (3, "train textures --out not.onnx", "--overwrite"),
+    (2, "train textures --out OUT.pt", ".onnx"),
+    (2, "train textures --out OUT.onnx --set network.pixels=5", "at least 9"),
+    *(
+        (2, line.replace("NAME", name), said)
+        for line in ("map NAME --out OUT", "map a.laz --out NAME", "map a.laz --out OUT --set model=NAME", "info NAME")
+        for name, said in (("a\0b", "NUL"), ("\u00e9" * 128, "bytes"))
+    ),
+    *((2, f"{line} a\0b", "NUL") for line in ("scan --out OUT", "calibrate --out")),
 ]
 
 
@@ -168,14 +201,7 @@ def test_the_page_of_a_map_or_a_comparison_is_made_again_and_its_place_is_said(t
 @pytest.mark.parametrize("point", ["crs:330004.5,2040004.5", "330004.5,2040004.5", "lonlat:{0},{1}"])
 def test_a_crop_around_a_point_in_either_system(tmp_path, point):
     degrees = Transformer.from_crs(32614, 4326, always_xy=True).transform(330004.5, 2040004.5)
-    words = (
-        "--around",
-        point.format(*degrees),
-        "--radius",
-        2,
-        "--datum",
-        "crs:330000,2040000",
-    )
+    words = ("--around", point.format(*degrees), "--radius", 2, "--datum", "crs:330000,2040000")
     done = run("export", "field", "--to", "nav2", "--out", tmp_path / "out", *words, "--json")
     assert done.exit_code == 0, done.output
     record = json.loads(done.stdout)
@@ -214,17 +240,6 @@ def test_without_a_place_to_write_only_the_summary_is_printed(made):
     assert result.exit_code == 0
     assert sorted(made.rglob("*")) == before
     assert result.stdout.splitlines()[1].split()[:3] == ["route", "45", "1.00"]
-
-
-def test_where_there_is_no_way_the_message_says_between_which_points_and_what_to_do(tmp_path):
-    open_site = site()
-    slope = np.where(open_site.patches.col == WEST + 15, 60.0, 2.0)
-    write_folder(tmp_path / "closed", replace(open_site, patches=replace(open_site.patches, slope=slope)))
-    result = run("route", tmp_path / "closed", "--from", place(5.5, 5.5), "--to", place(5.5, 25.5))
-    assert result.exit_code == 3
-    text = " ".join(result.output.split())
-    assert f"no way from the start {place(5.5, 5.5)} to the goal {place(5.5, 25.5)}" in text
-    assert "--unknown COST" in text
 
 
 def test_where_the_survey_is_too_thin_the_message_says_what_density_would_do(tmp_path):
@@ -342,14 +357,6 @@ def test_a_bad_frame_among_others(tmp_path):
     assert "frames/frame.ply" in out_files(out)
 
 
-def test_force_is_answered_with_overwrite():
-    for command in ("map", "scan", "batch"):
-        said = run(command, "a", "--out", "o", "--force")
-        assert said.exit_code == 2
-        assert "--overwrite" in said.output
-        assert "--force-crs" not in said.output
-
-
 # --- info ---
 def dense(path, classes=None, *, crs="EPSG:32614", rows=slice(None), north=0.0):
     """Write 900 points over four full tiles, or some of them."""
@@ -379,22 +386,6 @@ def test_what_was_given_is_in_the_command_and_units_in_the_record(tmp_path):
     assert (record["metres_per_unit"], record["metres_per_unit_z"]) == (0.3048, 1.0)
     assert record["bounds_crs_units"][0] == pytest.approx(500001.1)
     assert record["bounds_m"][0] == pytest.approx(500001.1 * 0.3048)
-
-
-def test_coordinates_that_are_too_coarse_are_refused_by_map_and_told_by_info(tmp_path):
-    """A UTM northing has steps of half a metre in float32."""
-    x, y = (axis.ravel() for axis in np.meshgrid(*2 * (np.arange(0.1, 6, 0.2),)))
-    columns = np.array([500_001 + x, 5_400_000 + y, np.zeros(x.size)]).astype("<f4")
-    path = write_ply(tmp_path / "a.ply", np.rec.fromarrays(columns, names="x,y,z"))
-    result = run("map", path, "--crs", "EPSG:32614", "--out", tmp_path / "map")
-    assert result.exit_code == 3, result.output
-    assert re.search(r"steps of 0\.5 m.*double", result.output)
-    assert not (tmp_path / "map").exists()
-    for words in ((), ("--quick",), ("--json",)):
-        result = run("info", path, *words)
-        assert result.exit_code == 3
-        assert re.search(r"steps of 0\.5 m.*double", result.output)
-    assert run("info", path, "--tile-size", "60", "--quick").exit_code == 0  # pixels of 4 m
 
 
 def test_quick_reads_no_points(tmp_path, monkeypatch):

@@ -271,6 +271,8 @@ def test_a_network_from_a_folder_classes_scans(frames, tmp_path):
     used = run("scan", frames / "00000" / POINTS / "000002.bin", "--out", "o", "--set", f"model={out}")
     assert used.exit_code == 0, used.output
     assert f"bumpymap scan FRAME --out DIR --set model={out}" in result.stdout
+    assert train(frames, "--out", "again.onnx", "--set", "seed=5").exit_code == 0
+    assert Path("again.onnx").read_bytes() == out.read_bytes()
 
 
 @pytest.mark.slow

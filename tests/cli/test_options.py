@@ -248,23 +248,3 @@ def test_what_refuses_a_moved_option_names_a_command_that_prints_its_settings(na
         done = run(*name.split(), moved[0].opts[0], *([] if moved[0].is_flag else ["1"]), *WORDS[name])
         assert f"bumpymap settings {name} prints one" in done.stderr
         assert moved[0].key.split(".")[-1] in run("settings", *name.split()).stdout
-
-
-@pytest.mark.parametrize("name", ["a\0b", "é" * 128])
-@pytest.mark.parametrize(
-    "line",
-    [
-        "map NAME --out o",
-        "map a.laz --out NAME",
-        "map a.laz --out o --set model=NAME",
-        "info NAME",
-        "scan NAME --out o",
-        "calibrate --out NAME",
-    ],
-)
-def test_names_that_no_file_can_have_are_refused(tmp_path, monkeypatch, name, line):
-    monkeypatch.chdir(tmp_path)
-    result = run(*(word.replace("NAME", name) for word in line.split()))
-    assert result.exit_code == 2, (result.output, result.exception)
-    assert "NUL" in result.stderr or "bytes" in result.stderr
-    assert list(tmp_path.iterdir()) == []

@@ -219,7 +219,7 @@ def test_earth_centred_coordinates_are_refused_with_their_zone():
         settle(CrsStatement(CRS(4978)), place=place)
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(longitude=st.floats(-179.99, 179.99).map(lambda v: round(v, 6)), latitude=st.floats(-79.9, 83.9))
 def test_utm_zone_is_one_that_the_registry_gives_for_the_place(longitude, latitude):
     area = AreaOfInterest(longitude, latitude, longitude, latitude)

@@ -8,12 +8,7 @@ import sys
 import pytest
 from hypothesis import given, strategies as st
 
-from bumpymap.core import (
-    install_command,
-    share_text,
-    shares_text,
-    write_csv,
-)
+from bumpymap.core import install_command, share_text, shares_text, write_csv
 from bumpymap.core.files import Each, Nullable, Number, parse_json, shape_fault
 
 

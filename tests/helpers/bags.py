@@ -103,11 +103,7 @@ def transforms(stamp_ns, *links):
                 "geometry_msgs/msg/TransformStamped",
                 header=header(stamp_ns, parent),
                 child_frame_id=child,
-                transform=message(
-                    "geometry_msgs/msg/Transform",
-                    translation=vector(place),
-                    rotation=_turn(rotation),
-                ),
+                transform=message("geometry_msgs/msg/Transform", translation=vector(place), rotation=_turn(rotation)),
             )
             for parent, child, (rotation, place) in links
         ],

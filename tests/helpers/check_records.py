@@ -6,13 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from bumpymap.check.pipeline import agreement_of
-from bumpymap.core import (
-    NO_CLASS,
-    CheckedDrive,
-    CheckedMap,
-    CheckResult,
-    DrivenStretches,
-)
+from bumpymap.core import NO_CLASS, CheckedDrive, CheckedMap, CheckResult, DrivenStretches
 
 LIMITS = (0.05, 0.13, 0.3)
 STRETCH_M = 10.0

@@ -7,18 +7,12 @@ from pathlib import Path
 import numpy as np
 from tile_maps import UTM, WARTHOG as VEHICLE, TileMap
 
-from bumpymap.core import (
-    NO_TILE,
-    Route,
-    RouteFigures,
-    RouteProfile,
-)
+from bumpymap.core import NO_TILE, Route, RouteFigures, RouteProfile
 from bumpytiles import Grid
 
 CORNERS = np.array([[330_010.0, 2_040_020.0], [330_100.0, 2_040_080.0], [330_250.0, 2_040_050.0]])
 FIGURES = RouteFigures(
-    *(261.135, 241.868, 301.5, 0.11, 0.09, 0.14, 0.31, 0.25, 0.4),
-    *(0.05, 0.2, 12.0, 3.0, 12.5, 4.5, 2.25, 130.5675),
+    *(261.135, 241.868, 301.5, 0.11, 0.09, 0.14, 0.31, 0.25, 0.4), *(0.05, 0.2, 12.0, 3.0, 12.5, 4.5, 2.25, 130.5675)
 )
 
 

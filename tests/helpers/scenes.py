@@ -11,16 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import distance_transform_edt, label
 
-from bumpymap.core import (
-    CANOPY,
-    FREE,
-    POINT_BUILDING,
-    POINT_GROUND,
-    POINT_OTHER,
-    POINT_PLANT,
-    UNSEEN,
-    FeatureSettings,
-)
+from bumpymap.core import CANOPY, FREE, POINT_BUILDING, POINT_GROUND, POINT_OTHER, POINT_PLANT, UNSEEN, FeatureSettings
 from bumpymap.patches import find_in_relief, find_objects, measure, settle_solids
 from bumpymap.rating import settle_objects
 from bumpytiles import Grid, TileBuckets, join_tiles

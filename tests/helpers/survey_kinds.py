@@ -6,8 +6,6 @@ from ply_files import write_ply
 from pypcd4 import Encoding, PointCloud
 
 KINDS = ("las", "laz", "copc", "ply", "text ply", "pcd", "text pcd", "packed pcd")
-STREAMED = ("text ply", "text pcd", "packed pcd")
-"""Kinds that are not read by ranges of bytes."""
 TABLES = {
     "ply ascii": "=",
     "ply little": "<",

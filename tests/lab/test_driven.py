@@ -28,7 +28,7 @@ def test_scores_are_those_of_scikit_learn(seed, count):
     assert found.even == pytest.approx(recall.mean())
 
 
-@pytest.mark.slow
+@pytest.mark.later
 def test_patches_of_a_survey_are_driven_and_compared(tmp_path):
     pytest.importorskip("dartpy")
     out, survey = tmp_path / "report.json", ROOT / "sample_data" / "quarry_part.ply"

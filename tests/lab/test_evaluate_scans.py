@@ -14,7 +14,7 @@ from bumpymap.core import BadInputError, ClassedSectors, Scan, UsageError
 from bumpymap.lab import evaluate as scans
 from bumpymap.lab.label_sets import LABEL_SETS, identify_label_set, label_set, require_label_set
 from bumpymap.readers import find_frames, read_scan
-from bumpymap.scan import classify_filter, polar_sectors
+from bumpymap.scan import polar_sectors
 
 CSV = "id,class,name,kind\n# a remark\n1,0,lawn,ground\n2,2,wall,obstacle\n7,-1,,\n"
 
@@ -119,25 +119,6 @@ def test_rows_hold_medians_and_means_of_each_class():
     assert (smooth["sectors"], middle["sectors"], rough["sectors"]) == (2, 1, 3)
     assert smooth["share"] == pytest.approx(1 / 3)
     assert (rough["variance"], rough["stripes"], middle["residual"]) == ((7.0, 11.0), (1.0, 1.5), (0.25, 0.25))
-
-
-def test_sectors_without_ground_are_gathered_and_have_no_row():
-    rng = np.random.default_rng(4)
-    points = np.column_stack([rng.uniform(-15, 15, (40_000, 2)), rng.normal(0, 0.02, 40_000)])
-    points[points[:, 0] > 5, 2] += 3 * points[points[:, 0] > 5, 0]
-    label = np.where(points[:, 1] > 0, 3, 19).astype(np.uint16)
-    scan = Scan(points.astype(np.float32), label=label)
-    stack = polar_sectors(scan)
-    classed, deviation = {"filter": classify_filter(stack)}, scans.z_deviation(scan, stack)
-    table = scans.join_sectors([classed] * 2, [deviation] * 2, LABEL_SETS["rellis"])
-    assert 0 < stack.traversable.sum() < len(stack.zone)
-    assert len(table.truth) == 2 * len(stack.zone) == len(table.stripes)
-    assert set(table.truth) == {0, 1}
-    assert table.variance == pytest.approx(np.tile(stack.variance, 2), nan_ok=True)
-    for row in (0, len(stack.zone) - 1):
-        assert table.deviation[row] == pytest.approx(points[stack.point_sector == row, 2].std(), abs=1e-5)
-    assert sum(row["sectors"] for row in scans.class_rows(table, "filter")) == 2 * stack.traversable.sum()
-    assert (scans.join_sectors([classed], [deviation], None).truth == -1).all()
 
 
 KITTI = LABEL_SETS["kitti"]

@@ -7,18 +7,18 @@ import pytest
 from made_frames import POINTS, ring_of_ground, write_rellis
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bumpymap.core.errors import BadInputError, OutputError, UsageError
+from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.core.scan_types import PolarSettings, Scan
 from bumpymap.lab import LABEL_SETS
 from bumpymap.lab.settings import ScanTrainSettings
-from bumpymap.scan.learned import CHANNELS, MEASURES, ScanModel, infer
+from bumpymap.scan.learned import CHANNELS, MEASURES, infer
 
 torch = pytest.importorskip("torch", reason="torch comes with the extra 'learn'")
 pytest.importorskip("onnx", reason="onnx comes with the extra 'learn'")
 
 from bumpymap.lab.train import scan_net  # noqa: E402
 from bumpymap.lab.train.model_files import predict  # noqa: E402
-from bumpymap.lab.train.scan_net import evaluate, make_scan_model, to_onnx, train  # noqa: E402
+from bumpymap.lab.train.scan_net import evaluate, to_onnx, train  # noqa: E402
 
 pytestmark = pytest.mark.slow
 CLASSES = LABEL_SETS["rellis"].class_of
@@ -169,18 +169,3 @@ def test_onnx_says_what_torch_says():
     )
     alone = infer(content, {"patches": sectors.patches[7:8], "measures": sectors.measures[7:8]})
     assert_array_equal(alone[0], said[7])  # whatever stands beside it
-
-
-def test_the_whole_job_on_a_folder_of_the_data_set(folder, tmp_path):
-    told, out = [], tmp_path / "m.onnx"
-    made = make_scan_model(SMALL, out, folder, None, lambda *numbers: told.append(numbers))
-    assert told == [*((number, 6) for number in range(1, 7)), (1, 2), (2, 2)]
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["m.md", "m.onnx"]
-    command = ScanModel.load(out).metadata["command"]
-    assert command.startswith("bumpymap train scans RELLIS_FOLDER --set seed=1 --set epochs=2")
-    card = (tmp_path / "m.md").read_text(encoding="utf-8")
-    assert f"{100 * made.every.right:.2f} % of all sectors" in card
-    make_scan_model(SMALL, tmp_path / "n.onnx", folder)
-    assert (tmp_path / "n.onnx").read_bytes() == out.read_bytes()
-    with pytest.raises(OutputError, match="not a writable folder"):
-        make_scan_model(SMALL, tmp_path / "nowhere" / "m.onnx", folder)

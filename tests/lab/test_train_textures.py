@@ -142,12 +142,3 @@ def test_command_writes_model_and_card(tmp_path, monkeypatch):
     assert all(f"{accuracy:.2f} %" in text for text in (result.output, card))
     assert model.metadata["command"] in card
     assert sorted(path.name for path in tmp_path.iterdir()) == ["m.md", "m.onnx"]
-
-
-@pytest.mark.parametrize(("options", "message"), [("--out=m.pt", ".onnx"), ("--set=network.pixels=5", "at least 9")])
-def test_what_cannot_be_made_is_refused(tmp_path, monkeypatch, options, message):
-    monkeypatch.chdir(tmp_path)
-    result = run("train", "textures", "--out", "m.onnx", options)
-    assert result.exit_code == 2
-    assert message in result.output
-    assert list(tmp_path.iterdir()) == []

@@ -9,16 +9,8 @@ from made_quarry import tiles_of
 from ply_files import read_vertices
 from scipy.spatial import cKDTree
 
-from bumpymap.core import TEXTURES, UsageError
-from bumpymap.lab.terrains import (
-    KINDS,
-    Terrain,
-    fractal,
-    make_short_waves,
-    make_terrain,
-    make_textures,
-    survey_terrain,
-)
+from bumpymap.core import TEXTURES
+from bumpymap.lab.terrains import KINDS, Terrain, fractal, make_short_waves, make_terrain, make_textures, survey_terrain
 
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_data"
 
@@ -74,16 +66,6 @@ def test_fractal_ground_has_the_spectrum_of_its_exponent(hurst):
     power = np.where(k > 1 / 6, np.maximum(k, 1e-9) ** (-2 * hurst - 2), 0.0)
     wanted = [np.sum(power * (1 - np.cos(2 * np.pi * waves[None, :] * lag * step))) for lag in lags]
     np.testing.assert_allclose(np.diff(np.log(found)), np.diff(np.log(wanted)), atol=0.12)
-
-
-def test_what_cannot_be_made_is_refused():
-    with pytest.raises(UsageError, match=r"kind is 'lawn'; it must be one of flat, .*ditch"):
-        make_terrain("lawn", 1, 0)
-    with pytest.raises(UsageError, match="3 pixels"):
-        make_terrain("flat", 1, 0, pixels=3)
-    for given, words in ((("gravel", 1), "noise_sin"), (("flat", -1), "count")):
-        with pytest.raises(UsageError, match=words):
-            make_textures(*given, np.random.default_rng(0))
 
 
 @pytest.mark.parametrize("texture", TEXTURES)

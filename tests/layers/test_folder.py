@@ -7,10 +7,8 @@ import resource
 import subprocess
 import sys
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import pyarrow.parquet as pq
 import pyogrio
 import pytest
@@ -24,7 +22,7 @@ from bumpymap.core.errors import BadInputError, OutputError
 from bumpymap.core.files import atomic, write_together
 from bumpymap.layers import check_extent, check_folder, write_products
 from bumpymap.layers.geotiff import write_raster
-from bumpymap.layers.manifest import describe_file, describe_input, software_versions, write_manifest
+from bumpymap.layers.manifest import describe_file, describe_input, software_versions
 from bumpymap.layers.placement import MAX_TILES
 from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES, MapFile
 from bumpymap.layers.tile_table import write_tiles
@@ -229,31 +227,6 @@ def test_files_appear_together_or_the_old_ones_come_back(tmp_path, monkeypatch, 
             assert {name: (tmp_path / name).read_text() for name in OLD} == OLD
         assert texts_in(tmp_path) == (OLD if number < moves else MINE | NEW)
     assert moved[0][0] == moved[-1][1] == "run.json"
-
-
-@dataclass(frozen=True)
-class Settings:
-    out: Path
-    tile_size: float
-    limit: float
-    crs: str | None
-
-
-def test_anything_becomes_plain_json(tmp_path):
-    write_manifest(
-        {
-            "settings": Settings(Path("a/b"), 3.0, float("nan"), None),
-            "numbers": (np.float32(0.5), np.int64(7), np.array([1.0, np.inf])),
-            3: {"é": True},
-        },
-        tmp_path / "run.json",
-    )
-    text = (tmp_path / "run.json").read_text(encoding="utf-8")
-    assert json.loads(text, parse_constant=pytest.fail) == {
-        "settings": {"out": str(Path("a/b")), "tile_size": 3.0, "limit": None, "crs": None},
-        "numbers": [0.5, 7, [1.0, None]],
-        "3": {"é": True},
-    }
 
 
 def test_inputs_get_a_checksum_if_they_are_unchanged(tmp_path, monkeypatch):

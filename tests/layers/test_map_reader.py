@@ -19,13 +19,13 @@ from pyproj import CRS
 from route_maps import copy_folder, list_anew, write_folder
 
 import bumpymap
-from bumpymap.core import NO_CLASS, NO_TILE, BadInputError, CostTable
+from bumpymap.core import NO_CLASS, NO_TILE, BadInputError
 from bumpymap.core.types import BANDS, BARRED_TEXT, REASON_TEXT, SIDES, TEXTURES, Barred, Reason
 from bumpymap.layers import MapSummary, ZoneCounts, open_map, tile_table
 from bumpymap.layers.manifest import summarise
 from bumpymap.layers.tile_table import write_tiles
 from bumpymap.views import write_report, zones_line
-from bumpytiles import Column, Grid, Pack, TileTable, TileWindow, write_pack
+from bumpytiles import Grid, TileTable, TileWindow
 
 READ = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle")
 SMALL = Grid(3.0, 4)
@@ -243,32 +243,6 @@ def test_a_reader_with_a_box_skips_row_groups(tmp_path, make_field):
     (fragment,) = pads.dataset(path).get_fragments()
     groups = [group.id for part in fragment.split_by_row_group(meets) for group in part.row_groups]
     assert 0 < len(groups) < pq.ParquetFile(path).metadata.num_row_groups == 5
-
-
-@pytest.mark.slow
-def test_wide_maps_come_strip_by_strip_whatever_the_packs(tmp_path, make_field):
-    cost_map = make_field(1500, 40, west=-7, south=5, grid=Grid(3.0, 1))
-    table = table_of(cost_map)
-    write_tiles(table, tmp_path / "one.parquet")
-    found = pq.read_table(tmp_path / "one.parquet", columns=["col", "row"]).to_pandas()
-    places = np.column_stack([cost_map.patches.col, cost_map.patches.row]).tolist()
-    assert sorted(found.to_numpy().tolist()) == sorted(places)
-    block = -(found["row"] // 16)
-    assert block.is_monotonic_increasing
-    columns = lone_columns(cost_map)
-    east = columns["col"] // 16 > 40
-    packs = []
-    for number, chosen in enumerate((east, ~east)):
-        keys = np.stack([columns["row"], columns["col"]], axis=1)[chosen] // 16
-        blocks, place, counts = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
-        order = np.flatnonzero(chosen)[np.argsort(place, kind="stable")]
-        described = [Column(name, array.dtype.str, array.shape[1:]) for name, array in columns.items()]
-        rows = dict(zip(map(tuple, blocks.tolist()), counts.tolist(), strict=True))
-        write_pack(tmp_path / str(number), described, rows, lambda c, order=order: [columns[c.name][order]], {})
-        packs.append(Pack(tmp_path / str(number)))
-    twin = CostTable(table.georeference, table.rule, TileTable(table.tiles.grid, packs))
-    write_tiles(twin, tmp_path / "two.parquet")
-    assert (tmp_path / "one.parquet").read_bytes() == (tmp_path / "two.parquet").read_bytes()
 
 
 @pytest.fixture

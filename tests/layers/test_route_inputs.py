@@ -88,12 +88,7 @@ def save(path, area, crs):
 
 @pytest.mark.parametrize(
     ("suffix", "crs"),
-    [
-        (".gpkg", "EPSG:4326"),
-        (".fgb", "EPSG:32614"),
-        (".shp", "EPSG:32613"),
-        (".geojson", "EPSG:4326"),
-    ],
+    [(".gpkg", "EPSG:4326"), (".fgb", "EPSG:32614"), (".shp", "EPSG:32613"), (".geojson", "EPSG:4326")],
 )
 def test_areas_of_any_format_and_crs_come_to_the_same_place(tmp_path, suffix, crs):
     area = blob(1)

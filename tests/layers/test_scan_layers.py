@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import shapely
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 from ply_files import read_vertices
 from pyproj import CRS
 from small_surveys import files_in
@@ -92,6 +92,7 @@ def test_the_polygons_say_what_the_table_says_of_their_sectors(classed, tmp_path
         assert {*row} - {*said} == {"frame", "near", "far", "left", "right", *scan_files.RIDE_COLUMNS}
 
 
+@settings(max_examples=40)
 @given(st.lists(st.from_regex(r"\A(f[0-3]|[Aa]|00000[0-2]_a)(\.(ply|bin))\Z"), min_size=1, max_size=8))
 def test_no_two_frames_have_one_name_on_any_disk(names):
     paths = [Path(f"run{number}") / name for number, name in enumerate(names)]

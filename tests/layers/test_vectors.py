@@ -9,11 +9,11 @@ import pandas as pd
 import pytest
 import shapely
 from cost_maps import lone_columns, part_of, table_of
-from coverages import check_coverage, holes_of_tiles
 from hypothesis import example, given, settings, strategies as st
 from hypothesis.extra.numpy import arrays
 from pyproj import CRS, Transformer
 from region_files import regions_of, write_flatgeobuf, write_geojson
+from scipy import ndimage
 
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, Barred, Georeference, Reason
@@ -21,6 +21,25 @@ from bumpymap.layers.placement import Placement
 from bumpymap.layers.regions import dissolve
 from bumpymap.layers.vector import GeoJsonCoordinates, region_columns
 from bumpytiles import Grid, TileTable
+
+
+def holes_of_tiles(col, row):
+    """Holes in the union of tiles: what lies inside groups of tiles that share sides."""
+    filled = np.zeros((np.ptp(row) + 1, np.ptp(col) + 1), dtype=bool)
+    filled[row - row.min(), col - col.min()] = True
+    groups, _ = ndimage.label(filled)
+    boxes = enumerate(ndimage.find_objects(groups), start=1)
+    return sum(ndimage.label(~np.pad(groups[box] == number, 1))[1] - 1 for number, box in boxes)
+
+
+def check_coverage(polygons, holes=None):
+    """Every polygon is valid, they fit together without a gap, and their union has as many holes as expected."""
+    assert shapely.is_valid(polygons).all()
+    assert shapely.coverage_is_valid(polygons)
+    if holes is not None:
+        whole = shapely.get_parts(shapely.coverage_union_all(polygons))
+        assert shapely.get_num_interior_rings(whole).sum() == holes
+
 
 KEYS = arrays(np.uint8, st.tuples(st.integers(1, 8), st.integers(1, 8)), elements=st.integers(0, 3)).filter(np.any)
 CHECKERS = np.add.outer(np.arange(6), np.arange(7)).astype(np.uint8) % 2 + 1

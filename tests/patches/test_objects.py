@@ -52,8 +52,7 @@ def pixel(x, y):
 
 
 @pytest.mark.parametrize(
-    ("height", "state"),
-    [(0.0, FREE), (0.15, FREE), (0.35, OBSTACLE), (1.3, OBSTACLE), (1.5, CANOPY), (9.0, CANOPY)],
+    ("height", "state"), [(0.0, FREE), (0.15, FREE), (0.35, OBSTACLE), (1.3, OBSTACLE), (1.5, CANOPY), (9.0, CANOPY)]
 )
 def test_the_height_above_ground_decides(rng, height, state):
     stack = found(meadow(rng), things([1.5, 1.52, 1.51], [1.1, 1.1, 1.12], height))

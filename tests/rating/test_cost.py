@@ -167,15 +167,6 @@ def test_quantiles_and_confidence_equal_those_of_scipy():
     np.testing.assert_allclose(cost.confidence, wanted, rtol=1e-6, atol=1e-6)
 
 
-def test_a_tile_is_rated_alike_alone_and_among_others():
-    cal, chance, relief, _, _ = mixtures(np.random.default_rng(3), 300)
-    whole = rate(stack(relief), TextureMap(chance), cal, HERE)
-    for order in (np.arange(300)[::-1], *np.arange(300)[:, None]):
-        some = rate(stack(relief[order]), TextureMap(chance[order]), cal, HERE)
-        for name in ("c_r", "c_r_low", "c_r_high", "p_fail", "confidence", "class_id"):
-            np.testing.assert_array_equal(getattr(some, name), getattr(whole, name)[order])
-
-
 RULE = CostRule(ride_weight=5.0, fail_weight=300.0, drive_m=10.0, slope_limit_deg=30.0)
 
 

@@ -70,17 +70,6 @@ def test_drives_that_are_short_or_agree_or_moved_it_already_move_nothing():
             update_from_drives(calibration, made)
 
 
-def test_what_does_not_count_is_named_with_its_length():
-    made = driven_stretches(CALIBRATION, 50)
-    made.c_r[:3] = np.nan
-    made.measured[3] = np.nan
-    made.speed_mps[4:6] = 2.0
-    made.measured_sd[6] = made.c_r[6]
-    evidence, lost = collect_evidence(made, 1.0, 0.0)
-    assert len(evidence.way_m) == 43
-    assert lost == {"off_map": 40.0, "other_speed": 20.0, "below_sensor": 10.0}
-
-
 def test_variances_are_those_of_the_logarithm_and_the_floor_is_taken_off_in_power():
     made = driven_stretches(CALIBRATION, 50, shift=0.0, sd=1e-9, map_sd=0.2)
     made.measured[:] = made.c_r
@@ -91,16 +80,6 @@ def test_variances_are_those_of_the_logarithm_and_the_floor_is_taken_off_in_powe
     before = np.log(made.c_r)
     made.c_r[:] = np.hypot(made.c_r, 0.03)
     assert collect_evidence(made, 1.0, 0.03)[0].log_c_r == pytest.approx(before)
-
-
-@pytest.mark.parametrize("laps", [1, 3])
-def test_ground_that_was_driven_again_counts_once(laps):
-    made = driven_stretches(CALIBRATION, 40)
-    parts = [replace(made, drive=np.full(40, lap), easting=made.easting + 3.7 * lap) for lap in range(laps)]
-    joined = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(made)}
-    evidence, _ = collect_evidence(replace(made, **joined), 1.0, 0.0)
-    assert evidence.way_m.sum() == 400.0 * laps
-    assert evidence.new_m.sum() == pytest.approx(400.0, rel=0.03)
 
 
 MIDDLE = np.log(0.25)
@@ -142,7 +121,7 @@ def test_normal_errors_give_the_textbook_answer(monkeypatch):
 def test_the_stated_uncertainty_holds(options, low):
     """The 80 % interval of both numbers, over drives whose numbers are drawn from the prior."""
     inside = []
-    for seed in range(60):
+    for seed in range(40):
         rng = np.random.default_rng([seed, 5])
         numbers = rng.normal(0.0, PRIOR.sd)
         found = fit_move(evidence_of(rng, numbers=numbers, **options), PRIOR)

@@ -12,15 +12,7 @@ from survey_kinds import KINDS, write_kind
 
 from bumpymap.core import loops
 from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.readers import (
-    LineSums,
-    PointStats,
-    ReadOptions,
-    cell_indices,
-    hash_survey,
-    open_survey,
-    point_stats,
-)
+from bumpymap.readers import LineSums, PointStats, ReadOptions, cell_indices, hash_survey, open_survey, point_stats
 from bumpymap.readers.point_stats import LinedPoints
 from bumpymap.readers.point_table import convert_points
 

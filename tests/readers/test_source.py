@@ -11,12 +11,6 @@ import bumpymap.readers.las as las_module
 from bumpymap.core.errors import BadInputError
 from bumpymap.readers import find_surveys, identity, open_survey
 
-PLACE = np.array([500_000, 4_000_000, 0])
-
-
-def random_points(count):
-    return np.round(np.random.default_rng(4).uniform(0, 100, (count, 3)), 3) + PLACE
-
 
 def test_what_is_not_there(tmp_path):
     for where in (tmp_path / "b.laz", tmp_path):

@@ -1,8 +1,5 @@
 """What a survey holds, tile by tile, and what of it was never classified."""
 
-from dataclasses import replace
-from functools import partial
-
 import numpy as np
 import pytest
 
@@ -51,32 +48,6 @@ def test_hand_counted_tiles(las):
     assert stats(las.write(classification=np.full(7, 18, np.uint8))).summary() is None  # no point counts
 
 
-def test_holes_are_what_the_rule_says(las):
-    # Three tiles of 3 x 3 pixels of 1 m: one point in the middle of a side; one in the middle; nine.
-    middles = np.stack(np.meshgrid([0.5, 1.5, 2.5], [0.5, 1.5, 2.5]), -1).reshape(-1, 2)
-    ground = np.vstack([np.repeat([[0.5, 1.5]], 9, 0), np.repeat([[4.5, 1.5]], 9, 0), middles + np.array([6, 0])])
-    path = las.write(points=np.column_stack([ground, np.zeros(27)]), offset=(0, 0, 0))
-    for max_hole, min_coverage, holes in ((1.0, 0.0, 1), (2.0, 0.0, 0), (1.0, 0.2, 2), (0.1, 0.0, 1)):
-        settings = FeatureSettings(min_points=3, min_coverage=min_coverage, max_hole=max_hole)
-        assert stats(path, settings, Grid(3.0, 3)).summary().unknown[Reason.TOO_MANY_HOLES] == holes
-
-
-def test_merging_on_the_way_and_of_two_files_changes_nothing(las, monkeypatch):
-    points = np.round(np.random.default_rng(4).uniform(-50, 50, (5000, 3)), 3)
-    settings = FeatureSettings(min_points=4)
-    whole = stats(las.write("all.laz", points, offset=(0, 0, 0)), settings).summary()
-    assert 0 < whole.unknown[Reason.TOO_MANY_HOLES] < whole.tiles
-    monkeypatch.setattr(module, "MERGE_AT", 10)
-    monkeypatch.setattr(module, "GROUP_PIXELS", 1000)
-    parts = []
-    for number, part in enumerate((points[:1500], points[1500:])):
-        reader = open_survey(las.write(f"{number}.laz", part, offset=(0, 0, 0)), CLASSES)
-        monkeypatch.setattr(reader, "clouds", partial(reader.clouds, 77))
-        parts.append(PointSummaryBuilder(Grid(), settings, thin=False).read(reader))
-    parts[0].merge(parts[1])
-    assert parts[0].summary() == whole
-
-
 def test_a_sample_is_of_whole_tiles_and_close_to_all(las, monkeypatch):
     rng = np.random.default_rng(6)
     path = las.write("a.laz", np.round(rng.uniform(-60, 60, (104_000, 3)), 3), offset=(0, 0, 0))
@@ -90,38 +61,6 @@ def test_a_sample_is_of_whole_tiles_and_close_to_all(las, monkeypatch):
     assert share != exact
     assert share == pytest.approx(exact, abs=0.1)
     assert summary.unknown[Reason.TOO_FEW_POINTS] == whole.unknown[Reason.TOO_FEW_POINTS]
-
-
-def test_tiles_of_twice_the_size_are_summarized_from_the_same_counts(las):
-    rng = np.random.default_rng(7)
-    points = np.round(rng.uniform(-50, 50, (8000, 3)), 3)
-    classes = rng.choice(np.uint8([1, 2, 6]), 8000, p=[0.6, 0.3, 0.1])
-    seen = points[:, 0] % 13 > 7
-    path = las.write("a.laz", points[seen], offset=(0, 0, 0), classification=classes[seen])
-    twice = stats(path, FeatureSettings(), thin=True).summary().doubled
-    whole = stats(path, FeatureSettings(), Grid(6.0, 30), thin=True).summary()
-    assert replace(twice, classes={}) == replace(whole, classes={})
-    shares = [{code: own[1] for code, own in each.classes.items()} for each in (twice, whole)]
-    assert shares[0] == shares[1]
-    assert 0 < sum(twice.unknown.values()) < twice.tiles
-    assert twice.doubled is None  # no calibration for tiles of 12 m is included
-
-
-def test_thin_tiles_are_known_if_their_points_span_them(las):
-    # Tiles of 9 pixels; their points: 3; 10 and 40 in the western three parts; 11 in five around a corner.
-    x, y = np.meshgrid([0.5, 1.5, 2.5], [0.5, 1.5, 2.5])
-    nine = np.column_stack([x.ravel(), y.ravel()])
-    chosen = ((nine, 3), (nine[::3], 10), (nine[[0, 1, 2, 3, 6]], 11), (nine[::3], 40))
-    parts = [np.resize(places, (count, 2)) for places, count in chosen]
-    ground = np.vstack([part + np.array([3 * tile, 0]) for tile, part in enumerate(parts)])
-    path = las.write(points=np.column_stack([ground, np.zeros(len(ground))]), offset=(0, 0, 0))
-    few, holes = Reason.TOO_FEW_POINTS, Reason.TOO_MANY_HOLES
-    grid = Grid(3.0, 9)
-    known_by_pixels = FeatureSettings(min_coverage=0.01, max_hole=5.0)
-    assert stats(path, FeatureSettings(), grid, thin=True).summary().unknown == {few: 2, holes: 1}
-    assert stats(path, FeatureSettings(), grid).summary().unknown == {few: 3, holes: 1}
-    assert stats(path, known_by_pixels, grid, thin=True).summary().unknown == {few: 2, holes: 0}
-    assert stats(path, replace(known_by_pixels, min_points=3), grid, thin=True).summary().unknown == {few: 0, holes: 0}
 
 
 def test_pixels_tell_what_the_measure_of_points_tells():

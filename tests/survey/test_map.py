@@ -56,15 +56,6 @@ def test_the_smooth_half_is_smoother_than_the_rubble(layers):
     assert class_id[:, 6:].min() > class_id[:, :4].max()
 
 
-def test_run_json_tells_what_made_the_layers(layers, survey):
-    record = json.loads((layers / "run.json").read_text())
-    assert [entry["path"] for entry in record["inputs"]] == [str(survey)]
-    assert record["points"] == 60_000
-    assert record["calibration"]["vehicle"] == "warthog"
-    outline = {"width_m": 1.37, "height_m": 1.38, "clearance_m": 0.25}
-    assert record["vehicle"] == {"name": "warthog", "speed_mps": 1.0} | outline
-
-
 def test_a_survey_in_feet_gives_the_tiles_of_the_same_survey_in_metres(site, tmp_path):
     x, y, z = site
     in_feet = (1_600_000, 13_000_000, 0)

@@ -88,22 +88,6 @@ def test_layers_say_their_speed_and_fail_as_before(maps):
     np.testing.assert_allclose(fast[dense], slow[dense], rtol=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (("--speed", "9"), "holds from 0.4 to 2.5 m/s"),
-        (("--set", "speeds=1,2"), "there is no setting speeds any more: a map has one speed: give --speed 2"),
-        (("--set", "headings=true", "--set", "rating=table"), "--set rating='table' knows no heading"),
-        (("--speed", "1", "--set", "compat=paper"), "--set compat='paper' knows no speed"),
-    ],
-)
-def test_speeds_that_cannot_be_are_refused(survey, tmp_path, options, said):
-    made = run("map", survey, "--out", tmp_path / "out", *options)
-    assert made.exit_code == 2
-    assert said in made.output
-    assert not (tmp_path / "out").exists()
-
-
 SIDE = 48.0
 
 

@@ -28,7 +28,7 @@ NAMING = {"run.json", "report.html"}
 def points():
     """Rough ground under bushes, on a grid of 1 mm, with points that occur twice; x, y, z, class."""
     rng = np.random.default_rng(0)
-    n = 60_000
+    n = 40_000
     x, y = rng.uniform(0, SPAN[0], n), rng.uniform(0, SPAN[1], n)
     bush = rng.random(n) < 0.3
     z = 0.1 * x + 0.8 * np.sin(5 * x) * (x > 60) + 0.01 * rng.normal(size=n) + bush * rng.uniform(0, 2, n)

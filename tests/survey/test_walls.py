@@ -14,10 +14,9 @@ from bumpymap.core.config import MapConfig
 from bumpymap.core.interrupts import SilentProgress
 from bumpymap.core.types import Barred, Georeference, rated_columns
 from bumpymap.layers import open_map
-from bumpymap.survey import second_pass
-from bumpymap.survey.second_pass import NeighbourRating, add_neighbours, finish_tiles
+from bumpymap.survey.second_pass import NeighbourRating, finish_tiles
 from bumpymap.survey.tile_rating import RatingModels, TileRating
-from bumpytiles import BLOCK_TILES, Column, Grid, TileBuckets, TileTable
+from bumpytiles import Grid, TileBuckets, TileTable
 
 TILES = 8
 SIDE = 3.0 * TILES
@@ -199,19 +198,6 @@ def test_the_way_leads_through_the_gap(tmp_path, kind, bar_m, seed):
     assert ring.leads_through(ring.way_out(ring.map(tmp_path)))
 
 
-def test_few_points_of_a_ramp_or_of_the_rim_of_a_narrow_ditch_bar_nothing(models, tmp_path):
-    for number, (rng, line) in enumerate(walls(6, 6)):
-        x, y, z = survey(rng, line, 0.0, 10 + 20 * (number % 2), 0.003)
-        far = beyond(x, y, line)
-        grounds = {
-            "ramp": np.clip(far * np.tan(np.radians(20.0)), 0.0, 1.0),
-            "ditch": np.where(np.abs(far) < 0.15, -0.3, 0.0),
-        }
-        for name, ground in grounds.items():
-            found = rated(models, (x, y, z + ground), tmp_path / f"{number}-{name}")
-            assert (found["barred"][inside(found)] == Barred.NO).all()
-
-
 BLOCK_M = 48.0
 NODATA = 255
 HALF_M = 24.0
@@ -263,51 +249,3 @@ def test_the_middle_of_the_vehicle_keeps_its_distance_from_every_obstacle(
     rasters = [f"rasters/{name}.tif" for name in ("roughness", "barred", "obstacle", "passage")]
     for name in (*rasters, "tiles.parquet"):
         assert (tmp_path / "parts" / name).read_bytes() == (tmp_path / "layers" / name).read_bytes()
-
-
-class Neighbours:
-    """Adds the heights of the tiles to the north and south, and the kind of the tile to the east."""
-
-    rings = 1
-    needs = ("height", "kind")
-    columns = (Column("north", "<f4"), Column("south", "<f4"), Column("east", "|u1"))
-    decides = ("kind",)
-
-    def matters(self, window):
-        """Leave it also beside tiles of other kinds."""
-        assert window["kind"].shape == (18, 18)
-        return False
-
-    def leaves(self, own):
-        """Leave a block whose tiles are all of kind 200."""
-        nothing = np.full(len(own["kind"]), -1.0, np.float32)
-        return None if (own["kind"] != 200).any() else {"north": nothing, "south": nothing, "east": own["kind"]}
-
-    def __call__(self, window):
-        height = window["height"]
-        return {"north": height[:-2, 1:-1], "south": height[2:, 1:-1], "east": window["kind"][1:-1, 2:]}
-
-
-@pytest.mark.parametrize(("threads", "kept"), [(1, second_pass.KEPT_BYTES), (3, second_pass.KEPT_BYTES), (3, 30_000)])
-def test_every_tile_sees_its_neighbours_or_is_left_with_its_whole_block(tmp_path, threads, kept, monkeypatch):
-    """Beside a crowd of tiles there are scattered ones that are left, but for the block of one that is not."""
-    monkeypatch.setattr(second_pass, "KEPT_BYTES", kept)
-    rng = np.random.default_rng(5)
-    place, far = rng.permutation(70 * 50)[:2400], np.arange(100, 1100, 10)
-    col, row = np.append(place % 70 - 20, far), np.append(place // 70 - 9, far % 7)
-    kind = np.append(rng.integers(0, 9, len(place)), np.where(far == 500, 5, 200)).astype(np.uint8)
-    tiles = {"col": col, "row": row, "kind": kind, "height": rng.normal(size=len(col)).astype(np.float32)}
-    table = add_neighbours(TileTable.of(Grid(), tiles), Neighbours(), tmp_path, threads, SilentProgress())
-    found = table.read(("north", "south", "east", "height"))
-    number = {at: n for n, at in enumerate(zip(col.tolist(), row.tolist(), strict=True))}
-
-    def beside(name, right, up, nothing):
-        places = zip(found["col"].tolist(), found["row"].tolist(), strict=True)
-        held = [number.get((one + right, other + up)) for one, other in places]
-        return np.array([nothing if n is None else tiles[name][n] for n in held])
-
-    left = (found["col"] >= 100) & (found["col"] // BLOCK_TILES != 500 // BLOCK_TILES)
-    for name, up in (("north", 1), ("south", -1)):
-        np.testing.assert_array_equal(found[name], np.where(left, -1.0, beside("height", 0, up, np.nan)))
-    np.testing.assert_array_equal(found["east"], np.where(left, 200, beside("kind", 1, 0, 255)))
-    np.testing.assert_array_equal(found["height"], beside("height", 0, 0, np.nan))  # columns that were there stay

@@ -61,10 +61,7 @@ def first_table(layers):
         figures = enumerate(zip(map(number, variance), map(number, residual), strict=True))
         rows += [[site, str(k), "-", "-", "-", square, "-", away, "-"] for k, (square, away) in figures]
     holes = f"{np.count_nonzero(~full)} of {len(full)} tiles are class 3 because they have too few points, or more than"
-    return [
-        *table(("rating", "class", "tiles", "share", *FIGURES), rows),
-        f"{holes} 30 % of their pixels hold none.",
-    ]
+    return [*table(("rating", "class", "tiles", "share", *FIGURES), rows), f"{holes} 30 % of their pixels hold none."]
 
 
 def second_table(surveys, crs, heightmap_bytes):

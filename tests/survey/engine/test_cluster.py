@@ -226,7 +226,7 @@ def test_a_killed_run_goes_on_without_reading_again(surveys, plain, tmp_path, he
 
 
 @pytest.mark.usefixtures("here")
-@pytest.mark.parametrize("ground", ["auto", "all"])
+@pytest.mark.parametrize("ground", ["auto", pytest.param("all", marks=pytest.mark.later)])
 def test_a_killed_run_goes_on_with_another_engine(surveys, plain, tmp_path, killed_at, ground, monkeypatch):
     monkeypatch.setattr("bumpymap.survey.engine.reading.LEAST_POINTS", TWO_TASKS)
     one = surveys, "--ground", ground

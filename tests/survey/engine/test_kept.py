@@ -6,7 +6,6 @@ import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import las_files
 import numpy as np
@@ -15,17 +14,15 @@ from small_surveys import files_in, layers_of, run, write_las
 
 from bumpymap.cli._text import as_options
 from bumpymap.core import MapConfig, UsageError, memory as memory_module, run_folder
-from bumpymap.core.errors import BadInputError, OutputError
+from bumpymap.core.errors import OutputError
 from bumpymap.core.processes import Child
-from bumpymap.core.run_folder import Kept, RunFolder, is_interrupted, what_to_keep, work_folder
+from bumpymap.core.run_folder import RunFolder, is_interrupted, work_folder
 from bumpymap.layers import check_folder
-from bumpymap.readers import PointStats
 from bumpymap.readers.las import LasSurvey
 from bumpymap.survey import with_memory
 from bumpymap.survey.engine.block_work import TileSink
 from bumpymap.survey.engine.budget import Workspace
 from bumpymap.survey.engine.collector import Checkpoints
-from bumpymap.survey.engine.reading import refuse_no_points
 from bumpytiles import Pack
 
 pytestmark = pytest.mark.slow
@@ -101,7 +98,7 @@ def test_a_decoder_that_is_killed_keeps_everything(surveys, plain, tmp_path, mon
     assert result.output.endswith(f"\n{GO_ON}\n")
     assert list(out.glob(".bumpymap-run/tiles-*.pack"))
     (waiting,) = scratch.iterdir()
-    assert waiting.stat().st_mode & 0o777 == 0o700
+    assert [folder.stat().st_mode & 0o777 for folder in (waiting, work_folder(out))] == [0o700] * 2
     goes_on(surveys, out, plain, monkeypatch, "--set", f"scratch={scratch}")
     assert list(scratch.iterdir()) == []
 
@@ -162,16 +159,6 @@ def test_a_killed_run_remembers_the_file_that_it_left_out(surveys, tmp_path, mon
     assert layers_of(left) == layers_of(tmp_path / "b")
 
 
-def test_packs_that_a_power_cut_spoilt_are_made_anew(surveys, plain, tmp_path, monkeypatch, killed_at):
-    out = tmp_path / "out"
-    killed_at("layers.write_products", out, surveys)
-    packs = sorted(out.glob(".bumpymap-run/tiles-*.pack"))
-    assert len(packs) > 1
-    packs[0].write_bytes(packs[0].read_bytes()[:-9])
-    packs[-1].unlink()
-    goes_on(surveys, out, plain, monkeypatch)
-
-
 @pytest.mark.parametrize("spoilt", [True, False])
 def test_points_without_the_tiles_that_they_leave_out_are_read_again(surveys, plain, tmp_path, monkeypatch, spoilt):
     """Points of a block that was finished are in no later pack: if a power cut spoils its tiles, no point may miss.
@@ -200,12 +187,6 @@ def test_points_without_the_tiles_that_they_leave_out_are_read_again(surveys, pl
     assert result.exit_code == 0, result.output
     assert layers_of(left) == plain
     assert (fetched[0] == 0) == spoilt  # else it goes on where it was
-
-
-def test_a_server_that_failed_may_answer_the_next_time():
-    end = BadInputError("cannot read https://a/b.laz")
-    end.__cause__ = TimeoutError()
-    assert what_to_keep(end) is Kept.ALL
 
 
 BLOCKS = 10
@@ -307,15 +288,6 @@ def precious(folder):
     return folder
 
 
-def test_the_folders_of_a_run_are_its_users_own(tmp_path):
-    with Workspace.opened(tmp_path / "out", tmp_path / "scratch", ASKED, overwrite=False) as space:
-        for folder in (space.folder, space.scratch):
-            assert folder.stat().st_mode & 0o777 == 0o700
-        first = space.scratch.name
-    with Workspace.opened(tmp_path / "out", tmp_path / "scratch", ASKED, overwrite=False) as space:
-        assert space.scratch.name != first
-
-
 def test_a_work_folder_that_is_a_link_is_left_alone(tmp_path):
     mine = precious(tmp_path / "mine")
     before = files_in(mine)
@@ -414,21 +386,3 @@ def test_a_size_that_is_given_is_used():
     assert with_memory(config) is config
     with pytest.raises(UsageError, match=r"`memory` is 'automatic'; it must be a size of .* or auto"):
         with_memory(replace(CONFIG, memory="automatic"))
-
-
-@pytest.mark.parametrize(
-    ("tallies", "says"),
-    [
-        (
-            [PointStats(10, withheld=4, noise=6), PointStats(5, noise=5)],
-            r"of the 15 points of a, b, 4 are flagged as withheld and 11 are of class 7 or 18 \(noise\)\. Clear",
-        ),
-        ([PointStats(1000, not_a_number=1000)], r"of the 1,000 points of a, 1,000 are beams without return\. Is it"),
-        ([PointStats()] * 7, r"\(a, b, c, d, e and 2 more\)"),
-    ],
-)
-def test_no_point_left(tallies, says):
-    readers = [SimpleNamespace(info=SimpleNamespace(path=name)) for name in "abcdefgh"]
-    with pytest.raises(BadInputError, match=says):
-        refuse_no_points(readers[: len(tallies)], tallies)
-    refuse_no_points(readers[: len(tallies) + 1], [*tallies, PointStats(1)])
