@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+import weakref
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +47,25 @@ def test_an_array_of_another_kind_is_refused_and_none_is_copied():
     for wrong in ((tile.astype(np.int64), first), (np.repeat(tile, 2)[::2], first), (tile, fixed), (tile, first[None])):
         with pytest.raises(TypeError, match="incompatible function arguments"):
             count(*wrong)
+
+
+def test_arrays_that_a_record_makes_for_a_call_live_until_its_end():
+    """Each field is a new array, to which nothing else refers."""
+    made = []
+
+    class Points:
+        def __getattr__(self, name):
+            assert all(array() is not None for array in made)
+            if name == "grid":
+                return {"tile_size": 3.0, "pixels": 15}
+            values = np.zeros(1, np.int64 if name in ("col", "row", "starts") else np.float64)
+            made.append(weakref.ref(values))
+            return values
+
+    with pytest.raises(TypeError):  # the second argument is no settings
+        loops_of("bumpymap").measure_tiles(Points(), None, 1, *[np.zeros(1)] * 5)
+    assert len(made) > 2
+    assert [array() for array in made] == [None] * len(made)
 
 
 def test_every_loop_lets_other_threads_run():

@@ -57,13 +57,15 @@ template <class T>
 bool read_field(
     nb::handle source, const char* name, T& value, std::uint32_t flags, nb::detail::cleanup_list* cleanup) noexcept {
     const bool is_dict = nb::isinstance<nb::dict>(source);
-    const nb::object field = is_dict ? nb::borrow(PyDict_GetItemString(source.ptr(), name))
-                                     : nb::steal(PyObject_GetAttrString(source.ptr(), name));
+    nb::object field = is_dict ? nb::borrow(PyDict_GetItemString(source.ptr(), name))
+                               : nb::steal(PyObject_GetAttrString(source.ptr(), name));
     if (!field.is_valid()) {
         PyErr_Clear();
         return false;
     }
-    return read_value(field, value, flags, cleanup);
+    if (!read_value(field, value, flags, cleanup)) return false;
+    cleanup->append(field.release().ptr());  // a property may have made it for this call alone
+    return true;
 }
 
 }  // namespace bumpy
