@@ -63,7 +63,7 @@ def test_arrays_that_a_record_makes_for_a_call_live_until_its_end():
             return values
 
     with pytest.raises(TypeError):  # the second argument is no settings
-        loops_of("bumpymap").measure_tiles(Points(), None, 1, *[np.zeros(1)] * 5)
+        loops_of("bumpymap").measure_tiles(Points(), object(), 1, *[np.zeros(1)] * 5)
     assert len(made) > 2
     assert [array() for array in made] == [None] * len(made)
 
