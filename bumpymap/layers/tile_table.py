@@ -20,6 +20,7 @@ from bumpymap.core import (
     REASON_TEXT,
     SIDES,
     TEXTURES,
+    ZONE,
     BadInputError,
     Barred,
     CostTable,
@@ -198,7 +199,7 @@ _MOST_ROWS = 65_536
 
 
 def read_tiles(path: Path, tiles: int) -> Iterator[dict[str, NDArray[Any]]]:
-    """Yield the columns of some tiles at a time; numbers are NaN and classes ``NO_CLASS`` where unknown.
+    """Yield the columns of some tiles at a time; numbers are NaN and classes ``NO_CLASS`` where unknown, zones 0.
 
     ``path``: tiles.parquet; ``tiles``: tiles that the run counts. Another number of rows is refused before any is read.
     Raises BadInputError: the file is missing, damaged, not of this run, or does not fit into memory.
@@ -209,9 +210,10 @@ def read_tiles(path: Path, tiles: int) -> Iterator[dict[str, NDArray[Any]]]:
             if missing:
                 raise BadInputError(f"{path} has no column {min(missing)}. {_AGAIN}")
             _require_rows(path, file.metadata, tiles)
+            names = [*_READ, *(name for name in (ZONE.name,) if name in file.schema_arrow.names)]
             for group in range(file.num_row_groups):
-                _require_memory(path, file.metadata, [group], _READ)
-                yield _arrays(file.read_row_group(group, columns=list(_READ), use_threads=False))
+                _require_memory(path, file.metadata, [group], names)
+                yield _arrays(file.read_row_group(group, columns=names, use_threads=False))
     except (OSError, pa.ArrowException) as error:
         raise BadInputError(f"cannot read {path}: {error}. {_AGAIN}") from error
 
@@ -261,4 +263,7 @@ def _arrays(table: pa.Table) -> dict[str, NDArray[Any]]:
     whole = {name: table[name].to_numpy() for name in ("col", "row", "reason")}
     numbers = {name: table[name].to_numpy().astype(np.float32) for name in _PAGE_NUMBERS}
     classes = np.nan_to_num(table["class"].to_numpy(), nan=NO_CLASS).astype(np.uint8)
-    return whole | numbers | {"class": classes, "barred": names[index]}
+    found = whole | numbers | {"class": classes, "barred": names[index]}
+    if ZONE.name in table.column_names:
+        found[ZONE.name] = np.nan_to_num(table[ZONE.name].to_numpy()).astype(np.int32)
+    return found
