@@ -7,6 +7,8 @@ import shutil
 from base64 import b64decode
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import rasterio
 import shapely
@@ -111,6 +113,22 @@ def test_the_worst_tile_decides_a_pixel_of_several(site, tmp_path, monkeypatch, 
     assert tables[0] == tables[1]
 
 
+def test_islands_are_passable_tiles_of_small_pieces_and_not_known_of_earlier_maps(tmp_path, read_page):
+    folder = write_folder(tmp_path / "site", make_field(30, 20, easy=True))
+    tiles = pq.read_table(folder / "tiles.parquet")
+    at, zones = tiles.schema.get_field_index("zone"), 1 + (np.arange(len(tiles)) % 70 == 0)
+    free = np.array([bar is None for bar in tiles["barred"].to_pylist()])
+    numbered = tiles.set_column(at, tiles.schema.field(at), pa.array(zones, pa.int32()))
+    for table, wanted in ((numbered, zones > 1), (tiles.drop_columns(["zone"]), zones < 0)):
+        pq.write_table(table, folder / "tiles.parquet")
+        list_anew(folder)
+        page = read_page(write_report(folder))
+        about = page.data["maps"][0]
+        found = page.bytes_of(about["islands"], about) if about["islands"] else np.zeros_like(page.codes("ground"))
+        assert found.sum() == (wanted & free).sum()
+        assert ("island, cut off" in page.text) == wanted.any()
+
+
 def test_names_are_text_and_places_of_the_machine_are_not_in_the_page(tmp_path, read_page):
     bad = "<script>alert('x')</script>\"&amp;\udce9.laz"
     plain, file = bad.replace("\udce9", ""), "<img src=x onerror=alert(1)>\"'&amp;\udce9.laz"
@@ -140,9 +158,9 @@ def test_names_are_text_and_places_of_the_machine_are_not_in_the_page(tmp_path, 
 
 
 def test_smooth_ground_looks_drivable_only_if_it_is_in_the_picture_without_script(tmp_path, read_page):
-    """A steep but smooth slope is hatched; where nobody knows whether there is a way, there is no colour."""
+    """A steep but smooth slope, and ground of which nobody knows whether there is a way, are grey."""
     folder = write_folder(tmp_path / "easy", make_field(30, 20, easy=True, holes=0.0))
-    blue, dark = {}, {}
+    coloured = {}
     for bar in (None, "too steep", "too little seen"):
         page = read_page(write_report(change_bars(folder, 0, bar)))
         source = re.search(r'class="still" src="data:image/jpeg;base64,([^"]+)"', page.text)[1]
@@ -152,11 +170,9 @@ def test_smooth_ground_looks_drivable_only_if_it_is_in_the_picture_without_scrip
         tiles = picture.reshape(ground.shape[0], factor, ground.shape[1], factor, 3)[:, 2:-2, :, 2:-2]
         smooth = tiles.transpose(0, 2, 1, 3, 4)[ground == 0]
         assert len(smooth) > 20
-        blue[bar] = ((smooth[..., 2] - smooth[..., 0]) / smooth.max(axis=-1) > 0.35).mean(axis=(1, 2))
-        dark[bar] = (smooth.max(axis=-1) < 60).mean(axis=(1, 2))
-    assert blue[None].mean() > 0.9
-    assert blue["too little seen"].mean() < 0.05
-    assert (dark["too steep"] > dark[None]).mean() > 0.98
+        coloured[bar] = (np.ptp(smooth, axis=-1) / smooth.max(axis=-1) > 0.15).mean()
+    assert coloured[None] > 0.9
+    assert max(coloured["too steep"], coloured["too little seen"]) < 0.05
 
 
 def test_headline_and_bar_count_as_smooth_only_what_can_be_crossed_and_agree(tmp_path):
@@ -221,6 +237,10 @@ def test_a_way_lies_on_the_map(site, tmp_path, read_page):
     wanted["the chance holds"] = "if nothing narrower than 0.7 m stands in the way"
     assert {name: table[name] for name in wanted} == wanted
     assert page.text.count(about["seen"]) == 1
+    for text in ("route,distance_m\nway,1\n", "route,distance_m,x,y,z_m,c_r,c_r_low,c_r_high\nway,,1,2,3,,,\n", "\0"):
+        (tmp_path / "profile.csv").write_text(text)
+        with pytest.raises(BadInputError, match=r"profile\.csv"):
+            write_report(site, tmp_path / "b.html", route=tmp_path)
 
 
 def test_the_header_says_what_settings_say_and_holds_a_logo_made_anew(site, tmp_path):

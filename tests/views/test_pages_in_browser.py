@@ -1,23 +1,28 @@
 """report.html in a real browser: no error, no request, nothing that a screen reader trips over, usable by keyboard."""
 
+import json
 import shutil
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 import pytest
 import rasterio
 from axe_playwright_python.sync_playwright import Axe
 from page_outline import Outline
-from route_maps import change_bars, copy_folder
+from pyproj import Transformer
+from route_maps import change_bars, copy_folder, list_anew
 
 from bumpymap.core import Barred
-from bumpymap.layers import BARRED_COLOURS, SurveyRow
+from bumpymap.layers import BARRED_COLOURS, RideScale, SurveyRow
 from bumpymap.layers.check_files import MapOffset
 from bumpymap.layers.colours import OFF_COLOURS
 from bumpymap.views import write_report
 from bumpymap.views.page.batch_page import index_page
 
 pytestmark = pytest.mark.chromium
-WIDE, PHONE = (1400, 900), (400, 800)
+WIDE, PHONE = (1440, 900), (390, 844)
 
 
 @pytest.fixture(scope="module")
@@ -111,65 +116,159 @@ def test_the_map_goes_by_keyboard_and_stands_without_scripts(visit, pages):
     assert view("-")[0] == pytest.approx(start[0])
     assert view("0") == pytest.approx(start)
     still = visit(pages["one"], java_script_enabled=False)
-    shown = [still.is_visible(what) for what in ("img.still", "table", "canvas", ".controls")]
-    assert shown == [True, True, False, False]
+    shown = [still.is_visible(what) for what in ("img.still", "table", ".legends", "canvas", ".layers")]
+    assert shown == [True, True, True, False, False]
+
+
+@pytest.mark.parametrize(("size", "most"), [(WIDE, 260), (PHONE, 350)], ids=["wide", "phone"])
+def test_the_first_screen_is_title_sentence_map_and_legend(visit, pages, size, most):
+    page = visit(pages["one"], size)
+    box = page.locator(".legends").bounding_box()
+    assert page.locator(".stage").bounding_box()["y"] <= most
+    assert box["y"] + box["height"] <= size[1]
+    assert page.locator(".stage :is(button, summary, input):visible").count() <= 3
+    assert page.pdf(prefer_css_page_size=True).count(b"/Type /Page\n") <= 4
+
+
+def test_wheel_and_double_click_zoom_at_once_and_the_page_scrolls_where_the_whole_map_is_seen(visit, pages):
+    page, state = visit(pages["one"]), "[window.reportMaps[0].scale, window.scrollY]"
+    start = page.evaluate(state)
+    page.mouse.move(700, 500)
+    page.mouse.wheel(0, -300)
+    page.wait_for_timeout(100)
+    closer = page.evaluate(state)
+    assert (closer[0] > 1.2 * start[0], closer[1]) == (True, 0)
+    page.mouse.dblclick(700, 500)
+    assert page.evaluate(state)[0] == pytest.approx(2 * closer[0])
+    page.click("button[value=all]")
+    assert page.evaluate(state)[0] == pytest.approx(start[0])
+    page.wait_for_timeout(450)
+    page.mouse.move(700, 500)
+    page.mouse.wheel(0, 300)
+    page.wait_for_timeout(300)
+    scale, down = page.evaluate(state)
+    assert (scale == pytest.approx(start[0]), down > 0) == (True, True)
 
 
 def test_layers_change_by_keyboard_with_their_legends(visit, pages):
     page = visit(pages["one"])
     pixels = "window.reportMaps[0].canvas.toDataURL().length + window.reportMaps[0].canvas.toDataURL().slice(-4000)"
-    page.focus("input[type=radio][value=class]")
+    page.focus("summary")
+    page.keyboard.press("Enter")
+    page.focus("input[type=radio][value=c_r]")
     seen = set()
     for _ in range(7):
         chosen = page.evaluate("document.querySelector('input[type=radio]:checked').value")
-        legends = page.evaluate(
-            "[...document.querySelectorAll('.legend[data-of]:not([hidden])')].map(e => e.dataset.of)"
-        )
+        legends = page.evaluate("[...document.querySelectorAll('ul[data-of]:not([hidden])')].map(e => e.dataset.of)")
         assert legends == ([] if chosen == "none" else [chosen])
         seen.add((chosen, page.evaluate(pixels)))
         page.keyboard.press("ArrowDown")
     assert len({chosen for chosen, _ in seen}) == len({picture for _, picture in seen}) == 7
 
 
-def test_what_cannot_be_crossed_is_hatched_unless_switched_off_and_dark_where_tiles_are_too_small(
-    visit, pages, read_page
-):
-    """In every colouring, also where smooth ground is blue."""
-    about = read_page(pages["one"])
-    ground, barred = about.codes("ground"), about.codes("barred")
-    closed, free = (
-        np.argwhere((ground < 2) & chosen).tolist() for chosen in ((barred > 1) & (barred < 255), barred == 0)
+@pytest.fixture(scope="module")
+def grey(site, tmp_path_factory):
+    """The map with a photo that is grey throughout; every other column of its tiles is islands."""
+    folder = copy_folder(site, tmp_path_factory.mktemp("grey") / "site")
+    with rasterio.open(folder / "rasters/heightmap.tif") as file:
+        about = file.profile | {"driver": "GTiff", "count": 3, "dtype": "uint8", "nodata": None}
+    with rasterio.open(folder / "rasters/photo.tif", "w", **about) as file:
+        file.write(np.full((3, file.height, file.width), 90, np.uint8))
+    tiles = pq.read_table(folder / "tiles.parquet")
+    of_free = np.where(tiles["col"].to_numpy() % 2, 1, 2 + np.arange(len(tiles)))
+    zones = np.where(pc.is_null(tiles["barred"]), of_free, 0)
+    at = tiles.schema.get_field_index("zone")
+    tiles = tiles.set_column(at, tiles.schema.field(at), pa.array(zones, pa.int32(), mask=zones == 0))
+    pq.write_table(tiles, folder / "tiles.parquet")
+    list_anew(folder, files=[*json.loads((folder / "run.json").read_text())["files"], {"path": "rasters/photo.tif"}])
+    write_report(folder)
+    return folder
+
+
+PIXELS = """([places, key, without]) => { const map = window.reportMaps[0];
+    document.querySelector(`input[type=radio][value=${key}]`).checked = true;
+    for (const box of document.querySelectorAll('input[type=checkbox]')) {
+      if (without.includes(box.value)) box.checked = false;
+    }
+    map.show();
+    return places.map(([right, down]) => {
+      [map.scale, map.middle, map.atAll] = [60, [right, down], false];
+      map.draw();
+      return [...map.context.getImageData(map.canvas.width / 2, map.canvas.height / 2, 1, 1).data].slice(0, 3);
+    }); }"""
+SWATCHES = """Object.fromEntries([...document.querySelectorAll('.legends li:has(.swatch)')].map((entry) => {
+    const parts = [...entry.querySelectorAll('.swatch rect[fill^="#"]')];
+    return [entry.textContent.trim(), parts.map((part) => part.getAttribute('fill'))]; }))"""
+
+
+def test_ground_has_the_colours_of_its_legend_under_a_photo_of_one_grey(visit, grey, read_page):
+    page, about = visit(grey / "report.html"), read_page(grey / "report.html")
+    ground, barred, (c_r, _) = about.codes("ground"), about.codes("barred"), about.values("c_r")
+    objects, swatches = about.objects(), page.evaluate(SWATCHES)
+    islands = about.bytes_of(about.data["maps"][0]["islands"], about.data["maps"][0]) > 0
+    free, driven = (barred == 0) & ~islands, ~np.isnan(c_r)
+    legend = {name: [int(fills[0][at : at + 2], 16) for at in (1, 3, 5)] for name, fills in swatches.items()}
+
+    def colours(chosen, key, *without, part=1):
+        places = np.argwhere(chosen)[:20, ::-1] + 0.5
+        assert len(places) > 1
+        return np.array(page.evaluate(PIXELS, [(places * 3.0 / part).tolist(), key, ["objects", *without]]))
+
+    def near(found, wanted):
+        return np.abs(found - np.array(wanted)).max() <= 6
+
+    scale = RideScale.of(json.loads((grey / "run.json").read_text()))
+    stops = "[...document.querySelectorAll('#ride-ramp stop')].map((stop) => stop.getAttribute('stop-color'))"
+    assert page.evaluate(stops)[1::2] == [fills[0] for name, fills in swatches.items() if name[0] in "0123"]
+    dark = np.isin(objects, (1, 4))
+    chosen = dark & np.repeat(np.repeat(ground < 4, 15, axis=0), 15, axis=1)
+    found = page.evaluate(PIXELS, [((np.argwhere(chosen)[:20, ::-1] + 0.5) * 0.2).tolist(), "c_r", []])
+    assert near(found, legend["obstacle, step"])
+    island = [[*bytes.fromhex(fill[1:])] for fill in swatches["island, cut off"]]
+    for code, name in enumerate(("0 smooth", "1 fair", "2 rough", "3 very rough")):
+        (wanted,) = [colour for text, colour in legend.items() if text.startswith(name)]
+        assert near(colours(free & (ground == code), "class"), wanted)
+        assert near(colours(islands & (ground == code), "class"), island[code])
+    assert near(colours(free & driven, "c_r"), scale.colours(c_r[free & driven][:20]))
+    for key in ("c_r", "class", "slope", "p_fail", "cost"):
+        assert near(colours((barred > 1) & (barred < 255) & (ground < 4), key), legend["closed"])
+        assert near(colours((ground >= 16) & (ground < 255), key), legend["not known"])
+    assert near(colours(ground == 255, "c_r"), [255, 255, 255])
+    assert near(colours((barred > 1) & (ground == 3), "class", "barred"), legend[[*legend][3]])
+
+
+def test_a_way_has_its_profile_which_marks_its_place_on_the_map_and_is_marked_from_it(visit, site, tmp_path):
+    about = json.loads((site / "run.json").read_text())
+    with rasterio.open(site / "rasters/class.tif") as file:
+        west, north = file.bounds.left, file.bounds.top
+    east = west + np.linspace(10.0, 100.0, 91)
+    to_lonlat = Transformer.from_crs(about["crs"]["wkt"], "OGC:CRS84", always_xy=True)
+    line = {"type": "LineString", "coordinates": [to_lonlat.transform(x, north - 40.0) for x in east[[0, -1]]]}
+    feature = {"type": "Feature", "properties": {"name": "loop"}, "geometry": line}
+    (tmp_path / "route.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+    rows = [
+        f"loop,{at},{x},{north - 40.0},{5 + at / 10},{0.1},{0.08},{0.15 if at else ''}" for at, x in enumerate(east)
+    ]
+    (tmp_path / "profile.csv").write_text("\n".join(["route,distance_m,x,y,z_m,c_r,c_r_low,c_r_high", *rows]))
+    page = visit(write_report(site, tmp_path / "way.html", route=tmp_path))
+    chart, slider = page.locator(".profile svg"), page.locator(".profile input")
+    box = chart.bounding_box()
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + 20)
+    assert page.evaluate("window.reportMaps[0].marked") == pytest.approx([west + 55.0, north - 40.0], abs=0.6)
+    assert (slider.input_value(), chart.locator(".cursor").get_attribute("hidden")) == ("45", None)
+    assert "45 m along the way · height 9.5 m · ride cost C_r 0.100 rad/m (80 % of drives 0.080 to 0.150)" in (
+        page.inner_text(".readout")
     )
-    assert len(closed) > 20 < len(free)
-    look = """([places, keys]) => { const map = window.reportMaps[0];
-        const side = map.about.metres * map.scale * map.dense, margin = Math.min(2, side / 4);
-        return keys.map((key) => {
-          document.querySelector(`input[type=radio][value=${key}]`).checked = true;
-          map.draw();
-          return places.map(([row, col]) => {
-            const left = (col * map.about.metres - map.middle[0]) * map.scale * map.dense + map.canvas.width / 2;
-            const top = (row * map.about.metres - map.middle[1]) * map.scale * map.dense + map.canvas.height / 2;
-            const size = Math.max(1, side - 2 * margin);
-            return [...map.context.getImageData(left + margin, top + margin, size, size).data];
-          });
-        }); }"""
-    page, far = visit(pages["one"]), visit(pages["one"], PHONE)
-    for key in ("objects", "relief", "grid"):
-        page.uncheck(f"input[value={key}]")
-        far.uncheck(f"input[value={key}]")
-    far.evaluate("window.reportMaps[0].zoom(0.4)")
-    assert far.evaluate("window.reportMaps[0].scale * window.reportMaps[0].about.metres") < 6
-    assert max(np.reshape(one, (-1, 4))[:, :3].max() for one in far.evaluate(look, [closed, ["class"]])[0]) < 140
-    assert min(np.reshape(one, (-1, 4))[:, :3].max() for one in far.evaluate(look, [free, ["class"]])[0]) > 160
-    keys = ["class", "c_r", "p_fail", "slope", "cost", "barred", "none"]
-
-    def dark():
-        found = page.evaluate(look, [closed[:1], keys])
-        return [(np.reshape(one, (-1, 4))[:, :3].max(axis=1) < 70).mean() for (one,) in found]
-
-    lines = dark()
-    page.uncheck("input[value=barred][type=checkbox]")
-    assert all(here > there + 0.04 for here, there in zip(lines, dark(), strict=True))
+    slider.press("ArrowRight")
+    assert page.evaluate("window.reportMaps[0].marked[0]") == pytest.approx(west + 56.0, abs=0.01)
+    there = "(map) => [30 - map.middle[0], 40 - map.middle[1], map.width, map.height, map.scale]"
+    there = page.evaluate(f"({there})(window.reportMaps[0])")
+    view = page.locator("canvas").bounding_box()
+    right, down = (there[2 + axis] / 2 + there[axis] * there[4] for axis in (0, 1))
+    page.mouse.move(view["x"] + right, view["y"] + down)
+    assert int(slider.input_value()) == pytest.approx(20, abs=1)
+    page.mouse.move(view["x"] + right, view["y"] + down - 60)
+    assert page.evaluate("window.reportMaps[0].marked") is None
 
 
 POINT_AT = """([row, col, key]) => { const map = window.reportMaps[0];
@@ -234,7 +333,7 @@ def test_the_pointer_reads_what_has_changed_and_what_is_not_compared_never_looks
     kinds, (heights, _), (rides, _) = about.codes("ground"), about.values("d_height"), about.values("d_c_r")
     row, col = first(kinds == 2)
     text, colour = page.evaluate(POINT_AT, [row, col, "changed"])
-    assert "· rougher ·" in text
+    assert text.startswith("rougher ·")
     assert f"height after minus before {heights[row, col]:.2f} m" in text
     assert f"ride cost C_r after minus before +{rides[row, col]:.3f} rad/m" in text
     assert colour == about.data["codes"]["classColours"][2][:3]
@@ -268,7 +367,9 @@ def test_stretches_have_their_colour_and_words(visit, pages, checked, size):
     assert np.abs(np.array(found["pixel"]) - OFF_COLOURS[int(offset.kind[worst])][:3]).max() <= 2
     page.mouse.move(found["x"], found["y"])
     assert f"measured {stretches.measured[worst]:.3f} rad/m" in page.locator(".readout").inner_text()
+    page.click("summary")
     page.uncheck("input[value=stretches]")
+    page.click("summary")
     assert page.evaluate(ON_SCREEN, worst)["pixel"] != found["pixel"]
     page.mouse.move(found["x"] + 1, found["y"])
     assert "measured" not in page.locator(".readout").inner_text()
@@ -279,7 +380,7 @@ def test_the_table_of_a_batch_is_sorted(visit, tmp_path):
     page_of = index_page([*rows, SurveyRow("c", "failed")], {}, [], "night")
     (tmp_path / "index.html").write_text(page_of, encoding="utf-8")
     page = visit(tmp_path / "index.html")
-    assert page.locator("button").count() == 8  # under its own policy
+    assert page.locator("button").count() == 9  # under its own policy
     page.locator("button").nth(2).click()
     found = Outline(page.content()).elements["th"]
     assert [cell["data-v"] for cell in found if cell.get("scope") == "row"] == ["a", "d", "b", "c"]

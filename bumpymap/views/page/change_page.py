@@ -30,7 +30,6 @@ from bumpymap.layers import (
     DIFFERENCE_RAMP,
     NORMAL_80,
     PLACE_SHAPE,
-    UNKNOWN_COLOUR,
     MapFile,
     open_layer,
     outline_of,
@@ -39,11 +38,13 @@ from bumpymap.layers import (
 from bumpymap.views.page.page import write_page
 from bumpymap.views.page.site import PHOTO_BUDGET, RELIEF_BUDGET, RELIEF_SIDE, jpeg, read_photo, read_pixels, shaded
 from bumpymap.views.page.tiles import ByteGrid, Spot, map_metres, packed
-from bumpymap.views.pictures.drawing import STRENGTH
+from bumpymap.views.pictures.drawing import DETAIL
 from bumpymap.views.words import area, least_volume_text, number, share, shares, signed, volumes_text, whole
 
 NOT_COMPARED = 16
 """Value of ``kinds`` where the surveys could not be compared."""
+NOT_COMPARED_COLOUR = (150, 150, 150)
+"""Of such ground: darker than ground that has not changed."""
 _RANK = (NOT_COMPARED, 1, 3, 5, 4, 2)
 """Order of the kinds in a pixel of several tiles: each counts before those to its left and before unchanged tiles."""
 _SIDE = 1_500
@@ -211,14 +212,12 @@ def _places(path: Path, record: Mapping[str, Any]) -> tuple[tuple[dict[str, Any]
 
 
 def _still(kinds: NDArray[np.uint8], spot: Spot) -> str:
-    """Return the kinds as one picture, hatched where not compared."""
+    """Return the kinds as one picture."""
     shown = kinds[spot.shown(_STILL_SIDE)]
-    colours = np.full((256, 3), UNKNOWN_COLOUR[:3], np.uint8)
+    colours = np.full((256, 3), NOT_COMPARED_COLOUR, np.uint8)
     for code, colour in CHANGE_COLOURS.items():
         colours[code] = colour[:3]
-    picture = colours[shown]
-    picture[(shown == NOT_COMPARED) & (np.add.outer(*map(np.arange, shown.shape)) % 6 < 1)] = (110, 110, 110)
-    return jpeg(picture, 150_000)
+    return jpeg(colours[shown], 150_000)
 
 
 _MANIFEST = "change.json"
@@ -290,7 +289,8 @@ def write_change_report(folder: Path, record: Mapping[str, Any], path: Path) -> 
         "outside": "outside of what the surveys share: not compared",
         "classColours": [CHANGE_COLOURS[code] for code in range(len(CHANGE_KINDS))],
         "ramp": DIFFERENCE_RAMP,
-        "unknownColour": UNKNOWN_COLOUR,
+        "unknownColour": NOT_COMPARED_COLOUR,
+        "strength": DETAIL,
     }
     write_page(
         path,
@@ -303,8 +303,8 @@ def write_change_report(folder: Path, record: Mapping[str, Any], path: Path) -> 
         ],
         kind_rows=_kind_rows(site),
         place_rows=[_place_row(site, place) for place in site.places],
-        photo_strength=STRENGTH if "photo" in site.below else 100,
         ramp_colours=DIFFERENCE_RAMP,
+        not_compared_colour=NOT_COMPARED_COLOUR,
         survey_rows=_survey_rows(record["fit"], runs),
         registration=_registration(record["fit"]["registration"]),
         least=least_volume_text(record["fit"]["least_volume_m3"]),

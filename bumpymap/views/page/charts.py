@@ -4,7 +4,7 @@ They hold numbers and words that stand here, nothing that a file or a user wrote
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from itertools import pairwise
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import count_text
-from bumpymap.layers import OFF_COLOURS
+from bumpymap.layers import OFF_COLOURS, UNKNOWN_COLOUR, RideScale
 from bumpymap.views.page.tiles import C_R_EDGES, SLOPE_EDGES
 from bumpymap.views.pictures.drawing import ticks
 from bumpymap.views.words import share, shares, whole
@@ -279,6 +279,72 @@ def along_chart(result: "CheckResult") -> Chart | None:
     chart.discs(x, chart.y(felt), offset, measured, min(1.0, float(np.median(np.diff(sides))) / 9.0))
     chart.names("length of the stretches, one after another, m", "C_r, rad/m")
     return chart
+
+
+_ACROSS, _GROUND, _RIDE = 1000.0, (3.0, 58.0), (70.0, 99.0)
+"""Width of the drawing of a profile; upper and lower side of its two parts."""
+_RIDES = ("c_r", "c_r_low", "c_r_high")
+"""Columns of a profile: the ride cost and its interval."""
+_LEAST_RELIEF_M = 2.0
+"""Least span of the heights of a profile, m: a level way must not look like mountains."""
+
+
+def profile_chart(profile: Mapping[str, NDArray[np.float64]], scale: RideScale) -> dict[str, Any]:
+    """Return heights along a way over ground in the colours of the ride cost, and the ride cost with its interval.
+
+    ``profile``: see `DrawnWay.profile`. The result holds paths in a box of 1000 x 100, which may be stretched, places
+    and colours of a gradient, and the texts of the axes.
+    """
+    z, far = profile["z_m"], max(float(profile["distance_m"][-1]), 1.0)
+    x = _ACROSS * profile["distance_m"] / far
+    known, ends = z[np.isfinite(z)], profile["c_r_high"][np.isfinite(profile["c_r_high"])]
+    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
+    middle, span = (low + high) / 2, max(high - low, _LEAST_RELIEF_M)
+    most = max(scale.anchors[1], float(np.quantile(ends, 0.98)) if len(ends) else 0.0)
+
+    def down(values: NDArray[np.float64], least: float, size: float, sides: tuple[float, float]) -> NDArray[np.float64]:
+        return np.asarray(sides[1] - np.clip((values - least) / size, 0.0, 1.0) * (sides[1] - sides[0]), np.float64)
+
+    def path(top: NDArray[np.float64], foot: NDArray[np.float64] | None = None) -> str:
+        """Return lines, broken where ``top`` is not known; with ``foot`` areas down to it."""
+        known, text = np.flatnonzero(np.isfinite(top)), ""
+        for part in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1) if len(known) else ():
+            sides = [
+                np.column_stack([x, side])[part[::turn]] for side, turn in ((top, 1), (foot, -1)) if side is not None
+            ]
+            text += "M" + "L".join(f"{right:.1f} {low:.1f}" for right, low in np.concatenate(sides).tolist())
+        return text
+
+    ground = down(z, middle - span / 2, span, _GROUND)
+    ride, least, largest = (down(profile[key], 0.0, most, _RIDE) for key in _RIDES)
+    colours = np.rint(scale.colours(profile["c_r"])).astype(np.uint8)
+    colours[np.isnan(profile["c_r"])] = UNKNOWN_COLOUR[:3]
+    edges = [float(at) for at in (np.diff(x) / 2 + x[:-1]) / _ACROSS]
+    stops = zip([0.0, *edges], [*edges, 1.0], [f"#{colour.tobytes().hex()}" for colour in colours], strict=True)
+    return {
+        "ground": path(ground, np.full(len(x), _GROUND[1])),
+        "height": path(ground),
+        "interval": path(largest, least),
+        "ride": path(ride),
+        "stops": list(stops),
+        "heights": [f"{middle + side * span / 2:,.1f} m" for side in (1, -1)] if len(known) else ["not known", ""],
+        "rides": [f"{most:.2g} rad/m", "0"],
+        "far": f"{far:,.0f} m",
+    }
+
+
+def profile_places(profile: Mapping[str, NDArray[np.float64]]) -> dict[str, Any] | None:
+    """Return the places of a profile as the script of the page needs them; None if there are none."""
+    if not profile:
+        return None
+    texts = []
+    for along, z, *ride in zip(*(profile[key] for key in ("distance_m", "z_m", *_RIDES)), strict=True):
+        height = f"height {z:,.1f} m" if np.isfinite(z) else "height not known"
+        level = "ride cost C_r {:.3f} rad/m (80 % of drives {:.3f} to {:.3f})".format(*ride)
+        level = level if np.isfinite(ride).all() else "C_r not known"
+        texts.append(f"{along:,.0f} m along the way · {height} · {level}")
+    keys = (("along", "distance_m"), ("east", "east"), ("north", "north"))
+    return {name: profile[key].round(1).tolist() for name, key in keys} | {"texts": texts}
 
 
 _COUNTRIES = Path(__file__).parent / "data" / "countries.npz"

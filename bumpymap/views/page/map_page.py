@@ -14,6 +14,7 @@ from bumpymap.core import (
     CROSSING_UNKNOWN,
     NO_CLASS,
     OBJECT_NAMES,
+    OBSTACLE,
     REASON_TEXT,
     BadInputError,
     Barred,
@@ -28,22 +29,27 @@ from bumpymap.core import (
 from bumpymap.layers import (
     BARRED_COLOURS,
     CLASS_COLOURS,
+    CLOSED_COLOUR,
     IRI_NOTE,
+    ISLAND_SHARE,
     MANIFEST_NAME,
     OBJECT_COLOURS,
     OFF_COLOURS,
     REPORT_NAME,
+    ROUTE_COLOUR,
+    STEP_LINE,
     UNKNOWN_COLOUR,
     MapFile,
+    RideScale,
     class_ranges,
     read_manifest,
     require_written,
 )
-from bumpymap.views.page.charts import along_chart, drive_chart, locator
+from bumpymap.views.page.charts import along_chart, drive_chart, locator, profile_chart
 from bumpymap.views.page.page import write_page
-from bumpymap.views.page.site import WAY_FIGURES, DrawnWay, Site, page_header, read_ways
+from bumpymap.views.page.site import RAMP, WAY_FIGURES, DrawnWay, Site, page_header, read_ways
 from bumpymap.views.page.tiles import UNKNOWN_FROM
-from bumpymap.views.pictures.drawing import STRENGTH
+from bumpymap.views.pictures.drawing import DETAIL
 from bumpymap.views.words import (
     DASH,
     PERCENT,
@@ -61,6 +67,7 @@ from bumpymap.views.words import (
     shares,
     warnings_of,
     whole,
+    zones_line,
 )
 
 if TYPE_CHECKING:
@@ -151,8 +158,9 @@ def write_map_page(site: Site, path: Path) -> None:
         seen=seen_sizes(site.record).sentence,
         surface_rows=[(name, f"{c_r:.3f}", degrees(c_r)) for name, c_r in real["c_r"].items()],
         warnings=_warnings_of(site.record),
+        zones=zones_line(site.summary.zones) if site.summary.zones else "",
         way_heads=[f"{way.letter} {way.name}" for way in site.ways],
-        way_lines=_way_lines(site.ways),
+        ways=_ways(site),
         way_rows=_way_rows(site.ways),
         **_of_map(site),
     )
@@ -161,18 +169,16 @@ def write_map_page(site: Site, path: Path) -> None:
 def _of_map(site: Site | None) -> dict[str, Any]:
     """Return what the figure of a map needs, with the data of the script."""
     return {
-        "photo_strength": STRENGTH,
-        "ramp_colours": _RAMP,
+        "obstacle_colour": OBJECT_COLOURS[OBSTACLE],
+        "ramp_colours": RAMP,
+        "way_colour": ROUTE_COLOUR,
         "ranges": class_ranges(site.record) if site else (),
         "data": {"maps": [site.map_record()] if site else [], "codes": _CODES},
     }
 
 
-_RAMP = ("#fcfdbf", "#feca8d", "#fd9668", "#f1605d", "#cd4071", "#9e2f7f", "#721f81", "#440f76", "#180f3d")
-"""Colours from the least to the most of a value: lightness falls evenly, so that they can be distinguished in grey."""
 _CODES = {
     "unknownFrom": UNKNOWN_FROM,
-    "unknown": int(Barred.UNKNOWN),
     "littleSeen": int(Barred.LITTLE_SEEN),
     "classes": list(CLASS_NAMES),
     "reasons": [REASON_TEXT[code] for code in Reason],
@@ -180,9 +186,13 @@ _CODES = {
     "objects": list(OBJECT_NAMES),
     "classColours": [CLASS_COLOURS[code] for code in range(len(CLASS_NAMES))],
     "barredColours": [BARRED_COLOURS[code] for code in Barred],
-    "objectColours": [OBJECT_COLOURS[code] for code in range(len(OBJECT_NAMES))],
+    "obstacleColour": OBJECT_COLOURS[OBSTACLE],
+    "solids": [OBSTACLE, STEP_LINE],
+    "closedColour": CLOSED_COLOUR,
+    "islandPart": ISLAND_SHARE,
+    "strength": DETAIL,
+    "wayColour": ROUTE_COLOUR,
     "offColours": [OFF_COLOURS[code] for code in range(len(OFF_COLOURS))],
-    "ramp": _RAMP,
     "unknownColour": UNKNOWN_COLOUR,
 }
 """Names and colours of the codes in the grids."""
@@ -377,23 +387,20 @@ def _way_rows(ways: Sequence[DrawnWay]) -> list[Row]:
     return rows
 
 
-def _way_lines(ways: Sequence[DrawnWay]) -> list[tuple[str, str]]:
-    """Return letter and a line of what decides between ways: cost, minutes, chance to arrive, obstacles."""
+def _ways(site: Site) -> list[tuple[DrawnWay, str, dict[str, Any] | None]]:
+    """Return ways, each with a line of what decides between them and its profile, if there is one."""
     lines = []
-    for way in ways:
-        texts = [number(way.figures.get("cost_m"), 0, " m of cost")]
+    for way in site.ways:
+        texts = [number(way.figures.get("length_m"), 0, " m"), number(way.figures.get("cost_m"), 0, " m of cost")]
         seconds, arrives = (way.figures.get(key) for key in ("seconds", "p_arrives"))
         texts += [number(seconds / 60, 1, " minutes")] if isinstance(seconds, int | float) else []
         if isinstance(arrives, int | float):
             texts += [f"{chance_text(arrives, 0, PERCENT)} to arrive {SeenSizes.of(way.figures).condition}"]
         touched = way.figures.get("obstacle_m") or 0.0
         texts += [f"{number(touched, 1, ' m')} touching obstacles" if touched else "touches no obstacle"]
-        lines.append((way.letter, f"{way.name}: {', '.join(text for text in texts if not text.startswith(DASH))}"))
+        chart = profile_chart(way.profile, RideScale.of(site.record)) if way.profile else None
+        lines.append((way, ", ".join(text for text in texts if not text.startswith(DASH)), chart))
     return lines
-
-
-_CLOSED_COLOUR = (60, 63, 69)
-"""Of ground that cannot be crossed, in the bar of shares."""
 
 
 def _class_bar(site: Site) -> list[tuple[str, tuple[int, ...], str, float]]:
@@ -402,7 +409,7 @@ def _class_bar(site: Site) -> list[tuple[str, tuple[int, ...], str, float]]:
     classes, total = site.tiles.free.tolist(), site.summary.tiles
     texts = shares([*classes, total - passable], (len(classes),))[:-1]  # they make what the headline says is passable
     texts += shares((passable, unknown, barred), (0, 1))[:0:-1]
-    colours = [*(CLASS_COLOURS[code] for code in range(len(classes))), _CLOSED_COLOUR, UNKNOWN_COLOUR]
+    colours = [*(CLASS_COLOURS[code] for code in range(len(classes))), CLOSED_COLOUR, UNKNOWN_COLOUR]
     parts = [100.0 * count / max(total, 1) for count in (*classes, barred, unknown)]
     return list(zip((*CLASS_NAMES, "cannot be crossed", "not known"), colours, texts, parts, strict=True))
 

@@ -1,6 +1,7 @@
 """One folder of layers as a page shows it: its record, its ways, and the ground under the colours."""
 
 import base64
+import csv
 import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,6 +19,8 @@ from pyproj.exceptions import ProjError
 
 from bumpymap.core import (
     CANOPY,
+    CLASS_NAMES,
+    FAIL_SHARE,
     FREE,
     NO_CLASS,
     OBSTACLE,
@@ -34,6 +37,9 @@ from bumpymap.core import (
 )
 from bumpymap.layers import (
     CLASS_COLOURS,
+    CLOSED_COLOUR,
+    ISLAND_SHARE,
+    MID_GREY,
     STEP_LINE,
     UNKNOWN_COLOUR,
     UNKNOWN_OBJECT,
@@ -41,11 +47,12 @@ from bumpymap.layers import (
     MapSummary,
     RideScale,
     class_limits,
+    class_ranges,
     open_layer,
     read_averaged,
     read_colours,
 )
-from bumpymap.views.page.charts import Chart, c_r_chart, slope_chart
+from bumpymap.views.page.charts import Chart, c_r_chart, profile_places, slope_chart
 from bumpymap.views.page.tiles import (
     EVEN,
     HEADING_STEP,
@@ -60,12 +67,12 @@ from bumpymap.views.page.tiles import (
     map_metres,
     packed,
 )
-from bumpymap.views.pictures.drawing import LEVEL, STRENGTH, light_of
+from bumpymap.views.pictures.drawing import LEVEL, grey_of, hard_light, levelled, light_of
 
 _STRIP_PIXELS = 16_000_000
 """Most pixels of obstacle.tif to read at a time."""
-_FLAT = 0.84
-"""Brightness of level ground, and where no height is known."""
+_DARKEST = 30
+"""Brightness of ground that faces away from the light, of 255: chosen."""
 _WORST = (FREE, CANOPY, UNKNOWN_OBJECT, STEP_LINE, OBSTACLE)
 """Order of the states in a pixel: each counts before those to its left."""
 _QUALITIES = (72, 55, 40, 25)
@@ -106,27 +113,25 @@ def read_pixels(
 
 
 def shaded(heights: NDArray[np.float32], spot: Spot) -> NDArray[np.uint8]:
-    """Return the light on heights from `read_pixels`."""
+    """Return the light on heights from `read_pixels`; ``MID_GREY`` where the ground is level or not known."""
     side_m = spot.metres * spot.shape[0] / heights.shape[0]
-    bright = np.clip(light_of(heights, (side_m, side_m)) * (_FLAT / LEVEL), 0.15, 1.0)
-    return np.rint(bright * 255).astype(np.uint8)
+    bright = np.clip(light_of(heights, (side_m, side_m)) * (MID_GREY / LEVEL), _DARKEST, 255)
+    return np.rint(bright).astype(np.uint8)
 
 
 _HOLE = 8
 """Side of the squares, pixels, whose mean colour stands for pixels of a photo without one."""
-_PALE = 205.0
-"""Brightness where no colour is near."""
 
 
 def read_photo(path: Path, spot: Spot) -> NDArray[np.uint8]:
-    """Read photo.tif as `read_pixels`, (rows, cols, 3); holes have the mean around them."""
-    found = read_pixels(path, spot, _PHOTO_SIDE, read_colours)
+    """Read photo.tif as `read_pixels` and level it, (rows, cols, 3); holes have the mean around them."""
+    found = np.moveaxis(levelled(np.moveaxis(read_pixels(path, spot, _PHOTO_SIDE, read_colours), 0, -1)), -1, 0)
     known = np.isfinite(found[0])
     count = _square_sums(known)
     out = np.empty((*known.shape, 3), np.uint8)
     for band, values in enumerate(found):
         values[~known] = 0.0
-        mean = np.where(count > 0, _square_sums(values) / np.maximum(count, 1), _PALE)
+        mean = np.where(count > 0, _square_sums(values) / np.maximum(count, 1), MID_GREY)
         around = np.rint(mean).astype(np.uint8).repeat(_HOLE, axis=0).repeat(_HOLE, axis=1)
         out[..., band] = np.where(known, np.rint(values).astype(np.uint8), around[: len(known), : known.shape[1]])
     return out
@@ -256,6 +261,9 @@ class DrawnWay:
     """The properties of its line in route.geojson."""
     letter: str
     """By which the page names it on the map and in its text."""
+    profile: Mapping[str, NDArray[np.float64]]
+    """Columns of profile.csv by their names, and ``east`` and ``north``, m, as the lines; (n,) each, NaN where unknown,
+    ``_PLACES`` places at most. Empty if there is none."""
 
 
 WAY_FIGURES = (
@@ -293,7 +301,7 @@ def read_ways(folder: Path, record: Mapping[str, Any]) -> tuple[DrawnWay, ...]:
         raise BadInputError(f"there is no file {path}. {remedy}")
     try:
         ways = tuple(_ways(path, record))
-    except (OSError, ValueError, ProjError) as error:
+    except (OSError, ValueError, ProjError, csv.Error) as error:
         raise BadInputError(f"cannot read {path} as a route: {error}. {remedy}") from error
     if not ways:
         raise BadInputError(f"{path} holds no way. {remedy}")
@@ -303,14 +311,43 @@ def read_ways(folder: Path, record: Mapping[str, Any]) -> tuple[DrawnWay, ...]:
 def _ways(path: Path, record: Mapping[str, Any]) -> Iterator[DrawnWay]:
     from bumpymap.layers import geojson_features, line_parts
 
-    metres = map_metres(record)
+    metres, profiles = map_metres(record), _read_profiles(path.with_name("profile.csv"))
+    unit = float(record["metres_per_unit"]["horizontal"])
     found = [each for each in geojson_features(path)[0] if each[0]["type"] in {"LineString", "MultiLineString"}]
     for place, (geometry, about) in enumerate(found):
         if fault := shape_fault(about, _WAY_SHAPE):
             raise ValueError(fault)
         lines = tuple(np.round(metres(part), 2) for part in line_parts(geometry))
         letter = chr(ord("A") + place) if place < 26 else str(place + 1)
-        yield DrawnWay(about.get("name") or "way", lines, about, letter)
+        profile = profiles.get(name := about.get("name") or "way", {})
+        profile |= {key: unit * profile[axis] for key, axis in (("east", "x"), ("north", "y")) if profile}
+        yield DrawnWay(name, lines, about, letter, profile)
+
+
+def _read_profiles(path: Path) -> dict[str, dict[str, NDArray[np.float64]]]:
+    """Read profile.csv, if it is there, by the names of its ways."""
+    if not path.is_file():
+        return {}
+    rows: dict[str, list[list[float]]] = {}
+    with path.open(encoding="utf-8", newline="") as file:
+        lines = csv.DictReader(file)
+        if missing := {"route", *_PROFILE} - set(lines.fieldnames or ()):
+            raise ValueError(f"{path.name} has no column {min(missing)}")
+        for line in lines:
+            rows.setdefault(line["route"], []).append([float(line[key] or "nan") for key in _PROFILE])
+    found = {}
+    for name, points in rows.items():
+        shown = np.array(points)[np.unique(np.linspace(0, len(points) - 1, _PLACES).astype(int))]
+        if not np.isfinite(shown[:, : _PROFILE.index("z_m")]).all():
+            raise ValueError(f"{path.name} has a point without a place")
+        found[name] = dict(zip(_PROFILE, shown.T, strict=True))
+    return found
+
+
+_PLACES = 400
+"""Most places of a profile: chosen."""
+_PROFILE = ("distance_m", "x", "y", "z_m", "c_r", "c_r_low", "c_r_high")
+"""Columns of profile.csv that a page shows."""
 
 
 _BUDGET = 1_700_000
@@ -326,14 +363,10 @@ _PHOTO_SIDE, PHOTO_BUDGET = 1_400, 550_000
 """Most pixels of the photo along a side, and most characters."""
 _STILL_SIDE = 700
 """Longer side of the picture for pages without scripts, pixels: chosen."""
-_DENSE = 0.1
-"""From this share of pixels with an obstacle on, as in a forest, they would hide the classes: they start hidden."""
-_LINES = 6
-"""Fewest pixels of a tile that lines over ground which is not passable do not miss; smaller ones are all dark."""
+RAMP = ("#f7d98b", "#fba867", "#f1735c", "#d64a6c", "#a8307d", "#751f81", "#440f76")
+"""Colours from the least to the most of a value: lightness falls evenly, so that they can be distinguished in grey."""
 _BLANK = (255, 255, 255)
 """Colour of places without points."""
-_SHADES = 33
-"""Colours of the ramp of C_r."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -355,7 +388,7 @@ class Site:
     photo: str | None
     """The colours of the points, a data URI; None if they have none."""
     still: str
-    """The classes over the relief, a data URI: for readers and printers without scripts."""
+    """The ride cost in the light of the photo or the relief, a data URI: for readers and printers without scripts."""
     headings: str | None
     """Packed `heading_codes`; None where there are none, a pixel is more than one tile, or they are too many."""
     degrees: list[list[float]] | None
@@ -419,7 +452,8 @@ class Site:
             if len(text) < 0.2 * _BUDGET or side < 100:
                 break
             side //= 2
-        still, codes = _still(tiles, light, photo), heading_codes(folder, tiles.c_r) if spot.step == 1 else None
+        still = _still(tiles, RideScale.of(record), light if photo is None else photo)
+        codes = heading_codes(folder, tiles.c_r) if spot.step == 1 else None
         headings = None if codes is None else packed(codes)
         if headings and taken + len(text) + len(relief) + len(headings) > _BUDGET:
             headings = None
@@ -449,28 +483,56 @@ class Site:
         return bool(((self.objects == FREE) | (self.objects == OBSTACLE)).any())
 
     @property
+    def island_colours(self) -> NDArray[np.float64]:
+        """Colours of the classes on islands, (4, 3) whole numbers."""
+        colours = np.array([CLASS_COLOURS[code][:3] for code in range(len(CLASS_NAMES))])
+        return np.rint(ISLAND_SHARE * colours + (1 - ISLAND_SHARE) * MID_GREY).astype(int)
+
+    @property
     def layers(self) -> list[tuple[str, str]]:
         """Keys and names of the colourings of the map: those of which something is known."""
-        named = {grid.key: grid.label[:1].upper() + grid.label[1:] for grid in self.grids if grid.is_known}
-        values = [(key, named[key]) for key in ("c_r", "p_fail", "slope", "cost") if key in named]
-        return [("class", "Class"), *values, ("barred", "What can be crossed"), ("none", "Ground only")]
+        names = {"c_r": "Ride", "p_fail": "Chance of failure", "slope": "Slope", "cost": "Cost of a metre"}
+        known = {grid.key for grid in self.grids if grid.is_known}
+        layers = [(key, name) for key, name in names.items() if key in known]
+        layers.insert("c_r" in known, ("class", "Class"))
+        return [*layers, ("barred", "What bars it"), ("none", "Ground only")]
 
     @property
     def ramps(self) -> dict[str, list[str]]:
-        """Colours of C_r, from the least to the most of its scale: those of QGIS and of pictures."""
-        ride = next(grid for grid in self.grids if grid.key == "c_r")
-        c_r = np.exp(ride.low + ride.step * np.linspace(0.0, STEPS, _SHADES))
-        colours = np.rint(RideScale.of(self.record).colours(c_r)).astype(np.uint8)
-        return {ride.key: [f"#{colour.tobytes().hex()}" for colour in colours]}
+        """Colours of the 255 codes of the grids that are shown in colours: of C_r those of QGIS and of pictures."""
+        tables, shades = {}, np.array([[*bytes.fromhex(text[1:])] for text in RAMP], np.float64)
+        for grid in self.grids:
+            values = grid.low + grid.step * np.arange(STEPS + 1)
+            high = min(values[-1], self.most.get(grid.key, np.inf))
+            part = np.clip((values - grid.low) / (high - grid.low or 1.0), 0.0, 1.0) * (len(shades) - 1)
+            colours = np.stack([np.interp(part, range(len(shades)), channel) for channel in shades.T], axis=-1)
+            tables[grid.key] = _hex(RideScale.of(self.record).colours(np.exp(values)) if grid.key == "c_r" else colours)
+        return tables
+
+    @property
+    def most(self) -> dict[str, float]:
+        """Values from which on colours are the same, by the keys of grids: nothing beyond them can be crossed."""
+        return {"p_fail": FAIL_SHARE, "slope": float(self.record["cost"]["slope_limit_deg"])}
+
+    @property
+    def ride(self) -> dict[str, Any]:
+        """Parts of the legend of C_r: the end of its scale, stops of its colours, place, name and limit of each class.
+
+        Each class takes a quarter of the legend, from 0 to 1. Without classes that C_r decides there are no limits.
+        """
+        scale, limits = RideScale.of(self.record), class_limits(self.record)
+        c_r = [0.0, *(value for pair in zip(scale.anchors, [*limits, scale.end], strict=True) for value in pair)]
+        stops = list(zip(np.linspace(0.0, 1.0, len(c_r)).tolist(), _hex(scale.colours(np.array(c_r))), strict=True))
+        texts = ["", *(f"{limit:.3g}" for limit in limits)]
+        classes = [(at / 4, name, text) for at, (name, text) in enumerate(zip(CLASS_NAMES, texts, strict=True))]
+        return {"end": f"{scale.end:.2g}", "stops": stops, "classes": classes if class_ranges(self.record) else []}
 
     @property
     def overlays(self) -> list[tuple[str, str, bool]]:
         """Keys and names of what is drawn over the colours, and whether it is at first."""
         below = [("photo", "Photo", True)] if self.photo else []
-        overlays = [*below, ("relief", "Relief", not below), ("barred", "Not passable", True)]
-        if self.objects_known:
-            dense = float(np.mean(self.objects[self.objects != NO_CLASS] == OBSTACLE))
-            overlays.append(("objects", "Obstacles and canopy", dense < _DENSE))
+        overlays = [*below, ("relief", "Relief", not below), ("barred", "Closed ground in grey", True)]
+        overlays += [("objects", "Obstacles", True)] if self.objects_known else []
         overlays += [("ways", "Way", True)] if self.ways else []
         return [*overlays, ("stretches", "Real drives", True)] if self.stretches else overlays
 
@@ -486,6 +548,7 @@ class Site:
             **self.tiles.spot.record(),
             "ground": packed(self.tiles.ground),
             "barred": packed(self.tiles.barred),
+            "islands": packed(self.tiles.islands.astype(np.uint8)) if self.tiles.islands.any() else None,
             "grids": [grid.record() for grid in self.grids],
             "ramps": self.ramps,
             "objects": {"rows": self.objects.shape[0], "cols": self.objects.shape[1], "codes": self.packed_objects},
@@ -493,7 +556,14 @@ class Site:
             "relief": self.relief,
             "photo": self.photo,
             "stretches": list(self.stretches),
-            "ways": [{"name": way.letter, "lines": [line.tolist() for line in way.lines]} for way in self.ways],
+            "ways": [
+                {
+                    "name": way.letter,
+                    "lines": [line.tolist() for line in way.lines],
+                    "profile": profile_places(way.profile),
+                }
+                for way in self.ways
+            ],
             "degrees": self.degrees,
         }
 
@@ -511,33 +581,27 @@ def _corners(wkt: str, spot: Spot) -> list[list[float]] | None:
     return [[round(value, 7) for value in corner] for corner in found.tolist()] if np.isfinite(found).all() else None
 
 
-def _still(tiles: PageTiles, light: NDArray[np.uint8], photo: NDArray[np.uint8] | None) -> str:
-    """Return the classes over the relief or the photo as one picture, hatched where the vehicle cannot cross.
+def _hex(colours: NDArray[np.float64]) -> list[str]:
+    return [f"#{colour.tobytes().hex()}" for colour in np.rint(colours).astype(np.uint8)]
 
-    Unknown ground is grey; nothing is drawn where there are no points.
+
+def _still(tiles: PageTiles, scale: RideScale, light: NDArray[np.uint8]) -> str:
+    """Return the ride cost in the ``light`` of the photo or the relief as one picture, as the script draws it at first.
+
+    Nothing is drawn where there are no points.
     """
-    colours = np.full((256, 3), UNKNOWN_COLOUR[:3], np.float32)
-    for code, colour in CLASS_COLOURS.items():
-        if code != NO_CLASS:
-            colours[code] = colour[:3]
-    colours[NO_POINTS] = _BLANK
     shown = tiles.spot.shown(_STILL_SIDE)
-    height, width = len(shown[0]), shown[1].shape[1]
-    ground, barred = tiles.ground[shown], tiles.barred[shown]
-    ground = np.where((barred == Barred.LITTLE_SEEN) & (ground < UNKNOWN_FROM), UNKNOWN_FROM, ground)
-    bright = np.asarray(Image.fromarray(light).resize((width, height), Image.Resampling.BOX), np.float32) / 255
-    bright = np.where(ground == NO_POINTS, 1.0, np.minimum(1.0, bright + 0.2))
-    picture = np.take(colours, ground, axis=0)  # a third of the time of an index
-    if photo is not None:
-        below = np.asarray(Image.fromarray(photo).resize((width, height), Image.Resampling.BOX), np.float32)
-        picture = np.where(ground[..., None] == NO_POINTS, _BLANK, below + STRENGTH / 100 * (picture - below))
-        bright = np.ones_like(bright)
-    hatch = (ground >= UNKNOWN_FROM) & (ground != NO_POINTS)
-    down, right = ((np.arange(size) % 6).astype(np.int8) for size in (height, width))
-    bright[hatch & np.isin(np.arange(11), (0, 6))[np.add.outer(down, right)]] *= 0.7
-    closed = (barred > Barred.UNKNOWN) & (ground < UNKNOWN_FROM)
-    lines = np.isin(np.arange(11), (0, 5, 6))[np.add.outer(down, 5 - right)]
-    has_room = height >= _LINES * tiles.spot.shape[0]
-    bright[closed & lines if has_room else closed] *= 0.25 if has_room else 0.4 if photo is None else 0.65
-    picture *= bright[:, :, None]
-    return jpeg(np.rint(picture, out=picture).astype(np.uint8), 150_000)
+    shape = len(shown[0]), shown[1].shape[1]
+    ground, barred, islands = tiles.ground[shown], tiles.barred[shown], tiles.islands[shown]
+    flat = scale.colours(tiles.c_r[shown])
+    flat[islands] = ISLAND_SHARE * flat[islands] + (1 - ISLAND_SHARE) * MID_GREY
+    unknown = (ground >= UNKNOWN_FROM) | (barred == Barred.LITTLE_SEEN)
+    closed = (barred != Barred.NO) & ~unknown
+    flat[closed], flat[unknown] = CLOSED_COLOUR[:3], UNKNOWN_COLOUR[:3]
+    above = np.asarray(Image.fromarray(light).resize(shape[::-1], Image.Resampling.BOX), np.float32)
+    if above.ndim == 2:
+        above = above[..., None]
+    else:
+        above = np.where((closed | unknown | islands)[..., None], grey_of(above), above)
+    picture = np.where(ground[..., None] == NO_POINTS, _BLANK, hard_light(flat, above))
+    return jpeg(np.rint(picture).astype(np.uint8), 150_000)

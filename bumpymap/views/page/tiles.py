@@ -24,7 +24,7 @@ from bumpymap.core import (
     Reason,
     stated_crs,
 )
-from bumpymap.layers import UNKNOWN_OBJECT, MapFile, open_layer, read_tiles
+from bumpymap.layers import ISLAND_M2, UNKNOWN_OBJECT, MapFile, open_layer, read_tiles
 
 NOT_KNOWN = 255
 """Byte where a value is not known."""
@@ -85,12 +85,18 @@ class ByteGrid:
         """True if it has a value anywhere."""
         return bool((self.codes != NOT_KNOWN).any())
 
-    def words(self) -> list[str]:
-        """Return the least value of the scale, that in its middle, and the largest, with their unit."""
-        ends = [self.low + self.step * part * STEPS for part in (0.0, 0.5, 1.0)]
+    def words(self, most: float = math.inf) -> list[str]:
+        """Return the least value of the scale, that in its middle, and the largest, ``most`` at most, with their unit.
+
+        ``most`` is for linear scales.
+        """
+        high = self.low + self.step * STEPS
+        ends = [self.low, (self.low + min(high, most)) / 2, min(high, most)]
         plain: dict[str, Callable[[float], float]] = {"log": math.exp, "root": lambda root: root * abs(root)}
         values = [plain.get(self.scale, float)(round(end, 12)) + 0.0 for end in ends]
-        return [f"{value:.{self.decimals}f}{self.unit and f' {self.unit}'}" if value else "0" for value in values]
+        unit = self.unit if self.unit == "°" else self.unit and f" {self.unit}"
+        words = [f"{value:.{self.decimals}f}{unit}" if value else "0" for value in values]
+        return words if most >= high else [*words[:2], f"{words[2]} and more"]
 
     def record(self) -> dict[str, Any]:
         """Return the grid as plain JSON."""
@@ -262,6 +268,8 @@ class PageTiles:
     """Tiles in each bin of ``SLOPE_EDGES``: unknown tiles that have a slope count too."""
     free: NDArray[np.int64]
     """(4,) passable tiles of each class."""
+    islands: NDArray[np.bool_]
+    """True where ground that can be crossed is an island; nowhere on maps of earlier versions, which do not tell."""
 
     @classmethod
     def read(cls, folder: Path, record: Mapping[str, Any], spot: Spot) -> Self:
@@ -273,6 +281,7 @@ class PageTiles:
         # One more than the code, so that 0 stands for no points and the largest is the worst.
         ground, barred = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
         known = np.zeros(shape, np.uint16 if spot.step < 256 else np.uint32)
+        zone, sizes = np.zeros(shape, np.int32), np.zeros(1, np.int64)
         numbers = {name: np.full(shape, -1.0, np.float32) for name in (*_NUMBERS, "cost")}
         bins = {"c_r": np.zeros(len(C_R_EDGES) - 1, np.int64), "slope": np.zeros(len(SLOPE_EDGES) - 1, np.int64)}
         free = np.zeros(len(CLASS_NAMES), np.int64)
@@ -286,8 +295,12 @@ class PageTiles:
             np.maximum.at(ground, place, kind + 1)
             np.maximum.at(barred, place, found["barred"] + 1)
             np.add.at(known, place, 1)
-            passable = found["class"][found["barred"] == Barred.NO]
-            free += np.bincount(passable, minlength=len(free))[: len(free)]
+            passable = found["barred"] == Barred.NO
+            free += np.bincount(found["class"][passable], minlength=len(free))[: len(free)]
+            if "zone" in found:
+                np.maximum.at(zone, place, found["zone"])
+                more = np.bincount(found["zone"], passable, len(sizes)).astype(np.int64)
+                sizes = np.pad(sizes, (0, len(more) - len(sizes))) + more
             found["cost"] = rule.cost(found["c_r"].astype(np.float64), rule.hazard(found["p_fail"])).astype(np.float32)
             for name, canvas in numbers.items():
                 np.fmax.at(canvas, place, found[name])
@@ -305,11 +318,24 @@ class PageTiles:
         for name, canvas in numbers.items():
             canvas[(canvas < 0) | ((ground >= UNKNOWN_FROM) & (name != "obstacle"))] = np.nan
         numbers["cost"][barred != Barred.NO] = np.nan
+        small = sizes * spot.tile_size**2 < ISLAND_M2
+        small[0], small[1:2] = len(sizes) > 1, False  # 0: in no piece, or not known; 1: in the largest
+        islands = small[zone] & (barred == Barred.NO)
         share = numbers.pop("obstacle")
         objects = np.select(
             [ground == NO_POINTS, share > 0, share == 0], [NO_CLASS, OBSTACLE, FREE], UNKNOWN_OBJECT
         ).astype(np.uint8)
-        return cls(spot, ground, barred, objects, **numbers, c_r_bins=bins["c_r"], slope_bins=bins["slope"], free=free)
+        return cls(
+            spot,
+            ground,
+            barred,
+            objects,
+            **numbers,
+            c_r_bins=bins["c_r"],
+            slope_bins=bins["slope"],
+            free=free,
+            islands=islands,
+        )
 
 
 def _place(found: Mapping[str, NDArray[Any]], spot: Spot) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
