@@ -21,8 +21,8 @@ import bumpymap
 SAMPLE = Path(__file__).parents[2] / "sample_data" / "quarry.laz"
 SIZE = 1280, 1400
 """Width and height of the browser's window for a batch, pixels; empty rows at the end are cut off."""
-REPORT_SIZE = 1200, 1080
-"""The same for a map: its page down to the legend."""
+REPORT_SIZE = 1200, 800
+"""The same for a map: the first screen of its page."""
 SIDE = 90.0
 """Side of a made-up site, m."""
 
