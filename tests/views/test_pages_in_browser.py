@@ -22,7 +22,7 @@ from bumpymap.views import write_report
 from bumpymap.views.page.batch_page import index_page
 
 pytestmark = pytest.mark.chromium
-WIDE, PHONE = (1440, 900), (390, 844)
+WIDE, PHONE, TABLET = (1440, 900), (390, 844), (820, 1180)
 
 
 @pytest.fixture(scope="module")
@@ -71,11 +71,13 @@ def pages(site, comparison, checked, tmp_path_factory):
     return found | {"check": checked[0] / "check.html"}
 
 
-@pytest.mark.parametrize("size", [WIDE, PHONE], ids=["wide", "phone"])
+@pytest.mark.parametrize(
+    ("size", "scheme"), [(WIDE, "light"), (PHONE, "light"), (TABLET, "dark")], ids=["wide", "phone", "dark tablet"]
+)
 @pytest.mark.parametrize("name", ["one", "odd", "change", "check"])
-def test_no_error_no_request_axe_finds_nothing_and_prints_fit_their_sheet(visit, pages, name, size):
+def test_no_error_no_request_axe_finds_nothing_and_prints_fit_their_sheet(visit, pages, name, size, scheme):
     """What is wider than 178 mm would shrink all of a print, the map and its scale too."""
-    page = visit(pages[name], size)
+    page = visit(pages[name], size, color_scheme=scheme)
     page.evaluate("document.querySelectorAll('details').forEach(part => { part.open = true; })")
     found = Axe().run(page)
     assert found.violations_count == 0, found.generate_report()
