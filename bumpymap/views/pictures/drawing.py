@@ -143,8 +143,6 @@ SATURATION = 0.75
 """Share of its colours that a photo keeps: chosen."""
 CONTRAST = 0.7
 """Share of its contrast that a photo keeps: bright ground must not look unknown, nor dark ground black. Chosen."""
-_LUMA = np.array([0.299, 0.587, 0.114])
-"""Weights of red, green and blue in the brightness of a colour (ITU-R BT.601)."""
 LEVEL = math.sqrt(0.5)
 """Brightness of level ground; see `light_of`."""
 _GAPS = (1, 3, 7)
@@ -202,22 +200,24 @@ class MapView:
         return TileWindow.around(cols, lines)
 
 
-def levelled(photo: NDArray[np.floating]) -> NDArray[np.float64]:
+def levelled(photo: NDArray[np.floating]) -> NDArray[np.floating]:
     """Return a photo with its median brightness at ``MID_GREY``, paler; (rows, cols, 3) from 0 to 255, NaN as given."""
     paler = gain_of(photo) * (SATURATION * photo + (1 - SATURATION) * grey_of(photo))
-    return np.asarray(np.clip(MID_GREY + CONTRAST * (paler - MID_GREY), 0, 255), np.float64)
+    return np.clip(MID_GREY + CONTRAST * (paler - MID_GREY), 0, 255)
 
 
 def gain_of(photo: NDArray[np.floating]) -> float:
     """Return the factor on a photo, (..., 3), that brings its median brightness to ``MID_GREY``; NaN does not count."""
-    known = np.isfinite(photo).all(axis=-1)
-    brightness = float(np.median(photo[known] @ _LUMA)) if known.any() else float(MID_GREY)
+    grey = grey_of(photo)
+    known = np.isfinite(grey)
+    brightness = float(np.median(grey[known])) if known.any() else float(MID_GREY)
     return float(np.clip(MID_GREY / max(brightness, 1.0), *_GAIN))
 
 
-def grey_of(colours: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the brightness of colours, (..., 3), as (..., 1)."""
-    return np.asarray(colours @ _LUMA, np.float64)[..., None]
+def grey_of(colours: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return the brightness of colours, (..., 3), as (..., 1): ITU-R BT.601."""
+    red, green, blue = np.moveaxis(colours, -1, 0)
+    return np.asarray(0.299 * red + 0.587 * green + 0.114 * blue)[..., None]
 
 
 def hard_light(colours: NDArray[np.floating], light: NDArray[np.floating]) -> NDArray[np.float64]:
