@@ -258,9 +258,10 @@ def test_a_way_has_its_profile_which_marks_its_place_on_the_map_and_is_marked_fr
     page.mouse.move(box["x"] + box["width"] / 2, box["y"] + 20)
     assert page.evaluate("window.reportMaps[0].marked") == pytest.approx([west + 55.0, north - 40.0], abs=0.6)
     assert (slider.input_value(), chart.locator(".cursor").get_attribute("hidden")) == ("45", None)
-    assert "45 m along the way · height 9.5 m · ride cost C_r 0.100 rad/m (80 % of drives 0.080 to 0.150)" in (
+    assert "45 m along the way · height 9.5 m · ride cost C_r 0.100 rad/m (80 % interval 0.080 to 0.150)" in (
         page.inner_text(".readout")
     )
+    assert "nan" not in page.inner_html(".profile")  # the interval is not known at its first place
     slider.press("ArrowRight")
     assert page.evaluate("window.reportMaps[0].marked[0]") == pytest.approx(west + 56.0, abs=0.01)
     there = "(map) => [30 - map.middle[0], 40 - map.middle[1], map.width, map.height, map.scale]"

@@ -307,11 +307,10 @@ def profile_chart(profile: Mapping[str, NDArray[np.float64]], scale: RideScale) 
 
     def path(top: NDArray[np.float64], foot: NDArray[np.float64] | None = None) -> str:
         """Return lines, broken where ``top`` is not known; with ``foot`` areas down to it."""
-        known, text = np.flatnonzero(np.isfinite(top)), ""
+        known, text = np.flatnonzero(np.isfinite(top if foot is None else top + foot)), ""
         for part in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1) if len(known) else ():
-            sides = [
-                np.column_stack([x, side])[part[::turn]] for side, turn in ((top, 1), (foot, -1)) if side is not None
-            ]
+            sides = [np.column_stack([x, top])[part]]
+            sides += [] if foot is None else [np.column_stack([x, foot])[part[::-1]]]
             text += "M" + "L".join(f"{right:.1f} {low:.1f}" for right, low in np.concatenate(sides).tolist())
         return text
 
@@ -340,7 +339,7 @@ def profile_places(profile: Mapping[str, NDArray[np.float64]]) -> dict[str, Any]
     texts = []
     for along, z, *ride in zip(*(profile[key] for key in ("distance_m", "z_m", *_RIDES)), strict=True):
         height = f"height {z:,.1f} m" if np.isfinite(z) else "height not known"
-        level = "ride cost C_r {:.3f} rad/m (80 % of drives {:.3f} to {:.3f})".format(*ride)
+        level = "ride cost C_r {:.3f} rad/m (80 % interval {:.3f} to {:.3f})".format(*ride)
         level = level if np.isfinite(ride).all() else "C_r not known"
         texts.append(f"{along:,.0f} m along the way · {height} · {level}")
     keys = (("along", "distance_m"), ("east", "east"), ("north", "north"))
