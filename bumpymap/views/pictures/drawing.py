@@ -133,8 +133,6 @@ _TYPICAL_GRADIENT = 0.35
 """Gradient that the steepest tenth of the relief is brought to: chosen, hills of 19 degrees."""
 _EXAGGERATION = (0.5, 6.0)
 """Least and largest factor on the gradients: chosen."""
-STRENGTH = 65
-"""Opacity of the colours of the layers over a photo, per cent; on a page the reader may change it."""
 DETAIL = 0.7
 """Opacity of photo and relief in hard light over the colours of a map: chosen."""
 _GAIN = (0.6, 2.0)
