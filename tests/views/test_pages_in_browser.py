@@ -182,7 +182,9 @@ def grey(site, tmp_path_factory):
     at = tiles.schema.get_field_index("zone")
     tiles = tiles.set_column(at, tiles.schema.field(at), pa.array(zones, pa.int32(), mask=zones == 0))
     pq.write_table(tiles, folder / "tiles.parquet")
-    list_anew(folder, files=[*json.loads((folder / "run.json").read_text())["files"], {"path": "rasters/photo.tif"}])
+    record = json.loads((folder / "run.json").read_text())
+    record["counts"]["zones"] |= {"pieces": 2, "islands": 1}
+    list_anew(folder, counts=record["counts"], files=[*record["files"], {"path": "rasters/photo.tif"}])
     write_report(folder)
     return folder
 

@@ -24,7 +24,7 @@ from bumpymap.core import (
     Reason,
     stated_crs,
 )
-from bumpymap.layers import ISLAND_M2, UNKNOWN_OBJECT, MapFile, open_layer, read_tiles
+from bumpymap.layers import UNKNOWN_OBJECT, MapFile, open_layer, read_tiles
 
 NOT_KNOWN = 255
 """Byte where a value is not known."""
@@ -281,7 +281,7 @@ class PageTiles:
         # One more than the code, so that 0 stands for no points and the largest is the worst.
         ground, barred = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
         known = np.zeros(shape, np.uint16 if spot.step < 256 else np.uint32)
-        zone, sizes = np.zeros(shape, np.int32), np.zeros(1, np.int64)
+        zone = np.zeros(shape, np.int32)
         numbers = {name: np.full(shape, -1.0, np.float32) for name in (*_NUMBERS, "cost")}
         bins = {"c_r": np.zeros(len(C_R_EDGES) - 1, np.int64), "slope": np.zeros(len(SLOPE_EDGES) - 1, np.int64)}
         free = np.zeros(len(CLASS_NAMES), np.int64)
@@ -295,12 +295,10 @@ class PageTiles:
             np.maximum.at(ground, place, kind + 1)
             np.maximum.at(barred, place, found["barred"] + 1)
             np.add.at(known, place, 1)
-            passable = found["barred"] == Barred.NO
-            free += np.bincount(found["class"][passable], minlength=len(free))[: len(free)]
+            passable = found["class"][found["barred"] == Barred.NO]
+            free += np.bincount(passable, minlength=len(free))[: len(free)]
             if "zone" in found:
                 np.maximum.at(zone, place, found["zone"])
-                more = np.bincount(found["zone"], passable, len(sizes)).astype(np.int64)
-                sizes = np.pad(sizes, (0, len(more) - len(sizes))) + more
             found["cost"] = rule.cost(found["c_r"].astype(np.float64), rule.hazard(found["p_fail"])).astype(np.float32)
             for name, canvas in numbers.items():
                 np.fmax.at(canvas, place, found[name])
@@ -318,9 +316,9 @@ class PageTiles:
         for name, canvas in numbers.items():
             canvas[(canvas < 0) | ((ground >= UNKNOWN_FROM) & (name != "obstacle"))] = np.nan
         numbers["cost"][barred != Barred.NO] = np.nan
-        small = sizes * spot.tile_size**2 < ISLAND_M2
-        small[0], small[1:2] = len(sizes) > 1, False  # 0: in no piece, or not known; 1: in the largest
-        islands = small[zone] & (barred == Barred.NO)
+        zones = record["counts"].get("zones")  # not in maps of earlier versions
+        last = zones["pieces"] - zones["islands"] if zones else np.inf  # they are numbered by size
+        islands = (zone > last) & (barred == Barred.NO)
         share = numbers.pop("obstacle")
         objects = np.select(
             [ground == NO_POINTS, share > 0, share == 0], [NO_CLASS, OBSTACLE, FREE], UNKNOWN_OBJECT
