@@ -14,7 +14,7 @@ from pathlib import Path
 from pages import take
 from PIL import Image
 
-COLOURS, HERO_PX, SMALL_PX = 200, 1200, 400
+COLOURS, HERO_PX, SMALL_PX = 200, 1200, 700
 """Most colours of a picture, and widths of the large and the small ones, px."""
 
 
@@ -31,7 +31,7 @@ def draw(survey: Path, crs: str, ends: tuple[str, str], frame: Path, pictures: P
         save(on_both_screens(layers / "report.html"), pictures / "front_report.png", SMALL_PX)
         save(Image.open(next(scan.glob("frames/*.png"))), pictures / "front_scan.png", SMALL_PX)
         profile = Image.open(way / "route.png")
-        save(profile.crop((0, profile.height - 390, 1260, profile.height)), pictures / "front_route.png", SMALL_PX)
+        save(profile.crop((0, profile.height - 400, 1230, profile.height)), pictures / "front_route.png", SMALL_PX)
 
 
 def run(*words: object) -> None:
