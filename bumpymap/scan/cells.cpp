@@ -131,6 +131,11 @@ void find_cells(const ClassedPoints& scan, Index begin, Index count, const CellR
     }
 }
 
+// Keeps the least of the sectors that points of a cell lie in; -1: none yet.
+void meet(std::int32_t& kept, std::int32_t sector) {
+    if (sector >= 0 && (kept < 0 || sector < kept)) kept = sector;
+}
+
 // Finds the cell of every point, and the lowest points by ray and ring; sums the ground by cell.
 void sort_into_cells(const ClassedPoints& scan, const CellRule& rule, const SquareCells& out, Laying& s) {
     Blocks block;
@@ -145,15 +150,16 @@ void sort_into_cells(const ClassedPoints& scan, const CellRule& rule, const Squa
         const float z = scan.points(p, 2), h = scan.height[p];
         if (scan.ground[p]) {
             s.count[cell] += 1.0;
-            s.total[cell] += z;
-            if (out.sector[cell] < 0) out.sector[cell] = scan.sector[p];
+            s.total[cell] += exact(z);
+            meet(out.sector[cell], scan.sector[p]);
         } else {
             s.has_others[cell] = 1;
         }
         if (scan.ground[p] || std::abs(h) < rule.belly) {
-            if (z < returns.ground) {
+            const auto sector = static_cast<float>(scan.sector[p]);
+            if (z < returns.ground || (z == returns.ground && sector < returns.sector)) {
                 returns.ground = z;
-                returns.sector = static_cast<float>(scan.sector[p]);
+                returns.sector = sector;
             }
         } else if (!(h >= rule.height)) {
             returns.lowest = std::min(returns.lowest, z);
@@ -221,13 +227,15 @@ void stand_objects(const ClassedPoints& scan, const CellRule& rule, const Square
             clearance = std::isnan(clearance) ? above : std::min(clearance, above);
         } else if (h >= rule.belly) {
             objects += 2;
-            if (!(h <= out.top[cell])) {
-                out.top[cell] = static_cast<float>(h);
-                out.tip[cell] = scan.points(i, 2);
+            const auto top = static_cast<float>(h);
+            const float tip = scan.points(i, 2);
+            if (!(top <= out.top[cell]) || (top == out.top[cell] && tip > out.tip[cell])) {
+                out.top[cell] = top;
+                out.tip[cell] = tip;
             }
         } else {
             objects |= 1;
-            if (h > -rule.belly && out.sector[cell] < 0) out.sector[cell] = scan.sector[i];
+            if (h > -rule.belly && !(s.count[cell] > 0.0)) meet(out.sector[cell], scan.sector[i]);
         }
     }
 }
@@ -282,10 +290,11 @@ class RayFollower {
         const auto way = static_cast<double>(ring - last_);
         const double away = static_cast<double>(ring) + 0.5, from = static_cast<double>(last_) + 0.5;
         const double above = z - level_ - scan_.rise(home_, x_, y_) * way;
-        const double whole = scan_.rise(-1, x_, y_) * way;
-        if (above < -rule_.belly && z - level_ - whole < -0.5 * rule_.belly) {
-            const Index home = scan_.row(home_), other = scan_.row(here);
-            if (scan_.drops[home] || scan_.drops[other]) {
+        const double under = z - level_ - scan_.rise(-1, x_, y_) * way;  // against the slope of the whole ground
+        const Index home = scan_.row(home_), other = scan_.row(here);
+        const bool drops = scan_.drops[home] || scan_.drops[other];
+        if ((drops ? std::min(above, under) : above) < -rule_.belly && under < -0.5 * rule_.belly) {
+            if (drops) {
                 s_.has_fallen[home] = s_.has_fallen[other] = 1;
                 for (Index k = last_; k < ring + (is_object ? 1 : 0); ++k) seen(k) = falls;
             }

@@ -1,416 +1,362 @@
-// Finds the ground of a scan: a plane for every cell of the polar grid.
+// Finds the height of every point of a scan above the ground, the points on it and the objects over it; and where it
+// drops.
 //
-// Each cell's plane starts at the lowest points of its parts and is fitted again to the points near it. It must
-// continue the planes around it; where it does not, it starts again from theirs. A cell without a plane of its own
-// passes theirs on. At last, only the planes that continue each other around the robot stay. Sums run in the order of
-// the scan's points. Ours; see `find_ground` of ground.py.
-#include "ground.hpp"
-
-#include <array>
+// A point is ground if it lies near the surface (surface.cpp), nearer where the ground is smooth, and no plants rise
+// from it there. What lies behind an edge is not seen: so the ground is followed outwards, and if what is seen next
+// lies too far below where it should go on, there is an edge in between. Ours; records as in ground.py.
+#include "surface.hpp"
 
 namespace bumpy {
 namespace {
 
-// Most neighbours of a cell: three inwards, two beside it, three outwards; NEIGHBOURS in ground.py.
-constexpr std::size_t most_neighbours = 8;
-struct SearchRule {
-    Array<const double> reach;
-    Index least_points, neighbours;
-    Array<const double> slope;
-};
+// ---- The points on the ground ----
 
-// ---- The plane of a cell ----
-
-// Lowest points that may be reflections below the ground.
-constexpr Index tail_points = 32;
-// A gap in height, m, below which the few lowest points are reflections.
-constexpr double gap = 0.3;
-// Before the noise of the scan is known, points within this distance of a plane are its ground, m: first, most, least,
-// and as a multiple of their root mean square.
-constexpr double start_reach = 0.15, widest_reach = 0.3, narrowest_reach = 0.1, reach_of_spread = 2.5;
-// The lowest points of parts within these heights of the plane through them are its start, m.
-constexpr double above_lowest = 0.15, far_below = -1.0;
-// Weight of the expected slope against the points', m^2 per root of their number: it decides if they lie on a line.
-constexpr double ridge_weight = 0.02;
-// How often a plane is fitted again to the points near it, in the first round and in the second.
-constexpr int first_passes = 2, later_passes = 4;
-// Slope of 38 degrees: tan(radians(38)) as Python rounds it.
+// A point is ground between these heights over the surface, m: below, and this multiple of the noise of the ground
+// above, with limits.
+constexpr float below_surface = -0.5F;
+constexpr double reach_of_noise = 10.0, least_reach = 0.15, most_reach = 0.25;
+// The noise is the spread of the points up to this height over the surface, m, in bins that have this number of them:
+// the median over the bins of an octave that has this number of those. Where none has, it is this, m.
+constexpr float near_surface = 0.2F;
+constexpr double least_points = 5.0, usual_noise = 0.03;
+constexpr Index least_bins = 16;
+// Plants stand in a bin and those around it if between `near_surface` and this height, m, there are points, as a share
+// of those near the surface, and those spread in their bins by more than this multiple of the noise and this, m. They
+// stand in the bin itself if it has at least this share of such points, or spreads so.
+constexpr float plants_top = 0.95F;
+constexpr double plants_share = 0.5, own_share = 0.1, plants_spread = 1.6, plants_least = 0.043;
+// Slope of 38 degrees: tan(radians(38)). What is steeper is no ground.
 const double steepest = std::tan(38.0 * (std::numbers::pi / 180.0));
-// Fewest points of a plane.
-constexpr double least_fitted = 8.0;
-// A plane is fitted to every second, third ... point of a cell that has this many points twice, three times ...
-constexpr Index most_fitted = 512;
-// How far a plane may pass from what its neighbours expect, m: at their own points, for each metre from there, and the
-// greatest distance that counts.
-constexpr double step_at = 0.25, step_per_metre = 0.15, farthest = 8.0;
-// How much farther than at their points a plane may pass above what its neighbours expect, for each metre from there;
-// and above a guess. Below them it may pass at `step_per_metre`: a step up is an object more often than ground.
-constexpr double rise_per_metre = 0.06, guessed_rise = 0.04;
-// Weight of a plane's own slope against that of the whole ground, where it is followed to its neighbours.
-constexpr double own_slope = 0.85;
+// Ground that is higher than this above the origin, m, must have objects on it that are higher than this, m, and more
+// of them than hang below it: a frame may have its origin below the robot, or z may point down.
+constexpr double highest = 0.5;
+constexpr float stands = 0.5F;
+// Objects on the ground are drawn up to this multiple of the vehicle's height.
+constexpr double objects_height = 2.0;
+// Returns in pixels next to each other lie together if their heights are so near to each other, m, at the sensor, and
+// more for each metre from it; this number is an object.
+constexpr double beside_m = 0.03, beside_per_metre = 0.04;
+constexpr float together = 3.0F;
 
-// Every `step`-th of some points.
-struct Some {
-    Index first, end, step;
+struct GroundRule {
+    double belly, height;
+    bool may_hang;
 };
 
-// The height that the planes around a cell expect at a place.
-struct Expected {
-    Index cell = -1;      // with the median height; -1: there are none
-    double height = 0.0;  // m
-    double away = 0.0;    // way from the place to the points of that cell, m
-    std::int32_t worst = guessed;
+struct GroundLabels {
+    Array<float> height;
+    Array<bool> ground;
+    Array<std::int32_t> obstacles, overhead;
+    Array<bool> airborne;
+    Array<float> top, clearance;
+    Array<float, 3> objects, lowest;
+    Array<bool> kept;
+    Array<std::int32_t> held;
+    Array<double, 2> surface;
+    Array<double> whole;
 };
 
-// Planes that were guessed count where there are no others: `worst` is the kind of the worst that count.
-Expected expect_from(
-    Index cell, Index last, Place at, const CellGeometry& geometry, const GroundPlanes& planes,
-    Array<const double> slope) {
-    struct Height {
-        double height;
-        Index cell;
-    };
-    std::array<Height, most_neighbours> heights;
-    for (const std::int32_t worst : {found, guessed}) {
-        std::size_t count = 0;
-        for (Index s = 0; s < last; ++s) {
-            const Index other = geometry.near(cell, s);
-            if (other < 0 || planes.kind[other] == 0 || planes.kind[other] > worst) continue;
-            const double u = planes.centre(other, 0), v = planes.centre(other, 1);
-            double height = planes.at(other).height(u + own_slope * (at.x - u), v + own_slope * (at.y - v));
-            height += (1.0 - own_slope) * (slope[0] * (at.x - u) + slope[1] * (at.y - v));
-            std::size_t k = count++;
-            for (; k > 0 && heights[k - 1].height > height; --k) heights[k] = heights[k - 1];
-            heights[k] = {height, other};
+// The points of a bin near the surface: number, sum and squares of their heights, exact; and the number of those over
+// it.
+struct NearPoints {
+    double count = 0.0, sum = 0.0, squares = 0.0, rising = 0.0;
+
+    void add(float h) {
+        if (below_surface < h && h < near_surface) {
+            count += 1.0;
+            sum += exact(h);
+            squares += exact(static_cast<double>(h) * h);
+        } else if (h >= near_surface && h < plants_top) {
+            rising += 1.0;
         }
-        if (count == 0) continue;
-        const auto [height, other] = heights[(count - 1) / 2];
-        const double dx = at.x - planes.centre(other, 0), dy = at.y - planes.centre(other, 1);
-        return {other, height, std::sqrt(dx * dx + dy * dy) + planes.centre(other, 2), worst};
     }
-    return {};
-}
-
-// Heights above a plane of the points that another one is fitted to, and of those that tell its spread, m.
-struct Band {
-    double low, high, reach;
+    // Sum of the squares of the heights about their mean.
+    double scatter() const { return count > 0.0 ? std::max(squares - sum * sum / count, 0.0) : 0.0; }
+    double deviation() const { return std::sqrt(scatter() / count); }
 };
 
-struct Fit {
-    double count;
-    double spread;  // root mean square of the heights of the points within the band's reach of the plane before, m
-    Slope plane;
-};
-
-// Fits a plane to those of some points that lie in a band of another plane.
-Fit fit_again(Array<const float, 2> xyz, Some some, Slope plane, Band band, Place origin, Place slope) {
-    std::array<double, 9> sums{};
-    double near = 0.0, square = 0.0;
-    for (Index i = some.first; i < some.end; i += some.step) {
-        const double x = xyz(0, i), y = xyz(1, i);
-        const double u = x - origin.x, v = y - origin.y;
-        const double h = xyz(2, i) - plane.height(x, y);
-        const std::array<double, 9> terms{1.0, u, v, h, u * u, u * v, v * v, u * h, v * h};
-        const bool counts = (band.low < h) & (h < band.high), is_near = std::abs(h) < band.reach;
-        for (std::size_t m = 0; m < sums.size(); ++m) sums[m] += counts ? terms[m] : 0.0;
-        near += is_near ? 1.0 : 0.0;
-        square += is_near ? h * h : 0.0;
-    }
-    const auto [n, su, sv, sh, suu, suv, svv, suh, svh] = sums;
-    if (n < 3.0) return {n, 0.0, plane};
-    const double mu = su / n, mv = sv / n, mh = sh / n;
-    const double ridge = ridge_weight * std::sqrt(n);
-    const double uu = suu - su * mu + ridge, vv = svv - sv * mv + ridge, uv = suv - su * mv;
-    const double uh = suh - su * mh + ridge * (slope.x - plane.a), vh = svh - sv * mh + ridge * (slope.y - plane.b);
-    const double det = uu * vv - uv * uv;
-    const double da = (uh * vv - vh * uv) / det, db = (vh * uu - uh * uv) / det;
-    const double rise = mh - da * (mu + origin.x) - db * (mv + origin.y);
-    return {n, std::sqrt(square / std::max(near, 1.0)), {plane.a + da, plane.b + db, plane.c + rise}};
-}
-
-// The lowest point of each part, and the lowest heights of all.
-struct Lowest {
-    struct Point {
-        double height = infinite, x = 0.0, y = 0.0, z = 0.0;  // m; above the expected plane; infinite: none
-    };
-    std::array<Point, parts_of_cell> points;
-    std::array<double, tail_points> tail;  // increasing, m
-};
-
-// Finds them among the points that are not below `floor`; `most` heights of the tail.
-Lowest find_lowest(const CellPoints& points, Some some, Slope plane, double floor, std::size_t most) {
-    Lowest out;
-    out.tail.fill(infinite);
-    for (Index i = some.first; i < some.end; i += some.step) {
-        const double x = points.xyz(0, i), y = points.xyz(1, i), z = points.xyz(2, i);
-        const double h = z - plane.height(x, y);
-        if (h < floor) continue;
-        Lowest::Point& lowest = out.points[static_cast<std::size_t>(points.part[i])];
-        if (h < lowest.height) lowest = {h, x, y, z};
-        if (h < out.tail[most - 1]) {
-            std::size_t k = most - 1;
-            for (; k > 0 && out.tail[k - 1] > h; --k) out.tail[k] = out.tail[k - 1];
-            out.tail[k] = h;
+// The noise of the ground in every ring, m: between the medians of octaves.
+Scratch<double> find_noise(const Scratch<NearPoints>& near, const BinRings& rings) {
+    Scratch<double> out(rings.count, usual_noise), spreads;
+    double before = -1.0, last = usual_noise;
+    for (Index begin = 0; begin < rings.count; begin += octave_rings) {
+        spreads.clear();
+        const Index end = std::min(begin + octave_rings, rings.count) * bin_columns;
+        for (Index bin = begin * bin_columns; bin < end; ++bin)
+            if (near[bin].count >= least_points) spreads.push_back(near[bin].deviation());
+        if (spreads.count() < least_bins) continue;
+        const auto middle = spreads.begin() + spreads.count() / 2;
+        std::nth_element(spreads.begin(), middle, spreads.end());
+        const double here = static_cast<double>(begin) + 0.5 * octave_rings;
+        for (Index ring = 0; ring < rings.count; ++ring) {
+            const auto at = static_cast<double>(ring);
+            if (at < before) continue;
+            const double share = before < 0.0 ? 1.0 : std::min((at - before) / (here - before), 1.0);
+            out[ring] = last + share * (*middle - last);
         }
+        before = here;
+        last = *middle;
     }
     return out;
 }
 
-// Finds a plane through the lowest points of the cell's parts; returns false if there are fewer than three.
-bool start_plane(const CellPoints& points, Some some, Slope expected, Place origin, Slope& plane) {
-    const Index several = std::max((some.end - some.first) / (50 * some.step), Index{3});
-    const auto most = static_cast<std::size_t>(std::min(several, tail_points - 1) + 1);
-    Lowest lowest = find_lowest(points, some, expected, -infinite, most);
-    double floor = -infinite;
-    for (std::size_t k = 0; k + 1 < most; ++k)
-        if (lowest.tail[k + 1] - lowest.tail[k] > gap) floor = lowest.tail[k + 1];
-    if (floor > -infinite) lowest = find_lowest(points, some, expected, floor, most);
-    std::array<float, 3 * parts_of_cell> low;
-    std::array<double, parts_of_cell> heights;
-    std::size_t count = 0;
-    for (const auto [height, x, y, z] : lowest.points) {
-        if (height == infinite) continue;
-        low[count] = static_cast<float>(x);
-        low[parts_of_cell + count] = static_cast<float>(y);
-        low[2 * parts_of_cell + count] = static_cast<float>(z);
-        heights[count++] = height;
+// Finds up to which height the points of each bin are ground: none in steep bins, and in those in which plants rise.
+void find_reaches(
+    const Scratch<NearPoints>& near, const Scratch<Tilt>& planes, const BinRings& rings, Scratch<float>& reach) {
+    struct Spread {
+        double count, rising, scatter;
+    };
+    const Scratch<double> noise = find_noise(near, rings);
+    Scratch<Spread> sums;
+    sums.reserve(near.size());
+    for (const NearPoints& bin : near) sums.push_back({bin.count, bin.rising, bin.scatter()});
+    for (Index bin = 0; bin < near.count(); ++bin) {
+        const Spread& own = sums[bin];
+        const Index ring = bin / bin_columns;
+        const auto [a, b, c] = planes[bin];
+        reach[bin] = static_cast<float>(std::clamp(reach_of_noise * noise[ring], least_reach, most_reach));
+        if (a * a + b * b > steepest * steepest) reach[bin] = below_surface;
+        if (own.count == 0.0) continue;
+        const double plants = std::max(plants_spread * noise[ring], plants_least);
+        const auto spread = [](const Spread& of, double least) { return of.scatter > least * least * of.count; };
+        if (own.rising < own_share * own.count && !spread(own, plants)) continue;
+        Spread all = own;
+        around_bin(bin, 1, rings.count, [&](Index other) {
+            all.count += sums[other].count;
+            all.rising += sums[other].rising;
+            all.scatter += sums[other].scatter;
+            return true;
+        });
+        if (all.rising >= plants_share * all.count && spread(all, plants)) reach[bin] = below_surface;
     }
-    if (count < 3) return false;
-    std::sort(heights.begin(), heights.begin() + static_cast<Index>(count));
-    const double median = 0.5 * (heights[(count - 1) / 2] + heights[count / 2]);
-    plane = expected;
-    Band band{-infinite, median + 0.05, 0.0};
-    for (int pass = 0; pass < 3; ++pass) {
-        const Fit fit = fit_again(
-            {low.data(), {3, parts_of_cell}}, {0, static_cast<Index>(count), 1}, plane, band, origin,
-            {expected.a, expected.b});
-        if (fit.count < 3.0) return false;
-        plane = fit.plane;
-        band = {far_below, above_lowest, 0.0};
-    }
-    return true;
 }
 
-// Fits a plane `passes` times again to the points near it; returns whether enough are. `distance`: m, comes as the
-// reach, goes as what counted as near; with a reach of zero it follows the spread of the points.
-bool settle(
-    const CellPoints& points, Some some, Slope& plane, double& distance, int passes, Place origin, Place slope) {
-    const bool follows = !(distance > 0.0);
-    if (follows) distance = start_reach;
-    for (int pass = 0; pass < passes; ++pass) {
-        const Fit fit = fit_again(points.xyz, some, plane, {-2.0 * distance, distance, distance}, origin, slope);
-        plane = fit.plane;
-        if (fit.count < 5.0) return false;
-        if (follows) distance = std::min(std::max(reach_of_spread * fit.spread, narrowest_reach), widest_reach);
-    }
-    return true;
-}
-
-// Number, mean x and y, and spread in height of the points near a plane.
-struct Described {
-    double count, x, y, spread;
+// Heights of the points over the surface, and in which bins up to which one they are ground.
+struct Labelling {
+    Scratch<float> height;     // (points,) by cell, m
+    Scratch<float> reach;      // (bins,) m; below all ground where the bin has none
+    Scratch<float> lowest;     // (pixels^2,) of the objects in each pixel of a cell, m
+    Scratch<Tilt> planes;      // (bins,) that touch the surface
+    Scratch<NearPoints> near;  // (bins,)
 };
 
-Described describe(const CellPoints& points, Some some, Slope plane, double reach) {
-    double count = 0.0, sx = 0.0, sy = 0.0, sh = 0.0, square = 0.0;
-    for (Index i = some.first; i < some.end; i += some.step) {
-        const double x = points.xyz(0, i), y = points.xyz(1, i);
-        const double h = points.xyz(2, i) - plane.height(x, y);
-        if (!(std::abs(h) < reach)) continue;
-        count += 1.0;
-        sx += x;
-        sy += y;
-        sh += h;
-        square += h * h;
+// Finds the heights of all points, and which bins have ground; returns whether the frame hangs from what looks like
+// ground.
+bool find_heights(const CellPoints& points, const Surface& surface, const BinRings& rings, Labelling& s) {
+    const Index bins = rings.count * bin_columns, placed = points.starts[points.starts.size() - 2];
+    renew(s.planes, bins);
+    renew(s.near, bins);
+    s.height.resize(static_cast<std::size_t>(placed));
+    s.reach.resize(static_cast<std::size_t>(bins));
+    const Layers& layers = surface.layers;
+    for (Index i = 0; i < layers.size(); ++i) {
+        const auto [ring, column] = layers.middle(i);
+        s.planes[layers.bin[i]] = surface.levels.back().touch(layers.x[i], layers.y[i], ring, column);
     }
-    if (count == 0.0) return {};
-    const double mean = sh / count;
-    return {count, sx / count, sy / count, std::sqrt(std::max(square / count - mean * mean, 0.0))};
-}
-
-// ---- The planes of all cells ----
-
-// Keeps a plane if it has enough points, is not too steep and continues its neighbours'; returns whether it was.
-bool accept(
-    Index cell, Slope plane, const Described& own, const CellGeometry& geometry, const GroundPlanes& planes,
-    const SearchRule& rule) {
-    const double slope = plane.a * plane.a + plane.b * plane.b;
-    if (own.count < least_fitted || slope > steepest * steepest) return false;
-    const Expected near = expect_from(cell, rule.neighbours, {own.x, own.y}, geometry, planes, rule.slope);
-    const double height = plane.height(own.x, own.y);
-    if (near.cell >= 0) {
-        const double over = height - near.height, far = std::min(near.away, farthest);
-        if (over > step_at + rise_per_metre * far || -over > step_at + step_per_metre * far) return false;
+    Index over = 0, under = 0;
+    for (Index i = 0; i < placed; ++i) {
+        const Index bin = points.bin[i];
+        const auto h = static_cast<float>(s.planes[bin].above(points.xyz(0, i), points.xyz(1, i), points.xyz(2, i)));
+        s.height[i] = h;
+        over += h > stands;
+        under += h < -stands;
+        s.near[bin].add(h);
     }
-    if (planes.kind[cell] == guessed) {
-        const double limit = step_at + guessed_rise * std::min(planes.centre(cell, 2), farthest);
-        if (height - planes.at(cell).height(own.x, own.y) > limit) return false;
+    find_reaches(s.near, s.planes, rings, s.reach);
+    return surface.whole.c > highest && over <= under;
+}
+
+// The points above ground in the pixels of a cell, up to `objects_height`: highest, lowest [m], and number.
+struct Objects {
+    Array<float> top, count, lowest;
+};
+
+// Takes returns that lie alone from the objects of a cell: fewer than three in a pixel and those next to it. The beams
+// on an object lie side by side, so that its returns do; those from rain, dust or an insect lie alone.
+void leave_out_airborne(const Objects& objects, double reach) {
+    const auto& [top, count, lowest] = objects;
+    const Index pixels = top.size();
+    const Index side = std::lround(std::sqrt(static_cast<double>(pixels)));
+    for (Index place = 0; place < pixels; ++place) {
+        if (!(0.0F < count[place] && count[place] < together)) continue;
+        const double low = lowest[place] - reach, high = top[place] + reach;
+        float beside = high - low < 3.0 * reach ? count[place] : 1.0F;
+        const Index row = place / side, column = place % side;
+        for (Index r = std::max(row - 1, Index{0}); r < std::min(row + 2, side); ++r) {
+            for (Index c = std::max(column - 1, Index{0}); c < std::min(column + 2, side); ++c) {
+                const Index k = r * side + c;
+                const bool touches = lowest[k] < high && top[k] > low;
+                if (k != place && count[k] != 0.0F && touches) beside += std::abs(count[k]);
+            }
+        }
+        if (beside < together) count[place] = -count[place];
     }
-    planes.put(cell, plane, {own.x, own.y}, 0.0);
-    planes.spread[cell] = own.spread;
-    planes.kind[cell] = found;
-    return true;
+    for (Index place = 0; place < pixels; ++place)
+        if (count[place] < 0.0F) top[place] = count[place] = 0.0F;
 }
 
-// Gives a cell the plane of another one, `away` [m] from the points of that; -1: none.
-void carry(
-    Index cell, Index other, double away, std::int32_t kind, const CellGeometry& geometry, Array<const double> slope,
-    const GroundPlanes& planes) {
-    planes.kind[cell] = other >= 0 ? kind : 0;
-    if (other < 0) return;
-    const double x = geometry.x[cell], y = geometry.y[cell];
-    double a = planes.plane(other, 0), b = planes.plane(other, 1);
-    double height = planes.at(other).height(x, y);
-    if (kind == guessed) {
-        const double u = planes.centre(other, 0), v = planes.centre(other, 1);
-        height = planes.at(other).height(u, v) + slope[0] * (x - u) + slope[1] * (y - v);
-        a = slope[0];
-        b = slope[1];
-    }
-    a = 0.5 * (a + slope[0]);
-    b = 0.5 * (b + slope[1]);
-    planes.put(cell, {a, b, height - a * x - b * y}, {x, y}, away);
-}
-
-// Finds a plane of the cell's own, from its lowest points or else from what its neighbours expect; false if none fits.
-bool find_own(
-    const CellPoints& points, Index cell, const Expected& near, const CellGeometry& geometry,
-    const GroundPlanes& planes, const SearchRule& rule) {
-    const Index first = points.starts[cell], count = points.starts[cell + 1] - first;
-    if (count <= rule.least_points) return false;
-    const Some some{first, first + count, std::max(count / most_fitted, Index{1})};
-    const Place origin{geometry.x[cell], geometry.y[cell]};
-    const Slope expected = near.cell >= 0 ? planes.at(near.cell) : Slope{rule.slope[0], rule.slope[1], 0.0};
-    const Place slope{expected.a, expected.b};
-    const double width = rule.reach[geometry.zone[cell]];
-    const auto keeps = [&](Slope plane, double reach) {
-        return accept(cell, plane, describe(points, some, plane, reach), geometry, planes, rule);
-    };
-    Slope plane = expected;
-    double reach = width;
-    const int passes = rule.neighbours > 0 ? later_passes : first_passes;
-    if (start_plane(points, some, expected, origin, plane) &&
-        settle(points, some, plane, reach, passes, origin, slope) && keeps(plane, reach))
-        return true;
-    if (near.cell < 0) return false;
-    plane = expected;
-    reach = widest_reach;
-    if (!settle(points, some, plane, reach, 1, origin, slope)) return false;
-    reach = width;
-    return settle(points, some, plane, reach, later_passes - 1, origin, slope) && keeps(plane, reach);
-}
-
-// Finds the plane of the ground in every cell, from the sensor outwards.
-void find_planes(CellPoints points, CellGeometry geometry, SearchRule rule, GroundPlanes planes) {
-    const auto expected = [&](Index cell) {
-        return expect_from(cell, rule.neighbours, {geometry.x[cell], geometry.y[cell]}, geometry, planes, rule.slope);
-    };
-    for (Index cell = geometry.cells() - 1; cell >= 0 && rule.neighbours > 0; --cell) {
-        if (planes.kind[cell] != 0) continue;
-        const Expected near = expected(cell);
-        carry(cell, near.cell, near.away, guessed, geometry, rule.slope, planes);
-    }
-    for (Index cell = 0; cell < geometry.cells(); ++cell) {
-        const Expected near = expected(cell);
-        if (find_own(points, cell, near, geometry, planes, rule)) continue;
-        carry(cell, near.cell, near.away, near.worst == found ? carried : guessed, geometry, rule.slope, planes);
-    }
-}
-
-// ---- The largest set of planes that continue each other ----
-
-// A plane whose points spread by more than this multiple of the noise, and by more than this, m, links nothing.
-constexpr double rough = 2.5, rough_m = 0.06;
-
-// The cell that stands for all that are linked to a cell; shortens the way to it.
-Index root_of(Scratch<Index>& of, Index cell) {
-    for (; of[cell] != cell; cell = of[cell]) of[cell] = of[of[cell]];
-    return cell;
-}
-
-// True if the planes of two cells pass each other's points within what is allowed.
-bool continues(Index cell, Index other, const GroundPlanes& planes) {
-    const double x = planes.centre(cell, 0), y = planes.centre(cell, 1);
-    const double u = planes.centre(other, 0), v = planes.centre(other, 1);
-    const double dx = u - x, dy = v - y;
-    const double limit = step_at + step_per_metre * std::min(std::sqrt(dx * dx + dy * dy), farthest);
-    const Slope one = planes.at(cell), two = planes.at(other);
-    const Slope between{one.a - two.a, one.b - two.b, one.c - two.c};
-    return std::max(std::abs(between.height(x, y)), std::abs(between.height(u, v))) <= limit;
-}
-
-// The sets of cells that continue each other: of each cell, the one that stands for its set.
-Scratch<Index> link_cells(const CellGeometry& geometry, const GroundPlanes& planes) {
-    Scratch<Index> of(geometry.cells());
-    for (Index cell = 0; cell < geometry.cells(); ++cell) of[cell] = cell;
-    for (Index cell = 0; cell < geometry.cells(); ++cell) {
-        for (Index k = 0; k < geometry.near.shape[1]; ++k) {
-            const Index other = geometry.near(cell, k);
-            if (other < 0 || planes.kind[cell] != found || planes.kind[other] != found) continue;
-            if (!continues(cell, other, planes)) continue;
-            const Index one = root_of(of, cell), two = root_of(of, other);
-            of[std::max(one, two)] = std::min(one, two);
+// Writes which points of a cell are ground, and what the others are; returns whether some are not.
+bool label_cell(
+    const CellPoints& points, Index cell, const GroundRule& rule, const GroundLabels& out, const Objects& objects,
+    Labelling& s) {
+    const Array<float, 2> lowest = out.lowest.at(cell);
+    const Index begin = points.starts[cell], end = points.starts[cell + 1];
+    const auto height = static_cast<float>(rule.height), drawn = static_cast<float>(objects_height * rule.height);
+    std::int32_t held = 0, overhead = 0;
+    float clearance = out.clearance[cell];
+    for (Index i = begin; i < end; ++i) {
+        const float h = s.height[i];
+        const bool kept = below_surface < h && h < s.reach[points.bin[i]];
+        const Index p = points.order[i], place = points.pixel[i];
+        out.height[p] = h;
+        out.ground[p] = out.kept[i] = kept;
+        float& low = lowest(place, kept ? 0 : 1);
+        low = std::min(low, points.xyz(2, i));
+        held += kept;
+        if (kept) continue;
+        if (h >= height) {
+            ++overhead;
+            clearance = std::min(clearance, h);
+        }
+        if (0.0F < h && h < drawn) {
+            float& foot = objects.lowest[place];
+            foot = objects.count[place] == 0.0F ? h : std::min(foot, h);
+            objects.top[place] = std::max(objects.top[place], h);
+            objects.count[place] += 1.0F;
         }
     }
-    return of;
+    out.held[cell] = held;
+    out.overhead[cell] = overhead;
+    out.clearance[cell] = clearance;
+    return held < end - begin;
 }
 
-// The largest set. A cell counts for the inverse of its distance: what lies near the robot is what it stands on.
-Index largest_set(Scratch<Index>& of, const CellGeometry& geometry, const GroundPlanes& planes) {
-    Scratch<double> weight(geometry.cells());
-    Index best = 0;
-    for (Index cell = 0; cell < geometry.cells(); ++cell) {
-        if (planes.kind[cell] != found) continue;
-        const Index root = root_of(of, cell);
-        const double x = geometry.x[cell], y = geometry.y[cell];
-        weight[root] += 1.0 / std::sqrt(x * x + y * y);
-        if (weight[root] > weight[best]) best = root;
-    }
-    return best;
-}
-
-// Keeps the planes of the largest set of cells in which neighbours continue each other, and of sets as high as it.
-//
-// A plane whose points spread by much more than the `noise` (zones,) [m] of the scan continues nothing: it leans from
-// the road to a roof. Another set is kept if most of its cells are as high as the nearest one of the largest, along the
-// `slope` (2,) of the whole ground.
-void keep_largest(CellGeometry geometry, GroundPlanes planes, Array<const double> noise, Array<const double> slope) {
-    const Index cells = geometry.cells();
-    for (Index cell = 0; cell < cells; ++cell)
-        if (planes.spread[cell] > std::max(rough * noise[geometry.zone[cell]], rough_m)) planes.kind[cell] = 0;
-    Scratch<Index> of = link_cells(geometry, planes), largest, fit(cells);
-    const Index best = largest_set(of, geometry, planes);
-    for (Index cell = 0; cell < cells; ++cell) {
-        of[cell] = root_of(of, cell);
-        if (of[cell] == best) largest.push_back(cell);
-    }
-    for (Index cell = 0; cell < cells; ++cell) {
-        if (planes.kind[cell] != found || of[cell] == best) continue;
-        const double x = planes.centre(cell, 0), y = planes.centre(cell, 1);
-        double nearest = infinite, over = 0.0;
-        for (const Index other : largest) {
-            const double dx = x - planes.centre(other, 0), dy = y - planes.centre(other, 1);
-            const double square = dx * dx + dy * dy;
-            if (!(square < nearest)) continue;
-            nearest = square;
-            over = planes.at(cell).height(x, y) - slope[0] * dx - slope[1] * dy;
-            over -= planes.at(other).height(x - dx, y - dy);
+// Counts the points of obstacles in a cell, and marks those that lie alone.
+void count_obstacles(
+    const CellPoints& points, Index cell, const GroundRule& rule, const GroundLabels& out, const Objects& objects,
+    const Labelling& s) {
+    for (Index i = points.starts[cell]; i < points.starts[cell + 1]; ++i) {
+        const float h = s.height[i];
+        if (out.kept[i] || !(0.0F < h && h < objects_height * rule.height)) continue;
+        if (objects.count[points.pixel[i]] == 0.0F) {
+            out.airborne[points.order[i]] = true;
+        } else if (rule.belly <= h && h < rule.height) {
+            ++out.obstacles[cell];
+            out.top[cell] = std::max(out.top[cell], h);
         }
-        const double far = std::min(std::sqrt(nearest), farthest);
-        const bool fits = -step_at - step_per_metre * far < over && over < step_at + rise_per_metre * far;
-        fit[of[cell]] += fits ? 1 : -1;
     }
-    for (Index cell = 0; cell < cells; ++cell)
-        if (of[cell] != best && fit[of[cell]] <= 0) planes.kind[cell] = 0;
+}
+
+// Finds the ground, and in each cell the objects on it and over it. `centres`: (cells, 2) x and y, m.
+void find_ground(CellPoints points, ZoneGrid grid, Array<const double, 2> centres, GroundRule rule, GroundLabels out) {
+    const BinRings rings(grid);
+    const Surface surface = find_surface(points, rings);
+    thread_local Labelling memory;
+    Labelling& s = memory;
+    const bool hangs = find_heights(points, surface, rings, s);
+    const bool is_found = surface.layers.size() > 0 && !(hangs && rule.may_hang);
+    s.lowest.resize(static_cast<std::size_t>(out.lowest.shape[1]));
+    std::copy_n(&surface.whole.a, 3, out.whole.begin());
+    for (Index cell = 0; cell < centres.shape[0]; ++cell) {
+        const double x = centres(cell, 0), y = centres(cell, 1), square = x * x + y * y;
+        const Tilt plane = surface.levels[0].touch(x, y, rings.place(square), full_turn(turn_of(x, y)) * bin_columns);
+        std::copy_n(&plane.a, 3, &out.surface(cell, 0));
+        if (points.starts[cell] == points.starts[cell + 1]) continue;
+        const Array<float, 2> lowest = out.lowest.at(cell);
+        std::fill_n(lowest.data, lowest.count(), std::numeric_limits<float>::infinity());
+        const Array<float, 2> drawn = out.objects.at(cell);
+        std::fill_n(drawn.data, drawn.count(), 0.0F);
+        const Objects objects{drawn.at(0), drawn.at(1), {s.lowest.data(), {s.lowest.count()}}};
+        if (!is_found) {
+            for (Index i = points.starts[cell]; i < points.starts[cell + 1]; ++i) {
+                float& low = lowest(points.pixel[i], 1);
+                low = std::min(low, points.xyz(2, i));
+                out.kept[i] = false;
+            }
+        } else if (label_cell(points, cell, rule, out, objects, s)) {
+            leave_out_airborne(objects, beside_m + beside_per_metre * std::sqrt(square));
+            count_obstacles(points, cell, rule, out, objects, s);
+        }
+    }
+}
+
+// ---- Drops ----
+
+struct DropRule {
+    double least, slope, below, slope_x, slope_y;
+    Index directions;
+};
+
+// The way outwards in one direction, and the last ground on it.
+struct GroundWay {
+    double east, north;                    // the direction
+    Index last = -1, marked = -1;          // cells: of the last ground, and behind the last drop; -1: none yet
+    double r = 0.0, z = 0.0, slope = 0.0;  // of the last ground: distance, height [m] and slope
+
+    // Counts a drop before a return of a cell at a distance and a height, m, if there is one.
+    void reach(Index cell, double at, double height, const DropRule& rule, Array<std::int32_t> drops) {
+        if (last < 0) return;
+        const double way = at - r, level = rule.slope_x * east + rule.slope_y * north;
+        const double drop = z + slope * way - height, beam = height * r / at - z;
+        if (!(drop > std::max(rule.least, rule.slope * way) && beam > rule.below)) return;
+        if (!(z + level * way - height > 0.5 * rule.least)) return;
+        drops[last] += marked != last;
+        drops[cell] += cell != last && cell != marked;
+        marked = cell;
+    }
+};
+
+// Counts the directions in which the ground drops in every cell: for the last cell before a drop, and for that of what
+// is seen below. Arrays as in `ground_drops` of ground.py.
+void find_drops(
+    Array<const float, 3> lowest, Array<const double, 2> slope, Array<const Index> starts, ZoneGrid grid, DropRule rule,
+    Array<std::int32_t> drops) {
+    const auto pixels = static_cast<double>(grid.pixels);
+    for (Index direction = 0; direction < rule.directions; ++direction) {
+        const double share = (static_cast<double>(direction) + 0.5) / static_cast<double>(rule.directions);
+        const double turn = 2.0 * std::numbers::pi * (share + grid.start);
+        GroundWay way{std::cos(turn), std::sin(turn)};
+        Index first = 0;
+        for (Index zone = 0; zone < grid.sectors.size(); ++zone) {
+            const Index rings = grid.rings[zone], sectors = grid.sectors[zone];
+            const double around = share * static_cast<double>(sectors);
+            const auto sector = static_cast<Index>(around);
+            const auto column = static_cast<Index>((around - static_cast<double>(sector)) * pixels);
+            const double width = (grid.edges[zone + 1] - grid.edges[zone]) / static_cast<double>(rings * grid.pixels);
+            for (Index ring = 0; ring < rings; ++ring) {
+                const Index cell = first + ring * sectors + sector;
+                if (starts[cell] == starts[cell + 1]) continue;
+                for (Index row = 0; row < grid.pixels; ++row) {
+                    const Index k = row * grid.pixels + column;
+                    const bool is_ground = lowest(cell, k, 0) < infinite;
+                    const double z = lowest(cell, k, is_ground ? 0 : 1);
+                    if (z == infinite) continue;
+                    const double r = grid.edges[zone] + (static_cast<double>(ring * grid.pixels + row) + 0.5) * width;
+                    way.reach(cell, r, z, rule, drops);
+                    if (!is_ground) continue;
+                    way.last = cell;
+                    way.r = r;
+                    way.z = z;
+                    const double own = slope(cell, 0) * way.east + slope(cell, 1) * way.north;
+                    way.slope = std::max(own, slope(cell, 2) * way.east + slope(cell, 3) * way.north);
+                }
+            }
+            first += sectors * rings;
+        }
+    }
 }
 
 }  // namespace
 }  // namespace bumpy
 
-BUMPY_RECORD(bumpy::SearchRule, reach, least_points, neighbours, slope)
+BUMPY_RECORD(bumpy::GroundRule, belly, height, may_hang)
+BUMPY_RECORD(
+    bumpy::GroundLabels, height, ground, obstacles, overhead, airborne, top, clearance, objects, lowest, kept, held,
+    surface, whole)
+BUMPY_RECORD(bumpy::DropRule, least, slope, below, slope_x, slope_y, directions)
 
 void bind_ground(nb::module_& module) {
     using namespace bumpy;
-    BUMPY_LOOP(module, find_planes);
-    BUMPY_LOOP(module, keep_largest);
+    BUMPY_LOOP(module, find_ground);
+    BUMPY_LOOP(module, find_drops);
 }

@@ -15,12 +15,8 @@ Singles = NDArray[np.float32]
 Integers = NDArray[np.int32]
 Flags = NDArray[np.bool_]
 
-PARTS = 5
-"""Parts of a cell along each side: outwards and around; also in ground.hpp."""
 NEIGHBOURS = 8
-"""Most neighbours of a cell: three inwards, two beside it, three outwards; also in ground.cpp."""
-FOUND = 2
-"""Kind of a plane that was fitted to the cell's own points; also in ground.hpp."""
+"""Most neighbours of a cell: three inwards, two beside it, three outwards."""
 
 
 class ZoneGrid(NamedTuple):
@@ -48,67 +44,32 @@ class CellPoints(NamedTuple):
     """(3, points) m."""
     pixel: Integers
     """(points,) ``row * pixels + column``."""
-    part: Integers
-    """(points,) part of the cell, as `part_of_pixel` says."""
+    bin: Integers
+    """(points,) bin that it lies in: small ones, whose columns start at the x axis, whatever the grid."""
 
 
-class CellGeometry(NamedTuple):
+class CellLayout(NamedTuple):
     """Where the cells of the grid lie; (cells,) where nothing else is said."""
 
-    x: Floats
-    """Centre, m."""
-    y: Floats
+    distance: Floats
+    """Of the centre, m."""
+    azimuth: Floats
+    """Of the centre, from where sector 0 starts, rad."""
     near: Integers
     """(cells, NEIGHBOURS) neighbours: columns 0 to 2 inwards, 3 and 4 beside, 5 to 7 outwards; -1: none."""
     zone: Integers
     ring: Integers
     sector: Integers
-    first: Integers
-    """(zones,) number of the first cell."""
-    rings: Integers
-    """(zones,)"""
-    sectors: Integers
-    """(zones,)"""
-
-
-class GroundPlanes(NamedTuple):
-    """The planes of the cells."""
-
-    plane: Floats
-    """(cells, 3) slope along x and y, height at the origin [m]."""
-    centre: Floats
-    """(cells, 3) x and y of the mean of its points, distance that it was passed on [m]."""
-    spread: Floats
-    """(cells,) root mean square of its points about it, m."""
-    kind: Integers
-    """(cells,) 0: none; 1: passed on by a neighbour; ``FOUND``; 3: guessed."""
-
-
-class SearchRule(NamedTuple):
-    """Limits of the search for planes."""
-
-    reach: Floats
-    """(zones,) distance within which a point belongs to a plane, m; 0: by the spread of the points."""
-    least_points: int
-    """Cells with this many points or fewer take their neighbours' plane."""
-    neighbours: int
-    """Columns of ``CellGeometry.near`` that count: 0 in a first round, NEIGHBOURS after the largest set is known."""
-    slope: Floats
-    """(2,) slope of the whole ground, which planes that are passed on approach."""
 
 
 class GroundRule(NamedTuple):
     """Limits that separate ground from objects on it."""
 
-    reach: Floats
-    """(zones,) distance from a plane within which a point is ground, m."""
-    noise: Floats
-    """(zones,) usual root mean square of ground points about their plane, m."""
-    least_points: int
-    """Cells with more points than this are judged by their own plane alone."""
     belly: float
     """Heights above the ground between which a point is an obstacle, m."""
     height: float
+    may_hang: bool
+    """If ground that hangs over the sensor, as where z points down, is none."""
 
 
 class GroundLabels(NamedTuple):
@@ -137,6 +98,11 @@ class GroundLabels(NamedTuple):
     """(points,) by cell: whether it is ground."""
     held: Integers
     """(cells,) ground points; zeros."""
+    surface: Floats
+    """(cells, 3) of the ground at their centres: slope along x and y, and what it says of the height at the origin, m;
+    where no point is, as the ground around it leads to expect."""
+    whole: Floats
+    """(3,) of the whole ground, as ``surface``."""
 
 
 class DropRule(NamedTuple):
@@ -172,8 +138,8 @@ class SectorBuffers(threading.local):
         return part if rows == 1 else part.reshape(rows, length)
 
 
-_DIRECTIONS = 720
-"""Number of directions in which the ground is followed, half a degree apart (chosen)."""
+_DIRECTIONS = 360
+"""Number of directions in which the ground is followed, a degree apart (chosen)."""
 _SLOPE = 0.08
 """A drop is steeper than this, against the slope of the ground before it; hills are not. The view over an edge is as
 steep 15 m away from a sensor that is 1.2 m high, so edges farther away are not found."""
@@ -187,126 +153,62 @@ _SHARE = 0.2
 
 
 def ground_drops(
-    lowest: NDArray[np.float32],
+    ground: GroundLabels,
     slope: NDArray[np.float64],
     points: CellPoints,
     grid: ZoneGrid,
     settings: PolarSettings,
-    planes: GroundPlanes,
     height_m: float,
 ) -> NDArray[np.bool_]:
     """Find the cells in which the ground drops by more than the clearance of the belly.
 
-    ``lowest`` (cells, pixels^2, 2): as in `GroundLabels`; unknown in cells without points; ``slope`` (cells, 2): of the
-    ground along x and y; 0 where it is not known; ``height_m``: of the origin above the ground, of the ``planes``.
+    ``slope`` (cells, 4): along x and y of the sector's own ground, 0 where it is not known, and of that around it: a
+    sector before a drop may hold some of what lies below. ``height_m``: of the origin above the ground.
     """
     drops = np.zeros(len(slope), np.int32)
     below = _BELOW_M if height_m > _SENSOR_M else -np.inf
-    x, y = _slope(planes).tolist()
+    x, y, _ = ground.whole.tolist()
     rule = DropRule(settings.belly_m, _SLOPE, below, x, y, _DIRECTIONS)
-    loops.find_drops(lowest, slope, points.starts, grid, rule, drops)
+    loops.find_drops(ground.lowest, slope, points.starts, grid, rule, drops)
     seen = np.repeat(_DIRECTIONS / grid.sectors, grid.sectors * grid.rings)
     return np.asarray(drops >= _SHARE * seen)
 
 
-_REACH_OF_NOISE, _REACH_M, _USUAL_NOISE_M = 4.0, (0.12, 0.25), 0.03
-"""Distance from its plane up to which a point is ground: in standard deviations of ground points, and its limits, m;
-the standard deviation where a zone has no plane, m (chosen)."""
-_MANY = 16
-"""Planes of a zone that bounds the noise of those before it (chosen): nearer, ground is seen no less exactly."""
-_LEANS = math.tan(math.radians(10.0))
-"""Slope of the whole ground from which it is searched for again along it (chosen)."""
-_HIGHEST_M, _STANDS_M = 0.5, 0.5
-"""Height above the origin, m, from which ground must have objects on it, and their height above it, m (chosen): a frame
-may have its origin below the robot, or z may point down."""
-
-
 def find_ground(
-    points: CellPoints, count: int, settings: PolarSettings, start: float, buffers: SectorBuffers
-) -> tuple[GroundPlanes, GroundLabels]:
+    points: CellPoints, count: int, grid: ZoneGrid, settings: PolarSettings, buffers: SectorBuffers
+) -> GroundLabels:
     """Find the ground of a scan that was placed on the polar grid.
 
-    A plane is found in every cell by seed and refit, once with what its spread allows, and once more when the noise of
-    the scan in each zone is known: a sensor that measures exactly tells ground from low plants better. The second time
-    a plane has to continue those on all sides, and may step up less than down: cars and walls do. Parts of a cell
-    beside its plane, thin and continuing the ground next to them, are ground as well; parts in which points rise from
-    the ground without a gap are plants. The origin may be at the sensor, the robot's base or below it, and the frame
-    may lean. A scan that hangs from its ground has none: its z axis points down.
+    It is a smooth surface, found from small bins around the sensor, so that it is the same wherever sectors lie. The
+    origin may be at the sensor, the robot's base or below it, and the frame may lean. A scan that hangs from its ground
+    has none: its z axis points down.
 
-    ``count``: points of the scan; ``start``: azimuth of sector 0, rad; ``buffers``: hold ``objects``, ``lowest`` and
-    ``kept`` until the next call. Returns the planes, ``FOUND`` where cells have ground of their own, and what is known
-    of the points and cells.
+    ``count``: points of the scan; ``buffers``: hold ``objects``, ``lowest`` and ``kept`` until the next call.
     """
-    layout = cell_layout(settings)
-    azimuth = layout.y + start
-    geometry = layout._replace(x=layout.x * np.cos(azimuth), y=layout.x * np.sin(azimuth))
-    cells, placed = len(geometry.x), int(points.starts[-2])
-    planes = GroundPlanes(np.zeros((cells, 3)), np.zeros((cells, 3)), np.zeros(cells), np.zeros(cells, np.int32))
-    zones = len(settings.sectors)
-    slope = np.zeros(2)
-    for _ in range(2):  # again, if the frame leans: the lowest points are then those at its lower side
-        rule = SearchRule(np.zeros(zones), settings.least_points, 0, slope)
-        loops.find_planes(points, geometry, rule, planes)
-        slope = _slope(planes)
-        if math.hypot(*slope) < _LEANS:
-            break
-    noise = _noise(planes, geometry, zones)
-    loops.keep_largest(geometry, planes, noise, slope)
-    reach = np.clip(_REACH_OF_NOISE * noise, *_REACH_M)
-    rule = SearchRule(reach, settings.least_points, NEIGHBOURS, _slope(planes))
-    loops.find_planes(points, geometry, rule, planes)
-    if math.isfinite(settings.overhead_m) and _is_upside_down(planes, geometry, points.xyz[:, :placed]):
-        planes.kind[:] = 0
+    layout, placed = cell_layout(settings), int(points.starts[-2])
+    cells, azimuth = len(layout.zone), layout.azimuth + 2.0 * math.pi * grid.start
+    centres = np.column_stack([layout.distance * np.cos(azimuth), layout.distance * np.sin(azimuth)])
     objects, lowest = (
         buffers.empty(name, 2 * settings.pixels**2, np.float32, rows=cells) for name in ("objects", "lowest")
     )
     labels = GroundLabels(
-        np.full(count, np.nan, np.float32),
-        np.zeros(count, np.bool_),
-        np.zeros(cells, np.int32),
-        np.zeros(cells, np.int32),
-        np.zeros(count, np.bool_),
-        np.full(cells, -np.inf, np.float32),
-        np.full(cells, np.inf, np.float32),
-        objects.reshape(cells, 2, -1),
-        lowest.reshape(cells, -1, 2),
-        buffers.empty("kept", placed, np.bool_),
-        np.zeros(cells, np.int32),
+        height=np.full(count, np.nan, np.float32),
+        ground=np.zeros(count, np.bool_),
+        obstacles=np.zeros(cells, np.int32),
+        overhead=np.zeros(cells, np.int32),
+        airborne=np.zeros(count, np.bool_),
+        top=np.full(cells, -np.inf, np.float32),
+        clearance=np.full(cells, np.inf, np.float32),
+        objects=objects.reshape(cells, 2, -1),
+        lowest=lowest.reshape(cells, -1, 2),
+        kept=buffers.empty("kept", placed, np.bool_),
+        held=np.zeros(cells, np.int32),
+        surface=np.empty((cells, 3)),
+        whole=np.empty(3),
     )
-    limits = GroundRule(reach, noise, settings.least_points, settings.belly_m, settings.height_m)
-    loops.label_points(points, geometry, planes, limits, labels)
-    return planes, labels
-
-
-def _slope(planes: GroundPlanes) -> NDArray[np.float64]:
-    """Return the median slope of the planes that were found (2,), zeros without any."""
-    found = planes.kind == FOUND
-    return median(planes.plane[found, :2]) if found.any() else np.zeros(2)
-
-
-def _is_upside_down(planes: GroundPlanes, geometry: CellGeometry, xyz: NDArray[np.float32]) -> bool:
-    """Return whether the nearer ground lies above the origin, and no more stands on it than hangs from it."""
-    found, slope = np.flatnonzero(planes.kind == FOUND), _slope(planes)
-    near = found[: len(found) // 2 + 1]  # cells are sorted outwards
-    x, y = geometry.x[near], geometry.y[near]
-    a, b, c = planes.plane[near].T
-    if not len(near) or (level := median((a - slope[0]) * x + (b - slope[1]) * y + c)) < _HIGHEST_M:
-        return False
-    height = xyz[2] - (slope[0] * xyz[0] + slope[1] * xyz[1] + level)
-    return int((height > _STANDS_M).sum()) <= int((height < -_STANDS_M).sum())
-
-
-def _noise(planes: GroundPlanes, geometry: CellGeometry, zones: int) -> NDArray[np.float64]:
-    """Return the median spread of ground points about their plane in each zone, m."""
-    found, least = planes.kind == FOUND, np.inf
-    noise = np.full(zones, _USUAL_NOISE_M)
-    for zone in reversed(range(zones)):
-        spread = planes.spread[found & (geometry.zone == zone)]
-        if len(spread):
-            noise[zone] = min(median(spread), least)
-        if len(spread) >= _MANY:
-            least = noise[zone]
-    return noise
+    rule = GroundRule(settings.belly_m, settings.height_m, math.isfinite(settings.overhead_m))
+    loops.find_ground(points, grid, centres, rule, labels)
+    return labels
 
 
 def median(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -330,15 +232,8 @@ def open_neighbours(stack: SectorStack) -> tuple[NDArray[np.bool_], NDArray[np.i
 
 
 @cache
-def part_of_pixel(pixels: int) -> NDArray[np.int32]:
-    """Return the part of the cell that each pixel of its heightmap lies in."""
-    line = np.arange(pixels) * PARTS // pixels
-    return (line[:, None] * PARTS + line).astype(np.int32).ravel()
-
-
-@cache
-def cell_layout(settings: PolarSettings) -> CellGeometry:
-    """Return the cells with distances in the place of x, and azimuths from sector 0 in the place of y."""
+def cell_layout(settings: PolarSettings) -> CellLayout:
+    """Return where the cells lie."""
     edges = np.array([*settings.zone_starts_m, settings.end_m])
     sectors, rings = np.array(settings.sectors, np.int32), np.array(settings.rings, np.int32)
     first = first_cells(settings).astype(np.int32)
@@ -361,6 +256,4 @@ def cell_layout(settings: PolarSettings) -> CellGeometry:
         opposite = ((sector[there] + 0.5) / counts[line[there]] * counts[to]).astype(np.int64)
         for k in range(3):
             near[there, column + k] = starts[to] + (opposite + k - 1) % counts[to]
-    return CellGeometry(
-        distance, azimuth, near, zone, ring.astype(np.int32), sector.astype(np.int32), first, rings, sectors
-    )
+    return CellLayout(distance, azimuth, near, zone, ring.astype(np.int32), sector.astype(np.int32))

@@ -2,16 +2,13 @@
 //
 // Points are placed in blocks that stay in the nearest cache: first distance and direction of all, without a branch,
 // then the cell of each; then they are listed by cell. A sector is measured in few passes through its ground points:
-// their principal plane, a plane by RANSAC (Fischler and Bolles 1981), and the mean height above it in every pixel.
-// Sums run in the order of the scan's points, so the same scan gives the same bits. Ours.
-#include "polar.hpp"
-
-#include <algorithm>
+// their principal plane, a plane by RANSAC, and the mean height above it in every pixel. Sums are exact, so that the
+// order of the points does not matter. Ours.
 #include <array>
-#include <limits>
 #include <utility>
 
 #include "bumpymap/core/planes.hpp"
+#include "surface.hpp"
 
 namespace bumpy {
 namespace {
@@ -21,74 +18,106 @@ namespace {
 // Points whose distance and direction are found at once.
 constexpr Index block_points = 512;
 
-// The cell, by zone, ring, sector, and the pixel at a distance [m] and a turn from sector 0; -1 outside of the grid.
-std::pair<Index, Index> place_of(double r, double turn, const ZoneGrid& grid) {
-    const auto& edges = grid.edges;
-    const auto &sectors = grid.sectors, &rings = grid.rings;
-    const Index pixels = grid.pixels;
-    if (!(edges[0] <= r && r < edges[sectors.size()])) return {-1, -1};
-    Index zone = 0, home = 0;
-    for (; r >= edges[zone + 1]; ++zone) home += sectors[zone] * rings[zone];
-    const double outward = (r - edges[zone]) / (edges[zone + 1] - edges[zone]) * static_cast<double>(rings[zone]);
-    const double around = turn * static_cast<double>(sectors[zone]);
-    const Index ring = std::min(static_cast<Index>(outward), rings[zone] - 1);
-    const Index sector = std::min(static_cast<Index>(around), sectors[zone] - 1);
-    const auto pixel_of = [pixels](double place, Index whole) {
-        const double inside = (place - static_cast<double>(whole)) * static_cast<double>(pixels);
-        return std::min(static_cast<Index>(inside), pixels - 1);
-    };
-    return {home + ring * sectors[zone] + sector, pixel_of(outward, ring) * pixels + pixel_of(around, sector)};
-}
+struct Place {
+    std::int32_t cell, pixel;
+};
+
+// Finds cells, by zone, ring and sector, and pixels.
+class Placer {
+  public:
+    explicit Placer(const ZoneGrid& grid) : zones_(grid.sectors.size()), grid_(grid), scale_(zones_), first_(zones_) {
+        Index home = 0;
+        for (Index zone = 0; zone < zones_; ++zone) {
+            scale_[zone] = static_cast<double>(grid.rings[zone]) / (grid.edges[zone + 1] - grid.edges[zone]);
+            first_[zone] = home;
+            home += grid.sectors[zone] * grid.rings[zone];
+        }
+    }
+
+    // The place at a distance [m] and a turn from sector 0; -1 outside of the grid.
+    Place at(double r, double turn) const {
+        if (!(grid_.edges[0] <= r && r < grid_.edges[zones_])) return {-1, -1};
+        Index zone = 0;
+        while (r >= grid_.edges[zone + 1]) ++zone;
+        const double outward = (r - grid_.edges[zone]) * scale_[zone];
+        const double around = turn * static_cast<double>(grid_.sectors[zone]);
+        const Index ring = std::min(static_cast<Index>(outward), grid_.rings[zone] - 1);
+        const Index sector = std::min(static_cast<Index>(around), grid_.sectors[zone] - 1);
+        const Index pixel = pixel_of(outward, ring) * grid_.pixels + pixel_of(around, sector);
+        const Index cell = first_[zone] + ring * grid_.sectors[zone] + sector;
+        return {static_cast<std::int32_t>(cell), static_cast<std::int32_t>(pixel)};
+    }
+
+  private:
+    Index pixel_of(double place, Index whole) const {
+        const double inside = (place - static_cast<double>(whole)) * static_cast<double>(grid_.pixels);
+        return std::min(static_cast<Index>(inside), grid_.pixels - 1);
+    }
+
+    Index zones_;
+    const ZoneGrid& grid_;
+    Scratch<double> scale_;  // rings per metre
+    Scratch<Index> first_;   // number of the first cell
+};
 
 // Finds the cell of every point, -1 outside of the grid, and lists the points by cell.
-void place_points(
-    Array<const float, 2> points, ZoneGrid grid, Array<const std::int32_t> part_of_pixel, Array<std::int32_t> cell,
-    CellPoints out) {
+void place_points(Array<const float, 2> points, ZoneGrid grid, Array<std::int32_t> cell, CellPoints out) {
     const Index size = points.shape[0];
-    Scratch<std::int32_t> pixel(size);
-    std::array<double, block_points> x, y, distance, turn;
+    const BinRings rings(grid);
+    const Placer placer(grid);
+    struct Kept {
+        float x, y, z;
+        std::int32_t pixel, bin;
+    };
+    thread_local Scratch<Kept> memory;
+    Scratch<Kept>& kept = memory;
+    kept.resize(static_cast<std::size_t>(size));
+    std::array<double, block_points> x, y, away, turn;
+    std::array<std::int32_t, block_points> bin;
     for (Index begin = 0; begin < size; begin += block_points) {
         const auto count = static_cast<std::size_t>(std::min(block_points, size - begin));
+        const float* point = points.data + 3 * begin;
         for (std::size_t i = 0; i < count; ++i) {
-            const float* point = &points(begin + static_cast<Index>(i), 0);
-            x[i] = point[0];
-            y[i] = point[1];
+            x[i] = point[3 * i];
+            y[i] = point[3 * i + 1];
         }
         for (std::size_t i = 0; i < count; ++i) {
-            distance[i] = std::sqrt(x[i] * x[i] + y[i] * y[i]);
-            double t = turn_of(x[i], y[i]) - grid.start;
-            t = t < 0.0 ? t + 1.0 : t;
-            turn[i] = t < 0.0 ? t + 1.0 : t;
+            const double square = x[i] * x[i] + y[i] * y[i], whole = full_turn(turn_of(x[i], y[i]));
+            away[i] = std::sqrt(square);
+            turn[i] = full_turn(whole - grid.start);
+            const auto column = static_cast<std::int32_t>(whole * static_cast<double>(bin_columns));
+            bin[i] = rings.of(square) * static_cast<std::int32_t>(bin_columns) + column;
         }
         for (std::size_t i = 0; i < count; ++i) {
-            const auto [home, place] = place_of(distance[i], turn[i], grid);
-            cell[begin + static_cast<Index>(i)] = static_cast<std::int32_t>(home);
-            pixel[begin + static_cast<Index>(i)] = static_cast<std::int32_t>(place);
+            const Index p = begin + static_cast<Index>(i);
+            const auto [home, pixel] = placer.at(away[i], turn[i]);
+            cell[p] = home;
+            kept[p] = {point[3 * i], point[3 * i + 1], point[3 * i + 2], pixel, bin[i]};
             if (home >= 0) ++out.starts[home + 2];
         }
     }
     for (Index c = 2; c < out.starts.size(); ++c) out.starts[c] += out.starts[c - 1];
-    for (Index i = 0; i < size; ++i)
-        if (cell[i] >= 0) out.order[out.starts[cell[i] + 1]++] = static_cast<std::int32_t>(i);
-    for (Index i = 0; i < out.starts[out.starts.size() - 2]; ++i) {
-        const Index p = out.order[i];
-        for (Index axis = 0; axis < 3; ++axis) out.xyz(axis, i) = points(p, axis);
-        out.pixel[i] = pixel[p];
-        out.part[i] = part_of_pixel[out.pixel[i]];
+    for (Index p = 0; p < size; ++p) {
+        if (cell[p] < 0) continue;
+        const Index i = out.starts[cell[p] + 1]++;
+        out.order[i] = static_cast<std::int32_t>(p);
+        out.xyz(0, i) = kept[p].x;
+        out.xyz(1, i) = kept[p].y;
+        out.xyz(2, i) = kept[p].z;
+        out.pixel[i] = kept[p].pixel;
+        out.bin[i] = kept[p].bin;
     }
 }
 
 // ---- Planes of sectors ----
 
-// Points that RANSAC scores candidates on, in equal steps through the sector's points.
-constexpr Index sample_points = 128;
-// Planes that RANSAC draws at most.
+// Planes that RANSAC draws at most, and pixels that it scores them on.
 constexpr Index most_candidates = 200;
+constexpr std::size_t sample_pixels = 128;
 // A plane whose upward normal is less than this (steeper than 78 degrees) is a wall: only the mean height comes off.
 constexpr double steepest = 0.2;
 // Product of the two horizontal spreads over the square of their sum: less is one scan line, bent as the sector is.
 constexpr double line_spread = 2e-3;
-constexpr double infinite = std::numeric_limits<double>::infinity();
 
 struct SectorInputs {
     Array<const bool> is_ground;
@@ -100,19 +129,6 @@ struct SectorMeasures {
     Array<double, 2> scalars;
     Array<float, 2> normal;
     Array<float, 3> heights;
-};
-
-// The ground points of a sector, minus their mean.
-struct SectorPoints {
-    Scratch<double> x, y, z;
-    Scratch<std::int32_t> pixel;
-
-    Index size() const { return x.count(); }
-    void resize(Index size) {
-        for (auto* axis : {&x, &y, &z}) axis->resize(static_cast<std::size_t>(size));
-        pixel.resize(static_cast<std::size_t>(size));
-    }
-    CentredPoints<double> centred() const { return {{x.data(), {size()}}, {y.data(), {size()}}, {z.data(), {size()}}}; }
 };
 
 // The symmetric scatter matrix of some points.
@@ -153,27 +169,94 @@ std::array<double, 3> least_axis(Scatter m) {
     return {axis[0] / length, axis[1] / length, axis[2] / length};
 }
 
+// The ground points of a sector, minus their mean; and their means by pixel.
+struct SectorPoints {
+    Scratch<double> x, y, z;
+    Scratch<std::int32_t> pixel;
+    double mean_x = 0.0, mean_y = 0.0, mean_z = 0.0;
+    Scratch<double> pixel_x, pixel_y, pixel_z;  // (pixels with points,) their means
+    Scratch<std::int32_t> filled;               // (pixels with points,) which ones
+
+    Index size() const { return x.count(); }
+    CentredPoints<double> pixels() const {
+        const std::array<Index, 1> shape{filled.count()};
+        return {{pixel_x.data(), shape}, {pixel_y.data(), shape}, {pixel_z.data(), shape}};
+    }
+
+    void take(const CellPoints& points, Array<const bool> is_ground, Index cell, Index pixels) {
+        for (auto* axis : {&x, &y, &z}) axis->clear();
+        pixel.clear();
+        std::array<double, 3> sums{};
+        for (Index i = points.starts[cell]; i < points.starts[cell + 1]; ++i) {
+            if (!is_ground[i]) continue;
+            x.push_back(points.xyz(0, i));
+            y.push_back(points.xyz(1, i));
+            z.push_back(points.xyz(2, i));
+            pixel.push_back(points.pixel[i]);
+            sums[0] += exact(x.back());
+            sums[1] += exact(y.back());
+            sums[2] += exact(z.back());
+        }
+        const auto n = static_cast<double>(size());
+        mean_x = sums[0] / n;
+        mean_y = sums[1] / n;
+        mean_z = sums[2] / n;
+        struct Sum {
+            double n = 0.0, x = 0.0, y = 0.0, z = 0.0;
+        };
+        Scratch<Sum> by_pixel(pixels);
+        for (Index i = 0; i < size(); ++i) {
+            Sum& sum = by_pixel[pixel[i]];
+            sum.n += 1.0;
+            sum.x += exact(x[i] -= mean_x);
+            sum.y += exact(y[i] -= mean_y);
+            sum.z += exact(z[i] -= mean_z);
+        }
+        for (auto* axis : {&pixel_x, &pixel_y, &pixel_z}) axis->clear();
+        filled.clear();
+        for (Index k = 0; k < pixels; ++k) {
+            const Sum& sum = by_pixel[k];
+            if (sum.n == 0.0) continue;
+            filled.push_back(static_cast<std::int32_t>(k));
+            pixel_x.push_back(sum.x / sum.n);
+            pixel_y.push_back(sum.y / sum.n);
+            pixel_z.push_back(sum.z / sum.n);
+        }
+    }
+};
+
 struct PrincipalPlane {
     Plane plane;
-    bool is_line;  // whether the points lie on one line, seen from above, if they are centred
+    bool is_line = false;   // whether the points lie on one line, seen from above
+    double variance = 0.0;  // of their z, m^2
 };
 
 // The plane of the least perpendicular spread of the points within `reach` of a plane; none if there are too few.
-PrincipalPlane principal_plane(const CentredPoints<double>& points, Plane near, double reach) {
-    std::array<double, 10> sums{};
-    for (Index i = 0; i < points.size(); ++i) {  // without a branch, for it could not be foreseen
-        const double u = points.x[i], v = points.y[i], w = points.z[i];
+PrincipalPlane principal_plane(const SectorPoints& points, Plane near, double reach) {
+    constexpr std::size_t lanes = 4;  // points at once: their sums are exact, in any order
+    std::array<std::array<double, lanes>, 10> sums{};
+    const auto size = static_cast<std::size_t>(points.size());
+    const double *x = points.x.data(), *y = points.y.data(), *z = points.z.data();
+    const auto add = [&](std::size_t first, std::size_t lane) {
+        const double u = x[first + lane], v = y[first + lane], w = z[first + lane];
         const std::array<double, 10> terms{1.0, u, v, w, u * u, u * v, u * w, v * v, v * w, w * w};
-        const bool counts = std::abs(near.above(u, v, w)) <= reach;
-        for (std::size_t m = 0; m < sums.size(); ++m) sums[m] += counts ? terms[m] : 0.0;
-    }
-    const auto [n, sx, sy, sz, xx, xy, xz, yy, yz, zz] = sums;
+        const double counts = std::abs(near.above(u, v, w)) <= reach ? 1.0 : 0.0;
+        for (std::size_t m = 0; m < terms.size(); ++m) sums[m][lane] += counts * exact(terms[m]);
+    };
+    std::size_t i = 0;
+    for (; i + lanes <= size; i += lanes)
+        for (std::size_t lane = 0; lane < lanes; ++lane) add(i, lane);
+    for (; i < size; ++i) add(i, 0);
+    std::array<double, 10> total{};
+    for (std::size_t m = 0; m < total.size(); ++m)
+        for (const double part : sums[m]) total[m] += part;
+    const auto [n, sx, sy, sz, xx, xy, xz, yy, yz, zz] = total;
     if (n < 3.0) return {};
     const double mx = sx / n, my = sy / n, mz = sz / n;
     const auto [a, b, c] =
         least_axis({xx - sx * mx, xy - sx * my, xz - sx * mz, yy - sy * my, yz - sy * mz, zz - sz * mz});
     const bool is_line = xx * yy - xy * xy < line_spread * (xx + yy) * (xx + yy);
-    return {{a, b, c, -(a * mx + b * my + c * mz)}, is_line};
+    return {{a, b, c, -(a * mx + b * my + c * mz)}, is_line, std::max(zz / n - mz * mz, 0.0)};
 }
 
 // The splitmix64 generator (Steele, Lea and Flood 2014).
@@ -191,47 +274,33 @@ std::array<Index, 3> three_below(std::uint64_t bits, std::uint64_t n) {
     return {below(0), below(21), below(42)};
 }
 
-// The first points of a sector in equal steps. Single precision is enough to count those near a plane: coordinates
-// start amid the points, so it errs by 1e-7 of the sector's side.
-struct Sample {
-    std::array<float, sample_points> x, y, z;
-    Index size;
-
-    explicit Sample(const CentredPoints<double>& points) : size(std::min(sample_points, points.size())) {
-        for (Index i = 0; i < size; ++i) {
-            const Index k = i * points.size() / size;
-            x[static_cast<std::size_t>(i)] = static_cast<float>(points.x[k]);
-            y[static_cast<std::size_t>(i)] = static_cast<float>(points.y[k]);
-            z[static_cast<std::size_t>(i)] = static_cast<float>(points.z[k]);
-        }
+// The plane through three pixels that has the most of a sample of them within `threshold` [m]; none where none has any.
+// Single precision is enough to count: coordinates start amid the points, so it errs by 1e-7 of the sector's side.
+Plane best_candidate(const CentredPoints<double>& pixels, double threshold, std::uint64_t seed) {
+    std::array<float, sample_pixels> x, y, z;
+    const auto size = static_cast<std::size_t>(std::min(pixels.size(), Index{sample_pixels}));
+    for (std::size_t p = 0; p < size; ++p) {  // in equal steps
+        const Index k = static_cast<Index>(p) * pixels.size() / static_cast<Index>(size);
+        x[p] = static_cast<float>(pixels.x[k]);
+        y[p] = static_cast<float>(pixels.y[k]);
+        z[p] = static_cast<float>(pixels.z[k]);
     }
-
-    std::int32_t count_near(Plane plane, double threshold) const {
-        const auto a = static_cast<float>(plane.a), b = static_cast<float>(plane.b), c = static_cast<float>(plane.c);
-        const auto d = static_cast<float>(plane.d), reach = static_cast<float>(threshold);
-        std::int32_t hits = 0;
-        for (std::size_t i = 0; i < static_cast<std::size_t>(size); ++i)
-            hits += std::abs(a * x[i] + b * y[i] + c * z[i] + d) <= reach;
-        return hits;
-    }
-};
-
-// The plane through three of the points that has the most of the sample within `threshold` [m]; none where none has
-// any.
-Plane best_candidate(const CentredPoints<double>& points, double threshold, std::uint64_t seed) {
-    const Sample sample(points);
+    const auto reach = static_cast<float>(threshold);
     Plane best;
     std::int32_t most = 0;
     Index needed = most_candidates;
     for (Index drawn = 0; drawn < needed; ++drawn) {
-        const auto [i, j, k] = three_below(next_random(seed), static_cast<std::uint64_t>(points.size()));
-        const Plane plane = plane_through(points, i, j, k);
+        const auto [i, j, k] = three_below(next_random(seed), static_cast<std::uint64_t>(pixels.size()));
+        const Plane plane = plane_through(pixels, i, j, k);
         if (!plane.is_found()) continue;
-        const std::int32_t hits = sample.count_near(plane, threshold);
+        const auto a = static_cast<float>(plane.a), b = static_cast<float>(plane.b), c = static_cast<float>(plane.c);
+        const auto d = static_cast<float>(plane.d);
+        std::int32_t hits = 0;
+        for (std::size_t p = 0; p < size; ++p) hits += std::abs(a * x[p] + b * y[p] + c * z[p] + d) <= reach;
         if (hits <= most) continue;
         most = hits;
         best = plane;
-        const double share = static_cast<double>(hits) / static_cast<double>(sample.size);
+        const double share = static_cast<double>(hits) / static_cast<double>(size);
         const double clean = share * share * share;  // chance that all three of a draw are inliers
         if (clean >= 1.0 - 1e-9) break;
         needed = draws_needed(clean, most_candidates);
@@ -239,9 +308,10 @@ Plane best_candidate(const CentredPoints<double>& points, double threshold, std:
     return best;
 }
 
-// The plane by RANSAC, then twice the principal plane of its inliers; none where the points, centred, span none.
-Plane ransac_plane(const CentredPoints<double>& points, double threshold, std::uint64_t seed) {
-    Plane plane = best_candidate(points, threshold, seed);
+// The plane by RANSAC (Fischler and Bolles 1981) through pixels, then twice the principal plane of the points near it;
+// none where the points span none.
+Plane ransac_plane(const SectorPoints& points, double threshold, std::uint64_t seed) {
+    Plane plane = best_candidate(points.pixels(), threshold, seed);
     const double reach = plane.is_found() ? threshold : infinite;
     for (int round = 0; round < 2; ++round) {
         const Plane fitted = principal_plane(points, plane, reach).plane;
@@ -252,65 +322,6 @@ Plane ransac_plane(const CentredPoints<double>& points, double threshold, std::u
 }
 
 // ---- Measures of sectors ----
-
-struct Centre {
-    double x = 0.0, y = 0.0, z = 0.0;
-    double variance = 0.0;  // of z, m^2
-};
-
-// Writes the ground points of a cell minus their mean, and returns that.
-Centre centre_points(const CellPoints& points, Array<const bool> is_ground, Index cell, SectorPoints& out) {
-    Index count = 0;
-    out.resize(points.starts[cell + 1] - points.starts[cell]);
-    for (Index i = points.starts[cell]; i < points.starts[cell + 1]; ++i) {
-        out.x[count] = points.xyz(0, i);
-        out.y[count] = points.xyz(1, i);
-        out.z[count] = points.xyz(2, i);
-        out.pixel[count] = points.pixel[i];
-        count += is_ground[i];
-    }
-    out.resize(count);
-    const auto n = static_cast<double>(count);
-    Centre mean;
-    for (Index i = 0; i < count; ++i) {
-        mean.x += out.x[i];
-        mean.y += out.y[i];
-        mean.z += out.z[i];
-    }
-    mean.x /= n;
-    mean.y /= n;
-    mean.z /= n;
-    for (Index i = 0; i < count; ++i) {
-        out.x[i] -= mean.x;
-        out.y[i] -= mean.y;
-        out.z[i] -= mean.z;
-        mean.variance += out.z[i] * out.z[i];
-    }
-    mean.variance /= n;
-    return mean;
-}
-
-// Count and sum of the heights above a plane, by pixel.
-struct PixelSums {
-    Scratch<double> count, sum;
-    double residual = 0.0;  // mean distance of the points from the plane, m
-};
-
-PixelSums sum_by_pixel(const SectorPoints& points, Plane plane, Index pixels) {
-    const auto [a, b, c, d] = plane;
-    const bool is_wall = !(c > steepest);
-    const double east = is_wall ? 0.0 : -a / c, north = is_wall ? 0.0 : -b / c, level = is_wall ? 0.0 : -d / c;
-    PixelSums out{Scratch<double>(pixels), Scratch<double>(pixels)};
-    for (Index i = 0; i < points.size(); ++i) {
-        const double x = points.x[i], y = points.y[i], z = points.z[i];
-        const Index k = points.pixel[i];
-        out.residual += std::abs(plane.above(x, y, z));
-        out.count[k] += 1.0;
-        out.sum[k] += z - east * x - north * y - level;
-    }
-    out.residual /= static_cast<double>(points.size());
-    return out;
-}
 
 // Most pixels along a side of a heightmap, as `PolarSettings` allows.
 constexpr std::size_t most_pixels = 64;
@@ -346,21 +357,20 @@ std::int32_t fill_row(const float* height, const float* known, Index size, float
     return filled;
 }
 
-// Writes the mean height of every pixel, and into empty ones, from the rim inwards, the mean of their known neighbours;
-// returns the share of pixels with points.
-double fill_heights(const PixelSums& sums, Array<float, 2> heights) {
-    const Index size = heights.shape[0], wide = size + 2;
+// Writes the mean height over a plane of every pixel, and into empty ones, from the rim inwards, the mean of their
+// known neighbours; returns the share of pixels with points.
+double fill_heights(const SectorPoints& points, Plane plane, Array<float, 2> heights) {
+    const Index size = heights.shape[0], wide = size + 2, held = points.filled.count();
     const auto place = [wide](Index row, Index column) { return (row + 1) * wide + column + 1; };
+    const auto [a, b, c, d] = plane;
+    const bool is_wall = !(c > steepest);
+    const double east = is_wall ? 0.0 : -a / c, north = is_wall ? 0.0 : -b / c, level = is_wall ? 0.0 : -d / c;
     Padded image(wide * wide);
-    Index held = 0;
-    for (Index row = 0; row < size; ++row) {
-        for (Index column = 0; column < size; ++column) {
-            const Index k = row * size + column;
-            if (!(sums.count[k] > 0.0)) continue;
-            image.height[place(row, column)] = static_cast<float>(sums.sum[k] / sums.count[k]);
-            image.known[place(row, column)] = 1.0F;
-            ++held;
-        }
+    for (Index k = 0; k < held; ++k) {
+        const Index p = place(points.filled[k] / size, points.filled[k] % size);
+        const double over = points.pixel_z[k] - east * points.pixel_x[k] - north * points.pixel_y[k] - level;
+        image.height[p] = static_cast<float>(over);
+        image.known[p] = 1.0F;
     }
     Padded next = image;
     for (Index missing = held > 0 ? size * size - held : 0; missing > 0; std::swap(image, next)) {
@@ -379,17 +389,24 @@ void measure_sectors(CellPoints points, SectorInputs inputs, SectorMeasures out)
     SectorPoints ground;
     for (Index s = 0; s < inputs.cells.size(); ++s) {
         const Index cell = inputs.cells[s];
-        const Centre mean = centre_points(points, inputs.is_ground, cell, ground);
-        const auto [principal, is_line] = principal_plane(ground.centred(), {}, infinite);
+        ground.take(points, inputs.is_ground, cell, pixels);
+        const auto [principal, is_line, variance] = principal_plane(ground, {}, infinite);
         out.normal(s, 0) = static_cast<float>(principal.a);
         out.normal(s, 1) = static_cast<float>(principal.b);
         out.normal(s, 2) = static_cast<float>(principal.c);
-        const Plane plane = ransac_plane(ground.centred(), inputs.threshold, static_cast<std::uint64_t>(cell));
-        const PixelSums sums = sum_by_pixel(ground, plane, pixels);
-        out.scalars(s, 0) = mean.variance;
-        out.scalars(s, 1) = plane.is_found() ? sums.residual : std::numeric_limits<double>::quiet_NaN();
-        out.scalars(s, 2) = fill_heights(sums, out.heights.at(s));
-        out.scalars(s, 3) = is_line ? mean.z : principal.a * mean.x + principal.b * mean.y + principal.c * mean.z;
+        const Plane plane = ransac_plane(ground, inputs.threshold, static_cast<std::uint64_t>(cell));
+        double residual = 0.0;
+        for (Index i = 0; i < ground.size(); ++i)
+            residual += exact(std::abs(plane.above(ground.x[i], ground.y[i], ground.z[i])));
+        out.scalars(s, 0) = variance;
+        out.scalars(s, 1) =
+            plane.is_found() ? residual / static_cast<double>(ground.size()) : std::numeric_limits<double>::quiet_NaN();
+        out.scalars(s, 2) = fill_heights(ground, plane, out.heights.at(s));
+        const double mx = ground.mean_x, my = ground.mean_y, mz = ground.mean_z;
+        out.scalars(s, 3) = is_line ? mz : principal.a * mx + principal.b * my + principal.c * mz;
+        const bool is_wall = !(plane.c > steepest);
+        out.scalars(s, 4) = is_wall ? 0.0 : -plane.a / plane.c;
+        out.scalars(s, 5) = is_wall ? 0.0 : -plane.b / plane.c;
     }
 }
 

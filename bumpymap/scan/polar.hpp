@@ -1,15 +1,19 @@
-// Shared by the loops over a scan: the polar grid, the points by cell, and the angle of a direction. The records are
-// explained in ground.py.
+// Shared by the loops over a scan: the polar grid, the points by cell, sums in any order, the angle of a direction. The
+// records are explained in ground.py.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <limits>
 #include <numbers>
 #include <vector>
 
 #include "bumpytiles/bindings.hpp"
 
 namespace bumpy {
+
+constexpr double infinite = std::numeric_limits<double>::infinity();
 
 // Memory of a loop, indexed as an `Array` is.
 template <class T>
@@ -20,6 +24,12 @@ struct Scratch : std::vector<T> {
     T& operator[](Index i) { return std::vector<T>::operator[](static_cast<std::size_t>(i)); }
     const T& operator[](Index i) const { return std::vector<T>::operator[](static_cast<std::size_t>(i)); }
 };
+
+// Fills memory that is kept from scan to scan, so that the system need not give it anew.
+template <class T>
+void renew(Scratch<T>& kept, Index size, T value = {}) {
+    kept.assign(static_cast<std::size_t>(size), value);
+}
 
 struct ZoneGrid {
     Array<const double> edges;
@@ -32,8 +42,15 @@ struct CellPoints {
     Array<Index> starts;
     Array<std::int32_t> order;
     Array<float, 2> xyz;
-    Array<std::int32_t> pixel, part;
+    Array<std::int32_t> pixel, bin;
 };
+
+// A number rounded to a multiple of 2^-28: sums of such terms are exact below 2^25, so that the order of the points of
+// a scan does not matter. For numbers up to 2^23.
+inline double exact(double term) {
+    constexpr double rounding = 3.0 * (1 << 23);  // its last bit is 2^-28
+    return (term + rounding) - rounding;
+}
 
 // Angle from the x axis towards y as a share of a full turn, -0.5 to 0.5; 0 at the origin. The arctangent's own series,
 // after the angle was folded into an eighth of a half turn: as exact as is needed, without a call to a library whose
@@ -56,7 +73,13 @@ inline double turn_of(double x, double y) {
     return y < 0.0 ? -angle : angle;
 }
 
+// The same from 0 up to, but not, 1.
+inline double full_turn(double turn) {
+    turn = turn < 0.0 ? turn + 1.0 : turn;
+    return turn < 1.0 ? turn : 0.0;
+}
+
 }  // namespace bumpy
 
 BUMPY_RECORD(bumpy::ZoneGrid, edges, sectors, rings, start, pixels)
-BUMPY_RECORD(bumpy::CellPoints, starts, order, xyz, pixel, part)
+BUMPY_RECORD(bumpy::CellPoints, starts, order, xyz, pixel, bin)

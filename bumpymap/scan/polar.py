@@ -12,16 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, PolarSettings, Scan, SectorStack, loops
-from bumpymap.scan.ground import (
-    FOUND,
-    CellPoints,
-    SectorBuffers,
-    ZoneGrid,
-    cell_layout,
-    find_ground,
-    ground_drops,
-    part_of_pixel,
-)
+from bumpymap.scan.ground import CellPoints, SectorBuffers, ZoneGrid, cell_layout, find_ground, ground_drops
 
 RANSAC_THRESHOLD_M = 0.1
 """Points nearer to a plane than this are its inliers; as for the patches of a survey."""
@@ -51,8 +42,9 @@ class SectorMeasures(NamedTuple):
     """Measures of sectors; filled in place."""
 
     scalars: NDArray[np.float64]
-    """(sectors, 4) variance of z [m^2], residual [m] (NaN where the points span no plane), coverage, distance of the
-    origin below the principal plane [m]; below the points' mean, where they lie on one line: they tell no tilt."""
+    """(sectors, 6) variance of z [m^2], residual [m] (NaN where the points span no plane), coverage, distance of the
+    origin below the principal plane [m] (below the points' mean, where they lie on one line: they tell no tilt), slope
+    along x and y of the plane that RANSAC found (0 where it is a wall)."""
     normal: NDArray[np.float32]
     """(sectors, 3) principal normal; zeros where the points lie on a line."""
     heights: NDArray[np.float32]
@@ -76,33 +68,34 @@ def polar_sectors(
     grid = ZoneGrid(edges, sectors, rings, start / (2.0 * math.pi), settings.pixels)
     buffers = buffers or SectorBuffers()
     size = len(points)
-    cell, order, pixel, part = (buffers.empty(name, size, np.int32) for name in ("cell", "order", "pixel", "part"))
+    cell, order, pixel, bins = (buffers.empty(name, size, np.int32) for name in ("cell", "order", "pixel", "bin"))
     xyz = buffers.empty("accumulated", size, np.float32, rows=3)
-    by_cell = CellPoints(np.zeros(int(sectors @ rings) + 2, np.int64), order, xyz, pixel, part)
-    loops.place_points(points, grid, part_of_pixel(settings.pixels), cell, by_cell)
+    by_cell = CellPoints(np.zeros(int(sectors @ rings) + 2, np.int64), order, xyz, pixel, bins)
+    loops.place_points(points, grid, cell, by_cell)
     counts = np.diff(by_cell.starts[:-1])
     cells = np.flatnonzero(counts > settings.least_points)
-    planes, ground = find_ground(by_cell, size, settings, start, buffers)
+    ground = find_ground(by_cell, size, grid, settings, buffers)
     ground_count = ground.held[cells]
-    there = (planes.kind[cells] == FOUND) & (ground_count >= _LEAST_GROUND_POINTS)
+    there = ground_count >= _LEAST_GROUND_POINTS
     inputs = SectorInputs(ground.kept, cells[there], RANSAC_THRESHOLD_M)
     sectors_found, pixels = len(inputs.cells), settings.pixels
-    scalars, normal = np.empty((sectors_found, 4)), np.empty((sectors_found, 3), np.float32)
+    scalars, normal = np.empty((sectors_found, 6)), np.empty((sectors_found, 3), np.float32)
     heights = np.empty((sectors_found, pixels, pixels), np.float32)
     loops.measure_sectors(by_cell, inputs, SectorMeasures(scalars, normal, heights))
-    lines = (normal[:, 2] < settings.least_normal_z) & (planes.spread[cells[there]] < _LINE_M)
-    fitted = np.insert(-planes.plane[cells[there][lines], :2], 2, 1.0, axis=1)
-    normal[lines] = fitted / np.linalg.norm(fitted, axis=1, keepdims=True)
+    for row in np.flatnonzero(normal[:, 2] < settings.least_normal_z):
+        cell_points = slice(*by_cell.starts[inputs.cells[row] :][:2])
+        if ground.height[order[cell_points][ground.kept[cell_points]]].std() < _LINE_M:
+            a, b, _ = ground.surface[inputs.cells[row]]
+            normal[row] = np.array([-a, -b, 1.0]) / math.sqrt(a * a + b * b + 1.0)
     over = scalars[:, 3] - max(float(np.median(scalars[: len(scalars) // 2 + 1, 3])) if len(scalars) else 0.0, 0.0)
     is_level = (normal[:, 2] >= settings.least_normal_z) & (over <= settings.overhead_m)
     obstacles = ground.obstacles[cells]
     stands = there & (obstacles >= _LEAST_OBSTACLE_POINTS)
-    slope = planes.plane[:, :2].copy()  # passed on where a cell has too few points of its own
-    slope[cells[there]] = 0.0
-    slope[cells[there][is_level]] = -normal[is_level, :2] / normal[is_level, 2:]
+    slope = np.column_stack([ground.surface[:, :2], ground.surface[:, :2]])
+    slope[cells[there], :2] = np.where(is_level[:, None], scalars[:, 4:], 0.0)
     height = -float(np.median(scalars[is_level, 3])) if is_level.any() else 0.0
-    level = -planes.plane[cells[there][is_level], 2]
-    drops = ground_drops(ground.lowest, slope, by_cell, grid, settings, planes, height)
+    level = -ground.surface[cells[there][is_level], 2]
+    drops = ground_drops(ground, slope, by_cell, grid, settings, height)
     rows = np.full(len(counts) + 1, -1, np.int32)  # the last one is for points outside of the grid
     rows[cells] = np.arange(len(cells), dtype=np.int32)
     point_sector = rows.take(cell, mode="wrap")

@@ -90,22 +90,21 @@ void fuzz_frame(Bytes bytes) {
     const Array<const float, 2> points{values.data(), {n, 3}};
     const Column<double> edges{0.5, 4.0, 20.0};
     const Column<Index> sectors{4, 8}, rings{2, 3}, cells{0, 1, 2, 8, 9, 31};
-    const Column<std::int32_t> part_of_pixel(16);
     Column<Index> starts(34);
-    Column<std::int32_t> cell(n), order(n), pixel(n), part(n);
+    Column<std::int32_t> cell(n), order(n), pixel(n), bin(n);
     Column<float> xyz(3 * n), normal(18), heights(96);
-    const CellPoints placed{starts, order, {xyz.data(), {3, n}}, pixel, part};
-    place_points(points, {edges, sectors, rings, 0.25, 4}, part_of_pixel, cell, placed);
+    const CellPoints placed{starts, order, {xyz.data(), {3, n}}, pixel, bin};
+    place_points(points, {edges, sectors, rings, 0.25, 4}, cell, placed);
     Column<Index> filled;
     for (const Index c : cells)
         if (starts[static_cast<std::size_t>(c)] + 3 <= starts[static_cast<std::size_t>(c) + 1]) filled.push_back(c);
     const std::vector<std::uint8_t> ground(static_cast<std::size_t>(n), 1);
     const Array<const bool> is_ground{reinterpret_cast<const bool*>(ground.data()), {n}};
-    Column<double> scalars(24);
+    Column<double> scalars(36);
     const Index found = std::ssize(filled);
     measure_sectors(
         placed, {is_ground, filled, 0.1},
-        {{scalars.data(), {found, 4}}, {normal.data(), {found, 3}}, {heights.data(), {found, 4, 4}}});
+        {{scalars.data(), {found, 6}}, {normal.data(), {found, 3}}, {heights.data(), {found, 4, 4}}});
     Column<std::uint16_t> image(16 * 64);
     range_image(points, -0.1, {image.data(), {16, 64}});
 }

@@ -172,7 +172,7 @@ def test_points_of_obstacles_are_looked_for_in_free_sectors():
 
 
 @pytest.mark.parametrize(
-    ("name", "known", "least"), [("kitti_labelled", "kitti", 0.975), ("solid_state_labelled", "semantic-kitti", 0.94)]
+    ("name", "known", "least"), [("kitti_labelled", "kitti", 0.98), ("solid_state_labelled", "semantic-kitti", 0.965)]
 )
 def test_labels_are_told_ground_is_found_and_obstacles_lie_in_sectors_that_say_so(shared_data, name, known, least):
     frames = find_frames([shared_data / "scans" / name])

@@ -1,6 +1,7 @@
 """The polar grid against a loop over sectors, and its ground: made-up ground of known height, drops, real frames."""
 
 import math
+from dataclasses import fields
 from itertools import pairwise
 
 import numpy as np
@@ -222,6 +223,34 @@ def test_boxes_are_obstacles_on_ground_and_crowns_are_overhead():
     assert stack.traversable[without_car].mean() > 0.9
     assert not stack.obstacle[without_car].any()
     assert np.nanmin(stack.clearance[without_car]) == pytest.approx(3.0, abs=0.1)
+
+
+def hilly_street(x, y):
+    """Height of a road over hills with kerbs and a parked van."""
+    hills = 0.4 * np.sin(x / 9.0) * np.sin(y / 11.0 + 1.0) + np.where(np.abs(y) > 4.0, 0.16, 0.0)
+    return hills + np.where((np.abs(x - 8.0) < 2.0) & (np.abs(y - 3.0) < 1.0), 1.5, 0.0)
+
+
+def test_nothing_depends_on_the_order_of_the_points():
+    points = seen(hilly_street)
+    order = np.random.default_rng(1).permutation(len(points))
+    one, two = (polar_sectors(Scan(each)) for each in (points, points[order]))
+    for field in fields(one)[1:]:
+        before, after = getattr(one, field.name), getattr(two, field.name)
+        np.testing.assert_array_equal(before[order] if field.name.startswith("point_") else before, after, field.name)
+    cells, shuffled = grid_of(points), grid_of(points[order])
+    for field in fields(cells):
+        np.testing.assert_array_equal(getattr(cells, field.name), getattr(shuffled, field.name), field.name)
+
+
+@pytest.mark.parametrize(("change", "most"), [((37, 1), 0.01), ((0, -1), 0.001)], ids=["turned", "mirrored"])
+def test_ground_is_the_same_however_the_robot_faces(change, most):
+    points, (turn, side) = seen(hilly_street), change
+    c, s = math.cos(math.radians(turn)), math.sin(math.radians(turn))
+    other = (points.astype(float) @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) * [1, side, 1]).astype(np.float32)
+    one, two = polar_sectors(Scan(points)), polar_sectors(Scan(other))
+    assert (one.point_ground != two.point_ground).mean() < most
+    assert (np.abs(one.point_height - two.point_height) < 0.03).mean() > 0.99
 
 
 def test_reflections_below_the_ground_are_left_out_and_move_nothing():
