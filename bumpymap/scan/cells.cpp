@@ -21,20 +21,26 @@ constexpr Index all_rays = 4 * side_rays;
 constexpr Index block_points = 512;
 constexpr float infinite = std::numeric_limits<float>::infinity();
 
+// The square cells around a sensor, as a scan shows them, from the lowest y upwards, and in each row from the lowest x;
+// unknown heights are NaN.
 struct SquareCells {
-    Array<std::uint8_t> kind;
-    Array<std::int32_t> sector;
-    Array<float> elevation, step, top, clearance, tip;
+    Array<std::uint8_t> kind;      // class of the ground; one more than the last where a vehicle cannot go, and one
+                                   // more where unknown
+    Array<std::int32_t> sector;    // row of the sector whose ground is known in the cell; -1 without any
+    Array<float> elevation, step;  // mean z of the ground points; largest difference from a cell beside it, m
+    Array<float> top, clearance;   // of an obstacle, and lowest point that a vehicle passes under, over the ground, m
+    Array<float> tip;              // z of the top, m
 };
 
+// A classified scan; arrays by sector have one row more, for points in none.
 struct ClassedPoints {
-    Array<const float, 2> points;
-    Array<const bool> ground, airborne;
-    Array<const float> height;
-    Array<const std::int32_t> sector;
-    Array<const std::uint8_t> kind, bare_kind;
-    Array<const bool> drops;
-    Array<const double, 2> slope;
+    Array<const float, 2> points;               // (points, 3) m
+    Array<const bool> ground, airborne;         // (points,) whether it is ground; whether it is left out
+    Array<const float> height;                  // (points,) over the ground of its sector, m; NaN where none is known
+    Array<const std::int32_t> sector;           // (points,) row of its sector; -1 if it is in none
+    Array<const std::uint8_t> kind, bare_kind;  // of the ground of sectors; where nothing is `beside`
+    Array<const bool> drops;                    // whether the ground of sectors drops
+    Array<const double, 2> slope;               // (sectors + 1, 2) along x and y; the last one: of the whole ground
 
     // The row of a sector in arrays by sector: the last one for -1.
     Index row(Index sector_or_none) const { return sector_or_none < 0 ? kind.size() - 1 : sector_or_none; }
@@ -47,10 +53,11 @@ struct ClassedPoints {
 };
 
 struct CellRule {
-    double resolution;
-    Index half;
-    double belly, height;
-    Index beneath, beside;
+    double resolution;      // side of a cell, m
+    Index half;             // cells from the sensor to each side of the grid
+    double belly, height;   // lower objects and steps pass under a vehicle; objects from here on pass over it, m
+    Index beneath, beside;  // cells behind an object in which ground that is seen beneath it is not known to be free;
+                            // farthest cells that are beside one
 
     Index side() const { return 2 * half; }
 };
@@ -392,7 +399,4 @@ BUMPY_RECORD(bumpy::SquareCells, kind, sector, elevation, step, top, clearance, 
 BUMPY_RECORD(bumpy::ClassedPoints, points, ground, airborne, height, sector, kind, bare_kind, drops, slope)
 BUMPY_RECORD(bumpy::CellRule, resolution, half, belly, height, beneath, beside)
 
-void bind_cells(nb::module_& module) {
-    using namespace bumpy;
-    BUMPY_LOOP(module, lay_cells);
-}
+BUMPY_LOOPS(cells, lay_cells)

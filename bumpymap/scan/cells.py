@@ -27,68 +27,6 @@ RAYS = 180
 cells.cpp."""
 
 
-class SquareCells(NamedTuple):
-    """The square cells around a sensor, as a scan shows them; filled in place.
-
-    Cells are numbered from the lowest y upwards, and in each row from the lowest x. Unknown heights are NaN.
-    """
-
-    kind: NDArray[np.uint8]
-    """(cells,) class of the ground; one more than the last where a vehicle cannot go, and one more where unknown."""
-    sector: NDArray[np.int32]
-    """(cells,) row of the sector whose ground is known in the cell; -1 without any."""
-    elevation: NDArray[np.float32]
-    """(cells,) mean z of the ground points, m."""
-    step: NDArray[np.float32]
-    """(cells,) largest difference in elevation from a cell beside it, m."""
-    top: NDArray[np.float32]
-    """(cells,) height above the ground of the highest point of an obstacle, m."""
-    clearance: NDArray[np.float32]
-    """(cells,) height above the ground of the lowest point that a vehicle passes under, m."""
-    tip: NDArray[np.float32]
-    """(cells,) z of that highest point, m."""
-
-
-class ClassedPoints(NamedTuple):
-    """A classified scan; arrays by sector have one row more, for points in none."""
-
-    points: NDArray[np.float32]
-    """(points, 3) m."""
-    ground: NDArray[np.bool_]
-    """(points,) whether it is ground."""
-    airborne: NDArray[np.bool_]
-    """(points,) whether it is left out."""
-    height: NDArray[np.float32]
-    """(points,) above the ground of its sector, m; NaN where none is known."""
-    sector: NDArray[np.int32]
-    """(points,) row of its sector; -1 if it is in none."""
-    kind: NDArray[np.uint8]
-    """(sectors + 1,) of its ground, see `SquareCells`; the last one: unknown."""
-    bare_kind: NDArray[np.uint8]
-    """(sectors + 1,) of its ground where all within ``CellRule.beside`` is ground or higher than the vehicle."""
-    drops: NDArray[np.bool_]
-    """(sectors + 1,) whether its ground drops."""
-    slope: NDArray[np.float64]
-    """(sectors + 1, 2) of its ground along x and y; the last one: of the whole ground."""
-
-
-class CellRule(NamedTuple):
-    """The cells, and what stops a vehicle."""
-
-    resolution: float
-    """Side of a cell, m."""
-    half: int
-    """Cells from the sensor to each side of the grid."""
-    belly: float
-    """Lower objects and steps pass under a vehicle, m."""
-    height: float
-    """Objects from here on pass over it, m."""
-    beneath: int
-    """Number of cells behind an object in which ground that is seen beneath it is not known to be free."""
-    beside: int
-    """Objects up to this number of cells away are beside a cell."""
-
-
 class SeenCells(NamedTuple):
     """The square cells around a sensor as a frame shows them; arrays (side, side), as in `GroundGrid`."""
 
@@ -153,33 +91,35 @@ def see_cells(
     if len(level):
         slope[-1] = median(slope[level])
     layers = np.full((6, cells), np.nan, np.float32)
-    out = SquareCells(np.empty(cells, np.uint8), np.full(cells, -1, np.int32), *layers[:-1])
-    scan = ClassedPoints(
-        np.ascontiguousarray(points, np.float32),
-        stack.point_ground,
-        stack.point_airborne,
-        stack.point_height,
-        stack.point_sector,
-        kinds,
-        bare_kinds,
-        np.append(stack.drop, np.False_),
-        slope,
-    )
-    rule = CellRule(
-        settings.resolution_m,
-        half,
-        stack.settings.belly_m,
-        stack.settings.height_m,
-        round(_BENEATH_M / settings.resolution_m),
-        round(_BESIDE_M / settings.resolution_m),
-    )
+    kind, sector = np.empty(cells, np.uint8), np.full(cells, -1, np.int32)
+    names = ("elevation", "step", "top", "clearance", "tip")
+    out = {"kind": kind, "sector": sector, **dict(zip(names, layers, strict=False))}
+    scan = {
+        "points": np.ascontiguousarray(points, np.float32),
+        "ground": stack.point_ground,
+        "airborne": stack.point_airborne,
+        "height": stack.point_height,
+        "sector": stack.point_sector,
+        "kind": kinds,
+        "bare_kind": bare_kinds,
+        "drops": np.append(stack.drop, np.False_),
+        "slope": slope,
+    }
+    rule = {
+        "resolution": settings.resolution_m,
+        "half": half,
+        "belly": stack.settings.belly_m,
+        "height": stack.settings.height_m,
+        "beneath": round(_BENEATH_M / settings.resolution_m),
+        "beside": round(_BESIDE_M / settings.resolution_m),
+    }
     loops.lay_cells(scan, rule, _rays_of(half), out)
     if classed.ride is not None:
-        layers[-1] = c_r[out.sector]
-    class_id = np.append(classed.class_id, np.uint8(NOT_TRAVERSABLE)).take(out.sector, mode="wrap")
-    np.copyto(class_id, out.kind, where=out.kind < CLASSES)
+        layers[-1] = c_r[sector]
+    class_id = np.append(classed.class_id, np.uint8(NOT_TRAVERSABLE)).take(sector, mode="wrap")
+    np.copyto(class_id, kind, where=kind < CLASSES)
     return SeenCells(
-        out.kind.reshape(side, side),
+        kind.reshape(side, side),
         class_id.reshape(side, side),
         layers.reshape(6, side, side),
         0.5 * (stack.settings.belly_m + stack.settings.height_m),

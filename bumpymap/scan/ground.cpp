@@ -38,9 +38,9 @@ constexpr double objects_height = 2.0;
 constexpr double beside_m = 0.03, beside_per_metre = 0.04;
 constexpr float together = 3.0F;
 
+// Obstacles are between belly and height, m; where `overhead` is infinite, ground may hang over the sensor.
 struct GroundRule {
-    double belly, height;
-    bool may_hang;
+    double belly_m, height_m, overhead_m;
 };
 
 struct GroundLabels {
@@ -201,7 +201,7 @@ bool label_cell(
     Labelling& s) {
     const Array<float, 2> lowest = out.lowest.at(cell);
     const Index begin = points.starts[cell], end = points.starts[cell + 1];
-    const auto height = static_cast<float>(rule.height), drawn = static_cast<float>(objects_height * rule.height);
+    const auto height = static_cast<float>(rule.height_m), drawn = static_cast<float>(objects_height * rule.height_m);
     std::int32_t held = 0, overhead = 0;
     float clearance = out.clearance[cell];
     for (Index i = begin; i < end; ++i) {
@@ -237,10 +237,10 @@ void count_obstacles(
     const Labelling& s) {
     for (Index i = points.starts[cell]; i < points.starts[cell + 1]; ++i) {
         const float h = s.height[i];
-        if (out.kept[i] || !(0.0F < h && h < objects_height * rule.height)) continue;
+        if (out.kept[i] || !(0.0F < h && h < objects_height * rule.height_m)) continue;
         if (objects.count[points.pixel[i]] == 0.0F) {
             out.airborne[points.order[i]] = true;
-        } else if (rule.belly <= h && h < rule.height) {
+        } else if (rule.belly_m <= h && h < rule.height_m) {
             ++out.obstacles[cell];
             out.top[cell] = std::max(out.top[cell], h);
         }
@@ -254,7 +254,7 @@ void find_ground(CellPoints points, ZoneGrid grid, Array<const double, 2> centre
     thread_local Labelling memory;
     Labelling& s = memory;
     const bool hangs = find_heights(points, surface, rings, s);
-    const bool is_found = surface.layers.size() > 0 && !(hangs && rule.may_hang);
+    const bool is_found = surface.layers.size() > 0 && !(hangs && rule.overhead_m < infinite);
     s.lowest.resize(static_cast<std::size_t>(out.lowest.shape[1]));
     std::copy_n(&surface.whole.a, 3, out.whole.begin());
     for (Index cell = 0; cell < centres.shape[0]; ++cell) {
@@ -282,9 +282,14 @@ void find_ground(CellPoints points, ZoneGrid grid, Array<const double, 2> centre
 
 // ---- Drops ----
 
+// Less than `least` is no drop, m, nor what is flatter than `slope` against the slope of the ground before it, nor what
+// lies below the `whole` ground (slopes, height) by less than half of `least`: a terrace. The beam to what lies below
+// passes the last ground before it above `below`, against that ground, m: if not, the ground goes on, and what is seen
+// below is a reflection in it; -infinite where the height of the sensor is not known.
 struct DropRule {
-    double least, slope, below, slope_x, slope_y;
-    Index directions;
+    double least, slope, below;
+    Array<double> whole;
+    Index directions;  // in which the ground is followed
 };
 
 // The way outwards in one direction, and the last ground on it.
@@ -296,7 +301,7 @@ struct GroundWay {
     // Counts a drop before a return of a cell at a distance and a height, m, if there is one.
     void reach(Index cell, double at, double height, const DropRule& rule, Array<std::int32_t> drops) {
         if (last < 0) return;
-        const double way = at - r, level = rule.slope_x * east + rule.slope_y * north;
+        const double way = at - r, level = rule.whole[0] * east + rule.whole[1] * north;
         const double drop = z + slope * way - height, beam = height * r / at - z;
         if (!(drop > std::max(rule.least, rule.slope * way) && beam > rule.below)) return;
         if (!(z + level * way - height > 0.5 * rule.least)) return;
@@ -349,14 +354,10 @@ void find_drops(
 }  // namespace
 }  // namespace bumpy
 
-BUMPY_RECORD(bumpy::GroundRule, belly, height, may_hang)
+BUMPY_RECORD(bumpy::GroundRule, belly_m, height_m, overhead_m)
 BUMPY_RECORD(
     bumpy::GroundLabels, height, ground, obstacles, overhead, airborne, top, clearance, objects, lowest, kept, held,
     surface, whole)
-BUMPY_RECORD(bumpy::DropRule, least, slope, below, slope_x, slope_y, directions)
+BUMPY_RECORD(bumpy::DropRule, least, slope, below, whole, directions)
 
-void bind_ground(nb::module_& module) {
-    using namespace bumpy;
-    BUMPY_LOOP(module, find_ground);
-    BUMPY_LOOP(module, find_drops);
-}
+BUMPY_LOOPS(ground, find_ground, find_drops)

@@ -62,16 +62,6 @@ class CellLayout(NamedTuple):
     sector: Integers
 
 
-class GroundRule(NamedTuple):
-    """Limits that separate ground from objects on it."""
-
-    belly: float
-    """Heights above the ground between which a point is an obstacle, m."""
-    height: float
-    may_hang: bool
-    """If ground that hangs over the sensor, as where z points down, is none."""
-
-
 class GroundLabels(NamedTuple):
     """Ground points, and what the others are; filled in place."""
 
@@ -103,23 +93,6 @@ class GroundLabels(NamedTuple):
     where no point is, as the ground around it leads to expect."""
     whole: Floats
     """(3,) of the whole ground, as ``surface``."""
-
-
-class DropRule(NamedTuple):
-    """Limits of a drop."""
-
-    least: float
-    """Less is none, m."""
-    slope: float
-    """A drop is steeper than this, against the slope of the ground before it."""
-    below: float
-    """The beam to what lies below passes the last ground before it above this, against that ground, m. If not, the
-    ground goes on, and what is seen below is a reflection in it; -inf where the height of the sensor is not known."""
-    slope_x: float
-    """Of the whole ground, as the next: what lies below it by less than half of ``least`` is no drop, but a terrace."""
-    slope_y: float
-    directions: int
-    """In which the ground is followed."""
 
 
 class SectorBuffers(threading.local):
@@ -167,8 +140,13 @@ def ground_drops(
     """
     drops = np.zeros(len(slope), np.int32)
     below = _BELOW_M if height_m > _SENSOR_M else -np.inf
-    x, y, _ = ground.whole.tolist()
-    rule = DropRule(settings.belly_m, _SLOPE, below, x, y, _DIRECTIONS)
+    rule = {
+        "least": settings.belly_m,
+        "slope": _SLOPE,
+        "below": below,
+        "whole": ground.whole,
+        "directions": _DIRECTIONS,
+    }
     loops.find_drops(ground.lowest, slope, points.starts, grid, rule, drops)
     seen = np.repeat(_DIRECTIONS / grid.sectors, grid.sectors * grid.rings)
     return np.asarray(drops >= _SHARE * seen)
@@ -206,8 +184,7 @@ def find_ground(
         surface=np.empty((cells, 3)),
         whole=np.empty(3),
     )
-    rule = GroundRule(settings.belly_m, settings.height_m, math.isfinite(settings.overhead_m))
-    loops.find_ground(points, grid, centres, rule, labels)
+    loops.find_ground(points, grid, centres, settings, labels)
     return labels
 
 

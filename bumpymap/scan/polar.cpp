@@ -119,18 +119,6 @@ constexpr double steepest = 0.2;
 // Product of the two horizontal spreads over the square of their sum: less is one scan line, bent as the sector is.
 constexpr double line_spread = 2e-3;
 
-struct SectorInputs {
-    Array<const bool> is_ground;
-    Array<const Index> cells;
-    double threshold;
-};
-
-struct SectorMeasures {
-    Array<double, 2> scalars;
-    Array<float, 2> normal;
-    Array<float, 3> heights;
-};
-
 // The symmetric scatter matrix of some points.
 struct Scatter {
     double xx, xy, xz, yy, yz, zz;
@@ -383,41 +371,41 @@ double fill_heights(const SectorPoints& points, Plane plane, Array<float, 2> hei
     return static_cast<double>(held) / static_cast<double>(size * size);
 }
 
-// Measures every sector that is listed.
-void measure_sectors(CellPoints points, SectorInputs inputs, SectorMeasures out) {
-    const Index pixels = out.heights.shape[1] * out.heights.shape[2];
+// Measures the sectors of some cells by their ground points, `is_ground` (points,) by cell. Writes into `scalars`
+// (sectors, 6) variance of z [m^2], residual [m] (NaN where the points span no plane), coverage, distance of the origin
+// below the principal plane [m] (below the points' mean, where they lie on one line: they tell no tilt), slope along x
+// and y of the plane that RANSAC found (0 where it is a wall); `normal` (sectors, 3) of the principal plane, zeros
+// where the points lie on a line; `heights` (sectors, pixels, pixels) mean z above the plane that RANSAC found, holes
+// filled, m.
+void measure_sectors(
+    CellPoints points, Array<const bool> is_ground, Array<const Index> cells, double threshold,
+    Array<double, 2> scalars, Array<float, 2> normal, Array<float, 3> heights) {
+    const Index pixels = heights.shape[1] * heights.shape[2];
     SectorPoints ground;
-    for (Index s = 0; s < inputs.cells.size(); ++s) {
-        const Index cell = inputs.cells[s];
-        ground.take(points, inputs.is_ground, cell, pixels);
+    for (Index s = 0; s < cells.size(); ++s) {
+        const Index cell = cells[s];
+        ground.take(points, is_ground, cell, pixels);
         const auto [principal, is_line, variance] = principal_plane(ground, {}, infinite);
-        out.normal(s, 0) = static_cast<float>(principal.a);
-        out.normal(s, 1) = static_cast<float>(principal.b);
-        out.normal(s, 2) = static_cast<float>(principal.c);
-        const Plane plane = ransac_plane(ground, inputs.threshold, static_cast<std::uint64_t>(cell));
+        normal(s, 0) = static_cast<float>(principal.a);
+        normal(s, 1) = static_cast<float>(principal.b);
+        normal(s, 2) = static_cast<float>(principal.c);
+        const Plane plane = ransac_plane(ground, threshold, static_cast<std::uint64_t>(cell));
         double residual = 0.0;
         for (Index i = 0; i < ground.size(); ++i)
             residual += exact(std::abs(plane.above(ground.x[i], ground.y[i], ground.z[i])));
-        out.scalars(s, 0) = variance;
-        out.scalars(s, 1) =
+        scalars(s, 0) = variance;
+        scalars(s, 1) =
             plane.is_found() ? residual / static_cast<double>(ground.size()) : std::numeric_limits<double>::quiet_NaN();
-        out.scalars(s, 2) = fill_heights(ground, plane, out.heights.at(s));
+        scalars(s, 2) = fill_heights(ground, plane, heights.at(s));
         const double mx = ground.mean_x, my = ground.mean_y, mz = ground.mean_z;
-        out.scalars(s, 3) = is_line ? mz : principal.a * mx + principal.b * my + principal.c * mz;
+        scalars(s, 3) = is_line ? mz : principal.a * mx + principal.b * my + principal.c * mz;
         const bool is_wall = !(plane.c > steepest);
-        out.scalars(s, 4) = is_wall ? 0.0 : -plane.a / plane.c;
-        out.scalars(s, 5) = is_wall ? 0.0 : -plane.b / plane.c;
+        scalars(s, 4) = is_wall ? 0.0 : -plane.a / plane.c;
+        scalars(s, 5) = is_wall ? 0.0 : -plane.b / plane.c;
     }
 }
 
 }  // namespace
 }  // namespace bumpy
 
-BUMPY_RECORD(bumpy::SectorInputs, is_ground, cells, threshold)
-BUMPY_RECORD(bumpy::SectorMeasures, scalars, normal, heights)
-
-void bind_polar(nb::module_& module) {
-    using namespace bumpy;
-    BUMPY_LOOP(module, place_points);
-    BUMPY_LOOP(module, measure_sectors);
-}
+BUMPY_LOOPS(polar, place_points, measure_sectors)

@@ -6,7 +6,7 @@ the points themselves is no substitute: in a straight street their mean wanders 
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,30 +25,6 @@ _LINE_M = 0.05
 lines, m: their plane tells the tilt. Points of a wall spread more."""
 _LEAST_OBSTACLE_POINTS = 2
 """Fewest points that are an obstacle: a single one may be an error."""
-
-
-class SectorInputs(NamedTuple):
-    """The ground of a scan on the polar grid."""
-
-    is_ground: NDArray[np.bool_]
-    """(points,) by cell: the others do not count."""
-    cells: NDArray[np.int64]
-    """(sectors,) cells to measure, each with ground; their numbers seed RANSAC."""
-    threshold: float
-    """RANSAC inlier distance, m."""
-
-
-class SectorMeasures(NamedTuple):
-    """Measures of sectors; filled in place."""
-
-    scalars: NDArray[np.float64]
-    """(sectors, 6) variance of z [m^2], residual [m] (NaN where the points span no plane), coverage, distance of the
-    origin below the principal plane [m] (below the points' mean, where they lie on one line: they tell no tilt), slope
-    along x and y of the plane that RANSAC found (0 where it is a wall)."""
-    normal: NDArray[np.float32]
-    """(sectors, 3) principal normal; zeros where the points lie on a line."""
-    heights: NDArray[np.float32]
-    """(sectors, pixels, pixels) mean z above the plane that RANSAC found, holes filled, m."""
 
 
 def polar_sectors(
@@ -77,24 +53,23 @@ def polar_sectors(
     ground = find_ground(by_cell, size, grid, settings, buffers)
     ground_count = ground.held[cells]
     there = ground_count >= _LEAST_GROUND_POINTS
-    inputs = SectorInputs(ground.kept, cells[there], RANSAC_THRESHOLD_M)
-    sectors_found, pixels = len(inputs.cells), settings.pixels
-    scalars, normal = np.empty((sectors_found, 6)), np.empty((sectors_found, 3), np.float32)
-    heights = np.empty((sectors_found, pixels, pixels), np.float32)
-    loops.measure_sectors(by_cell, inputs, SectorMeasures(scalars, normal, heights))
+    measured, pixels = cells[there], settings.pixels
+    scalars, normal = np.empty((len(measured), 6)), np.empty((len(measured), 3), np.float32)
+    heights = np.empty((len(measured), pixels, pixels), np.float32)
+    loops.measure_sectors(by_cell, ground.kept, measured, RANSAC_THRESHOLD_M, scalars, normal, heights)
     for row in np.flatnonzero(normal[:, 2] < settings.least_normal_z):
-        cell_points = slice(*by_cell.starts[inputs.cells[row] :][:2])
-        if ground.height[order[cell_points][ground.kept[cell_points]]].std() < _LINE_M:
-            a, b, _ = ground.surface[inputs.cells[row]]
+        own = slice(*by_cell.starts[measured[row] :][:2])
+        if ground.height[order[own][ground.kept[own]]].std() < _LINE_M:
+            a, b, _ = ground.surface[measured[row]]
             normal[row] = np.array([-a, -b, 1.0]) / math.sqrt(a * a + b * b + 1.0)
     over = scalars[:, 3] - max(float(np.median(scalars[: len(scalars) // 2 + 1, 3])) if len(scalars) else 0.0, 0.0)
     is_level = (normal[:, 2] >= settings.least_normal_z) & (over <= settings.overhead_m)
     obstacles = ground.obstacles[cells]
     stands = there & (obstacles >= _LEAST_OBSTACLE_POINTS)
     slope = np.column_stack([ground.surface[:, :2], ground.surface[:, :2]])
-    slope[cells[there], :2] = np.where(is_level[:, None], scalars[:, 4:], 0.0)
+    slope[measured, :2] = np.where(is_level[:, None], scalars[:, 4:], 0.0)
     height = -float(np.median(scalars[is_level, 3])) if is_level.any() else 0.0
-    level = -ground.surface[cells[there][is_level], 2]
+    level = -ground.surface[measured[is_level], 2]
     drops = ground_drops(ground, slope, by_cell, grid, settings, height)
     rows = np.full(len(counts) + 1, -1, np.int32)  # the last one is for points outside of the grid
     rows[cells] = np.arange(len(cells), dtype=np.int32)

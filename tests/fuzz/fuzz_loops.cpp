@@ -103,8 +103,8 @@ void fuzz_frame(Bytes bytes) {
     Column<double> scalars(36);
     const Index found = std::ssize(filled);
     measure_sectors(
-        placed, {is_ground, filled, 0.1},
-        {{scalars.data(), {found, 6}}, {normal.data(), {found, 3}}, {heights.data(), {found, 4, 4}}});
+        placed, is_ground, filled, 0.1, {scalars.data(), {found, 6}}, {normal.data(), {found, 3}},
+        {heights.data(), {found, 4, 4}});
     Column<std::uint16_t> image(16 * 64);
     range_image(points, -0.1, {image.data(), {16, 64}});
 }
