@@ -65,13 +65,12 @@ void place_points(Array<const float, 2> points, ZoneGrid grid, Array<std::int32_
     const Index size = points.shape[0];
     const BinRings rings(grid);
     const Placer placer(grid);
-    struct Kept {
-        float x, y, z;
+    struct PixelAndBin {
         std::int32_t pixel, bin;
     };
-    thread_local Scratch<Kept> memory;
-    Scratch<Kept>& kept = memory;
-    kept.resize(static_cast<std::size_t>(size));
+    thread_local Scratch<PixelAndBin> memory;
+    Scratch<PixelAndBin>& places = memory;
+    places.resize(static_cast<std::size_t>(size));
     std::array<double, block_points> x, y, away, turn;
     std::array<std::int32_t, block_points> bin;
     for (Index begin = 0; begin < size; begin += block_points) {
@@ -92,7 +91,7 @@ void place_points(Array<const float, 2> points, ZoneGrid grid, Array<std::int32_
             const Index p = begin + static_cast<Index>(i);
             const auto [home, pixel] = placer.at(away[i], turn[i]);
             cell[p] = home;
-            kept[p] = {point[3 * i], point[3 * i + 1], point[3 * i + 2], pixel, bin[i]};
+            places[p] = {pixel, bin[i]};
             if (home >= 0) ++out.starts[home + 2];
         }
     }
@@ -101,11 +100,9 @@ void place_points(Array<const float, 2> points, ZoneGrid grid, Array<std::int32_
         if (cell[p] < 0) continue;
         const Index i = out.starts[cell[p] + 1]++;
         out.order[i] = static_cast<std::int32_t>(p);
-        out.xyz(0, i) = kept[p].x;
-        out.xyz(1, i) = kept[p].y;
-        out.xyz(2, i) = kept[p].z;
-        out.pixel[i] = kept[p].pixel;
-        out.bin[i] = kept[p].bin;
+        for (Index axis = 0; axis < 3; ++axis) out.xyz(axis, i) = points(p, axis);
+        out.pixel[i] = places[p].pixel;
+        out.bin[i] = places[p].bin;
     }
 }
 
