@@ -237,7 +237,7 @@ class PoseCheck:
                 f"{len(left)} of {len(self.poses)} frames {verb} not fit others{lean or _scaled(pairs)} ({said})"
             )
         elif lean:
-            reasons.append(f"the ground lies{lean}")
+            reasons.append(f"the ground lies{lean[1:]}")
         elif spread > _ROUGH_M and not (whole or self.corrected):
             reasons.append(f"the height of the same ground differs by {spread:.2f} m between frames")
         if reasons:
@@ -373,7 +373,9 @@ class PoseCheck:
                 seen, rest, count = seen + ground @ ground, rest + (ground - made) @ (ground - made), count + 1
         is_sure = rest < _LEFT * seen and seen > count * _ROUGH_M**2
         # Poses that hold the mounting make the ground level, and on a hillside the robot leans as the ground does.
-        if np.hypot(*lean) < _LEANS or not (is_sure or (level @ lean > 0.5 * lean @ lean and rest <= 1.2 * seen)):
+        if np.hypot(*lean) < _LEANS or not (
+            is_sure or (level @ lean > 0.5 * lean @ lean and rest <= 1.2 * seen + count * _ROUGH_M**2)
+        ):
             return "", False
         roll, pitch = -math.degrees(math.atan(lean[1])), math.degrees(math.atan(lean[0]))
         self.lean_deg = roll, pitch

@@ -29,6 +29,9 @@ _LEAST_POINTS, _CLOSER, _PER_MOVE = 200, 0.05, 0.1
 falls at least, and share of the move, of a registration that is believed (chosen)."""
 MOST_M, MOST_DEG = 0.8, 5.0
 """Errors between two frames beyond which no registration is believed: m, and degrees (chosen)."""
+_BARE = 0.004
+"""Share of the strongest hold of surfaces on a place, across them, below which they do not hold it: on a plane it is
+0.002 along (chosen)."""
 _UPRIGHT = 0.7
 """Largest vertical part of the normal of a standing surface (chosen)."""
 _ALIKE = 20.0
@@ -151,8 +154,12 @@ def _register(later: int, earlier: int, given: Floats, source: Any, target: Any)
         pose = result.T_target_source
     if result.num_inliers < _LEAST_POINTS:
         return nothing
-    before, after = (_distances(source[0], target, each) for each in (given, pose))
     change = np.linalg.solve(given, pose)
+    strength, axes = np.linalg.eigh(result.H[3:, 3:])
+    known = axes[:, strength > _BARE * strength[-1]]  # along a bare wall, the given place is as good as any
+    change[:3, 3] = known @ (known.T @ change[:3, 3])
+    pose = given @ change
+    before, after = (_distances(source[0], target, each) for each in (given, pose))
     moved, turned = float(np.linalg.norm(change[:3, 3])), math.degrees(float(np.linalg.norm(_turn_of(change[None]))))
     closer = [
         float(np.median(here)) - float(np.median(there)) > max(_CLOSER * float(np.median(here)), _PER_MOVE * moved)

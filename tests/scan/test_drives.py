@@ -165,8 +165,10 @@ def noisy(poses, metres, degrees, seed=3):
     return poses
 
 
-def test_errors_of_poses_are_said_and_corrected_if_asked(frames, tmp_path, caplog):
+def test_errors_of_poses_are_said_and_corrected_if_asked(tmp_path, caplog):
     true, given = way_along(), noisy(way_along(), 0.05, 0.3)
+    boxes = [(x, y, 0.0, 2.0, 2.0, 2.5) for x, y in ((0.0, 9.0), (6.0, -6.0), (13.0, 9.0), (19.0, -4.0), (30.0, -3.0))]
+    frames = [seen(pose, [PARKED, *WALLS, *boxes, car(number)]) for number, pose in enumerate(true)]
     kept, *_, same = given.copy(), *merge(tmp_path / "given", frames, given)
     np.testing.assert_array_equal(same, kept)
     assert "the height of the same ground differs" in caplog.text
@@ -210,7 +212,7 @@ def test_the_robot_drove_where_others_followed_it(tmp_path):
     poses, frames = escorted(0.5, 40, (-5.5, 0.0), WALLS)
     frames, poses = [*frames, *20 * frames[-1:]], np.concatenate([poses, np.tile(poses[-1:], (20, 1, 1))])
     xyz, ground, record = merged(tmp_path / "out", frames, poses)
-    away = np.linalg.norm(xyz[:, None, :2] - poses[None, :, :2, 3], axis=2).min(axis=1)
+    away = np.linalg.norm(xyz[:, None, :2] - poses[None, 8:, :2, 3], axis=2).min(axis=1)
     assert record["moving"] > 1000
     assert not ((away < 1.0) & ~ground & (xyz[:, 2] > 0.25)).any()
 
@@ -238,7 +240,7 @@ def test_a_mounting_that_poses_lack_is_said_even_on_a_straight_way(tmp_path, cap
     assert not caplog.text
     lean = merged(tmp_path / "out", frames, level)[2]["poses"]["lean_deg"]
     assert lean == [pytest.approx(5.0, abs=0.3), pytest.approx(0.0, abs=0.3)]
-    assert re.search(r"leaned by 5 degrees.*a roll of 5.. and a pitch of .*Multiply each pose", caplog.text)
+    assert re.search(r"leaned by 5 degrees.*a roll of 4.9 and a pitch of .*Multiply each pose", caplog.text)
 
 
 def test_frames_between_bare_walls_are_moved_across_and_not_along(tmp_path):
@@ -251,7 +253,7 @@ def test_frames_between_bare_walls_are_moved_across_and_not_along(tmp_path):
     given, by = true.copy(), rng.normal(0.0, 0.2, (8, 2))
     given[:, :2, 3] += by
     moved = merge(tmp_path, frames, given, trusted=True, corrected=True)[3][:, :2, 3] - given[:, :2, 3]
-    assert np.abs(moved[:, 0]).max() < 0.03
+    assert np.abs(moved[:, 0]).max() < 0.02
     assert np.ptp(moved[:, 1] + by[:, 1]) < 0.03 < np.ptp(by[:, 1])
 
 
