@@ -3,7 +3,7 @@
 Frames come one after another. Their points are written to a file in the folder of the run, sorted by block of the
 world, with a `View` of each. When all are there, their poses are held against the frames, and corrected if the settings
 say so; then the points are placed again. Block after block is read back: a voxel through which two other frames or more
-saw, and more than saw something in it, held something that moved, and so did what stands where the robot drove. Memory
+saw, and more than saw something in it, held something that moved, and so did objects where the robot drove. Memory
 is bounded by the surfaces in one block.
 """
 
@@ -33,7 +33,7 @@ _PROBE_MM = 800
 """Height above ground, between belly and top of a vehicle, at which it shows whether the ground can be driven on,
 mm."""
 _POINT = np.dtype([("place", "<i4", 3), ("range_cm", "<u2"), ("kind", "u1")])
-"""A point in the file: place, mm; distance from its sensor; 1 if it is ground."""
+"""A point in the file: place, mm; distance from its sensor; 1 if it is ground, and 2 more if it stands still."""
 _FAR_MM = 2_000_000_000
 """Largest coordinate in the file, mm: that of 32 bits."""
 _STILL_MM, _STRETCH_M, _STRETCHES = 500, 2.0, 5
@@ -217,25 +217,24 @@ class DriveMerge:
 
     def _correct(self, check: PoseCheck) -> None:
         """Correct the poses, and place the points of all frames again."""
-        still, numbers = self._standing_still(), check.kept
+        numbers = check.kept
+        place = {number: each for each, number in enumerate(numbers)}
+        pairs = [(place[a], place[b]) for a, b in sorted(check.pairs) if a in place and b in place]
 
         def cloud(place: int) -> NDArray[np.float64]:
             _, begin, end = self.frames[numbers[place]]
             rows = self._rows(begin, end)
-            rows = rows[rows["range_cm"] < _NEAR_CM]
-            return self._in_frame(numbers[place], rows[self._are_still(rows, still)])
+            return self._in_frame(numbers[place], rows[(rows["kind"] > 1) & (rows["range_cm"] < _NEAR_CM)])
 
-        place = {number: each for each, number in enumerate(numbers)}
-        pairs = [(place[a], place[b]) for a, b in sorted(check.pairs) if a in place and b in place]
-        self.correction = correct_poses(self.poses[numbers], pairs, cloud)
-        self.blocks.clear()
-        with open(self.points.name, "r+b") as file:  # noqa: PTH123 (a name of a file that is open)
+        with open(self.points.name, "r+b", buffering=0) as file:  # noqa: PTH123 (a name of a file that is open)
+            self._mark_still(file)
+            self.correction = correct_poses(self.poses[numbers], pairs, cloud)
+            self.blocks.clear()
             for number, pose in zip(numbers, self.correction.poses, strict=True):
                 _, begin, end = self.frames[number]
                 rows = self._rows(begin, end)
-                points = self._in_frame(number, rows)
-                world = np.einsum("nj,ij->ni", points, pose[:3, :3]) + (pose[:3, 3] - self.offset)
-                rows["place"] = np.round(1000.0 * world)
+                world = np.einsum("nj,ij->ni", self._in_frame(number, rows), pose[:3, :3]) + (pose[:3, 3] - self.offset)
+                rows["place"], rows["kind"] = np.round(1000.0 * world), rows["kind"] & 1
                 rows, blocks, counts = self._by_block(rows)
                 self._list_blocks(number, begin, blocks, counts)
                 file.seek(begin * _POINT.itemsize)
@@ -243,32 +242,22 @@ class DriveMerge:
                 self.frames[number] = (pose, begin, end)
         del self.poses  # as they are now
 
-    def _standing_still(self) -> dict[int, NDArray[np.int64]]:
-        """Return the voxels of each block that enough stretches of the way have seen, and those beside, increasing."""
+    def _mark_still(self, file: BinaryIO) -> None:
+        """Mark the points in voxels that enough stretches of the way have seen, and beside these, for poses err."""
         steps = np.linalg.norm(np.diff(self.poses[:, :3, 3], axis=0), axis=1)
         stretch = (np.r_[0.0, np.cumsum(steps)] // _STRETCH_M).astype(int).tolist()
-        found = {}
-        for block in self.blocks:
-            table = self._gather(block, _STILL_MM, stretch)
-            used = int(table.size[0])
-            cell = table.place[:used, 0][table.hits[:used] >= _STRETCHES].astype(np.int64) // _STILL_MM
-            beside = (np.indices((3, 3, 3)).reshape(3, 27).T - 1)[:, None]  # where errors of poses move their points
-            found[block] = np.unique(_key_of((cell + beside).reshape(-1, 3)))
-        return found
-
-    def _are_still(self, rows: NDArray[Any], still: dict[int, NDArray[np.int64]]) -> NDArray[np.bool_]:
-        """Return which rows of a frame, sorted by block, lie in voxels that stand still."""
-        chosen = np.zeros(len(rows), np.bool_)
-        column, row = ((rows["place"][:, :2] + self._whole_offset()) // _BLOCK_MM).T
-        number = column.astype(np.int64) + _SIDE * row
-        for block in np.unique(number).tolist():
-            own = np.flatnonzero(number == block)
-            xyz = rows["place"][own].astype(np.int64)
-            xyz[:, :2] -= self._corner(block)
-            key, known = _key_of(xyz // _STILL_MM), still[block]
-            at = np.minimum(np.searchsorted(known, key), max(0, len(known) - 1))
-            chosen[own] = known[at] == key if len(known) else False
-        return chosen
+        beside = (np.indices((3, 3, 3)).reshape(3, 27).T - 1)[:, None]
+        for block, parts in self.blocks.items():
+            table, corner = self._gather(block, _STILL_MM, stretch), np.append(self._corner(block), 0)
+            seen = table.hits[: int(table.size[0])] >= _STRETCHES
+            cell = table.place[: len(seen), 0][seen].astype(np.int64) // _STILL_MM
+            still = np.unique(_key_of((cell + beside).reshape(-1, 3)))
+            for _, begin, end in parts:
+                rows = self._rows(begin, end)
+                is_still = np.isin(_key_of((rows["place"] - corner) // _STILL_MM), still)
+                rows["kind"] += 2 * is_still.astype(np.uint8)
+                file.seek(begin * _POINT.itemsize)
+                rows.tofile(file)
 
     def _whole_offset(self) -> NDArray[np.int64]:
         return (1000 * self.offset[:2]).astype(np.int64)

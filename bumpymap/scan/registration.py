@@ -24,6 +24,8 @@ _REACHES_M = (1.0, 0.3)
 """Farthest point that one is laid on, in each registration, m (chosen)."""
 _STEPS, _STEP_RAD, _STEP_M = 30, 1e-5, 1e-4
 """Most steps of a registration, and change of angle, rad, and place, m, at which it ends (chosen)."""
+_HELD = 64
+"""Number of frames before one whose points are held for it, some MB each (chosen)."""
 _LEAST_POINTS, _CLOSER, _PER_MOVE = 200, 0.05, 0.1
 """Fewest points of a frame and fewest pairs of points; share by which the distance between the surfaces of both frames
 falls at least, and share of the move, of a registration that is believed (chosen)."""
@@ -128,12 +130,11 @@ def correct_poses(poses: Floats, pairs: Iterable[tuple[int, int]], cloud: Callab
         for number in (later, earlier):
             if number not in clouds:
                 points = cloud(number)
-                clouds[number] = (
-                    gicp.preprocess_points(points, _THINNED_M, _NEIGHBOURS, 1) if len(points) > _LEAST_POINTS else None
-                )
+                enough = len(points) > _LEAST_POINTS
+                clouds[number] = gicp.preprocess_points(points, _THINNED_M, _NEIGHBOURS, 1) if enough else None
         given = np.linalg.solve(poses[earlier], poses[later])
         edges.append(_register(later, earlier, given, clouds[later], clouds[earlier]))
-        clouds = {number: each for number, each in clouds.items() if last[number] > place and number > later - 64}
+        clouds = {key: each for key, each in clouds.items() if last[key] > place and key > later - _HELD}
     found = _solve(poses, edges)
     moved = np.linalg.norm(found[:, :3, 3] - poses[:, :3, 3], axis=1).max(initial=0.0)
     turned = _turn_of(np.einsum("nji,njk->nik", poses[:, :3, :3], found[:, :3, :3]))
@@ -143,14 +144,13 @@ def correct_poses(poses: Floats, pairs: Iterable[tuple[int, int]], cloud: Callab
 def _register(later: int, earlier: int, given: Floats, source: Any, target: Any) -> Edge:
     """Register one frame to another; ``source``, ``target``: points and tree of each, None if they are too few."""
     gicp = require_registration()
-    nothing = Edge(later, earlier, given, np.zeros((6, 6)), math.nan, math.nan, is_significant=False)
+    nothing = Edge(later, earlier, given, np.diag(1.0 / np.square(_LOOSE)), math.nan, math.nan, is_significant=False)
     if source is None or target is None:
         return nothing
     pose = given
     for reach in _REACHES_M:
-        result = gicp.align(
-            target[0], source[0], target[1], pose, "GICP", reach, 1, _STEPS, _STEP_RAD, _STEP_M
-        )  # fmt: skip
+        clouds = target[0], source[0], target[1]
+        result = gicp.align(*clouds, pose, "GICP", reach, 1, _STEPS, _STEP_RAD, _STEP_M)
         pose = result.T_target_source
     if result.num_inliers < _LEAST_POINTS:
         return nothing
