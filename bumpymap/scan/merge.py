@@ -188,9 +188,10 @@ class DriveMerge:
             self.check.run()
             if self.corrected:
                 self._correct(self.check)
-        for block, found in [*self.blocks.items()]:
-            self.blocks[block] = [each for each in found if each[0] not in self.check.left_out]
         for block in sorted(self.blocks):
+            self.blocks[block] = [each for each in self.blocks[block] if each[0] not in self.check.left_out]
+            if not self.blocks[block]:
+                continue
             xyz, is_ground = self._thin(block, self._gather(block))
             survey.add_points(self.offset + 0.001 * xyz, is_ground)
             self.written += len(xyz)
