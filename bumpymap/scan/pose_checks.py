@@ -138,7 +138,7 @@ class FramePair:
         """True if it fits worse than with any good poses."""
         far = np.hypot(*self.fit.move) >= _REFUSED.beside_m or abs(self.fit.turn) > _REFUSED.turned_deg
         uneven = abs(self.ground.higher_m) > _REFUSED.higher_m or self.ground.leaning_deg > _REFUSED.leaning_deg
-        return bool(uneven or (far and self.fit.is_displaced(_REFUSED.found)))
+        return bool(self.repeated or uneven or (far and self.fit.is_displaced(_REFUSED.found)))
 
     def record(self, names: list[str]) -> dict[str, Any]:
         """Return the entry in scan.json."""
@@ -293,6 +293,9 @@ class PoseCheck:
         repeated = later == earlier + 1 and np.linalg.norm(way) > _MOVED_M and same
         return FramePair(later, earlier, way, fit, ground, through, 2.0 * fit.found * fit.objects, bool(repeated))
 
+    def _is_bad(self, pair: FramePair) -> bool:
+        return pair.is_wrong if self.corrected else bool(pair.evidence())
+
     def _leave_out(self) -> None:
         """Leave out frames that disagree with most others, the worst first, as long as there are few.
 
@@ -301,7 +304,7 @@ class PoseCheck:
         most, bad = max(1, len(self.poses) // _FEWEST), list[FramePair]()
         while len(self.left_out) <= most:
             used, found = self._used(), len(self.left_out)
-            bad = [pair for pair in used if (pair.is_wrong if self.corrected else pair.evidence())]
+            bad = [pair for pair in used if self._is_bad(pair)]
             while bad and len(self.left_out) <= most:
                 own, worst = (Counter(number for pair in pairs for number in pair.numbers) for pairs in (used, bad))
                 size = Counter[int]()
@@ -316,7 +319,7 @@ class PoseCheck:
             if len(self.left_out) == found:
                 break
             self._compare()
-        explained = sum(bool(pair.evidence()) for pair in self.pairs.values()) - len(bad)
+        explained = sum(map(self._is_bad, self.pairs.values())) - len(bad)
         if len(self.left_out) > most or len(bad) > explained:
             self.left_out.clear()
         self.left_out.sort()

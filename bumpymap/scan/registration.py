@@ -195,12 +195,6 @@ def _turn_of(poses: NDArray[np.floating[Any]]) -> Floats:
     return turns
 
 
-def _cross(way: Floats) -> Floats:
-    """Return the matrix of the cross product with a way (3,)."""
-    x, y, z = way.tolist()
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
 def _solve(given: Floats, edges: list[Edge]) -> Floats:
     """Return the poses (frames, 4, 4) that fit edges, and the given ones loosely, by steps of Gauss and Newton."""
     from scipy.sparse import csc_matrix
@@ -218,7 +212,7 @@ def _solve(given: Floats, edges: list[Edge]) -> Floats:
             left = _left(edge.pose[None], now[None])[0]
             weight = edge.weight / (1.0 + float(left @ edge.weight @ left) / _KNEE)
             turn, way = now[:3, :3].T, now[:3, 3]
-            of_earlier = np.block([[-turn, np.zeros((3, 3))], [turn @ _cross(way), -turn]])
+            of_earlier = np.block([[-turn, np.zeros((3, 3))], [turn @ np.cross(way, np.eye(3)).T, -turn]])
             right[edge.later] -= weight @ left
             right[edge.earlier] -= of_earlier.T @ weight @ left
             across = weight @ of_earlier

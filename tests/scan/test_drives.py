@@ -198,6 +198,7 @@ def escorted(step, count, beside, boxes):
     return poses, frames
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [0.5, 1.0])
 def test_perfect_poses_stay_beside_an_escort(step, tmp_path):
     poses, frames = escorted(step, 24, (1.5, 3.2), [PARKED, *WALLS[:2]])
@@ -207,6 +208,7 @@ def test_perfect_poses_stay_beside_an_escort(step, tmp_path):
         assert (record["poses"]["misfits"], record["poses"]["left_out"]) == ([], [])
 
 
+@pytest.mark.slow
 def test_the_robot_drove_where_others_followed_it(tmp_path):
     """A car that follows, and stops when the robot stops, is never seen through where it stands at the end."""
     poses, frames = escorted(0.5, 40, (-5.5, 0.0), WALLS)
