@@ -26,7 +26,7 @@ _STEPS, _STEP_RAD, _STEP_M = 30, 1e-5, 1e-4
 """Most steps of a registration, and change of angle, rad, and place, m, at which it ends (chosen)."""
 _HELD = 64
 """Number of frames before one whose points are held for it, some MB each (chosen)."""
-_LEAST_POINTS, _CLOSER, _PER_MOVE = 200, 0.05, 0.1
+_LEAST_POINTS, _CLOSER, _PER_MOVE = 200, 0.05, 0.15
 """Fewest points of a frame and fewest pairs of points; share by which the distance between the surfaces of both frames
 falls at least, and share of the move, of a registration that is believed (chosen)."""
 MOST_M, MOST_DEG = 0.8, 5.0
