@@ -31,7 +31,7 @@ ROOMS = {
     "survey": ({"core", "readers", "patches", "rating", "layers", "views"}, {"numpy"}),
     "scan": (
         {"core", "readers", "patches", "rating", "layers", "views"},
-        {"numpy", "pyproj", "scipy", "skimage"},
+        {"numpy", "pyproj", "scipy", "skimage", "small_gicp"},
     ),
     "route": ({"core", "rating", "layers", "views"}, {"numpy", "scipy", "skimage", "xarray"}),
     "change": ({"core", "layers", "views"}, {"geopandas", "numpy", "scipy"}),

@@ -65,15 +65,12 @@ def _merged_line(merged: Mapping[str, Any]) -> str:
     """Tell how many points are left of the frames, and how well their poses agree."""
     poses = merged["poses"]
     agree = "the frames share no ground, so their poses were not compared"
-    if poses["before_m"] is not None:
-        agree = (
-            f"poses disagree by {100.0 * poses['before_m']:.1f} cm in height, {100.0 * poses['after_m']:.1f} cm after "
-            "correction"
-        )
-    if poses.get("beside_before_m") is not None:
-        agree += (
-            f"; in plan by {100.0 * poses['beside_before_m']:.1f} cm, then {100.0 * poses['beside_after_m']:.1f} cm"
-        )
+    if poses["ground_spread_m"] is not None:
+        agree = f"the height of the same ground differs by {100.0 * poses['ground_spread_m']:.1f} cm between frames"
+    if poses["left_out"]:
+        agree += f"; {count_text(len(poses['left_out']), 'frame')} left out"
+    if poses["correction"] is not None:
+        agree += f"; poses were corrected by up to {100.0 * poses['correction']['largest_move_m']:.1f} cm"
     kept = f"{merged['points']:,} of {merged['seen']:,} points, without {merged['moving']:,} of moving objects"
     return f"Merged: {kept}; {agree}"
 

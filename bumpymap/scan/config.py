@@ -44,6 +44,8 @@ class ScanConfig:
     )
     trust_poses: Annotated[bool, Setting("Map a drive whose poses contradict its frames", rare=True)] = False
     """Merge the frames even if they show that the poses are wrong; it is said, but not refused."""
+    correct_poses: Annotated[bool, Setting("Correct small errors of the poses of a drive", rare=True)] = False
+    """Register the frames to each other (extra ``poses``); else poses are taken as given, and tested."""
     crs: Annotated[
         str | None, Setting("CRS of the poses: EPSG:32614", "CRS", default="local metres", group="Input")
     ] = None

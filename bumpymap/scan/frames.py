@@ -237,8 +237,8 @@ def open_products(
     poses = [frame.pose for frame in frames if frame.pose is not None]
     with ExitStack() as open_files:
         table = open_files.enter_context(open_table(staged / SECTOR_TABLE_NAME)) if "table" in config.products else None
-        trusted = config.trust_poses
-        merge = open_files.enter_context(open_merge(run_folder, poses[0], trusted=trusted)) if poses else None
+        how = {"trusted": config.trust_poses, "corrected": config.correct_poses}
+        merge = open_files.enter_context(open_merge(run_folder, poses[0], config.robot, **how)) if poses else None
         yield FrameProducts(config, run_folder, staged, table, merge)
         if merge is not None:
             with open_accumulated(staged / ACCUMULATED_NAME, poses[0], crs) as survey:

@@ -77,8 +77,10 @@ from bumpymap.scan.frames import (
     present_products,
     staging_folder,
 )
-from bumpymap.scan.merge import PlacedPoints, WrongPosesError
+from bumpymap.scan.merge import PlacedPoints
 from bumpymap.scan.methods import Method, choose_method
+from bumpymap.scan.pose_checks import WrongPosesError
+from bumpymap.scan.registration import require_registration
 from bumpymap.views import check_bag_file, write_grid_bag, write_picture
 from bumpytiles import run_blocks
 
@@ -233,6 +235,8 @@ def drive_settings(config: ScanConfig, frames: Sequence[Frame]) -> MapConfig | N
     if all(frame.pose is None for frame in frames):
         config.refuse_crs()
         return None
+    if config.correct_poses:
+        require_registration()
     own = {"vehicle": config.vehicle} if config.vehicle is not None else {}
     drive = MapConfig(
         surveys=(config.out / ACCUMULATED_NAME,),
