@@ -114,7 +114,7 @@ def fake_drives(monkeypatch):
             return PatchDrives(("stuck",), (None,))
         if purpose == "motion":
             c_r = 0.02 * (1 + KINDS.index(first))
-            return MotionRecord(*(((scale * c_r, scale * 1.1 * c_r, scale * 1.3 * c_r),) for scale in (1, 2, 3)))
+            return MotionRecord(*(((scale * c_r, scale * 1.1 * c_r, scale * 1.3 * c_r),) for scale in (1, 2)))
         c_r = 0.03 * (1 + first) * (1 + 5 * rest[0]) * (1 + 0.1 * rest[1])
         if rest[0] == 2:
             return PatchDrives(("completed", "rolled"), (c_r, None))
