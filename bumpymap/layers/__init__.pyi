@@ -53,6 +53,7 @@ from .colours import (
     RideScale as RideScale,
     class_limits as class_limits,
     class_ranges as class_ranges,
+    on_islands as on_islands,
     reach_colours as reach_colours,
 )
 from .folder import (
@@ -76,6 +77,7 @@ from .manifest import (
     ZoneCounts as ZoneCounts,
     describe_file as describe_file,
     describe_input as describe_input,
+    first_island as first_island,
     place_entries as place_entries,
     read_manifest as read_manifest,
     software_versions as software_versions,

@@ -25,6 +25,13 @@ ISLAND_SHARE = 0.4
 """Share of its colour that an island keeps, mixed with ``MID_GREY``: chosen."""
 MID_GREY = 128
 """Brightness that photo and relief are levelled to: light that leaves the colours of the map as they are."""
+
+
+def on_islands(colours: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return colours, (..., 3) from 0 to 255, as islands have them: mixed with ``MID_GREY``."""
+    return np.asarray(ISLAND_SHARE * colours + (1 - ISLAND_SHARE) * MID_GREY, np.float64)
+
+
 BARRED_COLOURS: dict[int, tuple[int, int, int, int]] = {
     Barred.NO: (166, 217, 106, 255),
     Barred.UNKNOWN: (232, 232, 233, 255),

@@ -84,6 +84,15 @@ class ZoneCounts:
         return cls(pieces, largest, largest * tile_m2, share, lonely, int(islands.sum()))
 
 
+def first_island(record: Mapping[str, Any]) -> int | None:
+    """Return the first zone that is an island, by run.json: zones are numbered by size, so all after it are too.
+
+    None: there is none, or it is not known, of a map of an earlier version.
+    """
+    zones = record.get("counts", {}).get("zones")
+    return zones["pieces"] - zones["islands"] + 1 if zones and zones["islands"] else None
+
+
 @dataclass(frozen=True, slots=True)
 class MapSummary:
     """Numbers of tiles by class and reason, and medians.

@@ -47,7 +47,7 @@ def mapped(surveys, out, *options):
 
 
 def same(one, other, chosen):
-    """Whether the chosen rows of two tables are the same, in the columns of the second but for the zones of a map."""
+    """Compare the chosen rows of two tables, in the columns of the second but for the zones of a map."""
     rows = [table.filter(pa.array(chosen)) for table in (one.select(other.column_names), other)]
     heights = [np.stack(each["heights"].to_numpy()) for each in rows]
     frames = [each.drop(["heights", "zone"]).to_pandas() for each in rows]

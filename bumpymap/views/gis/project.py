@@ -56,6 +56,7 @@ from bumpymap.layers import (
     RideScale,
     class_limits,
     class_ranges,
+    first_island,
     open_layer,
     reach_colours,
     read_colours,
@@ -162,11 +163,10 @@ def _muted_looks(record: Mapping[str, Any]) -> list[tuple[str, str, _Colour, str
         ('"class" IS NOT NULL AND NOT coalesce("passable", FALSE)', "cannot be crossed", CLOSED_COLOUR, "solid"),
         ('"class" IS NULL', "not known", UNKNOWN_COLOUR, "solid"),
     ]
-    zones = record.get("counts", {}).get("zones")
-    if zones and zones["islands"]:
+    if (first := first_island(record)) is not None:
         veil = (MID_GREY, MID_GREY, MID_GREY, round(255 * (1 - ISLAND_SHARE)))
         label = f"can be crossed, an island of under {ISLAND_M2:.0f} m2"
-        looks.append((f'"zone" > {zones["pieces"] - zones["islands"]}', label, veil, "solid"))
+        looks.append((f'"zone" > {first - 1}', label, veil, "solid"))
     return looks
 
 

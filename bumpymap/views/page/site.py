@@ -38,7 +38,6 @@ from bumpymap.core import (
 from bumpymap.layers import (
     CLASS_COLOURS,
     CLOSED_COLOUR,
-    ISLAND_SHARE,
     MID_GREY,
     STEP_LINE,
     UNKNOWN_COLOUR,
@@ -48,6 +47,7 @@ from bumpymap.layers import (
     RideScale,
     class_limits,
     class_ranges,
+    on_islands,
     open_layer,
     read_averaged,
     read_colours,
@@ -486,7 +486,7 @@ class Site:
     def island_colours(self) -> NDArray[np.float64]:
         """Colours of the classes on islands, (4, 3) whole numbers."""
         colours = np.array([CLASS_COLOURS[code][:3] for code in range(len(CLASS_NAMES))])
-        return np.rint(ISLAND_SHARE * colours + (1 - ISLAND_SHARE) * MID_GREY).astype(int)
+        return np.rint(on_islands(colours)).astype(int)
 
     @property
     def layers(self) -> list[tuple[str, str]]:
@@ -594,7 +594,7 @@ def _still(tiles: PageTiles, scale: RideScale, light: NDArray[np.uint8]) -> str:
     shape = len(shown[0]), shown[1].shape[1]
     ground, barred, islands = tiles.ground[shown], tiles.barred[shown], tiles.islands[shown]
     flat = scale.colours(tiles.c_r[shown])
-    flat[islands] = ISLAND_SHARE * flat[islands] + (1 - ISLAND_SHARE) * MID_GREY
+    flat[islands] = on_islands(flat[islands])
     unknown = (ground >= UNKNOWN_FROM) | (barred == Barred.LITTLE_SEEN)
     closed = (barred != Barred.NO) & ~unknown
     flat[closed], flat[unknown] = CLOSED_COLOUR[:3], UNKNOWN_COLOUR[:3]

@@ -24,7 +24,7 @@ from bumpymap.core import (
     Reason,
     stated_crs,
 )
-from bumpymap.layers import UNKNOWN_OBJECT, MapFile, open_layer, read_tiles
+from bumpymap.layers import UNKNOWN_OBJECT, MapFile, first_island, open_layer, read_tiles
 
 NOT_KNOWN = 255
 """Byte where a value is not known."""
@@ -316,9 +316,8 @@ class PageTiles:
         for name, canvas in numbers.items():
             canvas[(canvas < 0) | ((ground >= UNKNOWN_FROM) & (name != "obstacle"))] = np.nan
         numbers["cost"][barred != Barred.NO] = np.nan
-        zones = record["counts"].get("zones")  # not in maps of earlier versions
-        last = zones["pieces"] - zones["islands"] if zones else np.inf  # they are numbered by size
-        islands = (zone > last) & (barred == Barred.NO)
+        first = first_island(record)
+        islands = (zone >= (np.inf if first is None else first)) & (barred == Barred.NO)
         share = numbers.pop("obstacle")
         objects = np.select(
             [ground == NO_POINTS, share > 0, share == 0], [NO_CLASS, OBSTACLE, FREE], UNKNOWN_OBJECT

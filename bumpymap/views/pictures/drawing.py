@@ -16,13 +16,14 @@ from PIL import Image, ImageDraw, ImageFont
 from bumpymap.core import CROSSING_UNKNOWN, NO_TILE, OBSTACLE, OPEN_THROUGH
 from bumpymap.layers import (
     CLOSED_COLOUR,
-    ISLAND_SHARE,
     MID_GREY,
     OBJECT_COLOURS,
     STEP_LINE,
     UNKNOWN_COLOUR,
     RideScale,
     box_sum,
+    first_island,
+    on_islands,
 )
 from bumpytiles import Grid, TileWindow
 
@@ -243,7 +244,7 @@ def paint_ground(source: "MapReader", view: MapView) -> tuple[Pixels, RideScale]
     obstacle = np.isin(source.objects(window, shape)[place], (OBSTACLE, STEP_LINE)) & ~unknown
     scale = RideScale.of(source.manifest)
     colour = scale.colours(np.where(passable, c_r, 0.0))
-    colour[island] = ISLAND_SHARE * colour[island] + (1 - ISLAND_SHARE) * MID_GREY
+    colour[island] = on_islands(colour[island])
     colour[~passable] = CLOSED_COLOUR[:3]
     colour[unknown] = UNKNOWN_COLOUR[:3]
     colour[obstacle] = OBJECT_COLOURS[OBSTACLE][:3]
@@ -280,7 +281,7 @@ def _sample(source: "MapReader", view: MapView) -> tuple[NDArray[np.uint8], NDAr
     """Return what bars the tile in the middle of each pixel, its ride cost, and if it is an island: (height, width)."""
     barred = np.empty((view.height, view.width), np.uint8)
     c_r, island = np.empty(barred.shape, np.float32), np.zeros(barred.shape, np.bool_)
-    zones = source.manifest.get("counts", {}).get("zones")  # not in maps of earlier versions
+    first = first_island(source.manifest)
     whole = view.window()
     strips = max(1, -(-whole.cols * whole.rows // _STRIP_TILES))
     edges = np.linspace(0, view.height, min(strips, view.height) + 1).astype(int)
@@ -292,9 +293,8 @@ def _sample(source: "MapReader", view: MapView) -> tuple[NDArray[np.uint8], NDAr
         line = window.row + window.rows - 1 - view.grid.index(view.northings[rows])
         place = np.ix_(line, col - window.col)
         barred[rows], c_r[rows] = field.barred[place], field.c_r[place]
-        if zones and zones["islands"]:
-            last = zones["pieces"] - zones["islands"]  # zones are numbered by size
-            island[rows] = source.values(window, ("zone",))["zone"][place] > last
+        if first is not None:
+            island[rows] = source.values(window, ("zone",))["zone"][place] >= first
     return barred, c_r, island
 
 
