@@ -77,6 +77,22 @@ def test_closed_pixels_are_grey_and_not_whole_tiles(ground):
     np.testing.assert_allclose(pixels[fits], np.tile(scale.colours(np.array(0.1)), (fits.sum(), 1)), atol=1.5)
 
 
+def test_islands_are_faint_and_nothing_else_is(view, ground, monkeypatch):
+    whole, scale = paint_ground(ground, view)
+    zone = np.where(np.arange(ground.c_r.shape[1]) % 2, 1.0, 2.0) * np.ones_like(ground.c_r)
+    counts = {"counts": {"zones": {"pieces": 2, "islands": 1}}}
+    monkeypatch.setattr(type(ground), "manifest", ground.manifest | counts)
+    read = lambda self, window, _: {"zone": self._cut(zone, window, np.nan)}  # noqa: E731
+    monkeypatch.setattr(type(ground), "values", read, raising=False)
+    pixels, _ = paint_ground(ground, view)
+    row = ground.window.row + ground.window.rows - 1 - np.floor(view.northings / 3.0).astype(int)
+    place = np.ix_(row, np.floor(view.eastings / 3.0).astype(int) - ground.window.col)
+    faint = np.isin(ground.barred[place], (Barred.NO, Barred.OBSTACLE, Barred.STEP)) & (zone[place] == 2)
+    assert faint.any()
+    np.testing.assert_allclose(pixels[faint], 0.4 * scale.colours(ground.c_r[place][faint]) + 0.6 * 128, atol=1.5)
+    np.testing.assert_array_equal(pixels[~faint], whole[~faint])
+
+
 def test_reading_strip_by_strip_paints_the_same(view, ground, monkeypatch):
     whole, _ = paint_ground(ground, view)
     assert len(ground.windows) == 1
