@@ -5,7 +5,7 @@ import re
 import subprocess
 from collections import Counter
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, pairwise
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -546,10 +546,14 @@ def test_colour_blind_readers_tell_classes_reasons_and_bars_apart(folder, seen):
     codes = data_of_page(folder)["codes"]
     on_page = ["#{:02x}{:02x}{:02x}".format(*one) for one in (*codes["classColours"], codes["unknownColour"])]
     assert on_page[:-1] == classes
-    assert least_difference(on_page, seen) > 7
-    assert least_difference(classes, seen) > 12
+    assert least_difference(on_page, seen) > 12
     assert least_difference([*classes, *(reasons[code] for code in reasons if code)], seen) > 12
     assert least_difference([bar for _, bar, _ in palette(read(folder / "rasters/barred.qml")).values()], seen) > 12
+
+
+def test_neighbouring_classes_are_told_apart_in_grey(folder):
+    classes = [colour for _, colour, _ in palette(read(folder / "rasters/class.qml")).values()]
+    assert min(least_difference(pair, [[0.2126, 0.7152, 0.0722]] * 3) for pair in pairwise(classes)) > 12
 
 
 def test_the_ride_cost_has_one_ramp_on_the_page_and_in_qgis(folder):
