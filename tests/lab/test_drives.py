@@ -153,7 +153,7 @@ class Job:
 def twice(job): return 2 * job.key
 def die(job): os._exit(1)
 def never(job):
-    os.write(1, f"{os.getpid()}\n".encode())  # in one piece: two workers write into one pipe
+    os.write(1, f"{os.getpid()}\\n".encode())  # in one piece: two workers write into one pipe
     time.sleep(3600)
 """
 
