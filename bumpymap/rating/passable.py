@@ -80,46 +80,53 @@ def find_passable(
 
 
 def free_areas(
-    objects: NDArray[np.uint8], barred: NDArray[np.uint8], body: VehicleBody, tile_size: float
+    objects: NDArray[np.uint8],
+    alone: NDArray[np.uint8],
+    barred: NDArray[np.uint8],
+    body: VehicleBody,
+    tile_size: float,
 ) -> NDArray[np.uint8]:
-    """Find where the middle of the vehicle can be, pixel by pixel, as far as obstacles and the tile's own ground tell.
+    """Find where the middle of the vehicle can be, pixel by pixel.
 
-    It keeps the radius of `find_passable` from obstacles, steps and unseen pixels. ``objects``, ``body``, ``tile_size``
-    are as there; in inner tiles that their ground bars by ``barred`` (tiles - 2, tiles - 2) there are no areas.
+    It keeps the radius of `find_passable` from obstacles, steps and unseen pixels, and from tiles that their ground
+    bars, but at most 0.45 tiles from those, so that corridors of one tile stay open. ``objects``, ``body``,
+    ``tile_size`` are as there; ``alone`` (tiles, tiles): what bars the tiles of the mosaic apart from objects,
+    `Barred.UNKNOWN` in missing tiles; ``barred`` (tiles - 2, tiles - 2): from `find_passable`: there are no areas in
+    inner tiles that it closes as a whole.
 
     Returns uint8 (tiles - 2, tiles - 2, pixels, pixels): areas of pixels that hang together by their sides, and by
     their corners where `bumpymap.core.corners_join` holds, numbered in each tile from 1, the largest; 0 where the
     middle of the vehicle cannot be.
     """
-    pixels = len(objects) // (len(barred) + 2)
+    pixels = len(objects) // len(alone)
     radius, corners = _reach(body, tile_size, pixels)
     taken = within((objects == OBSTACLE) | (objects == STEP_EDGE) | (objects == UNSEEN), radius)
-    return _numbered(~_tiles_of(taken, pixels) & ~np.isin(barred, CLOSED_WHOLLY)[..., None, None], corners)
+    near = _beside(np.isin(alone, CLOSED_WHOLLY), min(radius, _MOST_MARGIN * pixels), pixels)
+    free = ~_tiles_of(taken, pixels) & ~near & ~np.isin(barred, CLOSED_WHOLLY)[..., None, None]
+    areas = np.empty(free.shape, np.uint8)
+    loops.number_areas(np.ascontiguousarray(free).view(np.uint8), corners, areas)
+    return areas
 
 
 def close_split_tiles(
     areas: NDArray[np.uint8], barred: NDArray[np.uint8], body: VehicleBody, tile_size: float
-) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Bar the tiles that obstacles split, and keep the vehicle off ground that it cannot drive on.
+) -> NDArray[np.uint8]:
+    """Bar the tiles in which the middle of the vehicle cannot be, and those that obstacles split (``SPLIT``).
 
-    What reads tiles alone steps from one passable tile to any of the eight around it. So of two such tiles whose
-    largest areas are not joined, the one with the smaller is barred (``SPLIT``): then every step between passable tiles
-    is one that the vehicle can take. In the areas, its middle keeps the radius of `find_passable` from tiles that their
-    ground bars as well, but at most 0.45 tiles, so that corridors of one tile stay open.
+    Programs that read tiles alone step from one passable tile to any of the eight around it. So of two such tiles whose
+    largest areas are not joined, the one with the smaller is barred: then every step between passable tiles is one that
+    the vehicle can take.
 
     ``areas`` (tiles, tiles, pixels, pixels): from `free_areas`, of a block and a ring of one tile around it; 0 in
-    missing tiles. ``barred`` (tiles, tiles): from `find_passable`; `Barred.UNKNOWN` in missing tiles. Returns both
-    without the ring, the areas numbered as before.
+    missing tiles. ``barred`` (tiles, tiles): from `find_passable`; `Barred.UNKNOWN` in missing tiles. Returns it with
+    the split tiles, without the ring.
     """
-    pixels = areas.shape[2]
     largest = (areas == 1).sum(axis=(2, 3), dtype=np.int32)
-    split = np.zeros(barred.shape, np.bool_)
-    radius, corners = _reach(body, tile_size, pixels)
-    loops.close_split(np.ascontiguousarray(areas), largest, barred == Barred.NO, corners, split)
-    near = _beside(np.isin(barred, CLOSED_WHOLLY), min(radius, _MOST_MARGIN * pixels), pixels)
-    inner = areas[1:-1, 1:-1]
-    final = np.where(split, np.uint8(Barred.SPLIT), barred)[1:-1, 1:-1]
-    return final, _numbered((inner > 0) & ~near, corners) if (near & (inner > 0)).any() else inner
+    passable = barred == Barred.NO
+    split = passable & (largest == 0)
+    _, corners = _reach(body, tile_size, areas.shape[2])
+    loops.close_split(np.ascontiguousarray(areas), largest, passable, corners, split)
+    return np.where(split, np.uint8(Barred.SPLIT), barred)[1:-1, 1:-1]
 
 
 def _reach(body: VehicleBody, tile_size: float, pixels: int) -> tuple[float, bool]:
@@ -132,13 +139,6 @@ def _tiles_of(marks: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
     """Return the inner tiles of a mosaic, (tiles - 2, tiles - 2, pixels, pixels)."""
     rows, cols = (side // pixels for side in marks.shape)
     return marks.reshape(rows, pixels, cols, pixels).swapaxes(1, 2)[1:-1, 1:-1]
-
-
-def _numbered(free: NDArray[np.bool_], corners: bool) -> NDArray[np.uint8]:
-    """Give the areas of free pixels of tiles numbers, (n, m, pixels, pixels)."""
-    areas = np.empty(free.shape, np.uint8)
-    loops.number_areas(np.ascontiguousarray(free).view(np.uint8), corners, areas)
-    return areas
 
 
 def _beside(marked: NDArray[np.bool_], reach: float, pixels: int) -> NDArray[np.bool_]:

@@ -441,15 +441,16 @@ class VehicleSweep:
         """Return the columns of the inner tiles."""
         body, size = self.calibration.body, self.config.tile_size
         objects = window.mosaic("objects")
-        barred = np.where(window.present, window["barred"], np.uint8(Barred.UNKNOWN))[1:-1, 1:-1]
+        alone = np.where(window.present, window["barred"], np.uint8(Barred.UNKNOWN))
+        barred = alone[1:-1, 1:-1]
         if self.config.compat == "none":
             sides = np.where(window.present, window[_SIDES.name], 0)[1:-1, 1:-1, None]
             crossed = np.unpackbits(sides, axis=-1, count=len(SIDES), bitorder="little").astype(np.bool_)
             barred = find_passable(objects, barred, crossed, body, size)
-        closed, areas = close_split_tiles(free_areas(objects, barred, body, size), barred, body, size)
-        if self.config.compat != "none":
-            closed = barred[1:-1, 1:-1]
-        return {"barred": closed, "passable": (closed == Barred.NO).astype(np.uint8), "passage": areas}
+        areas = free_areas(objects, alone, barred, body, size)
+        closed = close_split_tiles(areas, barred, body, size) if self.config.compat == "none" else barred[1:-1, 1:-1]
+        passable = (closed == Barred.NO).astype(np.uint8)
+        return {"barred": closed, "passable": passable, "passage": areas[1:-1, 1:-1]}
 
 
 def finish_tiles(

@@ -114,7 +114,8 @@ def passage(objects, by_ground):
     alone = by_ground[1:-1, 1:-1]
     edges = np.ones((*alone.shape, 4), bool)
     barred = find_passable(objects, alone, edges, BODY, 3.0)
-    return *close_split_tiles(free_areas(objects, barred, BODY, 3.0), barred, BODY, 3.0), barred
+    areas = free_areas(objects, by_ground, barred, BODY, 3.0)
+    return close_split_tiles(areas, barred, BODY, 3.0), areas[1:-1, 1:-1], barred
 
 
 def distances(marked):
@@ -136,9 +137,9 @@ def test_steps_between_passable_tiles_are_ways_on_pixels(seed):
     assert not (found & ~(free & (ground >= 3.0))).any()
     assert found[free & (ground >= 4.0)].all()
     assert (barred == Barred.SPLIT).any()
-    # The pieces in which passable tiles hang together lie each in one piece of free pixels around them.
+    # The pieces in which passable tiles hang together lie each in one piece of the ground where the vehicle can be.
     pieces, count = ndimage.label(barred == Barred.NO, np.ones((3, 3)))
-    around, _ = ndimage.label(free, np.ones((3, 3)))
+    around, _ = ndimage.label(found, np.ones((3, 3)))
     for piece in range(1, count + 1):
         largest = []
         for row, col in np.argwhere(pieces == piece):
@@ -154,7 +155,9 @@ def test_pixels_that_touch_at_corners_are_joined_but_not_across_a_diagonal_line(
     objects = free(5)
     row, col = np.indices(objects.shape)
     objects[np.isin(col - row, walls)] = OBSTACLE
-    areas = free_areas(objects, np.zeros((3, 3), np.uint8), replace(BODY, width_m=width), 3.0)[1, 1]
+    areas = free_areas(
+        objects, np.zeros((5, 5), np.uint8), np.zeros((3, 3), np.uint8), replace(BODY, width_m=width), 3.0
+    )[1, 1]
     row, col = np.indices(areas.shape)
     between = np.abs(col - row) < 5
     assert len(np.unique(areas[between & (areas > 0)])) == pieces
