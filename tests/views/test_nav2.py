@@ -266,11 +266,11 @@ def test_an_export_is_replaced_only_if_asked_other_files_stay_and_links_are_not_
     before = files_in(easy_folder)
     (tmp_path / "odd" / "gridmap.mcap").mkdir(parents=True)
     for place, words in (
-        (easy_folder, "holds the layers of a run"),
+        (easy_folder, "holds the layers of a survey"),
         (mine, "a file"),
         (tmp_path / "odd", "not a file"),
     ):
-        with pytest.raises(OutputError, match=words):
+        with pytest.raises((OutputError, UsageError), match=words):
             export_map(easy_map, place, GRIDMAP, overwrite=True)
     assert files_in(easy_folder) == before
 

@@ -502,8 +502,8 @@ def _gain(path: Path) -> float:
 
 def _wkt(record: Mapping[str, Any]) -> str | None:
     """Return the CRS of all layers of a map in its project, which has no heights."""
-    crs = record["crs"]
-    return None if crs is None else horizontal_of(stated_crs(crs["wkt"])).to_wkt()
+    crs = record["crs"] and horizontal_of(stated_crs(record["crs"]["wkt"]))
+    return crs.to_wkt() if crs else None
 
 
 def _group(title: str, layers: _Branches, **about: bool) -> _Branches:
