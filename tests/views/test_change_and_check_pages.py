@@ -145,9 +145,12 @@ def test_a_change_is_seen_in_a_pixel_of_several_tiles(comparison, tmp_path, monk
 def test_what_cannot_be_made_says_why(comparison, may, tmp_path):
     with pytest.raises(UsageError, match="`route`"):
         write_report(comparison, route=may)
+    record = json.loads((comparison / "change.json").read_text())
+    without_fit = json.dumps({name: about for name, about in record.items() if name != "fit"})
     for name, content, words in (
         ("change.json", "{", r"change\.json is not that of a comparison"),
         ("change.json", '{"format": "bumpymap-change"}', r"change\.json is damaged"),
+        ("change.json", without_fit, r"change\.json is not that of a comparison of this version: .*'fit'"),
         ("change.tif", "II*", r"change\.tif is cut off"),
         ("change.tif", None, r"change\.tif is missing"),
         ("change.geojson", '{"features": []}', r"change\.geojson is cut off"),

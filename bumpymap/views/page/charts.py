@@ -4,7 +4,7 @@ They hold numbers and words that stand here, nothing that a file or a user wrote
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from itertools import pairwise
@@ -350,7 +350,7 @@ _COUNTRIES = Path(__file__).parent / "data" / "countries.npz"
 """Outlines of all countries, from Natural Earth (public domain); docs/models/countries.py makes it."""
 _AROUND, _EDGE = 6.0, 1.15
 """Least side of a locator, degrees of latitude; its side as a multiple of that of the land."""
-_SIDE = 200
+_SIDE = 200.0
 """Side of its drawing; land that is smaller than a hundredth of it is left out."""
 
 
@@ -362,6 +362,23 @@ def _countries() -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.int
         return corners, file["starts"], file["countries"]
 
 
+def _paths(
+    corners: NDArray[np.float64], starts: NDArray[np.int32], size: tuple[float, float], least: float
+) -> Iterator[tuple[int, str]]:
+    """Yield number and path of each land that meets a drawing, and is no smaller than ``least`` there.
+
+    ``corners`` (n, 2): right and down in the drawing, which has the ``size``.
+    """
+    lows, highs = np.minimum.reduceat(corners, starts), np.maximum.reduceat(corners, starts)
+    shown = ((highs >= 0) & (lows <= size)).all(axis=1) & ((highs - lows).max(axis=1) > least)
+    lands = np.split(corners, starts[1:])
+    for at in np.flatnonzero(shown).tolist():
+        # far beyond the drawing the course of a line does not matter
+        drawn = np.rint(np.clip(lands[at], -np.array(size), 2 * np.array(size))).astype(int)
+        drawn = drawn[np.append(True, (np.diff(drawn, axis=0) != 0).any(axis=1))]
+        yield at, "M" + "L".join(f"{right} {down}" for right, down in drawn.tolist()) + "Z"
+
+
 def locator(lon: float, lat: float) -> dict[str, Any]:
     """Return where a place lies in the outline of its country: in all of the land around it, and 6 degrees at least.
 
@@ -371,37 +388,23 @@ def locator(lon: float, lat: float) -> dict[str, Any]:
     import shapely
 
     corners, starts, countries = _countries()
-    here, corners = np.array([lon, lat]), corners.copy()
-    lows, highs = np.minimum.reduceat(corners, starts), np.maximum.reduceat(corners, starts)
-    turns = 360.0 * np.rint((lon - (lows + highs)[:, 0] / 2) / 360)  # to the nearer side of the antimeridian
-    for places, turn in (
-        (lows, turns),
-        (highs, turns),
-        (corners, np.repeat(turns, np.diff(starts, append=len(corners)))),
-    ):
-        places[:, 0] += turn
-    lands = np.split(corners, starts[1:])
-    around = np.flatnonzero(((lows <= here) & (here <= highs)).all(axis=1)).tolist()
-    if holding := [at for at in around if shapely.contains_xy(shapely.polygons(lands[at]), lon, lat)]:
-        own = min(holding, key=lambda at: len(lands[at]))  # the smaller one of a country within another
-    else:  # at sea
-        apart = np.hypot(*((corners - here) * (math.cos(math.radians(lat)), 1.0)).T)
-        own = int(np.searchsorted(starts, np.argmin(apart), side="right")) - 1
-    low, high = np.minimum(lows[own], here), np.maximum(highs[own], here)
+    here, number = np.array([lon, lat]), np.repeat(np.arange(len(starts)), np.diff(starts, append=len(corners)))
+    middles = (np.minimum.reduceat(corners, starts) + np.maximum.reduceat(corners, starts))[:, 0] / 2
+    turns = 360.0 * np.rint((lon - middles) / 360)  # to the nearer side of the antimeridian
+    corners = corners + np.column_stack([turns, np.zeros(len(turns))])[number]
+    squeeze = np.array([math.cos(math.radians(lat)), 1.0])
+    lands = shapely.polygons(shapely.linearrings(corners * squeeze, indices=number))
+    # the nearest one; of a country within another the smaller one
+    own = int(np.lexsort((shapely.area(lands), shapely.distance(lands, shapely.Point(here * squeeze))))[0])
+    low, high = (pick(np.vstack([corners[number == own], here]), axis=0) for pick in (np.min, np.max))
     middle = (low + high) / 2
     scale = np.array([max(math.cos(math.radians(middle[1])), 0.1), -1.0])
     scale *= _SIDE / max(_AROUND, *(_EDGE * np.abs(scale) * (high - low)))
-    sizes = (highs - lows) * np.abs(scale)
-    apart = np.abs(((lows + highs) / 2 - middle) * scale) < (_SIDE + sizes) / 2
     paths = {True: "", False: ""}
-    for at in np.flatnonzero(apart.all(axis=1) & (sizes.max(axis=1) > _SIDE / 100)).tolist():
-        # far beyond the square the course of a line does not matter
-        drawn = np.clip(np.rint((lands[at] - middle) * scale + _SIDE / 2), -_SIDE, 2 * _SIDE).astype(int)
-        drawn = drawn[np.append(True, (np.diff(drawn, axis=0) != 0).any(axis=1))]
-        words = "L".join(f"{right} {down}" for right, down in drawn.tolist())
-        paths[bool(countries[at] == countries[own])] += f"M{words}Z"
+    for at, path in _paths((corners - middle) * scale + _SIDE / 2, starts, (_SIDE, _SIDE), _SIDE / 100):
+        paths[bool(countries[at] == countries[own])] += path
     x, y = ((here - middle) * scale + _SIDE / 2).tolist()
-    return {"side": _SIDE, "country": paths[True], "others": paths[False], "x": x, "y": y}
+    return {"side": int(_SIDE), "country": paths[True], "others": paths[False], "x": x, "y": y}
 
 
 def land_path(bounds: tuple[float, float, float, float], scale: tuple[float, float]) -> str:
@@ -409,15 +412,9 @@ def land_path(bounds: tuple[float, float, float, float], scale: tuple[float, flo
 
     ``bounds``: west, south, east and north, degrees; ``scale``: pixels for a degree of longitude and of latitude.
     """
+    west, south, east, north = bounds
     corners, starts, _ = _countries()
-    corner, sizes = np.array([bounds[0], bounds[3]]), np.array([scale[0], -scale[1]])
-    wide, high = (bounds[2] - bounds[0]) * scale[0], (bounds[3] - bounds[1]) * scale[1]
-    lows, highs = np.minimum.reduceat(corners, starts), np.maximum.reduceat(corners, starts)
-    meets = (highs >= (bounds[0], bounds[1])).all(axis=1) & (lows <= (bounds[2], bounds[3])).all(axis=1)
-    lands, words = np.split(corners, starts[1:]), ""
-    for at in np.flatnonzero(meets).tolist():
-        # far beyond the map the course of a line does not matter
-        drawn = np.rint(np.clip((lands[at] - corner) * sizes, (-wide, -high), (2 * wide, 2 * high))).astype(int)
-        drawn = drawn[np.append(True, (np.diff(drawn, axis=0) != 0).any(axis=1))]
-        words += "M" + "L".join(f"{right} {down}" for right, down in drawn.tolist()) + "Z"
-    return words
+    drawn = (corners - (west, north)) * (scale[0], -scale[1])
+    return "".join(
+        path for _, path in _paths(drawn, starts, ((east - west) * scale[0], (north - south) * scale[1]), -1.0)
+    )

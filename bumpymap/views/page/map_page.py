@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pyproj.exceptions import ProjError
 
 from bumpymap.core import (
     BARRED_TEXT,
@@ -116,7 +117,7 @@ def write_report(
                 ways = () if route is None else read_ways(Path(route), record)
                 record = {**record, "page": {**(record.get("page") or {}), **header}}
                 write_map_page(Site.read(readable, record, ways), path)
-    except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError, ProjError) as error:
         raise BadInputError(f"{folder / name} is not that of {of_what} of this version: {error!r}. {again}") from error
     return path
 
