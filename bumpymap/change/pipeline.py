@@ -347,7 +347,7 @@ def _field(
         "changed": code,
     }
     first, last = before.barred == Barred.NO, after.barred == Barred.NO
-    values = bands | {"c_r_before": before.c_r, "c_r_after": after.c_r}
+    values: dict[str, NDArray[Any]] = bands | {"c_r_before": before.c_r, "c_r_after": after.c_r}
     values |= {"class_before": before.class_id, "class_after": after.class_id}
     values |= {"passable_lost": first & ~last, "passable_won": ~first & last}
     place = Placement(pair.before.georeference, pair.before.grid, pair.window)

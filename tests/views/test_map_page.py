@@ -237,9 +237,12 @@ def test_a_way_lies_on_the_map(site, tmp_path, read_page):
     (way,) = page.data["maps"][0]["ways"]
     assert np.allclose(way["lines"][0], corners, atol=0.02)
     table = dict(Outline(page.text).tables["Figures of the way"])
-    wanted = {"figure": "A <b>way</b>", "mean C_r, rad/m": "0.123", "length, m": "1,234"}
-    wanted |= {"chance to arrive": "over 99\xa0%", "IRI, m/km": "5.5"}
-    assert 'IRI, m/km<span class="meaning">of a car at 80 km/h on both wheel paths; waves that' in page.text
+    wanted = {"figure": "A <b>way</b>", "mean ride cost of the tiles (rad/m)": "0.123", "length (m)": "1,234"}
+    wanted |= {"probability to arrive": "over 99\xa0%", "international roughness index (m/km)": "5.5"}
+    assert (
+        'international roughness index (m/km)<span class="meaning">of a car at 80 km/h on both wheel paths; waves that'
+        in page.text
+    )
     wanted["the chance holds"] = "if nothing narrower than 0.7 m stands in the way"
     assert {name: table[name] for name in wanted} == wanted
     assert page.text.count(about["seen"]) == 1

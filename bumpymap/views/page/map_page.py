@@ -46,6 +46,7 @@ from bumpymap.layers import (
     read_manifest,
     require_written,
 )
+from bumpymap.views.gis.fields import field_names
 from bumpymap.views.page.charts import along_chart, drive_chart, locator, profile_chart
 from bumpymap.views.page.page import write_page
 from bumpymap.views.page.site import RAMP, WAY_FIGURES, DrawnWay, Site, page_header, read_ways
@@ -375,13 +376,12 @@ def _counted(site: Site, counts: Sequence[int], alone: Collection[int] = ()) -> 
 def _way_rows(ways: Sequence[DrawnWay]) -> list[Row]:
     """Return the figures of ways, a row each, its unit in its name."""
     rows: list[Row] = []
-    for key, label, decimals, unit in WAY_FIGURES:
+    for key, decimals in WAY_FIGURES:
         values = [way.figures.get(key) for way in ways]
         if any(value is not None for value in values):
-            shown = [number(value, decimals) for value in values]
+            shown, name = [number(value, decimals) for value in values], field_names("route.geojson")[key]
             if key == "p_arrives":
                 shown = [chance_text(value, 0, PERCENT) if isinstance(value, int | float) else DASH for value in values]
-            name = f"{label}, {unit.strip()}" if unit else label
             rows.append(({"text": name, "meaning": IRI_NOTE} if key == "iri" else name, *shown))
             if key == "p_arrives":
                 rows.append(("the chance holds", *(SeenSizes.of(way.figures).condition for way in ways)))
