@@ -4,7 +4,7 @@ They hold numbers and words that stand here, nothing that a file or a user wrote
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from itertools import pairwise
@@ -348,63 +348,13 @@ def profile_places(profile: Mapping[str, NDArray[np.float64]]) -> dict[str, Any]
 
 _COUNTRIES = Path(__file__).parent / "data" / "countries.npz"
 """Outlines of all countries, from Natural Earth (public domain); docs/models/countries.py makes it."""
-_AROUND, _EDGE = 6.0, 1.15
-"""Least side of a locator, degrees of latitude; its side as a multiple of that of the land."""
-_SIDE = 200.0
-"""Side of its drawing; land that is smaller than a hundredth of it is left out."""
 
 
 @cache
-def _countries() -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.int16]]:
-    """Return corners of lands, (n, 2) longitude and latitude, where each land begins, and the number of its country."""
+def _countries() -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Return corners of lands, (n, 2) longitude and latitude, and where each land begins."""
     with np.load(_COUNTRIES) as file:
-        corners = np.cumsum(file["steps"].T, axis=0, dtype=np.int64) * file["step_deg"]
-        return corners, file["starts"], file["countries"]
-
-
-def _paths(
-    corners: NDArray[np.float64], starts: NDArray[np.int32], size: tuple[float, float], least: float
-) -> Iterator[tuple[int, str]]:
-    """Yield number and path of each land that meets a drawing, and is no smaller than ``least`` there.
-
-    ``corners`` (n, 2): right and down in the drawing, which has the ``size``.
-    """
-    lows, highs = np.minimum.reduceat(corners, starts), np.maximum.reduceat(corners, starts)
-    shown = ((highs >= 0) & (lows <= size)).all(axis=1) & ((highs - lows).max(axis=1) > least)
-    lands = np.split(corners, starts[1:])
-    for at in np.flatnonzero(shown).tolist():
-        # far beyond the drawing the course of a line does not matter
-        drawn = np.rint(np.clip(lands[at], -np.array(size), 2 * np.array(size))).astype(int)
-        drawn = drawn[np.append(True, (np.diff(drawn, axis=0) != 0).any(axis=1))]
-        yield at, "M" + "L".join(f"{right} {down}" for right, down in drawn.tolist()) + "Z"
-
-
-def locator(lon: float, lat: float) -> dict[str, Any]:
-    """Return where a place lies in the outline of its country: in all of the land around it, and 6 degrees at least.
-
-    ``lon``, ``lat``: degrees, WGS 84. The result is a square of ``side``: the paths ``country`` and ``others`` in it,
-    ``x`` and ``y`` of the place to the right and down.
-    """
-    import shapely
-
-    corners, starts, countries = _countries()
-    here, number = np.array([lon, lat]), np.repeat(np.arange(len(starts)), np.diff(starts, append=len(corners)))
-    middles = (np.minimum.reduceat(corners, starts) + np.maximum.reduceat(corners, starts))[:, 0] / 2
-    turns = 360.0 * np.rint((lon - middles) / 360)  # to the nearer side of the antimeridian
-    corners = corners + np.column_stack([turns, np.zeros(len(turns))])[number]
-    squeeze = np.array([math.cos(math.radians(lat)), 1.0])
-    lands = shapely.polygons(shapely.linearrings(corners * squeeze, indices=number))
-    # the nearest one; of a country within another the smaller one
-    own = int(np.lexsort((shapely.area(lands), shapely.distance(lands, shapely.Point(here * squeeze))))[0])
-    low, high = (pick(np.vstack([corners[number == own], here]), axis=0) for pick in (np.min, np.max))
-    middle = (low + high) / 2
-    scale = np.array([max(math.cos(math.radians(middle[1])), 0.1), -1.0])
-    scale *= _SIDE / max(_AROUND, *(_EDGE * np.abs(scale) * (high - low)))
-    paths = {True: "", False: ""}
-    for at, path in _paths((corners - middle) * scale + _SIDE / 2, starts, (_SIDE, _SIDE), _SIDE / 100):
-        paths[bool(countries[at] == countries[own])] += path
-    x, y = ((here - middle) * scale + _SIDE / 2).tolist()
-    return {"side": int(_SIDE), "country": paths[True], "others": paths[False], "x": x, "y": y}
+        return np.cumsum(file["steps"].T, axis=0, dtype=np.int64) * file["step_deg"], file["starts"]
 
 
 def land_path(bounds: tuple[float, float, float, float], scale: tuple[float, float]) -> str:
@@ -413,8 +363,14 @@ def land_path(bounds: tuple[float, float, float, float], scale: tuple[float, flo
     ``bounds``: west, south, east and north, degrees; ``scale``: pixels for a degree of longitude and of latitude.
     """
     west, south, east, north = bounds
-    corners, starts, _ = _countries()
-    drawn = (corners - (west, north)) * (scale[0], -scale[1])
-    return "".join(
-        path for _, path in _paths(drawn, starts, ((east - west) * scale[0], (north - south) * scale[1]), -1.0)
-    )
+    corners, starts = _countries()
+    corners = (corners - (west, north)) * (scale[0], -scale[1])
+    size = np.array([(east - west) * scale[0], (north - south) * scale[1]])
+    lows, highs = np.minimum.reduceat(corners, starts), np.maximum.reduceat(corners, starts)
+    lands, words = np.split(corners, starts[1:]), ""
+    for at in np.flatnonzero(((highs >= 0) & (lows <= size)).all(axis=1)).tolist():
+        # far beyond the map the course of a line does not matter
+        drawn = np.rint(np.clip(lands[at], -size, 2 * size)).astype(int)
+        drawn = drawn[np.append(True, (np.diff(drawn, axis=0) != 0).any(axis=1))]
+        words += "M" + "L".join(f"{right} {down}" for right, down in drawn.tolist()) + "Z"
+    return words

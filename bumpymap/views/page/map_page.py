@@ -47,7 +47,7 @@ from bumpymap.layers import (
     require_written,
 )
 from bumpymap.views.gis.fields import field_names
-from bumpymap.views.page.charts import along_chart, drive_chart, locator, profile_chart
+from bumpymap.views.page.charts import along_chart, drive_chart, profile_chart
 from bumpymap.views.page.page import write_page
 from bumpymap.views.page.site import RAMP, WAY_FIGURES, DrawnWay, Site, page_header, read_ways
 from bumpymap.views.page.tiles import UNKNOWN_FROM
@@ -154,7 +154,6 @@ def write_map_page(site: Site, path: Path) -> None:
         class_rows=_class_rows(site),
         crossed=_crossed(site),
         file_rows=_file_rows(site.record),
-        locator=locator,
         real=real,
         reason_rows=_reason_rows(site),
         seen=seen_sizes(site.record).sentence,
