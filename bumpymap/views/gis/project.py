@@ -525,10 +525,9 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
     in run.json. Raises OutputError: the project cannot be written, or a layer cannot be read.
     """
     light, obstacles, reasons, ground = _map_layers(folder, record)
-    layers, box = [*_leaves([*reasons, *light, *obstacles, *ground])], None
-    if rasters := [layer.file for layer in layers if layer.is_raster]:  # all have the same extent
-        with open_layer(folder / rasters[0]) as file:
-            box = tuple(file.bounds)
+    layers = [*_leaves([*reasons, *light, *obstacles, *ground])]
+    with open_layer(folder / next(layer.file for layer in layers if layer.is_raster)) as file:
+        box = tuple(file.bounds)  # of all rasters
     classes = [f"Class {number}: {label}." for number, label in enumerate(class_labels(record))]
     tree = [*light, *obstacles, *reasons, *ground]
     _write(folder / MapFile.PROJECT, record, "ride cost", tree, layers, box, more=classes)
@@ -570,7 +569,7 @@ def _write(
     title: str,
     tree: _Branches,
     layers: Sequence[ViewLayer],
-    box: tuple[float, ...] | None,
+    box: tuple[float, ...],
     *,
     more: Iterable[str] = (),
     own: int = 0,
@@ -580,15 +579,11 @@ def _write(
     ``layers``: those of the tree; ``own``: number of its shown layers that are not of the map.
     """
     wkt, notes = _wkt(record), _notes(record)
-    page = (
-        None
-        if box is None
-        else _print(box, 1.0 if wkt is None else CRS.from_wkt(wkt).axis_info[0].unit_conversion_factor)
-    )
+    page = _print(box, CRS.from_wkt(wkt).axis_info[0].unit_conversion_factor if wkt else 1.0)
     legend = [
         layer
         for layer in _leaves(tree, shown=True)
-        if layer.nodes != "empty" and page and page["scale"] <= layer.style.get("scale", math.inf)
+        if layer.nodes != "empty" and page["scale"] <= layer.style.get("scale", math.inf)
     ]
     write_qgis(
         path,
@@ -598,7 +593,7 @@ def _write(
         notes="\n".join(notes),
         wkt=wkt,
         groups=tree,
-        view=None if box is None else _sides(box, _MARGIN * max(box[2] - box[0], box[3] - box[1])),
+        view=_sides(box, _MARGIN * max(box[2] - box[0], box[3] - box[1])),
         print=page,
         layers=layers,
         # Of a map the ride comes first, and of a run its own layers do.
