@@ -61,7 +61,7 @@ from bumpymap.layers import (
     reach_colours,
     read_colours,
 )
-from bumpymap.views.gis.fields import TIPS, code_tip, field_names, quoted, ride_tip, value_tip
+from bumpymap.views.fields import TIPS, code_tip, field_names, quoted, ride_tip, value_tip
 from bumpymap.views.page.map_page import write_map_page
 from bumpymap.views.page.page import NORTH_ARROW, render_text
 from bumpymap.views.page.site import Site

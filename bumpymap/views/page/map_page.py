@@ -46,7 +46,7 @@ from bumpymap.layers import (
     read_manifest,
     require_written,
 )
-from bumpymap.views.gis.fields import field_names
+from bumpymap.views.fields import field_names
 from bumpymap.views.page.charts import along_chart, drive_chart, profile_chart
 from bumpymap.views.page.page import write_page
 from bumpymap.views.page.site import RAMP, WAY_FIGURES, DrawnWay, Site, page_header, read_ways
