@@ -49,7 +49,6 @@ from bumpymap.layers import (
     REPORT_NAME,
     ChangeField,
     MapFile,
-    MapReader,
     OutputFolder,
     Placement,
     SurveyPair,
@@ -281,36 +280,50 @@ def find_changes(config: DiffConfig, progress: Progress | None = None) -> Change
         "registration": _registration(found) if config.register else None,
         "cell_m": pair.cell_m(cell),
     }
-    counts = _counts(surveys, field, shared) | {"dropped_as_too_small": dropped}
+    counts = _counts(field, int(shared.sum())) | {"dropped_as_too_small": dropped}
     classes = (np.minimum(side.class_id[shared], len(CLASS_NAMES)).astype(np.int64) for side in surveys)
     transitions = np.zeros((len(CLASS_NAMES) + 1,) * 2, np.int64)
     np.add.at(transitions, tuple(classes), 1)
-    notes = tuple(remarks(fit, counts))
-    files: list[Path] = []
-    if config.out is not None:
-        progress.start("writing layers", None)
-        own = _manifest(config, pair, fit, counts, transitions) | {"remarks": notes}
-        files = _write(field, pair.after, config.out, own, overwrite=config.overwrite)
-    return ChangeResult(field, counts, transitions, fit, tuple(files), notes)
+    result = ChangeResult(field, counts, transitions, fit, (), tuple(remarks(fit, counts)))
+    if config.out is None:
+        return result
+    progress.start("writing layers", None)
+    return replace(result, files=tuple(_write(config, config.out, pair, result)))
 
 
-def _write(
-    field: ChangeField, after: MapReader, out: Path, manifest: Mapping[str, Any], *, overwrite: bool
-) -> list[Path]:
+def _write(config: DiffConfig, out: Path, pair: SurveyPair, result: ChangeResult) -> list[Path]:
     """Write all files of a comparison, or none; but for change.json and map.qgs, none depends on folder names."""
+    field, kept = result.field, ("survey", "inputs", "files")  # what identifies the layers of a run
+    sources = {
+        name: {"folders": [site.folder], "runs": [{key: site.manifest.get(key) for key in kept}]}
+        for name, site in (("before", pair.before), ("after", pair.after))
+    }
 
     def describe(staged: Path, files: list[dict[str, Any]]) -> dict[str, Any]:
-        head = {"format": "bumpymap-change", "version": 1, "versions": software_versions()}
-        record = head | place_entries(field.placement) | dict(manifest) | {"files": files}
+        record = {
+            "format": "bumpymap-change",
+            "version": 1,
+            "versions": software_versions(),
+            **place_entries(field.placement),
+            "settings": asdict(config),
+            "sources": sources,
+            "vehicle": pair.before.vehicle.name,
+            "calibration": pair.before.calibration_id,
+            "fit": result.fit,
+            "counts": result.counts,
+            "classes": {"names": [*CLASS_NAMES, "unknown"], "tiles_before_after": result.transitions},
+            "remarks": result.notes,
+            "files": files,
+        }
         write_change_report(staged, plain_json(record), staged / REPORT_NAME)
         return record
 
     writers: dict[str, Callable[[Path], None]] = {
         "change.tif": partial(write_change_raster, field),
         "change.geojson": partial(write_change_regions, field),
-        **view_writers(change_layers(field), field.placement, after, out, "what has changed"),
+        **view_writers(change_layers(field), field.placement, pair.after, out, "what has changed"),
     }
-    CHANGE_FILES.write(out, writers, describe, overwrite=overwrite)
+    CHANGE_FILES.write(out, writers, describe, overwrite=config.overwrite)
     return [out / name for name in CHANGE_FILES.names]
 
 
@@ -322,7 +335,7 @@ def _field(
     sure = np.fmax(np.abs(decision.z_height), decision.z_shape) >= SURE
     code, area, dropped = connect(decision.code, least, sure)
     widened, tile_m2 = decision.widened["height"], pair.before.grid.tile_size**2
-    values = {
+    bands = {
         "d_c_r": after.c_r - before.c_r,
         "z_c_r": decision.z_c_r,
         "d_height": ground.d_height,
@@ -331,12 +344,15 @@ def _field(
         "z_shape": decision.z_shape,
         "sd_height": ground.sd_height * widened,
         "least_volume": ground.least_height * widened * tile_m2,
+        "changed": code,
     }
-    site = pair.before
-    regions = describe_regions(area, code, values, surveys, site.grid.tile_size)
-    bands = {name: array.astype(np.float32) for name, array in (values | {"changed": code}).items()}
-    place = Placement(site.georeference, site.grid, pair.window)
-    return ChangeField(place, **bands, area=area, regions=regions), dropped
+    first, last = before.barred == Barred.NO, after.barred == Barred.NO
+    values: dict[str, NDArray[Any]] = bands | {"c_r_before": before.c_r, "c_r_after": after.c_r}
+    values |= {"class_before": before.class_id, "class_after": after.class_id}
+    values |= {"passable_lost": first & ~last, "passable_won": ~first & last}
+    place = Placement(pair.before.georeference, pair.before.grid, pair.window)
+    stored = {name: array.astype(np.float32) for name, array in bands.items()}
+    return ChangeField(place, **stored, area=area, regions=_regions(area, values, tile_m2)), dropped
 
 
 _SHARES = (0.5, 0.9)
@@ -383,18 +399,15 @@ def _registration(found: Registration) -> dict[str, Any]:
     }
 
 
-def _counts(surveys: tuple[SurveyTiles, SurveyTiles], field: ChangeField, shared: NDArray[np.bool_]) -> dict[str, Any]:
-    before, after = surveys
+def _counts(field: ChangeField, in_both: int) -> dict[str, Any]:
     moved = np.nan_to_num(field.changed) > 0.0
-    free = before.barred == Barred.NO, after.barred == Barred.NO
     return {
-        "in_both": int(shared.sum()),
+        "in_both": in_both,
         "compared": int(np.isfinite(field.changed).sum()),
         "changed": int(moved.sum()),
         "by_change": {text: int((field.changed == kind).sum()) for kind, text in enumerate(CHANGE_KINDS)},
         "regions": len(field.regions),
-        "passable_lost": int((moved & free[0] & ~free[1]).sum()),
-        "passable_won": int((moved & ~free[0] & free[1]).sum()),
+        **{name: sum(about[name] for about in field.regions) for name in ("passable_lost", "passable_won")},
         "volumes": _volumes(field.d_height[moved], field.sd_height[moved], field.placement.grid.tile_size**2),
     }
 
@@ -406,29 +419,6 @@ def _volumes(d_height: NDArray[np.floating], sd_height: NDArray[np.floating], ar
         found[f"{name}_m3"] = round(area_m2 * float(np.abs(d_height[chosen].astype(np.float64)).sum()), 2)
         found[f"{name}_sd_m3"] = round(area_m2 * math.sqrt(float(variance[chosen].sum())), 2)
     return found
-
-
-def _manifest(
-    config: DiffConfig,
-    pair: SurveyPair,
-    fit: Mapping[str, Any],
-    counts: Mapping[str, Any],
-    transitions: NDArray[np.int64],
-) -> dict[str, Any]:
-    kept = "survey", "inputs", "files"  # what identifies the layers of a run
-    sources = {
-        name: {"folders": [site.folder], "runs": [{key: site.manifest.get(key) for key in kept}]}
-        for name, site in (("before", pair.before), ("after", pair.after))
-    }
-    return {
-        "settings": asdict(config),
-        "sources": sources,
-        "vehicle": pair.before.vehicle.name,
-        "calibration": pair.before.calibration_id,
-        "fit": fit,
-        "counts": counts,
-        "classes": {"names": [*CLASS_NAMES, "unknown"], "tiles_before_after": transitions},
-    }
 
 
 def connect(
@@ -452,34 +442,21 @@ def connect(
     return np.where(small, 0.0, code), area, int(small.sum())
 
 
-def describe_regions(
-    area: NDArray[np.int32],
-    code: NDArray[np.float64],
-    values: Mapping[str, NDArray[np.floating]],
-    surveys: tuple[SurveyTiles, SurveyTiles],
-    tile_size: float,
-) -> tuple[dict[str, Any], ...]:
+def _regions(area: NDArray[np.int32], values: Mapping[str, NDArray[Any]], tile_m2: float) -> tuple[dict[str, Any], ...]:
     """Return the properties of each connected change, as they stand in change.geojson.
 
-    ``area``, ``code`` (rows, cols): from `connect`; ``values``: ``d_height``, ``sd_height``, ``d_largest``, ``d_c_r``,
-    ``z_height``, ``z_shape``, ``z_c_r``, each (rows, cols); ``surveys``: before and after; ``tile_size``: m.
+    ``area`` (rows, cols): from `connect`; ``values``: what `_describe` takes, (rows, cols) each.
     """
-    before, after = surveys
     place = np.flatnonzero(area)
     order = place[np.argsort(area.ravel()[place], kind="stable")]
-    cuts = np.flatnonzero(np.diff(area.ravel()[order])) + 1
-    flat: dict[str, NDArray[Any]] = {name: array.ravel() for name, array in values.items()}
-    flat |= {"c_r_before": before.c_r.ravel(), "c_r_after": after.c_r.ravel(), "kind": code.ravel()}
-    flat |= {"class_before": before.class_id.ravel(), "class_after": after.class_id.ravel()}
-    free = before.barred == Barred.NO, after.barred == Barred.NO
-    flat |= {"passable_lost": (free[0] & ~free[1]).ravel(), "passable_won": (~free[0] & free[1]).ravel()}
-    parts = np.split(order, cuts) if len(order) else []
-    return tuple(_describe({name: array[tiles] for name, array in flat.items()}, tile_size**2) for tiles in parts)
+    parts = np.split(order, np.flatnonzero(np.diff(area.ravel()[order])) + 1) if len(order) else []
+    flat = {name: array.ravel() for name, array in values.items()}
+    return tuple(_describe({name: array[tiles] for name, array in flat.items()}, tile_m2) for tiles in parts)
 
 
 def _describe(tiles: Mapping[str, NDArray[Any]], area_m2: float) -> dict[str, Any]:
     """Return the properties of one change from the values of its tiles, (n,) each."""
-    heights, kinds = tiles["d_height"], tiles["kind"]
+    heights, kinds = tiles["d_height"], tiles["changed"]
     # The class of most tiles, the lower of two.
     classes = {name: int(np.argmax(np.bincount(tiles[name]))) for name in ("class_before", "class_after")}
     return {

@@ -4,9 +4,11 @@ import json
 from pathlib import Path
 from shutil import copytree
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
+import rasterio
 from cost_maps import table_of
 from pyproj import CRS
 
@@ -52,6 +54,18 @@ def list_anew(folder, **changes):
     for entry in record["files"]:
         entry.update(describe_file(folder / entry["path"]) | {"path": entry["path"]})
     (folder / "run.json").write_text(json.dumps(record))
+
+
+def plant_photo(folder, colours):
+    """Give a map the photo (3, rows, cols), on the pixels of its heights, and list it."""
+    with rasterio.open(folder / "rasters/heightmap.tif") as file:
+        about = file.profile | {"driver": "GTiff", "count": 3, "dtype": "uint8", "nodata": None}
+        whole = np.broadcast_to(colours, (3, file.height, file.width)).astype(np.uint8)
+    with rasterio.open(folder / "rasters/photo.tif", "w", **about) as file:
+        file.write(whole)
+    record = json.loads((folder / "run.json").read_text())
+    list_anew(folder, files=[*record["files"], {"path": "rasters/photo.tif"}])
+    return folder
 
 
 def change_bars(folder, code, bar):

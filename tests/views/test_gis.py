@@ -17,7 +17,7 @@ import shapely
 from check_records import made_up_check
 from cost_maps import lone_columns, table_of
 from pyproj import CRS
-from route_maps import RUN, copy_folder, write_folder
+from route_maps import RUN, copy_folder, plant_photo, write_folder
 from route_records import CORNERS, UTM, MadeUpMap, make_route
 from skimage.color import deltaE_ciede2000, rgb2lab
 from small_surveys import run, write_survey
@@ -139,11 +139,13 @@ def test_the_relief_is_smooth_and_in_the_unit_of_the_crs(alone):
 def light_of(folder, target, kind):
     """Copy a folder with a photo of one grey, or with a level relief."""
     copy_folder(folder, target)
-    with rasterio.open(folder / "rasters/heightmap.tif") as file:
-        profile = {"width": file.width, "height": file.height, "crs": file.crs, "transform": file.transform}
-    profile |= {"count": 3, "dtype": "uint8"} if kind == "photo" else {"count": 1, "dtype": "float32"}
-    with rasterio.open(target / f"rasters/{kind}.tif", "w", driver="GTiff", **profile) as file:
-        file.write(np.full((file.count, file.height, file.width), 90, file.dtypes[0]))
+    if kind == "photo":
+        plant_photo(target, 90)
+    else:
+        with rasterio.open(target / "rasters/relief.tif") as file:
+            profile, shape = file.profile | {"driver": "GTiff"}, file.shape
+        with rasterio.open(target / "rasters/relief.tif", "w", **profile) as file:
+            file.write(np.full((1, *shape), 90, file.dtypes[0]))
     write_project(target, json.loads((folder / "run.json").read_text()))
     return target
 
@@ -520,11 +522,6 @@ SEEN_BY = {
 """Linear red, green and blue as seen without one kind of cones (Machado, Oliveira and Fernandes 2009)."""
 
 
-def data_of_page(folder):
-    found = re.search(r'id="report-data">(.*?)</script>', (folder / "report.html").read_text(encoding="utf-8"))
-    return json.loads(found[1])
-
-
 def parts_of(text):
     return [int(text[at : at + 2], 16) for at in (1, 3, 5)]
 
@@ -540,10 +537,10 @@ def least_difference(found, seen):
 
 
 @pytest.mark.parametrize("seen", SEEN_BY.values(), ids=SEEN_BY)
-def test_colour_blind_readers_tell_classes_reasons_and_bars_apart(folder, seen):
+def test_colour_blind_readers_tell_classes_reasons_and_bars_apart(folder, seen, read_page):
     classes = [colour for _, colour, _ in palette(read(folder / "rasters/class.qml")).values()]
     reasons = {code: colour for code, (_, colour, _) in palette(read(folder / "rasters/reason.qml")).items()}
-    codes = data_of_page(folder)["codes"]
+    codes = read_page(folder / "report.html").data["codes"]
     on_page = ["#{:02x}{:02x}{:02x}".format(*one) for one in (*codes["classColours"], codes["unknownColour"])]
     assert on_page[:-1] == classes
     assert least_difference(on_page, seen) > 12
@@ -556,9 +553,9 @@ def test_neighbouring_classes_are_told_apart_in_grey(folder):
     assert min(least_difference(pair, [[0.2126, 0.7152, 0.0722]] * 3) for pair in pairwise(classes)) > 12
 
 
-def test_the_ride_cost_has_one_ramp_on_the_page_and_in_qgis(folder):
+def test_the_ride_cost_has_one_ramp_on_the_page_and_in_qgis(folder, read_page):
     items = list(read(folder / "rasters/roughness.qml").iter("item"))
-    site = data_of_page(folder)["maps"][0]
+    site = read_page(folder / "report.html").data["maps"][0]
     grid, ramp = next(grid for grid in site["grids"] if grid["key"] == "c_r"), site["ramps"]["c_r"]
     ends = np.exp(grid["low"] + grid["step"] * np.linspace(0, 254, len(ramp)))
     parts = np.array([parts_of(item.get("color")) for item in items], float)

@@ -198,20 +198,14 @@ def test_costs_have_one_scale_for_a_vehicle(whole, tmp_path):
         assert f"98: {top:.3f}" in (tmp_path / resolution / "map.yaml").read_text()
 
 
-def test_cost_is_scaled_the_same_in_every_crop(route_map, tmp_path):
-    middle = ((110_010 + 0.5) * 3, (680_008 + 0.5) * 3)
-    for scale in ({}, {"max_cost": 7.0}):
-        crops = [
-            exported(
-                route_map, tmp_path / f"{radius}{len(scale)}", around=middle, radius=radius, datum=(0.0, 0.0), **scale
-            )
-            for radius in (4.0, 13.0)
-        ]
-        (small, large) = (crop[2][0] for crop in crops)
-        off = [round((small.x - large.x) / 0.2), round((small.y - large.y) / 0.2)]
-        rows, cols = small.data.shape
-        np.testing.assert_array_equal(small.data, large.data[off[1] : off[1] + rows, off[0] : off[0] + cols])
-        assert crops[0][0]["datum"]["x"] == 0.0
+@pytest.mark.parametrize("scale", [{}, {"max_cost": 7.0}])
+def test_cost_is_scaled_the_same_in_every_crop(route_map, tmp_path, scale):
+    crop = {"around": ((110_010 + 0.5) * 3, (680_008 + 0.5) * 3), "datum": (0.0, 0.0)} | scale
+    small, large = (exported(route_map, tmp_path / f"{far}", radius=far, **crop)[2][0] for far in (4.0, 13.0))
+    col, row = round((small.x - large.x) / 0.2), round((small.y - large.y) / 0.2)
+    rows, cols = small.data.shape
+    np.testing.assert_array_equal(small.data, large.data[row : row + rows, col : col + cols])
+    assert small.x == 110_009 * 3.0  # from the datum
 
 
 def test_parameters_fit_together(whole):
@@ -266,11 +260,11 @@ def test_an_export_is_replaced_only_if_asked_other_files_stay_and_links_are_not_
     before = files_in(easy_folder)
     (tmp_path / "odd" / "gridmap.mcap").mkdir(parents=True)
     for place, words in (
-        (easy_folder, "holds the layers of a run"),
+        (easy_folder, "holds the layers of a survey"),
         (mine, "a file"),
         (tmp_path / "odd", "not a file"),
     ):
-        with pytest.raises(OutputError, match=words):
+        with pytest.raises((OutputError, UsageError), match=words):
             export_map(easy_map, place, GRIDMAP, overwrite=True)
     assert files_in(easy_folder) == before
 

@@ -12,7 +12,7 @@ import rasterio
 from axe_playwright_python.sync_playwright import Axe
 from page_outline import Outline
 from pyproj import Transformer
-from route_maps import change_bars, copy_folder, list_anew
+from route_maps import change_bars, copy_folder, list_anew, plant_photo
 
 from bumpymap.core import Barred
 from bumpymap.layers import BARRED_COLOURS, RideScale, SurveyRow
@@ -171,11 +171,7 @@ def test_layers_change_by_keyboard_with_their_legends(visit, pages):
 @pytest.fixture(scope="module")
 def grey(site, tmp_path_factory):
     """The map with a photo that is grey throughout; every other column of its tiles is islands."""
-    folder = copy_folder(site, tmp_path_factory.mktemp("grey") / "site")
-    with rasterio.open(folder / "rasters/heightmap.tif") as file:
-        about = file.profile | {"driver": "GTiff", "count": 3, "dtype": "uint8", "nodata": None}
-    with rasterio.open(folder / "rasters/photo.tif", "w", **about) as file:
-        file.write(np.full((3, file.height, file.width), 90, np.uint8))
+    folder = plant_photo(copy_folder(site, tmp_path_factory.mktemp("grey") / "site"), 90)
     tiles = pq.read_table(folder / "tiles.parquet")
     of_free = np.where(tiles["col"].to_numpy() % 2, 1, 2 + np.arange(len(tiles)))
     zones = np.where(pc.is_null(tiles["barred"]), of_free, 0)
@@ -184,7 +180,7 @@ def grey(site, tmp_path_factory):
     pq.write_table(tiles, folder / "tiles.parquet")
     record = json.loads((folder / "run.json").read_text())
     record["counts"]["zones"] |= {"pieces": 2, "islands": 1}
-    list_anew(folder, counts=record["counts"], files=[*record["files"], {"path": "rasters/photo.tif"}])
+    list_anew(folder, counts=record["counts"])
     write_report(folder)
     return folder
 

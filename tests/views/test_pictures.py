@@ -95,13 +95,10 @@ def test_islands_are_faint_and_nothing_else_is(view, ground, monkeypatch):
 
 def test_reading_strip_by_strip_paints_the_same(view, ground, monkeypatch):
     whole, _ = paint_ground(ground, view)
-    assert len(ground.windows) == 1
     monkeypatch.setattr(drawing, "_STRIP_TILES", 300)
     pieces, _ = paint_ground(ground, view)
-    assert len(ground.windows) > 5
+    assert len(ground.windows) > 6
     np.testing.assert_array_equal(whole, pieces)
-    tallest = max(window.rows for window in ground.windows[1:])
-    assert tallest < ground.windows[0].rows / 3
 
 
 def painted(route, ground, folder):

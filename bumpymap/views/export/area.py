@@ -7,7 +7,7 @@ tests.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -28,7 +28,6 @@ from bumpymap.core import (
     Band,
     Barred,
     TileField,
-    atomic,
 )
 from bumpymap.layers import (
     STEP_LINE,
@@ -38,6 +37,7 @@ from bumpymap.layers import (
     RasterSpec,
     RasterWindow,
     class_limits,
+    common_window,
     write_cog,
 )
 from bumpymap.views.page.page import render_text
@@ -146,13 +146,10 @@ class ExportArea:
         x, y = self.datum
         return Bounds(whole.west - x, whole.south - y, whole.east - x, whole.north - y)
 
-    def strips(self, detail: int | None = None) -> Iterator[tuple[TileWindow, slice]]:
-        """Yield windows of whole rows of tiles, north first, and their rows of cells.
-
-        ``detail`` is the number of values along a side of a tile that will be read, if that is not ``split``.
-        """
+    def strips(self) -> Iterator[tuple[TileWindow, slice]]:
+        """Yield windows of whole rows of tiles, north first, and their rows of cells."""
         window, split = self.window, self.split
-        height = max(1, _STRIP_CELLS // (window.cols * (detail or split) ** 2))
+        height = max(1, _STRIP_PIXELS // (window.cols * self.route_map.grid.pixels**2))
         for top, part in window.cut(height):
             yield part, slice(top * split, (top + part.rows) * split)
 
@@ -248,8 +245,8 @@ def write_pixel_cost(folder: Path, area: ExportArea) -> dict[str, Any]:
 
 FRAME = "map"
 """Name of the frame of all exports, as REP-105 calls the frame that is fixed to the world."""
-_STRIP_CELLS = 4_000_000
-"""Cells that are read at once: few strips, so that few blocks of a raster are decoded twice."""
+_STRIP_PIXELS = 4_000_000
+"""Pixels that are read at once: few strips, so that few blocks of a raster are decoded twice."""
 
 
 def choose_area(
@@ -277,21 +274,16 @@ def choose_area(
 
 def _crop(route_map: MapReader, around: tuple[float, float], radius_m: float) -> TileWindow:
     whole, grid = route_map.window, route_map.grid
-    first, last = grid.index(np.array(around) - radius_m), grid.index(np.array(around) + radius_m)
-    west, south = max(int(first[0]), whole.col), max(int(first[1]), whole.row)
-    east, north = min(int(last[0]) + 1, whole.col + whole.cols), min(int(last[1]) + 1, whole.row + whole.rows)
-    if east <= west or north <= south:
+    square = TileWindow.around(*(grid.index(np.array([middle - radius_m, middle + radius_m])) for middle in around))
+    if (window := common_window(square, whole)) is None:
         bounds = grid.window_bounds(whole)
-        (left, low), (right, top) = (
-            route_map.to_crs(bounds.west, bounds.south),
-            route_map.to_crs(bounds.east, bounds.north),
-        )
-        x, y = route_map.to_crs(*around)
+        corners = (bounds.west, bounds.south), (bounds.east, bounds.north), around
+        low, high, point = ("{:.1f},{:.1f}".format(*route_map.to_crs(*corner)) for corner in corners)
         raise BadInputError(
-            f"nothing of the map lies within {radius_m:g} m of {x:.1f},{y:.1f}: it reaches from {left:.1f},{low:.1f} "
-            f"to {right:.1f},{top:.1f}. Choose a point on the map, or a larger radius"
+            f"nothing of the map lies within {radius_m:g} m of {point}: it reaches from {low} to {high}. Choose a "
+            "point on the map, or a larger radius"
         )
-    return TileWindow(west, south, east - west, north - south)
+    return window
 
 
 _COSTMAP_LETHAL, _SMAC_FULL = 254, 252
@@ -329,19 +321,49 @@ _SCALES = {
 """Comments on what the values of the images mean."""
 
 
-def make_grids(area: ExportArea, max_cost: float | None) -> Callable[[Path], dict[str, Any]]:
-    """Make the images of an area, and return what writes the files and says what the sidecar file says of them.
+def write_nav2(folder: Path, area: ExportArea, max_cost: float | None) -> dict[str, Any]:
+    """Write images and parameters to a folder, and return what the sidecar file says of them.
 
     ``max_cost``: cost per metre that gets the highest value; else that of very rough ground, so that values mean the
     same in every map for a vehicle: C_r at the limit of class 3, and the share of failing drives that bars ground.
     Raises BadInputError: there are too many cells, or none of them is free.
     """
     area.require_cells(_MAX_CELLS, "a map for Nav2")
-    site, highest = area.route_map, 1.0
+    site = area.route_map
     very_rough = site.rule.cost(np.array(class_limits(site.manifest)[-1]), site.rule.hazard(np.array(FAIL_SHARE)))
     most = max_cost or float(very_rough)
+    images, highest = _images(area, most)
+    codes = {"free": images["keepout_mask"] == FREE_CELL}
+    codes |= {"lethal": images["map"] == LETHAL, "unknown": images["map"] == UNKNOWN_CELL}
+    counts = {name: int(found.sum()) for name, found in codes.items()}
+    if not counts["free"]:
+        raise BadInputError("no cell of the area is free, so no robot can drive there. Choose another area")
+    west, south = float(area.bounds.west), float(area.bounds.south)
+    for name, cells in images.items():
+        with (folder / f"{name}.pgm").open("wb") as file:
+            file.write(f"P5\n{cells.shape[1]} {cells.shape[0]}\n255\n".encode())
+            file.write(cells.data)
+        scale = _SCALES[name].format(most=most, top=TOP_VALUE, lethal=LETHAL, speed=site.rule.top_mps)
+        scale = f"{scale} {seen_sizes(site.manifest).sentence}".rstrip()
+        text = [  # the thresholds are required, though mode raw does not use them
+            *(f"# {scale}", f"image: {name}.pgm", "mode: raw", f"resolution: {area.resolution!r}"),
+            *(f"origin: [{west!r}, {south!r}, 0.0]", "negate: 0", "occupied_thresh: 0.65", "free_thresh: 0.25", ""),
+        ]
+        (folder / f"{name}.yaml").write_text("\n".join(text), encoding="utf-8")
+    (folder / "nav2_params.yaml").write_text(params_text(site, most, area.resolution), encoding="utf-8")
+    unit = "cost per metre of level, smooth and safe ground"
+    return {
+        "cost": {"value_0": 1.0, f"value_{TOP_VALUE}": most, "highest": highest, "unit": unit},
+        "speed": {"value_100_m_per_s": site.rule.top_mps},
+        "cells": counts,
+    }
+
+
+def _images(area: ExportArea, most: float) -> tuple[dict[str, NDArray[np.uint8]], float]:
+    """Return the images of an area by name, and its highest cost; ``most``: cost of the highest value."""
+    site, highest = area.route_map, 1.0
     cost, keepout, speed = (np.empty(area.shape, np.uint8) for _ in range(3))
-    for window, lines in area.strips(detail=site.grid.pixels):
+    for window, lines in area.strips():
         field = site.read(window, ("c_r", "p_fail", "obstacle"))
         states, _ = cell_states(area, field)
         of_tile = field.rule.cost(field.c_r.astype(np.float64), field.rule.hazard(field.p_fail))
@@ -352,45 +374,4 @@ def make_grids(area: ExportArea, max_cost: float | None) -> Callable[[Path], dic
         speed[lines] = by_pixel(speed_values(field), area.split)
         used = is_free.reshape(window.rows, area.split, window.cols, area.split).any(axis=(1, 3))
         highest = max(highest, float(np.nanmax(of_tile[used], initial=1.0)))
-    counts = {
-        "free": int((keepout == FREE_CELL).sum()),
-        "lethal": int((cost == LETHAL).sum()),
-        "unknown": int((cost == UNKNOWN_CELL).sum()),
-    }
-    if not counts["free"]:
-        raise BadInputError("no cell of the area is free, so no robot can drive there. Choose another area")
-    images = {"map": cost, "keepout_mask": keepout, "speed_mask": speed}
-    about = {
-        "cost": {
-            "value_0": 1.0,
-            f"value_{TOP_VALUE}": most,
-            "highest": highest,
-            "unit": "cost per metre of level, smooth and safe ground",
-        },
-        "speed": {"value_100_m_per_s": site.rule.top_mps},
-        "cells": counts,
-    }
-
-    def write(folder: Path) -> dict[str, Any]:
-        for name, cells in images.items():
-            header = f"P5\n{cells.shape[1]} {cells.shape[0]}\n255\n"
-            write_file(folder / f"{name}.pgm", header.encode(), cells.tobytes())
-            scale = _SCALES[name].format(most=most, top=TOP_VALUE, lethal=LETHAL, speed=site.rule.top_mps)
-            scale = f"{scale} {seen_sizes(site.manifest).sentence}".rstrip()
-            west, south = float(area.bounds.west), float(area.bounds.south)
-            text = [  # the thresholds are required, though mode raw does not use them
-                *(f"# {scale}", f"image: {name}.pgm", "mode: raw", f"resolution: {area.resolution!r}"),
-                *(f"origin: [{west!r}, {south!r}, 0.0]", "negate: 0", "occupied_thresh: 0.65", "free_thresh: 0.25", ""),
-            ]
-            write_file(folder / f"{name}.yaml", "\n".join(text).encode())
-        write_file(folder / "nav2_params.yaml", params_text(site, most, area.resolution).encode())
-        return about
-
-    return write
-
-
-def write_file(path: Path, *parts: bytes) -> None:
-    """Write a file of given bytes. Raises OutputError if that fails."""
-    with atomic(path) as temporary, temporary.open("wb") as file:
-        for part in parts:
-            file.write(part)
+    return {"map": cost, "keepout_mask": keepout, "speed_mask": speed}, highest

@@ -19,7 +19,6 @@ from bumpymap.core import (
     atomic,
     install_command,
     remove_path,
-    write_remedy,
 )
 from bumpymap.layers import MapFile, require_written
 from bumpymap.views.export.area import FRAME, FREE_CELL, LETHAL, ExportArea, by_pixel, cell_states
@@ -60,7 +59,7 @@ def require_rosbags() -> None:
         ) from error
 
 
-def make_layers(area: ExportArea) -> dict[str, NDArray[np.float32]]:
+def _read_layers(area: ExportArea) -> dict[str, NDArray[np.float32]]:
     """Read the layers of an area by name, (rows, cols) each, north row first; NaN where unknown.
 
     Obstacle is 0 where a cell is free, 1 where it is not passable, 2 where it is free under canopy. With one cell a
@@ -71,7 +70,7 @@ def make_layers(area: ExportArea) -> dict[str, NDArray[np.float32]]:
     site = area.route_map
     require_written(site.folder, site.manifest, (MapFile.CLASS,))  # `open_map` does not look at it
     layers = {name: np.empty(area.shape, np.float32) for name in ("elevation", "c_r", "p_fail", "class", "obstacle")}
-    for window, lines in area.strips(detail=site.grid.pixels):
+    for window, lines in area.strips():
         values = site.values(window, ("c_r", "p_fail"), classes=True)
         layers["class"][lines] = by_pixel(values["class_id"], area.split)
         for name in ("c_r", "p_fail"):
@@ -95,29 +94,25 @@ def typestore() -> Any:
     return store
 
 
-def write_gridmap(folder: Path, area: ExportArea, layers: Mapping[str, NDArray[np.float32]]) -> dict[str, Any]:
+def write_gridmap(folder: Path, area: ExportArea) -> dict[str, Any]:
     """Write gridmap.mcap and metadata.yaml, which make the folder a bag; return what the sidecar file says of it.
 
     All times are 0, so that the same map has the same bytes. Late subscribers get the message too. Version 8 of the
-    metadata is the newest that all current releases of ROS 2 read. Raises OutputError: the bag cannot be written.
+    metadata is the newest that all current releases of ROS 2 read. Raises UsageError: the extra ``ros`` is not
+    installed; BadInputError: there are too many cells, or class.tif is missing or damaged.
     """
+    require_rosbags()
     from rosbags.rosbag2 import StoragePlugin, Writer
 
-    store, bag, bounds = typestore(), folder / "gridmap", area.bounds
+    store, bag, bounds, layers = typestore(), folder / "gridmap", area.bounds, _read_layers(area)
     middle = ((bounds.west + bounds.east) / 2.0, (bounds.south + bounds.north) / 2.0)
     message = grid_map_message(store, make_header(store, 0, FRAME), middle, area.resolution, layers)
-    try:
-        with Writer(bag, version=8, storage_plugin=StoragePlugin.MCAP) as writer:
-            topic = writer.add_connection(TOPIC, GRID_MAP, typestore=store, offered_qos_profiles=[_latched()])
-            writer.write(topic, 0, store.serialize_cdr(message, GRID_MAP))
-        for name in ("gridmap.mcap", "metadata.yaml"):
-            with atomic(folder / name) as temporary:
-                (bag / name).rename(temporary)
-        remove_path(bag)
-    except OSError as error:
-        raise OutputError(
-            f"cannot write the bag to {folder.parent}: {error}. {write_remedy(error, 'Choose another `out`')}"
-        ) from error
+    with Writer(bag, version=8, storage_plugin=StoragePlugin.MCAP) as writer:
+        topic = writer.add_connection(TOPIC, GRID_MAP, typestore=store, offered_qos_profiles=[_latched()])
+        writer.write(topic, 0, store.serialize_cdr(message, GRID_MAP))
+    for path in [*bag.iterdir()]:
+        path.rename(folder / path.name)
+    bag.rmdir()
     return {"topic": TOPIC, "type": GRID_MAP, "layer_names": list(layers)}
 
 

@@ -1,7 +1,6 @@
-"""Export a map, or a route as a mission for QGroundControl: make everything in memory, write it at once."""
+"""Export a map, or a route as a mission for QGroundControl, to a folder of its own."""
 
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
 from os.path import lexists
 from pathlib import Path
@@ -10,18 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, Number, OutputError, locked, remove_empty_on_error, shape_fault, write_together
-from bumpymap.layers import (
-    MANIFEST_NAME,
-    MapReader,
-    geojson_features,
-    line_parts,
-    refuse_present,
-    require_folder,
-    write_manifest,
-)
-from bumpymap.views.export.area import ExportArea, choose_area, make_grids, write_pixel_cost
-from bumpymap.views.export.gridmap import make_layers, require_rosbags, write_gridmap
+from bumpymap.core import BadInputError, Number, OutputError, shape_fault, writing_to
+from bumpymap.layers import MapReader, OutputFolder, geojson_features, line_parts, write_manifest
+from bumpymap.views.export.area import choose_area, write_nav2, write_pixel_cost
+from bumpymap.views.export.gridmap import write_gridmap
 from bumpymap.views.export.settings import ExportSettings
 from bumpymap.views.words import seen_sizes
 from bumpytiles import TileWindow
@@ -140,40 +131,17 @@ def _item(number: int, latitude: float, longitude: float) -> dict[str, Any]:
 
 DATUM_NAME = "datum.json"
 """The sidecar file with the local datum. It is written last: a folder that has one holds a complete export."""
-EXPORT_FILES: dict[str, tuple[str, ...]] = {
-    "nav2": (
-        "map.yaml",
-        "map.pgm",
-        "keepout_mask.yaml",
-        "keepout_mask.pgm",
-        "speed_mask.yaml",
-        "speed_mask.pgm",
-        "nav2_params.yaml",
-        DATUM_NAME,
-    ),
-    "gridmap": ("gridmap.mcap", "metadata.yaml", DATUM_NAME),
-    "plan": ("route.plan", DATUM_NAME),
-    "cost": ("cost.tif", DATUM_NAME),
+_IMAGES = ("map", "keepout_mask", "speed_mask")
+EXPORTS = {
+    to: OutputFolder((*names, DATUM_NAME), DATUM_NAME)
+    for to, names in {
+        "nav2": (*(f"{name}.{end}" for name in _IMAGES for end in ("yaml", "pgm")), "nav2_params.yaml"),
+        "gridmap": ("gridmap.mcap", "metadata.yaml"),
+        "plan": ("route.plan",),
+        "cost": ("cost.tif",),
+    }.items()
 }
 """Files of an export, by format."""
-
-
-def _check_target(out: Path, to: str, *, overwrite: bool) -> None:
-    """Check that an export can be written to a folder, without touching it.
-
-    Raises OutputError: it is a file, holds the layers of a run or an export in another format, or an earlier export and
-    ``overwrite`` is False.
-    """
-    require_folder(out)
-    if lexists(out / MANIFEST_NAME):
-        raise OutputError(f"{out} holds the layers of a run; an export has a folder of its own. Choose another `out`")
-    own = EXPORT_FILES[to]
-    foreign = sorted(
-        name for names in EXPORT_FILES.values() for name in names if name not in own and lexists(out / name)
-    )
-    if foreign:
-        raise OutputError(f"{out} already holds {foreign[0]} of an export in another format. Choose another `out`")
-    refuse_present(out, own, overwrite=overwrite)
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,9 +161,9 @@ def export_map(
     ``route_map``: from `open_map`; ``out``: a folder of its own; ``overwrite``: replace an earlier export in the same
     format. Raises BadInputError: the map or the route cannot be read, the area does not touch the map, is too large, or
     holds nothing passable; OutputError: the folder holds something that must not be replaced, or cannot be written;
-    UsageError: the extra ``ros`` is needed and not installed.
+    UsageError: the folder holds the layers of a run, or the extra ``ros`` is needed and not installed.
     """
-    folder = Path(out)
+    folder, files = Path(out), EXPORTS[settings.to]
     by_pixels = settings.to == "cost" or (settings.resolution == "pixel" and settings.to in {"nav2", "gridmap"})
     split = route_map.grid.pixels if by_pixels else 1
     area = choose_area(route_map, split, settings.around, settings.radius, settings.datum)
@@ -211,19 +179,32 @@ def export_map(
         **seen_sizes(route_map.manifest).record(),
     }
     # The faults of what was given come first, but for those that take long to find.
-    write = _made(area, settings) if settings.to == "plan" else None
-    _check_target(folder, settings.to, overwrite=overwrite)
-    write = write or _made(area, settings)
-    with remove_empty_on_error(folder), locked(folder):
-        _check_target(folder, settings.to, overwrite=overwrite)
-        with write_together(folder, DATUM_NAME) as staged:
-            record |= write(staged)
-            write_manifest(record, staged / DATUM_NAME)
-    return Export(tuple(folder / name for name in EXPORT_FILES[settings.to]), record)
+    plan = _plan(route_map, settings) if settings.to == "plan" else None
+    foreign = sorted({name for kind in EXPORTS.values() for name in kind.names} - {*files.names})
+    if lexists(folder / DATUM_NAME) and (found := [name for name in foreign if lexists(folder / name)]):
+        raise OutputError(f"{folder} already holds {found[0]} of an export in another format. Choose another `out`")
+    files.check(folder, overwrite=overwrite)
+
+    def describe(staged: Path, _: list[dict[str, Any]]) -> dict[str, Any]:
+        with writing_to(folder):
+            match settings.to:
+                case "nav2":
+                    record.update(write_nav2(staged, area, settings.max_cost))
+                case "gridmap":
+                    record.update(write_gridmap(staged, area))
+                case "cost":
+                    record.update(write_pixel_cost(staged, area))
+            if plan:
+                write_manifest(plan[0], staged / "route.plan")
+                record["plan"] = plan[1]
+        return record
+
+    files.write(folder, {}, describe, overwrite=overwrite)
+    return Export(tuple(folder / name for name in files.names), record)
 
 
-def _plan(route_map: MapReader, settings: ExportSettings) -> Callable[[Path], dict[str, Any]]:
-    """Make a mission of a route, and return what writes it."""
+def _plan(route_map: MapReader, settings: ExportSettings) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Make a mission of a route; return it, and what the sidecar file says of it."""
     route = settings.route or route_map.folder
     path = route / "route.geojson" if route.is_dir() else route
     if not path.exists():
@@ -231,26 +212,5 @@ def _plan(route_map: MapReader, settings: ExportSettings) -> Callable[[Path], di
             f"there is no {path}. Plan a route first: `bumpymap route`, then pass the folder that it wrote with `route`"
         )
     line, touched = read_route_line(path, through_obstacles=settings.through_obstacles)
-    plan = make_plan(route_map, line)
     about = {"waypoints": len(line), "speed_m_per_s": route_map.vehicle.speed_mps}
-
-    def write(folder: Path) -> dict[str, Any]:
-        write_manifest(plan, folder / "route.plan")
-        return {"plan": about | ({"obstacle_m": touched} if touched > 0.0 else {})}
-
-    return write
-
-
-def _made(area: ExportArea, settings: ExportSettings) -> Callable[[Path], dict[str, Any]]:
-    """Make everything that a folder will hold, and return what writes it."""
-    match settings.to:
-        case "nav2":
-            return make_grids(area, settings.max_cost)
-        case "gridmap":
-            require_rosbags()
-            layers = make_layers(area)
-            return lambda folder: write_gridmap(folder, area, layers)
-        case "plan":
-            return _plan(area.route_map, settings)
-        case "cost":
-            return lambda folder: write_pixel_cost(folder, area)
+    return make_plan(route_map, line), about | ({"obstacle_m": touched} if touched > 0.0 else {})

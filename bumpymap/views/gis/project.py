@@ -6,12 +6,12 @@ A project is that of a map, or of a run over maps, which lies over its map.
 import base64
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from os.path import relpath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -61,7 +61,7 @@ from bumpymap.layers import (
     reach_colours,
     read_colours,
 )
-from bumpymap.views.gis.fields import TIPS, code_tip, field_names, quoted, ride_tip, value_tip
+from bumpymap.views.fields import TIPS, code_tip, field_names, quoted, ride_tip, value_tip
 from bumpymap.views.page.map_page import write_map_page
 from bumpymap.views.page.page import NORTH_ARROW, render_text
 from bumpymap.views.page.site import Site
@@ -140,13 +140,14 @@ def _light(kind: str, tip: str, opacity: float, **more: Any) -> Style:
     return {"kind": kind, "band": 1, "tip": tip, "opacity": opacity, "blend": HARD_LIGHT, **more}
 
 
-def vectors(looks: Iterable[tuple[str, str, _Colour, str]], large: str = "", line: str = "") -> Style:
+def vectors(file: str, looks: Iterable[tuple[str, str, _Colour, str]], large: str = "", line: str = "") -> Style:
     """Return the style of areas, lines or points: expression of QGIS that chooses them, label, colour, form of each.
 
     A form is ``solid``, ``outline``, ``line``, ``mark`` (a disc). An expression ``large`` says which marks are drawn
     larger; ``line`` is a line over each area, NULL where there is none.
     """
-    return {"kind": "vectors", "looks": list(looks), "large": large, "line": line}
+    about = {"tip": TIPS[file], "fields": field_names(file)}
+    return {"kind": "vectors", "looks": list(looks), "large": large, "line": line, **about}
 
 
 CALM_RATIO = 1.3
@@ -183,11 +184,56 @@ class ViewLayer:
     visible: bool = True
     within: str = ""
     """For GDAL: the geometries to take from a file of several kinds, such as ``|geometrytype=Point``."""
+    place: str = "."
+    """Where its folder lies as seen from the project."""
+    wkt: str | None = None
+    """Its CRS."""
+
+    @property
+    def id(self) -> str:
+        """Its id: longer than ten characters, since QGIS does not find layers with shorter ones."""
+        return "_".join(filter(None, ("bumpymap", Path(self.file).name.replace(".", "_"), self.part)))
+
+    @property
+    def source(self) -> str:
+        """Its file as seen from the project."""
+        return f"{self.place}/{self.file}{self.within}"
+
+    @property
+    def is_raster(self) -> bool:
+        """True for pixels, False for geometries."""
+        return self.file.endswith(".tif")
+
+    @property
+    def provider(self) -> str:
+        """Name of the library with which QGIS reads it."""
+        return "gdal" if self.is_raster else "ogr"
 
     @property
     def geometry(self) -> str:
         """Kind of its geometries, as QGIS names it."""
         return {"mark": "Point", "line": "Line"}.get(self.style["looks"][0][3], "Polygon")
+
+    @property
+    def nodes(self) -> str:
+        """Entries of its legend: of a raster without the first, the name of the band, which readers do not need."""
+        count = len(self.style.get("entries", ())) if self.style["kind"] == "paletted" else int("ends" in self.style)
+        default = ",".join(map(str, range(1, 1 + count))) or "empty"
+        return str(self.style.get("nodes", default)) if self.is_raster else ""
+
+
+class LayerGroup(NamedTuple):
+    """Layers and groups under a heading, the topmost first."""
+
+    title: str
+    layers: "Sequence[ViewLayer | LayerGroup]"
+    expanded: bool = True
+    one_of: bool = False
+    """Showing one of them hides the others."""
+    visible: bool = True
+
+
+_Branches = list[ViewLayer | LayerGroup]
 
 
 def _is(attribute: str, value: str) -> str:
@@ -203,7 +249,7 @@ def change_layers(field: "ChangeField") -> list[ViewLayer]:
     codes, file = paletted(enumerate(CHANGE_KINDS), CHANGE_COLOURS, band=CHANGED_BAND), "change.tif"
     c_r, height = _differences(field.d_c_r, "rad/m", 1), _differences(field.d_height, "m", 3)
     return [
-        ViewLayer("change.geojson", "places that have changed", vectors(looks[1:]), visible=False),
+        ViewLayer("change.geojson", "places that have changed", vectors("change.geojson", looks[1:]), visible=False),
         ViewLayer(file, "what has changed", codes),
         ViewLayer(file, "ride cost c_r, after minus before", c_r, "d_c_r", visible=False),
         ViewLayer(file, "height, after minus before", height, "d_height", visible=False),
@@ -221,8 +267,9 @@ def _differences(values: NDArray[np.float32], unit: str, band: int) -> Style:
 
 def check_layers() -> list[ViewLayer]:
     """Return the stretches of a check."""
+    file = "check.geojson"
     looks = [(_is("off", name), name, OFF_COLOURS[code], "mark") for code, name in enumerate(OFF_KINDS)]
-    return [ViewLayer("check.geojson", "how far the map is off", vectors(looks, '"explained" = false'))]
+    return [ViewLayer(file, "how far the map is off", vectors(file, looks, '"explained" = false'))]
 
 
 def route_layers(route: "Route") -> list[ViewLayer]:
@@ -236,15 +283,10 @@ def route_layers(route: "Route") -> list[ViewLayer]:
     chance = chance_text(found.p_arrives)
     label = f"{route.name}: {found.length_m:.0f} m, costs {found.cost_m:.0f} m, arrives {chance}"
     file = "route.geojson"
+    ways = [(_is("name", route.name), label, (*ROUTE_COLOUR, 255), "line")]
     return [
-        ViewLayer(file, "stops", vectors(stops), "stops", within="|geometrytype=Point"),
-        ViewLayer(
-            file,
-            "ways",
-            vectors([(_is("name", route.name), label, (*ROUTE_COLOUR, 255), "line")]),
-            "ways",
-            within="|geometrytype=LineString",
-        ),
+        ViewLayer(file, "stops", vectors(file, stops), "stops", within="|geometrytype=Point"),
+        ViewLayer(file, "ways", vectors(file, ways), "ways", within="|geometrytype=LineString"),
     ]
 
 
@@ -254,14 +296,14 @@ _REACH_STOPS = 6
 
 def reach_layers(reach: "ReachField", levels: Sequence[float]) -> list[ViewLayer]:
     """Return what can be reached: outlines of ``levels`` [min], minutes, cost."""
-    steps = sorted({float(level) for level in levels})
+    steps, file = sorted({float(level) for level in levels}), "isochrones.geojson"
     looks = [
         (f'"within" = {level!r}', f"within {level:g} min", (*colour, 255), "outline")
         for level, colour in zip(steps, reach_colours(len(steps)), strict=True)
     ]
     cost, minutes = _distances(reach.cost, "m", 1), _distances(reach.minutes, "min", 2)
     return [
-        *([ViewLayer("isochrones.geojson", "outlines", vectors(looks))] if looks else []),
+        *([ViewLayer(file, "outlines", vectors(file, looks))] if looks else []),
         ViewLayer("reach.tif", "minutes from the start", minutes, "minutes"),
         ViewLayer("reach.tif", "cost from the start", cost, "cost", visible=False),
     ]
@@ -322,6 +364,7 @@ def map_styles(record: Mapping[str, Any], *, in_project: bool = False, gain: flo
     )
     muted = _muted_looks(record)
     looks = [*named, *muted]
+    line = CALM_LINE if record["settings"].get("headings") else ""
     dark = [(OBSTACLE, "obstacle, or step that it cannot cross"), (STEP_LINE, "")]
     return {
         MapFile.CLASS: paletted(enumerate(labels), CLASS_COLOURS),
@@ -329,9 +372,9 @@ def map_styles(record: Mapping[str, Any], *, in_project: bool = False, gain: flo
         MapFile.ROUGHNESS: ride | {"tip": ride_tip(limits), "limits": f"{', '.join(upto)},|{CLASS_NAMES[-1]} beyond"},
         MapFile.COST: _ramp("cost", "", COST_COLOURS.items(), ("1: level road", f"{most:g} and more")),
         MapFile.SPEED: _ramp("speed", "m/s", [(0.0, CLOSED_COLOUR), *made_good], ("0: closed", f"{top:.3g} m/s")),
-        MapFile.REGIONS_IN_CRS: vectors(looks),
-        f"{MapFile.REGIONS_IN_CRS} closed": vectors(muted),
-        MapFile.REGIONS: vectors(looks),
+        MapFile.REGIONS_IN_CRS: vectors(MapFile.REGIONS_IN_CRS, looks),
+        f"{MapFile.REGIONS_IN_CRS} closed": vectors(MapFile.REGIONS_IN_CRS, muted),
+        MapFile.REGIONS: vectors(MapFile.REGIONS, looks),
         MapFile.BARRED: paletted(BARRED_TEXT.items(), BARRED_COLOURS, clear=[Barred.NO] if in_project else ()),
         MapFile.OBSTACLE: paletted(enumerate(OBJECT_NAMES), OBJECT_COLOURS),
         f"{MapFile.OBSTACLE} dark": paletted(dark, dict.fromkeys((OBSTACLE, STEP_LINE), OBJECT_COLOURS[OBSTACLE]))
@@ -339,35 +382,36 @@ def map_styles(record: Mapping[str, Any], *, in_project: bool = False, gain: flo
         MapFile.PASSAGE: paletted(enumerate(PASSAGE_NAMES), PASSAGE_COLOURS),
         MapFile.HEIGHTMAP: relief,
         MapFile.RELIEF: relief,
-        **(photos if in_project else {}),
-        MapFile.HEADINGS: ride,
-        MapFile.TILES: vectors(looks, line=CALM_LINE if record["settings"].get("headings") else ""),
+        **(photos if in_project else {MapFile.HEADINGS: ride, MapFile.TILES: vectors(MapFile.TILES, looks, line=line)}),
     }
 
 
-def write_styles(folder: Path, record: Mapping[str, Any]) -> None:
-    """Write a QGIS style beside each layer in a folder: class.qml for class.tif, and so on.
+def _style_writers(styles: Iterable[tuple[str, Style]]) -> dict[str, Callable[[Path], None]]:
+    """Return how the style files of layers are written, by name: class.qml for class.tif, and so on.
 
-    A file holds a part for rasters and one for areas, of all layers with its stem; QGIS takes the part that fits.
+    A file holds a part for rasters and one for areas, of all layers with its stem; QGIS takes the part that fits. Of
+    several styles of a raster it is the first; those of areas are one.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for file, style in styles:
+        parts = found.setdefault(str(Path(file).with_suffix(".qml")), {"pixels": None, "vectors": None})
+        if "looks" not in style:
+            parts["pixels"] = parts["pixels"] or style
+        else:
+            before = parts["vectors"]["looks"] if parts["vectors"] else []
+            parts["vectors"] = style | {"looks": [*before, *(each for each in style["looks"] if each not in before)]}
+    return {name: partial(write_qgis, template="style.xml", **parts) for name, parts in found.items()}
+
+
+def write_styles(folder: Path, record: Mapping[str, Any]) -> None:
+    """Write a QGIS style beside each layer in a folder.
+
     ``folder``: the folder of the layers. Styles are written for those that are there. ``record``: the record of the
     run, as in run.json. Raises OutputError: a style cannot be written.
     """
-    found: dict[Path, dict[str, Style]] = {}
-    for layer, style in map_styles(record).items():
-        if " " not in layer and (folder / layer).is_file():
-            found.setdefault((folder / layer).with_suffix(".qml"), {}).update(_part(layer, style))
-    for path, parts in found.items():
-        write_qgis(path, "style.xml", **_NO_PARTS | parts)
-
-
-_NO_PARTS: dict[str, Any] = {"pixels": None, "vectors": None, "fields": {}, "tip": ""}
-
-
-def _part(file: str, style: Style) -> dict[str, Any]:
-    """Return what the style file of a layer says of it."""
-    if "looks" not in style:
-        return {"pixels": style}
-    return {"vectors": style, "fields": field_names(file), "tip": TIPS[file]}
+    styles = ((file, style) for file, style in map_styles(record).items() if (folder / file).is_file())
+    for name, write in _style_writers(styles).items():
+        write(folder / name)
 
 
 _PHOTO_PX = 300
@@ -402,118 +446,76 @@ def write_map_views(folder: Path, record: Mapping[str, Any], wait: Callable[...,
     write_project(folder, record)
 
 
-class _Tree:
-    """The layers of a folder in groups, under those that it has: the topmost first."""
+def _map_layers(
+    folder: Path, record: Mapping[str, Any], place: str = ".", *, under: bool = False
+) -> tuple[_Branches, _Branches, _Branches, _Branches]:
+    """Return the layers of a map that its folder has: light over all others, obstacles, reasons, the ground.
 
-    def __init__(self, folder: Path, record: Mapping[str, Any], place: str = ".") -> None:
-        """Take the folder, the record of the run, and where the folder lies as seen from the project."""
-        self._folder, self._place, stated = folder, place, record["crs"]
-        crs = None if stated is None else horizontal_of(stated_crs(stated["wkt"]))  # of all layers in the project
-        self.wkt = None if crs is None else crs.to_wkt()
-        self._styles = map_styles(record, in_project=True, gain=self._gain())
-        self.styled: list[tuple[Style, Style]] = []
-        """The layers, and how each is drawn."""
-
-    def _gain(self) -> float:
-        """Return the factor on the photo, if the folder has one, that levels it."""
-        if not self.has(MapFile.PHOTO):
-            return 1.0
-        with open_layer(self._folder / MapFile.PHOTO) as file:
-            step = max(1, max(file.shape) // _PHOTO_PX)
-            return gain_of(np.moveaxis(read_colours(file, (file.height // step, file.width // step)), 0, -1))
-
-    def layer(self, file: MapFile, title: str, *, visible: bool = False, part: str = "") -> list[Style]:
-        """Return a file as a layer, in a list of one; nothing if the folder has no such file.
-
-        ``part`` is the part of the file that it shows, if not the one that the file itself opens with; see
-        `map_styles`.
-        """
-        if not self.has(file):
-            return []
-        style = self._styles[f"{file} {part}".strip()]
-        return self.add(ViewLayer(file, title, style, part, visible=visible), self.wkt, self._place)
-
-    def add(self, found: ViewLayer, wkt: str | None, place: str = ".") -> list[Style]:
-        """Return a layer in a list of one."""
-        is_raster, style = found.file.endswith(".tif"), found.style
-        count = len(style.get("entries", ())) if style["kind"] == "paletted" else int("ends" in style)
-        layer = {
-            # longer than ten characters: QGIS does not find layers with shorter ids
-            "id": "_".join(filter(None, ("bumpymap", Path(found.file).name.replace(".", "_"), found.part))),
-            "title": found.title,
-            "visible": found.visible,
-            "source": f"{place}/{found.file}{found.within}",
-            "is_raster": is_raster,
-            "provider": "gdal" if is_raster else "ogr",
-            "geometry": "" if is_raster else found.geometry,
-            "wkt": wkt,
-            # Before the codes, or the ramp, of a raster comes the name of its band, which readers do not need.
-            "nodes": style.get("nodes", ",".join(map(str, range(1, 1 + count))) or "empty") if is_raster else "",
-            "fields": {} if is_raster else field_names(found.file),
-            "tip": style["tip"] if is_raster else TIPS[found.file],
-        }
-        self.styled.append((layer, style))
-        return [layer]
-
-    def has(self, file: str) -> bool:
-        """Return whether the folder has a file."""
-        return (self._folder / file).is_file()
-
-    def group(
-        self, title: str, *parts: list[Style], expanded: bool = True, one_of: bool = False, visible: bool = True
-    ) -> list[Style]:
-        """Return layers and groups under a heading, in a list of one; nothing if there are none.
-
-        With ``one_of``, showing one of them hides the others.
-        """
-        layers = [child for part in parts for child in part]
-        about = {"title": title, "layers": layers, "expanded": expanded, "one_of": one_of, "visible": visible}
-        return [about] if layers else []
-
-
-def _groups(tree: _Tree) -> list[Style]:
-    """Return the groups of the project, the topmost first."""
-    why = tree.group(
-        "Why not",
-        tree.layer(MapFile.BARRED, "barred"),
-        tree.layer(MapFile.REASON, "reason for no class"),
-        tree.layer(MapFile.OBSTACLE, "obstacles and canopy"),
-        tree.layer(MapFile.PASSAGE, "where the vehicle fits"),
-        expanded=False,
-    )
-    regions = tree.group("Regions", tree.layer(MapFile.REGIONS_IN_CRS, "regions"), expanded=False)
-    return [*_light_group(tree), *_obstacles(tree), *why, *regions, *_ground(tree)]
-
-
-def _light_group(tree: _Tree) -> list[Style]:
-    """Return what lies as light over all other layers: the photo in grey, or the relief."""
-    photo = tree.layer(MapFile.PHOTO, "photo in grey", visible=True)
-    relief = tree.layer(MapFile.RELIEF, "relief, holes filled", visible=not photo)
-    heights = tree.layer(MapFile.HEIGHTMAP, "measured heights, with holes")
-    return tree.group("Light", photo, relief, heights, one_of=True)
-
-
-def _obstacles(tree: _Tree, *, visible: bool = True) -> list[Style]:
-    return tree.layer(MapFile.OBSTACLE, f"obstacles, from 1:{_SEEN_FROM} on", visible=visible, part="dark")
-
-
-def _ground(tree: _Tree, *, under: bool = False) -> list[Style]:
-    """Return closed ground over the ride and, between them, the colours of the photo; these two not ``under`` rasters.
-
-    In a raster's gaps closed ground is seen.
+    ``place``: where the folder lies as seen from the project; ``under``: under rasters, in whose gaps closed ground is
+    seen.
     """
-    closed = tree.layer(MapFile.REGIONS_IN_CRS, "closed ground", visible=True, part="closed")
-    tint = tree.layer(MapFile.PHOTO, "photo: its colours, on driven ground", visible=not under, part="colours")
-    ride = tree.group(
-        "Ride",
-        tree.layer(MapFile.ROUGHNESS, _RIDE, visible=True),
-        tree.layer(MapFile.CLASS, "class by C_r in rad/m"),
-        tree.layer(MapFile.COST, "cost of driving a metre"),
-        tree.layer(MapFile.SPEED, "speed made good"),
-        one_of=True,
-        visible=not under,
+    styles, wkt = map_styles(record, in_project=True, gain=_gain(folder / MapFile.PHOTO)), _wkt(record)
+
+    def layer(file: MapFile, title: str, part: str = "", *, visible: bool = False) -> _Branches:
+        """Return a file in a list of one, if it is there; ``part``: other than the file itself opens with."""
+        style = styles[f"{file} {part}".strip()]
+        return [ViewLayer(file, title, style, part, visible, "", place, wkt)] if (folder / file).is_file() else []
+
+    photo = layer(MapFile.PHOTO, "photo in grey", visible=True)
+    relief = layer(MapFile.RELIEF, "relief, holes filled", visible=not photo)
+    light = [*photo, *relief, *layer(MapFile.HEIGHTMAP, "measured heights, with holes")]
+    obstacles = layer(MapFile.OBSTACLE, f"obstacles, from 1:{_SEEN_FROM} on", "dark", visible=not under)
+    reasons = [
+        *layer(MapFile.BARRED, "barred"),
+        *layer(MapFile.REASON, "reason for no class"),
+        *layer(MapFile.OBSTACLE, "obstacles and canopy"),
+        *layer(MapFile.PASSAGE, "where the vehicle fits"),
+    ]
+    regions = _group("Regions", layer(MapFile.REGIONS_IN_CRS, "regions"), expanded=False)
+    ride = [
+        *layer(MapFile.ROUGHNESS, _RIDE, visible=True),
+        *layer(MapFile.CLASS, "class by C_r in rad/m"),
+        *layer(MapFile.COST, "cost of driving a metre"),
+        *layer(MapFile.SPEED, "speed made good"),
+    ]
+    ground = [
+        *layer(MapFile.REGIONS_IN_CRS, "closed ground", "closed", visible=True),
+        *layer(MapFile.PHOTO, "photo: its colours, on driven ground", "colours", visible=not under),
+        *_group("Ride", ride, one_of=True, visible=not under),
+    ]
+    return (
+        _group("Light", light, one_of=True),
+        obstacles,
+        [*_group("Why not", reasons, expanded=False), *regions],
+        ground,
     )
-    return [*closed, *tint, *ride]
+
+
+def _gain(path: Path) -> float:
+    """Return the factor on a photo, if there is one, that levels it."""
+    if not path.is_file():
+        return 1.0
+    with open_layer(path) as file:
+        step = max(1, max(file.shape) // _PHOTO_PX)
+        return gain_of(np.moveaxis(read_colours(file, (file.height // step, file.width // step)), 0, -1))
+
+
+def _wkt(record: Mapping[str, Any]) -> str | None:
+    """Return the CRS of all layers of a map in its project, which has no heights."""
+    crs = record["crs"] and horizontal_of(stated_crs(record["crs"]["wkt"]))
+    return crs.to_wkt() if crs else None
+
+
+def _group(title: str, layers: _Branches, **about: bool) -> _Branches:
+    """Return layers under a heading, in a list of one; nothing if there are none."""
+    return [LayerGroup(title, layers, **about)] if layers else []
+
+
+def _leaves(branches: Iterable[ViewLayer | LayerGroup], *, shown: bool = False) -> Iterator[ViewLayer]:
+    """Yield all layers, or those that are ``shown``, the topmost first."""
+    for each in branches:
+        if each.visible or not shown:
+            yield from [each] if isinstance(each, ViewLayer) else _leaves(each.layers, shown=shown)
 
 
 def write_project(folder: Path, record: Mapping[str, Any]) -> None:
@@ -522,23 +524,13 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
     ``folder``: the folder of the layers. The project lists those that are there. ``record``: the record of the run, as
     in run.json. Raises OutputError: the project cannot be written, or a layer cannot be read.
     """
-    tree = _Tree(folder, record)
-    groups = _groups(tree)
-    raster = next((layer["source"] for layer, _ in tree.styled if layer["is_raster"]), None)  # all have the same extent
-    box = None
-    if raster is not None:
-        with open_layer(folder / raster) as file:
-            box = tuple(file.bounds)
+    light, obstacles, reasons, ground = _map_layers(folder, record)
+    layers = [*_leaves([*reasons, *light, *obstacles, *ground])]
+    with open_layer(folder / next(layer.file for layer in layers if layer.is_raster)) as file:
+        box = tuple(file.bounds)  # of all rasters
     classes = [f"Class {number}: {label}." for number, label in enumerate(class_labels(record))]
-    _write(
-        folder / MapFile.PROJECT,
-        tree,
-        groups,
-        box,
-        f"{record['survey']['name']}: ride cost",
-        _notes(record),
-        more=classes,
-    )
+    tree = [*light, *obstacles, *reasons, *ground]
+    _write(folder / MapFile.PROJECT, record, "ride cost", tree, layers, box, more=classes)
 
 
 def view_writers(
@@ -550,82 +542,63 @@ def view_writers(
     and latitude where it has a CRS. ``source``: the map to lie under them, by a path relative to ``out``; ``out``: the
     folder of the run.
     """
-    found: dict[str, dict[str, Any]] = {}
-    for layer in layers:
-        style = found.setdefault(str(Path(layer.file).with_suffix(".qml")), {**_NO_PARTS})
-        if "looks" not in layer.style:
-            style["pixels"] = style["pixels"] or layer.style
-        else:  # QGIS takes one style for all of a file
-            before = style["vectors"]["looks"] if style["vectors"] else []
-            style |= _part(layer.file, layer.style | {"looks": [*before, *layer.style["looks"]]})
-    writers: dict[str, Callable[[Path], None]] = {
-        name: partial(write_qgis, template="style.xml", **style) for name, style in found.items()
-    }
-    return writers | {MapFile.PROJECT: partial(_write_over_map, layers, place, source, out, title)}
+    styles = _style_writers((layer.file, layer.style) for layer in layers)
+    return styles | {MapFile.PROJECT: partial(_write_over_map, layers, place, source, out, title)}
 
 
 def _write_over_map(
     layers: Sequence[ViewLayer], place: "Placement", source: "MapReader", out: Path, title: str, path: Path
 ) -> None:
     record = source.manifest
-    tree = _Tree(source.folder, record, relpath(source.folder.resolve(), out.resolve()))
     degrees = CRS.from_epsg(4326).to_wkt() if GeoJsonCoordinates.of(place, local=True).has_degrees else None
-    rasters = [layer for layer in layers if layer.file.endswith(".tif")]
-    groups = [added for layer in layers if layer not in rasters for added in tree.add(layer, degrees)]
-    groups += _light_group(tree)
-    groups += [added for layer in rasters for added in tree.add(layer, tree.wkt)]
-    own = sum(layer.visible for layer in layers)
-    groups += tree.group("Map", _obstacles(tree, visible=not rasters), _ground(tree, under=bool(rasters)))
+    areas = [replace(layer, wkt=degrees) for layer in layers if not layer.is_raster]
+    rasters = [replace(layer, wkt=_wkt(record)) for layer in layers if layer.is_raster]
+    place_of_map = relpath(source.folder.resolve(), out.resolve())
+    light, obstacles, _, ground = _map_layers(source.folder, record, place_of_map, under=bool(rasters))
+    tree = [*areas, *light, *rasters, *_group("Map", [*obstacles, *ground])]
     window = place.window
     west, east = place.to_crs(np.array([window.col, window.col + window.cols])).tolist()
     south, north = place.to_crs(np.array([window.row, window.row + window.rows])).tolist()
-    _write(
-        path, tree, groups, (west, south, east, north), f"{record['survey']['name']}: {title}", _notes(record), own=own
-    )
+    own = sum(layer.visible for layer in layers)
+    _write(path, record, title, tree, [*_leaves(tree)], (west, south, east, north), own=own)
 
 
 def _write(
     path: Path,
-    tree: _Tree,
-    groups: list[Style],
-    box: tuple[float, ...] | None,
+    record: Mapping[str, Any],
     title: str,
-    notes: Sequence[str],
+    tree: _Branches,
+    layers: Sequence[ViewLayer],
+    box: tuple[float, ...],
     *,
     more: Iterable[str] = (),
     own: int = 0,
 ) -> None:
-    """Write a project that opens with a box, in units of the CRS. What its page says is also in its metadata."""
-    crs = None if tree.wkt is None else CRS.from_wkt(tree.wkt)
-    page = None if box is None else _print(box, 1.0 if crs is None else crs.axis_info[0].unit_conversion_factor)
-    shown = _visible(groups)
+    """Write a project that opens with a box, in units of the CRS. What its page says is also in its metadata.
+
+    ``layers``: those of the tree; ``own``: number of its shown layers that are not of the map.
+    """
+    wkt, notes = _wkt(record), _notes(record)
+    page = _print(box, CRS.from_wkt(wkt).axis_info[0].unit_conversion_factor if wkt else 1.0)
     legend = [
-        (layer, style)
-        for layer, style in tree.styled
-        if layer["id"] in shown and layer["nodes"] != "empty" and page and page["scale"] <= style.get("scale", math.inf)
+        layer
+        for layer in _leaves(tree, shown=True)
+        if layer.nodes != "empty" and page["scale"] <= layer.style.get("scale", math.inf)
     ]
     write_qgis(
         path,
         "project.xml",
-        title=title,
+        title=f"{record['survey']['name']}: {title}",
         abstract="\n".join([*notes, *more]),
         notes="\n".join(notes),
-        wkt=tree.wkt,
-        groups=groups,
-        view=None if box is None else _sides(box, _MARGIN * max(box[2] - box[0], box[3] - box[1])),
+        wkt=wkt,
+        groups=tree,
+        view=_sides(box, _MARGIN * max(box[2] - box[0], box[3] - box[1])),
         print=page,
-        styled=tree.styled,
+        layers=layers,
         # Of a map the ride comes first, and of a run its own layers do.
         shown=[*legend[:own], *reversed(legend[own:])],
     )
-
-
-def _visible(groups: Iterable[Style]) -> set[str]:
-    found: set[str] = set()
-    for each in groups:
-        if each["visible"]:
-            found |= _visible(each["layers"]) if "layers" in each else {each["id"]}
-    return found
 
 
 def _sides(box: tuple[float, ...], margin: float) -> dict[str, float]:

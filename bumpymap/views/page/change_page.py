@@ -3,21 +3,18 @@
 import math
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pyproj.exceptions import ProjError
 
 from bumpymap.core import (
     CHANGE_KINDS,
     CLASS_NAMES,
     BadInputError,
     Each,
-    Nullable,
-    Number,
     parse_json,
     read_record,
     read_regular,
@@ -26,7 +23,6 @@ from bumpymap.core import (
 )
 from bumpymap.layers import (
     CHANGE_COLOURS,
-    COUNT,
     DIFFERENCE_RAMP,
     NORMAL_80,
     PLACE_SHAPE,
@@ -63,80 +59,21 @@ _BANDS = ("changed", "d_height", "d_c_r", "least_volume")
 _AGAIN = "Compare the surveys again"
 
 
-@dataclass(frozen=True, slots=True)
-class ChangeSite:
-    """The changes between two surveys."""
-
-    record: Mapping[str, Any]
-    """The content of change.json."""
-    spot: Spot
-    kinds: NDArray[np.uint8]
-    """Position in ``CHANGE_KINDS``, or ``NOT_COMPARED``: (rows, cols) of the page, north row first."""
-    grids: tuple[ByteGrid, ...]
-    places: tuple[dict[str, Any], ...]
-    """The largest first: ``name``, its id in change.geojson; ``east`` and ``north``, m, the middle of its extent, and
-    its ``size`` from west to east and from south to north, m; ``where``, a point in it, in the coordinates of
-    change.geojson, and ``about``, its properties there."""
-    degrees: bool
-    """True if places are given as longitude and latitude; else in the survey's own coordinates."""
-    still: str
-    """The kinds, a data URI: for readers and printers without scripts."""
-    below: Mapping[str, str]
-    """From `_below`."""
-
-    @classmethod
-    def read(cls, folder: Path, record: Mapping[str, Any]) -> Self:
-        """Read the files of a comparison.
-
-        ``folder``: change.tif and change.geojson; ``record``: the content of change.json, which may not be there yet.
-        Raises BadInputError: a file is missing, damaged, or was written by an earlier version.
-        """
-        try:
-            with open_layer(folder / "change.tif", remedy=_AGAIN) as file:
-                spot = Spot.of(file, record, _SIDE)
-                step = max(spot.step, math.ceil(math.sqrt(record["counts"]["compared"] / _COMPARED)))
-                while True:
-                    spot = replace(spot, step=step)
-                    kinds, d_height, d_c_r, least = _read(file, step)
-                    grids = (
-                        ByteGrid.of(("d_height", "height after minus before", "m", 2), d_height, "root"),
-                        ByteGrid.of(("d_c_r", "ride cost C_r after minus before", "rad/m", 3), d_c_r, "root"),
-                        ByteGrid.of(("least", "smallest heap or pit that would be found", "m³", 2), least, "log"),
-                    )
-                    taken = len(packed(kinds)) + sum(len(grid.text) for grid in grids)
-                    if taken < _BUDGET or max(kinds.shape) < 100:
-                        break
-                    step *= 2
-            places, degrees = _places(folder / "change.geojson", record)
-            below = _below(record, spot)
-        except (KeyError, TypeError, ValueError, AttributeError, IndexError, ProjError) as error:
-            said = error if isinstance(error, ValueError) else repr(error)
-            raise BadInputError(f"{folder} holds no comparison of this version: {said}. {_AGAIN}") from error
-        except OSError as error:
-            raise BadInputError(f"cannot read the files of the comparison in {folder}: {error}. {_AGAIN}") from error
-        return cls(record, spot, kinds, grids, places, degrees, _still(kinds, spot), below)
-
-    def area_of(self, tiles: int) -> float:
-        """Return the area of some tiles, m2."""
-        return tiles * self.spot.tile_size**2
-
-    def map_record(self) -> dict[str, Any]:
-        """Return what the script of the page needs, as plain JSON."""
-        return {
-            "name": "changes",
-            "differences": True,
-            **self.spot.record(),
-            "ground": packed(self.kinds),
-            "grids": [grid.record() for grid in self.grids],
-            "places": [{key: place[key] for key in ("name", "east", "north", "size")} for place in self.places],
-            **self.below,
-        }
-
-    @property
-    def overlays(self) -> list[tuple[str, str, bool]]:
-        """Keys and names of what is drawn under and over the colours, and whether it is at first."""
-        below = [(key, key.capitalize(), True) for key in self.below]
-        return below + ([("places", "Numbers of the places", True)] if self.places else [])
+def _read_grids(path: Path, record: Mapping[str, Any]) -> tuple[Spot, NDArray[np.uint8], tuple[ByteGrid, ...]]:
+    """Return where the page shows change.tif, its kinds on the page's grid, and its values."""
+    with open_layer(path, remedy=_AGAIN) as file:
+        spot = Spot.of(file, record, _SIDE)
+        step = max(spot.step, math.ceil(math.sqrt(record["counts"]["compared"] / _COMPARED)))
+        while True:
+            kinds, d_height, d_c_r, least = _read(file, step)
+            grids = (
+                ByteGrid.of(("d_height", "height after minus before", "m", 2), d_height, "root"),
+                ByteGrid.of(("d_c_r", "ride cost C_r after minus before", "rad/m", 3), d_c_r, "root"),
+                ByteGrid.of(("least", "smallest heap or pit that would be found", "m³", 2), least, "log"),
+            )
+            if len(packed(kinds)) + sum(len(grid.text) for grid in grids) < _BUDGET or max(kinds.shape) < 100:
+                return replace(spot, step=step), kinds, grids
+            step *= 2
 
 
 def _below(record: Mapping[str, Any], spot: Spot) -> dict[str, str]:
@@ -157,44 +94,49 @@ def _below(record: Mapping[str, Any], spot: Spot) -> dict[str, str]:
 
 
 def _read(file: Any, step: int) -> list[NDArray[Any]]:
-    """Return kinds and values on the grid of the page; of several tiles the change, or the farthest value."""
+    """Return kinds, a position in ``CHANGE_KINDS`` or ``NOT_COMPARED``, and values on the grid of the page.
+
+    Of several tiles it is the change, or the farthest value.
+    """
     if missing := [name for name in _BANDS if name not in file.descriptions]:
         raise ValueError(f"change.tif has no band {missing[0]}")
     bands = [file.descriptions.index(name) + 1 for name in _BANDS]
     rank = np.zeros(256, np.uint8)
     rank[list(_RANK)] = np.arange(1, len(_RANK) + 1)
-    cols = -(-file.width // step)
     lines = step * max(1, _STRIP_TILES // (file.width * step))
     parts: list[tuple[NDArray[Any], ...]] = []
     for top in range(0, file.height, lines):
-        count = min(lines, file.height - top)
-        code, *values = file.read(bands, window=((top, top + count), (0, file.width)))
+        code, *values = file.read(bands, window=((top, min(top + lines, file.height)), (0, file.width)))
         known = np.isfinite(code)
-        if known.any() and not set(np.unique(code[known])) <= set(range(len(CHANGE_KINDS))):
+        if not np.isin(code[known], range(len(CHANGE_KINDS))).all():
             raise ValueError("unknown kinds of change in change.tif")
         ranks = rank[np.where(known, code, NOT_COMPARED).astype(np.uint8)]
-        rows = -(-count // step)
-        room = ((0, rows * step - count), (0, cols * step - file.width))
-        worst = np.pad(ranks, room).reshape(rows, step, cols, step).max(axis=(1, 3))
-        farthest = [
-            _farthest(np.pad(np.where(known, one, np.nan), room, constant_values=np.nan), step) for one in values
-        ]
+        worst = _blocks(ranks, step, 0).max(axis=(1, 3))
+        farthest = [_farthest(_blocks(np.where(known, one, np.nan), step, np.nan)) for one in values]
         parts.append((np.array([0, *_RANK], np.uint8)[worst], *farthest))
     kinds, *numbers = (np.concatenate(part) for part in zip(*parts, strict=True))
-    for values in numbers:
-        values[kinds == NOT_COMPARED] = np.nan
-    return [kinds, *numbers]
+    return [kinds, *(np.where(kinds == NOT_COMPARED, np.nan, values) for values in numbers)]
 
 
-def _farthest(values: NDArray[np.float32], step: int) -> NDArray[np.float32]:
-    """Return of each square of ``step`` x ``step`` tiles the value farthest from 0; NaN if it has none."""
-    blocks = values.reshape(values.shape[0] // step, step, values.shape[1] // step, step)
+def _blocks(values: NDArray[Any], step: int, filling: float) -> NDArray[Any]:
+    """Return values of tiles in squares of ``step`` x ``step``, (rows, step, cols, step), filled up at the edge."""
+    rows, cols = (-(-size // step) for size in values.shape)
+    room = [(0, count * step - size) for count, size in zip((rows, cols), values.shape, strict=True)]
+    return np.pad(values, room, constant_values=filling).reshape(rows, step, cols, step)
+
+
+def _farthest(blocks: NDArray[Any]) -> NDArray[np.float32]:
+    """Return of each square the value farthest from 0; NaN if it has none."""
     high, low = np.fmax.reduce(blocks, axis=(1, 3)), np.fmin.reduce(blocks, axis=(1, 3))
     return np.asarray(np.where(np.abs(high) >= np.abs(low), high, low), np.float32)
 
 
-def _places(path: Path, record: Mapping[str, Any]) -> tuple[tuple[dict[str, Any], ...], bool]:
-    """Return the largest places of change.geojson, and whether its coordinates are degrees."""
+def _places(path: Path, record: Mapping[str, Any]) -> tuple[list[dict[str, Any]], bool]:
+    """Return the largest places of change.geojson, the largest first, and whether its coordinates are degrees.
+
+    ``name`` is its id there; ``east`` and ``north``, m, the middle of its extent, and ``size`` that from west to east
+    and from south to north, m; ``where``, a point in it, in the coordinates of the file, and ``about``, its properties.
+    """
     collection = parse_json(read_regular(path).decode())
     features = collection["features"]
     if len(features) != record["counts"]["regions"]:
@@ -208,7 +150,7 @@ def _places(path: Path, record: Mapping[str, Any]) -> tuple[tuple[dict[str, Any]
         east, north = ((low + high) / 2).round(2).tolist()
         about = {"name": str(int(one["id"])), "about": one["properties"], "where": where}
         places.append(about | {"east": east, "north": north, "size": tuple((high - low).round(2).tolist())})
-    return tuple(places), "local_coordinates" not in collection
+    return places, "local_coordinates" not in collection
 
 
 def _still(kinds: NDArray[np.uint8], spot: Spot) -> str:
@@ -221,41 +163,7 @@ def _still(kinds: NDArray[np.uint8], spot: Spot) -> str:
 
 
 _MANIFEST = "change.json"
-_SURVEY = {"folders": [str], "runs": [Each()]}
-_SHAPE = PLACE_SHAPE | {
-    "settings": {"fdr": Number(0, 1), "min_tiles": COUNT},
-    "sources": {"before": _SURVEY, "after": _SURVEY},
-    "vehicle": str,
-    "calibration": str,
-    "fit": {
-        "widened": Each(Number()),
-        "median_density_m2": (Nullable(Number()),) * 2,
-        "versions": (Nullable(str),) * 2,
-        "least_volume_m3": Nullable((Nullable(Number()),) * 2),
-        "offset_taken_off_m": Number(),
-        "offset_m": Nullable(Number()),
-        "registration": Nullable(
-            {
-                "shift_m": Nullable((Number(), Number())),
-                "shift_sd_m": Nullable((Number(), Number())),
-                "shift_taken_off": bool,
-                "tilt_deg": Nullable(Number()),
-                "tilt_sd_deg": Nullable(Number()),
-                "rises_towards_deg": Nullable(Number()),
-                "tilt_taken_off": bool,
-                "stable_tiles": COUNT,
-            }
-        ),
-    },
-    "counts": {
-        **dict.fromkeys(("in_both", "compared", "changed", "regions", "passable_lost", "passable_won"), COUNT),
-        "dropped_as_too_small": COUNT,
-        "by_change": Each(COUNT),
-        "volumes": dict.fromkeys(("heaped_m3", "heaped_sd_m3", "dug_m3", "dug_sd_m3"), Number()),
-    },
-    "classes": {"names": [str], "tiles_before_after": [[COUNT]]},
-    "remarks?": [str],
-}
+_SHAPE = PLACE_SHAPE | {"counts": Each()}
 
 
 def is_comparison(folder: Path) -> bool:
@@ -279,9 +187,12 @@ def write_change_report(folder: Path, record: Mapping[str, Any], path: Path) -> 
     ``folder``: change.tif and change.geojson; ``record``: the content of change.json, which need not be there yet.
     Raises BadInputError: a file cannot be read; OutputError: the page cannot be written.
     """
-    site = ChangeSite.read(folder, record)
+    spot, kinds, grids = _read_grids(folder / "change.tif", record)
+    places, degrees = _places(folder / "change.geojson", record)
+    below = _below(record, spot)
     runs = [record["sources"][side]["runs"][0] for side in _SIDES]
     classes = [*(f"{code} {name}" for code, name in enumerate(CLASS_NAMES)), "not known"]
+    overlays = [(key, key.capitalize(), True) for key in below]
     codes = {
         "unknownFrom": NOT_COMPARED,
         "classes": list(CHANGE_KINDS),
@@ -292,24 +203,39 @@ def write_change_report(folder: Path, record: Mapping[str, Any], path: Path) -> 
         "unknownColour": NOT_COMPARED_COLOUR,
         "strength": DETAIL,
     }
+    drawn = {
+        "name": "changes",
+        "differences": True,
+        **spot.record(),
+        "ground": packed(kinds),
+        "grids": [grid.record() for grid in grids],
+        "places": [{key: place[key] for key in ("name", "east", "north", "size")} for place in places],
+        **below,
+    }
     write_page(
         path,
         "change.html",
         name=_title(runs),
-        site=site,
+        record=record,
+        spot=spot,
+        grids=[grid for grid in grids if grid.is_known],
+        places=places,
+        degrees=degrees,
+        still=_still(kinds, spot),
+        overlays=[*overlays, ("places", "Numbers of the places", True)] if places else overlays,
         class_names=classes,
         class_rows=[
             (name, *map(whole, row)) for name, row in zip(classes, record["classes"]["tiles_before_after"], strict=True)
         ],
-        kind_rows=_kind_rows(site),
-        place_rows=[_place_row(site, place) for place in site.places],
+        kind_rows=_kind_rows(record["counts"], spot.tile_size**2),
+        place_rows=[_place_row(place, places[0], spot.tile_size**2, degrees=degrees) for place in places],
         ramp_colours=DIFFERENCE_RAMP,
         not_compared_colour=NOT_COMPARED_COLOUR,
         survey_rows=_survey_rows(record["fit"], runs),
         registration=_registration(record["fit"]["registration"]),
         least=least_volume_text(record["fit"]["least_volume_m3"]),
         volumes=volumes_text(record["counts"]["volumes"]),
-        data={"maps": [site.map_record()], "codes": codes},
+        data={"maps": [drawn], "codes": codes},
     )
 
 
@@ -345,9 +271,8 @@ _MEANING = {
 _APART = "too few places where both have points: may have changed or not"
 
 
-def _kind_rows(site: ChangeSite) -> list[tuple[Any, ...]]:
+def _kind_rows(counts: Mapping[str, Any], tile_m2: float) -> list[tuple[Any, ...]]:
     """Return the number and area of the tiles of each kind of change."""
-    counts = site.record["counts"]
     compared, apart = int(counts["compared"]), int(counts["in_both"] - counts["compared"])
     found = [int(counts["by_change"][kind]) for kind in CHANGE_KINDS]
     entries = [
@@ -358,8 +283,8 @@ def _kind_rows(site: ChangeSite) -> list[tuple[Any, ...]]:
         ("compared", share(compared, compared), compared),
         ({"text": "in both surveys, not compared", "meaning": _APART}, share(apart, 0), apart),
     ]
-    most = site.area_of(compared + apart)
-    return [(name, part, area(site.area_of(tiles), most), whole(tiles)) for name, part, tiles in entries]
+    most = tile_m2 * (compared + apart)
+    return [(name, part, area(tile_m2 * tiles, most), whole(tiles)) for name, part, tiles in entries]
 
 
 def _survey_rows(fit: Mapping[str, Any], runs: list[Mapping[str, Any]]) -> list[tuple[str, ...]]:
@@ -390,7 +315,9 @@ def _registration(found: Mapping[str, Any] | None) -> tuple[str, str]:
     return shift, tilt
 
 
-def _place_row(site: ChangeSite, place: Mapping[str, Any]) -> tuple[Any, ...]:
+def _place_row(
+    place: Mapping[str, Any], largest: Mapping[str, Any], tile_m2: float, *, degrees: bool
+) -> tuple[Any, ...]:
     """Return the cells of a place: its number with the ride of its tiles, sizes, differences, a point in it."""
     about = place["about"]
     tiles = int(about["tiles"])
@@ -403,7 +330,7 @@ def _place_row(site: ChangeSite, place: Mapping[str, Any]) -> tuple[Any, ...]:
     low, high = (signed(about[name], 2) for name in ("d_height_lowest", "d_height_highest"))
     return (
         {"text": place["name"], "meaning": ride},
-        area(site.area_of(tiles), site.area_of(int(site.places[0]["about"]["tiles"]))),
+        area(tile_m2 * tiles, tile_m2 * int(largest["about"]["tiles"])),
         whole(tiles),
         signed(about["d_height"], 2),
         f"{low} to {high}",
@@ -412,5 +339,5 @@ def _place_row(site: ChangeSite, place: Mapping[str, Any]) -> tuple[Any, ...]:
         number(about["c_r_before"], 3),
         number(about["c_r_after"], 3),
         signed(about["d_c_r"], 3),
-        *(f"{value:.{6 if site.degrees else 1}f}" for value in place["where"]),
+        *(f"{value:.{6 if degrees else 1}f}" for value in place["where"]),
     )

@@ -348,60 +348,13 @@ def profile_places(profile: Mapping[str, NDArray[np.float64]]) -> dict[str, Any]
 
 _COUNTRIES = Path(__file__).parent / "data" / "countries.npz"
 """Outlines of all countries, from Natural Earth (public domain); docs/models/countries.py makes it."""
-_AROUND, _EDGE = 6.0, 1.15
-"""Least side of a locator, degrees of latitude; its side as a multiple of that of the land."""
-_SIDE = 200
-"""Side of its drawing; land that is smaller than a hundredth of it is left out."""
 
 
 @cache
-def _countries() -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.int16]]:
-    """Return corners of lands, (n, 2) longitude and latitude, where each land begins, and the number of its country."""
+def _countries() -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Return corners of lands, (n, 2) longitude and latitude, and where each land begins."""
     with np.load(_COUNTRIES) as file:
-        corners = np.cumsum(file["steps"].T, axis=0, dtype=np.int64) * file["step_deg"]
-        return corners, file["starts"], file["countries"]
-
-
-def locator(lon: float, lat: float) -> dict[str, Any]:
-    """Return where a place lies in the outline of its country: in all of the land around it, and 6 degrees at least.
-
-    ``lon``, ``lat``: degrees, WGS 84. The result is a square of ``side``: the paths ``country`` and ``others`` in it,
-    ``x`` and ``y`` of the place to the right and down.
-    """
-    import shapely
-
-    corners, starts, countries = _countries()
-    here, corners = np.array([lon, lat]), corners.copy()
-    lows, highs = np.minimum.reduceat(corners, starts), np.maximum.reduceat(corners, starts)
-    turns = 360.0 * np.rint((lon - (lows + highs)[:, 0] / 2) / 360)  # to the nearer side of the antimeridian
-    for places, turn in (
-        (lows, turns),
-        (highs, turns),
-        (corners, np.repeat(turns, np.diff(starts, append=len(corners)))),
-    ):
-        places[:, 0] += turn
-    lands = np.split(corners, starts[1:])
-    around = np.flatnonzero(((lows <= here) & (here <= highs)).all(axis=1)).tolist()
-    if holding := [at for at in around if shapely.contains_xy(shapely.polygons(lands[at]), lon, lat)]:
-        own = min(holding, key=lambda at: len(lands[at]))  # the smaller one of a country within another
-    else:  # at sea
-        apart = np.hypot(*((corners - here) * (math.cos(math.radians(lat)), 1.0)).T)
-        own = int(np.searchsorted(starts, np.argmin(apart), side="right")) - 1
-    low, high = np.minimum(lows[own], here), np.maximum(highs[own], here)
-    middle = (low + high) / 2
-    scale = np.array([max(math.cos(math.radians(middle[1])), 0.1), -1.0])
-    scale *= _SIDE / max(_AROUND, *(_EDGE * np.abs(scale) * (high - low)))
-    sizes = (highs - lows) * np.abs(scale)
-    apart = np.abs(((lows + highs) / 2 - middle) * scale) < (_SIDE + sizes) / 2
-    paths = {True: "", False: ""}
-    for at in np.flatnonzero(apart.all(axis=1) & (sizes.max(axis=1) > _SIDE / 100)).tolist():
-        # far beyond the square the course of a line does not matter
-        drawn = np.clip(np.rint((lands[at] - middle) * scale + _SIDE / 2), -_SIDE, 2 * _SIDE).astype(int)
-        drawn = drawn[np.append(True, (np.diff(drawn, axis=0) != 0).any(axis=1))]
-        words = "L".join(f"{right} {down}" for right, down in drawn.tolist())
-        paths[bool(countries[at] == countries[own])] += f"M{words}Z"
-    x, y = ((here - middle) * scale + _SIDE / 2).tolist()
-    return {"side": _SIDE, "country": paths[True], "others": paths[False], "x": x, "y": y}
+        return np.cumsum(file["steps"].T, axis=0, dtype=np.int64) * file["step_deg"], file["starts"]
 
 
 def land_path(bounds: tuple[float, float, float, float], scale: tuple[float, float]) -> str:
@@ -409,15 +362,15 @@ def land_path(bounds: tuple[float, float, float, float], scale: tuple[float, flo
 
     ``bounds``: west, south, east and north, degrees; ``scale``: pixels for a degree of longitude and of latitude.
     """
-    corners, starts, _ = _countries()
-    corner, sizes = np.array([bounds[0], bounds[3]]), np.array([scale[0], -scale[1]])
-    wide, high = (bounds[2] - bounds[0]) * scale[0], (bounds[3] - bounds[1]) * scale[1]
+    west, south, east, north = bounds
+    corners, starts = _countries()
+    corners = (corners - (west, north)) * (scale[0], -scale[1])
+    size = np.array([(east - west) * scale[0], (north - south) * scale[1]])
     lows, highs = np.minimum.reduceat(corners, starts), np.maximum.reduceat(corners, starts)
-    meets = (highs >= (bounds[0], bounds[1])).all(axis=1) & (lows <= (bounds[2], bounds[3])).all(axis=1)
     lands, words = np.split(corners, starts[1:]), ""
-    for at in np.flatnonzero(meets).tolist():
+    for at in np.flatnonzero(((highs >= 0) & (lows <= size)).all(axis=1)).tolist():
         # far beyond the map the course of a line does not matter
-        drawn = np.rint(np.clip((lands[at] - corner) * sizes, (-wide, -high), (2 * wide, 2 * high))).astype(int)
+        drawn = np.rint(np.clip(lands[at], -size, 2 * size)).astype(int)
         drawn = drawn[np.append(True, (np.diff(drawn, axis=0) != 0).any(axis=1))]
         words += "M" + "L".join(f"{right} {down}" for right, down in drawn.tolist()) + "Z"
     return words

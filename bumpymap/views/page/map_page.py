@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pyproj.exceptions import ProjError
 
 from bumpymap.core import (
     BARRED_TEXT,
@@ -45,7 +46,8 @@ from bumpymap.layers import (
     read_manifest,
     require_written,
 )
-from bumpymap.views.page.charts import along_chart, drive_chart, locator, profile_chart
+from bumpymap.views.fields import field_names
+from bumpymap.views.page.charts import along_chart, drive_chart, profile_chart
 from bumpymap.views.page.page import write_page
 from bumpymap.views.page.site import RAMP, WAY_FIGURES, DrawnWay, Site, page_header, read_ways
 from bumpymap.views.page.tiles import UNKNOWN_FROM
@@ -116,7 +118,7 @@ def write_report(
                 ways = () if route is None else read_ways(Path(route), record)
                 record = {**record, "page": {**(record.get("page") or {}), **header}}
                 write_map_page(Site.read(readable, record, ways), path)
-    except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError, ProjError) as error:
         raise BadInputError(f"{folder / name} is not that of {of_what} of this version: {error!r}. {again}") from error
     return path
 
@@ -152,7 +154,6 @@ def write_map_page(site: Site, path: Path) -> None:
         class_rows=_class_rows(site),
         crossed=_crossed(site),
         file_rows=_file_rows(site.record),
-        locator=locator,
         real=real,
         reason_rows=_reason_rows(site),
         seen=seen_sizes(site.record).sentence,
@@ -374,13 +375,12 @@ def _counted(site: Site, counts: Sequence[int], alone: Collection[int] = ()) -> 
 def _way_rows(ways: Sequence[DrawnWay]) -> list[Row]:
     """Return the figures of ways, a row each, its unit in its name."""
     rows: list[Row] = []
-    for key, label, decimals, unit in WAY_FIGURES:
+    for key, decimals in WAY_FIGURES:
         values = [way.figures.get(key) for way in ways]
         if any(value is not None for value in values):
-            shown = [number(value, decimals) for value in values]
+            shown, name = [number(value, decimals) for value in values], field_names("route.geojson")[key]
             if key == "p_arrives":
                 shown = [chance_text(value, 0, PERCENT) if isinstance(value, int | float) else DASH for value in values]
-            name = f"{label}, {unit.strip()}" if unit else label
             rows.append(({"text": name, "meaning": IRI_NOTE} if key == "iri" else name, *shown))
             if key == "p_arrives":
                 rows.append(("the chance holds", *(SeenSizes.of(way.figures).condition for way in ways)))

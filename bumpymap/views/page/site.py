@@ -267,24 +267,13 @@ class DrawnWay:
 
 
 WAY_FIGURES = (
-    ("length_m", "length", 0, " m"),
-    ("cost_m", "cost", 0, " m"),
-    ("detour", "length over the straight line", 2, ""),
-    ("seconds", "time at the speed made good", 0, " s"),
-    ("c_r_mean", "mean C_r", 3, " rad/m"),
-    ("c_r_line", "C_r of the line", 3, " rad/m"),
-    ("c_r_max", "largest C_r", 3, " rad/m"),
-    ("iri", "IRI", 1, " m/km"),
-    ("p_arrives", "chance to arrive", 2, ""),
-    ("unknown_m", "on ground that is not known", 0, " m"),
-    ("obstacle_m", "touching obstacles", 1, " m"),
-    ("tight_turns_deg", "turns close to what stops the vehicle", 0, "°"),
-    ("climb_m", "climb", 1, " m"),
-    ("descent_m", "descent", 1, " m"),
+    *(("length_m", 0), ("cost_m", 0), ("detour", 2), ("seconds", 0), ("c_r_mean", 3), ("c_r_line", 3)),
+    *(("c_r_max", 3), ("iri", 1), ("p_arrives", 2), ("unknown_m", 0), ("obstacle_m", 1), ("tight_turns_deg", 0)),
+    *(("climb_m", 1), ("descent_m", 1)),
 )
-"""Figures of a way on a page: property of its line, label, decimals, unit."""
+"""Figures of a way on a page, properties of its line, with their decimals."""
 _WAY_SHAPE = {"name?": Nullable(str), "why?": Nullable(str), "seen?": Nullable(str)} | {
-    f"{key}?": Nullable(Number()) for key in (*(key for key, *_ in WAY_FIGURES), *SEEN_NUMBERS)
+    f"{key}?": Nullable(Number()) for key in (*(key for key, _ in WAY_FIGURES), *SEEN_NUMBERS)
 }
 
 

@@ -1,4 +1,4 @@
-"""Names with units of the fields of vector layers in QGIS, and the sentences of its map tips."""
+"""Names with units of the fields of vector files, for QGIS and pages, and the sentences of its map tips."""
 
 from collections.abc import Iterable, Mapping
 from functools import cache
