@@ -1,7 +1,5 @@
 """How a command ends: one message and an exit code for every failure that is not a bug."""
 
-import select
-import sys
 import time
 import traceback
 from collections.abc import Callable, Sequence
@@ -71,9 +69,7 @@ def _call(run: Callable[[], object]) -> int:
             flush()
         raise
     except SystemExit as end:
-        code = end.code
-        if code == _FAULT and _reader_left():  # click's exit code for it
-            code = BROKEN_PIPE
+        code = BROKEN_PIPE if end.code == _FAULT else end.code  # click's exit code for a pipe that nobody reads
     try:
         flush()
     except LostOutputError as error:
@@ -92,11 +88,6 @@ def _message(error: Exception) -> tuple[int, list[str]]:
     if isinstance(error, click.ClickException):
         # click puts the choices of an option that is missing into lines of their own.
         text = error.format_message().replace("\n\t", " ")
-        ctx = error.ctx if isinstance(error, click.UsageError) else None
-        options = [name for each in ctx.command.params for name in each.opts] if ctx else []
-        if getattr(error, "option_name", "") == "--force" and "--overwrite" in options:
-            # click names an option that is spelled alike, --force-crs.
-            text = "No such option '--force'. Did you mean '--overwrite'?"
         return error.exit_code, [
             text.replace("is not a valid float", "is not a number").replace(
                 "is not a valid integer", "is not a whole number"
@@ -127,13 +118,3 @@ def _print_failure(error: Exception, lines: Sequence[str]) -> None:
     print_error(first if isinstance(error, RunInterrupted | click.Abort) else f"Error: {first}")
     for line in rest:
         print_error(line)
-
-
-def _reader_left() -> bool:
-    """Return whether standard output is a pipe that nobody reads."""
-    try:
-        poll = select.poll()
-        poll.register(sys.__stdout__.fileno(), 0)  # type: ignore[union-attr]
-        return bool(poll.poll(0))
-    except (AttributeError, OSError, ValueError):  # not supported on this system
-        return False

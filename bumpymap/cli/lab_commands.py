@@ -17,7 +17,6 @@ from bumpymap.cli._options import (
     FILE,
     JOBS,
     PATH,
-    CommandGroup,
     GroupedOption,
     Run,
     grouped_option,
@@ -171,7 +170,7 @@ def _calibration_lines(calibration: "Calibration", out: Path) -> Iterator[str]:
     yield f"wrote {out}"
 
 
-@click.group("train", cls=CommandGroup)
+@click.group("train")
 def train_command() -> None:
     """Train the texture network of maps, or the network of scans.
 
@@ -187,7 +186,7 @@ _NETWORK = (
 )
 
 
-@job("textures", TrainSettings, settings_options(NetworkSettings, table="network"), _NETWORK)
+@job("textures", TrainSettings, settings_options(NetworkSettings), _NETWORK)
 def textures_command(run: Run, out: Path, overwrite: bool) -> None:
     """Train the texture network on synthetic terrain.
 
@@ -297,7 +296,7 @@ class _Epochs:
         self._progress.note(text, "epoch", **asdict(report))
 
 
-@click.group("evaluate", cls=CommandGroup)
+@click.group("evaluate")
 def evaluate_command() -> None:
     """Compare the classes of scans with labels.
 

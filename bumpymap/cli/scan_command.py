@@ -124,8 +124,8 @@ class _EveryNth(click.types.IntParamType):
 @job(
     "scan",
     ScanConfig,
-    settings_options(PolarSettings, table="polar"),
-    settings_options(Robot, table="robot"),
+    settings_options(PolarSettings),
+    settings_options(Robot),
     clashes=[VEHICLE_OR_CALIBRATION],
 )
 @click.argument("frames", nargs=-1, type=PATH, metavar="FRAME...")
