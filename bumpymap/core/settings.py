@@ -345,7 +345,7 @@ def assigned_settings(
         place = record.setdefault(table[0], {}) if table else record
         if not isinstance(place, dict):
             raise UsageError(f"{origin} gives {table[0]} both as a value and as a table")
-        place[name] = _assigned(value.strip())
+        place[name] = value_of_text(value.strip())
         if isinstance(place[name], list) and _is_text(owners, *table, name):
             place[name] = value.strip()  # its commas part nothing
     known = _fields_of(owners)
@@ -372,7 +372,7 @@ def _is_text(owners: tuple[type, ...], *names: str) -> bool:
     return each is not None and each.kind is str
 
 
-def _assigned(text: str) -> Any:
+def value_of_text(text: str) -> Any:
     """Return a value of TOML, of which quotes and brackets may be left out; a percentage as a share."""
     if text.endswith("%") and (share := parse_share(text)) is not None:
         return share
