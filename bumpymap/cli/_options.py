@@ -75,7 +75,7 @@ class GroupedCommand(click.Command):
     def moved(self) -> dict[str, tuple[str, str]]:
         """Key in a settings file and value of each setting that has no option, by the option that it would be."""
         given = {option for each in self.params for option in each.opts}
-        return {option: found for option, *found in _with_keys(self.owners) if option not in given}
+        return {option: (key, value) for option, key, value in _with_keys(self.owners) if option not in given}
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the arguments; raise UsageError if a setting is given as an option, where it has none."""

@@ -105,10 +105,6 @@ def write_refit(
     from bumpymap.rating import update_from_drives
 
     moved, update = update_from_drives(calibration, stretches, speed_mps)
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"cannot write {out}: {error}; choose a file in a folder that you may write") from error
     with locked(out.parent, f".{out.name}.lock"):
         _refuse_replacing(out, overwrite)
         with atomic(out) as beside:

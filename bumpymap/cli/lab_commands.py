@@ -2,7 +2,6 @@
 
 import os
 import shlex
-import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, fields, replace
 from importlib.util import find_spec
@@ -108,7 +107,6 @@ def _calibrate(
     note = "The driven patches are kept: give the same command again to continue."
     with locked(out.parent, f".{out.name}.lock"), interrupt_note(note):
         _require_free(out, overwrite)
-        _require_writable(out)
         drives = sum(job.starts for job in calibration_jobs(settings))
         seconds = seconds_of_drives(settings) / workers
         announce(
@@ -129,16 +127,6 @@ def _calibrate(
             beside.write_text(calibration.to_json(), encoding="utf-8")
         journal.remove()
     return calibration
-
-
-def _require_writable(out: Path) -> None:
-    """Raise OutputError if the file cannot be written, before the hours of work."""
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=out.parent, prefix=f".{out.name}."):
-            pass
-    except OSError as error:
-        raise OutputError(f"cannot write {out}: {error}; choose an --out in a folder that you may write") from error
 
 
 def _command_line(settings: CalibrationSettings, vehicle: str, out: Path, quick: bool) -> str:

@@ -116,12 +116,12 @@ def _read_table(text: str, origin: str, folder: Path, check: Callable[[Mapping[s
         faults.append(f"the column {', '.join(repeated)} is there twice")
     found = []
     for number, row in rows:
-        more = [cell for cell in row.pop(None, []) if cell.strip()]  # type: ignore[call-overload]
+        more = [cell for cell in row.pop(None, []) if cell.strip()]
         given = {name: cell.strip() for name, cell in row.items() if name in known and cell.strip()}
         if given or more:
-            found.append(_row(given, folder, wrong := [], check))
-            many = [f"it has {len(columns) + len(more)} cells, the header has {len(columns)}"] if more else []
-            faults += [f"line {number}: {why}" for why in many + wrong]
+            wrong = [f"it has {len(columns) + len(more)} cells, the header has {len(columns)}"] if more else []
+            found.append(_row(given, folder, wrong, check))
+            faults += [f"line {number}: {why}" for why in wrong]
     names = [name.casefold() for _, name, _ in found if name]
     faults += [f"the name {name} is given twice" for name in sorted(set(names)) if names.count(name) > 1]
     refuse_faults(faults, origin, UsageError)
