@@ -7,7 +7,7 @@ from contextlib import suppress
 
 import click
 
-from bumpymap.cli._text import BROKEN_PIPE, LostOutputError, emit, flush, print_error, restored_logging
+from bumpymap.cli._text import BROKEN_PIPE, emit, flush, print_error, restored_logging
 from bumpymap.core import BumpymapError, error_chain, join_lines, missing_resource, refused_write
 
 _BAD = 3
@@ -63,19 +63,16 @@ def exit_code_of(run: Callable[[], object], words: Sequence[str]) -> int:
 def _call(run: Callable[[], object]) -> int:
     try:
         code = run()
+        flush()
+    except BrokenPipeError:
+        return BROKEN_PIPE
     except OSError:
         # click has written to a full output: drop what its buffer holds, which the interpreter would report at exit.
-        with suppress(LostOutputError):
+        with suppress(OSError):
             flush()
         raise
     except SystemExit as end:
-        code = BROKEN_PIPE if end.code == _FAULT else end.code  # click's exit code for a pipe that nobody reads
-    try:
-        flush()
-    except LostOutputError as error:
-        if error.exit_code != BROKEN_PIPE:
-            raise
-        return BROKEN_PIPE
+        return BROKEN_PIPE if end.code == _FAULT else int(end.code or 0)  # click's exit code for it
     return code if isinstance(code, int) else 0
 
 
@@ -105,8 +102,6 @@ def _message(error: Exception) -> tuple[int, list[str]]:
 
 
 def _print_failure(error: Exception, lines: Sequence[str]) -> None:
-    if isinstance(error, LostOutputError) and error.exit_code == BROKEN_PIPE:
-        return
     if type(error).__name__ == "NoArgsIsHelpError" and isinstance(error, click.UsageError):
         error.show()  # prints the help
         return

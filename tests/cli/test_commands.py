@@ -125,7 +125,7 @@ REFUSED = [
         "value 2 of polar.sectors is 'a'; it must be a whole number",
     ),
     (2, "scan frame.ply --out OUT --crs EPSG:32614", "add --poses"),
-    (2, "scan --pictures frame.ply --out OUT", "Name the frames first, or write --pictures 1"),
+    (2, "scan --pictures frame.ply --out OUT", "'frame.ply' is not a whole number"),
     (2, "scan a.bin --out OUT --poses one.txt --calibration c.json --vehicle car", "--calibration"),
     (3, "scan doubtful.bin --out OUT", "Say which they are with --set columns"),
     (3, "scan frame.ply --out OUT --set model=not.onnx", "is not an ONNX model"),
