@@ -90,7 +90,9 @@ def _is_reserved(name: str) -> bool:
     return name.casefold() in {*BATCH_NAMES, "run.json"}
 
 
-def _read_table(text: str, origin: str, folder: Path, check: Callable[[Mapping[str, Any]], list[str]]) -> list[Row]:
+def read_table(
+    text: str, origin: str, folder: Path, check: Callable[[Mapping[str, Any]], list[str]] = lambda _: []
+) -> list[Row]:
     """Parse the CSV of a batch: its column ``survey``, if wanted ``name``, and settings of a map, spelled as options.
 
     A cell is what follows ``--set KEY=``, a list may have spaces instead of commas; an empty one means that the setting
@@ -233,7 +235,7 @@ def _listed(source: Path, check: Callable[[Mapping[str, Any]], list[str]]) -> li
         )
     folder = _absolute(source.parent)
     if suffix == ".csv":
-        found = _read_table(read_text(source), str(source), folder, check)
+        found = read_table(read_text(source), str(source), folder, check)
     else:
         lines = [line.strip() for line in read_text(source).splitlines()]
         wanted = [(number, line) for number, line in enumerate(lines, 1) if line and not line.startswith("#")]
