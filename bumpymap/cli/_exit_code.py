@@ -7,11 +7,13 @@ from contextlib import suppress
 
 import click
 
-from bumpymap.cli._text import BROKEN_PIPE, emit, flush, print_error, restored_logging
+from bumpymap.cli._text import emit, flush, print_error, restored_logging
 from bumpymap.core import BumpymapError, error_chain, join_lines, missing_resource, refused_write
 
 _BAD = 3
 """Exit code for a bad input file."""
+_BROKEN_PIPE = 141
+"""Exit code if the reader of a pipe has closed it (SIGPIPE), as after ``| head -1``."""
 _FAULT = 1
 """A bug of bumpymap: printed with a traceback, so that it can be reported."""
 _WANT = (
@@ -65,14 +67,14 @@ def _call(run: Callable[[], object]) -> int:
         code = run()
         flush()
     except BrokenPipeError:
-        return BROKEN_PIPE
+        return _BROKEN_PIPE
     except OSError:
         # click has written to a full output: drop what its buffer holds, which the interpreter would report at exit.
         with suppress(OSError):
             flush()
         raise
     except SystemExit as end:
-        return BROKEN_PIPE if end.code == _FAULT else int(end.code or 0)  # click's exit code for it
+        return _BROKEN_PIPE if end.code == _FAULT else int(end.code or 0)  # click's exit code for it
     return code if isinstance(code, int) else 0
 
 

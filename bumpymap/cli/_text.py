@@ -62,8 +62,6 @@ def _option(found: re.Match[str]) -> str:
 
 _AS_TERMINAL = ("FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE")
 """Environment variables by which rich treats a file as a terminal."""
-BROKEN_PIPE = 141
-"""Exit code if the reader of a pipe has closed it (SIGPIPE), as after ``| head -1``."""
 
 
 def _as_shown(text: str) -> str:
