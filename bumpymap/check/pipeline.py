@@ -469,21 +469,12 @@ def write_check(
         checked = {"layers": [layers], **{name: ground.manifest[name] for name in ("vehicle", "calibration")}}
         checked |= {} if placement is None else place_entries(placement)
 
-    def describe(_: Path, files: list[dict[str, Any]]) -> dict[str, Any]:
-        return {
-            "format": CHECK_FORMAT,
-            "version": 1,
-            **(manifest or {}),
-            "versions": software_versions(),
-            **checked,
-            "files": files,
-            **check_entries(result),
-        }
-
+    head = {"format": CHECK_FORMAT, "version": 1, **(manifest or {}), "versions": software_versions(), **checked}
+    found = check_entries(result)
     writers: dict[str, Callable[[Path], None]] = {
         "check.html": partial(write_check_page, result, ground if placement is not None else None)
     }
     if ground is not None and placement is not None:
         writers["check.geojson"] = partial(write_stretches, result, placement)
         writers |= view_writers(check_layers(), placement, ground, out, "the map against real drives")
-    return CHECK_FILES.write(out, writers, describe, overwrite=overwrite)
+    return CHECK_FILES.write(out, writers, lambda _, files: {**head, "files": files, **found}, overwrite=overwrite)
