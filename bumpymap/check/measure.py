@@ -78,25 +78,6 @@ class DriveMeasure:
         return 0.0 if np.isnan(self.floor_radps) else self.floor_radps
 
 
-@dataclass(frozen=True, slots=True)
-class WayStretch:
-    """Stretches of one drive, (n,) each but the first."""
-
-    label: NDArray[np.int64]
-    """(samples,) number of the stretch of each sample, -1 where it belongs to none."""
-    start_s: Floats
-    end_s: Floats
-    way_m: Floats
-    speed_mps: Floats
-    """Mean."""
-    measured: Floats
-    """C_r, rad/m; its standard error follows."""
-    measured_sd: Floats
-    easting: Floats
-    """Of the middle, m."""
-    northing: Floats
-
-
 Mask = NDArray[np.bool_]
 
 _WINDOW_S = 1.0

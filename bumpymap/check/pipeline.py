@@ -5,8 +5,8 @@ Read a drive, put its positions on the map, measure, cut into stretches, read th
 
 import logging
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias, TypedDict, TypeVar, Unpack
@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import rankdata
 
-from bumpymap.check.measure import COUNTS, LEFT_OUT, DriveMeasure, WayStretch, measure_drive
-from bumpymap.check.places import MetrePlaces, places_alone, places_on_map, read_slopes, window_around
+from bumpymap.check.measure import COUNTS, LEFT_OUT, DriveMeasure, measure_drive
+from bumpymap.check.places import MetrePlaces, are_inside, places_alone, places_on_map, read_slopes, window_around
 from bumpymap.check.settings import LEAST_WINDOW_M, CheckConfig
-from bumpymap.check.stretches import MapReading, cut_stretches, read_along, read_line, with_ground
+from bumpymap.check.stretches import cut_stretches, read_along, read_line, with_ground
 from bumpymap.core import (
     NO_CLASS,
     BadInputError,
@@ -104,15 +104,15 @@ _BLURRED_M = 1.5
 _SHORT = LEFT_OUT.index("too short between the parts left out")
 
 
-def left_out(drive: DriveMeasure, cut: WayStretch) -> dict[str, float]:
+def left_out(drive: DriveMeasure, label: NDArray[np.int64]) -> dict[str, float]:
     """Return the length that does not count by reason, m; without reasons that take nothing."""
     way = np.abs(drive.speed) / drive.hertz
-    reason = np.where((drive.reason == COUNTS) & (cut.label < 0), _SHORT, drive.reason)
+    reason = np.where((drive.reason == COUNTS) & (label < 0), _SHORT, drive.reason)
     length = np.bincount(reason, way, minlength=len(LEFT_OUT))
     return {name: float(metres) for name, metres in zip(LEFT_OUT, length, strict=True) if name and metres > 0.05}
 
 
-def drive_warnings(drive: DriveMeasure, cut: WayStretch, *, has_positions: bool) -> list[str]:
+def drive_warnings(drive: DriveMeasure, cut: DrivenStretches, *, has_positions: bool) -> list[str]:
     """Return what makes the readings of a drive less sure."""
     found = []
     floor = drive.floor / np.maximum(cut.speed_mps, 1e-9)
@@ -255,9 +255,11 @@ class _Done:
 
     log: DriveLog
     drive: DriveMeasure
-    cut: WayStretch
-    reading: MapReading | None = None
-    of_line: MapReading | None = None
+    label: NDArray[np.int64]
+    """(samples,) number of the stretch of each, -1 where it belongs to none."""
+    stretches: DrivenStretches
+    of_line: DrivenStretches | None = None
+    """The same, with what the map says of the driven line."""
 
 
 def run_check(config: CheckConfig, progress: Progress | None = None) -> tuple[CheckResult, tuple[Path, ...]]:
@@ -351,26 +353,24 @@ def _measured(
     drive = measure_drive(log, places, config.band_hz, slope_at)
     if field is not None:
         drive = with_ground(drive, field)
-    cut = cut_stretches(drive, config.window_m)
+    label, cut = cut_stretches(drive, config.window_m)
     if not len(cut.start_s):
-        lost = ", ".join(f"{name} {metres:.0f} m" for name, metres in left_out(drive, cut).items())
+        lost = ", ".join(f"{name} {metres:.0f} m" for name, metres in left_out(drive, label).items())
         length = float((np.abs(drive.speed) / drive.hertz).sum())
         raise BadInputError(
             f"{drive.name}: no stretch of {LEAST_WINDOW_M:g} m or more is left of {length:.0f} m of way: {lost}. "
             "Drive straight on for at least 10 m at a time, over ground that the map knows"
         )
     if site is None or field is None:
-        return _Done(log, drive, cut)
-    of_line = None if vehicle is None else read_line(drive, cut, site, vehicle)
-    return _Done(log, drive, cut, read_along(drive, cut, field), of_line)
+        return _Done(log, drive, label, cut)
+    of_line = None if vehicle is None else read_line(drive, label, cut, site, vehicle)
+    return _Done(log, drive, label, read_along(drive, label, cut, field), of_line)
 
 
 def _on_map(places: MetrePlaces, site: MapReader) -> tuple[Floats, Floats]:
     """Return the positions in the extent of the map: others may lie anywhere."""
-    size, window = site.grid.tile_size, site.window
-    col, row = places.place.real / size - window.col, places.place.imag / size - window.row
-    inside = (col >= 0) & (col < window.cols) & (row >= 0) & (row < window.rows)
-    return places.place.real[inside], places.place.imag[inside]
+    inside = places.place[are_inside(places, site)]
+    return inside.real, inside.imag
 
 
 def _compared(done: list[_Done], site: MapReader | None) -> CheckResult:
@@ -379,8 +379,7 @@ def _compared(done: list[_Done], site: MapReader | None) -> CheckResult:
         first, second, third = class_limits(site.manifest)
         about = site.vehicle.name, site.calibration_id, site.vehicle.speed_mps
         ground = CheckedMap(site.manifest["survey"]["name"], site.folder, *about, (first, second, third))
-    limits = [np.inf] * 3 if ground is None else [*ground.class_limits]
-    stretches = _stretches(done, limits, [one.reading for one in done])
+    stretches = _joined([one.stretches for one in done], ground)
     drives = tuple(_checked(one) for one in done)
     if ground is None:
         return CheckResult(None, drives, stretches, None, {}, ())
@@ -393,8 +392,8 @@ def _compared(done: list[_Done], site: MapReader | None) -> CheckResult:
     classes = map(int, np.unique(stretches.class_id[on]))
     by_class = {number: agreement_of(stretches, stretches.class_id == number) for number in classes}
     speeds = [(drive.name, drive.speed_mps) for drive in drives]
-    of_line = [one.of_line for one in done]
-    by_line = None if None in of_line else _stretches(done, limits, of_line)
+    of_line = [one.of_line for one in done if one.of_line is not None]
+    by_line = _joined(of_line, ground) if len(of_line) == len(done) else None
     of_lines = None if by_line is None else agreement_of(by_line)
     return CheckResult(
         ground=ground,
@@ -408,40 +407,25 @@ def _compared(done: list[_Done], site: MapReader | None) -> CheckResult:
     )
 
 
-def _stretches(done: list[_Done], edges: list[float], of_map: Sequence[MapReading | None]) -> DrivenStretches:
-    """Return the stretches of all drives, in order, with what the map says of each."""
-    readings = [reading for reading in of_map if reading is not None]
-    placed = bool(readings)
-    cut = {
-        name: np.concatenate([getattr(one.cut, name) for one in done])
-        for name in ("start_s", "end_s", "way_m", "speed_mps", "measured", "measured_sd", "easting", "northing")
-    }
-    nothing = np.full_like(cut["measured"], np.nan)
-    if not placed:
-        cut |= {"easting": nothing, "northing": nothing}
-    read = {
-        name: np.concatenate([getattr(reading, name) for reading in readings]) if placed else nothing
-        for name in ("c_r", "c_r_low", "c_r_high", "place_sd")
-    }
-    return DrivenStretches(
-        drive=np.repeat(np.arange(len(done)), [len(one.cut.start_s) for one in done]),
-        **cut,
-        **read,
-        class_id=_classes(read["c_r"], edges),
-        measured_class=_classes(cut["measured"] if placed else nothing, edges),
-    )
-
-
-def _classes(values: Floats, edges: list[float]) -> NDArray[np.uint8]:
-    return np.where(np.isfinite(values), np.digitize(values, edges), NO_CLASS).astype(np.uint8)
+def _joined(parts: list[DrivenStretches], ground: CheckedMap | None) -> DrivenStretches:
+    """Return the stretches of all drives, in order, with their classes; without a map they lie nowhere."""
+    columns = {each.name: np.concatenate([getattr(one, each.name) for one in parts]) for each in fields(parts[0])}
+    columns["drive"] = np.repeat(np.arange(len(parts)), [len(one.way_m) for one in parts])
+    if ground is None:
+        columns["easting"] = columns["northing"] = np.full_like(columns["easting"], np.nan)
+    else:
+        for name, values in (("class_id", columns["c_r"]), ("measured_class", columns["measured"])):
+            found = np.where(np.isfinite(values), np.digitize(values, ground.class_limits), NO_CLASS)
+            columns[name] = found.astype(np.uint8)
+    return DrivenStretches(**columns)
 
 
 def _checked(one: _Done) -> CheckedDrive:
-    drive, cut, log = one.drive, one.cut, one.log
+    drive, cut, log = one.drive, one.stretches, one.log
     same = ("band_hz", "clock_offset_s", "clock_offset_sd_s", "clock_drift_ppm", "mount_deg", "floor_radps")
-    lost = left_out(drive, cut)
+    lost = left_out(drive, one.label)
     used = float(cut.way_m.sum())
-    counts = (drive.reason == COUNTS) & (cut.label >= 0)
+    counts = (drive.reason == COUNTS) & (one.label >= 0)
     has_positions = log.places is not None
     return CheckedDrive(
         name=drive.name,
@@ -485,21 +469,12 @@ def write_check(
         checked = {"layers": [layers], **{name: ground.manifest[name] for name in ("vehicle", "calibration")}}
         checked |= {} if placement is None else place_entries(placement)
 
-    def describe(_: Path, files: list[dict[str, Any]]) -> dict[str, Any]:
-        return {
-            "format": CHECK_FORMAT,
-            "version": 1,
-            **(manifest or {}),
-            "versions": software_versions(),
-            **checked,
-            "files": files,
-            **check_entries(result),
-        }
-
+    head = {"format": CHECK_FORMAT, "version": 1, **(manifest or {}), "versions": software_versions(), **checked}
+    found = check_entries(result)
     writers: dict[str, Callable[[Path], None]] = {
         "check.html": partial(write_check_page, result, ground if placement is not None else None)
     }
     if ground is not None and placement is not None:
         writers["check.geojson"] = partial(write_stretches, result, placement)
         writers |= view_writers(check_layers(), placement, ground, out, "the map against real drives")
-    return CHECK_FILES.write(out, writers, describe, overwrite=overwrite)
+    return CHECK_FILES.write(out, writers, lambda _, files: {**head, "files": files, **found}, overwrite=overwrite)

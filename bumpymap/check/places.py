@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 from scipy.ndimage import gaussian_filter, gaussian_filter1d, map_coordinates
 
-from bumpymap.core import BadInputError, DriveLog, PlaceTrack, describe_crs
+from bumpymap.core import BadInputError, DriveLog, PlaceTrack
 from bumpymap.layers import MapReader
+from bumpymap.route import extent_text
 from bumpytiles import TileWindow
 
 Floats = NDArray[np.float64]
@@ -195,31 +196,21 @@ def places_on_map(log: DriveLog, site: MapReader) -> MetrePlaces:
         )
     convert = site.from_lonlat if track.kind == "lonlat" else site.to_grid
     places = metre_places(track, *convert(track.x, track.y), log.name)
-    _refuse_off_map(log.name, track, places, site)
+    if are_inside(places, site).mean() <= _LEAST_INSIDE:
+        x, y = np.nanmedian(track.x), np.nanmedian(track.y)
+        where = f"longitude {x:.5f}, latitude {y:.5f}" if track.kind == "lonlat" else f"{x:.1f}, {y:.1f}"
+        raise BadInputError(
+            f"{log.name} is off the map: the drive lies around {where}; the map spans {extent_text(site)}. Check that "
+            "it is the drive of this site, in the CRS of the map or in longitude and latitude, and that these are not "
+            "exchanged"
+        )
     return places
 
 
-def _refuse_off_map(name: str, track: PlaceTrack, places: MetrePlaces, site: MapReader) -> None:
-    size, window = site.grid.tile_size, site.window
-    west, south = window.col * size, window.row * size
-    east, north = west + window.cols * size, south + window.rows * size
-    inside = (places.place.real > west) & (places.place.real < east)
-    inside &= (places.place.imag > south) & (places.place.imag < north)
-    if inside.mean() > _LEAST_INSIDE:
-        return
-    x, y = np.nanmedian(track.x), np.nanmedian(track.y)
-    if track.kind == "lonlat":
-        where = f"around longitude {x:.5f}, latitude {y:.5f}"
-        lon, lat = site.to_lonlat(np.array([west, east]), np.array([south, north]))
-        there = f"longitude {lon[0]:.5f} to {lon[1]:.5f}, latitude {lat[0]:.5f} to {lat[1]:.5f}"
-        remedy = "Check that longitude and latitude are not exchanged, and that it is the drive of this site"
-    else:
-        where = f"around {x:.1f}, {y:.1f}"
-        (x0, x1), (y0, y1) = site.to_crs(np.array([west, east]), np.array([south, north]))
-        crs = site.georeference.crs
-        there = f"{x0:.1f} to {x1:.1f}, {y0:.1f} to {y1:.1f}" + (f" in {describe_crs(crs)}" if crs is not None else "")
-        remedy = "Give positions in the CRS of the map, or longitude and latitude"
-    raise BadInputError(f"{name} is off the map: the drive lies {where}; the map covers {there}. {remedy}")
+def are_inside(places: MetrePlaces, site: MapReader) -> NDArray[np.bool_]:
+    """Return which positions lie in the extent of the map, (m,)."""
+    bounds, east, north = site.grid.window_bounds(site.window), places.place.real, places.place.imag
+    return np.asarray((bounds.west <= east) & (east < bounds.east) & (bounds.south <= north) & (north < bounds.north))
 
 
 _PIXELS, _MOST_PIXELS = 5, 4000
@@ -259,9 +250,8 @@ def read_slopes(site: MapReader, window: TileWindow) -> SlopeAt:
 
 def window_around(site: MapReader, easting: Floats, northing: Floats, margin_m: float) -> TileWindow:
     """Return the window of the map's tiles around some places, m; it does not extend beyond the map."""
-    size, whole = site.grid.tile_size, site.window
-    ends = []
+    whole, ends = site.window, []
     for values, first, count in ((easting, whole.col, whole.cols), (northing, whole.row, whole.rows)):
-        least, most = np.floor(np.array([values.min() - margin_m, values.max() + margin_m]) / size)
-        ends.append(np.clip(np.array([least, most]), first, first + count - 1).astype(np.int64))
+        edges = site.grid.index(np.array([values.min() - margin_m, values.max() + margin_m]))
+        ends.append(np.clip(edges, first, first + count - 1))
     return TileWindow.around(*ends)

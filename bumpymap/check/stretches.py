@@ -8,16 +8,16 @@ where the vehicle may have been: a normal distribution, by 5 x 5 points of Gauss
 way. The whole of a stretch is moved together, since errors of positions last longer than a stretch takes.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.check.inertial import pieces
-from bumpymap.check.measure import COUNTS, LEFT_OUT, DriveMeasure, WayStretch
+from bumpymap.check.measure import COUNTS, LEFT_OUT, DriveMeasure
 from bumpymap.check.places import window_around
 from bumpymap.check.settings import LEAST_WINDOW_M
-from bumpymap.core import NO_TILE, Barred, TileField
+from bumpymap.core import NO_CLASS, NO_TILE, Barred, DrivenStretches, TileField
 from bumpymap.layers import NORMAL_80, MapReader
 from bumpymap.rating import less_floor
 from bumpymap.route import LineRide, LineVehicle, points_along, ride_line
@@ -35,10 +35,11 @@ _UNKNOWN_FLOOR_RADPS = 0.01
 """Error of the pitch rate without a standstill to measure the floor at, rad/s (chosen)."""
 
 
-def cut_stretches(drive: DriveMeasure, window_m: float) -> WayStretch:
+def cut_stretches(drive: DriveMeasure, window_m: float) -> tuple[Integers, DrivenStretches]:
     """Cut the parts that count into stretches of about ``window_m``, and measure each.
 
-    ``window_m``: a part is cut evenly into the whole number of stretches whose length comes nearest to this.
+    ``window_m``: a part is cut evenly into the whole number of stretches whose length comes nearest to this. Returns
+    (samples,) the number of the stretch of each, -1 where it belongs to none; and the stretches, on no map so far.
     """
     step = 1.0 / drive.hertz
     counts = drive.reason == COUNTS
@@ -51,9 +52,6 @@ def cut_stretches(drive: DriveMeasure, window_m: float) -> WayStretch:
     def total(values: Floats) -> Floats:
         return np.asarray(np.bincount(number, values[inside], minlength=count), np.float64)
 
-    if not count:
-        nothing = np.zeros(0)
-        return WayStretch(label, *[nothing] * 8)
     length, seconds = total(way), total(np.full(len(label), step))
     raw = total(np.abs(drive.pitch_rate) * step) / length
     first = samples[np.searchsorted(number, np.arange(count))]
@@ -61,8 +59,9 @@ def cut_stretches(drive: DriveMeasure, window_m: float) -> WayStretch:
     start, end = drive.time[first], drive.time[last] + step
     measured = less_floor(raw, drive.floor * seconds / length)
     relative = drive.track.way_sd(start, end) / length
-    return WayStretch(
-        label=label,
+    nothing, no_class = np.full(count, np.nan), np.full(count, NO_CLASS, np.uint8)
+    return label, DrivenStretches(
+        drive=np.zeros(count, np.int64),
         start_s=start,
         end_s=end,
         way_m=length,
@@ -71,6 +70,12 @@ def cut_stretches(drive: DriveMeasure, window_m: float) -> WayStretch:
         measured_sd=np.hypot(reading_sd(drive, raw, measured, seconds, length), measured * relative),
         easting=total(drive.easting) / np.bincount(number, minlength=count),
         northing=total(drive.northing) / np.bincount(number, minlength=count),
+        c_r=nothing,
+        c_r_low=nothing,
+        c_r_high=nothing,
+        place_sd=nothing,
+        class_id=no_class,
+        measured_class=no_class,
     )
 
 
@@ -134,17 +139,6 @@ _LEAST_KNOWN = 0.5
 """Share of the places known below which a stretch has no prediction (chosen)."""
 
 
-@dataclass(frozen=True, slots=True)
-class MapReading:
-    """Values of the map over stretches, (n,) each; NaN where it has none."""
-
-    c_r: Floats
-    c_r_low: Floats
-    c_r_high: Floats
-    place_sd: Floats
-    """Standard deviation of ``c_r`` over the places where the vehicle may have been, rad/m."""
-
-
 def tile_numbers(field: TileField, easting: Floats, northing: Floats) -> Integers:
     """Return the numbers of tiles, row by row in the window from the north-west, -1 outside of it; m on the grid."""
     size, window = field.grid.tile_size, field.window
@@ -164,11 +158,11 @@ def with_ground(drive: DriveMeasure, field: TileField) -> DriveMeasure:
     return replace(drive, reason=reason)
 
 
-def read_along(drive: DriveMeasure, cut: WayStretch, field: TileField) -> MapReading:
-    """Return what the map says of stretches: means along the way over the places where the vehicle may have been."""
-    stretches = len(cut.start_s)
+def read_along(drive: DriveMeasure, label: Integers, cut: DrivenStretches, field: TileField) -> DrivenStretches:
+    """Add what the map says to stretches: means along the way over the places where the vehicle may have been."""
+    count = len(cut.start_s)
     node, weights = np.polynomial.hermite_e.hermegauss(5)
-    label, way, tile = _steps(drive, cut, field, node)
+    stretch, way, tile = _steps(drive, label, field, node)
     places = np.outer(weights, weights).ravel() / weights.sum() ** 2  # their probabilities
     c_r, low, high = (part.ravel().astype(np.float64) for part in (field.c_r, field.c_r_low, field.c_r_high))
     with np.errstate(divide="ignore", invalid="ignore"):  # standard deviations of ln c_r, by the intervals
@@ -179,31 +173,29 @@ def read_along(drive: DriveMeasure, cut: WayStretch, field: TileField) -> MapRea
     # The vehicle drove here, so it was not on barred ground beside; where the map bars all, it is wrong about that.
     use = np.where(passable.any(axis=1, keepdims=True), passable, known)
     nodes = len(places)
-    group = label[:, None] * nodes + np.arange(nodes)
+    group = stretch[:, None] * nodes + np.arange(nodes)
     sums, used_m, known_m = (
-        np.asarray(np.bincount(group.ravel(), (way[:, None] * part).ravel(), stretches * nodes), np.float64).reshape(
+        np.asarray(np.bincount(group.ravel(), (way[:, None] * part).ravel(), count * nodes), np.float64).reshape(
             -1, nodes
         )
         for part in (np.where(use, c_r[tile], 0.0), use, known)
     )
-    all_m = np.bincount(label, way, minlength=stretches)[:, None]
+    all_m = np.bincount(stretch, way, minlength=count)[:, None]
     total = (places * (known_m > _LEAST_KNOWN * all_m)).sum(axis=1)
     chance = places * (used_m > _LEAST_KNOWN * used_m.max(axis=1, keepdims=True))
     mean, spread = _over_places(chance, sums, used_m, 1)
     mean[total < _LEAST_KNOWN] = np.nan
     weight = (way[:, None] * places)[use]
-    stretch, tile = np.broadcast_to(label[:, None], tile.shape)[use], tile[use]
+    stretch, tile = np.broadcast_to(stretch[:, None], tile.shape)[use], tile[use]
     ridden = weight * c_r[tile]
-    level = np.maximum(np.bincount(stretch, ridden, minlength=stretches), 1e-12)
-    line = (
-        _LINE_SD * np.sqrt(field.rule.drive_m * np.bincount(stretch, ridden * c_r[tile], minlength=stretches)) / level
-    )
-    mean_c_r = level / np.maximum(np.bincount(stretch, weight, minlength=stretches), 1e-12)
+    level = np.maximum(np.bincount(stretch, ridden, minlength=count), 1e-12)
+    line = _LINE_SD * np.sqrt(field.rule.drive_m * np.bincount(stretch, ridden * c_r[tile], minlength=count)) / level
+    mean_c_r = level / np.maximum(np.bincount(stretch, weight, minlength=count), 1e-12)
     below, above = (
-        np.hypot(line, _joint(stretch, tile, weight, part[tile] * c_r[tile], stretches) / mean_c_r)
-        for part in (down, up)
+        np.hypot(line, _joint(stretch, tile, weight, part[tile] * c_r[tile], count) / mean_c_r) for part in (down, up)
     )
-    return MapReading(mean, mean * np.exp(-NORMAL_80 * below), mean * np.exp(NORMAL_80 * above), spread)
+    low, high = mean * np.exp(-NORMAL_80 * below), mean * np.exp(NORMAL_80 * above)
+    return replace(cut, c_r=mean, c_r_low=low, c_r_high=high, place_sd=spread)
 
 
 def _over_places(chance: Floats, sums: Floats, metres: Floats, axes: int | tuple[int, int]) -> tuple[Floats, Floats]:
@@ -237,12 +229,14 @@ _LEAST_SIGMA_M = 0.05
 """Least error of positions that the line is rolled with, m (chosen)."""
 
 
-def read_line(drive: DriveMeasure, cut: WayStretch, site: MapReader, vehicle: LineVehicle) -> MapReading:
-    """Return what the map says of the driven line of stretches itself: the vehicle rolled along it over the pixels.
+def read_line(
+    drive: DriveMeasure, label: Integers, cut: DrivenStretches, site: MapReader, vehicle: LineVehicle
+) -> DrivenStretches:
+    """Add what the map says of the driven line of stretches itself: the vehicle rolled along it over the pixels.
 
     It is rolled at several places across, and each stretch is shifted along the line, as far as positions are off.
     """
-    travelled, counts = np.cumsum(np.abs(drive.speed)) / drive.hertz, np.flatnonzero(cut.label >= 0)
+    travelled, counts = np.cumsum(np.abs(drive.speed)) / drive.hertz, np.flatnonzero(label >= 0)
     first, last = travelled[counts[[0, -1]]] + (-_AROUND_M, _AROUND_M)
     at = np.arange(max(first, 0.0), min(last, travelled[-1]), _STEP_M)
     line = np.column_stack([np.interp(at, travelled, axis) for axis in (drive.easting, drive.northing)])
@@ -271,10 +265,10 @@ def read_line(drive: DriveMeasure, cut: WayStretch, site: MapReader, vehicle: Li
         level = total(c_r, np.zeros(1))
         by_tile = total((c_r * ride.log_sd_across) ** 2 * ~ride.by_line, np.zeros(1))
         off = np.exp(NORMAL_80 * np.hypot(total(c_r * log_sd, np.zeros(1)), np.sqrt(by_tile)) / level)
-    return MapReading(mean, mean / off, mean * off, spread)
+    return replace(cut, c_r=mean, c_r_low=mean / off, c_r_high=mean * off, place_sd=spread)
 
 
-def _steps(drive: DriveMeasure, cut: WayStretch, field: TileField, node: Floats) -> tuple[Integers, Floats, Integers]:
+def _steps(drive: DriveMeasure, label: Integers, field: TileField, node: Floats) -> tuple[Integers, Floats, Integers]:
     """Cut the way into steps of a quarter of a metre or so: return their stretch, (s,), and length, (s,) m.
 
     Third, (s, 25), numbers of tiles, row by row in the window, at each place where the step may be: one standard
@@ -286,12 +280,12 @@ def _steps(drive: DriveMeasure, cut: WayStretch, field: TileField, node: Floats)
     first = np.arange(0, len(drive.time), every)
     way = np.add.reduceat(np.abs(drive.speed) * (counts / drive.hertz), first)
     middle = np.minimum(first + every // 2, len(drive.time) - 1)
-    keep = (way > 0.0) & (cut.label[middle] >= 0)
+    keep = (way > 0.0) & (label[middle] >= 0)
     middle = middle[keep]
     east, north = (part.ravel() for part in np.meshgrid(node, node))
     sd = drive.track.place_sd(drive.time[middle])[:, None]
     tile = tile_numbers(field, drive.easting[middle, None] + sd * east, drive.northing[middle, None] + sd * north)
-    return cut.label[middle], way[keep], tile
+    return label[middle], way[keep], tile
 
 
 def _joint(stretch: Integers, tile: Integers, weight: Floats, sd: Floats, count: int) -> Floats:

@@ -47,10 +47,6 @@ _INTERRUPTED, _TERMINATED = 130, 143
 class _LazyGroup(click.Group):
     """A group whose commands live in ``bumpymap.cli.NAME_command``, or as below, and are imported when they run."""
 
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the names of the commands."""
-        return list(_COMMANDS)
-
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Import and return a command; None if there is none of that name."""
         if cmd_name not in _COMMANDS:
@@ -62,20 +58,6 @@ class _LazyGroup(click.Group):
         if not isinstance(command, click.Command):
             raise TypeError(f"the command {cmd_name} is not one of click")
         return command
-
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find the command that is meant; an unknown one is refused with the nearest."""
-        try:
-            return super().resolve_command(ctx, args)
-        except click.UsageError as error:
-            from difflib import get_close_matches
-
-            near = get_close_matches(args[0].lower(), _COMMANDS, 1)
-            if not near:
-                raise
-            raise click.UsageError(f"{error.message} Did you mean '{near[0]}'?", ctx) from error
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands without importing them."""
@@ -115,7 +97,11 @@ class _LazyGroup(click.Group):
         sys.exit(exit_code_of(run, words))
 
 
-@click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(
+    cls=_LazyGroup,
+    commands=dict.fromkeys(_COMMANDS, click.Command(None)),
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
 @click.version_option(package_name="bumpymap", prog_name="bumpymap")
 def main() -> None:
     """Find the ground that shakes a vehicle least: point clouds in, GIS layers and ride costs out."""

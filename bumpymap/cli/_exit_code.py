@@ -1,7 +1,5 @@
 """How a command ends: one message and an exit code for every failure that is not a bug."""
 
-import select
-import sys
 import time
 import traceback
 from collections.abc import Callable, Sequence
@@ -9,11 +7,13 @@ from contextlib import suppress
 
 import click
 
-from bumpymap.cli._text import BROKEN_PIPE, LostOutputError, emit, flush, print_error, restored_logging
+from bumpymap.cli._text import emit, flush, print_error, restored_logging
 from bumpymap.core import BumpymapError, error_chain, join_lines, missing_resource, refused_write
 
 _BAD = 3
 """Exit code for a bad input file."""
+_BROKEN_PIPE = 141
+"""Exit code if the reader of a pipe has closed it (SIGPIPE), as after ``| head -1``."""
 _FAULT = 1
 """A bug of bumpymap: printed with a traceback, so that it can be reported."""
 _WANT = (
@@ -65,21 +65,16 @@ def exit_code_of(run: Callable[[], object], words: Sequence[str]) -> int:
 def _call(run: Callable[[], object]) -> int:
     try:
         code = run()
+        flush()
+    except BrokenPipeError:
+        return _BROKEN_PIPE
     except OSError:
         # click has written to a full output: drop what its buffer holds, which the interpreter would report at exit.
-        with suppress(LostOutputError):
+        with suppress(OSError):
             flush()
         raise
     except SystemExit as end:
-        code = end.code
-        if code == _FAULT and _reader_left():  # click's exit code for it
-            code = BROKEN_PIPE
-    try:
-        flush()
-    except LostOutputError as error:
-        if error.exit_code != BROKEN_PIPE:
-            raise
-        return BROKEN_PIPE
+        return _BROKEN_PIPE if end.code == _FAULT else int(end.code or 0)  # click's exit code for it
     return code if isinstance(code, int) else 0
 
 
@@ -92,11 +87,6 @@ def _message(error: Exception) -> tuple[int, list[str]]:
     if isinstance(error, click.ClickException):
         # click puts the choices of an option that is missing into lines of their own.
         text = error.format_message().replace("\n\t", " ")
-        ctx = error.ctx if isinstance(error, click.UsageError) else None
-        options = [name for each in ctx.command.params for name in each.opts] if ctx else []
-        if getattr(error, "option_name", "") == "--force" and "--overwrite" in options:
-            # click names an option that is spelled alike, --force-crs.
-            text = "No such option '--force'. Did you mean '--overwrite'?"
         return error.exit_code, [
             text.replace("is not a valid float", "is not a number").replace(
                 "is not a valid integer", "is not a whole number"
@@ -114,8 +104,6 @@ def _message(error: Exception) -> tuple[int, list[str]]:
 
 
 def _print_failure(error: Exception, lines: Sequence[str]) -> None:
-    if isinstance(error, LostOutputError) and error.exit_code == BROKEN_PIPE:
-        return
     if type(error).__name__ == "NoArgsIsHelpError" and isinstance(error, click.UsageError):
         error.show()  # prints the help
         return
@@ -127,13 +115,3 @@ def _print_failure(error: Exception, lines: Sequence[str]) -> None:
     print_error(first if isinstance(error, RunInterrupted | click.Abort) else f"Error: {first}")
     for line in rest:
         print_error(line)
-
-
-def _reader_left() -> bool:
-    """Return whether standard output is a pipe that nobody reads."""
-    try:
-        poll = select.poll()
-        poll.register(sys.__stdout__.fileno(), 0)  # type: ignore[union-attr]
-        return bool(poll.poll(0))
-    except (AttributeError, OSError, ValueError):  # not supported on this system
-        return False

@@ -3,10 +3,11 @@
 A command is a function of a `Run` with the decorator `job`.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, is_dataclass
 from functools import wraps
+from inspect import signature
 from itertools import chain
 from pathlib import Path
 from typing import Any, Literal, NoReturn, TypeVar, get_args, get_origin
@@ -54,19 +55,9 @@ FILE = _NamedPath(dir_okay=False, path_type=Path)
 class GroupedOption(click.Option):
     """An option that the help page shows under the heading of its group."""
 
-    def __init__(self, *names: Any, group: str = "Run", key: str = "", declared: bool = False, **more: Any) -> None:
+    def __init__(self, *names: Any, group: str = "Run", **more: Any) -> None:
         super().__init__(*names, **more)
-        self.group, self.key, self.declared = group, key, declared
-
-
-def _refuse_moved(ctx: click.Context, option: click.Parameter, value: Any) -> None:
-    """Raise UsageError if a setting is given as an option, where it has none."""
-    if value not in (None, False) and isinstance(option, GroupedOption):
-        shown = option.metavar if value is True else value
-        raise UsageError(
-            f"{option.opts[0]} is no option: write --set {option.key}={shown}, or put it into a file for --config "
-            f"(bumpymap settings {' '.join(ctx.command_path.split()[1:])} prints one)"
-        )
+        self.group = group
 
 
 def grouped_option(*names: str, group: str, **more: Any) -> Callable[[_Command], _Command]:
@@ -80,10 +71,29 @@ class GroupedCommand(click.Command):
     owners: tuple[type, ...] = ()
     """Classes of its settings."""
 
+    @property
+    def moved(self) -> dict[str, tuple[str, str]]:
+        """Key in a settings file and value of each setting that has no option, by the option that it would be."""
+        given = {option for each in self.params for option in each.opts}
+        return {option: (key, value) for option, key, value in _with_keys(self.owners) if option not in given}
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the arguments; raise UsageError if a setting is given as an option, where it has none."""
+        try:
+            return super().parse_args(ctx, args)
+        except click.NoSuchOption as error:
+            if error.option_name not in self.moved:
+                raise
+            key, value = self.moved[error.option_name]
+            raise UsageError(
+                f"{error.option_name} is no option: write --set {key}={value}, or put it into a file for --config "
+                f"(bumpymap settings {' '.join(ctx.command_path.split()[1:])} prints one)"
+            ) from error
+
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; messages name its settings as it takes them."""
-        options = [each for each in self.params if isinstance(each, GroupedOption) and each.name]
-        spell_settings({each.name: f"--set {each.key}" if each.key else each.opts[0] for each in options if each.name})
+        moved = {key.rpartition(".")[2]: f"--set {key}" for key, _ in self.moved.values()}
+        spell_settings(moved | {each.name: each.opts[0] for each in self.params if isinstance(each, click.Option)})
         return super().invoke(ctx)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -105,17 +115,6 @@ class GroupedCommand(click.Command):
         common = [f"{each.opts[0]} {each.metavar or ''}".strip() for each in COMMON_OPTIONS if each in self.params]
         formatter.write_paragraph()
         formatter.write_text(f"Also {', '.join(common)}: see bumpymap --help.")
-
-
-class CommandGroup(click.Group):
-    """A command of which there are several, each with its own options."""
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse the arguments; raise UsageError if the first is none of the commands."""
-        if args and args[0] not in (*self.commands, *ctx.help_option_names):
-            ways = " or ".join(f"bumpymap {ctx.info_name} {name}" for name in self.commands)
-            raise UsageError(f"{args[0]} is no command: give {ways}")
-        return super().parse_args(ctx, args)
 
 
 GROUPS = ("Input", "Way", "Ground", "Vehicle", "Output", "Run")
@@ -217,9 +216,10 @@ def job(
     those in ``parts``. Empty: the command has no such options. ``clashes``: settings that exclude each other.
     """
     known = tuple(part for part in parts if isinstance(part, type)) if owners is None else owners
-    fields_known = {field.name for owner in known for field in fields(owner)}
 
     def make(function: Callable[..., None]) -> click.Command:
+        taken = signature(function).parameters
+
         @wraps(function)
         def run(*, quiet: bool, log_json: bool, **values: Any) -> None:
             set_up_logging(as_json=log_json)
@@ -227,8 +227,7 @@ def job(
             file, words = values.pop("config_file", None), values.pop("assigned", ())
             stored = read_settings_file(file, *known) if file else {}
             assigned = assigned_settings(words, stored, "--set", *known)
-            settings = fields_known | {each.name for each in ctx.command.params if getattr(each, "declared", False)}
-            own = {name: values.pop(name) for name in list(values) if name in settings}
+            own = {name: values.pop(name) for name in list(values) if name not in taken}
             typed = ParameterSource.COMMANDLINE
             given = {name: value for name, value in own.items() if ctx.get_parameter_source(name) is typed}
             function(Run(ctx, known, clashes, quiet, log_json, stored, assigned, given), **values)
@@ -262,23 +261,19 @@ def settings_options(
     without: Sequence[str] = (),
     required: Sequence[str] = (),
     moved: Sequence[str] = (),
-    table: str = "",
     **texts: str,
 ) -> list[click.Parameter]:
     """Return the options of a settings class: those named, or all that it declares.
 
     ``owner``: dataclass whose fields hold a `Setting`. Each option's value comes under the field's name. ``*names``,
     ``without`` and ``required``: fields to take; fields to leave out; those whose option must be given; ``moved``:
-    fields that this command takes by ``--set`` and ``--config`` alone, besides those that are declared rare; ``table``:
-    table of a settings file that holds these fields; empty: none; ``texts``: help texts of this command, without the
-    full stop, instead of those of the declaration.
+    fields that this command takes by ``--set`` and ``--config`` alone, besides those that are declared rare; ``texts``:
+    help texts of this command, without the full stop, instead of those of the declaration.
     """
     return [
-        _moved(each, setting, f"{table}.{each.name}" if table else each.name)
-        if setting.rare or each.name in moved
-        else _option(each, setting, texts.get(each.name, setting.help), each.name in required)
+        _option(each, setting, texts.get(each.name, setting.help), each.name in required)
         for each, setting in settings_with_options(owner)
-        if each.name not in without and (not names or each.name in names)
+        if not setting.rare and each.name not in (*without, *moved) and (not names or each.name in names)
     ]
 
 
@@ -289,17 +284,17 @@ def _option(each: Declared, setting: Setting, text: str, required: bool) -> Grou
     if each.kind is not bool:
         kind, several = _click_type(each.kind)
         more = {"type": kind, "multiple": several, "required": required, "metavar": setting.metavar}
-    return GroupedOption([_spelled(each, setting), each.name], help=shown, group=setting.group, declared=True, **more)
+    return GroupedOption([_spelled(each, setting), each.name], help=shown, group=setting.group, **more)
 
 
-def _moved(each: Declared, setting: Setting, key: str) -> GroupedOption:
-    """Return an option which is there only to say how this setting is given."""
-    more: dict[str, Any] = {"metavar": setting.metavar}
-    if each.kind is bool:
-        more = {"is_flag": True, "metavar": "false" if each.default else "true"}
-    return GroupedOption(
-        [_spelled(each, setting), each.name], key=key, hidden=True, expose_value=False, callback=_refuse_moved, **more
-    )
+def _with_keys(owners: Iterable[type], table: str = "") -> Iterator[tuple[str, str, str]]:
+    """Yield for each setting of some classes the option that it would be, its key in a settings file, and a value."""
+    for owner in owners:
+        for each, setting in settings_with_options(owner):
+            yield _spelled(each, setting), table + each.name, setting.metavar or ("false" if each.default else "true")
+        tables = [each for each in declared_fields(owner).values() if is_dataclass(each.kind)]
+        for each in tables:
+            yield from _with_keys([each.kind], f"{each.name}.")
 
 
 def _spelled(each: Declared, setting: Setting) -> str:

@@ -7,7 +7,6 @@ the direction of text. They are printed escaped (``\x1b``, ``\n``, ``\u202e``), 
 prints one line.
 """
 
-import errno
 import json
 import logging
 import math
@@ -24,7 +23,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TextIO
 
 import click
 
-from bumpymap.core import OutputError, escape_controls
+from bumpymap.core import escape_controls
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -63,19 +62,6 @@ def _option(found: re.Match[str]) -> str:
 
 _AS_TERMINAL = ("FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE")
 """Environment variables by which rich treats a file as a terminal."""
-BROKEN_PIPE = 141
-"""Exit code if the reader of a pipe has closed it (SIGPIPE), as after ``| head -1``."""
-
-
-class LostOutputError(OutputError):
-    """Standard output cannot be written."""
-
-    def __init__(self, error: OSError) -> None:
-        super().__init__(
-            f"cannot write to standard output: {error.strerror}. What was printed is cut off; send it elsewhere"
-        )
-        if error.errno == errno.EPIPE:  # not a failure: the reader has seen enough
-            self.exit_code = BROKEN_PIPE
 
 
 def _as_shown(text: str) -> str:
@@ -159,8 +145,9 @@ def flush() -> None:
     try:
         if sys.stdout is not None:
             sys.stdout.flush()
-    except OSError as error:
-        raise _stdout_error(error) from error
+    except OSError:
+        _silence(sys.stdout)
+        raise
 
 
 def is_plain(*, error: bool = False) -> bool:
@@ -185,13 +172,9 @@ def _write(text: str) -> None:
     try:
         stream.write(_encodable(text, stream))
         stream.flush()
-    except OSError as error:
-        raise _stdout_error(error) from error
-
-
-def _stdout_error(error: OSError) -> LostOutputError:
-    _silence(sys.stdout)
-    return LostOutputError(error)
+    except OSError:
+        _silence(stream)
+        raise
 
 
 def _encodable(text: str, stream: TextIO) -> str:

@@ -49,10 +49,8 @@ def _drive_lines(drive: "CheckedDrive") -> Iterator[str]:
         f"{drive.name}: {drive.used_m:.0f} of {drive.way_m:.0f} m count, at {drive.speed_mps:.2f} m/s; rates up to "
         f"{drive.band_hz:g} Hz of an IMU with {drive.rate_hz:.0f} Hz"
     )
-    if drive.left_out_m:
-        lost = ", ".join(f"{reason} {metres:.0f} m" for reason, metres in drive.left_out_m.items() if metres >= 0.5)
-        if lost:
-            yield f"  left out: {lost}"
+    if lost := ", ".join(f"{reason} {metres:.0f} m" for reason, metres in drive.left_out_m.items() if metres >= 0.5):
+        yield f"  left out: {lost}"
     for columns in columns_words(drive):
         yield f"  {columns}"
     yield f"  {'; '.join(_sensor_words(drive))}"
@@ -105,10 +103,6 @@ def write_refit(
     from bumpymap.rating import update_from_drives
 
     moved, update = update_from_drives(calibration, stretches, speed_mps)
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"cannot write {out}: {error}; choose a file in a folder that you may write") from error
     with locked(out.parent, f".{out.name}.lock"):
         _refuse_replacing(out, overwrite)
         with atomic(out) as beside:

@@ -18,11 +18,9 @@ if TYPE_CHECKING:
 
 _BAD_INPUT = 3
 """Exit code if a file cannot be read."""
-_TYPED = ("tile_size", "ground", "crs")
-_MOVED = ("ground_classes", "force_crs", "xy_unit", "z_unit", "trust_points", "pixels", "memory", "threads")
 
 
-@job("info", settings_options(MapConfig, *_TYPED, *_MOVED, moved=_MOVED), owners=(MapConfig,), clashes=OF_CRS)
+@job("info", settings_options(MapConfig, "tile_size", "ground", "crs"), owners=(MapConfig,), clashes=OF_CRS)
 @click.argument("surveys", nargs=-1, required=True, type=PATH, metavar="SURVEY...")
 @grouped_option("--quick", group="Run", is_flag=True, help="Read only the headers, no points.")
 def command(run: Run, quick: bool) -> None:

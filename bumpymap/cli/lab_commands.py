@@ -2,14 +2,14 @@
 
 import os
 import shlex
-import tempfile
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, fields, replace
 from importlib.util import find_spec
 from itertools import chain
 from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -17,7 +17,6 @@ from bumpymap.cli._options import (
     FILE,
     JOBS,
     PATH,
-    CommandGroup,
     GroupedOption,
     Run,
     grouped_option,
@@ -40,7 +39,7 @@ from bumpymap.core import (
 from bumpymap.lab import CalibrationSettings, NetworkSettings, ScanEvaluateSettings, ScanTrainSettings, TrainSettings
 
 if TYPE_CHECKING:
-    from bumpymap.lab import EpochReport, Evaluation, ScanEvaluation, ScanFindings
+    from bumpymap.lab import EpochReport, ScanFindings
     from bumpymap.rating import Calibration
 
 
@@ -109,7 +108,6 @@ def _calibrate(
     note = "The driven patches are kept: give the same command again to continue."
     with locked(out.parent, f".{out.name}.lock"), interrupt_note(note):
         _require_free(out, overwrite)
-        _require_writable(out)
         drives = sum(job.starts for job in calibration_jobs(settings))
         seconds = seconds_of_drives(settings) / workers
         announce(
@@ -130,16 +128,6 @@ def _calibrate(
             beside.write_text(calibration.to_json(), encoding="utf-8")
         journal.remove()
     return calibration
-
-
-def _require_writable(out: Path) -> None:
-    """Raise OutputError if the file cannot be written, before the hours of work."""
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=out.parent, prefix=f".{out.name}."):
-            pass
-    except OSError as error:
-        raise OutputError(f"cannot write {out}: {error}; choose an --out in a folder that you may write") from error
 
 
 def _command_line(settings: CalibrationSettings, vehicle: str, out: Path, quick: bool) -> str:
@@ -171,7 +159,7 @@ def _calibration_lines(calibration: "Calibration", out: Path) -> Iterator[str]:
     yield f"wrote {out}"
 
 
-@click.group("train", cls=CommandGroup)
+@click.group("train")
 def train_command() -> None:
     """Train the texture network of maps, or the network of scans.
 
@@ -187,7 +175,7 @@ _NETWORK = (
 )
 
 
-@job("textures", TrainSettings, settings_options(NetworkSettings, table="network"), _NETWORK)
+@job("textures", TrainSettings, settings_options(NetworkSettings), _NETWORK)
 def textures_command(run: Run, out: Path, overwrite: bool) -> None:
     """Train the texture network on synthetic terrain.
 
@@ -196,7 +184,15 @@ def textures_command(run: Run, out: Path, overwrite: bool) -> None:
     \b
     bumpymap train textures --out textures.onnx
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    _train(run, out, overwrite, lambda progress: _train_textures(run.changed(), out, progress), "map SURVEY")
+    with _training(run, out, overwrite) as progress:
+        from bumpymap.lab import make_model
+
+        scores = make_model(TrainSettings(**run.changed()), out, _Epochs(progress))
+    lines = [
+        f"accuracy on unseen seeds:                      {100 * scores.unseen.right:.2f} %",
+        f"accuracy on surveys anew (as in the paper):    {100 * scores.augmented_copies.right:.2f} %",
+    ]
+    _show_trained(run, out, scores.parameters, lines, "map SURVEY")
 
 
 @job("scans", ScanTrainSettings, _NETWORK)
@@ -210,21 +206,26 @@ def train_scans_command(run: Run, folder: Path, out: Path, overwrite: bool) -> N
     \b
     bumpymap train scans Rellis-3D --out scan.onnx
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    _train(run, out, overwrite, lambda progress: _train_scans(run.changed(), out, folder, progress), "scan FRAME")
+    with _training(run, out, overwrite) as progress:
+        from bumpymap.lab import make_scan_model
+
+        settings = ScanTrainSettings(**run.changed())
+        scores = make_scan_model(settings, out, folder, _Epochs(progress), _show_sectors(progress))
+    even = 100 * scores.every.even
+    lines = [
+        f"accuracy on {scores.scans} unseen scans, classes weighted evenly: {even:.2f} %",
+        f"accuracy on all {scores.every.count:,} of their sectors:        {100 * scores.every.right:.2f} %",
+    ]
+    _show_trained(run, out, scores.parameters, lines, "scan FRAME")
 
 
 train_command.add_command(textures_command)
 train_command.add_command(train_scans_command)
 
 
-def _train(
-    run: Run,
-    out: Path,
-    overwrite: bool,
-    work: Callable[[CommandProgress], "tuple[list[str], Evaluation | ScanEvaluation]"],
-    use: str,
-) -> None:
-    """Train a network, unless ``out`` is taken, and print its accuracy, and the command that uses it."""
+@contextmanager
+def _training(run: Run, out: Path, overwrite: bool) -> Iterator[CommandProgress]:
+    """Yield the progress of a training, unless its libraries are missing or ``out`` is taken."""
     if missing := [name for name in ("torch", "onnx") if find_spec(name) is None]:
         raise UsageError(f"training needs {' and '.join(missing)}. Install with: {install_command('learn')}")
     if out.suffix != ".onnx":
@@ -232,38 +233,17 @@ def _train(
     _require_free(out, overwrite)
     note = "Give the same command again to continue after the last complete epoch."
     with interrupt_note(note), run.progress() as progress:
-        lines, scores = work(progress)
+        yield progress
+
+
+def _show_trained(run: Run, out: Path, parameters: int, lines: list[str], use: str) -> None:
+    """Print the accuracy of a network, and the command that uses it."""
     card = out.with_suffix(".md")
     lines += [
-        f"{out} ({scores.parameters:,} trained numbers), {card}",
+        f"{out} ({parameters:,} trained numbers), {card}",
         f"use it with: bumpymap {use} --out DIR --set model={out}",
     ]
-    run.show({"out": str(out), "card": str(card), "parameters": scores.parameters}, lines)
-
-
-def _train_textures(options: dict[str, Any], out: Path, progress: CommandProgress) -> "tuple[list[str], Evaluation]":
-    from bumpymap.lab import make_model
-
-    scores = make_model(TrainSettings(**options), out, _Epochs(progress))
-    lines = [
-        f"accuracy on unseen seeds:                      {100 * scores.unseen.right:.2f} %",
-        f"accuracy on surveys anew (as in the paper):    {100 * scores.augmented_copies.right:.2f} %",
-    ]
-    return lines, scores
-
-
-def _train_scans(
-    options: dict[str, Any], out: Path, folder: Path, progress: CommandProgress
-) -> "tuple[list[str], ScanEvaluation]":
-    from bumpymap.lab import make_scan_model
-
-    scores = make_scan_model(ScanTrainSettings(**options), out, folder, _Epochs(progress), _show_sectors(progress))
-    even = 100 * scores.every.even
-    lines = [
-        f"accuracy on {scores.scans} unseen scans, classes weighted evenly: {even:.2f} %",
-        f"accuracy on all {scores.every.count:,} of their sectors:        {100 * scores.every.right:.2f} %",
-    ]
-    return lines, scores
+    run.show({"out": str(out), "card": str(card), "parameters": parameters}, lines)
 
 
 def _show_sectors(progress: Progress) -> Callable[[int, int], None]:
@@ -297,7 +277,7 @@ class _Epochs:
         self._progress.note(text, "epoch", **asdict(report))
 
 
-@click.group("evaluate", cls=CommandGroup)
+@click.group("evaluate")
 def evaluate_command() -> None:
     """Compare the classes of scans with labels.
 

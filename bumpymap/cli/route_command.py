@@ -127,7 +127,7 @@ def _record(result: "RouteResult", config: RouteConfig) -> dict[str, Any]:
     }
 
 
-@job("route", RouteConfig, settings_options(CostSettings, table="cost"))
+@job("route", RouteConfig, settings_options(CostSettings))
 @click.argument("layers", type=PATH, metavar="LAYERS", required=False)
 def command(run: Run) -> None:
     """Find the cheapest way over the ground that `bumpymap map` wrote to LAYERS.

@@ -110,28 +110,17 @@ def _sum(frames: list[dict[str, Any]], name: str) -> dict[str, int]:
     return {part: sum(frame[name][part] for frame in frames) for part in frames[0][name]}
 
 
-class _EveryNth(click.types.IntParamType):
-    """A whole number that may be left out, which a FRAME that follows is taken for."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the number. Raises BadParameter if it is none."""
-        try:
-            return super().convert(value, param, ctx)
-        except click.BadParameter:
-            self.fail(f"'{value}' is not a whole number. Name the frames first, or write --pictures 1", param, ctx)
-
-
 @job(
     "scan",
     ScanConfig,
-    settings_options(PolarSettings, table="polar"),
-    settings_options(Robot, table="robot"),
+    settings_options(PolarSettings),
+    settings_options(Robot),
     clashes=[VEHICLE_OR_CALIBRATION],
 )
 @click.argument("frames", nargs=-1, type=PATH, metavar="FRAME...")
 @grouped_option(
     "--pictures",
-    type=_EveryNth(),
+    type=int,
     is_flag=False,
     flag_value=1,
     metavar="N",

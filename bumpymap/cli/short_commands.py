@@ -111,7 +111,7 @@ _ROUTE = grouped_option(
 @grouped_option("--out", group="Output", type=PATH, metavar="FILE", help="File to write [LAYERS/report.html].")
 @_ROUTE
 @grouped_option("--overwrite", group="Output", is_flag=True, help="Replace FILE if it exists.")
-def report_command(run: Run, layers: Path, **settings: Any) -> None:
+def report_command(run: Run, layers: Path, out: Path | None, route: Path | None, overwrite: bool) -> None:
     """Make the page of a map again. LAYERS is a folder of `bumpymap map`.
 
     For a folder of `bumpymap diff`, the page of what has changed is made again.
@@ -122,7 +122,7 @@ def report_command(run: Run, layers: Path, **settings: Any) -> None:
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     from bumpymap.views import write_report
 
-    path = write_report(layers, page=run.settings.get("page"), **settings)
+    path = write_report(layers, out, route=route, overwrite=overwrite, page=run.settings.get("page"))
     run.show({"report": str(path), "bytes": path.stat().st_size}, [f"Open {path} in a browser."])
 
 

@@ -223,7 +223,6 @@ from .settings import (
     check_settings as check_settings,
     declared_fields as declared_fields,
     parse_record as parse_record,
-    parse_share as parse_share,
     path_fault as path_fault,
     path_of_call as path_of_call,
     read_settings_file as read_settings_file,
@@ -237,6 +236,7 @@ from .settings import (
     short_names as short_names,
     short_repr as short_repr,
     unknown_text as unknown_text,
+    value_of_text as value_of_text,
 )
 from .types import (
     AXES_DEG as AXES_DEG,

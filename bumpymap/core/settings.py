@@ -345,7 +345,7 @@ def assigned_settings(
         place = record.setdefault(table[0], {}) if table else record
         if not isinstance(place, dict):
             raise UsageError(f"{origin} gives {table[0]} both as a value and as a table")
-        place[name] = _assigned(value.strip())
+        place[name] = value_of_text(value.strip())
         if isinstance(place[name], list) and _is_text(owners, *table, name):
             place[name] = value.strip()  # its commas part nothing
     known = _fields_of(owners)
@@ -372,10 +372,12 @@ def _is_text(owners: tuple[type, ...], *names: str) -> bool:
     return each is not None and each.kind is str
 
 
-def _assigned(text: str) -> Any:
+def value_of_text(text: str) -> Any:
     """Return a value of TOML, of which quotes and brackets may be left out; a percentage as a share."""
-    if text.endswith("%") and (share := parse_share(text)) is not None:
-        return share
+    if text.endswith("%"):
+        with suppress(ValueError):
+            share = float(text[:-1]) / 100.0
+            return share if 0.0 <= share <= 1.0 else text
     for toml in (text, f"[{text}]") if "," in text else (text,):
         try:
             return tomllib.loads(f"value = {toml}")["value"]
@@ -546,15 +548,6 @@ class _Parser:
             is_file = text.endswith((".toml", ".csv")) or "/" in text
             return str(self._folder / text) if is_file else text
         return self._folder / text
-
-
-def parse_share(text: str) -> float | None:
-    """Return a share from 0 to 1, typed as such (``0.5``) or in per cent (``50%``); None if it is none."""
-    try:
-        share = float(text.strip().removesuffix("%")) / (100.0 if text.strip().endswith("%") else 1.0)
-    except ValueError:
-        return None
-    return share if 0.0 <= share <= 1.0 else None
 
 
 def path_fault(text: str) -> str:

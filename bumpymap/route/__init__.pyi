@@ -11,6 +11,6 @@ from .pipeline import (
     map_reach as map_reach,
     plan_routes as plan_routes,
 )
-from .places import parse_point as parse_point
+from .places import extent_text as extent_text, parse_point as parse_point
 from .reach import Reach as Reach
 from .settings import CostSettings as CostSettings, RouteConfig as RouteConfig

@@ -52,8 +52,6 @@ ROUTE_FILES = OutputFolder(
 )
 _AROUND_M = 10.0
 """Ground around the ways when their project is opened, m (chosen)."""
-ROUTE_MANIFEST_FORMAT, _VERSION = "bumpymap-route", 1
-"""Entries ``format`` and ``version`` of route.json."""
 
 
 def check_out(out: Path, kinds: Mapping[str, str], *, overwrite: bool) -> str | None:
@@ -113,13 +111,11 @@ def write_route(
         del writers["route.gpx"]
         notes = ["route.gpx was not written: the layers have no CRS, so longitude and latitude are unknown"]
         _log.warning(notes[0])
-    if one_file is not None:
-        writers[one_file](out)
-        return [out]
-    spot = Placement(route.georeference, route.grid, window_around(route, _AROUND_M))
-    writers |= view_writers(route_layers(route), spot, source, out, "ways")
-    entries = {**manifest, **_describe_layers(source), "routes": [_describe(route, place)]}
-    return _write_folder(writers, out, entries, notes, overwrite=overwrite)
+    if one_file is None:
+        spot = Placement(route.georeference, route.grid, window_around(route, _AROUND_M))
+        writers |= view_writers(route_layers(route), spot, source, out, "ways")
+    entries = {**manifest, **_describe_layers(source), "routes": [_describe(route, place)], "notes": notes}
+    return _write(writers, out, one_file, entries, overwrite=overwrite)
 
 
 def write_reach_files(
@@ -148,28 +144,28 @@ def write_reach_files(
         writers["isochrones.geojson"] = partial(write_isochrones, reach, levels, about=about)
     if one_file is None:
         writers |= view_writers(reach_layers(reach, levels), reach.placement, source, out, "what can be reached")
-        return _write_folder(writers, out, {**manifest, **_describe_layers(source)}, [], overwrite=overwrite)
-    if one_file not in writers:
-        raise UsageError(
-            f"{out} would hold {one_file}, which needs levels. Give the levels of the isochrones too, or a folder"
-        )
-    writers[one_file](out)
-    return [out]
+    entries = {**manifest, **_describe_layers(source), "notes": []}
+    return _write(writers, out, one_file, entries, overwrite=overwrite)
 
 
-def _write_folder(
+def _write(
     writers: Mapping[str, Callable[[Path], None]],
     out: Path,
+    one_file: str | None,
     entries: Mapping[str, Any],
-    notes: list[str],
     *,
     overwrite: bool,
 ) -> list[Path]:
-    def describe(_: Path, files: list[dict[str, Any]]) -> dict[str, Any]:
-        head = {"format": ROUTE_MANIFEST_FORMAT, "version": _VERSION, **entries}
-        return head | {"versions": software_versions(), "notes": notes, "files": files}
-
-    return ROUTE_FILES.write(out, writers, describe, overwrite=overwrite)
+    """Write one file, from `check_out`, or all of them and route.json with these entries."""
+    if one_file is not None:
+        if one_file not in writers:
+            raise UsageError(
+                f"{out} would hold {one_file}, which needs levels. Give the levels of the isochrones too, or a folder"
+            )
+        writers[one_file](out)
+        return [out]
+    head = {"format": "bumpymap-route", "version": 1, **entries, "versions": software_versions()}
+    return ROUTE_FILES.write(out, writers, lambda _, files: head | {"files": files}, overwrite=overwrite)
 
 
 def _describe_layers(source: MapReader) -> dict[str, Any]:

@@ -264,13 +264,7 @@ def _on_pixels(
     for ends in pairwise(points):
         if lone:
             rows, cols = np.nonzero(corridor)
-            top, left = int(rows.min()), int(cols.min())
-            part = TileWindow(
-                window.col + left,
-                window.row + window.rows - 1 - int(rows.max()),
-                int(cols.max()) - left + 1,
-                int(rows.max()) - top + 1,
-            )
+            part = TileWindow.around(window.col + cols, window.row + window.rows - 1 - rows)
         else:
             part = overlap(window_around(ground.site, np.array(ends), _AROUND_TILES), window)
         cost = ground.with_room(ground.on_pixels(part, by_heading=True))

@@ -79,7 +79,7 @@ def place_point(
     hint = ""
     if any(point is not None and _outside_m(point, route_map) <= _NEAR_M for point in swapped):
         hint = f"Longitude comes before latitude, x (east) before y (north): did you mean {y:.10g},{x:.10g}? "
-    raise BadInputError(f"{name} lies outside the map, which spans {_extent(route_map)}. {hint}{_FORMS}")
+    raise BadInputError(f"{name} lies outside the map, which spans {extent_text(route_map)}. {hint}{_FORMS}")
 
 
 def place_in_window(point: Place, grid: Grid, window: TileWindow) -> tuple[float, float]:
@@ -147,7 +147,8 @@ def _outside_m(point: GridPoint, route_map: MapReader) -> float:
     return max(math.hypot(point.easting - easting, point.northing - northing), np.finfo(float).tiny)
 
 
-def _extent(route_map: MapReader) -> str:
+def extent_text(route_map: MapReader) -> str:
+    """Say what a map spans, in its CRS and in longitude and latitude, for messages."""
     bounds = route_map.grid.window_bounds(route_map.window)
     (west, south), (east, north) = (
         route_map.to_crs(*corner) for corner in ((bounds.west, bounds.south), (bounds.east, bounds.north))

@@ -108,31 +108,44 @@ MEANT = {
 NUMERIC = {"SIZE", "LIST", "N", "M", "HZ", "COST", "SHARE", "KM", "RAD_S"}
 
 
+def moved(name):
+    """Settings that have no option: option that it would be, key, value."""
+    return [(option, *found) for option, found in getattr(command(name), "moved", {}).items()]
+
+
 def numbers():
+    """Yield command, setting, words that give a number, the name that a message has for it, and the number."""
     for name in COMMANDS:
         for option in options(name):
             known = option.type.name in {"integer", "float", "integer range", "float range"}
             if known or (option.metavar in NUMERIC and option.name not in {"products", "columns"}):
                 # After an option that may stand alone, click takes a word with a dash for the next option.
                 for value in ("0", "nan") if option._flag_needs_value else ("0", "-1", "nan"):
-                    yield pytest.param(name, option, value, id=f"{name} --{option.name} {value}")
+                    yield name, option.name, [f"{option.opts[0]}={value}"], option.opts[0], value
+        for _, key, kind in moved(name):
+            setting = key.split(".")[-1]
+            if (
+                kind in NUMERIC
+                and setting not in {"products", "columns"}
+                and (name, setting) != ("info", "max_unknown")
+            ):
+                for value in ("0", "-1", "nan"):
+                    yield name, setting, ["--set", f"{key}={value}"], key, value
 
 
-@pytest.mark.parametrize(("name", "option", "value"), list(numbers()))
-def test_no_number_is_ignored(name, option, value, reached, tmp_path, monkeypatch):
+@pytest.mark.parametrize(("name", "setting", "given", "named", "value"), list(numbers()))
+def test_no_number_is_ignored(name, setting, given, named, value, reached, tmp_path, monkeypatch):
     """0 and -1 are refused with a message that names the option, or arrive as they are meant."""
     monkeypatch.chdir(tmp_path)
-    given = ("--set", f"{option.key}={value}") if getattr(option, "key", "") else (f"{option.opts[0]}={value}",)
     if name.startswith("train"):
         pytest.importorskip("torch")
     result = run(*name.split(), *WORDS[name], *given)
-    if (name, option.name, float(value)) in MEANT:
+    if (name, setting, float(value)) in MEANT:
         assert isinstance(result.exception, Reached), result.output
-        assert MEANT[name, option.name, float(value)](reached[name]) == float(value)
+        assert MEANT[name, setting, float(value)](reached[name]) == float(value)
         return
     assert result.exit_code == 2, (result.output, result.exception)
     _, _, message = result.stderr.rpartition("Error: ")
-    named = option.key if getattr(option, "key", "") else option.opts[0]
     assert named in re.findall(r"--[a-z-]+|[a-z][a-z_.]+", message), result.stderr
     assert not reached
     assert list(tmp_path.iterdir()) == []
@@ -194,7 +207,7 @@ def test_a_settings_file_names_every_setting_and_its_default(name, tmp_path, mon
     """Its lines without the # give what the command does without the file."""
     monkeypatch.chdir(tmp_path)
     text = run("settings", *name.split()).stdout
-    keys = {option.key.split(".")[-1] for option in options(name) if getattr(option, "key", "")}
+    keys = {key.split(".")[-1] for _, key, _ in moved(name)}
     assert keys <= set(re.findall(r"^#([a-z_]+) =", text, re.MULTILINE))
     (tmp_path / "a.toml").write_text(re.sub(r"^#(?=[a-z_]+ = |\[)", "", text, flags=re.MULTILINE))
     if name.startswith("train"):
@@ -243,8 +256,8 @@ def test_a_set_value_keeps_the_rest_of_a_table(reached, tmp_path):
 
 @pytest.mark.parametrize("name", LONG)
 def test_what_refuses_a_moved_option_names_a_command_that_prints_its_settings(name):
-    moved = [option for option in options(name) if getattr(option, "key", "")]
-    if moved:
-        done = run(*name.split(), moved[0].opts[0], *([] if moved[0].is_flag else ["1"]), *WORDS[name])
+    for option, key, value in moved(name)[:1]:
+        done = run(*name.split(), option, *WORDS[name])
+        assert f"write --set {key}={value}, or put it" in done.stderr
         assert f"bumpymap settings {name} prints one" in done.stderr
-        assert moved[0].key.split(".")[-1] in run("settings", *name.split()).stdout
+        assert key.split(".")[-1] in run("settings", *name.split()).stdout

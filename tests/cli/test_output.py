@@ -160,31 +160,6 @@ def test_an_encoding_without_the_letters(monkeypatch):
     assert raw.getvalue() == b"\\xe9 \\u9053\n"
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("line", "shown"),
-    [
-        ("info WICKED", ["\\x1b[31m", "\\xff"]),
-        ("scan WICKED --out o", ["\\x1b[31m", "\\xff"]),
-        ("map RED --out ERROR --local", ["\\x1b]\\nError: d"]),
-        ("train textures --out WICKED", []),
-    ],
-)
-def test_names_of_files_are_shown(line, shown, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    wicked = f"{WICKED.replace('/', '|')}.laz"
-    names = {"WICKED": wicked, "GONE": f"b{wicked}", "RED": "a\x1b[31m[red]\nError: b.laz", "ERROR": "\x1b]\nError: d"}
-    try:
-        for name in ("WICKED", "RED"):
-            Path(names[name]).symlink_to(QUARRY)
-    except OSError:
-        pytest.skip("the file system refuses such names")
-    result = run(*(names.get(word, word) for word in line.split()))
-    assert not isinstance(result.exception, UnicodeError)
-    assert nothing_acts(result.stdout + result.stderr)
-    assert [part for part in shown if part not in result.stdout + result.stderr] == []
-
-
 def test_lines_of_a_message_stay_lines(tmp_path):
     for name in ("a.laz", "b\nError: forged.laz"):
         (tmp_path / name).write_bytes(b"LASFnothing")

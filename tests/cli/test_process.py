@@ -44,10 +44,6 @@ from bumpymap.__main__ import run
 sys.argv = ["bumpymap", *sys.argv[1:]]
 """
 KEPT_UNTIL_THE_END = "class Kept:\n def __del__(self): print('apart')\nkept = Kept()\n"
-TIMEOUT = """
-import bumpymap.cli, os
-bumpymap.cli.main = lambda: print(os.environ['OPENBLAS_THREAD_TIMEOUT'], 'numpy' in sys.modules)
-"""
 
 
 @pytest.mark.parametrize(("words", "code"), [(("--help",), 0), (("map", "--nothing"), 2)])
@@ -57,15 +53,6 @@ def test_functions_for_the_end_run_output_is_flushed_and_the_interpreter_is_not_
     assert done.stdout.endswith("registered")
     assert "Usage:" in done.stdout + done.stderr
     assert "Traceback" not in done.stderr
-
-
-@pytest.mark.parametrize("given", [None, "26"])
-def test_threads_of_linear_algebra_do_not_spin_unless_the_user_says_so(given):
-    """Told before numpy is imported, since its library reads the variable once."""
-    env = {name: value for name, value in os.environ.items() if name != "OPENBLAS_THREAD_TIMEOUT"}
-    env |= {} if given is None else {"OPENBLAS_THREAD_TIMEOUT": given}
-    done = call([sys.executable, "-c", f"{PROGRAM}{TIMEOUT}run()\n"], env=env)
-    assert done.stdout.split()[:2] == [given or "4", "False"]
 
 
 @pytest.mark.later

@@ -3,10 +3,12 @@
 import json
 import math
 import shutil
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from check_records import stretches_at
 from small_surveys import write_survey
 
 import bumpymap
@@ -150,8 +152,9 @@ def test_a_drive_is_held_against_its_own_line_as_far_as_its_positions_are_known(
         track = SimpleNamespace(place_sd=lambda at: np.full(len(at), off))
         east, north = (np.interp(time, (0.0, 20.0), ends) for ends in ((x, to_x), (y, to_y)))
         drive = SimpleNamespace(time=time, hertz=10.0, speed=np.ones(200), easting=east, northing=north, track=track)
-        cut = SimpleNamespace(label=label, start_s=np.array([2.0, 10.0]), end_s=np.array([10.0, 18.0]), way_m=8.0)
-        return read_line(drive, cut, site, vehicle)
+        two = stretches_at(np.zeros((2, 2)), np.zeros(2), 1.0)
+        cut = replace(two, start_s=np.array([2.0, 10.0]), end_s=np.array([10.0, 18.0]), way_m=np.full(2, 8.0))
+        return read_line(drive, label, cut, site, vehicle)
 
     site = open_map(waves)
     vehicle = LineVehicle.of(site, map_calibration(site.manifest, site.grid.tile_size), motion=False)

@@ -184,7 +184,6 @@ class Results:
             for task in tasks
         }
         self._views: dict[str, SurveyView] = {}
-        self._ended: set[str] = set()
         self._written = monotonic()
 
     @property
@@ -195,7 +194,6 @@ class Results:
     def add(self, row: SurveyRow, view: SurveyView) -> None:
         """Note the result of a survey; write the files if that is long ago."""
         self._rows[row.name], self._views[row.name] = row, view
-        self._ended.add(row.name)
         if monotonic() - self._written > _EVERY_S:
             try:
                 self._write(" while the batch was running")
@@ -208,7 +206,7 @@ class Results:
 
         Raises OutputError: they cannot be written.
         """
-        for name in self._rows.keys() - self._ended:
+        for name in self._rows.keys() - self._views.keys():
             task = self._tasks[name]
             if not task.config.out.is_symlink() and is_complete(task.config.out):
                 with suppress(BumpymapError):
@@ -223,10 +221,6 @@ class Results:
         write_batch_summary(self.rows, self._folder, self._title, page)
 
 
-_GOOD: tuple[SurveyStatus, ...] = ("done", "already done")
-_WITH_LAYERS: tuple[SurveyStatus, ...] = (*_GOOD, "incomplete")
-_ALL, _SOME, _NONE = 0, 4, 3
-"""Exit codes of a batch, by how many of its surveys were mapped."""
 _MOST_THUMBNAIL, _MOST_THUMBNAILS = 40_000, 1_200_000
 """Characters of one picture, and of all on the page together."""
 
@@ -250,9 +244,10 @@ class BatchResult:
     @property
     def exit_code(self) -> int:
         """0: all surveys are done. 4: some are. 3: none has layers."""
-        if len(self.with_status(*_GOOD)) == len(self.rows):
-            return _ALL
-        return _SOME if self.with_status(*_WITH_LAYERS) else _NONE
+        good = self.with_status("done", "already done")
+        if len(good) == len(self.rows):
+            return 0
+        return 4 if good or self.with_status("incomplete") else 3
 
 
 def run_batch(
@@ -335,9 +330,6 @@ def _note(row: SurveyRow, trace: str) -> None:
         _log.warning("%s %s: %s", row.name, "failed" if row.status == "failed" else "is incomplete", row.message)
 
 
-_OF_BATCH = ("survey_per", "jobs")
-
-
 class BatchSettings(MapSettings, total=False):
     """Settings of `map_batch`: those of ``BatchConfig``, and of ``MapConfig`` for each survey."""
 
@@ -388,10 +380,10 @@ def map_batch(
     >>> night.exit_code
     4
     """
-    known = [*_OF_BATCH, *MapSettings.__annotations__]
+    known = BatchSettings.__annotations__
     refuse_unknown(settings, known, "map_batch")
     given: dict[str, Any] = {name: value for name, value in settings.items() if value is not None}
-    own = {name: given.pop(name) for name in _OF_BATCH if name in given}
+    own = {name: given.pop(name) for name in ("survey_per", "jobs") if name in given}
     if report is not None and not callable(report):
         raise UsageError(f"report is {short_repr(report)}; it must be a function that takes a row")
     places = Path(path_of_call("source", source)), Path(path_of_call("out", out))

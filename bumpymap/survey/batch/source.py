@@ -7,26 +7,27 @@ import os
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, cast, get_origin
+from typing import Any, get_origin
 
 from bumpymap.core import (
     CLASHES,
     BadInputError,
     BumpymapError,
     MapConfig,
+    NameOrFile,
     PageSettings,
     UsageError,
     parse_crs,
     parse_record,
-    parse_share,
     path_fault,
     read_regular,
     refuse_clashes,
     refuse_faults,
     settings_with_options,
     unknown_text,
+    value_of_text,
     with_pixels,
 )
 from bumpymap.layers import BATCH_NAMES
@@ -40,7 +41,6 @@ _LISTS = (".txt", ".csv")
 _SURVEY, _NAME = "survey", "name"
 _KINDS = {each.name: each.kind for each, _ in settings_with_options(MapConfig) if each.name not in OWN_SETTINGS}
 """Column -> type of its setting."""
-_WORDS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 
 Row = tuple[Path, str, dict[str, Any]]
 """A survey of a batch: its file or folder; its name (of the folder of its layers; empty: none is given); settings."""
@@ -93,54 +93,45 @@ def _is_reserved(name: str) -> bool:
 def read_table(
     text: str, origin: str, folder: Path, check: Callable[[Mapping[str, Any]], list[str]] = lambda _: []
 ) -> list[Row]:
-    """Parse the CSV of a batch.
+    """Parse the CSV of a batch: its column ``survey``, if wanted ``name``, and settings of a map, spelled as options.
 
-    ``text``: with the column ``survey``, if wanted ``name``, and settings of a map, spelled as options or as in Python.
-    An empty cell means that the setting is not given. A table that Excel wrote with semicolons is read too. ``origin``:
-    name of the file, for messages; ``folder``: folder at which relative paths start; ``check``: returns what else is
-    wrong with the settings of a row. Raises UsageError: unknown columns or
+    A cell is what follows ``--set KEY=``, a list may have spaces instead of commas; an empty one means that the setting
+    is not given. A table that Excel wrote with semicolons is read too. ``folder``: folder at which relative paths
+    start; ``check``: returns what else is wrong with the settings of a row. Raises UsageError: unknown columns or
     values that are not allowed; the message lists all.
     """
     header, _, _ = text.partition("\n")
-    lines = csv.reader(io.StringIO(text), delimiter=";" if ";" in header and "," not in header else ",")
+    table = csv.DictReader(io.StringIO(text), restval="", delimiter=";" if ";" in header and "," not in header else ",")
     try:
-        rows = [(lines.line_num, [cell.strip() for cell in row]) for row in lines]
+        titles = [title.strip() for title in table.fieldnames or ()]
+        table.fieldnames = columns = [title.lower().lstrip("-").replace("-", "_") for title in titles]
+        rows = [(table.line_num, row) for row in table]
     except csv.Error as error:
-        raise UsageError(f"{origin}: line {lines.line_num} is not CSV: {error}") from error
-    rows = [(number, row) for number, row in rows if any(row)]
+        raise UsageError(f"{origin}: line {table.line_num} is not CSV: {error}") from error
+    known = [_SURVEY, _NAME, *_KINDS]
+    if _SURVEY not in columns:
+        raise UsageError(f"{origin}: there is no column {_SURVEY}; there are: {', '.join(known)}")
     faults: list[str] = []
-    columns = _columns(rows[0][1] if rows else [], origin, faults)
-    found = [_row(number, row, columns, folder, faults, check) for number, row in rows[1:]]
+    if unknown := [title for title, name in zip(titles, columns, strict=True) if name not in {"", *known}]:
+        faults.append(unknown_text(unknown, known, "column").replace("`", ""))
+    if repeated := sorted({name for name in columns if name and columns.count(name) > 1}):
+        faults.append(f"the column {', '.join(repeated)} is there twice")
+    found = []
+    for number, row in rows:
+        more = [cell for cell in row.pop(None, []) if cell.strip()]
+        given = {name: cell.strip() for name, cell in row.items() if name in known and cell.strip()}
+        if given or more:
+            wrong = [f"it has {len(columns) + len(more)} cells, the header has {len(columns)}"] if more else []
+            found.append(_row(given, folder, wrong, check))
+            faults += [f"line {number}: {why}" for why in wrong]
     names = [name.casefold() for _, name, _ in found if name]
     faults += [f"the name {name} is given twice" for name in sorted(set(names)) if names.count(name) > 1]
     refuse_faults(faults, origin, UsageError)
     return found
 
 
-def _columns(titles: list[str], origin: str, faults: list[str]) -> list[str]:
-    """Return the names of the columns, empty for unknown ones; append what is wrong with them to ``faults``."""
-    columns = [title.lower().lstrip("-").replace("-", "_") for title in titles]
-    known = [_SURVEY, _NAME, *_KINDS]
-    if _SURVEY not in columns:
-        raise UsageError(f"{origin}: there is no column {_SURVEY}; there are: {', '.join(known)}")
-    if unknown := [title for title, name in zip(titles, columns, strict=True) if name not in {"", *known}]:
-        faults.append(unknown_text(unknown, known, "column").replace("`", ""))
-    if repeated := sorted({name for name in columns if name and columns.count(name) > 1}):
-        faults.append(f"the column {', '.join(repeated)} is there twice")
-    return [name if name in known else "" for name in columns]
-
-
-def _row(
-    number: int,
-    cells: list[str],
-    columns: list[str],
-    folder: Path,
-    faults: list[str],
-    check: Callable[[Mapping[str, Any]], list[str]],
-) -> Row:
-    """Return a row; append what is wrong with it to ``faults``."""
-    wrong = [f"it has {len(cells)} cells, the header has {len(columns)}"] if any(cells[len(columns) :]) else []
-    given = {name: cell for name, cell in zip(columns, cells, strict=False) if cell and name}
+def _row(given: dict[str, str], folder: Path, wrong: list[str], check: Callable[[Mapping[str, Any]], list[str]]) -> Row:
+    """Return a row of cells by column; append what is wrong with it to ``wrong``."""
     place, name = given.pop(_SURVEY, ""), given.pop(_NAME, "")
     if not place or path_fault(place):
         wrong.append(path_fault(place) or "the survey is empty")
@@ -150,31 +141,19 @@ def _row(
         wrong.append(f"the name is {name!r}; {why}")
     settings: dict[str, Any] = {}
     for key, cell in given.items():
-        value, more = _setting(key, cell, folder)
-        settings |= {} if more else value
+        value: Any = cell
+        if get_origin(_KINDS[key]) is tuple:
+            value = [value_of_text(word) for word in cell.replace(",", " ").split()]
+        elif _KINDS[key] not in (str, Path, NameOrFile):
+            value = value_of_text(cell.lower() if _KINDS[key] is bool else cell)  # Excel writes TRUE
+        own, more = parse_record({key: value}, MapConfig, folder)
+        settings |= {} if more else own
         wrong += more
     with _noted(wrong):
         refuse_clashes(settings, CLASHES)
         MapConfig(surveys=(), out=Path(), **settings)
     wrong += [why for why in check(settings) if why not in wrong]
-    faults += [f"line {number}: {why}" for why in wrong]
     return (folder / place, name, settings)
-
-
-def _setting(name: str, text: str, folder: Path) -> tuple[dict[str, Any], list[str]]:
-    """Return what a cell sets, by name, and what is wrong with it."""
-    kind, value = _KINDS[name], cast("Any", text)
-    if name == "max_unknown":
-        share = parse_share(text)
-        return {name: share}, [f"{name} is {text!r}; it must be a share such as 50% or 0.5"] if share is None else []
-    with suppress(ValueError):  # a text that is no number is left for the message
-        if kind is bool:
-            value = _WORDS.get(text.lower(), text)
-        elif get_origin(kind) is tuple:
-            value = [int(word) for word in text.replace(",", " ").split()]
-        elif kind in (int, float):
-            value = kind(text)
-    return parse_record({name: value}, MapConfig, folder)
 
 
 def settings_faults(

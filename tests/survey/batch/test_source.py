@@ -53,7 +53,7 @@ def test_each_folder_of_a_folder(flights, caplog):
         ("a.csv", "survey,crs,crs\n", UsageError, "crs is there twice"),
         ("a.csv", "survey,name\na.laz,.b\n", UsageError, "the name is '.b'"),
         ("a.csv", "survey,crss\na.laz,1\n", UsageError, "unknown column crss"),
-        ("a.csv", "survey,local,crs\na.laz,yes,EPSG:1\n", UsageError, "contradict each other"),
+        ("a.csv", "survey,local,crs\na.laz,TRUE,EPSG:1\n", UsageError, "contradict each other"),
         ("a.csv", "survey,crs\n,EPSG:1\n", UsageError, "line 2: the survey is empty"),
         ("a.csv", "survey\na.laz,b\n", UsageError, "it has 2 cells"),
         ("a.csv", "survey,name\na.laz,x\nb.laz,X\n", UsageError, "the name x is given twice"),
@@ -83,9 +83,9 @@ def test_all_faults_of_all_rows_are_said_at_once(tmp_path):
         "there is no file or folder",
         "'EPSG:99999' is not a coordinate reference system",
         "no vehicle 'truck'",
-        "tile_size is -3.0; it must be a number from 0.05 to 1000 m",
+        "tile_size is -3; it must be a number from 0.05 to 1000 m",
         "line 3: pixels is 'many'",
-        "max_unknown is '150%'; it must be a share such as 50% or 0.5",
+        "max_unknown is '150%'; it must be a number from 0 to 1",
         "ground is 'CSV'; it must be one of auto, all, class, csf",
     ):
         assert said in str(caught.value)
@@ -104,7 +104,7 @@ def test_a_fault_of_all_surveys_is_said_before_the_first(tmp_path):
 @pytest.mark.parametrize("separator", [",", ";"])
 def test_the_columns_of_a_table_are_settings(tmp_path, separator):
     text = "survey,name,--tile-size,Pixels,local,vehicle,calibration,max_unknown,ground_classes\n"
-    text += f"a b.laz,n,2.5,11,yes,,own.json,50%,\n{tmp_path}/x/c.laz,,,,no,own.toml,,0.25,2 8 17\n"
+    text += f"a b.laz,n,2.5,11,true,,own.json,50%,\n{tmp_path}/x/c.laz,,,,false,own.toml,,0.25,2 8 17\n"
     for name in ("a b.laz", "x/c.laz"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
