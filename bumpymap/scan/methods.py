@@ -34,7 +34,7 @@ from bumpymap.core import (
     UsageError,
     cell_numbers,
 )
-from bumpymap.patches import measure, measure_thin
+from bumpymap.patches import choose_tiles, measure, measure_thin
 from bumpymap.rating import (
     BlockRating,
     Calibration,
@@ -51,7 +51,7 @@ from bumpymap.scan.ground import SectorBuffers
 from bumpymap.scan.learned import ScanModel, classify_learned
 from bumpymap.scan.polar import polar_sectors
 from bumpymap.scan.stripes import classify_filter, load_stripes
-from bumpytiles import Grid, TilePoints
+from bumpytiles import Grid, TilePoints, group_points, join_tiles, sort_block
 
 _REACH_M = 60.0
 """Distance from the sensor beyond which points are too few for any tile, m (chosen)."""
@@ -178,30 +178,12 @@ def _widened(tiles: BlockRating, coverage: NDArray[np.floating]) -> BlockRating:
 
 
 def _cut(points: NDArray[np.float32], grid: Grid, side: int) -> TilePoints:
-    """Cut points into the tiles of the square around the sensor; those with too few for a rating are left out.
-
-    The points of a tile come in random order, always the same: of many points, the measures of pairs take the first.
-    """
-    x, y, z = points.T[:, np.random.default_rng(0).permutation(len(points))].astype(np.float64)
-    col, row = grid.index(x), grid.index(y)
-    inside = (np.minimum(col, row) >= -side) & (np.maximum(col, row) < side)
-    tile = np.where(inside, (row + side) * (2 * side) + col + side, 4 * side * side)
-    count = np.bincount(tile, minlength=4 * side * side + 1)
-    kept = np.flatnonzero(count[:-1] >= FeatureSettings().min_coverage * grid.pixels**2)
-    wanted = np.zeros(len(count), np.bool_)
-    wanted[kept] = True
-    asked = np.flatnonzero(wanted[tile])
-    asked = asked[np.argsort(tile[asked], kind="stable")]
-    return TilePoints(
-        grid=grid,
-        col=kept % (2 * side) - side,
-        row=kept // (2 * side) - side,
-        starts=np.concatenate(([0], np.cumsum(count[kept]))),
-        easting=x[asked],
-        northing=y[asked],
-        upward=z[asked],
-        flag=np.ones(len(asked), np.bool_),
-    )
+    """Cut points into the tiles of the square around the sensor; those with too few for a rating are left out."""
+    x, y, z = points[np.abs(points[:, :2]).max(axis=1, initial=0.0) < side * grid.tile_size].T.astype(np.float64)
+    blocks = group_points(grid, x, y, z, np.ones(len(x), np.bool_))
+    parts = [sort_block(grid, key, [blocks.block(place, blocks.points)]) for place, key in enumerate(blocks.keys)]
+    tiles = join_tiles(parts or [sort_block(grid, (0, 0), [])])
+    return choose_tiles(tiles, np.diff(tiles.starts) >= FeatureSettings().min_coverage * grid.pixels**2)
 
 
 @dataclass(frozen=True, slots=True)
