@@ -11,6 +11,7 @@ over its area, as far as that is rated.
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -209,43 +210,36 @@ def choose_method(config: ScanConfig) -> Method:
     name another belly or height. Raises BadInputError: the network, the stripe classes or
     the calibration of the vehicle cannot be read.
     """
-    if config.vehicle is None and config.calibration is None:
-        return _choose(config)
-
-    calibration = find_calibration(config.vehicle or "", config.calibration)
-    rater, polar = SectorRater(calibration), config.polar
-    own = {"belly_m": calibration.body.lowest_obstacle_m, "height_m": calibration.body.height_m}
-    for name, value in own.items():
-        if getattr(polar, name) not in {value, getattr(PolarSettings(), name)}:
-            raise UsageError(
-                f"{name} is {getattr(polar, name)} among the settings of the polar grid, and {value} for the vehicle: "
-                f"leave out {name}, or the vehicle"
-            )
-    method = _choose(replace(config, polar=replace(polar, belly_m=own["belly_m"], height_m=own["height_m"])))
-
-    def classify(scan: Scan) -> ClassedSectors:
-        classed = method.classify(scan)
-        return replace(classed, ride=rater(scan, classed.sectors))
-
-    return replace(method, classify=classify, calibration=calibration)
-
-
-def _choose(config: ScanConfig) -> Method:
-    """Return the method without the ride of a vehicle."""
     polar, buffers = config.polar, SectorBuffers()
-    network = None
-    if config.model is not None:
-        network = ScanModel.load(config.model)
-    elif config.method != "filter":
+    calibration, rater = None, None
+    if config.vehicle is not None or config.calibration is not None:
+        calibration = find_calibration(config.vehicle or "", config.calibration)
+        rater = SectorRater(calibration)
+        own: dict[str, Any] = {"belly_m": calibration.body.lowest_obstacle_m, "height_m": calibration.body.height_m}
+        for name, value in own.items():
+            if getattr(polar, name) not in {value, getattr(PolarSettings(), name)}:
+                raise UsageError(
+                    f"{name} is {getattr(polar, name)} among the settings of the polar grid, and {value} for the "
+                    f"vehicle: leave out {name}, or the vehicle"
+                )
+        polar = replace(polar, **own)
+    network = ScanModel.load(config.model) if config.model is not None else None
+    if network is None and config.method != "filter":
         network = ScanModel.shipped()
         if config.method is None and network.pixels != polar.pixels:
             network = None
+    classify: Callable[[SectorStack], ClassedSectors]
     if network is not None:
-        model = network
-        model.require_pixels(polar)
-        basis = f"scan network {model.id}"
-        return Method("learned", basis, lambda scan: classify_learned(polar_sectors(scan, polar, buffers), model))
-    stripes = load_stripes()
-    stripes.require_pixels(polar)
-    basis = f"stripe classes of bumpymap: {', '.join(f'{centre:.2f}' for centre in stripes.centres)}"
-    return Method("filter", basis, lambda scan: classify_filter(polar_sectors(scan, polar, buffers), stripes))
+        network.require_pixels(polar)
+        basis, classify = f"scan network {network.id}", partial(classify_learned, model=network)
+    else:
+        stripes = load_stripes()
+        stripes.require_pixels(polar)
+        basis = f"stripe classes of bumpymap: {', '.join(f'{centre:.2f}' for centre in stripes.centres)}"
+        classify = partial(classify_filter, model=stripes)
+
+    def classed(scan: Scan) -> ClassedSectors:
+        found = classify(polar_sectors(scan, polar, buffers))
+        return found if rater is None else replace(found, ride=rater(scan, found.sectors))
+
+    return Method("filter" if network is None else "learned", basis, classed, calibration)

@@ -78,8 +78,8 @@ class PoseCorrection:
     turned_deg: float
     """Largest turn."""
 
-    def record(self) -> dict[str, Any]:
-        """Return the entry in scan.json."""
+    def record(self, names: list[str]) -> dict[str, Any]:
+        """Return the entry in scan.json; ``names``: of the frames."""
         sizes = [np.array([each.before_m, each.after_m]) for each in self.edges if not math.isnan(each.before_m)]
         before, after = np.median(sizes, axis=0).tolist() if sizes else (None, None)
         return {
@@ -90,6 +90,7 @@ class PoseCorrection:
             "surfaces_after_m": after if after is None else round(after, 4),
             "largest_move_m": round(self.moved_m, 4),
             "largest_turn_deg": round(self.turned_deg, 3),
+            "poses": dict(zip(names, self.poses.tolist(), strict=True)),
         }
 
 
