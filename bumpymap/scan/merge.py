@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from bumpymap.core import BadInputError, Robot, loops
 from bumpymap.scan.align import VIEW, VIEW_REACH_M, Floats, judge_by_view, view_of
 from bumpymap.scan.pose_checks import PoseCheck, way_along
-from bumpymap.scan.registration import PoseCorrection, correct_poses
+from bumpymap.scan.registration import correct_poses
 
 MOST_GROUND, MOST_OTHERS = 8, 3
 """Ground points per pixel of the map, and other points per voxel, that are kept (chosen)."""
@@ -121,25 +121,22 @@ class DriveMerge:
         self, folder: Path, offset: Floats, robot: Robot, *, trusted: bool = False, corrected: bool = False
     ) -> None:
         self._points, self._views, self._offset, self._robot = folder / "points", folder / "views", offset, robot
-        self._trusted, self._corrected = trusted, corrected
         self._names: list[str] = []
         self._ends = [0]
         """Where the points of frames begin and end in the file."""
         self._blocks: dict[int, list[tuple[int, int, int]]] = {}
         """Of each block of the world: the frames with points there, and where they lie in the file: from, to."""
         self._counts = {"points": 0, "ground": 0, "moving": 0}
-        self._check: PoseCheck | None = None
-        self._correction: PoseCorrection | None = None
+        self._correction: dict[str, Any] | None = None
         self._given: list[Floats] = []
         self.poses = np.empty((0, 4, 4))
         """(frames, 4, 4) when all have come: as they were given, then corrected."""
+        self._view = lru_cache(_VIEWS)(self._read_view)
+        self._check = PoseCheck(self.poses, self._names, self._view, trusted, corrected)
 
     def record(self) -> dict[str, Any]:
         """Return the entry in scan.json."""
-        poses: dict[str, Any] | None = None
-        if self._check is not None:
-            correction = None if self._correction is None else self._correction.record(self._names)
-            poses = {**self._check.record(), "correction": correction}
+        poses = {**self._check.record(), "correction": self._correction}
         return {"seen": self._ends[-1], **self._counts, "poses": poses}
 
     def add_points(self, name: str, pose: Floats, placed: Mapping[str, NDArray[Any]]) -> None:
@@ -163,13 +160,11 @@ class DriveMerge:
 
         Raises WrongPosesError: poses that cannot be right, and are not trusted.
         """
-        self.poses = np.array(self._given).reshape(-1, 4, 4)
-        view = lru_cache(_VIEWS)(self._view)
-        self._check = PoseCheck(self.poses, self._names, view, self._trusted, self._corrected)
+        self.poses = self._check.poses = np.array(self._given).reshape(-1, 4, 4)
         if len(self._names) > 1:
             self._check.run()
-            if self._corrected:
-                self._correct(self._check)
+            if self._check.corrected:
+                self._correct()
         for block, parts in sorted(self._blocks.items()):
             self._blocks[block] = [each for each in parts if each[0] not in self._check.left_out]
             if self._blocks[block]:
@@ -178,8 +173,7 @@ class DriveMerge:
                 self._counts["points"] += len(xyz)
                 self._counts["ground"] += int(is_ground.sum())
 
-    def _view(self, number: int) -> Any:
-        """Read the `VIEW` of a frame."""
+    def _read_view(self, number: int) -> Any:
         return np.fromfile(self._views, VIEW, 1, offset=VIEW.itemsize * number)[0]
 
     def _rows(self, begin: int, end: int) -> NDArray[Any]:
@@ -196,7 +190,7 @@ class DriveMerge:
         away = 0.001 * rows["place"] + (self._offset - pose[:3, 3])
         return rows, np.einsum("nj,ji->ni", away, pose[:3, :3])
 
-    def _correct(self, check: PoseCheck) -> None:
+    def _correct(self) -> None:
         """Correct the poses, and place the points of all frames again."""
 
         def cloud(number: int) -> Floats:
@@ -204,18 +198,18 @@ class DriveMerge:
             return points[(rows["kind"] > 1) & (rows["range_cm"] < _NEAR_CM)]
 
         self._mark_still()
-        pairs = sorted(pair for pair in check.pairs if not {*pair}.intersection(check.left_out))
-        self._correction = correct_poses(self.poses, pairs, cloud)
+        pairs = sorted(pair for pair in self._check.pairs if not {*pair}.intersection(self._check.left_out))
+        poses, self._correction = correct_poses(self.poses, pairs, cloud)
+        self._correction["poses"] = dict(zip(self._names, poses.tolist(), strict=True))
         self._blocks.clear()
-        for number in check.kept:
+        for number in self._check.kept:
             rows, points = self._in_sensor(number)
-            pose = self._correction.poses[number]
-            world = np.einsum("nj,ij->ni", points, pose[:3, :3]) + (pose[:3, 3] - self._offset)
+            world = np.einsum("nj,ij->ni", points, poses[number, :3, :3]) + (poses[number, :3, 3] - self._offset)
             rows["place"], rows["kind"] = np.round(1000.0 * world), rows["kind"] & 1
             rows, blocks, counts = _by_block(rows, self._offset)
             self._list_blocks(number, blocks, counts)
             self._replace(self._ends[number], rows)
-        self.poses = self._correction.poses
+        self.poses = poses
 
     def _mark_still(self) -> None:
         """Mark the points in voxels that enough stretches of the way have seen, and beside these, for poses err."""
@@ -238,6 +232,10 @@ class DriveMerge:
         row = (block + _SIDE // 2) // _SIDE
         return np.array([block - row * _SIDE, row]) * _BLOCK_MM - _whole(self._offset)
 
+    def _origin(self, block: int) -> Floats:
+        """Return the corner of a block in the world, m; heights count from that of the offset."""
+        return np.append(0.001 * self._corner(block), 0.0) + self._offset
+
     def _gather(self, block: int, voxel_mm: int = VOXEL_MM, numbers: list[int] | None = None) -> VoxelTable:
         """Read the points of a block, frame after frame, into voxels.
 
@@ -257,14 +255,14 @@ class DriveMerge:
 
     def _judge(self, block: int, where: NDArray[np.int32]) -> NDArray[np.int32]:
         """Count for places (n, 3) in a block the frames that `judge_by_view` tells apart, (4, n)."""
-        corner = 0.001 * self._corner(block) + self._offset[:2]
-        middle = self.poses[:, :2, 3]
+        origin, middle = self._origin(block), self.poses[:, :2, 3]
+        corner = origin[:2]
         away = np.linalg.norm(middle - np.clip(middle, corner, corner + 0.001 * _BLOCK_MM), axis=1)
         found = np.zeros((4, len(where)), np.int32)
-        away[self._check.left_out if self._check else []] = np.inf
+        away[self._check.left_out] = np.inf
         for number in np.flatnonzero(away < VIEW_REACH_M).tolist():
             pose = self.poses[number].copy()
-            pose[:3, 3] -= [*corner, self._offset[2]]
+            pose[:3, 3] -= origin
             judge_by_view(where, pose, self._view(number)["ranges"], found)
         return found
 
@@ -304,12 +302,9 @@ class DriveMerge:
 
         driven = np.zeros(len(nearest), np.bool_)
         wide = np.abs([self._robot.radius_m, *(self._robot.box_m or ())[2:]]).max()
-        if self._check is None or self._check.height_m is None or not wide:
+        if self._check.height_m is None or not wide:
             return driven
-        way = way_along(self.poses[self._check.kept]) - [
-            *(0.001 * self._corner(block) + self._offset[:2]),
-            self._offset[2],
-        ]
+        way = way_along(self.poses[self._check.kept]) - self._origin(block)
         near = KDTree(way[:, :2]).query(0.001 * nearest[:, :2], distance_upper_bound=wide)[1]
         above = 0.001 * nearest[:, 2] - np.append(way[:, 2], np.nan)[near]
         driven = other & (above > _BELLY_M - self._check.height_m) & (above < _TOP_M)
@@ -364,21 +359,10 @@ def _key_of(cell: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def _empty_table(rows: int) -> VoxelTable:
     """Make a table with room for that many voxels, a power of two."""
-
-    def zeros(*shape: int, kind: type = np.int32) -> NDArray[Any]:
-        return np.zeros((rows, *shape), kind)
-
-    return VoxelTable(
-        np.full(2 * rows, -1, np.int32),
-        zeros(kind=np.int64),
-        zeros(),
-        zeros(),
-        zeros(),
-        zeros(),
-        zeros(MOST_GROUND, kind=np.uint32),
-        zeros(MOST_GROUND, 3),
-        np.zeros(1, np.int32),
-    )
+    slot, key = np.full(2 * rows, -1, np.int32), np.zeros(rows, np.int64)
+    hits, last, mine, held = np.zeros((4, rows), np.int32)
+    turn, place = np.zeros((rows, MOST_GROUND), np.uint32), np.zeros((rows, MOST_GROUND, 3), np.int32)
+    return VoxelTable(slot, key, hits, last, mine, held, turn, place, np.zeros(1, np.int32))
 
 
 def _with_room(table: VoxelTable, more: int) -> VoxelTable:
