@@ -22,7 +22,6 @@ from bumpymap.core import (
     NO_CLASS,
     NOT_TRAVERSABLE,
     ClassedSectors,
-    PolarSettings,
     Scan,
     SectorStack,
     point_classes,
@@ -204,10 +203,13 @@ def outlines(stack: SectorStack) -> list[NDArray[np.float64]]:
 
     Adjacent sectors of a zone share their vertices.
     """
-    bounds = sector_bounds(stack)
+    bounds, settings = sector_bounds(stack), stack.settings
     found: list[NDArray[np.float64]] = []
-    for zone, steps in enumerate(_steps(stack.settings)):
+    ends = (*settings.zone_starts_m[1:], settings.end_m)
+    for zone, (end, sectors) in enumerate(zip(ends, settings.sectors, strict=True)):
         here = stack.zone == zone
+        # line segments of an arc
+        steps = math.ceil(math.pi / sectors / math.acos(max(1.0 - _MAX_DEVIATION_M / end, -1.0)))
         azimuth = np.linspace(bounds.right[here], bounds.left[here], steps + 1, axis=1)
         arc = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=2)
         near, far = bounds.near[here][:, None, None], bounds.far[here][:, None, None]
@@ -216,13 +218,6 @@ def outlines(stack: SectorStack) -> list[NDArray[np.float64]]:
         tip = np.r_[: steps + 2, 2 * steps + 2]
         found += [one if start > 0.0 else one[tip] for one, start in zip(outline, bounds.near[here], strict=True)]
     return found
-
-
-def _steps(settings: PolarSettings) -> list[int]:
-    """Return the number of line segments per arc in each zone."""
-    ends = [*settings.zone_starts_m[1:], settings.end_m]
-    pairs = zip(ends, settings.sectors, strict=True)
-    return [math.ceil(math.pi / sectors / math.acos(max(1.0 - _MAX_DEVIATION_M / end, -1.0))) for end, sectors in pairs]
 
 
 _PLACE = (

@@ -330,9 +330,7 @@ def _write_data(
     return entries, merge.record()
 
 
-def scan_frames(
-    config: ScanConfig, progress: Progress | None = None, mapper: MapDrive | None = None
-) -> ScanRun:  # fmt: skip
+def scan_frames(config: ScanConfig, progress: Progress | None = None, mapper: MapDrive | None = None) -> ScanRun:
     """Class the ground of each frame and write the products; with poses, map the drive.
 
     Parameters
@@ -345,36 +343,28 @@ def scan_frames(
     BumpymapError
         Bad inputs or settings, or a full disk; no file is left half-written.
     """
+    progress, clock = progress or SilentProgress(), Stopwatch()
     with remove_empty_on_error(config.out), locked(config.out):
-        return _scan(config, progress or SilentProgress(), mapper)
-
-
-def _scan(config: ScanConfig, progress: Progress, mapper: MapDrive | None) -> ScanRun:
-    clock = Stopwatch()
-    with clock.stage("prepare"):
-        unfinished = is_interrupted(config.out)
-        is_done = not (unfinished or config.overwrite) and is_complete(config.out, SCAN_MANIFEST_NAME)
-        method = choose_method(config)
-        crs = crs_of_poses(config)
-        sources = find_sources(config.frames, config.bag_topics)
-        found = None
-        if config.poses is not None:
-            found, sources = place_sources(config.poses, sources)
-        frames = name_frames(sources)
-        drive = drive_settings(config, frames)
-        run_spec = describe_scan(config, frames, method, found)
-    if is_done:
-        run = earlier_frames(config, run_spec, frames)
-    else:
-        check_scan_folder(
-            config.out, [frame.path for frame in frames], overwrite=config.overwrite, unfinished=unfinished
-        )
-        if config.bag is not None:
+        with clock.stage("prepare"):
+            unfinished = is_interrupted(config.out)
+            is_done = not (unfinished or config.overwrite) and is_complete(config.out, SCAN_MANIFEST_NAME)
+            method, crs = choose_method(config), crs_of_poses(config)
+            sources, poses = find_sources(config.frames, config.bag_topics), None
+            if config.poses is not None:
+                poses, sources = place_sources(config.poses, sources)
+            frames = name_frames(sources)
+            drive = drive_settings(config, frames)
+            run_spec = describe_scan(config, frames, method, poses)
+        if is_done:
+            run = earlier_frames(config, run_spec, frames)
+        else:
             inputs = [frame.path for frame in frames]
-            check_bag_file(config.bag, config.out, inputs, overwrite=config.overwrite or unfinished)
-        run = classify_frames(config, frames, method, crs, run_spec, progress, clock)
-    if drive is None or run.merged is None or mapper is None:
-        return run
-    with clock.stage("map"):
-        mapped = map_merged(drive, run.merged, progress, mapper)
-    return replace(run, drive=mapped, already_done=is_done and (mapped is None or mapped.already_done))
+            check_scan_folder(config.out, inputs, overwrite=config.overwrite, unfinished=unfinished)
+            if config.bag is not None:
+                check_bag_file(config.bag, config.out, inputs, overwrite=config.overwrite or unfinished)
+            run = classify_frames(config, frames, method, crs, run_spec, progress, clock)
+        if drive is None or run.merged is None or mapper is None:
+            return run
+        with clock.stage("map"):
+            mapped = map_merged(drive, run.merged, progress, mapper)
+        return replace(run, drive=mapped, already_done=is_done and (mapped is None or mapped.already_done))
