@@ -23,8 +23,8 @@ from bumpymap.scan.align import (
     Floats,
     HeightDifference,
     ObjectFit,
-    ObjectMatcher,
     compare_heights,
+    fit_objects,
     fit_plane,
     judge_by_view,
     keeps_beside,
@@ -266,13 +266,13 @@ class PoseCheck:
 
     def _compare(self) -> None:
         """Hold the frames that are used against each other, where they have not been."""
-        kept, matcher = np.array(self.kept), ObjectMatcher()
+        kept = np.array(self.kept)
         for rows in frame_pairs(self.poses[kept]):
             later, earlier = kept[list(rows)].tolist()
             if (later, earlier) not in self.pairs:
-                self.pairs[later, earlier] = self._pair(later, earlier, matcher)
+                self.pairs[later, earlier] = self._pair(later, earlier)
 
-    def _pair(self, later: int, earlier: int, matcher: ObjectMatcher) -> FramePair:
+    def _pair(self, later: int, earlier: int) -> FramePair:
         poses = self.poses[later], self.poses[earlier]
         views = self.view(later), self.view(earlier)
         way = poses[0][:3, 3] - poses[1][:3, 3]
@@ -284,7 +284,7 @@ class PoseCheck:
             turned[:3, :3] = poses[1 - own][:3, :3]
             places = np.round(1000.0 * np.clip(objects[own][~beside[own]] + by, -1e6, 1e6)).astype(np.int32)
             through += int(judge_by_view(places, turned, views[1 - own]["ranges"])[0].sum())
-        fit = matcher.fit(objects[0][~beside[0]], way[:2], objects[1][~beside[1]])
+        fit = fit_objects(objects[0][~beside[0]], way[:2], objects[1][~beside[1]])
         ground = compare_heights(views[0]["heights"], views[1]["heights"], poses)
         same = np.array_equal(views[0]["ranges"], views[1]["ranges"])
         repeated = later == earlier + 1 and np.linalg.norm(way) > _MOVED_M and same
