@@ -175,7 +175,7 @@ def explain_empty_scan(scan: Scan, classed: ClassedSectors) -> str:
 
 
 class FramePart(NamedTuple):
-    """What a finished frame adds to the files of the run."""
+    """The part of a finished frame in the files of the run."""
 
     entry: dict[str, Any]
     """Of scan.json, see `report_frame`."""
