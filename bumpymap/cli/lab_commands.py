@@ -307,7 +307,9 @@ def evaluate_scans_command(run: Run, frames: tuple[Path, ...], labels: str | Non
 
     names = {field.name for field in fields(ScanEvaluateSettings)}
     settings = ScanEvaluateSettings(**{name: value for name, value in run.changed().items() if name in names})
-    network = ScanModel.load(settings.model) if settings.model else ScanModel.shipped()
+    network = None
+    if settings.method != "filter":
+        network = ScanModel.load(settings.model) if settings.model else ScanModel.shipped()
     found = find_frames(list(frames))
     label_set = labels_of(found, labels)
     with locked(out), run.progress() as progress:

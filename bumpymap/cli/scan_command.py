@@ -1,6 +1,6 @@
 """``bumpymap scan``: classify the ground in scans of a robot; with poses, map its drive."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -22,7 +22,7 @@ def _lines(result: "ScanRun", record: Mapping[str, Any], config: ScanConfig) -> 
         yield f"Already done: {config.out} {ALREADY_DONE}"
     yield (
         f"frames: {record['frames']:,}, {record['points']:,} points, method {result.method}, "
-        f"{median(frame.seconds for frame in result.frames) * 1000.0:.0f} ms per frame (median), "
+        f"{median(frame['seconds'] for frame in result.frames) * 1000.0:.0f} ms per frame (median), "
         f"{sum(result.seconds.values()):.1f} s in total"
     )
     dropped = record["dropped"]
@@ -30,7 +30,7 @@ def _lines(result: "ScanRun", record: Mapping[str, Any], config: ScanConfig) -> 
         f"excluded: {dropped['no_return']:,} returns at (0, 0, 0) or NaN, {dropped['not_finite']:,} not finite, "
         f"{dropped['on_robot']:,} on the robot"
     )
-    heights = [frame.origin_height_m for frame in result.frames if frame.origin_height_m is not None]
+    heights = [high for frame in result.frames if (high := frame["origin_height_m"]) is not None]
     if heights:
         ends = f"{min(heights):.2f} to {max(heights):.2f} m"
         yield f"origin of the frames: {median(heights):.2f} m above the ground (median; {ends})"
@@ -89,7 +89,7 @@ def _map_drive(drive: MapConfig, progress: Progress) -> "MapResult":
 
 
 def _record(result: "ScanRun", config: ScanConfig) -> dict[str, Any]:
-    frames = [frame.record() for frame in result.frames]
+    frames = result.frames
     return {
         "out": str(config.out),
         "files": result.files,
@@ -106,7 +106,7 @@ def _record(result: "ScanRun", config: ScanConfig) -> dict[str, Any]:
     }
 
 
-def _sum(frames: list[dict[str, Any]], name: str) -> dict[str, int]:
+def _sum(frames: Sequence[Mapping[str, Any]], name: str) -> dict[str, int]:
     return {part: sum(frame[name][part] for frame in frames) for part in frames[0][name]}
 
 

@@ -244,26 +244,29 @@ def evaluate_scans(
     count: int,
     settings: ScanEvaluateSettings,
     stripes: StripeModel,
-    network: ScanModel,
+    network: ScanModel | None,
     progress: Progress,
     labels: LabelSet | None = None,
 ) -> ScanFindings:
-    """Evaluate both methods on ``count`` scans: the filter by ``stripes``, the learned one by ``network``.
+    """Evaluate methods on ``count`` scans: the filter by ``stripes``, the learned one by ``network``, if there is one.
 
-    ``labels``: the meaning of the labels of the scans; None if they have none. Raises BadInputError if no scan has a
-    sector that can be classified.
+    ``settings.method`` alone is judged, if it is given. ``labels``: the meaning of the labels of the scans; None if
+    they have none. Raises BadInputError if no scan has a sector that can be classified.
     """
     classed, deviations = [], []
     ground: list[dict[str, Any]] = []
     obstacles: dict[str, Counter[str]] = {}
+    judged = [settings.method] if settings.method else []
     progress.start("classing scans", count)
     for scan in scans:
         stack = polar_sectors(scan)
-        found = {"filter": classify_filter(stack, stripes), "learned": classify_learned(stack, network)}
+        found = {"filter": classify_filter(stack, stripes)}  # also for the stripes of classes
+        if network is not None:
+            found["learned"] = classify_learned(stack, network)
         if labels is not None and scan.label is not None:
             ground.append(ground_score(scan, stack.point_ground, labels))
-            for name, own in found.items():
-                obstacles.setdefault(name, Counter()).update(obstacle_score(scan, own, labels))
+            for name in judged or found:
+                obstacles.setdefault(name, Counter()).update(obstacle_score(scan, found[name], labels))
         deviations.append(z_deviation(scan, stack))
         bare = replace(stack, **{name: getattr(stack, name)[:0] for name in _OF_POINTS})  # saves memory
         classed.append({name: replace(own, sectors=bare) for name, own in found.items()})
@@ -271,6 +274,7 @@ def evaluate_scans(
     table = join_sectors(classed, deviations, labels) if classed else None
     if table is None or not table.traversable.any():
         raise BadInputError("no scan has a sector that can be classified, so there is nothing to evaluate")
+    table = replace(table, class_id={name: table.class_id[name] for name in judged or table.class_id})
     drivable, labelled = table.traversable, table.truth >= 0
     answers = all_answers(table) if labelled.any() else {}
     facts = {
@@ -281,7 +285,7 @@ def evaluate_scans(
         "all_labelled": int(labelled.sum()),
         "labels": labels.name if labels and labelled.any() else None,
         "filter": asdict(stripes),
-        "network": network.id,
+        "network": None if network is None else network.id,
     }
     return ScanFindings(
         facts=facts,
@@ -339,8 +343,8 @@ def write_scan_report(findings: ScanFindings, out: Path) -> list[Path]:
     opening = (
         f"{facts['scans']} scans, {facts['sectors']:,} sectors with ground, {facts['labelled']:,} of them labelled"
         + (f" (label set `{facts['labels']}`)" if facts["labels"] else "")
-        + f". Filter method: centres at {', '.join(f'{centre:.2f}' for centre in facts['filter']['centres'])} stripes. "
-        f"Learned method: network {facts['network']}."
+        + f". Filter method: centres at {', '.join(f'{centre:.2f}' for centre in facts['filter']['centres'])} stripes."
+        + (f" Learned method: network {facts['network']}." if facts["network"] else "")
     )
     ground = [
         [score["frame"], f"{score['points']:,}", *(percent(score[name]) for name in ("precision", "recall", "f1"))]

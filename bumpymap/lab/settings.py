@@ -7,7 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from bumpymap.core import Setting, UsageError, check_settings
+from bumpymap.core import ScanMethod, Setting, UsageError, check_settings
 
 if TYPE_CHECKING:
     from bumpymap.rating import Vehicle
@@ -134,7 +134,13 @@ class CalibrationSettings:
 class ScanEvaluateSettings:
     """All settings that affect the numbers, apart from the scans."""
 
+    method: Annotated[ScanMethod | None, Setting("Method to judge", "NAME", default="both", rare=True)] = None
     model: Annotated[Path | None, Setting("Your own scan network", "FILE", rare=True)] = None
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        if self.model is not None and self.method == "filter":
+            raise UsageError("`model` is a network of the learned method, and `method` is filter; give one of them")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

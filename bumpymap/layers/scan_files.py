@@ -5,7 +5,7 @@ Of a frame these are its sectors as polygons, and its points with their classes.
 
 import json
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
@@ -22,7 +22,6 @@ from bumpymap.core import (
     NO_CLASS,
     NOT_TRAVERSABLE,
     ClassedSectors,
-    PolarSettings,
     Scan,
     SectorStack,
     point_classes,
@@ -45,38 +44,33 @@ _GROUND, _UNCLASSIFIED = 2, 1
 """LAS classification codes."""
 
 
-class AccumulatedSurvey:
-    """Writer of the accumulated survey."""
-
-    def __init__(self, writer: laspy.LasWriter) -> None:
-        self._writer = writer
-
-    def add_points(self, world: NDArray[np.float64], is_ground: NDArray[np.bool_]) -> None:
-        """Append points (n, 3) in the frame of the world, m: class 2 where ``is_ground`` (n,), else class 1."""
-        if not len(world):
-            return
-        record = laspy.ScaleAwarePointRecord.zeros(len(world), header=self._writer.header)
-        record.x, record.y, record.z = world.T
-        record.classification = np.where(is_ground, _GROUND, _UNCLASSIFIED).astype(np.uint8)
-        record.return_number = record.number_of_returns = np.ones(len(world), np.uint8)
-        self._writer.write_points(record)
-
-
 @contextmanager
-def open_accumulated(path: Path, first: NDArray[np.float64], crs: CRS | None) -> Iterator[AccumulatedSurvey]:
-    """Open gathered.laz for writing: LAZ 1.4, point format 6, scale 1 mm, offset near the first pose.
+def open_accumulated(
+    path: Path, offset: NDArray[np.float64], crs: CRS | None
+) -> Iterator[Callable[[NDArray[np.float64], NDArray[np.bool_]], None]]:
+    """Open gathered.laz for writing: LAZ 1.4, point format 6, scale 1 mm.
 
-    ``first`` (4, 4) float64: pose of the first frame, m; ``crs``: CRS of the world frame; None: the file gets none.
+    ``offset`` (3,): of its coordinates, m; ``crs``: CRS of the world frame; None: the file gets none. Yields what
+    appends points (n, 3) in the frame of the world, m, and whether they are ground (n,): class 2, others class 1.
     """
     header = laspy.LasHeader(version="1.4", point_format=6)
-    header.scales, header.offsets = np.full(3, _SCALE_M), np.round(first[:3, 3])
+    header.scales, header.offsets = np.full(3, _SCALE_M), offset
     header.creation_date = None  # the same drive gives the same bytes on any day
     header.generating_software = "bumpymap scan"
     if crs is not None:
         header.add_crs(crs)
     with path.open("w+b") as stream:
         writer = laspy.LasWriter(stream, header, do_compress=True, laz_backend=laspy.LazBackend.Lazrs, closefd=False)
-        yield AccumulatedSurvey(writer)
+
+        def add_points(world: NDArray[np.float64], is_ground: NDArray[np.bool_]) -> None:
+            record = laspy.ScaleAwarePointRecord.zeros(len(world), header=writer.header)
+            record.x, record.y, record.z = world.T
+            record.classification = np.where(is_ground, _GROUND, _UNCLASSIFIED).astype(np.uint8)
+            record.return_number = record.number_of_returns = np.ones(len(world), np.uint8)
+            if len(world):
+                writer.write_points(record)
+
+        yield add_points
         writer.close()
 
 
@@ -116,36 +110,24 @@ RIDE_COLUMNS = ("c_r", "c_r_low", "c_r_high", "ride_class")
 """Columns of the ride of a vehicle; null without one."""
 
 
-class SectorTable:
-    """Writer of sectors.parquet; buffers about one row group in memory."""
-
-    def __init__(self, writer: pq.ParquetWriter) -> None:
-        self._writer = writer
-        self._rows = 0
-        self._waiting: list[pa.Table] = []
-
-    def add_rows(self, rows: pa.Table) -> None:
-        """Append rows from `sector_rows`."""
-        self._waiting.append(rows)
-        self._rows += rows.num_rows
-        if self._rows >= ROW_GROUP:
-            self.flush()
-
-    def flush(self) -> None:
-        """Write the buffered rows."""
-        if self._waiting:
-            self._writer.write_table(pa.concat_tables(self._waiting), row_group_size=2 * ROW_GROUP)
-            self._waiting.clear()
-            self._rows = 0
-
-
 @contextmanager
-def open_table(path: Path) -> Iterator[SectorTable]:
-    """Open sectors.parquet for writing."""
+def open_table(path: Path) -> Iterator[Callable[[pa.Table], None]]:
+    """Open sectors.parquet for writing; yields what appends rows from `sector_rows`: a row group at a time."""
+    waiting: list[pa.Table] = []
     with pq.ParquetWriter(path, sector_schema(), compression="zstd") as writer:
-        table = SectorTable(writer)
-        yield table
-        table.flush()
+
+        def flush() -> None:
+            if waiting:
+                writer.write_table(pa.concat_tables(waiting), row_group_size=2 * ROW_GROUP)
+                waiting.clear()
+
+        def add_rows(rows: pa.Table) -> None:
+            waiting.append(rows)
+            if sum(each.num_rows for each in waiting) >= ROW_GROUP:
+                flush()
+
+        yield add_rows
+        flush()
 
 
 def sector_schema() -> pa.Schema:
@@ -221,10 +203,13 @@ def outlines(stack: SectorStack) -> list[NDArray[np.float64]]:
 
     Adjacent sectors of a zone share their vertices.
     """
-    bounds = sector_bounds(stack)
+    bounds, settings = sector_bounds(stack), stack.settings
     found: list[NDArray[np.float64]] = []
-    for zone, steps in enumerate(_steps(stack.settings)):
+    ends = (*settings.zone_starts_m[1:], settings.end_m)
+    for zone, (end, sectors) in enumerate(zip(ends, settings.sectors, strict=True)):
         here = stack.zone == zone
+        # line segments of an arc
+        steps = math.ceil(math.pi / sectors / math.acos(max(1.0 - _MAX_DEVIATION_M / end, -1.0)))
         azimuth = np.linspace(bounds.right[here], bounds.left[here], steps + 1, axis=1)
         arc = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=2)
         near, far = bounds.near[here][:, None, None], bounds.far[here][:, None, None]
@@ -233,13 +218,6 @@ def outlines(stack: SectorStack) -> list[NDArray[np.float64]]:
         tip = np.r_[: steps + 2, 2 * steps + 2]
         found += [one if start > 0.0 else one[tip] for one, start in zip(outline, bounds.near[here], strict=True)]
     return found
-
-
-def _steps(settings: PolarSettings) -> list[int]:
-    """Return the number of line segments per arc in each zone."""
-    ends = [*settings.zone_starts_m[1:], settings.end_m]
-    pairs = zip(ends, settings.sectors, strict=True)
-    return [math.ceil(math.pi / sectors / math.acos(max(1.0 - _MAX_DEVIATION_M / end, -1.0))) for end, sectors in pairs]
 
 
 _PLACE = (
@@ -293,19 +271,9 @@ def frame_files(name: str, folder: Path, products: Collection[str]) -> list[Path
     return [folder / FRAME_FOLDER / f"{name}{ending}" for ending in endings]
 
 
-def has_files(name: str, folder: Path, products: Collection[str]) -> bool:
-    """Return whether all files of a frame's own exist."""
-    return all(path.is_file() for path in frame_files(name, folder, products))
-
-
-def write_frame(name: str, scan: Scan, classed: ClassedSectors, folder: Path, products: Collection[str]) -> None:
-    """Write those ``products`` that are data of a frame to ``folder / "frames"``, without flushing them to the disk.
-
-    ``name``: name of the frame and of its files; ``products``: polygons and cloud; others, such as the picture, are not
-    written here.
-    """
-    for path in frame_files(name, folder, products):
-        path.parent.mkdir(exist_ok=True)
+def write_frame(name: str, scan: Scan, classed: ClassedSectors, files: Iterable[Path]) -> None:
+    """Write those of the `frame_files` of the frame ``name`` that are data, without flushing them to the disk."""
+    for path in files:
         if path.suffix == FRAME_FILES["polygons"]:
             write_polygons(name, classed, path)
         elif path.suffix == FRAME_FILES["cloud"]:

@@ -6,11 +6,11 @@ import os
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, field, fields, replace
+from contextlib import contextmanager
+from dataclasses import asdict, replace
 from os.path import lexists
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple
 
 import lazrs
 import numpy as np
@@ -23,19 +23,17 @@ from bumpymap.core import (
     CLASSES,
     NOT_TRAVERSABLE,
     ClassedSectors,
-    Dropped,
     Frame,
     OutputError,
     Scan,
+    move_together,
     parse_json,
     point_classes,
-    remove_path,
     sync_file,
     write_remedy,
-    write_together,
 )
 from bumpymap.layers.colours import CLASS_COLOURS
-from bumpymap.layers.manifest import MANIFEST_NAME, describe_file, describe_input, software_versions, write_manifest
+from bumpymap.layers.manifest import describe_file, describe_input, software_versions, write_manifest
 from bumpymap.layers.products import EVERY_FILE, make_folder
 
 SCAN_CLASS_NAMES: tuple[str, ...] = (*CLASS_NAMES[:CLASSES], "not traversable")
@@ -112,84 +110,41 @@ def _stem(source: Frame) -> str:
     return stem
 
 
-_RIDE_CLASSES = ("0", "1", "2", "3", "unknown")
-
-
-@dataclass(frozen=True, slots=True)
-class FrameReport:
-    """The file of a frame, and numbers of its points and sectors, by the names that they have in scan.json."""
-
-    frame: Frame
-    bytes: int
-    """Size of its file or message."""
-    sha256: str | None
-    """Of its file; None for a message."""
-    points: int
-    """Points that were kept."""
-    dropped: Dropped
-    """Returns that were dropped, by reason."""
-    airborne_count: int
-    """Points that lie alone above the ground: rain, dust, insects."""
-    origin_height_m: float | None
-    """Height of the frame's origin above the ground, m; None without level ground."""
-    sectors: Mapping[str, int]
-    """Sectors by ``SCAN_CLASS_NAMES``."""
-    sector_states: Mapping[str, int]
-    """Sectors by ``SECTOR_STATES``."""
-    points_by_class: Mapping[str, int]
-    """Points of class 0 to 2, then of no class."""
-    sectors_by_ride: Mapping[str, int] | None
-    """Traversable sectors of class 0 to 3 for the vehicle, then unknown; None without a vehicle."""
-    seconds: float
-    """Wall time from reading the file to classed sectors."""
-
-    @classmethod
-    def of(cls, frame: Frame, record: Mapping[str, Any]) -> Self:
-        """Restore a report from its `record`."""
-        own = {each.name: record[each.name] for each in fields(cls)[1:]}
-        return cls(frame, **own | {"dropped": Dropped(**record["dropped"])})
-
-    def record(self) -> dict[str, Any]:
-        """Return the entry of the frame in scan.json."""
-        message = None if self.frame.message is None else asdict(self.frame.message)
-        head = {"name": self.frame.name, "path": str(self.frame.path), "message": message, "bytes": self.bytes}
-        own = {each.name: getattr(self, each.name) for each in fields(self)[1:]}
-        return head | {"sha256": self.sha256, "pose": self.frame.pose} | own | {"dropped": asdict(self.dropped)}
+_POINT_CLASSES, _RIDE_CLASSES = (*CLASS_NAMES[:CLASSES], "no class"), ("0", "1", "2", "3", "unknown")
+"""Names of the counts of points, and of traversable sectors by their ride."""
 
 
 def report_frame(
     frame: Frame, version: Mapping[str, Any] | None, scan: Scan, classed: ClassedSectors, seconds: float
-) -> FrameReport:
-    """Count the points and sectors of a frame.
+) -> dict[str, Any]:
+    """Return the entry of a frame in scan.json: its file, and counts of its points and sectors by name.
 
-    ``version``: ``size`` and ``mtime_ns`` of its file before it was read; not needed for a message. Raises
-    BadInputError: the file is missing, or has changed since it was read.
+    ``version``: ``size`` and ``mtime_ns`` of its file before it was read; ``seconds``: wall time from reading the file
+    to classed sectors. Raises BadInputError: the file is missing, or has changed since it was read.
     """
-    points = point_classes(scan, classed)
-    file: Mapping[str, Any]
-    if frame.message is not None:
-        file = {"bytes": frame.message.bytes, "sha256": None}
-    else:
-        known = version or {}
-        file = describe_input({"path": frame.path, "bytes": known.get("size"), "mtime_ns": known.get("mtime_ns")})
-    ride = None
-    if classed.ride is not None:
-        rated = classed.ride.class_id[classed.sectors.traversable]
-        ride = _count(_RIDE_CLASSES, np.minimum(rated, len(_RIDE_CLASSES) - 1))
-    return FrameReport(
-        frame,
-        file["bytes"],
-        file["sha256"],
-        len(scan.points),
-        scan.dropped,
-        int(classed.sectors.point_airborne.sum()),
-        None if math.isnan(classed.sectors.origin_height) else round(classed.sectors.origin_height, 3),
-        _count(SCAN_CLASS_NAMES, class_index(classed)),
-        _count(SECTOR_STATES, sector_states(classed)),
-        _count((*SCAN_CLASS_NAMES[:CLASSES], "no class"), np.where(points == NOT_TRAVERSABLE, CLASSES, points)),
-        ride,
-        round(seconds, 4),
-    )
+    version, message, pose, stack = version or {}, frame.message, frame.pose, classed.sectors
+    file = {"path": str(frame.path), "bytes": version.get("size"), "mtime_ns": version.get("mtime_ns")}
+    own = describe_input(file) if message is None else {"bytes": message.bytes, "sha256": None}
+    points, height, ride = point_classes(scan, classed), stack.origin_height, classed.ride
+    rated = None if ride is None else np.minimum(ride.class_id[stack.traversable], len(_RIDE_CLASSES) - 1)
+    return {
+        "name": frame.name,
+        "path": file["path"],
+        "message": None if message is None else asdict(message),
+        "bytes": own["bytes"],
+        "sha256": own["sha256"],
+        "pose": None if pose is None else pose.tolist(),
+        "points": len(scan.points),
+        "dropped": asdict(scan.dropped),
+        "airborne_count": int(stack.point_airborne.sum()),
+        "origin_height_m": None if math.isnan(height) else round(height, 3),
+        "sectors": _count(SCAN_CLASS_NAMES, class_index(classed)),
+        "sector_states": _count(SECTOR_STATES, sector_states(classed)),
+        "points_by_class": _count(_POINT_CLASSES, np.where(points == NOT_TRAVERSABLE, CLASSES, points)),
+        "sectors_by_ride": None if rated is None else _count(_RIDE_CLASSES, rated),
+        "seconds": round(seconds, 4),
+        "mtime_ns": file["mtime_ns"],
+    }
 
 
 def _count(names: Sequence[str], places: NDArray[np.integer]) -> dict[str, int]:
@@ -219,29 +174,15 @@ def explain_empty_scan(scan: Scan, classed: ClassedSectors) -> str:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class FramePart:
-    """Rows and points that a finished frame adds to the files of the drive."""
+class FramePart(NamedTuple):
+    """The part of a finished frame in the files of the run."""
 
-    report: FrameReport
+    entry: dict[str, Any]
+    """Of scan.json, see `report_frame`."""
     rows: pa.Table | None
-    """Rows for sectors.parquet; None if that is not written."""
-    points: NDArray[np.float32]
-    """(n, 3) m, in the sensor frame, for gathered.laz; empty if that is not written."""
-    is_ground: NDArray[np.bool_]
-    """(n,) whether each of them is ground."""
-    cells: Mapping[str, NDArray[Any]]
-    """Square cells around the sensor, for the grids of a bag; empty if those are not written."""
-    files: Mapping[str, int] = field(default_factory=dict)
-    """Size of each file of the frame's own by its name, bytes."""
-
-
-def file_sizes(paths: Iterable[Path]) -> dict[str, int] | None:
-    """Return the sizes of files by their names, bytes; None if one is missing."""
-    try:
-        return {path.name: path.stat().st_size for path in paths}
-    except OSError:
-        return None
+    """Of sectors.parquet; None if that is not written."""
+    arrays: dict[str, NDArray[Any]]
+    """For the merged points and the grids of a bag, as far as these are written."""
 
 
 def part_path(folder: Path, number: int) -> Path:
@@ -254,14 +195,11 @@ def has_finished_parts(folder: Path) -> bool:
     return next(folder.glob("frame-*.npz"), None) is not None
 
 
-_CELLS = "cells_"
-
-
-def save_part(part: FramePart, path: Path) -> None:
+def save_part(part: FramePart, path: Path, files: Iterable[Path]) -> None:
     """Write the checkpoint of a finished frame; the file appears only when it is complete.
 
     It is not flushed to the disk, which would take longer than classifying the frame. After a power cut it may be
-    damaged, or complete while a file of the frame is not; `load_part` and the sizes of the files show that.
+    damaged, or complete while one of the ``files`` of the frame's own is not; `load_part` sees that by their sizes.
     """
     rows = np.empty(0, np.uint8)
     if part.rows is not None:
@@ -269,27 +207,29 @@ def save_part(part: FramePart, path: Path) -> None:
         with pa.ipc.new_stream(sink, part.rows.schema) as stream:
             stream.write_table(part.rows)
         rows = np.frombuffer(sink.getvalue(), np.uint8)
-    record = {"report": part.report.record() | {"pose": None}, "files": dict(part.files)}
-    known = np.frombuffer(json.dumps(record).encode(), np.uint8)
+    known = json.dumps([part.entry, _sizes(files)]).encode()
     temporary = path.with_name(f".{path.name}")  # removed by the next run if this one is killed
-    cells: dict[str, Any] = {f"{_CELLS}{name}": values for name, values in part.cells.items()}
-    np.savez(temporary, known=known, rows=rows, points=part.points, is_ground=part.is_ground, **cells)
+    arrays: dict[str, Any] = part.arrays
+    np.savez(temporary, _known=np.frombuffer(known, np.uint8), _rows=rows, **arrays)
     os.replace(temporary, path)  # noqa: PTH105 (os.replace says that it overwrites)
 
 
-def load_part(path: Path, frame: Frame) -> FramePart | None:
-    """Read the checkpoint of a frame; None if it is missing, damaged or of another frame."""
+def load_part(path: Path, name: str, files: Iterable[Path]) -> FramePart | None:
+    """Read the checkpoint of the frame ``name``; None if that, or one of its ``files``, is missing or damaged."""
     try:
         with np.load(path, allow_pickle=False) as saved:
-            record = parse_json(saved["known"].tobytes().decode())
-            rows = pa.ipc.open_stream(saved["rows"].tobytes()).read_all() if saved["rows"].size else None
-            if record["report"]["name"] != frame.name:
-                return None
-            report = FrameReport.of(frame, record["report"])
-            cells = {name.removeprefix(_CELLS): saved[name] for name in saved.files if name.startswith(_CELLS)}
-            return FramePart(report, rows, saved["points"], saved["is_ground"], cells, record["files"])
+            arrays = dict(saved)
+        entry, sizes = parse_json(arrays.pop("_known").tobytes().decode())
+        rows = arrays.pop("_rows")
+        if entry["name"] != name or sizes != _sizes(files):
+            return None
+        return FramePart(entry, pa.ipc.open_stream(rows.tobytes()).read_all() if rows.size else None, arrays)
     except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile, pa.ArrowException):
         return None
+
+
+def _sizes(files: Iterable[Path]) -> dict[str, int]:
+    return {path.name: path.stat().st_size for path in files}
 
 
 SCAN_MANIFEST_NAME, SECTOR_TABLE_NAME, ACCUMULATED_NAME = "scan.json", "sectors.parquet", "gathered.laz"
@@ -321,7 +261,12 @@ def check_scan_folder(folder: Path, inputs: Iterable[Path] = (), *, overwrite: b
         is_link = (folder / name).is_symlink()
         if not is_link and (folder / name).is_dir() != (name in {FRAME_FOLDER, MAP_FOLDER}):
             raise OutputError(f"{folder / name} is not what a scan run writes. Choose another `out`")
-    foreign = _foreign_file(folder, unfinished=unfinished)
+    frames = folder / FRAME_FOLDER
+    foreign: Path | None = None
+    if frames.is_dir() and not frames.is_symlink():
+        is_ours = unfinished or (folder / SCAN_MANIFEST_NAME).exists()
+        others = (path for path in sorted(frames.iterdir()) if path.suffix not in FRAME_FILES.values())
+        foreign = next(others, None) if is_ours else frames
     if foreign:
         raise OutputError(
             f"{foreign} was not written by a complete scan run and would be deleted by `overwrite=True`. Move it away, "
@@ -329,18 +274,20 @@ def check_scan_folder(folder: Path, inputs: Iterable[Path] = (), *, overwrite: b
         )
 
 
-def remove_stale_products(folder: Path, kept: Sequence[str]) -> None:
-    """Remove the files of an earlier run, except ``kept``, the names that this run has just written."""
-    for name in _NAMES:
-        if name in kept or not lexists(folder / name):
-            continue
-        if name == MAP_FOLDER and not (folder / name).is_symlink():
-            with write_together(folder / name, MANIFEST_NAME, EVERY_FILE):
-                pass  # none of these files is written again
-            with suppress(OSError):  # a folder with other files in it stays
-                (folder / name).rmdir()
-        else:
-            remove_path(folder / name)
+def present_products(folder: Path) -> tuple[str, ...]:
+    """Return the names of the products of a run that are in a folder, without the map of the drive."""
+    return tuple(name for name in _NAMES if name != MAP_FOLDER and (folder / name).exists())
+
+
+def move_products(staged: Path, out: Path) -> tuple[str, ...]:
+    """Move all products from ``staged`` to ``out``; return their names. Those of an earlier run go, with its map."""
+    with ThreadPoolExecutor(8) as pool:  # several at a time: the disk writes them in an order of its own
+        for _ in pool.map(sync_file, (path for path in staged.rglob("*") if path.is_file())):
+            pass
+    files, is_link = present_products(staged), (out / MAP_FOLDER).is_symlink()
+    of_map = [MAP_FOLDER] if is_link else [f"{MAP_FOLDER}/{name}" for name in EVERY_FILE]
+    move_together(staged, out, SCAN_MANIFEST_NAME, (FRAME_FOLDER, SECTOR_TABLE_NAME, ACCUMULATED_NAME, *of_map))
+    return files
 
 
 @contextmanager
@@ -355,43 +302,18 @@ def output_errors(folder: Path) -> Iterator[None]:
         ) from error
 
 
-def sync_to_disk(paths: Iterable[Path]) -> None:
-    """Flush files to the disk (fsync), several at a time: the disk then writes them in an order of its own."""
-    with ThreadPoolExecutor(8) as pool:
-        for _ in pool.map(sync_file, paths):
-            pass
-
-
-def _foreign_file(folder: Path, *, unfinished: bool) -> Path | None:
-    """Return a file in ``frames`` that no scan run wrote (``frames`` itself if there is no run here), or None."""
-    frames = folder / FRAME_FOLDER
-    if frames.is_symlink() or not frames.is_dir():
-        return None
-    if not (unfinished or (folder / SCAN_MANIFEST_NAME).exists()):
-        return frames
-    return next((path for path in sorted(frames.iterdir()) if path.suffix not in FRAME_FILES.values()), None)
-
-
-def write_scan_manifest(
-    folder: Path, known: Mapping[str, Any], frames: Iterable[FrameReport], identities: Mapping[str, Mapping[str, Any]]
-) -> None:
+def write_scan_manifest(folder: Path, known: Mapping[str, Any], frames: Sequence[Mapping[str, Any]]) -> None:
     """Write scan.json beside the products in ``folder``.
 
-    ``known``: the run's own entries: settings, method, skipped frames, seconds. They are kept. ``identities``: identity
-    of each input file by its path, see `bumpymap.readers.identity`.
+    ``known``: the run's own entries: settings, method, skipped frames, seconds; ``frames``: see `report_frame`.
     """
-    files = [
-        describe_file(folder / name) | {"path": name}
-        for name in (SECTOR_TABLE_NAME, ACCUMULATED_NAME)
-        if (folder / name).exists()
-    ]
-    times = {path: identity["mtime_ns"] for path, identity in identities.items()}
+    present = [folder / name for name in (SECTOR_TABLE_NAME, ACCUMULATED_NAME) if (folder / name).exists()]
     record = {
         "format": "bumpymap-scan-run",
         "version": 1,
         **known,
         "versions": software_versions(),
-        "files": files,
-        "frames": [{**frame.record(), "mtime_ns": times.get(str(frame.frame.path))} for frame in frames],
+        "files": [describe_file(path) | {"path": path.name} for path in present],
+        "frames": frames,
     }
     write_manifest(record, folder / SCAN_MANIFEST_NAME)

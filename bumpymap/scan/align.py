@@ -237,28 +237,24 @@ class ObjectFit:
         return bool(is_enough and self.found < min(share * self.best, self.best - by_chance))
 
 
-class ObjectMatcher:
-    """Looks for the objects of frames among those of another, at moves by up to 2.25 m and turns by up to 4 degrees."""
+def fit_objects(objects: NDArray[np.float32], middle: Floats, others: NDArray[np.float32]) -> ObjectFit:
+    """Look for objects (n, 3) of a later frame, whose sensor is at ``middle`` (2,) from the earlier one, among others.
 
-    def __init__(self) -> None:
-        angle = np.radians(np.arange(-_TURNS, _TURNS + 1.0))
-        self._turns = np.column_stack([np.cos(angle), np.sin(angle)])
-        self._drawn = np.zeros((_CELLS, _CELLS), np.uint8)
-        self._found = np.zeros((len(angle), 2 * _MOVES + 1, 2 * _MOVES + 1), np.int32)
-
-    def fit(self, objects: NDArray[np.float32], middle: Floats, others: NDArray[np.float32]) -> ObjectFit:
-        """Match objects (n, 3) of a later frame, whose sensor is at ``middle`` (2,) from the earlier one, to others."""
-        self._drawn[:], self._found[:] = 0, 0
-        loops.draw_objects(others, _CELL_M, self._drawn)
-        near = objects[np.linalg.norm(objects[:, :2] + middle, axis=1) < _REACH_M]
-        loops.match_objects(near, middle, self._turns, _CELL_M, self._drawn, self._found)
-        full, here, most = 4.0 * max(1, len(near)), int(self._found[_TURNS, _MOVES, _MOVES]), int(self._found.max())
-        best = np.unravel_index(self._found.argmax(), self._found.shape)
-        turn, up, right = (
-            int(each) - half + _between(self._found, best, axis)
-            for axis, (each, half) in enumerate(zip(best, (_TURNS, _MOVES, _MOVES), strict=True))
-        )
-        return ObjectFit(len(near), here / full, most / full, (_CELL_M * right, _CELL_M * up), turn)
+    They are tried at moves by up to 2.25 m and turns by up to 4 degrees.
+    """
+    angle = np.radians(np.arange(-_TURNS, _TURNS + 1.0))
+    drawn = np.zeros((_CELLS, _CELLS), np.uint8)
+    found = np.zeros((len(angle), 2 * _MOVES + 1, 2 * _MOVES + 1), np.int32)
+    loops.draw_objects(others, _CELL_M, drawn)
+    near = objects[np.linalg.norm(objects[:, :2] + middle, axis=1) < _REACH_M]
+    loops.match_objects(near, middle, np.column_stack([np.cos(angle), np.sin(angle)]), _CELL_M, drawn, found)
+    full, here, most = 4.0 * max(1, len(near)), int(found[_TURNS, _MOVES, _MOVES]), int(found.max())
+    best = np.unravel_index(found.argmax(), found.shape)
+    turn, up, right = (
+        int(each) - half + _between(found, best, axis)
+        for axis, (each, half) in enumerate(zip(best, (_TURNS, _MOVES, _MOVES), strict=True))
+    )
+    return ObjectFit(len(near), here / full, most / full, (_CELL_M * right, _CELL_M * up), turn)
 
 
 def _between(found: NDArray[np.int32], best: tuple[np.intp, ...], axis: int) -> float:

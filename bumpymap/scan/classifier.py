@@ -236,12 +236,7 @@ class ScanClassifier:
         BadInputError
             The file cannot be read.
         """
-        placed = None if pose is None else _rigid(pose, "pose")
-        result = self._classify(points, placed)
-        if placed is None:
-            return result
-        self._memory = self._memory or GroundMemory(self._grid)
-        return replace(result, _grid=self._memory.add([self._view(result, placed)], placed))
+        return self._classify(points, None) if pose is None else self.together([points], [np.eye(4)], pose)[0]
 
     def together(
         self, points: Sequence[ScanSource], /, sensors: Sequence[ArrayLike], pose: ArrayLike | None = None

@@ -3,43 +3,37 @@
 import logging
 import math
 import shlex
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+import time
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import Lock
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pyproj import CRS
 
-from bumpymap.core import BadInputError, ClassedSectors, Frame, GroundGrid, Scan, move_together, remove_path
+from bumpymap.core import BadInputError, Frame, GroundGrid, Progress, Scan, remove_path
 from bumpymap.layers import (
-    ACCUMULATED_NAME,
     FRAME_FOLDER,
-    SCAN_MANIFEST_NAME,
-    SECTOR_TABLE_NAME,
     FramePart,
-    FrameReport,
-    SectorTable,
-    file_sizes,
+    explain_empty_scan,
     frame_files,
     load_part,
-    open_accumulated,
-    open_table,
     part_path,
-    remove_stale_products,
+    report_frame,
     save_part,
     sector_rows,
-    sync_to_disk,
     write_frame,
 )
 from bumpymap.readers import BagReader, NoPointsError, deskew, read_message, read_scan
-from bumpymap.scan.align import nearest_ranges
 from bumpymap.scan.cells import FrameView, GroundMemory, SeenCells, see_cells
 from bumpymap.scan.config import ScanConfig
-from bumpymap.scan.merge import DriveMerge, PlacedPoints, open_merge
+from bumpymap.scan.merge import place_points
+from bumpymap.scan.methods import Method
+from bumpymap.views import write_picture
+from bumpytiles import run_blocks
 
 _log = logging.getLogger(__name__)
 
@@ -58,12 +52,10 @@ def _looks_registered(points: NDArray[np.float32]) -> bool:
 
 
 class FrameReader:
-    """Reads frames; bad ones end the run, or are skipped if the settings say so."""
+    """Reads frames from files and bags, deskewed if the settings say so."""
 
     def __init__(self, config: ScanConfig) -> None:
         self._config = config
-        self.skipped: dict[str, str] = {}
-        """Origin -> error message of each frame that was skipped."""
         self._bags: dict[tuple[Path, str], BagReader] = {}
         """By bag and topic: each reads on where it was."""
         self._lock = Lock()
@@ -91,158 +83,127 @@ class FrameReader:
             scan = replace(scan, heading_rad=math.atan2(frame.pose[1, 0], frame.pose[0, 0]))
         return scan if frame.motion is None or not self._config.deskew else deskew(scan, frame.motion)
 
-    @contextmanager
-    def skipping(self, frame: Frame) -> Iterator[None]:
-        """Skip the frame if the body of the ``with`` raises BadInputError and ``skip_bad`` is set, or it is empty."""
-        try:
-            yield
-        except BadInputError as error:
-            if not (self._config.skip_bad or isinstance(error, NoPointsError)):
-                error.add_note("`skip_bad=True` goes on without such frames.")
-                raise
-            _log.warning("skipped %s: %s", frame.origin, error)
-            self.skipped[frame.origin] = str(error)
-
-    def require_any(self, count: int) -> None:
-        """Raise BadInputError, with the reasons, if no frame could be read."""
-        if not count:
-            reasons = list(self.skipped.values())
-            more = [f"{len(reasons) - _NAMED} more"] if len(reasons) > _NAMED else []
-            raise BadInputError("none of the frames could be read:", *reasons[:_NAMED], *more)
-
 
 _STAGED = "products"
 """Folder for the products, inside the folder of the run, until all are complete."""
 
 
 @dataclass(frozen=True, slots=True)
-class FrameProducts:
-    """The products of a run while frame after frame is added.
-
-    Several threads may `load` and `write` frames at a time; one alone may `add` them, in their order.
-    """
+class FrameWork:
+    """The way of the frames of a run from their files to their products."""
 
     config: ScanConfig
+    method: Method
+    inputs: Mapping[str, Any]
+    """Identities of files by their paths, see `bumpymap.readers.identity`."""
     run_folder: Path
     """Keeps what a resumed run needs of each finished frame."""
     staged: Path
     """Folder of the products until all are complete."""
-    table: SectorTable | None
-    """None if no table is wanted."""
-    accumulated: DriveMerge | None
-    """Merges the points of all frames; None without poses."""
+    offset: NDArray[np.float64] | None
+    """(3,) of the coordinates of the merged points, m; None without poses."""
+    reader: FrameReader
+    skipped: dict[str, str] = field(default_factory=dict)
+    """Origin -> error message of each frame that was skipped."""
 
-    def load(self, frame: Frame, number: int) -> tuple[FramePart, PlacedPoints | None] | None:
-        """Return what `write` returns, of a frame that an earlier run has finished; None if it is not finished."""
-        part = load_part(part_path(self.run_folder, number), frame)
-        if part is None or part.files != file_sizes(self._files(frame, number)):
-            return None
-        return part, self._place(frame, number, part.points, part.is_ground)
+    def finished(self, frames: Sequence[Frame], progress: Progress) -> Generator[tuple[Frame, FramePart], None, None]:
+        """Yield the frames in order, with what they add to the files of the run; several are worked on at a time.
 
-    def write(
-        self,
-        frame: Frame,
-        number: int,
-        report: FrameReport,
-        scan: Scan,
-        classed: ClassedSectors,
-        draw: Callable[[Scan, ClassedSectors, Path, float], None],
-    ) -> tuple[FramePart, PlacedPoints | None]:
-        """Write the files of a frame's own, and its checkpoint; return what is added, and its points at its pose.
-
-        ``draw`` writes the picture of classed points, up to a distance [m], to a file. Raises BadInputError: its points
-        cannot be placed at its pose; there are no files of its own then.
+        Raises BadInputError: a frame is bad, and `skip_bad` is not set; or all are.
         """
-        products, stack = frame_products(self.config, number), classed.sectors
-        placed = self._place(frame, number, scan.points, stack.point_ground)  # first: it may refuse the frame
-        write_frame(frame.name, scan, classed, self.staged, products)
-        for path in frame_files(frame.name, self.staged, {"picture"} & set(products)):
-            draw(scan, classed, path, self.config.range_m)
-        seen = None if self.config.bag is None else see_cells(scan.points, classed, self.config.grid, frame.pose)
-        kept = slice(None) if self.accumulated is not None else slice(0)
-        part = FramePart(
-            report,
-            sector_rows(frame.name, classed) if self.table is not None else None,
-            scan.points[kept],
-            stack.point_ground[kept],
-            {} if seen is None else {name: np.asarray(values) for name, values in seen._asdict().items()},
-            file_sizes(self._files(frame, number)) or {},
-        )
-        save_part(part, part_path(self.run_folder, number))
-        return part, placed
+        progress.start("scanning frames", len(frames))
+        is_any = False
+        with closing(run_blocks(self._attempt, enumerate(frames), self.config.threads)) as results:
+            for frame, found in zip(frames, results, strict=True):
+                if isinstance(found, BadInputError):
+                    self._skip(frame, found)
+                else:
+                    part, empty = found
+                    if empty:
+                        _log.warning("no ground was classified in %s: %s", frame.origin, empty)
+                    is_any = True
+                    yield frame, part
+                progress.advance(1)
+        if not is_any:
+            reasons = list(self.skipped.values())
+            more = [f"{len(reasons) - _NAMED} more"] if len(reasons) > _NAMED else []
+            raise BadInputError("none of the frames could be read:", *reasons[:_NAMED], *more)
 
-    def add(self, part: FramePart, placed: PlacedPoints | None) -> None:
-        """Add a frame to the files of the run."""
-        if self.accumulated is not None and placed is not None:
-            self.accumulated.add_points(placed)
-        if self.table is not None and part.rows is not None:
-            self.table.add_rows(part.rows)
+    def _attempt(self, numbered: tuple[int, Frame]) -> tuple[FramePart, str] | BadInputError:
+        try:
+            return self._finish(*numbered)
+        except BadInputError as error:  # raised when it is the frame's turn: it may be skipped
+            return error
+
+    def _skip(self, frame: Frame, error: BadInputError) -> None:
+        if not (self.config.skip_bad or isinstance(error, NoPointsError)):
+            error.add_note("`skip_bad=True` goes on without such frames.")
+            raise error
+        _log.warning("skipped %s: %s", frame.origin, error)
+        self.skipped[frame.origin] = str(error)
+
+    def _finish(self, number: int, frame: Frame) -> tuple[FramePart, str]:
+        """Read, class and write a frame, unless an earlier run has; return also why it has no ground, or nothing."""
+        files, checkpoint = self._files(number, frame), part_path(self.run_folder, number)
+        part = load_part(checkpoint, frame.name, files)
+        if part is not None:
+            return part, ""
+        begin = time.perf_counter()
+        scan = self.reader.read(frame)
+        try:
+            classed = self.method.classify(scan)
+        except BadInputError as error:
+            raise BadInputError(f"cannot classify {frame.origin}: {error}") from error
+        entry = report_frame(frame, self.inputs.get(str(frame.path)), scan, classed, time.perf_counter() - begin)
+        arrays: dict[str, NDArray[Any]] = {}
+        if self.offset is not None and frame.pose is not None:
+            is_ground = classed.sectors.point_ground
+            arrays |= place_points(frame.name, scan.points, is_ground, frame.pose, self.offset)
+        if self.config.bag is not None:
+            arrays |= see_cells(scan.points, classed, self.config.grid, frame.pose)._asdict()
+        write_frame(frame.name, scan, classed, files)
+        if "picture" in frame_products(self.config, number):
+            write_picture(scan, classed, files[-1], self.config.range_m)
+        rows = sector_rows(frame.name, classed) if "table" in self.config.products else None
+        part = FramePart(entry, rows, arrays)
+        save_part(part, checkpoint, files)
+        return part, explain_empty_scan(scan, classed)
+
+    def _files(self, number: int, frame: Frame) -> list[Path]:
+        return frame_files(frame.name, self.staged, frame_products(self.config, number))
 
     def grids(self, frames: Sequence[Frame]) -> Iterator[tuple[Frame, int, GroundGrid]]:
         """Yield the grids of the finished ones of all frames, with these and their numbers.
 
         Those with poses are what is remembered until then, one for what several sensors see in turn.
         """
-        memory, held = GroundMemory(self.config.grid), dict[str, tuple[Frame, int, FrameView]]()
-
-        def remember() -> Iterator[tuple[Frame, int, GroundGrid]]:
-            if held:
-                frame, number, _ = [*held.values()][-1]
-                views = [view for _, _, view in held.values()]
-                yield frame, number, memory.add(views, views[0].pose)
-                held.clear()
-
+        turns: list[dict[str | None, tuple[int, Frame]]] = []
         for number, frame in enumerate(frames):
-            part = load_part(part_path(self.run_folder, number), frame)
-            if part is None:  # skipped
-                continue
-            topic = "" if frame.message is None else frame.message.topic
-            if frame.pose is None or topic in held:
-                yield from remember()
-            cells: Any = part.cells
-            seen = SeenCells(**cells)
-            if frame.pose is None:
-                yield frame, number, seen.finish(self.config.grid.resolution_m)
-            else:
-                held[topic] = frame, number, FrameView(frame.pose, seen, nearest_ranges(part.points))
-        yield from remember()
+            sensor = None if frame.pose is None else "" if frame.message is None else frame.message.topic
+            if frame.origin not in self.skipped:
+                if not turns or sensor is None or turns[-1].keys() & {sensor, None}:
+                    turns.append({})
+                turns[-1][sensor] = number, frame
+        memory = GroundMemory(self.config.grid)
+        for turn in turns:
+            number, frame = [*turn.values()][-1]
+            views = [self._view(*each) for each in turn.values()]
+            alone = frame.pose is None
+            grid = views[0].cells.finish(self.config.grid.resolution_m) if alone else memory.add(views, views[0].pose)
+            yield frame, number, grid
 
-    def _place(
-        self, frame: Frame, number: int, points: NDArray[np.float32], is_ground: NDArray[np.bool_]
-    ) -> PlacedPoints | None:
-        """Place points (n, 3) at the pose of the frame; if that is refused, remove the files of its own."""
-        if self.accumulated is None or frame.pose is None:
-            return None
-        try:
-            return self.accumulated.place_points(frame.name, points, frame.pose, is_ground)
-        except BadInputError:
-            for path in (part_path(self.run_folder, number), *self._files(frame, number)):
-                path.unlink(missing_ok=True)
-            raise
-
-    def _files(self, frame: Frame, number: int) -> list[Path]:
-        return frame_files(frame.name, self.staged, frame_products(self.config, number))
+    def _view(self, number: int, frame: Frame) -> FrameView:
+        part = load_part(part_path(self.run_folder, number), frame.name, self._files(number, frame))
+        arrays: dict[str, Any] = part.arrays  # type: ignore[union-attr]
+        cells = SeenCells(*(arrays[name] for name in SeenCells._fields))
+        if frame.pose is None:
+            return FrameView(np.eye(4), cells, np.empty(0, np.uint16))
+        return FrameView(frame.pose, cells, arrays["view"]["ranges"][0])
 
 
 def frame_products(config: ScanConfig, number: int) -> tuple[str, ...]:
     """Return the products of the frame with that number in the run."""
     return (*config.products, *(["picture"] if config.pictures and number % config.pictures == 0 else []))
-
-
-@contextmanager
-def open_products(
-    config: ScanConfig, frames: Sequence[Frame], crs: CRS | None, run_folder: Path, staged: Path
-) -> Iterator[FrameProducts]:
-    """Open the files that take all frames, and close them after the body."""
-    poses = [frame.pose for frame in frames if frame.pose is not None]
-    with ExitStack() as open_files:
-        table = open_files.enter_context(open_table(staged / SECTOR_TABLE_NAME)) if "table" in config.products else None
-        how = {"trusted": config.trust_poses, "corrected": config.correct_poses}
-        merge = open_files.enter_context(open_merge(run_folder, poses[0], config.robot, **how)) if poses else None
-        yield FrameProducts(config, run_folder, staged, table, merge)
-        if merge is not None:
-            with open_accumulated(staged / ACCUMULATED_NAME, poses[0], crs) as survey:
-                merge.write(survey)
 
 
 def staging_folder(run_folder: Path, frames: Sequence[Frame]) -> Path:
@@ -257,18 +218,3 @@ def staging_folder(run_folder: Path, frames: Sequence[Frame]) -> Path:
         if left.stem not in finished:
             remove_path(left)
     return staged
-
-
-def present_products(folder: Path) -> tuple[str, ...]:
-    """Return the names of the products of a run that are in a folder, without the map of the drive."""
-    names = (FRAME_FOLDER, SECTOR_TABLE_NAME, ACCUMULATED_NAME, SCAN_MANIFEST_NAME)
-    return tuple(name for name in names if (folder / name).exists())
-
-
-def move_products(staged: Path, out: Path) -> tuple[str, ...]:
-    """Move all products to ``out``, remove those of an earlier run that they do not replace; return their names."""
-    files = present_products(staged)
-    sync_to_disk(path for path in staged.rglob("*") if path.is_file())
-    move_together(staged, out, SCAN_MANIFEST_NAME)
-    remove_stale_products(out, files)
-    return files

@@ -7,21 +7,18 @@ saw, and more than saw something in it, held something that moved, and so did ob
 is bounded by the surfaces in one block.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from collections.abc import Callable, Mapping
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, Robot, loops
-from bumpymap.layers import AccumulatedSurvey
-from bumpymap.scan.align import VIEW, VIEW_REACH_M, judge_by_view, view_of
+from bumpymap.scan.align import VIEW, VIEW_REACH_M, Floats, judge_by_view, view_of
 from bumpymap.scan.pose_checks import PoseCheck, way_along
-from bumpymap.scan.registration import PoseCorrection, correct_poses
+from bumpymap.scan.registration import correct_poses
 
 MOST_GROUND, MOST_OTHERS = 8, 3
 """Ground points per pixel of the map, and other points per voxel, that are kept (chosen)."""
@@ -50,20 +47,43 @@ _NEAR_CM = 4_000
 """Distance from the sensor of the points that are registered, cm (chosen)."""
 
 
-@dataclass(frozen=True, slots=True)
-class PlacedPoints:
-    """The points of a frame in the world."""
+def place_points(
+    name: str, points: NDArray[np.float32], is_ground: NDArray[np.bool_], pose: Floats, offset: Floats
+) -> dict[str, NDArray[Any]]:
+    """Prepare the points of a frame for `DriveMerge.add_points`.
 
-    name: str
-    pose: NDArray[np.float64]
-    rows: NDArray[Any]
-    """(n,) points as in the file, sorted by block."""
-    blocks: NDArray[np.int64]
-    """(k,) blocks that hold points, in order."""
-    counts: NDArray[np.int64]
-    """(k,) points in each."""
-    view: NDArray[Any]
-    """(1,) see `view_of`."""
+    Returns ``points`` (n,) as in the file, sorted by block; ``blocks`` (k,) that hold any, in order; ``counts`` (k,) of
+    points in each; ``view`` (1,), see `view_of`.
+
+    ``name``: of the frame; ``points`` (n, 3): in the frame of the sensor, m; ``pose`` (4, 4): transform from the
+    sensor's frame to the world, m; ``offset``: see `DriveMerge`. Raises BadInputError: the frame lies too far from it.
+    """
+    # Not a matrix product: its library would start threads of its own in each of ours, for half of the time.
+    world = np.einsum("nj,ij->ni", points.astype(np.float64), pose[:3, :3]) + (pose[:3, 3] - offset)
+    whole = np.round(1000.0 * world)
+    if np.abs(whole).max(initial=0.0) > _FAR_MM:
+        raise BadInputError(
+            f"according to its pose, the frame {name} lies more than 2,000 km from the first one. Are they from "
+            "one drive?"
+        )
+    rows = np.empty(len(points), _POINT)
+    rows["place"] = whole
+    rows["range_cm"] = np.minimum(100.0 * np.linalg.norm(points, axis=1), 65_535.0)
+    rows["kind"] = is_ground
+    rows, blocks, counts = _by_block(rows, offset)
+    return {"points": rows, "blocks": blocks, "counts": counts, "view": view_of(points, is_ground, pose)}
+
+
+def _by_block(rows: NDArray[Any], offset: Floats) -> tuple[NDArray[Any], NDArray[np.int64], NDArray[np.int64]]:
+    """Return points sorted by block, the blocks that hold any, in order, and the points in each."""
+    column, row = np.floor((rows["place"][:, :2] + _whole(offset)) / _BLOCK_MM).T  # whole numbers: exact
+    blocks, number = np.unique((column + _SIDE * row).astype(np.int64), return_inverse=True)
+    order = np.argsort(number.astype(np.min_scalar_type(len(blocks))), kind="stable")
+    return rows[order], blocks, np.bincount(number, minlength=len(blocks))
+
+
+def _whole(offset: Floats) -> NDArray[np.int64]:
+    return (1000 * offset[:2]).astype(np.int64)
 
 
 class VoxelTable(NamedTuple):
@@ -89,166 +109,114 @@ class VoxelTable(NamedTuple):
     """(1,)."""
 
 
-@dataclass
 class DriveMerge:
     """The frames of a drive while they come, then their merged points.
 
-    ``points``, ``views``: take the points, and the `VIEW`, of all frames; ``offset`` (3,): what is taken off
-    coordinates before they become whole millimetres, m; whole metres.
+    ``folder``: for the points and `VIEW` of all frames; ``offset`` (3,): what is taken off coordinates before they
+    become whole millimetres, m; whole metres; ``robot``: where it drove, nothing stands; ``trusted``: poses that
+    contradict the frames are used all the same; ``corrected``: poses are corrected.
     """
 
-    points: BinaryIO
-    views: BinaryIO
-    offset: NDArray[np.float64]
-    robot: Robot
-    trusted: bool = False
-    """True if poses that contradict the frames are used all the same."""
-    corrected: bool = False
-    """True if poses are corrected."""
-    frames: list[tuple[NDArray[np.float64], int, int]] = field(default_factory=list)
-    """Pose of each, and where its points lie in the file: from, to."""
-    names: list[str] = field(default_factory=list)
-    blocks: dict[int, list[tuple[int, int, int]]] = field(default_factory=dict)
-    """Of each block of the world: the frames with points there, and where they lie in the file: from, to."""
-    seen: int = 0
-    """Points that came."""
-    written: int = 0
-    ground: int = 0
-    """Ground points among the written ones."""
-    moving: int = 0
-    """Points of what moved."""
-    check: PoseCheck | None = None
-    """None until all frames have come."""
-    correction: PoseCorrection | None = None
+    def __init__(
+        self, folder: Path, offset: Floats, robot: Robot, *, trusted: bool = False, corrected: bool = False
+    ) -> None:
+        self._points, self._views, self._offset, self._robot = folder / "points", folder / "views", offset, robot
+        self._names: list[str] = []
+        self._ends = [0]
+        """Where the points of frames begin and end in the file."""
+        self._blocks: dict[int, list[tuple[int, int, int]]] = {}
+        """Of each block of the world: the frames with points there, and where they lie in the file: from, to."""
+        self._counts = {"points": 0, "ground": 0, "moving": 0}
+        self._correction: dict[str, Any] | None = None
+        self._given: list[Floats] = []
+        self.poses = np.empty((0, 4, 4))
+        """(frames, 4, 4) when all have come: as they were given, then corrected."""
+        self._view = lru_cache(_VIEWS)(self._read_view)
+        self._check = PoseCheck(self.poses, self._names, self._view, trusted, corrected)
 
     def record(self) -> dict[str, Any]:
         """Return the entry in scan.json."""
-        poses: dict[str, Any] | None = None
-        if self.check is not None:
-            poses = self.check.record()
-            poses["correction"] = None if self.correction is None else self.correction.record()
-        counts = {"seen": self.seen, "points": self.written, "ground": self.ground, "moving": self.moving}
-        return {**counts, "poses": poses}
+        poses = {**self._check.record(), "correction": self._correction}
+        return {"seen": self._ends[-1], **self._counts, "poses": poses}
 
-    def place_points(
-        self, name: str, points: NDArray[np.float32], pose: NDArray[np.float64], is_ground: NDArray[np.bool_]
-    ) -> PlacedPoints:
-        """Prepare the points of a frame for `add_points`; several threads may do so at a time.
+    def add_points(self, name: str, pose: Floats, placed: Mapping[str, NDArray[Any]]) -> None:
+        """Take the points of the next frame, see `place_points`."""
+        self._list_blocks(len(self._names), placed["blocks"], placed["counts"])
+        for path, values in ((self._points, placed["points"]), (self._views, placed["view"])):
+            with path.open("ab") as file:
+                values.tofile(file)
+        self._names.append(name)
+        self._ends.append(self._ends[-1] + len(placed["points"]))
+        self._given.append(pose)
 
-        ``name``: of the frame; ``points`` (n, 3): in the frame of the sensor, m; ``pose`` (4, 4): transform from the
-        sensor's frame to the world, m. Raises BadInputError: the frame lies too far from the first one.
-        """
-        # Not a matrix product: its library would start threads of its own in each of ours, for half of the time.
-        world = np.einsum("nj,ij->ni", points.astype(np.float64), pose[:3, :3]) + (pose[:3, 3] - self.offset)
-        whole = np.round(1000.0 * world)
-        if np.abs(whole).max(initial=0.0) > _FAR_MM:
-            raise BadInputError(
-                f"according to its pose, the frame {name} lies more than 2,000 km from the first one. Are they from "
-                "one drive?"
-            )
-        rows = np.empty(len(points), _POINT)
-        rows["place"] = whole
-        rows["range_cm"] = np.minimum(100.0 * np.linalg.norm(points, axis=1), 65_535.0)
-        rows["kind"] = is_ground
-        return PlacedPoints(name, pose, *self._by_block(rows), view_of(points, is_ground, pose))
-
-    def _by_block(self, rows: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64], NDArray[np.int64]]:
-        """Return points sorted by block, the blocks that hold any, in order, and the points in each."""
-        column, row = np.floor((rows["place"][:, :2] + self._whole_offset()) / _BLOCK_MM).T  # whole numbers: exact
-        blocks, number = np.unique((column + _SIDE * row).astype(np.int64), return_inverse=True)
-        order = np.argsort(number.astype(np.min_scalar_type(len(blocks))), kind="stable")
-        return rows[order], blocks, np.bincount(number, minlength=len(blocks))
-
-    def add_points(self, placed: PlacedPoints) -> None:
-        """Take the points of the next frame."""
-        self._list_blocks(len(self.frames), self.seen, placed.blocks, placed.counts)
-        placed.rows.tofile(self.points)
-        placed.view.tofile(self.views)
-        count = len(placed.rows)
-        self.frames.append((placed.pose, self.seen, self.seen + count))
-        self.names.append(placed.name)
-        self.seen += count
-
-    def _list_blocks(self, frame: int, start: int, blocks: NDArray[np.int64], counts: NDArray[np.int64]) -> None:
-        """Note where the points of a frame, from ``start`` on in the file, lie in blocks (k,), ``counts`` (k,) each."""
-        ends = start + np.cumsum(counts)
+    def _list_blocks(self, frame: int, blocks: NDArray[np.int64], counts: NDArray[np.int64]) -> None:
+        """Note where the points of a frame lie in blocks (k,), ``counts`` (k,) each."""
+        ends = self._ends[frame] + np.cumsum(counts)
         for block, begin, end in zip(blocks.tolist(), (ends - counts).tolist(), ends.tolist(), strict=True):
-            self.blocks.setdefault(block, []).append((frame, begin, end))
+            self._blocks.setdefault(block, []).append((frame, begin, end))
 
-    def write(self, survey: AccumulatedSurvey) -> None:
+    def write(self, add_points: Callable[[Floats, NDArray[np.bool_]], None]) -> None:
         """Hold the poses against the frames, and write what is left of their points, block by block.
 
         Raises WrongPosesError: poses that cannot be right, and are not trusted.
         """
-        self.points.flush()
-        self.views.flush()
-        view = lru_cache(_VIEWS)(self._view)
-        self.check = PoseCheck(self.poses, self.names, view, self.trusted, self.corrected)
-        if len(self.frames) > 1:
-            self.check.run()
-            if self.corrected:
-                self._correct(self.check)
-        for block in sorted(self.blocks):
-            self.blocks[block] = [each for each in self.blocks[block] if each[0] not in self.check.left_out]
-            if not self.blocks[block]:
-                continue
-            xyz, is_ground = self._thin(block, self._gather(block))
-            survey.add_points(self.offset + 0.001 * xyz, is_ground)
-            self.written += len(xyz)
-            self.ground += int(is_ground.sum())
+        self.poses = self._check.poses = np.array(self._given).reshape(-1, 4, 4)
+        if len(self._names) > 1:
+            self._check.run()
+            if self._check.corrected:
+                self._correct()
+        for block, parts in sorted(self._blocks.items()):
+            self._blocks[block] = [each for each in parts if each[0] not in self._check.left_out]
+            if self._blocks[block]:
+                xyz, is_ground = self._thin(block, self._gather(block))
+                add_points(self._offset + 0.001 * xyz, is_ground)
+                self._counts["points"] += len(xyz)
+                self._counts["ground"] += int(is_ground.sum())
 
-    @cached_property
-    def poses(self) -> NDArray[np.float64]:
-        """(frames, 4, 4) when all have come: as they were given, then corrected."""
-        return np.array([pose for pose, *_ in self.frames]).reshape(-1, 4, 4)
-
-    def _view(self, number: int) -> Any:
-        """Read the `VIEW` of a frame."""
-        return np.fromfile(self.views.name, VIEW, 1, offset=VIEW.itemsize * number)[0]
+    def _read_view(self, number: int) -> Any:
+        return np.fromfile(self._views, VIEW, 1, offset=VIEW.itemsize * number)[0]
 
     def _rows(self, begin: int, end: int) -> NDArray[Any]:
-        return np.fromfile(self.points.name, _POINT, end - begin, offset=begin * _POINT.itemsize)
+        return np.fromfile(self._points, _POINT, end - begin, offset=begin * _POINT.itemsize)
 
-    def _in_frame(self, number: int, rows: NDArray[Any]) -> NDArray[np.float64]:
-        """Return points in the frame of their sensor, m, from rows of the file."""
-        pose = self.frames[number][0]
-        away = 0.001 * rows["place"] + (self.offset - pose[:3, 3])
-        points: NDArray[np.float64] = np.einsum("nj,ji->ni", away, pose[:3, :3])
-        return points
+    def _replace(self, begin: int, rows: NDArray[Any]) -> None:
+        with self._points.open("r+b") as file:
+            file.seek(begin * _POINT.itemsize)
+            rows.tofile(file)
 
-    def _correct(self, check: PoseCheck) -> None:
+    def _in_sensor(self, number: int) -> tuple[NDArray[Any], Floats]:
+        """Return the rows of a frame in the file, and its points (n, 3) in the frame of its sensor, m."""
+        rows, pose = self._rows(*self._ends[number : number + 2]), self.poses[number]
+        away = 0.001 * rows["place"] + (self._offset - pose[:3, 3])
+        return rows, np.einsum("nj,ji->ni", away, pose[:3, :3])
+
+    def _correct(self) -> None:
         """Correct the poses, and place the points of all frames again."""
-        numbers = check.kept
-        place = {number: each for each, number in enumerate(numbers)}
-        pairs = [(place[a], place[b]) for a, b in sorted(check.pairs) if a in place and b in place]
 
-        def cloud(place: int) -> NDArray[np.float64]:
-            _, begin, end = self.frames[numbers[place]]
-            rows = self._rows(begin, end)
-            return self._in_frame(numbers[place], rows[(rows["kind"] > 1) & (rows["range_cm"] < _NEAR_CM)])
+        def cloud(number: int) -> Floats:
+            rows, points = self._in_sensor(number)
+            return points[(rows["kind"] > 1) & (rows["range_cm"] < _NEAR_CM)]
 
-        with open(self.points.name, "r+b", buffering=0) as file:  # noqa: PTH123 (a name of a file that is open)
-            self._mark_still(file)
-            self.correction = correct_poses(self.poses[numbers], pairs, cloud)
-            self.blocks.clear()
-            for number, pose in zip(numbers, self.correction.poses, strict=True):
-                _, begin, end = self.frames[number]
-                rows = self._rows(begin, end)
-                world = np.einsum("nj,ij->ni", self._in_frame(number, rows), pose[:3, :3]) + (pose[:3, 3] - self.offset)
-                rows["place"], rows["kind"] = np.round(1000.0 * world), rows["kind"] & 1
-                rows, blocks, counts = self._by_block(rows)
-                self._list_blocks(number, begin, blocks, counts)
-                file.seek(begin * _POINT.itemsize)
-                rows.tofile(file)
-                self.frames[number] = (pose, begin, end)
-        del self.poses  # as they are now
+        self._mark_still()
+        pairs = sorted(pair for pair in self._check.pairs if not {*pair}.intersection(self._check.left_out))
+        poses, self._correction = correct_poses(self.poses, pairs, cloud)
+        self._correction["poses"] = dict(zip(self._names, poses.tolist(), strict=True))
+        self._blocks.clear()
+        for number in self._check.kept:
+            rows, points = self._in_sensor(number)
+            world = np.einsum("nj,ij->ni", points, poses[number, :3, :3]) + (poses[number, :3, 3] - self._offset)
+            rows["place"], rows["kind"] = np.round(1000.0 * world), rows["kind"] & 1
+            rows, blocks, counts = _by_block(rows, self._offset)
+            self._list_blocks(number, blocks, counts)
+            self._replace(self._ends[number], rows)
+        self.poses = poses
 
-    def _mark_still(self, file: BinaryIO) -> None:
+    def _mark_still(self) -> None:
         """Mark the points in voxels that enough stretches of the way have seen, and beside these, for poses err."""
         steps = np.linalg.norm(np.diff(self.poses[:, :3, 3], axis=0), axis=1)
         stretch = (np.r_[0.0, np.cumsum(steps)] // _STRETCH_M).astype(int).tolist()
         beside = (np.indices((3, 3, 3)).reshape(3, 27).T - 1)[:, None]
-        for block, parts in self.blocks.items():
+        for block, parts in self._blocks.items():
             table, corner = self._gather(block, _STILL_MM, stretch), np.append(self._corner(block), 0)
             seen = table.hits[: int(table.size[0])] >= _STRETCHES
             cell = table.place[: len(seen), 0][seen].astype(np.int64) // _STILL_MM
@@ -257,16 +225,16 @@ class DriveMerge:
                 rows = self._rows(begin, end)
                 is_still = np.isin(_key_of((rows["place"] - corner) // _STILL_MM), still)
                 rows["kind"] += 2 * is_still.astype(np.uint8)
-                file.seek(begin * _POINT.itemsize)
-                rows.tofile(file)
-
-    def _whole_offset(self) -> NDArray[np.int64]:
-        return (1000 * self.offset[:2]).astype(np.int64)
+                self._replace(begin, rows)
 
     def _corner(self, block: int) -> NDArray[np.int64]:
         """Return the corner of a block in the coordinates of the file, mm."""
         row = (block + _SIDE // 2) // _SIDE
-        return np.array([block - row * _SIDE, row]) * _BLOCK_MM - self._whole_offset()
+        return np.array([block - row * _SIDE, row]) * _BLOCK_MM - _whole(self._offset)
+
+    def _origin(self, block: int) -> Floats:
+        """Return the corner of a block in the world, m; heights count from that of the offset."""
+        return np.append(0.001 * self._corner(block), 0.0) + self._offset
 
     def _gather(self, block: int, voxel_mm: int = VOXEL_MM, numbers: list[int] | None = None) -> VoxelTable:
         """Read the points of a block, frame after frame, into voxels.
@@ -274,7 +242,7 @@ class DriveMerge:
         ``numbers``: of frames that count as one; else each counts.
         """
         table, corner = _empty_table(1 << 16), self._corner(block)
-        for number, begin, end in self.blocks[block]:
+        for number, begin, end in self._blocks[block]:
             rows = self._rows(begin, end)
             xyz = rows["place"].astype(np.int64)
             xyz[:, :2] -= corner
@@ -287,14 +255,14 @@ class DriveMerge:
 
     def _judge(self, block: int, where: NDArray[np.int32]) -> NDArray[np.int32]:
         """Count for places (n, 3) in a block the frames that `judge_by_view` tells apart, (4, n)."""
-        corner = 0.001 * self._corner(block) + self.offset[:2]
-        middle = self.poses[:, :2, 3]
+        origin, middle = self._origin(block), self.poses[:, :2, 3]
+        corner = origin[:2]
         away = np.linalg.norm(middle - np.clip(middle, corner, corner + 0.001 * _BLOCK_MM), axis=1)
         found = np.zeros((4, len(where)), np.int32)
-        away[self.check.left_out if self.check else []] = np.inf
+        away[self._check.left_out] = np.inf
         for number in np.flatnonzero(away < VIEW_REACH_M).tolist():
             pose = self.poses[number].copy()
-            pose[:3, 3] -= [*corner, self.offset[2]]
+            pose[:3, 3] -= origin
             judge_by_view(where, pose, self._view(number)["ranges"], found)
         return found
 
@@ -333,16 +301,13 @@ class DriveMerge:
         from scipy.spatial import KDTree
 
         driven = np.zeros(len(nearest), np.bool_)
-        wide = np.abs([self.robot.radius_m, *(self.robot.box_m or ())[2:]]).max()
-        if self.check is None or self.check.height_m is None or not wide:
+        wide = np.abs([self._robot.radius_m, *(self._robot.box_m or ())[2:]]).max()
+        if self._check.height_m is None or not wide:
             return driven
-        way = way_along(self.poses[self.check.kept]) - [
-            *(0.001 * self._corner(block) + self.offset[:2]),
-            self.offset[2],
-        ]
+        way = way_along(self.poses[self._check.kept]) - self._origin(block)
         near = KDTree(way[:, :2]).query(0.001 * nearest[:, :2], distance_upper_bound=wide)[1]
         above = 0.001 * nearest[:, 2] - np.append(way[:, 2], np.nan)[near]
-        driven = other & (above > _BELLY_M - self.check.height_m) & (above < _TOP_M)
+        driven = other & (above > _BELLY_M - self._check.height_m) & (above < _TOP_M)
         if driven.any():
             low, high = cell[driven].min(axis=0) - _AROUND, cell[driven].max(axis=0) + _AROUND
             chosen = np.flatnonzero(other & (driven | is_through) & ((cell >= low) & (cell <= high)).all(axis=1))
@@ -366,7 +331,7 @@ class DriveMerge:
         hidden = np.zeros(used, np.bool_)
         hidden[is_ground] = (above[0] + above[2] == 0) & (above[1] > 0)
         kept = np.arange(MOST_GROUND) < table.held[:used, None]
-        self.moving += int(kept[moved].sum())
+        self._counts["moving"] += int(kept[moved].sum())
         _, voxel = np.unique(table.key[:used] >> 1, return_inverse=True)
         votes = np.where(is_ground, 1, -1) * table.hits[:used]
         outvoted = is_ground & (np.bincount(voxel, votes)[voxel] < 0)  # more frames did not take it for ground
@@ -394,21 +359,10 @@ def _key_of(cell: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def _empty_table(rows: int) -> VoxelTable:
     """Make a table with room for that many voxels, a power of two."""
-
-    def zeros(*shape: int, kind: type = np.int32) -> NDArray[Any]:
-        return np.zeros((rows, *shape), kind)
-
-    return VoxelTable(
-        np.full(2 * rows, -1, np.int32),
-        zeros(kind=np.int64),
-        zeros(),
-        zeros(),
-        zeros(),
-        zeros(),
-        zeros(MOST_GROUND, kind=np.uint32),
-        zeros(MOST_GROUND, 3),
-        np.zeros(1, np.int32),
-    )
+    slot, key = np.full(2 * rows, -1, np.int32), np.zeros(rows, np.int64)
+    hits, last, mine, held = np.zeros((4, rows), np.int32)
+    turn, place = np.zeros((rows, MOST_GROUND), np.uint32), np.zeros((rows, MOST_GROUND, 3), np.int32)
+    return VoxelTable(slot, key, hits, last, mine, held, turn, place, np.zeros(1, np.int32))
 
 
 def _with_room(table: VoxelTable, more: int) -> VoxelTable:
@@ -421,27 +375,3 @@ def _with_room(table: VoxelTable, more: int) -> VoxelTable:
         getattr(larger, name)[:used] = getattr(table, name)[:used]
     loops.move_voxels(table, larger)
     return larger
-
-
-@contextmanager
-def open_merge(
-    folder: Path,
-    first: NDArray[np.float64],
-    robot: Robot | None = None,
-    *,
-    trusted: bool = False,
-    corrected: bool = False,
-) -> Iterator[DriveMerge]:
-    """Open the files of a merge in the folder of a run, and remove them at the end.
-
-    ``first`` (4, 4): pose of the first frame, m; coordinates in the files count from there; ``robot``: where it drove,
-    nothing stands; ``trusted``: poses that contradict the frames are used all the same; ``corrected``: poses are
-    corrected.
-    """
-    paths = [folder / name for name in ("merge.points", "merge.views")]
-    try:
-        with paths[0].open("wb") as points, paths[1].open("wb") as views:
-            yield DriveMerge(points, views, np.round(first[:3, 3]), robot or Robot(), trusted, corrected)
-    finally:
-        for path in paths:
-            path.unlink(missing_ok=True)

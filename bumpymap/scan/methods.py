@@ -11,6 +11,7 @@ over its area, as far as that is rated.
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -34,7 +35,7 @@ from bumpymap.core import (
     UsageError,
     cell_numbers,
 )
-from bumpymap.patches import measure, measure_thin
+from bumpymap.patches import choose_tiles, measure, measure_thin
 from bumpymap.rating import (
     BlockRating,
     Calibration,
@@ -51,7 +52,7 @@ from bumpymap.scan.ground import SectorBuffers
 from bumpymap.scan.learned import ScanModel, classify_learned
 from bumpymap.scan.polar import polar_sectors
 from bumpymap.scan.stripes import classify_filter, load_stripes
-from bumpytiles import Grid, TilePoints
+from bumpytiles import Grid, TilePoints, group_points, join_tiles, sort_block
 
 _REACH_M = 60.0
 """Distance from the sensor beyond which points are too few for any tile, m (chosen)."""
@@ -178,30 +179,12 @@ def _widened(tiles: BlockRating, coverage: NDArray[np.floating]) -> BlockRating:
 
 
 def _cut(points: NDArray[np.float32], grid: Grid, side: int) -> TilePoints:
-    """Cut points into the tiles of the square around the sensor; those with too few for a rating are left out.
-
-    The points of a tile come in random order, always the same: of many points, the measures of pairs take the first.
-    """
-    x, y, z = points.T[:, np.random.default_rng(0).permutation(len(points))].astype(np.float64)
-    col, row = grid.index(x), grid.index(y)
-    inside = (np.minimum(col, row) >= -side) & (np.maximum(col, row) < side)
-    tile = np.where(inside, (row + side) * (2 * side) + col + side, 4 * side * side)
-    count = np.bincount(tile, minlength=4 * side * side + 1)
-    kept = np.flatnonzero(count[:-1] >= FeatureSettings().min_coverage * grid.pixels**2)
-    wanted = np.zeros(len(count), np.bool_)
-    wanted[kept] = True
-    asked = np.flatnonzero(wanted[tile])
-    asked = asked[np.argsort(tile[asked], kind="stable")]
-    return TilePoints(
-        grid=grid,
-        col=kept % (2 * side) - side,
-        row=kept // (2 * side) - side,
-        starts=np.concatenate(([0], np.cumsum(count[kept]))),
-        easting=x[asked],
-        northing=y[asked],
-        upward=z[asked],
-        flag=np.ones(len(asked), np.bool_),
-    )
+    """Cut points into the tiles of the square around the sensor; those with too few for a rating are left out."""
+    x, y, z = points[np.abs(points[:, :2]).max(axis=1, initial=0.0) < side * grid.tile_size].T.astype(np.float64)
+    blocks = group_points(grid, x, y, z, np.ones(len(x), np.bool_))
+    parts = [sort_block(grid, key, [blocks.block(place, blocks.points)]) for place, key in enumerate(blocks.keys)]
+    tiles = join_tiles(parts or [sort_block(grid, (0, 0), [])])
+    return choose_tiles(tiles, np.diff(tiles.starts) >= FeatureSettings().min_coverage * grid.pixels**2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,43 +210,36 @@ def choose_method(config: ScanConfig) -> Method:
     name another belly or height. Raises BadInputError: the network, the stripe classes or
     the calibration of the vehicle cannot be read.
     """
-    if config.vehicle is None and config.calibration is None:
-        return _choose(config)
-
-    calibration = find_calibration(config.vehicle or "", config.calibration)
-    rater, polar = SectorRater(calibration), config.polar
-    own = {"belly_m": calibration.body.lowest_obstacle_m, "height_m": calibration.body.height_m}
-    for name, value in own.items():
-        if getattr(polar, name) not in {value, getattr(PolarSettings(), name)}:
-            raise UsageError(
-                f"{name} is {getattr(polar, name)} among the settings of the polar grid, and {value} for the vehicle: "
-                f"leave out {name}, or the vehicle"
-            )
-    method = _choose(replace(config, polar=replace(polar, belly_m=own["belly_m"], height_m=own["height_m"])))
-
-    def classify(scan: Scan) -> ClassedSectors:
-        classed = method.classify(scan)
-        return replace(classed, ride=rater(scan, classed.sectors))
-
-    return replace(method, classify=classify, calibration=calibration)
-
-
-def _choose(config: ScanConfig) -> Method:
-    """Return the method without the ride of a vehicle."""
     polar, buffers = config.polar, SectorBuffers()
-    network = None
-    if config.model is not None:
-        network = ScanModel.load(config.model)
-    elif config.method != "filter":
+    calibration, rater = None, None
+    if config.vehicle is not None or config.calibration is not None:
+        calibration = find_calibration(config.vehicle or "", config.calibration)
+        rater = SectorRater(calibration)
+        own: dict[str, Any] = {"belly_m": calibration.body.lowest_obstacle_m, "height_m": calibration.body.height_m}
+        for name, value in own.items():
+            if getattr(polar, name) not in {value, getattr(PolarSettings(), name)}:
+                raise UsageError(
+                    f"{name} is {getattr(polar, name)} among the settings of the polar grid, and {value} for the "
+                    f"vehicle: leave out {name}, or the vehicle"
+                )
+        polar = replace(polar, **own)
+    network = ScanModel.load(config.model) if config.model is not None else None
+    if network is None and config.method != "filter":
         network = ScanModel.shipped()
         if config.method is None and network.pixels != polar.pixels:
             network = None
+    classify: Callable[[SectorStack], ClassedSectors]
     if network is not None:
-        model = network
-        model.require_pixels(polar)
-        basis = f"scan network {model.id}"
-        return Method("learned", basis, lambda scan: classify_learned(polar_sectors(scan, polar, buffers), model))
-    stripes = load_stripes()
-    stripes.require_pixels(polar)
-    basis = f"stripe classes of bumpymap: {', '.join(f'{centre:.2f}' for centre in stripes.centres)}"
-    return Method("filter", basis, lambda scan: classify_filter(polar_sectors(scan, polar, buffers), stripes))
+        network.require_pixels(polar)
+        basis, classify = f"scan network {network.id}", partial(classify_learned, model=network)
+    else:
+        stripes = load_stripes()
+        stripes.require_pixels(polar)
+        basis = f"stripe classes of bumpymap: {', '.join(f'{centre:.2f}' for centre in stripes.centres)}"
+        classify = partial(classify_filter, model=stripes)
+
+    def classed(scan: Scan) -> ClassedSectors:
+        found = classify(polar_sectors(scan, polar, buffers))
+        return found if rater is None else replace(found, ride=rater(scan, found.sectors))
+
+    return Method("filter" if network is None else "learned", basis, classed, calibration)

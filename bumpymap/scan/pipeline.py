@@ -1,17 +1,18 @@
 """The scan job, step by step: frames in, sectors, their files and ``scan.json`` out; with poses, a map of the drive."""
 
 import logging
-import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing, suppress
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
 
+import numpy as np
 from pyproj import CRS
 
 from bumpymap.core import (
-    BadInputError,
     Frame,
     Kept,
     MapConfig,
@@ -39,19 +40,20 @@ from bumpymap.layers import (
     FRAME_FOLDER,
     MAP_FOLDER,
     SCAN_MANIFEST_NAME,
-    FramePart,
-    FrameReport,
+    SECTOR_TABLE_NAME,
     check_scan_folder,
     describe_file,
     describe_input,
-    explain_empty_scan,
-    has_files,
+    frame_files,
     has_finished_parts,
     is_complete,
+    move_products,
     name_frames,
+    open_accumulated,
+    open_table,
     output_errors,
+    present_products,
     refuse_replacing,
-    report_frame,
     software_versions,
     verified_record,
     write_scan_manifest,
@@ -68,21 +70,12 @@ from bumpymap.readers import (
     place_sources,
 )
 from bumpymap.scan.config import ScanConfig
-from bumpymap.scan.frames import (
-    FrameProducts,
-    FrameReader,
-    frame_products,
-    move_products,
-    open_products,
-    present_products,
-    staging_folder,
-)
-from bumpymap.scan.merge import PlacedPoints
+from bumpymap.scan.frames import FrameReader, FrameWork, frame_products, staging_folder
+from bumpymap.scan.merge import DriveMerge
 from bumpymap.scan.methods import Method, choose_method
 from bumpymap.scan.pose_checks import WrongPosesError
 from bumpymap.scan.registration import require_registration
-from bumpymap.views import check_bag_file, write_grid_bag, write_picture
-from bumpytiles import run_blocks
+from bumpymap.views import check_bag_file, write_grid_bag
 
 _log = logging.getLogger(__name__)
 
@@ -101,8 +94,8 @@ class ScanRun:
     files: tuple[str, ...]
     """Names in the folder of the products; the folder of the frames stands for the files in it."""
     method: ScanMethod
-    frames: tuple[FrameReport, ...]
-    """In time order, without those that were skipped."""
+    frames: tuple[dict[str, Any], ...]
+    """Their entries in scan.json, in time order, without those that were skipped."""
     skipped: dict[str, str]
     """Frames that could not be read, with the error message (``skip_bad``)."""
     seconds: dict[str, float]
@@ -190,14 +183,12 @@ def earlier_frames(config: ScanConfig, run_spec: Mapping[str, Any], frames: Sequ
         before = spec_of_manifest({**record, "inputs": inputs}, ignored, made_with)
         now = {**run_spec, "settings": flat_settings(config, ignored)}
         refuse_replacing(config.out, differences(before, now, partial(same_content, hashed=hash_survey)))
-        own = {frame.name: frame for frame in frames}
-        reports = tuple(FrameReport.of(own[each["name"]], each) for each in record["frames"])
-        _require_files(config, frames, reports)
+        _require_files(config, frames, {entry["name"] for entry in record["frames"]})
         skipped = {str(path): str(why) for path, why in record["skipped"].items()}
         return ScanRun(
             present_products(config.out),
             method["name"],
-            reports,
+            tuple(record["frames"]),
             skipped,
             dict(record["seconds"]),
             merged=record["gathered"],
@@ -205,15 +196,15 @@ def earlier_frames(config: ScanConfig, run_spec: Mapping[str, Any], frames: Sequ
         )
 
 
-def _require_files(config: ScanConfig, frames: Sequence[Frame], reports: Sequence[FrameReport]) -> None:
+def _require_files(config: ScanConfig, frames: Sequence[Frame], done: Collection[str]) -> None:
     if config.bag is not None and not config.bag.exists():
         raise OutputError(
             f"{config.out} already holds a complete run, but its bag {config.bag} is missing. Pass `overwrite=True` to "
             "make both again"
         )
-    done = {report.frame.name for report in reports}
     for number, frame in enumerate(frames):
-        if frame.name in done and not has_files(frame.name, config.out, frame_products(config, number)):
+        files = frame_files(frame.name, config.out, frame_products(config, number))
+        if frame.name in done and not all(path.is_file() for path in files):
             raise OutputError(
                 f"{config.out} already holds a complete run, but files of the frame {frame.name} are missing. "
                 "Choose another `out`, or pass `overwrite=True` to replace it"
@@ -286,79 +277,60 @@ def classify_frames(
     ``crs``: of the poses; None: local coordinates; ``run_spec``: see `describe_scan`. Raises BumpymapError: bad frames,
     or a full disk; products in ``config.out`` are replaced when all new ones are complete.
     """
-    out, reader = config.out, FrameReader(config)
     run_folder = RunFolder.opened(
-        out,
+        config.out,
         run_spec,
         overwrite=config.overwrite,
         finished=has_finished_parts,
         advice="Run the same again to continue from the finished frames.",
         decide=lambda end: Kept.NOTHING if isinstance(end, WrongPosesError) else Kept.ALL,
     )
-    with run_folder as run, output_errors(out), utf8_path(staging_folder(run.path, frames)) as staged:
-        with clock.stage("scan"), open_products(config, frames, crs, run.path, staged) as products:
-            reports = _classify_each(frames, method, run_spec["inputs"], reader, products, progress)
-        accumulated = None if products.accumulated is None else products.accumulated.record()
-        manifest = scan_manifest(config, frames, method, run_spec, reader.skipped)
-        manifest |= {"gathered": accumulated, "bag": None, "seconds": clock.seconds}
+    offset = next((np.round(frame.pose[:3, 3]) for frame in frames if frame.pose is not None), None)
+    with run_folder as run, output_errors(config.out), utf8_path(staging_folder(run.path, frames)) as staged:
+        work = FrameWork(config, method, run_spec["inputs"], run.path, staged, offset, FrameReader(config))
+        with clock.stage("scan"):
+            entries, merged = _write_data(work, frames, crs, progress)
+        manifest = scan_manifest(config, frames, method, run_spec, work.skipped)
+        manifest |= {"gathered": merged, "bag": None, "seconds": clock.seconds}
         if config.bag is not None:
-            write_grid_bag(config.bag, run.path, products.grids(frames))
+            write_grid_bag(config.bag, run.path, work.grids(frames))
             manifest["bag"] = describe_file(config.bag)
         with suppress(OSError):
             (staged / FRAME_FOLDER).rmdir()  # if no frame has files of its own
-        write_scan_manifest(staged, manifest, reports, run_spec["inputs"])
-        files = move_products(staged, out)
-    return ScanRun(files, method.name, tuple(reports), reader.skipped, clock.seconds, merged=accumulated)
+        write_scan_manifest(staged, manifest, entries)
+        files = move_products(staged, config.out)
+    return ScanRun(files, method.name, tuple(entries), work.skipped, clock.seconds, merged=merged)
 
 
-def _classify_each(
-    frames: Sequence[Frame],
-    method: Method,
-    inputs: Mapping[str, Any],
-    reader: FrameReader,
-    products: FrameProducts,
-    progress: Progress,
-) -> list[FrameReport]:
-    """Read, class and write frames in threads, unless an earlier run has; add them to the files of the run in order."""
+def _write_data(
+    work: FrameWork, frames: Sequence[Frame], crs: CRS | None, progress: Progress
+) -> tuple[list[dict[str, Any]], dict[str, Any] | None]:
+    """Write the data of all frames; return their entries in scan.json, and that of the merged points, if there are any.
 
-    def finish(numbered: tuple[int, Frame]) -> tuple[FramePart, PlacedPoints | None, str] | BadInputError:
-        number, frame = numbered
-        try:
-            finished = products.load(frame, number)
-            if finished is not None:
-                return *finished, ""
-            begin = time.perf_counter()
-            scan = reader.read(frame)
-            try:
-                classed = method.classify(scan)
-            except BadInputError as error:
-                raise BadInputError(f"cannot classify {frame.origin}: {error}") from error
-            report = report_frame(frame, inputs.get(str(frame.path)), scan, classed, time.perf_counter() - begin)
-            written = products.write(frame, number, report, scan, classed, write_picture)
-            return *written, explain_empty_scan(scan, classed)
-        except BadInputError as error:  # raised when it is the frame's turn: it may be skipped
-            return error
-
-    reports: list[FrameReport] = []
-    progress.start("scanning frames", len(frames))
-    with closing(run_blocks(finish, enumerate(frames), products.config.threads)) as results:
-        for frame, result in zip(frames, results, strict=True):
-            with reader.skipping(frame):
-                if isinstance(result, BadInputError):
-                    raise result
-                part, placed, empty = result
-                if empty:
-                    _log.warning("no ground was classified in %s: %s", frame.origin, empty)
-                products.add(part, placed)
-                reports.append(part.report)
-            progress.advance(1)
-    reader.require_any(len(reports))
-    return reports
+    Frames of an earlier run are not computed again.
+    """
+    config, entries, merge = work.config, list[dict[str, Any]](), None
+    with ExitStack() as opened:
+        if "table" in config.products:
+            add_rows = opened.enter_context(open_table(work.staged / SECTOR_TABLE_NAME))
+        if work.offset is not None:
+            folder = Path(opened.enter_context(TemporaryDirectory(dir=work.run_folder, prefix=".merge-")))
+            how = {"trusted": config.trust_poses, "corrected": config.correct_poses}
+            merge = DriveMerge(folder, work.offset, config.robot, **how)
+        for frame, part in opened.enter_context(closing(work.finished(frames, progress))):
+            entries.append(part.entry)
+            if part.rows is not None:
+                add_rows(part.rows)
+            if merge is not None and frame.pose is not None:
+                merge.add_points(frame.name, frame.pose, part.arrays)
+        if merge is None or work.offset is None:
+            return entries, None
+        with open_accumulated(work.staged / ACCUMULATED_NAME, work.offset, crs) as add_points:
+            merge.write(add_points)
+    return entries, merge.record()
 
 
-def scan_frames(
-    config: ScanConfig, progress: Progress | None = None, mapper: MapDrive | None = None
-) -> ScanRun:  # fmt: skip
+def scan_frames(config: ScanConfig, progress: Progress | None = None, mapper: MapDrive | None = None) -> ScanRun:
     """Class the ground of each frame and write the products; with poses, map the drive.
 
     Parameters
@@ -371,36 +343,28 @@ def scan_frames(
     BumpymapError
         Bad inputs or settings, or a full disk; no file is left half-written.
     """
+    progress, clock = progress or SilentProgress(), Stopwatch()
     with remove_empty_on_error(config.out), locked(config.out):
-        return _scan(config, progress or SilentProgress(), mapper)
-
-
-def _scan(config: ScanConfig, progress: Progress, mapper: MapDrive | None) -> ScanRun:
-    clock = Stopwatch()
-    with clock.stage("prepare"):
-        unfinished = is_interrupted(config.out)
-        is_done = not (unfinished or config.overwrite) and is_complete(config.out, SCAN_MANIFEST_NAME)
-        method = choose_method(config)
-        crs = crs_of_poses(config)
-        sources = find_sources(config.frames, config.bag_topics)
-        found = None
-        if config.poses is not None:
-            found, sources = place_sources(config.poses, sources)
-        frames = name_frames(sources)
-        drive = drive_settings(config, frames)
-        run_spec = describe_scan(config, frames, method, found)
-    if is_done:
-        run = earlier_frames(config, run_spec, frames)
-    else:
-        check_scan_folder(
-            config.out, [frame.path for frame in frames], overwrite=config.overwrite, unfinished=unfinished
-        )
-        if config.bag is not None:
+        with clock.stage("prepare"):
+            unfinished = is_interrupted(config.out)
+            is_done = not (unfinished or config.overwrite) and is_complete(config.out, SCAN_MANIFEST_NAME)
+            method, crs = choose_method(config), crs_of_poses(config)
+            sources, poses = find_sources(config.frames, config.bag_topics), None
+            if config.poses is not None:
+                poses, sources = place_sources(config.poses, sources)
+            frames = name_frames(sources)
+            drive = drive_settings(config, frames)
+            run_spec = describe_scan(config, frames, method, poses)
+        if is_done:
+            run = earlier_frames(config, run_spec, frames)
+        else:
             inputs = [frame.path for frame in frames]
-            check_bag_file(config.bag, config.out, inputs, overwrite=config.overwrite or unfinished)
-        run = classify_frames(config, frames, method, crs, run_spec, progress, clock)
-    if drive is None or run.merged is None or mapper is None:
-        return run
-    with clock.stage("map"):
-        mapped = map_merged(drive, run.merged, progress, mapper)
-    return replace(run, drive=mapped, already_done=is_done and (mapped is None or mapped.already_done))
+            check_scan_folder(config.out, inputs, overwrite=config.overwrite, unfinished=unfinished)
+            if config.bag is not None:
+                check_bag_file(config.bag, config.out, inputs, overwrite=config.overwrite or unfinished)
+            run = classify_frames(config, frames, method, crs, run_spec, progress, clock)
+        if drive is None or run.merged is None or mapper is None:
+            return run
+        with clock.stage("map"):
+            mapped = map_merged(drive, run.merged, progress, mapper)
+        return replace(run, drive=mapped, already_done=is_done and (mapped is None or mapped.already_done))

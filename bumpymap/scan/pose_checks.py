@@ -23,8 +23,8 @@ from bumpymap.scan.align import (
     Floats,
     HeightDifference,
     ObjectFit,
-    ObjectMatcher,
     compare_heights,
+    fit_objects,
     fit_plane,
     judge_by_view,
     keeps_beside,
@@ -89,8 +89,8 @@ class WrongPosesError(BadInputError):
 class FramePair:
     """A frame held against an earlier one, by their numbers."""
 
-    later: int
-    earlier: int
+    numbers: tuple[int, int]
+    """The later one, and the earlier one."""
     way: Floats
     """(3,) to the later one, m."""
     fit: ObjectFit
@@ -101,11 +101,6 @@ class FramePair:
     """Objects of each that the other has too."""
     repeated: bool
     """True if both hold the same points, though at different poses."""
-
-    @property
-    def numbers(self) -> tuple[int, int]:
-        """Both frames."""
-        return self.later, self.earlier
 
     def evidence(self) -> list[str]:
         """Return what does not fit, in words."""
@@ -144,8 +139,8 @@ class FramePair:
         """Return the entry in scan.json."""
         seen, is_displaced = self.through + self.found, self.fit.is_displaced(_REPORTED.found)
         return {
-            "frame": names[self.later],
-            "against": names[self.earlier],
+            "frame": names[self.numbers[0]],
+            "against": names[self.numbers[1]],
             "beside_m": round(float(np.hypot(*self.fit.move)), 2) if is_displaced else None,
             "turned_deg": round(self.fit.turn, 2) if is_displaced else None,
             "higher_m": _rounded(self.ground.higher_m, 3),
@@ -202,13 +197,12 @@ class PoseCheck:
 
     def record(self) -> dict[str, Any]:
         """Return what scan.json says."""
-        worst = {pair.later: pair for pair in self._misfits(self.pairs.values())}
         return {
             "compared": len(self.pairs),
             "ground_spread_m": _rounded(self._spread(), 4),
             "lean_deg": self.lean_deg and [round(angle, 1) for angle in self.lean_deg],
             "left_out": [self.names[number] for number in self.left_out],
-            "misfits": [pair.record(self.names) for _, pair in sorted(worst.items())],
+            "misfits": [pair.record(self.names) for pair in self._misfits(self.pairs.values())],
         }
 
     def run(self) -> None:
@@ -228,11 +222,11 @@ class PoseCheck:
         pairs = self._used()
         lean, is_sure = self._find_lean(pairs)
         whole, spread = self._contradiction(pairs), self._spread()
-        left = dict(sorted({pair.later: pair for pair in self._misfits(pairs)}.items()))
+        left = self._misfits(pairs)
         reasons = [whole] if whole else []
         if left:
             verb = "do" if len(left) > 1 else "does"
-            said = "; ".join(self._against(pair, pair.later) for pair in [*left.values()][:_NAMED])
+            said = "; ".join(self._against(pair, pair.numbers[0]) for pair in left[:_NAMED])
             reasons.append(
                 f"{len(left)} of {len(self.poses)} frames {verb} not fit others{lean or _scaled(pairs)} ({said})"
             )
@@ -255,27 +249,30 @@ class PoseCheck:
         return [pair for pair in self.pairs.values() if not left_out.intersection(pair.numbers)]
 
     def _misfits(self, pairs: Iterable[FramePair]) -> list[FramePair]:
-        """Return the pairs that do not fit, the worst last."""
-        return sorted((pair for pair in pairs if pair.evidence()), key=FramePair.size)
+        """Return the worst pair that does not fit of each later frame, in order."""
+        worst = {pair.numbers[0]: pair for pair in sorted(pairs, key=FramePair.size) if pair.evidence()}
+        return [worst[number] for number in sorted(worst)]
 
     def _against(self, pair: FramePair, number: int) -> str:
         """Return in words what does not fit in a pair about one of its frames."""
-        other = pair.earlier if number == pair.later else pair.later
+        later, earlier = pair.numbers
+        other = earlier if number == later else later
         return f"{self.names[number]} against {self.names[other]}: {' and '.join(pair.evidence())}"
 
     def _named(self, number: int) -> str:
         """Return in words what does not fit in the worst pair of a frame."""
-        return self._against(self._misfits(pair for pair in self.pairs.values() if number in pair.numbers)[-1], number)
+        pairs = [pair for pair in self.pairs.values() if number in pair.numbers and pair.evidence()]
+        return self._against(max(pairs, key=FramePair.size), number)
 
     def _compare(self) -> None:
         """Hold the frames that are used against each other, where they have not been."""
-        kept, matcher = np.array(self.kept), ObjectMatcher()
+        kept = np.array(self.kept)
         for rows in frame_pairs(self.poses[kept]):
             later, earlier = kept[list(rows)].tolist()
             if (later, earlier) not in self.pairs:
-                self.pairs[later, earlier] = self._pair(later, earlier, matcher)
+                self.pairs[later, earlier] = self._pair(later, earlier)
 
-    def _pair(self, later: int, earlier: int, matcher: ObjectMatcher) -> FramePair:
+    def _pair(self, later: int, earlier: int) -> FramePair:
         poses = self.poses[later], self.poses[earlier]
         views = self.view(later), self.view(earlier)
         way = poses[0][:3, 3] - poses[1][:3, 3]
@@ -287,11 +284,11 @@ class PoseCheck:
             turned[:3, :3] = poses[1 - own][:3, :3]
             places = np.round(1000.0 * np.clip(objects[own][~beside[own]] + by, -1e6, 1e6)).astype(np.int32)
             through += int(judge_by_view(places, turned, views[1 - own]["ranges"])[0].sum())
-        fit = matcher.fit(objects[0][~beside[0]], way[:2], objects[1][~beside[1]])
+        fit = fit_objects(objects[0][~beside[0]], way[:2], objects[1][~beside[1]])
         ground = compare_heights(views[0]["heights"], views[1]["heights"], poses)
         same = np.array_equal(views[0]["ranges"], views[1]["ranges"])
         repeated = later == earlier + 1 and np.linalg.norm(way) > _MOVED_M and same
-        return FramePair(later, earlier, way, fit, ground, through, 2.0 * fit.found * fit.objects, bool(repeated))
+        return FramePair((later, earlier), way, fit, ground, through, 2.0 * fit.found * fit.objects, bool(repeated))
 
     def _is_bad(self, pair: FramePair) -> bool:
         return pair.is_wrong if self.corrected else bool(pair.evidence())

@@ -66,33 +66,6 @@ class Edge:
     """True if the registration was not believed for its size."""
 
 
-@dataclass(frozen=True, slots=True)
-class PoseCorrection:
-    """Corrected poses, and what was found."""
-
-    poses: Floats
-    """(frames, 4, 4), m."""
-    edges: list[Edge]
-    moved_m: float
-    """Largest move."""
-    turned_deg: float
-    """Largest turn."""
-
-    def record(self) -> dict[str, Any]:
-        """Return the entry in scan.json."""
-        sizes = [np.array([each.before_m, each.after_m]) for each in self.edges if not math.isnan(each.before_m)]
-        before, after = np.median(sizes, axis=0).tolist() if sizes else (None, None)
-        return {
-            "edges": len(self.edges),
-            "significant": sum(each.is_significant for each in self.edges),
-            "limited": sum(each.is_limited for each in self.edges),
-            "surfaces_before_m": before if before is None else round(before, 4),
-            "surfaces_after_m": after if after is None else round(after, 4),
-            "largest_move_m": round(self.moved_m, 4),
-            "largest_turn_deg": round(self.turned_deg, 3),
-        }
-
-
 def require_registration() -> Any:
     """Return the module small_gicp. Raises UsageError: it is not installed."""
     try:
@@ -104,8 +77,10 @@ def require_registration() -> Any:
     return small_gicp
 
 
-def correct_poses(poses: Floats, pairs: Iterable[tuple[int, int]], cloud: Callable[[int], Floats]) -> PoseCorrection:
-    """Register frames, and return the poses with which all registrations agree best.
+def correct_poses(
+    poses: Floats, pairs: Iterable[tuple[int, int]], cloud: Callable[[int], Floats]
+) -> tuple[Floats, dict[str, Any]]:
+    """Register frames; return the poses (frames, 4, 4) with which all registrations agree best, and their record.
 
     Parameters
     ----------
@@ -136,9 +111,19 @@ def correct_poses(poses: Floats, pairs: Iterable[tuple[int, int]], cloud: Callab
         edges.append(_register(later, earlier, given, clouds[later], clouds[earlier]))
         clouds = {key: each for key, each in clouds.items() if last[key] > place and key > later - _HELD}
     found = _solve(poses, edges)
-    moved = np.linalg.norm(found[:, :3, 3] - poses[:, :3, 3], axis=1).max(initial=0.0)
-    turned = _turn_of(np.einsum("nji,njk->nik", poses[:, :3, :3], found[:, :3, :3]))
-    return PoseCorrection(found, edges, float(moved), math.degrees(np.linalg.norm(turned, axis=1).max(initial=0.0)))
+    moved = np.linalg.norm(found[:, :3, 3] - poses[:, :3, 3], axis=1)
+    turned = np.linalg.norm(_turn_of(np.einsum("nji,njk->nik", poses[:, :3, :3], found[:, :3, :3])), axis=1)
+    sizes = [(each.before_m, each.after_m) for each in edges if not math.isnan(each.before_m)]
+    before, after = np.median(sizes, axis=0).round(4).tolist() if sizes else (None, None)
+    return found, {
+        "edges": len(edges),
+        "significant": sum(each.is_significant for each in edges),
+        "limited": sum(each.is_limited for each in edges),
+        "surfaces_before_m": before,
+        "surfaces_after_m": after,
+        "largest_move_m": round(float(moved.max(initial=0.0)), 4),
+        "largest_turn_deg": round(math.degrees(turned.max(initial=0.0)), 3),
+    }
 
 
 def _register(later: int, earlier: int, given: Floats, source: Any, target: Any) -> Edge:

@@ -228,6 +228,22 @@ def test_a_report_holds_both_methods_and_is_not_replaced(drive, evaluate, tmp_pa
     assert "--overwrite" in again.output
 
 
+@pytest.mark.parametrize("method", ["filter", "learned"])
+def test_one_method_is_judged_alone(drive, evaluate, method):
+    label_drive(drive, (14, 9))
+    printed, record, text = evaluate("--set", f"method={method}")
+    other = ({"filter", "learned"} - {method}).pop()
+    assert {*record["classes"], *record["obstacles"]} == {method}
+    assert f"`{method}`" in text
+    assert other not in {*record["accuracy"], *printed.split()}
+    assert (record["facts"]["network"] is None) == (method == "filter")
+
+
+def test_a_network_is_none_of_the_filter(drive, tmp_path):
+    made = run("evaluate", "scans", drive, "--set", "method=filter", "--set", "model=a.onnx", "--out", tmp_path / "out")
+    assert (made.exit_code, "give one of them" in made.output) == (2, True)
+
+
 def label_drive(folder, ids):
     """Label the left side of frames from ``ground`` with one id, the right with another."""
     for frame in folder.glob("*.bin"):

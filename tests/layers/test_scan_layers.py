@@ -16,7 +16,7 @@ from small_surveys import files_in
 
 from bumpymap.core import Frame, PolarSettings, point_classes, sector_bounds
 from bumpymap.core.errors import OutputError
-from bumpymap.layers import check_scan_folder, name_frames, open_accumulated, remove_stale_products, scan_files
+from bumpymap.layers import check_scan_folder, move_products, name_frames, open_accumulated, scan_files
 from bumpymap.layers.scan_files import COLUMNS, open_table, sector_rows, write_cloud, write_polygons
 from bumpymap.layers.scan_folder import SCAN_CLASS_NAMES, SCAN_COLOURS
 from bumpymap.scan import classify_filter, polar_sectors
@@ -46,9 +46,9 @@ def test_points_say_whether_they_are_ground_how_high_and_in_the_colour_of_that(s
 
 
 def rows_of(path, *frames):
-    with open_table(path) as sectors:
+    with open_table(path) as add_rows:
         for name, classed in frames:
-            sectors.add_rows(sector_rows(name, classed))
+            add_rows(sector_rows(name, classed))
     return pq.read_table(path)
 
 
@@ -159,28 +159,27 @@ def test_the_scans_that_are_read_are_not_replaced(tmp_path, ended):
 
 
 def test_older_products_go_and_everything_else_stays(tmp_path):
-    fill(tmp_path, "frames/a.png", "gathered.laz", "sectors.parquet", "scan.json", "notes.txt")
-    fill(tmp_path, "map/run.json", "map/rasters/class.tif", "map/rasters/class.tif.aux.xml", "map/my_style.qml")
-    remove_stale_products(tmp_path, ("scan.json", "sectors.parquet"))
-    assert sorted(files_in(tmp_path)) == ["map/my_style.qml", "notes.txt", "scan.json", "sectors.parquet"]
-    assert not (tmp_path / "frames").exists()
-    (tmp_path / "map" / "my_style.qml").unlink()
-    fill(tmp_path, "map/run.json")
-    remove_stale_products(tmp_path, ("scan.json", "sectors.parquet"))
-    assert not (tmp_path / "map").exists()
+    fill(tmp_path, "out/frames/a.png", "out/gathered.laz", "out/scan.json", "out/notes.txt", "out/map/my_style.qml")
+    fill(tmp_path, "out/map/run.json", "out/map/rasters/class.tif", "out/map/rasters/class.tif.aux.xml")
+    fill(tmp_path, "new/sectors.parquet", "new/scan.json")
+    assert move_products(tmp_path / "new", tmp_path / "out") == ("sectors.parquet", "scan.json")
+    assert sorted(files_in(tmp_path / "out")) == ["map/my_style.qml", "notes.txt", "scan.json", "sectors.parquet"]
+    assert not (tmp_path / "out" / "frames").exists()
+    (tmp_path / "out" / "map" / "my_style.qml").unlink()
+    fill(tmp_path, "out/map/run.json", "newer/scan.json")
+    move_products(tmp_path / "newer", tmp_path / "out")
+    assert not (tmp_path / "out" / "map").exists()
 
 
 @pytest.mark.parametrize("crs", [CRS.from_epsg(32614), None])
 def test_points_are_written_where_they_are_with_their_classes(tmp_path, crs):
     rng = np.random.default_rng(1)
-    first = np.eye(4)
-    first[:3, 3] = 500_000.25, 4_000_000.5, 321.0
-    world, ground = first[:3, 3] + rng.uniform(-80.0, 80.0, (500, 3)), rng.uniform(size=500) < 0.5
+    offset = np.array([500_000.0, 4_000_000.0, 321.0])
+    world, ground = offset + rng.uniform(-80.0, 80.0, (500, 3)), rng.uniform(size=500) < 0.5
     for name in ("a.laz", "b.laz"):
-        with open_accumulated(tmp_path / name, first, crs) as gathered:
-            gathered.add_points(world[:200], ground[:200])
-            gathered.add_points(world[:0], ground[:0])
-            gathered.add_points(world[200:], ground[200:])
+        with open_accumulated(tmp_path / name, offset, crs) as add_points:
+            for part in (slice(200), slice(0), slice(200, None)):
+                add_points(world[part], ground[part])
     assert (tmp_path / "a.laz").read_bytes() == (tmp_path / "b.laz").read_bytes()
     las = laspy.read(tmp_path / "a.laz")
     assert las.header.parse_crs() == crs

@@ -11,10 +11,10 @@ import pytest
 from ply_files import write_ply
 from scipy.spatial.transform import Rotation
 
-from bumpymap.core import BadInputError, UsageError
+from bumpymap.core import BadInputError, Robot, UsageError
 from bumpymap.layers import open_accumulated
 from bumpymap.scan.config import ScanConfig
-from bumpymap.scan.merge import MOST_GROUND, MOST_OTHERS, open_merge
+from bumpymap.scan.merge import MOST_GROUND, MOST_OTHERS, DriveMerge, place_points
 from bumpymap.scan.pipeline import scan_frames
 
 CAMERA = np.array([[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
@@ -73,13 +73,14 @@ def merged(folder, frames, poses, is_ground=None, **how):
 
 def merge(folder, frames, poses, is_ground=None, **how):
     """And the poses, corrected or not."""
-    folder.mkdir(exist_ok=True)
-    with open_merge(folder, poses[0], **how) as drive:
-        for number, ((points, ground), pose) in enumerate(zip(frames, poses, strict=True)):
-            own = ground if is_ground is None else is_ground(number, points)
-            drive.add_points(drive.place_points(str(number), points, pose, own))
-        with open_accumulated(folder / "a.laz", poses[0], None) as survey:
-            drive.write(survey)
+    folder.mkdir()
+    offset = np.round(poses[0, :3, 3])
+    drive = DriveMerge(folder, offset, Robot(), **how)
+    for number, ((points, ground), pose) in enumerate(zip(frames, poses, strict=True)):
+        own = ground if is_ground is None else is_ground(number, points)
+        drive.add_points(str(number), pose, place_points(str(number), points, own, pose, offset))
+    with open_accumulated(folder / "a.laz", offset, None) as add_points:
+        drive.write(add_points)
     las = laspy.read(folder / "a.laz")
     return np.asarray(las.xyz), np.asarray(las.classification) == 2, drive.record(), drive.poses
 
@@ -179,6 +180,7 @@ def test_errors_of_poses_are_said_and_corrected_if_asked(tmp_path, caplog):
     assert np.degrees(Rotation.from_matrix(off[:, :3, :3]).magnitude()).max() < 0.05
     corrected = record["poses"]["correction"]
     assert corrected["significant"] == corrected["edges"] > FRAMES
+    np.testing.assert_array_equal([corrected["poses"][str(number)] for number in range(FRAMES)], found)
     assert corrected["surfaces_after_m"] < 0.1 * corrected["surfaces_before_m"]
     assert 0.05 < corrected["largest_move_m"] < 0.2
     near = ground & (np.abs(xyz[:, 0] - 15.0) < 10.0) & (np.abs(xyz[:, 1] - 2.0) < 3.0)
@@ -203,7 +205,7 @@ def escorted(step, count, beside, boxes):
 def test_perfect_poses_stay_beside_an_escort(step, tmp_path):
     poses, frames = escorted(step, 24, (1.5, 3.2), [PARKED, *WALLS[:2]])
     for corrected, most in ((False, 0.0), (True, 0.02)):
-        *_, record, found = merge(tmp_path / "out", frames, poses, corrected=corrected)
+        *_, record, found = merge(tmp_path / str(corrected), frames, poses, corrected=corrected)
         assert np.abs(found - poses).max() <= most
         assert (record["poses"]["misfits"], record["poses"]["left_out"]) == ([], [])
 
@@ -254,7 +256,7 @@ def test_frames_between_bare_walls_are_moved_across_and_not_along(tmp_path):
         frames.append((points + rng.normal(0.0, 0.005, points.shape).astype(np.float32), ground))
     given, by = true.copy(), rng.normal(0.0, 0.2, (8, 2))
     given[:, :2, 3] += by
-    moved = merge(tmp_path, frames, given, trusted=True, corrected=True)[3][:, :2, 3] - given[:, :2, 3]
+    moved = merge(tmp_path / "out", frames, given, trusted=True, corrected=True)[3][:, :2, 3] - given[:, :2, 3]
     assert np.abs(moved[:, 0]).max() < 0.02
     assert np.ptp(moved[:, 1] + by[:, 1]) < 0.03 < np.ptp(by[:, 1])
 

@@ -233,6 +233,13 @@ def test_sectors_say_what_a_survey_of_the_ground_says(points, rater, mapped):
     assert (ride.class_id[known] >= np.searchsorted(limits, ride.c_r[known], side="right")).all()
 
 
+def test_the_ride_does_not_depend_on_the_order_of_points(points, rater):
+    shuffled = points[np.random.default_rng(4).permutation(len(points))]
+    rides = [rater(Scan(each), polar_sectors(Scan(each))) for each in (points, shuffled)]
+    for name in ("c_r", "c_r_low", "c_r_high", "class_id", "p_fail"):
+        assert_array_equal(*(getattr(ride, name) for ride in rides))
+
+
 @pytest.mark.parametrize(("limit", "classes"), [(5.0, {3}), (30.0, {0})])
 def test_smooth_ground_that_is_too_steep_is_of_the_roughest_class(limit, classes):
     """It rises northwards by 8 degrees."""

@@ -19,7 +19,7 @@ from bumpymap import layers
 from bumpymap.core.errors import BadInputError
 from bumpymap.readers import PointStats, hash_survey, open_survey, scans as scan_files
 from bumpymap.readers.las import LasSurvey
-from bumpymap.scan import pipeline as scan_pipeline
+from bumpymap.scan import frames as scan_work
 from bumpymap.scan.frames import FrameReader
 from bumpymap.survey.engine.collector import ReadResult, ResultCollector
 
@@ -103,7 +103,7 @@ def write_frame(path, lift=0.0):
 
 @pytest.mark.parametrize(
     ("owner", "moment", "name"),
-    [(FrameReader, "read", "a.bin"), (scan_pipeline, "report_frame", "a.bin"), (scan_files, "read_range", "a.label")],
+    [(FrameReader, "read", "a.bin"), (scan_work, "report_frame", "a.bin"), (scan_files, "read_range", "a.label")],
 )
 def test_scan_refuses_a_frame_or_its_labels_that_change(tmp_path, monkeypatch, owner, moment, name):
     """While they are read, or between that and the checksum."""

@@ -29,6 +29,7 @@ from .grouping import (
     group_scaled_points as group_scaled_points,
     join_tiles as join_tiles,
     photo_of as photo_of,
+    sort_block as sort_block,
 )
 from .pack import (
     BlockKey as BlockKey,

@@ -2,10 +2,10 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -51,8 +51,7 @@ ScanProgress = Callable[[int, int], None]
 """Called with the number of finished scans and the number of all scans."""
 
 
-@dataclass(frozen=True, slots=True)
-class Sectors:
+class Sectors(NamedTuple):
     """Sectors with known classes."""
 
     patches: NDArray[np.float32]
@@ -67,7 +66,7 @@ class Sectors:
 
 def join(parts: Sequence[Sectors]) -> Sectors:
     """Concatenate one or more sets of sectors, in order."""
-    return Sectors(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Sectors)))
+    return Sectors(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def draw_cuts(rng: np.random.Generator, count: int) -> list[tuple[float, PolarSettings]]:
@@ -320,8 +319,9 @@ def model_card(
 Classifies the sectors of one LiDAR scan by roughness: class 0 (smooth) to 2 (rough).
 
 - **Use**: `bumpymap scan --method learned`.
-- **Input**: `patches` (batch, 2, 15, 15) float32, the heights of a sector above its plane, in the sector's own polar
-  coordinates: once scaled by their own range, once by asinh(h / 5 cm); and `measures` (batch, {len(MEASURES)}):
+- **Input**: `patches` (batch, {CHANNELS}, 15, 15) float32 in the sector's own polar coordinates: the heights of its
+  ground above its plane, scaled by their own range and by asinh(h / 5 cm), and the tops of what is not ground and the
+  number of its points; and `measures` (batch, {len(MEASURES)}):
   {", ".join(MEASURES)} (sector version {SECTOR_VERSION}). `beside` is the ratio of the number of points to that
   of the ground in the same ring.
 - **Output**: `probability` (batch, {CLASSES}) float32.
