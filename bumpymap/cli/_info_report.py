@@ -105,6 +105,8 @@ class Report:
             label = "error" if file.error else "to map it"
             yield from (Styled(need, "yellow", f"  {label}: ") for need in self._needs(file))
             yield ""
+        if self.config.photo is not None:
+            yield Styled(f"orthophoto: {self.config.photo}", "bold")
         together = self._why_not_together() or self._one_map()
         yield from (Styled(line if number else f"together: {line}", "bold") for number, line in enumerate(together))
         yield from (Styled(as_options(doubt), "yellow", "  doubtful: ") for doubt in self._doubts())
@@ -121,6 +123,7 @@ class Report:
         forecast = self._estimate()
         return {
             "files": [self._record(file) for file in self.files],
+            "photo": self.config.photo and str(self.config.photo),
             "together": " ".join(self._why_not_together()),
             "doubts": [as_options(doubt) for doubt in self._doubts()],
             "too_large": as_options(self._too_large()),
@@ -401,18 +404,18 @@ def _map_options(config: MapConfig, place: Georeference | None) -> Iterator[str]
         flat, own = horizontal_of(parse_crs(config.crs)), place.crs and horizontal_of(place.crs)
         if flat is not None and own is not None and same_crs(flat, own):
             yield from ("--crs", config.crs)
-    if config.force_crs is not None:
-        yield from ("--set", f"force_crs={config.force_crs}")
-    if config.xy_unit is not None:
-        yield from ("--xy-unit", config.xy_unit)
-    if config.z_unit is not None:
-        yield from ("--z-unit", config.z_unit)
-    if config.trust_points:
-        yield from ("--set", "trust_points=true")
-    if config.ground != "auto":
-        yield from ("--ground", config.ground)
-    if config.ground_classes != GROUND_CLASSES:
-        yield from ("--ground-classes", ",".join(map(str, config.ground_classes)))
+    classes = ",".join(map(str, config.ground_classes))
+    options = [
+        ("--set", f"force_crs={config.force_crs}", config.force_crs is not None),
+        ("--xy-unit", config.xy_unit, config.xy_unit is not None),
+        ("--z-unit", config.z_unit, config.z_unit is not None),
+        ("--photo", config.photo, config.photo is not None),
+        ("--set", "trust_points=true", config.trust_points),
+        ("--ground", config.ground, config.ground != "auto"),
+        ("--ground-classes", classes, config.ground_classes != GROUND_CLASSES),
+    ]
+    yield from (word for option, value, given in options if given for word in (option, str(value)))
+    yield from ["--dtm"] * config.dtm
 
 
 _CLASS_NAMES = (
