@@ -100,13 +100,14 @@ def open_photo(path: Path, place: Georeference, areas: Sequence[Bounds | None]) 
 
 def tiles_of_photo(table: CostTable, window: RasterWindow, found: Mapping[str, NDArray[np.int64]]) -> NDArray[np.uint8]:
     """Return the colours of some tiles of a window, (n, pixels, pixels, 3), north up; 0, 0, 0 where it has none."""
-    from rasterio.transform import Affine
+    from rasterio.windows import Window, transform
 
     photo, place, pixels = table.orthophoto, Placement.of(table), table.tiles.grid.pixels
     if photo is None or not len(found["row"]):
         return np.empty((0, pixels, pixels, 3), np.uint8)
     lines, columns = window.tiles.rows * pixels, window.tiles.cols * pixels
-    corner = place.transform(pixels) * Affine.translation(window.column * pixels, window.line * pixels)
+    inside = Window(window.column * pixels, window.line * pixels, columns, lines)
+    corner = transform(inside, place.transform(pixels))
     with (
         _opened(photo.path) as file,
         _warped(file, photo.path, place.horizontal_crs, transform=corner, width=columns, height=lines) as there,
