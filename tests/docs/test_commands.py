@@ -115,6 +115,16 @@ def furnish(folder: Path) -> None:
         write_las(folder / name, x[near], y[near], z[near], crs=CRS, offset=survey.header.offsets, **classes)
     for name in ("survey.laz", "may.laz", "june.laz"):
         shutil.copy(folder / "site.laz", folder / name)
+    odm = folder / "odm_project"
+    for name in ("odm_georeferencing/odm_georeferenced_model.laz", "odm_orthophoto/odm_orthophoto.tif"):
+        (odm / name).parent.mkdir(parents=True)
+    shutil.copy(folder / "site.laz", odm / "odm_georeferencing" / "odm_georeferenced_model.laz")
+    for name in ("odm_project/odm_orthophoto/odm_orthophoto.tif", "ortho.tif", "sample_data/quarry_ortho.tif"):
+        shutil.copy(samples / "quarry_ortho.tif", folder / name)
+    for name in ("dsm.tif", "dtm.tif", "sample_data/quarry_dsm.tif"):
+        shutil.copy(samples / "quarry_dsm.tif", folder / name)
+    local = np.column_stack([x, y, z])[near] - (np.median(x), np.median(y), np.median(z))
+    PointCloud.from_xyz_points(local.astype(np.float32)).save(str(folder / "slam.pcd"), Encoding.BINARY)
     _drive(folder)
     for name in ("my_vehicle", "my_robot"):
         shutil.copy(data / "vehicles" / "small_rover.toml", folder / f"{name}.toml")

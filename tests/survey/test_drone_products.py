@@ -1,6 +1,8 @@
 """What drone software writes, mapped: a DSM as its points are, an orthophoto as photo.tif, and a project of ODM."""
 
 import json
+import shlex
+from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -157,3 +159,16 @@ def test_a_batch_maps_dsms_and_projects(tmp_path):
     assert outcome.exit_code == 0, outcome.output
     assert (tmp_path / "out" / "odm" / "rasters" / "photo.tif").exists()
     assert not (tmp_path / "out" / "north" / "rasters" / "photo.tif").exists()
+
+
+@pytest.mark.realdata
+def test_the_two_commands_from_a_pcd_to_nav2_on_a_real_cloud(tmp_path, shared_data):
+    page = (Path(__file__).parents[2] / "docs" / "pages" / "slam-to-nav2.md").read_text()
+    cloud_of_robot = shared_data / "scans" / "patchwork_128ch" / "000000.pcd"
+    for line in page.split("```")[1].strip().splitlines():
+        words = [str(tmp_path / word) if word.startswith("slam_") else word for word in shlex.split(line)[1:]]
+        outcome = run(*(str(cloud_of_robot) if word == "slam.pcd" else word for word in words))
+        assert outcome.exit_code == 0, outcome.output
+    datum = json.loads((tmp_path / "slam_nav2" / "datum.json").read_text())
+    assert (datum["datum"]["x"], datum["datum"]["y"]) == (0.0, 0.0)
+    assert "map.pgm" in (tmp_path / "slam_nav2" / "map.yaml").read_text()
