@@ -134,10 +134,11 @@ class RasterSurvey(SurveyReader):
 
     def _convert(self, chunk: Chunk, fetched: Any) -> ChunkPoints:
         scale, offset = self._height
-        heights, scaling = np.ma.getdata(fetched).astype(np.float64), self._scaling
-        if (scale, offset) != (1.0, 0.0):
-            heights = heights * scale + offset
-        with np.errstate(invalid="ignore"):  # NaN: no height
+        scaling = self._scaling
+        with np.errstate(over="ignore", invalid="ignore"):  # NaN, or beyond all heights: no height
+            heights = np.ma.getdata(fetched).astype(np.float64)
+            if (scale, offset) != (1.0, 0.0):
+                heights = heights * scale + offset
             known = (np.abs(heights) * scaling.units[2] <= _HIGHEST_M) & ~np.ma.getmaskarray(fetched)
         row, col = (place.astype(np.int32) for place in np.nonzero(known))
         upward = np.rint(heights[known] / _STEP).astype(np.int32)
