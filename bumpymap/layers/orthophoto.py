@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 _COLOURS = (1, 2, 3)
+"""Bands of red, green and blue."""
 _FINEST_M = 0.002
 """Smallest pixel, m: of a finer one more than 10,000 are averaged for a pixel of a map."""
 _CACHE = 64 << 20

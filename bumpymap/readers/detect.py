@@ -237,8 +237,8 @@ def _surveys_in(folder: Path) -> list[Path]:
     found = found or rasters
     if not found:
         raise BadInputError(
-            f"the folder {folder} holds no survey; files ending in {', '.join((*SUFFIXES, *RASTERS))} are searched "
-            "for, in its subfolders too. A file with another suffix can be given by its own path"
+            f"the folder {folder} holds no point cloud and no DSM; files ending in {', '.join((*SUFFIXES, *RASTERS))} "
+            "are searched for, in its subfolders too. A file with another suffix can be given by its own path"
         )
     return sorted(found)
 

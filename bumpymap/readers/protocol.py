@@ -106,6 +106,8 @@ class SurveyInfo:
     """Lowest and highest in the header, m; None if the format has none, or they are to be ignored."""
     class_names: Mapping[int, str] = field(default_factory=dict)
     """Names that the file gives to classes."""
+    most_seen: float = math.inf
+    """Points per m2 of which more show nothing more: many pixels of a raster are interpolated."""
     header_date: date | None = None
     """Date in the header of a LAS file: often that of the flight or of processing. None if there is no valid one."""
 

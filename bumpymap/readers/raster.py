@@ -46,6 +46,9 @@ _STEP = 1e-4
 """Step of heights, in the unit of the file: a tenth of a millimetre."""
 _COARSE_HEIGHT_M = 0.1
 """Steps between heights of whole numbers from which on a note is made, m."""
+_MOST_SEEN = 100.0
+"""Pixels per m2 of which more show nothing more: chosen, a dense cloud of photos; of the pixels of 5 cm made of one with
+98 points per m2, 78 % are interpolated."""
 _UNCLASSIFIED = 1
 """LAS class of points that nobody has classified."""
 _KINDS = ("float32", "float64", "int16", "uint16", "int32", "uint32")
@@ -59,7 +62,7 @@ _WRITE_AGAIN = "Write it again with: gdal_translate -co TILED=YES -co COMPRESS=D
 _CANNOT_TELL = {
     False: "a DSM has one height for each pixel, often smoothed: what lies under trees, roofs and wires is not in it, "
     "edges are blurred, and its noise is not known",
-    True: "a DTM is of the ground alone: what stands on it is not in it, so no obstacle bars a tile",
+    True: "a DTM is of the ground alone: obstacles are not in it, so none bars a tile",
 }
 """Notes on a DSM and on a DTM."""
 
@@ -103,7 +106,7 @@ class RasterSurvey(SurveyReader):
         (west, east), (south, north) = (sorted(end.tolist()) for end in ends)
         what = f"GeoTIFF ({'DTM' if options.dtm else 'DSM'}), {kind}, pixels of {pixel:g} m"
         bounds, notes = Bounds(west, south, east, north), (*notes, _CANNOT_TELL[options.dtm])
-        return SurveyInfo(path, what, size, rows * cols, place, bounds, options.dtm, notes)
+        return SurveyInfo(path, what, size, rows * cols, place, bounds, options.dtm, notes, most_seen=_MOST_SEEN)
 
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
         """Split into windows of whole blocks of the file, or into parts of its blocks if these are larger."""

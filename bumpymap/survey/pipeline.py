@@ -98,7 +98,8 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
         check_folder(config.out, overwrite=True)
     discard = overwrite or (in_batch and not complete)
     grid = config.grid
-    rating = TileRating.of(config, models, inputs.georeference)
+    most_seen = min(reader.info.most_seen for reader in inputs.readers)
+    rating = TileRating.of(config, models, inputs.georeference, most_seen)
     in_relief = rating.measure_all if config.compat == "none" else None  # the paper knows no obstacles
     columns = rated_columns(grid.pixels, headings=config.headings)
     if any(reader.has_colour for reader in inputs.readers):

@@ -96,7 +96,7 @@ def test_a_dtm_is_ground_and_a_dsm_is_not_classified(tmp_path):
     path = write_raster(tmp_path / "a.tif", HEIGHTS.astype(np.float32))
     assert set(points_of(path, keep_classes=True)[1]) == {1}
     assert set(points_of(path, keep_classes=True, dtm=True)[1]) == {2}
-    assert "no obstacle bars" in " ".join(open_survey(path, ReadOptions(dtm=True)).info.notes)
+    assert "so none bars a tile" in " ".join(open_survey(path, ReadOptions(dtm=True)).info.notes)
 
 
 def rgb(rows=8, cols=8):
