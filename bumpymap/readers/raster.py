@@ -42,13 +42,15 @@ _CACHE = 32 << 20
 """Decoded blocks that GDAL keeps, bytes, if two fit into it."""
 _HIGHEST_M = 9_000.0
 """Heights farther from zero are no ground, but nodata that the file does not declare (-9999, -32767, 3.4e38)."""
+_FINE_PIXEL_M = 0.25
+"""Side of a pixel, m, from which on a note is made: C_r of pixels of 20 cm is that of points within 15 %, measured."""
 _STEP = 1e-4
 """Step of heights, in the unit of the file: a tenth of a millimetre."""
 _COARSE_HEIGHT_M = 0.1
 """Steps between heights of whole numbers from which on a note is made, m."""
 _MOST_SEEN = 100.0
-"""Pixels per m2 of which more show nothing more: chosen, a dense cloud of photos; of the pixels of 5 cm made of one with
-98 points per m2, 78 % are interpolated."""
+"""Pixels per m2 of which more show nothing more. Chosen, a dense cloud of photos: of the pixels of 5 cm made of one
+with 98 points per m2, 78 % are interpolated."""
 _UNCLASSIFIED = 1
 """LAS class of points that nobody has classified."""
 _KINDS = ("float32", "float64", "int16", "uint16", "int32", "uint32")
@@ -99,6 +101,8 @@ class RasterSurvey(SurveyReader):
                 f"the pixels of {path} are {pixel:g} m wide, and at most {COARSEST_M:g} m are read: roughness that a "
                 "vehicle feels is finer. Export the model with pixels of 5 to 20 cm, or give the point cloud"
             )
+        if pixel > _FINE_PIXEL_M:
+            notes += (f"its pixels are coarse ({pixel:g} m): at 0.5 m the median C_r is 1.3 to 1.4 times too high",)
         if kind.kind in "iu" and step >= _COARSE_HEIGHT_M:
             notes += (f"its heights lie on steps of {step:g} m: fine relief is lost",)
         self._kind = options.kinds[options.ground_classes[0] if options.dtm else _UNCLASSIFIED]

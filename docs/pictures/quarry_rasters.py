@@ -14,14 +14,15 @@ from rasterio.fill import fillnodata
 from rasterio.transform import from_origin
 from scipy import ndimage
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.append(str(ROOT / "tests" / "worlds"))
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "worlds"))
 
 from made_quarry import BOUNDS, tiles_of
 
+ROOT = Path(__file__).resolve().parents[2]
+
 PIXEL_M, HOLE_M, STRAY_M = 0.1, 1.0, 5.0
 TILE = round(3.0 / PIXEL_M)
-COLOURS = {  # fmt: skip
+COLOURS = {
     "R": (176, 168, 152),
     "W": (168, 156, 136),
     "U": (140, 116, 88),
