@@ -150,13 +150,10 @@ class RasterSurvey(SurveyReader):
         row, col = (place.astype(np.int32) for place in np.nonzero(known))
         upward = np.rint(heights[known] / _STEP).astype(np.int32)
         row, col = row + np.int32(chunk.window[1]), col + np.int32(chunk.window[0])
-        stats = PointStats(chunk.points, not_a_number=chunk.points - upward.size)
+        stats = PointStats(chunk.points, not_a_number=chunk.points)
         if upward.size:
-            ends = [np.array([axis.min(), axis.max()]) for axis in (col, row, upward)]
-            (west, east), (south, north), (low, high) = (
-                sorted(scaling.coordinates(axis, end).tolist()) for axis, end in enumerate(ends)
-            )
-            stats = replace(stats, west=west, south=south, east=east, north=north, lowest=low, top=high)
+            ends = [sorted(scaling.coordinates(n, [of.min(), of.max()])) for n, of in enumerate((col, row, upward))]
+            stats = PointStats.within(ends, chunk.points, not_a_number=chunk.points - upward.size)
         kind = np.full(upward.size, self._kind, np.uint8)
         return ChunkPoints(ScaledPoints(col, row, upward, kind, scaling), stats)
 
