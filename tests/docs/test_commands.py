@@ -14,6 +14,7 @@ import click
 import laspy
 import numpy as np
 import pytest
+import rasterio
 from bags import cloud, lidar_rows, odometry, write_bag
 from made_drives import MadeDrive, log_of, write_table
 from made_frames import churned_field, write_bin
@@ -119,10 +120,13 @@ def furnish(folder: Path) -> None:
     for name in ("odm_georeferencing/odm_georeferenced_model.laz", "odm_orthophoto/odm_orthophoto.tif"):
         (odm / name).parent.mkdir(parents=True)
     shutil.copy(folder / "site.laz", odm / "odm_georeferencing" / "odm_georeferenced_model.laz")
-    for name in ("odm_project/odm_orthophoto/odm_orthophoto.tif", "ortho.tif", "sample_data/quarry_ortho.tif"):
-        shutil.copy(samples / "quarry_ortho.tif", folder / name)
-    for name in ("dsm.tif", "dtm.tif", "sample_data/quarry_dsm.tif"):
-        shutil.copy(samples / "quarry_dsm.tif", folder / name)
+    kinds = {"ortho": ("odm_project/odm_orthophoto/odm_orthophoto.tif", "ortho.tif"), "dsm": ("dsm.tif", "dtm.tif")}
+    for kind, names in kinds.items():
+        shutil.copy(samples / f"quarry_{kind}.tif", folder / "sample_data")
+        for name in names:
+            shutil.copy(samples / f"quarry_{kind}.tif", folder / name)
+            with rasterio.open(folder / name, "r+") as raster:
+                raster.crs = CRS  # as that of site.laz
     local = np.column_stack([x, y, z])[near] - (np.median(x), np.median(y), np.median(z))
     PointCloud.from_xyz_points(local.astype(np.float32)).save(str(folder / "slam.pcd"), Encoding.BINARY)
     _drive(folder)

@@ -146,7 +146,7 @@ def test_a_project_of_odm_is_mapped_as_it_is_with_its_orthophoto(tmp_path):
     assert "odm_georeferencing/odm_georeferenced_model.laz and odm_orthophoto/odm_orthophoto.tif" in said
     assert photo_of(tmp_path / "out")[1].all()
     assert "orthophoto: " in run("info", odm).output
-    assert json.loads(CliRunner().invoke(main, ["info", str(odm), "--json"]).output)["photo"]
+    assert json.loads(CliRunner().invoke(main, ["info", str(odm), "--json"]).stdout)["photo"]
 
 
 def test_a_batch_maps_dsms_and_projects(tmp_path):
